@@ -1,0 +1,210 @@
+//! The staggered (MAC) grid: where every quantity lives, and how it lies in memory on the host and on the device.
+//!
+//! One cell, its centre `c`, and the six faces around it (Harlow and Welch 1965). Velocity components live on the faces they
+//! are normal to, pressure and liquid distance at the centre. The *minus* face of an axis carries the index of the cell:
+//!
+//! ```text
+//!            +-----v[i,j+1,k]-----+          y
+//!           /|                   /|          |
+//!          / |    w[i,j,k]      / |          |
+//!         +--------------------+  |          +---- x
+//!   u[i,j,k] |        c        | u[i+1,j,k] /
+//!         |  +-----------------|--+        z
+//!         | /   w[i,j,k+1]     | /
+//!         |/                   |/
+//!         +-----v[i,j,k]-------+
+//! ```
+//!
+//! The origin is the low corner of the domain; the centre of cell (i, j, k) is (i + 1/2, j + 1/2, k + 1/2) dx, its minus x
+//! face lies at (i, j + 1/2, k + 1/2) dx. x is fastest in memory everywhere.
+//!
+//! **Host arrays** are dense and unpadded: `nx ny nz` cells, `(nx + 1) ny nz` x faces, and so on.
+//!
+//! **Device arrays** are padded ([`Padded`]) so that a kernel reaches all neighbours by constant strides, reads 4 cells along
+//! x (a *quad*) at once, and never tests a border: cells and the minus faces of all three axes share one layout.
+
+use glam::DVec3;
+
+/// An axis of the grid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Axis {
+    /// x
+    X,
+    /// y
+    Y,
+    /// z
+    Z,
+}
+
+impl Axis {
+    /// All three, in order.
+    pub const ALL: [Axis; 3] = [Axis::X, Axis::Y, Axis::Z];
+
+    /// 0, 1 or 2.
+    pub fn index(self) -> usize {
+        self as usize
+    }
+}
+
+/// A MAC grid of cubic cells.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Grid {
+    /// Cells along x, y, z.
+    pub cells: [usize; 3],
+    /// Cell size, m.
+    pub dx: f64,
+}
+
+impl Grid {
+    /// Number of cells.
+    pub fn n_cells(&self) -> usize {
+        self.cells.iter().product()
+    }
+
+    /// Index of a cell in a host array.
+    #[inline]
+    pub fn cell(&self, [i, j, k]: [usize; 3]) -> usize {
+        i + self.cells[0] * (j + self.cells[1] * k)
+    }
+
+    /// Position of the cell with a host index.
+    #[inline]
+    pub fn cell_at(&self, index: usize) -> [usize; 3] {
+        let [nx, ny, _] = self.cells;
+        [index % nx, index / nx % ny, index / (nx * ny)]
+    }
+
+    /// Face counts along x, y, z of the faces normal to `axis`: one more than the cells along that axis.
+    #[inline]
+    pub fn faces(&self, axis: Axis) -> [usize; 3] {
+        let mut n = self.cells;
+        n[axis.index()] += 1;
+        n
+    }
+
+    /// Number of faces normal to `axis`.
+    pub fn n_faces(&self, axis: Axis) -> usize {
+        self.faces(axis).iter().product()
+    }
+
+    /// Index of a face normal to `axis` in a host array.
+    #[inline]
+    pub fn face(&self, axis: Axis, [i, j, k]: [usize; 3]) -> usize {
+        let [nx, ny, _] = self.faces(axis);
+        i + nx * (j + ny * k)
+    }
+
+    /// Position of the face with a host index.
+    #[inline]
+    pub fn face_at(&self, axis: Axis, index: usize) -> [usize; 3] {
+        let [nx, ny, _] = self.faces(axis);
+        [index % nx, index / nx % ny, index / (nx * ny)]
+    }
+
+    /// Centre of a cell, m.
+    #[inline]
+    pub fn cell_centre(&self, [i, j, k]: [usize; 3]) -> DVec3 {
+        DVec3::new(i as f64 + 0.5, j as f64 + 0.5, k as f64 + 0.5) * self.dx
+    }
+
+    /// Centre of a face, m.
+    #[inline]
+    pub fn face_centre(&self, axis: Axis, ijk: [usize; 3]) -> DVec3 {
+        let mut x = self.cell_centre(ijk);
+        x[axis.index()] -= 0.5 * self.dx;
+        x
+    }
+
+    /// Size of the domain, m.
+    pub fn size(&self) -> DVec3 {
+        DVec3::new(self.cells[0] as f64, self.cells[1] as f64, self.cells[2] as f64) * self.dx
+    }
+
+    /// Volume of a cell, m^3.
+    pub fn cell_volume(&self) -> f64 {
+        self.dx.powi(3)
+    }
+
+    /// The cells on the minus and plus side of a face; `None` beyond the domain.
+    #[inline]
+    pub fn face_sides(&self, axis: Axis, ijk: [usize; 3]) -> [Option<usize>; 2] {
+        let a = axis.index();
+        let mut minus = ijk;
+        let minus = (ijk[a] > 0).then(|| {
+            minus[a] -= 1;
+            self.cell(minus)
+        });
+        [minus, (ijk[a] < self.cells[a]).then(|| self.cell(ijk))]
+    }
+
+    /// The device layout of this grid.
+    pub fn padded(&self) -> Padded {
+        Padded::new(self.cells)
+    }
+}
+
+/// The device layout of one level: rows of quads (4 cells along x), at least one spare cell at the end of each row, one
+/// spare row at the end of each slab, one spare slab in front and two behind. A spare cell serves as the neighbour beyond
+/// the end of its row and before the start of the next. Spare cells hold zeros (inactive, closed).
+///
+/// Rows are a multiple of 8 cells long, so the 8 fine cells under a coarse quad are always two quads of one row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Padded {
+    /// Cells along x, y, z.
+    pub cells: [usize; 3],
+    /// Quads in a row: the stride along y, in quads.
+    pub stride_y: usize,
+    /// Quads in a slab: the stride along z, in quads.
+    pub stride_z: usize,
+    /// Quads in all.
+    pub quads: usize,
+}
+
+impl Padded {
+    /// The layout for a level of `cells`.
+    pub fn new(cells: [usize; 3]) -> Padded {
+        let stride_y = 2 * (cells[0] / 8 + 1);
+        let stride_z = stride_y * (cells[1] + 1);
+        Padded { cells, stride_y, stride_z, quads: stride_z * (cells[2] + 3) }
+    }
+
+    /// Number of scalars.
+    pub fn len(&self) -> usize {
+        4 * self.quads
+    }
+
+    /// Whether there is nothing; never, kept for the pair with [`Padded::len`].
+    pub fn is_empty(&self) -> bool {
+        self.quads == 0
+    }
+
+    /// Index of cell (i, j, k), or of its minus face, in a device array of scalars.
+    #[inline]
+    pub fn index(&self, [i, j, k]: [usize; 3]) -> usize {
+        4 * (self.stride_z * (k + 1) + self.stride_y * j) + i
+    }
+
+    /// A host array of extents `n` (cells or faces), padded with zeros.
+    pub fn pad<T: Copy, U: Copy + Default>(&self, n: [usize; 3], host: &[T], convert: impl Fn(T) -> U) -> Vec<U> {
+        let mut device = vec![U::default(); self.len()];
+        for (row, values) in host.chunks_exact(n[0]).enumerate() {
+            let start = self.index([0, row % n[1], row / n[1]]);
+            for (slot, &value) in device[start..].iter_mut().zip(values) {
+                *slot = convert(value);
+            }
+        }
+        device
+    }
+
+    /// The host array of extents `n` inside a device array.
+    pub fn unpad<T: Copy, U>(&self, n: [usize; 3], device: &[T], convert: impl Fn(T) -> U) -> Vec<U> {
+        let mut host = Vec::with_capacity(n.iter().product());
+        for k in 0..n[2] {
+            for j in 0..n[1] {
+                let start = self.index([0, j, k]);
+                host.extend(device[start..start + n[0]].iter().map(|&value| convert(value)));
+            }
+        }
+        host
+    }
+}

@@ -1,0 +1,29 @@
+//! cutwater: two-way coupling between inviscid free-surface liquids and elastic solids on the GPU, without a window.
+//!
+//! One step of the simulator (Zarifi's thesis, algorithm 4), with the room that holds each line. The GPU stages live in
+//! [`stages`] and [`solver`], their f64 twins under the same names in [`reference`]:
+//!
+//! 1. `time_step`: the largest step that the velocities allow and that lands on the frame times ([`sim`])
+//! 2. `clip`: open face areas and the distance to the obstacles, on the CPU ([`geometry`])
+//! 3. `advect_markers`: midpoint rule through the MAC field, then out of solids and walls
+//! 4. `advect_velocity`: semi-Lagrangian on the faces
+//! 5. `forces`: gravity
+//! 6. `liquid_distance`: union of spheres, extended into the solids
+//! 7. `active_cells`: the unknowns, compacted, and the levels of the multigrid hierarchy
+//! 8. `right_hand_side`: negative divergence and volume control
+//! 9. `solve`: the pressure ([`solver`])
+//! 10. `write_back`: the divergence-free face velocities
+//! 11. `extrapolate`: velocities beyond the liquid
+//! 12. `diagnose`: volume, momentum, energies and the solver's report
+//!
+//! What a scene is: [`scene`]; what it calls for: [`effects`]; where things are on the grid: [`grid`].
+#![deny(clippy::print_stdout)]
+
+pub mod effects;
+pub mod error;
+pub mod geometry;
+pub mod grid;
+pub mod scene;
+pub mod state;
+
+pub use error::Error;

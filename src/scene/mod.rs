@@ -1,0 +1,298 @@
+//! Scenes: a TOML file, checked and turned into a description in SI units.
+
+use std::path::PathBuf;
+
+use glam::{DMat3, DVec3};
+
+use crate::grid::Grid;
+
+/// A checked scene, all in SI units. Lengths and times are finite, counts are positive, regions and obstacles have volume.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    /// File stem.
+    pub name: String,
+    /// The file it came from.
+    pub file: PathBuf,
+    /// SHA-256 of the file's text and of all overrides, in hexadecimal.
+    pub hash: String,
+    /// `--scale`, already applied to [`Domain::cells`].
+    pub scale: f64,
+    /// `--set` overrides, as given.
+    pub overrides: Vec<String>,
+    /// Box, cells, gravity.
+    pub domain: Domain,
+    /// Duration and time steps.
+    pub time: Time,
+    /// The liquid, where the scene has one.
+    pub liquid: Option<Liquid>,
+    /// Static obstacles and containers.
+    pub obstacles: Vec<Obstacle>,
+    /// Measurements written to probes.csv.
+    pub probes: Vec<Probe>,
+    /// How the pressure is solved.
+    pub solver: Solver,
+    /// What is written.
+    pub output: Output,
+    /// Where `preview` looks from.
+    pub camera: Camera,
+}
+
+/// The box, walls on all sides.
+#[derive(Clone, Debug)]
+pub struct Domain {
+    /// Extents, m.
+    pub size: DVec3,
+    /// Cells along x, y, z; cubic to 1e-6.
+    pub cells: [usize; 3],
+    /// Gravity, m/s^2.
+    pub gravity: DVec3,
+}
+
+/// Duration and time steps.
+#[derive(Clone, Debug)]
+pub struct Time {
+    /// s
+    pub duration: f64,
+    /// 1/s; default 24.
+    pub frames_per_second: f64,
+    /// Cells that the fastest point crosses in a sub-step; default 3.
+    pub cfl: f64,
+    /// A constant sub-step, s; divides the frame time.
+    pub fixed_step: Option<f64>,
+}
+
+/// The liquid.
+#[derive(Clone, Debug)]
+pub struct Liquid {
+    /// kg/m^3; default 1000.
+    pub density: f64,
+    /// Where it is at first: the union of the regions less those that subtract, in order.
+    pub regions: Vec<Region>,
+    /// How its surface is followed.
+    pub surface: Surface,
+    /// Marker radius in cells; default 0.87.
+    pub marker_radius: f64,
+    /// Seed of the marker jitter; default 0.
+    pub seed: u64,
+    /// Whether the volume is held; on by default with markers, always off with `fixed`.
+    pub volume_control: bool,
+}
+
+/// How the liquid's surface is followed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Surface {
+    /// By markers and a union of spheres.
+    Markers,
+    /// Not at all: the regions' exact distance, kept all run.
+    Fixed,
+}
+
+/// A piece of liquid.
+#[derive(Clone, Debug)]
+pub struct Region {
+    /// Its shape.
+    pub shape: Shape,
+    /// Whether it takes liquid away instead.
+    pub subtract: bool,
+    /// Initial velocity, m/s.
+    pub velocity: DVec3,
+}
+
+/// A solid shape in domain coordinates (m).
+#[derive(Clone, Debug)]
+pub enum Shape {
+    /// An axis-aligned box before its placement.
+    Box {
+        /// Low corner.
+        min: DVec3,
+        /// High corner.
+        max: DVec3,
+    },
+    /// A ball.
+    Sphere {
+        /// Centre.
+        centre: DVec3,
+        /// Radius.
+        radius: f64,
+    },
+    /// A right circular cylinder.
+    Cylinder {
+        /// Centre of its base.
+        base: DVec3,
+        /// Unit axis from the base.
+        axis: DVec3,
+        /// Radius.
+        radius: f64,
+        /// Height along the axis.
+        height: f64,
+    },
+    /// All points with (x - point) . normal < 0. Regions only.
+    HalfSpace {
+        /// A point of the plane.
+        point: DVec3,
+        /// Unit normal, out of the half space.
+        normal: DVec3,
+    },
+    /// All points below y = level + amplitude cos(k . (x, z) + phase). Regions only; for waves.
+    Wave {
+        /// Mean height, m.
+        level: f64,
+        /// m
+        amplitude: f64,
+        /// Wave numbers along x and z, rad/m.
+        wave_number: [f64; 2],
+        /// rad
+        phase: f64,
+    },
+    /// A closed triangle mesh (OBJ, STL, PLY).
+    Mesh {
+        /// Its file, relative to the scene's folder, resolved.
+        file: PathBuf,
+    },
+}
+
+/// Rotation about the shape's own centre, then translation, of an obstacle's shape.
+#[derive(Clone, Copy, Debug)]
+pub struct Placement {
+    /// m
+    pub translate: DVec3,
+    /// A rotation.
+    pub rotate: DMat3,
+    /// Uniform scale.
+    pub scale: f64,
+}
+
+/// A body that does not move.
+#[derive(Clone, Debug)]
+pub struct Obstacle {
+    /// Its shape.
+    pub shape: Shape,
+    /// Where the shape is put: x = centre + scale rotate (X - centre) + translate.
+    pub placement: Placement,
+    /// A container: solid is everything outside the shape.
+    pub inside_out: bool,
+}
+
+/// A measurement, taken after every sub-step.
+#[derive(Clone, Debug)]
+pub struct Probe {
+    /// Column name in probes.csv.
+    pub name: String,
+    /// What is measured.
+    pub kind: ProbeKind,
+}
+
+/// What a probe measures.
+#[derive(Clone, Copy, Debug)]
+pub enum ProbeKind {
+    /// Height of the highest liquid surface above the floor at (x, z), m.
+    Height {
+        /// m
+        x: f64,
+        /// m
+        z: f64,
+    },
+    /// Pressure at a point, Pa.
+    Pressure {
+        /// m
+        point: DVec3,
+    },
+    /// Velocity at a point, m/s; three columns.
+    Velocity {
+        /// m
+        point: DVec3,
+    },
+    /// Largest coordinate along an axis that the liquid reaches, m.
+    Front {
+        /// 0, 1, 2 for x, y, z.
+        axis: usize,
+    },
+}
+
+/// How the pressure is solved.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Solver {
+    /// Relative tolerance of the true residual; default 1e-8.
+    pub tolerance: f64,
+    /// PCG iterations in all rounds; default 200.
+    pub max_iterations: u32,
+    /// Default `mixed`.
+    pub precision: Precision,
+    /// Default `multigrid`.
+    pub preconditioner: Preconditioner,
+    /// Smallest theta of the ghost fluid method; default 1e-2.
+    pub theta_floor: f64,
+    /// Open fractions below it close and above one minus it open; default 1e-3.
+    pub area_clamp: f64,
+}
+
+impl Default for Solver {
+    fn default() -> Solver {
+        Solver {
+            tolerance: 1e-8,
+            max_iterations: 200,
+            precision: Precision::Mixed,
+            preconditioner: Preconditioner::Multigrid,
+            theta_floor: 1e-2,
+            area_clamp: 1e-3,
+        }
+    }
+}
+
+/// What the unknowns and the residual are held in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Precision {
+    /// All in f32.
+    F32,
+    /// Unknowns and residual in f64, corrections in f32.
+    Mixed,
+    /// All in f64; the adapter must have it.
+    F64,
+}
+
+/// What preconditions the conjugate gradients.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Preconditioner {
+    /// One V-cycle of aggregation multigrid.
+    Multigrid,
+    /// The diagonal, for comparison.
+    Jacobi,
+}
+
+/// What a run writes.
+#[derive(Clone, Copy, Debug)]
+pub struct Output {
+    /// VTP markers; default on.
+    pub particles: bool,
+    /// VTI fields; default off.
+    pub fields: bool,
+    /// Every how many frames; default 1.
+    pub every: u64,
+}
+
+/// A pinhole camera.
+#[derive(Clone, Copy, Debug)]
+pub struct Camera {
+    /// Position, m; default from the domain.
+    pub eye: DVec3,
+    /// Point in the middle of the picture, m.
+    pub target: DVec3,
+    /// Up.
+    pub up: DVec3,
+    /// Vertical opening, degrees.
+    pub fov: f64,
+    /// Picture size, pixels.
+    pub size: [usize; 2],
+}
+
+impl Scene {
+    /// The grid of the scene.
+    pub fn grid(&self) -> Grid {
+        Grid { cells: self.domain.cells, dx: self.domain.size.x / self.domain.cells[0] as f64 }
+    }
+
+    /// Frames of the whole run; frame 0 is the initial state and not counted.
+    pub fn n_frames(&self) -> u64 {
+        (self.time.duration * self.time.frames_per_second).round().max(1.0) as u64
+    }
+}
