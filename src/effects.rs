@@ -19,11 +19,18 @@ pub struct Effects {
 impl Effects {
     /// The effects of a scene.
     pub fn of(scene: &Scene) -> Effects {
-        let markers = scene.liquid.as_ref().is_some_and(|liquid| liquid.surface == Surface::Markers);
+        let markers = scene
+            .liquid
+            .as_ref()
+            .is_some_and(|liquid| liquid.surface == Surface::Markers);
         Effects {
             liquid: scene.liquid.is_some(),
             markers,
-            volume_control: markers && scene.liquid.as_ref().is_some_and(|liquid| liquid.volume_control),
+            volume_control: markers
+                && scene
+                    .liquid
+                    .as_ref()
+                    .is_some_and(|liquid| liquid.volume_control),
             obstacles: !scene.obstacles.is_empty(),
         }
     }

@@ -110,11 +110,22 @@ impl Error {
 
     /// An [`Error::Output`] from an I/O error.
     pub fn output(path: &Path, problem: impl std::fmt::Display) -> Error {
-        Error::Output { path: path.to_owned(), problem: problem.to_string() }
+        Error::Output {
+            path: path.to_owned(),
+            problem: problem.to_string(),
+        }
     }
 
     /// An [`Error::Input`].
-    pub fn input(what: impl Into<String>, problem: impl Into<String>, cure: impl Into<String>) -> Error {
-        Error::Input { what: what.into(), problem: problem.into(), cure: cure.into() }
+    pub fn input(
+        what: impl Into<String>,
+        problem: impl Into<String>,
+        cure: impl Into<String>,
+    ) -> Error {
+        Error::Input {
+            what: what.into(),
+            problem: problem.into(),
+            cure: cure.into(),
+        }
     }
 }

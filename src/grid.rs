@@ -117,7 +117,11 @@ impl Grid {
 
     /// Size of the domain, m.
     pub fn size(&self) -> DVec3 {
-        DVec3::new(self.cells[0] as f64, self.cells[1] as f64, self.cells[2] as f64) * self.dx
+        DVec3::new(
+            self.cells[0] as f64,
+            self.cells[1] as f64,
+            self.cells[2] as f64,
+        ) * self.dx
     }
 
     /// Volume of a cell, m^3.
@@ -165,7 +169,12 @@ impl Padded {
     pub fn new(cells: [usize; 3]) -> Padded {
         let stride_y = 2 * (cells[0] / 8 + 1);
         let stride_z = stride_y * (cells[1] + 1);
-        Padded { cells, stride_y, stride_z, quads: stride_z * (cells[2] + 3) }
+        Padded {
+            cells,
+            stride_y,
+            stride_z,
+            quads: stride_z * (cells[2] + 3),
+        }
     }
 
     /// Number of scalars.
@@ -178,6 +187,23 @@ impl Padded {
         self.quads == 0
     }
 
+    /// The uniform that kernels read, for arrays that hold this level alone.
+    pub fn layout(&self) -> Layout {
+        self.layout_at(0, self.quads)
+    }
+
+    /// The uniform for arrays of `total` quads in which this level begins at quad `first`.
+    pub fn layout_at(&self, first: usize, total: usize) -> Layout {
+        Layout {
+            cells: self.cells.map(|n| n as u32),
+            stride_y: self.stride_y as u32,
+            stride_z: self.stride_z as u32,
+            quads: self.quads as u32,
+            first: first as u32,
+            total: total as u32,
+        }
+    }
+
     /// Index of cell (i, j, k), or of its minus face, in a device array of scalars.
     #[inline]
     pub fn index(&self, [i, j, k]: [usize; 3]) -> usize {
@@ -185,7 +211,12 @@ impl Padded {
     }
 
     /// A host array of extents `n` (cells or faces), padded with zeros.
-    pub fn pad<T: Copy, U: Copy + Default>(&self, n: [usize; 3], host: &[T], convert: impl Fn(T) -> U) -> Vec<U> {
+    pub fn pad<T: Copy, U: Copy + Default>(
+        &self,
+        n: [usize; 3],
+        host: &[T],
+        convert: impl Fn(T) -> U,
+    ) -> Vec<U> {
         let mut device = vec![U::default(); self.len()];
         for (row, values) in host.chunks_exact(n[0]).enumerate() {
             let start = self.index([0, row % n[1], row / n[1]]);
@@ -197,14 +228,41 @@ impl Padded {
     }
 
     /// The host array of extents `n` inside a device array.
-    pub fn unpad<T: Copy, U>(&self, n: [usize; 3], device: &[T], convert: impl Fn(T) -> U) -> Vec<U> {
+    pub fn unpad<T: Copy, U>(
+        &self,
+        n: [usize; 3],
+        device: &[T],
+        convert: impl Fn(T) -> U,
+    ) -> Vec<U> {
         let mut host = Vec::with_capacity(n.iter().product());
         for k in 0..n[2] {
             for j in 0..n[1] {
                 let start = self.index([0, j, k]);
-                host.extend(device[start..start + n[0]].iter().map(|&value| convert(value)));
+                host.extend(
+                    device[start..start + n[0]]
+                        .iter()
+                        .map(|&value| convert(value)),
+                );
             }
         }
         host
     }
+}
+
+/// [`Padded`] as kernels see it: the doppelganger of `Layout` in `shaders/common/layout.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct Layout {
+    /// Cells along x, y, z.
+    pub cells: [u32; 3],
+    /// Quads from one row to the next.
+    pub stride_y: u32,
+    /// Quads from one slab to the next.
+    pub stride_z: u32,
+    /// Quads of the level.
+    pub quads: u32,
+    /// First quad of the level in arrays of several levels.
+    pub first: u32,
+    /// Quads of such arrays.
+    pub total: u32,
 }

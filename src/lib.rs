@@ -22,6 +22,7 @@
 pub mod effects;
 pub mod error;
 pub mod geometry;
+pub mod gpu;
 pub mod grid;
 pub mod scene;
 pub mod state;

@@ -288,11 +288,16 @@ pub struct Camera {
 impl Scene {
     /// The grid of the scene.
     pub fn grid(&self) -> Grid {
-        Grid { cells: self.domain.cells, dx: self.domain.size.x / self.domain.cells[0] as f64 }
+        Grid {
+            cells: self.domain.cells,
+            dx: self.domain.size.x / self.domain.cells[0] as f64,
+        }
     }
 
     /// Frames of the whole run; frame 0 is the initial state and not counted.
     pub fn n_frames(&self) -> u64 {
-        (self.time.duration * self.time.frames_per_second).round().max(1.0) as u64
+        (self.time.duration * self.time.frames_per_second)
+            .round()
+            .max(1.0) as u64
     }
 }

@@ -1,1 +1,6 @@
-//! suite
+//! All integration tests, in one binary so that the dependencies are linked once.
+
+mod common;
+mod gpu;
+mod layout;
+mod shaders;

@@ -1,0 +1,10 @@
+// Where a compaction looks: gpu::Range is the same struct on the host.
+struct Range {
+    first: u32,
+    n_flags: u32,
+    args: u32,
+    n_chunks: u32,
+}
+
+// Flags per thread, in groups of four.
+const CHUNK_GROUPS = 4u;

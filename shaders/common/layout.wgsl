@@ -1,0 +1,19 @@
+// The padded device layout of one level: grid::Padded explains it, solver and stages fill it on the host (grid::Layout).
+// A quad is 4 cells along x. Arrays of several levels hold them one after another; first is where this level starts.
+struct Layout {
+    cells: vec3<u32>,
+    stride_y: u32,
+    stride_z: u32,
+    quads: u32,
+    first: u32,
+    total: u32,
+}
+
+// Cell of the first lane of a quad of this level (quad counted within the level). In spare rows and slabs the coordinates lie
+// outside 0 .. cells.
+fn quad_cell(level: Layout, quad: u32) -> vec3<i32> {
+    let slab = quad / level.stride_z;
+    let in_slab = quad - slab * level.stride_z;
+    let row = in_slab / level.stride_y;
+    return vec3<i32>(vec3<u32>(4u * (in_slab - row * level.stride_y), row, slab)) - vec3<i32>(0, 0, 1);
+}

@@ -1,0 +1,300 @@
+//! Typed, labelled device buffers, and read-back.
+
+use std::marker::PhantomData;
+use std::sync::mpsc;
+
+use bytemuck::Pod;
+
+use super::{Gpu, Real, Recorder};
+use crate::Error;
+
+/// A buffer to be made: what `plan` prints and [`Gpu::buffer`] allocates.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct BufferPlan {
+    /// Label, `group.name`.
+    pub label: &'static str,
+    /// Elements.
+    pub len: usize,
+    /// Bytes of an element.
+    pub element: usize,
+}
+
+impl BufferPlan {
+    /// A plan for `len` elements of `T`.
+    pub fn of<T>(label: &'static str, len: usize) -> BufferPlan {
+        BufferPlan {
+            label,
+            len,
+            element: size_of::<T>(),
+        }
+    }
+
+    /// Bytes in all.
+    pub fn bytes(&self) -> u64 {
+        (self.len.max(1) * self.element) as u64
+    }
+}
+
+/// A device buffer of `len` elements `T`, zero at first.
+#[derive(Debug)]
+pub struct Buffer<T> {
+    pub(super) raw: wgpu::Buffer,
+    len: usize,
+    label: String,
+    element: PhantomData<T>,
+}
+
+impl<T: Pod> Buffer<T> {
+    /// Elements.
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Whether it holds nothing.
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// Label.
+    pub fn label(&self) -> &str {
+        &self.label
+    }
+
+    /// Bytes.
+    pub fn bytes(&self) -> u64 {
+        self.raw.size()
+    }
+}
+
+impl Gpu {
+    /// A storage buffer that kernels, copies and indirect dispatches can use; never smaller than one element.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] when the adapter does not allow the size.
+    pub fn buffer<T: Pod>(&self, label: &str, len: usize) -> Result<Buffer<T>, Error> {
+        let usage = wgpu::BufferUsages::STORAGE
+            | wgpu::BufferUsages::COPY_SRC
+            | wgpu::BufferUsages::COPY_DST
+            | wgpu::BufferUsages::INDIRECT;
+        self.make(label, len, usage)
+    }
+
+    /// A storage buffer with contents.
+    ///
+    /// # Errors
+    /// As [`Gpu::buffer`].
+    pub fn buffer_with<T: Pod>(&self, label: &str, values: &[T]) -> Result<Buffer<T>, Error> {
+        let buffer = self.buffer(label, values.len())?;
+        self.upload(&buffer, values);
+        Ok(buffer)
+    }
+
+    /// A uniform buffer holding one value.
+    ///
+    /// # Errors
+    /// As [`Gpu::buffer`].
+    pub fn uniform<T: Pod>(&self, label: &str, value: &T) -> Result<Buffer<T>, Error> {
+        let buffer = self.make(
+            label,
+            1,
+            wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+        )?;
+        self.upload(&buffer, std::slice::from_ref(value));
+        Ok(buffer)
+    }
+
+    fn make<T: Pod>(
+        &self,
+        label: &str,
+        len: usize,
+        usage: wgpu::BufferUsages,
+    ) -> Result<Buffer<T>, Error> {
+        let bytes = (len.max(1) * size_of::<T>()).next_multiple_of(4) as u64;
+        let available = self
+            .limits
+            .max_buffer_size
+            .min(self.limits.max_storage_buffer_binding_size);
+        if bytes > available {
+            return Err(Error::Limit {
+                what: format!("buffer {label}"),
+                needed: bytes,
+                available,
+                unit: "bytes (max_storage_buffer_binding_size)",
+                cure: "use fewer cells (--scale), another adapter (--adapter), or --backend cpu"
+                    .to_owned(),
+            });
+        }
+        let raw = self.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            size: bytes,
+            usage,
+            mapped_at_creation: false,
+        });
+        self.note_allocation(label, bytes);
+        Ok(Buffer {
+            raw,
+            len,
+            label: label.to_owned(),
+            element: PhantomData,
+        })
+    }
+
+    /// Writes values to the start of a buffer, before all work submitted later.
+    pub fn upload<T: Pod>(&self, buffer: &Buffer<T>, values: &[T]) {
+        assert!(
+            values.len() <= buffer.len,
+            "{}: {} values into {}",
+            buffer.label,
+            values.len(),
+            buffer.len
+        );
+        if !values.is_empty() {
+            self.queue
+                .write_buffer(&buffer.raw, 0, bytemuck::cast_slice(values));
+        }
+    }
+
+    /// Waits for all submitted work and reads a whole buffer. For set-up, output and tests; a step uses [`Readback`].
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn download<T: Pod>(&self, buffer: &Buffer<T>) -> Result<Vec<T>, Error> {
+        let mut readback = Readback::new(self, &buffer.label, buffer.len)?;
+        let mut recorder = Recorder::new(self);
+        recorder.read(buffer, &mut readback);
+        recorder.submit();
+        readback.wait(self)
+    }
+}
+
+/// A buffer of scalars whose width the precision decides.
+#[derive(Debug)]
+pub struct RealBuffer {
+    /// The words.
+    pub words: Buffer<u32>,
+    /// The scalar type.
+    pub real: Real,
+}
+
+impl RealBuffer {
+    /// A plan for `len` scalars.
+    pub fn plan(label: &'static str, len: usize, real: Real) -> BufferPlan {
+        BufferPlan {
+            label,
+            len,
+            element: real.bytes(),
+        }
+    }
+
+    /// `len` scalars, zero at first.
+    ///
+    /// # Errors
+    /// As [`Gpu::buffer`].
+    pub fn new(gpu: &Gpu, label: &str, len: usize, real: Real) -> Result<RealBuffer, Error> {
+        Ok(RealBuffer {
+            words: gpu.buffer(label, len * real.bytes() / 4)?,
+            real,
+        })
+    }
+
+    /// Writes values, rounded to the scalar type, before all work submitted later.
+    pub fn upload(&self, gpu: &Gpu, values: &[f64]) {
+        match self.real {
+            Real::F64 => gpu.upload(&self.words, bytemuck::cast_slice(values)),
+            Real::F32 => {
+                let narrow: Vec<f32> = values.iter().map(|&value| value as f32).collect();
+                gpu.upload(&self.words, bytemuck::cast_slice(&narrow));
+            }
+        }
+    }
+
+    /// Waits for all submitted work and reads everything.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn download(&self, gpu: &Gpu) -> Result<Vec<f64>, Error> {
+        Ok(self.widen(&gpu.download(&self.words)?))
+    }
+
+    /// The values in words read back from this buffer.
+    pub fn widen(&self, words: &[u32]) -> Vec<f64> {
+        match self.real {
+            Real::F64 => bytemuck::pod_collect_to_vec(words),
+            Real::F32 => words
+                .iter()
+                .map(|&word| f64::from(f32::from_bits(word)))
+                .collect(),
+        }
+    }
+}
+
+/// A host-visible copy of (the start of) a buffer, filled by [`Recorder::read`] and fetched after the submission.
+#[derive(Debug)]
+pub struct Readback<T> {
+    pub(super) raw: wgpu::Buffer,
+    pub(super) len: usize,
+    label: String,
+    arrival: Option<mpsc::Receiver<Result<(), wgpu::BufferAsyncError>>>,
+    element: PhantomData<T>,
+}
+
+impl<T: Pod> Readback<T> {
+    /// Room for `len` elements.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] when the adapter does not allow the size.
+    pub fn new(gpu: &Gpu, label: &str, len: usize) -> Result<Readback<T>, Error> {
+        let label = format!("{label} (read-back)");
+        let usage = wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST;
+        let Buffer { raw, len, .. } = gpu.make::<T>(&label, len, usage)?;
+        Ok(Readback {
+            raw,
+            len,
+            label,
+            arrival: None,
+            element: PhantomData,
+        })
+    }
+
+    /// Asks for the contents as of the work submitted so far; the host goes on meanwhile.
+    pub fn start(&mut self) {
+        let (send, receive) = mpsc::channel();
+        self.raw.map_async(wgpu::MapMode::Read, .., move |result| {
+            // The receiver is gone only when the read-back itself was dropped.
+            let _ = send.send(result);
+        });
+        self.arrival = Some(receive);
+    }
+
+    /// Waits for the contents; starts the request if [`Readback::start`] was not called.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn wait(&mut self, gpu: &Gpu) -> Result<Vec<T>, Error> {
+        if self.arrival.is_none() {
+            self.start();
+        }
+        gpu.wait(&self.label)?;
+        let fault = |problem: String| Error::Gpu {
+            during: self.label.clone(),
+            problem,
+        };
+        let arrival = self.arrival.take().expect("a request was started above");
+        arrival
+            .try_recv()
+            .map_err(|_| fault("the mapping did not arrive".to_owned()))?
+            .map_err(|error| fault(error.to_string()))?;
+        let view = self
+            .raw
+            .get_mapped_range(..)
+            .map_err(|error| fault(error.to_string()))?;
+        // Mapped memory need not be aligned for f64, so the bytes are copied.
+        let mut values = vec![T::zeroed(); self.len];
+        let bytes: &mut [u8] = bytemuck::cast_slice_mut(&mut values);
+        let n = bytes.len();
+        bytes.copy_from_slice(&view[..n]);
+        drop(view);
+        self.raw.unmap();
+        Ok(values)
+    }
+}

@@ -1,0 +1,114 @@
+//! Deterministic stream compaction: the indices of all non-zero flags, ascending, with the dispatch size for them.
+//!
+//! Count per chunk, scan the counts in one workgroup, write: three dispatches, no atomics, so the list is a function of the
+//! flags alone.
+
+use super::{Bound, Buffer, BufferPlan, Gpu, Kernel, Pass, Real};
+use crate::Error;
+
+/// Flags that one thread of the count and write kernels looks at; `compact_count.wgsl` has the same constant.
+const CHUNK: usize = 16;
+
+/// The kernels; one set serves any number of [`Compaction`]s.
+#[derive(Debug)]
+pub struct CompactKernels {
+    count: Kernel,
+    scan: Kernel,
+    write: Kernel,
+}
+
+impl CompactKernels {
+    /// Compiles them.
+    ///
+    /// # Errors
+    /// As [`Kernel::new`].
+    pub fn new(gpu: &Gpu) -> Result<CompactKernels, Error> {
+        Ok(CompactKernels {
+            count: Kernel::new(gpu, &crate::wgsl!("compact_count"), Real::F32)?,
+            scan: Kernel::new(gpu, &crate::wgsl!("compact_scan"), Real::F32)?,
+            write: Kernel::new(gpu, &crate::wgsl!("compact_write"), Real::F32)?,
+        })
+    }
+}
+
+/// A list made from flags. `args` holds, at the slot given, workgroups x, y, z for the list and its length.
+#[derive(Debug)]
+pub struct Compaction {
+    threads: usize,
+    count: Bound,
+    scan: Bound,
+    write: Bound,
+}
+
+/// What [`Compaction::new`] puts into a uniform: `Range` in `common/compact.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct Range {
+    /// First flag.
+    pub first: u32,
+    /// Number of flags.
+    pub n_flags: u32,
+    /// First word of the arguments in `args`.
+    pub args: u32,
+    /// Number of chunks.
+    pub n_chunks: u32,
+}
+
+impl Compaction {
+    /// The scratch buffer that a compaction of `n_flags` flags needs; compactions that run in order may share one.
+    pub fn scratch(label: &'static str, n_flags: usize) -> BufferPlan {
+        BufferPlan::of::<u32>(label, n_flags.div_ceil(CHUNK))
+    }
+
+    /// Compacts `flags[first .. first + n_flags]` (both multiples of 4) into `list[first ..]`; indices are those in `flags`.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] or [`Error::Gpu`].
+    #[expect(
+        clippy::too_many_arguments,
+        reason = "four buffers and where to look in them, each named at the call"
+    )]
+    pub fn new(
+        gpu: &Gpu,
+        kernels: &CompactKernels,
+        flags: &Buffer<u32>,
+        list: &Buffer<u32>,
+        args: &Buffer<u32>,
+        scratch: &Buffer<u32>,
+        [first, n_flags]: [usize; 2],
+        slot: usize,
+    ) -> Result<Compaction, Error> {
+        assert!(
+            first.is_multiple_of(4) && n_flags.is_multiple_of(4),
+            "compaction works on groups of four flags"
+        );
+        let n_chunks = n_flags.div_ceil(CHUNK);
+        let range = Range {
+            first: first as u32,
+            n_flags: n_flags as u32,
+            args: 4 * slot as u32,
+            n_chunks: n_chunks as u32,
+        };
+        let range = gpu.uniform("compact.range", &range)?;
+        let range = ("range", (&range).into());
+        let flags = ("flags", flags.into());
+        let scratch = ("chunks", scratch.into());
+        Ok(Compaction {
+            threads: n_chunks,
+            count: kernels.count.bind(gpu, &[range, flags, scratch])?,
+            scan: kernels
+                .scan
+                .bind(gpu, &[range, scratch, ("args", args.into())])?,
+            write: kernels
+                .write
+                .bind(gpu, &[range, flags, scratch, ("list", list.into())])?,
+        })
+    }
+
+    /// Records the three dispatches.
+    pub fn record(&self, pass: &mut Pass) {
+        pass.dispatch(&self.count, self.threads);
+        pass.dispatch(&self.scan, 1);
+        pass.dispatch(&self.write, self.threads);
+    }
+}

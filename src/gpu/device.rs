@@ -1,0 +1,301 @@
+//! Adapter choice, device, limits, and the collection of device errors.
+
+use std::fmt::Write as _;
+use std::sync::{Arc, Mutex, OnceLock};
+
+use crate::Error;
+
+/// Which adapter to use.
+#[derive(Clone, Debug, PartialEq, Eq, Default)]
+pub enum AdapterChoice {
+    /// The best: discrete, then integrated, then virtual, then software.
+    #[default]
+    Best,
+    /// The one with this index in [`Gpu::adapters`].
+    Index(usize),
+    /// The first of a kind: `discrete`, `integrated`, `virtual`, `software`.
+    Kind(wgpu::DeviceType),
+    /// The first whose name contains this, ignoring case.
+    Name(String),
+}
+
+impl std::str::FromStr for AdapterChoice {
+    type Err = std::convert::Infallible;
+
+    fn from_str(text: &str) -> Result<AdapterChoice, Self::Err> {
+        Ok(match text {
+            "discrete" => AdapterChoice::Kind(wgpu::DeviceType::DiscreteGpu),
+            "integrated" => AdapterChoice::Kind(wgpu::DeviceType::IntegratedGpu),
+            "virtual" => AdapterChoice::Kind(wgpu::DeviceType::VirtualGpu),
+            "software" | "cpu" => AdapterChoice::Kind(wgpu::DeviceType::Cpu),
+            _ => text.parse().map_or_else(
+                |_| AdapterChoice::Name(text.to_owned()),
+                AdapterChoice::Index,
+            ),
+        })
+    }
+}
+
+/// What is known of an adapter without opening a device.
+#[derive(Clone, Debug)]
+pub struct AdapterReport {
+    /// Name.
+    pub name: String,
+    /// Driver and its version.
+    pub driver: String,
+    /// API, such as `vulkan`.
+    pub backend: String,
+    /// `discrete`, `integrated`, `virtual`, `software` or `other`.
+    pub kind: &'static str,
+    /// Whether WGSL f64 works, which precision `f64` needs and `mixed` uses.
+    pub f64: bool,
+    /// Whether stages can be timed on the device.
+    pub timestamps: bool,
+    /// Storage buffers that one kernel may bind.
+    pub storage_buffers: u32,
+    /// Largest storage binding, bytes.
+    pub storage_binding: u64,
+    /// Largest buffer, bytes.
+    pub buffer: u64,
+    /// Threads in a workgroup.
+    pub threads: u32,
+    /// Workgroups per dimension.
+    pub workgroups: u32,
+}
+
+impl AdapterReport {
+    fn new(adapter: &wgpu::Adapter) -> AdapterReport {
+        let info = adapter.get_info();
+        let limits = adapter.limits();
+        let features = adapter.features();
+        AdapterReport {
+            name: info.name,
+            driver: format!("{} {}", info.driver, info.driver_info)
+                .trim()
+                .to_owned(),
+            backend: info.backend.to_str().to_owned(),
+            kind: match info.device_type {
+                wgpu::DeviceType::DiscreteGpu => "discrete",
+                wgpu::DeviceType::IntegratedGpu => "integrated",
+                wgpu::DeviceType::VirtualGpu => "virtual",
+                wgpu::DeviceType::Cpu => "software",
+                wgpu::DeviceType::Other => "other",
+            },
+            f64: features.contains(wgpu::Features::SHADER_F64),
+            timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
+            storage_buffers: limits.max_storage_buffers_per_shader_stage,
+            storage_binding: limits.max_storage_buffer_binding_size,
+            buffer: limits.max_buffer_size,
+            threads: limits.max_compute_invocations_per_workgroup,
+            workgroups: limits.max_compute_workgroups_per_dimension,
+        }
+    }
+}
+
+/// Threads per workgroup and storage buffers per kernel that every adapter must have: what the shaders are written for.
+const NEEDED_THREADS: u32 = 256;
+const NEEDED_STORAGE_BUFFERS: u32 = 8;
+
+const NO_ADAPTER_CURE: &str = "install a Vulkan driver (Debian: apt-get install mesa-vulkan-drivers gives the software \
+    adapter llvmpipe), point VK_DRIVER_FILES at the driver's JSON file, or run with --backend cpu";
+
+/// An open device with its queue.
+#[derive(Debug)]
+pub struct Gpu {
+    pub(super) device: wgpu::Device,
+    pub(super) queue: wgpu::Queue,
+    pub(super) limits: wgpu::Limits,
+    report: AdapterReport,
+    faults: Arc<Mutex<Option<String>>>,
+    allocated: Mutex<Vec<(String, u64)>>,
+}
+
+/// The one instance of a process: drivers were seen to crash when several are torn down side by side.
+fn instance() -> &'static wgpu::Instance {
+    static INSTANCE: OnceLock<wgpu::Instance> = OnceLock::new();
+    INSTANCE.get_or_init(|| {
+        let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle_from_env();
+        descriptor.backends = wgpu::Backends::PRIMARY;
+        // wgpu would put a validating dispatch before every indirect one (18.7 us against 1.3 on llvmpipe); the sizes come
+        // from our own kernels, which stay below the limits.
+        descriptor
+            .flags
+            .remove(wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL);
+        wgpu::Instance::new(descriptor)
+    })
+}
+
+fn enumerate() -> Vec<wgpu::Adapter> {
+    pollster::block_on(instance().enumerate_adapters(wgpu::Backends::PRIMARY))
+}
+
+fn choose(choice: &AdapterChoice) -> Result<wgpu::Adapter, Error> {
+    let adapters = enumerate();
+    let rank = |adapter: &wgpu::Adapter| match adapter.get_info().device_type {
+        wgpu::DeviceType::DiscreteGpu => 0,
+        wgpu::DeviceType::IntegratedGpu => 1,
+        wgpu::DeviceType::VirtualGpu => 2,
+        wgpu::DeviceType::Other => 3,
+        wgpu::DeviceType::Cpu => 4,
+    };
+    let chosen = match choice {
+        AdapterChoice::Best => adapters.iter().min_by_key(|adapter| rank(adapter)),
+        AdapterChoice::Index(index) => adapters.get(*index),
+        AdapterChoice::Kind(kind) => adapters
+            .iter()
+            .find(|adapter| adapter.get_info().device_type == *kind),
+        AdapterChoice::Name(name) => {
+            let name = name.to_lowercase();
+            adapters
+                .iter()
+                .find(|adapter| adapter.get_info().name.to_lowercase().contains(&name))
+        }
+    };
+    chosen.cloned().ok_or_else(|| {
+        if adapters.is_empty() {
+            return Error::Adapter { problem: "none found".to_owned(), cure: NO_ADAPTER_CURE.to_owned() };
+        }
+        let mut found = String::new();
+        for (index, adapter) in adapters.iter().enumerate() {
+            let report = AdapterReport::new(adapter);
+            let _ = write!(found, "{}{index}: {} ({})", if index > 0 { ", " } else { "" }, report.name, report.kind);
+        }
+        Error::Adapter {
+            problem: format!("none matches {choice:?}; found {found}"),
+            cure: "give --adapter an index, a kind (discrete, integrated, virtual, software) or part of a name, or run \
+                   with --backend cpu"
+                .to_owned(),
+        }
+    })
+}
+
+impl Gpu {
+    /// All adapters, in the order of [`AdapterChoice::Index`].
+    pub fn adapters() -> Vec<AdapterReport> {
+        enumerate().iter().map(AdapterReport::new).collect()
+    }
+
+    /// Opens a device with all limits of its adapter.
+    ///
+    /// # Errors
+    /// [`Error::Adapter`] when none matches or the device does not open, [`Error::Limit`] when it is too small for any scene.
+    pub fn new(choice: &AdapterChoice) -> Result<Gpu, Error> {
+        let adapter = choose(choice)?;
+        let report = AdapterReport::new(&adapter);
+        let limits = adapter.limits();
+        for (what, needed, available) in [
+            (
+                "a kernel's workgroup (max_compute_invocations_per_workgroup)",
+                NEEDED_THREADS,
+                report.threads,
+            ),
+            (
+                "a kernel (max_storage_buffers_per_shader_stage)",
+                NEEDED_STORAGE_BUFFERS,
+                report.storage_buffers,
+            ),
+            (
+                "a dispatch (max_compute_workgroups_per_dimension)",
+                super::SPLIT,
+                report.workgroups,
+            ),
+        ] {
+            if available < needed {
+                return Err(Error::Limit {
+                    what: what.to_owned(),
+                    needed: needed.into(),
+                    available: available.into(),
+                    unit: "units",
+                    cure: "choose another adapter with --adapter, or run with --backend cpu"
+                        .to_owned(),
+                });
+            }
+        }
+        let wanted = wgpu::Features::SHADER_F64 | wgpu::Features::TIMESTAMP_QUERY;
+        let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
+            label: Some("cutwater"),
+            required_features: adapter.features() & wanted,
+            required_limits: limits.clone(),
+            ..Default::default()
+        }))
+        .map_err(|error| Error::Adapter {
+            problem: format!("{} does not open: {error}", report.name),
+            cure: "choose another adapter with --adapter, or run with --backend cpu".to_owned(),
+        })?;
+        let faults = Arc::new(Mutex::new(None));
+        let keep_first = |faults: &Mutex<Option<String>>, fault: String| {
+            if let Ok(mut slot) = faults.lock() {
+                slot.get_or_insert(fault);
+            }
+        };
+        let sink = Arc::clone(&faults);
+        device.on_uncaptured_error(Arc::new(move |error: wgpu::Error| {
+            keep_first(&sink, error.to_string())
+        }));
+        let sink = Arc::clone(&faults);
+        device.set_device_lost_callback(move |reason, message| {
+            if reason != wgpu::DeviceLostReason::Destroyed {
+                keep_first(&sink, format!("the device was lost: {message}"));
+            }
+        });
+        Ok(Gpu {
+            device,
+            queue,
+            limits,
+            report,
+            faults,
+            allocated: Mutex::default(),
+        })
+    }
+
+    /// What the adapter is.
+    pub fn report(&self) -> &AdapterReport {
+        &self.report
+    }
+
+    /// Whether kernels may use f64.
+    pub fn has_f64(&self) -> bool {
+        self.report.f64
+    }
+
+    /// The first error the device reported since the last call, if any.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] with what was `during`.
+    pub fn check(&self, during: &str) -> Result<(), Error> {
+        match self.faults.lock().ok().and_then(|mut slot| slot.take()) {
+            Some(problem) => Err(Error::Gpu {
+                during: during.to_owned(),
+                problem,
+            }),
+            None => Ok(()),
+        }
+    }
+
+    /// Waits until all submitted work is done.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn wait(&self, during: &str) -> Result<(), Error> {
+        let polled = self.device.poll(wgpu::PollType::wait_indefinitely());
+        self.check(during)?;
+        polled.map(|_| ()).map_err(|error| Error::Gpu {
+            during: during.to_owned(),
+            problem: error.to_string(),
+        })
+    }
+
+    /// Labels and bytes of every buffer made so far on this device.
+    pub fn allocated(&self) -> Vec<(String, u64)> {
+        self.allocated
+            .lock()
+            .map(|list| list.clone())
+            .unwrap_or_default()
+    }
+
+    pub(super) fn note_allocation(&self, label: &str, bytes: u64) {
+        if let Ok(mut list) = self.allocated.lock() {
+            list.push((label.to_owned(), bytes));
+        }
+    }
+}

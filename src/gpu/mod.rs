@@ -1,0 +1,37 @@
+//! The GPU layer: device, limits, typed buffers, kernels, shader composition, recording, read-back and timing.
+//!
+//! It knows nothing of physics. Four lifetimes, one type each: [`Kernel`] lives as long as the device, [`Buffer`] as long as
+//! a grid, a uniform buffer as long as its values, a [`Readback`] from one submission to the next.
+//!
+//! Errors of the device (validation, memory, loss) are collected as they come and returned by the next call that waits:
+//! [`Gpu::check`], [`Readback::wait`], [`Gpu::download`].
+
+mod buffer;
+mod compact;
+mod device;
+mod kernel;
+mod record;
+mod shader;
+
+pub use buffer::{Buffer, BufferPlan, Readback, RealBuffer};
+pub use compact::{CompactKernels, Compaction, Range};
+pub use device::{AdapterChoice, AdapterReport, Gpu};
+pub use kernel::{Binding, Bound, Kernel};
+pub use record::{Pass, Recorder, SPLIT, StageTimes, groups};
+pub use shader::{COMMON, Composed, Real, Source, WG_SIZE, compose, validate};
+
+/// The WGSL file `shaders/NAME.wgsl`, embedded.
+#[macro_export]
+macro_rules! wgsl {
+    ($name:literal) => {
+        $crate::gpu::Source {
+            name: $name,
+            text: include_str!(concat!(
+                env!("CARGO_MANIFEST_DIR"),
+                "/shaders/",
+                $name,
+                ".wgsl"
+            )),
+        }
+    };
+}

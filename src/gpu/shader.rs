@@ -1,0 +1,161 @@
+//! Shader composition: `#import name` lines, each module once, with a line map, so that an error names file and line.
+//!
+//! Own code because naga_oil renames identifiers. `#import real` picks the scalar type `Real` (f32 or f64) of the variant.
+
+use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
+
+use crate::Error;
+
+/// Threads in a workgroup of every kernel that works on a list; `common/dispatch.wgsl` has the same constant.
+pub const WG_SIZE: u32 = 64;
+
+/// A WGSL file below `shaders/`, without `.wgsl`.
+#[derive(Clone, Copy, Debug)]
+pub struct Source {
+    /// File stem, also the entry point and the kernel's label.
+    pub name: &'static str,
+    /// Text.
+    pub text: &'static str,
+}
+
+/// The modules that `#import` knows.
+pub const COMMON: &[Source] = &[
+    crate::wgsl!("common/compact"),
+    crate::wgsl!("common/dispatch"),
+    crate::wgsl!("common/ghost_fluid"),
+    crate::wgsl!("common/layout"),
+    crate::wgsl!("common/real_f32"),
+    crate::wgsl!("common/real_f64"),
+];
+
+/// The scalar type that `alias Real` stands for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Real {
+    /// 32 bit.
+    F32,
+    /// 64 bit; needs the adapter's `SHADER_F64`.
+    F64,
+}
+
+impl Real {
+    /// Bytes.
+    pub fn bytes(self) -> usize {
+        match self {
+            Real::F32 => 4,
+            Real::F64 => 8,
+        }
+    }
+
+    fn module(self) -> &'static str {
+        match self {
+            Real::F32 => "common/real_f32",
+            Real::F64 => "common/real_f64",
+        }
+    }
+}
+
+/// One text from many files.
+#[derive(Clone, Debug)]
+pub struct Composed {
+    /// The text for the compiler.
+    pub text: String,
+    /// File and line of every line of the text.
+    lines: Vec<(&'static str, usize)>,
+}
+
+impl Composed {
+    /// File and line (from 1) of a line (from 1) of the composed text.
+    pub fn origin(&self, line: usize) -> (String, usize) {
+        let (name, line) = self.lines[line.clamp(1, self.lines.len()) - 1];
+        (format!("shaders/{name}.wgsl"), line)
+    }
+
+    fn error(&self, line: usize, problem: String) -> Error {
+        let (file, line) = self.origin(line);
+        Error::Shader {
+            file,
+            line,
+            problem,
+        }
+    }
+}
+
+/// Replaces the `#import` lines of a source by the modules they name, each once, in order of first use.
+///
+/// # Errors
+/// [`Error::Shader`] for an unknown module.
+pub fn compose(source: &Source, real: Real) -> Result<Composed, Error> {
+    let mut composed = Composed {
+        text: String::new(),
+        lines: Vec::new(),
+    };
+    include(&mut composed, &mut Vec::new(), *source, real)?;
+    Ok(composed)
+}
+
+fn include(
+    out: &mut Composed,
+    done: &mut Vec<&'static str>,
+    source: Source,
+    real: Real,
+) -> Result<(), Error> {
+    for (index, line) in source.text.lines().enumerate() {
+        if let Some(name) = line.strip_prefix("#import ") {
+            let wanted = match name.trim() {
+                "real" => real.module().to_owned(),
+                name => format!("common/{name}"),
+            };
+            let module = COMMON
+                .iter()
+                .find(|module| module.name == wanted)
+                .ok_or_else(|| Error::Shader {
+                    file: format!("shaders/{}.wgsl", source.name),
+                    line: index + 1,
+                    problem: format!("no module shaders/{wanted}.wgsl"),
+                })?;
+            if !done.contains(&module.name) {
+                done.push(module.name);
+                include(out, done, *module, real)?;
+            }
+        } else {
+            out.text.push_str(line);
+            out.text.push('\n');
+            out.lines.push((source.name, index + 1));
+        }
+    }
+    Ok(())
+}
+
+/// Parses and validates a composed shader with the capabilities of its variant and no more; needs no device.
+///
+/// # Errors
+/// [`Error::Shader`] with the file and line of the first fault.
+pub fn validate(composed: &Composed, real: Real) -> Result<(naga::Module, ModuleInfo), Error> {
+    let module = naga::front::wgsl::parse_str(&composed.text).map_err(|error| {
+        let line = error
+            .location(&composed.text)
+            .map_or(1, |location| location.line_number as usize);
+        composed.error(line, error.to_string())
+    })?;
+    let mut capabilities = Capabilities::empty();
+    if real == Real::F64 {
+        capabilities |= Capabilities::FLOAT64;
+    }
+    let info = Validator::new(ValidationFlags::all(), capabilities)
+        .validate(&module)
+        .map_err(|error| {
+            let line = error
+                .location(&composed.text)
+                .map_or(1, |location| location.line_number as usize);
+            let mut problem = error.as_inner().to_string();
+            let mut cause: Option<&dyn std::error::Error> =
+                std::error::Error::source(error.as_inner());
+            while let Some(inner) = cause {
+                problem.push_str(": ");
+                problem.push_str(&inner.to_string());
+                cause = inner.source();
+            }
+            composed.error(line, problem)
+        })?;
+    Ok((module, info))
+}

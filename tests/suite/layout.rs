@@ -1,0 +1,58 @@
+//! Every struct that host and shader share has the same size and the same offsets on both sides.
+
+use std::mem::offset_of;
+
+use cutwater::gpu::{Range, Real, Source, compose, validate};
+use cutwater::grid::Layout;
+
+/// Compares a WGSL struct with (field, offset) pairs and the size of its Rust doppelganger.
+pub(crate) fn assert_layout(
+    module: &'static str,
+    name: &str,
+    fields: &[(&str, usize)],
+    size: usize,
+) {
+    let text = format!("#import {module}\n@compute @workgroup_size(1) fn probe() {{}}\n");
+    let source = Source {
+        name: "probe",
+        text: text.leak(),
+    };
+    let (module, _) = validate(&compose(&source, Real::F32).unwrap(), Real::F32).unwrap();
+    let (_, ty) = module
+        .types
+        .iter()
+        .find(|(_, ty)| ty.name.as_deref() == Some(name))
+        .unwrap_or_else(|| panic!("no struct {name}"));
+    let naga::TypeInner::Struct { members, span } = &ty.inner else {
+        panic!("{name} is no struct")
+    };
+    let found: Vec<(&str, usize)> = members
+        .iter()
+        .map(|member| (member.name.as_deref().unwrap_or(""), member.offset as usize))
+        .collect();
+    assert_eq!(found, fields, "{name}: fields and offsets");
+    assert_eq!(*span as usize, size, "{name}: size");
+}
+
+/// `(name, offset)` pairs of the fields of a Rust struct.
+macro_rules! fields {
+    ($type:ty: $($field:ident),+ $(,)?) => {
+        &[$((stringify!($field), offset_of!($type, $field))),+]
+    };
+}
+
+#[test]
+fn layout_matches() {
+    let fields = fields!(Layout: cells, stride_y, stride_z, quads, first, total);
+    assert_layout("layout", "Layout", fields, size_of::<Layout>());
+}
+
+#[test]
+fn range_matches() {
+    assert_layout(
+        "compact",
+        "Range",
+        fields!(Range: first, n_flags, args, n_chunks),
+        size_of::<Range>(),
+    );
+}
