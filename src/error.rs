@@ -11,7 +11,7 @@ pub enum Error {
     Scene {
         /// The scene file.
         file: PathBuf,
-        /// Line in the file, from 1; the last line where something is missing.
+        /// Line in the file, from 1; where a key is missing, the line of its table, or the last.
         line: usize,
         /// Dotted key, such as `liquid.region[1].box.min`.
         key: String,

@@ -1,4 +1,7 @@
-//! Scenes: a TOML file, checked and turned into a description in SI units.
+//! Scenes: a TOML file, checked and turned into a description in SI units. [`Scene::load`] reads one.
+
+mod document;
+mod read;
 
 use std::path::PathBuf;
 
@@ -13,7 +16,7 @@ pub struct Scene {
     pub name: String,
     /// The file it came from.
     pub file: PathBuf,
-    /// SHA-256 of the file's text and of all overrides, in hexadecimal.
+    /// SHA-256 of the file's text, all overrides and the scale, in hexadecimal.
     pub hash: String,
     /// `--scale`, already applied to [`Domain::cells`].
     pub scale: f64,
@@ -151,7 +154,7 @@ pub enum Shape {
     },
 }
 
-/// Rotation about the shape's own centre, then translation, of an obstacle's shape.
+/// Scale and rotation about the shape's own centre ([`Shape::centre`]), then translation, of an obstacle's shape.
 #[derive(Clone, Copy, Debug)]
 pub struct Placement {
     /// m
@@ -160,6 +163,17 @@ pub struct Placement {
     pub rotate: DMat3,
     /// Uniform scale.
     pub scale: f64,
+}
+
+impl Default for Placement {
+    /// Where the shape is.
+    fn default() -> Placement {
+        Placement {
+            translate: DVec3::ZERO,
+            rotate: DMat3::IDENTITY,
+            scale: 1.0,
+        }
+    }
 }
 
 /// A body that does not move.

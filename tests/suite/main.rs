@@ -3,4 +3,5 @@
 mod common;
 mod gpu;
 mod layout;
+mod scene;
 mod shaders;

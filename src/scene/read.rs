@@ -1,0 +1,976 @@
+//! From the tree of a scene file to a checked [`Scene`].
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use glam::{DMat3, DVec3};
+use sha2::{Digest, Sha256};
+
+use super::document::{Document, Keys, Place, Table};
+use super::{
+    Camera, Domain, Liquid, Obstacle, Output, Placement, Precision, Preconditioner, Probe,
+    ProbeKind, Region, Scene, Shape, Solver, Surface, Time,
+};
+use crate::error::Error;
+
+/// Most cells of a domain: marker and cell indices on the device have 32 bits.
+const MAX_CELLS: f64 = (1u64 << 30) as f64;
+/// Most cells along an axis.
+const MAX_CELLS_PER_AXIS: u64 = 1 << 16;
+/// Sides of a domain, m: beyond, squares and cubes of cell sizes leave single precision.
+const SIDES: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
+/// Cells are cubic to this relative difference.
+const CUBIC: f64 = 1e-6;
+/// Most frames: file names have six digits.
+const MAX_FRAMES: f64 = 999_999.0;
+/// The fixed step divides the frame time to this relative difference.
+const WHOLE_STEPS: f64 = 1e-6;
+
+const ROOT: Keys = Keys {
+    valid: &[
+        "domain", "time", "liquid", "obstacle", "probe", "solver", "output", "camera",
+    ],
+    later: &[
+        ("solid", "elastic solids"),
+        ("source", "sources"),
+        ("sink", "sinks"),
+        ("surface", "surface meshes"),
+    ],
+};
+const DOMAIN: Keys = Keys {
+    valid: &["size", "cells", "gravity"],
+    later: &[("open", "open sides")],
+};
+const TIME: Keys = Keys {
+    valid: &["duration", "frames_per_second", "cfl", "fixed_step"],
+    later: &[],
+};
+const LIQUID: Keys = Keys {
+    valid: &[
+        "density",
+        "surface",
+        "marker_radius",
+        "seed",
+        "volume_control",
+        "region",
+    ],
+    later: &[],
+};
+const REGION_SHAPES: [&str; 6] = ["box", "sphere", "cylinder", "half_space", "mesh", "wave"];
+const REGION: Keys = Keys {
+    valid: &[
+        "box",
+        "sphere",
+        "cylinder",
+        "half_space",
+        "mesh",
+        "wave",
+        "subtract",
+        "velocity",
+    ],
+    later: &[],
+};
+const OBSTACLE_SHAPES: [&str; 4] = ["box", "sphere", "cylinder", "mesh"];
+const OBSTACLE: Keys = Keys {
+    valid: &[
+        "box",
+        "sphere",
+        "cylinder",
+        "mesh",
+        "placement",
+        "inside_out",
+    ],
+    later: &[("keyframes", "moving obstacles")],
+};
+const PLACEMENT: Keys = Keys {
+    valid: &["translate", "rotate", "scale"],
+    later: &[],
+};
+const ROTATE: Keys = Keys {
+    valid: &["axis", "degrees"],
+    later: &[],
+};
+const BOX: Keys = Keys {
+    valid: &["min", "max"],
+    later: &[],
+};
+const SPHERE: Keys = Keys {
+    valid: &["centre", "radius"],
+    later: &[],
+};
+const CYLINDER: Keys = Keys {
+    valid: &["base", "axis", "radius", "height"],
+    later: &[],
+};
+const HALF_SPACE: Keys = Keys {
+    valid: &["point", "normal"],
+    later: &[],
+};
+const WAVE: Keys = Keys {
+    valid: &["level", "amplitude", "wave_number", "phase"],
+    later: &[],
+};
+const MESH: Keys = Keys {
+    valid: &["file"],
+    later: &[],
+};
+const PROBE: Keys = Keys {
+    valid: &["name", "height", "pressure", "velocity", "front"],
+    later: &[("node", "probes of solids"), ("solid", "probes of solids")],
+};
+const HEIGHT: Keys = Keys {
+    valid: &["x", "z"],
+    later: &[],
+};
+const POINT: Keys = Keys {
+    valid: &["point"],
+    later: &[],
+};
+const FRONT: Keys = Keys {
+    valid: &["axis"],
+    later: &[],
+};
+const SOLVER: Keys = Keys {
+    valid: &[
+        "tolerance",
+        "max_iterations",
+        "precision",
+        "preconditioner",
+        "theta_floor",
+        "area_clamp",
+    ],
+    later: &[
+        ("formulation", "formulations of coupled problems"),
+        ("sigma", "formulations of coupled problems"),
+        ("alpha", "formulations of coupled problems"),
+        ("pressure_on_patches", "pressures on elastic solids"),
+        ("face_areas", "nodal face areas"),
+    ],
+};
+const OUTPUT: Keys = Keys {
+    valid: &["particles", "fields", "every"],
+    later: &[
+        ("surface", "surface meshes"),
+        ("solids", "elastic solids"),
+        ("checkpoint_every", "checkpoints"),
+    ],
+};
+const CAMERA: Keys = Keys {
+    valid: &["eye", "target", "up", "fov", "size"],
+    later: &[],
+};
+
+impl Scene {
+    /// Reads and checks a scene file.
+    ///
+    /// `overrides` are `KEY=VALUE` with dotted keys and indices from 0 (`liquid.region[0].velocity=[1, 0, 0]`); a value that
+    /// is no TOML and one word is a text. `scale` multiplies the cells, rounded, and nothing else. The first thing found
+    /// wrong is returned, with the file and line (or the override), the key and the cure.
+    pub fn load(path: &Path, overrides: &[String], scale: f64) -> Result<Scene, Error> {
+        let text = std::fs::read_to_string(path).map_err(|error| {
+            let cure = match error.kind() {
+                std::io::ErrorKind::NotFound => "give the path of a scene file (TOML)",
+                std::io::ErrorKind::InvalidData => "save the file as UTF-8 text",
+                _ => "make it a file that can be read",
+            };
+            Error::input(path.display().to_string(), error.to_string(), cure)
+        })?;
+        if !(scale.is_finite() && scale > 0.0) {
+            return Err(Error::input(
+                format!("--scale {scale}"),
+                "cells cannot be multiplied by it",
+                "use a number above zero",
+            ));
+        }
+        let document = Document::parse(path, &text, overrides)?;
+        let root = document.root().table(&ROOT)?;
+        let domain = domain(&root, scale)?;
+        let scene = Scene {
+            name: path
+                .file_stem()
+                .unwrap_or(path.as_os_str())
+                .to_string_lossy()
+                .into_owned(),
+            file: path.to_owned(),
+            hash: hash(&text, overrides, scale),
+            scale,
+            overrides: overrides.to_vec(),
+            time: time(&root)?,
+            liquid: Some(liquid(&root, path, &domain)?),
+            obstacles: obstacles(&root, path, &domain)?,
+            probes: probes(&root, &domain)?,
+            solver: solver(&root)?,
+            output: output(&root)?,
+            camera: camera(&root, &domain)?,
+            domain,
+        };
+        Ok(scene)
+    }
+}
+
+/// SHA-256 of everything that the scene is made from; lengths keep neighbours apart.
+fn hash(text: &str, overrides: &[String], scale: f64) -> String {
+    let mut digest = Sha256::new();
+    for part in std::iter::once(text).chain(overrides.iter().map(String::as_str)) {
+        digest.update((part.len() as u64).to_le_bytes());
+        digest.update(part);
+    }
+    digest.update(scale.to_le_bytes());
+    digest
+        .finalize()
+        .iter()
+        .fold(String::new(), |mut hex, byte| {
+            write!(hex, "{byte:02x}").expect("writing to a string cannot fail");
+            hex
+        })
+}
+
+fn domain(root: &Table, scale: f64) -> Result<Domain, Error> {
+    let example = "[domain] with size = [1.0, 1.0, 1.0] and cells = [32, 32, 32]";
+    let table = root.required("domain", example)?.table(&DOMAIN)?;
+    let size_place = table.required("size", "size = [1.0, 1.0, 1.0], in m")?;
+    let size = size_place.vector("the sides of the domain in m")?;
+    let sound = size.to_array().iter().all(|side| SIDES.contains(side));
+    let problem = format!("is {}", list(size.to_array()));
+    size_place.ensure(sound, problem, "write sides from 1e-6 to 1e6 m")?;
+
+    let cells_place = table.required("cells", "cells = [32, 32, 32]")?;
+    let given = cells_place.counts("the cells along x, y, z", 1, MAX_CELLS_PER_AXIS)?;
+    if !cubic(size, given) {
+        let edges = DVec3::from_array(given.map(|n| n as f64));
+        let [x, y, z] = (size / edges).to_array();
+        let cure = match cubic_cells(size, given) {
+            Some(cells) => format!("cubic with cells = {}", list(cells)),
+            None => {
+                let dx = size.x / edges.x;
+                format!("cubic with size = {}", list((edges * dx).to_array()))
+            }
+        };
+        let place = if size_place.is_override() && !cells_place.is_override() {
+            &size_place
+        } else {
+            &cells_place
+        };
+        return Err(place.fail(format!("cells of {x} x {y} x {z} m are not cubic"), cure));
+    }
+
+    let cells = given.map(|n| (n as f64 * scale).round().max(1.0));
+    let count: f64 = cells.iter().product();
+    if count > MAX_CELLS || cells.iter().any(|&n| n > MAX_CELLS_PER_AXIS as f64) {
+        let problem = format!("{} makes {count} cells, more than {MAX_CELLS}", list(cells));
+        return Err(if scale == 1.0 {
+            cells_place.fail(problem, "use fewer cells")
+        } else {
+            Error::input(format!("--scale {scale}"), problem, "use a smaller scale")
+        });
+    }
+    let cells = cells.map(|n| n as usize);
+    if !cubic(size, cells) {
+        return Err(Error::input(
+            format!("--scale {scale}"),
+            format!("domain.cells would be {}, which are not cubic", list(cells)),
+            format!("use --scale {}", working_scale(given, scale)),
+        ));
+    }
+    let gravity = match table.get("gravity") {
+        Some(place) => place.vector("gravity in m/s^2")?,
+        None => DVec3::new(0.0, -9.81, 0.0),
+    };
+    Ok(Domain {
+        size,
+        cells,
+        gravity,
+    })
+}
+
+fn cubic(size: DVec3, cells: [usize; 3]) -> bool {
+    let edges = size / DVec3::from_array(cells.map(|n| n as f64));
+    (edges / edges.x - 1.0).abs().max_element() <= CUBIC
+}
+
+/// The counts of cubic cells whose number along x is nearest to what was meant, up to a factor of 4 away.
+fn cubic_cells(size: DVec3, cells: [usize; 3]) -> Option<[usize; 3]> {
+    let edges = size / DVec3::from_array(cells.map(|n| n as f64));
+    let wanted = size.x / edges.element_product().cbrt();
+    let candidates = (1..=(4.0 * wanted).ceil() as usize).filter_map(|nx| {
+        let counts = size
+            .to_array()
+            .map(|side| (side / size.x * nx as f64).round().max(1.0) as usize);
+        cubic(size, counts).then_some(counts)
+    });
+    candidates.min_by(|a, b| {
+        let distance = |counts: &[usize; 3]| (counts[0] as f64 / wanted).ln().abs();
+        distance(a).total_cmp(&distance(b))
+    })
+}
+
+/// The scale nearest to `scale` that keeps `cells` cubic: cells = g (a, b, c) with g their greatest common divisor stay
+/// cubic exactly when they become m (a, b, c), m whole.
+fn working_scale(cells: [usize; 3], scale: f64) -> f64 {
+    let divisor = |mut a: usize, mut b: usize| {
+        while b != 0 {
+            (a, b) = (b, a % b);
+        }
+        a
+    };
+    let g = divisor(divisor(cells[0], cells[1]), cells[2]);
+    (scale * g as f64).round().max(1.0) / g as f64
+}
+
+fn time(root: &Table) -> Result<Time, Error> {
+    let table = root
+        .required("time", "[time] with duration = 2.0")?
+        .table(&TIME)?;
+    let duration_place = table.required("duration", "duration = 2.0, in s")?;
+    let duration = duration_place.positive("a duration in s")?;
+    let frames_per_second = match table.get("frames_per_second") {
+        Some(place) => place.positive("frames per second")?,
+        None => 24.0,
+    };
+    let frames = duration * frames_per_second;
+    duration_place.ensure(
+        frames <= MAX_FRAMES,
+        format!("{duration} s at {frames_per_second} frames per second are {frames:.0} frames, more than {MAX_FRAMES}"),
+        "shorten the duration or use fewer frames per second",
+    )?;
+    let cfl = match table.get("cfl") {
+        Some(place) => {
+            let cfl = place.positive("the cells that the fastest point crosses in a sub-step")?;
+            place.ensure(
+                cfl <= 32.0,
+                format!("is {cfl}"),
+                "use at most 32; 1 to 5 is usual",
+            )?;
+            cfl
+        }
+        None => 3.0,
+    };
+    let fixed_step = match table.get("fixed_step") {
+        Some(place) => {
+            let step = place.positive("a constant sub-step in s")?;
+            let ratio = 1.0 / (frames_per_second * step);
+            let whole = ratio.round().max(1.0);
+            place.ensure(
+                (ratio - whole).abs() <= WHOLE_STEPS * whole,
+                format!("{step} s does not divide the frame time, 1/{frames_per_second} s: {ratio} steps in a frame"),
+                format!("use {}, {whole} in a frame", 1.0 / (frames_per_second * whole)),
+            )?;
+            Some(step)
+        }
+        None => None,
+    };
+    Ok(Time {
+        duration,
+        frames_per_second,
+        cfl,
+        fixed_step,
+    })
+}
+
+fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
+    let example = "[liquid] and [[liquid.region]] with a shape, such as box = { min = [0, 0, 0], max = [1, 0.5, 1] }";
+    let table = root.required("liquid", example)?.table(&LIQUID)?;
+    let density = match table.get("density") {
+        Some(place) => place.positive("a density in kg/m^3")?,
+        None => 1000.0,
+    };
+    let surface = match table.get("surface") {
+        Some(place) => place.choice(&[("markers", Surface::Markers), ("fixed", Surface::Fixed)])?,
+        None => Surface::Markers,
+    };
+    let marker_radius = match table.get("marker_radius") {
+        Some(place) => {
+            let radius = place.number("the marker radius in cells")?;
+            let cure = "use 0.5 to 2; half a cell's diagonal, 0.87, covers a cell with one marker";
+            place.ensure((0.5..=2.0).contains(&radius), format!("is {radius}"), cure)?;
+            radius
+        }
+        None => 0.87,
+    };
+    let seed = match table.get("seed") {
+        Some(place) => place.count("a seed", 0, i64::MAX as u64)?,
+        None => 0,
+    };
+    let volume_control = match table.get("volume_control") {
+        Some(place) => {
+            let on = place.boolean()?;
+            let cure = "remove it, or use surface = \"markers\"";
+            place.ensure(
+                !on || surface == Surface::Markers,
+                "a fixed surface has no volume control",
+                cure,
+            )?;
+            on
+        }
+        None => surface == Surface::Markers,
+    };
+    let places = table.required("region", example)?;
+    let mut regions: Vec<Region> = Vec::new();
+    for place in places.list()? {
+        let region = region(&place, file, domain)?;
+        let adds = regions.iter().any(|earlier| !earlier.subtract);
+        let problem = "takes liquid away where there is none: no region before it adds any";
+        place.ensure(
+            adds || !region.subtract,
+            problem,
+            "put a region without subtract first",
+        )?;
+        regions.push(region);
+    }
+    places.ensure(
+        !regions.is_empty(),
+        "has no entry, so there is no liquid",
+        format!("write {example}"),
+    )?;
+    Ok(Liquid {
+        density,
+        regions,
+        surface,
+        marker_radius,
+        seed,
+        volume_control,
+    })
+}
+
+fn region(place: &Place, file: &Path, domain: &Domain) -> Result<Region, Error> {
+    let table = place.clone().table(&REGION)?;
+    let (kind, shape_place) = table.one_of(&REGION_SHAPES, "shape")?;
+    let shape = shape(kind, shape_place.clone(), file)?;
+    shape_place.ensure(
+        shape.reaches(&Placement::default(), domain.size),
+        format!(
+            "lies outside the domain, {} m from the origin",
+            list(domain.size.to_array())
+        ),
+        "move it so that a part lies inside",
+    )?;
+    Ok(Region {
+        shape,
+        subtract: table
+            .get("subtract")
+            .map_or(Ok(false), |place| place.boolean())?,
+        velocity: table
+            .get("velocity")
+            .map_or(Ok(DVec3::ZERO), |place| place.vector("a velocity in m/s"))?,
+    })
+}
+
+fn shape(kind: &str, place: Place, file: &Path) -> Result<Shape, Error> {
+    Ok(match kind {
+        "box" => {
+            let table = place.clone().table(&BOX)?;
+            let min = table
+                .required("min", "min = [0, 0, 0], the low corner in m")?
+                .vector("the low corner in m")?;
+            let max = table
+                .required("max", "max = [1, 1, 1], the high corner in m")?
+                .vector("the high corner in m")?;
+            for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
+                place.ensure(
+                    max[axis] > min[axis],
+                    format!(
+                        "has no volume: along {name} it goes from {} to {}",
+                        min[axis], max[axis]
+                    ),
+                    "make every number of max larger than that of min",
+                )?;
+            }
+            Shape::Box { min, max }
+        }
+        "sphere" => {
+            let table = place.table(&SPHERE)?;
+            Shape::Sphere {
+                centre: table
+                    .required("centre", "centre = [0.5, 0.5, 0.5], in m")?
+                    .vector("the centre in m")?,
+                radius: table
+                    .required("radius", "radius = 0.1, in m")?
+                    .positive("the radius in m")?,
+            }
+        }
+        "cylinder" => {
+            let table = place.table(&CYLINDER)?;
+            let axis = table.required("axis", "axis = [0, 1, 0], from the base")?;
+            Shape::Cylinder {
+                base: table
+                    .required("base", "base = [0.5, 0, 0.5], its centre in m")?
+                    .vector("the centre of the base in m")?,
+                axis: axis.direction("the direction from the base")?,
+                radius: table
+                    .required("radius", "radius = 0.1, in m")?
+                    .positive("the radius in m")?,
+                height: table
+                    .required("height", "height = 0.3, in m")?
+                    .positive("the height along the axis in m")?,
+            }
+        }
+        "half_space" => {
+            let table = place.table(&HALF_SPACE)?;
+            let normal = table.required("normal", "normal = [0, 1, 0], out of the half space")?;
+            Shape::HalfSpace {
+                point: table
+                    .required("point", "point = [0, 0.5, 0], in m")?
+                    .vector("a point of the plane in m")?,
+                normal: normal.direction("the direction out of the half space")?,
+            }
+        }
+        "wave" => {
+            let table = place.table(&WAVE)?;
+            let wave_number = table.required(
+                "wave_number",
+                "wave_number = [3.14159, 0], along x and z in rad/m",
+            )?;
+            Shape::Wave {
+                level: table
+                    .required("level", "level = 0.5, in m")?
+                    .number("the mean height in m")?,
+                amplitude: table
+                    .required("amplitude", "amplitude = 0.05, in m")?
+                    .number("the amplitude in m")?,
+                wave_number: wave_number.numbers("the wave numbers along x and z in rad/m")?,
+                phase: table
+                    .get("phase")
+                    .map_or(Ok(0.0), |place| place.number("the phase in rad"))?,
+            }
+        }
+        "mesh" => {
+            let table = place.table(&MESH)?;
+            let name_place =
+                table.required("file", "file = \"body.obj\", relative to the scene")?;
+            let name = name_place.text("the name of an OBJ, STL or PLY file")?;
+            let kind = Path::new(name)
+                .extension()
+                .map(|kind| kind.to_ascii_lowercase());
+            let known =
+                kind.is_some_and(|kind| ["obj", "stl", "ply"].iter().any(|known| kind == *known));
+            let problem = format!("`{name}` is not a kind of mesh that is read");
+            name_place.ensure(
+                known,
+                problem,
+                "use a closed triangle mesh as .obj, .stl or .ply",
+            )?;
+            let resolved = file.parent().unwrap_or(Path::new("")).join(name);
+            let problem = format!("there is no file {}", resolved.display());
+            name_place.ensure(
+                resolved.is_file(),
+                problem,
+                "give the path of the mesh relative to the scene's folder",
+            )?;
+            Shape::Mesh { file: resolved }
+        }
+        _ => unreachable!("a shape key that no table lists"),
+    })
+}
+
+fn obstacles(root: &Table, file: &Path, domain: &Domain) -> Result<Vec<Obstacle>, Error> {
+    let Some(places) = root.get("obstacle") else {
+        return Ok(Vec::new());
+    };
+    let obstacle = |place: Place| {
+        let table = place.table(&OBSTACLE)?;
+        let (kind, shape_place) = table.one_of(&OBSTACLE_SHAPES, "shape")?;
+        let shape = shape(kind, shape_place.clone(), file)?;
+        let placement = match table.get("placement") {
+            Some(place) => placement(place)?,
+            None => Placement::default(),
+        };
+        let inside_out = table
+            .get("inside_out")
+            .map_or(Ok(false), |place| place.boolean())?;
+        shape_place.ensure(
+            shape.reaches(&placement, domain.size),
+            format!(
+                "lies outside the domain, {} m from the origin",
+                list(domain.size.to_array())
+            ),
+            "move it so that a part lies inside",
+        )?;
+        if shape.holds_box(&placement, domain.size) {
+            return Err(if inside_out {
+                shape_place.fail(
+                    "surrounds the whole domain, so the container holds nothing back",
+                    "make it smaller",
+                )
+            } else {
+                shape_place.fail(
+                    "fills the whole domain",
+                    "make it smaller, or a container with inside_out = true",
+                )
+            });
+        }
+        Ok(Obstacle {
+            shape,
+            placement,
+            inside_out,
+        })
+    };
+    places.list()?.into_iter().map(obstacle).collect()
+}
+
+fn placement(place: Place) -> Result<Placement, Error> {
+    let table = place.table(&PLACEMENT)?;
+    let mut placement = Placement::default();
+    if let Some(place) = table.get("translate") {
+        placement.translate = place.vector("a translation in m")?;
+    }
+    if let Some(place) = table.get("rotate") {
+        let table = place.table(&ROTATE)?;
+        let axis = table
+            .required("axis", "axis = [0, 0, 1]")?
+            .direction("the axis of rotation")?;
+        let degrees = table
+            .required("degrees", "degrees = 30")?
+            .number("the angle in degrees")?;
+        placement.rotate = DMat3::from_axis_angle(axis, degrees.to_radians());
+    }
+    if let Some(place) = table.get("scale") {
+        placement.scale = place.positive("one factor for all axes")?;
+    }
+    Ok(placement)
+}
+
+fn probes(root: &Table, domain: &Domain) -> Result<Vec<Probe>, Error> {
+    let Some(places) = root.get("probe") else {
+        return Ok(Vec::new());
+    };
+    let mut probes: Vec<Probe> = Vec::new();
+    for place in places.list()? {
+        let table = place.table(&PROBE)?;
+        let name_place = table.required("name", "name = \"h1\", the column of probes.csv")?;
+        let name = name_place.text("the name of a column in probes.csv")?;
+        let plain = name
+            .chars()
+            .all(|c| c.is_alphanumeric() || "_-.".contains(c));
+        let problem = format!("\"{name}\" cannot name a column");
+        name_place.ensure(plain, problem, "use letters, digits, _, - and . only")?;
+        let double = probes.iter().any(|probe| probe.name == name);
+        name_place.ensure(
+            !double,
+            format!("a probe before it is named \"{name}\" too"),
+            "give each its own name",
+        )?;
+
+        let (kind, place) =
+            table.one_of(&["height", "pressure", "velocity", "front"], "measurement")?;
+        let kind = match kind {
+            "height" => {
+                let table = place.table(&HEIGHT)?;
+                let coordinate = |name: &str, axis: usize| {
+                    let place = table.required(name, &format!("{name} = 0.5, in m"))?;
+                    let value = place.number("a coordinate in m")?;
+                    let side = domain.size[axis];
+                    let problem = format!("{value} m lies outside the domain");
+                    place.ensure(
+                        (0.0..=side).contains(&value),
+                        problem,
+                        format!("use 0 to {side} m"),
+                    )?;
+                    Ok::<f64, Error>(value)
+                };
+                ProbeKind::Height {
+                    x: coordinate("x", 0)?,
+                    z: coordinate("z", 2)?,
+                }
+            }
+            "pressure" => ProbeKind::Pressure {
+                point: point(place, domain)?,
+            },
+            "velocity" => ProbeKind::Velocity {
+                point: point(place, domain)?,
+            },
+            _ => {
+                let table = place.table(&FRONT)?;
+                let axis = table.required("axis", "axis = \"x\"")?;
+                ProbeKind::Front {
+                    axis: axis.choice(&[("x", 0), ("y", 1), ("z", 2)])?,
+                }
+            }
+        };
+        probes.push(Probe {
+            name: name.to_owned(),
+            kind,
+        });
+    }
+    Ok(probes)
+}
+
+fn point(place: Place, domain: &Domain) -> Result<DVec3, Error> {
+    let table = place.table(&POINT)?;
+    let place = table.required("point", "point = [0.5, 0.1, 0.5], in m")?;
+    let point = place.vector("a point in m")?;
+    let inside = point.cmpge(DVec3::ZERO).all() && point.cmple(domain.size).all();
+    let problem = format!("{} lies outside the domain", list(point.to_array()));
+    place.ensure(
+        inside,
+        problem,
+        format!(
+            "stay between the origin and {}",
+            list(domain.size.to_array())
+        ),
+    )?;
+    Ok(point)
+}
+
+fn solver(root: &Table) -> Result<Solver, Error> {
+    let mut solver = Solver::default();
+    let Some(place) = root.get("solver") else {
+        return Ok(solver);
+    };
+    let table = place.table(&SOLVER)?;
+    if let Some(place) = table.get("tolerance") {
+        solver.tolerance = place.positive("a relative tolerance")?;
+        let problem = format!("is {}", solver.tolerance);
+        place.ensure(
+            (1e-14..1.0).contains(&solver.tolerance),
+            problem,
+            "use 1e-14 to 0.1; 1e-8 is usual",
+        )?;
+    }
+    if let Some(place) = table.get("max_iterations") {
+        solver.max_iterations = place.count("the iterations of all rounds", 1, 100_000)? as u32;
+    }
+    if let Some(place) = table.get("precision") {
+        let choices = [
+            ("f32", Precision::F32),
+            ("mixed", Precision::Mixed),
+            ("f64", Precision::F64),
+        ];
+        solver.precision = place.choice(&choices)?;
+    }
+    if let Some(place) = table.get("preconditioner") {
+        let choices = [
+            ("multigrid", Preconditioner::Multigrid),
+            ("jacobi", Preconditioner::Jacobi),
+        ];
+        solver.preconditioner = place.choice(&choices)?;
+    }
+    if let Some(place) = table.get("theta_floor") {
+        solver.theta_floor = place.positive("the smallest distance to the surface in cells")?;
+        let problem = format!("is {}", solver.theta_floor);
+        place.ensure(
+            (1e-6..=0.5).contains(&solver.theta_floor),
+            problem,
+            "use 1e-6 to 0.5; 1e-2 is usual",
+        )?;
+    }
+    if let Some(place) = table.get("area_clamp") {
+        solver.area_clamp = place.number("the smallest open fraction of a face")?;
+        let problem = format!("is {}", solver.area_clamp);
+        place.ensure(
+            (0.0..0.5).contains(&solver.area_clamp),
+            problem,
+            "use 0 to less than 0.5; 1e-3 is usual",
+        )?;
+    }
+    Ok(solver)
+}
+
+fn output(root: &Table) -> Result<Output, Error> {
+    let mut output = Output {
+        particles: true,
+        fields: false,
+        every: 1,
+    };
+    let Some(place) = root.get("output") else {
+        return Ok(output);
+    };
+    let table = place.table(&OUTPUT)?;
+    if let Some(place) = table.get("particles") {
+        output.particles = place.boolean()?;
+    }
+    if let Some(place) = table.get("fields") {
+        output.fields = place.boolean()?;
+    }
+    if let Some(place) = table.get("every") {
+        output.every = place.count("every how many frames to write", 1, MAX_FRAMES as u64)?;
+    }
+    Ok(output)
+}
+
+fn camera(root: &Table, domain: &Domain) -> Result<Camera, Error> {
+    let mut camera = Camera::looking_at(domain);
+    let Some(place) = root.get("camera") else {
+        return Ok(camera);
+    };
+    let table = place.table(&CAMERA)?;
+    if let Some(place) = table.get("up") {
+        camera.up = place.direction("the direction that is up in the picture")?;
+    }
+    if let Some(place) = table.get("fov") {
+        camera.fov = place.positive("the vertical opening in degrees")?;
+        place.ensure(
+            camera.fov <= 150.0,
+            format!("is {}", camera.fov),
+            "use at most 150 degrees; 35 is usual",
+        )?;
+    }
+    if let Some(place) = table.get("size") {
+        camera.size = place.counts("the width and height of the picture in pixels", 16, 8192)?;
+    }
+    if let Some(place) = table.get("target") {
+        camera.target = place.vector("the point in the middle of the picture in m")?;
+    }
+    match table.get("eye") {
+        Some(place) => {
+            camera.eye = place.vector("the position of the camera in m")?;
+            let ahead = (camera.target - camera.eye).try_normalize();
+            place.ensure(
+                ahead.is_some(),
+                "is the target itself",
+                "move it away from the target",
+            )?;
+            let parallel = ahead.is_some_and(|ahead| ahead.dot(camera.up).abs() > 1.0 - 1e-9);
+            place.ensure(
+                !parallel,
+                "looks along the camera's up",
+                "move it, or set camera.up to another direction",
+            )?;
+        }
+        None => camera.step_back(domain),
+    }
+    Ok(camera)
+}
+
+impl Camera {
+    /// Three-quarter view of the whole domain from slightly above. Up is the axis against gravity's largest component,
+    /// +y without gravity.
+    pub fn looking_at(domain: &Domain) -> Camera {
+        let gravity = domain.gravity;
+        let largest = gravity.abs().max_position();
+        let up = if gravity == DVec3::ZERO {
+            DVec3::Y
+        } else {
+            DVec3::AXES[largest] * -gravity[largest].signum()
+        };
+        let target = 0.5 * domain.size;
+        let mut camera = Camera {
+            eye: target,
+            target,
+            up,
+            fov: 35.0,
+            size: [1280, 720],
+        };
+        camera.step_back(domain);
+        camera
+    }
+
+    /// Puts the eye so far from the target that the domain's eight corners are in the picture, with 5 % to spare.
+    fn step_back(&mut self, domain: &Domain) {
+        // The picture's depth axis when seen from the front: y up looks along -z with x to the right, z up along y.
+        let front = if self.up.z.abs() > 0.5 {
+            -DVec3::Y
+        } else {
+            DVec3::Z
+        };
+        let front = front
+            .reject_from(self.up)
+            .try_normalize()
+            .unwrap_or_else(|| self.up.any_orthonormal_vector());
+        let side = self.up.cross(front);
+        let back = (front + 0.5 * side + 0.5 * self.up).normalize();
+        let right = self.up.cross(back).normalize();
+        let top = back.cross(right);
+        let half_height = (0.5 * self.fov.to_radians()).tan();
+        let half_width = half_height * self.size[0] as f64 / self.size[1] as f64;
+        let needed = corners(domain.size).into_iter().map(|corner| {
+            let x = corner - self.target;
+            x.dot(back) + (x.dot(right).abs() / half_width).max(x.dot(top).abs() / half_height)
+        });
+        let distance = 1.05 * needed.fold(0.0, f64::max);
+        self.eye = self.target + distance * back;
+    }
+}
+
+fn corners(size: DVec3) -> [DVec3; 8] {
+    std::array::from_fn(|i| {
+        size * DVec3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2 & 1) as f64)
+    })
+}
+
+impl Shape {
+    /// What it is turned and scaled about: the middle of a box, ball or cylinder. `None` for a mesh, whose centre is that
+    /// of its bounding box and known only to the reader of its file, and for half spaces and waves, which are not placed.
+    pub fn centre(&self) -> Option<DVec3> {
+        match self {
+            Shape::Box { min, max } => Some(0.5 * (min + max)),
+            Shape::Sphere { centre, .. } => Some(*centre),
+            Shape::Cylinder {
+                base, axis, height, ..
+            } => Some(base + 0.5 * height * axis),
+            Shape::HalfSpace { .. } | Shape::Wave { .. } | Shape::Mesh { .. } => None,
+        }
+    }
+
+    /// Whether some of it lies in the box from the origin to `size`, judged by bounding boxes; true for meshes.
+    fn reaches(&self, placement: &Placement, size: DVec3) -> bool {
+        let half_extent = match self {
+            Shape::Box { min, max } => {
+                let half = 0.5 * (max - min);
+                let turned =
+                    DMat3::from_cols_array(&placement.rotate.to_cols_array().map(f64::abs));
+                turned * half
+            }
+            Shape::Sphere { centre, radius } => {
+                let centre = centre + placement.translate;
+                let nearest = centre.clamp(DVec3::ZERO, size);
+                return nearest.distance(centre) < radius * placement.scale;
+            }
+            Shape::Cylinder {
+                axis,
+                radius,
+                height,
+                ..
+            } => {
+                let axis = placement.rotate * axis;
+                let rim = (DVec3::ONE - axis * axis).max(DVec3::ZERO);
+                0.5 * height * axis.abs()
+                    + *radius * DVec3::new(rim.x.sqrt(), rim.y.sqrt(), rim.z.sqrt())
+            }
+            Shape::HalfSpace { point, normal } => {
+                return corners(size)
+                    .iter()
+                    .any(|corner| (corner - point).dot(*normal) < 0.0);
+            }
+            Shape::Wave {
+                level, amplitude, ..
+            } => return level + amplitude.abs() > 0.0,
+            Shape::Mesh { .. } => return true,
+        };
+        let centre =
+            self.centre().expect("boxes and cylinders have a centre") + placement.translate;
+        let half_extent = half_extent * placement.scale;
+        (centre + half_extent).cmpgt(DVec3::ZERO).all() && (centre - half_extent).cmplt(size).all()
+    }
+
+    /// Whether the whole box from the origin to `size` lies in it. Box, ball and cylinder are convex, so the corners tell;
+    /// false for meshes.
+    fn holds_box(&self, placement: &Placement, size: DVec3) -> bool {
+        let Some(centre) = self.centre() else {
+            return false;
+        };
+        corners(size).into_iter().all(|corner| {
+            // From the middle of the shape, in its own directions and size.
+            let x = placement.rotate.transpose() * (corner - placement.translate - centre)
+                / placement.scale;
+            match self {
+                Shape::Box { min, max } => x.abs().cmple(0.5 * (max - min)).all(),
+                Shape::Sphere { radius, .. } => x.length() <= *radius,
+                Shape::Cylinder {
+                    axis,
+                    radius,
+                    height,
+                    ..
+                } => {
+                    x.dot(*axis).abs() <= 0.5 * height
+                        && x.reject_from_normalized(*axis).length() <= *radius
+                }
+                Shape::HalfSpace { .. } | Shape::Wave { .. } | Shape::Mesh { .. } => false,
+            }
+        })
+    }
+}
+
+fn list<T: std::fmt::Display, const N: usize>(values: [T; N]) -> String {
+    let values: Vec<_> = values.iter().map(T::to_string).collect();
+    format!("[{}]", values.join(", "))
+}
