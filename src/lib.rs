@@ -24,6 +24,8 @@ pub mod error;
 pub mod geometry;
 pub mod gpu;
 pub mod grid;
+pub mod linalg;
+pub mod reference;
 pub mod scene;
 pub mod state;
 

@@ -47,3 +47,69 @@ impl State {
         }
     }
 }
+
+/// How a pressure solve ended. Anything but [`SolveStatus::Converged`] is told to the user.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SolveStatus {
+    /// The true residual passed: ||r|| <= tolerance ||b||, or below what rounding of the right-hand side leaves.
+    Converged,
+    /// All iterations were used; the iterate with the least true residual was kept.
+    IterationLimit,
+    /// Further rounds no longer reduce the true residual.
+    Stagnated,
+    /// A direction without positive energy appeared.
+    Breakdown,
+    /// The right-hand side or the iterate is not finite.
+    NonFinite,
+}
+
+/// What a pressure solve did. A zero right-hand side gives a zero answer, residual 0, status converged.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SolveReport {
+    /// Active cells.
+    pub unknowns: usize,
+    /// PCG iterations, summed over all rounds; 0 for a direct solve.
+    pub iterations: u32,
+    /// True relative residual ||b - B p|| / ||b||, evaluated in f64.
+    pub residual: f64,
+    /// How it ended.
+    pub status: SolveStatus,
+}
+
+/// What one sub-step did: a row of steps.csv.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StepReport {
+    /// Length of the sub-step, s.
+    pub dt: f64,
+    /// Whether the floor of the step length held it up.
+    pub dt_floored: bool,
+    /// The pressure solve.
+    pub solve: SolveReport,
+    /// Liquid components without a free surface.
+    pub closed_components: usize,
+    /// Volume, momentum and energies after the sub-step.
+    pub diagnosis: Diagnosis,
+    /// Number of markers.
+    pub markers: usize,
+    /// Markers dropped in this sub-step because they could not be moved out of a solid.
+    pub dropped: u64,
+    /// Wall-clock seconds of each stage, by its canonical noun, in order.
+    pub seconds: Vec<(&'static str, f64)>,
+}
+
+/// What the liquid amounts to at one moment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Diagnosis {
+    /// Liquid volume, m^3.
+    pub volume: f64,
+    /// kg m/s
+    pub momentum: [f64; 3],
+    /// J
+    pub kinetic_energy: f64,
+    /// J, from the origin of the domain: zero where g . x is.
+    pub potential_energy: f64,
+    /// Largest magnitude of a face velocity component, m/s.
+    pub max_speed: f64,
+    /// Largest divergence of an active cell after the projection, 1/s.
+    pub divergence: f64,
+}

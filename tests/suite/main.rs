@@ -3,5 +3,7 @@
 mod common;
 mod gpu;
 mod layout;
+mod linalg;
+mod reference;
 mod scene;
 mod shaders;

@@ -1,0 +1,111 @@
+//! Sparse Cholesky factorisation A = L L^T with an approximate minimum degree ordering, by faer.
+
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::linalg::cholesky::llt::factor::LltRegularization;
+use faer::sparse::linalg::cholesky::{self, LltRef, SymmetricOrdering};
+use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
+use faer::{Conj, MatMut, Par, Side};
+
+use super::Csr;
+use crate::Error;
+
+/// faer works on one thread here, so that a factor does not depend on how many there are.
+const PAR: Par = Par::Seq;
+
+/// The ordering and the pattern of a factor: reusable for every matrix with the same stored places.
+#[derive(Debug)]
+pub struct SymbolicCholesky {
+    factor: cholesky::SymbolicCholesky<usize>,
+    n_entries: usize,
+}
+
+impl SymbolicCholesky {
+    /// Orders a symmetric matrix and finds the pattern of its factor. Values are not read.
+    pub fn new(matrix: &Csr) -> Result<SymbolicCholesky, Error> {
+        // A symmetric matrix by rows is the same matrix by columns, and its lower triangle by rows the upper by columns.
+        let factor = cholesky::factorize_symbolic_cholesky(
+            view(matrix).symbolic(),
+            Side::Upper,
+            SymmetricOrdering::Amd,
+            Default::default(),
+        )
+        .map_err(|problem| failed(matrix, format!("cannot be ordered: {problem:?}")))?;
+        Ok(SymbolicCholesky {
+            factor,
+            n_entries: matrix.n_entries(),
+        })
+    }
+
+    /// Number of stored entries of the factor; 8 bytes each.
+    pub fn n_factor_entries(&self) -> usize {
+        self.factor.len_val()
+    }
+
+    /// Factorises a symmetric positive definite matrix of the pattern given to [`SymbolicCholesky::new`].
+    pub fn factorise(&self, matrix: &Csr) -> Result<Cholesky<'_>, Error> {
+        assert_eq!(
+            matrix.n_entries(),
+            self.n_entries,
+            "the matrix has the pattern that was ordered"
+        );
+        let mut values = vec![0.0; self.factor.len_val()];
+        let scratch = self
+            .factor
+            .factorize_numeric_llt_scratch::<f64>(PAR, Default::default());
+        self.factor
+            .factorize_numeric_llt(
+                &mut values,
+                view(matrix),
+                Side::Upper,
+                LltRegularization::default(),
+                PAR,
+                MemStack::new(&mut MemBuffer::new(scratch)),
+                Default::default(),
+            )
+            .map_err(|problem| failed(matrix, format!("is not positive definite: {problem:?}")))?;
+        Ok(Cholesky {
+            symbolic: self,
+            values,
+        })
+    }
+}
+
+/// A factor.
+#[derive(Debug)]
+pub struct Cholesky<'a> {
+    symbolic: &'a SymbolicCholesky,
+    values: Vec<f64>,
+}
+
+impl Cholesky<'_> {
+    /// Solves A x = b in place: b in, x out.
+    pub fn solve(&self, x: &mut [f64]) {
+        let factor = &self.symbolic.factor;
+        let scratch = factor.solve_in_place_scratch::<f64>(1, PAR);
+        let n = x.len();
+        LltRef::new(factor, &self.values).solve_in_place_with_conj(
+            Conj::No,
+            MatMut::from_column_major_slice_mut(x, n, 1),
+            PAR,
+            MemStack::new(&mut MemBuffer::new(scratch)),
+        );
+    }
+}
+
+fn view(matrix: &Csr) -> SparseColMatRef<'_, usize, f64> {
+    let (row_start, columns, values) = matrix.parts();
+    let n = matrix.n_rows();
+    assert_eq!(n, matrix.n_columns(), "Cholesky takes a square matrix");
+    SparseColMatRef::new(
+        SymbolicSparseColMatRef::new_checked(n, n, row_start, None, columns),
+        values,
+    )
+}
+
+fn failed(matrix: &Csr, problem: String) -> Error {
+    Error::input(
+        format!("sparse Cholesky of a {0} x {0} matrix", matrix.n_rows()),
+        problem,
+        "the matrix must be symmetric positive definite and its factor must fit into memory",
+    )
+}

@@ -1,0 +1,145 @@
+//! Preconditioned conjugate gradients by faer (Hestenes and Stiefel 1952), for operators without a matrix.
+
+use std::fmt;
+
+use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
+use faer::matrix_free::conjugate_gradient::{self as cg, CgError, CgParams};
+use faer::matrix_free::{InitialGuessStatus, LinOp, Precond};
+use faer::{MatMut, MatRef, Par};
+
+/// A symmetric linear map: a matrix, or a preconditioner, which approximates the inverse of one.
+pub trait LinearOperator: Sync {
+    /// Number of unknowns.
+    fn size(&self) -> usize;
+
+    /// y = A x.
+    fn apply(&self, x: &[f64], y: &mut [f64]);
+}
+
+/// How the iteration ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CgEnd {
+    /// The recurrence's residual fell below the tolerance.
+    Converged,
+    /// All iterations were used.
+    IterationLimit,
+    /// The operator or the preconditioner is not positive definite, or a number is not finite.
+    Breakdown,
+}
+
+/// What the iteration did. The residual is the caller's to evaluate: the recurrence's own does not prove anything.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CgReport {
+    /// Products with the operator.
+    pub iterations: usize,
+    /// How it ended.
+    pub end: CgEnd,
+}
+
+/// Solves A x = b from a zero guess until the recurrence's ||r|| < tolerance ||b||; x is overwritten.
+pub fn conjugate_gradient(
+    operator: &dyn LinearOperator,
+    preconditioner: &dyn LinearOperator,
+    b: &[f64],
+    x: &mut [f64],
+    tolerance: f64,
+    max_iterations: usize,
+) -> CgReport {
+    let n = operator.size();
+    assert!(
+        preconditioner.size() == n && b.len() == n && x.len() == n,
+        "operator, preconditioner and vectors fit"
+    );
+    x.fill(0.0);
+    let mut iterations = 0;
+    let params = CgParams {
+        // faer 0.24.4 leaves its residual uninitialised with `Zero`; `Zero` saves one product once that is mended there.
+        initial_guess: InitialGuessStatus::MaybeNonZero,
+        rel_tolerance: tolerance,
+        max_iters: max_iterations,
+        ..CgParams::default()
+    };
+    let (operator, preconditioner) = (Wrapped(operator), Wrapped(preconditioner));
+    let scratch = cg::conjugate_gradient_scratch(&preconditioner, &operator, 1, Par::Seq);
+    let result = cg::conjugate_gradient(
+        MatMut::from_column_major_slice_mut(x, n, 1),
+        &preconditioner,
+        &operator,
+        MatRef::from_column_major_slice(b, n, 1),
+        params,
+        |_| iterations += 1,
+        // One thread for faer's own vectors: its sums must not depend on how many there are. Operators may use more.
+        Par::Seq,
+        MemStack::new(&mut MemBuffer::new(scratch)),
+    );
+    let end = match result {
+        Ok(_) => CgEnd::Converged,
+        Err(CgError::NoConvergence { .. }) => CgEnd::IterationLimit,
+        Err(_) => CgEnd::Breakdown,
+    };
+    CgReport {
+        iterations,
+        end: if x.iter().all(|v| v.is_finite()) {
+            end
+        } else {
+            CgEnd::Breakdown
+        },
+    }
+}
+
+/// faer's view of an operator.
+struct Wrapped<'a>(&'a dyn LinearOperator);
+
+impl fmt::Debug for Wrapped<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "operator of size {}", self.0.size())
+    }
+}
+
+impl LinOp<f64> for Wrapped<'_> {
+    fn apply_scratch(&self, _rhs_ncols: usize, _par: Par) -> StackReq {
+        StackReq::EMPTY
+    }
+
+    fn nrows(&self) -> usize {
+        self.0.size()
+    }
+
+    fn ncols(&self) -> usize {
+        self.0.size()
+    }
+
+    fn apply(
+        &self,
+        mut out: MatMut<'_, f64>,
+        rhs: MatRef<'_, f64>,
+        _par: Par,
+        _stack: &mut MemStack,
+    ) {
+        for j in 0..rhs.ncols() {
+            let x = rhs
+                .col(j)
+                .try_as_col_major()
+                .expect("faer's work matrices are column major")
+                .as_slice();
+            let y = out
+                .as_mut()
+                .col_mut(j)
+                .try_as_col_major_mut()
+                .expect("faer's work matrices are column major");
+            self.0.apply(x, y.as_slice_mut());
+        }
+    }
+
+    fn conj_apply(
+        &self,
+        out: MatMut<'_, f64>,
+        rhs: MatRef<'_, f64>,
+        par: Par,
+        stack: &mut MemStack,
+    ) {
+        self.apply(out, rhs, par, stack);
+    }
+}
+
+impl Precond<f64> for Wrapped<'_> {}

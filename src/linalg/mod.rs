@@ -1,0 +1,26 @@
+//! Sparse linear algebra in f64 on the CPU: matrices, Cholesky, conjugate gradients, Matrix Market. faer lives here only.
+
+mod cholesky;
+mod conjugate_gradient;
+mod csr;
+mod matrix_market;
+
+pub use cholesky::{Cholesky, SymbolicCholesky};
+pub use conjugate_gradient::{CgEnd, CgReport, LinearOperator, conjugate_gradient};
+pub use csr::Csr;
+pub use matrix_market::{Symmetry, read_matrix, read_vector, write_matrix, write_vector};
+
+/// Euclidean norm, summed in order, so that it does not depend on the number of threads.
+pub fn norm(x: &[f64]) -> f64 {
+    x.iter().map(|v| v * v).sum::<f64>().sqrt()
+}
+
+/// Sum of products, in order.
+pub fn dot(x: &[f64], y: &[f64]) -> f64 {
+    assert_eq!(
+        x.len(),
+        y.len(),
+        "both vectors of a dot product have one length"
+    );
+    x.iter().zip(y).map(|(a, b)| a * b).sum()
+}

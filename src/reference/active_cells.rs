@@ -1,0 +1,85 @@
+//! `active_cells`: the unknowns of the projection, the weights of their faces, and the components without a free surface.
+//!
+//! A cell is active where the liquid distance phi is negative and one of its faces is open. Between active cells a face
+//! weighs its open fraction. Where an open face separates an active cell c from phi_nb >= 0 the ghost fluid method (Gibou et
+//! al. 2002; thesis 4.43) puts p = 0 at the surface between the centres: open / theta goes to the Dirichlet part.
+
+use super::pressure_system::Stencil;
+use crate::grid::{Axis, Grid};
+
+/// The unknowns of one projection.
+#[derive(Clone, Debug)]
+pub struct ActiveCells {
+    /// The operator over them.
+    pub stencil: Stencil,
+    /// The cells of every connected component without a free-surface face, ascending.
+    pub closed: Vec<Vec<usize>>,
+}
+
+/// Part of the way from an inside centre (`inside` < 0) to an outside one (`outside` >= 0) where the surface lies, at least
+/// `floor`. The matrix and the velocity update share it.
+#[inline]
+pub fn theta(inside: f64, outside: f64, floor: f64) -> f64 {
+    (inside / (inside - outside)).max(floor)
+}
+
+/// Finds the active cells. `open`: open fraction per face; `liquid_distance`: phi per cell, m.
+pub fn active_cells(
+    grid: &Grid,
+    open: &[Vec<f64>; 3],
+    liquid_distance: &[f64],
+    theta_floor: f64,
+) -> ActiveCells {
+    let mut weight = Axis::ALL.map(|axis| vec![0.0; grid.n_faces(axis)]);
+    let mut dirichlet = vec![0.0; grid.n_cells()];
+    for axis in Axis::ALL {
+        let a = axis.index();
+        for (face, &fraction) in open[a]
+            .iter()
+            .enumerate()
+            .filter(|(_, fraction)| **fraction > 0.0)
+        {
+            let [Some(minus), Some(plus)] = grid.face_sides(axis, grid.face_at(axis, face)) else {
+                panic!("the {axis:?} face {face} on a domain wall is open");
+            };
+            let phi = [liquid_distance[minus], liquid_distance[plus]];
+            match [phi[0] < 0.0, phi[1] < 0.0] {
+                [true, true] => weight[a][face] = fraction,
+                [true, false] => dirichlet[minus] += fraction / theta(phi[0], phi[1], theta_floor),
+                [false, true] => dirichlet[plus] += fraction / theta(phi[1], phi[0], theta_floor),
+                [false, false] => {}
+            }
+        }
+    }
+    let stencil = Stencil::new(*grid, weight, dirichlet);
+    let closed = closed_components(&stencil);
+    ActiveCells { stencil, closed }
+}
+
+/// Flood fill over faces with weight: the components without a Dirichlet part.
+fn closed_components(stencil: &Stencil) -> Vec<Vec<usize>> {
+    let mut seen = vec![false; stencil.grid.n_cells()];
+    let mut closed = Vec::new();
+    for seed in 0..seen.len() {
+        if seen[seed] || !stencil.active(seed) {
+            continue;
+        }
+        seen[seed] = true;
+        let mut component = vec![seed];
+        let mut next = 0;
+        while next < component.len() {
+            for (neighbour, weight) in stencil.neighbours(component[next]) {
+                if weight > 0.0 && !seen[neighbour] {
+                    seen[neighbour] = true;
+                    component.push(neighbour);
+                }
+            }
+            next += 1;
+        }
+        if component.iter().all(|&cell| stencil.dirichlet[cell] == 0.0) {
+            component.sort_unstable();
+            closed.push(component);
+        }
+    }
+    closed
+}

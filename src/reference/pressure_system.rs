@@ -1,0 +1,222 @@
+//! The pressure system B p = E u* of one step (design section 2, thesis 4.32-4.39), B = scale * stencil.
+
+use rayon::prelude::*;
+
+use super::active_cells::ActiveCells;
+use super::right_hand_side::RightHandSide;
+use crate::grid::{Axis, Grid};
+use crate::linalg::{Csr, LinearOperator};
+
+/// The dimensionless part of B, matrix-free on the whole grid:
+///
+/// ```text
+/// (A x)_c = sum over faces of weight_f (x_c - x_nb) + dirichlet_c x_c
+/// ```
+///
+/// Symmetric and positive semi-definite. An inactive cell has neither weights nor a Dirichlet part; its diagonal is 0.
+#[derive(Clone, Debug)]
+pub struct Stencil {
+    /// Where the cells are.
+    pub grid: Grid,
+    /// Weight of every face per axis, host face layout: the open fraction where both sides are active, else 0.
+    pub weight: [Vec<f64>; 3],
+    /// Per cell: sum of open fraction / theta over the free-surface faces.
+    pub dirichlet: Vec<f64>,
+    /// Per cell: sum of the weights of its faces, plus its Dirichlet part. Positive exactly in active cells.
+    pub diagonal: Vec<f64>,
+}
+
+impl Stencil {
+    /// Puts a stencil together from its weights.
+    pub fn new(grid: Grid, weight: [Vec<f64>; 3], dirichlet: Vec<f64>) -> Stencil {
+        assert_eq!(
+            dirichlet.len(),
+            grid.n_cells(),
+            "there is one Dirichlet entry per cell"
+        );
+        for axis in Axis::ALL {
+            assert_eq!(
+                weight[axis.index()].len(),
+                grid.n_faces(axis),
+                "there is one weight per face"
+            );
+        }
+        let mut stencil = Stencil {
+            grid,
+            weight,
+            dirichlet,
+            diagonal: Vec::new(),
+        };
+        stencil.diagonal = (0..grid.n_cells())
+            .into_par_iter()
+            .map(|cell| {
+                stencil.dirichlet[cell]
+                    + stencil
+                        .neighbours(cell)
+                        .iter()
+                        .map(|(_, weight)| weight)
+                        .sum::<f64>()
+            })
+            .collect();
+        stencil
+    }
+
+    /// Index and face weight of the six neighbours in ascending order of their index: -z, -y, -x, +x, +y, +z. A neighbour
+    /// beyond the domain has weight 0 and the cell's own index.
+    #[inline]
+    pub fn neighbours(&self, cell: usize) -> [(usize, f64); 6] {
+        let [nx, ny, nz] = self.grid.cells;
+        let [i, j, k] = self.grid.cell_at(cell);
+        let [x, y, z] = &self.weight;
+        let (fx, fy) = (i + (nx + 1) * (j + ny * k), i + nx * (j + (ny + 1) * k));
+        let at = |inside: bool, neighbour: usize, weight: f64| {
+            if inside {
+                (neighbour, weight)
+            } else {
+                (cell, 0.0)
+            }
+        };
+        [
+            at(k > 0, cell.wrapping_sub(nx * ny), z[cell]),
+            at(j > 0, cell.wrapping_sub(nx), y[fy]),
+            at(i > 0, cell.wrapping_sub(1), x[fx]),
+            at(i + 1 < nx, cell + 1, x[fx + 1]),
+            at(j + 1 < ny, cell + nx, y[fy + nx]),
+            at(k + 1 < nz, cell + nx * ny, z[cell + nx * ny]),
+        ]
+    }
+
+    /// Whether a cell is an unknown.
+    #[inline]
+    pub fn active(&self, cell: usize) -> bool {
+        self.diagonal[cell] > 0.0
+    }
+
+    /// The active cells in order: the numbering of [`PressureSystem::to_csr`].
+    pub fn active_cells(&self) -> Vec<usize> {
+        (0..self.grid.n_cells())
+            .filter(|&cell| self.active(cell))
+            .collect()
+    }
+
+    /// (A x) of one cell, from differences: pressures are large, what drives the velocity is small.
+    #[inline]
+    pub(super) fn product(&self, x: &[f64], cell: usize) -> f64 {
+        let centre = x[cell];
+        let fluxes = self
+            .neighbours(cell)
+            .iter()
+            .map(|&(neighbour, weight)| weight * (centre - x[neighbour]))
+            .sum::<f64>();
+        fluxes + self.dirichlet[cell] * centre
+    }
+}
+
+impl LinearOperator for Stencil {
+    fn size(&self) -> usize {
+        self.grid.n_cells()
+    }
+
+    fn apply(&self, x: &[f64], y: &mut [f64]) {
+        y.par_iter_mut()
+            .with_min_len(4096)
+            .enumerate()
+            .for_each(|(cell, out)| {
+                *out = if self.active(cell) {
+                    self.product(x, cell)
+                } else {
+                    0.0
+                }
+            });
+    }
+}
+
+/// The pressure system of one step.
+#[derive(Clone, Debug)]
+pub struct PressureSystem {
+    /// B without its scale.
+    pub stencil: Stencil,
+    /// dt dx / rho, m^4 s/kg: B = scale * stencil.
+    pub scale: f64,
+    /// E u* with volume control and without the mean over closed components, m^3/s, per cell; 0 in inactive cells.
+    pub rhs: Vec<f64>,
+    /// s_p = || |E| |u*| ||, m^3/s: what the rounding of the right-hand side is measured against.
+    pub rhs_scale: f64,
+    /// The cells of every component without a free surface, each in ascending order. Their pressure has mean zero.
+    pub closed: Vec<Vec<usize>>,
+}
+
+impl PressureSystem {
+    /// Puts the system of a step together; `density` in kg/m^3.
+    pub fn new(active: ActiveCells, rhs: RightHandSide, dt: f64, density: f64) -> PressureSystem {
+        let scale = dt * active.stencil.grid.dx / density;
+        PressureSystem {
+            stencil: active.stencil,
+            scale,
+            rhs: rhs.values,
+            rhs_scale: rhs.scale,
+            closed: active.closed,
+        }
+    }
+
+    /// Number of active cells.
+    pub fn n_unknowns(&self) -> usize {
+        self.stencil
+            .diagonal
+            .iter()
+            .filter(|&&diagonal| diagonal > 0.0)
+            .count()
+    }
+
+    /// rhs - B p, m^3/s, per cell.
+    pub fn residual(&self, pressure: &[f64]) -> Vec<f64> {
+        let mut residual = vec![0.0; pressure.len()];
+        self.stencil.apply(pressure, &mut residual);
+        for (r, b) in residual.iter_mut().zip(&self.rhs) {
+            *r = b - self.scale * *r;
+        }
+        residual
+    }
+
+    /// B in the numbering of [`Stencil::active_cells`], m^3/s per Pa. Singular where a component is closed.
+    pub fn to_csr(&self) -> Csr {
+        self.numbered(self.scale, &[])
+    }
+
+    /// `scale` times the stencil in active numbering, with the diagonal of the `pinned` cells doubled.
+    pub(super) fn numbered(&self, scale: f64, pinned: &[usize]) -> Csr {
+        let cells = self.stencil.active_cells();
+        let mut number = vec![usize::MAX; self.stencil.grid.n_cells()];
+        for (n, &cell) in cells.iter().enumerate() {
+            number[cell] = n;
+        }
+        Csr::from_rows(cells.len(), cells.len(), |row, entries| {
+            let cell = cells[row];
+            let diagonal =
+                self.stencil.diagonal[cell] * if pinned.contains(&cell) { 2.0 } else { 1.0 };
+            for (index, (neighbour, weight)) in
+                self.stencil.neighbours(cell).into_iter().enumerate()
+            {
+                if index == 3 {
+                    entries.push((row, scale * diagonal));
+                }
+                if weight > 0.0 {
+                    entries.push((number[neighbour], -scale * weight));
+                }
+            }
+        })
+    }
+
+    /// Takes the mean over every closed component out of a field.
+    pub fn remove_closed_means(&self, field: &mut [f64]) {
+        remove_means(&self.closed, field);
+    }
+}
+
+/// Takes the mean over each list of cells out of a field.
+pub(super) fn remove_means(components: &[Vec<usize>], field: &mut [f64]) {
+    for component in components {
+        let mean = component.iter().map(|&cell| field[cell]).sum::<f64>() / component.len() as f64;
+        component.iter().for_each(|&cell| field[cell] -= mean);
+    }
+}

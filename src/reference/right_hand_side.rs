@@ -1,0 +1,96 @@
+//! `right_hand_side`: (E u*)_c = - sum over faces of s_f A_f u*_f (thesis 4.38; E is the negative divergence), with volume
+//! control, and without its mean over components that have no free surface.
+
+use super::active_cells::ActiveCells;
+use super::pressure_system::remove_means;
+use crate::grid::{Axis, Grid};
+use crate::linalg::norm;
+
+/// Frames over which volume control spreads the correction.
+const FRAMES: f64 = 4.0;
+/// Largest relative change of volume in a frame that it asks for.
+const LARGEST_CHANGE: f64 = 0.01;
+
+/// The right-hand side and what its rounding is measured against.
+#[derive(Clone, Debug)]
+pub struct RightHandSide {
+    /// E u* per cell, m^3/s; 0 in inactive cells.
+    pub values: Vec<f64>,
+    /// s_p = || |E| |u*| ||, m^3/s.
+    pub scale: f64,
+}
+
+/// What volume control adds.
+#[derive(Clone, Copy, Debug)]
+pub struct VolumeSource<'a> {
+    /// Relative rate from [`volume_rate`], 1/s.
+    pub rate: f64,
+    /// Open volume per cell, m^3.
+    pub open_volume: &'a [f64],
+}
+
+/// The rate at which the liquid should grow to come back from `volume` to `volume_0` (m^3), 1/s: the deficit over
+/// four frames, at most 1 % in a frame. Union-of-spheres tracking alone loses 10-18 % in 3 s.
+pub fn volume_rate(volume_0: f64, volume: f64, frame: f64) -> f64 {
+    if volume <= 0.0 {
+        return 0.0;
+    }
+    ((volume_0 / volume - 1.0) / (FRAMES * frame))
+        .clamp(-LARGEST_CHANGE / frame, LARGEST_CHANGE / frame)
+}
+
+/// Forms the right-hand side from u* (m/s, per face) and the open fractions of all faces.
+pub fn right_hand_side(
+    grid: &Grid,
+    open: &[Vec<f64>; 3],
+    velocity: &[Vec<f64>; 3],
+    active: &ActiveCells,
+    source: Option<VolumeSource>,
+) -> RightHandSide {
+    let mut in_closed = vec![false; grid.n_cells()];
+    active
+        .closed
+        .iter()
+        .flatten()
+        .for_each(|&cell| in_closed[cell] = true);
+    let mut values = vec![0.0; grid.n_cells()];
+    let mut magnitudes = vec![0.0; grid.n_cells()];
+    for cell in active.stencil.active_cells() {
+        let (inflow, magnitude) = inflow(grid, open, velocity, cell);
+        values[cell] = inflow;
+        magnitudes[cell] = magnitude;
+        if let Some(source) = source.filter(|_| !in_closed[cell]) {
+            values[cell] += source.rate * source.open_volume[cell];
+        }
+    }
+    remove_means(&active.closed, &mut values);
+    RightHandSide {
+        values,
+        scale: norm(&magnitudes),
+    }
+}
+
+/// (E u)_c, and the same with all terms made positive, m^3/s.
+pub(super) fn inflow(
+    grid: &Grid,
+    open: &[Vec<f64>; 3],
+    velocity: &[Vec<f64>; 3],
+    cell: usize,
+) -> (f64, f64) {
+    let area = grid.dx * grid.dx;
+    let ijk = grid.cell_at(cell);
+    let mut inflow = 0.0;
+    let mut magnitude = 0.0;
+    for axis in Axis::ALL {
+        let a = axis.index();
+        let mut plus = ijk;
+        plus[a] += 1;
+        let [minus, plus] = [ijk, plus].map(|ijk| {
+            let face = grid.face(axis, ijk);
+            area * open[a][face] * velocity[a][face]
+        });
+        inflow += minus - plus;
+        magnitude += minus.abs() + plus.abs();
+    }
+    (inflow, magnitude)
+}
