@@ -6,19 +6,7 @@ use cutwater::reference::{Multigrid, solve_direct, solve_iterative};
 use cutwater::scene::Solver;
 use cutwater::state::SolveStatus;
 
-/// Repeatable numbers in (-1, 1).
-fn random(n: usize, seed: u64) -> Vec<f64> {
-    let mut state = seed;
-    let mut next = || {
-        // splitmix64
-        state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = state;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        (z ^ (z >> 31)) as f64 / 2.0_f64.powi(63) - 1.0
-    };
-    (0..n).map(|_| next()).collect()
-}
+use crate::common::Random;
 
 fn settings(tolerance: f64) -> Solver {
     Solver {
@@ -47,14 +35,18 @@ fn v_cycle_and_operator_are_symmetric_and_positive() {
     for operator in [&system.stencil as &dyn LinearOperator, &multigrid] {
         for seed in 0..4 {
             let n = operator.size();
-            let masked = |seed| -> Vec<f64> {
-                let mut x = random(n, seed);
-                (0..n)
-                    .filter(|&cell| !system.stencil.active(cell))
-                    .for_each(|cell| x[cell] = 0.0);
-                x
+            let mut random = Random(seed);
+            let mut masked = || -> Vec<f64> {
+                let value = |cell| {
+                    if system.stencil.active(cell) {
+                        random.uniform(-1.0, 1.0)
+                    } else {
+                        0.0
+                    }
+                };
+                (0..n).map(value).collect()
             };
-            let (x, y) = (masked(2 * seed), masked(2 * seed + 1));
+            let (x, y) = (masked(), masked());
             let (mut ax, mut ay) = (vec![0.0; n], vec![0.0; n]);
             operator.apply(&x, &mut ax);
             operator.apply(&y, &mut ay);
