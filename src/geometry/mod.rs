@@ -1,4 +1,25 @@
 //! Shapes, clipping, open face areas and the distance to obstacles, on the CPU in f64. parry lives here only.
+//!
+//! - [`Surface`]: closed triangle surfaces, from shapes and from mesh files ([`read_mesh`])
+//! - [`clip`] and [`open_fractions`]: patches of a surface in the cells, and the open areas that close every cut cell
+//! - [`cut_cells`]: what the obstacles of a scene leave of the grid
+//! - [`Regions`], [`liquid_distance`], [`seed_markers`], [`initial_state`]: the liquid at the start
+
+mod clip;
+mod distance;
+mod liquid;
+mod mesh_file;
+mod surface;
+
+pub use clip::{Clipping, OpenFractions, Patch, clip, open_fractions};
+pub use liquid::{Regions, initial_state, liquid_distance, seed_markers};
+pub use mesh_file::read as read_mesh;
+pub use surface::{Fault, Surface};
+
+use crate::error::Error;
+use crate::grid::{Axis, Grid};
+use crate::scene::Scene;
+use distance::{BAND, Body};
 
 /// What the obstacles leave of the grid. Static: computed once.
 #[derive(Clone, Debug)]
@@ -8,4 +29,74 @@ pub struct CutCells {
     /// Signed distance of every cell centre to the obstacles, m; negative inside, exact within 3 cells of a surface and
     /// clipped to +-3 dx beyond. 3 dx everywhere without obstacles.
     pub solid_distance: Vec<f64>,
+}
+
+/// Largest difference between the start and the end of a line of open fractions that rounding explains.
+const CLOSURE_TOLERANCE: f64 = 1e-12;
+
+/// Open areas and distances of all obstacles of a scene. Their contributions to the open fractions add; the distance is that
+/// of their union.
+pub fn cut_cells(scene: &Scene, grid: &Grid) -> Result<CutCells, Error> {
+    let mut solid_distance = vec![BAND * grid.dx; grid.n_cells()];
+    let mut clippings = Vec::new();
+    let mut start = 1.0;
+    let mut tolerance = CLOSURE_TOLERANCE;
+    for (number, obstacle) in scene.obstacles.iter().enumerate() {
+        let name = format!("{}: obstacle[{number}]", scene.file.display());
+        let body = Body::new(obstacle, &name, grid.dx)?;
+        start += body.at_infinity();
+        clippings.push(clip(&body.surface, grid));
+        for (union, body) in solid_distance.iter_mut().zip(body.distance(grid)) {
+            *union = union.min(body);
+        }
+        // Positions carry their rounding into areas: 1e-12 is for bodies within 200 cells of the origin.
+        let [low, high] = body.surface.bounds();
+        let reach = low.abs().max(high.abs()).max_element() / (200.0 * grid.dx);
+        tolerance = f64::max(tolerance, CLOSURE_TOLERANCE * reach);
+    }
+    let OpenFractions {
+        faces: mut open,
+        closure_defect,
+    } = open_fractions(grid, start, &clippings);
+    if closure_defect > tolerance {
+        return Err(Error::Check(format!(
+            "open areas of the obstacles: a grid line ends {closure_defect:e} from where it starts, allowed {tolerance:e}"
+        )));
+    }
+    clamp_open(&mut open, scene.solver.area_clamp);
+    close_walls(grid, &mut open);
+    Ok(CutCells {
+        open,
+        solid_distance,
+    })
+}
+
+/// Share of a cell's volume that obstacles leave open, 0 to 1, from the obstacle distance at its centre (m).
+pub fn open_volume(solid_distance: f64, dx: f64) -> f64 {
+    (0.5 + solid_distance / dx).clamp(0.0, 1.0)
+}
+
+/// Open fractions in \[0, 1\]; those below `area_clamp` become 0, those above 1 - `area_clamp` become 1.
+fn clamp_open(open: &mut [Vec<f64>; 3], area_clamp: f64) {
+    for open in open.iter_mut().flatten() {
+        *open = if *open < area_clamp {
+            0.0
+        } else if *open > 1.0 - area_clamp {
+            1.0
+        } else {
+            *open
+        };
+    }
+}
+
+/// Closes the faces on the walls of the domain.
+fn close_walls(grid: &Grid, open: &mut [Vec<f64>; 3]) {
+    for (axis, open) in Axis::ALL.into_iter().zip(open) {
+        for (face, open) in open.iter_mut().enumerate() {
+            let at = grid.face_at(axis, face)[axis.index()];
+            if at == 0 || at == grid.cells[axis.index()] {
+                *open = 0.0;
+            }
+        }
+    }
 }

@@ -1,0 +1,242 @@
+//! The liquid at the start: the distance to its regions, its markers, its velocity.
+
+use std::sync::LazyLock;
+
+use glam::{DVec3, I64Vec3};
+use rayon::prelude::*;
+
+use super::CutCells;
+use super::distance::Solid;
+use crate::error::Error;
+use crate::grid::{Axis, Grid};
+use crate::scene::{Liquid, Scene, Surface};
+use crate::state::State;
+
+/// The regions of a liquid with their shapes ready for distances.
+pub struct Regions {
+    parts: Vec<Part>,
+}
+
+struct Part {
+    solid: Solid,
+    subtract: bool,
+    velocity: DVec3,
+}
+
+impl Regions {
+    /// The regions of a liquid; reads the files of meshes.
+    pub fn new(liquid: &Liquid) -> Result<Regions, Error> {
+        let parts = liquid.regions.iter().map(|region| {
+            Ok(Part {
+                solid: Solid::new(&region.shape)?,
+                subtract: region.subtract,
+                velocity: region.velocity,
+            })
+        });
+        Ok(Regions {
+            parts: parts.collect::<Result<_, Error>>()?,
+        })
+    }
+
+    /// The regions without the flat sides that lie on or beyond walls of the domain, which are no free surface: those of
+    /// boxes, and the ends of cylinders.
+    pub fn beyond_walls(self, grid: &Grid) -> Regions {
+        let parts = self.parts.into_iter().map(|part| Part {
+            solid: part.solid.beyond_walls(grid),
+            ..part
+        });
+        Regions {
+            parts: parts.collect(),
+        }
+    }
+
+    /// Signed distance at a point, m, negative in the liquid: the least over the regions, in order; a region that subtracts
+    /// limits it from below by its negative. Exact outside a union and inside a single region (waves: to first order);
+    /// where regions overlap or touch, the depth inside is at least what it says.
+    pub fn distance(&self, x: DVec3) -> f64 {
+        self.parts.iter().fold(f64::INFINITY, |distance, part| {
+            let own = part.solid.distance(x);
+            if part.subtract {
+                distance.max(-own)
+            } else {
+                distance.min(own)
+            }
+        })
+    }
+
+    /// Initial velocity at a point of the liquid, m/s: that of the last region that holds it. `None` outside.
+    pub fn velocity(&self, x: DVec3) -> Option<DVec3> {
+        self.parts.iter().fold(None, |velocity, part| {
+            if part.solid.distance(x) >= 0.0 {
+                velocity
+            } else {
+                (!part.subtract).then_some(part.velocity)
+            }
+        })
+    }
+}
+
+/// The regions' distance at all cell centres, m: the liquid of `surface = "fixed"`. Sides on walls are no free surface.
+/// Positive everywhere without a liquid.
+pub fn liquid_distance(scene: &Scene, grid: &Grid) -> Result<Vec<f64>, Error> {
+    let Some(liquid) = &scene.liquid else {
+        return Ok(vec![grid.dx; grid.n_cells()]);
+    };
+    let regions = Regions::new(liquid)?.beyond_walls(grid);
+    Ok((0..grid.n_cells())
+        .into_par_iter()
+        .map(|cell| regions.distance(grid.cell_centre(grid.cell_at(cell))))
+        .collect())
+}
+
+/// Depth below the free part of a region's surface from which on there are markers, cells. Marker spheres of the default
+/// radius 0.87 dx around them reach up to the surface on average.
+const DEPTH: f64 = 0.67;
+
+/// Markers along each edge of a cell.
+const PER_EDGE: usize = 2;
+
+/// Share of a sub-cell, on each side, that jitter leaves free: with it no marker starts nearer than 0.01 dx to a wall, where
+/// the advection would move it.
+const MARGIN: f64 = 0.02;
+
+/// Directions in which a marker looks for the free surface: the shortest of those between points of a 5^3 lattice, all axes
+/// among them.
+static DIRECTIONS: LazyLock<Vec<DVec3>> = LazyLock::new(|| {
+    let steps = || -2..=2_i64;
+    let lattice = steps()
+        .flat_map(|z| steps().flat_map(move |y| steps().map(move |x| I64Vec3::new(x, y, z))));
+    lattice
+        .filter(|step| *step != I64Vec3::ZERO && step.to_array().iter().any(|c| c % 2 != 0))
+        .map(|step| step.as_dvec3().normalize())
+        .collect()
+});
+
+/// Markers of the regions, m: 2 x 2 x 2 per cell, each at a random place in its eighth of the cell, kept where it is in the
+/// liquid, outside solids, and deeper than 0.67 dx below the free part of the surface. The free part has air behind it: not
+/// a wall, an obstacle or another region. Coordinates are f32 numbers; the order is that of the cells.
+pub fn seed_markers(
+    scene: &Scene,
+    grid: &Grid,
+    cut_cells: &CutCells,
+) -> Result<Vec<[f64; 3]>, Error> {
+    let Some(liquid) = &scene.liquid else {
+        return Ok(Vec::new());
+    };
+    let regions = Regions::new(liquid)?;
+    let depth = DEPTH * grid.dx;
+    let size = grid.size();
+    let in_solid =
+        |x| !scene.obstacles.is_empty() && sample(grid, &cut_cells.solid_distance, x) < 0.0;
+    let no_air = |x: DVec3| {
+        x.cmple(DVec3::ZERO).any()
+            || x.cmpge(size).any()
+            || regions.distance(x) < 0.0
+            || in_solid(x)
+    };
+    let keep = |x: DVec3| {
+        let distance = regions.distance(x);
+        distance < 0.0
+            && !in_solid(x)
+            && (distance <= -depth || DIRECTIONS.iter().all(|&way| no_air(x + depth * way)))
+    };
+    let rows: Vec<Vec<[f64; 3]>> = (0..grid.n_cells())
+        .into_par_iter()
+        .step_by(grid.cells[0])
+        .map(|row| {
+            (row..row + grid.cells[0])
+                .flat_map(|cell| candidates(grid, liquid.seed, cell))
+                .filter(|&x| keep(x))
+                .map(|x| x.to_array())
+                .collect()
+        })
+        .collect();
+    Ok(rows.concat())
+}
+
+/// The jittered places of a cell's markers.
+fn candidates(grid: &Grid, seed: u64, cell: usize) -> impl Iterator<Item = DVec3> {
+    let [i, j, k] = grid.cell_at(cell);
+    let corner = DVec3::new(i as f64, j as f64, k as f64);
+    (0..PER_EDGE.pow(3)).map(move |index| {
+        let mut bits = seed;
+        for number in [cell, index] {
+            bits = scramble(bits ^ number as u64);
+        }
+        let place = [
+            index % PER_EDGE,
+            index / PER_EDGE % PER_EDGE,
+            index / PER_EDGE.pow(2),
+        ];
+        let place = DVec3::from_array(place.map(|part| {
+            bits = scramble(bits);
+            // The upper 53 bits, as a number in [0, 1).
+            let jitter = (bits >> 11) as f64 / (1_u64 << 53) as f64;
+            (part as f64 + MARGIN + (1.0 - 2.0 * MARGIN) * jitter) / PER_EDGE as f64
+        }));
+        ((corner + place) * grid.dx).as_vec3().as_dvec3()
+    })
+}
+
+/// A bijection of 64-bit integers that scatters neighbours: the output function of SplitMix64 (Steele, Lea and Flood 2014).
+fn scramble(x: u64) -> u64 {
+    let x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    x ^ (x >> 31)
+}
+
+/// A cell-centred field between the centres, trilinear, constant beyond the outermost.
+fn sample(grid: &Grid, field: &[f64], x: DVec3) -> f64 {
+    let last = DVec3::from_array(grid.cells.map(|n| (n - 1) as f64));
+    let index = (x / grid.dx - 0.5).clamp(DVec3::ZERO, last);
+    let low = index.floor().min((last - 1.0).max(DVec3::ZERO));
+    let t = index - low;
+    let corners = (0..8).map(|corner: usize| {
+        let offset = [corner & 1, corner >> 1 & 1, corner >> 2];
+        let weight: f64 = (0..3)
+            .map(|a| if offset[a] == 1 { t[a] } else { 1.0 - t[a] })
+            .product();
+        let cell = [0, 1, 2].map(|a| (low[a] as usize + offset[a]).min(grid.cells[a] - 1));
+        weight * field[grid.cell(cell)]
+    });
+    corners.sum()
+}
+
+/// The state before the first step: markers or the fixed distance, and on every face the velocity of the region that holds
+/// its centre or the centre of a cell beside it; 0 on walls and elsewhere. Volumes are left to the first diagnosis.
+pub fn initial_state(scene: &Scene, grid: &Grid, cut_cells: &CutCells) -> Result<State, Error> {
+    let mut state = State::at_rest(grid);
+    let Some(liquid) = &scene.liquid else {
+        return Ok(state);
+    };
+    match liquid.surface {
+        Surface::Markers => state.markers = seed_markers(scene, grid, cut_cells)?,
+        Surface::Fixed => state.liquid_distance = liquid_distance(scene, grid)?,
+    }
+    if liquid
+        .regions
+        .iter()
+        .all(|region| region.velocity == DVec3::ZERO)
+    {
+        return Ok(state);
+    }
+    let regions = Regions::new(liquid)?;
+    for (axis, velocity) in Axis::ALL.into_iter().zip(&mut state.velocity) {
+        velocity
+            .par_iter_mut()
+            .enumerate()
+            .for_each(|(face, velocity)| {
+                let at = grid.face_at(axis, face);
+                if let [Some(minus), Some(plus)] = grid.face_sides(axis, at) {
+                    let sides = [minus, plus].map(|cell| grid.cell_centre(grid.cell_at(cell)));
+                    let places = [grid.face_centre(axis, at), sides[0], sides[1]];
+                    *velocity = places
+                        .into_iter()
+                        .find_map(|x| regions.velocity(x))
+                        .map_or(0.0, |velocity| velocity[axis.index()]);
+                }
+            });
+    }
+    Ok(state)
+}

@@ -1,0 +1,226 @@
+//! Closed surfaces from mesh files: OBJ, STL (text and binary), PLY (text and binary).
+
+use std::cell::Cell;
+use std::fs;
+use std::io::{self, BufRead, Cursor, Read};
+use std::path::Path;
+
+use glam::DVec3;
+use ply_rs_bw::parser::Parser;
+use ply_rs_bw::ply::{DefaultElement, Property};
+
+use super::Surface;
+use crate::error::Error;
+
+/// What is wrong, with the line where it is known, and what would be right.
+struct Problem {
+    line: Option<usize>,
+    problem: String,
+    cure: &'static str,
+}
+
+impl Problem {
+    fn new(problem: impl Into<String>, cure: &'static str) -> Problem {
+        Problem {
+            line: None,
+            problem: problem.into(),
+            cure,
+        }
+    }
+}
+
+/// Reads a surface, merges vertices at equal positions (STL has no others) and refuses what does not bound a solid.
+pub fn read(file: &Path) -> Result<Surface, Error> {
+    let error = |problem: Problem| {
+        let line = problem.line.map(|line| format!(":{line}"));
+        let what = format!("{}{}", file.display(), line.unwrap_or_default());
+        Error::input(what, problem.problem, problem.cure)
+    };
+    let bytes = fs::read(file).map_err(|problem| {
+        error(Problem::new(
+            problem.to_string(),
+            "give the path of a readable mesh file, relative to the scene file",
+        ))
+    })?;
+    let extension = file
+        .extension()
+        .map(|extension| extension.to_string_lossy().to_lowercase());
+    let surface = match extension.as_deref() {
+        Some("obj") => obj(&bytes),
+        Some("stl") => stl(bytes),
+        Some("ply") => ply(&bytes),
+        _ => Err(Problem::new(
+            "unknown kind of mesh file",
+            "use .obj, .stl or .ply",
+        )),
+    }
+    .map_err(error)?
+    .welded();
+    match surface.fault() {
+        Some(fault) => Err(error(Problem::new(fault.problem, fault.cure))),
+        None => Ok(surface),
+    }
+}
+
+/// Bytes that are handed out line by line, counting the lines: tobj says what is wrong, but not where.
+struct Lines<'a> {
+    rest: &'a [u8],
+    count: &'a Cell<usize>,
+}
+
+impl Read for Lines<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let n = self.fill_buf()?.read(buffer)?;
+        self.consume(n);
+        Ok(n)
+    }
+}
+
+impl BufRead for Lines<'_> {
+    fn fill_buf(&mut self) -> io::Result<&[u8]> {
+        let newline = self.rest.iter().position(|&byte| byte == b'\n');
+        Ok(&self.rest[..newline.map_or(self.rest.len(), |at| at + 1)])
+    }
+
+    fn consume(&mut self, n: usize) {
+        let (used, rest) = self.rest.split_at(n);
+        let newlines = used.iter().filter(|&&byte| byte == b'\n').count();
+        self.count.set(self.count.get() + newlines);
+        self.rest = rest;
+    }
+}
+
+fn obj(bytes: &[u8]) -> Result<Surface, Problem> {
+    let cure =
+        "write v lines with three coordinates and f lines with the numbers of existing vertices";
+    let lines = Cell::new(0);
+    let mut reader = Lines {
+        rest: bytes,
+        count: &lines,
+    };
+    let options = tobj::LoadOptions {
+        triangulate: true,
+        ignore_points: true,
+        ignore_lines: true,
+        ..Default::default()
+    };
+    // Materials do not matter here.
+    let no_materials = |_: &Path| Ok(Default::default());
+    let (models, _) =
+        tobj::load_obj_buf(&mut reader, &options, no_materials).map_err(|problem| Problem {
+            // Faces are looked up at the end of their object, so only a line that does not parse is the last one read.
+            line: matches!(
+                problem,
+                tobj::LoadError::PositionParseError
+                    | tobj::LoadError::NormalParseError
+                    | tobj::LoadError::TexcoordParseError
+                    | tobj::LoadError::FaceParseError
+                    | tobj::LoadError::ColorParseError
+            )
+            .then_some(lines.get()),
+            problem: problem.to_string(),
+            cure,
+        })?;
+    let mut surface = Surface::default();
+    for mesh in models.iter().map(|model| &model.mesh) {
+        let first = surface.vertices.len() as u32;
+        let (positions, _) = mesh.positions.as_chunks::<3>();
+        let (triangles, _) = mesh.indices.as_chunks::<3>();
+        surface
+            .vertices
+            .extend(positions.iter().map(|&x| DVec3::from_array(x)));
+        surface.triangles.extend(
+            triangles
+                .iter()
+                .map(|triangle| triangle.map(|vertex| first + vertex)),
+        );
+    }
+    Ok(surface)
+}
+
+fn stl(mut bytes: Vec<u8>) -> Result<Surface, Problem> {
+    let cure = "export the surface again, as binary or text STL";
+    // Some programs begin the free 80-byte header of a binary file with the word that begins a text file. Only the length
+    // tells them apart.
+    if let Some(&count) = bytes.get(80..).and_then(|rest| rest.first_chunk::<4>())
+        && bytes.len() == 84 + 50 * u32::from_le_bytes(count) as usize
+    {
+        bytes[..80].fill(0);
+    }
+    let mut cursor = Cursor::new(bytes);
+    let triangles = stl_io::create_stl_reader(&mut cursor)
+        .map_err(|problem| Problem::new(format!("not an STL file: {problem}"), cure))?;
+    let mut surface = Surface::default();
+    for (number, triangle) in triangles.enumerate() {
+        let triangle = triangle
+            .map_err(|problem| Problem::new(format!("facet {}: {problem}", number + 1), cure))?;
+        let first = surface.vertices.len() as u32;
+        for vertex in triangle.vertices {
+            surface
+                .vertices
+                .push(DVec3::from_array(vertex.0.map(f64::from)));
+        }
+        surface.triangles.push([first, first + 1, first + 2]);
+    }
+    Ok(surface)
+}
+
+fn ply(bytes: &[u8]) -> Result<Surface, Problem> {
+    let cure = "give elements `vertex` with x, y, z and `face` with the list vertex_indices";
+    let file = Parser::<DefaultElement>::new()
+        .read_ply(&mut Cursor::new(bytes))
+        .map_err(|problem| Problem {
+            line: problem.line(),
+            problem: problem.to_string(),
+            cure,
+        })?;
+    let elements = |name: &str| {
+        file.payload
+            .get(name)
+            .ok_or_else(|| Problem::new(format!("no element `{name}`"), cure))
+    };
+    let mut surface = Surface::default();
+    for (number, vertex) in elements("vertex")?.iter().enumerate() {
+        let coordinate = |name: &str| match vertex.get(name) {
+            Some(&Property::Float(x)) => Ok(f64::from(x)),
+            Some(&Property::Double(x)) => Ok(x),
+            _ => Err(Problem::new(
+                format!("vertex {}: no float or double `{name}`", number + 1),
+                cure,
+            )),
+        };
+        surface.vertices.push(DVec3::new(
+            coordinate("x")?,
+            coordinate("y")?,
+            coordinate("z")?,
+        ));
+    }
+    let n_vertices = surface.vertices.len();
+    for (number, face) in elements("face")?.iter().enumerate() {
+        let problem =
+            |problem: String| Problem::new(format!("face {}: {problem}", number + 1), cure);
+        let corners = face
+            .get("vertex_indices")
+            .or_else(|| face.get("vertex_index"))
+            .and_then(Property::to_u32_list)
+            .ok_or_else(|| problem("no list `vertex_indices` of vertex numbers".to_owned()))?;
+        if let Some(corner) = corners
+            .iter()
+            .find(|&&corner| corner as usize >= n_vertices)
+        {
+            return Err(problem(format!(
+                "vertex {corner}, but there are {n_vertices}, counted from 0"
+            )));
+        }
+        let &[first, ref rest @ ..] = corners.as_slice() else {
+            return Err(problem("no vertices".to_owned()));
+        };
+        if rest.len() < 2 {
+            return Err(problem("fewer than 3 vertices".to_owned()));
+        }
+        surface
+            .triangles
+            .extend(rest.windows(2).map(|pair| [first, pair[0], pair[1]]));
+    }
+    Ok(surface)
+}

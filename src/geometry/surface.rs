@@ -1,0 +1,340 @@
+//! Closed triangle surfaces: of the shapes of a scene, and of anything else that is clipped against the grid.
+
+use std::collections::HashMap;
+
+use glam::DVec3;
+
+use crate::scene::Placement;
+
+/// A closed triangle surface with normals out of the solid that it bounds.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Surface {
+    /// Positions, m.
+    pub vertices: Vec<DVec3>,
+    /// Vertex numbers of each triangle, counter-clockwise seen from outside the solid.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// What makes a surface useless as the boundary of a solid.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Fault {
+    /// What is wrong, naming the triangle or the edge.
+    pub problem: String,
+    /// What would be right.
+    pub cure: &'static str,
+}
+
+/// Largest distance between a sphere or a cylinder and its tessellation, in cells: as fine as the area clamp, so that
+/// open fractions do not see it.
+const CHORD_ERROR: f64 = 1e-3;
+
+/// Most segments along an edge of the icosahedron (20 n^2 triangles): beyond it, at radii above 110 cells, the chord error
+/// grows.
+const MAX_SPHERE_SEGMENTS: usize = 128;
+
+/// Most sides of a cylinder; reached at radii above 1700 cells.
+const MAX_CYLINDER_SIDES: usize = 2048;
+
+impl Surface {
+    /// The 12 triangles of an axis-aligned box.
+    pub fn cuboid(min: DVec3, max: DVec3) -> Surface {
+        let vertices = (0..8)
+            .map(|corner| {
+                DVec3::new(
+                    if corner & 1 == 0 { min.x } else { max.x },
+                    if corner & 2 == 0 { min.y } else { max.y },
+                    if corner & 4 == 0 { min.z } else { max.z },
+                )
+            })
+            .collect();
+        let quads: [[u32; 4]; 6] = [
+            [0, 4, 6, 2],
+            [1, 3, 7, 5],
+            [0, 1, 5, 4],
+            [2, 6, 7, 3],
+            [0, 2, 3, 1],
+            [4, 5, 7, 6],
+        ];
+        let triangles = quads
+            .iter()
+            .flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]])
+            .collect();
+        Surface {
+            vertices,
+            triangles,
+        }
+    }
+
+    /// A sphere as a subdivided icosahedron of the same volume, within 1e-3 dx of the sphere.
+    pub fn sphere(centre: DVec3, radius: f64, dx: f64) -> Surface {
+        // A triangle of circumradius c lies c^2 / (2 radius) below the sphere at its middle. The widest triangles of n
+        // segments have c = 0.764 radius / n. Equal volumes put half of that above and half below the sphere.
+        let depth = 0.292 * radius / (2.0 * CHORD_ERROR * dx);
+        let n = (depth.sqrt().ceil() as usize).clamp(4, MAX_SPHERE_SEGMENTS);
+        let (corners, faces) = icosahedron();
+        let mut unit = Surface::default();
+        let mut numbers = HashMap::new();
+        for [a, b, c] in faces {
+            // Vertices are shared between faces by their weights on the corners, in the order of the corners.
+            let mut vertex = |i: usize, j: usize| {
+                let mut weights = [(a, n - i - j), (b, i), (c, j)];
+                weights.sort_unstable();
+                let key: Vec<_> = weights.into_iter().filter(|&(_, w)| w > 0).collect();
+                *numbers.entry(key.clone()).or_insert_with(|| {
+                    let sum: DVec3 = key.iter().map(|&(v, w)| corners[v] * w as f64).sum();
+                    unit.vertices.push(sum.normalize());
+                    (unit.vertices.len() - 1) as u32
+                })
+            };
+            let mut triangles = Vec::new();
+            for i in 0..n {
+                for j in 0..n - i {
+                    triangles.push([vertex(i, j), vertex(i + 1, j), vertex(i, j + 1)]);
+                    if i + j + 1 < n {
+                        triangles.push([vertex(i + 1, j), vertex(i + 1, j + 1), vertex(i, j + 1)]);
+                    }
+                }
+            }
+            unit.triangles.extend(triangles);
+        }
+        let ball = 4.0 / 3.0 * std::f64::consts::PI;
+        let scale = radius * (ball / unit.volume()).cbrt();
+        unit.map(|x| centre + scale * x)
+    }
+
+    /// A right circular cylinder (unit `axis`, centre of its `base`) as a prism of the same volume, within 1e-3 dx of it.
+    pub fn cylinder(base: DVec3, axis: DVec3, radius: f64, height: f64, dx: f64) -> Surface {
+        // A chord of n lies radius (1 - cos(pi/n)), about radius pi^2 / (2 n^2), below the circle; half of that either way.
+        let n = std::f64::consts::PI * (radius / (4.0 * CHORD_ERROR * dx)).sqrt();
+        let n = (n.ceil() as usize).clamp(16, MAX_CYLINDER_SIDES);
+        let angle = std::f64::consts::TAU / n as f64;
+        let radius = radius * (angle / angle.sin()).sqrt();
+        let (u, v) = axis.any_orthonormal_pair();
+        let mut vertices = vec![base, base + axis * height];
+        let mut triangles = Vec::new();
+        for i in 0..n {
+            let (sin, cos) = (angle * i as f64).sin_cos();
+            let rim = base + radius * (cos * u + sin * v);
+            vertices.extend([rim, rim + axis * height]);
+            let (low, next) = (2 + 2 * i as u32, 2 + 2 * ((i + 1) % n) as u32);
+            triangles.extend([
+                [0, next, low],
+                [1, low + 1, next + 1],
+                [low, next, next + 1],
+                [low, next + 1, low + 1],
+            ]);
+        }
+        Surface {
+            vertices,
+            triangles,
+        }
+    }
+
+    /// The surface with every vertex moved by `map`.
+    pub fn map(mut self, map: impl Fn(DVec3) -> DVec3) -> Surface {
+        for x in &mut self.vertices {
+            *x = map(*x);
+        }
+        self
+    }
+
+    /// The surface put where an obstacle's placement says, turned about `centre`.
+    pub fn placed(self, placement: &Placement, centre: DVec3) -> Surface {
+        self.map(|x| {
+            centre + placement.scale * (placement.rotate * (x - centre)) + placement.translate
+        })
+    }
+
+    /// The boundary of everything outside: the same triangles, turned round.
+    pub fn inside_out(mut self) -> Surface {
+        for triangle in &mut self.triangles {
+            triangle.swap(1, 2);
+        }
+        self
+    }
+
+    /// Corners of a triangle, m.
+    pub fn corners(&self, triangle: usize) -> [DVec3; 3] {
+        self.triangles[triangle].map(|vertex| self.vertices[vertex as usize])
+    }
+
+    /// Area times unit normal of a triangle, m^2, out of the solid.
+    pub fn area_vector(&self, triangle: usize) -> DVec3 {
+        let [a, b, c] = self.corners(triangle);
+        0.5 * (b - a).cross(c - a)
+    }
+
+    /// Enclosed volume, m^3; negative when the normals point inwards.
+    pub fn volume(&self) -> f64 {
+        // About a point of the surface, so that a far away body loses no digits.
+        let Some(&origin) = self.vertices.first() else {
+            return 0.0;
+        };
+        let six_volumes = self.triangles.iter().map(|triangle| {
+            let [a, b, c] = triangle.map(|vertex| self.vertices[vertex as usize] - origin);
+            a.dot(b.cross(c))
+        });
+        six_volumes.sum::<f64>() / 6.0
+    }
+
+    /// Area, m^2.
+    pub fn area(&self) -> f64 {
+        let areas = (0..self.triangles.len()).map(|triangle| self.area_vector(triangle).length());
+        areas.sum()
+    }
+
+    /// Low and high corner of the bounding box, m.
+    pub fn bounds(&self) -> [DVec3; 2] {
+        self.vertices
+            .iter()
+            .fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[low, high], &x| {
+                [low.min(x), high.max(x)]
+            })
+    }
+
+    /// One vertex for all that have the same position, numbered in order of first use; unused vertices are dropped.
+    pub fn welded(&self) -> Surface {
+        let mut surface = Surface::default();
+        let mut numbers = HashMap::new();
+        for triangle in &self.triangles {
+            surface.triangles.push(triangle.map(|vertex| {
+                let x = self.vertices[vertex as usize];
+                // Adding zero makes one key of the two zeros.
+                *numbers
+                    .entry(x.to_array().map(|c| (c + 0.0).to_bits()))
+                    .or_insert_with(|| {
+                        surface.vertices.push(x);
+                        (surface.vertices.len() - 1) as u32
+                    })
+            }));
+        }
+        surface
+    }
+
+    /// The first reason why the surface does not bound a solid, if there is one: it must be finite, without degenerate
+    /// triangles, closed (each edge used once in each direction), and its normals must point outwards.
+    pub fn fault(&self) -> Option<Fault> {
+        let fault = |problem, cure| Some(Fault { problem, cure });
+        if self.triangles.is_empty() {
+            return fault(
+                "no triangles".to_owned(),
+                "give a closed surface of triangles or polygons",
+            );
+        }
+        let mut used = HashMap::new();
+        for (number, triangle) in self.triangles.iter().enumerate() {
+            let corners = self.corners(number);
+            if let Some(bad) = corners.iter().find(|x| !x.is_finite()) {
+                return fault(
+                    format!("triangle {} has the corner {bad}", number + 1),
+                    "coordinates must be finite numbers",
+                );
+            }
+            // Twice the area of a triangle is its longest edge times its height: below rounding the height is noise.
+            let [a, b, c] = corners;
+            let longest = [b - a, c - b, a - c]
+                .map(|edge| edge.length_squared())
+                .into_iter()
+                .fold(0.0, f64::max);
+            if self.area_vector(number).length() <= 1e-14 * longest {
+                return fault(
+                    format!(
+                        "triangle {} with the corners {a}, {b}, {c} has no area",
+                        number + 1
+                    ),
+                    "remove degenerate triangles and merge vertices by distance in a mesh tool",
+                );
+            }
+            for [from, to] in edges(triangle) {
+                if let Some(first) = used.insert([from, to], number) {
+                    return fault(
+                        format!(
+                            "triangles {} and {} use the edge from {} to {} in the same direction",
+                            first + 1,
+                            number + 1,
+                            self.vertices[from as usize],
+                            self.vertices[to as usize]
+                        ),
+                        "make the normals consistent, and separate parts that share an edge, in a mesh tool",
+                    );
+                }
+            }
+        }
+        for (number, triangle) in self.triangles.iter().enumerate() {
+            for [from, to] in edges(triangle) {
+                if !used.contains_key(&[to, from]) {
+                    return fault(
+                        format!(
+                            "not closed: the edge from {} to {} belongs to triangle {} alone",
+                            self.vertices[from as usize],
+                            self.vertices[to as usize],
+                            number + 1
+                        ),
+                        "fill the holes and merge vertices by distance in a mesh tool",
+                    );
+                }
+            }
+        }
+        let volume = self.volume();
+        if volume <= 0.0 {
+            return fault(
+                format!(
+                    "inverted: the normals point inwards (volume {volume:e} m^3), so at the edge from {} to {} of \
+                     triangle 1",
+                    self.corners(0)[0],
+                    self.corners(0)[1]
+                ),
+                "flip the normals in a mesh tool; for a container set inside_out = true and keep normals outwards",
+            );
+        }
+        None
+    }
+}
+
+/// The three directed edges of a triangle.
+fn edges(&[a, b, c]: &[u32; 3]) -> [[u32; 2]; 3] {
+    [[a, b], [b, c], [c, a]]
+}
+
+/// Corners (unit length) and faces of the icosahedron, outward.
+fn icosahedron() -> ([DVec3; 12], [[usize; 3]; 20]) {
+    let golden = (1.0 + 5.0_f64.sqrt()) / 2.0;
+    let corners = [
+        [-1.0, golden, 0.0],
+        [1.0, golden, 0.0],
+        [-1.0, -golden, 0.0],
+        [1.0, -golden, 0.0],
+        [0.0, -1.0, golden],
+        [0.0, 1.0, golden],
+        [0.0, -1.0, -golden],
+        [0.0, 1.0, -golden],
+        [golden, 0.0, -1.0],
+        [golden, 0.0, 1.0],
+        [-golden, 0.0, -1.0],
+        [-golden, 0.0, 1.0],
+    ]
+    .map(|corner| DVec3::from_array(corner).normalize());
+    let faces = [
+        [0, 11, 5],
+        [0, 5, 1],
+        [0, 1, 7],
+        [0, 7, 10],
+        [0, 10, 11],
+        [1, 5, 9],
+        [5, 11, 4],
+        [11, 10, 2],
+        [10, 7, 6],
+        [7, 1, 8],
+        [3, 9, 4],
+        [3, 4, 2],
+        [3, 2, 6],
+        [3, 6, 8],
+        [3, 8, 9],
+        [4, 9, 5],
+        [2, 4, 11],
+        [6, 2, 10],
+        [8, 6, 7],
+        [9, 8, 1],
+    ];
+    (corners, faces)
+}
