@@ -1,7 +1,9 @@
 //! Scenes: a TOML file, checked and turned into a description in SI units. [`Scene::load`] reads one.
 
+mod camera;
 mod document;
 mod read;
+mod shape;
 
 use std::path::PathBuf;
 
@@ -190,10 +192,24 @@ pub struct Obstacle {
 /// A measurement, taken after every sub-step.
 #[derive(Clone, Debug)]
 pub struct Probe {
-    /// Column name in probes.csv.
+    /// Name, unique in the scene; names its [`Probe::columns`].
     pub name: String,
     /// What is measured.
     pub kind: ProbeKind,
+}
+
+impl Probe {
+    /// Its columns in probes.csv: the name, or for a velocity the name with `_x`, `_y`, `_z`.
+    pub fn columns(&self) -> Vec<String> {
+        match self.kind {
+            ProbeKind::Velocity { .. } => ["x", "y", "z"]
+                .map(|axis| format!("{}_{axis}", self.name))
+                .to_vec(),
+            ProbeKind::Height { .. } | ProbeKind::Pressure { .. } | ProbeKind::Front { .. } => {
+                vec![self.name.clone()]
+            }
+        }
+    }
 }
 
 /// What a probe measures.

@@ -1,15 +1,18 @@
 //! From the tree of a scene file to a checked [`Scene`].
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
-use glam::{DMat3, DVec3};
+use glam::DVec3;
 use sha2::{Digest, Sha256};
 
+use super::camera::camera;
 use super::document::{Document, Keys, Place, Table};
+use super::shape::{placement, shape};
 use super::{
-    Camera, Domain, Liquid, Obstacle, Output, Placement, Precision, Preconditioner, Probe,
-    ProbeKind, Region, Scene, Shape, Solver, Surface, Time,
+    Domain, Liquid, Obstacle, Output, Placement, Precision, Preconditioner, Probe, ProbeKind,
+    Region, Scene, Solver, Surface, Time,
 };
 use crate::error::Error;
 
@@ -82,38 +85,6 @@ const OBSTACLE: Keys = Keys {
     ],
     later: &[("keyframes", "moving obstacles")],
 };
-const PLACEMENT: Keys = Keys {
-    valid: &["translate", "rotate", "scale"],
-    later: &[],
-};
-const ROTATE: Keys = Keys {
-    valid: &["axis", "degrees"],
-    later: &[],
-};
-const BOX: Keys = Keys {
-    valid: &["min", "max"],
-    later: &[],
-};
-const SPHERE: Keys = Keys {
-    valid: &["centre", "radius"],
-    later: &[],
-};
-const CYLINDER: Keys = Keys {
-    valid: &["base", "axis", "radius", "height"],
-    later: &[],
-};
-const HALF_SPACE: Keys = Keys {
-    valid: &["point", "normal"],
-    later: &[],
-};
-const WAVE: Keys = Keys {
-    valid: &["level", "amplitude", "wave_number", "phase"],
-    later: &[],
-};
-const MESH: Keys = Keys {
-    valid: &["file"],
-    later: &[],
-};
 const PROBE: Keys = Keys {
     valid: &["name", "height", "pressure", "velocity", "front"],
     later: &[("node", "probes of solids"), ("solid", "probes of solids")],
@@ -154,10 +125,6 @@ const OUTPUT: Keys = Keys {
         ("solids", "elastic solids"),
         ("checkpoint_every", "checkpoints"),
     ],
-};
-const CAMERA: Keys = Keys {
-    valid: &["eye", "target", "up", "fov", "size"],
-    later: &[],
 };
 
 impl Scene {
@@ -455,113 +422,6 @@ fn region(place: &Place, file: &Path, domain: &Domain) -> Result<Region, Error> 
     })
 }
 
-fn shape(kind: &str, place: Place, file: &Path) -> Result<Shape, Error> {
-    Ok(match kind {
-        "box" => {
-            let table = place.clone().table(&BOX)?;
-            let min = table
-                .required("min", "min = [0, 0, 0], the low corner in m")?
-                .vector("the low corner in m")?;
-            let max = table
-                .required("max", "max = [1, 1, 1], the high corner in m")?
-                .vector("the high corner in m")?;
-            for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
-                place.ensure(
-                    max[axis] > min[axis],
-                    format!(
-                        "has no volume: along {name} it goes from {} to {}",
-                        min[axis], max[axis]
-                    ),
-                    "make every number of max larger than that of min",
-                )?;
-            }
-            Shape::Box { min, max }
-        }
-        "sphere" => {
-            let table = place.table(&SPHERE)?;
-            Shape::Sphere {
-                centre: table
-                    .required("centre", "centre = [0.5, 0.5, 0.5], in m")?
-                    .vector("the centre in m")?,
-                radius: table
-                    .required("radius", "radius = 0.1, in m")?
-                    .positive("the radius in m")?,
-            }
-        }
-        "cylinder" => {
-            let table = place.table(&CYLINDER)?;
-            let axis = table.required("axis", "axis = [0, 1, 0], from the base")?;
-            Shape::Cylinder {
-                base: table
-                    .required("base", "base = [0.5, 0, 0.5], its centre in m")?
-                    .vector("the centre of the base in m")?,
-                axis: axis.direction("the direction from the base")?,
-                radius: table
-                    .required("radius", "radius = 0.1, in m")?
-                    .positive("the radius in m")?,
-                height: table
-                    .required("height", "height = 0.3, in m")?
-                    .positive("the height along the axis in m")?,
-            }
-        }
-        "half_space" => {
-            let table = place.table(&HALF_SPACE)?;
-            let normal = table.required("normal", "normal = [0, 1, 0], out of the half space")?;
-            Shape::HalfSpace {
-                point: table
-                    .required("point", "point = [0, 0.5, 0], in m")?
-                    .vector("a point of the plane in m")?,
-                normal: normal.direction("the direction out of the half space")?,
-            }
-        }
-        "wave" => {
-            let table = place.table(&WAVE)?;
-            let wave_number = table.required(
-                "wave_number",
-                "wave_number = [3.14159, 0], along x and z in rad/m",
-            )?;
-            Shape::Wave {
-                level: table
-                    .required("level", "level = 0.5, in m")?
-                    .number("the mean height in m")?,
-                amplitude: table
-                    .required("amplitude", "amplitude = 0.05, in m")?
-                    .number("the amplitude in m")?,
-                wave_number: wave_number.numbers("the wave numbers along x and z in rad/m")?,
-                phase: table
-                    .get("phase")
-                    .map_or(Ok(0.0), |place| place.number("the phase in rad"))?,
-            }
-        }
-        "mesh" => {
-            let table = place.table(&MESH)?;
-            let name_place =
-                table.required("file", "file = \"body.obj\", relative to the scene")?;
-            let name = name_place.text("the name of an OBJ, STL or PLY file")?;
-            let kind = Path::new(name)
-                .extension()
-                .map(|kind| kind.to_ascii_lowercase());
-            let known =
-                kind.is_some_and(|kind| ["obj", "stl", "ply"].iter().any(|known| kind == *known));
-            let problem = format!("`{name}` is not a kind of mesh that is read");
-            name_place.ensure(
-                known,
-                problem,
-                "use a closed triangle mesh as .obj, .stl or .ply",
-            )?;
-            let resolved = file.parent().unwrap_or(Path::new("")).join(name);
-            let problem = format!("there is no file {}", resolved.display());
-            name_place.ensure(
-                resolved.is_file(),
-                problem,
-                "give the path of the mesh relative to the scene's folder",
-            )?;
-            Shape::Mesh { file: resolved }
-        }
-        _ => unreachable!("a shape key that no table lists"),
-    })
-}
-
 fn obstacles(root: &Table, file: &Path, domain: &Domain) -> Result<Vec<Obstacle>, Error> {
     let Some(places) = root.get("obstacle") else {
         return Ok(Vec::new());
@@ -607,48 +467,24 @@ fn obstacles(root: &Table, file: &Path, domain: &Domain) -> Result<Vec<Obstacle>
     places.list()?.into_iter().map(obstacle).collect()
 }
 
-fn placement(place: Place) -> Result<Placement, Error> {
-    let table = place.table(&PLACEMENT)?;
-    let mut placement = Placement::default();
-    if let Some(place) = table.get("translate") {
-        placement.translate = place.vector("a translation in m")?;
-    }
-    if let Some(place) = table.get("rotate") {
-        let table = place.table(&ROTATE)?;
-        let axis = table
-            .required("axis", "axis = [0, 0, 1]")?
-            .direction("the axis of rotation")?;
-        let degrees = table
-            .required("degrees", "degrees = 30")?
-            .number("the angle in degrees")?;
-        placement.rotate = DMat3::from_axis_angle(axis, degrees.to_radians());
-    }
-    if let Some(place) = table.get("scale") {
-        placement.scale = place.positive("one factor for all axes")?;
-    }
-    Ok(placement)
-}
-
 fn probes(root: &Table, domain: &Domain) -> Result<Vec<Probe>, Error> {
     let Some(places) = root.get("probe") else {
         return Ok(Vec::new());
     };
     let mut probes: Vec<Probe> = Vec::new();
+    let mut taken = BTreeMap::from([("t".to_owned(), "the time".to_owned())]);
     for place in places.list()? {
         let table = place.table(&PROBE)?;
         let name_place = table.required("name", "name = \"h1\", the column of probes.csv")?;
         let name = name_place.text("the name of a column in probes.csv")?;
         let plain = name
             .chars()
-            .all(|c| c.is_alphanumeric() || "_-.".contains(c));
+            .all(|c| c.is_ascii_alphanumeric() || "_-.".contains(c));
         let problem = format!("\"{name}\" cannot name a column");
         name_place.ensure(plain, problem, "use letters, digits, _, - and . only")?;
-        let double = probes.iter().any(|probe| probe.name == name);
-        name_place.ensure(
-            !double,
-            format!("a probe before it is named \"{name}\" too"),
-            "give each its own name",
-        )?;
+        let named = probes.iter().any(|probe| probe.name == name);
+        let problem = format!("a probe before it is named \"{name}\" too");
+        name_place.ensure(!named, problem, "choose another name")?;
 
         let (kind, place) =
             table.one_of(&["height", "pressure", "velocity", "front"], "measurement")?;
@@ -686,10 +522,19 @@ fn probes(root: &Table, domain: &Domain) -> Result<Vec<Probe>, Error> {
                 }
             }
         };
-        probes.push(Probe {
+        let probe = Probe {
             name: name.to_owned(),
             kind,
-        });
+        };
+        for column in probe.columns() {
+            if let Some(owner) = taken.get(&column) {
+                let problem =
+                    format!("makes column \"{column}\" of probes.csv, which {owner} has already");
+                return Err(name_place.fail(problem, "choose another name"));
+            }
+            taken.insert(column, format!("probe \"{name}\""));
+        }
+        probes.push(probe);
     }
     Ok(probes)
 }
@@ -787,190 +632,7 @@ fn output(root: &Table) -> Result<Output, Error> {
     Ok(output)
 }
 
-fn camera(root: &Table, domain: &Domain) -> Result<Camera, Error> {
-    let mut camera = Camera::looking_at(domain);
-    let Some(place) = root.get("camera") else {
-        return Ok(camera);
-    };
-    let table = place.table(&CAMERA)?;
-    if let Some(place) = table.get("up") {
-        camera.up = place.direction("the direction that is up in the picture")?;
-    }
-    if let Some(place) = table.get("fov") {
-        camera.fov = place.positive("the vertical opening in degrees")?;
-        place.ensure(
-            camera.fov <= 150.0,
-            format!("is {}", camera.fov),
-            "use at most 150 degrees; 35 is usual",
-        )?;
-    }
-    if let Some(place) = table.get("size") {
-        camera.size = place.counts("the width and height of the picture in pixels", 16, 8192)?;
-    }
-    if let Some(place) = table.get("target") {
-        camera.target = place.vector("the point in the middle of the picture in m")?;
-    }
-    match table.get("eye") {
-        Some(place) => {
-            camera.eye = place.vector("the position of the camera in m")?;
-            let ahead = (camera.target - camera.eye).try_normalize();
-            place.ensure(
-                ahead.is_some(),
-                "is the target itself",
-                "move it away from the target",
-            )?;
-            let parallel = ahead.is_some_and(|ahead| ahead.dot(camera.up).abs() > 1.0 - 1e-9);
-            place.ensure(
-                !parallel,
-                "looks along the camera's up",
-                "move it, or set camera.up to another direction",
-            )?;
-        }
-        None => camera.step_back(domain),
-    }
-    Ok(camera)
-}
-
-impl Camera {
-    /// Three-quarter view of the whole domain from slightly above. Up is the axis against gravity's largest component,
-    /// +y without gravity.
-    pub fn looking_at(domain: &Domain) -> Camera {
-        let gravity = domain.gravity;
-        let largest = gravity.abs().max_position();
-        let up = if gravity == DVec3::ZERO {
-            DVec3::Y
-        } else {
-            DVec3::AXES[largest] * -gravity[largest].signum()
-        };
-        let target = 0.5 * domain.size;
-        let mut camera = Camera {
-            eye: target,
-            target,
-            up,
-            fov: 35.0,
-            size: [1280, 720],
-        };
-        camera.step_back(domain);
-        camera
-    }
-
-    /// Puts the eye so far from the target that the domain's eight corners are in the picture, with 5 % to spare.
-    fn step_back(&mut self, domain: &Domain) {
-        // The picture's depth axis when seen from the front: y up looks along -z with x to the right, z up along y.
-        let front = if self.up.z.abs() > 0.5 {
-            -DVec3::Y
-        } else {
-            DVec3::Z
-        };
-        let front = front
-            .reject_from(self.up)
-            .try_normalize()
-            .unwrap_or_else(|| self.up.any_orthonormal_vector());
-        let side = self.up.cross(front);
-        let back = (front + 0.5 * side + 0.5 * self.up).normalize();
-        let right = self.up.cross(back).normalize();
-        let top = back.cross(right);
-        let half_height = (0.5 * self.fov.to_radians()).tan();
-        let half_width = half_height * self.size[0] as f64 / self.size[1] as f64;
-        let needed = corners(domain.size).into_iter().map(|corner| {
-            let x = corner - self.target;
-            x.dot(back) + (x.dot(right).abs() / half_width).max(x.dot(top).abs() / half_height)
-        });
-        let distance = 1.05 * needed.fold(0.0, f64::max);
-        self.eye = self.target + distance * back;
-    }
-}
-
-fn corners(size: DVec3) -> [DVec3; 8] {
-    std::array::from_fn(|i| {
-        size * DVec3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2 & 1) as f64)
-    })
-}
-
-impl Shape {
-    /// What it is turned and scaled about: the middle of a box, ball or cylinder. `None` for a mesh, whose centre is that
-    /// of its bounding box and known only to the reader of its file, and for half spaces and waves, which are not placed.
-    pub fn centre(&self) -> Option<DVec3> {
-        match self {
-            Shape::Box { min, max } => Some(0.5 * (min + max)),
-            Shape::Sphere { centre, .. } => Some(*centre),
-            Shape::Cylinder {
-                base, axis, height, ..
-            } => Some(base + 0.5 * height * axis),
-            Shape::HalfSpace { .. } | Shape::Wave { .. } | Shape::Mesh { .. } => None,
-        }
-    }
-
-    /// Whether some of it lies in the box from the origin to `size`, judged by bounding boxes; true for meshes.
-    fn reaches(&self, placement: &Placement, size: DVec3) -> bool {
-        let half_extent = match self {
-            Shape::Box { min, max } => {
-                let half = 0.5 * (max - min);
-                let turned =
-                    DMat3::from_cols_array(&placement.rotate.to_cols_array().map(f64::abs));
-                turned * half
-            }
-            Shape::Sphere { centre, radius } => {
-                let centre = centre + placement.translate;
-                let nearest = centre.clamp(DVec3::ZERO, size);
-                return nearest.distance(centre) < radius * placement.scale;
-            }
-            Shape::Cylinder {
-                axis,
-                radius,
-                height,
-                ..
-            } => {
-                let axis = placement.rotate * axis;
-                let rim = (DVec3::ONE - axis * axis).max(DVec3::ZERO);
-                0.5 * height * axis.abs()
-                    + *radius * DVec3::new(rim.x.sqrt(), rim.y.sqrt(), rim.z.sqrt())
-            }
-            Shape::HalfSpace { point, normal } => {
-                return corners(size)
-                    .iter()
-                    .any(|corner| (corner - point).dot(*normal) < 0.0);
-            }
-            Shape::Wave {
-                level, amplitude, ..
-            } => return level + amplitude.abs() > 0.0,
-            Shape::Mesh { .. } => return true,
-        };
-        let centre =
-            self.centre().expect("boxes and cylinders have a centre") + placement.translate;
-        let half_extent = half_extent * placement.scale;
-        (centre + half_extent).cmpgt(DVec3::ZERO).all() && (centre - half_extent).cmplt(size).all()
-    }
-
-    /// Whether the whole box from the origin to `size` lies in it. Box, ball and cylinder are convex, so the corners tell;
-    /// false for meshes.
-    fn holds_box(&self, placement: &Placement, size: DVec3) -> bool {
-        let Some(centre) = self.centre() else {
-            return false;
-        };
-        corners(size).into_iter().all(|corner| {
-            // From the middle of the shape, in its own directions and size.
-            let x = placement.rotate.transpose() * (corner - placement.translate - centre)
-                / placement.scale;
-            match self {
-                Shape::Box { min, max } => x.abs().cmple(0.5 * (max - min)).all(),
-                Shape::Sphere { radius, .. } => x.length() <= *radius,
-                Shape::Cylinder {
-                    axis,
-                    radius,
-                    height,
-                    ..
-                } => {
-                    x.dot(*axis).abs() <= 0.5 * height
-                        && x.reject_from_normalized(*axis).length() <= *radius
-                }
-                Shape::HalfSpace { .. } | Shape::Wave { .. } | Shape::Mesh { .. } => false,
-            }
-        })
-    }
-}
-
-fn list<T: std::fmt::Display, const N: usize>(values: [T; N]) -> String {
+pub(super) fn list<T: std::fmt::Display, const N: usize>(values: [T; N]) -> String {
     let values: Vec<_> = values.iter().map(T::to_string).collect();
     format!("[{}]", values.join(", "))
 }

@@ -1,21 +1,592 @@
-//! Scene files: good ones, overrides, scale, and what is refused with which words.
+//! Scene files: what good ones become, overrides, scale, and what is refused, where and with which words.
 
 use std::path::{Path, PathBuf};
 
-use cutwater::scene::Scene;
+use cutwater::Error;
+use cutwater::scene::{
+    Placement, Precision, Preconditioner, ProbeKind, Scene, Shape, Solver, Surface,
+};
+use glam::DVec3;
 
-fn scene_file(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("scenes")
-        .join(name)
+/// A scene that uses most keys; the cases below break it.
+const GOOD: &str = r#"# Everything at once.
+[domain]
+size = [2, 1.0, 0.5]
+cells = [32, 16, 8]
+gravity = [0.0, 0.0, -9.81]
+[time]
+duration = 1.5
+frames_per_second = 20
+cfl = 2
+fixed_step = 0.0125
+[liquid]
+density = 800.0
+surface = "markers"
+marker_radius = 1.0
+seed = 7
+volume_control = false
+[[liquid.region]]
+box = { min = [0, 0, 0], max = [0.5, 0.5, 0.5] }
+velocity = [1, 0, 0]
+[[liquid.region]]
+sphere = { centre = [0.25, 0.25, 0.25], radius = 0.1 }
+subtract = true
+[[liquid.region]]
+half_space = { point = [0, 0.1, 0], normal = [0, 2, 0] }
+[[obstacle]]
+cylinder = { base = [1, 0, 0.25], axis = [0, 3, 0], radius = 0.1, height = 0.5 }
+placement = { translate = [0.1, 0, 0], rotate = { axis = [0, 0, 1], degrees = 90 }, scale = 0.5 }
+[[obstacle]]
+mesh = { file = "body.stl" }
+inside_out = true
+[[probe]]
+name = "h1"
+height = { x = 0.5, z = 0.25 }
+[[probe]]
+name = "v1"
+velocity = { point = [0.5, 0.1, 0.25] }
+[[probe]]
+name = "reach"
+front = { axis = "x" }
+[solver]
+tolerance = 1e-6
+max_iterations = 50
+precision = "f32"
+preconditioner = "jacobi"
+theta_floor = 0.001
+area_clamp = 0
+[output]
+particles = false
+fields = true
+every = 2
+[camera]
+eye = [1, 1, 3]
+target = [1, 0.5, 0.25]
+up = [0, 2, 0]
+fov = 50
+size = [640, 480]
+"#;
+
+/// `text` as a scene beside a file `body.stl`, loaded.
+fn load(text: &str, overrides: &[&str], scale: f64) -> Result<Scene, Error> {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("body.stl"), "").unwrap();
+    let path = folder.path().join("good.toml");
+    std::fs::write(&path, text).unwrap();
+    let overrides: Vec<_> = overrides.iter().map(|&text| text.to_owned()).collect();
+    Scene::load(&path, &overrides, scale)
+}
+
+fn scenes() -> Vec<PathBuf> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes");
+    let files = std::fs::read_dir(folder).unwrap();
+    let mut files: Vec<_> = files.map(|file| file.unwrap().path()).collect();
+    files.retain(|file| file.extension().is_some_and(|kind| kind == "toml"));
+    files.sort();
+    files
 }
 
 #[test]
-fn dam_break_loads() {
-    let scene = Scene::load(&scene_file("dam_break_liquid.toml"), &[], 1.0).unwrap();
-    assert_eq!(scene.name, "dam_break_liquid");
-    assert_eq!(scene.domain.cells, [64, 32, 32]);
-    assert_eq!(scene.grid().dx, 0.03125);
-    assert_eq!(scene.n_frames(), 48);
-    assert_eq!(scene.probes.len(), 3);
+fn a_scene_says_what_its_file_says() {
+    let scene = load(GOOD, &[], 1.0).unwrap();
+    assert_eq!(scene.name, "good");
+    assert_eq!(scene.domain.size, DVec3::new(2.0, 1.0, 0.5));
+    assert_eq!(scene.domain.cells, [32, 16, 8]);
+    assert_eq!(scene.domain.gravity, DVec3::new(0.0, 0.0, -9.81));
+    assert_eq!(scene.grid().dx, 0.0625);
+    assert_eq!(scene.time.duration, 1.5);
+    assert_eq!(scene.time.cfl, 2.0);
+    assert_eq!(scene.time.fixed_step, Some(0.0125));
+    assert_eq!(scene.n_frames(), 30);
+
+    let liquid = scene.liquid.unwrap();
+    assert_eq!(
+        (liquid.density, liquid.marker_radius, liquid.seed),
+        (800.0, 1.0, 7)
+    );
+    assert_eq!(
+        (liquid.surface, liquid.volume_control),
+        (Surface::Markers, false)
+    );
+    let subtract: Vec<_> = liquid
+        .regions
+        .iter()
+        .map(|region| region.subtract)
+        .collect();
+    assert_eq!(subtract, [false, true, false]);
+    assert_eq!(liquid.regions[0].velocity, DVec3::X);
+    assert_eq!(liquid.regions[1].velocity, DVec3::ZERO);
+    assert!(matches!(liquid.regions[0].shape, Shape::Box { max, .. } if max == DVec3::splat(0.5)));
+    assert!(matches!(
+        liquid.regions[1].shape,
+        Shape::Sphere { radius: 0.1, .. }
+    ));
+    assert!(
+        matches!(liquid.regions[2].shape, Shape::HalfSpace { normal, .. } if normal == DVec3::Y)
+    );
+
+    let Placement {
+        translate,
+        rotate,
+        scale,
+    } = scene.obstacles[0].placement;
+    assert_eq!((translate, scale), (DVec3::new(0.1, 0.0, 0.0), 0.5));
+    assert!((rotate * DVec3::X - DVec3::Y).length() < 1e-15);
+    assert!(!scene.obstacles[0].inside_out && scene.obstacles[1].inside_out);
+    assert!(
+        matches!(scene.obstacles[0].shape, Shape::Cylinder { axis, .. } if axis == DVec3::Y),
+        "axes become unit vectors"
+    );
+    let middle = scene.obstacles[0].shape.centre().unwrap();
+    assert_eq!(middle, DVec3::new(1.0, 0.25, 0.25));
+    let Shape::Mesh { file } = &scene.obstacles[1].shape else {
+        panic!("the second obstacle is a mesh")
+    };
+    assert_eq!(file.parent(), scene.file.parent());
+    assert_eq!(scene.obstacles[1].shape.centre(), None);
+
+    let columns: Vec<_> = scene
+        .probes
+        .iter()
+        .flat_map(|probe| probe.columns())
+        .collect();
+    assert_eq!(columns, ["h1", "v1_x", "v1_y", "v1_z", "reach"]);
+    assert!(matches!(
+        scene.probes[0].kind,
+        ProbeKind::Height { x: 0.5, z: 0.25 }
+    ));
+    assert!(matches!(scene.probes[2].kind, ProbeKind::Front { axis: 0 }));
+    let solver = Solver {
+        tolerance: 1e-6,
+        max_iterations: 50,
+        precision: Precision::F32,
+        preconditioner: Preconditioner::Jacobi,
+        theta_floor: 1e-3,
+        area_clamp: 0.0,
+    };
+    assert_eq!(scene.solver, solver);
+    assert!(!scene.output.particles && scene.output.fields);
+    assert_eq!(scene.output.every, 2);
+    let camera = scene.camera;
+    assert_eq!(
+        (camera.up, camera.fov, camera.size),
+        (DVec3::Y, 50.0, [640, 480])
+    );
+}
+
+#[test]
+fn what_a_scene_leaves_out_has_the_documented_default() {
+    let text = "[domain]\nsize = [1, 1, 1]\ncells = [8, 8, 8]\n[time]\nduration = 1\n\
+                [[liquid.region]]\nwave = { level = 0.5, amplitude = 0.1, wave_number = [3, 0] }\n";
+    let scene = load(text, &[], 1.0).unwrap();
+    assert_eq!(scene.domain.gravity, DVec3::new(0.0, -9.81, 0.0));
+    assert_eq!(scene.time.frames_per_second, 24.0);
+    assert_eq!(scene.time.cfl, 3.0);
+    assert_eq!(scene.time.fixed_step, None);
+    let liquid = scene.liquid.unwrap();
+    assert_eq!(
+        (liquid.density, liquid.marker_radius, liquid.seed),
+        (1000.0, 0.87, 0)
+    );
+    assert!(liquid.volume_control && liquid.surface == Surface::Markers);
+    assert!(matches!(
+        liquid.regions[0].shape,
+        Shape::Wave { phase: 0.0, .. }
+    ));
+    assert!(scene.obstacles.is_empty() && scene.probes.is_empty());
+    assert_eq!(scene.solver, Solver::default());
+    assert!(scene.output.particles && !scene.output.fields && scene.output.every == 1);
+
+    let fixed = load(text, &["liquid.surface=fixed"], 1.0).unwrap();
+    assert!(
+        !fixed.liquid.unwrap().volume_control,
+        "a fixed surface has no volume control"
+    );
+}
+
+/// Replace the first text by the second in [`GOOD`]; the error is at the line, at the key, and has the parts.
+type Case = (
+    &'static str,
+    &'static str,
+    usize,
+    &'static str,
+    &'static [&'static str],
+);
+
+#[rustfmt::skip] // one case a line
+const REFUSED: &[Case] = &[
+    // TOML itself.
+    ("cfl = 2", "cfl = ", 9, "TOML", &["syntax"]),
+    ("cfl = 2", "cfl = 2\ncfl = 3", 10, "TOML", &["duplicate key"]),
+    ("[solver]", "[solver", 40, "TOML", &["cure"]),
+    ("seed = 7", "seed = 99999999999999999999", 15, "liquid.seed", &["beyond 64 bits"]),
+    // Types.
+    ("density = 800.0", "density = \"800\"", 12, "liquid.density", &["the text \"800\"", "without quotes"]),
+    ("density = 800.0", "density = true", 12, "liquid.density", &["is true", "kg/m^3"]),
+    ("density = 800.0", "density = 1979-05-27", 12, "liquid.density", &["a date"]),
+    ("size = [2, 1.0, 0.5]", "size = 2", 3, "domain.size", &["the number 2", "list of 3"]),
+    ("size = [2, 1.0, 0.5]", "size = [2, 1]", 3, "domain.size", &["a list of 2", "list of 3"]),
+    ("size = [2, 1.0, 0.5]", "size = [2, \"1\", 0.5]", 3, "domain.size[1]", &["the text \"1\""]),
+    ("cells = [32, 16, 8]", "cells = [32.0, 16, 8]", 4, "domain.cells[0]", &["whole number"]),
+    ("volume_control = false", "volume_control = \"no\"", 16, "liquid.volume_control", &["true or false"]),
+    ("name = \"h1\"", "name = 1", 32, "probe[0].name", &["the number 1", "quotes"]),
+    ("precision = \"f32\"", "precision = \"f16\"", 43, "solver.precision", &["f16", "\"mixed\""]),
+    ("[[obstacle]]\ncyl", "[obstacle]\ncyl", 28, "TOML", &["duplicate key"]),
+    ("[[probe]]\nname = \"h1\"\nheight = { x = 0.5, z = 0.25 }\n[[probe]]\nname = \"v1\"\nvelocity = { point = [0.5, 0.1, 0.25] }\n[[probe]]", "[probe]", 31, "probe", &["not a list", "[[probe]]"]),
+    ("[solver]", "[[solver]]", 40, "solver", &["is a list", "[solver]"]),
+    // Numbers that mean nothing.
+    ("density = 800.0", "density = nan", 12, "liquid.density", &["NaN", "finite"]),
+    ("velocity = [1, 0, 0]", "velocity = [1, -inf, 0]", 19, "liquid.region[0].velocity[1]", &["-inf", "finite"]),
+    ("density = 800.0", "density = 1e999", 12, "liquid.density", &["finite"]),
+    ("density = 800.0", "density = 0", 12, "liquid.density", &["above zero"]),
+    ("size = [2, 1.0, 0.5]", "size = [2, -1.0, 0.5]", 3, "domain.size", &["[2, -1, 0.5]", "1e-6 to 1e6 m"]),
+    ("cells = [32, 16, 8]", "cells = [32, 0, 8]", 4, "domain.cells[1]", &["is 0", "from 1"]),
+    ("seed = 7", "seed = -7", 15, "liquid.seed", &["is -7", "from 0"]),
+    ("marker_radius = 1.0", "marker_radius = 0.1", 14, "liquid.marker_radius", &["0.5 to 2"]),
+    ("tolerance = 1e-6", "tolerance = 1", 41, "solver.tolerance", &["1e-8 is usual"]),
+    ("theta_floor = 0.001", "theta_floor = 0.6", 45, "solver.theta_floor", &["1e-2 is usual"]),
+    ("area_clamp = 0", "area_clamp = -0.1", 46, "solver.area_clamp", &["1e-3 is usual"]),
+    ("max_iterations = 50", "max_iterations = 0", 42, "solver.max_iterations", &["from 1"]),
+    ("every = 2", "every = 0", 50, "output.every", &["from 1"]),
+    ("cfl = 2", "cfl = 100", 9, "time.cfl", &["at most 32"]),
+    // Grid and time.
+    ("cells = [32, 16, 8]", "cells = [32, 16, 9]", 4, "domain.cells", &["not cubic", "cells = [32, 16, 8]"]),
+    ("cells = [32, 16, 8]", "cells = [30, 16, 8]", 4, "domain.cells", &["not cubic", "cells = [32, 16, 8]"]),
+    ("size = [2, 1.0, 0.5]", "size = [2, 1.1415926, 0.5]", 4, "domain.cells", &["not cubic", "size = [2, 1, 0.5]"]),
+    ("cells = [32, 16, 8]", "cells = [8192, 4096, 2048]", 4, "domain.cells", &["1073741824", "fewer cells"]),
+    ("duration = 1.5", "duration = 1e9", 7, "time.duration", &["999999"]),
+    ("fixed_step = 0.0125", "fixed_step = 0.013", 10, "time.fixed_step", &["does not divide", "use 0.0125, 4 in a frame"]),
+    ("fixed_step = 0.0125", "fixed_step = 0.1", 10, "time.fixed_step", &["use 0.05, 1 in a frame"]),
+    // Keys.
+    ("density = 800.0", "densty = 800.0", 12, "liquid.densty", &["unknown key", "did you mean `density`"]),
+    ("[solver]", "[solvr]", 40, "solvr", &["did you mean `solver`"]),
+    ("centre", "center", 21, "liquid.region[1].sphere.center", &["did you mean `centre`"]),
+    ("seed = 7", "zebra = 7", 15, "liquid.zebra", &["unknown key", "the keys here are density"]),
+    ("degrees = 90", "degree = 90", 27, "obstacle[0].placement.rotate.degree", &["did you mean `degrees`"]),
+    ("gravity = [0.0, 0.0, -9.81]", "open = [\"+x\"]", 5, "domain.open", &["open sides are not simulated yet"]),
+    ("[solver]", "[[solid]]\nname = \"ball\"\n[solver]", 40, "solid", &["elastic solids are not simulated yet"]),
+    ("[solver]", "[[source]]\n[solver]", 40, "source", &["not simulated yet"]),
+    ("inside_out = true", "keyframes = []", 30, "obstacle[1].keyframes", &["moving obstacles are not simulated yet"]),
+    ("front = { axis = \"x\" }", "node = { solid = \"ball\" }", 39, "probe[2].node", &["not simulated yet"]),
+    ("precision = \"f32\"", "formulation = \"auto\"", 43, "solver.formulation", &["not simulated yet"]),
+    ("every = 2", "checkpoint_every = 2", 50, "output.checkpoint_every", &["checkpoints are not simulated yet"]),
+    // What is missing: at the header of its table.
+    ("cells = [32, 16, 8]\n", "", 2, "domain.cells", &["is missing", "cells = [32, 32, 32]"]),
+    ("duration = 1.5\n", "", 6, "time.duration", &["is missing"]),
+    (", radius = 0.1 }", " }", 21, "liquid.region[1].sphere.radius", &["is missing", "radius = 0.1"]),
+    (", degrees = 90", "", 27, "obstacle[0].placement.rotate.degrees", &["is missing"]),
+    ("box = { min = [0, 0, 0], max = [0.5, 0.5, 0.5] }\n", "", 17, "liquid.region[0]", &["has no shape", "half_space"]),
+    ("front = { axis = \"x\" }\n", "", 37, "probe[2]", &["has no measurement"]),
+    ("subtract = true", "box = { min = [0, 0, 0], max = [1, 1, 1] }", 20, "liquid.region[1]", &["`box` and `sphere`", "keep one shape"]),
+    // Liquid.
+    ("velocity = [1, 0, 0]", "subtract = true", 17, "liquid.region[0]", &["none"]),
+    ("max = [0.5, 0.5, 0.5]", "max = [0.5, 0.0, 0.5]", 18, "liquid.region[0].box", &["no volume", "along y"]),
+    ("radius = 0.1 }\nsub", "radius = -0.1 }\nsub", 21, "liquid.region[1].sphere.radius", &["above zero"]),
+    ("centre = [0.25, 0.25, 0.25]", "centre = [2.08, 1.08, 0.25]", 21, "liquid.region[1].sphere", &["outside the domain", "[2, 1, 0.5]"]),
+    ("min = [0, 0, 0], max = [0.5, 0.5, 0.5]", "min = [2, 0, 0], max = [2.5, 0.5, 0.5]", 18, "liquid.region[0].box", &["outside the domain"]),
+    ("point = [0, 0.1, 0]", "point = [0, -0.1, 0]", 24, "liquid.region[2].half_space", &["outside the domain"]),
+    ("half_space = { point = [0, 0.1, 0], normal = [0, 2, 0] }", "wave = { level = -0.2, amplitude = 0.1, wave_number = [3, 0] }", 24, "liquid.region[2].wave", &["outside the domain"]),
+    ("normal = [0, 2, 0]", "normal = [0, 0, 0]", 24, "liquid.region[2].half_space.normal", &["no direction", "[0, 1, 0]"]),
+    ("surface = \"markers\"\nmarker_radius = 1.0\nseed = 7\nvolume_control = false", "surface = \"fixed\"\nvolume_control = true", 14, "liquid.volume_control", &["no volume control"]),
+    // Obstacles.
+    ("axis = [0, 3, 0]", "axis = [0, 0, 0]", 26, "obstacle[0].cylinder.axis", &["no direction"]),
+    ("axis = [0, 0, 1]", "axis = [0, 0, 0]", 27, "obstacle[0].placement.rotate.axis", &["no direction"]),
+    ("scale = 0.5", "scale = 0", 27, "obstacle[0].placement.scale", &["above zero"]),
+    ("translate = [0.1, 0, 0]", "translate = [0, 1, 0]", 26, "obstacle[0].cylinder", &["outside the domain"]),
+    ("scale = 0.5", "scale = 50", 26, "obstacle[0].cylinder", &["fills the whole domain"]),
+    ("mesh = { file = \"body.stl\" }", "sphere = { centre = [1, 0.5, 0.25], radius = 2 }", 29, "obstacle[1].sphere", &["surrounds the whole domain"]),
+    ("body.stl", "nobody.stl", 29, "obstacle[1].mesh.file", &["there is no file", "nobody.stl"]),
+    ("body.stl", "body.fbx", 29, "obstacle[1].mesh.file", &["not a kind of mesh", ".obj"]),
+    ("body.stl", "", 29, "obstacle[1].mesh.file", &["is empty"]),
+    // Probes.
+    ("name = \"v1\"", "name = \"h1\"", 35, "probe[1].name", &["named \"h1\" too", "another name"]),
+    ("name = \"reach\"", "name = \"v1_y\"", 38, "probe[2].name", &["column \"v1_y\"", "probe \"v1\""]),
+    ("name = \"h1\"", "name = \"t\"", 32, "probe[0].name", &["the time"]),
+    ("name = \"h1\"", "name = \"h,1\"", 32, "probe[0].name", &["letters"]),
+    ("x = 0.5, z = 0.25", "x = 0.5, z = 0.75", 33, "probe[0].height.z", &["outside the domain", "0 to 0.5 m"]),
+    ("point = [0.5, 0.1, 0.25]", "point = [0.5, 1.1, 0.25]", 36, "probe[1].velocity.point", &["outside the domain"]),
+    ("axis = \"x\"", "axis = \"w\"", 39, "probe[2].front.axis", &["\"w\"", "\"x\", \"y\", \"z\""]),
+    // Camera.
+    ("eye = [1, 1, 3]", "eye = [1, 0.5, 0.25]", 52, "camera.eye", &["target"]),
+    ("eye = [1, 1, 3]", "eye = [1, 5, 0.25]", 52, "camera.eye", &["along the camera's up"]),
+    ("fov = 50", "fov = 180", 55, "camera.fov", &["150"]),
+    ("size = [640, 480]", "size = [640, 4]", 56, "camera.size[1]", &["from 16"]),
+];
+
+#[test]
+fn malformed_scenes_are_refused_with_line_key_and_cure() {
+    let mut failures = Vec::new();
+    for &(good, bad, line, key, parts) in REFUSED {
+        assert!(GOOD.contains(good), "the base scene has no `{good}`");
+        match load(&GOOD.replacen(good, bad, 1), &[], 1.0) {
+            Err(error @ Error::Scene { .. }) => {
+                assert_eq!(error.exit_code(), 2);
+                let message = error.to_string();
+                let start = format!("good.toml:{line}: {key}: ");
+                let absent = parts.iter().find(|part| !message.contains(**part));
+                if let Some(part) = absent.or((!message.contains(&start)).then_some(&&*start)) {
+                    failures.push(format!("`{bad}`: no `{part}` in: {message}"));
+                }
+            }
+            other => failures.push(format!("`{bad}` gave {other:?}")),
+        }
+    }
+    assert!(failures.is_empty(), "{}", failures.join("\n"));
+}
+
+#[test]
+fn a_scene_without_liquid_is_refused() {
+    let base = "[domain]\nsize = [1, 1, 1]\ncells = [8, 8, 8]\n[time]\nduration = 1\n";
+    for (rest, line, key) in [
+        ("", 5, "liquid"),
+        ("[liquid]\ndensity = 1\n", 6, "liquid.region"),
+        ("[liquid]\nregion = []\n", 7, "liquid.region"),
+    ] {
+        let error = load(&format!("{base}{rest}"), &[], 1.0)
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains(&format!("good.toml:{line}: {key}: ")),
+            "{error}"
+        );
+        assert!(error.contains("[[liquid.region]]"), "{error}");
+    }
+}
+
+#[test]
+fn a_file_that_cannot_be_read_is_an_input_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let missing = Scene::load(&folder.path().join("no.toml"), &[], 1.0).unwrap_err();
+    assert!(matches!(&missing, Error::Input { what, .. } if what.contains("no.toml")));
+    let binary = folder.path().join("binary.toml");
+    std::fs::write(&binary, [0xff, 0xfe, 0x00]).unwrap();
+    let binary = Scene::load(&binary, &[], 1.0).unwrap_err();
+    assert!(binary.to_string().contains("UTF-8"), "{binary}");
+}
+
+#[test]
+fn overrides_set_any_key() {
+    let scene = load(
+        GOOD,
+        &[
+            "liquid.density=900",
+            "liquid.region[0].velocity=[2, 0.5, 0]",
+            "liquid.region[0].box.max[1] = 0.75",
+            "obstacle[0].placement.scale=0.25",
+            "obstacle[1].mesh.file=./body.stl",
+            "solver.precision=f64",
+            "solver.preconditioner=\"multigrid\"",
+            "time={ duration = 2 }",
+            "liquid.density=950",
+        ],
+        1.0,
+    )
+    .unwrap();
+    let liquid = scene.liquid.unwrap();
+    assert_eq!(liquid.density, 950.0, "the last one counts");
+    assert_eq!(liquid.regions[0].velocity, DVec3::new(2.0, 0.5, 0.0));
+    assert!(matches!(liquid.regions[0].shape, Shape::Box { max, .. } if max.y == 0.75));
+    assert_eq!(scene.obstacles[0].placement.scale, 0.25);
+    assert_eq!(scene.solver.precision, Precision::F64);
+    assert_eq!(scene.solver.preconditioner, Preconditioner::Multigrid);
+    assert_eq!((scene.time.duration, scene.time.cfl), (2.0, 3.0));
+    assert_eq!(scene.overrides.len(), 9);
+
+    // Tables on the way are made.
+    let text = "[domain]\nsize = [1, 1, 1]\ncells = [8, 8, 8]\n[time]\nduration = 1\n\
+                [[liquid.region]]\nbox = { min = [0, 0, 0], max = [1, 0.5, 1] }\n";
+    let scene = load(text, &["camera.fov=20", "output.fields=true"], 1.0).unwrap();
+    assert!(scene.output.fields && scene.camera.fov == 20.0);
+}
+
+#[test]
+fn bad_overrides_name_themselves() {
+    #[rustfmt::skip] // one case a line
+    let cases: &[(&str, &[&str])] = &[
+        ("liquid.density", &["no `=`", "--set KEY=VALUE"]),
+        ("=3", &["not a key"]),
+        ("liquid..density=3", &["not a key"]),
+        ("liquid.region[x].velocity=3", &["not a key"]),
+        ("liquid.density=-1", &["liquid.density: is -1", "above zero"]),
+        ("liquid.density=heavy", &["the text \"heavy\""]),
+        ("liquid.density=", &["not a TOML value"]),
+        ("domain.size=[1, 2", &["not a TOML value"]),
+        ("liquid.density=1 2", &["not a TOML value"]),
+        ("liquid.densty=1", &["liquid.densty: unknown key", "did you mean `density`"]),
+        ("solid[0].young=1", &["no list `solid`"]),
+        ("solid.young=1", &["not simulated yet"]),
+        ("liquid.region.velocity=[0, 0, 0]", &["a list of 3", "liquid.region[0].velocity"]),
+        ("liquid.region[3].velocity=[0, 0, 0]", &["no `liquid.region[3]`", "0 to 2"]),
+        ("liquid.density[0]=3", &["`liquid.density` is the number 800", "leave out the [0]"]),
+        ("liquid.density.x=3", &["has no key `x`", "set `liquid.density`"]),
+        ("domain.size=[2, 1, 0.4]", &["domain.size", "not cubic", "[30, 15, 6]"]),
+        ("obstacle[0].placement.rotate={ axis = [1, 0, 0] }", &["obstacle[0].placement.rotate.degrees: is missing"]),
+        ("time.duration=99999999999999999999", &["beyond 64 bits"]),
+    ];
+    for &(setting, parts) in cases {
+        let error = load(GOOD, &[setting], 1.0).map(|_| ()).expect_err(setting);
+        assert!(
+            matches!(&error, Error::Input { what, .. } if *what == format!("--set {setting}")),
+            "{error}"
+        );
+        for part in parts {
+            let message = error.to_string();
+            assert!(
+                message.contains(part),
+                "`{setting}`: no `{part}` in: {message}"
+            );
+        }
+    }
+}
+
+#[test]
+fn scale_multiplies_the_cells_and_keeps_them_cubic() {
+    let cells = |scale| load(GOOD, &[], scale).map(|scene| scene.domain.cells);
+    assert_eq!(cells(2.0).unwrap(), [64, 32, 16]);
+    assert_eq!(cells(0.5).unwrap(), [16, 8, 4]);
+    assert_eq!(cells(0.125).unwrap(), [4, 2, 1]);
+    assert_eq!(cells(0.13).unwrap(), [4, 2, 1], "rounded");
+    let scene = load(GOOD, &[], 2.0).unwrap();
+    assert_eq!((scene.scale, scene.grid().dx), (2.0, 0.03125));
+
+    for (scale, cure) in [
+        (0.3, "--scale 0.25"),
+        (1.1, "--scale 1.125"),
+        (0.01, "--scale 0.125"),
+    ] {
+        let error = cells(scale).unwrap_err();
+        let message = error.to_string();
+        assert!(
+            matches!(&error, Error::Input { what, .. } if *what == format!("--scale {scale}")),
+            "{message}"
+        );
+        assert!(message.ends_with(cure), "{message}");
+        let works: f64 = cure.trim_start_matches("--scale ").parse().unwrap();
+        cells(works).unwrap();
+    }
+    // The proposal is right even where it is no short decimal.
+    let thirds = GOOD.replace("[32, 16, 8]", "[12, 6, 3]");
+    let message = load(&thirds, &[], 0.5).unwrap_err().to_string();
+    let works = message.rsplit_once("--scale ").unwrap().1.parse().unwrap();
+    assert_eq!(load(&thirds, &[], works).unwrap().domain.cells, [8, 4, 2]);
+
+    for scale in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e6] {
+        assert!(matches!(cells(scale), Err(Error::Input { .. })), "{scale}");
+    }
+}
+
+#[test]
+fn the_hash_changes_with_everything_the_scene_is_made_from() {
+    let hash = |text: &str, overrides: &[&str], scale| load(text, overrides, scale).unwrap().hash;
+    let base = hash(GOOD, &[], 1.0);
+    assert_eq!(base.len(), 64);
+    assert_eq!(base, hash(GOOD, &[], 1.0));
+    let others = [
+        hash(&GOOD.replace("seed = 7", "seed = 8"), &[], 1.0),
+        hash(GOOD, &["liquid.seed=8"], 1.0),
+        hash(GOOD, &["liquid.seed=8", "liquid.density=9"], 1.0),
+        hash(GOOD, &["liquid.density=9", "liquid.seed=8"], 1.0),
+        hash(GOOD, &[], 0.5),
+        base,
+    ];
+    for (i, a) in others.iter().enumerate() {
+        assert!(!others[..i].contains(a), "hash {i} is not new");
+    }
+}
+
+#[test]
+fn the_default_camera_sees_the_whole_domain_upright() {
+    for (size, cells) in [
+        ("[2, 1, 1]", "[16, 8, 8]"),
+        ("[2, 1.25, 0.125]", "[16, 10, 1]"),
+        ("[1, 4, 1]", "[4, 16, 4]"),
+    ] {
+        for (gravity, up) in [
+            ([0.0, -9.81, 0.0], DVec3::Y),
+            ([1.0, 0.5, -9.0], DVec3::Z),
+            ([2.0, 0.0, 0.0], -DVec3::X),
+            ([0.0, 3.0, 0.0], -DVec3::Y),
+            ([0.0; 3], DVec3::Y),
+        ] {
+            let text = format!(
+                "[domain]\nsize = {size}\ncells = {cells}\ngravity = {gravity:?}\n[time]\nduration = 1\n\
+                 [[liquid.region]]\nbox = {{ min = [0, 0, 0], max = [0.5, 0.5, 0.5] }}\n"
+            );
+            for overrides in [vec![], vec!["camera.fov=70", "camera.size=[200, 400]"]] {
+                let scene = load(&text, &overrides, 1.0).unwrap();
+                let camera = scene.camera;
+                assert_eq!(camera.up, up);
+                let ahead = (camera.target - camera.eye).normalize();
+                assert!(
+                    ahead.dot(up) < -0.2 && ahead.dot(up) > -0.7,
+                    "from slightly above"
+                );
+                let right = ahead.cross(up).normalize();
+                let top = right.cross(ahead);
+                let half = (0.5 * camera.fov.to_radians()).tan();
+                let aspect = camera.size[0] as f64 / camera.size[1] as f64;
+                let mut fill = 0.0_f64;
+                for corner in 0..8 {
+                    let bit = |axis: usize| (corner >> axis & 1) as f64;
+                    let x = scene.domain.size * DVec3::new(bit(0), bit(1), bit(2)) - camera.eye;
+                    assert!(x.dot(ahead) > 0.0);
+                    let across = x.dot(right).abs() / (x.dot(ahead) * half * aspect);
+                    let along = x.dot(top).abs() / (x.dot(ahead) * half);
+                    fill = fill.max(across).max(along);
+                }
+                assert!(fill < 1.0 && fill > 0.8, "{size} {gravity:?}: fills {fill}");
+            }
+        }
+    }
+}
+
+#[test]
+fn every_scene_in_the_folder_loads_at_every_usual_size() {
+    let files = scenes();
+    let names: Vec<_> = files
+        .iter()
+        .map(|file| file.file_stem().unwrap().to_str().unwrap())
+        .collect();
+    for name in [
+        "dam_break_liquid",
+        "drop_into_pool",
+        "hydrostatic_block",
+        "sphere_half_full",
+        "standing_wave",
+    ] {
+        assert!(names.contains(&name), "no {name}");
+    }
+    for file in &files {
+        let text = std::fs::read_to_string(file).unwrap();
+        assert!(
+            text.starts_with("# "),
+            "{}: begins with a comment",
+            file.display()
+        );
+        for word in ["# Expect: ", "# Numbers: "] {
+            assert!(text.contains(word), "{}: no `{word}`", file.display());
+        }
+        for scale in [0.5, 1.0, 2.0] {
+            let scene = Scene::load(file, &[], scale).unwrap();
+            assert!(scene.domain.cells.iter().any(|&n| n as f64 >= 20.0 * scale));
+            assert!(scene.domain.cells.iter().all(|&n| n as f64 <= 64.0 * scale));
+        }
+    }
+}
+#[test]
+fn zz_print() {
+    for &(good, bad, ..) in REFUSED {
+        println!(
+            "{}",
+            load(&GOOD.replacen(good, bad, 1), &[], 1.0)
+                .unwrap_err()
+                .to_string()
+                .split_once("good.toml:")
+                .unwrap()
+                .1
+        );
+    }
+    println!("{}", load(GOOD, &["liquid.density"], 1.0).unwrap_err());
+    println!("{}", load(GOOD, &["liquid.density=1 2"], 1.0).unwrap_err());
+    println!("{}", load(GOOD, &[], 0.3).unwrap_err());
 }

@@ -1,0 +1,263 @@
+//! Shapes and placements: how they are written, and what can be told of them without a mesh file.
+
+use std::path::Path;
+
+use glam::{DMat3, DVec3};
+
+use super::document::{Keys, Place};
+use super::{Placement, Shape};
+use crate::error::Error;
+
+const PLACEMENT: Keys = Keys {
+    valid: &["translate", "rotate", "scale"],
+    later: &[],
+};
+const ROTATE: Keys = Keys {
+    valid: &["axis", "degrees"],
+    later: &[],
+};
+const BOX: Keys = Keys {
+    valid: &["min", "max"],
+    later: &[],
+};
+const SPHERE: Keys = Keys {
+    valid: &["centre", "radius"],
+    later: &[],
+};
+const CYLINDER: Keys = Keys {
+    valid: &["base", "axis", "radius", "height"],
+    later: &[],
+};
+const HALF_SPACE: Keys = Keys {
+    valid: &["point", "normal"],
+    later: &[],
+};
+const WAVE: Keys = Keys {
+    valid: &["level", "amplitude", "wave_number", "phase"],
+    later: &[],
+};
+const MESH: Keys = Keys {
+    valid: &["file"],
+    later: &[],
+};
+
+/// The shape under the key `kind`; mesh files are relative to the folder of the scene's `file`.
+pub(super) fn shape(kind: &str, place: Place, file: &Path) -> Result<Shape, Error> {
+    Ok(match kind {
+        "box" => {
+            let table = place.clone().table(&BOX)?;
+            let min = table
+                .required("min", "min = [0, 0, 0], the low corner in m")?
+                .vector("the low corner in m")?;
+            let max = table
+                .required("max", "max = [1, 1, 1], the high corner in m")?
+                .vector("the high corner in m")?;
+            for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
+                place.ensure(
+                    max[axis] > min[axis],
+                    format!(
+                        "has no volume: along {name} it goes from {} to {}",
+                        min[axis], max[axis]
+                    ),
+                    "make every number of max larger than that of min",
+                )?;
+            }
+            Shape::Box { min, max }
+        }
+        "sphere" => {
+            let table = place.table(&SPHERE)?;
+            Shape::Sphere {
+                centre: table
+                    .required("centre", "centre = [0.5, 0.5, 0.5], in m")?
+                    .vector("the centre in m")?,
+                radius: table
+                    .required("radius", "radius = 0.1, in m")?
+                    .positive("the radius in m")?,
+            }
+        }
+        "cylinder" => {
+            let table = place.table(&CYLINDER)?;
+            let axis = table.required("axis", "axis = [0, 1, 0], from the base")?;
+            Shape::Cylinder {
+                base: table
+                    .required("base", "base = [0.5, 0, 0.5], its centre in m")?
+                    .vector("the centre of the base in m")?,
+                axis: axis.direction("the direction from the base")?,
+                radius: table
+                    .required("radius", "radius = 0.1, in m")?
+                    .positive("the radius in m")?,
+                height: table
+                    .required("height", "height = 0.3, in m")?
+                    .positive("the height along the axis in m")?,
+            }
+        }
+        "half_space" => {
+            let table = place.table(&HALF_SPACE)?;
+            let normal = table.required("normal", "normal = [0, 1, 0], out of the half space")?;
+            Shape::HalfSpace {
+                point: table
+                    .required("point", "point = [0, 0.5, 0], in m")?
+                    .vector("a point of the plane in m")?,
+                normal: normal.direction("the direction out of the half space")?,
+            }
+        }
+        "wave" => {
+            let table = place.table(&WAVE)?;
+            let wave_number = table.required(
+                "wave_number",
+                "wave_number = [3.14159, 0], along x and z in rad/m",
+            )?;
+            Shape::Wave {
+                level: table
+                    .required("level", "level = 0.5, in m")?
+                    .number("the mean height in m")?,
+                amplitude: table
+                    .required("amplitude", "amplitude = 0.05, in m")?
+                    .number("the amplitude in m")?,
+                wave_number: wave_number.numbers("the wave numbers along x and z in rad/m")?,
+                phase: table
+                    .get("phase")
+                    .map_or(Ok(0.0), |place| place.number("the phase in rad"))?,
+            }
+        }
+        "mesh" => {
+            let table = place.table(&MESH)?;
+            let name_place =
+                table.required("file", "file = \"body.obj\", relative to the scene")?;
+            let name = name_place.text("the name of an OBJ, STL or PLY file")?;
+            let kind = Path::new(name)
+                .extension()
+                .map(|kind| kind.to_ascii_lowercase());
+            let known =
+                kind.is_some_and(|kind| ["obj", "stl", "ply"].iter().any(|known| kind == *known));
+            let problem = format!("`{name}` is not a kind of mesh that is read");
+            name_place.ensure(
+                known,
+                problem,
+                "use a closed triangle mesh as .obj, .stl or .ply",
+            )?;
+            let resolved = file.parent().unwrap_or(Path::new("")).join(name);
+            let problem = format!("there is no file {}", resolved.display());
+            name_place.ensure(
+                resolved.is_file(),
+                problem,
+                "give the path of the mesh relative to the scene's folder",
+            )?;
+            Shape::Mesh { file: resolved }
+        }
+        _ => unreachable!("a shape key that no table lists"),
+    })
+}
+
+/// Where an obstacle's shape is put.
+pub(super) fn placement(place: Place) -> Result<Placement, Error> {
+    let table = place.table(&PLACEMENT)?;
+    let mut placement = Placement::default();
+    if let Some(place) = table.get("translate") {
+        placement.translate = place.vector("a translation in m")?;
+    }
+    if let Some(place) = table.get("rotate") {
+        let table = place.table(&ROTATE)?;
+        let axis = table
+            .required("axis", "axis = [0, 0, 1]")?
+            .direction("the axis of rotation")?;
+        let degrees = table
+            .required("degrees", "degrees = 30")?
+            .number("the angle in degrees")?;
+        placement.rotate = DMat3::from_axis_angle(axis, degrees.to_radians());
+    }
+    if let Some(place) = table.get("scale") {
+        placement.scale = place.positive("one factor for all axes")?;
+    }
+    Ok(placement)
+}
+
+impl Shape {
+    /// What it is turned and scaled about: the middle of a box, ball or cylinder. `None` for a mesh, whose centre is that
+    /// of its bounding box and known only to the reader of its file, and for half spaces and waves, which are not placed.
+    pub fn centre(&self) -> Option<DVec3> {
+        match self {
+            Shape::Box { min, max } => Some(0.5 * (min + max)),
+            Shape::Sphere { centre, .. } => Some(*centre),
+            Shape::Cylinder {
+                base, axis, height, ..
+            } => Some(base + 0.5 * height * axis),
+            Shape::HalfSpace { .. } | Shape::Wave { .. } | Shape::Mesh { .. } => None,
+        }
+    }
+
+    /// Whether some of it lies in the box from the origin to `size`, judged by bounding boxes; true for meshes.
+    pub(super) fn reaches(&self, placement: &Placement, size: DVec3) -> bool {
+        let half_extent = match self {
+            Shape::Box { min, max } => {
+                let half = 0.5 * (max - min);
+                let turned =
+                    DMat3::from_cols_array(&placement.rotate.to_cols_array().map(f64::abs));
+                turned * half
+            }
+            Shape::Sphere { centre, radius } => {
+                let centre = centre + placement.translate;
+                let nearest = centre.clamp(DVec3::ZERO, size);
+                return nearest.distance(centre) < radius * placement.scale;
+            }
+            Shape::Cylinder {
+                axis,
+                radius,
+                height,
+                ..
+            } => {
+                let axis = placement.rotate * axis;
+                let rim = (DVec3::ONE - axis * axis).max(DVec3::ZERO);
+                0.5 * height * axis.abs()
+                    + *radius * DVec3::new(rim.x.sqrt(), rim.y.sqrt(), rim.z.sqrt())
+            }
+            Shape::HalfSpace { point, normal } => {
+                return corners(size)
+                    .iter()
+                    .any(|corner| (corner - point).dot(*normal) < 0.0);
+            }
+            Shape::Wave {
+                level, amplitude, ..
+            } => return level + amplitude.abs() > 0.0,
+            Shape::Mesh { .. } => return true,
+        };
+        let centre =
+            self.centre().expect("boxes and cylinders have a centre") + placement.translate;
+        let half_extent = half_extent * placement.scale;
+        (centre + half_extent).cmpgt(DVec3::ZERO).all() && (centre - half_extent).cmplt(size).all()
+    }
+
+    /// Whether the whole box from the origin to `size` lies in it. Box, ball and cylinder are convex, so the corners tell;
+    /// false for meshes.
+    pub(super) fn holds_box(&self, placement: &Placement, size: DVec3) -> bool {
+        let Some(centre) = self.centre() else {
+            return false;
+        };
+        corners(size).into_iter().all(|corner| {
+            // From the middle of the shape, in its own directions and size.
+            let x = placement.rotate.transpose() * (corner - placement.translate - centre)
+                / placement.scale;
+            match self {
+                Shape::Box { min, max } => x.abs().cmple(0.5 * (max - min)).all(),
+                Shape::Sphere { radius, .. } => x.length() <= *radius,
+                Shape::Cylinder {
+                    axis,
+                    radius,
+                    height,
+                    ..
+                } => {
+                    x.dot(*axis).abs() <= 0.5 * height
+                        && x.reject_from_normalized(*axis).length() <= *radius
+                }
+                Shape::HalfSpace { .. } | Shape::Wave { .. } | Shape::Mesh { .. } => false,
+            }
+        })
+    }
+}
+
+/// The corners of the box from the origin to `size`.
+pub(super) fn corners(size: DVec3) -> [DVec3; 8] {
+    std::array::from_fn(|i| {
+        size * DVec3::new((i & 1) as f64, (i >> 1 & 1) as f64, (i >> 2 & 1) as f64)
+    })
+}
