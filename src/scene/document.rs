@@ -44,7 +44,7 @@ impl Content {
         match self {
             Content::Text(text) => format!("the text \"{text}\""),
             Content::Integer(value) => format!("the number {value}"),
-            Content::Float(value) => format!("the number {value}"),
+            Content::Float(value) => format!("the number {value:?}"),
             Content::Boolean(value) => format!("{value}"),
             Content::Date => "a date".to_owned(),
             Content::Array(items) => format!("a list of {}", items.len()),
@@ -75,7 +75,11 @@ impl Document {
             line: error.span().map_or(1, |span| line_of(span.start)),
             key: "TOML".to_owned(),
             problem: one_line(error.message()),
-            cure: "correct the TOML syntax of this line".to_owned(),
+            cure: match error.message() {
+                "duplicate key" => "keep one of them; entries of a list begin with double brackets, such as [[probe]]",
+                _ => "correct the TOML syntax of this line",
+            }
+            .to_owned(),
         })?;
         let last_line = text.lines().count().max(1);
         let mut document = Document {
@@ -342,7 +346,7 @@ fn one_line(message: &str) -> String {
 pub(super) struct Keys {
     /// Those that mean something.
     pub(super) valid: &'static [&'static str],
-    /// Those of the format that this version does not simulate, with what they stand for, in the plural.
+    /// Those of the format that this version refuses, with the reason: a sentence that "yet" ends.
     pub(super) later: &'static [(&'static str, &'static str)],
 }
 
@@ -557,9 +561,9 @@ impl<'a> Place<'a> {
                 key: join(&self.key, name),
                 node,
             };
-            if let Some((_, what)) = keys.later.iter().find(|(later, _)| later == name) {
+            if let Some((_, reason)) = keys.later.iter().find(|(later, _)| later == name) {
                 return Err(place.fail(
-                    format!("{what} are not simulated yet"),
+                    format!("{reason} yet"),
                     format!("remove `{name}`: this version simulates liquid in a closed box with obstacles that do not move"),
                 ));
             }

@@ -34,15 +34,15 @@ const ROOT: Keys = Keys {
         "domain", "time", "liquid", "obstacle", "probe", "solver", "output", "camera",
     ],
     later: &[
-        ("solid", "elastic solids"),
-        ("source", "sources"),
-        ("sink", "sinks"),
-        ("surface", "surface meshes"),
+        ("solid", "elastic solids are not simulated"),
+        ("source", "sources are not simulated"),
+        ("sink", "sinks are not simulated"),
+        ("surface", "surface meshes are not made"),
     ],
 };
 const DOMAIN: Keys = Keys {
     valid: &["size", "cells", "gravity"],
-    later: &[("open", "open sides")],
+    later: &[("open", "open sides are not simulated")],
 };
 const TIME: Keys = Keys {
     valid: &["duration", "frames_per_second", "cfl", "fixed_step"],
@@ -83,11 +83,14 @@ const OBSTACLE: Keys = Keys {
         "placement",
         "inside_out",
     ],
-    later: &[("keyframes", "moving obstacles")],
+    later: &[("keyframes", "moving obstacles are not simulated")],
 };
 const PROBE: Keys = Keys {
     valid: &["name", "height", "pressure", "velocity", "front"],
-    later: &[("node", "probes of solids"), ("solid", "probes of solids")],
+    later: &[
+        ("node", "probes of solids are not simulated"),
+        ("solid", "probes of solids are not simulated"),
+    ],
 };
 const HEIGHT: Keys = Keys {
     valid: &["x", "z"],
@@ -111,19 +114,31 @@ const SOLVER: Keys = Keys {
         "area_clamp",
     ],
     later: &[
-        ("formulation", "formulations of coupled problems"),
-        ("sigma", "formulations of coupled problems"),
-        ("alpha", "formulations of coupled problems"),
-        ("pressure_on_patches", "pressures on elastic solids"),
-        ("face_areas", "nodal face areas"),
+        (
+            "formulation",
+            "formulations of coupled problems are not simulated",
+        ),
+        (
+            "sigma",
+            "formulations of coupled problems are not simulated",
+        ),
+        (
+            "alpha",
+            "formulations of coupled problems are not simulated",
+        ),
+        (
+            "pressure_on_patches",
+            "pressures on elastic solids are not simulated",
+        ),
+        ("face_areas", "nodal face areas are not computed"),
     ],
 };
 const OUTPUT: Keys = Keys {
     valid: &["particles", "fields", "every"],
     later: &[
-        ("surface", "surface meshes"),
-        ("solids", "elastic solids"),
-        ("checkpoint_every", "checkpoints"),
+        ("surface", "surface meshes are not made"),
+        ("solids", "elastic solids are not simulated"),
+        ("checkpoint_every", "checkpoints are not written"),
     ],
 };
 
@@ -207,10 +222,10 @@ fn domain(root: &Table, scale: f64) -> Result<Domain, Error> {
         let edges = DVec3::from_array(given.map(|n| n as f64));
         let [x, y, z] = (size / edges).to_array();
         let cure = match cubic_cells(size, given) {
-            Some(cells) => format!("cubic with cells = {}", list(cells)),
+            Some(cells) => format!("use cells = {}", list(cells)),
             None => {
                 let dx = size.x / edges.x;
-                format!("cubic with size = {}", list((edges * dx).to_array()))
+                format!("use size = {}", list((edges * dx).to_array()))
             }
         };
         let place = if size_place.is_override() && !cells_place.is_override() {
@@ -406,7 +421,7 @@ fn region(place: &Place, file: &Path, domain: &Domain) -> Result<Region, Error> 
     shape_place.ensure(
         shape.reaches(&Placement::default(), domain.size),
         format!(
-            "lies outside the domain, {} m from the origin",
+            "lies outside the domain, which goes from the origin to {} m",
             list(domain.size.to_array())
         ),
         "move it so that a part lies inside",
@@ -440,7 +455,7 @@ fn obstacles(root: &Table, file: &Path, domain: &Domain) -> Result<Vec<Obstacle>
         shape_place.ensure(
             shape.reaches(&placement, domain.size),
             format!(
-                "lies outside the domain, {} m from the origin",
+                "lies outside the domain, which goes from the origin to {} m",
                 list(domain.size.to_array())
             ),
             "move it so that a part lies inside",
@@ -627,7 +642,11 @@ fn output(root: &Table) -> Result<Output, Error> {
         output.fields = place.boolean()?;
     }
     if let Some(place) = table.get("every") {
-        output.every = place.count("every how many frames to write", 1, MAX_FRAMES as u64)?;
+        output.every = place.count(
+            "the frames from one that is written to the next",
+            1,
+            MAX_FRAMES as u64,
+        )?;
     }
     Ok(output)
 }
