@@ -283,38 +283,45 @@ pub fn open_fractions(grid: &Grid, start: f64, clippings: &[Clipping]) -> OpenFr
 /// The sums along one axis, and the largest difference between the start and the end of a line.
 fn line_sums(grid: &Grid, axis: Axis, start: f64, clippings: &[Clipping]) -> (Vec<f64>, f64) {
     let a = axis.index();
-    // One face beyond the last, for what the outer ghost cells hold.
-    let mut padded = *grid;
-    padded.cells[a] += 1;
-    let [nx, ny, nz] = padded.faces(axis);
-    let mut open = vec![0.0; nx * ny * nz];
+    let [nx, ny, _] = grid.faces(axis);
+    let stride = [1, nx, nx * ny][a];
+    let mut open = vec![0.0; grid.n_faces(axis)];
+    // What the outer ghost cells hold, behind the last face of each line.
+    let mut beyond = vec![0.0; open.len() / (grid.cells[a] + 1)];
     let per_area = 1.0 / (grid.dx * grid.dx);
     for clipping in clippings {
         for patch in &clipping.patches {
             let mut face = grid.cell_at(patch.cell);
             face[a] += 1;
-            open[padded.face(axis, face)] -= patch.area * patch.normal[a] * per_area;
+            open[grid.face(axis, face)] -= patch.area * patch.normal[a] * per_area;
         }
         for ghost in clipping.ghosts.iter().filter(|ghost| ghost.axis == axis) {
-            let mut face = ghost.cell;
-            face[a] += 1;
-            open[padded.face(axis, face.map(|at| at as usize))] -= ghost.flux;
+            let mut face = ghost.cell.map(|at| at.max(0) as usize);
+            if ghost.cell[a] < 0 {
+                open[grid.face(axis, face)] -= ghost.flux;
+            } else {
+                face[a] = 0;
+                let first = grid.face(axis, face);
+                let block = first / (stride * (grid.cells[a] + 1));
+                beyond[block * stride + first % stride] -= ghost.flux;
+            }
         }
     }
-    let stride = [1, nx, nx * ny][a];
-    let length = [nx, ny, nz][a];
     let mut defect = 0.0_f64;
-    let mut inside = Vec::with_capacity(grid.n_faces(axis));
-    for block in open.chunks_exact_mut(stride * length) {
-        block[..stride].iter_mut().for_each(|open| *open += start);
-        for here in stride..block.len() {
-            block[here] += block[here - stride];
+    let blocks = open.chunks_exact_mut(stride * (grid.cells[a] + 1));
+    for (block, beyond) in blocks.zip(beyond.chunks_exact(stride)) {
+        let (mut before, mut rest) = block.split_at_mut(stride);
+        before.iter_mut().for_each(|open| *open += start);
+        while !rest.is_empty() {
+            let (here, after) = rest.split_at_mut(stride);
+            for (here, before) in here.iter_mut().zip(&*before) {
+                *here += before;
+            }
+            (before, rest) = (here, after);
         }
-        let (kept, end) = block.split_at(stride * (length - 1));
-        inside.extend_from_slice(kept);
-        defect = end
-            .iter()
-            .fold(defect, |defect, open| defect.max((open - start).abs()));
+        for (last, beyond) in before.iter().zip(beyond) {
+            defect = defect.max((last + beyond - start).abs());
+        }
     }
-    (inside, defect)
+    (open, defect)
 }

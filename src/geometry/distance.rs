@@ -207,23 +207,16 @@ impl Body {
         } = *obstacle;
         // The tessellation is scaled with the placement.
         let dx = dx / placement.scale;
-        let (surface, centre) = match *shape {
-            Shape::Box { min, max } => (Surface::cuboid(min, max), 0.5 * (min + max)),
-            Shape::Sphere { centre, radius } => (Surface::sphere(centre, radius, dx), centre),
+        let surface = match *shape {
+            Shape::Box { min, max } => Surface::cuboid(min, max),
+            Shape::Sphere { centre, radius } => Surface::sphere(centre, radius, dx),
             Shape::Cylinder {
                 base,
                 axis,
                 radius,
                 height,
-            } => (
-                Surface::cylinder(base, axis, radius, height, dx),
-                base + 0.5 * height * axis,
-            ),
-            Shape::Mesh { ref file } => {
-                let surface = mesh_file::read(file)?;
-                let [low, high] = surface.bounds();
-                (surface, 0.5 * (low + high))
-            }
+            } => Surface::cylinder(base, axis, radius, height, dx),
+            Shape::Mesh { ref file } => mesh_file::read(file)?,
             Shape::HalfSpace { .. } | Shape::Wave { .. } => {
                 return Err(Error::input(
                     name,
@@ -232,6 +225,8 @@ impl Body {
                 ));
             }
         };
+        let [low, high] = surface.bounds();
+        let centre = shape.centre().unwrap_or(0.5 * (low + high));
         let surface = surface.placed(&placement, centre);
         // A mesh is turned as a whole; the other shapes turn the point back.
         let solid = match shape {

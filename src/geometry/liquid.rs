@@ -100,8 +100,8 @@ const PER_EDGE: usize = 2;
 /// the advection would move it.
 const MARGIN: f64 = 0.02;
 
-/// Directions in which a marker looks for the free surface: the shortest of those between points of a 5^3 lattice, all axes
-/// among them.
+/// Directions in which a marker looks for the free surface, besides straight out of the liquid: those between points of a 5^3
+/// lattice, all axes among them.
 static DIRECTIONS: LazyLock<Vec<DVec3>> = LazyLock::new(|| {
     let steps = || -2..=2_i64;
     let lattice = steps()
@@ -134,11 +134,21 @@ pub fn seed_markers(
             || regions.distance(x) < 0.0
             || in_solid(x)
     };
+    // Straight out of the liquid, between the directions of the lattice: central differences over a cell.
+    let out = |x: DVec3| {
+        let gradient = DVec3::from_array(DVec3::AXES.map(|axis| {
+            let step = 0.5 * grid.dx * axis;
+            regions.distance(x + step) - regions.distance(x - step)
+        }));
+        gradient.normalize_or_zero()
+    };
     let keep = |x: DVec3| {
         let distance = regions.distance(x);
+        let under_air = |way: DVec3| !no_air(x + depth * way);
         distance < 0.0
             && !in_solid(x)
-            && (distance <= -depth || DIRECTIONS.iter().all(|&way| no_air(x + depth * way)))
+            && (distance <= -depth
+                || !(under_air(out(x)) || DIRECTIONS.iter().copied().any(under_air)))
     };
     let rows: Vec<Vec<[f64; 3]>> = (0..grid.n_cells())
         .into_par_iter()

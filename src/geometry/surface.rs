@@ -28,11 +28,11 @@ pub struct Fault {
 /// open fractions do not see it.
 const CHORD_ERROR: f64 = 1e-3;
 
-/// Most segments along an edge of the icosahedron (20 n^2 triangles): beyond it, at radii above 110 cells, the chord error
+/// Most segments along an edge of the icosahedron (20 n^2 triangles): beyond it, at radii above 86 cells, the chord error
 /// grows.
 const MAX_SPHERE_SEGMENTS: usize = 128;
 
-/// Most sides of a cylinder; reached at radii above 1700 cells.
+/// Most sides of a cylinder; reached at radii above 1275 cells.
 const MAX_CYLINDER_SIDES: usize = 2048;
 
 impl Surface {
@@ -67,9 +67,9 @@ impl Surface {
 
     /// A sphere as a subdivided icosahedron of the same volume, within 1e-3 dx of the sphere.
     pub fn sphere(centre: DVec3, radius: f64, dx: f64) -> Surface {
-        // A triangle of circumradius c lies c^2 / (2 radius) below the sphere at its middle. The widest triangles of n
-        // segments have c = 0.764 radius / n. Equal volumes put half of that above and half below the sphere.
-        let depth = 0.292 * radius / (2.0 * CHORD_ERROR * dx);
+        // Middles of triangles lie below vertices by up to 0.29 radius / n^2. Equal volumes lift the vertices above the
+        // sphere by the mean depth, at most 0.19 radius / n^2.
+        let depth = 0.19 * radius / (CHORD_ERROR * dx);
         let n = (depth.sqrt().ceil() as usize).clamp(4, MAX_SPHERE_SEGMENTS);
         let (corners, faces) = icosahedron();
         let mut unit = Surface::default();
@@ -104,8 +104,9 @@ impl Surface {
 
     /// A right circular cylinder (unit `axis`, centre of its `base`) as a prism of the same volume, within 1e-3 dx of it.
     pub fn cylinder(base: DVec3, axis: DVec3, radius: f64, height: f64, dx: f64) -> Surface {
-        // A chord of n lies radius (1 - cos(pi/n)), about radius pi^2 / (2 n^2), below the circle; half of that either way.
-        let n = std::f64::consts::PI * (radius / (4.0 * CHORD_ERROR * dx)).sqrt();
+        // The middle of a chord of n lies about radius pi^2 / (2 n^2) below the circle. Equal areas lift its ends above the
+        // circle by two thirds of that.
+        let n = std::f64::consts::PI * (radius / (3.0 * CHORD_ERROR * dx)).sqrt();
         let n = (n.ceil() as usize).clamp(16, MAX_CYLINDER_SIDES);
         let angle = std::f64::consts::TAU / n as f64;
         let radius = radius * (angle / angle.sin()).sqrt();
