@@ -151,6 +151,7 @@ impl Grid {
 /// spare row at the end of each slab, one spare slab in front and two behind. A spare cell serves as the neighbour beyond
 /// the end of its row and before the start of the next. Spare cells hold zeros (inactive, closed).
 ///
+/// The number of quads is a multiple of 4, so that flags per quad can be read in fours.
 /// Rows are a multiple of 8 cells long, so the 8 fine cells under a coarse quad are always two quads of one row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Padded {
@@ -173,7 +174,7 @@ impl Padded {
             cells,
             stride_y,
             stride_z,
-            quads: stride_z * (cells[2] + 3),
+            quads: (stride_z * (cells[2] + 3)).next_multiple_of(4),
         }
     }
 

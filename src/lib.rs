@@ -27,6 +27,7 @@ pub mod grid;
 pub mod linalg;
 pub mod reference;
 pub mod scene;
+pub mod solver;
 pub mod state;
 
 pub use error::Error;

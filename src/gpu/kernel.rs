@@ -2,7 +2,7 @@
 
 use bytemuck::Pod;
 
-use super::shader::{Real, Source, compose, validate};
+use super::shader::{Source, Variant, compose, validate};
 use super::{Buffer, Gpu};
 use crate::Error;
 
@@ -63,9 +63,10 @@ impl Kernel {
     ///
     /// # Errors
     /// [`Error::Shader`] with file and line, [`Error::Limit`] when it binds more storage buffers than the adapter allows.
-    pub fn new(gpu: &Gpu, source: &Source, real: Real) -> Result<Kernel, Error> {
-        let composed = compose(source, real)?;
-        let (module, _) = validate(&composed, real)?;
+    pub fn new(gpu: &Gpu, source: &Source, variant: impl Into<Variant>) -> Result<Kernel, Error> {
+        let variant = variant.into();
+        let composed = compose(source, variant)?;
+        let (module, _) = validate(&composed, variant)?;
         let entry = source.name.rsplit('/').next().unwrap_or(source.name);
         let point = module
             .entry_points

@@ -18,7 +18,7 @@ pub use compact::{CompactKernels, Compaction, Range};
 pub use device::{AdapterChoice, AdapterReport, Gpu};
 pub use kernel::{Binding, Bound, Kernel};
 pub use record::{Pass, Recorder, SPLIT, StageTimes, groups};
-pub use shader::{COMMON, Composed, Real, Source, WG_SIZE, compose, validate};
+pub use shader::{COMMON, Composed, Real, Source, Variant, WG_SIZE, compose, validate};
 
 /// The WGSL file `shaders/NAME.wgsl`, embedded.
 #[macro_export]

@@ -21,11 +21,21 @@ pub struct Source {
 /// The modules that `#import` knows.
 pub const COMMON: &[Source] = &[
     crate::wgsl!("common/compact"),
+    crate::wgsl!("common/control"),
+    crate::wgsl!("common/control_state"),
     crate::wgsl!("common/dispatch"),
+    crate::wgsl!("common/fold"),
     crate::wgsl!("common/ghost_fluid"),
+    crate::wgsl!("common/inner_f32"),
+    crate::wgsl!("common/inner_f64"),
     crate::wgsl!("common/layout"),
+    crate::wgsl!("common/level"),
+    crate::wgsl!("common/pcg_slots"),
     crate::wgsl!("common/real_f32"),
     crate::wgsl!("common/real_f64"),
+    crate::wgsl!("common/refine"),
+    crate::wgsl!("common/stencil"),
+    crate::wgsl!("common/sweep"),
 ];
 
 /// The scalar type that `alias Real` stands for.
@@ -46,10 +56,10 @@ impl Real {
         }
     }
 
-    fn module(self) -> &'static str {
+    fn name(self) -> &'static str {
         match self {
-            Real::F32 => "common/real_f32",
-            Real::F64 => "common/real_f64",
+            Real::F32 => "f32",
+            Real::F64 => "f64",
         }
     }
 }
@@ -80,16 +90,32 @@ impl Composed {
     }
 }
 
+/// The scalar types of a kernel: `#import real` gives `Real`, `#import inner` gives `Inner`. Most kernels use one; the solver's
+/// outer loop works in `Real` on corrections in `Inner`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Variant {
+    /// `Real`.
+    pub real: Real,
+    /// `Inner`.
+    pub inner: Real,
+}
+
+impl From<Real> for Variant {
+    fn from(real: Real) -> Variant {
+        Variant { real, inner: real }
+    }
+}
+
 /// Replaces the `#import` lines of a source by the modules they name, each once, in order of first use.
 ///
 /// # Errors
 /// [`Error::Shader`] for an unknown module.
-pub fn compose(source: &Source, real: Real) -> Result<Composed, Error> {
+pub fn compose(source: &Source, variant: impl Into<Variant>) -> Result<Composed, Error> {
     let mut composed = Composed {
         text: String::new(),
         lines: Vec::new(),
     };
-    include(&mut composed, &mut Vec::new(), *source, real)?;
+    include(&mut composed, &mut Vec::new(), *source, variant.into())?;
     Ok(composed)
 }
 
@@ -97,12 +123,13 @@ fn include(
     out: &mut Composed,
     done: &mut Vec<&'static str>,
     source: Source,
-    real: Real,
+    variant: Variant,
 ) -> Result<(), Error> {
     for (index, line) in source.text.lines().enumerate() {
         if let Some(name) = line.strip_prefix("#import ") {
             let wanted = match name.trim() {
-                "real" => real.module().to_owned(),
+                "real" => format!("common/real_{}", variant.real.name()),
+                "inner" => format!("common/inner_{}", variant.inner.name()),
                 name => format!("common/{name}"),
             };
             let module = COMMON
@@ -115,7 +142,7 @@ fn include(
                 })?;
             if !done.contains(&module.name) {
                 done.push(module.name);
-                include(out, done, *module, real)?;
+                include(out, done, *module, variant)?;
             }
         } else {
             out.text.push_str(line);
@@ -130,7 +157,11 @@ fn include(
 ///
 /// # Errors
 /// [`Error::Shader`] with the file and line of the first fault.
-pub fn validate(composed: &Composed, real: Real) -> Result<(naga::Module, ModuleInfo), Error> {
+pub fn validate(
+    composed: &Composed,
+    variant: impl Into<Variant>,
+) -> Result<(naga::Module, ModuleInfo), Error> {
+    let variant = variant.into();
     let module = naga::front::wgsl::parse_str(&composed.text).map_err(|error| {
         let line = error
             .location(&composed.text)
@@ -138,7 +169,7 @@ pub fn validate(composed: &Composed, real: Real) -> Result<(naga::Module, Module
         composed.error(line, error.to_string())
     })?;
     let mut capabilities = Capabilities::empty();
-    if real == Real::F64 {
+    if variant.real == Real::F64 || variant.inner == Real::F64 {
         capabilities |= Capabilities::FLOAT64;
     }
     let info = Validator::new(ValidationFlags::all(), capabilities)

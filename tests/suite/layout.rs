@@ -56,3 +56,20 @@ fn range_matches() {
         size_of::<Range>(),
     );
 }
+
+#[test]
+fn solver_structs_match() {
+    use cutwater::solver::{Control, Level, Sweep};
+    let fields = fields!(Level: shape, coefficient, args, pad_0, pad_1);
+    assert_layout("level", "Level", fields, size_of::<Level>());
+    assert_layout(
+        "sweep",
+        "Sweep",
+        fields!(Sweep: omega, ends_cycle, pad_0, pad_1),
+        size_of::<Sweep>(),
+    );
+    let fields = fields!(
+        Control: running, status, iterations, max_iterations, first, rounds, unknowns, n_levels
+    );
+    assert_layout("control_state", "Control", fields, size_of::<Control>());
+}

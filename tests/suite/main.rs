@@ -8,3 +8,4 @@ mod linalg;
 mod reference;
 mod scene;
 mod shaders;
+mod solver;

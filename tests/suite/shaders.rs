@@ -1,7 +1,7 @@
 //! Every WGSL file, without a device: it parses, validates with no more capabilities than its variant asks for, its entry point
 //! has the file's name, and it binds no more storage buffers than every adapter allows.
 
-use cutwater::gpu::{Real, Source, compose, validate};
+use cutwater::gpu::{Real, Source, Variant, compose, validate};
 
 /// `max_storage_buffers_per_shader_stage` of the WebGPU default limits.
 const STORAGE_BUFFERS: usize = 8;
@@ -36,15 +36,26 @@ fn every_shader_validates_in_every_variant() {
     let sources = kernels();
     assert!(sources.len() >= 3, "the shaders were found");
     for source in sources {
-        let variants: &[Real] = if source.text.contains("#import real") {
-            &[Real::F32, Real::F64]
-        } else {
-            &[Real::F32]
-        };
-        for &real in variants {
-            let composed = compose(&source, real).unwrap();
+        let outer: &[Real] =
+            if source.text.contains("#import real") || source.text.contains("#import stencil") {
+                &[Real::F32, Real::F64]
+            } else {
+                &[Real::F32]
+            };
+        // What the three precisions compile: f32, f64, and f64 around f32 where a kernel has both.
+        let mut variants: Vec<Variant> = outer.iter().map(|&real| real.into()).collect();
+        if outer.len() > 1
+            && (source.text.contains("#import inner") || source.text.contains("#import stencil"))
+        {
+            variants.push(Variant {
+                real: Real::F64,
+                inner: Real::F32,
+            });
+        }
+        for variant in variants {
+            let composed = compose(&source, variant).unwrap();
             let (module, _) =
-                validate(&composed, real).unwrap_or_else(|error| panic!("{real:?}: {error}"));
+                validate(&composed, variant).unwrap_or_else(|error| panic!("{variant:?}: {error}"));
             assert_eq!(
                 module.entry_points.len(),
                 1,

@@ -1,0 +1,87 @@
+// Stage active_cells, level 0: which cells are unknowns, and the matrix of the projection.
+// A cell is active when its liquid distance is negative and one of its faces is open. Off-diagonal weights are the open
+// fractions between active cells; a face towards air adds open / theta to the diagonal (ghost fluid). Only quads that hold
+// liquid are written; all arrays are zero elsewhere.
+// level: the level. settings: theta floor. liquid_distance: per cell, m. open: fractions of the minus faces along x, y, z.
+// flags: per quad, active lanes in bits 0-3 and UNIFORM. matrix: see level.
+#import dispatch
+#import level
+#import real
+#import ghost_fluid
+
+struct ActiveSettings {
+    theta_floor: f32,
+    pad_0: f32,
+    pad_1: f32,
+    pad_2: f32,
+}
+
+@group(0) @binding(0) var<uniform> level: Level;
+@group(0) @binding(1) var<uniform> settings: ActiveSettings;
+@group(0) @binding(2) var<storage, read> liquid_distance: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> open: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read_write> flags: array<u32>;
+@group(0) @binding(5) var<storage, read_write> matrix: array<Real4>;
+
+// Weight between two cells and free-surface term of the first, for one face of each lane.
+struct Face {
+    weight: Real4,
+    dirichlet: Real4,
+}
+
+fn face(inside: vec4<f32>, outside: vec4<f32>, area: vec4<f32>) -> Face {
+    var out: Face;
+    for (var l = 0; l < 4; l++) {
+        if inside[l] < 0.0 && area[l] > 0.0 {
+            if outside[l] < 0.0 {
+                out.weight[l] = Real(area[l]);
+            } else {
+                out.dirichlet[l] = Real(area[l]) / Real(ghost_theta(inside[l], outside[l], settings.theta_floor));
+            }
+        }
+    }
+    return out;
+}
+
+@compute @workgroup_size(WG_SIZE)
+fn active_cells(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let sy = level.shape.stride_y;
+    let sz = level.shape.stride_z;
+    // The slabs before and behind the domain hold no cells.
+    let q = linear_index(workgroup, lane) + sz;
+    if q + 2u * sz >= level.shape.quads {
+        return;
+    }
+    let phi = liquid_distance[q];
+    if all(phi >= vec4<f32>(0.0)) {
+        return;
+    }
+    let n = level.shape.quads;
+    let ax = open[q];
+    let xm = face(phi, vec4<f32>(liquid_distance[q - 1u].w, phi.xyz), ax);
+    let xp = face(phi, vec4<f32>(phi.yzw, liquid_distance[q + 1u].x), vec4<f32>(ax.yzw, open[q + 1u].x));
+    let ym = face(phi, liquid_distance[q - sy], open[n + q]);
+    let yp = face(phi, liquid_distance[q + sy], open[n + q + sy]);
+    let zm = face(phi, liquid_distance[q - sz], open[2u * n + q]);
+    let zp = face(phi, liquid_distance[q + sz], open[2u * n + q + sz]);
+    let surface = ((xm.dirichlet + xp.dirichlet) + (ym.dirichlet + yp.dirichlet)) + (zm.dirichlet + zp.dirichlet);
+    let diagonal = surface + ((xm.weight + xp.weight) + (ym.weight + yp.weight)) + (zm.weight + zp.weight);
+    let active_lanes = diagonal > Real4();
+    if !any(active_lanes) {
+        return;
+    }
+    let total = level.shape.total;
+    matrix[q] = xm.weight;
+    matrix[total + q] = ym.weight;
+    matrix[2u * total + q] = zm.weight;
+    matrix[DIRICHLET * total + q] = surface;
+    let one = Real4(Real(1.0));
+    matrix[INV_DIAGONAL * total + q] = select(Real4(), one / max(diagonal, Real4(Real(1e-30))), active_lanes);
+    var flag = dot(vec4<u32>(active_lanes), vec4<u32>(1u, 2u, 4u, 8u));
+    if all(surface == Real4())
+        && all(xm.weight == one) && all(xp.weight == one) && all(ym.weight == one)
+        && all(yp.weight == one) && all(zm.weight == one) && all(zp.weight == one) {
+        flag |= UNIFORM;
+    }
+    flags[q] = flag;
+}

@@ -1,0 +1,5 @@
+// Slots of scalars, in the scalar type of the corrections.
+const RZ = 0u;          // r . z
+const ALPHA = 1u;       // step along the search direction
+const BETA = 2u;        // share of the old direction in the new one
+const GOAL = 3u;        // |r|^2 at which the round ends

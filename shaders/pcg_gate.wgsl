@@ -1,0 +1,20 @@
+// PCG, one thread, before a block of iterations: whether the one-workgroup kernels of the block run. They write gated, so their own
+// dispatch size must stand elsewhere.
+// control: the state. gate: workgroups x, y, z and a spare word, for one workgroup and for the first level of long sums.
+#import control_state
+
+// Must be solver::FOLD_THREADS / gpu::WG_SIZE.
+const FOLD_GROUPS = 64u;
+
+@group(0) @binding(0) var<storage, read> control: Control;
+@group(0) @binding(1) var<storage, read_write> gate: array<u32>;
+
+@compute @workgroup_size(1)
+fn pcg_gate() {
+    gate[0] = control.running;
+    gate[1] = 1u;
+    gate[2] = 1u;
+    gate[4] = FOLD_GROUPS * control.running;
+    gate[5] = 1u;
+    gate[6] = 1u;
+}

@@ -1,0 +1,73 @@
+// Outer loop, one workgroup, between rounds: judges the true residual and opens the next round or ends the solve.
+// A correction that made the residual worse is taken back: the best iterate is kept.
+// totals: where the number of partials stands. settings: tolerances. args, gated: see control. partials: |r|^2.
+#import level
+#import refine
+#import pcg_slots
+#import inner
+#import control
+#import fold
+
+struct RefineSettings {
+    // relative tolerance of |r| / |b|
+    tolerance: f32,
+    // of |r| / | |E| |u*| |: what rounding leaves
+    rounding: f32,
+    // least reduction of a round, above what the corrections' precision can reach
+    round_floor: f32,
+    pad_0: f32,
+}
+
+@group(0) @binding(0) var<uniform> totals: Level;
+@group(0) @binding(1) var<uniform> settings: RefineSettings;
+@group(0) @binding(2) var<storage, read> args: array<u32>;
+@group(0) @binding(3) var<storage, read> partials: array<Real4>;
+@group(0) @binding(4) var<storage, read_write> norms: array<Real>;
+@group(0) @binding(5) var<storage, read_write> scalars: array<Inner>;
+@group(0) @binding(6) var<storage, read_write> control: Control;
+@group(0) @binding(7) var<storage, read_write> gated: array<u32>;
+
+// A round aims below what is left, so that rounding does not make it miss by a hair.
+const ROUND_MARGIN = 0.5;
+
+@compute @workgroup_size(FOLD_SIZE)
+fn refine_turn(@builtin(local_invocation_index) lane: u32) {
+    let rr = fold(args[totals.args + 3u], lane).x;
+    if lane != 0u || control.running == 1u {
+        return;
+    }
+    if control.status == STATUS_CONVERGED || control.status == STATUS_STAGNATED
+        || control.status == STATUS_MAX_ITERATIONS {
+        // Also after a correction was taken back.
+        gate_extra(TURN, false);
+        return;
+    }
+    let worse = rr >= norms[NORM_LAST];
+    if worse {
+        norms[SCALE] = -norms[SCALE];
+        control.status = STATUS_STAGNATED;
+        return;
+    }
+    norms[NORM_R] = rr;
+    let tolerance = Real(settings.tolerance);
+    let rounding = Real(settings.rounding);
+    let goal = max(tolerance * tolerance * norms[NORM_B], rounding * rounding * norms[NORM_FLUX]);
+    if rr <= goal {
+        control.status = STATUS_CONVERGED;
+    } else if control.iterations >= control.max_iterations {
+        control.status = STATUS_MAX_ITERATIONS;
+    } else if control.status != STATUS_BREAKDOWN {
+        norms[NORM_LAST] = rr;
+        norms[SCALE] = sqrt(rr);
+        let margin = Real(ROUND_MARGIN);
+        let floor = Real(settings.round_floor);
+        scalars[GOAL] = Inner(max(margin * margin * goal / rr, floor * floor));
+        control.running = 1u;
+        control.first = 1u;
+        control.rounds++;
+        gate_levels(true);
+        gate_extra(UPDATE, true);
+        gate_extra(BEGIN, true);
+    }
+    gate_extra(TURN, false);
+}

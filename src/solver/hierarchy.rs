@@ -1,0 +1,204 @@
+//! The preconditioner: one symmetric V-cycle of aggregation multigrid, z_next = H r.
+
+use crate::Error;
+use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass};
+
+use super::system::SolverBuffers;
+use super::{Level, OMEGA, Sweep, TAIL_LEVELS, TAIL_STEPS};
+
+/// Double sweeps on the last level; with a few cells left this solves it well below what the cycle needs.
+const SOLVE_SWEEPS: u32 = 4;
+
+/// The doppelganger of `Tail` in `shaders/vcycle_tail.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
+struct Tail {
+    levels: [Level; TAIL_LEVELS],
+    steps: [Step; TAIL_STEPS],
+    n_steps: u32,
+    pad: [u32; 3],
+}
+
+/// The doppelganger of `Step` in `shaders/vcycle_tail.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, bytemuck::Pod, bytemuck::Zeroable)]
+struct Step {
+    op: u32,
+    level: u32,
+    omega: f32,
+    pad_0: u32,
+}
+
+const SWEEP: u32 = 0;
+const RESTRICT: u32 = 1;
+const PROLONG: u32 = 2;
+
+/// The part of the V-cycle below `plan.tail`, its first sweep excepted.
+fn tail_steps(n_levels: usize) -> Vec<Step> {
+    let last = n_levels - 1;
+    let step = |op: u32, level: usize, omega: f32| Step {
+        op,
+        level: level as u32,
+        omega,
+        pad_0: 0,
+    };
+    let mut steps = Vec::new();
+    for level in 0..last {
+        steps.push(step(SWEEP, level, OMEGA[1]));
+        steps.push(step(RESTRICT, level + 1, OMEGA[0]));
+    }
+    // From zero any sequence of sweeps is symmetric, so the last level needs no mirrored half.
+    steps.push(step(SWEEP, last, OMEGA[1]));
+    for _ in 1..SOLVE_SWEEPS {
+        steps.push(step(SWEEP, last, OMEGA[0]));
+        steps.push(step(SWEEP, last, OMEGA[1]));
+    }
+    for level in (0..last).rev() {
+        steps.push(step(PROLONG, level, 0.0));
+        steps.push(step(SWEEP, level, OMEGA[1]));
+        steps.push(step(SWEEP, level, OMEGA[0]));
+    }
+    steps
+}
+
+/// The dispatches of a V-cycle. The first sweep of the finest level, from zero, is left to whoever writes r, into `z`.
+#[derive(Debug)]
+pub struct Hierarchy {
+    /// Per level above the tail: second sweep, restriction to the next level.
+    down: Vec<[Bound; 2]>,
+    tail: Bound,
+    /// Per level above the tail: prolongation from the next level, two sweeps.
+    up: Vec<[Bound; 3]>,
+}
+
+impl Hierarchy {
+    /// Compiles and binds.
+    ///
+    /// # Errors
+    /// As [`Kernel::new`].
+    pub fn new(gpu: &Gpu, buffers: &SolverBuffers) -> Result<Hierarchy, Error> {
+        let SolverBuffers {
+            plan,
+            variant,
+            flags,
+            list,
+            args,
+            matrix,
+            r,
+            z,
+            z_next,
+            partials,
+            ..
+        } = buffers;
+        let inner = variant.inner;
+        let levels = (0..=plan.tail)
+            .map(|level| gpu.uniform("solver.level", &plan.level(level)))
+            .collect::<Result<Vec<_>, _>>()?;
+        let sweep = |omega: f32, ends_cycle: bool| {
+            gpu.uniform(
+                "solver.sweep",
+                &Sweep {
+                    omega,
+                    ends_cycle: ends_cycle.into(),
+                    pad_0: 0,
+                    pad_1: 0,
+                },
+            )
+        };
+        let sweeps = [
+            sweep(OMEGA[0], false)?,
+            sweep(OMEGA[1], false)?,
+            sweep(OMEGA[0], true)?,
+        ];
+        let smooth = Kernel::new(gpu, &crate::wgsl!("vcycle_smooth"), inner)?;
+        let restrict = Kernel::new(gpu, &crate::wgsl!("vcycle_restrict"), inner)?;
+        let prolong = Kernel::new(gpu, &crate::wgsl!("vcycle_prolong"), inner)?;
+        let smooth_level = |level: usize, sweep: &Buffer<Sweep>, to_next: bool| {
+            let (x, x_out) = if to_next { (z, z_next) } else { (z_next, z) };
+            smooth.bind(
+                gpu,
+                &[
+                    ("level", (&levels[level]).into()),
+                    ("sweep", sweep.into()),
+                    ("list", list.into()),
+                    ("args", args.into()),
+                    ("matrix", matrix.into()),
+                    ("x", x.into()),
+                    ("r", r.into()),
+                    ("x_out", x_out.into()),
+                    ("partials", partials.into()),
+                ],
+            )
+        };
+        let mut down = Vec::new();
+        let mut up = Vec::new();
+        for level in 0..plan.tail {
+            let restrict = restrict.bind(
+                gpu,
+                &[
+                    ("level", (&levels[level]).into()),
+                    ("coarse", (&levels[level + 1]).into()),
+                    ("sweep", (&sweeps[0]).into()),
+                    ("list", list.into()),
+                    ("args", args.into()),
+                    ("matrix", matrix.into()),
+                    ("x", z_next.into()),
+                    ("r", r.into()),
+                    ("x_out", z.into()),
+                    ("flags", flags.into()),
+                ],
+            )?;
+            down.push([smooth_level(level, &sweeps[1], true)?, restrict]);
+            let prolong = prolong.bind(
+                gpu,
+                &[
+                    ("level", (&levels[level]).into()),
+                    ("coarse", (&levels[level + 1]).into()),
+                    ("list", list.into()),
+                    ("args", args.into()),
+                    ("x", z_next.into()),
+                ],
+            )?;
+            let last = if level == 0 { &sweeps[2] } else { &sweeps[0] };
+            up.push([
+                prolong,
+                smooth_level(level, &sweeps[1], false)?,
+                smooth_level(level, last, true)?,
+            ]);
+        }
+        let mut tail: Tail = bytemuck::Zeroable::zeroed();
+        for level in plan.tail..plan.len() {
+            tail.levels[level - plan.tail] = plan.level(level);
+        }
+        let steps = tail_steps(plan.len() - plan.tail);
+        tail.steps[..steps.len()].copy_from_slice(&steps);
+        tail.n_steps = steps.len() as u32;
+        let tail = gpu.uniform("solver.tail", &tail)?;
+        let tail = Kernel::new(gpu, &crate::wgsl!("vcycle_tail"), inner)?.bind(
+            gpu,
+            &[
+                ("tail", (&tail).into()),
+                ("flags", flags.into()),
+                ("matrix", matrix.into()),
+                ("r", r.into()),
+                ("x_in", z.into()),
+                ("x", z_next.into()),
+            ],
+        )?;
+        Ok(Hierarchy { down, tail, up })
+    }
+
+    /// Records a V-cycle on the lists whose dispatch sizes stand in `sizes` (a level per slot); `gate` holds the size of the tail.
+    pub fn record(&self, pass: &mut Pass, sizes: &Buffer<u32>, gate: &Buffer<u32>) {
+        for (level, [smooth, restrict]) in self.down.iter().enumerate() {
+            pass.dispatch_indirect(smooth, sizes, level);
+            pass.dispatch_indirect(restrict, sizes, level + 1);
+        }
+        pass.dispatch_indirect(&self.tail, gate, 0);
+        for (level, bounds) in self.up.iter().enumerate().rev() {
+            for bound in bounds {
+                pass.dispatch_indirect(bound, sizes, level);
+            }
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! The pressure solver on the GPU: matrix-free conjugate gradients on the cut-cell, ghost-fluid Laplacian, preconditioned by one
+//! symmetric V-cycle of aggregation multigrid, inside an outer loop that refines on the true residual.
+//!
+//! The unknown is the potential phi = p dt / (rho dx), m/s: B p = E u* of the thesis divided by dx^2 becomes
+//!
+//! ```text
+//!   sum over faces of w_f (phi_c - phi_nb) + dirichlet_c phi_c = b_c = - sum over faces of s_f open_f u*_f       (m/s)
+//! ```
+//!
+//! with w_f the open fraction between two active cells and dirichlet_c the sum of open_f / theta_f over faces towards air.
+//! The matrix is stored in f32 and *is* the system of the step; widening it to f64 is exact.
+//!
+//! **Storage.** Dense padded arrays of quads, all levels one after another, and a compact list of active quads per level. A list
+//! entry is tagged when its quad is uniform, which spares the weights' loads for nine quads in ten.
+//!
+//! **Multigrid** (design section 5; Ng et al. 2009, Shao et al. 2022, Wang et al. 2026): 2x2x2 aggregates, coarse weights half the sum
+//! of the fine ones, two sweeps of scheduled-relaxation Jacobi before and, mirrored, after; levels of at most [`TAIL_QUADS`]
+//! quads run in one workgroup.
+//!
+//! **Rounds.** A round is a PCG solve for a correction, in f32 unless the precision is `f64`; between rounds ("turn") the residual
+//! is evaluated in the precision of the unknowns. All of it is recorded ahead; kernels on the device open and close the
+//! dispatch sizes of what follows, so nothing waits for the host. |r|^2 after an update is computed from the sums that give
+//! alpha, so that a finished round does not start another V-cycle.
+//!
+//! Letters: x correction, r residual, z preconditioned residual, s search direction, q = B s.
+
+mod hierarchy;
+mod host_residual;
+mod pcg;
+mod refine;
+mod system;
+
+pub use hierarchy::Hierarchy;
+pub use refine::{Outcome, PressureSolver, Status};
+pub use system::{LevelPlan, PressureSystem, SolverBuffers};
+
+use crate::grid::Layout;
+
+/// Largest number of quads, spare ones counted, of the levels that one workgroup handles; `vcycle_tail.wgsl` has it too.
+pub const TAIL_QUADS: usize = 256;
+/// Most levels in the tail.
+pub const TAIL_LEVELS: usize = 6;
+/// Room for the steps of the tail: 5 per level and the sweeps that solve the last.
+pub const TAIL_STEPS: usize = 48;
+/// Threads of the first level of a long sum; `fold_partials.wgsl` has it too.
+pub const FOLD_THREADS: usize = 4096;
+
+/// Weights of the two sweeps of scheduled-relaxation Jacobi (Yang and Mittal 2014), which damp the upper half of the spectrum of
+/// the 7-point operator; the mirrored order after the coarse correction keeps the V-cycle symmetric.
+pub const OMEGA: [f32; 2] = [1.7319, 0.5695];
+
+/// The doppelganger of `Level` in `shaders/common/level.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct Level {
+    /// Where the level lies.
+    pub shape: Layout,
+    /// Weight of every inner face of a uniform quad: 2^level.
+    pub coefficient: f32,
+    /// First word of the level's arguments in `args`.
+    pub args: u32,
+    /// Nothing.
+    pub pad_0: u32,
+    /// Nothing.
+    pub pad_1: u32,
+}
+
+/// The doppelganger of `Sweep` in `shaders/common/sweep.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct Sweep {
+    /// Relaxation weight.
+    pub omega: f32,
+    /// 1 when the sweep ends a V-cycle.
+    pub ends_cycle: u32,
+    /// Nothing.
+    pub pad_0: u32,
+    /// Nothing.
+    pub pad_1: u32,
+}
+
+/// The doppelganger of `Control` in `shaders/common/control_state.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct Control {
+    /// 1 while a round goes on.
+    pub running: u32,
+    /// A `STATUS_*` of the shader.
+    pub status: u32,
+    /// PCG iterations in all rounds.
+    pub iterations: u32,
+    /// Where to stop.
+    pub max_iterations: u32,
+    /// 1 until the round has its first direction.
+    pub first: u32,
+    /// Rounds begun.
+    pub rounds: u32,
+    /// Active cells.
+    pub unknowns: u32,
+    /// Levels of the hierarchy.
+    pub n_levels: u32,
+}

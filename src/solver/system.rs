@@ -1,0 +1,311 @@
+//! The system of a step on the device: levels, buffers, and the kernels that set it up from open areas and liquid distance.
+
+use crate::Error;
+use crate::gpu::{
+    Bound, Buffer, BufferPlan, CompactKernels, Compaction, Gpu, Kernel, Pass, Real, RealBuffer,
+    Recorder, Variant,
+};
+use crate::grid::{Grid, Padded};
+use crate::scene::Precision;
+
+use super::{FOLD_THREADS, Level, TAIL_LEVELS, TAIL_QUADS};
+
+/// The levels of the hierarchy and where they lie: a function of the grid alone.
+#[derive(Clone, Debug)]
+pub struct LevelPlan {
+    /// Layout of each level, the finest first.
+    pub levels: Vec<Padded>,
+    /// First quad of each level in arrays of all levels.
+    pub first: Vec<usize>,
+    /// Quads of all levels.
+    pub total: usize,
+    /// First level that the one-workgroup tail handles.
+    pub tail: usize,
+}
+
+impl LevelPlan {
+    /// Halves the cells until nothing is left to halve or the tail is full.
+    pub fn new(grid: &Grid) -> LevelPlan {
+        let mut levels = vec![grid.padded()];
+        let mut tail = None;
+        loop {
+            let last = levels[levels.len() - 1];
+            if tail.is_none() && levels.len() > 1 && last.quads <= TAIL_QUADS {
+                tail = Some(levels.len() - 1);
+            }
+            let n_tail = tail.map_or(0, |tail| levels.len() - tail);
+            if last.cells == [1; 3] && tail.is_some() || n_tail == TAIL_LEVELS {
+                break;
+            }
+            levels.push(Padded::new(last.cells.map(|n| n.div_ceil(2))));
+        }
+        let mut first = Vec::new();
+        let mut total = 0;
+        for level in &levels {
+            first.push(total);
+            total += level.quads;
+        }
+        LevelPlan {
+            tail: tail.expect("a level of one cell fits the tail"),
+            levels,
+            first,
+            total,
+        }
+    }
+
+    /// The uniform of a level.
+    pub(super) fn level(&self, level: usize) -> Level {
+        Level {
+            shape: self.levels[level].layout_at(self.first[level], self.total),
+            coefficient: (1u32 << level) as f32,
+            args: 4 * level as u32,
+            pad_0: 0,
+            pad_1: 0,
+        }
+    }
+
+    /// Number of levels.
+    pub fn len(&self) -> usize {
+        self.levels.len()
+    }
+
+    /// Whether there are none; never.
+    pub fn is_empty(&self) -> bool {
+        self.levels.is_empty()
+    }
+
+    /// Whether sums take two levels: one workgroup alone would be slow on a wide device.
+    pub(super) fn long_sums(&self) -> bool {
+        self.levels[0].quads > 4 * FOLD_THREADS
+    }
+}
+
+/// The scalar types of a precision on an adapter. Without f64 the outer loop of `mixed` runs on the host.
+pub(super) fn variant(gpu: &Gpu, precision: Precision) -> Variant {
+    match precision {
+        Precision::F32 => Real::F32.into(),
+        Precision::Mixed if gpu.has_f64() => Variant {
+            real: Real::F64,
+            inner: Real::F32,
+        },
+        Precision::Mixed => Real::F32.into(),
+        Precision::F64 => Real::F64.into(),
+    }
+}
+
+/// The solver's data on the device; all levels one after another unless said otherwise.
+#[derive(Debug)]
+pub struct SolverBuffers {
+    /// The levels.
+    pub plan: LevelPlan,
+    /// Scalar types.
+    pub variant: Variant,
+    /// Active lanes (bits 0-3) and the uniform tag, per quad.
+    pub flags: Buffer<u32>,
+    /// Active quads per level, tagged.
+    pub list: Buffer<u32>,
+    /// Dispatch size and length of each level's list; after them the length of folded partials.
+    pub args: Buffer<u32>,
+    /// Weights of the minus faces along x, y, z; free-surface term; reciprocal diagonal: five sections, dimensionless.
+    pub matrix: RealBuffer,
+    /// Right-hand side b, level 0, m/s.
+    pub rhs: RealBuffer,
+    /// Potential phi, level 0, m/s.
+    pub potential: RealBuffer,
+    pub(super) outer: RealBuffer,
+    pub(super) r: RealBuffer,
+    pub(super) z: RealBuffer,
+    pub(super) z_next: RealBuffer,
+    pub(super) search: RealBuffer,
+    pub(super) q: RealBuffer,
+    pub(super) partials: RealBuffer,
+    pub(super) outer_partials: RealBuffer,
+    scratch: Buffer<u32>,
+}
+
+impl SolverBuffers {
+    /// What will be allocated.
+    pub fn plan(grid: &Grid, variant: Variant) -> Vec<BufferPlan> {
+        let plan = LevelPlan::new(grid);
+        let (cells, total) = (plan.levels[0].len(), 4 * plan.total);
+        let Variant { real, inner } = variant;
+        let partials = cells.max(4 * FOLD_THREADS);
+        vec![
+            BufferPlan::of::<u32>("solver.flags", plan.total),
+            BufferPlan::of::<u32>("solver.list", plan.total),
+            BufferPlan::of::<u32>("solver.args", 4 * (plan.len() + 1)),
+            RealBuffer::plan("solver.matrix", 5 * total, inner),
+            RealBuffer::plan("solver.rhs", cells, real),
+            RealBuffer::plan("solver.potential", cells, real),
+            RealBuffer::plan("solver.outer", cells, real),
+            RealBuffer::plan("solver.r", total, inner),
+            RealBuffer::plan("solver.z", total, inner),
+            RealBuffer::plan("solver.z_next", total, inner),
+            RealBuffer::plan("solver.search", 2 * cells, inner),
+            RealBuffer::plan("solver.q", cells, inner),
+            RealBuffer::plan("solver.partials", partials, inner),
+            RealBuffer::plan("solver.outer_partials", partials, real),
+            Compaction::scratch("solver.scratch", plan.levels[0].quads),
+        ]
+    }
+
+    /// Allocates for a grid.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] where the adapter is too small, or has no f64 and the precision needs it.
+    pub fn new(gpu: &Gpu, grid: &Grid, precision: Precision) -> Result<SolverBuffers, Error> {
+        if precision == Precision::F64 && !gpu.has_f64() {
+            return Err(Error::Limit {
+                what: "precision f64".to_owned(),
+                needed: 1,
+                available: 0,
+                unit: "feature (SHADER_F64)",
+                cure: "use precision \"mixed\", which reaches the same tolerance, or --backend cpu"
+                    .to_owned(),
+            });
+        }
+        let plan = LevelPlan::new(grid);
+        let variant = variant(gpu, precision);
+        let sizes = SolverBuffers::plan(grid, variant);
+        let len = |label: &str| {
+            sizes
+                .iter()
+                .find(|size| size.label == label)
+                .map_or(0, |size| size.len)
+        };
+        let words = |label: &str| gpu.buffer(label, len(label));
+        let inner = |label: &str| RealBuffer::new(gpu, label, len(label), variant.inner);
+        let real = |label: &str| RealBuffer::new(gpu, label, len(label), variant.real);
+        Ok(SolverBuffers {
+            flags: words("solver.flags")?,
+            list: words("solver.list")?,
+            args: words("solver.args")?,
+            matrix: inner("solver.matrix")?,
+            rhs: real("solver.rhs")?,
+            potential: real("solver.potential")?,
+            outer: real("solver.outer")?,
+            r: inner("solver.r")?,
+            z: inner("solver.z")?,
+            z_next: inner("solver.z_next")?,
+            search: inner("solver.search")?,
+            q: inner("solver.q")?,
+            partials: inner("solver.partials")?,
+            outer_partials: real("solver.outer_partials")?,
+            scratch: words("solver.scratch")?,
+            plan,
+            variant,
+        })
+    }
+}
+
+/// Stage `active_cells`: sets the system up from open areas and liquid distance, every step.
+#[derive(Debug)]
+pub struct PressureSystem {
+    active_cells: Bound,
+    coarsen: Vec<Bound>,
+    compact: Vec<Compaction>,
+    quads: Vec<usize>,
+}
+
+/// The doppelganger of `ActiveSettings` in `shaders/active_cells.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
+struct ActiveSettings {
+    theta_floor: f32,
+    pad: [f32; 3],
+}
+
+impl PressureSystem {
+    /// Compiles and binds.
+    ///
+    /// # Errors
+    /// As [`Kernel::new`].
+    pub fn new(
+        gpu: &Gpu,
+        buffers: &SolverBuffers,
+        open: &Buffer<f32>,
+        liquid_distance: &Buffer<f32>,
+        theta_floor: f64,
+    ) -> Result<PressureSystem, Error> {
+        let SolverBuffers {
+            plan,
+            variant,
+            flags,
+            list,
+            args,
+            matrix,
+            scratch,
+            ..
+        } = buffers;
+        let inner = variant.inner;
+        let levels = (0..plan.len())
+            .map(|level| gpu.uniform("solver.level", &plan.level(level)))
+            .collect::<Result<Vec<_>, _>>()?;
+        let settings = ActiveSettings {
+            theta_floor: theta_floor as f32,
+            pad: [0.0; 3],
+        };
+        let settings = gpu.uniform("solver.active_settings", &settings)?;
+        let active_cells = Kernel::new(gpu, &crate::wgsl!("active_cells"), inner)?.bind(
+            gpu,
+            &[
+                ("level", (&levels[0]).into()),
+                ("settings", (&settings).into()),
+                ("liquid_distance", liquid_distance.into()),
+                ("open", open.into()),
+                ("flags", flags.into()),
+                ("matrix", matrix.into()),
+            ],
+        )?;
+        let kernel = Kernel::new(gpu, &crate::wgsl!("coarsen"), inner)?;
+        let coarsen = levels
+            .windows(2)
+            .map(|pair| {
+                kernel.bind(
+                    gpu,
+                    &[
+                        ("fine", (&pair[0]).into()),
+                        ("coarse", (&pair[1]).into()),
+                        ("flags", flags.into()),
+                        ("matrix", matrix.into()),
+                    ],
+                )
+            })
+            .collect::<Result<Vec<_>, _>>()?;
+        let kernels = CompactKernels::new(gpu)?;
+        let compact = (0..plan.len())
+            .map(|level| {
+                let range = [plan.first[level], plan.levels[level].quads];
+                Compaction::new(gpu, &kernels, flags, list, args, scratch, range, level)
+            })
+            .collect::<Result<Vec<_>, _>>()?;
+        // Sums of two levels end with a fixed number of partials, which the last entry holds.
+        let mut words = vec![0u32; args.len()];
+        words[4 * plan.len() + 3] = FOLD_THREADS as u32;
+        gpu.upload(args, &words);
+        let quads = plan.levels.iter().map(|level| level.quads).collect();
+        Ok(PressureSystem {
+            active_cells,
+            coarsen,
+            compact,
+            quads,
+        })
+    }
+
+    /// Clears what the stage writes; goes before [`PressureSystem::record`].
+    pub fn clear(recorder: &mut Recorder, buffers: &SolverBuffers) {
+        recorder.clear(&buffers.flags);
+        recorder.clear(&buffers.matrix.words);
+    }
+
+    /// Records the stage.
+    pub fn record(&self, pass: &mut Pass) {
+        pass.dispatch(&self.active_cells, self.quads[0]);
+        for (coarsen, &quads) in self.coarsen.iter().zip(&self.quads[1..]) {
+            pass.dispatch(coarsen, quads);
+        }
+        for compact in &self.compact {
+            compact.record(pass);
+        }
+    }
+}
