@@ -28,6 +28,7 @@ pub mod linalg;
 pub mod reference;
 pub mod scene;
 pub mod solver;
+pub mod stages;
 pub mod state;
 
 pub use error::Error;

@@ -17,3 +17,8 @@ fn quad_cell(level: Layout, quad: u32) -> vec3<i32> {
     let row = in_slab / level.stride_y;
     return vec3<i32>(vec3<u32>(4u * (in_slab - row * level.stride_y), row, slab)) - vec3<i32>(0, 0, 1);
 }
+
+// Cell that holds a point, given in cells (x / dx).
+fn cell_of(level: Layout, at: vec3<f32>) -> vec3<u32> {
+    return min(vec3<u32>(max(at, vec3<f32>())), level.cells - 1u);
+}

@@ -28,14 +28,20 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/ghost_fluid"),
     crate::wgsl!("common/inner_f32"),
     crate::wgsl!("common/inner_f64"),
+    crate::wgsl!("common/lanes"),
     crate::wgsl!("common/layout"),
     crate::wgsl!("common/level"),
     crate::wgsl!("common/pcg_slots"),
     crate::wgsl!("common/real_f32"),
     crate::wgsl!("common/real_f64"),
     crate::wgsl!("common/refine"),
+    crate::wgsl!("common/sample_distance"),
+    crate::wgsl!("common/sample_velocity"),
     crate::wgsl!("common/stencil"),
+    crate::wgsl!("common/step"),
     crate::wgsl!("common/sweep"),
+    crate::wgsl!("common/tiles"),
+    crate::wgsl!("common/walls"),
 ];
 
 /// The scalar type that `alias Real` stands for.

@@ -4,6 +4,7 @@ use std::mem::offset_of;
 
 use cutwater::gpu::{Range, Real, Source, compose, validate};
 use cutwater::grid::Layout;
+use cutwater::stages::{Step, Tiles};
 
 /// Compares a WGSL struct with (field, offset) pairs and the size of its Rust doppelganger.
 pub(crate) fn assert_layout(
@@ -72,4 +73,23 @@ fn solver_structs_match() {
         Control: running, status, iterations, max_iterations, first, rounds, unknowns, n_levels
     );
     assert_layout("control_state", "Control", fields, size_of::<Control>());
+}
+
+#[test]
+fn step_matches() {
+    let fields = fields!(
+        Step: gravity, dt, size, dx, inv_dx, frame, volume_0, density, marker_radius, theta_floor,
+        n_markers, spare,
+    );
+    assert_layout("step", "Step", fields, size_of::<Step>());
+}
+
+#[test]
+fn tiles_match() {
+    assert_layout(
+        "tiles",
+        "Tiles",
+        fields!(Tiles: n, reach),
+        size_of::<Tiles>(),
+    );
 }

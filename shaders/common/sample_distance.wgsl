@@ -1,0 +1,26 @@
+// Trilinear interpolation of a cell-centred distance and the exact gradient of the interpolant, clamped to the range of the
+// cells. The importing kernel declares level: Layout and solid_distance: array<f32>, m.
+#import layout
+
+// at: position in cells, that is x / dx. Returns the distance, m, and its gradient per cell, m.
+fn sample_distance(at: vec3<f32>) -> vec4<f32> {
+    let top = vec3<f32>(level.cells) - 1.0;
+    let index = clamp(at - 0.5, vec3<f32>(), top);
+    let low = min(floor(index), max(top - 1.0, vec3<f32>()));
+    let f = index - low;
+    let base = vec3<u32>(low);
+    let row = 4u * level.stride_y;
+    let slab = 4u * level.stride_z;
+    let i = slab * (base.z + 1u) + row * base.y + base.x;
+    let k = i + slab;
+    // A grid one cell thick has no second cell: the gradient across it is zero.
+    let thick = vec3<f32>(level.cells > vec3<u32>(1u));
+    let a = vec4<f32>(solid_distance[i], solid_distance[i + row], solid_distance[k], solid_distance[k + row]);
+    let b = vec4<f32>(solid_distance[i + 1u], solid_distance[i + row + 1u], solid_distance[k + 1u], solid_distance[k + row + 1u]);
+    let along_x = mix(a, b, f.x);
+    let along_xy = mix(along_x.xz, along_x.yw, f.y);
+    let slope_x = mix((b - a).xz, (b - a).yw, f.y);
+    let slope_y = along_x.yw - along_x.xz;
+    let slope = vec3<f32>(mix(slope_x.x, slope_x.y, f.z), mix(slope_y.x, slope_y.y, f.z), along_xy.y - along_xy.x);
+    return vec4<f32>(mix(along_xy.x, along_xy.y, f.z), slope * thick);
+}

@@ -1,0 +1,24 @@
+// What a sub-step knows beyond the layout: stages::Step fills it on the host.
+struct Step {
+    // m/s^2
+    gravity: vec3<f32>,
+    // s
+    dt: f32,
+    // Domain, m.
+    size: vec3<f32>,
+    // m
+    dx: f32,
+    // 1/m
+    inv_dx: f32,
+    // Length of a frame, s.
+    frame: f32,
+    // Liquid volume to hold, m^3.
+    volume_0: f32,
+    // kg/m^3
+    density: f32,
+    // Radius of the spheres around markers, cells.
+    marker_radius: f32,
+    theta_floor: f32,
+    n_markers: u32,
+    spare: u32,
+}

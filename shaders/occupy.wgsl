@@ -1,0 +1,29 @@
+// band, first of four: which cells hold a marker. One thread per marker.
+// step, level. markers: x, y, z (m), w = 1 alive. occupied: per quad, bits 0-3 lanes that hold no room for liquid (set before),
+// bits 4-7 lanes that hold a marker.
+#import dispatch
+#import layout
+#import step
+
+@group(0) @binding(0) var<uniform> level: Layout;
+@group(0) @binding(1) var<uniform> step: Step;
+@group(0) @binding(2) var<storage, read> markers: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read_write> occupied: array<atomic<u32>>;
+
+@compute @workgroup_size(WG_SIZE)
+fn occupy(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let index = linear_index(workgroup, lane);
+    if index >= step.n_markers {
+        return;
+    }
+    let marker = markers[index];
+    if marker.w == 0.0 {
+        return;
+    }
+    let cell = cell_of(level, marker.xyz * step.inv_dx);
+    let quad = level.stride_z * (cell.z + 1u) + level.stride_y * cell.y + cell.x / 4u;
+    let bit = 16u << (cell.x % 4u);
+    if (atomicLoad(&occupied[quad]) & bit) == 0u {
+        atomicOr(&occupied[quad], bit);
+    }
+}

@@ -1,0 +1,378 @@
+//! The fields of the liquid on the device.
+
+use crate::Error;
+use crate::effects::Effects;
+use crate::geometry::CutCells;
+use crate::gpu::{Buffer, BufferPlan, Compaction, Gpu, Real, RealBuffer, WG_SIZE};
+use crate::grid::{Axis, Grid, Layout, Padded};
+use crate::state::State;
+
+use super::{Report, Tiles};
+
+/// What a sub-step knows beyond the layout: the doppelganger of `Step` in `shaders/common/step.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct Step {
+    /// m/s^2
+    pub gravity: [f32; 3],
+    /// s
+    pub dt: f32,
+    /// Size of the domain, m.
+    pub size: [f32; 3],
+    /// m
+    pub dx: f32,
+    /// 1/m
+    pub inv_dx: f32,
+    /// Length of a frame, s.
+    pub frame: f32,
+    /// Liquid volume to hold, m^3.
+    pub volume_0: f32,
+    /// kg/m^3
+    pub density: f32,
+    /// Radius of the spheres around markers, cells.
+    pub marker_radius: f32,
+    /// Smallest theta of the ghost fluid method.
+    pub theta_floor: f32,
+    /// Markers in the buffer, dropped ones included.
+    pub n_markers: u32,
+    /// Fills the struct.
+    pub spare: u32,
+}
+
+/// What decides the sizes of [`LiquidBuffers`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LiquidPlan {
+    /// The grid.
+    pub grid: Grid,
+    /// What the scene calls for.
+    pub effects: Effects,
+    /// Markers seeded.
+    pub n_markers: usize,
+    /// Cells that the fastest point crosses in a sub-step.
+    pub cfl: f64,
+    /// The scalar type of sums and reports.
+    pub real: Real,
+}
+
+impl LiquidPlan {
+    /// All buffers that [`LiquidBuffers::new`] allocates, uniforms aside.
+    pub fn buffers(&self) -> Vec<BufferPlan> {
+        let padded = self.grid.padded();
+        let tiles = self.tiles();
+        let flags = padded.quads.next_multiple_of(4);
+        let mut plans = vec![
+            BufferPlan::of::<f32>("liquid.velocity", 3 * padded.len()),
+            BufferPlan::of::<f32>("liquid.velocity_next", 3 * padded.len()),
+            BufferPlan::of::<f32>("liquid.open", 3 * padded.len()),
+            BufferPlan::of::<f32>("liquid.liquid_distance", padded.len()),
+            BufferPlan::of::<u32>("liquid.valid", padded.quads),
+            BufferPlan::of::<u32>("liquid.valid_next", padded.quads),
+            BufferPlan::of::<u32>("liquid.marks", tiles.len()),
+            BufferPlan::of::<u32>("liquid.dilated", tiles.len()),
+            BufferPlan::of::<u32>("liquid.band_flags", flags),
+            BufferPlan::of::<u32>("liquid.band_list", flags),
+            BufferPlan::of::<u32>("liquid.band_args", 4),
+            Compaction::scratch("liquid.band_scratch", flags),
+            RealBuffer::plan("liquid.partials", PARTIALS * self.n_summing(), self.real),
+            RealBuffer::plan("liquid.report", Report::REALS, self.real),
+        ];
+        if self.effects.markers {
+            plans.extend([
+                BufferPlan::of::<[f32; 4]>("liquid.markers", self.n_markers),
+                BufferPlan::of::<u32>("liquid.occupied", padded.quads),
+                BufferPlan::of::<u32>("liquid.classes", padded.quads),
+            ]);
+        }
+        if self.effects.obstacles {
+            plans.push(BufferPlan::of::<f32>("liquid.solid_distance", padded.len()));
+        }
+        if self.effects.obstacles && self.effects.markers {
+            plans.push(BufferPlan::of::<f32>(
+                "liquid.liquid_distance_next",
+                padded.len(),
+            ));
+        }
+        plans
+    }
+
+    /// Threads of a reduction, each with its own share of the band: as many as fill a large device, fewer on small grids.
+    pub fn n_summing(&self) -> usize {
+        (self.grid.padded().quads / 8)
+            .next_multiple_of(WG_SIZE as usize)
+            .min(LARGEST_SUMMING)
+    }
+
+    /// The tiles of the grid.
+    pub fn tiles(&self) -> Tiles {
+        Tiles::new(self.grid.cells, self.cfl, self.effects.obstacles)
+    }
+}
+
+/// Values that a reduction forms at once, at most.
+const PARTIALS: usize = 8;
+/// Threads of a reduction, at most.
+const LARGEST_SUMMING: usize = 16384;
+
+/// The fields of the liquid, device layout ([`Padded`]). Made once per grid; owns no kernels.
+#[derive(Debug)]
+pub struct LiquidBuffers {
+    /// What they were made for.
+    pub plan: LiquidPlan,
+    /// The layout of every field.
+    pub padded: Padded,
+    /// The same, for kernels.
+    pub level: Buffer<Layout>,
+    /// The sub-step's numbers.
+    pub step: Buffer<Step>,
+    /// The tiles, for kernels.
+    pub tiles: Buffer<Tiles>,
+    /// Face velocities after the last projection and extrapolation: x, y, z faces one after another, m/s; 0 outside the band.
+    pub velocity: Buffer<f32>,
+    /// u*: face velocities before the projection, m/s; defined on the band only.
+    pub velocity_next: Buffer<f32>,
+    /// Open fractions of the faces.
+    pub open: Buffer<f32>,
+    /// Liquid distance at cell centres, m; + dx outside the band.
+    pub liquid_distance: Buffer<f32>,
+    /// Per quad, bit 4 axis + lane: the face has a velocity (bits 0-11), by the projection itself (bits 12-23).
+    pub valid: Buffer<u32>,
+    /// The other one of the pair.
+    pub valid_next: Buffer<u32>,
+    /// Per tile: holds liquid.
+    pub marks: Buffer<u32>,
+    /// Per tile: within reach of liquid.
+    pub dilated: Buffer<u32>,
+    /// Per quad: in the band.
+    pub band_flags: Buffer<u32>,
+    /// Quads of the band, ascending.
+    pub band_list: Buffer<u32>,
+    /// Workgroups x, y, z and length of the list.
+    pub band_args: Buffer<u32>,
+    /// Scratch of the compaction.
+    pub band_scratch: Buffer<u32>,
+    /// What each thread of a reduction found: all threads' first values, then all second ones.
+    pub partials: RealBuffer,
+    /// What the host reads once per step: see [`Report`].
+    pub report: RealBuffer,
+    /// With markers only.
+    pub markers: Option<MarkerBuffers>,
+    /// With obstacles only.
+    pub obstacles: Option<ObstacleBuffers>,
+}
+
+/// What the markers add.
+#[derive(Debug)]
+pub struct MarkerBuffers {
+    /// x, y, z in m, and 1 for alive or 0 for dropped.
+    pub positions: Buffer<[f32; 4]>,
+    /// Per quad: bits 0-3, lanes whose centre lies in a solid or beyond the domain; bits 4-7, lanes that hold a marker, set by
+    /// the band and taken back by the liquid distance.
+    pub occupied: Buffer<u32>,
+    /// Per quad: what the liquid distance does with its cells (`common/classes.wgsl`).
+    pub classes: Buffer<u32>,
+}
+
+/// What obstacles add.
+#[derive(Debug)]
+pub struct ObstacleBuffers {
+    /// Signed distance of cell centres to the obstacles, m; negative inside.
+    pub solid_distance: Buffer<f32>,
+    /// With markers: the liquid distance between two passes of its extension into solids, m.
+    pub liquid_distance_next: Option<Buffer<f32>>,
+}
+
+impl LiquidBuffers {
+    /// Allocates everything that `plan` lists.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] when the adapter does not allow a size.
+    pub fn new(gpu: &Gpu, plan: LiquidPlan) -> Result<LiquidBuffers, Error> {
+        let plans = plan.buffers();
+        let maker = Maker { gpu, plans: &plans };
+        let padded = plan.grid.padded();
+        let zero: Step = bytemuck::Zeroable::zeroed();
+        let both = plan.effects.markers && plan.effects.obstacles;
+        Ok(LiquidBuffers {
+            plan,
+            padded,
+            level: gpu.uniform("liquid.level", &padded.layout())?,
+            step: gpu.uniform("liquid.step", &zero)?,
+            tiles: gpu.uniform("liquid.tiles", &plan.tiles())?,
+            velocity: maker.make("liquid.velocity")?,
+            velocity_next: maker.make("liquid.velocity_next")?,
+            open: maker.make("liquid.open")?,
+            liquid_distance: maker.make("liquid.liquid_distance")?,
+            valid: maker.make("liquid.valid")?,
+            valid_next: maker.make("liquid.valid_next")?,
+            marks: maker.make("liquid.marks")?,
+            dilated: maker.make("liquid.dilated")?,
+            band_flags: maker.make("liquid.band_flags")?,
+            band_list: maker.make("liquid.band_list")?,
+            band_args: maker.make("liquid.band_args")?,
+            band_scratch: maker.make("liquid.band_scratch")?,
+            partials: RealBuffer::new(
+                gpu,
+                "liquid.partials",
+                PARTIALS * plan.n_summing(),
+                plan.real,
+            )?,
+            report: RealBuffer::new(gpu, "liquid.report", Report::REALS, plan.real)?,
+            markers: plan
+                .effects
+                .markers
+                .then(|| {
+                    Ok::<_, Error>(MarkerBuffers {
+                        positions: maker.make("liquid.markers")?,
+                        occupied: maker.make("liquid.occupied")?,
+                        classes: maker.make("liquid.classes")?,
+                    })
+                })
+                .transpose()?,
+            obstacles: plan
+                .effects
+                .obstacles
+                .then(|| {
+                    Ok::<_, Error>(ObstacleBuffers {
+                        solid_distance: maker.make("liquid.solid_distance")?,
+                        liquid_distance_next: both
+                            .then(|| maker.make("liquid.liquid_distance_next"))
+                            .transpose()?,
+                    })
+                })
+                .transpose()?,
+        })
+    }
+}
+
+/// Makes buffers with the sizes of the plan.
+struct Maker<'a> {
+    gpu: &'a Gpu,
+    plans: &'a [BufferPlan],
+}
+
+impl Maker<'_> {
+    fn make<T: bytemuck::Pod>(&self, label: &str) -> Result<Buffer<T>, Error> {
+        let plan = self
+            .plans
+            .iter()
+            .find(|plan| plan.label == label)
+            .unwrap_or_else(|| panic!("{label} is not planned"));
+        assert_eq!(plan.element, size_of::<T>(), "{label}: element size");
+        self.gpu.buffer(label, plan.len)
+    }
+}
+
+impl LiquidBuffers {
+    /// Writes what the obstacles leave of the grid, before all work submitted later. Also due without obstacles.
+    pub fn write_cut_cells(&self, gpu: &Gpu, cut: &CutCells) {
+        gpu.upload(&self.open, &self.pad_faces(&cut.open));
+        let grid = &self.plan.grid;
+        if let Some(obstacles) = &self.obstacles {
+            let distance = self
+                .padded
+                .pad(grid.cells, &cut.solid_distance, |d| d as f32);
+            gpu.upload(&obstacles.solid_distance, &distance);
+        }
+        if let Some(markers) = &self.markers {
+            // A lane has room where its cell exists and its centre is outside every solid.
+            let room = self
+                .padded
+                .pad(grid.cells, &cut.solid_distance, |d| d >= 0.0);
+            let no_room = |lanes: &[bool]| {
+                (0..4).fold(0, |bits, lane| bits | u32::from(!lanes[lane]) << lane)
+            };
+            let occupied: Vec<u32> = room.chunks_exact(4).map(no_room).collect();
+            gpu.upload(&markers.occupied, &occupied);
+        }
+    }
+
+    /// Writes velocities, markers and liquid distance of a state, before all work submitted later.
+    ///
+    /// # Panics
+    /// When the state holds more markers than were planned.
+    pub fn write_state(&self, gpu: &Gpu, state: &State) {
+        let grid = &self.plan.grid;
+        gpu.upload(&self.velocity, &self.pad_faces(&state.velocity));
+        let mut distance = vec![grid.dx as f32; self.padded.len()];
+        for (cell, &phi) in state.liquid_distance.iter().enumerate() {
+            distance[self.padded.index(grid.cell_at(cell))] = phi as f32;
+        }
+        gpu.upload(&self.liquid_distance, &distance);
+        // As if all had been in the band: what is not in the next one is put back to air.
+        gpu.upload(&self.band_flags, &vec![1; self.padded.quads]);
+        if let Some(markers) = &self.markers {
+            let positions: Vec<[f32; 4]> = state
+                .markers
+                .iter()
+                .map(|x| [x[0] as f32, x[1] as f32, x[2] as f32, 1.0])
+                .collect();
+            gpu.upload(&markers.positions, &positions);
+        } else {
+            // The liquid stays where it is, so the tiles that hold it are known.
+            let tiles = self.plan.tiles();
+            let mut marks = vec![0; tiles.len()];
+            for (cell, _) in state
+                .liquid_distance
+                .iter()
+                .enumerate()
+                .filter(|(_, phi)| **phi < 0.0)
+            {
+                marks[tiles.of(grid.cell_at(cell))] = 1;
+            }
+            gpu.upload(&self.marks, &marks);
+        }
+        let mut head = vec![0; self.report.real.bytes() / 4];
+        head[Report::DROPPED] = u32::try_from(state.markers_dropped).unwrap_or(u32::MAX);
+        gpu.upload(&self.report.words, &head);
+    }
+
+    /// Waits for all submitted work and reads velocities, markers (dropped ones left out) and liquid distance into a state.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn read_state(&self, gpu: &Gpu, n_markers: usize, state: &mut State) -> Result<(), Error> {
+        state.velocity = self.read_faces(gpu, &self.velocity)?;
+        state.liquid_distance = self.padded.unpad(
+            self.plan.grid.cells,
+            &gpu.download(&self.liquid_distance)?,
+            f64::from,
+        );
+        if let Some(markers) = &self.markers {
+            let positions = gpu.download(&markers.positions)?;
+            state.markers = positions[..n_markers]
+                .iter()
+                .filter(|marker| marker[3] != 0.0)
+                .map(|&[x, y, z, _]| [x, y, z].map(f64::from))
+                .collect();
+        }
+        let words = gpu.download(&self.report.words)?;
+        state.markers_dropped = words[Report::DROPPED].into();
+        Ok(())
+    }
+
+    /// Waits for all submitted work and reads a face field as host arrays per axis.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn read_faces(&self, gpu: &Gpu, faces: &Buffer<f32>) -> Result<[Vec<f64>; 3], Error> {
+        let device = gpu.download(faces)?;
+        let len = self.padded.len();
+        Ok(Axis::ALL.map(|axis| {
+            let field = &device[axis.index() * len..][..len];
+            self.padded
+                .unpad(self.plan.grid.faces(axis), field, f64::from)
+        }))
+    }
+
+    /// A face field in the device layout.
+    pub fn pad_faces(&self, faces: &[Vec<f64>; 3]) -> Vec<f32> {
+        Axis::ALL
+            .iter()
+            .flat_map(|&axis| {
+                let values = &faces[axis.index()];
+                self.padded
+                    .pad(self.plan.grid.faces(axis), values, |v| v as f32)
+            })
+            .collect()
+    }
+}

@@ -1,0 +1,40 @@
+//! The stages of the liquid step on the GPU, one file each, named as in the list in [`crate`]; the pressure system and its
+//! solve are in [`crate::solver`]. Every kernel has an f64 twin in [`crate::reference`].
+//!
+//! A stage is a struct of kernels bound to buffers with `record(&self, &mut Recorder)`, one compute pass labelled with the
+//! stage's name; it owns no fields. [`LiquidBuffers`] owns the fields and no kernels. [`Step`] is written before a
+//! submission, [`Report`] read after it.
+//!
+//! Work follows the liquid: fields live on the [`Band`], the quads (4 cells along x) in and around the liquid. Outside it
+//! velocities are zero and the liquid distance says air; dense memory is touched only by clearing and by the band's flags.
+
+mod advect_markers;
+mod advect_velocity;
+mod band;
+mod buffers;
+mod forces;
+mod report;
+
+pub use advect_markers::AdvectMarkers;
+pub use advect_velocity::AdvectVelocity;
+pub use band::{Band, Tiles};
+pub use buffers::{LiquidBuffers, LiquidPlan, MarkerBuffers, ObstacleBuffers, Step};
+pub use forces::Forces;
+pub use report::Report;
+
+use crate::gpu::Binding;
+
+/// Faces count as reached from the liquid within this many layers: one cell beyond what a point crosses in a sub-step, and one
+/// for the trilinear sample.
+pub fn extrapolation_layers(cfl: f64) -> usize {
+    cfl.ceil() as usize + 2
+}
+
+/// The bindings that every kernel over the band has.
+fn over_band(buffers: &LiquidBuffers) -> [(&'static str, Binding<'_>); 3] {
+    [
+        ("level", (&buffers.level).into()),
+        ("args", (&buffers.band_args).into()),
+        ("list", (&buffers.band_list).into()),
+    ]
+}
