@@ -129,6 +129,20 @@ impl Grid {
         self.dx.powi(3)
     }
 
+    /// Trilinear interpolation at `x` (m) of the host face field of `axis`; the continuous index is clamped to the field.
+    #[inline]
+    pub fn sample(&self, axis: Axis, field: &[f64], x: DVec3) -> f64 {
+        let mut offset = DVec3::splat(0.5);
+        offset[axis.index()] = 0.0;
+        trilinear(self.faces(axis), field, x / self.dx - offset)
+    }
+
+    /// Velocity at `x` (m): the samples of the three face fields.
+    #[inline]
+    pub fn velocity_at(&self, velocity: &[Vec<f64>; 3], x: DVec3) -> DVec3 {
+        DVec3::from_array(Axis::ALL.map(|axis| self.sample(axis, &velocity[axis.index()], x)))
+    }
+
     /// The cells on the minus and plus side of a face; `None` beyond the domain.
     #[inline]
     pub fn face_sides(&self, axis: Axis, ijk: [usize; 3]) -> [Option<usize>; 2] {
@@ -145,6 +159,27 @@ impl Grid {
     pub fn padded(&self) -> Padded {
         Padded::new(self.cells)
     }
+}
+
+/// Trilinear interpolation of an array of extents `n` at the continuous index `at`, clamped to [0, n - 1].
+#[inline]
+pub fn trilinear(n: [usize; 3], values: &[f64], at: DVec3) -> f64 {
+    let last = DVec3::new(n[0] as f64, n[1] as f64, n[2] as f64) - 1.0;
+    let at = at.clamp(DVec3::ZERO, last);
+    let low = at.floor();
+    let t = at - low;
+    let [i, j, k] = [low.x as usize, low.y as usize, low.z as usize];
+    let [i1, j1, k1] = [
+        (i + 1).min(n[0] - 1),
+        (j + 1).min(n[1] - 1),
+        (k + 1).min(n[2] - 1),
+    ];
+    let row = |j: usize, k: usize| {
+        let start = n[0] * (j + n[1] * k);
+        values[start + i] * (1.0 - t.x) + values[start + i1] * t.x
+    };
+    let slab = |k: usize| row(j, k) * (1.0 - t.y) + row(j1, k) * t.y;
+    slab(k) * (1.0 - t.z) + slab(k1) * t.z
 }
 
 /// The device layout of one level: rows of quads (4 cells along x), at least one spare cell at the end of each row, one

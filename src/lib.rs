@@ -26,6 +26,7 @@ pub mod gpu;
 pub mod grid;
 pub mod linalg;
 pub mod reference;
+pub mod output;
 pub mod scene;
 pub mod solver;
 pub mod stages;

@@ -6,6 +6,7 @@ mod gpu;
 mod layout;
 mod linalg;
 mod reference;
+mod output;
 mod scene;
 mod shaders;
 mod solver;

@@ -1,0 +1,341 @@
+//! Frame files in VTK's XML formats: VTP markers, VTI cell fields, VTP obstacles, and a `.pvd` series per kind.
+//!
+//! Data are f32, inline base64, little endian. vtkio's compressed arrays are not used: 0.7.0-rc2 announces one block too
+//! many for an array whose bytes are a multiple of 32768 (every 32^3 field), which VTK refuses.
+
+use std::path::{Path, PathBuf};
+
+use glam::DVec3;
+use vtkio::model::{
+    Attribute, Attributes, ByteOrder, DataArray, DataSet, Extent, IOBuffer, ImageDataPiece, Piece,
+    PolyDataPiece, Version, VertexNumbers, Vtk,
+};
+use vtkio::xml::VTKFile;
+
+use super::atomic::{create_folder, write_atomically};
+use crate::Error;
+use crate::geometry::CutCells;
+use crate::grid::{Axis, Grid};
+use crate::scene::{Scene, Surface};
+use crate::state::State;
+
+/// The surface of an obstacle.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ObstacleSurface {
+    /// Vertices, m.
+    pub points: Vec<[f64; 3]>,
+    /// Corners of each triangle, counter-clockwise seen from the liquid's side.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// Which frame files a run writes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FrameKinds {
+    /// `NAME_%06d.vtp`
+    pub markers: bool,
+    /// `NAME_%06d.vti`
+    pub fields: bool,
+}
+
+impl FrameKinds {
+    /// What the scene asks for; fields also where the surface is fixed, since its pictures are made from them.
+    pub fn of(scene: &Scene) -> FrameKinds {
+        let surface = scene.liquid.as_ref().map(|liquid| liquid.surface);
+        FrameKinds {
+            markers: scene.output.particles && surface == Some(Surface::Markers),
+            fields: scene.output.fields || surface == Some(Surface::Fixed),
+        }
+    }
+}
+
+/// Writes the frames of one run.
+#[derive(Debug)]
+pub struct FrameWriter {
+    folder: PathBuf,
+    name: String,
+    grid: Grid,
+    markers: Option<Series>,
+    fields: Option<Series>,
+}
+
+impl FrameWriter {
+    /// A writer into `run/frames`, created if absent. `name` is the scene's.
+    pub fn create(
+        run: &Path,
+        name: &str,
+        grid: Grid,
+        kinds: FrameKinds,
+    ) -> Result<FrameWriter, Error> {
+        let folder = run.join("frames");
+        create_folder(&folder)?;
+        let series = |wanted: bool, kind: &str| {
+            wanted.then(|| Series::new(folder.join(format!("{name}_{kind}.pvd"))))
+        };
+        let markers = series(kinds.markers, "markers");
+        let fields = series(kinds.fields, "fields");
+        Ok(FrameWriter {
+            folder,
+            name: name.to_owned(),
+            grid,
+            markers,
+            fields,
+        })
+    }
+
+    /// Writes the surfaces of the obstacles, once; nothing without any. Cell data: `obstacle` (index).
+    pub fn write_obstacles(&self, obstacles: &[ObstacleSurface]) -> Result<(), Error> {
+        if obstacles.is_empty() {
+            return Ok(());
+        }
+        let path = self.folder.join(format!("{}_obstacles.vtp", self.name));
+        let (mut points, mut connectivity) = (Vec::new(), Vec::new());
+        let mut index = Vec::new();
+        for (ix, obstacle) in (0_i32..).zip(obstacles) {
+            let first = (points.len() / 3) as u64;
+            points.extend(obstacle.points.iter().flatten().map(|&x| x as f32));
+            connectivity.extend(
+                obstacle
+                    .triangles
+                    .iter()
+                    .flatten()
+                    .map(|&corner| first + u64::from(corner)),
+            );
+            index.extend(obstacle.triangles.iter().map(|_| ix));
+        }
+        let offsets = (1..=connectivity.len() as u64 / 3)
+            .map(|triangle| 3 * triangle)
+            .collect();
+        let piece = PolyDataPiece {
+            points: points.into(),
+            polys: Some(VertexNumbers::XML {
+                connectivity,
+                offsets,
+            }),
+            data: Attributes {
+                point: Vec::new(),
+                cell: vec![scalars("obstacle", index.into())],
+            },
+            ..Default::default()
+        };
+        write_vtk(&path, poly_data(vec![Piece::Inline(Box::new(piece))]))
+    }
+
+    /// Writes one frame under the state's frame number, then the series with its time.
+    ///
+    /// A number that is not finite in f32 is an error that names the field and the place; no file is written then.
+    pub fn write(&mut self, state: &State, cut: &CutCells) -> Result<(), Error> {
+        let FrameWriter {
+            folder,
+            name,
+            grid,
+            markers,
+            fields,
+        } = self;
+        let stem = format!("{name}_{:06}", state.frame);
+        let markers_file = markers
+            .is_some()
+            .then(|| markers_file(grid, state))
+            .transpose()?;
+        let fields_file = fields
+            .is_some()
+            .then(|| fields_file(grid, state, cut))
+            .transpose()?;
+        for (series, file, extension) in
+            [(markers, markers_file, "vtp"), (fields, fields_file, "vti")]
+        {
+            if let (Some(series), Some(file)) = (series, file) {
+                let file_name = format!("{stem}.{extension}");
+                write_vtk(&folder.join(&file_name), file)?;
+                series.push(state.time, file_name)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Marker positions (m) as points with a vertex each; point data `velocity` (m/s, trilinear from the faces) and `speed`.
+fn markers_file(grid: &Grid, state: &State) -> Result<DataSet, Error> {
+    let n = state.markers.len();
+    let mut points = Vec::with_capacity(3 * n);
+    let mut velocity = Vec::with_capacity(3 * n);
+    let mut speed = Vec::with_capacity(n);
+    for (marker, &position) in state.markers.iter().enumerate() {
+        let place = || format!("marker {marker}");
+        let x = DVec3::from_array(position);
+        let u = grid.velocity_at(&state.velocity, x);
+        for axis in 0..3 {
+            points.push(finite(state, "position", x[axis], place)?);
+            velocity.push(finite(state, "velocity", u[axis], place)?);
+        }
+        speed.push(finite(state, "speed", u.length(), place)?);
+    }
+    let n = n as u64;
+    let piece = PolyDataPiece {
+        points: points.into(),
+        verts: Some(VertexNumbers::XML {
+            connectivity: (0..n).collect(),
+            offsets: (1..=n).collect(),
+        }),
+        data: Attributes {
+            point: vec![
+                vectors("velocity", velocity),
+                scalars("speed", speed.into()),
+            ],
+            cell: Vec::new(),
+        },
+        ..Default::default()
+    };
+    // vtkio leaves out NumberOfPoints = 0, which VTK demands of a piece; no markers are no piece.
+    Ok(poly_data(if n == 0 {
+        Vec::new()
+    } else {
+        vec![Piece::Inline(Box::new(piece))]
+    }))
+}
+
+/// Cell data: `pressure` (Pa), `liquid_distance` (m), `velocity` (m/s, mean of opposite faces), `active`, `solid_distance` (m).
+fn fields_file(grid: &Grid, state: &State, cut: &CutCells) -> Result<DataSet, Error> {
+    let cells = |field: &str, values: &[f64]| -> Result<Vec<f32>, Error> {
+        values
+            .iter()
+            .enumerate()
+            .map(|(cell, &value)| finite(state, field, value, || cell_name(grid, cell)))
+            .collect()
+    };
+    let mut velocity = Vec::with_capacity(3 * grid.n_cells());
+    for cell in 0..grid.n_cells() {
+        let ijk = grid.cell_at(cell);
+        for axis in Axis::ALL {
+            let mut plus = ijk;
+            plus[axis.index()] += 1;
+            let faces = &state.velocity[axis.index()];
+            let mean = 0.5 * (faces[grid.face(axis, ijk)] + faces[grid.face(axis, plus)]);
+            velocity.push(finite(state, "velocity", mean, || cell_name(grid, cell))?);
+        }
+    }
+    let active: Vec<u8> = state.active.iter().map(|&active| active.into()).collect();
+    let extent = Extent::Ranges(grid.cells.map(|n| 0..=n as i32));
+    let piece = ImageDataPiece {
+        extent: extent.clone(),
+        data: Attributes {
+            point: Vec::new(),
+            cell: vec![
+                scalars("pressure", cells("pressure", &state.pressure)?.into()),
+                scalars(
+                    "liquid_distance",
+                    cells("liquid_distance", &state.liquid_distance)?.into(),
+                ),
+                vectors("velocity", velocity),
+                scalars("active", active.into()),
+                scalars(
+                    "solid_distance",
+                    cells("solid_distance", &cut.solid_distance)?.into(),
+                ),
+            ],
+        },
+    };
+    Ok(DataSet::ImageData {
+        extent,
+        origin: [0.0; 3],
+        // vtkio holds spacings in f32; over 512 cells that shifts a corner by at most 3e-5 of a cell.
+        spacing: [grid.dx as f32; 3],
+        meta: None,
+        pieces: vec![Piece::Inline(Box::new(piece))],
+    })
+}
+
+fn cell_name(grid: &Grid, cell: usize) -> String {
+    let [i, j, k] = grid.cell_at(cell);
+    format!("cell ({i}, {j}, {k})")
+}
+
+/// The value as it is written, or the error that names it. Values beyond the range of f32 are refused too.
+fn finite(
+    state: &State,
+    field: &str,
+    value: f64,
+    place: impl FnOnce() -> String,
+) -> Result<f32, Error> {
+    let written = value as f32;
+    if written.is_finite() {
+        return Ok(written);
+    }
+    let problem = format!(
+        "{field} of {} is {value:?}; frame {} is not written",
+        place(),
+        state.frame
+    );
+    Err(Error::Stage {
+        stage: "write_frame",
+        step: state.step,
+        problem,
+    })
+}
+
+fn scalars(name: &str, values: IOBuffer) -> Attribute {
+    Attribute::DataArray(DataArray {
+        data: values,
+        ..DataArray::scalars(name, 1)
+    })
+}
+
+fn vectors(name: &str, values: Vec<f32>) -> Attribute {
+    Attribute::DataArray(DataArray {
+        data: values.into(),
+        ..DataArray::vectors(name)
+    })
+}
+
+fn poly_data(pieces: Vec<Piece<PolyDataPiece>>) -> DataSet {
+    DataSet::PolyData { meta: None, pieces }
+}
+
+/// Serialises in memory first: vtkio's own export drops its buffer without looking at the error, so a full disk would
+/// leave half a file and report success.
+fn write_vtk(path: &Path, data: DataSet) -> Result<(), Error> {
+    let vtk = Vtk {
+        version: Version::new_xml(1, 0),
+        title: String::new(),
+        byte_order: ByteOrder::LittleEndian,
+        data,
+        file_path: None,
+    };
+    let file = VTKFile::try_from(vtk).map_err(|problem| Error::output(path, problem))?;
+    let mut bytes = Vec::new();
+    file.write(&mut bytes)
+        .map_err(|problem| Error::output(path, problem))?;
+    write_atomically(path, &bytes)
+}
+
+/// A ParaView collection: which file belongs to which time. vtkio has no such data set.
+#[derive(Debug)]
+struct Series {
+    path: PathBuf,
+    entries: String,
+}
+
+impl Series {
+    fn new(path: PathBuf) -> Series {
+        Series {
+            path,
+            entries: String::new(),
+        }
+    }
+
+    /// Adds a file of the same folder and rewrites the collection.
+    fn push(&mut self, time: f64, file: String) -> Result<(), Error> {
+        let file = file
+            .replace('&', "&amp;")
+            .replace('<', "&lt;")
+            .replace('"', "&quot;");
+        self.entries += &format!(
+            "    <DataSet timestep=\"{time:?}\" group=\"\" part=\"0\" file=\"{file}\"/>\n"
+        );
+        let text = format!(
+            "<?xml version=\"1.0\"?>\n<VTKFile type=\"Collection\" version=\"1.0\" byte_order=\"LittleEndian\">\n  \
+             <Collection>\n{}  </Collection>\n</VTKFile>\n",
+            self.entries
+        );
+        write_atomically(&self.path, text.as_bytes())
+    }
+}

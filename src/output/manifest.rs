@@ -1,0 +1,217 @@
+//! manifest.json: what ran, on what, with which options, and how far it came. `preview` starts from it.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::atomic::write_atomically;
+use super::frames::FrameKinds;
+use crate::Error;
+use crate::scene::{Camera, Scene, Surface};
+
+/// Everything in manifest.json. Written when the run starts and again with each frame and at the end.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Manifest {
+    /// Version of cutwater.
+    pub cutwater: String,
+    /// The scene.
+    pub scene: SceneRecord,
+    /// Options of the run.
+    pub options: RunOptions,
+    /// The GPU; none with the CPU backend.
+    pub adapter: Option<AdapterRecord>,
+    /// Cells along x, y, z.
+    pub cells: [usize; 3],
+    /// Cell size, m.
+    pub dx: f64,
+    /// Extents, m.
+    pub size: [f64; 3],
+    /// Gravity, m/s^2.
+    pub gravity: [f64; 3],
+    /// Radius of the marker spheres, m; none with a fixed surface or without liquid.
+    pub marker_radius: Option<f64>,
+    /// Whether `frames/` has the surfaces of obstacles.
+    pub obstacles: bool,
+    /// Whether frames have VTP markers.
+    pub markers: bool,
+    /// Whether frames have VTI fields.
+    pub fields: bool,
+    /// 1/s
+    pub frames_per_second: f64,
+    /// Where `preview` looks from.
+    pub camera: CameraRecord,
+    /// Where the run stands.
+    pub progress: Progress,
+}
+
+/// Which scene.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SceneRecord {
+    /// File stem: the NAME of all frame files.
+    pub name: String,
+    /// File name, without folders.
+    pub file: String,
+    /// SHA-256 of the file's text and of all overrides, in hexadecimal.
+    pub sha256: String,
+}
+
+/// Options of the run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RunOptions {
+    /// `gpu` or `cpu`.
+    pub backend: String,
+    /// Frames to compute, frame 0 not counted.
+    pub frames: u64,
+    /// `--scale`
+    pub scale: f64,
+    /// `--set`, as given.
+    pub overrides: Vec<String>,
+}
+
+/// The GPU of a run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct AdapterRecord {
+    /// Its name.
+    pub name: String,
+    /// Driver and its version.
+    pub driver: String,
+    /// Graphics interface, such as `vulkan`.
+    pub backend: String,
+    /// Whether it computes on the CPU.
+    pub software: bool,
+    /// The limits that decide what fits, by name.
+    pub limits: BTreeMap<String, u64>,
+}
+
+/// [`Camera`] in a file.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CameraRecord {
+    /// Position, m.
+    pub eye: [f64; 3],
+    /// Point in the middle of the picture, m.
+    pub target: [f64; 3],
+    /// Up.
+    pub up: [f64; 3],
+    /// Vertical opening, degrees.
+    pub fov: f64,
+    /// Picture size, pixels.
+    pub size: [usize; 2],
+}
+
+impl From<&Camera> for CameraRecord {
+    fn from(
+        &Camera {
+            eye,
+            target,
+            up,
+            fov,
+            size,
+        }: &Camera,
+    ) -> CameraRecord {
+        CameraRecord {
+            eye: eye.to_array(),
+            target: target.to_array(),
+            up: up.to_array(),
+            fov,
+            size,
+        }
+    }
+}
+
+/// Where a run stands.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Progress {
+    /// How it stands or ended.
+    pub status: RunStatus,
+    /// What went wrong.
+    pub error: Option<String>,
+    /// Numbers of the frames whose files are complete, in order.
+    pub frames_written: Vec<u64>,
+    /// Sub-steps done.
+    pub steps: u64,
+    /// Simulated time, s.
+    pub time: f64,
+    /// Wall-clock time, s.
+    pub seconds: f64,
+}
+
+/// How a run stands or ended. A run that was killed keeps `running`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RunStatus {
+    /// Started, not ended.
+    Running,
+    /// All frames are there.
+    Finished,
+    /// Ended with [`Progress::error`].
+    Failed,
+    /// The user interrupted.
+    Interrupted,
+}
+
+impl Manifest {
+    /// The manifest of a run that starts now.
+    pub fn new(scene: &Scene, options: RunOptions, adapter: Option<AdapterRecord>) -> Manifest {
+        let grid = scene.grid();
+        let FrameKinds { markers, fields } = FrameKinds::of(scene);
+        let liquid = scene
+            .liquid
+            .as_ref()
+            .filter(|liquid| liquid.surface == Surface::Markers);
+        Manifest {
+            cutwater: env!("CARGO_PKG_VERSION").to_owned(),
+            scene: SceneRecord {
+                name: scene.name.clone(),
+                file: scene
+                    .file
+                    .file_name()
+                    .unwrap_or_default()
+                    .to_string_lossy()
+                    .into_owned(),
+                sha256: scene.hash.clone(),
+            },
+            options,
+            adapter,
+            cells: grid.cells,
+            dx: grid.dx,
+            size: grid.size().to_array(),
+            gravity: scene.domain.gravity.to_array(),
+            marker_radius: liquid.map(|liquid| liquid.marker_radius * grid.dx),
+            obstacles: !scene.obstacles.is_empty(),
+            markers,
+            fields,
+            frames_per_second: scene.time.frames_per_second,
+            camera: CameraRecord::from(&scene.camera),
+            progress: Progress {
+                status: RunStatus::Running,
+                error: None,
+                frames_written: Vec::new(),
+                steps: 0,
+                time: 0.0,
+                seconds: 0.0,
+            },
+        }
+    }
+
+    /// Writes `run/manifest.json`, whole or not at all.
+    pub fn write(&self, run: &Path) -> Result<(), Error> {
+        let path = run.join("manifest.json");
+        let mut text =
+            serde_json::to_vec_pretty(self).map_err(|problem| Error::output(&path, problem))?;
+        text.push(b'\n');
+        write_atomically(&path, &text)
+    }
+
+    /// Reads `run/manifest.json`.
+    pub fn read(run: &Path) -> Result<Manifest, Error> {
+        let path = run.join("manifest.json");
+        let cure = "give the folder that `cutwater run --out` wrote";
+        let text = fs::read(&path).map_err(|problem| {
+            Error::input(path.display().to_string(), problem.to_string(), cure)
+        })?;
+        serde_json::from_slice(&text)
+            .map_err(|problem| Error::input(path.display().to_string(), problem.to_string(), cure))
+    }
+}

@@ -1,0 +1,19 @@
+//! Everything a run leaves behind: frames that open in ParaView, tables, the manifest, and pictures of them.
+//!
+//! ```text
+//! DIR/manifest.json              what ran, on what, with which options, and how far it came
+//! DIR/steps.csv, DIR/probes.csv  a row per sub-step
+//! DIR/frames/NAME_000042.vtp     markers                 NAME_markers.pvd   the same with times
+//! DIR/frames/NAME_000042.vti     cell fields             NAME_fields.pvd    the same with times
+//! DIR/frames/NAME_obstacles.vtp  surfaces of the obstacles
+//! DIR/preview/NAME_000042.png    shaded pictures         NAME.png           the animation (APNG)
+//! ```
+//!
+//! No file ever stands half written under its final name, and no frame or table holds a number that is not finite.
+
+mod atomic;
+pub mod frames;
+pub mod manifest;
+pub mod tables;
+
+pub use atomic::write_atomically;

@@ -1,0 +1,229 @@
+//! steps.csv and probes.csv: a row per sub-step, every number with all digits it needs to be read back exactly.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+
+use crate::Error;
+use crate::scene::{Probe, ProbeKind};
+use crate::state::{SolveStatus, StepReport};
+
+/// A CSV file that grows by rows and is flushed once per frame.
+#[derive(Debug)]
+struct Table {
+    path: PathBuf,
+    writer: csv::Writer<File>,
+}
+
+impl Table {
+    fn create(path: PathBuf) -> Result<Table, Error> {
+        let file = File::create(&path).map_err(|problem| Error::output(&path, problem))?;
+        Ok(Table {
+            path,
+            writer: csv::Writer::from_writer(file),
+        })
+    }
+
+    fn record(&mut self, fields: impl IntoIterator<Item = String>) -> Result<(), Error> {
+        self.writer
+            .write_record(fields)
+            .map_err(|problem| Error::output(&self.path, problem))
+    }
+
+    fn flush(&mut self) -> Result<(), Error> {
+        self.writer
+            .flush()
+            .map_err(|problem| Error::output(&self.path, problem))
+    }
+}
+
+/// The shortest text that reads back as the same f64, or the error that names the column.
+fn number(column: &str, step: u64, value: f64) -> Result<String, Error> {
+    if value.is_finite() {
+        Ok(format!("{value:?}"))
+    } else {
+        Err(Error::Stage {
+            stage: "diagnose",
+            step,
+            problem: format!("{column} is {value:?}"),
+        })
+    }
+}
+
+/// A row of steps.csv.
+#[derive(Clone, Copy, Debug)]
+pub struct StepRow<'a> {
+    /// Number of the sub-step, from 0.
+    pub step: u64,
+    /// Time at its end, s.
+    pub time: f64,
+    /// What it did.
+    pub report: &'a StepReport,
+    /// Liquid volume over the volume to hold.
+    pub volume_ratio: f64,
+}
+
+/// steps.csv. Columns: [`StepTable::COLUMNS`], then `seconds_STAGE` of each stage of the first row.
+#[derive(Debug)]
+pub struct StepTable {
+    table: Table,
+    stages: Option<Vec<&'static str>>,
+}
+
+impl StepTable {
+    /// Units: s, relative residual (f64, true), 1/s, m^3, kg m/s, J, m/s; `markers_dropped` in this sub-step;
+    /// `dt_floored` is 0 or 1; `status` of the solve is `converged` or what went wrong.
+    pub const COLUMNS: [&'static str; 21] = [
+        "step",
+        "t",
+        "dt",
+        "iterations",
+        "residual_p",
+        "status",
+        "unknowns",
+        "divergence",
+        "volume",
+        "volume_ratio",
+        "momentum_x",
+        "momentum_y",
+        "momentum_z",
+        "kinetic_energy",
+        "potential_energy",
+        "max_speed",
+        "markers",
+        "markers_dropped",
+        "closed_components",
+        "dt_floored",
+        "seconds_total",
+    ];
+
+    /// A new steps.csv in `run`; the head line comes with the first row, which tells the stages.
+    pub fn create(run: &Path) -> Result<StepTable, Error> {
+        Ok(StepTable {
+            table: Table::create(run.join("steps.csv"))?,
+            stages: None,
+        })
+    }
+
+    /// Appends a row. Every row must time the same stages; a number that is not finite is an error.
+    pub fn push(&mut self, row: &StepRow) -> Result<(), Error> {
+        let StepRow {
+            step,
+            time,
+            report,
+            volume_ratio,
+        } = *row;
+        let stages: Vec<&'static str> = report.seconds.iter().map(|&(stage, _)| stage).collect();
+        match &self.stages {
+            None => {
+                let head = Self::COLUMNS.map(str::to_owned);
+                self.table.record(
+                    head.into_iter()
+                        .chain(stages.iter().map(|stage| format!("seconds_{stage}"))),
+                )?;
+                self.stages = Some(stages);
+            }
+            Some(first) if *first != stages => {
+                let problem =
+                    format!("step {step} timed the stages {stages:?}, the first step {first:?}");
+                return Err(Error::output(&self.table.path, problem));
+            }
+            Some(_) => {}
+        }
+        let status = match report.solve.status {
+            SolveStatus::Converged => "converged",
+            SolveStatus::IterationLimit => "iteration_limit",
+            SolveStatus::Stagnated => "stagnated",
+            SolveStatus::Breakdown => "breakdown",
+            SolveStatus::NonFinite => "non_finite",
+        };
+        let diagnosis = &report.diagnosis;
+        let real = |column: &str, value: f64| number(column, step, value);
+        let mut fields = vec![
+            step.to_string(),
+            real("t", time)?,
+            real("dt", report.dt)?,
+            report.solve.iterations.to_string(),
+            real("residual_p", report.solve.residual)?,
+            status.to_owned(),
+            report.solve.unknowns.to_string(),
+            real("divergence", diagnosis.divergence)?,
+            real("volume", diagnosis.volume)?,
+            real("volume_ratio", volume_ratio)?,
+            real("momentum_x", diagnosis.momentum[0])?,
+            real("momentum_y", diagnosis.momentum[1])?,
+            real("momentum_z", diagnosis.momentum[2])?,
+            real("kinetic_energy", diagnosis.kinetic_energy)?,
+            real("potential_energy", diagnosis.potential_energy)?,
+            real("max_speed", diagnosis.max_speed)?,
+            report.markers.to_string(),
+            report.dropped.to_string(),
+            report.closed_components.to_string(),
+            u8::from(report.dt_floored).to_string(),
+            real(
+                "seconds_total",
+                report.seconds.iter().map(|&(_, seconds)| seconds).sum(),
+            )?,
+        ];
+        for &(stage, seconds) in &report.seconds {
+            fields.push(number(stage, step, seconds)?);
+        }
+        self.table.record(fields)
+    }
+
+    /// Brings all rows to the file; once per frame.
+    pub fn flush(&mut self) -> Result<(), Error> {
+        self.table.flush()
+    }
+}
+
+/// probes.csv. Columns: `t` (s), then those of [`probe_columns`].
+#[derive(Debug)]
+pub struct ProbeTable {
+    table: Table,
+    columns: Vec<String>,
+}
+
+impl ProbeTable {
+    /// A new probes.csv in `run` with its head line.
+    pub fn create(run: &Path, probes: &[Probe]) -> Result<ProbeTable, Error> {
+        let columns = probe_columns(probes);
+        let mut table = Table::create(run.join("probes.csv"))?;
+        table.record(std::iter::once("t".to_owned()).chain(columns.iter().cloned()))?;
+        Ok(ProbeTable { table, columns })
+    }
+
+    /// Appends the values of all columns at a time (s). `step` is for the error where one is not finite.
+    pub fn push(&mut self, step: u64, time: f64, values: &[f64]) -> Result<(), Error> {
+        assert_eq!(
+            values.len(),
+            self.columns.len(),
+            "one value for each column of probes.csv"
+        );
+        let mut fields = vec![number("t", step, time)?];
+        for (column, &value) in self.columns.iter().zip(values) {
+            fields.push(number(&format!("probe {column}"), step, value)?);
+        }
+        self.table.record(fields)
+    }
+
+    /// Brings all rows to the file; once per frame.
+    pub fn flush(&mut self) -> Result<(), Error> {
+        self.table.flush()
+    }
+}
+
+/// The columns of the probes, in order: the name, or for a velocity `NAME_x`, `NAME_y`, `NAME_z`.
+pub fn probe_columns(probes: &[Probe]) -> Vec<String> {
+    let mut columns = Vec::new();
+    for probe in probes {
+        match probe.kind {
+            ProbeKind::Velocity { .. } => {
+                columns.extend(["x", "y", "z"].map(|axis| format!("{}_{axis}", probe.name)))
+            }
+            ProbeKind::Height { .. } | ProbeKind::Pressure { .. } | ProbeKind::Front { .. } => {
+                columns.push(probe.name.clone());
+            }
+        }
+    }
+    columns
+}

@@ -1,0 +1,47 @@
+"""Prints what an independent reader (fieldcompare) finds in a .vtp, .vti or .pvd file, as JSON for tests/suite/output.rs.
+
+Numbers keep all their digits: an f32 is printed as the f64 of the same value.
+"""
+
+import json
+import os
+import sys
+from xml.etree import ElementTree
+
+from fieldcompare.io.vtk import VTIReader, VTPReader, read
+from fieldcompare.mesh._mesh_fields import remove_cell_type_suffix
+
+
+def fields(mesh_fields):
+    """{name: {dtype, values}} of the point and of the cell fields; our files have one cell type each."""
+    found = {"points": {}, "cells": {}}
+    for field in mesh_fields.point_fields:
+        found["points"][field.name] = {"dtype": str(field.values.dtype), "values": field.values.tolist()}
+    for field, cell_type in mesh_fields.cell_fields_types:
+        name = remove_cell_type_suffix(cell_type, field.name)
+        found["cells"][name] = {"dtype": str(field.values.dtype), "values": field.values.tolist()}
+    return found
+
+
+def describe(path):
+    """Everything in one file."""
+    extension = os.path.splitext(path)[1]
+    if extension == ".pvd":
+        times = [float(entry.attrib["timestep"]) for entry in ElementTree.parse(path).iter("DataSet")]
+        frames = [fields(frame) for frame in read(path)]
+        return {"times": times, "frames": frames}
+    reader = {".vtp": VTPReader, ".vti": VTIReader}[extension](path)
+    mesh_fields = reader.read()
+    mesh = mesh_fields.domain
+    found = fields(mesh_fields)
+    if extension == ".vti":
+        found["origin"], found["spacing"] = reader.origin, reader.spacing
+        found["extents"] = [int(n) for n in mesh.extents]
+    else:
+        found["dtype"] = str(mesh.points.dtype)
+        found["coordinates"] = mesh.points.tolist()
+        found["connectivity"] = {kind.name: mesh.connectivity(kind).tolist() for kind in mesh.cell_types}
+    return found
+
+
+json.dump(describe(sys.argv[1]), sys.stdout)

@@ -1,0 +1,642 @@
+//! Files are read back by readers that share no code with the writers: fieldcompare (Python) for VTK files, the csv and
+//! png crates for tables and pictures.
+//!
+//! `CUTWATER_PYTHON` names the interpreter (default `python3`), `REQUIRE_READERS=1` makes a missing reader a failure;
+//! `pip install -r tests/readers/requirements.txt` installs it.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use cutwater::Error;
+use cutwater::geometry::CutCells;
+use cutwater::grid::{Axis, Grid};
+use cutwater::output::frames::{FrameKinds, FrameWriter, ObstacleSurface};
+use cutwater::output::manifest::{AdapterRecord, Manifest, RunOptions, RunStatus};
+use cutwater::output::tables::{ProbeTable, StepRow, StepTable};
+use cutwater::scene::{self, Probe, ProbeKind, Scene};
+use cutwater::state::{Diagnosis, SolveReport, SolveStatus, State, StepReport};
+use glam::DVec3;
+use serde_json::Value;
+
+const BOTH: FrameKinds = FrameKinds {
+    markers: true,
+    fields: true,
+};
+
+/// The interpreter with the reader, or `None` after saying why.
+fn python() -> Option<PathBuf> {
+    let python =
+        std::env::var_os("CUTWATER_PYTHON").map_or_else(|| "python3".into(), PathBuf::from);
+    let found = Command::new(&python)
+        .args(["-c", "import fieldcompare"])
+        .output();
+    let problem = match found {
+        Ok(output) if output.status.success() => return Some(python),
+        Ok(output) => String::from_utf8_lossy(&output.stderr).into_owned(),
+        Err(error) => error.to_string(),
+    };
+    let required = std::env::var("REQUIRE_READERS").is_ok_and(|value| value == "1");
+    assert!(
+        !required,
+        "REQUIRE_READERS=1 and {} cannot import fieldcompare: {problem}",
+        python.display()
+    );
+    eprintln!(
+        "skipped for want of fieldcompare in {}: {problem}",
+        python.display()
+    );
+    None
+}
+
+/// What the independent reader finds in a file.
+fn read(python: &Path, file: &Path) -> Value {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/readers/read_frames.py");
+    let output = Command::new(python).arg(script).arg(file).output().unwrap();
+    assert!(
+        output.status.success(),
+        "{} cannot be read: {}",
+        file.display(),
+        String::from_utf8_lossy(&output.stderr)
+    );
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+/// All numbers of a nested JSON list, in order, as f32.
+fn flat(value: &Value) -> Vec<f32> {
+    match value {
+        Value::Array(items) => items.iter().flat_map(flat).collect(),
+        number => vec![number.as_f64().unwrap() as f32],
+    }
+}
+
+fn f32s(values: impl IntoIterator<Item = f64>) -> Vec<f32> {
+    values.into_iter().map(|value| value as f32).collect()
+}
+
+/// A grid with three different extents, no array of which fills whole blocks, and a state with a different number everywhere.
+fn synthetic() -> (Grid, State, CutCells) {
+    let grid = Grid {
+        cells: [4, 5, 6],
+        dx: 0.1,
+    };
+    let mut state = State::at_rest(&grid);
+    state.time = 1.0 / 24.0;
+    state.frame = 1;
+    state.step = 7;
+    let wild = |seed: usize| {
+        move |i: usize| (1.0 + i as f64 / 7.0 + seed as f64).sin() * 10f64.powi(i as i32 % 9 - 4)
+    };
+    for axis in Axis::ALL {
+        state.velocity[axis.index()] = (0..grid.n_faces(axis)).map(wild(axis.index())).collect();
+    }
+    state.pressure = (0..grid.n_cells()).map(wild(3)).map(|p| 1e3 * p).collect();
+    state.liquid_distance = (0..grid.n_cells()).map(wild(4)).collect();
+    state.active = (0..grid.n_cells()).map(|cell| cell % 3 == 0).collect();
+    state.markers = (0..50)
+        .map(|m| {
+            [0.4, 0.5, 0.6].map(|size| size * (0.5 + 0.5 * f64::sin(1.7 * f64::from(m) + size)))
+        })
+        .collect();
+    let cut = CutCells {
+        open: Axis::ALL.map(|axis| vec![1.0; grid.n_faces(axis)]),
+        solid_distance: (0..grid.n_cells()).map(wild(5)).collect(),
+    };
+    (grid, state, cut)
+}
+
+#[test]
+fn frames_read_back_exactly() {
+    let Some(python) = python() else { return };
+    let run = tempfile::tempdir().unwrap();
+    let (grid, mut state, cut) = synthetic();
+    let mut writer = FrameWriter::create(run.path(), "a&b", grid, BOTH).unwrap();
+    writer.write(&state, &cut).unwrap();
+
+    let frames = run.path().join("frames");
+    let markers = read(&python, &frames.join("a&b_000001.vtp"));
+    assert_eq!(markers["dtype"], "float32");
+    assert_eq!(
+        flat(&markers["coordinates"]),
+        f32s(state.markers.iter().flatten().copied())
+    );
+    let each_a_vertex: Vec<f32> = (0..state.markers.len())
+        .map(|marker| marker as f32)
+        .collect();
+    assert_eq!(flat(&markers["connectivity"]["POLY_VERTEX"]), each_a_vertex);
+    // Inside the domain, linear interpolation in each direction is the sum over the eight nearest faces of its weights.
+    let velocity = |x: [f64; 3]| {
+        Axis::ALL.map(|axis| interpolate(&grid, axis, &state.velocity[axis.index()], x))
+    };
+    let found = &markers["points"]["velocity"];
+    assert_eq!(found["dtype"], "float32");
+    assert_eq!(found["values"][0].as_array().unwrap().len(), 3);
+    for (written, expected) in flat(&found["values"])
+        .iter()
+        .zip(state.markers.iter().flat_map(|&x| velocity(x)))
+    {
+        // Two orders of f64 summation may round to neighbouring f32.
+        assert!(
+            (f64::from(*written) - expected).abs() <= 1.2e-7 * expected.abs(),
+            "{written} is not {expected}"
+        );
+    }
+    let speeds = flat(&markers["points"]["speed"]["values"]);
+    assert_eq!(speeds.len(), state.markers.len());
+    for (speed, u) in speeds.iter().zip(flat(&found["values"]).chunks_exact(3)) {
+        let expected = u.iter().map(|&u| f64::from(u).powi(2)).sum::<f64>().sqrt();
+        assert!(
+            (f64::from(*speed) - expected).abs() <= 2.4e-7 * expected,
+            "{speed} is not {expected}"
+        );
+    }
+
+    let fields = read(&python, &frames.join("a&b_000001.vti"));
+    assert_eq!(flat(&fields["origin"]), [0.0; 3]);
+    assert_eq!(flat(&fields["spacing"]), [0.1; 3]);
+    assert_eq!(flat(&fields["extents"]), [4.0, 5.0, 6.0]);
+    let cell_data = |name: &str| flat(&fields["cells"][name]["values"]);
+    assert_eq!(cell_data("pressure"), f32s(state.pressure.iter().copied()));
+    assert_eq!(
+        cell_data("liquid_distance"),
+        f32s(state.liquid_distance.iter().copied())
+    );
+    assert_eq!(
+        cell_data("solid_distance"),
+        f32s(cut.solid_distance.iter().copied())
+    );
+    assert_eq!(fields["cells"]["active"]["dtype"], "uint8");
+    assert_eq!(
+        cell_data("active"),
+        f32s(state.active.iter().map(|&active| f64::from(active)))
+    );
+    let mut centres = Vec::new();
+    for k in 0..6 {
+        for j in 0..5 {
+            for i in 0..4 {
+                let [u, v, w] = &state.velocity;
+                centres.push(0.5 * (u[i + 5 * (j + 5 * k)] + u[i + 1 + 5 * (j + 5 * k)]));
+                centres.push(0.5 * (v[i + 4 * (j + 6 * k)] + v[i + 4 * (j + 1 + 6 * k)]));
+                centres.push(0.5 * (w[i + 4 * (j + 5 * k)] + w[i + 4 * (j + 5 * (k + 1))]));
+            }
+        }
+    }
+    assert_eq!(cell_data("velocity"), f32s(centres));
+
+    state.frame = 2;
+    state.time = 2.0 / 24.0;
+    state.pressure[0] = -4.0;
+    writer.write(&state, &cut).unwrap();
+    let series = read(&python, &frames.join("a&b_fields.pvd"));
+    assert_eq!(series["times"][0].as_f64(), Some(1.0 / 24.0));
+    assert_eq!(series["times"][1].as_f64(), Some(2.0 / 24.0));
+    assert_eq!(series["frames"].as_array().unwrap().len(), 2);
+    assert_eq!(
+        flat(&series["frames"][1]["cells"]["pressure"]["values"])[0],
+        -4.0
+    );
+    let series = read(&python, &frames.join("a&b_markers.pvd"));
+    assert_eq!(series["frames"].as_array().unwrap().len(), 2);
+    assert_eq!(
+        flat(&series["frames"][0]["points"]["speed"]["values"]),
+        speeds
+    );
+
+    let mut left: Vec<String> = frames
+        .read_dir()
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    left.sort();
+    let expected = [
+        "a&b_000001.vti",
+        "a&b_000001.vtp",
+        "a&b_000002.vti",
+        "a&b_000002.vtp",
+        "a&b_fields.pvd",
+        "a&b_markers.pvd",
+    ];
+    assert_eq!(left, expected, "nothing but the final names may be left");
+}
+
+/// Trilinear interpolation as a sum over faces of hat functions, clamped to the outermost faces.
+fn interpolate(grid: &Grid, axis: Axis, faces: &[f64], x: [f64; 3]) -> f64 {
+    let n = grid.faces(axis);
+    (0..faces.len())
+        .map(|face| {
+            let ijk = grid.face_at(axis, face);
+            let centre = grid.face_centre(axis, ijk);
+            let weight: f64 = (0..3)
+                .map(|a| {
+                    let low = grid.face_centre(axis, [0; 3])[a];
+                    let x = x[a].clamp(low, low + (n[a] - 1) as f64 * grid.dx);
+                    (1.0 - ((x - centre[a]) / grid.dx).abs()).max(0.0)
+                })
+                .product();
+            weight * faces[face]
+        })
+        .sum()
+}
+
+/// vtkio's compressed arrays break where the bytes of an array are a multiple of 32768; ours must not.
+#[test]
+fn whole_blocks_read_back() {
+    let Some(python) = python() else { return };
+    let run = tempfile::tempdir().unwrap();
+    let grid = Grid {
+        cells: [32; 3],
+        dx: 1.0 / 32.0,
+    };
+    let mut state = State::at_rest(&grid);
+    state.pressure = (0..grid.n_cells()).map(|cell| cell as f64).collect();
+    let cut = CutCells {
+        open: Axis::ALL.map(|axis| vec![1.0; grid.n_faces(axis)]),
+        solid_distance: vec![3.0 * grid.dx; grid.n_cells()],
+    };
+    let kinds = FrameKinds {
+        markers: false,
+        fields: true,
+    };
+    FrameWriter::create(run.path(), "cube", grid, kinds)
+        .unwrap()
+        .write(&state, &cut)
+        .unwrap();
+    let fields = read(&python, &run.path().join("frames/cube_000000.vti"));
+    assert_eq!(
+        flat(&fields["cells"]["pressure"]["values"]),
+        f32s(state.pressure)
+    );
+    assert_eq!(
+        flat(&fields["cells"]["active"]["values"]),
+        vec![0.0; grid.n_cells()]
+    );
+}
+
+#[test]
+fn obstacles_read_back() {
+    let Some(python) = python() else { return };
+    let run = tempfile::tempdir().unwrap();
+    let writer = FrameWriter::create(
+        run.path(),
+        "two",
+        Grid {
+            cells: [4; 3],
+            dx: 0.25,
+        },
+        BOTH,
+    )
+    .unwrap();
+    let tetrahedron = ObstacleSurface {
+        points: vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+        triangles: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
+    };
+    let triangle = ObstacleSurface {
+        points: vec![[0.1, 0.2, 0.3], [0.4, 0.5, 0.6], [0.7, 0.8, 1.0]],
+        triangles: vec![[2, 1, 0]],
+    };
+    writer
+        .write_obstacles(&[tetrahedron.clone(), triangle.clone()])
+        .unwrap();
+    let found = read(&python, &run.path().join("frames/two_obstacles.vtp"));
+    let points = tetrahedron
+        .points
+        .iter()
+        .chain(&triangle.points)
+        .flatten()
+        .copied();
+    assert_eq!(flat(&found["coordinates"]), f32s(points));
+    let corners = [0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3, 6, 5, 4].map(f64::from);
+    assert_eq!(flat(&found["connectivity"]["POLYGON"]), f32s(corners));
+    assert_eq!(
+        flat(&found["cells"]["obstacle"]["values"]),
+        [0.0, 0.0, 0.0, 0.0, 1.0]
+    );
+}
+
+/// NaN, infinity and what overflows f32 are refused with the name of the field and of the place, and leave no file.
+#[test]
+fn a_number_that_is_not_finite_is_refused() {
+    type Spoil = fn(&mut State, &mut CutCells, f64);
+    let cases: [(&str, Spoil); 5] = [
+        ("pressure of cell (1, 2, 3)", |state, _, bad| {
+            state.pressure[1 + 4 * (2 + 5 * 3)] = bad
+        }),
+        ("liquid_distance of cell (3, 4, 5)", |state, _, bad| {
+            state.liquid_distance[119] = bad
+        }),
+        ("solid_distance of cell (0, 0, 0)", |_, cut, bad| {
+            cut.solid_distance[0] = bad
+        }),
+        ("velocity of cell (1, 0, 0)", |state, _, bad| {
+            state.markers.clear();
+            state.velocity[0][2] = bad;
+        }),
+        ("position of marker 17", |state, _, bad| {
+            state.markers[17][1] = bad
+        }),
+    ];
+    for (place, spoil) in cases {
+        for bad in [f64::NAN, f64::INFINITY, -1e39] {
+            let run = tempfile::tempdir().unwrap();
+            let (grid, mut state, mut cut) = synthetic();
+            spoil(&mut state, &mut cut, bad);
+            let error = FrameWriter::create(run.path(), "bad", grid, BOTH)
+                .unwrap()
+                .write(&state, &cut)
+                .unwrap_err();
+            assert!(matches!(error, Error::Stage { step: 7, .. }), "{error:?}");
+            assert!(
+                error.to_string().contains(place),
+                "{error} does not name {place}"
+            );
+            assert_eq!(
+                run.path().join("frames").read_dir().unwrap().count(),
+                0,
+                "no file after {error}"
+            );
+        }
+    }
+}
+
+/// Where the final name cannot be taken, the error names it and no part is left behind.
+#[test]
+fn a_failed_write_leaves_nothing() {
+    let run = tempfile::tempdir().unwrap();
+    let (grid, state, cut) = synthetic();
+    let mut writer = FrameWriter::create(run.path(), "blocked", grid, BOTH).unwrap();
+    let frames = run.path().join("frames");
+    std::fs::create_dir(frames.join("blocked_000001.vtp")).unwrap();
+    let error = writer.write(&state, &cut).unwrap_err();
+    assert!(error.to_string().contains("blocked_000001.vtp"), "{error}");
+    assert_eq!(
+        frames.read_dir().unwrap().count(),
+        1,
+        "only the folder in the way"
+    );
+}
+
+fn report(step: u32) -> StepReport {
+    let x = f64::from(step);
+    StepReport {
+        dt: 1e-3 / 3.0 + 1e-9 * x,
+        dt_floored: step == 1,
+        solve: SolveReport {
+            unknowns: 12_345,
+            iterations: 17,
+            residual: 3.3e-9,
+            status: if step == 2 {
+                SolveStatus::IterationLimit
+            } else {
+                SolveStatus::Converged
+            },
+        },
+        closed_components: 1,
+        diagnosis: Diagnosis {
+            volume: 0.1 + x,
+            momentum: [1.0 / 3.0, -2e-17, 3e20],
+            kinetic_energy: 5.5,
+            potential_energy: -6.5,
+            max_speed: 7.25,
+            divergence: 1e-11,
+        },
+        markers: 4000,
+        dropped: 2,
+        seconds: vec![("advect_markers", 0.25), ("solve", 0.5 + x)],
+    }
+}
+
+#[test]
+fn tables_read_back_exactly() {
+    let run = tempfile::tempdir().unwrap();
+    let mut steps = StepTable::create(run.path()).unwrap();
+    for step in 0..3 {
+        let report = report(step);
+        let row = StepRow {
+            step: step.into(),
+            time: f64::from(step + 1) / 3.0,
+            report: &report,
+            volume_ratio: 0.999,
+        };
+        steps.push(&row).unwrap();
+    }
+    steps.flush().unwrap();
+    let mut reader = csv::Reader::from_path(run.path().join("steps.csv")).unwrap();
+    let head: Vec<String> = reader
+        .headers()
+        .unwrap()
+        .iter()
+        .map(str::to_owned)
+        .collect();
+    let expected: Vec<&str> = StepTable::COLUMNS
+        .into_iter()
+        .chain(["seconds_advect_markers", "seconds_solve"])
+        .collect();
+    assert_eq!(head, expected);
+    let rows: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
+    assert_eq!(rows.len(), 3);
+    for (step, row) in (0..3).zip(&rows) {
+        let value = |column: &str| &row[head.iter().position(|name| name == column).unwrap()];
+        let number = |column: &str| value(column).parse::<f64>().unwrap();
+        let StepReport {
+            dt,
+            dt_floored,
+            solve,
+            closed_components,
+            diagnosis,
+            markers,
+            dropped,
+            seconds,
+        } = report(step);
+        assert_eq!(number("step"), f64::from(step));
+        assert_eq!(number("t"), f64::from(step + 1) / 3.0);
+        assert_eq!(number("dt"), dt);
+        assert_eq!(number("iterations"), f64::from(solve.iterations));
+        assert_eq!(number("residual_p"), solve.residual);
+        assert_eq!(
+            value("status"),
+            if step == 2 {
+                "iteration_limit"
+            } else {
+                "converged"
+            }
+        );
+        assert_eq!(number("unknowns"), solve.unknowns as f64);
+        assert_eq!(number("divergence"), diagnosis.divergence);
+        assert_eq!(number("volume"), diagnosis.volume);
+        assert_eq!(number("volume_ratio"), 0.999);
+        assert_eq!(
+            ["momentum_x", "momentum_y", "momentum_z"].map(number),
+            diagnosis.momentum
+        );
+        assert_eq!(number("kinetic_energy"), diagnosis.kinetic_energy);
+        assert_eq!(number("potential_energy"), diagnosis.potential_energy);
+        assert_eq!(number("max_speed"), diagnosis.max_speed);
+        assert_eq!(number("markers"), markers as f64);
+        assert_eq!(number("markers_dropped"), dropped as f64);
+        assert_eq!(number("closed_components"), closed_components as f64);
+        assert_eq!(number("dt_floored"), f64::from(u8::from(dt_floored)));
+        assert_eq!(number("seconds_total"), seconds[0].1 + seconds[1].1);
+        assert_eq!(number("seconds_solve"), seconds[1].1);
+    }
+
+    let probe = |name: &str, kind| Probe {
+        name: name.into(),
+        kind,
+    };
+    let point = DVec3::ZERO;
+    let probes = [
+        probe("h, left", ProbeKind::Height { x: 0.1, z: 0.2 }),
+        probe("jet", ProbeKind::Velocity { point }),
+        probe("front", ProbeKind::Front { axis: 0 }),
+    ];
+    let mut table = ProbeTable::create(run.path(), &probes).unwrap();
+    table.push(0, 0.1, &[1.0, 2.0, -3.0, 4e-12, 5.0]).unwrap();
+    table.flush().unwrap();
+    let mut reader = csv::Reader::from_path(run.path().join("probes.csv")).unwrap();
+    assert_eq!(
+        reader.headers().unwrap(),
+        vec!["t", "h, left", "jet_x", "jet_y", "jet_z", "front"]
+    );
+    let row: Vec<f64> = reader
+        .records()
+        .next()
+        .unwrap()
+        .unwrap()
+        .iter()
+        .map(|x| x.parse().unwrap())
+        .collect();
+    assert_eq!(row, [0.1, 1.0, 2.0, -3.0, 4e-12, 5.0]);
+}
+
+#[test]
+fn tables_refuse_what_is_not_finite_and_changing_stages() {
+    let run = tempfile::tempdir().unwrap();
+    let mut steps = StepTable::create(run.path()).unwrap();
+    let mut report = report(0);
+    let push = |steps: &mut StepTable, report: &StepReport| {
+        steps.push(&StepRow {
+            step: 3,
+            time: 0.0,
+            report,
+            volume_ratio: 1.0,
+        })
+    };
+    push(&mut steps, &report).unwrap();
+    report.seconds.pop();
+    let error = push(&mut steps, &report).unwrap_err();
+    assert!(error.to_string().contains("advect_markers"), "{error}");
+    report = self::report(1);
+    report.diagnosis.kinetic_energy = f64::NAN;
+    let error = push(&mut steps, &report).unwrap_err();
+    assert!(
+        matches!(error, Error::Stage { step: 3, .. })
+            && error.to_string().contains("kinetic_energy"),
+        "{error}"
+    );
+    let probes = [Probe {
+        name: "p1".into(),
+        kind: ProbeKind::Pressure { point: DVec3::ZERO },
+    }];
+    let error = ProbeTable::create(run.path(), &probes)
+        .unwrap()
+        .push(9, 0.0, &[f64::INFINITY])
+        .unwrap_err();
+    assert!(
+        matches!(error, Error::Stage { step: 9, .. }) && error.to_string().contains("p1"),
+        "{error}"
+    );
+}
+
+fn scene() -> Scene {
+    Scene {
+        name: "dam".into(),
+        file: "/somewhere/private/dam.toml".into(),
+        hash: "0123abcd".into(),
+        scale: 0.5,
+        overrides: vec!["time.duration=2".into()],
+        domain: scene::Domain {
+            size: DVec3::new(1.0, 0.5, 0.5),
+            cells: [16, 8, 8],
+            gravity: -9.81 * DVec3::Y,
+        },
+        time: scene::Time {
+            duration: 2.0,
+            frames_per_second: 24.0,
+            cfl: 3.0,
+            fixed_step: None,
+        },
+        liquid: Some(scene::Liquid {
+            density: 1000.0,
+            regions: Vec::new(),
+            surface: scene::Surface::Markers,
+            marker_radius: 0.87,
+            seed: 0,
+            volume_control: true,
+        }),
+        obstacles: Vec::new(),
+        probes: Vec::new(),
+        solver: scene::Solver::default(),
+        output: scene::Output {
+            particles: true,
+            fields: false,
+            every: 1,
+        },
+        camera: scene::Camera {
+            eye: DVec3::new(1.5, 1.0, 2.0),
+            target: DVec3::new(0.5, 0.2, 0.25),
+            up: DVec3::Y,
+            fov: 35.0,
+            size: [320, 180],
+        },
+    }
+}
+
+fn manifest(scene: &Scene) -> Manifest {
+    let options = RunOptions {
+        backend: "gpu".into(),
+        frames: 48,
+        scale: scene.scale,
+        overrides: scene.overrides.clone(),
+    };
+    let adapter = AdapterRecord {
+        name: "a card".into(),
+        driver: "a driver 1.2".into(),
+        backend: "vulkan".into(),
+        software: true,
+        limits: [("max_storage_buffer_binding_size".to_owned(), 1u64 << 40)].into(),
+    };
+    Manifest::new(scene, options, Some(adapter))
+}
+
+#[test]
+fn manifest_reads_back() {
+    let run = tempfile::tempdir().unwrap();
+    let scene = scene();
+    let mut manifest = manifest(&scene);
+    manifest.write(run.path()).unwrap();
+    let text = std::fs::read_to_string(run.path().join("manifest.json")).unwrap();
+    assert!(
+        !text.contains("private"),
+        "the scene's folder must not be in {text}"
+    );
+    let json: Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(json["scene"]["file"], "dam.toml");
+    assert_eq!(json["scene"]["sha256"], "0123abcd");
+    assert_eq!(json["cutwater"], env!("CARGO_PKG_VERSION"));
+    assert_eq!(
+        json["adapter"]["limits"]["max_storage_buffer_binding_size"],
+        1u64 << 40
+    );
+    assert_eq!(json["progress"]["status"], "running");
+    assert_eq!(json["marker_radius"].as_f64(), Some(0.87 / 16.0));
+    manifest.progress.status = RunStatus::Finished;
+    manifest.progress.frames_written = vec![0, 1, 2];
+    manifest.write(run.path()).unwrap();
+    assert_eq!(Manifest::read(run.path()).unwrap(), manifest);
+    assert_eq!(
+        run.path().read_dir().unwrap().count(),
+        1,
+        "no temporary file is left"
+    );
+    let error = Manifest::read(&run.path().join("elsewhere")).unwrap_err();
+    assert_eq!(error.exit_code(), 2, "{error}");
+}
