@@ -117,7 +117,7 @@ impl FrameWriter {
             },
             ..Default::default()
         };
-        write_vtk(&path, poly_data(vec![Piece::Inline(Box::new(piece))]))
+        write_vtk(&path, poly_data(piece))
     }
 
     /// Writes one frame under the state's frame number, then the series with its time.
@@ -185,12 +185,7 @@ fn markers_file(grid: &Grid, state: &State) -> Result<DataSet, Error> {
         },
         ..Default::default()
     };
-    // vtkio leaves out NumberOfPoints = 0, which VTK demands of a piece; no markers are no piece.
-    Ok(poly_data(if n == 0 {
-        Vec::new()
-    } else {
-        vec![Piece::Inline(Box::new(piece))]
-    }))
+    Ok(poly_data(piece))
 }
 
 /// Cell data: `pressure` (Pa), `liquid_distance` (m), `velocity` (m/s, mean of opposite faces), `active`, `solid_distance` (m).
@@ -286,8 +281,11 @@ fn vectors(name: &str, values: Vec<f32>) -> Attribute {
     })
 }
 
-fn poly_data(pieces: Vec<Piece<PolyDataPiece>>) -> DataSet {
-    DataSet::PolyData { meta: None, pieces }
+fn poly_data(piece: PolyDataPiece) -> DataSet {
+    DataSet::PolyData {
+        meta: None,
+        pieces: vec![Piece::Inline(Box::new(piece))],
+    }
 }
 
 /// Serialises in memory first: vtkio's own export drops its buffer without looking at the error, so a full disk would
@@ -301,10 +299,13 @@ fn write_vtk(path: &Path, data: DataSet) -> Result<(), Error> {
         file_path: None,
     };
     let file = VTKFile::try_from(vtk).map_err(|problem| Error::output(path, problem))?;
+    // vtkio leaves out NumberOfPoints = 0, which readers demand of every piece without an extent.
     let mut bytes = Vec::new();
     file.write(&mut bytes)
         .map_err(|problem| Error::output(path, problem))?;
-    write_atomically(path, &bytes)
+    let text = String::from_utf8(bytes).map_err(|problem| Error::output(path, problem))?;
+    let text = text.replacen("<Piece>", "<Piece NumberOfPoints=\"0\">", 1);
+    write_atomically(path, text.as_bytes())
 }
 
 /// A ParaView collection: which file belongs to which time. vtkio has no such data set.

@@ -272,6 +272,25 @@ fn whole_blocks_read_back() {
 }
 
 #[test]
+fn no_markers_read_back() {
+    let Some(python) = python() else { return };
+    let run = tempfile::tempdir().unwrap();
+    let (grid, mut state, cut) = synthetic();
+    state.markers.clear();
+    let kinds = FrameKinds {
+        markers: true,
+        fields: false,
+    };
+    FrameWriter::create(run.path(), "dry", grid, kinds)
+        .unwrap()
+        .write(&state, &cut)
+        .unwrap();
+    let markers = read(&python, &run.path().join("frames/dry_000001.vtp"));
+    assert_eq!(flat(&markers["coordinates"]), [0.0_f32; 0]);
+    assert_eq!(flat(&markers["points"]["speed"]["values"]), [0.0_f32; 0]);
+}
+
+#[test]
 fn obstacles_read_back() {
     let Some(python) = python() else { return };
     let run = tempfile::tempdir().unwrap();
