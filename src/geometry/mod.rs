@@ -41,9 +41,8 @@ pub fn cut_cells(scene: &Scene, grid: &Grid) -> Result<CutCells, Error> {
     let mut clippings = Vec::new();
     let mut start = 1.0;
     let mut tolerance = CLOSURE_TOLERANCE;
-    for (number, obstacle) in scene.obstacles.iter().enumerate() {
-        let name = format!("{}: obstacle[{number}]", scene.file.display());
-        let body = Body::new(obstacle, &name, grid.dx)?;
+    for body in bodies(scene, grid) {
+        let body = body?;
         start += body.at_infinity();
         clippings.push(clip(&body.surface, grid));
         for (union, body) in solid_distance.iter_mut().zip(body.distance(grid)) {
@@ -68,6 +67,19 @@ pub fn cut_cells(scene: &Scene, grid: &Grid) -> Result<CutCells, Error> {
     Ok(CutCells {
         open,
         solid_distance,
+    })
+}
+
+/// The surfaces of all obstacles, for pictures. Normals point to the liquid.
+pub fn obstacle_surfaces(scene: &Scene, grid: &Grid) -> Result<Vec<Surface>, Error> {
+    bodies(scene, grid).map(|body| Ok(body?.surface)).collect()
+}
+
+fn bodies(scene: &Scene, grid: &Grid) -> impl Iterator<Item = Result<Body, Error>> {
+    let file = scene.file.display();
+    let obstacles = scene.obstacles.iter().enumerate();
+    obstacles.map(move |(number, obstacle)| {
+        Body::new(obstacle, &format!("{file}: obstacle[{number}]"), grid.dx)
     })
 }
 

@@ -14,19 +14,10 @@ use vtkio::xml::VTKFile;
 
 use super::atomic::{create_folder, write_atomically};
 use crate::Error;
-use crate::geometry::CutCells;
+use crate::geometry::{self, CutCells};
 use crate::grid::{Axis, Grid};
 use crate::scene::{Scene, Surface};
 use crate::state::State;
-
-/// The surface of an obstacle.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ObstacleSurface {
-    /// Vertices, m.
-    pub points: Vec<[f64; 3]>,
-    /// Corners of each triangle, counter-clockwise seen from the liquid's side.
-    pub triangles: Vec<[u32; 3]>,
-}
 
 /// Which frame files a run writes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,8 +73,9 @@ impl FrameWriter {
         })
     }
 
-    /// Writes the surfaces of the obstacles, once; nothing without any. Cell data: `obstacle` (index).
-    pub fn write_obstacles(&self, obstacles: &[ObstacleSurface]) -> Result<(), Error> {
+    /// Writes the surfaces of the obstacles, once; nothing without any. Normals point to the liquid. Cell data: `obstacle`
+    /// (index).
+    pub fn write_obstacles(&self, obstacles: &[geometry::Surface]) -> Result<(), Error> {
         if obstacles.is_empty() {
             return Ok(());
         }
@@ -92,7 +84,12 @@ impl FrameWriter {
         let mut index = Vec::new();
         for (ix, obstacle) in (0_i32..).zip(obstacles) {
             let first = (points.len() / 3) as u64;
-            points.extend(obstacle.points.iter().flatten().map(|&x| x as f32));
+            points.extend(
+                obstacle
+                    .vertices
+                    .iter()
+                    .flat_map(|x| x.as_vec3().to_array()),
+            );
             connectivity.extend(
                 obstacle
                     .triangles

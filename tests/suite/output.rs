@@ -8,9 +8,9 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use cutwater::Error;
-use cutwater::geometry::CutCells;
+use cutwater::geometry::{CutCells, Surface};
 use cutwater::grid::{Axis, Grid};
-use cutwater::output::frames::{FrameKinds, FrameWriter, ObstacleSurface};
+use cutwater::output::frames::{FrameKinds, FrameWriter};
 use cutwater::output::manifest::{AdapterRecord, Manifest, RunOptions, RunStatus};
 use cutwater::output::tables::{ProbeTable, StepRow, StepTable};
 use cutwater::scene::{self, Probe, ProbeKind, Scene};
@@ -304,12 +304,16 @@ fn obstacles_read_back() {
         BOTH,
     )
     .unwrap();
-    let tetrahedron = ObstacleSurface {
-        points: vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
+    let tetrahedron = Surface {
+        vertices: vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z],
         triangles: vec![[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
     };
-    let triangle = ObstacleSurface {
-        points: vec![[0.1, 0.2, 0.3], [0.4, 0.5, 0.6], [0.7, 0.8, 1.0]],
+    let triangle = Surface {
+        vertices: vec![
+            DVec3::new(0.1, 0.2, 0.3),
+            DVec3::new(0.4, 0.5, 0.6),
+            DVec3::splat(0.7),
+        ],
         triangles: vec![[2, 1, 0]],
     };
     writer
@@ -317,11 +321,10 @@ fn obstacles_read_back() {
         .unwrap();
     let found = read(&python, &run.path().join("frames/two_obstacles.vtp"));
     let points = tetrahedron
-        .points
+        .vertices
         .iter()
-        .chain(&triangle.points)
-        .flatten()
-        .copied();
+        .chain(&triangle.vertices)
+        .flat_map(|x| x.to_array());
     assert_eq!(flat(&found["coordinates"]), f32s(points));
     let corners = [0, 2, 1, 0, 1, 3, 0, 3, 2, 1, 2, 3, 6, 5, 4].map(f64::from);
     assert_eq!(flat(&found["connectivity"]["POLYGON"]), f32s(corners));
