@@ -14,6 +14,7 @@
 mod atomic;
 pub mod frames;
 pub mod manifest;
+pub mod preview;
 pub mod tables;
 
 pub use atomic::write_atomically;

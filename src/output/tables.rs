@@ -4,7 +4,7 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use crate::Error;
-use crate::scene::{Probe, ProbeKind};
+use crate::scene::Probe;
 use crate::state::{SolveStatus, StepReport};
 
 /// A CSV file that grows by rows and is flushed once per frame.
@@ -176,7 +176,7 @@ impl StepTable {
     }
 }
 
-/// probes.csv. Columns: `t` (s), then those of [`probe_columns`].
+/// probes.csv. Columns: `t` (s), then the [`Probe::columns`] of each probe.
 #[derive(Debug)]
 pub struct ProbeTable {
     table: Table,
@@ -186,7 +186,7 @@ pub struct ProbeTable {
 impl ProbeTable {
     /// A new probes.csv in `run` with its head line.
     pub fn create(run: &Path, probes: &[Probe]) -> Result<ProbeTable, Error> {
-        let columns = probe_columns(probes);
+        let columns: Vec<String> = probes.iter().flat_map(Probe::columns).collect();
         let mut table = Table::create(run.join("probes.csv"))?;
         table.record(std::iter::once("t".to_owned()).chain(columns.iter().cloned()))?;
         Ok(ProbeTable { table, columns })
@@ -210,20 +210,4 @@ impl ProbeTable {
     pub fn flush(&mut self) -> Result<(), Error> {
         self.table.flush()
     }
-}
-
-/// The columns of the probes, in order: the name, or for a velocity `NAME_x`, `NAME_y`, `NAME_z`.
-pub fn probe_columns(probes: &[Probe]) -> Vec<String> {
-    let mut columns = Vec::new();
-    for probe in probes {
-        match probe.kind {
-            ProbeKind::Velocity { .. } => {
-                columns.extend(["x", "y", "z"].map(|axis| format!("{}_{axis}", probe.name)))
-            }
-            ProbeKind::Height { .. } | ProbeKind::Pressure { .. } | ProbeKind::Front { .. } => {
-                columns.push(probe.name.clone());
-            }
-        }
-    }
-    columns
 }

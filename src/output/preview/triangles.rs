@@ -1,0 +1,173 @@
+//! Rays against triangles: a bounding volume hierarchy split at the median, and the Moeller-Trumbore test (1997).
+
+use glam::Vec3;
+
+/// Most triangles of a leaf.
+const LEAF: usize = 4;
+
+/// A triangle of an obstacle; its normal points to the liquid.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Triangle {
+    /// Corners, m, counter-clockwise seen from the liquid.
+    pub(super) corners: [Vec3; 3],
+    /// Of a container: seen from inside only, and light comes through.
+    pub(super) container: bool,
+}
+
+/// Where a ray meets a triangle.
+pub(super) struct Hit {
+    /// Distance along the ray, m.
+    pub(super) t: f32,
+    /// Unit normal to the liquid.
+    pub(super) normal: Vec3,
+    /// Of a container.
+    pub(super) container: bool,
+}
+
+/// All triangles of a scene.
+pub(super) struct Triangles {
+    triangles: Vec<Triangle>,
+    /// In the order of a depth-first walk: the left child follows its parent.
+    nodes: Vec<Node>,
+}
+
+struct Node {
+    low: Vec3,
+    high: Vec3,
+    /// Right child, or first triangle of a leaf.
+    next: usize,
+    /// Triangles of a leaf, else 0.
+    count: usize,
+}
+
+impl Triangles {
+    /// Sorts the triangles into a hierarchy.
+    pub(super) fn new(mut triangles: Vec<Triangle>) -> Triangles {
+        let mut nodes = Vec::new();
+        if !triangles.is_empty() {
+            build(&mut triangles, 0, &mut nodes);
+        }
+        Triangles { triangles, nodes }
+    }
+
+    /// The nearest triangle before `limit` that shows its liquid side.
+    pub(super) fn hit(&self, origin: Vec3, direction: Vec3, limit: f32) -> Option<Hit> {
+        let mut nearest: Option<Hit> = None;
+        self.walk(origin, direction, limit, |triangle, limit| {
+            let [a, b, c] = triangle.corners;
+            let normal = (b - a).cross(c - a);
+            if normal.dot(direction) >= 0.0 {
+                return limit;
+            }
+            let Some(t) = intersect(triangle, origin, direction, limit) else {
+                return limit;
+            };
+            nearest = Some(Hit {
+                t,
+                normal: normal.normalize(),
+                container: triangle.container,
+            });
+            t
+        });
+        nearest
+    }
+
+    /// Whether a body, but not a container, is between a point and the light.
+    pub(super) fn shades(&self, origin: Vec3, direction: Vec3) -> bool {
+        let mut shaded = false;
+        self.walk(origin, direction, f32::INFINITY, |triangle, limit| {
+            if triangle.container || intersect(triangle, origin, direction, limit).is_none() {
+                return limit;
+            }
+            shaded = true;
+            0.0
+        });
+        shaded
+    }
+
+    /// Calls `visit` for the triangles near a ray; it returns the limit from there on.
+    fn walk<'a>(
+        &'a self,
+        origin: Vec3,
+        direction: Vec3,
+        mut limit: f32,
+        mut visit: impl FnMut(&'a Triangle, f32) -> f32,
+    ) {
+        let inverse = direction.recip();
+        let mut stack = Vec::with_capacity(32);
+        if !self.nodes.is_empty() {
+            stack.push(0);
+        }
+        while let Some(index) = stack.pop() {
+            let node = &self.nodes[index];
+            let (low, high) = (
+                (node.low - origin) * inverse,
+                (node.high - origin) * inverse,
+            );
+            let (near, far) = (low.min(high).max_element(), low.max(high).min_element());
+            if near > far || far < 0.0 || near > limit {
+                continue;
+            }
+            if node.count == 0 {
+                stack.push(node.next);
+                stack.push(index + 1);
+            }
+            for triangle in &self.triangles[node.next..node.next + node.count] {
+                limit = visit(triangle, limit);
+            }
+        }
+    }
+}
+
+fn build(triangles: &mut [Triangle], first: usize, nodes: &mut Vec<Node>) {
+    let corners = || triangles.iter().flat_map(|triangle| triangle.corners);
+    let low = corners().fold(Vec3::INFINITY, Vec3::min);
+    let high = corners().fold(Vec3::NEG_INFINITY, Vec3::max);
+    let index = nodes.len();
+    if triangles.len() <= LEAF {
+        nodes.push(Node {
+            low,
+            high,
+            next: first,
+            count: triangles.len(),
+        });
+        return;
+    }
+    nodes.push(Node {
+        low,
+        high,
+        next: 0,
+        count: 0,
+    });
+    let axis = (high - low).max_position();
+    let middle = triangles.len() / 2;
+    let centre = |triangle: &Triangle| {
+        triangle
+            .corners
+            .iter()
+            .map(|corner| corner[axis])
+            .sum::<f32>()
+    };
+    triangles.select_nth_unstable_by(middle, |a, b| centre(a).total_cmp(&centre(b)));
+    let (left, right) = triangles.split_at_mut(middle);
+    build(left, first, nodes);
+    nodes[index].next = nodes.len();
+    build(right, first + middle, nodes);
+}
+
+fn intersect(triangle: &Triangle, origin: Vec3, direction: Vec3, limit: f32) -> Option<f32> {
+    let [a, b, c] = triangle.corners;
+    let (ab, ac) = (b - a, c - a);
+    let across = direction.cross(ac);
+    let determinant = ab.dot(across);
+    // Seen edge-on, or without area.
+    if determinant.abs() < 1e-20 {
+        return None;
+    }
+    let from_a = origin - a;
+    let u = from_a.dot(across) / determinant;
+    let turned = from_a.cross(ab);
+    let v = direction.dot(turned) / determinant;
+    let t = ac.dot(turned) / determinant;
+    (u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t > 1e-6 && t < limit).then_some(t)
+}
