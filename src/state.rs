@@ -46,6 +46,24 @@ impl State {
             volume_0: 0.0,
         }
     }
+
+    /// Time left to the next frame, s.
+    pub fn time_left(&self, frames_per_second: f64) -> f64 {
+        (self.frame + 1) as f64 / frames_per_second - self.time
+    }
+
+    /// Moves the clock on by a sub-step of dt (s). One that ends within a billionth of a frame of the next frame's time ends
+    /// on it, so that times do not drift.
+    pub fn advance_clock(&mut self, dt: f64, frames_per_second: f64) {
+        self.step += 1;
+        self.dt_last = dt;
+        if (self.time_left(frames_per_second) - dt).abs() <= 1e-9 / frames_per_second {
+            self.frame += 1;
+            self.time = self.frame as f64 / frames_per_second;
+        } else {
+            self.time += dt;
+        }
+    }
 }
 
 /// How a pressure solve ended. Anything but [`SolveStatus::Converged`] is told to the user.

@@ -4,14 +4,36 @@
 //! whatever the number of threads. This room never uses `gpu`, `stages` or `solver`, and they never use it.
 
 mod active_cells;
+mod advect_markers;
+mod advect_velocity;
 pub mod base_block;
+mod diagnose;
+mod extrapolate;
+mod forces;
+mod liquid_distance;
 mod multigrid;
 mod pressure_system;
+mod probe;
 mod right_hand_side;
+mod sample;
 mod solve;
+mod step;
+mod time_step;
+mod write_back;
 
 pub use active_cells::{ActiveCells, active_cells, theta};
+pub use advect_markers::advect_markers;
+pub use advect_velocity::advect_velocity;
+pub use diagnose::{diagnose, liquid_volume, max_speed, open_volume};
+pub use extrapolate::{extrapolate, n_layers};
+pub use forces::forces;
+pub use liquid_distance::liquid_distance;
 pub use multigrid::Multigrid;
 pub use pressure_system::{PressureSystem, Stencil};
+pub use probe::probe;
 pub use right_hand_side::{RightHandSide, VolumeSource, right_hand_side, volume_rate};
+pub use sample::{distance, gradient, sample, velocity};
 pub use solve::{DIRECT_UNKNOWNS, EPSILON, solve, solve_direct, solve_iterative};
+pub use step::Reference;
+pub use time_step::{TimeStep, time_step};
+pub use write_back::{Projection, write_back};

@@ -1,0 +1,90 @@
+//! `diagnose`: volume, momentum, energies, speed and divergence.
+//!
+//! A cell holds m_c = rho V_c clamp(1/2 - phi/dx, 0, 1), V_c its open volume, at its centre, and moves with the means v_c of
+//! its opposite faces:
+//!
+//! ```text
+//! momentum = sum m_c v_c,  kinetic energy = sum m_c |v_c|^2 / 2,  potential energy = - sum m_c g . x_c
+//! ```
+
+use glam::DVec3;
+
+use super::pressure_system::Stencil;
+use super::right_hand_side::inflow;
+use crate::geometry::CutCells;
+use crate::grid::{Axis, Grid};
+use crate::state::Diagnosis;
+
+/// Open volume of every cell, m^3: dx^3 clamp(1/2 + solid distance / dx, 0, 1).
+pub fn open_volume(grid: &Grid, solid_distance: &[f64]) -> Vec<f64> {
+    solid_distance
+        .iter()
+        .map(|distance| grid.cell_volume() * (0.5 + distance / grid.dx).clamp(0.0, 1.0))
+        .collect()
+}
+
+/// Liquid volume, m^3: sum over all cells of their open volume times clamp(1/2 - phi/dx, 0, 1).
+pub fn liquid_volume(grid: &Grid, open_volume: &[f64], liquid_distance: &[f64]) -> f64 {
+    let filled = |(open, phi): (&f64, &f64)| open * (0.5 - phi / grid.dx).clamp(0.0, 1.0);
+    open_volume.iter().zip(liquid_distance).map(filled).sum()
+}
+
+/// Largest magnitude of a face velocity component, m/s; not a number where one is not.
+pub fn max_speed(velocity: &[Vec<f64>; 3]) -> f64 {
+    let larger = |largest: f64, speed: f64| {
+        if largest >= speed || largest.is_nan() {
+            largest
+        } else {
+            speed
+        }
+    };
+    velocity.iter().flatten().map(|u| u.abs()).fold(0.0, larger)
+}
+
+/// What the liquid amounts to. `density` in kg/m^3, `gravity` in m/s^2, the rest as in [`crate::state::State`].
+pub fn diagnose(
+    grid: &Grid,
+    cut: &CutCells,
+    liquid_distance: &[f64],
+    velocity: &[Vec<f64>; 3],
+    stencil: &Stencil,
+    density: f64,
+    gravity: DVec3,
+) -> Diagnosis {
+    let open_volume = open_volume(grid, &cut.solid_distance);
+    let mut momentum = DVec3::ZERO;
+    let (mut kinetic_energy, mut potential_energy, mut divergence) = (0.0, 0.0, 0.0_f64);
+    for cell in 0..grid.n_cells() {
+        let ijk = grid.cell_at(cell);
+        let mass =
+            density * open_volume[cell] * (0.5 - liquid_distance[cell] / grid.dx).clamp(0.0, 1.0);
+        if mass > 0.0 {
+            let v = cell_velocity(grid, velocity, ijk);
+            momentum += mass * v;
+            kinetic_energy += 0.5 * mass * v.length_squared();
+            potential_energy -= mass * gravity.dot(grid.cell_centre(ijk));
+        }
+        if stencil.active(cell) {
+            divergence = divergence
+                .max(inflow(grid, &cut.open, velocity, cell).0.abs() / grid.cell_volume());
+        }
+    }
+    Diagnosis {
+        volume: liquid_volume(grid, &open_volume, liquid_distance),
+        momentum: momentum.to_array(),
+        kinetic_energy,
+        potential_energy,
+        max_speed: max_speed(velocity),
+        divergence,
+    }
+}
+
+/// Mean of the opposite faces of a cell, m/s.
+fn cell_velocity(grid: &Grid, velocity: &[Vec<f64>; 3], ijk: [usize; 3]) -> DVec3 {
+    DVec3::from(Axis::ALL.map(|axis| {
+        let a = axis.index();
+        let mut plus = ijk;
+        plus[a] += 1;
+        0.5 * (velocity[a][grid.face(axis, ijk)] + velocity[a][grid.face(axis, plus)])
+    }))
+}

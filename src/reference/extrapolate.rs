@@ -1,0 +1,116 @@
+//! `extrapolate`: velocities beyond the liquid, for the next advection, and free slip along obstacles.
+//!
+//! Layer by layer a face without a valid velocity takes the mean over its valid neighbours of the same axis. What no layer
+//! reaches is 0, and so are domain walls. Closed faces in and just outside obstacles lose their normal velocity.
+
+use rayon::prelude::*;
+
+use super::sample::{distance, normal, velocity};
+use crate::geometry::CutCells;
+use crate::grid::{Axis, Grid};
+
+/// Layers beyond those that a step of `cfl` cells crosses.
+const SPARE_LAYERS: usize = 2;
+/// Faces closer than this to an obstacle, or in it, slip along it; in cells.
+const SLIP_REACH: f64 = 0.5;
+
+/// How many layers a step at most `cfl` cells long needs.
+pub fn n_layers(cfl: f64) -> usize {
+    cfl.ceil() as usize + SPARE_LAYERS
+}
+
+/// Extends `faces` (m/s) by `layers` from where they are `valid`, and constrains them.
+pub fn extrapolate(
+    grid: &Grid,
+    cut: &CutCells,
+    valid: [Vec<bool>; 3],
+    layers: usize,
+    faces: &mut [Vec<f64>; 3],
+) {
+    for (axis, valid) in Axis::ALL.into_iter().zip(valid) {
+        extend(grid, axis, valid, layers, &mut faces[axis.index()]);
+    }
+    close_walls(grid, faces);
+    slip(grid, cut, faces);
+}
+
+fn extend(grid: &Grid, axis: Axis, mut valid: Vec<bool>, layers: usize, values: &mut [f64]) {
+    let n = grid.faces(axis);
+    let stride = [1, n[0], n[0] * n[1]];
+    for _ in 0..layers {
+        let mean = |face: usize| {
+            let ijk = grid.face_at(axis, face);
+            let mut sum = 0.0;
+            let mut count = 0;
+            for b in 0..3 {
+                let low = (ijk[b] > 0).then(|| face - stride[b]);
+                let high = (ijk[b] + 1 < n[b]).then(|| face + stride[b]);
+                for neighbour in [low, high]
+                    .into_iter()
+                    .flatten()
+                    .filter(|&neighbour| valid[neighbour])
+                {
+                    sum += values[neighbour];
+                    count += 1;
+                }
+            }
+            (count > 0).then(|| (face, sum / f64::from(count)))
+        };
+        let unknown = (0..values.len())
+            .into_par_iter()
+            .filter(|&face| !valid[face]);
+        let reached: Vec<_> = unknown.filter_map(mean).collect();
+        for (face, value) in reached {
+            values[face] = value;
+            valid[face] = true;
+        }
+    }
+    values
+        .iter_mut()
+        .zip(&valid)
+        .filter(|(_, valid)| !**valid)
+        .for_each(|(value, _)| *value = 0.0);
+}
+
+fn close_walls(grid: &Grid, faces: &mut [Vec<f64>; 3]) {
+    for axis in Axis::ALL {
+        for (face, value) in faces[axis.index()].iter_mut().enumerate() {
+            if grid
+                .face_sides(axis, grid.face_at(axis, face))
+                .contains(&None)
+            {
+                *value = 0.0;
+            }
+        }
+    }
+}
+
+fn slip(grid: &Grid, cut: &CutCells, faces: &mut [Vec<f64>; 3]) {
+    let constrained = Axis::ALL.map(|axis| -> Vec<(usize, f64)> {
+        let a = axis.index();
+        let constrain = |face: usize| {
+            let ijk = grid.face_at(axis, face);
+            if cut.open[a][face] > 0.0 || grid.face_sides(axis, ijk).contains(&None) {
+                return None;
+            }
+            let x = grid.face_centre(axis, ijk);
+            if distance(grid, &cut.solid_distance, x) >= SLIP_REACH * grid.dx {
+                return None;
+            }
+            let n = normal(grid, &cut.solid_distance, x)?;
+            Some((
+                face,
+                faces[a][face] - velocity(grid, faces, x).dot(n) * n[a],
+            ))
+        };
+        (0..grid.n_faces(axis))
+            .into_par_iter()
+            .filter_map(constrain)
+            .collect()
+    });
+    for (values, constrained) in faces.iter_mut().zip(constrained) {
+        constrained
+            .into_iter()
+            .for_each(|(face, value)| values[face] = value);
+    }
+}

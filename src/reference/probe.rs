@@ -1,0 +1,83 @@
+//! `probe`: measurements of a state. Both paths give their states to it.
+
+use glam::DVec3;
+
+use super::active_cells::theta;
+use super::sample::{cell_weights, distance, velocity};
+use crate::grid::{Axis, Grid};
+use crate::scene::ProbeKind;
+use crate::state::State;
+
+/// What a probe reads: one number, or three for a velocity. SI units.
+///
+/// - Height: where phi, interpolated to the vertical line, last changes sign going up; the top of the domain if it is
+///   negative up to there, 0 without liquid.
+/// - Pressure: trilinear between cell centres, air counting as 0. Cells of the liquid that are no unknowns (inside
+///   obstacles) do not count; beyond the outermost centres the pressure of the nearest is taken.
+/// - Velocity: trilinear between faces.
+/// - Front: largest coordinate of the liquid along the axis, over active cells; 0 without liquid.
+pub fn probe(grid: &Grid, state: &State, kind: &ProbeKind) -> Vec<f64> {
+    match *kind {
+        ProbeKind::Height { x, z } => vec![height(grid, &state.liquid_distance, x, z)],
+        ProbeKind::Pressure { point } => vec![pressure(grid, state, point)],
+        ProbeKind::Velocity { point } => velocity(grid, &state.velocity, point).to_array().to_vec(),
+        ProbeKind::Front { axis } => vec![front(grid, state, Axis::ALL[axis])],
+    }
+}
+
+fn height(grid: &Grid, liquid_distance: &[f64], x: f64, z: f64) -> f64 {
+    let n = grid.cells[1];
+    let phi = |j: usize| {
+        distance(
+            grid,
+            liquid_distance,
+            DVec3::new(x, (j as f64 + 0.5) * grid.dx, z),
+        )
+    };
+    match (0..n).rev().find(|&j| phi(j) < 0.0) {
+        None => 0.0,
+        Some(top) if top + 1 == n => n as f64 * grid.dx,
+        Some(j) => (j as f64 + 0.5 + theta(phi(j), phi(j + 1), 0.0)) * grid.dx,
+    }
+}
+
+fn pressure(grid: &Grid, state: &State, point: DVec3) -> f64 {
+    let mut sum = 0.0;
+    let mut weights = 0.0;
+    for (cell, weight) in cell_weights(grid, point) {
+        if state.active[cell] || state.liquid_distance[cell] >= 0.0 {
+            sum += weight * state.pressure[cell];
+            weights += weight;
+        }
+    }
+    if weights > 0.0 { sum / weights } else { 0.0 }
+}
+
+fn front(grid: &Grid, state: &State, axis: Axis) -> f64 {
+    let a = axis.index();
+    let reach = |cell: usize| {
+        let mut ijk = grid.cell_at(cell);
+        let index = ijk[a] as f64;
+        if ijk[a] + 1 == grid.cells[a] {
+            return index + 1.0;
+        }
+        ijk[a] += 1;
+        let phi = [
+            state.liquid_distance[cell],
+            state.liquid_distance[grid.cell(ijk)],
+        ];
+        // Where the liquid goes on, the next cell reaches further, or an obstacle ends it at the face.
+        index
+            + 0.5
+            + if phi[1] >= 0.0 {
+                theta(phi[0], phi[1], 0.0)
+            } else {
+                0.5
+            }
+    };
+    (0..grid.n_cells())
+        .filter(|&cell| state.active[cell])
+        .map(reach)
+        .fold(0.0, f64::max)
+        * grid.dx
+}

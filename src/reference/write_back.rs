@@ -1,0 +1,58 @@
+//! `write_back`: u = u* - dt/(rho dx) (p_+ - p_-) on every open face with an active side (thesis 4.36). Across the free
+//! surface the missing pressure is 0 and the difference is divided by the theta of the matrix.
+
+use super::active_cells::theta;
+use super::pressure_system::PressureSystem;
+use crate::grid::{Axis, Grid};
+
+/// What the update needs of the step.
+#[derive(Clone, Copy, Debug)]
+pub struct Projection<'a> {
+    /// The solved system.
+    pub system: &'a PressureSystem,
+    /// Its solution per cell, Pa.
+    pub pressure: &'a [f64],
+    /// Open fractions per face.
+    pub open: &'a [Vec<f64>; 3],
+    /// phi per cell, m.
+    pub liquid_distance: &'a [f64],
+    /// Floor of theta, as in the matrix.
+    pub theta_floor: f64,
+}
+
+/// Updates u* (m/s) in place and returns, per face, whether its velocity is valid.
+pub fn write_back(
+    grid: &Grid,
+    projection: Projection,
+    velocity: &mut [Vec<f64>; 3],
+) -> [Vec<bool>; 3] {
+    let Projection {
+        system,
+        pressure,
+        open,
+        liquid_distance: phi,
+        theta_floor,
+    } = projection;
+    let factor = system.scale / (grid.dx * grid.dx);
+    Axis::ALL.map(|axis| {
+        let a = axis.index();
+        let update = |(face, u): (usize, &mut f64)| {
+            let [Some(minus), Some(plus)] = grid.face_sides(axis, grid.face_at(axis, face)) else {
+                return false;
+            };
+            let active = [minus, plus].map(|cell| system.stencil.active(cell));
+            if open[a][face] <= 0.0 || active == [false; 2] {
+                return false;
+            }
+            let mut difference = pressure[plus] - pressure[minus];
+            if active == [true, false] {
+                difference /= theta(phi[minus], phi[plus], theta_floor);
+            } else if active == [false, true] {
+                difference /= theta(phi[plus], phi[minus], theta_floor);
+            }
+            *u -= factor * difference;
+            true
+        };
+        velocity[a].iter_mut().enumerate().map(update).collect()
+    })
+}
