@@ -11,15 +11,15 @@ use glam::DVec3;
 
 use super::pressure_system::Stencil;
 use super::right_hand_side::inflow;
-use crate::geometry::CutCells;
+use crate::geometry::{CutCells, open_volume};
 use crate::grid::{Axis, Grid};
 use crate::state::Diagnosis;
 
-/// Open volume of every cell, m^3: dx^3 clamp(1/2 + solid distance / dx, 0, 1).
-pub fn open_volume(grid: &Grid, solid_distance: &[f64]) -> Vec<f64> {
+/// Open volume of every cell, m^3.
+pub fn open_volumes(grid: &Grid, solid_distance: &[f64]) -> Vec<f64> {
     solid_distance
         .iter()
-        .map(|distance| grid.cell_volume() * (0.5 + distance / grid.dx).clamp(0.0, 1.0))
+        .map(|&distance| grid.cell_volume() * open_volume(distance, grid.dx))
         .collect()
 }
 
@@ -41,9 +41,8 @@ pub fn max_speed(velocity: &[Vec<f64>; 3]) -> f64 {
     velocity.iter().flatten().map(|u| u.abs()).fold(0.0, larger)
 }
 
-/// What the liquid amounts to. `density` in kg/m^3, `gravity` in m/s^2, the rest as in [`crate::state::State`].
+/// What the liquid amounts to. `stencil`: of the last projection; `density` in kg/m^3, `gravity` in m/s^2, the rest as in [`crate::state::State`].
 pub fn diagnose(
-    grid: &Grid,
     cut: &CutCells,
     liquid_distance: &[f64],
     velocity: &[Vec<f64>; 3],
@@ -51,13 +50,14 @@ pub fn diagnose(
     density: f64,
     gravity: DVec3,
 ) -> Diagnosis {
-    let open_volume = open_volume(grid, &cut.solid_distance);
+    let grid = &stencil.grid;
+    let open_volumes = open_volumes(grid, &cut.solid_distance);
     let mut momentum = DVec3::ZERO;
     let (mut kinetic_energy, mut potential_energy, mut divergence) = (0.0, 0.0, 0.0_f64);
     for cell in 0..grid.n_cells() {
         let ijk = grid.cell_at(cell);
         let mass =
-            density * open_volume[cell] * (0.5 - liquid_distance[cell] / grid.dx).clamp(0.0, 1.0);
+            density * open_volumes[cell] * (0.5 - liquid_distance[cell] / grid.dx).clamp(0.0, 1.0);
         if mass > 0.0 {
             let v = cell_velocity(grid, velocity, ijk);
             momentum += mass * v;
@@ -70,7 +70,7 @@ pub fn diagnose(
         }
     }
     Diagnosis {
-        volume: liquid_volume(grid, &open_volume, liquid_distance),
+        volume: liquid_volume(grid, &open_volumes, liquid_distance),
         momentum: momentum.to_array(),
         kinetic_energy,
         potential_energy,

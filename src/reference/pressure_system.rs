@@ -99,6 +99,14 @@ impl Stencil {
             .collect()
     }
 
+    /// Whether each cell is an unknown.
+    pub fn active_mask(&self) -> Vec<bool> {
+        self.diagonal
+            .iter()
+            .map(|&diagonal| diagonal > 0.0)
+            .collect()
+    }
+
     /// (A x) of one cell, from differences: pressures are large, what drives the velocity is small.
     #[inline]
     pub(super) fn product(&self, x: &[f64], cell: usize) -> f64 {

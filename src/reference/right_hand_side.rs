@@ -26,7 +26,7 @@ pub struct VolumeSource<'a> {
     /// Relative rate from [`volume_rate`], 1/s.
     pub rate: f64,
     /// Open volume per cell, m^3.
-    pub open_volume: &'a [f64],
+    pub open_volumes: &'a [f64],
 }
 
 /// The rate at which the liquid should grow to come back from `volume` to `volume_0` (m^3), 1/s: the deficit over
@@ -60,7 +60,7 @@ pub fn right_hand_side(
         values[cell] = inflow;
         magnitudes[cell] = magnitude;
         if let Some(source) = source.filter(|_| !in_closed[cell]) {
-            values[cell] += source.rate * source.open_volume[cell];
+            values[cell] += source.rate * source.open_volumes[cell];
         }
     }
     remove_means(&active.closed, &mut values);

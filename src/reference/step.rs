@@ -3,9 +3,9 @@
 use std::time::Instant;
 
 use super::{
-    PressureSystem, Projection, TimeStep, VolumeSource, active_cells, advect_markers,
-    advect_velocity, diagnose, extrapolate, forces, liquid_distance, liquid_volume, max_speed,
-    n_layers, open_volume, right_hand_side, solve, time_step, volume_rate, write_back,
+    PressureSystem, TimeStep, VolumeSource, active_cells, advect_markers, advect_velocity,
+    diagnose, extrapolate, forces, liquid_distance, liquid_volume, max_speed, n_layers,
+    open_volumes, prepare, right_hand_side, solve, time_step, volume_rate, write_back,
 };
 use crate::Error;
 use crate::effects::Effects;
@@ -23,13 +23,14 @@ pub struct Reference {
     cut: CutCells,
     effects: Effects,
     /// m^3 per cell
-    open_volume: Vec<f64>,
+    open_volumes: Vec<f64>,
     state: State,
 }
 
 impl Reference {
-    /// Starts from a state; with `surface = "fixed"` its liquid distance is the exact one, and stays.
-    pub fn new(scene: &Scene, cut: CutCells, state: State) -> Result<Reference, Error> {
+    /// Starts from a state; one without steps is completed by [`prepare`]. With `surface = "fixed"` its liquid distance is
+    /// the exact one, and stays.
+    pub fn new(scene: &Scene, cut: CutCells, mut state: State) -> Result<Reference, Error> {
         let grid = scene.grid();
         let file = || scene.file.display().to_string();
         let Some(liquid) = scene.liquid.clone() else {
@@ -61,7 +62,10 @@ impl Reference {
                 "resume with the scene and the scale that the state was made with",
             ));
         }
-        let open_volume = open_volume(&grid, &cut.solid_distance);
+        if state.step == 0 {
+            prepare(scene, &grid, &cut, &mut state);
+        }
+        let open_volumes = open_volumes(&grid, &cut.solid_distance);
         let effects = Effects::of(scene);
         Ok(Reference {
             scene: scene.clone(),
@@ -69,7 +73,7 @@ impl Reference {
             grid,
             cut,
             effects,
-            open_volume,
+            open_volumes,
             state,
         })
     }
@@ -103,139 +107,120 @@ impl Reference {
 
     /// Does one sub-step. After an error the state is the one before.
     pub fn step(&mut self, TimeStep { dt, floored }: TimeStep) -> Result<StepReport, Error> {
-        let Reference {
-            scene,
-            liquid,
-            grid,
-            cut,
-            effects,
-            open_volume,
-            state,
-        } = self;
-        let frames_per_second = scene.time.frames_per_second;
-        let (gravity, theta_floor) = (scene.domain.gravity, scene.solver.theta_floor);
-        let mut clock = Clock::default();
+        let (scene, grid, cut) = (&self.scene, &self.grid, &self.cut);
+        let (open, solid_distance) = (&cut.open, &cut.solid_distance);
+        let (density, gravity) = (self.liquid.density, scene.domain.gravity);
+        let (velocity, markers) = (&self.state.velocity, &self.state.markers);
+        let theta_floor = scene.solver.theta_floor;
+        let mut clock = Clock::start();
 
-        let (markers, dropped) = clock.time("advect_markers", || {
-            advect_markers(
-                grid,
-                &state.velocity,
-                &cut.solid_distance,
-                &state.markers,
-                dt,
-            )
-        });
-        let mut velocity = clock.time("advect_velocity", || {
-            advect_velocity(grid, &state.velocity, dt)
-        });
-        clock.time("forces", || forces(&mut velocity, gravity, dt));
-        let phi = clock.time("liquid_distance", || match effects.markers {
-            true => liquid_distance(grid, cut, &markers, liquid.marker_radius * grid.dx),
-            false => state.liquid_distance.clone(),
-        });
-        let active = clock.time("active_cells", || {
-            active_cells(grid, &cut.open, &phi, theta_floor)
-        });
-        let closed_components = active.closed.len();
-        let system = clock.time("right_hand_side", || {
-            let source = effects.volume_control.then(|| {
-                let volume = liquid_volume(grid, open_volume, &phi);
-                VolumeSource {
-                    rate: volume_rate(state.volume_0, volume, 1.0 / frames_per_second),
-                    open_volume,
-                }
-            });
-            let rhs = right_hand_side(grid, &cut.open, &velocity, &active, source);
-            PressureSystem::new(active, rhs, dt, liquid.density)
-        });
-        let (pressure, solve) = clock.time("solve", || solve(&system, &scene.solver))?;
-        if solve.status == SolveStatus::NonFinite {
-            return Err(failed(
-                "solve",
-                state.step,
-                "the right-hand side or the pressure is not finite",
-            ));
-        }
-        let valid = clock.time("write_back", || {
-            let (open, liquid_distance, pressure) = (&cut.open, &phi[..], &pressure[..]);
-            write_back(
-                grid,
-                Projection {
-                    system: &system,
-                    pressure,
-                    open,
-                    liquid_distance,
-                    theta_floor,
-                },
-                &mut velocity,
-            )
-        });
-        clock.time("extrapolate", || {
-            extrapolate(grid, cut, valid, n_layers(scene.time.cfl), &mut velocity)
-        });
-        let diagnosis = clock.time("diagnose", || {
-            diagnose(
-                grid,
-                cut,
-                &phi,
-                &velocity,
-                &system.stencil,
-                liquid.density,
-                gravity,
-            )
-        });
-        if !diagnosis.max_speed.is_finite() {
-            return Err(failed("diagnose", state.step, "a velocity is not finite"));
-        }
+        let (markers, dropped) = advect_markers(grid, velocity, solid_distance, markers, dt);
+        clock.lap("advect_markers");
 
-        let n_markers = markers.len();
-        state.advance_clock(dt, frames_per_second);
-        state.markers_dropped += dropped;
-        state.active = system
-            .stencil
-            .diagonal
-            .iter()
-            .map(|&diagonal| diagonal > 0.0)
-            .collect();
-        (
-            state.velocity,
-            state.markers,
-            state.pressure,
-            state.liquid_distance,
-        ) = (velocity, markers, pressure, phi);
-        let seconds = clock.laps;
-        Ok(StepReport {
+        let mut velocity = advect_velocity(grid, velocity, dt);
+        clock.lap("advect_velocity");
+
+        forces(&mut velocity, gravity, dt);
+        clock.lap("forces");
+
+        let phi = match self.effects.markers {
+            true => liquid_distance(grid, cut, &markers, self.liquid.marker_radius * grid.dx),
+            false => self.state.liquid_distance.clone(),
+        };
+        clock.lap("liquid_distance");
+
+        let active = active_cells(grid, open, &phi, theta_floor);
+        clock.lap("active_cells");
+
+        let source = self.volume_source(&phi);
+        let rhs = right_hand_side(grid, open, &velocity, &active, source);
+        let system = PressureSystem::new(active, rhs, dt, density);
+        clock.lap("right_hand_side");
+
+        let (pressure, solve) = solve(&system, &scene.solver)?;
+        self.ensure_finite("solve", solve.status != SolveStatus::NonFinite)?;
+        clock.lap("solve");
+
+        let valid = write_back(&system, &pressure, open, &phi, theta_floor, &mut velocity);
+        clock.lap("write_back");
+
+        extrapolate(grid, cut, valid, n_layers(scene.time.cfl), &mut velocity);
+        clock.lap("extrapolate");
+
+        let diagnosis = diagnose(cut, &phi, &velocity, &system.stencil, density, gravity);
+        self.ensure_finite("diagnose", diagnosis.max_speed.is_finite())?;
+        clock.lap("diagnose");
+
+        let report = StepReport {
             dt,
             dt_floored: floored,
             solve,
-            closed_components,
+            closed_components: system.closed.len(),
             diagnosis,
-            markers: n_markers,
+            markers: markers.len(),
             dropped,
-            seconds,
-        })
+            seconds: clock.laps,
+        };
+        let frames_per_second = scene.time.frames_per_second;
+        let markers_dropped = self.state.markers_dropped + dropped;
+        self.state = State {
+            velocity,
+            markers,
+            markers_dropped,
+            pressure,
+            liquid_distance: phi,
+            active: system.stencil.active_mask(),
+            ..self.state
+        };
+        self.state.advance_clock(dt, frames_per_second);
+        Ok(report)
     }
-}
 
-fn failed(stage: &'static str, step: u64, problem: &str) -> Error {
-    Error::Stage {
-        stage,
-        step,
-        problem: problem.to_string(),
+    /// What volume control asks for, given phi (m); nothing where the scene has none.
+    fn volume_source(&self, liquid_distance: &[f64]) -> Option<VolumeSource<'_>> {
+        let volume = liquid_volume(&self.grid, &self.open_volumes, liquid_distance);
+        let frame = 1.0 / self.scene.time.frames_per_second;
+        let rate = volume_rate(self.state.volume_0, volume, frame);
+        let source = VolumeSource {
+            rate,
+            open_volumes: &self.open_volumes,
+        };
+        self.effects.volume_control.then_some(source)
+    }
+
+    fn ensure_finite(&self, stage: &'static str, finite: bool) -> Result<(), Error> {
+        let step = self.state.step;
+        let problem = "a number is not finite".to_string();
+        if finite {
+            Ok(())
+        } else {
+            Err(Error::Stage {
+                stage,
+                step,
+                problem,
+            })
+        }
     }
 }
 
 /// Wall-clock seconds of the stages.
-#[derive(Default)]
 struct Clock {
+    last: Instant,
     laps: Vec<(&'static str, f64)>,
 }
 
 impl Clock {
-    fn time<T>(&mut self, stage: &'static str, work: impl FnOnce() -> T) -> T {
-        let start = Instant::now();
-        let result = work();
-        self.laps.push((stage, start.elapsed().as_secs_f64()));
-        result
+    fn start() -> Clock {
+        Clock {
+            last: Instant::now(),
+            laps: Vec::new(),
+        }
+    }
+
+    /// Ends a stage.
+    fn lap(&mut self, stage: &'static str) {
+        let now = Instant::now();
+        self.laps.push((stage, (now - self.last).as_secs_f64()));
+        self.last = now;
     }
 }

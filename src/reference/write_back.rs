@@ -3,36 +3,19 @@
 
 use super::active_cells::theta;
 use super::pressure_system::PressureSystem;
-use crate::grid::{Axis, Grid};
+use crate::grid::Axis;
 
-/// What the update needs of the step.
-#[derive(Clone, Copy, Debug)]
-pub struct Projection<'a> {
-    /// The solved system.
-    pub system: &'a PressureSystem,
-    /// Its solution per cell, Pa.
-    pub pressure: &'a [f64],
-    /// Open fractions per face.
-    pub open: &'a [Vec<f64>; 3],
-    /// phi per cell, m.
-    pub liquid_distance: &'a [f64],
-    /// Floor of theta, as in the matrix.
-    pub theta_floor: f64,
-}
-
-/// Updates u* (m/s) in place and returns, per face, whether its velocity is valid.
+/// Updates u* (m/s) in place and returns, per face, whether its velocity is valid. `pressure` solves the system, Pa; `open`,
+/// phi (`liquid_distance`, m) and the floor of theta are those the system was made from.
 pub fn write_back(
-    grid: &Grid,
-    projection: Projection,
+    system: &PressureSystem,
+    pressure: &[f64],
+    open: &[Vec<f64>; 3],
+    liquid_distance: &[f64],
+    theta_floor: f64,
     velocity: &mut [Vec<f64>; 3],
 ) -> [Vec<bool>; 3] {
-    let Projection {
-        system,
-        pressure,
-        open,
-        liquid_distance: phi,
-        theta_floor,
-    } = projection;
+    let (grid, phi) = (&system.stencil.grid, liquid_distance);
     let factor = system.scale / (grid.dx * grid.dx);
     Axis::ALL.map(|axis| {
         let a = axis.index();
