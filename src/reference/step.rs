@@ -78,6 +78,11 @@ impl Reference {
         })
     }
 
+    /// The scene.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
     /// The state after the last step.
     pub fn state(&self) -> &State {
         &self.state

@@ -7,6 +7,7 @@ mod layout;
 mod linalg;
 mod output;
 mod reference;
+mod reference_physics;
 mod scene;
 mod shaders;
 mod solver;

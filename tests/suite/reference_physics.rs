@@ -1,0 +1,234 @@
+//! Steps of the f64 path against what is known exactly.
+
+use std::fs;
+
+use cutwater::geometry::{cut_cells, initial_state};
+use cutwater::grid::{Axis, Grid};
+use cutwater::reference::{Reference, TimeStep, probe};
+use cutwater::scene::{ProbeKind, Scene};
+use cutwater::state::{SolveStatus, StepReport};
+use glam::DVec3;
+
+/// A scene of unit-sized cubes of `cells` along x, 1 m wide, with what else its file says.
+fn scene(cells: [usize; 3], rest: &str) -> Scene {
+    let size = cells.map(|n| n as f64 / cells[0] as f64);
+    let text = format!(
+        "[domain]\nsize = {size:?}\ncells = {cells:?}\ngravity = [0.0, -9.81, 0.0]\n\
+         [time]\nduration = 1.0\nframes_per_second = 24\n[liquid]\n{rest}"
+    );
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("test.toml");
+    fs::write(&path, text).unwrap();
+    Scene::load(&path, &[], 1.0).unwrap()
+}
+
+fn start(scene: &Scene) -> Reference {
+    let grid = scene.grid();
+    let cut = cut_cells(scene, &grid).unwrap();
+    let state = initial_state(scene, &grid, &cut).unwrap();
+    Reference::new(scene, cut, state).unwrap()
+}
+
+fn step(reference: &mut Reference) -> StepReport {
+    let report = reference.step(reference.next_time_step()).unwrap();
+    assert_eq!(report.solve.status, SolveStatus::Converged, "{report:?}");
+    report
+}
+
+fn pool(level: f64) -> String {
+    let point = [0.0, level, 0.0];
+    format!("surface = \"fixed\"\n[[liquid.region]]\nhalf_space = {{ point = {point:?}, normal = [0.0, 1.0, 0.0] }}\n")
+}
+
+const GRAVITY: f64 = 9.81;
+
+#[test]
+fn a_column_of_three_cells_has_the_exact_pressure() {
+    // The surface 0.3 cells above the centres of the third layer.
+    let level = 2.8 / 3.0;
+    let mut reference = start(&scene([3, 4, 3], &pool(level)));
+    let report = step(&mut reference);
+    assert_eq!(report.solve.unknowns, 27);
+    let grid = Grid { cells: [3, 4, 3], dx: 1.0 / 3.0 };
+    for (cell, pressure) in reference.state().pressure.iter().enumerate() {
+        let exact = (1000.0 * GRAVITY * (level - grid.cell_centre(grid.cell_at(cell)).y)).max(0.0);
+        assert!((pressure - exact).abs() < 1e-9, "cell {cell}: {pressure} Pa, exactly {exact} Pa");
+    }
+}
+
+/// F1, F2: water at rest stays at rest, wherever in a cell its surface lies and whatever is in it.
+fn stays_at_rest(name: &str, scene: &Scene) {
+    let mut reference = start(scene);
+    for number in 0..20 {
+        let dt = 1.0 / 60.0;
+        let report = reference.step(TimeStep { dt, floored: false }).unwrap();
+        let bound = 1e-11 * GRAVITY * dt;
+        let speed = report.diagnosis.max_speed;
+        assert!(speed <= bound, "{name}, step {number}: {speed:e} m/s, allowed {bound:e}: {report:?}");
+        assert!(report.solve.unknowns > 0, "{name} has no liquid");
+    }
+}
+
+#[test]
+fn a_pool_rests_with_its_surface_anywhere_in_a_cell() {
+    for part in [1e-9, 0.004, 0.3, 0.5, 0.501, 0.99] {
+        stays_at_rest(&format!("surface at {part} of a cell"), &scene([10, 12, 9], &pool((7.0 + part) / 10.0)));
+    }
+}
+
+const TURNED: &str = "placement = { rotate = { axis = [1.0, 2.0, 3.0], degrees = 35.0 } }\n";
+
+#[test]
+fn a_pool_rests_around_a_sunken_turned_block() {
+    let block = format!("[[obstacle]]\nbox = {{ min = [0.33, 0.15, 0.4], max = [0.66, 0.4, 0.6] }}\n{TURNED}");
+    stays_at_rest("sunken block", &scene([18, 18, 18], &(pool(0.613) + &block)));
+}
+
+#[test]
+fn a_pool_rests_around_a_turned_block_through_its_surface() {
+    let block = format!("[[obstacle]]\nbox = {{ min = [0.33, 0.25, 0.3], max = [0.66, 0.8, 0.7] }}\n{TURNED}");
+    for level in [0.5, 0.507, 0.53] {
+        stays_at_rest("block through the surface", &scene([18, 18, 18], &(pool(level) + &block)));
+    }
+}
+
+#[test]
+fn a_pool_rests_around_a_plate_of_two_cells() {
+    let plate = format!("[[obstacle]]\nbox = {{ min = [0.2, 0.2, 0.45], max = [0.8, 0.9, 0.56] }}\n{TURNED}");
+    stays_at_rest("plate", &scene([18, 18, 18], &(pool(0.613) + &plate)));
+}
+
+#[test]
+fn a_half_full_sphere_rests() {
+    let sphere = "[[obstacle]]\nsphere = { centre = [0.5, 0.49, 0.5], radius = 0.44 }\ninside_out = true\n";
+    stays_at_rest("sphere", &scene([18, 18, 18], &(pool(0.49) + sphere)));
+}
+
+#[test]
+fn a_full_box_and_a_full_sphere_rest_and_report_a_closed_component() {
+    let sphere = "[[obstacle]]\nsphere = { centre = [0.5, 0.5, 0.5], radius = 0.44 }\ninside_out = true\n";
+    for rest in [pool(2.0), pool(2.0) + sphere] {
+        let scene = scene([12, 12, 12], &rest);
+        stays_at_rest("full container", &scene);
+        let mut reference = start(&scene);
+        let report = step(&mut reference);
+        assert_eq!(report.closed_components, 1);
+        let mean = reference.state().pressure.iter().sum::<f64>() / report.solve.unknowns as f64;
+        assert!(mean.abs() < 1e-9, "the mean pressure of a closed component is {mean} Pa");
+    }
+}
+
+/// The exact pressure over rho g H at the instant a dam of width a = H is removed; `x` and `y` over H.
+fn dam_release(x: f64, y: f64) -> f64 {
+    let term = |n: u32| {
+        let k = (f64::from(n) + 0.5) * std::f64::consts::PI;
+        // cosh(k x) / cosh(k), without overflow.
+        let ratio = ((k * (x - 1.0)).exp() + (-k * (x + 1.0)).exp()) / (1.0 + (-2.0 * k).exp());
+        2.0 / (k * k) * (k * y).cos() * ratio
+    };
+    1.0 - y - (0..4000).map(term).sum::<f64>()
+}
+
+#[test]
+fn dam_release_has_the_exact_pressure() {
+    let table = include_str!("../data/dam_release_pressure.csv");
+    for line in table.lines().filter(|line| line.starts_with(char::is_numeric)) {
+        let numbers: Vec<f64> = line.split(',').map(|field| field.parse().unwrap()).collect();
+        let series = dam_release(numbers[0], numbers[1]);
+        assert!((series - numbers[2]).abs() < 2e-5, "the series gives {series} where the table has {line}");
+    }
+    // F3: 32 cells high and wide, free on top and to the right.
+    let (n, height) = (32, 0.5);
+    let region = "surface = \"fixed\"\n[[liquid.region]]\nbox = { min = [0.0, 0.0, 0.0], max = [0.5, 0.5, 0.03125] }\n";
+    let mut reference = start(&scene([64, 48, 2], region));
+    step(&mut reference);
+    let grid = reference.scene().grid();
+    let mut largest: f64 = 0.0;
+    for (cell, pressure) in reference.state().pressure.iter().enumerate() {
+        let x = grid.cell_centre(grid.cell_at(cell)) / height;
+        let from_corner = (x.x - 1.0).hypot(x.y);
+        if x.x < 1.0 && x.y < 1.0 && from_corner > 4.0 / f64::from(n) {
+            largest = largest.max((pressure / (1000.0 * GRAVITY * height) - dam_release(x.x, x.y)).abs());
+        }
+    }
+    assert!(largest < 0.02, "largest error {largest} of rho g H");
+    eprintln!("dam release: largest error {largest} of rho g H further than 4 cells from the corner");
+}
+
+const DAM: &str = "[[liquid.region]]\nbox = { min = [0.0, 0.0, 0.0], max = [0.375, 0.5, 0.25] }\n\
+                   [[obstacle]]\ncylinder = { base = [0.7, 0.0, 0.125], axis = [0, 1, 0], radius = 0.06, height = 0.3 }\n";
+
+#[test]
+fn a_dam_break_runs_past_a_pillar_and_keeps_its_volume() {
+    let mut reference = start(&scene([32, 24, 8], DAM));
+    let volume_0 = reference.state().volume_0;
+    let front = |reference: &Reference| {
+        probe(&reference.scene().grid(), reference.state(), &ProbeKind::Front { axis: 0 })[0]
+    };
+    let mut energies = Vec::new();
+    for _ in 0..60 {
+        let report = step(&mut reference);
+        energies.push(report.diagnosis.kinetic_energy + report.diagnosis.potential_energy);
+        let ratio = report.diagnosis.volume / volume_0;
+        assert!((0.97..1.03).contains(&ratio), "step {}: volume {ratio}", reference.state().step);
+        assert!(report.dropped == 0 && report.diagnosis.max_speed < 8.0, "{report:?}");
+        assert!(report.seconds.len() == 10 && report.seconds[6].0 == "solve", "{:?}", report.seconds);
+    }
+    eprintln!("t {} front {} E {:?}", reference.state().time, front(&reference), energies);
+    assert!(front(&reference) > 0.9, "front at {} m after {} s", front(&reference), reference.state().time);
+    assert!(energies[59] < energies[0], "the energy grows from {} to {} J", energies[0], energies[59]);
+}
+
+#[test]
+fn a_run_repeats_bit_for_bit_whatever_the_number_of_threads() {
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let mut reference = start(&scene([32, 24, 8], DAM));
+            (0..8).for_each(|_| drop(step(&mut reference)));
+            reference.state().clone()
+        })
+    };
+    let once = run(1);
+    assert!(once == run(1) && once == run(3), "the states differ");
+}
+
+#[test]
+fn markers_at_rest_start_slowly() {
+    // F1 with markers: the bumps of the spheres drive currents, far below what free fall for a step would give.
+    let level = "[[liquid.region]]\nbox = { min = [0.0, 0.0, 0.0], max = [1.0, 0.5, 1.0] }\n";
+    let mut reference = start(&scene([16, 16, 16], level));
+    let report = step(&mut reference);
+    let fall = GRAVITY * report.dt;
+    assert!(report.diagnosis.max_speed < fall, "{} of g dt", report.diagnosis.max_speed / fall);
+    eprintln!("first projection {} g dt", report.diagnosis.max_speed / fall);
+    let grid = reference.scene().grid();
+    for (cell, &active) in reference.state().active.iter().enumerate() {
+        let y = grid.cell_centre(grid.cell_at(cell)).y;
+        assert!(active || y > 0.5 - 2.0 * grid.dx, "an air cell at height {y}");
+    }
+    for _ in 0..19 {
+        step(&mut reference);
+    }
+    eprintln!("after 20 {:?}", reference.state().velocity.iter().flatten().fold(0.0_f64, |m, u| m.max(u.abs())));
+}
+
+#[test]
+fn free_fall_of_a_ball_is_exact() {
+    // Air all around: no pressure, every velocity is g t, and the ball keeps its momentum along x.
+    let ball = "[[liquid.region]]\nsphere = { centre = [0.4, 0.65, 0.5], radius = 0.18 }\nvelocity = [0.5, 0.0, 0.0]\n";
+    let mut reference = start(&scene([20, 20, 20], &format!("volume_control = false\n{ball}")));
+    let before = reference.state().markers.clone();
+    for _ in 0..4 {
+        step(&mut reference);
+    }
+    let time = reference.state().time;
+    let probed = probe(&reference.scene().grid(), reference.state(), &ProbeKind::Velocity { point: DVec3::new(0.42, 0.63, 0.5) });
+    for (velocity, exact) in probed.iter().zip([0.5, -GRAVITY * time, 0.0]) {
+        assert!((velocity - exact).abs() < 1e-6, "{probed:?} at {time} s");
+    }
+    for (x, before) in reference.state().markers.iter().zip(before) {
+        assert!((x[0] - before[0] - 0.5 * time).abs() < 1e-6 && (x[2] - before[2]).abs() < 1e-6, "{x:?} from {before:?}");
+    }
+    assert!(Axis::ALL.len() == 3);
+}
