@@ -25,6 +25,7 @@ pub mod geometry;
 pub mod gpu;
 pub mod grid;
 pub mod linalg;
+pub mod measure;
 pub mod output;
 pub mod reference;
 pub mod scene;

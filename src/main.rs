@@ -1,2 +1,7 @@
-//! bin
-fn main() {}
+//! The command line of cutwater: see `cutwater --help` and the README.
+
+mod cli;
+
+fn main() -> std::process::ExitCode {
+    cli::main()
+}

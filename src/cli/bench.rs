@@ -1,0 +1,138 @@
+//! `cutwater bench`
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand, ValueEnum};
+use cutwater::Error;
+use cutwater::gpu::Gpu;
+use cutwater::measure::bench_solve::{self, Options};
+use cutwater::scene::{Precision, Preconditioner, Solver};
+
+use super::AdapterArgs;
+
+/// Measure the solve or the whole step
+#[derive(Debug, Args)]
+pub(super) struct Bench {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    /// The pressure solve on the pressure-only base block, against the grid: solve.csv, solve.json, solve.svg
+    Solve(Solve),
+}
+
+#[derive(Debug, Args)]
+struct Solve {
+    /// Cells along an edge of the block
+    #[arg(long, value_delimiter = ',', default_values_t = [20, 40, 60, 80])]
+    grids: Vec<usize>,
+    /// Timed runs per row
+    #[arg(long, default_value_t = 5)]
+    repeats: usize,
+    /// Relative tolerance of the true residual
+    #[arg(long, default_value_t = 1e-8)]
+    tolerance: f64,
+    /// Precisions to measure
+    #[arg(long, value_enum, value_delimiter = ',', default_values_t = [PrecisionName::Mixed])]
+    precision: Vec<PrecisionName>,
+    /// Preconditioners to measure
+    #[arg(long, value_enum, value_delimiter = ',', default_values_t = [PreconditionerName::Multigrid])]
+    preconditioner: Vec<PreconditionerName>,
+    /// PCG iterations in all rounds
+    #[arg(long, default_value_t = 5000)]
+    max_iterations: u32,
+    /// Also write the systems as base_block_N.mtx and base_block_N_rhs.mtx
+    #[arg(long)]
+    matrices: bool,
+    /// Folder of the results
+    #[arg(long, default_value = "out/bench_solve")]
+    out: PathBuf,
+    #[command(flatten)]
+    adapter: AdapterArgs,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum PrecisionName {
+    F32,
+    Mixed,
+    F64,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum PreconditionerName {
+    Multigrid,
+    Jacobi,
+}
+
+impl Bench {
+    pub(super) fn run(&self) -> Result<(), Error> {
+        match &self.what {
+            What::Solve(solve) => solve.run(),
+        }
+    }
+}
+
+impl Solve {
+    fn run(&self) -> Result<(), Error> {
+        if let Some(&grid) = self.grids.iter().find(|&&n| n < 2) {
+            return Err(Error::input(
+                format!("--grids {grid}"),
+                "too few cells",
+                "give grids of at least 2 cells",
+            ));
+        }
+        let gpu = Gpu::new(&self.adapter.choice())?;
+        let mut solvers = Vec::new();
+        for precision in &self.precision {
+            for preconditioner in &self.preconditioner {
+                solvers.push(Solver {
+                    tolerance: self.tolerance,
+                    max_iterations: self.max_iterations,
+                    precision: match precision {
+                        PrecisionName::F32 => Precision::F32,
+                        PrecisionName::Mixed => Precision::Mixed,
+                        PrecisionName::F64 => Precision::F64,
+                    },
+                    preconditioner: match preconditioner {
+                        PreconditionerName::Multigrid => Preconditioner::Multigrid,
+                        PreconditionerName::Jacobi => Preconditioner::Jacobi,
+                    },
+                    ..Solver::default()
+                });
+            }
+        }
+        let options = Options {
+            grids: self.grids.clone(),
+            repeats: self.repeats,
+            solvers,
+            matrices: self.matrices,
+        };
+        println!("adapter: {} ({})", gpu.report().name, gpu.report().kind);
+        println!(
+            "grid  unknowns  preconditioner precision  iterations  seconds (least, largest)  residual"
+        );
+        let table = bench_solve::bench_solve(&gpu, &options, &self.out, &mut |row| {
+            println!(
+                "{:4}  {:8}  {:14} {:9}  {:10}  {:.4} ({:.4}, {:.4})  {:.1e} {}",
+                row.grid,
+                row.active_cells,
+                row.preconditioner,
+                row.precision,
+                row.iterations,
+                row.seconds_median,
+                row.seconds_min,
+                row.seconds_max,
+                row.residual_p,
+                row.status,
+            );
+        })?;
+        println!(
+            "copy bandwidth: {:.1} GB/s",
+            table.copy_bandwidth.median * 1e-9
+        );
+        println!("table and picture: {}", self.out.display());
+        Ok(())
+    }
+}

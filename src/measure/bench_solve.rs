@@ -1,0 +1,372 @@
+//! `bench solve`: the pressure solve against the grid, on the pressure-only base block.
+//!
+//! A run is timed from the recording of the hierarchy's set-up to the verdict on the host. The first run of each row, which
+//! compiles, is not counted. Bytes follow the model of [`bytes_per_solve`]: every array that a pass needs, once.
+
+use std::fs;
+use std::path::Path;
+use std::time::Instant;
+
+use plotters::prelude::*;
+use serde::Serialize;
+
+use crate::Error;
+use crate::gpu::{AdapterReport, Buffer, Gpu, Real, Recorder};
+use crate::grid::Axis;
+use crate::linalg;
+use crate::reference::base_block::{BaseBlock, THETA_FLOOR};
+use crate::scene::{Precision, Preconditioner, Solver};
+use crate::solver::{Outcome, PressureSolver, PressureSystem, SolverBuffers, Status};
+
+use super::bandwidth::copy_bandwidth;
+use super::statistics::Spread;
+
+/// What to measure.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Cells along an edge of the block.
+    pub grids: Vec<usize>,
+    /// Runs per row.
+    pub repeats: usize,
+    /// How to solve.
+    pub solvers: Vec<Solver>,
+    /// Whether the systems are written as Matrix Market files, for other solvers.
+    pub matrices: bool,
+}
+
+/// A row of solve.csv.
+#[derive(Clone, Debug, Serialize)]
+pub struct Row {
+    /// `base_block`.
+    pub scene: &'static str,
+    /// Cells along an edge.
+    pub grid: usize,
+    /// Unknowns.
+    pub active_cells: u32,
+    /// None in this scene.
+    pub solid_nodes: u32,
+    /// Pressures alone.
+    pub formulation: &'static str,
+    /// `multigrid` or `jacobi`.
+    pub preconditioner: &'static str,
+    /// `f32`, `mixed` or `f64`.
+    pub precision: &'static str,
+    /// Relative, of the true residual.
+    pub tolerance: f64,
+    /// `converged`, or how else the solve ended.
+    pub status: &'static str,
+    /// PCG iterations summed over rounds.
+    pub iterations: u32,
+    /// Rounds of refinement.
+    pub rounds: u32,
+    /// Seconds, set-up of the hierarchy included.
+    pub seconds_median: f64,
+    /// Least.
+    pub seconds_min: f64,
+    /// Largest.
+    pub seconds_max: f64,
+    /// True relative residual, f64.
+    pub residual_p: f64,
+    /// No solid, no residual: 0.
+    pub residual_v: f64,
+    /// Unknowns times iterations per second.
+    pub cell_iterations_per_second: f64,
+    /// Bytes that the solve must move.
+    pub bytes: f64,
+    /// Bytes per second over the copy bandwidth of the same run.
+    pub share_of_copy_bandwidth: f64,
+}
+
+/// The table and where it was measured.
+#[derive(Clone, Debug, Serialize)]
+pub struct Table {
+    /// Version of cutwater.
+    pub cutwater: &'static str,
+    /// Adapter.
+    pub adapter: String,
+    /// Driver.
+    pub driver: String,
+    /// Bytes per second of a copy, read and written.
+    pub copy_bandwidth: Spread,
+    /// A row per grid and solver.
+    pub rows: Vec<Row>,
+}
+
+/// Bytes per unknown that a solve must move, each pass touching each of its arrays once: w bytes a scalar of the corrections, 8
+/// of the outer loop (4 with `f32`), 5 sections of the matrix for the share of quads that are not uniform.
+///
+/// An iteration on the finest level: apply (s, r, q), update (x and r twice, s, q, z), two smoothing sweeps and the one after
+/// the prolongation (x, r, x_out each), restriction (x, r), prolongation (x twice), direction (z, s twice); list entries, a byte per
+/// cell and pass. The coarser levels add a seventh of what the V-cycle moves.
+fn bytes_per_solve(
+    unknowns: f64,
+    not_uniform: f64,
+    iterations: f64,
+    rounds: f64,
+    [inner, outer]: [f64; 2],
+) -> f64 {
+    let matrix = 5.0 * inner * not_uniform;
+    let cycle =
+        3.0 * (3.0 * inner + matrix + 1.0) + (2.0 * inner + matrix + 1.0) + (2.0 * inner + 1.0);
+    let rest = (3.0 * inner + matrix + 1.0)
+        + (7.0 * inner + not_uniform * inner + 1.0)
+        + (3.0 * inner + 1.0);
+    let iteration = cycle * 8.0 / 7.0 + rest;
+    let turn = (3.0 * outer + matrix + 1.0) + (2.0 * outer + inner + 1.0) + (outer + 5.0 * inner);
+    let set_up = 4.0 * 4.0 + 5.0 * inner * 8.0 / 7.0;
+    unknowns * (iterations * iteration + (rounds + 1.0) * turn + set_up)
+}
+
+fn name(precision: Precision) -> &'static str {
+    match precision {
+        Precision::F32 => "f32",
+        Precision::Mixed => "mixed",
+        Precision::F64 => "f64",
+    }
+}
+
+/// Measures all rows and writes solve.csv, solve.json and solve.svg into `out`; `tell` hears of each row.
+///
+/// # Errors
+/// [`Error::Output`], and what the device says.
+pub fn bench_solve(
+    gpu: &Gpu,
+    options: &Options,
+    out: &Path,
+    tell: &mut dyn FnMut(&Row),
+) -> Result<Table, Error> {
+    fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
+    let copy = copy_bandwidth(gpu, options.repeats)?;
+    let mut rows = Vec::new();
+    for &n in &options.grids {
+        let block = BaseBlock::new(n);
+        if options.matrices {
+            write_matrices(&block, n, out)?;
+        }
+        for solver in &options.solvers {
+            let row = measure(gpu, &block, solver, options.repeats, copy.median)?;
+            tell(&row);
+            rows.push(row);
+        }
+    }
+    let AdapterReport { name, driver, .. } = gpu.report().clone();
+    let table = Table {
+        cutwater: env!("CARGO_PKG_VERSION"),
+        adapter: name,
+        driver,
+        copy_bandwidth: copy,
+        rows,
+    };
+    write_table(&table, out)?;
+    Ok(table)
+}
+
+fn write_matrices(block: &BaseBlock, n: usize, out: &Path) -> Result<(), Error> {
+    let system = block.pressure_system();
+    let rhs: Vec<f64> = system
+        .stencil
+        .active_cells()
+        .into_iter()
+        .map(|cell| system.rhs[cell])
+        .collect();
+    let comment = "pressure-only base block: negative Laplacian, m^3/s per Pa";
+    let matrix = out.join(format!("base_block_{n}.mtx"));
+    linalg::write_matrix(
+        &matrix,
+        &system.to_csr(),
+        linalg::Symmetry::Symmetric,
+        comment,
+    )?;
+    linalg::write_vector(
+        &out.join(format!("base_block_{n}_rhs.mtx")),
+        &rhs,
+        "E u*, m^3/s",
+    )
+}
+
+fn measure(
+    gpu: &Gpu,
+    block: &BaseBlock,
+    solver: &Solver,
+    repeats: usize,
+    copy: f64,
+) -> Result<Row, Error> {
+    let grid = &block.grid;
+    let padded = grid.padded();
+    let faces = |label, fields: &[Vec<f64>; 3]| -> Result<Buffer<f32>, Error> {
+        let values: Vec<f32> = Axis::ALL
+            .iter()
+            .flat_map(|&axis| {
+                padded.pad(grid.faces(axis), &fields[axis.index()], |value| {
+                    value as f32
+                })
+            })
+            .collect();
+        gpu.buffer_with(label, &values)
+    };
+    let open = faces("bench.open", &block.open)?;
+    let velocity = faces("bench.velocity", &block.velocity)?;
+    let distance = padded.pad(grid.cells, &block.liquid_distance, |value| value as f32);
+    let distance = gpu.buffer_with("bench.liquid_distance", &distance)?;
+    let buffers = SolverBuffers::new(gpu, grid, solver.precision)?;
+    let system = PressureSystem::new(gpu, &buffers, &open, &distance, THETA_FLOOR)?;
+    let pressure = PressureSolver::new(gpu, &buffers, &velocity, &open, solver)?;
+    let area = grid.dx * grid.dx;
+    buffers.rhs.upload(
+        gpu,
+        &padded.pad(grid.cells, &block.pressure_system().rhs, |value| {
+            value / area
+        }),
+    );
+    let solve = |verify: bool| -> Result<(f64, Outcome), Error> {
+        gpu.wait("bench")?;
+        let clock = Instant::now();
+        let mut recorder = Recorder::new(gpu);
+        PressureSystem::clear(&mut recorder, &buffers);
+        recorder.stage("active_cells", |pass| system.record(pass));
+        let (outcome, _) = pressure.solve(gpu, recorder, &buffers, verify)?;
+        Ok((clock.elapsed().as_secs_f64(), outcome))
+    };
+    let (_, outcome) = solve(true)?;
+    let mut seconds = Vec::new();
+    for _ in 0..repeats.max(1) {
+        let (elapsed, again) = solve(false)?;
+        assert_eq!(
+            again.iterations, outcome.iterations,
+            "the same solve on the same device repeats"
+        );
+        seconds.push(elapsed);
+    }
+    let seconds = Spread::of(seconds);
+    let flags = gpu.download(&buffers.flags)?;
+    let quads = flags[..padded.quads]
+        .iter()
+        .filter(|&&flag| flag != 0)
+        .count() as f64;
+    let uniform = flags[..padded.quads]
+        .iter()
+        .filter(|&&flag| flag >> 31 == 1)
+        .count() as f64;
+    let width = |real: Real| real.bytes() as f64;
+    let widths = [width(buffers.variant.inner), width(buffers.variant.real)];
+    let (unknowns, iterations) = (f64::from(outcome.unknowns), f64::from(outcome.iterations));
+    let bytes = bytes_per_solve(
+        unknowns,
+        1.0 - uniform / quads.max(1.0),
+        iterations,
+        f64::from(outcome.rounds),
+        widths,
+    );
+    Ok(Row {
+        scene: "base_block",
+        grid: grid.cells[0],
+        active_cells: outcome.unknowns,
+        solid_nodes: 0,
+        formulation: "pressure",
+        preconditioner: match solver.preconditioner {
+            Preconditioner::Multigrid => "multigrid",
+            Preconditioner::Jacobi => "jacobi",
+        },
+        precision: name(solver.precision),
+        tolerance: solver.tolerance,
+        status: if outcome.status == Status::Converged {
+            "converged"
+        } else {
+            outcome.status.name()
+        },
+        iterations: outcome.iterations,
+        rounds: outcome.rounds,
+        seconds_median: seconds.median,
+        seconds_min: seconds.min,
+        seconds_max: seconds.max,
+        residual_p: outcome.residual,
+        residual_v: 0.0,
+        cell_iterations_per_second: unknowns * iterations / seconds.median,
+        bytes,
+        share_of_copy_bandwidth: bytes / seconds.median / copy,
+    })
+}
+
+fn write_table(table: &Table, out: &Path) -> Result<(), Error> {
+    let path = out.join("solve.csv");
+    let mut csv = csv::Writer::from_path(&path).map_err(|problem| Error::output(&path, problem))?;
+    for row in &table.rows {
+        csv.serialize(row)
+            .map_err(|problem| Error::output(&path, problem))?;
+    }
+    csv.flush()
+        .map_err(|problem| Error::output(&path, problem))?;
+    let path = out.join("solve.json");
+    let text =
+        serde_json::to_string_pretty(table).map_err(|problem| Error::output(&path, problem))?;
+    fs::write(&path, text).map_err(|problem| Error::output(&path, problem))?;
+    let path = out.join("solve.svg");
+    draw(table, &path).map_err(|problem| Error::output(&path, problem))
+}
+
+/// Seconds against unknowns, log-log, a line per solver, bars from least to largest.
+fn draw(table: &Table, path: &Path) -> Result<(), Box<dyn std::error::Error>> {
+    let root = SVGBackend::new(path, (800, 600)).into_drawing_area();
+    root.fill(&WHITE)?;
+    let unknowns = |row: &Row| f64::from(row.active_cells.max(1));
+    let bounds = |values: Vec<f64>| {
+        let low = values.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = values.iter().copied().fold(0.0, f64::max);
+        (low / 1.5)..(high * 1.5)
+    };
+    let x = bounds(table.rows.iter().map(unknowns).collect());
+    let y = bounds(
+        table
+            .rows
+            .iter()
+            .flat_map(|row| [row.seconds_min, row.seconds_max])
+            .collect(),
+    );
+    let mut chart = ChartBuilder::on(&root)
+        .caption(
+            format!("Pressure solve, {}", table.adapter),
+            ("sans-serif", 20),
+        )
+        .margin(12)
+        .x_label_area_size(44)
+        .y_label_area_size(70)
+        .build_cartesian_2d(x.log_scale(), y.log_scale())?;
+    chart
+        .configure_mesh()
+        .x_desc("unknowns")
+        .y_desc("seconds")
+        .draw()?;
+    let key = |row: &Row| {
+        format!(
+            "{} {} {:.0e}",
+            row.preconditioner, row.precision, row.tolerance
+        )
+    };
+    let mut keys: Vec<String> = table.rows.iter().map(key).collect();
+    keys.dedup();
+    keys.sort();
+    keys.dedup();
+    for (index, series) in keys.into_iter().enumerate() {
+        let colour = Palette99::pick(index).to_rgba();
+        let rows: Vec<&Row> = table.rows.iter().filter(|row| key(row) == series).collect();
+        let points = rows.iter().map(|row| (unknowns(row), row.seconds_median));
+        chart
+            .draw_series(LineSeries::new(points, colour.stroke_width(2)).point_size(3))?
+            .label(series)
+            .legend(move |(x, y)| PathElement::new([(x, y), (x + 20, y)], colour));
+        for row in rows {
+            let spread = [
+                (unknowns(row), row.seconds_min),
+                (unknowns(row), row.seconds_max),
+            ];
+            chart.draw_series([PathElement::new(spread, colour)])?;
+        }
+    }
+    chart
+        .configure_series_labels()
+        .border_style(BLACK)
+        .background_style(WHITE)
+        .draw()?;
+    root.present()?;
+    Ok(())
+}

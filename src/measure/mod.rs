@@ -1,0 +1,5 @@
+//! Measurements: benches, comparisons, reports. Speed is claimed here only, as medians with their spread.
+
+pub mod bandwidth;
+pub mod bench_solve;
+pub mod statistics;
