@@ -8,6 +8,7 @@ mod linalg;
 mod output;
 mod reference;
 mod reference_physics;
+mod reference_stages;
 mod scene;
 mod shaders;
 mod solver;

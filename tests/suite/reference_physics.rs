@@ -3,10 +3,10 @@
 use std::fs;
 
 use cutwater::geometry::{cut_cells, initial_state};
-use cutwater::grid::Grid;
+use cutwater::grid::{Axis, Grid};
 use cutwater::reference::{Reference, TimeStep, probe};
 use cutwater::scene::{ProbeKind, Scene};
-use cutwater::state::{SolveStatus, StepReport};
+use cutwater::state::{SolveStatus, State, StepReport};
 use glam::DVec3;
 
 /// A scene of unit-sized cubes of `cells` along x, 1 m wide, with what else its file says.
@@ -337,4 +337,38 @@ fn free_fall_of_a_ball_is_exact() {
             "{x:?} from {before:?}"
         );
     }
+}
+
+#[test]
+fn a_state_of_another_grid_is_refused() {
+    let other = scene([8, 8, 8], &pool(0.5));
+    let scene = scene([10, 8, 8], &pool(0.5));
+    let cut = cut_cells(&scene, &scene.grid()).unwrap();
+    let error = Reference::new(&scene, cut, State::at_rest(&other.grid()))
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("[10, 8, 8] cells") && error.contains("cure"),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_velocity_that_is_not_finite_stops_the_step_and_keeps_the_state() {
+    let scene = scene([8, 8, 8], &pool(0.5));
+    let cut = cut_cells(&scene, &scene.grid()).unwrap();
+    let mut state = initial_state(&scene, &scene.grid(), &cut).unwrap();
+    state.velocity[1][scene.grid().face(Axis::Y, [3, 3, 3])] = f64::NAN;
+    let mut reference = Reference::new(&scene, cut, state).unwrap();
+    let error = reference
+        .step(TimeStep {
+            dt: 0.01,
+            floored: false,
+        })
+        .unwrap_err();
+    assert!(
+        error.to_string().contains("stage solve") && error.exit_code() == 4,
+        "{error}"
+    );
+    assert_eq!((reference.state().step, reference.state().time), (0, 0.0));
 }

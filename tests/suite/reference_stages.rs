@@ -1,0 +1,676 @@
+//! Stages of the f64 path, each against a known answer.
+
+use cutwater::geometry::CutCells;
+use cutwater::grid::{Axis, Grid};
+use cutwater::reference::{
+    PressureSystem, VolumeSource, active_cells, advect_markers, advect_velocity, diagnose,
+    distance, extrapolate, forces, gradient, liquid_distance, liquid_volume, max_speed, n_layers,
+    open_volumes, probe, right_hand_side, sample, solve, solve_direct, solve_iterative, theta,
+    time_step, velocity, volume_rate, write_back,
+};
+use cutwater::scene::{ProbeKind, Solver, Time};
+use cutwater::state::{SolveStatus, State};
+use glam::DVec3;
+
+use crate::common::Random;
+
+const GRID: Grid = Grid {
+    cells: [6, 5, 4],
+    dx: 0.5,
+};
+
+/// A value per face, from its centre.
+fn on_faces(grid: &Grid, value: impl Fn(DVec3) -> DVec3) -> [Vec<f64>; 3] {
+    Axis::ALL.map(|axis| {
+        let centre = |face| grid.face_centre(axis, grid.face_at(axis, face));
+        (0..grid.n_faces(axis))
+            .map(|face| value(centre(face))[axis.index()])
+            .collect()
+    })
+}
+
+fn on_cells(grid: &Grid, value: impl Fn(DVec3) -> f64) -> Vec<f64> {
+    (0..grid.n_cells())
+        .map(|cell| value(grid.cell_centre(grid.cell_at(cell))))
+        .collect()
+}
+
+/// No obstacles: all faces but the walls are open.
+fn empty(grid: &Grid) -> CutCells {
+    let open = Axis::ALL.map(|axis| {
+        let inner = |face| {
+            !grid
+                .face_sides(axis, grid.face_at(axis, face))
+                .contains(&None)
+        };
+        (0..grid.n_faces(axis))
+            .map(|face| f64::from(u8::from(inner(face))))
+            .collect()
+    });
+    CutCells {
+        open,
+        solid_distance: vec![3.0 * grid.dx; grid.n_cells()],
+    }
+}
+
+fn close(a: f64, b: f64) -> bool {
+    (a - b).abs() < 1e-12
+}
+
+#[test]
+fn samples_are_exact_for_trilinear_fields_and_clamped_beyond() {
+    // Products of different coordinates are trilinear.
+    let field = |x: DVec3| 1.0 + x.x - 2.0 * x.y + 0.5 * x.z + x.x * x.y * x.z;
+    let faces = on_faces(&GRID, |x| DVec3::splat(field(x)));
+    let cells = on_cells(&GRID, field);
+    let mut random = Random(1);
+    for _ in 0..100 {
+        let x = DVec3::from([0, 1, 2].map(|b| random.uniform(0.25, GRID.size()[b] - 0.25)));
+        assert!(close(distance(&GRID, &cells, x), field(x)));
+        for axis in Axis::ALL {
+            assert!(
+                close(sample(&GRID, axis, &faces[axis.index()], x), field(x)),
+                "{axis:?} at {x}"
+            );
+        }
+        let exact = DVec3::new(1.0 + x.y * x.z, -2.0 + x.x * x.z, 0.5 + x.x * x.y);
+        assert!(
+            gradient(&GRID, &cells, x).distance(exact) < 1e-11,
+            "gradient at {x}"
+        );
+    }
+    let beyond = DVec3::new(-7.0, 1.0, 9.0);
+    assert!(close(
+        distance(&GRID, &cells, beyond),
+        field(DVec3::new(0.25, 1.0, 1.75))
+    ));
+    assert!(close(
+        velocity(&GRID, &faces, beyond).x,
+        field(DVec3::new(0.0, 1.0, 1.75))
+    ));
+    assert!(close(
+        velocity(&GRID, &faces, beyond).z,
+        field(DVec3::new(0.25, 1.0, 2.0))
+    ));
+}
+
+#[test]
+fn samples_of_a_grid_one_cell_thick_do_not_vary_across_it() {
+    let thin = Grid {
+        cells: [4, 4, 1],
+        dx: 0.25,
+    };
+    let cells = on_cells(&thin, |x| x.x);
+    for z in [0.0, 0.1, 0.25] {
+        let x = DVec3::new(0.4, 0.5, z);
+        assert!(close(distance(&thin, &cells, x), 0.4));
+        assert!(gradient(&thin, &cells, x).distance(DVec3::X) < 1e-12);
+    }
+}
+
+#[test]
+fn time_steps_obey_speed_growth_floor_and_frames() {
+    let time = Time {
+        duration: 1.0,
+        frames_per_second: 10.0,
+        cfl: 2.0,
+        fixed_step: None,
+    };
+    let dt = |speed, fall, left, last| time_step(&time, 0.1, speed, fall, left, last);
+    // 2 cells of 0.1 m at 5 m/s: 0.04 s, three steps to the frame.
+    assert!(close(dt(5.0, 1.0, 0.1, 0.0).dt, 0.1 / 3.0));
+    assert!(
+        close(dt(1.0, 5.0, 0.1, 0.0).dt, 0.1 / 3.0),
+        "falling counts as a speed"
+    );
+    assert!(
+        close(dt(5.0, 1.0, 0.1, 0.01).dt, 0.1 / 7.0),
+        "not above 1.5 times the last"
+    );
+    assert!(close(dt(0.0, 0.0, 0.1, 0.0).dt, 0.1), "nothing moves");
+    // 4 m/s asks for exactly half the frame; rounding of the time left must not make it three steps.
+    assert!(close(dt(4.0, 0.0, 0.1 + 1e-14, 0.0).dt, 0.05));
+    let floored = dt(1e6, 0.0, 0.1, 0.0);
+    assert!(floored.floored && close(floored.dt, 0.1 / 256.0));
+    assert!(!dt(5.0, 1.0, 0.1, 0.01).floored);
+    let fixed = Time {
+        fixed_step: Some(0.02),
+        ..time
+    };
+    assert!(close(
+        time_step(&fixed, 0.1, 1e6, 0.0, 0.04 - 1e-13, 1e-9).dt,
+        0.02
+    ));
+}
+
+#[test]
+fn markers_follow_a_shear_exactly_and_stay_inside() {
+    // Along x the velocity depends on y alone: the midpoint rule is exact.
+    let faces = on_faces(&GRID, |x| DVec3::new(0.8 * x.y, 0.0, 0.0));
+    let open = empty(&GRID).solid_distance;
+    let markers = [[0.4, 0.7, 1.1], [2.9, 2.0, 1.9]];
+    let (moved, dropped) = advect_markers(&GRID, &faces, &open, &markers, 0.5);
+    assert_eq!(dropped, 0);
+    assert!(
+        DVec3::from(moved[0]).distance(DVec3::new(0.4 + 0.5 * 0.8 * 0.7, 0.7, 1.1)) < 1e-12,
+        "{moved:?}"
+    );
+    assert!(
+        DVec3::from(moved[1]).distance(DVec3::new(3.0 - 0.005, 2.0, 1.9)) < 1e-12,
+        "{moved:?}"
+    );
+}
+
+#[test]
+fn markers_follow_a_rotation_to_second_order() {
+    let grid = Grid {
+        cells: [16, 16, 2],
+        dx: 1.0 / 16.0,
+    };
+    let faces = on_faces(&grid, |x| DVec3::new(0.5 - x.y, x.x - 0.5, 0.0));
+    let solid_distance = empty(&grid).solid_distance;
+    let error = |steps: u32| {
+        let dt = 1.0 / f64::from(steps);
+        let mut markers = vec![[0.75, 0.5, 0.05]];
+        (0..steps)
+            .for_each(|_| markers = advect_markers(&grid, &faces, &solid_distance, &markers, dt).0);
+        let (sin, cos) = 1.0_f64.sin_cos();
+        DVec3::from(markers[0]).distance(DVec3::new(0.5 + 0.25 * cos, 0.5 + 0.25 * sin, 0.05))
+    };
+    let ratio = error(8) / error(16);
+    assert!(
+        (3.6..4.4).contains(&ratio),
+        "halving the step divides the error by {ratio}"
+    );
+}
+
+#[test]
+fn markers_leave_obstacles_along_the_normal_or_are_dropped() {
+    // A wall through x = 1: everything below is solid.
+    let still = on_faces(&GRID, |_| DVec3::ZERO);
+    let wall = on_cells(&GRID, |x| x.x - 1.0);
+    let (moved, dropped) = advect_markers(
+        &GRID,
+        &still,
+        &wall,
+        &[[0.8, 1.0, 1.0], [1.2, 1.0, 1.0]],
+        0.1,
+    );
+    assert_eq!(dropped, 0);
+    assert!(
+        DVec3::from(moved[0]).distance(DVec3::new(1.05, 1.0, 1.0)) < 1e-12,
+        "{moved:?}"
+    );
+    assert_eq!(moved[1], [1.2, 1.0, 1.0]);
+    // No direction leads out of a constant distance.
+    let buried = vec![-0.3; GRID.n_cells()];
+    let (moved, dropped) = advect_markers(&GRID, &still, &buried, &[[0.8, 1.0, 1.0]], 0.1);
+    assert_eq!((moved.len(), dropped), (0, 1));
+}
+
+#[test]
+fn advection_keeps_a_constant_and_shifts_a_linear_field() {
+    let constant = on_faces(&GRID, |_| DVec3::new(0.3, -0.2, 0.1));
+    let advected = advect_velocity(&GRID, &constant, 0.4);
+    assert!(
+        advected
+            .iter()
+            .zip(&constant)
+            .all(|(a, b)| a.iter().zip(b).all(|(a, b)| close(*a, *b)))
+    );
+    // v depends on x and is carried along x by 0.5 m/s for 0.6 s: v(x - 0.3), where that lies between faces.
+    let field = |x: DVec3| DVec3::new(0.5, 2.0 * x.x, 0.0);
+    let advected = advect_velocity(&GRID, &on_faces(&GRID, field), 0.6);
+    for (face, v) in advected[1].iter().enumerate() {
+        let x = GRID.face_centre(Axis::Y, GRID.face_at(Axis::Y, face)).x;
+        let exact = 2.0 * (x - 0.3).max(0.25);
+        assert!(close(*v, exact), "{v}, exactly {exact}, at x = {x}");
+    }
+}
+
+#[test]
+fn gravity_acts_on_every_face() {
+    let mut faces = on_faces(&GRID, |x| x);
+    forces(&mut faces, DVec3::new(1.0, -9.81, 0.5), 0.1);
+    let exact = on_faces(&GRID, |x| x + DVec3::new(0.1, -0.981, 0.05));
+    assert!(
+        faces
+            .iter()
+            .flatten()
+            .zip(exact.iter().flatten())
+            .all(|(a, b)| close(*a, *b))
+    );
+}
+
+/// The union of spheres, straight from its definition.
+fn slow_distance(grid: &Grid, markers: &[[f64; 3]], radius: f64) -> Vec<f64> {
+    let holds = |c: [i64; 3]| {
+        let beyond = (0..3).any(|b| c[b] < 0 || c[b] >= grid.cells[b] as i64);
+        beyond
+            || markers
+                .iter()
+                .any(|m| (0..3).all(|b| (m[b] / grid.dx).floor() as i64 == c[b]))
+    };
+    let cells = (0..grid.n_cells()).map(|cell| {
+        let at = grid.cell_at(cell).map(|n| n as i64);
+        let around = (0..27).map(|n| [at[0] + n % 3 - 1, at[1] + n / 3 % 3 - 1, at[2] + n / 9 - 1]);
+        if around.into_iter().all(holds) {
+            return -grid.dx;
+        }
+        let centre = grid.cell_centre(grid.cell_at(cell));
+        let nearest = markers
+            .iter()
+            .map(|&m| centre.distance(DVec3::from(m)))
+            .fold(2.0 * grid.dx, f64::min);
+        nearest - radius
+    });
+    cells.collect()
+}
+
+#[test]
+fn liquid_distance_is_the_union_of_spheres() {
+    let grid = Grid {
+        cells: [9, 8, 7],
+        dx: 0.25,
+    };
+    let mut random = Random(3);
+    let mut place = |top: f64| {
+        [0, 1, 2].map(|b| random.uniform(0.0, if b == 1 { top } else { grid.size()[b] }))
+    };
+    // Enough at the bottom for interior cells, a few strays above.
+    let mut markers: Vec<_> = (0..3000).map(|_| place(1.0)).collect();
+    markers.extend((0..6).map(|_| place(2.0)));
+    let radius = 0.87 * grid.dx;
+    let phi = liquid_distance(&grid, &empty(&grid), &markers, radius);
+    let slow = slow_distance(&grid, &markers, radius);
+    assert!(
+        phi.iter().zip(&slow).all(|(a, b)| close(*a, *b)),
+        "differs from the definition"
+    );
+    assert!(slow.contains(&-grid.dx), "there are interior cells");
+    let none = liquid_distance(&grid, &empty(&grid), &[], radius);
+    assert!(none.iter().all(|phi| close(*phi, 2.0 * grid.dx - radius)));
+}
+
+#[test]
+fn liquid_distance_goes_into_obstacles_by_open_means() {
+    // A row of 7 cells; the last 5 centres are solid.
+    let grid = Grid {
+        cells: [7, 1, 1],
+        dx: 1.0,
+    };
+    let mut cut = empty(&grid);
+    cut.solid_distance = vec![0.6, 0.1, -0.2, -1.2, -2.2, -3.0, -3.0];
+    cut.open[0][2] = 0.25;
+    let phi = liquid_distance(&grid, &cut, &[[1.5, 0.5, 0.5]], 0.87);
+    // The means have one known neighbour each: they copy. Three passes, then air.
+    let exact = [0.13, -0.87, -0.87, -0.87, -0.87, 1.0, 1.0];
+    assert!(phi.iter().zip(exact).all(|(a, b)| close(*a, b)), "{phi:?}");
+
+    // Two known neighbours, weighted by their open fractions; a closed face does not count.
+    cut.solid_distance = vec![0.1, -0.1, 0.1, 3.0, 0.1, -0.1, 0.1];
+    cut.open[0] = vec![0.0, 0.25, 0.75, 1.0, 1.0, 0.0, 0.0, 0.0];
+    let phi = liquid_distance(&grid, &cut, &[[0.5, 0.5, 0.5]], 0.87);
+    assert!(
+        close(phi[1], 0.25 * phi[0] + 0.75 * phi[2]) && close(phi[5], 1.0),
+        "{phi:?}"
+    );
+}
+
+#[test]
+fn weights_and_ghost_parts_of_active_cells() {
+    // A column of liquid two cells high under air, beside a closed wall.
+    let grid = Grid {
+        cells: [2, 3, 1],
+        dx: 1.0,
+    };
+    let mut cut = empty(&grid);
+    let inner = grid.face(Axis::X, [1, 0, 0]);
+    cut.open[0][inner] = 0.4;
+    let phi = [-1.2, -1.0, -0.2, -0.001, 0.8, 1.5];
+    let active = active_cells(&grid, &cut.open, &phi, 0.01);
+    assert_eq!(
+        active.stencil.active_mask(),
+        [true, true, true, true, false, false]
+    );
+    assert!(close(active.stencil.weight[0][inner], 0.4));
+    assert!(
+        close(active.stencil.dirichlet[2], 1.0 / 0.2)
+            && close(active.stencil.dirichlet[3], 1.0 / 0.01)
+    );
+    assert!(close(theta(-0.2, 0.8, 0.01), 0.2) && close(theta(-0.001, 1.5, 0.01), 0.01));
+    assert!(active.closed.is_empty());
+    // phi = 0 is outside.
+    assert!(
+        !active_cells(&grid, &cut.open, &[0.0; 6], 0.01)
+            .stencil
+            .active(0)
+    );
+    // A cell without an open face is no unknown, whatever it holds.
+    let shut = Axis::ALL.map(|axis| vec![0.0; grid.n_faces(axis)]);
+    assert!(
+        active_cells(&grid, &shut, &[-1.0; 6], 0.01)
+            .stencil
+            .active_cells()
+            .is_empty()
+    );
+}
+
+#[test]
+fn closed_components_are_found_and_solved_beside_an_open_one() {
+    // A wall at x = 2 cells keeps the full left part from the right part, which has a surface.
+    let grid = Grid {
+        cells: [5, 4, 3],
+        dx: 0.2,
+    };
+    let mut cut = empty(&grid);
+    for face in 0..grid.n_faces(Axis::X) {
+        if grid.face_at(Axis::X, face)[0] == 2 {
+            cut.open[0][face] = 0.0;
+        }
+    }
+    let phi = on_cells(&grid, |x| if x.x < 0.4 { -1.0 } else { x.y - 0.45 });
+    let mut random = Random(5);
+    let mut u = Axis::ALL.map(|axis| -> Vec<f64> {
+        (0..grid.n_faces(axis))
+            .map(|_| random.uniform(-1.0, 1.0))
+            .collect()
+    });
+    let active = active_cells(&grid, &cut.open, &phi, 0.01);
+    let left: Vec<_> = (0..grid.n_cells())
+        .filter(|&cell| grid.cell_at(cell)[0] < 2)
+        .collect();
+    assert_eq!(active.closed, [left.clone()]);
+
+    // Volume control acts on the open component alone.
+    let volumes = open_volumes(&grid, &cut.solid_distance);
+    let source = VolumeSource {
+        rate: 0.5,
+        open_volumes: &volumes,
+    };
+    let with = right_hand_side(&grid, &cut.open, &u, &active, Some(source)).values;
+    let rhs = right_hand_side(&grid, &cut.open, &u, &active, None);
+    for cell in active.stencil.active_cells() {
+        let expected = if left.contains(&cell) {
+            0.0
+        } else {
+            0.5 * grid.cell_volume()
+        };
+        assert!((with[cell] - rhs.values[cell] - expected).abs() < 1e-15);
+    }
+    let sum: f64 = left.iter().map(|&cell| rhs.values[cell]).sum();
+    assert!(
+        sum.abs() < 1e-15,
+        "the closed right-hand side keeps a sum of {sum}"
+    );
+
+    let system = PressureSystem::new(active, rhs, 0.01, 1000.0);
+    let settings = Solver {
+        tolerance: 1e-12,
+        ..Solver::default()
+    };
+    let (direct, report) = solve_direct(&system, &settings).unwrap();
+    assert_eq!(report.status, SolveStatus::Converged, "{report:?}");
+    let (iterative, report) = solve_iterative(&system, &settings);
+    assert_eq!(report.status, SolveStatus::Converged, "{report:?}");
+    let largest = direct.iter().fold(0.0_f64, |m, p| m.max(p.abs()));
+    assert!(
+        direct
+            .iter()
+            .zip(&iterative)
+            .all(|(a, b)| (a - b).abs() < 1e-9 * largest)
+    );
+    let mean: f64 = left.iter().map(|&cell| direct[cell]).sum();
+    assert!(
+        mean.abs() < 1e-12 * largest,
+        "the closed pressure has mean {mean}"
+    );
+
+    // The projected field has no divergence.
+    let valid = write_back(&system, &direct, &cut.open, &phi, 0.01, &mut u);
+    let diagnosis = diagnose(&cut, &phi, &u, &system.stencil, 1000.0, DVec3::ZERO);
+    assert!(
+        diagnosis.divergence < 1e-10,
+        "divergence {}",
+        diagnosis.divergence
+    );
+    assert!(!valid[0][grid.face(Axis::X, [2, 1, 1])] && valid[0][grid.face(Axis::X, [1, 1, 1])]);
+    assert!(
+        !valid[1][grid.face(Axis::Y, [3, 3, 0])],
+        "a face between air cells is valid"
+    );
+    assert!(
+        valid[1][grid.face(Axis::Y, [3, 2, 0])],
+        "the free surface is not valid"
+    );
+}
+
+#[test]
+fn the_matrix_is_the_operator_and_a_zero_right_hand_side_gives_zero() {
+    let grid = Grid {
+        cells: [4, 4, 4],
+        dx: 0.25,
+    };
+    let cut = empty(&grid);
+    let phi = on_cells(&grid, |x| x.y + 0.1 * x.x - 0.6);
+    let active = active_cells(&grid, &cut.open, &phi, 0.01);
+    let u = on_faces(&grid, |x| DVec3::new(x.y, x.z * x.y, 1.0 - x.x));
+    let rhs = right_hand_side(&grid, &cut.open, &u, &active, None);
+    let mut system = PressureSystem::new(active, rhs, 0.01, 1000.0);
+    let matrix = system.to_csr();
+    assert_eq!(matrix.asymmetry(), 0.0);
+    let cells = system.stencil.active_cells();
+    let mut random = Random(9);
+    let mut x = vec![0.0; grid.n_cells()];
+    cells
+        .iter()
+        .for_each(|&cell| x[cell] = random.uniform(-1.0, 1.0));
+    let packed: Vec<f64> = cells.iter().map(|&cell| x[cell]).collect();
+    let mut product = vec![0.0; cells.len()];
+    matrix.multiply(&packed, &mut product);
+    let residual = system.residual(&x);
+    for (row, &cell) in cells.iter().enumerate() {
+        assert!(
+            (system.rhs[cell] - product[row] - residual[cell]).abs() < 1e-17,
+            "row {row}"
+        );
+    }
+
+    system.rhs.fill(0.0);
+    for (pressure, report) in [
+        solve_direct(&system, &Solver::default()).unwrap(),
+        solve_iterative(&system, &Solver::default()),
+    ] {
+        assert!(pressure.iter().all(|p| *p == 0.0));
+        assert_eq!(
+            (report.iterations, report.residual, report.status),
+            (0, 0.0, SolveStatus::Converged)
+        );
+    }
+    system.rhs[cells[0]] = f64::NAN;
+    assert_eq!(
+        solve(&system, &Solver::default()).unwrap().1.status,
+        SolveStatus::NonFinite
+    );
+}
+
+#[test]
+fn a_solve_that_may_not_iterate_enough_says_so() {
+    let system = cutwater::reference::base_block::BaseBlock::new(12).pressure_system();
+    let settings = Solver {
+        max_iterations: 3,
+        ..Solver::default()
+    };
+    let (_, report) = solve_iterative(&system, &settings);
+    assert_eq!(
+        (report.status, report.iterations),
+        (SolveStatus::IterationLimit, 3)
+    );
+    assert!(
+        report.residual > 1e-8 && report.residual < 1.0,
+        "{report:?}"
+    );
+}
+
+#[test]
+fn volume_control_spreads_over_four_frames_and_is_capped() {
+    let frame = 0.05;
+    assert!(close(
+        volume_rate(1.0, 0.99, frame),
+        (1.0 / 0.99 - 1.0) / 0.2
+    ));
+    assert!(close(volume_rate(1.0, 0.5, frame), 0.01 / frame));
+    assert!(close(volume_rate(1.0, 2.0, frame), -0.01 / frame));
+    assert_eq!(volume_rate(1.0, 0.0, frame), 0.0);
+}
+
+#[test]
+fn extrapolation_takes_means_layer_by_layer() {
+    let grid = Grid {
+        cells: [8, 3, 1],
+        dx: 1.0,
+    };
+    let cut = empty(&grid);
+    let mut faces = on_faces(&grid, |_| DVec3::splat(99.0));
+    let mut valid = Axis::ALL.map(|axis| vec![false; grid.n_faces(axis)]);
+    for (j, value) in [(0, 1.0), (2, 4.0)] {
+        let face = grid.face(Axis::X, [2, j, 0]);
+        (faces[0][face], valid[0][face]) = (value, true);
+    }
+    extrapolate(&grid, &cut, valid, 2, &mut faces);
+    let x = |i, j| faces[0][grid.face(Axis::X, [i, j, 0])];
+    assert_eq!([x(2, 0), x(2, 1), x(2, 2)], [1.0, 2.5, 4.0]);
+    // First layer: one neighbour. Second: two of the first layer in the middle.
+    assert_eq!([x(3, 0), x(3, 1), x(3, 2)], [1.0, 2.5, 4.0]);
+    assert_eq!([x(4, 0), x(4, 2)], [1.0, 4.0]);
+    assert_eq!(x(4, 1), 0.0, "the third layer is not reached");
+    assert_eq!(x(0, 0), 0.0, "walls do not let liquid through");
+    assert!(faces[1].iter().all(|v| *v == 0.0), "axes do not mix");
+    assert_eq!(n_layers(2.5), 5);
+}
+
+#[test]
+fn faces_in_obstacles_slip() {
+    // Solid below a plane tilted by 45 degrees.
+    let grid = Grid {
+        cells: [8, 8, 4],
+        dx: 1.0,
+    };
+    let mut cut = empty(&grid);
+    let normal = DVec3::new(1.0, 1.0, 0.0).normalize();
+    let depth = |x: DVec3| (x - DVec3::splat(4.0)).dot(normal);
+    cut.solid_distance = on_cells(&grid, depth);
+    for axis in Axis::ALL {
+        for face in 0..grid.n_faces(axis) {
+            if depth(grid.face_centre(axis, grid.face_at(axis, face))) < 0.0 {
+                cut.open[axis.index()][face] = 0.0;
+            }
+        }
+    }
+    let flow = DVec3::new(3.0, 1.0, 0.5);
+    let mut faces = on_faces(&grid, |_| flow);
+    let valid = Axis::ALL.map(|axis| vec![true; grid.n_faces(axis)]);
+    extrapolate(&grid, &cut, valid, 1, &mut faces);
+    let [inside, outside] = [[2, 2, 1], [6, 6, 1]]
+        .map(|ijk| Axis::ALL.map(|axis| faces[axis.index()][grid.face(axis, ijk)]));
+    let slipped = flow - flow.dot(normal) * normal;
+    assert!(
+        DVec3::from(inside).distance(slipped) < 1e-12,
+        "{inside:?}, exactly {slipped}"
+    );
+    assert_eq!(DVec3::from(outside), flow);
+}
+
+#[test]
+fn diagnosis_of_a_moving_block() {
+    let grid = Grid {
+        cells: [4, 4, 4],
+        dx: 0.5,
+    };
+    let cut = empty(&grid);
+    let phi = on_cells(&grid, |x| x.y - 1.1);
+    let volumes = open_volumes(&grid, &cut.solid_distance);
+    // Two full layers and a fifth of the third.
+    assert!(close(liquid_volume(&grid, &volumes, &phi), 4.0 * 1.1));
+    let u = on_faces(&grid, |_| DVec3::new(2.0, -1.0, 0.5));
+    let stencil = active_cells(&grid, &cut.open, &phi, 0.01).stencil;
+    let diagnosis = diagnose(
+        &cut,
+        &phi,
+        &u,
+        &stencil,
+        1000.0,
+        DVec3::new(0.0, -10.0, 0.0),
+    );
+    assert!(close(diagnosis.volume, 4.4) && diagnosis.max_speed == 2.0);
+    assert!(DVec3::from(diagnosis.momentum).distance(4400.0 * DVec3::new(2.0, -1.0, 0.5)) < 1e-9);
+    assert!((diagnosis.kinetic_energy - 4400.0 * 0.5 * 5.25).abs() < 1e-9);
+    // Layers at 0.25, 0.75 and 1.25 m.
+    let potential = 10.0 * 1000.0 * (2.0 * 0.25 + 2.0 * 0.75 + 0.4 * 1.25);
+    assert!(
+        (diagnosis.potential_energy - potential).abs() < 1e-9,
+        "{}",
+        diagnosis.potential_energy
+    );
+    // The block runs into the wall at 2 m/s and into the floor at 1 m/s, faces of 0.25 m^2 in cells of 0.125 m^3: at an edge
+    // both meet, and a side wall adds 0.5 m/s.
+    assert!(
+        close(diagnosis.divergence, (2.0 + 1.0 + 0.5) / 0.5),
+        "{}",
+        diagnosis.divergence
+    );
+    let mut broken = u;
+    broken[1][3] = f64::NAN;
+    assert!(max_speed(&broken).is_nan());
+}
+
+#[test]
+fn probes_read_a_pool() {
+    let grid = Grid {
+        cells: [6, 8, 4],
+        dx: 0.25,
+    };
+    let mut state = State::at_rest(&grid);
+    let level = |x: DVec3| 1.3 - 0.2 * x.x;
+    state.liquid_distance = on_cells(&grid, |x| x.y - level(x));
+    state.active = state.liquid_distance.iter().map(|phi| *phi < 0.0).collect();
+    state.pressure = on_cells(&grid, |x| (100.0 * (1.0 - x.y)).max(0.0));
+    state.velocity = on_faces(&grid, |x| x);
+    let read = |kind| probe(&grid, &state, &kind);
+    let point = DVec3::new(0.6, 0.7, 0.4);
+    assert!(close(
+        read(ProbeKind::Height { x: 0.6, z: 0.4 })[0],
+        1.3 - 0.12
+    ));
+    assert!(close(read(ProbeKind::Pressure { point })[0], 30.0));
+    assert!(DVec3::from_slice(&read(ProbeKind::Velocity { point })).distance(point) < 1e-12);
+    assert_eq!(
+        read(ProbeKind::Front { axis: 0 }),
+        [1.5],
+        "the liquid touches the far wall"
+    );
+    let front = read(ProbeKind::Front { axis: 1 })[0];
+    assert!(
+        close(front, level(DVec3::new(0.125, 0.0, 0.0))),
+        "the highest column reaches {front} m"
+    );
+    // A buried cell beside the point does not pull the pressure down; air does.
+    let buried = grid.cell([2, 2, 1]);
+    state.active[buried] = false;
+    state.pressure[buried] = 0.0;
+    let beside = DVec3::new(0.8, 0.625, 0.375);
+    let pressure = probe(&grid, &state, &ProbeKind::Pressure { point: beside })[0];
+    assert!(close(pressure, 37.5), "{pressure} Pa");
+    let nothing = State::at_rest(&grid);
+    for kind in [
+        ProbeKind::Height { x: 0.6, z: 0.4 },
+        ProbeKind::Front { axis: 2 },
+        ProbeKind::Pressure { point },
+    ] {
+        assert_eq!(
+            probe(&grid, &nothing, &kind),
+            [0.0],
+            "{kind:?} without liquid"
+        );
+    }
+}
