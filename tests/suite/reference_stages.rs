@@ -380,7 +380,7 @@ fn closed_components_are_found_and_solved_beside_an_open_one() {
     let left: Vec<_> = (0..grid.n_cells())
         .filter(|&cell| grid.cell_at(cell)[0] < 2)
         .collect();
-    assert_eq!(active.closed, [left.clone()]);
+    assert_eq!(active.closed, std::slice::from_ref(&left));
 
     // Volume control acts on the open component alone.
     let volumes = open_volumes(&grid, &cut.solid_distance);
