@@ -1,0 +1,9 @@
+# Both commands do all the set-up they need: see README.md.
+
+.PHONY: run test
+
+run: ## simulate the dam break and draw its pictures
+	@bash .ci/demo
+
+test: ## all tests on lavapipe, those of the kernels and the solver once more on SwiftShader
+	@bash .ci/test

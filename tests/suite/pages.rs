@@ -1,0 +1,101 @@
+//! The pages tell the truth: links lead somewhere, tests that are named exist, all scenes are listed.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn names(folder: &str, extension: &str) -> Vec<PathBuf> {
+    let entries = fs::read_dir(root().join(folder)).unwrap();
+    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    paths.retain(|path| path.extension().is_some_and(|end| end == extension));
+    assert!(!paths.is_empty(), "no .{extension} in {folder}");
+    paths
+}
+
+/// The anchors of a page, as GitHub makes them of its headings.
+fn anchors(page: &str) -> Vec<String> {
+    let headings = page.lines().filter_map(|line| {
+        line.trim_start_matches('#')
+            .strip_prefix(' ')
+            .filter(|_| line.starts_with('#'))
+    });
+    let anchor = |heading: &str| {
+        let kept = heading
+            .to_lowercase()
+            .chars()
+            .filter(|c| c.is_alphanumeric() || " -_".contains(*c))
+            .collect::<String>();
+        kept.replace(' ', "-")
+    };
+    headings.map(anchor).collect()
+}
+
+#[test]
+fn links_lead_somewhere() {
+    let mut pages = names("docs", "md");
+    pages.extend(["README.md", "CHANGELOG.md"].map(|page| root().join(page)));
+    for page in pages {
+        let text = fs::read_to_string(&page).unwrap();
+        for link in text
+            .split("](")
+            .skip(1)
+            .map(|rest| rest.split(')').next().unwrap())
+        {
+            if link.starts_with("https://") {
+                continue;
+            }
+            let (file, anchor) = link
+                .split_once('#')
+                .map_or((link, None), |(file, anchor)| (file, Some(anchor)));
+            let target = if file.is_empty() {
+                page.clone()
+            } else {
+                page.parent().unwrap().join(file)
+            };
+            assert!(target.exists(), "{}: no {link}", page.display());
+            if let Some(anchor) = anchor {
+                let known = anchors(&fs::read_to_string(&target).unwrap());
+                assert!(
+                    known.iter().any(|known| known == anchor),
+                    "{}: no {link} among {known:?}",
+                    page.display()
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn the_readme_names_tests_that_exist() {
+    let readme = fs::read_to_string(root().join("README.md")).unwrap();
+    let named = readme
+        .split('`')
+        .filter_map(|word| word.split_once("::"))
+        .filter(|(module, _)| !module.contains(' '));
+    let mut n = 0;
+    for (module, test) in named {
+        let source =
+            fs::read_to_string(root().join(format!("tests/suite/{module}.rs"))).unwrap_or_default();
+        assert!(
+            source.contains(&format!("#[test]\nfn {test}()")),
+            "README.md: no test {module}::{test}"
+        );
+        n += 1;
+    }
+    assert!(n > 0, "the README names no test");
+}
+
+#[test]
+fn the_readme_lists_every_scene() {
+    let readme = fs::read_to_string(root().join("README.md")).unwrap();
+    for scene in names("scenes", "toml") {
+        let name = scene.file_stem().unwrap().to_str().unwrap();
+        assert!(
+            readme.contains(&format!("| `{name}` |")),
+            "README.md: no scene {name}"
+        );
+    }
+}
