@@ -12,6 +12,7 @@ use cutwater::geometry::{CutCells, Surface};
 use cutwater::grid::{Axis, Grid};
 use cutwater::output::frames::{FrameKinds, FrameWriter};
 use cutwater::output::manifest::{AdapterRecord, Manifest, RunOptions, RunStatus};
+use cutwater::output::preview::{PreviewOptions, preview};
 use cutwater::output::tables::{ProbeTable, StepRow, StepTable};
 use cutwater::scene::{self, Probe, ProbeKind, Scene};
 use cutwater::state::{Diagnosis, SolveReport, SolveStatus, State, StepReport};
@@ -661,4 +662,302 @@ fn manifest_reads_back() {
     );
     let error = Manifest::read(&run.path().join("elsewhere")).unwrap_err();
     assert_eq!(error.exit_code(), 2, "{error}");
+}
+
+/// A camera that looks along -z at a domain of 1 x 0.5 x 0.5 m from 2.5 m before its front wall, 20 degrees high.
+fn front_camera() -> scene::Camera {
+    scene::Camera {
+        eye: DVec3::new(0.5, 0.25, 3.0),
+        target: DVec3::new(0.5, 0.25, 0.0),
+        up: DVec3::Y,
+        fov: 20.0,
+        size: [320, 180],
+    }
+}
+
+/// The pixel of a point on the front wall for [`front_camera`].
+fn pixel(x: f64, y: f64) -> [usize; 2] {
+    let unit = 90.0 / (10f64.to_radians().tan() * 2.5);
+    [
+        (160.0 + (x - 0.5) * unit) as usize,
+        (90.0 - (y - 0.25) * unit) as usize,
+    ]
+}
+
+struct Decoded {
+    size: [usize; 2],
+    rgb: Vec<u8>,
+}
+
+impl Decoded {
+    fn read(path: &Path) -> Decoded {
+        let file = std::io::BufReader::new(std::fs::File::open(path).unwrap());
+        let mut reader = png::Decoder::new(file).read_info().unwrap();
+        let mut rgb = vec![0; reader.output_buffer_size().unwrap()];
+        let info = reader.next_frame(&mut rgb).unwrap();
+        assert_eq!(info.color_type, png::ColorType::Rgb);
+        Decoded {
+            size: [info.width as usize, info.height as usize],
+            rgb,
+        }
+    }
+
+    fn at(&self, [x, y]: [usize; 2]) -> [i32; 3] {
+        let start = 3 * (x + self.size[0] * y);
+        [0, 1, 2].map(|channel| i32::from(self.rgb[start + channel]))
+    }
+}
+
+/// Writes a run of three frames: liquid on the left, the same further right with a drop, none.
+fn write_run(run: &Path, scene: &Scene, obstacles: &[Surface]) {
+    let grid = scene.grid();
+    let kinds = FrameKinds::of(scene);
+    let mut manifest = manifest(scene);
+    manifest.obstacles = !obstacles.is_empty();
+    manifest.write(run).unwrap();
+    let mut writer = FrameWriter::create(run, &scene.name, grid, kinds).unwrap();
+    writer.write_obstacles(obstacles).unwrap();
+    let cut = CutCells {
+        open: Axis::ALL.map(|axis| vec![1.0; grid.n_faces(axis)]),
+        solid_distance: vec![3.0 * grid.dx; grid.n_cells()],
+    };
+    for frame in 0..3 {
+        let mut state = State::at_rest(&grid);
+        state.frame = frame;
+        state.time = frame as f64 / 24.0;
+        let wet = |x: DVec3| {
+            let front = 0.35 + 0.1 * frame as f64;
+            (x.x < front && x.y < 0.3)
+                || (frame == 1 && x.distance(DVec3::new(0.8, 0.35, 0.25)) < 0.08)
+        };
+        let h = 0.5 * grid.dx;
+        let [nx, ny, nz] = grid.cells.map(|n| 2 * n);
+        for cell in (0..nx * ny * nz).filter(|_| frame < 2) {
+            let x = DVec3::new(
+                (cell % nx) as f64,
+                (cell / nx % ny) as f64,
+                (cell / (nx * ny)) as f64,
+            );
+            let x = (x + 0.5) * h;
+            if wet(x) {
+                state.markers.push(x.to_array());
+            }
+        }
+        for cell in 0..grid.n_cells() {
+            let inside = frame < 2 && wet(grid.cell_centre(grid.cell_at(cell)));
+            state.liquid_distance[cell] = if inside { -grid.dx } else { grid.dx };
+        }
+        writer.write(&state, &cut).unwrap();
+    }
+}
+
+fn is_liquid([red, green, blue]: [i32; 3]) -> bool {
+    blue > green && green > red && blue - red > 40
+}
+
+#[test]
+fn pictures_show_the_liquid_where_it_is() {
+    for surface in [scene::Surface::Markers, scene::Surface::Fixed] {
+        let run = tempfile::tempdir().unwrap();
+        let mut scene = scene();
+        scene.camera = front_camera();
+        scene.liquid.as_mut().unwrap().surface = surface;
+        write_run(run.path(), &scene, &[]);
+        let mut told = Vec::new();
+        let options = PreviewOptions::default();
+        let report = preview(run.path(), &options, &mut |done, all| {
+            told.push((done, all))
+        })
+        .unwrap();
+        assert_eq!(told, [(0, 3), (1, 3), (2, 3), (3, 3)]);
+        let names: Vec<_> = report
+            .pictures
+            .iter()
+            .map(|path| path.file_name().unwrap().to_str().unwrap())
+            .collect();
+        assert_eq!(
+            names,
+            ["dam_000000.png", "dam_000001.png", "dam_000002.png"]
+        );
+        let [first, second, dry] = [0, 1, 2].map(|frame| Decoded::read(&report.pictures[frame]));
+        assert_eq!(first.size, [320, 180]);
+        for (x, y) in [(0.1, 0.1), (0.25, 0.2), (0.05, 0.25)] {
+            assert!(
+                is_liquid(first.at(pixel(x, y))),
+                "{surface:?}: no liquid at {x}, {y}: {:?}",
+                first.at(pixel(x, y))
+            );
+            assert!(
+                !is_liquid(dry.at(pixel(x, y))),
+                "{surface:?}: liquid in the dry frame at {x}, {y}"
+            );
+        }
+        assert!(
+            is_liquid(second.at(pixel(0.8, 0.35))),
+            "{surface:?}: no drop: {:?}",
+            second.at(pixel(0.8, 0.35))
+        );
+        for (x, y) in [(0.8, 0.35), (0.55, 0.4), (0.2, 0.45)] {
+            assert_eq!(
+                first.at(pixel(x, y)),
+                dry.at(pixel(x, y)),
+                "{surface:?}: air at {x}, {y} looks different"
+            );
+        }
+    }
+}
+
+#[test]
+fn obstacles_hide_what_is_behind_them_and_containers_are_open_to_the_eye() {
+    let mut scene = scene();
+    scene.camera = front_camera();
+    let block = Surface::cuboid(DVec3::new(0.1, 0.05, 0.4), DVec3::new(0.2, 0.15, 0.6));
+    let tank = Surface::cuboid(DVec3::splat(-0.01), DVec3::new(1.01, 0.51, 0.51)).inside_out();
+    let looks = |obstacles: &[Surface]| {
+        let run = tempfile::tempdir().unwrap();
+        write_run(run.path(), &scene, obstacles);
+        let options = PreviewOptions {
+            animation: false,
+            ..PreviewOptions::default()
+        };
+        let report = preview(run.path(), &options, &mut |_, _| {}).unwrap();
+        assert_eq!(report.animation, None);
+        Decoded::read(&report.pictures[0])
+    };
+    let with_block = looks(&[block]);
+    let [red, _, blue] = with_block.at(pixel(0.15, 0.1));
+    assert!(
+        red > blue,
+        "the block sticks out of the front wall, and is orange: {:?}",
+        with_block.at(pixel(0.15, 0.1))
+    );
+    assert!(
+        is_liquid(with_block.at(pixel(0.3, 0.2))),
+        "liquid beside the block"
+    );
+    let with_tank = looks(&[tank]);
+    assert!(
+        is_liquid(with_tank.at(pixel(0.15, 0.1))),
+        "liquid behind the tank's near wall"
+    );
+    let [red, _, blue] = with_tank.at(pixel(0.8, 0.4));
+    assert!(
+        (red - blue).abs() < 30 && blue < 200,
+        "the tank's far wall: {:?}",
+        with_tank.at(pixel(0.8, 0.4))
+    );
+}
+
+/// The same files make the same pictures, byte for byte, whatever the number of threads.
+#[test]
+fn pictures_do_not_depend_on_threads() {
+    let run = tempfile::tempdir().unwrap();
+    let mut scene = scene();
+    scene.output.fields = true;
+    write_run(
+        run.path(),
+        &scene,
+        &[Surface::sphere(DVec3::new(0.6, 0.1, 0.25), 0.08, 0.05)],
+    );
+    let bytes = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
+        let options = PreviewOptions {
+            size: Some([160, 90]),
+            every: 1,
+            animation: true,
+        };
+        let report = pool
+            .install(|| preview(run.path(), &options, &mut |_, _| {}))
+            .unwrap();
+        let files = report.pictures.iter().chain(&report.animation);
+        files
+            .map(|path| std::fs::read(path).unwrap())
+            .collect::<Vec<_>>()
+    };
+    let once = bytes(1);
+    assert_eq!(once.len(), 4);
+    assert!(
+        once == bytes(3),
+        "three threads make other pictures than one"
+    );
+}
+
+/// The animation, put together as a browser does, shows the pictures.
+#[test]
+fn animation_shows_the_pictures() {
+    let run = tempfile::tempdir().unwrap();
+    let mut scene = scene();
+    scene.camera = front_camera();
+    write_run(run.path(), &scene, &[]);
+    let report = preview(run.path(), &PreviewOptions::default(), &mut |_, _| {}).unwrap();
+    let file = std::fs::File::open(report.animation.unwrap()).unwrap();
+    let mut reader = png::Decoder::new(std::io::BufReader::new(file))
+        .read_info()
+        .unwrap();
+    let control = *reader.info().animation_control().unwrap();
+    assert_eq!((control.num_frames, control.num_plays), (3, 0));
+    let mut canvas = vec![0; 3 * 320 * 180];
+    for picture in &report.pictures {
+        let mut rgba = vec![0; reader.output_buffer_size().unwrap()];
+        let info = reader.next_frame(&mut rgba).unwrap();
+        let place = *reader.info().frame_control().unwrap();
+        assert_eq!(
+            (place.delay_num, place.delay_den),
+            (42, 1000),
+            "24 frames per second"
+        );
+        assert_eq!(place.blend_op, png::BlendOp::Over);
+        for (row, pixels) in
+            (0..).zip(rgba[..info.buffer_size()].chunks_exact(4 * info.width as usize))
+        {
+            for (column, pixel) in (0..)
+                .zip(pixels.chunks_exact(4))
+                .filter(|(_, pixel)| pixel[3] == 255)
+            {
+                let start = 3 * (place.x_offset + column + 320 * (place.y_offset + row)) as usize;
+                canvas[start..start + 3].copy_from_slice(&pixel[..3]);
+            }
+        }
+        assert!(
+            canvas == Decoded::read(picture).rgb,
+            "{} looks different in the animation",
+            picture.display()
+        );
+    }
+}
+
+#[test]
+fn preview_without_frames_says_so() {
+    let run = tempfile::tempdir().unwrap();
+    let error = preview(run.path(), &PreviewOptions::default(), &mut |_, _| {}).unwrap_err();
+    assert!(
+        matches!(error, Error::Input { .. }) && error.to_string().contains("manifest.json"),
+        "{error}"
+    );
+    manifest(&scene()).write(run.path()).unwrap();
+    let error = preview(run.path(), &PreviewOptions::default(), &mut |_, _| {}).unwrap_err();
+    assert!(
+        matches!(error, Error::Input { .. }) && error.to_string().contains("dam_000000.vtp"),
+        "{error}"
+    );
+    assert!(
+        !run.path().join("preview").exists(),
+        "no folder for pictures that are not made"
+    );
+}
+
+/// A frame file that is cut short is an error that names it.
+#[test]
+fn preview_names_a_broken_frame() {
+    let run = tempfile::tempdir().unwrap();
+    let scene = scene();
+    write_run(run.path(), &scene, &[]);
+    let broken = run.path().join("frames/dam_000001.vtp");
+    let whole = std::fs::read(&broken).unwrap();
+    std::fs::write(&broken, &whole[..whole.len() / 2]).unwrap();
+    let error = preview(run.path(), &PreviewOptions::default(), &mut |_, _| {}).unwrap_err();
+    assert!(error.to_string().contains("dam_000001.vtp"), "{error}");
 }

@@ -3,32 +3,44 @@
 //! From markers (Zhu and Bridson 2005, section 5): phi(x) = |x - mean of near markers| - radius, the mean weighted by
 //! (1 - d^2/R^2)^3. A lone marker is a sphere, a dense body is smooth, where a union of spheres would be bumpy.
 
-use glam::Vec3;
+use glam::{UVec3, Vec3};
 use rayon::prelude::*;
 
 /// Reach R of a marker in the mean, in cells: more smooths more and rounds off more.
-const REACH: f32 = 1.75;
+const REACH: f32 = 2.0;
 
 /// Samples of the field per cell and axis.
 const SAMPLES_PER_CELL: usize = 2;
 
+/// Half the distance of the differences that make a normal, in samples; more hides the grain of the markers.
+const NORMAL_STEP: f32 = 1.5;
+
 /// Above this many samples there is one per cell and axis only: 128 MB while the means are summed.
 const MOST_SAMPLES: usize = 8_000_000;
 
+/// Layers of samples that one thread sums at a time.
+const SLAB: usize = 8;
+
 /// Edge of the blocks that rays skip when they are all liquid or all air, in samples.
-const BLOCK: usize = 8;
+const BLOCK: usize = 4;
 
 /// A distance field on cell-centred samples of the domain box, constant beyond the outermost, cut off at the walls.
 pub(super) struct LiquidField {
     n: [usize; 3],
     /// Sample spacing, m.
     h: f32,
-    /// Extents of the domain, m.
-    size: Vec3,
+    /// Corners of the box of all blocks with liquid, m; at most the domain.
+    low: Vec3,
+    high: Vec3,
     /// m, negative inside; n samples, x fastest.
     phi: Vec<f32>,
     n_blocks: [usize; 3],
     blocks: Vec<Block>,
+    /// Made from n and h, for speed: 1/h, the last index, the last but one, and the strides (0 along an axis of one sample).
+    inv_h: f32,
+    last: Vec3,
+    last_low: UVec3,
+    strides: [usize; 3],
 }
 
 #[derive(Clone, Copy, PartialEq)]
@@ -60,41 +72,43 @@ impl LiquidField {
         let n = cells.map(|n| n * per_cell);
         let h = dx / per_cell as f32;
         let reach = REACH * dx;
+        let (inv_h, inv_reach2) = (1.0 / h, 1.0 / (reach * reach));
 
-        // Markers of each layer of blocks, in order; every layer is summed by one thread, so that sums do not depend on
+        // Markers of each slab, in order; every slab is summed by one thread, so that sums do not depend on
         // the number of threads.
-        let layers = n[2].div_ceil(BLOCK);
-        let mut of_layer: Vec<Vec<Vec3>> = vec![Vec::new(); layers];
+        let slabs = n[2].div_ceil(SLAB);
+        let mut of_slab: Vec<Vec<Vec3>> = vec![Vec::new(); slabs];
         for &marker in markers {
-            let layer = |z: f32| ((z / (h * BLOCK as f32)).max(0.0) as usize).min(layers - 1);
-            for list in &mut of_layer[layer(marker.z - reach)..=layer(marker.z + reach)] {
+            let slab_at = |z: f32| ((z / (h * SLAB as f32)).max(0.0) as usize).min(slabs - 1);
+            for list in &mut of_slab[slab_at(marker.z - reach)..=slab_at(marker.z + reach)] {
                 list.push(marker);
             }
         }
         let mut phi = vec![reach - radius; n[0] * n[1] * n[2]];
-        phi.par_chunks_mut(n[0] * n[1] * BLOCK)
-            .zip(&of_layer)
+        phi.par_chunks_mut(n[0] * n[1] * SLAB)
+            .zip(&of_slab)
             .enumerate()
-            .for_each(|(layer, (phi, markers))| {
-                let first = layer * BLOCK;
+            .for_each(|(slab, (phi, markers))| {
+                let first = slab * SLAB;
                 let depth = phi.len() / (n[0] * n[1]);
                 // Weighted sum of offsets to the markers in xyz, of the weights in w.
                 let mut sums = vec![[0.0_f32; 4]; phi.len()];
                 for &marker in markers {
-                    let span = |x: f32, low: usize, high: usize| {
-                        let from = ((x - reach) / h - 0.5).ceil().max(low as f32) as usize;
-                        let to = ((x + reach) / h - 0.5).floor().min(high as f32 - 1.0);
-                        from..(to + 1.0).max(0.0) as usize
+                    // Samples from `low` to before `high` that are not further than `reach` from x along an axis.
+                    let span = |x: f32, reach: f32, low: usize, high: usize| {
+                        let from = ((x - reach) * inv_h + 0.5).max(low as f32) as usize;
+                        let to = ((x + reach) * inv_h + 0.5).max(0.0) as usize;
+                        from..to.min(high)
                     };
-                    for k in span(marker.z, first, first + depth) {
+                    for k in span(marker.z, reach, first, first + depth) {
                         let dz = marker.z - (k as f32 + 0.5) * h;
-                        for j in span(marker.y, 0, n[1]) {
+                        for j in span(marker.y, reach, 0, n[1]) {
                             let dy = marker.y - (j as f32 + 0.5) * h;
-                            let rest = reach * reach - dy * dy - dz * dz;
+                            let rest = (reach * reach - dy * dy - dz * dz).max(0.0);
                             let row = n[0] * (j + n[1] * (k - first));
-                            for i in span(marker.x, 0, n[0]) {
+                            for i in span(marker.x, rest.sqrt(), 0, n[0]) {
                                 let dx = marker.x - (i as f32 + 0.5) * h;
-                                let left = (rest - dx * dx).max(0.0) / (reach * reach);
+                                let left = (rest - dx * dx).max(0.0) * inv_reach2;
                                 let weight = left * left * left;
                                 let sum = &mut sums[row + i];
                                 sum[0] += weight * dx;
@@ -122,14 +136,10 @@ impl LiquidField {
     fn new(n: [usize; 3], h: f32, phi: Vec<f32>) -> LiquidField {
         let size = Vec3::new(n[0] as f32, n[1] as f32, n[2] as f32) * h;
         let n_blocks = n.map(|n| n.div_ceil(BLOCK));
-        let blocks = (0..n_blocks.iter().product())
+        let blocks: Vec<Block> = (0..n_blocks.iter().product())
             .into_par_iter()
             .map(|block: usize| {
-                let at = [
-                    block % n_blocks[0],
-                    block / n_blocks[0] % n_blocks[1],
-                    block / (n_blocks[0] * n_blocks[1]),
-                ];
+                let at = block_at(n_blocks, block);
                 let range =
                     |axis: usize| at[axis] * BLOCK..((at[axis] + 1) * BLOCK + 1).min(n[axis]);
                 let (mut liquid, mut air) = (false, false);
@@ -149,29 +159,43 @@ impl LiquidField {
                 }
             })
             .collect();
+        let (mut low, mut high) = (size, Vec3::ZERO);
+        for (block, kind) in blocks.iter().enumerate() {
+            if *kind != Block::Air {
+                let at = block_at(n_blocks, block);
+                let at = Vec3::new(at[0] as f32, at[1] as f32, at[2] as f32);
+                // Outermost samples reach to the walls.
+                let corner = |at: Vec3| (at * BLOCK as f32 + 0.5) * h;
+                let first = Vec3::select(at.cmpeq(Vec3::ZERO), Vec3::ZERO, corner(at));
+                low = low.min(first);
+                high = high.max(corner(at + 1.0) + 0.5 * h).min(size);
+            }
+        }
+        let counts = UVec3::from_array(n.map(|n| n as u32));
+        let all = [1, n[0], n[0] * n[1]];
         LiquidField {
             n,
             h,
-            size,
+            low,
+            high,
             phi,
             n_blocks,
             blocks,
+            inv_h: 1.0 / h,
+            last: (counts - 1).as_vec3(),
+            last_low: counts.saturating_sub(UVec3::splat(2)),
+            strides: [0, 1, 2].map(|axis| if n[axis] > 1 { all[axis] } else { 0 }),
         }
     }
 
     /// The field at a point, trilinear, without the walls.
     fn phi(&self, x: Vec3) -> f32 {
-        let last = Vec3::new(self.n[0] as f32, self.n[1] as f32, self.n[2] as f32) - 1.0;
-        let at = (x / self.h - 0.5).clamp(Vec3::ZERO, last);
-        let low = at.floor().min((last - 1.0).max(Vec3::ZERO));
-        let t = at - low;
+        let at = (x * self.inv_h - 0.5).clamp(Vec3::ZERO, self.last);
+        // Conversion truncates, which is floor here, and is much faster.
+        let low = at.as_uvec3().min(self.last_low);
+        let t = at - low.as_vec3();
         let start = low.x as usize + self.n[0] * (low.y as usize + self.n[1] * low.z as usize);
-        let step = |axis: usize, stride: usize| if self.n[axis] > 1 { stride } else { 0 };
-        let (sx, sy, sz) = (
-            step(0, 1),
-            step(1, self.n[0]),
-            step(2, self.n[0] * self.n[1]),
-        );
+        let [sx, sy, sz] = self.strides;
         let row = |at: usize| self.phi[at] + (self.phi[at + sx] - self.phi[at]) * t.x;
         let slab = |at: usize| row(at) + (row(at + sy) - row(at)) * t.y;
         slab(start) + (slab(start + sz) - slab(start)) * t.z
@@ -179,77 +203,79 @@ impl LiquidField {
 
     fn normal(&self, x: Vec3) -> Vec3 {
         let slope = |step: Vec3| self.phi(x + step) - self.phi(x - step);
-        let h = self.h;
+        let h = NORMAL_STEP * self.h;
         Vec3::new(slope(Vec3::X * h), slope(Vec3::Y * h), slope(Vec3::Z * h)).normalize_or(Vec3::Y)
     }
 
-    /// Where a ray is in the domain box.
+    /// Where a ray is in the box of the liquid, and the normal of the side through which it comes in.
     fn span(&self, origin: Vec3, inverse: Vec3) -> (f32, f32, Vec3) {
-        let (low, high) = (-origin * inverse, (self.size - origin) * inverse);
+        let (low, high) = (
+            (self.low - origin) * inverse,
+            (self.high - origin) * inverse,
+        );
         let (near, far) = (low.min(high), low.max(high));
         let t = near.max_element();
-        // The wall through which the ray comes in.
         let wall = Vec3::select(near.cmpge(Vec3::splat(t)), -inverse.signum(), Vec3::ZERO)
             .normalize_or(Vec3::Y);
         (t, far.min_element(), wall)
     }
 
-    /// First change from air to liquid (or back, if `inside`) on the ray between two distances.
-    fn change(
-        &self,
-        origin: Vec3,
-        direction: Vec3,
-        inside: bool,
-        from: f32,
-        to: f32,
-    ) -> Option<f32> {
-        let inverse = direction.recip();
+    /// The block at a point, and the distance along the ray at which the ray leaves it.
+    fn block(&self, origin: Vec3, direction: Vec3, inverse: Vec3, t: f32) -> (Block, f32) {
         let edge = self.h * BLOCK as f32;
-        let same = if inside { Block::Liquid } else { Block::Air };
-        let sign = if inside { -1.0 } else { 1.0 };
-        let mut t = from;
-        let mut last = from;
+        // Blocks begin and end at samples, half a spacing in from the walls.
+        let at = ((origin + direction * t) - 0.5 * self.h) / edge;
+        let mut far = f32::INFINITY;
+        let mut block = [0; 3];
+        for axis in 0..3 {
+            block[axis] = (at[axis].max(0.0) as usize).min(self.n_blocks[axis] - 1);
+            let ahead = direction[axis] > 0.0;
+            let outermost = if ahead { self.n_blocks[axis] - 1 } else { 0 };
+            if block[axis] != outermost {
+                let wall = (block[axis] + usize::from(ahead)) as f32 * edge + 0.5 * self.h;
+                far = far.min((wall - origin[axis]) * inverse[axis]);
+            }
+        }
+        let [i, j, k] = block;
+        (
+            self.blocks[i + self.n_blocks[0] * (j + self.n_blocks[1] * k)],
+            far.max(t) + 1e-3 * self.h,
+        )
+    }
+
+    /// First change from air to liquid on the ray between two distances.
+    fn surface(&self, origin: Vec3, direction: Vec3, from: f32, to: f32) -> Option<f32> {
+        let inverse = direction.recip();
+        let (mut t, mut last) = (from, from);
         while t < to {
-            let x = origin + direction * t;
-            // Blocks hold the samples' positions, half a spacing in.
-            let at = (x - 0.5 * self.h) / edge;
-            let index = |axis: usize| (at[axis].max(0.0) as usize).min(self.n_blocks[axis] - 1);
-            let [i, j, k] = [index(0), index(1), index(2)];
-            if self.blocks[i + self.n_blocks[0] * (j + self.n_blocks[1] * k)] == same {
-                let mut far = f32::INFINITY;
-                for (axis, index) in [i, j, k].into_iter().enumerate() {
-                    let ahead = direction[axis] > 0.0;
-                    let outermost = if ahead { self.n_blocks[axis] - 1 } else { 0 };
-                    if index != outermost {
-                        let wall = (index + usize::from(ahead)) as f32 * edge + 0.5 * self.h;
-                        far = far.min((wall - origin[axis]) * inverse[axis]);
-                    }
-                }
-                last = t;
-                t = far.max(t) + 1e-3 * self.h;
+            let (block, far) = self.block(origin, direction, inverse, t);
+            if block == Block::Air {
+                (last, t) = (t, far);
                 continue;
             }
-            let phi = sign * self.phi(x);
-            if phi < 0.0 {
-                return Some(self.root(origin, direction, sign, last, t));
+            while t < far.min(to) {
+                let phi = self.phi(origin + direction * t);
+                if phi < 0.0 {
+                    return Some(self.root(origin, direction, last, t));
+                }
+                last = t;
+                t += (0.8 * phi).clamp(0.3 * self.h, 1.5 * self.h);
             }
-            last = t;
-            t += (0.8 * phi).clamp(0.3 * self.h, self.h);
         }
         None
     }
 
-    /// Bisection between a distance on the near side and one beyond.
-    fn root(&self, origin: Vec3, direction: Vec3, sign: f32, mut near: f32, mut far: f32) -> f32 {
+    /// Bisection between a distance in air and one in liquid.
+    fn root(&self, origin: Vec3, direction: Vec3, mut air: f32, mut liquid: f32) -> f32 {
         for _ in 0..7 {
-            let middle = 0.5 * (near + far);
-            if sign * self.phi(origin + direction * middle) < 0.0 {
-                far = middle;
+            let middle = 0.5 * (air + liquid);
+            if self.phi(origin + direction * middle) < 0.0 {
+                liquid = middle;
             } else {
-                near = middle;
+                air = middle;
             }
         }
-        far
+        liquid
     }
 
     /// Where a ray first comes into the liquid before `limit`, from air outside or inside the domain.
@@ -267,35 +293,41 @@ impl LiquidField {
                 normal: wall,
             });
         }
-        let t = self.change(origin, direction, false, start, to)?;
+        let t = self.surface(origin, direction, start, to)?;
         Some(Entry {
             t,
             normal: self.normal(origin + direction * t),
         })
     }
 
-    /// Length of liquid on the ray before `limit`, m; stops counting beyond `enough`.
+    /// Length of liquid on the ray before `limit`, m, smooth across the surface; stops counting beyond `enough`.
     pub(super) fn length(&self, origin: Vec3, direction: Vec3, limit: f32, enough: f32) -> f32 {
-        let (near, far, _) = self.span(origin, direction.recip());
+        let inverse = direction.recip();
+        let (near, far, _) = self.span(origin, inverse);
         let to = far.min(limit);
         let mut t = near.max(0.0) + 1e-3 * self.h;
         let mut length = 0.0;
-        if t >= to {
-            return 0.0;
-        }
-        let mut inside = self.phi(origin + direction * t) < 0.0;
-        while length < enough {
-            let next = self.change(origin, direction, inside, t, to);
-            let end = next.unwrap_or(to);
-            if inside {
-                length += end - t;
+        while t < to && length < enough {
+            let (block, far) = self.block(origin, direction, inverse, t);
+            let end = far.min(to);
+            match block {
+                Block::Air => {}
+                Block::Liquid => length += end - t,
+                Block::Mixed => {
+                    let steps = ((end - t) * self.inv_h).ceil();
+                    let step = (end - t) / steps;
+                    for index in 0..steps as usize {
+                        let phi = self.phi(origin + direction * (t + (index as f32 + 0.5) * step));
+                        length += step * (0.5 - phi * self.inv_h).clamp(0.0, 1.0);
+                    }
+                }
             }
-            if next.is_none() {
-                break;
-            }
-            t = end;
-            inside = !inside;
+            t = far;
         }
         length
     }
+}
+
+fn block_at([nx, ny, _]: [usize; 3], index: usize) -> [usize; 3] {
+    [index % nx, index / nx % ny, index / (nx * ny)]
 }

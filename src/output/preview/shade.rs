@@ -7,24 +7,28 @@ use rayon::prelude::*;
 
 use super::liquid::LiquidField;
 use super::picture::Picture;
-use super::triangles::Triangles;
+use super::triangles::{Hit, Triangles};
 
 /// Refractive index of water.
 const WATER: f32 = 1.33;
 
 /// What liquid takes from red, green and blue light over one depth of the domain, nepers.
-const ABSORPTION: Vec3 = Vec3::new(2.6, 0.9, 0.42);
+const ABSORPTION: Vec3 = Vec3::new(8.5, 3.0, 1.5);
 
 /// What it gives back of it: the colour of deep liquid.
-const DEEP: Vec3 = Vec3::new(0.025, 0.19, 0.33);
+const DEEP: Vec3 = Vec3::new(0.010, 0.165, 0.29);
+
+/// Share of the light that even the thinnest liquid takes, so that its edges are seen.
+const VEIL: f32 = 0.30;
 
 /// Linear colours of the rest.
 const FLOOR: Vec3 = Vec3::new(0.62, 0.62, 0.60);
-const OBSTACLE: Vec3 = Vec3::new(0.80, 0.42, 0.16);
+const OBSTACLE: Vec3 = Vec3::new(0.88, 0.50, 0.20);
 const CONTAINER: Vec3 = Vec3::new(0.62, 0.60, 0.57);
 const HORIZON: Vec3 = Vec3::new(0.80, 0.84, 0.88);
 const ZENITH: Vec3 = Vec3::new(0.36, 0.52, 0.72);
 const SUN: Vec3 = Vec3::new(0.78, 0.74, 0.68);
+const SHADOW: Vec3 = Vec3::new(0.16, 0.34, 0.48);
 const AMBIENT: Vec3 = Vec3::new(0.42, 0.46, 0.52);
 
 /// Colour difference between neighbours, of 255, from which a pixel gets more rays.
@@ -116,10 +120,16 @@ pub(super) struct Stage<'a> {
     pub(super) sun: Vec3,
 }
 
-/// What a ray met last: where, and how bright.
-struct Opaque {
+/// What a ray meets that it cannot pass.
+struct Meeting {
+    /// Distance along the ray, m.
     t: f32,
-    colour: Vec3,
+    surface: Seen,
+}
+
+enum Seen {
+    Floor,
+    Obstacle(Hit),
 }
 
 impl Stage<'_> {
@@ -165,15 +175,17 @@ impl Stage<'_> {
     /// Colour and distance along the view of what is seen at a point of the picture.
     fn trace(&self, view: &View, x: f32, y: f32) -> (Vec3, f32) {
         let direction = view.direction(x, y);
-        let opaque = self.opaque(view.eye, direction);
-        let limit = opaque.as_ref().map_or(f32::INFINITY, |opaque| opaque.t);
-        let depth = view.depth(direction, limit);
-        let behind = opaque.map_or_else(|| self.sky(direction), |opaque| opaque.colour);
-        let Some(liquid) = &self.liquid else {
-            return (behind, depth);
-        };
-        let Some(entry) = liquid.entry(view.eye, direction, limit) else {
-            return (behind, depth);
+        let meets = self.meets(view.eye, direction);
+        let limit = meets.as_ref().map_or(f32::INFINITY, |meets| meets.t);
+        let entry = self.liquid.as_ref().and_then(|liquid| {
+            let entry = liquid.entry(view.eye, direction, limit)?;
+            Some((liquid, entry))
+        });
+        let Some((liquid, entry)) = entry else {
+            return (
+                self.colour(view.eye, direction, meets),
+                view.depth(direction, limit),
+            );
         };
 
         let at = view.eye + direction * entry.t;
@@ -184,12 +196,12 @@ impl Stage<'_> {
         };
         let cosine = -normal.dot(direction);
         let bent = refract(direction, normal, cosine);
-        let inner = self.opaque(at, bent);
-        let limit = inner.as_ref().map_or(f32::INFINITY, |opaque| opaque.t);
+        let meets = self.meets(at, bent);
+        let limit = meets.as_ref().map_or(f32::INFINITY, |meets| meets.t);
         let depth_unit = self.domain.length();
         let length = liquid.length(at, bent, limit, 3.0 * depth_unit);
-        let through = transmittance(length / depth_unit);
-        let behind = inner.map_or_else(|| self.sky(bent), |opaque| opaque.colour);
+        let through = transmittance(length / depth_unit) * (1.0 - VEIL);
+        let behind = self.colour(at, bent, meets);
 
         // Light scattered on the way: the sun's part has come through the liquid above, the sky's from all sides.
         let inside = at + bent * (0.25 * length).min(0.04 * depth_unit);
@@ -208,30 +220,41 @@ impl Stage<'_> {
     }
 
     /// The nearer of obstacle and floor on a ray.
-    fn opaque(&self, origin: Vec3, direction: Vec3) -> Option<Opaque> {
-        let floor = -origin.dot(self.up) / direction.dot(self.up);
-        let floor = (direction.dot(self.up) < 0.0 && floor > 0.0)
-            .then_some(self.floor_height(origin, direction));
-        let floor = floor.filter(|&t| t > 0.0);
-        let limit = floor.unwrap_or(f32::INFINITY);
-        if let Some(hit) = self.obstacles.hit(origin, direction, limit) {
-            let at = origin + direction * hit.t;
-            let base = if hit.container { CONTAINER } else { OBSTACLE };
-            return Some(Opaque {
-                t: hit.t,
-                colour: base * self.light(at, hit.normal),
-            });
-        }
-        floor.map(|t| Opaque {
+    fn meets(&self, origin: Vec3, direction: Vec3) -> Option<Meeting> {
+        let floor = self.floor_distance(origin, direction).map(|t| Meeting {
             t,
-            colour: self.floor(origin + direction * t, direction, t),
+            surface: Seen::Floor,
+        });
+        let limit = floor.as_ref().map_or(f32::INFINITY, |floor| floor.t);
+        let hit = self.obstacles.hit(origin, direction, limit);
+        hit.map(|hit| Meeting {
+            t: hit.t,
+            surface: Seen::Obstacle(hit),
         })
+        .or(floor)
     }
 
-    /// Distance along a ray to the plane of the floor: the domain's face that gravity points to.
-    fn floor_height(&self, origin: Vec3, direction: Vec3) -> f32 {
+    /// Colour of what a ray meets.
+    fn colour(&self, origin: Vec3, direction: Vec3, meets: Option<Meeting>) -> Vec3 {
+        let Some(Meeting { t, surface }) = meets else {
+            return self.sky(direction);
+        };
+        let at = origin + direction * t;
+        match surface {
+            Seen::Floor => self.floor(at, direction, t),
+            Seen::Obstacle(hit) => {
+                let base = if hit.container { CONTAINER } else { OBSTACLE };
+                base * self.light(at, hit.normal)
+            }
+        }
+    }
+
+    /// Distance along a ray to the plane of the floor, the domain's face that gravity points to; only from above.
+    fn floor_distance(&self, origin: Vec3, direction: Vec3) -> Option<f32> {
+        let down = direction.dot(self.up);
         let height = self.domain.dot(self.up).min(0.0);
-        (height - origin.dot(self.up)) / direction.dot(self.up)
+        let t = (height - origin.dot(self.up)) / down;
+        (down < 0.0 && t > 0.0).then_some(t)
     }
 
     /// The floor with its lines, fading into the horizon.
@@ -247,7 +270,7 @@ impl Stage<'_> {
             if self.up[axis] == 0.0 {
                 let nearest = (at[axis] / self.floor_lines).round() * self.floor_lines;
                 let line = 1.0 - smooth(0.5 * width, 1.5 * width, (at[axis] - nearest).abs());
-                base *= 1.0 - 0.22 * line * (1.0 - smooth(0.05, 0.4, width / self.floor_lines));
+                base *= 1.0 - 0.14 * line * (1.0 - smooth(0.05, 0.4, width / self.floor_lines));
             }
         }
         let light = if fade < 1.0 {
@@ -268,10 +291,9 @@ impl Stage<'_> {
             let length = self.liquid.as_ref().map_or(0.0, |liquid| {
                 liquid.length(start, self.sun, f32::INFINITY, extent)
             });
-            // A liquid's shadow is blue and never black.
-            sun =
-                SUN * facing * (0.35 + 0.65 * transmittance(1.5 * length / extent)).min(Vec3::ONE);
-            sun = if length > 0.0 { sun * 0.92 } else { sun };
+            // Light goes round a liquid too, through its surface and off the floor: its shadow is blue and never black.
+            let through = transmittance(0.8 * length / extent);
+            sun = SUN * facing * (SHADOW + (Vec3::ONE - SHADOW) * through);
         }
         sun + AMBIENT * (0.75 + 0.25 * normal.dot(self.up))
     }
@@ -284,7 +306,7 @@ impl Stage<'_> {
 
 /// What is left of light after a length in depths of the domain.
 fn transmittance(length: f32) -> Vec3 {
-    (ABSORPTION * -4.0 * length).exp()
+    (ABSORPTION * -length).exp()
 }
 
 /// Direction in the liquid of light that comes in from air.
