@@ -1,10 +1,11 @@
 // band, last of four: a flag per quad in a dilated tile. What a quad that leaves the band still holds is put back to air:
 // liquid distance + dx, no valid face. One thread per row of a tile, two quads, over the whole domain.
-// level, step, tiles. dilated: per tile, 0 or 1. flags: per quad, in place. liquid_distance: m. valid, valid_next: bits per quad.
+// level, step, tiles. dilated: per tile, 0 or 1. flags: per quad, in place. liquid_distance: m. valid, valid_next: see valid.
 #import dispatch
 #import layout
 #import step
 #import tiles
+#import valid
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<uniform> step: Step;
@@ -36,7 +37,7 @@ fn flag_band(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocat
     if flag == 0u {
         liquid_distance[2u * row] = vec4<f32>(step.dx);
         liquid_distance[2u * row + 1u] = vec4<f32>(step.dx);
-        valid[row] = vec2<u32>();
-        valid_next[row] = vec2<u32>();
+        valid[row] &= vec2<u32>(~VALID);
+        valid_next[row] &= vec2<u32>(~VALID);
     }
 }

@@ -1,8 +1,9 @@
 // band, second of four: the tiles that hold a marker. One thread per tile.
-// level, tiles. occupied: per quad, bits 4-7 lanes that hold a marker. marks: per tile, 0 or 1.
+// level, tiles. occupied: see classes. marks: per tile, 0 or 1.
 #import dispatch
 #import layout
 #import tiles
+#import classes
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<uniform> tiles: Tiles;
@@ -24,5 +25,5 @@ fn mark_tiles(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoca
             any |= occupied[(level.stride_z * (z + 1u) + level.stride_y * y) / 2u + tile.x];
         }
     }
-    marks[index] = select(0u, 1u, ((any.x | any.y) & 0xf0u) != 0u);
+    marks[index] = select(0u, 1u, lanes_of(any.x | any.y, MARKED) != 0u);
 }

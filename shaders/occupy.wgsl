@@ -1,9 +1,9 @@
 // band, first of four: which cells hold a marker. One thread per marker.
-// step, level. markers: x, y, z (m), w = 1 alive. occupied: per quad, bits 0-3 lanes that hold no room for liquid (set before),
-// bits 4-7 lanes that hold a marker.
+// level, step. markers: x, y, z (m), w = 1 alive. occupied: see classes.
 #import dispatch
 #import layout
 #import step
+#import classes
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<uniform> step: Step;
@@ -22,7 +22,7 @@ fn occupy(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation
     }
     let cell = cell_of(level, marker.xyz * step.inv_dx);
     let quad = level.stride_z * (cell.z + 1u) + level.stride_y * cell.y + cell.x / 4u;
-    let bit = 16u << (cell.x % 4u);
+    let bit = 1u << (MARKED + cell.x % 4u);
     if (atomicLoad(&occupied[quad]) & bit) == 0u {
         atomicOr(&occupied[quad], bit);
     }

@@ -2,18 +2,19 @@
 // the interpolated distance, twice at most; what is still inside is dropped and counted.
 // One thread per marker.
 // level, step. solid_distance: cell centres, m. markers: x, y, z (m), w = 1 alive, 0 dropped; in place.
-// counters: markers dropped so far, first word of the report.
+// report: see report.
 #import dispatch
 #import layout
 #import step
 #import sample_distance
 #import walls
+#import report
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<uniform> step: Step;
 @group(0) @binding(2) var<storage, read> solid_distance: array<f32>;
 @group(0) @binding(3) var<storage, read_write> markers: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read_write> counters: array<atomic<u32>>;
+@group(0) @binding(4) var<storage, read_write> report: array<atomic<u32>>;
 
 const TRIES = 2;
 // Where a marker is put, cells outside the surface.
@@ -47,6 +48,6 @@ fn push_out(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocati
     let alive = solid.x >= 0.0;
     markers[index] = vec4<f32>(x, f32(alive));
     if !alive {
-        atomicAdd(&counters[0], 1u);
+        atomicAdd(&report[DROPPED], 1u);
     }
 }

@@ -14,7 +14,8 @@ fn shift_down(here: vec4<f32>, after: vec4<f32>) -> vec4<f32> {
 // Lanes whose cell lies in a box of n cells at the origin.
 fn lanes_inside(cell: vec3<i32>, n: vec3<i32>) -> vec4<bool> {
     let row = all(cell.yz >= vec2<i32>()) && all(cell.yz < n.yz);
-    return vec4<bool>(row) & (vec4<i32>(cell.x) + LANES < vec4<i32>(n.x));
+    let x = vec4<i32>(cell.x) + LANES;
+    return vec4<bool>(row) & (x >= vec4<i32>()) & (x < vec4<i32>(n.x));
 }
 
 // One more face than cells along the axis of the faces.

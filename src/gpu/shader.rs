@@ -20,10 +20,14 @@ pub struct Source {
 
 /// The modules that `#import` knows.
 pub const COMMON: &[Source] = &[
+    crate::wgsl!("common/active"),
+    crate::wgsl!("common/classes"),
     crate::wgsl!("common/compact"),
     crate::wgsl!("common/control"),
     crate::wgsl!("common/control_state"),
     crate::wgsl!("common/dispatch"),
+    crate::wgsl!("common/filled"),
+    crate::wgsl!("common/flux"),
     crate::wgsl!("common/fold"),
     crate::wgsl!("common/ghost_fluid"),
     crate::wgsl!("common/inner_f32"),
@@ -35,12 +39,16 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/real_f32"),
     crate::wgsl!("common/real_f64"),
     crate::wgsl!("common/refine"),
+    crate::wgsl!("common/report"),
+    crate::wgsl!("common/report_sum"),
     crate::wgsl!("common/sample_distance"),
     crate::wgsl!("common/sample_velocity"),
     crate::wgsl!("common/stencil"),
     crate::wgsl!("common/step"),
     crate::wgsl!("common/sweep"),
     crate::wgsl!("common/tiles"),
+    crate::wgsl!("common/unknown"),
+    crate::wgsl!("common/valid"),
     crate::wgsl!("common/walls"),
 ];
 

@@ -4,7 +4,7 @@ use crate::Error;
 use crate::gpu::{Bound, Gpu, Kernel, Real, Recorder};
 use crate::wgsl;
 
-use super::{LiquidBuffers, Report};
+use super::LiquidBuffers;
 
 /// The stage. Moves the markers by the velocity of the last sub-step; counts those it drops in the report.
 #[derive(Debug)]
@@ -27,26 +27,21 @@ impl AdvectMarkers {
     /// When the buffers have no markers.
     pub fn new(gpu: &Gpu, buffers: &LiquidBuffers) -> Result<AdvectMarkers, Error> {
         let markers = buffers.markers.as_ref().expect("the scene has markers");
-        let common = [
-            ("level", (&buffers.level).into()),
-            ("step", (&buffers.step).into()),
-            ("markers", (&markers.positions).into()),
-        ];
-        let [level, step, positions] = common;
+        let level = ("level", (&buffers.level).into());
+        let step = ("step", (&buffers.step).into());
+        let positions = ("markers", (&markers.positions).into());
         let velocity = ("velocity", (&buffers.velocity).into());
-        let push_out = |obstacles: &super::ObstacleBuffers| {
-            let distance = ("solid_distance", (&obstacles.solid_distance).into());
-            // The count is the first word of the report.
-            const { assert!(Report::DROPPED == 0) };
-            let counters = ("counters", (&buffers.report).into());
+        let push_out = || {
+            let distance = ("solid_distance", (&buffers.solid_distance).into());
+            let report = ("report", (&buffers.report).into());
             Kernel::new(gpu, &wgsl!("push_out"), Real::F32)?
-                .bind(gpu, &[level, step, distance, positions, counters])
+                .bind(gpu, &[level, step, distance, positions, report])
         };
         Ok(AdvectMarkers {
             n_markers: markers.positions.len(),
             advect_markers: Kernel::new(gpu, &wgsl!("advect_markers"), Real::F32)?
                 .bind(gpu, &[level, step, velocity, positions])?,
-            push_out: buffers.obstacles.as_ref().map(push_out).transpose()?,
+            push_out: buffers.plan.effects.obstacles.then(push_out).transpose()?,
         })
     }
 

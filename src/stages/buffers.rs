@@ -59,22 +59,28 @@ impl LiquidPlan {
     pub fn buffers(&self) -> Vec<BufferPlan> {
         let padded = self.grid.padded();
         let tiles = self.tiles();
-        let flags = padded.quads.next_multiple_of(4);
+        let solid = if self.effects.obstacles {
+            padded.len()
+        } else {
+            4
+        };
         let mut plans = vec![
             BufferPlan::of::<f32>("liquid.velocity", 3 * padded.len()),
             BufferPlan::of::<f32>("liquid.velocity_next", 3 * padded.len()),
             BufferPlan::of::<f32>("liquid.open", 3 * padded.len()),
             BufferPlan::of::<f32>("liquid.liquid_distance", padded.len()),
+            BufferPlan::of::<f32>("liquid.solid_distance", solid),
             BufferPlan::of::<u32>("liquid.valid", padded.quads),
             BufferPlan::of::<u32>("liquid.valid_next", padded.quads),
             BufferPlan::of::<u32>("liquid.marks", tiles.len()),
             BufferPlan::of::<u32>("liquid.dilated", tiles.len()),
-            BufferPlan::of::<u32>("liquid.band_flags", flags),
-            BufferPlan::of::<u32>("liquid.band_list", flags),
+            BufferPlan::of::<u32>("liquid.band_flags", padded.quads),
+            BufferPlan::of::<u32>("liquid.band_list", padded.quads),
             BufferPlan::of::<u32>("liquid.band_args", 4),
-            Compaction::scratch("liquid.band_scratch", flags),
-            RealBuffer::plan("liquid.partials", PARTIALS * self.n_summing(), self.real),
-            RealBuffer::plan("liquid.report", Report::REALS, self.real),
+            Compaction::scratch("liquid.band_scratch", padded.quads),
+            BufferPlan::of::<u32>("liquid.maxima", 2),
+            BufferPlan::of::<u32>("liquid.report", Report::WORDS),
+            RealBuffer::plan("liquid.partials", 4 * self.n_summing(), self.real),
         ];
         if self.effects.markers {
             plans.extend([
@@ -82,9 +88,6 @@ impl LiquidPlan {
                 BufferPlan::of::<u32>("liquid.occupied", padded.quads),
                 BufferPlan::of::<u32>("liquid.classes", padded.quads),
             ]);
-        }
-        if self.effects.obstacles {
-            plans.push(BufferPlan::of::<f32>("liquid.solid_distance", padded.len()));
         }
         if self.effects.obstacles && self.effects.markers {
             plans.push(BufferPlan::of::<f32>(
@@ -108,8 +111,8 @@ impl LiquidPlan {
     }
 }
 
-/// Values that a reduction forms at once, at most.
-const PARTIALS: usize = 8;
+/// First bit of the open faces in `valid`; `common/valid.wgsl` has it too.
+const OPEN: usize = 16;
 /// Threads of a reduction, at most.
 const LARGEST_SUMMING: usize = 16384;
 
@@ -134,9 +137,9 @@ pub struct LiquidBuffers {
     pub open: Buffer<f32>,
     /// Liquid distance at cell centres, m; + dx outside the band.
     pub liquid_distance: Buffer<f32>,
-    /// Per quad, bit 4 axis + lane: the face has a velocity (bits 0-11), by the projection itself (bits 12-23).
+    /// Per quad, what is known of its faces: which have a velocity, which are open (`common/valid.wgsl`).
     pub valid: Buffer<u32>,
-    /// The other one of the pair.
+    /// The same before or after a layer of the extrapolation.
     pub valid_next: Buffer<u32>,
     /// Per tile: holds liquid.
     pub marks: Buffer<u32>,
@@ -150,14 +153,16 @@ pub struct LiquidBuffers {
     pub band_args: Buffer<u32>,
     /// Scratch of the compaction.
     pub band_scratch: Buffer<u32>,
-    /// What each thread of a reduction found: all threads' first values, then all second ones.
+    /// What each thread of a reduction found, four values each.
     pub partials: RealBuffer,
+    /// Largest speed and divergence, as bits of f32.
+    pub maxima: Buffer<u32>,
     /// What the host reads once per step: see [`Report`].
-    pub report: RealBuffer,
+    pub report: Buffer<u32>,
+    /// Signed distance of cell centres to the obstacles, m; negative inside. Without obstacles one quad, far from any.
+    pub solid_distance: Buffer<f32>,
     /// With markers only.
     pub markers: Option<MarkerBuffers>,
-    /// With obstacles only.
-    pub obstacles: Option<ObstacleBuffers>,
 }
 
 /// What the markers add.
@@ -165,19 +170,11 @@ pub struct LiquidBuffers {
 pub struct MarkerBuffers {
     /// x, y, z in m, and 1 for alive or 0 for dropped.
     pub positions: Buffer<[f32; 4]>,
-    /// Per quad: bits 0-3, lanes whose centre lies in a solid or beyond the domain; bits 4-7, lanes that hold a marker, set by
-    /// the band and taken back by the liquid distance.
+    /// Per quad: lanes without room for liquid, lanes that hold a marker (`common/classes.wgsl`).
     pub occupied: Buffer<u32>,
     /// Per quad: what the liquid distance does with its cells (`common/classes.wgsl`).
     pub classes: Buffer<u32>,
-}
-
-/// What obstacles add.
-#[derive(Debug)]
-pub struct ObstacleBuffers {
-    /// Signed distance of cell centres to the obstacles, m; negative inside.
-    pub solid_distance: Buffer<f32>,
-    /// With markers: the liquid distance between two passes of its extension into solids, m.
+    /// With obstacles only: the liquid distance between two passes of its extension into solids, m.
     pub liquid_distance_next: Option<Buffer<f32>>,
 }
 
@@ -191,7 +188,6 @@ impl LiquidBuffers {
         let maker = Maker { gpu, plans: &plans };
         let padded = plan.grid.padded();
         let zero: Step = bytemuck::Zeroable::zeroed();
-        let both = plan.effects.markers && plan.effects.obstacles;
         Ok(LiquidBuffers {
             plan,
             padded,
@@ -210,13 +206,10 @@ impl LiquidBuffers {
             band_list: maker.make("liquid.band_list")?,
             band_args: maker.make("liquid.band_args")?,
             band_scratch: maker.make("liquid.band_scratch")?,
-            partials: RealBuffer::new(
-                gpu,
-                "liquid.partials",
-                PARTIALS * plan.n_summing(),
-                plan.real,
-            )?,
-            report: RealBuffer::new(gpu, "liquid.report", Report::REALS, plan.real)?,
+            partials: RealBuffer::new(gpu, "liquid.partials", 4 * plan.n_summing(), plan.real)?,
+            maxima: maker.make("liquid.maxima")?,
+            report: maker.make("liquid.report")?,
+            solid_distance: maker.make("liquid.solid_distance")?,
             markers: plan
                 .effects
                 .markers
@@ -225,16 +218,9 @@ impl LiquidBuffers {
                         positions: maker.make("liquid.markers")?,
                         occupied: maker.make("liquid.occupied")?,
                         classes: maker.make("liquid.classes")?,
-                    })
-                })
-                .transpose()?,
-            obstacles: plan
-                .effects
-                .obstacles
-                .then(|| {
-                    Ok::<_, Error>(ObstacleBuffers {
-                        solid_distance: maker.make("liquid.solid_distance")?,
-                        liquid_distance_next: both
+                        liquid_distance_next: plan
+                            .effects
+                            .obstacles
                             .then(|| maker.make("liquid.liquid_distance_next"))
                             .transpose()?,
                     })
@@ -265,14 +251,24 @@ impl Maker<'_> {
 impl LiquidBuffers {
     /// Writes what the obstacles leave of the grid, before all work submitted later. Also due without obstacles.
     pub fn write_cut_cells(&self, gpu: &Gpu, cut: &CutCells) {
-        gpu.upload(&self.open, &self.pad_faces(&cut.open));
-        let grid = &self.plan.grid;
-        if let Some(obstacles) = &self.obstacles {
-            let distance = self
-                .padded
-                .pad(grid.cells, &cut.solid_distance, |d| d as f32);
-            gpu.upload(&obstacles.solid_distance, &distance);
+        let open = self.pad_faces(&cut.open);
+        gpu.upload(&self.open, &open);
+        let mut valid = vec![0; self.padded.quads];
+        for (quad, word) in valid.iter_mut().enumerate() {
+            for bit in 0..12 {
+                let face = 4 * (bit / 4 * self.padded.quads + quad) + bit % 4;
+                *word |= u32::from(open[face] > 0.0) << (OPEN + bit);
+            }
         }
+        gpu.upload(&self.valid, &valid);
+        let grid = &self.plan.grid;
+        let solid = match self.plan.effects.obstacles {
+            true => self
+                .padded
+                .pad(grid.cells, &cut.solid_distance, |d| d as f32),
+            false => vec![3.0 * grid.dx as f32; 4],
+        };
+        gpu.upload(&self.solid_distance, &solid);
         if let Some(markers) = &self.markers {
             // A lane has room where its cell exists and its centre is outside every solid.
             let room = self
@@ -321,9 +317,8 @@ impl LiquidBuffers {
             }
             gpu.upload(&self.marks, &marks);
         }
-        let mut head = vec![0; self.report.real.bytes() / 4];
-        head[Report::DROPPED] = u32::try_from(state.markers_dropped).unwrap_or(u32::MAX);
-        gpu.upload(&self.report.words, &head);
+        let dropped = u32::try_from(state.markers_dropped).unwrap_or(u32::MAX);
+        gpu.upload(&self.report, &[dropped]);
     }
 
     /// Waits for all submitted work and reads velocities, markers (dropped ones left out) and liquid distance into a state.
@@ -345,7 +340,7 @@ impl LiquidBuffers {
                 .map(|&[x, y, z, _]| [x, y, z].map(f64::from))
                 .collect();
         }
-        let words = gpu.download(&self.report.words)?;
+        let words = gpu.download(&self.report)?;
         state.markers_dropped = words[Report::DROPPED].into();
         Ok(())
     }

@@ -12,17 +12,38 @@ mod advect_markers;
 mod advect_velocity;
 mod band;
 mod buffers;
+mod diagnose;
+mod extrapolate;
 mod forces;
+mod liquid_distance;
 mod report;
+mod right_hand_side;
+mod write_back;
 
 pub use advect_markers::AdvectMarkers;
 pub use advect_velocity::AdvectVelocity;
 pub use band::{Band, Tiles};
-pub use buffers::{LiquidBuffers, LiquidPlan, MarkerBuffers, ObstacleBuffers, Step};
+pub use buffers::{LiquidBuffers, LiquidPlan, MarkerBuffers, Step};
+pub use diagnose::Diagnose;
+pub use extrapolate::Extrapolate;
 pub use forces::Forces;
+pub use liquid_distance::{LiquidDistance, Volume};
 pub use report::Report;
+pub use right_hand_side::RightHandSide;
+pub use write_back::WriteBack;
 
-use crate::gpu::Binding;
+use crate::gpu::{Binding, Buffer};
+
+/// The unknowns of the projection, as the solver finds them; the words are explained in `common/active.wgsl`.
+#[derive(Clone, Copy, Debug)]
+pub struct Active<'a> {
+    /// Per quad: active lanes, and lanes in components without a free surface.
+    pub flags: &'a Buffer<u32>,
+    /// Active quads, tagged in the highest bit.
+    pub list: &'a Buffer<u32>,
+    /// Workgroups and length of the list, first.
+    pub args: &'a Buffer<u32>,
+}
 
 /// Faces count as reached from the liquid within this many layers: one cell beyond what a point crosses in a sub-step, and one
 /// for the trilinear sample.

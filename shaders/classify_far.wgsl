@@ -1,0 +1,39 @@
+// liquid_distance, second of five: which markers matter to the distance of any cell. The marks of the cells are taken back for
+// the next sub-step. One thread per quad of the band.
+// level. args, list: the band. classes: see classes. occupied: in place.
+#import dispatch
+#import layout
+#import classes
+
+@group(0) @binding(0) var<uniform> level: Layout;
+@group(0) @binding(1) var<storage, read> args: array<u32>;
+@group(0) @binding(2) var<storage, read> list: array<u32>;
+@group(0) @binding(3) var<storage, read> classes: array<u32>;
+@group(0) @binding(4) var<storage, read_write> occupied: array<u32>;
+
+@compute @workgroup_size(WG_SIZE)
+fn classify_far(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let index = linear_index(workgroup, lane);
+    if index >= args[3] {
+        return;
+    }
+    let quad = list[index];
+    let word = occupied[quad];
+    let marked = lanes_of(word, MARKED);
+    var spreading = lanes_of(classes[quad], NEAR);
+    if marked != 0u && spreading != 15u {
+        var before = 0u;
+        var here = 0u;
+        var after = 0u;
+        for (var s = 0u; s < 3u; s++) {
+            for (var r = 0u; r < 3u; r++) {
+                let row = quad + s * level.stride_z + r * level.stride_y - level.stride_z - level.stride_y;
+                before |= lanes_of(classes[row - 1u], NEAR);
+                here |= lanes_of(classes[row], NEAR);
+                after |= lanes_of(classes[row + 1u], NEAR);
+            }
+        }
+        spreading = dilate_row(before, here, after);
+    }
+    occupied[quad] = lanes_of(word, NO_ROOM) << NO_ROOM | (spreading & marked) << SPREADING;
+}

@@ -1,0 +1,34 @@
+// extrapolate, after the layers: faces on the walls of the domain do not let anything through. One thread per quad of the band.
+// level. args, list: the band. velocity: faces, m/s, in place.
+#import dispatch
+#import layout
+#import lanes
+
+@group(0) @binding(0) var<uniform> level: Layout;
+@group(0) @binding(1) var<storage, read> args: array<u32>;
+@group(0) @binding(2) var<storage, read> list: array<u32>;
+@group(0) @binding(3) var<storage, read_write> velocity: array<f32>;
+
+@compute @workgroup_size(WG_SIZE)
+fn extrapolate_walls(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let index = linear_index(workgroup, lane);
+    if index >= args[3] {
+        return;
+    }
+    let quad = list[index];
+    let cell = quad_cell(level, quad);
+    let n = vec3<i32>(level.cells);
+    if cell.x == 0 {
+        velocity[4u * quad] = 0.0;
+    }
+    if cell.x <= n.x && n.x < cell.x + 4 {
+        velocity[4u * quad + u32(n.x - cell.x)] = 0.0;
+    }
+    for (var axis = 1u; axis < 3u; axis++) {
+        if cell[axis] == 0 || cell[axis] == n[axis] {
+            for (var l = 0u; l < 4u; l++) {
+                velocity[4u * (axis * level.quads + quad) + l] = 0.0;
+            }
+        }
+    }
+}

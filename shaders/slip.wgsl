@@ -1,0 +1,103 @@
+// extrapolate, with obstacles only: closed faces in and just outside obstacles, off the walls, lose the part of their velocity
+// that points into or out of the obstacle: u_a - (v . n) n_a, n the direction of the interpolated distance by central
+// differences over dx. One thread per quad of the band.
+// level, step. args, list: the band. solid_distance: cell centres, m. velocity: faces, m/s. valid: which faces are open.
+// velocity_next: the new value where one is made. slipping: those faces, bit 4 axis + lane.
+#import dispatch
+#import layout
+#import lanes
+#import step
+#import valid
+
+@group(0) @binding(0) var<uniform> level: Layout;
+@group(0) @binding(1) var<uniform> step: Step;
+@group(0) @binding(2) var<storage, read> args: array<u32>;
+@group(0) @binding(3) var<storage, read> list: array<u32>;
+@group(0) @binding(4) var<storage, read> solid_distance: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read> velocity: array<f32>;
+@group(0) @binding(6) var<storage, read> valid: array<u32>;
+@group(0) @binding(7) var<storage, read_write> velocity_next: array<f32>;
+@group(0) @binding(8) var<storage, read_write> slipping: array<u32>;
+
+// Faces closer to a surface than this slip along it, cells.
+const SLIP_REACH = 0.5;
+// Below this length (per unit length) a gradient has no direction.
+const SMALLEST_GRADIENT = 1e-6;
+
+// Distance of a cell, its position clamped to the domain, m.
+fn distance_of(cell: vec3<i32>) -> f32 {
+    let c = vec3<u32>(clamp(cell, vec3<i32>(), vec3<i32>(level.cells) - 1));
+    return solid_distance[level.stride_z * (c.z + 1u) + level.stride_y * c.y + c.x / 4u][c.x % 4u];
+}
+
+// The unit vector of an axis.
+fn along(axis: u32) -> vec3<i32> {
+    return vec3<i32>(vec3<u32>(axis) == vec3<u32>(0u, 1u, 2u));
+}
+
+// Index of the minus face of a cell.
+fn face_index(axis: u32, cell: vec3<i32>) -> u32 {
+    let c = vec3<u32>(cell);
+    return 4u * (axis * level.quads + level.stride_z * (c.z + 1u) + level.stride_y * c.y) + c.x;
+}
+
+// The new velocity of a face between two cells.
+fn slide(axis: u32, cell: vec3<i32>) -> f32 {
+    let minus = cell - along(axis);
+    var gradient = vec3<f32>();
+    var v = vec3<f32>();
+    for (var b = 0u; b < 3u; b++) {
+        let step_b = along(b);
+        if b == axis {
+            gradient[b] = distance_of(cell) - distance_of(minus);
+            v[b] = velocity[face_index(b, cell)];
+        } else {
+            gradient[b] = 0.25 * ((distance_of(cell + step_b) - distance_of(cell - step_b))
+                + (distance_of(minus + step_b) - distance_of(minus - step_b)));
+            v[b] = 0.25 * ((velocity[face_index(b, cell)] + velocity[face_index(b, cell + step_b)])
+                + (velocity[face_index(b, minus)] + velocity[face_index(b, minus + step_b)]));
+        }
+    }
+    let steepness = length(gradient);
+    if steepness < SMALLEST_GRADIENT * step.dx {
+        return v[axis];
+    }
+    let n = gradient / steepness;
+    return v[axis] - dot(v, n) * n[axis];
+}
+
+@compute @workgroup_size(WG_SIZE)
+fn slip(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let index = linear_index(workgroup, lane);
+    if index >= args[3] {
+        return;
+    }
+    let quad = list[index];
+    let cell = quad_cell(level, quad);
+    let word = valid[quad];
+    let here = solid_distance[quad];
+    let minus = array<vec4<f32>, 3>(
+        shift_up(solid_distance[quad - 1u], here),
+        solid_distance[quad - level.stride_y],
+        solid_distance[quad - level.stride_z],
+    );
+    let n = vec3<i32>(level.cells);
+    var found = 0u;
+    for (var axis = 0u; axis < 3u; axis++) {
+        let near = 0.5 * (here + minus[axis]) < vec4<f32>(SLIP_REACH * step.dx);
+        if !any(near) {
+            continue;
+        }
+        // Faces with a cell on both sides.
+        let inner = lanes_inside(cell, n) & lanes_inside(cell - along(axis), n);
+        let lanes = lane_bits(near & inner) & ~(word >> (OPEN + 4u * axis));
+        found |= lanes << (4u * axis);
+        for (var l = 0u; l < 4u; l++) {
+            if (lanes >> l & 1u) != 0u {
+                let at = cell + vec3<i32>(i32(l), 0, 0);
+                velocity_next[face_index(axis, at)] = slide(axis, at);
+            }
+        }
+    }
+    slipping[quad] = (word & ~VALID) | found;
+}

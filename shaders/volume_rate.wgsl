@@ -1,0 +1,32 @@
+// liquid_distance, after measure_volume: the volume, and the relative rate at which volume control lets the liquid grow,
+// (V_0/V - 1) over four frames, at most 1 % in a frame, 1/s. One workgroup.
+// step: volume_0 = 0 for no control. partials: volume, potential energy. report: see report.
+#import step
+#import report
+#import report_sum
+#import fold
+#import real
+
+// Frames over which the correction is spread, and the largest relative change of volume in one.
+const FRAMES = 4.0;
+const LARGEST_CHANGE = 0.01;
+
+@group(0) @binding(0) var<uniform> step: Step;
+@group(0) @binding(1) var<storage, read> partials: array<Real4>;
+@group(0) @binding(2) var<storage, read_write> report: array<u32>;
+
+@compute @workgroup_size(FOLD_SIZE)
+fn volume_rate(@builtin(local_invocation_index) lane: u32) {
+    let sums = fold(arrayLength(&partials), lane);
+    if lane != 0u {
+        return;
+    }
+    report_sum(VOLUME, sums.x);
+    report_sum(VOLUME + 2u, sums.y);
+    var rate = 0.0;
+    if step.volume_0 > 0.0 && sums.x > Real() {
+        let deficit = f32(Real(step.volume_0) / sums.x - Real(1.0));
+        rate = clamp(deficit / FRAMES, -LARGEST_CHANGE, LARGEST_CHANGE) / step.frame;
+    }
+    report[RATE] = bitcast<u32>(rate);
+}

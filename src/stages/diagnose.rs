@@ -1,0 +1,82 @@
+//! `diagnose`: momentum, kinetic energy, largest speed and divergence of the liquid. Volume and potential energy were measured
+//! with the liquid distance.
+//!
+//! A fixed number of threads adds fixed shares of the band, one workgroup adds their sums in a tree: the order is a function of
+//! the grid and the band, so the sums repeat bit for bit.
+
+use crate::Error;
+use crate::gpu::{Bound, Gpu, Kernel, Recorder};
+use crate::wgsl;
+
+use super::{Active, LiquidBuffers, over_band};
+
+/// The stage: fields to the report.
+#[derive(Debug)]
+pub struct Diagnose {
+    n_threads: usize,
+    measure_motion: Bound,
+    measure_divergence: Bound,
+    report_motion: Bound,
+}
+
+impl Diagnose {
+    /// The stage's name.
+    pub const NAME: &'static str = "diagnose";
+
+    /// Compiles and binds.
+    ///
+    /// # Errors
+    /// As [`Kernel::new`] and [`Kernel::bind`].
+    pub fn new(gpu: &Gpu, buffers: &LiquidBuffers, active: &Active) -> Result<Diagnose, Error> {
+        let [level, args, list] = over_band(buffers);
+        let step = ("step", (&buffers.step).into());
+        let velocity = ("velocity", (&buffers.velocity).into());
+        let partials = ("partials", (&buffers.partials).into());
+        let maxima = ("maxima", (&buffers.maxima).into());
+        let kernel = |source| Kernel::new(gpu, &source, buffers.partials.real);
+        Ok(Diagnose {
+            n_threads: buffers.plan.n_summing(),
+            measure_motion: kernel(wgsl!("measure_motion"))?.bind(
+                gpu,
+                &[
+                    level,
+                    step,
+                    args,
+                    list,
+                    velocity,
+                    ("liquid_distance", (&buffers.liquid_distance).into()),
+                    ("solid_distance", (&buffers.solid_distance).into()),
+                    partials,
+                    maxima,
+                ],
+            )?,
+            measure_divergence: kernel(wgsl!("measure_divergence"))?.bind(
+                gpu,
+                &[
+                    level,
+                    step,
+                    ("args", active.args.into()),
+                    ("list", active.list.into()),
+                    ("flags", active.flags.into()),
+                    velocity,
+                    ("open", (&buffers.open).into()),
+                    maxima,
+                ],
+            )?,
+            report_motion: kernel(wgsl!("report_motion"))?.bind(
+                gpu,
+                &[partials, maxima, ("report", (&buffers.report).into())],
+            )?,
+        })
+    }
+
+    /// Records it.
+    pub fn record(&self, recorder: &mut Recorder, buffers: &LiquidBuffers, active: &Active) {
+        recorder.clear(&buffers.maxima);
+        recorder.stage(Diagnose::NAME, |pass| {
+            pass.dispatch(&self.measure_motion, self.n_threads);
+            pass.dispatch_indirect(&self.measure_divergence, active.args, 0);
+            pass.dispatch(&self.report_motion, 1);
+        });
+    }
+}
