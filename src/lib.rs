@@ -29,6 +29,7 @@ pub mod measure;
 pub mod output;
 pub mod reference;
 pub mod scene;
+pub mod sim;
 pub mod solver;
 pub mod stages;
 pub mod state;

@@ -3,11 +3,16 @@
 mod adapters;
 mod bench;
 mod preview;
+mod run;
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand};
+use cutwater::Error;
 use cutwater::gpu::AdapterChoice;
+use cutwater::scene::Scene;
+use cutwater::sim::Backend;
 
 /// Two-way coupling between inviscid free-surface liquids and elastic solids, on the GPU, without a window.
 #[derive(Debug, Parser)]
@@ -19,12 +24,43 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Simulate a scene and write its frames and tables
+    Run(run::Run),
     /// List the GPU adapters
     Adapters(adapters::Adapters),
     /// Measure the solve or the whole step
     Bench(bench::Bench),
     /// Draw the frames of a run as pictures and an animation
     Preview(preview::Preview),
+}
+
+/// A scene and how it is changed.
+#[derive(Debug, Args)]
+struct SceneArgs {
+    /// Scene file (TOML)
+    scene: PathBuf,
+    /// Multiply domain.cells, rounded
+    #[arg(long, default_value_t = 1.0)]
+    scale: f64,
+    /// Override a key of the scene, such as liquid.region[0].velocity=[1,0,0]; may be repeated
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    overrides: Vec<String>,
+}
+
+impl SceneArgs {
+    fn load(&self) -> Result<Scene, Error> {
+        Scene::load(&self.scene, &self.overrides, self.scale)
+    }
+}
+
+/// Where to run.
+#[derive(Debug, Args)]
+struct BackendArgs {
+    /// gpu, or cpu for the f64 path
+    #[arg(long, value_enum, default_value = "gpu")]
+    backend: BackendName,
+    #[command(flatten)]
+    adapter: AdapterArgs,
 }
 
 /// Which adapter.
@@ -44,10 +80,26 @@ impl AdapterArgs {
     }
 }
 
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum BackendName {
+    Gpu,
+    Cpu,
+}
+
+impl BackendArgs {
+    fn backend(&self) -> Backend {
+        match self.backend {
+            BackendName::Gpu => Backend::Gpu(self.adapter.choice()),
+            BackendName::Cpu => Backend::Cpu,
+        }
+    }
+}
+
 /// Parses the arguments, runs the command, prints its error.
 pub(crate) fn main() -> ExitCode {
     let cli = Cli::parse();
     let done = match &cli.command {
+        Command::Run(command) => command.run(),
         Command::Adapters(command) => command.run(),
         Command::Bench(command) => command.run(),
         Command::Preview(command) => command.run(),

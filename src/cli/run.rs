@@ -1,0 +1,123 @@
+//! `cutwater run`
+
+use std::io::IsTerminal;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use cutwater::Error;
+use cutwater::sim::{self, Options};
+use indicatif::{ProgressBar, ProgressStyle};
+
+use super::{BackendArgs, SceneArgs};
+
+/// Simulate a scene and write its frames and tables
+#[derive(Debug, clap::Args)]
+pub(super) struct Run {
+    #[command(flatten)]
+    scene: SceneArgs,
+    #[command(flatten)]
+    backend: BackendArgs,
+    /// Folder of the run; out/NAME by default
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Frames to compute instead of the scene's duration
+    #[arg(long)]
+    frames: Option<u64>,
+    /// Replace an earlier run in the folder
+    #[arg(long)]
+    overwrite: bool,
+    /// Draw the pictures and the animation when the run is done
+    #[arg(long)]
+    preview: bool,
+}
+
+impl Run {
+    pub(super) fn run(&self) -> Result<(), Error> {
+        let scene = self.scene.load()?;
+        let out = self
+            .out
+            .clone()
+            .unwrap_or_else(|| PathBuf::from("out").join(&scene.name));
+        let interrupt = Arc::new(AtomicBool::new(false));
+        let flag = Arc::clone(&interrupt);
+        ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).map_err(|problem| {
+            Error::input(
+                "the interrupt handler",
+                problem.to_string(),
+                "run cutwater once per process",
+            )
+        })?;
+        let options = Options {
+            backend: self.backend.backend(),
+            out: out.clone(),
+            frames: self.frames,
+            overwrite: self.overwrite,
+        };
+        let terminal = std::io::stderr().is_terminal();
+        let bar = if terminal {
+            progress_bar()
+        } else {
+            ProgressBar::hidden()
+        };
+        let mut last_frame = 0;
+        let mut listen = |progress: &sim::Progress| {
+            bar.set_length(progress.n_frames);
+            bar.set_position(progress.frame);
+            let report = progress.report;
+            let line = format!(
+                "t = {:.3} s, dt = {:.2e} s, {} unknowns, {} iterations, residual {:.0e}",
+                progress.time,
+                report.dt,
+                report.solve.unknowns,
+                report.solve.iterations,
+                report.solve.residual
+            );
+            if !terminal && progress.frame > last_frame {
+                println!("frame {} of {}: {line}", progress.frame, progress.n_frames);
+                last_frame = progress.frame;
+            }
+            bar.set_message(line);
+        };
+        let outcome = sim::run(&scene, &options, &mut listen, &interrupt);
+        bar.finish_and_clear();
+        let summary = outcome.inspect_err(|_| {
+            if out.join("frames").exists() {
+                eprintln!("what was written so far is in {}", out.display());
+            }
+        })?;
+        println!(
+            "{} frames in {} sub-steps, {:.1} s; worst residual {:.1e}; volume {:.1} % to {:.1} % of the start",
+            summary.frames,
+            summary.steps,
+            summary.seconds,
+            summary.worst_residual,
+            100.0 * summary.volume_ratio[0],
+            100.0 * summary.volume_ratio[1],
+        );
+        if summary.missed > 0 {
+            eprintln!(
+                "warning: {} of {} solves missed the tolerance of {:.0e}; steps.csv says which",
+                summary.missed, summary.steps, scene.solver.tolerance
+            );
+        }
+        if summary.floored > 0 {
+            eprintln!(
+                "warning: {} sub-steps were held at 1/256 of a frame",
+                summary.floored
+            );
+        }
+        println!("frames: {}", out.join("frames").display());
+        if self.preview {
+            super::preview::draw(&out)?;
+        }
+        Ok(())
+    }
+}
+
+fn progress_bar() -> ProgressBar {
+    let style =
+        ProgressStyle::with_template("{bar:30} frame {pos}/{len} [{elapsed}, {eta} left] {msg}")
+            .expect("the template is valid");
+    ProgressBar::new(1).with_style(style)
+}

@@ -1,0 +1,185 @@
+//! The simulation: a scene on the GPU or on the f64 CPU path, one sub-step after another, and the run loop.
+
+mod gpu_path;
+mod run;
+mod step;
+
+pub use gpu_path::GpuPath;
+pub use run::{Options, Progress, Summary, run};
+
+use crate::Error;
+use crate::geometry::{self, CutCells};
+use crate::gpu::{AdapterChoice, AdapterReport};
+use crate::reference::{self, Reference};
+use crate::scene::Scene;
+use crate::state::{SolveStatus, State, StepReport};
+
+/// Where a simulation runs.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Backend {
+    /// On an adapter, in the scene's precision.
+    Gpu(AdapterChoice),
+    /// On the CPU in f64.
+    Cpu,
+}
+
+impl Backend {
+    /// `gpu` or `cpu`.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Backend::Gpu(_) => "gpu",
+            Backend::Cpu => "cpu",
+        }
+    }
+}
+
+/// How far a simulation is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Clock {
+    /// s
+    pub time: f64,
+    /// Sub-steps done.
+    pub step: u64,
+    /// Frames done.
+    pub frame: u64,
+}
+
+impl Clock {
+    fn of(
+        &State {
+            time, step, frame, ..
+        }: &State,
+    ) -> Clock {
+        Clock { time, step, frame }
+    }
+}
+
+/// A scene being simulated.
+#[derive(Debug)]
+pub struct Simulation {
+    scene: Scene,
+    path: Path,
+}
+
+#[derive(Debug)]
+enum Path {
+    Gpu(Box<GpuPath>),
+    Cpu(Box<Reference>),
+}
+
+impl Simulation {
+    /// Clips the obstacles, seeds the liquid, and opens the backend.
+    ///
+    /// # Errors
+    /// Whatever geometry and device say.
+    pub fn new(scene: &Scene, backend: &Backend) -> Result<Simulation, Error> {
+        let grid = scene.grid();
+        let cut = geometry::cut_cells(scene, &grid)?;
+        let mut state = geometry::initial_state(scene, &grid, &cut)?;
+        let path = match backend {
+            Backend::Cpu => Path::Cpu(Box::new(Reference::new(scene, cut, state)?)),
+            Backend::Gpu(choice) => {
+                reference::prepare(scene, &grid, &cut, &mut state);
+                Path::Gpu(Box::new(GpuPath::new(scene, cut, state, choice)?))
+            }
+        };
+        Ok(Simulation {
+            scene: scene.clone(),
+            path,
+        })
+    }
+
+    /// Does one sub-step of the length that velocities and frame times allow.
+    ///
+    /// # Errors
+    /// [`Error::Stage`] when the solve breaks down or a value is not finite, [`Error::Gpu`] when the device fails.
+    pub fn step(&mut self) -> Result<StepReport, Error> {
+        let step = self.clock().step;
+        let report = match &mut self.path {
+            Path::Gpu(path) => path.step(path.next_time_step(), None)?,
+            Path::Cpu(path) => {
+                let time_step = path.next_time_step();
+                path.step(time_step)?
+            }
+        };
+        match report.solve.status {
+            SolveStatus::Breakdown | SolveStatus::NonFinite => Err(Error::Stage {
+                stage: "solve",
+                step,
+                problem: format!(
+                    "the pressure solve ended with {:?} at a relative residual of {:.1e}",
+                    report.solve.status, report.solve.residual
+                ),
+            }),
+            _ => Ok(report),
+        }
+    }
+
+    /// A host copy of the present moment.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn state(&self) -> Result<State, Error> {
+        match &self.path {
+            Path::Gpu(path) => path.state(),
+            Path::Cpu(path) => Ok(path.state().clone()),
+        }
+    }
+
+    /// The values of the scene's probes, all columns in order.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn probes(&self) -> Result<Vec<f64>, Error> {
+        match &self.path {
+            Path::Gpu(path) => host_probes(&self.scene, &path.state()?),
+            Path::Cpu(path) => host_probes(&self.scene, path.state()),
+        }
+    }
+
+    /// How far the simulation is.
+    pub fn clock(&self) -> Clock {
+        match &self.path {
+            Path::Gpu(path) => Clock::of(&path.head),
+            Path::Cpu(path) => Clock::of(path.state()),
+        }
+    }
+
+    /// Liquid volume of a sub-step over the volume at the start; 1 where there was none.
+    pub fn volume_ratio(&self, report: &StepReport) -> f64 {
+        let volume_0 = match &self.path {
+            Path::Gpu(path) => path.head.volume_0,
+            Path::Cpu(path) => path.state().volume_0,
+        };
+        if volume_0 > 0.0 {
+            report.diagnosis.volume / volume_0
+        } else {
+            1.0
+        }
+    }
+
+    /// The obstacles' cut cells.
+    pub fn cut_cells(&self) -> &CutCells {
+        match &self.path {
+            Path::Gpu(path) => &path.cut,
+            Path::Cpu(path) => path.cut_cells(),
+        }
+    }
+
+    /// The adapter, on the GPU path.
+    pub fn adapter(&self) -> Option<&AdapterReport> {
+        match &self.path {
+            Path::Gpu(path) => Some(path.gpu().report()),
+            Path::Cpu(_) => None,
+        }
+    }
+}
+
+fn host_probes(scene: &Scene, state: &State) -> Result<Vec<f64>, Error> {
+    let grid = scene.grid();
+    Ok(scene
+        .probes
+        .iter()
+        .flat_map(|probe| reference::probe(&grid, state, &probe.kind))
+        .collect())
+}

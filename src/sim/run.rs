@@ -1,0 +1,234 @@
+//! The run loop: frames, tables and the manifest of one simulation.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use crate::Error;
+use crate::geometry;
+use crate::gpu::AdapterReport;
+use crate::output::frames::{FrameKinds, FrameWriter};
+use crate::output::manifest::{AdapterRecord, Manifest, RunOptions, RunStatus};
+use crate::output::tables::{ProbeTable, StepRow, StepTable};
+use crate::scene::Scene;
+use crate::state::{SolveStatus, StepReport};
+
+use super::{Backend, Simulation};
+
+/// What a run is told beyond its scene.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Where the simulation runs.
+    pub backend: Backend,
+    /// The run's folder; made if absent.
+    pub out: PathBuf,
+    /// Frames to compute instead of the scene's duration.
+    pub frames: Option<u64>,
+    /// Whether an earlier run in the folder may be replaced.
+    pub overwrite: bool,
+}
+
+/// What the caller is told after every sub-step.
+#[derive(Debug)]
+pub struct Progress<'a> {
+    /// Frames done.
+    pub frame: u64,
+    /// Frames in all.
+    pub n_frames: u64,
+    /// Simulated time, s.
+    pub time: f64,
+    /// The sub-step.
+    pub report: &'a StepReport,
+}
+
+/// What a run came to.
+#[derive(Clone, Debug)]
+pub struct Summary {
+    /// Frames written, frame 0 not counted.
+    pub frames: u64,
+    /// Sub-steps.
+    pub steps: u64,
+    /// Wall-clock seconds.
+    pub seconds: f64,
+    /// Sub-steps whose solve missed its tolerance, and the worst residual among them.
+    pub missed: u64,
+    /// Largest true relative residual of all solves.
+    pub worst_residual: f64,
+    /// Least and largest liquid volume over the volume at the start.
+    pub volume_ratio: [f64; 2],
+    /// Sub-steps held up by the floor of the step length.
+    pub floored: u64,
+}
+
+/// Runs a scene into a folder. `progress` hears of every sub-step; a true `interrupt` ends the run after the sub-step.
+///
+/// # Errors
+/// [`Error::Input`] when the folder holds an earlier run, [`Error::Interrupted`], and whatever the simulation ends with; the
+/// manifest then says so and all frames written stay valid.
+pub fn run(
+    scene: &Scene,
+    options: &Options,
+    progress: &mut dyn FnMut(&Progress),
+    interrupt: &AtomicBool,
+) -> Result<Summary, Error> {
+    prepare_folder(&options.out, options.overwrite)?;
+    let mut simulation = Simulation::new(scene, &options.backend)?;
+    let n_frames = options.frames.unwrap_or_else(|| scene.n_frames());
+    let run_options = RunOptions {
+        backend: options.backend.name().to_owned(),
+        frames: n_frames,
+        scale: scene.scale,
+        overrides: scene.overrides.clone(),
+    };
+    let adapter = simulation.adapter().map(adapter_record);
+    let mut manifest = Manifest::new(scene, run_options, adapter);
+    manifest.write(&options.out)?;
+    let clock = Instant::now();
+    let outcome = frames(
+        scene,
+        options,
+        n_frames,
+        &mut simulation,
+        &mut manifest,
+        progress,
+        interrupt,
+    );
+    manifest.progress.seconds = clock.elapsed().as_secs_f64();
+    manifest.progress.status = match &outcome {
+        Ok(_) => RunStatus::Finished,
+        Err(Error::Interrupted) => RunStatus::Interrupted,
+        Err(_) => RunStatus::Failed,
+    };
+    manifest.progress.error = outcome.as_ref().err().map(ToString::to_string);
+    manifest.write(&options.out)?;
+    outcome.map(|summary| Summary {
+        seconds: manifest.progress.seconds,
+        ..summary
+    })
+}
+
+fn prepare_folder(out: &Path, overwrite: bool) -> Result<(), Error> {
+    if out.join("manifest.json").exists() {
+        if !overwrite {
+            return Err(Error::input(
+                out.display().to_string(),
+                "the folder holds an earlier run",
+                "choose another folder with --out, or replace the run with --overwrite",
+            ));
+        }
+        // Frames of the old run would mix with the new ones.
+        for part in ["frames", "preview"] {
+            let folder = out.join(part);
+            if folder.exists() {
+                std::fs::remove_dir_all(&folder)
+                    .map_err(|problem| Error::output(&folder, problem))?;
+            }
+        }
+    }
+    std::fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))
+}
+
+fn frames(
+    scene: &Scene,
+    options: &Options,
+    n_frames: u64,
+    simulation: &mut Simulation,
+    manifest: &mut Manifest,
+    progress: &mut dyn FnMut(&Progress),
+    interrupt: &AtomicBool,
+) -> Result<Summary, Error> {
+    let out = &options.out;
+    let mut writer = FrameWriter::create(out, &scene.name, scene.grid(), FrameKinds::of(scene))?;
+    writer.write_obstacles(&geometry::obstacle_surfaces(scene, &scene.grid())?)?;
+    let mut steps = StepTable::create(out)?;
+    let mut probes = (!scene.probes.is_empty())
+        .then(|| ProbeTable::create(out, &scene.probes))
+        .transpose()?;
+    let mut write_frame = |simulation: &Simulation, manifest: &mut Manifest| {
+        let state = simulation.state()?;
+        writer.write(&state, simulation.cut_cells())?;
+        let at = &mut manifest.progress;
+        at.frames_written.push(state.frame);
+        (at.steps, at.time) = (state.step, state.time);
+        manifest.write(out)
+    };
+    write_frame(simulation, manifest)?;
+    let mut summary = Summary {
+        frames: 0,
+        steps: 0,
+        seconds: 0.0,
+        missed: 0,
+        worst_residual: 0.0,
+        volume_ratio: [1.0; 2],
+        floored: 0,
+    };
+    while simulation.clock().frame < n_frames {
+        let before = simulation.clock().frame;
+        let report = simulation.step()?;
+        let clock = simulation.clock();
+        let volume_ratio = simulation.volume_ratio(&report);
+        let row = StepRow {
+            step: clock.step - 1,
+            time: clock.time,
+            report: &report,
+            volume_ratio,
+        };
+        steps.push(&row)?;
+        if let Some(table) = &mut probes {
+            table.push(clock.step - 1, clock.time, &simulation.probes()?)?;
+        }
+        summary.steps += 1;
+        summary.missed += u64::from(report.solve.status != SolveStatus::Converged);
+        summary.worst_residual = summary.worst_residual.max(report.solve.residual);
+        summary.volume_ratio[0] = summary.volume_ratio[0].min(volume_ratio);
+        summary.volume_ratio[1] = summary.volume_ratio[1].max(volume_ratio);
+        summary.floored += u64::from(report.dt_floored);
+        if clock.frame > before {
+            summary.frames += 1;
+            steps.flush()?;
+            if let Some(table) = &mut probes {
+                table.flush()?;
+            }
+            if clock.frame.is_multiple_of(scene.output.every) || clock.frame == n_frames {
+                write_frame(simulation, manifest)?;
+            }
+        }
+        progress(&Progress {
+            frame: clock.frame,
+            n_frames,
+            time: clock.time,
+            report: &report,
+        });
+        if interrupt.load(Ordering::Relaxed) {
+            steps.flush()?;
+            return Err(Error::Interrupted);
+        }
+    }
+    Ok(summary)
+}
+
+fn adapter_record(adapter: &AdapterReport) -> AdapterRecord {
+    let limits = [
+        ("max_buffer_size", adapter.buffer),
+        (
+            "max_compute_invocations_per_workgroup",
+            adapter.threads.into(),
+        ),
+        (
+            "max_compute_workgroups_per_dimension",
+            adapter.workgroups.into(),
+        ),
+        ("max_storage_buffer_binding_size", adapter.storage_binding),
+        (
+            "max_storage_buffers_per_shader_stage",
+            adapter.storage_buffers.into(),
+        ),
+    ];
+    AdapterRecord {
+        name: adapter.name.clone(),
+        driver: adapter.driver.clone(),
+        backend: adapter.backend.clone(),
+        software: adapter.kind == "software",
+        limits: limits.map(|(name, limit)| (name.to_owned(), limit)).into(),
+    }
+}
