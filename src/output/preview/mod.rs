@@ -325,7 +325,7 @@ fn caption(picture: &mut Picture, time: f64, floor_lines: f32) {
     let scale = (height / 270).max(1);
     let margin = 8 * scale;
     picture.text(margin, margin, scale, &format!("{time:.3} s"), DARK);
-    let lines = format!("{} m", (f64::from(floor_lines) * 1e6).round() / 1e6);
+    let lines = format!("lines {} m", (f64::from(floor_lines) * 1e6).round() / 1e6);
     let across = 6 * scale * lines.len() + margin;
     let y = height.saturating_sub(margin + 7 * scale);
     picture.text(width.saturating_sub(across), y, scale, &lines, DARK);

@@ -7,11 +7,11 @@ use glam::Vec3;
 use crate::Error;
 use crate::output::write_atomically;
 
-/// Width of the animation, pixels: every second pixel or less of the pictures.
+/// Largest width of the animation, pixels.
 const ANIMATION_WIDTH: usize = 640;
 
-/// Rows of x and y, 5 wide and 7 high, of the letters that captions use.
-const LETTERS: [(char, [u8; 7]); 15] = [
+/// The letters of captions: 7 rows of 5 pixels, the left one in bit 4.
+const LETTERS: [(char, [u8; 7]); 18] = [
     ('0', [0x0e, 0x11, 0x13, 0x15, 0x19, 0x11, 0x0e]),
     ('1', [0x04, 0x0c, 0x04, 0x04, 0x04, 0x04, 0x0e]),
     ('2', [0x0e, 0x11, 0x01, 0x02, 0x04, 0x08, 0x1f]),
@@ -25,6 +25,9 @@ const LETTERS: [(char, [u8; 7]); 15] = [
     ('.', [0x00, 0x00, 0x00, 0x00, 0x00, 0x0c, 0x0c]),
     ('e', [0x00, 0x00, 0x0e, 0x11, 0x1f, 0x10, 0x0e]),
     ('-', [0x00, 0x00, 0x00, 0x1f, 0x00, 0x00, 0x00]),
+    ('i', [0x04, 0x00, 0x0c, 0x04, 0x04, 0x04, 0x0e]),
+    ('l', [0x0c, 0x04, 0x04, 0x04, 0x04, 0x04, 0x0e]),
+    ('n', [0x00, 0x00, 0x16, 0x19, 0x11, 0x11, 0x11]),
     ('m', [0x00, 0x00, 0x1a, 0x15, 0x15, 0x11, 0x11]),
     ('s', [0x00, 0x00, 0x0e, 0x10, 0x0e, 0x01, 0x1e]),
 ];
@@ -152,7 +155,7 @@ impl Picture {
     /// Writes a PNG file.
     pub(super) fn write(&self, path: &Path) -> Result<(), Error> {
         let mut bytes = Vec::new();
-        let encode = || -> Result<(), png::EncodingError> {
+        let mut encode = || -> Result<(), png::EncodingError> {
             let mut encoder =
                 png::Encoder::new(&mut bytes, self.size[0] as u32, self.size[1] as u32);
             encoder.set_color(png::ColorType::Rgb);
@@ -162,7 +165,6 @@ impl Picture {
             writer.write_image_data(&self.bytes)?;
             writer.finish()
         };
-        let mut encode = encode;
         encode().map_err(|problem| Error::output(path, problem))?;
         write_atomically(path, &bytes)
     }
