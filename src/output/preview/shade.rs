@@ -9,11 +9,12 @@ use super::liquid::LiquidField;
 use super::picture::Picture;
 use super::triangles::{Hit, Triangles};
 
-/// Refractive index of water.
-const WATER: f32 = 1.33;
+/// Refractive index of the picture's liquid. Water's 1.33 would show a sunken body once through the surface and once more,
+/// elsewhere, through each wall; this bends enough to look wet and leaves things where they are.
+const REFRACTION: f32 = 1.08;
 
 /// What liquid takes from red, green and blue light over one depth of the domain, nepers.
-const ABSORPTION: Vec3 = Vec3::new(8.5, 3.0, 1.5);
+const ABSORPTION: Vec3 = Vec3::new(10.0, 3.6, 1.8);
 
 /// What it gives back of it: the colour of deep liquid.
 const DEEP: Vec3 = Vec3::new(0.010, 0.165, 0.29);
@@ -311,7 +312,7 @@ fn transmittance(length: f32) -> Vec3 {
 
 /// Direction in the liquid of light that comes in from air.
 fn refract(direction: Vec3, normal: Vec3, cosine: f32) -> Vec3 {
-    let ratio = 1.0 / WATER;
+    let ratio = 1.0 / REFRACTION;
     let inner = (1.0 - ratio * ratio * (1.0 - cosine * cosine))
         .max(0.0)
         .sqrt();
