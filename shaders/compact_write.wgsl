@@ -1,4 +1,4 @@
-// Compaction, last of three: the indices of the non-zero flags.
+// Compaction, last of three: the indices of the non-zero flags, each tagged with the highest bit of its flag.
 // range: where to look. flags: groups of four flags. chunks: index of each chunk's first entry. list: indices, from range.first.
 #import dispatch
 #import compact
@@ -7,6 +7,8 @@
 @group(0) @binding(1) var<storage, read> flags: array<vec4<u32>>;
 @group(0) @binding(2) var<storage, read> chunks: array<u32>;
 @group(0) @binding(3) var<storage, read_write> list: array<u32>;
+
+const TAG = 0x80000000u;
 
 @compute @workgroup_size(WG_SIZE)
 fn compact_write(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
@@ -21,7 +23,7 @@ fn compact_write(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_inv
         let four = flags[g];
         for (var l = 0u; l < 4u; l++) {
             if four[l] != 0u {
-                list[at] = 4u * g + l;
+                list[at] = (4u * g + l) | (four[l] & TAG);
                 at++;
             }
         }

@@ -34,9 +34,11 @@ fn pcg_alpha(@builtin(local_invocation_index) lane: u32) {
         ends |= rr <= scalars[GOAL];
     } else {
         scalars[ALPHA] = Real(0.0);
-        control.status = STATUS_BREAKDOWN;
+        // Later in a round s is down to rounding, and the turn judges what was reached.
+        control.status = select(control.status, STATUS_BREAKDOWN, control.first == 1u);
         ends = true;
     }
+    control.first = 0u;
     if ends {
         control.running = 0u;
         gate_levels(false);

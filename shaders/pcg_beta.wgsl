@@ -21,7 +21,8 @@ fn pcg_beta(@builtin(local_invocation_index) lane: u32) {
     }
     gate_extra(BEGIN, false);
     if !(rz > Real(0.0)) {
-        control.status = STATUS_BREAKDOWN;
+        // Later in a round r is down to its rounding, and the turn judges what was reached.
+        control.status = select(control.status, STATUS_BREAKDOWN, control.first == 1u);
         control.running = 0u;
         gate_levels(false);
         gate_extra(UPDATE, false);
@@ -30,5 +31,4 @@ fn pcg_beta(@builtin(local_invocation_index) lane: u32) {
     }
     scalars[BETA] = select(rz / scalars[RZ], Real(0.0), control.first == 1u);
     scalars[RZ] = rz;
-    control.first = 0u;
 }

@@ -4,7 +4,7 @@ struct Control {
     status: u32,            // STATUS_*
     iterations: u32,        // in all rounds
     max_iterations: u32,
-    first: u32,             // 1 until the round has its first direction
+    first: u32,             // 1 until the round has made its first step
     rounds: u32,            // rounds begun
     unknowns: u32,          // active cells
     n_levels: u32,

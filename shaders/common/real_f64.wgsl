@@ -1,3 +1,6 @@
 // The scalar type of this variant.
 alias Real = f64;
 alias Real4 = vec4<f64>;
+
+// Distance from 1 to the next larger scalar.
+const EPSILON = Real(2.220446049250313e-16lf);

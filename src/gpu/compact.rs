@@ -1,4 +1,5 @@
-//! Deterministic stream compaction: the indices of all non-zero flags, ascending, with the dispatch size for them.
+//! Deterministic stream compaction: the indices of all non-zero flags, ascending, with the dispatch size for them. An entry carries the
+//! highest bit of its flag, so that a kernel over the list need not load the flag for one common question.
 //!
 //! Count per chunk, scan the counts in one workgroup, write: three dispatches, no atomics, so the list is a function of the
 //! flags alone.

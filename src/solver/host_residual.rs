@@ -1,5 +1,7 @@
 //! The residual of the stored system in f64 on the host, for adapters without f64 and for verdicts on f32 solves.
 
+use std::collections::BTreeMap;
+
 use rayon::prelude::*;
 
 use crate::Error;
@@ -7,6 +9,7 @@ use crate::gpu::Gpu;
 use crate::grid::Padded;
 
 use super::SolverBuffers;
+use super::components::OPEN;
 
 /// Level 0 of the stored system, widened; device layout.
 #[derive(Debug)]
@@ -59,6 +62,21 @@ impl HostSystem {
             })
             .collect();
         (r, norms.iter().sum())
+    }
+
+    /// Takes the mean over every closed component out of a field; `labels` as in [`SolverBuffers::labels`].
+    pub(super) fn remove_closed_means(&self, labels: &[u32], field: &mut [f64]) {
+        let closed = |cell: &usize| self.active[*cell] && labels[*cell] & OPEN == 0;
+        let mut sums = BTreeMap::new();
+        for cell in (0..field.len()).filter(closed) {
+            let (sum, cells) = sums.entry(labels[cell]).or_insert((0.0, 0.0));
+            *sum += field[cell];
+            *cells += 1.0;
+        }
+        for cell in (0..field.len()).filter(closed) {
+            let (sum, cells) = sums[&labels[cell]];
+            field[cell] -= sum / cells;
+        }
     }
 
     /// Sets inactive cells to 0.

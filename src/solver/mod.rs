@@ -24,12 +24,14 @@
 //!
 //! Letters: x correction, r residual, z preconditioned residual, s search direction, q = B s.
 
+mod components;
 mod hierarchy;
 mod host_residual;
 mod pcg;
 mod refine;
 mod system;
 
+pub use components::Components;
 pub use hierarchy::Hierarchy;
 pub use refine::{Outcome, PressureSolver, Status};
 pub use system::{LevelPlan, PressureSystem, SolverBuffers};
@@ -91,7 +93,7 @@ pub struct Control {
     pub iterations: u32,
     /// Where to stop.
     pub max_iterations: u32,
-    /// 1 until the round has its first direction.
+    /// 1 until the round has made its first step.
     pub first: u32,
     /// Rounds begun.
     pub rounds: u32,

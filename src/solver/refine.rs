@@ -5,6 +5,7 @@ use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, Readback, RealBuffer, Recorde
 use crate::scene::{Precision, Preconditioner, Solver};
 
 use super::Control;
+use super::components::{CLOSED, STATE_WORDS};
 use super::host_residual::HostSystem;
 use super::pcg::{Fold, Pcg, State, first_sweep};
 use super::system::SolverBuffers;
@@ -68,12 +69,22 @@ pub struct Outcome {
     pub rounds: u32,
     /// Active cells.
     pub unknowns: u32,
+    /// Components without a free surface, if [`Components`](super::Components) looked for them.
+    pub closed_components: u32,
     /// |b - B x| / |b|; 0 for b = 0.
     pub residual: f64,
     /// |b - B x| over the norm of the fluxes that b sums.
     pub residual_flux: f64,
     /// Whether `residual` was evaluated in f64.
     pub verified: bool,
+}
+
+/// What the host reads of the device's state.
+#[derive(Debug)]
+struct Reading {
+    control: Control,
+    norms: Vec<f64>,
+    closed: u32,
 }
 
 /// The doppelganger of `RefineSettings` in `shaders/refine_turn.wgsl`.
@@ -318,9 +329,10 @@ impl PressureSolver {
                 }
                 self.record_turn(pass);
             });
-            let (control, norms, mut stages) = self.submit(gpu, recorder)?;
+            let (reading, mut stages) = self.submit(gpu, recorder, buffers)?;
             times.append(&mut stages);
-            let mut outcome = self.outcome(&control, &norms);
+            let norms = &reading.norms;
+            let mut outcome = self.outcome(&reading);
             if let Some(outcome) = &mut outcome {
                 if outcome.status == Status::Stagnated {
                     // One more turn, so that a correction on trial is taken back.
@@ -347,22 +359,30 @@ impl PressureSolver {
         &self,
         gpu: &Gpu,
         mut recorder: Recorder,
-    ) -> Result<(Control, Vec<f64>, crate::gpu::StageTimes), Error> {
+        buffers: &SolverBuffers,
+    ) -> Result<(Reading, crate::gpu::StageTimes), Error> {
         let mut control = Readback::new(gpu, "solver.control", 1)?;
         let mut norms = Readback::new(gpu, "solver.norms", self.norms.words.len())?;
+        let mut components = Readback::new(gpu, "solver.components", STATE_WORDS)?;
         recorder.read(&self.state.control, &mut control);
         recorder.read(&self.norms.words, &mut norms);
-        let timing = recorder.submit();
-        let times = timing.wait(gpu)?;
-        Ok((
-            control.wait(gpu)?[0],
-            self.norms.widen(&norms.wait(gpu)?),
-            times,
-        ))
+        recorder.read(&buffers.components, &mut components);
+        let times = recorder.submit().wait(gpu)?;
+        let reading = Reading {
+            control: control.wait(gpu)?[0],
+            norms: self.norms.widen(&norms.wait(gpu)?),
+            closed: components.wait(gpu)?[CLOSED],
+        };
+        Ok((reading, times))
     }
 
     /// The verdict, or `None` while there is more to do.
-    fn outcome(&self, control: &Control, norms: &[f64]) -> Option<Outcome> {
+    fn outcome(&self, reading: &Reading) -> Option<Outcome> {
+        let Reading {
+            control,
+            norms,
+            closed,
+        } = reading;
         let status = match control.status {
             _ if !norms[NORM_R].is_finite() || !norms[NORM_B].is_finite() => Status::NonFinite,
             0 => return None,
@@ -377,6 +397,7 @@ impl PressureSolver {
             iterations: control.iterations,
             rounds: control.rounds,
             unknowns: control.unknowns,
+            closed_components: *closed,
             residual: relative(norms[NORM_R], norms[NORM_B]),
             residual_flux: relative(norms[NORM_R], norms[NORM_FLUX]),
             verified: self.variant.real == crate::gpu::Real::F64,
@@ -386,10 +407,20 @@ impl PressureSolver {
     /// The outer loop for adapters without f64: the rounds run on the device, the unknowns and the residual are held in f64 on
     /// the host, one exchange per round.
     fn solve_with_host_turns(&self, gpu: &Gpu, buffers: &SolverBuffers) -> Result<Outcome, Error> {
-        let (mut control, mut norms, _) = self.submit(gpu, Recorder::new(gpu))?;
+        let (reading, _) = self.submit(gpu, Recorder::new(gpu), buffers)?;
+        let Reading {
+            mut control,
+            mut norms,
+            closed,
+        } = reading;
         let system = HostSystem::download(gpu, buffers)?;
         let args = gpu.download(&buffers.args)?;
-        let rhs = buffers.rhs.download(gpu)?;
+        let mut rhs = buffers.rhs.download(gpu)?;
+        if closed > 0 {
+            // Rounding to f32 gave them means again, of which no solution could get below the tolerance.
+            let labels = gpu.download(&buffers.labels)?;
+            system.remove_closed_means(&labels, &mut rhs);
+        }
         let mut x = vec![0.0; rhs.len()];
         let (mut r, mut rr) = system.residual(&x, &rhs);
         let goal = (self.solver.tolerance.powi(2) * norms[NORM_B])
@@ -417,7 +448,7 @@ impl PressureSolver {
             });
             loop {
                 recorder.stage("solve", |pass| self.record_iterations(pass));
-                (control, _, _) = self.submit(gpu, recorder)?;
+                control = self.submit(gpu, recorder, buffers)?.0.control;
                 if control.running == 0 {
                     break;
                 }
@@ -443,6 +474,7 @@ impl PressureSolver {
             iterations: control.iterations,
             rounds: control.rounds,
             unknowns: control.unknowns,
+            closed_components: closed,
             residual: relative(rr, norms[NORM_B]),
             residual_flux: relative(rr, norms[NORM_FLUX]),
             verified: true,

@@ -8,6 +8,7 @@ use crate::gpu::{
 use crate::grid::{Grid, Padded};
 use crate::scene::Precision;
 
+use super::components::STATE_WORDS;
 use super::{FOLD_THREADS, Level, TAIL_LEVELS, TAIL_QUADS};
 
 /// The levels of the hierarchy and where they lie: a function of the grid alone.
@@ -100,7 +101,7 @@ pub struct SolverBuffers {
     pub plan: LevelPlan,
     /// Scalar types.
     pub variant: Variant,
-    /// Active lanes (bits 0-3) and the uniform tag, per quad.
+    /// Per quad: active lanes (bits 0-3), those in closed components (bits 4-7), and the uniform tag.
     pub flags: Buffer<u32>,
     /// Active quads per level, tagged.
     pub list: Buffer<u32>,
@@ -112,6 +113,11 @@ pub struct SolverBuffers {
     pub rhs: RealBuffer,
     /// Potential phi, level 0, m/s.
     pub potential: RealBuffer,
+    /// Per padded cell, where [`Components`](super::Components) found closed ones: the scalar index of the smallest cell of
+    /// its component, with the highest bit set unless the component is closed. What inactive quads hold means nothing.
+    pub labels: Buffer<u32>,
+    /// State of that stage; its first word is the number of closed components.
+    pub components: Buffer<u32>,
     pub(super) outer: RealBuffer,
     pub(super) r: RealBuffer,
     pub(super) z: RealBuffer,
@@ -137,6 +143,8 @@ impl SolverBuffers {
             RealBuffer::plan("solver.matrix", 5 * total, inner),
             RealBuffer::plan("solver.rhs", cells, real),
             RealBuffer::plan("solver.potential", cells, real),
+            BufferPlan::of::<u32>("solver.labels", cells),
+            BufferPlan::of::<u32>("solver.components", STATE_WORDS),
             RealBuffer::plan("solver.outer", cells, real),
             RealBuffer::plan("solver.r", total, inner),
             RealBuffer::plan("solver.z", total, inner),
@@ -183,6 +191,8 @@ impl SolverBuffers {
             matrix: inner("solver.matrix")?,
             rhs: real("solver.rhs")?,
             potential: real("solver.potential")?,
+            labels: words("solver.labels")?,
+            components: words("solver.components")?,
             outer: real("solver.outer")?,
             r: inner("solver.r")?,
             z: inner("solver.z")?,

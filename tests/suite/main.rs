@@ -1,6 +1,7 @@
 //! All integration tests, in one binary so that the dependencies are linked once.
 
 mod common;
+mod components;
 mod geometry;
 mod gpu;
 mod layout;

@@ -1,0 +1,39 @@
+// Stage closed_components, only where some are closed: every cell gets the label of its root, and its quad a flag if the component is
+// closed.
+// list: active quads. state: see components. labels: in and out, see components. flags: closed lanes, in bits 4-7.
+#import dispatch
+#import level
+#import find
+
+@group(0) @binding(0) var<storage, read> list: array<u32>;
+@group(0) @binding(1) var<storage, read> state: array<u32>;
+@group(0) @binding(2) var<storage, read_write> labels: array<atomic<u32>>;
+@group(0) @binding(3) var<storage, read_write> flags: array<u32>;
+
+@compute @workgroup_size(WG_SIZE)
+fn components_flag(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let ix = linear_index(workgroup, lane);
+    if ix >= state[QUADS] {
+        return;
+    }
+    let entry = list[ix];
+    let q = entry & ~UNIFORM;
+    let flag = flags[q];
+    var closed = 0u;
+    var label = NONE;
+    for (var l = 0u; l < 4u; l++) {
+        if (flag & (1u << l)) == 0u {
+            continue;
+        }
+        // The cells of a uniform quad are joined.
+        if l == 0u || (entry & UNIFORM) == 0u {
+            let root = find(4u * q + l);
+            label = root | (atomicLoad(&labels[root]) & OPEN);
+        }
+        atomicStore(&labels[4u * q + l], label);
+        if (label & OPEN) == 0u {
+            closed |= 16u << l;
+        }
+    }
+    flags[q] = flag | closed;
+}

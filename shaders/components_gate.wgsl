@@ -1,0 +1,23 @@
+// Stage closed_components, one thread: how many components are closed, and the dispatch sizes of what they call for: nothing
+// if there are none.
+// args: sizes of the lists. state: see components. sizes: for a thread per active quad, and for one per RUN quads.
+#import dispatch
+#import components
+
+@group(0) @binding(0) var<storage, read> args: array<u32>;
+@group(0) @binding(1) var<storage, read_write> state: array<u32>;
+@group(0) @binding(2) var<storage, read_write> sizes: array<vec4<u32>>;
+
+@compute @workgroup_size(1)
+fn components_gate() {
+    let closed = state[COUNTER];
+    let quads = args[3];
+    state[CLOSED] = closed;
+    state[COUNTER] = 0u;
+    state[QUADS] = quads;
+    state[LARGEST] = 0u;
+    state[LARGEST + 1u] = 0u;
+    let n = select(0u, quads, closed > 0u);
+    sizes[0] = vec4<u32>(workgroups_for(n), n);
+    sizes[1] = vec4<u32>(workgroups_for((n + RUN - 1u) / RUN), n);
+}

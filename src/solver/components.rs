@@ -1,0 +1,148 @@
+//! Stage `closed_components`: the liquid components without a free surface, whose pressure is fixed up to a constant.
+//!
+//! **Labels.** Union-find over the faces with weight: every cell first points to its neighbour below, which makes trees without
+//! atomics (Komura 2015), the trees are joined with `atomicMin` where a face joins anything new (Playne and Hawick 2018), and every component
+//! has the smallest index of its cells as its root, whatever the order of the threads. Only quads at surfaces and walls do more than
+//! look at their neighbours' flags. Roots reached from no free-surface face are counted; unless there are any, nothing else is dispatched.
+//!
+//! **Means.** Sums over a component are integer sums of 96 bits, so a run repeats bit for bit, and as exact in f32 as in f64. They
+//! borrow buffers of the solve, which has not begun or is over when they are needed.
+
+use crate::Error;
+use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, RealBuffer};
+
+use super::system::SolverBuffers;
+
+/// Words of [`SolverBuffers::components`].
+pub(super) const STATE_WORDS: usize = 8;
+/// Word with the number of closed components; `shaders/common/components.wgsl` names the words.
+pub(super) const CLOSED: usize = 0;
+/// Bit of a label whose component has a free surface; `shaders/common/components.wgsl` has it too.
+pub(super) const OPEN: u32 = 0x8000_0000;
+/// Words with the largest magnitude in closed components: of the right-hand side, of the potential.
+const LARGEST: [u32; 2] = [4, 5];
+
+/// The stage, in two parts: [`Components::label`] after `active_cells`, before anything asks which cells are closed, and
+/// [`Components::remove_means`] once the right-hand side stands.
+#[derive(Debug)]
+pub struct Components {
+    init: Bound,
+    merge: Bound,
+    open: Bound,
+    gate: Bound,
+    flag: Bound,
+    rhs: Means,
+    potential: Means,
+    /// Dispatch sizes of what closed components call for: a thread per active quad; fewer, with a run of quads each.
+    sizes: Buffer<u32>,
+}
+
+impl Components {
+    /// The stage's name.
+    pub const NAME: &'static str = "closed_components";
+
+    /// Compiles and binds. All fields are in [`SolverBuffers`].
+    ///
+    /// # Errors
+    /// As [`Kernel::new`] and [`Gpu::buffer`].
+    pub fn new(gpu: &Gpu, buffers: &SolverBuffers) -> Result<Components, Error> {
+        let SolverBuffers {
+            plan,
+            variant,
+            flags,
+            list,
+            args,
+            matrix,
+            rhs,
+            potential,
+            labels,
+            components,
+            ..
+        } = buffers;
+        let level = gpu.uniform("solver.level", &plan.level(0))?;
+        let sizes = gpu.buffer("solver.closed_sizes", 8)?;
+        let level = ("level", (&level).into());
+        let (list, args) = (("list", list.into()), ("args", args.into()));
+        let (flags, matrix) = (("flags", flags.into()), ("matrix", matrix.into()));
+        let (labels, state) = (("labels", labels.into()), ("state", components.into()));
+        let kernel = |source| Kernel::new(gpu, source, variant.inner);
+        Ok(Components {
+            init: kernel(&crate::wgsl!("components_init"))?
+                .bind(gpu, &[level, list, args, flags, matrix, labels])?,
+            merge: kernel(&crate::wgsl!("components_merge"))?
+                .bind(gpu, &[level, list, args, flags, matrix, labels])?,
+            open: kernel(&crate::wgsl!("components_open"))?
+                .bind(gpu, &[level, list, args, matrix, labels, state])?,
+            gate: kernel(&crate::wgsl!("components_gate"))?
+                .bind(gpu, &[args, state, ("sizes", (&sizes).into())])?,
+            flag: kernel(&crate::wgsl!("components_flag"))?
+                .bind(gpu, &[list, state, labels, flags])?,
+            rhs: Means::new(gpu, buffers, rhs, LARGEST[0])?,
+            potential: Means::new(gpu, buffers, potential, LARGEST[1])?,
+            sizes,
+        })
+    }
+
+    /// Records the labelling. Afterwards bits 4 to 7 of [`SolverBuffers::flags`] say which lanes of a quad belong to closed
+    /// components.
+    pub fn label(&self, pass: &mut Pass, buffers: &SolverBuffers) {
+        for bound in [&self.init, &self.merge, &self.open] {
+            pass.dispatch_indirect(bound, &buffers.args, 0);
+        }
+        pass.dispatch(&self.gate, 1);
+        pass.dispatch_indirect(&self.flag, &self.sizes, 0);
+    }
+
+    /// Takes the mean over every closed component out of the right-hand side, without which the system has no solution.
+    pub fn remove_means(&self, pass: &mut Pass) {
+        self.rhs.record(pass, &self.sizes);
+    }
+
+    /// After the solve: gives the potential of every closed component the mean zero.
+    pub fn centre_potential(&self, pass: &mut Pass) {
+        self.potential.record(pass, &self.sizes);
+    }
+}
+
+/// Takes the means over closed components out of one field.
+#[derive(Debug)]
+struct Means {
+    largest: Bound,
+    sum: Bound,
+    subtract: Bound,
+}
+
+impl Means {
+    fn new(
+        gpu: &Gpu,
+        buffers: &SolverBuffers,
+        field: &RealBuffer,
+        largest: u32,
+    ) -> Result<Means, Error> {
+        let settings = gpu.uniform("solver.closed_settings", &[largest, 0, 0, 0])?;
+        let bindings = [
+            ("settings", (&settings).into()),
+            ("list", (&buffers.list).into()),
+            ("labels", (&buffers.labels).into()),
+            ("field", field.into()),
+            ("state", (&buffers.components).into()),
+            // A word per cell of each, which only their own threads read in the solve, after writing it.
+            ("high", (&buffers.outer).into()),
+            ("middle", (&buffers.outer_partials).into()),
+            ("low", (&buffers.partials).into()),
+            ("count", (&buffers.q).into()),
+        ];
+        let bind = |source| Kernel::new(gpu, source, field.real)?.bind(gpu, &bindings);
+        Ok(Means {
+            largest: bind(&crate::wgsl!("components_largest"))?,
+            sum: bind(&crate::wgsl!("components_sum"))?,
+            subtract: bind(&crate::wgsl!("components_subtract"))?,
+        })
+    }
+
+    fn record(&self, pass: &mut Pass, sizes: &Buffer<u32>) {
+        pass.dispatch_indirect(&self.largest, sizes, 1);
+        pass.dispatch_indirect(&self.sum, sizes, 1);
+        pass.dispatch_indirect(&self.subtract, sizes, 0);
+    }
+}
