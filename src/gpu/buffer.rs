@@ -2,6 +2,7 @@
 
 use std::marker::PhantomData;
 use std::sync::mpsc;
+use std::time::Duration;
 
 use bytemuck::Pod;
 
@@ -228,13 +229,45 @@ impl RealBuffer {
     }
 }
 
+/// The news that a buffer is mapped.
+#[derive(Debug)]
+pub(super) struct Arrival(mpsc::Receiver<Result<(), wgpu::BufferAsyncError>>);
+
+/// How long another thread may take to pass the news on.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+impl Arrival {
+    /// Asks for a buffer to be mapped for reading after the work submitted so far.
+    pub(super) fn request(raw: &wgpu::Buffer) -> Arrival {
+        let (send, receive) = mpsc::channel();
+        raw.map_async(wgpu::MapMode::Read, .., move |result| {
+            // The receiver is gone only when whoever asked gave up.
+            let _ = send.send(result);
+        });
+        Arrival(receive)
+    }
+
+    /// Waits for the work, and for the news, which a thread that polled at the same time may be about to pass on.
+    pub(super) fn wait(self, gpu: &Gpu, during: &str) -> Result<(), Error> {
+        gpu.wait(during)?;
+        let fault = |problem: String| Error::Gpu {
+            during: during.to_owned(),
+            problem,
+        };
+        self.0
+            .recv_timeout(PATIENCE)
+            .map_err(|_| fault("the mapping did not arrive".to_owned()))?
+            .map_err(|error| fault(error.to_string()))
+    }
+}
+
 /// A host-visible copy of (the start of) a buffer, filled by [`Recorder::read`] and fetched after the submission.
 #[derive(Debug)]
 pub struct Readback<T> {
     pub(super) raw: wgpu::Buffer,
     pub(super) len: usize,
     label: String,
-    arrival: Option<mpsc::Receiver<Result<(), wgpu::BufferAsyncError>>>,
+    arrival: Option<Arrival>,
     element: PhantomData<T>,
 }
 
@@ -258,12 +291,7 @@ impl<T: Pod> Readback<T> {
 
     /// Asks for the contents as of the work submitted so far; the host goes on meanwhile.
     pub fn start(&mut self) {
-        let (send, receive) = mpsc::channel();
-        self.raw.map_async(wgpu::MapMode::Read, .., move |result| {
-            // The receiver is gone only when the read-back itself was dropped.
-            let _ = send.send(result);
-        });
-        self.arrival = Some(receive);
+        self.arrival = Some(Arrival::request(&self.raw));
     }
 
     /// Waits for the contents; starts the request if [`Readback::start`] was not called.
@@ -274,20 +302,12 @@ impl<T: Pod> Readback<T> {
         if self.arrival.is_none() {
             self.start();
         }
-        gpu.wait(&self.label)?;
-        let fault = |problem: String| Error::Gpu {
-            during: self.label.clone(),
-            problem,
-        };
         let arrival = self.arrival.take().expect("a request was started above");
-        arrival
-            .try_recv()
-            .map_err(|_| fault("the mapping did not arrive".to_owned()))?
-            .map_err(|error| fault(error.to_string()))?;
-        let view = self
-            .raw
-            .get_mapped_range(..)
-            .map_err(|error| fault(error.to_string()))?;
+        arrival.wait(gpu, &self.label)?;
+        let view = self.raw.get_mapped_range(..).map_err(|error| Error::Gpu {
+            during: self.label.clone(),
+            problem: error.to_string(),
+        })?;
         // Mapped memory need not be aligned for f64, so the bytes are copied.
         let mut values = vec![T::zeroed(); self.len];
         let bytes: &mut [u8] = bytemuck::cast_slice_mut(&mut values);

@@ -2,6 +2,7 @@
 
 use bytemuck::Pod;
 
+use super::buffer::Arrival;
 use super::{Bound, Buffer, Gpu, Readback};
 
 /// Workgroups along x before a dispatch continues along y; `common/dispatch.wgsl` has the same constant. Below the 65,535
@@ -208,8 +209,7 @@ impl Timing {
         let Some(raw) = self.raw else {
             return Ok(Vec::new());
         };
-        raw.map_async(wgpu::MapMode::Read, .., |_| {});
-        gpu.wait("stage times")?;
+        Arrival::request(&raw).wait(gpu, "stage times")?;
         let view = raw
             .get_mapped_range(..)
             .map_err(|error| crate::Error::Gpu {

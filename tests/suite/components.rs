@@ -54,12 +54,12 @@ fn assert_components(device: &mut Device, name: &str, case: &Case) {
         .iter()
         .flatten()
         .for_each(|&cell| closed[cell] = true);
-    for cell in 0..grid.n_cells() {
+    for (cell, &closed) in closed.iter().enumerate() {
         let at = padded.index(grid.cell_at(cell));
         let flag = flags[at / 4] >> (at % 4);
         assert_eq!(
             (flag & 1 == 1, flag >> 4 & 1 == 1),
-            (active.stencil.active(cell), closed[cell]),
+            (active.stencil.active(cell), closed),
             "{name}: active and closed flag of cell {:?}",
             grid.cell_at(cell)
         );
