@@ -1,5 +1,6 @@
 //! All integration tests, in one binary so that the dependencies are linked once.
 
+mod cli;
 mod common;
 mod components;
 mod geometry;

@@ -1,0 +1,402 @@
+//! The program as a user has it: arguments, files, messages and exit codes.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::common::gpu;
+
+const DAM: &str = r#"# A small dam break.
+[domain]
+size = [1.5, 1.0, 0.5]
+cells = [24, 16, 8]
+[time]
+duration = 0.25
+[[liquid.region]]
+box = { min = [0, 0, 0], max = [0.5, 0.75, 0.5] }
+[[probe]]
+name = "front"
+front = { axis = "x" }
+[camera]
+size = [64, 36]
+"#;
+
+/// A new folder with a scene file `dam.toml`.
+fn folder(scene: &str) -> TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("dam.toml"), scene).unwrap();
+    folder
+}
+
+/// The program in a folder, ready to start; arguments are separated by spaces.
+fn cutwater(folder: &TempDir, arguments: &str) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_cutwater"));
+    command
+        .args(arguments.split_whitespace())
+        .current_dir(folder.path())
+        .stdin(Stdio::null());
+    command
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
+
+/// Runs a command to its end, which must have this exit code, and must not have come by a panic.
+fn ends(mut command: Command, code: i32) -> Output {
+    let output = command.output().unwrap();
+    let (out, err) = (text(&output.stdout), text(&output.stderr));
+    assert_eq!(
+        output.status.code(),
+        Some(code),
+        "{command:?}\n{out}\n{err}"
+    );
+    assert!(!err.contains("panicked"), "{command:?}\n{err}");
+    output
+}
+
+/// As [`ends`]; gives what the program prints on standard output.
+fn says(folder: &TempDir, arguments: &str) -> String {
+    text(&ends(cutwater(folder, arguments), 0).stdout)
+}
+
+/// As [`ends`]; gives what the program complains about.
+fn complains(folder: &TempDir, arguments: &str, code: i32) -> String {
+    text(&ends(cutwater(folder, arguments), code).stderr)
+}
+
+fn manifest(run: &Path) -> Value {
+    serde_json::from_str(&fs::read_to_string(run.join("manifest.json")).unwrap()).unwrap()
+}
+
+/// Names of the files in a folder, sorted.
+fn list(folder: &Path) -> Vec<String> {
+    let entries = fs::read_dir(folder).unwrap();
+    let mut names: Vec<_> = entries
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort();
+    names
+}
+
+/// The columns of a table by their names.
+fn column(table: &Path, name: &str) -> Vec<f64> {
+    let mut reader = csv::Reader::from_path(table).unwrap();
+    let index = reader
+        .headers()
+        .unwrap()
+        .iter()
+        .position(|head| head == name);
+    let index = index.unwrap_or_else(|| panic!("{}: no column {name}", table.display()));
+    reader
+        .records()
+        .map(|row| row.unwrap()[index].parse().unwrap())
+        .collect()
+}
+
+#[test]
+fn help_lists_the_commands_of_the_readme() {
+    let folder = folder(DAM);
+    let help = says(&folder, "--help");
+    let commands = help
+        .split("Commands:")
+        .nth(1)
+        .unwrap()
+        .split("Options:")
+        .next()
+        .unwrap();
+    let readme =
+        fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md")).unwrap();
+    let mut n = 0;
+    for line in commands
+        .lines()
+        .filter(|line| line.starts_with("  ") && !line.starts_with("   "))
+    {
+        let command = line.split_whitespace().next().unwrap();
+        if command != "help" {
+            assert!(
+                readme.contains(&format!("| [`cutwater {command}")),
+                "README.md: no command {command}"
+            );
+            assert!(
+                says(&folder, &format!("{command} --help")).contains("Usage: cutwater"),
+                "{command}"
+            );
+            n += 1;
+        }
+    }
+    assert!(n > 1, "{help}");
+    assert_eq!(
+        says(&folder, "--version"),
+        concat!("cutwater ", env!("CARGO_PKG_VERSION"), "\n")
+    );
+}
+
+#[test]
+fn wrong_arguments_are_bad_input() {
+    let folder = folder(DAM);
+    assert!(complains(&folder, "run dam.toml --ouut x", 2).contains("--out"));
+    assert!(complains(&folder, "walk dam.toml", 2).contains("walk"));
+    assert!(complains(&folder, "run dam.toml --backend tpu", 2).contains("cpu"));
+}
+
+#[test]
+fn a_missing_scene_is_bad_input() {
+    let message = complains(&folder(DAM), "run pool.toml", 2);
+    assert!(
+        message.starts_with("error: ")
+            && message.contains("pool.toml")
+            && message.contains("cure: "),
+        "{message}"
+    );
+}
+
+#[test]
+fn a_broken_scene_is_bad_input_with_file_line_key_and_cure() {
+    for (good, broken, line, key, cure) in [
+        (
+            "cells = [24, 16, 8]",
+            "celss = [24, 16, 8]",
+            4,
+            "domain.celss",
+            "cells",
+        ),
+        ("duration = 0.25", "duration = -1", 6, "time.duration", "0"),
+        (
+            "axis = \"x\"",
+            "axis = \"w\"",
+            11,
+            "probe[0].front.axis",
+            "\"x\"",
+        ),
+        ("[camera]", "[camera", 12, "", "]"),
+    ] {
+        let folder = folder(&DAM.replace(good, broken));
+        let message = complains(&folder, "run dam.toml", 2);
+        assert!(
+            message.starts_with(&format!("error: dam.toml:{line}: {key}")),
+            "{message}"
+        );
+        assert!(
+            message.contains("cure: ") && message.contains(cure),
+            "{message}"
+        );
+        assert!(!folder.path().join("out").exists(), "a run was begun");
+    }
+    let message = complains(&folder(DAM), "run dam.toml --set liquid.densty=1", 2);
+    assert!(
+        message.contains("liquid.densty") && message.contains("density"),
+        "{message}"
+    );
+}
+
+#[test]
+fn a_run_writes_what_the_page_says() {
+    let folder = folder(DAM);
+    let said = says(&folder, "run dam.toml --backend cpu --frames 2 --preview");
+    let run = folder.path().join("out/dam");
+    for part in [
+        "frame 1 of 2: ",
+        "frame 2 of 2: ",
+        "frames: ",
+        "3 pictures: ",
+        "animation: ",
+    ] {
+        assert!(said.contains(part), "{said}");
+    }
+    assert_eq!(
+        list(&run),
+        [
+            "frames",
+            "manifest.json",
+            "preview",
+            "probes.csv",
+            "steps.csv"
+        ]
+    );
+    let frames = [
+        "dam_000000.vtp",
+        "dam_000001.vtp",
+        "dam_000002.vtp",
+        "dam_markers.pvd",
+    ];
+    assert_eq!(list(&run.join("frames")), frames);
+    assert_eq!(
+        list(&run.join("preview")),
+        [
+            "dam.png",
+            "dam_000000.png",
+            "dam_000001.png",
+            "dam_000002.png"
+        ]
+    );
+    let manifest = manifest(&run);
+    assert_eq!(manifest["progress"]["status"], "finished");
+    assert_eq!(
+        manifest["progress"]["frames_written"],
+        serde_json::json!([0, 1, 2])
+    );
+    assert_eq!(manifest["options"]["backend"], "cpu");
+    assert_eq!(manifest["adapter"], Value::Null);
+    let times = column(&run.join("steps.csv"), "t");
+    assert_eq!(times.last(), Some(&(2.0 / 24.0)));
+    assert!(times.is_sorted() && times.len() >= 2, "{times:?}");
+    assert_eq!(column(&run.join("probes.csv"), "t"), times);
+    let fronts = column(&run.join("probes.csv"), "front");
+    assert!(
+        fronts.iter().all(|front| (0.45..0.75).contains(front)),
+        "{fronts:?}"
+    );
+}
+
+#[test]
+fn a_scene_is_changed_from_the_command_line() {
+    let folder = folder(DAM);
+    says(
+        &folder,
+        "run dam.toml --backend cpu --frames 1 --scale 0.5 --set output.fields=true --set liquid.seed=7 --out a",
+    );
+    let manifest = manifest(&folder.path().join("a"));
+    assert_eq!(manifest["cells"], serde_json::json!([12, 8, 4]));
+    assert_eq!(manifest["options"]["scale"], 0.5);
+    assert_eq!(
+        manifest["options"]["overrides"],
+        serde_json::json!(["output.fields=true", "liquid.seed=7"])
+    );
+    assert!(folder.path().join("a/frames/dam_000001.vti").exists());
+}
+
+#[test]
+fn an_earlier_run_is_replaced_only_when_asked() {
+    let folder = folder(DAM);
+    let run = folder.path().join("out/dam");
+    says(&folder, "run dam.toml --backend cpu --frames 2 --scale 0.5");
+    let before = fs::read(run.join("steps.csv")).unwrap();
+    let message = complains(
+        &folder,
+        "run dam.toml --backend cpu --frames 1 --scale 0.5",
+        2,
+    );
+    assert!(
+        message.contains("--overwrite") && message.contains("--out"),
+        "{message}"
+    );
+    assert_eq!(fs::read(run.join("steps.csv")).unwrap(), before);
+    says(
+        &folder,
+        "run dam.toml --backend cpu --frames 1 --scale 0.5 --overwrite",
+    );
+    assert_eq!(
+        list(&run.join("frames")),
+        ["dam_000000.vtp", "dam_000001.vtp", "dam_markers.pvd"]
+    );
+    assert_eq!(
+        manifest(&run)["progress"]["frames_written"],
+        serde_json::json!([0, 1])
+    );
+}
+
+#[test]
+fn a_run_on_the_gpu_names_its_adapter() {
+    let Some(gpu) = gpu() else { return };
+    let folder = folder(DAM);
+    let adapters = says(&folder, "adapters");
+    assert!(adapters.contains(&gpu.report().name), "{adapters}");
+    says(&folder, "run dam.toml --frames 1");
+    let run = folder.path().join("out/dam");
+    assert_eq!(manifest(&run)["adapter"]["name"], gpu.report().name);
+    assert_eq!(
+        column(&run.join("steps.csv"), "t").last(),
+        Some(&(1.0 / 24.0))
+    );
+    let message = complains(&folder, "run dam.toml --adapter nonesuch --out other", 3);
+    assert!(
+        message.contains("nonesuch") && message.contains(&gpu.report().name),
+        "{message}"
+    );
+}
+
+/// Vulkan's loader finds no driver; other systems bring theirs.
+#[cfg(target_os = "linux")]
+#[test]
+fn without_an_adapter_the_cure_is_named() {
+    let folder = folder(DAM);
+    says(&folder, "run dam.toml --backend cpu --frames 1 --scale 0.5");
+    let run = folder.path().join("out/dam");
+    let frames = list(&run.join("frames"));
+    for arguments in [
+        "adapters",
+        "run dam.toml --out new",
+        "run dam.toml --overwrite",
+        "bench solve --grids 8",
+    ] {
+        let mut command = cutwater(&folder, arguments);
+        command
+            .env("VK_DRIVER_FILES", "nowhere.json")
+            .env_remove("VK_ICD_FILENAMES");
+        let message = text(&ends(command, 3).stderr);
+        assert!(
+            message.contains("mesa-vulkan-drivers") && message.contains("--backend cpu"),
+            "{message}"
+        );
+    }
+    assert!(
+        !folder.path().join("new/manifest.json").exists(),
+        "a run was begun"
+    );
+    assert_eq!(list(&run.join("frames")), frames, "the earlier run");
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupted_run_keeps_what_it_has() {
+    use std::time::{Duration, Instant};
+
+    let folder = folder(DAM);
+    let mut child = cutwater(
+        &folder,
+        "run dam.toml --backend cpu --set time.duration=1000",
+    )
+    .stdout(Stdio::null())
+    .stderr(Stdio::null())
+    .spawn()
+    .unwrap();
+    let run = folder.path().join("out/dam");
+    let clock = Instant::now();
+    let limit = Duration::from_secs(60);
+    while !run.join("frames/dam_000001.vtp").exists() && clock.elapsed() < limit {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let signal = Command::new("sh")
+        .args(["-c", &format!("kill -INT {}", child.id())])
+        .status()
+        .unwrap();
+    assert!(signal.success(), "the run has ended by itself");
+    let ended = loop {
+        match child.try_wait().unwrap() {
+            Some(status) => break status,
+            None if clock.elapsed() > 2 * limit => {
+                child.kill().unwrap();
+                panic!("the run goes on");
+            }
+            None => std::thread::sleep(Duration::from_millis(20)),
+        }
+    };
+    assert_eq!(ended.code(), Some(130));
+    let manifest = manifest(&run);
+    assert_eq!(manifest["progress"]["status"], "interrupted");
+    let written = manifest["progress"]["frames_written"]
+        .as_array()
+        .unwrap()
+        .len();
+    assert!(written >= 2, "{manifest}");
+    // Frame files and the series; every sub-step that was done has its row.
+    assert_eq!(list(&run.join("frames")).len(), written + 1);
+    let rows = column(&run.join("steps.csv"), "step").len();
+    assert!(rows >= written - 1, "{rows} rows");
+    // The program that failed says where to look, and the pictures of what is there can be drawn.
+    says(&folder, "preview out/dam");
+}
