@@ -1,5 +1,6 @@
 //! The run loop: frames, tables and the manifest of one simulation.
 
+use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
@@ -71,8 +72,17 @@ pub fn run(
     progress: &mut dyn FnMut(&Progress),
     interrupt: &AtomicBool,
 ) -> Result<Summary, Error> {
-    prepare_folder(&options.out, options.overwrite)?;
+    let earlier_run = options.out.join("manifest.json").exists();
+    if earlier_run && !options.overwrite {
+        return Err(Error::input(
+            options.out.display().to_string(),
+            "the folder holds an earlier run",
+            "choose another folder with --out, or replace the run with --overwrite",
+        ));
+    }
     let mut simulation = Simulation::new(scene, &options.backend)?;
+    // Only now: a scene that does not fit the adapter must not cost the earlier run.
+    prepare_folder(&options.out, earlier_run)?;
     let n_frames = options.frames.unwrap_or_else(|| scene.n_frames());
     let run_options = RunOptions {
         backend: options.backend.name().to_owned(),
@@ -107,25 +117,21 @@ pub fn run(
     })
 }
 
-fn prepare_folder(out: &Path, overwrite: bool) -> Result<(), Error> {
-    if out.join("manifest.json").exists() {
-        if !overwrite {
-            return Err(Error::input(
-                out.display().to_string(),
-                "the folder holds an earlier run",
-                "choose another folder with --out, or replace the run with --overwrite",
-            ));
+/// Makes the folder, and takes the earlier run out of it: its frames would mix with the new ones.
+fn prepare_folder(out: &Path, earlier_run: bool) -> Result<(), Error> {
+    if earlier_run {
+        for part in ["frames", "preview"].map(|part| out.join(part)) {
+            if part.exists() {
+                fs::remove_dir_all(&part).map_err(|problem| Error::output(&part, problem))?;
+            }
         }
-        // Frames of the old run would mix with the new ones.
-        for part in ["frames", "preview"] {
-            let folder = out.join(part);
-            if folder.exists() {
-                std::fs::remove_dir_all(&folder)
-                    .map_err(|problem| Error::output(&folder, problem))?;
+        for part in ["steps.csv", "probes.csv"].map(|part| out.join(part)) {
+            if part.exists() {
+                fs::remove_file(&part).map_err(|problem| Error::output(&part, problem))?;
             }
         }
     }
-    std::fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))
+    fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))
 }
 
 fn frames(

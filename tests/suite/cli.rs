@@ -164,7 +164,13 @@ fn a_broken_scene_is_bad_input_with_file_line_key_and_cure() {
             "domain.celss",
             "cells",
         ),
-        ("duration = 0.25", "duration = -1", 6, "time.duration", "0"),
+        (
+            "duration = 0.25",
+            "duration = -1",
+            6,
+            "time.duration",
+            "above zero",
+        ),
         (
             "axis = \"x\"",
             "axis = \"w\"",
