@@ -1,7 +1,7 @@
 //! cutwater: two-way coupling between inviscid free-surface liquids and elastic solids on the GPU, without a window.
 //!
 //! One step of the simulator (Zarifi's thesis, algorithm 4), with the room that holds each line. The GPU stages live in
-//! [`stages`] and [`solver`], their f64 twins under the same names in [`reference`]:
+//! [`stages`] and [`solver`], their f64 twins under the same names in [`mod@reference`]:
 //!
 //! 1. `time_step`: the largest step that the velocities allow and that lands on the frame times ([`sim`])
 //! 2. `clip`: open face areas and the distance to the obstacles, on the CPU ([`geometry`])

@@ -1,7 +1,7 @@
 //! `bench solve`: the pressure solve against the grid, on the pressure-only base block.
 //!
 //! A run is timed from the recording of the hierarchy's set-up to the verdict on the host. The first run of each row, which
-//! compiles, is not counted. Bytes follow the model of [`bytes_per_solve`]: every array that a pass needs, once.
+//! compiles, is not counted. Bytes follow the model of `bytes_per_solve`: every array that a pass needs, once.
 
 use std::fs;
 use std::path::Path;
