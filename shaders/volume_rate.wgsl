@@ -1,5 +1,5 @@
 // liquid_distance, after measure_volume: the volume, and the relative rate at which volume control lets the liquid grow,
-// (V_0/V - 1) over four frames, at most 1 % in a frame, 1/s. One workgroup.
+// (V_0/V - 1) over half a frame or one and a half sub-steps, at most 10 % in a frame, 1/s. One workgroup.
 // step: volume_0 = 0 for no control. partials: volume, potential energy. report: see report.
 #import step
 #import report
@@ -7,9 +7,11 @@
 #import fold
 #import real
 
-// Frames over which the correction is spread, and the largest relative change of volume in one.
-const FRAMES = 4.0;
-const LARGEST_CHANGE = 0.01;
+// Frames and sub-steps over which the correction is spread at least, and the largest relative change of volume in a frame: the
+// twin has the reasons.
+const FRAMES = 0.5;
+const STEPS = 1.5;
+const LARGEST_CHANGE = 0.1;
 
 @group(0) @binding(0) var<uniform> step: Step;
 @group(0) @binding(1) var<storage, read> partials: array<Real4>;
@@ -26,7 +28,11 @@ fn volume_rate(@builtin(local_invocation_index) lane: u32) {
     var rate = 0.0;
     if step.volume_0 > 0.0 && sums.x > Real() {
         let deficit = f32(Real(step.volume_0) / sums.x - Real(1.0));
-        rate = clamp(deficit / FRAMES, -LARGEST_CHANGE, LARGEST_CHANGE) / step.frame;
+        rate = clamp(
+            deficit / max(FRAMES * step.frame, STEPS * step.dt),
+            -LARGEST_CHANGE / step.frame,
+            LARGEST_CHANGE / step.frame,
+        );
     }
     report[RATE] = bitcast<u32>(rate);
 }

@@ -137,7 +137,7 @@ impl Reference {
         let active = active_cells(grid, open, &phi, theta_floor);
         clock.lap("active_cells");
 
-        let source = self.volume_source(&phi);
+        let source = self.volume_source(&phi, dt);
         let rhs = right_hand_side(grid, open, &velocity, &active, source);
         let system = PressureSystem::new(active, rhs, dt, density);
         clock.lap("right_hand_side");
@@ -181,11 +181,11 @@ impl Reference {
         Ok(report)
     }
 
-    /// What volume control asks for, given phi (m); nothing where the scene has none.
-    fn volume_source(&self, liquid_distance: &[f64]) -> Option<VolumeSource<'_>> {
+    /// What volume control asks for, given phi (m) and dt (s); nothing where the scene has none.
+    fn volume_source(&self, liquid_distance: &[f64], dt: f64) -> Option<VolumeSource<'_>> {
         let volume = liquid_volume(&self.grid, &self.open_volumes, liquid_distance);
         let frame = 1.0 / self.scene.time.frames_per_second;
-        let rate = volume_rate(self.state.volume_0, volume, frame);
+        let rate = volume_rate(self.state.volume_0, volume, frame, dt);
         let source = VolumeSource {
             rate,
             open_volumes: &self.open_volumes,

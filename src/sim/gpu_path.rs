@@ -180,7 +180,11 @@ impl GpuPath {
             dx: self.grid.dx as f32,
             inv_dx: (1.0 / self.grid.dx) as f32,
             frame: (1.0 / time.frames_per_second) as f32,
-            volume_0: self.head.volume_0 as f32,
+            volume_0: if self.liquid.plan.effects.volume_control {
+                self.head.volume_0 as f32
+            } else {
+                0.0
+            },
             density: liquid.as_ref().map_or(0.0, |liquid| liquid.density) as f32,
             marker_radius: liquid.as_ref().map_or(0.0, |liquid| liquid.marker_radius) as f32,
             theta_floor: solver.theta_floor as f32,

@@ -513,15 +513,14 @@ fn a_solve_that_may_not_iterate_enough_says_so() {
 }
 
 #[test]
-fn volume_control_spreads_over_four_frames_and_is_capped() {
-    let frame = 0.05;
-    assert!(close(
-        volume_rate(1.0, 0.99, frame),
-        (1.0 / 0.99 - 1.0) / 0.2
-    ));
-    assert!(close(volume_rate(1.0, 0.5, frame), 0.01 / frame));
-    assert!(close(volume_rate(1.0, 2.0, frame), -0.01 / frame));
-    assert_eq!(volume_rate(1.0, 0.0, frame), 0.0);
+fn volume_control_spreads_over_half_a_frame_and_is_capped() {
+    let (frame, dt) = (0.05, 0.01);
+    let deficit = 1.0 / 0.99 - 1.0;
+    assert!(close(volume_rate(1.0, 0.99, frame, dt), deficit / 0.025));
+    assert!(close(volume_rate(1.0, 0.99, frame, 0.05), deficit / 0.075));
+    assert!(close(volume_rate(1.0, 0.5, frame, dt), 0.1 / frame));
+    assert!(close(volume_rate(1.0, 2.0, frame, dt), -0.1 / frame));
+    assert_eq!(volume_rate(1.0, 0.0, frame, dt), 0.0);
 }
 
 #[test]
