@@ -250,7 +250,7 @@ pub struct Solver {
     pub precision: Precision,
     /// Default `multigrid`.
     pub preconditioner: Preconditioner,
-    /// Smallest theta of the ghost fluid method; default 1e-2.
+    /// Smallest theta of the ghost fluid method; default 1e-2, with markers 0.1.
     pub theta_floor: f64,
     /// Open fractions below it close and above one minus it open; default 1e-3.
     pub area_clamp: f64,

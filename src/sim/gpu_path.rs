@@ -10,7 +10,7 @@ use crate::scene::Scene;
 use crate::solver::{PressureSolver, PressureSystem, SolverBuffers};
 use crate::stages::{
     Active, AdvectMarkers, AdvectVelocity, Band, Diagnose, Extrapolate, Forces, LiquidBuffers,
-    LiquidDistance, LiquidPlan, Report, RightHandSide, Step, WriteBack,
+    LiquidDistance, LiquidPlan, Report, RightHandSide, Step, Volume, WriteBack,
 };
 use crate::state::State;
 
@@ -40,6 +40,8 @@ pub(super) struct Stages {
     pub(super) advect_velocity: AdvectVelocity,
     pub(super) forces: Forces,
     pub(super) liquid_distance: Option<LiquidDistance>,
+    /// With a fixed surface, whose volume `liquid_distance` would have measured.
+    pub(super) volume: Option<Volume>,
     pub(super) active_cells: PressureSystem,
     pub(super) right_hand_side: RightHandSide,
     pub(super) solve: PressureSolver,
@@ -111,9 +113,12 @@ impl GpuPath {
         };
         self.write_step(0.0);
         if self.stages.advect_markers.is_none() {
-            // The liquid stays where it is, and so does the band.
+            // The liquid stays where it is, and so do the band and the volume.
             let mut recorder = crate::gpu::Recorder::new(&self.gpu);
             self.stages.band.record(&mut recorder);
+            if let Some(volume) = &self.stages.volume {
+                volume.record(&mut recorder);
+            }
             recorder.submit();
         }
         self.gpu.wait("the initial state")
@@ -243,6 +248,9 @@ impl Stages {
             liquid_distance: effects
                 .markers
                 .then(|| LiquidDistance::new(gpu, liquid))
+                .transpose()?,
+            volume: (!effects.markers)
+                .then(|| Volume::new(gpu, liquid))
                 .transpose()?,
             active_cells,
             right_hand_side: RightHandSide::new(gpu, liquid, &active, &solver.rhs)?,

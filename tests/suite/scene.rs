@@ -244,7 +244,7 @@ const REFUSED: &[Case] = &[
     ("seed = 7", "seed = -7", 15, "liquid.seed", &["is -7", "from 0"]),
     ("marker_radius = 1.0", "marker_radius = 0.1", 14, "liquid.marker_radius", &["0.5 to 2"]),
     ("tolerance = 1e-6", "tolerance = 1", 41, "solver.tolerance", &["1e-8 is usual"]),
-    ("theta_floor = 0.001", "theta_floor = 0.6", 45, "solver.theta_floor", &["1e-2 is usual"]),
+    ("theta_floor = 0.001", "theta_floor = 0.6", 45, "solver.theta_floor", &["1e-2 is usual", "0.1 with markers"]),
     ("area_clamp = 0", "area_clamp = -0.1", 46, "solver.area_clamp", &["1e-3 is usual"]),
     ("max_iterations = 50", "max_iterations = 0", 42, "solver.max_iterations", &["from 1"]),
     ("every = 2", "every = 0", 50, "output.every", &["from 1"]),
