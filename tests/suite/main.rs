@@ -9,6 +9,7 @@ mod layout;
 mod linalg;
 mod output;
 mod pages;
+mod physics;
 mod reference;
 mod reference_physics;
 mod reference_stages;
