@@ -11,6 +11,14 @@
 @group(0) @binding(3) var<storage, read> classes: array<u32>;
 @group(0) @binding(4) var<storage, read_write> occupied: array<u32>;
 
+fn near_lanes(quad: u32) -> u32 {
+    // The row before the first one, diagonally, lies before the array; spare cells need no marker.
+    if quad >= level.quads {
+        return 0u;
+    }
+    return lanes_of(classes[quad], NEAR);
+}
+
 @compute @workgroup_size(WG_SIZE)
 fn classify_far(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let index = linear_index(workgroup, lane);
@@ -20,7 +28,7 @@ fn classify_far(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
     let quad = list[index];
     let word = occupied[quad];
     let marked = lanes_of(word, MARKED);
-    var spreading = lanes_of(classes[quad], NEAR);
+    var spreading = near_lanes(quad);
     if marked != 0u && spreading != 15u {
         var before = 0u;
         var here = 0u;
@@ -28,9 +36,9 @@ fn classify_far(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
         for (var s = 0u; s < 3u; s++) {
             for (var r = 0u; r < 3u; r++) {
                 let row = quad + s * level.stride_z + r * level.stride_y - level.stride_z - level.stride_y;
-                before |= lanes_of(classes[row - 1u], NEAR);
-                here |= lanes_of(classes[row], NEAR);
-                after |= lanes_of(classes[row + 1u], NEAR);
+                before |= near_lanes(row - 1u);
+                here |= near_lanes(row);
+                after |= near_lanes(row + 1u);
             }
         }
         spreading = dilate_row(before, here, after);

@@ -16,6 +16,10 @@ const REACH_SQUARED = 4.0;
 @group(0) @binding(5) var<storage, read_write> squares: array<vec4<f32>>;
 
 fn empty_lanes(quad: u32) -> u32 {
+    // The row before the first one, diagonally, lies before the array; spare cells are not empty.
+    if quad >= level.quads {
+        return 0u;
+    }
     let word = occupied[quad];
     return lanes_of(~(word | word >> MARKED), NO_ROOM);
 }

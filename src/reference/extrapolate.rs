@@ -3,14 +3,17 @@
 //! Layer by layer a face without a valid velocity takes the mean over its valid neighbours of the same axis. What no layer
 //! reaches is 0, and so are domain walls. Closed faces in and just outside obstacles lose their normal velocity.
 
+use glam::DVec3;
 use rayon::prelude::*;
 
-use super::sample::{distance, normal, velocity};
+use super::sample::{distance, velocity};
 use crate::geometry::CutCells;
 use crate::grid::{Axis, Grid};
 
 /// Layers beyond those that a step of `cfl` cells crosses.
 const SPARE_LAYERS: usize = 2;
+/// Below it a gradient of the distance has no direction.
+const SMALLEST_GRADIENT: f64 = 1e-6;
 /// Faces closer than this to an obstacle, or in it, slip along it; in cells.
 const SLIP_REACH: f64 = 0.5;
 
@@ -85,6 +88,19 @@ fn close_walls(grid: &Grid, faces: &mut [Vec<f64>; 3]) {
     }
 }
 
+/// Direction of the gradient of the interpolated distance at a face, by central differences over dx: on grid planes, where the
+/// exact gradient jumps, it does not depend on rounding. `None` where the gradient is shorter than 1e-6.
+fn direction(grid: &Grid, solid_distance: &[f64], x: DVec3) -> Option<DVec3> {
+    let slope = |b: usize| {
+        let half = DVec3::AXES[b] * (0.5 * grid.dx);
+        (distance(grid, solid_distance, x + half) - distance(grid, solid_distance, x - half))
+            / grid.dx
+    };
+    let gradient = DVec3::from([0, 1, 2].map(slope));
+    let length = gradient.length();
+    (length >= SMALLEST_GRADIENT).then(|| gradient / length)
+}
+
 fn slip(grid: &Grid, cut: &CutCells, faces: &mut [Vec<f64>; 3]) {
     let constrained = Axis::ALL.map(|axis| -> Vec<(usize, f64)> {
         let a = axis.index();
@@ -97,7 +113,7 @@ fn slip(grid: &Grid, cut: &CutCells, faces: &mut [Vec<f64>; 3]) {
             if distance(grid, &cut.solid_distance, x) >= SLIP_REACH * grid.dx {
                 return None;
             }
-            let n = normal(grid, &cut.solid_distance, x)?;
+            let n = direction(grid, &cut.solid_distance, x)?;
             Some((
                 face,
                 faces[a][face] - velocity(grid, faces, x).dot(n) * n[a],

@@ -1,5 +1,6 @@
 //! All integration tests, in one binary so that the dependencies are linked once.
 
+mod band;
 mod cli;
 mod common;
 mod components;
@@ -7,6 +8,7 @@ mod geometry;
 mod gpu;
 mod layout;
 mod linalg;
+mod liquid_case;
 mod output;
 mod pages;
 mod physics;
@@ -17,3 +19,11 @@ mod rooms;
 mod scene;
 mod shaders;
 mod solver;
+mod twin_advect_markers;
+mod twin_advect_velocity;
+mod twin_diagnose;
+mod twin_extrapolate;
+mod twin_forces;
+mod twin_liquid_distance;
+mod twin_right_hand_side;
+mod twin_write_back;

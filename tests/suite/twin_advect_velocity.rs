@@ -1,0 +1,69 @@
+//! `advect_velocity` against its twin.
+
+use cutwater::gpu::Recorder;
+use cutwater::grid::Axis;
+use cutwater::reference;
+use cutwater::stages::AdvectVelocity;
+
+use crate::common::gpu;
+use crate::liquid_case::{Case, EPS, assert_close, cases};
+
+/// As for the markers: 3 roundings of a position in cells times the largest slope, 10 of a sample, three samples in a row.
+fn bound(case: &Case) -> f64 {
+    let way = case.speed() * case.dt / case.grid.dx;
+    let sample = 10.0 + 6.0 * 3.0 * case.extent();
+    EPS * case.speed() * sample * (1.0 + 6.0 * way) * (1.0 + 3.0 * way)
+}
+
+#[test]
+fn faces_carry_what_they_carry_in_the_twin() {
+    let Some(gpu) = gpu() else { return };
+    for case in cases() {
+        let buffers = case.upload(gpu);
+        case.band(gpu, &buffers);
+        let stage = AdvectVelocity::new(gpu, &buffers).unwrap();
+        let run = || {
+            let mut recorder = Recorder::new(gpu);
+            stage.record(&mut recorder, &buffers);
+            recorder.submit();
+            let in_band = case.in_band(gpu, &buffers);
+            (
+                buffers.read_faces(gpu, &buffers.velocity_next).unwrap(),
+                in_band,
+            )
+        };
+        let (faces, in_band) = run();
+        let twin = reference::advect_velocity(&case.grid, &case.state.velocity, case.dt);
+        let bound = bound(&case);
+        for axis in Axis::ALL {
+            let pairs = faces[axis.index()].iter().zip(&twin[axis.index()]);
+            let places = pairs
+                .enumerate()
+                .map(|(face, (&gpu, &twin))| (gpu, twin, bound, case.grid.face_at(axis, face)));
+            assert_close(case.name, places.filter(|&(_, _, _, ijk)| in_band(ijk)));
+        }
+        assert_eq!(faces, run().0, "{}: again", case.name);
+    }
+}
+
+#[test]
+fn still_air_keeps_its_bits() {
+    let Some(gpu) = gpu() else { return };
+    let mut case = cases().remove(0);
+    for values in &mut case.state.velocity {
+        values.fill(0.0);
+    }
+    let buffers = case.upload(gpu);
+    case.band(gpu, &buffers);
+    gpu.upload(&buffers.velocity_next, &vec![1.0; 3 * buffers.padded.len()]);
+    let stage = AdvectVelocity::new(gpu, &buffers).unwrap();
+    let mut recorder = Recorder::new(gpu);
+    stage.record(&mut recorder, &buffers);
+    recorder.submit();
+    let flags = gpu.download(&buffers.band_flags).unwrap();
+    let faces = gpu.download(&buffers.velocity_next).unwrap();
+    for (index, &value) in faces.iter().enumerate() {
+        let in_band = flags[index / 4 % buffers.padded.quads] != 0;
+        assert_eq!(value, f32::from(!in_band), "word {index}");
+    }
+}
