@@ -8,7 +8,7 @@
 #import stencil
 
 // Must be solver::TAIL_LEVELS, TAIL_STEPS and TAIL_QUADS.
-const TAIL_LEVELS = 6u;
+const TAIL_LEVELS = 8u;
 const TAIL_STEPS = 48u;
 const TAIL_QUADS = 256u;
 

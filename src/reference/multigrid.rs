@@ -14,12 +14,10 @@ use crate::linalg::LinearOperator;
 
 /// Weights of the sweeps before the coarse correction; after it in reversed order. Together they damp errors of the upper
 /// spectrum of D^-1 A in (0, 2] below 0.35.
-pub(super) const SWEEPS: [f64; 2] = [1.7319, 0.5695];
-/// The coarsest level has at most this many cells along each axis.
-pub(super) const COARSEST_CELLS: usize = 4;
-/// How many times the pair of sweeps is done on the coarsest level in each order. On the base block at 20^3 to 80^3 any
-/// number from 1 to 32 gave the same iteration counts within one.
-pub(super) const COARSEST_PAIRS: usize = 4;
+const SWEEPS: [f64; 2] = [1.7319, 0.5695];
+/// How many times the pair of sweeps is done on the coarsest level, which has one cell. From a zero guess any sequence of
+/// sweeps is symmetric.
+const COARSEST_PAIRS: usize = 4;
 
 /// The levels of the hierarchy, finest first.
 #[derive(Clone, Debug)]
@@ -28,15 +26,10 @@ pub struct Multigrid {
 }
 
 impl Multigrid {
-    /// Builds the hierarchy.
+    /// Builds the hierarchy: halves the cells until one is left.
     pub fn new(finest: &Stencil) -> Multigrid {
         let mut levels = vec![finest.clone()];
-        while levels[levels.len() - 1]
-            .grid
-            .cells
-            .iter()
-            .any(|&n| n > COARSEST_CELLS)
-        {
+        while levels[levels.len() - 1].grid.cells != [1; 3] {
             levels.push(coarsen(&levels[levels.len() - 1]));
         }
         Multigrid { levels }
@@ -52,11 +45,9 @@ impl Multigrid {
         let stencil = &self.levels[level];
         let mut x = vec![0.0; b.len()];
         if level + 1 == self.levels.len() {
-            let before = SWEEPS.repeat(COARSEST_PAIRS);
-            before
-                .iter()
-                .chain(before.iter().rev())
-                .for_each(|&weight| x = sweep(stencil, weight, b, &x));
+            for weight in SWEEPS.repeat(COARSEST_PAIRS) {
+                x = sweep(stencil, weight, b, &x);
+            }
             return x;
         }
         for weight in SWEEPS {

@@ -41,7 +41,7 @@ use crate::grid::Layout;
 /// Largest number of quads, spare ones counted, of the levels that one workgroup handles; `vcycle_tail.wgsl` has it too.
 pub const TAIL_QUADS: usize = 256;
 /// Most levels in the tail.
-pub const TAIL_LEVELS: usize = 6;
+pub const TAIL_LEVELS: usize = 8;
 /// Room for the steps of the tail: 5 per level and the sweeps that solve the last.
 pub const TAIL_STEPS: usize = 48;
 /// Threads of the first level of a long sum; `fold_partials.wgsl` has it too.

@@ -243,18 +243,36 @@ impl Pcg {
     /// Records iterations; those after the end of the round do nothing.
     pub(super) fn record(&self, pass: &mut Pass, state: &State, iterations: usize) {
         let State { gated, gate, .. } = state;
-        pass.dispatch(&self.open, 1);
+        self.record_gate(pass);
         for _ in 0..iterations {
-            match &self.preconditioner {
-                Precondition::Multigrid(hierarchy) => hierarchy.record(pass, gated, gate),
-                Precondition::Jacobi(bound) => pass.dispatch_indirect(bound, gated, 0),
-            }
+            self.record_preconditioner(pass, state);
             self.beta.record_gated(pass, gate);
             pass.dispatch_indirect(&self.direction, gated, 0);
             pass.dispatch_indirect(&self.apply, gated, 0);
             self.alpha.record_gated(pass, gate);
             pass.dispatch_indirect(&self.update, gated, self.n_levels);
         }
+    }
+}
+
+/// The parts of an iteration that stand alone.
+impl Pcg {
+    /// Opens the one-workgroup kernels if a round is running.
+    pub(super) fn record_gate(&self, pass: &mut Pass) {
+        pass.dispatch(&self.open, 1);
+    }
+
+    /// z = H r, its first sweep done.
+    pub(super) fn record_preconditioner(&self, pass: &mut Pass, State { gated, gate, .. }: &State) {
+        match &self.preconditioner {
+            Precondition::Multigrid(hierarchy) => hierarchy.record(pass, gated, gate),
+            Precondition::Jacobi(bound) => pass.dispatch_indirect(bound, gated, 0),
+        }
+    }
+
+    /// q = B s on the active quads of `buffers`.
+    pub(super) fn record_operator(&self, pass: &mut Pass, buffers: &SolverBuffers) {
+        pass.dispatch_indirect(&self.apply, &buffers.args, 0);
     }
 }
 

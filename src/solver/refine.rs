@@ -355,6 +355,46 @@ impl PressureSolver {
         }
     }
 
+    /// B x of the system in `buffers`, in the precision of the corrections, as PCG evaluates it. `x` and the answer are in the
+    /// device layout; inactive cells of the answer mean nothing. Overwrites what a solve computes with.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn apply(&self, gpu: &Gpu, buffers: &SolverBuffers, x: &[f64]) -> Result<Vec<f64>, Error> {
+        buffers.search.upload(gpu, x);
+        let mut recorder = Recorder::new(gpu);
+        recorder.stage("solve", |pass| self.pcg.record_operator(pass, buffers));
+        recorder.submit();
+        buffers.q.download(gpu)
+    }
+
+    /// z = H r, the preconditioner on the system in `buffers`, as PCG evaluates it. `r`, 0 in inactive cells, and the answer are in
+    /// the device layout; inactive cells of the answer mean nothing. Overwrites what a solve computes with.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn precondition(
+        &self,
+        gpu: &Gpu,
+        buffers: &SolverBuffers,
+        r: &[f64],
+    ) -> Result<Vec<f64>, Error> {
+        let (mut reading, _) = self.submit(gpu, Recorder::new(gpu), buffers)?;
+        let args = gpu.download(&buffers.args)?;
+        self.open_round(gpu, &mut reading.control, &mut reading.norms, &args, 1.0);
+        buffers.outer.upload(gpu, r);
+        let mut recorder = Recorder::new(gpu);
+        recorder.stage("solve", |pass| {
+            pass.dispatch_indirect(&self.begin, &self.state.gated, self.n_levels + 2);
+            self.pcg.record_gate(pass);
+            self.pcg.record_preconditioner(pass, &self.state);
+        });
+        recorder.submit();
+        let mut z = buffers.z_next.download(gpu)?;
+        z.truncate(r.len());
+        Ok(z)
+    }
+
     fn submit(
         &self,
         gpu: &Gpu,

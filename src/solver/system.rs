@@ -25,21 +25,22 @@ pub struct LevelPlan {
 }
 
 impl LevelPlan {
-    /// Halves the cells until nothing is left to halve or the tail is full.
+    /// Halves the cells until one is left.
     pub fn new(grid: &Grid) -> LevelPlan {
         let mut levels = vec![grid.padded()];
-        let mut tail = None;
-        loop {
+        // One level at least is coarse: the finest never belongs to the tail.
+        while levels.len() == 1 || levels[levels.len() - 1].cells != [1; 3] {
             let last = levels[levels.len() - 1];
-            if tail.is_none() && levels.len() > 1 && last.quads <= TAIL_QUADS {
-                tail = Some(levels.len() - 1);
-            }
-            let n_tail = tail.map_or(0, |tail| levels.len() - tail);
-            if last.cells == [1; 3] && tail.is_some() || n_tail == TAIL_LEVELS {
-                break;
-            }
             levels.push(Padded::new(last.cells.map(|n| n.div_ceil(2))));
         }
+        let tail = 1 + levels[1..]
+            .iter()
+            .position(|level| level.quads <= TAIL_QUADS)
+            .expect("a level of one cell fits the tail");
+        assert!(
+            levels.len() - tail <= TAIL_LEVELS,
+            "TAIL_QUADS quads are a row of less than 128 cells at most"
+        );
         let mut first = Vec::new();
         let mut total = 0;
         for level in &levels {
@@ -47,10 +48,10 @@ impl LevelPlan {
             total += level.quads;
         }
         LevelPlan {
-            tail: tail.expect("a level of one cell fits the tail"),
             levels,
             first,
             total,
+            tail,
         }
     }
 

@@ -126,7 +126,7 @@ fn random_patterns_have_the_components_of_the_flood_fill() {
 }
 
 /// A wall between `low` and `high` (cells) and the rest.
-fn wall_around(low: [usize; 3], high: [usize; 3]) -> impl Fn(Axis, [usize; 3]) -> f64 {
+pub(crate) fn wall_around(low: [usize; 3], high: [usize; 3]) -> impl Fn(Axis, [usize; 3]) -> f64 {
     move |axis, at| {
         let a = axis.index();
         let beside = |b: usize| b == a || (low[b]..high[b]).contains(&at[b]);

@@ -1,17 +1,22 @@
 //! The pressure solver on the device: against direct f64 solves, symmetric and positive, iteration counts, verdicts, repeatable.
 
 use std::cell::OnceCell;
+use std::process::Command;
 
 use cutwater::gpu::{Buffer, Gpu, RealBuffer, Recorder};
 use cutwater::grid::{Axis, Grid, Padded};
+use cutwater::linalg::{LinearOperator, dot, norm};
 use cutwater::reference::base_block::{BaseBlock, DENSITY, DT, THETA_FLOOR};
-use cutwater::reference::{ActiveCells, RightHandSide, active_cells};
+use cutwater::reference::{
+    ActiveCells, Multigrid, RightHandSide, Stencil, active_cells, solve_direct,
+};
 use cutwater::scene::{Precision, Preconditioner, Solver};
 use cutwater::solver::{
     Components, Outcome, PressureSolver, PressureSystem, SolverBuffers, Status,
 };
 
 use crate::common::{Random, gpu};
+use crate::components::wall_around;
 
 /// What a system is made of, host layout.
 pub(crate) struct Case {
@@ -87,7 +92,7 @@ impl Case {
                 *value = 0.0;
             }
         }
-        let scale = cutwater::linalg::norm(&values);
+        let scale = norm(&values);
         let rhs = RightHandSide { values, scale };
         let mut system = cutwater::reference::PressureSystem::new(active, rhs, 1.0, self.grid.dx);
         let mut rhs = std::mem::take(&mut system.rhs);
@@ -206,6 +211,32 @@ impl<'a> Device<'a> {
         Solved { outcome, potential }
     }
 
+    /// B x for x and answer in host layout, inactive cells 0.
+    fn apply(&self, twin: &Stencil, x: &[f64]) -> Vec<f64> {
+        let padded = self.padded.pad(self.cells, x, |value| value);
+        let answer = self.pressure().apply(self.gpu, &self.buffers, &padded);
+        self.active_part(twin, &answer.unwrap())
+    }
+
+    /// H r, likewise.
+    fn precondition(&self, twin: &Stencil, r: &[f64]) -> Vec<f64> {
+        let padded = self.padded.pad(self.cells, r, |value| value);
+        let answer = self
+            .pressure()
+            .precondition(self.gpu, &self.buffers, &padded);
+        self.active_part(twin, &answer.unwrap())
+    }
+
+    fn active_part(&self, twin: &Stencil, device: &[f64]) -> Vec<f64> {
+        let mut host = self.padded.unpad(self.cells, device, |value| value);
+        for (cell, value) in host.iter_mut().enumerate() {
+            if !twin.active(cell) {
+                *value = 0.0;
+            }
+        }
+        host
+    }
+
     /// A field in host layout.
     pub(crate) fn cells(&self, field: &RealBuffer) -> Vec<f64> {
         let values = field.download(self.gpu).unwrap();
@@ -220,20 +251,20 @@ pub(crate) struct Solved {
     pub(crate) potential: Vec<f64>,
 }
 
-fn solve_block(gpu: &Gpu, n: usize, solver: &Solver) -> (Solved, BaseBlock) {
+/// The base block at n^3 cells.
+fn block_case(n: usize) -> Case {
     let block = BaseBlock::new(n);
     let rhs = block.pressure_system().rhs;
-    let case = Case {
-        grid: block.grid,
-        open: block.open.clone(),
-        liquid_distance: block.liquid_distance.clone(),
-        velocity: block.velocity.clone(),
+    Case {
         rhs: rhs
             .iter()
             .map(|value| value / block.grid.dx.powi(2))
             .collect(),
-    };
-    (Device::holding(gpu, &case, solver).solve(), block)
+        grid: block.grid,
+        open: block.open,
+        liquid_distance: block.liquid_distance,
+        velocity: block.velocity,
+    }
 }
 
 pub(crate) fn largest(values: impl IntoIterator<Item = f64>) -> f64 {
@@ -263,7 +294,8 @@ fn base_block_agrees_with_the_direct_solve() {
                 max_iterations: 1000,
                 ..Solver::default()
             };
-            let (solved, block) = solve_block(gpu, 20, &solver);
+            let block = BaseBlock::new(20);
+            let solved = Device::holding(gpu, &block_case(20), &solver).solve();
             let case = format!("{precision:?} {preconditioner:?}");
             assert_eq!(solved.outcome.status, Status::Converged, "{case}");
             assert!(
@@ -281,7 +313,7 @@ fn base_block_agrees_with_the_direct_solve() {
                 tolerance: 1e-12,
                 ..Solver::default()
             };
-            let (direct, _) = cutwater::reference::solve_direct(&system, &exact).unwrap();
+            let (direct, _) = solve_direct(&system, &exact).unwrap();
             let to_potential = DT / (DENSITY * block.grid.dx);
             let scale = largest(direct.iter().map(|p| p * to_potential));
             let difference = largest(
@@ -302,7 +334,7 @@ fn base_block_agrees_with_the_direct_solve() {
 fn iterations_hardly_grow_with_the_grid() {
     let Some(gpu) = gpu() else { return };
     let iterations = [20, 40, 60, 80, 100].map(|n| {
-        let (solved, _) = solve_block(gpu, n, &Solver::default());
+        let solved = Device::holding(gpu, &block_case(n), &Solver::default()).solve();
         assert_eq!(solved.outcome.status, Status::Converged, "{n}^3");
         assert!(
             solved.outcome.residual <= 1e-8,
@@ -320,4 +352,458 @@ fn iterations_hardly_grow_with_the_grid() {
         f64::from(*most) <= 1.6 * f64::from(*least),
         "{iterations:?}"
     );
+}
+
+/// Random values in the active cells that an f32 holds exactly.
+fn random_unknowns(twin: &Stencil, seed: u64) -> Vec<f64> {
+    let mut random = Random(seed);
+    (0..twin.grid.n_cells())
+        .map(|cell| {
+            let value = f64::from(random.uniform(-1.0, 1.0) as f32);
+            if twin.active(cell) { value } else { 0.0 }
+        })
+        .collect()
+}
+
+/// Distances over eight decades on either side of the surface, half of them negative: theta from its floor to 1.
+fn random_distances(mut case: Case, seed: u64) -> Case {
+    let mut random = Random(seed);
+    for distance in &mut case.liquid_distance {
+        let size = 0.1 * 10_f64.powf(random.uniform(-8.0, 0.0));
+        *distance = f64::from(distance.signum() as f32 * size as f32);
+    }
+    case
+}
+
+/// Closed faces, slivers down to the area clamp, and whole ones.
+fn slivers(case: Case, seed: u64) -> Case {
+    case.narrow(move |axis, [i, j, k]| {
+        let mut random = Random(seed + (axis.index() + 3 * (i + 100 * (j + 100 * k))) as u64);
+        random.bits();
+        match random.uniform(0.0, 4.0) {
+            share if share < 1.0 => 0.0,
+            share if share < 2.0 => 10_f64.powf(random.uniform(-3.0, 0.0)),
+            _ => 1.0,
+        }
+    })
+}
+
+/// Cells of which about `share` are liquid, each for itself.
+fn scattered(cells: [usize; 3], share: f64, seed: u64) -> Case {
+    Case::new(cells, move |[i, j, k]| {
+        let mut random = Random(seed + (i + 100 * (j + 100 * k)) as u64);
+        random.bits();
+        random.uniform(0.0, 1.0) < share
+    })
+}
+
+/// Systems that strain a solver, with random right-hand sides, and the most iterations each may take.
+fn hard_cases() -> Vec<(&'static str, Case, u32)> {
+    let pool = |cells: [usize; 3]| Case::new(cells, move |[_, j, _]| 2 * j < cells[1] + 1);
+    let cases = vec![
+        ("one cell", Case::new([9, 8, 7], |at| at == [5, 4, 3]), 4),
+        ("droplets", scattered([15, 14, 13], 0.2, 1), 16),
+        ("sponge", scattered([15, 14, 13], 0.7, 2), 16),
+        ("pool", pool([21, 18, 13]), 16),
+        (
+            "tiny and large theta",
+            random_distances(pool([16, 15, 14]), 3),
+            20,
+        ),
+        (
+            "scattered, tiny and large theta",
+            random_distances(scattered([12, 13, 14], 0.5, 4), 4),
+            16,
+        ),
+        ("slivers", slivers(pool([14, 15, 16]), 5), 28),
+        (
+            "slivers of slivers",
+            random_distances(slivers(scattered([13, 13, 13], 0.6, 6), 6), 6),
+            18,
+        ),
+        (
+            "channel along x",
+            Case::new([70, 1, 1], |[i, _, _]| i < 65),
+            25,
+        ),
+        (
+            "channel along y",
+            Case::new([1, 70, 1], |[_, j, _]| j < 65),
+            25,
+        ),
+        (
+            "channel along z",
+            Case::new([1, 1, 70], |[_, _, k]| k < 65),
+            25,
+        ),
+        (
+            "slab along x and z",
+            Case::new([30, 1, 29], |[i, _, k]| i + k < 50),
+            20,
+        ),
+        (
+            "slab along x and y",
+            Case::new([30, 29, 1], |[i, j, _]| i + j < 50),
+            20,
+        ),
+        (
+            "slab along y and z",
+            Case::new([1, 30, 29], |[_, j, k]| j + k < 50),
+            20,
+        ),
+        ("narrow and high", pool([3, 50, 7]), 16),
+        (
+            "full but for one cell",
+            Case::new([17, 9, 12], |at| at != [16, 8, 0]),
+            18,
+        ),
+    ];
+    cases
+        .into_iter()
+        .map(|(name, case, most)| (name, case.random_rhs(11), most))
+        .collect()
+}
+
+/// The precisions that the adapter has.
+fn precisions(gpu: &Gpu) -> Vec<Precision> {
+    let mut precisions = vec![Precision::F32, Precision::Mixed];
+    if gpu.has_f64() {
+        precisions.push(Precision::F64);
+    }
+    precisions
+}
+
+fn settings(precision: Precision) -> Solver {
+    Solver {
+        precision,
+        tolerance: if precision == Precision::F32 {
+            1e-4
+        } else {
+            1e-8
+        },
+        ..Solver::default()
+    }
+}
+
+/// Operator and V-cycle against the f64 path, their symmetry and positivity.
+fn assert_operators(what: &str, case: &Case, device: &Device, precision: Precision) {
+    let twin = case.twin().stencil;
+    let (single, inner) = match precision {
+        Precision::F64 => (f64::from(f32::EPSILON), f64::EPSILON),
+        // Mixed computes its corrections as f32 does.
+        Precision::F32 | Precision::Mixed => (f64::from(f32::EPSILON), f64::from(f32::EPSILON)),
+    };
+    device.prepare().submit();
+    let (x, y) = (random_unknowns(&twin, 31), random_unknowns(&twin, 32));
+    let mut expected = vec![0.0; x.len()];
+
+    let (bx, by) = (device.apply(&twin, &x), device.apply(&twin, &y));
+    twin.apply(&x, &mut expected);
+    for cell in twin.active_cells() {
+        let fluxes = twin
+            .neighbours(cell)
+            .iter()
+            .map(|(neighbour, weight)| weight * (x[cell] - x[*neighbour]).abs())
+            .sum::<f64>();
+        let surface = twin.dirichlet[cell] * x[cell].abs();
+        // Theta is the one coefficient with roundings, which are in f32 in every precision.
+        let bound = 8.0 * inner * (fluxes + surface) + 4.0 * single * surface;
+        assert!(
+            (bx[cell] - expected[cell]).abs() <= bound,
+            "{what}: B x in cell {cell}: {:e}, not {:e}",
+            bx[cell],
+            expected[cell]
+        );
+    }
+    let (hx, hy) = (
+        device.precondition(&twin, &x),
+        device.precondition(&twin, &y),
+    );
+    Multigrid::new(&twin).apply(&x, &mut expected);
+    let difference = largest(hx.iter().zip(&expected).map(|(a, b)| a - b));
+    let scale = largest(expected.iter().copied());
+    assert!(
+        difference <= 100.0 * single * scale,
+        "{what}: H x: {difference:e} of {scale:e}"
+    );
+    for (name, ax, ay) in [("B", bx, by), ("H", hx, hy)] {
+        let (left, right) = (dot(&ax, &y), dot(&x, &ay));
+        assert!(
+            (left - right).abs() <= 30.0 * inner * norm(&ax) * norm(&y),
+            "{what}: y.{name}x = {left:e}, x.{name}y = {right:e}"
+        );
+        for product in [dot(&ax, &x), dot(&ay, &y)] {
+            assert!(product > 0.0, "{what}: x.{name}x = {product:e}");
+        }
+    }
+}
+
+#[test]
+fn hard_systems_have_the_twins_operators_and_solutions() {
+    let Some(gpu) = gpu() else { return };
+    for (name, case, most) in hard_cases() {
+        let system = case.twin_system();
+        let exact = Solver {
+            tolerance: 1e-12,
+            ..Solver::default()
+        };
+        let (direct, _) = solve_direct(&system, &exact).unwrap();
+        for precision in precisions(gpu) {
+            let solver = settings(precision);
+            let device = Device::holding(gpu, &case, &solver);
+            assert_operators(&format!("{name} {precision:?}"), &case, &device, precision);
+            let solved = device.solve();
+            let outcome = solved.outcome;
+            let what = format!("{name} {precision:?}: {outcome:?}");
+            assert_eq!(outcome.status, Status::Converged, "{what}");
+            assert!(
+                outcome.verified && outcome.residual <= solver.tolerance,
+                "{what}"
+            );
+            assert!(outcome.iterations <= most, "{what}");
+            assert_eq!(outcome.unknowns as usize, system.n_unknowns(), "{what}");
+            // In the norm that conjugate gradients minimise.
+            let energy = |x: &[f64]| {
+                let mut product = vec![0.0; x.len()];
+                system.stencil.apply(x, &mut product);
+                dot(x, &product).sqrt()
+            };
+            let pairs = direct.iter().zip(&solved.potential);
+            let error = energy(&pairs.map(|(p, x)| p - x).collect::<Vec<f64>>());
+            let scale = energy(&direct);
+            assert!(
+                error <= 100.0 * solver.tolerance * scale,
+                "{what}: {error:e} of {scale:e}"
+            );
+            let repeated = device.solve();
+            assert_eq!(repeated.potential, solved.potential, "{what}: bit for bit");
+        }
+    }
+}
+
+#[test]
+fn nothing_to_solve_is_solved_by_zero() {
+    let Some(gpu) = gpu() else { return };
+    let cells = [10, 9, 8];
+    let pool = || Case::new(cells, |[_, j, _]| j < 5);
+    let empty = Case::new(cells, |_| false).random_rhs(1);
+    let lone = Case::new([1, 1, 1], |_| true).random_rhs(1);
+    let mut dead_air = pool();
+    // A right-hand side where there is no liquid is none.
+    for (cell, b) in dead_air.rhs.iter_mut().enumerate() {
+        *b = if dead_air.liquid_distance[cell] < 0.0 {
+            0.0
+        } else {
+            1.0
+        };
+    }
+    let mut rounding = pool().random_rhs(2);
+    rounding.rhs.iter_mut().for_each(|b| *b *= 1e-15);
+    rounding
+        .velocity
+        .iter_mut()
+        .flatten()
+        .for_each(|u| *u = 10.0);
+    for precision in precisions(gpu) {
+        for (name, case, unknowns) in [
+            ("zero", &pool(), 10 * 5 * 8),
+            ("no liquid", &empty, 0),
+            ("one cell without an open face", &lone, 0),
+            ("right-hand side in air", &dead_air, 400),
+            ("below the rounding of the fluxes", &rounding, 400),
+        ] {
+            let solved = Device::holding(gpu, case, &settings(precision)).solve();
+            let outcome = solved.outcome;
+            assert_eq!(
+                (outcome.status, outcome.iterations, outcome.unknowns),
+                (Status::Converged, 0, unknowns),
+                "{name} {precision:?}: {outcome:?}"
+            );
+            assert!(outcome.residual <= 1.0, "{name} {precision:?}: {outcome:?}");
+            assert_eq!(largest(solved.potential), 0.0, "{name} {precision:?}");
+        }
+    }
+}
+
+#[test]
+fn a_solution_is_recognised_and_a_limit_is_told() {
+    let Some(gpu) = gpu() else { return };
+    let case = Case::new([24, 20, 16], |[_, j, _]| j < 15).random_rhs(3);
+    for precision in precisions(gpu) {
+        let full = Device::holding(gpu, &case, &settings(precision))
+            .solve()
+            .outcome;
+        let mut last = 1.0;
+        for limit in [1, 2, full.iterations / 2] {
+            let solver = Solver {
+                max_iterations: limit,
+                ..settings(precision)
+            };
+            let solved = Device::holding(gpu, &case, &solver).solve();
+            let outcome = solved.outcome;
+            assert_eq!(
+                (outcome.status, outcome.iterations),
+                (Status::MaxIterations, limit),
+                "{precision:?}: {outcome:?}"
+            );
+            assert!(
+                outcome.verified && outcome.residual > solver.tolerance && outcome.residual < last,
+                "{precision:?}: {outcome:?} after {last:e}"
+            );
+            assert!(largest(solved.potential) > 0.0, "the best iterate is kept");
+            last = outcome.residual;
+        }
+        let enough = Solver {
+            max_iterations: full.iterations,
+            ..settings(precision)
+        };
+        let outcome = Device::holding(gpu, &case, &enough).solve().outcome;
+        assert_eq!(
+            outcome.status,
+            Status::Converged,
+            "{precision:?}: {outcome:?}"
+        );
+    }
+}
+
+#[test]
+fn numbers_that_are_not_finite_are_told() {
+    let Some(gpu) = gpu() else { return };
+    for poison in [f64::NAN, f64::INFINITY] {
+        for precision in precisions(gpu) {
+            let mut case = Case::new([8, 8, 8], |[_, j, _]| j < 5).random_rhs(3);
+            case.rhs[100] = poison;
+            let outcome = Device::holding(gpu, &case, &settings(precision))
+                .solve()
+                .outcome;
+            assert_eq!(
+                outcome.status,
+                Status::NonFinite,
+                "{poison} {precision:?}: {outcome:?}"
+            );
+        }
+    }
+}
+
+/// Sums over more than 16,384 quads take two kernels. The same droplets in a corner of a domain that has so many, and
+/// in one that has not, and a pool that fills as many partial sums.
+#[test]
+fn long_sums_are_the_short_ones() {
+    let Some(gpu) = gpu() else { return };
+    let droplets = |cells: [usize; 3]| {
+        let mut case = Case::new(cells, |[i, j, k]| {
+            i < 12 && j < 10 && k < 8 && (i * j + k) % 5 < 3
+        });
+        for cell in 0..case.rhs.len() {
+            let [i, j, k] = case.grid.cell_at(cell);
+            case.rhs[cell] = (i as f64).sin() + (j as f64 * 0.7).cos() - (k as f64 * 0.3).sin();
+        }
+        case
+    };
+    let (small, large) = ([16, 12, 10], [72, 60, 20]);
+    assert!(
+        Grid {
+            cells: small,
+            dx: 0.1
+        }
+        .padded()
+        .quads
+            < 16_384,
+        "short sums"
+    );
+    assert!(
+        Grid {
+            cells: large,
+            dx: 0.1
+        }
+        .padded()
+        .quads
+            > 16_384,
+        "long sums"
+    );
+    for precision in precisions(gpu) {
+        let [short, long] = [small, large].map(|cells| {
+            let case = droplets(cells);
+            let solved = Device::holding(gpu, &case, &settings(precision)).solve();
+            assert_eq!(
+                solved.outcome.status,
+                Status::Converged,
+                "{precision:?}: {:?}",
+                solved.outcome
+            );
+            let at = |[i, j, k]: [usize; 3]| solved.potential[case.grid.cell([i, j, k])];
+            let block = (0..12 * 10 * 8)
+                .map(|c| at([c % 12, c / 12 % 10, c / 120]))
+                .collect::<Vec<f64>>();
+            (block, solved.outcome)
+        });
+        assert_eq!(short.1.unknowns, long.1.unknowns, "{precision:?}");
+        let difference = largest(short.0.iter().zip(&long.0).map(|(a, b)| a - b));
+        let bound = 100.0 * settings(precision).tolerance * largest(short.0.iter().copied());
+        assert!(
+            difference <= bound,
+            "{precision:?}: {difference:e}, bound {bound:e}"
+        );
+    }
+    let case = Case::new(large, |[_, j, _]| j < 55).random_rhs(5);
+    let outcome = Device::holding(gpu, &case, &Solver::default())
+        .solve()
+        .outcome;
+    assert_eq!(outcome.status, Status::Converged, "{outcome:?}");
+    assert_eq!(outcome.unknowns, 72 * 55 * 20, "unknowns");
+    assert!(outcome.verified && outcome.residual <= 1e-8, "{outcome:?}");
+}
+
+/// Prints all bits of a solve with closed components, for [`results_do_not_depend_on_the_number_of_threads`].
+#[test]
+fn digest_of_a_solve() {
+    let Some(gpu) = gpu() else { return };
+    let pool = Case::new([40, 40, 21], |[i, j, k]| i < 13 || (i + j + k) % 17 != 0);
+    let case = slivers(pool, 9)
+        .narrow(wall_around([3, 4, 5], [13, 12, 9]))
+        .random_rhs(9);
+    for precision in precisions(gpu) {
+        let solver = Solver {
+            max_iterations: 1000,
+            ..settings(precision)
+        };
+        let solved = Device::holding(gpu, &case, &solver).solve();
+        let digest = solved.potential.iter().fold(0_u64, |digest, value| {
+            Random(digest ^ value.to_bits()).bits()
+        });
+        assert_eq!(
+            solved.outcome.status,
+            Status::Converged,
+            "{:?}",
+            solved.outcome
+        );
+        assert!(solved.outcome.closed_components > 0, "{:?}", solved.outcome);
+        println!(
+            "digest {precision:?} {} {digest:016x}",
+            solved.outcome.iterations
+        );
+    }
+}
+
+/// lavapipe reads `LP_NUM_THREADS`; on other adapters this compares two processes.
+#[test]
+fn results_do_not_depend_on_the_number_of_threads() {
+    let Some(_) = gpu() else { return };
+    let digests = ["1", "2", "3"].map(|threads| {
+        let output = Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "solver::digest_of_a_solve", "--nocapture"])
+            .env("LP_NUM_THREADS", threads)
+            .output()
+            .unwrap();
+        let text = String::from_utf8(output.stdout).unwrap();
+        let digests: Vec<String> = text
+            .lines()
+            .filter_map(|line| line.find("digest ").map(|at| line[at..].to_owned()))
+            .filter(|line| line.split(' ').count() == 4)
+            .collect();
+        assert!(digests.len() >= 2, "{threads} threads: {text}");
+        digests
+    });
+    assert_eq!(digests[0], digests[1], "1 and 2 threads");
+    assert_eq!(digests[0], digests[2], "1 and 3 threads");
 }
