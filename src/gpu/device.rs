@@ -1,8 +1,10 @@
 //! Adapter choice, device, limits, and the collection of device errors.
 
+use std::collections::HashMap;
 use std::fmt::Write as _;
 use std::sync::{Arc, Mutex, OnceLock};
 
+use super::{Kernel, Source, Variant};
 use crate::Error;
 
 /// Which adapter to use.
@@ -108,6 +110,7 @@ pub struct Gpu {
     report: AdapterReport,
     faults: Arc<Mutex<Option<String>>>,
     allocated: Mutex<Vec<(String, u64)>>,
+    kernels: Mutex<HashMap<(Source, Variant), Kernel>>,
 }
 
 /// The one instance of a process: drivers were seen to crash when several are torn down side by side.
@@ -245,6 +248,7 @@ impl Gpu {
             report,
             faults,
             allocated: Mutex::default(),
+            kernels: Mutex::default(),
         })
     }
 
@@ -291,6 +295,17 @@ impl Gpu {
             .lock()
             .map(|list| list.clone())
             .unwrap_or_default()
+    }
+
+    pub(super) fn known_kernel(&self, source: &Source, variant: Variant) -> Option<Kernel> {
+        let kernels = self.kernels.lock().ok()?;
+        kernels.get(&(*source, variant)).cloned()
+    }
+
+    pub(super) fn keep_kernel(&self, source: &Source, variant: Variant, kernel: &Kernel) {
+        if let Ok(mut kernels) = self.kernels.lock() {
+            kernels.insert((*source, variant), kernel.clone());
+        }
     }
 
     pub(super) fn note_allocation(&self, label: &str, bytes: u64) {

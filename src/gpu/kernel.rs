@@ -1,18 +1,20 @@
 //! Kernels: a compute pipeline made from one WGSL file, its bindings found by reflection and bound by name.
 
+use std::sync::Arc;
+
 use bytemuck::Pod;
 
 use super::shader::{Source, Variant, compose, validate};
 use super::{Buffer, Gpu};
 use crate::Error;
 
-/// A compute pipeline. Lives as long as the device; owns no data.
-#[derive(Debug)]
+/// A compute pipeline. Lives as long as the device, which compiles each one once; owns no data.
+#[derive(Clone, Debug)]
 pub struct Kernel {
     label: &'static str,
     pipeline: wgpu::ComputePipeline,
     layout: wgpu::BindGroupLayout,
-    slots: Vec<Slot>,
+    slots: Arc<[Slot]>,
     threads: u32,
 }
 
@@ -59,12 +61,15 @@ pub struct Bound {
 }
 
 impl Kernel {
-    /// Compiles a WGSL file whose entry point has the file's name.
+    /// Compiles a WGSL file whose entry point has the file's name, unless the device has it already.
     ///
     /// # Errors
     /// [`Error::Shader`] with file and line, [`Error::Limit`] when it binds more storage buffers than the adapter allows.
     pub fn new(gpu: &Gpu, source: &Source, variant: impl Into<Variant>) -> Result<Kernel, Error> {
         let variant = variant.into();
+        if let Some(kernel) = gpu.known_kernel(source, variant) {
+            return Ok(kernel);
+        }
         let composed = compose(source, variant)?;
         let (module, _) = validate(&composed, variant)?;
         let entry = source.name.rsplit('/').next().unwrap_or(source.name);
@@ -172,13 +177,15 @@ impl Kernel {
                 cache: None,
             });
         gpu.check(label)?;
-        Ok(Kernel {
+        let kernel = Kernel {
             label,
             pipeline,
             layout,
-            slots,
+            slots: slots.into(),
             threads,
-        })
+        };
+        gpu.keep_kernel(source, variant, &kernel);
+        Ok(kernel)
     }
 
     /// Binds buffers to the kernel's variables, by name.

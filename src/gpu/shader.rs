@@ -10,7 +10,7 @@ use crate::Error;
 pub const WG_SIZE: u32 = 64;
 
 /// A WGSL file below `shaders/`, without `.wgsl`.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Source {
     /// File stem, also the entry point and the kernel's label.
     pub name: &'static str,
@@ -57,7 +57,7 @@ pub const COMMON: &[Source] = &[
 ];
 
 /// The scalar type that `alias Real` stands for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Real {
     /// 32 bit.
     F32,
@@ -110,7 +110,7 @@ impl Composed {
 
 /// The scalar types of a kernel: `#import real` gives `Real`, `#import inner` gives `Inner`. Most kernels use one; the solver's
 /// outer loop works in `Real` on corrections in `Inner`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Variant {
     /// `Real`.
     pub real: Real,

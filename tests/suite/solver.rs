@@ -3,7 +3,7 @@
 use std::cell::OnceCell;
 use std::process::Command;
 
-use cutwater::gpu::{Buffer, Gpu, RealBuffer, Recorder};
+use cutwater::gpu::{Buffer, Gpu, Real, RealBuffer, Recorder};
 use cutwater::grid::{Axis, Grid, Padded};
 use cutwater::linalg::{LinearOperator, dot, norm};
 use cutwater::reference::base_block::{BaseBlock, DENSITY, DT, THETA_FLOOR};
@@ -571,10 +571,14 @@ fn hard_systems_have_the_twins_operators_and_solutions() {
             let pairs = direct.iter().zip(&solved.potential);
             let error = energy(&pairs.map(|(p, x)| p - x).collect::<Vec<f64>>());
             let scale = energy(&direct);
-            assert!(
-                error <= 100.0 * solver.tolerance * scale,
-                "{what}: {error:e} of {scale:e}"
-            );
+            let mut bound = 100.0 * solver.tolerance * scale;
+            if device.buffers.potential.real == Real::F32 {
+                // The potential's own rounding; e.Be <= 2 e.De with the diagonal D.
+                let diagonal = system.stencil.diagonal.iter().zip(&direct);
+                let rounding = diagonal.map(|(d, p)| d * p * p).sum::<f64>().sqrt();
+                bound += f64::from(f32::EPSILON) * rounding;
+            }
+            assert!(error <= bound, "{what}: {error:e} of {scale:e}");
             let repeated = device.solve();
             assert_eq!(repeated.potential, solved.potential, "{what}: bit for bit");
         }
