@@ -25,7 +25,10 @@ apt_install() {
         as_root=(sudo)
     fi
     say "installing $*"
-    "${as_root[@]}" apt-get update -q </dev/null
+    if [ -z "${lists_are_fresh:-}" ]; then
+        "${as_root[@]}" apt-get update -q </dev/null
+        lists_are_fresh=yes
+    fi
     "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive \
         apt-get install -q -y --no-install-recommends -o DPkg::Lock::Timeout=300 "$@" </dev/null
 }

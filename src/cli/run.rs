@@ -81,8 +81,9 @@ impl Run {
         };
         let outcome = sim::run(&scene, &options, &mut listen, &interrupt);
         bar.finish_and_clear();
-        let summary = outcome.inspect_err(|_| {
-            if out.join("frames").exists() {
+        let summary = outcome.inspect_err(|error| {
+            // Not where the run was refused: what is in the folder then is another's.
+            if matches!(error.exit_code(), 4 | 130) && out.join("frames").exists() {
                 eprintln!("what was written so far is in {}", out.display());
             }
         })?;

@@ -290,6 +290,7 @@ fn an_earlier_run_is_replaced_only_when_asked() {
         message.contains("--overwrite") && message.contains("--out"),
         "{message}"
     );
+    assert!(!message.contains("so far"), "{message}");
     assert_eq!(fs::read(run.join("steps.csv")).unwrap(), before);
     says(
         &folder,
