@@ -24,8 +24,11 @@ fn compact(gpu: &Gpu, flags: &[u32], first: usize, n: usize) -> (Vec<u32>, Vec<u
     (gpu.download(&list).unwrap(), gpu.download(&args).unwrap())
 }
 
+/// The bit of a flag that its list entry carries.
+const TAG: u32 = 0x8000_0000;
+
 #[test]
-fn compaction_lists_the_flags_in_order() {
+fn compaction_lists_the_flags_in_order_with_their_tags() {
     let Some(gpu) = gpu() else { return };
     let mut random = Random(1);
     for (n, density) in [
@@ -38,10 +41,16 @@ fn compaction_lists_the_flags_in_order() {
         (300_004, 0.6),
     ] {
         let flags: Vec<u32> = (0..n)
-            .map(|_| u32::from(random.uniform(0.0, 1.0) < density) * 5)
+            .map(|_| {
+                let flag = if random.bits() % 2 == 0 { 5 } else { TAG };
+                u32::from(random.uniform(0.0, 1.0) < density) * flag
+            })
             .collect();
         let (list, args) = compact(gpu, &flags, 0, n);
-        let expected: Vec<u32> = (0..n as u32).filter(|&i| flags[i as usize] != 0).collect();
+        let expected: Vec<u32> = (0..n as u32)
+            .filter(|&i| flags[i as usize] != 0)
+            .map(|i| i | flags[i as usize] & TAG)
+            .collect();
         assert_eq!(args[7] as usize, expected.len(), "length for {n} flags");
         assert_eq!(
             args[4..7],
