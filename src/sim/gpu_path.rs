@@ -7,7 +7,7 @@ use crate::gpu::{AdapterChoice, CompactKernels, Gpu, Readback, Real};
 use crate::grid::Grid;
 use crate::reference::{TimeStep, time_step};
 use crate::scene::Scene;
-use crate::solver::{PressureSolver, PressureSystem, SolverBuffers};
+use crate::solver::{Components, PressureSolver, PressureSystem, SolverBuffers};
 use crate::stages::{
     Active, AdvectMarkers, AdvectVelocity, Band, Diagnose, Extrapolate, Forces, LiquidBuffers,
     LiquidDistance, LiquidPlan, Report, RightHandSide, Step, Volume, WriteBack,
@@ -43,6 +43,7 @@ pub(super) struct Stages {
     /// With a fixed surface, whose volume `liquid_distance` would have measured.
     pub(super) volume: Option<Volume>,
     pub(super) active_cells: PressureSystem,
+    pub(super) closed_components: Components,
     pub(super) right_hand_side: RightHandSide,
     pub(super) solve: PressureSolver,
     pub(super) write_back: WriteBack,
@@ -253,6 +254,7 @@ impl Stages {
                 .then(|| Volume::new(gpu, liquid))
                 .transpose()?,
             active_cells,
+            closed_components: Components::new(gpu, solver)?,
             right_hand_side: RightHandSide::new(gpu, liquid, &active, &solver.rhs)?,
             solve,
             write_back: WriteBack::new(gpu, liquid, &active, &solver.potential)?,

@@ -3,7 +3,7 @@
 use crate::Error;
 use crate::gpu::{Readback, Recorder, StageTimes};
 use crate::reference::TimeStep;
-use crate::solver::{Outcome, PressureSystem, Status};
+use crate::solver::{Components, Outcome, PressureSystem, Status};
 use crate::stages::{
     AdvectMarkers, AdvectVelocity, Band, Diagnose, Extrapolate, Forces, LiquidDistance, Report,
     RightHandSide, WriteBack,
@@ -76,11 +76,21 @@ impl GpuPath {
         }
         PressureSystem::clear(&mut to, solver);
         to.stage("active_cells", |pass| stages.active_cells.record(pass));
+        to.stage(Components::NAME, |pass| {
+            stages.closed_components.label(pass, solver)
+        });
         to = watch.after("active_cells", to)?;
         stages.right_hand_side.record(&mut to, &active);
+        to.stage(Components::NAME, |pass| {
+            stages.closed_components.remove_means(pass)
+        });
         to = watch.after(RightHandSide::NAME, to)?;
         let (outcome, mut seconds) = stages.solve.solve(gpu, to, solver, self.ends_frame(dt))?;
-        to = watch.after("solve", Recorder::timed(gpu))?;
+        to = Recorder::timed(gpu);
+        to.stage(Components::NAME, |pass| {
+            stages.closed_components.centre_potential(pass)
+        });
+        to = watch.after("solve", to)?;
 
         stages.write_back.record(&mut to, liquid);
         to = watch.after(WriteBack::NAME, to)?;
@@ -144,7 +154,7 @@ impl GpuPath {
                 residual: outcome.residual,
                 status: solve_status(outcome.status),
             },
-            closed_components: 0,
+            closed_components: outcome.closed_components as usize,
             diagnosis: report.diagnosis,
             markers: self.n_markers - dropped_now as usize,
             dropped,

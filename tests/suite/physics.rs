@@ -7,7 +7,7 @@ use cutwater::state::{SolveStatus, State};
 
 use crate::common::gpu;
 use crate::reference_physics::{
-    DAM, GRAVITY, dam_release_error, dam_release_scene, rest_cases, scene,
+    DAM, GRAVITY, dam_release_error, dam_release_scene, pool, rest_cases, scene,
 };
 
 fn simulation(scene: &Scene) -> Simulation {
@@ -32,6 +32,23 @@ fn water_at_rest_stays_at_rest_on_the_gpu() {
                 "{name}, step {number}: {speed:e} m/s, allowed {bound:e}: {report:?}"
             );
         }
+    }
+}
+
+#[test]
+fn a_full_container_rests_on_the_gpu_and_is_closed() {
+    if gpu().is_none() {
+        return;
+    }
+    let sphere =
+        "[[obstacle]]\nsphere = { centre = [0.5, 0.5, 0.5], radius = 0.44 }\ninside_out = true\n";
+    for rest in [pool(2.0), pool(2.0) + sphere] {
+        let mut simulation = simulation(&scene([12, 12, 12], &rest));
+        let report = simulation.step().unwrap();
+        assert_eq!(report.closed_components, 1, "{report:?}");
+        assert_eq!(report.solve.status, SolveStatus::Converged, "{report:?}");
+        let bound = 2e-6 * GRAVITY * report.dt;
+        assert!(report.diagnosis.max_speed <= bound, "{report:?}");
     }
 }
 
