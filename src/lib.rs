@@ -5,11 +5,13 @@
 //!
 //! 1. `time_step`: the largest step that the velocities allow and that lands on the frame times ([`sim`])
 //! 2. `clip`: open face areas and the distance to the obstacles, on the CPU ([`geometry`])
-//! 3. `advect_markers`: midpoint rule through the MAC field, then out of solids and walls
+//! 3. `advect_markers`: midpoint rule through the MAC field, then out of solids and walls; on the GPU `band` then lists the
+//!    quads near the liquid, which all other stages work on
 //! 4. `advect_velocity`: semi-Lagrangian on the faces
 //! 5. `forces`: gravity
 //! 6. `liquid_distance`: union of spheres, extended into the solids
-//! 7. `active_cells`: the unknowns, compacted, and the levels of the multigrid hierarchy
+//! 7. `active_cells`: the unknowns, compacted, and the levels of the multigrid hierarchy; `closed_components`: those among
+//!    them that no free surface reaches
 //! 8. `right_hand_side`: negative divergence and volume control
 //! 9. `solve`: the pressure ([`solver`])
 //! 10. `write_back`: the divergence-free face velocities

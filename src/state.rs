@@ -81,6 +81,19 @@ pub enum SolveStatus {
     NonFinite,
 }
 
+impl SolveStatus {
+    /// Word for tables and messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            SolveStatus::Converged => "converged",
+            SolveStatus::IterationLimit => "iteration_limit",
+            SolveStatus::Stagnated => "stagnated",
+            SolveStatus::Breakdown => "breakdown",
+            SolveStatus::NonFinite => "non_finite",
+        }
+    }
+}
+
 /// What a pressure solve did. A zero right-hand side gives a zero answer, residual 0, status converged.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SolveReport {

@@ -16,7 +16,7 @@ use crate::grid::Axis;
 use crate::linalg;
 use crate::reference::base_block::{BaseBlock, THETA_FLOOR};
 use crate::scene::{Precision, Preconditioner, Solver};
-use crate::solver::{Outcome, PressureSolver, PressureSystem, SolverBuffers, Status};
+use crate::solver::{Outcome, PressureSolver, PressureSystem, SolverBuffers};
 
 use super::bandwidth::copy_bandwidth;
 use super::statistics::Spread;
@@ -269,11 +269,7 @@ fn measure(
         },
         precision: name(solver.precision),
         tolerance: solver.tolerance,
-        status: if outcome.status == Status::Converged {
-            "converged"
-        } else {
-            outcome.status.name()
-        },
+        status: outcome.status.name(),
         iterations: outcome.iterations,
         rounds: outcome.rounds,
         seconds_median: seconds.median,

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use crate::Error;
 use crate::scene::Probe;
-use crate::state::{SolveStatus, StepReport};
+use crate::state::StepReport;
 
 /// A CSV file that grows by rows and is flushed once per frame.
 #[derive(Debug)]
@@ -129,13 +129,7 @@ impl StepTable {
             }
             Some(_) => {}
         }
-        let status = match report.solve.status {
-            SolveStatus::Converged => "converged",
-            SolveStatus::IterationLimit => "iteration_limit",
-            SolveStatus::Stagnated => "stagnated",
-            SolveStatus::Breakdown => "breakdown",
-            SolveStatus::NonFinite => "non_finite",
-        };
+        let status = report.solve.status.name();
         let diagnosis = &report.diagnosis;
         let real = |column: &str, value: f64| number(column, step, value);
         let mut fields = vec![

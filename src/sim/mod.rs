@@ -107,8 +107,9 @@ impl Simulation {
                 stage: "solve",
                 step,
                 problem: format!(
-                    "the pressure solve ended with {:?} at a relative residual of {:.1e}",
-                    report.solve.status, report.solve.residual
+                    "the pressure solve ended with {} at a relative residual of {:.1e}",
+                    report.solve.status.name(),
+                    report.solve.residual
                 ),
             }),
             _ => Ok(report),

@@ -3,12 +3,12 @@
 use crate::Error;
 use crate::gpu::{Readback, Recorder, StageTimes};
 use crate::reference::TimeStep;
-use crate::solver::{Components, Outcome, PressureSystem, Status};
+use crate::solver::{Components, Outcome, PressureSystem};
 use crate::stages::{
     AdvectMarkers, AdvectVelocity, Band, Diagnose, Extrapolate, Forces, LiquidDistance, Report,
     RightHandSide, WriteBack,
 };
-use crate::state::{SolveReport, SolveStatus, StepReport};
+use crate::state::{SolveReport, StepReport};
 
 use super::gpu_path::{GpuPath, active};
 
@@ -152,7 +152,7 @@ impl GpuPath {
                 unknowns: outcome.unknowns as usize,
                 iterations: outcome.iterations,
                 residual: outcome.residual,
-                status: solve_status(outcome.status),
+                status: outcome.status,
             },
             closed_components: outcome.closed_components as usize,
             diagnosis: report.diagnosis,
@@ -173,14 +173,4 @@ fn by_stage(times: &StageTimes) -> StageTimes {
         }
     }
     sums
-}
-
-fn solve_status(status: Status) -> SolveStatus {
-    match status {
-        Status::Converged => SolveStatus::Converged,
-        Status::MaxIterations => SolveStatus::IterationLimit,
-        Status::Breakdown => SolveStatus::Breakdown,
-        Status::Stagnated => SolveStatus::Stagnated,
-        Status::NonFinite => SolveStatus::NonFinite,
-    }
 }

@@ -33,7 +33,7 @@ mod system;
 
 pub use components::Components;
 pub use hierarchy::Hierarchy;
-pub use refine::{Outcome, PressureSolver, Status};
+pub use refine::{Outcome, PressureSolver};
 pub use system::{LevelPlan, PressureSystem, SolverBuffers};
 
 use crate::grid::Layout;

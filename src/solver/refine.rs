@@ -3,6 +3,7 @@
 use crate::Error;
 use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, Readback, RealBuffer, Recorder, Variant};
 use crate::scene::{Precision, Preconditioner, Solver};
+use crate::state::SolveStatus;
 
 use super::Control;
 use super::components::{CLOSED, STATE_WORDS};
@@ -30,39 +31,11 @@ const ROUND_FLOOR_F32: f32 = 5e-5;
 /// Share of what is left that a round aims for.
 const ROUND_MARGIN: f64 = 0.5;
 
-/// How a solve ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Status {
-    /// The true residual is below the tolerance, or at the rounding of the fluxes it is a difference of.
-    Converged,
-    /// Stopped at the iteration limit.
-    MaxIterations,
-    /// The operator or the preconditioner was not positive.
-    Breakdown,
-    /// A round made the residual no smaller; its correction was taken back.
-    Stagnated,
-    /// The residual is not finite.
-    NonFinite,
-}
-
-impl Status {
-    /// Word for tables and messages.
-    pub fn name(self) -> &'static str {
-        match self {
-            Status::Converged => "converged",
-            Status::MaxIterations => "iteration limit",
-            Status::Breakdown => "breakdown",
-            Status::Stagnated => "stagnated",
-            Status::NonFinite => "non-finite",
-        }
-    }
-}
-
 /// What is known after a solve.
 #[derive(Clone, Copy, Debug)]
 pub struct Outcome {
     /// How it ended.
-    pub status: Status,
+    pub status: SolveStatus,
     /// PCG iterations in all rounds.
     pub iterations: u32,
     /// Rounds.
@@ -334,7 +307,7 @@ impl PressureSolver {
             let norms = &reading.norms;
             let mut outcome = self.outcome(&reading);
             if let Some(outcome) = &mut outcome {
-                if outcome.status == Status::Stagnated {
+                if outcome.status == SolveStatus::Stagnated {
                     // One more turn, so that a correction on trial is taken back.
                     recorder = Recorder::new(gpu);
                     recorder.stage("solve", |pass| self.record_turn(pass));
@@ -424,13 +397,13 @@ impl PressureSolver {
             closed,
         } = reading;
         let status = match control.status {
-            _ if !norms[NORM_R].is_finite() || !norms[NORM_B].is_finite() => Status::NonFinite,
+            _ if !norms[NORM_R].is_finite() || !norms[NORM_B].is_finite() => SolveStatus::NonFinite,
             0 => return None,
-            1 => Status::Converged,
-            2 => Status::MaxIterations,
+            1 => SolveStatus::Converged,
+            2 => SolveStatus::IterationLimit,
             3 if control.running == 1 => return None,
-            3 => Status::Breakdown,
-            _ => Status::Stagnated,
+            3 => SolveStatus::Breakdown,
+            _ => SolveStatus::Stagnated,
         };
         Some(Outcome {
             status,
@@ -467,16 +440,16 @@ impl PressureSolver {
             .max(rounding(&self.solver).powi(2) * norms[NORM_FLUX]);
         let status = loop {
             if !rr.is_finite() {
-                break Status::NonFinite;
+                break SolveStatus::NonFinite;
             }
             if rr <= goal {
-                break Status::Converged;
+                break SolveStatus::Converged;
             }
             if control.iterations >= control.max_iterations {
-                break Status::MaxIterations;
+                break SolveStatus::IterationLimit;
             }
             if control.status == 3 {
-                break Status::Breakdown;
+                break SolveStatus::Breakdown;
             }
             let scale = rr.sqrt();
             let scaled: Vec<f64> = r.iter().map(|value| value / scale).collect();
@@ -503,7 +476,7 @@ impl PressureSolver {
                 .collect();
             let (r_new, rr_new) = system.residual(&better, &rhs);
             if rr_new.is_finite() && rr_new >= rr {
-                break Status::Stagnated;
+                break SolveStatus::Stagnated;
             }
             (x, r, rr) = (better, r_new, rr_new);
         };

@@ -6,7 +6,7 @@ use cutwater::gpu::Real;
 use cutwater::grid::Axis;
 use cutwater::reference::{ActiveCells, solve_direct};
 use cutwater::scene::{Precision, Solver};
-use cutwater::solver::Status;
+use cutwater::state::SolveStatus;
 
 use crate::common::{Random, gpu};
 use crate::solver::{Case, Device, largest};
@@ -305,7 +305,7 @@ fn a_uniform_source_in_a_closed_tank_leaves_nothing_to_solve() {
         let solved = Device::holding(gpu, &case, &Solver::default()).solve();
         assert_eq!(
             (solved.outcome.status, solved.outcome.iterations),
-            (Status::Converged, 0),
+            (SolveStatus::Converged, 0),
             "{source}: {:?}",
             solved.outcome
         );
@@ -336,7 +336,11 @@ fn closed_components_are_solved_to_the_tolerance_with_mean_zero() {
         let device = Device::holding(gpu, &case, &Solver::default());
         let solved = device.solve();
         let outcome = solved.outcome;
-        assert_eq!(outcome.status, Status::Converged, "{name}: {outcome:?}");
+        assert_eq!(
+            outcome.status,
+            SolveStatus::Converged,
+            "{name}: {outcome:?}"
+        );
         assert!(
             outcome.verified && outcome.residual <= 1e-8 && outcome.iterations <= most,
             "{name}: {outcome:?}"

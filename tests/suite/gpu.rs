@@ -42,7 +42,11 @@ fn compaction_lists_the_flags_in_order_with_their_tags() {
     ] {
         let flags: Vec<u32> = (0..n)
             .map(|_| {
-                let flag = if random.bits() % 2 == 0 { 5 } else { TAG };
+                let flag = if random.bits().is_multiple_of(2) {
+                    5
+                } else {
+                    TAG
+                };
                 u32::from(random.uniform(0.0, 1.0) < density) * flag
             })
             .collect();

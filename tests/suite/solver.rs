@@ -11,9 +11,8 @@ use cutwater::reference::{
     ActiveCells, Multigrid, RightHandSide, Stencil, active_cells, solve_direct,
 };
 use cutwater::scene::{Precision, Preconditioner, Solver};
-use cutwater::solver::{
-    Components, Outcome, PressureSolver, PressureSystem, SolverBuffers, Status,
-};
+use cutwater::solver::{Components, Outcome, PressureSolver, PressureSystem, SolverBuffers};
+use cutwater::state::SolveStatus;
 
 use crate::common::{Random, gpu};
 use crate::components::wall_around;
@@ -297,7 +296,7 @@ fn base_block_agrees_with_the_direct_solve() {
             let block = BaseBlock::new(20);
             let solved = Device::holding(gpu, &block_case(20), &solver).solve();
             let case = format!("{precision:?} {preconditioner:?}");
-            assert_eq!(solved.outcome.status, Status::Converged, "{case}");
+            assert_eq!(solved.outcome.status, SolveStatus::Converged, "{case}");
             assert!(
                 solved.outcome.verified && solved.outcome.residual <= tolerance,
                 "{case}: {:?}",
@@ -335,7 +334,7 @@ fn iterations_hardly_grow_with_the_grid() {
     let Some(gpu) = gpu() else { return };
     let iterations = [20, 40, 60, 80, 100].map(|n| {
         let solved = Device::holding(gpu, &block_case(n), &Solver::default()).solve();
-        assert_eq!(solved.outcome.status, Status::Converged, "{n}^3");
+        assert_eq!(solved.outcome.status, SolveStatus::Converged, "{n}^3");
         assert!(
             solved.outcome.residual <= 1e-8,
             "{n}^3: {:?}",
@@ -555,7 +554,7 @@ fn hard_systems_have_the_twins_operators_and_solutions() {
             let solved = device.solve();
             let outcome = solved.outcome;
             let what = format!("{name} {precision:?}: {outcome:?}");
-            assert_eq!(outcome.status, Status::Converged, "{what}");
+            assert_eq!(outcome.status, SolveStatus::Converged, "{what}");
             assert!(
                 outcome.verified && outcome.residual <= solver.tolerance,
                 "{what}"
@@ -620,7 +619,7 @@ fn nothing_to_solve_is_solved_by_zero() {
             let outcome = solved.outcome;
             assert_eq!(
                 (outcome.status, outcome.iterations, outcome.unknowns),
-                (Status::Converged, 0, unknowns),
+                (SolveStatus::Converged, 0, unknowns),
                 "{name} {precision:?}: {outcome:?}"
             );
             assert!(outcome.residual <= 1.0, "{name} {precision:?}: {outcome:?}");
@@ -647,7 +646,7 @@ fn a_solution_is_recognised_and_a_limit_is_told() {
             let outcome = solved.outcome;
             assert_eq!(
                 (outcome.status, outcome.iterations),
-                (Status::MaxIterations, limit),
+                (SolveStatus::IterationLimit, limit),
                 "{precision:?}: {outcome:?}"
             );
             assert!(
@@ -664,7 +663,7 @@ fn a_solution_is_recognised_and_a_limit_is_told() {
         let outcome = Device::holding(gpu, &case, &enough).solve().outcome;
         assert_eq!(
             outcome.status,
-            Status::Converged,
+            SolveStatus::Converged,
             "{precision:?}: {outcome:?}"
         );
     }
@@ -682,7 +681,7 @@ fn numbers_that_are_not_finite_are_told() {
                 .outcome;
             assert_eq!(
                 outcome.status,
-                Status::NonFinite,
+                SolveStatus::NonFinite,
                 "{poison} {precision:?}: {outcome:?}"
             );
         }
@@ -731,7 +730,7 @@ fn long_sums_are_the_short_ones() {
             let solved = Device::holding(gpu, &case, &settings(precision)).solve();
             assert_eq!(
                 solved.outcome.status,
-                Status::Converged,
+                SolveStatus::Converged,
                 "{precision:?}: {:?}",
                 solved.outcome
             );
@@ -753,7 +752,7 @@ fn long_sums_are_the_short_ones() {
     let outcome = Device::holding(gpu, &case, &Solver::default())
         .solve()
         .outcome;
-    assert_eq!(outcome.status, Status::Converged, "{outcome:?}");
+    assert_eq!(outcome.status, SolveStatus::Converged, "{outcome:?}");
     assert_eq!(outcome.unknowns, 72 * 55 * 20, "unknowns");
     assert!(outcome.verified && outcome.residual <= 1e-8, "{outcome:?}");
 }
@@ -777,7 +776,7 @@ fn digest_of_a_solve() {
         });
         assert_eq!(
             solved.outcome.status,
-            Status::Converged,
+            SolveStatus::Converged,
             "{:?}",
             solved.outcome
         );
