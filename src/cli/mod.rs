@@ -2,6 +2,7 @@
 
 mod adapters;
 mod bench;
+mod plan;
 mod preview;
 mod run;
 
@@ -26,6 +27,8 @@ struct Cli {
 enum Command {
     /// Simulate a scene and write its frames and tables
     Run(run::Run),
+    /// Say what a scene takes: effects, stages, kernels, buffers, and whether the adapter has room
+    Plan(plan::PlanCommand),
     /// List the GPU adapters
     Adapters(adapters::Adapters),
     /// Measure the solve or the whole step
@@ -100,6 +103,7 @@ pub(crate) fn main() -> ExitCode {
     let cli = Cli::parse();
     let done = match &cli.command {
         Command::Run(command) => command.run(),
+        Command::Plan(command) => command.run(),
         Command::Adapters(command) => command.run(),
         Command::Bench(command) => command.run(),
         Command::Preview(command) => command.run(),

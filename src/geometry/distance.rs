@@ -251,14 +251,29 @@ impl Body {
         if self.inside_out { -1.0 } else { 0.0 }
     }
 
-    /// Signed distance at all cell centres, m, clipped to [`BAND`] cells.
-    pub(super) fn distance(&self, grid: &Grid) -> Vec<f64> {
+    /// Signed distance at a point, m, of the shape as placed, the right way out. Exact.
+    fn of_shape(&self, x: DVec3) -> f64 {
         let Placement {
             translate,
             rotate,
             scale,
         } = self.placement;
+        // The surface of a mesh is placed as a whole.
+        if let Solid::Mesh(_) = self.solid {
+            return self.solid.distance(x);
+        }
         let back: DMat3 = rotate.transpose();
+        let turned = back * (x - self.centre - translate) / scale;
+        scale * self.solid.distance(self.centre + turned)
+    }
+
+    /// Whether a point lies in the solid.
+    pub(super) fn holds(&self, x: DVec3) -> bool {
+        (self.of_shape(x) < 0.0) != self.inside_out
+    }
+
+    /// Signed distance at all cell centres, m, clipped to [`BAND`] cells.
+    pub(super) fn distance(&self, grid: &Grid) -> Vec<f64> {
         let band = BAND * grid.dx;
         let mut field = vec![0.0; grid.n_cells()];
         field
@@ -269,10 +284,9 @@ impl Body {
                 let centre = |i| grid.cell_centre([i, row % ny, row / ny]);
                 match self.solid {
                     Solid::Mesh(ref mesh) => mesh_row(mesh, band, (0..nx).map(centre), values),
-                    ref solid => {
+                    _ => {
                         for (i, value) in values.iter_mut().enumerate() {
-                            let turned = back * (centre(i) - self.centre - translate) / scale;
-                            *value = scale * solid.distance(self.centre + turned);
+                            *value = self.of_shape(centre(i));
                         }
                     }
                 }

@@ -12,7 +12,7 @@ mod mesh_file;
 mod surface;
 
 pub use clip::{Clipping, OpenFractions, Patch, clip, open_fractions};
-pub use liquid::{Regions, initial_state, liquid_distance, seed_markers};
+pub use liquid::{Regions, estimate_markers, initial_state, liquid_distance, seed_markers};
 pub use mesh_file::read as read_mesh;
 pub use surface::{Fault, Surface};
 

@@ -111,20 +111,7 @@ impl Gpu {
         usage: wgpu::BufferUsages,
     ) -> Result<Buffer<T>, Error> {
         let bytes = (len.max(1) * size_of::<T>()).next_multiple_of(4) as u64;
-        let available = self
-            .limits
-            .max_buffer_size
-            .min(self.limits.max_storage_buffer_binding_size);
-        if bytes > available {
-            return Err(Error::Limit {
-                what: format!("buffer {label}"),
-                needed: bytes,
-                available,
-                unit: "bytes (max_storage_buffer_binding_size)",
-                cure: "use fewer cells (--scale), another adapter (--adapter), or --backend cpu"
-                    .to_owned(),
-            });
-        }
+        self.report().check_buffer(label, bytes)?;
         let raw = self.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some(label),
             size: bytes,

@@ -1,9 +1,10 @@
 //! Adapter choice, device, limits, and the collection of device errors.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::fmt::Write as _;
 use std::sync::{Arc, Mutex, OnceLock};
 
+use super::record::Timer;
 use super::{Kernel, Source, Variant};
 use crate::Error;
 
@@ -92,11 +93,38 @@ impl AdapterReport {
             workgroups: limits.max_compute_workgroups_per_dimension,
         }
     }
+
+    /// Whether the adapter allows a storage buffer of this size.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] with the buffer and the limit.
+    pub fn check_buffer(&self, label: &str, bytes: u64) -> Result<(), Error> {
+        let (available, unit) = if self.storage_binding <= self.buffer {
+            (
+                self.storage_binding,
+                "bytes (max_storage_buffer_binding_size)",
+            )
+        } else {
+            (self.buffer, "bytes (max_buffer_size)")
+        };
+        if bytes <= available {
+            return Ok(());
+        }
+        Err(Error::Limit {
+            what: format!("buffer {label}"),
+            needed: bytes,
+            available,
+            unit,
+            cure: "use fewer cells (--scale), another adapter (--adapter), or --backend cpu"
+                .to_owned(),
+        })
+    }
 }
 
-/// Threads per workgroup and storage buffers per kernel that every adapter must have: what the shaders are written for.
+/// Threads per workgroup that every adapter must have: what the shaders are written for.
 const NEEDED_THREADS: u32 = 256;
-const NEEDED_STORAGE_BUFFERS: u32 = 8;
+/// Storage buffers that a kernel binds at most, and that every adapter must allow.
+pub const STORAGE_BUFFERS: u32 = 8;
 
 const NO_ADAPTER_CURE: &str = "install a Vulkan driver (Debian: apt-get install mesa-vulkan-drivers gives the software \
     adapter llvmpipe), point VK_DRIVER_FILES at the driver's JSON file, or run with --backend cpu";
@@ -111,6 +139,8 @@ pub struct Gpu {
     faults: Arc<Mutex<Option<String>>>,
     allocated: Mutex<Vec<(String, u64)>>,
     kernels: Mutex<HashMap<(Source, Variant), Kernel>>,
+    /// Timers that no recording holds.
+    pub(super) timers: Mutex<Vec<Timer>>,
 }
 
 /// The one instance of a process: drivers were seen to crash when several are torn down side by side.
@@ -178,6 +208,14 @@ impl Gpu {
         enumerate().iter().map(AdapterReport::new).collect()
     }
 
+    /// The adapter of a choice; opens no device.
+    ///
+    /// # Errors
+    /// [`Error::Adapter`] when none matches.
+    pub fn find(choice: &AdapterChoice) -> Result<AdapterReport, Error> {
+        choose(choice).map(|adapter| AdapterReport::new(&adapter))
+    }
+
     /// Opens a device with all limits of its adapter.
     ///
     /// # Errors
@@ -194,7 +232,7 @@ impl Gpu {
             ),
             (
                 "a kernel (max_storage_buffers_per_shader_stage)",
-                NEEDED_STORAGE_BUFFERS,
+                STORAGE_BUFFERS,
                 report.storage_buffers,
             ),
             (
@@ -241,7 +279,7 @@ impl Gpu {
                 keep_first(&sink, format!("the device was lost: {message}"));
             }
         });
-        Ok(Gpu {
+        let gpu = Gpu {
             device,
             queue,
             limits,
@@ -249,7 +287,13 @@ impl Gpu {
             faults,
             allocated: Mutex::default(),
             kernels: Mutex::default(),
-        })
+            timers: Mutex::default(),
+        };
+        if gpu.report.timestamps {
+            let timer = Timer::new(&gpu);
+            gpu.keep_timer(timer);
+        }
+        Ok(gpu)
     }
 
     /// What the adapter is.
@@ -294,6 +338,14 @@ impl Gpu {
         self.allocated
             .lock()
             .map(|list| list.clone())
+            .unwrap_or_default()
+    }
+
+    /// Names of all kernels compiled so far on this device, sorted.
+    pub fn compiled(&self) -> BTreeSet<&'static str> {
+        self.kernels
+            .lock()
+            .map(|kernels| kernels.keys().map(|(source, _)| source.name).collect())
             .unwrap_or_default()
     }
 

@@ -15,9 +15,9 @@ mod shader;
 
 pub use buffer::{Buffer, BufferPlan, Readback, RealBuffer};
 pub use compact::{CompactKernels, Compaction, Range};
-pub use device::{AdapterChoice, AdapterReport, Gpu};
+pub use device::{AdapterChoice, AdapterReport, Gpu, STORAGE_BUFFERS};
 pub use kernel::{Binding, Bound, Kernel};
-pub use record::{Pass, Recorder, SPLIT, StageTimes, groups};
+pub use record::{Pass, Recorder, SPLIT, StageTimes, Timer, groups};
 pub use shader::{COMMON, Composed, Real, Source, Variant, WG_SIZE, compose, validate};
 
 /// The WGSL file `shaders/NAME.wgsl`, embedded.

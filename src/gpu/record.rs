@@ -3,7 +3,7 @@
 use bytemuck::Pod;
 
 use super::buffer::Arrival;
-use super::{Bound, Buffer, Gpu, Readback};
+use super::{Bound, Buffer, BufferPlan, Gpu, Readback};
 
 /// Workgroups along x before a dispatch continues along y; `common/dispatch.wgsl` has the same constant. Below the 65,535
 /// that every adapter allows, and a power of two so that folding back is a shift.
@@ -23,13 +23,75 @@ pub type StageTimes = Vec<(&'static str, f64)>;
 
 /// Stages that one submission can time; later ones run untimed.
 const TIMED_STAGES: u32 = 64;
+/// Bytes of their timestamps.
+const TIMES: u64 = 2 * 8 * TIMED_STAGES as u64;
+
+/// What times a submission; kept by [`Gpu`] from one to the next.
+#[derive(Debug)]
+pub struct Timer {
+    set: wgpu::QuerySet,
+    resolved: wgpu::Buffer,
+    times: wgpu::Buffer,
+}
+
+impl Timer {
+    /// The buffers of a timer. A device has one; more only when timed submissions overlap.
+    pub fn plan() -> [BufferPlan; 2] {
+        let words = TIMES as usize / 8;
+        [
+            BufferPlan::of::<u64>("gpu.times", words),
+            BufferPlan::of::<u64>("gpu.times (read-back)", words),
+        ]
+    }
+
+    pub(super) fn new(gpu: &Gpu) -> Timer {
+        let [resolved, times] = Timer::plan();
+        let make = |plan: BufferPlan, usage| {
+            gpu.note_allocation(plan.label, plan.bytes());
+            gpu.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(plan.label),
+                size: plan.bytes(),
+                usage,
+                mapped_at_creation: false,
+            })
+        };
+        Timer {
+            set: gpu.device.create_query_set(&wgpu::QuerySetDescriptor {
+                label: Some("gpu.times"),
+                ty: wgpu::QueryType::Timestamp,
+                count: 2 * TIMED_STAGES,
+            }),
+            resolved: make(
+                resolved,
+                wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
+            ),
+            times: make(
+                times,
+                wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+            ),
+        }
+    }
+}
+
+impl Gpu {
+    fn take_timer(&self) -> Timer {
+        let kept = self.timers.lock().ok().and_then(|mut list| list.pop());
+        kept.unwrap_or_else(|| Timer::new(self))
+    }
+
+    pub(super) fn keep_timer(&self, timer: Timer) {
+        if let Ok(mut list) = self.timers.lock() {
+            list.push(timer);
+        }
+    }
+}
 
 /// Records one submission.
 #[derive(Debug)]
 pub struct Recorder<'a> {
     gpu: &'a Gpu,
     encoder: wgpu::CommandEncoder,
-    timer: Option<wgpu::QuerySet>,
+    timer: Option<Timer>,
     stages: Vec<&'static str>,
     dispatches: Vec<(&'static str, &'static str)>,
 }
@@ -62,28 +124,22 @@ impl<'a> Recorder<'a> {
     /// An empty recording whose stages are timed, where the adapter can.
     pub fn timed(gpu: &'a Gpu) -> Recorder<'a> {
         let mut recorder = Recorder::new(gpu);
-        recorder.timer = gpu.report().timestamps.then(|| {
-            gpu.device.create_query_set(&wgpu::QuerySetDescriptor {
-                label: Some("stage times"),
-                ty: wgpu::QueryType::Timestamp,
-                count: 2 * TIMED_STAGES,
-            })
-        });
+        recorder.timer = gpu.report().timestamps.then(|| gpu.take_timer());
         recorder
     }
 
     /// Records the dispatches of a stage as one pass.
     pub fn stage<R>(&mut self, stage: &'static str, record: impl FnOnce(&mut Pass) -> R) -> R {
         let index = self.stages.len() as u32;
-        let timestamp_writes =
-            self.timer
-                .as_ref()
-                .filter(|_| index < TIMED_STAGES)
-                .map(|query_set| wgpu::ComputePassTimestampWrites {
-                    query_set,
-                    beginning_of_pass_write_index: Some(2 * index),
-                    end_of_pass_write_index: Some(2 * index + 1),
-                });
+        let timestamp_writes = self
+            .timer
+            .as_ref()
+            .filter(|_| index < TIMED_STAGES)
+            .map(|timer| wgpu::ComputePassTimestampWrites {
+                query_set: &timer.set,
+                beginning_of_pass_write_index: Some(2 * index),
+                end_of_pass_write_index: Some(2 * index + 1),
+            });
         if timestamp_writes.is_some() {
             self.stages.push(stage);
         }
@@ -131,41 +187,29 @@ impl<'a> Recorder<'a> {
         &self.dispatches
     }
 
-    /// Submits the recording. With a timed recording, the times arrive in the returned read-back.
-    pub fn submit(mut self) -> Timing {
-        let mut timing = Timing {
-            stages: Vec::new(),
-            raw: None,
-        };
-        if let Some(set) = self.timer.take().filter(|_| !self.stages.is_empty()) {
+    /// Submits the recording. With a timed recording, the times arrive through the returned [`Timing`].
+    pub fn submit(mut self) -> Timing<'a> {
+        if let Some(timer) = &self.timer {
             let n = 2 * self.stages.len() as u32;
-            let size = u64::from(n) * 8;
-            let make = |label, usage| {
-                self.gpu.device.create_buffer(&wgpu::BufferDescriptor {
-                    label: Some(label),
-                    size,
-                    usage,
-                    mapped_at_creation: false,
-                })
-            };
-            let resolved = make(
-                "stage times",
-                wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
-            );
-            let raw = make(
-                "stage times (read-back)",
-                wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-            );
-            self.encoder.resolve_query_set(&set, 0..n, &resolved, 0);
-            self.encoder
-                .copy_buffer_to_buffer(&resolved, 0, &raw, 0, Some(size));
-            timing = Timing {
-                stages: self.stages,
-                raw: Some(raw),
-            };
+            if n > 0 {
+                let bytes = u64::from(n) * 8;
+                self.encoder
+                    .resolve_query_set(&timer.set, 0..n, &timer.resolved, 0);
+                self.encoder.copy_buffer_to_buffer(
+                    &timer.resolved,
+                    0,
+                    &timer.times,
+                    0,
+                    Some(bytes),
+                );
+            }
         }
         self.gpu.queue.submit([self.encoder.finish()]);
-        timing
+        Timing {
+            gpu: self.gpu,
+            stages: self.stages,
+            timer: self.timer,
+        }
     }
 }
 
@@ -193,36 +237,48 @@ impl Pass<'_> {
     }
 }
 
-/// The stage times of a submission on their way.
+/// The stage times of a submission on their way. Its timer goes back to the device in the end.
 #[derive(Debug)]
-pub struct Timing {
+pub struct Timing<'a> {
+    gpu: &'a Gpu,
     stages: Vec<&'static str>,
-    raw: Option<wgpu::Buffer>,
+    timer: Option<Timer>,
 }
 
-impl Timing {
+impl Timing<'_> {
     /// Waits for the times; empty where the adapter has no timestamps.
     ///
     /// # Errors
     /// [`crate::Error::Gpu`] when the device fails.
-    pub fn wait(self, gpu: &Gpu) -> Result<StageTimes, crate::Error> {
-        let Some(raw) = self.raw else {
+    pub fn wait(mut self) -> Result<StageTimes, crate::Error> {
+        let stages = std::mem::take(&mut self.stages);
+        let Some(timer) = self.timer.as_ref().filter(|_| !stages.is_empty()) else {
             return Ok(Vec::new());
         };
-        Arrival::request(&raw).wait(gpu, "stage times")?;
-        let view = raw
+        Arrival::request(&timer.times).wait(self.gpu, "stage times")?;
+        let view = timer
+            .times
             .get_mapped_range(..)
             .map_err(|error| crate::Error::Gpu {
                 during: "stage times".to_owned(),
                 problem: error.to_string(),
             })?;
         let ticks: Vec<u64> = bytemuck::pod_collect_to_vec(&view);
-        let period = f64::from(gpu.queue.get_timestamp_period()) * 1e-9;
+        drop(view);
+        timer.times.unmap();
+        let period = f64::from(self.gpu.queue.get_timestamp_period()) * 1e-9;
         let seconds = |pair: &[u64]| pair[1].saturating_sub(pair[0]) as f64 * period;
-        Ok(self
-            .stages
+        Ok(stages
             .into_iter()
             .zip(ticks.chunks_exact(2).map(seconds))
             .collect())
+    }
+}
+
+impl Drop for Timing<'_> {
+    fn drop(&mut self) {
+        if let Some(timer) = self.timer.take() {
+            self.gpu.keep_timer(timer);
+        }
     }
 }

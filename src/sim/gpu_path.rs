@@ -3,7 +3,7 @@
 use crate::Error;
 use crate::effects::Effects;
 use crate::geometry::CutCells;
-use crate::gpu::{AdapterChoice, CompactKernels, Gpu, Readback, Real};
+use crate::gpu::{CompactKernels, Gpu, Readback, Real};
 use crate::grid::Grid;
 use crate::reference::{TimeStep, time_step};
 use crate::scene::Scene;
@@ -63,14 +63,13 @@ pub(super) fn liquid_plan(scene: &Scene, n_markers: usize, f64: bool) -> LiquidP
 }
 
 impl GpuPath {
-    /// Opens the device and uploads a prepared state.
+    /// Uploads a prepared state.
     pub(super) fn new(
         scene: &Scene,
         cut: CutCells,
         state: State,
-        choice: &AdapterChoice,
+        gpu: Gpu,
     ) -> Result<GpuPath, Error> {
-        let gpu = Gpu::new(choice)?;
         let grid = scene.grid();
         let effects = Effects::of(scene);
         let plan = liquid_plan(scene, state.markers.len(), gpu.has_f64());

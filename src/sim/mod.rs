@@ -1,15 +1,17 @@
 //! The simulation: a scene on the GPU or on the f64 CPU path, one sub-step after another, and the run loop.
 
 mod gpu_path;
+mod plan;
 mod run;
 mod step;
 
 pub use gpu_path::GpuPath;
+pub use plan::{EffectLine, Plan, StagePlan};
 pub use run::{Options, Progress, Summary, run};
 
 use crate::Error;
 use crate::geometry::{self, CutCells};
-use crate::gpu::{AdapterChoice, AdapterReport};
+use crate::gpu::{AdapterChoice, AdapterReport, Gpu};
 use crate::reference::{self, Reference};
 use crate::scene::Scene;
 use crate::state::{SolveStatus, State, StepReport};
@@ -74,13 +76,22 @@ impl Simulation {
     /// Whatever geometry and device say.
     pub fn new(scene: &Scene, backend: &Backend) -> Result<Simulation, Error> {
         let grid = scene.grid();
+        let gpu = match backend {
+            Backend::Cpu => None,
+            Backend::Gpu(choice) => {
+                let gpu = Gpu::new(choice)?;
+                // Before the liquid is seeded, which may take long.
+                Plan::new(scene, Some(gpu.report()))?.check(gpu.report())?;
+                Some(gpu)
+            }
+        };
         let cut = geometry::cut_cells(scene, &grid)?;
         let mut state = geometry::initial_state(scene, &grid, &cut)?;
-        let path = match backend {
-            Backend::Cpu => Path::Cpu(Box::new(Reference::new(scene, cut, state)?)),
-            Backend::Gpu(choice) => {
+        let path = match gpu {
+            None => Path::Cpu(Box::new(Reference::new(scene, cut, state)?)),
+            Some(gpu) => {
                 reference::prepare(scene, &grid, &cut, &mut state);
-                Path::Gpu(Box::new(GpuPath::new(scene, cut, state, choice)?))
+                Path::Gpu(Box::new(GpuPath::new(scene, cut, state, gpu)?))
             }
         };
         Ok(Simulation {
@@ -167,12 +178,17 @@ impl Simulation {
         }
     }
 
-    /// The adapter, on the GPU path.
-    pub fn adapter(&self) -> Option<&AdapterReport> {
+    /// The device, on the GPU path.
+    pub fn gpu(&self) -> Option<&Gpu> {
         match &self.path {
-            Path::Gpu(path) => Some(path.gpu().report()),
+            Path::Gpu(path) => Some(path.gpu()),
             Path::Cpu(_) => None,
         }
+    }
+
+    /// The adapter, on the GPU path.
+    pub fn adapter(&self) -> Option<&AdapterReport> {
+        self.gpu().map(Gpu::report)
     }
 }
 

@@ -100,7 +100,7 @@ impl GpuPath {
         to.read(&liquid.report, readback);
         let timing = to.submit();
         let report = Report::from_words(&readback.wait(gpu)?);
-        seconds.extend(timing.wait(gpu)?);
+        seconds.extend(timing.wait()?);
         watch.after(Diagnose::NAME, Recorder::new(gpu))?;
         Ok(Told {
             outcome,

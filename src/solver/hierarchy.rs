@@ -12,7 +12,7 @@ const SOLVE_SWEEPS: u32 = 4;
 /// The doppelganger of `Tail` in `shaders/vcycle_tail.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
-struct Tail {
+pub(super) struct Tail {
     levels: [Level; TAIL_LEVELS],
     steps: [Step; TAIL_STEPS],
     n_steps: u32,

@@ -28,13 +28,15 @@ mod components;
 mod hierarchy;
 mod host_residual;
 mod pcg;
+mod plan;
 mod refine;
 mod system;
 
 pub use components::Components;
 pub use hierarchy::Hierarchy;
+pub use plan::small_buffers;
 pub use refine::{Outcome, PressureSolver};
-pub use system::{LevelPlan, PressureSystem, SolverBuffers};
+pub use system::{LevelPlan, PressureSystem, SolverBuffers, variant};
 
 use crate::grid::Layout;
 

@@ -12,7 +12,7 @@ use super::pcg::{Fold, Pcg, State, first_sweep};
 use super::system::SolverBuffers;
 
 /// Slots of the norms: `shaders/common/refine.wgsl` names them.
-const N_NORMS: usize = 8;
+pub(super) const N_NORMS: usize = 8;
 const NORM_R: usize = 0;
 const NORM_B: usize = 1;
 const NORM_FLUX: usize = 2;
@@ -63,7 +63,7 @@ struct Reading {
 /// The doppelganger of `RefineSettings` in `shaders/refine_turn.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
-struct RefineSettings {
+pub(super) struct RefineSettings {
     tolerance: f32,
     rounding: f32,
     round_floor: f32,
@@ -290,7 +290,7 @@ impl PressureSolver {
         if self.host_turns {
             let timing = recorder.submit();
             let outcome = self.solve_with_host_turns(gpu, buffers)?;
-            return Ok((outcome, timing.wait(gpu)?));
+            return Ok((outcome, timing.wait()?));
         }
         let mut times = Vec::new();
         loop {
@@ -380,7 +380,7 @@ impl PressureSolver {
         recorder.read(&self.state.control, &mut control);
         recorder.read(&self.norms.words, &mut norms);
         recorder.read(&buffers.components, &mut components);
-        let times = recorder.submit().wait(gpu)?;
+        let times = recorder.submit().wait()?;
         let reading = Reading {
             control: control.wait(gpu)?[0],
             norms: self.norms.widen(&norms.wait(gpu)?),

@@ -77,16 +77,16 @@ impl LevelPlan {
     }
 
     /// Whether sums take two levels: one workgroup alone would be slow on a wide device.
-    pub(super) fn long_sums(&self) -> bool {
+    pub fn long_sums(&self) -> bool {
         self.levels[0].quads > 4 * FOLD_THREADS
     }
 }
 
-/// The scalar types of a precision on an adapter. Without f64 the outer loop of `mixed` runs on the host.
-pub(super) fn variant(gpu: &Gpu, precision: Precision) -> Variant {
+/// The scalar types of a precision on an adapter with or without f64. Without it the outer loop of `mixed` runs on the host.
+pub fn variant(f64: bool, precision: Precision) -> Variant {
     match precision {
         Precision::F32 => Real::F32.into(),
-        Precision::Mixed if gpu.has_f64() => Variant {
+        Precision::Mixed if f64 => Variant {
             real: Real::F64,
             inner: Real::F32,
         },
@@ -174,7 +174,7 @@ impl SolverBuffers {
             });
         }
         let plan = LevelPlan::new(grid);
-        let variant = variant(gpu, precision);
+        let variant = variant(gpu.has_f64(), precision);
         let sizes = SolverBuffers::plan(grid, variant);
         let len = |label: &str| {
             sizes
@@ -221,7 +221,7 @@ pub struct PressureSystem {
 /// The doppelganger of `ActiveSettings` in `shaders/active_cells.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
-struct ActiveSettings {
+pub(super) struct ActiveSettings {
     theta_floor: f32,
     pad: [f32; 3],
 }

@@ -3,7 +3,7 @@
 use crate::Error;
 use crate::effects::Effects;
 use crate::geometry::CutCells;
-use crate::gpu::{Buffer, BufferPlan, Compaction, Gpu, Real, RealBuffer, WG_SIZE};
+use crate::gpu::{Buffer, BufferPlan, Compaction, Gpu, Range, Real, RealBuffer, WG_SIZE};
 use crate::grid::{Axis, Grid, Layout, Padded};
 use crate::state::State;
 
@@ -55,6 +55,17 @@ pub struct LiquidPlan {
 }
 
 impl LiquidPlan {
+    /// The uniforms that [`LiquidBuffers::new`] and the stages allocate, and the read-back of the report: `len` of each.
+    pub fn small_buffers(&self) -> Vec<BufferPlan> {
+        vec![
+            BufferPlan::of::<Layout>("liquid.level", 1),
+            BufferPlan::of::<Step>("liquid.step", 1),
+            BufferPlan::of::<Tiles>("liquid.tiles", 1),
+            BufferPlan::of::<Range>("compact.range", 1),
+            BufferPlan::of::<u32>("liquid.report (read-back)", Report::WORDS),
+        ]
+    }
+
     /// All buffers that [`LiquidBuffers::new`] allocates, uniforms aside.
     pub fn buffers(&self) -> Vec<BufferPlan> {
         let padded = self.grid.padded();
@@ -88,12 +99,6 @@ impl LiquidPlan {
                 BufferPlan::of::<u32>("liquid.occupied", padded.quads),
                 BufferPlan::of::<u32>("liquid.classes", padded.quads),
             ]);
-        }
-        if self.effects.obstacles && self.effects.markers {
-            plans.push(BufferPlan::of::<f32>(
-                "liquid.liquid_distance_next",
-                padded.len(),
-            ));
         }
         plans
     }
@@ -130,6 +135,7 @@ pub struct LiquidBuffers {
     /// The tiles, for kernels.
     pub tiles: Buffer<Tiles>,
     /// Face velocities after the last projection and extrapolation: x, y, z faces one after another, m/s; 0 outside the band.
+    /// From `advect_velocity` to `write_back` its contents are not needed, and `liquid_distance` computes in it with obstacles.
     pub velocity: Buffer<f32>,
     /// u*: face velocities before the projection, m/s; defined on the band only.
     pub velocity_next: Buffer<f32>,
@@ -174,8 +180,6 @@ pub struct MarkerBuffers {
     pub occupied: Buffer<u32>,
     /// Per quad: what the liquid distance does with its cells (`common/classes.wgsl`).
     pub classes: Buffer<u32>,
-    /// With obstacles only: the liquid distance between two passes of its extension into solids, m.
-    pub liquid_distance_next: Option<Buffer<f32>>,
 }
 
 impl LiquidBuffers {
@@ -218,11 +222,6 @@ impl LiquidBuffers {
                         positions: maker.make("liquid.markers")?,
                         occupied: maker.make("liquid.occupied")?,
                         classes: maker.make("liquid.classes")?,
-                        liquid_distance_next: plan
-                            .effects
-                            .obstacles
-                            .then(|| maker.make("liquid.liquid_distance_next"))
-                            .transpose()?,
                     })
                 })
                 .transpose()?,

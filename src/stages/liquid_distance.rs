@@ -53,7 +53,9 @@ impl LiquidDistance {
         let classes = ("classes", (&markers.classes).into());
         let squares = ("squares", (&buffers.liquid_distance).into());
         let kernel = |source| Kernel::new(gpu, &source, Real::F32);
-        let extension = |next: &crate::gpu::Buffer<f32>| {
+        let extension = || {
+            // From the advection to the write-back nobody needs the velocity of the last sub-step.
+            let next = &buffers.velocity;
             let pass = kernel(wgsl!("extend_into_solids"))?;
             let flags = ("flags", (&buffers.band_flags).into());
             let open = ("open", (&buffers.open).into());
@@ -105,11 +107,7 @@ impl LiquidDistance {
                     ("liquid_distance", (&buffers.liquid_distance).into()),
                 ],
             )?,
-            extension: markers
-                .liquid_distance_next
-                .as_ref()
-                .map(extension)
-                .transpose()?,
+            extension: buffers.plan.effects.obstacles.then(extension).transpose()?,
             volume: Volume::new(gpu, buffers)?,
         })
     }

@@ -12,6 +12,7 @@ mod liquid_case;
 mod output;
 mod pages;
 mod physics;
+mod plan;
 mod reference;
 mod reference_physics;
 mod reference_stages;

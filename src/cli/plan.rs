@@ -1,0 +1,187 @@
+//! `cutwater plan`
+
+use cutwater::Error;
+use cutwater::gpu::{AdapterReport, BufferPlan, Gpu, STORAGE_BUFFERS};
+use cutwater::scene::{Precision, Scene};
+use cutwater::sim::{Backend, Plan};
+
+use super::{BackendArgs, SceneArgs};
+
+/// Say what a scene takes: effects, stages, kernels, buffers, and whether the adapter has room
+#[derive(Debug, clap::Args)]
+pub(super) struct PlanCommand {
+    #[command(flatten)]
+    scene: SceneArgs,
+    #[command(flatten)]
+    backend: BackendArgs,
+}
+
+impl PlanCommand {
+    pub(super) fn run(&self) -> Result<(), Error> {
+        let scene = self.scene.load()?;
+        match self.backend.backend() {
+            Backend::Cpu => {
+                let plan = Plan::new(&scene, None)?;
+                say_scene(&scene, &plan);
+                say_effects(&plan);
+                println!("\nstages of a sub-step, each in f64 on the CPU");
+                for stage in &plan.stages {
+                    println!("  {}", stage.name);
+                }
+                println!("\nno kernels, no buffers on a device, no adapter");
+                Ok(())
+            }
+            Backend::Gpu(choice) => {
+                // A named adapter must exist; without a name the plan can do without one.
+                let adapter = match Gpu::find(&choice) {
+                    Ok(adapter) => Some(adapter),
+                    Err(_) if choice == Default::default() => None,
+                    Err(error) => return Err(error),
+                };
+                let plan = Plan::new(&scene, adapter.as_ref())?;
+                say_scene(&scene, &plan);
+                say_effects(&plan);
+                say_stages(&plan);
+                say_pressure(&plan);
+                say_buffers(&plan);
+                match adapter {
+                    Some(adapter) => say_limits(&scene, &plan, &adapter),
+                    None => println!(
+                        "\nno adapter was checked: none was found. The plan is for one with f64."
+                    ),
+                }
+                Ok(())
+            }
+        }
+    }
+}
+
+fn say_scene(scene: &Scene, plan: &Plan) {
+    let [nx, ny, nz] = plan.grid.cells;
+    println!("{}", scene.file.display());
+    println!(
+        "  {nx} x {ny} x {nz} cells of {} m: {}, padded {}",
+        plan.grid.dx,
+        plan.grid.n_cells(),
+        plan.padded_cells
+    );
+    if plan.n_markers > 0 {
+        println!("  about {} markers", plan.n_markers);
+    }
+    let frame = 1.0 / scene.time.frames_per_second;
+    println!(
+        "  {} frames of {frame:.4} s; first sub-step {:.2e} s, {:.0} a frame",
+        scene.n_frames(),
+        plan.first_step.dt,
+        (frame / plan.first_step.dt).round()
+    );
+}
+
+fn say_effects(plan: &Plan) {
+    println!("\neffects");
+    for effect in &plan.effects {
+        let present = if effect.present { "yes" } else { "no" };
+        println!("  {:15} {present:4} {}", effect.name, effect.reason);
+    }
+}
+
+fn say_stages(plan: &Plan) {
+    println!("\nstages of a sub-step: kernels");
+    for stage in &plan.stages {
+        let once = if stage.every_step {
+            ""
+        } else {
+            "  (once, before the first sub-step)"
+        };
+        println!("  {:15} {}{once}", stage.name, stage.kernels.join(", "));
+    }
+}
+
+fn say_pressure(plan: &Plan) {
+    println!("\npressure\n  {}", plan.pressure);
+    if plan.host_turns {
+        println!(
+            "  the adapter has no f64: the host turns from round to round and moves {} each time",
+            mebibytes(plan.bytes_per_turn)
+        );
+    }
+}
+
+fn say_buffers(plan: &Plan) {
+    println!("\n{:32} {:>12} {:>14}", "buffers", "elements", "bytes");
+    for buffer in &plan.buffers {
+        println!(
+            "  {:30} {:12} {:14}",
+            buffer.label,
+            buffer.len,
+            buffer.bytes()
+        );
+    }
+    println!(
+        "  {:30} {:12} {:14}  ({})",
+        "all",
+        "",
+        plan.bytes(),
+        mebibytes(plan.bytes())
+    );
+    println!(
+        "  {:.1} bytes per padded cell, {:.0} per marker",
+        plan.bytes_per_cell(),
+        plan.bytes_per_marker()
+    );
+}
+
+fn say_limits(scene: &Scene, plan: &Plan, adapter: &AdapterReport) {
+    println!("\nadapter {} ({})", adapter.name, adapter.kind);
+    let largest = plan
+        .buffers
+        .iter()
+        .max_by_key(|buffer| buffer.bytes())
+        .map_or(0, BufferPlan::bytes);
+    let lines = [
+        (
+            "max_storage_buffer_binding_size",
+            largest,
+            adapter.storage_binding,
+        ),
+        ("max_buffer_size", largest, adapter.buffer),
+        (
+            "max_storage_buffers_per_shader_stage",
+            STORAGE_BUFFERS.into(),
+            adapter.storage_buffers.into(),
+        ),
+    ];
+    for (limit, needed, allowed) in lines {
+        let verdict = if needed <= allowed {
+            "fits"
+        } else {
+            "TOO SMALL"
+        };
+        println!("  {limit:37} needs {needed:12}, allows {allowed:20}: {verdict}");
+    }
+    let mut fits = true;
+    if let Err(error) = plan.check(adapter) {
+        fits = false;
+        println!("does not fit: {error}");
+        let too_large: Vec<&str> = plan
+            .buffers
+            .iter()
+            .filter(|buffer| adapter.check_buffer(buffer.label, buffer.bytes()).is_err())
+            .map(|buffer| buffer.label)
+            .collect();
+        println!("  too large: {}", too_large.join(", "));
+    }
+    if scene.solver.precision == Precision::F64 && !adapter.f64 {
+        println!(
+            "does not fit: precision \"f64\" on an adapter without f64\n  cure: use precision \"mixed\", or --backend cpu"
+        );
+        fits = false;
+    }
+    if fits {
+        println!("the scene fits; the adapter does not tell how much memory is free");
+    }
+}
+
+fn mebibytes(bytes: u64) -> String {
+    format!("{:.1} MiB", bytes as f64 / f64::from(1 << 20))
+}

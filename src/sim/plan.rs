@@ -1,0 +1,307 @@
+//! What a scene will take, before anything is seeded or allocated: effects, stages with their kernels, buffers, limits.
+
+use crate::Error;
+use crate::effects::Effects;
+use crate::geometry;
+use crate::gpu::{AdapterReport, BufferPlan, Timer};
+use crate::grid::Grid;
+use crate::reference::{TimeStep, time_step};
+use crate::scene::{Precision, Preconditioner, Scene};
+use crate::solver::{self, LevelPlan, SolverBuffers};
+use crate::stages::extrapolation_layers;
+
+use super::gpu_path::liquid_plan;
+
+/// Labels of the buffers that grow with the markers and not with the grid.
+const PER_MARKER: [&str; 1] = ["liquid.markers"];
+
+/// An effect, and why it is there or not.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct EffectLine {
+    /// Name, as in [`Effects`].
+    pub name: &'static str,
+    /// Whether the scene has it.
+    pub present: bool,
+    /// Why.
+    pub reason: String,
+}
+
+/// A stage of the step.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct StagePlan {
+    /// Its canonical noun.
+    pub name: &'static str,
+    /// Whether it runs in every sub-step; otherwise once, before the first.
+    pub every_step: bool,
+    /// Its kernels, in the order of their first dispatch.
+    pub kernels: Vec<&'static str>,
+}
+
+/// What a scene takes on an adapter with or without f64.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// The grid.
+    pub grid: Grid,
+    /// Cells of the padded layout that the fields have on the device.
+    pub padded_cells: usize,
+    /// Markers, estimated to about a percent.
+    pub n_markers: usize,
+    /// The first sub-step.
+    pub first_step: TimeStep,
+    /// Effects, present and absent.
+    pub effects: Vec<EffectLine>,
+    /// Stages of a step, in order.
+    pub stages: Vec<StagePlan>,
+    /// Everything allocated on the device for as long as the simulation lives. Buffers made several times under one label are one
+    /// entry with the elements of all.
+    pub buffers: Vec<BufferPlan>,
+    /// How the pressure is solved.
+    pub pressure: String,
+    /// Whether the outer loop of the solve runs on the host, one exchange per round.
+    pub host_turns: bool,
+    /// Bytes that a round of such a loop copies to and from the device.
+    pub bytes_per_turn: u64,
+}
+
+impl Plan {
+    /// Plans a scene for an adapter; without one, for an adapter with f64.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when a mesh file cannot be used.
+    pub fn new(scene: &Scene, adapter: Option<&AdapterReport>) -> Result<Plan, Error> {
+        let grid = scene.grid();
+        let effects = Effects::of(scene);
+        let f64 = adapter.is_none_or(|adapter| adapter.f64);
+        let timestamps = adapter.is_none_or(|adapter| adapter.timestamps);
+        let n_markers = geometry::estimate_markers(scene, &grid)?;
+        let host_turns = scene.solver.precision == Precision::Mixed && !f64;
+        let padded_cells = grid.padded().len();
+        Ok(Plan {
+            padded_cells,
+            n_markers,
+            first_step: first_step(scene, &grid),
+            effects: effect_lines(scene, &effects),
+            stages: stages(scene, &grid, &effects),
+            buffers: buffers(scene, n_markers, f64, timestamps),
+            pressure: pressure(scene, f64),
+            host_turns,
+            // The scaled residual up, the correction down, both in f32, and the solver's words.
+            bytes_per_turn: 4 * 3 * padded_cells as u64,
+            grid,
+        })
+    }
+
+    /// Bytes of all buffers.
+    pub fn bytes(&self) -> u64 {
+        self.buffers.iter().map(BufferPlan::bytes).sum()
+    }
+
+    /// Bytes of what grows with the grid, per cell of the padded layout.
+    pub fn bytes_per_cell(&self) -> f64 {
+        let markers = self.marker_bytes();
+        (self.bytes() - markers) as f64 / self.padded_cells as f64
+    }
+
+    /// Bytes of what grows with the markers, per marker; 0 without markers.
+    pub fn bytes_per_marker(&self) -> f64 {
+        self.marker_bytes() as f64 / self.n_markers.max(1) as f64
+    }
+
+    fn marker_bytes(&self) -> u64 {
+        let of_markers = self
+            .buffers
+            .iter()
+            .filter(|plan| PER_MARKER.contains(&plan.label));
+        of_markers.map(BufferPlan::bytes).sum()
+    }
+
+    /// Checks every buffer against the limits of an adapter.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] naming the largest buffer that does not fit.
+    pub fn check(&self, adapter: &AdapterReport) -> Result<(), Error> {
+        let mut largest_first: Vec<&BufferPlan> = self.buffers.iter().collect();
+        largest_first.sort_by_key(|plan| std::cmp::Reverse(plan.bytes()));
+        largest_first
+            .into_iter()
+            .try_for_each(|plan| adapter.check_buffer(plan.label, plan.bytes()))
+    }
+}
+
+fn first_step(scene: &Scene, grid: &Grid) -> TimeStep {
+    let regions = scene.liquid.iter().flat_map(|liquid| &liquid.regions);
+    let speed = regions
+        .map(|region| region.velocity.abs().max_element())
+        .fold(0.0, f64::max);
+    let fall = (scene.domain.gravity.length() * grid.dx).sqrt();
+    let frame = 1.0 / scene.time.frames_per_second;
+    time_step(&scene.time, grid.dx, speed, fall, frame, 0.0)
+}
+
+fn effect_lines(scene: &Scene, effects: &Effects) -> Vec<EffectLine> {
+    let n_regions = scene.liquid.as_ref().map_or(0, |l| l.regions.len());
+    let (surface, control) = match (effects.liquid, effects.markers) {
+        (false, _) => ("there is no liquid", "there is no liquid"),
+        (_, false) => (
+            "liquid.surface = \"fixed\"",
+            "a fixed surface holds its volume",
+        ),
+        _ if effects.volume_control => {
+            ("liquid.surface = \"markers\"", "on by default with markers")
+        }
+        _ => (
+            "liquid.surface = \"markers\"",
+            "liquid.volume_control = false",
+        ),
+    };
+    let obstacles = match scene.obstacles.len() {
+        0 => "no [[obstacle]] in the scene".to_owned(),
+        n => format!("{n} [[obstacle]]"),
+    };
+    [
+        (
+            "liquid",
+            effects.liquid,
+            format!("{n_regions} [[liquid.region]]"),
+        ),
+        ("markers", effects.markers, surface.to_owned()),
+        ("volume_control", effects.volume_control, control.to_owned()),
+        ("obstacles", effects.obstacles, obstacles),
+    ]
+    .map(|(name, present, reason)| EffectLine {
+        name,
+        present,
+        reason,
+    })
+    .into()
+}
+
+/// The stages in the order of [`GpuPath`](super::GpuPath)'s step.
+fn stages(scene: &Scene, grid: &Grid, effects: &Effects) -> Vec<StagePlan> {
+    const COMPACTION: [&str; 3] = ["compact_count", "compact_scan", "compact_write"];
+    let Effects {
+        markers, obstacles, ..
+    } = *effects;
+    let levels = LevelPlan::new(grid);
+    let mut plans = Vec::new();
+    let mut stage = |name, every_step, groups: &[(bool, &[&'static str])]| {
+        let present = groups.iter().filter(|(present, _)| *present);
+        plans.push(StagePlan {
+            name,
+            every_step,
+            kernels: present.flat_map(|(_, kernels)| *kernels).copied().collect(),
+        });
+    };
+    if markers {
+        let kernels: [(bool, &[_]); 2] = [(true, &["advect_markers"]), (obstacles, &["push_out"])];
+        stage("advect_markers", true, &kernels);
+    }
+    let band: [(bool, &[_]); 3] = [
+        (markers, &["occupy", "mark_tiles"]),
+        (true, &["dilate_tiles", "flag_band"]),
+        (true, &COMPACTION),
+    ];
+    stage("band", markers, &band);
+    stage("advect_velocity", true, &[(true, &["advect_velocity"])]);
+    stage("forces", true, &[(true, &["forces"])]);
+    let distance: [(bool, &[_]); 4] = [
+        (markers, &["classify_near", "classify_far"]),
+        (markers, &["spread_markers", "union_of_spheres"]),
+        (
+            markers && obstacles,
+            &["extend_into_solids", "finish_extension"],
+        ),
+        (true, &["measure_volume", "volume_rate"]),
+    ];
+    stage("liquid_distance", markers, &distance);
+    let active: [(bool, &[_]); 2] = [(true, &["active_cells", "coarsen"]), (true, &COMPACTION)];
+    stage("active_cells", true, &active);
+    let components = [
+        "components_init",
+        "components_merge",
+        "components_open",
+        "components_gate",
+        "components_flag",
+        "components_largest",
+        "components_sum",
+        "components_subtract",
+    ];
+    stage("closed_components", true, &[(true, &components)]);
+    stage("right_hand_side", true, &[(true, &["right_hand_side"])]);
+    let multigrid = scene.solver.preconditioner == Preconditioner::Multigrid;
+    let above_tail = multigrid && levels.tail > 0;
+    let solve: [(bool, &[_]); 9] = [
+        (true, &["refine_measure"]),
+        (levels.long_sums(), &["fold_partials"]),
+        (true, &["refine_start", "refine_correct", "refine_residual"]),
+        (true, &["refine_turn", "pcg_begin", "pcg_gate"]),
+        (above_tail, &["vcycle_smooth", "vcycle_restrict"]),
+        (multigrid, &["vcycle_tail"]),
+        (above_tail, &["vcycle_prolong"]),
+        (!multigrid, &["pcg_jacobi"]),
+        (
+            true,
+            &[
+                "pcg_beta",
+                "pcg_direction",
+                "pcg_apply",
+                "pcg_alpha",
+                "pcg_update",
+            ],
+        ),
+    ];
+    stage("solve", true, &solve);
+    stage("write_back", true, &[(true, &["write_back"])]);
+    let extrapolate: [(bool, &[_]); 3] = [
+        (
+            extrapolation_layers(scene.time.cfl) > 0,
+            &["extrapolate_layer"],
+        ),
+        (true, &["extrapolate_walls"]),
+        (obstacles, &["slip", "apply_slip"]),
+    ];
+    stage("extrapolate", true, &extrapolate);
+    let diagnose = ["measure_motion", "measure_divergence", "report_motion"];
+    stage("diagnose", true, &[(true, &diagnose)]);
+    plans
+}
+
+fn buffers(scene: &Scene, n_markers: usize, f64: bool, timestamps: bool) -> Vec<BufferPlan> {
+    let grid = scene.grid();
+    let liquid = liquid_plan(scene, n_markers, f64);
+    let variant = solver::variant(f64, scene.solver.precision);
+    let mut all = liquid.buffers();
+    all.extend(SolverBuffers::plan(&grid, variant));
+    all.extend(liquid.small_buffers());
+    all.extend(solver::small_buffers(&grid, &scene.solver, variant));
+    if timestamps {
+        all.extend(Timer::plan());
+    }
+    let mut merged: Vec<BufferPlan> = Vec::new();
+    for plan in all {
+        match merged.iter_mut().find(|other| other.label == plan.label) {
+            Some(other) => other.len += plan.len,
+            None => merged.push(plan),
+        }
+    }
+    merged
+}
+
+fn pressure(scene: &Scene, f64: bool) -> String {
+    let solver = &scene.solver;
+    let numbers = match (solver.precision, f64) {
+        (Precision::F32, _) => "all in f32",
+        (Precision::Mixed, true) => "unknowns and residual in f64, corrections in f32",
+        (Precision::Mixed, false) => "unknowns and residual in f64 on the host, corrections in f32",
+        (Precision::F64, _) => "all in f64",
+    };
+    let preconditioner = match solver.preconditioner {
+        Preconditioner::Multigrid => "aggregation multigrid",
+        Preconditioner::Jacobi => "Jacobi",
+    };
+    format!(
+        "pressure alone (cut-cell, ghost-fluid Laplacian), conjugate gradients with {preconditioner}, {numbers}, true residual \
+         {:.0e}",
+        solver.tolerance
+    )
+}

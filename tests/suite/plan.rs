@@ -1,0 +1,312 @@
+//! The plan of a scene is what is made: effects, stages, kernels, buffers; and a scene that does not fit is refused at once.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+use cutwater::gpu::{AdapterChoice, AdapterReport};
+use cutwater::scene::{Precision, Scene};
+use cutwater::sim::{Backend, Plan, Simulation};
+use cutwater::{Error, geometry};
+
+use crate::common::gpu;
+
+const SCENES: [(&str, f64); 5] = [
+    ("dam_break_liquid", 0.25),
+    ("drop_into_pool", 0.5),
+    ("hydrostatic_block", 0.5),
+    ("sphere_half_full", 0.5),
+    ("standing_wave", 0.5),
+];
+
+fn scene(name: &str, scale: f64, overrides: &[&str]) -> Scene {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenes/{name}.toml"));
+    let overrides: Vec<String> = overrides.iter().map(|&text| text.to_owned()).collect();
+    Scene::load(&file, &overrides, scale).unwrap()
+}
+
+/// Bytes by label.
+fn by_label<'a>(list: impl IntoIterator<Item = (&'a str, u64)>) -> BTreeMap<String, u64> {
+    let mut sums = BTreeMap::new();
+    for (label, bytes) in list {
+        *sums.entry(label.to_owned()).or_default() += bytes;
+    }
+    sums
+}
+
+fn allocated(simulation: &Simulation) -> Vec<(String, u64)> {
+    simulation.gpu().unwrap().allocated()
+}
+
+/// The simulation of a scene, with its plan.
+fn made(scene: &Scene) -> (Simulation, Plan) {
+    let simulation = Simulation::new(scene, &Backend::Gpu(AdapterChoice::Best)).unwrap();
+    let plan = Plan::new(scene, simulation.adapter()).unwrap();
+    (simulation, plan)
+}
+
+/// Compares every label but the markers, whose number is estimated, exactly, and the sum within 5 %.
+fn assert_buffers(what: &str, plan: &Plan, simulation: &Simulation) {
+    let allocated = allocated(simulation);
+    let mut made = by_label(allocated.iter().map(|(label, bytes)| (&**label, *bytes)));
+    let mut planned = by_label(
+        plan.buffers
+            .iter()
+            .map(|buffer| (buffer.label, buffer.bytes())),
+    );
+    let total = |list: &BTreeMap<String, u64>| list.values().sum::<u64>() as f64;
+    let ratio = total(&planned) / total(&made);
+    assert!(
+        (ratio - 1.0).abs() <= 0.05,
+        "{what}: planned over made {ratio}"
+    );
+    made.remove("liquid.markers");
+    planned.remove("liquid.markers");
+    assert_eq!(planned, made, "{what}");
+}
+
+#[test]
+fn estimate_is_what_is_allocated() {
+    if gpu().is_none() {
+        return;
+    }
+    for (name, scale) in SCENES {
+        let (simulation, plan) = made(&scene(name, scale, &[]));
+        assert_buffers(name, &plan, &simulation);
+    }
+    for overrides in [
+        ["solver.preconditioner=jacobi", "solver.precision=f32"],
+        ["solver.preconditioner=multigrid", "solver.precision=f32"],
+    ] {
+        let (simulation, plan) = made(&scene("dam_break_liquid", 0.25, &overrides));
+        assert_buffers(&overrides.join(" "), &plan, &simulation);
+    }
+}
+
+#[test]
+fn kernels_and_stages_are_those_planned() {
+    if gpu().is_none() {
+        return;
+    }
+    let fixed = "liquid.surface=fixed";
+    let cases: [(&str, f64, &[&str]); 6] = [
+        ("dam_break_liquid", 0.25, &[]),
+        ("dam_break_liquid", 0.25, &[fixed]),
+        ("sphere_half_full", 0.5, &[]),
+        ("sphere_half_full", 0.5, &[fixed]),
+        (
+            "dam_break_liquid",
+            0.25,
+            &["solver.preconditioner=jacobi", "solver.tolerance=1e-3"],
+        ),
+        // Long enough sums to be folded in two levels.
+        ("drop_into_pool", 1.0, &[]),
+    ];
+    for (name, scale, overrides) in cases {
+        let what = format!("{name} {overrides:?}");
+        let scene = scene(name, scale, overrides);
+        let (mut simulation, plan) = made(&scene);
+        let compiled = simulation.gpu().unwrap().compiled();
+        let planned: BTreeSet<&str> = plan
+            .stages
+            .iter()
+            .flat_map(|stage| stage.kernels.iter().copied())
+            .collect();
+        assert_eq!(planned, compiled, "{what}: kernels");
+        let report = simulation.step().unwrap();
+        if simulation.adapter().unwrap().timestamps {
+            let run: Vec<&str> = report.seconds.iter().map(|(stage, _)| *stage).collect();
+            let planned: Vec<&str> = plan
+                .stages
+                .iter()
+                .filter(|stage| stage.every_step)
+                .map(|stage| stage.name)
+                .collect();
+            assert_eq!(planned, run, "{what}: stages");
+        }
+    }
+}
+
+#[test]
+fn absent_effects_take_nothing() {
+    if gpu().is_none() {
+        return;
+    }
+    // Which buffers and kernels each of two effects brings: those that disappear without it.
+    let with = |obstacles: bool, markers: bool| {
+        let surface = if markers { "markers" } else { "fixed" };
+        let overrides = [format!("liquid.surface={surface}")];
+        let name = if obstacles {
+            "hydrostatic_block"
+        } else {
+            "dam_break_liquid"
+        };
+        let scale = if obstacles { 0.5 } else { 0.25 };
+        made(&scene(name, scale, &[&overrides[0]]))
+    };
+    let labels = |simulation: &Simulation| -> BTreeSet<String> {
+        allocated(simulation)
+            .into_iter()
+            .filter(|(_, bytes)| *bytes > 16)
+            .map(|(label, _)| label)
+            .collect()
+    };
+    let kernels = |simulation: &Simulation| simulation.gpu().unwrap().compiled();
+    for markers in [true, false] {
+        let (none, plan) = with(false, markers);
+        assert!(
+            !labels(&none).contains("liquid.solid_distance"),
+            "buffers without obstacles, markers {markers}"
+        );
+        for kernel in [
+            "push_out",
+            "extend_into_solids",
+            "finish_extension",
+            "slip",
+            "apply_slip",
+        ] {
+            assert!(
+                !kernels(&none).contains(kernel),
+                "{kernel} without obstacles"
+            );
+        }
+        let line = plan.effects.iter().find(|line| line.name == "obstacles");
+        assert!(!line.unwrap().present, "obstacles, markers {markers}");
+    }
+    for obstacles in [true, false] {
+        let (fixed, plan) = with(obstacles, false);
+        for label in ["liquid.markers", "liquid.occupied", "liquid.classes"] {
+            assert!(
+                !allocated(&fixed).iter().any(|(made, _)| made == label),
+                "{label} with a fixed surface"
+            );
+        }
+        for kernel in [
+            "advect_markers",
+            "occupy",
+            "spread_markers",
+            "union_of_spheres",
+        ] {
+            assert!(
+                !kernels(&fixed).contains(kernel),
+                "{kernel} with a fixed surface"
+            );
+        }
+        assert!(
+            !plan
+                .stages
+                .iter()
+                .any(|stage| stage.name == "advect_markers"),
+            "advect_markers with a fixed surface"
+        );
+    }
+}
+
+/// An adapter as the largest data-centre GPUs have it.
+fn large_adapter(f64: bool) -> AdapterReport {
+    AdapterReport {
+        name: "large".to_owned(),
+        driver: String::new(),
+        backend: "vulkan".to_owned(),
+        kind: "discrete",
+        f64,
+        timestamps: true,
+        storage_buffers: 8,
+        storage_binding: u64::from(u32::MAX),
+        buffer: 1 << 40,
+        threads: 1024,
+        workgroups: 65535,
+    }
+}
+
+#[test]
+fn memory_keeps_within_200_bytes_per_cell_and_64_per_marker() {
+    let shape = ["domain.size=[1, 1, 1]", "domain.cells=[64, 64, 64]"];
+    for (name, _) in SCENES {
+        for (precision, f64) in [
+            ("f32", false),
+            ("mixed", false),
+            ("mixed", true),
+            ("f64", true),
+        ] {
+            let precision_is = format!("solver.precision={precision}");
+            let tolerance = "solver.tolerance=1e-4";
+            // Probes of the wider scenes lie outside the cube.
+            let overrides = [shape[0], shape[1], &precision_is, tolerance, "probe=[]"];
+            let scene = scene(name, 1.0, &overrides);
+            let plan = Plan::new(&scene, Some(&large_adapter(f64))).unwrap();
+            let (cell, marker) = (plan.bytes_per_cell(), plan.bytes_per_marker());
+            let what =
+                format!("{name} {precision}, f64 {f64}: {cell} per cell, {marker} per marker");
+            assert!(cell <= 200.0 && marker <= 64.0, "{what}");
+            assert!(cell > 50.0, "{what}");
+        }
+    }
+}
+
+#[test]
+fn markers_are_estimated_within_two_percent() {
+    for (name, _) in SCENES {
+        for scale in [0.5, 2.0] {
+            let scene = scene(name, scale, &["liquid.surface=markers"]);
+            let grid = scene.grid();
+            let estimate = geometry::estimate_markers(&scene, &grid).unwrap() as f64;
+            let cut = geometry::cut_cells(&scene, &grid).unwrap();
+            let exact = geometry::seed_markers(&scene, &grid, &cut).unwrap().len() as f64;
+            let off = (estimate / exact - 1.0).abs();
+            assert!(off <= 0.02, "{name} at {scale}: {estimate} for {exact}");
+        }
+    }
+}
+
+#[test]
+fn what_does_not_fit_is_named() {
+    let scene = scene("dam_break_liquid", 1.0, &[]);
+    let mut adapter = large_adapter(true);
+    let plan = Plan::new(&scene, Some(&adapter)).unwrap();
+    plan.check(&adapter).unwrap();
+    let largest = plan
+        .buffers
+        .iter()
+        .max_by_key(|buffer| buffer.bytes())
+        .unwrap();
+    adapter.storage_binding = largest.bytes() - 1;
+    let error = plan.check(&adapter).unwrap_err();
+    assert_eq!(error.exit_code(), 3, "{error}");
+    match &error {
+        Error::Limit {
+            what,
+            needed,
+            available,
+            unit,
+            ..
+        } => {
+            assert_eq!(*what, format!("buffer {}", largest.label));
+            assert_eq!(
+                (*needed, *available),
+                (largest.bytes(), largest.bytes() - 1)
+            );
+            assert!(unit.contains("max_storage_buffer_binding_size"), "{unit}");
+        }
+        other => panic!("{other}"),
+    }
+    (adapter.storage_binding, adapter.buffer) = (u64::from(u32::MAX), largest.bytes() - 1);
+    let message = plan.check(&adapter).unwrap_err().to_string();
+    assert!(message.contains("max_buffer_size"), "{message}");
+    assert!(message.contains("--scale"), "{message}");
+    assert_eq!(scene.solver.precision, Precision::Mixed);
+}
+
+#[test]
+fn without_f64_the_host_turns() {
+    let scene = scene("dam_break_liquid", 0.25, &[]);
+    let turns = |f64| {
+        let plan = Plan::new(&scene, Some(&large_adapter(f64))).unwrap();
+        let rhs = plan
+            .buffers
+            .iter()
+            .find(|buffer| buffer.label == "solver.rhs");
+        (plan.host_turns, rhs.unwrap().element)
+    };
+    assert_eq!(turns(true), (false, 8));
+    assert_eq!(turns(false), (true, 4));
+}
