@@ -21,6 +21,8 @@
 
 // Faces closer to a surface than this slip along it, cells.
 const SLIP_REACH = 0.5;
+// A cell further out has no such face: the distance changes by one cell from cell to cell.
+const FAR = 2.0;
 // Below this length (per unit length) a gradient has no direction.
 const SMALLEST_GRADIENT = 1e-6;
 
@@ -44,18 +46,25 @@ fn face_index(axis: u32, cell: vec3<i32>) -> u32 {
 // The new velocity of a face between two cells.
 fn slide(axis: u32, cell: vec3<i32>) -> f32 {
     let minus = cell - along(axis);
-    var gradient = vec3<f32>();
     var v = vec3<f32>();
     for (var b = 0u; b < 3u; b++) {
-        let step_b = along(b);
+        v[b] = velocity[face_index(b, cell)];
+        if b != axis {
+            v[b] = 0.25 * ((v[b] + velocity[face_index(b, cell + along(b))])
+                + (velocity[face_index(b, minus)] + velocity[face_index(b, minus + along(b))]));
+        }
+    }
+    // Most of the inside of a solid.
+    if all(v == vec3<f32>()) {
+        return 0.0;
+    }
+    var gradient = vec3<f32>();
+    for (var b = 0u; b < 3u; b++) {
         if b == axis {
             gradient[b] = distance_of(cell) - distance_of(minus);
-            v[b] = velocity[face_index(b, cell)];
         } else {
-            gradient[b] = 0.25 * ((distance_of(cell + step_b) - distance_of(cell - step_b))
-                + (distance_of(minus + step_b) - distance_of(minus - step_b)));
-            v[b] = 0.25 * ((velocity[face_index(b, cell)] + velocity[face_index(b, cell + step_b)])
-                + (velocity[face_index(b, minus)] + velocity[face_index(b, minus + step_b)]));
+            gradient[b] = 0.25 * ((distance_of(cell + along(b)) - distance_of(cell - along(b)))
+                + (distance_of(minus + along(b)) - distance_of(minus - along(b))));
         }
     }
     let steepness = length(gradient);
@@ -64,6 +73,13 @@ fn slide(axis: u32, cell: vec3<i32>) -> f32 {
     }
     let n = gradient / steepness;
     return v[axis] - dot(v, n) * n[axis];
+}
+
+// Lanes whose face has a cell on both sides and lies near a surface.
+fn near_lanes(here: vec4<f32>, minus: vec4<f32>, cell: vec3<i32>, axis: u32) -> u32 {
+    let n = vec3<i32>(level.cells);
+    let near = 0.5 * (here + minus) < vec4<f32>(SLIP_REACH * step.dx);
+    return lane_bits(near & lanes_inside(cell, n) & lanes_inside(cell - along(axis), n));
 }
 
 @compute @workgroup_size(WG_SIZE)
@@ -76,28 +92,22 @@ fn slip(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_i
     let cell = quad_cell(level, quad);
     let word = valid[quad];
     let here = solid_distance[quad];
-    let minus = array<vec4<f32>, 3>(
-        shift_up(solid_distance[quad - 1u], here),
-        solid_distance[quad - level.stride_y],
-        solid_distance[quad - level.stride_z],
-    );
-    let n = vec3<i32>(level.cells);
-    var found = 0u;
-    for (var axis = 0u; axis < 3u; axis++) {
-        let near = 0.5 * (here + minus[axis]) < vec4<f32>(SLIP_REACH * step.dx);
-        if !any(near) {
-            continue;
-        }
-        // Faces with a cell on both sides.
-        let inner = lanes_inside(cell, n) & lanes_inside(cell - along(axis), n);
-        let lanes = lane_bits(near & inner) & ~(word >> (OPEN + 4u * axis));
-        found |= lanes << (4u * axis);
-        for (var l = 0u; l < 4u; l++) {
-            if (lanes >> l & 1u) != 0u {
-                let at = cell + vec3<i32>(i32(l), 0, 0);
-                velocity_next[face_index(axis, at)] = slide(axis, at);
-            }
-        }
+    // So far outside no face between this quad and its neighbours is near a surface.
+    if all(here >= vec4<f32>(FAR * step.dx)) {
+        slipping[quad] = word & ~VALID;
+        return;
     }
+    // Closed faces with a cell on both sides near a surface.
+    var found = near_lanes(here, shift_up(solid_distance[quad - 1u], here), cell, 0u)
+        | near_lanes(here, solid_distance[quad - level.stride_y], cell, 1u) << 4u
+        | near_lanes(here, solid_distance[quad - level.stride_z], cell, 2u) << 8u;
+    found &= ~(word >> OPEN);
     slipping[quad] = (word & ~VALID) | found;
+    while found != 0u {
+        let bit = firstTrailingBit(found);
+        found &= found - 1u;
+        let axis = bit / 4u;
+        let at = cell + vec3<i32>(i32(bit % 4u), 0, 0);
+        velocity_next[face_index(axis, at)] = slide(axis, at);
+    }
 }

@@ -15,7 +15,7 @@
 @group(0) @binding(5) var<storage, read_write> squares: array<atomic<u32>>;
 
 // Cells that markers reach, and its square.
-const REACH = 2;
+const REACH = 2.0;
 const REACH_SQUARED = 4.0;
 // A cell that holds a marker has one within half its diagonal, sqrt(3)/2: those further away cannot be its nearest.
 const REACH_OCCUPIED_SQUARED = 0.76;
@@ -36,8 +36,9 @@ fn spread_markers(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_in
     if (lanes_of(occupied[own], SPREADING) >> (cell.x % 4u) & 1u) == 0u {
         return;
     }
-    let low = vec3<u32>(max(vec3<i32>(cell) - REACH, vec3<i32>()));
-    let high = min(cell + u32(REACH), level.cells - 1u);
+    // Along each axis at most the centres of four cells lie within reach.
+    let low = vec3<u32>(max(ceil(at - 0.5 - REACH), vec3<f32>()));
+    let high = min(vec3<u32>(at - 0.5 + REACH), level.cells - 1u);
     for (var z = low.z; z <= high.z; z++) {
         let dz = f32(z) + 0.5 - at.z;
         for (var y = low.y; y <= high.y; y++) {
@@ -47,27 +48,25 @@ fn spread_markers(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_in
                 continue;
             }
             let row = level.stride_z * (z + 1u) + level.stride_y * y;
-            // Five cells lie in two quads: their lanes side by side.
+            // They lie in two quads: their lanes side by side.
             let first = row + low.x / 4u;
             let second = row + high.x / 4u;
             let two = vec2<u32>(classes[first], classes[second]);
-            let wanting = lanes_of(two.x, WANTING) | lanes_of(two.y, WANTING) << 4u;
-            if wanting == 0u {
-                continue;
-            }
             let empty = lanes_of(two.x, EMPTY) | lanes_of(two.y, EMPTY) << 4u;
-            for (var x = low.x; x <= high.x; x++) {
-                let bit = 1u << (x - 4u * (low.x / 4u));
-                if (wanting & bit) == 0u {
-                    continue;
-                }
+            let wanting = lanes_of(two.x, WANTING) | lanes_of(two.y, WANTING) << 4u;
+            // Bits count from the first lane of the first quad.
+            let start = low.x % 4u;
+            var bits = extractBits(wanting, start, high.x - low.x + 1u) << start;
+            while bits != 0u {
+                let bit = firstTrailingBit(bits);
+                bits &= bits - 1u;
+                let x = low.x - start + bit;
                 let dx = f32(x) + 0.5 - at.x;
                 let square = dx * dx + across;
-                if square < select(REACH_OCCUPIED_SQUARED, REACH_SQUARED, (empty & bit) != 0u) {
-                    let bits = bitcast<u32>(square);
+                if square < select(REACH_OCCUPIED_SQUARED, REACH_SQUARED, (empty >> bit & 1u) != 0u) {
                     let slot = 4u * row + x;
-                    if bits < atomicLoad(&squares[slot]) {
-                        atomicMin(&squares[slot], bits);
+                    if bitcast<u32>(square) < atomicLoad(&squares[slot]) {
+                        atomicMin(&squares[slot], bitcast<u32>(square));
                     }
                 }
             }

@@ -40,6 +40,7 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/layout"),
     crate::wgsl!("common/level"),
     crate::wgsl!("common/pcg_slots"),
+    crate::wgsl!("common/probe_point"),
     crate::wgsl!("common/real_f32"),
     crate::wgsl!("common/real_f64"),
     crate::wgsl!("common/refine"),

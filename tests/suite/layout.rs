@@ -4,7 +4,7 @@ use std::mem::offset_of;
 
 use cutwater::gpu::{Range, Real, Source, compose, validate};
 use cutwater::grid::Layout;
-use cutwater::stages::{Step, Tiles};
+use cutwater::stages::{ProbePoint, Step, Tiles};
 
 /// Compares a WGSL struct with (field, offset) pairs and the size of its Rust doppelganger.
 pub(crate) fn assert_layout(
@@ -92,4 +92,10 @@ fn tiles_match() {
         fields!(Tiles: n, reach),
         size_of::<Tiles>(),
     );
+}
+
+#[test]
+fn probe_point_matches() {
+    let fields = fields!(ProbePoint: point, kind);
+    assert_layout("probe_point", "ProbePoint", fields, size_of::<ProbePoint>());
 }

@@ -26,5 +26,6 @@ mod twin_diagnose;
 mod twin_extrapolate;
 mod twin_forces;
 mod twin_liquid_distance;
+mod twin_probe;
 mod twin_right_hand_side;
 mod twin_write_back;

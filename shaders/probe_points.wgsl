@@ -1,0 +1,115 @@
+// probe, at points. Height: where the liquid distance, interpolated to the vertical line, last changes sign going up. Pressure:
+// between cell centres, air counting as 0, liquid that is no unknown (inside obstacles) not at all. Velocity: between faces.
+// One thread per probe. level, step. points: see probe_point. liquid_distance: m. flags: see active. potential: m/s.
+// velocity: faces, m/s. values: m, Pa or m/s along x, y, z, one of four words per probe, after those of the fronts.
+#import dispatch
+#import layout
+#import step
+#import sample_velocity
+#import ghost_fluid
+#import probe_point
+#import real
+
+@group(0) @binding(0) var<uniform> level: Layout;
+@group(0) @binding(1) var<uniform> step: Step;
+@group(0) @binding(2) var<storage, read> points: array<ProbePoint>;
+@group(0) @binding(3) var<storage, read> liquid_distance: array<f32>;
+@group(0) @binding(4) var<storage, read> flags: array<u32>;
+@group(0) @binding(5) var<storage, read> potential: array<Real>;
+@group(0) @binding(6) var<storage, read> velocity: array<f32>;
+@group(0) @binding(7) var<storage, read_write> values: array<vec4<f32>>;
+
+// The cells around a position: the lowest, and where between it and its upper neighbours.
+struct Corner {
+    low: u32,
+    f: vec3<f32>,
+}
+
+// at: position in cells, clamped to the range of the centres.
+fn corner(at: vec3<f32>) -> Corner {
+    let top = vec3<f32>(level.cells) - 1.0;
+    let index = clamp(at - 0.5, vec3<f32>(), top);
+    let low = min(floor(index), max(top - 1.0, vec3<f32>()));
+    let cell = vec3<u32>(low);
+    return Corner(4u * (level.stride_z * (cell.z + 1u) + level.stride_y * cell.y) + cell.x, index - low);
+}
+
+// Index and weight of one of the eight.
+fn corner_cell(corner: Corner, c: u32) -> u32 {
+    return corner.low + (c & 1u) + 4u * (level.stride_y * (c >> 1u & 1u) + level.stride_z * (c >> 2u));
+}
+fn corner_weight(corner: Corner, c: u32) -> f32 {
+    let upper = (vec3<u32>(c) >> vec3<u32>(0u, 1u, 2u) & vec3<u32>(1u)) == vec3<u32>(1u);
+    let w = select(1.0 - corner.f, corner.f, upper);
+    return w.x * w.y * w.z;
+}
+
+// Liquid distance on the vertical line through at, level with the centres of row j, m.
+fn distance_in_row(at: vec3<f32>, j: u32) -> f32 {
+    let corner = corner(vec3<f32>(at.x, f32(j) + 0.5, at.z));
+    var sum = 0.0;
+    for (var c = 0u; c < 8u; c++) {
+        let weight = corner_weight(corner, c);
+        if weight > 0.0 {
+            sum += weight * liquid_distance[corner_cell(corner, c)];
+        }
+    }
+    return sum;
+}
+
+// m
+fn height(at: vec3<f32>) -> f32 {
+    let n = level.cells.y;
+    var above = 0.0;
+    for (var j = n; j > 0u; j--) {
+        let phi = distance_in_row(at, j - 1u);
+        if phi < 0.0 {
+            let rise = select(ghost_theta(phi, above, 0.0), 0.5, j == n);
+            return (f32(j) - 0.5 + rise) * step.dx;
+        }
+        above = phi;
+    }
+    return 0.0;
+}
+
+// Pa
+fn pressure(at: vec3<f32>) -> f32 {
+    if step.dt <= 0.0 {
+        return 0.0;
+    }
+    let corner = corner(at);
+    var sum = Real();
+    var weights = Real();
+    for (var c = 0u; c < 8u; c++) {
+        let cell = corner_cell(corner, c);
+        let weight = corner_weight(corner, c);
+        let is_active = (flags[cell / 4u] >> (cell % 4u) & 1u) != 0u;
+        if weight > 0.0 && (is_active || liquid_distance[cell] >= 0.0) {
+            weights += Real(weight);
+            if is_active {
+                sum += Real(weight) * potential[cell];
+            }
+        }
+    }
+    if weights <= Real() {
+        return 0.0;
+    }
+    return f32(sum / weights) * (step.density * step.dx / step.dt);
+}
+
+@compute @workgroup_size(WG_SIZE)
+fn probe_points(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let index = linear_index(workgroup, lane);
+    if index >= arrayLength(&points) {
+        return;
+    }
+    let probe = points[index];
+    let at = probe.point * step.inv_dx;
+    var value = vec3<f32>();
+    switch probe.kind {
+        case HEIGHT: { value.x = height(at); }
+        case PRESSURE: { value.x = pressure(at); }
+        default: { value = sample_velocity(at); }
+    }
+    values[index + 1u] = vec4<f32>(value, 0.0);
+}

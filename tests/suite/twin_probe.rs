@@ -1,0 +1,87 @@
+//! `probe` against its twin.
+
+use cutwater::gpu::{Real, RealBuffer, Recorder};
+use cutwater::reference::{self, liquid_distance};
+use cutwater::scene::ProbeKind;
+use cutwater::stages::Probe;
+use glam::DVec3;
+
+use crate::common::{Random, gpu};
+use crate::liquid_case::{ActiveBuffers, Case, DENSITY, EPS, RADIUS, assert_close, cases, single};
+
+/// Probes at random points, also beyond the walls, and every front.
+fn probes(case: &Case, random: &mut Random) -> Vec<ProbeKind> {
+    let size = case.grid.size();
+    let mut point = || {
+        let [x, y, z] = [0, 1, 2].map(|a| single(size[a] * random.uniform(-0.1, 1.1)));
+        DVec3::new(x, y, z)
+    };
+    let mut probes: Vec<ProbeKind> = (0..3).map(|axis| ProbeKind::Front { axis }).collect();
+    for _ in 0..30 {
+        let foot = point();
+        probes.push(ProbeKind::Velocity { point: point() });
+        probes.push(ProbeKind::Height {
+            x: foot.x,
+            z: foot.z,
+        });
+        probes.push(ProbeKind::Pressure { point: point() });
+    }
+    probes
+}
+
+#[test]
+fn probes_read_what_they_read_in_the_twin() {
+    let Some(gpu) = gpu() else { return };
+    let real = if gpu.has_f64() { Real::F64 } else { Real::F32 };
+    for mut case in cases() {
+        let grid = case.grid;
+        let (radius, markers) = (RADIUS * grid.dx, &case.state.markers);
+        case.state.liquid_distance = liquid_distance(&grid, &case.cut, markers, radius)
+            .into_iter()
+            .map(single)
+            .collect();
+        let active = ActiveBuffers::new(gpu, &case, &case.state.liquid_distance);
+        case.state.active = active.cells.stencil.active_mask();
+        let mut random = Random(11);
+        let potential: Vec<f64> = (0..grid.n_cells())
+            .map(|_| single(random.uniform(-0.2, 0.2)))
+            .collect();
+        let pascal = DENSITY * grid.dx / case.dt;
+        case.state.pressure = (0..grid.n_cells())
+            .map(|cell| f64::from(u8::from(case.state.active[cell])) * pascal * potential[cell])
+            .collect();
+        let probes = probes(&case, &mut random);
+        let buffers = case.upload(gpu);
+        let values = RealBuffer::new(gpu, "test.phi", buffers.padded.len(), real).unwrap();
+        values.upload(gpu, &buffers.padded.pad(grid.cells, &potential, |phi| phi));
+        let stage = Probe::new(gpu, &buffers, &active.active(), &values, &probes).unwrap();
+        let run = || {
+            let mut recorder = Recorder::new(gpu);
+            stage.record(&mut recorder, &active.active());
+            recorder.submit();
+            stage.columns(&gpu.download(&stage.values).unwrap())
+        };
+        let columns = run();
+        assert_eq!(columns, run(), "{}: again", case.name);
+        let mut found = columns.iter();
+        // A position in cells is off by 3 roundings of its size, a weight by as much, three of them per value; the surface
+        // moves with the distances over their difference, which is a tenth of dx or more where it is not said to be steep.
+        let cells = 3.0 * 3.0 * case.extent() + 20.0;
+        let mut pairs = Vec::new();
+        for (index, probe) in probes.iter().enumerate() {
+            let scale = match probe {
+                ProbeKind::Front { .. } => grid.size().max_element() + grid.dx,
+                ProbeKind::Height { .. } => 40.0 * grid.dx + grid.size().y,
+                // Weights that are left out can leave little weight.
+                ProbeKind::Pressure { .. } => 10.0 * 0.2 * pascal,
+                ProbeKind::Velocity { .. } => 2.0 * case.speed(),
+            };
+            for twin in reference::probe(&grid, &case.state, probe) {
+                let gpu = *found.next().expect("a column per value");
+                pairs.push((gpu, twin, EPS * cells * scale, [index, 0, 0]));
+            }
+        }
+        assert_eq!(found.next(), None, "{}: columns", case.name);
+        assert_close(case.name, pairs);
+    }
+}
