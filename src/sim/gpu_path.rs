@@ -10,7 +10,7 @@ use crate::scene::Scene;
 use crate::solver::{Components, PressureSolver, PressureSystem, SolverBuffers};
 use crate::stages::{
     Active, AdvectMarkers, AdvectVelocity, Band, Diagnose, Extrapolate, Forces, LiquidBuffers,
-    LiquidDistance, LiquidPlan, Report, RightHandSide, Step, Volume, WriteBack,
+    LiquidDistance, LiquidPlan, Probe, Report, RightHandSide, Step, Volume, WriteBack,
 };
 use crate::state::State;
 
@@ -49,6 +49,8 @@ pub(super) struct Stages {
     pub(super) write_back: WriteBack,
     pub(super) extrapolate: Extrapolate,
     pub(super) diagnose: Diagnose,
+    /// With its read-back.
+    pub(super) probe: Option<(Probe, Readback<u32>)>,
 }
 
 /// What decides the sizes of all buffers of a scene on an adapter with or without f64.
@@ -138,6 +140,18 @@ impl GpuPath {
         let pascal = self.pressure_scale();
         state.pressure = padded.unpad(self.grid.cells, &potential, |potential| pascal * potential);
         Ok(state)
+    }
+
+    /// The values of the scene's probes, all columns in order.
+    pub(super) fn probes(&mut self) -> Result<Vec<f64>, Error> {
+        let Some((probe, readback)) = &mut self.stages.probe else {
+            return Ok(Vec::new());
+        };
+        let mut recorder = crate::gpu::Recorder::new(&self.gpu);
+        probe.record(&mut recorder, &active(&self.solver));
+        recorder.read(&probe.values, readback);
+        recorder.submit();
+        Ok(probe.columns(&readback.wait(&self.gpu)?))
     }
 
     /// Pa per m/s of potential: rho dx / dt.
@@ -237,6 +251,12 @@ impl Stages {
             &liquid.open,
             &scene.solver,
         )?;
+        let probe = || {
+            let kinds = scene.probes.iter().map(|probe| &probe.kind);
+            let probe = Probe::new(gpu, liquid, &active, &solver.potential, kinds)?;
+            let readback = Readback::new(gpu, "probe.values", probe.values.len())?;
+            Ok::<_, Error>((probe, readback))
+        };
         Ok(Stages {
             advect_markers: effects
                 .markers
@@ -259,6 +279,7 @@ impl Stages {
             write_back: WriteBack::new(gpu, liquid, &active, &solver.potential)?,
             extrapolate: Extrapolate::new(gpu, liquid)?,
             diagnose: Diagnose::new(gpu, liquid, &active)?,
+            probe: (!scene.probes.is_empty()).then(probe).transpose()?,
         })
     }
 }

@@ -142,10 +142,14 @@ impl Simulation {
     ///
     /// # Errors
     /// [`Error::Gpu`] when the device fails.
-    pub fn probes(&self) -> Result<Vec<f64>, Error> {
-        match &self.path {
-            Path::Gpu(path) => host_probes(&self.scene, &path.state()?),
-            Path::Cpu(path) => host_probes(&self.scene, path.state()),
+    pub fn probes(&mut self) -> Result<Vec<f64>, Error> {
+        let grid = self.scene.grid();
+        let probes = self.scene.probes.iter();
+        match &mut self.path {
+            Path::Gpu(path) => path.probes(),
+            Path::Cpu(path) => Ok(probes
+                .flat_map(|probe| reference::probe(&grid, path.state(), &probe.kind))
+                .collect()),
         }
     }
 
@@ -190,13 +194,4 @@ impl Simulation {
     pub fn adapter(&self) -> Option<&AdapterReport> {
         self.gpu().map(Gpu::report)
     }
-}
-
-fn host_probes(scene: &Scene, state: &State) -> Result<Vec<f64>, Error> {
-    let grid = scene.grid();
-    Ok(scene
-        .probes
-        .iter()
-        .flat_map(|probe| reference::probe(&grid, state, &probe.kind))
-        .collect())
 }
