@@ -1,4 +1,5 @@
-//! The rooms of `src/` use each other downwards only, each large library stays in its room, and no shader lies unused.
+//! The rooms of `src/` use each other downwards only, each large library stays in its room, stages share
+//! their nouns, and no shader lies unused.
 //!
 //! The sources are read as tokens, so comments, doc links and strings count for nothing.
 
@@ -308,6 +309,42 @@ fn the_root_has_no_logic() {
                 );
             }
         });
+    }
+}
+
+/// The nouns of a numbered list of stages.
+fn nouns(page: &str) -> Vec<String> {
+    let text = fs::read_to_string(root().join(page)).unwrap();
+    let lines = text.lines().map(|line| line.trim_start_matches("//! "));
+    let noun = |line: &str| {
+        let (number, rest) = line.split_once(". `")?;
+        let _: u32 = number.parse().ok()?;
+        rest.split_once('`').map(|(noun, _)| noun.to_owned())
+    };
+    lines.filter_map(noun).collect()
+}
+
+#[test]
+fn stages_share_their_nouns() {
+    let stages = nouns("src/lib.rs");
+    assert!(stages.len() > 10, "{stages:?}");
+    assert_eq!(stages, nouns("README.md"), "src/lib.rs and README.md");
+    for noun in stages.iter().filter(|noun| *noun != "clip") {
+        let twin = format!("src/reference/{noun}.rs");
+        assert!(root().join(&twin).exists(), "no {twin}");
+    }
+    // What several stages use.
+    let shared = ["mod", "band", "buffers", "report"];
+    for file in files("src/stages", &["rs"]) {
+        let stem = file.file_stem().unwrap().to_str().unwrap();
+        if !shared.contains(&stem) {
+            assert!(
+                stages.iter().any(|noun| noun == stem),
+                "src/lib.rs lists no stage {stem}"
+            );
+            let test = format!("tests/suite/twin_{stem}.rs");
+            assert!(root().join(&test).exists(), "no {test}");
+        }
     }
 }
 
