@@ -1,7 +1,9 @@
-//! The pages tell the truth: links lead somewhere, tests that are named exist, all scenes are listed.
+//! The pages tell the truth: links lead somewhere, tests that are named exist, scenes load and are all listed.
 
 use std::fs;
 use std::path::{Path, PathBuf};
+
+use cutwater::scene::Scene;
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -101,5 +103,25 @@ fn the_readme_lists_every_scene() {
             readme.contains(&format!("| `{name}` |")),
             "README.md: no scene {name}"
         );
+    }
+}
+
+#[test]
+fn the_scenes_of_the_pages_load() {
+    for page in ["README.md", "docs/scene.md"] {
+        let text = fs::read_to_string(root().join(page)).unwrap();
+        let blocks = text
+            .split("```toml\n")
+            .skip(1)
+            .map(|rest| rest.split("```").next().unwrap());
+        let mut n = 0;
+        for block in blocks {
+            let folder = tempfile::tempdir().unwrap();
+            let file = folder.path().join("page.toml");
+            fs::write(&file, block).unwrap();
+            Scene::load(&file, &[], 1.0).unwrap_or_else(|error| panic!("{page}: {error}"));
+            n += 1;
+        }
+        assert!(n > 0, "{page} has no scene");
     }
 }
