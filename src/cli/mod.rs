@@ -2,6 +2,7 @@
 
 mod adapters;
 mod bench;
+mod compare;
 mod plan;
 mod preview;
 mod run;
@@ -33,6 +34,8 @@ enum Command {
     Adapters(adapters::Adapters),
     /// Measure the solve or the whole step
     Bench(bench::Bench),
+    /// Check every stage of the GPU path against the f64 path
+    Compare(compare::Compare),
     /// Draw the frames of a run as pictures and an animation
     Preview(preview::Preview),
 }
@@ -106,6 +109,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Plan(command) => command.run(),
         Command::Adapters(command) => command.run(),
         Command::Bench(command) => command.run(),
+        Command::Compare(command) => command.run(),
         Command::Preview(command) => command.run(),
     };
     match done {

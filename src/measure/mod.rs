@@ -2,4 +2,5 @@
 
 pub mod bandwidth;
 pub mod bench_solve;
+pub mod compare;
 pub mod statistics;

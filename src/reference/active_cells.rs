@@ -16,6 +16,14 @@ pub struct ActiveCells {
     pub closed: Vec<Vec<usize>>,
 }
 
+impl ActiveCells {
+    /// Those of an operator, whose closed components are looked for.
+    pub fn new(stencil: Stencil) -> ActiveCells {
+        let closed = closed_components(&stencil);
+        ActiveCells { stencil, closed }
+    }
+}
+
 /// Part of the way from an inside centre (`inside` < 0) to an outside one (`outside` >= 0) where the surface lies, at least
 /// `floor`. The matrix and the velocity update share it.
 #[inline]
@@ -51,9 +59,7 @@ pub fn active_cells(
             }
         }
     }
-    let stencil = Stencil::new(*grid, weight, dirichlet);
-    let closed = closed_components(&stencil);
-    ActiveCells { stencil, closed }
+    ActiveCells::new(Stencil::new(*grid, weight, dirichlet))
 }
 
 /// Flood fill over faces with weight: the components without a Dirichlet part.

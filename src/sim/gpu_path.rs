@@ -2,10 +2,10 @@
 
 use crate::Error;
 use crate::effects::Effects;
-use crate::geometry::CutCells;
-use crate::gpu::{CompactKernels, Gpu, Readback, Real};
+use crate::geometry::{self, CutCells};
+use crate::gpu::{AdapterChoice, CompactKernels, Gpu, Readback, Real};
 use crate::grid::Grid;
-use crate::reference::{TimeStep, time_step};
+use crate::reference::{self, TimeStep, time_step};
 use crate::scene::Scene;
 use crate::solver::{Components, PressureSolver, PressureSystem, SolverBuffers};
 use crate::stages::{
@@ -13,6 +13,8 @@ use crate::stages::{
     LiquidDistance, LiquidPlan, Probe, Report, RightHandSide, Step, Volume, WriteBack,
 };
 use crate::state::State;
+
+use super::{Clock, Plan};
 
 /// A scene on the device.
 #[derive(Debug)]
@@ -65,6 +67,21 @@ pub(super) fn liquid_plan(scene: &Scene, n_markers: usize, f64: bool) -> LiquidP
 }
 
 impl GpuPath {
+    /// Opens the device, clips the obstacles, seeds the liquid, and uploads it.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] where the adapter is too small for the scene, and whatever geometry and device say.
+    pub fn open(scene: &Scene, choice: &AdapterChoice) -> Result<GpuPath, Error> {
+        let gpu = Gpu::new(choice)?;
+        // Before the liquid is seeded, which may take long.
+        Plan::new(scene, Some(gpu.report()))?.check(gpu.report())?;
+        let grid = scene.grid();
+        let cut = geometry::cut_cells(scene, &grid)?;
+        let mut state = geometry::initial_state(scene, &grid, &cut)?;
+        reference::prepare(scene, &grid, &cut, &mut state);
+        GpuPath::new(scene, cut, state, gpu)
+    }
+
     /// Uploads a prepared state.
     pub(super) fn new(
         scene: &Scene,
@@ -103,7 +120,7 @@ impl GpuPath {
     /// [`Error::Gpu`] when the device fails.
     pub fn write_state(&mut self, state: &State) -> Result<(), Error> {
         self.n_markers = state.markers.len();
-        self.max_speed = crate::reference::max_speed(&state.velocity);
+        self.max_speed = reference::max_speed(&state.velocity);
         self.liquid.write_state(&self.gpu, state);
         self.head = State {
             velocity: Default::default(),
@@ -169,7 +186,7 @@ impl GpuPath {
     }
 
     /// The length of the next sub-step.
-    pub(super) fn next_time_step(&self) -> TimeStep {
+    pub fn next_time_step(&self) -> TimeStep {
         let Scene { time, domain, .. } = &self.scene;
         let fall = (domain.gravity.length() * self.grid.dx).sqrt();
         let left = self.head.time_left(time.frames_per_second);
@@ -185,6 +202,11 @@ impl GpuPath {
 
     /// Tells the kernels the length of the sub-step.
     pub(super) fn write_step(&self, dt: f64) {
+        self.gpu.upload(&self.liquid.step, &[self.step_numbers(dt)]);
+    }
+
+    /// What the kernels know of a sub-step of dt (s).
+    pub fn step_numbers(&self, dt: f64) -> Step {
         let Scene {
             time,
             domain,
@@ -192,7 +214,7 @@ impl GpuPath {
             solver,
             ..
         } = &self.scene;
-        let step = Step {
+        Step {
             gravity: domain.gravity.as_vec3().to_array(),
             dt: dt as f32,
             size: self.grid.size().as_vec3().to_array(),
@@ -209,8 +231,7 @@ impl GpuPath {
             theta_floor: solver.theta_floor as f32,
             n_markers: self.n_markers as u32,
             spare: 0,
-        };
-        self.gpu.upload(&self.liquid.step, &[step]);
+        }
     }
 
     /// Whether a sub-step of this length ends a frame.
@@ -218,6 +239,16 @@ impl GpuPath {
         let mut after = self.head.clone();
         after.advance_clock(dt, self.scene.time.frames_per_second);
         after.frame > self.head.frame
+    }
+
+    /// The obstacles' cut cells.
+    pub fn cut_cells(&self) -> &CutCells {
+        &self.cut
+    }
+
+    /// How far the simulation is.
+    pub fn clock(&self) -> Clock {
+        Clock::of(&self.head)
     }
 
     /// The device.

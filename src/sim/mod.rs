@@ -3,11 +3,14 @@
 mod gpu_path;
 mod plan;
 mod run;
+mod snapshot;
 mod step;
 
 pub use gpu_path::GpuPath;
 pub use plan::{EffectLine, Plan, StagePlan};
 pub use run::{Options, Progress, Summary, run};
+pub use snapshot::Snapshot;
+pub use step::Observer;
 
 use crate::Error;
 use crate::geometry::{self, CutCells};
@@ -75,23 +78,13 @@ impl Simulation {
     /// # Errors
     /// Whatever geometry and device say.
     pub fn new(scene: &Scene, backend: &Backend) -> Result<Simulation, Error> {
-        let grid = scene.grid();
-        let gpu = match backend {
-            Backend::Cpu => None,
-            Backend::Gpu(choice) => {
-                let gpu = Gpu::new(choice)?;
-                // Before the liquid is seeded, which may take long.
-                Plan::new(scene, Some(gpu.report()))?.check(gpu.report())?;
-                Some(gpu)
-            }
-        };
-        let cut = geometry::cut_cells(scene, &grid)?;
-        let mut state = geometry::initial_state(scene, &grid, &cut)?;
-        let path = match gpu {
-            None => Path::Cpu(Box::new(Reference::new(scene, cut, state)?)),
-            Some(gpu) => {
-                reference::prepare(scene, &grid, &cut, &mut state);
-                Path::Gpu(Box::new(GpuPath::new(scene, cut, state, gpu)?))
+        let path = match backend {
+            Backend::Gpu(choice) => Path::Gpu(Box::new(GpuPath::open(scene, choice)?)),
+            Backend::Cpu => {
+                let grid = scene.grid();
+                let cut = geometry::cut_cells(scene, &grid)?;
+                let state = geometry::initial_state(scene, &grid, &cut)?;
+                Path::Cpu(Box::new(Reference::new(scene, cut, state)?))
             }
         };
         Ok(Simulation {
@@ -156,7 +149,7 @@ impl Simulation {
     /// How far the simulation is.
     pub fn clock(&self) -> Clock {
         match &self.path {
-            Path::Gpu(path) => Clock::of(&path.head),
+            Path::Gpu(path) => path.clock(),
             Path::Cpu(path) => Clock::of(path.state()),
         }
     }

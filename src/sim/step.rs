@@ -13,7 +13,7 @@ use crate::state::{SolveReport, StepReport};
 use super::gpu_path::{GpuPath, active};
 
 /// Hears of every stage once its results are on the device.
-pub(super) type Observer<'a> = &'a mut dyn FnMut(&'static str, &GpuPath) -> Result<(), Error>;
+pub type Observer<'a> = &'a mut dyn FnMut(&'static str, &GpuPath) -> Result<(), Error>;
 
 /// What the device tells of a sub-step.
 struct Told {
@@ -23,6 +23,14 @@ struct Told {
 }
 
 impl GpuPath {
+    /// Does one sub-step, each stage submitted by itself and told of.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails, and what the observer ends with. A solve that does not converge is told in the report.
+    pub fn step_observed(&mut self, observer: Observer) -> Result<StepReport, Error> {
+        self.step(self.next_time_step(), Some(observer))
+    }
+
     /// Does one sub-step. With an observer each stage is submitted by itself and told of.
     pub(super) fn step(
         &mut self,

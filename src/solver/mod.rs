@@ -35,7 +35,7 @@ mod system;
 pub use components::Components;
 pub use hierarchy::Hierarchy;
 pub use plan::small_buffers;
-pub use refine::{Outcome, PressureSolver};
+pub use refine::{Outcome, PressureSolver, rounding};
 pub use system::{LevelPlan, PressureSystem, SolverBuffers, variant};
 
 use crate::grid::Layout;

@@ -71,7 +71,7 @@ pub(super) struct RefineSettings {
 }
 
 /// Relative to the fluxes, what rounding leaves of the residual (design section 5).
-fn rounding(solver: &Solver) -> f64 {
+pub fn rounding(solver: &Solver) -> f64 {
     match solver.precision {
         Precision::F32 => 1e-7,
         Precision::Mixed | Precision::F64 => 1e-14,

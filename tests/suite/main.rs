@@ -3,6 +3,7 @@
 mod band;
 mod cli;
 mod common;
+mod compare;
 mod components;
 mod geometry;
 mod gpu;

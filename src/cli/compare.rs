@@ -1,0 +1,57 @@
+//! `cutwater compare`
+
+use cutwater::Error;
+use cutwater::measure::compare::{Comparison, compare};
+
+use super::{AdapterArgs, SceneArgs};
+
+/// Check every stage of the GPU path against the f64 path
+#[derive(Debug, clap::Args)]
+pub(super) struct Compare {
+    #[command(flatten)]
+    scene: SceneArgs,
+    /// Frames to compare, all sub-steps of each
+    #[arg(long, default_value_t = 2)]
+    frames: u64,
+    #[command(flatten)]
+    adapter: AdapterArgs,
+}
+
+impl Compare {
+    pub(super) fn run(&self) -> Result<(), Error> {
+        let scene = self.scene.load()?;
+        let choice = self.adapter.choice();
+        let comparison = compare(&scene, self.frames, &choice, &mut |_, _| {})?;
+        print(&comparison);
+        comparison.verdict()
+    }
+}
+
+fn print(comparison: &Comparison) {
+    println!("adapter: {}", comparison.adapter);
+    println!("{} sub-steps; the worst of all:", comparison.steps);
+    println!(
+        "{:16} {:20} {:>9} {:>9} {:>9} {:>9} {:7} {:>7}  where the ratio is largest",
+        "stage", "quantity", "largest", "RMS", "bound", "ratio", "unit", "excused"
+    );
+    for row in &comparison.rows {
+        let Some(worst) = row.worst else { continue };
+        println!(
+            "{:16} {:20} {:9.2e} {:9.2e} {:9.2e} {:9.2e} {:7} {:7}  {}{}",
+            row.stage,
+            row.quantity,
+            row.largest,
+            row.rms(),
+            worst.bound,
+            row.ratio(),
+            row.unit,
+            row.excused,
+            if row.breached() { "BREACH " } else { "" },
+            if row.largest == 0.0 {
+                "equal everywhere".to_owned()
+            } else {
+                format!("sub-step {}: {}", worst.step, worst.place)
+            },
+        );
+    }
+}

@@ -1,0 +1,184 @@
+//! The pressure: the device's answer against a direct f64 solve of the system that it stored, and that system's answer against the
+//! one of a system assembled in f64 from the same fields.
+//!
+//! The bounds are rigorous. B is an M-matrix, so |r| <= t in every cell makes |B^-1 r| <= B^-1 t there: one more solve, with the
+//! allowed residual for its right-hand side, says how far off the pressure may be. In a component without a free surface one
+//! cell is held; differences to it are bounded so, and pressures without the mean by twice the largest of them.
+
+use super::table::Place;
+use super::{DIRICHLET_ROUNDINGS, EPS, Judge, unit};
+use crate::Error;
+use crate::linalg::norm;
+use crate::reference::{ActiveCells, PressureSystem, Stencil, solve, solve_iterative};
+use crate::scene::Solver;
+use crate::sim::Snapshot;
+use crate::solver::rounding;
+
+/// Relative residual of the f64 solves: negligible beside the device's.
+const EXACT: f64 = 1e-12;
+/// Relative residual of the solves for bounds, and what it may cost them.
+const ROUGH: f64 = 1e-6;
+const ROUGH_MARGIN: f64 = 1.01;
+
+/// Takes the mean over each list of cells out of a field.
+pub(super) fn remove_means(components: &[Vec<usize>], field: &mut [f64]) {
+    for component in components {
+        let mean = component.iter().map(|&cell| field[cell]).sum::<f64>() / component.len() as f64;
+        component.iter().for_each(|&cell| field[cell] -= mean);
+    }
+}
+
+impl Judge<'_> {
+    /// m/s of potential as pressure, Pa.
+    pub(super) fn in_pascal(&self, potential: &[f64]) -> Vec<f64> {
+        let scale = self.pascal();
+        potential
+            .iter()
+            .map(|potential| scale * potential)
+            .collect()
+    }
+
+    fn pascal(&self) -> f64 {
+        f64::from(self.step.density) * self.grid.dx / self.dt()
+    }
+
+    /// Rows `solve` and `assembly`.
+    pub(super) fn solve(&mut self, after: &Snapshot) -> Result<(), Error> {
+        let grid = self.grid;
+        let twin_active = self
+            .twin
+            .active
+            .take()
+            .expect("active_cells comes before solve");
+        let settings = Solver {
+            tolerance: EXACT.min(1e-2 * self.scene.solver.tolerance),
+            max_iterations: 10_000,
+            ..self.scene.solver
+        };
+        let active = after.active_cells(&grid);
+        let mut rhs = after.rhs.clone();
+        remove_means(&active.closed, &mut rhs);
+        let stored = unit_system(active, rhs, self.twin.flux);
+        let assembled = unit_system(twin_active, self.twin.rhs.clone(), self.twin.flux);
+        let (answer, _) = solve(&stored, &settings)?;
+        let (twin, _) = solve(&assembled, &settings)?;
+
+        // What the true residual may be, and what rounding the answer to its scalar type adds to it.
+        let target = (self.scene.solver.tolerance * norm(&stored.rhs))
+            .max(rounding(&self.scene.solver) * stored.rhs_scale);
+        let residual = norm(&stored.residual(&after.potential));
+        let stored_as: Vec<f64> = after
+            .potential
+            .iter()
+            .map(|x| unit(after.real) * x.abs())
+            .collect();
+        let spread = norm(&magnitudes(&stored.stencil, &stored_as));
+        let pascal = self.pascal();
+        self.table.add(
+            ["solve", "true residual", "m/s"],
+            [(residual, 0.0, target + spread, Place::Whole)],
+        );
+        // No entry of a residual is larger than its norm.
+        let allowed: Vec<f64> = stored
+            .stencil
+            .active_mask()
+            .iter()
+            .map(|&active| if active { target } else { 0.0 })
+            .collect();
+        let reach = majorant(&stored.stencil, &stored.closed, allowed);
+        let cells = || (0..grid.n_cells()).filter(|&cell| stored.stencil.active(cell));
+        let solve_bound = |cell: usize| pascal * (reach[cell] + stored_as[cell]);
+        self.table.add(
+            ["solve", "pressure", "Pa"],
+            cells().map(|cell| {
+                let (gpu, twin) = (pascal * after.potential[cell], pascal * answer[cell]);
+                (gpu, twin, solve_bound(cell), Place::cell(&grid, cell))
+            }),
+        );
+
+        // B x is off by the roundings of the free-surface terms and of the right-hand side.
+        let difference: Vec<f64> = (0..grid.n_cells())
+            .map(|cell| {
+                if !assembled.stencil.active(cell) {
+                    return 0.0;
+                }
+                let surface = assembled.stencil.dirichlet[cell] * twin[cell].abs();
+                self.twin.rhs_bound + DIRICHLET_ROUNDINGS * EPS * surface
+            })
+            .collect();
+        let reach_of_assembly = majorant(&assembled.stencil, &assembled.closed, difference);
+        let assembly_bound =
+            |cell: usize| pascal * (reach_of_assembly[cell] + 1e3 * EXACT * twin[cell].abs());
+        self.table.add(
+            ["assembly", "pressure", "Pa"],
+            cells().map(|cell| {
+                let (stored, twin) = (pascal * answer[cell], pascal * twin[cell]);
+                (stored, twin, assembly_bound(cell), Place::cell(&grid, cell))
+            }),
+        );
+        self.twin.pressure_bound = cells()
+            .map(|cell| solve_bound(cell) + assembly_bound(cell))
+            .fold(0.0, f64::max);
+        self.twin.pressure = self.in_pascal(&twin);
+        self.twin.active = Some(ActiveCells {
+            stencil: assembled.stencil,
+            closed: assembled.closed,
+        });
+        Ok(())
+    }
+}
+
+/// The system in the units of the device: potential and right-hand side in m/s.
+fn unit_system(active: ActiveCells, rhs: Vec<f64>, rhs_scale: f64) -> PressureSystem {
+    PressureSystem {
+        stencil: active.stencil,
+        scale: 1.0,
+        rhs,
+        rhs_scale,
+        closed: active.closed,
+    }
+}
+
+/// |B| |x| per cell.
+fn magnitudes(stencil: &Stencil, x: &[f64]) -> Vec<f64> {
+    (0..x.len())
+        .map(|cell| {
+            let others = stencil.neighbours(cell);
+            let sum: f64 = others
+                .iter()
+                .map(|&(other, weight)| weight * x[other].abs())
+                .sum();
+            stencil.diagonal[cell] * x[cell].abs() + sum
+        })
+        .collect()
+}
+
+/// Bound of |B^-1 r| per cell, given a bound of |r|.
+fn majorant(stencil: &Stencil, closed: &[Vec<usize>], r: Vec<f64>) -> Vec<f64> {
+    let mut dirichlet = stencil.dirichlet.clone();
+    closed
+        .iter()
+        .for_each(|component| dirichlet[component[0]] += 1.0);
+    let held = Stencil::new(stencil.grid, stencil.weight.clone(), dirichlet);
+    let active = ActiveCells {
+        stencil: held,
+        closed: Vec::new(),
+    };
+    let settings = Solver {
+        tolerance: ROUGH,
+        max_iterations: 10_000,
+        ..Solver::default()
+    };
+    let (mut bound, _) = solve_iterative(&unit_system(active, r, 0.0), &settings);
+    for component in closed {
+        let largest = component
+            .iter()
+            .map(|&cell| bound[cell])
+            .fold(0.0, f64::max);
+        component
+            .iter()
+            .for_each(|&cell| bound[cell] = 2.0 * largest);
+    }
+    bound.iter_mut().for_each(|bound| *bound *= ROUGH_MARGIN);
+    bound
+}

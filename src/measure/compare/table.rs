@@ -1,0 +1,201 @@
+//! The rows of a comparison: per quantity the worst place of all sub-steps.
+
+use std::fmt;
+
+use glam::DVec3;
+
+use crate::grid::{Axis, Grid};
+
+/// Where a number is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Place {
+    /// One number for all.
+    Whole,
+    /// A cell and its centre, m.
+    Cell([usize; 3], DVec3),
+    /// A face and its centre, m.
+    Face(Axis, [usize; 3], DVec3),
+    /// A marker and where it started, m.
+    Marker(usize, DVec3),
+    /// A column of probes.csv.
+    Column(usize),
+}
+
+impl Place {
+    /// The place of a cell with a host index.
+    pub(super) fn cell(grid: &Grid, cell: usize) -> Place {
+        let ijk = grid.cell_at(cell);
+        Place::Cell(ijk, grid.cell_centre(ijk))
+    }
+
+    /// The place of a face with a host index.
+    pub(super) fn face(grid: &Grid, axis: Axis, face: usize) -> Place {
+        let ijk = grid.face_at(axis, face);
+        Place::Face(axis, ijk, grid.face_centre(axis, ijk))
+    }
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let at = |x: &DVec3| format!("({:.4}, {:.4}, {:.4}) m", x.x, x.y, x.z);
+        match self {
+            Place::Whole => Ok(()),
+            Place::Cell(ijk, x) => write!(f, "cell {ijk:?} at {}", at(x)),
+            Place::Face(axis, ijk, x) => write!(f, "{axis:?} face {ijk:?} at {}", at(x)),
+            Place::Marker(index, x) => write!(f, "marker {index} from {}", at(x)),
+            Place::Column(column) => write!(f, "column {column}"),
+        }
+    }
+}
+
+/// A number of both paths: worst first by difference over bound.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Worst {
+    /// On the GPU.
+    pub gpu: f64,
+    /// In the twin.
+    pub twin: f64,
+    /// What rounding explains.
+    pub bound: f64,
+    /// Where.
+    pub place: Place,
+    /// Sub-step, from 0.
+    pub step: u64,
+}
+
+impl Worst {
+    /// Difference over bound; above 1 is a breach. Infinite where one side is not a number.
+    pub fn ratio(&self) -> f64 {
+        let difference = (self.gpu - self.twin).abs();
+        if difference == 0.0 {
+            0.0
+        } else if difference.is_nan() || self.bound.is_nan() {
+            f64::INFINITY
+        } else {
+            difference / self.bound
+        }
+    }
+}
+
+/// A quantity of a stage.
+#[derive(Clone, Debug)]
+pub struct Row {
+    /// The stage, by its canonical noun.
+    pub stage: &'static str,
+    /// What it makes.
+    pub quantity: &'static str,
+    /// Its unit.
+    pub unit: &'static str,
+    /// Numbers compared, in all sub-steps.
+    pub count: u64,
+    /// Numbers left out, because a decision hangs on a rounding and either outcome is right.
+    pub excused: u64,
+    /// Largest difference anywhere.
+    pub largest: f64,
+    /// The one with the largest difference over bound.
+    pub worst: Option<Worst>,
+    sum_of_squares: f64,
+}
+
+impl Row {
+    fn new(stage: &'static str, quantity: &'static str, unit: &'static str) -> Row {
+        Row {
+            stage,
+            quantity,
+            unit,
+            count: 0,
+            excused: 0,
+            largest: 0.0,
+            worst: None,
+            sum_of_squares: 0.0,
+        }
+    }
+
+    /// Root of the mean square of the differences.
+    pub fn rms(&self) -> f64 {
+        if self.count == 0 {
+            0.0
+        } else {
+            (self.sum_of_squares / self.count as f64).sqrt()
+        }
+    }
+
+    /// Largest difference over bound.
+    pub fn ratio(&self) -> f64 {
+        self.worst.map_or(0.0, |worst| worst.ratio())
+    }
+
+    /// Whether a difference is larger than rounding explains.
+    pub fn breached(&self) -> bool {
+        self.ratio() > 1.0
+    }
+
+    /// Takes a pair in.
+    pub(super) fn add(&mut self, pair: Worst) {
+        let difference = (pair.gpu - pair.twin).abs();
+        self.count += 1;
+        self.sum_of_squares += difference * difference;
+        if difference > self.largest || difference.is_nan() {
+            self.largest = difference;
+        }
+        if self.worst.is_none_or(|worst| pair.ratio() > worst.ratio()) {
+            self.worst = Some(pair);
+        }
+    }
+}
+
+/// The rows, in order of first appearance.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Table {
+    pub(super) rows: Vec<Row>,
+    pub(super) step: u64,
+}
+
+impl Table {
+    /// A row, made when first asked for.
+    pub(super) fn row(
+        &mut self,
+        stage: &'static str,
+        quantity: &'static str,
+        unit: &'static str,
+    ) -> &mut Row {
+        let known = |row: &Row| row.stage == stage && row.quantity == quantity;
+        let index = self.rows.iter().position(known).unwrap_or_else(|| {
+            self.rows.push(Row::new(stage, quantity, unit));
+            self.rows.len() - 1
+        });
+        &mut self.rows[index]
+    }
+
+    /// Takes (GPU, twin, bound, place) into a row.
+    pub(super) fn add(
+        &mut self,
+        [stage, quantity, unit]: [&'static str; 3],
+        pairs: impl IntoIterator<Item = (f64, f64, f64, Place)>,
+    ) {
+        let step = self.step;
+        let row = self.row(stage, quantity, unit);
+        for (gpu, twin, bound, place) in pairs {
+            row.add(Worst {
+                gpu,
+                twin,
+                bound,
+                place,
+                step,
+            });
+        }
+    }
+
+    /// Takes yes-or-no answers into a row: they must agree everywhere.
+    pub(super) fn add_flags(
+        &mut self,
+        [stage, quantity]: [&'static str; 2],
+        pairs: impl IntoIterator<Item = (bool, bool, Place)>,
+    ) {
+        let number = |flag: bool| f64::from(u8::from(flag));
+        let pairs = pairs
+            .into_iter()
+            .map(|(gpu, twin, place)| (number(gpu), number(twin), 0.0, place));
+        self.add([stage, quantity, "flag"], pairs);
+    }
+}

@@ -1,0 +1,131 @@
+//! What the device holds between two stages: for comparisons with the f64 path, and for export.
+
+use crate::Error;
+use crate::gpu::{Buffer, Real};
+use crate::grid::{Axis, Grid};
+use crate::reference::{ActiveCells, Stencil};
+use crate::stages::Report;
+
+use super::GpuPath;
+
+/// All that stages hand to each other, widened to f64, host layout.
+#[derive(Clone, Debug)]
+pub struct Snapshot {
+    /// Marker positions, m; `None` for a dropped one.
+    pub markers: Vec<Option<[f64; 3]>>,
+    /// Face velocities, m/s.
+    pub velocity: [Vec<f64>; 3],
+    /// u*, m/s; defined on the band.
+    pub velocity_next: [Vec<f64>; 3],
+    /// Faces that `write_back` gave a velocity.
+    pub valid: [Vec<bool>; 3],
+    /// Liquid distance, m.
+    pub liquid_distance: Vec<f64>,
+    /// Cells of the band.
+    pub band: Vec<bool>,
+    /// Faces of the band.
+    pub face_band: [Vec<bool>; 3],
+    /// Unknowns.
+    pub active: Vec<bool>,
+    /// Unknowns in components without a free surface; known from the stage after `active_cells` on.
+    pub closed: Vec<bool>,
+    /// Weights of the stored matrix, dimensionless.
+    pub weight: [Vec<f64>; 3],
+    /// Its free-surface terms, dimensionless.
+    pub dirichlet: Vec<f64>,
+    /// Reciprocals of its diagonal; 0 in inactive cells.
+    pub inverse_diagonal: Vec<f64>,
+    /// Right-hand side, m/s; 0 in inactive cells.
+    pub rhs: Vec<f64>,
+    /// Potential p dt / (rho dx), m/s; 0 in inactive cells.
+    pub potential: Vec<f64>,
+    /// Scalar type of the stored right-hand side and potential.
+    pub real: Real,
+    /// The numbers of the sub-step so far.
+    pub report: Report,
+}
+
+impl GpuPath {
+    /// Waits for all submitted work and reads everything.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn snapshot(&self) -> Result<Snapshot, Error> {
+        let GpuPath {
+            gpu,
+            grid,
+            liquid,
+            solver,
+            ..
+        } = self;
+        let padded = grid.padded();
+        let cells = |values: &[f64]| padded.unpad(grid.cells, values, |value| value);
+        let bits = |words: &Buffer<u32>, first: usize| -> Result<Vec<bool>, Error> {
+            let words = gpu.download(words)?;
+            Ok((0..padded.len())
+                .map(|at| words[at / 4] >> (first + at % 4) & 1 == 1)
+                .collect())
+        };
+        let on_cells = |lanes: &[bool]| padded.unpad(grid.cells, lanes, |lane| lane);
+        let band_words = gpu.download(&liquid.band_flags)?;
+        let band: Vec<bool> = (0..padded.len())
+            .map(|at| band_words[at / 4] != 0)
+            .collect();
+        let valid = [0, 4, 8].map(|first| bits(&liquid.valid, first));
+        let mut faces = Axis::ALL.into_iter().zip(valid);
+        let mut next_valid = || -> Result<Vec<bool>, Error> {
+            let (axis, valid) = faces.next().expect("there are three axes");
+            Ok(padded.unpad(grid.faces(axis), &valid?, |valid| valid))
+        };
+        let valid = [next_valid()?, next_valid()?, next_valid()?];
+        let matrix = solver.matrix.download(gpu)?;
+        let section = |s: usize| &matrix[4 * solver.plan.total * s..][..padded.len()];
+        let active = bits(&solver.flags, 0)?;
+        // Nobody clears what is left of other sub-steps in quads that hold no liquid now.
+        let masked = |values: Vec<f64>| {
+            let mut values = cells(&values);
+            for (value, active) in values.iter_mut().zip(on_cells(&active)) {
+                *value = if active { *value } else { 0.0 };
+            }
+            values
+        };
+        let markers = match &liquid.markers {
+            None => Vec::new(),
+            Some(markers) => gpu.download(&markers.positions)?[..self.n_markers]
+                .iter()
+                .map(|&[x, y, z, alive]| (alive != 0.0).then(|| [x, y, z].map(f64::from)))
+                .collect(),
+        };
+        let distance = gpu.download(&liquid.liquid_distance)?;
+        Ok(Snapshot {
+            markers,
+            velocity: liquid.read_faces(gpu, &liquid.velocity)?,
+            velocity_next: liquid.read_faces(gpu, &liquid.velocity_next)?,
+            valid,
+            liquid_distance: padded.unpad(grid.cells, &distance, f64::from),
+            face_band: Axis::ALL.map(|axis| padded.unpad(grid.faces(axis), &band, |band| band)),
+            band: on_cells(&band),
+            closed: on_cells(&bits(&solver.flags, 4)?),
+            weight: Axis::ALL
+                .map(|axis| padded.unpad(grid.faces(axis), section(axis.index()), |weight| weight)),
+            dirichlet: cells(section(3)),
+            inverse_diagonal: cells(section(4)),
+            rhs: masked(solver.rhs.download(gpu)?),
+            potential: masked(solver.potential.download(gpu)?),
+            active: on_cells(&active),
+            real: solver.rhs.real,
+            report: Report::from_words(&gpu.download(&liquid.report)?),
+        })
+    }
+}
+
+impl Snapshot {
+    /// The stored matrix, and its components without a free surface as the f64 path finds them.
+    pub fn active_cells(&self, grid: &Grid) -> ActiveCells {
+        ActiveCells::new(Stencil::new(
+            *grid,
+            self.weight.clone(),
+            self.dirichlet.clone(),
+        ))
+    }
+}
