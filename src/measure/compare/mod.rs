@@ -81,7 +81,7 @@ impl Comparison {
 }
 
 /// Runs the GPU path for some frames and compares each stage. `listen` hears of every snapshot before it is judged, with the
-/// stage's name; what it changes there is judged as if it came from the device.
+/// stage's name; what it changes there is judged as if it came from the device, and not handed to the next twin.
 ///
 /// # Errors
 /// Whatever the simulation ends with. A breach is no error here: see [`Comparison::verdict`].
@@ -97,9 +97,12 @@ pub fn compare(
         judge.table.step = path.clock().step;
         judge.step = path.step_numbers(path.next_time_step().dt);
         path.step_observed(&mut |stage, path| {
-            let mut after = path.snapshot()?;
+            let held = path.snapshot()?;
+            let mut after = held.clone();
             listen(stage, &mut after);
-            judge.judge(stage, after)
+            judge.judge(stage, &after)?;
+            judge.before = held;
+            Ok(())
         })?;
     }
     Ok(Comparison {
@@ -176,25 +179,24 @@ impl<'a> Judge<'a> {
         })
     }
 
-    fn judge(&mut self, stage: &'static str, after: Snapshot) -> Result<(), Error> {
+    fn judge(&mut self, stage: &'static str, after: &Snapshot) -> Result<(), Error> {
         match stage {
-            AdvectMarkers::NAME => self.advect_markers(&after),
-            AdvectVelocity::NAME => self.advect_velocity(&after),
-            Forces::NAME => self.forces(&after),
-            LiquidDistance::NAME => self.liquid_distance(&after),
-            "active_cells" => self.active_cells(&after),
-            RightHandSide::NAME => self.right_hand_side(&after),
-            "solve" => self.solve(&after)?,
-            WriteBack::NAME => self.write_back(&after),
-            Extrapolate::NAME => self.extrapolate(&after),
+            AdvectMarkers::NAME => self.advect_markers(after),
+            AdvectVelocity::NAME => self.advect_velocity(after),
+            Forces::NAME => self.forces(after),
+            LiquidDistance::NAME => self.liquid_distance(after),
+            "active_cells" => self.active_cells(after),
+            RightHandSide::NAME => self.right_hand_side(after),
+            "solve" => self.solve(after)?,
+            WriteBack::NAME => self.write_back(after),
+            Extrapolate::NAME => self.extrapolate(after),
             Diagnose::NAME => {
-                self.diagnose(&after);
-                self.probes(&after);
+                self.diagnose(after);
+                self.probes(after);
             }
             // The band decides where the others work; what it leaves out shows in theirs.
             _ => {}
         }
-        self.before = after;
         Ok(())
     }
 
@@ -531,7 +533,7 @@ impl<'a> Judge<'a> {
             .for_each(|&cell| closed[cell] = true);
         let cells = || 0..grid.n_cells();
         self.table.add_flags(
-            ["active_cells", "closed components"],
+            [RightHandSide::NAME, "closed components"],
             cells().map(|cell| (after.closed[cell], closed[cell], Place::cell(&grid, cell))),
         );
         self.twin.rhs = twin.values.iter().map(|b| b / area).collect();
