@@ -4,6 +4,7 @@ use crate::gpu::{BufferPlan, Range, RealBuffer, Variant};
 use crate::grid::Grid;
 use crate::scene::{Preconditioner, Solver};
 
+use super::components::STATE_WORDS;
 use super::hierarchy::Tail;
 use super::pcg::N_SCALARS;
 use super::refine::{N_NORMS, RefineSettings};
@@ -44,6 +45,9 @@ pub fn small_buffers(grid: &Grid, solver: &Solver, variant: Variant) -> Vec<Buff
         BufferPlan::of::<RefineSettings>("solver.refine_settings", 1),
         BufferPlan::of::<Range>("compact.range", n_levels),
         BufferPlan::of::<u32>("solver.closed_sizes", 8),
+        BufferPlan::of::<Control>("solver.control (read-back)", 1),
+        RealBuffer::plan("solver.norms (read-back)", N_NORMS, real),
+        BufferPlan::of::<u32>("solver.components (read-back)", STATE_WORDS),
         BufferPlan::of::<[u32; 4]>("solver.closed_settings", 2),
     ];
     if multigrid {

@@ -1,5 +1,7 @@
 //! The outer loop: rounds of conjugate gradients on the true residual r = b - B x, and the verdict.
 
+use std::sync::{Mutex, PoisonError};
+
 use crate::Error;
 use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, Readback, RealBuffer, Recorder, Variant};
 use crate::scene::{Precision, Preconditioner, Solver};
@@ -60,6 +62,14 @@ struct Reading {
     closed: u32,
 }
 
+/// Where it arrives.
+#[derive(Debug)]
+struct Readbacks {
+    control: Readback<Control>,
+    norms: Readback<u32>,
+    components: Readback<u32>,
+}
+
 /// The doppelganger of `RefineSettings` in `shaders/refine_turn.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
@@ -85,6 +95,7 @@ pub struct PressureSolver {
     state: State,
     pcg: Pcg,
     norms: RealBuffer,
+    readbacks: Mutex<Readbacks>,
     measure: Bound,
     start: Fold,
     begin: Bound,
@@ -228,10 +239,16 @@ impl PressureSolver {
         };
         gpu.upload(&state.control, &[control]);
         let host_turns = solver.precision == Precision::Mixed && !gpu.has_f64();
+        let readbacks = Mutex::new(Readbacks {
+            control: Readback::new(gpu, "solver.control", 1)?,
+            norms: Readback::new(gpu, "solver.norms", norms.words.len())?,
+            components: Readback::new(gpu, "solver.components", STATE_WORDS)?,
+        });
         Ok(PressureSolver {
             solver: *solver,
             state,
             pcg,
+            readbacks,
             norms,
             measure,
             start,
@@ -374,12 +391,19 @@ impl PressureSolver {
         mut recorder: Recorder,
         buffers: &SolverBuffers,
     ) -> Result<(Reading, crate::gpu::StageTimes), Error> {
-        let mut control = Readback::new(gpu, "solver.control", 1)?;
-        let mut norms = Readback::new(gpu, "solver.norms", self.norms.words.len())?;
-        let mut components = Readback::new(gpu, "solver.components", STATE_WORDS)?;
-        recorder.read(&self.state.control, &mut control);
-        recorder.read(&self.norms.words, &mut norms);
-        recorder.read(&buffers.components, &mut components);
+        // A panic in another solve leaves nothing half done here: every use begins with new copies.
+        let mut readbacks = self
+            .readbacks
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        let Readbacks {
+            control,
+            norms,
+            components,
+        } = &mut *readbacks;
+        recorder.read(&self.state.control, control);
+        recorder.read(&self.norms.words, norms);
+        recorder.read(&buffers.components, components);
         let times = recorder.submit().wait()?;
         let reading = Reading {
             control: control.wait(gpu)?[0],

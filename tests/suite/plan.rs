@@ -201,6 +201,21 @@ fn absent_effects_take_nothing() {
     }
 }
 
+#[test]
+fn a_step_allocates_nothing() {
+    if gpu().is_none_or(|gpu| !gpu.has_f64()) {
+        return;
+    }
+    for name in ["drop_into_pool", "sphere_half_full"] {
+        let (mut simulation, _) = made(&scene(name, 0.5, &[]));
+        let before = allocated(&simulation);
+        while simulation.clock().frame < 2 {
+            simulation.step().unwrap();
+        }
+        assert_eq!(allocated(&simulation), before, "{name}");
+    }
+}
+
 /// An adapter as the largest data-centre GPUs have it.
 fn large_adapter(f64: bool) -> AdapterReport {
     AdapterReport {
