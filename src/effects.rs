@@ -14,6 +14,8 @@ pub struct Effects {
     pub volume_control: bool,
     /// There are obstacles: open areas from clipping, push-out, extension of the liquid distance, slip inside solids.
     pub obstacles: bool,
+    /// There are probes: the `probe` stage and its few numbers read back.
+    pub probes: bool,
 }
 
 impl Effects {
@@ -32,6 +34,7 @@ impl Effects {
                     .as_ref()
                     .is_some_and(|liquid| liquid.volume_control),
             obstacles: !scene.obstacles.is_empty(),
+            probes: !scene.probes.is_empty(),
         }
     }
 }

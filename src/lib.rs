@@ -17,6 +17,7 @@
 //! 10. `write_back`: the divergence-free face velocities
 //! 11. `extrapolate`: velocities beyond the liquid
 //! 12. `diagnose`: volume, momentum, energies and the solver's report
+//! 13. `probe`: what the scene measures at points, above points and at the front
 //!
 //! What a scene is: [`scene`]; what it calls for: [`effects`]; where things are on the grid: [`grid`].
 #![deny(clippy::print_stdout)]

@@ -310,7 +310,7 @@ impl Stages {
             write_back: WriteBack::new(gpu, liquid, &active, &solver.potential)?,
             extrapolate: Extrapolate::new(gpu, liquid)?,
             diagnose: Diagnose::new(gpu, liquid, &active)?,
-            probe: (!scene.probes.is_empty()).then(probe).transpose()?,
+            probe: effects.probes.then(probe).transpose()?,
         })
     }
 }

@@ -6,9 +6,9 @@ use crate::geometry;
 use crate::gpu::{AdapterReport, BufferPlan, Timer};
 use crate::grid::Grid;
 use crate::reference::{TimeStep, time_step};
-use crate::scene::{Precision, Preconditioner, Scene};
+use crate::scene::{self, Precision, Preconditioner, ProbeKind, Scene};
 use crate::solver::{self, LevelPlan, SolverBuffers};
-use crate::stages::extrapolation_layers;
+use crate::stages::{Probe, extrapolation_layers};
 
 use super::gpu_path::liquid_plan;
 
@@ -158,6 +158,10 @@ fn effect_lines(scene: &Scene, effects: &Effects) -> Vec<EffectLine> {
         0 => "no [[obstacle]] in the scene".to_owned(),
         n => format!("{n} [[obstacle]]"),
     };
+    let probes = match scene.probes.len() {
+        0 => "no [[probe]] in the scene".to_owned(),
+        n => format!("{n} [[probe]]"),
+    };
     [
         (
             "liquid",
@@ -167,6 +171,7 @@ fn effect_lines(scene: &Scene, effects: &Effects) -> Vec<EffectLine> {
         ("markers", effects.markers, surface.to_owned()),
         ("volume_control", effects.volume_control, control.to_owned()),
         ("obstacles", effects.obstacles, obstacles),
+        ("probes", effects.probes, probes),
     ]
     .map(|(name, present, reason)| EffectLine {
         name,
@@ -180,7 +185,10 @@ fn effect_lines(scene: &Scene, effects: &Effects) -> Vec<EffectLine> {
 fn stages(scene: &Scene, grid: &Grid, effects: &Effects) -> Vec<StagePlan> {
     const COMPACTION: [&str; 3] = ["compact_count", "compact_scan", "compact_write"];
     let Effects {
-        markers, obstacles, ..
+        markers,
+        obstacles,
+        probes,
+        ..
     } = *effects;
     let levels = LevelPlan::new(grid);
     let mut plans = Vec::new();
@@ -263,6 +271,14 @@ fn stages(scene: &Scene, grid: &Grid, effects: &Effects) -> Vec<StagePlan> {
     stage("extrapolate", true, &extrapolate);
     let diagnose = ["measure_motion", "measure_divergence", "report_motion"];
     stage("diagnose", true, &[(true, &diagnose)]);
+    if probes {
+        let front = |probe: &scene::Probe| matches!(probe.kind, ProbeKind::Front { .. });
+        let kernels: [(bool, &[_]); 2] = [
+            (!scene.probes.iter().all(front), &["probe_points"]),
+            (scene.probes.iter().any(front), &["probe_fronts"]),
+        ];
+        stage("probe", true, &kernels);
+    }
     plans
 }
 
@@ -274,6 +290,9 @@ fn buffers(scene: &Scene, n_markers: usize, f64: bool, timestamps: bool) -> Vec<
     all.extend(SolverBuffers::plan(&grid, variant));
     all.extend(liquid.small_buffers());
     all.extend(solver::small_buffers(&grid, &scene.solver, variant));
+    if Effects::of(scene).probes {
+        all.extend(Probe::plan(scene.probes.iter().map(|probe| &probe.kind)));
+    }
     if timestamps {
         all.extend(Timer::plan());
     }

@@ -1,7 +1,7 @@
 //! `probe`: the scene's measurements, a few numbers instead of all fields. [`crate::reference::probe`] defines them.
 
 use crate::Error;
-use crate::gpu::{Bound, Buffer, Gpu, Kernel, Real, RealBuffer, Recorder};
+use crate::gpu::{Bound, Buffer, BufferPlan, Gpu, Kernel, Real, RealBuffer, Recorder};
 use crate::scene::ProbeKind;
 use crate::wgsl;
 
@@ -40,6 +40,21 @@ pub struct Probe {
 impl Probe {
     /// The stage's name.
     pub const NAME: &'static str = "probe";
+
+    /// The buffers it makes, the read-back of its values included.
+    pub fn plan<'a>(probes: impl IntoIterator<Item = &'a ProbeKind>) -> Vec<BufferPlan> {
+        let at_point = |kind: &&ProbeKind| !matches!(kind, ProbeKind::Front { .. });
+        let n_points = probes.into_iter().filter(at_point).count();
+        let n_values = WORDS * (n_points + 1);
+        let mut plans = vec![
+            BufferPlan::of::<u32>("probe.values", n_values),
+            BufferPlan::of::<u32>("probe.values (read-back)", n_values),
+        ];
+        if n_points > 0 {
+            plans.push(BufferPlan::of::<ProbePoint>("probe.points", n_points));
+        }
+        plans
+    }
 
     /// Compiles and binds. `potential`: p dt / (rho dx), m/s, as many as padded cells; only active lanes are read.
     ///

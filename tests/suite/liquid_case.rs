@@ -136,6 +136,7 @@ impl Case {
                 markers: true,
                 volume_control: true,
                 obstacles: distance.is_some(),
+                probes: false,
             },
             cut,
             state,
