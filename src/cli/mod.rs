@@ -3,6 +3,7 @@
 mod adapters;
 mod bench;
 mod compare;
+mod export;
 mod plan;
 mod preview;
 mod run;
@@ -36,6 +37,8 @@ enum Command {
     Bench(bench::Bench),
     /// Check every stage of the GPU path against the f64 path
     Compare(compare::Compare),
+    /// Write the pressure system of a sub-step for other solvers
+    Export(export::Export),
     /// Draw the frames of a run as pictures and an animation
     Preview(preview::Preview),
 }
@@ -110,6 +113,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Adapters(command) => command.run(),
         Command::Bench(command) => command.run(),
         Command::Compare(command) => command.run(),
+        Command::Export(command) => command.run(),
         Command::Preview(command) => command.run(),
     };
     match done {

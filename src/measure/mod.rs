@@ -3,4 +3,5 @@
 pub mod bandwidth;
 pub mod bench_solve;
 pub mod compare;
+pub mod export;
 pub mod statistics;

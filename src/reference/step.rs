@@ -111,7 +111,16 @@ impl Reference {
     }
 
     /// Does one sub-step. After an error the state is the one before.
-    pub fn step(&mut self, TimeStep { dt, floored }: TimeStep) -> Result<StepReport, Error> {
+    pub fn step(&mut self, time_step: TimeStep) -> Result<StepReport, Error> {
+        self.step_observed(time_step, &mut |_, _| {})
+    }
+
+    /// Does one sub-step, and tells of the pressure system and its answer (Pa per cell).
+    pub fn step_observed(
+        &mut self,
+        TimeStep { dt, floored }: TimeStep,
+        observer: &mut dyn FnMut(&PressureSystem, &[f64]),
+    ) -> Result<StepReport, Error> {
         let (scene, grid, cut) = (&self.scene, &self.grid, &self.cut);
         let (open, solid_distance) = (&cut.open, &cut.solid_distance);
         let (density, gravity) = (self.liquid.density, scene.domain.gravity);
@@ -145,6 +154,7 @@ impl Reference {
         let (pressure, solve) = solve(&system, &scene.solver)?;
         self.ensure_finite("solve", solve.status != SolveStatus::NonFinite)?;
         clock.lap("solve");
+        observer(&system, &pressure);
 
         let valid = write_back(&system, &pressure, open, &phi, theta_floor, &mut velocity);
         clock.lap("write_back");

@@ -5,6 +5,7 @@ mod cli;
 mod common;
 mod compare;
 mod components;
+mod export;
 mod geometry;
 mod gpu;
 mod layout;

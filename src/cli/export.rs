@@ -1,0 +1,42 @@
+//! `cutwater export`
+
+use std::path::PathBuf;
+
+use cutwater::Error;
+use cutwater::measure::export::{Options, export};
+
+use super::{BackendArgs, SceneArgs};
+
+/// Write the pressure system of a sub-step for other solvers
+#[derive(Debug, clap::Args)]
+pub(super) struct Export {
+    #[command(flatten)]
+    scene: SceneArgs,
+    #[command(flatten)]
+    backend: BackendArgs,
+    /// Sub-step whose system it is, from 0 as in steps.csv
+    #[arg(long)]
+    step: u64,
+    /// Folder of the files
+    #[arg(long)]
+    out: PathBuf,
+}
+
+impl Export {
+    pub(super) fn run(&self) -> Result<(), Error> {
+        let options = Options {
+            backend: self.backend.backend(),
+            step: self.step,
+            out: self.out.clone(),
+        };
+        let meta = export(&self.scene.load()?, &options)?;
+        println!(
+            "{} unknowns, {} entries, residual {:.1e}: {}",
+            meta.unknowns,
+            meta.entries,
+            meta.residual,
+            self.out.display()
+        );
+        Ok(())
+    }
+}

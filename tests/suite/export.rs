@@ -1,0 +1,196 @@
+//! `export`: what it writes is one consistent system, on both paths the same.
+
+use std::fs;
+use std::path::Path;
+
+use cutwater::gpu::AdapterChoice;
+use cutwater::linalg::{Csr, norm, read_matrix, read_vector};
+use cutwater::measure::export::{Meta, Options, export};
+use cutwater::scene::Scene;
+use cutwater::sim::Backend;
+use serde_json::Value;
+
+use crate::common::gpu;
+
+fn scene(name: &str, scale: f64, overrides: &[&str]) -> Scene {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenes/{name}.toml"));
+    let overrides: Vec<String> = overrides.iter().map(|&text| text.to_owned()).collect();
+    Scene::load(&path, &overrides, scale).unwrap()
+}
+
+/// What the files hold.
+struct Files {
+    meta: Meta,
+    matrix: Csr,
+    rhs: Vec<f64>,
+    pressure: Vec<f64>,
+    cells: Vec<[usize; 3]>,
+    json: Value,
+}
+
+impl Files {
+    fn new(scene: &Scene, backend: Backend, step: u64) -> Files {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("new/system");
+        let options = Options {
+            backend,
+            step,
+            out: out.clone(),
+        };
+        let meta = export(scene, &options).unwrap();
+        let text = |name: &str| fs::read_to_string(out.join(name)).unwrap();
+        let banner = "%%MatrixMarket matrix coordinate real symmetric";
+        assert_eq!(text("spd.mtx").lines().next(), Some(banner));
+        let cells = text("cells.csv");
+        let mut lines = cells.lines();
+        assert_eq!(lines.next(), Some("row,i,j,k,x,y,z"));
+        let cell = |(row, line): (usize, &str)| {
+            let fields: Vec<f64> = line
+                .split(',')
+                .map(|field| field.parse().unwrap())
+                .collect();
+            assert_eq!(fields[0], (row + 1) as f64);
+            let ijk: [usize; 3] = std::array::from_fn(|a| fields[1 + a] as usize);
+            let x = scene.grid().cell_centre(ijk).to_array();
+            assert_eq!(x, [fields[4], fields[5], fields[6]]);
+            ijk
+        };
+        Files {
+            matrix: read_matrix(&out.join("spd.mtx")).unwrap(),
+            rhs: read_vector(&out.join("spd_rhs.mtx")).unwrap(),
+            pressure: read_vector(&out.join("solution.mtx")).unwrap(),
+            cells: lines.enumerate().map(cell).collect(),
+            json: serde_json::from_str(&text("meta.json")).unwrap(),
+            meta,
+        }
+    }
+
+    /// ||b - A x|| / ||b|| of what was read.
+    fn residual(&self) -> f64 {
+        let rows = 0..self.matrix.n_rows();
+        let residual: Vec<f64> = rows
+            .map(|row| {
+                let product = self
+                    .matrix
+                    .row(row)
+                    .map(|(at, value)| value * self.pressure[at]);
+                self.rhs[row] - product.sum::<f64>()
+            })
+            .collect();
+        norm(&residual) / norm(&self.rhs)
+    }
+
+    /// What must hold of every export.
+    fn check(&self, scene: &Scene) {
+        let Files {
+            meta, matrix, json, ..
+        } = self;
+        let n = meta.unknowns;
+        assert!(n > 100);
+        assert_eq!([matrix.n_rows(), matrix.n_columns()], [n; 2]);
+        assert_eq!(
+            [self.rhs.len(), self.pressure.len(), self.cells.len()],
+            [n; 3]
+        );
+        assert_eq!(matrix.n_entries(), meta.entries);
+        for (row, column, value) in matrix.triplets() {
+            assert_eq!(matrix.get(column, row), value);
+            assert_eq!(value > 0.0, row == column, "an M-matrix");
+            let [a, b] = [self.cells[row], self.cells[column]];
+            let apart: usize = (0..3).map(|axis| a[axis].abs_diff(b[axis])).sum();
+            assert!(apart <= 1, "row {row}, column {column}");
+        }
+        // B itself, of an inner cell without a wall or surface: dt dx / rho times 6, -1, ...
+        let inner = (0..n).find(|&row| matrix.row(row).count() == 7).unwrap();
+        let unit = meta.dt * meta.dx / meta.density;
+        let ratio = matrix
+            .row(inner)
+            .map(|(_, value)| value)
+            .fold(f64::INFINITY, f64::min)
+            / unit;
+        assert!(-1.0 - 1e-12 < ratio && ratio < 0.0, "{ratio}");
+        let residual = self.residual();
+        assert!(
+            residual <= 1.1 * meta.residual + 1e-14,
+            "{residual} read, {} written",
+            meta.residual
+        );
+        assert_eq!(meta.status, "converged");
+        assert_eq!(json["unknowns"], n);
+        assert_eq!(json["dt"], meta.dt);
+        assert_eq!(json["tolerance"], scene.solver.tolerance);
+        assert_eq!(json["scene"], scene.name.as_str());
+    }
+}
+
+#[test]
+fn the_cpu_path_exports_what_it_solved() {
+    let scene = scene("dam_break_liquid", 0.25, &[]);
+    for step in [0, 2] {
+        let files = Files::new(&scene, Backend::Cpu, step);
+        files.check(&scene);
+        assert!(files.residual() <= scene.solver.tolerance);
+        assert_eq!(files.meta.step, step);
+    }
+}
+
+#[test]
+fn the_gpu_path_exports_what_it_stored() {
+    let Some(gpu) = gpu() else { return };
+    // Rounding of the potential to f32, where the device has no f64.
+    let rounded = if gpu.has_f64() { 0.0 } else { 1e-4 };
+    for scene in [
+        scene("dam_break_liquid", 0.25, &[]),
+        scene("hydrostatic_block", 0.5, &[]),
+    ] {
+        let files = Files::new(&scene, Backend::Gpu(AdapterChoice::Best), 1);
+        files.check(&scene);
+        let allowed = scene.solver.tolerance + rounded;
+        assert!(files.residual() <= allowed, "{}", files.residual());
+    }
+}
+
+#[test]
+fn both_paths_export_the_same_system() {
+    if gpu().is_none() {
+        return;
+    }
+    let scene = scene("sphere_half_full", 0.5, &[]);
+    let cpu = Files::new(&scene, Backend::Cpu, 0);
+    let gpu = Files::new(&scene, Backend::Gpu(AdapterChoice::Best), 0);
+    assert_eq!(cpu.cells, gpu.cells);
+    let close = |a: f64, b: f64, size: f64| (a - b).abs() <= 1e-5 * size;
+    for (one, two) in cpu.matrix.triplets().zip(gpu.matrix.triplets()) {
+        assert_eq!([one.0, one.1], [two.0, two.1]);
+        assert!(close(one.2, two.2, one.2.abs()), "{one:?} {two:?}");
+    }
+    for (a, b) in [(&cpu.rhs, &gpu.rhs), (&cpu.pressure, &gpu.pressure)] {
+        let size = a.iter().fold(0.0, |size: f64, value| size.max(value.abs()));
+        let pairs = a.iter().zip(b);
+        assert!(pairs.into_iter().all(|(&a, &b)| close(a, b, size)));
+    }
+}
+
+#[test]
+fn liquid_without_a_surface_is_singular_and_has_an_answer() {
+    let full = ["liquid.region[0].half_space.point=[0.0, 0.99, 0.0]"];
+    let scene = scene("hydrostatic_block", 0.5, &full);
+    let mut backends = vec![Backend::Cpu];
+    if gpu().is_some_and(|gpu| gpu.has_f64()) {
+        backends.push(Backend::Gpu(AdapterChoice::Best));
+    }
+    for backend in backends {
+        let files = Files::new(&scene, backend, 0);
+        files.check(&scene);
+        assert_eq!(files.meta.closed_components, 1);
+        let largest = |field: &[f64]| field.iter().fold(0.0, |size: f64, x| size.max(x.abs()));
+        for field in [&files.rhs, &files.pressure] {
+            let mean = field.iter().sum::<f64>() / field.len() as f64;
+            assert!(mean.abs() <= 1e-12 * largest(field), "mean {mean:e}");
+        }
+        for row in 0..files.matrix.n_rows() {
+            let sum: f64 = files.matrix.row(row).map(|(_, value)| value).sum();
+            assert!(sum.abs() <= 1e-12 * files.matrix.get(row, row), "row {row}");
+        }
+    }
+}
