@@ -92,14 +92,13 @@ pub struct Table {
     pub rows: Vec<Row>,
 }
 
-/// Bytes per unknown that a solve must move, each pass touching each of its arrays once: w bytes a scalar of the corrections, 8
-/// of the outer loop (4 with `f32`), 5 sections of the matrix for the share of quads that are not uniform.
+/// Bytes per unknown that the iterations of a solve must move, each pass touching each of its arrays once: w bytes a scalar of
+/// the corrections, 8 of the outer loop (4 with `f32`), 5 sections of the matrix for the share of quads that are not uniform.
 ///
 /// An iteration on the finest level: apply (s, r, q), update (x and r twice, s, q, z), two smoothing sweeps and the one after
 /// the prolongation (x, r, x_out each), restriction (x, r), prolongation (x twice), direction (z, s twice); list entries, a byte per
 /// cell and pass. The coarser levels add a seventh of what the V-cycle moves.
-fn bytes_per_solve(
-    unknowns: f64,
+pub(super) fn bytes_per_iterations(
     not_uniform: f64,
     iterations: f64,
     rounds: f64,
@@ -113,8 +112,19 @@ fn bytes_per_solve(
         + (3.0 * inner + 1.0);
     let iteration = cycle * 8.0 / 7.0 + rest;
     let turn = (3.0 * outer + matrix + 1.0) + (2.0 * outer + inner + 1.0) + (outer + 5.0 * inner);
-    let set_up = 4.0 * 4.0 + 5.0 * inner * 8.0 / 7.0;
-    unknowns * (iterations * iteration + (rounds + 1.0) * turn + set_up)
+    iterations * iteration + (rounds + 1.0) * turn
+}
+
+/// Bytes that a solve must move, the set-up of the hierarchy included: distance and open fractions in, the matrix out.
+fn bytes_per_solve(
+    unknowns: f64,
+    not_uniform: f64,
+    iterations: f64,
+    rounds: f64,
+    widths: [f64; 2],
+) -> f64 {
+    let set_up = 4.0 * 4.0 + 5.0 * widths[0] * 8.0 / 7.0;
+    unknowns * (bytes_per_iterations(not_uniform, iterations, rounds, widths) + set_up)
 }
 
 fn name(precision: Precision) -> &'static str {

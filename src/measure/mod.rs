@@ -2,6 +2,7 @@
 
 pub mod bandwidth;
 pub mod bench_solve;
+pub mod bench_step;
 pub mod compare;
 pub mod export;
 pub mod statistics;

@@ -251,6 +251,38 @@ impl GpuPath {
         Clock::of(&self.head)
     }
 
+    /// Cells of the band of the last sub-step.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn band_cells(&self) -> Result<usize, Error> {
+        let args = self.gpu.download(&self.liquid.band_args)?;
+        Ok(4 * args[3] as usize)
+    }
+
+    /// Share of the active quads that are not tagged uniform: those whose matrix the solve must load.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn share_not_uniform(&self) -> Result<f64, Error> {
+        let flags = self.gpu.download(&self.solver.flags)?;
+        let active = flags[..self.grid.padded().quads]
+            .iter()
+            .filter(|&&flag| flag != 0);
+        let (mut n_active, mut n_uniform) = (0u32, 0u32);
+        for flag in active {
+            n_active += 1;
+            n_uniform += flag >> 31;
+        }
+        Ok(1.0 - f64::from(n_uniform) / f64::from(n_active.max(1)))
+    }
+
+    /// Bytes of a scalar of the solve's unknowns, and of its corrections.
+    pub fn scalar_bytes(&self) -> [usize; 2] {
+        let variant = self.solver.variant;
+        [variant.real, variant.inner].map(Real::bytes)
+    }
+
     /// The device.
     pub fn gpu(&self) -> &Gpu {
         &self.gpu

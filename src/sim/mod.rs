@@ -175,12 +175,32 @@ impl Simulation {
         }
     }
 
-    /// The device, on the GPU path.
-    pub fn gpu(&self) -> Option<&Gpu> {
+    /// Puts a state of the same scene in place of the present one.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails; whatever the CPU path says of the state.
+    pub fn reset(&mut self, state: &State) -> Result<(), Error> {
+        match &mut self.path {
+            Path::Gpu(path) => path.write_state(state),
+            Path::Cpu(path) => {
+                let cut = path.cut_cells().clone();
+                **path = Reference::new(&self.scene, cut, state.clone())?;
+                Ok(())
+            }
+        }
+    }
+
+    /// The GPU path.
+    pub fn gpu_path(&self) -> Option<&GpuPath> {
         match &self.path {
-            Path::Gpu(path) => Some(path.gpu()),
+            Path::Gpu(path) => Some(path),
             Path::Cpu(_) => None,
         }
+    }
+
+    /// The device, on the GPU path.
+    pub fn gpu(&self) -> Option<&Gpu> {
+        self.gpu_path().map(GpuPath::gpu)
     }
 
     /// The adapter, on the GPU path.

@@ -1,0 +1,495 @@
+//! `bench step`: seconds of a sub-step, all stages, against what a copy of the bytes that each stage must touch would take.
+//!
+//! Sub-steps are timed on the host from the upload of the step's numbers to its report; the stages on the device by timestamps,
+//! where the adapter has them. Scenes run from their start; the first sub-step, which warms caches up, is not counted. With
+//! a second domain, every sub-step of the scene is followed by one of the same scene in the larger domain, so that what else
+//! the machine does falls on both.
+
+use std::fs;
+use std::path::Path;
+use std::time::Instant;
+
+use plotters::prelude::*;
+use serde::Serialize;
+
+use crate::Error;
+use crate::effects::Effects;
+use crate::gpu::{AdapterChoice, AdapterReport};
+use crate::scene::Scene;
+use crate::sim::{Backend, Simulation};
+use crate::stages::extrapolation_layers;
+use crate::state::StepReport;
+
+use super::bandwidth::copy_bandwidth;
+use super::bench_solve::bytes_per_iterations;
+use super::statistics::Spread;
+
+/// What to measure.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Scenes, scaled.
+    pub scenes: Vec<Scene>,
+    /// Frames of each.
+    pub frames: u64,
+    /// How often each is run from its start.
+    pub repeats: usize,
+    /// How many times larger the domain of a second run of each scene is along x, y, z.
+    pub larger_domain: Option<[usize; 3]>,
+    /// Where.
+    pub adapter: AdapterChoice,
+}
+
+/// A row of step.csv: medians over the sub-steps.
+#[derive(Clone, Debug, Serialize)]
+pub struct Row {
+    /// Name of the scene.
+    pub scene: String,
+    /// Cells of the domain.
+    pub cells: usize,
+    /// Markers at the end.
+    pub markers: usize,
+    /// Unknowns of the pressure solve.
+    pub unknowns: f64,
+    /// Cells of the band, where the stages work.
+    pub band_cells: f64,
+    /// Iterations of the pressure solve.
+    pub iterations: f64,
+    /// Sub-steps timed.
+    pub sub_steps: usize,
+    /// Wall-clock seconds of a sub-step.
+    pub seconds_median: f64,
+    /// Least.
+    pub seconds_min: f64,
+    /// Largest.
+    pub seconds_max: f64,
+    /// Bytes that a sub-step must move.
+    pub bytes: f64,
+    /// Bytes per second over the copy bandwidth of the same run.
+    pub share_of_copy_bandwidth: f64,
+}
+
+/// A row of step_stages.csv.
+#[derive(Clone, Debug, Serialize)]
+pub struct StageRow {
+    /// Name of the scene.
+    pub scene: String,
+    /// The stage.
+    pub stage: &'static str,
+    /// Seconds on the device in a sub-step.
+    pub seconds_median: f64,
+    /// Least.
+    pub seconds_min: f64,
+    /// Largest.
+    pub seconds_max: f64,
+    /// Bytes that the stage must move in a sub-step.
+    pub bytes: f64,
+    /// Bytes per second over the copy bandwidth of the same run.
+    pub share_of_copy_bandwidth: f64,
+}
+
+/// A scene in its domain and in a larger one.
+#[derive(Clone, Debug, Serialize)]
+pub struct Pair {
+    /// Name of the scene.
+    pub scene: String,
+    /// How many times larger the domain is along x, y, z.
+    pub larger: [usize; 3],
+    /// Median seconds of a sub-step in the larger domain over those in the scene's own.
+    pub ratio: f64,
+    /// The same of the least seconds, on which other work of the machine tells less.
+    pub ratio_of_least: f64,
+}
+
+/// The tables and where they were measured.
+#[derive(Clone, Debug, Serialize)]
+pub struct Table {
+    /// Version of cutwater.
+    pub cutwater: &'static str,
+    /// Adapter.
+    pub adapter: String,
+    /// Driver.
+    pub driver: String,
+    /// Bytes per second of a copy, read and written.
+    pub copy_bandwidth: Spread,
+    /// A row per scene and domain.
+    pub rows: Vec<Row>,
+    /// A row per scene, domain and stage.
+    pub stages: Vec<StageRow>,
+    /// A row per scene, where a larger domain was asked for.
+    pub pairs: Vec<Pair>,
+}
+
+/// Measures all scenes and writes step.csv, step_stages.csv, step.json and step.svg into `out`; `tell` hears of each row.
+///
+/// # Errors
+/// [`Error::Output`], and what the simulations say.
+pub fn bench_step(
+    options: &Options,
+    out: &Path,
+    tell: &mut dyn FnMut(&Row),
+) -> Result<Table, Error> {
+    fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
+    let mut table: Option<Table> = None;
+    for scene in &options.scenes {
+        let mut runs = vec![Run::new(scene, &options.adapter)?];
+        if let Some(factors) = options.larger_domain {
+            let scene = in_larger_domain(scene, factors);
+            runs.push(Run::new(&scene, &options.adapter)?);
+        }
+        let table = match &mut table {
+            Some(table) => table,
+            None => table.insert(empty_table(&runs[0], options.repeats)?),
+        };
+        interleave(&mut runs, options)?;
+        let first = table.rows.len();
+        for run in &runs {
+            let (row, stages) = run.rows(table.copy_bandwidth.median);
+            tell(&row);
+            table.rows.push(row);
+            table.stages.extend(stages);
+        }
+        if let (Some(larger), [own, other]) = (options.larger_domain, &table.rows[first..]) {
+            table.pairs.push(Pair {
+                scene: scene.name.clone(),
+                larger,
+                ratio: other.seconds_median / own.seconds_median,
+                ratio_of_least: other.seconds_min / own.seconds_min,
+            });
+        }
+    }
+    let table = table.ok_or_else(|| {
+        Error::input(
+            "bench step",
+            "no scene to measure",
+            "give one scene file or more",
+        )
+    })?;
+    write_table(&table, out)?;
+    Ok(table)
+}
+
+fn empty_table(run: &Run, repeats: usize) -> Result<Table, Error> {
+    let gpu = run.simulation.gpu().expect("benches run on the GPU path");
+    let AdapterReport { name, driver, .. } = gpu.report().clone();
+    Ok(Table {
+        cutwater: env!("CARGO_PKG_VERSION"),
+        adapter: name,
+        driver,
+        copy_bandwidth: copy_bandwidth(gpu, repeats)?,
+        rows: Vec::new(),
+        stages: Vec::new(),
+        pairs: Vec::new(),
+    })
+}
+
+/// The scene in a domain that many times larger, with cells of the same size and the same regions and obstacles: what filled the
+/// domain is a block in its low corner.
+pub fn in_larger_domain(scene: &Scene, factors: [usize; 3]) -> Scene {
+    let mut scene = scene.clone();
+    let [x, y, z] = factors;
+    scene.name = format!("{} x {x},{y},{z}", scene.name);
+    for (axis, &factor) in factors.iter().enumerate() {
+        scene.domain.size[axis] *= factor as f64;
+        scene.domain.cells[axis] *= factor;
+    }
+    scene
+}
+
+/// One scene being timed.
+struct Run {
+    scene: Scene,
+    simulation: Simulation,
+    samples: Vec<Sample>,
+    /// Share of the active quads whose weights are loaded.
+    not_uniform: f64,
+}
+
+/// One sub-step.
+struct Sample {
+    seconds: f64,
+    band_cells: usize,
+    report: StepReport,
+}
+
+impl Run {
+    fn new(scene: &Scene, adapter: &AdapterChoice) -> Result<Run, Error> {
+        Ok(Run {
+            scene: scene.clone(),
+            simulation: Simulation::new(scene, &Backend::Gpu(adapter.clone()))?,
+            samples: Vec::new(),
+            not_uniform: 1.0,
+        })
+    }
+
+    fn step(&mut self, count: bool) -> Result<(), Error> {
+        let clock = Instant::now();
+        let report = self.simulation.step()?;
+        let seconds = clock.elapsed().as_secs_f64();
+        let path = self.simulation.gpu_path();
+        let path = path.expect("benches run on the GPU path");
+        if count {
+            self.samples.push(Sample {
+                seconds,
+                band_cells: path.band_cells()?,
+                report,
+            });
+            self.not_uniform = path.share_not_uniform()?;
+        }
+        Ok(())
+    }
+
+    fn rows(&self, copy: f64) -> (Row, Vec<StageRow>) {
+        let median = |value: &dyn Fn(&Sample) -> f64| {
+            Spread::of(self.samples.iter().map(value).collect()).median
+        };
+        let seconds = Spread::of(self.samples.iter().map(|sample| sample.seconds).collect());
+        let names = |sample: &Sample| -> Vec<&'static str> {
+            let seconds = sample.report.seconds.iter();
+            seconds.map(|(stage, _)| *stage).collect()
+        };
+        let stages = self.samples.first().map(names).unwrap_or_default();
+        let stages: Vec<StageRow> = stages
+            .into_iter()
+            .map(|stage| {
+                let spent = |sample: &Sample| {
+                    let seconds = sample.report.seconds.iter();
+                    seconds
+                        .filter(|(name, _)| *name == stage)
+                        .map(|(_, seconds)| seconds)
+                        .sum::<f64>()
+                };
+                let seconds = Spread::of(self.samples.iter().map(spent).collect());
+                let bytes = median(&|sample| self.bytes(stage, sample));
+                StageRow {
+                    scene: self.scene.name.clone(),
+                    stage,
+                    seconds_median: seconds.median,
+                    seconds_min: seconds.min,
+                    seconds_max: seconds.max,
+                    bytes,
+                    share_of_copy_bandwidth: bytes / seconds.median / copy,
+                }
+            })
+            .collect();
+        let bytes = median(&|sample| STAGES.iter().map(|stage| self.bytes(stage, sample)).sum());
+        let last = self
+            .samples
+            .last()
+            .map_or(0, |sample| sample.report.markers);
+        let row = Row {
+            scene: self.scene.name.clone(),
+            cells: self.scene.grid().n_cells(),
+            markers: last,
+            unknowns: median(&|sample| sample.report.solve.unknowns as f64),
+            band_cells: median(&|sample| sample.band_cells as f64),
+            iterations: median(&|sample| f64::from(sample.report.solve.iterations)),
+            sub_steps: self.samples.len(),
+            seconds_median: seconds.median,
+            seconds_min: seconds.min,
+            seconds_max: seconds.max,
+            bytes,
+            share_of_copy_bandwidth: bytes / seconds.median / copy,
+        };
+        (row, stages)
+    }
+
+    /// Bytes that a stage must move in a sub-step, every array that a kernel needs once, reads and writes: per cell of the band,
+    /// per unknown, per marker, and per padded cell of the domain where memory is cleared or flags are looked through. Words of a
+    /// quad (flags, marks, list entries) count a byte per cell.
+    fn bytes(&self, stage: &str, sample: &Sample) -> f64 {
+        let effects = Effects::of(&self.scene);
+        let scalars = self.simulation.gpu_path().map(|path| path.scalar_bytes());
+        let [real, inner] = scalars.unwrap_or([8, 4]).map(|bytes| bytes as f64);
+        let padded = self.scene.grid().padded().len() as f64;
+        // The coarser levels hold a seventh of the finest.
+        let all_levels = padded * 8.0 / 7.0;
+        let band = sample.band_cells as f64;
+        let unknowns = sample.report.solve.unknowns as f64;
+        let markers = if effects.markers {
+            sample.report.markers as f64
+        } else {
+            0.0
+        };
+        let obstacles = f64::from(u8::from(effects.obstacles));
+        let layers = extrapolation_layers(self.scene.time.cfl) as f64;
+        match stage {
+            // Position read and written; velocity.
+            "advect_markers" => markers * 32.0 + band * (12.0 + 4.0 * obstacles),
+            // Position, occupied; flags three times through the domain, list.
+            "band" => markers * 16.0 + band * 3.0 + padded * 3.0,
+            "advect_velocity" => band * (12.0 + 12.0 + 1.0),
+            "forces" => band * (12.0 + 12.0 + 1.0),
+            // Classes near (3) and far (2), squares cleared, spread, made a distance, summed; the extension into solids.
+            "liquid_distance" if effects.markers => {
+                markers * 16.0 + band * (5.0 + 4.0 + 8.0 + 9.0 + 4.0 + obstacles * (64.0 + 8.0))
+            }
+            // Matrix and flags cleared; distance, open fractions, matrix; flags looked through.
+            "active_cells" => {
+                all_levels * (5.0 * inner + 3.0)
+                    + padded * 4.0
+                    + unknowns * (12.0 + 8.0 / 7.0 * (5.0 * inner + 2.0))
+            }
+            // Labels written, joined, asked.
+            "closed_components" => unknowns * (4.0 + 8.0 + 4.0 + 3.0),
+            "right_hand_side" => unknowns * (12.0 + 12.0 + real + 2.0),
+            "solve" => {
+                let iterations = f64::from(sample.report.solve.iterations);
+                padded * real
+                    + unknowns
+                        * bytes_per_iterations(self.not_uniform, iterations, 2.0, [inner, real])
+            }
+            // Velocity cleared; u*, distance, potential, velocity, marks.
+            "write_back" => padded * 12.0 + band * (12.0 + 4.0 + 12.0 + 2.0) + unknowns * real,
+            // Marks read and written in each layer, the velocity once.
+            "extrapolate" => band * (layers * 2.0 + 24.0 + obstacles * 28.0),
+            "diagnose" => band * (12.0 + 4.0 + 1.0) + unknowns * (12.0 + 12.0 + 1.0),
+            _ => 0.0,
+        }
+    }
+}
+
+/// The stages that move bytes.
+const STAGES: [&str; 12] = [
+    "advect_markers",
+    "band",
+    "advect_velocity",
+    "forces",
+    "liquid_distance",
+    "active_cells",
+    "closed_components",
+    "right_hand_side",
+    "solve",
+    "write_back",
+    "extrapolate",
+    "diagnose",
+];
+
+/// Sub-steps by turns, until each run has its frames, as often as asked.
+fn interleave(runs: &mut [Run], options: &Options) -> Result<(), Error> {
+    let starts = runs
+        .iter()
+        .map(|run| run.simulation.state())
+        .collect::<Result<Vec<_>, _>>()?;
+    for repeat in 0..options.repeats.max(1) {
+        if repeat > 0 {
+            for (run, start) in runs.iter_mut().zip(&starts) {
+                run.simulation.reset(start)?;
+            }
+        }
+        let mut first = true;
+        while runs
+            .iter()
+            .any(|run| run.simulation.clock().frame < options.frames)
+        {
+            for run in &mut *runs {
+                if run.simulation.clock().frame < options.frames {
+                    run.step(!first)?;
+                }
+            }
+            first = false;
+        }
+    }
+    if runs.iter().any(|run| run.samples.is_empty()) {
+        return Err(Error::input(
+            format!("--frames {}", options.frames),
+            "the first sub-step is not counted, and there was no other",
+            "measure more frames",
+        ));
+    }
+    Ok(())
+}
+
+fn write_csv<T: Serialize>(rows: &[T], path: &Path) -> Result<(), Error> {
+    let problem = |problem: &dyn std::fmt::Display| Error::output(path, problem);
+    let mut csv = csv::Writer::from_path(path).map_err(|error| problem(&error))?;
+    for row in rows {
+        csv.serialize(row).map_err(|error| problem(&error))?;
+    }
+    csv.flush().map_err(|error| problem(&error))
+}
+
+fn write_table(table: &Table, out: &Path) -> Result<(), Error> {
+    write_csv(&table.rows, &out.join("step.csv"))?;
+    write_csv(&table.stages, &out.join("step_stages.csv"))?;
+    let path = out.join("step.json");
+    let text =
+        serde_json::to_string_pretty(table).map_err(|problem| Error::output(&path, problem))?;
+    fs::write(&path, text).map_err(|problem| Error::output(&path, problem))?;
+    let path = out.join("step.svg");
+    draw(table, &path).map_err(|problem| Error::output(&path, problem))
+}
+
+/// A bar per scene: the stages' medians one above another, and a mark at the wall-clock median.
+fn draw(table: &Table, path: &Path) -> Result<(), Box<dyn std::error::Error>> {
+    let width = 360 + 160 * table.rows.len() as u32;
+    let root = SVGBackend::new(path, (width, 600)).into_drawing_area();
+    root.fill(&WHITE)?;
+    let of_row = |row: &Row| -> Vec<&StageRow> {
+        let stages = table.stages.iter();
+        stages.filter(|stage| stage.scene == row.scene).collect()
+    };
+    let milliseconds = |seconds: f64| 1e3 * seconds;
+    let top = table
+        .rows
+        .iter()
+        .map(|row| {
+            let sum: f64 = of_row(row).iter().map(|stage| stage.seconds_median).sum();
+            milliseconds(sum.max(row.seconds_median))
+        })
+        .fold(0.0, f64::max);
+    // The right part is for the names of the stages.
+    let n = table.rows.len() as f64;
+    let mut chart = ChartBuilder::on(&root)
+        .caption(format!("Sub-step, {}", table.adapter), ("sans-serif", 20))
+        .margin(12)
+        .x_label_area_size(44)
+        .y_label_area_size(70)
+        .build_cartesian_2d(0.0..n + 1.2, 0.0..1.1 * top)?;
+    chart
+        .configure_mesh()
+        .disable_x_mesh()
+        .disable_x_axis()
+        .y_desc("ms a sub-step")
+        .draw()?;
+    let seen = |stage: &&&str| table.stages.iter().any(|row| row.stage == **stage);
+    for (index, stage) in STAGES.iter().filter(seen).enumerate() {
+        let colour = Palette99::pick(index).to_rgba();
+        let bars = table.rows.iter().enumerate().filter_map(|(number, row)| {
+            let stages = of_row(row);
+            let at = stages.iter().position(|other| other.stage == *stage)?;
+            let below: f64 = stages[..at].iter().map(|stage| stage.seconds_median).sum();
+            let height = stages[at].seconds_median;
+            let x = number as f64;
+            Some(Rectangle::new(
+                [
+                    (x + 0.2, milliseconds(below)),
+                    (x + 0.8, milliseconds(below + height)),
+                ],
+                colour.filled(),
+            ))
+        });
+        chart
+            .draw_series(bars)?
+            .label(*stage)
+            .legend(move |(x, y)| Rectangle::new([(x, y - 5), (x + 14, y + 5)], colour.filled()));
+    }
+    for (number, row) in table.rows.iter().enumerate() {
+        let x = number as f64;
+        let y = milliseconds(row.seconds_median);
+        chart.draw_series([PathElement::new(
+            [(x + 0.1, y), (x + 0.9, y)],
+            BLACK.stroke_width(2),
+        )])?;
+        let label = format!("{}: {y:.1} ms", row.scene);
+        let at = (x + 0.1, y + 0.03 * top);
+        chart.draw_series([Text::new(label, at, ("sans-serif", 13))])?;
+    }
+    chart
+        .configure_series_labels()
+        .position(SeriesLabelPosition::MiddleRight)
+        .border_style(BLACK)
+        .background_style(WHITE)
+        .draw()?;
+    root.present()?;
+    Ok(())
+}
