@@ -338,8 +338,9 @@ fn stages_share_their_nouns() {
     for file in files("src/stages", &["rs"]) {
         let stem = file.file_stem().unwrap().to_str().unwrap();
         if !shared.contains(&stem) {
+            // Probes read what a step leaves and are no part of it.
             assert!(
-                stages.iter().any(|noun| noun == stem),
+                stem == "probe" || stages.iter().any(|noun| noun == stem),
                 "src/lib.rs lists no stage {stem}"
             );
             let test = format!("tests/suite/twin_{stem}.rs");
