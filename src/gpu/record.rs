@@ -187,7 +187,7 @@ impl<'a> Recorder<'a> {
         &self.dispatches
     }
 
-    /// Submits the recording. With a timed recording, the times arrive through the returned [`Timing`].
+    /// Submits the recording. With a timed recording, the times arrive through the returned `Timing`.
     pub fn submit(mut self) -> Timing<'a> {
         if let Some(timer) = &self.timer {
             let n = 2 * self.stages.len() as u32;
