@@ -1,5 +1,5 @@
-// liquid_distance, second of five: which markers matter to the distance of any cell. The marks of the cells are taken back for
-// the next sub-step. One thread per quad of the band.
+// liquid_distance, second of five: which markers matter to the distance of any cell, and the classes of the cells around a quad
+// in one word for them. The marks of the cells are taken back for the next sub-step. One thread per quad of the band.
 // level. args, list: the band. classes: see classes. occupied: in place.
 #import dispatch
 #import layout
@@ -17,6 +17,11 @@ fn near_lanes(quad: u32) -> u32 {
         return 0u;
     }
     return lanes_of(classes[quad], NEAR);
+}
+
+// Eight cells along x from the second before the quad.
+fn row_of(before: u32, here: u32, after: u32, kind: u32) -> u32 {
+    return lanes_of(before, kind) >> 2u | lanes_of(here, kind) << 2u | (lanes_of(after, kind) & 3u) << 6u;
 }
 
 @compute @workgroup_size(WG_SIZE)
@@ -43,5 +48,9 @@ fn classify_far(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
         }
         spreading = dilate_row(before, here, after);
     }
-    occupied[quad] = lanes_of(word, NO_ROOM) << NO_ROOM | (spreading & marked) << SPREADING;
+    let before = classes[quad - 1u];
+    let here = classes[quad];
+    let after = classes[quad + 1u];
+    occupied[quad] = lanes_of(word, NO_ROOM) << NO_ROOM | (spreading & marked) << SPREADING
+        | row_of(before, here, after, WANTING) << WANTING_ROW | row_of(before, here, after, EMPTY) << EMPTY_ROW;
 }

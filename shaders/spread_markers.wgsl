@@ -1,7 +1,7 @@
 // liquid_distance, third of five: every marker near an empty cell lowers the squared distance of the cells within reach that
 // want one. The bits of positive floats are ordered like the floats, and a minimum has no order, so an atomic minimum of integers
 // repeats bit for bit. One thread per marker.
-// level, step. markers: x, y, z (m), w = 1 alive. occupied, classes: see classes. squares: cells^2, as bits; in place.
+// level, step. markers: x, y, z (m), w = 1 alive. occupied: see classes. squares: cells^2, as bits; in place.
 #import dispatch
 #import layout
 #import step
@@ -11,8 +11,7 @@
 @group(0) @binding(1) var<uniform> step: Step;
 @group(0) @binding(2) var<storage, read> markers: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> occupied: array<u32>;
-@group(0) @binding(4) var<storage, read> classes: array<u32>;
-@group(0) @binding(5) var<storage, read_write> squares: array<atomic<u32>>;
+@group(0) @binding(4) var<storage, read_write> squares: array<atomic<u32>>;
 
 // Cells that markers reach, and its square.
 const REACH = 2.0;
@@ -39,6 +38,9 @@ fn spread_markers(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_in
     // Along each axis at most the centres of four cells lie within reach.
     let low = vec3<u32>(max(ceil(at - 0.5 - REACH), vec3<f32>()));
     let high = min(vec3<u32>(at - 0.5 + REACH), level.cells - 1u);
+    // Where they begin among the eight cells that the word of a quad tells of, and how many they are.
+    let start = low.x + 2u - 4u * (cell.x / 4u);
+    let n = high.x - low.x + 1u;
     for (var z = low.z; z <= high.z; z++) {
         let dz = f32(z) + 0.5 - at.z;
         for (var y = low.y; y <= high.y; y++) {
@@ -48,19 +50,16 @@ fn spread_markers(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_in
                 continue;
             }
             let row = level.stride_z * (z + 1u) + level.stride_y * y;
-            // They lie in two quads: their lanes side by side.
-            let first = row + low.x / 4u;
-            let second = row + high.x / 4u;
-            let two = vec2<u32>(classes[first], classes[second]);
-            let empty = lanes_of(two.x, EMPTY) | lanes_of(two.y, EMPTY) << 4u;
-            let wanting = lanes_of(two.x, WANTING) | lanes_of(two.y, WANTING) << 4u;
-            // Bits count from the first lane of the first quad.
-            let start = low.x % 4u;
-            var bits = extractBits(wanting, start, high.x - low.x + 1u) << start;
+            let word = occupied[row + cell.x / 4u];
+            let empty = extractBits(word, EMPTY_ROW + start, n);
+            var bits = empty;
+            if across < REACH_OCCUPIED_SQUARED {
+                bits = extractBits(word, WANTING_ROW + start, n);
+            }
             while bits != 0u {
                 let bit = firstTrailingBit(bits);
                 bits &= bits - 1u;
-                let x = low.x - start + bit;
+                let x = low.x + bit;
                 let dx = f32(x) + 0.5 - at.x;
                 let square = dx * dx + across;
                 if square < select(REACH_OCCUPIED_SQUARED, REACH_SQUARED, (empty >> bit & 1u) != 0u) {

@@ -9,6 +9,9 @@ const WANTING = 8u;
 const NO_ROOM = 0u;
 const MARKED = 4u;
 const SPREADING = 8u;
+// For cells up to two before and behind the quad along x too, 8 bits each from the second cell before: wanting, empty.
+const WANTING_ROW = 12u;
+const EMPTY_ROW = 20u;
 
 fn lanes_of(word: u32, kind: u32) -> u32 {
     return (word >> kind) & 15u;

@@ -91,7 +91,6 @@ impl LiquidDistance {
                     step,
                     ("markers", (&markers.positions).into()),
                     occupied,
-                    classes,
                     squares,
                 ],
             )?,
