@@ -230,22 +230,31 @@ impl<'a> Judge<'a> {
         shares + (terms + 16.0) * f64::EPSILON + EPS * EPS
     }
 
-    /// A position in cells, x / dx, is off by its size times 3 roundings (dx, 1/dx, product); a velocity sample by that times
-    /// the largest slope (twice the largest speed per cell and axis) and by 10 roundings of its own; the midpoint turns the
-    /// first sample's error into a shift of half a step. Push-out moves by the distance's error and turns by the normal's.
+    /// How far off the end of a trace by the midpoint rule may be, in cells, and a velocity sample there, m/s. A position in cells
+    /// is rounded up to 4 times (product with 1/dx, which is rounded itself, sum, shift to the faces), and so is a way in cells.
+    /// A trilinear sample is rounded 10 times and moves with its position by the largest difference between neighbouring
+    /// faces per cell and axis.
+    fn trace_error(&self, velocity: &[Vec<f64>; 3]) -> (f64, f64) {
+        let speed = reference::max_speed(velocity);
+        let slope = steepest(&self.grid, velocity);
+        let cells_per_speed = self.dt() / self.grid.dx;
+        let position = EPS * 4.0 * (self.extent() + speed * cells_per_speed);
+        let sample = |position: f64| EPS * 10.0 * speed + 3.0 * slope * position;
+        let middle = position + 0.5 * cells_per_speed * sample(position);
+        let end = position + cells_per_speed * sample(middle);
+        (end, sample(end))
+    }
+
+    /// As [`Judge::trace_error`] says. Push-out moves by the distance's error and turns by the normal's.
     fn advect_markers(&mut self, after: &Snapshot) {
         let (grid, dt) = (self.grid, self.dt());
         let (velocity, solid_distance) = (&self.before.velocity, &self.cut.solid_distance);
-        let cells = self.extent();
-        let way = reference::max_speed(velocity) * dt;
-        let sample = 10.0 + 6.0 * 3.0 * cells;
-        let middle = sample * (1.0 + 3.0 * way / grid.dx);
         let pushed = if self.has_obstacles() {
             3.0 * 64.0 * grid.dx
         } else {
             0.0
         };
-        let bound = EPS * (4.0 * cells * grid.dx + way * middle + pushed);
+        let bound = self.trace_error(velocity).0 * grid.dx + EPS * pushed;
         let twin = |start: [f64; 3]| {
             reference::advect_markers(&grid, velocity, solid_distance, &[start], dt)
                 .0
@@ -310,13 +319,10 @@ impl<'a> Judge<'a> {
             .excused += n_excused as u64;
     }
 
-    /// As for the markers: 3 roundings of a position in cells times the largest slope, 10 of a sample, three samples in a row.
+    /// As [`Judge::trace_error`] says.
     fn advect_velocity(&mut self, after: &Snapshot) {
         let velocity = &self.before.velocity;
-        let speed = reference::max_speed(velocity);
-        let way = speed * self.dt() / self.grid.dx;
-        let sample = 10.0 + 6.0 * 3.0 * self.extent();
-        let bound = EPS * speed * sample * (1.0 + 6.0 * way) * (1.0 + 3.0 * way);
+        let bound = self.trace_error(velocity).1;
         let twin = reference::advect_velocity(&self.grid, velocity, self.dt());
         self.add_band_faces([AdvectVelocity::NAME, "u*"], after, &twin, bound);
     }
@@ -814,6 +820,22 @@ fn unit(real: Real) -> f64 {
         Real::F32 => EPS,
         Real::F64 => f64::EPSILON,
     }
+}
+
+/// Largest difference between neighbouring faces of an axis, m/s.
+fn steepest(grid: &Grid, velocity: &[Vec<f64>; 3]) -> f64 {
+    let mut steepest: f64 = 0.0;
+    for axis in Axis::ALL {
+        let (n, values) = (grid.faces(axis), &velocity[axis.index()]);
+        let strides = [1, n[0], n[0] * n[1]];
+        for (face, &value) in values.iter().enumerate() {
+            let ijk = grid.face_at(axis, face);
+            for b in (0..3).filter(|&b| ijk[b] + 1 < n[b]) {
+                steepest = steepest.max((values[face + strides[b]] - value).abs());
+            }
+        }
+    }
+    steepest
 }
 
 /// Largest speed of a face of an active cell, m/s.
