@@ -349,7 +349,6 @@ fn draw(table: &Table, path: &Path) -> Result<(), Box<dyn std::error::Error>> {
         )
     };
     let mut keys: Vec<String> = table.rows.iter().map(key).collect();
-    keys.dedup();
     keys.sort();
     keys.dedup();
     for (index, series) in keys.into_iter().enumerate() {
