@@ -23,6 +23,7 @@
 #![deny(clippy::print_stdout)]
 
 pub mod effects;
+pub mod elastic;
 pub mod error;
 pub mod geometry;
 pub mod gpu;

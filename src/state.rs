@@ -27,6 +27,10 @@ pub struct State {
     pub active: Vec<bool>,
     /// Liquid volume to hold, m^3.
     pub volume_0: f64,
+    /// Displacement of the nodes of all solids from rest, m; held on the device as the sum of two f32.
+    pub displacement: Vec<[f64; 3]>,
+    /// Velocity of the nodes of all solids, m/s.
+    pub node_velocity: Vec<[f64; 3]>,
 }
 
 impl State {
@@ -44,6 +48,8 @@ impl State {
             liquid_distance: vec![grid.dx; grid.n_cells()],
             active: vec![false; grid.n_cells()],
             volume_0: 0.0,
+            displacement: Vec::new(),
+            node_velocity: Vec::new(),
         }
     }
 
@@ -105,6 +111,27 @@ pub struct SolveReport {
     pub residual: f64,
     /// How it ended.
     pub status: SolveStatus,
+}
+
+/// What the solids amount to at one moment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SolidDiagnosis {
+    /// kg m/s
+    pub momentum: [f64; 3],
+    /// About the origin of the domain, kg m^2/s.
+    pub angular_momentum: [f64; 3],
+    /// J
+    pub kinetic_energy: f64,
+    /// J
+    pub elastic_energy: f64,
+    /// J, from the origin of the domain: zero where g . x is.
+    pub potential_energy: f64,
+    /// Largest magnitude of a component of a node's velocity, m/s.
+    pub max_speed: f64,
+    /// Least determinant of an element's deformation gradient; 1 at rest, negative where inverted.
+    pub min_det: f64,
+    /// Elements with a determinant of 0 or less.
+    pub inverted: usize,
 }
 
 /// What one sub-step did: a row of steps.csv.

@@ -10,11 +10,13 @@ mod distance;
 mod liquid;
 mod mesh_file;
 mod surface;
+mod tet_mesh;
 
 pub use clip::{Clipping, OpenFractions, Patch, clip, open_fractions};
 pub use liquid::{Regions, estimate_markers, initial_state, liquid_distance, seed_markers};
 pub use mesh_file::read as read_mesh;
 pub use surface::{Fault, Surface};
+pub use tet_mesh::TetMesh;
 
 use crate::error::Error;
 use crate::grid::{Axis, Grid};

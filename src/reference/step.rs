@@ -177,17 +177,14 @@ impl Reference {
             seconds: clock.laps,
         };
         let frames_per_second = scene.time.frames_per_second;
-        let markers_dropped = self.state.markers_dropped + dropped;
-        self.state = State {
-            velocity,
-            markers,
-            markers_dropped,
-            pressure,
-            liquid_distance: phi,
-            active: system.stencil.active_mask(),
-            ..self.state
-        };
-        self.state.advance_clock(dt, frames_per_second);
+        let state = &mut self.state;
+        state.velocity = velocity;
+        state.markers = markers;
+        state.markers_dropped += dropped;
+        state.pressure = pressure;
+        state.liquid_distance = phi;
+        state.active = system.stencil.active_mask();
+        state.advance_clock(dt, frames_per_second);
         Ok(report)
     }
 

@@ -30,6 +30,8 @@ pub struct Scene {
     pub time: Time,
     /// The liquid, where the scene has one.
     pub liquid: Option<Liquid>,
+    /// Elastic bodies.
+    pub solids: Vec<Solid>,
     /// Static obstacles and containers.
     pub obstacles: Vec<Obstacle>,
     /// Measurements written to probes.csv.
@@ -176,6 +178,148 @@ impl Default for Placement {
             scale: 1.0,
         }
     }
+}
+
+/// An elastic body.
+#[derive(Clone, Debug)]
+pub struct Solid {
+    /// Name, unique in the scene.
+    pub name: String,
+    /// Where its tetrahedra come from.
+    pub mesh: SolidMesh,
+    /// Where the mesh is put. What comes out is the rest shape: it carries no stress.
+    pub placement: Placement,
+    /// How the state at the start differs from rest.
+    pub initial: Initial,
+    /// kg/m^3
+    pub density: f64,
+    /// Young's modulus, Pa.
+    pub young: f64,
+    /// Poisson's ratio, in (-1, 0.5).
+    pub poisson: f64,
+    /// How strain is measured; default corotational.
+    pub model: ElasticModel,
+    /// Rayleigh damping: coefficient of the mass, 1/s; default 0.
+    pub mass_damping: f64,
+    /// Rayleigh damping: coefficient of the stiffness, s; default 0.
+    pub stiffness_damping: f64,
+    /// Nodes held or moved in some or all components.
+    pub pins: Vec<Pin>,
+    /// Constant forces.
+    pub loads: Vec<Load>,
+}
+
+/// Where the tetrahedra of a solid come from, in coordinates before the placement (m).
+#[derive(Clone, Debug)]
+pub enum SolidMesh {
+    /// A box of cubes or bricks, each cut into six tetrahedra around one diagonal (Kuhn), centred at the origin.
+    Box {
+        /// Extents, m.
+        size: DVec3,
+        /// Bricks along x, y, z.
+        cells: [usize; 3],
+    },
+    /// A ball about the origin.
+    Sphere {
+        /// Radius, m.
+        radius: f64,
+        /// Length of an edge, about, m.
+        cell_size: f64,
+    },
+    /// A hollow ball about the origin.
+    Shell {
+        /// Outer radius, m.
+        radius: f64,
+        /// m
+        thickness: f64,
+        /// Length of an edge, about, m.
+        cell_size: f64,
+    },
+    /// Tetrahedra of a Gmsh 4.1 .msh or a VTK .vtu file.
+    File {
+        /// The file, resolved.
+        file: PathBuf,
+    },
+    /// The inside of a closed triangle mesh (OBJ, STL, PLY), filled.
+    Surface {
+        /// The file, resolved.
+        file: PathBuf,
+        /// Length of an edge, about, m.
+        cell_size: f64,
+    },
+}
+
+/// How the state of a solid at the start differs from rest.
+#[derive(Clone, Copy, Debug)]
+pub struct Initial {
+    /// Stretch along the domain's axes about the centroid of the rest shape; default 1. Negative numbers turn the body inside out.
+    pub scale: DVec3,
+    /// Velocity, m/s; default 0.
+    pub velocity: DVec3,
+    /// Angular velocity about the centroid, rad/s; default 0.
+    pub spin: DVec3,
+}
+
+impl Default for Initial {
+    /// At rest.
+    fn default() -> Initial {
+        Initial {
+            scale: DVec3::ONE,
+            velocity: DVec3::ZERO,
+            spin: DVec3::ZERO,
+        }
+    }
+}
+
+/// How strain is measured.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ElasticModel {
+    /// In the frame that turns with each element.
+    Corotational,
+    /// In the frame of the rest shape: for small rotations only.
+    Linear,
+}
+
+/// Nodes whose motion is prescribed in some components.
+#[derive(Clone, Debug)]
+pub struct Pin {
+    /// Holds nodes whose rest position is inside or on it.
+    pub region: Shape,
+    /// Prescribed components: x, y, z.
+    pub components: [bool; 3],
+    /// Times and placements of the nodes' rest positions, ascending in time; empty: the nodes stay where they start.
+    pub keyframes: Vec<Keyframe>,
+}
+
+/// Where a script puts its nodes at one time; between two, linear. Before the first and after the last, nothing moves.
+#[derive(Clone, Copy, Debug)]
+pub struct Keyframe {
+    /// s
+    pub time: f64,
+    /// From the rest position, m.
+    pub translate: DVec3,
+    /// Axis of the turn about the centre of the pin's region ([`Shape::centre`]), a unit vector.
+    pub axis: DVec3,
+    /// Angle of the turn, rad.
+    pub angle: f64,
+}
+
+/// A constant force on a solid.
+#[derive(Clone, Debug)]
+pub struct Load {
+    /// Acts on nodes whose rest position is inside or on it.
+    pub region: Shape,
+    /// How it acts.
+    pub kind: LoadKind,
+}
+
+/// How a load acts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum LoadKind {
+    /// A force shared out in equal parts among the nodes, N.
+    Force(DVec3),
+    /// A traction on the surface triangles with all nodes in the region, Pa of rest area.
+    Traction(DVec3),
 }
 
 /// A body that does not move.

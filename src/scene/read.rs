@@ -181,6 +181,7 @@ impl Scene {
             time: time(&root)?,
             solver: solver(&root, liquid.surface)?,
             liquid: Some(liquid),
+            solids: Vec::new(),
             obstacles: obstacles(&root, path, &domain)?,
             probes: probes(&root, &domain)?,
             output: output(&root)?,

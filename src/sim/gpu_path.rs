@@ -128,6 +128,8 @@ impl GpuPath {
             pressure: Vec::new(),
             liquid_distance: Vec::new(),
             active: Vec::new(),
+            displacement: Vec::new(),
+            node_velocity: Vec::new(),
             ..*state
         };
         self.write_step(0.0);

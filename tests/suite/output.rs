@@ -595,6 +595,7 @@ fn scene() -> Scene {
             seed: 0,
             volume_control: true,
         }),
+        solids: Vec::new(),
         obstacles: Vec::new(),
         probes: Vec::new(),
         solver: scene::Solver::default(),

@@ -26,6 +26,8 @@ const TIERS: &[&[&str]] = &[
 const PEERS: &[(&str, &str)] = &[
     // The stages fill the solver's system and read its answer.
     ("stages", "solver"),
+    // The elements stand on the meshes that geometry makes.
+    ("elastic", "geometry"),
 ];
 
 /// `(room, all that it may use)`, where that is less than all lower tiers.
