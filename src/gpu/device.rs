@@ -139,6 +139,8 @@ pub struct Gpu {
     faults: Arc<Mutex<Option<String>>>,
     allocated: Mutex<Vec<(String, u64)>>,
     kernels: Mutex<HashMap<(Source, Variant), Kernel>>,
+    /// Stage and kernel of every dispatch submitted, once somebody asked for it.
+    dispatched: Mutex<Option<Vec<(&'static str, &'static str)>>>,
     /// Timers that no recording holds.
     pub(super) timers: Mutex<Vec<Timer>>,
 }
@@ -287,6 +289,7 @@ impl Gpu {
             faults,
             allocated: Mutex::default(),
             kernels: Mutex::default(),
+            dispatched: Mutex::default(),
             timers: Mutex::default(),
         };
         if gpu.report.timestamps {
@@ -347,6 +350,26 @@ impl Gpu {
             .lock()
             .map(|kernels| kernels.keys().map(|(source, _)| source.name).collect())
             .unwrap_or_default()
+    }
+
+    /// Notes the stage and kernel of every dispatch from now on; an earlier list is forgotten.
+    pub fn note_dispatches(&self) {
+        if let Ok(mut list) = self.dispatched.lock() {
+            *list = Some(Vec::new());
+        }
+    }
+
+    /// Stage and kernel of every dispatch submitted since [`Gpu::note_dispatches`], in order; nothing is noted any more.
+    pub fn noted_dispatches(&self) -> Vec<(&'static str, &'static str)> {
+        let noted = self.dispatched.lock().ok().and_then(|mut list| list.take());
+        noted.unwrap_or_default()
+    }
+
+    pub(super) fn note_submission(&self, dispatches: &[(&'static str, &'static str)]) {
+        if let Ok(mut list) = self.dispatched.lock() {
+            list.iter_mut()
+                .for_each(|list| list.extend_from_slice(dispatches));
+        }
     }
 
     pub(super) fn known_kernel(&self, source: &Source, variant: Variant) -> Option<Kernel> {

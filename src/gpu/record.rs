@@ -182,11 +182,6 @@ impl<'a> Recorder<'a> {
             .copy_buffer_to_buffer(&from.raw, 0, &to.raw, 0, Some(bytes));
     }
 
-    /// Stage and kernel of every dispatch recorded so far, in order.
-    pub fn dispatches(&self) -> &[(&'static str, &'static str)] {
-        &self.dispatches
-    }
-
     /// Submits the recording. With a timed recording, the times arrive through the returned `Timing`.
     pub fn submit(mut self) -> Timing<'a> {
         if let Some(timer) = &self.timer {
@@ -205,6 +200,7 @@ impl<'a> Recorder<'a> {
             }
         }
         self.gpu.queue.submit([self.encoder.finish()]);
+        self.gpu.note_submission(&self.dispatches);
         Timing {
             gpu: self.gpu,
             stages: self.stages,

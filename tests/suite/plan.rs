@@ -1,6 +1,8 @@
 //! The plan of a scene is what is made: effects, stages, kernels, buffers; and a scene that does not fit is refused at once.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write as _;
+use std::fs;
 use std::path::Path;
 
 use cutwater::gpu::{AdapterChoice, AdapterReport};
@@ -124,6 +126,62 @@ fn kernels_and_stages_are_those_planned() {
                 .collect();
             assert_eq!(planned, run, "{what}: stages");
         }
+    }
+}
+
+/// Of the hash of Fowler, Noll and Vo (FNV-1a, 64 bits).
+const FNV_START: u64 = 0xcbf2_9ce4_8422_2325;
+/// Likewise.
+const FNV_PRIME: u64 = 0x0000_0100_0000_01b3;
+
+/// What liquid alone takes, as `tests/data/liquid_alone.txt` has it: buffers with their bytes, then stages and kernels of the
+/// second sub-step with the number of their dispatches, and a hash of the order of all dispatches.
+#[test]
+fn liquid_alone_takes_what_it_always_took() {
+    if gpu().is_none_or(|gpu| !gpu.has_f64()) {
+        return;
+    }
+    let mut taken = String::new();
+    for (name, scale, surface) in [
+        ("dam_break_liquid", 0.25, "markers"),
+        ("sphere_half_full", 0.5, "markers"),
+        ("hydrostatic_block", 0.5, "fixed"),
+    ] {
+        let (mut simulation, _) =
+            made(&scene(name, scale, &[&format!("liquid.surface={surface}")]));
+        writeln!(taken, "{name} {surface}").unwrap();
+        let allocated = allocated(&simulation);
+        for (label, bytes) in by_label(allocated.iter().map(|(label, bytes)| (&**label, *bytes))) {
+            writeln!(taken, "  {label}: {bytes}").unwrap();
+        }
+        simulation.step().unwrap();
+        simulation.gpu().unwrap().note_dispatches();
+        simulation.step().unwrap();
+        let dispatches = simulation.gpu().unwrap().noted_dispatches();
+        let mut counts: Vec<(_, usize)> = Vec::new();
+        let mut order = FNV_START;
+        for dispatch in dispatches {
+            let name = format!("{} {}", dispatch.0, dispatch.1);
+            order = name.bytes().fold(order, |order, byte| {
+                (order ^ u64::from(byte)).wrapping_mul(FNV_PRIME)
+            });
+            match counts.iter_mut().find(|(known, _)| *known == name) {
+                Some((_, n)) => *n += 1,
+                None => counts.push((name, 1)),
+            }
+        }
+        for (name, n) in counts {
+            writeln!(taken, "  {name} x {n}").unwrap();
+        }
+        writeln!(taken, "  order {order:016x}").unwrap();
+    }
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/liquid_alone.txt");
+    let expected = fs::read_to_string(&file).unwrap_or_default();
+    if taken != expected {
+        let now = Path::new(env!("CARGO_MANIFEST_DIR")).join("target/liquid_alone.txt");
+        fs::write(&now, &taken).unwrap();
+        let differs = taken.lines().zip(expected.lines()).find(|(a, b)| a != b);
+        panic!("{} is not {}: {differs:?}", now.display(), file.display());
     }
 }
 
