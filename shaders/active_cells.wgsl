@@ -1,9 +1,9 @@
 // Stage active_cells, level 0: which cells are unknowns, and the matrix of the projection.
 // A cell is active when its liquid distance is negative and one of its faces is open. Off-diagonal weights are the open
 // fractions between active cells; a face towards air adds open / theta to the diagonal (ghost fluid). Only quads that hold
-// liquid are written; all arrays are zero elsewhere.
-// level: the level. settings: theta floor. liquid_distance: per cell, m. open: fractions of the minus faces along x, y, z.
-// flags: per quad, active lanes in bits 0-3 and UNIFORM. matrix: see level.
+// liquid are written; all arrays are zero elsewhere. One thread per quad that may hold some.
+// level: the level. settings: theta floor. list, args: those quads. liquid_distance: per cell, m. open: fractions of the minus
+// faces along x, y, z. flags: per quad, active lanes in bits 0-3 and UNIFORM. matrix: see level.
 #import dispatch
 #import level
 #import real
@@ -18,10 +18,12 @@ struct ActiveSettings {
 
 @group(0) @binding(0) var<uniform> level: Level;
 @group(0) @binding(1) var<uniform> settings: ActiveSettings;
-@group(0) @binding(2) var<storage, read> liquid_distance: array<vec4<f32>>;
-@group(0) @binding(3) var<storage, read> open: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read_write> flags: array<u32>;
-@group(0) @binding(5) var<storage, read_write> matrix: array<Real4>;
+@group(0) @binding(2) var<storage, read> list: array<u32>;
+@group(0) @binding(3) var<storage, read> args: array<u32>;
+@group(0) @binding(4) var<storage, read> liquid_distance: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read> open: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> flags: array<u32>;
+@group(0) @binding(7) var<storage, read_write> matrix: array<Real4>;
 
 // Weight between two cells and free-surface term of the first, for one face of each lane.
 struct Face {
@@ -45,13 +47,13 @@ fn face(inside: vec4<f32>, outside: vec4<f32>, area: vec4<f32>) -> Face {
 
 @compute @workgroup_size(WG_SIZE)
 fn active_cells(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-    let sy = level.shape.stride_y;
-    let sz = level.shape.stride_z;
-    // The slabs before and behind the domain hold no cells.
-    let q = linear_index(workgroup, lane) + sz;
-    if q + 2u * sz >= level.shape.quads {
+    let ix = linear_index(workgroup, lane);
+    if ix >= args[3] {
         return;
     }
+    let q = list[ix];
+    let sy = level.shape.stride_y;
+    let sz = level.shape.stride_z;
     let phi = liquid_distance[q];
     if all(phi >= vec4<f32>(0.0)) {
         return;

@@ -1,5 +1,6 @@
-// Outer loop, before the first round: per thread |b|^2, | |E| |u*| |^2 and the number of unknowns.
+// Outer loop, before the first round: per thread |b|^2, | |E| |u*| |^2 and the number of unknowns. The unknowns start from zero.
 // level: level 0. list, args, flags: active quads. rhs: b, m/s. velocity: u* on the faces, m/s. open: fractions of the faces.
+// x: unknowns, out.
 #import dispatch
 #import level
 #import real
@@ -11,7 +12,8 @@
 @group(0) @binding(4) var<storage, read> rhs: array<Real4>;
 @group(0) @binding(5) var<storage, read> velocity: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read> open: array<vec4<f32>>;
-@group(0) @binding(7) var<storage, read_write> partials: array<Real4>;
+@group(0) @binding(7) var<storage, read_write> x: array<Real4>;
+@group(0) @binding(8) var<storage, read_write> partials: array<Real4>;
 
 @compute @workgroup_size(WG_SIZE)
 fn refine_measure(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
@@ -20,6 +22,7 @@ fn refine_measure(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_in
         return;
     }
     let q = list[ix] & ~UNIFORM;
+    x[q] = Real4();
     let n = level.shape.quads;
     let y = n + q;
     let z = 2u * n + q;

@@ -16,7 +16,7 @@ use crate::grid::Axis;
 use crate::linalg;
 use crate::reference::base_block::{BaseBlock, THETA_FLOOR};
 use crate::scene::{Precision, Preconditioner, Solver};
-use crate::solver::{Outcome, PressureSolver, PressureSystem, SolverBuffers};
+use crate::solver::{Everywhere, Outcome, PressureSolver, PressureSystem, SolverBuffers};
 
 use super::bandwidth::copy_bandwidth;
 use super::statistics::Spread;
@@ -219,7 +219,9 @@ fn measure(
     let distance = padded.pad(grid.cells, &block.liquid_distance, |value| value as f32);
     let distance = gpu.buffer_with("bench.liquid_distance", &distance)?;
     let buffers = SolverBuffers::new(gpu, grid, solver.precision)?;
-    let system = PressureSystem::new(gpu, &buffers, &open, &distance, THETA_FLOOR)?;
+    let everywhere = Everywhere::new(gpu, grid)?;
+    let within = everywhere.within();
+    let system = PressureSystem::new(gpu, &buffers, &open, &distance, within, THETA_FLOOR)?;
     let pressure = PressureSolver::new(gpu, &buffers, &velocity, &open, solver)?;
     let area = grid.dx * grid.dx;
     buffers.rhs.upload(
@@ -232,8 +234,7 @@ fn measure(
         gpu.wait("bench")?;
         let clock = Instant::now();
         let mut recorder = Recorder::new(gpu);
-        PressureSystem::clear(&mut recorder, &buffers);
-        recorder.stage("active_cells", |pass| system.record(pass));
+        recorder.stage("active_cells", |pass| system.record(pass, &buffers, within));
         let (outcome, _) = pressure.solve(gpu, recorder, &buffers, verify)?;
         Ok((clock.elapsed().as_secs_f64(), outcome))
     };

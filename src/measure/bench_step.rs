@@ -323,20 +323,18 @@ impl Run {
             "liquid_distance" if effects.markers => {
                 markers * 16.0 + band * (5.0 + 4.0 + 8.0 + 9.0 + 4.0 + obstacles * (64.0 + 8.0))
             }
-            // Matrix and flags cleared; distance, open fractions, matrix; flags looked through.
+            // Distance and list; open fractions; matrix and flags cleared and written, of all levels; flags looked through twice.
             "active_cells" => {
-                all_levels * (5.0 * inner + 3.0)
-                    + padded * 4.0
-                    + unknowns * (12.0 + 8.0 / 7.0 * (5.0 * inner + 2.0))
+                all_levels * 2.0 + band * 5.0 + unknowns * (12.0 + 8.0 / 7.0 * (10.0 * inner + 4.0))
             }
             // Labels written, joined, asked.
             "closed_components" => unknowns * (4.0 + 8.0 + 4.0 + 3.0),
             "right_hand_side" => unknowns * (12.0 + 12.0 + real + 2.0),
             "solve" => {
                 let iterations = f64::from(sample.report.solve.iterations);
-                padded * real
-                    + unknowns
-                        * bytes_per_iterations(self.not_uniform, iterations, 2.0, [inner, real])
+                let iterations =
+                    bytes_per_iterations(self.not_uniform, iterations, 2.0, [inner, real]);
+                unknowns * (real + iterations)
             }
             // Velocity cleared; u*, distance, potential, velocity, marks.
             "write_back" => padded * 12.0 + band * (12.0 + 4.0 + 12.0 + 2.0) + unknowns * real,

@@ -7,7 +7,7 @@ use crate::gpu::{AdapterChoice, CompactKernels, Gpu, Readback, Real};
 use crate::grid::Grid;
 use crate::reference::{self, TimeStep, time_step};
 use crate::scene::Scene;
-use crate::solver::{Components, PressureSolver, PressureSystem, SolverBuffers};
+use crate::solver::{Components, PressureSolver, PressureSystem, SolverBuffers, Within};
 use crate::stages::{
     Active, AdvectMarkers, AdvectVelocity, Band, Diagnose, Extrapolate, Forces, LiquidBuffers,
     LiquidDistance, LiquidPlan, Probe, Report, RightHandSide, Step, Volume, WriteBack,
@@ -154,10 +154,17 @@ impl GpuPath {
         let flags = self.gpu.download(&self.solver.flags)?;
         let lane = |ix: usize| flags[ix / 4] >> (ix % 4) & 1 == 1;
         let active: Vec<bool> = (0..padded.len()).map(lane).collect();
-        state.active = padded.unpad(self.grid.cells, &active, |active| active);
-        let potential = self.solver.potential.download(&self.gpu)?;
+        let mut potential = self.solver.potential.download(&self.gpu)?;
+        for (potential, _) in potential
+            .iter_mut()
+            .zip(&active)
+            .filter(|(_, active)| !**active)
+        {
+            *potential = 0.0;
+        }
         let pascal = self.pressure_scale();
         state.pressure = padded.unpad(self.grid.cells, &potential, |potential| pascal * potential);
+        state.active = padded.unpad(self.grid.cells, &active, |active| active);
         Ok(state)
     }
 
@@ -307,6 +314,7 @@ impl Stages {
             solver,
             &liquid.open,
             &liquid.liquid_distance,
+            within(liquid),
             theta_floor,
         )?;
         let solve = PressureSolver::new(
@@ -346,6 +354,14 @@ impl Stages {
             diagnose: Diagnose::new(gpu, liquid, &active)?,
             probe: effects.probes.then(probe).transpose()?,
         })
+    }
+}
+
+/// Where the solver looks for liquid.
+pub(super) fn within(liquid: &LiquidBuffers) -> Within<'_> {
+    Within {
+        list: &liquid.band_list,
+        args: &liquid.band_args,
     }
 }
 

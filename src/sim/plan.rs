@@ -222,7 +222,10 @@ fn stages(scene: &Scene, grid: &Grid, effects: &Effects) -> Vec<StagePlan> {
         (true, &["measure_volume", "volume_rate"]),
     ];
     stage("liquid_distance", markers, &distance);
-    let active: [(bool, &[_]); 2] = [(true, &["active_cells", "coarsen"]), (true, &COMPACTION)];
+    let active: [(bool, &[_]); 2] = [
+        (true, &["clear_system", "active_cells", "coarsen"]),
+        (true, &COMPACTION),
+    ];
     stage("active_cells", true, &active);
     let components = [
         "components_init",

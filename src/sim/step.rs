@@ -3,14 +3,14 @@
 use crate::Error;
 use crate::gpu::{Readback, Recorder, StageTimes};
 use crate::reference::TimeStep;
-use crate::solver::{Components, Outcome, PressureSystem};
+use crate::solver::{Components, Outcome};
 use crate::stages::{
     AdvectMarkers, AdvectVelocity, Band, Diagnose, Extrapolate, Forces, LiquidDistance, Report,
     RightHandSide, WriteBack,
 };
 use crate::state::{SolveReport, StepReport};
 
-use super::gpu_path::{GpuPath, active};
+use super::gpu_path::{GpuPath, active, within};
 
 /// Hears of every stage once its results are on the device.
 pub type Observer<'a> = &'a mut dyn FnMut(&'static str, &GpuPath) -> Result<(), Error>;
@@ -82,8 +82,9 @@ impl GpuPath {
             liquid_distance.record(&mut to, liquid);
             to = watch.after(LiquidDistance::NAME, to)?;
         }
-        PressureSystem::clear(&mut to, solver);
-        to.stage("active_cells", |pass| stages.active_cells.record(pass));
+        to.stage("active_cells", |pass| {
+            stages.active_cells.record(pass, solver, within(liquid))
+        });
         to.stage(Components::NAME, |pass| {
             stages.closed_components.label(pass, solver)
         });

@@ -36,7 +36,7 @@ pub use components::Components;
 pub use hierarchy::Hierarchy;
 pub use plan::small_buffers;
 pub use refine::{Outcome, PressureSolver, rounding};
-pub use system::{LevelPlan, PressureSystem, SolverBuffers, variant};
+pub use system::{Everywhere, LevelPlan, PressureSystem, SolverBuffers, Within, variant};
 
 use crate::grid::Layout;
 

@@ -157,6 +157,7 @@ impl PressureSolver {
                 ("rhs", rhs.into()),
                 ("velocity", velocity.into()),
                 ("open", open.into()),
+                ("x", potential.into()),
                 ("partials", outer_partials.into()),
             ],
         )?;
@@ -270,7 +271,6 @@ impl PressureSolver {
     }
 
     fn record_start(&self, recorder: &mut Recorder, buffers: &SolverBuffers) {
-        recorder.clear(&buffers.potential.words);
         recorder.stage("solve", |pass| {
             pass.dispatch_indirect(&self.measure, &buffers.args, 0);
             self.start.record(pass);

@@ -3,7 +3,7 @@
 use crate::Error;
 use crate::gpu::{
     Bound, Buffer, BufferPlan, CompactKernels, Compaction, Gpu, Kernel, Pass, Real, RealBuffer,
-    Recorder, Variant,
+    Variant, WG_SIZE, groups,
 };
 use crate::grid::{Grid, Padded};
 use crate::scene::Precision;
@@ -112,7 +112,7 @@ pub struct SolverBuffers {
     pub matrix: RealBuffer,
     /// Right-hand side b, level 0, m/s.
     pub rhs: RealBuffer,
-    /// Potential phi, level 0, m/s.
+    /// Potential phi, level 0, m/s. What inactive quads hold means nothing.
     pub potential: RealBuffer,
     /// Per padded cell, where [`Components`](super::Components) found closed ones: the scalar index of the smallest cell of
     /// its component, with the highest bit set unless the component is closed. What inactive quads hold means nothing.
@@ -185,10 +185,13 @@ impl SolverBuffers {
         let words = |label: &str| gpu.buffer(label, len(label));
         let inner = |label: &str| RealBuffer::new(gpu, label, len(label), variant.inner);
         let real = |label: &str| RealBuffer::new(gpu, label, len(label), variant.real);
+        // Empty lists; sums of two levels end with a fixed number of partials, which the last entry holds.
+        let mut args = vec![0; len("solver.args")];
+        args[4 * plan.len() + 3] = FOLD_THREADS as u32;
         Ok(SolverBuffers {
             flags: words("solver.flags")?,
             list: words("solver.list")?,
-            args: words("solver.args")?,
+            args: gpu.buffer_with("solver.args", &args)?,
             matrix: inner("solver.matrix")?,
             rhs: real("solver.rhs")?,
             potential: real("solver.potential")?,
@@ -209,12 +212,56 @@ impl SolverBuffers {
     }
 }
 
+/// Quads of the finest level that may hold liquid, ascending: nothing is looked for elsewhere.
+#[derive(Clone, Copy, Debug)]
+pub struct Within<'a> {
+    /// The quads.
+    pub list: &'a Buffer<u32>,
+    /// Workgroups and length of the list.
+    pub args: &'a Buffer<u32>,
+}
+
+/// All quads with cells, for systems that stand alone.
+#[derive(Debug)]
+pub struct Everywhere {
+    list: Buffer<u32>,
+    args: Buffer<u32>,
+}
+
+impl Everywhere {
+    /// Lists them.
+    ///
+    /// # Errors
+    /// As [`Gpu::buffer`].
+    pub fn new(gpu: &Gpu, grid: &Grid) -> Result<Everywhere, Error> {
+        let slab = grid.padded().stride_z as u32;
+        let list: Vec<u32> = (slab..slab * (grid.cells[2] as u32 + 1)).collect();
+        let n = list.len() as u32;
+        let [x, y, z] = groups(n.div_ceil(WG_SIZE));
+        Ok(Everywhere {
+            list: gpu.buffer_with("solver.everywhere", &list)?,
+            args: gpu.buffer_with("solver.everywhere_args", &[x, y, z, n])?,
+        })
+    }
+
+    /// As [`PressureSystem::new`] takes them.
+    pub fn within(&self) -> Within<'_> {
+        let Everywhere { list, args } = self;
+        Within { list, args }
+    }
+}
+
 /// Stage `active_cells`: sets the system up from open areas and liquid distance, every step.
+///
+/// Flags and matrix are zero outside the lists, before and after: a step begins with putting back to zero what the lists of the
+/// last one name, so its work follows the liquid, whatever state was put in place in between.
 #[derive(Debug)]
 pub struct PressureSystem {
+    clear_system: Vec<Bound>,
     active_cells: Bound,
     coarsen: Vec<Bound>,
     compact: Vec<Compaction>,
+    /// Of each coarse level.
     quads: Vec<usize>,
 }
 
@@ -236,6 +283,7 @@ impl PressureSystem {
         buffers: &SolverBuffers,
         open: &Buffer<f32>,
         liquid_distance: &Buffer<f32>,
+        within: Within,
         theta_floor: f64,
     ) -> Result<PressureSystem, Error> {
         let SolverBuffers {
@@ -257,11 +305,29 @@ impl PressureSystem {
             pad: [0.0; 3],
         };
         let settings = gpu.uniform("solver.active_settings", &settings)?;
+        let kernel = Kernel::new(gpu, &crate::wgsl!("clear_system"), inner)?;
+        let clear_system = levels
+            .iter()
+            .map(|level| {
+                kernel.bind(
+                    gpu,
+                    &[
+                        ("level", level.into()),
+                        ("list", list.into()),
+                        ("args", args.into()),
+                        ("flags", flags.into()),
+                        ("matrix", matrix.into()),
+                    ],
+                )
+            })
+            .collect::<Result<Vec<_>, _>>()?;
         let active_cells = Kernel::new(gpu, &crate::wgsl!("active_cells"), inner)?.bind(
             gpu,
             &[
                 ("level", (&levels[0]).into()),
                 ("settings", (&settings).into()),
+                ("list", within.list.into()),
+                ("args", within.args.into()),
                 ("liquid_distance", liquid_distance.into()),
                 ("open", open.into()),
                 ("flags", flags.into()),
@@ -290,12 +356,9 @@ impl PressureSystem {
                 Compaction::new(gpu, &kernels, flags, list, args, scratch, range, level)
             })
             .collect::<Result<Vec<_>, _>>()?;
-        // Sums of two levels end with a fixed number of partials, which the last entry holds.
-        let mut words = vec![0u32; args.len()];
-        words[4 * plan.len() + 3] = FOLD_THREADS as u32;
-        gpu.upload(args, &words);
-        let quads = plan.levels.iter().map(|level| level.quads).collect();
+        let quads = plan.levels[1..].iter().map(|level| level.quads).collect();
         Ok(PressureSystem {
+            clear_system,
             active_cells,
             coarsen,
             compact,
@@ -303,16 +366,13 @@ impl PressureSystem {
         })
     }
 
-    /// Clears what the stage writes; goes before [`PressureSystem::record`].
-    pub fn clear(recorder: &mut Recorder, buffers: &SolverBuffers) {
-        recorder.clear(&buffers.flags);
-        recorder.clear(&buffers.matrix.words);
-    }
-
-    /// Records the stage.
-    pub fn record(&self, pass: &mut Pass) {
-        pass.dispatch(&self.active_cells, self.quads[0]);
-        for (coarsen, &quads) in self.coarsen.iter().zip(&self.quads[1..]) {
+    /// Records the stage. `buffers` and `within`: those it was made with.
+    pub fn record(&self, pass: &mut Pass, buffers: &SolverBuffers, within: Within) {
+        for (level, clear_system) in self.clear_system.iter().enumerate() {
+            pass.dispatch_indirect(clear_system, &buffers.args, level);
+        }
+        pass.dispatch_indirect(&self.active_cells, within.args, 0);
+        for (coarsen, &quads) in self.coarsen.iter().zip(&self.quads) {
             pass.dispatch(coarsen, quads);
         }
         for compact in &self.compact {

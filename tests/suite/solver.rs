@@ -11,7 +11,9 @@ use cutwater::reference::{
     ActiveCells, Multigrid, RightHandSide, Stencil, active_cells, solve_direct,
 };
 use cutwater::scene::{Precision, Preconditioner, Solver};
-use cutwater::solver::{Components, Outcome, PressureSolver, PressureSystem, SolverBuffers};
+use cutwater::solver::{
+    Components, Everywhere, Outcome, PressureSolver, PressureSystem, SolverBuffers,
+};
 use cutwater::state::SolveStatus;
 
 use crate::common::{Random, gpu};
@@ -110,6 +112,7 @@ pub(crate) struct Device<'a> {
     velocity: Buffer<f32>,
     distance: Buffer<f32>,
     pub(crate) buffers: SolverBuffers,
+    everywhere: Everywhere,
     system: PressureSystem,
     components: Components,
     solver: Solver,
@@ -126,8 +129,12 @@ impl<'a> Device<'a> {
         let open = field("test.open", 3);
         let distance = field("test.liquid_distance", 1);
         let buffers = SolverBuffers::new(gpu, &grid, solver.precision).unwrap();
+        let everywhere = Everywhere::new(gpu, &grid).unwrap();
+        let within = everywhere.within();
+        let system = PressureSystem::new(gpu, &buffers, &open, &distance, within, THETA_FLOOR);
         Device {
-            system: PressureSystem::new(gpu, &buffers, &open, &distance, THETA_FLOOR).unwrap(),
+            system: system.unwrap(),
+            everywhere,
             components: Components::new(gpu, &buffers).unwrap(),
             velocity: field("test.velocity", 3),
             open,
@@ -186,8 +193,10 @@ impl<'a> Device<'a> {
         let Device { buffers, .. } = self;
         buffers.rhs.upload(self.gpu, &self.rhs);
         let mut recorder = Recorder::timed(self.gpu);
-        PressureSystem::clear(&mut recorder, buffers);
-        recorder.stage("active_cells", |pass| self.system.record(pass));
+        let within = self.everywhere.within();
+        recorder.stage("active_cells", |pass| {
+            self.system.record(pass, buffers, within)
+        });
         recorder.stage(Components::NAME, |pass| {
             self.components.label(pass, buffers);
             self.components.remove_means(pass);
@@ -580,6 +589,47 @@ fn hard_systems_have_the_twins_operators_and_solutions() {
             assert!(error <= bound, "{what}: {error:e} of {scale:e}");
             let repeated = device.solve();
             assert_eq!(repeated.potential, solved.potential, "{what}: bit for bit");
+        }
+    }
+}
+
+/// Only what the lists of the last system name is cleared, so systems with nothing, little and everything in common follow each
+/// other on the same buffers.
+#[test]
+fn an_earlier_system_leaves_nothing_behind() {
+    let Some(gpu) = gpu() else { return };
+    let cells = [21, 18, 13];
+    let pool = |height: usize| Case::new(cells, move |[_, j, _]| j < height).random_rhs(4);
+    let air = Case::new(cells, |_| false);
+    let column = Case::new(cells, |[i, _, k]| i > 15 && k > 7).random_rhs(6);
+    for precision in precisions(gpu) {
+        let mut used = Device::new(gpu, cells, &settings(precision));
+        for case in [
+            &pool(17),
+            &column,
+            &pool(3),
+            &air,
+            &scattered(cells, 0.3, 9).random_rhs(7),
+            &pool(18),
+            &column,
+        ] {
+            used.load(case);
+            let fresh = Device::holding(gpu, case, &settings(precision));
+            let [(used, device), (new, _)] = [(used.solve(), &used), (fresh.solve(), &fresh)];
+            let twin = case.twin().stencil;
+            let liquid = |solved: &Solved| -> Vec<f64> {
+                let cells = twin.active_cells().into_iter();
+                cells.map(|cell| solved.potential[cell]).collect()
+            };
+            assert_eq!(liquid(&used), liquid(&new), "{precision:?}: potential");
+            let words = |device: &Device| {
+                let SolverBuffers { flags, matrix, .. } = &device.buffers;
+                [flags, &matrix.words].map(|words| gpu.download(words).unwrap())
+            };
+            assert!(
+                words(device) == words(&fresh),
+                "{precision:?}: flags, matrix"
+            );
         }
     }
 }
