@@ -72,7 +72,7 @@ impl State {
     }
 }
 
-/// How a pressure solve ended. Anything but [`SolveStatus::Converged`] is told to the user.
+/// How a solve ended. Anything but [`SolveStatus::Converged`] is told to the user.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SolveStatus {
     /// The true residual passed: ||r|| <= tolerance ||b||, or below what rounding of the right-hand side leaves.
@@ -100,14 +100,14 @@ impl SolveStatus {
     }
 }
 
-/// What a pressure solve did. A zero right-hand side gives a zero answer, residual 0, status converged.
+/// What a solve did. A zero right-hand side gives a zero answer, residual 0, status converged.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SolveReport {
-    /// Active cells.
+    /// Active cells of the pressure solve, free components of node velocities of the solids'.
     pub unknowns: usize,
     /// PCG iterations, summed over all rounds; 0 for a direct solve.
     pub iterations: u32,
-    /// True relative residual ||b - B p|| / ||b||, evaluated in f64.
+    /// True residual over the right-hand side, evaluated in f64: ||b - B p|| / ||b||, or ||b - S v|| / ||b||.
     pub residual: f64,
     /// How it ended.
     pub status: SolveStatus,
@@ -141,6 +141,26 @@ pub struct StepReport {
     pub dt: f64,
     /// Whether the floor of the step length held it up.
     pub dt_floored: bool,
+    /// The liquid's part, where the scene has liquid.
+    pub liquid: Option<LiquidReport>,
+    /// The solids' part, where the scene has solids.
+    pub solid: Option<SolidReport>,
+    /// Wall-clock seconds of each stage, by its canonical noun, in order.
+    pub seconds: Vec<(&'static str, f64)>,
+}
+
+impl StepReport {
+    /// The solves of the sub-step: the pressure's, then the solids'.
+    pub fn solves(&self) -> impl Iterator<Item = SolveReport> {
+        let liquid = self.liquid.map(|liquid| liquid.solve);
+        let solid = self.solid.map(|solid| solid.solve);
+        liquid.into_iter().chain(solid)
+    }
+}
+
+/// What one sub-step did to the liquid.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LiquidReport {
     /// The pressure solve.
     pub solve: SolveReport,
     /// Liquid components without a free surface.
@@ -151,8 +171,15 @@ pub struct StepReport {
     pub markers: usize,
     /// Markers dropped in this sub-step because they could not be moved out of a solid.
     pub dropped: u64,
-    /// Wall-clock seconds of each stage, by its canonical noun, in order.
-    pub seconds: Vec<(&'static str, f64)>,
+}
+
+/// What one sub-step did to the solids.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SolidReport {
+    /// The solve for the velocities of the nodes.
+    pub solve: SolveReport,
+    /// Momentum, energies and the worst element after the sub-step.
+    pub diagnosis: SolidDiagnosis,
 }
 
 /// What the liquid amounts to at one moment.

@@ -65,14 +65,13 @@ impl Run {
             bar.set_length(progress.n_frames);
             bar.set_position(progress.frame);
             let report = progress.report;
-            let line = format!(
-                "t = {:.3} s, dt = {:.2e} s, {} unknowns, {} iterations, residual {:.0e}",
-                progress.time,
-                report.dt,
-                report.solve.unknowns,
-                report.solve.iterations,
-                report.solve.residual
-            );
+            let mut line = format!("t = {:.3} s, dt = {:.2e} s", progress.time, report.dt);
+            for solve in report.solves() {
+                line += &format!(
+                    ", {} unknowns, {} iterations, residual {:.0e}",
+                    solve.unknowns, solve.iterations, solve.residual
+                );
+            }
             if !terminal && progress.frame > last_frame {
                 println!("frame {} of {}: {line}", progress.frame, progress.n_frames);
                 last_frame = progress.frame;
@@ -87,18 +86,19 @@ impl Run {
                 eprintln!("what was written so far is in {}", out.display());
             }
         })?;
+        let volume = summary
+            .volume_ratio
+            .map_or(String::new(), |[least, largest]| {
+                let [least, largest] = [100.0 * least, 100.0 * largest];
+                format!("; volume {least:.1} % to {largest:.1} % of the start")
+            });
         println!(
-            "{} frames in {} sub-steps, {:.1} s; worst residual {:.1e}; volume {:.1} % to {:.1} % of the start",
-            summary.frames,
-            summary.steps,
-            summary.seconds,
-            summary.worst_residual,
-            100.0 * summary.volume_ratio[0],
-            100.0 * summary.volume_ratio[1],
+            "{} frames in {} sub-steps, {:.1} s; worst residual {:.1e}{volume}",
+            summary.frames, summary.steps, summary.seconds, summary.worst_residual,
         );
         if summary.missed > 0 {
             eprintln!(
-                "warning: {} of {} solves missed the tolerance of {:.0e}; steps.csv says which",
+                "warning: {} of {} sub-steps missed the tolerance of {:.0e}; steps.csv says which",
                 summary.missed, summary.steps, scene.solver.tolerance
             );
         }

@@ -18,7 +18,7 @@ use crate::gpu::{AdapterChoice, AdapterReport};
 use crate::scene::Scene;
 use crate::sim::{Backend, Simulation};
 use crate::stages::extrapolation_layers;
-use crate::state::StepReport;
+use crate::state::{LiquidReport, StepReport};
 
 use super::bandwidth::copy_bandwidth;
 use super::bench_solve::bytes_per_iterations;
@@ -211,6 +211,21 @@ struct Sample {
     report: StepReport,
 }
 
+impl Sample {
+    /// What the step did to the liquid, as a number; 0 without liquid.
+    fn of_liquid(&self, number: fn(LiquidReport) -> f64) -> f64 {
+        self.report.liquid.map_or(0.0, number)
+    }
+
+    fn unknowns(&self) -> f64 {
+        self.of_liquid(|liquid| liquid.solve.unknowns as f64)
+    }
+
+    fn iterations(&self) -> f64 {
+        self.of_liquid(|liquid| f64::from(liquid.solve.iterations))
+    }
+}
+
 impl Run {
     fn new(scene: &Scene, adapter: &AdapterChoice) -> Result<Run, Error> {
         Ok(Run {
@@ -275,14 +290,15 @@ impl Run {
         let last = self
             .samples
             .last()
-            .map_or(0, |sample| sample.report.markers);
+            .and_then(|sample| sample.report.liquid)
+            .map_or(0, |liquid| liquid.markers);
         let row = Row {
             scene: self.scene.name.clone(),
             cells: self.scene.grid().n_cells(),
             markers: last,
-            unknowns: median(&|sample| sample.report.solve.unknowns as f64),
+            unknowns: median(&Sample::unknowns),
             band_cells: median(&|sample| sample.band_cells as f64),
-            iterations: median(&|sample| f64::from(sample.report.solve.iterations)),
+            iterations: median(&Sample::iterations),
             sub_steps: self.samples.len(),
             seconds_median: seconds.median,
             seconds_min: seconds.min,
@@ -304,9 +320,9 @@ impl Run {
         // The coarser levels hold a seventh of the finest.
         let all_levels = padded * 8.0 / 7.0;
         let band = sample.band_cells as f64;
-        let unknowns = sample.report.solve.unknowns as f64;
+        let unknowns = sample.unknowns();
         let markers = if effects.markers {
-            sample.report.markers as f64
+            sample.of_liquid(|liquid| liquid.markers as f64)
         } else {
             0.0
         };
@@ -331,7 +347,7 @@ impl Run {
             "closed_components" => unknowns * (4.0 + 8.0 + 4.0 + 3.0),
             "right_hand_side" => unknowns * (12.0 + 12.0 + real + 2.0),
             "solve" => {
-                let iterations = f64::from(sample.report.solve.iterations);
+                let iterations = sample.iterations();
                 let iterations =
                     bytes_per_iterations(self.not_uniform, iterations, 2.0, [inner, real]);
                 unknowns * (real + iterations)

@@ -74,6 +74,9 @@ pub struct Meta {
     pub residual: f64,
 }
 
+/// Why a sub-step reports of the liquid.
+const LIQUID: &str = "the scene's liquid was asked for its density";
+
 /// A system, its answer (Pa), and how it came about.
 struct Solved {
     system: PressureSystem,
@@ -88,6 +91,7 @@ struct Solved {
 /// # Errors
 /// Whatever the simulation ends with, and [`Error::Output`].
 pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
+    let density = density(scene)?;
     let solved = match &options.backend {
         Backend::Gpu(choice) => on_gpu(scene, choice, options.step)?,
         Backend::Cpu => on_cpu(scene, options.step)?,
@@ -110,7 +114,7 @@ pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
         dt: solved.dt,
         dx: grid.dx,
         cells: grid.cells,
-        density: density(scene)?,
+        density,
         tolerance: scene.solver.tolerance,
         status: solved.status.name(),
         unknowns: cells.len(),
@@ -176,7 +180,7 @@ fn on_gpu(scene: &Scene, choice: &AdapterChoice, step: u64) -> Result<Solved, Er
         if let Some(snapshot) = solved {
             return Ok(Solved {
                 adapter: Some(path.gpu().report().name.clone()),
-                status: report.solve.status,
+                status: report.liquid.expect(LIQUID).solve.status,
                 ..stored(scene, &path, &snapshot, dt)?
             });
         }
@@ -224,7 +228,7 @@ fn on_cpu(scene: &Scene, step: u64) -> Result<Solved, Error> {
                 system,
                 pressure,
                 dt: time_step.dt,
-                status: report.solve.status,
+                status: report.liquid.expect(LIQUID).solve.status,
                 adapter: None,
             });
         }

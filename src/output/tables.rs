@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use crate::Error;
 use crate::scene::Probe;
-use crate::state::StepReport;
+use crate::state::{Diagnosis, LiquidReport, StepReport};
 
 /// A CSV file that grows by rows and is flushed once per frame.
 #[derive(Debug)]
@@ -58,8 +58,8 @@ pub struct StepRow<'a> {
     pub time: f64,
     /// What it did.
     pub report: &'a StepReport,
-    /// Liquid volume over the volume to hold.
-    pub volume_ratio: f64,
+    /// Liquid volume over the volume to hold, where there is liquid.
+    pub volume_ratio: Option<f64>,
 }
 
 /// steps.csv. Columns: [`StepTable::COLUMNS`], then `seconds_STAGE` of each stage of the first row.
@@ -71,7 +71,7 @@ pub struct StepTable {
 
 impl StepTable {
     /// Units: s, relative residual (f64, true), 1/s, m^3, kg m/s, J, m/s; `markers_dropped` in this sub-step;
-    /// `dt_floored` is 0 or 1; `status` of the solve is `converged` or what went wrong.
+    /// `dt_floored` is 0 or 1; `status` of the solve is `converged` or what went wrong. Of a liquid that is not there, nothing.
     pub const COLUMNS: [&'static str; 21] = [
         "step",
         "t",
@@ -129,29 +129,35 @@ impl StepTable {
             }
             Some(_) => {}
         }
-        let status = report.solve.status.name();
-        let diagnosis = &report.diagnosis;
         let real = |column: &str, value: f64| number(column, step, value);
+        // A column of what the scene does not have stays empty.
+        let liquid = report.liquid;
+        let text = |of: fn(LiquidReport) -> String| liquid.map_or(String::new(), of);
+        let diagnosis = liquid.map(|liquid| liquid.diagnosis);
+        let known = |column: &str, value: Option<f64>| {
+            value.map_or(Ok(String::new()), |value| number(column, step, value))
+        };
+        let diagnosed = |column: &str, of: fn(Diagnosis) -> f64| known(column, diagnosis.map(of));
         let mut fields = vec![
             step.to_string(),
             real("t", time)?,
             real("dt", report.dt)?,
-            report.solve.iterations.to_string(),
-            real("residual_p", report.solve.residual)?,
-            status.to_owned(),
-            report.solve.unknowns.to_string(),
-            real("divergence", diagnosis.divergence)?,
-            real("volume", diagnosis.volume)?,
-            real("volume_ratio", volume_ratio)?,
-            real("momentum_x", diagnosis.momentum[0])?,
-            real("momentum_y", diagnosis.momentum[1])?,
-            real("momentum_z", diagnosis.momentum[2])?,
-            real("kinetic_energy", diagnosis.kinetic_energy)?,
-            real("potential_energy", diagnosis.potential_energy)?,
-            real("max_speed", diagnosis.max_speed)?,
-            report.markers.to_string(),
-            report.dropped.to_string(),
-            report.closed_components.to_string(),
+            text(|liquid| liquid.solve.iterations.to_string()),
+            known("residual_p", liquid.map(|liquid| liquid.solve.residual))?,
+            text(|liquid| liquid.solve.status.name().to_owned()),
+            text(|liquid| liquid.solve.unknowns.to_string()),
+            diagnosed("divergence", |liquid| liquid.divergence)?,
+            diagnosed("volume", |liquid| liquid.volume)?,
+            known("volume_ratio", volume_ratio)?,
+            diagnosed("momentum_x", |liquid| liquid.momentum[0])?,
+            diagnosed("momentum_y", |liquid| liquid.momentum[1])?,
+            diagnosed("momentum_z", |liquid| liquid.momentum[2])?,
+            diagnosed("kinetic_energy", |liquid| liquid.kinetic_energy)?,
+            diagnosed("potential_energy", |liquid| liquid.potential_energy)?,
+            diagnosed("max_speed", |liquid| liquid.max_speed)?,
+            text(|liquid| liquid.markers.to_string()),
+            text(|liquid| liquid.dropped.to_string()),
+            text(|liquid| liquid.closed_components.to_string()),
             u8::from(report.dt_floored).to_string(),
             real(
                 "seconds_total",

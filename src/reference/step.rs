@@ -12,7 +12,7 @@ use crate::effects::Effects;
 use crate::geometry::CutCells;
 use crate::grid::{Axis, Grid};
 use crate::scene::{Liquid, Scene};
-use crate::state::{SolveStatus, State, StepReport};
+use crate::state::{LiquidReport, SolveStatus, State, StepReport};
 
 /// The simulator on the CPU in f64: a scene's settings and obstacles, and the state that its steps move on.
 #[derive(Clone, Debug)]
@@ -169,11 +169,14 @@ impl Reference {
         let report = StepReport {
             dt,
             dt_floored: floored,
-            solve,
-            closed_components: system.closed.len(),
-            diagnosis,
-            markers: markers.len(),
-            dropped,
+            liquid: Some(LiquidReport {
+                solve,
+                closed_components: system.closed.len(),
+                diagnosis,
+                markers: markers.len(),
+                dropped,
+            }),
+            solid: None,
             seconds: clock.laps,
         };
         let frames_per_second = scene.time.frames_per_second;

@@ -17,7 +17,7 @@ use crate::geometry::{self, CutCells};
 use crate::gpu::{AdapterChoice, AdapterReport, Gpu};
 use crate::reference::{self, Reference};
 use crate::scene::Scene;
-use crate::state::{SolveStatus, State, StepReport};
+use crate::state::{SolveReport, SolveStatus, State, StepReport};
 
 /// Where a simulation runs.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -106,18 +106,29 @@ impl Simulation {
                 path.step(time_step)?
             }
         };
-        match report.solve.status {
-            SolveStatus::Breakdown | SolveStatus::NonFinite => Err(Error::Stage {
-                stage: "solve",
-                step,
-                problem: format!(
-                    "the pressure solve ended with {} at a relative residual of {:.1e}",
-                    report.solve.status.name(),
-                    report.solve.residual
-                ),
-            }),
-            _ => Ok(report),
+        let solves = [
+            ("pressure", report.liquid.map(|liquid| liquid.solve)),
+            ("solid", report.solid.map(|solid| solid.solve)),
+        ];
+        for (name, solve) in solves {
+            if let Some(SolveReport {
+                status: status @ (SolveStatus::Breakdown | SolveStatus::NonFinite),
+                residual,
+                ..
+            }) = solve
+            {
+                let status = status.name();
+                let problem = format!(
+                    "the {name} solve ended with {status} at a relative residual of {residual:.1e}"
+                );
+                return Err(Error::Stage {
+                    stage: "solve",
+                    step,
+                    problem,
+                });
+            }
         }
+        Ok(report)
     }
 
     /// A host copy of the present moment.
@@ -154,17 +165,18 @@ impl Simulation {
         }
     }
 
-    /// Liquid volume of a sub-step over the volume at the start; 1 where there was none.
-    pub fn volume_ratio(&self, report: &StepReport) -> f64 {
+    /// Liquid volume of a sub-step over the volume at the start; 1 where there was none. Nothing without liquid.
+    pub fn volume_ratio(&self, report: &StepReport) -> Option<f64> {
+        let liquid = report.liquid?;
         let volume_0 = match &self.path {
             Path::Gpu(path) => path.head.volume_0,
             Path::Cpu(path) => path.state().volume_0,
         };
-        if volume_0 > 0.0 {
-            report.diagnosis.volume / volume_0
+        Some(if volume_0 > 0.0 {
+            liquid.diagnosis.volume / volume_0
         } else {
             1.0
-        }
+        })
     }
 
     /// The obstacles' cut cells.

@@ -51,12 +51,12 @@ pub struct Summary {
     pub steps: u64,
     /// Wall-clock seconds.
     pub seconds: f64,
-    /// Sub-steps whose solve missed its tolerance, and the worst residual among them.
+    /// Sub-steps with a solve that missed its tolerance.
     pub missed: u64,
     /// Largest true relative residual of all solves.
     pub worst_residual: f64,
-    /// Least and largest liquid volume over the volume at the start.
-    pub volume_ratio: [f64; 2],
+    /// Least and largest liquid volume over the volume at the start, where there is liquid.
+    pub volume_ratio: Option<[f64; 2]>,
     /// Sub-steps held up by the floor of the step length.
     pub floored: u64,
 }
@@ -165,7 +165,7 @@ fn frames(
         seconds: 0.0,
         missed: 0,
         worst_residual: 0.0,
-        volume_ratio: [1.0; 2],
+        volume_ratio: scene.liquid.as_ref().map(|_| [1.0; 2]),
         floored: 0,
     };
     while simulation.clock().frame < n_frames {
@@ -184,10 +184,18 @@ fn frames(
             table.push(clock.step - 1, clock.time, &simulation.probes()?)?;
         }
         summary.steps += 1;
-        summary.missed += u64::from(report.solve.status != SolveStatus::Converged);
-        summary.worst_residual = summary.worst_residual.max(report.solve.residual);
-        summary.volume_ratio[0] = summary.volume_ratio[0].min(volume_ratio);
-        summary.volume_ratio[1] = summary.volume_ratio[1].max(volume_ratio);
+        summary.missed += u64::from(
+            report
+                .solves()
+                .any(|solve| solve.status != SolveStatus::Converged),
+        );
+        for solve in report.solves() {
+            summary.worst_residual = summary.worst_residual.max(solve.residual);
+        }
+        if let (Some([least, largest]), Some(ratio)) = (&mut summary.volume_ratio, volume_ratio) {
+            *least = least.min(ratio);
+            *largest = largest.max(ratio);
+        }
         summary.floored += u64::from(report.dt_floored);
         if clock.frame > before {
             summary.frames += 1;

@@ -8,7 +8,7 @@ use crate::stages::{
     AdvectMarkers, AdvectVelocity, Band, Diagnose, Extrapolate, Forces, LiquidDistance, Report,
     RightHandSide, WriteBack,
 };
-use crate::state::{SolveReport, StepReport};
+use crate::state::{LiquidReport, SolveReport, StepReport};
 
 use super::gpu_path::{GpuPath, active, within};
 
@@ -157,16 +157,19 @@ impl GpuPath {
         StepReport {
             dt,
             dt_floored: floored,
-            solve: SolveReport {
-                unknowns: outcome.unknowns as usize,
-                iterations: outcome.iterations,
-                residual: outcome.residual,
-                status: outcome.status,
-            },
-            closed_components: outcome.closed_components as usize,
-            diagnosis: report.diagnosis,
-            markers: self.n_markers - dropped_now as usize,
-            dropped,
+            liquid: Some(LiquidReport {
+                solve: SolveReport {
+                    unknowns: outcome.unknowns as usize,
+                    iterations: outcome.iterations,
+                    residual: outcome.residual,
+                    status: outcome.status,
+                },
+                closed_components: outcome.closed_components as usize,
+                diagnosis: report.diagnosis,
+                markers: self.n_markers - dropped_now as usize,
+                dropped,
+            }),
+            solid: None,
             seconds: by_stage(&seconds),
         }
     }

@@ -15,7 +15,7 @@ use cutwater::output::manifest::{AdapterRecord, Manifest, RunOptions, RunStatus}
 use cutwater::output::preview::{PreviewOptions, preview};
 use cutwater::output::tables::{ProbeTable, StepRow, StepTable};
 use cutwater::scene::{self, Probe, ProbeKind, Scene};
-use cutwater::state::{Diagnosis, SolveReport, SolveStatus, State, StepReport};
+use cutwater::state::{Diagnosis, LiquidReport, SolveReport, SolveStatus, State, StepReport};
 use glam::DVec3;
 use serde_json::Value;
 
@@ -402,27 +402,30 @@ fn report(step: u32) -> StepReport {
     StepReport {
         dt: 1e-3 / 3.0 + 1e-9 * x,
         dt_floored: step == 1,
-        solve: SolveReport {
-            unknowns: 12_345,
-            iterations: 17,
-            residual: 3.3e-9,
-            status: if step == 2 {
-                SolveStatus::IterationLimit
-            } else {
-                SolveStatus::Converged
+        liquid: Some(LiquidReport {
+            solve: SolveReport {
+                unknowns: 12_345,
+                iterations: 17,
+                residual: 3.3e-9,
+                status: if step == 2 {
+                    SolveStatus::IterationLimit
+                } else {
+                    SolveStatus::Converged
+                },
             },
-        },
-        closed_components: 1,
-        diagnosis: Diagnosis {
-            volume: 0.1 + x,
-            momentum: [1.0 / 3.0, -2e-17, 3e20],
-            kinetic_energy: 5.5,
-            potential_energy: -6.5,
-            max_speed: 7.25,
-            divergence: 1e-11,
-        },
-        markers: 4000,
-        dropped: 2,
+            closed_components: 1,
+            diagnosis: Diagnosis {
+                volume: 0.1 + x,
+                momentum: [1.0 / 3.0, -2e-17, 3e20],
+                kinetic_energy: 5.5,
+                potential_energy: -6.5,
+                max_speed: 7.25,
+                divergence: 1e-11,
+            },
+            markers: 4000,
+            dropped: 2,
+        }),
+        solid: None,
         seconds: vec![("advect_markers", 0.25), ("solve", 0.5 + x)],
     }
 }
@@ -437,7 +440,7 @@ fn tables_read_back_exactly() {
             step: step.into(),
             time: f64::from(step + 1) / 3.0,
             report: &report,
-            volume_ratio: 0.999,
+            volume_ratio: Some(0.999),
         };
         steps.push(&row).unwrap();
     }
@@ -462,13 +465,17 @@ fn tables_read_back_exactly() {
         let StepReport {
             dt,
             dt_floored,
+            liquid,
+            solid: _,
+            seconds,
+        } = report(step);
+        let LiquidReport {
             solve,
             closed_components,
             diagnosis,
             markers,
             dropped,
-            seconds,
-        } = report(step);
+        } = liquid.unwrap();
         assert_eq!(number("step"), f64::from(step));
         assert_eq!(number("t"), f64::from(step + 1) / 3.0);
         assert_eq!(number("dt"), dt);
@@ -540,7 +547,7 @@ fn tables_refuse_what_is_not_finite_and_changing_stages() {
             step: 3,
             time: 0.0,
             report,
-            volume_ratio: 1.0,
+            volume_ratio: Some(1.0),
         })
     };
     push(&mut steps, &report).unwrap();
@@ -548,7 +555,7 @@ fn tables_refuse_what_is_not_finite_and_changing_stages() {
     let error = push(&mut steps, &report).unwrap_err();
     assert!(error.to_string().contains("advect_markers"), "{error}");
     report = self::report(1);
-    report.diagnosis.kinetic_energy = f64::NAN;
+    report.liquid.as_mut().unwrap().diagnosis.kinetic_energy = f64::NAN;
     let error = push(&mut steps, &report).unwrap_err();
     assert!(
         matches!(error, Error::Stage { step: 3, .. })

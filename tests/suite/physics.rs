@@ -25,10 +25,11 @@ fn water_at_rest_stays_at_rest_on_the_gpu() {
         let mut simulation = simulation(&scene);
         for number in 0..20 {
             let report = simulation.step().unwrap();
+            let liquid = report.liquid.unwrap();
             let bound = f64::max(10.0 * scene.solver.tolerance, 2e-6) * GRAVITY * report.dt;
-            let speed = report.diagnosis.max_speed;
+            let speed = liquid.diagnosis.max_speed;
             assert!(
-                report.solve.unknowns > 0 && speed <= bound,
+                liquid.solve.unknowns > 0 && speed <= bound,
                 "{name}, step {number}: {speed:e} m/s, allowed {bound:e}: {report:?}"
             );
         }
@@ -45,10 +46,11 @@ fn a_full_container_rests_on_the_gpu_and_is_closed() {
     for rest in [pool(2.0), pool(2.0) + sphere] {
         let mut simulation = simulation(&scene([12, 12, 12], &rest));
         let report = simulation.step().unwrap();
-        assert_eq!(report.closed_components, 1, "{report:?}");
-        assert_eq!(report.solve.status, SolveStatus::Converged, "{report:?}");
+        let liquid = report.liquid.unwrap();
+        assert_eq!(liquid.closed_components, 1, "{report:?}");
+        assert_eq!(liquid.solve.status, SolveStatus::Converged, "{report:?}");
         let bound = 2e-6 * GRAVITY * report.dt;
-        assert!(report.diagnosis.max_speed <= bound, "{report:?}");
+        assert!(liquid.diagnosis.max_speed <= bound, "{report:?}");
     }
 }
 
@@ -75,8 +77,9 @@ fn run(simulation: &mut Simulation, n_frames: u64) -> (State, [f64; 2]) {
     let mut volume = [1.0_f64; 2];
     while simulation.clock().frame < n_frames {
         let report = simulation.step().unwrap();
-        assert_eq!(report.solve.status, SolveStatus::Converged, "{report:?}");
-        let ratio = simulation.volume_ratio(&report);
+        let liquid = report.liquid.unwrap();
+        assert_eq!(liquid.solve.status, SolveStatus::Converged, "{report:?}");
+        let ratio = simulation.volume_ratio(&report).unwrap();
         volume = [volume[0].min(ratio), volume[1].max(ratio)];
     }
     (simulation.state().unwrap(), volume)
