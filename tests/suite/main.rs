@@ -25,6 +25,7 @@ mod shaders;
 mod solid_buffers;
 mod solid_case;
 mod solver;
+mod tet_mesh;
 mod twin_advect_markers;
 mod twin_advect_velocity;
 mod twin_diagnose;
