@@ -3,7 +3,7 @@
 use crate::grid::{Axis, Grid};
 
 /// Everything the next step reads, in f64 on the host. Values that come from the device are f32 and widen exactly.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct State {
     /// Simulated time, s.
     pub time: f64,

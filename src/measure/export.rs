@@ -21,7 +21,7 @@ use crate::linalg::{Csr, Symmetry, norm, write_matrix, write_vector};
 use crate::output::write_atomically;
 use crate::reference::{PressureSystem, Reference, right_hand_side};
 use crate::scene::Scene;
-use crate::sim::{Backend, GpuPath, Snapshot};
+use crate::sim::{Backend, GpuPath, LiquidSnapshot};
 use crate::state::SolveStatus;
 
 /// What to export.
@@ -173,7 +173,7 @@ fn on_gpu(scene: &Scene, choice: &AdapterChoice, step: u64) -> Result<Solved, Er
         let mut solved = None;
         let report = path.step_observed(&mut |stage, path| {
             if wanted && stage == "solve" {
-                solved = Some(path.snapshot()?);
+                solved = path.snapshot()?.liquid;
             }
             Ok(())
         })?;
@@ -188,7 +188,12 @@ fn on_gpu(scene: &Scene, choice: &AdapterChoice, step: u64) -> Result<Solved, Er
 }
 
 /// The system in the device's memory, in SI units.
-fn stored(scene: &Scene, path: &GpuPath, snapshot: &Snapshot, dt: f64) -> Result<Solved, Error> {
+fn stored(
+    scene: &Scene,
+    path: &GpuPath,
+    snapshot: &LiquidSnapshot,
+    dt: f64,
+) -> Result<Solved, Error> {
     let grid = scene.grid();
     let (area, density) = (grid.dx * grid.dx, density(scene)?);
     let active = snapshot.active_cells(&grid);

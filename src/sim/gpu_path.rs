@@ -1,19 +1,17 @@
-//! The GPU path of a simulation: buffers, stages and solver of one scene on one device, and what the host keeps of its state.
+//! The GPU path of a simulation: one scene on one device, and what the host keeps of its state.
 
 use crate::Error;
-use crate::effects::Effects;
 use crate::geometry::{self, CutCells};
-use crate::gpu::{AdapterChoice, CompactKernels, Gpu, Readback, Real};
+use crate::gpu::{AdapterChoice, Gpu, Real};
 use crate::grid::Grid;
 use crate::reference::{self, TimeStep, time_step};
 use crate::scene::Scene;
-use crate::solver::{Components, PressureSolver, PressureSystem, SolverBuffers, Within};
-use crate::stages::{
-    Active, AdvectMarkers, AdvectVelocity, Band, Diagnose, Extrapolate, Forces, LiquidBuffers,
-    LiquidDistance, LiquidPlan, Probe, Report, RightHandSide, Step, Volume, WriteBack,
-};
+use crate::solver;
+use crate::stages::Step;
 use crate::state::State;
 
+use super::gpu_liquid::GpuLiquid;
+use super::step::Readbacks;
 use super::{Clock, Plan};
 
 /// A scene on the device.
@@ -23,47 +21,11 @@ pub struct GpuPath {
     pub(super) scene: Scene,
     pub(super) grid: Grid,
     pub(super) cut: CutCells,
-    /// Everything of the state but its fields, which are on the device.
+    /// The clock of the state; its fields are on the device.
     pub(super) head: State,
-    pub(super) n_markers: usize,
-    pub(super) max_speed: f64,
-    pub(super) liquid: LiquidBuffers,
-    pub(super) solver: SolverBuffers,
-    pub(super) stages: Stages,
+    pub(super) liquid: Option<GpuLiquid>,
     /// Taken while a step runs.
-    pub(super) report: Option<Readback<u32>>,
-}
-
-/// The kernels of a step, in its order. Those of an absent effect are absent.
-#[derive(Debug)]
-pub(super) struct Stages {
-    pub(super) advect_markers: Option<AdvectMarkers>,
-    pub(super) band: Band,
-    pub(super) advect_velocity: AdvectVelocity,
-    pub(super) forces: Forces,
-    pub(super) liquid_distance: Option<LiquidDistance>,
-    /// With a fixed surface, whose volume `liquid_distance` would have measured.
-    pub(super) volume: Option<Volume>,
-    pub(super) active_cells: PressureSystem,
-    pub(super) closed_components: Components,
-    pub(super) right_hand_side: RightHandSide,
-    pub(super) solve: PressureSolver,
-    pub(super) write_back: WriteBack,
-    pub(super) extrapolate: Extrapolate,
-    pub(super) diagnose: Diagnose,
-    /// With its read-back.
-    pub(super) probe: Option<(Probe, Readback<u32>)>,
-}
-
-/// What decides the sizes of all buffers of a scene on an adapter with or without f64.
-pub(super) fn liquid_plan(scene: &Scene, n_markers: usize, f64: bool) -> LiquidPlan {
-    LiquidPlan {
-        grid: scene.grid(),
-        effects: Effects::of(scene),
-        n_markers,
-        cfl: scene.time.cfl,
-        real: if f64 { Real::F64 } else { Real::F32 },
-    }
+    pub(super) readbacks: Option<Readbacks>,
 }
 
 impl GpuPath {
@@ -79,36 +41,18 @@ impl GpuPath {
         let cut = geometry::cut_cells(scene, &grid)?;
         let mut state = geometry::initial_state(scene, &grid, &cut)?;
         reference::prepare(scene, &grid, &cut, &mut state);
-        GpuPath::new(scene, cut, state, gpu)
-    }
-
-    /// Uploads a prepared state.
-    pub(super) fn new(
-        scene: &Scene,
-        cut: CutCells,
-        state: State,
-        gpu: Gpu,
-    ) -> Result<GpuPath, Error> {
-        let grid = scene.grid();
-        let effects = Effects::of(scene);
-        let plan = liquid_plan(scene, state.markers.len(), gpu.has_f64());
-        let liquid = LiquidBuffers::new(&gpu, plan)?;
-        let solver = SolverBuffers::new(&gpu, &grid, scene.solver.precision)?;
-        let stages = Stages::new(&gpu, scene, &effects, &liquid, &solver)?;
-        let report = Some(Readback::new(&gpu, "liquid.report", Report::WORDS)?);
-        liquid.write_cut_cells(&gpu, &cut);
+        let liquid = GpuLiquid::new(&gpu, scene, &cut, state.markers.len())?;
+        let readbacks = Some(Readbacks {
+            liquid: GpuLiquid::readback(&gpu, scene)?,
+        });
         let mut path = GpuPath {
             gpu,
             scene: scene.clone(),
             grid,
             cut,
-            n_markers: 0,
-            max_speed: 0.0,
             head: State::at_rest(&grid),
             liquid,
-            solver,
-            stages,
-            report,
+            readbacks,
         };
         path.write_state(&state)?;
         Ok(path)
@@ -119,28 +63,16 @@ impl GpuPath {
     /// # Errors
     /// [`Error::Gpu`] when the device fails.
     pub fn write_state(&mut self, state: &State) -> Result<(), Error> {
-        self.n_markers = state.markers.len();
-        self.max_speed = reference::max_speed(&state.velocity);
-        self.liquid.write_state(&self.gpu, state);
         self.head = State {
-            velocity: Default::default(),
-            markers: Vec::new(),
-            pressure: Vec::new(),
-            liquid_distance: Vec::new(),
-            active: Vec::new(),
-            displacement: Vec::new(),
-            node_velocity: Vec::new(),
-            ..*state
+            time: state.time,
+            step: state.step,
+            frame: state.frame,
+            dt_last: state.dt_last,
+            ..State::default()
         };
-        self.write_step(0.0);
-        if self.stages.advect_markers.is_none() {
-            // The liquid stays where it is, and so do the band and the volume.
-            let mut recorder = crate::gpu::Recorder::new(&self.gpu);
-            self.stages.band.record(&mut recorder);
-            if let Some(volume) = &self.stages.volume {
-                volume.record(&mut recorder);
-            }
-            recorder.submit();
+        if let Some(liquid) = &mut self.liquid {
+            let step = liquid.step_numbers(&self.scene, 0.0);
+            liquid.write_state(&self.gpu, state, step);
         }
         self.gpu.wait("the initial state")
     }
@@ -148,49 +80,17 @@ impl GpuPath {
     /// A host copy of the present moment.
     pub(super) fn state(&self) -> Result<State, Error> {
         let mut state = self.head.clone();
-        self.liquid
-            .read_state(&self.gpu, self.n_markers, &mut state)?;
-        let padded = self.grid.padded();
-        let flags = self.gpu.download(&self.solver.flags)?;
-        let lane = |ix: usize| flags[ix / 4] >> (ix % 4) & 1 == 1;
-        let active: Vec<bool> = (0..padded.len()).map(lane).collect();
-        let mut potential = self.solver.potential.download(&self.gpu)?;
-        for (potential, _) in potential
-            .iter_mut()
-            .zip(&active)
-            .filter(|(_, active)| !**active)
-        {
-            *potential = 0.0;
+        if let Some(liquid) = &self.liquid {
+            liquid.read_state(&self.gpu, &self.grid, self.head.dt_last, &mut state)?;
         }
-        let pascal = self.pressure_scale();
-        state.pressure = padded.unpad(self.grid.cells, &potential, |potential| pascal * potential);
-        state.active = padded.unpad(self.grid.cells, &active, |active| active);
         Ok(state)
     }
 
     /// The values of the scene's probes, all columns in order.
     pub(super) fn probes(&mut self) -> Result<Vec<f64>, Error> {
-        let Some((probe, readback)) = &mut self.stages.probe else {
-            return Ok(Vec::new());
-        };
-        let mut recorder = crate::gpu::Recorder::new(&self.gpu);
-        probe.record(&mut recorder, &active(&self.solver));
-        recorder.read(&probe.values, readback);
-        recorder.submit();
-        Ok(probe.columns(&readback.wait(&self.gpu)?))
-    }
-
-    /// Pa per m/s of potential: rho dx / dt.
-    fn pressure_scale(&self) -> f64 {
-        let density = self
-            .scene
-            .liquid
-            .as_ref()
-            .map_or(0.0, |liquid| liquid.density);
-        if self.head.dt_last > 0.0 {
-            density * self.grid.dx / self.head.dt_last
-        } else {
-            0.0
+        match &mut self.liquid {
+            Some(liquid) => liquid.probes(&self.gpu),
+            None => Ok(Vec::new()),
         }
     }
 
@@ -199,10 +99,11 @@ impl GpuPath {
         let Scene { time, domain, .. } = &self.scene;
         let fall = (domain.gravity.length() * self.grid.dx).sqrt();
         let left = self.head.time_left(time.frames_per_second);
+        let max_speed = self.liquid.iter().map(|liquid| liquid.max_speed);
         time_step(
             time,
             self.grid.dx,
-            self.max_speed,
+            max_speed.fold(0.0, f64::max),
             fall,
             left,
             self.head.dt_last,
@@ -211,36 +112,16 @@ impl GpuPath {
 
     /// Tells the kernels the length of the sub-step.
     pub(super) fn write_step(&self, dt: f64) {
-        self.gpu.upload(&self.liquid.step, &[self.step_numbers(dt)]);
+        if let Some(liquid) = &self.liquid {
+            let step = liquid.step_numbers(&self.scene, dt);
+            self.gpu.upload(&liquid.buffers.step, &[step]);
+        }
     }
 
-    /// What the kernels know of a sub-step of dt (s).
-    pub fn step_numbers(&self, dt: f64) -> Step {
-        let Scene {
-            time,
-            domain,
-            liquid,
-            solver,
-            ..
-        } = &self.scene;
-        Step {
-            gravity: domain.gravity.as_vec3().to_array(),
-            dt: dt as f32,
-            size: self.grid.size().as_vec3().to_array(),
-            dx: self.grid.dx as f32,
-            inv_dx: (1.0 / self.grid.dx) as f32,
-            frame: (1.0 / time.frames_per_second) as f32,
-            volume_0: if self.liquid.plan.effects.volume_control {
-                self.head.volume_0 as f32
-            } else {
-                0.0
-            },
-            density: liquid.as_ref().map_or(0.0, |liquid| liquid.density) as f32,
-            marker_radius: liquid.as_ref().map_or(0.0, |liquid| liquid.marker_radius) as f32,
-            theta_floor: solver.theta_floor as f32,
-            n_markers: self.n_markers as u32,
-            spare: 0,
-        }
+    /// What the kernels of the liquid know of a sub-step of dt (s); `None` without liquid.
+    pub fn step_numbers(&self, dt: f64) -> Option<Step> {
+        let liquid = self.liquid.as_ref()?;
+        Some(liquid.step_numbers(&self.scene, dt))
     }
 
     /// Whether a sub-step of this length ends a frame.
@@ -265,7 +146,10 @@ impl GpuPath {
     /// # Errors
     /// [`Error::Gpu`] when the device fails.
     pub fn band_cells(&self) -> Result<usize, Error> {
-        let args = self.gpu.download(&self.liquid.band_args)?;
+        let Some(liquid) = &self.liquid else {
+            return Ok(0);
+        };
+        let args = self.gpu.download(&liquid.buffers.band_args)?;
         Ok(4 * args[3] as usize)
     }
 
@@ -274,7 +158,10 @@ impl GpuPath {
     /// # Errors
     /// [`Error::Gpu`] when the device fails.
     pub fn share_not_uniform(&self) -> Result<f64, Error> {
-        let flags = self.gpu.download(&self.solver.flags)?;
+        let Some(liquid) = &self.liquid else {
+            return Ok(0.0);
+        };
+        let flags = self.gpu.download(&liquid.solver.flags)?;
         let active = flags[..self.grid.padded().quads]
             .iter()
             .filter(|&&flag| flag != 0);
@@ -288,88 +175,12 @@ impl GpuPath {
 
     /// Bytes of a scalar of the solve's unknowns, and of its corrections.
     pub fn scalar_bytes(&self) -> [usize; 2] {
-        let variant = self.solver.variant;
+        let variant = solver::variant(self.gpu.has_f64(), self.scene.solver.precision);
         [variant.real, variant.inner].map(Real::bytes)
     }
 
     /// The device.
     pub fn gpu(&self) -> &Gpu {
         &self.gpu
-    }
-}
-
-impl Stages {
-    fn new(
-        gpu: &Gpu,
-        scene: &Scene,
-        effects: &Effects,
-        liquid: &LiquidBuffers,
-        solver: &SolverBuffers,
-    ) -> Result<Stages, Error> {
-        let active = active(solver);
-        let compact = CompactKernels::new(gpu)?;
-        let theta_floor = scene.solver.theta_floor;
-        let active_cells = PressureSystem::new(
-            gpu,
-            solver,
-            &liquid.open,
-            &liquid.liquid_distance,
-            within(liquid),
-            theta_floor,
-        )?;
-        let solve = PressureSolver::new(
-            gpu,
-            solver,
-            &liquid.velocity_next,
-            &liquid.open,
-            &scene.solver,
-        )?;
-        let probe = || {
-            let kinds = scene.probes.iter().map(|probe| &probe.kind);
-            let probe = Probe::new(gpu, liquid, &active, &solver.potential, kinds)?;
-            let readback = Readback::new(gpu, "probe.values", probe.values.len())?;
-            Ok::<_, Error>((probe, readback))
-        };
-        Ok(Stages {
-            advect_markers: effects
-                .markers
-                .then(|| AdvectMarkers::new(gpu, liquid))
-                .transpose()?,
-            band: Band::new(gpu, &compact, liquid)?,
-            advect_velocity: AdvectVelocity::new(gpu, liquid)?,
-            forces: Forces::new(gpu, liquid)?,
-            liquid_distance: effects
-                .markers
-                .then(|| LiquidDistance::new(gpu, liquid))
-                .transpose()?,
-            volume: (!effects.markers)
-                .then(|| Volume::new(gpu, liquid))
-                .transpose()?,
-            active_cells,
-            closed_components: Components::new(gpu, solver)?,
-            right_hand_side: RightHandSide::new(gpu, liquid, &active, &solver.rhs)?,
-            solve,
-            write_back: WriteBack::new(gpu, liquid, &active, &solver.potential)?,
-            extrapolate: Extrapolate::new(gpu, liquid)?,
-            diagnose: Diagnose::new(gpu, liquid, &active)?,
-            probe: effects.probes.then(probe).transpose()?,
-        })
-    }
-}
-
-/// Where the solver looks for liquid.
-pub(super) fn within(liquid: &LiquidBuffers) -> Within<'_> {
-    Within {
-        list: &liquid.band_list,
-        args: &liquid.band_args,
-    }
-}
-
-/// The solver's lists as the stages read them.
-pub(super) fn active(solver: &SolverBuffers) -> Active<'_> {
-    Active {
-        flags: &solver.flags,
-        list: &solver.list,
-        args: &solver.args,
     }
 }

@@ -1,5 +1,6 @@
 //! The simulation: a scene on the GPU or on the f64 CPU path, one sub-step after another, and the run loop.
 
+mod gpu_liquid;
 mod gpu_path;
 mod plan;
 mod run;
@@ -9,7 +10,7 @@ mod step;
 pub use gpu_path::GpuPath;
 pub use plan::{EffectLine, Plan, StagePlan};
 pub use run::{Options, Progress, Summary, run};
-pub use snapshot::Snapshot;
+pub use snapshot::{LiquidSnapshot, Snapshot};
 pub use step::Observer;
 
 use crate::Error;
@@ -169,7 +170,7 @@ impl Simulation {
     pub fn volume_ratio(&self, report: &StepReport) -> Option<f64> {
         let liquid = report.liquid?;
         let volume_0 = match &self.path {
-            Path::Gpu(path) => path.head.volume_0,
+            Path::Gpu(path) => path.liquid.as_ref().map_or(0.0, |liquid| liquid.volume_0),
             Path::Cpu(path) => path.state().volume_0,
         };
         Some(if volume_0 > 0.0 {

@@ -10,7 +10,7 @@ use crate::scene::{self, Precision, Preconditioner, ProbeKind, Scene};
 use crate::solver::{self, LevelPlan, SolverBuffers};
 use crate::stages::{Probe, extrapolation_layers};
 
-use super::gpu_path::liquid_plan;
+use super::gpu_liquid::liquid_plan;
 
 /// Labels of the buffers that grow with the markers and not with the grid.
 const PER_MARKER: [&str; 1] = ["liquid.markers"];

@@ -1,16 +1,24 @@
 //! What the device holds between two stages: for comparisons with the f64 path, and for export.
 
 use crate::Error;
-use crate::gpu::{Buffer, Real};
+use crate::gpu::{Buffer, Gpu, Real};
 use crate::grid::{Axis, Grid};
 use crate::reference::{ActiveCells, Stencil};
 use crate::stages::Report;
 
 use super::GpuPath;
+use super::gpu_liquid::GpuLiquid;
 
-/// All that stages hand to each other, widened to f64, host layout.
+/// All that stages hand to each other, widened to f64.
 #[derive(Clone, Debug)]
 pub struct Snapshot {
+    /// Of the liquid, where the scene has one.
+    pub liquid: Option<LiquidSnapshot>,
+}
+
+/// What the stages of the liquid hand to each other, host layout.
+#[derive(Clone, Debug)]
+pub struct LiquidSnapshot {
     /// Marker positions, m; `None` for a dropped one.
     pub markers: Vec<Option<[f64; 3]>>,
     /// Face velocities, m/s.
@@ -51,10 +59,18 @@ impl GpuPath {
     /// # Errors
     /// [`Error::Gpu`] when the device fails.
     pub fn snapshot(&self) -> Result<Snapshot, Error> {
-        let GpuPath {
-            gpu,
-            grid,
-            liquid,
+        let liquid = self.liquid.as_ref();
+        let liquid = liquid.map(|liquid| liquid.snapshot(&self.gpu, &self.grid));
+        Ok(Snapshot {
+            liquid: liquid.transpose()?,
+        })
+    }
+}
+
+impl GpuLiquid {
+    fn snapshot(&self, gpu: &Gpu, grid: &Grid) -> Result<LiquidSnapshot, Error> {
+        let GpuLiquid {
+            buffers: liquid,
             solver,
             ..
         } = self;
@@ -97,7 +113,7 @@ impl GpuPath {
                 .collect(),
         };
         let distance = gpu.download(&liquid.liquid_distance)?;
-        Ok(Snapshot {
+        Ok(LiquidSnapshot {
             markers,
             velocity: liquid.read_faces(gpu, &liquid.velocity)?,
             velocity_next: liquid.read_faces(gpu, &liquid.velocity_next)?,
@@ -119,7 +135,7 @@ impl GpuPath {
     }
 }
 
-impl Snapshot {
+impl LiquidSnapshot {
     /// The stored matrix, and its components without a free surface as the f64 path finds them.
     pub fn active_cells(&self, grid: &Grid) -> ActiveCells {
         ActiveCells::new(Stencil::new(

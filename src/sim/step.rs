@@ -8,17 +8,24 @@ use crate::stages::{
     AdvectMarkers, AdvectVelocity, Band, Diagnose, Extrapolate, Forces, LiquidDistance, Report,
     RightHandSide, WriteBack,
 };
-use crate::state::{LiquidReport, SolveReport, StepReport};
+use crate::state::{SolveReport, StepReport};
 
-use super::gpu_path::{GpuPath, active, within};
+use super::gpu_liquid::{GpuLiquid, active, within};
+use super::gpu_path::GpuPath;
 
 /// Hears of every stage once its results are on the device.
 pub type Observer<'a> = &'a mut dyn FnMut(&'static str, &GpuPath) -> Result<(), Error>;
 
+/// Where the reports of a sub-step arrive. Taken from the path while it runs.
+#[derive(Debug)]
+pub(super) struct Readbacks {
+    pub(super) liquid: Option<Readback<u32>>,
+}
+
 /// What the device tells of a sub-step.
+#[derive(Default)]
 struct Told {
-    outcome: Outcome,
-    report: Report,
+    liquid: Option<(Outcome, Report)>,
     seconds: StageTimes,
 }
 
@@ -37,85 +44,117 @@ impl GpuPath {
         time_step: TimeStep,
         observer: Option<Observer>,
     ) -> Result<StepReport, Error> {
-        let mut readback = self
-            .report
+        let mut readbacks = self
+            .readbacks
             .take()
-            .expect("the read-back comes back after every step");
-        let told = self.stages_of(time_step.dt, &mut readback, observer);
-        self.report = Some(readback);
+            .expect("the read-backs come back after every step");
+        let told = self.stages_of(time_step.dt, &mut readbacks, observer);
+        self.readbacks = Some(readbacks);
         Ok(self.finish(time_step, told?))
     }
 
-    /// Two waits: for the verdict of the solve, and for the report.
+    /// Two waits: for the verdict of the solve, and for the reports.
     fn stages_of(
         &self,
         dt: f64,
-        readback: &mut Readback<u32>,
+        readbacks: &mut Readbacks,
         observer: Option<Observer>,
     ) -> Result<Told, Error> {
         self.write_step(dt);
-        let GpuPath {
-            gpu,
-            liquid,
-            solver,
-            stages,
-            ..
-        } = self;
-        let active = active(solver);
+        let GpuPath { gpu, liquid, .. } = self;
+        let liquid = liquid.as_ref();
+        let mut told = Told::default();
         let mut watch = Watch {
             path: self,
             observer,
         };
 
         let mut to = Recorder::timed(gpu);
-        if let Some(advect_markers) = &stages.advect_markers {
-            advect_markers.record(&mut to);
-            to = watch.after(AdvectMarkers::NAME, to)?;
-            stages.band.record(&mut to);
-            to = watch.after(Band::NAME, to)?;
+        if let Some(GpuLiquid {
+            buffers, stages, ..
+        }) = liquid
+        {
+            if let Some(advect_markers) = &stages.advect_markers {
+                advect_markers.record(&mut to);
+                to = watch.after(AdvectMarkers::NAME, to)?;
+                stages.band.record(&mut to);
+                to = watch.after(Band::NAME, to)?;
+            }
+            stages.advect_velocity.record(&mut to, buffers);
+            to = watch.after(AdvectVelocity::NAME, to)?;
         }
-        stages.advect_velocity.record(&mut to, liquid);
-        to = watch.after(AdvectVelocity::NAME, to)?;
-        stages.forces.record(&mut to, liquid);
+        if let Some(GpuLiquid {
+            buffers, stages, ..
+        }) = liquid
+        {
+            stages.forces.record(&mut to, buffers);
+        }
         to = watch.after(Forces::NAME, to)?;
-        if let Some(liquid_distance) = &stages.liquid_distance {
-            liquid_distance.record(&mut to, liquid);
-            to = watch.after(LiquidDistance::NAME, to)?;
+        if let Some(GpuLiquid {
+            buffers,
+            solver,
+            stages,
+            ..
+        }) = liquid
+        {
+            if let Some(liquid_distance) = &stages.liquid_distance {
+                liquid_distance.record(&mut to, buffers);
+                to = watch.after(LiquidDistance::NAME, to)?;
+            }
+            to.stage("active_cells", |pass| {
+                stages.active_cells.record(pass, solver, within(buffers))
+            });
+            to.stage(Components::NAME, |pass| {
+                stages.closed_components.label(pass, solver)
+            });
+            to = watch.after("active_cells", to)?;
         }
-        to.stage("active_cells", |pass| {
-            stages.active_cells.record(pass, solver, within(liquid))
-        });
-        to.stage(Components::NAME, |pass| {
-            stages.closed_components.label(pass, solver)
-        });
-        to = watch.after("active_cells", to)?;
-        stages.right_hand_side.record(&mut to, &active);
-        to.stage(Components::NAME, |pass| {
-            stages.closed_components.remove_means(pass)
-        });
+        if let Some(GpuLiquid { solver, stages, .. }) = liquid {
+            stages.right_hand_side.record(&mut to, &active(solver));
+            to.stage(Components::NAME, |pass| {
+                stages.closed_components.remove_means(pass)
+            });
+        }
         to = watch.after(RightHandSide::NAME, to)?;
-        let (outcome, mut seconds) = stages.solve.solve(gpu, to, solver, self.ends_frame(dt))?;
-        to = Recorder::timed(gpu);
-        to.stage(Components::NAME, |pass| {
-            stages.closed_components.centre_potential(pass)
-        });
+        let verify = self.ends_frame(dt);
+        let mut pressure = None;
+        if let Some(GpuLiquid { solver, stages, .. }) = liquid {
+            let (outcome, mut seconds) = stages.solve.solve(gpu, to, solver, verify)?;
+            pressure = Some(outcome);
+            told.seconds.append(&mut seconds);
+            to = Recorder::timed(gpu);
+            to.stage(Components::NAME, |pass| {
+                stages.closed_components.centre_potential(pass)
+            });
+        }
         to = watch.after("solve", to)?;
 
-        stages.write_back.record(&mut to, liquid);
-        to = watch.after(WriteBack::NAME, to)?;
-        stages.extrapolate.record(&mut to, liquid);
-        to = watch.after(Extrapolate::NAME, to)?;
-        stages.diagnose.record(&mut to, liquid, &active);
-        to.read(&liquid.report, readback);
+        if let Some(GpuLiquid {
+            buffers, stages, ..
+        }) = liquid
+        {
+            stages.write_back.record(&mut to, buffers);
+            to = watch.after(WriteBack::NAME, to)?;
+            stages.extrapolate.record(&mut to, buffers);
+            to = watch.after(Extrapolate::NAME, to)?;
+        }
+        if let Some((liquid, readback)) = liquid.zip(readbacks.liquid.as_mut()) {
+            let GpuLiquid {
+                buffers,
+                solver,
+                stages,
+                ..
+            } = liquid;
+            stages.diagnose.record(&mut to, buffers, &active(solver));
+            to.read(&buffers.report, readback);
+        }
         let timing = to.submit();
-        let report = Report::from_words(&readback.wait(gpu)?);
-        seconds.extend(timing.wait()?);
+        if let Some((outcome, readback)) = pressure.zip(readbacks.liquid.as_mut()) {
+            told.liquid = Some((outcome, Report::from_words(&readback.wait(gpu)?)));
+        }
+        told.seconds.extend(timing.wait()?);
         watch.after(Diagnose::NAME, Recorder::new(gpu))?;
-        Ok(Told {
-            outcome,
-            report,
-            seconds,
-        })
+        Ok(told)
     }
 }
 
@@ -143,35 +182,26 @@ impl<'a> Watch<'a, '_> {
 impl GpuPath {
     /// Moves the clock on and puts the row of steps.csv together.
     fn finish(&mut self, TimeStep { dt, floored }: TimeStep, told: Told) -> StepReport {
-        let Told {
-            outcome,
-            report,
-            seconds,
-        } = told;
-        let dropped_now = u64::from(report.markers_dropped);
-        let dropped = dropped_now - self.head.markers_dropped;
-        self.head.markers_dropped = dropped_now;
-        self.max_speed = report.diagnosis.max_speed;
         self.head
             .advance_clock(dt, self.scene.time.frames_per_second);
+        let liquid = self.liquid.as_mut().zip(told.liquid);
         StepReport {
             dt,
             dt_floored: floored,
-            liquid: Some(LiquidReport {
-                solve: SolveReport {
-                    unknowns: outcome.unknowns as usize,
-                    iterations: outcome.iterations,
-                    residual: outcome.residual,
-                    status: outcome.status,
-                },
-                closed_components: outcome.closed_components as usize,
-                diagnosis: report.diagnosis,
-                markers: self.n_markers - dropped_now as usize,
-                dropped,
-            }),
+            liquid: liquid.map(|(liquid, (outcome, report))| liquid.finish(&outcome, report)),
             solid: None,
-            seconds: by_stage(&seconds),
+            seconds: by_stage(&told.seconds),
         }
+    }
+}
+
+/// What a solve did.
+pub(super) fn solve_report(outcome: &Outcome) -> SolveReport {
+    SolveReport {
+        unknowns: outcome.unknowns as usize,
+        iterations: outcome.iterations,
+        residual: outcome.residual,
+        status: outcome.status,
     }
 }
 

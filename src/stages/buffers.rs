@@ -210,7 +210,7 @@ impl LiquidBuffers {
             band_list: maker.make("liquid.band_list")?,
             band_args: maker.make("liquid.band_args")?,
             band_scratch: maker.make("liquid.band_scratch")?,
-            partials: maker.make_real("liquid.partials", plan.real)?,
+            partials: RealBuffer::new(gpu, "liquid.partials", 4 * plan.n_summing(), plan.real)?,
             maxima: maker.make("liquid.maxima")?,
             report: maker.make("liquid.report")?,
             solid_distance: maker.make("liquid.solid_distance")?,
@@ -230,28 +230,20 @@ impl LiquidBuffers {
 }
 
 /// Makes buffers with the sizes of the plan.
-pub(super) struct Maker<'a> {
-    pub(super) gpu: &'a Gpu,
-    pub(super) plans: &'a [BufferPlan],
+struct Maker<'a> {
+    gpu: &'a Gpu,
+    plans: &'a [BufferPlan],
 }
 
 impl Maker<'_> {
-    fn plan(&self, label: &str, element: usize) -> &BufferPlan {
+    fn make<T: bytemuck::Pod>(&self, label: &str) -> Result<Buffer<T>, Error> {
         let plan = self
             .plans
             .iter()
             .find(|plan| plan.label == label)
             .unwrap_or_else(|| panic!("{label} is not planned"));
-        assert_eq!(plan.element, element, "{label}: element size");
-        plan
-    }
-
-    pub(super) fn make<T: bytemuck::Pod>(&self, label: &str) -> Result<Buffer<T>, Error> {
-        self.gpu.buffer(label, self.plan(label, size_of::<T>()).len)
-    }
-
-    pub(super) fn make_real(&self, label: &str, real: Real) -> Result<RealBuffer, Error> {
-        RealBuffer::new(self.gpu, label, self.plan(label, real.bytes()).len, real)
+        assert_eq!(plan.element, size_of::<T>(), "{label}: element size");
+        self.gpu.buffer(label, plan.len)
     }
 }
 

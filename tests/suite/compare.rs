@@ -75,6 +75,7 @@ fn largest(field: &[f64]) -> usize {
 
 /// Changes a little of what a stage left; returns the quantities that are wrong then.
 fn spoil(stage: &str, s: &mut Snapshot) -> &'static [&'static str] {
+    let Some(s) = &mut s.liquid else { return &[] };
     match stage {
         "advect_markers" => {
             s.markers[7].as_mut().unwrap()[1] += 1e-5;

@@ -5,13 +5,12 @@
 //! allowed residual for its right-hand side, says how far off the pressure may be. In a component without a free surface one
 //! cell is held; differences to it are bounded so, and pressures without the mean by twice the largest of them.
 
-use super::table::Place;
-use super::{DIRICHLET_ROUNDINGS, EPS, Judge, unit};
+use super::{DIRICHLET_ROUNDINGS, EPS, LiquidJudge, Place, unit};
 use crate::Error;
 use crate::linalg::norm;
 use crate::reference::{ActiveCells, PressureSystem, Stencil, solve, solve_iterative};
 use crate::scene::Solver;
-use crate::sim::Snapshot;
+use crate::sim::LiquidSnapshot;
 use crate::solver::rounding;
 
 /// Relative residual of the f64 solves: negligible beside the device's.
@@ -28,7 +27,7 @@ pub(super) fn remove_means(components: &[Vec<usize>], field: &mut [f64]) {
     }
 }
 
-impl Judge<'_> {
+impl LiquidJudge<'_> {
     /// m/s of potential as pressure, Pa.
     pub(super) fn in_pascal(&self, potential: &[f64]) -> Vec<f64> {
         let scale = self.pascal();
@@ -43,7 +42,7 @@ impl Judge<'_> {
     }
 
     /// Rows `solve` and `assembly`.
-    pub(super) fn solve(&mut self, after: &Snapshot) -> Result<(), Error> {
+    pub(super) fn solve(&mut self, after: &LiquidSnapshot) -> Result<(), Error> {
         let grid = self.grid;
         let twin_active = self
             .twin

@@ -1,0 +1,784 @@
+//! The stages of the liquid against their twins.
+
+mod pressure;
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::EPS;
+use super::table::{Place, Table};
+use crate::Error;
+use crate::geometry::CutCells;
+use crate::gpu::Real;
+use crate::grid::{Axis, Grid};
+use crate::reference::{self, ActiveCells, PressureSystem, Stencil, VolumeSource};
+use crate::scene::{ProbeKind, Scene};
+use crate::sim::{GpuPath, LiquidSnapshot};
+use crate::stages::{
+    AdvectMarkers, AdvectVelocity, Diagnose, Extrapolate, Forces, LiquidDistance, RightHandSide,
+    Step, WriteBack,
+};
+use crate::state::State;
+
+/// The twins of a scene, fed with what the device holds.
+pub(super) struct LiquidJudge<'a> {
+    scene: &'a Scene,
+    /// With the dx of the device.
+    grid: Grid,
+    /// As the device has them.
+    cut: CutCells,
+    open_volumes: Vec<f64>,
+    step: Step,
+    pub(super) table: Table,
+    /// What the stage had.
+    before: LiquidSnapshot,
+    /// What twins of earlier stages of the sub-step made, for later ones.
+    twin: Twin,
+}
+
+/// Answers of the twins in a sub-step.
+#[derive(Default)]
+struct Twin {
+    liquid_distance: Vec<f64>,
+    distance_bound: f64,
+    /// Of the stored liquid distance, all in f64.
+    active: Option<ActiveCells>,
+    /// m/s, and how far off the device's may be.
+    rhs: Vec<f64>,
+    rhs_bound: f64,
+    /// Norm of |E| |u*|, m/s.
+    flux: f64,
+    /// Pa.
+    pressure: Vec<f64>,
+    pressure_bound: f64,
+    velocity: [Vec<f64>; 3],
+    velocity_bound: f64,
+}
+
+impl<'a> LiquidJudge<'a> {
+    /// `None` for a scene without liquid.
+    pub(super) fn new(scene: &'a Scene, path: &GpuPath) -> Result<Option<LiquidJudge<'a>>, Error> {
+        let (Some(step), Some(before)) = (path.step_numbers(0.0), path.snapshot()?.liquid) else {
+            return Ok(None);
+        };
+        let grid = Grid {
+            cells: scene.domain.cells,
+            dx: step.dx.into(),
+        };
+        let single = |values: &Vec<f64>| {
+            let values = values.iter().map(|&value| f64::from(value as f32));
+            values.collect::<Vec<f64>>()
+        };
+        let cut = path.cut_cells();
+        let cut = CutCells {
+            open: [0, 1, 2].map(|axis| single(&cut.open[axis])),
+            solid_distance: single(&cut.solid_distance),
+        };
+        Ok(Some(LiquidJudge {
+            scene,
+            grid,
+            open_volumes: reference::open_volumes(&grid, &cut.solid_distance),
+            cut,
+            step,
+            table: Table::default(),
+            twin: Twin {
+                liquid_distance: before.liquid_distance.clone(),
+                ..Twin::default()
+            },
+            before,
+        }))
+    }
+
+    /// Hears of the next sub-step.
+    pub(super) fn begin(&mut self, path: &GpuPath, dt: f64) {
+        self.table.step = path.clock().step;
+        if let Some(step) = path.step_numbers(dt) {
+            self.step = step;
+        }
+    }
+
+    /// Judges what a stage left; `held` is what the device really holds.
+    pub(super) fn judge(
+        &mut self,
+        stage: &'static str,
+        after: LiquidSnapshot,
+        held: Option<LiquidSnapshot>,
+    ) -> Result<(), Error> {
+        self.judge_stage(stage, &after)?;
+        self.before = held.unwrap_or(after);
+        Ok(())
+    }
+
+    fn judge_stage(&mut self, stage: &'static str, after: &LiquidSnapshot) -> Result<(), Error> {
+        match stage {
+            AdvectMarkers::NAME => self.advect_markers(after),
+            AdvectVelocity::NAME => self.advect_velocity(after),
+            Forces::NAME => self.forces(after),
+            LiquidDistance::NAME => self.liquid_distance(after),
+            "active_cells" => self.active_cells(after),
+            RightHandSide::NAME => self.right_hand_side(after),
+            "solve" => self.solve(after)?,
+            WriteBack::NAME => self.write_back(after),
+            Extrapolate::NAME => self.extrapolate(after),
+            Diagnose::NAME => {
+                self.diagnose(after);
+                self.probes(after);
+            }
+            // The band decides where the others work; what it leaves out shows in theirs.
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// s
+    fn dt(&self) -> f64 {
+        self.step.dt.into()
+    }
+
+    /// Most cells along an axis: the size of a position in cells.
+    fn extent(&self) -> f64 {
+        self.grid.cells.into_iter().max().unwrap_or(1) as f64
+    }
+
+    fn gravity(&self) -> DVec3 {
+        glam::Vec3::from(self.step.gravity).as_dvec3()
+    }
+
+    fn theta_floor(&self) -> f64 {
+        self.step.theta_floor.into()
+    }
+
+    fn has_obstacles(&self) -> bool {
+        !self.scene.obstacles.is_empty()
+    }
+
+    /// Relative error of a sum over the cells that hold liquid. The twin adds them one after another in f64; the report holds two
+    /// f32. Where the device sums in f32: five products and quotients of a term, and a sum per quad of a share and level of the tree.
+    fn sum_error(&self, real: Real, liquid_distance: &[f64]) -> f64 {
+        let terms = self.wet_volume(liquid_distance) / self.grid.cell_volume();
+        let shares = if real == Real::F32 { 72.0 * EPS } else { 0.0 };
+        shares + (terms + 16.0) * f64::EPSILON + EPS * EPS
+    }
+
+    /// How far off the end of a trace by the midpoint rule may be, in cells, and a velocity sample there, m/s. A position in cells
+    /// is rounded up to 4 times (product with 1/dx, which is rounded itself, sum, shift to the faces), and so is a way in cells.
+    /// A trilinear sample is rounded 10 times and moves with its position by the largest difference between neighbouring
+    /// faces per cell and axis.
+    fn trace_error(&self, velocity: &[Vec<f64>; 3]) -> (f64, f64) {
+        let speed = reference::max_speed(velocity);
+        let slope = steepest(&self.grid, velocity);
+        let cells_per_speed = self.dt() / self.grid.dx;
+        let position = EPS * 4.0 * (self.extent() + speed * cells_per_speed);
+        let sample = |position: f64| EPS * 10.0 * speed + 3.0 * slope * position;
+        let middle = position + 0.5 * cells_per_speed * sample(position);
+        let end = position + cells_per_speed * sample(middle);
+        (end, sample(end))
+    }
+
+    /// As [`LiquidJudge::trace_error`] says. Push-out moves by the distance's error and turns by the normal's.
+    fn advect_markers(&mut self, after: &LiquidSnapshot) {
+        let (grid, dt) = (self.grid, self.dt());
+        let (velocity, solid_distance) = (&self.before.velocity, &self.cut.solid_distance);
+        let pushed = if self.has_obstacles() {
+            3.0 * 64.0 * grid.dx
+        } else {
+            0.0
+        };
+        let bound = self.trace_error(velocity).0 * grid.dx + EPS * pushed;
+        let twin = |start: [f64; 3]| {
+            reference::advect_markers(&grid, velocity, solid_distance, &[start], dt)
+                .0
+                .pop()
+        };
+        let close = |gpu: &Option<[f64; 3]>, twin: &Option<[f64; 3]>| match (gpu, twin) {
+            (Some(gpu), Some(twin)) => (0..3).all(|a| (gpu[a] - twin[a]).abs() <= bound),
+            (gpu, twin) => gpu.is_none() == twin.is_none(),
+        };
+        // Where the gradient of the distance jumps, or its sign decides, a start that is off by a rounding ends elsewhere.
+        let excused = |start: [f64; 3], gpu: &Option<[f64; 3]>| {
+            let shifted: Vec<_> = (0..8)
+                .map(|corner| {
+                    twin(std::array::from_fn(|a| {
+                        start[a] + if corner >> a & 1 == 1 { bound } else { -bound }
+                    }))
+                })
+                .collect();
+            match gpu {
+                None => shifted.iter().any(Option::is_none),
+                Some(x) => (0..3).all(|a| {
+                    let ends = || shifted.iter().flatten().map(|end| end[a]);
+                    let low = ends().fold(f64::INFINITY, f64::min);
+                    let high = ends().fold(f64::NEG_INFINITY, f64::max);
+                    (low - bound..=high + bound).contains(&x[a])
+                }),
+            }
+        };
+        let pairs: Vec<_> = self
+            .before
+            .markers
+            .par_iter()
+            .zip(&after.markers)
+            .map(|(start, gpu)| {
+                let end = start.and_then(twin);
+                let excused = !close(gpu, &end) && start.is_some_and(|start| excused(start, gpu));
+                (*start, *gpu, end, excused)
+            })
+            .collect();
+        let place = |index: usize| {
+            Place::Marker(index, self.before.markers[index].unwrap_or_default().into())
+        };
+        let judged = || pairs.iter().enumerate().filter(|(_, pair)| !pair.3);
+        self.table.add_flags(
+            [AdvectMarkers::NAME, "markers dropped"],
+            judged()
+                .map(|(index, (_, gpu, twin, _))| (gpu.is_none(), twin.is_none(), place(index))),
+        );
+        self.table.add(
+            [AdvectMarkers::NAME, "positions", "m"],
+            judged().flat_map(|(index, (_, gpu, twin, _))| {
+                let both = gpu.zip(*twin).into_iter();
+                both.flat_map(move |(gpu, twin)| {
+                    (0..3).map(move |a| (gpu[a], twin[a], bound, index))
+                })
+                .map(|(gpu, twin, bound, index)| (gpu, twin, bound, place(index)))
+            }),
+        );
+        let n_excused = pairs.iter().filter(|pair| pair.3).count();
+        self.table
+            .row(AdvectMarkers::NAME, "positions", "m")
+            .excused += n_excused as u64;
+    }
+
+    /// As [`LiquidJudge::trace_error`] says.
+    fn advect_velocity(&mut self, after: &LiquidSnapshot) {
+        let velocity = &self.before.velocity;
+        let bound = self.trace_error(velocity).1;
+        let twin = reference::advect_velocity(&self.grid, velocity, self.dt());
+        self.add_band_faces([AdvectVelocity::NAME, "u*"], after, &twin, bound);
+    }
+
+    /// One product and one sum.
+    fn forces(&mut self, after: &LiquidSnapshot) {
+        let mut twin = self.before.velocity_next.clone();
+        let (gravity, dt) = (self.gravity(), self.dt());
+        let bound = EPS * (2.0 * dt * gravity.abs().max_element() + reference::max_speed(&twin));
+        reference::forces(&mut twin, gravity, dt);
+        self.add_band_faces([Forces::NAME, "u*"], after, &twin, bound);
+    }
+
+    /// u* on the faces of the band against the twin's.
+    fn add_band_faces(
+        &mut self,
+        [stage, quantity]: [&'static str; 2],
+        after: &LiquidSnapshot,
+        twin: &[Vec<f64>; 3],
+        bound: f64,
+    ) {
+        let grid = self.grid;
+        for axis in Axis::ALL {
+            let a = axis.index();
+            let faces = (0..twin[a].len()).filter(|&face| after.face_band[a][face]);
+            self.table.add(
+                [stage, quantity, "m/s"],
+                faces.map(|face| {
+                    let place = Place::face(&grid, axis, face);
+                    (after.velocity_next[a][face], twin[a][face], bound, place)
+                }),
+            );
+        }
+    }
+
+    /// A position in cells is off by its size times 3 roundings per axis; root, product and difference add a few; the mean
+    /// over neighbours in three passes adds 12 each.
+    fn liquid_distance(&mut self, after: &LiquidSnapshot) {
+        let grid = self.grid;
+        let dx = grid.dx;
+        let bound = EPS * dx * (3.0 * 3.0 * self.extent() + 50.0);
+        let radius = f64::from(self.step.marker_radius) * dx;
+        let markers: Vec<[f64; 3]> = after.markers.iter().copied().flatten().collect();
+        let twin = reference::liquid_distance(&grid, &self.cut, &markers, radius);
+        let gpu = &after.liquid_distance;
+        let differs = |cell: usize, twin: &[f64]| (gpu[cell] - twin[cell]).abs() > bound;
+        let in_band = |cell: &usize| after.band[*cell];
+        let mut excused = vec![false; grid.n_cells()];
+        if (0..grid.n_cells())
+            .filter(in_band)
+            .any(|cell| differs(cell, &twin))
+        {
+            // Markers so close to the border of a cell that a rounding puts them into the next, put there.
+            let moved: Vec<[f64; 3]> = markers.iter().map(|x| self.across_borders(*x)).collect();
+            let other = reference::liquid_distance(&grid, &self.cut, &moved, radius);
+            for cell in (0..grid.n_cells()).filter(in_band) {
+                excused[cell] =
+                    differs(cell, &twin) && (gpu[cell] - other[cell]).abs() <= 4.0 * bound;
+            }
+        }
+        let number = |distance: &[f64], cell: usize| {
+            // Outside the band the device says air, without saying how far.
+            if after.band[cell] || distance[cell] < 0.0 {
+                distance[cell]
+            } else {
+                dx
+            }
+        };
+        let judged = (0..grid.n_cells()).filter(|&cell| !excused[cell]);
+        self.table.add(
+            [LiquidDistance::NAME, "phi", "m"],
+            judged.map(|cell| {
+                let place = Place::cell(&grid, cell);
+                (number(gpu, cell), number(&twin, cell), bound, place)
+            }),
+        );
+        self.table.row(LiquidDistance::NAME, "phi", "m").excused +=
+            excused.iter().filter(|&&excused| excused).count() as u64;
+        self.volume_rate(after);
+        self.twin.liquid_distance = twin;
+        self.twin.distance_bound = bound;
+    }
+
+    /// The marker (m), moved to the other side of every cell border that is within its rounding in cells.
+    fn across_borders(&self, x: [f64; 3]) -> [f64; 3] {
+        let dx = self.grid.dx;
+        x.map(|x| {
+            let cells = x / dx;
+            let border = cells.round();
+            let rounding = 3.0 * EPS * cells.max(1.0);
+            if border > 0.0 && (cells - border).abs() <= rounding {
+                (border - rounding * (cells - border + 1e-30).signum()) * dx
+            } else {
+                x
+            }
+        })
+    }
+
+    /// Cells that hold liquid or are on the brink of it, times their volume: what the roundings of sums are measured against, m^3.
+    fn wet_volume(&self, liquid_distance: &[f64]) -> f64 {
+        let wet = |phi: &&f64| **phi <= 0.5 * self.grid.dx;
+        liquid_distance.iter().filter(wet).count() as f64 * self.grid.cell_volume()
+    }
+
+    /// The rate is off by the volume's error, relative to it, over the time of the correction.
+    fn volume_rate(&mut self, after: &LiquidSnapshot) {
+        let phi = &after.liquid_distance;
+        let volume = reference::liquid_volume(&self.grid, &self.open_volumes, phi);
+        let volume_bound = self.sum_error(after.real, phi) * self.wet_volume(phi);
+        let volume_0 = f64::from(self.step.volume_0);
+        let (frame, dt) = (f64::from(self.step.frame), self.dt());
+        let (twin, bound) = if volume_0 > 0.0 && volume > 0.0 {
+            let rate = |volume| reference::volume_rate(volume_0, volume, frame, dt);
+            let twin = rate(volume);
+            let ratio = volume_0 / volume;
+            // The slope of the rate, without its limits.
+            let per_ratio = 2.0 / frame;
+            let quotient = if after.real == Real::F32 {
+                6.0 * EPS
+            } else {
+                0.0
+            };
+            let relative = quotient + volume_bound / volume;
+            (twin, per_ratio * ratio * relative + 8.0 * EPS * twin.abs())
+        } else {
+            (0.0, 0.0)
+        };
+        self.table.add(
+            [LiquidDistance::NAME, "volume rate", "1/s"],
+            [(after.report.volume_rate, twin, bound, Place::Whole)],
+        );
+    }
+
+    /// The set of unknowns and the weights copy signs and open fractions, so they are exact. Free-surface terms: theta is off by
+    /// one difference and one quotient, its reciprocal by a quotient, a sum of six by five more.
+    fn active_cells(&mut self, after: &LiquidSnapshot) {
+        let grid = self.grid;
+        let phi = &after.liquid_distance;
+        let twin = reference::active_cells(&grid, &self.cut.open, phi, self.theta_floor());
+        let stencil = &twin.stencil;
+        let stage = "active_cells";
+        let cells = || 0..grid.n_cells();
+        self.table.add_flags(
+            [stage, "active"],
+            cells().map(|cell| {
+                (
+                    after.active[cell],
+                    stencil.active(cell),
+                    Place::cell(&grid, cell),
+                )
+            }),
+        );
+        for axis in Axis::ALL {
+            let (gpu, twin) = (&after.weight[axis.index()], &stencil.weight[axis.index()]);
+            let pairs = gpu.iter().zip(twin).enumerate();
+            self.table.add(
+                [stage, "weights", ""],
+                pairs.map(|(face, (&gpu, &twin))| (gpu, twin, 0.0, Place::face(&grid, axis, face))),
+            );
+        }
+        self.table.add(
+            [stage, "free-surface terms", ""],
+            cells().map(|cell| {
+                let twin = stencil.dirichlet[cell];
+                let bound = DIRICHLET_ROUNDINGS * EPS * twin;
+                (after.dirichlet[cell], twin, bound, Place::cell(&grid, cell))
+            }),
+        );
+        self.table.add(
+            [stage, "1 / diagonal", ""],
+            cells().map(|cell| {
+                let diagonal = stencil.diagonal[cell];
+                let twin = if diagonal > 0.0 { 1.0 / diagonal } else { 0.0 };
+                // A sum of eleven and a quotient more.
+                let bound = (DIRICHLET_ROUNDINGS + 16.0) * EPS * twin;
+                let gpu = after.inverse_diagonal[cell];
+                (gpu, twin, bound, Place::cell(&grid, cell))
+            }),
+        );
+        self.twin.active = Some(twin);
+    }
+
+    /// What volume control adds at the rate of the device.
+    fn source(&self) -> VolumeSource<'_> {
+        VolumeSource {
+            rate: self.before.report.volume_rate,
+            open_volumes: &self.open_volumes,
+        }
+    }
+
+    /// Six products and their sum in the scalar type, up to 12 roundings of six speeds; volume control adds a product of three.
+    fn right_hand_side(&mut self, after: &LiquidSnapshot) {
+        let grid = self.grid;
+        let active = self
+            .twin
+            .active
+            .take()
+            .expect("active_cells comes before right_hand_side");
+        let velocity = &self.before.velocity_next;
+        let (open, source) = (&self.cut.open, Some(self.source()));
+        let twin = reference::right_hand_side(&grid, open, velocity, &active, source);
+        let area = grid.dx * grid.dx;
+        let speed = active_speed(&grid, &active.stencil, velocity);
+        let terms = 12.0 * 6.0 * unit(after.real) * speed;
+        let rate = after.report.volume_rate.abs();
+        let bound = terms + EPS * 6.0 * rate * grid.dx;
+        let mut gpu = after.rhs.clone();
+        pressure::remove_means(&active.closed, &mut gpu);
+        let mut closed = vec![false; grid.n_cells()];
+        active
+            .closed
+            .iter()
+            .flatten()
+            .for_each(|&cell| closed[cell] = true);
+        let cells = || 0..grid.n_cells();
+        self.table.add_flags(
+            [RightHandSide::NAME, "closed components"],
+            cells().map(|cell| (after.closed[cell], closed[cell], Place::cell(&grid, cell))),
+        );
+        self.twin.rhs = twin.values.iter().map(|b| b / area).collect();
+        let rhs = &self.twin.rhs;
+        self.table.add(
+            [RightHandSide::NAME, "E u* / dx^2", "m/s"],
+            cells()
+                .filter(|&cell| active.stencil.active(cell))
+                .map(|cell| (gpu[cell], rhs[cell], bound, Place::cell(&grid, cell))),
+        );
+        self.twin.rhs_bound = bound;
+        self.twin.flux = twin.scale / area;
+        self.twin.active = Some(active);
+    }
+
+    /// Faces are valid or not, exactly. theta is off by 6 roundings, the quotient by it and the difference by 5 and 1, and u - that
+    /// is rounded in the scalar type and again to f32.
+    fn write_back(&mut self, after: &LiquidSnapshot) {
+        let grid = self.grid;
+        let active = self.before.active_cells(&grid);
+        let rhs = reference::RightHandSide {
+            values: Vec::new(),
+            scale: 0.0,
+        };
+        // A unit of dt/(rho dx), so that the twin takes the potential for the pressure.
+        let system = PressureSystem {
+            scale: grid.dx * grid.dx,
+            ..PressureSystem::new(active, rhs, 1.0, 1.0)
+        };
+        let u_star = &self.before.velocity_next;
+        let mut twin = u_star.clone();
+        let valid = reference::write_back(
+            &system,
+            &self.before.potential,
+            &self.cut.open,
+            &self.before.liquid_distance,
+            self.theta_floor(),
+            &mut twin,
+        );
+        for axis in Axis::ALL {
+            let a = axis.index();
+            self.table.add_flags(
+                [WriteBack::NAME, "valid faces"],
+                (0..valid[a].len()).map(|face| {
+                    let place = Place::face(&grid, axis, face);
+                    (after.valid[a][face], valid[a][face], place)
+                }),
+            );
+            self.table.add(
+                [WriteBack::NAME, "u", "m/s"],
+                (0..valid[a].len()).map(|face| {
+                    let twin = if valid[a][face] { twin[a][face] } else { 0.0 };
+                    let change = (twin - u_star[a][face]).abs();
+                    let bound = EPS * (13.0 * change + 2.0 * twin.abs());
+                    let place = Place::face(&grid, axis, face);
+                    (after.velocity[a][face], twin, bound, place)
+                }),
+            );
+        }
+    }
+
+    /// A mean of up to six per layer: 5 roundings of the sum, a quotient. Along obstacles the direction is off by the roundings
+    /// of distances up to 3 dx over the length of the gradient.
+    fn extrapolate(&mut self, after: &LiquidSnapshot) {
+        let grid = self.grid;
+        let layers = reference::n_layers(self.scene.time.cfl);
+        let speed = reference::max_speed(&self.before.velocity);
+        let mut twin = self.before.velocity.clone();
+        let valid = self.before.valid.clone();
+        reference::extrapolate(&grid, &self.cut, valid, layers, &mut twin);
+        let means = EPS * speed * 10.0 * layers as f64;
+        for axis in Axis::ALL {
+            let a = axis.index();
+            let mut excused = 0;
+            let mut pairs = Vec::new();
+            for face in 0..grid.n_faces(axis) {
+                let (gpu, twin) = (after.velocity[a][face], twin[a][face]);
+                let slip = if self.has_obstacles() && self.cut.open[a][face] == 0.0 {
+                    self.slip_roundings(axis, face)
+                } else {
+                    Slip::Steady(0.0)
+                };
+                let bound = match slip {
+                    Slip::Steady(roundings) => means + EPS * speed * roundings,
+                    Slip::Unsteady => f64::INFINITY,
+                };
+                if bound.is_infinite() && (gpu - twin).abs() > means {
+                    excused += 1;
+                } else {
+                    let bound = if bound.is_finite() { bound } else { means };
+                    pairs.push((gpu, twin, bound, Place::face(&grid, axis, face)));
+                }
+            }
+            self.table.add([Extrapolate::NAME, "u", "m/s"], pairs);
+            self.table.row(Extrapolate::NAME, "u", "m/s").excused += excused;
+        }
+        self.twin.velocity = twin;
+        self.twin.velocity_bound = self
+            .table
+            .row(Extrapolate::NAME, "u", "m/s")
+            .worst
+            .map_or(means, |worst| means.max(worst.bound));
+    }
+
+    /// How far off the direction along an obstacle may be at a closed face, in roundings of the speed.
+    fn slip_roundings(&self, axis: Axis, face: usize) -> Slip {
+        let (grid, distance) = (&self.grid, &self.cut.solid_distance);
+        let ijk = grid.face_at(axis, face);
+        if grid.face_sides(axis, ijk).contains(&None) {
+            return Slip::Steady(0.0);
+        }
+        let x = grid.face_centre(axis, ijk);
+        let at = |x: DVec3| reference::distance(grid, distance, x);
+        // The mean of two distances, and half a cell.
+        if (at(x) - 0.5 * grid.dx).abs() <= EPS * 4.0 * 3.0 * grid.dx {
+            return Slip::Unsteady;
+        }
+        let gradient = DVec3::from([0, 1, 2].map(|b| {
+            let half = DVec3::AXES[b] * (0.5 * grid.dx);
+            (at(x + half) - at(x - half)) / grid.dx
+        }));
+        let length = gradient.length();
+        if length < 1e-5 {
+            // Below 1e-6 there is no direction; near it rounding decides.
+            return Slip::Unsteady;
+        }
+        Slip::Steady(4.0 * 3.0 / length)
+    }
+
+    /// Sums as [`LiquidJudge::sum_error`] says. The largest speed copies a number. Divergence: twelve products summed, rounded to f32 and
+    /// multiplied by 1/dx.
+    fn diagnose(&mut self, after: &LiquidSnapshot) {
+        let grid = self.grid;
+        let phi = &after.liquid_distance;
+        let density = f64::from(self.step.density);
+        let gravity = self.gravity();
+        let stencil = after.active_cells(&grid).stencil;
+        let twin = reference::diagnose(&self.cut, phi, &after.velocity, &stencil, density, gravity);
+        let gpu = after.report.diagnosis;
+        let rounding = self.sum_error(after.real, phi);
+        let volume = rounding * self.wet_volume(phi);
+        let mass = density * volume;
+        let speed = twin.max_speed;
+        let momentum = mass * speed;
+        let energy = 1.5 * mass * speed * speed;
+        let height = gravity.abs().dot(grid.size());
+        let flux = active_speed(&grid, &stencil, &after.velocity) / grid.dx;
+        let divergence = 72.0 * unit(after.real) * flux + 4.0 * EPS * twin.divergence.abs();
+        let rows = [
+            ("volume", "m^3", gpu.volume, twin.volume, volume),
+            (
+                "momentum x",
+                "kg m/s",
+                gpu.momentum[0],
+                twin.momentum[0],
+                momentum,
+            ),
+            (
+                "momentum y",
+                "kg m/s",
+                gpu.momentum[1],
+                twin.momentum[1],
+                momentum,
+            ),
+            (
+                "momentum z",
+                "kg m/s",
+                gpu.momentum[2],
+                twin.momentum[2],
+                momentum,
+            ),
+            (
+                "kinetic energy",
+                "J",
+                gpu.kinetic_energy,
+                twin.kinetic_energy,
+                energy,
+            ),
+            (
+                "potential energy",
+                "J",
+                gpu.potential_energy,
+                twin.potential_energy,
+                mass * height,
+            ),
+            ("largest speed", "m/s", gpu.max_speed, twin.max_speed, 0.0),
+            (
+                "divergence",
+                "1/s",
+                gpu.divergence,
+                twin.divergence,
+                divergence,
+            ),
+        ];
+        for (quantity, unit, gpu, twin, bound) in rows {
+            self.table.add(
+                [Diagnose::NAME, quantity, unit],
+                [(gpu, twin, bound, Place::Whole)],
+            );
+        }
+    }
+
+    /// What the probes read of the device's fields, and of those that the twins made. Velocity and pressure are means, so they are off
+    /// by what they are made from. Heights and fronts fall where phi rises: they are where phi, off by its bound, puts them.
+    fn probes(&mut self, after: &LiquidSnapshot) {
+        let grid = self.grid;
+        let on_device = |liquid_distance: Vec<f64>, active: Vec<bool>| State {
+            velocity: after.velocity.clone(),
+            pressure: self.in_pascal(&after.potential),
+            liquid_distance,
+            active,
+            ..State::at_rest(&grid)
+        };
+        let gpu = on_device(after.liquid_distance.clone(), after.active.clone());
+        let twin = State {
+            velocity: self.twin.velocity.clone(),
+            pressure: self.twin.pressure.clone(),
+            ..gpu.clone()
+        };
+        let surface = |shift: f64| {
+            let phi: Vec<f64> = self
+                .twin
+                .liquid_distance
+                .iter()
+                .map(|phi| phi + shift)
+                .collect();
+            let open = &self.cut.open;
+            let active = reference::active_cells(&grid, open, &phi, self.theta_floor());
+            on_device(phi, active.stencil.active_mask())
+        };
+        let bound = self.twin.distance_bound;
+        let surfaces = [0.0, bound, -bound].map(surface);
+        let mut pairs = Vec::new();
+        for probe in &self.scene.probes {
+            let read = |state: &State| reference::probe(&grid, state, &probe.kind);
+            match probe.kind {
+                ProbeKind::Pressure { .. } => {
+                    let rounding = 1e-12 * read(&gpu)[0].abs();
+                    let bound = self.twin.pressure_bound + rounding;
+                    pairs.push(("pressure", "Pa", read(&gpu)[0], read(&twin)[0], bound));
+                }
+                ProbeKind::Velocity { .. } => {
+                    for (gpu, twin) in read(&gpu).into_iter().zip(read(&twin)) {
+                        pairs.push(("velocity", "m/s", gpu, twin, self.twin.velocity_bound));
+                    }
+                }
+                ProbeKind::Height { .. } | ProbeKind::Front { .. } => {
+                    let [twin, low, high] = [0, 1, 2].map(|s| read(&surfaces[s])[0]);
+                    let reach = (low - twin).abs().max((high - twin).abs());
+                    let bound = reach + 1e-12 * grid.size().max_element();
+                    pairs.push(("surface", "m", read(&gpu)[0], twin, bound));
+                }
+            }
+        }
+        for (column, (quantity, unit, gpu, twin, bound)) in pairs.into_iter().enumerate() {
+            self.table.add(
+                ["probes", quantity, unit],
+                [(gpu, twin, bound, Place::Column(column))],
+            );
+        }
+    }
+}
+
+/// Whether the slip of a face hangs on a rounding.
+enum Slip {
+    /// Its direction is off by so many roundings of the speed.
+    Steady(f64),
+    /// It may slip or not.
+    Unsteady,
+}
+
+/// Roundings of a free-surface term.
+const DIRICHLET_ROUNDINGS: f64 = 17.0;
+
+/// Largest relative error of a rounding.
+fn unit(real: Real) -> f64 {
+    match real {
+        Real::F32 => EPS,
+        Real::F64 => f64::EPSILON,
+    }
+}
+
+/// Largest difference between neighbouring faces of an axis, m/s.
+fn steepest(grid: &Grid, velocity: &[Vec<f64>; 3]) -> f64 {
+    let mut steepest: f64 = 0.0;
+    for axis in Axis::ALL {
+        let (n, values) = (grid.faces(axis), &velocity[axis.index()]);
+        let strides = [1, n[0], n[0] * n[1]];
+        for (face, &value) in values.iter().enumerate() {
+            let ijk = grid.face_at(axis, face);
+            for b in (0..3).filter(|&b| ijk[b] + 1 < n[b]) {
+                steepest = steepest.max((values[face + strides[b]] - value).abs());
+            }
+        }
+    }
+    steepest
+}
+
+/// Largest speed of a face of an active cell, m/s.
+fn active_speed(grid: &Grid, stencil: &Stencil, velocity: &[Vec<f64>; 3]) -> f64 {
+    let speeds = stencil.active_cells().into_iter().flat_map(|cell| {
+        Axis::ALL.into_iter().flat_map(move |axis| {
+            let a = axis.index();
+            [0, 1].map(|side| {
+                let mut face = grid.cell_at(cell);
+                face[a] += side;
+                velocity[a][grid.face(axis, face)].abs()
+            })
+        })
+    });
+    speeds.fold(0.0, f64::max)
+}

@@ -1,0 +1,290 @@
+//! The liquid of a scene on a device: its buffers, its stages and its pressure solver, and what the host keeps of its state.
+
+use crate::Error;
+use crate::effects::Effects;
+use crate::geometry::CutCells;
+use crate::gpu::{CompactKernels, Gpu, Readback, Real, Recorder};
+use crate::grid::Grid;
+use crate::reference;
+use crate::scene::{self, Scene};
+use crate::solver::{Components, Outcome, PressureSolver, PressureSystem, SolverBuffers, Within};
+use crate::stages::{
+    Active, AdvectMarkers, AdvectVelocity, Band, Diagnose, Extrapolate, Forces, LiquidBuffers,
+    LiquidDistance, LiquidPlan, Probe, Report, RightHandSide, Step, Volume, WriteBack,
+};
+use crate::state::{LiquidReport, State};
+
+use super::step::solve_report;
+
+/// The liquid on the device.
+#[derive(Debug)]
+pub(super) struct GpuLiquid {
+    pub(super) settings: scene::Liquid,
+    pub(super) n_markers: usize,
+    /// Markers dropped so far.
+    pub(super) markers_dropped: u64,
+    /// m/s
+    pub(super) max_speed: f64,
+    /// m^3
+    pub(super) volume_0: f64,
+    pub(super) buffers: LiquidBuffers,
+    pub(super) solver: SolverBuffers,
+    pub(super) stages: LiquidStages,
+}
+
+/// The kernels of a step, in its order. Those of an absent effect are absent.
+#[derive(Debug)]
+pub(super) struct LiquidStages {
+    pub(super) advect_markers: Option<AdvectMarkers>,
+    pub(super) band: Band,
+    pub(super) advect_velocity: AdvectVelocity,
+    pub(super) forces: Forces,
+    pub(super) liquid_distance: Option<LiquidDistance>,
+    /// With a fixed surface, whose volume `liquid_distance` would have measured.
+    pub(super) volume: Option<Volume>,
+    pub(super) active_cells: PressureSystem,
+    pub(super) closed_components: Components,
+    pub(super) right_hand_side: RightHandSide,
+    pub(super) solve: PressureSolver,
+    pub(super) write_back: WriteBack,
+    pub(super) extrapolate: Extrapolate,
+    pub(super) diagnose: Diagnose,
+    /// With its read-back.
+    pub(super) probe: Option<(Probe, Readback<u32>)>,
+}
+
+/// What decides the sizes of all buffers of a scene on an adapter with or without f64.
+pub(super) fn liquid_plan(scene: &Scene, n_markers: usize, f64: bool) -> LiquidPlan {
+    LiquidPlan {
+        grid: scene.grid(),
+        effects: Effects::of(scene),
+        n_markers,
+        cfl: scene.time.cfl,
+        real: if f64 { Real::F64 } else { Real::F32 },
+    }
+}
+
+impl GpuLiquid {
+    /// Allocates and compiles; `None` where the scene has no liquid. The state is to be written.
+    pub(super) fn new(
+        gpu: &Gpu,
+        scene: &Scene,
+        cut: &CutCells,
+        n_markers: usize,
+    ) -> Result<Option<GpuLiquid>, Error> {
+        let Some(settings) = scene.liquid.clone() else {
+            return Ok(None);
+        };
+        let effects = Effects::of(scene);
+        let plan = liquid_plan(scene, n_markers, gpu.has_f64());
+        let buffers = LiquidBuffers::new(gpu, plan)?;
+        let solver = SolverBuffers::new(gpu, &scene.grid(), scene.solver.precision)?;
+        let stages = LiquidStages::new(gpu, scene, &effects, &buffers, &solver)?;
+        buffers.write_cut_cells(gpu, cut);
+        Ok(Some(GpuLiquid {
+            settings,
+            n_markers,
+            markers_dropped: 0,
+            max_speed: 0.0,
+            volume_0: 0.0,
+            buffers,
+            solver,
+            stages,
+        }))
+    }
+
+    /// Where the report of a sub-step arrives.
+    pub(super) fn readback(gpu: &Gpu, scene: &Scene) -> Result<Option<Readback<u32>>, Error> {
+        let readback = || Readback::new(gpu, "liquid.report", Report::WORDS);
+        scene.liquid.as_ref().map(|_| readback()).transpose()
+    }
+
+    /// Replaces the liquid's part of the state.
+    pub(super) fn write_state(&mut self, gpu: &Gpu, state: &State, step: Step) {
+        self.n_markers = state.markers.len();
+        self.markers_dropped = state.markers_dropped;
+        self.max_speed = reference::max_speed(&state.velocity);
+        self.volume_0 = state.volume_0;
+        self.buffers.write_state(gpu, state);
+        let step = Step {
+            n_markers: self.n_markers as u32,
+            ..step
+        };
+        gpu.upload(&self.buffers.step, &[step]);
+        if self.stages.advect_markers.is_none() {
+            // The liquid stays where it is, and so do the band and the volume.
+            let mut recorder = Recorder::new(gpu);
+            self.stages.band.record(&mut recorder);
+            if let Some(volume) = &self.stages.volume {
+                volume.record(&mut recorder);
+            }
+            recorder.submit();
+        }
+    }
+
+    /// Reads the liquid's part of the state. `dt_last`: length of the last sub-step, s.
+    pub(super) fn read_state(
+        &self,
+        gpu: &Gpu,
+        grid: &Grid,
+        dt_last: f64,
+        state: &mut State,
+    ) -> Result<(), Error> {
+        self.buffers.read_state(gpu, self.n_markers, state)?;
+        state.markers_dropped = self.markers_dropped;
+        state.volume_0 = self.volume_0;
+        let padded = grid.padded();
+        let flags = gpu.download(&self.solver.flags)?;
+        let lane = |ix: usize| flags[ix / 4] >> (ix % 4) & 1 == 1;
+        let active: Vec<bool> = (0..padded.len()).map(lane).collect();
+        let mut potential = self.solver.potential.download(gpu)?;
+        for (potential, _) in potential
+            .iter_mut()
+            .zip(&active)
+            .filter(|(_, active)| !**active)
+        {
+            *potential = 0.0;
+        }
+        // Pa per m/s of potential: rho dx / dt.
+        let pascal = if dt_last > 0.0 {
+            self.settings.density * grid.dx / dt_last
+        } else {
+            0.0
+        };
+        state.pressure = padded.unpad(grid.cells, &potential, |potential| pascal * potential);
+        state.active = padded.unpad(grid.cells, &active, |active| active);
+        Ok(())
+    }
+
+    /// The values of the liquid's probes, all columns in order.
+    pub(super) fn probes(&mut self, gpu: &Gpu) -> Result<Vec<f64>, Error> {
+        let Some((probe, readback)) = &mut self.stages.probe else {
+            return Ok(Vec::new());
+        };
+        let mut recorder = Recorder::new(gpu);
+        probe.record(&mut recorder, &active(&self.solver));
+        recorder.read(&probe.values, readback);
+        recorder.submit();
+        Ok(probe.columns(&readback.wait(gpu)?))
+    }
+
+    /// Keeps what the next sub-step needs of the report.
+    pub(super) fn finish(&mut self, outcome: &Outcome, report: Report) -> LiquidReport {
+        let dropped_so_far = u64::from(report.markers_dropped);
+        let dropped = dropped_so_far - self.markers_dropped;
+        self.markers_dropped = dropped_so_far;
+        self.max_speed = report.diagnosis.max_speed;
+        LiquidReport {
+            solve: solve_report(outcome),
+            closed_components: outcome.closed_components as usize,
+            diagnosis: report.diagnosis,
+            markers: self.n_markers - dropped_so_far as usize,
+            dropped,
+        }
+    }
+
+    /// What the kernels know of a sub-step of dt (s).
+    pub(super) fn step_numbers(&self, scene: &Scene, dt: f64) -> Step {
+        let Scene {
+            time,
+            domain,
+            solver,
+            ..
+        } = scene;
+        let grid = scene.grid();
+        Step {
+            gravity: domain.gravity.as_vec3().to_array(),
+            dt: dt as f32,
+            size: grid.size().as_vec3().to_array(),
+            dx: grid.dx as f32,
+            inv_dx: (1.0 / grid.dx) as f32,
+            frame: (1.0 / time.frames_per_second) as f32,
+            volume_0: if self.buffers.plan.effects.volume_control {
+                self.volume_0 as f32
+            } else {
+                0.0
+            },
+            density: self.settings.density as f32,
+            marker_radius: self.settings.marker_radius as f32,
+            theta_floor: solver.theta_floor as f32,
+            n_markers: self.n_markers as u32,
+            spare: 0,
+        }
+    }
+}
+
+impl LiquidStages {
+    fn new(
+        gpu: &Gpu,
+        scene: &Scene,
+        effects: &Effects,
+        liquid: &LiquidBuffers,
+        solver: &SolverBuffers,
+    ) -> Result<LiquidStages, Error> {
+        let active = active(solver);
+        let compact = CompactKernels::new(gpu)?;
+        let theta_floor = scene.solver.theta_floor;
+        let active_cells = PressureSystem::new(
+            gpu,
+            solver,
+            &liquid.open,
+            &liquid.liquid_distance,
+            within(liquid),
+            theta_floor,
+        )?;
+        let solve = PressureSolver::new(
+            gpu,
+            solver,
+            &liquid.velocity_next,
+            &liquid.open,
+            &scene.solver,
+        )?;
+        let probe = || {
+            let kinds = scene.probes.iter().map(|probe| &probe.kind);
+            let probe = Probe::new(gpu, liquid, &active, &solver.potential, kinds)?;
+            let readback = Readback::new(gpu, "probe.values", probe.values.len())?;
+            Ok::<_, Error>((probe, readback))
+        };
+        Ok(LiquidStages {
+            advect_markers: effects
+                .markers
+                .then(|| AdvectMarkers::new(gpu, liquid))
+                .transpose()?,
+            band: Band::new(gpu, &compact, liquid)?,
+            advect_velocity: AdvectVelocity::new(gpu, liquid)?,
+            forces: Forces::new(gpu, liquid)?,
+            liquid_distance: effects
+                .markers
+                .then(|| LiquidDistance::new(gpu, liquid))
+                .transpose()?,
+            volume: (!effects.markers)
+                .then(|| Volume::new(gpu, liquid))
+                .transpose()?,
+            active_cells,
+            closed_components: Components::new(gpu, solver)?,
+            right_hand_side: RightHandSide::new(gpu, liquid, &active, &solver.rhs)?,
+            solve,
+            write_back: WriteBack::new(gpu, liquid, &active, &solver.potential)?,
+            extrapolate: Extrapolate::new(gpu, liquid)?,
+            diagnose: Diagnose::new(gpu, liquid, &active)?,
+            probe: effects.probes.then(probe).transpose()?,
+        })
+    }
+}
+
+/// Where the solver looks for liquid.
+pub(super) fn within(liquid: &LiquidBuffers) -> Within<'_> {
+    Within {
+        list: &liquid.band_list,
+        args: &liquid.band_args,
+    }
+}
+
+/// The solver's lists as the stages read them.
+pub(super) fn active(solver: &SolverBuffers) -> Active<'_> {
+    Active {
+        flags: &solver.flags,
+        list: &solver.list,
+        args: &solver.args,
+    }
+}
