@@ -1,5 +1,6 @@
 // The scalar type of this variant.
 alias Real = f32;
+alias Real3 = vec3<f32>;
 alias Real4 = vec4<f32>;
 
 // Distance from 1 to the next larger scalar.

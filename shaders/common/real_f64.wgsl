@@ -1,5 +1,6 @@
 // The scalar type of this variant.
 alias Real = f64;
+alias Real3 = vec3<f64>;
 alias Real4 = vec4<f64>;
 
 // Distance from 1 to the next larger scalar.

@@ -3,20 +3,24 @@
 //! - [`Surface`]: closed triangle surfaces, from shapes and from mesh files ([`read_mesh`])
 //! - [`clip`] and [`open_fractions`]: patches of a surface in the cells, and the open areas that close every cut cell
 //! - [`cut_cells`]: what the obstacles of a scene leave of the grid
+//! - [`TetMesh`], [`solid_meshes`]: the tetrahedra of solids, from shapes, files and closed surfaces
 //! - [`Regions`], [`liquid_distance`], [`seed_markers`], [`initial_state`]: the liquid at the start
 
 mod clip;
 mod distance;
+mod icosahedron;
 mod liquid;
 mod mesh_file;
 mod surface;
+mod tet_fill;
 mod tet_mesh;
+mod tet_shapes;
 
 pub use clip::{Clipping, OpenFractions, Patch, clip, open_fractions};
 pub use liquid::{Regions, estimate_markers, initial_state, liquid_distance, seed_markers};
 pub use mesh_file::read as read_mesh;
 pub use surface::{Fault, Surface};
-pub use tet_mesh::TetMesh;
+pub use tet_mesh::{ElementShape, TetMesh, solid_meshes};
 
 use crate::error::Error;
 use crate::grid::{Axis, Grid};

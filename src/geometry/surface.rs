@@ -4,6 +4,7 @@ use std::collections::HashMap;
 
 use glam::DVec3;
 
+use super::icosahedron;
 use crate::scene::Placement;
 
 /// A closed triangle surface with normals out of the solid that it bounds.
@@ -71,34 +72,8 @@ impl Surface {
         // sphere by the mean depth, at most 0.19 radius / n^2.
         let depth = 0.19 * radius / (CHORD_ERROR * dx);
         let n = (depth.sqrt().ceil() as usize).clamp(4, MAX_SPHERE_SEGMENTS);
-        let (corners, faces) = icosahedron();
-        let mut unit = Surface::default();
-        let mut numbers = HashMap::new();
-        for [a, b, c] in faces {
-            // Vertices are shared between faces by their weights on the corners, in the order of the corners.
-            let mut vertex = |i: usize, j: usize| {
-                let mut weights = [(a, n - i - j), (b, i), (c, j)];
-                weights.sort_unstable();
-                let key: Vec<_> = weights.into_iter().filter(|&(_, w)| w > 0).collect();
-                *numbers.entry(key.clone()).or_insert_with(|| {
-                    let sum: DVec3 = key.iter().map(|&(v, w)| corners[v] * w as f64).sum();
-                    unit.vertices.push(sum.normalize());
-                    (unit.vertices.len() - 1) as u32
-                })
-            };
-            let mut triangles = Vec::new();
-            for i in 0..n {
-                for j in 0..n - i {
-                    triangles.push([vertex(i, j), vertex(i + 1, j), vertex(i, j + 1)]);
-                    if i + j + 1 < n {
-                        triangles.push([vertex(i + 1, j), vertex(i + 1, j + 1), vertex(i, j + 1)]);
-                    }
-                }
-            }
-            unit.triangles.extend(triangles);
-        }
-        let ball = 4.0 / 3.0 * std::f64::consts::PI;
-        let scale = radius * (ball / unit.volume()).cbrt();
+        let unit = icosahedron::unit_sphere(n);
+        let scale = radius * icosahedron::equal_volume(&unit);
         unit.map(|x| centre + scale * x)
     }
 
@@ -295,47 +270,4 @@ impl Surface {
 /// The three directed edges of a triangle.
 fn edges(&[a, b, c]: &[u32; 3]) -> [[u32; 2]; 3] {
     [[a, b], [b, c], [c, a]]
-}
-
-/// Corners (unit length) and faces of the icosahedron, outward.
-fn icosahedron() -> ([DVec3; 12], [[usize; 3]; 20]) {
-    let golden = (1.0 + 5.0_f64.sqrt()) / 2.0;
-    let corners = [
-        [-1.0, golden, 0.0],
-        [1.0, golden, 0.0],
-        [-1.0, -golden, 0.0],
-        [1.0, -golden, 0.0],
-        [0.0, -1.0, golden],
-        [0.0, 1.0, golden],
-        [0.0, -1.0, -golden],
-        [0.0, 1.0, -golden],
-        [golden, 0.0, -1.0],
-        [golden, 0.0, 1.0],
-        [-golden, 0.0, -1.0],
-        [-golden, 0.0, 1.0],
-    ]
-    .map(|corner| DVec3::from_array(corner).normalize());
-    let faces = [
-        [0, 11, 5],
-        [0, 5, 1],
-        [0, 1, 7],
-        [0, 7, 10],
-        [0, 10, 11],
-        [1, 5, 9],
-        [5, 11, 4],
-        [11, 10, 2],
-        [10, 7, 6],
-        [7, 1, 8],
-        [3, 9, 4],
-        [3, 4, 2],
-        [3, 2, 6],
-        [3, 6, 8],
-        [3, 8, 9],
-        [4, 9, 5],
-        [2, 4, 11],
-        [6, 2, 10],
-        [8, 6, 7],
-        [9, 8, 1],
-    ];
-    (corners, faces)
 }

@@ -1,6 +1,11 @@
-//! Tetrahedral meshes of solids.
+//! Tetrahedral meshes of solids: made, placed, checked; their surface and the shape of their elements.
 
 use glam::DVec3;
+
+use super::surface::Fault;
+use super::{mesh_file, tet_fill, tet_shapes};
+use crate::error::Error;
+use crate::scene::{Scene, Solid, SolidMesh};
 
 /// Linear tetrahedra. All are positively oriented: det \[x1 - x0, x2 - x0, x3 - x0\] > 0; every node belongs to one at least.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -11,7 +16,84 @@ pub struct TetMesh {
     pub elements: Vec<[u32; 4]>,
 }
 
+/// The shape of one element.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ElementShape {
+    /// m^3
+    pub volume: f64,
+    /// 12 (3 V)^(2/3) over the sum of the squared edges: 1 for the regular tetrahedron, 0 for a flat one (Liu and Joe 1994).
+    pub mean_ratio: f64,
+    /// Smallest angle between two faces, degrees; 70.5 for the regular tetrahedron.
+    pub min_dihedral: f64,
+    /// Largest angle between two faces, degrees.
+    pub max_dihedral: f64,
+    /// Longest edge over the smallest height, in units of the regular tetrahedron's: 1 at best.
+    pub aspect: f64,
+}
+
+/// Faces of an element by the opposite corner, counter-clockwise seen from outside.
+const FACES: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
+
+/// Volumes below this times the cube of the longest edge are rounding of positions: such an element has no stiffness to speak of.
+const FLAT: f64 = 1e-12;
+
+/// Most elements of a mesh that is made here: 2^25, some 5 GB of solver.
+pub(super) const MAX_ELEMENTS: f64 = 33_554_432.0;
+
+/// The rest meshes of all solids of a scene, in its order.
+pub fn solid_meshes(scene: &Scene) -> Result<Vec<TetMesh>, Error> {
+    let file = scene.file.display();
+    let solids = scene.solids.iter().enumerate();
+    solids
+        .map(|(number, solid)| TetMesh::new(solid, &format!("{file}: solid[{number}]")))
+        .collect()
+}
+
 impl TetMesh {
+    /// The mesh of a solid where its placement puts it: scaled and turned about its own centre (the origin for boxes, balls
+    /// and shells, the middle of the bounding box for files), then moved. `what` names the solid in errors.
+    pub fn new(solid: &Solid, what: &str) -> Result<TetMesh, Error> {
+        let error = |fault: Fault| Error::input(what, fault.problem, fault.cure);
+        let mut mesh = match solid.mesh {
+            SolidMesh::Box { size, cells } => tet_shapes::cuboid(size, cells).map_err(error)?,
+            SolidMesh::Sphere { radius, cell_size } => {
+                tet_shapes::ball(radius, cell_size).map_err(error)?
+            }
+            SolidMesh::Shell {
+                radius,
+                thickness,
+                cell_size,
+            } => tet_shapes::shell(radius, thickness, cell_size).map_err(error)?,
+            SolidMesh::Surface {
+                ref file,
+                cell_size,
+            } => tet_fill::fill(&mesh_file::read(file)?, cell_size).map_err(error)?,
+            SolidMesh::File { ref file } => {
+                return Err(Error::input(
+                    format!("{what}: {}", file.display()),
+                    "files of tetrahedra are not read yet",
+                    "use a box, a sphere, a shell or a surface",
+                ));
+            }
+        };
+        let centre = match solid.mesh {
+            SolidMesh::File { .. } | SolidMesh::Surface { .. } => {
+                let [low, high] = mesh.bounds();
+                0.5 * (low + high)
+            }
+            _ => DVec3::ZERO,
+        };
+        let placement = &solid.placement;
+        for x in &mut mesh.nodes {
+            *x =
+                centre + placement.scale * (placement.rotate * (*x - centre)) + placement.translate;
+        }
+        match mesh.fault() {
+            Some(fault) => Err(error(fault)),
+            None => Ok(mesh),
+        }
+    }
+
     /// Six times the signed volume of an element, m^3.
     pub fn determinant(&self, element: [u32; 4]) -> f64 {
         let [a, b, c, d] = element.map(|node| self.nodes[node as usize]);
@@ -26,4 +108,219 @@ impl TetMesh {
             .sum::<f64>()
             / 6.0
     }
+
+    /// Low and high corner of the bounding box, m.
+    pub fn bounds(&self) -> [DVec3; 2] {
+        self.nodes
+            .iter()
+            .fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[low, high], &x| {
+                [low.min(x), high.max(x)]
+            })
+    }
+
+    /// The faces that belong to one element only, as node numbers, counter-clockwise seen from outside; in the order of their
+    /// elements, those of one element in the order of the opposite corners.
+    pub fn surface(&self) -> Vec<[u32; 3]> {
+        let sides = self.sides();
+        let groups = sides.chunk_by(|a, b| a.nodes == b.nodes);
+        let mut single: Vec<u32> = groups
+            .filter_map(|group| match group {
+                [side] => Some(side.place),
+                _ => None,
+            })
+            .collect();
+        single.sort_unstable();
+        single.into_iter().map(|place| self.face(place)).collect()
+    }
+
+    /// Number of parts that share no node.
+    pub fn components(&self) -> usize {
+        let mut parent: Vec<u32> = (0..self.nodes.len() as u32).collect();
+        let mut n = parent.len();
+        for &[first, ref rest @ ..] in &self.elements {
+            for &node in rest {
+                let (a, b) = (root(&mut parent, first), root(&mut parent, node));
+                if a != b {
+                    parent[a.max(b) as usize] = a.min(b);
+                    n -= 1;
+                }
+            }
+        }
+        n
+    }
+
+    /// The shape of an element.
+    pub fn shape(&self, element: [u32; 4]) -> ElementShape {
+        let x = element.map(|node| self.nodes[node as usize]);
+        // Area vectors of the faces, twice their areas long, outwards.
+        let normals = FACES.map(|[a, b, c]| (x[b] - x[a]).cross(x[c] - x[a]));
+        let mut angles = [f64::INFINITY, f64::NEG_INFINITY];
+        let (mut squares, mut longest) = (0.0, 0.0_f64);
+        for i in 0..4 {
+            for j in i + 1..4 {
+                let square = x[i].distance_squared(x[j]);
+                squares += square;
+                longest = longest.max(square);
+                let [m, n] = [normals[i], normals[j]];
+                let angle = f64::atan2(m.cross(n).length(), -m.dot(n)).to_degrees();
+                angles = [angles[0].min(angle), angles[1].max(angle)];
+            }
+        }
+        let determinant = self.determinant(element);
+        let base = normals.map(DVec3::length).into_iter().fold(0.0, f64::max);
+        ElementShape {
+            volume: determinant / 6.0,
+            mean_ratio: 12.0 * (0.5 * determinant).cbrt().powi(2).copysign(determinant) / squares,
+            min_dihedral: angles[0],
+            max_dihedral: angles[1],
+            aspect: (2.0_f64 / 3.0).sqrt() * longest.sqrt() * base / determinant.abs(),
+        }
+    }
+
+    /// The element of the smallest mean ratio, the first of several; `None` without elements.
+    pub fn worst_element(&self) -> Option<(usize, ElementShape)> {
+        let shapes = self.elements.iter().map(|&element| self.shape(element));
+        let smaller = |a: (usize, ElementShape), b: (usize, ElementShape)| {
+            if b.1.mean_ratio < a.1.mean_ratio {
+                b
+            } else {
+                a
+            }
+        };
+        shapes.enumerate().reduce(smaller)
+    }
+
+    /// The first reason why this is not the mesh of a solid, if there is one. Elements and nodes are counted from 0.
+    pub fn fault(&self) -> Option<Fault> {
+        self.fault_named(&|element| format!("element {element}"), &|node| {
+            format!("node {node}")
+        })
+    }
+
+    /// The same, with the names that a file gives its elements and nodes.
+    pub(super) fn fault_named(
+        &self,
+        element_name: &dyn Fn(usize) -> String,
+        node_name: &dyn Fn(usize) -> String,
+    ) -> Option<Fault> {
+        let fault = |problem, cure| Some(Fault { problem, cure });
+        if self.elements.is_empty() {
+            return fault(
+                "no tetrahedra".to_owned(),
+                "give a mesh with 4-node tetrahedra",
+            );
+        }
+        if let Some(node) = self.nodes.iter().position(|x| !x.is_finite()) {
+            return fault(
+                format!("{} is at {}", node_name(node), self.nodes[node]),
+                "coordinates must be finite numbers",
+            );
+        }
+        for (number, &element) in self.elements.iter().enumerate() {
+            let x = element.map(|node| self.nodes[node as usize]);
+            let edges = (0..4).flat_map(|i| (0..i).map(move |j| (i, j)));
+            let longest = edges.map(|(i, j)| x[i].distance(x[j])).fold(0.0, f64::max);
+            let determinant = self.determinant(element);
+            if determinant.abs() <= FLAT * longest.powi(3) {
+                return fault(
+                    format!(
+                        "{} with the corners {}, {}, {}, {} has no volume",
+                        element_name(number),
+                        x[0],
+                        x[1],
+                        x[2],
+                        x[3]
+                    ),
+                    "remove or merge the nodes of flat elements, or optimise the mesh (gmsh: -optimize_netgen), and export it again",
+                );
+            }
+            if determinant < 0.0 {
+                return fault(
+                    format!(
+                        "{} is inverted (volume {:e} m^3), others are not",
+                        element_name(number),
+                        determinant / 6.0
+                    ),
+                    "give all elements the same orientation in the mesh tool, and export again",
+                );
+            }
+        }
+        let sides = self.sides();
+        for group in sides.chunk_by(|a, b| a.nodes == b.nodes) {
+            let names = |group: &[Side]| {
+                let names = group
+                    .iter()
+                    .map(|side| element_name(side.place as usize / 4));
+                names.collect::<Vec<_>>().join(", ")
+            };
+            if group.len() > 2 {
+                return fault(
+                    format!("{} share one face", names(group)),
+                    "a face belongs to one or two elements: remove doubled elements, and parts that overlap, in the mesh tool",
+                );
+            }
+            if let [first, second] = group
+                && first.even == second.even
+            {
+                return fault(
+                    format!(
+                        "{} overlap: both lie on the same side of their common face",
+                        names(group)
+                    ),
+                    "remove doubled elements, and parts that overlap, in the mesh tool",
+                );
+            }
+        }
+        None
+    }
+
+    /// Corners of a face, given as 4 * element + opposite corner.
+    fn face(&self, place: u32) -> [u32; 3] {
+        let element = self.elements[place as usize / 4];
+        FACES[place as usize % 4].map(|corner| element[corner])
+    }
+
+    /// All faces of all elements, those with the same nodes beside each other.
+    fn sides(&self) -> Vec<Side> {
+        let mut sides: Vec<Side> = (0..4 * self.elements.len() as u32)
+            .map(|place| {
+                let [a, b, c] = self.face(place);
+                let mut nodes = [a, b, c];
+                nodes.sort_unstable();
+                // Turning a triangle keeps its sense; so what stands after the smallest node decides.
+                let next = match nodes[0] {
+                    first if first == a => b,
+                    first if first == b => c,
+                    _ => a,
+                };
+                Side {
+                    nodes,
+                    place,
+                    even: next == nodes[1],
+                }
+            })
+            .collect();
+        sides.sort_unstable();
+        sides
+    }
+}
+
+/// A face of an element.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Side {
+    /// Ascending.
+    nodes: [u32; 3],
+    /// 4 * element + opposite corner.
+    place: u32,
+    /// Whether the ascending order is counter-clockwise seen from outside the element.
+    even: bool,
+}
+
+/// The representative of a node's part; shortens the way for the next search.
+fn root(parent: &mut [u32], mut node: u32) -> u32 {
+    while parent[node as usize] != node {
+        parent[node as usize] = parent[parent[node as usize] as usize];
+        node = parent[node as usize];
+    }
+    node
 }

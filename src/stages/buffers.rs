@@ -210,7 +210,7 @@ impl LiquidBuffers {
             band_list: maker.make("liquid.band_list")?,
             band_args: maker.make("liquid.band_args")?,
             band_scratch: maker.make("liquid.band_scratch")?,
-            partials: RealBuffer::new(gpu, "liquid.partials", 4 * plan.n_summing(), plan.real)?,
+            partials: maker.make_real("liquid.partials", plan.real)?,
             maxima: maker.make("liquid.maxima")?,
             report: maker.make("liquid.report")?,
             solid_distance: maker.make("liquid.solid_distance")?,
@@ -230,20 +230,28 @@ impl LiquidBuffers {
 }
 
 /// Makes buffers with the sizes of the plan.
-struct Maker<'a> {
-    gpu: &'a Gpu,
-    plans: &'a [BufferPlan],
+pub(super) struct Maker<'a> {
+    pub(super) gpu: &'a Gpu,
+    pub(super) plans: &'a [BufferPlan],
 }
 
 impl Maker<'_> {
-    fn make<T: bytemuck::Pod>(&self, label: &str) -> Result<Buffer<T>, Error> {
+    fn plan(&self, label: &str, element: usize) -> &BufferPlan {
         let plan = self
             .plans
             .iter()
             .find(|plan| plan.label == label)
             .unwrap_or_else(|| panic!("{label} is not planned"));
-        assert_eq!(plan.element, size_of::<T>(), "{label}: element size");
-        self.gpu.buffer(label, plan.len)
+        assert_eq!(plan.element, element, "{label}: element size");
+        plan
+    }
+
+    pub(super) fn make<T: bytemuck::Pod>(&self, label: &str) -> Result<Buffer<T>, Error> {
+        self.gpu.buffer(label, self.plan(label, size_of::<T>()).len)
+    }
+
+    pub(super) fn make_real(&self, label: &str, real: Real) -> Result<RealBuffer, Error> {
+        RealBuffer::new(self.gpu, label, self.plan(label, real.bytes()).len, real)
     }
 }
 

@@ -16,9 +16,11 @@ mod diagnose;
 mod extrapolate;
 mod forces;
 mod liquid_distance;
+mod node_forces;
 mod probe;
 mod report;
 mod right_hand_side;
+mod solid_buffers;
 mod write_back;
 
 pub use advect_markers::AdvectMarkers;
@@ -29,9 +31,11 @@ pub use diagnose::Diagnose;
 pub use extrapolate::Extrapolate;
 pub use forces::Forces;
 pub use liquid_distance::{LiquidDistance, Volume};
+pub use node_forces::NodeForces;
 pub use probe::{Probe, ProbePoint};
-pub use report::Report;
+pub use report::{Report, SolidReport};
 pub use right_hand_side::RightHandSide;
+pub use solid_buffers::{SolidBuffers, SolidPlan, SolidStep};
 pub use write_back::WriteBack;
 
 use crate::gpu::{Binding, Buffer};

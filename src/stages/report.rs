@@ -1,6 +1,6 @@
 //! What a sub-step tells the host, read back once.
 
-use crate::state::Diagnosis;
+use crate::state::{Diagnosis, SolidDiagnosis};
 
 /// The numbers of a sub-step, from the words of the report buffer; `shaders/common/report.wgsl` names the same words.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,8 +21,8 @@ impl Report {
 
     /// The report in the words of the report buffer.
     pub fn from_words(words: &[u32]) -> Report {
-        let single = |word: usize| f64::from(f32::from_bits(words[word]));
-        let sum = |word: usize| single(word) + single(word + 1);
+        let single = |word: usize| single(words, word);
+        let sum = |word: usize| sum(words, word);
         Report {
             markers_dropped: words[Report::DROPPED],
             volume_rate: single(1),
@@ -36,4 +36,42 @@ impl Report {
             },
         }
     }
+}
+
+/// What the solids tell the host of a sub-step, from the words of their report buffer; `shaders/common/solid_report.wgsl` names
+/// the same words.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SolidReport {
+    /// Momenta, energies, speed, worst element.
+    pub diagnosis: SolidDiagnosis,
+}
+
+impl SolidReport {
+    /// Words of the report buffer.
+    pub const WORDS: usize = 22;
+
+    /// The report in the words of the report buffer.
+    pub fn from_words(words: &[u32]) -> SolidReport {
+        let sum = |word: usize| sum(words, word);
+        SolidReport {
+            diagnosis: SolidDiagnosis {
+                max_speed: single(words, 0),
+                min_det: single(words, 1),
+                inverted: words[2] as usize,
+                momentum: [sum(4), sum(6), sum(8)],
+                kinetic_energy: sum(10),
+                angular_momentum: [sum(12), sum(14), sum(16)],
+                elastic_energy: sum(18),
+                potential_energy: sum(20),
+            },
+        }
+    }
+}
+
+fn single(words: &[u32], word: usize) -> f64 {
+    f64::from(f32::from_bits(words[word]))
+}
+
+fn sum(words: &[u32], word: usize) -> f64 {
+    single(words, word) + single(words, word + 1)
 }

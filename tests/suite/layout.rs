@@ -4,7 +4,7 @@ use std::mem::offset_of;
 
 use cutwater::gpu::{Range, Real, Source, compose, validate};
 use cutwater::grid::Layout;
-use cutwater::stages::{ProbePoint, Step, Tiles};
+use cutwater::stages::{ProbePoint, SolidStep, Step, Tiles};
 
 /// Compares a WGSL struct with (field, offset) pairs and the size of its Rust doppelganger.
 pub(crate) fn assert_layout(
@@ -82,6 +82,14 @@ fn step_matches() {
         n_markers, spare,
     );
     assert_layout("step", "Step", fields, size_of::<Step>());
+}
+
+#[test]
+fn solid_step_matches() {
+    let fields = fields!(
+        SolidStep: gravity, dt, size, dx, inv_dx, n_nodes, n_elements, zero,
+    );
+    assert_layout("solid_step", "SolidStep", fields, size_of::<SolidStep>());
 }
 
 #[test]

@@ -1,0 +1,311 @@
+//! The nodes and elements of all solids on the device.
+
+use crate::Error;
+use crate::elastic::Solids;
+use crate::gpu::{Buffer, BufferPlan, Gpu, Real, RealBuffer, WG_SIZE};
+use crate::grid::{Grid, Layout};
+use crate::scene::ElasticModel;
+use crate::state::State;
+
+use super::SolidReport;
+use super::buffers::Maker;
+
+/// What a sub-step knows of the solids: the doppelganger of `SolidStep` in `shaders/common/solid_step.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct SolidStep {
+    /// m/s^2
+    pub gravity: [f32; 3],
+    /// s
+    pub dt: f32,
+    /// Size of the domain, m.
+    pub size: [f32; 3],
+    /// m
+    pub dx: f32,
+    /// 1/m
+    pub inv_dx: f32,
+    /// Nodes.
+    pub n_nodes: u32,
+    /// Elements.
+    pub n_elements: u32,
+    /// Zero, which no compiler of shaders knows: `shaders/common/pair_f32.wgsl` keeps roundings with it.
+    pub zero: u32,
+}
+
+/// What decides the sizes of [`SolidBuffers`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SolidPlan {
+    /// The grid: its walls and the layout of the obstacles' distance.
+    pub grid: Grid,
+    /// Nodes of all solids.
+    pub n_nodes: usize,
+    /// Their elements.
+    pub n_elements: usize,
+    /// Whether prescribed nodes move.
+    pub scripts: bool,
+    /// Whether there are obstacles.
+    pub obstacles: bool,
+    /// The scalar type of velocities, element data and sums.
+    pub real: Real,
+}
+
+impl SolidPlan {
+    /// The uniforms that [`SolidBuffers::new`] allocates, and the read-back of the report.
+    pub fn small_buffers(&self) -> Vec<BufferPlan> {
+        let mut plans = vec![
+            BufferPlan::of::<SolidStep>("solid.step", 1),
+            BufferPlan::of::<u32>("solid.report (read-back)", SolidReport::WORDS),
+        ];
+        if self.obstacles {
+            plans.push(BufferPlan::of::<Layout>("solid.level", 1));
+        }
+        plans
+    }
+
+    /// All buffers that [`SolidBuffers::new`] allocates, uniforms aside.
+    pub fn buffers(&self) -> Vec<BufferPlan> {
+        let (n, m) = (self.n_nodes, self.n_elements);
+        let prescribed = if self.scripts { n } else { 1 };
+        vec![
+            BufferPlan::of::<[f32; 4]>("solid.rest", n),
+            BufferPlan::of::<[f32; 4]>("solid.displacement", 2 * n),
+            RealBuffer::plan("solid.velocity", 4 * n, self.real),
+            BufferPlan::of::<u32>("solid.flags", n.next_multiple_of(4)),
+            BufferPlan::of::<[u32; 4]>("solid.elements", m),
+            RealBuffer::plan("solid.rest_gradients", 12 * m, self.real),
+            BufferPlan::of::<[f32; 2]>("solid.damping", m),
+            RealBuffer::plan("solid.rotated", 12 * m, self.real),
+            RealBuffer::plan("solid.element_forces", 12 * m, self.real),
+            RealBuffer::plan("solid.load", 4 * n, self.real),
+            BufferPlan::of::<[f32; 4]>("solid.prescribed", prescribed),
+            RealBuffer::plan("solid.partials", 12 * self.n_summing(), self.real),
+            BufferPlan::of::<u32>("solid.extremes", EXTREMES),
+            BufferPlan::of::<u32>("solid.report", SolidReport::WORDS),
+        ]
+    }
+
+    /// Threads of a reduction, each with its own share of the nodes and elements: as many as fill a large device, fewer for
+    /// small solids.
+    pub fn n_summing(&self) -> usize {
+        ((self.n_nodes + self.n_elements) / 8)
+            .next_multiple_of(WG_SIZE as usize)
+            .clamp(WG_SIZE as usize, LARGEST_SUMMING)
+    }
+}
+
+/// Threads of a reduction, at most.
+const LARGEST_SUMMING: usize = 16384;
+/// Words of [`SolidBuffers::extremes`].
+const EXTREMES: usize = 3;
+
+/// The nodes and elements of all solids, owns no kernels. n nodes, m elements; arrays of several sections hold one section of
+/// all nodes or elements after another. `Real4` is four f64 where [`SolidPlan::real`] is f64, else four f32.
+#[derive(Debug)]
+pub struct SolidBuffers {
+    /// What they were made for.
+    pub plan: SolidPlan,
+    /// The sub-step's numbers.
+    pub step: Buffer<SolidStep>,
+    /// The layout of the obstacles' distance; only with obstacles.
+    pub level: Option<Buffer<Layout>>,
+    /// Per node: rest position, m, and lumped mass, kg.
+    pub rest: Buffer<[f32; 4]>,
+    /// Displacement from rest, m, as the sum of two f32: the larger part of all nodes, then the smaller.
+    pub displacement: Buffer<[f32; 4]>,
+    /// `Real4` per node: velocity, m/s; v* before the solve, v after it.
+    pub velocity: RealBuffer,
+    /// Per node: bits 0, 1, 2 are set where x, y, z is free. Zeros fill up to a multiple of four.
+    pub flags: Buffer<u32>,
+    /// Per element: its nodes.
+    pub elements: Buffer<[u32; 4]>,
+    /// `Real4`, three sections: rest gradients of the shape functions of corners 1, 2, 3, 1/m (that of corner 0 is minus their
+    /// sum), with the rest volume (m^3), lambda and mu (Pa) as fourth numbers.
+    pub rest_gradients: RealBuffer,
+    /// Per element: tau_K, s, and 1 for the linear model, else 0.
+    pub damping: Buffer<[f32; 2]>,
+    /// `Real4`, three sections: the same gradients, rotated; fourth numbers zeta_K V lambda, zeta_K V mu (s Pa m^3), and the
+    /// determinant of the deformation gradient.
+    pub rotated: RealBuffer,
+    /// `Real4`, three sections: K x* - b of the element at corners 1, 2, 3, N (that at corner 0 is minus their sum); the fourth
+    /// number of the first section is the element's elastic energy, J, the others are zero.
+    pub element_forces: RealBuffer,
+    /// `Real4` per node: constant force, N, and tau_M, 1/s.
+    pub load: RealBuffer,
+    /// Per node: what prescribed components move with in this sub-step, m/s. Without scripts one element, zero.
+    pub prescribed: Buffer<[f32; 4]>,
+    /// What each thread of a reduction found: three sections of `Real4`.
+    pub partials: RealBuffer,
+    /// Largest speed, least determinant, inverted elements, as `shaders/measure_solid.wgsl` orders them.
+    pub extremes: Buffer<u32>,
+    /// What the host reads once per step: see [`SolidReport`].
+    pub report: Buffer<u32>,
+}
+
+impl SolidBuffers {
+    /// Allocates everything that `plan` lists and writes all that never changes.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] when the adapter does not allow a size.
+    ///
+    /// # Panics
+    /// When the solids are not those planned.
+    pub fn new(gpu: &Gpu, plan: SolidPlan, solids: &Solids) -> Result<SolidBuffers, Error> {
+        assert_eq!(
+            (solids.rest.len(), solids.elements.len()),
+            (plan.n_nodes, plan.n_elements),
+            "nodes and elements of the plan"
+        );
+        let plans = plan.buffers();
+        let maker = Maker { gpu, plans: &plans };
+        let padded = plan.grid.padded();
+        let level = || gpu.uniform("solid.level", &padded.layout());
+        let zero: SolidStep = bytemuck::Zeroable::zeroed();
+        let buffers = SolidBuffers {
+            plan,
+            step: gpu.uniform("solid.step", &zero)?,
+            level: plan.obstacles.then(level).transpose()?,
+            rest: maker.make("solid.rest")?,
+            displacement: maker.make("solid.displacement")?,
+            velocity: maker.make_real("solid.velocity", plan.real)?,
+            flags: maker.make("solid.flags")?,
+            elements: maker.make("solid.elements")?,
+            rest_gradients: maker.make_real("solid.rest_gradients", plan.real)?,
+            damping: maker.make("solid.damping")?,
+            rotated: maker.make_real("solid.rotated", plan.real)?,
+            element_forces: maker.make_real("solid.element_forces", plan.real)?,
+            load: maker.make_real("solid.load", plan.real)?,
+            prescribed: maker.make("solid.prescribed")?,
+            partials: maker.make_real("solid.partials", plan.real)?,
+            extremes: maker.make("solid.extremes")?,
+            report: maker.make("solid.report")?,
+        };
+        buffers.write_nodes(gpu, solids);
+        buffers.write_elements(gpu, solids);
+        Ok(buffers)
+    }
+
+    fn write_nodes(&self, gpu: &Gpu, solids: &Solids) {
+        let rest: Vec<[f32; 4]> = solids
+            .rest
+            .iter()
+            .zip(&solids.mass)
+            .map(|(x, &mass)| x.extend(mass).as_vec4().to_array())
+            .collect();
+        gpu.upload(&self.rest, &rest);
+        let free = |[x, y, z]: &[bool; 3]| u32::from(!x) | u32::from(!y) << 1 | u32::from(!z) << 2;
+        let flags: Vec<u32> = solids.prescribed.iter().map(free).collect();
+        gpu.upload(&self.flags, &flags);
+        let mut load = vec![0.0; 4 * self.plan.n_nodes];
+        for body in &solids.bodies {
+            for node in body.nodes.clone() {
+                let force = solids.load[node].extend(body.mass_damping);
+                load[4 * node..][..4].copy_from_slice(&force.to_array());
+            }
+        }
+        self.load.upload(gpu, &load);
+    }
+
+    fn write_elements(&self, gpu: &Gpu, solids: &Solids) {
+        gpu.upload(&self.elements, &solids.elements);
+        let m = self.plan.n_elements;
+        let mut gradients = vec![0.0; 12 * m];
+        let mut damping = vec![[0.0; 2]; m];
+        for body in &solids.bodies {
+            let linear = body.model == ElasticModel::Linear;
+            for element in body.elements.clone() {
+                let fourth = [solids.volume[element], body.lambda, body.mu];
+                for (section, fourth) in fourth.into_iter().enumerate() {
+                    let gradient = solids.gradients[element][section + 1].extend(fourth);
+                    let start = 4 * (section * m + element);
+                    gradients[start..][..4].copy_from_slice(&gradient.to_array());
+                }
+                damping[element] = [body.stiffness_damping as f32, f32::from(u8::from(linear))];
+            }
+        }
+        self.rest_gradients.upload(gpu, &gradients);
+        gpu.upload(&self.damping, &damping);
+    }
+
+    /// The uniform of a sub-step of dt (s) under gravity (m/s^2).
+    pub fn step_of(&self, gravity: glam::DVec3, dt: f64) -> SolidStep {
+        let grid = &self.plan.grid;
+        SolidStep {
+            gravity: gravity.as_vec3().to_array(),
+            dt: dt as f32,
+            size: grid.size().as_vec3().to_array(),
+            dx: grid.dx as f32,
+            inv_dx: (1.0 / grid.dx) as f32,
+            n_nodes: self.plan.n_nodes as u32,
+            n_elements: self.plan.n_elements as u32,
+            zero: 0,
+        }
+    }
+
+    /// Writes the velocities (m/s) of prescribed components for the next sub-step, one entry per node; those of free components
+    /// are not looked at. Without scripts there is nothing to write.
+    ///
+    /// # Panics
+    /// When there are scripts and another number of nodes.
+    pub fn write_prescribed(&self, gpu: &Gpu, velocities: &[[f64; 3]]) {
+        if self.plan.scripts {
+            assert_eq!(velocities.len(), self.plan.n_nodes, "prescribed velocities");
+            let words: Vec<[f32; 4]> = velocities
+                .iter()
+                .map(|v| [v[0] as f32, v[1] as f32, v[2] as f32, 0.0])
+                .collect();
+            gpu.upload(&self.prescribed, &words);
+        }
+    }
+
+    /// Writes displacements and velocities of a state, before all work submitted later. What [`SolidBuffers::read_state`] read
+    /// is written back exactly.
+    ///
+    /// # Panics
+    /// When the state has another number of nodes.
+    pub fn write_state(&self, gpu: &Gpu, state: &State) {
+        let n = self.plan.n_nodes;
+        assert_eq!(
+            (state.displacement.len(), state.node_velocity.len()),
+            (n, n),
+            "nodes of the state"
+        );
+        let mut displacement = vec![[0.0; 4]; 2 * n];
+        for (node, u) in state.displacement.iter().enumerate() {
+            for (axis, &u) in u.iter().enumerate() {
+                let high = u as f32;
+                displacement[node][axis] = high;
+                displacement[n + node][axis] = (u - f64::from(high)) as f32;
+            }
+        }
+        gpu.upload(&self.displacement, &displacement);
+        let velocity: Vec<f64> = state
+            .node_velocity
+            .iter()
+            .flat_map(|&[x, y, z]| [x, y, z, 0.0])
+            .collect();
+        self.velocity.upload(gpu, &velocity);
+    }
+
+    /// Waits for all submitted work and reads displacements and velocities into a state; exact, since the parts of a
+    /// displacement lie within the digits of an f64.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn read_state(&self, gpu: &Gpu, state: &mut State) -> Result<(), Error> {
+        let displacement = gpu.download(&self.displacement)?;
+        let (high, low) = displacement.split_at(self.plan.n_nodes);
+        let sum = |axis: usize, high: &[f32; 4], low: &[f32; 4]| {
+            f64::from(high[axis]) + f64::from(low[axis])
+        };
+        let nodes = high.iter().zip(low);
+        state.displacement = nodes
+            .map(|(high, low)| std::array::from_fn(|axis| sum(axis, high, low)))
+            .collect();
+        let velocity = self.velocity.download(gpu)?;
+        state.node_velocity = velocity
+            .chunks_exact(4)
+            .map(|v| [v[0], v[1], v[2]])
+            .collect();
+        Ok(())
+    }
+}
