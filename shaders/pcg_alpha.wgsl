@@ -41,7 +41,7 @@ fn pcg_alpha(@builtin(local_invocation_index) lane: u32) {
     control.first = 0u;
     if ends {
         control.running = 0u;
-        gate_levels(false);
+        gate_lists(false);
         gate_extra(TURN, true);
     }
 }

@@ -24,7 +24,7 @@ fn pcg_beta(@builtin(local_invocation_index) lane: u32) {
         // Later in a round r is down to its rounding, and the turn judges what was reached.
         control.status = select(control.status, STATUS_BREAKDOWN, control.first == 1u);
         control.running = 0u;
-        gate_levels(false);
+        gate_lists(false);
         gate_extra(UPDATE, false);
         gate_extra(TURN, true);
         return;

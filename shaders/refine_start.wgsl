@@ -1,5 +1,5 @@
 // Outer loop, one workgroup, before the first round: the norms of the right-hand side, the number of unknowns, the state.
-// totals: where the number of partials stands. args, gated: see control. partials: |b|^2, fluxes^2, unknowns.
+// totals: where the number of partials stands. args, gated: see control. partials: |b|^2, terms^2, unknowns.
 #import level
 #import refine
 #import control
@@ -19,7 +19,7 @@ fn refine_start(@builtin(local_invocation_index) lane: u32) {
         return;
     }
     norms[NORM_B] = sums.x;
-    norms[NORM_FLUX] = sums.y;
+    norms[NORM_TERMS] = sums.y;
     norms[NORM_R] = sums.x;
     // No correction yet: any residual is better than none.
     norms[NORM_LAST] = Real(3e38);
@@ -29,7 +29,7 @@ fn refine_start(@builtin(local_invocation_index) lane: u32) {
     control.status = STATUS_RUNNING;
     control.iterations = 0u;
     control.rounds = 0u;
-    gate_levels(false);
+    gate_lists(false);
     gate_extra(UPDATE, false);
     gate_extra(TURN, true);
     gate_extra(BEGIN, false);

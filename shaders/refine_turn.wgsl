@@ -11,7 +11,7 @@
 struct RefineSettings {
     // relative tolerance of |r| / |b|
     tolerance: f32,
-    // of |r| / | |E| |u*| |: what rounding leaves
+    // of |r| over the norm of the terms that b sums: what rounding leaves
     rounding: f32,
     // least reduction of a round, above what the corrections' precision can reach
     round_floor: f32,
@@ -51,7 +51,7 @@ fn refine_turn(@builtin(local_invocation_index) lane: u32) {
     norms[NORM_R] = rr;
     let tolerance = Real(settings.tolerance);
     let rounding = Real(settings.rounding);
-    let goal = max(tolerance * tolerance * norms[NORM_B], rounding * rounding * norms[NORM_FLUX]);
+    let goal = max(tolerance * tolerance * norms[NORM_B], rounding * rounding * norms[NORM_TERMS]);
     if rr <= goal {
         control.status = STATUS_CONVERGED;
     } else if control.iterations >= control.max_iterations {
@@ -65,7 +65,7 @@ fn refine_turn(@builtin(local_invocation_index) lane: u32) {
         control.running = 1u;
         control.first = 1u;
         control.rounds++;
-        gate_levels(true);
+        gate_lists(true);
         gate_extra(UPDATE, true);
         gate_extra(BEGIN, true);
     }

@@ -6,8 +6,8 @@ struct Control {
     max_iterations: u32,
     first: u32,             // 1 until the round has made its first step
     rounds: u32,            // rounds begun
-    unknowns: u32,          // active cells
-    n_levels: u32,
+    unknowns: u32,          // active cells, or free components of nodes
+    n_lists: u32,           // lists whose dispatch sizes open while a round runs
 }
 
 const STATUS_RUNNING = 0u;

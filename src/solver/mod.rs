@@ -20,7 +20,8 @@
 //! **Rounds.** A round is a PCG solve for a correction, in f32 unless the precision is `f64`; between rounds ("turn") the residual
 //! is evaluated in the precision of the unknowns. All of it is recorded ahead; kernels on the device open and close the
 //! dispatch sizes of what follows, so nothing waits for the host. |r|^2 after an update is computed from the sums that give
-//! alpha, so that a finished round does not start another V-cycle.
+//! alpha, so that a finished round does not start another V-cycle. State machine and outer loop are the same for every system of
+//! quads, whatever their four scalars stand for.
 //!
 //! Letters: x correction, r residual, z preconditioned residual, s search direction, q = B s.
 
@@ -29,13 +30,15 @@ mod hierarchy;
 mod host_residual;
 mod pcg;
 mod plan;
+mod pressure;
 mod refine;
 mod system;
 
 pub use components::Components;
 pub use hierarchy::Hierarchy;
 pub use plan::small_buffers;
-pub use refine::{Outcome, PressureSolver, rounding};
+pub use pressure::PressureSolver;
+pub use refine::{Outcome, rounding};
 pub use system::{Everywhere, LevelPlan, PressureSystem, SolverBuffers, Within, variant};
 
 use crate::grid::Layout;
@@ -99,8 +102,8 @@ pub struct Control {
     pub first: u32,
     /// Rounds begun.
     pub rounds: u32,
-    /// Active cells.
+    /// Active cells, or free components of nodes.
     pub unknowns: u32,
-    /// Levels of the hierarchy.
-    pub n_levels: u32,
+    /// Lists whose dispatch sizes open while a round runs.
+    pub n_lists: u32,
 }

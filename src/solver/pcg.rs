@@ -1,14 +1,93 @@
-//! Preconditioned conjugate gradients for the correction of a round (Hestenes and Stiefel 1952), scalars on the device.
+//! Preconditioned conjugate gradients for the correction of a round (Hestenes and Stiefel 1952), scalars on the device. What is the same
+//! for every system: a quad is four scalars, whatever they stand for.
 
 use crate::Error;
-use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, RealBuffer};
-use crate::scene::Preconditioner;
+use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, RealBuffer, Variant};
 
-use super::system::SolverBuffers;
-use super::{Control, FOLD_THREADS, Hierarchy, OMEGA, Sweep};
+use super::refine::System;
+use super::{Control, FOLD_THREADS, Level};
 
 /// Scalars on the device: `shaders/common/pcg_slots.wgsl` names the slots.
 pub(super) const N_SCALARS: usize = 8;
+/// Dispatch sizes in `gated` after those of the lists: `shaders/common/control.wgsl` names them.
+pub(super) const EXTRA_SIZES: usize = 3;
+const UPDATE: usize = 0;
+const TURN: usize = 1;
+const BEGIN: usize = 2;
+
+/// Labels of what the state machine allocates.
+#[derive(Debug)]
+pub(super) struct Labels {
+    pub(super) control: &'static str,
+    pub(super) control_back: &'static str,
+    pub(super) scalars: &'static str,
+    pub(super) gated: &'static str,
+    pub(super) gate: &'static str,
+    pub(super) folded: &'static str,
+    pub(super) outer_folded: &'static str,
+    pub(super) norms: &'static str,
+    pub(super) norms_back: &'static str,
+    pub(super) level: &'static str,
+    pub(super) totals: &'static str,
+    pub(super) refine_settings: &'static str,
+}
+
+/// The labels of a group of buffers.
+macro_rules! labels {
+    ($group:literal) => {
+        $crate::solver::pcg::Labels {
+            control: concat!($group, ".control"),
+            control_back: concat!($group, ".control (read-back)"),
+            scalars: concat!($group, ".scalars"),
+            gated: concat!($group, ".gated"),
+            gate: concat!($group, ".gate"),
+            folded: concat!($group, ".folded"),
+            outer_folded: concat!($group, ".outer_folded"),
+            norms: concat!($group, ".norms"),
+            norms_back: concat!($group, ".norms (read-back)"),
+            level: concat!($group, ".level"),
+            totals: concat!($group, ".totals"),
+            refine_settings: concat!($group, ".refine_settings"),
+        }
+    };
+}
+pub(super) use labels;
+
+/// The quads of a system, and the vectors over them that the state machine works on.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Unknowns<'a> {
+    pub(super) labels: &'static Labels,
+    /// Where the quads lie; its `args` is the first list.
+    pub(super) level: Level,
+    /// Lists whose dispatch sizes open while a round runs; the first is that of the quads.
+    pub(super) n_lists: usize,
+    /// Whether sums take two levels: one workgroup alone would be slow on a wide device.
+    pub(super) long_sums: bool,
+    /// Scalar types of the outer loop (`real`) and of the rounds (`inner`).
+    pub(super) variant: Variant,
+    /// Per quad, bits 0-3: which lanes are unknowns.
+    pub(super) flags: &'a Buffer<u32>,
+    pub(super) list: &'a Buffer<u32>,
+    /// Dispatch size and length of each list; after them the length of folded partials.
+    pub(super) args: &'a Buffer<u32>,
+    /// The unknowns.
+    pub(super) x: &'a RealBuffer,
+    /// The true residual.
+    pub(super) outer: &'a RealBuffer,
+    /// Preconditioned residual, as the search direction takes it.
+    pub(super) z: &'a RealBuffer,
+    /// Search direction, then correction.
+    pub(super) search: &'a RealBuffer,
+    pub(super) partials: &'a RealBuffer,
+    pub(super) outer_partials: &'a RealBuffer,
+    /// State of the stage that looked for closed components, where there is one.
+    pub(super) components: Option<&'a Buffer<u32>>,
+}
+
+/// Entries of `folded`.
+pub(super) fn folded_len(long_sums: bool) -> usize {
+    if long_sums { 4 * FOLD_THREADS } else { 4 }
+}
 
 /// What the state machine on the device keeps.
 #[derive(Debug)]
@@ -21,24 +100,56 @@ pub(super) struct State {
     pub(super) gate: Buffer<u32>,
     folded: RealBuffer,
     pub(super) outer_folded: RealBuffer,
+    n_lists: usize,
 }
 
 impl State {
-    pub(super) fn new(gpu: &Gpu, buffers: &SolverBuffers) -> Result<State, Error> {
-        let (plan, variant) = (&buffers.plan, buffers.variant);
-        let folded = if plan.long_sums() {
-            4 * FOLD_THREADS
-        } else {
-            4
-        };
+    pub(super) fn new(gpu: &Gpu, unknowns: &Unknowns) -> Result<State, Error> {
+        let Unknowns {
+            labels,
+            n_lists,
+            variant,
+            ..
+        } = *unknowns;
+        let folded = folded_len(unknowns.long_sums);
         Ok(State {
-            control: gpu.buffer("solver.control", 1)?,
-            scalars: RealBuffer::new(gpu, "solver.scalars", N_SCALARS, variant.inner)?,
-            gated: gpu.buffer("solver.gated", 4 * (plan.len() + 3))?,
-            gate: gpu.buffer("solver.gate", 8)?,
-            folded: RealBuffer::new(gpu, "solver.folded", folded, variant.inner)?,
-            outer_folded: RealBuffer::new(gpu, "solver.outer_folded", folded, variant.real)?,
+            control: gpu.buffer(labels.control, 1)?,
+            scalars: RealBuffer::new(gpu, labels.scalars, N_SCALARS, variant.inner)?,
+            gated: gpu.buffer(labels.gated, 4 * (n_lists + EXTRA_SIZES))?,
+            gate: gpu.buffer(labels.gate, 8)?,
+            folded: RealBuffer::new(gpu, labels.folded, folded, variant.inner)?,
+            outer_folded: RealBuffer::new(gpu, labels.outer_folded, folded, variant.real)?,
+            n_lists,
         })
+    }
+
+    /// Records a kernel on a list while a round runs.
+    pub(super) fn in_round(&self, pass: &mut Pass, bound: &Bound, list: usize) {
+        pass.dispatch_indirect(bound, &self.gated, list);
+    }
+
+    /// Records the update of correction and residual, which outlives the round by one kernel.
+    pub(super) fn in_update(&self, pass: &mut Pass, bound: &Bound) {
+        pass.dispatch_indirect(bound, &self.gated, self.n_lists + UPDATE);
+    }
+
+    /// Records a kernel of the turn from one round to the next.
+    pub(super) fn in_turn(&self, pass: &mut Pass, bound: &Bound) {
+        pass.dispatch_indirect(bound, &self.gated, self.n_lists + TURN);
+    }
+
+    /// Records a kernel of the start of a round.
+    pub(super) fn in_begin(&self, pass: &mut Pass, bound: &Bound) {
+        pass.dispatch_indirect(bound, &self.gated, self.n_lists + BEGIN);
+    }
+
+    /// Opens the sizes of a round from the host, as `refine_turn` does on the device.
+    pub(super) fn open(&self, gpu: &Gpu, args: &[u32]) {
+        let mut gated = args[..4 * self.n_lists].to_vec();
+        for extra in 0..EXTRA_SIZES {
+            gated.extend_from_slice(if extra == TURN { &[0; 4] } else { &args[..4] });
+        }
+        gpu.upload(&self.gated, &gated);
     }
 }
 
@@ -53,35 +164,35 @@ impl Fold {
     /// Binds a one-workgroup kernel that sums `partials` and goes on from there with the `other` bindings.
     pub(super) fn new(
         gpu: &Gpu,
-        buffers: &SolverBuffers,
+        unknowns: &Unknowns,
         kernel: &Kernel,
         [partials, folded]: [&RealBuffer; 2],
         other: &[(&str, crate::gpu::Binding)],
     ) -> Result<Fold, Error> {
-        let plan = &buffers.plan;
-        let level = gpu.uniform("solver.level", &plan.level(0))?;
-        let mut total = plan.level(0);
+        let level = gpu.uniform(unknowns.labels.level, &unknowns.level)?;
+        let args = ("args", unknowns.args.into());
+        let mut total = unknowns.level;
         let mut summed = partials;
         let mut first = None;
-        if plan.long_sums() {
+        if unknowns.long_sums {
             first = Some(
                 Kernel::new(gpu, &crate::wgsl!("fold_partials"), partials.real)?.bind(
                     gpu,
                     &[
                         ("level", (&level).into()),
-                        ("args", (&buffers.args).into()),
+                        args,
                         ("partials", partials.into()),
                         ("folded", folded.into()),
                     ],
                 )?,
             );
             summed = folded;
-            total.args = 4 * plan.len() as u32;
+            total.args = 4 * unknowns.n_lists as u32;
         }
-        let totals = gpu.uniform("solver.totals", &total)?;
+        let totals = gpu.uniform(unknowns.labels.totals, &total)?;
         let mut bindings = vec![
             ("totals", (&totals).into()),
-            ("args", (&buffers.args).into()),
+            args,
             ("partials", summed.into()),
         ];
         bindings.extend_from_slice(other);
@@ -108,180 +219,73 @@ impl Fold {
     }
 }
 
-/// The dispatches of an iteration.
+/// The dispatches of an iteration that do not depend on the system.
 #[derive(Debug)]
 pub(super) struct Pcg {
     open: Bound,
-    preconditioner: Precondition,
     beta: Fold,
     direction: Bound,
-    apply: Bound,
     alpha: Fold,
-    update: Bound,
-    n_levels: usize,
-}
-
-#[derive(Debug)]
-enum Precondition {
-    Multigrid(Hierarchy),
-    Jacobi(Bound),
 }
 
 impl Pcg {
+    /// Compiles and binds; `level` holds that of the unknowns.
     pub(super) fn new(
         gpu: &Gpu,
-        buffers: &SolverBuffers,
+        unknowns: &Unknowns,
+        level: &Buffer<Level>,
         state: &State,
-        preconditioner: Preconditioner,
     ) -> Result<Pcg, Error> {
-        let SolverBuffers {
-            plan,
-            variant,
-            list,
-            args,
-            matrix,
-            r,
-            z,
-            z_next,
-            search,
-            q,
-            partials,
-            ..
-        } = buffers;
-        let inner = variant.inner;
-        let level = gpu.uniform("solver.level", &plan.level(0))?;
-        let level = ("level", (&level).into());
-        let (list, args) = (("list", list.into()), ("args", args.into()));
-        let kernel = |source| Kernel::new(gpu, source, inner);
+        let kernel = |source| Kernel::new(gpu, source, unknowns.variant.inner);
         let scalars = ("scalars", (&state.scalars).into());
+        let control = ("control", (&state.control).into());
         let fold = |kernel: &Kernel| {
-            let other = [
-                scalars,
-                ("control", (&state.control).into()),
-                ("gated", (&state.gated).into()),
-            ];
-            Fold::new(gpu, buffers, kernel, [partials, &state.folded], &other)
+            let other = [scalars, control, ("gated", (&state.gated).into())];
+            let sums = [unknowns.partials, &state.folded];
+            Fold::new(gpu, unknowns, kernel, sums, &other)
         };
-        let preconditioner = match preconditioner {
-            Preconditioner::Multigrid => Precondition::Multigrid(Hierarchy::new(gpu, buffers)?),
-            Preconditioner::Jacobi => {
-                Precondition::Jacobi(kernel(&crate::wgsl!("pcg_jacobi"))?.bind(
-                    gpu,
-                    &[
-                        level,
-                        list,
-                        args,
-                        ("matrix", matrix.into()),
-                        ("r", r.into()),
-                        ("z", z_next.into()),
-                        ("partials", partials.into()),
-                    ],
-                )?)
-            }
-        };
-        let open = kernel(&crate::wgsl!("pcg_gate"))?.bind(
-            gpu,
-            &[
-                ("control", (&state.control).into()),
-                ("gate", (&state.gate).into()),
-            ],
-        )?;
+        let open = kernel(&crate::wgsl!("pcg_gate"))?
+            .bind(gpu, &[control, ("gate", (&state.gate).into())])?;
         let direction = kernel(&crate::wgsl!("pcg_direction"))?.bind(
             gpu,
             &[
-                level,
-                list,
-                args,
+                ("level", level.into()),
+                ("list", unknowns.list.into()),
+                ("args", unknowns.args.into()),
                 scalars,
-                ("z", z_next.into()),
-                ("search", search.into()),
+                ("z", unknowns.z.into()),
+                ("search", unknowns.search.into()),
             ],
         )?;
-        let apply = kernel(&crate::wgsl!("pcg_apply"))?.bind(
-            gpu,
-            &[
-                level,
-                list,
-                args,
-                ("matrix", matrix.into()),
-                ("x", search.into()),
-                ("r", r.into()),
-                ("q_out", q.into()),
-                ("partials", partials.into()),
-            ],
-        )?;
-        let sweep = gpu.uniform("solver.sweep", &first_sweep())?;
-        let update = kernel(&crate::wgsl!("pcg_update"))?.bind(
-            gpu,
-            &[
-                level,
-                ("sweep", (&sweep).into()),
-                list,
-                args,
-                scalars,
-                ("matrix", matrix.into()),
-                ("search", search.into()),
-                ("q_in", q.into()),
-                ("r", r.into()),
-                ("z", z.into()),
-            ],
-        )?;
-        let beta = fold(&kernel(&crate::wgsl!("pcg_beta"))?)?;
-        let alpha = fold(&kernel(&crate::wgsl!("pcg_alpha"))?)?;
         Ok(Pcg {
             open,
-            preconditioner,
-            beta,
+            beta: fold(&kernel(&crate::wgsl!("pcg_beta"))?)?,
             direction,
-            apply,
-            alpha,
-            update,
-            n_levels: plan.len(),
+            alpha: fold(&kernel(&crate::wgsl!("pcg_alpha"))?)?,
         })
     }
 
     /// Records iterations; those after the end of the round do nothing.
-    pub(super) fn record(&self, pass: &mut Pass, state: &State, iterations: usize) {
-        let State { gated, gate, .. } = state;
+    pub(super) fn record<S: System>(
+        &self,
+        pass: &mut Pass,
+        state: &State,
+        system: &S,
+        iterations: usize,
+    ) {
         self.record_gate(pass);
         for _ in 0..iterations {
-            self.record_preconditioner(pass, state);
-            self.beta.record_gated(pass, gate);
-            pass.dispatch_indirect(&self.direction, gated, 0);
-            pass.dispatch_indirect(&self.apply, gated, 0);
-            self.alpha.record_gated(pass, gate);
-            pass.dispatch_indirect(&self.update, gated, self.n_levels);
+            system.record_preconditioner(pass, state);
+            self.beta.record_gated(pass, &state.gate);
+            state.in_round(pass, &self.direction, 0);
+            system.record_operator(pass, &state.gated);
+            self.alpha.record_gated(pass, &state.gate);
+            system.record_update(pass, state);
         }
     }
-}
 
-/// The parts of an iteration that stand alone.
-impl Pcg {
     /// Opens the one-workgroup kernels if a round is running.
     pub(super) fn record_gate(&self, pass: &mut Pass) {
         pass.dispatch(&self.open, 1);
-    }
-
-    /// z = H r, its first sweep done.
-    pub(super) fn record_preconditioner(&self, pass: &mut Pass, State { gated, gate, .. }: &State) {
-        match &self.preconditioner {
-            Precondition::Multigrid(hierarchy) => hierarchy.record(pass, gated, gate),
-            Precondition::Jacobi(bound) => pass.dispatch_indirect(bound, gated, 0),
-        }
-    }
-
-    /// q = B s on the active quads of `buffers`.
-    pub(super) fn record_operator(&self, pass: &mut Pass, buffers: &SolverBuffers) {
-        pass.dispatch_indirect(&self.apply, &buffers.args, 0);
-    }
-}
-
-/// The first sweep of a V-cycle, from zero, which the kernels that write r do on the way.
-pub(super) fn first_sweep() -> Sweep {
-    Sweep {
-        omega: OMEGA[0],
-        ends_cycle: 0,
-        pad_0: 0,
-        pad_1: 0,
     }
 }

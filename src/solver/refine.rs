@@ -1,33 +1,30 @@
-//! The outer loop: rounds of conjugate gradients on the true residual r = b - B x, and the verdict.
+//! The outer loop: rounds of conjugate gradients on the true residual r = b - A x, and the verdict. The same for every [`System`].
 
+use std::fmt::Debug;
 use std::sync::{Mutex, PoisonError};
 
 use crate::Error;
-use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, Readback, RealBuffer, Recorder, Variant};
-use crate::scene::{Precision, Preconditioner, Solver};
+use crate::gpu::{
+    Bound, Buffer, Gpu, Kernel, Pass, Readback, Real, RealBuffer, Recorder, StageTimes,
+};
+use crate::scene::{Precision, Solver};
 use crate::state::SolveStatus;
 
-use super::Control;
 use super::components::{CLOSED, STATE_WORDS};
-use super::host_residual::HostSystem;
-use super::pcg::{Fold, Pcg, State, first_sweep};
-use super::system::SolverBuffers;
+use super::pcg::{Fold, N_SCALARS, Pcg, State, Unknowns};
+use super::{Control, Level};
 
 /// Slots of the norms: `shaders/common/refine.wgsl` names them.
 pub(super) const N_NORMS: usize = 8;
 const NORM_R: usize = 0;
 const NORM_B: usize = 1;
-const NORM_FLUX: usize = 2;
+const NORM_TERMS: usize = 2;
 const SCALE: usize = 4;
 /// Slot of the scalars: `shaders/common/pcg_slots.wgsl`.
 const GOAL: usize = 3;
 
 /// Iterations between two looks at whether the one-workgroup kernels still have work.
 const BLOCK: usize = 4;
-/// Iterations between two chances to turn from a round to the next: about what multigrid needs for a round.
-const CHUNK: [usize; 2] = [8, 64];
-/// Chances to turn in a submission: multigrid needs two or three for a solve.
-const TURNS: usize = 4;
 /// Least reduction of a round in f32: recurrences go on falling where the true residual of a correction stays (4e-5 at 80^3).
 const ROUND_FLOOR_F32: f32 = 5e-5;
 /// Share of what is left that a round aims for.
@@ -42,14 +39,14 @@ pub struct Outcome {
     pub iterations: u32,
     /// Rounds.
     pub rounds: u32,
-    /// Active cells.
+    /// Active cells, or free components of nodes.
     pub unknowns: u32,
     /// Components without a free surface, if [`Components`](super::Components) looked for them.
     pub closed_components: u32,
-    /// |b - B x| / |b|; 0 for b = 0.
+    /// |b - A x| / |b|; 0 for b = 0.
     pub residual: f64,
-    /// |b - B x| over the norm of the fluxes that b sums.
-    pub residual_flux: f64,
+    /// |b - A x| over the norm of the terms that b sums: fluxes, forces.
+    pub residual_terms: f64,
     /// Whether `residual` was evaluated in f64.
     pub verified: bool,
 }
@@ -67,7 +64,7 @@ struct Reading {
 struct Readbacks {
     control: Readback<Control>,
     norms: Readback<u32>,
-    components: Readback<u32>,
+    components: Option<Readback<u32>>,
 }
 
 /// The doppelganger of `RefineSettings` in `shaders/refine_turn.wgsl`.
@@ -80,7 +77,7 @@ pub(super) struct RefineSettings {
     pad_0: f32,
 }
 
-/// Relative to the fluxes, what rounding leaves of the residual (design section 5).
+/// Relative to the terms that the right-hand side sums, what rounding leaves of the residual (design section 5).
 pub fn rounding(solver: &Solver) -> f64 {
     match solver.precision {
         Precision::F32 => 1e-7,
@@ -88,222 +85,188 @@ pub fn rounding(solver: &Solver) -> f64 {
     }
 }
 
-/// The solve of a step: everything between a right-hand side and its potential.
+/// How many dispatches are recorded ahead.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pace {
+    /// Iterations between two chances to turn from a round to the next.
+    pub(super) chunk: usize,
+    /// Chances to turn in a submission.
+    pub(super) turns: usize,
+}
+
+/// A system A x = b that the outer loop solves: what it adds to the state machine.
+pub(super) trait System: Debug {
+    /// Where it lies.
+    type Buffers<'a>: Copy;
+    /// The same on the host.
+    type Host: HostSystem;
+
+    /// The quads of the unknowns and the vectors over them.
+    fn unknowns<'a>(buffers: Self::Buffers<'a>) -> Unknowns<'a>;
+
+    /// How much is recorded ahead.
+    fn pace(&self) -> Pace;
+
+    /// Records, before the first round: the unknowns take their start; partials of |b|^2, of the squared norm of the terms that b sums,
+    /// and of the number of unknowns.
+    fn record_measure(&self, pass: &mut Pass, buffers: Self::Buffers<'_>);
+
+    /// Records the true residual, in a turn, with the partials of its squared norm.
+    fn record_residual(&self, pass: &mut Pass, state: &State);
+
+    /// Records the start of a round: the scaled residual, a correction of zero.
+    fn record_begin(&self, pass: &mut Pass, state: &State);
+
+    /// Records z = H r, with the partials of r . z.
+    fn record_preconditioner(&self, pass: &mut Pass, state: &State);
+
+    /// Records q = A s on the lists whose dispatch sizes stand in `sizes`, with the partials that give alpha.
+    fn record_operator(&self, pass: &mut Pass, sizes: &Buffer<u32>);
+
+    /// Records x = x + alpha s, r = r - alpha q.
+    fn record_update(&self, pass: &mut Pass, state: &State);
+
+    /// Reads the system back. `closed`: components whose right-hand side still has a mean.
+    fn on_host(gpu: &Gpu, buffers: Self::Buffers<'_>, closed: u32) -> Result<Self::Host, Error>;
+}
+
+/// A system in f64 on the host, for adapters without f64 and for verdicts on f32 solves. Vectors are in the device layout.
+pub(super) trait HostSystem {
+    /// What the unknowns start from.
+    fn start(&self) -> Vec<f64>;
+
+    /// b - A x, 0 where there is no unknown, and its squared norm.
+    fn residual(&self, x: &[f64]) -> (Vec<f64>, f64);
+
+    /// Puts what is no unknown right.
+    fn mask(&self, x: &mut [f64]);
+}
+
+/// The solve of a system.
 #[derive(Debug)]
-pub struct PressureSolver {
+pub(super) struct OuterLoop<S> {
     solver: Solver,
+    system: S,
     state: State,
     pcg: Pcg,
     norms: RealBuffer,
     readbacks: Mutex<Readbacks>,
-    measure: Bound,
     start: Fold,
-    begin: Bound,
     correct: Bound,
-    residual: Bound,
     turn: Fold,
-    n_levels: usize,
-    variant: Variant,
+    /// The scalar type in which residuals are evaluated on the device.
+    real: Real,
+    round_floor: f32,
     host_turns: bool,
 }
 
-impl PressureSolver {
-    /// Compiles and binds. `velocity` holds u*, `open` the open fractions of the faces.
-    ///
-    /// # Errors
-    /// As [`Kernel::new`] and [`Gpu::buffer`].
-    pub fn new(
+impl<S: System> OuterLoop<S> {
+    /// Compiles and binds; `system` makes what the system adds, given the state and the norms.
+    pub(super) fn new(
         gpu: &Gpu,
-        buffers: &SolverBuffers,
-        velocity: &Buffer<f32>,
-        open: &Buffer<f32>,
+        buffers: S::Buffers<'_>,
         solver: &Solver,
-    ) -> Result<PressureSolver, Error> {
-        let SolverBuffers {
-            plan,
-            variant,
-            flags,
-            list,
-            args,
-            matrix,
-            rhs,
-            potential,
-            outer,
-            r,
-            z,
-            search,
-            outer_partials,
-            ..
-        } = buffers;
-        let state = State::new(gpu, buffers)?;
-        let pcg = Pcg::new(gpu, buffers, &state, solver.preconditioner)?;
-        let norms = RealBuffer::new(gpu, "solver.norms", N_NORMS, variant.real)?;
-        let level = gpu.uniform("solver.level", &plan.level(0))?;
-        let level = ("level", (&level).into());
-        let (list, args, flags) = (
-            ("list", list.into()),
-            ("args", args.into()),
-            ("flags", flags.into()),
-        );
-        let matrix = ("matrix", matrix.into());
-        let kernel = |source| Kernel::new(gpu, source, *variant);
-        let measure = kernel(&crate::wgsl!("refine_measure"))?.bind(
-            gpu,
-            &[
-                level,
-                list,
-                args,
-                flags,
-                ("rhs", rhs.into()),
-                ("velocity", velocity.into()),
-                ("open", open.into()),
-                ("x", potential.into()),
-                ("partials", outer_partials.into()),
-            ],
-        )?;
-        let sweep = gpu.uniform("solver.sweep", &first_sweep())?;
-        let begin = kernel(&crate::wgsl!("pcg_begin"))?.bind(
-            gpu,
-            &[
-                level,
-                ("sweep", (&sweep).into()),
-                list,
-                args,
-                ("norms", (&norms).into()),
-                ("outer", outer.into()),
-                matrix,
-                ("r", r.into()),
-                ("search", search.into()),
-                ("z", z.into()),
-            ],
-        )?;
+        system: impl FnOnce(&State, &RealBuffer) -> Result<S, Error>,
+    ) -> Result<OuterLoop<S>, Error> {
+        let unknowns = S::unknowns(buffers);
+        let Unknowns {
+            labels, variant, ..
+        } = unknowns;
+        let state = State::new(gpu, &unknowns)?;
+        let norms = RealBuffer::new(gpu, labels.norms, N_NORMS, variant.real)?;
+        let system = system(&state, &norms)?;
+        let level: Buffer<Level> = gpu.uniform(labels.level, &unknowns.level)?;
+        let kernel = |source| Kernel::new(gpu, source, variant);
         let correct = kernel(&crate::wgsl!("refine_correct"))?.bind(
             gpu,
             &[
-                level,
-                list,
-                args,
-                flags,
+                ("level", (&level).into()),
+                ("list", unknowns.list.into()),
+                ("args", unknowns.args.into()),
+                ("flags", unknowns.flags.into()),
                 ("norms", (&norms).into()),
-                ("search", search.into()),
-                ("x", potential.into()),
+                ("search", unknowns.search.into()),
+                ("x", unknowns.x.into()),
             ],
         )?;
-        let residual = kernel(&crate::wgsl!("refine_residual"))?.bind(
-            gpu,
-            &[
-                level,
-                list,
-                args,
-                flags,
-                matrix,
-                ("x", potential.into()),
-                ("rhs", rhs.into()),
-                ("outer", outer.into()),
-                ("partials", outer_partials.into()),
-            ],
-        )?;
+        let round_floor = round_floor(variant.inner);
         let settings = RefineSettings {
             tolerance: solver.tolerance as f32,
             rounding: rounding(solver) as f32,
-            round_floor: round_floor(solver),
+            round_floor,
             pad_0: 0.0,
         };
-        let settings = gpu.uniform("solver.refine_settings", &settings)?;
-        let sums = [outer_partials, &state.outer_folded];
+        let settings = gpu.uniform(labels.refine_settings, &settings)?;
         let shared = [
             ("norms", (&norms).into()),
             ("control", (&state.control).into()),
             ("gated", (&state.gated).into()),
         ];
-        let start = Fold::new(
-            gpu,
-            buffers,
-            &kernel(&crate::wgsl!("refine_start"))?,
-            sums,
-            &shared,
-        )?;
-        let mut turn_bindings = shared.to_vec();
-        turn_bindings.push(("settings", (&settings).into()));
-        turn_bindings.push(("scalars", (&state.scalars).into()));
-        let turn = Fold::new(
-            gpu,
-            buffers,
-            &kernel(&crate::wgsl!("refine_turn"))?,
-            sums,
-            &turn_bindings,
-        )?;
+        let sum = |kernel: Kernel, other: &[_]| {
+            let sums = [unknowns.outer_partials, &state.outer_folded];
+            Fold::new(gpu, &unknowns, &kernel, sums, other)
+        };
+        let start = sum(kernel(&crate::wgsl!("refine_start"))?, &shared)?;
+        let mut turn = shared.to_vec();
+        turn.push(("settings", (&settings).into()));
+        turn.push(("scalars", (&state.scalars).into()));
+        let turn = sum(kernel(&crate::wgsl!("refine_turn"))?, &turn)?;
         let control = Control {
             max_iterations: solver.max_iterations,
-            n_levels: plan.len() as u32,
+            n_lists: unknowns.n_lists as u32,
             ..Control::default()
         };
         gpu.upload(&state.control, &[control]);
-        let host_turns = solver.precision == Precision::Mixed && !gpu.has_f64();
+        let components = unknowns
+            .components
+            .map(|components| Readback::new(gpu, components.label(), STATE_WORDS));
         let readbacks = Mutex::new(Readbacks {
-            control: Readback::new(gpu, "solver.control", 1)?,
-            norms: Readback::new(gpu, "solver.norms", norms.words.len())?,
-            components: Readback::new(gpu, "solver.components", STATE_WORDS)?,
+            control: Readback::new(gpu, labels.control, 1)?,
+            norms: Readback::new(gpu, labels.norms, norms.words.len())?,
+            components: components.transpose()?,
         });
-        Ok(PressureSolver {
+        Ok(OuterLoop {
             solver: *solver,
+            pcg: Pcg::new(gpu, &unknowns, &level, &state)?,
+            system,
             state,
-            pcg,
-            readbacks,
             norms,
-            measure,
+            readbacks,
             start,
-            begin,
             correct,
-            residual,
             turn,
-            n_levels: plan.len(),
-            variant: *variant,
-            host_turns,
+            real: variant.real,
+            round_floor,
+            host_turns: solver.precision == Precision::Mixed && !gpu.has_f64(),
         })
-    }
-
-    fn chunk(&self) -> usize {
-        match self.solver.preconditioner {
-            Preconditioner::Multigrid => CHUNK[0],
-            Preconditioner::Jacobi => CHUNK[1],
-        }
-    }
-
-    fn record_start(&self, recorder: &mut Recorder, buffers: &SolverBuffers) {
-        recorder.stage("solve", |pass| {
-            pass.dispatch_indirect(&self.measure, &buffers.args, 0);
-            self.start.record(pass);
-        });
     }
 
     /// From a round to the next, where the round is over: correction, true residual, verdict.
     fn record_turn(&self, pass: &mut Pass) {
-        let turn = self.n_levels + 1;
-        pass.dispatch_indirect(&self.correct, &self.state.gated, turn);
-        pass.dispatch_indirect(&self.residual, &self.state.gated, turn);
+        self.state.in_turn(pass, &self.correct);
+        self.system.record_residual(pass, &self.state);
         self.turn.record(pass);
     }
 
     fn record_iterations(&self, pass: &mut Pass) {
-        for _ in 0..self.chunk() / BLOCK {
-            self.pcg.record(pass, &self.state, BLOCK);
+        for _ in 0..self.system.pace().chunk / BLOCK {
+            self.pcg.record(pass, &self.state, &self.system, BLOCK);
         }
     }
 
     /// Submits the recording with the solve at its end and waits for the verdict. `verify` asks for a verdict in f64 where
     /// the precision or the adapter would not give one.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails. A solve that does not converge is an [`Outcome`], not an error.
-    pub fn solve<'a>(
+    pub(super) fn solve<'a>(
         &self,
         gpu: &'a Gpu,
         mut recorder: Recorder<'a>,
-        buffers: &SolverBuffers,
+        buffers: S::Buffers<'_>,
         verify: bool,
-    ) -> Result<(Outcome, crate::gpu::StageTimes), Error> {
-        self.record_start(&mut recorder, buffers);
+    ) -> Result<(Outcome, StageTimes), Error> {
+        recorder.stage("solve", |pass| {
+            self.system.record_measure(pass, buffers);
+            self.start.record(pass);
+        });
         if self.host_turns {
             let timing = recorder.submit();
             let outcome = self.solve_with_host_turns(gpu, buffers)?;
@@ -312,9 +275,9 @@ impl PressureSolver {
         let mut times = Vec::new();
         loop {
             recorder.stage("solve", |pass| {
-                for _ in 0..TURNS {
+                for _ in 0..self.system.pace().turns {
                     self.record_turn(pass);
-                    pass.dispatch_indirect(&self.begin, &self.state.gated, self.n_levels + 2);
+                    self.system.record_begin(pass, &self.state);
                     self.record_iterations(pass);
                 }
                 self.record_turn(pass);
@@ -331,12 +294,10 @@ impl PressureSolver {
                     recorder.submit();
                 }
                 if verify && !outcome.verified {
-                    let system = HostSystem::download(gpu, buffers)?;
-                    let x = buffers.potential.download(gpu)?;
-                    let rhs = buffers.rhs.download(gpu)?;
-                    let (_, rr) = system.residual(&x, &rhs);
+                    let x = S::unknowns(buffers).x.download(gpu)?;
+                    let (_, rr) = S::on_host(gpu, buffers, 0)?.residual(&x);
                     outcome.residual = relative(rr, norms[NORM_B]);
-                    outcome.residual_flux = relative(rr, norms[NORM_FLUX]);
+                    outcome.residual_terms = relative(rr, norms[NORM_TERMS]);
                     outcome.verified = true;
                 }
                 return Ok((*outcome, times));
@@ -345,52 +306,37 @@ impl PressureSolver {
         }
     }
 
-    /// B x of the system in `buffers`, in the precision of the corrections, as PCG evaluates it. `x` and the answer are in the
-    /// device layout; inactive cells of the answer mean nothing. Overwrites what a solve computes with.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
-    pub fn apply(&self, gpu: &Gpu, buffers: &SolverBuffers, x: &[f64]) -> Result<Vec<f64>, Error> {
-        buffers.search.upload(gpu, x);
+    /// q = A x in the precision of the corrections, as PCG evaluates it. Overwrites what a solve computes with.
+    pub(super) fn apply(&self, gpu: &Gpu, buffers: S::Buffers<'_>, x: &[f64]) -> Result<(), Error> {
+        let Unknowns { search, args, .. } = S::unknowns(buffers);
+        search.upload(gpu, x);
         let mut recorder = Recorder::new(gpu);
-        recorder.stage("solve", |pass| self.pcg.record_operator(pass, buffers));
+        recorder.stage("solve", |pass| self.system.record_operator(pass, args));
         recorder.submit();
-        buffers.q.download(gpu)
+        gpu.check("solve")
     }
 
-    /// z = H r, the preconditioner on the system in `buffers`, as PCG evaluates it. `r`, 0 in inactive cells, and the answer are in
-    /// the device layout; inactive cells of the answer mean nothing. Overwrites what a solve computes with.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
-    pub fn precondition(
-        &self,
-        gpu: &Gpu,
-        buffers: &SolverBuffers,
-        r: &[f64],
-    ) -> Result<Vec<f64>, Error> {
+    /// z = H r as PCG evaluates it, for r where the residual of the outer loop stands. Overwrites what a solve computes with.
+    pub(super) fn precondition(&self, gpu: &Gpu, buffers: S::Buffers<'_>) -> Result<(), Error> {
         let (mut reading, _) = self.submit(gpu, Recorder::new(gpu), buffers)?;
-        let args = gpu.download(&buffers.args)?;
+        let args = gpu.download(S::unknowns(buffers).args)?;
         self.open_round(gpu, &mut reading.control, &mut reading.norms, &args, 1.0);
-        buffers.outer.upload(gpu, r);
         let mut recorder = Recorder::new(gpu);
         recorder.stage("solve", |pass| {
-            pass.dispatch_indirect(&self.begin, &self.state.gated, self.n_levels + 2);
+            self.system.record_begin(pass, &self.state);
             self.pcg.record_gate(pass);
-            self.pcg.record_preconditioner(pass, &self.state);
+            self.system.record_preconditioner(pass, &self.state);
         });
         recorder.submit();
-        let mut z = buffers.z_next.download(gpu)?;
-        z.truncate(r.len());
-        Ok(z)
+        gpu.check("solve")
     }
 
     fn submit(
         &self,
         gpu: &Gpu,
         mut recorder: Recorder,
-        buffers: &SolverBuffers,
-    ) -> Result<(Reading, crate::gpu::StageTimes), Error> {
+        buffers: S::Buffers<'_>,
+    ) -> Result<(Reading, StageTimes), Error> {
         // A panic in another solve leaves nothing half done here: every use begins with new copies.
         let mut readbacks = self
             .readbacks
@@ -403,12 +349,17 @@ impl PressureSolver {
         } = &mut *readbacks;
         recorder.read(&self.state.control, control);
         recorder.read(&self.norms.words, norms);
-        recorder.read(&buffers.components, components);
+        if let (Some(words), Some(back)) = (S::unknowns(buffers).components, components.as_mut()) {
+            recorder.read(words, back);
+        }
         let times = recorder.submit().wait()?;
         let reading = Reading {
             control: control.wait(gpu)?[0],
             norms: self.norms.widen(&norms.wait(gpu)?),
-            closed: components.wait(gpu)?[CLOSED],
+            closed: match components {
+                Some(components) => components.wait(gpu)?[CLOSED],
+                None => 0,
+            },
         };
         Ok((reading, times))
     }
@@ -436,32 +387,27 @@ impl PressureSolver {
             unknowns: control.unknowns,
             closed_components: *closed,
             residual: relative(norms[NORM_R], norms[NORM_B]),
-            residual_flux: relative(norms[NORM_R], norms[NORM_FLUX]),
-            verified: self.variant.real == crate::gpu::Real::F64,
+            residual_terms: relative(norms[NORM_R], norms[NORM_TERMS]),
+            verified: self.real == Real::F64,
         })
     }
 
     /// The outer loop for adapters without f64: the rounds run on the device, the unknowns and the residual are held in f64 on
     /// the host, one exchange per round.
-    fn solve_with_host_turns(&self, gpu: &Gpu, buffers: &SolverBuffers) -> Result<Outcome, Error> {
+    fn solve_with_host_turns(&self, gpu: &Gpu, buffers: S::Buffers<'_>) -> Result<Outcome, Error> {
         let (reading, _) = self.submit(gpu, Recorder::new(gpu), buffers)?;
         let Reading {
             mut control,
             mut norms,
             closed,
         } = reading;
-        let system = HostSystem::download(gpu, buffers)?;
-        let args = gpu.download(&buffers.args)?;
-        let mut rhs = buffers.rhs.download(gpu)?;
-        if closed > 0 {
-            // Rounding to f32 gave them means again, of which no solution could get below the tolerance.
-            let labels = gpu.download(&buffers.labels)?;
-            system.remove_closed_means(&labels, &mut rhs);
-        }
-        let mut x = vec![0.0; rhs.len()];
-        let (mut r, mut rr) = system.residual(&x, &rhs);
+        let system = S::on_host(gpu, buffers, closed)?;
+        let unknowns = S::unknowns(buffers);
+        let args = gpu.download(unknowns.args)?;
+        let mut x = system.start();
+        let (mut r, mut rr) = system.residual(&x);
         let goal = (self.solver.tolerance.powi(2) * norms[NORM_B])
-            .max(rounding(&self.solver).powi(2) * norms[NORM_FLUX]);
+            .max(rounding(&self.solver).powi(2) * norms[NORM_TERMS]);
         let status = loop {
             if !rr.is_finite() {
                 break SolveStatus::NonFinite;
@@ -477,12 +423,10 @@ impl PressureSolver {
             }
             let scale = rr.sqrt();
             let scaled: Vec<f64> = r.iter().map(|value| value / scale).collect();
-            buffers.outer.upload(gpu, &scaled);
+            unknowns.outer.upload(gpu, &scaled);
             self.open_round(gpu, &mut control, &mut norms, &args, goal / rr);
             let mut recorder = Recorder::new(gpu);
-            recorder.stage("solve", |pass| {
-                pass.dispatch_indirect(&self.begin, &self.state.gated, self.n_levels + 2);
-            });
+            recorder.stage("solve", |pass| self.system.record_begin(pass, &self.state));
             loop {
                 recorder.stage("solve", |pass| self.record_iterations(pass));
                 control = self.submit(gpu, recorder, buffers)?.0.control;
@@ -491,21 +435,21 @@ impl PressureSolver {
                 }
                 recorder = Recorder::new(gpu);
             }
-            let search = buffers.search.download(gpu)?;
-            let correction = &search[rhs.len()..];
+            let search = unknowns.search.download(gpu)?;
+            let correction = &search[x.len()..];
             let better: Vec<f64> = x
                 .iter()
                 .zip(correction)
                 .map(|(x, correction)| x + scale * correction)
                 .collect();
-            let (r_new, rr_new) = system.residual(&better, &rhs);
+            let (r_new, rr_new) = system.residual(&better);
             if rr_new.is_finite() && rr_new >= rr {
                 break SolveStatus::Stagnated;
             }
             (x, r, rr) = (better, r_new, rr_new);
         };
         system.mask(&mut x);
-        buffers.potential.upload(gpu, &x);
+        unknowns.x.upload(gpu, &x);
         Ok(Outcome {
             status,
             iterations: control.iterations,
@@ -513,7 +457,7 @@ impl PressureSolver {
             unknowns: control.unknowns,
             closed_components: closed,
             residual: relative(rr, norms[NORM_B]),
-            residual_flux: relative(rr, norms[NORM_FLUX]),
+            residual_terms: relative(rr, norms[NORM_TERMS]),
             verified: true,
         })
     }
@@ -533,23 +477,18 @@ impl PressureSolver {
         gpu.upload(&self.state.control, &[*control]);
         norms[SCALE] = 1.0;
         self.norms.upload(gpu, norms);
-        let mut scalars = vec![0.0; super::pcg::N_SCALARS];
-        scalars[GOAL] =
-            (ROUND_MARGIN.powi(2) * left).max(f64::from(round_floor(&self.solver)).powi(2));
+        let mut scalars = vec![0.0; N_SCALARS];
+        scalars[GOAL] = (ROUND_MARGIN.powi(2) * left).max(f64::from(self.round_floor).powi(2));
         self.state.scalars.upload(gpu, &scalars);
-        let mut gated = args[..4 * self.n_levels].to_vec();
-        gated.extend_from_slice(&args[..4]);
-        gated.extend_from_slice(&[0; 4]);
-        gated.extend_from_slice(&args[..4]);
-        gpu.upload(&self.state.gated, &gated);
+        self.state.open(gpu, args);
     }
 }
 
-fn round_floor(solver: &Solver) -> f32 {
-    match solver.precision {
-        Precision::F32 | Precision::Mixed => ROUND_FLOOR_F32,
-        // The corrections are as precise as the residual: one round does it.
-        Precision::F64 => 0.0,
+/// Rounds in f32 end early; those as precise as the residual take one to do it all.
+fn round_floor(inner: Real) -> f32 {
+    match inner {
+        Real::F32 => ROUND_FLOOR_F32,
+        Real::F64 => 0.0,
     }
 }
 

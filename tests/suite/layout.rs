@@ -70,7 +70,7 @@ fn solver_structs_match() {
         size_of::<Sweep>(),
     );
     let fields = fields!(
-        Control: running, status, iterations, max_iterations, first, rounds, unknowns, n_levels
+        Control: running, status, iterations, max_iterations, first, rounds, unknowns, n_lists
     );
     assert_layout("control_state", "Control", fields, size_of::<Control>());
 }
