@@ -4,6 +4,8 @@
 //! All solids of a scene are one mesh, [`Solids`]: their nodes, elements and surface triangles stand one after another, and a
 //! [`Body`] says which are whose. State is kept as the displacement from rest (m) and the velocity (m/s) per node.
 
+mod probe;
+
 use std::ops::Range;
 
 use glam::DVec3;

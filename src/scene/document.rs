@@ -464,6 +464,14 @@ impl<'a> Place<'a> {
         Ok(DVec3::from_array(self.numbers::<3>(what)?))
     }
 
+    /// Three finite numbers, or one that stands for all three.
+    pub(super) fn number_or_vector(&self, what: &str) -> Result<DVec3, Error> {
+        match self.node.content {
+            Content::Integer(_) | Content::Float(_) => self.number(what).map(DVec3::splat),
+            _ => self.vector(what),
+        }
+    }
+
     /// A direction of any length but zero, as a unit vector.
     pub(super) fn direction(&self, what: &str) -> Result<DVec3, Error> {
         let vector = self.vector(what)?;
@@ -564,7 +572,7 @@ impl<'a> Place<'a> {
             if let Some((_, reason)) = keys.later.iter().find(|(later, _)| later == name) {
                 return Err(place.fail(
                     format!("{reason} yet"),
-                    format!("remove `{name}`: this version simulates liquid in a closed box with obstacles that do not move"),
+                    format!("remove `{name}`: this version simulates liquid or elastic solids in a closed box with obstacles that do not move"),
                 ));
             }
             let nearest = keys

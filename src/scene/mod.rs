@@ -2,8 +2,10 @@
 
 mod camera;
 mod document;
+mod probe;
 mod read;
 mod shape;
+mod solid;
 
 use std::path::PathBuf;
 
@@ -158,7 +160,8 @@ pub enum Shape {
     },
 }
 
-/// Scale and rotation about the shape's own centre ([`Shape::centre`]), then translation, of an obstacle's shape.
+/// Scale and rotation about the shape's own centre ([`Shape::centre`]), then translation, of an obstacle's shape or a solid's
+/// mesh.
 #[derive(Clone, Copy, Debug)]
 pub struct Placement {
     /// m
@@ -343,16 +346,18 @@ pub struct Probe {
 }
 
 impl Probe {
-    /// Its columns in probes.csv: the name, or for a velocity the name with `_x`, `_y`, `_z`.
+    /// Its columns in probes.csv: the name; `_x`, `_y`, `_z` after it for a velocity, a displacement or a centre; and
+    /// `_volume` for a solid.
     pub fn columns(&self) -> Vec<String> {
-        match self.kind {
-            ProbeKind::Velocity { .. } => ["x", "y", "z"]
-                .map(|axis| format!("{}_{axis}", self.name))
-                .to_vec(),
+        let endings: &[&str] = match self.kind {
             ProbeKind::Height { .. } | ProbeKind::Pressure { .. } | ProbeKind::Front { .. } => {
-                vec![self.name.clone()]
+                &[""]
             }
-        }
+            ProbeKind::Velocity { .. } | ProbeKind::Node { .. } => &["_x", "_y", "_z"],
+            ProbeKind::Solid { .. } => &["_x", "_y", "_z", "_volume"],
+        };
+        let name = |ending| format!("{}{ending}", self.name);
+        endings.iter().map(name).collect()
     }
 }
 
@@ -381,6 +386,25 @@ pub enum ProbeKind {
         /// 0, 1, 2 for x, y, z.
         axis: usize,
     },
+    /// Displacement from rest of the node of a solid that is nearest to a point at rest, the first of several, m; three columns.
+    Node {
+        /// Index of the solid.
+        solid: usize,
+        /// m, where the node is at rest.
+        rest_point: DVec3,
+    },
+    /// Centre of mass of a solid, m, and its volume over that at rest (signed: an inverted element counts against); four columns.
+    Solid {
+        /// Index of the solid.
+        solid: usize,
+    },
+}
+
+impl ProbeKind {
+    /// Whether it measures the liquid, and not a solid.
+    pub fn of_liquid(&self) -> bool {
+        !matches!(self, ProbeKind::Node { .. } | ProbeKind::Solid { .. })
+    }
 }
 
 /// How the pressure is solved.
@@ -436,10 +460,12 @@ pub enum Preconditioner {
 /// What a run writes.
 #[derive(Clone, Copy, Debug)]
 pub struct Output {
-    /// VTP markers; default on.
+    /// VTP markers; default on with liquid.
     pub particles: bool,
     /// VTI fields; default off.
     pub fields: bool,
+    /// VTU solids; default on with solids.
+    pub solids: bool,
     /// Every how many frames; default 1.
     pub every: u64,
 }

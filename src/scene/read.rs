@@ -1,6 +1,5 @@
 //! From the tree of a scene file to a checked [`Scene`].
 
-use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -9,10 +8,12 @@ use sha2::{Digest, Sha256};
 
 use super::camera::camera;
 use super::document::{Document, Keys, Place, Table};
+use super::probe::probes;
 use super::shape::{placement, shape};
+use super::solid::solids;
 use super::{
-    Domain, Liquid, Obstacle, Output, Placement, Precision, Preconditioner, Probe, ProbeKind,
-    Region, Scene, Solver, Surface, Time,
+    Domain, Liquid, Obstacle, Output, Placement, Precision, Preconditioner, Region, Scene, Solver,
+    Surface, Time,
 };
 use crate::error::Error;
 
@@ -31,10 +32,9 @@ const WHOLE_STEPS: f64 = 1e-6;
 
 const ROOT: Keys = Keys {
     valid: &[
-        "domain", "time", "liquid", "obstacle", "probe", "solver", "output", "camera",
+        "domain", "time", "liquid", "solid", "obstacle", "probe", "solver", "output", "camera",
     ],
     later: &[
-        ("solid", "elastic solids are not simulated"),
         ("source", "sources are not simulated"),
         ("sink", "sinks are not simulated"),
         ("surface", "surface meshes are not made"),
@@ -85,25 +85,6 @@ const OBSTACLE: Keys = Keys {
     ],
     later: &[("keyframes", "moving obstacles are not simulated")],
 };
-const PROBE: Keys = Keys {
-    valid: &["name", "height", "pressure", "velocity", "front"],
-    later: &[
-        ("node", "probes of solids are not simulated"),
-        ("solid", "probes of solids are not simulated"),
-    ],
-};
-const HEIGHT: Keys = Keys {
-    valid: &["x", "z"],
-    later: &[],
-};
-const POINT: Keys = Keys {
-    valid: &["point"],
-    later: &[],
-};
-const FRONT: Keys = Keys {
-    valid: &["axis"],
-    later: &[],
-};
 const SOLVER: Keys = Keys {
     valid: &[
         "tolerance",
@@ -128,16 +109,15 @@ const SOLVER: Keys = Keys {
         ),
         (
             "pressure_on_patches",
-            "pressures on elastic solids are not simulated",
+            "liquid and elastic solids in one scene are not simulated",
         ),
         ("face_areas", "nodal face areas are not computed"),
     ],
 };
 const OUTPUT: Keys = Keys {
-    valid: &["particles", "fields", "every"],
+    valid: &["particles", "fields", "solids", "every"],
     later: &[
         ("surface", "surface meshes are not made"),
-        ("solids", "elastic solids are not simulated"),
         ("checkpoint_every", "checkpoints are not written"),
     ],
 };
@@ -167,7 +147,20 @@ impl Scene {
         let document = Document::parse(path, &text, overrides)?;
         let root = document.root().table(&ROOT)?;
         let domain = domain(&root, scale)?;
-        let liquid = liquid(&root, path, &domain)?;
+        let (solids, first_solid) = solids(&root, path, &domain)?;
+        let liquid = match (root.get("liquid"), first_solid) {
+            (None, Some(_)) => None,
+            (_, first_solid) => {
+                let liquid = liquid(&root, path, &domain)?;
+                if let Some(place) = first_solid {
+                    return Err(place.fail(
+                        "is in a scene with liquid: the coupling of liquid and elastic solids is not simulated yet",
+                        "remove [liquid], or the solids; a body that does not move can be an [[obstacle]]",
+                    ));
+                }
+                Some(liquid)
+            }
+        };
         let scene = Scene {
             name: path
                 .file_stem()
@@ -179,12 +172,12 @@ impl Scene {
             scale,
             overrides: overrides.to_vec(),
             time: time(&root)?,
-            solver: solver(&root, liquid.surface)?,
-            liquid: Some(liquid),
-            solids: Vec::new(),
+            solver: solver(&root, liquid.as_ref().map(|liquid| liquid.surface))?,
             obstacles: obstacles(&root, path, &domain)?,
-            probes: probes(&root, &domain)?,
-            output: output(&root)?,
+            probes: probes(&root, &domain, liquid.is_some(), &solids)?,
+            output: output(&root, liquid.is_some(), !solids.is_empty())?,
+            liquid,
+            solids,
             camera: camera(&root, &domain)?,
             domain,
         };
@@ -353,7 +346,8 @@ fn time(root: &Table) -> Result<Time, Error> {
 
 fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
     let example = "[liquid] and [[liquid.region]] with a shape, such as box = { min = [0, 0, 0], max = [1, 0.5, 1] }";
-    let table = root.required("liquid", example)?.table(&LIQUID)?;
+    let or_solids = format!("{example}, or [[solid]] with name, mesh, density, young and poisson");
+    let table = root.required("liquid", &or_solids)?.table(&LIQUID)?;
     let density = match table.get("density") {
         Some(place) => place.positive("a density in kg/m^3")?,
         None => 1000.0,
@@ -484,104 +478,16 @@ fn obstacles(root: &Table, file: &Path, domain: &Domain) -> Result<Vec<Obstacle>
     places.list()?.into_iter().map(obstacle).collect()
 }
 
-fn probes(root: &Table, domain: &Domain) -> Result<Vec<Probe>, Error> {
-    let Some(places) = root.get("probe") else {
-        return Ok(Vec::new());
-    };
-    let mut probes: Vec<Probe> = Vec::new();
-    let mut taken = BTreeMap::from([("t".to_owned(), "the time".to_owned())]);
-    for place in places.list()? {
-        let table = place.table(&PROBE)?;
-        let name_place = table.required("name", "name = \"h1\", the column of probes.csv")?;
-        let name = name_place.text("the name of a column in probes.csv")?;
-        let plain = name
-            .chars()
-            .all(|c| c.is_ascii_alphanumeric() || "_-.".contains(c));
-        let problem = format!("\"{name}\" cannot name a column");
-        name_place.ensure(plain, problem, "use letters, digits, _, - and . only")?;
-        let named = probes.iter().any(|probe| probe.name == name);
-        let problem = format!("a probe before it is named \"{name}\" too");
-        name_place.ensure(!named, problem, "choose another name")?;
-
-        let (kind, place) =
-            table.one_of(&["height", "pressure", "velocity", "front"], "measurement")?;
-        let kind = match kind {
-            "height" => {
-                let table = place.table(&HEIGHT)?;
-                let coordinate = |name: &str, axis: usize| {
-                    let place = table.required(name, &format!("{name} = 0.5, in m"))?;
-                    let value = place.number("a coordinate in m")?;
-                    let side = domain.size[axis];
-                    let problem = format!("{value} m lies outside the domain");
-                    place.ensure(
-                        (0.0..=side).contains(&value),
-                        problem,
-                        format!("use 0 to {side} m"),
-                    )?;
-                    Ok::<f64, Error>(value)
-                };
-                ProbeKind::Height {
-                    x: coordinate("x", 0)?,
-                    z: coordinate("z", 2)?,
-                }
-            }
-            "pressure" => ProbeKind::Pressure {
-                point: point(place, domain)?,
-            },
-            "velocity" => ProbeKind::Velocity {
-                point: point(place, domain)?,
-            },
-            _ => {
-                let table = place.table(&FRONT)?;
-                let axis = table.required("axis", "axis = \"x\"")?;
-                ProbeKind::Front {
-                    axis: axis.choice(&[("x", 0), ("y", 1), ("z", 2)])?,
-                }
-            }
-        };
-        let probe = Probe {
-            name: name.to_owned(),
-            kind,
-        };
-        for column in probe.columns() {
-            if let Some(owner) = taken.get(&column) {
-                let problem =
-                    format!("makes column \"{column}\" of probes.csv, which {owner} has already");
-                return Err(name_place.fail(problem, "choose another name"));
-            }
-            taken.insert(column, format!("probe \"{name}\""));
-        }
-        probes.push(probe);
-    }
-    Ok(probes)
-}
-
-fn point(place: Place, domain: &Domain) -> Result<DVec3, Error> {
-    let table = place.table(&POINT)?;
-    let place = table.required("point", "point = [0.5, 0.1, 0.5], in m")?;
-    let point = place.vector("a point in m")?;
-    let inside = point.cmpge(DVec3::ZERO).all() && point.cmple(domain.size).all();
-    let problem = format!("{} lies outside the domain", list(point.to_array()));
-    place.ensure(
-        inside,
-        problem,
-        format!(
-            "stay between the origin and {}",
-            list(domain.size.to_array())
-        ),
-    )?;
-    Ok(point)
-}
-
 /// Floor of theta with markers. Their surface is bumpy by about a tenth of a cell, so a smaller theta is no more true; it only
 /// multiplies the velocity of slivers: a half-full sphere at rest started at 1.34 g dt with 1e-2 and at 0.45 g dt with this.
 const MARKER_THETA_FLOOR: f64 = 0.1;
 
-fn solver(root: &Table, surface: Surface) -> Result<Solver, Error> {
+/// `surface` is the liquid's; none without liquid.
+fn solver(root: &Table, surface: Option<Surface>) -> Result<Solver, Error> {
     let mut solver = Solver {
         theta_floor: match surface {
-            Surface::Markers => MARKER_THETA_FLOOR,
-            Surface::Fixed => Solver::default().theta_floor,
+            Some(Surface::Markers) => MARKER_THETA_FLOOR,
+            Some(Surface::Fixed) | None => Solver::default().theta_floor,
         },
         ..Solver::default()
     };
@@ -637,21 +543,29 @@ fn solver(root: &Table, surface: Surface) -> Result<Solver, Error> {
     Ok(solver)
 }
 
-fn output(root: &Table) -> Result<Output, Error> {
+fn output(root: &Table, has_liquid: bool, has_solids: bool) -> Result<Output, Error> {
     let mut output = Output {
-        particles: true,
+        particles: has_liquid,
         fields: false,
+        solids: has_solids,
         every: 1,
     };
     let Some(place) = root.get("output") else {
         return Ok(output);
     };
     let table = place.table(&OUTPUT)?;
-    if let Some(place) = table.get("particles") {
-        output.particles = place.boolean()?;
-    }
-    if let Some(place) = table.get("fields") {
-        output.fields = place.boolean()?;
+    let liquid = (has_liquid, "the scene has no liquid");
+    let solids = (has_solids, "the scene has no [[solid]]");
+    for (key, wanted, (present, problem)) in [
+        ("particles", &mut output.particles, liquid),
+        ("fields", &mut output.fields, liquid),
+        ("solids", &mut output.solids, solids),
+    ] {
+        if let Some(place) = table.get(key) {
+            *wanted = place.boolean()?;
+            let cure = format!("remove `{key}`, or write {key} = false");
+            place.ensure(present || !*wanted, problem, cure)?;
+        }
     }
     if let Some(place) = table.get("every") {
         output.every = place.count(

@@ -1,6 +1,6 @@
 //! Shapes and placements: how they are written, and what can be told of them without a mesh file.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3};
 
@@ -124,32 +124,47 @@ pub(super) fn shape(kind: &str, place: Place, file: &Path) -> Result<Shape, Erro
             let table = place.table(&MESH)?;
             let name_place =
                 table.required("file", "file = \"body.obj\", relative to the scene")?;
-            let name = name_place.text("the name of an OBJ, STL or PLY file")?;
-            let kind = Path::new(name)
-                .extension()
-                .map(|kind| kind.to_ascii_lowercase());
-            let known =
-                kind.is_some_and(|kind| ["obj", "stl", "ply"].iter().any(|known| kind == *known));
-            let problem = format!("`{name}` is not a kind of mesh that is read");
-            name_place.ensure(
-                known,
-                problem,
-                "use a closed triangle mesh as .obj, .stl or .ply",
-            )?;
-            let resolved = file.parent().unwrap_or(Path::new("")).join(name);
-            let problem = format!("there is no file {}", resolved.display());
-            name_place.ensure(
-                resolved.is_file(),
-                problem,
-                "give the path of the mesh relative to the scene's folder",
-            )?;
-            Shape::Mesh { file: resolved }
+            Shape::Mesh {
+                file: existing_file(
+                    &name_place,
+                    file,
+                    &["obj", "stl", "ply"],
+                    "the name of an OBJ, STL or PLY file",
+                    "use a closed triangle mesh as .obj, .stl or .ply",
+                )?,
+            }
         }
         _ => unreachable!("a shape key that no table lists"),
     })
 }
 
-/// Where an obstacle's shape is put.
+/// The file with the name at `place`, resolved against the folder of the scene's `file`. `what` names it; its extension must be
+/// among `kinds`, else `cure` says what would be right.
+pub(super) fn existing_file(
+    place: &Place,
+    file: &Path,
+    kinds: &[&str],
+    what: &str,
+    cure: &str,
+) -> Result<PathBuf, Error> {
+    let name = place.text(what)?;
+    let kind = Path::new(name)
+        .extension()
+        .map(|kind| kind.to_ascii_lowercase());
+    let known = kind.is_some_and(|kind| kinds.iter().any(|known| kind == *known));
+    let problem = format!("`{name}` is not a kind of mesh that is read");
+    place.ensure(known, problem, cure)?;
+    let resolved = file.parent().unwrap_or(Path::new("")).join(name);
+    let problem = format!("there is no file {}", resolved.display());
+    place.ensure(
+        resolved.is_file(),
+        problem,
+        "give the path of the mesh relative to the scene's folder",
+    )?;
+    Ok(resolved)
+}
+
+/// Where the shape of an obstacle or the mesh of a solid is put.
 pub(super) fn placement(place: Place) -> Result<Placement, Error> {
     let table = place.table(&PLACEMENT)?;
     let mut placement = Placement::default();
@@ -157,19 +172,25 @@ pub(super) fn placement(place: Place) -> Result<Placement, Error> {
         placement.translate = place.vector("a translation in m")?;
     }
     if let Some(place) = table.get("rotate") {
-        let table = place.table(&ROTATE)?;
-        let axis = table
-            .required("axis", "axis = [0, 0, 1]")?
-            .direction("the axis of rotation")?;
-        let degrees = table
-            .required("degrees", "degrees = 30")?
-            .number("the angle in degrees")?;
-        placement.rotate = DMat3::from_axis_angle(axis, degrees.to_radians());
+        let (axis, angle) = turn(place)?;
+        placement.rotate = DMat3::from_axis_angle(axis, angle);
     }
     if let Some(place) = table.get("scale") {
         placement.scale = place.positive("one factor for all axes")?;
     }
     Ok(placement)
+}
+
+/// The axis (a unit vector) and the angle (rad) of a rotation.
+pub(super) fn turn(place: Place) -> Result<(DVec3, f64), Error> {
+    let table = place.table(&ROTATE)?;
+    let axis = table
+        .required("axis", "axis = [0, 0, 1]")?
+        .direction("the axis of rotation")?;
+    let degrees = table
+        .required("degrees", "degrees = 30")?
+        .number("the angle in degrees")?;
+    Ok((axis, degrees.to_radians()))
 }
 
 impl Shape {

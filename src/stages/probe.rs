@@ -1,4 +1,4 @@
-//! `probe`: the scene's measurements, a few numbers instead of all fields. [`crate::reference::probe`] defines them.
+//! `probe`: the scene's measurements of the liquid, a few numbers instead of all fields. [`crate::reference::probe`] defines them.
 
 use crate::Error;
 use crate::gpu::{Bound, Buffer, BufferPlan, Gpu, Kernel, Real, RealBuffer, Recorder};
@@ -43,7 +43,8 @@ impl Probe {
 
     /// The buffers it makes, the read-back of its values included.
     pub fn plan<'a>(probes: impl IntoIterator<Item = &'a ProbeKind>) -> Vec<BufferPlan> {
-        let at_point = |kind: &&ProbeKind| !matches!(kind, ProbeKind::Front { .. });
+        let at_point =
+            |kind: &&ProbeKind| kind.of_liquid() && !matches!(kind, ProbeKind::Front { .. });
         let n_points = probes.into_iter().filter(at_point).count();
         let n_values = WORDS * (n_points + 1);
         let mut plans = vec![
@@ -77,14 +78,15 @@ impl Probe {
         let mut fronts = false;
         let columns = probes
             .into_iter()
-            .map(|probe| match *probe {
-                ProbeKind::Height { x, z } => at_point(glam::DVec3::new(x, 0.0, z), 0, 1),
-                ProbeKind::Pressure { point } => at_point(point, 1, 1),
-                ProbeKind::Velocity { point } => at_point(point, 2, 3),
+            .filter_map(|probe| match *probe {
+                ProbeKind::Height { x, z } => Some(at_point(glam::DVec3::new(x, 0.0, z), 0, 1)),
+                ProbeKind::Pressure { point } => Some(at_point(point, 1, 1)),
+                ProbeKind::Velocity { point } => Some(at_point(point, 2, 3)),
                 ProbeKind::Front { axis } => {
                     fronts = true;
-                    Columns { first: axis, n: 1 }
+                    Some(Columns { first: axis, n: 1 })
                 }
+                ProbeKind::Node { .. } | ProbeKind::Solid { .. } => None,
             })
             .collect();
         let n_points = points.len();
@@ -138,7 +140,7 @@ impl Probe {
         });
     }
 
-    /// The columns of all probes in order, from the words of `values`. SI units.
+    /// The columns of all probes of liquid in order, from the words of `values`. SI units.
     pub fn columns(&self, values: &[u32]) -> Vec<f64> {
         self.columns
             .iter()

@@ -608,6 +608,7 @@ fn scene() -> Scene {
         solver: scene::Solver::default(),
         output: scene::Output {
             particles: true,
+            solids: false,
             fields: false,
             every: 1,
         },

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use cutwater::Error;
 use cutwater::scene::{
-    Placement, Precision, Preconditioner, ProbeKind, Scene, Shape, Solver, Surface,
+    ElasticModel, LoadKind, Placement, Precision, Preconditioner, Probe, ProbeKind, Scene, Shape,
+    SolidMesh, Solver, Surface,
 };
 use glam::DVec3;
 
@@ -67,10 +68,12 @@ fov = 50
 size = [640, 480]
 "#;
 
-/// `text` as a scene beside a file `body.stl`, loaded.
+/// `text` as a scene beside the files `body.stl` and `body.msh`, loaded.
 fn load(text: &str, overrides: &[&str], scale: f64) -> Result<Scene, Error> {
     let folder = tempfile::tempdir().unwrap();
-    std::fs::write(folder.path().join("body.stl"), "").unwrap();
+    for file in ["body.stl", "body.msh"] {
+        std::fs::write(folder.path().join(file), "").unwrap();
+    }
     let path = folder.path().join("good.toml");
     std::fs::write(&path, text).unwrap();
     let overrides: Vec<_> = overrides.iter().map(|&text| text.to_owned()).collect();
@@ -209,7 +212,7 @@ fn what_a_scene_leaves_out_has_the_documented_default() {
     );
 }
 
-/// Replace the first text by the second in [`GOOD`]; the error is at the line, at the key, and has the parts.
+/// Replace the first text by the second in a good scene; the error is at the line, at the key, and has the parts.
 type Case = (
     &'static str,
     &'static str,
@@ -269,10 +272,12 @@ const REFUSED: &[Case] = &[
     ("seed = 7", "zebra = 7", 15, "liquid.zebra", &["unknown key", "the keys here are density"]),
     ("degrees = 90", "degree = 90", 27, "obstacle[0].placement.rotate.degree", &["did you mean `degrees`"]),
     ("gravity = [0.0, 0.0, -9.81]", "open = [\"+x\"]", 5, "domain.open", &["open sides are not simulated yet"]),
-    ("[solver]", "[[solid]]\nname = \"ball\"\n[solver]", 40, "solid", &["elastic solids are not simulated yet"]),
+    ("[solver]", "[[solid]]\nname = \"ball\"\nmesh = { sphere = { radius = 0.1, cell_size = 0.05 } }\nplacement = { translate = [1, 0.5, 0.25] }\ndensity = 1000\nyoung = 1e6\npoisson = 0.3\n[solver]", 40, "solid[0]", &["coupling of liquid and elastic solids is not simulated yet", "[[obstacle]]"]),
     ("[solver]", "[[source]]\n[solver]", 40, "source", &["not simulated yet"]),
     ("inside_out = true", "keyframes = []", 30, "obstacle[1].keyframes", &["moving obstacles are not simulated yet"]),
-    ("front = { axis = \"x\" }", "node = { solid = \"ball\" }", 39, "probe[2].node", &["not simulated yet"]),
+    ("front = { axis = \"x\" }", "node = { solid = \"ball\" }", 39, "probe[2].node", &["no [[solid]]", "measure the liquid"]),
+    ("front = { axis = \"x\" }", "solid = { name = \"ball\" }", 39, "probe[2].solid", &["no [[solid]]", "measure the liquid"]),
+    ("fields = true", "solids = true", 49, "output.solids", &["no [[solid]]", "solids = false"]),
     ("precision = \"f32\"", "formulation = \"auto\"", 43, "solver.formulation", &["not simulated yet"]),
     ("every = 2", "checkpoint_every = 2", 50, "output.checkpoint_every", &["checkpoints are not written yet"]),
     // What is missing: at the header of its table.
@@ -320,10 +325,15 @@ const REFUSED: &[Case] = &[
 
 #[test]
 fn malformed_scenes_are_refused_with_line_key_and_cure() {
+    refuse(GOOD, REFUSED);
+}
+
+/// Breaks a scene case by case.
+fn refuse(base: &str, cases: &[Case]) {
     let mut failures = Vec::new();
-    for &(good, bad, line, key, parts) in REFUSED {
-        assert!(GOOD.contains(good), "the base scene has no `{good}`");
-        match load(&GOOD.replacen(good, bad, 1), &[], 1.0) {
+    for &(good, bad, line, key, parts) in cases {
+        assert!(base.contains(good), "the base scene has no `{good}`");
+        match load(&base.replacen(good, bad, 1), &[], 1.0) {
             Err(error @ Error::Scene { .. }) => {
                 assert_eq!(error.exit_code(), 2);
                 let message = error.to_string();
@@ -340,7 +350,7 @@ fn malformed_scenes_are_refused_with_line_key_and_cure() {
 }
 
 #[test]
-fn a_scene_without_liquid_is_refused() {
+fn a_scene_without_liquid_and_solids_is_refused() {
     let base = "[domain]\nsize = [1, 1, 1]\ncells = [8, 8, 8]\n[time]\nduration = 1\n";
     for (rest, line, key) in [
         ("", 5, "liquid"),
@@ -356,6 +366,274 @@ fn a_scene_without_liquid_is_refused() {
         );
         assert!(error.contains("[[liquid.region]]"), "{error}");
     }
+    let error = load(base, &[], 1.0).unwrap_err().to_string();
+    assert!(error.contains("or [[solid]]"), "{error}");
+}
+
+/// A scene of solids that uses every key of theirs; the cases below break it.
+const SOLIDS: &str = r#"# Beams and balls.
+[domain]
+size = [2, 1, 1]
+cells = [32, 16, 16]
+[time]
+duration = 1
+[[solid]]
+name = "beam"
+mesh = { box = { size = [1, 0.1, 0.2], cells = [10, 1, 2] } }
+placement = { translate = [1, 0.5, 0.5], rotate = { axis = [0, 0, 2], degrees = 90 }, scale = 0.5 }
+initial = { scale = [1, 0.5, -1], velocity = [0, 1, 0], spin = [0, 0, 3] }
+density = 1200.0
+young = 1e6
+poisson = 0.49
+model = "linear"
+damping = { mass = 0.5, stiffness = 1e-3 }
+[[solid.pin]]
+region = { box = { min = [0, 0, 0], max = [2, 0.3, 1] } }
+[[solid.pin]]
+region = { half_space = { point = [0, 0.2, 0], normal = [0, 1, 0] } }
+components = "zx"
+[[solid.script]]
+region = { sphere = { centre = [1, 0.75, 0.5], radius = 0.1 } }
+components = "y"
+keyframes = [
+  { t = 0 },
+  { t = 0.5, translate = [0, 0.1, 0], rotate = { axis = [0, 3, 0], degrees = 180 } },
+]
+[[solid.load]]
+region = { cylinder = { base = [1, 0.7, 0.5], axis = [0, 1, 0], radius = 1, height = 0.1 } }
+force = [0, -10, 0]
+[[solid.load]]
+region = { box = { min = [0, 0.7, 0], max = [2, 1, 1] } }
+traction = [100, 0, 0]
+[[solid]]
+name = "ball"
+mesh = { sphere = { radius = 0.1, cell_size = 0.05 } }
+placement = { translate = [1.8, 0.5, 0.5] }
+density = 1000
+young = 1e5
+poisson = 0.3
+[[solid]]
+name = "shell"
+mesh = { shell = { radius = 0.1, thickness = 0.02, cell_size = 0.03 } }
+placement = { translate = [0.2, 0.5, 0.5] }
+initial = { scale = 0.5 }
+density = 1000
+young = 1e5
+poisson = -0.3
+[[solid]]
+name = "dinosaur"
+mesh = { file = "body.msh" }
+density = 1000
+young = 1e5
+poisson = 0
+[[solid]]
+name = "stone"
+mesh = { surface = { file = "body.stl", cell_size = 0.1 } }
+density = 1000
+young = 1e5
+poisson = 0.25
+[[probe]]
+name = "tip"
+node = { solid = "beam", rest_point = [1, 0.75, 0.5] }
+[[probe]]
+name = "whole"
+solid = { name = "ball" }
+[output]
+solids = false
+"#;
+
+#[test]
+fn solids_are_what_their_scene_says() {
+    let scene = load(SOLIDS, &[], 1.0).unwrap();
+    assert!(scene.liquid.is_none());
+    let [beam, ball, shell, dinosaur, stone] = &scene.solids[..] else {
+        panic!("{} solids", scene.solids.len())
+    };
+    assert_eq!(beam.name, "beam");
+    assert!(matches!(
+        beam.mesh,
+        SolidMesh::Box { size, cells: [10, 1, 2] } if size == DVec3::new(1.0, 0.1, 0.2)
+    ));
+    assert!((beam.placement.rotate * DVec3::X - DVec3::Y).length() < 1e-15);
+    assert_eq!(beam.placement.scale, 0.5);
+    assert_eq!(beam.initial.scale, DVec3::new(1.0, 0.5, -1.0));
+    assert_eq!(
+        (beam.initial.velocity, beam.initial.spin),
+        (DVec3::Y, DVec3::new(0.0, 0.0, 3.0))
+    );
+    assert_eq!(
+        (beam.density, beam.young, beam.poisson),
+        (1200.0, 1e6, 0.49)
+    );
+    assert_eq!(beam.model, ElasticModel::Linear);
+    assert_eq!((beam.mass_damping, beam.stiffness_damping), (0.5, 1e-3));
+
+    let [held, roller, script] = &beam.pins[..] else {
+        panic!("{} pins", beam.pins.len())
+    };
+    assert_eq!((held.components, held.keyframes.len()), ([true; 3], 0));
+    assert_eq!(roller.components, [true, false, true]);
+    assert!(matches!(roller.region, Shape::HalfSpace { .. }));
+    assert_eq!(script.components, [false, true, false]);
+    assert!(matches!(script.region, Shape::Sphere { radius: 0.1, .. }));
+    let [first, second] = script.keyframes[..] else {
+        panic!("{} keyframes", script.keyframes.len())
+    };
+    assert_eq!(
+        (first.time, first.translate, first.angle),
+        (0.0, DVec3::ZERO, 0.0)
+    );
+    assert_eq!(
+        (second.time, second.translate),
+        (0.5, DVec3::new(0.0, 0.1, 0.0))
+    );
+    assert_eq!(second.axis, DVec3::Y, "axes become unit vectors");
+    assert!((second.angle - std::f64::consts::PI).abs() < 1e-15);
+    assert_eq!(
+        beam.loads[0].kind,
+        LoadKind::Force(DVec3::new(0.0, -10.0, 0.0))
+    );
+    assert_eq!(
+        beam.loads[1].kind,
+        LoadKind::Traction(DVec3::new(100.0, 0.0, 0.0))
+    );
+
+    assert!(matches!(
+        ball.mesh,
+        SolidMesh::Sphere {
+            radius: 0.1,
+            cell_size: 0.05
+        }
+    ));
+    assert_eq!(
+        (
+            ball.model,
+            ball.mass_damping,
+            ball.pins.len(),
+            ball.loads.len()
+        ),
+        (ElasticModel::Corotational, 0.0, 0, 0)
+    );
+    assert_eq!(ball.initial.scale, DVec3::ONE);
+    assert!(matches!(
+        shell.mesh,
+        SolidMesh::Shell {
+            thickness: 0.02,
+            ..
+        }
+    ));
+    assert_eq!(
+        (shell.initial.scale, shell.poisson),
+        (DVec3::splat(0.5), -0.3)
+    );
+    let SolidMesh::File { file } = &dinosaur.mesh else {
+        panic!("the dinosaur is a file")
+    };
+    assert_eq!(file.parent(), scene.file.parent());
+    assert!(
+        matches!(&stone.mesh, SolidMesh::Surface { file, cell_size: 0.1 } if file.ends_with("body.stl"))
+    );
+
+    let columns: Vec<_> = scene.probes.iter().flat_map(Probe::columns).collect();
+    assert_eq!(
+        columns,
+        [
+            "tip_x",
+            "tip_y",
+            "tip_z",
+            "whole_x",
+            "whole_y",
+            "whole_z",
+            "whole_volume"
+        ]
+    );
+    assert!(matches!(
+        scene.probes[0].kind,
+        ProbeKind::Node { solid: 0, rest_point } if rest_point == DVec3::new(1.0, 0.75, 0.5)
+    ));
+    assert!(matches!(
+        scene.probes[1].kind,
+        ProbeKind::Solid { solid: 1 }
+    ));
+    assert!(!scene.output.solids && !scene.output.particles && !scene.output.fields);
+    let scene = load(SOLIDS, &["output={}", "solid[1].young=2e5"], 1.0).unwrap();
+    assert!(scene.output.solids);
+    assert_eq!(scene.solids[1].young, 2e5);
+}
+
+#[rustfmt::skip] // one case a line
+const REFUSED_SOLIDS: &[Case] = &[
+    // Keys and types.
+    ("[[solid]]\nname = \"beam\"", "[solid]\nname = \"beam\"", 35, "TOML", &["duplicate key", "double brackets"]),
+    ("young = 1e6", "yuong = 1e6", 13, "solid[0].yuong", &["unknown key", "did you mean `young`"]),
+    ("spin = [0, 0, 3]", "spni = [0, 0, 3]", 11, "solid[0].initial.spni", &["did you mean `spin`"]),
+    ("stiffness = 1e-3", "stifness = 1e-3", 16, "solid[0].damping.stifness", &["did you mean `stiffness`"]),
+    ("components = \"zx\"", "component = \"zx\"", 21, "solid[0].pin[1].component", &["did you mean `components`"]),
+    ("{ t = 0 }", "{ time = 0 }", 26, "solid[0].script[0].keyframes[0].time", &["unknown key", "t, translate, rotate"]),
+    ("spin = [0, 0, 3]", "spin = 3", 11, "solid[0].initial.spin", &["the number 3", "rad/s"]),
+    ("scale = [1, 0.5, -1]", "scale = [1, 0.5]", 11, "solid[0].initial.scale", &["a list of 2", "list of 3"]),
+    ("velocity = [0, 1, 0]", "velocity = [0, nan, 0]", 11, "solid[0].initial.velocity[1]", &["NaN", "finite"]),
+    ("model = \"linear\"", "model = \"neohookean\"", 15, "solid[0].model", &["neohookean", "\"corotational\""]),
+    // What is missing.
+    ("name = \"beam\"\n", "", 7, "solid[0].name", &["is missing"]),
+    ("density = 1200.0\n", "", 7, "solid[0].density", &["is missing", "kg/m^3"]),
+    ("young = 1e6\n", "", 7, "solid[0].young", &["is missing", "Pa"]),
+    ("poisson = 0.49\n", "", 7, "solid[0].poisson", &["is missing", "poisson = 0.3"]),
+    ("mesh = { sphere = { radius = 0.1, cell_size = 0.05 } }\n", "", 35, "solid[1].mesh", &["is missing", "box"]),
+    (", cell_size = 0.05", "", 37, "solid[1].mesh.sphere.cell_size", &["is missing", "cell_size = 0.03"]),
+    ("region = { sphere = { centre = [1, 0.75, 0.5], radius = 0.1 } }\n", "", 22, "solid[0].script[0].region", &["is missing"]),
+    ("force = [0, -10, 0]\n", "", 29, "solid[0].load[0]", &["has no kind of load", "force, traction"]),
+    // Names.
+    ("name = \"ball\"\nmesh", "name = \"beam\"\nmesh", 36, "solid[1].name", &["named \"beam\" too", "another name"]),
+    ("name = \"beam\"", "name = \"a beam\"", 8, "solid[0].name", &["letters"]),
+    // Meshes.
+    ("sphere = { radius = 0.1, cell_size = 0.05 }", "sphere = { radius = 0.1, cell_size = 0.05 }, file = \"body.msh\"", 37, "solid[1].mesh", &["`sphere` and `file`", "keep one mesh"]),
+    ("size = [1, 0.1, 0.2]", "size = [1, -0.1, 0.2]", 9, "solid[0].mesh.box.size", &["[1, -0.1, 0.2]", "above zero"]),
+    ("cells = [10, 1, 2]", "cells = [10, 0, 2]", 9, "solid[0].mesh.box.cells[1]", &["is 0", "from 1"]),
+    ("cells = [10, 1, 2]", "cells = [1000, 1000, 1000]", 9, "solid[0].mesh.box.cells", &["1000000000 bricks", "fewer cells"]),
+    ("thickness = 0.02", "thickness = 0.1", 44, "solid[2].mesh.shell.thickness", &["no hollow", "thinner"]),
+    ("cell_size = 0.05", "cell_size = 0.2", 37, "solid[1].mesh.sphere.cell_size", &["is 0.2", "to 0.1 m"]),
+    ("cell_size = 0.05", "cell_size = 1e-6", 37, "solid[1].mesh.sphere.cell_size", &["1.240e-3 to 0.1 m"]),
+    ("body.msh", "nobody.msh", 52, "solid[3].mesh.file", &["there is no file", "nobody.msh"]),
+    ("body.msh", "body.stl", 52, "solid[3].mesh.file", &["not a kind of mesh", "fill a closed surface"]),
+    ("file = \"body.stl\", cell", "file = \"body.msh\", cell", 58, "solid[4].mesh.surface.file", &["not a kind of mesh", ".obj"]),
+    // Placement and start.
+    ("placement = { translate = [1.8, 0.5, 0.5] }", "placement = { translate = [1.95, 0.5, 0.5] }", 38, "solid[1].placement", &["sticks out of the domain", "along x", "from 0 to 2 m"]),
+    ("placement = { translate = [1.8, 0.5, 0.5] }\n", "", 37, "solid[1].mesh", &["sticks out of the domain", "placement.translate"]),
+    ("initial = { scale = 0.5 }", "initial = { scale = -9 }", 45, "solid[2].placement", &["sticks out of the domain"]),
+    ("degrees = 90 }, scale = 0.5", "degrees = 90 }, scale = 2.5", 10, "solid[0].placement", &["along y"]),
+    ("scale = 0.5 }\ninitial = { scale = [1", "scale = -0.5 }\ninitial = { scale = [1", 10, "solid[0].placement.scale", &["above zero"]),
+    // Material.
+    ("density = 1200.0", "density = 0", 12, "solid[0].density", &["above zero"]),
+    ("young = 1e6", "young = -1e6", 13, "solid[0].young", &["above zero"]),
+    ("poisson = 0.49", "poisson = 0.5", 14, "solid[0].poisson", &["is 0.5", "less than 0.5", "0.49 is nearly incompressible"]),
+    ("poisson = 0.49", "poisson = -1", 14, "solid[0].poisson", &["more than -1"]),
+    ("mass = 0.5", "mass = -0.5", 16, "solid[0].damping.mass", &["is -0.5", "zero or above"]),
+    // Pins, scripts and loads.
+    ("components = \"zx\"", "components = \"xw\"", 21, "solid[0].pin[1].components", &["is \"xw\"", "x, y, z"]),
+    ("components = \"zx\"", "components = \"xx\"", 21, "solid[0].pin[1].components", &["each once"]),
+    ("components = \"zx\"", "components = \"\"", 21, "solid[0].pin[1].components", &["is empty"]),
+    ("half_space = { point", "wave = { point", 20, "solid[0].pin[1].region.wave", &["unknown key", "half_space"]),
+    ("sphere = { centre = [1, 0.75, 0.5], radius = 0.1 }", "half_space = { point = [0, 0.2, 0], normal = [0, 1, 0] }", 23, "solid[0].script[0].region.half_space", &["unknown key", "box, sphere, cylinder"]),
+    ("max = [2, 0.3, 1]", "max = [2, 0, 1]", 18, "solid[0].pin[0].region.box", &["no volume"]),
+    ("{ t = 0.5,", "{ t = 0,", 27, "solid[0].script[0].keyframes[1].t", &["does not come after 0 s", "in the order"]),
+    ("{ t = 0 }", "{ t = -1 }", 26, "solid[0].script[0].keyframes[0].t", &["is -1", "from 0 on"]),
+    ("axis = [0, 3, 0]", "axis = [0, 0, 0]", 27, "solid[0].script[0].keyframes[1].rotate.axis", &["no direction"]),
+    ("force = [0, -10, 0]", "force = -10", 31, "solid[0].load[0].force", &["the number -10", "in N"]),
+    ("force = [0, -10, 0]", "force = [0, -10, 0]\ntraction = [0, 0, 0]", 29, "solid[0].load[0]", &["`force` and `traction`"]),
+    // Probes and outputs.
+    ("node = { solid = \"beam\"", "node = { solid = \"boom\"", 64, "probe[0].node.solid", &["\"boom\"", "\"beam\", \"ball\""]),
+    (", rest_point = [1, 0.75, 0.5]", "", 64, "probe[0].node.rest_point", &["is missing"]),
+    ("solid = { name = \"ball\" }", "solid = {}", 67, "probe[1].solid.name", &["is missing", "\"beam\""]),
+    ("solid = { name = \"ball\" }", "front = { axis = \"x\" }", 67, "probe[1].front", &["no", "measure a solid"]),
+    ("name = \"whole\"", "name = \"tip\"", 66, "probe[1].name", &["named \"tip\" too"]),
+    ("solids = false", "particles = true", 69, "output.particles", &["no liquid", "particles = false"]),
+    ("solids = false", "fields = true", 69, "output.fields", &["no liquid"]),
+];
+
+#[test]
+fn malformed_solids_are_refused_with_line_key_and_cure() {
+    refuse(SOLIDS, REFUSED_SOLIDS);
 }
 
 #[test]
@@ -419,7 +697,7 @@ fn bad_overrides_name_themselves() {
         ("liquid.density=1 2", &["not a TOML value"]),
         ("liquid.densty=1", &["liquid.densty: unknown key", "did you mean `density`"]),
         ("solid[0].young=1", &["no list `solid`"]),
-        ("solid.young=1", &["not simulated yet"]),
+        ("solid.young=1", &["solid: is one table, not a list", "[[solid]]"]),
         ("liquid.region.velocity=[0, 0, 0]", &["a list of 3", "liquid.region[0].velocity"]),
         ("liquid.region[3].velocity=[0, 0, 0]", &["no `liquid.region[3]`", "0 to 2"]),
         ("liquid.density[0]=3", &["`liquid.density` is the number 800", "leave out the [0]"]),

@@ -722,6 +722,8 @@ impl<'a> LiquidJudge<'a> {
                     let bound = reach + 1e-12 * grid.size().max_element();
                     pairs.push(("surface", "m", read(&gpu)[0], twin, bound));
                 }
+                // Both paths read them by the same function of the nodes, which have their own rows.
+                ProbeKind::Node { .. } | ProbeKind::Solid { .. } => {}
             }
         }
         for (column, (quantity, unit, gpu, twin, bound)) in pairs.into_iter().enumerate() {
