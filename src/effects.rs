@@ -1,10 +1,10 @@
 //! What a scene calls for, computed in one place. Kernels, buffers and CPU work ask [`Effects`] and nothing else, so an
 //! effect that a scene does not have costs no compile time, no bytes and no dispatch.
 
-use crate::scene::{Scene, Surface};
+use crate::scene::{ElasticModel, Scene, Solid, Surface};
 
 /// The effects of a scene (design: each adds its kernels, buffers and CPU work; an absent one adds none).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Effects {
     /// There is liquid: all stages from `advect_velocity` on.
     pub liquid: bool,
@@ -12,7 +12,20 @@ pub struct Effects {
     pub markers: bool,
     /// The liquid's volume is held.
     pub volume_control: bool,
-    /// There are obstacles: open areas from clipping, push-out, extension of the liquid distance, slip inside solids.
+    /// There are elastic solids: `move_solid`, `solid_matrices` and their solve.
+    pub solids: bool,
+    /// A solid measures strain in the frame that turns with each element: rotations of elements.
+    pub corotation: bool,
+    /// A solid is damped by its mass or by its stiffness.
+    pub damping: bool,
+    /// Nodes are held.
+    pub pins: bool,
+    /// Nodes are moved: their velocities are uploaded in every step.
+    pub scripts: bool,
+    /// Constant forces act on nodes.
+    pub loads: bool,
+    /// There are obstacles. With liquid: open areas from clipping, push-out, extension of the liquid distance, slip inside them;
+    /// with solids: push-out of nodes.
     pub obstacles: bool,
     /// There are probes: the `probe` stage and its few numbers read back.
     pub probes: bool,
@@ -25,6 +38,11 @@ impl Effects {
             .liquid
             .as_ref()
             .is_some_and(|liquid| liquid.surface == Surface::Markers);
+        let any = |has: fn(&Solid) -> bool| scene.solids.iter().any(has);
+        let pin = |scripted: bool| {
+            let mut pins = scene.solids.iter().flat_map(|solid| &solid.pins);
+            pins.any(|pin| pin.keyframes.is_empty() != scripted)
+        };
         Effects {
             liquid: scene.liquid.is_some(),
             markers,
@@ -33,6 +51,12 @@ impl Effects {
                     .liquid
                     .as_ref()
                     .is_some_and(|liquid| liquid.volume_control),
+            solids: !scene.solids.is_empty(),
+            corotation: any(|solid| solid.model == ElasticModel::Corotational),
+            damping: any(|solid| solid.mass_damping > 0.0 || solid.stiffness_damping > 0.0),
+            pins: pin(false),
+            scripts: pin(true),
+            loads: any(|solid| !solid.loads.is_empty()),
             obstacles: !scene.obstacles.is_empty(),
             probes: !scene.probes.is_empty(),
         }

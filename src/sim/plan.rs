@@ -6,7 +6,7 @@ use crate::geometry;
 use crate::gpu::{AdapterReport, BufferPlan, Timer};
 use crate::grid::Grid;
 use crate::reference::{TimeStep, time_step};
-use crate::scene::{self, Precision, Preconditioner, ProbeKind, Scene};
+use crate::scene::{self, ElasticModel, Precision, Preconditioner, ProbeKind, Scene, Solid};
 use crate::solver::{self, LevelPlan, SolverBuffers};
 use crate::stages::{Probe, extrapolation_layers};
 
@@ -139,6 +139,10 @@ fn first_step(scene: &Scene, grid: &Grid) -> TimeStep {
 }
 
 fn effect_lines(scene: &Scene, effects: &Effects) -> Vec<EffectLine> {
+    let count = |n: usize, what: &str| match n {
+        0 => format!("no {what} in the scene"),
+        n => format!("{n} {what}"),
+    };
     let n_regions = scene.liquid.as_ref().map_or(0, |l| l.regions.len());
     let (surface, control) = match (effects.liquid, effects.markers) {
         (false, _) => ("there is no liquid", "there is no liquid"),
@@ -154,24 +158,85 @@ fn effect_lines(scene: &Scene, effects: &Effects) -> Vec<EffectLine> {
             "liquid.volume_control = false",
         ),
     };
-    let obstacles = match scene.obstacles.len() {
-        0 => "no [[obstacle]] in the scene".to_owned(),
-        n => format!("{n} [[obstacle]]"),
+    // Of solids: how many, by what each of them has.
+    let of_solids = |what: &dyn Fn(&Solid) -> usize, n: &str, none: &str| match scene
+        .solids
+        .iter()
+        .map(what)
+        .sum()
+    {
+        _ if !effects.solids => "there are no solids".to_owned(),
+        0 => none.to_owned(),
+        sum => format!("{sum} {n}"),
     };
-    let probes = match scene.probes.len() {
-        0 => "no [[probe]] in the scene".to_owned(),
-        n => format!("{n} [[probe]]"),
+    let pins = |solid: &Solid, scripted: bool| {
+        let pins = solid.pins.iter();
+        pins.filter(|pin| pin.keyframes.is_empty() != scripted)
+            .count()
     };
+    let turns = |solid: &Solid| usize::from(solid.model == ElasticModel::Corotational);
+    let damped =
+        |solid: &Solid| usize::from(solid.mass_damping > 0.0 || solid.stiffness_damping > 0.0);
     [
         (
             "liquid",
             effects.liquid,
-            format!("{n_regions} [[liquid.region]]"),
+            count(n_regions, "[[liquid.region]]"),
         ),
         ("markers", effects.markers, surface.to_owned()),
         ("volume_control", effects.volume_control, control.to_owned()),
-        ("obstacles", effects.obstacles, obstacles),
-        ("probes", effects.probes, probes),
+        (
+            "solids",
+            effects.solids,
+            count(scene.solids.len(), "[[solid]]"),
+        ),
+        (
+            "corotation",
+            effects.corotation,
+            of_solids(&turns, "corotational", "model = \"linear\""),
+        ),
+        (
+            "damping",
+            effects.damping,
+            of_solids(&damped, "with damping", "no damping above zero"),
+        ),
+        (
+            "pins",
+            effects.pins,
+            of_solids(
+                &|solid| pins(solid, false),
+                "[[solid.pin]]",
+                "no [[solid.pin]]",
+            ),
+        ),
+        (
+            "scripts",
+            effects.scripts,
+            of_solids(
+                &|solid| pins(solid, true),
+                "[[solid.script]]",
+                "no [[solid.script]]",
+            ),
+        ),
+        (
+            "loads",
+            effects.loads,
+            of_solids(
+                &|solid| solid.loads.len(),
+                "[[solid.load]]",
+                "no [[solid.load]]",
+            ),
+        ),
+        (
+            "obstacles",
+            effects.obstacles,
+            count(scene.obstacles.len(), "[[obstacle]]"),
+        ),
+        (
+            "probes",
+            effects.probes,
+            count(scene.probes.len(), "[[probe]]"),
+        ),
     ]
     .map(|(name, present, reason)| EffectLine {
         name,

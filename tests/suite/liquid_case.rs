@@ -136,7 +136,7 @@ impl Case {
                 markers: true,
                 volume_control: true,
                 obstacles: distance.is_some(),
-                probes: false,
+                ..Effects::default()
             },
             cut,
             state,

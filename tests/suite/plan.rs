@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 
+use cutwater::effects::Effects;
 use cutwater::gpu::{AdapterChoice, AdapterReport};
 use cutwater::scene::{Precision, Scene};
 use cutwater::sim::{Backend, Plan, Simulation};
@@ -383,4 +384,55 @@ fn without_f64_the_host_turns() {
     };
     assert_eq!(turns(true), (false, 8));
     assert_eq!(turns(false), (true, 4));
+}
+
+#[test]
+fn effects_of_solids_say_why_they_are_there() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/scene.md");
+    let page = fs::read_to_string(file).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let effects = |text: &str| -> Effects {
+        let file = folder.path().join("solids.toml");
+        fs::write(&file, text).unwrap();
+        Effects::of(&Scene::load(&file, &[], 1.0).unwrap())
+    };
+    let cantilever = page
+        .split("```toml\n")
+        .filter_map(|block| block.split("```").next())
+        .find(|block| block.contains("[[solid]]"))
+        .unwrap();
+    let whole = Effects {
+        solids: true,
+        corotation: true,
+        damping: true,
+        pins: true,
+        loads: true,
+        probes: true,
+        ..Effects::default()
+    };
+    assert_eq!(effects(cantilever), whole);
+    let linear = cantilever.replace("[[solid.pin]]", "model = \"linear\"\n[[solid.pin]]");
+    let corotation = false;
+    assert_eq!(
+        effects(&linear),
+        Effects {
+            corotation,
+            ..whole
+        }
+    );
+    let undamped = cantilever.replace("stiffness = 0.01", "stiffness = 0");
+    let damping = false;
+    assert_eq!(effects(&undamped), Effects { damping, ..whole });
+    let scripted = cantilever
+        .replace("[[solid.pin]]", "[[solid.script]]\nkeyframes = [{ t = 0 }]")
+        .replace("[[solid.load]]", "[[solid.pin]]")
+        .replace("force = [0, -1, 0]\n", "");
+    assert_eq!(
+        effects(&scripted),
+        Effects {
+            scripts: true,
+            loads: false,
+            ..whole
+        }
+    );
 }
