@@ -1,15 +1,20 @@
 // Stage active_cells, levels 1 and up: piecewise-constant aggregation of 2x2x2 cells. A coarse face weight is half the sum of
 // the 4 fine ones, the free-surface term half the sum of the 8: the half is the over-correction 2 of constant prolongation
-// (Braess 1995; Shao et al. 2022), here in the operator.
-// fine, coarse: the levels. flags, matrix: all levels; the coarse one is written.
+// (Braess 1995; Shao et al. 2022), here in the operator. One thread per active fine quad; the first of those under a coarse quad
+// does it.
+// fine, coarse: the levels. list, args: active quads of the fine level. flags, matrix: all levels; the coarse one is written.
 #import dispatch
 #import level
 #import real
 
 @group(0) @binding(0) var<uniform> fine: Level;
 @group(0) @binding(1) var<uniform> coarse: Level;
-@group(0) @binding(2) var<storage, read_write> flags: array<u32>;
-@group(0) @binding(3) var<storage, read_write> matrix: array<Real4>;
+@group(0) @binding(2) var<storage, read> list: array<u32>;
+@group(0) @binding(3) var<storage, read> args: array<u32>;
+@group(0) @binding(4) var<storage, read_write> flags: array<u32>;
+@group(0) @binding(5) var<storage, read_write> matrix: array<Real4>;
+
+const NONE = 0xffffffffu;
 
 // First of the two fine quads under a coarse quad, in the fine row (j, k), from the start of the arrays.
 fn fine_quad(cell: vec3<u32>, j: u32, k: u32) -> u32 {
@@ -27,29 +32,32 @@ fn pairs(a: Real4, b: Real4) -> Real4 {
 
 @compute @workgroup_size(WG_SIZE)
 fn coarsen(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-    let quad = linear_index(workgroup, lane) + coarse.shape.stride_z;
-    if quad + 2u * coarse.shape.stride_z >= coarse.shape.quads {
+    let ix = linear_index(workgroup, lane);
+    if ix >= args[fine.args + 3u] {
         return;
     }
-    let signed_cell = quad_cell(coarse.shape, quad);
-    if any(signed_cell < vec3<i32>()) || any(vec3<u32>(signed_cell) >= coarse.shape.cells) {
-        return;
-    }
-    let cell = vec3<u32>(signed_cell);
+    let own = list[fine.shape.first + ix] & ~UNIFORM;
+    let fine_cell = vec3<u32>(quad_cell(fine.shape, own - fine.shape.first));
+    // Of the first lane of the coarse quad, which covers two fine ones along each axis.
+    let cell = vec3<u32>(4u * (fine_cell.x / 8u), fine_cell.yz / 2u);
     // A fine row past the domain is the spare one, which holds zeros.
     var mask = 0u;
+    var first = NONE;
     for (var k = 0u; k < 2u; k++) {
         for (var j = 0u; j < 2u; j++) {
             let f = fine_quad(cell, j, k);
-            let bits = (flags[f] & 15u) | ((flags[f + 1u] & 15u) << 4u);
+            let low = flags[f] & 15u;
+            let high = flags[f + 1u] & 15u;
+            first = min(first, min(select(NONE, f, low != 0u), select(NONE, f + 1u, high != 0u)));
+            let bits = low | (high << 4u);
             mask |= bits | (bits >> 1u);
         }
     }
-    // Bits 0, 2, 4, 6: whether any of the 8 children of the four coarse cells is active.
-    let flag = (mask & 1u) | ((mask >> 1u) & 2u) | ((mask >> 2u) & 4u) | ((mask >> 3u) & 8u);
-    if flag == 0u {
+    if first != own {
         return;
     }
+    // Bits 0, 2, 4, 6: whether any of the 8 children of the four coarse cells is active.
+    let flag = (mask & 1u) | ((mask >> 1u) & 2u) | ((mask >> 2u) & 4u) | ((mask >> 3u) & 8u);
     let total = fine.shape.total;
     var wx = Real4();
     var wxp = Real4();
@@ -86,7 +94,8 @@ fn coarsen(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocatio
     wzp *= half;
     surface *= half;
     let diagonal = surface + ((wx + wxp) + (wy + wyp)) + (wz + wzp);
-    let q = coarse.shape.first + quad;
+    let s = coarse.shape;
+    let q = s.first + s.stride_z * (cell.z + 1u) + s.stride_y * cell.y + cell.x / 4u;
     matrix[q] = wx;
     matrix[total + q] = wy;
     matrix[2u * total + q] = wz;

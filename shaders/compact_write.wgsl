@@ -16,6 +16,10 @@ fn compact_write(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_inv
     if chunk >= range.n_chunks {
         return;
     }
+    // Where few flags are set, most chunks have none.
+    if chunk + 1u < range.n_chunks && chunks[chunk + 1u] == chunks[chunk] {
+        return;
+    }
     var at = range.first + chunks[chunk];
     let first = range.first / 4u + chunk * CHUNK_GROUPS;
     let end = min(first + CHUNK_GROUPS, (range.first + range.n_flags) / 4u);

@@ -1,5 +1,5 @@
-// band, third of four: the tiles within `reach` tiles of a marked one. One thread per tile.
-// tiles. marks: per tile, 0 or 1. dilated: the same.
+// band, second of three: the tiles within `reach` tiles of a marked one. One thread per tile.
+// tiles. marks: per tile, 0 or 1. dilated: see tiles; in place.
 #import dispatch
 #import tiles
 
@@ -13,16 +13,16 @@ fn dilate_tiles(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
     if index >= tiles.n.x * tiles.n.y * tiles.n.z {
         return;
     }
-    let tile = vec3<u32>(index % tiles.n.x, index / tiles.n.x % tiles.n.y, index / (tiles.n.x * tiles.n.y));
+    let tile = tile_at(tiles, index);
     let low = max(tile, vec3<u32>(tiles.reach)) - tiles.reach;
     let high = min(tile + tiles.reach, tiles.n - 1u);
     var any = 0u;
     for (var z = low.z; z <= high.z; z++) {
         for (var y = low.y; y <= high.y; y++) {
             for (var x = low.x; x <= high.x; x++) {
-                any |= marks[tiles.n.x * (tiles.n.y * z + y) + x];
+                any |= marks[tile_index(tiles, vec3<u32>(x, y, z))];
             }
         }
     }
-    dilated[index] = any;
+    dilated[index] = select(0u, NOW, any != 0u) | select(0u, BEFORE, (dilated[index] & NOW) != 0u);
 }

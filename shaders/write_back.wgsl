@@ -73,6 +73,11 @@ fn write_back(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoca
     let word = valid[quad];
     let update = (sides.x | sides.y << 4u | sides.z << 8u) & (word >> OPEN);
     valid[quad] = (word & ~VALID) | update;
+    for (var axis = 0u; axis < 3u; axis++) {
+        if (update >> (4u * axis) & 15u) == 0u {
+            velocity[axis * level.quads + quad] = vec4<f32>();
+        }
+    }
     if update == 0u {
         return;
     }

@@ -4,3 +4,18 @@ struct Tiles {
     // By how many tiles the band reaches beyond the liquid.
     reach: u32,
 }
+
+// Cells along the edge of a tile: two quads.
+const TILE = 8u;
+
+// Of the word per tile: whether it is in the band, and whether it was before.
+const NOW = 1u;
+const BEFORE = 2u;
+
+fn tile_at(tiles: Tiles, index: u32) -> vec3<u32> {
+    return vec3<u32>(index % tiles.n.x, index / tiles.n.x % tiles.n.y, index / (tiles.n.x * tiles.n.y));
+}
+
+fn tile_index(tiles: Tiles, tile: vec3<u32>) -> u32 {
+    return tiles.n.x * (tiles.n.y * tile.z + tile.y) + tile.x;
+}

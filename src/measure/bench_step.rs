@@ -310,8 +310,8 @@ impl Run {
     }
 
     /// Bytes that a stage must move in a sub-step, every array that a kernel needs once, reads and writes: per cell of the band,
-    /// per unknown, per marker, and per padded cell of the domain where memory is cleared or flags are looked through. Words of a
-    /// quad (flags, marks, list entries) count a byte per cell.
+    /// per unknown, per marker, and per padded cell of the domain where flags are counted. Words of a quad (flags, marks, list
+    /// entries) count a byte per cell.
     fn bytes(&self, stage: &str, sample: &Sample) -> f64 {
         let effects = Effects::of(&self.scene);
         let scalars = self.simulation.gpu_path().map(|path| path.scalar_bytes());
@@ -331,17 +331,17 @@ impl Run {
         match stage {
             // Position read and written; velocity.
             "advect_markers" => markers * 32.0 + band * (12.0 + 4.0 * obstacles),
-            // Position, occupied; flags three times through the domain, list.
-            "band" => markers * 16.0 + band * 3.0 + padded * 3.0,
+            // Position, occupied; flags counted through the domain, list.
+            "band" => markers * 16.0 + band * 3.0 + padded,
             "advect_velocity" => band * (12.0 + 12.0 + 1.0),
             "forces" => band * (12.0 + 12.0 + 1.0),
             // Classes near (3) and far (2), squares cleared, spread, made a distance, summed; the extension into solids.
             "liquid_distance" if effects.markers => {
                 markers * 16.0 + band * (5.0 + 4.0 + 8.0 + 9.0 + 4.0 + obstacles * (64.0 + 8.0))
             }
-            // Distance and list; open fractions; matrix and flags cleared and written, of all levels; flags looked through twice.
+            // Flags counted through the domain; distance and list; open fractions; matrix and flags, cleared and written, of all levels.
             "active_cells" => {
-                all_levels * 2.0 + band * 5.0 + unknowns * (12.0 + 8.0 / 7.0 * (10.0 * inner + 4.0))
+                all_levels + band * 5.0 + unknowns * (12.0 + 8.0 / 7.0 * (10.0 * inner + 4.0))
             }
             // Labels written, joined, asked.
             "closed_components" => unknowns * (4.0 + 8.0 + 4.0 + 3.0),
@@ -352,8 +352,8 @@ impl Run {
                     bytes_per_iterations(self.not_uniform, iterations, 2.0, [inner, real]);
                 unknowns * (real + iterations)
             }
-            // Velocity cleared; u*, distance, potential, velocity, marks.
-            "write_back" => padded * 12.0 + band * (12.0 + 4.0 + 12.0 + 2.0) + unknowns * real,
+            // u*, distance, velocity, marks; potential.
+            "write_back" => band * (12.0 + 4.0 + 12.0 + 2.0) + unknowns * real,
             // Marks read and written in each layer, the velocity once.
             "extrapolate" => band * (layers * 2.0 + 24.0 + obstacles * 28.0),
             "diagnose" => band * (12.0 + 4.0 + 1.0) + unknowns * (12.0 + 12.0 + 1.0),

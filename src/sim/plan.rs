@@ -270,7 +270,7 @@ fn stages(scene: &Scene, grid: &Grid, effects: &Effects) -> Vec<StagePlan> {
         stage("advect_markers", true, &kernels);
     }
     let band: [(bool, &[_]); 3] = [
-        (markers, &["occupy", "mark_tiles"]),
+        (markers, &["occupy"]),
         (true, &["dilate_tiles", "flag_band"]),
         (true, &COMPACTION),
     ];
@@ -327,7 +327,7 @@ fn stages(scene: &Scene, grid: &Grid, effects: &Effects) -> Vec<StagePlan> {
         ),
     ];
     stage("solve", true, &solve);
-    stage("write_back", true, &[(true, &["write_back"])]);
+    stage("write_back", true, &[(true, &["still_air", "write_back"])]);
     let extrapolate: [(bool, &[_]); 3] = [
         (
             extrapolation_layers(scene.time.cfl) > 0,

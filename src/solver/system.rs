@@ -261,8 +261,6 @@ pub struct PressureSystem {
     active_cells: Bound,
     coarsen: Vec<Bound>,
     compact: Vec<Compaction>,
-    /// Of each coarse level.
-    quads: Vec<usize>,
 }
 
 /// The doppelganger of `ActiveSettings` in `shaders/active_cells.wgsl`.
@@ -343,6 +341,8 @@ impl PressureSystem {
                     &[
                         ("fine", (&pair[0]).into()),
                         ("coarse", (&pair[1]).into()),
+                        ("list", list.into()),
+                        ("args", args.into()),
                         ("flags", flags.into()),
                         ("matrix", matrix.into()),
                     ],
@@ -356,13 +356,11 @@ impl PressureSystem {
                 Compaction::new(gpu, &kernels, flags, list, args, scratch, range, level)
             })
             .collect::<Result<Vec<_>, _>>()?;
-        let quads = plan.levels[1..].iter().map(|level| level.quads).collect();
         Ok(PressureSystem {
             clear_system,
             active_cells,
             coarsen,
             compact,
-            quads,
         })
     }
 
@@ -372,10 +370,10 @@ impl PressureSystem {
             pass.dispatch_indirect(clear_system, &buffers.args, level);
         }
         pass.dispatch_indirect(&self.active_cells, within.args, 0);
-        for (coarsen, &quads) in self.coarsen.iter().zip(&self.quads) {
-            pass.dispatch(coarsen, quads);
-        }
-        for compact in &self.compact {
+        for (level, compact) in self.compact.iter().enumerate() {
+            if level > 0 {
+                pass.dispatch_indirect(&self.coarsen[level - 1], &buffers.args, level - 1);
+            }
             compact.record(pass);
         }
     }

@@ -9,7 +9,7 @@ use crate::wgsl;
 
 use super::{LiquidBuffers, extrapolation_layers};
 
-/// Cells along the edge of a tile: two quads.
+/// Cells along the edge of a tile, two quads; `shaders/common/tiles.wgsl` has it too.
 const TILE: usize = 8;
 
 /// Tiles that cover every cell and every face: the doppelganger of `Tiles` in `shaders/common/tiles.wgsl`.
@@ -53,19 +53,11 @@ impl Tiles {
 /// The stage.
 #[derive(Debug)]
 pub struct Band {
-    markers: Option<MarkTiles>,
+    occupy: Option<(Bound, usize)>,
     n_tiles: usize,
-    n_rows: usize,
     dilate_tiles: Bound,
     flag_band: Bound,
     compaction: Compaction,
-}
-
-#[derive(Debug)]
-struct MarkTiles {
-    n_markers: usize,
-    occupy: Bound,
-    mark_tiles: Bound,
 }
 
 impl Band {
@@ -88,26 +80,15 @@ impl Band {
         let dilated = ("dilated", (&buffers.dilated).into());
         let kernel = |source| Kernel::new(gpu, &source, Real::F32);
         let mark = |markers: &super::MarkerBuffers| {
+            let positions = ("markers", (&markers.positions).into());
             let occupied = ("occupied", (&markers.occupied).into());
-            Ok::<_, Error>(MarkTiles {
-                n_markers: markers.positions.len(),
-                occupy: kernel(wgsl!("occupy"))?.bind(
-                    gpu,
-                    &[
-                        level,
-                        step,
-                        ("markers", (&markers.positions).into()),
-                        occupied,
-                    ],
-                )?,
-                mark_tiles: kernel(wgsl!("mark_tiles"))?
-                    .bind(gpu, &[level, tiles, occupied, marks])?,
-            })
+            let occupy = kernel(wgsl!("occupy"))?
+                .bind(gpu, &[level, step, tiles, positions, occupied, marks])?;
+            Ok::<_, Error>((occupy, markers.positions.len()))
         };
         Ok(Band {
-            markers: buffers.markers.as_ref().map(mark).transpose()?,
+            occupy: buffers.markers.as_ref().map(mark).transpose()?,
             n_tiles: buffers.plan.tiles().len(),
-            n_rows: buffers.padded.quads / 2,
             dilate_tiles: kernel(wgsl!("dilate_tiles"))?.bind(gpu, &[tiles, marks, dilated])?,
             flag_band: kernel(wgsl!("flag_band"))?.bind(
                 gpu,
@@ -116,6 +97,7 @@ impl Band {
                     step,
                     tiles,
                     dilated,
+                    marks,
                     ("flags", (&buffers.band_flags).into()),
                     ("liquid_distance", (&buffers.liquid_distance).into()),
                     ("valid", (&buffers.valid).into()),
@@ -138,12 +120,11 @@ impl Band {
     /// Records it. With `surface = "fixed"` once, after the state was written; with markers in every sub-step.
     pub fn record(&self, recorder: &mut Recorder) {
         recorder.stage(Band::NAME, |pass| {
-            if let Some(markers) = &self.markers {
-                pass.dispatch(&markers.occupy, markers.n_markers);
-                pass.dispatch(&markers.mark_tiles, self.n_tiles);
+            if let Some((occupy, n_markers)) = &self.occupy {
+                pass.dispatch(occupy, *n_markers);
             }
             pass.dispatch(&self.dilate_tiles, self.n_tiles);
-            pass.dispatch(&self.flag_band, self.n_rows);
+            pass.dispatch(&self.flag_band, TILE * self.n_tiles);
             self.compaction.record(pass);
         });
     }

@@ -147,9 +147,9 @@ pub struct LiquidBuffers {
     pub valid: Buffer<u32>,
     /// The same before or after a layer of the extrapolation.
     pub valid_next: Buffer<u32>,
-    /// Per tile: holds liquid.
+    /// Per tile: holds liquid. With markers zero between two runs of the stage `band`.
     pub marks: Buffer<u32>,
-    /// Per tile: within reach of liquid.
+    /// Per tile: within reach of liquid now, and before (`common/tiles.wgsl`).
     pub dilated: Buffer<u32>,
     /// Per quad: in the band.
     pub band_flags: Buffer<u32>,
@@ -301,8 +301,12 @@ impl LiquidBuffers {
             distance[self.padded.index(grid.cell_at(cell))] = phi as f32;
         }
         gpu.upload(&self.liquid_distance, &distance);
-        // As if all had been in the band: what is not in the next one is put back to air.
-        gpu.upload(&self.band_flags, &vec![1; self.padded.quads]);
+        // As if all tiles had been in the band: what is not in the next one is put back to air.
+        gpu.upload(&self.dilated, &vec![1; self.dilated.len()]);
+        let slab = self.padded.stride_z;
+        let mut flags = vec![0; self.padded.quads];
+        flags[slab..slab * (grid.cells[2] + 2)].fill(1);
+        gpu.upload(&self.band_flags, &flags);
         if let Some(markers) = &self.markers {
             let positions: Vec<[f32; 4]> = state
                 .markers

@@ -6,7 +6,8 @@
 //! submission, [`Report`] read after it.
 //!
 //! Work follows the liquid: fields live on the [`Band`], the quads (4 cells along x) in and around the liquid. Outside it
-//! velocities are zero and the liquid distance says air; dense memory is touched only by clearing and by the band's flags.
+//! velocities are zero and the liquid distance says air; what leaves it is put back to that, tile by tile. All that goes through the
+//! whole domain are the tiles, and the flags per quad when they are counted into lists.
 
 mod advect_markers;
 mod advect_velocity;

@@ -1,7 +1,7 @@
 //! `write_back`: u = u* - dt/(rho dx) (p_+ - p_-) on every open face with an active side (thesis 4.36).
 
 use crate::Error;
-use crate::gpu::{Bound, Gpu, Kernel, RealBuffer, Recorder};
+use crate::gpu::{Bound, Gpu, Kernel, Real, RealBuffer, Recorder};
 use crate::wgsl;
 
 use super::{Active, LiquidBuffers, over_band};
@@ -9,6 +9,8 @@ use super::{Active, LiquidBuffers, over_band};
 /// The stage: `velocity_next` and the potential to `velocity`, and the faces that are `valid` now. Other faces become 0.
 #[derive(Debug)]
 pub struct WriteBack {
+    n_tiles: usize,
+    still_air: Bound,
     write_back: Bound,
 }
 
@@ -42,14 +44,26 @@ impl WriteBack {
                 ("valid", (&buffers.valid).into()),
             ],
         )?;
-        Ok(WriteBack { write_back })
+        let still_air = Kernel::new(gpu, &wgsl!("still_air"), Real::F32)?.bind(
+            gpu,
+            &[
+                level,
+                ("tiles", (&buffers.tiles).into()),
+                ("dilated", (&buffers.dilated).into()),
+                ("velocity", (&buffers.velocity).into()),
+            ],
+        )?;
+        Ok(WriteBack {
+            n_tiles: buffers.plan.tiles().len(),
+            still_air,
+            write_back,
+        })
     }
 
     /// Records it.
     pub fn record(&self, recorder: &mut Recorder, buffers: &LiquidBuffers) {
-        // Also faces that left the band.
-        recorder.clear(&buffers.velocity);
         recorder.stage(WriteBack::NAME, |pass| {
+            pass.dispatch(&self.still_air, self.n_tiles);
             pass.dispatch_indirect(&self.write_back, &buffers.band_args, 0);
         });
     }
