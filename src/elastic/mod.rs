@@ -4,7 +4,19 @@
 //! All solids of a scene are one mesh, [`Solids`]: their nodes, elements and surface triangles stand one after another, and a
 //! [`Body`] says which are whose. State is kept as the displacement from rest (m) and the velocity (m/s) per node.
 
+mod bounds;
+mod element;
 mod probe;
+mod rotation;
+mod script;
+mod solids;
+
+pub use bounds::Bounds;
+pub use element::{
+    Deformation, energy_density, forces, lame_parameters, rest_shape, stiffness_block, stress,
+    von_mises,
+};
+pub use rotation::rotation;
 
 use std::ops::Range;
 

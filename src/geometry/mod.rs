@@ -9,6 +9,7 @@
 mod clip;
 mod distance;
 mod icosahedron;
+mod inside;
 mod liquid;
 mod mesh_file;
 mod surface;
@@ -17,6 +18,7 @@ mod tet_mesh;
 mod tet_shapes;
 
 pub use clip::{Clipping, OpenFractions, Patch, clip, open_fractions};
+pub use inside::inside;
 pub use liquid::{Regions, estimate_markers, initial_state, liquid_distance, seed_markers};
 pub use mesh_file::read as read_mesh;
 pub use surface::{Fault, Surface};

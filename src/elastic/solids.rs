@@ -1,0 +1,293 @@
+//! The solids of a scene put together from their meshes: masses, prescribed nodes, loads, the state at the start.
+
+use glam::DVec3;
+
+use super::{Body, Deformation, Script, Solids, lame_parameters, rest_shape, stress, von_mises};
+use crate::error::Error;
+use crate::geometry::{TetMesh, inside};
+use crate::scene::{Keyframe, Load, LoadKind, Pin, Scene, Shape, Solid};
+
+impl Solids {
+    /// The solids of a scene on their meshes (one each, as placed).
+    ///
+    /// # Errors
+    /// [`Error::Input`] that names the scene file and the key: pins and loads that hold nothing, pins of the same component of a
+    /// node that move differently, turns about the centre of a shape that has none, meshes of pins that cannot be read.
+    pub fn new(scene: &Scene, meshes: &[TetMesh]) -> Result<Solids, Error> {
+        let mut solids = Solids::default();
+        let file = scene.file.display();
+        for (number, (solid, mesh)) in scene.solids.iter().zip(meshes).enumerate() {
+            solids.push(solid, mesh, &format!("{file}: solid[{number}]"))?;
+        }
+        Ok(solids)
+    }
+
+    fn push(&mut self, solid: &Solid, mesh: &TetMesh, what: &str) -> Result<(), Error> {
+        let first_node = self.rest.len();
+        let (first_element, first_triangle) = (self.elements.len(), self.triangles.len());
+        let n_nodes = first_node + mesh.nodes.len();
+        let shifted = |node: u32| node + first_node as u32;
+        self.rest.extend(&mesh.nodes);
+        self.mass.resize(n_nodes, 0.0);
+        self.prescribed.resize(n_nodes, [false; 3]);
+        self.load.resize(n_nodes, DVec3::ZERO);
+        for corners in &mesh.elements {
+            let corners = corners.map(shifted);
+            let (gradients, volume) = rest_shape(corners.map(|corner| self.rest[corner as usize]));
+            for corner in corners {
+                self.mass[corner as usize] += 0.25 * solid.density * volume;
+            }
+            self.elements.push(corners);
+            self.gradients.push(gradients);
+            self.volume.push(volume);
+        }
+        let surface = mesh.surface().into_iter();
+        self.triangles
+            .extend(surface.map(|triangle| triangle.map(shifted)));
+        let [lambda, mu] = lame_parameters(solid.young, solid.poisson);
+        let body = Body {
+            name: solid.name.clone(),
+            nodes: first_node..n_nodes,
+            elements: first_element..self.elements.len(),
+            triangles: first_triangle..self.triangles.len(),
+            density: solid.density,
+            lambda,
+            mu,
+            model: solid.model,
+            mass_damping: solid.mass_damping,
+            stiffness_damping: solid.stiffness_damping,
+        };
+        let mut held_by = vec![[None; 3]; mesh.nodes.len()];
+        for (number, pin) in solid.pins.iter().enumerate() {
+            self.pin(&body, pin, number, what, &mut held_by, &solid.pins)?;
+        }
+        for (number, load) in solid.loads.iter().enumerate() {
+            self.load(&body, load, &format!("{what}.load[{number}]"))?;
+        }
+        self.bodies.push(body);
+        Ok(())
+    }
+
+    /// Prescribes what a pin holds. `held_by`: the pin that holds each component of the body's nodes so far.
+    fn pin(
+        &mut self,
+        body: &Body,
+        pin: &Pin,
+        number: usize,
+        what: &str,
+        held_by: &mut [[Option<usize>; 3]],
+        pins: &[Pin],
+    ) -> Result<(), Error> {
+        let name = format!("{what}.pin[{number}]");
+        let nodes = self.nodes_in(body, &pin.region, &name)?;
+        for &node in &nodes {
+            for axis in (0..3).filter(|&axis| pin.components[axis]) {
+                let holder = &mut held_by[node as usize - body.nodes.start][axis];
+                let still = |pin: &Pin| pin.keyframes.is_empty();
+                if let Some(other) = *holder
+                    && !(still(pin) && still(&pins[other]))
+                {
+                    let component = ["x", "y", "z"][axis];
+                    let problem = format!(
+                        "holds the {component} of the node at {}, which pin[{other}] holds too, and one of them moves",
+                        self.rest[node as usize]
+                    );
+                    let cure = "let the regions or the components of pins with keyframes not overlap others";
+                    return Err(Error::input(name, problem, cure));
+                }
+                *holder = Some(number);
+                self.prescribed[node as usize][axis] = true;
+            }
+        }
+        if pin.keyframes.is_empty() {
+            return Ok(());
+        }
+        let turns = |frame: &Keyframe| frame.angle != 0.0;
+        let centre = match pin.region.centre() {
+            Some(centre) => centre,
+            None if !pin.keyframes.iter().any(turns) => DVec3::ZERO,
+            None => {
+                return Err(Error::input(
+                    name,
+                    "turns its nodes about the centre of its region, which has none",
+                    "use a box, sphere or cylinder, or leave the turn out",
+                ));
+            }
+        };
+        self.scripts.push(Script {
+            nodes,
+            components: pin.components,
+            centre,
+            keyframes: pin.keyframes.clone(),
+        });
+        Ok(())
+    }
+
+    /// Adds a load to the forces on the nodes.
+    fn load(&mut self, body: &Body, load: &Load, name: &str) -> Result<(), Error> {
+        let nodes = self.nodes_in(body, &load.region, name)?;
+        match load.kind {
+            LoadKind::Force(force) => {
+                for &node in &nodes {
+                    self.load[node as usize] += force / nodes.len() as f64;
+                }
+            }
+            LoadKind::Traction(traction) => {
+                let held = |node: &u32| nodes.binary_search(node).is_ok();
+                let mut any = false;
+                for triangle in &self.triangles[body.triangles.clone()] {
+                    if !triangle.iter().all(held) {
+                        continue;
+                    }
+                    any = true;
+                    let [a, b, c] = triangle.map(|node| self.rest[node as usize]);
+                    let area = 0.5 * (b - a).cross(c - a).length();
+                    // The integral of a linear shape function over its triangle is a third of the area.
+                    for node in triangle {
+                        self.load[*node as usize] += area / 3.0 * traction;
+                    }
+                }
+                if !any {
+                    return Err(Error::input(
+                        name,
+                        "no surface triangle has all three nodes in the region",
+                        "enlarge the region until it holds the part of the surface that the traction acts on",
+                    ));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The nodes of a body that rest inside a shape or on it, ascending; none is an error.
+    fn nodes_in(&self, body: &Body, shape: &Shape, name: &str) -> Result<Vec<u32>, Error> {
+        let rest = &self.rest[body.nodes.clone()];
+        let held = inside(shape, rest)?;
+        let nodes = body.nodes.clone().zip(held);
+        let nodes: Vec<u32> = nodes
+            .filter(|(_, held)| *held)
+            .map(|(node, _)| node as u32)
+            .collect();
+        if nodes.is_empty() {
+            let none = [DVec3::INFINITY, DVec3::NEG_INFINITY];
+            let [low, high] = rest
+                .iter()
+                .fold(none, |[low, high], &x| [low.min(x), high.max(x)]);
+            let problem = format!("no node of \"{}\" rests in the region", body.name);
+            let cure =
+                format!("the nodes lie between {low} and {high} m: move or enlarge the region");
+            return Err(Error::input(name, problem, cure));
+        }
+        Ok(nodes)
+    }
+
+    /// Displacement (m) and velocity (m/s) of all nodes at the start: stretched about the centroid of the rest shape, moving and
+    /// spinning with what is so stretched. Prescribed components stay where that puts them; those of scripts are where
+    /// their scripts put them, and move with them.
+    pub fn initial_state(&self, scene: &Scene) -> (Vec<[f64; 3]>, Vec<[f64; 3]>) {
+        let n = self.rest.len();
+        let (mut displacement, mut velocity) = (vec![[0.0; 3]; n], vec![[0.0; 3]; n]);
+        for (body, solid) in self.bodies.iter().zip(&scene.solids) {
+            let initial = &solid.initial;
+            let centroid = self.centroid(body);
+            for node in body.nodes.clone() {
+                let arm = self.rest[node] - centroid;
+                let u = (initial.scale - DVec3::ONE) * arm;
+                let v = initial.velocity + initial.spin.cross(arm + u);
+                displacement[node] = u.to_array();
+                velocity[node] = std::array::from_fn(|axis| match self.prescribed[node][axis] {
+                    true => 0.0,
+                    false => v[axis],
+                });
+            }
+        }
+        for script in &self.scripts {
+            for &node in &script.nodes {
+                let node = node as usize;
+                let u = script.displacement(self.rest[node], 0.0);
+                let v = script.velocity(self.rest[node], 0.0);
+                for axis in (0..3).filter(|&axis| script.components[axis]) {
+                    displacement[node][axis] = u[axis];
+                    velocity[node][axis] = v[axis];
+                }
+            }
+        }
+        (displacement, velocity)
+    }
+
+    /// Centroid of a body at rest, m.
+    pub fn centroid(&self, body: &Body) -> DVec3 {
+        let nodes = || body.nodes.clone();
+        let mass: f64 = nodes().map(|node| self.mass[node]).sum();
+        let moment: DVec3 = nodes().map(|node| self.mass[node] * self.rest[node]).sum();
+        moment / mass
+    }
+
+    /// Velocities (m/s) that take scripted components from where they are at a time (s) to where their scripts want them dt (s)
+    /// later; 0 in all others. Nothing without scripts.
+    ///
+    /// A step asks for them after its nodes have moved, and the next step moves on with them: nodes land on their scripts exactly
+    /// where both steps are of one length, and lag behind by what a change of length makes of an acceleration otherwise.
+    pub fn prescribed_velocity(
+        &self,
+        displacement: &[[f64; 3]],
+        time: f64,
+        dt: f64,
+    ) -> Vec<[f64; 3]> {
+        if self.scripts.is_empty() {
+            return Vec::new();
+        }
+        let mut velocity = vec![[0.0; 3]; self.rest.len()];
+        for script in &self.scripts {
+            for &node in &script.nodes {
+                let node = node as usize;
+                let u = script.displacement(self.rest[node], time + dt);
+                for axis in (0..3).filter(|&axis| script.components[axis]) {
+                    velocity[node][axis] = (u[axis] - displacement[node][axis]) / dt;
+                }
+            }
+        }
+        velocity
+    }
+
+    /// The body of an element.
+    pub fn body_of_element(&self, element: usize) -> &Body {
+        &self.bodies[self
+            .bodies
+            .partition_point(|body| body.elements.end <= element)]
+    }
+
+    /// The body of a node.
+    pub fn body_of_node(&self, node: usize) -> &Body {
+        &self.bodies[self.bodies.partition_point(|body| body.nodes.end <= node)]
+    }
+
+    /// What displacements (m, of all nodes) make of an element.
+    pub fn deformation(&self, element: usize, displacement: &[[f64; 3]]) -> Deformation {
+        let u = self.elements[element].map(|node| DVec3::from(displacement[node as usize]));
+        let model = self.body_of_element(element).model;
+        Deformation::new(&self.gradients[element], u, model)
+    }
+
+    /// Von Mises stress (Pa) and det F of an element. The stress is P, the law's own, which turned by R is the Cauchy stress for
+    /// small strains; turning does not change its von Mises stress. Unlike the Cauchy stress R P F^T / det F it is finite in
+    /// flat elements too.
+    pub fn stress_and_determinant(&self, element: usize, displacement: &[[f64; 3]]) -> [f64; 2] {
+        let body = self.body_of_element(element);
+        let deformation = self.deformation(element, displacement);
+        let stress = stress(deformation.strain, body.lambda, body.mu);
+        [von_mises(stress), deformation.determinant()]
+    }
+}
+
+impl Body {
+    /// 1/dt + tau_M, 1/s, for a step of dt (s).
+    pub fn zeta_mass(&self, dt: f64) -> f64 {
+        1.0 / dt + self.mass_damping
+    }
+
+    /// dt + tau_K, s, for a step of dt (s).
+    pub fn zeta_stiffness(&self, dt: f64) -> f64 {
+        dt + self.stiffness_damping
+    }
+}
