@@ -250,7 +250,9 @@ fn effect_lines(scene: &Scene, effects: &Effects) -> Vec<EffectLine> {
 fn stages(scene: &Scene, grid: &Grid, effects: &Effects) -> Vec<StagePlan> {
     const COMPACTION: [&str; 3] = ["compact_count", "compact_scan", "compact_write"];
     let Effects {
+        liquid,
         markers,
+        solids,
         obstacles,
         probes,
         ..
@@ -265,48 +267,100 @@ fn stages(scene: &Scene, grid: &Grid, effects: &Effects) -> Vec<StagePlan> {
             kernels: present.flat_map(|(_, kernels)| *kernels).copied().collect(),
         });
     };
+    if solids {
+        let kernels: [(bool, &[_]); 2] =
+            [(true, &["move_solid"]), (obstacles, &["push_nodes_out"])];
+        stage("move_solid", true, &kernels);
+    }
     if markers {
         let kernels: [(bool, &[_]); 2] = [(true, &["advect_markers"]), (obstacles, &["push_out"])];
         stage("advect_markers", true, &kernels);
     }
-    let band: [(bool, &[_]); 3] = [
-        (markers, &["occupy"]),
-        (true, &["dilate_tiles", "flag_band"]),
-        (true, &COMPACTION),
+    if liquid {
+        let band: [(bool, &[_]); 3] = [
+            (markers, &["occupy"]),
+            (true, &["dilate_tiles", "flag_band"]),
+            (true, &COMPACTION),
+        ];
+        stage("band", markers, &band);
+        stage("advect_velocity", true, &[(true, &["advect_velocity"])]);
+    }
+    let forces: [(bool, &[_]); 2] = [(liquid, &["forces"]), (solids, &["node_forces"])];
+    stage("forces", true, &forces);
+    if liquid {
+        let distance: [(bool, &[_]); 4] = [
+            (markers, &["classify_near", "classify_far"]),
+            (markers, &["spread_markers", "union_of_spheres"]),
+            (
+                markers && obstacles,
+                &["extend_into_solids", "finish_extension"],
+            ),
+            (true, &["measure_volume", "volume_rate"]),
+        ];
+        stage("liquid_distance", markers, &distance);
+        let active: [(bool, &[_]); 2] = [
+            (true, &["clear_system", "active_cells", "coarsen"]),
+            (true, &COMPACTION),
+        ];
+        stage("active_cells", true, &active);
+        let components = [
+            "components_init",
+            "components_merge",
+            "components_open",
+            "components_gate",
+            "components_flag",
+            "components_largest",
+            "components_sum",
+            "components_subtract",
+        ];
+        stage("closed_components", true, &[(true, &components)]);
+    }
+    if solids {
+        let kernels = ["element_rotations", "solid_blocks", "solid_diagonals"];
+        stage("solid_matrices", true, &[(true, &kernels)]);
+    }
+    let right_hand_side: [(bool, &[_]); 2] = [
+        (liquid, &["right_hand_side"]),
+        (solids, &["solid_right_hand_side"]),
     ];
-    stage("band", markers, &band);
-    stage("advect_velocity", true, &[(true, &["advect_velocity"])]);
-    stage("forces", true, &[(true, &["forces"])]);
-    let distance: [(bool, &[_]); 4] = [
-        (markers, &["classify_near", "classify_far"]),
-        (markers, &["spread_markers", "union_of_spheres"]),
+    stage("right_hand_side", true, &right_hand_side);
+    stage("solve", true, &solve_kernels(scene, &levels));
+    if liquid {
+        stage("write_back", true, &[(true, &["still_air", "write_back"])]);
+        let extrapolate: [(bool, &[_]); 3] = [
+            (
+                extrapolation_layers(scene.time.cfl) > 0,
+                &["extrapolate_layer"],
+            ),
+            (true, &["extrapolate_walls"]),
+            (obstacles, &["slip", "apply_slip"]),
+        ];
+        stage("extrapolate", true, &extrapolate);
+    }
+    let diagnose: [(bool, &[_]); 2] = [
         (
-            markers && obstacles,
-            &["extend_into_solids", "finish_extension"],
+            liquid,
+            &["measure_motion", "measure_divergence", "report_motion"],
         ),
-        (true, &["measure_volume", "volume_rate"]),
+        (solids, &["measure_solid", "report_solid"]),
     ];
-    stage("liquid_distance", markers, &distance);
-    let active: [(bool, &[_]); 2] = [
-        (true, &["clear_system", "active_cells", "coarsen"]),
-        (true, &COMPACTION),
-    ];
-    stage("active_cells", true, &active);
-    let components = [
-        "components_init",
-        "components_merge",
-        "components_open",
-        "components_gate",
-        "components_flag",
-        "components_largest",
-        "components_sum",
-        "components_subtract",
-    ];
-    stage("closed_components", true, &[(true, &components)]);
-    stage("right_hand_side", true, &[(true, &["right_hand_side"])]);
+    stage("diagnose", true, &diagnose);
+    if probes {
+        let front = |probe: &scene::Probe| matches!(probe.kind, ProbeKind::Front { .. });
+        let kernels: [(bool, &[_]); 2] = [
+            (!scene.probes.iter().all(front), &["probe_points"]),
+            (scene.probes.iter().any(front), &["probe_fronts"]),
+        ];
+        stage("probe", true, &kernels);
+    }
+    plans
+}
+
+/// The kernels of the solve, and whether it has them.
+fn solve_kernels(scene: &Scene, levels: &LevelPlan) -> Vec<(bool, &'static [&'static str])> {
     let multigrid = scene.solver.preconditioner == Preconditioner::Multigrid;
     let above_tail = multigrid && levels.tail > 0;
-    let solve: [(bool, &[_]); 9] = [
+    vec![
         (true, &["refine_measure"]),
         (levels.long_sums(), &["fold_partials"]),
         (true, &["refine_start", "refine_correct", "refine_residual"]),
@@ -325,31 +379,8 @@ fn stages(scene: &Scene, grid: &Grid, effects: &Effects) -> Vec<StagePlan> {
                 "pcg_update",
             ],
         ),
-    ];
-    stage("solve", true, &solve);
-    stage("write_back", true, &[(true, &["still_air", "write_back"])]);
-    let extrapolate: [(bool, &[_]); 3] = [
-        (
-            extrapolation_layers(scene.time.cfl) > 0,
-            &["extrapolate_layer"],
-        ),
-        (true, &["extrapolate_walls"]),
-        (obstacles, &["slip", "apply_slip"]),
-    ];
-    stage("extrapolate", true, &extrapolate);
-    let diagnose = ["measure_motion", "measure_divergence", "report_motion"];
-    stage("diagnose", true, &[(true, &diagnose)]);
-    if probes {
-        let front = |probe: &scene::Probe| matches!(probe.kind, ProbeKind::Front { .. });
-        let kernels: [(bool, &[_]); 2] = [
-            (!scene.probes.iter().all(front), &["probe_points"]),
-            (scene.probes.iter().any(front), &["probe_fronts"]),
-        ];
-        stage("probe", true, &kernels);
-    }
-    plans
+    ]
 }
-
 fn buffers(scene: &Scene, n_markers: usize, f64: bool, timestamps: bool) -> Vec<BufferPlan> {
     let grid = scene.grid();
     let liquid = liquid_plan(scene, n_markers, f64);
