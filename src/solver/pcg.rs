@@ -239,19 +239,21 @@ impl Pcg {
         let kernel = |source| Kernel::new(gpu, source, unknowns.variant.inner);
         let scalars = ("scalars", (&state.scalars).into());
         let control = ("control", (&state.control).into());
+        let args = ("args", unknowns.args.into());
+        let gated = ("gated", (&state.gated).into());
         let fold = |kernel: &Kernel| {
-            let other = [scalars, control, ("gated", (&state.gated).into())];
+            let other = [scalars, control, gated];
             let sums = [unknowns.partials, &state.folded];
             Fold::new(gpu, unknowns, kernel, sums, &other)
         };
         let open = kernel(&crate::wgsl!("pcg_gate"))?
-            .bind(gpu, &[control, ("gate", (&state.gate).into())])?;
+            .bind(gpu, &[control, args, gated, ("gate", (&state.gate).into())])?;
         let direction = kernel(&crate::wgsl!("pcg_direction"))?.bind(
             gpu,
             &[
                 ("level", level.into()),
                 ("list", unknowns.list.into()),
-                ("args", unknowns.args.into()),
+                args,
                 scalars,
                 ("z", unknowns.z.into()),
                 ("search", unknowns.search.into()),

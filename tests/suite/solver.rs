@@ -5,7 +5,7 @@ use std::process::Command;
 
 use cutwater::gpu::{Buffer, Gpu, Real, RealBuffer, Recorder};
 use cutwater::grid::{Axis, Grid, Padded};
-use cutwater::linalg::{LinearOperator, dot, norm};
+use cutwater::linalg::{LinearOperator, conjugate_gradient, dot, norm};
 use cutwater::reference::base_block::{BaseBlock, DENSITY, DT, THETA_FLOOR};
 use cutwater::reference::{
     ActiveCells, Multigrid, RightHandSide, Stencil, active_cells, solve_direct,
@@ -716,6 +716,78 @@ fn a_solution_is_recognised_and_a_limit_is_told() {
             SolveStatus::Converged,
             "{precision:?}: {outcome:?}"
         );
+    }
+}
+
+/// The diagonal's inverse.
+struct Diagonal(Vec<f64>);
+
+impl LinearOperator for Diagonal {
+    fn size(&self) -> usize {
+        self.0.len()
+    }
+
+    fn apply(&self, x: &[f64], y: &mut [f64]) {
+        for (y, (x, diagonal)) in y.iter_mut().zip(x.iter().zip(&self.0)) {
+            *y = if *diagonal > 0.0 { x / diagonal } else { 0.0 };
+        }
+    }
+}
+
+/// A round of N iterations, wherever in a block of dispatches it ends, is N iterations of conjugate gradients.
+#[test]
+fn a_limit_of_iterations_leaves_the_iterate_of_the_twin() {
+    let Some(gpu) = gpu() else { return };
+    let case = Case::new([24, 20, 16], |[_, j, _]| j < 15).random_rhs(3);
+    let system = case.twin_system();
+    let multigrid = Multigrid::new(&system.stencil);
+    let diagonal = Diagonal(system.stencil.diagonal.clone());
+    for precision in precisions(gpu) {
+        // Iterations that end within the first round, which f32 ends early, and whose rounding they must not feel.
+        let (most, bound, tolerance) = match precision {
+            // The weights of the sweeps are f32 on the device.
+            Precision::F64 => ([12, 70], 1e-6, 1e-13),
+            Precision::F32 | Precision::Mixed => ([6, 24], 1e-4, 1e-6),
+        };
+        let [multigrid, diagonal]: [&dyn LinearOperator; 2] = [&multigrid, &diagonal];
+        let cases = [
+            (Preconditioner::Multigrid, multigrid, most[0]),
+            (Preconditioner::Jacobi, diagonal, most[1]),
+        ];
+        for (preconditioner, twin, most) in cases {
+            for limit in 1..=most {
+                let solver = Solver {
+                    precision,
+                    preconditioner,
+                    tolerance,
+                    max_iterations: limit,
+                    ..Solver::default()
+                };
+                let solved = Device::holding(gpu, &case, &solver).solve();
+                let what = format!("{precision:?} {preconditioner:?} {limit}");
+                assert_eq!(solved.outcome.iterations, limit, "{what}: iterations");
+                assert_eq!(solved.outcome.rounds, 1, "{what}: rounds");
+                let mut x = vec![0.0; case.rhs.len()];
+                conjugate_gradient(
+                    &system.stencil,
+                    twin,
+                    &system.rhs,
+                    &mut x,
+                    0.0,
+                    limit as usize,
+                );
+                let difference: Vec<f64> = x
+                    .iter()
+                    .zip(&solved.potential)
+                    .map(|(a, b)| a - b)
+                    .collect();
+                assert!(
+                    norm(&difference) <= bound * norm(&x),
+                    "{what}: {:e}",
+                    norm(&difference) / norm(&x)
+                );
+            }
+        }
     }
 }
 
