@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use cutwater::Error;
+use cutwater::output::preview::PreviewOptions;
 use cutwater::sim::{self, Options};
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -110,7 +111,7 @@ impl Run {
         }
         println!("frames: {}", out.join("frames").display());
         if self.preview {
-            super::preview::draw(&out)?;
+            super::preview::draw(&out, &PreviewOptions::default())?;
         }
         Ok(())
     }

@@ -1,4 +1,4 @@
-//! Frame files in VTK's XML formats: VTP markers, VTI cell fields, VTP obstacles, and a `.pvd` series per kind.
+//! Frame files in VTK's XML formats: VTP markers, VTI cell fields, VTU solids, VTP obstacles, and a `.pvd` series per kind.
 //!
 //! Data are f32, inline base64, little endian. vtkio's compressed arrays are not used: 0.7.0-rc2 announces one block too
 //! many for an array whose bytes are a multiple of 32768 (every 32^3 field), which VTK refuses.
@@ -6,14 +6,16 @@
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
+use rayon::prelude::*;
 use vtkio::model::{
-    Attribute, Attributes, ByteOrder, DataArray, DataSet, Extent, IOBuffer, ImageDataPiece, Piece,
-    PolyDataPiece, Version, VertexNumbers, Vtk,
+    Attribute, Attributes, ByteOrder, CellType, Cells, DataArray, DataSet, Extent, IOBuffer,
+    ImageDataPiece, Piece, PolyDataPiece, UnstructuredGridPiece, Version, VertexNumbers, Vtk,
 };
 use vtkio::xml::VTKFile;
 
 use super::atomic::{create_folder, write_atomically};
 use crate::Error;
+use crate::elastic::Solids;
 use crate::geometry::{self, CutCells};
 use crate::grid::{Axis, Grid};
 use crate::scene::{Scene, Surface};
@@ -26,6 +28,8 @@ pub struct FrameKinds {
     pub markers: bool,
     /// `NAME_%06d.vti`
     pub fields: bool,
+    /// `NAME_%06d.vtu`
+    pub solids: bool,
 }
 
 impl FrameKinds {
@@ -35,6 +39,7 @@ impl FrameKinds {
         FrameKinds {
             markers: scene.output.particles && surface == Some(Surface::Markers),
             fields: scene.output.fields || surface == Some(Surface::Fixed),
+            solids: scene.output.solids && !scene.solids.is_empty(),
         }
     }
 }
@@ -47,6 +52,7 @@ pub struct FrameWriter {
     grid: Grid,
     markers: Option<Series>,
     fields: Option<Series>,
+    solids: Option<Series>,
 }
 
 impl FrameWriter {
@@ -64,12 +70,14 @@ impl FrameWriter {
         };
         let markers = series(kinds.markers, "markers");
         let fields = series(kinds.fields, "fields");
+        let solids = series(kinds.solids, "solids");
         Ok(FrameWriter {
             folder,
             name: name.to_owned(),
             grid,
             markers,
             fields,
+            solids,
         })
     }
 
@@ -120,13 +128,14 @@ impl FrameWriter {
     /// Writes one frame under the state's frame number, then the series with its time.
     ///
     /// A number that is not finite in f32 is an error that names the field and the place; no file is written then.
-    pub fn write(&mut self, state: &State, cut: &CutCells) -> Result<(), Error> {
+    pub fn write(&mut self, state: &State, cut: &CutCells, bodies: &Solids) -> Result<(), Error> {
         let FrameWriter {
             folder,
             name,
             grid,
             markers,
             fields,
+            solids,
         } = self;
         let stem = format!("{name}_{:06}", state.frame);
         let markers_file = markers
@@ -137,9 +146,15 @@ impl FrameWriter {
             .is_some()
             .then(|| fields_file(grid, state, cut))
             .transpose()?;
-        for (series, file, extension) in
-            [(markers, markers_file, "vtp"), (fields, fields_file, "vti")]
-        {
+        let solids_file = solids
+            .is_some()
+            .then(|| solids_file(bodies, state))
+            .transpose()?;
+        for (series, file, extension) in [
+            (markers, markers_file, "vtp"),
+            (fields, fields_file, "vti"),
+            (solids, solids_file, "vtu"),
+        ] {
             if let (Some(series), Some(file)) = (series, file) {
                 let file_name = format!("{stem}.{extension}");
                 write_vtk(&folder.join(&file_name), file)?;
@@ -231,6 +246,70 @@ fn fields_file(grid: &Grid, state: &State, cut: &CutCells) -> Result<DataSet, Er
         origin: [0.0; 3],
         // vtkio holds spacings in f32; over 512 cells that shifts a corner by at most 3e-5 of a cell.
         spacing: [grid.dx as f32; 3],
+        meta: None,
+        pieces: vec![Piece::Inline(Box::new(piece))],
+    })
+}
+
+/// Where the nodes of all solids are (m), and their tetrahedra. Point data: `displacement` from rest (m) and `velocity` (m/s);
+/// cell data: `von_mises` stress (Pa), `det_f`, and `solid`, the index of the body.
+fn solids_file(solids: &Solids, state: &State) -> Result<DataSet, Error> {
+    let vectors_of = |field: &str, value: &dyn Fn(usize) -> DVec3| -> Result<Vec<f32>, Error> {
+        let mut written = Vec::with_capacity(3 * solids.rest.len());
+        for node in 0..solids.rest.len() {
+            for x in value(node).to_array() {
+                written.push(finite(state, field, x, || format!("node {node}"))?);
+            }
+        }
+        Ok(written)
+    };
+    let displacement = |node: usize| DVec3::from_array(state.displacement[node]);
+    let velocity = |node: usize| DVec3::from_array(state.node_velocity[node]);
+    let points = vectors_of("position", &|node| solids.rest[node] + displacement(node))?;
+    let data = vec![
+        vectors("displacement", vectors_of("displacement", &displacement)?),
+        vectors("velocity", vectors_of("velocity", &velocity)?),
+    ];
+    let n = solids.elements.len();
+    let of_elements: Vec<[f64; 2]> = (0..n)
+        .into_par_iter()
+        .map(|element| solids.stress_and_determinant(element, &state.displacement))
+        .collect();
+    let cells = |field: &str, which: usize| -> Result<IOBuffer, Error> {
+        let values = of_elements.iter().enumerate();
+        let values = values.map(|(element, values)| {
+            finite(state, field, values[which], || format!("element {element}"))
+        });
+        Ok(values.collect::<Result<Vec<f32>, Error>>()?.into())
+    };
+    let owners = (0_i32..).zip(&solids.bodies);
+    let owners: Vec<i32> = owners
+        .flat_map(|(solid, body)| body.elements.clone().map(move |_| solid))
+        .collect();
+    let piece = UnstructuredGridPiece {
+        points: points.into(),
+        cells: Cells {
+            cell_verts: VertexNumbers::XML {
+                connectivity: solids
+                    .elements
+                    .iter()
+                    .flatten()
+                    .map(|&node| node.into())
+                    .collect(),
+                offsets: (1..=n as u64).map(|element| 4 * element).collect(),
+            },
+            types: vec![CellType::Tetra; n],
+        },
+        data: Attributes {
+            point: data,
+            cell: vec![
+                scalars("von_mises", cells("von_mises", 0)?),
+                scalars("det_f", cells("det_f", 1)?),
+                scalars("solid", owners.into()),
+            ],
+        },
+    };
+    Ok(DataSet::UnstructuredGrid {
         meta: None,
         pieces: vec![Piece::Inline(Box::new(piece))],
     })

@@ -5,11 +5,13 @@ use std::fs;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
 
 use super::atomic::write_atomically;
 use super::frames::FrameKinds;
 use crate::Error;
-use crate::scene::{Camera, Scene, Surface};
+use crate::elastic::Solids;
+use crate::scene::{Camera, Scene, SolidMesh, Surface};
 
 /// Everything in manifest.json. Written when the run starts and again with each frame and at the end.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -38,6 +40,12 @@ pub struct Manifest {
     pub markers: bool,
     /// Whether frames have VTI fields.
     pub fields: bool,
+    /// The solids of the scene; not in the file where there are none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub solids: Vec<SolidRecord>,
+    /// Whether frames have VTU solids; not in the file where they have not.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub solid_frames: bool,
     /// 1/s
     pub frames_per_second: f64,
     /// Where `preview` looks from.
@@ -55,6 +63,25 @@ pub struct SceneRecord {
     pub file: String,
     /// SHA-256 of the file's text and of all overrides, in hexadecimal.
     pub sha256: String,
+}
+
+/// A solid and its mesh.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SolidRecord {
+    /// Its name.
+    pub name: String,
+    /// Nodes.
+    pub nodes: usize,
+    /// Tetrahedra.
+    pub elements: usize,
+    /// At rest, m^3.
+    pub volume: f64,
+    /// kg
+    pub mass: f64,
+    /// Name of its mesh file, without folders; none where the mesh is made.
+    pub file: Option<String>,
+    /// SHA-256 of that file, in hexadecimal.
+    pub sha256: Option<String>,
 }
 
 /// Options of the run.
@@ -155,7 +182,11 @@ impl Manifest {
     /// The manifest of a run that starts now.
     pub fn new(scene: &Scene, options: RunOptions, adapter: Option<AdapterRecord>) -> Manifest {
         let grid = scene.grid();
-        let FrameKinds { markers, fields } = FrameKinds::of(scene);
+        let FrameKinds {
+            markers,
+            fields,
+            solids: solid_frames,
+        } = FrameKinds::of(scene);
         let liquid = scene
             .liquid
             .as_ref()
@@ -164,12 +195,7 @@ impl Manifest {
             cutwater: env!("CARGO_PKG_VERSION").to_owned(),
             scene: SceneRecord {
                 name: scene.name.clone(),
-                file: scene
-                    .file
-                    .file_name()
-                    .unwrap_or_default()
-                    .to_string_lossy()
-                    .into_owned(),
+                file: file_name(&scene.file),
                 sha256: scene.hash.clone(),
             },
             options,
@@ -182,6 +208,8 @@ impl Manifest {
             obstacles: !scene.obstacles.is_empty(),
             markers,
             fields,
+            solids: Vec::new(),
+            solid_frames,
             frames_per_second: scene.time.frames_per_second,
             camera: CameraRecord::from(&scene.camera),
             progress: Progress {
@@ -193,6 +221,29 @@ impl Manifest {
                 seconds: 0.0,
             },
         }
+    }
+
+    /// With what the meshes of the scene's solids came to.
+    ///
+    /// # Errors
+    /// [`Error::Input`] where a mesh file cannot be read a second time, for its hash.
+    pub fn with_solids(mut self, scene: &Scene, solids: &Solids) -> Result<Manifest, Error> {
+        for (solid, body) in scene.solids.iter().zip(&solids.bodies) {
+            let file = match &solid.mesh {
+                SolidMesh::File { file } | SolidMesh::Surface { file, .. } => Some(file),
+                _ => None,
+            };
+            self.solids.push(SolidRecord {
+                name: body.name.clone(),
+                nodes: body.nodes.len(),
+                elements: body.elements.len(),
+                volume: solids.volume[body.elements.clone()].iter().sum(),
+                mass: solids.mass[body.nodes.clone()].iter().sum(),
+                file: file.map(|file| file_name(file)),
+                sha256: file.map(|file| hash(file)).transpose()?,
+            });
+        }
+        Ok(self)
     }
 
     /// Writes `run/manifest.json`, whole or not at all.
@@ -214,4 +265,19 @@ impl Manifest {
         serde_json::from_slice(&text)
             .map_err(|problem| Error::input(path.display().to_string(), problem.to_string(), cure))
     }
+}
+
+fn file_name(file: &Path) -> String {
+    let name = file.file_name().unwrap_or_default();
+    name.to_string_lossy().into_owned()
+}
+
+/// SHA-256 of a file, in hexadecimal.
+fn hash(file: &Path) -> Result<String, Error> {
+    let bytes = fs::read(file).map_err(|problem| {
+        let cure = "leave the mesh file where the scene says while the run starts";
+        Error::input(file.display().to_string(), problem.to_string(), cure)
+    })?;
+    let digest = Sha256::digest(bytes);
+    Ok(digest.iter().map(|byte| format!("{byte:02x}")).collect())
 }

@@ -5,6 +5,7 @@
 //! DIR/steps.csv, DIR/probes.csv  a row per sub-step
 //! DIR/frames/NAME_000042.vtp     markers                 NAME_markers.pvd   the same with times
 //! DIR/frames/NAME_000042.vti     cell fields             NAME_fields.pvd    the same with times
+//! DIR/frames/NAME_000042.vtu     solids                  NAME_solids.pvd    the same with times
 //! DIR/frames/NAME_obstacles.vtp  surfaces of the obstacles
 //! DIR/preview/NAME_000042.png    shaded pictures         NAME.png           the animation (APNG)
 //! ```

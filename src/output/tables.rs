@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use crate::Error;
 use crate::scene::Probe;
-use crate::state::{Diagnosis, LiquidReport, StepReport};
+use crate::state::{LiquidReport, SolidReport, StepReport};
 
 /// A CSV file that grows by rows and is flushed once per frame.
 #[derive(Debug)]
@@ -58,53 +58,78 @@ pub struct StepRow<'a> {
     pub time: f64,
     /// What it did.
     pub report: &'a StepReport,
-    /// Liquid volume over the volume to hold, where there is liquid.
+    /// Liquid volume over the volume to hold; where there is liquid, and only there.
     pub volume_ratio: Option<f64>,
 }
 
-/// steps.csv. Columns: [`StepTable::COLUMNS`], then `seconds_STAGE` of each stage of the first row.
+/// steps.csv. Columns: [`StepTable::columns`], then `seconds_STAGE` of each stage of the first row.
 #[derive(Debug)]
 pub struct StepTable {
     table: Table,
-    stages: Option<Vec<&'static str>>,
+    head: Option<Vec<String>>,
 }
 
-impl StepTable {
-    /// Units: s, relative residual (f64, true), 1/s, m^3, kg m/s, J, m/s; `markers_dropped` in this sub-step;
-    /// `dt_floored` is 0 or 1; `status` of the solve is `converged` or what went wrong. Of a liquid that is not there, nothing.
-    pub const COLUMNS: [&'static str; 21] = [
-        "step",
-        "t",
-        "dt",
-        "iterations",
-        "residual_p",
-        "status",
-        "unknowns",
-        "divergence",
-        "volume",
-        "volume_ratio",
-        "momentum_x",
-        "momentum_y",
-        "momentum_z",
-        "kinetic_energy",
-        "potential_energy",
-        "max_speed",
-        "markers",
-        "markers_dropped",
-        "closed_components",
-        "dt_floored",
-        "seconds_total",
-    ];
+/// Columns of every row, before those of the parts and after.
+const FIRST: [&str; 3] = ["step", "t", "dt"];
+const LAST: [&str; 2] = ["dt_floored", "seconds_total"];
+/// Columns of the liquid.
+const LIQUID: [&str; 16] = [
+    "iterations",
+    "residual_p",
+    "status",
+    "unknowns",
+    "divergence",
+    "volume",
+    "volume_ratio",
+    "momentum_x",
+    "momentum_y",
+    "momentum_z",
+    "kinetic_energy",
+    "potential_energy",
+    "max_speed",
+    "markers",
+    "markers_dropped",
+    "closed_components",
+];
+/// Columns of the solids.
+const SOLIDS: [&str; 16] = [
+    "solid_iterations",
+    "residual_v",
+    "solid_status",
+    "solid_unknowns",
+    "solid_momentum_x",
+    "solid_momentum_y",
+    "solid_momentum_z",
+    "solid_angular_momentum_x",
+    "solid_angular_momentum_y",
+    "solid_angular_momentum_z",
+    "solid_kinetic_energy",
+    "solid_elastic_energy",
+    "solid_potential_energy",
+    "solid_max_speed",
+    "min_det_f",
+    "inverted",
+];
 
-    /// A new steps.csv in `run`; the head line comes with the first row, which tells the stages.
+impl StepTable {
+    /// The columns of a scene with or without liquid and solids. Units: s, relative residual (f64, true), 1/s, m^3, kg m/s,
+    /// kg m^2/s (about the origin), J, m/s; `markers_dropped` in this sub-step; `dt_floored` is 0 or 1; a `status` is `converged`
+    /// or what went wrong; `inverted` counts elements.
+    pub fn columns(liquid: bool, solids: bool) -> impl Iterator<Item = &'static str> {
+        let liquid = LIQUID.into_iter().filter(move |_| liquid);
+        let solids = SOLIDS.into_iter().filter(move |_| solids);
+        FIRST.into_iter().chain(liquid).chain(solids).chain(LAST)
+    }
+
+    /// A new steps.csv in `run`; the head line comes with the first row, which tells the parts and the stages.
     pub fn create(run: &Path) -> Result<StepTable, Error> {
         Ok(StepTable {
             table: Table::create(run.join("steps.csv"))?,
-            stages: None,
+            head: None,
         })
     }
 
-    /// Appends a row. Every row must time the same stages; a number that is not finite is an error.
+    /// Appends a row. Every row must have the same parts and time the same stages; a number that is not finite is an error.
     pub fn push(&mut self, row: &StepRow) -> Result<(), Error> {
         let StepRow {
             step,
@@ -112,58 +137,36 @@ impl StepTable {
             report,
             volume_ratio,
         } = *row;
-        let stages: Vec<&'static str> = report.seconds.iter().map(|&(stage, _)| stage).collect();
-        match &self.stages {
+        let stages = report.seconds.iter();
+        let head: Vec<String> = StepTable::columns(report.liquid.is_some(), report.solid.is_some())
+            .map(str::to_owned)
+            .chain(stages.map(|(stage, _)| format!("seconds_{stage}")))
+            .collect();
+        match &self.head {
             None => {
-                let head = Self::COLUMNS.map(str::to_owned);
-                self.table.record(
-                    head.into_iter()
-                        .chain(stages.iter().map(|stage| format!("seconds_{stage}"))),
-                )?;
-                self.stages = Some(stages);
+                self.table.record(head.iter().cloned())?;
+                self.head = Some(head);
             }
-            Some(first) if *first != stages => {
-                let problem =
-                    format!("step {step} timed the stages {stages:?}, the first step {first:?}");
+            Some(first) if *first != head => {
+                let problem = format!("step {step} has the columns {head:?}, the first {first:?}");
                 return Err(Error::output(&self.table.path, problem));
             }
             Some(_) => {}
         }
-        let real = |column: &str, value: f64| number(column, step, value);
-        // A column of what the scene does not have stays empty.
-        let liquid = report.liquid;
-        let text = |of: fn(LiquidReport) -> String| liquid.map_or(String::new(), of);
-        let diagnosis = liquid.map(|liquid| liquid.diagnosis);
-        let known = |column: &str, value: Option<f64>| {
-            value.map_or(Ok(String::new()), |value| number(column, step, value))
-        };
-        let diagnosed = |column: &str, of: fn(Diagnosis) -> f64| known(column, diagnosis.map(of));
         let mut fields = vec![
             step.to_string(),
-            real("t", time)?,
-            real("dt", report.dt)?,
-            text(|liquid| liquid.solve.iterations.to_string()),
-            known("residual_p", liquid.map(|liquid| liquid.solve.residual))?,
-            text(|liquid| liquid.solve.status.name().to_owned()),
-            text(|liquid| liquid.solve.unknowns.to_string()),
-            diagnosed("divergence", |liquid| liquid.divergence)?,
-            diagnosed("volume", |liquid| liquid.volume)?,
-            known("volume_ratio", volume_ratio)?,
-            diagnosed("momentum_x", |liquid| liquid.momentum[0])?,
-            diagnosed("momentum_y", |liquid| liquid.momentum[1])?,
-            diagnosed("momentum_z", |liquid| liquid.momentum[2])?,
-            diagnosed("kinetic_energy", |liquid| liquid.kinetic_energy)?,
-            diagnosed("potential_energy", |liquid| liquid.potential_energy)?,
-            diagnosed("max_speed", |liquid| liquid.max_speed)?,
-            text(|liquid| liquid.markers.to_string()),
-            text(|liquid| liquid.dropped.to_string()),
-            text(|liquid| liquid.closed_components.to_string()),
-            u8::from(report.dt_floored).to_string(),
-            real(
-                "seconds_total",
-                report.seconds.iter().map(|&(_, seconds)| seconds).sum(),
-            )?,
+            number("t", step, time)?,
+            number("dt", step, report.dt)?,
         ];
+        if let (Some(liquid), Some(volume_ratio)) = (&report.liquid, volume_ratio) {
+            fields.extend(liquid_fields(step, liquid, volume_ratio)?);
+        }
+        if let Some(solid) = &report.solid {
+            fields.extend(solid_fields(step, solid)?);
+        }
+        fields.push(u8::from(report.dt_floored).to_string());
+        let total = report.seconds.iter().map(|&(_, seconds)| seconds).sum();
+        fields.push(number("seconds_total", step, total)?);
         for &(stage, seconds) in &report.seconds {
             fields.push(number(stage, step, seconds)?);
         }
@@ -174,6 +177,60 @@ impl StepTable {
     pub fn flush(&mut self) -> Result<(), Error> {
         self.table.flush()
     }
+}
+
+/// The values of [`LIQUID`].
+fn liquid_fields(
+    step: u64,
+    liquid: &LiquidReport,
+    volume_ratio: f64,
+) -> Result<Vec<String>, Error> {
+    let LiquidReport {
+        solve, diagnosis, ..
+    } = liquid;
+    let real = |column: &str, value: f64| number(column, step, value);
+    Ok(vec![
+        solve.iterations.to_string(),
+        real("residual_p", solve.residual)?,
+        solve.status.name().to_owned(),
+        solve.unknowns.to_string(),
+        real("divergence", diagnosis.divergence)?,
+        real("volume", diagnosis.volume)?,
+        real("volume_ratio", volume_ratio)?,
+        real("momentum_x", diagnosis.momentum[0])?,
+        real("momentum_y", diagnosis.momentum[1])?,
+        real("momentum_z", diagnosis.momentum[2])?,
+        real("kinetic_energy", diagnosis.kinetic_energy)?,
+        real("potential_energy", diagnosis.potential_energy)?,
+        real("max_speed", diagnosis.max_speed)?,
+        liquid.markers.to_string(),
+        liquid.dropped.to_string(),
+        liquid.closed_components.to_string(),
+    ])
+}
+
+/// The values of [`SOLIDS`].
+fn solid_fields(step: u64, solid: &SolidReport) -> Result<Vec<String>, Error> {
+    let SolidReport { solve, diagnosis } = solid;
+    let real = |column: &str, value: f64| number(column, step, value);
+    Ok(vec![
+        solve.iterations.to_string(),
+        real("residual_v", solve.residual)?,
+        solve.status.name().to_owned(),
+        solve.unknowns.to_string(),
+        real("solid_momentum_x", diagnosis.momentum[0])?,
+        real("solid_momentum_y", diagnosis.momentum[1])?,
+        real("solid_momentum_z", diagnosis.momentum[2])?,
+        real("solid_angular_momentum_x", diagnosis.angular_momentum[0])?,
+        real("solid_angular_momentum_y", diagnosis.angular_momentum[1])?,
+        real("solid_angular_momentum_z", diagnosis.angular_momentum[2])?,
+        real("solid_kinetic_energy", diagnosis.kinetic_energy)?,
+        real("solid_elastic_energy", diagnosis.elastic_energy)?,
+        real("solid_potential_energy", diagnosis.potential_energy)?,
+        real("solid_max_speed", diagnosis.max_speed)?,
+        real("min_det_f", diagnosis.min_det)?,
+        diagnosis.inverted.to_string(),
+    ])
 }
 
 /// probes.csv. Columns: `t` (s), then the [`Probe::columns`] of each probe.

@@ -14,6 +14,7 @@ pub use snapshot::{LiquidSnapshot, Snapshot};
 pub use step::Observer;
 
 use crate::Error;
+use crate::elastic::Solids;
 use crate::geometry::{self, CutCells};
 use crate::gpu::{AdapterChoice, AdapterReport, Gpu};
 use crate::reference::{self, Reference};
@@ -64,6 +65,7 @@ impl Clock {
 #[derive(Debug)]
 pub struct Simulation {
     scene: Scene,
+    solids: Solids,
     path: Path,
 }
 
@@ -79,6 +81,7 @@ impl Simulation {
     /// # Errors
     /// Whatever geometry and device say.
     pub fn new(scene: &Scene, backend: &Backend) -> Result<Simulation, Error> {
+        let solids = Solids::new(scene, &geometry::solid_meshes(scene)?)?;
         let path = match backend {
             Backend::Gpu(choice) => Path::Gpu(Box::new(GpuPath::open(scene, choice)?)),
             Backend::Cpu => {
@@ -90,6 +93,7 @@ impl Simulation {
         };
         Ok(Simulation {
             scene: scene.clone(),
+            solids,
             path,
         })
     }
@@ -148,14 +152,30 @@ impl Simulation {
     /// # Errors
     /// [`Error::Gpu`] when the device fails.
     pub fn probes(&mut self) -> Result<Vec<f64>, Error> {
-        let grid = self.scene.grid();
-        let probes = self.scene.probes.iter();
-        match &mut self.path {
-            Path::Gpu(path) => path.probes(),
-            Path::Cpu(path) => Ok(probes
-                .flat_map(|probe| reference::probe(&grid, path.state(), &probe.kind))
-                .collect()),
+        let probes = &self.scene.probes;
+        let of_liquid = || probes.iter().filter(|probe| probe.kind.of_liquid());
+        let mut liquid = match &mut self.path {
+            _ if of_liquid().next().is_none() => Vec::new(),
+            Path::Gpu(path) => path.probes()?,
+            Path::Cpu(path) => {
+                let grid = self.scene.grid();
+                of_liquid()
+                    .flat_map(|probe| reference::probe(&grid, path.state(), &probe.kind))
+                    .collect()
+            }
         }
+        .into_iter();
+        let displacement = match probes.iter().all(|probe| probe.kind.of_liquid()) {
+            true => Vec::new(),
+            false => self.state()?.displacement,
+        };
+        let values = probes
+            .iter()
+            .flat_map(|probe| match probe.kind.of_liquid() {
+                true => liquid.by_ref().take(probe.columns().len()).collect(),
+                false => self.solids.probe(&displacement, &probe.kind),
+            });
+        Ok(values.collect())
     }
 
     /// How far the simulation is.
@@ -178,6 +198,11 @@ impl Simulation {
         } else {
             1.0
         })
+    }
+
+    /// The elastic solids at rest; none without.
+    pub fn solids(&self) -> &Solids {
+        &self.solids
     }
 
     /// The obstacles' cut cells.

@@ -91,7 +91,8 @@ pub fn run(
         overrides: scene.overrides.clone(),
     };
     let adapter = simulation.adapter().map(adapter_record);
-    let mut manifest = Manifest::new(scene, run_options, adapter);
+    let mut manifest =
+        Manifest::new(scene, run_options, adapter).with_solids(scene, simulation.solids())?;
     manifest.write(&options.out)?;
     let clock = Instant::now();
     let outcome = frames(
@@ -152,7 +153,7 @@ fn frames(
         .transpose()?;
     let mut write_frame = |simulation: &Simulation, manifest: &mut Manifest| {
         let state = simulation.state()?;
-        writer.write(&state, simulation.cut_cells())?;
+        writer.write(&state, simulation.cut_cells(), simulation.solids())?;
         let at = &mut manifest.progress;
         at.frames_written.push(state.frame);
         (at.steps, at.time) = (state.step, state.time);

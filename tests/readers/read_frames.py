@@ -1,4 +1,4 @@
-"""Prints what an independent reader (fieldcompare) finds in a .vtp, .vti or .pvd file, as JSON for tests/suite/output.rs.
+"""Prints what an independent reader (fieldcompare) finds in a .vtp, .vti, .vtu or .pvd file, as JSON for tests/suite/output.rs.
 
 Numbers keep all their digits: an f32 is printed as the f64 of the same value.
 """
@@ -8,7 +8,7 @@ import os
 import sys
 from xml.etree import ElementTree
 
-from fieldcompare.io.vtk import VTIReader, VTPReader, read
+from fieldcompare.io.vtk import VTIReader, VTPReader, VTUReader, read
 from fieldcompare.mesh._mesh_fields import remove_cell_type_suffix
 
 
@@ -30,7 +30,7 @@ def describe(path):
         times = [float(entry.attrib["timestep"]) for entry in ElementTree.parse(path).iter("DataSet")]
         frames = [fields(frame) for frame in read(path)]
         return {"times": times, "frames": frames}
-    reader = {".vtp": VTPReader, ".vti": VTIReader}[extension](path)
+    reader = {".vtp": VTPReader, ".vti": VTIReader, ".vtu": VTUReader}[extension](path)
     mesh_fields = reader.read()
     mesh = mesh_fields.domain
     found = fields(mesh_fields)

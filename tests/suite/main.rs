@@ -14,6 +14,7 @@ mod layout;
 mod linalg;
 mod liquid_case;
 mod output;
+mod output_solids;
 mod pages;
 mod physics;
 mod plan;

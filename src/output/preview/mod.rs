@@ -1,12 +1,13 @@
 //! Shaded pictures of a run, from its files alone: `manifest.json` and `frames/`.
 //!
 //! Rays are traced on the CPU in f32: liquid from the markers (or, with a fixed surface, from the cell fields) with
-//! refraction, Fresnel reflection and colour by depth; obstacles; the floor with lines at round distances; the domain's
-//! edges. Every pixel is computed by itself, so pictures do not depend on the number of threads.
+//! refraction, Fresnel reflection and colour by depth; elastic solids, in colours of their own or of their stress or change of
+//! volume; obstacles; the floor with lines at round distances; the domain's edges. Every pixel is computed by itself, so pictures do not depend on the number of threads.
 
 mod liquid;
 mod picture;
 mod shade;
+mod solids;
 mod triangles;
 
 use std::collections::BTreeMap;
@@ -23,9 +24,33 @@ use crate::Error;
 use liquid::LiquidField;
 use picture::{Animation, Picture};
 use shade::{Stage, View};
-use triangles::{Triangle, Triangles};
+use solids::{Scale, Skin, SolidFrame};
+use triangles::{Owner, Triangle, Triangles};
 
 const DARK: [u8; 3] = [40, 46, 54];
+
+/// What the colours of elastic solids stand for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Colour {
+    /// The body.
+    #[default]
+    Solid,
+    /// Von Mises stress, Pa.
+    Stress,
+    /// det F: volume over volume at rest.
+    DetF,
+}
+
+impl Colour {
+    /// The cell data that it is made from.
+    fn field(self) -> Option<&'static str> {
+        match self {
+            Colour::Solid => None,
+            Colour::Stress => Some("von_mises"),
+            Colour::DetF => Some("det_f"),
+        }
+    }
+}
 
 /// What `preview` makes.
 #[derive(Clone, Copy, Debug)]
@@ -36,6 +61,8 @@ pub struct PreviewOptions {
     pub every: usize,
     /// Whether to make the animation too.
     pub animation: bool,
+    /// What the colours of elastic solids stand for.
+    pub colour: Colour,
 }
 
 impl Default for PreviewOptions {
@@ -44,6 +71,7 @@ impl Default for PreviewOptions {
             size: None,
             every: 1,
             animation: true,
+            colour: Colour::Solid,
         }
     }
 }
@@ -66,7 +94,18 @@ pub fn preview(
     let manifest = Manifest::read(run)?;
     let name = &manifest.scene.name;
     let frames = frame_files(&run.join("frames"), &manifest)?;
-    let frames: Vec<(u64, PathBuf)> = frames.into_iter().step_by(options.every.max(1)).collect();
+    let frames: Vec<(u64, FrameFiles)> = frames.into_iter().step_by(options.every.max(1)).collect();
+    if options.colour != Colour::Solid && !manifest.solid_frames {
+        return Err(Error::input(
+            run.display().to_string(),
+            "no frame has elastic solids that could be coloured",
+            "draw it without --colour",
+        ));
+    }
+    let solid_files = frames
+        .iter()
+        .filter_map(|(_, files)| files.solids.as_deref());
+    let scale = Scale::over(options.colour, solid_files)?;
     let folder = run.join("preview");
     create_folder(&folder)?;
 
@@ -89,6 +128,10 @@ pub fn preview(
     let mut stage = Stage {
         liquid: None,
         obstacles: &obstacles,
+        solids: Triangles::none(),
+        looks: Vec::new(),
+        scale: &scale,
+        pixel: view.pixel(),
         domain,
         up,
         floor_lines: round_length(0.12 * domain.max_element()),
@@ -100,9 +143,16 @@ pub fn preview(
         animation: None,
     };
     let mut animation = Animation::new();
-    for (done, (frame, file)) in frames.iter().enumerate() {
+    let mut skin = Skin::none();
+    for (done, (frame, files)) in frames.iter().enumerate() {
         progress(done, frames.len());
-        stage.liquid = read_liquid(file, &manifest)?;
+        if let Some(file) = &files.liquid {
+            stage.liquid = read_liquid(file, &manifest)?;
+        }
+        if let Some(file) = &files.solids {
+            let frame = SolidFrame::read(file, options.colour)?;
+            (stage.solids, stage.looks) = skin.dress(&frame, options.colour);
+        }
         let (mut picture, depths) = stage.render(&view);
         draw_domain(&mut picture, &depths, &view, domain);
         caption(
@@ -110,6 +160,7 @@ pub fn preview(
             *frame as f64 / manifest.frames_per_second,
             stage.floor_lines,
         );
+        scale.draw(&mut picture);
         let path = folder.join(format!("{name}_{frame:06}.png"));
         picture.write(&path)?;
         report.pictures.push(path);
@@ -129,35 +180,54 @@ pub fn preview(
     Ok(report)
 }
 
-/// The frames in the folder by number: markers where there are any, else fields.
-fn frame_files(folder: &Path, manifest: &Manifest) -> Result<BTreeMap<u64, PathBuf>, Error> {
+/// What a picture is made from.
+#[derive(Default)]
+struct FrameFiles {
+    liquid: Option<PathBuf>,
+    solids: Option<PathBuf>,
+}
+
+/// The frames in the folder by number, those with all their files: of the liquid markers where there are any, else fields.
+fn frame_files(folder: &Path, manifest: &Manifest) -> Result<BTreeMap<u64, FrameFiles>, Error> {
     let name = &manifest.scene.name;
-    let extension = if manifest.markers { "vtp" } else { "vti" };
-    let mut found = BTreeMap::new();
+    let solids = manifest.solid_frames.then_some("vtu");
+    let liquid = match (manifest.markers, manifest.fields) {
+        (true, _) => Some("vtp"),
+        (false, true) => Some("vti"),
+        (false, false) => None,
+    };
+    let Some(first) = liquid.or(solids) else {
+        let cure = match manifest.solids.is_empty() {
+            true => "run the scene with output.particles or output.fields on",
+            false => "run the scene with output.solids on",
+        };
+        let problem = "the run writes no frames";
+        return Err(Error::input(folder.display().to_string(), problem, cure));
+    };
+    let mut found: BTreeMap<u64, FrameFiles> = BTreeMap::new();
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let path = entry.path();
-        let stem = path
-            .file_stem()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .into_owned();
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy();
         let number = stem
             .strip_prefix(name.as_str())
-            .and_then(|rest| rest.strip_prefix('_'));
-        if let (Some(Ok(number)), Some(true)) = (
-            number.map(str::parse),
-            path.extension().map(|found| found == extension),
-        ) {
-            found.insert(number, path);
+            .and_then(|rest| rest.strip_prefix('_'))
+            .and_then(|number| number.parse().ok());
+        let extension = path.extension().and_then(|extension| extension.to_str());
+        if let (Some(number), Some(_)) = (number, extension) {
+            let files = found.entry(number).or_default();
+            if extension == liquid {
+                files.liquid = Some(path);
+            } else if extension == solids {
+                files.solids = Some(path);
+            }
         }
     }
+    found.retain(|_, files| {
+        files.liquid.is_some() == liquid.is_some() && files.solids.is_some() == solids.is_some()
+    });
     if found.is_empty() {
-        let problem = format!("no frame {name}_000000.{extension} or later");
-        let cure = if manifest.markers || manifest.fields {
-            "let `cutwater run` write a frame first"
-        } else {
-            "run the scene with output.particles or output.fields on"
-        };
+        let problem = format!("no frame {name}_000000.{first} or later");
+        let cure = "let `cutwater run` write a frame first";
         return Err(Error::input(folder.display().to_string(), problem, cure));
     }
     Ok(found)
@@ -212,12 +282,12 @@ fn points(buffer: IOBuffer) -> Option<Vec<Vec3>> {
     Some(numbers.chunks_exact(3).map(Vec3::from_slice).collect())
 }
 
-fn array(attributes: Attributes, name: &str) -> Option<IOBuffer> {
+fn array(attributes: &Attributes, name: &str) -> Option<IOBuffer> {
     attributes
         .cell
-        .into_iter()
+        .iter()
         .find_map(|attribute| match attribute {
-            Attribute::DataArray(array) if array.name == name => Some(array.data),
+            Attribute::DataArray(array) if array.name == name => Some(array.data.clone()),
             _ => None,
         })
 }
@@ -246,7 +316,7 @@ fn read_liquid(path: &Path, manifest: &Manifest) -> Result<Option<LiquidField>, 
             let Some(Piece::Inline(piece)) = pieces.into_iter().next() else {
                 return Err(missing("inline data"));
             };
-            let phi = array(piece.data, "liquid_distance").and_then(IOBuffer::into_vec::<f32>);
+            let phi = array(&piece.data, "liquid_distance").and_then(IOBuffer::into_vec::<f32>);
             let phi = phi.filter(|phi| phi.len() == manifest.cells.iter().product::<usize>());
             let phi = phi.ok_or_else(|| missing("liquid_distance for every cell"))?;
             Ok(Some(LiquidField::from_cells(phi, manifest.cells, dx)))
@@ -270,7 +340,7 @@ fn read_obstacles(path: &Path) -> Result<Vec<Triangle>, Error> {
         let Some(VertexNumbers::XML { connectivity, .. }) = piece.polys else {
             return Err(missing("triangles"));
         };
-        let owners: Vec<i32> = array(piece.data, "obstacle")
+        let owners: Vec<i32> = array(&piece.data, "obstacle")
             .and_then(IOBuffer::into_vec)
             .ok_or_else(|| missing("obstacle numbers"))?;
         let mut volumes: BTreeMap<i32, f64> = BTreeMap::new();
@@ -289,7 +359,10 @@ fn read_obstacles(path: &Path) -> Result<Vec<Triangle>, Error> {
         }
         all.extend(triangles.into_iter().map(|(corners, owner)| Triangle {
             corners,
-            container: volumes[&owner] < 0.0,
+            owner: match volumes[&owner] < 0.0 {
+                true => Owner::Container,
+                false => Owner::Obstacle,
+            },
         }));
     }
     Ok(all)

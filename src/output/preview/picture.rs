@@ -11,7 +11,7 @@ use crate::output::write_atomically;
 const ANIMATION_WIDTH: usize = 640;
 
 /// The letters of captions: 7 rows of 5 pixels, the left one in bit 4.
-const LETTERS: [(char, [u8; 7]); 18] = [
+const LETTERS: [(char, [u8; 7]); 27] = [
     ('0', [0x0e, 0x11, 0x13, 0x15, 0x19, 0x11, 0x0e]),
     ('1', [0x04, 0x0c, 0x04, 0x04, 0x04, 0x04, 0x0e]),
     ('2', [0x0e, 0x11, 0x01, 0x02, 0x04, 0x08, 0x1f]),
@@ -30,7 +30,30 @@ const LETTERS: [(char, [u8; 7]); 18] = [
     ('n', [0x00, 0x00, 0x16, 0x19, 0x11, 0x11, 0x11]),
     ('m', [0x00, 0x00, 0x1a, 0x15, 0x15, 0x11, 0x11]),
     ('s', [0x00, 0x00, 0x0e, 0x10, 0x0e, 0x01, 0x1e]),
+    ('a', [0x00, 0x00, 0x0e, 0x01, 0x0f, 0x11, 0x0f]),
+    ('d', [0x01, 0x01, 0x0d, 0x13, 0x11, 0x11, 0x0f]),
+    ('o', [0x00, 0x00, 0x0e, 0x11, 0x11, 0x11, 0x0e]),
+    ('t', [0x08, 0x08, 0x1c, 0x08, 0x08, 0x09, 0x06]),
+    ('v', [0x00, 0x00, 0x11, 0x11, 0x11, 0x0a, 0x04]),
+    ('F', [0x1f, 0x10, 0x10, 0x1e, 0x10, 0x10, 0x10]),
+    ('M', [0x11, 0x1b, 0x15, 0x15, 0x11, 0x11, 0x11]),
+    ('P', [0x1e, 0x11, 0x11, 0x1e, 0x10, 0x10, 0x10]),
+    (',', [0x00, 0x00, 0x00, 0x00, 0x0c, 0x04, 0x08]),
 ];
+
+/// A linear colour, 1 is white, as sRGB bytes.
+pub(super) fn srgb(colour: Vec3) -> [u8; 3] {
+    let byte = |x: f32| {
+        let x = x.clamp(0.0, 1.0);
+        let encoded = if x <= 0.003_130_8 {
+            12.92 * x
+        } else {
+            1.055 * x.powf(1.0 / 2.4) - 0.055
+        };
+        (255.0 * encoded + 0.5) as u8
+    };
+    colour.to_array().map(byte)
+}
 
 /// Rows of RGB bytes.
 #[derive(Clone, Debug, PartialEq)]
@@ -42,19 +65,7 @@ pub(super) struct Picture {
 impl Picture {
     /// From linear colours, 1 is white.
     pub(super) fn from_linear(size: [usize; 2], colours: &[Vec3]) -> Picture {
-        let byte = |x: f32| {
-            let x = x.clamp(0.0, 1.0);
-            let encoded = if x <= 0.003_130_8 {
-                12.92 * x
-            } else {
-                1.055 * x.powf(1.0 / 2.4) - 0.055
-            };
-            (255.0 * encoded + 0.5) as u8
-        };
-        let bytes = colours
-            .iter()
-            .flat_map(|colour| colour.to_array().map(byte))
-            .collect();
+        let bytes = colours.iter().flat_map(|&colour| srgb(colour)).collect();
         Picture { size, bytes }
     }
 
@@ -130,6 +141,19 @@ impl Picture {
                 let strength = alpha(if turned { 1.0 - t } else { t }, x, y);
                 self.mix(x, y, colour, weight * strength);
             }
+        }
+    }
+
+    /// A filled rectangle, its upper left corner and its size given.
+    pub(super) fn fill(
+        &mut self,
+        [x, y]: [usize; 2],
+        [width, height]: [usize; 2],
+        colour: [u8; 3],
+    ) {
+        for pixel in 0..width * height {
+            let (x, y) = (x + pixel % width, y + pixel / width);
+            self.mix(x as i64, y as i64, colour, 1.0);
         }
     }
 

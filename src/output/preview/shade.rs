@@ -1,4 +1,4 @@
-//! The picture of one frame: rays from the camera to floor, obstacles and liquid.
+//! The picture of one frame: rays from the camera to floor, obstacles, solids and liquid.
 //!
 //! Lengths in the look (depth of colour, floor lines, fade) follow the size of the domain, so a beaker and a lake look alike.
 
@@ -7,7 +7,8 @@ use rayon::prelude::*;
 
 use super::liquid::LiquidField;
 use super::picture::Picture;
-use super::triangles::{Hit, Triangles};
+use super::solids::{Look, Scale};
+use super::triangles::{Hit, Owner, Triangles};
 
 /// Refractive index of the picture's liquid. Water's 1.33 would show a sunken body once through the surface and once more,
 /// elsewhere, through each wall; this bends enough to look wet and leaves things where they are.
@@ -71,6 +72,11 @@ impl View {
         }
     }
 
+    /// Width of a pixel at distance 1.
+    pub(super) fn pixel(&self) -> f32 {
+        2.0 * self.scale / self.size[1] as f32
+    }
+
     /// Unit direction through a point of the picture, in pixels from the upper left corner.
     fn direction(&self, x: f32, y: f32) -> Vec3 {
         let [width, height] = self.size.map(|n| n as f32);
@@ -111,6 +117,13 @@ impl View {
 pub(super) struct Stage<'a> {
     pub(super) liquid: Option<LiquidField>,
     pub(super) obstacles: &'a Triangles,
+    /// Surfaces of elastic solids; each triangle has its look.
+    pub(super) solids: Triangles,
+    pub(super) looks: Vec<Look>,
+    /// What the colours of solids stand for.
+    pub(super) scale: &'a Scale,
+    /// Width of a pixel at distance 1.
+    pub(super) pixel: f32,
     /// Extents of the domain, m.
     pub(super) domain: Vec3,
     /// Against gravity: an axis.
@@ -130,7 +143,7 @@ struct Meeting {
 
 enum Seen {
     Floor,
-    Obstacle(Hit),
+    Body(Hit),
 }
 
 impl Stage<'_> {
@@ -220,17 +233,19 @@ impl Stage<'_> {
         (colour + SUN * glint * 0.25, view.depth(direction, entry.t))
     }
 
-    /// The nearer of obstacle and floor on a ray.
+    /// The nearest of obstacles, solids and floor on a ray.
     fn meets(&self, origin: Vec3, direction: Vec3) -> Option<Meeting> {
         let floor = self.floor_distance(origin, direction).map(|t| Meeting {
             t,
             surface: Seen::Floor,
         });
         let limit = floor.as_ref().map_or(f32::INFINITY, |floor| floor.t);
-        let hit = self.obstacles.hit(origin, direction, limit);
+        let obstacle = self.obstacles.hit(origin, direction, limit);
+        let limit = obstacle.as_ref().map_or(limit, |hit| hit.t);
+        let hit = self.solids.hit(origin, direction, limit).or(obstacle);
         hit.map(|hit| Meeting {
             t: hit.t,
-            surface: Seen::Obstacle(hit),
+            surface: Seen::Body(hit),
         })
         .or(floor)
     }
@@ -243,8 +258,14 @@ impl Stage<'_> {
         let at = origin + direction * t;
         match surface {
             Seen::Floor => self.floor(at, direction, t),
-            Seen::Obstacle(hit) => {
-                let base = if hit.container { CONTAINER } else { OBSTACLE };
+            Seen::Body(hit) => {
+                let base = match hit.owner {
+                    Owner::Obstacle => OBSTACLE,
+                    Owner::Container => CONTAINER,
+                    Owner::Solid(number) => {
+                        self.looks[number].colour(self.scale, &hit, self.pixel * t)
+                    }
+                };
                 base * self.light(at, hit.normal)
             }
         }
@@ -287,7 +308,8 @@ impl Stage<'_> {
         let facing = normal.dot(self.sun).max(0.0);
         let start = at + normal * (1e-4 * self.domain.length());
         let mut sun = Vec3::ZERO;
-        if facing > 0.0 && !self.obstacles.shades(start, self.sun) {
+        let shades = |bodies: &Triangles| bodies.shades(start, self.sun);
+        if facing > 0.0 && !shades(self.obstacles) && !shades(&self.solids) {
             let extent = self.domain.length();
             let length = self.liquid.as_ref().map_or(0.0, |liquid| {
                 liquid.length(start, self.sun, f32::INFINITY, extent)

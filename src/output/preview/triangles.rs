@@ -5,26 +5,38 @@ use glam::Vec3;
 /// Most triangles of a leaf.
 const LEAF: usize = 4;
 
-/// A triangle of an obstacle; its normal points to the liquid.
+/// What a triangle belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Owner {
+    /// An obstacle: seen from outside.
+    Obstacle,
+    /// A container: seen from inside only, and light comes through.
+    Container,
+    /// An elastic solid, with the number of the triangle on its surface: seen from both sides, since it may be inside out.
+    Solid(usize),
+}
+
+/// A triangle of a body.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Triangle {
-    /// Corners, m, counter-clockwise seen from the liquid.
+    /// Corners, m, counter-clockwise seen from the liquid or the air.
     pub(super) corners: [Vec3; 3],
-    /// Of a container: seen from inside only, and light comes through.
-    pub(super) container: bool,
+    pub(super) owner: Owner,
 }
 
 /// Where a ray meets a triangle.
 pub(super) struct Hit {
     /// Distance along the ray, m.
     pub(super) t: f32,
-    /// Unit normal to the liquid.
+    /// Unit normal, against the ray.
     pub(super) normal: Vec3,
-    /// Of a container.
-    pub(super) container: bool,
+    pub(super) owner: Owner,
+    pub(super) corners: [Vec3; 3],
+    /// Weights of the corners in the point.
+    pub(super) weights: [f32; 3],
 }
 
-/// All triangles of a scene.
+/// Triangles of a scene.
 pub(super) struct Triangles {
     triangles: Vec<Triangle>,
     /// In the order of a depth-first walk: the left child follows its parent.
@@ -41,6 +53,11 @@ struct Node {
 }
 
 impl Triangles {
+    /// None.
+    pub(super) fn none() -> Triangles {
+        Triangles::new(Vec::new())
+    }
+
     /// Sorts the triangles into a hierarchy.
     pub(super) fn new(mut triangles: Vec<Triangle>) -> Triangles {
         let mut nodes = Vec::new();
@@ -50,22 +67,25 @@ impl Triangles {
         Triangles { triangles, nodes }
     }
 
-    /// The nearest triangle before `limit` that shows its liquid side.
+    /// The nearest triangle before `limit` that shows a side that can be seen.
     pub(super) fn hit(&self, origin: Vec3, direction: Vec3, limit: f32) -> Option<Hit> {
         let mut nearest: Option<Hit> = None;
         self.walk(origin, direction, limit, |triangle, limit| {
             let [a, b, c] = triangle.corners;
             let normal = (b - a).cross(c - a);
-            if normal.dot(direction) >= 0.0 {
+            let behind = normal.dot(direction) >= 0.0;
+            if behind && !matches!(triangle.owner, Owner::Solid(_)) {
                 return limit;
             }
-            let Some(t) = intersect(triangle, origin, direction, limit) else {
+            let Some((t, weights)) = intersect(triangle, origin, direction, limit) else {
                 return limit;
             };
             nearest = Some(Hit {
                 t,
-                normal: normal.normalize(),
-                container: triangle.container,
+                normal: normal.normalize_or(-direction) * if behind { -1.0 } else { 1.0 },
+                owner: triangle.owner,
+                corners: triangle.corners,
+                weights,
             });
             t
         });
@@ -76,7 +96,8 @@ impl Triangles {
     pub(super) fn shades(&self, origin: Vec3, direction: Vec3) -> bool {
         let mut shaded = false;
         self.walk(origin, direction, f32::INFINITY, |triangle, limit| {
-            if triangle.container || intersect(triangle, origin, direction, limit).is_none() {
+            let open = triangle.owner == Owner::Container;
+            if open || intersect(triangle, origin, direction, limit).is_none() {
                 return limit;
             }
             shaded = true;
@@ -155,7 +176,13 @@ fn build(triangles: &mut [Triangle], first: usize, nodes: &mut Vec<Node>) {
     build(right, first + middle, nodes);
 }
 
-fn intersect(triangle: &Triangle, origin: Vec3, direction: Vec3, limit: f32) -> Option<f32> {
+/// Distance along a ray, and the weights of the corners.
+fn intersect(
+    triangle: &Triangle,
+    origin: Vec3,
+    direction: Vec3,
+    limit: f32,
+) -> Option<(f32, [f32; 3])> {
     let [a, b, c] = triangle.corners;
     let (ab, ac) = (b - a, c - a);
     let across = direction.cross(ac);
@@ -169,5 +196,6 @@ fn intersect(triangle: &Triangle, origin: Vec3, direction: Vec3, limit: f32) -> 
     let turned = from_a.cross(ab);
     let v = direction.dot(turned) / determinant;
     let t = ac.dot(turned) / determinant;
-    (u >= 0.0 && v >= 0.0 && u + v <= 1.0 && t > 1e-6 && t < limit).then_some(t)
+    let inside = u >= 0.0 && v >= 0.0 && u + v <= 1.0;
+    (inside && t > 1e-6 && t < limit).then_some((t, [1.0 - u - v, u, v]))
 }

@@ -1,0 +1,326 @@
+//! Elastic solids of a frame: their surface with its mesh, coloured by body, by stress or by change of volume.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use glam::Vec3;
+use vtkio::model::{DataSet, IOBuffer, Piece, VertexNumbers};
+
+use super::picture::{self, Picture};
+use super::triangles::{Hit, Owner, Triangle, Triangles};
+use super::{Colour, DARK, array, points, read_vtk, unreadable};
+use crate::Error;
+use crate::geometry::TetMesh;
+
+/// Colours of bodies, sRGB, in the order of the scene; then again.
+const BODIES: [u32; 8] = [
+    0x2fa58b, 0xd9534f, 0xe8b73a, 0x7f6bc7, 0x5aa5d6, 0x9bbf4b, 0xd17fb0, 0x9a8478,
+];
+/// Stress from 0 to its largest: viridis, sRGB.
+const STRESS: [u32; 10] = [
+    0x440154, 0x482878, 0x3e4989, 0x31688e, 0x26828e, 0x1f9e89, 0x35b779, 0x6ece58, 0xb5de2b,
+    0xfde725,
+];
+/// det F from below 1, pressed together, to above 1, pulled apart, sRGB.
+const VOLUME: [u32; 5] = [0x2166ac, 0x92c5de, 0xf2f2f2, 0xf4a582, 0xb2182b];
+/// det F of 0 or less: turned inside out.
+const INVERTED: u32 = 0xd000d0;
+
+/// Share of all values that the colours tell apart; the rest has the last colour. An impact lasts a frame and would take them all.
+const TOLD_APART: f64 = 0.99;
+
+/// Pixels that the least height of a triangle has where its sides begin to be drawn, and where they are as dark as they get.
+const SIDES: [f32; 2] = [4.0, 12.0];
+/// What drawn sides take away from the light.
+const SIDE_DARKNESS: f32 = 0.35;
+
+/// The solids of a frame file.
+pub(super) struct SolidFrame {
+    /// Where the nodes are, m.
+    nodes: Vec<Vec3>,
+    elements: Vec<[u32; 4]>,
+    /// Of each element: the index of its body.
+    body: Vec<i32>,
+    /// Of each element: what colours stand for; empty where they stand for bodies.
+    values: Vec<f32>,
+}
+
+impl SolidFrame {
+    /// Reads a .vtu file with what a colour needs.
+    pub(super) fn read(path: &Path, colour: Colour) -> Result<SolidFrame, Error> {
+        let missing = |what: &str| unreadable(path, format!("no {what}"));
+        let DataSet::UnstructuredGrid { pieces, .. } = read_vtk(path)? else {
+            return Err(missing("tetrahedra"));
+        };
+        let Some(Piece::Inline(piece)) = pieces.into_iter().next() else {
+            return Err(missing("inline data"));
+        };
+        let nodes = points(piece.points).ok_or_else(|| missing("f32 points"))?;
+        let VertexNumbers::XML { connectivity, .. } = piece.cells.cell_verts else {
+            return Err(missing("tetrahedra"));
+        };
+        let known = connectivity
+            .iter()
+            .all(|&node| (node as usize) < nodes.len());
+        if !known || connectivity.len() % 4 != 0 {
+            return Err(missing("such node"));
+        }
+        let elements: Vec<[u32; 4]> = connectivity
+            .chunks_exact(4)
+            .map(|corners| [0, 1, 2, 3].map(|c| corners[c] as u32))
+            .collect();
+        let body = array(&piece.data, "solid").and_then(IOBuffer::into_vec);
+        let values = match colour.field() {
+            Some(field) => array(&piece.data, field).and_then(IOBuffer::into_vec),
+            None => Some(Vec::new()),
+        };
+        let frame = SolidFrame {
+            nodes,
+            body: body.ok_or_else(|| missing("numbers of solids"))?,
+            values: values.ok_or_else(|| missing(colour.field().unwrap_or_default()))?,
+            elements,
+        };
+        let n = frame.elements.len();
+        let whole = frame.body.len() == n && (frame.values.len() == n || colour == Colour::Solid);
+        if whole {
+            Ok(frame)
+        } else {
+            Err(missing("values of all tetrahedra"))
+        }
+    }
+}
+
+/// The surface of the solids, which is the same in all frames.
+pub(super) struct Skin {
+    elements: Vec<[u32; 4]>,
+    triangles: Vec<[u32; 3]>,
+    /// The element behind each triangle.
+    behind: Vec<usize>,
+}
+
+/// How a triangle of the surface looks.
+pub(super) struct Look {
+    /// Linear colour of its body.
+    body: Vec3,
+    /// What colours stand for, at the corners.
+    values: [f32; 3],
+}
+
+impl Skin {
+    /// None yet.
+    pub(super) fn none() -> Skin {
+        Skin {
+            elements: Vec::new(),
+            triangles: Vec::new(),
+            behind: Vec::new(),
+        }
+    }
+
+    /// The surface of a frame in its colours.
+    pub(super) fn dress(&mut self, frame: &SolidFrame, colour: Colour) -> (Triangles, Vec<Look>) {
+        if self.elements != frame.elements {
+            *self = Skin::new(frame);
+        }
+        let at_nodes = match colour {
+            Colour::Stress => means(frame),
+            Colour::Solid | Colour::DetF => Vec::new(),
+        };
+        let looks = self.triangles.iter().zip(&self.behind);
+        let looks = looks.map(|(corners, &element)| Look {
+            body: linear(BODIES[frame.body[element].unsigned_abs() as usize % BODIES.len()]),
+            values: match colour {
+                Colour::Solid => [0.0; 3],
+                Colour::Stress => corners.map(|node| at_nodes[node as usize]),
+                // A mean would hide an inverted element among sound ones.
+                Colour::DetF => [frame.values[element]; 3],
+            },
+        });
+        let triangles = (0..).zip(&self.triangles);
+        let triangles = triangles.map(|(number, corners)| Triangle {
+            corners: corners.map(|node| frame.nodes[node as usize]),
+            owner: Owner::Solid(number),
+        });
+        (Triangles::new(triangles.collect()), looks.collect())
+    }
+
+    fn new(frame: &SolidFrame) -> Skin {
+        let mesh = TetMesh {
+            nodes: frame.nodes.iter().map(|x| x.as_dvec3()).collect(),
+            elements: frame.elements.clone(),
+        };
+        let triangles = mesh.surface();
+        let sorted = |mut corners: [u32; 3]| {
+            corners.sort_unstable();
+            corners
+        };
+        let place = (0..).zip(&triangles);
+        let place: HashMap<[u32; 3], usize> =
+            place.map(|(at, &corners)| (sorted(corners), at)).collect();
+        let mut behind = vec![0; triangles.len()];
+        for (element, [a, b, c, d]) in frame.elements.iter().copied().enumerate() {
+            for face in [[a, b, c], [a, b, d], [a, c, d], [b, c, d]] {
+                if let Some(&at) = place.get(&sorted(face)) {
+                    behind[at] = element;
+                }
+            }
+        }
+        Skin {
+            elements: mesh.elements,
+            triangles,
+            behind,
+        }
+    }
+}
+
+/// Of each node: the mean over its elements.
+fn means(frame: &SolidFrame) -> Vec<f32> {
+    let mut sums = vec![(0.0_f32, 0.0_f32); frame.nodes.len()];
+    for (corners, value) in frame.elements.iter().zip(&frame.values) {
+        for &node in corners {
+            let (sum, n) = &mut sums[node as usize];
+            *sum += value;
+            *n += 1.0;
+        }
+    }
+    sums.into_iter().map(|(sum, n)| sum / n.max(1.0)).collect()
+}
+
+/// What colours stand for.
+pub(super) enum Scale {
+    /// Bodies.
+    Bodies,
+    /// Stress from 0 to this, Pa.
+    Stress(f32),
+    /// det F from 1 less this to 1 and this.
+    Volume(f32),
+}
+
+impl Scale {
+    /// For all frames that are drawn, so that a colour means the same in each.
+    pub(super) fn over<'a>(
+        colour: Colour,
+        files: impl Iterator<Item = &'a Path>,
+    ) -> Result<Scale, Error> {
+        if colour == Colour::Solid {
+            return Ok(Scale::Bodies);
+        }
+        let mut values = Vec::new();
+        for file in files {
+            let frame = SolidFrame::read(file, colour)?;
+            values.extend(frame.values.into_iter().map(|value| match colour {
+                Colour::DetF => (value - 1.0).abs(),
+                _ => value,
+            }));
+        }
+        let last = values.len().saturating_sub(1);
+        let place = (TOLD_APART * last as f64) as usize;
+        let high = match values.is_empty() {
+            true => 0.0,
+            false => *values.select_nth_unstable_by(place, f32::total_cmp).1,
+        };
+        let high = if high > 0.0 { round_up(high) } else { 1.0 };
+        Ok(match colour {
+            Colour::DetF => Scale::Volume(high.min(1.0)),
+            _ => Scale::Stress(high),
+        })
+    }
+
+    /// Linear colour of a value.
+    fn colour(&self, value: f32) -> Vec3 {
+        match *self {
+            Scale::Bodies => Vec3::ONE,
+            Scale::Stress(high) => between(&STRESS, value / high),
+            Scale::Volume(_) if value <= 0.0 => linear(INVERTED),
+            Scale::Volume(reach) => between(&VOLUME, 0.5 + 0.5 * (value - 1.0) / reach),
+        }
+    }
+
+    /// Draws what colours mean into the upper right corner.
+    pub(super) fn draw(&self, picture: &mut Picture) {
+        let (title, low, high) = match *self {
+            Scale::Bodies => return,
+            Scale::Stress(high) => ("von Mises, Pa", 0.0, high),
+            Scale::Volume(reach) => ("det F", 1.0 - reach, 1.0 + reach),
+        };
+        let [width, height] = picture.size;
+        let scale = (height / 270).max(1);
+        let margin = 8 * scale;
+        let right = |length: usize| width.saturating_sub(margin + length);
+        let letters = |text: &str| 6 * scale * text.len();
+        picture.text(right(letters(title)), margin, scale, title, DARK);
+        let (top, tall, wide) = (margin + 18 * scale, 2 * height / 5, 8 * scale);
+        for row in 0..tall {
+            let share = 1.0 - (row as f32 + 0.5) / tall as f32;
+            let colour = picture::srgb(self.colour(low + (high - low) * share));
+            picture.fill([right(wide), top + row], [wide, 1], colour);
+        }
+        for (share, value) in [(0.0, high), (0.5, 0.5 * (low + high)), (1.0, low)] {
+            let label = label(value);
+            let y = top as f32 + share * tall as f32 - 3.5 * scale as f32;
+            let x = right(wide + 2 * scale + letters(&label));
+            picture.text(x, y as usize, scale, &label, DARK);
+        }
+    }
+}
+
+impl Look {
+    /// Linear colour where a ray hits, `pixel` m wide there.
+    pub(super) fn colour(&self, scale: &Scale, hit: &Hit, pixel: f32) -> Vec3 {
+        let base = match scale {
+            Scale::Bodies => self.body,
+            _ => {
+                let value = self.values.iter().zip(hit.weights);
+                scale.colour(value.map(|(value, weight)| value * weight).sum())
+            }
+        };
+        let [a, b, c] = hit.corners;
+        let area = (b - a).cross(c - a).length();
+        let heights = [c - b, a - c, b - a].map(|side| area / side.length().max(f32::MIN_POSITIVE));
+        let least = heights.into_iter().fold(f32::INFINITY, f32::min) / pixel;
+        let away = (0..3)
+            .map(|corner| hit.weights[corner] * heights[corner])
+            .fold(f32::INFINITY, f32::min)
+            / pixel;
+        let strength = ((least - SIDES[0]) / (SIDES[1] - SIDES[0])).clamp(0.0, 1.0);
+        base * (1.0 - SIDE_DARKNESS * strength * (1.2 - away).clamp(0.0, 1.0))
+    }
+}
+
+/// Linear colour of 0xRRGGBB.
+fn linear(code: u32) -> Vec3 {
+    let channel = |shift: u32| {
+        let x = (code >> shift & 0xff) as f32 / 255.0;
+        if x <= 0.04045 {
+            x / 12.92
+        } else {
+            ((x + 0.055) / 1.055).powf(2.4)
+        }
+    };
+    Vec3::new(channel(16), channel(8), channel(0))
+}
+
+/// Linear colour at a share of a list of colours.
+fn between(codes: &[u32], share: f32) -> Vec3 {
+    let at = share.clamp(0.0, 1.0) * (codes.len() - 1) as f32;
+    let low = (at as usize).min(codes.len() - 2);
+    linear(codes[low]).lerp(linear(codes[low + 1]), at - low as f32)
+}
+
+/// 1, 2 or 5 times a power of ten, not below a number.
+fn round_up(value: f32) -> f32 {
+    let power = 10f32.powf(value.log10().floor());
+    let steps = [1.0, 2.0, 5.0].map(|step| step * power);
+    let step = steps.into_iter().find(|step| *step >= value);
+    step.unwrap_or(10.0 * power)
+}
+
+/// A number with the digits that it has.
+fn label(value: f32) -> String {
+    // Through three digits: what is 1 - 0.2 in binary has more.
+    let value: f64 = format!("{value:.2e}").parse().unwrap_or_default();
+    if value == 0.0 || (1e-2..1e4).contains(&value.abs()) {
+        format!("{value}")
+    } else {
+        format!("{value:e}")
+    }
+}
