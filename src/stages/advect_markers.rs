@@ -32,7 +32,7 @@ impl AdvectMarkers {
         let positions = ("markers", (&markers.positions).into());
         let velocity = ("velocity", (&buffers.velocity).into());
         let push_out = || {
-            let distance = ("solid_distance", (&buffers.solid_distance).into());
+            let distance = ("solid_distance", (&buffers.obstacles.solid_distance).into());
             let report = ("report", (&buffers.report).into());
             Kernel::new(gpu, &wgsl!("push_out"), Real::F32)?
                 .bind(gpu, &[level, step, distance, positions, report])

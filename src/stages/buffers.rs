@@ -70,17 +70,12 @@ impl LiquidPlan {
     pub fn buffers(&self) -> Vec<BufferPlan> {
         let padded = self.grid.padded();
         let tiles = self.tiles();
-        let solid = if self.effects.obstacles {
-            padded.len()
-        } else {
-            4
-        };
         let mut plans = vec![
             BufferPlan::of::<f32>("liquid.velocity", 3 * padded.len()),
             BufferPlan::of::<f32>("liquid.velocity_next", 3 * padded.len()),
             BufferPlan::of::<f32>("liquid.open", 3 * padded.len()),
             BufferPlan::of::<f32>("liquid.liquid_distance", padded.len()),
-            BufferPlan::of::<f32>("liquid.solid_distance", solid),
+            ObstacleBuffers::plan(&self.grid, self.effects.obstacles),
             BufferPlan::of::<u32>("liquid.valid", padded.quads),
             BufferPlan::of::<u32>("liquid.valid_next", padded.quads),
             BufferPlan::of::<u32>("liquid.marks", tiles.len()),
@@ -165,8 +160,8 @@ pub struct LiquidBuffers {
     pub maxima: Buffer<u32>,
     /// What the host reads once per step: see [`Report`].
     pub report: Buffer<u32>,
-    /// Signed distance of cell centres to the obstacles, m; negative inside. Without obstacles one quad, far from any.
-    pub solid_distance: Buffer<f32>,
+    /// The distance to the obstacles.
+    pub obstacles: ObstacleBuffers,
     /// With markers only.
     pub markers: Option<MarkerBuffers>,
 }
@@ -213,7 +208,7 @@ impl LiquidBuffers {
             partials: maker.make_real("liquid.partials", plan.real)?,
             maxima: maker.make("liquid.maxima")?,
             report: maker.make("liquid.report")?,
-            solid_distance: maker.make("liquid.solid_distance")?,
+            obstacles: ObstacleBuffers::new(gpu, &plan.grid, plan.effects.obstacles)?,
             markers: plan
                 .effects
                 .markers
@@ -226,6 +221,50 @@ impl LiquidBuffers {
                 })
                 .transpose()?,
         })
+    }
+}
+
+/// Where the obstacles are, for liquid and solids.
+#[derive(Debug)]
+pub struct ObstacleBuffers {
+    grid: Grid,
+    present: bool,
+    /// Signed distance of cell centres to the obstacles, m; negative inside, device layout. Without obstacles one quad, far from
+    /// any.
+    pub solid_distance: Buffer<f32>,
+}
+
+impl ObstacleBuffers {
+    /// What [`ObstacleBuffers::new`] allocates. `present`: whether there are obstacles.
+    pub fn plan(grid: &Grid, present: bool) -> BufferPlan {
+        let len = if present { grid.padded().len() } else { 4 };
+        BufferPlan::of::<f32>("obstacles.solid_distance", len)
+    }
+
+    /// Allocates.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] when the adapter does not allow the size.
+    pub fn new(gpu: &Gpu, grid: &Grid, present: bool) -> Result<ObstacleBuffers, Error> {
+        let plan = ObstacleBuffers::plan(grid, present);
+        Ok(ObstacleBuffers {
+            grid: *grid,
+            present,
+            solid_distance: gpu.buffer(plan.label, plan.len)?,
+        })
+    }
+
+    /// Writes the distance, before all work submitted later. Also due without obstacles.
+    pub fn write(&self, gpu: &Gpu, cut: &CutCells) {
+        let Grid { cells, dx } = self.grid;
+        let distance = match self.present {
+            true => self
+                .grid
+                .padded()
+                .pad(cells, &cut.solid_distance, |d| d as f32),
+            false => vec![3.0 * dx as f32; 4],
+        };
+        gpu.upload(&self.solid_distance, &distance);
     }
 }
 
@@ -268,14 +307,8 @@ impl LiquidBuffers {
             }
         }
         gpu.upload(&self.valid, &valid);
+        self.obstacles.write(gpu, cut);
         let grid = &self.plan.grid;
-        let solid = match self.plan.effects.obstacles {
-            true => self
-                .padded
-                .pad(grid.cells, &cut.solid_distance, |d| d as f32),
-            false => vec![3.0 * grid.dx as f32; 4],
-        };
-        gpu.upload(&self.solid_distance, &solid);
         if let Some(markers) = &self.markers {
             // A lane has room where its cell exists and its centre is outside every solid.
             let room = self

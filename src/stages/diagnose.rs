@@ -45,7 +45,7 @@ impl Diagnose {
                     list,
                     velocity,
                     ("liquid_distance", (&buffers.liquid_distance).into()),
-                    ("solid_distance", (&buffers.solid_distance).into()),
+                    ("solid_distance", (&buffers.obstacles.solid_distance).into()),
                     partials,
                     maxima,
                 ],

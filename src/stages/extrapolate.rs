@@ -51,7 +51,7 @@ impl Extrapolate {
                         step,
                         args,
                         list,
-                        ("solid_distance", (&buffers.solid_distance).into()),
+                        ("solid_distance", (&buffers.obstacles.solid_distance).into()),
                         velocity,
                         ("valid", valid.into()),
                         velocity_next,

@@ -163,7 +163,7 @@ impl Volume {
                     args,
                     list,
                     ("liquid_distance", (&buffers.liquid_distance).into()),
-                    ("solid_distance", (&buffers.solid_distance).into()),
+                    ("solid_distance", (&buffers.obstacles.solid_distance).into()),
                     partials,
                 ],
             )?,

@@ -27,7 +27,7 @@ mod write_back;
 pub use advect_markers::AdvectMarkers;
 pub use advect_velocity::AdvectVelocity;
 pub use band::{Band, Tiles};
-pub use buffers::{LiquidBuffers, LiquidPlan, MarkerBuffers, Step};
+pub use buffers::{LiquidBuffers, LiquidPlan, MarkerBuffers, ObstacleBuffers, Step};
 pub use diagnose::Diagnose;
 pub use extrapolate::Extrapolate;
 pub use forces::Forces;

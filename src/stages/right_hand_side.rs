@@ -38,7 +38,7 @@ impl RightHandSide {
                 ("flags", active.flags.into()),
                 ("velocity", (&buffers.velocity_next).into()),
                 ("open", (&buffers.open).into()),
-                ("solid_distance", (&buffers.solid_distance).into()),
+                ("solid_distance", (&buffers.obstacles.solid_distance).into()),
                 ("report", (&buffers.report).into()),
                 ("rhs", rhs.into()),
             ],
