@@ -1,14 +1,14 @@
 #import real
 
-// Sum of partials[0 .. n] by one workgroup of FOLD_SIZE threads: strided sums, then a tree; the order depends on n alone. The
-// including file declares partials. All threads must call it.
+// Sum of partials[first .. first + n] by one workgroup of FOLD_SIZE threads: strided sums, then a tree; the order depends on n
+// alone. The including file declares partials. All threads must call it, and a barrier must stand between two calls.
 const FOLD_SIZE = 256u;
 var<workgroup> sh_sums: array<Real4, FOLD_SIZE>;
 
-fn fold(n: u32, lane: u32) -> Real4 {
+fn fold_from(first: u32, n: u32, lane: u32) -> Real4 {
     var sum = Real4();
     for (var ix = lane; ix < n; ix += FOLD_SIZE) {
-        sum += partials[ix];
+        sum += partials[first + ix];
     }
     sh_sums[lane] = sum;
     for (var half = FOLD_SIZE / 2u; half > 0u; half /= 2u) {
@@ -19,4 +19,9 @@ fn fold(n: u32, lane: u32) -> Real4 {
     }
     workgroupBarrier();
     return sh_sums[0];
+}
+
+// Sum of partials[0 .. n].
+fn fold(n: u32, lane: u32) -> Real4 {
+    return fold_from(0u, n, lane);
 }

@@ -1,6 +1,7 @@
 //! Shader composition: `#import name` lines, each module once, with a line map, so that an error names file and line.
 //!
-//! Own code because naga_oil renames identifiers. `#import real` picks the scalar type `Real` (f32 or f64) of the variant.
+//! Own code because naga_oil renames identifiers. `#import real` picks the scalar type `Real` (f32 or f64) of the variant, and
+//! `#import pair` what depends on it.
 
 use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
 
@@ -28,6 +29,7 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/control_state"),
     crate::wgsl!("common/dispatch"),
     crate::wgsl!("common/edges"),
+    crate::wgsl!("common/extremes"),
     crate::wgsl!("common/filled"),
     crate::wgsl!("common/find"),
     crate::wgsl!("common/fixed_point"),
@@ -40,7 +42,10 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/layout"),
     crate::wgsl!("common/level"),
     crate::wgsl!("common/node_flags"),
+    crate::wgsl!("common/pair_f32"),
+    crate::wgsl!("common/pair_f64"),
     crate::wgsl!("common/pcg_slots"),
+    crate::wgsl!("common/polar"),
     crate::wgsl!("common/probe_point"),
     crate::wgsl!("common/real_f32"),
     crate::wgsl!("common/real_f64"),
@@ -49,6 +54,7 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/report_sum"),
     crate::wgsl!("common/sample_distance"),
     crate::wgsl!("common/sample_velocity"),
+    crate::wgsl!("common/solid_report"),
     crate::wgsl!("common/solid_step"),
     crate::wgsl!("common/stencil"),
     crate::wgsl!("common/step"),
@@ -149,7 +155,7 @@ fn include(
     for (index, line) in source.text.lines().enumerate() {
         if let Some(name) = line.strip_prefix("#import ") {
             let wanted = match name.trim() {
-                "real" => format!("common/real_{}", variant.real.name()),
+                name @ ("real" | "pair") => format!("common/{name}_{}", variant.real.name()),
                 "inner" => format!("common/inner_{}", variant.inner.name()),
                 name => format!("common/{name}"),
             };

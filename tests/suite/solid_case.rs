@@ -222,7 +222,7 @@ pub(crate) fn eps(real: Real) -> f64 {
 }
 
 /// The nearest sums of two f32.
-fn pair(u: DVec3) -> [f64; 3] {
+pub(crate) fn pair(u: DVec3) -> [f64; 3] {
     u.to_array().map(|u| single(u) + single(u - single(u)))
 }
 

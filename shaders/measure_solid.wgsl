@@ -1,0 +1,59 @@
+// diagnose, for solids, first of two: momentum sum of m v, angular momentum sum of m x cross v about the origin of the domain,
+// kinetic energy sum of m |v|^2 / 2 and potential energy - sum of m g . x of the nodes; elastic energy and determinants of the
+// elements, as solid_matrices left them. One thread per share of both; each adds every n-th node, then every n-th element.
+// step. rest: m, kg. displacement: larger parts, then smaller, m. velocity: m/s. rotated: determinants in the third section.
+// element_forces: energies (J) in the first. partials: three sections of sums. extremes: see extremes.
+#import dispatch
+#import extremes
+#import pair
+#import real
+#import solid_step
+
+@group(0) @binding(0) var<uniform> step: SolidStep;
+@group(0) @binding(1) var<storage, read> rest: array<vec4<f32>>;
+@group(0) @binding(2) var<storage, read> displacement: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> velocity: array<Real4>;
+@group(0) @binding(4) var<storage, read> rotated: array<Real4>;
+@group(0) @binding(5) var<storage, read> element_forces: array<Real4>;
+@group(0) @binding(6) var<storage, read_write> partials: array<Real4>;
+@group(0) @binding(7) var<storage, read_write> extremes: array<atomic<u32>>;
+
+@compute @workgroup_size(WG_SIZE)
+fn measure_solid(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let thread = linear_index(workgroup, lane);
+    let n_threads = arrayLength(&partials) / 3u;
+    if thread >= n_threads {
+        return;
+    }
+    let half = Real(0.5);
+    var motion = Real4();
+    var turning = Real4();
+    var potential = Real();
+    // As bits: they are ordered like the magnitudes, and not-a-number is above all.
+    var fastest = vec3<u32>();
+    for (var node = thread; node < step.n_nodes; node += n_threads) {
+        let here = rest[node];
+        let u = Pair(displacement[node].xyz, displacement[step.n_nodes + node].xyz);
+        let x = Real3(here.xyz) + pair_value(u);
+        let v = velocity[node].xyz;
+        let mass = Real(here.w);
+        motion += mass * Real4(v, half * dot(v, v));
+        turning += mass * Real4(cross(x, v), Real());
+        potential -= mass * dot(Real3(step.gravity), x);
+        fastest = max(fastest, bitcast<vec3<u32>>(abs(vec3<f32>(v))));
+    }
+    var worst = 0u;
+    var inverted = 0u;
+    for (var element = thread; element < step.n_elements; element += n_threads) {
+        let determinant = rotated[2u * step.n_elements + element].w;
+        turning.w += element_forces[element].w;
+        worst = max(worst, smallness(f32(determinant)));
+        inverted += u32(determinant <= Real());
+    }
+    partials[thread] = motion;
+    partials[n_threads + thread] = turning;
+    partials[2u * n_threads + thread] = Real4(potential, Real(), Real(), Real());
+    atomicMax(&extremes[FASTEST], max(max(fastest.x, fastest.y), fastest.z));
+    atomicMax(&extremes[WORST], worst);
+    atomicAdd(&extremes[N_INVERTED], inverted);
+}

@@ -1,0 +1,38 @@
+// move_solid, first part: u += dt v as the sum of two f32; then a node beyond a wall of the domain is put on it and loses its
+// velocity into the wall. Prescribed components move, but walls do not stop them. One thread per node.
+// step. rest: m. flags: see node_flags. displacement: larger parts, then smaller, m; velocity: m/s; both in place.
+#import dispatch
+#import node_flags
+#import pair
+#import real
+#import solid_step
+
+@group(0) @binding(0) var<uniform> step: SolidStep;
+@group(0) @binding(1) var<storage, read> rest: array<vec4<f32>>;
+@group(0) @binding(2) var<storage, read> flags: array<u32>;
+@group(0) @binding(3) var<storage, read_write> displacement: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read_write> velocity: array<Real4>;
+
+@compute @workgroup_size(WG_SIZE)
+fn move_solid(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let node = linear_index(workgroup, lane);
+    if node >= step.n_nodes {
+        return;
+    }
+    let rest_position = rest[node].xyz;
+    let free = is_free(flags[node]);
+    let v = velocity[node].xyz;
+    let before = Pair(displacement[node].xyz, displacement[step.n_nodes + node].xyz);
+    let after = pair_plus(before, Real(step.dt) * v, step.zero);
+    let x = Real3(rest_position) + pair_value(after);
+    let low = free & (x < Real3());
+    let high = free & (x > Real3(step.size));
+    let beyond = low | high;
+    let wall = select(vec3<f32>(), step.size, high);
+    let on_wall = pair_plus(Pair(-rest_position, vec3<f32>()), Real3(wall), step.zero);
+    displacement[node] = vec4<f32>(select(after.hi, on_wall.hi, beyond), 0.0);
+    displacement[step.n_nodes + node] = vec4<f32>(select(after.lo, on_wall.lo, beyond), 0.0);
+    if any(beyond) {
+        velocity[node] = Real4(select(select(v, max(v, Real3()), low), min(v, Real3()), high), Real());
+    }
+}

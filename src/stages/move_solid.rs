@@ -1,0 +1,69 @@
+//! `move_solid`: x = x* + dt v; nodes beyond a wall or inside an obstacle are put out of it and lose their velocity into it.
+//!
+//! Walls first, then obstacles; no prescribed component is stopped by either.
+
+use crate::Error;
+use crate::gpu::{Bound, Buffer, Gpu, Kernel, Recorder};
+use crate::grid::Layout;
+use crate::wgsl;
+
+use super::{ObstacleBuffers, SolidBuffers};
+
+/// The stage: `displacement` and `velocity` in place, by the velocity of the last sub-step.
+#[derive(Debug)]
+pub struct MoveSolid {
+    n_nodes: usize,
+    move_solid: Bound,
+    push_nodes_out: Option<Bound>,
+}
+
+impl MoveSolid {
+    /// The stage's name.
+    pub const NAME: &'static str = "move_solid";
+
+    /// Compiles and binds; `obstacles` where the plan of the solids has them.
+    ///
+    /// # Errors
+    /// As [`Kernel::new`] and [`Kernel::bind`].
+    ///
+    /// # Panics
+    /// When the plan has obstacles and they are not given.
+    pub fn new(
+        gpu: &Gpu,
+        solids: &SolidBuffers,
+        obstacles: Option<&ObstacleBuffers>,
+    ) -> Result<MoveSolid, Error> {
+        let kernel = |source| Kernel::new(gpu, &source, solids.plan.real);
+        let step = ("step", (&solids.step).into());
+        let rest = ("rest", (&solids.rest).into());
+        let flags = ("flags", (&solids.flags).into());
+        let displacement = ("displacement", (&solids.displacement).into());
+        let velocity = ("velocity", (&solids.velocity).into());
+        let push_nodes_out = |level: &Buffer<Layout>| {
+            let level = ("level", level.into());
+            let distance = &obstacles.expect("the plan has obstacles").solid_distance;
+            let distance = ("solid_distance", distance.into());
+            kernel(wgsl!("push_nodes_out"))?.bind(
+                gpu,
+                &[level, step, rest, flags, distance, displacement, velocity],
+            )
+        };
+        let level = solids.level.as_ref();
+        Ok(MoveSolid {
+            n_nodes: solids.plan.n_nodes,
+            move_solid: kernel(wgsl!("move_solid"))?
+                .bind(gpu, &[step, rest, flags, displacement, velocity])?,
+            push_nodes_out: level.map(push_nodes_out).transpose()?,
+        })
+    }
+
+    /// Records it.
+    pub fn record(&self, recorder: &mut Recorder) {
+        recorder.stage(MoveSolid::NAME, |pass| {
+            pass.dispatch(&self.move_solid, self.n_nodes);
+            if let Some(push_nodes_out) = &self.push_nodes_out {
+                pass.dispatch(push_nodes_out, self.n_nodes);
+            }
+        });
+    }
+}

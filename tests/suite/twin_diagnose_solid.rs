@@ -1,0 +1,181 @@
+//! `diagnose` of the solids against its equations.
+
+use cutwater::elastic::{self, Deformation};
+use cutwater::gpu::{Gpu, Real, Recorder};
+use cutwater::stages::{DiagnoseSolid, ElementRotations, SolidBuffers, SolidReport};
+use cutwater::state::SolidDiagnosis;
+use glam::DVec3;
+
+use crate::common::gpu;
+use crate::liquid_case::{GRAVITY, assert_close};
+use crate::solid_case::{SolidCase, cases, eps};
+
+fn words(gpu: &Gpu, buffers: &SolidBuffers) -> Vec<u32> {
+    let rotations = ElementRotations::new(gpu, buffers).unwrap();
+    let diagnose = DiagnoseSolid::new(gpu, buffers).unwrap();
+    let mut recorder = Recorder::new(gpu);
+    recorder.stage(ElementRotations::NAME, |pass| rotations.dispatch(pass));
+    diagnose.record(&mut recorder, buffers);
+    recorder.submit();
+    gpu.download(&buffers.report).unwrap()
+}
+
+/// The twin, and the sums of the magnitudes of its terms.
+fn twin(case: &SolidCase) -> (SolidDiagnosis, SolidDiagnosis) {
+    let solids = &case.solids;
+    let zero = SolidDiagnosis {
+        momentum: [0.0; 3],
+        angular_momentum: [0.0; 3],
+        kinetic_energy: 0.0,
+        elastic_energy: 0.0,
+        potential_energy: 0.0,
+        max_speed: case
+            .velocity
+            .iter()
+            .flatten()
+            .fold(0.0, |a, v| f64::max(a, v.abs())),
+        min_det: f64::INFINITY,
+        inverted: 0,
+    };
+    let (mut twin, mut size) = (zero, zero);
+    for node in 0..solids.rest.len() {
+        let mass = solids.mass[node];
+        let x = solids.rest[node] + DVec3::from(case.displacement[node]);
+        let v = DVec3::from(case.velocity[node]);
+        for axis in 0..3 {
+            twin.momentum[axis] += mass * v[axis];
+            twin.angular_momentum[axis] += mass * x.cross(v)[axis];
+            size.momentum[axis] += mass * v[axis].abs();
+            size.angular_momentum[axis] += mass * x.length() * v.length();
+        }
+        twin.kinetic_energy += 0.5 * mass * v.length_squared();
+        twin.potential_energy -= mass * DVec3::from(GRAVITY).dot(x);
+        size.potential_energy += mass * DVec3::from(GRAVITY).length() * x.length();
+    }
+    for body in &solids.bodies {
+        for element in body.elements.clone() {
+            let u = solids.elements[element].map(|n| DVec3::from(case.displacement[n as usize]));
+            let deformation = Deformation::new(&solids.gradients[element], u, body.model);
+            let volume = solids.volume[element];
+            let energy = volume * elastic::energy_density(deformation.strain, body.lambda, body.mu);
+            twin.elastic_energy += energy;
+            size.elastic_energy += volume * (body.lambda + body.mu);
+            twin.min_det = twin.min_det.min(deformation.determinant());
+            twin.inverted += usize::from(deformation.determinant() <= 0.0);
+        }
+    }
+    size.kinetic_energy = twin.kinetic_energy;
+    (twin, size)
+}
+
+#[test]
+fn the_solids_amount_to_the_twins() {
+    let Some(gpu) = gpu() else { return };
+    for case in cases() {
+        for real in SolidCase::reals(gpu) {
+            let buffers = case.upload(gpu, real);
+            let found = words(gpu, &buffers);
+            assert_eq!(found, words(gpu, &buffers), "{}: again", case.name);
+            let found = SolidReport::from_words(&found).diagnosis;
+            let (twin, size) = twin(&case);
+            // A rounding per term of a share and level of the tree; the report keeps 48 digits.
+            let n = (case.solids.rest.len() + case.solids.elements.len()) as f64;
+            let rounding =
+                eps(real) * (16.0 + n / buffers.plan.n_summing() as f64) + 2f64.powi(-46);
+            let mut pairs = vec![
+                (
+                    found.kinetic_energy,
+                    twin.kinetic_energy,
+                    4.0 * rounding * size.kinetic_energy,
+                ),
+                (
+                    found.potential_energy,
+                    twin.potential_energy,
+                    4.0 * rounding * size.potential_energy,
+                ),
+            ];
+            for axis in 0..3 {
+                pairs.push((
+                    found.momentum[axis],
+                    twin.momentum[axis],
+                    rounding * size.momentum[axis],
+                ));
+                let bound = 4.0 * rounding * size.angular_momentum[axis];
+                pairs.push((
+                    found.angular_momentum[axis],
+                    twin.angular_momentum[axis],
+                    bound,
+                ));
+            }
+            let places = pairs.into_iter().enumerate();
+            // The report's words are f32, and the least of them may be taken for zero.
+            let underflow = f64::from(f32::MIN_POSITIVE);
+            assert_close(
+                case.name,
+                places.map(|(index, (gpu, twin, bound))| {
+                    (gpu, twin, bound + underflow, [index, 0, 0])
+                }),
+            );
+            // What the elements found is judged by their own test.
+            let n = buffers.plan.n_elements;
+            let forces = buffers.element_forces.download(gpu).unwrap();
+            let energies = (0..n).map(|element| forces[4 * element + 3]);
+            let energy: f64 = energies.sum();
+            let rotated = buffers.rotated.download(gpu).unwrap();
+            let determinants: Vec<f64> = (0..n)
+                .map(|element| rotated[4 * (2 * n + element) + 3])
+                .collect();
+            let least = determinants.iter().copied().fold(f64::INFINITY, f64::min);
+            let inverted = determinants
+                .iter()
+                .filter(|&&determinant| determinant <= 0.0)
+                .count();
+            assert!(
+                (found.elastic_energy - energy).abs() <= rounding * energy + underflow,
+                "{}",
+                case.name
+            );
+            assert_eq!(found.min_det, f64::from(least as f32), "{}", case.name);
+            assert_eq!(found.inverted, inverted, "{}", case.name);
+            assert_eq!(found.max_speed, twin.max_speed, "{}", case.name);
+            // In all they are the twin's too.
+            let slack = if real == Real::F32 { 1e-4 } else { 1e-10 };
+            let off = (found.elastic_energy - twin.elastic_energy).abs();
+            let bound = slack * (twin.elastic_energy + eps(real) * size.elastic_energy);
+            assert!(
+                off <= bound,
+                "{}: {off} J of {}",
+                case.name,
+                twin.elastic_energy
+            );
+            assert!(
+                (found.min_det - twin.min_det).abs() <= 1e-5 * (1.0 + twin.min_det.abs()),
+                "{}: {} and {}",
+                case.name,
+                found.min_det,
+                twin.min_det
+            );
+        }
+    }
+}
+
+#[test]
+fn not_a_number_is_seen() {
+    let Some(gpu) = gpu() else { return };
+    for real in SolidCase::reals(gpu) {
+        for bad in [f64::NAN, -f64::NAN, f64::INFINITY] {
+            let mut case = cases().swap_remove(1);
+            case.velocity[17][1] = bad;
+            let found = SolidReport::from_words(&words(gpu, &case.upload(gpu, real))).diagnosis;
+            assert!(!found.max_speed.is_finite(), "{found:?}");
+            assert!(!found.kinetic_energy.is_finite(), "{found:?}");
+            assert!(found.min_det.is_finite(), "{found:?}");
+            let mut case = cases().swap_remove(1);
+            case.displacement[17][2] = bad;
+            let found = SolidReport::from_words(&words(gpu, &case.upload(gpu, real))).diagnosis;
+            assert!(!found.min_det.is_finite(), "{found:?}");
+            assert!(!found.elastic_energy.is_finite(), "{found:?}");
+            assert!(found.max_speed.is_finite(), "{found:?}");
+        }
+    }
+}
