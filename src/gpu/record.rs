@@ -177,9 +177,16 @@ impl<'a> Recorder<'a> {
 
     /// Copies the start of a buffer to a read-back of the same type.
     pub fn read<T: Pod>(&mut self, from: &Buffer<T>, to: &mut Readback<T>) {
-        let bytes = ((to.len.max(1) * size_of::<T>()).next_multiple_of(4) as u64).min(from.bytes());
+        self.read_part(from, 0, to);
+    }
+
+    /// Copies a part of a buffer to a read-back of the same type, from element `first` on. Both ends lie on whole words.
+    pub fn read_part<T: Pod>(&mut self, from: &Buffer<T>, first: usize, to: &mut Readback<T>) {
+        let start = (first * size_of::<T>()) as u64;
+        let bytes = (to.len.max(1) * size_of::<T>()).next_multiple_of(4) as u64;
+        let bytes = bytes.min(from.bytes() - start);
         self.encoder
-            .copy_buffer_to_buffer(&from.raw, 0, &to.raw, 0, Some(bytes));
+            .copy_buffer_to_buffer(&from.raw, start, &to.raw, 0, Some(bytes));
     }
 
     /// Submits the recording. With a timed recording, the times arrive through the returned `Timing`.

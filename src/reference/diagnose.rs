@@ -31,14 +31,12 @@ pub fn liquid_volume(grid: &Grid, open_volume: &[f64], liquid_distance: &[f64]) 
 
 /// Largest magnitude of a face velocity component, m/s; not a number where one is not.
 pub fn max_speed(velocity: &[Vec<f64>; 3]) -> f64 {
-    let larger = |largest: f64, speed: f64| {
-        if largest >= speed || largest.is_nan() {
-            largest
-        } else {
-            speed
-        }
-    };
     velocity.iter().flatten().map(|u| u.abs()).fold(0.0, larger)
+}
+
+/// The larger of two numbers; not a number where one is not.
+pub(super) fn larger(a: f64, b: f64) -> f64 {
+    if a >= b || a.is_nan() { a } else { b }
 }
 
 /// What the liquid amounts to. `stencil`: of the last projection; `density` in kg/m^3, `gravity` in m/s^2, the rest as in [`crate::state::State`].

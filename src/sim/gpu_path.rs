@@ -124,13 +124,6 @@ impl GpuPath {
         Some(liquid.step_numbers(&self.scene, dt))
     }
 
-    /// Whether a sub-step of this length ends a frame.
-    pub(super) fn ends_frame(&self, dt: f64) -> bool {
-        let mut after = self.head.clone();
-        after.advance_clock(dt, self.scene.time.frames_per_second);
-        after.frame > self.head.frame
-    }
-
     /// The obstacles' cut cells.
     pub fn cut_cells(&self) -> &CutCells {
         &self.cut

@@ -1,16 +1,49 @@
 //! The residual of the stored pressure system in f64 on the host, for adapters without f64 and for verdicts on f32 solves.
 
 use std::collections::BTreeMap;
+use std::sync::PoisonError;
 
 use rayon::prelude::*;
 
 use crate::Error;
-use crate::gpu::Gpu;
+use crate::gpu::{BufferPlan, Gpu, Readback, Recorder};
 use crate::grid::Padded;
 
 use super::SolverBuffers;
 use super::components::OPEN;
 use super::refine::HostSystem;
+
+/// Where level 0 of the stored system, in f32, arrives.
+#[derive(Debug)]
+pub(super) struct PressureReadbacks {
+    /// Weights of the minus faces along x, y, z, and the free-surface term.
+    matrix: [Readback<u32>; 4],
+    flags: Readback<u32>,
+    rhs: Readback<u32>,
+    labels: Readback<u32>,
+}
+
+impl PressureReadbacks {
+    /// What will be allocated.
+    pub(super) fn plan(quads: usize) -> [BufferPlan; 4] {
+        [
+            BufferPlan::of::<u32>("solver.matrix (read-back)", 4 * 4 * quads),
+            BufferPlan::of::<u32>("solver.flags (read-back)", quads),
+            BufferPlan::of::<u32>("solver.rhs (read-back)", 4 * quads),
+            BufferPlan::of::<u32>("solver.labels (read-back)", 4 * quads),
+        ]
+    }
+
+    pub(super) fn new(gpu: &Gpu, quads: usize) -> Result<PressureReadbacks, Error> {
+        let section = || Readback::new(gpu, "solver.matrix", 4 * quads);
+        Ok(PressureReadbacks {
+            matrix: [section()?, section()?, section()?, section()?],
+            flags: Readback::new(gpu, "solver.flags", quads)?,
+            rhs: Readback::new(gpu, "solver.rhs", 4 * quads)?,
+            labels: Readback::new(gpu, "solver.labels", 4 * quads)?,
+        })
+    }
+}
 
 /// Level 0 of the stored system, widened; device layout.
 #[derive(Debug)]
@@ -30,21 +63,42 @@ impl HostPressure {
         closed: u32,
     ) -> Result<HostPressure, Error> {
         let level = buffers.plan.levels[0];
-        let all = buffers.matrix.download(gpu)?;
-        let section = |s: usize| all[4 * buffers.plan.total * s..][..level.len()].to_vec();
-        let flags = gpu.download(&buffers.flags)?;
-        let active = (0..level.len())
-            .map(|ix| flags[ix / 4] >> (ix % 4) & 1 == 1)
-            .collect();
+        let readbacks = buffers.to_host.as_ref();
+        let readbacks = readbacks
+            .expect("made with the buffers of every system whose residual the device rounds");
+        // A panic in another solve leaves nothing half done here: every use begins with new copies.
+        let mut readbacks = readbacks.lock().unwrap_or_else(PoisonError::into_inner);
+        let PressureReadbacks {
+            matrix,
+            flags,
+            rhs,
+            labels,
+        } = &mut *readbacks;
+        let mut recorder = Recorder::new(gpu);
+        for (s, section) in matrix.iter_mut().enumerate() {
+            recorder.read_part(&buffers.matrix.words, 4 * buffers.plan.total * s, section);
+        }
+        recorder.read(&buffers.flags, flags);
+        recorder.read(&buffers.rhs.words, rhs);
+        if closed > 0 {
+            recorder.read(&buffers.labels, labels);
+        }
+        recorder.submit();
+        let [x, y, z, dirichlet] = matrix;
+        let section =
+            |section: &mut Readback<u32>| Ok::<_, Error>(buffers.matrix.widen(&section.wait(gpu)?));
+        let flags = flags.wait(gpu)?;
         let mut system = HostPressure {
             level,
-            matrix: [section(0), section(1), section(2), section(3)],
-            active,
-            rhs: buffers.rhs.download(gpu)?,
+            matrix: [section(x)?, section(y)?, section(z)?, section(dirichlet)?],
+            active: (0..level.len())
+                .map(|ix| flags[ix / 4] >> (ix % 4) & 1 == 1)
+                .collect(),
+            rhs: buffers.rhs.widen(&rhs.wait(gpu)?),
         };
         if closed > 0 {
             // Rounding to f32 gave them means again, of which no solution could get below the tolerance.
-            system.remove_closed_means(&gpu.download(&buffers.labels)?);
+            system.remove_closed_means(&labels.wait(gpu)?);
         }
         Ok(system)
     }

@@ -30,6 +30,12 @@ pub(super) struct Labels {
     pub(super) level: &'static str,
     pub(super) totals: &'static str,
     pub(super) refine_settings: &'static str,
+    pub(super) x: &'static str,
+    pub(super) x_back: &'static str,
+    pub(super) args: &'static str,
+    pub(super) args_back: &'static str,
+    pub(super) correction: &'static str,
+    pub(super) correction_back: &'static str,
 }
 
 /// The labels of a group of buffers.
@@ -48,6 +54,12 @@ macro_rules! labels {
             level: concat!($group, ".level"),
             totals: concat!($group, ".totals"),
             refine_settings: concat!($group, ".refine_settings"),
+            x: concat!($group, ".x"),
+            x_back: concat!($group, ".x (read-back)"),
+            args: concat!($group, ".args"),
+            args_back: concat!($group, ".args (read-back)"),
+            correction: concat!($group, ".correction"),
+            correction_back: concat!($group, ".correction (read-back)"),
         }
     };
 }

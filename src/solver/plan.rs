@@ -1,6 +1,6 @@
 //! What the solver allocates besides its fields.
 
-use crate::gpu::{BufferPlan, Range, RealBuffer, Variant};
+use crate::gpu::{BufferPlan, Range, Real, RealBuffer, Variant};
 use crate::grid::Grid;
 use crate::scene::{Preconditioner, Solver};
 
@@ -8,7 +8,7 @@ use super::components::STATE_WORDS;
 use super::hierarchy::Tail;
 use super::pcg::{EXTRA_SIZES, Labels, N_SCALARS, folded_len};
 use super::pressure::LABELS;
-use super::refine::{N_NORMS, RefineSettings};
+use super::refine::{N_NORMS, RefineSettings, host_turns};
 use super::system::ActiveSettings;
 use super::{Control, Level, LevelPlan, Sweep};
 
@@ -22,7 +22,14 @@ pub fn small_buffers(grid: &Grid, solver: &Solver, variant: Variant) -> Vec<Buff
     let n_levels = plan.len();
     let multigrid = solver.preconditioner == Preconditioner::Multigrid;
     let in_cycle = |n: usize| if multigrid { n } else { 0 };
-    let mut plans = outer_loop(&LABELS, n_levels, plan.long_sums(), variant);
+    let n_scalars = plan.levels[0].len();
+    let mut plans = outer_loop(
+        &LABELS,
+        [n_levels, n_scalars],
+        plan.long_sums(),
+        solver,
+        variant,
+    );
     plans.extend([
         BufferPlan::of::<Level>(LABELS.level, n_levels + 2 + in_cycle(plan.tail + 1)),
         BufferPlan::of::<Sweep>("solver.sweep", 2 + in_cycle(3)),
@@ -38,15 +45,17 @@ pub fn small_buffers(grid: &Grid, solver: &Solver, variant: Variant) -> Vec<Buff
     plans
 }
 
-/// What the outer loop allocates for any system.
+/// What the outer loop allocates for any system with so many lists and scalars.
 pub(super) fn outer_loop(
     labels: &Labels,
-    n_lists: usize,
+    [n_lists, n_scalars]: [usize; 2],
     long_sums: bool,
-    Variant { real, inner }: Variant,
+    solver: &Solver,
+    variant: Variant,
 ) -> Vec<BufferPlan> {
+    let Variant { real, inner } = variant;
     let folded = folded_len(long_sums);
-    vec![
+    let mut plans = vec![
         BufferPlan::of::<Control>(labels.control, 1),
         RealBuffer::plan(labels.scalars, N_SCALARS, inner),
         BufferPlan::of::<u32>(labels.gated, 4 * (n_lists + EXTRA_SIZES)),
@@ -59,5 +68,15 @@ pub(super) fn outer_loop(
         BufferPlan::of::<RefineSettings>(labels.refine_settings, 1),
         BufferPlan::of::<Control>(labels.control_back, 1),
         RealBuffer::plan(labels.norms_back, N_NORMS, real),
-    ]
+    ];
+    if real == Real::F32 {
+        plans.push(BufferPlan::of::<u32>(labels.x_back, n_scalars));
+    }
+    if host_turns(solver, variant) {
+        plans.extend([
+            BufferPlan::of::<u32>(labels.args_back, 4 * (n_lists + 1)),
+            BufferPlan::of::<u32>(labels.correction_back, n_scalars),
+        ]);
+    }
+    plans
 }

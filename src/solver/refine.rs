@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 
 use crate::Error;
 use crate::gpu::{
-    Bound, Buffer, Gpu, Kernel, Pass, Readback, Real, RealBuffer, Recorder, StageTimes,
+    Bound, Buffer, Gpu, Kernel, Pass, Readback, Real, RealBuffer, Recorder, StageTimes, Variant,
 };
 use crate::scene::{Precision, Solver};
 use crate::state::SolveStatus;
@@ -65,6 +65,11 @@ struct Readbacks {
     control: Readback<Control>,
     norms: Readback<u32>,
     components: Option<Readback<u32>>,
+    /// The unknowns, where verdicts in f64 are the host's.
+    x: Option<Readback<u32>>,
+    /// Dispatch sizes and the correction of a round, where the outer loop is the host's.
+    args: Option<Readback<u32>>,
+    correction: Option<Readback<u32>>,
 }
 
 /// The doppelganger of `RefineSettings` in `shaders/refine_turn.wgsl`.
@@ -217,13 +222,20 @@ impl<S: System> OuterLoop<S> {
             ..Control::default()
         };
         gpu.upload(&state.control, &[control]);
+        let host_turns = host_turns(solver, variant);
         let components = unknowns
             .components
             .map(|components| Readback::new(gpu, components.label(), STATE_WORDS));
+        let kept =
+            |needed: bool, label, len| needed.then(|| Readback::new(gpu, label, len)).transpose();
+        let n_words = unknowns.x.words.len();
         let readbacks = Mutex::new(Readbacks {
             control: Readback::new(gpu, labels.control, 1)?,
             norms: Readback::new(gpu, labels.norms, norms.words.len())?,
             components: components.transpose()?,
+            x: kept(variant.real == Real::F32, labels.x, n_words)?,
+            args: kept(host_turns, labels.args, unknowns.args.len())?,
+            correction: kept(host_turns, labels.correction, n_words)?,
         });
         Ok(OuterLoop {
             solver: *solver,
@@ -237,7 +249,7 @@ impl<S: System> OuterLoop<S> {
             turn,
             real: variant.real,
             round_floor,
-            host_turns: solver.precision == Precision::Mixed && !gpu.has_f64(),
+            host_turns,
         })
     }
 
@@ -268,9 +280,9 @@ impl<S: System> OuterLoop<S> {
             self.start.record(pass);
         });
         if self.host_turns {
-            let timing = recorder.submit();
-            let outcome = self.solve_with_host_turns(gpu, buffers)?;
-            return Ok((outcome, timing.wait()?));
+            let mut times = recorder.submit().wait()?;
+            let outcome = self.solve_with_host_turns(gpu, buffers, &mut times)?;
+            return Ok((outcome, times));
         }
         let mut times = Vec::new();
         loop {
@@ -294,8 +306,9 @@ impl<S: System> OuterLoop<S> {
                     recorder.submit();
                 }
                 if verify && !outcome.verified {
-                    let x = S::unknowns(buffers).x.download(gpu)?;
-                    let (_, rr) = S::on_host(gpu, buffers, 0)?.residual(&x);
+                    let x = S::unknowns(buffers).x;
+                    let words = self.to_host(gpu, &x.words, 0, |kept| &mut kept.x)?;
+                    let (_, rr) = S::on_host(gpu, buffers, 0)?.residual(&x.widen(&words));
                     outcome.residual = relative(rr, norms[NORM_B]);
                     outcome.residual_terms = relative(rr, norms[NORM_TERMS]);
                     outcome.verified = true;
@@ -346,6 +359,7 @@ impl<S: System> OuterLoop<S> {
             control,
             norms,
             components,
+            ..
         } = &mut *readbacks;
         recorder.read(&self.state.control, control);
         recorder.read(&self.norms.words, norms);
@@ -362,6 +376,26 @@ impl<S: System> OuterLoop<S> {
             },
         };
         Ok((reading, times))
+    }
+
+    /// Reads a part of a buffer, from word `first` on, into one of the kept read-backs.
+    fn to_host(
+        &self,
+        gpu: &Gpu,
+        from: &Buffer<u32>,
+        first: usize,
+        kept: impl FnOnce(&mut Readbacks) -> &mut Option<Readback<u32>>,
+    ) -> Result<Vec<u32>, Error> {
+        let mut readbacks = self
+            .readbacks
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        let readback = kept(&mut readbacks).as_mut();
+        let readback = readback.expect("made with the solver where the host has a part in it");
+        let mut recorder = Recorder::new(gpu);
+        recorder.read_part(from, first, readback);
+        recorder.submit();
+        readback.wait(gpu)
     }
 
     /// The verdict, or `None` while there is more to do.
@@ -394,7 +428,12 @@ impl<S: System> OuterLoop<S> {
 
     /// The outer loop for adapters without f64: the rounds run on the device, the unknowns and the residual are held in f64 on
     /// the host, one exchange per round.
-    fn solve_with_host_turns(&self, gpu: &Gpu, buffers: S::Buffers<'_>) -> Result<Outcome, Error> {
+    fn solve_with_host_turns(
+        &self,
+        gpu: &Gpu,
+        buffers: S::Buffers<'_>,
+        times: &mut StageTimes,
+    ) -> Result<Outcome, Error> {
         let (reading, _) = self.submit(gpu, Recorder::new(gpu), buffers)?;
         let Reading {
             mut control,
@@ -403,7 +442,7 @@ impl<S: System> OuterLoop<S> {
         } = reading;
         let system = S::on_host(gpu, buffers, closed)?;
         let unknowns = S::unknowns(buffers);
-        let args = gpu.download(unknowns.args)?;
+        let args = self.to_host(gpu, unknowns.args, 0, |kept| &mut kept.args)?;
         let mut x = system.start();
         let (mut r, mut rr) = system.residual(&x);
         let goal = (self.solver.tolerance.powi(2) * norms[NORM_B])
@@ -425,21 +464,24 @@ impl<S: System> OuterLoop<S> {
             let scaled: Vec<f64> = r.iter().map(|value| value / scale).collect();
             unknowns.outer.upload(gpu, &scaled);
             self.open_round(gpu, &mut control, &mut norms, &args, goal / rr);
-            let mut recorder = Recorder::new(gpu);
+            let mut recorder = Recorder::timed(gpu);
             recorder.stage("solve", |pass| self.system.record_begin(pass, &self.state));
             loop {
                 recorder.stage("solve", |pass| self.record_iterations(pass));
-                control = self.submit(gpu, recorder, buffers)?.0.control;
+                let (reading, mut stages) = self.submit(gpu, recorder, buffers)?;
+                times.append(&mut stages);
+                control = reading.control;
                 if control.running == 0 {
                     break;
                 }
-                recorder = Recorder::new(gpu);
+                recorder = Recorder::timed(gpu);
             }
-            let search = unknowns.search.download(gpu)?;
-            let correction = &search[x.len()..];
+            let search = &unknowns.search;
+            let words = self.to_host(gpu, &search.words, x.len(), |kept| &mut kept.correction)?;
+            let correction = search.widen(&words);
             let better: Vec<f64> = x
                 .iter()
-                .zip(correction)
+                .zip(&correction)
                 .map(|(x, correction)| x + scale * correction)
                 .collect();
             let (r_new, rr_new) = system.residual(&better);
@@ -482,6 +524,11 @@ impl<S: System> OuterLoop<S> {
         self.state.scalars.upload(gpu, &scalars);
         self.state.open(gpu, args);
     }
+}
+
+/// Whether the outer loop runs on the host: `mixed` where the device has no f64 to refine in.
+pub(super) fn host_turns(solver: &Solver, variant: Variant) -> bool {
+    solver.precision == Precision::Mixed && variant.real == Real::F32
 }
 
 /// Rounds in f32 end early; those as precise as the residual take one to do it all.

@@ -1,5 +1,7 @@
 //! The system of a step on the device: levels, buffers, and the kernels that set it up from open areas and liquid distance.
 
+use std::sync::Mutex;
+
 use crate::Error;
 use crate::gpu::{
     Bound, Buffer, BufferPlan, CompactKernels, Compaction, Gpu, Kernel, Pass, Real, RealBuffer,
@@ -9,6 +11,7 @@ use crate::grid::{Grid, Padded};
 use crate::scene::Precision;
 
 use super::components::STATE_WORDS;
+use super::host_residual::PressureReadbacks;
 use super::{FOLD_THREADS, Level, TAIL_LEVELS, TAIL_QUADS};
 
 /// The levels of the hierarchy and where they lie: a function of the grid alone.
@@ -128,6 +131,8 @@ pub struct SolverBuffers {
     pub(super) partials: RealBuffer,
     pub(super) outer_partials: RealBuffer,
     scratch: Buffer<u32>,
+    /// Where the system arrives on the host, if residuals are not evaluated in f64 on the device.
+    pub(super) to_host: Option<Mutex<PressureReadbacks>>,
 }
 
 impl SolverBuffers {
@@ -137,7 +142,7 @@ impl SolverBuffers {
         let (cells, total) = (plan.levels[0].len(), 4 * plan.total);
         let Variant { real, inner } = variant;
         let partials = cells.max(4 * FOLD_THREADS);
-        vec![
+        let mut plans = vec![
             BufferPlan::of::<u32>("solver.flags", plan.total),
             BufferPlan::of::<u32>("solver.list", plan.total),
             BufferPlan::of::<u32>("solver.args", 4 * (plan.len() + 1)),
@@ -155,7 +160,11 @@ impl SolverBuffers {
             RealBuffer::plan("solver.partials", partials, inner),
             RealBuffer::plan("solver.outer_partials", partials, real),
             Compaction::scratch("solver.scratch", plan.levels[0].quads),
-        ]
+        ];
+        if real == Real::F32 {
+            plans.extend(PressureReadbacks::plan(plan.levels[0].quads));
+        }
+        plans
     }
 
     /// Allocates for a grid.
@@ -206,6 +215,9 @@ impl SolverBuffers {
             partials: inner("solver.partials")?,
             outer_partials: real("solver.outer_partials")?,
             scratch: words("solver.scratch")?,
+            to_host: (variant.real == Real::F32)
+                .then(|| PressureReadbacks::new(gpu, plan.levels[0].quads).map(Mutex::new))
+                .transpose()?,
             plan,
             variant,
         })

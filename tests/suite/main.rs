@@ -20,6 +20,7 @@ mod physics;
 mod plan;
 mod reference;
 mod reference_physics;
+mod reference_solids;
 mod reference_stages;
 mod rooms;
 mod scene;

@@ -1,0 +1,48 @@
+//! `right_hand_side`, for solids: what S v must be.
+
+use glam::DVec3;
+
+use super::SolidMatrices;
+use crate::elastic::Solids;
+
+/// The right-hand side of a step, N.
+#[derive(Clone, Debug)]
+pub struct SolidRightHandSide {
+    /// M v*/dt - (K x* - b) + load per node; 0 in prescribed components.
+    pub values: Vec<[f64; 3]>,
+    /// ||M v*/dt|| + ||K x* - b|| + ||load|| over the free components: rounding of the right-hand side is a part of it.
+    pub scale: f64,
+}
+
+/// The right-hand side from v* (m/s, of all nodes).
+pub fn solid_right_hand_side(
+    solids: &Solids,
+    matrices: &SolidMatrices,
+    velocity: &[[f64; 3]],
+    dt: f64,
+) -> SolidRightHandSide {
+    let mut elastic = vec![DVec3::ZERO; solids.rest.len()];
+    for (corners, forces) in solids.elements.iter().zip(&matrices.element_forces) {
+        for (&node, &force) in corners.iter().zip(forces) {
+            elastic[node as usize] += force;
+        }
+    }
+    let mut squares = DVec3::ZERO;
+    let values = (0..solids.rest.len()).map(|node| {
+        let inertia = solids.mass[node] / dt * DVec3::from(velocity[node]);
+        let load = solids.load[node];
+        std::array::from_fn(|axis| {
+            if solids.prescribed[node][axis] {
+                return 0.0;
+            }
+            let terms = DVec3::new(inertia[axis], elastic[node][axis], load[axis]);
+            squares += terms * terms;
+            terms.x - terms.y + terms.z
+        })
+    });
+    let values = values.collect();
+    SolidRightHandSide {
+        values,
+        scale: squares.x.sqrt() + squares.y.sqrt() + squares.z.sqrt(),
+    }
+}

@@ -1,0 +1,204 @@
+//! `solve`, for solids: the velocities of the nodes of one step, judged on their true residual (design section 5).
+//!
+//! Sparse Cholesky up to [`DIRECT_UNKNOWNS`](super::DIRECT_UNKNOWNS) unknowns, above them conjugate gradients preconditioned with a
+//! Chebyshev polynomial in D^-1 S, where D are the 3x3 blocks on the diagonal of S. Either is repeated on what its true
+//! residual leaves until that passes.
+
+use std::sync::{Arc, OnceLock};
+
+use super::refine::{Correction, Judged, refine};
+use super::solid_system::SolidSystem;
+use super::solve::DIRECT_UNKNOWNS;
+use crate::Error;
+use crate::elastic::{Bounds, Solids};
+use crate::linalg::{CgEnd, Csr, LinearOperator, SymbolicCholesky, conjugate_gradient};
+use crate::scene::Solver;
+use crate::state::SolveReport;
+use glam::{DMat3, DVec3};
+
+/// The polynomial acts on eigenvalues from the largest over this times the squared degree.
+const REACH: f64 = 0.7;
+
+/// What the solves of all steps of some solids share.
+#[derive(Clone, Debug)]
+pub struct SolidSolver {
+    bounds: Bounds,
+    symbolic: Arc<OnceLock<SymbolicCholesky>>,
+}
+
+impl SolidSolver {
+    /// For all steps of these solids.
+    pub fn new(solids: &Solids) -> SolidSolver {
+        SolidSolver {
+            bounds: Bounds::new(solids),
+            symbolic: Arc::default(),
+        }
+    }
+
+    /// Solves S v = rhs: velocities of all nodes (m/s) and the report.
+    ///
+    /// # Errors
+    /// When the factor does not fit into memory.
+    pub fn solve(
+        &self,
+        solids: &Solids,
+        system: &SolidSystem,
+        settings: &Solver,
+    ) -> Result<(Vec<[f64; 3]>, SolveReport), Error> {
+        if system.unknowns().len() <= DIRECT_UNKNOWNS {
+            self.solve_direct(system, settings)
+        } else {
+            Ok(self.solve_iterative(solids, system, settings))
+        }
+    }
+
+    /// By sparse Cholesky, whatever the size.
+    ///
+    /// # Errors
+    /// When the factor does not fit into memory.
+    pub fn solve_direct(
+        &self,
+        system: &SolidSystem,
+        settings: &Solver,
+    ) -> Result<(Vec<[f64; 3]>, SolveReport), Error> {
+        let unknowns = system.unknowns();
+        // A matrix that is not positive definite in f64 is a breakdown of the solve, not of the program.
+        let factor = if system.rhs.iter().any(|&b| b != 0.0) {
+            let matrix = system.free_to_csr();
+            self.symbolic(&matrix)?.factorise(&matrix).ok()
+        } else {
+            None
+        };
+        let (x, report) = refine(system, settings, |rhs, _, _| {
+            let mut x = vec![0.0; rhs.len()];
+            let end = match &factor {
+                None => CgEnd::Breakdown,
+                Some(factor) => {
+                    let mut free: Vec<f64> = unknowns.iter().map(|&at| rhs[at]).collect();
+                    factor.solve(&mut free);
+                    for (&at, value) in unknowns.iter().zip(free) {
+                        x[at] = value;
+                    }
+                    CgEnd::Converged
+                }
+            };
+            Correction {
+                x,
+                iterations: 0,
+                end,
+            }
+        });
+        Ok((system.velocity(&x), report))
+    }
+
+    /// The order of elimination, found in the first solve.
+    fn symbolic(&self, matrix: &Csr) -> Result<&SymbolicCholesky, Error> {
+        if let Some(symbolic) = self.symbolic.get() {
+            return Ok(symbolic);
+        }
+        let symbolic = SymbolicCholesky::new(matrix)?;
+        Ok(self.symbolic.get_or_init(|| symbolic))
+    }
+
+    /// By conjugate gradients with a Chebyshev polynomial as the preconditioner, whatever the size.
+    pub fn solve_iterative(
+        &self,
+        solids: &Solids,
+        system: &SolidSystem,
+        settings: &Solver,
+    ) -> (Vec<[f64; 3]>, SolveReport) {
+        let degree = self.bounds.chebyshev_degree(solids, system.dt());
+        let polynomial = Chebyshev::new(system, self.bounds.block_jacobi, degree);
+        let (x, report) = refine(system, settings, |rhs, tolerance, iterations_left| {
+            let mut x = vec![0.0; rhs.len()];
+            let most = iterations_left as usize;
+            let cg = conjugate_gradient(system, &polynomial, rhs, &mut x, tolerance, most);
+            Correction {
+                x,
+                iterations: cg.iterations as u32,
+                end: cg.end,
+            }
+        });
+        (system.velocity(&x), report)
+    }
+}
+
+impl Judged for SolidSystem {
+    fn rhs(&self) -> &[f64] {
+        &self.rhs
+    }
+
+    fn rhs_scale(&self) -> f64 {
+        self.rhs_scale
+    }
+
+    fn n_unknowns(&self) -> usize {
+        self.unknowns().len()
+    }
+
+    fn residual(&self, x: &[f64]) -> Vec<f64> {
+        SolidSystem::residual(self, x)
+    }
+}
+
+/// z = p(D^-1 S) D^-1 r, where 1 - t p(t) is the Chebyshev polynomial that is least on an interval up to the largest eigenvalue of
+/// D^-1 S, and 1 at 0: symmetric, and positive where the bound of that eigenvalue is one.
+pub struct Chebyshev<'a> {
+    system: &'a SolidSystem,
+    inverse_diagonal: Vec<DMat3>,
+    degree: usize,
+    middle: f64,
+    half_width: f64,
+}
+
+impl<'a> Chebyshev<'a> {
+    /// With `degree` products by S, on eigenvalues of D^-1 S from lmax/(0.7 degree^2) to `lmax`.
+    pub fn new(system: &'a SolidSystem, lmax: f64, degree: usize) -> Chebyshev<'a> {
+        let lmin = lmax / (REACH * (degree * degree) as f64);
+        let nodes = 0..system.size() / 3;
+        Chebyshev {
+            system,
+            inverse_diagonal: nodes.map(|node| system.diagonal(node).inverse()).collect(),
+            degree,
+            middle: 0.5 * (lmax + lmin),
+            half_width: 0.5 * (lmax - lmin),
+        }
+    }
+
+    /// D^-1 r.
+    fn scaled(&self, r: &[f64]) -> Vec<f64> {
+        let nodes = self.inverse_diagonal.iter().zip(r.chunks_exact(3));
+        nodes
+            .flat_map(|(inverse, r)| (inverse * DVec3::from_slice(r)).to_array())
+            .collect()
+    }
+}
+
+impl LinearOperator for Chebyshev<'_> {
+    fn size(&self) -> usize {
+        self.system.size()
+    }
+
+    /// The Chebyshev iteration for S z = r from zero (Saad, Iterative Methods for Sparse Linear Systems, algorithm 12.1).
+    fn apply(&self, r: &[f64], z: &mut [f64]) {
+        let ratio = self.middle / self.half_width;
+        let mut rho = 1.0 / ratio;
+        let mut step = self.scaled(r);
+        step.iter_mut().for_each(|step| *step /= self.middle);
+        z.copy_from_slice(&step);
+        let mut defect = vec![0.0; r.len()];
+        for _ in 0..self.degree {
+            self.system.apply(z, &mut defect);
+            for (defect, r) in defect.iter_mut().zip(r) {
+                *defect = r - *defect;
+            }
+            let next = 1.0 / (2.0 * ratio - rho);
+            let (of_step, of_defect) = (next * rho, 2.0 * next / self.half_width);
+            rho = next;
+            for ((step, scaled), z) in step.iter_mut().zip(self.scaled(&defect)).zip(z.iter_mut()) {
+                *step = of_step * *step + of_defect * scaled;
+                *z += *step;
+            }
+        }
+    }
+}
