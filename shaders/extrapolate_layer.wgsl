@@ -1,5 +1,6 @@
-// extrapolate, one layer: a face without a velocity takes the mean over its neighbours of the same axis that have one. Valid
-// faces are never written and others never read, so the order of the threads does not matter. One thread per quad of the band.
+// extrapolate, one layer: a face without a velocity takes the mean over the nearest of its 26 neighbours of the same axis that
+// have one: those beside it, else those across an edge, else those across a corner. Valid faces are never written and others
+// never read, so the order of the threads does not matter. One thread per quad of the band.
 // level. args, list: the band. valid_in, valid_out: see valid. velocity: faces, m/s, in place.
 #import dispatch
 #import layout
@@ -17,6 +18,32 @@
 const FIRST = 0x111u;
 const LAST = 0x888u;
 
+// The marks one face before and after each lane, given those of the quads and of the quads before or after them.
+fn before(here: vec4<u32>, previous: vec4<u32>) -> vec4<u32> {
+    return (here << vec4<u32>(1u) & vec4<u32>(~FIRST)) | (previous >> vec4<u32>(3u) & vec4<u32>(FIRST));
+}
+fn after(here: vec4<u32>, next: vec4<u32>) -> vec4<u32> {
+    return (here >> vec4<u32>(1u) & vec4<u32>(~LAST)) | (next << vec4<u32>(3u) & vec4<u32>(LAST));
+}
+
+fn marks(quads: vec4<u32>, exist: vec4<bool>) -> vec4<u32> {
+    let words = vec4<u32>(valid_in[quads.x], valid_in[quads.y], valid_in[quads.z], valid_in[quads.w]);
+    return select(vec4<u32>(), words & vec4<u32>(VALID), exist);
+}
+
+fn any_of(marks: vec4<u32>) -> u32 {
+    return marks.x | marks.y | marks.z | marks.w;
+}
+
+// Sum and number of those of four faces whose mark is set. In the place of the others `own` is read, which nobody else writes.
+fn sum_of(marks: vec4<u32>, bit: u32, faces: vec4<u32>, own: u32) -> vec2<f32> {
+    let on = (marks >> vec4<u32>(bit) & vec4<u32>(1u)) != vec4<u32>();
+    let at = select(vec4<u32>(own), faces, on);
+    let values = vec4<f32>(velocity[at.x], velocity[at.y], velocity[at.z], velocity[at.w]);
+    let count = vec4<f32>(on);
+    return vec2<f32>(dot(select(vec4<f32>(), values, on), vec4<f32>(1.0)), dot(count, vec4<f32>(1.0)));
+}
+
 @compute @workgroup_size(WG_SIZE)
 fn extrapolate_layer(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let index = linear_index(workgroup, lane);
@@ -32,38 +59,59 @@ fn extrapolate_layer(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local
     }
     let cell = quad_cell(level, quad);
     let n = vec3<i32>(level.cells);
-    // Faces that exist, and the valid ones among the neighbours; rows and slabs of spare cells lead to other rows and slabs.
+    // Faces that exist; rows and slabs of spare cells lead to other rows and slabs.
     let exist = lane_bits(lanes_inside(cell, face_extents(level, 0u)))
         | lane_bits(lanes_inside(cell, face_extents(level, 1u))) << 4u
         | lane_bits(lanes_inside(cell, face_extents(level, 2u))) << 8u;
-    let before = select(0u, valid_in[quad - 1u], cell.x > 0);
-    let after = select(0u, valid_in[quad + 1u], cell.x + 4 <= n.x);
-    let sides = array<u32, 6>(
-        (here << 1u & ~FIRST) | (before >> 3u & FIRST),
-        (here >> 1u & ~LAST) | (after << 3u & LAST),
-        select(0u, valid_in[quad - level.stride_y], cell.y > 0),
-        select(0u, valid_in[quad + level.stride_y], cell.y < n.y),
-        valid_in[quad - level.stride_z],
-        valid_in[quad + level.stride_z],
-    );
-    let some = sides[0] | sides[1] | sides[2] | sides[3] | sides[4] | sides[5];
-    var reached = some & exist & ~here;
+    let wanted = exist & ~here;
+    let has_before = cell.x > 0;
+    let has_after = cell.x + 4 <= n.x;
+    let below = cell.y > 0;
+    let above = cell.y < n.y;
+    // Rows beside this one: along y, along z. Those across an edge: along both.
+    let y = level.stride_y;
+    let z = level.stride_z;
+    let beside_exist = vec4<bool>(below, above, true, true);
+    let across_exist = vec4<bool>(below, above, below, above);
+    let beside_quads = vec4<u32>(quad - y, quad + y, quad - z, quad + z);
+    let across_quads = vec4<u32>(quad - y - z, quad + y - z, quad - y + z, quad + y + z);
+    let ends = marks(vec4<u32>(quad - 1u, quad + 1u, quad, quad), vec4<bool>(has_before, has_after, false, false));
+    let row = vec4<u32>(before(vec4<u32>(here), ends.xxxx).x, after(vec4<u32>(here), ends.yyyy).x, 0u, 0u);
+    let beside = marks(beside_quads, beside_exist);
+    let by_side = (any_of(row) | any_of(beside)) & wanted;
+    var beside_before = vec4<u32>();
+    var beside_after = vec4<u32>();
+    var across = vec4<u32>();
+    var across_before = vec4<u32>();
+    var across_after = vec4<u32>();
+    if by_side != wanted {
+        beside_before = before(beside, marks(beside_quads - 1u, beside_exist & vec4<bool>(has_before)));
+        beside_after = after(beside, marks(beside_quads + 1u, beside_exist & vec4<bool>(has_after)));
+        across = marks(across_quads, across_exist);
+        across_before = before(across, marks(across_quads - 1u, across_exist & vec4<bool>(has_before)));
+        across_after = after(across, marks(across_quads + 1u, across_exist & vec4<bool>(has_after)));
+    }
+    let by_edge = (any_of(beside_before) | any_of(beside_after) | any_of(across)) & wanted & ~by_side;
+    let by_corner = (any_of(across_before) | any_of(across_after)) & wanted & ~by_side & ~by_edge;
+    var reached = by_side | by_edge | by_corner;
     valid_out[quad] = word | reached;
-    let row = 4u * level.stride_y;
-    let slab = 4u * level.stride_z;
     while reached != 0u {
         let bit = firstTrailingBit(reached);
         reached &= reached - 1u;
-        let face = 4u * (bit / 4u * level.quads + quad) + bit % 4u;
-        let neighbours = array<u32, 6>(face - 1u, face + 1u, face - row, face + row, face - slab, face + slab);
-        var sum = 0.0;
-        var count = 0.0;
-        for (var s = 0u; s < 6u; s++) {
-            if (sides[s] >> bit & 1u) != 0u {
-                sum += velocity[neighbours[s]];
-                count += 1.0;
-            }
+        let first = 4u * (bit / 4u * level.quads) + bit % 4u;
+        let face = first + 4u * quad;
+        let beside_faces = first + 4u * beside_quads;
+        let across_faces = first + 4u * across_quads;
+        var sum: vec2<f32>;
+        if (by_side >> bit & 1u) != 0u {
+            sum = sum_of(row, bit, vec4<u32>(face - 1u, face + 1u, face, face), face)
+                + sum_of(beside, bit, beside_faces, face);
+        } else if (by_edge >> bit & 1u) != 0u {
+            sum = sum_of(beside_before, bit, beside_faces - 1u, face) + sum_of(beside_after, bit, beside_faces + 1u, face)
+                + sum_of(across, bit, across_faces, face);
+        } else {
+            sum = sum_of(across_before, bit, across_faces - 1u, face) + sum_of(across_after, bit, across_faces + 1u, face);
         }
-        velocity[face] = sum / count;
+        velocity[face] = sum.x / sum.y;
     }
 }

@@ -74,7 +74,21 @@ impl Regions {
             }
         })
     }
+
+    /// Velocity of the nearest region that adds liquid, m/s, if it is within `reach` (m); of the last among several.
+    fn nearest_velocity(&self, x: DVec3, reach: f64) -> Option<DVec3> {
+        let adding = self.parts.iter().rev().filter(|part| !part.subtract);
+        let distances = adding.map(|part| (part.solid.distance(x), part.velocity));
+        distances
+            .filter(|&(distance, _)| distance <= reach)
+            .min_by(|a, b| a.0.total_cmp(&b.0))
+            .map(|(_, velocity)| velocity)
+    }
 }
+
+/// How far outside the regions faces start with the velocity of the nearest, cells: the surface that markers make is bumpy, and
+/// every face beside a cell in it is taken for one with a velocity.
+const VELOCITY_REACH: f64 = 2.0;
 
 /// The regions' distance at all cell centres, m: the liquid of `surface = "fixed"`. Sides on walls are no free surface.
 /// Positive everywhere without a liquid.
@@ -270,7 +284,8 @@ fn sample(grid: &Grid, field: &[f64], x: DVec3) -> f64 {
 }
 
 /// The state before the first step: markers or the fixed distance, and on every face the velocity of the region that holds
-/// its centre or the centre of a cell beside it; 0 on walls and elsewhere. Volumes are left to the first diagnosis.
+/// its centre or the centre of a cell beside it, else that of the nearest region within two cells; 0 on walls and elsewhere.
+/// Volumes are left to the first diagnosis.
 pub fn initial_state(scene: &Scene, grid: &Grid, cut_cells: &CutCells) -> Result<State, Error> {
     let mut state = State::at_rest(grid);
     let Some(liquid) = &scene.liquid else {
@@ -300,6 +315,7 @@ pub fn initial_state(scene: &Scene, grid: &Grid, cut_cells: &CutCells) -> Result
                     *velocity = places
                         .into_iter()
                         .find_map(|x| regions.velocity(x))
+                        .or_else(|| regions.nearest_velocity(places[0], VELOCITY_REACH * grid.dx))
                         .map_or(0.0, |velocity| velocity[axis.index()]);
                 }
             });

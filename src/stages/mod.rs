@@ -58,8 +58,8 @@ pub struct Active<'a> {
     pub args: &'a Buffer<u32>,
 }
 
-/// Faces count as reached from the liquid within this many layers: one cell beyond what a point crosses in a sub-step, and one
-/// for the trilinear sample.
+/// Faces count as reached from the liquid within this many layers, each a cell wide along axes and diagonals: one cell beyond
+/// what a point crosses along each axis in a sub-step, and one for the trilinear sample.
 pub fn extrapolation_layers(cfl: f64) -> usize {
     cfl.ceil() as usize + 2
 }

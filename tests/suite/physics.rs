@@ -7,7 +7,7 @@ use cutwater::state::{SolveStatus, State};
 
 use crate::common::gpu;
 use crate::reference_physics::{
-    DAM, GRAVITY, dam_release_error, dam_release_scene, pool, rest_cases, scene,
+    DAM, GRAVITY, dam_release_error, dam_release_scene, flies_on, flights, pool, rest_cases, scene,
 };
 
 fn simulation(scene: &Scene) -> Simulation {
@@ -51,6 +51,22 @@ fn a_full_container_rests_on_the_gpu_and_is_closed() {
         assert_eq!(liquid.solve.status, SolveStatus::Converged, "{report:?}");
         let bound = 2e-6 * GRAVITY * report.dt;
         assert!(liquid.diagnosis.max_speed <= bound, "{report:?}");
+    }
+}
+
+#[test]
+fn liquid_flies_on_along_a_diagonal_on_the_gpu() {
+    if gpu().is_none() {
+        return;
+    }
+    for scene in flights() {
+        let mut simulation = simulation(&scene);
+        let before = simulation.state().unwrap();
+        for _ in 0..3 {
+            simulation.step().unwrap();
+        }
+        // Positions and velocities are f32.
+        flies_on(&scene, &before, &simulation.state().unwrap(), 1e-5);
     }
 }
 

@@ -313,6 +313,59 @@ fn markers_at_rest_start_slowly() {
     }
 }
 
+/// Liquid in free flight along a diagonal, without gravity, for the cells that it crosses along each axis in a sub-step. Its
+/// velocity is `cfl` m/s along each axis.
+pub(crate) fn free_flight(region: &str, cfl: f64) -> Scene {
+    let velocity = [cfl; 3];
+    let region = format!("[[liquid.region]]\n{region}\nvelocity = {velocity:?}\n");
+    let mut scene = scene([24, 24, 24], &format!("volume_control = false\n{region}"));
+    scene.domain.gravity = DVec3::ZERO;
+    scene.time.cfl = cfl;
+    scene
+}
+
+/// A box along the grid, and balls, whose surface of markers is bumpy; three steps leave them inside the domain.
+pub(crate) fn flights() -> Vec<Scene> {
+    let cube = "box = { min = [0.125, 0.125, 0.125], max = [0.375, 0.375, 0.375] }";
+    let ball =
+        |radius: f64| format!("sphere = {{ centre = [0.26, 0.24, 0.25], radius = {radius} }}");
+    let mut flights = vec![free_flight(cube, 3.0), free_flight(cube, 4.0)];
+    flights.extend([0.09, 0.13, 0.17, 0.2].map(|radius| free_flight(&ball(radius), 3.0)));
+    flights
+}
+
+/// Every marker of a flight has moved by its velocity, and nothing is faster or slower than at the start.
+pub(crate) fn flies_on(scene: &Scene, before: &State, after: &State, bound: f64) {
+    let speed = scene.time.cfl;
+    let way = speed * after.time;
+    assert_eq!(after.markers.len(), before.markers.len());
+    for (x, before) in after.markers.iter().zip(&before.markers) {
+        let moved = [0, 1, 2].map(|a| x[a] - before[a] - way);
+        assert!(
+            moved.iter().all(|off| off.abs() < bound * way),
+            "{:?}: {moved:?} m off after {way} m",
+            scene.liquid.as_ref().unwrap().regions[0].shape
+        );
+    }
+    for (face, u) in after.velocity.iter().flatten().enumerate() {
+        let off = u.abs().min((u - speed).abs());
+        assert!(off < bound * speed, "face {face} has {u} m/s");
+    }
+}
+
+#[test]
+fn liquid_flies_on_along_a_diagonal() {
+    for scene in flights() {
+        let mut reference = start(&scene);
+        let before = reference.state().clone();
+        for _ in 0..3 {
+            step(&mut reference);
+        }
+        assert_eq!(reference.state().frame, 3, "a frame is a sub-step");
+        flies_on(&scene, &before, reference.state(), 1e-6);
+    }
+}
+
 #[test]
 fn free_fall_of_a_ball_is_exact() {
     // Air all around: no pressure, every velocity is g t, and the ball keeps its momentum along x.
