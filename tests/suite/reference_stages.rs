@@ -539,13 +539,37 @@ fn extrapolation_takes_means_layer_by_layer() {
     extrapolate(&grid, &cut, valid, 2, &mut faces);
     let x = |i, j| faces[0][grid.face(Axis::X, [i, j, 0])];
     assert_eq!([x(2, 0), x(2, 1), x(2, 2)], [1.0, 2.5, 4.0]);
-    // First layer: one neighbour. Second: two of the first layer in the middle.
+    // First layer: one beside, or two across an edge. Second: the one beside, whatever is across an edge.
     assert_eq!([x(3, 0), x(3, 1), x(3, 2)], [1.0, 2.5, 4.0]);
-    assert_eq!([x(4, 0), x(4, 2)], [1.0, 4.0]);
-    assert_eq!(x(4, 1), 0.0, "the third layer is not reached");
+    assert_eq!([x(4, 0), x(4, 1), x(4, 2)], [1.0, 2.5, 4.0]);
+    for j in 0..3 {
+        assert_eq!(x(5, j), 0.0, "the third layer is not reached");
+    }
     assert_eq!(x(0, 0), 0.0, "walls do not let liquid through");
     assert!(faces[1].iter().all(|v| *v == 0.0), "axes do not mix");
     assert_eq!(n_layers(2.5), 5);
+
+    // One layer around two faces, which are not beside each other: faces that differ in one index go before those that differ in
+    // two, and these before those that differ in three.
+    let grid = Grid {
+        cells: [8, 4, 4],
+        dx: 1.0,
+    };
+    let cut = empty(&grid);
+    let mut faces = on_faces(&grid, |_| DVec3::ZERO);
+    let mut valid = Axis::ALL.map(|axis| vec![false; grid.n_faces(axis)]);
+    for (ijk, value) in [([3, 0, 0], 1.0), ([3, 1, 2], 7.0)] {
+        let face = grid.face(Axis::X, ijk);
+        (faces[0][face], valid[0][face]) = (value, true);
+    }
+    extrapolate(&grid, &cut, valid, 1, &mut faces);
+    let x = |ijk| faces[0][grid.face(Axis::X, ijk)];
+    assert_eq!([x([4, 0, 0]), x([4, 1, 0])], [1.0, 1.0], "one index, two");
+    assert_eq!(x([3, 1, 1]), 7.0, "one index before two");
+    assert_eq!(x([3, 0, 1]), 1.0, "one index before two");
+    assert_eq!([x([4, 1, 1]), x([4, 0, 1])], [7.0, 1.0], "two before three");
+    assert_eq!([x([4, 2, 3]), x([2, 0, 3])], [7.0, 7.0], "three alone");
+    assert_eq!([x([5, 0, 0]), x([4, 3, 2])], [0.0, 0.0], "two layers off");
 }
 
 #[test]
