@@ -1,6 +1,6 @@
 //! Frame files in VTK's XML formats: VTP markers, VTI cell fields, VTU solids, VTP obstacles, and a `.pvd` series per kind.
 //!
-//! Data are f32, inline base64, little endian. vtkio's compressed arrays are not used: 0.7.0-rc2 announces one block too
+//! Data are f32, inline base64, little endian. vtkio's compressed arrays are not used here: 0.7.0-rc2 announces one block too
 //! many for an array whose bytes are a multiple of 32768 (every 32^3 field), which VTK refuses.
 
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use vtkio::model::{
     Attribute, Attributes, ByteOrder, CellType, Cells, DataArray, DataSet, Extent, IOBuffer,
     ImageDataPiece, Piece, PolyDataPiece, UnstructuredGridPiece, Version, VertexNumbers, Vtk,
 };
-use vtkio::xml::VTKFile;
+use vtkio::xml::Compressor;
 
 use super::atomic::{create_folder, write_atomically};
 use crate::Error;
@@ -286,33 +286,41 @@ fn solids_file(solids: &Solids, state: &State) -> Result<DataSet, Error> {
     let owners: Vec<i32> = owners
         .flat_map(|(solid, body)| body.elements.clone().map(move |_| solid))
         .collect();
+    let cell_data = vec![
+        scalars("von_mises", cells("von_mises", 0)?),
+        scalars("det_f", cells("det_f", 1)?),
+        scalars("solid", owners.into()),
+    ];
+    Ok(tetrahedra(points.into(), &solids.elements, data, cell_data))
+}
+
+/// An unstructured grid of tetrahedra. `points` are 3 numbers a node.
+pub(super) fn tetrahedra(
+    points: IOBuffer,
+    elements: &[[u32; 4]],
+    point_data: Vec<Attribute>,
+    cell_data: Vec<Attribute>,
+) -> DataSet {
+    let n = elements.len();
+    let corners = elements.iter().flatten();
     let piece = UnstructuredGridPiece {
-        points: points.into(),
+        points,
         cells: Cells {
             cell_verts: VertexNumbers::XML {
-                connectivity: solids
-                    .elements
-                    .iter()
-                    .flatten()
-                    .map(|&node| node.into())
-                    .collect(),
+                connectivity: corners.map(|&node| node.into()).collect(),
                 offsets: (1..=n as u64).map(|element| 4 * element).collect(),
             },
             types: vec![CellType::Tetra; n],
         },
         data: Attributes {
-            point: data,
-            cell: vec![
-                scalars("von_mises", cells("von_mises", 0)?),
-                scalars("det_f", cells("det_f", 1)?),
-                scalars("solid", owners.into()),
-            ],
+            point: point_data,
+            cell: cell_data,
         },
     };
-    Ok(DataSet::UnstructuredGrid {
+    DataSet::UnstructuredGrid {
         meta: None,
         pieces: vec![Piece::Inline(Box::new(piece))],
-    })
+    }
 }
 
 fn cell_name(grid: &Grid, cell: usize) -> String {
@@ -343,7 +351,7 @@ fn finite(
     })
 }
 
-fn scalars(name: &str, values: IOBuffer) -> Attribute {
+pub(super) fn scalars(name: &str, values: IOBuffer) -> Attribute {
     Attribute::DataArray(DataArray {
         data: values,
         ..DataArray::scalars(name, 1)
@@ -364,9 +372,17 @@ fn poly_data(piece: PolyDataPiece) -> DataSet {
     }
 }
 
+fn write_vtk(path: &Path, data: DataSet) -> Result<(), Error> {
+    write_compressed(path, data, Compressor::None)
+}
+
 /// Serialises in memory first: vtkio's own export drops its buffer without looking at the error, so a full disk would
 /// leave half a file and report success.
-fn write_vtk(path: &Path, data: DataSet) -> Result<(), Error> {
+pub(super) fn write_compressed(
+    path: &Path,
+    data: DataSet,
+    compressor: Compressor,
+) -> Result<(), Error> {
     let vtk = Vtk {
         version: Version::new_xml(1, 0),
         title: String::new(),
@@ -374,7 +390,10 @@ fn write_vtk(path: &Path, data: DataSet) -> Result<(), Error> {
         data,
         file_path: None,
     };
-    let file = VTKFile::try_from(vtk).map_err(|problem| Error::output(path, problem))?;
+    // Level 9, the smallest: what is compressed is kept.
+    let file = vtk
+        .try_into_xml_format(compressor, 9)
+        .map_err(|problem| Error::output(path, problem))?;
     // vtkio leaves out NumberOfPoints = 0, which readers demand of every piece without an extent.
     let mut bytes = Vec::new();
     file.write(&mut bytes)

@@ -15,7 +15,9 @@
 mod atomic;
 pub mod frames;
 pub mod manifest;
+mod mesh;
 pub mod preview;
 pub mod tables;
 
 pub use atomic::write_atomically;
+pub use mesh::write_mesh;
