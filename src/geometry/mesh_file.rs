@@ -1,5 +1,6 @@
 //! Closed surfaces from mesh files: OBJ, STL (text and binary), PLY (text and binary).
 
+use std::borrow::Cow;
 use std::cell::Cell;
 use std::fs;
 use std::io::{self, BufRead, Cursor, Read};
@@ -9,55 +10,65 @@ use glam::DVec3;
 use ply_rs_bw::parser::Parser;
 use ply_rs_bw::ply::{DefaultElement, Property};
 
-use super::Surface;
+use super::{Fault, Surface};
 use crate::error::Error;
 
-/// What is wrong, with the line where it is known, and what would be right.
-struct Problem {
-    line: Option<usize>,
-    problem: String,
-    cure: &'static str,
+/// What is wrong in a file, with the line where it is known, and what would be right.
+pub(super) struct Problem {
+    pub(super) line: Option<usize>,
+    pub(super) problem: String,
+    pub(super) cure: Cow<'static, str>,
 }
 
 impl Problem {
-    fn new(problem: impl Into<String>, cure: &'static str) -> Problem {
+    pub(super) fn new(problem: impl Into<String>, cure: impl Into<Cow<'static, str>>) -> Problem {
         Problem {
             line: None,
             problem: problem.into(),
-            cure,
+            cure: cure.into(),
         }
     }
+
+    /// The error that names the file.
+    pub(super) fn of(self, file: &Path) -> Error {
+        let line = self.line.map(|line| format!(":{line}"));
+        let what = format!("{}{}", file.display(), line.unwrap_or_default());
+        Error::input(what, self.problem, self.cure)
+    }
+}
+
+impl From<Fault> for Problem {
+    fn from(fault: Fault) -> Problem {
+        Problem::new(fault.problem, fault.cure)
+    }
+}
+
+/// All bytes of a mesh file, and its extension in small letters.
+pub(super) fn load(file: &Path) -> Result<(Vec<u8>, String), Error> {
+    let bytes = fs::read(file).map_err(|problem| {
+        let cure = "give the path of a readable mesh file, relative to the scene file";
+        Problem::new(problem.to_string(), cure).of(file)
+    })?;
+    let extension = file.extension().unwrap_or_default().to_string_lossy();
+    Ok((bytes, extension.to_lowercase()))
 }
 
 /// Reads a surface, merges vertices at equal positions (STL has no others) and refuses what does not bound a solid.
 pub fn read(file: &Path) -> Result<Surface, Error> {
-    let error = |problem: Problem| {
-        let line = problem.line.map(|line| format!(":{line}"));
-        let what = format!("{}{}", file.display(), line.unwrap_or_default());
-        Error::input(what, problem.problem, problem.cure)
-    };
-    let bytes = fs::read(file).map_err(|problem| {
-        error(Problem::new(
-            problem.to_string(),
-            "give the path of a readable mesh file, relative to the scene file",
-        ))
-    })?;
-    let extension = file
-        .extension()
-        .map(|extension| extension.to_string_lossy().to_lowercase());
-    let surface = match extension.as_deref() {
-        Some("obj") => obj(&bytes),
-        Some("stl") => stl(bytes),
-        Some("ply") => ply(&bytes),
+    let (bytes, extension) = load(file)?;
+    let surface = match extension.as_str() {
+        "obj" => obj(&bytes),
+        "stl" => stl(bytes),
+        "ply" => ply(&bytes),
         _ => Err(Problem::new(
             "unknown kind of mesh file",
             "use .obj, .stl or .ply",
         )),
     }
-    .map_err(error)?
+    .map_err(|problem| problem.of(file))?
     .welded();
     match surface.fault() {
-        Some(fault) => Err(error(Problem::new(fault.problem, fault.cure))),
+        Some(fault) => Err(Problem::from(fault).of(file)),
         None => Ok(surface),
     }
 }
@@ -119,7 +130,7 @@ fn obj(bytes: &[u8]) -> Result<Surface, Problem> {
             )
             .then_some(lines.get()),
             problem: problem.to_string(),
-            cure,
+            cure: cure.into(),
         })?;
     let mut surface = Surface::default();
     for mesh in models.iter().map(|model| &model.mesh) {
@@ -172,7 +183,7 @@ fn ply(bytes: &[u8]) -> Result<Surface, Problem> {
         .map_err(|problem| Problem {
             line: problem.line(),
             problem: problem.to_string(),
-            cure,
+            cure: cure.into(),
         })?;
     let elements = |name: &str| {
         file.payload

@@ -12,17 +12,22 @@ mod icosahedron;
 mod inside;
 mod liquid;
 mod mesh_file;
+mod msh;
 mod surface;
 mod tet_fill;
 mod tet_mesh;
+mod tet_read;
 mod tet_shapes;
+mod vtu;
 
 pub use clip::{Clipping, OpenFractions, Patch, clip, open_fractions};
 pub use inside::inside;
 pub use liquid::{Regions, estimate_markers, initial_state, liquid_distance, seed_markers};
 pub use mesh_file::read as read_mesh;
 pub use surface::{Fault, Surface};
+pub use tet_fill::fill;
 pub use tet_mesh::{ElementShape, TetMesh, solid_meshes};
+pub use tet_read::{TetFile, read as read_tets};
 
 use crate::error::Error;
 use crate::grid::{Axis, Grid};

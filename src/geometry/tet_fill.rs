@@ -10,8 +10,13 @@ use super::tet_mesh::{MAX_ELEMENTS, TetMesh};
 /// Rounds of shrinking. Without any the lattice stands out by half a cell; after 16 hardly a node still moves.
 const SMOOTHING: u32 = 16;
 
-/// Fills a surface without fault. The mesh contains the solid, and is slightly larger.
-pub(super) fn fill(surface: &Surface, cell_size: f64) -> Result<TetMesh, Fault> {
+/// How near to the surface nodes are pulled, in cells. Measured on balls, cubes and cylinders: half the excess volume of parry's 0.15,
+/// elements as good; below it 16 rounds no longer arrive.
+const GUARD: f64 = 0.05;
+
+/// Fills a surface without fault ([`Surface::fault`]) with tetrahedra whose edges are about `cell_size` (m) long. The mesh contains the
+/// solid, and is larger: by about a sixth of a cell all around, less where the surface is flat and the cells are small against it.
+pub fn fill(surface: &Surface, cell_size: f64) -> Result<TetMesh, Fault> {
     let [low, high] = surface.bounds();
     let size = high - low;
     let fault = |problem, cure| Err(Fault { problem, cure });
@@ -33,6 +38,7 @@ pub(super) fn fill(surface: &Surface, cell_size: f64) -> Result<TetMesh, Fault> 
     }
     let parameters = VolumeMeshParameters {
         cover_smoothing: SMOOTHING,
+        cover_guard: GUARD,
         ..VolumeMeshParameters::new(cell_size)
     };
     match volume_mesh(&surface.vertices, &surface.triangles, &parameters) {

@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use super::surface::Fault;
-use super::{mesh_file, tet_fill, tet_shapes};
+use super::{mesh_file, tet_fill, tet_read, tet_shapes};
 use crate::error::Error;
 use crate::scene::{Scene, Solid, SolidMesh};
 
@@ -68,13 +68,7 @@ impl TetMesh {
                 ref file,
                 cell_size,
             } => tet_fill::fill(&mesh_file::read(file)?, cell_size).map_err(error)?,
-            SolidMesh::File { ref file } => {
-                return Err(Error::input(
-                    format!("{what}: {}", file.display()),
-                    "files of tetrahedra are not read yet",
-                    "use a box, a sphere, a shell or a surface",
-                ));
-            }
+            SolidMesh::File { ref file } => tet_read::read(file)?.mesh,
         };
         let centre = match solid.mesh {
             SolidMesh::File { .. } | SolidMesh::Surface { .. } => {
@@ -131,6 +125,20 @@ impl TetMesh {
             .collect();
         single.sort_unstable();
         single.into_iter().map(|place| self.face(place)).collect()
+    }
+
+    /// Number of edges that more than two surface triangles share: there the surface touches itself.
+    pub fn pinched_edges(&self) -> usize {
+        let triangles = self.surface();
+        let ends = triangles
+            .iter()
+            .flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]]);
+        let mut edges: Vec<[u32; 2]> = ends.map(|[a, b]| [a.min(b), a.max(b)]).collect();
+        edges.sort_unstable();
+        edges
+            .chunk_by(|a, b| a == b)
+            .filter(|same| same.len() > 2)
+            .count()
     }
 
     /// Number of parts that share no node.
@@ -272,6 +280,24 @@ impl TetMesh {
             }
         }
         None
+    }
+
+    /// Drops the nodes that no element uses; the others keep their order. Returns the old numbers of those that stay.
+    pub(super) fn drop_unused_nodes(&mut self) -> Vec<usize> {
+        let mut used = vec![false; self.nodes.len()];
+        for &node in self.elements.iter().flatten() {
+            used[node as usize] = true;
+        }
+        let kept: Vec<usize> = (0..used.len()).filter(|&node| used[node]).collect();
+        let mut number = vec![0; used.len()];
+        for (new, &old) in (0..).zip(&kept) {
+            number[old] = new;
+        }
+        for node in self.elements.iter_mut().flatten() {
+            *node = number[*node as usize];
+        }
+        self.nodes = kept.iter().map(|&node| self.nodes[node]).collect();
+        kept
     }
 
     /// Corners of a face, given as 4 * element + opposite corner.

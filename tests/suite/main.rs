@@ -29,6 +29,7 @@ mod solid_buffers;
 mod solid_case;
 mod solid_scene;
 mod solver;
+mod tet_files;
 mod tet_mesh;
 mod twin_advect_markers;
 mod twin_advect_velocity;

@@ -9,7 +9,7 @@ use glam::DVec3;
 
 use crate::common::Random;
 
-fn solid(mesh: SolidMesh) -> Solid {
+pub(crate) fn solid(mesh: SolidMesh) -> Solid {
     Solid {
         name: "body".to_owned(),
         mesh,
@@ -38,15 +38,16 @@ fn cuboid(size: [f64; 3], cells: [usize; 3]) -> SolidMesh {
 }
 
 /// Nodes less edges plus triangles of the surface: 2 for each closed surface without a hole.
-fn euler_characteristic(triangles: &[[u32; 3]]) -> i64 {
+pub(crate) fn euler_characteristic(triangles: &[[u32; 3]]) -> i64 {
     let mut nodes: Vec<u32> = triangles.iter().flatten().copied().collect();
     nodes.sort_unstable();
     nodes.dedup();
     nodes.len() as i64 + triangles.len() as i64 - 3 * triangles.len() as i64 / 2
 }
 
-/// What holds for the mesh of every solid: positive elements, all nodes used, a closed outward surface that encloses them.
-fn assert_sound(mesh: &TetMesh, name: &str) {
+/// What holds for the mesh of every solid: positive elements, all nodes used, a closed outward surface that encloses them. That it
+/// nowhere touches itself holds for all meshes of these tests.
+pub(crate) fn assert_sound(mesh: &TetMesh, name: &str) {
     assert_eq!(mesh.fault(), None, "{name}");
     let mut used = vec![false; mesh.nodes.len()];
     for &element in &mesh.elements {
@@ -59,13 +60,18 @@ fn assert_sound(mesh: &TetMesh, name: &str) {
     let triangles = mesh.surface();
     let mut edges = HashMap::new();
     for &[a, b, c] in &triangles {
-        for edge in [[a, b], [b, c], [c, a]] {
-            assert_eq!(edges.insert(edge, ()), None, "{name}: {edge:?} twice");
+        for [from, to] in [[a, b], [b, c], [c, a]] {
+            let twice = edges.insert([from, to], ());
+            assert_eq!(twice, None, "{name}: from {from} to {to} twice");
         }
     }
-    for &[a, b] in edges.keys() {
-        assert!(edges.contains_key(&[b, a]), "{name}: open at {a}, {b}");
+    for &[from, to] in edges.keys() {
+        assert!(
+            edges.contains_key(&[to, from]),
+            "{name}: open at {from}, {to}"
+        );
     }
+    assert_eq!(mesh.pinched_edges(), 0, "{name}");
     let surface = Surface {
         vertices: mesh.nodes.clone(),
         triangles,
@@ -180,4 +186,86 @@ fn a_shell_of_one_layer_is_close_to_the_hollow_ball_of_the_thesis() {
         cell_size: 0.172,
     });
     assert_eq!((shell.nodes.len(), shell.elements.len()), (984, 2940));
+}
+
+/// Elements as they are, with the nodes of a cube of length 1 and one beside it.
+fn by_hand(elements: &[[u32; 4]]) -> TetMesh {
+    let corner = |bits: u32| {
+        DVec3::new(
+            (bits & 1) as f64,
+            (bits >> 1 & 1) as f64,
+            (bits >> 2) as f64,
+        )
+    };
+    TetMesh {
+        nodes: (0..9).map(corner).collect(),
+        elements: elements.to_vec(),
+    }
+}
+
+#[test]
+fn parts_and_pinches_are_counted() {
+    let element = [0, 1, 2, 4];
+    // With a common face, edge, node, and none.
+    for (other, parts, pinches, triangles) in [
+        ([1, 2, 4, 7], 1, 0, 6),
+        ([1, 2, 3, 7], 1, 1, 8),
+        ([1, 3, 5, 6], 1, 0, 8),
+        ([3, 5, 6, 7], 2, 0, 8),
+    ] {
+        let mut mesh = by_hand(&[element, other]);
+        if mesh.determinant(other) < 0.0 {
+            mesh.elements[1].swap(0, 1);
+        }
+        assert_eq!(mesh.fault(), None, "{other:?}");
+        assert_eq!(mesh.surface().len(), triangles, "{other:?}");
+        assert_eq!(mesh.pinched_edges(), pinches, "{other:?}");
+        // Nodes that no element uses count as parts of their own here.
+        let unused = 9 - [&element[..], &other[..]]
+            .concat()
+            .iter()
+            .collect::<std::collections::HashSet<_>>()
+            .len();
+        assert_eq!(mesh.components(), parts + unused, "{other:?}");
+    }
+}
+
+#[test]
+fn shapes_of_elements_are_known_ones() {
+    let close = |a: f64, b: f64| (a - b).abs() < 1e-12 * b.abs();
+    // Every second corner of a cube.
+    let regular = by_hand(&[[0, 3, 5, 6]]);
+    let shape = regular.shape([0, 3, 5, 6]);
+    let angle = f64::acos(1.0 / 3.0).to_degrees();
+    assert!(close(shape.volume, -1.0 / 3.0), "{shape:?}");
+    assert!(close(shape.mean_ratio, -1.0), "{shape:?}");
+    let shape = regular.shape([0, 5, 3, 6]);
+    assert!(
+        close(shape.volume, 1.0 / 3.0) && close(shape.mean_ratio, 1.0),
+        "{shape:?}"
+    );
+    assert!(
+        close(shape.min_dihedral, angle) && close(shape.max_dihedral, angle),
+        "{shape:?}"
+    );
+    assert!(close(shape.aspect, 1.0), "{shape:?}");
+    // A corner of the cube: three right angles, three with the cosine 1 / sqrt 3; the height on the slanted face is 1 / sqrt 3.
+    let shape = regular.shape([0, 1, 2, 4]);
+    assert!(close(shape.volume, 1.0 / 6.0), "{shape:?}");
+    assert!(
+        close(shape.mean_ratio, 12.0 * 0.25_f64.powf(1.0 / 3.0) / 9.0),
+        "{shape:?}"
+    );
+    assert!(
+        close(
+            shape.min_dihedral,
+            f64::acos(1.0 / 3.0_f64.sqrt()).to_degrees()
+        ),
+        "{shape:?}"
+    );
+    assert!(close(shape.max_dihedral, 90.0), "{shape:?}");
+    assert!(
+        close(shape.aspect, (2.0_f64 / 3.0).sqrt() * 6.0_f64.sqrt()),
+        "{shape:?}"
+    );
 }
