@@ -4,6 +4,7 @@ mod adapters;
 mod bench;
 mod compare;
 mod export;
+mod mesh;
 mod plan;
 mod preview;
 mod run;
@@ -39,6 +40,8 @@ enum Command {
     Compare(compare::Compare),
     /// Write the pressure system of a sub-step for other solvers
     Export(export::Export),
+    /// Check a mesh of a solid, or fill a closed surface: counts, volume, worst element
+    Mesh(mesh::Mesh),
     /// Draw the frames of a run as pictures and an animation
     Preview(preview::Preview),
 }
@@ -114,6 +117,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Bench(command) => command.run(),
         Command::Compare(command) => command.run(),
         Command::Export(command) => command.run(),
+        Command::Mesh(command) => command.run(),
         Command::Preview(command) => command.run(),
     };
     match done {

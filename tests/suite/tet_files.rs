@@ -7,6 +7,7 @@
 use std::f64::consts::TAU;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use cutwater::geometry::{Surface, TetFile, TetMesh, fill, read_tets};
 use cutwater::output::write_mesh;
@@ -768,5 +769,60 @@ fn shapes_that_cannot_be_are_refused() {
         let error = error.to_string();
         assert!(error.starts_with("scene.toml: solid[1]: "), "{error}");
         assert!(error.contains(part), "{mesh:?}: no {part} in {error}");
+    }
+}
+
+// The command
+
+#[test]
+fn the_mesh_command_tells_and_writes() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = |arguments: &[&str]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_cutwater"))
+            .arg("mesh")
+            .args(arguments)
+            .current_dir(folder.path())
+            .output()
+            .unwrap();
+        let text = [output.stdout, output.stderr].concat();
+        (output.status.code(), String::from_utf8(text).unwrap())
+    };
+    let gmsh = data("gmsh_text.msh");
+    let gmsh = gmsh.to_str().unwrap();
+    let (code, said) = run(&[gmsh, "--out", "block.vtu"]);
+    assert_eq!(code, Some(0), "{said}");
+    let worst = read_tets(&data("gmsh_text.msh")).unwrap();
+    let number = worst.numbers[worst.mesh.worst_element().unwrap().0];
+    for part in [
+        "note: 218 elements of fewer dimensions ignored",
+        "85 nodes, 225 tetrahedra, 1 part",
+        "volume 1.855298e0 m^3",
+        "from [0, 0, 0] to [2, 1, 1] m",
+        &format!("worst: element {number}, mean ratio 0."),
+        "written: block.vtu",
+    ] {
+        assert!(said.contains(part), "no {part} in {said}");
+    }
+    let written = read_tets(&folder.path().join("block.vtu")).unwrap();
+    assert_eq!(written.mesh, worst.mesh);
+
+    let faces = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n";
+    fs::write(folder.path().join("tet.obj"), faces).unwrap();
+    let (code, said) = run(&["tet.obj", "--cell-size", "0.2"]);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(
+        said.contains("volume of the surface 1.666667e-1 m^3"),
+        "{said}"
+    );
+    for (arguments, part) in [
+        (&["tet.obj"][..], "--cell-size"),
+        (&["tet.obj", "--cell-size", "-1"], "cell_size is -1 m"),
+        (&["block.vtu", "--cell-size", "1"], "only surfaces"),
+        (&["block.vtu", "--out", "block.obj"], "ends in .vtu"),
+        (&["no.msh"], "readable mesh file"),
+    ] {
+        let (code, said) = run(arguments);
+        assert_eq!(code, Some(2), "{arguments:?}: {said}");
+        assert!(said.contains(part) && said.contains("cure: "), "{said}");
     }
 }

@@ -1,0 +1,148 @@
+//! `cutwater mesh`
+
+use std::path::{Path, PathBuf};
+
+use cutwater::Error;
+use cutwater::geometry::{self, ElementShape, Surface, TetFile, TetMesh};
+use cutwater::output::write_mesh;
+
+/// Check a mesh of a solid, or fill a closed surface: counts, volume, worst element
+#[derive(Debug, clap::Args)]
+pub(super) struct Mesh {
+    /// Tetrahedra (.msh of Gmsh 4.1, .vtu) or a closed surface (.obj, .stl, .ply)
+    file: PathBuf,
+    /// Edges of the tetrahedra that fill a surface, about, m
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
+    cell_size: Option<f64>,
+    /// Write the tetrahedra to this .vtu file
+    #[arg(long, value_name = "FILE.vtu")]
+    out: Option<PathBuf>,
+}
+
+impl Mesh {
+    pub(super) fn run(&self) -> Result<(), Error> {
+        if let Some(out) = &self.out
+            && extension(out) != "vtu"
+        {
+            return Err(Error::input(
+                format!("--out {}", out.display()),
+                "meshes are written as .vtu only",
+                "give a name that ends in .vtu",
+            ));
+        }
+        let file = self.file.display().to_string();
+        let is_surface = ["obj", "stl", "ply"].contains(&extension(&self.file).as_str());
+        let (tets, surface) = match (is_surface, self.cell_size) {
+            (true, None) => {
+                return Err(Error::input(
+                    file,
+                    "a surface, and no --cell-size",
+                    "say how long the edges of the tetrahedra are, m: at most a third of the thinnest part",
+                ));
+            }
+            (false, Some(_)) => {
+                return Err(Error::input(
+                    format!("{file}: --cell-size"),
+                    "only surfaces (.obj, .stl, .ply) are filled",
+                    "leave it out",
+                ));
+            }
+            (true, Some(cell_size)) => {
+                let surface = geometry::read_mesh(&self.file)?;
+                let filled = geometry::fill(&surface, cell_size);
+                let mesh =
+                    filled.map_err(|fault| Error::input(&file, fault.problem, fault.cure))?;
+                let tets = TetFile {
+                    numbers: (0..mesh.elements.len() as u64).collect(),
+                    mesh,
+                    notes: Vec::new(),
+                };
+                (tets, Some(surface))
+            }
+            (false, None) => (geometry::read_tets(&self.file)?, None),
+        };
+        println!("{file}");
+        for note in &tets.notes {
+            println!("  note: {note}");
+        }
+        say_counts(&tets.mesh, surface.as_ref());
+        say_shapes(&tets);
+        if let Some(out) = &self.out {
+            write_mesh(out, &tets.mesh)?;
+            println!("written: {}", out.display());
+        }
+        Ok(())
+    }
+}
+
+fn extension(file: &Path) -> String {
+    let extension = file.extension().unwrap_or_default();
+    extension.to_string_lossy().to_lowercase()
+}
+
+fn say_counts(mesh: &TetMesh, filled: Option<&Surface>) {
+    let triangles = mesh.surface();
+    let boundary = Surface {
+        vertices: mesh.nodes.clone(),
+        triangles,
+    };
+    let parts = match mesh.components() {
+        1 => "1 part".to_owned(),
+        n => format!("{n} parts"),
+    };
+    println!(
+        "  {} nodes, {} tetrahedra, {parts}",
+        mesh.nodes.len(),
+        mesh.elements.len()
+    );
+    println!(
+        "  {} surface triangles, {:.6e} m^2",
+        boundary.triangles.len(),
+        boundary.area()
+    );
+    let pinches = mesh.pinched_edges();
+    if pinches > 0 {
+        println!("  note: the surface touches itself along {pinches} edges");
+    }
+    println!("  volume {:.6e} m^3", mesh.volume());
+    if let Some(surface) = filled {
+        println!(
+            "  volume of the surface {:.6e} m^3: the mesh covers it and is {:.1} % larger",
+            surface.volume(),
+            100.0 * (mesh.volume() / surface.volume() - 1.0)
+        );
+    }
+    let [low, high] = mesh.bounds();
+    println!("  from {low} to {high} m");
+}
+
+fn say_shapes(tets: &TetFile) {
+    let mesh = &tets.mesh;
+    let shapes: Vec<ElementShape> = mesh.elements.iter().map(|&e| mesh.shape(e)).collect();
+    let range = |value: fn(&ElementShape) -> f64| {
+        shapes
+            .iter()
+            .map(value)
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| {
+                [low.min(value), high.max(value)]
+            })
+    };
+    let mean = shapes.iter().map(|s| s.mean_ratio).sum::<f64>() / shapes.len() as f64;
+    let [low, high] = range(|s| s.mean_ratio);
+    println!("  mean ratio {low:.3} to {high:.3}, on average {mean:.3} (1: regular, 0: flat)");
+    let ([least, _], [_, most]) = (range(|s| s.min_dihedral), range(|s| s.max_dihedral));
+    println!("  angles between faces {least:.1} to {most:.1} degrees");
+    let [smallest, largest] = range(|s| s.volume);
+    println!("  volumes of elements {smallest:.3e} to {largest:.3e} m^3");
+    if let Some((worst, shape)) = mesh.worst_element() {
+        println!(
+            "  worst: element {}, mean ratio {:.3}, angles {:.1} to {:.1} degrees, aspect {:.2}, volume {:.3e} m^3",
+            tets.numbers[worst],
+            shape.mean_ratio,
+            shape.min_dihedral,
+            shape.max_dihedral,
+            shape.aspect,
+            shape.volume
+        );
+    }
+}
