@@ -1117,13 +1117,15 @@ fn first_state_has_the_velocity_of_the_regions() {
     assert!(!state.markers.is_empty());
     let v = |face| state.velocity[1][grid.face(Axis::Y, face)];
     assert_eq!(v([4, 5, 4]), drop.y);
-    // Beside a cell of the drop; beyond it; in the pool.
+    // Beside a cell of the drop; as far from it as from the pool, so the last region's; the pool's; beyond two cells.
     assert_eq!(
-        [v([4, 4, 4]), v([4, 3, 4]), v([4, 1, 4])],
-        [drop.y, 0.0, 0.0]
+        [v([4, 4, 4]), v([4, 3, 4]), v([4, 2, 4]), v([0, 7, 0])],
+        [drop.y, drop.y, 0.0, 0.0]
     );
     assert_eq!(state.velocity[0][grid.face(Axis::X, [2, 5, 4])], drop.x);
-    assert_eq!(state.velocity[2][grid.face(Axis::Z, [4, 5, 7])], 0.0);
+    // A cell outside the drop; on a wall, as near.
+    let w = |face| state.velocity[2][grid.face(Axis::Z, face)];
+    assert_eq!([w([4, 5, 7]), w([4, 5, 8])], [drop.z, 0.0]);
     // Fixed: no markers, the regions' distance instead.
     scene.liquid.as_mut().unwrap().surface = scene::Surface::Fixed;
     let state = geometry::initial_state(&scene, &grid, &cut_cells).unwrap();
