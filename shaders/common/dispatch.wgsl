@@ -3,8 +3,12 @@
 const WG_SIZE = 64u;
 const SPLIT = 32768u;
 
+fn group_index(workgroup: vec3<u32>) -> u32 {
+    return workgroup.y * SPLIT + workgroup.x;
+}
+
 fn linear_index(workgroup: vec3<u32>, lane: u32) -> u32 {
-    return (workgroup.y * SPLIT + workgroup.x) * WG_SIZE + lane;
+    return group_index(workgroup) * WG_SIZE + lane;
 }
 
 // Workgroup counts for n threads, as dispatch_workgroups_indirect reads them.

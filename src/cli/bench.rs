@@ -6,12 +6,14 @@ use clap::{Args, Subcommand, ValueEnum};
 use cutwater::Error;
 use cutwater::gpu::Gpu;
 use cutwater::measure::bench_solve::{self, Options};
+use cutwater::measure::bench_sort;
 use cutwater::measure::bench_step;
+use cutwater::measure::table::Machine;
 use cutwater::scene::{Precision, Preconditioner, Scene, Solver};
 
 use super::AdapterArgs;
 
-/// Measure the solve or the whole step
+/// Measure the solve, the whole step, or the sort
 #[derive(Debug, Args)]
 pub(super) struct Bench {
     #[command(subcommand)]
@@ -24,6 +26,26 @@ enum What {
     Solve(Solve),
     /// Whole sub-steps of scenes, stage by stage: step.csv, step_stages.csv, step.json, step.svg
     Step(Step),
+    /// The sort of keys and values on the device, against the length of the list: sort.csv, sort.json
+    Sort(Sort),
+}
+
+#[derive(Debug, Args)]
+struct Sort {
+    /// Entries of the lists
+    #[arg(long, value_delimiter = ',', default_values_t = [10_000, 100_000, 1_000_000])]
+    entries: Vec<usize>,
+    /// Bits of the keys
+    #[arg(long, default_value_t = 32, value_parser = clap::value_parser!(u32).range(1..=32))]
+    bits: u32,
+    /// Timed runs per row
+    #[arg(long, default_value_t = 5)]
+    repeats: usize,
+    /// Folder of the results
+    #[arg(long, default_value = "out/bench_sort")]
+    out: PathBuf,
+    #[command(flatten)]
+    adapter: AdapterArgs,
 }
 
 #[derive(Debug, Args)]
@@ -101,7 +123,42 @@ impl Bench {
         match &self.what {
             What::Solve(solve) => solve.run(),
             What::Step(step) => step.run(),
+            What::Sort(sort) => sort.run(),
         }
+    }
+}
+
+fn tell_machine(machine: &Machine) {
+    println!(
+        "adapter: {}, copy bandwidth {:.1} GB/s",
+        machine.adapter,
+        machine.copy_bandwidth.median * 1e-9
+    );
+}
+
+impl Sort {
+    fn run(&self) -> Result<(), Error> {
+        let gpu = Gpu::new(&self.adapter.choice())?;
+        let options = bench_sort::Options {
+            entries: self.entries.clone(),
+            bits: self.bits,
+            repeats: self.repeats,
+        };
+        println!("  entries  bits  ms (least, largest)  of copy bandwidth");
+        let table = bench_sort::bench_sort(&gpu, &options, &self.out, &mut |row| {
+            println!(
+                "{:9}  {:4}  {:.2} ({:.2}, {:.2})  {:.0} %",
+                row.entries,
+                row.bits,
+                1e3 * row.seconds_median,
+                1e3 * row.seconds_min,
+                1e3 * row.seconds_max,
+                100.0 * row.share_of_copy_bandwidth,
+            );
+        })?;
+        tell_machine(&table.machine);
+        println!("tables: {}", self.out.display());
+        Ok(())
     }
 }
 
@@ -149,11 +206,7 @@ impl Step {
                 pair.scene, pair.ratio, pair.ratio_of_least
             );
         }
-        println!(
-            "adapter: {}, copy bandwidth {:.1} GB/s",
-            table.adapter,
-            table.copy_bandwidth.median * 1e-9
-        );
+        tell_machine(&table.machine);
         println!("tables and picture: {}", self.out.display());
         Ok(())
     }
@@ -194,7 +247,6 @@ impl Solve {
             solvers,
             matrices: self.matrices,
         };
-        println!("adapter: {} ({})", gpu.report().name, gpu.report().kind);
         println!(
             "grid  unknowns  preconditioner precision  iterations  seconds (least, largest)  residual"
         );
@@ -213,10 +265,7 @@ impl Solve {
                 row.status,
             );
         })?;
-        println!(
-            "copy bandwidth: {:.1} GB/s",
-            table.copy_bandwidth.median * 1e-9
-        );
+        tell_machine(&table.machine);
         println!("table and picture: {}", self.out.display());
         Ok(())
     }

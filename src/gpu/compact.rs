@@ -7,7 +7,7 @@
 use super::{Bound, Buffer, BufferPlan, Gpu, Kernel, Pass, Real};
 use crate::Error;
 
-/// Flags that one thread of the count and write kernels looks at; `compact_count.wgsl` has the same constant.
+/// Flags that one thread of the count and write kernels looks at: four times `CHUNK_GROUPS` in `common/compact.wgsl`.
 const CHUNK: usize = 16;
 
 /// The kernels; one set serves any number of [`Compaction`]s.

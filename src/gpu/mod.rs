@@ -12,6 +12,7 @@ mod device;
 mod kernel;
 mod record;
 mod shader;
+mod sort;
 
 pub use buffer::{Buffer, BufferPlan, Readback, RealBuffer};
 pub use compact::{CompactKernels, Compaction, Range};
@@ -19,6 +20,7 @@ pub use device::{AdapterChoice, AdapterReport, Gpu, STORAGE_BUFFERS};
 pub use kernel::{Binding, Bound, Kernel};
 pub use record::{Pass, Recorder, SPLIT, StageTimes, Timer, groups};
 pub use shader::{COMMON, Composed, Real, Source, Variant, WG_SIZE, compose, validate};
+pub use sort::{Entries, Sort, SortKernels, SortPass, TILE};
 
 /// The WGSL file `shaders/NAME.wgsl`, embedded.
 #[macro_export]

@@ -11,15 +11,15 @@ use plotters::prelude::*;
 use serde::Serialize;
 
 use crate::Error;
-use crate::gpu::{AdapterReport, Buffer, Gpu, Real, Recorder};
+use crate::gpu::{Buffer, Gpu, Real, Recorder};
 use crate::grid::Axis;
 use crate::linalg;
 use crate::reference::base_block::{BaseBlock, THETA_FLOOR};
 use crate::scene::{Precision, Preconditioner, Solver};
 use crate::solver::{Everywhere, Outcome, PressureSolver, PressureSystem, SolverBuffers};
 
-use super::bandwidth::copy_bandwidth;
 use super::statistics::Spread;
+use super::table::{Machine, write_csv, write_json};
 
 /// What to measure.
 #[derive(Clone, Debug)]
@@ -80,14 +80,9 @@ pub struct Row {
 /// The table and where it was measured.
 #[derive(Clone, Debug, Serialize)]
 pub struct Table {
-    /// Version of cutwater.
-    pub cutwater: &'static str,
-    /// Adapter.
-    pub adapter: String,
-    /// Driver.
-    pub driver: String,
-    /// Bytes per second of a copy, read and written.
-    pub copy_bandwidth: Spread,
+    /// Where.
+    #[serde(flatten)]
+    pub machine: Machine,
     /// A row per grid and solver.
     pub rows: Vec<Row>,
 }
@@ -146,28 +141,25 @@ pub fn bench_solve(
     tell: &mut dyn FnMut(&Row),
 ) -> Result<Table, Error> {
     fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
-    let copy = copy_bandwidth(gpu, options.repeats)?;
-    let mut rows = Vec::new();
+    let mut table = Table {
+        machine: Machine::new(gpu, options.repeats)?,
+        rows: Vec::new(),
+    };
     for &n in &options.grids {
         let block = BaseBlock::new(n);
         if options.matrices {
             write_matrices(&block, n, out)?;
         }
         for solver in &options.solvers {
-            let row = measure(gpu, &block, solver, options.repeats, copy.median)?;
+            let row = measure(gpu, &block, solver, options.repeats, &table.machine)?;
             tell(&row);
-            rows.push(row);
+            table.rows.push(row);
         }
     }
-    let AdapterReport { name, driver, .. } = gpu.report().clone();
-    let table = Table {
-        cutwater: env!("CARGO_PKG_VERSION"),
-        adapter: name,
-        driver,
-        copy_bandwidth: copy,
-        rows,
-    };
-    write_table(&table, out)?;
+    write_csv(&table.rows, &out.join("solve.csv"))?;
+    write_json(&table, &out.join("solve.json"))?;
+    let path = out.join("solve.svg");
+    draw(&table, &path).map_err(|problem| Error::output(&path, problem))?;
     Ok(table)
 }
 
@@ -199,7 +191,7 @@ fn measure(
     block: &BaseBlock,
     solver: &Solver,
     repeats: usize,
-    copy: f64,
+    machine: &Machine,
 ) -> Result<Row, Error> {
     let grid = &block.grid;
     let padded = grid.padded();
@@ -290,25 +282,8 @@ fn measure(
         residual_v: 0.0,
         cell_iterations_per_second: unknowns * iterations / seconds.median,
         bytes,
-        share_of_copy_bandwidth: bytes / seconds.median / copy,
+        share_of_copy_bandwidth: machine.share_of_copy_bandwidth(bytes, seconds.median),
     })
-}
-
-fn write_table(table: &Table, out: &Path) -> Result<(), Error> {
-    let path = out.join("solve.csv");
-    let mut csv = csv::Writer::from_path(&path).map_err(|problem| Error::output(&path, problem))?;
-    for row in &table.rows {
-        csv.serialize(row)
-            .map_err(|problem| Error::output(&path, problem))?;
-    }
-    csv.flush()
-        .map_err(|problem| Error::output(&path, problem))?;
-    let path = out.join("solve.json");
-    let text =
-        serde_json::to_string_pretty(table).map_err(|problem| Error::output(&path, problem))?;
-    fs::write(&path, text).map_err(|problem| Error::output(&path, problem))?;
-    let path = out.join("solve.svg");
-    draw(table, &path).map_err(|problem| Error::output(&path, problem))
 }
 
 /// Seconds against unknowns, log-log, a line per solver, bars from least to largest.
@@ -331,7 +306,7 @@ fn draw(table: &Table, path: &Path) -> Result<(), Box<dyn std::error::Error>> {
     );
     let mut chart = ChartBuilder::on(&root)
         .caption(
-            format!("Pressure solve, {}", table.adapter),
+            format!("Pressure solve, {}", table.machine.adapter),
             ("sans-serif", 20),
         )
         .margin(12)

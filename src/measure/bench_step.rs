@@ -14,15 +14,15 @@ use serde::Serialize;
 
 use crate::Error;
 use crate::effects::Effects;
-use crate::gpu::{AdapterChoice, AdapterReport};
+use crate::gpu::AdapterChoice;
 use crate::scene::Scene;
 use crate::sim::{Backend, Simulation};
 use crate::stages::extrapolation_layers;
 use crate::state::{LiquidReport, StepReport};
 
-use super::bandwidth::copy_bandwidth;
 use super::bench_solve::bytes_per_iterations;
 use super::statistics::Spread;
+use super::table::{Machine, write_csv, write_json};
 
 /// What to measure.
 #[derive(Clone, Debug)]
@@ -103,14 +103,9 @@ pub struct Pair {
 /// The tables and where they were measured.
 #[derive(Clone, Debug, Serialize)]
 pub struct Table {
-    /// Version of cutwater.
-    pub cutwater: &'static str,
-    /// Adapter.
-    pub adapter: String,
-    /// Driver.
-    pub driver: String,
-    /// Bytes per second of a copy, read and written.
-    pub copy_bandwidth: Spread,
+    /// Where.
+    #[serde(flatten)]
+    pub machine: Machine,
     /// A row per scene and domain.
     pub rows: Vec<Row>,
     /// A row per scene, domain and stage.
@@ -143,7 +138,7 @@ pub fn bench_step(
         interleave(&mut runs, options)?;
         let first = table.rows.len();
         for run in &runs {
-            let (row, stages) = run.rows(table.copy_bandwidth.median);
+            let (row, stages) = run.rows(&table.machine);
             tell(&row);
             table.rows.push(row);
             table.stages.extend(stages);
@@ -164,18 +159,18 @@ pub fn bench_step(
             "give one scene file or more",
         )
     })?;
-    write_table(&table, out)?;
+    write_csv(&table.rows, &out.join("step.csv"))?;
+    write_csv(&table.stages, &out.join("step_stages.csv"))?;
+    write_json(&table, &out.join("step.json"))?;
+    let path = out.join("step.svg");
+    draw(&table, &path).map_err(|problem| Error::output(&path, problem))?;
     Ok(table)
 }
 
 fn empty_table(run: &Run, repeats: usize) -> Result<Table, Error> {
     let gpu = run.simulation.gpu().expect("benches run on the GPU path");
-    let AdapterReport { name, driver, .. } = gpu.report().clone();
     Ok(Table {
-        cutwater: env!("CARGO_PKG_VERSION"),
-        adapter: name,
-        driver,
-        copy_bandwidth: copy_bandwidth(gpu, repeats)?,
+        machine: Machine::new(gpu, repeats)?,
         rows: Vec::new(),
         stages: Vec::new(),
         pairs: Vec::new(),
@@ -253,7 +248,7 @@ impl Run {
         Ok(())
     }
 
-    fn rows(&self, copy: f64) -> (Row, Vec<StageRow>) {
+    fn rows(&self, machine: &Machine) -> (Row, Vec<StageRow>) {
         let median = |value: &dyn Fn(&Sample) -> f64| {
             Spread::of(self.samples.iter().map(value).collect()).median
         };
@@ -282,7 +277,7 @@ impl Run {
                     seconds_min: seconds.min,
                     seconds_max: seconds.max,
                     bytes,
-                    share_of_copy_bandwidth: bytes / seconds.median / copy,
+                    share_of_copy_bandwidth: machine.share_of_copy_bandwidth(bytes, seconds.median),
                 }
             })
             .collect();
@@ -304,7 +299,7 @@ impl Run {
             seconds_min: seconds.min,
             seconds_max: seconds.max,
             bytes,
-            share_of_copy_bandwidth: bytes / seconds.median / copy,
+            share_of_copy_bandwidth: machine.share_of_copy_bandwidth(bytes, seconds.median),
         };
         (row, stages)
     }
@@ -413,26 +408,6 @@ fn interleave(runs: &mut [Run], options: &Options) -> Result<(), Error> {
     Ok(())
 }
 
-fn write_csv<T: Serialize>(rows: &[T], path: &Path) -> Result<(), Error> {
-    let problem = |problem: &dyn std::fmt::Display| Error::output(path, problem);
-    let mut csv = csv::Writer::from_path(path).map_err(|error| problem(&error))?;
-    for row in rows {
-        csv.serialize(row).map_err(|error| problem(&error))?;
-    }
-    csv.flush().map_err(|error| problem(&error))
-}
-
-fn write_table(table: &Table, out: &Path) -> Result<(), Error> {
-    write_csv(&table.rows, &out.join("step.csv"))?;
-    write_csv(&table.stages, &out.join("step_stages.csv"))?;
-    let path = out.join("step.json");
-    let text =
-        serde_json::to_string_pretty(table).map_err(|problem| Error::output(&path, problem))?;
-    fs::write(&path, text).map_err(|problem| Error::output(&path, problem))?;
-    let path = out.join("step.svg");
-    draw(table, &path).map_err(|problem| Error::output(&path, problem))
-}
-
 /// A bar per scene: the stages' medians one above another, and a mark at the wall-clock median.
 fn draw(table: &Table, path: &Path) -> Result<(), Box<dyn std::error::Error>> {
     let width = 360 + 160 * table.rows.len() as u32;
@@ -454,7 +429,10 @@ fn draw(table: &Table, path: &Path) -> Result<(), Box<dyn std::error::Error>> {
     // The right part is for the names of the stages.
     let n = table.rows.len() as f64;
     let mut chart = ChartBuilder::on(&root)
-        .caption(format!("Sub-step, {}", table.adapter), ("sans-serif", 20))
+        .caption(
+            format!("Sub-step, {}", table.machine.adapter),
+            ("sans-serif", 20),
+        )
         .margin(12)
         .x_label_area_size(44)
         .y_label_area_size(70)

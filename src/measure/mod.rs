@@ -2,7 +2,9 @@
 
 pub mod bandwidth;
 pub mod bench_solve;
+pub mod bench_sort;
 pub mod bench_step;
 pub mod compare;
 pub mod export;
 pub mod statistics;
+pub mod table;

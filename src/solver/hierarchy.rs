@@ -12,21 +12,33 @@ const SOLVE_SWEEPS: u32 = 4;
 /// The doppelganger of `Tail` in `shaders/vcycle_tail.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
-pub(super) struct Tail {
-    levels: [Level; TAIL_LEVELS],
-    steps: [Step; TAIL_STEPS],
-    n_steps: u32,
-    pad: [u32; 3],
+pub struct Tail {
+    /// The levels, finest first.
+    pub levels: [Level; TAIL_LEVELS],
+    /// What is done with them, in order.
+    pub steps: [TailStep; TAIL_STEPS],
+    /// How many of the steps are meant.
+    pub n_steps: u32,
+    /// Nothing.
+    pub pad_0: u32,
+    /// Nothing.
+    pub pad_1: u32,
+    /// Nothing.
+    pub pad_2: u32,
 }
 
 /// The doppelganger of `Step` in `shaders/vcycle_tail.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, bytemuck::Pod, bytemuck::Zeroable)]
-struct Step {
-    op: u32,
-    level: u32,
-    omega: f32,
-    pad_0: u32,
+pub struct TailStep {
+    /// `SWEEP`, `RESTRICT` or `PROLONG`.
+    pub op: u32,
+    /// To which level.
+    pub level: u32,
+    /// Relaxation weight.
+    pub omega: f32,
+    /// Nothing.
+    pub pad_0: u32,
 }
 
 const SWEEP: u32 = 0;
@@ -34,9 +46,9 @@ const RESTRICT: u32 = 1;
 const PROLONG: u32 = 2;
 
 /// The part of the V-cycle below `plan.tail`, its first sweep excepted.
-fn tail_steps(n_levels: usize) -> Vec<Step> {
+fn tail_steps(n_levels: usize) -> Vec<TailStep> {
     let last = n_levels - 1;
-    let step = |op: u32, level: usize, omega: f32| Step {
+    let step = |op: u32, level: usize, omega: f32| TailStep {
         op,
         level: level as u32,
         omega,

@@ -35,7 +35,7 @@ mod refine;
 mod system;
 
 pub use components::Components;
-pub use hierarchy::Hierarchy;
+pub use hierarchy::{Hierarchy, Tail, TailStep};
 pub use plan::small_buffers;
 pub use pressure::PressureSolver;
 pub use refine::{Outcome, rounding};

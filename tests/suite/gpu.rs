@@ -2,8 +2,8 @@
 
 use cutwater::Error;
 use cutwater::gpu::{
-    AdapterChoice, Buffer, CompactKernels, Compaction, Gpu, Kernel, Real, RealBuffer, Recorder,
-    SPLIT, Source, compose, groups, validate,
+    AdapterChoice, Buffer, CompactKernels, Compaction, Entries, Gpu, Kernel, Real, RealBuffer,
+    Recorder, SPLIT, Sort, SortKernels, Source, TILE, WG_SIZE, compose, groups, validate,
 };
 
 use crate::common::{Random, gpu};
@@ -82,6 +82,118 @@ fn compaction_of_a_range_leaves_the_rest_alone() {
     );
 }
 
+/// Sorts the first `length` entries of a list of (key, place) on the device.
+fn sort(gpu: &Gpu, keys: &[u32], length: usize, bits: u32) -> (Vec<u32>, Vec<u32>) {
+    let n = keys.len();
+    let values: Vec<u32> = (0..n as u32).collect();
+    let lists = [
+        gpu.buffer_with("test.keys", keys).unwrap(),
+        gpu.buffer_with("test.values", &values).unwrap(),
+        gpu.buffer("test.spare_keys", n).unwrap(),
+        gpu.buffer("test.spare_values", n).unwrap(),
+    ];
+    let [keys, values, spare_keys, spare_values] = &lists;
+    // The lengths of two lists: the second one's counts.
+    let args = [9, 9, 9, 9, 0, 0, 0, length as u32];
+    let args = gpu.buffer_with("test.args", &args).unwrap();
+    let scratch = Sort::scratch("test.scratch", n);
+    let scratch = gpu.buffer(scratch.label, scratch.len).unwrap();
+    let kernels = SortKernels::new(gpu).unwrap();
+    let entries = Entries { keys, values };
+    let spare = Entries {
+        keys: spare_keys,
+        values: spare_values,
+    };
+    let sort = Sort::new(gpu, &kernels, entries, spare, &scratch, (&args, 1), bits).unwrap();
+    let mut recorder = Recorder::new(gpu);
+    recorder.stage("sort", |pass| sort.record(pass));
+    recorder.submit();
+    (gpu.download(keys).unwrap(), gpu.download(values).unwrap())
+}
+
+/// That the device sorts as the standard library's stable sort does, and leaves what is beyond the length alone.
+fn assert_sorted(gpu: &Gpu, what: &str, keys: &[u32], length: usize, bits: u32) {
+    let mask = ((1u64 << bits.next_multiple_of(8)) - 1) as u32;
+    let mut places: Vec<u32> = (0..keys.len() as u32).collect();
+    places[..length].sort_by_key(|&place| keys[place as usize] & mask);
+    let (sorted, values) = sort(gpu, keys, length, bits);
+    assert!(
+        values == places,
+        "{what}, {length} of {} entries",
+        keys.len()
+    );
+    let expected = places.iter().map(|&place| keys[place as usize]);
+    assert!(expected.eq(sorted), "{what}: keys go with their values");
+}
+
+#[test]
+fn sorting_is_stable_and_that_of_the_host() {
+    let Some(gpu) = gpu() else { return };
+    let mut random = Random(5);
+    let wg = WG_SIZE as usize;
+    let lengths = [0, 1, 2, 15, 16, 17, wg - 1, wg, wg + 1];
+    for length in lengths
+        .into_iter()
+        .chain([TILE - 1, TILE, TILE + 1, 70_001])
+    {
+        let keys: Vec<u32> = (0..length).map(|_| random.bits() as u32).collect();
+        assert_sorted(gpu, "all bits", &keys, length, 32);
+        let few: Vec<u32> = keys.iter().map(|key| key % 3).collect();
+        assert_sorted(gpu, "equal keys", &few, length, 2);
+    }
+    let n = 5000u32;
+    assert_sorted(gpu, "one key", &vec![u32::MAX; n as usize], n as usize, 32);
+    assert_sorted(gpu, "sorted", &Vec::from_iter(0..n), n as usize, 13);
+    let reversed = Vec::from_iter((0..n).rev().map(|key| key << 19));
+    assert_sorted(gpu, "reversed", &reversed, n as usize, 32);
+    let keys: Vec<u32> = (0..n).map(|_| random.bits() as u32).collect();
+    assert_sorted(gpu, "a part of the bits", &keys, n as usize, 12);
+    assert_sorted(gpu, "a part of the list", &keys, 3001, 32);
+    assert_sorted(gpu, "nothing of the list", &keys, 0, 32);
+    assert_sorted(gpu, "no bit", &keys, 0, 0);
+}
+
+#[test]
+fn a_million_entries_are_sorted() {
+    let Some(gpu) = gpu() else { return };
+    let mut random = Random(6);
+    let keys: Vec<u32> = (0..1_100_003).map(|_| random.bits() as u32).collect();
+    assert_sorted(gpu, "many", &keys, keys.len(), 32);
+}
+
+/// Above 65,535 workgroups both ways to dispatch go on along y, and kernels fold that back: every thread has its own index.
+#[test]
+fn a_split_dispatch_reaches_every_index_once() {
+    let Some(gpu) = gpu() else { return };
+    let source = Source {
+        name: "fold_back",
+        text: "#import dispatch\n\
+            @group(0) @binding(0) var<storage, read_write> seen: array<u32>;\n\
+            @compute @workgroup_size(WG_SIZE)\n\
+            fn fold_back(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {\n\
+                let ix = linear_index(workgroup, lane);\n\
+                if ix < arrayLength(&seen) { seen[ix] += ix + 1u; }\n\
+            }\n",
+    };
+    let kernel = Kernel::new(gpu, &source, Real::F32).unwrap();
+    let n = 65_540 * WG_SIZE as usize;
+    let seen: Buffer<u32> = gpu.buffer("test.seen", n).unwrap();
+    let bound = kernel.bind(gpu, &[("seen", (&seen).into())]).unwrap();
+    // The dispatch size that the device makes of that many flags.
+    let (list, args) = compact(gpu, &vec![1; n], 0, n);
+    assert_eq!(args[4..], [SPLIT, 3, 1, n as u32], "dispatch size");
+    assert!(Iterator::eq(0..n as u32, list), "list");
+    let args = gpu.buffer_with("test.args", &args).unwrap();
+    let mut recorder = Recorder::new(gpu);
+    recorder.stage("fold_back", |pass| {
+        pass.dispatch(&bound, n);
+        pass.dispatch_indirect(&bound, &args, 1);
+    });
+    recorder.submit();
+    let seen = gpu.download(&seen).unwrap();
+    assert!(Iterator::eq((0..n as u32).map(|ix| 2 * (ix + 1)), seen));
+}
+
 #[test]
 fn dispatches_split_above_the_limit() {
     assert_eq!(groups(0), [0, 1, 1], "nothing");
@@ -90,16 +202,6 @@ fn dispatches_split_above_the_limit() {
     assert!(
         x <= 65_535 && y <= 65_535 && z == 1 && x * y > SPLIT,
         "{x} {y} {z}"
-    );
-}
-
-#[test]
-fn constants_shared_with_shaders_are_equal() {
-    let text = include_str!("../../shaders/common/dispatch.wgsl");
-    assert!(text.contains(&format!("const SPLIT = {SPLIT}u;")), "SPLIT");
-    assert!(
-        text.contains(&format!("const WG_SIZE = {}u;", cutwater::gpu::WG_SIZE)),
-        "WG_SIZE"
     );
 }
 

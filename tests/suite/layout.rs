@@ -1,24 +1,34 @@
-//! Every struct that host and shader share has the same size and the same offsets on both sides.
+//! What host and shader share is the same on both sides: sizes and offsets of structs, values of constants.
 
+use std::fs;
 use std::mem::offset_of;
+use std::path::Path;
 
-use cutwater::gpu::{Range, Real, Source, compose, validate};
+use cutwater::gpu::{Range, Real, SortPass, Source, compose, validate};
 use cutwater::grid::Layout;
 use cutwater::stages::{ProbePoint, SolidStep, Step, Tiles};
 
-/// Compares a WGSL struct with (field, offset) pairs and the size of its Rust doppelganger.
+fn text_of(file: &str) -> Option<String> {
+    fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(file)).ok()
+}
+
+/// `shaders/NAME.wgsl`, or a kernel that imports the module `NAME` and nothing else.
+fn parsed(name: &'static str) -> naga::Module {
+    let kernel = text_of(&format!("shaders/{name}.wgsl"));
+    let import = || format!("#import {name}\n@compute @workgroup_size(1) fn probe() {{}}\n");
+    let text = kernel.unwrap_or_else(import).leak();
+    let composed = compose(&Source { name, text }, Real::F32).unwrap();
+    validate(&composed, Real::F32).unwrap().0
+}
+
+/// Compares a WGSL struct of a kernel or a module with (field, offset) pairs and the size of its Rust doppelganger.
 pub(crate) fn assert_layout(
     module: &'static str,
     name: &str,
     fields: &[(&str, usize)],
     size: usize,
 ) {
-    let text = format!("#import {module}\n@compute @workgroup_size(1) fn probe() {{}}\n");
-    let source = Source {
-        name: "probe",
-        text: text.leak(),
-    };
-    let (module, _) = validate(&compose(&source, Real::F32).unwrap(), Real::F32).unwrap();
+    let module = parsed(module);
     let (_, ty) = module
         .types
         .iter()
@@ -106,4 +116,112 @@ fn tiles_match() {
 fn probe_point_matches() {
     let fields = fields!(ProbePoint: point, kind);
     assert_layout("probe_point", "ProbePoint", fields, size_of::<ProbePoint>());
+}
+
+#[test]
+fn sort_pass_matches() {
+    assert_layout(
+        "sort",
+        "SortPass",
+        fields!(SortPass: shift, args),
+        size_of::<SortPass>(),
+    );
+}
+
+#[test]
+fn tail_matches() {
+    use cutwater::solver::{Tail, TailStep};
+    let fields = fields!(Tail: levels, steps, n_steps, pad_0, pad_1, pad_2);
+    assert_layout("vcycle_tail", "Tail", fields, size_of::<Tail>());
+    let fields = fields!(TailStep: op, level, omega, pad_0);
+    assert_layout("vcycle_tail", "Step", fields, size_of::<TailStep>());
+}
+
+/// The value of a constant of a Rust or WGSL file, private ones too, from its text.
+fn constant(file: &str, name: &str) -> f64 {
+    let text = text_of(file).unwrap_or_else(|| panic!("no file {file}"));
+    let starts = |line: &&str| {
+        let rest = line.split_once(&format!("const {name}"));
+        rest.is_some_and(|(_, rest)| rest.starts_with([':', ' ']))
+    };
+    let line = text.lines().find(starts);
+    let line = line.unwrap_or_else(|| panic!("{file}: no constant {name}"));
+    let value = line.split_once(" = ").unwrap().1.split(';').next().unwrap();
+    let value = value.replace('_', "");
+    let value = value.trim_end_matches('u');
+    match value.strip_prefix("0x") {
+        Some(digits) => f64::from(u32::from_str_radix(digits, 16).unwrap()),
+        None => value
+            .parse()
+            .unwrap_or_else(|_| panic!("{file}: {name} is {value}")),
+    }
+}
+
+/// Constants that have one name on both sides: where the host and the shaders have them.
+const SHARED: &[(&str, &str, &[&str])] = &[
+    ("src/gpu/record.rs", "common/dispatch", &["SPLIT"]),
+    ("src/gpu/shader.rs", "common/dispatch", &["WG_SIZE"]),
+    ("src/gpu/sort.rs", "common/sort", &["TILE", "DIGIT_BITS"]),
+    ("src/stages/band.rs", "common/tiles", &["TILE"]),
+    ("src/stages/report.rs", "common/report", &["DROPPED"]),
+    (
+        "src/solver/mod.rs",
+        "vcycle_tail",
+        &["TAIL_QUADS", "TAIL_LEVELS", "TAIL_STEPS"],
+    ),
+    ("src/solver/mod.rs", "fold_partials", &["FOLD_THREADS"]),
+    (
+        "src/solver/hierarchy.rs",
+        "vcycle_tail",
+        &["SWEEP", "RESTRICT", "PROLONG"],
+    ),
+    (
+        "src/solver/pcg.rs",
+        "common/control",
+        &["UPDATE", "TURN", "BEGIN"],
+    ),
+    (
+        "src/solver/refine.rs",
+        "common/refine",
+        &["NORM_R", "NORM_B", "NORM_TERMS", "SCALE"],
+    ),
+    ("src/solver/refine.rs", "common/pcg_slots", &["GOAL"]),
+    ("src/solver/refine.rs", "refine_turn", &["ROUND_MARGIN"]),
+    (
+        "src/solver/components.rs",
+        "common/components",
+        &["OPEN", "CLOSED"],
+    ),
+];
+
+#[test]
+fn constants_match() {
+    for (file, shader, names) in SHARED {
+        for name in *names {
+            assert_eq!(
+                constant(file, name),
+                constant(&format!("shaders/{shader}.wgsl"), name),
+                "{file} and shaders: {name}"
+            );
+        }
+    }
+}
+
+/// Constants of the shaders that the host has in another form.
+#[test]
+fn derived_constants_match() {
+    let of_shader = |file: &str, name: &str| constant(&format!("shaders/{file}.wgsl"), name);
+    let groups = of_shader("common/compact", "CHUNK_GROUPS");
+    assert_eq!(constant("src/gpu/compact.rs", "CHUNK"), 4.0 * groups);
+    let digits = 2f64.powf(of_shader("common/sort", "DIGIT_BITS"));
+    assert_eq!(of_shader("common/sort", "DIGITS"), digits);
+    let tile = of_shader("common/sort", "RUN") * of_shader("common/dispatch", "WG_SIZE");
+    assert_eq!(of_shader("common/sort", "TILE"), tile);
+    let fold_groups =
+        of_shader("pcg_gate", "FOLD_GROUPS") * of_shader("common/dispatch", "WG_SIZE");
+    assert_eq!(constant("src/solver/mod.rs", "FOLD_THREADS"), fold_groups);
+    // Its workgroups must be allowed everywhere.
+    for (shader, name) in [("common/fold", "FOLD_SIZE"), ("common/scan", "SCAN_SIZE")] {
+        assert_eq!(of_shader(shader, name), 256.0, "{name}");
+    }
 }

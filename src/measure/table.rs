@@ -1,0 +1,71 @@
+//! What the tables of the benches share: where they were measured, and how they are written.
+
+use std::path::Path;
+
+use serde::Serialize;
+
+use crate::Error;
+use crate::gpu::{AdapterReport, Gpu};
+use crate::output::write_atomically;
+
+use super::bandwidth::copy_bandwidth;
+use super::statistics::Spread;
+
+/// Where a table was measured.
+#[derive(Clone, Debug, Serialize)]
+pub struct Machine {
+    /// Version of cutwater.
+    pub cutwater: &'static str,
+    /// Adapter.
+    pub adapter: String,
+    /// Driver.
+    pub driver: String,
+    /// Bytes per second of a copy, read and written.
+    pub copy_bandwidth: Spread,
+}
+
+impl Machine {
+    /// Measures the copy bandwidth.
+    ///
+    /// # Errors
+    /// What the device says.
+    pub fn new(gpu: &Gpu, repeats: usize) -> Result<Machine, Error> {
+        let AdapterReport { name, driver, .. } = gpu.report().clone();
+        Ok(Machine {
+            cutwater: env!("CARGO_PKG_VERSION"),
+            adapter: name,
+            driver,
+            copy_bandwidth: copy_bandwidth(gpu, repeats)?,
+        })
+    }
+
+    /// Bytes per second over the copy bandwidth.
+    pub fn share_of_copy_bandwidth(&self, bytes: f64, seconds: f64) -> f64 {
+        bytes / seconds / self.copy_bandwidth.median
+    }
+}
+
+/// Writes rows with a head line.
+///
+/// # Errors
+/// [`Error::Output`].
+pub(super) fn write_csv<T: Serialize>(rows: &[T], path: &Path) -> Result<(), Error> {
+    let mut csv = csv::Writer::from_writer(Vec::new());
+    for row in rows {
+        csv.serialize(row)
+            .map_err(|error| Error::output(path, error))?;
+    }
+    let bytes = csv
+        .into_inner()
+        .map_err(|error| Error::output(path, error))?;
+    write_atomically(path, &bytes)
+}
+
+/// Writes a table with all that belongs to it.
+///
+/// # Errors
+/// [`Error::Output`].
+pub(super) fn write_json<T: Serialize>(table: &T, path: &Path) -> Result<(), Error> {
+    let text = serde_json::to_vec_pretty(table).map_err(|error| Error::output(path, error))?;
+    write_atomically(path, &text)
+}
