@@ -51,7 +51,10 @@ pub(super) fn probes(
         return Ok(Vec::new());
     };
     let mut probes: Vec<Probe> = Vec::new();
-    let mut taken = BTreeMap::from([("t".to_owned(), "the time".to_owned())]);
+    let mut taken = BTreeMap::from(
+        [("step", "the number of the sub-step"), ("t", "the time")]
+            .map(|(name, what)| (name.to_owned(), what.to_owned())),
+    );
     for place in places.list()? {
         let table = place.table(&PROBE)?;
         let name_place = table.required("name", "name = \"h1\", the column of probes.csv")?;

@@ -12,8 +12,8 @@ use super::probe::probes;
 use super::shape::{placement, shape};
 use super::solid::solids;
 use super::{
-    Domain, Liquid, Obstacle, Output, Placement, Precision, Preconditioner, Region, Scene, Solver,
-    Surface, Time,
+    Domain, Liquid, Obstacle, Output, Placement, Precision, Preconditioner, Region, Scene, Shape,
+    Solid, SolidMesh, Solver, Surface, Time,
 };
 use crate::error::Error;
 
@@ -23,6 +23,15 @@ const MAX_CELLS: f64 = (1u64 << 30) as f64;
 const MAX_CELLS_PER_AXIS: u64 = 1 << 16;
 /// Sides of a domain, m: beyond, squares and cubes of cell sizes leave single precision.
 const SIDES: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
+/// Radii of marker spheres, cells. Markers tell the liquid distance up to two cells away, and air that is nearer than half a
+/// cell to a sphere counts as partly full: from 1.5 on all air would.
+const MARKER_RADII: std::ops::RangeInclusive<f64> = 0.5..=1.2;
+/// Densities, kg/m^3; velocities, m/s, and accelerations, m/s^2, along an axis; frames per second. Far beyond all liquids; what
+/// is computed from them stays in single precision.
+const DENSITIES: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
+const MAX_VELOCITY: f64 = 1e6;
+const MAX_GRAVITY: f64 = 1e6;
+const FRAME_RATES: std::ops::RangeInclusive<f64> = 1e-3..=1e6;
 /// Cells are cubic to this relative difference.
 const CUBIC: f64 = 1e-6;
 /// Most frames: file names have six digits.
@@ -161,6 +170,7 @@ impl Scene {
                 Some(liquid)
             }
         };
+        let obstacles = obstacles(&root, path, &domain)?;
         let scene = Scene {
             name: path
                 .file_stem()
@@ -168,12 +178,17 @@ impl Scene {
                 .to_string_lossy()
                 .into_owned(),
             file: path.to_owned(),
-            hash: hash(&text, overrides, scale),
+            hash: hash(
+                &text,
+                overrides,
+                scale,
+                &mesh_files(liquid.as_ref(), &obstacles, &solids),
+            )?,
             scale,
             overrides: overrides.to_vec(),
             time: time(&root)?,
             solver: solver(&root, liquid.as_ref().map(|liquid| liquid.surface))?,
-            obstacles: obstacles(&root, path, &domain)?,
+            obstacles,
             probes: probes(&root, &domain, liquid.is_some(), &solids)?,
             output: output(&root, liquid.is_some(), !solids.is_empty())?,
             liquid,
@@ -186,20 +201,47 @@ impl Scene {
 }
 
 /// SHA-256 of everything that the scene is made from; lengths keep neighbours apart.
-fn hash(text: &str, overrides: &[String], scale: f64) -> String {
+fn hash(text: &str, overrides: &[String], scale: f64, meshes: &[&Path]) -> Result<String, Error> {
     let mut digest = Sha256::new();
-    for part in std::iter::once(text).chain(overrides.iter().map(String::as_str)) {
+    let mut add = |part: &[u8]| {
         digest.update((part.len() as u64).to_le_bytes());
         digest.update(part);
+    };
+    add(text.as_bytes());
+    overrides.iter().for_each(|part| add(part.as_bytes()));
+    for mesh in meshes {
+        let bytes = std::fs::read(mesh).map_err(|problem| {
+            let cure = "make it a mesh file that can be read";
+            Error::input(mesh.display().to_string(), problem.to_string(), cure)
+        })?;
+        add(&bytes);
     }
     digest.update(scale.to_le_bytes());
-    digest
-        .finalize()
-        .iter()
-        .fold(String::new(), |mut hex, byte| {
-            write!(hex, "{byte:02x}").expect("writing to a string cannot fail");
-            hex
-        })
+    let bytes = digest.finalize();
+    Ok(bytes.iter().fold(String::new(), |mut hex, byte| {
+        write!(hex, "{byte:02x}").expect("writing to a string cannot fail");
+        hex
+    }))
+}
+
+/// The files of all meshes, in the order of the scene.
+fn mesh_files<'a>(
+    liquid: Option<&'a Liquid>,
+    obstacles: &'a [Obstacle],
+    solids: &'a [Solid],
+) -> Vec<&'a Path> {
+    let regions = liquid.into_iter().flat_map(|liquid| &liquid.regions);
+    let shapes = regions.map(|region| &region.shape);
+    let shapes = shapes.chain(obstacles.iter().map(|obstacle| &obstacle.shape));
+    let of_shapes = shapes.filter_map(|shape| match shape {
+        Shape::Mesh { file } => Some(file.as_path()),
+        _ => None,
+    });
+    let of_solids = solids.iter().filter_map(|solid| match &solid.mesh {
+        SolidMesh::File { file } | SolidMesh::Surface { file, .. } => Some(file.as_path()),
+        _ => None,
+    });
+    of_shapes.chain(of_solids).collect()
 }
 
 fn domain(root: &Table, scale: f64) -> Result<Domain, Error> {
@@ -250,7 +292,7 @@ fn domain(root: &Table, scale: f64) -> Result<Domain, Error> {
         ));
     }
     let gravity = match table.get("gravity") {
-        Some(place) => place.vector("gravity in m/s^2")?,
+        Some(place) => bounded(&place, "gravity in m/s^2", MAX_GRAVITY)?,
         None => DVec3::new(0.0, -9.81, 0.0),
     };
     Ok(Domain {
@@ -260,20 +302,39 @@ fn domain(root: &Table, scale: f64) -> Result<Domain, Error> {
     })
 }
 
+/// Three numbers of a magnitude of at most `most`.
+fn bounded(place: &Place, what: &str, most: f64) -> Result<DVec3, Error> {
+    let vector = place.vector(what)?;
+    place.ensure(
+        vector.abs().max_element() <= most,
+        format!(
+            "is {}",
+            list(vector.to_array().map(|part| format!("{part:?}")))
+        ),
+        format!("write {what} with numbers from -{most:e} to {most:e}"),
+    )?;
+    Ok(vector)
+}
+
 fn cubic(size: DVec3, cells: [usize; 3]) -> bool {
     let edges = size / DVec3::from_array(cells.map(|n| n as f64));
     (edges / edges.x - 1.0).abs().max_element() <= CUBIC
 }
 
-/// The counts of cubic cells whose number along x is nearest to what was meant, up to a factor of 4 away.
+/// The counts of cubic cells whose number along x is nearest to what was meant, up to a factor of 4 away. Counts that a domain
+/// may have, if there are any.
 fn cubic_cells(size: DVec3, cells: [usize; 3]) -> Option<[usize; 3]> {
     let edges = size / DVec3::from_array(cells.map(|n| n as f64));
     let wanted = size.x / edges.element_product().cbrt();
-    let candidates = (1..=(4.0 * wanted).ceil() as usize).filter_map(|nx| {
+    let most = (4.0 * wanted).ceil().min(MAX_CELLS_PER_AXIS as f64) as usize;
+    let candidates = (1..=most).filter_map(|nx| {
         let counts = size
             .to_array()
-            .map(|side| (side / size.x * nx as f64).round().max(1.0) as usize);
-        cubic(size, counts).then_some(counts)
+            .map(|side| (side / size.x * nx as f64).round().max(1.0));
+        let allowed = counts.iter().all(|&n| n <= MAX_CELLS_PER_AXIS as f64)
+            && counts.iter().product::<f64>() <= MAX_CELLS;
+        let counts = counts.map(|n| n as usize);
+        (allowed && cubic(size, counts)).then_some(counts)
     });
     candidates.min_by(|a, b| {
         let distance = |counts: &[usize; 3]| (counts[0] as f64 / wanted).ln().abs();
@@ -301,7 +362,15 @@ fn time(root: &Table) -> Result<Time, Error> {
     let duration_place = table.required("duration", "duration = 2.0, in s")?;
     let duration = duration_place.positive("a duration in s")?;
     let frames_per_second = match table.get("frames_per_second") {
-        Some(place) => place.positive("frames per second")?,
+        Some(place) => {
+            let rate = place.positive("frames per second")?;
+            place.ensure(
+                FRAME_RATES.contains(&rate),
+                format!("is {rate:?}"),
+                "use 1e-3 to 1e6; 24 is usual",
+            )?;
+            rate
+        }
         None => 24.0,
     };
     let frames = duration * frames_per_second;
@@ -349,7 +418,16 @@ fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
     let or_solids = format!("{example}, or [[solid]] with name, mesh, density, young and poisson");
     let table = root.required("liquid", &or_solids)?.table(&LIQUID)?;
     let density = match table.get("density") {
-        Some(place) => place.positive("a density in kg/m^3")?,
+        Some(place) => {
+            let density = place.positive("a density in kg/m^3")?;
+            let sound = DENSITIES.contains(&density);
+            place.ensure(
+                sound,
+                format!("is {density:?}"),
+                "use 1e-6 to 1e6 kg/m^3; water has 1000",
+            )?;
+            density
+        }
         None => 1000.0,
     };
     let surface = match table.get("surface") {
@@ -359,8 +437,10 @@ fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
     let marker_radius = match table.get("marker_radius") {
         Some(place) => {
             let radius = place.number("the marker radius in cells")?;
-            let cure = "use 0.5 to 2; half a cell's diagonal, 0.87, covers a cell with one marker";
-            place.ensure((0.5..=2.0).contains(&radius), format!("is {radius}"), cure)?;
+            let cure =
+                "use 0.5 to 1.2; half a cell's diagonal, 0.87, covers a cell with one marker";
+            let sound = MARKER_RADII.contains(&radius);
+            place.ensure(sound, format!("is {radius}"), cure)?;
             radius
         }
         None => 0.87,
@@ -427,9 +507,9 @@ fn region(place: &Place, file: &Path, domain: &Domain) -> Result<Region, Error> 
         subtract: table
             .get("subtract")
             .map_or(Ok(false), |place| place.boolean())?,
-        velocity: table
-            .get("velocity")
-            .map_or(Ok(DVec3::ZERO), |place| place.vector("a velocity in m/s"))?,
+        velocity: table.get("velocity").map_or(Ok(DVec3::ZERO), |place| {
+            bounded(&place, "a velocity in m/s", MAX_VELOCITY)
+        })?,
     })
 }
 

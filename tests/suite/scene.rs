@@ -250,7 +250,12 @@ const REFUSED: &[Case] = &[
     ("size = [2, 1.0, 0.5]", "size = [2, -1.0, 0.5]", 3, "domain.size", &["[2, -1, 0.5]", "1e-6 to 1e6 m"]),
     ("cells = [32, 16, 8]", "cells = [32, 0, 8]", 4, "domain.cells[1]", &["is 0", "from 1"]),
     ("seed = 7", "seed = -7", 15, "liquid.seed", &["is -7", "from 0"]),
-    ("marker_radius = 1.0", "marker_radius = 0.1", 14, "liquid.marker_radius", &["0.5 to 2"]),
+    ("marker_radius = 1.0", "marker_radius = 0.1", 14, "liquid.marker_radius", &["0.5 to 1.2"]),
+    ("marker_radius = 1.0", "marker_radius = 1.3", 14, "liquid.marker_radius", &["is 1.3", "0.5 to 1.2"]),
+    ("density = 800.0", "density = 1e40", 12, "liquid.density", &["is 1e40", "1e-6 to 1e6"]),
+    ("velocity = [1, 0, 0]", "velocity = [1e30, 0, 0]", 19, "liquid.region[0].velocity", &["is [1e30, 0.0, 0.0]", "-1e6 to 1e6"]),
+    ("gravity = [0.0, 0.0, -9.81]", "gravity = [0.0, 0.0, -1e20]", 5, "domain.gravity", &["-1e20", "-1e6 to 1e6"]),
+    ("frames_per_second = 20", "frames_per_second = 1e300", 8, "time.frames_per_second", &["is 1e300", "1e-3 to 1e6"]),
     ("tolerance = 1e-6", "tolerance = 1", 41, "solver.tolerance", &["1e-8 is usual"]),
     ("theta_floor = 0.001", "theta_floor = 0.6", 45, "solver.theta_floor", &["1e-2 is usual", "0.1 with markers"]),
     ("area_clamp = 0", "area_clamp = -0.1", 46, "solver.area_clamp", &["1e-3 is usual"]),
@@ -261,6 +266,7 @@ const REFUSED: &[Case] = &[
     ("cells = [32, 16, 8]", "cells = [32, 16, 9]", 4, "domain.cells", &["not cubic", "use cells = [32, 16, 8]"]),
     ("cells = [32, 16, 8]", "cells = [30, 16, 8]", 4, "domain.cells", &["not cubic", "use cells = [32, 16, 8]"]),
     ("size = [2, 1.0, 0.5]", "size = [2, 1.1415926, 0.5]", 4, "domain.cells", &["not cubic", "use size = [2, 1, 0.5]"]),
+    ("size = [2, 1.0, 0.5]\ncells = [32, 16, 8]", "size = [1e6, 1e-6, 1e-6]\ncells = [65536, 65536, 65536]", 4, "domain.cells", &["not cubic", "use size = "]),
     ("cells = [32, 16, 8]", "cells = [8192, 4096, 2048]", 4, "domain.cells", &["1073741824", "fewer cells"]),
     ("duration = 1.5", "duration = 1e9", 7, "time.duration", &["999999"]),
     ("fixed_step = 0.0125", "fixed_step = 0.013", 10, "time.fixed_step", &["does not divide", "use 0.0125, 4 in a frame"]),
@@ -312,6 +318,7 @@ const REFUSED: &[Case] = &[
     ("name = \"v1\"", "name = \"h1\"", 35, "probe[1].name", &["named \"h1\" too", "another name"]),
     ("name = \"reach\"", "name = \"v1_y\"", 38, "probe[2].name", &["column \"v1_y\"", "probe \"v1\""]),
     ("name = \"h1\"", "name = \"t\"", 32, "probe[0].name", &["the time"]),
+    ("name = \"h1\"", "name = \"step\"", 32, "probe[0].name", &["the number of the sub-step"]),
     ("name = \"h1\"", "name = \"h,1\"", 32, "probe[0].name", &["letters"]),
     ("x = 0.5, z = 0.25", "x = 0.5, z = 0.75", 33, "probe[0].height.z", &["outside the domain", "0 to 0.5 m"]),
     ("point = [0.5, 0.1, 0.25]", "point = [0.5, 1.1, 0.25]", 36, "probe[1].velocity.point", &["outside the domain"]),
@@ -756,6 +763,20 @@ fn scale_multiplies_the_cells_and_keeps_them_cubic() {
     for scale in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e6] {
         assert!(matches!(cells(scale), Err(Error::Input { .. })), "{scale}");
     }
+}
+
+#[test]
+fn the_hash_changes_with_the_mesh_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("good.toml");
+    std::fs::write(&path, GOOD).unwrap();
+    let hash = |mesh: &str| {
+        std::fs::write(folder.path().join("body.stl"), mesh).unwrap();
+        Scene::load(&path, &[], 1.0).unwrap().hash
+    };
+    let once = hash("solid a");
+    assert_ne!(once, hash("solid b"));
+    assert_eq!(once, hash("solid a"));
 }
 
 #[test]
