@@ -1,7 +1,7 @@
 //! Signed distances of the shapes of a scene: exact, negative inside.
 
 use glam::{DMat3, DVec3};
-use parry3d_f64::query::PointQueryWithLocation;
+use parry3d_f64::query::{PointQueryWithLocation, Ray, RayCast};
 use parry3d_f64::shape::{TriMesh, TriMeshFlags};
 use rayon::prelude::*;
 
@@ -13,6 +13,9 @@ use crate::scene::{Obstacle, Placement, Shape};
 
 /// Half the width of the band in which obstacle distances are exact, cells.
 pub(super) const BAND: f64 = 3.0;
+
+/// Most rays that look for the thickness of a mesh.
+const THICKNESS_RAYS: usize = 1024;
 
 /// A shape with its signed distance.
 pub(super) enum Solid {
@@ -187,6 +190,23 @@ fn mesh_distance(mesh: &TriMesh, x: DVec3, reach: f64) -> Option<f64> {
     })
 }
 
+impl Surface {
+    /// As [`Body::thickness`], `mesh` being the same surface.
+    fn thickness(&self, mesh: &TriMesh) -> f64 {
+        let [low, high] = self.bounds();
+        let size = (high - low).length();
+        let every = self.triangles.len().div_ceil(THICKNESS_RAYS);
+        let ways = self.triangles.iter().step_by(every).filter_map(|triangle| {
+            let [a, b, c] = triangle.map(|vertex| self.vertices[vertex as usize]);
+            let inwards = -(b - a).cross(c - a).try_normalize()?;
+            // From just below the triangle, so that it is not hit itself.
+            let start = (a + b + c) / 3.0 + 1e-9 * size * inwards;
+            mesh.cast_local_ray(&Ray::new(start, inwards), size, false)
+        });
+        ways.fold(f64::INFINITY, f64::min)
+    }
+}
+
 /// An obstacle: its boundary and its signed distance.
 pub(super) struct Body {
     /// Its boundary, normals out of the solid.
@@ -249,6 +269,24 @@ impl Body {
     /// What the body adds to the open fraction far outside everything: -1 where it fills the outside.
     pub(super) fn at_infinity(&self) -> f64 {
         if self.inside_out { -1.0 } else { 0.0 }
+    }
+
+    /// Least thickness, m: of a mesh the shortest way from the middle of a triangle straight through to the other side, at
+    /// about a thousand triangles. Infinite for a container.
+    pub(super) fn thickness(&self) -> f64 {
+        let scale = self.placement.scale;
+        match self.solid {
+            _ if self.inside_out => f64::INFINITY,
+            Solid::Box { min, max } => scale * (max - min).min_element(),
+            Solid::Sphere { radius, .. } => scale * 2.0 * radius,
+            Solid::Cylinder {
+                radius,
+                heights: [low, high],
+                ..
+            } => scale * (high - low).min(2.0 * radius),
+            Solid::HalfSpace { .. } | Solid::Wave { .. } => f64::INFINITY,
+            Solid::Mesh(ref mesh) => self.surface.thickness(mesh),
+        }
     }
 
     /// Signed distance at a point, m, of the shape as placed, the right way out. Exact.

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::CutCells;
 use super::distance::Solid;
 use crate::error::Error;
-use crate::grid::{Axis, Grid};
+use crate::grid::{Axis, Grid, trilinear};
 use crate::scene::{Liquid, Scene, Surface};
 use crate::state::State;
 
@@ -90,17 +90,114 @@ impl Regions {
 /// every face beside a cell in it is taken for one with a velocity.
 const VELOCITY_REACH: f64 = 2.0;
 
-/// The regions' distance at all cell centres, m: the liquid of `surface = "fixed"`. Sides on walls are no free surface.
-/// Positive everywhere without a liquid.
+/// The regions' distance at all cell centres, m: the liquid of `surface = "fixed"`. Sides on walls, and those where regions
+/// touch or overlap, are no free surface. At most the sum of the domain's sides either way: a domain that is full has no
+/// surface at all. Positive everywhere without a liquid.
 pub fn liquid_distance(scene: &Scene, grid: &Grid) -> Result<Vec<f64>, Error> {
     let Some(liquid) = &scene.liquid else {
         return Ok(vec![grid.dx; grid.n_cells()]);
     };
-    let regions = Regions::new(liquid)?.beyond_walls(grid);
+    let fixed = FixedSurface {
+        regions: Regions::new(liquid)?.beyond_walls(grid),
+        size: grid.size(),
+        dx: grid.dx,
+    };
+    let far = grid.size().element_sum();
     Ok((0..grid.n_cells())
         .into_par_iter()
-        .map(|cell| regions.distance(grid.cell_centre(grid.cell_at(cell))))
+        .map(|cell| {
+            let x = grid.cell_centre(grid.cell_at(cell));
+            fixed.distance(x).clamp(-far, far)
+        })
         .collect())
+}
+
+/// The regions of `surface = "fixed"`, for the distance to the free part of their surface.
+struct FixedSurface {
+    regions: Regions,
+    size: DVec3,
+    dx: f64,
+}
+
+impl FixedSurface {
+    /// Two sides closer than this to a point, in cells, are one: far above the rounding of a scene's numbers and far below
+    /// anything that a cell can tell.
+    const NEAR: f64 = 1e-6;
+    /// Depth up to which the free part is looked for, cells: what theta and the liquid's volume read is nearer.
+    const DEPTH: f64 = 2.0;
+    /// Depths looked at on the way there.
+    const SHELLS: usize = 8;
+
+    /// Signed distance at a point, m. The regions' own where one region alone makes the surface, or the nearest point of
+    /// their surface has air behind it; the depth below sides that have none is looked for in [`DIRECTIONS`], which meets
+    /// surfaces along the axes exactly and others to about 2 %.
+    fn distance(&self, x: DVec3) -> f64 {
+        let own = self.regions.distance(x);
+        let parts = &self.regions.parts;
+        let alone = parts.len() == 1 && !matches!(parts[0].solid, Solid::Mesh(_));
+        if alone || own <= -Self::DEPTH * self.dx || !self.no_air(x) || self.air_behind(x, own) {
+            return own;
+        }
+        let depth = self.depth(x);
+        // On the free surface itself: air, as beside the seam.
+        if depth > 2.0 * Self::NEAR * self.dx {
+            -depth
+        } else {
+            own.max(0.0)
+        }
+    }
+
+    /// Whether there is no air at a point: beyond the walls, in the liquid, or on a side that has liquid in front and behind.
+    fn no_air(&self, x: DVec3) -> bool {
+        let near = Self::NEAR * self.dx;
+        if x.cmple(DVec3::ZERO).any() || x.cmpge(self.size).any() {
+            return true;
+        }
+        let wet = |x: DVec3| self.regions.distance(x) < 0.0;
+        let between = |&way: &DVec3| wet(x + 10.0 * near * way) && wet(x - 10.0 * near * way);
+        let distance = self.regions.distance(x);
+        distance < 0.0 || (distance <= near && DIRECTIONS.iter().any(between))
+    }
+
+    /// Whether the nearest point of the surface, at the distance `own` (m), has air behind it.
+    fn air_behind(&self, x: DVec3, own: f64) -> bool {
+        let step = 1e-4 * self.dx;
+        let gradient = DVec3::from_array(DVec3::AXES.map(|axis| {
+            self.regions.distance(x + step * axis) - self.regions.distance(x - step * axis)
+        }));
+        own < 0.0
+            && !self.no_air(x + (10.0 * Self::NEAR * self.dx - own) * gradient.normalize_or_zero())
+    }
+
+    /// Depth below the free part of the surface, m, up to two cells.
+    fn depth(&self, x: DVec3) -> f64 {
+        let shell = Self::DEPTH / Self::SHELLS as f64 * self.dx;
+        for number in 1..=Self::SHELLS {
+            let mut depth = number as f64 * shell;
+            let air = |way: &DVec3, depth: f64| !self.no_air(x + depth * *way);
+            let mut found = false;
+            for way in DIRECTIONS.iter() {
+                if !air(way, depth) {
+                    continue;
+                }
+                found = true;
+                let mut low = shell * (number - 1) as f64;
+                // Halves the shell down to the rounding of its depth.
+                for _ in 0..50 {
+                    let middle = 0.5 * (low + depth);
+                    if air(way, middle) {
+                        depth = middle;
+                    } else {
+                        low = middle;
+                    }
+                }
+            }
+            if found {
+                return depth;
+            }
+        }
+        Self::DEPTH * self.dx
+    }
 }
 
 /// Depth below the free part of a region's surface from which on there are markers, cells. Marker spheres of the default
@@ -137,8 +234,10 @@ pub fn seed_markers(
     let Some(liquid) = &scene.liquid else {
         return Ok(Vec::new());
     };
-    let in_solid =
-        |x| !scene.obstacles.is_empty() && sample(grid, &cut_cells.solid_distance, x) < 0.0;
+    let in_solid = |x| {
+        !scene.obstacles.is_empty()
+            && trilinear(grid.cells, &cut_cells.solid_distance, x / grid.dx - 0.5) < 0.0
+    };
     let seeding = Seeding {
         regions: Regions::new(liquid)?,
         size: grid.size(),
@@ -157,6 +256,27 @@ pub fn seed_markers(
         })
         .collect();
     Ok(rows.concat())
+}
+
+/// The regions, by number, that add liquid of which the cells hold nothing: no marker of the first state or, where the surface is
+/// fixed, no centre of a cell lies in them.
+pub fn empty_regions(scene: &Scene, markers: &[[f64; 3]]) -> Result<Vec<usize>, Error> {
+    let Some(liquid) = &scene.liquid else {
+        return Ok(Vec::new());
+    };
+    let grid = scene.grid();
+    let parts = Regions::new(liquid)?.parts;
+    let adding = parts.iter().enumerate().filter(|(_, part)| !part.subtract);
+    let empty = adding.filter(|(_, part)| {
+        let holds = |x: DVec3| part.solid.distance(x) < 0.0;
+        !match liquid.surface {
+            Surface::Markers => markers.par_iter().any(|&x| holds(x.into())),
+            Surface::Fixed => (0..grid.n_cells())
+                .into_par_iter()
+                .any(|cell| holds(grid.cell_centre(grid.cell_at(cell)))),
+        }
+    });
+    Ok(empty.map(|(number, _)| number).collect())
 }
 
 /// Cells that [`estimate_markers`] looks at, about.
@@ -266,34 +386,41 @@ fn scramble(x: u64) -> u64 {
     x ^ (x >> 31)
 }
 
-/// A cell-centred field between the centres, trilinear, constant beyond the outermost.
-fn sample(grid: &Grid, field: &[f64], x: DVec3) -> f64 {
-    let last = DVec3::from_array(grid.cells.map(|n| (n - 1) as f64));
-    let index = (x / grid.dx - 0.5).clamp(DVec3::ZERO, last);
-    let low = index.floor().min((last - 1.0).max(DVec3::ZERO));
-    let t = index - low;
-    let corners = (0..8).map(|corner: usize| {
-        let offset = [corner & 1, corner >> 1 & 1, corner >> 2];
-        let weight: f64 = (0..3)
-            .map(|a| if offset[a] == 1 { t[a] } else { 1.0 - t[a] })
-            .product();
-        let cell = [0, 1, 2].map(|a| (low[a] as usize + offset[a]).min(grid.cells[a] - 1));
-        weight * field[grid.cell(cell)]
-    });
-    corners.sum()
-}
-
 /// The state before the first step: markers or the fixed distance, and on every face the velocity of the region that holds
 /// its centre or the centre of a cell beside it, else that of the nearest region within two cells; 0 on walls and elsewhere.
-/// Volumes are left to the first diagnosis.
+/// Volumes are left to the first diagnosis. Regions in which no cell finds liquid, all of them, are an error.
 pub fn initial_state(scene: &Scene, grid: &Grid, cut_cells: &CutCells) -> Result<State, Error> {
     let mut state = State::at_rest(grid);
     let Some(liquid) = &scene.liquid else {
         return Ok(state);
     };
-    match liquid.surface {
-        Surface::Markers => state.markers = seed_markers(scene, grid, cut_cells)?,
-        Surface::Fixed => state.liquid_distance = liquid_distance(scene, grid)?,
+    let some = match liquid.surface {
+        Surface::Markers => {
+            state.markers = seed_markers(scene, grid, cut_cells)?;
+            !state.markers.is_empty()
+        }
+        Surface::Fixed => {
+            state.liquid_distance = liquid_distance(scene, grid)?;
+            let phi = &state.liquid_distance;
+            Axis::ALL.into_iter().any(|axis| {
+                let open = cut_cells.open[axis.index()].iter().enumerate();
+                open.filter(|(_, open)| **open > 0.0).any(|(face, _)| {
+                    let sides = grid.face_sides(axis, grid.face_at(axis, face));
+                    sides.into_iter().flatten().any(|cell| phi[cell] < 0.0)
+                })
+            })
+        }
+    };
+    if !some {
+        let [nx, ny, nz] = grid.cells;
+        return Err(Error::input(
+            format!("{}: liquid.region", scene.file.display()),
+            format!(
+                "no cell of the {nx} x {ny} x {nz} has liquid: the regions are thinner than about 1.5 cells of {} m, or obstacles cover them",
+                grid.dx
+            ),
+            "use more cells (domain.cells, --scale), larger regions, or smaller obstacles",
+        ));
     }
     if liquid
         .regions

@@ -22,7 +22,9 @@ mod vtu;
 
 pub use clip::{Clipping, OpenFractions, Patch, clip, open_fractions};
 pub use inside::inside;
-pub use liquid::{Regions, estimate_markers, initial_state, liquid_distance, seed_markers};
+pub use liquid::{
+    Regions, empty_regions, estimate_markers, initial_state, liquid_distance, seed_markers,
+};
 pub use mesh_file::read as read_mesh;
 pub use surface::{Fault, Surface};
 pub use tet_fill::fill;
@@ -71,9 +73,13 @@ pub fn cut_cells(scene: &Scene, grid: &Grid) -> Result<CutCells, Error> {
         closure_defect,
     } = open_fractions(grid, start, &clippings);
     if closure_defect > tolerance {
-        return Err(Error::Check(format!(
-            "open areas of the obstacles: a grid line ends {closure_defect:e} from where it starts, allowed {tolerance:e}"
-        )));
+        return Err(Error::input(
+            format!("{}: obstacle", scene.file.display()),
+            format!(
+                "along a grid line the open areas end {closure_defect:e} from where they start, allowed {tolerance:e}: a surface is not closed"
+            ),
+            "repair the surfaces of mesh obstacles, and keep bodies near the domain",
+        ));
     }
     clamp_open(&mut open, scene.solver.area_clamp);
     close_walls(grid, &mut open);
@@ -86,6 +92,19 @@ pub fn cut_cells(scene: &Scene, grid: &Grid) -> Result<CutCells, Error> {
 /// The surfaces of all obstacles, for pictures. Normals point to the liquid.
 pub fn obstacle_surfaces(scene: &Scene, grid: &Grid) -> Result<Vec<Surface>, Error> {
     bodies(scene, grid).map(|body| Ok(body?.surface)).collect()
+}
+
+/// The obstacles thinner than a cell, by number, with their thickness in cells. Liquid leaks through them: the distance between
+/// two centres on both sides of a plate is never negative, so markers do not see it. Containers have no thickness.
+pub fn thin_obstacles(scene: &Scene, grid: &Grid) -> Result<Vec<(usize, f64)>, Error> {
+    let mut thin = Vec::new();
+    for (number, body) in bodies(scene, grid).enumerate() {
+        let thickness = body?.thickness() / grid.dx;
+        if thickness < 1.0 - 1e-6 {
+            thin.push((number, thickness));
+        }
+    }
+    Ok(thin)
 }
 
 fn bodies(scene: &Scene, grid: &Grid) -> impl Iterator<Item = Result<Body, Error>> {

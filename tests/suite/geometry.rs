@@ -1138,3 +1138,67 @@ fn first_state_has_the_velocity_of_the_regions() {
     let state = geometry::initial_state(&scene, &grid, &cut_cells).unwrap();
     assert!(state.markers.is_empty() && state.liquid_distance.iter().all(|&phi| phi > 0.0));
 }
+
+/// A plate 0.3 cells thick, upright and turned, as a box, as a mesh, as a disc; and bodies that are thick enough.
+#[test]
+fn obstacles_thinner_than_a_cell_are_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let obstacle = |shape: Shape, inside_out: bool| Obstacle {
+        shape,
+        placement: Placement {
+            rotate: DMat3::from_axis_angle(DVec3::new(0.6, 0.8, 0.0), 0.7),
+            scale: 0.5,
+            ..Placement::default()
+        },
+        inside_out,
+    };
+    let block = |thickness: f64| {
+        let half = 0.5 * DVec3::new(0.5, thickness, 0.25);
+        (DVec3::splat(0.5) - half, DVec3::splat(0.5) + half)
+    };
+    let mesh = |name: &str, thickness: f64| {
+        let (min, max) = block(thickness);
+        let surface = Surface::cuboid(min, max);
+        let vertices = surface
+            .vertices
+            .iter()
+            .map(|x| format!("v {} {} {}\n", x.x, x.y, x.z));
+        let faces = surface.triangles.iter().map(|t| {
+            let [a, b, c] = t.map(|vertex| vertex + 1);
+            format!("f {a} {b} {c}\n")
+        });
+        let file = folder.path().join(name);
+        fs::write(&file, vertices.chain(faces).collect::<String>()).unwrap();
+        Shape::Mesh { file }
+    };
+    let cuboid = |thickness: f64| {
+        let (min, max) = block(thickness);
+        Shape::Box { min, max }
+    };
+    let disc = |height: f64| Shape::Cylinder {
+        base: DVec3::splat(0.5),
+        axis: DVec3::Z,
+        radius: 0.2,
+        height,
+    };
+    // 16 cells to the metre, half as large: 0.0375 m are 0.3 cells.
+    let mut scene = crate::reference_physics::scene([16; 3], &crate::reference_physics::pool(0.3));
+    scene.obstacles = vec![
+        obstacle(cuboid(0.0375), false),
+        obstacle(cuboid(0.15), false),
+        obstacle(mesh("thin.obj", 0.0375), false),
+        obstacle(mesh("thick.obj", 0.15), false),
+        obstacle(disc(0.0375), false),
+        obstacle(disc(0.15), false),
+        obstacle(cuboid(0.0375), true),
+    ];
+    let thin = geometry::thin_obstacles(&scene, &scene.grid()).unwrap();
+    let numbers: Vec<usize> = thin.iter().map(|(number, _)| *number).collect();
+    assert_eq!(numbers, [0, 2, 4]);
+    for (number, thickness) in thin {
+        assert!(
+            (thickness - 0.3).abs() < 1e-6,
+            "obstacle {number}: {thickness} cells"
+        );
+    }
+}

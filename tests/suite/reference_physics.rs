@@ -1,11 +1,12 @@
 //! Steps of the f64 path against what is known exactly.
 
 use std::fs;
+use std::path::PathBuf;
 
 use cutwater::geometry::{cut_cells, initial_state};
 use cutwater::grid::{Axis, Grid};
 use cutwater::reference::{Reference, TimeStep, probe};
-use cutwater::scene::{ProbeKind, Scene};
+use cutwater::scene::{ProbeKind, Scene, Shape};
 use cutwater::state::{LiquidReport, SolveStatus, State, StepReport};
 use glam::DVec3;
 
@@ -115,7 +116,87 @@ pub(crate) fn rest_cases() -> Vec<(String, Scene)> {
         "half-full sphere".to_string(),
         scene([18, 18, 18], &(pool(0.49) + sphere)),
     ));
+    // Regions that share a side, through cell centres and beside them; that overlap; and a mesh that ends on walls.
+    let fixed = "surface = \"fixed\"\n";
+    let part = |x: [f64; 2], y: [f64; 2]| {
+        format!(
+            "[[liquid.region]]\nbox = {{ min = [{}, {}, 0.0], max = [{}, {}, 1.0] }}\n",
+            x[0], y[0], x[1], y[1]
+        )
+    };
+    for (name, parts) in [
+        (
+            "side through centres",
+            [
+                part([0.0, 0.53125], [0.0, 0.55]),
+                part([0.53125, 1.0], [0.0, 0.55]),
+            ],
+        ),
+        (
+            "side and surface through centres",
+            [
+                part([0.0, 0.53125], [0.0, 0.53125]),
+                part([0.53125, 1.0], [0.0, 0.53125]),
+            ],
+        ),
+        (
+            "side on faces",
+            [
+                part([0.0, 0.5], [0.0, 0.5875]),
+                part([0.5, 1.0], [0.0, 0.5875]),
+            ],
+        ),
+        (
+            "side near centres",
+            [
+                part([0.0, 0.52], [0.0, 0.5875]),
+                part([0.52, 1.0], [0.0, 0.5875]),
+            ],
+        ),
+        (
+            "narrow overlap",
+            [
+                part([0.0, 0.52], [0.0, 0.5875]),
+                part([0.5, 1.0], [0.0, 0.5875]),
+            ],
+        ),
+        (
+            "one on another",
+            [part([0.0, 1.0], [0.0, 0.3]), part([0.0, 1.0], [0.3, 0.61])],
+        ),
+    ] {
+        cases.push((
+            name.to_string(),
+            scene([16, 16, 16], &(fixed.to_string() + &parts.concat())),
+        ));
+    }
+    let mut on_walls = scene(
+        [16, 16, 16],
+        &(fixed.to_string() + &part([0.0, 1.0], [0.0, 0.5])),
+    );
+    let file = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("pool_at_rest.obj");
+    fs::write(&file, block_obj(DVec3::new(1.0, 0.5875, 1.0))).unwrap();
+    on_walls.liquid.as_mut().unwrap().regions[0].shape = Shape::Mesh { file };
+    cases.push(("mesh on walls".to_string(), on_walls));
     cases
+}
+
+/// A block from the origin as the text of an OBJ file.
+fn block_obj(size: DVec3) -> String {
+    let corner = |c: usize| [0, 1, 2].map(|b| size[b] * (c >> b & 1) as f64);
+    let vertices = (0..8)
+        .map(corner)
+        .map(|[x, y, z]| format!("v {x} {y} {z}\n"));
+    let faces = [
+        [1, 3, 4, 2],
+        [5, 6, 8, 7],
+        [1, 2, 6, 5],
+        [3, 7, 8, 4],
+        [1, 5, 7, 3],
+        [2, 4, 8, 6],
+    ];
+    let faces = faces.map(|[a, b, c, d]| format!("f {a} {b} {c} {d}\n"));
+    vertices.chain(faces).collect()
 }
 
 #[test]
@@ -129,10 +210,14 @@ fn water_at_rest_stays_at_rest() {
 fn a_full_box_and_a_full_sphere_rest_and_report_a_closed_component() {
     let sphere =
         "[[obstacle]]\nsphere = { centre = [0.5, 0.5, 0.5], radius = 0.44 }\ninside_out = true\n";
-    for rest in [pool(2.0), pool(2.0) + sphere] {
+    let full =
+        "surface = \"fixed\"\n[[liquid.region]]\nbox = { min = [0, 0, 0], max = [1, 1, 1] }\n";
+    for rest in [pool(2.0), pool(2.0) + sphere, full.to_string()] {
         let scene = scene([12, 12, 12], &rest);
         stays_at_rest("full container", &scene);
         let mut reference = start(&scene);
+        let distances = &reference.state().liquid_distance;
+        assert!(distances.iter().all(|phi| phi.is_finite() && *phi < 0.0));
         let (_, liquid) = step(&mut reference);
         assert_eq!(liquid.closed_components, 1);
         let mean = reference.state().pressure.iter().sum::<f64>() / liquid.solve.unknowns as f64;
