@@ -78,7 +78,7 @@ pub enum Error {
         /// What the device said.
         problem: String,
     },
-    /// A stage of the step failed; the last good state is saved where outputs are on.
+    /// A stage of the step failed; frames and rows written before stay valid.
     #[error("step {step}, stage {stage}: {problem}")]
     Stage {
         /// The stage, by its canonical noun.
@@ -91,7 +91,7 @@ pub enum Error {
     /// A check of the simulator against itself found a breach.
     #[error("check failed: {0}")]
     Check(String),
-    /// The user interrupted; the state is saved.
+    /// The user interrupted; frames and rows written before stay valid.
     #[error("interrupted")]
     Interrupted,
 }

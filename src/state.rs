@@ -139,7 +139,7 @@ pub struct SolidDiagnosis {
 pub struct StepReport {
     /// Length of the sub-step, s.
     pub dt: f64,
-    /// Whether the floor of the step length held it up.
+    /// Whether it was longer than the CFL condition allows: held at the floor of the step length, or fixed.
     pub dt_floored: bool,
     /// The liquid's part, where the scene has liquid.
     pub liquid: Option<LiquidReport>,

@@ -15,12 +15,14 @@ impl Adapters {
             return Gpu::new(&Default::default()).map(|_| ());
         }
         for (index, adapter) in adapters.iter().enumerate() {
-            println!(
+            say!(
                 "{index}: {} ({}, {})",
-                adapter.name, adapter.kind, adapter.backend
+                adapter.name,
+                adapter.kind,
+                adapter.backend
             );
-            println!("   driver {}", adapter.driver);
-            println!(
+            say!("   driver {}", adapter.driver);
+            say!(
                 "   f64 {}, timestamps {}, {} storage buffers per kernel, {} MiB per binding, {} MiB per buffer",
                 yes(adapter.f64),
                 yes(adapter.timestamps),

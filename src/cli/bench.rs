@@ -118,6 +118,9 @@ enum PreconditionerName {
     Jacobi,
 }
 
+/// Cells along an edge of the base block: 2^30 in all at most, as of a scene.
+const GRIDS: std::ops::RangeInclusive<usize> = 2..=1024;
+
 impl Bench {
     pub(super) fn run(&self) -> Result<(), Error> {
         match &self.what {
@@ -129,7 +132,7 @@ impl Bench {
 }
 
 fn tell_machine(machine: &Machine) {
-    println!(
+    say!(
         "adapter: {}, copy bandwidth {:.1} GB/s",
         machine.adapter,
         machine.copy_bandwidth.median * 1e-9
@@ -144,9 +147,9 @@ impl Sort {
             bits: self.bits,
             repeats: self.repeats,
         };
-        println!("  entries  bits  ms (least, largest)  of copy bandwidth");
+        say!("  entries  bits  ms (least, largest)  of copy bandwidth");
         let table = bench_sort::bench_sort(&gpu, &options, &self.out, &mut |row| {
-            println!(
+            say!(
                 "{:9}  {:4}  {:.2} ({:.2}, {:.2})  {:.0} %",
                 row.entries,
                 row.bits,
@@ -157,7 +160,7 @@ impl Sort {
             );
         })?;
         tell_machine(&table.machine);
-        println!("tables: {}", self.out.display());
+        say!("tables: {}", self.out.display());
         Ok(())
     }
 }
@@ -183,11 +186,11 @@ impl Step {
             larger_domain,
             adapter: self.adapter.choice(),
         };
-        println!(
+        say!(
             "scene                       cells  unknowns   markers  sub-steps  ms (least, largest)  of copy bandwidth"
         );
         let table = bench_step::bench_step(&options, &self.out, &mut |row| {
-            println!(
+            say!(
                 "{:24} {:8}  {:8}  {:8}  {:9}  {:.2} ({:.2}, {:.2})  {:.0} %",
                 row.scene,
                 row.cells,
@@ -201,24 +204,33 @@ impl Step {
             );
         })?;
         for pair in &table.pairs {
-            println!(
+            say!(
                 "{}: {:.3} times the seconds in the larger domain ({:.3} for the least)",
-                pair.scene, pair.ratio, pair.ratio_of_least
+                pair.scene,
+                pair.ratio,
+                pair.ratio_of_least
             );
         }
         tell_machine(&table.machine);
-        println!("tables and picture: {}", self.out.display());
+        say!("tables and picture: {}", self.out.display());
         Ok(())
     }
 }
 
 impl Solve {
     fn run(&self) -> Result<(), Error> {
-        if let Some(&grid) = self.grids.iter().find(|&&n| n < 2) {
+        if let Some(&grid) = self.grids.iter().find(|n| !GRIDS.contains(n)) {
             return Err(Error::input(
                 format!("--grids {grid}"),
-                "too few cells",
-                "give grids of at least 2 cells",
+                "too few or too many cells along an edge",
+                "give grids of 2 to 1024 cells",
+            ));
+        }
+        if !(self.tolerance > 0.0 && self.tolerance < 1.0) {
+            return Err(Error::input(
+                format!("--tolerance {}", self.tolerance),
+                "no residual can meet it",
+                "give a number above 0 and below 1, such as 1e-8",
             ));
         }
         let gpu = Gpu::new(&self.adapter.choice())?;
@@ -247,11 +259,11 @@ impl Solve {
             solvers,
             matrices: self.matrices,
         };
-        println!(
+        say!(
             "grid  unknowns  preconditioner precision  iterations  seconds (least, largest)  residual"
         );
         let table = bench_solve::bench_solve(&gpu, &options, &self.out, &mut |row| {
-            println!(
+            say!(
                 "{:4}  {:8}  {:14} {:9}  {:10}  {:.4} ({:.4}, {:.4})  {:.1e} {}",
                 row.grid,
                 row.active_cells,
@@ -266,7 +278,7 @@ impl Solve {
             );
         })?;
         tell_machine(&table.machine);
-        println!("table and picture: {}", self.out.display());
+        say!("table and picture: {}", self.out.display());
         Ok(())
     }
 }

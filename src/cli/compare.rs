@@ -11,7 +11,7 @@ pub(super) struct Compare {
     #[command(flatten)]
     scene: SceneArgs,
     /// Frames to compare, all sub-steps of each
-    #[arg(long, default_value_t = 2)]
+    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u64).range(1..))]
     frames: u64,
     #[command(flatten)]
     adapter: AdapterArgs,
@@ -28,15 +28,22 @@ impl Compare {
 }
 
 fn print(comparison: &Comparison) {
-    println!("adapter: {}", comparison.adapter);
-    println!("{} sub-steps; the worst of all:", comparison.steps);
-    println!(
+    say!("adapter: {}", comparison.adapter);
+    say!("{} sub-steps; the worst of all:", comparison.steps);
+    say!(
         "{:16} {:20} {:>9} {:>9} {:>9} {:>9} {:7} {:>7}  where the ratio is largest",
-        "stage", "quantity", "largest", "RMS", "bound", "ratio", "unit", "excused"
+        "stage",
+        "quantity",
+        "largest",
+        "RMS",
+        "bound",
+        "ratio",
+        "unit",
+        "excused"
     );
     for row in &comparison.rows {
         let Some(worst) = row.worst else { continue };
-        println!(
+        say!(
             "{:16} {:20} {:9.2e} {:9.2e} {:9.2e} {:9.2e} {:7} {:7}  {}{}",
             row.stage,
             row.quantity,

@@ -30,7 +30,7 @@ impl Export {
             out: self.out.clone(),
         };
         let meta = export(&self.scene.load()?, &options)?;
-        println!(
+        say!(
             "{} unknowns, {} entries, residual {:.1e}: {}",
             meta.unknowns,
             meta.entries,

@@ -61,15 +61,15 @@ impl Mesh {
             }
             (false, None) => (geometry::read_tets(&self.file)?, None),
         };
-        println!("{file}");
+        say!("{file}");
         for note in &tets.notes {
-            println!("  note: {note}");
+            say!("  note: {note}");
         }
         say_counts(&tets.mesh, surface.as_ref());
         say_shapes(&tets);
         if let Some(out) = &self.out {
             write_mesh(out, &tets.mesh)?;
-            println!("written: {}", out.display());
+            say!("written: {}", out.display());
         }
         Ok(())
     }
@@ -90,30 +90,30 @@ fn say_counts(mesh: &TetMesh, filled: Option<&Surface>) {
         1 => "1 part".to_owned(),
         n => format!("{n} parts"),
     };
-    println!(
+    say!(
         "  {} nodes, {} tetrahedra, {parts}",
         mesh.nodes.len(),
         mesh.elements.len()
     );
-    println!(
+    say!(
         "  {} surface triangles, {:.6e} m^2",
         boundary.triangles.len(),
         boundary.area()
     );
     let pinches = mesh.pinched_edges();
     if pinches > 0 {
-        println!("  note: the surface touches itself along {pinches} edges");
+        say!("  note: the surface touches itself along {pinches} edges");
     }
-    println!("  volume {:.6e} m^3", mesh.volume());
+    say!("  volume {:.6e} m^3", mesh.volume());
     if let Some(surface) = filled {
-        println!(
+        say!(
             "  volume of the surface {:.6e} m^3: the mesh covers it and is {:.1} % larger",
             surface.volume(),
             100.0 * (mesh.volume() / surface.volume() - 1.0)
         );
     }
     let [low, high] = mesh.bounds();
-    println!("  from {low} to {high} m");
+    say!("  from {low} to {high} m");
 }
 
 fn say_shapes(tets: &TetFile) {
@@ -129,13 +129,13 @@ fn say_shapes(tets: &TetFile) {
     };
     let mean = shapes.iter().map(|s| s.mean_ratio).sum::<f64>() / shapes.len() as f64;
     let [low, high] = range(|s| s.mean_ratio);
-    println!("  mean ratio {low:.3} to {high:.3}, on average {mean:.3} (1: regular, 0: flat)");
+    say!("  mean ratio {low:.3} to {high:.3}, on average {mean:.3} (1: regular, 0: flat)");
     let ([least, _], [_, most]) = (range(|s| s.min_dihedral), range(|s| s.max_dihedral));
-    println!("  angles between faces {least:.1} to {most:.1} degrees");
+    say!("  angles between faces {least:.1} to {most:.1} degrees");
     let [smallest, largest] = range(|s| s.volume);
-    println!("  volumes of elements {smallest:.3e} to {largest:.3e} m^3");
+    say!("  volumes of elements {smallest:.3e} to {largest:.3e} m^3");
     if let Some((worst, shape)) = mesh.worst_element() {
-        println!(
+        say!(
             "  worst: element {}, mean ratio {:.3}, angles {:.1} to {:.1} degrees, aspect {:.2}, volume {:.3e} m^3",
             tets.numbers[worst],
             shape.mean_ratio,

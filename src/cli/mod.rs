@@ -1,5 +1,8 @@
 //! Arguments to one function per command; errors to exit codes.
 
+#[macro_use]
+mod say;
+
 mod adapters;
 mod bench;
 mod compare;
@@ -123,7 +126,7 @@ pub(crate) fn main() -> ExitCode {
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error}");
+            warn!("error: {error}");
             ExitCode::from(error.exit_code())
         }
     }

@@ -1,6 +1,7 @@
 //! `cutwater plan`
 
 use cutwater::Error;
+use cutwater::geometry;
 use cutwater::gpu::{AdapterReport, BufferPlan, Gpu, STORAGE_BUFFERS};
 use cutwater::scene::{Precision, Scene};
 use cutwater::sim::{Backend, Plan};
@@ -19,16 +20,17 @@ pub(super) struct PlanCommand {
 impl PlanCommand {
     pub(super) fn run(&self) -> Result<(), Error> {
         let scene = self.scene.load()?;
+        super::run::say_thin(&geometry::thin_obstacles(&scene, &scene.grid())?);
         match self.backend.backend() {
             Backend::Cpu => {
                 let plan = Plan::new(&scene, None)?;
                 say_scene(&scene, &plan);
                 say_effects(&plan);
-                println!("\nstages of a sub-step, each in f64 on the CPU");
+                say!("\nstages of a sub-step, each in f64 on the CPU");
                 for stage in &plan.stages {
-                    println!("  {}", stage.name);
+                    say!("  {}", stage.name);
                 }
-                println!("\nno kernels, no buffers on a device, no adapter");
+                say!("\nno kernels, no buffers on a device, no adapter");
                 Ok(())
             }
             Backend::Gpu(choice) => {
@@ -46,7 +48,7 @@ impl PlanCommand {
                 say_buffers(&plan);
                 match adapter {
                     Some(adapter) => say_limits(&scene, &plan, &adapter),
-                    None => println!(
+                    None => say!(
                         "\nno adapter was checked: none was found. The plan is for one with f64."
                     ),
                 }
@@ -58,18 +60,18 @@ impl PlanCommand {
 
 fn say_scene(scene: &Scene, plan: &Plan) {
     let [nx, ny, nz] = plan.grid.cells;
-    println!("{}", scene.file.display());
-    println!(
+    say!("{}", scene.file.display());
+    say!(
         "  {nx} x {ny} x {nz} cells of {} m: {}, padded {}",
         plan.grid.dx,
         plan.grid.n_cells(),
         plan.padded_cells
     );
     if plan.n_markers > 0 {
-        println!("  about {} markers", plan.n_markers);
+        say!("  about {} markers", plan.n_markers);
     }
     let frame = 1.0 / scene.time.frames_per_second;
-    println!(
+    say!(
         "  {} frames of {frame:.4} s; first sub-step {:.2e} s, {:.0} a frame",
         scene.n_frames(),
         plan.first_step.dt,
@@ -78,29 +80,29 @@ fn say_scene(scene: &Scene, plan: &Plan) {
 }
 
 fn say_effects(plan: &Plan) {
-    println!("\neffects");
+    say!("\neffects");
     for effect in &plan.effects {
         let present = if effect.present { "yes" } else { "no" };
-        println!("  {:15} {present:4} {}", effect.name, effect.reason);
+        say!("  {:15} {present:4} {}", effect.name, effect.reason);
     }
 }
 
 fn say_stages(plan: &Plan) {
-    println!("\nstages of a sub-step: kernels");
+    say!("\nstages of a sub-step: kernels");
     for stage in &plan.stages {
         let once = if stage.every_step {
             ""
         } else {
             "  (once, before the first sub-step)"
         };
-        println!("  {:15} {}{once}", stage.name, stage.kernels.join(", "));
+        say!("  {:15} {}{once}", stage.name, stage.kernels.join(", "));
     }
 }
 
 fn say_pressure(plan: &Plan) {
-    println!("\npressure\n  {}", plan.pressure);
+    say!("\npressure\n  {}", plan.pressure);
     if plan.host_turns {
-        println!(
+        say!(
             "  the adapter has no f64: the host turns from round to round and moves {} each time",
             mebibytes(plan.bytes_per_turn)
         );
@@ -108,23 +110,23 @@ fn say_pressure(plan: &Plan) {
 }
 
 fn say_buffers(plan: &Plan) {
-    println!("\n{:32} {:>12} {:>14}", "buffers", "elements", "bytes");
+    say!("\n{:32} {:>12} {:>14}", "buffers", "elements", "bytes");
     for buffer in &plan.buffers {
-        println!(
+        say!(
             "  {:30} {:12} {:14}",
             buffer.label,
             buffer.len,
             buffer.bytes()
         );
     }
-    println!(
+    say!(
         "  {:30} {:12} {:14}  ({})",
         "all",
         "",
         plan.bytes(),
         mebibytes(plan.bytes())
     );
-    println!(
+    say!(
         "  {:.1} bytes per padded cell, {:.0} per marker",
         plan.bytes_per_cell(),
         plan.bytes_per_marker()
@@ -132,7 +134,7 @@ fn say_buffers(plan: &Plan) {
 }
 
 fn say_limits(scene: &Scene, plan: &Plan, adapter: &AdapterReport) {
-    println!("\nadapter {} ({})", adapter.name, adapter.kind);
+    say!("\nadapter {} ({})", adapter.name, adapter.kind);
     let largest = plan
         .buffers
         .iter()
@@ -157,28 +159,28 @@ fn say_limits(scene: &Scene, plan: &Plan, adapter: &AdapterReport) {
         } else {
             "TOO SMALL"
         };
-        println!("  {limit:37} needs {needed:12}, allows {allowed:20}: {verdict}");
+        say!("  {limit:37} needs {needed:12}, allows {allowed:20}: {verdict}");
     }
     let mut fits = true;
     if let Err(error) = plan.check(adapter) {
         fits = false;
-        println!("does not fit: {error}");
+        say!("does not fit: {error}");
         let too_large: Vec<&str> = plan
             .buffers
             .iter()
             .filter(|buffer| adapter.check_buffer(buffer.label, buffer.bytes()).is_err())
             .map(|buffer| buffer.label)
             .collect();
-        println!("  too large: {}", too_large.join(", "));
+        say!("  too large: {}", too_large.join(", "));
     }
     if scene.solver.precision == Precision::F64 && !adapter.f64 {
-        println!(
+        say!(
             "does not fit: precision \"f64\" on an adapter without f64\n  cure: use precision \"mixed\", or --backend cpu"
         );
         fits = false;
     }
     if fits {
-        println!("the scene fits; the adapter does not tell how much memory is free");
+        say!("the scene fits; the adapter does not tell how much memory is free");
     }
 }
 

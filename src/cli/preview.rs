@@ -2,6 +2,7 @@
 
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use cutwater::Error;
 use cutwater::output::preview::{self, PreviewOptions, preview};
@@ -39,12 +40,17 @@ impl Preview {
             colour,
             ..PreviewOptions::default()
         };
-        draw(&self.run, &options)
+        draw(&self.run, &options, &AtomicBool::new(false))
     }
 }
 
-/// Draws a run's pictures, behind a progress bar on a terminal, and says where they are.
-pub(super) fn draw(run: &Path, options: &PreviewOptions) -> Result<(), Error> {
+/// Draws a run's pictures, behind a progress bar on a terminal, and says where they are. A true `interrupt` ends it after the
+/// picture at work.
+pub(super) fn draw(
+    run: &Path,
+    options: &PreviewOptions,
+    interrupt: &AtomicBool,
+) -> Result<(), Error> {
     let bar = ProgressBar::no_length();
     if !std::io::stderr().is_terminal() {
         bar.set_draw_target(ProgressDrawTarget::hidden());
@@ -52,15 +58,16 @@ pub(super) fn draw(run: &Path, options: &PreviewOptions) -> Result<(), Error> {
     let report = preview(run, options, &mut |done, all| {
         bar.set_length(all as u64);
         bar.set_position(done as u64);
+        !interrupt.load(Ordering::Relaxed)
     })?;
     bar.finish_and_clear();
-    println!(
+    say!(
         "{} pictures: {}",
         report.pictures.len(),
         run.join("preview").display()
     );
     if let Some(animation) = report.animation {
-        println!("animation: {}", animation.display());
+        say!("animation: {}", animation.display());
     }
     Ok(())
 }

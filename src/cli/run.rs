@@ -42,7 +42,13 @@ impl Run {
             .unwrap_or_else(|| PathBuf::from("out").join(&scene.name));
         let interrupt = Arc::new(AtomicBool::new(false));
         let flag = Arc::clone(&interrupt);
-        ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed)).map_err(|problem| {
+        let stop = move || {
+            // The first signal ends the run where its files are whole, the second at once.
+            if flag.swap(true, Ordering::Relaxed) {
+                std::process::exit(Error::Interrupted.exit_code().into());
+            }
+        };
+        ctrlc::set_handler(stop).map_err(|problem| {
             Error::input(
                 "the interrupt handler",
                 problem.to_string(),
@@ -74,7 +80,7 @@ impl Run {
                 );
             }
             if !terminal && progress.frame > last_frame {
-                println!("frame {} of {}: {line}", progress.frame, progress.n_frames);
+                say!("frame {} of {}: {line}", progress.frame, progress.n_frames);
                 last_frame = progress.frame;
             }
             bar.set_message(line);
@@ -84,7 +90,7 @@ impl Run {
         let summary = outcome.inspect_err(|error| {
             // Not where the run was refused: what is in the folder then is another's.
             if matches!(error.exit_code(), 4 | 130) && out.join("frames").exists() {
-                eprintln!("what was written so far is in {}", out.display());
+                warn!("what was written so far is in {}", out.display());
             }
         })?;
         let volume = summary
@@ -93,27 +99,55 @@ impl Run {
                 let [least, largest] = [100.0 * least, 100.0 * largest];
                 format!("; volume {least:.1} % to {largest:.1} % of the start")
             });
-        println!(
+        say!(
             "{} frames in {} sub-steps, {:.1} s; worst residual {:.1e}{volume}",
-            summary.frames, summary.steps, summary.seconds, summary.worst_residual,
+            summary.frames,
+            summary.steps,
+            summary.seconds,
+            summary.worst_residual,
         );
         if summary.missed > 0 {
-            eprintln!(
+            warn!(
                 "warning: {} of {} sub-steps missed the tolerance of {:.0e}; steps.csv says which",
                 summary.missed, summary.steps, scene.solver.tolerance
             );
         }
-        if summary.floored > 0 {
-            eprintln!(
-                "warning: {} sub-steps were held at 1/256 of a frame",
-                summary.floored
+        if summary.dropped > 0 {
+            warn!(
+                "warning: {} markers were lost in obstacles; steps.csv says when",
+                summary.dropped
             );
         }
-        println!("frames: {}", out.join("frames").display());
+        for region in summary.empty_regions {
+            warn!(
+                "warning: liquid.region[{region}] is too small for the cells, or covered: it has no liquid"
+            );
+        }
+        say_thin(&summary.thin_obstacles);
+        if summary.floored > 0 {
+            let cause = match scene.time.fixed_step {
+                Some(_) => "time.fixed_step is too long for these velocities",
+                None => "a frame has at most 256",
+            };
+            warn!(
+                "warning: in {} of {} sub-steps something crossed more than {} cells: {cause}; steps.csv says in which",
+                summary.floored, summary.steps, scene.time.cfl
+            );
+        }
+        say!("frames: {}", out.join("frames").display());
         if self.preview {
-            super::preview::draw(&out, &PreviewOptions::default())?;
+            super::preview::draw(&out, &PreviewOptions::default(), &interrupt)?;
         }
         Ok(())
+    }
+}
+
+/// Warns of obstacles that liquid leaks through.
+pub(super) fn say_thin(obstacles: &[(usize, f64)]) {
+    for (number, thickness) in obstacles {
+        warn!(
+            "warning: obstacle[{number}] is {thickness:.2} cells thick: liquid leaks through it; use more cells or a thickness of at least one"
+        );
     }
 }
 

@@ -233,7 +233,7 @@ fn solid_fields(step: u64, solid: &SolidReport) -> Result<Vec<String>, Error> {
     ])
 }
 
-/// probes.csv. Columns: `t` (s), then the [`Probe::columns`] of each probe.
+/// probes.csv. Columns: `step` and `t` (s) as in steps.csv, then the [`Probe::columns`] of each probe.
 #[derive(Debug)]
 pub struct ProbeTable {
     table: Table,
@@ -245,18 +245,19 @@ impl ProbeTable {
     pub fn create(run: &Path, probes: &[Probe]) -> Result<ProbeTable, Error> {
         let columns: Vec<String> = probes.iter().flat_map(Probe::columns).collect();
         let mut table = Table::create(run.join("probes.csv"))?;
-        table.record(std::iter::once("t".to_owned()).chain(columns.iter().cloned()))?;
+        let first = ["step", "t"].map(str::to_owned);
+        table.record(first.into_iter().chain(columns.iter().cloned()))?;
         Ok(ProbeTable { table, columns })
     }
 
-    /// Appends the values of all columns at a time (s). `step` is for the error where one is not finite.
+    /// Appends the values of all columns after a sub-step, numbered from 0, at a time (s).
     pub fn push(&mut self, step: u64, time: f64, values: &[f64]) -> Result<(), Error> {
         assert_eq!(
             values.len(),
             self.columns.len(),
             "one value for each column of probes.csv"
         );
-        let mut fields = vec![number("t", step, time)?];
+        let mut fields = vec![step.to_string(), number("t", step, time)?];
         for (column, &value) in self.columns.iter().zip(values) {
             fields.push(number(&format!("probe {column}"), step, value)?);
         }

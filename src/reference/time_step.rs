@@ -14,14 +14,15 @@ const ROUNDING: f64 = 1e-9;
 pub struct TimeStep {
     /// s
     pub dt: f64,
-    /// Whether the velocities asked for less than 1/256 of a frame.
+    /// Whether the velocities asked for less: than 1/256 of a frame, or than a fixed step.
     pub floored: bool,
 }
 
 /// dt_cfl = cfl dx / max(speed, sqrt(|g| dx)); dt = T / ceil(T / min(dt_cfl, 1.5 dt_last)), at least about frame / 256.
 ///
 /// `speed`: largest magnitude of a face velocity component, m/s; `fall`: sqrt(|g| dx), m/s; `time_left`: T to the next frame,
-/// s; `dt_last`: 0 before the first step. A fixed step divides T into equal parts of about its length.
+/// s; `dt_last`: 0 before the first step. A fixed step divides T into equal parts of about its length, however fast the liquid
+/// is.
 pub fn time_step(
     time: &Time,
     dx: f64,
@@ -31,9 +32,10 @@ pub fn time_step(
     dt_last: f64,
 ) -> TimeStep {
     if let Some(fixed) = time.fixed_step {
+        let dt = time_left / (time_left / fixed).round().max(1.0);
         return TimeStep {
-            dt: time_left / (time_left / fixed).round().max(1.0),
-            floored: false,
+            dt,
+            floored: speed * dt > time.cfl * dx * (1.0 + ROUNDING),
         };
     }
     let floor = 1.0 / (time.frames_per_second * LARGEST_COUNT);

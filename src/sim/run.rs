@@ -57,15 +57,21 @@ pub struct Summary {
     pub worst_residual: f64,
     /// Least and largest liquid volume over the volume at the start, where there is liquid.
     pub volume_ratio: Option<[f64; 2]>,
-    /// Sub-steps held up by the floor of the step length.
+    /// Sub-steps longer than the CFL condition allows.
     pub floored: u64,
+    /// Markers lost in obstacles.
+    pub dropped: u64,
+    /// Liquid regions, by number, that are too small or too well covered for the cells to hold any of their liquid.
+    pub empty_regions: Vec<usize>,
+    /// Obstacles thinner than a cell: their number, and their thickness in cells.
+    pub thin_obstacles: Vec<(usize, f64)>,
 }
 
 /// Runs a scene into a folder. `progress` hears of every sub-step; a true `interrupt` ends the run after the sub-step.
 ///
 /// # Errors
-/// [`Error::Input`] when the folder holds an earlier run, [`Error::Interrupted`], and whatever the simulation ends with; the
-/// manifest then says so and all frames written stay valid.
+/// [`Error::Input`] when the folder holds an earlier run, or something that is none and is to be overwritten,
+/// [`Error::Interrupted`], and whatever the simulation ends with; the manifest then says so and all frames written stay valid.
 pub fn run(
     scene: &Scene,
     options: &Options,
@@ -73,16 +79,29 @@ pub fn run(
     interrupt: &AtomicBool,
 ) -> Result<Summary, Error> {
     let earlier_run = options.out.join("manifest.json").exists();
-    if earlier_run && !options.overwrite {
-        return Err(Error::input(
-            options.out.display().to_string(),
-            "the folder holds an earlier run",
-            "choose another folder with --out, or replace the run with --overwrite",
-        ));
-    }
+    let earlier_run = match (earlier_run, options.overwrite) {
+        (true, true) => Some(Manifest::read(&options.out).map_err(|error| {
+            Error::input(
+                options.out.display().to_string(),
+                format!("manifest.json is not of a run that this version can replace: {error}"),
+                "choose another folder with --out, or remove this one by hand",
+            )
+        })?),
+        (true, false) => {
+            return Err(Error::input(
+                options.out.display().to_string(),
+                "the folder holds an earlier run",
+                "choose another folder with --out, or replace the run with --overwrite",
+            ));
+        }
+        (false, _) => None,
+    };
     let mut simulation = Simulation::new(scene, &options.backend)?;
+    if interrupt.load(Ordering::Relaxed) {
+        return Err(Error::Interrupted);
+    }
     // Only now: a scene that does not fit the adapter must not cost the earlier run.
-    prepare_folder(&options.out, earlier_run)?;
+    prepare_folder(&options.out, earlier_run.as_ref())?;
     let n_frames = options.frames.unwrap_or_else(|| scene.n_frames());
     let run_options = RunOptions {
         backend: options.backend.name().to_owned(),
@@ -119,20 +138,42 @@ pub fn run(
 }
 
 /// Makes the folder, and takes the earlier run out of it: its frames would mix with the new ones.
-fn prepare_folder(out: &Path, earlier_run: bool) -> Result<(), Error> {
-    if earlier_run {
-        for part in ["frames", "preview"].map(|part| out.join(part)) {
-            if part.exists() {
-                fs::remove_dir_all(&part).map_err(|problem| Error::output(&part, problem))?;
-            }
-        }
-        for part in ["steps.csv", "probes.csv"].map(|part| out.join(part)) {
-            if part.exists() {
-                fs::remove_file(&part).map_err(|problem| Error::output(&part, problem))?;
-            }
+fn prepare_folder(out: &Path, earlier_run: Option<&Manifest>) -> Result<(), Error> {
+    if let Some(Manifest { scene, .. }) = earlier_run {
+        let table = |name: &str| name == "steps.csv" || name == "probes.csv";
+        remove(out, &table)?;
+        let of_run = |name: &str| {
+            let kind = Path::new(name).extension().and_then(|kind| kind.to_str());
+            let rest = name.strip_prefix(&scene.name);
+            rest.is_some_and(|rest| rest.starts_with(['_', '.']))
+                && matches!(kind, Some("vtp" | "vti" | "vtu" | "pvd" | "png"))
+        };
+        for folder in ["frames", "preview"] {
+            remove(&out.join(folder), &of_run)?;
         }
     }
     fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))
+}
+
+/// Removes the files of a folder, if there is one, whose names are meant, and the folder where nothing is left of it.
+fn remove(folder: &Path, meant: &dyn Fn(&str) -> bool) -> Result<(), Error> {
+    let Ok(entries) = fs::read_dir(folder) else {
+        return Ok(());
+    };
+    let mut left = false;
+    for entry in entries {
+        let entry = entry.map_err(|problem| Error::output(folder, problem))?;
+        if entry.file_name().to_str().is_some_and(meant) {
+            let path = entry.path();
+            fs::remove_file(&path).map_err(|problem| Error::output(&path, problem))?;
+        } else {
+            left = true;
+        }
+    }
+    if left {
+        return Ok(());
+    }
+    fs::remove_dir(folder).map_err(|problem| Error::output(folder, problem))
 }
 
 fn frames(
@@ -168,6 +209,9 @@ fn frames(
         worst_residual: 0.0,
         volume_ratio: scene.liquid.as_ref().map(|_| [1.0; 2]),
         floored: 0,
+        dropped: 0,
+        empty_regions: geometry::empty_regions(scene, &simulation.state()?.markers)?,
+        thin_obstacles: geometry::thin_obstacles(scene, &scene.grid())?,
     };
     while simulation.clock().frame < n_frames {
         let before = simulation.clock().frame;
@@ -198,6 +242,7 @@ fn frames(
             *largest = largest.max(ratio);
         }
         summary.floored += u64::from(report.dt_floored);
+        summary.dropped += report.liquid.map_or(0, |liquid| liquid.dropped);
         if clock.frame > before {
             summary.frames += 1;
             steps.flush()?;

@@ -141,6 +141,16 @@ fn wrong_arguments_are_bad_input() {
     assert!(complains(&folder, "run dam.toml --ouut x", 2).contains("--out"));
     assert!(complains(&folder, "walk dam.toml", 2).contains("walk"));
     assert!(complains(&folder, "run dam.toml --backend tpu", 2).contains("cpu"));
+    for (arguments, expected) in [
+        ("compare dam.toml --frames 0", "--frames"),
+        ("bench solve --grids 1", "2 to 1024 cells"),
+        ("bench solve --grids 8,1025", "2 to 1024 cells"),
+        ("bench solve --tolerance nan", "above 0 and below 1"),
+        ("bench solve --tolerance=-1", "above 0 and below 1"),
+    ] {
+        let message = complains(&folder, arguments, 2);
+        assert!(message.contains(expected), "{arguments}: {message}");
+    }
 }
 
 #[test]
@@ -251,6 +261,8 @@ fn a_run_writes_what_the_page_says() {
     assert_eq!(times.last(), Some(&(2.0 / 24.0)));
     assert!(times.is_sorted() && times.len() >= 2, "{times:?}");
     assert_eq!(column(&run.join("probes.csv"), "t"), times);
+    let numbers = column(&run.join("steps.csv"), "step");
+    assert_eq!(column(&run.join("probes.csv"), "step"), numbers);
     let fronts = column(&run.join("probes.csv"), "front");
     assert!(
         fronts.iter().all(|front| (0.45..0.75).contains(front)),
@@ -355,6 +367,100 @@ fn without_an_adapter_the_cure_is_named() {
         "a run was begun"
     );
     assert_eq!(list(&run.join("frames")), frames, "the earlier run");
+}
+
+/// What no run has written stays, and a folder that is no run's is not touched.
+#[test]
+fn overwriting_removes_a_run_and_nothing_else() {
+    let folder = folder(DAM);
+    let run = folder.path().join("out/dam");
+    fs::create_dir_all(run.join("frames")).unwrap();
+    fs::write(run.join("manifest.json"), "{\"my\": 1}").unwrap();
+    fs::write(run.join("frames/mine.txt"), "mine").unwrap();
+    let again = "run dam.toml --backend cpu --overwrite --frames 1";
+    let message = complains(&folder, again, 2);
+    assert!(
+        message.contains("manifest.json") && message.contains("--out"),
+        "{message}"
+    );
+    assert!(run.join("frames/mine.txt").exists());
+    fs::remove_file(run.join("manifest.json")).unwrap();
+    says(&folder, "run dam.toml --backend cpu --frames 3");
+    says(&folder, again);
+    assert_eq!(
+        list(&run.join("frames")),
+        [
+            "dam_000000.vtp",
+            "dam_000001.vtp",
+            "dam_markers.pvd",
+            "mine.txt"
+        ]
+    );
+}
+
+#[test]
+fn a_scene_without_any_liquid_is_refused_and_little_is_told() {
+    let region = |number: usize, max: &str| {
+        format!("[[liquid.region]]\nbox = {{ min = [0.{number}, 0, 0], max = {max} }}\n")
+    };
+    let head = DAM.split("[[liquid.region]]").next().unwrap();
+    let none = folder(&(head.to_string() + &region(0, "[1.5, 0.03, 0.5]")));
+    for surface in ["markers", "fixed"] {
+        let arguments = format!("run dam.toml --backend cpu --set liquid.surface={surface}");
+        let message = complains(&none, &arguments, 2);
+        let parts = ["dam.toml: liquid.region", "no cell", "use more cells"];
+        assert!(parts.iter().all(|part| message.contains(part)), "{message}");
+    }
+    let plate = "[[obstacle]]\nbox = { min = [1.2, 0, 0], max = [1.22, 1, 0.5] }\n";
+    let text = head.to_string() + &region(0, "[0.5, 0.75, 0.5]") + &region(9, "[1.0, 0.03, 0.5]");
+    let little = folder(&(text + plate));
+    let done = ends(
+        cutwater(&little, "run dam.toml --backend cpu --frames 1"),
+        0,
+    );
+    let told = String::from_utf8(done.stderr).unwrap();
+    assert!(told.contains("liquid.region[1] is too small"), "{told}");
+    assert!(!told.contains("liquid.region[0]"), "{told}");
+    assert!(told.contains("obstacle[0] is 0.32 cells thick"), "{told}");
+    let plan = ends(cutwater(&little, "plan dam.toml --backend cpu"), 0);
+    let told = String::from_utf8(plan.stderr).unwrap();
+    assert!(told.contains("obstacle[0] is 0.32 cells thick"), "{told}");
+}
+
+#[test]
+fn a_fixed_step_too_long_is_told() {
+    let folder = folder(DAM);
+    let fast = "run dam.toml --backend cpu --frames 1 --set liquid.region[0].velocity=[12,0,0] --set time.fixed_step=0.041666666666666664";
+    let told = String::from_utf8(ends(cutwater(&folder, fast), 0).stderr).unwrap();
+    assert!(
+        told.contains("in 1 of 1 sub-steps something crossed more than 3 cells"),
+        "{told}"
+    );
+    assert_eq!(
+        column(&folder.path().join("out/dam/steps.csv"), "dt_floored"),
+        [1.0]
+    );
+}
+
+/// As before a `head -1`: who reads has enough after a line, the run goes on.
+#[test]
+fn a_reader_that_leaves_does_not_end_a_run() {
+    use std::io::{BufRead, BufReader};
+
+    let folder = folder(DAM);
+    let mut child = cutwater(&folder, "run dam.toml --backend cpu")
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut line = String::new();
+    let mut reader = BufReader::new(child.stdout.take().unwrap());
+    reader.read_line(&mut line).unwrap();
+    drop(reader);
+    assert!(line.starts_with("frame 1 of 6"), "{line}");
+    assert_eq!(child.wait().unwrap().code(), Some(0));
+    let manifest = manifest(&folder.path().join("out/dam"));
+    assert_eq!(manifest["progress"]["status"], "finished");
 }
 
 #[cfg(unix)]

@@ -523,12 +523,12 @@ fn tables_read_back_exactly() {
         probe("front", ProbeKind::Front { axis: 0 }),
     ];
     let mut table = ProbeTable::create(run.path(), &probes).unwrap();
-    table.push(0, 0.1, &[1.0, 2.0, -3.0, 4e-12, 5.0]).unwrap();
+    table.push(7, 0.1, &[1.0, 2.0, -3.0, 4e-12, 5.0]).unwrap();
     table.flush().unwrap();
     let mut reader = csv::Reader::from_path(run.path().join("probes.csv")).unwrap();
     assert_eq!(
         reader.headers().unwrap(),
-        vec!["t", "h, left", "jet_x", "jet_y", "jet_z", "front"]
+        vec!["step", "t", "h, left", "jet_x", "jet_y", "jet_z", "front"]
     );
     let row: Vec<f64> = reader
         .records()
@@ -538,7 +538,7 @@ fn tables_read_back_exactly() {
         .iter()
         .map(|x| x.parse().unwrap())
         .collect();
-    assert_eq!(row, [0.1, 1.0, 2.0, -3.0, 4e-12, 5.0]);
+    assert_eq!(row, [7.0, 0.1, 1.0, 2.0, -3.0, 4e-12, 5.0]);
 }
 
 #[test]
@@ -780,7 +780,8 @@ fn pictures_show_the_liquid_where_it_is() {
         let mut told = Vec::new();
         let options = PreviewOptions::default();
         let report = preview(run.path(), &options, &mut |done, all| {
-            told.push((done, all))
+            told.push((done, all));
+            true
         })
         .unwrap();
         assert_eq!(told, [(0, 3), (1, 3), (2, 3), (3, 3)]);
@@ -834,7 +835,7 @@ fn obstacles_hide_what_is_behind_them_and_containers_are_open_to_the_eye() {
             animation: false,
             ..PreviewOptions::default()
         };
-        let report = preview(run.path(), &options, &mut |_, _| {}).unwrap();
+        let report = preview(run.path(), &options, &mut |_, _| true).unwrap();
         assert_eq!(report.animation, None);
         Decoded::read(&report.pictures[0])
     };
@@ -883,7 +884,7 @@ fn pictures_do_not_depend_on_threads() {
             ..PreviewOptions::default()
         };
         let report = pool
-            .install(|| preview(run.path(), &options, &mut |_, _| {}))
+            .install(|| preview(run.path(), &options, &mut |_, _| true))
             .unwrap();
         let files = report.pictures.iter().chain(&report.animation);
         files
@@ -898,6 +899,52 @@ fn pictures_do_not_depend_on_threads() {
     );
 }
 
+/// Frames that were not written leave no hole in time.
+#[test]
+fn animation_shows_a_picture_until_the_next_frame() {
+    let run = tempfile::tempdir().unwrap();
+    let mut scene = scene();
+    scene.camera = front_camera();
+    write_run(run.path(), &scene, &[]);
+    let frames = list(&run.path().join("frames"));
+    for file in frames.iter().filter(|file| file.contains("_000001.")) {
+        std::fs::remove_file(run.path().join("frames").join(file)).unwrap();
+    }
+    let report = preview(run.path(), &PreviewOptions::default(), &mut |_, _| true).unwrap();
+    assert_eq!(report.pictures.len(), 2);
+    let file = std::fs::File::open(report.animation.unwrap()).unwrap();
+    let reader = png::Decoder::new(std::io::BufReader::new(file))
+        .read_info()
+        .unwrap();
+    let place = reader.info().frame_control().unwrap();
+    assert_eq!(
+        (place.delay_num, place.delay_den),
+        (83, 1000),
+        "two frames at 24 per second"
+    );
+}
+
+#[test]
+fn pictures_can_be_interrupted() {
+    let run = tempfile::tempdir().unwrap();
+    let mut scene = scene();
+    scene.camera = front_camera();
+    write_run(run.path(), &scene, &[]);
+    let error = preview(run.path(), &PreviewOptions::default(), &mut |done, _| {
+        done < 1
+    });
+    assert!(matches!(error, Err(Error::Interrupted)));
+    assert_eq!(list(&run.path().join("preview")).len(), 1);
+}
+
+/// Names of the files in a folder.
+fn list(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).unwrap();
+    entries
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect()
+}
+
 /// The animation, put together as a browser does, shows the pictures.
 #[test]
 fn animation_shows_the_pictures() {
@@ -905,7 +952,7 @@ fn animation_shows_the_pictures() {
     let mut scene = scene();
     scene.camera = front_camera();
     write_run(run.path(), &scene, &[]);
-    let report = preview(run.path(), &PreviewOptions::default(), &mut |_, _| {}).unwrap();
+    let report = preview(run.path(), &PreviewOptions::default(), &mut |_, _| true).unwrap();
     let file = std::fs::File::open(report.animation.unwrap()).unwrap();
     let mut reader = png::Decoder::new(std::io::BufReader::new(file))
         .read_info()
@@ -945,13 +992,13 @@ fn animation_shows_the_pictures() {
 #[test]
 fn preview_without_frames_says_so() {
     let run = tempfile::tempdir().unwrap();
-    let error = preview(run.path(), &PreviewOptions::default(), &mut |_, _| {}).unwrap_err();
+    let error = preview(run.path(), &PreviewOptions::default(), &mut |_, _| true).unwrap_err();
     assert!(
         matches!(error, Error::Input { .. }) && error.to_string().contains("manifest.json"),
         "{error}"
     );
     manifest(&scene()).write(run.path()).unwrap();
-    let error = preview(run.path(), &PreviewOptions::default(), &mut |_, _| {}).unwrap_err();
+    let error = preview(run.path(), &PreviewOptions::default(), &mut |_, _| true).unwrap_err();
     assert!(
         matches!(error, Error::Input { .. }) && error.to_string().contains("dam_000000.vtp"),
         "{error}"
@@ -971,6 +1018,6 @@ fn preview_names_a_broken_frame() {
     let broken = run.path().join("frames/dam_000001.vtp");
     let whole = std::fs::read(&broken).unwrap();
     std::fs::write(&broken, &whole[..whole.len() / 2]).unwrap();
-    let error = preview(run.path(), &PreviewOptions::default(), &mut |_, _| {}).unwrap_err();
+    let error = preview(run.path(), &PreviewOptions::default(), &mut |_, _| true).unwrap_err();
     assert!(error.to_string().contains("dam_000001.vtp"), "{error}");
 }

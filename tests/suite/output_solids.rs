@@ -300,7 +300,7 @@ fn pictures(run: &Path, colour: Colour) -> Vec<PathBuf> {
         colour,
         ..PreviewOptions::default()
     };
-    preview(run, &options, &mut |_, _| {}).unwrap().pictures
+    preview(run, &options, &mut |_, _| true).unwrap().pictures
 }
 
 /// Whether two pixels differ clearly.
@@ -384,7 +384,7 @@ fn preview_of_solids_says_what_is_missing() {
             colour,
             ..PreviewOptions::default()
         };
-        let error = preview(run.path(), &options, &mut |_, _| {}).unwrap_err();
+        let error = preview(run.path(), &options, &mut |_, _| true).unwrap_err();
         assert_eq!(error.exit_code(), 2);
         error.to_string()
     };

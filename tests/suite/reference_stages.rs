@@ -141,6 +141,9 @@ fn time_steps_obey_speed_growth_floor_and_frames() {
         time_step(&fixed, 0.1, 1e6, 0.0, 0.04 - 1e-13, 1e-9).dt,
         0.02
     ));
+    // Two cells of 0.1 m in 0.02 s are 10 m/s; a fixed step is not shortened for more, but told.
+    assert!(!time_step(&fixed, 0.1, 10.0, 0.0, 0.1, 0.0).floored);
+    assert!(time_step(&fixed, 0.1, 10.1, 0.0, 0.1, 0.0).floored);
 }
 
 #[test]

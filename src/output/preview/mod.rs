@@ -85,11 +85,14 @@ pub struct PreviewReport {
     pub animation: Option<PathBuf>,
 }
 
-/// Renders the frames of a run directory. `progress` is told how many pictures are done, of how many.
+/// Renders the frames of a run directory. `progress` is told how many pictures are done, of how many, and says whether to go on.
+///
+/// # Errors
+/// [`Error::Interrupted`] when `progress` said no; [`Error::Input`] and [`Error::Output`] for files.
 pub fn preview(
     run: &Path,
     options: &PreviewOptions,
-    progress: &mut dyn FnMut(usize, usize),
+    progress: &mut dyn FnMut(usize, usize) -> bool,
 ) -> Result<PreviewReport, Error> {
     let manifest = Manifest::read(run)?;
     let name = &manifest.scene.name;
@@ -145,7 +148,9 @@ pub fn preview(
     let mut animation = Animation::new();
     let mut skin = Skin::none();
     for (done, (frame, files)) in frames.iter().enumerate() {
-        progress(done, frames.len());
+        if !progress(done, frames.len()) {
+            return Err(Error::Interrupted);
+        }
         if let Some(file) = &files.liquid {
             stage.liquid = read_liquid(file, &manifest)?;
         }
@@ -170,10 +175,8 @@ pub fn preview(
     }
     if options.animation {
         let path = folder.join(format!("{name}.png"));
-        animation.write(
-            &path,
-            manifest.frames_per_second / options.every.max(1) as f64,
-        )?;
+        let numbers: Vec<u64> = frames.iter().map(|&(number, _)| number).collect();
+        animation.write(&path, &seconds_shown(&numbers, manifest.frames_per_second))?;
         report.animation = Some(path);
     }
     progress(frames.len(), frames.len());
@@ -185,6 +188,16 @@ pub fn preview(
 struct FrameFiles {
     liquid: Option<PathBuf>,
     solids: Option<PathBuf>,
+}
+
+/// How long each picture stays, s: until the time of the next frame that was written; the last as long as the one before it.
+fn seconds_shown(numbers: &[u64], frames_per_second: f64) -> Vec<f64> {
+    let mut frames: Vec<u64> = numbers.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    frames.push(frames.last().copied().unwrap_or(1));
+    frames
+        .into_iter()
+        .map(|frames| frames as f64 / frames_per_second)
+        .collect()
 }
 
 /// The frames in the folder by number, those with all their files: of the liquid markers where there are any, else fields.

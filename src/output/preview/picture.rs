@@ -240,34 +240,31 @@ impl Animation {
         self.frames.push(picture.reduced());
     }
 
-    /// Writes all frames, shown `frames_per_second`, for ever.
-    pub(super) fn write(&self, path: &Path, frames_per_second: f64) -> Result<(), Error> {
+    /// Writes all frames, each shown for its `seconds`, for ever.
+    pub(super) fn write(&self, path: &Path, seconds: &[f64]) -> Result<(), Error> {
         let mut bytes = Vec::new();
-        self.encode(&mut bytes, frames_per_second)
+        self.encode(&mut bytes, seconds)
             .map_err(|problem| Error::output(path, problem))?;
         write_atomically(path, &bytes)
     }
 
-    fn encode(
-        &self,
-        bytes: &mut Vec<u8>,
-        frames_per_second: f64,
-    ) -> Result<(), png::EncodingError> {
+    fn encode(&self, bytes: &mut Vec<u8>, seconds: &[f64]) -> Result<(), png::EncodingError> {
         let [width, height] = self.frames[0].size;
         let mut encoder = png::Encoder::new(bytes, width as u32, height as u32);
         encoder.set_color(png::ColorType::Rgba);
         encoder.set_depth(png::BitDepth::Eight);
         encoder.set_compression(png::Compression::High);
         encoder.set_animated(self.frames.len() as u32, 0)?;
-        let milliseconds = (1000.0 / frames_per_second).round().clamp(10.0, 10_000.0);
-        encoder.set_frame_delay(milliseconds as u16, 1000)?;
+        let milliseconds = |seconds: f64| (1000.0 * seconds).round().clamp(10.0, 10_000.0) as u16;
+        encoder.set_frame_delay(milliseconds(seconds[0]), 1000)?;
         encoder.set_blend_op(png::BlendOp::Over)?;
         encoder.set_dispose_op(png::DisposeOp::None)?;
         let mut writer = encoder.write_header()?;
         let mut before: Option<&Picture> = None;
-        for frame in &self.frames {
+        for (frame, &seconds) in self.frames.iter().zip(seconds) {
             let Patch { at, size, bytes } = patch(before, frame);
             if before.is_some() {
+                writer.set_frame_delay(milliseconds(seconds), 1000)?;
                 // Smaller first: a rectangle may never reach beyond the picture.
                 writer.set_frame_dimension(1, 1)?;
                 writer.set_frame_position(at[0] as u32, at[1] as u32)?;
