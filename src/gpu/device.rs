@@ -39,6 +39,28 @@ impl std::str::FromStr for AdapterChoice {
     }
 }
 
+/// As `--adapter` takes it.
+fn kind_name(kind: wgpu::DeviceType) -> &'static str {
+    match kind {
+        wgpu::DeviceType::DiscreteGpu => "discrete",
+        wgpu::DeviceType::IntegratedGpu => "integrated",
+        wgpu::DeviceType::VirtualGpu => "virtual",
+        wgpu::DeviceType::Cpu => "software",
+        wgpu::DeviceType::Other => "other",
+    }
+}
+
+impl std::fmt::Display for AdapterChoice {
+    fn fmt(&self, text: &mut std::fmt::Formatter) -> std::fmt::Result {
+        match self {
+            AdapterChoice::Best => write!(text, "the best"),
+            AdapterChoice::Index(index) => write!(text, "index {index}"),
+            AdapterChoice::Kind(kind) => write!(text, "kind {}", kind_name(*kind)),
+            AdapterChoice::Name(name) => write!(text, "the name \"{name}\""),
+        }
+    }
+}
+
 /// What is known of an adapter without opening a device.
 #[derive(Clone, Debug)]
 pub struct AdapterReport {
@@ -77,13 +99,7 @@ impl AdapterReport {
                 .trim()
                 .to_owned(),
             backend: info.backend.to_str().to_owned(),
-            kind: match info.device_type {
-                wgpu::DeviceType::DiscreteGpu => "discrete",
-                wgpu::DeviceType::IntegratedGpu => "integrated",
-                wgpu::DeviceType::VirtualGpu => "virtual",
-                wgpu::DeviceType::Cpu => "software",
-                wgpu::DeviceType::Other => "other",
-            },
+            kind: kind_name(info.device_type),
             f64: features.contains(wgpu::Features::SHADER_F64),
             timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
             storage_buffers: limits.max_storage_buffers_per_shader_stage,
@@ -196,7 +212,7 @@ fn choose(choice: &AdapterChoice) -> Result<wgpu::Adapter, Error> {
             let _ = write!(found, "{}{index}: {} ({})", if index > 0 { ", " } else { "" }, report.name, report.kind);
         }
         Error::Adapter {
-            problem: format!("none matches {choice:?}; found {found}"),
+            problem: format!("none matches {choice}; found {found}"),
             cure: "give --adapter an index, a kind (discrete, integrated, virtual, software) or part of a name, or run \
                    with --backend cpu"
                 .to_owned(),

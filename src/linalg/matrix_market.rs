@@ -17,13 +17,8 @@ pub enum Symmetry {
     Symmetric,
 }
 
-/// Writes a matrix; `comment` lines follow the banner.
-pub fn write_matrix(
-    path: &Path,
-    matrix: &Csr,
-    symmetry: Symmetry,
-    comment: &str,
-) -> Result<(), Error> {
+/// The text of a file that holds a matrix; `comment` lines follow the banner.
+pub fn matrix_text(matrix: &Csr, symmetry: Symmetry, comment: &str) -> String {
     let (name, lower) = match symmetry {
         Symmetry::General => ("general", false),
         Symmetry::Symmetric => ("symmetric", true),
@@ -45,18 +40,18 @@ pub fn write_matrix(
     for (row, column, value) in stored() {
         let _ = writeln!(text, "{} {} {value:.17e}", row + 1, column + 1);
     }
-    fs::write(path, text).map_err(|problem| Error::output(path, problem))
+    text
 }
 
-/// Writes a vector as a one-column array.
-pub fn write_vector(path: &Path, vector: &[f64], comment: &str) -> Result<(), Error> {
+/// The text of a file that holds a vector, as a one-column array.
+pub fn vector_text(vector: &[f64], comment: &str) -> String {
     let mut text = String::from("%%MatrixMarket matrix array real general\n");
     push_comment(&mut text, comment);
     let _ = writeln!(text, "{} 1", vector.len());
     for value in vector {
         let _ = writeln!(text, "{value:.17e}");
     }
-    fs::write(path, text).map_err(|problem| Error::output(path, problem))
+    text
 }
 
 /// Reads a coordinate matrix; a symmetric one comes back with both triangles.

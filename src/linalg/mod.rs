@@ -8,7 +8,7 @@ mod matrix_market;
 pub use cholesky::{Cholesky, SymbolicCholesky};
 pub use conjugate_gradient::{CgEnd, CgReport, LinearOperator, conjugate_gradient};
 pub use csr::Csr;
-pub use matrix_market::{Symmetry, read_matrix, read_vector, write_matrix, write_vector};
+pub use matrix_market::{Symmetry, matrix_text, read_matrix, read_vector, vector_text};
 
 /// Euclidean norm, summed in order, so that it does not depend on the number of threads.
 pub fn norm(x: &[f64]) -> f64 {

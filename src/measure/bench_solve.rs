@@ -12,14 +12,15 @@ use serde::Serialize;
 
 use crate::Error;
 use crate::gpu::{Buffer, Gpu, Real, Recorder};
-use crate::grid::Axis;
+use crate::grid::{Axis, Padded};
 use crate::linalg;
+use crate::output::write_atomically;
 use crate::reference::base_block::{BaseBlock, THETA_FLOOR};
 use crate::scene::{Precision, Preconditioner, Solver};
 use crate::solver::{Everywhere, Outcome, PressureSolver, PressureSystem, SolverBuffers};
 
 use super::statistics::Spread;
-use super::table::{Machine, write_csv, write_json};
+use super::table::{Machine, write_csv, write_json, write_svg};
 
 /// What to measure.
 #[derive(Clone, Debug)]
@@ -140,6 +141,11 @@ pub fn bench_solve(
     out: &Path,
     tell: &mut dyn FnMut(&Row),
 ) -> Result<Table, Error> {
+    for &n in &options.grids {
+        // Before anything is made: a block too large for the device may be too large for the host.
+        let bytes = 3 * 16 * Padded::new([n; 3]).quads as u64;
+        gpu.report().check_buffer("bench.open", bytes)?;
+    }
     fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
     let mut table = Table {
         machine: Machine::new(gpu, options.repeats)?,
@@ -158,8 +164,9 @@ pub fn bench_solve(
     }
     write_csv(&table.rows, &out.join("solve.csv"))?;
     write_json(&table, &out.join("solve.json"))?;
-    let path = out.join("solve.svg");
-    draw(&table, &path).map_err(|problem| Error::output(&path, problem))?;
+    write_svg(&out.join("solve.svg"), (800, 600), |page| {
+        draw(&table, page)
+    })?;
     Ok(table)
 }
 
@@ -173,17 +180,10 @@ fn write_matrices(block: &BaseBlock, n: usize, out: &Path) -> Result<(), Error> 
         .collect();
     let comment = "pressure-only base block: negative Laplacian, m^3/s per Pa";
     let matrix = out.join(format!("base_block_{n}.mtx"));
-    linalg::write_matrix(
-        &matrix,
-        &system.to_csr(),
-        linalg::Symmetry::Symmetric,
-        comment,
-    )?;
-    linalg::write_vector(
-        &out.join(format!("base_block_{n}_rhs.mtx")),
-        &rhs,
-        "E u*, m^3/s",
-    )
+    let text = linalg::matrix_text(&system.to_csr(), linalg::Symmetry::Symmetric, comment);
+    write_atomically(&matrix, text.as_bytes())?;
+    let rhs = linalg::vector_text(&rhs, "E u*, m^3/s");
+    write_atomically(&out.join(format!("base_block_{n}_rhs.mtx")), rhs.as_bytes())
 }
 
 fn measure(
@@ -287,8 +287,8 @@ fn measure(
 }
 
 /// Seconds against unknowns, log-log, a line per solver, bars from least to largest.
-fn draw(table: &Table, path: &Path) -> Result<(), Box<dyn std::error::Error>> {
-    let root = SVGBackend::new(path, (800, 600)).into_drawing_area();
+fn draw(table: &Table, page: SVGBackend) -> Result<(), Box<dyn std::error::Error>> {
+    let root = page.into_drawing_area();
     root.fill(&WHITE)?;
     let unknowns = |row: &Row| f64::from(row.active_cells.max(1));
     let bounds = |values: Vec<f64>| {

@@ -22,7 +22,7 @@ use crate::state::{LiquidReport, StepReport};
 
 use super::bench_solve::bytes_per_iterations;
 use super::statistics::Spread;
-use super::table::{Machine, write_csv, write_json};
+use super::table::{Machine, write_csv, write_json, write_svg};
 
 /// What to measure.
 #[derive(Clone, Debug)]
@@ -162,8 +162,11 @@ pub fn bench_step(
     write_csv(&table.rows, &out.join("step.csv"))?;
     write_csv(&table.stages, &out.join("step_stages.csv"))?;
     write_json(&table, &out.join("step.json"))?;
-    let path = out.join("step.svg");
-    draw(&table, &path).map_err(|problem| Error::output(&path, problem))?;
+    // The right part is for the names of the stages.
+    let width = 360 + 160 * table.rows.len() as u32;
+    write_svg(&out.join("step.svg"), (width, 600), |page| {
+        draw(&table, page)
+    })?;
     Ok(table)
 }
 
@@ -409,9 +412,8 @@ fn interleave(runs: &mut [Run], options: &Options) -> Result<(), Error> {
 }
 
 /// A bar per scene: the stages' medians one above another, and a mark at the wall-clock median.
-fn draw(table: &Table, path: &Path) -> Result<(), Box<dyn std::error::Error>> {
-    let width = 360 + 160 * table.rows.len() as u32;
-    let root = SVGBackend::new(path, (width, 600)).into_drawing_area();
+fn draw(table: &Table, page: SVGBackend) -> Result<(), Box<dyn std::error::Error>> {
+    let root = page.into_drawing_area();
     root.fill(&WHITE)?;
     let of_row = |row: &Row| -> Vec<&StageRow> {
         let stages = table.stages.iter();
@@ -426,7 +428,6 @@ fn draw(table: &Table, path: &Path) -> Result<(), Box<dyn std::error::Error>> {
             milliseconds(sum.max(row.seconds_median))
         })
         .fold(0.0, f64::max);
-    // The right part is for the names of the stages.
     let n = table.rows.len() as f64;
     let mut chart = ChartBuilder::on(&root)
         .caption(

@@ -17,7 +17,7 @@ use serde::Serialize;
 use crate::Error;
 use crate::geometry;
 use crate::gpu::AdapterChoice;
-use crate::linalg::{Csr, Symmetry, norm, write_matrix, write_vector};
+use crate::linalg::{Csr, Symmetry, matrix_text, norm, vector_text};
 use crate::output::write_atomically;
 use crate::reference::{PressureSystem, Reference, right_hand_side};
 use crate::scene::Scene;
@@ -148,9 +148,14 @@ pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
 
 fn write(out: &Path, matrix: &Csr, rhs: &[f64], pressure: &[f64]) -> Result<(), Error> {
     let names = "B, m^3/s per Pa; cells.csv says which cell a row is";
-    write_matrix(&out.join("spd.mtx"), matrix, Symmetry::Symmetric, names)?;
-    write_vector(&out.join("spd_rhs.mtx"), rhs, "E u*, m^3/s")?;
-    write_vector(&out.join("solution.mtx"), pressure, "p, Pa")
+    for (name, text) in [
+        ("spd.mtx", matrix_text(matrix, Symmetry::Symmetric, names)),
+        ("spd_rhs.mtx", vector_text(rhs, "E u*, m^3/s")),
+        ("solution.mtx", vector_text(pressure, "p, Pa")),
+    ] {
+        write_atomically(&out.join(name), text.as_bytes())?;
+    }
+    Ok(())
 }
 
 /// kg/m^3

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use plotters::prelude::SVGBackend;
 use serde::Serialize;
 
 use crate::Error;
@@ -68,4 +69,18 @@ pub(super) fn write_csv<T: Serialize>(rows: &[T], path: &Path) -> Result<(), Err
 pub(super) fn write_json<T: Serialize>(table: &T, path: &Path) -> Result<(), Error> {
     let text = serde_json::to_vec_pretty(table).map_err(|error| Error::output(path, error))?;
     write_atomically(path, &text)
+}
+
+/// Writes what `draw` draws on a page of `size` pixels.
+///
+/// # Errors
+/// [`Error::Output`].
+pub(super) fn write_svg(
+    path: &Path,
+    size: (u32, u32),
+    draw: impl FnOnce(SVGBackend) -> Result<(), Box<dyn std::error::Error>>,
+) -> Result<(), Error> {
+    let mut text = String::new();
+    draw(SVGBackend::with_string(&mut text, size)).map_err(|error| Error::output(path, error))?;
+    write_atomically(path, text.as_bytes())
 }

@@ -331,11 +331,20 @@ fn a_run_on_the_gpu_names_its_adapter() {
         column(&run.join("steps.csv"), "t").last(),
         Some(&(1.0 / 24.0))
     );
-    let message = complains(&folder, "run dam.toml --adapter nonesuch --out other", 3);
-    assert!(
-        message.contains("nonesuch") && message.contains(&gpu.report().name),
-        "{message}"
-    );
+    for (wanted, told) in [
+        ("nonesuch", "none matches the name \"nonesuch\""),
+        ("97", "none matches index 97"),
+    ] {
+        let arguments = format!("run dam.toml --adapter {wanted} --out other");
+        let message = complains(&folder, &arguments, 3);
+        assert!(
+            message.contains(told) && message.contains(&gpu.report().name),
+            "{message}"
+        );
+    }
+    // Before the fields of the block are made, 50 GB of them.
+    let message = complains(&folder, "bench solve --grids 8,1024", 3);
+    assert!(message.contains("buffer bench.open"), "{message}");
 }
 
 /// Vulkan's loader finds no driver; other systems bring theirs.

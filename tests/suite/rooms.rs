@@ -454,6 +454,36 @@ fn the_library_neither_prints_nor_unwraps() {
     }
 }
 
+/// A file that is written in place is half a file for a while, and on a full disk for ever. Tables of a run grow row by row.
+#[test]
+fn files_are_written_whole() {
+    for file in File::all() {
+        if ["src/output/atomic.rs", "src/output/tables.rs"].contains(&file.name.as_str()) {
+            continue;
+        }
+        walk_shipped(&file, &mut |tokens, index| {
+            let path = |of: &str, function: &str| {
+                is_ident(&tokens[index], of)
+                    && is_path_separator(tokens, index + 1)
+                    && tokens
+                        .get(index + 3)
+                        .is_some_and(|token| is_ident(token, function))
+            };
+            let in_place = [
+                ("fs", "write"),
+                ("File", "create"),
+                ("Writer", "from_path"),
+                ("SVGBackend", "new"),
+            ];
+            assert!(
+                !in_place.iter().any(|(of, function)| path(of, function)),
+                "{}: use output::write_atomically",
+                file.name
+            );
+        });
+    }
+}
+
 #[test]
 fn nothing_is_left_over() {
     // Put together here, so that this file does not hold them.
