@@ -1,7 +1,7 @@
 #import real
 
-// Sums that do not depend on their order: 96-bit integers, high word first, two's complement, in units of 2^-68 of a power of two
-// above every summand. Of 2^27 summands the sum still fits.
+// Sums that do not depend on their order: 96-bit integers, high word first, two's complement, in units of 2^-65 of a power of two
+// above every summand. Of 2^30 summands, the most cells that a domain has, the sum still fits.
 fn add96(a: vec3<u32>, b: vec3<u32>) -> vec3<u32> {
     let low = a.z + b.z;
     let carry_low = u32(low < b.z);
@@ -30,8 +30,8 @@ fn power_of_two(field: u32) -> Real {
 
 fn to96(value: Real, bits: u32) -> vec3<u32> {
     let word = Real(4294967296.0);
-    // Below 16; each remainder is exact.
-    let scaled = abs(value) * power_of_two(253u - (bits >> 23u)) * Real(16.0);
+    // Below 2; each remainder is exact.
+    let scaled = abs(value) * power_of_two(253u - (bits >> 23u)) * Real(2.0);
     let high = floor(scaled);
     let rest = (scaled - high) * word;
     let middle = floor(rest);
@@ -50,6 +50,6 @@ fn from96(sum: vec3<u32>, bits: u32) -> Real {
     if below_zero {
         a = negative96(sum);
     }
-    let magnitude = (Real(a.x) + (Real(a.y) + Real(a.z) * word) * word) * power_of_two((bits >> 23u) + 1u) * Real(0.0625);
+    let magnitude = (Real(a.x) + (Real(a.y) + Real(a.z) * word) * word) * power_of_two((bits >> 23u) + 1u) * Real(0.5);
     return select(magnitude, -magnitude, below_zero);
 }

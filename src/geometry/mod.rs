@@ -13,6 +13,7 @@ mod inside;
 mod liquid;
 mod mesh_file;
 mod msh;
+mod parts;
 mod surface;
 mod tet_fill;
 mod tet_mesh;

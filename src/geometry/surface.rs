@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use glam::DVec3;
 
-use super::icosahedron;
+use super::{icosahedron, parts};
 use crate::scene::Placement;
 
 /// A closed triangle surface with normals out of the solid that it bounds.
@@ -188,7 +188,8 @@ impl Surface {
     }
 
     /// The first reason why the surface does not bound a solid, if there is one: it must be finite, without degenerate
-    /// triangles, closed (each edge used once in each direction), and its normals must point outwards.
+    /// triangles, closed (each edge used once in each direction), its normals must point outwards, and its parts must
+    /// not overlap.
     pub fn fault(&self) -> Option<Fault> {
         let fault = |problem, cure| Some(Fault { problem, cure });
         if self.triangles.is_empty() {
@@ -263,11 +264,11 @@ impl Surface {
                 "flip the normals in a mesh tool; for a container set inside_out = true and keep normals outwards",
             );
         }
-        None
+        parts::fault(self)
     }
 }
 
 /// The three directed edges of a triangle.
-fn edges(&[a, b, c]: &[u32; 3]) -> [[u32; 2]; 3] {
+pub(super) fn edges(&[a, b, c]: &[u32; 3]) -> [[u32; 2]; 3] {
     [[a, b], [b, c], [c, a]]
 }

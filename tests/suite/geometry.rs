@@ -816,6 +816,70 @@ fn surfaces_that_bound_nothing_are_refused() {
 }
 
 #[test]
+fn parts_that_bound_no_solid_together_are_refused() {
+    let block = |low: [f64; 3], high: [f64; 3]| Surface::cuboid(low.into(), high.into());
+    let join = |parts: &[Surface]| {
+        let mut all = Surface::default();
+        for part in parts {
+            let first = all.vertices.len() as u32;
+            all.triangles
+                .extend(part.triangles.iter().map(|t| t.map(|v| v + first)));
+            all.vertices.extend(&part.vertices);
+        }
+        all.map(|x| DMat3::from_axis_angle(DVec3::new(1.0, 2.0, 2.0) / 3.0, 0.7) * x)
+    };
+    let unit = block([0.0; 3], [1.0; 3]);
+    let far = block([2.0, 0.0, 0.0], [3.0, 1.0, 1.0]);
+    let inner = block([0.25; 3], [0.75; 3]);
+    let innermost = block([0.4; 3], [0.6; 3]);
+    let hole = inner.clone().inside_out();
+    for (name, sound) in [
+        ("apart", vec![unit.clone(), far.clone()]),
+        ("a hole", vec![unit.clone(), hole.clone(), far.clone()]),
+        ("a hole first", vec![hole.clone(), unit.clone()]),
+        (
+            "an island in a hole",
+            vec![unit.clone(), hole.clone(), innermost.clone()],
+        ),
+    ] {
+        assert_eq!(join(&sound).fault(), None, "{name}");
+    }
+    // Two bars that cross have no corner in each other.
+    let bars = [
+        block([-1.0, 0.3, 0.3], [2.0, 0.7, 0.7]),
+        block([0.3, -1.0, 0.2], [0.7, 2.0, 0.8]),
+    ];
+    for (parts, expected) in [
+        (bars.to_vec(), "overlap or touch"),
+        (
+            vec![unit.clone(), unit.clone().map(|x| x + 0.5)],
+            "overlap or touch",
+        ),
+        (vec![unit.clone(), inner.clone()], "lies inside another"),
+        (
+            vec![
+                unit.clone(),
+                hole.clone(),
+                innermost.clone(),
+                innermost.clone().map(|x| 0.5 + 0.5 * (x - 0.5)),
+            ],
+            "lies inside another",
+        ),
+        (
+            vec![unit.clone(), far.map(|x| 0.5 * x + DVec3::X).inside_out()],
+            "inverted",
+        ),
+        (
+            vec![unit, hole, innermost.inside_out()],
+            "no hole in another part",
+        ),
+    ] {
+        let fault = join(&parts).fault().expect("a fault");
+        assert!(fault.problem.contains(expected), "{fault:?}");
+    }
+}
+
+#[test]
 fn a_mesh_cuts_like_the_shape_it_draws() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("box.obj");
