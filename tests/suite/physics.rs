@@ -128,6 +128,24 @@ fn a_state_put_in_place_goes_on_as_if_it_had_come_there() {
     assert!(go_on(&start, 4) == fourth, "back to the start");
     assert!(go_on(&start, 8) == eighth, "and again, further");
     assert!(go_on(&fourth, 8) == eighth, "on from half the way");
+    // Before the next sub-step too.
+    simulation.reset(&fourth).unwrap();
+    assert!(fourth.pressure.iter().any(|p| *p > 0.0));
+    assert!(
+        simulation.state().unwrap() == fourth,
+        "as it was put in place"
+    );
+    // Markers that were dropped before are not among those of the state.
+    let dropped = State {
+        markers_dropped: 7 + fourth.markers.len() as u64,
+        ..fourth
+    };
+    simulation.reset(&dropped).unwrap();
+    let liquid = simulation.step().unwrap().liquid.unwrap();
+    assert_eq!(
+        liquid.markers + liquid.dropped as usize,
+        dropped.markers.len()
+    );
 }
 
 /// Spray on a grid as coarse as this adds volume fast; at 64x32x32 cells and 10 s the ratio stays within 3 %.
