@@ -1,7 +1,6 @@
 //! `cutwater plan`
 
 use cutwater::Error;
-use cutwater::geometry;
 use cutwater::gpu::{AdapterReport, BufferPlan, Gpu, STORAGE_BUFFERS};
 use cutwater::scene::{Precision, Scene};
 use cutwater::sim::{Backend, Plan};
@@ -20,7 +19,7 @@ pub(super) struct PlanCommand {
 impl PlanCommand {
     pub(super) fn run(&self) -> Result<(), Error> {
         let scene = self.scene.load()?;
-        super::run::say_thin(&geometry::thin_obstacles(&scene, &scene.grid())?);
+        super::run::warn_of_thin(&scene)?;
         match self.backend.backend() {
             Backend::Cpu => {
                 let plan = Plan::new(&scene, None)?;

@@ -6,7 +6,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use cutwater::Error;
+use cutwater::geometry;
 use cutwater::output::preview::PreviewOptions;
+use cutwater::scene::Scene;
 use cutwater::sim::{self, Options};
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -55,6 +57,7 @@ impl Run {
                 "run cutwater once per process",
             )
         })?;
+        warn_of_thin(&scene)?;
         let options = Options {
             backend: self.backend.backend(),
             out: out.clone(),
@@ -123,7 +126,6 @@ impl Run {
                 "warning: liquid.region[{region}] is too small for the cells, or covered: it has no liquid"
             );
         }
-        say_thin(&summary.thin_obstacles);
         if summary.floored > 0 {
             let cause = match scene.time.fixed_step {
                 Some(_) => "time.fixed_step is too long for these velocities",
@@ -143,12 +145,13 @@ impl Run {
 }
 
 /// Warns of obstacles that liquid leaks through.
-pub(super) fn say_thin(obstacles: &[(usize, f64)]) {
-    for (number, thickness) in obstacles {
+pub(super) fn warn_of_thin(scene: &Scene) -> Result<(), Error> {
+    for (number, thickness) in geometry::thin_obstacles(scene, &scene.grid())? {
         warn!(
             "warning: obstacle[{number}] is {thickness:.2} cells thick: liquid leaks through it; use more cells or a thickness of at least one"
         );
     }
+    Ok(())
 }
 
 fn progress_bar() -> ProgressBar {

@@ -63,8 +63,6 @@ pub struct Summary {
     pub dropped: u64,
     /// Liquid regions, by number, that are too small or too well covered for the cells to hold any of their liquid.
     pub empty_regions: Vec<usize>,
-    /// Obstacles thinner than a cell: their number, and their thickness in cells.
-    pub thin_obstacles: Vec<(usize, f64)>,
 }
 
 /// Runs a scene into a folder. `progress` hears of every sub-step; a true `interrupt` ends the run after the sub-step.
@@ -211,7 +209,6 @@ fn frames(
         floored: 0,
         dropped: 0,
         empty_regions: geometry::empty_regions(scene, &simulation.state()?.markers)?,
-        thin_obstacles: geometry::thin_obstacles(scene, &scene.grid())?,
     };
     while simulation.clock().frame < n_frames {
         let before = simulation.clock().frame;

@@ -431,9 +431,14 @@ fn a_scene_without_any_liquid_is_refused_and_little_is_told() {
     assert!(told.contains("liquid.region[1] is too small"), "{told}");
     assert!(!told.contains("liquid.region[0]"), "{told}");
     assert!(told.contains("obstacle[0] is 0.32 cells thick"), "{told}");
-    let plan = ends(cutwater(&little, "plan dam.toml --backend cpu"), 0);
-    let told = String::from_utf8(plan.stderr).unwrap();
-    assert!(told.contains("obstacle[0] is 0.32 cells thick"), "{told}");
+    // Before the first sub-step, and without any.
+    for (arguments, code) in [
+        ("run dam.toml --out other --adapter nonesuch", 3),
+        ("plan dam.toml --backend cpu", 0),
+    ] {
+        let told = complains(&little, arguments, code);
+        assert!(told.contains("obstacle[0] is 0.32 cells thick"), "{told}");
+    }
 }
 
 #[test]
