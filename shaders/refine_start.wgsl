@@ -1,16 +1,18 @@
 // Outer loop, one workgroup, before the first round: the norms of the right-hand side, the number of unknowns, the state.
-// totals: where the number of partials stands. args, gated: see control. partials: |b|^2, terms^2, unknowns.
+// totals: where the number of partials stands. settings: whether there is a guess. args, gated: see control.
+// partials: |b|^2, terms^2, unknowns.
 #import level
 #import refine
 #import control
 #import fold
 
 @group(0) @binding(0) var<uniform> totals: Level;
-@group(0) @binding(1) var<storage, read> args: array<u32>;
-@group(0) @binding(2) var<storage, read> partials: array<Real4>;
-@group(0) @binding(3) var<storage, read_write> norms: array<Real>;
-@group(0) @binding(4) var<storage, read_write> control: Control;
-@group(0) @binding(5) var<storage, read_write> gated: array<u32>;
+@group(0) @binding(1) var<uniform> settings: RefineSettings;
+@group(0) @binding(2) var<storage, read> args: array<u32>;
+@group(0) @binding(3) var<storage, read> partials: array<Real4>;
+@group(0) @binding(4) var<storage, read_write> norms: array<Real>;
+@group(0) @binding(5) var<storage, read_write> control: Control;
+@group(0) @binding(6) var<storage, read_write> gated: array<u32>;
 
 @compute @workgroup_size(FOLD_SIZE)
 fn refine_start(@builtin(local_invocation_index) lane: u32) {
@@ -21,9 +23,9 @@ fn refine_start(@builtin(local_invocation_index) lane: u32) {
     norms[NORM_B] = sums.x;
     norms[NORM_TERMS] = sums.y;
     norms[NORM_R] = sums.x;
-    // No correction yet: any residual is better than none.
-    norms[NORM_LAST] = Real(3e38);
-    norms[SCALE] = Real(0.0);
+    // A guess must be better than none; without one there is no correction yet, and any residual will do.
+    norms[NORM_LAST] = select(Real(3e38), sums.x, settings.guess == 1.0);
+    norms[SCALE] = Real(settings.guess);
     control.unknowns = u32(sums.z);
     control.running = 0u;
     control.status = STATUS_RUNNING;

@@ -1,5 +1,5 @@
 // Outer loop, one workgroup, between rounds: judges the true residual and opens the next round or ends the solve.
-// A correction that made the residual worse is taken back: the best iterate is kept.
+// A correction that made the residual worse is taken back: the best iterate is kept. So is a guess that is worse than none.
 // totals: where the number of partials stands. settings: tolerances. args, gated: see control. partials: |r|^2.
 #import level
 #import refine
@@ -7,16 +7,6 @@
 #import inner
 #import control
 #import fold
-
-struct RefineSettings {
-    // relative tolerance of |r| / |b|
-    tolerance: f32,
-    // of |r| over the norm of the terms that b sums: what rounding leaves
-    rounding: f32,
-    // least reduction of a round, above what the corrections' precision can reach
-    round_floor: f32,
-    pad_0: f32,
-}
 
 @group(0) @binding(0) var<uniform> totals: Level;
 @group(0) @binding(1) var<uniform> settings: RefineSettings;
@@ -45,6 +35,11 @@ fn refine_turn(@builtin(local_invocation_index) lane: u32) {
     let worse = rr >= norms[NORM_LAST];
     if worse {
         norms[SCALE] = -norms[SCALE];
+        if control.rounds == 0u && norms[SCALE] < Real(0.0) {
+            // Back to the start, which is judged next.
+            norms[NORM_LAST] = Real(3e38);
+            return;
+        }
         control.status = STATUS_STAGNATED;
         return;
     }

@@ -4,3 +4,15 @@ const NORM_B = 1u;      // |b|^2
 const NORM_TERMS = 2u;  // squared norm of the terms that b sums: of | |E| |u*| | for the pressure
 const NORM_LAST = 3u;   // |r|^2 before the last correction
 const SCALE = 4u;       // |r| by which the round's right-hand side was divided; negative to take a correction back
+
+// What the outer loop is to reach: solver::RefineSettings is the same struct on the host.
+struct RefineSettings {
+    // relative tolerance of |r| / |b|
+    tolerance: f32,
+    // of |r| over the norm of the terms that b sums: what rounding leaves
+    rounding: f32,
+    // least reduction of a round, above what the corrections' precision can reach
+    round_floor: f32,
+    // 1 where the correction holds a guess before the first round, on trial, else 0
+    guess: f32,
+}

@@ -18,6 +18,10 @@ pub use element::{
 };
 pub use rotation::rotation;
 
+mod incidence;
+
+pub use incidence::{Corner, Incidence, Joint};
+
 use std::ops::Range;
 
 use glam::DVec3;

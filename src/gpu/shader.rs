@@ -22,6 +22,7 @@ pub struct Source {
 /// The modules that `#import` knows.
 pub const COMMON: &[Source] = &[
     crate::wgsl!("common/active"),
+    crate::wgsl!("common/chebyshev"),
     crate::wgsl!("common/classes"),
     crate::wgsl!("common/compact"),
     crate::wgsl!("common/components"),
@@ -35,6 +36,7 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/fixed_point"),
     crate::wgsl!("common/flux"),
     crate::wgsl!("common/fold"),
+    crate::wgsl!("common/gather"),
     crate::wgsl!("common/ghost_fluid"),
     crate::wgsl!("common/inner_f32"),
     crate::wgsl!("common/inner_f64"),
@@ -52,6 +54,7 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/refine"),
     crate::wgsl!("common/report"),
     crate::wgsl!("common/report_sum"),
+    crate::wgsl!("common/rows"),
     crate::wgsl!("common/sample_distance"),
     crate::wgsl!("common/sample_velocity"),
     crate::wgsl!("common/scan"),

@@ -58,6 +58,26 @@ pub struct BlockMatrix {
 }
 
 impl BlockMatrix {
+    /// Adds up the blocks of an element and two of its corners, elements in ascending order.
+    pub fn assemble(
+        solids: &Solids,
+        pattern: &Arc<BlockPattern>,
+        block: impl Fn(usize, usize, usize) -> DMat3,
+    ) -> BlockMatrix {
+        let mut blocks = vec![DMat3::ZERO; pattern.columns.len()];
+        for (element, corners) in solids.elements.iter().enumerate() {
+            for (a, &row) in corners.iter().enumerate() {
+                for (b, &column) in corners.iter().enumerate() {
+                    blocks[pattern.place(row, column)] += block(element, a, b);
+                }
+            }
+        }
+        BlockMatrix {
+            pattern: Arc::clone(pattern),
+            blocks,
+        }
+    }
+
     /// Number of nodes.
     pub fn n_nodes(&self) -> usize {
         self.pattern.start.len() - 1
@@ -134,23 +154,17 @@ pub fn solid_matrices(
             )
         })
         .collect();
-    let mut blocks = vec![DMat3::ZERO; pattern.columns.len()];
-    for (element, corners) in solids.elements.iter().enumerate() {
+    let stiffness = BlockMatrix::assemble(solids, pattern, |element, a, b| {
         let body = solids.body_of_element(element);
-        let turned = solids.gradients[element].map(|g| deformations[element].rotation * g);
-        for (a, &row) in corners.iter().enumerate() {
-            for (b, &column) in corners.iter().enumerate() {
-                let block = stiffness_block(turned[a], turned[b], body.lambda, body.mu);
-                blocks[pattern.place(row, column)] += solids.volume[element] * block;
-            }
-        }
-    }
+        let turned = |corner: usize| {
+            let gradient = solids.gradients[element][corner];
+            deformations[element].rotation * gradient
+        };
+        solids.volume[element] * stiffness_block(turned(a), turned(b), body.lambda, body.mu)
+    });
     SolidMatrices {
         deformations,
         element_forces,
-        stiffness: BlockMatrix {
-            pattern: Arc::clone(pattern),
-            blocks,
-        },
+        stiffness,
     }
 }

@@ -25,6 +25,7 @@
 //!
 //! Letters: x correction, r residual, z preconditioned residual, s search direction, q = B s.
 
+mod chebyshev;
 mod components;
 mod hierarchy;
 mod host_residual;
@@ -32,13 +33,18 @@ mod pcg;
 mod plan;
 mod pressure;
 mod refine;
+mod solid_solver;
+mod solid_system;
 mod system;
 
+pub use chebyshev::Polynomial;
 pub use components::Components;
 pub use hierarchy::{Hierarchy, Tail, TailStep};
 pub use plan::small_buffers;
 pub use pressure::PressureSolver;
-pub use refine::{Outcome, rounding};
+pub use refine::{Outcome, RefineSettings, rounding};
+pub use solid_solver::{SolidSolver, solid_kernels};
+pub use solid_system::{Rows, SolidFields, SolidRows, SolidSystem, SolidSystemBuffers};
 pub use system::{Everywhere, LevelPlan, PressureSystem, SolverBuffers, Within, variant};
 
 use crate::grid::Layout;

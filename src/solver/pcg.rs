@@ -285,11 +285,12 @@ impl Pcg {
         pass: &mut Pass,
         state: &State,
         system: &S,
+        buffers: S::Buffers<'_>,
         iterations: usize,
     ) {
         self.record_gate(pass);
         for _ in 0..iterations {
-            system.record_preconditioner(pass, state);
+            system.record_preconditioner(pass, state, buffers);
             self.beta.record_gated(pass, &state.gate);
             state.in_round(pass, &self.direction, 0);
             system.record_operator(pass, &state.gated);

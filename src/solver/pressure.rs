@@ -243,6 +243,8 @@ impl System for Pressure {
     type Buffers<'a> = &'a SolverBuffers;
     type Host = HostPressure;
 
+    const GUESSES: bool = false;
+
     fn unknowns<'a>(buffers: Self::Buffers<'a>) -> Unknowns<'a> {
         let SolverBuffers {
             plan,
@@ -278,7 +280,7 @@ impl System for Pressure {
         }
     }
 
-    fn pace(&self) -> Pace {
+    fn pace(&self, _: &SolverBuffers) -> Pace {
         Pace {
             // About what a round needs.
             chunk: match self.preconditioner {
@@ -302,7 +304,7 @@ impl System for Pressure {
     }
 
     /// Its first sweep is done.
-    fn record_preconditioner(&self, pass: &mut Pass, state: &State) {
+    fn record_preconditioner(&self, pass: &mut Pass, state: &State, _: &SolverBuffers) {
         match &self.preconditioner {
             Precondition::Multigrid(hierarchy) => hierarchy.record(pass, &state.gated, &state.gate),
             Precondition::Jacobi(bound) => state.in_round(pass, bound, 0),

@@ -24,7 +24,7 @@ const SCALE: usize = 4;
 const GOAL: usize = 3;
 
 /// Iterations between two looks at whether the one-workgroup kernels still have work.
-const BLOCK: usize = 4;
+pub(super) const BLOCK: usize = 4;
 /// Least reduction of a round in f32: recurrences go on falling where the true residual of a correction stays (4e-5 at 80^3).
 const ROUND_FLOOR_F32: f32 = 5e-5;
 /// Share of what is left that a round aims for.
@@ -72,14 +72,18 @@ struct Readbacks {
     correction: Option<Readback<u32>>,
 }
 
-/// The doppelganger of `RefineSettings` in `shaders/refine_turn.wgsl`.
+/// The doppelganger of `RefineSettings` in `shaders/common/refine.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
-pub(super) struct RefineSettings {
-    tolerance: f32,
-    rounding: f32,
-    round_floor: f32,
-    pad_0: f32,
+pub struct RefineSettings {
+    /// Relative tolerance of |r| / |b|.
+    pub tolerance: f32,
+    /// Of |r| over the norm of the terms that b sums: what rounding leaves.
+    pub rounding: f32,
+    /// Least reduction of a round.
+    pub round_floor: f32,
+    /// 1 where the correction holds a guess before the first round, else 0.
+    pub guess: f32,
 }
 
 /// Relative to the terms that the right-hand side sums, what rounding leaves of the residual (design section 5).
@@ -101,16 +105,19 @@ pub(super) struct Pace {
 
 /// A system A x = b that the outer loop solves: what it adds to the state machine.
 pub(super) trait System: Debug {
-    /// Where it lies.
+    /// Where it lies, and what is known of it.
     type Buffers<'a>: Copy;
     /// The same on the host.
     type Host: HostSystem;
+
+    /// Whether [`System::record_measure`] leaves a guess in the correction, to be kept if it is better than none.
+    const GUESSES: bool;
 
     /// The quads of the unknowns and the vectors over them.
     fn unknowns<'a>(buffers: Self::Buffers<'a>) -> Unknowns<'a>;
 
     /// How much is recorded ahead.
-    fn pace(&self) -> Pace;
+    fn pace(&self, buffers: Self::Buffers<'_>) -> Pace;
 
     /// Records, before the first round: the unknowns take their start; partials of |b|^2, of the squared norm of the terms that b sums,
     /// and of the number of unknowns.
@@ -123,7 +130,7 @@ pub(super) trait System: Debug {
     fn record_begin(&self, pass: &mut Pass, state: &State);
 
     /// Records z = H r, with the partials of r . z.
-    fn record_preconditioner(&self, pass: &mut Pass, state: &State);
+    fn record_preconditioner(&self, pass: &mut Pass, state: &State, buffers: Self::Buffers<'_>);
 
     /// Records q = A s on the lists whose dispatch sizes stand in `sizes`, with the partials that give alpha.
     fn record_operator(&self, pass: &mut Pass, sizes: &Buffer<u32>);
@@ -144,7 +151,7 @@ pub(super) trait HostSystem {
     fn residual(&self, x: &[f64]) -> (Vec<f64>, f64);
 
     /// Puts what is no unknown right.
-    fn mask(&self, x: &mut [f64]);
+    fn mask(&self, _x: &mut [f64]) {}
 }
 
 /// The solve of a system.
@@ -199,13 +206,14 @@ impl<S: System> OuterLoop<S> {
             tolerance: solver.tolerance as f32,
             rounding: rounding(solver) as f32,
             round_floor,
-            pad_0: 0.0,
+            guess: if S::GUESSES { 1.0 } else { 0.0 },
         };
         let settings = gpu.uniform(labels.refine_settings, &settings)?;
         let shared = [
             ("norms", (&norms).into()),
             ("control", (&state.control).into()),
             ("gated", (&state.gated).into()),
+            ("settings", (&settings).into()),
         ];
         let sum = |kernel: Kernel, other: &[_]| {
             let sums = [unknowns.outer_partials, &state.outer_folded];
@@ -213,7 +221,6 @@ impl<S: System> OuterLoop<S> {
         };
         let start = sum(kernel(&crate::wgsl!("refine_start"))?, &shared)?;
         let mut turn = shared.to_vec();
-        turn.push(("settings", (&settings).into()));
         turn.push(("scalars", (&state.scalars).into()));
         let turn = sum(kernel(&crate::wgsl!("refine_turn"))?, &turn)?;
         let control = Control {
@@ -260,9 +267,10 @@ impl<S: System> OuterLoop<S> {
         self.turn.record(pass);
     }
 
-    fn record_iterations(&self, pass: &mut Pass) {
-        for _ in 0..self.system.pace().chunk / BLOCK {
-            self.pcg.record(pass, &self.state, &self.system, BLOCK);
+    fn record_iterations(&self, pass: &mut Pass, buffers: S::Buffers<'_>) {
+        for _ in 0..self.system.pace(buffers).chunk / BLOCK {
+            self.pcg
+                .record(pass, &self.state, &self.system, buffers, BLOCK);
         }
     }
 
@@ -278,6 +286,9 @@ impl<S: System> OuterLoop<S> {
         recorder.stage("solve", |pass| {
             self.system.record_measure(pass, buffers);
             self.start.record(pass);
+            if S::GUESSES && !self.host_turns {
+                self.record_turn(pass);
+            }
         });
         if self.host_turns {
             let mut times = recorder.submit().wait()?;
@@ -287,10 +298,10 @@ impl<S: System> OuterLoop<S> {
         let mut times = Vec::new();
         loop {
             recorder.stage("solve", |pass| {
-                for _ in 0..self.system.pace().turns {
+                for _ in 0..self.system.pace(buffers).turns {
                     self.record_turn(pass);
                     self.system.record_begin(pass, &self.state);
-                    self.record_iterations(pass);
+                    self.record_iterations(pass, buffers);
                 }
                 self.record_turn(pass);
             });
@@ -338,7 +349,8 @@ impl<S: System> OuterLoop<S> {
         recorder.stage("solve", |pass| {
             self.system.record_begin(pass, &self.state);
             self.pcg.record_gate(pass);
-            self.system.record_preconditioner(pass, &self.state);
+            self.system
+                .record_preconditioner(pass, &self.state, buffers);
         });
         recorder.submit();
         gpu.check("solve")
@@ -467,7 +479,7 @@ impl<S: System> OuterLoop<S> {
             let mut recorder = Recorder::timed(gpu);
             recorder.stage("solve", |pass| self.system.record_begin(pass, &self.state));
             loop {
-                recorder.stage("solve", |pass| self.record_iterations(pass));
+                recorder.stage("solve", |pass| self.record_iterations(pass, buffers));
                 let (reading, mut stages) = self.submit(gpu, recorder, buffers)?;
                 times.append(&mut stages);
                 control = reading.control;
@@ -539,7 +551,7 @@ fn round_floor(inner: Real) -> f32 {
     }
 }
 
-/// sqrt(rr / bb), and 0 for nothing of nothing.
+/// sqrt(rr / bb), and 0 where b is nothing: its squares may be below what f32 can tell from 0, and then the unknowns that are 0 solve it.
 fn relative(rr: f64, bb: f64) -> f64 {
-    if rr == 0.0 { 0.0 } else { (rr / bb).sqrt() }
+    if bb == 0.0 { 0.0 } else { (rr / bb).sqrt() }
 }

@@ -98,6 +98,21 @@ pub fn variant(f64: bool, precision: Precision) -> Variant {
     }
 }
 
+/// Refuses a precision that the adapter has not.
+pub(super) fn check_precision(gpu: &Gpu, precision: Precision) -> Result<(), Error> {
+    if precision != Precision::F64 || gpu.has_f64() {
+        return Ok(());
+    }
+    Err(Error::Limit {
+        what: "precision f64".to_owned(),
+        needed: 1,
+        available: 0,
+        unit: "feature (SHADER_F64)",
+        cure: "use precision \"mixed\", which reaches the same tolerance, or --backend cpu"
+            .to_owned(),
+    })
+}
+
 /// The solver's data on the device; all levels one after another unless said otherwise.
 #[derive(Debug)]
 pub struct SolverBuffers {
@@ -172,16 +187,7 @@ impl SolverBuffers {
     /// # Errors
     /// [`Error::Limit`] where the adapter is too small, or has no f64 and the precision needs it.
     pub fn new(gpu: &Gpu, grid: &Grid, precision: Precision) -> Result<SolverBuffers, Error> {
-        if precision == Precision::F64 && !gpu.has_f64() {
-            return Err(Error::Limit {
-                what: "precision f64".to_owned(),
-                needed: 1,
-                available: 0,
-                unit: "feature (SHADER_F64)",
-                cure: "use precision \"mixed\", which reaches the same tolerance, or --backend cpu"
-                    .to_owned(),
-            });
-        }
+        check_precision(gpu, precision)?;
         let plan = LevelPlan::new(grid);
         let variant = variant(gpu.has_f64(), precision);
         let sizes = SolverBuffers::plan(grid, variant);

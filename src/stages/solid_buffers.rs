@@ -5,6 +5,7 @@ use crate::elastic::Solids;
 use crate::gpu::{Buffer, BufferPlan, Gpu, Real, RealBuffer, WG_SIZE};
 use crate::grid::{Grid, Layout};
 use crate::scene::ElasticModel;
+use crate::solver::SolidFields;
 use crate::state::State;
 
 use super::SolidReport;
@@ -226,6 +227,20 @@ impl SolidBuffers {
         gpu.upload(&self.damping, &damping);
     }
 
+    /// What the solver reads of them, and the velocity, which it solves for.
+    pub fn fields(&self) -> SolidFields<'_> {
+        SolidFields {
+            step: (&self.step).into(),
+            rest: &self.rest,
+            velocity: &self.velocity,
+            flags: &self.flags,
+            elements: &self.elements,
+            rotated: &self.rotated,
+            element_forces: &self.element_forces,
+            load: &self.load,
+        }
+    }
+
     /// The uniform of a sub-step of dt (s) under gravity (m/s^2).
     pub fn step_of(&self, gravity: glam::DVec3, dt: f64) -> SolidStep {
         let grid = &self.plan.grid;
@@ -293,19 +308,23 @@ impl SolidBuffers {
     /// [`Error::Gpu`] when the device fails.
     pub fn read_state(&self, gpu: &Gpu, state: &mut State) -> Result<(), Error> {
         let displacement = gpu.download(&self.displacement)?;
-        let (high, low) = displacement.split_at(self.plan.n_nodes);
-        let sum = |axis: usize, high: &[f32; 4], low: &[f32; 4]| {
-            f64::from(high[axis]) + f64::from(low[axis])
-        };
-        let nodes = high.iter().zip(low);
-        state.displacement = nodes
-            .map(|(high, low)| std::array::from_fn(|axis| sum(axis, high, low)))
-            .collect();
+        state.displacement = self.displacement_of(&displacement);
         let velocity = self.velocity.download(gpu)?;
         state.node_velocity = velocity
             .chunks_exact(4)
             .map(|v| [v[0], v[1], v[2]])
             .collect();
         Ok(())
+    }
+
+    /// Displacements (m) from the contents of `displacement`.
+    pub fn displacement_of(&self, displacement: &[[f32; 4]]) -> Vec<[f64; 3]> {
+        let (high, low) = displacement.split_at(self.plan.n_nodes);
+        let nodes = high.iter().zip(low);
+        nodes
+            .map(|(high, low)| {
+                std::array::from_fn(|axis| f64::from(high[axis]) + f64::from(low[axis]))
+            })
+            .collect()
     }
 }

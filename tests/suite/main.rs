@@ -29,6 +29,7 @@ mod shaders;
 mod solid_buffers;
 mod solid_case;
 mod solid_scene;
+mod solid_solver;
 mod solver;
 mod tet_files;
 mod tet_mesh;

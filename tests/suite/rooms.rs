@@ -338,18 +338,14 @@ fn stages_share_their_nouns() {
         let twin = format!("src/reference/{noun}.rs");
         assert!(root().join(&twin).exists(), "no {twin}");
     }
-    // What several stages use, and stages of solids alone.
-    let shared = [
-        "mod",
-        "band",
-        "buffers",
-        "report",
-        "solid_buffers",
-        "move_solid",
-        "element_rotations",
+    // What several stages use.
+    let shared = ["mod", "band", "buffers", "report", "solid_buffers"];
+    // Parts of a stage that are kernels of solids alone.
+    let parts = [
+        ("node_forces", "forces"),
+        ("element_rotations", "solid_matrices"),
+        ("diagnose_solid", "diagnose"),
     ];
-    // Parts of a stage that solids have kernels of their own for.
-    let parts = [("node_forces", "forces"), ("diagnose_solid", "diagnose")];
     for file in files("src/stages", &["rs"]) {
         let stem = file.file_stem().unwrap().to_str().unwrap();
         if !shared.contains(&stem) {

@@ -1,7 +1,7 @@
 //! Ordinary and ugly solids for the twin tests. What the device holds in f32 is an f32 here too, so both paths start from the
 //! same numbers.
 
-use cutwater::elastic::{Body, Solids};
+use cutwater::elastic::{Body, Solids, lame_parameters, rest_shape};
 use cutwater::geometry::TetMesh;
 use cutwater::gpu::{Gpu, Real};
 use cutwater::grid::Grid;
@@ -78,14 +78,9 @@ pub(crate) fn solids(parts: &[(TetMesh, Material)]) -> Solids {
         let nodes: Vec<DVec3> = mesh.nodes.iter().map(|x| x.as_vec3().as_dvec3()).collect();
         solids.mass.resize(first_node + nodes.len(), 0.0);
         for element in &mesh.elements {
-            let [a, b, c, d] = element.map(|node| nodes[node as usize]);
-            let edges = DMat3::from_cols(b - a, c - a, d - a);
-            assert!(edges.determinant() > 0.0, "orientation of the mesh");
-            // Rows of the inverse of the edges.
-            let rows = edges.inverse().transpose();
-            let [g1, g2, g3] = [rows.x_axis, rows.y_axis, rows.z_axis];
-            solids.gradients.push([-(g1 + g2 + g3), g1, g2, g3]);
-            let volume = edges.determinant() / 6.0;
+            let (gradients, volume) = rest_shape(element.map(|node| nodes[node as usize]));
+            assert!(volume > 0.0, "orientation of the mesh");
+            solids.gradients.push(gradients);
             solids.volume.push(volume);
             solids.elements.push(element.map(|n| n + first_node as u32));
             for node in element {
@@ -93,15 +88,15 @@ pub(crate) fn solids(parts: &[(TetMesh, Material)]) -> Solids {
             }
         }
         solids.rest.extend(nodes);
-        let Material { young, poisson, .. } = *material;
+        let [lambda, mu] = lame_parameters(material.young, material.poisson);
         solids.bodies.push(Body {
             name: format!("body {number}"),
             nodes: first_node..solids.rest.len(),
             elements: first_element..solids.elements.len(),
             triangles: 0..0,
             density: material.density,
-            lambda: young * poisson / ((1.0 + poisson) * (1.0 - 2.0 * poisson)),
-            mu: young / (2.0 * (1.0 + poisson)),
+            lambda,
+            mu,
             model: material.model,
             mass_damping: single(material.damping[0]),
             stiffness_damping: single(material.damping[1]),

@@ -1,7 +1,8 @@
-//! `diagnose` of the solids against its equations.
+//! `diagnose` of the solids against its twin.
 
-use cutwater::elastic::{self, Deformation};
+use cutwater::elastic::Deformation;
 use cutwater::gpu::{Gpu, Real, Recorder};
+use cutwater::reference;
 use cutwater::stages::{DiagnoseSolid, ElementRotations, SolidBuffers, SolidReport};
 use cutwater::state::SolidDiagnosis;
 use glam::DVec3;
@@ -20,52 +21,32 @@ fn words(gpu: &Gpu, buffers: &SolidBuffers) -> Vec<u32> {
     gpu.download(&buffers.report).unwrap()
 }
 
-/// The twin, and the sums of the magnitudes of its terms.
-fn twin(case: &SolidCase) -> (SolidDiagnosis, SolidDiagnosis) {
+/// The twin.
+fn twin(case: &SolidCase) -> SolidDiagnosis {
+    let (solids, u) = (&case.solids, &case.displacement);
+    let elements = 0..solids.elements.len();
+    let deformations: Vec<Deformation> = elements.map(|e| solids.deformation(e, u)).collect();
+    reference::diagnose_solid(solids, &deformations, u, &case.velocity, GRAVITY.into())
+}
+
+/// Sums of the magnitudes of the terms: of a component of the momentum, of the angular momentum, of the potential energy, and of the
+/// energies that elements would have at a strain of one.
+fn sizes(case: &SolidCase) -> [f64; 4] {
     let solids = &case.solids;
-    let zero = SolidDiagnosis {
-        momentum: [0.0; 3],
-        angular_momentum: [0.0; 3],
-        kinetic_energy: 0.0,
-        elastic_energy: 0.0,
-        potential_energy: 0.0,
-        max_speed: case
-            .velocity
-            .iter()
-            .flatten()
-            .fold(0.0, |a, v| f64::max(a, v.abs())),
-        min_det: f64::INFINITY,
-        inverted: 0,
-    };
-    let (mut twin, mut size) = (zero, zero);
-    for node in 0..solids.rest.len() {
-        let mass = solids.mass[node];
-        let x = solids.rest[node] + DVec3::from(case.displacement[node]);
-        let v = DVec3::from(case.velocity[node]);
-        for axis in 0..3 {
-            twin.momentum[axis] += mass * v[axis];
-            twin.angular_momentum[axis] += mass * x.cross(v)[axis];
-            size.momentum[axis] += mass * v[axis].abs();
-            size.angular_momentum[axis] += mass * x.length() * v.length();
+    let mut sizes = [0.0; 4];
+    for (node, mass) in solids.mass.iter().enumerate() {
+        let x = (solids.rest[node] + DVec3::from(case.displacement[node])).length();
+        let v = DVec3::from(case.velocity[node]).length();
+        let gravity = DVec3::from(GRAVITY).length();
+        for (size, term) in sizes.iter_mut().zip([v, x * v, gravity * x]) {
+            *size += mass * term;
         }
-        twin.kinetic_energy += 0.5 * mass * v.length_squared();
-        twin.potential_energy -= mass * DVec3::from(GRAVITY).dot(x);
-        size.potential_energy += mass * DVec3::from(GRAVITY).length() * x.length();
     }
     for body in &solids.bodies {
-        for element in body.elements.clone() {
-            let u = solids.elements[element].map(|n| DVec3::from(case.displacement[n as usize]));
-            let deformation = Deformation::new(&solids.gradients[element], u, body.model);
-            let volume = solids.volume[element];
-            let energy = volume * elastic::energy_density(deformation.strain, body.lambda, body.mu);
-            twin.elastic_energy += energy;
-            size.elastic_energy += volume * (body.lambda + body.mu);
-            twin.min_det = twin.min_det.min(deformation.determinant());
-            twin.inverted += usize::from(deformation.determinant() <= 0.0);
-        }
+        let volume: f64 = solids.volume[body.elements.clone()].iter().sum();
+        sizes[3] += volume * (body.lambda + body.mu);
     }
-    size.kinetic_energy = twin.kinetic_energy;
-    (twin, size)
+    sizes
 }
 
 #[test]
@@ -77,7 +58,7 @@ fn the_solids_amount_to_the_twins() {
             let found = words(gpu, &buffers);
             assert_eq!(found, words(gpu, &buffers), "{}: again", case.name);
             let found = SolidReport::from_words(&found).diagnosis;
-            let (twin, size) = twin(&case);
+            let (twin, sizes) = (twin(&case), sizes(&case));
             // A rounding per term of a share and level of the tree; the report keeps 48 digits.
             let n = (case.solids.rest.len() + case.solids.elements.len()) as f64;
             let rounding =
@@ -86,21 +67,21 @@ fn the_solids_amount_to_the_twins() {
                 (
                     found.kinetic_energy,
                     twin.kinetic_energy,
-                    4.0 * rounding * size.kinetic_energy,
+                    4.0 * rounding * twin.kinetic_energy,
                 ),
                 (
                     found.potential_energy,
                     twin.potential_energy,
-                    4.0 * rounding * size.potential_energy,
+                    4.0 * rounding * sizes[2],
                 ),
             ];
             for axis in 0..3 {
                 pairs.push((
                     found.momentum[axis],
                     twin.momentum[axis],
-                    rounding * size.momentum[axis],
+                    rounding * sizes[0],
                 ));
-                let bound = 4.0 * rounding * size.angular_momentum[axis];
+                let bound = 4.0 * rounding * sizes[1];
                 pairs.push((
                     found.angular_momentum[axis],
                     twin.angular_momentum[axis],
@@ -141,7 +122,7 @@ fn the_solids_amount_to_the_twins() {
             // In all they are the twin's too.
             let slack = if real == Real::F32 { 1e-4 } else { 1e-10 };
             let off = (found.elastic_energy - twin.elastic_energy).abs();
-            let bound = slack * (twin.elastic_energy + eps(real) * size.elastic_energy);
+            let bound = slack * (twin.elastic_energy + eps(real) * sizes[3]);
             assert!(
                 off <= bound,
                 "{}: {off} J of {}",

@@ -1,9 +1,11 @@
-//! `solid_matrices`, what the elements make of the displacements, against the f64 twin of an element.
+//! `solid_matrices`, what the elements make of the displacements, against the twin.
 
 use std::path::Path;
+use std::sync::Arc;
 
-use cutwater::elastic::{self, Deformation, Solids};
+use cutwater::elastic::{self, Deformation};
 use cutwater::gpu::{Gpu, Real, Recorder};
+use cutwater::reference::{self, BlockPattern};
 use cutwater::scene::ElasticModel;
 use cutwater::stages::{ElementRotations, SolidBuffers};
 use glam::{DMat3, DVec3, DVec4};
@@ -100,41 +102,39 @@ fn assert_nearest(what: &str, f: DMat3, rotation: DMat3, rounding: f64) {
 fn elements_are_those_of_the_twin() {
     let Some(gpu) = gpu() else { return };
     for case in cases() {
+        let pattern = Arc::new(BlockPattern::new(&case.solids));
+        let twin = reference::solid_matrices(&case.solids, &pattern, &case.displacement);
         for real in SolidCase::reals(gpu) {
             let buffers = case.upload(gpu, real);
-            let found = elements(gpu, &buffers);
-            for body in &case.solids.bodies {
-                for element in body.elements.clone() {
-                    let what = format!("{} {real:?}, element {element}", case.name);
-                    assert_element(
-                        &case.solids,
-                        body,
-                        &case,
-                        element,
-                        &found[element],
-                        &what,
-                        real,
-                    );
-                }
+            for (element, found) in elements(gpu, &buffers).iter().enumerate() {
+                let what = format!("{} {real:?}, element {element}", case.name);
+                assert_element(
+                    &what,
+                    &case,
+                    element,
+                    found,
+                    twin.deformations[element],
+                    real,
+                );
             }
         }
     }
 }
 
 fn assert_element(
-    solids: &Solids,
-    body: &elastic::Body,
+    what: &str,
     case: &SolidCase,
     element: usize,
     found: &Found,
-    what: &str,
+    mut twin: Deformation,
     real: Real,
 ) {
     let eps = eps(real);
+    let solids = &case.solids;
+    let body = solids.body_of_element(element);
     let (lambda, mu) = (body.lambda, body.mu);
     let (gradients, volume) = (&solids.gradients[element], solids.volume[element]);
     let u = corners(case, element);
-    let mut twin = Deformation::new(gradients, u, body.model);
     let f = DMat3::IDENTITY + twin.gradient;
     // A difference, a product with a rounded gradient, and sums of three terms and one.
     let terms: f64 = (1..4)

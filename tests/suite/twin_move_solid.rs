@@ -1,4 +1,4 @@
-//! `move_solid` against its equations.
+//! `move_solid` against its twin.
 
 use cutwater::geometry::CutCells;
 use cutwater::gpu::{Gpu, Real, Recorder};
@@ -42,49 +42,8 @@ fn twin(case: &SolidCase, nudge: DVec3) -> State {
     let mut distance = case.solid_distance.clone();
     distance.resize(case.grid.n_cells(), 3.0 * case.grid.dx);
     let (u, v) = (&mut state.displacement, &mut state.node_velocity);
-    move_solid(&solids, &case.grid, &distance, case.dt, u, v);
+    reference::move_solid(&solids, &case.grid, &distance, case.dt, u, v);
     state
-}
-
-fn move_solid(
-    solids: &cutwater::elastic::Solids,
-    grid: &cutwater::grid::Grid,
-    solid_distance: &[f64],
-    dt: f64,
-    displacement: &mut [[f64; 3]],
-    velocity: &mut [[f64; 3]],
-) {
-    for (node, (u, v)) in displacement.iter_mut().zip(velocity).enumerate() {
-        let free = solids.prescribed[node].map(|prescribed| !prescribed);
-        let rest = solids.rest[node];
-        for axis in 0..3 {
-            u[axis] += dt * v[axis];
-            let x = rest[axis] + u[axis];
-            let wall = x.clamp(0.0, grid.size()[axis]);
-            if free[axis] && wall != x {
-                u[axis] = wall - rest[axis];
-                v[axis] = if x < wall {
-                    v[axis].max(0.0)
-                } else {
-                    v[axis].min(0.0)
-                };
-            }
-        }
-        for _ in 0..2 {
-            let x = rest + DVec3::from(*u);
-            let depth = reference::distance(grid, solid_distance, x);
-            let gradient = reference::gradient(grid, solid_distance, x);
-            if depth >= 0.0 || gradient.length() < 1e-6 {
-                break;
-            }
-            let outwards = gradient.normalize();
-            let inwards = DVec3::from(*v).dot(outwards).min(0.0);
-            for axis in (0..3).filter(|&axis| free[axis]) {
-                u[axis] -= depth * outwards[axis];
-                v[axis] -= inwards * outwards[axis];
-            }
-        }
-    }
 }
 
 /// The cases, in the open and among obstacles.

@@ -1,7 +1,9 @@
-//! `forces` of the nodes against its equation.
+//! `forces` of the nodes against its twin.
 
 use cutwater::gpu::Recorder;
+use cutwater::reference;
 use cutwater::stages::NodeForces;
+use glam::DVec3;
 
 use crate::common::gpu;
 use crate::liquid_case::{GRAVITY, assert_close};
@@ -20,18 +22,24 @@ fn free_nodes_fall_and_prescribed_ones_obey() {
             let mut state = case.state();
             buffers.read_state(gpu, &mut state).unwrap();
             assert_eq!(state.displacement, case.displacement, "{}", case.name);
+            let (solids, gravity) = (&case.solids, DVec3::from(GRAVITY));
+            let mut twin = case.velocity.clone();
+            reference::node_forces(solids, &case.scripted, gravity, case.dt, &mut twin);
             // One product and one sum.
             let bound = eps(real) * (2.0 * case.dt * 9.75 + case.speed());
-            let places = (0..state.node_velocity.len()).flat_map(|n| [0, 1, 2].map(|a| [n, a, 0]));
+            let places = (0..twin.len()).flat_map(|node| [0, 1, 2].map(|axis| [node, axis]));
             assert_close(
                 case.name,
-                places.map(|place @ [node, axis, _]| {
-                    let (twin, bound) = if !case.solids.prescribed[node][axis] {
-                        (case.velocity[node][axis] + case.dt * GRAVITY[axis], bound)
-                    } else {
-                        (case.scripted.get(node).map_or(0.0, |v| v[axis]), 0.0)
-                    };
-                    (state.node_velocity[node][axis], twin, bound, place)
+                places.map(|[node, axis]| {
+                    let free = !solids.prescribed[node][axis];
+                    let found = state.node_velocity[node][axis];
+                    let bound = if free { bound } else { 0.0 };
+                    (
+                        found,
+                        twin[node][axis],
+                        bound,
+                        [node, axis, usize::from(free)],
+                    )
                 }),
             );
         }

@@ -1,0 +1,496 @@
+//! The solve of the solids, S v = rhs: conjugate gradients on the elements' own products, preconditioned by a Chebyshev polynomial in
+//! D^-1 S, in the outer loop.
+
+use crate::Error;
+use crate::gpu::{
+    Bound, Buffer, BufferPlan, Gpu, Kernel, Pass, RealBuffer, Recorder, SPLIT, StageTimes,
+};
+use crate::scene::Solver;
+
+use super::chebyshev::{MAX_DEGREE, Polynomial};
+use super::pcg::{State, Unknowns};
+use super::refine::{HostSystem, Outcome, OuterLoop, Pace, System};
+use super::solid_system::{
+    BODIES, LABELS, N_LISTS, NODES, SolidFields, SolidRows, SolidSystemBuffers, rounds,
+};
+
+/// Largest solid, in nodes, whose polynomial one workgroup evaluates in one dispatch: a row for each of its threads, so that a step takes
+/// about as long as a dispatch of its own and saves its start. With more rows than threads the rest of the device is missed: on llvmpipe
+/// (2 threads) a step takes 30, 49, 68, 212 us for 54, 135, 207, 725 nodes, against 36, 48, 56, 142 us with a dispatch each.
+const BODY_NODES: usize = 256;
+/// Dispatches of an iteration besides those of the preconditioner.
+const DISPATCHES: usize = 6;
+/// Dispatches that are recorded ahead of a chance to turn, and the iterations they may make, at most.
+const AHEAD: usize = 256;
+const CHUNK: usize = 32;
+/// Chances to turn in a submission: most solves take one round.
+const TURNS: usize = 2;
+
+/// Whether each solid is small enough for a workgroup.
+fn in_workgroups(largest_body: usize, n_bodies: usize) -> bool {
+    largest_body <= BODY_NODES && n_bodies <= SPLIT as usize
+}
+
+/// The kernels of [`SolidSolver::solve`].
+pub fn solid_kernels(rows: &SolidRows) -> Vec<&'static str> {
+    let mut kernels = vec![
+        "solid_guess",
+        "solid_products",
+        "solid_residual",
+        "refine_start",
+        "refine_correct",
+        "refine_turn",
+        "solid_begin",
+        "pcg_gate",
+        "pcg_beta",
+        "pcg_direction",
+        "solid_apply",
+        "pcg_alpha",
+        "solid_update",
+    ];
+    if rows.long_sums() {
+        kernels.push("fold_partials");
+    }
+    let one_by_one = !in_workgroups(rows.largest_body(), rows.rows.n_bodies as usize);
+    kernels.push(match one_by_one {
+        true => "chebyshev_sweep",
+        false => "chebyshev_polynomial",
+    });
+    kernels
+}
+
+/// The uniforms of the steps of the polynomial, where each is a dispatch.
+pub(super) fn sweeps(rows: &SolidRows) -> Vec<BufferPlan> {
+    if in_workgroups(rows.largest_body(), rows.rows.n_bodies as usize) {
+        return Vec::new();
+    }
+    let plan = BufferPlan::of::<[u32; 4]>("solid_solver.sweep", MAX_DEGREE + 1);
+    vec![plan]
+}
+
+/// The solve of a step: everything between right-hand side and velocity.
+#[derive(Debug)]
+pub struct SolidSolver {
+    outer: OuterLoop<Elastic>,
+    polynomial: Buffer<Polynomial>,
+}
+
+impl SolidSolver {
+    /// Compiles and binds.
+    ///
+    /// # Errors
+    /// As [`Kernel::new`] and [`Gpu::buffer`].
+    pub fn new(
+        gpu: &Gpu,
+        buffers: &SolidSystemBuffers,
+        fields: SolidFields,
+        solver: &Solver,
+    ) -> Result<SolidSolver, Error> {
+        let polynomial = gpu.uniform("solid_solver.polynomial", &Polynomial::new(0, 1.0))?;
+        let case = Case {
+            buffers,
+            fields,
+            degree: 0,
+        };
+        let outer = OuterLoop::new(gpu, case, solver, |state, norms| {
+            Elastic::new(gpu, case, state, norms, &polynomial)
+        })?;
+        Ok(SolidSolver { outer, polynomial })
+    }
+
+    /// Submits the recording with the solve at its end and waits for the verdict. The velocity in `fields` is v* before and v after
+    /// it. `polynomial`: the preconditioner's, for this step's S. `verify` asks for a verdict in f64 where the precision or the
+    /// adapter would not give one.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails. A solve that does not converge is an [`Outcome`], not an error.
+    pub fn solve<'a>(
+        &self,
+        gpu: &'a Gpu,
+        recorder: Recorder<'a>,
+        buffers: &SolidSystemBuffers,
+        fields: SolidFields,
+        polynomial: &Polynomial,
+        verify: bool,
+    ) -> Result<(Outcome, StageTimes), Error> {
+        let case = self.case(gpu, buffers, fields, polynomial);
+        self.outer.solve(gpu, recorder, case, verify)
+    }
+
+    /// S x as conjugate gradients evaluate it, 0 for prescribed components; x and the answer hold four numbers per node, the fourth 0.
+    /// Overwrites what a solve computes with.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn apply(
+        &self,
+        gpu: &Gpu,
+        buffers: &SolidSystemBuffers,
+        fields: SolidFields,
+        x: &[f64],
+    ) -> Result<Vec<f64>, Error> {
+        let case = Case {
+            buffers,
+            fields,
+            degree: 0,
+        };
+        self.outer.apply(gpu, case, x)?;
+        buffers.q.download(gpu)
+    }
+
+    /// p(D^-1 S) D^-1 r, the preconditioner as conjugate gradients evaluate it; r, 0 for prescribed components, and the answer hold four
+    /// numbers per node, the fourth 0. Overwrites what a solve computes with.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn precondition(
+        &self,
+        gpu: &Gpu,
+        buffers: &SolidSystemBuffers,
+        fields: SolidFields,
+        polynomial: &Polynomial,
+        r: &[f64],
+    ) -> Result<Vec<f64>, Error> {
+        let case = self.case(gpu, buffers, fields, polynomial);
+        buffers.outer.upload(gpu, r);
+        self.outer.precondition(gpu, case)?;
+        buffers.z.download(gpu)
+    }
+
+    fn case<'a>(
+        &self,
+        gpu: &Gpu,
+        buffers: &'a SolidSystemBuffers,
+        fields: SolidFields<'a>,
+        polynomial: &Polynomial,
+    ) -> Case<'a> {
+        gpu.upload(&self.polynomial, &[*polynomial]);
+        Case {
+            buffers,
+            fields,
+            degree: polynomial.degree as usize,
+        }
+    }
+}
+
+/// Where the system lies, and the degree of its preconditioner.
+#[derive(Clone, Copy, Debug)]
+struct Case<'a> {
+    buffers: &'a SolidSystemBuffers,
+    fields: SolidFields<'a>,
+    degree: usize,
+}
+
+/// The kernels of the solids' system.
+#[derive(Debug)]
+struct Elastic {
+    guess: Bound,
+    /// Products of the elements with the velocity, and with the search direction.
+    products: [Bound; 2],
+    residual: Bound,
+    begin: Bound,
+    preconditioner: Chebyshev,
+    apply: Bound,
+    update: Bound,
+}
+
+#[derive(Debug)]
+enum Chebyshev {
+    /// All steps in one dispatch, a workgroup per solid.
+    Workgroups(Bound),
+    /// A dispatch per step.
+    Sweeps(Vec<Bound>),
+}
+
+impl Elastic {
+    fn new(
+        gpu: &Gpu,
+        Case {
+            buffers, fields, ..
+        }: Case,
+        state: &State,
+        norms: &RealBuffer,
+        polynomial: &Buffer<Polynomial>,
+    ) -> Result<Elastic, Error> {
+        let kernel = |source| Kernel::new(gpu, source, buffers.variant);
+        let rows = ("rows", (&buffers.rows).into());
+        let flags = ("flags", fields.flags.into());
+        let incidence = ("incidence", (&buffers.incidence).into());
+        let products = ("products", (&buffers.products).into());
+        let masses = ("masses", (&buffers.masses).into());
+        let outer = ("outer", (&buffers.outer).into());
+        let r = ("r", (&buffers.r).into());
+        let search = ("search", (&buffers.search).into());
+        let partials = ("partials", (&buffers.partials).into());
+        let product_of = |x: &RealBuffer| {
+            kernel(&crate::wgsl!("solid_products"))?.bind(
+                gpu,
+                &[
+                    rows,
+                    ("elements", fields.elements.into()),
+                    ("rotated", fields.rotated.into()),
+                    ("x", x.into()),
+                    products,
+                ],
+            )
+        };
+        Ok(Elastic {
+            guess: kernel(&crate::wgsl!("solid_guess"))?.bind(
+                gpu,
+                &[rows, flags, ("velocity", fields.velocity.into()), search],
+            )?,
+            products: [product_of(fields.velocity)?, product_of(&buffers.search)?],
+            residual: kernel(&crate::wgsl!("solid_residual"))?.bind(
+                gpu,
+                &[
+                    rows,
+                    flags,
+                    incidence,
+                    products,
+                    masses,
+                    ("x", fields.velocity.into()),
+                    ("rhs", (&buffers.rhs).into()),
+                    outer,
+                    partials,
+                ],
+            )?,
+            begin: kernel(&crate::wgsl!("solid_begin"))?
+                .bind(gpu, &[rows, ("norms", norms.into()), outer, r, search])?,
+            preconditioner: Chebyshev::new(gpu, buffers, polynomial)?,
+            apply: kernel(&crate::wgsl!("solid_apply"))?.bind(
+                gpu,
+                &[
+                    rows,
+                    flags,
+                    incidence,
+                    products,
+                    masses,
+                    ("x", (&buffers.search).into()),
+                    r,
+                    ("q_out", (&buffers.q).into()),
+                    partials,
+                ],
+            )?,
+            update: kernel(&crate::wgsl!("solid_update"))?.bind(
+                gpu,
+                &[
+                    rows,
+                    ("scalars", (&state.scalars).into()),
+                    search,
+                    ("q_in", (&buffers.q).into()),
+                    r,
+                ],
+            )?,
+        })
+    }
+}
+
+impl Chebyshev {
+    fn new(
+        gpu: &Gpu,
+        buffers: &SolidSystemBuffers,
+        polynomial: &Buffer<Polynomial>,
+    ) -> Result<Chebyshev, Error> {
+        let kernel = |source| Kernel::new(gpu, source, buffers.variant);
+        let bindings = [
+            ("rows", (&buffers.rows).into()),
+            ("polynomial", polynomial.into()),
+            ("list", (&buffers.list).into()),
+            ("blocks", (&buffers.blocks).into()),
+            ("inverse", (&buffers.inverse).into()),
+            ("r", (&buffers.r).into()),
+            ("pair", (&buffers.pair).into()),
+            ("increment", (&buffers.increment).into()),
+            ("z", (&buffers.z).into()),
+            ("partials", (&buffers.partials).into()),
+        ];
+        if in_workgroups(buffers.largest_body, buffers.sizes.n_bodies as usize) {
+            let bound = kernel(&crate::wgsl!("chebyshev_polynomial"))?.bind(gpu, &bindings)?;
+            return Ok(Chebyshev::Workgroups(bound));
+        }
+        let kernel = kernel(&crate::wgsl!("chebyshev_sweep"))?;
+        let sweeps = (0..=MAX_DEGREE as u32).map(|k| {
+            let sweep = gpu.uniform("solid_solver.sweep", &[k, 0, 0, 0])?;
+            let mut bindings = bindings.to_vec();
+            bindings.push(("sweep", (&sweep).into()));
+            kernel.bind(gpu, &bindings)
+        });
+        Ok(Chebyshev::Sweeps(sweeps.collect::<Result<_, _>>()?))
+    }
+}
+
+impl System for Elastic {
+    type Buffers<'a> = Case<'a>;
+    type Host = HostElastic;
+
+    const GUESSES: bool = true;
+
+    fn unknowns<'a>(case: Self::Buffers<'a>) -> Unknowns<'a> {
+        let Case {
+            buffers, fields, ..
+        } = case;
+        Unknowns {
+            labels: &LABELS,
+            level: buffers.level(),
+            n_lists: N_LISTS,
+            long_sums: buffers.long_sums,
+            variant: rounds(buffers.variant),
+            flags: fields.flags,
+            list: &buffers.list,
+            args: &buffers.args,
+            x: fields.velocity,
+            outer: &buffers.outer,
+            z: &buffers.z,
+            search: &buffers.search,
+            partials: &buffers.partials,
+            // Rounds and turns take turns with it.
+            outer_partials: &buffers.partials,
+            components: None,
+        }
+    }
+
+    fn pace(&self, case: Case<'_>) -> Pace {
+        let steps = match self.preconditioner {
+            Chebyshev::Workgroups(_) => 1,
+            Chebyshev::Sweeps(_) => case.degree + 1,
+        };
+        Pace {
+            chunk: (AHEAD / (DISPATCHES + steps))
+                .next_multiple_of(super::refine::BLOCK)
+                .min(CHUNK),
+            turns: TURNS,
+        }
+    }
+
+    fn record_measure(&self, pass: &mut Pass, case: Case<'_>) {
+        for bound in [&self.guess, &self.products[0], &self.residual] {
+            pass.dispatch_indirect(bound, &case.buffers.args, NODES);
+        }
+    }
+
+    fn record_residual(&self, pass: &mut Pass, state: &State) {
+        state.in_turn(pass, &self.products[0]);
+        state.in_turn(pass, &self.residual);
+    }
+
+    fn record_begin(&self, pass: &mut Pass, state: &State) {
+        state.in_begin(pass, &self.begin);
+    }
+
+    fn record_preconditioner(&self, pass: &mut Pass, state: &State, case: Case<'_>) {
+        match &self.preconditioner {
+            Chebyshev::Workgroups(bound) => state.in_round(pass, bound, BODIES),
+            Chebyshev::Sweeps(sweeps) => {
+                for sweep in &sweeps[..=case.degree] {
+                    state.in_round(pass, sweep, NODES);
+                }
+            }
+        }
+    }
+
+    fn record_operator(&self, pass: &mut Pass, sizes: &Buffer<u32>) {
+        pass.dispatch_indirect(&self.products[1], sizes, NODES);
+        pass.dispatch_indirect(&self.apply, sizes, NODES);
+    }
+
+    fn record_update(&self, pass: &mut Pass, state: &State) {
+        state.in_update(pass, &self.update);
+    }
+
+    fn on_host(gpu: &Gpu, case: Case<'_>, _: u32) -> Result<HostElastic, Error> {
+        HostElastic::download(gpu, case)
+    }
+}
+
+/// The stored system, widened. Vectors hold four numbers per node.
+#[derive(Debug)]
+struct HostElastic {
+    flags: Vec<u32>,
+    elements: Vec<[u32; 4]>,
+    rotated: Vec<f64>,
+    masses: Vec<f64>,
+    rhs: Vec<f64>,
+    /// Prescribed components; the others are zero.
+    prescribed: Vec<f64>,
+    /// v* in the free components; the others are zero.
+    guess: Vec<f64>,
+}
+
+impl HostElastic {
+    fn download(
+        gpu: &Gpu,
+        Case {
+            buffers, fields, ..
+        }: Case,
+    ) -> Result<HostElastic, Error> {
+        let n = buffers.sizes.n_nodes as usize;
+        let mut search = buffers.search.download(gpu)?;
+        Ok(HostElastic {
+            flags: gpu.download(fields.flags)?,
+            elements: gpu.download(fields.elements)?,
+            rotated: fields.rotated.download(gpu)?,
+            masses: buffers.masses.download(gpu)?,
+            rhs: buffers.rhs.download(gpu)?,
+            prescribed: fields.velocity.download(gpu)?,
+            guess: search.split_off(4 * n),
+        })
+    }
+
+    /// One of three sections of vectors per element.
+    fn vector(&self, section: usize, element: usize) -> (glam::DVec3, f64) {
+        let at = 4 * (section * self.elements.len() + element);
+        let [x, y, z, w] = [0, 1, 2, 3].map(|part| self.rotated[at + part]);
+        (glam::DVec3::new(x, y, z), w)
+    }
+}
+
+impl HostSystem for HostElastic {
+    /// v*, unless zero leaves less of the right-hand side.
+    fn start(&self) -> Vec<f64> {
+        let pairs = self.prescribed.iter().zip(&self.guess);
+        let guess: Vec<f64> = pairs
+            .map(|(prescribed, guess)| prescribed + guess)
+            .collect();
+        let [with, without] = [&guess, &self.prescribed].map(|x| self.residual(x).1);
+        if with < without {
+            guess
+        } else {
+            self.prescribed.clone()
+        }
+    }
+
+    /// Summed element by element, then node by node.
+    fn residual(&self, x: &[f64]) -> (Vec<f64>, f64) {
+        let node = |node: u32| glam::DVec3::from_slice(&x[4 * node as usize..]);
+        let mut product = vec![glam::DVec3::ZERO; self.masses.len()];
+        for (element, corners) in self.elements.iter().enumerate() {
+            let (g1, lambda) = self.vector(0, element);
+            let (g2, mu) = self.vector(1, element);
+            let gradients = [g1, g2, self.vector(2, element).0];
+            let origin = node(corners[0]);
+            let differences = [1, 2, 3].map(|corner: usize| node(corners[corner]) - origin);
+            let pairs = || differences.iter().zip(gradients);
+            let trace: f64 = pairs().map(|(x, g)| x.dot(g)).sum();
+            for (corner, at) in gradients.into_iter().enumerate() {
+                // (H + H^T) g.
+                let strain: glam::DVec3 =
+                    pairs().map(|(&x, g)| x * g.dot(at) + g * x.dot(at)).sum();
+                let force = lambda * trace * at + mu * strain;
+                product[corners[corner + 1] as usize] += force;
+                product[corners[0] as usize] -= force;
+            }
+        }
+        let mut r = vec![0.0; x.len()];
+        let mut rr = 0.0;
+        for (node, product) in product.into_iter().enumerate() {
+            for axis in 0..3 {
+                if self.flags[node] >> axis & 1 == 1 {
+                    let at = 4 * node + axis;
+                    r[at] = self.rhs[at] - (self.masses[node] * x[at] + product[axis]);
+                    rr += r[at] * r[at];
+                }
+            }
+        }
+        (r, rr)
+    }
+}

@@ -1,0 +1,469 @@
+//! The system of the solids on the device, S v = rhs with S = zeta_M M + zeta_K K: its rows, buffers, and the kernels that set it up.
+//!
+//! What is solved is made of the rotated elements (`solid.rotated`) and never assembled: residuals and the operator of conjugate gradients
+//! sum the products of the elements. Only the preconditioner has a matrix, 3x3 blocks in rows that are sorted by length in windows
+//! and cut into slices of 64 (SELL-C-sigma, Kreutzer et al. 2014), so that one thread per row streams.
+
+use crate::Error;
+use crate::elastic::{Incidence, Solids};
+use crate::gpu::{
+    Binding, Bound, Buffer, BufferPlan, Gpu, Kernel, Pass, RealBuffer, Variant, WG_SIZE, groups,
+};
+use crate::scene::Solver;
+
+use super::chebyshev::Polynomial;
+use super::pcg::{Labels, labels};
+use super::plan::outer_loop;
+use super::{FOLD_THREADS, Level, variant};
+
+pub(super) const LABELS: Labels = labels!("solid_solver");
+
+/// Rows in a slice; `common/rows.wgsl` has it too. As many as threads in a workgroup.
+const SLICE: usize = WG_SIZE as usize;
+/// Rows among which the longest come first: enough to make the slices' rows about equally long, few enough to stay near in memory.
+const WINDOW: usize = 16 * SLICE;
+/// Numbers up to this one are exact in f32, as which the blocks hold their columns.
+const LARGEST_COLUMN: usize = 1 << 24;
+/// Elements that four corners' worth of bits leave room for in a word.
+const LARGEST_ELEMENT: usize = 1 << 28;
+/// Lists whose dispatch sizes open while a round runs: nodes, solids.
+pub(super) const N_LISTS: usize = 2;
+/// Slots of those lists.
+pub(super) const NODES: usize = 0;
+pub(super) const BODIES: usize = 1;
+
+/// The doppelganger of `Rows` in `shaders/common/rows.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct Rows {
+    /// Nodes.
+    pub n_nodes: u32,
+    /// Elements.
+    pub n_elements: u32,
+    /// Blocks off the diagonal, padding counted.
+    pub n_entries: u32,
+    /// First word in the list of where the slices start.
+    pub slices: u32,
+    /// First word in the list of where the bodies start.
+    pub bodies: u32,
+    /// Solids.
+    pub n_bodies: u32,
+    /// Nothing.
+    pub pad_0: u32,
+    /// Nothing.
+    pub pad_1: u32,
+}
+
+/// The rows of the solids as the device holds them: topology, which never changes.
+#[derive(Clone, Debug)]
+pub struct SolidRows {
+    /// Sizes.
+    pub rows: Rows,
+    /// Node in each slot, then where the slices and the bodies start.
+    list: Vec<u32>,
+    /// Column of each entry.
+    neighbours: Vec<u32>,
+    /// Where the joints of each entry start, then the joints.
+    joints: Vec<u32>,
+    /// Where the corners of each node start, then the corners.
+    incidence: Vec<u32>,
+    /// Blocks without padding.
+    n_blocks: usize,
+    /// Nodes of the largest solid.
+    largest_body: usize,
+}
+
+impl SolidRows {
+    /// Lays the rows out.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] for more nodes or elements than the device's words can count.
+    pub fn new(solids: &Solids) -> Result<SolidRows, Error> {
+        let (n, m) = (solids.rest.len(), solids.elements.len());
+        for (what, needed, available, unit) in [
+            ("the rows of the solids", n, LARGEST_COLUMN, "nodes"),
+            ("the elements of the solids", m, LARGEST_ELEMENT, "elements"),
+        ] {
+            if needed > available {
+                return Err(Error::Limit {
+                    what: what.to_owned(),
+                    needed: needed as u64,
+                    available: available as u64,
+                    unit,
+                    cure: "use coarser meshes, or --backend cpu".to_owned(),
+                });
+            }
+        }
+        let topology = Incidence::new(n, &solids.elements);
+        let mut order: Vec<u32> = (0..n as u32).collect();
+        for body in &solids.bodies {
+            for window in order[body.nodes.clone()].chunks_mut(WINDOW) {
+                // Stable: equally long rows stay in order.
+                let length = |node: &u32| topology.neighbours(*node as usize).len();
+                window.sort_by_key(|node| std::cmp::Reverse(length(node)));
+            }
+        }
+        let mut rows = SolidRows {
+            rows: Rows {
+                n_nodes: n as u32,
+                n_elements: m as u32,
+                n_bodies: solids.bodies.len() as u32,
+                ..Rows::default()
+            },
+            list: Vec::new(),
+            neighbours: Vec::new(),
+            joints: Vec::new(),
+            incidence: Vec::new(),
+            n_blocks: topology.n_blocks(),
+            largest_body: 0,
+        };
+        rows.set_slices(&topology, &order);
+        let bodies = solids.bodies.iter().map(|body| &body.nodes);
+        rows.rows.bodies = rows.list.len() as u32;
+        rows.list.push(0);
+        for nodes in bodies {
+            rows.list.push(nodes.end as u32);
+            rows.largest_body = rows.largest_body.max(nodes.len());
+        }
+        rows.incidence.push(0);
+        for node in 0..n {
+            let end = rows.incidence[node] + topology.corners(node).len() as u32;
+            rows.incidence.push(end);
+        }
+        for start in &mut rows.incidence {
+            *start += n as u32 + 1;
+        }
+        for node in 0..n {
+            let corners = topology.corners(node).iter();
+            let words = corners.map(|corner| 4 * corner.element + u32::from(corner.corner));
+            rows.incidence.extend(words);
+        }
+        Ok(rows)
+    }
+
+    fn set_slices(&mut self, topology: &Incidence, order: &[u32]) {
+        let mut starts = vec![0];
+        let mut joints = Vec::with_capacity(topology.n_joints());
+        let mut joint_starts = Vec::new();
+        for slice in order.chunks(SLICE) {
+            let lengths = slice.iter().map(|&node| topology.blocks(node as usize));
+            let longest = lengths.map(|blocks| blocks.len()).max().unwrap_or(0);
+            for column in 0..longest {
+                for lane in 0..SLICE {
+                    joint_starts.push(joints.len() as u32);
+                    let node = slice.get(lane).copied();
+                    let block = node.and_then(|node| topology.blocks(node as usize).nth(column));
+                    let Some((node, block)) = node.zip(block) else {
+                        self.neighbours.push(node.unwrap_or(0));
+                        continue;
+                    };
+                    self.neighbours
+                        .push(topology.neighbours(node as usize)[column]);
+                    joints.extend(topology.joints(block).iter().map(|joint| {
+                        let [row, column] = joint.corners.map(u32::from);
+                        16 * joint.element + 4 * row + column
+                    }));
+                }
+            }
+            starts.push(starts[starts.len() - 1] + longest as u32);
+        }
+        let n_entries = self.neighbours.len();
+        self.joints = joint_starts;
+        self.joints.push(joints.len() as u32);
+        for start in &mut self.joints {
+            *start += n_entries as u32 + 1;
+        }
+        self.joints.append(&mut joints);
+        self.list = order.to_vec();
+        self.rows.slices = self.list.len() as u32;
+        self.rows.n_entries = n_entries as u32;
+        self.list.append(&mut starts);
+    }
+
+    /// Blocks stored over blocks needed.
+    pub fn padding(&self) -> f64 {
+        self.neighbours.len() as f64 / self.n_blocks.max(1) as f64
+    }
+
+    /// Blocks off the diagonal, padding not counted.
+    pub fn n_blocks(&self) -> usize {
+        self.n_blocks
+    }
+
+    /// Nodes of the largest solid.
+    pub fn largest_body(&self) -> usize {
+        self.largest_body
+    }
+
+    /// Whether sums take two levels.
+    pub(super) fn long_sums(&self) -> bool {
+        self.rows.n_nodes as usize > 4 * FOLD_THREADS
+    }
+
+    /// What [`SolidSystemBuffers::new`] allocates, uniforms aside.
+    pub fn buffers(&self, Variant { real, inner }: Variant) -> Vec<BufferPlan> {
+        let (n, m) = (self.rows.n_nodes as usize, self.rows.n_elements as usize);
+        let partials = n.max(FOLD_THREADS);
+        vec![
+            BufferPlan::of::<u32>("solid_solver.list", self.list.len()),
+            BufferPlan::of::<u32>("solid_solver.args", 4 * (N_LISTS + 1)),
+            BufferPlan::of::<u32>("solid_solver.incidence", self.incidence.len()),
+            BufferPlan::of::<u32>("solid_solver.joints", self.joints.len()),
+            BufferPlan::of::<u32>("solid_solver.neighbours", self.neighbours.len()),
+            RealBuffer::plan("solid_solver.blocks", 12 * self.neighbours.len(), inner),
+            RealBuffer::plan("solid_solver.inverse", 8 * n, inner),
+            RealBuffer::plan("solid_solver.masses", n, real),
+            RealBuffer::plan("solid_solver.rhs", 4 * n, real),
+            RealBuffer::plan("solid_solver.outer", 4 * n, real),
+            RealBuffer::plan("solid_solver.products", 12 * m, real),
+            RealBuffer::plan("solid_solver.r", 4 * n, real),
+            RealBuffer::plan("solid_solver.z", 4 * n, real),
+            RealBuffer::plan("solid_solver.search", 8 * n, real),
+            RealBuffer::plan("solid_solver.q", 4 * n, real),
+            RealBuffer::plan("solid_solver.pair", 8 * n, inner),
+            RealBuffer::plan("solid_solver.increment", 4 * n, inner),
+            RealBuffer::plan("solid_solver.partials", 4 * partials, real),
+        ]
+    }
+
+    /// The uniforms of [`SolidSystemBuffers`] and [`SolidSolver`](super::SolidSolver), and what its outer loop keeps.
+    pub fn small_buffers(&self, solver: &Solver, variant: Variant) -> Vec<BufferPlan> {
+        let n_scalars = 4 * self.rows.n_nodes as usize;
+        let mut plans = outer_loop(
+            &LABELS,
+            [N_LISTS, n_scalars],
+            self.long_sums(),
+            solver,
+            rounds(variant),
+        );
+        plans.extend([
+            BufferPlan::of::<Rows>("solid_solver.rows", 1),
+            BufferPlan::of::<Polynomial>("solid_solver.polynomial", 1),
+        ]);
+        plans.extend(super::solid_solver::sweeps(self));
+        plans
+    }
+}
+
+/// Scalar types of outer loop and rounds: conjugate gradients are as precise as the residual, and only their preconditioner is not.
+pub(super) fn rounds(variant: Variant) -> Variant {
+    variant.real.into()
+}
+
+/// What the solver reads of the solids, and their velocity, which it solves for. n nodes, m elements; `Real4` is four scalars
+/// of the outer loop's type.
+#[derive(Clone, Copy, Debug)]
+pub struct SolidFields<'a> {
+    /// Uniform `SolidStep`.
+    pub step: Binding<'a>,
+    /// Per node: position and lumped mass, kg.
+    pub rest: &'a Buffer<[f32; 4]>,
+    /// `Real4` per node: velocity, m/s.
+    pub velocity: &'a RealBuffer,
+    /// Per node: bits 0, 1, 2 for free components.
+    pub flags: &'a Buffer<u32>,
+    /// Nodes of the elements.
+    pub elements: &'a Buffer<[u32; 4]>,
+    /// `Real4`, three sections of m: rotated gradients, 1/m, with zeta_K V lambda, zeta_K V mu and det F.
+    pub rotated: &'a RealBuffer,
+    /// `Real4`, three sections of m: K x* - b at corners 1, 2, 3, N.
+    pub element_forces: &'a RealBuffer,
+    /// `Real4` per node: constant force, N, and tau_M, 1/s.
+    pub load: &'a RealBuffer,
+}
+
+/// The solver's data on the device. A node is a quad x, y, z, 0.
+#[derive(Debug)]
+pub struct SolidSystemBuffers {
+    /// Scalar types: `real` of outer loop and conjugate gradients, `inner` of the preconditioner.
+    pub variant: Variant,
+    /// The rows.
+    pub rows: Buffer<Rows>,
+    pub(super) sizes: Rows,
+    pub(super) long_sums: bool,
+    pub(super) largest_body: usize,
+    /// Node in each slot of the rows, then where the slices and the solids start.
+    pub list: Buffer<u32>,
+    /// Dispatch size and number of nodes and of solids; after them the length of folded partials.
+    pub(super) args: Buffer<u32>,
+    /// Corners of the nodes: see `common/gather.wgsl`.
+    pub incidence: Buffer<u32>,
+    joints: Buffer<u32>,
+    neighbours: Buffer<u32>,
+    /// Blocks zeta_K K_ij off the diagonal, kg/s: see `common/rows.wgsl`.
+    pub blocks: RealBuffer,
+    /// Inverse blocks of the diagonal, s/kg: xx, yy, zz, zeta_M m of all nodes, then xy, xz, yz, 0.
+    pub inverse: RealBuffer,
+    /// zeta_M m per node, kg/s.
+    pub masses: RealBuffer,
+    /// Right-hand side of the free components, N, and the squared norm of the terms that it sums.
+    pub rhs: RealBuffer,
+    pub(super) outer: RealBuffer,
+    pub(super) products: RealBuffer,
+    pub(super) r: RealBuffer,
+    pub(super) z: RealBuffer,
+    pub(super) search: RealBuffer,
+    pub(super) q: RealBuffer,
+    pub(super) pair: RealBuffer,
+    pub(super) increment: RealBuffer,
+    pub(super) partials: RealBuffer,
+}
+
+impl SolidSystemBuffers {
+    /// Allocates for these rows and writes what never changes.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] where the adapter is too small, or has no f64 and the precision needs it.
+    pub fn new(
+        gpu: &Gpu,
+        layout: &SolidRows,
+        solver: &Solver,
+    ) -> Result<SolidSystemBuffers, Error> {
+        super::system::check_precision(gpu, solver.precision)?;
+        let variant = variant(gpu.has_f64(), solver.precision);
+        let plans = layout.buffers(variant);
+        for plan in &plans {
+            gpu.report().check_buffer(plan.label, plan.bytes())?;
+        }
+        let len = |label: &str| {
+            let plan = plans.iter().find(|plan| plan.label == label);
+            plan.map_or(0, |plan| plan.len)
+        };
+        let real = |label: &str| RealBuffer::new(gpu, label, len(label), variant.real);
+        let inner = |label: &str| RealBuffer::new(gpu, label, len(label), variant.inner);
+        let sizes = layout.rows;
+        let mut args = Vec::new();
+        for n in [sizes.n_nodes.div_ceil(WG_SIZE), sizes.n_bodies] {
+            args.extend(groups(n));
+            args.push(n);
+        }
+        args[3] = sizes.n_nodes;
+        args.extend([0, 0, 0, FOLD_THREADS as u32]);
+        Ok(SolidSystemBuffers {
+            variant,
+            rows: gpu.uniform("solid_solver.rows", &sizes)?,
+            sizes,
+            long_sums: layout.long_sums(),
+            largest_body: layout.largest_body,
+            list: gpu.buffer_with("solid_solver.list", &layout.list)?,
+            args: gpu.buffer_with("solid_solver.args", &args)?,
+            incidence: gpu.buffer_with("solid_solver.incidence", &layout.incidence)?,
+            joints: gpu.buffer_with("solid_solver.joints", &layout.joints)?,
+            neighbours: gpu.buffer_with("solid_solver.neighbours", &layout.neighbours)?,
+            blocks: inner("solid_solver.blocks")?,
+            inverse: inner("solid_solver.inverse")?,
+            masses: real("solid_solver.masses")?,
+            rhs: real("solid_solver.rhs")?,
+            outer: real("solid_solver.outer")?,
+            products: real("solid_solver.products")?,
+            r: real("solid_solver.r")?,
+            z: real("solid_solver.z")?,
+            search: real("solid_solver.search")?,
+            q: real("solid_solver.q")?,
+            pair: inner("solid_solver.pair")?,
+            increment: inner("solid_solver.increment")?,
+            partials: real("solid_solver.partials")?,
+        })
+    }
+
+    /// The uniform of the quads.
+    pub(super) fn level(&self) -> Level {
+        let n = self.sizes.n_nodes;
+        Level {
+            shape: crate::grid::Layout {
+                quads: n,
+                total: n,
+                ..bytemuck::Zeroable::zeroed()
+            },
+            coefficient: 1.0,
+            args: 4 * NODES as u32,
+            pad_0: 0,
+            pad_1: 0,
+        }
+    }
+}
+
+/// The kernels that set the system up, every step: the part of `solid_matrices` that follows the rotations of the elements, and
+/// `right_hand_side` for solids.
+#[derive(Debug)]
+pub struct SolidSystem {
+    blocks: Bound,
+    diagonals: Bound,
+    right_hand_side: Bound,
+    n_entries: usize,
+    n_nodes: usize,
+}
+
+impl SolidSystem {
+    /// Compiles and binds.
+    ///
+    /// # Errors
+    /// As [`Kernel::new`] and [`Kernel::bind`].
+    pub fn new(
+        gpu: &Gpu,
+        buffers: &SolidSystemBuffers,
+        fields: SolidFields,
+    ) -> Result<SolidSystem, Error> {
+        let kernel = |source| Kernel::new(gpu, source, buffers.variant);
+        let rows = ("rows", (&buffers.rows).into());
+        let step = ("step", fields.step);
+        let flags = ("flags", fields.flags.into());
+        let rest = ("rest", fields.rest.into());
+        let load = ("load", fields.load.into());
+        let rotated = ("rotated", fields.rotated.into());
+        let incidence = ("incidence", (&buffers.incidence).into());
+        Ok(SolidSystem {
+            blocks: kernel(&crate::wgsl!("solid_blocks"))?.bind(
+                gpu,
+                &[
+                    rows,
+                    rotated,
+                    ("joints", (&buffers.joints).into()),
+                    ("neighbours", (&buffers.neighbours).into()),
+                    ("blocks", (&buffers.blocks).into()),
+                ],
+            )?,
+            diagonals: kernel(&crate::wgsl!("solid_diagonals"))?.bind(
+                gpu,
+                &[
+                    step,
+                    rows,
+                    flags,
+                    rest,
+                    load,
+                    rotated,
+                    incidence,
+                    ("masses", (&buffers.masses).into()),
+                    ("inverse", (&buffers.inverse).into()),
+                ],
+            )?,
+            right_hand_side: kernel(&crate::wgsl!("solid_right_hand_side"))?.bind(
+                gpu,
+                &[
+                    step,
+                    rows,
+                    flags,
+                    rest,
+                    ("velocity", fields.velocity.into()),
+                    load,
+                    incidence,
+                    ("products", fields.element_forces.into()),
+                    ("rhs", (&buffers.rhs).into()),
+                ],
+            )?,
+            n_entries: buffers.sizes.n_entries as usize,
+            n_nodes: buffers.sizes.n_nodes as usize,
+        })
+    }
+
+    /// Records blocks and diagonals, from the rotated elements.
+    pub fn record_matrices(&self, pass: &mut Pass) {
+        pass.dispatch(&self.blocks, self.n_entries);
+        pass.dispatch(&self.diagonals, self.n_nodes);
+    }
+
+    /// Records the right-hand side, from v* and the forces of the elements.
+    pub fn record_right_hand_side(&self, pass: &mut Pass) {
+        pass.dispatch(&self.right_hand_side, self.n_nodes);
+    }
+}

@@ -1,0 +1,460 @@
+//! The solids' solver on the device against the system in f64.
+
+use std::sync::Arc;
+
+use cutwater::elastic::{Bounds, Solids};
+use cutwater::gpu::{Gpu, Real, Recorder};
+use cutwater::linalg::{LinearOperator, dot, norm};
+use cutwater::reference::{self, BlockPattern, SolidSystem as Twin};
+use cutwater::scene::{Precision, Solver};
+use cutwater::solver::{
+    Outcome, Polynomial, SolidRows, SolidSolver, SolidSystem, SolidSystemBuffers, rounding, variant,
+};
+use cutwater::stages::SolidBuffers;
+use cutwater::state::SolveStatus;
+use glam::DVec3;
+
+use crate::common::{Random, gpu};
+use crate::solid_case::{Material, RUBBER, SolidCase, cases, eps, lattice, solids};
+
+/// The twin of a case's system, from the elements that the device has.
+fn twin(case: &SolidCase) -> Twin {
+    let SolidCase { solids, dt, .. } = case;
+    let matrices = reference::solid_matrices(solids, &pattern(solids), &case.displacement);
+    let rhs = reference::solid_right_hand_side(solids, &matrices, &case.velocity, *dt);
+    Twin::new(solids, &matrices, &rhs, &case.velocity, *dt)
+}
+
+fn pattern(solids: &Solids) -> Arc<BlockPattern> {
+    Arc::new(BlockPattern::new(solids))
+}
+
+/// The solver on the device, holding a case; its elements are those of the twin.
+struct Device<'a> {
+    gpu: &'a Gpu,
+    fields: SolidBuffers,
+    buffers: SolidSystemBuffers,
+    system: SolidSystem,
+    solver: SolidSolver,
+    polynomial: Polynomial,
+    n_nodes: usize,
+}
+
+impl<'a> Device<'a> {
+    fn holding(gpu: &'a Gpu, case: &SolidCase, solver: &Solver) -> Device<'a> {
+        let solids = &case.solids;
+        let real = variant(gpu.has_f64(), solver.precision).real;
+        let fields = case.upload(gpu, real);
+        let matrices = reference::solid_matrices(solids, &pattern(solids), &case.displacement);
+        let m = solids.elements.len();
+        let (mut rotated, mut forces) = (vec![0.0; 12 * m], vec![0.0; 12 * m]);
+        for element in 0..m {
+            let body = solids.body_of_element(element);
+            let volume = body.zeta_stiffness(case.dt) * solids.volume[element];
+            let deformation = &matrices.deformations[element];
+            let fourth = [
+                volume * body.lambda,
+                volume * body.mu,
+                deformation.determinant(),
+            ];
+            for (section, fourth) in fourth.into_iter().enumerate() {
+                let at = 4 * (section * m + element);
+                let turned = deformation.rotation * solids.gradients[element][section + 1];
+                rotated[at..at + 4].copy_from_slice(&turned.extend(fourth).to_array());
+                let force = matrices.element_forces[element][section + 1];
+                forces[at..at + 3].copy_from_slice(&force.to_array());
+            }
+        }
+        fields.rotated.upload(gpu, &rotated);
+        fields.element_forces.upload(gpu, &forces);
+        let rows = SolidRows::new(solids).unwrap();
+        let buffers = SolidSystemBuffers::new(gpu, &rows, solver).unwrap();
+        let bounds = Bounds::new(solids);
+        let degree = bounds.chebyshev_degree(solids, case.dt);
+        let device = Device {
+            gpu,
+            system: SolidSystem::new(gpu, &buffers, fields.fields()).unwrap(),
+            solver: SolidSolver::new(gpu, &buffers, fields.fields(), solver).unwrap(),
+            polynomial: Polynomial::new(degree, bounds.block_jacobi),
+            fields,
+            buffers,
+            n_nodes: solids.rest.len(),
+        };
+        device.prepare().submit();
+        device
+    }
+
+    fn prepare(&self) -> Recorder<'a> {
+        let mut recorder = Recorder::new(self.gpu);
+        recorder.stage("solid_matrices", |pass| self.system.record_matrices(pass));
+        recorder.stage("right_hand_side", |pass| {
+            self.system.record_right_hand_side(pass)
+        });
+        recorder
+    }
+
+    /// The verdict, and the velocities: three numbers per node.
+    fn solve(&self) -> (Outcome, Vec<f64>) {
+        let (gpu, fields) = (self.gpu, self.fields.fields());
+        let to = self.prepare();
+        let solve = self
+            .solver
+            .solve(gpu, to, &self.buffers, fields, &self.polynomial, true);
+        let (outcome, _) = solve.unwrap();
+        let velocity = self.fields.velocity.download(gpu).unwrap();
+        (outcome, three(&velocity))
+    }
+
+    fn apply(&self, x: &[f64]) -> Vec<f64> {
+        let fields = self.fields.fields();
+        let answer = self.solver.apply(self.gpu, &self.buffers, fields, &four(x));
+        three(&answer.unwrap()[..4 * self.n_nodes])
+    }
+
+    fn precondition(&self, r: &[f64]) -> Vec<f64> {
+        let (gpu, fields) = (self.gpu, self.fields.fields());
+        let answer =
+            self.solver
+                .precondition(gpu, &self.buffers, fields, &self.polynomial, &four(r));
+        three(&answer.unwrap()[..4 * self.n_nodes])
+    }
+}
+
+/// Three numbers per node of four.
+fn three(x: &[f64]) -> Vec<f64> {
+    x.chunks_exact(4)
+        .flat_map(|node| node[..3].to_vec())
+        .collect()
+}
+
+/// Four numbers per node of three.
+fn four(x: &[f64]) -> Vec<f64> {
+    let nodes = x.chunks_exact(3);
+    nodes
+        .flat_map(|node| [node[0], node[1], node[2], 0.0])
+        .collect()
+}
+
+/// Uniform in -1..1 for free components, as f32 has them; 0 for prescribed ones.
+fn noise(case: &SolidCase, seed: u64) -> Vec<f64> {
+    let mut random = Random(seed);
+    let prescribed = case.solids.prescribed.as_flattened().iter();
+    prescribed
+        .map(|&prescribed| match prescribed {
+            true => 0.0,
+            false => f64::from(random.uniform(-1.0, 1.0) as f32),
+        })
+        .collect()
+}
+
+/// The beam of the base scene, hung up at its top, bent and in motion.
+fn hanging(cells: [usize; 3], material: Material, dt: f64) -> SolidCase {
+    let low = DVec3::new(0.43, 0.47, 0.24);
+    let mesh = lattice(low, DVec3::new(0.08, 0.08, 0.56), cells);
+    let mut case = SolidCase::new("beam", solids(&[(mesh, material)])).deformed(bend);
+    case.dt = f64::from(dt as f32);
+    for (node, x) in case.solids.rest.iter().enumerate() {
+        if x.z > 0.8 - 1e-6 {
+            case.solids.prescribed[node] = [true; 3];
+            continue;
+        }
+        let wave = [
+            0.3 * (3.0 * x.z).sin(),
+            0.2 * (4.0 * x.x).cos(),
+            0.1 * (2.0 * x.y).sin() - 9.81 * dt,
+        ];
+        case.velocity[node] = wave.map(|v| f64::from(v as f32));
+    }
+    case
+}
+
+fn bend(x: DVec3) -> DVec3 {
+    let s = 0.8 - x.z;
+    let (angle, curvature, xi) = (0.5 * s / 0.56, 0.5 / 0.56, x.x - 0.47);
+    DVec3::new(
+        0.47 + (1.0 - angle.cos()) / curvature + xi * angle.cos(),
+        x.y + 0.02 * (3.0 * s).sin(),
+        0.8 - angle.sin() / curvature + xi * angle.sin(),
+    )
+}
+
+/// The ugly cases, with velocities in prescribed components as `forces` leaves them, and beams: in one workgroup, in a dispatch for each
+/// step of the polynomial, with two bodies.
+fn systems() -> Vec<SolidCase> {
+    let mut all = cases();
+    for case in &mut all {
+        for (node, v) in case.velocity.iter_mut().enumerate() {
+            for axis in 0..3 {
+                if case.solids.prescribed[node][axis] {
+                    v[axis] = case.scripted.get(node).map_or(0.0, |v| v[axis]);
+                }
+            }
+        }
+    }
+    let stiff = Material {
+        young: 1e9,
+        density: 10.0,
+        ..RUBBER
+    };
+    all.push(hanging([2, 2, 14], RUBBER, 1.0 / 120.0));
+    all.push(hanging([4, 4, 28], RUBBER, 1.0 / 120.0));
+    all.push(hanging([3, 3, 21], stiff, 1.0 / 24.0));
+    all
+}
+
+/// The unknowns among the velocities, 0 for prescribed components.
+fn free_components(case: &SolidCase, velocity: &[f64]) -> Vec<f64> {
+    let prescribed = case.solids.prescribed.as_flattened();
+    let pairs = velocity.iter().zip(prescribed);
+    pairs
+        .map(|(&v, &held)| if held { 0.0 } else { v })
+        .collect()
+}
+
+/// |S| |x|: what rounding of S x is a part of.
+fn magnitudes(twin: &Twin, x: &[f64]) -> Vec<f64> {
+    let matrix = twin.to_csr();
+    let row = |row| {
+        matrix
+            .row(row)
+            .map(|(column, s)| (s * x[column]).abs())
+            .sum()
+    };
+    (0..x.len()).map(row).collect()
+}
+
+fn precisions(gpu: &Gpu) -> Vec<Solver> {
+    let all = [
+        (Precision::F32, 1e-5),
+        (Precision::Mixed, 1e-8),
+        (Precision::F64, 1e-10),
+    ];
+    let there = all.into_iter();
+    there
+        .filter(|(precision, _)| gpu.has_f64() || *precision != Precision::F64)
+        .map(|(precision, tolerance)| Solver {
+            precision,
+            tolerance,
+            ..Solver::default()
+        })
+        .collect()
+}
+
+/// The operator, the preconditioner and the solve of every system, on one device each: compiling the kernels is most of the time.
+#[test]
+fn the_velocities_solve_the_system() {
+    let Some(gpu) = gpu() else { return };
+    for case in systems() {
+        let twin = twin(&case);
+        for solver in precisions(gpu) {
+            let what = format!("{} {:?}", case.name, solver.precision);
+            let device = Device::holding(gpu, &case, &solver);
+            assert_operator(&what, &case, &twin, &device);
+            assert_preconditioner(&what, &case, &device, &solver);
+            // Forces of 1e-25 N, whose squares are nothing in f32.
+            if case.name != "denormals" || device.fields.velocity.real == Real::F64 {
+                assert_solution(&what, &case, &twin, &device, &solver);
+            }
+        }
+    }
+}
+
+/// Velocities that solve the system, as the reported residual says; those that are prescribed stay to the bit.
+fn assert_solution(what: &str, case: &SolidCase, twin: &Twin, device: &Device, solver: &Solver) {
+    let (outcome, velocity) = device.solve();
+    assert_eq!(
+        outcome.status,
+        SolveStatus::Converged,
+        "{what}: {outcome:?}"
+    );
+    assert_eq!(outcome.unknowns as usize, twin.unknowns().len(), "{what}");
+    let held = case.velocity.as_flattened();
+    let prescribed = case.solids.prescribed.as_flattened();
+    for (at, _) in prescribed.iter().enumerate().filter(|(_, held)| **held) {
+        assert_eq!(velocity[at], held[at], "{what}: component {at}");
+    }
+    let residual = norm(&twin.residual(&free_components(case, &velocity)));
+    let goal = (solver.tolerance * norm(&twin.rhs)).max(rounding(solver) * twin.rhs_scale);
+    // The device has moduli, masses and, without f64, gradients in f32: rounding of the terms of S v.
+    let size = norm(&magnitudes(twin, &velocity)) + twin.rhs_scale;
+    let coarse = 32.0 * eps(device.fields.velocity.real) * size;
+    assert!(
+        residual <= goal + coarse,
+        "{what}: |r| is {residual:e} N, not {goal:e} and {coarse:e}; {outcome:?}"
+    );
+    let reported = outcome.residual * norm(&twin.rhs);
+    assert!(
+        (reported - residual).abs() <= 1e-3 * residual + coarse,
+        "{what}: |r| is {residual:e} N, reported {reported:e}, give or take {coarse:e}"
+    );
+}
+
+/// S x as conjugate gradients evaluate it is the twin's, symmetric and positive. A translation strains nothing: S times it is the mass
+/// part alone, to the bit of one rounding.
+fn assert_operator(what: &str, case: &SolidCase, twin: &Twin, device: &Device) {
+    let [x, y] = [1, 2].map(|seed| noise(case, seed));
+    let mut wanted = vec![0.0; x.len()];
+    twin.apply(&x, &mut wanted);
+    let size = magnitudes(twin, &x);
+    let eps = eps(device.fields.velocity.real);
+    let [sx, sy] = [&x, &y].map(|x| device.apply(x));
+    // Elements cancel in the sums of a node: by their number there, 24, at most.
+    let bound = 64.0 * eps * norm(&size);
+    for (at, (found, wanted)) in sx.iter().zip(&wanted).enumerate() {
+        let off = (found - wanted).abs();
+        assert!(
+            off <= bound,
+            "{what}: component {at} is off by {off:e} of {bound:e}"
+        );
+    }
+    let (xsy, ysx) = (dot(&x, &sy), dot(&y, &sx));
+    let terms = 64.0 * eps * size.iter().sum::<f64>();
+    assert!((xsy - ysx).abs() <= terms, "{what}: {xsy} and {ysx}");
+    assert!(dot(&x, &sx) > 0.0, "{what}: not positive");
+    let prescribed = case.solids.prescribed.as_flattened();
+    if prescribed.iter().any(|held| *held) {
+        return;
+    }
+    let moved = device.apply(&vec![0.75; x.len()]);
+    for (node, found) in moved.chunks_exact(3).enumerate() {
+        let zeta = case.solids.body_of_node(node).zeta_mass(case.dt);
+        let wanted = 0.75 * zeta * case.solids.mass[node];
+        for found in found {
+            let off = (found - wanted).abs();
+            assert!(off <= 4.0 * eps * wanted, "{what}: node {node}: {found} N");
+        }
+    }
+}
+
+/// The preconditioner is symmetric and positive, and what is prescribed stays 0. In f32 symmetric up to rounding, which the polynomial lets
+/// grow with its degree.
+fn assert_preconditioner(what: &str, case: &SolidCase, device: &Device, solver: &Solver) {
+    let [x, y] = [3, 4].map(|seed| noise(case, seed));
+    let [hx, hy] = [&x, &y].map(|r| device.precondition(r));
+    for (at, held) in case.solids.prescribed.as_flattened().iter().enumerate() {
+        assert!(!held || hx[at] == 0.0, "{what}: component {at} moves");
+    }
+    let (xhx, yhy) = (dot(&x, &hx), dot(&y, &hy));
+    assert!(xhx > 0.0 && yhy > 0.0, "{what}: {xhx} and {yhy}");
+    let off = (dot(&x, &hy) - dot(&y, &hx)).abs();
+    let inner = variant(device.gpu.has_f64(), solver.precision).inner;
+    let degree = f64::from(device.polynomial.degree);
+    let bound = 64.0 * (degree + 1.0) * eps(inner) * (xhx * yhy).sqrt();
+    assert!(off <= bound, "{what}: asymmetric by {off:e}, of {bound:e}");
+}
+
+/// All steps in one workgroup are the same iteration as a dispatch for each.
+#[test]
+fn the_polynomial_is_the_same_in_one_workgroup() {
+    let Some(gpu) = gpu() else { return };
+    let small = hanging([2, 2, 14], RUBBER, 1.0 / 120.0);
+    // A second body of more than a workgroup's rows makes all steps dispatches.
+    let low = DVec3::new(0.1, 0.1, 1.0);
+    let other = lattice(low, DVec3::splat(0.8), [7, 7, 7]);
+    let beam = lattice(
+        DVec3::new(0.43, 0.47, 0.24),
+        DVec3::new(0.08, 0.08, 0.56),
+        [2, 2, 14],
+    );
+    let mut both = SolidCase::new("both", solids(&[(beam, RUBBER), (other, RUBBER)]));
+    let n = small.solids.rest.len();
+    both.displacement[..n].copy_from_slice(&small.displacement);
+    both.solids.prescribed[..n].copy_from_slice(&small.solids.prescribed);
+    both.dt = small.dt;
+    let r = noise(&small, 7);
+    let mut r_both = r.clone();
+    r_both.resize(3 * both.solids.rest.len(), 0.0);
+    for solver in precisions(gpu) {
+        let in_one = Device::holding(gpu, &small, &solver);
+        let one_by_one = Device::holding(gpu, &both, &solver);
+        // The other body may need a higher degree or bound; the rows of the beam see only the polynomial.
+        let device = Device {
+            polynomial: in_one.polynomial,
+            ..one_by_one
+        };
+        let (a, b) = (in_one.precondition(&r), device.precondition(&r_both));
+        let inner = variant(gpu.has_f64(), solver.precision).inner;
+        let bound = 64.0 * eps(inner) * norm(&a);
+        for (a, b) in a.iter().zip(&b) {
+            assert!(
+                (a - b).abs() <= bound,
+                "{:?}: {a} and {b}",
+                solver.precision
+            );
+        }
+        assert!(b[3 * n..].iter().all(|&z| z == 0.0), "the other body moves");
+    }
+}
+
+/// Sums of more partials than a workgroup folds, and rows of many slices.
+#[test]
+fn a_large_solid_converges() {
+    let Some(gpu) = gpu() else { return };
+    let mesh = lattice(DVec3::splat(0.1), DVec3::splat(1.0), [25; 3]);
+    let case = SolidCase::new("large", solids(&[(mesh, RUBBER)])).shaken(1e-3, 1.0);
+    let case = SolidCase {
+        dt: f64::from(1e-3_f32),
+        ..case
+    };
+    let solver = Solver::default();
+    let device = Device::holding(gpu, &case, &solver);
+    assert_solution("large", &case, &twin(&case), &device, &solver);
+}
+
+/// The residual that is told is the one of the velocities that are left, whatever ended the solve.
+#[test]
+fn a_limit_is_told_with_the_true_residual() {
+    let Some(gpu) = gpu() else { return };
+    let case = hanging([4, 4, 28], RUBBER, 1.0 / 24.0);
+    let twin = twin(&case);
+    let mut last = f64::INFINITY;
+    for max_iterations in 1..=7 {
+        let solver = Solver {
+            max_iterations,
+            tolerance: 1e-12,
+            ..Solver::default()
+        };
+        let device = Device::holding(gpu, &case, &solver);
+        let (outcome, velocity) = device.solve();
+        assert_eq!(outcome.status, SolveStatus::IterationLimit, "{outcome:?}");
+        assert_eq!(outcome.iterations, max_iterations);
+        let unknowns = free_components(&case, &velocity);
+        let residual = norm(&twin.residual(&unknowns)) / norm(&twin.rhs);
+        let coarse = 32.0 * eps(device.fields.velocity.real) * norm(&magnitudes(&twin, &velocity))
+            / norm(&twin.rhs);
+        assert!(
+            (residual - outcome.residual).abs() <= 1e-3 * residual + coarse,
+            "{max_iterations}: {residual:e}, reported {:e}",
+            outcome.residual
+        );
+        last = last.min(residual);
+    }
+    assert!(last < 0.5, "seven iterations leave {last}");
+}
+
+#[test]
+fn not_a_number_is_told() {
+    let Some(gpu) = gpu() else { return };
+    let mut case = hanging([2, 2, 14], RUBBER, 1.0 / 120.0);
+    case.velocity[0][1] = f64::NAN;
+    for solver in precisions(gpu) {
+        let (outcome, _) = Device::holding(gpu, &case, &solver).solve();
+        assert_eq!(outcome.status, SolveStatus::NonFinite, "{outcome:?}");
+    }
+}
+
+#[test]
+fn the_same_solve_gives_the_same_bits() {
+    let Some(gpu) = gpu() else { return };
+    for cells in [[2, 2, 14], [4, 4, 28]] {
+        let case = hanging(cells, RUBBER, 1.0 / 120.0);
+        for solver in precisions(gpu) {
+            let device = Device::holding(gpu, &case, &solver);
+            let (first, velocity) = device.solve();
+            device.fields.write_state(gpu, &case.state());
+            let (second, again) = device.solve();
+            assert_eq!(first.iterations, second.iterations);
+            assert!(velocity == again, "{:?} differs", solver.precision);
+        }
+    }
+}
