@@ -5,19 +5,21 @@
 //!
 //! 1. `time_step`: the largest step that the velocities allow and that lands on the frame times ([`sim`])
 //! 2. `clip`: open face areas and the distance to the obstacles, on the CPU ([`geometry`])
-//! 3. `advect_markers`: midpoint rule through the MAC field, then out of solids and walls; on the GPU `band` then lists the
-//!    quads near the liquid, which all other stages work on
-//! 4. `advect_velocity`: semi-Lagrangian on the faces
-//! 5. `forces`: gravity
-//! 6. `liquid_distance`: union of spheres, extended into the solids
-//! 7. `active_cells`: the unknowns, compacted, and the levels of the multigrid hierarchy; `closed_components`: those among
+//! 3. `move_solid`: nodes of the solids, then out of walls and obstacles
+//! 4. `advect_markers`: midpoint rule through the MAC field, then out of solids and walls; on the GPU `band` then lists the
+//!    quads near the liquid, which all other stages of the liquid work on
+//! 5. `advect_velocity`: semi-Lagrangian on the faces
+//! 6. `forces`: gravity on faces and nodes, and what prescribed nodes move with
+//! 7. `liquid_distance`: union of spheres, extended into the solids
+//! 8. `active_cells`: the unknowns, compacted, and the levels of the multigrid hierarchy; `closed_components`: those among
 //!    them that no free surface reaches
-//! 8. `right_hand_side`: negative divergence and volume control
-//! 9. `solve`: the pressure ([`solver`])
-//! 10. `write_back`: the divergence-free face velocities
-//! 11. `extrapolate`: velocities beyond the liquid
-//! 12. `diagnose`: volume, momentum, energies and the solver's report
-//! 13. `probe`: what the scene measures at points, above points and at the front
+//! 9. `solid_matrices`: rotations of the elements, elastic forces, stiffness
+//! 10. `right_hand_side`: negative divergence and volume control; forces of the solids
+//! 11. `solve`: the pressure and the velocities of the solids ([`solver`])
+//! 12. `write_back`: the divergence-free face velocities
+//! 13. `extrapolate`: velocities beyond the liquid
+//! 14. `diagnose`: volume, momentum, energies, the worst element and the solver's report
+//! 15. `probe`: what the scene measures at points, above points and at the front
 //!
 //! What a scene is: [`scene`]; what it calls for: [`effects`]; where things are on the grid: [`grid`].
 #![deny(clippy::print_stdout)]

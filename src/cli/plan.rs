@@ -43,7 +43,7 @@ impl PlanCommand {
                 say_scene(&scene, &plan);
                 say_effects(&plan);
                 say_stages(&plan);
-                say_pressure(&plan);
+                say_solves(&plan);
                 say_buffers(&plan);
                 match adapter {
                     Some(adapter) => say_limits(&scene, &plan, &adapter),
@@ -68,6 +68,13 @@ fn say_scene(scene: &Scene, plan: &Plan) {
     );
     if plan.n_markers > 0 {
         say!("  about {} markers", plan.n_markers);
+    }
+    if plan.n_nodes > 0 {
+        say!(
+            "  solids: {} nodes, {} elements",
+            plan.n_nodes,
+            plan.n_elements
+        );
     }
     let frame = 1.0 / scene.time.frames_per_second;
     say!(
@@ -98,8 +105,11 @@ fn say_stages(plan: &Plan) {
     }
 }
 
-fn say_pressure(plan: &Plan) {
-    say!("\npressure\n  {}", plan.pressure);
+fn say_solves(plan: &Plan) {
+    say!("\nsolve");
+    for solve in &plan.solves {
+        say!("  {solve}");
+    }
     if plan.host_turns {
         say!(
             "  the adapter has no f64: the host turns from round to round and moves {} each time",
@@ -125,11 +135,13 @@ fn say_buffers(plan: &Plan) {
         plan.bytes(),
         mebibytes(plan.bytes())
     );
-    say!(
-        "  {:.1} bytes per padded cell, {:.0} per marker",
-        plan.bytes_per_cell(),
-        plan.bytes_per_marker()
-    );
+    if plan.n_nodes == 0 {
+        say!(
+            "  {:.1} bytes per padded cell, {:.0} per marker",
+            plan.bytes_per_cell(),
+            plan.bytes_per_marker()
+        );
+    }
 }
 
 fn say_limits(scene: &Scene, plan: &Plan, adapter: &AdapterReport) {

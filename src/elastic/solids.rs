@@ -78,7 +78,7 @@ impl Solids {
         held_by: &mut [[Option<usize>; 3]],
         pins: &[Pin],
     ) -> Result<(), Error> {
-        let name = format!("{what}.pin[{number}]");
+        let name = format!("{what}.{}", key(pins, number));
         let nodes = self.nodes_in(body, &pin.region, &name)?;
         for &node in &nodes {
             for axis in (0..3).filter(|&axis| pin.components[axis]) {
@@ -89,10 +89,11 @@ impl Solids {
                 {
                     let component = ["x", "y", "z"][axis];
                     let problem = format!(
-                        "holds the {component} of the node at {}, which pin[{other}] holds too, and one of them moves",
-                        self.rest[node as usize]
+                        "prescribes {component} of the node at {}, and so does {}",
+                        self.rest[node as usize],
+                        key(pins, other)
                     );
-                    let cure = "let the regions or the components of pins with keyframes not overlap others";
+                    let cure = "let the regions or the components of scripts not overlap those of other scripts and pins";
                     return Err(Error::input(name, problem, cure));
                 }
                 *holder = Some(number);
@@ -278,6 +279,16 @@ impl Solids {
         let stress = stress(deformation.strain, body.lambda, body.mu);
         [von_mises(stress), deformation.determinant()]
     }
+}
+
+/// What the scene file calls a pin: those with keyframes are scripts, and each kind is counted by itself.
+fn key(pins: &[Pin], number: usize) -> String {
+    let still = pins[number].keyframes.is_empty();
+    let before = pins[..number].iter();
+    let count = before
+        .filter(|pin| pin.keyframes.is_empty() == still)
+        .count();
+    format!("{}[{count}]", if still { "pin" } else { "script" })
 }
 
 impl Body {

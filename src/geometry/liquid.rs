@@ -388,12 +388,13 @@ fn scramble(x: u64) -> u64 {
 
 /// The state before the first step: markers or the fixed distance, and on every face the velocity of the region that holds
 /// its centre or the centre of a cell beside it, else that of the nearest region within two cells; 0 on walls and elsewhere.
-/// Volumes are left to the first diagnosis. Regions in which no cell finds liquid, all of them, are an error.
+/// Volumes are left to the first diagnosis, and solids to [`crate::elastic::Solids::initial_state`]. Without liquid in the scene, nothing;
+/// regions in which no cell finds liquid, all of them, are an error.
 pub fn initial_state(scene: &Scene, grid: &Grid, cut_cells: &CutCells) -> Result<State, Error> {
-    let mut state = State::at_rest(grid);
     let Some(liquid) = &scene.liquid else {
-        return Ok(state);
+        return Ok(State::default());
     };
+    let mut state = State::at_rest(grid);
     let some = match liquid.surface {
         Surface::Markers => {
             state.markers = seed_markers(scene, grid, cut_cells)?;

@@ -15,11 +15,12 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use crate::Error;
+use crate::elastic::Solids;
 use crate::geometry;
 use crate::gpu::AdapterChoice;
 use crate::linalg::{Csr, Symmetry, matrix_text, norm, vector_text};
 use crate::output::write_atomically;
-use crate::reference::{PressureSystem, Reference, right_hand_side};
+use crate::reference::{PressureSystem, Reference, StepSystem, right_hand_side};
 use crate::scene::Scene;
 use crate::sim::{Backend, GpuPath, LiquidSnapshot};
 use crate::state::SolveStatus;
@@ -225,13 +226,15 @@ fn on_cpu(scene: &Scene, step: u64) -> Result<Solved, Error> {
     let grid = scene.grid();
     let cut = geometry::cut_cells(scene, &grid)?;
     let state = geometry::initial_state(scene, &grid, &cut)?;
-    let mut path = Reference::new(scene, cut, state)?;
+    let mut path = Reference::new(scene, cut, Solids::default(), state)?;
     loop {
         let time_step = path.next_time_step();
         let wanted = path.state().step == step;
         let mut solved = None;
-        let report = path.step_observed(time_step, &mut |system, pressure| {
-            solved = wanted.then(|| (system.clone(), pressure.to_vec()));
+        let report = path.step_observed(time_step, &mut |of_step| {
+            if let (StepSystem::Pressure(system, pressure), true) = (of_step, wanted) {
+                solved = Some((system.clone(), pressure.to_vec()));
+            }
         })?;
         if let Some((system, pressure)) = solved {
             return Ok(Solved {

@@ -52,6 +52,6 @@ pub use solid_right_hand_side::{SolidRightHandSide, solid_right_hand_side};
 pub use solid_system::SolidSystem;
 pub use solve::{DIRECT_UNKNOWNS, solve, solve_direct, solve_iterative};
 pub use solve_solid::{Chebyshev, SolidSolver};
-pub use step::Reference;
+pub use step::{Reference, StepSystem};
 pub use time_step::{TimeStep, time_step};
 pub use write_back::write_back;

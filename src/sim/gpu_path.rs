@@ -1,6 +1,7 @@
 //! The GPU path of a simulation: one scene on one device, and what the host keeps of its state.
 
 use crate::Error;
+use crate::elastic::Solids;
 use crate::geometry::{self, CutCells};
 use crate::gpu::{AdapterChoice, Gpu, Real};
 use crate::grid::Grid;
@@ -11,6 +12,7 @@ use crate::stages::Step;
 use crate::state::State;
 
 use super::gpu_liquid::GpuLiquid;
+use super::gpu_solids::GpuSolids;
 use super::step::Readbacks;
 use super::{Clock, Plan};
 
@@ -24,6 +26,7 @@ pub struct GpuPath {
     /// The clock of the state; its fields are on the device.
     pub(super) head: State,
     pub(super) liquid: Option<GpuLiquid>,
+    pub(super) solids: Option<GpuSolids>,
     /// Taken while a step runs.
     pub(super) readbacks: Option<Readbacks>,
 }
@@ -36,13 +39,22 @@ impl GpuPath {
     pub fn open(scene: &Scene, choice: &AdapterChoice) -> Result<GpuPath, Error> {
         let gpu = Gpu::new(choice)?;
         // Before the liquid is seeded, which may take long.
-        Plan::new(scene, Some(gpu.report()))?.check(gpu.report())?;
+        let solids = super::solids_of(scene)?;
+        Plan::with(scene, &solids, Some(gpu.report()))?.check(gpu.report())?;
         let grid = scene.grid();
         let cut = geometry::cut_cells(scene, &grid)?;
         let mut state = geometry::initial_state(scene, &grid, &cut)?;
         reference::prepare(scene, &grid, &cut, &mut state);
+        (state.displacement, state.node_velocity) = solids.initial_state(scene);
         let liquid = GpuLiquid::new(&gpu, scene, &cut, state.markers.len())?;
+        let obstacles = liquid.as_ref().map(|liquid| &liquid.buffers.obstacles);
+        let solids = match solids.bodies.is_empty() {
+            true => None,
+            false => Some(GpuSolids::new(&gpu, scene, solids, &cut, obstacles)?),
+        };
+        let report = || GpuSolids::readback(&gpu);
         let readbacks = Some(Readbacks {
+            solids: solids.as_ref().map(|_| report()).transpose()?,
             liquid: GpuLiquid::readback(&gpu, scene)?,
         });
         let mut path = GpuPath {
@@ -52,6 +64,7 @@ impl GpuPath {
             cut,
             head: State::at_rest(&grid),
             liquid,
+            solids,
             readbacks,
         };
         path.write_state(&state)?;
@@ -74,6 +87,9 @@ impl GpuPath {
             let step = liquid.step_numbers(&self.scene, 0.0);
             liquid.write_state(&self.gpu, state, step);
         }
+        if let Some(solids) = &mut self.solids {
+            solids.write_state(&self.gpu, state);
+        }
         self.gpu.wait("the initial state")
     }
 
@@ -83,15 +99,27 @@ impl GpuPath {
         if let Some(liquid) = &self.liquid {
             liquid.read_state(&self.gpu, &self.grid, self.head.dt_last, &mut state)?;
         }
+        if let Some(solids) = &self.solids {
+            solids.buffers.read_state(&self.gpu, &mut state)?;
+        }
         Ok(state)
     }
 
     /// The values of the scene's probes, all columns in order.
     pub(super) fn probes(&mut self) -> Result<Vec<f64>, Error> {
-        match &mut self.liquid {
-            Some(liquid) => liquid.probes(&self.gpu),
-            None => Ok(Vec::new()),
+        let mut values = match &mut self.liquid {
+            Some(liquid) => liquid.probes(&self.gpu)?,
+            None => Vec::new(),
+        };
+        if let Some(solids) = &mut self.solids {
+            let displacement = solids.probed(&self.gpu)?;
+            let probes = self.scene.probes.iter();
+            let of_solids = probes.filter(|probe| !probe.kind.of_liquid());
+            values.extend(
+                of_solids.flat_map(|probe| solids.solids.probe(&displacement, &probe.kind)),
+            );
         }
+        Ok(values)
     }
 
     /// The length of the next sub-step.
@@ -99,7 +127,8 @@ impl GpuPath {
         let Scene { time, domain, .. } = &self.scene;
         let fall = (domain.gravity.length() * self.grid.dx).sqrt();
         let left = self.head.time_left(time.frames_per_second);
-        let max_speed = self.liquid.iter().map(|liquid| liquid.max_speed);
+        let liquid = self.liquid.iter().map(|liquid| liquid.max_speed);
+        let max_speed = liquid.chain(self.solids.iter().map(|solids| solids.max_speed));
         time_step(
             time,
             self.grid.dx,
@@ -111,10 +140,13 @@ impl GpuPath {
     }
 
     /// Tells the kernels the length of the sub-step.
-    pub(super) fn write_step(&self, dt: f64) {
+    pub(super) fn write_step(&mut self, dt: f64) {
         if let Some(liquid) = &self.liquid {
             let step = liquid.step_numbers(&self.scene, dt);
             self.gpu.upload(&liquid.buffers.step, &[step]);
+        }
+        if let Some(solids) = &mut self.solids {
+            solids.write_step(&self.gpu, &self.scene, self.head.time, dt);
         }
     }
 
@@ -122,6 +154,11 @@ impl GpuPath {
     pub fn step_numbers(&self, dt: f64) -> Option<Step> {
         let liquid = self.liquid.as_ref()?;
         Some(liquid.step_numbers(&self.scene, dt))
+    }
+
+    /// The solids at rest; `None` where the scene has none.
+    pub fn solids(&self) -> Option<&Solids> {
+        self.solids.as_ref().map(|solids| &solids.solids)
     }
 
     /// The obstacles' cut cells.

@@ -2,6 +2,7 @@
 
 mod gpu_liquid;
 mod gpu_path;
+mod gpu_solids;
 mod plan;
 mod run;
 mod snapshot;
@@ -10,7 +11,7 @@ mod step;
 pub use gpu_path::GpuPath;
 pub use plan::{EffectLine, Plan, StagePlan};
 pub use run::{Options, Progress, Summary, run};
-pub use snapshot::{LiquidSnapshot, Snapshot};
+pub use snapshot::{LiquidSnapshot, Snapshot, SolidSnapshot};
 pub use step::Observer;
 
 use crate::Error;
@@ -87,8 +88,9 @@ impl Simulation {
             Backend::Cpu => {
                 let grid = scene.grid();
                 let cut = geometry::cut_cells(scene, &grid)?;
-                let state = geometry::initial_state(scene, &grid, &cut)?;
-                Path::Cpu(Box::new(Reference::new(scene, cut, state)?))
+                let mut state = geometry::initial_state(scene, &grid, &cut)?;
+                (state.displacement, state.node_velocity) = solids.initial_state(scene);
+                Path::Cpu(Box::new(Reference::new(scene, cut, solids.clone(), state)?))
             }
         };
         Ok(Simulation {
@@ -222,7 +224,7 @@ impl Simulation {
             Path::Gpu(path) => path.write_state(state),
             Path::Cpu(path) => {
                 let cut = path.cut_cells().clone();
-                **path = Reference::new(&self.scene, cut, state.clone())?;
+                **path = Reference::new(&self.scene, cut, self.solids.clone(), state.clone())?;
                 Ok(())
             }
         }
@@ -245,4 +247,12 @@ impl Simulation {
     pub fn adapter(&self) -> Option<&AdapterReport> {
         self.gpu().map(Gpu::report)
     }
+}
+
+/// The solids of a scene at rest; empty where it has none.
+///
+/// # Errors
+/// [`Error::Input`] when a mesh cannot be used, or a pin or load holds no node.
+fn solids_of(scene: &Scene) -> Result<Solids, Error> {
+    Solids::new(scene, &geometry::solid_meshes(scene)?)
 }

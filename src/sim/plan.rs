@@ -2,15 +2,17 @@
 
 use crate::Error;
 use crate::effects::Effects;
+use crate::elastic::{Bounds, Solids};
 use crate::geometry;
 use crate::gpu::{AdapterReport, BufferPlan, Timer};
 use crate::grid::Grid;
 use crate::reference::{TimeStep, time_step};
 use crate::scene::{self, ElasticModel, Precision, Preconditioner, ProbeKind, Scene, Solid};
-use crate::solver::{self, LevelPlan, SolverBuffers};
+use crate::solver::{self, LevelPlan, SolidRows, SolverBuffers};
 use crate::stages::{Probe, extrapolation_layers};
 
 use super::gpu_liquid::liquid_plan;
+use super::gpu_solids;
 
 /// Labels of the buffers that grow with the markers and not with the grid.
 const PER_MARKER: [&str; 1] = ["liquid.markers"];
@@ -46,6 +48,10 @@ pub struct Plan {
     pub padded_cells: usize,
     /// Markers, estimated to about a percent.
     pub n_markers: usize,
+    /// Nodes of all solids.
+    pub n_nodes: usize,
+    /// Elements of all solids.
+    pub n_elements: usize,
     /// The first sub-step.
     pub first_step: TimeStep,
     /// Effects, present and absent.
@@ -55,8 +61,8 @@ pub struct Plan {
     /// Everything allocated on the device for as long as the simulation lives. Buffers made several times under one label are one
     /// entry with the elements of all.
     pub buffers: Vec<BufferPlan>,
-    /// How the pressure is solved.
-    pub pressure: String,
+    /// How each system of a sub-step is solved.
+    pub solves: Vec<String>,
     /// Whether the outer loop of the solve runs on the host, one exchange per round.
     pub host_turns: bool,
     /// Bytes that a round of such a loop copies to and from the device.
@@ -69,6 +75,15 @@ impl Plan {
     /// # Errors
     /// [`Error::Input`] when a mesh file cannot be used.
     pub fn new(scene: &Scene, adapter: Option<&AdapterReport>) -> Result<Plan, Error> {
+        Plan::with(scene, &super::solids_of(scene)?, adapter)
+    }
+
+    /// Plans a scene whose solids are at hand.
+    pub(super) fn with(
+        scene: &Scene,
+        solids: &Solids,
+        adapter: Option<&AdapterReport>,
+    ) -> Result<Plan, Error> {
         let grid = scene.grid();
         let effects = Effects::of(scene);
         let f64 = adapter.is_none_or(|adapter| adapter.f64);
@@ -81,9 +96,11 @@ impl Plan {
             n_markers,
             first_step: first_step(scene, &grid),
             effects: effect_lines(scene, &effects),
-            stages: stages(scene, &grid, &effects),
-            buffers: buffers(scene, n_markers, f64, timestamps),
-            pressure: pressure(scene, f64),
+            stages: stages(scene, &grid, solids, &effects)?,
+            buffers: buffers(scene, n_markers, solids, f64, timestamps)?,
+            n_nodes: solids.rest.len(),
+            n_elements: solids.elements.len(),
+            solves: solves(scene, solids, f64)?,
             host_turns,
             // The scaled residual up, the correction down, both in f32, and the solver's words.
             bytes_per_turn: 4 * 3 * padded_cells as u64,
@@ -247,17 +264,23 @@ fn effect_lines(scene: &Scene, effects: &Effects) -> Vec<EffectLine> {
 }
 
 /// The stages in the order of [`GpuPath`](super::GpuPath)'s step.
-fn stages(scene: &Scene, grid: &Grid, effects: &Effects) -> Vec<StagePlan> {
+fn stages(
+    scene: &Scene,
+    grid: &Grid,
+    solids: &Solids,
+    effects: &Effects,
+) -> Result<Vec<StagePlan>, Error> {
     const COMPACTION: [&str; 3] = ["compact_count", "compact_scan", "compact_write"];
     let Effects {
         liquid,
         markers,
-        solids,
+        solids: elastic,
         obstacles,
         probes,
         ..
     } = *effects;
     let levels = LevelPlan::new(grid);
+    let rows = SolidRows::new(solids)?;
     let mut plans = Vec::new();
     let mut stage = |name, every_step, groups: &[(bool, &[&'static str])]| {
         let present = groups.iter().filter(|(present, _)| *present);
@@ -267,7 +290,7 @@ fn stages(scene: &Scene, grid: &Grid, effects: &Effects) -> Vec<StagePlan> {
             kernels: present.flat_map(|(_, kernels)| *kernels).copied().collect(),
         });
     };
-    if solids {
+    if elastic {
         let kernels: [(bool, &[_]); 2] =
             [(true, &["move_solid"]), (obstacles, &["push_nodes_out"])];
         stage("move_solid", true, &kernels);
@@ -285,7 +308,7 @@ fn stages(scene: &Scene, grid: &Grid, effects: &Effects) -> Vec<StagePlan> {
         stage("band", markers, &band);
         stage("advect_velocity", true, &[(true, &["advect_velocity"])]);
     }
-    let forces: [(bool, &[_]); 2] = [(liquid, &["forces"]), (solids, &["node_forces"])];
+    let forces: [(bool, &[_]); 2] = [(liquid, &["forces"]), (elastic, &["node_forces"])];
     stage("forces", true, &forces);
     if liquid {
         let distance: [(bool, &[_]); 4] = [
@@ -315,16 +338,22 @@ fn stages(scene: &Scene, grid: &Grid, effects: &Effects) -> Vec<StagePlan> {
         ];
         stage("closed_components", true, &[(true, &components)]);
     }
-    if solids {
+    if elastic {
         let kernels = ["element_rotations", "solid_blocks", "solid_diagonals"];
         stage("solid_matrices", true, &[(true, &kernels)]);
     }
     let right_hand_side: [(bool, &[_]); 2] = [
         (liquid, &["right_hand_side"]),
-        (solids, &["solid_right_hand_side"]),
+        (elastic, &["solid_right_hand_side"]),
     ];
     stage("right_hand_side", true, &right_hand_side);
-    stage("solve", true, &solve_kernels(scene, &levels));
+    let mut solve = Vec::new();
+    if liquid {
+        solve.extend(solve_kernels(scene, &levels));
+    }
+    let solid_kernels = solver::solid_kernels(&rows);
+    solve.push((elastic, &solid_kernels[..]));
+    stage("solve", true, &solve);
     if liquid {
         stage("write_back", true, &[(true, &["still_air", "write_back"])]);
         let extrapolate: [(bool, &[_]); 3] = [
@@ -342,10 +371,10 @@ fn stages(scene: &Scene, grid: &Grid, effects: &Effects) -> Vec<StagePlan> {
             liquid,
             &["measure_motion", "measure_divergence", "report_motion"],
         ),
-        (solids, &["measure_solid", "report_solid"]),
+        (elastic, &["measure_solid", "report_solid"]),
     ];
     stage("diagnose", true, &diagnose);
-    if probes {
+    if probes && liquid {
         let front = |probe: &scene::Probe| matches!(probe.kind, ProbeKind::Front { .. });
         let kernels: [(bool, &[_]); 2] = [
             (!scene.probes.iter().all(front), &["probe_points"]),
@@ -353,7 +382,7 @@ fn stages(scene: &Scene, grid: &Grid, effects: &Effects) -> Vec<StagePlan> {
         ];
         stage("probe", true, &kernels);
     }
-    plans
+    Ok(plans)
 }
 
 /// The kernels of the solve, and whether it has them.
@@ -381,16 +410,29 @@ fn solve_kernels(scene: &Scene, levels: &LevelPlan) -> Vec<(bool, &'static [&'st
         ),
     ]
 }
-fn buffers(scene: &Scene, n_markers: usize, f64: bool, timestamps: bool) -> Vec<BufferPlan> {
+fn buffers(
+    scene: &Scene,
+    n_markers: usize,
+    solids: &Solids,
+    f64: bool,
+    timestamps: bool,
+) -> Result<Vec<BufferPlan>, Error> {
     let grid = scene.grid();
-    let liquid = liquid_plan(scene, n_markers, f64);
     let variant = solver::variant(f64, scene.solver.precision);
-    let mut all = liquid.buffers();
-    all.extend(SolverBuffers::plan(&grid, variant));
-    all.extend(liquid.small_buffers());
-    all.extend(solver::small_buffers(&grid, &scene.solver, variant));
-    if Effects::of(scene).probes {
-        all.extend(Probe::plan(scene.probes.iter().map(|probe| &probe.kind)));
+    let mut all = Vec::new();
+    if scene.liquid.is_some() {
+        let liquid = liquid_plan(scene, n_markers, f64);
+        all.extend(liquid.buffers());
+        all.extend(SolverBuffers::plan(&grid, variant));
+        all.extend(liquid.small_buffers());
+        all.extend(solver::small_buffers(&grid, &scene.solver, variant));
+        let probes = scene.probes.iter().map(|probe| &probe.kind);
+        if probes.clone().any(ProbeKind::of_liquid) {
+            all.extend(Probe::plan(probes));
+        }
+    }
+    if !solids.bodies.is_empty() {
+        all.extend(gpu_solids::buffers(scene, solids, f64)?);
     }
     if timestamps {
         all.extend(Timer::plan());
@@ -402,10 +444,11 @@ fn buffers(scene: &Scene, n_markers: usize, f64: bool, timestamps: bool) -> Vec<
             None => merged.push(plan),
         }
     }
-    merged
+    Ok(merged)
 }
 
-fn pressure(scene: &Scene, f64: bool) -> String {
+/// Of the pressure, then of the solids.
+fn solves(scene: &Scene, solids: &Solids, f64: bool) -> Result<Vec<String>, Error> {
     let solver = &scene.solver;
     let numbers = match (solver.precision, f64) {
         (Precision::F32, _) => "all in f32",
@@ -417,9 +460,25 @@ fn pressure(scene: &Scene, f64: bool) -> String {
         Preconditioner::Multigrid => "aggregation multigrid",
         Preconditioner::Jacobi => "Jacobi",
     };
-    format!(
-        "pressure alone (cut-cell, ghost-fluid Laplacian), conjugate gradients with {preconditioner}, {numbers}, true residual \
-         {:.0e}",
-        solver.tolerance
-    )
+    let tolerance = solver.tolerance;
+    let mut solves = Vec::new();
+    if scene.liquid.is_some() {
+        solves.push(format!(
+            "pressure alone (cut-cell, ghost-fluid Laplacian), conjugate gradients with {preconditioner}, {numbers}, true \
+             residual {tolerance:.0e}"
+        ));
+    }
+    if !solids.bodies.is_empty() {
+        let rows = SolidRows::new(solids)?;
+        let degree =
+            Bounds::new(solids).chebyshev_degree(solids, first_step(scene, &scene.grid()).dt);
+        solves.push(format!(
+            "velocity of the nodes (S v = M v*/dt - K x* + b + loads), conjugate gradients with a Chebyshev polynomial in \
+             block-Jacobi (degree {degree} at first), {numbers}, true residual {tolerance:.0e}; {} nodes, {} blocks off the \
+             diagonal",
+            solids.rest.len(),
+            rows.n_blocks()
+        ));
+    }
+    Ok(solves)
 }

@@ -4,16 +4,43 @@ use crate::Error;
 use crate::gpu::{Buffer, Gpu, Real};
 use crate::grid::{Axis, Grid};
 use crate::reference::{ActiveCells, Stencil};
-use crate::stages::Report;
+use crate::stages::{Report, SolidReport};
+use crate::state::State;
 
 use super::GpuPath;
 use super::gpu_liquid::GpuLiquid;
+use super::gpu_solids::GpuSolids;
 
 /// All that stages hand to each other, widened to f64.
 #[derive(Clone, Debug)]
 pub struct Snapshot {
     /// Of the liquid, where the scene has one.
     pub liquid: Option<LiquidSnapshot>,
+    /// Of the solids, where the scene has any.
+    pub solids: Option<SolidSnapshot>,
+}
+
+/// What the stages of the solids hand to each other: entries of all nodes or of all elements.
+#[derive(Clone, Debug)]
+pub struct SolidSnapshot {
+    /// Displacement from rest, m.
+    pub displacement: Vec<[f64; 3]>,
+    /// v* before the solve, v after it, m/s.
+    pub velocity: Vec<[f64; 3]>,
+    /// Velocities of prescribed components for the sub-step, m/s; 0 elsewhere.
+    pub prescribed: Vec<[f64; 3]>,
+    /// Rotated gradients of the shape functions of corners 1, 2, 3, 1/m; fourth zeta_K V lambda, zeta_K V mu, det F.
+    pub rotated: [Vec<[f64; 4]>; 3],
+    /// K x* - b at corners 1, 2, 3 of the elements, N.
+    pub element_forces: [Vec<[f64; 3]>; 3],
+    /// zeta_M m of the nodes, kg/s.
+    pub masses: Vec<f64>,
+    /// Right-hand side of the free components, N.
+    pub rhs: Vec<[f64; 3]>,
+    /// Scalar type of all these but the displacement.
+    pub real: Real,
+    /// The numbers of the last `diagnose`.
+    pub report: SolidReport,
 }
 
 /// What the stages of the liquid hand to each other, host layout.
@@ -61,8 +88,48 @@ impl GpuPath {
     pub fn snapshot(&self) -> Result<Snapshot, Error> {
         let liquid = self.liquid.as_ref();
         let liquid = liquid.map(|liquid| liquid.snapshot(&self.gpu, &self.grid));
+        let solids = self.solids.as_ref();
+        let solids = solids.map(|solids| solids.snapshot(&self.gpu));
         Ok(Snapshot {
             liquid: liquid.transpose()?,
+            solids: solids.transpose()?,
+        })
+    }
+}
+
+impl GpuSolids {
+    fn snapshot(&self, gpu: &Gpu) -> Result<SolidSnapshot, Error> {
+        let GpuSolids {
+            buffers, system, ..
+        } = self;
+        let mut state = State::default();
+        buffers.read_state(gpu, &mut state)?;
+        let (n, m) = (buffers.plan.n_nodes, buffers.plan.n_elements);
+        let three = |values: &[f64]| -> Vec<[f64; 3]> {
+            let (quads, _) = values.as_chunks::<4>();
+            quads.iter().map(|&[x, y, z, _]| [x, y, z]).collect()
+        };
+        let rotated = buffers.rotated.download(gpu)?;
+        let forces = buffers.element_forces.download(gpu)?;
+        let section = |values: &[f64], s: usize| values[4 * m * s..][..4 * m].to_vec();
+        let mut prescribed = vec![[0.0; 3]; n];
+        if buffers.plan.scripts {
+            let words = gpu.download(&buffers.prescribed)?;
+            prescribed = words
+                .iter()
+                .map(|&[x, y, z, _]| [x, y, z].map(f64::from))
+                .collect();
+        }
+        Ok(SolidSnapshot {
+            displacement: state.displacement,
+            velocity: state.node_velocity,
+            prescribed,
+            rotated: [0, 1, 2].map(|s| section(&rotated, s).as_chunks::<4>().0.to_vec()),
+            element_forces: [0, 1, 2].map(|s| three(&section(&forces, s))),
+            masses: system.masses.download(gpu)?[..n].to_vec(),
+            rhs: three(&system.rhs.download(gpu)?[..4 * n]),
+            real: buffers.plan.real,
+            report: SolidReport::from_words(&gpu.download(&buffers.report)?),
         })
     }
 }

@@ -5,13 +5,14 @@ use crate::gpu::{Readback, Recorder, StageTimes};
 use crate::reference::TimeStep;
 use crate::solver::{Components, Outcome};
 use crate::stages::{
-    AdvectMarkers, AdvectVelocity, Band, Diagnose, Extrapolate, Forces, LiquidDistance, Report,
-    RightHandSide, WriteBack,
+    AdvectMarkers, AdvectVelocity, Band, Diagnose, ElementRotations, Extrapolate, Forces,
+    LiquidDistance, MoveSolid, Report, RightHandSide, SolidReport, WriteBack,
 };
 use crate::state::{SolveReport, StepReport};
 
 use super::gpu_liquid::{GpuLiquid, active, within};
 use super::gpu_path::GpuPath;
+use super::gpu_solids::GpuSolids;
 
 /// Hears of every stage once its results are on the device.
 pub type Observer<'a> = &'a mut dyn FnMut(&'static str, &GpuPath) -> Result<(), Error>;
@@ -20,12 +21,14 @@ pub type Observer<'a> = &'a mut dyn FnMut(&'static str, &GpuPath) -> Result<(), 
 #[derive(Debug)]
 pub(super) struct Readbacks {
     pub(super) liquid: Option<Readback<u32>>,
+    pub(super) solids: Option<Readback<u32>>,
 }
 
 /// What the device tells of a sub-step.
 #[derive(Default)]
 struct Told {
     liquid: Option<(Outcome, Report)>,
+    solids: Option<(Outcome, SolidReport)>,
     seconds: StageTimes,
 }
 
@@ -48,6 +51,7 @@ impl GpuPath {
             .readbacks
             .take()
             .expect("the read-backs come back after every step");
+        self.write_step(time_step.dt);
         let told = self.stages_of(time_step.dt, &mut readbacks, observer);
         self.readbacks = Some(readbacks);
         Ok(self.finish(time_step, told?))
@@ -60,9 +64,13 @@ impl GpuPath {
         readbacks: &mut Readbacks,
         observer: Option<Observer>,
     ) -> Result<Told, Error> {
-        self.write_step(dt);
-        let GpuPath { gpu, liquid, .. } = self;
-        let liquid = liquid.as_ref();
+        let GpuPath {
+            gpu,
+            liquid,
+            solids,
+            ..
+        } = self;
+        let (liquid, solids) = (liquid.as_ref(), solids.as_ref());
         let mut told = Told::default();
         let mut watch = Watch {
             path: self,
@@ -70,6 +78,10 @@ impl GpuPath {
         };
 
         let mut to = Recorder::timed(gpu);
+        if let Some(GpuSolids { stages, .. }) = solids {
+            stages.move_solid.record(&mut to);
+            to = watch.after(MoveSolid::NAME, to)?;
+        }
         if let Some(GpuLiquid {
             buffers, stages, ..
         }) = liquid
@@ -88,6 +100,9 @@ impl GpuPath {
         }) = liquid
         {
             stages.forces.record(&mut to, buffers);
+        }
+        if let Some(GpuSolids { stages, .. }) = solids {
+            stages.forces.record(&mut to);
         }
         to = watch.after(Forces::NAME, to)?;
         if let Some(GpuLiquid {
@@ -109,14 +124,26 @@ impl GpuPath {
             });
             to = watch.after("active_cells", to)?;
         }
+        if let Some(GpuSolids { stages, .. }) = solids {
+            to.stage(ElementRotations::NAME, |pass| {
+                stages.rotations.dispatch(pass);
+                stages.system.record_matrices(pass);
+            });
+            to = watch.after(ElementRotations::NAME, to)?;
+        }
         if let Some(GpuLiquid { solver, stages, .. }) = liquid {
             stages.right_hand_side.record(&mut to, &active(solver));
             to.stage(Components::NAME, |pass| {
                 stages.closed_components.remove_means(pass)
             });
         }
+        if let Some(GpuSolids { stages, .. }) = solids {
+            to.stage(RightHandSide::NAME, |pass| {
+                stages.system.record_right_hand_side(pass)
+            });
+        }
         to = watch.after(RightHandSide::NAME, to)?;
-        let mut pressure = None;
+        let (mut pressure, mut elastic) = (None, None);
         if let Some(GpuLiquid { solver, stages, .. }) = liquid {
             let (outcome, mut seconds) = stages.solve.solve(gpu, to, solver, true)?;
             pressure = Some(outcome);
@@ -125,6 +152,25 @@ impl GpuPath {
             to.stage(Components::NAME, |pass| {
                 stages.closed_components.centre_potential(pass)
             });
+        }
+        if let Some(solids) = solids {
+            let GpuSolids {
+                buffers,
+                system,
+                stages,
+                ..
+            } = solids;
+            let (outcome, mut seconds) = stages.solve.solve(
+                gpu,
+                to,
+                system,
+                buffers.fields(),
+                &solids.polynomial(dt),
+                true,
+            )?;
+            elastic = Some(outcome);
+            told.seconds.append(&mut seconds);
+            to = Recorder::timed(gpu);
         }
         to = watch.after("solve", to)?;
 
@@ -147,9 +193,19 @@ impl GpuPath {
             stages.diagnose.record(&mut to, buffers, &active(solver));
             to.read(&buffers.report, readback);
         }
+        if let Some((solids, readback)) = solids.zip(readbacks.solids.as_mut()) {
+            let GpuSolids {
+                buffers, stages, ..
+            } = solids;
+            stages.diagnose.record(&mut to, buffers);
+            to.read(&buffers.report, readback);
+        }
         let timing = to.submit();
         if let Some((outcome, readback)) = pressure.zip(readbacks.liquid.as_mut()) {
             told.liquid = Some((outcome, Report::from_words(&readback.wait(gpu)?)));
+        }
+        if let Some((outcome, readback)) = elastic.zip(readbacks.solids.as_mut()) {
+            told.solids = Some((outcome, SolidReport::from_words(&readback.wait(gpu)?)));
         }
         told.seconds.extend(timing.wait()?);
         watch.after(Diagnose::NAME, Recorder::new(gpu))?;
@@ -184,11 +240,12 @@ impl GpuPath {
         self.head
             .advance_clock(dt, self.scene.time.frames_per_second);
         let liquid = self.liquid.as_mut().zip(told.liquid);
+        let solids = self.solids.as_mut().zip(told.solids);
         StepReport {
             dt,
             dt_floored: floored,
             liquid: liquid.map(|(liquid, (outcome, report))| liquid.finish(&outcome, report)),
-            solid: None,
+            solid: solids.map(|(solids, (outcome, report))| solids.finish(&outcome, report)),
             seconds: by_stage(&told.seconds),
         }
     }

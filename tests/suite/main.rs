@@ -28,6 +28,8 @@ mod scene;
 mod shaders;
 mod solid_buffers;
 mod solid_case;
+mod solid_modes;
+mod solid_physics;
 mod solid_scene;
 mod solid_solver;
 mod solver;

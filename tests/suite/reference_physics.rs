@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::PathBuf;
 
+use cutwater::elastic::Solids;
 use cutwater::geometry::{cut_cells, initial_state};
 use cutwater::grid::{Axis, Grid};
 use cutwater::reference::{Reference, TimeStep, probe};
@@ -27,7 +28,7 @@ fn start(scene: &Scene) -> Reference {
     let grid = scene.grid();
     let cut = cut_cells(scene, &grid).unwrap();
     let state = initial_state(scene, &grid, &cut).unwrap();
-    Reference::new(scene, cut, state).unwrap()
+    Reference::new(scene, cut, Solids::default(), state).unwrap()
 }
 
 fn step(reference: &mut Reference) -> (StepReport, LiquidReport) {
@@ -487,9 +488,14 @@ fn a_state_of_another_grid_is_refused() {
     let other = scene([8, 8, 8], &pool(0.5));
     let scene = scene([10, 8, 8], &pool(0.5));
     let cut = cut_cells(&scene, &scene.grid()).unwrap();
-    let error = Reference::new(&scene, cut, State::at_rest(&other.grid()))
-        .unwrap_err()
-        .to_string();
+    let error = Reference::new(
+        &scene,
+        cut,
+        Solids::default(),
+        State::at_rest(&other.grid()),
+    )
+    .unwrap_err()
+    .to_string();
     assert!(
         error.contains("[10, 8, 8] cells") && error.contains("cure"),
         "{error}"
@@ -502,7 +508,7 @@ fn a_velocity_that_is_not_finite_stops_the_step_and_keeps_the_state() {
     let cut = cut_cells(&scene, &scene.grid()).unwrap();
     let mut state = initial_state(&scene, &scene.grid(), &cut).unwrap();
     state.velocity[1][scene.grid().face(Axis::Y, [3, 3, 3])] = f64::NAN;
-    let mut reference = Reference::new(&scene, cut, state).unwrap();
+    let mut reference = Reference::new(&scene, cut, Solids::default(), state).unwrap();
     let error = reference
         .step(TimeStep {
             dt: 0.01,

@@ -10,15 +10,17 @@
 //! counted as excused and left out; in all other cases it is a breach.
 
 mod liquid;
+mod solids;
 mod table;
 
 pub use table::{Place, Row, Worst};
 
 use crate::Error;
-use crate::gpu::AdapterChoice;
+use crate::gpu::{AdapterChoice, Real};
 use crate::scene::Scene;
 use crate::sim::{GpuPath, Snapshot};
 use liquid::LiquidJudge;
+use solids::SolidJudge;
 
 /// Largest relative error of a rounding to f32.
 const EPS: f64 = 1.0 / (1 << 24) as f64;
@@ -82,9 +84,13 @@ pub fn compare(
 ) -> Result<Comparison, Error> {
     let mut path = GpuPath::open(scene, adapter)?;
     let mut liquid = LiquidJudge::new(scene, &path)?;
+    let mut solids = SolidJudge::new(scene, &path)?;
     while path.clock().frame < frames {
         let dt = path.next_time_step().dt;
         if let Some(judge) = &mut liquid {
+            judge.begin(&path, dt);
+        }
+        if let Some(judge) = &mut solids {
             judge.begin(&path, dt);
         }
         path.step_observed(&mut |stage, path| {
@@ -94,13 +100,25 @@ pub fn compare(
             if let (Some(judge), Some(after)) = (&mut liquid, after.liquid) {
                 judge.judge(stage, after, held.liquid)?;
             }
+            if let (Some(judge), Some(after)) = (&mut solids, after.solids) {
+                judge.judge(stage, after, held.solids)?;
+            }
             Ok(())
         })?;
     }
-    let rows = liquid.into_iter().flat_map(|judge| judge.table.rows);
+    let liquid = liquid.into_iter().flat_map(|judge| judge.table.rows);
+    let rows = liquid.chain(solids.into_iter().flat_map(|judge| judge.table.rows));
     Ok(Comparison {
         rows: rows.collect(),
         steps: path.clock().step,
         adapter: path.gpu().report().name.clone(),
     })
+}
+
+/// Largest relative error of a rounding to the scalar type, twice for f64, where it never matters.
+fn unit(real: Real) -> f64 {
+    match real {
+        Real::F32 => EPS,
+        Real::F64 => f64::EPSILON,
+    }
 }

@@ -17,6 +17,10 @@ pub enum Place {
     Face(Axis, [usize; 3], DVec3),
     /// A marker and where it started, m.
     Marker(usize, DVec3),
+    /// A node of a solid and where it is at rest, m.
+    Node(usize, DVec3),
+    /// An element of a solid.
+    Element(usize),
     /// A column of probes.csv.
     Column(usize),
 }
@@ -43,6 +47,8 @@ impl fmt::Display for Place {
             Place::Cell(ijk, x) => write!(f, "cell {ijk:?} at {}", at(x)),
             Place::Face(axis, ijk, x) => write!(f, "{axis:?} face {ijk:?} at {}", at(x)),
             Place::Marker(index, x) => write!(f, "marker {index} from {}", at(x)),
+            Place::Node(node, x) => write!(f, "node {node}, at rest at {}", at(x)),
+            Place::Element(element) => write!(f, "element {element}"),
             Place::Column(column) => write!(f, "column {column}"),
         }
     }

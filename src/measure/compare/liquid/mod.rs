@@ -5,8 +5,8 @@ mod pressure;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::EPS;
 use super::table::{Place, Table};
+use super::{EPS, unit};
 use crate::Error;
 use crate::geometry::CutCells;
 use crate::gpu::Real;
@@ -745,14 +745,6 @@ enum Slip {
 
 /// Roundings of a free-surface term.
 const DIRICHLET_ROUNDINGS: f64 = 17.0;
-
-/// Largest relative error of a rounding.
-fn unit(real: Real) -> f64 {
-    match real {
-        Real::F32 => EPS,
-        Real::F64 => f64::EPSILON,
-    }
-}
 
 /// Largest difference between neighbouring faces of an axis, m/s.
 fn steepest(grid: &Grid, velocity: &[Vec<f64>; 3]) -> f64 {

@@ -1,0 +1,571 @@
+//! The stages of the solids against their twins.
+
+use std::sync::Arc;
+
+use glam::{DMat3, DVec3};
+
+use super::table::{Place, Table};
+use super::{EPS, unit};
+use crate::Error;
+use crate::elastic::{Deformation, Solids, forces as forces_of, stiffness_block};
+use crate::geometry::CutCells;
+use crate::gpu::Real;
+use crate::grid::Grid;
+use crate::linalg::norm;
+use crate::reference::{
+    self, BlockPattern, SolidMatrices, SolidRightHandSide, SolidSolver, SolidSystem,
+};
+use crate::scene::{Scene, Solver};
+use crate::sim::{GpuPath, SolidSnapshot};
+use crate::solver::rounding;
+use crate::stages::{DiagnoseSolid, ElementRotations, MoveSolid, NodeForces, RightHandSide};
+use crate::state::SolidDiagnosis;
+
+/// Relative error of the sum of two f32 that a displacement is held as, and of what is added to it.
+const PAIR: f64 = 1.0 / (1u64 << 45) as f64;
+
+/// Where R may be off by more than this, the nearest rotation is as good as not unique.
+const AMBIGUOUS: f64 = 1e-2;
+
+/// The twins of a scene, fed with what the device holds.
+pub(super) struct SolidJudge<'a> {
+    scene: &'a Scene,
+    grid: Grid,
+    /// As the device has them.
+    cut: CutCells,
+    /// As the device has them.
+    solids: Solids,
+    pattern: Arc<BlockPattern>,
+    solver: SolidSolver,
+    pub(super) table: Table,
+    /// s
+    dt: f64,
+    /// What the stage had.
+    before: SolidSnapshot,
+    /// Of the sub-step's displacements, once `solid_matrices` was judged.
+    matrices: Option<SolidMatrices>,
+}
+
+/// The solids with the numbers that the device has: rest positions and masses in f32, the others in `real`.
+fn on_device(solids: &Solids, real: Real) -> Solids {
+    let single = |x: f64| f64::from(x as f32);
+    let round = |x: f64| match real {
+        Real::F32 => single(x),
+        Real::F64 => x,
+    };
+    let rounded = |x: &DVec3| DVec3::from(x.to_array().map(round));
+    let mut device = solids.clone();
+    for (rest, mass) in device.rest.iter_mut().zip(&mut device.mass) {
+        *rest = rest.as_vec3().as_dvec3();
+        *mass = single(*mass);
+    }
+    for gradients in &mut device.gradients {
+        let [_, a, b, c] = *gradients;
+        let [a, b, c] = [a, b, c].map(|g| rounded(&g));
+        *gradients = [-(a + b + c), a, b, c];
+    }
+    for volume in &mut device.volume {
+        *volume = round(*volume);
+    }
+    for load in &mut device.load {
+        *load = rounded(load);
+    }
+    for body in &mut device.bodies {
+        body.lambda = round(body.lambda);
+        body.mu = round(body.mu);
+        body.mass_damping = round(body.mass_damping);
+        body.stiffness_damping = single(body.stiffness_damping);
+    }
+    device
+}
+
+impl<'a> SolidJudge<'a> {
+    /// `None` for a scene without solids.
+    pub(super) fn new(scene: &'a Scene, path: &GpuPath) -> Result<Option<SolidJudge<'a>>, Error> {
+        let (Some(solids), Some(before)) = (path.solids(), path.snapshot()?.solids) else {
+            return Ok(None);
+        };
+        let single = |values: &Vec<f64>| -> Vec<f64> {
+            values
+                .iter()
+                .map(|&value| f64::from(value as f32))
+                .collect()
+        };
+        let grid = Grid {
+            cells: scene.domain.cells,
+            dx: f64::from(scene.grid().dx as f32),
+        };
+        let solids = on_device(solids, before.real);
+        let cut = path.cut_cells();
+        Ok(Some(SolidJudge {
+            scene,
+            grid,
+            cut: CutCells {
+                open: cut.open.clone(),
+                solid_distance: single(&cut.solid_distance),
+            },
+            pattern: Arc::new(BlockPattern::new(&solids)),
+            solver: SolidSolver::new(&solids),
+            solids,
+            table: Table::default(),
+            dt: 0.0,
+            before,
+            matrices: None,
+        }))
+    }
+
+    /// Hears of the next sub-step.
+    pub(super) fn begin(&mut self, path: &GpuPath, dt: f64) {
+        self.table.step = path.clock().step;
+        self.dt = f64::from(dt as f32);
+    }
+
+    /// Judges what a stage left; `held` is what the device really holds.
+    pub(super) fn judge(
+        &mut self,
+        stage: &'static str,
+        after: SolidSnapshot,
+        held: Option<SolidSnapshot>,
+    ) -> Result<(), Error> {
+        match stage {
+            MoveSolid::NAME => self.move_solid(&after),
+            NodeForces::NAME => self.forces(&after),
+            ElementRotations::NAME => self.solid_matrices(&after),
+            RightHandSide::NAME => self.right_hand_side(&after),
+            "solve" => self.solve(&after)?,
+            DiagnoseSolid::NAME => self.diagnose(&after),
+            _ => {}
+        }
+        self.before = held.unwrap_or(after);
+        Ok(())
+    }
+
+    fn node(&self, node: usize) -> Place {
+        Place::Node(node, self.solids.rest[node])
+    }
+
+    /// Adds three numbers per node.
+    fn add_nodes(
+        &mut self,
+        row: [&'static str; 3],
+        gpu: &[[f64; 3]],
+        twin: &[[f64; 3]],
+        bound: impl Fn(usize, usize) -> f64,
+    ) {
+        let pairs: Vec<_> = (0..gpu.len())
+            .flat_map(|node| (0..3).map(move |axis| (node, axis)))
+            .map(|(node, axis)| {
+                let (gpu, twin) = (gpu[node][axis], twin[node][axis]);
+                (gpu, twin, bound(node, axis), self.node(node))
+            })
+            .collect();
+        self.table.add(row, pairs);
+    }
+
+    /// A free node is off by the rounding of the pair. One that is put on a wall or an obstacle is off by the rounding of its
+    /// position, of the distance there (three cells at most, sampled with a position in cells), and of the direction.
+    fn move_solid(&mut self, after: &SolidSnapshot) {
+        let before = self.before.clone();
+        let (mut u, mut v) = (before.displacement.clone(), before.velocity.clone());
+        reference::move_solid(
+            &self.solids,
+            &self.grid,
+            &self.cut.solid_distance,
+            self.dt,
+            &mut u,
+            &mut v,
+        );
+        let size = self.grid.size().max_element();
+        let cells = self.grid.cells.into_iter().max().unwrap_or(1) as f64;
+        let touched: Vec<bool> = (0..u.len())
+            .map(|node| {
+                (0..3).any(|axis| {
+                    let free =
+                        before.displacement[node][axis] + self.dt * before.velocity[node][axis];
+                    let moved = |u: f64| (u - free).abs() > PAIR * (free.abs() + size);
+                    moved(u[node][axis]) || moved(after.displacement[node][axis])
+                })
+            })
+            .collect();
+        let contact = EPS * (8.0 * size + 64.0 * self.grid.dx * cells.max(8.0));
+        let dt = self.dt;
+        let row = [MoveSolid::NAME, "displacement", "m"];
+        self.add_nodes(row, &after.displacement, &u, |node, axis| {
+            let way = dt * before.velocity[node][axis].abs();
+            match touched[node] {
+                true => contact,
+                false => 4.0 * PAIR * (u[node][axis].abs() + way),
+            }
+        });
+        let row = [MoveSolid::NAME, "v*", "m/s"];
+        self.add_nodes(row, &after.velocity, &v, |node, _| {
+            let speed = DVec3::from(before.velocity[node]).length();
+            match touched[node] {
+                true => 64.0 * EPS * cells * speed,
+                false => 0.0,
+            }
+        });
+    }
+
+    /// One product and one sum.
+    fn forces(&mut self, after: &SolidSnapshot) {
+        let gravity = self.scene.domain.gravity.as_vec3().as_dvec3();
+        let mut twin = self.before.velocity.clone();
+        let prescribed = &after.prescribed;
+        reference::node_forces(&self.solids, prescribed, gravity, self.dt, &mut twin);
+        let (eps, dt) = (unit(after.real), self.dt);
+        let row = [NodeForces::NAME, "v*", "m/s"];
+        self.add_nodes(row, &after.velocity, &twin.clone(), |node, axis| {
+            eps * (2.0 * dt * gravity[axis].abs() + twin[node][axis].abs())
+        });
+    }
+
+    /// The gradient of the displacement is off by 8 roundings of its terms. The rotation is off by that and a few roundings of its
+    /// own, times the condition of the polar decomposition: twice the norm of (tr(S) I - S)^-1, where S = R^T F (Higham 2008,
+    /// section 8.2). Strain and stress are off by both.
+    fn solid_matrices(&mut self, after: &SolidSnapshot) {
+        let solids = &self.solids;
+        let mut matrices = reference::solid_matrices(solids, &self.pattern, &after.displacement);
+        let eps = unit(after.real);
+        let mut ambiguous = Vec::new();
+        let mut gradients = Vec::new();
+        let mut forces = Vec::new();
+        let mut determinants = Vec::new();
+        let mut moduli = Vec::new();
+        for (element, corners) in solids.elements.iter().enumerate() {
+            let body = solids.body_of_element(element);
+            let g = &solids.gradients[element];
+            let u = corners.map(|node| DVec3::from(after.displacement[node as usize]));
+            let terms: f64 = (1..4).map(|a| (u[a] - u[0]).length() * g[a].length()).sum();
+            let size = 1.0 + terms;
+            let off_f = eps * (8.0 * terms + 2.0);
+            let mut off_r = off_f * condition(&matrices.deformations[element]) + 16.0 * eps;
+            if off_r > AMBIGUOUS {
+                // Any nearest rotation will do, so the twin goes on with the device's.
+                let twin = &mut matrices.deformations[element];
+                let gpu = turned_by(twin, g, &after.rotated, element);
+                let [gpu_distance, distance] = [&gpu, &*twin].map(distance_to_rotation);
+                let bound = 1e-6 * distance + 8.0 * eps * size;
+                ambiguous.push((gpu_distance, distance, bound, Place::Element(element)));
+                let defect = gpu.rotation.transpose() * gpu.rotation - DMat3::IDENTITY;
+                let proper = gpu.rotation.determinant() > 0.0 && frobenius(defect) <= 64.0 * eps;
+                if proper && gpu_distance - distance <= bound {
+                    *twin = gpu;
+                    let body_forces =
+                        forces_of(g, solids.volume[element], twin, body.lambda, body.mu);
+                    matrices.element_forces[element] = body_forces;
+                }
+                off_r = 64.0 * eps * size;
+            }
+            let deformation = &matrices.deformations[element];
+            let volume = solids.volume[element];
+            let zeta = body.zeta_stiffness(self.dt);
+            let twin_moduli = [zeta * volume * body.lambda, zeta * volume * body.mu];
+            for section in 0..3 {
+                let place = Place::Element(element);
+                let gpu = after.rotated[section][element];
+                let turned = deformation.rotation * g[section + 1];
+                let steep = g[section + 1].length();
+                for axis in 0..3 {
+                    let bound = steep * (off_r + 4.0 * eps);
+                    gradients.push((gpu[axis], turned[axis], bound, place));
+                }
+                match section {
+                    2 => {
+                        let twin = deformation.determinant();
+                        let bound = 4.0 * size * size * off_f + 12.0 * eps * size.powi(3);
+                        determinants.push((gpu[3], twin, bound, place));
+                    }
+                    _ => {
+                        let twin = twin_moduli[section];
+                        moduli.push((gpu[3], twin, 6.0 * (EPS + eps) * twin, place));
+                    }
+                }
+                let stiffness = volume * (2.0 * body.mu + 3.0 * body.lambda.abs());
+                let strain = size * off_r + off_f + 8.0 * eps * size;
+                let bound = 2.0
+                    * stiffness
+                    * steep
+                    * (strain + (off_r + 8.0 * eps) * frobenius(deformation.strain));
+                let gpu = after.element_forces[section][element];
+                let twin = matrices.element_forces[element][section + 1];
+                for axis in 0..3 {
+                    forces.push((gpu[axis], twin[axis], bound, place));
+                }
+            }
+        }
+        let stage = ElementRotations::NAME;
+        self.table.row(stage, "rotated gradients", "1/m").excused += ambiguous.len() as u64;
+        self.table
+            .add([stage, "|F - R| where R is ambiguous", ""], ambiguous);
+        self.table
+            .add([stage, "rotated gradients", "1/m"], gradients);
+        self.table.add([stage, "zeta_K V moduli", "N s m"], moduli);
+        self.table.add([stage, "K x* - b of elements", "N"], forces);
+        self.table.add([stage, "det F", ""], determinants);
+        self.matrices = Some(matrices);
+    }
+
+    /// A sum over the elements of a node, and three terms: a rounding each, and three in each term.
+    fn right_hand_side(&mut self, after: &SolidSnapshot) {
+        let n = self.solids.rest.len();
+        let (mut elastic, mut size) = (vec![DVec3::ZERO; n], vec![DVec3::ZERO; n]);
+        let mut count = vec![0.0; n];
+        for (element, corners) in self.solids.elements.iter().enumerate() {
+            let [a, b, c] = [0, 1, 2].map(|s| DVec3::from(after.element_forces[s][element]));
+            let largest = a.abs() + b.abs() + c.abs();
+            for (&node, force) in corners.iter().zip([-(a + b + c), a, b, c]) {
+                elastic[node as usize] += force;
+                size[node as usize] += largest;
+                count[node as usize] += 1.0;
+            }
+        }
+        let inertia =
+            |node: usize| self.solids.mass[node] / self.dt * DVec3::from(after.velocity[node]);
+        let eps = unit(after.real);
+        let (mut twin, mut bounds) = (vec![[0.0; 3]; n], vec![[0.0; 3]; n]);
+        for node in 0..n {
+            let load = self.solids.load[node];
+            let sum = inertia(node) - elastic[node] + load;
+            let terms =
+                (count[node] + 4.0) * size[node] + 8.0 * inertia(node).abs() + 4.0 * load.abs();
+            for axis in (0..3).filter(|&axis| !self.solids.prescribed[node][axis]) {
+                twin[node][axis] = sum[axis];
+                bounds[node][axis] = eps * terms[axis];
+            }
+        }
+        let row = [RightHandSide::NAME, "M v*/dt - (K x* - b) + load", "N"];
+        self.add_nodes(row, &after.rhs, &twin, |node, axis| bounds[node][axis]);
+    }
+
+    /// The system is the one stored: rotated gradients and moduli in the scalar type of the outer loop. Row `true residual` judges v
+    /// on it; row `velocity` compares with a direct solve: S >= zeta_M M, so v is off by |r| over the least zeta_M m at most.
+    fn solve(&mut self, after: &SolidSnapshot) -> Result<(), Error> {
+        let (solids, dt) = (&self.solids, self.dt);
+        let Some(mut matrices) = self.matrices.take() else {
+            return Ok(());
+        };
+        matrices.stiffness =
+            reference::BlockMatrix::assemble(solids, &self.pattern, |element, a, b| {
+                let turned = |corner: usize| -> DVec3 {
+                    let at = |s: usize| {
+                        let [x, y, z, _] = after.rotated[s][element];
+                        DVec3::new(x, y, z)
+                    };
+                    match corner {
+                        0 => -(at(0) + at(1) + at(2)),
+                        corner => at(corner - 1),
+                    }
+                };
+                let zeta = solids.body_of_element(element).zeta_stiffness(dt);
+                let [lambda, mu] = [0, 1].map(|s| after.rotated[s][element][3] / zeta);
+                stiffness_block(turned(a), turned(b), lambda, mu)
+            });
+        let rhs = SolidRightHandSide {
+            values: after.rhs.clone(),
+            scale: 0.0,
+        };
+        let system = SolidSystem::new(solids, &matrices, &rhs, &after.velocity, dt);
+        let free = |velocity: &[[f64; 3]]| -> Vec<f64> {
+            let components = velocity.as_flattened().iter();
+            let prescribed = solids.prescribed.as_flattened();
+            components
+                .zip(prescribed)
+                .map(|(v, prescribed)| if *prescribed { 0.0 } else { *v })
+                .collect()
+        };
+        let x = free(&after.velocity);
+        let residual = norm(&system.residual(&x));
+        let twin_rhs =
+            reference::solid_right_hand_side(solids, &matrices, &self.before.velocity, dt);
+        let rounded = rounding(&self.scene.solver) * (twin_rhs.scale + norm(&system.rhs));
+        let mut allowed =
+            (self.scene.solver.tolerance * norm(&system.rhs)).max(rounded) * (1.0 + 1e-6);
+        if after.real == Real::F32 {
+            // The verdict was on a velocity in f64, of which the device keeps an f32.
+            let rows = system.to_csr();
+            let moved: Vec<f64> = (0..rows.n_rows())
+                .map(|row| rows.row(row).map(|(column, s)| (s * x[column]).abs()).sum())
+                .collect();
+            allowed += 2.0 * EPS * norm(&moved);
+        }
+        self.table.add(
+            ["solve", "true residual of S v", "N"],
+            [(residual, 0.0, allowed, Place::Whole)],
+        );
+        let exact = Solver {
+            tolerance: 1e-13,
+            ..self.scene.solver
+        };
+        let (twin, _) = self.solver.solve_direct(&system, &exact)?;
+        let least = (0..solids.rest.len())
+            .map(|node| solids.body_of_node(node).zeta_mass(dt) * solids.mass[node])
+            .fold(f64::INFINITY, f64::min);
+        let bound = (allowed + 1e-12 * norm(&system.rhs)) / least;
+        self.add_nodes(["solve", "v", "m/s"], &after.velocity, &twin, |_, _| bound);
+        Ok(())
+    }
+
+    /// Sums over nodes and elements: five roundings of a term, one per term of a thread's share and level of the tree in f32, and
+    /// two f32 that hold the sum.
+    fn diagnose(&mut self, after: &SolidSnapshot) {
+        let (solids, gpu) = (&self.solids, &after.report.diagnosis);
+        let gravity = self.scene.domain.gravity.as_vec3().as_dvec3();
+        let deformations: Vec<Deformation> = (0..solids.elements.len())
+            .map(|element| solids.deformation(element, &after.displacement))
+            .collect();
+        let sums = |velocity: &[[f64; 3]], gravity: DVec3| {
+            let displacement = &after.displacement;
+            reference::diagnose_solid(solids, &deformations, displacement, velocity, gravity)
+        };
+        let twin = sums(&after.velocity, gravity);
+        let size = sizes(solids, after, gravity);
+        let n = (solids.rest.len() + solids.elements.len()) as f64;
+        let shares = match after.real {
+            Real::F32 => 96.0 * EPS,
+            Real::F64 => 0.0,
+        };
+        let error = shares + (n + 32.0) * f64::EPSILON + EPS * EPS;
+        let mut rows = vec![
+            (
+                "kinetic energy",
+                "J",
+                gpu.kinetic_energy,
+                twin.kinetic_energy,
+                error * size.kinetic_energy,
+            ),
+            (
+                "potential energy",
+                "J",
+                gpu.potential_energy,
+                twin.potential_energy,
+                error * size.potential_energy,
+            ),
+            (
+                "largest speed",
+                "m/s",
+                gpu.max_speed,
+                twin.max_speed,
+                EPS * twin.max_speed,
+            ),
+        ];
+        for axis in 0..3 {
+            let bound = error * size.momentum[axis];
+            rows.push((
+                "momentum",
+                "kg m/s",
+                gpu.momentum[axis],
+                twin.momentum[axis],
+                bound,
+            ));
+            let bound = 4.0 * error * size.angular_momentum[axis];
+            let twin = twin.angular_momentum[axis];
+            rows.push((
+                "angular momentum",
+                "kg m^2/s",
+                gpu.angular_momentum[axis],
+                twin,
+                bound,
+            ));
+        }
+        // Quadratic in the strain, which is off by roundings of F.
+        let eps = unit(after.real);
+        let rounded = 64.0 * eps * (size.elastic_energy * twin.elastic_energy).sqrt()
+            + 4096.0 * eps * eps * size.elastic_energy;
+        let bound = rounded + error * twin.elastic_energy;
+        rows.push((
+            "elastic energy",
+            "J",
+            gpu.elastic_energy,
+            twin.elastic_energy,
+            bound,
+        ));
+        for (quantity, unit, gpu, twin, bound) in rows {
+            let row = [DiagnoseSolid::NAME, quantity, unit];
+            self.table.add(row, [(gpu, twin, bound, Place::Whole)]);
+        }
+    }
+}
+
+/// Sums of the magnitudes that the sums of a diagnosis add up; of the elastic energy, what a strain of the size of F would store.
+fn sizes(solids: &Solids, after: &SolidSnapshot, gravity: DVec3) -> SolidDiagnosis {
+    let mut size = SolidDiagnosis {
+        momentum: [0.0; 3],
+        angular_momentum: [0.0; 3],
+        kinetic_energy: 0.0,
+        elastic_energy: 0.0,
+        potential_energy: 0.0,
+        max_speed: 0.0,
+        min_det: 0.0,
+        inverted: 0,
+    };
+    for (node, &mass) in solids.mass.iter().enumerate() {
+        let x = (solids.rest[node] + DVec3::from(after.displacement[node])).abs();
+        let v = DVec3::from(after.velocity[node]).abs();
+        size.kinetic_energy += mass * v.length_squared();
+        size.potential_energy += mass * gravity.abs().dot(x);
+        for axis in 0..3 {
+            let (next, last) = ((axis + 1) % 3, (axis + 2) % 3);
+            size.momentum[axis] += mass * v[axis];
+            size.angular_momentum[axis] += mass * (x[next] * v[last] + x[last] * v[next]);
+        }
+    }
+    for (element, corners) in solids.elements.iter().enumerate() {
+        let body = solids.body_of_element(element);
+        let u = corners.map(|node| DVec3::from(after.displacement[node as usize]));
+        let g = &solids.gradients[element];
+        let terms: f64 = (1..4).map(|a| (u[a] - u[0]).length() * g[a].length()).sum();
+        let stiffness = 2.0 * body.mu + 3.0 * body.lambda.abs();
+        size.elastic_energy += solids.volume[element] * stiffness * (1.0 + terms).powi(2);
+    }
+    size
+}
+
+/// How much larger the error of R is than that of F.
+fn condition(deformation: &Deformation) -> f64 {
+    let stretch = deformation.rotation.transpose() * (DMat3::IDENTITY + deformation.gradient);
+    let trace = stretch.x_axis.x + stretch.y_axis.y + stretch.z_axis.z;
+    let inverse = (DMat3::from_diagonal(DVec3::splat(trace)) - stretch).inverse();
+    let size = frobenius(inverse);
+    if size.is_finite() {
+        2.0 * size
+    } else {
+        f64::INFINITY
+    }
+}
+
+fn frobenius(m: DMat3) -> f64 {
+    let columns = [m.x_axis, m.y_axis, m.z_axis];
+    columns
+        .map(DVec3::length_squared)
+        .iter()
+        .sum::<f64>()
+        .sqrt()
+}
+
+/// |F - R|
+fn distance_to_rotation(deformation: &Deformation) -> f64 {
+    frobenius(DMat3::IDENTITY + deformation.gradient - deformation.rotation)
+}
+
+/// The deformation with the rotation that turned the gradients `g` as the device has them.
+fn turned_by(
+    deformation: &Deformation,
+    g: &[DVec3; 4],
+    rotated: &[Vec<[f64; 4]>; 3],
+    element: usize,
+) -> Deformation {
+    let turned = rotated.each_ref().map(|section| {
+        let [x, y, z, _] = section[element];
+        DVec3::new(x, y, z)
+    });
+    let columns = |[a, b, c]: [DVec3; 3]| DMat3::from_cols(a, b, c);
+    let rotation = columns(turned) * columns([g[1], g[2], g[3]]).inverse();
+    let gradient = deformation.gradient;
+    let back = rotation.transpose() * (gradient + (DMat3::IDENTITY - rotation));
+    Deformation {
+        gradient,
+        rotation,
+        strain: 0.5 * (back + back.transpose()),
+    }
+}

@@ -1,0 +1,201 @@
+//! The solids of a scene on a device: their buffers, their stages and their solver, and what the host keeps of their state.
+
+use crate::Error;
+use crate::effects::Effects;
+use crate::elastic::{Bounds, Solids};
+use crate::geometry::CutCells;
+use crate::gpu::{BufferPlan, Gpu, Readback};
+use crate::scene::Scene;
+use crate::solver::{
+    self, Outcome, Polynomial, SolidRows, SolidSolver, SolidSystem, SolidSystemBuffers,
+};
+use crate::stages::{
+    self, DiagnoseSolid, ElementRotations, MoveSolid, NodeForces, ObstacleBuffers, SolidBuffers,
+    SolidPlan,
+};
+use crate::state::{SolidReport, State};
+
+use super::step::solve_report;
+
+/// The solids on the device.
+#[derive(Debug)]
+pub(super) struct GpuSolids {
+    pub(super) solids: Solids,
+    bounds: Bounds,
+    /// m/s
+    pub(super) max_speed: f64,
+    pub(super) buffers: SolidBuffers,
+    pub(super) system: SolidSystemBuffers,
+    pub(super) stages: SolidStages,
+    scripted: Scripted,
+    /// Where displacements arrive for the probes, where there are any.
+    probed: Option<Readback<[f32; 4]>>,
+}
+
+/// What the host follows of scripted nodes, so that they land on their keyframes without being read back. Empty without scripts.
+#[derive(Debug, Default)]
+struct Scripted {
+    /// Displacement of all nodes from rest, m; right for prescribed components only.
+    displacement: Vec<[f64; 3]>,
+    /// Velocities that the device has for the prescribed components, m/s.
+    velocity: Vec<[f64; 3]>,
+}
+
+/// The kernels of a step, in its order.
+#[derive(Debug)]
+pub(super) struct SolidStages {
+    pub(super) move_solid: MoveSolid,
+    pub(super) forces: NodeForces,
+    pub(super) rotations: ElementRotations,
+    pub(super) system: SolidSystem,
+    pub(super) solve: SolidSolver,
+    pub(super) diagnose: DiagnoseSolid,
+}
+
+/// What decides the sizes of [`SolidBuffers`] on an adapter with or without f64.
+fn solid_plan(scene: &Scene, solids: &Solids, f64: bool) -> SolidPlan {
+    let effects = Effects::of(scene);
+    SolidPlan {
+        grid: scene.grid(),
+        n_nodes: solids.rest.len(),
+        n_elements: solids.elements.len(),
+        scripts: effects.scripts,
+        obstacles: effects.obstacles,
+        real: solver::variant(f64, scene.solver.precision).real,
+    }
+}
+
+/// Everything that solids allocate on an adapter with or without f64.
+pub(super) fn buffers(scene: &Scene, solids: &Solids, f64: bool) -> Result<Vec<BufferPlan>, Error> {
+    let plan = solid_plan(scene, solids, f64);
+    let variant = solver::variant(f64, scene.solver.precision);
+    let rows = SolidRows::new(solids)?;
+    let mut all = plan.buffers();
+    all.extend(rows.buffers(variant));
+    if plan.obstacles && scene.liquid.is_none() {
+        all.push(ObstacleBuffers::plan(&plan.grid, true));
+    }
+    all.extend(plan.small_buffers());
+    all.extend(rows.small_buffers(&scene.solver, variant));
+    if has_probes(scene) {
+        all.push(BufferPlan::of::<[f32; 4]>(PROBED, 2 * plan.n_nodes));
+    }
+    Ok(all)
+}
+
+const PROBED: &str = "solid.displacement (read-back)";
+
+fn has_probes(scene: &Scene) -> bool {
+    scene.probes.iter().any(|probe| !probe.kind.of_liquid())
+}
+
+impl GpuSolids {
+    /// Allocates and compiles. The state is to be written. `obstacles`: those of the liquid, where there is any.
+    pub(super) fn new(
+        gpu: &Gpu,
+        scene: &Scene,
+        solids: Solids,
+        cut: &CutCells,
+        obstacles: Option<&ObstacleBuffers>,
+    ) -> Result<GpuSolids, Error> {
+        let plan = solid_plan(scene, &solids, gpu.has_f64());
+        let rows = SolidRows::new(&solids)?;
+        let buffers = SolidBuffers::new(gpu, plan, &solids)?;
+        let system = SolidSystemBuffers::new(gpu, &rows, &scene.solver)?;
+        let mut own = None;
+        if plan.obstacles && obstacles.is_none() {
+            own = Some(ObstacleBuffers::new(gpu, &plan.grid, true)?);
+        }
+        if let Some(own) = &own {
+            own.write(gpu, cut);
+        }
+        let obstacles = obstacles.or(own.as_ref()).filter(|_| plan.obstacles);
+        let stages = SolidStages {
+            move_solid: MoveSolid::new(gpu, &buffers, obstacles)?,
+            forces: NodeForces::new(gpu, &buffers)?,
+            rotations: ElementRotations::new(gpu, &buffers)?,
+            system: SolidSystem::new(gpu, &system, buffers.fields())?,
+            solve: SolidSolver::new(gpu, &system, buffers.fields(), &scene.solver)?,
+            diagnose: DiagnoseSolid::new(gpu, &buffers)?,
+        };
+        let probed = || Readback::new(gpu, "solid.displacement", 2 * plan.n_nodes);
+        Ok(GpuSolids {
+            bounds: Bounds::new(&solids),
+            max_speed: 0.0,
+            buffers,
+            system,
+            stages,
+            scripted: Scripted::default(),
+            probed: has_probes(scene).then(probed).transpose()?,
+            solids,
+        })
+    }
+
+    /// Where the report of a sub-step arrives.
+    pub(super) fn readback(gpu: &Gpu) -> Result<Readback<u32>, Error> {
+        Readback::new(gpu, "solid.report", stages::SolidReport::WORDS)
+    }
+
+    /// Replaces the solids' part of the state.
+    pub(super) fn write_state(&mut self, gpu: &Gpu, state: &State) {
+        let speeds = state.node_velocity.iter().flatten().map(|v| v.abs());
+        self.max_speed = speeds.fold(0.0, f64::max);
+        self.buffers.write_state(gpu, state);
+        if self.buffers.plan.scripts {
+            self.scripted = Scripted {
+                displacement: state.displacement.clone(),
+                velocity: state.node_velocity.clone(),
+            };
+        }
+    }
+
+    /// Tells the kernels of a sub-step of dt (s) that begins at a time (s).
+    pub(super) fn write_step(&mut self, gpu: &Gpu, scene: &Scene, time: f64, dt: f64) {
+        let step = self.buffers.step_of(scene.domain.gravity, dt);
+        gpu.upload(&self.buffers.step, &[step]);
+        let Scripted {
+            displacement,
+            velocity,
+        } = &mut self.scripted;
+        if displacement.is_empty() {
+            return;
+        }
+        // As `move_solid` will move them.
+        for (u, v) in displacement.iter_mut().zip(velocity.iter()) {
+            for (u, v) in u.iter_mut().zip(v) {
+                *u += f64::from(step.dt) * v;
+            }
+        }
+        *velocity = self.solids.prescribed_velocity(displacement, time + dt, dt);
+        for v in velocity.iter_mut().flatten() {
+            *v = f64::from(*v as f32);
+        }
+        self.buffers.write_prescribed(gpu, velocity);
+    }
+
+    /// The preconditioner's polynomial for a sub-step of dt (s).
+    pub(super) fn polynomial(&self, dt: f64) -> Polynomial {
+        let degree = self.bounds.chebyshev_degree(&self.solids, dt);
+        Polynomial::new(degree, self.bounds.block_jacobi)
+    }
+
+    /// Keeps what the next sub-step needs of the report.
+    pub(super) fn finish(&mut self, outcome: &Outcome, report: stages::SolidReport) -> SolidReport {
+        self.max_speed = report.diagnosis.max_speed;
+        SolidReport {
+            solve: solve_report(outcome),
+            diagnosis: report.diagnosis,
+        }
+    }
+
+    /// Displacements of all nodes, m, for the probes. Nothing without probes of solids.
+    pub(super) fn probed(&mut self, gpu: &Gpu) -> Result<Vec<[f64; 3]>, Error> {
+        let Some(readback) = &mut self.probed else {
+            return Ok(Vec::new());
+        };
+        let mut recorder = crate::gpu::Recorder::new(gpu);
+        recorder.read(&self.buffers.displacement, readback);
+        recorder.submit();
+        Ok(self.buffers.displacement_of(&readback.wait(gpu)?))
+    }
+}

@@ -1,0 +1,537 @@
+//! Solids of the f64 path against what is known of elasticity and of backward Euler (validation S2 to S13).
+
+use cutwater::elastic::{Solids, lame_parameters};
+use cutwater::geometry::{CutCells, cut_cells};
+use cutwater::grid::Grid;
+use cutwater::reference::{Reference, TimeStep};
+use cutwater::scene::{ElasticModel, Keyframe, Load, LoadKind, Pin, Scene, Shape, Solid};
+use cutwater::sim::{Backend, Options, Simulation};
+use cutwater::state::{SolidReport, SolveStatus, State};
+use glam::DVec3;
+
+use crate::common::Random;
+use crate::solid_modes::{Dynamics, ringing};
+use crate::solid_scene::{alone, block, rows, scene_of, solids_of};
+
+/// The nodes that rest in a box.
+fn region(min: [f64; 3], max: [f64; 3]) -> Shape {
+    Shape::Box {
+        min: min.into(),
+        max: max.into(),
+    }
+}
+
+fn held(region: Shape, components: [bool; 3]) -> Pin {
+    Pin {
+        region,
+        components,
+        keyframes: Vec::new(),
+    }
+}
+
+/// The cantilever of the tables: 1 x 0.1 x 0.1 m, held at x = 0, pulled along -z at x = 1.
+pub(crate) fn cantilever(cells: [usize; 3]) -> Solid {
+    let mut solid = block([1.0, 0.1, 0.1], cells);
+    solid.pins = vec![held(region([0.0; 3], [0.0, 1.0, 1.0]), [true; 3])];
+    solid.loads = vec![Load {
+        region: region([1.0, 0.0, 0.0], [1.0; 3]),
+        kind: LoadKind::Force(DVec3::new(0.0, 0.0, -0.01)),
+    }];
+    solid
+}
+
+/// Mean displacement of the tip along z, m.
+pub(crate) fn tip(solids: &Solids, u: &[[f64; 3]]) -> f64 {
+    let nodes = (0..u.len()).filter(|&node| solids.rest[node].x > 1.0 - 1e-9);
+    let at_tip: Vec<f64> = nodes.map(|node| u[node][2]).collect();
+    at_tip.iter().sum::<f64>() / at_tip.len() as f64
+}
+
+/// S2: scikit-fem and CalculiX, all nodes.
+#[test]
+fn the_cantilever_bends_as_in_other_programs() {
+    for (model, tolerance) in [
+        (ElasticModel::Corotational, 1e-4),
+        (ElasticModel::Linear, 1e-8),
+    ] {
+        let mut solid = cantilever([10, 2, 2]);
+        solid.model = model;
+        let solids = alone(solid);
+        let u = Dynamics::new(&solids).static_displacement();
+        let mut nodes = 0;
+        for row in rows(include_str!("../data/cantilever_tet4_nodal.csv")) {
+            let numbers: Vec<f64> = row[1..].iter().map(|x| x.parse().unwrap()).collect();
+            let x = DVec3::from_slice(&numbers);
+            let table = DVec3::from_slice(&numbers[3..]);
+            let found = solids.rest.iter().position(|rest| rest.distance(x) < 1e-12);
+            let error = DVec3::from(u[found.unwrap()]).distance(table);
+            let bound = tolerance * 1.4162e-4;
+            assert!(
+                error <= bound,
+                "{model:?} at {x}: off by {error:e} m, allowed {bound:e}"
+            );
+            nodes += 1;
+        }
+        assert_eq!((nodes, u.len()), (99, 99));
+    }
+}
+
+/// S3: lumped masses, scikit-fem.
+#[test]
+fn the_cantilever_rings_as_in_other_programs() {
+    let solids = alone(cantilever([10, 2, 2]));
+    let modes = Dynamics::new(&solids).modes(5, 300);
+    let row = rows(include_str!("../data/cantilever_tet4_convergence.csv"))
+        .nth(1)
+        .unwrap();
+    assert_eq!(&row[..4], ["10", "2", "99", "240"]);
+    for ((_, square), table) in modes.iter().zip(&row[6..]) {
+        let (found, table) = (
+            square.sqrt() / std::f64::consts::TAU,
+            table.parse::<f64>().unwrap(),
+        );
+        assert!(
+            (found - table).abs() <= 1e-7 * table,
+            "{found} Hz, table {table} Hz"
+        );
+    }
+}
+
+/// S4: the stiffness of the mesh converges to that of Timoshenko's beam about with h^2 (linear tetrahedra are too stiff in bending: 2 and 4
+/// layers give 0.35 and 0.67 of its deflection). Eight layers are in the long validation.
+#[test]
+fn the_cantilever_converges_to_beam_theory() {
+    let timoshenko = -0.00040312;
+    let excess = [2, 4].map(|layers| {
+        let solids = alone(cantilever([5 * layers, layers, layers]));
+        let found = tip(&solids, &Dynamics::new(&solids).static_displacement());
+        let mut table = rows(include_str!("../data/cantilever_tet4_convergence.csv"));
+        let row = table.find(|row| row[1] == layers.to_string()).unwrap();
+        let table: f64 = row[4].parse().unwrap();
+        assert!(
+            (found - table).abs() < 1e-4 * table.abs(),
+            "{found} m, table {table} m"
+        );
+        timoshenko / found - 1.0
+    });
+    let rate = (excess[0] / excess[1]).log2();
+    assert!(rate >= 1.6, "rate {rate} of the excess {excess:?}");
+}
+
+/// S3 and S11 in motion: a mode of the cantilever, started by itself, has in every step the angle and the decay of backward Euler
+/// (thesis, 3.51), with and without Rayleigh damping: atan(w dt) and 1/sqrt(1 + w^2 dt^2) without.
+#[test]
+fn modes_ring_and_decay_as_backward_euler_does() {
+    for (damping, w_dt) in [
+        ([0.0, 0.0], 0.1),
+        ([0.0, 0.0], 1.0),
+        ([0.7, 0.0], 0.2),
+        ([0.3, 0.02], 0.4),
+    ] {
+        let mut solid = cantilever([10, 2, 2]);
+        solid.loads.clear();
+        [solid.mass_damping, solid.stiffness_damping] = damping;
+        let solids = alone(solid);
+        let dynamics = Dynamics::new(&solids);
+        let modes = dynamics.modes(3, 400);
+        for (shape, square) in [&modes[0], &modes[2]] {
+            let w = square.sqrt();
+            let dt = w_dt / w;
+            let [mass, stiffness] = [dt * damping[0], dt * damping[1] * square];
+            let sum = 1.0 + mass + stiffness + square * dt * dt;
+            let decay = 1.0 / sum.sqrt();
+            let angle = (0.5 * (2.0 + mass + stiffness) / sum / decay).acos();
+            if damping == [0.0, 0.0] {
+                assert!((angle - w_dt.atan()).abs() < 1e-12);
+            }
+            // So small that nothing turns.
+            let found = ringing(&dynamics.ring(shape, 1e-7, dt, 12));
+            assert!(
+                (found[0] - decay).abs() <= 1e-5 * decay,
+                "{damping:?}: {found:?}, exactly {decay}"
+            );
+            assert!(
+                (found[1] - angle).abs() <= 1e-5 * angle,
+                "{damping:?}: {found:?}, exactly {angle}"
+            );
+        }
+    }
+}
+
+/// w (1/s) of the Lame mode of a free cube with that many bricks along an edge, and exactly.
+pub(crate) fn lame_mode(cells: usize) -> [f64; 2] {
+    let solids = alone(block([1.0; 3], [cells; 3]));
+    let mut dynamics = Dynamics::new(&solids);
+    dynamics.iterative = true;
+    let shape: Vec<f64> = solids
+        .rest
+        .iter()
+        .flat_map(|x| {
+            let [x, y] = [x.x, x.y].map(|x| std::f64::consts::PI * x);
+            [x.cos() * y.sin(), -x.sin() * y.cos(), 0.0]
+        })
+        .collect();
+    let [_, mu] = lame_parameters(1e6, 0.3);
+    let exact = 2.0_f64.sqrt() * std::f64::consts::PI * (mu / 1000.0).sqrt();
+    let w_dt = 0.1;
+    let dt = w_dt / exact;
+    let [_, angle] = ringing(&dynamics.ring(&shape, 1e-6, dt, 40));
+    [angle.tan() / dt, exact]
+}
+
+/// S9 on coarse meshes: 3.1 % and 1.4 % at 4^3 and 8^3. The long validation asks for 1 % at 16^3, where it is 0.4 %.
+#[test]
+fn the_lame_mode_of_a_free_cube_converges() {
+    let errors = [4, 8].map(|cells| {
+        let [found, exact] = lame_mode(cells);
+        (found / exact - 1.0).abs()
+    });
+    assert!(
+        errors[1] < 0.015 && errors[0] / errors[1] > 2.0,
+        "{errors:?}"
+    );
+}
+
+/// S10.
+#[test]
+fn a_bar_on_rollers_has_the_frequency_of_a_bar() {
+    let mut solid = block([1.0, 0.1, 0.1], [20, 2, 2]);
+    solid.pins = vec![
+        held(region([0.0; 3], [1.0; 3]), [false, true, true]),
+        held(region([0.0; 3], [0.0, 1.0, 1.0]), [true, false, false]),
+    ];
+    let solids = alone(solid);
+    let modes = Dynamics::new(&solids).modes(1, 60);
+    let [lambda, mu] = lame_parameters(1e6, 0.3);
+    let exact = 0.5 * std::f64::consts::PI * ((lambda + 2.0 * mu) / 1000.0).sqrt();
+    let found = modes[0].1.sqrt();
+    assert!(
+        (found / exact - 1.0).abs() < 0.005,
+        "{found} 1/s, exactly {exact} 1/s"
+    );
+}
+
+fn start(scene: &Scene) -> Reference {
+    let grid = scene.grid();
+    let cut: CutCells = cut_cells(scene, &grid).unwrap();
+    let solids = solids_of(scene);
+    let (displacement, node_velocity) = solids.initial_state(scene);
+    let state = State {
+        displacement,
+        node_velocity,
+        ..State::default()
+    };
+    Reference::new(scene, cut, solids, state).unwrap()
+}
+
+fn step(reference: &mut Reference, dt: f64) -> SolidReport {
+    let report = reference.step(TimeStep { dt, floored: false }).unwrap();
+    let solid = report.solid.unwrap();
+    assert!(report.liquid.is_none());
+    assert_eq!(solid.solve.status, SolveStatus::Converged, "{report:?}");
+    solid
+}
+
+/// S13: momentum grows by m g exactly, whatever the body does; a body at rest falls without strain.
+#[test]
+fn bodies_fall_with_g() {
+    let mut solid = block([0.5; 3], [3, 3, 3]);
+    solid.placement.translate = DVec3::new(2.0, 3.0, 2.0);
+    let quiet = solid.clone();
+    solid.initial.spin = DVec3::new(3.0, 5.0, -2.0);
+    solid.initial.scale = DVec3::new(1.3, 0.8, 1.0);
+    solid.initial.velocity = DVec3::new(0.5, 1.0, -0.5);
+    let (mass, dt, gravity) = (125.0, 1.0 / 240.0, DVec3::new(0.3, -9.81, 0.0));
+    for (solid, strained) in [(quiet, false), (solid, true)] {
+        let drift = solid.initial.velocity;
+        let mut scene = scene_of(vec![solid]);
+        scene.domain.gravity = gravity;
+        let mut reference = start(&scene);
+        for number in 1..=60 {
+            let report = step(&mut reference, dt);
+            let exact = mass * (drift + f64::from(number) * dt * gravity);
+            let error = DVec3::from(report.diagnosis.momentum).distance(exact);
+            assert!(
+                error <= 1e-9 * mass * 9.81,
+                "step {number}: off by {error:e} kg m/s"
+            );
+            assert!(
+                strained == (report.diagnosis.elastic_energy > 1e-9),
+                "{report:?}"
+            );
+            assert_eq!(report.diagnosis.inverted, 0);
+        }
+    }
+}
+
+/// Numerics section 6: the beam of the base scene with its nodes thrown about, so that 35 to 152 of its 336 elements are inverted.
+#[test]
+fn inverted_elements_recover() {
+    for (size, seed) in [
+        (0.014, 1),
+        (0.018, 2),
+        (0.022, 3),
+        (0.026, 4),
+        (0.03, 4),
+        (0.034, 4),
+        (0.038, 4),
+    ] {
+        let mut solid = block([0.08, 0.56, 0.08], [2, 14, 2]);
+        solid.placement.translate = DVec3::new(2.0, 2.0, 2.0);
+        (solid.poisson, solid.density) = (0.4, 1100.0);
+        solid.pins = vec![held(region([0.0, 2.28, 0.0], [4.0; 3]), [true; 3])];
+        let mut scene = scene_of(vec![solid]);
+        scene.domain.gravity = DVec3::new(0.0, -9.81, 0.0);
+        let mut reference = start(&scene);
+        let solids = solids_of(&scene);
+        let mut state = reference.state().clone();
+        let mut random = Random(seed);
+        for (node, u) in state.displacement.iter_mut().enumerate() {
+            if solids.prescribed[node] == [false; 3] {
+                *u = std::array::from_fn(|_| random.uniform(-size, size));
+            }
+        }
+        let inverted = |state: &State| {
+            (0..solids.elements.len())
+                .filter(|&element| {
+                    solids.stress_and_determinant(element, &state.displacement)[1] <= 0.0
+                })
+                .count()
+        };
+        let before = inverted(&state);
+        println!("{size} {before}");
+        if size < 0.05 {
+            continue;
+        }
+        assert!(
+            (35..=152).contains(&before),
+            "{before} of {} inverted",
+            solids.elements.len()
+        );
+        let cut = reference.cut_cells().clone();
+        reference = Reference::new(&scene, cut, solids.clone(), state).unwrap();
+        let mut last = 0;
+        for _ in 0..240 {
+            last = step(&mut reference, 1.0 / 120.0).diagnosis.inverted;
+        }
+        assert_eq!(
+            (last, inverted(reference.state())),
+            (0, 0),
+            "of {before} at the start"
+        );
+        let stretched = reference
+            .state()
+            .displacement
+            .iter()
+            .flatten()
+            .fold(0.0, |m, u| f64::max(m, u.abs()));
+        assert!(
+            stretched < 0.02,
+            "the beam hangs {stretched} m from where it should"
+        );
+    }
+}
+
+/// A cube squashed to an eighth of its volume, and one turned inside out, come back to their size.
+#[test]
+fn squashed_and_mirrored_cubes_recover() {
+    for scale in [
+        DVec3::splat(0.5),
+        DVec3::new(1.0, -1.0, 1.0),
+        DVec3::splat(-1.0),
+    ] {
+        let mut solid = block([0.5; 3], [4, 4, 4]);
+        solid.placement.translate = DVec3::splat(2.0);
+        solid.initial.scale = scale;
+        solid.mass_damping = 2.0;
+        let mut reference = start(&scene_of(vec![solid]));
+        let mut report = None;
+        for _ in 0..400 {
+            report = Some(step(&mut reference, 1.0 / 240.0));
+        }
+        let diagnosis = report.unwrap().diagnosis;
+        assert_eq!(diagnosis.inverted, 0, "{scale}: {diagnosis:?}");
+        assert!(diagnosis.min_det > 0.9, "{scale}: {diagnosis:?}");
+        let momentum = DVec3::from(diagnosis.momentum).length();
+        assert!(momentum < 1e-6, "{scale}: {momentum} kg m/s");
+    }
+}
+
+/// A body dropped on the floor stays above it and comes to rest.
+#[test]
+fn bodies_rest_on_the_floor() {
+    let mut solid = block([0.5; 3], [3, 3, 3]);
+    solid.placement.translate = DVec3::new(2.0, 0.4, 2.0);
+    solid.mass_damping = 5.0;
+    let mut scene = scene_of(vec![solid]);
+    scene.domain.gravity = DVec3::new(0.0, -9.81, 0.0);
+    let mut reference = start(&scene);
+    let solids = solids_of(&scene);
+    for _ in 0..720 {
+        step(&mut reference, 1.0 / 240.0);
+        let state = reference.state();
+        let nodes = solids.rest.iter().zip(&state.displacement);
+        let lowest = nodes
+            .map(|(rest, u)| rest.y + u[1])
+            .fold(f64::INFINITY, f64::min);
+        assert!(lowest >= -1e-15, "a node is {lowest} m below the floor");
+    }
+    // The solve knows nothing of the floor, so nodes on it have a velocity into it until they are put back: what rests is told by the
+    // displacements.
+    let before = reference.state().displacement.clone();
+    let report = step(&mut reference, 1.0 / 240.0);
+    let after = reference.state().displacement.as_flattened();
+    let pairs = before.as_flattened().iter().zip(after);
+    let way = pairs.fold(0.0, |way, (a, b)| f64::max(way, (a - b).abs()));
+    assert!(way < 1e-5, "still moves by {way} m in a step");
+    assert!(report.diagnosis.min_det > 0.9, "{report:?}");
+}
+
+/// A beam twisted and stretched by a script: the scripted end lands on its keyframes, the other end is held.
+#[test]
+fn a_scripted_end_takes_the_beam_along() {
+    let mut solid = block([1.0, 0.2, 0.2], [6, 2, 2]);
+    solid.placement.translate = DVec3::splat(2.0);
+    let frame = |time, x: f64, angle| Keyframe {
+        time,
+        translate: DVec3::new(x, 0.0, 0.0),
+        axis: DVec3::X,
+        angle,
+    };
+    let end = region([2.5, 1.9, 1.9], [2.5, 2.1, 2.1]);
+    solid.pins = vec![
+        held(region([1.5, 0.0, 0.0], [1.5, 4.0, 4.0]), [true; 3]),
+        Pin {
+            region: end,
+            components: [true; 3],
+            keyframes: vec![frame(0.0, 0.0, 0.0), frame(0.25, 0.2, 1.5)],
+        },
+    ];
+    solid.mass_damping = 5.0;
+    let scene = scene_of(vec![solid]);
+    let mut reference = start(&scene);
+    let solids = solids_of(&scene);
+    let script = &solids.scripts[0];
+    let dt = 1.0 / 96.0;
+    for number in 1..=96 {
+        let report = step(&mut reference, dt);
+        assert_eq!(report.diagnosis.inverted, 0);
+        let state = reference.state();
+        for &node in &script.nodes {
+            let node = node as usize;
+            let exact = script.displacement(solids.rest[node], state.time);
+            // The first step goes along the tangent.
+            let bound = if number == 1 { 1e-3 } else { 1e-13 };
+            let error = DVec3::from(state.displacement[node]).distance(exact);
+            assert!(error <= bound, "step {number}: off by {error:e} m");
+        }
+    }
+    let middle: Vec<usize> = (0..solids.rest.len())
+        .filter(|&node| (solids.rest[node].x - 2.0).abs() < 1e-9)
+        .collect();
+    for node in middle {
+        // Half the stretch and half the turn, about.
+        let u = DVec3::from(reference.state().displacement[node]);
+        assert!((u.x - 0.1).abs() < 0.03, "{u}");
+        let arm = DVec3::new(0.0, solids.rest[node].y - 2.0, solids.rest[node].z - 2.0);
+        let turned = glam::DQuat::from_axis_angle(DVec3::X, 0.75) * arm;
+        assert!((arm + u).with_x(0.0).distance(turned) < 0.03, "{arm} {u}");
+    }
+}
+
+/// The same bits whatever the number of threads.
+#[test]
+fn a_run_of_solids_repeats_bit_for_bit() {
+    let mut solid = block([0.5; 3], [4, 4, 4]);
+    solid.placement.translate = DVec3::splat(1.0);
+    solid.initial.spin = DVec3::new(3.0, 5.0, -2.0);
+    let mut scene = scene_of(vec![solid]);
+    scene.domain.gravity = DVec3::new(0.0, -9.81, 0.0);
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
+        pool.install(|| {
+            let mut reference = start(&scene);
+            for _ in 0..10 {
+                let next = reference.next_time_step();
+                reference.step(next).unwrap();
+            }
+            reference.state().clone()
+        })
+    };
+    let once = run(1);
+    assert!(once == run(3), "the states differ");
+    assert!(once.velocity.iter().all(Vec::is_empty) && once.pressure.is_empty());
+}
+
+#[test]
+fn a_state_of_other_solids_is_refused() {
+    let scene = scene_of(vec![block([0.5; 3], [1, 1, 1])]);
+    let cut = cut_cells(&scene, &scene.grid()).unwrap();
+    let refused = |scene: &Scene| {
+        let error = Reference::new(scene, cut.clone(), solids_of(scene), State::default());
+        error.unwrap_err().to_string()
+    };
+    assert!(refused(&scene).contains("the 8 nodes of the scene's solids"));
+    assert!(refused(&scene_of(Vec::new())).contains("neither liquid nor solids"));
+}
+
+/// The command line's way: a scene without liquid, run on the CPU.
+#[test]
+fn a_scene_of_solids_runs_on_the_cpu() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("fall.toml");
+    let text = "[domain]\nsize = [1.0, 1.0, 1.0]\ncells = [8, 8, 8]\ngravity = [0.0, -9.81, 0.0]\n\
+        [time]\nduration = 0.125\nframes_per_second = 24\n\
+        [[solid]]\nname = \"cube\"\nmesh = { box = { size = [0.2, 0.2, 0.2], cells = [2, 2, 2] } }\n\
+        placement = { translate = [0.5, 0.8, 0.5] }\ndensity = 1000.0\nyoung = 1e5\npoisson = 0.3\n";
+    std::fs::write(&path, text).unwrap();
+    let scene = Scene::load(&path, &[], 1.0).unwrap();
+    let options = Options {
+        backend: Backend::Cpu,
+        out: folder.path().join("out"),
+        frames: None,
+        overwrite: false,
+    };
+    let summary = cutwater::sim::run(&scene, &options, &mut |_| {}, &false.into()).unwrap();
+    assert_eq!(
+        (summary.frames, summary.missed, summary.volume_ratio),
+        (3, 0, None)
+    );
+    assert!(options.out.join("frames/fall_000003.vtu").exists());
+    let mut table = csv::Reader::from_path(options.out.join("steps.csv")).unwrap();
+    let head: Vec<String> = table.headers().unwrap().iter().map(str::to_owned).collect();
+    let stages = [
+        "move_solid",
+        "forces",
+        "solid_matrices",
+        "right_hand_side",
+        "solve",
+        "diagnose",
+    ];
+    let columns = stages.map(|stage| format!("seconds_{stage}"));
+    assert_eq!(head[head.len() - 6..], columns);
+    let momentum = head
+        .iter()
+        .position(|name| name == "solid_momentum_y")
+        .unwrap();
+    let last = table.records().last().unwrap().unwrap();
+    let found: f64 = last[momentum].parse().unwrap();
+    assert!((found + 8.0 * 9.81 * 0.125).abs() < 1e-9, "{found} kg m/s");
+
+    let mut simulation = Simulation::new(&scene, &Backend::Cpu).unwrap();
+    let start = simulation.state().unwrap();
+    simulation.step().unwrap();
+    let after = simulation.state().unwrap();
+    assert!(start != after);
+    simulation.reset(&start).unwrap();
+    simulation.step().unwrap();
+    assert!(
+        simulation.state().unwrap() == after,
+        "a reset start repeats"
+    );
+    let grid: Grid = scene.grid();
+    assert_eq!(simulation.cut_cells().solid_distance.len(), grid.n_cells());
+}
