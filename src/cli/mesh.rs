@@ -107,7 +107,7 @@ fn say_counts(mesh: &TetMesh, filled: Option<&Surface>) {
     say!("  volume {:.6e} m^3", mesh.volume());
     if let Some(surface) = filled {
         say!(
-            "  volume of the surface {:.6e} m^3: the mesh covers it and is {:.1} % larger",
+            "  volume of the surface {:.6e} m^3: the mesh is {:+.2} % off",
             surface.volume(),
             100.0 * (mesh.volume() / surface.volume() - 1.0)
         );

@@ -157,18 +157,25 @@ impl TetMesh {
         n
     }
 
+    /// [`ElementShape::mean_ratio`] of an element.
+    pub(super) fn mean_ratio(&self, element: [u32; 4]) -> f64 {
+        let x = element.map(|node| self.nodes[node as usize]);
+        let edges = (0..4).flat_map(|i| (0..i).map(move |j| (i, j)));
+        let squares: f64 = edges.map(|(i, j)| x[i].distance_squared(x[j])).sum();
+        let determinant = self.determinant(element);
+        12.0 * (0.5 * determinant).cbrt().powi(2).copysign(determinant) / squares
+    }
+
     /// The shape of an element.
     pub fn shape(&self, element: [u32; 4]) -> ElementShape {
         let x = element.map(|node| self.nodes[node as usize]);
         // Area vectors of the faces, twice their areas long, outwards.
         let normals = FACES.map(|[a, b, c]| (x[b] - x[a]).cross(x[c] - x[a]));
         let mut angles = [f64::INFINITY, f64::NEG_INFINITY];
-        let (mut squares, mut longest) = (0.0, 0.0_f64);
+        let mut longest = 0.0_f64;
         for i in 0..4 {
             for j in i + 1..4 {
-                let square = x[i].distance_squared(x[j]);
-                squares += square;
-                longest = longest.max(square);
+                longest = longest.max(x[i].distance_squared(x[j]));
                 let [m, n] = [normals[i], normals[j]];
                 let angle = f64::atan2(m.cross(n).length(), -m.dot(n)).to_degrees();
                 angles = [angles[0].min(angle), angles[1].max(angle)];
@@ -178,7 +185,7 @@ impl TetMesh {
         let base = normals.map(DVec3::length).into_iter().fold(0.0, f64::max);
         ElementShape {
             volume: determinant / 6.0,
-            mean_ratio: 12.0 * (0.5 * determinant).cbrt().powi(2).copysign(determinant) / squares,
+            mean_ratio: self.mean_ratio(element),
             min_dihedral: angles[0],
             max_dihedral: angles[1],
             aspect: (2.0_f64 / 3.0).sqrt() * longest.sqrt() * base / determinant.abs(),

@@ -632,49 +632,66 @@ fn torus(ring: f64, tube: f64, sides: usize) -> Surface {
     surface
 }
 
+/// Distance from a point to the nearest triangle (Ericson, Real-Time Collision Detection, 5.1.5, by cases of the barycentric weights).
+fn distance(surface: &Surface, x: DVec3) -> f64 {
+    let to_edge = |a: DVec3, b: DVec3| {
+        let along = ((x - a).dot(b - a) / a.distance_squared(b)).clamp(0.0, 1.0);
+        x.distance(a + along * (b - a))
+    };
+    let triangles = (0..surface.triangles.len()).map(|number| surface.corners(number));
+    let distances = triangles.map(|[a, b, c]| {
+        let normal = (b - a).cross(c - a).normalize();
+        let foot = x - normal * normal.dot(x - a);
+        let inside = |from: DVec3, to: DVec3| (to - from).cross(foot - from).dot(normal) >= 0.0;
+        if inside(a, b) && inside(b, c) && inside(c, a) {
+            x.distance(foot)
+        } else {
+            to_edge(a, b).min(to_edge(b, c)).min(to_edge(c, a))
+        }
+    });
+    distances.fold(f64::INFINITY, f64::min)
+}
+
 #[test]
-fn fills_cover_their_surface_with_good_elements() {
+fn fills_follow_their_surface_with_good_elements() {
     let turn = DMat3::from_axis_angle(DVec3::new(0.6, 0.0, 0.8), 0.5);
     let bricks = |half: DVec3| Surface::cuboid(-half, half);
-    // Surface, edge length, largest volume of the mesh in that of the surface, Euler characteristic.
+    // Surface, edge length, largest share of the volume that may be missing, Euler characteristic. The last plate is one of which
+    // parry alone keeps but a skin.
     let cases = [
-        ("cube", bricks(DVec3::splat(0.5)), 0.2, 1.4, 2),
-        ("finer cube", bricks(DVec3::splat(0.5)), 0.1, 1.16, 2),
+        ("cube", bricks(DVec3::splat(0.5)), 0.2, 0.01, 2),
+        ("finer cube", bricks(DVec3::splat(0.5)), 0.1, 0.002, 2),
         (
             "turned plate",
             bricks(DVec3::new(0.5, 0.1, 0.4)).map(|x| turn * x),
             0.1,
-            1.6,
+            0.03,
             2,
         ),
-        ("torus", torus(1.0, 0.4, 16), 0.25, 1.2, 0),
+        ("torus", torus(1.0, 0.4, 16), 0.25, 0.05, 0),
+        ("plate", bricks(DVec3::new(1.0, 0.2, 1.0)), 0.125, 0.01, 2),
     ];
-    for (name, surface, cell_size, most, euler) in cases {
+    for (name, surface, cell_size, missing, euler) in cases {
         assert_eq!(surface.fault(), None, "{name}");
         let mesh = fill(&surface, cell_size).unwrap();
         assert_sound(&mesh, name);
         assert_eq!(mesh.components(), 1, "{name}");
         assert_eq!(euler_characteristic(&mesh.surface()), euler, "{name}");
         let ratio = mesh.volume() / surface.volume();
-        assert!(ratio > 1.0 && ratio < most, "{name}: {ratio}");
+        assert!(ratio > 1.0 - missing && ratio < 1.002, "{name}: {ratio}");
         let shape = mesh.worst_element().unwrap().1;
         assert!(
-            shape.mean_ratio > 0.3 && shape.min_dihedral > 10.0,
+            shape.mean_ratio > 0.29 && shape.min_dihedral > 7.0,
             "{name}: {shape:?}"
         );
-        // It contains the surface: no vertex lies outside of all elements.
-        for &x in &surface.vertices {
-            let inside = mesh.elements.iter().any(|&element| {
-                let whole = mesh.determinant(element);
-                (0..4).all(|corner| {
-                    let mut nodes = element.map(|node| mesh.nodes[node as usize]);
-                    nodes[corner] = x;
-                    let [a, b, c, d] = nodes;
-                    (b - a).cross(c - a).dot(d - a) > -1e-9 * whole
-                })
-            });
-            assert!(inside, "{name}: {x}");
-        }
+        let outer = mesh.surface();
+        let off = outer
+            .iter()
+            .flatten()
+            .map(|&node| distance(&surface, mesh.nodes[node as usize]));
+        let farthest = off.fold(0.0, f64::max);
+        assert!(farthest < 0.2 * cell_size, "{name}: {farthest} m");
+        assert_eq!(fill(&surface, cell_size).unwrap(), mesh, "{name}");
     }
 }
 
@@ -719,7 +736,7 @@ fn surfaces_become_solids_of_a_scene() {
         "{middle}"
     );
     assert!(
-        (mesh.volume() / 8.0 - 1.35).abs() < 0.15,
+        (mesh.volume() / 8.0 - 1.0).abs() < 0.01,
         "{}",
         mesh.volume()
     );
@@ -811,7 +828,7 @@ fn the_mesh_command_tells_and_writes() {
     let (code, said) = run(&["tet.obj", "--cell-size", "0.2"]);
     assert_eq!(code, Some(0), "{said}");
     assert!(
-        said.contains("volume of the surface 1.666667e-1 m^3"),
+        said.contains("volume of the surface 1.666667e-1 m^3: the mesh is "),
         "{said}"
     );
     for (arguments, part) in [
