@@ -43,19 +43,28 @@ impl From<Fault> for Problem {
     }
 }
 
-/// All bytes of a mesh file, and its extension in small letters.
-pub(super) fn load(file: &Path) -> Result<(Vec<u8>, String), Error> {
-    let bytes = fs::read(file).map_err(|problem| {
+/// All bytes of a mesh file.
+pub(super) fn load(file: &Path) -> Result<Vec<u8>, Error> {
+    fs::read(file).map_err(|problem| {
         let cure = "give the path of a readable mesh file, relative to the scene file";
         Problem::new(problem.to_string(), cure).of(file)
-    })?;
-    let extension = file.extension().unwrap_or_default().to_string_lossy();
-    Ok((bytes, extension.to_lowercase()))
+    })
+}
+
+/// The end of a file's name, in small letters.
+pub(super) fn extension(file: &Path) -> String {
+    let extension = file.extension().unwrap_or_default();
+    extension.to_string_lossy().to_lowercase()
 }
 
 /// Reads a surface, merges vertices at equal positions (STL has no others) and refuses what does not bound a solid.
 pub fn read(file: &Path) -> Result<Surface, Error> {
-    let (bytes, extension) = load(file)?;
+    parse(load(file)?, file)
+}
+
+/// The same from the contents of a file; its name says what they are, and stands in errors.
+pub fn parse(bytes: Vec<u8>, file: &Path) -> Result<Surface, Error> {
+    let extension = extension(file);
     let surface = match extension.as_str() {
         "obj" => obj(&bytes),
         "stl" => stl(bytes),

@@ -26,11 +26,11 @@ pub use inside::inside;
 pub use liquid::{
     Regions, empty_regions, estimate_markers, initial_state, liquid_distance, seed_markers,
 };
-pub use mesh_file::read as read_mesh;
+pub use mesh_file::{parse as parse_mesh, read as read_mesh};
 pub use surface::{Fault, Surface};
 pub use tet_fill::fill;
 pub use tet_mesh::{ElementShape, TetMesh, solid_meshes};
-pub use tet_read::{TetFile, read as read_tets};
+pub use tet_read::{TetFile, parse as parse_tets, read as read_tets};
 
 use crate::error::Error;
 use crate::grid::{Axis, Grid};

@@ -43,10 +43,15 @@ const COINCIDENT: f64 = 1e-10;
 /// Reads a .msh (Gmsh 4.1) or .vtu file of tetrahedra with 4 nodes. Elements of fewer dimensions are ignored, unused nodes dropped,
 /// and a mesh of which all elements are inverted is turned; other cells, and whatever makes no solid, are errors with the cure.
 pub fn read(file: &Path) -> Result<TetFile, Error> {
-    let (bytes, extension) = mesh_file::load(file)?;
+    parse(&mesh_file::load(file)?, file)
+}
+
+/// The same from the contents of a file; its name says what they are, and stands in errors.
+pub fn parse(bytes: &[u8], file: &Path) -> Result<TetFile, Error> {
+    let extension = mesh_file::extension(file);
     let raw = match extension.as_str() {
-        "msh" => msh::read(&bytes, &file.display().to_string()),
-        "vtu" => vtu::read(&bytes),
+        "msh" => msh::read(bytes, &file.display().to_string()),
+        "vtu" => vtu::read(bytes),
         "obj" | "stl" | "ply" => Err(Problem::new(
             "a surface, not tetrahedra",
             "fill it: mesh = { surface = { file = .., cell_size = .. } } in a scene, --cell-size on the command line",
