@@ -7,6 +7,7 @@ mod cli;
 mod common;
 mod compare;
 mod components;
+mod dinosaur;
 mod elastic;
 mod export;
 mod geometry;
