@@ -1,6 +1,7 @@
 // Outer loop, one workgroup, between rounds: judges the true residual and opens the next round or ends the solve.
 // A correction that made the residual worse is taken back: the best iterate is kept. So is a guess that is worse than none.
-// totals: where the number of partials stands. settings: tolerances. args, gated: see control. partials: |r|^2.
+// totals: where the number of partials stands. settings: tolerances. args, gated: see control.
+// partials: |r|^2 in x; in w |D x|^2 or 0.
 #import level
 #import refine
 #import pcg_slots
@@ -20,9 +21,14 @@
 // A round aims below what is left, so that rounding does not make it miss by a hair.
 const ROUND_MARGIN = 0.5;
 
+// Storing x rounds each of its values by half an EPSILON at most, which changes a row of A x by EPSILON times its part of D x if
+// neighbours round apart, all as far as they can; by a third of that where they round at random.
+const ROUNDING_OF_X = 0.5;
+
 @compute @workgroup_size(FOLD_SIZE)
 fn refine_turn(@builtin(local_invocation_index) lane: u32) {
-    let rr = fold(args[totals.args + 3u], lane).x;
+    let sums = fold(args[totals.args + 3u], lane);
+    let rr = sums.x;
     if lane != 0u || control.running == 1u {
         return;
     }
@@ -46,7 +52,9 @@ fn refine_turn(@builtin(local_invocation_index) lane: u32) {
     norms[NORM_R] = rr;
     let tolerance = Real(settings.tolerance);
     let rounding = Real(settings.rounding);
-    let goal = max(tolerance * tolerance * norms[NORM_B], rounding * rounding * norms[NORM_TERMS]);
+    let of_x = Real(ROUNDING_OF_X) * EPSILON;
+    let of_terms = max(rounding * rounding * norms[NORM_TERMS], of_x * of_x * sums.w);
+    let goal = max(tolerance * tolerance * norms[NORM_B], of_terms);
     if rr <= goal {
         control.status = STATUS_CONVERGED;
     } else if control.iterations >= control.max_iterations {

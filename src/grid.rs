@@ -134,7 +134,19 @@ impl Grid {
     pub fn sample(&self, axis: Axis, field: &[f64], x: DVec3) -> f64 {
         let mut offset = DVec3::splat(0.5);
         offset[axis.index()] = 0.0;
-        trilinear(self.faces(axis), field, x / self.dx - offset)
+        Corner::new(self.faces(axis), x / self.dx - offset).interpolate(field)
+    }
+
+    /// The eight cell centres around `x` (m).
+    #[inline]
+    pub fn centres_around(&self, x: DVec3) -> Corner {
+        Corner::new(self.cells, x / self.dx - 0.5)
+    }
+
+    /// Trilinear interpolation at `x` (m) of a cell-centred host field, constant beyond the outermost centres.
+    #[inline]
+    pub fn sample_cells(&self, field: &[f64], x: DVec3) -> f64 {
+        self.centres_around(x).interpolate(field)
     }
 
     /// Velocity at `x` (m): the samples of the three face fields.
@@ -161,25 +173,80 @@ impl Grid {
     }
 }
 
-/// Trilinear interpolation of an array of extents `n` at the continuous index `at`, clamped to [0, n - 1].
-#[inline]
-pub fn trilinear(n: [usize; 3], values: &[f64], at: DVec3) -> f64 {
-    let last = DVec3::new(n[0] as f64, n[1] as f64, n[2] as f64) - 1.0;
-    let at = at.clamp(DVec3::ZERO, last);
-    let low = at.floor();
-    let t = at - low;
-    let [i, j, k] = [low.x as usize, low.y as usize, low.z as usize];
-    let [i1, j1, k1] = [
-        (i + 1).min(n[0] - 1),
-        (j + 1).min(n[1] - 1),
-        (k + 1).min(n[2] - 1),
-    ];
-    let row = |j: usize, k: usize| {
-        let start = n[0] * (j + n[1] * k);
-        values[start + i] * (1.0 - t.x) + values[start + i1] * t.x
-    };
-    let slab = |k: usize| row(j, k) * (1.0 - t.y) + row(j1, k) * t.y;
-    slab(k) * (1.0 - t.z) + slab(k1) * t.z
+/// The eight points around a position in an array of extents `n`, for trilinear interpolation.
+#[derive(Clone, Copy, Debug)]
+pub struct Corner {
+    /// Index of the lowest of them.
+    low: usize,
+    /// How far it is to the upper neighbour along each axis; 0 where the array is one point thick.
+    up: [usize; 3],
+    /// The position between them, 0 to 1.
+    pub between: [f64; 3],
+}
+
+impl Corner {
+    /// Around the continuous index `at`, which is clamped to the array.
+    #[inline]
+    pub fn new(n: [usize; 3], at: DVec3) -> Corner {
+        let stride = [1, n[0], n[0] * n[1]];
+        let mut corner = Corner {
+            low: 0,
+            up: [0; 3],
+            between: [0.0; 3],
+        };
+        for b in 0..3 {
+            let index = at[b].clamp(0.0, (n[b] - 1) as f64);
+            // The upper end belongs to the last interval.
+            let low = (index as usize).min(n[b].saturating_sub(2));
+            corner.low += stride[b] * low;
+            corner.up[b] = if n[b] > 1 { stride[b] } else { 0 };
+            corner.between[b] = index - low as f64;
+        }
+        corner
+    }
+
+    /// Values at the eight points, x fastest, then y, then z.
+    #[inline]
+    pub fn values(&self, field: &[f64]) -> [f64; 8] {
+        std::array::from_fn(|c| {
+            let offset: usize = (0..3)
+                .map(|b| if c >> b & 1 == 1 { self.up[b] } else { 0 })
+                .sum();
+            field[self.low + offset]
+        })
+    }
+
+    /// The field at the position.
+    #[inline]
+    pub fn interpolate(&self, field: &[f64]) -> f64 {
+        Corner::mix(&self.values(field), self.between)
+    }
+
+    /// Between eight values, x fastest, then y, then z.
+    #[inline]
+    pub fn mix(v: &[f64; 8], [x, y, z]: [f64; 3]) -> f64 {
+        let mix = |low: f64, high: f64, f: f64| low + (high - low) * f;
+        let along_x = [0, 2, 4, 6].map(|c| mix(v[c], v[c + 1], x));
+        let low = mix(along_x[0], along_x[1], y);
+        mix(low, mix(along_x[2], along_x[3], y), z)
+    }
+
+    /// The eight (index, weight) pairs.
+    pub fn weights(&self) -> [(usize, f64); 8] {
+        std::array::from_fn(|c| {
+            let mut point = (self.low, 1.0);
+            for b in 0..3 {
+                let upper = c >> b & 1 == 1;
+                point.0 += if upper { self.up[b] } else { 0 };
+                point.1 *= if upper {
+                    self.between[b]
+                } else {
+                    1.0 - self.between[b]
+                };
+            }
+            point
+        })
+    }
 }
 
 /// The device layout of one level: rows of quads (4 cells along x), at least one spare cell at the end of each row, one

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::CutCells;
 use super::distance::Solid;
 use crate::error::Error;
-use crate::grid::{Axis, Grid, trilinear};
+use crate::grid::{Axis, Grid};
 use crate::scene::{Liquid, Scene, Surface};
 use crate::state::State;
 
@@ -234,10 +234,8 @@ pub fn seed_markers(
     let Some(liquid) = &scene.liquid else {
         return Ok(Vec::new());
     };
-    let in_solid = |x| {
-        !scene.obstacles.is_empty()
-            && trilinear(grid.cells, &cut_cells.solid_distance, x / grid.dx - 0.5) < 0.0
-    };
+    let in_solid =
+        |x| !scene.obstacles.is_empty() && grid.sample_cells(&cut_cells.solid_distance, x) < 0.0;
     let seeding = Seeding {
         regions: Regions::new(liquid)?,
         size: grid.size(),

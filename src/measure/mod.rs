@@ -4,6 +4,7 @@ pub mod bandwidth;
 pub mod bench_solve;
 pub mod bench_sort;
 pub mod bench_step;
+pub mod bounds;
 pub mod compare;
 pub mod export;
 pub mod statistics;

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::sample::{distance, normal, velocity};
+use super::sample::normal;
 use crate::grid::Grid;
 
 /// Markers stay this far inside the domain, in cells.
@@ -38,16 +38,16 @@ fn advect(
     x: DVec3,
     dt: f64,
 ) -> Option<DVec3> {
-    let middle = x + 0.5 * dt * velocity(grid, faces, x);
+    let middle = x + 0.5 * dt * grid.velocity_at(faces, x);
     let inside = |x: DVec3| {
         x.clamp(
             DVec3::splat(WALL_GAP * grid.dx),
             grid.size() - WALL_GAP * grid.dx,
         )
     };
-    let mut x = inside(x + dt * velocity(grid, faces, middle));
+    let mut x = inside(x + dt * grid.velocity_at(faces, middle));
     for _ in 0..PUSHES {
-        let depth = distance(grid, solid_distance, x);
+        let depth = grid.sample_cells(solid_distance, x);
         if depth >= 0.0 {
             return Some(x);
         }
@@ -55,5 +55,5 @@ fn advect(
             x = inside(x + (SOLID_GAP * grid.dx - depth) * outwards);
         }
     }
-    (distance(grid, solid_distance, x) >= 0.0).then_some(x)
+    (grid.sample_cells(solid_distance, x) >= 0.0).then_some(x)
 }

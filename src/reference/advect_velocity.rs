@@ -2,7 +2,6 @@
 
 use rayon::prelude::*;
 
-use super::sample::{sample, velocity};
 use crate::grid::{Axis, Grid};
 
 /// The face velocities (m/s) carried along by themselves for dt (s).
@@ -10,9 +9,9 @@ pub fn advect_velocity(grid: &Grid, faces: &[Vec<f64>; 3], dt: f64) -> [Vec<f64>
     Axis::ALL.map(|axis| {
         let carried = (0..grid.n_faces(axis)).into_par_iter().map(|face| {
             let x = grid.face_centre(axis, grid.face_at(axis, face));
-            let middle = x - 0.5 * dt * velocity(grid, faces, x);
-            let origin = x - dt * velocity(grid, faces, middle);
-            sample(grid, axis, &faces[axis.index()], origin)
+            let middle = x - 0.5 * dt * grid.velocity_at(faces, x);
+            let origin = x - dt * grid.velocity_at(faces, middle);
+            grid.sample(axis, &faces[axis.index()], origin)
         });
         carried.collect()
     })

@@ -9,7 +9,6 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::sample::{distance, velocity};
 use crate::geometry::CutCells;
 use crate::grid::{Axis, Grid};
 
@@ -100,7 +99,7 @@ fn close_walls(grid: &Grid, faces: &mut [Vec<f64>; 3]) {
 fn direction(grid: &Grid, solid_distance: &[f64], x: DVec3) -> Option<DVec3> {
     let slope = |b: usize| {
         let half = DVec3::AXES[b] * (0.5 * grid.dx);
-        (distance(grid, solid_distance, x + half) - distance(grid, solid_distance, x - half))
+        (grid.sample_cells(solid_distance, x + half) - grid.sample_cells(solid_distance, x - half))
             / grid.dx
     };
     let gradient = DVec3::from([0, 1, 2].map(slope));
@@ -117,13 +116,13 @@ fn slip(grid: &Grid, cut: &CutCells, faces: &mut [Vec<f64>; 3]) {
                 return None;
             }
             let x = grid.face_centre(axis, ijk);
-            if distance(grid, &cut.solid_distance, x) >= SLIP_REACH * grid.dx {
+            if grid.sample_cells(&cut.solid_distance, x) >= SLIP_REACH * grid.dx {
                 return None;
             }
             let n = direction(grid, &cut.solid_distance, x)?;
             Some((
                 face,
-                faces[a][face] - velocity(grid, faces, x).dot(n) * n[a],
+                faces[a][face] - grid.velocity_at(faces, x).dot(n) * n[a],
             ))
         };
         (0..grid.n_faces(axis))

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::sample::{distance, normal};
+use super::sample::normal;
 use crate::elastic::Solids;
 use crate::grid::Grid;
 
@@ -40,7 +40,7 @@ pub fn move_solid(
         }
         for _ in 0..PUSHES {
             let x = rest + DVec3::from(*u);
-            let depth = distance(grid, solid_distance, x);
+            let depth = grid.sample_cells(solid_distance, x);
             if depth >= 0.0 {
                 break;
             }

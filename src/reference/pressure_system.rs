@@ -222,7 +222,7 @@ impl PressureSystem {
 }
 
 /// Takes the mean over each list of cells out of a field.
-pub(super) fn remove_means(components: &[Vec<usize>], field: &mut [f64]) {
+pub fn remove_means(components: &[Vec<usize>], field: &mut [f64]) {
     for component in components {
         let mean = component.iter().map(|&cell| field[cell]).sum::<f64>() / component.len() as f64;
         component.iter().for_each(|&cell| field[cell] -= mean);

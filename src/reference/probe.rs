@@ -3,7 +3,6 @@
 use glam::DVec3;
 
 use super::active_cells::theta;
-use super::sample::{cell_weights, distance, velocity};
 use crate::grid::{Axis, Grid};
 use crate::scene::ProbeKind;
 use crate::state::State;
@@ -21,7 +20,9 @@ pub fn probe(grid: &Grid, state: &State, kind: &ProbeKind) -> Vec<f64> {
     match *kind {
         ProbeKind::Height { x, z } => vec![height(grid, &state.liquid_distance, x, z)],
         ProbeKind::Pressure { point } => vec![pressure(grid, state, point)],
-        ProbeKind::Velocity { point } => velocity(grid, &state.velocity, point).to_array().to_vec(),
+        ProbeKind::Velocity { point } => {
+            grid.velocity_at(&state.velocity, point).to_array().to_vec()
+        }
         ProbeKind::Front { axis } => vec![front(grid, state, Axis::ALL[axis])],
         ProbeKind::Node { .. } | ProbeKind::Solid { .. } => Vec::new(),
     }
@@ -30,11 +31,8 @@ pub fn probe(grid: &Grid, state: &State, kind: &ProbeKind) -> Vec<f64> {
 fn height(grid: &Grid, liquid_distance: &[f64], x: f64, z: f64) -> f64 {
     let n = grid.cells[1];
     let phi = |j: usize| {
-        distance(
-            grid,
-            liquid_distance,
-            DVec3::new(x, (j as f64 + 0.5) * grid.dx, z),
-        )
+        let centre = DVec3::new(x, (j as f64 + 0.5) * grid.dx, z);
+        grid.sample_cells(liquid_distance, centre)
     };
     match (0..n).rev().find(|&j| phi(j) < 0.0) {
         None => 0.0,
@@ -46,7 +44,7 @@ fn height(grid: &Grid, liquid_distance: &[f64], x: f64, z: f64) -> f64 {
 fn pressure(grid: &Grid, state: &State, point: DVec3) -> f64 {
     let mut sum = 0.0;
     let mut weights = 0.0;
-    for (cell, weight) in cell_weights(grid, point) {
+    for (cell, weight) in grid.centres_around(point).weights() {
         if state.active[cell] || state.liquid_distance[cell] >= 0.0 {
             sum += weight * state.pressure[cell];
             weights += weight;

@@ -410,7 +410,7 @@ impl ProbeKind {
 /// How the pressure is solved.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Solver {
-    /// Relative tolerance of the true residual; default 1e-8.
+    /// Relative tolerance of the true residual; default 1e-8, with `f32` 1e-5.
     pub tolerance: f64,
     /// PCG iterations in all rounds; default 200.
     pub max_iterations: u32,
@@ -418,7 +418,7 @@ pub struct Solver {
     pub precision: Precision,
     /// Default `multigrid`.
     pub preconditioner: Preconditioner,
-    /// Smallest theta of the ghost fluid method; default 1e-2, with markers 0.1.
+    /// Smallest theta of the ghost fluid method; default 1e-2, with markers 0.15.
     pub theta_floor: f64,
     /// Open fractions below it close and above one minus it open; default 1e-3.
     pub area_clamp: f64,
@@ -427,7 +427,7 @@ pub struct Solver {
 impl Default for Solver {
     fn default() -> Solver {
         Solver {
-            tolerance: 1e-8,
+            tolerance: Precision::Mixed.default_tolerance(),
             max_iterations: 200,
             precision: Precision::Mixed,
             preconditioner: Preconditioner::Multigrid,
@@ -446,6 +446,16 @@ pub enum Precision {
     Mixed,
     /// All in f64; the adapter must have it.
     F64,
+}
+
+impl Precision {
+    /// The tolerance of a scene that gives none.
+    pub fn default_tolerance(self) -> f64 {
+        match self {
+            Precision::F32 => 1e-5,
+            Precision::Mixed | Precision::F64 => 1e-8,
+        }
+    }
 }
 
 /// What preconditions the conjugate gradients.

@@ -1,5 +1,6 @@
 //! What the tests share: the device, random numbers, comparisons.
 
+use std::process::Command;
 use std::sync::OnceLock;
 
 use cutwater::gpu::{AdapterChoice, Gpu};
@@ -36,4 +37,32 @@ impl Random {
     pub(crate) fn uniform(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * (self.bits() >> 11) as f64 / (1u64 << 53) as f64
     }
+}
+
+/// Runs a test of this binary in processes with 1, 2 and 3 threads for lavapipe, which reads `LP_NUM_THREADS` when it starts, and
+/// asserts that its `n` lines `digest ...` are the same. On other adapters this compares three processes.
+pub(crate) fn same_with_any_number_of_threads(test: &str, n: usize) {
+    let digests = ["1", "2", "3"].map(|threads| {
+        let output = Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", test, "--nocapture"])
+            .env("LP_NUM_THREADS", threads)
+            .output()
+            .unwrap();
+        let text = String::from_utf8(output.stdout).unwrap();
+        let digests: Vec<String> = text
+            .lines()
+            .filter_map(|line| line.find("digest of ").map(|at| line[at..].to_owned()))
+            .collect();
+        assert_eq!(digests.len(), n, "{threads} threads: {text}");
+        digests
+    });
+    assert_eq!(digests[0], digests[1], "1 and 2 threads");
+    assert_eq!(digests[0], digests[2], "1 and 3 threads");
+}
+
+/// A number that any bit of the values changes.
+pub(crate) fn digest(values: impl IntoIterator<Item = f64>) -> u64 {
+    values
+        .into_iter()
+        .fold(0, |digest, value| Random(digest ^ value.to_bits()).bits())
 }

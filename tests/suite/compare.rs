@@ -33,12 +33,15 @@ fn all_scenes_pass() {
     // One component without a free surface.
     let full = ["liquid.region[0].half_space.point=[0.0, 0.99, 0.0]"];
     let markers = ["liquid.surface=\"markers\""];
+    let single = ["solver.precision=\"f32\""];
     for (scene, frames) in [
         (scene("dam_break_liquid", 0.25, &[]), 3),
+        (scene("dam_break_liquid", 0.5, &single), 2),
         (scene("drop_into_pool", 0.375, &moving), 2),
         (scene("hydrostatic_block", 0.5, &[]), 2),
         (scene("hydrostatic_block", 0.5, &markers), 2),
         (scene("hydrostatic_block", 0.5, &full), 2),
+        (scene("hydrostatic_block", 0.5, &single), 2),
         (scene("sphere_half_full", 0.5, &[]), 2),
         (scene("standing_wave", 1.0, &thin), 2),
     ] {

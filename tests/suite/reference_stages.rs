@@ -4,9 +4,9 @@ use cutwater::geometry::CutCells;
 use cutwater::grid::{Axis, Grid};
 use cutwater::reference::{
     PressureSystem, VolumeSource, active_cells, advect_markers, advect_velocity, diagnose,
-    distance, extrapolate, forces, gradient, liquid_distance, liquid_volume, max_speed, n_layers,
-    open_volumes, probe, right_hand_side, sample, solve, solve_direct, solve_iterative, theta,
-    time_step, velocity, volume_rate, write_back,
+    extrapolate, forces, gradient, liquid_distance, liquid_volume, max_speed, n_layers,
+    open_volumes, probe, right_hand_side, solve, solve_direct, solve_iterative, theta, time_step,
+    volume_rate, write_back,
 };
 use cutwater::scene::{ProbeKind, Solver, Time};
 use cutwater::state::{SolveStatus, State};
@@ -66,10 +66,10 @@ fn samples_are_exact_for_trilinear_fields_and_clamped_beyond() {
     let mut random = Random(1);
     for _ in 0..100 {
         let x = DVec3::from([0, 1, 2].map(|b| random.uniform(0.25, GRID.size()[b] - 0.25)));
-        assert!(close(distance(&GRID, &cells, x), field(x)));
+        assert!(close(GRID.sample_cells(&cells, x), field(x)));
         for axis in Axis::ALL {
             assert!(
-                close(sample(&GRID, axis, &faces[axis.index()], x), field(x)),
+                close(GRID.sample(axis, &faces[axis.index()], x), field(x)),
                 "{axis:?} at {x}"
             );
         }
@@ -81,15 +81,15 @@ fn samples_are_exact_for_trilinear_fields_and_clamped_beyond() {
     }
     let beyond = DVec3::new(-7.0, 1.0, 9.0);
     assert!(close(
-        distance(&GRID, &cells, beyond),
+        GRID.sample_cells(&cells, beyond),
         field(DVec3::new(0.25, 1.0, 1.75))
     ));
     assert!(close(
-        velocity(&GRID, &faces, beyond).x,
+        GRID.velocity_at(&faces, beyond).x,
         field(DVec3::new(0.0, 1.0, 1.75))
     ));
     assert!(close(
-        velocity(&GRID, &faces, beyond).z,
+        GRID.velocity_at(&faces, beyond).z,
         field(DVec3::new(0.25, 1.0, 2.0))
     ));
 }
@@ -103,7 +103,7 @@ fn samples_of_a_grid_one_cell_thick_do_not_vary_across_it() {
     let cells = on_cells(&thin, |x| x.x);
     for z in [0.0, 0.1, 0.25] {
         let x = DVec3::new(0.4, 0.5, z);
-        assert!(close(distance(&thin, &cells, x), 0.4));
+        assert!(close(thin.sample_cells(&cells, x), 0.4));
         assert!(gradient(&thin, &cells, x).distance(DVec3::X) < 1e-12);
     }
 }

@@ -55,7 +55,7 @@ max_iterations = 50
 precision = "f32"
 preconditioner = "jacobi"
 theta_floor = 0.001
-area_clamp = 0
+area_clamp = 1e-5
 [output]
 particles = false
 fields = true
@@ -165,7 +165,7 @@ fn a_scene_says_what_its_file_says() {
         precision: Precision::F32,
         preconditioner: Preconditioner::Jacobi,
         theta_floor: 1e-3,
-        area_clamp: 0.0,
+        area_clamp: 1e-5,
     };
     assert_eq!(scene.solver, solver);
     assert!(!scene.output.particles && scene.output.fields);
@@ -199,7 +199,7 @@ fn what_a_scene_leaves_out_has_the_documented_default() {
     assert!(scene.obstacles.is_empty() && scene.probes.is_empty());
     // Markers make a surface that is bumpy by a tenth of a cell.
     let solver = Solver {
-        theta_floor: 0.1,
+        theta_floor: 0.15,
         ..Solver::default()
     };
     assert_eq!(scene.solver, solver);
@@ -210,6 +210,16 @@ fn what_a_scene_leaves_out_has_the_documented_default() {
         !fixed.liquid.unwrap().volume_control,
         "a fixed surface has no volume control"
     );
+}
+
+#[test]
+fn single_precision_has_a_tolerance_that_it_reaches() {
+    let text = "[domain]\nsize = [1, 1, 1]\ncells = [8, 8, 8]\n[time]\nduration = 1\n\
+                [[liquid.region]]\nsphere = { centre = [0.5, 0.5, 0.5], radius = 0.3 }\n[solver]\nprecision = \"f32\"\n";
+    let tolerance = |overrides: &[&str]| load(text, overrides, 1.0).unwrap().solver.tolerance;
+    assert_eq!(tolerance(&[]), 1e-5);
+    assert_eq!(tolerance(&["solver.tolerance=1e-4"]), 1e-4);
+    assert_eq!(tolerance(&["solver.precision=\"mixed\""]), 1e-8);
 }
 
 /// Replace the first text by the second in a good scene; the error is at the line, at the key, and has the parts.
@@ -257,8 +267,8 @@ const REFUSED: &[Case] = &[
     ("gravity = [0.0, 0.0, -9.81]", "gravity = [0.0, 0.0, -1e20]", 5, "domain.gravity", &["-1e20", "-1e6 to 1e6"]),
     ("frames_per_second = 20", "frames_per_second = 1e300", 8, "time.frames_per_second", &["is 1e300", "1e-3 to 1e6"]),
     ("tolerance = 1e-6", "tolerance = 1", 41, "solver.tolerance", &["1e-8 is usual"]),
-    ("theta_floor = 0.001", "theta_floor = 0.6", 45, "solver.theta_floor", &["1e-2 is usual", "0.1 with markers"]),
-    ("area_clamp = 0", "area_clamp = -0.1", 46, "solver.area_clamp", &["1e-3 is usual"]),
+    ("theta_floor = 0.001", "theta_floor = 0.6", 45, "solver.theta_floor", &["1e-2 is usual", "0.15 with markers"]),
+    ("area_clamp = 1e-5", "area_clamp = 0", 46, "solver.area_clamp", &["is 0", "1e-6 to less", "1e-3 is usual"]),
     ("max_iterations = 50", "max_iterations = 0", 42, "solver.max_iterations", &["from 1"]),
     ("every = 2", "every = 0", 50, "output.every", &["from 1"]),
     ("cfl = 2", "cfl = 100", 9, "time.cfl", &["at most 32"]),

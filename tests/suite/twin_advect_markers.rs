@@ -1,6 +1,7 @@
 //! `advect_markers` against its twin.
 
 use cutwater::gpu::{Gpu, Recorder};
+use cutwater::measure::bounds::trace_error;
 use cutwater::reference;
 use cutwater::stages::{AdvectMarkers, LiquidBuffers};
 
@@ -38,16 +39,11 @@ fn twin(case: &Case, marker: [f64; 3]) -> Option<[f64; 3]> {
     kept.first().copied()
 }
 
-/// A position in cells, x / dx, is off by its size times 3 roundings (dx, 1/dx, product); a velocity sample by that times the
-/// largest slope (twice the largest speed per cell and axis) and by 10 roundings of its own; the midpoint turns the first
-/// sample's error into a shift of half a step. Push-out moves by the distance's error and turns by the normal's.
+/// Push-out moves by the distance's error and turns by the normal's.
 fn bound(case: &Case) -> f64 {
-    let way = case.speed() * case.dt;
-    let cells = case.extent();
-    let sample = 10.0 + 6.0 * 3.0 * cells;
-    let middle = sample * (1.0 + 3.0 * way / case.grid.dx);
     let pushed = 3.0 * 64.0 * case.grid.dx * f64::from(u8::from(case.effects.obstacles));
-    EPS * (4.0 * cells * case.grid.dx + way * middle + pushed)
+    let trace = trace_error(&case.grid, &case.state.velocity, case.dt);
+    trace.cells * case.grid.dx + EPS * pushed
 }
 
 #[test]

@@ -2,18 +2,12 @@
 
 use cutwater::gpu::Recorder;
 use cutwater::grid::Axis;
+use cutwater::measure::bounds::trace_error;
 use cutwater::reference;
 use cutwater::stages::AdvectVelocity;
 
 use crate::common::gpu;
-use crate::liquid_case::{Case, EPS, assert_close, cases};
-
-/// As for the markers: 3 roundings of a position in cells times the largest slope, 10 of a sample, three samples in a row.
-fn bound(case: &Case) -> f64 {
-    let way = case.speed() * case.dt / case.grid.dx;
-    let sample = 10.0 + 6.0 * 3.0 * case.extent();
-    EPS * case.speed() * sample * (1.0 + 6.0 * way) * (1.0 + 3.0 * way)
-}
+use crate::liquid_case::{assert_close, cases};
 
 #[test]
 fn faces_carry_what_they_carry_in_the_twin() {
@@ -34,7 +28,7 @@ fn faces_carry_what_they_carry_in_the_twin() {
         };
         let (faces, in_band) = run();
         let twin = reference::advect_velocity(&case.grid, &case.state.velocity, case.dt);
-        let bound = bound(&case);
+        let bound = trace_error(&case.grid, &case.state.velocity, case.dt).speed;
         for axis in Axis::ALL {
             let pairs = faces[axis.index()].iter().zip(&twin[axis.index()]);
             let places = pairs

@@ -11,6 +11,7 @@ use crate::Error;
 use crate::geometry::CutCells;
 use crate::gpu::Real;
 use crate::grid::{Axis, Grid};
+use crate::measure::bounds::trace_error;
 use crate::reference::{self, ActiveCells, PressureSystem, Stencil, VolumeSource};
 use crate::scene::{ProbeKind, Scene};
 use crate::sim::{GpuPath, LiquidSnapshot};
@@ -160,22 +161,7 @@ impl<'a> LiquidJudge<'a> {
         shares + (terms + 16.0) * f64::EPSILON + EPS * EPS
     }
 
-    /// How far off the end of a trace by the midpoint rule may be, in cells, and a velocity sample there, m/s. A position in cells
-    /// is rounded up to 4 times (product with 1/dx, which is rounded itself, sum, shift to the faces), and so is a way in cells.
-    /// A trilinear sample is rounded 10 times and moves with its position by the largest difference between neighbouring
-    /// faces per cell and axis.
-    fn trace_error(&self, velocity: &[Vec<f64>; 3]) -> (f64, f64) {
-        let speed = reference::max_speed(velocity);
-        let slope = steepest(&self.grid, velocity);
-        let cells_per_speed = self.dt() / self.grid.dx;
-        let position = EPS * 4.0 * (self.extent() + speed * cells_per_speed);
-        let sample = |position: f64| EPS * 10.0 * speed + 3.0 * slope * position;
-        let middle = position + 0.5 * cells_per_speed * sample(position);
-        let end = position + cells_per_speed * sample(middle);
-        (end, sample(end))
-    }
-
-    /// As [`LiquidJudge::trace_error`] says. Push-out moves by the distance's error and turns by the normal's.
+    /// As [`trace_error`] says. Push-out moves by the distance's error and turns by the normal's.
     fn advect_markers(&mut self, after: &LiquidSnapshot) {
         let (grid, dt) = (self.grid, self.dt());
         let (velocity, solid_distance) = (&self.before.velocity, &self.cut.solid_distance);
@@ -184,7 +170,7 @@ impl<'a> LiquidJudge<'a> {
         } else {
             0.0
         };
-        let bound = self.trace_error(velocity).0 * grid.dx + EPS * pushed;
+        let bound = trace_error(&grid, velocity, dt).cells * grid.dx + EPS * pushed;
         let twin = |start: [f64; 3]| {
             reference::advect_markers(&grid, velocity, solid_distance, &[start], dt)
                 .0
@@ -249,10 +235,10 @@ impl<'a> LiquidJudge<'a> {
             .excused += n_excused as u64;
     }
 
-    /// As [`LiquidJudge::trace_error`] says.
+    /// As [`trace_error`] says.
     fn advect_velocity(&mut self, after: &LiquidSnapshot) {
         let velocity = &self.before.velocity;
-        let bound = self.trace_error(velocity).1;
+        let bound = trace_error(&self.grid, velocity, self.dt()).speed;
         let twin = reference::advect_velocity(&self.grid, velocity, self.dt());
         self.add_band_faces([AdvectVelocity::NAME, "u*"], after, &twin, bound);
     }
@@ -460,7 +446,7 @@ impl<'a> LiquidJudge<'a> {
         let rate = after.report.volume_rate.abs();
         let bound = terms + EPS * 6.0 * rate * grid.dx;
         let mut gpu = after.rhs.clone();
-        pressure::remove_means(&active.closed, &mut gpu);
+        reference::remove_means(&active.closed, &mut gpu);
         let mut closed = vec![false; grid.n_cells()];
         active
             .closed
@@ -582,7 +568,7 @@ impl<'a> LiquidJudge<'a> {
             return Slip::Steady(0.0);
         }
         let x = grid.face_centre(axis, ijk);
-        let at = |x: DVec3| reference::distance(grid, distance, x);
+        let at = |x: DVec3| grid.sample_cells(distance, x);
         // The mean of two distances, and half a cell.
         if (at(x) - 0.5 * grid.dx).abs() <= EPS * 4.0 * 3.0 * grid.dx {
             return Slip::Unsteady;
@@ -745,22 +731,6 @@ enum Slip {
 
 /// Roundings of a free-surface term.
 const DIRICHLET_ROUNDINGS: f64 = 17.0;
-
-/// Largest difference between neighbouring faces of an axis, m/s.
-fn steepest(grid: &Grid, velocity: &[Vec<f64>; 3]) -> f64 {
-    let mut steepest: f64 = 0.0;
-    for axis in Axis::ALL {
-        let (n, values) = (grid.faces(axis), &velocity[axis.index()]);
-        let strides = [1, n[0], n[0] * n[1]];
-        for (face, &value) in values.iter().enumerate() {
-            let ijk = grid.face_at(axis, face);
-            for b in (0..3).filter(|&b| ijk[b] + 1 < n[b]) {
-                steepest = steepest.max((values[face + strides[b]] - value).abs());
-            }
-        }
-    }
-    steepest
-}
 
 /// Largest speed of a face of an active cell, m/s.
 fn active_speed(grid: &Grid, stencil: &Stencil, velocity: &[Vec<f64>; 3]) -> f64 {
