@@ -145,8 +145,11 @@ pub struct StepReport {
     pub liquid: Option<LiquidReport>,
     /// The solids' part, where the scene has solids.
     pub solid: Option<SolidReport>,
-    /// Wall-clock seconds of each stage, by its canonical noun, in order.
+    /// Seconds of each stage, by its canonical noun, in order: on the device, where it can tell them, or of wall clock on the f64
+    /// path.
     pub seconds: Vec<(&'static str, f64)>,
+    /// Wall-clock seconds of the whole sub-step, waits included.
+    pub seconds_total: f64,
 }
 
 impl StepReport {

@@ -4,7 +4,7 @@ use crate::grid::{Axis, Grid};
 use crate::reference;
 
 /// Largest relative error of a rounding to f32.
-const EPS: f64 = 1.0 / (1 << 24) as f64;
+pub(super) const EPS: f64 = 1.0 / (1 << 24) as f64;
 
 /// What roundings do to a trace by the midpoint rule.
 #[derive(Clone, Copy, Debug)]

@@ -174,10 +174,13 @@ fn markers_file(grid: &Grid, state: &State) -> Result<DataSet, Error> {
     for (marker, &position) in state.markers.iter().enumerate() {
         let place = || format!("marker {marker}");
         let x = DVec3::from_array(position);
+        // First: a velocity there would not be finite either.
+        for x in position {
+            points.push(finite(state, "position", x, place)?);
+        }
         let u = grid.velocity_at(&state.velocity, x);
-        for axis in 0..3 {
-            points.push(finite(state, "position", x[axis], place)?);
-            velocity.push(finite(state, "velocity", u[axis], place)?);
+        for u in u.to_array() {
+            velocity.push(finite(state, "velocity", u, place)?);
         }
         speed.push(finite(state, "speed", u.length(), place)?);
     }

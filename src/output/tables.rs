@@ -165,8 +165,7 @@ impl StepTable {
             fields.extend(solid_fields(step, solid)?);
         }
         fields.push(u8::from(report.dt_floored).to_string());
-        let total = report.seconds.iter().map(|&(_, seconds)| seconds).sum();
-        fields.push(number("seconds_total", step, total)?);
+        fields.push(number("seconds_total", step, report.seconds_total)?);
         for &(stage, seconds) in &report.seconds {
             fields.push(number(stage, step, seconds)?);
         }

@@ -560,8 +560,8 @@ fn obstacles(root: &Table, file: &Path, domain: &Domain) -> Result<Vec<Obstacle>
 
 /// Floor of theta with markers. Their surface is bumpy by about a tenth of a cell, so a smaller theta is no more true; it only
 /// multiplies the velocity of slivers. Of 72 pools at rest, half of them with a body, the worst started at 1.14 g dt with 0.1
-/// and at 1.04 g dt with this; a half-full sphere at 1.34 g dt with 1e-2. A larger one slows waves: the mean period of the
-/// standing wave is 2.2 % too long with this, 1.9 % with 0.1, 2.4 % with 0.2.
+/// and at 1.04 g dt with this; a half-full sphere at 1.34 g dt with 1e-2. The period of the standing wave does not tell 0.01
+/// from 0.2.
 const MARKER_THETA_FLOOR: f64 = 0.15;
 
 /// `surface` is the liquid's; none without liquid.

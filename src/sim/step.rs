@@ -1,5 +1,7 @@
 //! One step on the GPU, in the lines of the crate's list (thesis, algorithm 4); its twin is `reference/step.rs`.
 
+use std::time::Instant;
+
 use crate::Error;
 use crate::gpu::{Readback, Recorder, StageTimes};
 use crate::reference::TimeStep;
@@ -47,6 +49,7 @@ impl GpuPath {
         time_step: TimeStep,
         observer: Option<Observer>,
     ) -> Result<StepReport, Error> {
+        let clock = Instant::now();
         let mut readbacks = self
             .readbacks
             .take()
@@ -54,7 +57,9 @@ impl GpuPath {
         self.write_step(time_step.dt);
         let told = self.stages_of(time_step.dt, &mut readbacks, observer);
         self.readbacks = Some(readbacks);
-        Ok(self.finish(time_step, told?))
+        let mut report = self.finish(time_step, told?);
+        report.seconds_total = clock.elapsed().as_secs_f64();
+        Ok(report)
     }
 
     /// Two waits: for the verdict of the solve, and for the reports.
@@ -247,6 +252,7 @@ impl GpuPath {
             liquid: liquid.map(|(liquid, (outcome, report))| liquid.finish(&outcome, report)),
             solid: solids.map(|(solids, (outcome, report))| solids.finish(&outcome, report)),
             seconds: by_stage(&told.seconds),
+            seconds_total: 0.0,
         }
     }
 }

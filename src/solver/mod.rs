@@ -33,7 +33,6 @@ mod pcg;
 mod plan;
 mod pressure;
 mod refine;
-mod solid_host;
 mod solid_solver;
 mod solid_system;
 mod system;
@@ -46,7 +45,9 @@ pub use pressure::PressureSolver;
 pub use refine::{Outcome, RefineSettings, rounding};
 pub use solid_solver::{SolidSolver, solid_kernels};
 pub use solid_system::{Rows, SolidFields, SolidRows, SolidSystem, SolidSystemBuffers};
-pub use system::{Everywhere, LevelPlan, PressureSystem, SolverBuffers, Within, variant};
+pub use system::{
+    ActiveSettings, Everywhere, LevelPlan, PressureSystem, SolverBuffers, Within, variant,
+};
 
 use crate::grid::Layout;
 

@@ -284,9 +284,15 @@ pub struct PressureSystem {
 /// The doppelganger of `ActiveSettings` in `shaders/active_cells.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
-pub(super) struct ActiveSettings {
-    theta_floor: f32,
-    pad: [f32; 3],
+pub struct ActiveSettings {
+    /// Smallest theta.
+    pub theta_floor: f32,
+    /// Nothing.
+    pub pad_0: f32,
+    /// Nothing.
+    pub pad_1: f32,
+    /// Nothing.
+    pub pad_2: f32,
 }
 
 impl PressureSystem {
@@ -318,7 +324,9 @@ impl PressureSystem {
             .collect::<Result<Vec<_>, _>>()?;
         let settings = ActiveSettings {
             theta_floor: theta_floor as f32,
-            pad: [0.0; 3],
+            pad_0: 0.0,
+            pad_1: 0.0,
+            pad_2: 0.0,
         };
         let settings = gpu.uniform("solver.active_settings", &settings)?;
         let kernel = Kernel::new(gpu, &crate::wgsl!("clear_system"), inner)?;

@@ -129,6 +129,17 @@ fn sort_pass_matches() {
 }
 
 #[test]
+fn settings_match() {
+    use cutwater::solver::{ActiveSettings, RefineSettings};
+    let fields = fields!(ActiveSettings: theta_floor, pad_0, pad_1, pad_2);
+    let size = size_of::<ActiveSettings>();
+    assert_layout("active_cells", "ActiveSettings", fields, size);
+    let fields = fields!(RefineSettings: tolerance, rounding, round_floor, guess);
+    let size = size_of::<RefineSettings>();
+    assert_layout("refine", "RefineSettings", fields, size);
+}
+
+#[test]
 fn tail_matches() {
     use cutwater::solver::{Tail, TailStep};
     let fields = fields!(Tail: levels, steps, n_steps, pad_0, pad_1, pad_2);

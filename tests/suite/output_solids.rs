@@ -234,6 +234,7 @@ fn tables_of_solids_read_back_exactly() {
             liquid,
             solid: Some(solid_report()),
             seconds: vec![("solve", 0.5)],
+            seconds_total: 0.5,
         };
         let row = StepRow {
             step: 4,

@@ -15,15 +15,13 @@ mod table;
 
 pub use table::{Place, Row, Worst};
 
+use super::bounds::EPS;
 use crate::Error;
 use crate::gpu::{AdapterChoice, Real};
 use crate::scene::Scene;
 use crate::sim::{GpuPath, Snapshot};
 use liquid::LiquidJudge;
 use solids::SolidJudge;
-
-/// Largest relative error of a rounding to f32.
-const EPS: f64 = 1.0 / (1 << 24) as f64;
 
 /// What came out.
 #[derive(Clone, Debug)]
