@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-use super::{BlockMatrix, SolidMatrices, SolidRightHandSide};
+use super::{BlockMatrix, SolidRightHandSide};
 use crate::elastic::Solids;
 use crate::linalg::{Csr, LinearOperator, norm};
 
@@ -11,6 +11,8 @@ use crate::linalg::{Csr, LinearOperator, norm};
 #[derive(Clone, Debug)]
 pub struct SolidSystem {
     stiffness: BlockMatrix,
+    /// m per node, kg.
+    lumped: Vec<f64>,
     /// zeta_M m per node, kg/s.
     mass: Vec<f64>,
     /// zeta_K per node, s.
@@ -31,7 +33,7 @@ impl SolidSystem {
     /// The system of a step of dt (s). `velocity`: v* of all nodes, m/s; its prescribed components are those of the answer.
     pub fn new(
         solids: &Solids,
-        matrices: &SolidMatrices,
+        stiffness: BlockMatrix,
         rhs: &SolidRightHandSide,
         velocity: &[[f64; 3]],
         dt: f64,
@@ -41,7 +43,8 @@ impl SolidSystem {
         let held = |(v, prescribed): (&f64, &bool)| if *prescribed { *v } else { 0.0 };
         let velocity = velocity.as_flattened().iter();
         let mut system = SolidSystem {
-            stiffness: matrices.stiffness.clone(),
+            stiffness,
+            lumped: solids.mass.clone(),
             mass: (0..n)
                 .map(|node| solids.body_of_node(node).zeta_mass(dt) * solids.mass[node])
                 .collect(),
@@ -101,6 +104,19 @@ impl SolidSystem {
         let n = self.free.len();
         Csr::from_rows(n, n, |row, entries| {
             self.push_row(row, entries, &mut |column| Some(column))
+        })
+    }
+
+    /// K with all components, N/m.
+    pub fn stiffness_to_csr(&self) -> Csr {
+        self.stiffness.to_csr()
+    }
+
+    /// M with all components, kg: lumped, so diagonal.
+    pub fn mass_to_csr(&self) -> Csr {
+        let n = self.free.len();
+        Csr::from_rows(n, n, |row, entries| {
+            entries.push((row, self.lumped[row / 3]));
         })
     }
 

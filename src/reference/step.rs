@@ -237,7 +237,13 @@ impl Reference {
         let motion = solid.zip(matrices.as_ref()).map(|(part, matrices)| {
             let SolidPart { solids, .. } = part;
             let rhs = solid_right_hand_side(solids, matrices, &state.node_velocity, dt);
-            SolidSystem::new(solids, matrices, &rhs, &state.node_velocity, dt)
+            SolidSystem::new(
+                solids,
+                matrices.stiffness.clone(),
+                &rhs,
+                &state.node_velocity,
+                dt,
+            )
         });
         clock.lap("right_hand_side");
 

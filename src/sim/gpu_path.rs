@@ -37,10 +37,18 @@ impl GpuPath {
     /// # Errors
     /// [`Error::Limit`] where the adapter is too small for the scene, and whatever geometry and device say.
     pub fn open(scene: &Scene, choice: &AdapterChoice) -> Result<GpuPath, Error> {
+        GpuPath::with(scene, &super::solids_of(scene)?, choice)
+    }
+
+    /// Opens the device for a scene whose solids are at hand.
+    pub(super) fn with(
+        scene: &Scene,
+        solids: &Solids,
+        choice: &AdapterChoice,
+    ) -> Result<GpuPath, Error> {
         let gpu = Gpu::new(choice)?;
         // Before the liquid is seeded, which may take long.
-        let solids = super::solids_of(scene)?;
-        Plan::with(scene, &solids, Some(gpu.report()))?.check(gpu.report())?;
+        Plan::with(scene, solids, Some(gpu.report()))?.check(gpu.report())?;
         let grid = scene.grid();
         let cut = geometry::cut_cells(scene, &grid)?;
         let mut state = geometry::initial_state(scene, &grid, &cut)?;
@@ -50,7 +58,13 @@ impl GpuPath {
         let obstacles = liquid.as_ref().map(|liquid| &liquid.buffers.obstacles);
         let solids = match solids.bodies.is_empty() {
             true => None,
-            false => Some(GpuSolids::new(&gpu, scene, solids, &cut, obstacles)?),
+            false => Some(GpuSolids::new(
+                &gpu,
+                scene,
+                solids.clone(),
+                &cut,
+                obstacles,
+            )?),
         };
         let report = || GpuSolids::readback(&gpu);
         let readbacks = Some(Readbacks {

@@ -82,16 +82,10 @@ impl Simulation {
     /// # Errors
     /// Whatever geometry and device say.
     pub fn new(scene: &Scene, backend: &Backend) -> Result<Simulation, Error> {
-        let solids = Solids::new(scene, &geometry::solid_meshes(scene)?)?;
+        let solids = solids_of(scene)?;
         let path = match backend {
-            Backend::Gpu(choice) => Path::Gpu(Box::new(GpuPath::open(scene, choice)?)),
-            Backend::Cpu => {
-                let grid = scene.grid();
-                let cut = geometry::cut_cells(scene, &grid)?;
-                let mut state = geometry::initial_state(scene, &grid, &cut)?;
-                (state.displacement, state.node_velocity) = solids.initial_state(scene);
-                Path::Cpu(Box::new(Reference::new(scene, cut, solids.clone(), state)?))
-            }
+            Backend::Gpu(choice) => Path::Gpu(Box::new(GpuPath::with(scene, &solids, choice)?)),
+            Backend::Cpu => Path::Cpu(Box::new(reference_with(scene, &solids)?)),
         };
         Ok(Simulation {
             scene: scene.clone(),
@@ -253,6 +247,22 @@ impl Simulation {
 ///
 /// # Errors
 /// [`Error::Input`] when a mesh cannot be used, or a pin or load holds no node.
-fn solids_of(scene: &Scene) -> Result<Solids, Error> {
+pub fn solids_of(scene: &Scene) -> Result<Solids, Error> {
     Solids::new(scene, &geometry::solid_meshes(scene)?)
+}
+
+/// The f64 path of a scene, before its first step.
+///
+/// # Errors
+/// Whatever geometry says.
+pub fn reference_path(scene: &Scene) -> Result<Reference, Error> {
+    reference_with(scene, &solids_of(scene)?)
+}
+
+fn reference_with(scene: &Scene, solids: &Solids) -> Result<Reference, Error> {
+    let grid = scene.grid();
+    let cut = geometry::cut_cells(scene, &grid)?;
+    let mut state = geometry::initial_state(scene, &grid, &cut)?;
+    (state.displacement, state.node_velocity) = solids.initial_state(scene);
+    Reference::new(scene, cut, solids.clone(), state)
 }

@@ -1,9 +1,16 @@
 //! What the device holds between two stages: for comparisons with the f64 path, and for export.
 
+use std::sync::Arc;
+
+use glam::DVec3;
+
 use crate::Error;
+use crate::elastic::{Solids, stiffness_block};
 use crate::gpu::{Buffer, Gpu, Real};
 use crate::grid::{Axis, Grid};
-use crate::reference::{ActiveCells, Stencil};
+use crate::reference::{
+    ActiveCells, BlockMatrix, BlockPattern, SolidRightHandSide, SolidSystem, Stencil,
+};
 use crate::stages::{Report, SolidReport};
 use crate::state::State;
 
@@ -199,6 +206,66 @@ impl GpuLiquid {
             real: solver.rhs.real,
             report: Report::from_words(&gpu.download(&liquid.report)?),
         })
+    }
+}
+
+impl SolidSnapshot {
+    /// The solids with the numbers that the device has: rest positions and masses in f32, the others in its scalar type.
+    pub fn on_device(&self, solids: &Solids) -> Solids {
+        let single = |x: f64| f64::from(x as f32);
+        let round = |x: f64| match self.real {
+            Real::F32 => single(x),
+            Real::F64 => x,
+        };
+        let rounded = |x: &DVec3| DVec3::from(x.to_array().map(round));
+        let mut device = solids.clone();
+        for (rest, mass) in device.rest.iter_mut().zip(&mut device.mass) {
+            *rest = rest.as_vec3().as_dvec3();
+            *mass = single(*mass);
+        }
+        for gradients in &mut device.gradients {
+            let [_, a, b, c] = *gradients;
+            let [a, b, c] = [a, b, c].map(|g| rounded(&g));
+            *gradients = [-(a + b + c), a, b, c];
+        }
+        for volume in &mut device.volume {
+            *volume = round(*volume);
+        }
+        for load in &mut device.load {
+            *load = rounded(load);
+        }
+        for body in &mut device.bodies {
+            body.lambda = round(body.lambda);
+            body.mu = round(body.mu);
+            body.mass_damping = round(body.mass_damping);
+            body.stiffness_damping = single(body.stiffness_damping);
+        }
+        device
+    }
+
+    /// The stored system of a sub-step of dt (s, an f32): rotated gradients, moduli and right-hand side in the device's scalar type.
+    /// `solids`: those [`on_device`](Self::on_device).
+    pub fn system(&self, solids: &Solids, pattern: &Arc<BlockPattern>, dt: f64) -> SolidSystem {
+        let stiffness = BlockMatrix::assemble(solids, pattern, |element, a, b| {
+            let turned = |corner: usize| -> DVec3 {
+                let at = |section: usize| {
+                    let [x, y, z, _] = self.rotated[section][element];
+                    DVec3::new(x, y, z)
+                };
+                match corner {
+                    0 => -(at(0) + at(1) + at(2)),
+                    corner => at(corner - 1),
+                }
+            };
+            let zeta = solids.body_of_element(element).zeta_stiffness(dt);
+            let [lambda, mu] = [0, 1].map(|section| self.rotated[section][element][3] / zeta);
+            stiffness_block(turned(a), turned(b), lambda, mu)
+        });
+        let rhs = SolidRightHandSide {
+            values: self.rhs.clone(),
+            scale: 0.0,
+        };
+        SolidSystem::new(solids, stiffness, &rhs, &self.velocity, dt)
     }
 }
 

@@ -33,6 +33,7 @@ mod pcg;
 mod plan;
 mod pressure;
 mod refine;
+mod solid_host;
 mod solid_solver;
 mod solid_system;
 mod system;

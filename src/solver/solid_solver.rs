@@ -9,7 +9,8 @@ use crate::scene::Solver;
 
 use super::chebyshev::{MAX_DEGREE, Polynomial};
 use super::pcg::{State, Unknowns};
-use super::refine::{HostSystem, Outcome, OuterLoop, Pace, System};
+use super::refine::{Outcome, OuterLoop, Pace, System};
+use super::solid_host::HostElastic;
 use super::solid_system::{
     BODIES, LABELS, N_LISTS, NODES, SolidFields, SolidRows, SolidSystemBuffers, rounds,
 };
@@ -398,99 +399,6 @@ impl System for Elastic {
     }
 
     fn on_host(gpu: &Gpu, case: Case<'_>, _: u32) -> Result<HostElastic, Error> {
-        HostElastic::download(gpu, case)
-    }
-}
-
-/// The stored system, widened. Vectors hold four numbers per node.
-#[derive(Debug)]
-struct HostElastic {
-    flags: Vec<u32>,
-    elements: Vec<[u32; 4]>,
-    rotated: Vec<f64>,
-    masses: Vec<f64>,
-    rhs: Vec<f64>,
-    /// Prescribed components; the others are zero.
-    prescribed: Vec<f64>,
-    /// v* in the free components; the others are zero.
-    guess: Vec<f64>,
-}
-
-impl HostElastic {
-    fn download(
-        gpu: &Gpu,
-        Case {
-            buffers, fields, ..
-        }: Case,
-    ) -> Result<HostElastic, Error> {
-        let n = buffers.sizes.n_nodes as usize;
-        let mut search = buffers.search.download(gpu)?;
-        Ok(HostElastic {
-            flags: gpu.download(fields.flags)?,
-            elements: gpu.download(fields.elements)?,
-            rotated: fields.rotated.download(gpu)?,
-            masses: buffers.masses.download(gpu)?,
-            rhs: buffers.rhs.download(gpu)?,
-            prescribed: fields.velocity.download(gpu)?,
-            guess: search.split_off(4 * n),
-        })
-    }
-
-    /// One of three sections of vectors per element.
-    fn vector(&self, section: usize, element: usize) -> (glam::DVec3, f64) {
-        let at = 4 * (section * self.elements.len() + element);
-        let [x, y, z, w] = [0, 1, 2, 3].map(|part| self.rotated[at + part]);
-        (glam::DVec3::new(x, y, z), w)
-    }
-}
-
-impl HostSystem for HostElastic {
-    /// v*, unless zero leaves less of the right-hand side.
-    fn start(&self) -> Vec<f64> {
-        let pairs = self.prescribed.iter().zip(&self.guess);
-        let guess: Vec<f64> = pairs
-            .map(|(prescribed, guess)| prescribed + guess)
-            .collect();
-        let [with, without] = [&guess, &self.prescribed].map(|x| self.residual(x).1);
-        if with < without {
-            guess
-        } else {
-            self.prescribed.clone()
-        }
-    }
-
-    /// Summed element by element, then node by node.
-    fn residual(&self, x: &[f64]) -> (Vec<f64>, f64) {
-        let node = |node: u32| glam::DVec3::from_slice(&x[4 * node as usize..]);
-        let mut product = vec![glam::DVec3::ZERO; self.masses.len()];
-        for (element, corners) in self.elements.iter().enumerate() {
-            let (g1, lambda) = self.vector(0, element);
-            let (g2, mu) = self.vector(1, element);
-            let gradients = [g1, g2, self.vector(2, element).0];
-            let origin = node(corners[0]);
-            let differences = [1, 2, 3].map(|corner: usize| node(corners[corner]) - origin);
-            let pairs = || differences.iter().zip(gradients);
-            let trace: f64 = pairs().map(|(x, g)| x.dot(g)).sum();
-            for (corner, at) in gradients.into_iter().enumerate() {
-                // (H + H^T) g.
-                let strain: glam::DVec3 =
-                    pairs().map(|(&x, g)| x * g.dot(at) + g * x.dot(at)).sum();
-                let force = lambda * trace * at + mu * strain;
-                product[corners[corner + 1] as usize] += force;
-                product[corners[0] as usize] -= force;
-            }
-        }
-        let mut r = vec![0.0; x.len()];
-        let mut rr = 0.0;
-        for (node, product) in product.into_iter().enumerate() {
-            for axis in 0..3 {
-                if self.flags[node] >> axis & 1 == 1 {
-                    let at = 4 * node + axis;
-                    r[at] = self.rhs[at] - (self.masses[node] * x[at] + product[axis]);
-                    rr += r[at] * r[at];
-                }
-            }
-        }
-        (r, rr)
+        HostElastic::download(gpu, case.buffers, case.fields)
     }
 }

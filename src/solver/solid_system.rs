@@ -4,16 +4,20 @@
 //! sum the products of the elements. Only the preconditioner has a matrix, 3x3 blocks in rows that are sorted by length in windows
 //! and cut into slices of 64 (SELL-C-sigma, Kreutzer et al. 2014), so that one thread per row streams.
 
+use std::sync::{Arc, Mutex};
+
 use crate::Error;
 use crate::elastic::{Incidence, Solids};
 use crate::gpu::{
-    Binding, Bound, Buffer, BufferPlan, Gpu, Kernel, Pass, RealBuffer, Variant, WG_SIZE, groups,
+    Binding, Bound, Buffer, BufferPlan, Gpu, Kernel, Pass, Real, RealBuffer, Variant, WG_SIZE,
+    groups,
 };
 use crate::scene::Solver;
 
 use super::chebyshev::Polynomial;
 use super::pcg::{Labels, labels};
 use super::plan::outer_loop;
+use super::solid_host::{SolidReadbacks, Topology};
 use super::{FOLD_THREADS, Level, variant};
 
 pub(super) const LABELS: Labels = labels!("solid_solver");
@@ -71,6 +75,8 @@ pub struct SolidRows {
     n_blocks: usize,
     /// Nodes of the largest solid.
     largest_body: usize,
+    /// What the host needs for a residual of its own.
+    pub(super) topology: Arc<Topology>,
 }
 
 impl SolidRows {
@@ -94,12 +100,12 @@ impl SolidRows {
                 });
             }
         }
-        let topology = Incidence::new(n, &solids.elements);
+        let incidence = Incidence::new(n, &solids.elements);
         let mut order: Vec<u32> = (0..n as u32).collect();
         for body in &solids.bodies {
             for window in order[body.nodes.clone()].chunks_mut(WINDOW) {
                 // Stable: equally long rows stay in order.
-                let length = |node: &u32| topology.neighbours(*node as usize).len();
+                let length = |node: &u32| incidence.neighbours(*node as usize).len();
                 window.sort_by_key(|node| std::cmp::Reverse(length(node)));
             }
         }
@@ -114,10 +120,14 @@ impl SolidRows {
             neighbours: Vec::new(),
             joints: Vec::new(),
             incidence: Vec::new(),
-            n_blocks: topology.n_blocks(),
+            n_blocks: incidence.n_blocks(),
             largest_body: 0,
+            topology: Arc::new(Topology {
+                elements: solids.elements.clone(),
+                prescribed: solids.prescribed.clone(),
+            }),
         };
-        rows.set_slices(&topology, &order);
+        rows.set_slices(&incidence, &order);
         let bodies = solids.bodies.iter().map(|body| &body.nodes);
         rows.rows.bodies = rows.list.len() as u32;
         rows.list.push(0);
@@ -127,39 +137,39 @@ impl SolidRows {
         }
         rows.incidence.push(0);
         for node in 0..n {
-            let end = rows.incidence[node] + topology.corners(node).len() as u32;
+            let end = rows.incidence[node] + incidence.corners(node).len() as u32;
             rows.incidence.push(end);
         }
         for start in &mut rows.incidence {
             *start += n as u32 + 1;
         }
         for node in 0..n {
-            let corners = topology.corners(node).iter();
+            let corners = incidence.corners(node).iter();
             let words = corners.map(|corner| 4 * corner.element + u32::from(corner.corner));
             rows.incidence.extend(words);
         }
         Ok(rows)
     }
 
-    fn set_slices(&mut self, topology: &Incidence, order: &[u32]) {
+    fn set_slices(&mut self, incidence: &Incidence, order: &[u32]) {
         let mut starts = vec![0];
-        let mut joints = Vec::with_capacity(topology.n_joints());
+        let mut joints = Vec::with_capacity(incidence.n_joints());
         let mut joint_starts = Vec::new();
         for slice in order.chunks(SLICE) {
-            let lengths = slice.iter().map(|&node| topology.blocks(node as usize));
+            let lengths = slice.iter().map(|&node| incidence.blocks(node as usize));
             let longest = lengths.map(|blocks| blocks.len()).max().unwrap_or(0);
             for column in 0..longest {
                 for lane in 0..SLICE {
                     joint_starts.push(joints.len() as u32);
                     let node = slice.get(lane).copied();
-                    let block = node.and_then(|node| topology.blocks(node as usize).nth(column));
+                    let block = node.and_then(|node| incidence.blocks(node as usize).nth(column));
                     let Some((node, block)) = node.zip(block) else {
                         self.neighbours.push(node.unwrap_or(0));
                         continue;
                     };
                     self.neighbours
-                        .push(topology.neighbours(node as usize)[column]);
-                    joints.extend(topology.joints(block).iter().map(|joint| {
+                        .push(incidence.neighbours(node as usize)[column]);
+                    joints.extend(incidence.joints(block).iter().map(|joint| {
                         let [row, column] = joint.corners.map(u32::from);
                         16 * joint.element + 4 * row + column
                     }));
@@ -204,7 +214,7 @@ impl SolidRows {
     pub fn buffers(&self, Variant { real, inner }: Variant) -> Vec<BufferPlan> {
         let (n, m) = (self.rows.n_nodes as usize, self.rows.n_elements as usize);
         let partials = n.max(FOLD_THREADS);
-        vec![
+        let mut plans = vec![
             BufferPlan::of::<u32>("solid_solver.list", self.list.len()),
             BufferPlan::of::<u32>("solid_solver.args", 4 * (N_LISTS + 1)),
             BufferPlan::of::<u32>("solid_solver.incidence", self.incidence.len()),
@@ -223,7 +233,11 @@ impl SolidRows {
             RealBuffer::plan("solid_solver.pair", 8 * n, inner),
             RealBuffer::plan("solid_solver.increment", 4 * n, inner),
             RealBuffer::plan("solid_solver.partials", 4 * partials, real),
-        ]
+        ];
+        if real == Real::F32 {
+            plans.extend(SolidReadbacks::plan(n, m));
+        }
+        plans
     }
 
     /// The uniforms of [`SolidSystemBuffers`] and [`SolidSolver`](super::SolidSolver), and what its outer loop keeps.
@@ -307,6 +321,8 @@ pub struct SolidSystemBuffers {
     pub(super) pair: RealBuffer,
     pub(super) increment: RealBuffer,
     pub(super) partials: RealBuffer,
+    /// Where the device rounds the residual.
+    pub(super) to_host: Option<Mutex<SolidReadbacks>>,
 }
 
 impl SolidSystemBuffers {
@@ -363,6 +379,9 @@ impl SolidSystemBuffers {
             pair: inner("solid_solver.pair")?,
             increment: inner("solid_solver.increment")?,
             partials: real("solid_solver.partials")?,
+            to_host: (variant.real == Real::F32)
+                .then(|| SolidReadbacks::new(gpu, layout).map(Mutex::new))
+                .transpose()?,
         })
     }
 

@@ -4,13 +4,15 @@ use std::fs;
 use std::path::Path;
 
 use cutwater::gpu::AdapterChoice;
-use cutwater::linalg::{Csr, norm, read_matrix, read_vector};
+use cutwater::linalg::{Csr, SymbolicCholesky, norm, read_matrix, read_vector};
 use cutwater::measure::export::{Meta, Options, export};
 use cutwater::scene::Scene;
 use cutwater::sim::Backend;
 use serde_json::Value;
 
 use crate::common::gpu;
+use crate::solid_physics::{held, region};
+use crate::solid_scene::{block, scene_of};
 
 fn scene(name: &str, scale: f64, overrides: &[&str]) -> Scene {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenes/{name}.toml"));
@@ -102,7 +104,7 @@ impl Files {
         }
         // B itself, of an inner cell without a wall or surface: dt dx / rho times 6, -1, ...
         let inner = (0..n).find(|&row| matrix.row(row).count() == 7).unwrap();
-        let unit = meta.dt * meta.dx / meta.density;
+        let unit = meta.dt * meta.dx / json["density"].as_f64().unwrap();
         let ratio = matrix
             .row(inner)
             .map(|(_, value)| value)
@@ -182,7 +184,7 @@ fn liquid_without_a_surface_is_singular_and_has_an_answer() {
     for backend in backends {
         let files = Files::new(&scene, backend, 0);
         files.check(&scene);
-        assert_eq!(files.meta.closed_components, 1);
+        assert_eq!(files.json["closed_components"], 1);
         let largest = |field: &[f64]| field.iter().fold(0.0, |size: f64, x| size.max(x.abs()));
         for field in [&files.rhs, &files.pressure] {
             let mean = field.iter().sum::<f64>() / field.len() as f64;
@@ -191,6 +193,158 @@ fn liquid_without_a_surface_is_singular_and_has_an_answer() {
         for row in 0..files.matrix.n_rows() {
             let sum: f64 = files.matrix.row(row).map(|(_, value)| value).sum();
             assert!(sum.abs() <= 1e-12 * files.matrix.get(row, row), "row {row}");
+        }
+    }
+}
+
+/// Two blocks, one of them damped and held by its low side, sheared by a start velocity.
+fn two_blocks() -> Scene {
+    let mut low = block([0.4, 0.3, 0.2], [4, 3, 2]);
+    low.pins = vec![held(
+        region([0.0; 3], [0.001, 1.0, 1.0]),
+        [true, true, false],
+    )];
+    (low.mass_damping, low.stiffness_damping) = (0.5, 0.01);
+    low.initial.velocity = [0.0, 0.2, -0.1].into();
+    let mut high = block([0.2; 3], [2, 2, 2]);
+    high.name = "other".to_owned();
+    high.placement.translate = [2.0, 2.0, 2.0].into();
+    high.initial.scale = [1.0, 0.9, 1.1].into();
+    (high.young, high.poisson) = (2e5, 0.45);
+    scene_of(vec![low, high])
+}
+
+/// What the files of solids hold.
+struct SolidFiles {
+    meta: Meta,
+    json: Value,
+    /// M, K, S, and S on the free components.
+    matrices: [Csr; 4],
+    rhs: Vec<f64>,
+    velocity: Vec<f64>,
+    nodes: String,
+}
+
+impl SolidFiles {
+    fn new(scene: &Scene, backend: Backend, step: u64) -> SolidFiles {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().to_owned();
+        let options = Options {
+            backend,
+            step,
+            out: out.clone(),
+        };
+        let meta = export(scene, &options).unwrap();
+        let text = |name: &str| fs::read_to_string(out.join(name)).unwrap();
+        SolidFiles {
+            matrices: ["M.mtx", "K.mtx", "S.mtx", "spd.mtx"]
+                .map(|name| read_matrix(&out.join(name)).unwrap()),
+            rhs: read_vector(&out.join("spd_rhs.mtx")).unwrap(),
+            velocity: read_vector(&out.join("solution.mtx")).unwrap(),
+            nodes: text("nodes.csv"),
+            json: serde_json::from_str(&text("meta.json")).unwrap(),
+            meta,
+        }
+    }
+
+    /// What must hold whatever the path; `eps`: rounding of the path.
+    fn check(&self, scene: &Scene, eps: f64) {
+        let [mass, stiffness, all, spd] = &self.matrices;
+        let n = self.json["nodes"].as_u64().unwrap() as usize;
+        assert_eq!(n, 5 * 4 * 3 + 27);
+        for matrix in [mass, stiffness, all] {
+            assert_eq!([matrix.n_rows(), matrix.n_columns()], [3 * n; 2]);
+        }
+        let (mut rows, mut total) = (vec![0; 3 * n], [0.0; 2]);
+        let mut lines = self.nodes.lines();
+        assert_eq!(
+            lines.next(),
+            Some("node,solid,rest_x,rest_y,rest_z,row_x,row_y,row_z")
+        );
+        let dt = self.meta.dt;
+        for (node, line) in lines.enumerate() {
+            let fields: Vec<&str> = line.split(',').collect();
+            assert_eq!(fields[0], node.to_string());
+            let solid = scene
+                .solids
+                .iter()
+                .position(|s| s.name == fields[1])
+                .unwrap();
+            total[solid] += mass.get(3 * node, 3 * node);
+            let held = solid == 0 && fields[2].parse::<f64>().unwrap().abs() < 1e-9;
+            let body = &scene.solids[solid];
+            let [zeta_m, zeta_k] = [1.0 / dt + body.mass_damping, dt + body.stiffness_damping];
+            for axis in 0..3 {
+                let component = 3 * node + axis;
+                rows[component] = fields[5 + axis].parse().unwrap();
+                assert_eq!(rows[component] == 0, held && axis < 2, "{line}");
+                let mut shifts = [0.0; 3];
+                for (column, value) in stiffness.row(component) {
+                    shifts[column % 3] += value;
+                    let wanted = zeta_k * value + zeta_m * mass.get(component, column);
+                    let found = all.get(component, column);
+                    let size = all.get(component, component);
+                    assert!(
+                        (found - wanted).abs() <= 1e-6 * size,
+                        "{found}, wanted {wanted}"
+                    );
+                }
+                let size = stiffness.get(component, component);
+                assert!(
+                    shifts.iter().all(|sum| sum.abs() <= 100.0 * eps * size),
+                    "a translation is strained: {shifts:?} of {size}"
+                );
+            }
+        }
+        for (total, volume) in total.iter().zip([0.4 * 0.3 * 0.2, 0.008]) {
+            assert!((total / (1000.0 * volume) - 1.0).abs() < 1e-6, "{total} kg");
+        }
+        // spd.mtx is S without the prescribed components.
+        let unknowns: Vec<usize> = (0..3 * n).filter(|&at| rows[at] > 0).collect();
+        assert_eq!(unknowns.len(), self.meta.unknowns);
+        assert_eq!(
+            [spd.n_rows(), self.rhs.len(), self.velocity.len()],
+            [unknowns.len(); 3]
+        );
+        assert_eq!(spd.n_entries(), self.meta.entries);
+        for (row, &component) in unknowns.iter().enumerate() {
+            assert_eq!(rows[component], row + 1);
+            for (column, value) in spd.row(row) {
+                assert_eq!(value, all.get(component, unknowns[column]));
+            }
+        }
+        // It is positive definite, and the answer solves it.
+        let symbolic = SymbolicCholesky::new(spd).unwrap();
+        let mut direct = self.rhs.clone();
+        symbolic.factorise(spd).unwrap().solve(&mut direct);
+        let off: Vec<f64> = direct
+            .iter()
+            .zip(&self.velocity)
+            .map(|(a, b)| a - b)
+            .collect();
+        assert!(norm(&off) <= 1e-6 * norm(&direct), "{} m/s", norm(&off));
+        assert!(self.meta.residual <= 2.0 * scene.solver.tolerance + 100.0 * eps);
+        let damped = &self.json["solids"][0];
+        assert_eq!(damped["tau_m"], 0.5);
+        assert_eq!(self.json["solids"][1]["name"], "other");
+    }
+}
+
+#[test]
+fn solids_export_mass_stiffness_and_system() {
+    let scene = two_blocks();
+    let cpu = SolidFiles::new(&scene, Backend::Cpu, 2);
+    cpu.check(&scene, 1e-15);
+    let Some(gpu) = gpu() else { return };
+    let eps = if gpu.has_f64() { 1e-15 } else { 1e-6 };
+    let device = SolidFiles::new(&scene, Backend::Gpu(AdapterChoice::Best), 2);
+    device.check(&scene, eps);
+    // Masses in f32, and two sub-steps of rounding.
+    for (one, two) in cpu.matrices.iter().zip(&device.matrices) {
+        for (row, column, value) in one.triplets() {
+            let size = (one.get(row, row) * one.get(column, column)).sqrt();
+            let off = (two.get(row, column) - value).abs();
+            assert!(off <= 1e-4 * size, "{row}, {column}: {off} of {size}");
         }
     }
 }

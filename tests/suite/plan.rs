@@ -130,6 +130,206 @@ fn kernels_and_stages_are_those_planned() {
     }
 }
 
+/// A scene of solids with every effect of theirs but those left out by name.
+fn solids_with(absent: &[&str], overrides: &[&str]) -> Scene {
+    let with = |effect: &str, text: &str| match absent.contains(&effect) {
+        true => String::new(),
+        false => text.to_owned(),
+    };
+    let mut text =
+        "[domain]\nsize = [1.0, 1.0, 1.0]\ncells = [12, 12, 12]\n[time]\nduration = 0.1\n\n"
+            .to_owned();
+    for (name, x) in [("left", 0.3), ("right", 0.7)] {
+        text += &format!(
+            "[[solid]]\nname = \"{name}\"\nmesh = {{ box = {{ size = [0.2, 0.2, 0.4], cells = [2, 3, 4] }} }}\n\
+             placement = {{ translate = [{x}, 0.5, 0.5] }}\ndensity = 1000.0\nyoung = 1e5\npoisson = 0.3\n"
+        );
+        text += &with("corotation", "model = \"corotational\"\n");
+        if absent.contains(&"corotation") {
+            text += "model = \"linear\"\n";
+        }
+        text += &with("damping", "damping = { mass = 0.5, stiffness = 0.01 }\n");
+        let region = "region = { box = { min = [0.0, 0.0, 0.29], max = [1.0, 1.0, 0.31] } }";
+        let upper = "region = { box = { min = [0.0, 0.0, 0.69], max = [1.0, 1.0, 0.71] } }";
+        text += &with(
+            "pins",
+            &format!("[[solid.pin]]\n{region}\ncomponents = \"x\"\n"),
+        );
+        text += &with(
+            "scripts",
+            &format!(
+                "[[solid.script]]\n{upper}\nkeyframes = [{{ t = 0.0 }}, {{ t = 0.1, translate = [0.0, 0.0, 0.02] }}]\n"
+            ),
+        );
+        text += &with(
+            "loads",
+            &format!("[[solid.load]]\n{region}\nforce = [0.0, 1.0, 0.0]\n"),
+        );
+    }
+    text += &with(
+        "obstacles",
+        "[[obstacle]]\nsphere = { centre = [0.5, 0.1, 0.5], radius = 0.1 }\n",
+    );
+    text += &with(
+        "probes",
+        "[[probe]]\nname = \"tip\"\nnode = { solid = \"left\", rest_point = [0.3, 0.5, 0.5] }\n",
+    );
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("solids.toml");
+    fs::write(&file, text).unwrap();
+    let overrides: Vec<String> = overrides.iter().map(|&text| text.to_owned()).collect();
+    Scene::load(&file, &overrides, 1.0).unwrap()
+}
+
+/// Effects of solids that a scene may lack.
+const OF_SOLIDS: [&str; 7] = [
+    "corotation",
+    "damping",
+    "pins",
+    "scripts",
+    "loads",
+    "obstacles",
+    "probes",
+];
+
+#[test]
+fn solids_take_what_is_planned_and_nothing_of_the_liquids() {
+    if gpu().is_none() {
+        return;
+    }
+    let liquid = made(&scene("dam_break_liquid", 0.25, &[])).0;
+    let kernels_of = |simulation: &Simulation| simulation.gpu().unwrap().compiled();
+    let labels_of = |simulation: &Simulation| -> BTreeSet<String> {
+        allocated(simulation)
+            .into_iter()
+            .map(|(label, _)| label)
+            .collect()
+    };
+    let f32 = ["solver.precision=f32", "solver.tolerance=1e-5"];
+    let mut cases: Vec<(Vec<&str>, &[&str])> =
+        vec![(vec![], &[]), (vec![], &f32), (OF_SOLIDS.to_vec(), &[])];
+    cases.extend(OF_SOLIDS.map(|effect| (vec![effect], &[][..])));
+    for (absent, overrides) in cases {
+        let what = format!("without {absent:?}, {overrides:?}");
+        let scene = solids_with(&absent, overrides);
+        let (mut simulation, plan) = made(&scene);
+        let planned = by_label(plan.buffers.iter().map(|plan| (plan.label, plan.bytes())));
+        let before = allocated(&simulation);
+        let there = by_label(before.iter().map(|(label, bytes)| (&**label, *bytes)));
+        assert_eq!(planned, there, "{what}: buffers");
+        let planned: BTreeSet<&str> = plan
+            .stages
+            .iter()
+            .flat_map(|stage| stage.kernels.iter().copied())
+            .collect();
+        assert_eq!(planned, kernels_of(&simulation), "{what}: kernels");
+        for effect in OF_SOLIDS {
+            let line = plan
+                .effects
+                .iter()
+                .find(|line| line.name == effect)
+                .unwrap();
+            assert_eq!(line.present, !absent.contains(&effect), "{what}: {line:?}");
+        }
+
+        simulation.step().unwrap();
+        simulation.gpu().unwrap().note_dispatches();
+        let report = simulation.step().unwrap();
+        let mut dispatched: BTreeSet<&str> = BTreeSet::new();
+        let noted = simulation.gpu().unwrap().noted_dispatches();
+        for (stage, kernel) in &noted {
+            let stage = plan.stages.iter().find(|planned| planned.name == *stage);
+            let stage =
+                stage.unwrap_or_else(|| panic!("{what}: {kernel} in a stage that is not planned"));
+            assert!(
+                stage.kernels.contains(kernel),
+                "{what}: {kernel} in {}",
+                stage.name
+            );
+            dispatched.insert(kernel);
+        }
+        if simulation.adapter().unwrap().timestamps {
+            let run: Vec<&str> = report.seconds.iter().map(|(stage, _)| *stage).collect();
+            let every: Vec<&str> = plan
+                .stages
+                .iter()
+                .filter(|stage| stage.every_step && stage.name != "probe")
+                .map(|stage| stage.name)
+                .collect();
+            assert_eq!(run, every, "{what}: stages");
+        }
+        assert!(report.liquid.is_none() && report.solid.is_some(), "{what}");
+        assert_eq!(allocated(&simulation), before, "{what}: a step allocates");
+
+        // What liquid and solids share is the outer loop of the solver, and obstacles where there are any.
+        for label in labels_of(&simulation).intersection(&labels_of(&liquid)) {
+            assert!(
+                label.starts_with("gpu.") || label.starts_with("obstacles."),
+                "{what}: {label} is the liquid's"
+            );
+        }
+        for kernel in kernels_of(&simulation).intersection(&kernels_of(&liquid)) {
+            assert!(
+                kernel.starts_with("pcg_")
+                    || kernel.starts_with("refine_")
+                    || *kernel == "fold_partials",
+                "{what}: {kernel} is the liquid's"
+            );
+        }
+    }
+    for label in labels_of(&liquid) {
+        assert!(!label.starts_with("solid"), "{label} without solids");
+    }
+    for kernel in kernels_of(&liquid) {
+        let of_solids = [
+            "solid",
+            "node",
+            "element",
+            "chebyshev",
+            "move_solid",
+            "diagnose_solid",
+        ];
+        assert!(
+            !of_solids.iter().any(|name| kernel.starts_with(name)),
+            "{kernel} without solids"
+        );
+    }
+}
+
+/// An absent effect brings neither buffer nor kernel.
+#[test]
+fn absent_effects_of_solids_take_nothing() {
+    if gpu().is_none() {
+        return;
+    }
+    let bytes = |simulation: &Simulation, label: &str| -> u64 {
+        let all = allocated(simulation);
+        all.iter()
+            .filter(|(made, _)| made == label)
+            .map(|(_, bytes)| bytes)
+            .sum()
+    };
+    let (all, _) = made(&solids_with(&[], &[]));
+    for (effect, label, kernel) in [
+        ("scripts", "solid.prescribed", None),
+        (
+            "obstacles",
+            "obstacles.solid_distance",
+            Some("push_nodes_out"),
+        ),
+        ("probes", "solid.displacement (read-back)", None),
+    ] {
+        let (without, _) = made(&solids_with(&[effect], &[]));
+        assert!(bytes(&all, label) > 64, "{label} with {effect}");
+        assert!(bytes(&without, label) <= 32, "{label} without {effect}");
+        if let Some(kernel) = kernel {
+            let compiled =
+                |simulation: &Simulation| simulation.gpu().unwrap().compiled().contains(kernel);
+            assert!(compiled(&all) && !compiled(&without), "{kernel}");
+        }
+    }
+}
+
 /// Of the hash of Fowler, Noll and Vo (FNV-1a, 64 bits).
 const FNV_START: u64 = 0xcbf2_9ce4_8422_2325;
 /// Likewise.

@@ -30,7 +30,7 @@ fn system(
 ) -> SolidSystem {
     let matrices = matrices(solids, displacement);
     let rhs = solid_right_hand_side(solids, &matrices, velocity, dt);
-    SolidSystem::new(solids, &matrices, &rhs, velocity, dt)
+    SolidSystem::new(solids, matrices.stiffness.clone(), &rhs, velocity, dt)
 }
 
 fn half(min: [f64; 3], max: [f64; 3], components: [bool; 3]) -> Pin {

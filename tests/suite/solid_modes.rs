@@ -40,7 +40,7 @@ impl<'a> Dynamics<'a> {
     fn system(&self, u: &[[f64; 3]], v: &[[f64; 3]], dt: f64) -> SolidSystem {
         let matrices = solid_matrices(self.solids, &self.pattern, u);
         let rhs = solid_right_hand_side(self.solids, &matrices, v, dt);
-        SolidSystem::new(self.solids, &matrices, &rhs, v, dt)
+        SolidSystem::new(self.solids, matrices.stiffness.clone(), &rhs, v, dt)
     }
 
     /// One step of dt (s) without gravity and contact: moves, then solves.

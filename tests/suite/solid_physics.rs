@@ -14,14 +14,14 @@ use crate::solid_modes::{Dynamics, ringing};
 use crate::solid_scene::{alone, block, rows, scene_of, solids_of};
 
 /// The nodes that rest in a box.
-fn region(min: [f64; 3], max: [f64; 3]) -> Shape {
+pub(crate) fn region(min: [f64; 3], max: [f64; 3]) -> Shape {
     Shape::Box {
         min: min.into(),
         max: max.into(),
     }
 }
 
-fn held(region: Shape, components: [bool; 3]) -> Pin {
+pub(crate) fn held(region: Shape, components: [bool; 3]) -> Pin {
     Pin {
         region,
         components,

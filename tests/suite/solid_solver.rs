@@ -22,7 +22,13 @@ fn twin(case: &SolidCase) -> Twin {
     let SolidCase { solids, dt, .. } = case;
     let matrices = reference::solid_matrices(solids, &pattern(solids), &case.displacement);
     let rhs = reference::solid_right_hand_side(solids, &matrices, &case.velocity, *dt);
-    Twin::new(solids, &matrices, &rhs, &case.velocity, *dt)
+    Twin::new(
+        solids,
+        matrices.stiffness.clone(),
+        &rhs,
+        &case.velocity,
+        *dt,
+    )
 }
 
 fn pattern(solids: &Solids) -> Arc<BlockPattern> {

@@ -7,14 +7,12 @@ use glam::{DMat3, DVec3};
 use super::table::{Place, Table};
 use super::{EPS, unit};
 use crate::Error;
-use crate::elastic::{Deformation, Solids, forces as forces_of, stiffness_block};
+use crate::elastic::{Deformation, Solids, forces as forces_of};
 use crate::geometry::CutCells;
 use crate::gpu::Real;
 use crate::grid::Grid;
 use crate::linalg::norm;
-use crate::reference::{
-    self, BlockPattern, SolidMatrices, SolidRightHandSide, SolidSolver, SolidSystem,
-};
+use crate::reference::{self, BlockPattern, SolidMatrices, SolidSolver};
 use crate::scene::{Scene, Solver};
 use crate::sim::{GpuPath, SolidSnapshot};
 use crate::solver::rounding;
@@ -46,39 +44,6 @@ pub(super) struct SolidJudge<'a> {
     matrices: Option<SolidMatrices>,
 }
 
-/// The solids with the numbers that the device has: rest positions and masses in f32, the others in `real`.
-fn on_device(solids: &Solids, real: Real) -> Solids {
-    let single = |x: f64| f64::from(x as f32);
-    let round = |x: f64| match real {
-        Real::F32 => single(x),
-        Real::F64 => x,
-    };
-    let rounded = |x: &DVec3| DVec3::from(x.to_array().map(round));
-    let mut device = solids.clone();
-    for (rest, mass) in device.rest.iter_mut().zip(&mut device.mass) {
-        *rest = rest.as_vec3().as_dvec3();
-        *mass = single(*mass);
-    }
-    for gradients in &mut device.gradients {
-        let [_, a, b, c] = *gradients;
-        let [a, b, c] = [a, b, c].map(|g| rounded(&g));
-        *gradients = [-(a + b + c), a, b, c];
-    }
-    for volume in &mut device.volume {
-        *volume = round(*volume);
-    }
-    for load in &mut device.load {
-        *load = rounded(load);
-    }
-    for body in &mut device.bodies {
-        body.lambda = round(body.lambda);
-        body.mu = round(body.mu);
-        body.mass_damping = round(body.mass_damping);
-        body.stiffness_damping = single(body.stiffness_damping);
-    }
-    device
-}
-
 impl<'a> SolidJudge<'a> {
     /// `None` for a scene without solids.
     pub(super) fn new(scene: &'a Scene, path: &GpuPath) -> Result<Option<SolidJudge<'a>>, Error> {
@@ -95,7 +60,7 @@ impl<'a> SolidJudge<'a> {
             cells: scene.domain.cells,
             dx: f64::from(scene.grid().dx as f32),
         };
-        let solids = on_device(solids, before.real);
+        let solids = before.on_device(solids);
         let cut = path.cut_cells();
         Ok(Some(SolidJudge {
             scene,
@@ -162,7 +127,7 @@ impl<'a> SolidJudge<'a> {
         self.table.add(row, pairs);
     }
 
-    /// A free node is off by the rounding of the pair. One that is put on a wall or an obstacle is off by the rounding of its
+    /// A free node is off by the rounding of the pair and of dt v. One that is put on a wall or an obstacle is off by the rounding of its
     /// position, of the distance there (three cells at most, sampled with a position in cells), and of the direction.
     fn move_solid(&mut self, after: &SolidSnapshot) {
         let before = self.before.clone();
@@ -188,13 +153,13 @@ impl<'a> SolidJudge<'a> {
             })
             .collect();
         let contact = EPS * (8.0 * size + 64.0 * self.grid.dx * cells.max(8.0));
-        let dt = self.dt;
+        let (dt, eps) = (self.dt, unit(after.real));
         let row = [MoveSolid::NAME, "displacement", "m"];
         self.add_nodes(row, &after.displacement, &u, |node, axis| {
             let way = dt * before.velocity[node][axis].abs();
             match touched[node] {
                 true => contact,
-                false => 4.0 * PAIR * (u[node][axis].abs() + way),
+                false => 4.0 * PAIR * (u[node][axis].abs() + way) + eps * way,
             }
         });
         let row = [MoveSolid::NAME, "v*", "m/s"];
@@ -342,30 +307,10 @@ impl<'a> SolidJudge<'a> {
     /// on it; row `velocity` compares with a direct solve: S >= zeta_M M, so v is off by |r| over the least zeta_M m at most.
     fn solve(&mut self, after: &SolidSnapshot) -> Result<(), Error> {
         let (solids, dt) = (&self.solids, self.dt);
-        let Some(mut matrices) = self.matrices.take() else {
+        let Some(matrices) = self.matrices.take() else {
             return Ok(());
         };
-        matrices.stiffness =
-            reference::BlockMatrix::assemble(solids, &self.pattern, |element, a, b| {
-                let turned = |corner: usize| -> DVec3 {
-                    let at = |s: usize| {
-                        let [x, y, z, _] = after.rotated[s][element];
-                        DVec3::new(x, y, z)
-                    };
-                    match corner {
-                        0 => -(at(0) + at(1) + at(2)),
-                        corner => at(corner - 1),
-                    }
-                };
-                let zeta = solids.body_of_element(element).zeta_stiffness(dt);
-                let [lambda, mu] = [0, 1].map(|s| after.rotated[s][element][3] / zeta);
-                stiffness_block(turned(a), turned(b), lambda, mu)
-            });
-        let rhs = SolidRightHandSide {
-            values: after.rhs.clone(),
-            scale: 0.0,
-        };
-        let system = SolidSystem::new(solids, &matrices, &rhs, &after.velocity, dt);
+        let system = after.system(solids, &self.pattern, dt);
         let free = |velocity: &[[f64; 3]]| -> Vec<f64> {
             let components = velocity.as_flattened().iter();
             let prescribed = solids.prescribed.as_flattened();

@@ -1,0 +1,252 @@
+//! `export`: the systems of one sub-step and their answers as Matrix Market files, for other solvers.
+//!
+//! ```text
+//! DIR/spd.mtx       the matrix that was solved with: symmetric, positive definite but for components without a free surface
+//! DIR/spd_rhs.mtx   its right-hand side
+//! DIR/solution.mtx  the answer as the simulator found it
+//! DIR/meta.json     dt, dx and the like
+//! ```
+//!
+//! With liquid the matrix is B of B p = E u* (design section 2) and cells.csv tells which cell each row is; with solids it is S of
+//! S v = rhs on the free components, nodes.csv tells which component of which node each row is, and M.mtx, K.mtx and S.mtx are the
+//! blocks with all components. On the GPU path the system is the one that the device stored, widened: the system of the step.
+
+mod pressure;
+mod solids;
+
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use crate::Error;
+use crate::gpu::AdapterChoice;
+use crate::linalg::{Csr, Symmetry, matrix_text, norm, vector_text};
+use crate::output::write_atomically;
+use crate::reference::StepSystem;
+use crate::scene::Scene;
+use crate::sim::{Backend, GpuPath, reference_path};
+use crate::state::{SolveReport, SolveStatus, StepReport};
+
+pub use solids::SolidMeta;
+
+/// What to export.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Where the simulation runs.
+    pub backend: Backend,
+    /// Sub-step whose system it is, from 0 as in steps.csv.
+    pub step: u64,
+    /// The folder; made if absent.
+    pub out: PathBuf,
+}
+
+/// meta.json.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Meta {
+    /// Version of cutwater.
+    pub cutwater: &'static str,
+    /// Name of the scene.
+    pub scene: String,
+    /// `--scale`.
+    pub scale: f64,
+    /// `--set`, in order.
+    pub overrides: Vec<String>,
+    /// `gpu` or `cpu`.
+    pub backend: &'static str,
+    /// Name of the adapter; none on the CPU.
+    pub adapter: Option<String>,
+    /// Sub-step, from 0.
+    pub step: u64,
+    /// Its length, s.
+    pub dt: f64,
+    /// Cell size, m.
+    pub dx: f64,
+    /// Cells along x, y, z.
+    pub cells: [usize; 3],
+    /// What the matrix is of.
+    #[serde(flatten)]
+    pub part: Part,
+    /// Relative tolerance that the simulator solved to.
+    pub tolerance: f64,
+    /// How its solve ended.
+    pub status: &'static str,
+    /// Rows of the matrix.
+    pub unknowns: usize,
+    /// Entries of the matrix, both triangles.
+    pub entries: usize,
+    /// ||b - A x|| / ||b|| of what was written.
+    pub residual: f64,
+}
+
+/// What of a meta.json is of liquid or of solids.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum Part {
+    /// Of the pressure system.
+    Liquid {
+        /// kg/m^3
+        density: f64,
+        /// Components without a free surface: as many times is B singular.
+        closed_components: usize,
+    },
+    /// Of the solids' system.
+    Solids {
+        /// Nodes of all solids.
+        nodes: usize,
+        /// Elements of all solids.
+        elements: usize,
+        /// The solids in their order.
+        solids: Vec<SolidMeta>,
+    },
+}
+
+/// A system of a sub-step with its answer, and the files beside it.
+struct System {
+    matrix: Csr,
+    rhs: Vec<f64>,
+    solution: Vec<f64>,
+    /// What matrix, right-hand side and answer are, with units.
+    comments: [&'static str; 3],
+    /// Names and texts of other files.
+    others: Vec<(&'static str, String)>,
+    part: Part,
+}
+
+/// How a sub-step went.
+struct Ran {
+    /// s
+    dt: f64,
+    report: StepReport,
+    adapter: Option<String>,
+}
+
+/// Runs a scene to a sub-step and writes that sub-step's system.
+///
+/// # Errors
+/// Whatever the simulation ends with, and [`Error::Output`].
+pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
+    let (system, ran) = match scene.solids.is_empty() {
+        true => pressure::system(scene, options)?,
+        false => solids::system(scene, options)?,
+    };
+    let rhs_norm = norm(&system.rhs);
+    let residual = norm(&residual(&system));
+    let meta = Meta {
+        cutwater: env!("CARGO_PKG_VERSION"),
+        scene: scene.name.clone(),
+        scale: scene.scale,
+        overrides: scene.overrides.clone(),
+        backend: options.backend.name(),
+        adapter: ran.adapter,
+        step: options.step,
+        dt: ran.dt,
+        dx: scene.grid().dx,
+        cells: scene.grid().cells,
+        part: system.part,
+        tolerance: scene.solver.tolerance,
+        status: status(&ran.report).name(),
+        unknowns: system.matrix.n_rows(),
+        entries: system.matrix.n_entries(),
+        residual: if rhs_norm > 0.0 {
+            residual / rhs_norm
+        } else {
+            0.0
+        },
+    };
+    let out = &options.out;
+    std::fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
+    let [of_matrix, of_rhs, of_solution] = system.comments;
+    let text = serde_json::to_string_pretty(&meta).expect("the record has no maps") + "\n";
+    let mut files = vec![
+        (
+            "spd.mtx",
+            matrix_text(&system.matrix, Symmetry::Symmetric, of_matrix),
+        ),
+        ("spd_rhs.mtx", vector_text(&system.rhs, of_rhs)),
+        ("solution.mtx", vector_text(&system.solution, of_solution)),
+    ];
+    files.extend(system.others);
+    files.push(("meta.json", text));
+    for (name, text) in files {
+        write_atomically(&out.join(name), text.as_bytes())?;
+    }
+    Ok(meta)
+}
+
+/// b - A x
+fn residual(system: &System) -> Vec<f64> {
+    let mut product = vec![0.0; system.rhs.len()];
+    system.matrix.multiply(&system.solution, &mut product);
+    let pairs = system.rhs.iter().zip(product);
+    pairs.map(|(b, product)| b - product).collect()
+}
+
+/// How the one solve of a sub-step ended.
+fn status(report: &StepReport) -> SolveStatus {
+    let liquid = report.liquid.map(|liquid| liquid.solve);
+    let solid = report.solid.map(|solid| solid.solve);
+    let solve = liquid.or(solid);
+    solve.map_or(SolveStatus::Converged, |SolveReport { status, .. }| status)
+}
+
+/// Runs the GPU path to a sub-step and takes something off it after that sub-step's solve.
+fn on_gpu<T>(
+    scene: &Scene,
+    choice: &AdapterChoice,
+    step: u64,
+    take: impl Fn(&GpuPath, f64) -> Result<T, Error>,
+) -> Result<(T, Ran), Error> {
+    let mut path = GpuPath::open(scene, choice)?;
+    loop {
+        let dt = path.next_time_step().dt;
+        let wanted = path.clock().step == step;
+        let mut taken = None;
+        let report = path.step_observed(&mut |stage, path| {
+            if wanted && stage == "solve" {
+                taken = Some(take(path, dt)?);
+            }
+            Ok(())
+        })?;
+        if let Some(taken) = taken {
+            let adapter = Some(path.gpu().report().name.clone());
+            return Ok((
+                taken,
+                Ran {
+                    dt,
+                    report,
+                    adapter,
+                },
+            ));
+        }
+    }
+}
+
+/// Runs the f64 path to a sub-step and takes its system.
+fn on_cpu<T>(
+    scene: &Scene,
+    step: u64,
+    mut take: impl FnMut(StepSystem) -> Option<T>,
+) -> Result<(T, Ran), Error> {
+    let mut path = reference_path(scene)?;
+    loop {
+        let time_step = path.next_time_step();
+        let wanted = path.state().step == step;
+        let mut taken = None;
+        let report = path.step_observed(time_step, &mut |system| {
+            if wanted && taken.is_none() {
+                taken = take(system);
+            }
+        })?;
+        if let Some(taken) = taken {
+            let dt = time_step.dt;
+            return Ok((
+                taken,
+                Ran {
+                    dt,
+                    report,
+                    adapter: None,
+                },
+            ));
+        }
+    }
+}

@@ -1,0 +1,86 @@
+//! The pressure system of a sub-step.
+
+use super::{Options, Part, Ran, System, on_cpu, on_gpu};
+use crate::Error;
+use crate::reference::{PressureSystem, StepSystem, right_hand_side};
+use crate::scene::Scene;
+use crate::sim::{Backend, GpuPath};
+
+/// B p = E u*.
+pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), Error> {
+    let density = density(scene)?;
+    let ((system, pressure), ran) = match &options.backend {
+        Backend::Gpu(choice) => on_gpu(scene, choice, options.step, |path, dt| {
+            stored(scene, path, density, dt)
+        })?,
+        Backend::Cpu => on_cpu(scene, options.step, |of_step| match of_step {
+            StepSystem::Pressure(system, pressure) => Some((system.clone(), pressure.to_vec())),
+            StepSystem::Solid(..) => None,
+        })?,
+    };
+    let grid = scene.grid();
+    let cells = system.stencil.active_cells();
+    let of_active = |field: &[f64]| cells.iter().map(|&cell| field[cell]).collect::<Vec<f64>>();
+    let mut table = String::from("row,i,j,k,x,y,z\n");
+    for (row, &cell) in cells.iter().enumerate() {
+        let [i, j, k] = grid.cell_at(cell);
+        let x = grid.cell_centre([i, j, k]);
+        table += &format!("{},{i},{j},{k},{:?},{:?},{:?}\n", row + 1, x.x, x.y, x.z);
+    }
+    let written = System {
+        matrix: system.to_csr(),
+        rhs: of_active(&system.rhs),
+        solution: of_active(&pressure),
+        comments: [
+            "B, m^3/s per Pa; cells.csv says which cell a row is",
+            "E u*, m^3/s",
+            "p, Pa",
+        ],
+        others: vec![("cells.csv", table)],
+        part: Part::Liquid {
+            density,
+            closed_components: system.closed.len(),
+        },
+    };
+    Ok((written, ran))
+}
+
+/// kg/m^3
+fn density(scene: &Scene) -> Result<f64, Error> {
+    let liquid = scene.liquid.as_ref().ok_or_else(|| {
+        Error::input(
+            scene.file.display().to_string(),
+            "the scene has neither liquid nor solids, so there is no system",
+            "add a [liquid] section with a region, or a [[solid]]",
+        )
+    })?;
+    Ok(liquid.density)
+}
+
+/// The system in the device's memory, in SI units, and the pressure, Pa.
+fn stored(
+    scene: &Scene,
+    path: &GpuPath,
+    density: f64,
+    dt: f64,
+) -> Result<(PressureSystem, Vec<f64>), Error> {
+    let grid = scene.grid();
+    let snapshot = path.snapshot()?.liquid;
+    let snapshot = snapshot.expect("the scene's liquid was asked for its density");
+    let area = grid.dx * grid.dx;
+    let active = snapshot.active_cells(&grid);
+    let open = &path.cut_cells().open;
+    let mut rhs = right_hand_side(&grid, open, &snapshot.velocity_next, &active, None);
+    rhs.values = snapshot.rhs.iter().map(|b| area * b).collect();
+    let mut system = PressureSystem::new(active, rhs, dt, density);
+    let mut values = std::mem::take(&mut system.rhs);
+    // What rounding to f32 left of them, where the device has no f64.
+    system.remove_closed_means(&mut values);
+    system.rhs = values;
+    let pascal = density * grid.dx / dt;
+    let potential = snapshot.potential.iter();
+    Ok((
+        system,
+        potential.map(|potential| pascal * potential).collect(),
+    ))
+}

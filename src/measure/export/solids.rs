@@ -1,0 +1,131 @@
+//! The system of the solids in a sub-step.
+
+use std::sync::Arc;
+
+use serde::Serialize;
+
+use super::{Options, Part, Ran, System, on_cpu, on_gpu};
+use crate::Error;
+use crate::elastic::{Body, Solids};
+use crate::linalg::{Csr, Symmetry, matrix_text};
+use crate::reference::{BlockPattern, SolidSystem, StepSystem};
+use crate::scene::Scene;
+use crate::sim::{Backend, GpuPath, solids_of};
+
+/// What meta.json tells of a solid.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SolidMeta {
+    /// Its name.
+    pub name: String,
+    /// kg/m^3
+    pub density: f64,
+    /// First Lame parameter, Pa.
+    pub lambda: f64,
+    /// Shear modulus, Pa.
+    pub mu: f64,
+    /// Rayleigh damping by mass, 1/s.
+    pub tau_m: f64,
+    /// Rayleigh damping by stiffness, s.
+    pub tau_k: f64,
+    /// Its nodes.
+    pub nodes: usize,
+    /// Its elements.
+    pub elements: usize,
+}
+
+/// S v = rhs on the free components, with M, K and S on all.
+pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), Error> {
+    let solids = solids_of(scene)?;
+    let ((system, velocity), ran) = match &options.backend {
+        Backend::Gpu(choice) => on_gpu(scene, choice, options.step, stored)?,
+        Backend::Cpu => on_cpu(scene, options.step, |of_step| match of_step {
+            StepSystem::Solid(system, velocity) => Some((system.clone(), velocity.to_vec())),
+            StepSystem::Pressure(..) => None,
+        })?,
+    };
+    let unknowns = system.unknowns();
+    let free = |values: &[f64]| unknowns.iter().map(|&at| values[at]).collect::<Vec<f64>>();
+    let symmetric = |matrix: &Csr, what| matrix_text(matrix, Symmetry::Symmetric, what);
+    let written = System {
+        matrix: system.free_to_csr(),
+        rhs: free(&system.rhs),
+        solution: free(velocity.as_flattened()),
+        comments: [
+            "S on the free components, kg/s; nodes.csv says which component a row is",
+            "M v*/dt - (K x* - b) + load, less S times the prescribed components, N",
+            "v, m/s",
+        ],
+        others: vec![
+            (
+                "M.mtx",
+                symmetric(
+                    &system.mass_to_csr(),
+                    "M, kg: row 3 n + 1, 2, 3 is x, y, z of node n",
+                ),
+            ),
+            (
+                "K.mtx",
+                symmetric(&system.stiffness_to_csr(), "K, N/m, rows as those of M"),
+            ),
+            (
+                "S.mtx",
+                symmetric(
+                    &system.to_csr(),
+                    "S = (1/dt + tau_M) M + (dt + tau_K) K, kg/s, rows as those of M",
+                ),
+            ),
+            ("nodes.csv", table(&solids, &unknowns)),
+        ],
+        part: Part::Solids {
+            nodes: solids.rest.len(),
+            elements: solids.elements.len(),
+            solids: solids.bodies.iter().map(meta).collect(),
+        },
+    };
+    Ok((written, ran))
+}
+
+fn meta(body: &Body) -> SolidMeta {
+    SolidMeta {
+        name: body.name.clone(),
+        density: body.density,
+        lambda: body.lambda,
+        mu: body.mu,
+        tau_m: body.mass_damping,
+        tau_k: body.stiffness_damping,
+        nodes: body.nodes.len(),
+        elements: body.elements.len(),
+    }
+}
+
+/// A line per node: its solid, where it rests, and the rows of spd.mtx that are its components, 0 for prescribed ones.
+fn table(solids: &Solids, unknowns: &[usize]) -> String {
+    let mut rows = vec![0; 3 * solids.rest.len()];
+    for (row, &component) in unknowns.iter().enumerate() {
+        rows[component] = row + 1;
+    }
+    let mut table = String::from("node,solid,rest_x,rest_y,rest_z,row_x,row_y,row_z\n");
+    for body in &solids.bodies {
+        for node in body.nodes.clone() {
+            let [x, y, z] = solids.rest[node].to_array();
+            let [a, b, c] = [0, 1, 2].map(|axis| rows[3 * node + axis]);
+            table += &format!("{node},{},{x:?},{y:?},{z:?},{a},{b},{c}\n", body.name);
+        }
+    }
+    table
+}
+
+/// The system in the device's memory, and the velocities that it found, m/s.
+fn stored(path: &GpuPath, dt: f64) -> Result<(SolidSystem, Vec<[f64; 3]>), Error> {
+    let (snapshot, solids) = path
+        .snapshot()?
+        .solids
+        .zip(path.solids())
+        .expect("the scene has solids");
+    let solids = snapshot.on_device(solids);
+    // As the device has it.
+    let dt = f64::from(dt as f32);
+    let pattern = Arc::new(BlockPattern::new(&solids));
+    let system = snapshot.system(&solids, &pattern, dt);
+    Ok((system, snapshot.velocity))
+}
