@@ -4,7 +4,7 @@
 #import inner
 #import real
 
-// Must be solver::BODY_THREADS.
+// As many as the rows of the largest solid that is given to a workgroup: BODY_NODES of solver/solid_solver.rs.
 const BODY_THREADS = 256u;
 
 @group(0) @binding(0) var<uniform> rows: Rows;

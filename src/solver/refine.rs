@@ -22,6 +22,8 @@ const NORM_TERMS: usize = 2;
 const SCALE: usize = 4;
 /// Slot of the scalars: `shaders/common/pcg_slots.wgsl`.
 const GOAL: usize = 3;
+/// Status in [`Control`] of a round that made it worse: `shaders/common/control_state.wgsl`.
+const STATUS_STAGNATED: u32 = 4;
 
 /// Iterations between two looks at whether the one-workgroup kernels still have work.
 pub(super) const BLOCK: usize = 4;
@@ -310,7 +312,7 @@ impl<S: System> OuterLoop<S> {
             let norms = &reading.norms;
             let mut outcome = self.outcome(&reading);
             if let Some(outcome) = &mut outcome {
-                if outcome.status == SolveStatus::Stagnated {
+                if reading.control.status == STATUS_STAGNATED {
                     // One more turn, so that a correction on trial is taken back.
                     recorder = Recorder::new(gpu);
                     recorder.stage("solve", |pass| self.record_turn(pass));
@@ -424,6 +426,8 @@ impl<S: System> OuterLoop<S> {
             2 => SolveStatus::IterationLimit,
             3 if control.running == 1 => return None,
             3 => SolveStatus::Breakdown,
+            // The last correction made it worse and is taken back, but the limit is what ended the solve.
+            _ if control.iterations >= control.max_iterations => SolveStatus::IterationLimit,
             _ => SolveStatus::Stagnated,
         };
         Some(Outcome {
@@ -498,7 +502,10 @@ impl<S: System> OuterLoop<S> {
                 .collect();
             let (r_new, rr_new) = system.residual(&better);
             if rr_new.is_finite() && rr_new >= rr {
-                break SolveStatus::Stagnated;
+                break match control.iterations >= control.max_iterations {
+                    true => SolveStatus::IterationLimit,
+                    false => SolveStatus::Stagnated,
+                };
             }
             (x, r, rr) = (better, r_new, rr_new);
         };

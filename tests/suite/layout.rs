@@ -196,6 +196,11 @@ const SHARED: &[(&str, &str, &[&str])] = &[
         "common/refine",
         &["NORM_R", "NORM_B", "NORM_TERMS", "SCALE"],
     ),
+    (
+        "src/solver/refine.rs",
+        "common/control_state",
+        &["STATUS_STAGNATED"],
+    ),
     ("src/solver/refine.rs", "common/pcg_slots", &["GOAL"]),
     ("src/solver/refine.rs", "refine_turn", &["ROUND_MARGIN"]),
     (
@@ -224,6 +229,16 @@ fn derived_constants_match() {
     let of_shader = |file: &str, name: &str| constant(&format!("shaders/{file}.wgsl"), name);
     let groups = of_shader("common/compact", "CHUNK_GROUPS");
     assert_eq!(constant("src/gpu/compact.rs", "CHUNK"), 4.0 * groups);
+    assert_eq!(
+        constant("src/solver/solid_solver.rs", "BODY_NODES"),
+        of_shader("chebyshev_polynomial", "BODY_THREADS")
+    );
+    assert_eq!(
+        constant("src/solver/chebyshev.rs", "MAX_DEGREE") + 1.0,
+        of_shader("common/chebyshev", "DEGREES")
+    );
+    let slice = of_shader("common/rows", "SLICE");
+    assert_eq!(slice, of_shader("common/dispatch", "WG_SIZE"));
     let digits = 2f64.powf(of_shader("common/sort", "DIGIT_BITS"));
     assert_eq!(of_shader("common/sort", "DIGITS"), digits);
     let tile = of_shader("common/sort", "RUN") * of_shader("common/dispatch", "WG_SIZE");

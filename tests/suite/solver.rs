@@ -750,6 +750,22 @@ fn a_solution_is_recognised_and_a_limit_is_told() {
             SolveStatus::Converged,
             "{precision:?}: {outcome:?}"
         );
+        // So few iterations of Jacobi make it worse: what is kept is the start, and the limit is what ended the solve.
+        for limit in [1, 2, 3] {
+            let solver = Solver {
+                max_iterations: limit,
+                preconditioner: Preconditioner::Jacobi,
+                ..settings(precision)
+            };
+            let solved = Device::holding(gpu, &case, &solver).solve();
+            let outcome = solved.outcome;
+            assert_eq!(
+                outcome.status,
+                SolveStatus::IterationLimit,
+                "{precision:?}: {outcome:?}"
+            );
+            assert!(outcome.residual <= 1.0, "{precision:?}: {outcome:?}");
+        }
     }
 }
 
