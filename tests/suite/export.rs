@@ -11,7 +11,7 @@ use cutwater::sim::Backend;
 use serde_json::Value;
 
 use crate::common::gpu;
-use crate::solid_physics::{held, region};
+use crate::solid_cases::{held, region};
 use crate::solid_scene::{block, scene_of};
 
 fn scene(name: &str, scale: f64, overrides: &[&str]) -> Scene {

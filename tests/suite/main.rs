@@ -29,6 +29,7 @@ mod scene;
 mod shaders;
 mod solid_buffers;
 mod solid_case;
+mod solid_cases;
 mod solid_modes;
 mod solid_physics;
 mod solid_scene;

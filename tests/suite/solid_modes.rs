@@ -1,4 +1,4 @@
-//! Static solutions, modes and steps of solids by the stages of the f64 path, for tests that compare them with theory.
+//! Static solutions, modes and steps of solids by the stages of the f64 path, for the suite and the validation to compare with theory.
 
 use std::sync::Arc;
 
@@ -134,26 +134,11 @@ impl<'a> Dynamics<'a> {
         shapes.into_iter().map(full).zip(squares).collect()
     }
 
-    /// Lumped masses of the components, kg.
-    pub(crate) fn masses(&self) -> Vec<f64> {
-        self.solids
-            .mass
-            .iter()
-            .flat_map(|&mass| [mass; 3])
-            .collect()
-    }
-
-    /// Amplitudes of a shape (by mass) in the displacements of a motion that starts from it, at rest: one per step of dt (s).
+    /// Amplitudes of a shape in the displacements of a motion that starts from it, at rest: one per step of dt (s).
     pub(crate) fn ring(&self, shape: &[f64], size: f64, dt: f64, steps: usize) -> Vec<f64> {
-        let weights: Vec<f64> = shape
-            .iter()
-            .zip(self.masses())
-            .map(|(x, m)| x * m)
-            .collect();
-        let n = self.solids.rest.len();
-        let (nodes, _) = shape.as_chunks::<3>();
-        let mut u: Vec<[f64; 3]> = nodes.iter().map(|x| x.map(|x| size * x)).collect();
-        let mut v = vec![[0.0; 3]; n];
+        let weights = weights(self.solids, shape);
+        let mut u = sized(shape, size);
+        let mut v = vec![[0.0; 3]; u.len()];
         (0..steps)
             .map(|_| {
                 self.step(&mut u, &mut v, dt);
@@ -161,6 +146,18 @@ impl<'a> Dynamics<'a> {
             })
             .collect()
     }
+}
+
+/// What gives the amplitude of a shape of unit modal mass in displacements: M times the shape.
+pub(crate) fn weights(solids: &Solids, shape: &[f64]) -> Vec<f64> {
+    let masses = solids.mass.iter().flat_map(|&mass| [mass; 3]);
+    shape.iter().zip(masses).map(|(x, m)| x * m).collect()
+}
+
+/// A shape times a size, as displacements.
+pub(crate) fn sized(shape: &[f64], size: f64) -> Vec<[f64; 3]> {
+    let (nodes, _) = shape.as_chunks::<3>();
+    nodes.iter().map(|x| x.map(|x| size * x)).collect()
 }
 
 /// Decay per step and angle per step (rad) of an oscillation: the modulus and argument of the z in q_n = Re(c z^n) that fits

@@ -1,4 +1,6 @@
-//! Scenes of solids for the tests of the f64 path.
+//! Scenes of solids, for the suite and for the validation.
+
+use std::fs;
 
 use cutwater::elastic::Solids;
 use cutwater::geometry::TetMesh;
@@ -6,7 +8,23 @@ use cutwater::scene::{ElasticModel, Initial, Placement, Scene, Solid, SolidMesh}
 use glam::DVec3;
 
 use crate::common::Random;
-use crate::reference_physics;
+
+/// What the file of a scene says of everything but the solids.
+const EMPTY: &str = "[domain]
+size = [4.0, 4.0, 4.0]
+cells = [8, 8, 8]
+gravity = [0.0, 0.0, 0.0]
+[time]
+duration = 1.0
+frames_per_second = 24
+[[solid]]
+name = \"block\"
+mesh = { box = { size = [1.0, 1.0, 1.0], cells = [1, 1, 1] } }
+placement = { translate = [1.0, 1.0, 1.0] }
+density = 1000.0
+young = 1e6
+poisson = 0.3
+";
 
 /// A block of bricks with its low corner at the origin; E = 1 MPa, nu = 0.3, 1000 kg/m^3, nothing held.
 pub(crate) fn block(size: [f64; 3], cells: [usize; 3]) -> Solid {
@@ -32,12 +50,13 @@ pub(crate) fn block(size: [f64; 3], cells: [usize; 3]) -> Solid {
 
 /// These solids in a domain of 4 x 4 x 4 m, without gravity and liquid.
 pub(crate) fn scene_of(solids: Vec<Solid>) -> Scene {
-    let mut scene = reference_physics::scene([8, 8, 8], &reference_physics::pool(0.5));
-    scene.domain.size = DVec3::splat(4.0);
-    scene.domain.gravity = DVec3::ZERO;
-    scene.liquid = None;
-    scene.solids = solids;
-    scene
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("test.toml");
+    fs::write(&path, EMPTY).unwrap();
+    Scene {
+        solids,
+        ..Scene::load(&path, &[], 1.0).unwrap()
+    }
 }
 
 /// The solids of a scene.
