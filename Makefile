@@ -1,9 +1,12 @@
 # Both commands do all the set-up they need: see README.md.
 
-.PHONY: run test
+.PHONY: run test validate
 
 run: ## simulate the dam break and draw its pictures
 	@bash .ci/demo
 
 test: ## all tests on lavapipe, those of the kernels and the solver once more on SwiftShader
 	@bash .ci/test
+
+validate: ## the long validation against theory and other programs; CASES="S2 S9" runs a part
+	@bash .ci/validate $(CASES)

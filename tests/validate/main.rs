@@ -1,0 +1,180 @@
+//! The long validation: cases with answers known from theory or from other programs, on the f64 path and on the device.
+//!
+//! ```text
+//! make validate                     # all cases
+//! make validate CASES="S2 S9/f64"   # those whose id holds one of these
+//! ```
+//!
+//! A case is a function that fills a [`Sheet`] with rows: what was expected, what came, what is allowed. Each topic has a file that
+//! lists its cases; the list of topics is [`cases`]. The table is printed and written to `target/validate` as Markdown and CSV. Exit
+//! code 1: a row failed.
+
+// What the suite shares; it uses more of it.
+#[allow(dead_code, reason = "the suite uses the rest")]
+#[path = "../suite/common.rs"]
+mod common;
+#[allow(dead_code, reason = "the suite uses the rest")]
+#[path = "../suite/solid_cases.rs"]
+mod solid_cases;
+#[allow(dead_code, reason = "the suite uses the rest")]
+#[path = "../suite/solid_modes.rs"]
+mod solid_modes;
+#[allow(dead_code, reason = "the suite uses the rest")]
+#[path = "../suite/solid_scene.rs"]
+mod solid_scene;
+
+mod lane;
+mod sheet;
+mod solid_balances;
+mod solid_elements;
+mod solid_inversion;
+mod solid_motion;
+mod solid_scenes;
+mod solid_statics;
+
+use std::panic::{self, AssertUnwindSafe};
+use std::process::ExitCode;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
+
+use cutwater::gpu::{AdapterChoice, Gpu};
+
+use sheet::{Row, Sheet};
+
+/// Something to find out.
+pub(crate) struct Case {
+    /// Names it on the command line and in the table.
+    id: String,
+    run: Box<dyn Fn(&mut Sheet) + Send + Sync>,
+}
+
+impl Case {
+    fn new(id: impl Into<String>, run: impl Fn(&mut Sheet) + Send + Sync + 'static) -> Case {
+        let (id, run) = (id.into(), Box::new(run));
+        Case { id, run }
+    }
+
+    /// Its rows. What panics fails.
+    fn rows(&self) -> Vec<Row> {
+        let mut sheet = Sheet::default();
+        let start = Instant::now();
+        let outcome = panic::catch_unwind(AssertUnwindSafe(|| (self.run)(&mut sheet)));
+        let seconds = start.elapsed().as_secs_f64();
+        if let Err(panic) = outcome {
+            let text = panic.downcast_ref::<String>().cloned();
+            let text = text.or_else(|| panic.downcast_ref::<&str>().map(|text| (*text).into()));
+            sheet.failed(&text.unwrap_or_else(|| "a panic".into()));
+        }
+        sheet.finish(&self.id, seconds)
+    }
+}
+
+/// All cases, in the order of the table.
+fn cases() -> Vec<Case> {
+    [
+        solid_elements::cases(),
+        solid_statics::cases(),
+        solid_motion::cases(),
+        solid_balances::cases(),
+        solid_inversion::cases(),
+        solid_scenes::cases(),
+    ]
+    .into_iter()
+    .flatten()
+    .collect()
+}
+
+/// Runs the cases, `jobs` at a time; rows in the order of the cases.
+fn run(cases: &[Case], jobs: usize) -> Vec<Row> {
+    let next = AtomicUsize::new(0);
+    let done: Vec<Mutex<Vec<Row>>> = cases.iter().map(|_| Mutex::default()).collect();
+    std::thread::scope(|scope| {
+        for _ in 0..jobs {
+            scope.spawn(|| {
+                while let Some((case, done)) = {
+                    let number = next.fetch_add(1, Ordering::Relaxed);
+                    cases.get(number).zip(done.get(number))
+                } {
+                    let rows = case.rows();
+                    print!("{}", sheet::lines(&rows));
+                    *done.lock().expect("no other thread has this case") = rows;
+                }
+            });
+        }
+    });
+    let rows = done.into_iter().map(|rows| rows.into_inner());
+    rows.flat_map(|rows| rows.expect("no thread is left"))
+        .collect()
+}
+
+fn main() -> ExitCode {
+    let mut filters = Vec::new();
+    let (mut list, mut jobs) = (
+        false,
+        std::thread::available_parallelism().map_or(1, usize::from),
+    );
+    let mut arguments = std::env::args().skip(1);
+    while let Some(argument) = arguments.next() {
+        match argument.as_str() {
+            "--list" => list = true,
+            "--jobs" => match arguments.next().map(|jobs| jobs.parse()) {
+                Some(Ok(number)) if number > 0 => jobs = number,
+                _ => {
+                    eprintln!("--jobs takes a number of cases to run at once");
+                    return ExitCode::from(2);
+                }
+            },
+            option if option.starts_with('-') => {
+                eprintln!("no option {option}: there are --list and --jobs N, then parts of ids");
+                return ExitCode::from(2);
+            }
+            _ => filters.push(argument),
+        }
+    }
+    let mut cases = cases();
+    cases.retain(|case| filters.is_empty() || filters.iter().any(|part| case.id.contains(part)));
+    if cases.is_empty() {
+        eprintln!("no case has an id with {}", filters.join(" or "));
+        return ExitCode::from(2);
+    }
+    if list {
+        cases.iter().for_each(|case| println!("{}", case.id));
+        return ExitCode::SUCCESS;
+    }
+    let adapter = match Gpu::new(&AdapterChoice::Best) {
+        Ok(gpu) => gpu.report().name.clone(),
+        Err(error) => {
+            eprintln!("{error}");
+            return ExitCode::from(3);
+        }
+    };
+    // The table tells the rest.
+    panic::set_hook(Box::new(|panic| eprintln!("{panic}")));
+    println!("{} cases on {adapter}, {jobs} at a time\n", cases.len());
+    let start = Instant::now();
+    let rows = run(&cases, jobs);
+    let failed: Vec<&Row> = rows
+        .iter()
+        .filter(|row| row.passed == Some(false))
+        .collect();
+    let summary = format!(
+        "{} rows of {} cases in {:.0} s on {adapter}: {} failed",
+        rows.len(),
+        cases.len(),
+        start.elapsed().as_secs_f64(),
+        failed.len()
+    );
+    if let Err(error) = sheet::write(&rows, &summary) {
+        eprintln!("target/validate: {error}");
+        return ExitCode::FAILURE;
+    }
+    println!("\n{summary}");
+    for row in &failed {
+        print!("{}", sheet::lines(std::slice::from_ref(row)));
+    }
+    match failed.is_empty() {
+        true => ExitCode::SUCCESS,
+        false => ExitCode::FAILURE,
+    }
+}

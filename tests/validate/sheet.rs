@@ -1,0 +1,191 @@
+//! The table of the validation.
+
+use std::fmt::Write;
+use std::{fs, io};
+
+/// One thing found out.
+#[derive(Clone, Debug)]
+pub(crate) struct Row {
+    pub(crate) id: String,
+    pub(crate) what: String,
+    pub(crate) expected: String,
+    pub(crate) got: String,
+    pub(crate) tolerance: String,
+    /// Nothing where the number is told but not judged.
+    pub(crate) passed: Option<bool>,
+    /// Of the whole case, s.
+    pub(crate) seconds: f64,
+}
+
+impl Row {
+    fn verdict(&self) -> &'static str {
+        match self.passed {
+            Some(true) => "pass",
+            Some(false) => "FAIL",
+            None => "told",
+        }
+    }
+
+    fn cells(&self) -> [String; 7] {
+        [
+            self.id.clone(),
+            self.what.clone(),
+            self.expected.clone(),
+            self.got.clone(),
+            self.tolerance.clone(),
+            self.verdict().to_owned(),
+            format!("{:.1}", self.seconds),
+        ]
+    }
+}
+
+const COLUMNS: [&str; 7] = [
+    "case",
+    "what",
+    "expected",
+    "got",
+    "tolerance",
+    "verdict",
+    "seconds",
+];
+
+/// The rows of one case.
+#[derive(Debug, Default)]
+pub(crate) struct Sheet {
+    rows: Vec<Row>,
+}
+
+impl Sheet {
+    fn row(
+        &mut self,
+        what: &str,
+        expected: String,
+        got: String,
+        tolerance: String,
+        passed: Option<bool>,
+    ) {
+        self.rows.push(Row {
+            id: String::new(),
+            what: what.to_owned(),
+            expected,
+            got,
+            tolerance,
+            passed,
+            seconds: 0.0,
+        });
+    }
+
+    /// |got - expected| <= tolerance |expected|.
+    pub(crate) fn relative(&mut self, what: &str, expected: f64, got: f64, tolerance: f64) {
+        let error = (got - expected).abs() / expected.abs();
+        self.row(
+            what,
+            number(expected),
+            format!("{} ({:+.1e})", number(got), (got - expected) / expected),
+            format!("{tolerance:e} relative"),
+            Some(error <= tolerance),
+        );
+    }
+
+    /// An error that may not be above its bound.
+    pub(crate) fn at_most(&mut self, what: &str, got: f64, bound: f64) {
+        let passed = Some(got <= bound);
+        self.row(what, "0".into(), number(got), number(bound), passed);
+    }
+
+    /// A rate of convergence.
+    pub(crate) fn at_least(&mut self, what: &str, got: f64, bound: f64) {
+        let passed = Some(got >= bound);
+        self.row(
+            what,
+            format!(">= {}", number(bound)),
+            number(got),
+            String::new(),
+            passed,
+        );
+    }
+
+    /// Something that holds or does not, in words.
+    pub(crate) fn holds(&mut self, what: &str, expected: &str, got: String, passed: bool) {
+        self.row(what, expected.into(), got, String::new(), Some(passed));
+    }
+
+    /// Something to know that no theory predicts.
+    pub(crate) fn told(&mut self, what: &str, got: String) {
+        self.row(what, String::new(), got, String::new(), None);
+    }
+
+    /// The case ended before its time.
+    pub(crate) fn failed(&mut self, problem: &str) {
+        self.row(
+            "ran to its end",
+            "yes".into(),
+            problem.lines().collect::<Vec<_>>().join("; "),
+            String::new(),
+            Some(false),
+        );
+    }
+
+    /// The rows of a case that took so many seconds.
+    pub(crate) fn finish(mut self, id: &str, seconds: f64) -> Vec<Row> {
+        if self.rows.is_empty() {
+            self.failed("the case found nothing out");
+        }
+        for row in &mut self.rows {
+            (row.id, row.seconds) = (id.to_owned(), seconds);
+        }
+        self.rows
+    }
+}
+
+/// Five digits.
+fn number(x: f64) -> String {
+    match x.abs() {
+        0.01..1e5 => {
+            let digits = (4 - x.abs().log10().floor() as i32).max(0);
+            format!("{x:.*}", digits as usize)
+        }
+        0.0 => "0".into(),
+        _ => format!("{x:.2e}"),
+    }
+}
+
+/// Rows as text, one a line.
+pub(crate) fn lines(rows: &[Row]) -> String {
+    let mut text = String::new();
+    for row in rows {
+        let [id, what, expected, got, tolerance, verdict, seconds] = row.cells();
+        let expected = match expected.is_empty() {
+            true => String::new(),
+            false => format!(", expected {expected}"),
+        };
+        let tolerance = match tolerance.is_empty() {
+            true => String::new(),
+            false => format!(", allowed {tolerance}"),
+        };
+        writeln!(
+            text,
+            "{verdict} {id:<20} {what}: {got}{expected}{tolerance}  [{seconds} s]"
+        )
+        .expect("a String takes everything");
+    }
+    text
+}
+
+/// Writes the table to `target/validate`.
+pub(crate) fn write(rows: &[Row], summary: &str) -> io::Result<()> {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("target/validate");
+    fs::create_dir_all(&folder)?;
+    let mut markdown = format!("{summary}\n\n| {} |\n", COLUMNS.join(" | "));
+    markdown += &format!("|{}\n", "---|".repeat(COLUMNS.len()));
+    let mut table = csv::Writer::from_path(folder.join("validation.csv"))?;
+    table.write_record(COLUMNS)?;
+    for row in rows {
+        let cells = row.cells();
+        table.write_record(&cells)?;
+        let cells = cells.map(|cell| cell.replace('|', "\\|"));
+        markdown += &format!("| {} |\n", cells.join(" | "));
+    }
+    table.flush()?;
+    fs::write(folder.join("validation.md"), markdown)
+}

@@ -1,0 +1,51 @@
+//! A beam of which 35 to 152 elements are inverted hangs quietly after 240 implicit steps.
+
+use crate::Case;
+use crate::lane::{Lane, Motion, largest};
+use crate::sheet::Sheet;
+use crate::solid_cases::{THROWS, hung_beam, inverted, thrown_about};
+
+pub(crate) fn cases() -> Vec<Case> {
+    Lane::ALL
+        .into_iter()
+        .map(|lane| {
+            Case::new(format!("inversion/{}", lane.name()), move |sheet| {
+                recovery(lane, sheet)
+            })
+        })
+        .collect()
+}
+
+fn recovery(lane: Lane, sheet: &mut Sheet) {
+    let scene = hung_beam();
+    for throw in THROWS {
+        let (u, before) = thrown_about(&scene, throw);
+        assert!((35..=152).contains(&before), "{before} inverted");
+        let mut motion = Motion::as_users_do(lane, &scene, 1.0 / 120.0);
+        motion.put(&u);
+        for _ in 0..240 {
+            motion.step();
+        }
+        let u = motion.state().displacement;
+        let after = inverted(&motion.solids, &u);
+        let elements = 0..motion.solids.elements.len();
+        let determinants =
+            elements.map(|element| motion.solids.stress_and_determinant(element, &u)[1]);
+        sheet.holds(
+            &format!("{before} of 336 elements inverted: after 240 steps"),
+            "0",
+            after.to_string(),
+            after == 0,
+        );
+        let worst = determinants.fold(f64::INFINITY, f64::min);
+        sheet.at_least(
+            &format!("{before} inverted: least det F at the end"),
+            worst,
+            0.8,
+        );
+        sheet.told(
+            &format!("{before} inverted: largest displacement at the end, m"),
+            format!("{:.4}", largest(&u)),
+        );
+    }
+}

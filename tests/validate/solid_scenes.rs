@@ -1,0 +1,276 @@
+//! Every scene of solids in `scenes/`, with at most so many nodes, in materials, steps and dampings far from those it was made for: no
+//! number that is not finite, a clear verdict of every solve, no energy that grows and grows.
+//!
+//! Energy is not conserved, and may be more than there was: walls and obstacles put nodes back where they belong after a step, which
+//! strains a body that is stiff for its weight and the step.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use cutwater::geometry::TetMesh;
+use cutwater::scene::{Scene, Solid, SolidMesh};
+use cutwater::state::State;
+
+use crate::Case;
+use crate::lane::{Lane, Motion};
+use crate::sheet::Sheet;
+use crate::solid_scene::solids_of;
+
+/// Nodes at most: on the device, which is a CPU here, and on the f64 path.
+const MOST_NODES: [(Lane, usize); 2] = [(Lane::Mixed, 64), (Lane::F64, 300)];
+const STEPS: usize = 1000;
+/// States are read back and looked through after so many steps.
+const LOOK: usize = 50;
+
+/// Pa
+const YOUNG: [f64; 4] = [1e3, 1e5, 1e7, 1e9];
+/// kg/m^3
+const DENSITY: [f64; 3] = [10.0, 300.0, 1e4];
+/// s
+const STEP: [f64; 3] = [1.0 / 1000.0, 1.0 / 120.0, 1.0 / 24.0];
+/// tau_M (1/s), tau_K (s)
+const DAMPING: [[f64; 2]; 2] = [[0.0, 0.0], [1.0, 2e-3]];
+
+/// Levels of Young's modulus, density, step and damping.
+fn combinations() -> Vec<[usize; 4]> {
+    let all: Vec<[usize; 4]> = (0..12)
+        .map(|number| {
+            let (young, density) = (number / 3, number % 3);
+            [young, density, (young + density) % 3, (young + density) % 2]
+        })
+        .collect();
+    // Every pair of levels of any two of the four occurs.
+    let levels = [YOUNG.len(), DENSITY.len(), STEP.len(), DAMPING.len()];
+    for a in 0..4 {
+        for b in 0..a {
+            let pairs: BTreeSet<[usize; 2]> = all.iter().map(|row| [row[a], row[b]]).collect();
+            assert_eq!(pairs.len(), levels[a] * levels[b], "pairs of {a} and {b}");
+        }
+    }
+    all
+}
+
+pub(crate) fn cases() -> Vec<Case> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes");
+    let mut files: Vec<PathBuf> = fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.extension().is_some_and(|end| end == "toml"))
+        .filter(|path| fs::read_to_string(path).unwrap().contains("[[solid]]"))
+        .collect();
+    files.sort();
+    let mut cases = Vec::new();
+    for file in files {
+        let name = file.file_stem().unwrap().to_string_lossy().into_owned();
+        for (number, levels) in combinations().into_iter().enumerate() {
+            for (lane, most) in MOST_NODES {
+                let file = file.clone();
+                cases.push(Case::new(
+                    format!("scenes/{name}/{:02}/{}", number + 1, lane.name()),
+                    move |sheet| endures(lane, most, &file, levels, sheet),
+                ));
+            }
+        }
+    }
+    cases
+}
+
+/// The number of nodes of all solids of a scene.
+fn n_nodes(scene: &Scene) -> usize {
+    let meshes = scene.solids.iter();
+    let nodes = meshes
+        .map(|solid| TetMesh::new(solid, "coarse").map_or(usize::MAX, |mesh| mesh.nodes.len()));
+    nodes.fold(0, usize::saturating_add)
+}
+
+/// A solid with cells that are longer by a factor. A mesh from a file is filled anew from its surface.
+fn coarser(solid: &Solid, factor: f64, folder: &Path) -> Solid {
+    let mut solid = solid.clone();
+    let fewer = |cells: usize| ((cells as f64 / factor).round() as usize).max(1);
+    solid.mesh = match solid.mesh {
+        SolidMesh::Box { size, cells } => SolidMesh::Box {
+            size,
+            cells: cells.map(fewer),
+        },
+        SolidMesh::Sphere { radius, cell_size } => SolidMesh::Sphere {
+            radius,
+            cell_size: factor * cell_size,
+        },
+        SolidMesh::Shell {
+            radius,
+            thickness,
+            cell_size,
+        } => SolidMesh::Shell {
+            radius,
+            thickness,
+            cell_size: factor * cell_size,
+        },
+        SolidMesh::Surface { file, cell_size } => SolidMesh::Surface {
+            file,
+            cell_size: factor * cell_size,
+        },
+        SolidMesh::File { .. } => {
+            let at_home = Solid {
+                placement: Default::default(),
+                ..solid.clone()
+            };
+            let mesh = TetMesh::new(&at_home, "file").unwrap();
+            let cell_size = factor * (6.0 * mesh.volume() / mesh.elements.len() as f64).cbrt();
+            let file = folder.join(format!("{}.obj", solid.name));
+            write_surface(&file, &mesh);
+            SolidMesh::Surface { file, cell_size }
+        }
+    };
+    solid
+}
+
+/// The surface of a mesh as OBJ.
+fn write_surface(file: &Path, mesh: &TetMesh) {
+    let triangles = mesh.surface();
+    let mut numbers = BTreeMap::new();
+    let mut text = String::new();
+    for &node in triangles.iter().flatten() {
+        let next = numbers.len() + 1;
+        numbers.entry(node).or_insert_with(|| {
+            let x = mesh.nodes[node as usize];
+            writeln!(text, "v {} {} {}", x.x, x.y, x.z).expect("a String takes everything");
+            next
+        });
+    }
+    for triangle in &triangles {
+        let [a, b, c] = triangle.map(|node| numbers[&node]);
+        writeln!(text, "f {a} {b} {c}").expect("a String takes everything");
+    }
+    fs::write(file, text).unwrap();
+}
+
+/// The scene with so many nodes at most.
+fn coarse(scene: &Scene, most: usize, folder: &Path) -> Scene {
+    let mut factor = 1.0;
+    loop {
+        let mut coarse = scene.clone();
+        for solid in &mut coarse.solids {
+            *solid = coarser(solid, factor, folder);
+        }
+        if n_nodes(&coarse) <= most {
+            return coarse;
+        }
+        factor *= 1.1;
+        assert!(factor < 100.0, "{} does not become coarse", scene.name);
+    }
+}
+
+/// Energy that may turn into motion and strain, J: that of the start, and that of a fall of all bodies through the domain.
+fn available(scene: &Scene, motion: &Motion) -> f64 {
+    let state = motion.state();
+    let solids = &motion.solids;
+    let kinetic: f64 = state
+        .node_velocity
+        .iter()
+        .zip(&solids.mass)
+        .map(|(v, mass)| 0.5 * mass * v.iter().map(|v| v * v).sum::<f64>())
+        .sum();
+    let elastic: f64 = (0..solids.elements.len())
+        .map(|element| {
+            let body = solids.body_of_element(element);
+            let strain = solids.deformation(element, &state.displacement).strain;
+            solids.volume[element] * cutwater::elastic::energy_density(strain, body.lambda, body.mu)
+        })
+        .sum();
+    let gravity = scene.domain.gravity;
+    let fall = (gravity.abs() * scene.domain.size).element_sum();
+    kinetic + elastic + fall * solids.mass.iter().sum::<f64>()
+}
+
+fn endures(
+    lane: Lane,
+    most: usize,
+    file: &Path,
+    [young, density, step, damping]: [usize; 4],
+    sheet: &mut Sheet,
+) {
+    let folder = tempfile::tempdir().unwrap();
+    let mut scene = coarse(&Scene::load(file, &[], 1.0).unwrap(), most, folder.path());
+    scene.probes.clear();
+    let (young, density, dt) = (YOUNG[young], DENSITY[density], STEP[step]);
+    let [mass_damping, stiffness_damping] = DAMPING[damping];
+    for solid in &mut scene.solids {
+        (solid.young, solid.density) = (young, density);
+        (solid.mass_damping, solid.stiffness_damping) = (mass_damping, stiffness_damping);
+    }
+    let n = solids_of(&scene).rest.len();
+    let mut motion = Motion::as_users_do(lane, &scene, dt);
+    let available = available(&scene, &motion);
+    let mut statuses: BTreeMap<&str, usize> = BTreeMap::new();
+    let (mut iterations, mut most_iterations) = (0, 0);
+    let (mut residual, mut min_det) = (0.0, f64::INFINITY);
+    // Largest kinetic and elastic energy in the first half of the steps, and in the second, J.
+    let mut energy = [0.0; 2];
+    let (mut finite, mut end) = (true, String::new());
+    for number in 1..=STEPS {
+        let report = match motion.simulation.step() {
+            Ok(report) => report.solid.unwrap(),
+            Err(error) => {
+                end = format!(", step {number}: {error}");
+                break;
+            }
+        };
+        let (solve, diagnosis) = (report.solve, report.diagnosis);
+        *statuses.entry(solve.status.name()).or_default() += 1;
+        iterations += solve.iterations;
+        most_iterations = solve.iterations.max(most_iterations);
+        residual = f64::max(residual, solve.residual);
+        min_det = f64::min(min_det, diagnosis.min_det);
+        let half = &mut energy[usize::from(number > STEPS / 2)];
+        *half = f64::max(*half, diagnosis.kinetic_energy + diagnosis.elastic_energy);
+        let told = [
+            solve.residual,
+            diagnosis.kinetic_energy,
+            diagnosis.elastic_energy,
+            diagnosis.potential_energy,
+            diagnosis.max_speed,
+            diagnosis.min_det,
+        ];
+        finite &= told.iter().all(|x| x.is_finite());
+        if number % LOOK == 0 {
+            let State {
+                displacement,
+                node_velocity,
+                ..
+            } = motion.state();
+            let numbers = displacement.iter().chain(&node_velocity).flatten();
+            finite &= numbers.into_iter().all(|x| x.is_finite());
+        }
+    }
+    let what = format!(
+        "E {young:.0e} Pa, {density} kg/m^3, dt 1/{:.0} s, damping {mass_damping}, {stiffness_damping}",
+        1.0 / dt
+    );
+    let steps: usize = statuses.values().sum();
+    let statuses: Vec<String> = statuses
+        .iter()
+        .map(|(name, count)| format!("{count} {name}"))
+        .collect();
+    sheet.holds(
+        &format!("{what}; {n} nodes"),
+        "1000 finite steps",
+        format!(
+            "{}{end}; {:.1} iterations, {most_iterations} at most; residual <= {residual:.0e}; det F >= {min_det:.2}",
+            statuses.join(", "),
+            f64::from(iterations) / steps.max(1) as f64
+        ),
+        finite && steps == STEPS,
+    );
+    let [first, second] = energy.map(|energy| energy / available);
+    sheet.at_most(
+        &format!("{what}: largest energy of the second half, over that of the first or over what there was at the start"),
+        second / first.max(1.0),
+        2.0,
+    );
+    sheet.told(
+        &format!("{what}: largest energy over what there was at the start"),
+        format!("{:.3}", first.max(second)),
+    );
+}
