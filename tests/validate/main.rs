@@ -24,6 +24,7 @@ mod solid_modes;
 mod solid_scene;
 
 mod lane;
+mod liquid;
 mod sheet;
 mod solid_balances;
 mod solid_elements;
@@ -73,6 +74,7 @@ impl Case {
 /// All cases, in the order of the table.
 fn cases() -> Vec<Case> {
     [
+        liquid::cases(),
         solid_elements::cases(),
         solid_statics::cases(),
         solid_motion::cases(),

@@ -1,0 +1,319 @@
+//! Cases of liquid alone.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use cutwater::gpu::AdapterChoice;
+use cutwater::scene::Scene;
+use cutwater::sim::{Backend, Simulation};
+use cutwater::state::{SolveStatus, StepReport};
+
+use crate::Case;
+use crate::sheet::Sheet;
+
+const GRAVITY: f64 = 9.81;
+
+pub(crate) fn cases() -> Vec<Case> {
+    vec![
+        Case::new("F1", pool_at_rest),
+        Case::new("F2", sphere_at_rest),
+        Case::new("F3", dam_release),
+        Case::new("F4", standing_wave),
+        Case::new("F11", collapsing_column),
+        Case::new("free_fall", free_fall),
+        Case::new("volume", volume),
+    ]
+}
+
+fn file(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
+}
+
+/// A scene of `scenes/`, with overrides.
+fn shipped(name: &str, overrides: &[&str], scale: f64) -> Scene {
+    let overrides: Vec<String> = overrides.iter().map(|&text| text.to_owned()).collect();
+    Scene::load(&file(&format!("scenes/{name}.toml")), &overrides, scale)
+        .unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn written(text: &str) -> Scene {
+    let folder = tempfile::tempdir().expect("a folder for the scene");
+    let path = folder.path().join("case.toml");
+    fs::write(&path, text).expect("the scene is written");
+    Scene::load(&path, &[], 1.0).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn simulation(scene: &Scene, backend: &Backend) -> Simulation {
+    Simulation::new(scene, backend).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn gpu() -> Backend {
+    Backend::Gpu(AdapterChoice::Best)
+}
+
+/// One sub-step, whose solve must have converged.
+fn step(simulation: &mut Simulation) -> StepReport {
+    let report = simulation.step().unwrap_or_else(|error| panic!("{error}"));
+    let liquid = report.liquid.expect("the scene has liquid");
+    assert_eq!(liquid.solve.status, SolveStatus::Converged, "{report:?}");
+    report
+}
+
+/// The numbers of a table with `#` lines and a line of names.
+fn table(name: &str) -> Vec<Vec<f64>> {
+    let text = fs::read_to_string(file(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
+    let rows = text.lines().filter(|line| !line.starts_with('#')).skip(1);
+    rows.map(|line| {
+        let fields = line.split(',');
+        fields
+            .map(|field| field.parse().expect("a number"))
+            .collect()
+    })
+    .collect()
+}
+
+/// Largest speed of each of twenty sub-steps, over g dt.
+fn speeds_at_rest(simulation: &mut Simulation) -> Vec<f64> {
+    let speed = |report: StepReport| {
+        let liquid = report.liquid.expect("the scene has liquid");
+        liquid.diagnosis.max_speed / (GRAVITY * report.dt)
+    };
+    (0..20).map(|_| speed(step(simulation))).collect()
+}
+
+fn largest(values: &[f64]) -> f64 {
+    values.iter().copied().fold(0.0, f64::max)
+}
+
+/// Speeds at rest on both paths and with both surfaces; the GPU's simulation with a fixed one.
+fn at_rest(name: &str, sheet: &mut Sheet) -> Simulation {
+    let fixed = "liquid.surface=\"fixed\"";
+    let scene = shipped(name, &[fixed], 1.0);
+    let mut on_gpu = simulation(&scene, &gpu());
+    let speeds = speeds_at_rest(&mut on_gpu);
+    let bound = (10.0 * scene.solver.tolerance).max(2e-6);
+    let what = "fixed surface, 20 sub-steps: largest speed / (g dt)";
+    sheet.at_most(what, largest(&speeds), bound);
+    let tight = ["solver.tolerance=1e-13", fixed];
+    let mut on_cpu = simulation(&shipped(name, &tight, 0.5), &Backend::Cpu);
+    let speeds = speeds_at_rest(&mut on_cpu);
+    let what = "the same on the CPU in f64, half the cells";
+    sheet.at_most(what, largest(&speeds), 1e-11);
+    let markers = ["liquid.surface=\"markers\""];
+    let speeds = speeds_at_rest(&mut simulation(&shipped(name, &markers, 1.0), &gpu()));
+    let what = "markers, first sub-step: largest speed / (g dt)";
+    sheet.at_most(what, speeds[0], 1.0);
+    sheet.told("markers, after 20 sub-steps", format!("{:.4}", speeds[19]));
+    on_gpu
+}
+
+/// The level, m, above which `hydrostatic_block` has no liquid.
+fn level(scene: &Scene) -> f64 {
+    let liquid = scene.liquid.as_ref().expect("the scene has liquid");
+    match liquid.regions[0].shape {
+        cutwater::scene::Shape::HalfSpace { point, .. } => point.y,
+        ref other => panic!("{other:?}"),
+    }
+}
+
+fn pool_at_rest(sheet: &mut Sheet) {
+    let simulation = at_rest("hydrostatic_block", sheet);
+    let scene = shipped("hydrostatic_block", &[], 1.0);
+    let (grid, level) = (scene.grid(), level(&scene));
+    let state = simulation.state().unwrap_or_else(|error| panic!("{error}"));
+    let density = scene.liquid.expect("the scene has liquid").density;
+    let errors: Vec<f64> = (0..grid.n_cells())
+        .filter(|&cell| state.active[cell])
+        .map(|cell| {
+            let depth = level - grid.cell_centre(grid.cell_at(cell)).y;
+            (state.pressure[cell] / (density * GRAVITY) - depth).abs() / level
+        })
+        .collect();
+    let what = "fixed surface: largest error of p / (rho g H)";
+    sheet.at_most(what, largest(&errors), 1e-6);
+}
+
+fn sphere_at_rest(sheet: &mut Sheet) {
+    at_rest("sphere_half_full", sheet);
+}
+
+fn dam_release(sheet: &mut Sheet) {
+    // A column 32 cells high and wide, free on top and to the right; a probe at each point of the table.
+    let mut text =
+        "[domain]\nsize = [1.0, 0.75, 0.03125]\ncells = [64, 48, 2]\n[time]\nduration = 1\n\
+                    [liquid]\nsurface = \"fixed\"\n\
+                    [[liquid.region]]\nbox = { min = [0, 0, 0], max = [0.5, 0.5, 0.03125] }\n"
+            .to_owned();
+    // The acceleration is singular at the corner, and probes interpolate between centres: none half a cell from a side.
+    let inside = |row: &&Vec<f64>| {
+        let [x, y] = [row[0], row[1]];
+        let from_corner = (x - 1.0).hypot(y);
+        let covered = |at: f64| (1.0 / 64.0..1.0 - 1.0 / 64.0).contains(&at);
+        from_corner > 4.0 / 32.0 && covered(x) && covered(y)
+    };
+    let rows = table("tests/data/dam_release_pressure.csv");
+    let rows: Vec<&Vec<f64>> = rows.iter().filter(inside).collect();
+    for (number, row) in rows.iter().enumerate() {
+        let point = [0.5 * row[0], 0.5 * row[1], 0.015625];
+        text += &format!("[[probe]]\nname = \"p{number}\"\npressure = {{ point = {point:?} }}\n");
+    }
+    let mut simulation = simulation(&written(&text), &gpu());
+    step(&mut simulation);
+    let got = simulation
+        .probes()
+        .unwrap_or_else(|error| panic!("{error}"));
+    let errors: Vec<f64> = rows
+        .iter()
+        .zip(&got)
+        .map(|(row, p)| (p / (1000.0 * GRAVITY * 0.5) - row[2]).abs())
+        .collect();
+    let what = format!("largest error of p / (rho g H) at {} points", errors.len());
+    sheet.at_most(&what, largest(&errors), 0.02);
+}
+
+/// Times at which a series passes a value, linear between samples.
+fn crossings(series: &[(f64, f64)], value: f64) -> Vec<f64> {
+    let passes = series.windows(2).filter_map(|pair| {
+        let [(t0, a), (t1, b)] = [pair[0], pair[1]].map(|(t, h)| (t, h - value));
+        (a * b < 0.0).then(|| t0 + (t1 - t0) * a / (a - b))
+    });
+    passes.collect()
+}
+
+fn standing_wave(sheet: &mut Sheet) {
+    let scene = shipped("standing_wave", &[], 1.0);
+    let mut simulation = simulation(&scene, &gpu());
+    let mut walls = [Vec::new(), Vec::new()];
+    while simulation.clock().frame < scene.n_frames() {
+        step(&mut simulation);
+        let heights = simulation
+            .probes()
+            .unwrap_or_else(|error| panic!("{error}"));
+        for (wall, height) in walls.iter_mut().zip(heights) {
+            wall.push((simulation.clock().time, height));
+        }
+    }
+    // Lamb, Hydrodynamics, art. 228.
+    let k = std::f64::consts::PI / 2.0;
+    let period = std::f64::consts::TAU / (GRAVITY * k * k.tanh()).sqrt();
+    let periods = walls.map(|wall| {
+        let times = crossings(&wall, 1.0);
+        (times[4] - times[0]) / 2.0
+    });
+    let mean = 0.5 * (periods[0] + periods[1]);
+    let what = "period over two periods, mean of both walls, s";
+    sheet.relative(what, period, mean, 0.02);
+}
+
+fn collapsing_column(sheet: &mut Sheet) {
+    // A column of 20 x 40 cells, four across; the gate of the experiment is absent.
+    let a = 0.05715;
+    let text = format!(
+        "[domain]\nsize = [{}, {}, {}]\ncells = [100, 48, 4]\n[time]\nduration = 1\nframes_per_second = 100\n\
+         [[liquid.region]]\nbox = {{ min = [0, 0, 0], max = [{a}, {}, {}] }}\n\
+         [[probe]]\nname = \"front\"\nfront = {{ axis = \"x\" }}\n",
+        5.0 * a,
+        2.4 * a,
+        0.2 * a,
+        2.0 * a,
+        0.2 * a,
+    );
+    let mut simulation = simulation(&written(&text), &gpu());
+    let scaled = (2.0 * GRAVITY / a).sqrt();
+    let mut front = vec![(0.0, 1.0)];
+    while front.last().is_some_and(|&(t, _)| t < 3.4) {
+        step(&mut simulation);
+        let x = simulation
+            .probes()
+            .unwrap_or_else(|error| panic!("{error}"))[0];
+        front.push((simulation.clock().time * scaled, x / a));
+    }
+    let z_at = |t: f64| {
+        let after = front.partition_point(|&(time, _)| time < t).max(1);
+        let [(t0, z0), (t1, z1)] = [front[after - 1], front[after]];
+        z0 + (z1 - z0) * (t - t0) / (t1 - t0)
+    };
+    let measured = table("tests/data/martin_moyce_front.csv");
+    let late: Vec<[f64; 2]> = measured
+        .iter()
+        .map(|row| [row[0], row[1]])
+        .filter(|[t, _]| (1.1..3.0).contains(t))
+        .collect();
+    // Slopes by least squares over the same times.
+    let slope = |points: &[[f64; 2]]| {
+        let n = points.len() as f64;
+        let [t, z] = [0, 1].map(|c| points.iter().map(|point| point[c]).sum::<f64>() / n);
+        let across = points.iter().map(|p| (p[0] - t) * (p[1] - z)).sum::<f64>();
+        across / points.iter().map(|p| (p[0] - t).powi(2)).sum::<f64>()
+    };
+    let own: Vec<[f64; 2]> = late.iter().map(|&[t, _]| [t, z_at(t)]).collect();
+    let expected = slope(&late);
+    let what = "speed of the front, dZ/dT for T from 1.2 to 3";
+    sheet.relative(what, expected, slope(&own), 0.05);
+    let off = measured
+        .iter()
+        .map(|row| (z_at(row[0]) / row[1] - 1.0).abs());
+    let what = "largest error of Z, without a shift in time";
+    sheet.at_most(what, off.fold(0.0, f64::max), 0.1);
+}
+
+fn free_fall(sheet: &mut Sheet) {
+    let text = "[domain]\nsize = [1, 1, 1]\ncells = [32, 32, 32]\n[time]\nduration = 1\n[liquid]\nvolume_control = false\n\
+                [[liquid.region]]\nsphere = { centre = [0.3, 0.7, 0.3], radius = 0.15 }\nvelocity = [1.5, 0.5, 1.5]\n";
+    let mut simulation = simulation(&written(text), &gpu());
+    let centre = |simulation: &Simulation| {
+        let state = simulation.state().unwrap_or_else(|error| panic!("{error}"));
+        let n = state.markers.len() as f64;
+        [0, 1, 2].map(|a| state.markers.iter().map(|x| x[a]).sum::<f64>() / n)
+    };
+    let start = centre(&simulation);
+    let mut last = None;
+    // Moves come before gravity in a sub-step: after n of them the way down is g dt^2 n (n - 1) / 2.
+    let mut fallen = 0.0;
+    let mut speed = 0.5;
+    for _ in 0..6 {
+        let report = step(&mut simulation);
+        fallen += speed * report.dt;
+        speed -= GRAVITY * report.dt;
+        last = Some(report);
+    }
+    let end = centre(&simulation);
+    let time = simulation.clock().time;
+    let way = [1.5 * time, fallen, 1.5 * time];
+    let off = (0..3).map(|a| (end[a] - start[a] - way[a]).abs() / (1.5 * time));
+    let what = "way of the centre of mass, relative error";
+    sheet.at_most(what, off.fold(0.0, f64::max), 1e-4);
+    let diagnosis = last
+        .and_then(|report| report.liquid)
+        .expect("six sub-steps")
+        .diagnosis;
+    let velocity = diagnosis.momentum.map(|p| p / (1000.0 * diagnosis.volume));
+    let what = "mean velocity down after 6 sub-steps, m/s";
+    sheet.relative(what, speed, velocity[1], 1e-3);
+}
+
+fn volume(sheet: &mut Sheet) {
+    for (what, control) in [("with volume control", true), ("without", false)] {
+        let control_key = format!("liquid.volume_control={control}");
+        let scene = shipped(
+            "dam_break_liquid",
+            &["time.duration=10.0", &control_key],
+            1.0,
+        );
+        let mut simulation = simulation(&scene, &gpu());
+        let mut range = [1.0_f64; 2];
+        while simulation.clock().frame < scene.n_frames() {
+            let report = step(&mut simulation);
+            let ratio = simulation.volume_ratio(&report);
+            let ratio = ratio.expect("the scene has liquid");
+            range = [range[0].min(ratio), range[1].max(ratio)];
+        }
+        for (end, ratio) in ["least", "largest"].into_iter().zip(range) {
+            let what = format!("{end} volume over 10 s of dam_break_liquid, {what}");
+            match control {
+                true => sheet.relative(&what, 1.0, ratio, 0.03),
+                false => sheet.told(&what, format!("{ratio:.4}")),
+            }
+        }
+    }
+}
