@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand, ValueEnum};
 use cutwater::Error;
 use cutwater::gpu::Gpu;
+use cutwater::measure::bench_solids;
 use cutwater::measure::bench_solve::{self, Options};
 use cutwater::measure::bench_sort;
 use cutwater::measure::bench_step;
@@ -13,7 +14,7 @@ use cutwater::scene::{Precision, Preconditioner, Scene, Solver};
 
 use super::AdapterArgs;
 
-/// Measure the solve, the whole step, or the sort
+/// Measure the solves, the whole step, or the sort
 #[derive(Debug, Args)]
 pub(super) struct Bench {
     #[command(subcommand)]
@@ -24,10 +25,51 @@ pub(super) struct Bench {
 enum What {
     /// The pressure solve on the pressure-only base block, against the grid: solve.csv, solve.json, solve.svg
     Solve(Solve),
+    /// The solve of elastic solids against their size, and against sparse Cholesky: solids.csv, solids.json, solids.svg
+    Solids(Solids),
     /// Whole sub-steps of scenes, stage by stage: step.csv, step_stages.csv, step.json, step.svg
     Step(Step),
     /// The sort of keys and values on the device, against the length of the list: sort.csv, sort.json
     Sort(Sort),
+}
+
+#[derive(Debug, Args)]
+struct Solids {
+    /// Nodes of the bodies, about
+    #[arg(long, value_delimiter = ',', default_values_t = [1_000, 10_000, 100_000])]
+    nodes: Vec<usize>,
+    /// Bodies to measure
+    #[arg(long, value_enum, value_delimiter = ',', default_values_t = [BodyName::Beam])]
+    body: Vec<BodyName>,
+    /// Young's modulus, Pa
+    #[arg(long, default_value_t = 2e5)]
+    young: f64,
+    /// Density, kg/m^3
+    #[arg(long, default_value_t = 1000.0)]
+    density: f64,
+    /// Length of the sub-steps, s
+    #[arg(long, default_value_t = 1.0 / 120.0)]
+    step: f64,
+    /// Timed solves per row
+    #[arg(long, default_value_t = 5)]
+    repeats: usize,
+    /// Relative tolerance of the true residual
+    #[arg(long, default_value_t = 1e-8)]
+    tolerance: f64,
+    /// PCG iterations in all rounds
+    #[arg(long, default_value_t = 5000)]
+    max_iterations: u32,
+    /// Precision to measure
+    #[arg(long, value_enum, default_value_t = PrecisionName::Mixed)]
+    precision: PrecisionName,
+    /// Factors of more GiB are not computed
+    #[arg(long, value_name = "GIB", default_value_t = 4.0)]
+    largest_factor: f64,
+    /// Folder of the results
+    #[arg(long, default_value = "out/bench_solids")]
+    out: PathBuf,
+    #[command(flatten)]
+    adapter: AdapterArgs,
 }
 
 #[derive(Debug, Args)]
@@ -112,6 +154,22 @@ enum PrecisionName {
     F64,
 }
 
+impl PrecisionName {
+    fn precision(self) -> Precision {
+        match self {
+            PrecisionName::F32 => Precision::F32,
+            PrecisionName::Mixed => Precision::Mixed,
+            PrecisionName::F64 => Precision::F64,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum BodyName {
+    Beam,
+    Block,
+}
+
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum PreconditionerName {
     Multigrid,
@@ -120,11 +178,14 @@ enum PreconditionerName {
 
 /// Cells along an edge of the base block: 2^30 in all at most, as of a scene.
 const GRIDS: std::ops::RangeInclusive<usize> = 2..=1024;
+/// Nodes of the bodies: a solid of more does not fit into the memory of most hosts.
+const NODES: std::ops::RangeInclusive<usize> = 8..=1 << 22;
 
 impl Bench {
     pub(super) fn run(&self) -> Result<(), Error> {
         match &self.what {
             What::Solve(solve) => solve.run(),
+            What::Solids(solids) => solids.run(),
             What::Step(step) => step.run(),
             What::Sort(sort) => sort.run(),
         }
@@ -137,6 +198,99 @@ fn tell_machine(machine: &Machine) {
         machine.adapter,
         machine.copy_bandwidth.median * 1e-9
     );
+}
+
+fn check_tolerance(tolerance: f64) -> Result<(), Error> {
+    if tolerance > 0.0 && tolerance < 1.0 {
+        return Ok(());
+    }
+    Err(Error::input(
+        format!("--tolerance {tolerance}"),
+        "no residual can meet it",
+        "give a number above 0 and below 1, such as 1e-8",
+    ))
+}
+
+impl Solids {
+    fn run(&self) -> Result<(), Error> {
+        if let Some(&nodes) = self.nodes.iter().find(|n| !NODES.contains(n)) {
+            return Err(Error::input(
+                format!("--nodes {nodes}"),
+                "too few or too many nodes for a body",
+                "give 8 to 4194304 nodes",
+            ));
+        }
+        for (key, number, example) in [
+            ("young", self.young, "1e6"),
+            ("density", self.density, "1000"),
+            ("step", self.step, "0.01"),
+            ("largest-factor", self.largest_factor, "4"),
+        ] {
+            if !(number > 0.0 && number.is_finite()) {
+                return Err(Error::input(
+                    format!("--{key} {number}"),
+                    "not a number above 0",
+                    format!("give one, such as {example}"),
+                ));
+            }
+        }
+        check_tolerance(self.tolerance)?;
+        let options = bench_solids::Options {
+            bodies: self
+                .body
+                .iter()
+                .map(|body| match body {
+                    BodyName::Beam => bench_solids::Body::Beam,
+                    BodyName::Block => bench_solids::Body::Block,
+                })
+                .collect(),
+            nodes: self.nodes.clone(),
+            young: self.young,
+            density: self.density,
+            step: self.step,
+            repeats: self.repeats,
+            largest_factor: self.largest_factor * (1u64 << 30) as f64,
+            solver: Solver {
+                tolerance: self.tolerance,
+                max_iterations: self.max_iterations,
+                precision: self.precision.precision(),
+                ..Solver::default()
+            },
+            adapter: self.adapter.choice(),
+        };
+        say!(
+            "body    nodes  unknowns  iterations x degree  seconds (least, largest)  residual  of copy bandwidth  Cholesky: order, factor, solve  ratio"
+        );
+        let table = bench_solids::bench_solids(&options, &self.out, &mut |row| {
+            let factor = match (row.factor_seconds, row.substitution_seconds, row.ratio) {
+                (Some(factor), Some(solve), Some(ratio)) => {
+                    format!("{factor:.3}, {solve:.3}  {ratio:.2}")
+                }
+                _ => format!(
+                    "left out, {:.1} GiB",
+                    row.factor_bytes / (1u64 << 30) as f64
+                ),
+            };
+            say!(
+                "{:5} {:7}  {:8}  {:10} x {:6}  {:.4} ({:.4}, {:.4})  {:.1e} {}  {:.0} %  {:.3}, {factor}",
+                row.body,
+                row.nodes,
+                row.unknowns,
+                row.iterations,
+                row.degree,
+                row.seconds_median,
+                row.seconds_min,
+                row.seconds_max,
+                row.residual,
+                row.status,
+                100.0 * row.share_of_copy_bandwidth,
+                row.ordering_seconds,
+            );
+        })?;
+        tell_machine(&table.machine);
+        say!("table and picture: {}", self.out.display());
+        Ok(())
+    }
 }
 
 impl Sort {
@@ -187,15 +341,16 @@ impl Step {
             adapter: self.adapter.choice(),
         };
         say!(
-            "scene                       cells  unknowns   markers  sub-steps  ms (least, largest)  of copy bandwidth"
+            "scene                       cells  unknowns   markers     nodes  sub-steps  ms (least, largest)  of copy bandwidth"
         );
         let table = bench_step::bench_step(&options, &self.out, &mut |row| {
             say!(
-                "{:24} {:8}  {:8}  {:8}  {:9}  {:.2} ({:.2}, {:.2})  {:.0} %",
+                "{:24} {:8}  {:8}  {:8}  {:8}  {:9}  {:.2} ({:.2}, {:.2})  {:.0} %",
                 row.scene,
                 row.cells,
-                row.unknowns,
+                row.unknowns + row.solid_unknowns,
                 row.markers,
+                row.nodes,
                 row.sub_steps,
                 1e3 * row.seconds_median,
                 1e3 * row.seconds_min,
@@ -226,13 +381,7 @@ impl Solve {
                 "give grids of 2 to 1024 cells",
             ));
         }
-        if !(self.tolerance > 0.0 && self.tolerance < 1.0) {
-            return Err(Error::input(
-                format!("--tolerance {}", self.tolerance),
-                "no residual can meet it",
-                "give a number above 0 and below 1, such as 1e-8",
-            ));
-        }
+        check_tolerance(self.tolerance)?;
         let gpu = Gpu::new(&self.adapter.choice())?;
         let mut solvers = Vec::new();
         for precision in &self.precision {
@@ -240,11 +389,7 @@ impl Solve {
                 solvers.push(Solver {
                     tolerance: self.tolerance,
                     max_iterations: self.max_iterations,
-                    precision: match precision {
-                        PrecisionName::F32 => Precision::F32,
-                        PrecisionName::Mixed => Precision::Mixed,
-                        PrecisionName::F64 => Precision::F64,
-                    },
+                    precision: precision.precision(),
                     preconditioner: match preconditioner {
                         PreconditionerName::Multigrid => Preconditioner::Multigrid,
                         PreconditionerName::Jacobi => Preconditioner::Jacobi,

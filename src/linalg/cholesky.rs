@@ -9,7 +9,7 @@ use faer::{Conj, MatMut, Par, Side};
 use super::Csr;
 use crate::Error;
 
-/// faer works on one thread here, so that a factor does not depend on how many there are.
+/// faer works on one thread but where it is told otherwise, so that a factor does not depend on how many there are.
 const PAR: Par = Par::Seq;
 
 /// The ordering and the pattern of a factor: reusable for every matrix with the same stored places.
@@ -43,6 +43,15 @@ impl SymbolicCholesky {
 
     /// Factorises a symmetric positive definite matrix of the pattern given to [`SymbolicCholesky::new`].
     pub fn factorise(&self, matrix: &Csr) -> Result<Cholesky<'_>, Error> {
+        self.factorise_on(matrix, PAR)
+    }
+
+    /// The same on all cores: the last bits of the factor depend on how many there are.
+    pub fn factorise_in_parallel(&self, matrix: &Csr) -> Result<Cholesky<'_>, Error> {
+        self.factorise_on(matrix, Par::rayon(0))
+    }
+
+    fn factorise_on(&self, matrix: &Csr, par: Par) -> Result<Cholesky<'_>, Error> {
         assert_eq!(
             matrix.n_entries(),
             self.n_entries,
@@ -51,14 +60,14 @@ impl SymbolicCholesky {
         let mut values = vec![0.0; self.factor.len_val()];
         let scratch = self
             .factor
-            .factorize_numeric_llt_scratch::<f64>(PAR, Default::default());
+            .factorize_numeric_llt_scratch::<f64>(par, Default::default());
         self.factor
             .factorize_numeric_llt(
                 &mut values,
                 view(matrix),
                 Side::Upper,
                 LltRegularization::default(),
-                PAR,
+                par,
                 MemStack::new(&mut MemBuffer::new(scratch)),
                 Default::default(),
             )

@@ -123,7 +123,8 @@ fn bytes_per_solve(
     unknowns * (bytes_per_iterations(not_uniform, iterations, rounds, widths) + set_up)
 }
 
-fn name(precision: Precision) -> &'static str {
+/// How a precision is spelled in the tables.
+pub(super) fn name(precision: Precision) -> &'static str {
     match precision {
         Precision::F32 => "f32",
         Precision::Mixed => "mixed",

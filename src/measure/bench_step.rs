@@ -14,13 +14,15 @@ use serde::Serialize;
 
 use crate::Error;
 use crate::effects::Effects;
+use crate::elastic::Bounds;
 use crate::gpu::AdapterChoice;
 use crate::scene::Scene;
 use crate::sim::{Backend, Simulation};
 use crate::stages::extrapolation_layers;
-use crate::state::{LiquidReport, StepReport};
+use crate::state::{LiquidReport, SolidReport, StepReport};
 
 use super::bench_solve::bytes_per_iterations;
+use super::solid_bytes::SolidBytes;
 use super::statistics::Spread;
 use super::table::{Machine, write_csv, write_json, write_svg};
 
@@ -54,6 +56,14 @@ pub struct Row {
     pub band_cells: f64,
     /// Iterations of the pressure solve.
     pub iterations: f64,
+    /// Nodes of the solids.
+    pub nodes: usize,
+    /// Elements of the solids.
+    pub elements: usize,
+    /// Unknowns of the solids' solve.
+    pub solid_unknowns: f64,
+    /// Iterations of the solids' solve.
+    pub solid_iterations: f64,
     /// Sub-steps timed.
     pub sub_steps: usize,
     /// Wall-clock seconds of a sub-step.
@@ -200,6 +210,8 @@ struct Run {
     samples: Vec<Sample>,
     /// Share of the active quads whose weights are loaded.
     not_uniform: f64,
+    /// What decides the bytes of the solids' stages, and the degree of their preconditioner; `None` without solids.
+    solids: Option<(SolidBytes, Bounds)>,
 }
 
 /// One sub-step.
@@ -215,6 +227,11 @@ impl Sample {
         self.report.liquid.map_or(0.0, number)
     }
 
+    /// What the step did to the solids, as a number; 0 without solids.
+    fn of_solids(&self, number: fn(SolidReport) -> f64) -> f64 {
+        self.report.solid.map_or(0.0, number)
+    }
+
     fn unknowns(&self) -> f64 {
         self.of_liquid(|liquid| liquid.solve.unknowns as f64)
     }
@@ -222,13 +239,22 @@ impl Sample {
     fn iterations(&self) -> f64 {
         self.of_liquid(|liquid| f64::from(liquid.solve.iterations))
     }
+
+    fn solid_iterations(&self) -> f64 {
+        self.of_solids(|solid| f64::from(solid.solve.iterations))
+    }
 }
 
 impl Run {
     fn new(scene: &Scene, adapter: &AdapterChoice) -> Result<Run, Error> {
+        let simulation = Simulation::new(scene, &Backend::Gpu(adapter.clone()))?;
+        let path = simulation.gpu_path().expect("benches run on the GPU path");
+        let widths = path.scalar_bytes();
+        let solids = path.solids();
         Ok(Run {
             scene: scene.clone(),
-            simulation: Simulation::new(scene, &Backend::Gpu(adapter.clone()))?,
+            solids: solids.map(|solids| (SolidBytes::new(solids, widths), Bounds::new(solids))),
+            simulation,
             samples: Vec::new(),
             not_uniform: 1.0,
         })
@@ -297,6 +323,10 @@ impl Run {
             unknowns: median(&Sample::unknowns),
             band_cells: median(&|sample| sample.band_cells as f64),
             iterations: median(&Sample::iterations),
+            nodes: self.simulation.solids().rest.len(),
+            elements: self.simulation.solids().elements.len(),
+            solid_unknowns: median(&|sample| sample.of_solids(|solid| solid.solve.unknowns as f64)),
+            solid_iterations: median(&Sample::solid_iterations),
             sub_steps: self.samples.len(),
             seconds_median: seconds.median,
             seconds_min: seconds.min,
@@ -307,13 +337,49 @@ impl Run {
         (row, stages)
     }
 
-    /// Bytes that a stage must move in a sub-step, every array that a kernel needs once, reads and writes: per cell of the band,
-    /// per unknown, per marker, and per padded cell of the domain where flags are counted. Words of a quad (flags, marks, list
-    /// entries) count a byte per cell.
+    /// Bytes of a scalar of the solve's unknowns, and of its corrections.
+    fn scalar_bytes(&self) -> [f64; 2] {
+        let path = self.simulation.gpu_path();
+        let path = path.expect("benches run on the GPU path");
+        path.scalar_bytes().map(|bytes| bytes as f64)
+    }
+
+    /// Bytes that a stage must move in a sub-step, every array that a kernel needs once, reads and writes.
     fn bytes(&self, stage: &str, sample: &Sample) -> f64 {
+        let mut bytes = 0.0;
+        if self.scene.liquid.is_some() {
+            bytes += self.liquid_bytes(stage, sample);
+        }
+        if let Some(solids) = &self.solids {
+            bytes += self.solid_bytes(solids, stage, sample);
+        }
+        bytes
+    }
+
+    fn solid_bytes(
+        &self,
+        (bytes, bounds): &(SolidBytes, Bounds),
+        stage: &str,
+        sample: &Sample,
+    ) -> f64 {
         let effects = Effects::of(&self.scene);
-        let scalars = self.simulation.gpu_path().map(|path| path.scalar_bytes());
-        let [real, inner] = scalars.unwrap_or([8, 4]).map(|bytes| bytes as f64);
+        if stage != "solve" {
+            return bytes.of_stage(stage, effects.scripts, effects.obstacles);
+        }
+        let degree = bounds.chebyshev_degree(self.simulation.solids(), sample.report.dt);
+        // A round in f64 does it all; in f32 it takes another, as a rule.
+        let rounds = match self.scalar_bytes() {
+            [8.0, _] => 1.0,
+            _ => 2.0,
+        };
+        bytes.of_solve(degree as f64, sample.solid_iterations(), rounds)
+    }
+
+    /// Per cell of the band, per unknown, per marker, and per padded cell of the domain where flags are counted. Words of a quad
+    /// (flags, marks, list entries) count a byte per cell.
+    fn liquid_bytes(&self, stage: &str, sample: &Sample) -> f64 {
+        let effects = Effects::of(&self.scene);
+        let [real, inner] = self.scalar_bytes();
         let padded = self.scene.grid().padded().len() as f64;
         // The coarser levels hold a seventh of the finest.
         let all_levels = padded * 8.0 / 7.0;
@@ -361,7 +427,8 @@ impl Run {
 }
 
 /// The stages that move bytes.
-const STAGES: [&str; 12] = [
+const STAGES: [&str; 14] = [
+    "move_solid",
     "advect_markers",
     "band",
     "advect_velocity",
@@ -369,6 +436,7 @@ const STAGES: [&str; 12] = [
     "liquid_distance",
     "active_cells",
     "closed_components",
+    "solid_matrices",
     "right_hand_side",
     "solve",
     "write_back",

@@ -1,11 +1,13 @@
 //! Measurements: benches, comparisons, reports. Speed is claimed here only, as medians with their spread.
 
 pub mod bandwidth;
+pub mod bench_solids;
 pub mod bench_solve;
 pub mod bench_sort;
 pub mod bench_step;
 pub mod bounds;
 pub mod compare;
 pub mod export;
+mod solid_bytes;
 pub mod statistics;
 pub mod table;

@@ -147,6 +147,10 @@ fn wrong_arguments_are_bad_input() {
         ("bench solve --grids 8,1025", "2 to 1024 cells"),
         ("bench solve --tolerance nan", "above 0 and below 1"),
         ("bench solve --tolerance=-1", "above 0 and below 1"),
+        ("bench solids --nodes 7", "8 to 4194304 nodes"),
+        ("bench solids --step 0", "--step 0"),
+        ("bench solids --young nan", "above 0"),
+        ("bench solids --tolerance 1", "above 0 and below 1"),
     ] {
         let message = complains(&folder, arguments, 2);
         assert!(message.contains(expected), "{arguments}: {message}");

@@ -1,0 +1,126 @@
+//! Bytes that the stages of elastic solids must move: every array that one of their kernels needs, once, reads and writes.
+//! What neighbouring threads share comes out of a cache; so does what the padding of the rows repeats.
+
+use crate::elastic::{Incidence, Solids};
+
+/// Bytes of a flag, a number of the mesh's topology, or an f32.
+const WORD: f64 = 4.0;
+/// Bytes of four f32.
+const VEC4: f64 = 16.0;
+
+/// What decides the bytes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct SolidBytes {
+    pub(super) nodes: f64,
+    pub(super) elements: f64,
+    /// 3x3 blocks of the stiffness off its diagonal.
+    blocks: f64,
+    /// Bytes of a scalar of velocities and residuals.
+    real: f64,
+    /// Bytes of a scalar of the preconditioner.
+    inner: f64,
+}
+
+impl SolidBytes {
+    /// Of some solids on a device that holds scalars in so many bytes: of velocities, of the preconditioner.
+    pub(super) fn new(solids: &Solids, [real, inner]: [usize; 2]) -> SolidBytes {
+        let topology = Incidence::new(solids.rest.len(), &solids.elements);
+        SolidBytes {
+            nodes: solids.rest.len() as f64,
+            elements: solids.elements.len() as f64,
+            blocks: topology.n_blocks() as f64,
+            real: real as f64,
+            inner: inner as f64,
+        }
+    }
+
+    /// A vector per node.
+    fn vectors(&self, how_many: f64) -> f64 {
+        how_many * 4.0 * self.real * self.nodes
+    }
+
+    /// Three vectors per element: rotated gradients, products or forces.
+    fn of_elements(&self, how_many: f64) -> f64 {
+        how_many * 12.0 * self.real * self.elements
+    }
+
+    /// The corners of the nodes, and where they start.
+    fn incidence(&self) -> f64 {
+        WORD * (self.nodes + 4.0 * self.elements)
+    }
+
+    /// A stage other than `solve`; 0 for those that do nothing to solids.
+    pub(super) fn of_stage(&self, stage: &str, scripts: bool, obstacles: bool) -> f64 {
+        let (n, m) = (self.nodes, self.elements);
+        let [scripts, obstacles] = [scripts, obstacles].map(|there| f64::from(u8::from(there)));
+        match stage {
+            // Rest position, flags, displacement in two parts read and written, velocity; once more to look at the distance.
+            "move_solid" => {
+                let still = n * (VEC4 + WORD + 2.0 * VEC4) + self.vectors(1.0);
+                still + n * 2.0 * VEC4 + obstacles * (still + n * WORD)
+            }
+            // Flags, velocity read and written.
+            "forces" => n * (WORD + scripts * VEC4) + self.vectors(2.0),
+            // Nodes, displacement in two parts, damping; gradients in, rotated and forces out.
+            "solid_matrices" => {
+                let rotations = m * (VEC4 + 2.0 * WORD) + n * 2.0 * VEC4 + self.of_elements(3.0);
+                rotations + self.of_rows()
+            }
+            // Flags, masses, velocity, load; forces of the elements; sum out.
+            "right_hand_side" => {
+                n * (WORD + VEC4) + self.vectors(3.0) + self.incidence() + self.of_elements(1.0)
+            }
+            // Rest position and displacement in two parts, velocity; determinants and energies: a vector each.
+            "diagnose" => n * 3.0 * VEC4 + self.vectors(1.0) + m * 2.0 * 4.0 * self.real,
+            _ => 0.0,
+        }
+    }
+
+    /// The rows of the preconditioner, from the rotated elements.
+    pub(super) fn of_rows(&self) -> f64 {
+        let (n, m) = (self.nodes, self.elements);
+        // Twelve joints per element, where those of each block start, its column; the block out.
+        let joints = WORD * (12.0 * m + 2.0 * self.blocks);
+        let blocks = self.of_elements(1.0) + joints + 12.0 * self.inner * self.blocks;
+        // Flags, mass, load; mass term and inverse out.
+        let masses = n * (WORD + VEC4 + self.real + 8.0 * self.inner);
+        blocks + self.of_elements(1.0) + self.incidence() + masses + self.vectors(1.0)
+    }
+
+    /// A product of the polynomial of the preconditioner: one step of its iteration.
+    pub(super) fn of_step(&self) -> f64 {
+        let n = self.nodes;
+        // Node of the row, its inverse, residual, iterate in and out, increment in and out.
+        let row = n * (WORD + (8.0 + 4.0 * 4.0) * self.inner) + self.vectors(1.0);
+        row + 12.0 * self.inner * self.blocks
+    }
+
+    /// A product of S with a vector, from the elements, and its sums over the nodes with `others` more vectors.
+    fn of_product(&self, others: f64) -> f64 {
+        let (n, m) = (self.nodes, self.elements);
+        // Nodes, rotated gradients, vector; products written, and read by the gather.
+        let products = m * VEC4 + self.of_elements(2.0) + self.vectors(1.0);
+        let gather = self.incidence() + self.of_elements(1.0) + n * (WORD + self.real);
+        products + gather + self.vectors(1.0 + others)
+    }
+
+    /// A solve, the rows of its preconditioner given.
+    pub(super) fn of_solve(&self, degree: f64, iterations: f64, rounds: f64) -> f64 {
+        // The first step has no product; the last gives the answer and the share of r . z, which are summed.
+        let first = self.nodes * (WORD + 16.0 * self.inner) + self.vectors(1.0);
+        let polynomial = first + degree * self.of_step() + self.vectors(3.0);
+        // Answer, direction read and written.
+        let direction = self.vectors(3.0);
+        // Residual; product and partials, which are summed.
+        let operator = self.of_product(4.0);
+        // Direction, correction and residual read and written, product.
+        let update = self.vectors(6.0);
+        let iteration = polynomial + direction + operator + update;
+        // Correction, unknowns read and written; right-hand side, residual and partials, which are summed; then residual in and
+        // out, direction and correction out.
+        let turn = self.vectors(3.0) + self.of_product(4.0) + self.vectors(4.0);
+        // The guess: flags, velocity read and written, correction.
+        let start = self.nodes * WORD + self.vectors(3.0) + turn;
+        start + iterations * iteration + (rounds + 1.0) * turn
+    }
+}
