@@ -77,12 +77,11 @@ pub(crate) fn cases() -> Vec<Case> {
     cases
 }
 
-/// The number of nodes of all solids of a scene.
-fn n_nodes(scene: &Scene) -> usize {
+/// The number of nodes of all solids of a scene; nothing where a surface cannot be filled with its cells.
+fn n_nodes(scene: &Scene) -> Option<usize> {
     let meshes = scene.solids.iter();
-    let nodes = meshes
-        .map(|solid| TetMesh::new(solid, "coarse").map_or(usize::MAX, |mesh| mesh.nodes.len()));
-    nodes.fold(0, usize::saturating_add)
+    let nodes = meshes.map(|solid| Some(TetMesh::new(solid, "coarse").ok()?.nodes.len()));
+    nodes.sum()
 }
 
 /// A solid with cells that are longer by a factor. A mesh from a file is filled anew from its surface.
@@ -154,10 +153,12 @@ fn coarse(scene: &Scene, most: usize, folder: &Path) -> Scene {
         for solid in &mut coarse.solids {
             *solid = coarser(solid, factor, folder);
         }
-        if n_nodes(&coarse) <= most {
-            return coarse;
-        }
-        factor *= 1.1;
+        // Filling a surface takes a while: near the goal at once, then step by step.
+        factor *= match n_nodes(&coarse) {
+            Some(n) if n <= most => return coarse,
+            Some(n) => f64::max(0.8 * (n as f64 / most as f64).cbrt(), 1.1),
+            None => 1.1,
+        };
         assert!(factor < 100.0, "{} does not become coarse", scene.name);
     }
 }
