@@ -102,8 +102,10 @@ impl Run {
                 let [least, largest] = [100.0 * least, 100.0 * largest];
                 format!("; volume {least:.1} % to {largest:.1} % of the start")
             });
+        let det = summary.min_det;
+        let det = det.map_or(String::new(), |det| format!("; least det F {det:.3}"));
         say!(
-            "{} frames in {} sub-steps, {:.1} s; worst residual {:.1e}{volume}",
+            "{} frames in {} sub-steps, {:.1} s; worst residual {:.1e}{volume}{det}",
             summary.frames,
             summary.steps,
             summary.seconds,
@@ -119,6 +121,12 @@ impl Run {
             warn!(
                 "warning: {} markers were lost in obstacles; steps.csv says when",
                 summary.dropped
+            );
+        }
+        if summary.inverted > 0 {
+            warn!(
+                "warning: {} elements of solids are flat or inside out at the end; shorter sub-steps (time.fixed_step) or a coarser mesh may help",
+                summary.inverted
             );
         }
         for region in summary.empty_regions {

@@ -6,21 +6,21 @@
 
 mod bounds;
 mod element;
+mod incidence;
 mod probe;
 mod rotation;
 mod script;
 mod solids;
+mod step_limit;
 
 pub use bounds::Bounds;
 pub use element::{
     Deformation, energy_density, forces, lame_parameters, rest_shape, stiffness_block, stress,
     von_mises,
 };
-pub use rotation::rotation;
-
-mod incidence;
-
 pub use incidence::{Corner, Incidence, Joint};
+pub use rotation::rotation;
+pub use step_limit::StepLimit;
 
 use std::ops::Range;
 

@@ -13,7 +13,7 @@ use super::{
 };
 use crate::Error;
 use crate::effects::Effects;
-use crate::elastic::Solids;
+use crate::elastic::{Solids, StepLimit};
 use crate::geometry::CutCells;
 use crate::grid::{Axis, Grid};
 use crate::scene::{Liquid, Scene};
@@ -45,6 +45,7 @@ struct SolidPart {
     solids: Solids,
     pattern: Arc<BlockPattern>,
     solver: SolidSolver,
+    limit: StepLimit,
 }
 
 /// A system of a step and its answer.
@@ -112,6 +113,7 @@ impl Reference {
         let solid = effects.solids.then(|| SolidPart {
             pattern: Arc::new(BlockPattern::new(&solids)),
             solver: SolidSolver::new(&solids),
+            limit: StepLimit::new(&solids, scene.domain.gravity),
             solids,
         });
         Ok(Reference {
@@ -148,8 +150,19 @@ impl Reference {
         let fall = (scene.domain.gravity.length() * grid.dx).sqrt();
         let left = state.time_left(scene.time.frames_per_second);
         let nodes = state.node_velocity.as_flattened().iter();
-        let speed = nodes.fold(max_speed(&state.velocity), |max, v| larger(max, v.abs()));
-        time_step(&scene.time, grid.dx, speed, fall, left, state.dt_last)
+        let solid_speed = nodes.fold(0.0, |max, v| larger(max, v.abs()));
+        let speed = larger(max_speed(&state.velocity), solid_speed);
+        let limit = self.solid.as_ref();
+        let limit = limit.map_or(f64::INFINITY, |solid| solid.limit.longest(solid_speed));
+        time_step(
+            &scene.time,
+            grid.dx,
+            speed,
+            fall,
+            left,
+            state.dt_last,
+            limit,
+        )
     }
 
     /// Does one sub-step. After an error the state is the one before.

@@ -143,6 +143,8 @@ impl GpuPath {
         let left = self.head.time_left(time.frames_per_second);
         let liquid = self.liquid.iter().map(|liquid| liquid.max_speed);
         let max_speed = liquid.chain(self.solids.iter().map(|solids| solids.max_speed));
+        let limit = self.solids.as_ref();
+        let limit = limit.map(|solids| solids.limit.longest(solids.max_speed));
         time_step(
             time,
             self.grid.dx,
@@ -150,6 +152,7 @@ impl GpuPath {
             fall,
             left,
             self.head.dt_last,
+            limit.unwrap_or(f64::INFINITY),
         )
     }
 

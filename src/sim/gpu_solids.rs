@@ -2,7 +2,7 @@
 
 use crate::Error;
 use crate::effects::Effects;
-use crate::elastic::{Bounds, Solids};
+use crate::elastic::{Bounds, Solids, StepLimit};
 use crate::geometry::CutCells;
 use crate::gpu::{BufferPlan, Gpu, Readback};
 use crate::scene::Scene;
@@ -22,6 +22,7 @@ use super::step::solve_report;
 pub(super) struct GpuSolids {
     pub(super) solids: Solids,
     bounds: Bounds,
+    pub(super) limit: StepLimit,
     /// m/s
     pub(super) max_speed: f64,
     pub(super) buffers: SolidBuffers,
@@ -121,6 +122,7 @@ impl GpuSolids {
         let probed = || Readback::new(gpu, "solid.displacement", 2 * plan.n_nodes);
         Ok(GpuSolids {
             bounds: Bounds::new(&solids),
+            limit: StepLimit::new(&solids, scene.domain.gravity),
             max_speed: 0.0,
             buffers,
             system,

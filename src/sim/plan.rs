@@ -2,7 +2,7 @@
 
 use crate::Error;
 use crate::effects::Effects;
-use crate::elastic::{Bounds, Solids};
+use crate::elastic::{Bounds, Solids, StepLimit};
 use crate::geometry;
 use crate::gpu::{AdapterReport, BufferPlan, Timer};
 use crate::grid::Grid;
@@ -94,7 +94,7 @@ impl Plan {
         Ok(Plan {
             padded_cells,
             n_markers,
-            first_step: first_step(scene, &grid),
+            first_step: first_step(scene, &grid, solids),
             effects: effect_lines(scene, &effects),
             stages: stages(scene, &grid, solids, &effects)?,
             buffers: buffers(scene, n_markers, solids, f64, timestamps)?,
@@ -102,8 +102,7 @@ impl Plan {
             n_elements: solids.elements.len(),
             solves: solves(scene, solids, f64)?,
             host_turns,
-            // The scaled residual up, the correction down, both in f32, and the solver's words.
-            bytes_per_turn: 4 * 3 * padded_cells as u64,
+            bytes_per_turn: bytes_per_turn(&effects, padded_cells, solids.rest.len()),
             grid,
         })
     }
@@ -145,14 +144,29 @@ impl Plan {
     }
 }
 
-fn first_step(scene: &Scene, grid: &Grid) -> TimeStep {
+/// The scaled residual up and the correction down, both in f32: per cell of the pressure, with the solver's words, and in quads of nodes.
+fn bytes_per_turn(effects: &Effects, padded_cells: usize, n_nodes: usize) -> u64 {
+    let cells = if effects.liquid {
+        4 * 3 * padded_cells
+    } else {
+        0
+    };
+    (cells + 4 * 2 * 4 * n_nodes) as u64
+}
+
+fn first_step(scene: &Scene, grid: &Grid, solids: &Solids) -> TimeStep {
     let regions = scene.liquid.iter().flat_map(|liquid| &liquid.regions);
-    let speed = regions
+    let liquid_speed = regions
         .map(|region| region.velocity.abs().max_element())
         .fold(0.0, f64::max);
+    let (_, velocity) = solids.initial_state(scene);
+    let nodes = velocity.as_flattened().iter();
+    let solid_speed = nodes.fold(0.0, |speed, v| f64::max(speed, v.abs()));
+    let speed = liquid_speed.max(solid_speed);
+    let limit = StepLimit::new(solids, scene.domain.gravity).longest(solid_speed);
     let fall = (scene.domain.gravity.length() * grid.dx).sqrt();
     let frame = 1.0 / scene.time.frames_per_second;
-    time_step(&scene.time, grid.dx, speed, fall, frame, 0.0)
+    time_step(&scene.time, grid.dx, speed, fall, frame, 0.0, limit)
 }
 
 fn effect_lines(scene: &Scene, effects: &Effects) -> Vec<EffectLine> {
@@ -470,8 +484,8 @@ fn solves(scene: &Scene, solids: &Solids, f64: bool) -> Result<Vec<String>, Erro
     }
     if !solids.bodies.is_empty() {
         let rows = SolidRows::new(solids)?;
-        let degree =
-            Bounds::new(solids).chebyshev_degree(solids, first_step(scene, &scene.grid()).dt);
+        let degree = Bounds::new(solids)
+            .chebyshev_degree(solids, first_step(scene, &scene.grid(), solids).dt);
         solves.push(format!(
             "velocity of the nodes (S v = M v*/dt - K x* + b + loads), conjugate gradients with a Chebyshev polynomial in \
              block-Jacobi (degree {degree} at first), {numbers}, true residual {tolerance:.0e}; {} nodes, {} blocks off the \

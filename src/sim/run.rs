@@ -61,6 +61,10 @@ pub struct Summary {
     pub floored: u64,
     /// Markers lost in obstacles.
     pub dropped: u64,
+    /// Least det F of the elements of solids in all sub-steps, where there are any.
+    pub min_det: Option<f64>,
+    /// Elements with a det F of 0 or less after the last sub-step.
+    pub inverted: usize,
     /// Liquid regions, by number, that are too small or too well covered for the cells to hold any of their liquid.
     pub empty_regions: Vec<usize>,
 }
@@ -207,6 +211,8 @@ fn frames(
         worst_residual: 0.0,
         volume_ratio: scene.liquid.as_ref().map(|_| [1.0; 2]),
         floored: 0,
+        min_det: None,
+        inverted: 0,
         dropped: 0,
         empty_regions: geometry::empty_regions(scene, &simulation.state()?.markers)?,
     };
@@ -239,6 +245,11 @@ fn frames(
             *largest = largest.max(ratio);
         }
         summary.floored += u64::from(report.dt_floored);
+        if let Some(solid) = report.solid {
+            let least = summary.min_det.unwrap_or(f64::INFINITY);
+            summary.min_det = Some(least.min(solid.diagnosis.min_det));
+            summary.inverted = solid.diagnosis.inverted;
+        }
         summary.dropped += report.liquid.map_or(0, |liquid| liquid.dropped);
         if clock.frame > before {
             summary.frames += 1;

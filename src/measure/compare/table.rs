@@ -70,12 +70,12 @@ pub struct Worst {
 }
 
 impl Worst {
-    /// Difference over bound; above 1 is a breach. Infinite where one side is not a number.
+    /// Difference over bound; above 1 is a breach. Infinite where a side or the bound is not finite.
     pub fn ratio(&self) -> f64 {
         let difference = (self.gpu - self.twin).abs();
         if difference == 0.0 {
             0.0
-        } else if difference.is_nan() || self.bound.is_nan() {
+        } else if !difference.is_finite() || !self.bound.is_finite() {
             f64::INFINITY
         } else {
             difference / self.bound

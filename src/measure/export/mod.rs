@@ -129,6 +129,17 @@ pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
         true => pressure::system(scene, options)?,
         false => solids::system(scene, options)?,
     };
+    let status = status(&ran.report);
+    if matches!(status, SolveStatus::Breakdown | SolveStatus::NonFinite) {
+        return Err(Error::Stage {
+            stage: "solve",
+            step: options.step,
+            problem: format!(
+                "the solve ended with {}: there is no system to write",
+                status.name()
+            ),
+        });
+    }
     let rhs_norm = norm(&system.rhs);
     let residual = norm(&residual(&system));
     let meta = Meta {
@@ -144,7 +155,7 @@ pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
         cells: scene.grid().cells,
         part: system.part,
         tolerance: scene.solver.tolerance,
-        status: status(&ran.report).name(),
+        status: status.name(),
         unknowns: system.matrix.n_rows(),
         entries: system.matrix.n_entries(),
         residual: if rhs_norm > 0.0 {
