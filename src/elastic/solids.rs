@@ -279,7 +279,55 @@ impl Solids {
         let stress = stress(deformation.strain, body.lambda, body.mu);
         [von_mises(stress), deformation.determinant()]
     }
+
+    /// Refuses bodies of which a free node starts beyond a wall or more than a cell deep in an obstacle: both would push it out with
+    /// force. `displacement` (m): of all nodes at the start; `solid_distance`: per cell, m.
+    ///
+    /// # Errors
+    /// [`Error::Input`] naming the solid.
+    pub fn ensure_room(
+        &self,
+        scene: &Scene,
+        solid_distance: &[f64],
+        displacement: &[[f64; 3]],
+    ) -> Result<(), Error> {
+        let grid = scene.grid();
+        let size = grid.size();
+        let slack = STICKS_OUT * size.max_element();
+        for (number, body) in self.bodies.iter().enumerate() {
+            let what = format!("{}: solid[{number}]", scene.file.display());
+            let nodes = body.nodes.clone();
+            let free = nodes.filter(|&node| self.prescribed[node] != [true; 3]);
+            let mut deepest = 0.0;
+            for node in free {
+                let x = self.rest[node] + DVec3::from(displacement[node]);
+                if (x - x.clamp(DVec3::ZERO, size)).abs().max_element() > slack {
+                    return Err(Error::input(
+                        what,
+                        format!(
+                            "starts outside of the domain: it has a node at {x} m, and the domain ends at {size} m"
+                        ),
+                        "move it with placement.translate, or make it smaller: placement.scale = 0.001 for a mesh in mm",
+                    ));
+                }
+                if !scene.obstacles.is_empty() {
+                    deepest = f64::min(deepest, grid.sample_cells(solid_distance, x));
+                }
+            }
+            if deepest < -grid.dx {
+                return Err(Error::input(
+                    what,
+                    format!("starts {} m deep in an obstacle", -deepest),
+                    "move the solid or the obstacle, or hold the nodes in it with a [[solid.pin]]",
+                ));
+            }
+        }
+        Ok(())
+    }
 }
+
+/// Part of the domain's longest side that rounding may put a node beyond a wall.
+const STICKS_OUT: f64 = 1e-6;
 
 /// What the scene file calls a pin: those with keyframes are scripts, and each kind is counted by itself.
 fn key(pins: &[Pin], number: usize) -> String {

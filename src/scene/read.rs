@@ -29,7 +29,7 @@ const MARKER_RADII: std::ops::RangeInclusive<f64> = 0.5..=1.2;
 /// Densities, kg/m^3; velocities, m/s, and accelerations, m/s^2, along an axis; frames per second. Far beyond all liquids; what
 /// is computed from them stays in single precision.
 const DENSITIES: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
-const MAX_VELOCITY: f64 = 1e6;
+pub(super) const MAX_VELOCITY: f64 = 1e6;
 const MAX_GRAVITY: f64 = 1e6;
 const FRAME_RATES: std::ops::RangeInclusive<f64> = 1e-3..=1e6;
 /// Cells are cubic to this relative difference.
@@ -302,8 +302,19 @@ fn domain(root: &Table, scale: f64) -> Result<Domain, Error> {
     })
 }
 
+/// A density whose numbers stay in single precision; `usual`: what is.
+pub(super) fn density(place: &Place, usual: &str) -> Result<f64, Error> {
+    let density = place.positive("a density in kg/m^3")?;
+    place.ensure(
+        DENSITIES.contains(&density),
+        format!("is {density:?}"),
+        format!("use 1e-6 to 1e6 kg/m^3; {usual}"),
+    )?;
+    Ok(density)
+}
+
 /// Three numbers of a magnitude of at most `most`.
-fn bounded(place: &Place, what: &str, most: f64) -> Result<DVec3, Error> {
+pub(super) fn bounded(place: &Place, what: &str, most: f64) -> Result<DVec3, Error> {
     let vector = place.vector(what)?;
     place.ensure(
         vector.abs().max_element() <= most,
@@ -418,16 +429,7 @@ fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
     let or_solids = format!("{example}, or [[solid]] with name, mesh, density, young and poisson");
     let table = root.required("liquid", &or_solids)?.table(&LIQUID)?;
     let density = match table.get("density") {
-        Some(place) => {
-            let density = place.positive("a density in kg/m^3")?;
-            let sound = DENSITIES.contains(&density);
-            place.ensure(
-                sound,
-                format!("is {density:?}"),
-                "use 1e-6 to 1e6 kg/m^3; water has 1000",
-            )?;
-            density
-        }
+        Some(place) => density(&place, "water has 1000")?,
         None => 1000.0,
     };
     let surface = match table.get("surface") {

@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 
 use super::document::{Keys, Place, Table};
-use super::read::list;
+use super::read::{MAX_VELOCITY, bounded, density as density_of, list};
 use super::shape::{existing_file, placement, shape, turn};
 use super::{
     Domain, ElasticModel, Initial, Keyframe, Load, LoadKind, Pin, Placement, Solid, SolidMesh,
@@ -15,6 +15,9 @@ use crate::error::Error;
 /// Most bricks of a box, and most cells of the given size in the cube around a ball: six tetrahedra in each still have 32-bit
 /// numbers.
 const MAX_CELLS: f64 = (1u64 << 22) as f64;
+/// Moduli and tractions, Pa, and forces, N; damping, 1/s and s. Far beyond all bodies; their squares stay in single precision.
+const MAX_STRESS: f64 = 1e13;
+const MAX_DAMPING: f64 = 1e6;
 /// A body may stick out of the domain by this part of the domain's longest side: rounding.
 const STICKS_OUT: f64 = 1e-9;
 
@@ -155,8 +158,8 @@ fn solid(place: &Place, file: &Path, domain: &Domain, earlier: &[Solid]) -> Resu
         mesh,
         placement,
         initial,
-        density: density.positive("the density in kg/m^3")?,
-        young: young.positive("Young's modulus in Pa")?,
+        density: density_of(&density, "rubber has 1100")?,
+        young: stiffness(&young)?,
         poisson: poisson(&table)?,
         model: match table.get("model") {
             Some(place) => place.choice(&[
@@ -277,10 +280,10 @@ fn initial(place: Place) -> Result<Initial, Error> {
         initial.scale = place.number_or_vector("the stretch, one number or one for each axis")?;
     }
     if let Some(place) = table.get("velocity") {
-        initial.velocity = place.vector("a velocity in m/s")?;
+        initial.velocity = bounded(&place, "a velocity in m/s", MAX_VELOCITY)?;
     }
     if let Some(place) = table.get("spin") {
-        initial.spin = place.vector("an angular velocity in rad/s")?;
+        initial.spin = bounded(&place, "an angular velocity in rad/s", MAX_VELOCITY)?;
     }
     Ok(initial)
 }
@@ -318,6 +321,17 @@ fn stays_inside(
     Ok(())
 }
 
+/// Young's modulus, Pa.
+fn stiffness(place: &Place) -> Result<f64, Error> {
+    let young = place.positive("Young's modulus in Pa")?;
+    place.ensure(
+        (1e-3..=MAX_STRESS).contains(&young),
+        format!("is {young:?}"),
+        format!("use 1e-3 to {MAX_STRESS:e} Pa; rubber has 1e6, steel 2e11"),
+    )?;
+    Ok(young)
+}
+
 fn poisson(table: &Table) -> Result<f64, Error> {
     let place = table.required("poisson", "poisson = 0.3, Poisson's ratio")?;
     let poisson = place.number("Poisson's ratio")?;
@@ -344,8 +358,12 @@ fn damping(place: Place) -> Result<(f64, f64), Error> {
             return Ok(0.0);
         };
         let value = place.number(what)?;
-        let cure = format!("write {what}, zero or above");
-        place.ensure(value >= 0.0, format!("is {value}"), cure)?;
+        let cure = format!("write {what}, zero or above, at most {MAX_DAMPING:e}");
+        place.ensure(
+            (0.0..=MAX_DAMPING).contains(&value),
+            format!("is {value:?}"),
+            cure,
+        )?;
         Ok::<f64, Error>(value)
     };
     Ok((
@@ -452,8 +470,16 @@ fn load(place: Place, file: &Path) -> Result<Load, Error> {
     Ok(Load {
         region: region(&table, &REGION_SHAPES, &REGION, file)?,
         kind: match kind {
-            "force" => LoadKind::Force(place.vector("the force on all nodes together in N")?),
-            _ => LoadKind::Traction(place.vector("the traction in Pa of rest area")?),
+            "force" => LoadKind::Force(bounded(
+                &place,
+                "the force on all nodes together in N",
+                MAX_STRESS,
+            )?),
+            _ => LoadKind::Traction(bounded(
+                &place,
+                "the traction in Pa of rest area",
+                MAX_STRESS,
+            )?),
         },
     })
 }

@@ -54,6 +54,7 @@ impl GpuPath {
         let mut state = geometry::initial_state(scene, &grid, &cut)?;
         reference::prepare(scene, &grid, &cut, &mut state);
         (state.displacement, state.node_velocity) = solids.initial_state(scene);
+        solids.ensure_room(scene, &cut.solid_distance, &state.displacement)?;
         let liquid = GpuLiquid::new(&gpu, scene, &cut, state.markers.len())?;
         let obstacles = liquid.as_ref().map(|liquid| &liquid.buffers.obstacles);
         let solids = match solids.bodies.is_empty() {

@@ -264,5 +264,6 @@ fn reference_with(scene: &Scene, solids: &Solids) -> Result<Reference, Error> {
     let cut = geometry::cut_cells(scene, &grid)?;
     let mut state = geometry::initial_state(scene, &grid, &cut)?;
     (state.displacement, state.node_velocity) = solids.initial_state(scene);
+    solids.ensure_room(scene, &cut.solid_distance, &state.displacement)?;
     Reference::new(scene, cut, solids.clone(), state)
 }

@@ -58,10 +58,10 @@ fn a_row_per_body_with_the_factorisation_that_fits() {
     let difference = factorised.difference.unwrap();
     assert!(difference <= 1e-6, "{factorised:?}");
     let direct = factorised.factor_seconds.unwrap() + factorised.substitution_seconds.unwrap();
-    assert_eq!(
-        factorised.ratio.unwrap(),
-        direct / factorised.seconds_median
-    );
+    // Medians of several repeats, added before or after.
+    let ratio = direct / factorised.seconds_median;
+    let off = factorised.ratio.unwrap() / ratio - 1.0;
+    assert!(off.abs() < 1e-12, "{factorised:?}");
     let left = [left_out.factor_seconds, left_out.ratio, left_out.difference];
     assert_eq!(left, [None; 3], "{left_out:?}");
 

@@ -623,6 +623,10 @@ const REFUSED_SOLIDS: &[Case] = &[
     // Material.
     ("density = 1200.0", "density = 0", 12, "solid[0].density", &["above zero"]),
     ("young = 1e6", "young = -1e6", 13, "solid[0].young", &["above zero"]),
+    ("density = 1200.0", "density = 1e300", 12, "solid[0].density", &["is 1e300", "1e-6 to 1e6"]),
+    ("young = 1e6", "young = 1e300", 13, "solid[0].young", &["is 1e300", "1e-3 to 1e13 Pa"]),
+    ("force = [0, -10, 0]", "force = [0, -1e300, 0]", 31, "solid[0].load[0].force", &["1e300", "-1e13 to 1e13"]),
+    ("initial = { scale = 0.5 }", "initial = { spin = [0, 1e200, 0] }", 46, "solid[2].initial.spin", &["1e200", "-1e6 to 1e6"]),
     ("poisson = 0.49", "poisson = 0.5", 14, "solid[0].poisson", &["is 0.5", "less than 0.5", "0.49 is nearly incompressible"]),
     ("poisson = 0.49", "poisson = -1", 14, "solid[0].poisson", &["more than -1"]),
     ("mass = 0.5", "mass = -0.5", 16, "solid[0].damping.mass", &["is -0.5", "zero or above"]),

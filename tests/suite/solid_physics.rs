@@ -3,7 +3,7 @@
 use cutwater::geometry::{CutCells, cut_cells};
 use cutwater::grid::Grid;
 use cutwater::reference::{Reference, TimeStep};
-use cutwater::scene::{ElasticModel, Keyframe, Pin, Scene};
+use cutwater::scene::{ElasticModel, Keyframe, Obstacle, Pin, Placement, Scene, Solid};
 use cutwater::sim::{Backend, Options, Simulation};
 use cutwater::state::{SolidReport, SolveStatus, State};
 use glam::DVec3;
@@ -292,6 +292,51 @@ fn bodies_rest_on_the_floor() {
     let way = pairs.fold(0.0, |way, (a, b)| f64::max(way, (a - b).abs()));
     assert!(way < 1e-5, "still moves by {way} m in a step");
     assert!(report.diagnosis.min_det > 0.9, "{report:?}");
+}
+
+#[test]
+fn bodies_that_start_outside_or_in_an_obstacle_are_refused() {
+    let refused = |solid: Solid, obstacles: Vec<Obstacle>| {
+        let mut scene = scene_of(vec![solid]);
+        scene.obstacles = obstacles;
+        Simulation::new(&scene, &Backend::Cpu)
+            .unwrap_err()
+            .to_string()
+    };
+    let mut outside = block([0.4; 3], [2, 2, 2]);
+    outside.placement.translate = DVec3::new(3.9, 2.0, 2.0);
+    let text = refused(outside, Vec::new());
+    assert!(
+        text.contains("solid[0]")
+            && text.contains("outside of the domain")
+            && text.contains("placement.scale"),
+        "{text}"
+    );
+    let stone = Obstacle {
+        shape: region([1.0; 3], [3.0; 3]),
+        placement: Placement::default(),
+        inside_out: false,
+    };
+    let inside = |y: f64| {
+        let mut solid = block([0.4; 3], [2, 2, 2]);
+        solid.placement.translate = DVec3::new(2.0, y, 2.0);
+        solid
+    };
+    let text = refused(inside(2.3), vec![stone.clone()]);
+    assert!(
+        text.contains("solid[0]")
+            && text.contains("deep in an obstacle")
+            && text.contains("solid.pin"),
+        "{text}"
+    );
+    // On it, it may start; and in it where it is held.
+    let mut held_inside = inside(2.3);
+    held_inside.pins = vec![held(region([0.0; 3], [4.0; 3]), [true; 3])];
+    for solid in [inside(3.2), held_inside] {
+        let mut scene = scene_of(vec![solid]);
+        scene.obstacles = vec![stone.clone()];
+        Simulation::new(&scene, &Backend::Cpu).unwrap();
+    }
 }
 
 /// A beam twisted and stretched by a script: the scripted end lands on its keyframes, the other end is held.
