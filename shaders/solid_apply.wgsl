@@ -1,5 +1,5 @@
 // PCG for solids: q = S s on free components, 0 on prescribed ones, and per thread s . q, r . q, q . q and r . r. One thread per node.
-// rows. flags: see node_flags. incidence, products: see gather, zeta_K K s. masses: zeta_M m. x: search direction s. r: residual.
+// rows. flags: see node_flags. incidence, products: see gather, zeta_K K s. masses: zeta_M m (and more). x: search direction s. r: residual.
 // q_out: q. partials: sums.
 #import dispatch
 #import gather

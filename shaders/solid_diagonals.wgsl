@@ -1,7 +1,7 @@
 // solid_matrices: the mass term of S and the inverse of its 3x3 blocks on the diagonal, D_i = zeta_M m_i I + sum zeta_K K_aa over the
 // elements of the node; rows and columns of prescribed components are left out and zero in the inverse. One thread per node.
 // step, rows. flags: see node_flags. rest: position and mass, kg. load: the fourth number is tau_M, 1/s. rotated: see solid_blocks.
-// incidence: see gather. masses: zeta_M m, kg/s, out. inverse: s/kg, xx, yy, zz with zeta_M m as fourth number, then
+// incidence: see gather. masses: zeta_M m, then the mean of the diagonal of D_i, kg/s, two sections, out. inverse: s/kg, xx, yy, zz with zeta_M m as fourth number, then
 // xy, xz, yz, two sections, out.
 #import dispatch
 #import inner
@@ -45,6 +45,7 @@ fn solid_diagonals(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_i
         squares += both * (g * g) + Real3(second.w * dot(g, g));
         products += both * (g.xxy * g.yzz);
     }
+    masses[rows.n_nodes + node] = (squares.x + squares.y + squares.z) / Real(3.0);
     let free = is_free(flags[node]);
     products = select(Real3(), products, free.xxy & free.yzz);
     // D = L diag(pivots) L^T: no difference of nearly equal products.

@@ -1,6 +1,7 @@
 // Outer loop: r = rhs - S v on free components, 0 on prescribed ones, from the elements and not from the blocks. One thread per node.
-// rows. flags: see node_flags. incidence, products: see gather, zeta_K K v. masses: zeta_M m, kg/s. x: v, m/s. rhs: N.
-// outer: r, N, out. partials: |r|^2, squared norm of the terms that rhs sums, free components.
+// rows. flags: see node_flags. incidence, products: see gather, zeta_K K v. masses: zeta_M m, then the mean of the
+// diagonal of D, kg/s. x: v, m/s. rhs: N.
+// outer: r, N, out. partials: |r|^2, squared norm of the terms that rhs sums, free components, |D v|^2 (see refine_turn).
 #import dispatch
 #import gather
 #import node_flags
@@ -24,7 +25,9 @@ fn solid_residual(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_in
         return;
     }
     let product = masses[node] * x[node].xyz + gather(node, rows.n_elements);
-    let residual = select(Real3(), rhs[node].xyz - product, is_free(flags[node]));
+    let free = is_free(flags[node]);
+    let scaled = select(Real3(), masses[rows.n_nodes + node] * x[node].xyz, free);
+    let residual = select(Real3(), rhs[node].xyz - product, free);
     outer[node] = Real4(residual, Real(0.0));
-    partials[node] = Real4(dot(residual, residual), rhs[node].w, Real(countOneBits(flags[node] & 7u)), Real(0.0));
+    partials[node] = Real4(dot(residual, residual), rhs[node].w, Real(countOneBits(flags[node] & 7u)), dot(scaled, scaled));
 }

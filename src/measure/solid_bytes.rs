@@ -82,8 +82,8 @@ impl SolidBytes {
         // Twelve joints per element, where those of each block start, its column; the block out.
         let joints = WORD * (12.0 * m + 2.0 * self.blocks);
         let blocks = self.of_elements(1.0) + joints + 12.0 * self.inner * self.blocks;
-        // Flags, mass, load; mass term and inverse out.
-        let masses = n * (WORD + VEC4 + self.real + 8.0 * self.inner);
+        // Flags, mass, load; mass term, mean of the diagonal and inverse out.
+        let masses = n * (WORD + VEC4 + 2.0 * self.real + 8.0 * self.inner);
         blocks + self.of_elements(1.0) + self.incidence() + masses + self.vectors(1.0)
     }
 
@@ -117,8 +117,8 @@ impl SolidBytes {
         let update = self.vectors(6.0);
         let iteration = polynomial + direction + operator + update;
         // Correction, unknowns read and written; right-hand side, residual and partials, which are summed; then residual in and
-        // out, direction and correction out.
-        let turn = self.vectors(3.0) + self.of_product(4.0) + self.vectors(4.0);
+        // out, direction and correction out; the mean of the diagonal.
+        let turn = self.vectors(7.0) + self.of_product(4.0) + self.nodes * self.real;
         // The guess: flags, velocity read and written, correction.
         let start = self.nodes * WORD + self.vectors(3.0) + turn;
         start + iterations * iteration + (rounds + 1.0) * turn

@@ -88,7 +88,7 @@ impl HostElastic {
         } = &mut *readbacks;
         let mut recorder = Recorder::new(gpu);
         recorder.read(&fields.rotated.words, rotated);
-        recorder.read(&buffers.masses.words, masses);
+        recorder.read_part(&buffers.masses.words, 0, masses);
         recorder.read(&buffers.rhs.words, rhs);
         recorder.read(&fields.velocity.words, velocity);
         // The second section of the search directions: see solid_guess.

@@ -222,7 +222,7 @@ impl SolidRows {
             BufferPlan::of::<u32>("solid_solver.neighbours", self.neighbours.len()),
             RealBuffer::plan("solid_solver.blocks", 12 * self.neighbours.len(), inner),
             RealBuffer::plan("solid_solver.inverse", 8 * n, inner),
-            RealBuffer::plan("solid_solver.masses", n, real),
+            RealBuffer::plan("solid_solver.masses", 2 * n, real),
             RealBuffer::plan("solid_solver.rhs", 4 * n, real),
             RealBuffer::plan("solid_solver.outer", 4 * n, real),
             RealBuffer::plan("solid_solver.products", 12 * m, real),
@@ -308,7 +308,7 @@ pub struct SolidSystemBuffers {
     pub blocks: RealBuffer,
     /// Inverse blocks of the diagonal, s/kg: xx, yy, zz, zeta_M m of all nodes, then xy, xz, yz, 0.
     pub inverse: RealBuffer,
-    /// zeta_M m per node, kg/s.
+    /// zeta_M m per node, then the mean of the diagonal of its block of S, kg/s.
     pub masses: RealBuffer,
     /// Right-hand side of the free components, N, and the squared norm of the terms that it sums.
     pub rhs: RealBuffer,

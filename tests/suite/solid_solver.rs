@@ -205,6 +205,11 @@ fn systems() -> Vec<SolidCase> {
     all.push(hanging([2, 2, 14], RUBBER, 1.0 / 120.0));
     all.push(hanging([4, 4, 28], RUBBER, 1.0 / 120.0));
     all.push(hanging([3, 3, 21], stiff, 1.0 / 24.0));
+    let stiffest = Material {
+        young: 1e11,
+        ..RUBBER
+    };
+    all.push(hanging([3, 3, 21], stiffest, 1.0 / 240.0));
     all
 }
 
