@@ -120,21 +120,17 @@ impl GpuPath {
         Ok(state)
     }
 
-    /// The values of the scene's probes, all columns in order.
-    pub(super) fn probes(&mut self) -> Result<Vec<f64>, Error> {
-        let mut values = match &mut self.liquid {
+    /// The values of the liquid's probes, all columns in order, and the displacements of the nodes (m) where solids have probes.
+    pub(super) fn probed(&mut self) -> Result<(Vec<f64>, Vec<[f64; 3]>), Error> {
+        let values = match &mut self.liquid {
             Some(liquid) => liquid.probes(&self.gpu)?,
             None => Vec::new(),
         };
-        if let Some(solids) = &mut self.solids {
-            let displacement = solids.probed(&self.gpu)?;
-            let probes = self.scene.probes.iter();
-            let of_solids = probes.filter(|probe| !probe.kind.of_liquid());
-            values.extend(
-                of_solids.flat_map(|probe| solids.solids.probe(&displacement, &probe.kind)),
-            );
-        }
-        Ok(values)
+        let displacement = match &mut self.solids {
+            Some(solids) => solids.probed(&self.gpu)?,
+            None => Vec::new(),
+        };
+        Ok((values, displacement))
     }
 
     /// The length of the next sub-step.

@@ -149,22 +149,17 @@ impl Simulation {
     /// [`Error::Gpu`] when the device fails.
     pub fn probes(&mut self) -> Result<Vec<f64>, Error> {
         let probes = &self.scene.probes;
-        let of_liquid = || probes.iter().filter(|probe| probe.kind.of_liquid());
-        let mut liquid = match &mut self.path {
-            _ if of_liquid().next().is_none() => Vec::new(),
-            Path::Gpu(path) => path.probes()?,
+        let (liquid, displacement) = match &mut self.path {
+            Path::Gpu(path) => path.probed()?,
             Path::Cpu(path) => {
-                let grid = self.scene.grid();
-                of_liquid()
-                    .flat_map(|probe| reference::probe(&grid, path.state(), &probe.kind))
-                    .collect()
+                let (grid, state) = (self.scene.grid(), path.state());
+                let of_liquid = probes.iter().filter(|probe| probe.kind.of_liquid());
+                let values =
+                    of_liquid.flat_map(|probe| reference::probe(&grid, state, &probe.kind));
+                (values.collect(), state.displacement.clone())
             }
-        }
-        .into_iter();
-        let displacement = match probes.iter().all(|probe| probe.kind.of_liquid()) {
-            true => Vec::new(),
-            false => self.state()?.displacement,
         };
+        let mut liquid = liquid.into_iter();
         let values = probes
             .iter()
             .flat_map(|probe| match probe.kind.of_liquid() {
