@@ -158,15 +158,8 @@ pub struct Row {
     pub share_of_copy_bandwidth: f64,
 }
 
-/// The table and where it was measured.
-#[derive(Clone, Debug, Serialize)]
-pub struct Table {
-    /// Where.
-    #[serde(flatten)]
-    pub machine: Machine,
-    /// A row per body and size.
-    pub rows: Vec<Row>,
-}
+/// A row per body and size.
+pub type Table = super::table::Table<Row>;
 
 /// Measures all rows and writes solids.csv, solids.json and solids.svg into `out`; `tell` hears of each row.
 ///

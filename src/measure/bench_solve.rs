@@ -78,15 +78,8 @@ pub struct Row {
     pub share_of_copy_bandwidth: f64,
 }
 
-/// The table and where it was measured.
-#[derive(Clone, Debug, Serialize)]
-pub struct Table {
-    /// Where.
-    #[serde(flatten)]
-    pub machine: Machine,
-    /// A row per grid and solver.
-    pub rows: Vec<Row>,
-}
+/// A row per grid and solver.
+pub type Table = super::table::Table<Row>;
 
 /// Bytes per unknown that the iterations of a solve must move, each pass touching each of its arrays once: w bytes a scalar of
 /// the corrections, 8 of the outer loop (4 with `f32`), 5 sections of the matrix for the share of quads that are not uniform.

@@ -45,15 +45,8 @@ pub struct Row {
     pub share_of_copy_bandwidth: f64,
 }
 
-/// The table and where it was measured.
-#[derive(Clone, Debug, Serialize)]
-pub struct Table {
-    /// Where.
-    #[serde(flatten)]
-    pub machine: Machine,
-    /// A row per length.
-    pub rows: Vec<Row>,
-}
+/// A row per length.
+pub type Table = super::table::Table<Row>;
 
 /// Measures all rows and writes sort.csv and sort.json into `out`; `tell` hears of each row.
 ///

@@ -46,6 +46,16 @@ impl Machine {
     }
 }
 
+/// A table and where it was measured.
+#[derive(Clone, Debug, Serialize)]
+pub struct Table<Row> {
+    /// Where.
+    #[serde(flatten)]
+    pub machine: Machine,
+    /// The rows.
+    pub rows: Vec<Row>,
+}
+
 /// Writes rows with a head line.
 ///
 /// # Errors

@@ -67,10 +67,14 @@ fn solid_plan(scene: &Scene, solids: &Solids, f64: bool) -> SolidPlan {
 }
 
 /// Everything that solids allocate on an adapter with or without f64.
-pub(super) fn buffers(scene: &Scene, solids: &Solids, f64: bool) -> Result<Vec<BufferPlan>, Error> {
+pub(super) fn buffers(
+    scene: &Scene,
+    solids: &Solids,
+    rows: &SolidRows,
+    f64: bool,
+) -> Vec<BufferPlan> {
     let plan = solid_plan(scene, solids, f64);
     let variant = solver::variant(f64, scene.solver.precision);
-    let rows = SolidRows::new(solids)?;
     let mut all = plan.buffers();
     all.extend(rows.buffers(variant));
     if plan.obstacles && scene.liquid.is_none() {
@@ -81,7 +85,7 @@ pub(super) fn buffers(scene: &Scene, solids: &Solids, f64: bool) -> Result<Vec<B
     if has_probes(scene) {
         all.push(BufferPlan::of::<[f32; 4]>(PROBED, 2 * plan.n_nodes));
     }
-    Ok(all)
+    all
 }
 
 const PROBED: &str = "solid.displacement (read-back)";

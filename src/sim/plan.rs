@@ -91,16 +91,17 @@ impl Plan {
         let n_markers = geometry::estimate_markers(scene, &grid)?;
         let host_turns = scene.solver.precision == Precision::Mixed && !f64;
         let padded_cells = grid.padded().len();
+        let rows = SolidRows::new(solids)?;
         Ok(Plan {
             padded_cells,
             n_markers,
             first_step: first_step(scene, &grid, solids),
             effects: effect_lines(scene, &effects),
-            stages: stages(scene, &grid, solids, &effects)?,
-            buffers: buffers(scene, n_markers, solids, f64, timestamps)?,
+            stages: stages(scene, &grid, &rows, &effects),
+            buffers: buffers(scene, n_markers, (solids, &rows), f64, timestamps),
             n_nodes: solids.rest.len(),
             n_elements: solids.elements.len(),
-            solves: solves(scene, solids, f64)?,
+            solves: solves(scene, solids, &rows, f64),
             host_turns,
             bytes_per_turn: bytes_per_turn(&effects, padded_cells, solids.rest.len()),
             grid,
@@ -278,12 +279,7 @@ fn effect_lines(scene: &Scene, effects: &Effects) -> Vec<EffectLine> {
 }
 
 /// The stages in the order of [`GpuPath`](super::GpuPath)'s step.
-fn stages(
-    scene: &Scene,
-    grid: &Grid,
-    solids: &Solids,
-    effects: &Effects,
-) -> Result<Vec<StagePlan>, Error> {
+fn stages(scene: &Scene, grid: &Grid, rows: &SolidRows, effects: &Effects) -> Vec<StagePlan> {
     const COMPACTION: [&str; 3] = ["compact_count", "compact_scan", "compact_write"];
     let Effects {
         liquid,
@@ -294,7 +290,6 @@ fn stages(
         ..
     } = *effects;
     let levels = LevelPlan::new(grid);
-    let rows = SolidRows::new(solids)?;
     let mut plans = Vec::new();
     let mut stage = |name, every_step, groups: &[(bool, &[&'static str])]| {
         let present = groups.iter().filter(|(present, _)| *present);
@@ -365,7 +360,7 @@ fn stages(
     if liquid {
         solve.extend(solve_kernels(scene, &levels));
     }
-    let solid_kernels = solver::solid_kernels(&rows);
+    let solid_kernels = solver::solid_kernels(rows);
     solve.push((elastic, &solid_kernels[..]));
     stage("solve", true, &solve);
     if liquid {
@@ -396,7 +391,7 @@ fn stages(
         ];
         stage("probe", true, &kernels);
     }
-    Ok(plans)
+    plans
 }
 
 /// The kernels of the solve, and whether it has them.
@@ -427,10 +422,10 @@ fn solve_kernels(scene: &Scene, levels: &LevelPlan) -> Vec<(bool, &'static [&'st
 fn buffers(
     scene: &Scene,
     n_markers: usize,
-    solids: &Solids,
+    (solids, rows): (&Solids, &SolidRows),
     f64: bool,
     timestamps: bool,
-) -> Result<Vec<BufferPlan>, Error> {
+) -> Vec<BufferPlan> {
     let grid = scene.grid();
     let variant = solver::variant(f64, scene.solver.precision);
     let mut all = Vec::new();
@@ -446,7 +441,7 @@ fn buffers(
         }
     }
     if !solids.bodies.is_empty() {
-        all.extend(gpu_solids::buffers(scene, solids, f64)?);
+        all.extend(gpu_solids::buffers(scene, solids, rows, f64));
     }
     if timestamps {
         all.extend(Timer::plan());
@@ -458,11 +453,11 @@ fn buffers(
             None => merged.push(plan),
         }
     }
-    Ok(merged)
+    merged
 }
 
 /// Of the pressure, then of the solids.
-fn solves(scene: &Scene, solids: &Solids, f64: bool) -> Result<Vec<String>, Error> {
+fn solves(scene: &Scene, solids: &Solids, rows: &SolidRows, f64: bool) -> Vec<String> {
     let solver = &scene.solver;
     let numbers = match (solver.precision, f64) {
         (Precision::F32, _) => "all in f32",
@@ -483,7 +478,6 @@ fn solves(scene: &Scene, solids: &Solids, f64: bool) -> Result<Vec<String>, Erro
         ));
     }
     if !solids.bodies.is_empty() {
-        let rows = SolidRows::new(solids)?;
         let degree = Bounds::new(solids)
             .chebyshev_degree(solids, first_step(scene, &scene.grid(), solids).dt);
         solves.push(format!(
@@ -494,5 +488,5 @@ fn solves(scene: &Scene, solids: &Solids, f64: bool) -> Result<Vec<String>, Erro
             rows.n_blocks()
         ));
     }
-    Ok(solves)
+    solves
 }

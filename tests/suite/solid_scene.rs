@@ -26,16 +26,12 @@ young = 1e6
 poisson = 0.3
 ";
 
-/// A block of bricks with its low corner at the origin; E = 1 MPa, nu = 0.3, 1000 kg/m^3, nothing held.
-pub(crate) fn block(size: [f64; 3], cells: [usize; 3]) -> Solid {
-    let size = DVec3::from(size);
+/// A body of a mesh: E = 1 MPa, nu = 0.3, 1000 kg/m^3, nothing held.
+pub(crate) fn body(mesh: SolidMesh) -> Solid {
     Solid {
-        name: "block".into(),
-        mesh: SolidMesh::Box { size, cells },
-        placement: Placement {
-            translate: 0.5 * size,
-            ..Placement::default()
-        },
+        name: "body".to_owned(),
+        mesh,
+        placement: Placement::default(),
         initial: Initial::default(),
         density: 1000.0,
         young: 1e6,
@@ -45,6 +41,19 @@ pub(crate) fn block(size: [f64; 3], cells: [usize; 3]) -> Solid {
         stiffness_damping: 0.0,
         pins: Vec::new(),
         loads: Vec::new(),
+    }
+}
+
+/// A block of bricks with its low corner at the origin; E = 1 MPa, nu = 0.3, 1000 kg/m^3, nothing held.
+pub(crate) fn block(size: [f64; 3], cells: [usize; 3]) -> Solid {
+    let size = DVec3::from(size);
+    Solid {
+        name: "block".into(),
+        placement: Placement {
+            translate: 0.5 * size,
+            ..Placement::default()
+        },
+        ..body(SolidMesh::Box { size, cells })
     }
 }
 

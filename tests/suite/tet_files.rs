@@ -16,7 +16,8 @@ use glam::{DMat3, DVec3};
 
 use crate::common::Random;
 use crate::output::{f32s, flat, python};
-use crate::tet_mesh::{assert_sound, euler_characteristic, solid};
+use crate::solid_scene::body;
+use crate::tet_mesh::{assert_sound, euler_characteristic};
 
 fn data(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -103,7 +104,7 @@ fn written_meshes_are_read_back_to_the_bit() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("mesh.vtu");
     let bricks = |cells: [usize; 3], size: DVec3| {
-        TetMesh::new(&solid(SolidMesh::Box { size, cells }), "test").unwrap()
+        TetMesh::new(&body(SolidMesh::Box { size, cells }), "test").unwrap()
     };
     // The third has 3072 elements, so arrays of whole blocks: it is not compressed.
     for (cells, compressed) in [([1, 1, 1], true), ([3, 5, 2], true), ([8, 8, 8], false)] {
@@ -505,7 +506,7 @@ fn small_files() -> Vec<(&'static str, Vec<u8>)> {
         size: DVec3::ONE,
         cells: [1, 1, 2],
     };
-    write_mesh(&written, &TetMesh::new(&solid(brick), "test").unwrap()).unwrap();
+    write_mesh(&written, &TetMesh::new(&body(brick), "test").unwrap()).unwrap();
     let text = tets(&CORNERS, &[&[0, 1, 2, 3], &[1, 2, 3, 4]]);
     let points = vtu(&CORNERS, ["0 1 2 3 1 2 3 4", "4 8", "10 10"]);
     vec![
@@ -576,7 +577,7 @@ fn files_are_placed_about_the_middle_of_their_box() {
     let file = SolidMesh::File {
         file: data("gmsh_text.msh"),
     };
-    let plain = TetMesh::new(&solid(file.clone()), "test").unwrap();
+    let plain = TetMesh::new(&body(file.clone()), "test").unwrap();
     let [low, high] = plain.bounds();
     let middle = 0.5 * (low + high);
     let mut random = Random(3);
@@ -593,7 +594,7 @@ fn files_are_placed_about_the_middle_of_their_box() {
         };
         let placed = Solid {
             placement,
-            ..solid(file.clone())
+            ..body(file.clone())
         };
         let placed = TetMesh::new(&placed, "test").unwrap();
         assert_sound(&placed, "placed");
@@ -717,7 +718,7 @@ fn surfaces_become_solids_of_a_scene() {
         TetMesh::new(
             &Solid {
                 placement,
-                ..solid(mesh)
+                ..body(mesh)
             },
             "scene.toml: solid[0]",
         )
@@ -776,7 +777,7 @@ fn shapes_that_cannot_be_are_refused() {
         (shell(1.0, 0.0, 0.1), "a thickness between 0 and the radius"),
         (shell(1.0, 0.1, f64::NAN), "a positive cell_size"),
     ] {
-        let error = TetMesh::new(&solid(mesh.clone()), "scene.toml: solid[1]").unwrap_err();
+        let error = TetMesh::new(&body(mesh.clone()), "scene.toml: solid[1]").unwrap_err();
         assert_eq!(error.exit_code(), 2);
         let error = error.to_string();
         assert!(error.starts_with("scene.toml: solid[1]: "), "{error}");

@@ -4,30 +4,14 @@ use std::collections::HashMap;
 use std::f64::consts::PI;
 
 use cutwater::geometry::{Surface, TetMesh};
-use cutwater::scene::{ElasticModel, Initial, Placement, Solid, SolidMesh};
+use cutwater::scene::SolidMesh;
 use glam::DVec3;
 
 use crate::common::Random;
-
-pub(crate) fn solid(mesh: SolidMesh) -> Solid {
-    Solid {
-        name: "body".to_owned(),
-        mesh,
-        placement: Placement::default(),
-        initial: Initial::default(),
-        density: 1000.0,
-        young: 1e6,
-        poisson: 0.3,
-        model: ElasticModel::Corotational,
-        mass_damping: 0.0,
-        stiffness_damping: 0.0,
-        pins: Vec::new(),
-        loads: Vec::new(),
-    }
-}
+use crate::solid_scene::body;
 
 fn mesh(mesh: SolidMesh) -> TetMesh {
-    TetMesh::new(&solid(mesh), "test").unwrap()
+    TetMesh::new(&body(mesh), "test").unwrap()
 }
 
 fn cuboid(size: [f64; 3], cells: [usize; 3]) -> SolidMesh {
