@@ -4,7 +4,7 @@ use glam::DVec3;
 
 use super::{Body, Deformation, Script, Solids, lame_parameters, rest_shape, stress, von_mises};
 use crate::error::Error;
-use crate::geometry::{TetMesh, inside};
+use crate::geometry::{MovedMesh, TetMesh, inside};
 use crate::scene::{Keyframe, Load, LoadKind, Pin, Scene, Shape, Solid};
 
 impl Solids {
@@ -249,6 +249,21 @@ impl Solids {
             }
         }
         velocity
+    }
+
+    /// The mesh under displacements (m, of all nodes).
+    pub fn moved(&self, displacement: &[[f64; 3]]) -> MovedMesh<'_> {
+        let nodes = self.rest.iter().zip(displacement);
+        MovedMesh {
+            nodes: nodes.map(|(rest, u)| rest + DVec3::from(*u)).collect(),
+            elements: &self.elements,
+            triangles: &self.triangles,
+            bodies: self
+                .bodies
+                .iter()
+                .map(|body| body.elements.clone())
+                .collect(),
+        }
     }
 
     /// The body of an element.

@@ -15,7 +15,7 @@
 //! that lies on a grid plane belongs to the cell on the liquid side; vertices within 1e-9 dx of a plane are moved onto it
 //! first, so that this rule is exact and neighbouring triangles agree.
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use parry3d_f64::query::details::clip_halfspace_polygon;
 use rayon::prelude::*;
 
@@ -37,6 +37,8 @@ pub struct Patch {
     pub centroid: DVec3,
     /// Weights of the triangle's corners at the centroid.
     pub barycentric: [f64; 3],
+    /// Integrals over the patch of each corner's weight times the way from the centroid, m^3. They sum to zero.
+    pub moments: [DVec3; 3],
 }
 
 /// A surface cut up by the grid.
@@ -45,18 +47,18 @@ pub struct Clipping {
     /// Patches in the cells of the domain, in the order of the triangles.
     pub patches: Vec<Patch>,
     /// What lies in ghost cells beside the domain.
-    ghosts: Vec<Ghost>,
+    pub(super) ghosts: Vec<Ghost>,
 }
 
 /// Area beyond the domain, met by grid lines along one axis.
 #[derive(Clone, Copy, Debug)]
-struct Ghost {
+pub(super) struct Ghost {
     /// The axis of those lines.
-    axis: Axis,
+    pub(super) axis: Axis,
     /// Position in the padded grid: -1 or n along `axis`, inside along the others.
-    cell: [isize; 3],
+    pub(super) cell: [isize; 3],
     /// Component along `axis` of area times normal into the solid, cells^2.
-    flux: f64,
+    pub(super) flux: f64,
 }
 
 /// Distance from a grid plane within which a vertex lies on it, cells.
@@ -242,6 +244,16 @@ impl<'a> Clipper<'a> {
         let weight = |p: DVec3, q: DVec3| {
             (p - centroid).cross(q - centroid).dot(whole) / whole.length_squared()
         };
+        // The second moment of a triangle about a point, from its corners y: area / 12 (sum y (sum y)^T + sum y y^T).
+        let spread = fan().fold(DMat3::ZERO, |sum, (pair, part)| {
+            let ways = [first, pair[0], pair[1]].map(|x| x - centroid);
+            let whole: DVec3 = ways.into_iter().sum();
+            let squares = ways.map(|y| outer(y, y)).into_iter().sum::<DMat3>();
+            sum + -part.dot(normal) / 12.0 * (outer(whole, whole) + squares)
+        });
+        // The weight of the corner opposite to an edge grows across that edge, in the plane of the triangle.
+        let gradient = |p: DVec3, q: DVec3| whole.cross(q - p) / whole.length_squared();
+        let gradients = [gradient(b, c), gradient(c, a), gradient(a, b)];
         let dx = self.grid.dx;
         self.clipping.patches.push(Patch {
             cell: self.grid.cell(at.map(|at| at as usize)),
@@ -250,8 +262,14 @@ impl<'a> Clipper<'a> {
             normal,
             centroid: centroid * dx,
             barycentric: [weight(b, c), weight(c, a), weight(a, b)],
+            moments: gradients.map(|gradient| dx.powi(3) * (spread * gradient)),
         });
     }
+}
+
+/// a b^T
+fn outer(a: DVec3, b: DVec3) -> DMat3 {
+    DMat3::from_cols(a * b.x, a * b.y, a * b.z)
 }
 
 /// Open fractions as they come out of the sums along grid lines.

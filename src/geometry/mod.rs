@@ -3,17 +3,21 @@
 //! - [`Surface`]: closed triangle surfaces, from shapes and from mesh files ([`read_mesh`])
 //! - [`clip`] and [`open_fractions`]: patches of a surface in the cells, and the open areas that close every cut cell
 //! - [`cut_cells`]: what the obstacles of a scene leave of the grid
+//! - [`SolidClip`]: what deforming solids leave of it in every sub-step, and [`Coupling`], their patches as lists to gather from
 //! - [`TetMesh`], [`solid_meshes`]: the tetrahedra of solids, from shapes, files and closed surfaces
 //! - [`Regions`], [`liquid_distance`], [`seed_markers`], [`initial_state`]: the liquid at the start
 
 mod clip;
+mod coupling;
 mod distance;
 mod icosahedron;
 mod inside;
 mod liquid;
 mod mesh_file;
 mod msh;
+mod nearest;
 mod parts;
+mod solid_clip;
 mod surface;
 mod tet_fill;
 mod tet_mesh;
@@ -22,11 +26,13 @@ mod tet_shapes;
 mod vtu;
 
 pub use clip::{Clipping, OpenFractions, Patch, clip, open_fractions};
+pub use coupling::{CellNode, Coupling};
 pub use inside::inside;
 pub use liquid::{
     Regions, empty_regions, estimate_markers, initial_state, liquid_distance, seed_markers,
 };
 pub use mesh_file::{parse as parse_mesh, read as read_mesh};
+pub use solid_clip::{MovedMesh, Nearest, Overlap, SolidClip};
 pub use surface::{Fault, Surface};
 pub use tet_fill::fill;
 pub use tet_mesh::{ElementShape, TetMesh, solid_meshes};
@@ -47,12 +53,26 @@ pub struct CutCells {
     pub solid_distance: Vec<f64>,
 }
 
+/// What the obstacles leave of the grid, and what of it other bodies add to.
+#[derive(Clone, Debug)]
+pub struct ObstacleCut {
+    /// Open fraction of every face per axis, neither clamped nor closed at the walls.
+    raw: [Vec<f64>; 3],
+    /// The same, clamped and closed, with the distance.
+    pub cut: CutCells,
+}
+
 /// Largest difference between the start and the end of a line of open fractions that rounding explains.
 const CLOSURE_TOLERANCE: f64 = 1e-12;
 
 /// Open areas and distances of all obstacles of a scene. Their contributions to the open fractions add; the distance is that
 /// of their union.
 pub fn cut_cells(scene: &Scene, grid: &Grid) -> Result<CutCells, Error> {
+    Ok(obstacle_cut(scene, grid)?.cut)
+}
+
+/// The same, for solids to be clipped on top of it.
+pub fn obstacle_cut(scene: &Scene, grid: &Grid) -> Result<ObstacleCut, Error> {
     let mut solid_distance = vec![BAND * grid.dx; grid.n_cells()];
     let mut clippings = Vec::new();
     let mut start = 1.0;
@@ -70,7 +90,7 @@ pub fn cut_cells(scene: &Scene, grid: &Grid) -> Result<CutCells, Error> {
         tolerance = f64::max(tolerance, CLOSURE_TOLERANCE * reach);
     }
     let OpenFractions {
-        faces: mut open,
+        faces: raw,
         closure_defect,
     } = open_fractions(grid, start, &clippings);
     if closure_defect > tolerance {
@@ -82,12 +102,16 @@ pub fn cut_cells(scene: &Scene, grid: &Grid) -> Result<CutCells, Error> {
             "repair the surfaces of mesh obstacles, and keep bodies near the domain",
         ));
     }
-    clamp_open(&mut open, scene.solver.area_clamp);
+    let clamped = |open: &f64| clamp_open(*open, scene.solver.area_clamp);
+    let mut open = raw
+        .each_ref()
+        .map(|open| open.iter().map(clamped).collect());
     close_walls(grid, &mut open);
-    Ok(CutCells {
+    let cut = CutCells {
         open,
         solid_distance,
-    })
+    };
+    Ok(ObstacleCut { raw, cut })
 }
 
 /// The surfaces of all obstacles, for pictures. Normals point to the liquid.
@@ -121,16 +145,14 @@ pub fn open_volume(solid_distance: f64, dx: f64) -> f64 {
     (0.5 + solid_distance / dx).clamp(0.0, 1.0)
 }
 
-/// Open fractions in \[0, 1\]; those below `area_clamp` become 0, those above 1 - `area_clamp` become 1.
-fn clamp_open(open: &mut [Vec<f64>; 3], area_clamp: f64) {
-    for open in open.iter_mut().flatten() {
-        *open = if *open < area_clamp {
-            0.0
-        } else if *open > 1.0 - area_clamp {
-            1.0
-        } else {
-            *open
-        };
+/// An open fraction in \[0, 1\]: 0 below `area_clamp`, 1 above 1 - `area_clamp`.
+fn clamp_open(open: f64, area_clamp: f64) -> f64 {
+    if open < area_clamp {
+        0.0
+    } else if open > 1.0 - area_clamp {
+        1.0
+    } else {
+        open
     }
 }
 

@@ -420,8 +420,10 @@ pub struct Solver {
     pub preconditioner: Preconditioner,
     /// Smallest theta of the ghost fluid method; default 1e-2, with markers 0.15.
     pub theta_floor: f64,
-    /// Open fractions below it close and above one minus it open; default 1e-3.
+    /// Open fractions below it close and above one minus it open; default 1e-3, with nodal face areas 1e-2.
     pub area_clamp: f64,
+    /// Where the open areas beside elastic solids come from; default `clipped`.
+    pub face_areas: FaceAreas,
 }
 
 impl Default for Solver {
@@ -433,6 +435,7 @@ impl Default for Solver {
             preconditioner: Preconditioner::Multigrid,
             theta_floor: 1e-2,
             area_clamp: 1e-3,
+            face_areas: FaceAreas::Clipped,
         }
     }
 }
@@ -456,6 +459,15 @@ impl Precision {
             Precision::Mixed | Precision::F64 => 1e-8,
         }
     }
+}
+
+/// Where the open areas beside elastic solids come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FaceAreas {
+    /// From the patches of the solids' surfaces, so that every cut cell closes.
+    Clipped,
+    /// From the distance at the corners of the cells (thesis, figure 5.2); cut cells close to some percent.
+    Nodal,
 }
 
 /// What preconditions the conjugate gradients.

@@ -31,6 +31,7 @@ mod shaders;
 mod solid_buffers;
 mod solid_case;
 mod solid_cases;
+mod solid_clip;
 mod solid_modes;
 mod solid_physics;
 mod solid_scene;

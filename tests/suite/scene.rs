@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use cutwater::Error;
 use cutwater::scene::{
-    ElasticModel, LoadKind, Placement, Precision, Preconditioner, Probe, ProbeKind, Scene, Shape,
-    SolidMesh, Solver, Surface,
+    ElasticModel, FaceAreas, LoadKind, Placement, Precision, Preconditioner, Probe, ProbeKind,
+    Scene, Shape, SolidMesh, Solver, Surface,
 };
 use glam::DVec3;
 
@@ -166,6 +166,7 @@ fn a_scene_says_what_its_file_says() {
         preconditioner: Preconditioner::Jacobi,
         theta_floor: 1e-3,
         area_clamp: 1e-5,
+        face_areas: FaceAreas::Clipped,
     };
     assert_eq!(scene.solver, solver);
     assert!(!scene.output.particles && scene.output.fields);

@@ -1,0 +1,158 @@
+//! What patches of solids give to the cells and nodes they belong to, as lists that both sides gather from.
+
+use glam::DVec3;
+
+use super::Patch;
+
+/// A vector per pair of a cell and a node that a patch joins.
+///
+/// With area times normal shared out by the weights at the centroid, it is J of design section 2 (N^T C of thesis 5.10, 5.14):
+///
+/// ```text
+/// (J v)_c = sum over the nodes of c of value . v_node        (J^T p)_node = sum over the cells of node of value p_c
+/// ```
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Coupling {
+    /// Cells with patches, ascending.
+    cells: Vec<usize>,
+    /// Where the nodes of each cell start; one more than there are cells.
+    cell_start: Vec<usize>,
+    by_cell: Vec<CellNode>,
+    /// Where the cells of each node start; one more than there are nodes.
+    node_start: Vec<usize>,
+    by_node: Vec<CellNode>,
+}
+
+/// One pair.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CellNode {
+    /// Host index.
+    pub cell: usize,
+    /// Among the nodes of all solids.
+    pub node: usize,
+    /// What the patches of this pair add up to.
+    pub value: DVec3,
+}
+
+impl Coupling {
+    /// J, m^2. `triangles`: nodes of the triangles that patches name; `n_nodes`: of all solids.
+    pub fn new(patches: &[Patch], triangles: &[[u32; 3]], n_nodes: usize) -> Coupling {
+        Coupling::of(patches, triangles, n_nodes, |patch, corner| {
+            patch.area * patch.barycentric[corner] * patch.normal
+        })
+    }
+
+    /// Adds up `value` of the patches and their corners, in the order of the patches.
+    pub fn of(
+        patches: &[Patch],
+        triangles: &[[u32; 3]],
+        n_nodes: usize,
+        value: impl Fn(&Patch, usize) -> DVec3,
+    ) -> Coupling {
+        let corners = |patch: &Patch| {
+            let nodes = triangles[patch.triangle].into_iter().enumerate();
+            let (cell, value) = (patch.cell, [0, 1, 2].map(|corner| value(patch, corner)));
+            nodes.map(move |(corner, node)| CellNode {
+                cell,
+                node: node as usize,
+                value: value[corner],
+            })
+        };
+        let mut pairs: Vec<CellNode> = patches.iter().flat_map(corners).collect();
+        // Stable: values of one pair are added in the order of their patches.
+        pairs.sort_by_key(|pair| (pair.cell, pair.node));
+        pairs.dedup_by(|next, kept| {
+            let same = (next.cell, next.node) == (kept.cell, kept.node);
+            if same {
+                kept.value += next.value;
+            }
+            same
+        });
+        Coupling::sorted(pairs, n_nodes)
+    }
+
+    /// From pairs by cell, then by node.
+    fn sorted(by_cell: Vec<CellNode>, n_nodes: usize) -> Coupling {
+        let (mut cells, mut cell_start) = (Vec::new(), Vec::new());
+        for (at, pair) in by_cell.iter().enumerate() {
+            if cells.last() != Some(&pair.cell) {
+                cells.push(pair.cell);
+                cell_start.push(at);
+            }
+        }
+        cell_start.push(by_cell.len());
+        let mut by_node = by_cell.clone();
+        by_node.sort_by_key(|pair| pair.node);
+        let mut node_start = vec![0; n_nodes + 1];
+        for pair in &by_node {
+            node_start[pair.node + 1] += 1;
+        }
+        for node in 0..n_nodes {
+            node_start[node + 1] += node_start[node];
+        }
+        Coupling {
+            cells,
+            cell_start,
+            by_cell,
+            node_start,
+            by_node,
+        }
+    }
+
+    /// The pairs of the cells that `keep` holds.
+    pub fn restricted(&self, keep: impl Fn(usize) -> bool) -> Coupling {
+        let pairs = self.by_cell.iter().filter(|pair| keep(pair.cell));
+        Coupling::sorted(pairs.copied().collect(), self.n_nodes())
+    }
+
+    /// Number of nodes, with and without patches.
+    pub fn n_nodes(&self) -> usize {
+        self.node_start.len().saturating_sub(1)
+    }
+
+    /// All pairs, by cell, then by node.
+    pub fn pairs(&self) -> &[CellNode] {
+        &self.by_cell
+    }
+
+    /// The cells that hold patches, ascending, with their pairs, nodes ascending.
+    pub fn cells(&self) -> impl Iterator<Item = (usize, &[CellNode])> {
+        let ranges = self.cell_start.windows(2);
+        let cells = self.cells.iter().zip(ranges);
+        cells.map(|(&cell, range)| (cell, &self.by_cell[range[0]..range[1]]))
+    }
+
+    /// The pairs of a cell, nodes ascending.
+    pub fn of_cell(&self, cell: usize) -> &[CellNode] {
+        match self.cells.binary_search(&cell) {
+            Ok(row) => &self.by_cell[self.cell_start[row]..self.cell_start[row + 1]],
+            Err(_) => &[],
+        }
+    }
+
+    /// The pairs of a node, cells ascending.
+    pub fn of_node(&self, node: usize) -> &[CellNode] {
+        &self.by_node[self.node_start[node]..self.node_start[node + 1]]
+    }
+
+    /// out += J v: `v` three numbers per node, `out` one per cell.
+    pub fn add_product(&self, v: &[f64], out: &mut [f64]) {
+        for (cell, pairs) in self.cells() {
+            let terms = pairs
+                .iter()
+                .map(|pair| pair.value.dot(DVec3::from_slice(&v[3 * pair.node..])));
+            out[cell] += terms.sum::<f64>();
+        }
+    }
+
+    /// out += J^T p: `p` one number per cell, `out` three per node.
+    pub fn add_transposed(&self, p: &[f64], out: &mut [f64]) {
+        for (node, out) in out.chunks_exact_mut(3).enumerate() {
+            let terms = self.of_node(node).iter();
+            let sum: DVec3 = terms.map(|pair| pair.value * p[pair.cell]).sum();
+            for (out, sum) in out.iter_mut().zip(sum.to_array()) {
+                *out += sum;
+            }
+        }
+    }
+}

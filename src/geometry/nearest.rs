@@ -1,0 +1,240 @@
+//! Points of a lattice near triangles that move: the nearest triangle of each, and which points lie inside tetrahedra.
+
+use glam::{DMat3, DVec3};
+use parry3d_f64::query::PointQueryWithLocation;
+use parry3d_f64::shape::Triangle;
+use rayon::prelude::*;
+
+/// The points (i + offset, j + offset, k + offset) dx.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Lattice {
+    /// Points along x, y, z; x is fastest in memory.
+    pub(super) n: [usize; 3],
+    /// Cells from the origin to the first point, along each axis.
+    pub(super) offset: f64,
+    /// m
+    pub(super) dx: f64,
+}
+
+impl Lattice {
+    fn len(&self) -> usize {
+        self.n.iter().product()
+    }
+
+    /// A point, m.
+    pub(super) fn point(&self, index: usize) -> DVec3 {
+        let [nx, ny, _] = self.n;
+        self.at([index % nx, index / nx % ny, index / (nx * ny)])
+    }
+
+    fn at(&self, ijk: [usize; 3]) -> DVec3 {
+        (DVec3::from(ijk.map(|i| i as f64)) + self.offset) * self.dx
+    }
+
+    /// Indices along an axis of the points from `low` to `high` (m); the end is not among them.
+    fn range(&self, axis: usize, low: f64, high: f64) -> std::ops::Range<usize> {
+        let n = self.n[axis] as f64;
+        // A point on an end that rounding puts beyond it would be missed.
+        let first = (low / self.dx - self.offset - ROUNDING)
+            .ceil()
+            .clamp(0.0, n);
+        let last = (high / self.dx - self.offset + ROUNDING)
+            .floor()
+            .clamp(-1.0, n - 1.0);
+        first as usize..(last + 1.0) as usize
+    }
+}
+
+/// Rounding of positions, cells; and of weights of corners.
+const ROUNDING: f64 = 1e-9;
+
+/// Stands for no triangle.
+const NONE: u32 = u32::MAX;
+
+/// Slabs of this many points along z are worked on at once; what comes out does not depend on it.
+const SLAB: usize = 4;
+
+/// The triangle nearest to each point of a lattice, up to a distance; of several the first.
+#[derive(Clone, Debug)]
+pub(super) struct NearestTriangles {
+    pub(super) lattice: Lattice,
+    /// m
+    reach: f64,
+    triangle: Vec<u32>,
+    /// Squared distance, m^2.
+    square: Vec<f64>,
+    /// Points that have a triangle, ascending.
+    pub(super) near: Vec<usize>,
+}
+
+impl NearestTriangles {
+    /// Of no triangles.
+    pub(super) fn new(lattice: Lattice, reach: f64) -> NearestTriangles {
+        NearestTriangles {
+            lattice,
+            reach,
+            triangle: vec![NONE; lattice.len()],
+            square: vec![f64::INFINITY; lattice.len()],
+            near: Vec::new(),
+        }
+    }
+
+    /// Distance of a point to its nearest triangle, m, without sign; infinite where there is none within reach.
+    pub(super) fn distance(&self, point: usize) -> f64 {
+        self.square[point].sqrt()
+    }
+
+    /// The nearest triangle of a point, and the weights of its corners at the nearest place.
+    pub(super) fn nearest(
+        &self,
+        point: usize,
+        corners: impl Fn(usize) -> [DVec3; 3],
+    ) -> Option<(usize, [f64; 3])> {
+        let triangle = self.triangle[point];
+        if triangle == NONE {
+            return None;
+        }
+        let [a, b, c] = corners(triangle as usize);
+        let (_, place) = Triangle::new(a, b, c)
+            .project_local_point_and_get_location(self.lattice.point(point), true);
+        let weights = place.barycentric_coordinates()?;
+        Some((triangle as usize, weights))
+    }
+
+    /// Finds them anew.
+    pub(super) fn find(&mut self, corners: &[[DVec3; 3]]) {
+        for &point in &self.near {
+            self.triangle[point] = NONE;
+            self.square[point] = f64::INFINITY;
+        }
+        let (lattice, reach) = (self.lattice, self.reach);
+        let boxed: Vec<Boxed> = corners
+            .par_iter()
+            .map(|&corners| Boxed::new(&lattice, reach, corners))
+            .collect();
+        let [nx, ny, _] = lattice.n;
+        let slab = nx * ny * SLAB;
+        let slabs = self
+            .triangle
+            .par_chunks_mut(slab)
+            .zip(self.square.par_chunks_mut(slab));
+        let near: Vec<Vec<usize>> = slabs
+            .enumerate()
+            .map(|(number, (triangles, squares))| {
+                let start = number * SLAB;
+                let planes = start..start + triangles.len() / (nx * ny);
+                for (triangle, boxed) in (0..).zip(&boxed) {
+                    boxed.visit(&lattice, reach, &planes, |point, square| {
+                        let at = point - start * nx * ny;
+                        if square < squares[at] {
+                            squares[at] = square;
+                            triangles[at] = triangle;
+                        }
+                        squares[at]
+                    });
+                }
+                let points = triangles.iter().enumerate();
+                let near = points.filter(|(_, triangle)| **triangle != NONE);
+                near.map(|(at, _)| at + start * nx * ny).collect()
+            })
+            .collect();
+        self.near = near.concat();
+    }
+}
+
+/// A triangle with the points that it may be near to.
+struct Boxed {
+    triangle: Triangle,
+    /// Unit normal.
+    normal: DVec3,
+    /// Of points, per axis.
+    ranges: [std::ops::Range<usize>; 3],
+}
+
+impl Boxed {
+    fn new(lattice: &Lattice, reach: f64, [a, b, c]: [DVec3; 3]) -> Boxed {
+        let (low, high) = (a.min(b).min(c) - reach, a.max(b).max(c) + reach);
+        // Without area it is near to what its neighbours are near to.
+        let normal = (b - a).cross(c - a).try_normalize();
+        Boxed {
+            triangle: Triangle::new(a, b, c),
+            normal: normal.unwrap_or(DVec3::ZERO),
+            ranges: [0, 1, 2].map(|axis| match normal {
+                Some(_) => lattice.range(axis, low[axis], high[axis]),
+                None => 0..0,
+            }),
+        }
+    }
+
+    /// Tells of the points within reach in some planes along z, with their squared distances. `tell` returns the square above
+    /// which a further distance of the same point is not wanted.
+    fn visit(
+        &self,
+        lattice: &Lattice,
+        reach: f64,
+        planes: &std::ops::Range<usize>,
+        mut tell: impl FnMut(usize, f64) -> f64,
+    ) {
+        let [is, js, ks] = self.ranges.clone();
+        let [nx, ny, _] = lattice.n;
+        for k in ks.start.max(planes.start)..ks.end.min(planes.end) {
+            for j in js.clone() {
+                for i in is.clone() {
+                    let (x, point) = (lattice.at([i, j, k]), i + nx * (j + ny * k));
+                    let height = (x - self.triangle.a).dot(self.normal);
+                    let most = tell(point, f64::INFINITY).min(reach * reach);
+                    if height * height >= most {
+                        continue;
+                    }
+                    let (nearest, _) = self.triangle.project_local_point_and_get_location(x, true);
+                    let square = x.distance_squared(nearest.point);
+                    if square < most {
+                        tell(point, square);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// The points of a lattice in tetrahedra, with the number of the body of each tetrahedron: ascending, every pair once. A point on
+/// a side, within rounding, is inside. Inverted tetrahedra hold points as others do; flat ones hold none.
+pub(super) fn inside_tetrahedra(
+    lattice: &Lattice,
+    elements: &[[u32; 4]],
+    body_of: impl Fn(usize) -> u32 + Sync,
+    nodes: &[DVec3],
+) -> Vec<(usize, u32)> {
+    let of_element = |(number, corners): (usize, &[u32; 4])| {
+        let [a, b, c, d] = corners.map(|node| nodes[node as usize]);
+        let (low, high) = (a.min(b).min(c).min(d), a.max(b).max(c).max(d));
+        let [is, js, ks] = [0, 1, 2].map(|axis| lattice.range(axis, low[axis], high[axis]));
+        let edges = DMat3::from_cols(b - a, c - a, d - a);
+        let inverse = edges.inverse();
+        let body = body_of(number);
+        let mut held = Vec::new();
+        if !inverse.is_finite() {
+            return held;
+        }
+        for k in ks {
+            for j in js.clone() {
+                for i in is.clone() {
+                    let weights = inverse * (lattice.at([i, j, k]) - a);
+                    let first = 1.0 - weights.element_sum();
+                    if weights.min_element().min(first) >= -ROUNDING {
+                        held.push((i + lattice.n[0] * (j + lattice.n[1] * k), body));
+                    }
+                }
+            }
+        }
+        held
+    };
+    let mut held: Vec<(usize, u32)> = elements
+        .par_iter()
+        .enumerate()
+        .flat_map_iter(of_element)
+        .collect();
+    held.par_sort_unstable();
+    held.dedup();
+    held
+}

@@ -1,0 +1,382 @@
+//! `clip`: what deforming solids cut out of the grid, sub-step after sub-step, on top of what obstacles cut out of it once.
+//!
+//! Contributions of all bodies to the open fractions add up before they are clamped. Those of the obstacles are kept, so a sub-step
+//! does the grid lines and the cells that solids meet, and no others; those they met before get back what the obstacles left.
+//! What comes out depends on the positions alone, not on what was clipped before.
+
+use std::ops::Range;
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::clip::{Clipping, Patch, clip};
+use super::coupling::Coupling;
+use super::distance::BAND;
+use super::nearest::{Lattice, NearestTriangles, inside_tetrahedra};
+use super::{CutCells, ObstacleCut, Surface, clamp_open};
+use crate::grid::{Axis, Grid};
+use crate::scene::{FaceAreas, Solver};
+
+/// The mesh of all solids at one moment.
+#[derive(Clone, Debug)]
+pub struct MovedMesh<'a> {
+    /// Positions, m.
+    pub nodes: Vec<DVec3>,
+    /// Nodes of the tetrahedra.
+    pub elements: &'a [[u32; 4]],
+    /// Nodes of the surface triangles, counter-clockwise seen from outside.
+    pub triangles: &'a [[u32; 3]],
+    /// Elements of each solid, one solid after another.
+    pub bodies: Vec<Range<usize>>,
+}
+
+/// The place on the surface of the solids that is nearest to a cell centre.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Nearest {
+    /// Host index.
+    pub cell: usize,
+    /// Surface triangle.
+    pub triangle: usize,
+    /// Weights of its corners.
+    pub weights: [f64; 3],
+}
+
+/// Solids that lie in each other or in obstacles.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Overlap {
+    /// Cells whose centre lies in two solids, or in a solid and an obstacle.
+    pub cells: usize,
+    /// Thickness of the overlap, m: twice the largest distance of such a centre to the nearest surface.
+    pub depth: f64,
+}
+
+/// The cut cells of a scene with solids.
+#[derive(Clone, Debug)]
+pub struct SolidClip {
+    grid: Grid,
+    area_clamp: f64,
+    obstacles: ObstacleCut,
+    cut: CutCells,
+    /// Faces and cells in which `cut` differs from what the obstacles leave.
+    changed_faces: [Vec<usize>; 3],
+    changed_cells: Vec<usize>,
+    near_centres: NearestTriangles,
+    /// For nodal face areas.
+    near_corners: Option<NearestTriangles>,
+    patches: Vec<Patch>,
+    coupling: Coupling,
+    band: Vec<Nearest>,
+    overlap: Overlap,
+    closure_defect: f64,
+}
+
+/// Half the width of the band around solids in which corners of cells need distances for nodal face areas, cells.
+const CORNER_BAND: f64 = 2.0;
+
+/// A centre this near to a surface, in cells, touches it.
+const TOUCHES: f64 = 1e-6;
+
+impl SolidClip {
+    /// Before any solid is clipped: what the obstacles leave.
+    pub fn new(grid: &Grid, obstacles: ObstacleCut, settings: &Solver) -> SolidClip {
+        let lattice = |n, offset| Lattice {
+            n,
+            offset,
+            dx: grid.dx,
+        };
+        let corners = || {
+            let lattice = lattice(grid.cells.map(|n| n + 1), 0.0);
+            NearestTriangles::new(lattice, CORNER_BAND * grid.dx)
+        };
+        SolidClip {
+            grid: *grid,
+            area_clamp: settings.area_clamp,
+            cut: obstacles.cut.clone(),
+            obstacles,
+            changed_faces: Default::default(),
+            changed_cells: Vec::new(),
+            near_centres: NearestTriangles::new(lattice(grid.cells, 0.5), BAND * grid.dx),
+            near_corners: (settings.face_areas == FaceAreas::Nodal).then(corners),
+            patches: Vec::new(),
+            coupling: Coupling::default(),
+            band: Vec::new(),
+            overlap: Overlap::default(),
+            closure_defect: 0.0,
+        }
+    }
+
+    /// Clips the solids where they are now.
+    pub fn clip(&mut self, mesh: &MovedMesh) {
+        self.restore();
+        let (clipping, (coupling, corners)) = self.patches_and_corners(mesh);
+        self.patches = clipping.patches.clone();
+        self.coupling = coupling;
+        self.distances(mesh, &corners);
+        let sums = self.line_sums(&clipping);
+        self.closure_defect = sums.iter().map(|(_, defect)| *defect).fold(0.0, f64::max);
+        let open = match &mut self.near_corners {
+            None => sums.map(|(open, _)| open),
+            Some(near) => {
+                near.find(&corners);
+                nodal_areas(&self.grid, near, mesh)
+            }
+        };
+        for (axis, changes) in Axis::ALL.into_iter().zip(open) {
+            let a = axis.index();
+            for (face, change) in changes {
+                let at = self.grid.face_at(axis, face)[a];
+                if at > 0 && at < self.grid.cells[a] {
+                    let open = self.obstacles.raw[a][face] + change;
+                    self.cut.open[a][face] = clamp_open(open, self.area_clamp);
+                    self.changed_faces[a].push(face);
+                }
+            }
+        }
+    }
+
+    /// Puts back what the obstacles leave.
+    fn restore(&mut self) {
+        let left = &self.obstacles.cut;
+        for (a, faces) in self.changed_faces.iter_mut().enumerate() {
+            for face in faces.drain(..) {
+                self.cut.open[a][face] = left.open[a][face];
+            }
+        }
+        for cell in self.changed_cells.drain(..) {
+            self.cut.solid_distance[cell] = left.solid_distance[cell];
+        }
+    }
+
+    /// The patches with J, and the corners of the triangles.
+    fn patches_and_corners(&self, mesh: &MovedMesh) -> (Clipping, (Coupling, Vec<[DVec3; 3]>)) {
+        let surface = Surface {
+            vertices: mesh.nodes.clone(),
+            triangles: mesh.triangles.to_vec(),
+        };
+        let clipping = clip(&surface, &self.grid);
+        let coupling = Coupling::new(&clipping.patches, mesh.triangles, mesh.nodes.len());
+        let triangles = 0..surface.triangles.len();
+        let corners = triangles.map(|triangle| surface.corners(triangle));
+        (clipping, (coupling, corners.collect()))
+    }
+
+    /// What solids add to the open fractions per axis, (face, change) where they add anything, and the largest difference between the
+    /// start and the end of a line.
+    fn line_sums(&self, clipping: &Clipping) -> [(Vec<(usize, f64)>, f64); 3] {
+        let mut sums = Axis::ALL.map(|_| (Vec::new(), 0.0));
+        let axes = Axis::ALL.into_par_iter().zip(&mut sums);
+        axes.for_each(|(axis, sums)| *sums = line_sums(&self.grid, axis, clipping));
+        sums
+    }
+
+    /// The distance at cell centres, the band, and overlaps.
+    fn distances(&mut self, mesh: &MovedMesh, corners: &[[DVec3; 3]]) {
+        let near = &mut self.near_centres;
+        let held = inside_tetrahedra(&near.lattice, mesh.elements, body_of(mesh), &mesh.nodes);
+        near.find(corners);
+        let reach = BAND * self.grid.dx;
+        let left = &self.obstacles.cut.solid_distance;
+        let inside = |cell: usize| held.binary_search_by_key(&cell, |held| held.0).is_ok();
+        let signed = |cell: usize| {
+            let distance = near.distance(cell).min(reach);
+            if inside(cell) { -distance } else { distance }
+        };
+        let of_near = near.near.par_iter().map(|&cell| {
+            let distance = signed(cell);
+            // Where an obstacle is nearer, it decides.
+            let nearest = (distance < left[cell])
+                .then(|| near.nearest(cell, |triangle| corners[triangle]))
+                .flatten();
+            let nearest = nearest.map(|(triangle, weights)| Nearest {
+                cell,
+                triangle,
+                weights,
+            });
+            ((cell, distance), nearest)
+        });
+        let (distances, band): (Vec<(usize, f64)>, Vec<Option<Nearest>>) = of_near.unzip();
+        self.band = band.into_iter().flatten().collect();
+        self.overlap = Overlap::default();
+        for same in held.chunk_by(|a, b| a.0 == b.0) {
+            let cell = same[0].0;
+            let distance = signed(cell);
+            let depth = match same.len() {
+                1 => distance.max(left[cell]),
+                _ => distance,
+            };
+            if depth < -TOUCHES * self.grid.dx {
+                self.overlap.cells += 1;
+                self.overlap.depth = self.overlap.depth.max(-2.0 * depth);
+            }
+            // Deeper than the band reaches.
+            if distance == -reach {
+                self.cut.solid_distance[cell] = -reach;
+                self.changed_cells.push(cell);
+            }
+        }
+        for (cell, distance) in distances {
+            self.cut.solid_distance[cell] = distance.min(left[cell]);
+            self.changed_cells.push(cell);
+        }
+    }
+
+    /// The cut cells of obstacles and solids.
+    pub fn cut_cells(&self) -> &CutCells {
+        &self.cut
+    }
+
+    /// The cut cells of the obstacles alone.
+    pub fn obstacles(&self) -> &CutCells {
+        &self.obstacles.cut
+    }
+
+    /// The patches of the solids in the cells of the domain, in the order of the triangles.
+    pub fn patches(&self) -> &[Patch] {
+        &self.patches
+    }
+
+    /// J on all cells with patches.
+    pub fn coupling(&self) -> &Coupling {
+        &self.coupling
+    }
+
+    /// The nearest places on solids of the centres within three cells of them and nearer to them than to obstacles; cells
+    /// ascending.
+    pub fn band(&self) -> &[Nearest] {
+        &self.band
+    }
+
+    /// The nearest place on solids of a centre in the band.
+    pub fn nearest(&self, cell: usize) -> Option<&Nearest> {
+        let found = self
+            .band
+            .binary_search_by_key(&cell, |nearest| nearest.cell);
+        found.ok().map(|at| &self.band[at])
+    }
+
+    /// Solids in each other and in obstacles.
+    pub fn overlap(&self) -> Overlap {
+        self.overlap
+    }
+
+    /// Largest difference between the start and the end of a grid line of open fractions: rounding.
+    pub fn closure_defect(&self) -> f64 {
+        self.closure_defect
+    }
+}
+
+/// The body of an element.
+fn body_of(mesh: &MovedMesh) -> impl Fn(usize) -> u32 + Sync {
+    |element| mesh.bodies.partition_point(|body| body.end <= element) as u32
+}
+
+/// The area vectors' sums along the lines of an axis that meet a surface: (face, change of the open fraction), and the largest
+/// difference between the start and the end of a line.
+fn line_sums(grid: &Grid, axis: Axis, clipping: &Clipping) -> (Vec<(usize, f64)>, f64) {
+    let a = axis.index();
+    let per_area = 1.0 / (grid.dx * grid.dx);
+    // A line is named by its first face.
+    let line = |mut cell: [usize; 3]| {
+        cell[a] = 0;
+        grid.face(axis, cell)
+    };
+    let of_patches = clipping.patches.iter().map(|patch| {
+        let cell = grid.cell_at(patch.cell);
+        let flux = patch.area * patch.normal[a] * per_area;
+        (line(cell), cell[a] as isize, flux)
+    });
+    let of_ghosts = clipping.ghosts.iter().filter(|ghost| ghost.axis == axis);
+    let of_ghosts = of_ghosts.map(|ghost| {
+        let cell = ghost.cell.map(|at| at.max(0) as usize);
+        (line(cell), ghost.cell[a], ghost.flux)
+    });
+    let mut crossings: Vec<(usize, isize, f64)> = of_patches.chain(of_ghosts).collect();
+    crossings.sort_by_key(|&(line, at, _)| (line, at));
+    let [nx, ny, _] = grid.faces(axis);
+    let stride = [1, nx, nx * ny][a];
+    let (mut changes, mut defect) = (Vec::new(), 0.0_f64);
+    for crossings in crossings.chunk_by(|a, b| a.0 == b.0) {
+        let mut change = 0.0;
+        for (number, &(line, at, flux)) in crossings.iter().enumerate() {
+            change -= flux;
+            if let Some(&(_, next, _)) = crossings.get(number + 1) {
+                let faces = at + 1..=next;
+                changes.extend(faces.map(|face| (line + stride * face as usize, change)));
+            }
+        }
+        defect = defect.max(change.abs());
+    }
+    (changes, defect)
+}
+
+/// The same from the distance at the corners of cells (thesis, figure 5.2): less the solid part of each face, between distances
+/// that are linear along its sides.
+fn nodal_areas(grid: &Grid, near: &NearestTriangles, mesh: &MovedMesh) -> [Vec<(usize, f64)>; 3] {
+    let lattice = near.lattice;
+    let held = inside_tetrahedra(&lattice, mesh.elements, body_of(mesh), &mesh.nodes);
+    let mut inside: Vec<usize> = held.into_iter().map(|(corner, _)| corner).collect();
+    inside.dedup();
+    let [nx, ny, _] = lattice.n;
+    let strides = [1, nx, nx * ny];
+    let signed = |corner: usize| {
+        let distance = near.distance(corner).min(CORNER_BAND * grid.dx);
+        match inside.binary_search(&corner) {
+            Ok(_) => -distance,
+            Err(_) => distance,
+        }
+    };
+    Axis::ALL.map(|axis| {
+        let a = axis.index();
+        let [b, c] = [(a + 1) % 3, (a + 2) % 3];
+        let n = grid.faces(axis);
+        let around = |&corner: &usize| {
+            let ijk = [corner % nx, corner / nx % ny, corner / (nx * ny)];
+            [[0, 0], [1, 0], [0, 1], [1, 1]]
+                .into_iter()
+                .filter_map(move |back| {
+                    let mut face = ijk;
+                    face[b] = ijk[b].checked_sub(back[0])?;
+                    face[c] = ijk[c].checked_sub(back[1])?;
+                    (face[b] < n[b] && face[c] < n[c]).then(|| grid.face(axis, face))
+                })
+        };
+        let mut faces: Vec<usize> = inside.iter().flat_map(around).collect();
+        faces.sort_unstable();
+        faces.dedup();
+        let area = faces.par_iter().map(|&face| {
+            let [i, j, k] = grid.face_at(axis, face);
+            let first = i + nx * (j + ny * k);
+            let corners = [0, strides[b], strides[b] + strides[c], strides[c]];
+            (
+                face,
+                -negative_part(corners.map(|step| signed(first + step))),
+            )
+        });
+        area.collect()
+    })
+}
+
+/// Part of a square on which a distance given at its corners, one after another around it, is negative.
+fn negative_part(corners: [f64; 4]) -> f64 {
+    let negative = corners.map(|distance| distance < 0.0);
+    // Part of a side, from one end, that has the sign of that end.
+    let reach = |from: usize, to: usize| corners[from] / (corners[from] - corners[to]);
+    // The triangle at a corner whose neighbours have the other sign.
+    let tip =
+        |corner: usize| 0.5 * reach(corner, (corner + 1) % 4) * reach(corner, (corner + 3) % 4);
+    let alone = |sign: bool| (0..4).filter(move |&corner| negative[corner] == sign);
+    match negative.into_iter().filter(|&negative| negative).count() {
+        0 => 0.0,
+        1 => alone(true).map(tip).sum(),
+        3 => 1.0 - alone(false).map(tip).sum::<f64>(),
+        4 => 1.0,
+        _ if negative[0] == negative[2] => alone(true).map(tip).sum(),
+        _ => {
+            // Two neighbours: a trapezium.
+            let first = (0..4).find(|&at| negative[at] && negative[(at + 1) % 4]);
+            let first = first.expect("two neighbours are negative");
+            let second = (first + 1) % 4;
+            0.5 * (reach(first, (first + 3) % 4) + reach(second, (second + 1) % 4))
+        }
+    }
+}
