@@ -14,12 +14,19 @@ impl Solids {
     /// [`Error::Input`] that names the scene file and the key: pins and loads that hold nothing, pins of the same component of a
     /// node that move differently, turns about the centre of a shape that has none, meshes of pins that cannot be read.
     pub fn new(scene: &Scene, meshes: &[TetMesh]) -> Result<Solids, Error> {
-        let mut solids = Solids::default();
-        let file = scene.file.display();
-        for (number, (solid, mesh)) in scene.solids.iter().zip(meshes).enumerate() {
-            solids.push(solid, mesh, &format!("{file}: solid[{number}]"))?;
+        Solids::of(&scene.solids, meshes, &scene.file.display().to_string())
+    }
+
+    /// The same for solids of no scene; `file` is for errors.
+    ///
+    /// # Errors
+    /// As those of [`Solids::new`].
+    pub fn of(solids: &[Solid], meshes: &[TetMesh], file: &str) -> Result<Solids, Error> {
+        let mut all = Solids::default();
+        for (number, (solid, mesh)) in solids.iter().zip(meshes).enumerate() {
+            all.push(solid, mesh, &format!("{file}: solid[{number}]"))?;
         }
-        Ok(solids)
+        Ok(all)
     }
 
     fn push(&mut self, solid: &Solid, mesh: &TetMesh, what: &str) -> Result<(), Error> {

@@ -62,6 +62,21 @@ pub struct ObstacleCut {
     pub cut: CutCells,
 }
 
+impl ObstacleCut {
+    /// What no obstacles leave: everything but the walls.
+    pub fn none(grid: &Grid) -> ObstacleCut {
+        let raw = Axis::ALL.map(|axis| vec![1.0; grid.n_faces(axis)]);
+        let mut open = raw.clone();
+        close_walls(grid, &mut open);
+        let solid_distance = vec![BAND * grid.dx; grid.n_cells()];
+        let cut = CutCells {
+            open,
+            solid_distance,
+        };
+        ObstacleCut { raw, cut }
+    }
+}
+
 /// Largest difference between the start and the end of a line of open fractions that rounding explains.
 const CLOSURE_TOLERANCE: f64 = 1e-12;
 

@@ -1,9 +1,10 @@
-//! Sparse Cholesky factorisation A = L L^T with an approximate minimum degree ordering, by faer.
+//! Sparse Cholesky factorisations A = L L^T and A = L D L^T with an approximate minimum degree ordering, by faer.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::linalg::cholesky::ldlt::factor::LdltRegularization;
 use faer::linalg::cholesky::llt::factor::LltRegularization;
-use faer::sparse::linalg::cholesky::{self, LltRef, SymmetricOrdering};
-use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
+use faer::sparse::SparseColMatRef;
+use faer::sparse::linalg::cholesky::{self, LdltRef, LltRef, SymmetricOrdering};
 use faer::{Conj, MatMut, Par, Side};
 
 use super::Csr;
@@ -51,12 +52,41 @@ impl SymbolicCholesky {
         self.factorise_on(matrix, Par::rayon(0))
     }
 
-    fn factorise_on(&self, matrix: &Csr, par: Par) -> Result<Cholesky<'_>, Error> {
+    /// Factorises a quasi-definite matrix [A B; B^T -C], A and C positive definite, as L D L^T: it has such a factor in every
+    /// order, without pivoting (Vanderbei 1995).
+    pub fn factorise_quasi_definite(&self, matrix: &Csr) -> Result<QuasiDefinite<'_>, Error> {
+        self.ensure_pattern(matrix);
+        let mut values = vec![0.0; self.factor.len_val()];
+        let scratch = self
+            .factor
+            .factorize_numeric_ldlt_scratch::<f64>(PAR, Default::default());
+        self.factor
+            .factorize_numeric_ldlt(
+                &mut values,
+                view(matrix),
+                Side::Upper,
+                LdltRegularization::default(),
+                PAR,
+                MemStack::new(&mut MemBuffer::new(scratch)),
+                Default::default(),
+            )
+            .map_err(|problem| failed(matrix, format!("is singular: {problem:?}")))?;
+        Ok(QuasiDefinite {
+            symbolic: self,
+            values,
+        })
+    }
+
+    fn ensure_pattern(&self, matrix: &Csr) {
         assert_eq!(
             matrix.n_entries(),
             self.n_entries,
             "the matrix has the pattern that was ordered"
         );
+    }
+
+    fn factorise_on(&self, matrix: &Csr, par: Par) -> Result<Cholesky<'_>, Error> {
+        self.ensure_pattern(matrix);
         let mut values = vec![0.0; self.factor.len_val()];
         let scratch = self
             .factor
@@ -101,14 +131,35 @@ impl Cholesky<'_> {
     }
 }
 
+/// A factor of a quasi-definite matrix.
+#[derive(Debug)]
+pub struct QuasiDefinite<'a> {
+    symbolic: &'a SymbolicCholesky,
+    values: Vec<f64>,
+}
+
+impl QuasiDefinite<'_> {
+    /// Solves A x = b in place: b in, x out.
+    pub fn solve(&self, x: &mut [f64]) {
+        let factor = &self.symbolic.factor;
+        let scratch = factor.solve_in_place_scratch::<f64>(1, PAR);
+        let n = x.len();
+        LdltRef::new(factor, &self.values).solve_in_place_with_conj(
+            Conj::No,
+            MatMut::from_column_major_slice_mut(x, n, 1),
+            PAR,
+            MemStack::new(&mut MemBuffer::new(scratch)),
+        );
+    }
+}
+
 fn view(matrix: &Csr) -> SparseColMatRef<'_, usize, f64> {
-    let (row_start, columns, values) = matrix.parts();
-    let n = matrix.n_rows();
-    assert_eq!(n, matrix.n_columns(), "Cholesky takes a square matrix");
-    SparseColMatRef::new(
-        SymbolicSparseColMatRef::new_checked(n, n, row_start, None, columns),
-        values,
-    )
+    assert_eq!(
+        matrix.n_rows(),
+        matrix.n_columns(),
+        "Cholesky takes a square matrix"
+    );
+    matrix.transposed_view()
 }
 
 fn failed(matrix: &Csr, problem: String) -> Error {

@@ -1,10 +1,12 @@
-//! Preconditioned conjugate gradients by faer (Hestenes and Stiefel 1952), for operators without a matrix.
+//! Preconditioned conjugate gradients (Hestenes and Stiefel 1952) and stabilised biconjugate gradients (van der Vorst 1992) by faer,
+//! for operators without a matrix.
 
 use std::fmt;
 
 use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
+use faer::matrix_free::bicgstab::{self as bicg, BicgParams};
 use faer::matrix_free::conjugate_gradient::{self as cg, CgError, CgParams};
-use faer::matrix_free::{InitialGuessStatus, LinOp, Precond};
+use faer::matrix_free::{IdentityPrecond, InitialGuessStatus, LinOp, Precond};
 use faer::{MatMut, MatRef, Par};
 
 /// A symmetric linear map: a matrix, or a preconditioner, which approximates the inverse of one.
@@ -77,13 +79,63 @@ pub fn conjugate_gradient(
         Err(CgError::NoConvergence { .. }) => CgEnd::IterationLimit,
         Err(_) => CgEnd::Breakdown,
     };
-    CgReport {
-        iterations,
-        end: if x.iter().all(|v| v.is_finite()) {
-            end
-        } else {
-            CgEnd::Breakdown
-        },
+    CgReport::new(iterations, end, x)
+}
+
+/// Solves A x = b, A symmetric or not, from a zero guess until the recurrence's ||r|| < tolerance ||b||; x is overwritten. An iteration
+/// takes two products.
+pub fn stabilised_biconjugate_gradient(
+    operator: &dyn LinearOperator,
+    preconditioner: &dyn LinearOperator,
+    b: &[f64],
+    x: &mut [f64],
+    tolerance: f64,
+    max_iterations: usize,
+) -> CgReport {
+    let n = operator.size();
+    assert!(
+        preconditioner.size() == n && b.len() == n && x.len() == n,
+        "operator, preconditioner and vectors fit"
+    );
+    x.fill(0.0);
+    let mut iterations = 0;
+    let params = BicgParams {
+        initial_guess: InitialGuessStatus::MaybeNonZero,
+        rel_tolerance: tolerance,
+        max_iters: max_iterations,
+        ..BicgParams::default()
+    };
+    let (operator, preconditioner) = (Wrapped(operator), Wrapped(preconditioner));
+    let identity = IdentityPrecond { dim: n };
+    let scratch = bicg::bicgstab_scratch(&preconditioner, identity, &operator, 1, Par::Seq);
+    let result = bicg::bicgstab(
+        MatMut::from_column_major_slice_mut(x, n, 1),
+        &preconditioner,
+        identity,
+        &operator,
+        MatRef::from_column_major_slice(b, n, 1),
+        params,
+        |_| iterations += 1,
+        Par::Seq,
+        MemStack::new(&mut MemBuffer::new(scratch)),
+    );
+    let end = match result {
+        Ok(_) => CgEnd::Converged,
+        Err(_) => CgEnd::IterationLimit,
+    };
+    CgReport::new(iterations, end, x)
+}
+
+impl CgReport {
+    fn new(iterations: usize, end: CgEnd, x: &[f64]) -> CgReport {
+        CgReport {
+            iterations,
+            end: if x.iter().all(|v| v.is_finite()) {
+                end
+            } else {
+                CgEnd::Breakdown
+            },
+        }
     }
 }
 

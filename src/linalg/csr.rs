@@ -1,5 +1,8 @@
 //! Sparse matrices by rows.
 
+use faer::Par;
+use faer::sparse::linalg::matmul::sparse_sparse_matmul;
+use faer::sparse::{SparseColMatRef, SymbolicSparseColMatRef};
 use rayon::prelude::*;
 
 use super::LinearOperator;
@@ -156,6 +159,87 @@ impl Csr {
             .expect("places of a matrix lie inside its transpose")
     }
 
+    /// The product A B.
+    ///
+    /// # Errors
+    /// When it does not fit into memory.
+    pub fn product(&self, other: &Csr) -> Result<Csr, Error> {
+        // By columns each stands for its transpose, and (A B)^T = B^T A^T.
+        let (left, right) = (other.transposed_view(), self.transposed_view());
+        let product = sparse_sparse_matmul(left, right, 1.0, Par::Seq).map_err(|problem| {
+            let what = format!("the product of sparse matrices with {} rows", self.n_rows());
+            Error::input(what, format!("{problem:?}"), "use a smaller system")
+        })?;
+        Ok(Csr {
+            n_columns: other.n_columns,
+            row_start: product.col_ptr().to_vec(),
+            columns: product.row_idx().to_vec(),
+            values: product.val().to_vec(),
+        })
+    }
+
+    /// A + factor B.
+    pub fn plus(&self, factor: f64, other: &Csr) -> Csr {
+        assert_eq!(
+            [self.n_rows(), self.n_columns],
+            [other.n_rows(), other.n_columns],
+            "both matrices of a sum have one size"
+        );
+        Csr::from_rows(self.n_rows(), self.n_columns, |row, entries| {
+            entries.extend(self.row(row));
+            entries.extend(
+                other
+                    .row(row)
+                    .map(|(column, value)| (column, factor * value)),
+            );
+            entries.sort_by_key(|entry| entry.0);
+            entries.dedup_by(|next, kept| {
+                let same = next.0 == kept.0;
+                kept.1 += if same { next.1 } else { 0.0 };
+                same
+            });
+        })
+    }
+
+    /// diag(left) A diag(right).
+    pub fn scaled(mut self, left: &[f64], right: &[f64]) -> Csr {
+        assert_eq!(left.len(), self.n_rows(), "there is a factor per row");
+        assert_eq!(right.len(), self.n_columns, "there is a factor per column");
+        for (row, left) in left.iter().enumerate() {
+            for at in self.row_start[row]..self.row_start[row + 1] {
+                self.values[at] *= left * right[self.columns[at]];
+            }
+        }
+        self
+    }
+
+    /// [A B; B^T D] from A, B and D; `sign` multiplies D.
+    pub fn bordered(a: &Csr, b: &Csr, sign: f64, d: &Csr) -> Csr {
+        let (n, m) = (a.n_rows(), d.n_rows());
+        assert_eq!([n, m], [b.n_rows(), b.n_columns], "the blocks fit");
+        let transposed = b.transpose();
+        Csr::from_rows(n + m, n + m, |row, entries| match row.checked_sub(n) {
+            None => {
+                entries.extend(a.row(row));
+                entries.extend(b.row(row).map(|(column, value)| (n + column, value)));
+            }
+            Some(below) => {
+                entries.extend(transposed.row(below));
+                entries.extend(
+                    d.row(below)
+                        .map(|(column, value)| (n + column, sign * value)),
+                );
+            }
+        })
+    }
+
+    /// A diagonal matrix.
+    pub fn diagonal_of(values: &[f64]) -> Csr {
+        Csr::from_rows(values.len(), values.len(), |row, entries| {
+            entries.push((row, values[row]))
+        })
+    }
+
     /// Square root of the sum of squares of all entries.
     pub fn frobenius_norm(&self) -> f64 {
         super::norm(&self.values)
@@ -180,9 +264,19 @@ impl Csr {
             .fold(0.0, f64::max)
     }
 
-    /// Row starts, columns and values, as faer wants them.
-    pub(super) fn parts(&self) -> (&[usize], &[usize], &[f64]) {
-        (&self.row_start, &self.columns, &self.values)
+    /// The transpose by columns, as faer wants it: the same arrays.
+    pub(super) fn transposed_view(&self) -> SparseColMatRef<'_, usize, f64> {
+        let (n_rows, n_columns) = (self.n_columns, self.n_rows());
+        SparseColMatRef::new(
+            SymbolicSparseColMatRef::new_checked(
+                n_rows,
+                n_columns,
+                &self.row_start,
+                None,
+                &self.columns,
+            ),
+            &self.values,
+        )
     }
 }
 

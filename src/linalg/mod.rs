@@ -1,13 +1,17 @@
-//! Sparse linear algebra in f64 on the CPU: matrices, Cholesky, conjugate gradients, Matrix Market. faer lives here only.
+//! Sparse linear algebra in f64 on the CPU: matrices, Cholesky, incomplete factors, conjugate gradients, Matrix Market. faer lives here only.
 
 mod cholesky;
 mod conjugate_gradient;
 mod csr;
+mod incomplete;
 mod matrix_market;
 
-pub use cholesky::{Cholesky, SymbolicCholesky};
-pub use conjugate_gradient::{CgEnd, CgReport, LinearOperator, conjugate_gradient};
+pub use cholesky::{Cholesky, QuasiDefinite, SymbolicCholesky};
+pub use conjugate_gradient::{
+    CgEnd, CgReport, LinearOperator, conjugate_gradient, stabilised_biconjugate_gradient,
+};
 pub use csr::Csr;
+pub use incomplete::Incomplete;
 pub use matrix_market::{Symmetry, matrix_text, read_matrix, read_vector, vector_text};
 
 /// Euclidean norm, summed in order, so that it does not depend on the number of threads.

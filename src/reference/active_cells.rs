@@ -5,6 +5,7 @@
 //! al. 2002; thesis 4.43) puts p = 0 at the surface between the centres: open / theta goes to the Dirichlet part.
 
 use super::pressure_system::Stencil;
+use crate::geometry::Coupling;
 use crate::grid::{Axis, Grid};
 
 /// The unknowns of one projection.
@@ -12,15 +13,35 @@ use crate::grid::{Axis, Grid};
 pub struct ActiveCells {
     /// The operator over them.
     pub stencil: Stencil,
-    /// The cells of every connected component without a free-surface face, ascending.
+    /// The cells of every connected component without a free-surface face, ascending. Nothing fixes the level of their pressure.
     pub closed: Vec<Vec<usize>>,
+    /// Those of them whose level a solid fixes that gives way; none without solids.
+    pub sealed: Vec<Vec<usize>>,
 }
 
 impl ActiveCells {
     /// Those of an operator, whose closed components are looked for.
     pub fn new(stencil: Stencil) -> ActiveCells {
         let closed = closed_components(&stencil);
-        ActiveCells { stencil, closed }
+        ActiveCells {
+            stencil,
+            closed,
+            sealed: Vec::new(),
+        }
+    }
+
+    /// Moves the closed components that a patch joins to a node that is not prescribed to the sealed ones. `prescribed`: components of
+    /// the nodes.
+    pub fn seal(&mut self, coupling: &Coupling, prescribed: &[[bool; 3]]) {
+        let gives_way = |component: &[usize]| {
+            let mut pairs = component.iter().flat_map(|&cell| coupling.of_cell(cell));
+            pairs.any(|pair| {
+                (0..3).any(|axis| !prescribed[pair.node][axis] && pair.value[axis] != 0.0)
+            })
+        };
+        let closed = std::mem::take(&mut self.closed);
+        let (sealed, closed) = closed.into_iter().partition(|cells| gives_way(cells));
+        (self.sealed, self.closed) = (sealed, closed);
     }
 }
 

@@ -40,6 +40,11 @@ pub struct BaseBlock {
 impl BaseBlock {
     /// The block at n^3 cells.
     pub fn new(n: usize) -> BaseBlock {
+        BaseBlock::with_step(n, DT)
+    }
+
+    /// The same with the velocities of a step of dt (s).
+    pub(super) fn with_step(n: usize, dt: f64) -> BaseBlock {
         let grid = Grid {
             cells: [n; 3],
             dx: 1.0 / n as f64,
@@ -57,7 +62,7 @@ impl BaseBlock {
         });
         let velocity = Axis::ALL.map(|axis| {
             faces(axis, &|ijk| {
-                velocity(grid.face_centre(axis, ijk))[axis.index()]
+                velocity(grid.face_centre(axis, ijk), dt)[axis.index()]
             })
         });
         let liquid_distance = (0..grid.n_cells())
@@ -83,10 +88,10 @@ fn liquid_distance(DVec3 { x, y, z }: DVec3) -> f64 {
     (z - 0.55 - 0.15 * (0.5 - x) - 0.04 * (6.0 * x + 1.0).sin() * (5.0 * y).cos()) / 1.04_f64.sqrt()
 }
 
-fn velocity(DVec3 { x, y, z }: DVec3) -> DVec3 {
+fn velocity(DVec3 { x, y, z }: DVec3, dt: f64) -> DVec3 {
     DVec3::new(
         0.8 * (2.1 * x + 1.3 * y).sin() * (1.7 * z).cos(),
         0.5 * (1.9 * x).cos() * (2.3 * y + z).sin(),
-        -0.4 * (3.0 * x).sin() * (2.0 * y + 0.5 * z).cos() + GRAVITY * DT,
+        -0.4 * (3.0 * x).sin() * (2.0 * y + 0.5 * z).cos() + GRAVITY * dt,
     )
 }

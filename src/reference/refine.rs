@@ -1,5 +1,8 @@
 //! The outer loop of every solve: corrections are added until the true residual passes (design section 5).
 
+use std::ops::Range;
+
+use super::diagnose::larger;
 use crate::linalg::{CgEnd, norm};
 use crate::scene::Solver;
 use crate::state::{SolveReport, SolveStatus};
@@ -13,7 +16,7 @@ const ROUND_TOLERANCE: f64 = 1e-10;
 /// A round that does not reduce the true residual by at least this factor is the last.
 const STAGNATION: f64 = 0.5;
 
-/// A system A x = b that is judged on its true residual.
+/// A system A x = b that is judged on its true residual, as a whole or in parts.
 pub(super) trait Judged {
     /// b.
     fn rhs(&self) -> &[f64];
@@ -28,6 +31,22 @@ pub(super) trait Judged {
 
     /// Takes out of x what A does not see.
     fn project(&self, _x: &mut [f64]) {}
+
+    /// The parts of the vectors that have to pass each for itself, with their unknowns and what their rounding is a part of.
+    fn parts(&self, _x: &[f64]) -> Vec<Part> {
+        vec![Part {
+            range: 0..self.rhs().len(),
+            unknowns: self.n_unknowns(),
+            scale: self.rhs_scale(),
+        }]
+    }
+}
+
+/// What is judged for itself.
+pub(super) struct Part {
+    pub(super) range: Range<usize>,
+    pub(super) unknowns: usize,
+    pub(super) scale: f64,
 }
 
 /// An answer to A x = r.
@@ -37,57 +56,128 @@ pub(super) struct Correction {
     pub(super) end: CgEnd,
 }
 
+/// The norms of the parts of a residual against what they may be.
+struct Verdict {
+    norms: Vec<f64>,
+    targets: Vec<f64>,
+}
+
+impl Verdict {
+    fn new(parts: &[Part], rhs_norms: &[f64], tolerance: f64, residual: &[f64]) -> Verdict {
+        let targets = parts.iter().zip(rhs_norms);
+        Verdict {
+            norms: parts
+                .iter()
+                .map(|part| norm(&residual[part.range.clone()]))
+                .collect(),
+            targets: targets
+                .map(|(part, rhs_norm)| (tolerance * rhs_norm).max(EPSILON * part.scale))
+                .collect(),
+        }
+    }
+
+    fn pairs(&self) -> impl Iterator<Item = (f64, f64)> {
+        self.norms.iter().copied().zip(self.targets.iter().copied())
+    }
+
+    fn passes(&self) -> bool {
+        self.pairs().all(|(norm, target)| norm <= target)
+    }
+
+    /// The part of the reduction that is left, at most 1.
+    fn left(&self) -> f64 {
+        let parts = self.pairs().filter(|(norm, target)| norm > target);
+        parts.fold(1.0, |left, (norm, target)| left.min(MARGIN * target / norm))
+    }
+
+    /// How many times larger than allowed the worst part is; not a number where a residual is not finite.
+    fn excess(&self) -> f64 {
+        let parts = self.pairs().filter(|(norm, _)| *norm != 0.0);
+        parts.fold(0.0, |worst, (norm, target)| larger(worst, norm / target))
+    }
+}
+
 /// Adds corrections until the true residual passes; the iterate with the least is kept. `correct` solves A x = r to a relative tolerance
 /// within a number of iterations.
 pub(super) fn refine(
     system: &impl Judged,
     settings: &Solver,
-    mut correct: impl FnMut(&[f64], f64, u32) -> Correction,
+    correct: impl FnMut(&[f64], f64, u32) -> Correction,
 ) -> (Vec<f64>, SolveReport) {
+    let (x, reports) = refine_parts(system, settings, correct);
+    (x, reports[0])
+}
+
+/// The same, with a report for each part; all tell the iterations and the end of the whole.
+pub(super) fn refine_parts(
+    system: &impl Judged,
+    settings: &Solver,
+    mut correct: impl FnMut(&[f64], f64, u32) -> Correction,
+) -> (Vec<f64>, Vec<SolveReport>) {
     let mut x = vec![0.0; system.rhs().len()];
-    let rhs_norm = norm(system.rhs());
-    let mut report = SolveReport {
-        unknowns: system.n_unknowns(),
-        iterations: 0,
-        residual: 0.0,
-        status: SolveStatus::Converged,
-    };
-    if !rhs_norm.is_finite() {
-        report.residual = f64::NAN;
-        report.status = SolveStatus::NonFinite;
-        return (x, report);
-    }
-    let target = (settings.tolerance * rhs_norm).max(EPSILON * system.rhs_scale());
+    let parts = system.parts(&x);
+    let of_parts = parts.iter().map(|part| part.range.clone());
+    let rhs_norms: Vec<f64> = of_parts.map(|range| norm(&system.rhs()[range])).collect();
+    let (mut iterations, mut status) = (0, SolveStatus::Converged);
     let mut residual = system.rhs().to_vec();
-    let mut residual_norm = rhs_norm;
-    while residual_norm > target {
-        let tolerance = (MARGIN * target / residual_norm).max(ROUND_TOLERANCE);
-        let iterations_left = settings.max_iterations - report.iterations;
-        let correction = correct(&residual, tolerance, iterations_left);
-        report.iterations += correction.iterations;
+    let mut verdict = Verdict::new(&parts, &rhs_norms, settings.tolerance, &residual);
+    if !rhs_norms.iter().all(|norm| norm.is_finite()) {
+        verdict.norms.fill(f64::NAN);
+        return (
+            x,
+            reports(&parts, &rhs_norms, &verdict, 0, SolveStatus::NonFinite),
+        );
+    }
+    while !verdict.passes() {
+        let tolerance = verdict.left().max(ROUND_TOLERANCE);
+        let correction = correct(&residual, tolerance, settings.max_iterations - iterations);
+        iterations += correction.iterations;
         let sums = x.iter().zip(&correction.x);
         let mut improved: Vec<f64> = sums.map(|(x, d)| x + d).collect();
         system.project(&mut improved);
         let improved_residual = system.residual(&improved);
-        let improved_norm = norm(&improved_residual);
-        let before = residual_norm;
-        if improved_norm < residual_norm {
-            (x, residual, residual_norm) = (improved, improved_residual, improved_norm);
+        let parts = system.parts(&improved);
+        let judged = Verdict::new(&parts, &rhs_norms, settings.tolerance, &improved_residual);
+        let (before, after) = (verdict.excess(), judged.excess());
+        if after < before {
+            (x, residual, verdict) = (improved, improved_residual, judged);
         }
-        if residual_norm <= target {
+        if verdict.passes() {
             break;
         }
-        report.status = match correction.end {
-            _ if !improved_norm.is_finite() => SolveStatus::NonFinite,
+        status = match correction.end {
+            _ if !after.is_finite() => SolveStatus::NonFinite,
             CgEnd::Breakdown => SolveStatus::Breakdown,
-            _ if report.iterations >= settings.max_iterations => SolveStatus::IterationLimit,
-            _ if improved_norm > STAGNATION * before => SolveStatus::Stagnated,
+            _ if iterations >= settings.max_iterations => SolveStatus::IterationLimit,
+            _ if after > STAGNATION * before => SolveStatus::Stagnated,
             _ => continue,
         };
         break;
     }
-    if rhs_norm > 0.0 {
-        report.residual = residual_norm / rhs_norm;
-    }
-    (x, report)
+    let parts = system.parts(&x);
+    let reports = reports(&parts, &rhs_norms, &verdict, iterations, status);
+    (x, reports)
+}
+
+/// What is told of each part.
+fn reports(
+    parts: &[Part],
+    rhs_norms: &[f64],
+    verdict: &Verdict,
+    iterations: u32,
+    status: SolveStatus,
+) -> Vec<SolveReport> {
+    let norms = parts.iter().zip(rhs_norms).zip(&verdict.norms);
+    let report = |((part, &rhs_norm), &norm): ((&Part, &f64), &f64)| SolveReport {
+        unknowns: part.unknowns,
+        iterations,
+        residual: match norm {
+            0.0 => 0.0,
+            // Nothing but the other part acts on it.
+            norm if rhs_norm == 0.0 => norm / part.scale,
+            norm => norm / rhs_norm,
+        },
+        status,
+    };
+    norms.map(report).collect()
 }

@@ -52,9 +52,8 @@ pub fn right_hand_side(
     source: Option<VolumeSource>,
 ) -> RightHandSide {
     let mut in_closed = vec![false; grid.n_cells()];
-    active
-        .closed
-        .iter()
+    let without_surface = active.closed.iter().chain(&active.sealed);
+    without_surface
         .flatten()
         .for_each(|&cell| in_closed[cell] = true);
     let mut values = vec![0.0; grid.n_cells()];

@@ -99,6 +99,11 @@ impl SolidSystem {
             .collect()
     }
 
+    /// zeta_M m per node, kg/s: what of S is mass.
+    pub fn mass_term(&self) -> &[f64] {
+        &self.mass
+    }
+
     /// S with all components, also the prescribed ones.
     pub fn to_csr(&self) -> Csr {
         let n = self.free.len();

@@ -11,7 +11,7 @@ use super::solid_system::SolidSystem;
 use super::solve::DIRECT_UNKNOWNS;
 use crate::Error;
 use crate::elastic::{Bounds, Solids};
-use crate::linalg::{CgEnd, Csr, LinearOperator, SymbolicCholesky, conjugate_gradient};
+use crate::linalg::{CgEnd, Cholesky, Csr, LinearOperator, SymbolicCholesky, conjugate_gradient};
 use crate::scene::Solver;
 use crate::state::SolveReport;
 use glam::{DMat3, DVec3};
@@ -91,6 +91,21 @@ impl SolidSolver {
         Ok((system.velocity(&x), report))
     }
 
+    /// The factor of S on the free components.
+    ///
+    /// # Errors
+    /// When S is not positive definite in f64, or the factor does not fit into memory.
+    pub(super) fn factorise(&self, system: &SolidSystem) -> Result<Cholesky<'_>, Error> {
+        let matrix = system.free_to_csr();
+        self.symbolic(&matrix)?.factorise(&matrix)
+    }
+
+    /// The polynomial that stands for S^-1.
+    pub(super) fn polynomial<'a>(&self, solids: &Solids, system: &'a SolidSystem) -> Chebyshev<'a> {
+        let degree = self.bounds.chebyshev_degree(solids, system.dt());
+        Chebyshev::new(system, self.bounds.block_jacobi, degree)
+    }
+
     /// The order of elimination, found in the first solve.
     fn symbolic(&self, matrix: &Csr) -> Result<&SymbolicCholesky, Error> {
         if let Some(symbolic) = self.symbolic.get() {
@@ -107,8 +122,7 @@ impl SolidSolver {
         system: &SolidSystem,
         settings: &Solver,
     ) -> (Vec<[f64; 3]>, SolveReport) {
-        let degree = self.bounds.chebyshev_degree(solids, system.dt());
-        let polynomial = Chebyshev::new(system, self.bounds.block_jacobi, degree);
+        let polynomial = self.polynomial(solids, system);
         let (x, report) = refine(system, settings, |rhs, tolerance, iterations_left| {
             let mut x = vec![0.0; rhs.len()];
             let most = iterations_left as usize;

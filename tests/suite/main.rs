@@ -8,6 +8,7 @@ mod cli;
 mod common;
 mod compare;
 mod components;
+mod coupled;
 mod dinosaur;
 mod elastic;
 mod export;

@@ -120,6 +120,7 @@ impl LiquidJudge<'_> {
         self.twin.active = Some(ActiveCells {
             stencil: assembled.stencil,
             closed: assembled.closed,
+            sealed: Vec::new(),
         });
         Ok(())
     }
@@ -160,6 +161,7 @@ fn majorant(stencil: &Stencil, closed: &[Vec<usize>], r: Vec<f64>) -> Vec<f64> {
     let active = ActiveCells {
         stencil: held,
         closed: Vec::new(),
+        sealed: Vec::new(),
     };
     let settings = Solver {
         tolerance: ROUGH,

@@ -1,0 +1,308 @@
+//! The system of liquid and solids of one step (design section 2, thesis 5.17): B p + J v = E u*, S v - J^T p = -w.
+
+use glam::DVec3;
+
+use super::pressure_system::PressureSystem;
+use super::refine::{Judged, Part};
+use super::solid_system::SolidSystem;
+use crate::geometry::{CellNode, Coupling};
+use crate::linalg::{Csr, LinearOperator, norm};
+
+/// The two systems and J between them. A vector of it holds a pressure per cell of the grid (0 in inactive ones), then three
+/// velocities per node of the solids (0 in prescribed components).
+#[derive(Clone, Debug)]
+pub struct CoupledSystem {
+    /// B, and E u* less J times the prescribed components.
+    pub pressure: PressureSystem,
+    /// S, and -w less S times the prescribed components.
+    pub solid: SolidSystem,
+    /// J on the active cells.
+    pub coupling: Coupling,
+    /// Components that are unknowns, ascending.
+    components: Vec<usize>,
+    /// Both right-hand sides.
+    rhs: Vec<f64>,
+    /// Share of what prescribed components do to components of the liquid that can neither grow nor shrink: 0 but for rounding
+    /// where their volume is kept, up to 1 where it is not.
+    pub squeezed: f64,
+}
+
+impl CoupledSystem {
+    /// Puts the systems together; `coupling`: of all cells.
+    pub fn new(
+        mut pressure: PressureSystem,
+        solid: SolidSystem,
+        coupling: &Coupling,
+    ) -> CoupledSystem {
+        let coupling = coupling.restricted(|cell| pressure.stencil.active(cell));
+        let (n_cells, n_components) = (pressure.rhs.len(), solid.rhs.len());
+        let held = solid.velocity(&vec![0.0; n_components]);
+        let mut flux = vec![0.0; n_cells];
+        coupling.add_product(held.as_flattened(), &mut flux);
+        for (rhs, flux) in pressure.rhs.iter_mut().zip(&flux) {
+            *rhs -= flux;
+        }
+        pressure.rhs_scale += norm(&flux);
+        let of_closed = pressure.closed.iter().map(|component| {
+            let flux = component.iter().map(|&cell| flux[cell]);
+            let [net, gross] = flux.fold([0.0, 0.0], |[net, gross], flux: f64| {
+                [net + flux, gross + flux.abs()]
+            });
+            if gross > 0.0 { net.abs() / gross } else { 0.0 }
+        });
+        let squeezed = of_closed.fold(0.0, f64::max);
+        let mut rhs = std::mem::take(&mut pressure.rhs);
+        pressure.remove_closed_means(&mut rhs);
+        pressure.rhs.clone_from(&rhs);
+        rhs.extend(&solid.rhs);
+        CoupledSystem {
+            components: solid.unknowns(),
+            pressure,
+            solid,
+            coupling,
+            rhs,
+            squeezed,
+        }
+    }
+
+    /// Number of cells of the grid: where velocities start in a vector.
+    pub fn n_cells(&self) -> usize {
+        self.pressure.rhs.len()
+    }
+
+    /// J x, m^3/s per cell.
+    pub fn flux(&self, x: &[f64]) -> Vec<f64> {
+        let mut flux = vec![0.0; self.n_cells()];
+        self.coupling.add_product(x, &mut flux);
+        flux
+    }
+
+    /// J^T p on what is free, N, three numbers per node.
+    pub fn force(&self, pressure: &[f64]) -> Vec<f64> {
+        let mut all = vec![0.0; self.solid.rhs.len()];
+        self.coupling.add_transposed(pressure, &mut all);
+        let mut force = vec![0.0; all.len()];
+        for &component in &self.components {
+            force[component] = all[component];
+        }
+        force
+    }
+
+    /// Pressure (Pa) and velocities (m/s), prescribed ones included, of a vector.
+    pub fn split(&self, mut x: Vec<f64>) -> (Vec<f64>, Vec<[f64; 3]>) {
+        let velocity = self.solid.velocity(&x[self.n_cells()..]);
+        x.truncate(self.n_cells());
+        (x, velocity)
+    }
+
+    /// The blocks as matrices.
+    pub fn blocks(&self) -> Blocks {
+        let cells = self.pressure.stencil.active_cells();
+        let mut row = vec![usize::MAX; self.n_cells()];
+        for (number, &cell) in cells.iter().enumerate() {
+            row[cell] = number;
+        }
+        let mut column = vec![None; self.solid.rhs.len()];
+        for (number, &component) in self.components.iter().enumerate() {
+            column[component] = Some(number);
+        }
+        let j = Csr::from_rows(cells.len(), self.components.len(), |row, entries| {
+            for pair in self.coupling.of_cell(cells[row]) {
+                let values = pair.value.to_array().into_iter().enumerate();
+                entries.extend(values.filter_map(|(axis, value)| {
+                    column[3 * pair.node + axis].map(|column| (column, value))
+                }));
+            }
+        });
+        let pinned: Vec<usize> = self.pressure.closed.iter().map(|cells| cells[0]).collect();
+        let mass = self.solid.mass_term();
+        Blocks {
+            b: self.pressure.numbered(self.pressure.scale, &pinned),
+            j,
+            s: self.solid.free_to_csr(),
+            mass: self.components.iter().map(|&at| mass[at / 3]).collect(),
+            cells,
+            components: self.components.clone(),
+            n_cells: self.n_cells(),
+            n_components: self.solid.rhs.len(),
+        }
+    }
+}
+
+/// The blocks of a coupled system in the numbering of other solvers: active cells and free components in order.
+#[derive(Clone, Debug)]
+pub struct Blocks {
+    /// B, m^3/s per Pa; the diagonal of one cell of each component whose level nothing fixes is doubled.
+    pub b: Csr,
+    /// J, m^2.
+    pub j: Csr,
+    /// S, kg/s.
+    pub s: Csr,
+    /// zeta_M M, kg/s.
+    pub mass: Vec<f64>,
+    /// Cell of each row of B.
+    pub cells: Vec<usize>,
+    /// Component of each row of S: three times the node, plus 0, 1, 2 for x, y, z.
+    pub components: Vec<usize>,
+    n_cells: usize,
+    n_components: usize,
+}
+
+impl Blocks {
+    /// The unknowns of a vector.
+    pub fn gather(&self, x: &[f64]) -> Vec<f64> {
+        let pressure = self.cells.iter().map(|&cell| x[cell]);
+        let velocity = self.components.iter();
+        let velocity = velocity.map(|&component| x[self.n_cells + component]);
+        pressure.chain(velocity).collect()
+    }
+
+    /// The vector of unknowns.
+    pub fn scatter(&self, unknowns: &[f64]) -> Vec<f64> {
+        let mut x = vec![0.0; self.n_cells + self.n_components];
+        let places = self.cells.iter().copied();
+        let components = self.components.iter();
+        let places = places.chain(components.map(|&component| self.n_cells + component));
+        for (place, value) in places.zip(unknowns) {
+            x[place] = *value;
+        }
+        x
+    }
+}
+
+impl Judged for CoupledSystem {
+    fn rhs(&self) -> &[f64] {
+        &self.rhs
+    }
+
+    fn rhs_scale(&self) -> f64 {
+        self.pressure.rhs_scale + self.solid.rhs_scale
+    }
+
+    fn n_unknowns(&self) -> usize {
+        self.pressure.n_unknowns() + self.components.len()
+    }
+
+    /// E u* - B p - J x, then -w - S x + J^T p.
+    fn residual(&self, x: &[f64]) -> Vec<f64> {
+        let (pressure, velocity) = x.split_at(self.n_cells());
+        let mut residual = self.pressure.residual(pressure);
+        for (residual, flux) in residual.iter_mut().zip(self.flux(velocity)) {
+            *residual -= flux;
+        }
+        let of_solid = self.solid.residual(velocity).into_iter();
+        residual.extend(
+            of_solid
+                .zip(self.force(pressure))
+                .map(|(r, force)| r + force),
+        );
+        residual
+    }
+
+    fn project(&self, x: &mut [f64]) {
+        self.pressure.remove_closed_means(&mut x[..self.n_cells()]);
+    }
+
+    /// Rounding of the terms that couple counts too: where nothing else acts, they are all there is.
+    fn parts(&self, x: &[f64]) -> Vec<Part> {
+        let (pressure, velocity) = x.split_at(self.n_cells());
+        let of_pair = |pair: &CellNode| {
+            let velocity = DVec3::from_slice(&velocity[3 * pair.node..]);
+            pair.value.abs().dot(velocity.abs())
+        };
+        let rows = self.coupling.cells();
+        let fluxes: Vec<f64> = rows
+            .map(|(_, pairs)| pairs.iter().map(of_pair).sum())
+            .collect();
+        let of_pair = |pair: &CellNode| pair.value.length() * pressure[pair.cell].abs();
+        let nodes = 0..self.coupling.n_nodes();
+        let forces: Vec<f64> = nodes
+            .map(|node| self.coupling.of_node(node).iter().map(of_pair).sum())
+            .collect();
+        let n_cells = self.n_cells();
+        vec![
+            Part {
+                range: 0..n_cells,
+                unknowns: self.pressure.n_unknowns(),
+                scale: self.pressure.rhs_scale + norm(&fluxes),
+            },
+            Part {
+                range: n_cells..self.rhs.len(),
+                unknowns: self.components.len(),
+                scale: self.solid.rhs_scale + norm(&forces),
+            },
+        ]
+    }
+}
+
+/// The two-field operator A of thesis (5.25) in the factored form, which keeps single precision: t = Z1^-1 (J^T p - Z2 v), then
+/// B p + J t and Z2 (v - t); Z1 = sigma zeta_M M, Z2 = S - Z1.
+pub struct TwoField<'a> {
+    system: &'a CoupledSystem,
+    /// Z1 per component, kg/s.
+    z1: Vec<f64>,
+}
+
+impl<'a> TwoField<'a> {
+    /// With the share sigma of the mass in Z1, between 0 and 1.
+    pub fn new(system: &'a CoupledSystem, sigma: f64) -> TwoField<'a> {
+        let mass = system.solid.mass_term();
+        TwoField {
+            system,
+            z1: (0..3 * mass.len()).map(|at| sigma * mass[at / 3]).collect(),
+        }
+    }
+
+    /// Z1 per component, kg/s.
+    pub fn z1(&self) -> &[f64] {
+        &self.z1
+    }
+
+    /// Z2 x.
+    pub fn z2(&self, x: &[f64]) -> Vec<f64> {
+        let mut product = vec![0.0; x.len()];
+        self.system.solid.apply(x, &mut product);
+        let mass = self.z1.iter().zip(x);
+        let sums = product.iter().zip(mass);
+        sums.map(|(s, (z1, x))| s - z1 * x).collect()
+    }
+
+    /// Z1^-1 y.
+    pub fn over_z1(&self, y: &[f64]) -> Vec<f64> {
+        y.iter().zip(&self.z1).map(|(y, z1)| y / z1).collect()
+    }
+
+    /// [r_p + J Z1^-1 r_v; -Z2 Z1^-1 r_v] of a residual [r_p; -r_v] of the coupled system.
+    pub fn rhs(&self, residual: &[f64]) -> Vec<f64> {
+        let (of_p, of_v) = residual.split_at(self.system.n_cells());
+        let t = self.over_z1(of_v);
+        let mut rhs = of_p.to_vec();
+        for (rhs, flux) in rhs.iter_mut().zip(self.system.flux(&t)) {
+            *rhs -= flux;
+        }
+        rhs.extend(self.z2(&t));
+        rhs
+    }
+}
+
+impl LinearOperator for TwoField<'_> {
+    fn size(&self) -> usize {
+        self.system.n_cells() + self.z1.len()
+    }
+
+    fn apply(&self, x: &[f64], y: &mut [f64]) {
+        let (pressure, velocity) = x.split_at(self.system.n_cells());
+        let (of_p, of_v) = y.split_at_mut(self.system.n_cells());
+        let mut t = self.system.force(pressure);
+        for (t, pull) in t.iter_mut().zip(self.z2(velocity)) {
+            *t -= pull;
+        }
+        let t = self.over_z1(&t);
+        self.system.pressure.stencil.apply(pressure, of_p);
+        for (y, flux) in of_p.iter_mut().zip(self.system.flux(&t)) {
+            *y = self.system.pressure.scale * *y + flux;
+        }
+        let difference: Vec<f64> = velocity.iter().zip(&t).map(|(v, t)| v - t).collect();
+        of_v.copy_from_slice(&self.z2(&difference));
+    }
+}
