@@ -2,6 +2,7 @@
 // velocity into the wall. Prescribed components move, but walls do not stop them. One thread per node.
 // step. rest: m. flags: see node_flags. displacement: larger parts, then smaller, m; velocity: m/s; both in place.
 #import dispatch
+#import domain_walls
 #import node_flags
 #import pair
 #import real
@@ -24,15 +25,10 @@ fn move_solid(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoca
     let v = velocity[node].xyz;
     let before = Pair(displacement[node].xyz, displacement[step.n_nodes + node].xyz);
     let after = pair_plus(before, Real(step.dt) * v, step.zero);
-    let x = Real3(rest_position) + pair_value(after);
-    let low = free & (x < Real3());
-    let high = free & (x > Real3(step.size));
-    let beyond = low | high;
-    let wall = select(vec3<f32>(), step.size, high);
-    let on_wall = pair_plus(Pair(-rest_position, vec3<f32>()), Real3(wall), step.zero);
-    displacement[node] = vec4<f32>(select(after.hi, on_wall.hi, beyond), 0.0);
-    displacement[step.n_nodes + node] = vec4<f32>(select(after.lo, on_wall.lo, beyond), 0.0);
-    if any(beyond) {
-        velocity[node] = Real4(select(select(v, max(v, Real3()), low), min(v, Real3()), high), Real());
+    let end = out_of_walls(rest_position, free, after, v, step.size, step.zero);
+    displacement[node] = vec4<f32>(end.displacement.hi, 0.0);
+    displacement[step.n_nodes + node] = vec4<f32>(end.displacement.lo, 0.0);
+    if end.stopped {
+        velocity[node] = Real4(end.velocity, Real());
     }
 }

@@ -1,8 +1,9 @@
 // move_solid, second part, with obstacles only: nodes inside an obstacle move to its surface along the gradient of the
-// interpolated distance, twice at most, and lose their velocity into it. Prescribed components stay. One thread per node.
+// interpolated distance, twice at most and as far as that is in the domain, and lose their velocity into it. Prescribed components stay. One thread per node.
 // level, step. rest: m. flags: see node_flags. solid_distance: cell centres, m. displacement: larger parts, then smaller, m;
 // velocity: m/s; both in place.
 #import dispatch
+#import domain_walls
 #import layout
 #import node_flags
 #import pair
@@ -44,6 +45,9 @@ fn push_nodes_out(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_in
         let outwards = Real3(distance.yzw / steepness);
         u = pair_plus(u, select(Real3(), -Real(distance.x) * outwards, free), step.zero);
         v -= select(Real3(), min(dot(v, outwards), Real()) * outwards, free);
+        let end = out_of_walls(rest[node].xyz, free, u, v, step.size, step.zero);
+        u = end.displacement;
+        v = end.velocity;
         distance = sample_distance(vec3<f32>(rest_position + pair_value(u)) * step.inv_dx);
     }
     displacement[node] = vec4<f32>(u.hi, 0.0);

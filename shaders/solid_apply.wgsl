@@ -1,14 +1,14 @@
-// PCG for solids: q = S s on free components, 0 on prescribed ones, and per thread s . q, r . q, q . q and r . r. One thread per node.
-// rows. flags: see node_flags. incidence, products: see gather, zeta_K K s. masses: zeta_M m (and more). x: search direction s. r: residual.
+// PCG for solids: q = P S s, P on the free directions, and per thread s . q, r . q, q . q and r . r. One thread per node.
+// rows. freedom: see freedom. incidence, products: see gather, zeta_K K s. masses: zeta_M m (and more). x: search direction s. r: residual.
 // q_out: q. partials: sums.
 #import dispatch
+#import freedom
 #import gather
-#import node_flags
 #import real
 #import rows
 
 @group(0) @binding(0) var<uniform> rows: Rows;
-@group(0) @binding(1) var<storage, read> flags: array<u32>;
+@group(0) @binding(1) var<storage, read> freedom: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> incidence: array<u32>;
 @group(0) @binding(3) var<storage, read> products: array<Real4>;
 @group(0) @binding(4) var<storage, read> masses: array<Real>;
@@ -24,7 +24,7 @@ fn solid_apply(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoc
         return;
     }
     let s = x[node].xyz;
-    let q = select(Real3(), masses[node] * s + gather(node, rows.n_elements), is_free(flags[node]));
+    let q = free_part(freedom[node], masses[node] * s + gather(node, rows.n_elements));
     let residual = r[node].xyz;
     q_out[node] = Real4(q, Real(0.0));
     partials[node] = Real4(dot(s, q), dot(residual, q), dot(q, q), dot(residual, residual));

@@ -1,18 +1,18 @@
-// solid_matrices: the mass term of S and the inverse of its 3x3 blocks on the diagonal, D_i = zeta_M m_i I + sum zeta_K K_aa over the
-// elements of the node; rows and columns of prescribed components are left out and zero in the inverse. One thread per node.
-// step, rows. flags: see node_flags. rest: position and mass, kg. load: the fourth number is tau_M, 1/s. rotated: see solid_blocks.
+// right_hand_side, for solids, last part: the mass term of S and the inverse of its 3x3 blocks on the diagonal, D_i = zeta_M m_i I + sum zeta_K K_aa over the
+// elements of the node; what is not free is left out and zero in the inverse. One thread per node.
+// step, rows. freedom: see freedom. rest: position and mass, kg. load: the fourth number is tau_M, 1/s. rotated: see solid_blocks.
 // incidence: see gather. masses: zeta_M m, then the mean of the diagonal of D_i, kg/s, two sections, out. inverse: s/kg, xx, yy, zz with zeta_M m as fourth number, then
-// xy, xz, yz, two sections, out.
+// xy, xz, yz, then the direction along which an obstacle holds the node, three sections, out.
 #import dispatch
+#import freedom
 #import inner
-#import node_flags
 #import real
 #import rows
 #import solid_step
 
 @group(0) @binding(0) var<uniform> step: SolidStep;
 @group(0) @binding(1) var<uniform> rows: Rows;
-@group(0) @binding(2) var<storage, read> flags: array<u32>;
+@group(0) @binding(2) var<storage, read> freedom: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> rest: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> load: array<Real4>;
 @group(0) @binding(5) var<storage, read> rotated: array<Real4>;
@@ -45,9 +45,21 @@ fn solid_diagonals(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_i
         squares += both * (g * g) + Real3(second.w * dot(g, g));
         products += both * (g.xxy * g.yzz);
     }
-    masses[rows.n_nodes + node] = (squares.x + squares.y + squares.z) / Real(3.0);
-    let free = is_free(flags[node]);
+    let mean = (squares.x + squares.y + squares.z) / Real(3.0);
+    masses[rows.n_nodes + node] = mean;
+    let free = free_components(freedom[node]);
     products = select(Real3(), products, free.xxy & free.yzz);
+    // Along n, a unit vector or 0, D becomes the mean and couples with nothing.
+    let along = Real3(freedom[node].xyz);
+    let n = along / sqrt(max(dot(along, along), Real(0.5)));
+    let dn = Real3(
+        squares.x * n.x + products.x * n.y + products.y * n.z,
+        products.x * n.x + squares.y * n.y + products.z * n.z,
+        products.y * n.x + products.z * n.y + squares.z * n.z,
+    );
+    let both = dot(n, dn) + mean;
+    squares += n * (both * n - Real(2.0) * dn);
+    products += both * (n.xxy * n.yzz) - (dn.xxy * n.yzz + n.xxy * dn.yzz);
     // D = L diag(pivots) L^T: no difference of nearly equal products.
     let pivot_x = squares.x;
     let yx = products.x / pivot_x;
@@ -60,6 +72,8 @@ fn solid_diagonals(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_i
     let i = Real3(Real(1.0)) / Real3(pivot_x, pivot_y, pivot_z);
     let diagonal = Real3(i.x + yx * yx * i.y + corner * corner * i.z, i.y + zy * zy * i.z, i.z);
     let others = Real3(-yx * i.y - corner * zy * i.z, corner * i.z, -zy * i.z);
-    inverse[node] = Inner4(Inner3(select(Real3(), diagonal, free)), Inner(mass));
-    inverse[rows.n_nodes + node] = Inner4(Inner3(others), Inner(0.0));
+    let held = n / mean;
+    inverse[node] = Inner4(Inner3(select(Real3(), diagonal - held * n, free)), Inner(mass));
+    inverse[rows.n_nodes + node] = Inner4(Inner3(others - held.xxy * n.yzz), Inner(0.0));
+    inverse[2u * rows.n_nodes + node] = Inner4(Inner3(n), Inner(0.0));
 }

@@ -1,15 +1,15 @@
-// Outer loop: r = rhs - S v on free components, 0 on prescribed ones, from the elements and not from the blocks. One thread per node.
-// rows. flags: see node_flags. incidence, products: see gather, zeta_K K v. masses: zeta_M m, then the mean of the
+// Outer loop: r = P (rhs - S v), P on the free directions, from the elements and not from the blocks. One thread per node.
+// rows. freedom: see freedom. incidence, products: see gather, zeta_K K v. masses: zeta_M m, then the mean of the
 // diagonal of D, kg/s. x: v, m/s. rhs: N.
-// outer: r, N, out. partials: |r|^2, squared norm of the terms that rhs sums, free components, |D v|^2 (see refine_turn).
+// outer: r, N, out. partials: |r|^2, squared norm of the terms that rhs sums, free directions, |D v|^2 (see refine_turn).
 #import dispatch
+#import freedom
 #import gather
-#import node_flags
 #import real
 #import rows
 
 @group(0) @binding(0) var<uniform> rows: Rows;
-@group(0) @binding(1) var<storage, read> flags: array<u32>;
+@group(0) @binding(1) var<storage, read> freedom: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> incidence: array<u32>;
 @group(0) @binding(3) var<storage, read> products: array<Real4>;
 @group(0) @binding(4) var<storage, read> masses: array<Real>;
@@ -25,9 +25,9 @@ fn solid_residual(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_in
         return;
     }
     let product = masses[node] * x[node].xyz + gather(node, rows.n_elements);
-    let free = is_free(flags[node]);
-    let scaled = select(Real3(), masses[rows.n_nodes + node] * x[node].xyz, free);
-    let residual = select(Real3(), rhs[node].xyz - product, free);
+    let here = freedom[node];
+    let scaled = free_part(here, masses[rows.n_nodes + node] * x[node].xyz);
+    let residual = free_part(here, rhs[node].xyz - product);
     outer[node] = Real4(residual, Real(0.0));
-    partials[node] = Real4(dot(residual, residual), rhs[node].w, Real(countOneBits(flags[node] & 7u)), dot(scaled, scaled));
+    partials[node] = Real4(dot(residual, residual), rhs[node].w, Real(n_free(here)), dot(scaled, scaled));
 }

@@ -11,7 +11,6 @@ mod probe;
 mod rotation;
 mod script;
 mod solids;
-mod step_limit;
 
 pub use bounds::Bounds;
 pub use element::{
@@ -20,7 +19,6 @@ pub use element::{
 };
 pub use incidence::{Corner, Incidence, Joint};
 pub use rotation::rotation;
-pub use step_limit::StepLimit;
 
 use std::ops::Range;
 

@@ -293,7 +293,7 @@ impl<'a> Device<'a> {
         };
         let fields = SolidBuffers::new(gpu, plan, solids)?;
         let buffers = SolidSystemBuffers::new(gpu, &SolidRows::new(solids)?, &scene.solver)?;
-        let system = SolidSystem::new(gpu, &buffers, fields.fields())?;
+        let system = SolidSystem::new(gpu, &buffers, fields.fields(), None)?;
         let rotations = ElementRotations::new(gpu, &fields)?;
         fields.write_state(gpu, &state);
         gpu.upload(&fields.step, &[fields.step_of(scene.domain.gravity, dt)]);
@@ -327,7 +327,8 @@ impl<'a> Device<'a> {
         let clock = Instant::now();
         let mut recorder = Recorder::new(self.gpu);
         recorder.stage(ElementRotations::NAME, |pass| {
-            self.system.record_matrices(pass)
+            self.system.record_matrices(pass);
+            self.system.record_hold(pass);
         });
         let (outcome, _) = self.solver.solve(
             self.gpu,
@@ -371,9 +372,10 @@ fn measure(scene: &Scene, body: Body, options: &Options, machine: &Machine) -> R
     let matrices = reference::solid_matrices(solids, &pattern, &device.state.displacement);
     let v_star = &device.state.node_velocity;
     let rhs = reference::solid_right_hand_side(solids, &matrices, v_star, dt);
-    let twin = reference::SolidSystem::new(solids, matrices.stiffness, &rhs, v_star, dt);
+    let freedom = reference::Freedom::all(solids);
+    let twin = reference::SolidSystem::new(solids, matrices.stiffness, &rhs, v_star, freedom, dt);
     let matrix = twin.free_to_csr();
-    let unknowns = twin.unknowns();
+    let unknowns = twin.components();
     let clock = Instant::now();
     let symbolic = SymbolicCholesky::new(&matrix)?;
     let ordering_seconds = clock.elapsed().as_secs_f64();

@@ -66,9 +66,10 @@ impl SolidBytes {
                 let rotations = m * (VEC4 + 2.0 * WORD) + n * 2.0 * VEC4 + self.of_elements(3.0);
                 rotations + self.of_rows()
             }
-            // Flags, masses, velocity, load; forces of the elements; sum out.
+            // Flags, masses, velocity, load; forces of the elements; sum out. Then who is held, and the diagonals.
             "right_hand_side" => {
-                n * (WORD + VEC4) + self.vectors(3.0) + self.incidence() + self.of_elements(1.0)
+                let sum = n * (WORD + VEC4) + self.vectors(3.0) + self.incidence();
+                sum + self.of_elements(1.0) + self.of_contacts(obstacles) + self.of_diagonals()
             }
             // Rest position and displacement in two parts, velocity; determinants and energies: a vector each.
             "diagnose" => n * 3.0 * VEC4 + self.vectors(1.0) + m * 2.0 * 4.0 * self.real,
@@ -78,13 +79,27 @@ impl SolidBytes {
 
     /// The rows of the preconditioner, from the rotated elements.
     pub(super) fn of_rows(&self) -> f64 {
-        let (n, m) = (self.nodes, self.elements);
+        let m = self.elements;
         // Twelve joints per element, where those of each block start, its column; the block out.
         let joints = WORD * (12.0 * m + 2.0 * self.blocks);
-        let blocks = self.of_elements(1.0) + joints + 12.0 * self.inner * self.blocks;
-        // Flags, mass, load; mass term, mean of the diagonal and inverse out.
-        let masses = n * (WORD + VEC4 + 2.0 * self.real + 8.0 * self.inner);
-        blocks + self.of_elements(1.0) + self.incidence() + masses + self.vectors(1.0)
+        self.of_elements(1.0) + joints + 12.0 * self.inner * self.blocks
+    }
+
+    /// The blocks on the diagonal, and what holds the nodes.
+    fn of_diagonals(&self) -> f64 {
+        // Freedom, mass, load; mass term, mean of the diagonal and inverse out.
+        let nodes = self.nodes * (2.0 * VEC4 + 2.0 * self.real + 12.0 * self.inner);
+        self.of_elements(1.0) + self.incidence() + nodes + self.vectors(1.0)
+    }
+
+    /// Which nodes walls and obstacles hold from the start, and the velocities of those.
+    fn of_contacts(&self, obstacles: f64) -> f64 {
+        // Rest position, flags, displacement in two parts, force; gaps and freedom out.
+        let walls = self.nodes * (5.0 * VEC4 + WORD) + self.vectors(1.0);
+        // The same, with the distance instead of the flags.
+        let touch = walls * (1.0 + obstacles);
+        // Gaps, freedom; few velocities.
+        touch + self.nodes * 2.0 * VEC4
     }
 
     /// A product of the polynomial of the preconditioner: one step of its iteration.
@@ -100,7 +115,7 @@ impl SolidBytes {
         let (n, m) = (self.nodes, self.elements);
         // Nodes, rotated gradients, vector; products written, and read by the gather.
         let products = m * VEC4 + self.of_elements(2.0) + self.vectors(1.0);
-        let gather = self.incidence() + self.of_elements(1.0) + n * (WORD + self.real);
+        let gather = self.incidence() + self.of_elements(1.0) + n * (VEC4 + self.real);
         products + gather + self.vectors(1.0 + others)
     }
 
@@ -119,8 +134,10 @@ impl SolidBytes {
         // Correction, unknowns read and written; right-hand side, residual and partials, which are summed; then residual in and
         // out, direction and correction out; the mean of the diagonal.
         let turn = self.vectors(7.0) + self.of_product(4.0) + self.nodes * self.real;
-        // The guess: flags, velocity read and written, correction.
-        let start = self.nodes * WORD + self.vectors(3.0) + turn;
-        start + iterations * iteration + (rounds + 1.0) * turn
+        // The guess: freedom, velocity read and written, correction.
+        let start = self.nodes * VEC4 + self.vectors(3.0) + turn;
+        // Who is held in the next solve: right-hand side, velocity, gaps, the mean of the diagonal.
+        let update = self.of_product(1.0) + self.nodes * (VEC4 + self.real);
+        start + iterations * iteration + (rounds + 1.0) * turn + update
     }
 }

@@ -10,8 +10,8 @@ use crate::grid::Grid;
 const PUSHES: usize = 2;
 
 /// u += dt v. Then a node beyond a wall of the domain is put on the wall, and one inside an obstacle on its surface along the gradient
-/// of the interpolated distance; both lose their velocity into what they touch. Prescribed components move, but nothing stops
-/// them.
+/// of the interpolated distance, as far as that is in the domain; both lose their velocity into what they touch. Prescribed components
+/// move, but nothing stops them. What the solve held is where it should be: this is for what it did not foresee, as surfaces that curve.
 ///
 /// `displacement` (m) and `velocity` (m/s): of all nodes, in place; `solid_distance`: per cell, m.
 pub fn move_solid(
@@ -25,19 +25,24 @@ pub fn move_solid(
     for (node, (u, v)) in displacement.iter_mut().zip(velocity).enumerate() {
         let free = solids.prescribed[node].map(|prescribed| !prescribed);
         let rest = solids.rest[node];
+        let out_of_walls = |u: &mut [f64; 3], v: &mut [f64; 3]| {
+            for axis in (0..3).filter(|&axis| free[axis]) {
+                let x = rest[axis] + u[axis];
+                let wall = x.clamp(0.0, grid.size()[axis]);
+                if wall != x {
+                    u[axis] = wall - rest[axis];
+                    v[axis] = if x < wall {
+                        v[axis].max(0.0)
+                    } else {
+                        v[axis].min(0.0)
+                    };
+                }
+            }
+        };
         for axis in 0..3 {
             u[axis] += dt * v[axis];
-            let x = rest[axis] + u[axis];
-            let wall = x.clamp(0.0, grid.size()[axis]);
-            if free[axis] && wall != x {
-                u[axis] = wall - rest[axis];
-                v[axis] = if x < wall {
-                    v[axis].max(0.0)
-                } else {
-                    v[axis].min(0.0)
-                };
-            }
         }
+        out_of_walls(u, v);
         for _ in 0..PUSHES {
             let x = rest + DVec3::from(*u);
             let depth = grid.sample_cells(solid_distance, x);
@@ -52,6 +57,7 @@ pub fn move_solid(
                 u[axis] -= depth * outwards[axis];
                 v[axis] -= inwards * outwards[axis];
             }
+            out_of_walls(u, v);
         }
     }
 }

@@ -1,9 +1,11 @@
-//! The system S v = rhs of one step of the solids (design section 2): S = zeta_M M + zeta_K K on the free components of v.
+//! The system S v = rhs of one step of the solids (design section 2): S = zeta_M M + zeta_K K on what of v is free.
+//!
+//! With P the projector on the free directions of the nodes ([`Freedom`]), v = P x + held, and x solves P S P x = P (rhs - S held).
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-use super::{BlockMatrix, SolidRightHandSide};
+use super::{BlockMatrix, Freedom, SolidRightHandSide};
 use crate::elastic::Solids;
 use crate::linalg::{Csr, LinearOperator, norm};
 
@@ -17,11 +19,15 @@ pub struct SolidSystem {
     mass: Vec<f64>,
     /// zeta_K per node, s.
     zeta_stiffness: Vec<f64>,
-    /// Whether each component is an unknown.
-    free: Vec<bool>,
-    /// Prescribed components, m/s; 0 in free ones.
+    /// How each node may move.
+    freedom: Vec<Freedom>,
+    /// M v*/dt - (K x* - b) + load, N.
+    forces: Vec<[f64; 3]>,
+    /// What rounding of these is a part of, N.
+    forces_scale: f64,
+    /// (I - P) v*, m/s.
     held: Vec<f64>,
-    /// The right-hand side less S times the prescribed components, N; 0 in prescribed components.
+    /// P (rhs - S held), N.
     pub rhs: Vec<f64>,
     /// What rounding of the right-hand side is a part of, N.
     pub rhs_scale: f64,
@@ -30,18 +36,16 @@ pub struct SolidSystem {
 }
 
 impl SolidSystem {
-    /// The system of a step of dt (s). `velocity`: v* of all nodes, m/s; its prescribed components are those of the answer.
+    /// The system of a step of dt (s). `velocity`: v* of all nodes, m/s; what of it is not free is that of the answer.
     pub fn new(
         solids: &Solids,
         stiffness: BlockMatrix,
         rhs: &SolidRightHandSide,
         velocity: &[[f64; 3]],
+        freedom: Vec<Freedom>,
         dt: f64,
     ) -> SolidSystem {
         let n = solids.rest.len();
-        let prescribed = solids.prescribed.as_flattened();
-        let held = |(v, prescribed): (&f64, &bool)| if *prescribed { *v } else { 0.0 };
-        let velocity = velocity.as_flattened().iter();
         let mut system = SolidSystem {
             stiffness,
             lumped: solids.mass.clone(),
@@ -51,21 +55,53 @@ impl SolidSystem {
             zeta_stiffness: (0..n)
                 .map(|node| solids.body_of_node(node).zeta_stiffness(dt))
                 .collect(),
-            free: prescribed.iter().map(|prescribed| !prescribed).collect(),
-            held: velocity.zip(prescribed).map(held).collect(),
+            freedom: Vec::new(),
+            forces: rhs.values.clone(),
+            forces_scale: rhs.scale,
+            held: Vec::new(),
             rhs: Vec::new(),
-            rhs_scale: rhs.scale,
+            rhs_scale: 0.0,
             dt,
         };
-        // S times the held components is on the other side.
-        let pull = system.product(&system.held);
-        let values = rhs.values.as_flattened().iter();
-        system.rhs = values
-            .zip(&pull)
-            .map(|(value, pull)| value - pull)
-            .collect();
-        system.rhs_scale += norm(&pull);
+        system.free(freedom, velocity);
         system
+    }
+
+    /// Frees other directions; what of the velocities (m/s) is not free is that of the answer.
+    pub fn free(&mut self, freedom: Vec<Freedom>, velocity: &[[f64; 3]]) {
+        self.freedom = freedom;
+        let all = velocity.as_flattened().iter();
+        let held = all.zip(self.free_part(velocity)).map(|(v, free)| v - free);
+        self.held = held.collect();
+        // S times what is held is on the other side.
+        let pull = self.product(&self.held);
+        let values = self.free_part(&self.forces);
+        let pairs = values.iter().zip(&pull);
+        self.rhs = pairs.map(|(value, pull)| value - pull).collect();
+        self.rhs_scale = self.forces_scale + norm(&pull);
+    }
+
+    /// M v*/dt - (K x* - b) + load of the nodes, N, 0 in prescribed components.
+    pub fn forces(&self) -> &[[f64; 3]] {
+        &self.forces
+    }
+
+    /// P y: what of the vectors of the nodes is free.
+    pub fn free_part(&self, y: &[[f64; 3]]) -> Vec<f64> {
+        let nodes = self.freedom.iter().zip(y);
+        nodes
+            .flat_map(|(freedom, &y)| (freedom.projector * DVec3::from(y)).to_array())
+            .collect()
+    }
+
+    /// How each node may move.
+    pub fn freedom(&self) -> &[Freedom] {
+        &self.freedom
+    }
+
+    /// Free directions of all nodes: the unknowns.
+    pub fn n_unknowns(&self) -> usize {
+        self.freedom.iter().map(Freedom::rank).sum()
     }
 
     /// Length of the step, s.
@@ -73,15 +109,19 @@ impl SolidSystem {
         self.dt
     }
 
-    /// Components that are unknowns, ascending: three times the node, plus 0, 1, 2 for x, y, z.
-    pub fn unknowns(&self) -> Vec<usize> {
-        let components = 0..self.free.len();
+    /// Components that are not prescribed, ascending: three times the node, plus 0, 1, 2 for x, y, z.
+    pub fn components(&self) -> Vec<usize> {
+        let components = 0..3 * self.freedom.len();
         components
-            .filter(|&component| self.free[component])
+            .filter(|&component| self.is_free(component))
             .collect()
     }
 
-    /// rhs - S x on the free components, 0 in prescribed ones.
+    fn is_free(&self, component: usize) -> bool {
+        self.freedom[component / 3].free[component % 3]
+    }
+
+    /// P (rhs - S x) for x = P x.
     pub fn residual(&self, x: &[f64]) -> Vec<f64> {
         let product = self.product(x);
         let rhs = self.rhs.iter();
@@ -104,11 +144,39 @@ impl SolidSystem {
         &self.mass
     }
 
+    /// S v at all nodes, whatever is free, N; `velocity`: m/s.
+    pub fn multiply(&self, velocity: &[[f64; 3]]) -> Vec<DVec3> {
+        let x = velocity.as_flattened();
+        let nodes = (0..velocity.len()).into_par_iter();
+        nodes.map(|node| self.row_times(node, x)).collect()
+    }
+
+    /// S x at a node.
+    fn row_times(&self, node: usize, x: &[f64]) -> DVec3 {
+        let inertia = self.mass[node] * DVec3::from_slice(&x[3 * node..]);
+        inertia + self.zeta_stiffness[node] * self.stiffness.product(node, x)
+    }
+
+    /// Mean of the diagonal of S at a node, kg/s.
+    pub fn mean_diagonal(&self, node: usize) -> f64 {
+        let block = self.stiffness.diagonal(node);
+        let trace: f64 = [0, 1, 2].map(|axis| block.col(axis)[axis]).iter().sum();
+        self.mass[node] + self.zeta_stiffness[node] * trace / 3.0
+    }
+
     /// S with all components, also the prescribed ones.
     pub fn to_csr(&self) -> Csr {
-        let n = self.free.len();
+        let n = 3 * self.freedom.len();
         Csr::from_rows(n, n, |row, entries| {
-            self.push_row(row, entries, &mut |column| Some(column))
+            let (node, axis) = (row / 3, row % 3);
+            for (other, block) in self.stiffness.row(node) {
+                let numbers = self.zeta_stiffness[node] * block.row(axis);
+                for other_axis in 0..3 {
+                    let column = 3 * other + other_axis;
+                    let mass = if column == row { self.mass[node] } else { 0.0 };
+                    entries.push((column, numbers[other_axis] + mass));
+                }
+            }
         })
     }
 
@@ -119,64 +187,56 @@ impl SolidSystem {
 
     /// M with all components, kg: lumped, so diagonal.
     pub fn mass_to_csr(&self) -> Csr {
-        let n = self.free.len();
+        let n = 3 * self.freedom.len();
         Csr::from_rows(n, n, |row, entries| {
             entries.push((row, self.lumped[row / 3]));
         })
     }
 
-    /// S on the free components, numbered in order.
+    /// P S P + mu (I - P) on the components that are not prescribed, numbered in order, where mu is the mean of the diagonal at a node:
+    /// what is held has x = 0, and the pattern is that of S whatever is held.
     pub fn free_to_csr(&self) -> Csr {
-        let unknowns = self.unknowns();
-        let mut number = vec![None; self.free.len()];
-        for (n, &component) in unknowns.iter().enumerate() {
+        let components = self.components();
+        let mut number = vec![None; 3 * self.freedom.len()];
+        for (n, &component) in components.iter().enumerate() {
             number[component] = Some(n);
         }
-        let n = unknowns.len();
+        let n = components.len();
         Csr::from_rows(n, n, |row, entries| {
-            self.push_row(unknowns[row], entries, &mut |column| number[column]);
+            let (node, axis) = (components[row] / 3, components[row] % 3);
+            for (other, block) in self.stiffness.row(node) {
+                let mut block = self.zeta_stiffness[node] * block;
+                if other == node {
+                    block += DMat3::from_diagonal(DVec3::splat(self.mass[node]));
+                }
+                let numbers = self.projected(node, other, block).row(axis);
+                for other_axis in 0..3 {
+                    if let Some(name) = number[3 * other + other_axis] {
+                        entries.push((name, numbers[other_axis]));
+                    }
+                }
+            }
         })
     }
 
-    /// Pushes the row of a component, its columns renamed; those without a name are left out.
-    fn push_row(
-        &self,
-        component: usize,
-        entries: &mut Vec<(usize, f64)>,
-        rename: &mut dyn FnMut(usize) -> Option<usize>,
-    ) {
-        let (node, axis) = (component / 3, component % 3);
-        for (other, block) in self.stiffness.row(node) {
-            let numbers = self.zeta_stiffness[node] * block.row(axis);
-            for other_axis in 0..3 {
-                let column = 3 * other + other_axis;
-                let mass = if column == component {
-                    self.mass[node]
-                } else {
-                    0.0
-                };
-                if let Some(name) = rename(column) {
-                    entries.push((name, numbers[other_axis] + mass));
-                }
-            }
+    /// The block of two nodes in P S P + mu (I - P).
+    fn projected(&self, node: usize, other: usize, block: DMat3) -> DMat3 {
+        let [left, right] = [node, other].map(|node| self.freedom[node].projector);
+        let mut projected = left * block * right;
+        if node == other {
+            projected += self.mean_diagonal(node) * (DMat3::IDENTITY - left);
         }
+        projected
     }
 
-    /// The block of a node on the diagonal of S, with 1 in place of what is prescribed.
+    /// The block of a node on the diagonal of P S P + mu (I - P).
     pub(super) fn diagonal(&self, node: usize) -> DMat3 {
         let mass = DMat3::from_diagonal(DVec3::splat(self.mass[node]));
-        let mut block = mass + self.zeta_stiffness[node] * self.stiffness.diagonal(node);
-        for axis in (0..3).filter(|axis| !self.free[3 * node + axis]) {
-            for other in 0..3 {
-                block.col_mut(axis)[other] = 0.0;
-                block.col_mut(other)[axis] = 0.0;
-            }
-            block.col_mut(axis)[axis] = 1.0;
-        }
-        block
+        let block = mass + self.zeta_stiffness[node] * self.stiffness.diagonal(node);
+        self.projected(node, node, block)
     }
 
-    /// S x, 0 in prescribed components.
+    /// P S x.
     fn product(&self, x: &[f64]) -> Vec<f64> {
         let mut product = vec![0.0; x.len()];
         self.apply(x, &mut product);
@@ -184,10 +244,10 @@ impl SolidSystem {
     }
 }
 
-/// S x on the free components, 0 in prescribed ones.
+/// P S x.
 impl LinearOperator for SolidSystem {
     fn size(&self) -> usize {
-        self.free.len()
+        3 * self.freedom.len()
     }
 
     fn apply(&self, x: &[f64], y: &mut [f64]) {
@@ -195,14 +255,8 @@ impl LinearOperator for SolidSystem {
             .with_min_len(256)
             .enumerate()
             .for_each(|(node, y)| {
-                let elastic = self.zeta_stiffness[node] * self.stiffness.product(node, x);
-                for axis in 0..3 {
-                    let component = 3 * node + axis;
-                    y[axis] = match self.free[component] {
-                        true => self.mass[node] * x[component] + elastic[axis],
-                        false => 0.0,
-                    };
-                }
+                let free = self.freedom[node].projector * self.row_times(node, x);
+                y.copy_from_slice(&free.to_array());
             });
     }
 }

@@ -7,13 +7,14 @@
 use std::sync::{Arc, OnceLock};
 
 use super::refine::{Correction, Judged, refine};
+use super::solid_contacts::{Contacts, MOST_SOLVES};
 use super::solid_system::SolidSystem;
 use super::solve::DIRECT_UNKNOWNS;
 use crate::Error;
 use crate::elastic::{Bounds, Solids};
 use crate::linalg::{CgEnd, Cholesky, Csr, LinearOperator, SymbolicCholesky, conjugate_gradient};
 use crate::scene::Solver;
-use crate::state::SolveReport;
+use crate::state::{SolveReport, SolveStatus};
 use glam::{DMat3, DVec3};
 
 /// The polynomial acts on eigenvalues from the largest over this times the squared degree.
@@ -45,11 +46,37 @@ impl SolidSolver {
         system: &SolidSystem,
         settings: &Solver,
     ) -> Result<(Vec<[f64; 3]>, SolveReport), Error> {
-        if system.unknowns().len() <= DIRECT_UNKNOWNS {
+        if system.components().len() <= DIRECT_UNKNOWNS {
             self.solve_direct(system, settings)
         } else {
             Ok(self.solve_iterative(solids, system, settings))
         }
+    }
+
+    /// Solves again while contacts change, which hold what the system holds.
+    ///
+    /// # Errors
+    /// When the factor does not fit into memory.
+    pub fn solve_in_contact(
+        &self,
+        solids: &Solids,
+        system: &mut SolidSystem,
+        contacts: &mut Contacts,
+        settings: &Solver,
+    ) -> Result<(Vec<[f64; 3]>, SolveReport), Error> {
+        let mut iterations = 0;
+        for solves in 1.. {
+            let (mut velocity, mut report) = self.solve(solids, system, settings)?;
+            iterations += report.iterations;
+            report.iterations = iterations;
+            let changes = contacts.update(system, &velocity);
+            let ended = report.status != SolveStatus::Converged || solves == MOST_SOLVES;
+            if ended || changes == 0 {
+                return Ok((velocity, report));
+            }
+            system.free(contacts.hold(&mut velocity), &velocity);
+        }
+        unreachable!("the last solve returns")
     }
 
     /// By sparse Cholesky, whatever the size.
@@ -61,7 +88,7 @@ impl SolidSolver {
         system: &SolidSystem,
         settings: &Solver,
     ) -> Result<(Vec<[f64; 3]>, SolveReport), Error> {
-        let unknowns = system.unknowns();
+        let components = system.components();
         // A matrix that is not positive definite in f64 is a breakdown of the solve, not of the program.
         let factor = if system.rhs.iter().any(|&b| b != 0.0) {
             let matrix = system.free_to_csr();
@@ -74,9 +101,9 @@ impl SolidSolver {
             let end = match &factor {
                 None => CgEnd::Breakdown,
                 Some(factor) => {
-                    let mut free: Vec<f64> = unknowns.iter().map(|&at| rhs[at]).collect();
+                    let mut free: Vec<f64> = components.iter().map(|&at| rhs[at]).collect();
                     factor.solve(&mut free);
-                    for (&at, value) in unknowns.iter().zip(free) {
+                    for (&at, value) in components.iter().zip(free) {
                         x[at] = value;
                     }
                     CgEnd::Converged
@@ -147,7 +174,7 @@ impl Judged for SolidSystem {
     }
 
     fn n_unknowns(&self) -> usize {
-        self.unknowns().len()
+        SolidSystem::n_unknowns(self)
     }
 
     fn residual(&self, x: &[f64]) -> Vec<f64> {

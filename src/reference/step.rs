@@ -5,15 +5,15 @@ use std::time::Instant;
 
 use super::diagnose::larger;
 use super::{
-    BlockPattern, PressureSystem, SolidSolver, SolidSystem, TimeStep, VolumeSource, active_cells,
-    advect_markers, advect_velocity, diagnose, diagnose_solid, extrapolate, forces,
+    BlockPattern, Contacts, PressureSystem, SolidSolver, SolidSystem, TimeStep, VolumeSource,
+    active_cells, advect_markers, advect_velocity, diagnose, diagnose_solid, extrapolate, forces,
     liquid_distance, liquid_volume, max_speed, move_solid, n_layers, node_forces, open_volumes,
     prepare, right_hand_side, solid_matrices, solid_right_hand_side, solve, time_step, volume_rate,
     write_back,
 };
 use crate::Error;
 use crate::effects::Effects;
-use crate::elastic::{Solids, StepLimit};
+use crate::elastic::Solids;
 use crate::geometry::CutCells;
 use crate::grid::{Axis, Grid};
 use crate::scene::{Liquid, Scene};
@@ -45,7 +45,6 @@ struct SolidPart {
     solids: Solids,
     pattern: Arc<BlockPattern>,
     solver: SolidSolver,
-    limit: StepLimit,
 }
 
 /// A system of a step and its answer.
@@ -113,7 +112,6 @@ impl Reference {
         let solid = effects.solids.then(|| SolidPart {
             pattern: Arc::new(BlockPattern::new(&solids)),
             solver: SolidSolver::new(&solids),
-            limit: StepLimit::new(&solids, scene.domain.gravity),
             solids,
         });
         Ok(Reference {
@@ -152,17 +150,7 @@ impl Reference {
         let nodes = state.node_velocity.as_flattened().iter();
         let solid_speed = nodes.fold(0.0, |max, v| larger(max, v.abs()));
         let speed = larger(max_speed(&state.velocity), solid_speed);
-        let limit = self.solid.as_ref();
-        let limit = limit.map_or(f64::INFINITY, |solid| solid.limit.longest(solid_speed));
-        time_step(
-            &scene.time,
-            grid.dx,
-            speed,
-            fall,
-            left,
-            state.dt_last,
-            limit,
-        )
+        time_step(&scene.time, grid.dx, speed, fall, left, state.dt_last)
     }
 
     /// Does one sub-step. After an error the state is the one before.
@@ -247,16 +235,20 @@ impl Reference {
             let rhs = right_hand_side(grid, open, &state.velocity, &active, source);
             PressureSystem::new(active, rhs, dt, part.liquid.density)
         });
-        let motion = solid.zip(matrices.as_ref()).map(|(part, matrices)| {
+        let mut motion = solid.zip(matrices.as_ref()).map(|(part, matrices)| {
             let SolidPart { solids, .. } = part;
             let rhs = solid_right_hand_side(solids, matrices, &state.node_velocity, dt);
-            SolidSystem::new(
-                solids,
-                matrices.stiffness.clone(),
-                &rhs,
-                &state.node_velocity,
-                dt,
-            )
+            let State {
+                displacement,
+                node_velocity,
+                ..
+            } = &mut state;
+            let contacts =
+                Contacts::new(solids, grid, solid_distance, displacement, &rhs.values, dt);
+            let freedom = contacts.hold(node_velocity);
+            let stiffness = matrices.stiffness.clone();
+            let system = SolidSystem::new(solids, stiffness, &rhs, node_velocity, freedom, dt);
+            (system, contacts)
         });
         clock.lap("right_hand_side");
 
@@ -268,10 +260,11 @@ impl Reference {
                 Some(report)
             }
         };
-        let solid_solve = match solid.zip(motion.as_ref()) {
+        let solid_solve = match solid.zip(motion.as_mut()) {
             None => None,
-            Some((SolidPart { solids, solver, .. }, system)) => {
-                let (velocity, report) = solver.solve(solids, system, settings)?;
+            Some((SolidPart { solids, solver, .. }, (system, contacts))) => {
+                let (velocity, report) =
+                    solver.solve_in_contact(solids, system, contacts, settings)?;
                 state.node_velocity = velocity;
                 Some(report)
             }
@@ -283,7 +276,7 @@ impl Reference {
         if let Some(system) = &pressure {
             observer(StepSystem::Pressure(system, &state.pressure));
         }
-        if let Some(system) = &motion {
+        if let Some((system, _)) = &motion {
             observer(StepSystem::Solid(system, &state.node_velocity));
         }
 

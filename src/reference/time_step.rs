@@ -18,11 +18,10 @@ pub struct TimeStep {
     pub floored: bool,
 }
 
-/// dt_cfl = cfl dx / max(speed, sqrt(|g| dx)); dt = T / ceil(T / min(dt_cfl, limit, 1.5 dt_last)), at least about frame / 256.
+/// dt_cfl = cfl dx / max(speed, sqrt(|g| dx)); dt = T / ceil(T / min(dt_cfl, 1.5 dt_last)), at least about frame / 256.
 ///
 /// `speed`: largest magnitude of a face velocity component, m/s; `fall`: sqrt(|g| dx), m/s; `time_left`: T to the next frame,
-/// s; `dt_last`: 0 before the first step; `limit`: what solids bear, s, infinite without. A fixed step divides T into equal parts of
-/// about its length, however fast anything is.
+/// s; `dt_last`: 0 before the first step. A fixed step divides T into equal parts of about its length, however fast anything is.
 pub fn time_step(
     time: &Time,
     dx: f64,
@@ -30,7 +29,6 @@ pub fn time_step(
     fall: f64,
     time_left: f64,
     dt_last: f64,
-    limit: f64,
 ) -> TimeStep {
     if let Some(fixed) = time.fixed_step {
         let dt = time_left / (time_left / fixed).round().max(1.0);
@@ -41,7 +39,7 @@ pub fn time_step(
     }
     let floor = 1.0 / (time.frames_per_second * LARGEST_COUNT);
     // Without gravity a liquid at rest asks for no sub-steps: the quotient is infinite and the frame is one step.
-    let mut wanted = (time.cfl * dx / speed.max(fall)).min(limit);
+    let mut wanted = time.cfl * dx / speed.max(fall);
     if dt_last > 0.0 {
         wanted = wanted.min(GROWTH * dt_last);
     }

@@ -67,9 +67,9 @@ impl GpuPath {
                 obstacles,
             )?),
         };
-        let report = || GpuSolids::readback(&gpu);
+        let readbacks = || GpuSolids::readbacks(&gpu);
         let readbacks = Some(Readbacks {
-            solids: solids.as_ref().map(|_| report()).transpose()?,
+            solids: solids.as_ref().map(|_| readbacks()).transpose()?,
             liquid: GpuLiquid::readback(&gpu, scene)?,
         });
         let mut path = GpuPath {
@@ -140,8 +140,6 @@ impl GpuPath {
         let left = self.head.time_left(time.frames_per_second);
         let liquid = self.liquid.iter().map(|liquid| liquid.max_speed);
         let max_speed = liquid.chain(self.solids.iter().map(|solids| solids.max_speed));
-        let limit = self.solids.as_ref();
-        let limit = limit.map(|solids| solids.limit.longest(solids.max_speed));
         time_step(
             time,
             self.grid.dx,
@@ -149,7 +147,6 @@ impl GpuPath {
             fall,
             left,
             self.head.dt_last,
-            limit.unwrap_or(f64::INFINITY),
         )
     }
 

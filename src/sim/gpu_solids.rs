@@ -2,18 +2,20 @@
 
 use crate::Error;
 use crate::effects::Effects;
-use crate::elastic::{Bounds, Solids, StepLimit};
+use crate::elastic::{Bounds, Solids};
 use crate::geometry::CutCells;
-use crate::gpu::{BufferPlan, Gpu, Readback};
+use crate::gpu::{BufferPlan, Gpu, Readback, Recorder, StageTimes};
+use crate::reference::MOST_SOLVES;
 use crate::scene::Scene;
 use crate::solver::{
-    self, Outcome, Polynomial, SolidRows, SolidSolver, SolidSystem, SolidSystemBuffers,
+    self, ObstacleField, Outcome, Polynomial, SolidRows, SolidSolver, SolidSystem,
+    SolidSystemBuffers,
 };
 use crate::stages::{
     self, DiagnoseSolid, ElementRotations, MoveSolid, NodeForces, ObstacleBuffers, SolidBuffers,
     SolidPlan,
 };
-use crate::state::{SolidReport, State};
+use crate::state::{SolidReport, SolveStatus, State};
 
 use super::step::solve_report;
 
@@ -22,7 +24,6 @@ use super::step::solve_report;
 pub(super) struct GpuSolids {
     pub(super) solids: Solids,
     bounds: Bounds,
-    pub(super) limit: StepLimit,
     /// m/s
     pub(super) max_speed: f64,
     pub(super) buffers: SolidBuffers,
@@ -31,6 +32,14 @@ pub(super) struct GpuSolids {
     scripted: Scripted,
     /// Where displacements arrive for the probes, where there are any.
     probed: Option<Readback<[f32; 4]>>,
+}
+
+/// Where what the device tells of a sub-step arrives.
+#[derive(Debug)]
+pub(super) struct SolidReadbacks {
+    pub(super) report: Readback<u32>,
+    /// How many contacts a solve changed.
+    pub(super) changes: Readback<u32>,
 }
 
 /// What the host follows of scripted nodes, so that they land on their keyframes without being read back. Empty without scripts.
@@ -115,18 +124,25 @@ impl GpuSolids {
             own.write(gpu, cut);
         }
         let obstacles = obstacles.or(own.as_ref()).filter(|_| plan.obstacles);
+        let field = buffers
+            .level
+            .as_ref()
+            .zip(obstacles)
+            .map(|(level, obstacles)| ObstacleField {
+                level,
+                solid_distance: &obstacles.solid_distance,
+            });
         let stages = SolidStages {
             move_solid: MoveSolid::new(gpu, &buffers, obstacles)?,
             forces: NodeForces::new(gpu, &buffers)?,
             rotations: ElementRotations::new(gpu, &buffers)?,
-            system: SolidSystem::new(gpu, &system, buffers.fields())?,
+            system: SolidSystem::new(gpu, &system, buffers.fields(), field)?,
             solve: SolidSolver::new(gpu, &system, buffers.fields(), &scene.solver)?,
             diagnose: DiagnoseSolid::new(gpu, &buffers)?,
         };
         let probed = || Readback::new(gpu, "solid.displacement", 2 * plan.n_nodes);
         Ok(GpuSolids {
             bounds: Bounds::new(&solids),
-            limit: StepLimit::new(&solids, scene.domain.gravity),
             max_speed: 0.0,
             buffers,
             system,
@@ -137,9 +153,53 @@ impl GpuSolids {
         })
     }
 
-    /// Where the report of a sub-step arrives.
-    pub(super) fn readback(gpu: &Gpu) -> Result<Readback<u32>, Error> {
-        Readback::new(gpu, "solid.report", stages::SolidReport::WORDS)
+    /// Where a sub-step is told of.
+    pub(super) fn readbacks(gpu: &Gpu) -> Result<SolidReadbacks, Error> {
+        Ok(SolidReadbacks {
+            report: Readback::new(gpu, "solid.report", stages::SolidReport::WORDS)?,
+            changes: Readback::new(gpu, "solid.changes", 1)?,
+        })
+    }
+
+    /// Submits the recording with the solve of a sub-step of dt (s) at its end, and solves again while contacts change.
+    pub(super) fn solve_in_contact<'a>(
+        &self,
+        gpu: &'a Gpu,
+        mut recorder: Recorder<'a>,
+        changes: &mut Readback<u32>,
+        dt: f64,
+    ) -> Result<(Outcome, StageTimes), Error> {
+        let GpuSolids {
+            buffers,
+            system,
+            stages,
+            ..
+        } = self;
+        let polynomial = self.polynomial(dt);
+        let (mut iterations, mut seconds) = (0, StageTimes::new());
+        for solves in 1.. {
+            let fields = buffers.fields();
+            let (mut outcome, mut times) =
+                stages
+                    .solve
+                    .solve(gpu, recorder, system, fields, &polynomial, true)?;
+            iterations += outcome.iterations;
+            outcome.iterations = iterations;
+            seconds.append(&mut times);
+            let mut to = Recorder::timed(gpu);
+            to.clear(&buffers.changes);
+            to.stage("solve", |pass| stages.system.record_update(pass));
+            to.read(&buffers.changes, changes);
+            let timing = to.submit();
+            let changed = changes.wait(gpu)?[0] > 0;
+            seconds.append(&mut timing.wait()?);
+            if !changed || solves == MOST_SOLVES || outcome.status != SolveStatus::Converged {
+                return Ok((outcome, seconds));
+            }
+            recorder = Recorder::timed(gpu);
+            recorder.stage("solve", |pass| stages.system.record_hold(pass));
+        }
+        unreachable!("the last solve returns")
     }
 
     /// Replaces the solids' part of the state.
@@ -199,7 +259,7 @@ impl GpuSolids {
         let Some(readback) = &mut self.probed else {
             return Ok(Vec::new());
         };
-        let mut recorder = crate::gpu::Recorder::new(gpu);
+        let mut recorder = Recorder::new(gpu);
         recorder.read(&self.buffers.displacement, readback);
         recorder.submit();
         Ok(self.buffers.displacement_of(&readback.wait(gpu)?))

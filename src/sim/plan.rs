@@ -2,7 +2,7 @@
 
 use crate::Error;
 use crate::effects::Effects;
-use crate::elastic::{Bounds, Solids, StepLimit};
+use crate::elastic::{Bounds, Solids};
 use crate::geometry;
 use crate::gpu::{AdapterReport, BufferPlan, Timer};
 use crate::grid::Grid;
@@ -164,10 +164,9 @@ fn first_step(scene: &Scene, grid: &Grid, solids: &Solids) -> TimeStep {
     let nodes = velocity.as_flattened().iter();
     let solid_speed = nodes.fold(0.0, |speed, v| f64::max(speed, v.abs()));
     let speed = liquid_speed.max(solid_speed);
-    let limit = StepLimit::new(solids, scene.domain.gravity).longest(solid_speed);
     let fall = (scene.domain.gravity.length() * grid.dx).sqrt();
     let frame = 1.0 / scene.time.frames_per_second;
-    time_step(&scene.time, grid.dx, speed, fall, frame, 0.0, limit)
+    time_step(&scene.time, grid.dx, speed, fall, frame, 0.0)
 }
 
 fn effect_lines(scene: &Scene, effects: &Effects) -> Vec<EffectLine> {
@@ -348,12 +347,14 @@ fn stages(scene: &Scene, grid: &Grid, rows: &SolidRows, effects: &Effects) -> Ve
         stage("closed_components", true, &[(true, &components)]);
     }
     if elastic {
-        let kernels = ["element_rotations", "solid_blocks", "solid_diagonals"];
+        let kernels = ["element_rotations", "solid_blocks"];
         stage("solid_matrices", true, &[(true, &kernels)]);
     }
-    let right_hand_side: [(bool, &[_]); 2] = [
+    let right_hand_side: [(bool, &[_]); 4] = [
         (liquid, &["right_hand_side"]),
-        (elastic, &["solid_right_hand_side"]),
+        (elastic, &["solid_right_hand_side", "solid_contacts"]),
+        (elastic && obstacles, &["obstacle_contacts"]),
+        (elastic, &["hold_nodes", "solid_diagonals"]),
     ];
     stage("right_hand_side", true, &right_hand_side);
     let mut solve = Vec::new();
@@ -362,6 +363,7 @@ fn stages(scene: &Scene, grid: &Grid, rows: &SolidRows, effects: &Effects) -> Ve
     }
     let solid_kernels = solver::solid_kernels(rows);
     solve.push((elastic, &solid_kernels[..]));
+    solve.push((elastic, &["update_contacts"]));
     stage("solve", true, &solve);
     if liquid {
         stage("write_back", true, &[(true, &["still_air", "write_back"])]);

@@ -9,7 +9,7 @@ use crate::elastic::{Solids, stiffness_block};
 use crate::gpu::{Buffer, Gpu, Real};
 use crate::grid::{Axis, Grid};
 use crate::reference::{
-    ActiveCells, BlockMatrix, BlockPattern, SolidRightHandSide, SolidSystem, Stencil,
+    ActiveCells, BlockMatrix, BlockPattern, Freedom, SolidRightHandSide, SolidSystem, Stencil,
 };
 use crate::stages::{Report, SolidReport};
 use crate::state::State;
@@ -42,8 +42,10 @@ pub struct SolidSnapshot {
     pub element_forces: [Vec<[f64; 3]>; 3],
     /// zeta_M m of the nodes, kg/s.
     pub masses: Vec<f64>,
-    /// Right-hand side of the free components, N.
+    /// Right-hand side of the components that are not prescribed, N.
     pub rhs: Vec<[f64; 3]>,
+    /// How the nodes may move.
+    pub freedom: Vec<Freedom>,
     /// Scalar type of all these but the displacement.
     pub real: Real,
     /// The numbers of the last `diagnose`.
@@ -105,6 +107,20 @@ impl GpuPath {
 }
 
 impl GpuSolids {
+    /// Walls leave components, obstacles a direction.
+    fn freedom(&self, gpu: &Gpu) -> Result<Vec<Freedom>, Error> {
+        let prescribed = self.solids.prescribed.iter();
+        let words = gpu.download(&self.buffers.freedom)?;
+        let nodes = prescribed.zip(words);
+        Ok(nodes
+            .map(|(&prescribed, [x, y, z, flags])| {
+                let components = [0, 1, 2].map(|axis| flags as u32 >> axis & 1 == 1);
+                let held = DVec3::new(x.into(), y.into(), z.into());
+                Freedom::left(prescribed, components, held.normalize_or_zero())
+            })
+            .collect())
+    }
+
     fn snapshot(&self, gpu: &Gpu) -> Result<SolidSnapshot, Error> {
         let GpuSolids {
             buffers, system, ..
@@ -135,6 +151,7 @@ impl GpuSolids {
             element_forces: [0, 1, 2].map(|s| three(&section(&forces, s))),
             masses: system.masses.download(gpu)?[..n].to_vec(),
             rhs: three(&system.rhs.download(gpu)?[..4 * n]),
+            freedom: self.freedom(gpu)?,
             real: buffers.plan.real,
             report: SolidReport::from_words(&gpu.download(&buffers.report)?),
         })
@@ -265,7 +282,8 @@ impl SolidSnapshot {
             values: self.rhs.clone(),
             scale: 0.0,
         };
-        SolidSystem::new(solids, stiffness, &rhs, &self.velocity, dt)
+        let freedom = self.freedom.clone();
+        SolidSystem::new(solids, stiffness, &rhs, &self.velocity, freedom, dt)
     }
 }
 

@@ -14,7 +14,7 @@ use crate::state::{SolveReport, StepReport};
 
 use super::gpu_liquid::{GpuLiquid, active, within};
 use super::gpu_path::GpuPath;
-use super::gpu_solids::GpuSolids;
+use super::gpu_solids::{GpuSolids, SolidReadbacks};
 
 /// Hears of every stage once its results are on the device.
 pub type Observer<'a> = &'a mut dyn FnMut(&'static str, &GpuPath) -> Result<(), Error>;
@@ -23,7 +23,7 @@ pub type Observer<'a> = &'a mut dyn FnMut(&'static str, &GpuPath) -> Result<(), 
 #[derive(Debug)]
 pub(super) struct Readbacks {
     pub(super) liquid: Option<Readback<u32>>,
-    pub(super) solids: Option<Readback<u32>>,
+    pub(super) solids: Option<SolidReadbacks>,
 }
 
 /// What the device tells of a sub-step.
@@ -158,21 +158,10 @@ impl GpuPath {
                 stages.closed_components.centre_potential(pass)
             });
         }
-        if let Some(solids) = solids {
-            let GpuSolids {
-                buffers,
-                system,
-                stages,
-                ..
-            } = solids;
-            let (outcome, mut seconds) = stages.solve.solve(
-                gpu,
-                to,
-                system,
-                buffers.fields(),
-                &solids.polynomial(dt),
-                true,
-            )?;
+        if let Some((solids, SolidReadbacks { changes, .. })) =
+            solids.zip(readbacks.solids.as_mut())
+        {
+            let (outcome, mut seconds) = solids.solve_in_contact(gpu, to, changes, dt)?;
             elastic = Some(outcome);
             told.seconds.append(&mut seconds);
             to = Recorder::timed(gpu);
@@ -198,19 +187,22 @@ impl GpuPath {
             stages.diagnose.record(&mut to, buffers, &active(solver));
             to.read(&buffers.report, readback);
         }
-        if let Some((solids, readback)) = solids.zip(readbacks.solids.as_mut()) {
+        if let Some((solids, SolidReadbacks { report, .. })) = solids.zip(readbacks.solids.as_mut())
+        {
             let GpuSolids {
                 buffers, stages, ..
             } = solids;
             stages.diagnose.record(&mut to, buffers);
-            to.read(&buffers.report, readback);
+            to.read(&buffers.report, report);
         }
         let timing = to.submit();
         if let Some((outcome, readback)) = pressure.zip(readbacks.liquid.as_mut()) {
             told.liquid = Some((outcome, Report::from_words(&readback.wait(gpu)?)));
         }
-        if let Some((outcome, readback)) = elastic.zip(readbacks.solids.as_mut()) {
-            told.solids = Some((outcome, SolidReport::from_words(&readback.wait(gpu)?)));
+        if let Some((outcome, SolidReadbacks { report, .. })) =
+            elastic.zip(readbacks.solids.as_mut())
+        {
+            told.solids = Some((outcome, SolidReport::from_words(&report.wait(gpu)?)));
         }
         told.seconds.extend(timing.wait()?);
         watch.after(Diagnose::NAME, Recorder::new(gpu))?;

@@ -33,6 +33,7 @@ mod pcg;
 mod plan;
 mod pressure;
 mod refine;
+mod solid_contacts;
 mod solid_host;
 mod solid_solver;
 mod solid_system;
@@ -44,6 +45,7 @@ pub use hierarchy::{Hierarchy, Tail, TailStep};
 pub use plan::small_buffers;
 pub use pressure::PressureSolver;
 pub use refine::{Outcome, RefineSettings, rounding};
+pub use solid_contacts::ObstacleField;
 pub use solid_solver::{SolidSolver, solid_kernels};
 pub use solid_system::{Rows, SolidFields, SolidRows, SolidSystem, SolidSystemBuffers};
 pub use system::{

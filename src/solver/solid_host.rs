@@ -13,7 +13,8 @@ use super::solid_system::{SolidFields, SolidRows, SolidSystemBuffers};
 /// Where the stored system, in f32, arrives, and what of it never changes.
 #[derive(Debug)]
 pub(super) struct SolidReadbacks {
-    topology: Arc<Topology>,
+    elements: Arc<Vec<[u32; 4]>>,
+    freedom: Readback<[f32; 4]>,
     rotated: Readback<u32>,
     masses: Readback<u32>,
     rhs: Readback<u32>,
@@ -21,17 +22,11 @@ pub(super) struct SolidReadbacks {
     guess: Readback<u32>,
 }
 
-/// Nodes of the elements, and which components of the nodes are prescribed.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Topology {
-    pub(super) elements: Vec<[u32; 4]>,
-    pub(super) prescribed: Vec<[bool; 3]>,
-}
-
 impl SolidReadbacks {
     /// What will be allocated for n nodes and m elements.
-    pub(super) fn plan(n: usize, m: usize) -> [BufferPlan; 5] {
+    pub(super) fn plan(n: usize, m: usize) -> [BufferPlan; 6] {
         [
+            BufferPlan::of::<[f32; 4]>("solid.freedom (read-back)", n),
             BufferPlan::of::<u32>("solid.rotated (read-back)", 12 * m),
             BufferPlan::of::<u32>("solid_solver.masses (read-back)", n),
             BufferPlan::of::<u32>("solid_solver.rhs (read-back)", 4 * n),
@@ -43,7 +38,8 @@ impl SolidReadbacks {
     pub(super) fn new(gpu: &Gpu, rows: &SolidRows) -> Result<SolidReadbacks, Error> {
         let (n, m) = (rows.rows.n_nodes as usize, rows.rows.n_elements as usize);
         Ok(SolidReadbacks {
-            topology: rows.topology.clone(),
+            elements: rows.elements.clone(),
+            freedom: Readback::new(gpu, "solid.freedom", n)?,
             rotated: Readback::new(gpu, "solid.rotated", 12 * m)?,
             masses: Readback::new(gpu, "solid_solver.masses", n)?,
             rhs: Readback::new(gpu, "solid_solver.rhs", 4 * n)?,
@@ -53,16 +49,40 @@ impl SolidReadbacks {
     }
 }
 
+/// How a node may move, widened: see `shaders/common/freedom.wgsl`.
+#[derive(Clone, Copy, Debug)]
+struct Free {
+    components: DVec3,
+    held: DVec3,
+}
+
+impl Free {
+    fn new(&[x, y, z, flags]: &[f32; 4]) -> Free {
+        let held = DVec3::new(x.into(), y.into(), z.into());
+        let bit = |axis: u32| f64::from(flags as u32 >> axis & 1);
+        Free {
+            components: DVec3::new(bit(0), bit(1), bit(2)),
+            held: held.normalize_or_zero(),
+        }
+    }
+
+    fn part(&self, y: DVec3) -> DVec3 {
+        let kept = self.components * y;
+        kept - self.held.dot(kept) * self.held
+    }
+}
+
 /// The stored system, widened. Vectors hold four numbers per node.
 #[derive(Debug)]
 pub(super) struct HostElastic {
-    topology: Arc<Topology>,
+    elements: Arc<Vec<[u32; 4]>>,
+    freedom: Vec<Free>,
     rotated: Vec<f64>,
     masses: Vec<f64>,
     rhs: Vec<f64>,
-    /// Prescribed components; the others are zero.
-    prescribed: Vec<f64>,
-    /// v* in the free components; the others are zero.
+    /// What is held of the velocities, and nothing else.
+    held: Vec<f64>,
+    /// What is free of v*.
     guess: Vec<f64>,
 }
 
@@ -79,7 +99,8 @@ impl HostElastic {
         // A panic in another solve leaves nothing half done here: every use begins with new copies.
         let mut readbacks = readbacks.lock().unwrap_or_else(PoisonError::into_inner);
         let SolidReadbacks {
-            topology,
+            elements,
+            freedom,
             rotated,
             masses,
             rhs,
@@ -87,6 +108,7 @@ impl HostElastic {
             guess,
         } = &mut *readbacks;
         let mut recorder = Recorder::new(gpu);
+        recorder.read(fields.freedom, freedom);
         recorder.read(&fields.rotated.words, rotated);
         recorder.read_part(&buffers.masses.words, 0, masses);
         recorder.read(&buffers.rhs.words, rhs);
@@ -99,18 +121,19 @@ impl HostElastic {
         );
         recorder.submit();
         Ok(HostElastic {
-            topology: topology.clone(),
+            elements: elements.clone(),
+            freedom: freedom.wait(gpu)?.iter().map(Free::new).collect(),
             rotated: fields.rotated.widen(&rotated.wait(gpu)?),
             masses: buffers.masses.widen(&masses.wait(gpu)?),
             rhs: buffers.rhs.widen(&rhs.wait(gpu)?),
-            prescribed: fields.velocity.widen(&velocity.wait(gpu)?),
+            held: fields.velocity.widen(&velocity.wait(gpu)?),
             guess: buffers.search.widen(&guess.wait(gpu)?),
         })
     }
 
     /// One of three sections of vectors per element.
     fn vector(&self, section: usize, element: usize) -> (DVec3, f64) {
-        let at = 4 * (section * self.topology.elements.len() + element);
+        let at = 4 * (section * self.elements.len() + element);
         let [x, y, z, w] = [0, 1, 2, 3].map(|part| self.rotated[at + part]);
         (DVec3::new(x, y, z), w)
     }
@@ -119,15 +142,13 @@ impl HostElastic {
 impl HostSystem for HostElastic {
     /// v*, unless zero leaves less of the right-hand side.
     fn start(&self) -> Vec<f64> {
-        let pairs = self.prescribed.iter().zip(&self.guess);
-        let guess: Vec<f64> = pairs
-            .map(|(prescribed, guess)| prescribed + guess)
-            .collect();
-        let [with, without] = [&guess, &self.prescribed].map(|x| self.residual(x).1);
+        let pairs = self.held.iter().zip(&self.guess);
+        let guess: Vec<f64> = pairs.map(|(held, guess)| held + guess).collect();
+        let [with, without] = [&guess, &self.held].map(|x| self.residual(x).1);
         if with < without {
             guess
         } else {
-            self.prescribed.clone()
+            self.held.clone()
         }
     }
 
@@ -135,7 +156,7 @@ impl HostSystem for HostElastic {
     fn residual(&self, x: &[f64]) -> (Vec<f64>, f64) {
         let node = |node: u32| DVec3::from_slice(&x[4 * node as usize..]);
         let mut product = vec![DVec3::ZERO; self.masses.len()];
-        for (element, corners) in self.topology.elements.iter().enumerate() {
+        for (element, corners) in self.elements.iter().enumerate() {
             let (g1, lambda) = self.vector(0, element);
             let (g2, mu) = self.vector(1, element);
             let gradients = [g1, g2, self.vector(2, element).0];
@@ -154,13 +175,11 @@ impl HostSystem for HostElastic {
         let mut r = vec![0.0; x.len()];
         let mut rr = 0.0;
         for (node, product) in product.into_iter().enumerate() {
-            for axis in 0..3 {
-                if !self.topology.prescribed[node][axis] {
-                    let at = 4 * node + axis;
-                    r[at] = self.rhs[at] - (self.masses[node] * x[at] + product[axis]);
-                    rr += r[at] * r[at];
-                }
-            }
+            let at = 4 * node;
+            let [x, rhs] = [x, self.rhs.as_slice()].map(|all| DVec3::from_slice(&all[at..]));
+            let free = self.freedom[node].part(rhs - (self.masses[node] * x + product));
+            r[at..at + 3].copy_from_slice(&free.to_array());
+            rr += free.length_squared();
         }
         (r, rr)
     }

@@ -215,7 +215,7 @@ impl Elastic {
     ) -> Result<Elastic, Error> {
         let kernel = |source| Kernel::new(gpu, source, buffers.variant);
         let rows = ("rows", (&buffers.rows).into());
-        let flags = ("flags", fields.flags.into());
+        let freedom = ("freedom", fields.freedom.into());
         let incidence = ("incidence", (&buffers.incidence).into());
         let products = ("products", (&buffers.products).into());
         let masses = ("masses", (&buffers.masses).into());
@@ -238,14 +238,14 @@ impl Elastic {
         Ok(Elastic {
             guess: kernel(&crate::wgsl!("solid_guess"))?.bind(
                 gpu,
-                &[rows, flags, ("velocity", fields.velocity.into()), search],
+                &[rows, freedom, ("velocity", fields.velocity.into()), search],
             )?,
             products: [product_of(fields.velocity)?, product_of(&buffers.search)?],
             residual: kernel(&crate::wgsl!("solid_residual"))?.bind(
                 gpu,
                 &[
                     rows,
-                    flags,
+                    freedom,
                     incidence,
                     products,
                     masses,
@@ -262,7 +262,7 @@ impl Elastic {
                 gpu,
                 &[
                     rows,
-                    flags,
+                    freedom,
                     incidence,
                     products,
                     masses,

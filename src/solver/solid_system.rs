@@ -17,7 +17,8 @@ use crate::scene::Solver;
 use super::chebyshev::Polynomial;
 use super::pcg::{Labels, labels};
 use super::plan::outer_loop;
-use super::solid_host::{SolidReadbacks, Topology};
+use super::solid_contacts::{ObstacleField, SolidContacts};
+use super::solid_host::SolidReadbacks;
 use super::{FOLD_THREADS, Level, variant};
 
 pub(super) const LABELS: Labels = labels!("solid_solver");
@@ -76,7 +77,7 @@ pub struct SolidRows {
     /// Nodes of the largest solid.
     largest_body: usize,
     /// What the host needs for a residual of its own.
-    pub(super) topology: Arc<Topology>,
+    pub(super) elements: Arc<Vec<[u32; 4]>>,
 }
 
 impl SolidRows {
@@ -122,10 +123,7 @@ impl SolidRows {
             incidence: Vec::new(),
             n_blocks: incidence.n_blocks(),
             largest_body: 0,
-            topology: Arc::new(Topology {
-                elements: solids.elements.clone(),
-                prescribed: solids.prescribed.clone(),
-            }),
+            elements: Arc::new(solids.elements.clone()),
         };
         rows.set_slices(&incidence, &order);
         let bodies = solids.bodies.iter().map(|body| &body.nodes);
@@ -221,7 +219,7 @@ impl SolidRows {
             BufferPlan::of::<u32>("solid_solver.joints", self.joints.len()),
             BufferPlan::of::<u32>("solid_solver.neighbours", self.neighbours.len()),
             RealBuffer::plan("solid_solver.blocks", 12 * self.neighbours.len(), inner),
-            RealBuffer::plan("solid_solver.inverse", 8 * n, inner),
+            RealBuffer::plan("solid_solver.inverse", 12 * n, inner),
             RealBuffer::plan("solid_solver.masses", 2 * n, real),
             RealBuffer::plan("solid_solver.rhs", 4 * n, real),
             RealBuffer::plan("solid_solver.outer", 4 * n, real),
@@ -276,6 +274,14 @@ pub struct SolidFields<'a> {
     pub velocity: &'a RealBuffer,
     /// Per node: bits 0, 1, 2 for free components.
     pub flags: &'a Buffer<u32>,
+    /// Per node: displacement from rest, m, larger parts, then smaller.
+    pub displacement: &'a Buffer<[f32; 4]>,
+    /// Distances from walls and obstacles: see `shaders/common/contact.wgsl`.
+    pub gaps: &'a Buffer<[f32; 4]>,
+    /// How nodes may move: see `shaders/common/freedom.wgsl`.
+    pub freedom: &'a Buffer<[f32; 4]>,
+    /// How many contacts an update changed.
+    pub changes: &'a Buffer<u32>,
     /// Nodes of the elements.
     pub elements: &'a Buffer<[u32; 4]>,
     /// `Real4`, three sections of m: rotated gradients, 1/m, with zeta_K V lambda, zeta_K V mu and det F.
@@ -306,11 +312,12 @@ pub struct SolidSystemBuffers {
     neighbours: Buffer<u32>,
     /// Blocks zeta_K K_ij off the diagonal, kg/s: see `common/rows.wgsl`.
     pub blocks: RealBuffer,
-    /// Inverse blocks of the diagonal, s/kg: xx, yy, zz, zeta_M m of all nodes, then xy, xz, yz, 0.
+    /// Inverse blocks of the diagonal, s/kg: xx, yy, zz, zeta_M m of all nodes, then xy, xz, yz, 0, then unit vectors along which
+    /// obstacles hold the nodes.
     pub inverse: RealBuffer,
     /// zeta_M m per node, then the mean of the diagonal of its block of S, kg/s.
     pub masses: RealBuffer,
-    /// Right-hand side of the free components, N, and the squared norm of the terms that it sums.
+    /// Right-hand side of the components that are not prescribed, N, and the squared norm of the terms that it sums.
     pub rhs: RealBuffer,
     pub(super) outer: RealBuffer,
     pub(super) products: RealBuffer,
@@ -403,18 +410,19 @@ impl SolidSystemBuffers {
 }
 
 /// The kernels that set the system up, every step: the part of `solid_matrices` that follows the rotations of the elements, and
-/// `right_hand_side` for solids.
+/// `right_hand_side` for solids, which ends with what walls and obstacles hold and, since that decides on them, the blocks on the diagonal.
 #[derive(Debug)]
 pub struct SolidSystem {
     blocks: Bound,
     diagonals: Bound,
     right_hand_side: Bound,
+    contacts: SolidContacts,
     n_entries: usize,
     n_nodes: usize,
 }
 
 impl SolidSystem {
-    /// Compiles and binds.
+    /// Compiles and binds; `obstacles` where there are any.
     ///
     /// # Errors
     /// As [`Kernel::new`] and [`Kernel::bind`].
@@ -422,6 +430,7 @@ impl SolidSystem {
         gpu: &Gpu,
         buffers: &SolidSystemBuffers,
         fields: SolidFields,
+        obstacles: Option<ObstacleField>,
     ) -> Result<SolidSystem, Error> {
         let kernel = |source| Kernel::new(gpu, source, buffers.variant);
         let rows = ("rows", (&buffers.rows).into());
@@ -447,7 +456,7 @@ impl SolidSystem {
                 &[
                     step,
                     rows,
-                    flags,
+                    ("freedom", fields.freedom.into()),
                     rest,
                     load,
                     rotated,
@@ -470,19 +479,32 @@ impl SolidSystem {
                     ("rhs", (&buffers.rhs).into()),
                 ],
             )?,
+            contacts: SolidContacts::new(gpu, buffers, fields, obstacles)?,
             n_entries: buffers.sizes.n_entries as usize,
             n_nodes: buffers.sizes.n_nodes as usize,
         })
     }
 
-    /// Records blocks and diagonals, from the rotated elements.
+    /// Records the blocks off the diagonal, from the rotated elements.
     pub fn record_matrices(&self, pass: &mut Pass) {
         pass.dispatch(&self.blocks, self.n_entries);
+    }
+
+    /// Records the right-hand side, from v* and the forces of the elements, and what is held from the start.
+    pub fn record_right_hand_side(&self, pass: &mut Pass) {
+        pass.dispatch(&self.right_hand_side, self.n_nodes);
+        self.contacts.record_touch(pass);
+        self.record_hold(pass);
+    }
+
+    /// Records the velocities of what is held, and the blocks on the diagonal: before every solve.
+    pub fn record_hold(&self, pass: &mut Pass) {
+        self.contacts.record_hold(pass);
         pass.dispatch(&self.diagonals, self.n_nodes);
     }
 
-    /// Records the right-hand side, from v* and the forces of the elements.
-    pub fn record_right_hand_side(&self, pass: &mut Pass) {
-        pass.dispatch(&self.right_hand_side, self.n_nodes);
+    /// Records, after a solve, who is held in the next one; the changes are added to the number in `fields`.
+    pub fn record_update(&self, pass: &mut Pass) {
+        self.contacts.record_update(pass);
     }
 }

@@ -56,6 +56,7 @@ impl SolidPlan {
         let mut plans = vec![
             BufferPlan::of::<SolidStep>("solid.step", 1),
             BufferPlan::of::<u32>("solid.report (read-back)", SolidReport::WORDS),
+            BufferPlan::of::<u32>("solid.changes (read-back)", 1),
         ];
         if self.obstacles {
             plans.push(BufferPlan::of::<Layout>("solid.level", 1));
@@ -67,11 +68,15 @@ impl SolidPlan {
     pub fn buffers(&self) -> Vec<BufferPlan> {
         let (n, m) = (self.n_nodes, self.n_elements);
         let prescribed = if self.scripts { n } else { 1 };
+        let surfaces = if self.obstacles { 2 } else { 1 };
         vec![
             BufferPlan::of::<[f32; 4]>("solid.rest", n),
             BufferPlan::of::<[f32; 4]>("solid.displacement", 2 * n),
             RealBuffer::plan("solid.velocity", 4 * n, self.real),
             BufferPlan::of::<u32>("solid.flags", n.next_multiple_of(4)),
+            BufferPlan::of::<[f32; 4]>("solid.gaps", surfaces * n),
+            BufferPlan::of::<[f32; 4]>("solid.freedom", n),
+            BufferPlan::of::<u32>("solid.changes", 1),
             BufferPlan::of::<[u32; 4]>("solid.elements", m),
             RealBuffer::plan("solid.rest_gradients", 12 * m, self.real),
             BufferPlan::of::<[f32; 2]>("solid.damping", m),
@@ -117,6 +122,13 @@ pub struct SolidBuffers {
     pub velocity: RealBuffer,
     /// Per node: bits 0, 1, 2 are set where x, y, z is free. Zeros fill up to a multiple of four.
     pub flags: Buffer<u32>,
+    /// Per node: distances from the nearer walls, m, and which they are; with obstacles a second section, unit normals and distances (see
+    /// `shaders/common/contact.wgsl`).
+    pub gaps: Buffer<[f32; 4]>,
+    /// Per node: how it may move in this sub-step (see `shaders/common/freedom.wgsl`).
+    pub freedom: Buffer<[f32; 4]>,
+    /// How many contacts changed after a solve.
+    pub changes: Buffer<u32>,
     /// Per element: its nodes.
     pub elements: Buffer<[u32; 4]>,
     /// `Real4`, three sections: rest gradients of the shape functions of corners 1, 2, 3, 1/m (that of corner 0 is minus their
@@ -169,6 +181,9 @@ impl SolidBuffers {
             displacement: maker.make("solid.displacement")?,
             velocity: maker.make_real("solid.velocity", plan.real)?,
             flags: maker.make("solid.flags")?,
+            gaps: maker.make("solid.gaps")?,
+            freedom: maker.make("solid.freedom")?,
+            changes: maker.make("solid.changes")?,
             elements: maker.make("solid.elements")?,
             rest_gradients: maker.make_real("solid.rest_gradients", plan.real)?,
             damping: maker.make("solid.damping")?,
@@ -234,6 +249,10 @@ impl SolidBuffers {
             rest: &self.rest,
             velocity: &self.velocity,
             flags: &self.flags,
+            displacement: &self.displacement,
+            gaps: &self.gaps,
+            freedom: &self.freedom,
+            changes: &self.changes,
             elements: &self.elements,
             rotated: &self.rotated,
             element_forces: &self.element_forces,

@@ -204,6 +204,7 @@ fn two_blocks() -> Scene {
         region([0.0; 3], [0.001, 1.0, 1.0]),
         [true, true, false],
     )];
+    low.placement.translate += glam::DVec3::new(0.0, 0.5, 0.5);
     (low.mass_damping, low.stiffness_damping) = (0.5, 0.01);
     low.initial.velocity = [0.0, 0.2, -0.1].into();
     let mut high = block([0.2; 3], [2, 2, 2]);

@@ -98,6 +98,9 @@ fn all_that_is_allocated_is_planned() {
                 (b.displacement.label(), b.displacement.bytes()),
                 (b.velocity.words.label(), b.velocity.words.bytes()),
                 (b.flags.label(), b.flags.bytes()),
+                (b.gaps.label(), b.gaps.bytes()),
+                (b.freedom.label(), b.freedom.bytes()),
+                (b.changes.label(), b.changes.bytes()),
                 (b.elements.label(), b.elements.bytes()),
                 (
                     b.rest_gradients.words.label(),

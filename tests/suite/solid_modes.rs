@@ -5,7 +5,7 @@ use std::sync::Arc;
 use cutwater::elastic::Solids;
 use cutwater::linalg::{SymbolicCholesky, dot};
 use cutwater::reference::{
-    BlockPattern, SolidSolver, SolidSystem, solid_matrices, solid_right_hand_side,
+    BlockPattern, Freedom, SolidSolver, SolidSystem, solid_matrices, solid_right_hand_side,
 };
 use cutwater::scene::Solver;
 use cutwater::state::SolveStatus;
@@ -40,7 +40,15 @@ impl<'a> Dynamics<'a> {
     fn system(&self, u: &[[f64; 3]], v: &[[f64; 3]], dt: f64) -> SolidSystem {
         let matrices = solid_matrices(self.solids, &self.pattern, u);
         let rhs = solid_right_hand_side(self.solids, &matrices, v, dt);
-        SolidSystem::new(self.solids, matrices.stiffness.clone(), &rhs, v, dt)
+        let freedom = Freedom::all(self.solids);
+        SolidSystem::new(
+            self.solids,
+            matrices.stiffness.clone(),
+            &rhs,
+            v,
+            freedom,
+            dt,
+        )
     }
 
     /// One step of dt (s) without gravity and contact: moves, then solves.
@@ -92,7 +100,7 @@ impl<'a> Dynamics<'a> {
         // S dt = K dt^2 + M, where M counts for nothing.
         let dt = 1e5;
         let system = self.system(&still, &still, dt);
-        let unknowns = system.unknowns();
+        let unknowns = system.components();
         let matrix = system.free_to_csr();
         let symbolic = SymbolicCholesky::new(&matrix).unwrap();
         let factor = symbolic.factorise(&matrix).unwrap();

@@ -3,10 +3,12 @@
 use cutwater::geometry::{CutCells, cut_cells};
 use cutwater::grid::Grid;
 use cutwater::reference::{Reference, TimeStep};
-use cutwater::scene::{ElasticModel, Keyframe, Obstacle, Pin, Placement, Scene, Solid};
+use cutwater::scene::{
+    ElasticModel, Keyframe, Obstacle, Pin, Placement, Scene, Shape, Solid, SolidMesh,
+};
 use cutwater::sim::{Backend, Options, Simulation};
 use cutwater::state::{SolidReport, SolveStatus, State};
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
 use crate::solid_cases::{
     THROWS, TIMOSHENKO, backward_euler, bar_on_rollers, cantilever, cantilever_table, flying_block,
@@ -14,7 +16,7 @@ use crate::solid_cases::{
     worst_of_nodal_table,
 };
 use crate::solid_modes::{Dynamics, ringing};
-use crate::solid_scene::{alone, block, scene_of, solids_of};
+use crate::solid_scene::{alone, block, body, scene_of, solids_of};
 
 /// S2: scikit-fem and CalculiX, all nodes.
 #[test]
@@ -234,32 +236,121 @@ fn squashed_and_mirrored_cubes_recover() {
     }
 }
 
-/// Without a fixed step a block that stands on the floor keeps its height to about 1 %, whatever its stiffness.
+/// A block on the floor sinks by its weight, rho g h^2 / (3 E) in the mean of a bar, whatever the sub-step; a floor that stops nodes after
+/// the solve presses the lowest layer by (M/m) g dt^2 more, 36 mm at 1/24 s.
 #[test]
-fn sub_steps_are_as_short_as_standing_asks_for() {
+fn bodies_stand_as_stiff_as_they_are_whatever_the_sub_step() {
     for young in [1e5, 1e7, 1e9] {
-        let mut solid = block([0.2; 3], [4, 4, 4]);
-        solid.placement.translate = DVec3::new(2.0, 0.1, 2.0);
-        (solid.young, solid.mass_damping) = (young, 5.0);
-        let mut scene = scene_of(vec![solid]);
-        scene.domain.gravity = DVec3::new(0.0, -9.81, 0.0);
-        let mut reference = start(&scene);
-        while reference.state().time < 0.5 {
-            let next = reference.next_time_step();
-            reference.step(next).unwrap();
+        for dt in [1.0 / 24.0, 1.0 / 240.0] {
+            let mut solid = block([0.2; 3], [4, 4, 4]);
+            solid.placement.translate = DVec3::new(2.0, 0.1, 2.0);
+            (solid.young, solid.mass_damping) = (young, 10.0);
+            let mut scene = scene_of(vec![solid]);
+            scene.domain.gravity = DVec3::new(0.0, -9.81, 0.0);
+            let mut reference = start(&scene);
+            while reference.state().time < 0.8 {
+                step(&mut reference, dt);
+            }
+            let (solids, state) = (solids_of(&scene), reference.state());
+            let weighted = solids.mass.iter().zip(&state.displacement);
+            let sunk = -weighted.map(|(mass, u)| mass * u[1]).sum::<f64>() / 8.0;
+            let weight = 1000.0 * 9.81 * 0.2 * 0.2 / (3.0 * young);
+            let off = sunk / weight - 1.0;
+            // Four layers are 4 % too stiff.
+            assert!(
+                off.abs() < 0.06,
+                "E {young:e}, dt {dt}: sunk by {sunk} m, {off}"
+            );
         }
+    }
+}
+
+/// A ball falls on the floor, soft and hard, in long steps and short ones: nothing is beyond the floor, nothing turns inside out, and
+/// there is never more energy than it had, but for what the first-order fall adds, g dt v / 2 per mass.
+#[test]
+fn impacts_add_no_energy() {
+    for young in [1e5, 1e9] {
+        for dt in [1.0 / 48.0, 1.0 / 480.0] {
+            let (radius, cell_size) = (0.15, 0.05);
+            let mut solid = body(SolidMesh::Sphere { radius, cell_size });
+            solid.placement.translate = DVec3::new(2.0, 0.45, 2.0);
+            solid.young = young;
+            let mut scene = scene_of(vec![solid]);
+            scene.domain.gravity = DVec3::new(0.0, -9.81, 0.0);
+            let mut reference = start(&scene);
+            let solids = solids_of(&scene);
+            let mass: f64 = solids.mass.iter().sum();
+            let near = 1.01e-4 * scene.grid().dx;
+            let (mut first, mut height) = (None, f64::INFINITY);
+            while reference.state().time < 0.6 {
+                let SolidReport { diagnosis, .. } = step(&mut reference, dt);
+                let state = reference.state();
+                let energy = diagnosis.kinetic_energy
+                    + diagnosis.elastic_energy
+                    + diagnosis.potential_energy;
+                let start = *first.get_or_insert(energy);
+                let added = 0.5 * mass * 9.81 * 9.81 * dt * state.time;
+                let what = format!("E {young:e}, dt {dt}, {} s", state.time);
+                assert!(energy <= start + added, "{what}: {energy} J of {start} J");
+                assert!(diagnosis.min_det > 0.5, "{what}: {diagnosis:?}");
+                let pairs = state.displacement.iter().zip(&state.node_velocity);
+                for (rest, (u, v)) in solids.rest.iter().zip(pairs) {
+                    height = height.min(rest.y + u[1]);
+                    let next = rest.y + u[1] + dt * v[1];
+                    assert!(next >= -near, "{what}: a node goes to {next} m");
+                }
+            }
+            assert!(height < 1e-6, "it falls as far as the floor");
+        }
+    }
+}
+
+/// On a slope without friction a block slides with g sin(angle), and stays on it.
+#[test]
+fn bodies_slide_down_a_slope() {
+    let angle: f64 = 0.35;
+    let turn = DMat3::from_rotation_z(angle);
+    let [along, normal] = [DVec3::X, DVec3::Y].map(|axis| turn * axis);
+    for (young, dt) in [(1e5, 1.0 / 120.0), (1e9, 1.0 / 24.0)] {
+        let mut solid = block([0.4, 0.2, 0.4], [4, 2, 4]);
+        let foot = DVec3::splat(2.0);
+        solid.placement.translate = foot + 0.1 * normal;
+        solid.placement.rotate = turn;
+        solid.young = young;
+        let mut scene = scene_of(vec![solid]);
+        scene.domain.cells = [24; 3];
+        scene.domain.gravity = DVec3::new(0.0, -9.81, 0.0);
+        scene.obstacles = vec![Obstacle {
+            shape: Shape::Box {
+                min: DVec3::splat(-8.0),
+                max: DVec3::splat(8.0),
+            },
+            placement: Placement {
+                translate: foot - 8.0 * normal,
+                rotate: turn,
+                ..Placement::default()
+            },
+            inside_out: false,
+        }];
+        let mut reference = start(&scene);
         let solids = solids_of(&scene);
+        let mut n = 0.0;
+        while reference.state().time < 0.4 {
+            step(&mut reference, dt);
+            n += 1.0;
+        }
         let state = reference.state();
-        let weighted = solids.mass.iter().zip(&state.displacement);
-        let sunk =
-            -weighted.map(|(mass, u)| mass * u[1]).sum::<f64>() / solids.mass.iter().sum::<f64>();
-        // Its weight alone: rho g h^2 / (3 E) of the centre of mass of a bar, and half as much again for the overshoot that is left.
-        let weight = 1.5 * 1000.0 * 9.81 * 0.2 * 0.2 / (3.0 * young);
-        assert!(sunk <= 0.01 * 0.2 + weight, "E {young:e}: sunk by {sunk} m");
-        assert!(sunk > 0.0 && reference.state().step < 5000, "E {young:e}");
-        for element in 0..solids.elements.len() {
-            let [_, det] = solids.stress_and_determinant(element, &state.displacement);
-            assert!(det > 0.8, "E {young:e}: det F {det}");
+        let mean = solids.mass.iter().zip(&state.displacement);
+        let mean = mean.map(|(m, u)| *m * DVec3::from(*u)).sum::<DVec3>()
+            / solids.mass.iter().sum::<f64>();
+        // Velocities after a step move the next one.
+        let way = -9.81 * angle.sin() * dt * dt * 0.5 * n * (n - 1.0);
+        let off = mean.dot(along) / way - 1.0;
+        assert!(off.abs() < 0.01, "{} m of {way} m", mean.dot(along));
+        assert!(mean.dot(DVec3::Z).abs() < 1e-3 * way.abs());
+        for (rest, u) in solids.rest.iter().zip(&state.displacement) {
+            let above = normal.dot(*rest + DVec3::from(*u) - foot);
+            assert!(above > -1e-3 * scene.grid().dx, "{above} m above the slope");
         }
     }
 }
@@ -283,14 +374,9 @@ fn bodies_rest_on_the_floor() {
             .fold(f64::INFINITY, f64::min);
         assert!(lowest >= -1e-15, "a node is {lowest} m below the floor");
     }
-    // The solve knows nothing of the floor, so nodes on it have a velocity into it until they are put back: what rests is told by the
-    // displacements.
-    let before = reference.state().displacement.clone();
     let report = step(&mut reference, 1.0 / 240.0);
-    let after = reference.state().displacement.as_flattened();
-    let pairs = before.as_flattened().iter().zip(after);
-    let way = pairs.fold(0.0, |way, (a, b)| f64::max(way, (a - b).abs()));
-    assert!(way < 1e-5, "still moves by {way} m in a step");
+    let speed = report.diagnosis.max_speed;
+    assert!(speed < 1e-2, "still moves at {speed} m/s");
     assert!(report.diagnosis.min_det > 0.9, "{report:?}");
 }
 

@@ -3,32 +3,30 @@
 use std::sync::Arc;
 
 use cutwater::elastic::{Bounds, Solids};
+use cutwater::geometry::CutCells;
 use cutwater::gpu::{Gpu, Real, Recorder};
 use cutwater::linalg::{LinearOperator, dot, norm};
-use cutwater::reference::{self, BlockPattern, SolidSystem as Twin};
+use cutwater::reference::{self, BlockPattern, Contacts, Freedom, SolidSystem as Twin};
 use cutwater::scene::{Precision, Solver};
 use cutwater::solver::{
-    Outcome, Polynomial, SolidRows, SolidSolver, SolidSystem, SolidSystemBuffers, rounding, variant,
+    ObstacleField, Outcome, Polynomial, SolidRows, SolidSolver, SolidSystem, SolidSystemBuffers,
+    rounding, variant,
 };
-use cutwater::stages::SolidBuffers;
-use cutwater::state::SolveStatus;
+use cutwater::stages::{ObstacleBuffers, SolidBuffers};
+use cutwater::state::{SolveStatus, State};
 use glam::DVec3;
 
 use crate::common::{Random, gpu};
-use crate::solid_case::{Material, RUBBER, SolidCase, cases, eps, lattice, solids};
+use crate::solid_case::{Material, RUBBER, SolidCase, cases, eps, lattice, pair, solids};
 
-/// The twin of a case's system, from the elements that the device has.
-fn twin(case: &SolidCase) -> Twin {
+/// The twin of a case's system, from the elements that the device has, with what the device holds.
+fn twin(case: &SolidCase, device: &Device) -> Twin {
     let SolidCase { solids, dt, .. } = case;
     let matrices = reference::solid_matrices(solids, &pattern(solids), &case.displacement);
     let rhs = reference::solid_right_hand_side(solids, &matrices, &case.velocity, *dt);
-    Twin::new(
-        solids,
-        matrices.stiffness.clone(),
-        &rhs,
-        &case.velocity,
-        *dt,
-    )
+    let (freedom, velocity) = (device.freedom(case), device.velocity());
+    let stiffness = matrices.stiffness.clone();
+    Twin::new(solids, stiffness, &rhs, &velocity, freedom, *dt)
 }
 
 fn pattern(solids: &Solids) -> Arc<BlockPattern> {
@@ -44,6 +42,10 @@ struct Device<'a> {
     solver: SolidSolver,
     polynomial: Polynomial,
     n_nodes: usize,
+    /// What it starts from.
+    state: State,
+    /// The distance to the obstacles.
+    _obstacles: ObstacleBuffers,
 }
 
 impl<'a> Device<'a> {
@@ -77,14 +79,30 @@ impl<'a> Device<'a> {
         let buffers = SolidSystemBuffers::new(gpu, &rows, solver).unwrap();
         let bounds = Bounds::new(solids);
         let degree = bounds.chebyshev_degree(solids, case.dt);
+        let obstacles = ObstacleBuffers::new(gpu, &case.grid, fields.plan.obstacles).unwrap();
+        let solid_distance = case.solid_distance.clone();
+        let open = Default::default();
+        obstacles.write(
+            gpu,
+            &CutCells {
+                open,
+                solid_distance,
+            },
+        );
+        let field = fields.level.as_ref().map(|level| ObstacleField {
+            level,
+            solid_distance: &obstacles.solid_distance,
+        });
         let device = Device {
             gpu,
-            system: SolidSystem::new(gpu, &buffers, fields.fields()).unwrap(),
+            system: SolidSystem::new(gpu, &buffers, fields.fields(), field).unwrap(),
             solver: SolidSolver::new(gpu, &buffers, fields.fields(), solver).unwrap(),
             polynomial: Polynomial::new(degree, bounds.block_jacobi),
             fields,
             buffers,
             n_nodes: solids.rest.len(),
+            state: case.state(),
+            _obstacles: obstacles,
         };
         device.prepare().submit();
         device
@@ -99,9 +117,37 @@ impl<'a> Device<'a> {
         recorder
     }
 
+    /// How the nodes may move.
+    fn freedom(&self, case: &SolidCase) -> Vec<Freedom> {
+        let words = self.gpu.download(&self.fields.freedom).unwrap();
+        let nodes = case.solids.prescribed.iter().zip(words);
+        nodes
+            .map(|(&prescribed, [x, y, z, flags])| {
+                let components = [0, 1, 2].map(|axis| flags as u32 >> axis & 1 == 1);
+                let held = DVec3::new(x.into(), y.into(), z.into()).normalize_or_zero();
+                Freedom::left(prescribed, components, held)
+            })
+            .collect()
+    }
+
+    fn velocity(&self) -> Vec<[f64; 3]> {
+        let words = self.fields.velocity.download(self.gpu).unwrap();
+        words.chunks_exact(4).map(|v| [v[0], v[1], v[2]]).collect()
+    }
+
+    /// How many contacts change after the solve.
+    fn update(&self) -> u32 {
+        let mut recorder = Recorder::new(self.gpu);
+        recorder.clear(&self.fields.changes);
+        recorder.stage("solve", |pass| self.system.record_update(pass));
+        recorder.submit();
+        self.gpu.download(&self.fields.changes).unwrap()[0]
+    }
+
     /// The verdict, and the velocities: three numbers per node.
     fn solve(&self) -> (Outcome, Vec<f64>) {
         let (gpu, fields) = (self.gpu, self.fields.fields());
+        self.fields.write_state(gpu, &self.state);
         let to = self.prepare();
         let solve = self
             .solver
@@ -210,16 +256,53 @@ fn systems() -> Vec<SolidCase> {
         ..RUBBER
     };
     all.push(hanging([3, 3, 21], stiffest, 1.0 / 240.0));
+    all.extend([in_a_corner(RUBBER), in_a_corner(stiff)]);
+    all.extend([on_a_slope(RUBBER, 4), on_a_slope(stiffest, 7)]);
     all
 }
 
-/// The unknowns among the velocities, 0 for prescribed components.
-fn free_components(case: &SolidCase, velocity: &[f64]) -> Vec<f64> {
-    let prescribed = case.solids.prescribed.as_flattened();
-    let pairs = velocity.iter().zip(prescribed);
-    pairs
-        .map(|(&v, &held)| if held { 0.0 } else { v })
-        .collect()
+/// A block in a corner of the domain, on three walls, partly pressed to them and partly lifted.
+fn in_a_corner(material: Material) -> SolidCase {
+    let mesh = lattice(DVec3::ZERO, DVec3::splat(0.5), [4, 4, 4]);
+    let mut case = SolidCase::new("in a corner", solids(&[(mesh, material)])).shaken(0.0, 1.0);
+    let mut random = Random(3);
+    for (node, rest) in case.solids.rest.iter().enumerate() {
+        // On the walls, or a little off them, which f32 holds exactly.
+        let off = |x: f64, random: &mut Random| match (x == 0.0, random.uniform(0.0, 1.0)) {
+            (true, share) if share < 0.7 => 0.0,
+            (_, share) => 2f64.powi(-12) * (64.0 * share).round(),
+        };
+        case.displacement[node] = rest.to_array().map(|x| off(x, &mut random));
+    }
+    case
+}
+
+/// A block on a slope whose foot is a wall, which holds some nodes along with it.
+fn on_a_slope(material: Material, seed: u64) -> SolidCase {
+    let mut case = in_a_corner(material);
+    case.name = "on a slope";
+    let grid = case.grid;
+    let (normal, foot) = (DVec3::new(-0.6, 0.0, 0.8), DVec3::new(0.25, 0.0, 0.1));
+    let distance = |cell: usize| {
+        let d = normal.dot(grid.cell_centre(grid.cell_at(cell)) - foot);
+        f64::from(d.clamp(-3.0 * grid.dx, 3.0 * grid.dx) as f32)
+    };
+    case.solid_distance = (0..grid.n_cells()).map(distance).collect();
+    let mut random = Random(seed);
+    for (node, rest) in case.solids.rest.iter().enumerate() {
+        // Nodes below the slope stand on it, some a little above.
+        let depth = normal.dot(*rest - foot);
+        let lift = [0.0, 1e-5, 0.02][(random.uniform(0.0, 3.0) as usize).min(2)];
+        let out = if depth < lift { lift - depth } else { 0.0 };
+        case.displacement[node] = pair(out * normal);
+        case.solids.prescribed[node] = [random.uniform(0.0, 1.0) < 0.1, false, false];
+    }
+    case
+}
+
+/// Vectors per node.
+fn nodes(x: &[f64]) -> Vec<[f64; 3]> {
+    x.as_chunks::<3>().0.to_vec()
 }
 
 /// |S| |x|: what rounding of S x is a part of.
@@ -255,18 +338,86 @@ fn precisions(gpu: &Gpu) -> Vec<Solver> {
 #[test]
 fn the_velocities_solve_the_system() {
     let Some(gpu) = gpu() else { return };
+    let mut held = [0; 2];
     for case in systems() {
-        let twin = twin(&case);
         for solver in precisions(gpu) {
             let what = format!("{} {:?}", case.name, solver.precision);
             let device = Device::holding(gpu, &case, &solver);
+            let twin = twin(&case, &device);
+            let contacts = assert_contacts(&what, &case, &twin, &device);
             assert_operator(&what, &case, &twin, &device);
-            assert_preconditioner(&what, &case, &device, &solver);
+            assert_preconditioner(&what, &case, &twin, &device, &solver);
             // Forces of 1e-25 N, whose squares are nothing in f32.
             if case.name != "denormals" || device.fields.velocity.real == Real::F64 {
                 assert_solution(&what, &case, &twin, &device, &solver);
+                assert_update(&what, &case, &twin, contacts, &device);
             }
+            let by_obstacles = usize::from(!case.solid_distance.is_empty());
+            let ranks = twin.freedom().iter().map(Freedom::rank).sum::<usize>();
+            held[by_obstacles] += twin.components().len() - ranks;
         }
+    }
+    assert!(held[0] > 30 && held[1] > 200, "{held:?} directions held");
+}
+
+/// What walls and obstacles hold from the start, and at which velocities, is the twin's: gaps, and normals of obstacles, are f32.
+fn assert_contacts(what: &str, case: &SolidCase, twin: &Twin, device: &Device) -> Contacts {
+    let mut distance = case.solid_distance.clone();
+    distance.resize(case.grid.n_cells(), 3.0 * case.grid.dx);
+    let contacts = Contacts::new(
+        &case.solids,
+        &case.grid,
+        &distance,
+        &case.displacement,
+        twin.forces(),
+        case.dt,
+    );
+    let mut wanted = case.velocity.clone();
+    let freedom = contacts.hold(&mut wanted);
+    let found = device.velocity();
+    for (node, (freedom, found_freedom)) in freedom.iter().zip(twin.freedom()).enumerate() {
+        let off = freedom.projector - found_freedom.projector;
+        let off = off
+            .to_cols_array()
+            .map(f64::abs)
+            .into_iter()
+            .fold(0.0, f64::max);
+        assert!(
+            off < 1e-5,
+            "{what}: node {node}: {freedom:?}, {found_freedom:?}"
+        );
+        let (wanted, found) = (DVec3::from(wanted[node]), DVec3::from(found[node]));
+        let reach = DVec3::from(case.displacement[node]).length() + case.grid.size().length();
+        let bound = 1e-5 * wanted.length() + 16.0 * eps(Real::F32) * reach / case.dt;
+        let touched = freedom.rank() < Freedom::of(case.solids.prescribed[node]).rank();
+        let bound = if touched { bound } else { 0.0 };
+        let off = wanted.distance(found);
+        assert!(
+            off <= bound,
+            "{what}: node {node}: {found} m/s for {wanted}"
+        );
+    }
+    contacts
+}
+
+/// After a solve the same nodes are let go and held.
+fn assert_update(
+    what: &str,
+    case: &SolidCase,
+    twin: &Twin,
+    mut contacts: Contacts,
+    device: &Device,
+) {
+    let changes = contacts.update(twin, &device.velocity());
+    assert_eq!(device.update() as usize, changes, "{what}");
+    let mut velocity = device.velocity();
+    let pairs = contacts.hold(&mut velocity).into_iter();
+    for (node, (twin, found)) in pairs.zip(device.freedom(case)).enumerate() {
+        let off = (twin.projector - found.projector)
+            .to_cols_array()
+            .map(f64::abs);
+        let off = off.into_iter().fold(0.0, f64::max);
+        assert!(off < 1e-5, "{what}: node {node}: {found:?} for {twin:?}");
     }
 }
 
@@ -278,13 +429,13 @@ fn assert_solution(what: &str, case: &SolidCase, twin: &Twin, device: &Device, s
         SolveStatus::Converged,
         "{what}: {outcome:?}"
     );
-    assert_eq!(outcome.unknowns as usize, twin.unknowns().len(), "{what}");
+    assert_eq!(outcome.unknowns as usize, twin.n_unknowns(), "{what}");
     let held = case.velocity.as_flattened();
     let prescribed = case.solids.prescribed.as_flattened();
     for (at, _) in prescribed.iter().enumerate().filter(|(_, held)| **held) {
         assert_eq!(velocity[at], held[at], "{what}: component {at}");
     }
-    let residual = norm(&twin.residual(&free_components(case, &velocity)));
+    let residual = norm(&twin.residual(&twin.free_part(&nodes(&velocity))));
     let goal = (solver.tolerance * norm(&twin.rhs)).max(rounding(solver) * twin.rhs_scale);
     // The device has moduli, masses and, without f64, gradients in f32: rounding of the terms of S v.
     let size = norm(&magnitudes(twin, &velocity)) + twin.rhs_scale;
@@ -303,7 +454,7 @@ fn assert_solution(what: &str, case: &SolidCase, twin: &Twin, device: &Device, s
 /// S x as conjugate gradients evaluate it is the twin's, symmetric and positive. A translation strains nothing: S times it is the mass
 /// part alone, to the bit of one rounding.
 fn assert_operator(what: &str, case: &SolidCase, twin: &Twin, device: &Device) {
-    let [x, y] = [1, 2].map(|seed| noise(case, seed));
+    let [x, y] = [1, 2].map(|seed| twin.free_part(&nodes(&noise(case, seed))));
     let mut wanted = vec![0.0; x.len()];
     twin.apply(&x, &mut wanted);
     let size = magnitudes(twin, &x);
@@ -323,7 +474,8 @@ fn assert_operator(what: &str, case: &SolidCase, twin: &Twin, device: &Device) {
     assert!((xsy - ysx).abs() <= terms, "{what}: {xsy} and {ysx}");
     assert!(dot(&x, &sx) > 0.0, "{what}: not positive");
     let prescribed = case.solids.prescribed.as_flattened();
-    if prescribed.iter().any(|held| *held) {
+    let free = twin.freedom().iter().all(|freedom| freedom.rank() == 3);
+    if prescribed.iter().any(|held| *held) || !free {
         return;
     }
     let moved = device.apply(&vec![0.75; x.len()]);
@@ -339,9 +491,24 @@ fn assert_operator(what: &str, case: &SolidCase, twin: &Twin, device: &Device) {
 
 /// The preconditioner is symmetric and positive, and what is prescribed stays 0. In f32 symmetric up to rounding, which the polynomial lets
 /// grow with its degree.
-fn assert_preconditioner(what: &str, case: &SolidCase, device: &Device, solver: &Solver) {
-    let [x, y] = [3, 4].map(|seed| noise(case, seed));
+fn assert_preconditioner(
+    what: &str,
+    case: &SolidCase,
+    twin: &Twin,
+    device: &Device,
+    solver: &Solver,
+) {
+    let [x, y] = [3, 4].map(|seed| twin.free_part(&nodes(&noise(case, seed))));
     let [hx, hy] = [&x, &y].map(|r| device.precondition(r));
+    let real = device.fields.velocity.real;
+    for (hx, free) in nodes(&hx).iter().zip(nodes(&twin.free_part(&nodes(&hx)))) {
+        let (hx, free) = (DVec3::from(*hx), DVec3::from(free));
+        let off = hx.distance(free);
+        assert!(
+            off <= 8.0 * eps(real) * hx.length(),
+            "{what}: {hx} is not free"
+        );
+    }
     for (at, held) in case.solids.prescribed.as_flattened().iter().enumerate() {
         assert!(!held || hx[at] == 0.0, "{what}: component {at} moves");
     }
@@ -409,7 +576,7 @@ fn a_large_solid_converges() {
     };
     let solver = Solver::default();
     let device = Device::holding(gpu, &case, &solver);
-    assert_solution("large", &case, &twin(&case), &device, &solver);
+    assert_solution("large", &case, &twin(&case, &device), &device, &solver);
 }
 
 /// The residual that is told is the one of the velocities that are left, whatever ended the solve.
@@ -417,7 +584,6 @@ fn a_large_solid_converges() {
 fn a_limit_is_told_with_the_true_residual() {
     let Some(gpu) = gpu() else { return };
     let case = hanging([4, 4, 28], RUBBER, 1.0 / 24.0);
-    let twin = twin(&case);
     let mut last = f64::INFINITY;
     for max_iterations in 1..=7 {
         let solver = Solver {
@@ -426,10 +592,11 @@ fn a_limit_is_told_with_the_true_residual() {
             ..Solver::default()
         };
         let device = Device::holding(gpu, &case, &solver);
+        let twin = twin(&case, &device);
         let (outcome, velocity) = device.solve();
         assert_eq!(outcome.status, SolveStatus::IterationLimit, "{outcome:?}");
         assert_eq!(outcome.iterations, max_iterations);
-        let unknowns = free_components(&case, &velocity);
+        let unknowns = twin.free_part(&nodes(&velocity));
         let residual = norm(&twin.residual(&unknowns)) / norm(&twin.rhs);
         let coarse = 32.0 * eps(device.fields.velocity.real) * norm(&magnitudes(&twin, &velocity))
             / norm(&twin.rhs);
@@ -462,7 +629,6 @@ fn the_same_solve_gives_the_same_bits() {
         for solver in precisions(gpu) {
             let device = Device::holding(gpu, &case, &solver);
             let (first, velocity) = device.solve();
-            device.fields.write_state(gpu, &case.state());
             let (second, again) = device.solve();
             assert_eq!(first.iterations, second.iterations);
             assert!(velocity == again, "{:?} differs", solver.precision);

@@ -33,7 +33,7 @@ pub struct SolidMeta {
     pub elements: usize,
 }
 
-/// S v = rhs on the free components, with M, K and S on all.
+/// P S P v = P rhs on the components that are not prescribed, P on what walls and obstacles leave, with M, K and S on all.
 pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), Error> {
     let solids = solids_of(scene)?;
     let ((system, velocity), ran) = match &options.backend {
@@ -43,17 +43,22 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
             StepSystem::Pressure(..) => None,
         })?,
     };
-    let unknowns = system.unknowns();
-    let free = |values: &[f64]| unknowns.iter().map(|&at| values[at]).collect::<Vec<f64>>();
+    let components = system.components();
+    let free = |values: &[f64]| {
+        components
+            .iter()
+            .map(|&at| values[at])
+            .collect::<Vec<f64>>()
+    };
     let symmetric = |matrix: &Csr, what| matrix_text(matrix, Symmetry::Symmetric, what);
     let written = System {
         matrix: system.free_to_csr(),
         rhs: free(&system.rhs),
-        solution: free(velocity.as_flattened()),
+        solution: free(&system.free_part(&velocity)),
         comments: [
-            "S on the free components, kg/s; nodes.csv says which component a row is",
-            "M v*/dt - (K x* - b) + load, less S times the prescribed components, N",
-            "v, m/s",
+            "P S P + mu (I - P) on the components that are not prescribed, kg/s; nodes.csv says which component a row is",
+            "P (M v*/dt - (K x* - b) + load, less S times what is prescribed and held), N",
+            "P v, m/s",
         ],
         others: vec![
             (
@@ -74,7 +79,7 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
                     "S = (1/dt + tau_M) M + (dt + tau_K) K, kg/s, rows as those of M",
                 ),
             ),
-            ("nodes.csv", table(&solids, &unknowns)),
+            ("nodes.csv", table(&solids, &components)),
         ],
         part: Part::Solids {
             nodes: solids.rest.len(),
@@ -99,9 +104,9 @@ fn meta(body: &Body) -> SolidMeta {
 }
 
 /// A line per node: its solid, where it rests, and the rows of spd.mtx that are its components, 0 for prescribed ones.
-fn table(solids: &Solids, unknowns: &[usize]) -> String {
+fn table(solids: &Solids, components: &[usize]) -> String {
     let mut rows = vec![0; 3 * solids.rest.len()];
-    for (row, &component) in unknowns.iter().enumerate() {
+    for (row, &component) in components.iter().enumerate() {
         rows[component] = row + 1;
     }
     let mut table = String::from("node,solid,rest_x,rest_y,rest_z,row_x,row_y,row_z\n");

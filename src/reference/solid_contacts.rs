@@ -1,0 +1,204 @@
+//! `right_hand_side`, for solids, second part: the directions in which walls and obstacles hold nodes in a sub-step.
+//!
+//! A node at a gap d (m) from a wall or obstacle with the normal n, away from it, may not be beyond it after the next move,
+//! d + dt v . n >= 0, and what keeps it out pushes only, f >= 0, and only where it is on the surface, f (d + dt v . n) = 0. Which nodes
+//! are held is found by a primal-dual active set (Hintermueller, Ito & Kunisch 2003): solve with some of them held at v . n = -d/dt, hold
+//! also those that are beyond a surface then, let those go that it would have to pull, and solve again while anything changes.
+
+use glam::{DMat3, DVec3};
+
+use super::SolidSystem;
+use super::sample::normal;
+use crate::elastic::Solids;
+use crate::grid::Grid;
+
+/// Solves of a sub-step in search of what is held, at most. What is beyond a surface after the last is put back by the next move.
+pub const MOST_SOLVES: usize = 8;
+/// A node this near, in cells, is held from the start if it is pressed to the surface.
+const SKIN: f64 = 1e-3;
+/// How far from where it should be, in cells, a node is left.
+const NEAR: f64 = 1e-4;
+/// An obstacle does not hold a node whose free components are further from its normal: what holds the others does.
+const LEAST_SHARE: f64 = 0.1;
+
+/// How a node may move in a sub-step: x in the range of a projector.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Freedom {
+    /// Components that are not prescribed.
+    pub free: [bool; 3],
+    /// On the directions among these that nothing holds; symmetric.
+    pub projector: DMat3,
+}
+
+impl Freedom {
+    /// Of a node that touches nothing.
+    pub fn of(prescribed: [bool; 3]) -> Freedom {
+        let free = prescribed.map(|prescribed| !prescribed);
+        let ones = free.map(|free| if free { 1.0 } else { 0.0 });
+        Freedom {
+            free,
+            projector: DMat3::from_diagonal(DVec3::from(ones)),
+        }
+    }
+
+    /// Of a node that walls leave components, and of which an obstacle holds a direction: a unit vector of these components, or 0.
+    pub fn left(prescribed: [bool; 3], components: [bool; 3], held: DVec3) -> Freedom {
+        let ones = components.map(|free| if free { 1.0 } else { 0.0 });
+        Freedom {
+            projector: DMat3::from_diagonal(DVec3::from(ones)) - square(held),
+            ..Freedom::of(prescribed)
+        }
+    }
+
+    /// Of all nodes, where none touches anything.
+    pub fn all(solids: &Solids) -> Vec<Freedom> {
+        let prescribed = solids.prescribed.iter();
+        prescribed
+            .map(|&prescribed| Freedom::of(prescribed))
+            .collect()
+    }
+
+    /// Directions that are free: 0 to 3.
+    pub fn rank(&self) -> usize {
+        let diagonal = [0, 1, 2].map(|axis| self.projector.col(axis)[axis]);
+        diagonal.iter().sum::<f64>().round() as usize
+    }
+
+    /// Takes from the free directions what they share with n, and returns the velocity with the rate that v . n is to have. Nothing where
+    /// they share little.
+    fn hold(&mut self, n: DVec3, rate: f64, v: DVec3) -> DVec3 {
+        let Some((direction, share)) = self.shared(n) else {
+            return v;
+        };
+        self.projector -= square(direction);
+        v + (rate - v.dot(n)) / share * direction
+    }
+
+    /// The free direction nearest to n, and its cosine with n.
+    fn shared(&self, n: DVec3) -> Option<(DVec3, f64)> {
+        let free = self.projector * n;
+        let share = free.length();
+        (share >= LEAST_SHARE).then(|| (free / share, share))
+    }
+}
+
+/// n n^T.
+fn square(n: DVec3) -> DMat3 {
+    let [x, y, z] = n.to_array().map(|part| part * n);
+    DMat3::from_cols(x, y, z)
+}
+
+/// A wall or obstacle near a node.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Surface {
+    /// Unit normal, away from it.
+    normal: DVec3,
+    /// Distance of the node from it, m.
+    gap: f64,
+    held: bool,
+}
+
+/// The walls and obstacles that nodes may meet in a sub-step, and which of them hold nodes.
+#[derive(Clone, Debug)]
+pub struct Contacts {
+    /// Per node: the nearer walls across x, y, z, in the components that are not prescribed, then the obstacles.
+    surfaces: Vec<[Option<Surface>; 4]>,
+    prescribed: Vec<[bool; 3]>,
+    /// s
+    dt: f64,
+    /// m
+    near: f64,
+}
+
+impl Contacts {
+    /// Before the first solve of a sub-step of dt (s): nodes that touch something are held where their forces M v*/dt - (K x* - b) + load
+    /// press them to it. `solid_distance`: per cell, m; `displacement`: m; `forces`: N.
+    pub fn new(
+        solids: &Solids,
+        grid: &Grid,
+        solid_distance: &[f64],
+        displacement: &[[f64; 3]],
+        forces: &[[f64; 3]],
+        dt: f64,
+    ) -> Contacts {
+        let surfaces = (0..solids.rest.len()).map(|node| {
+            let x = solids.rest[node] + DVec3::from(displacement[node]);
+            let mut freedom = Freedom::of(solids.prescribed[node]);
+            let force = DVec3::from(forces[node]);
+            let held = |gap: f64, along: f64| gap <= SKIN * grid.dx && along < 0.0;
+            let mut found = [None; 4];
+            let free = freedom.free;
+            for axis in (0..3).filter(|&axis| free[axis]) {
+                let above = grid.size()[axis] - x[axis];
+                let (sign, gap) = if x[axis] <= above {
+                    (1.0, x[axis])
+                } else {
+                    (-1.0, above)
+                };
+                let normal = sign * DVec3::AXES[axis];
+                let held = held(gap, force.dot(normal));
+                found[axis] = Some(Surface { normal, gap, held });
+                if held {
+                    freedom.hold(normal, 0.0, DVec3::ZERO);
+                }
+            }
+            found[3] = normal(grid, solid_distance, x).map(|normal| {
+                let gap = grid.sample_cells(solid_distance, x);
+                let held = held(gap, (freedom.projector * force).dot(normal));
+                Surface { normal, gap, held }
+            });
+            found
+        });
+        Contacts {
+            surfaces: surfaces.collect(),
+            prescribed: solids.prescribed.clone(),
+            dt,
+            near: NEAR * grid.dx,
+        }
+    }
+
+    /// How the nodes may move; the velocities (m/s) get what they are held at.
+    pub fn hold(&self, velocity: &mut [[f64; 3]]) -> Vec<Freedom> {
+        let nodes = self.surfaces.iter().zip(&self.prescribed).zip(velocity);
+        nodes
+            .map(|((surfaces, prescribed), velocity)| {
+                let mut freedom = Freedom::of(*prescribed);
+                let mut v = DVec3::from(*velocity);
+                for surface in surfaces.iter().flatten().filter(|surface| surface.held) {
+                    v = freedom.hold(surface.normal, -surface.gap / self.dt, v);
+                }
+                *velocity = v.to_array();
+                freedom
+            })
+            .collect()
+    }
+
+    /// After a solve: holds nodes that are beyond a surface with the velocities v (m/s), and lets those go that would have to be pulled.
+    /// How many of both there were. `system`: the one solved.
+    pub fn update(&mut self, system: &SolidSystem, velocity: &[[f64; 3]]) -> usize {
+        let moved = system.multiply(velocity);
+        let mut changes = 0;
+        for (node, surfaces) in self.surfaces.iter_mut().enumerate() {
+            let v = DVec3::from(velocity[node]);
+            let push = moved[node] - DVec3::from(system.forces()[node]);
+            let mut freedom = Freedom::of(self.prescribed[node]);
+            for surface in surfaces.iter_mut().flatten() {
+                let Some((direction, _)) = freedom.shared(surface.normal) else {
+                    continue;
+                };
+                // How far the push moves the node, or how far beyond the surface it is.
+                let way = match surface.held {
+                    true => self.dt * push.dot(direction) / system.mean_diagonal(node),
+                    false => surface.gap + self.dt * v.dot(surface.normal),
+                };
+                let changed = way < -self.near;
+                if surface.held {
+                    freedom.hold(surface.normal, 0.0, DVec3::ZERO);
+                }
+                surface.held ^= changed;
+                changes += usize::from(changed);
+            }
+        }
+        changes
+    }
+}
