@@ -98,6 +98,13 @@ struct Surface {
     held: bool,
 }
 
+impl Surface {
+    fn new(normal: DVec3, gap: f64) -> Surface {
+        let held = false;
+        Surface { normal, gap, held }
+    }
+}
+
 /// The walls and obstacles that nodes may meet in a sub-step, and which of them hold nodes.
 #[derive(Clone, Debug)]
 pub struct Contacts {
@@ -121,32 +128,63 @@ impl Contacts {
         forces: &[[f64; 3]],
         dt: f64,
     ) -> Contacts {
+        let skin = SKIN * grid.dx;
+        let pressed = |node: usize, _: usize, surface: &Surface, freedom: &Freedom| {
+            let force = freedom.projector * DVec3::from(forces[node]);
+            surface.gap <= skin && force.dot(surface.normal) < 0.0
+        };
+        Contacts::with(solids, grid, solid_distance, displacement, dt, pressed)
+    }
+
+    /// Where nodes are held as `freedom` says.
+    pub fn holding(
+        solids: &Solids,
+        grid: &Grid,
+        solid_distance: &[f64],
+        displacement: &[[f64; 3]],
+        freedom: &[Freedom],
+        dt: f64,
+    ) -> Contacts {
+        let held = |node: usize, which: usize, surface: &Surface, before: &Freedom| match which {
+            3 => freedom[node].rank() < before.rank(),
+            _ => freedom[node].projector * surface.normal == DVec3::ZERO,
+        };
+        Contacts::with(solids, grid, solid_distance, displacement, dt, held)
+    }
+
+    /// With the surfaces that `held` says: of a node, which of the four, and what those before it leave free.
+    fn with(
+        solids: &Solids,
+        grid: &Grid,
+        solid_distance: &[f64],
+        displacement: &[[f64; 3]],
+        dt: f64,
+        held: impl Fn(usize, usize, &Surface, &Freedom) -> bool,
+    ) -> Contacts {
         let surfaces = (0..solids.rest.len()).map(|node| {
             let x = solids.rest[node] + DVec3::from(displacement[node]);
-            let mut freedom = Freedom::of(solids.prescribed[node]);
-            let force = DVec3::from(forces[node]);
-            let held = |gap: f64, along: f64| gap <= SKIN * grid.dx && along < 0.0;
-            let mut found = [None; 4];
-            let free = freedom.free;
-            for axis in (0..3).filter(|&axis| free[axis]) {
+            let wall = |axis: usize| {
                 let above = grid.size()[axis] - x[axis];
                 let (sign, gap) = if x[axis] <= above {
                     (1.0, x[axis])
                 } else {
                     (-1.0, above)
                 };
-                let normal = sign * DVec3::AXES[axis];
-                let held = held(gap, force.dot(normal));
-                found[axis] = Some(Surface { normal, gap, held });
-                if held {
-                    freedom.hold(normal, 0.0, DVec3::ZERO);
+                let free = !solids.prescribed[node][axis];
+                free.then(|| Surface::new(sign * DVec3::AXES[axis], gap))
+            };
+            let obstacle = normal(grid, solid_distance, x)
+                .map(|normal| Surface::new(normal, grid.sample_cells(solid_distance, x)));
+            let mut found = [wall(0), wall(1), wall(2), obstacle];
+            let mut freedom = Freedom::of(solids.prescribed[node]);
+            for (which, surface) in found.iter_mut().enumerate() {
+                if let Some(surface) = surface {
+                    surface.held = held(node, which, surface, &freedom);
+                    if surface.held {
+                        freedom.hold(surface.normal, 0.0, DVec3::ZERO);
+                    }
                 }
             }
-            found[3] = normal(grid, solid_distance, x).map(|normal| {
-                let gap = grid.sample_cells(solid_distance, x);
-                let held = held(gap, (freedom.projector * force).dot(normal));
-                Surface { normal, gap, held }
-            });
             found
         });
         Contacts {
@@ -155,6 +193,11 @@ impl Contacts {
             dt,
             near: NEAR * grid.dx,
         }
+    }
+
+    /// How far, m, a node may be left beyond a surface, or pulled.
+    pub fn near(&self) -> f64 {
+        self.near
     }
 
     /// How the nodes may move; the velocities (m/s) get what they are held at.
@@ -176,29 +219,50 @@ impl Contacts {
     /// After a solve: holds nodes that are beyond a surface with the velocities v (m/s), and lets those go that would have to be pulled.
     /// How many of both there were. `system`: the one solved.
     pub fn update(&mut self, system: &SolidSystem, velocity: &[[f64; 3]]) -> usize {
-        let moved = system.multiply(velocity);
+        let ways = self.ways(system, velocity);
         let mut changes = 0;
-        for (node, surfaces) in self.surfaces.iter_mut().enumerate() {
-            let v = DVec3::from(velocity[node]);
-            let push = moved[node] - DVec3::from(system.forces()[node]);
-            let mut freedom = Freedom::of(self.prescribed[node]);
-            for surface in surfaces.iter_mut().flatten() {
-                let Some((direction, _)) = freedom.shared(surface.normal) else {
-                    continue;
-                };
-                // How far the push moves the node, or how far beyond the surface it is.
-                let way = match surface.held {
-                    true => self.dt * push.dot(direction) / system.mean_diagonal(node),
-                    false => surface.gap + self.dt * v.dot(surface.normal),
-                };
-                let changed = way < -self.near;
-                if surface.held {
-                    freedom.hold(surface.normal, 0.0, DVec3::ZERO);
+        for (surfaces, ways) in self.surfaces.iter_mut().zip(ways) {
+            for (surface, way) in surfaces.iter_mut().zip(ways) {
+                if let (Some(surface), true) = (surface, way < -self.near) {
+                    surface.held = !surface.held;
+                    changes += 1;
                 }
-                surface.held ^= changed;
-                changes += usize::from(changed);
             }
         }
         changes
+    }
+
+    /// How far, m, a node is beyond a surface at most with the velocities v (m/s), or pulled.
+    pub fn worst(&self, system: &SolidSystem, velocity: &[[f64; 3]]) -> f64 {
+        let ways = self.ways(system, velocity).into_iter().flatten();
+        ways.fold(0.0, |worst, way| f64::max(worst, -way))
+    }
+
+    /// How far the push of what holds a node would move it, or where nothing does, how far from the surface it is after the move, m;
+    /// infinite where there is nothing.
+    fn ways(&self, system: &SolidSystem, velocity: &[[f64; 3]]) -> Vec<[f64; 4]> {
+        let moved = system.multiply(velocity);
+        let way = |node: usize, surface: &Surface, freedom: &mut Freedom| {
+            let Some((direction, _)) = freedom.shared(surface.normal) else {
+                return f64::INFINITY;
+            };
+            if surface.held {
+                let push = moved[node] - DVec3::from(system.forces()[node]);
+                freedom.hold(surface.normal, 0.0, DVec3::ZERO);
+                self.dt * push.dot(direction) / system.mean_diagonal(node)
+            } else {
+                surface.gap + self.dt * DVec3::from(velocity[node]).dot(surface.normal)
+            }
+        };
+        let nodes = self.surfaces.iter().enumerate();
+        nodes
+            .map(|(node, surfaces)| {
+                let mut freedom = Freedom::of(self.prescribed[node]);
+                surfaces.each_ref().map(|surface| match surface {
+                    Some(surface) => way(node, surface, &mut freedom),
+                    None => f64::INFINITY,
+                })
+            })
+            .collect()
     }
 }

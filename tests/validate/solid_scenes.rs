@@ -1,8 +1,8 @@
 //! Every scene of solids in `scenes/`, with at most so many nodes, in materials, steps and dampings far from those it was made for: no
 //! number that is not finite, a clear verdict of every solve, no energy that grows and grows.
 //!
-//! Energy is not conserved, and may be more than there was: walls and obstacles put nodes back where they belong after a step, which
-//! strains a body that is stiff for its weight and the step.
+//! Energy is not conserved, and may be more than there was: rotations are those of a sub-step's start, so a body that is stiff for its
+//! weight is strained by the angle that a long sub-step turns it.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;

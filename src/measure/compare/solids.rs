@@ -12,7 +12,7 @@ use crate::geometry::CutCells;
 use crate::gpu::Real;
 use crate::grid::Grid;
 use crate::linalg::norm;
-use crate::reference::{self, BlockPattern, SolidMatrices, SolidSolver};
+use crate::reference::{self, BlockPattern, Contacts, SolidMatrices, SolidSolver};
 use crate::scene::{Scene, Solver};
 use crate::sim::{GpuPath, SolidSnapshot};
 use crate::solver::rounding;
@@ -285,8 +285,9 @@ impl<'a> SolidJudge<'a> {
                 count[node as usize] += 1.0;
             }
         }
-        let inertia =
-            |node: usize| self.solids.mass[node] / self.dt * DVec3::from(after.velocity[node]);
+        // What is held has another velocity after the stage.
+        let v_star = &self.before.velocity;
+        let inertia = |node: usize| self.solids.mass[node] / self.dt * DVec3::from(v_star[node]);
         let eps = unit(after.real);
         let (mut twin, mut bounds) = (vec![[0.0; 3]; n], vec![[0.0; 3]; n]);
         for node in 0..n {
@@ -303,23 +304,15 @@ impl<'a> SolidJudge<'a> {
         self.add_nodes(row, &after.rhs, &twin, |node, axis| bounds[node][axis]);
     }
 
-    /// The system is the one stored: rotated gradients and moduli in the scalar type of the outer loop. Row `true residual` judges v
-    /// on it; row `velocity` compares with a direct solve: S >= zeta_M M, so v is off by |r| over the least zeta_M m at most.
+    /// The system is the one stored: rotated gradients and moduli in the scalar type of the outer loop, and what the device holds. Row
+    /// `true residual` judges v on it; row `beyond` whether that is what walls and obstacles should hold; row `velocity` compares with a direct solve: S >= zeta_M M, so v is off by |r| over the least zeta_M m at most.
     fn solve(&mut self, after: &SolidSnapshot) -> Result<(), Error> {
         let (solids, dt) = (&self.solids, self.dt);
         let Some(matrices) = self.matrices.take() else {
             return Ok(());
         };
         let system = after.system(solids, &self.pattern, dt);
-        let free = |velocity: &[[f64; 3]]| -> Vec<f64> {
-            let components = velocity.as_flattened().iter();
-            let prescribed = solids.prescribed.as_flattened();
-            components
-                .zip(prescribed)
-                .map(|(v, prescribed)| if *prescribed { 0.0 } else { *v })
-                .collect()
-        };
-        let x = free(&after.velocity);
+        let x = system.free_part(&after.velocity);
         let residual = norm(&system.residual(&x));
         let twin_rhs =
             reference::solid_right_hand_side(solids, &matrices, &self.before.velocity, dt);
@@ -337,6 +330,24 @@ impl<'a> SolidJudge<'a> {
         self.table.add(
             ["solve", "true residual of S v", "N"],
             [(residual, 0.0, allowed, Place::Whole)],
+        );
+        let mut distance = self.cut.solid_distance.clone();
+        distance.resize(self.grid.n_cells(), 3.0 * self.grid.dx);
+        let contacts = Contacts::holding(
+            solids,
+            &self.grid,
+            &distance,
+            &after.displacement,
+            &after.freedom,
+            dt,
+        );
+        let beyond = contacts.worst(&system, &after.velocity);
+        // Gaps are f32, of a distance sampled with a position in cells.
+        let size = self.grid.size().max_element();
+        let bound = contacts.near() + 64.0 * EPS * size;
+        self.table.add(
+            ["solve", "beyond walls and obstacles, or pulled", "m"],
+            [(beyond, 0.0, bound, Place::Whole)],
         );
         let exact = Solver {
             tolerance: 1e-13,
