@@ -19,6 +19,7 @@ use super::base_block::{BaseBlock, DENSITY, DT, GRAVITY, THETA_FLOOR};
 use super::coupled_system::CoupledSystem;
 use super::pressure_system::PressureSystem;
 use super::right_hand_side::right_hand_side;
+use super::solid_contacts::Freedom;
 use super::solid_matrices::{BlockPattern, SolidMatrices, solid_matrices};
 use super::solid_right_hand_side::solid_right_hand_side;
 use super::solid_system::SolidSystem;
@@ -164,7 +165,8 @@ impl BaseScene {
     pub fn solid_system(&self, matrices: &SolidMatrices) -> SolidSystem {
         let (solids, velocity) = (&self.solids, &self.node_velocity);
         let rhs = solid_right_hand_side(solids, matrices, velocity, self.dt);
-        SolidSystem::new(solids, matrices.stiffness.clone(), &rhs, velocity, self.dt)
+        let (freedom, stiffness) = (Freedom::all(solids), matrices.stiffness.clone());
+        SolidSystem::new(solids, stiffness, &rhs, velocity, freedom, self.dt)
     }
 
     /// Both.

@@ -18,7 +18,7 @@ pub struct CoupledSystem {
     pub solid: SolidSystem,
     /// J on the active cells.
     pub coupling: Coupling,
-    /// Components that are unknowns, ascending.
+    /// Components that are not prescribed, ascending.
     components: Vec<usize>,
     /// Both right-hand sides.
     rhs: Vec<f64>,
@@ -56,7 +56,7 @@ impl CoupledSystem {
         pressure.rhs.clone_from(&rhs);
         rhs.extend(&solid.rhs);
         CoupledSystem {
-            components: solid.unknowns(),
+            components: solid.components(),
             pressure,
             solid,
             coupling,
@@ -81,11 +81,7 @@ impl CoupledSystem {
     pub fn force(&self, pressure: &[f64]) -> Vec<f64> {
         let mut all = vec![0.0; self.solid.rhs.len()];
         self.coupling.add_transposed(pressure, &mut all);
-        let mut force = vec![0.0; all.len()];
-        for &component in &self.components {
-            force[component] = all[component];
-        }
-        force
+        self.solid.free_part(all.as_chunks().0)
     }
 
     /// Pressure (Pa) and velocities (m/s), prescribed ones included, of a vector.
@@ -108,7 +104,8 @@ impl CoupledSystem {
         }
         let j = Csr::from_rows(cells.len(), self.components.len(), |row, entries| {
             for pair in self.coupling.of_cell(cells[row]) {
-                let values = pair.value.to_array().into_iter().enumerate();
+                let free = self.solid.freedom()[pair.node].projector * pair.value;
+                let values = free.to_array().into_iter().enumerate();
                 entries.extend(values.filter_map(|(axis, value)| {
                     column[3 * pair.node + axis].map(|column| (column, value))
                 }));
@@ -134,9 +131,9 @@ impl CoupledSystem {
 pub struct Blocks {
     /// B, m^3/s per Pa; the diagonal of one cell of each component whose level nothing fixes is doubled.
     pub b: Csr,
-    /// J, m^2.
+    /// J P, m^2, where P takes out what walls and obstacles hold.
     pub j: Csr,
-    /// S, kg/s.
+    /// P S P, kg/s, and the mean of a node's diagonal in what is held.
     pub s: Csr,
     /// zeta_M M, kg/s.
     pub mass: Vec<f64>,
@@ -180,7 +177,7 @@ impl Judged for CoupledSystem {
     }
 
     fn n_unknowns(&self) -> usize {
-        self.pressure.n_unknowns() + self.components.len()
+        self.pressure.n_unknowns() + self.solid.n_unknowns()
     }
 
     /// E u* - B p - J x, then -w - S x + J^T p.
@@ -228,7 +225,7 @@ impl Judged for CoupledSystem {
             },
             Part {
                 range: n_cells..self.rhs.len(),
-                unknowns: self.components.len(),
+                unknowns: self.solid.n_unknowns(),
                 scale: self.solid.rhs_scale + norm(&forces),
             },
         ]

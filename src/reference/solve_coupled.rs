@@ -333,7 +333,7 @@ impl<'a> Inverse<'a> {
         solver: &'a SolidSolver,
         solids: &Solids,
     ) -> Result<Inverse<'a>, Error> {
-        let (solid, components) = (&system.solid, system.solid.unknowns());
+        let (solid, components) = (&system.solid, system.solid.components());
         if components.is_empty() {
             Ok(Inverse::Nothing)
         } else if components.len() <= DIRECT_UNKNOWNS {
@@ -444,8 +444,9 @@ pub fn solve_weak(
     let (found, of_pressure) = solve(&pressure, settings)?;
     let mut force = vec![0.0; solid.rhs.len()];
     coupling.add_transposed(&found, &mut force);
-    for component in solid.unknowns() {
-        solid.rhs[component] += force[component];
+    let force = solid.free_part(force.as_chunks().0);
+    for (rhs, force) in solid.rhs.iter_mut().zip(&force) {
+        *rhs += force;
     }
     solid.rhs_scale += norm(&force);
     let (velocity, of_solid) = solver.solve(solids, &solid, settings)?;

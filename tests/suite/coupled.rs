@@ -199,7 +199,7 @@ fn weak_coupling_takes_the_velocities_before_the_step() {
     let mut force = vec![0.0; solid.rhs.len()];
     coupling.add_transposed(&solution.pressure, &mut force);
     let left = solid.residual(solution.velocity.as_flattened());
-    for component in solid.unknowns() {
+    for component in solid.components() {
         let defect = left[component] + force[component];
         assert!(defect.abs() <= 1e-9, "{defect:e}");
     }
