@@ -357,7 +357,7 @@ fn the_velocities_solve_the_system() {
             held[by_obstacles] += twin.components().len() - ranks;
         }
     }
-    assert!(held[0] > 30 && held[1] > 200, "{held:?} directions held");
+    assert!(held[0] > 20 && held[1] > 150, "{held:?} directions held");
 }
 
 /// What walls and obstacles hold from the start, and at which velocities, is the twin's: gaps, and normals of obstacles, are f32.
