@@ -1,7 +1,7 @@
 //! What a scene calls for, computed in one place. Kernels, buffers and CPU work ask [`Effects`] and nothing else, so an
 //! effect that a scene does not have costs no compile time, no bytes and no dispatch.
 
-use crate::scene::{ElasticModel, Scene, Solid, Surface};
+use crate::scene::{ElasticModel, PatchPressure, Scene, Solid, Surface};
 
 /// The effects of a scene (design: each adds its kernels, buffers and CPU work; an absent one adds none).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -27,6 +27,10 @@ pub struct Effects {
     /// There are obstacles. With liquid: open areas from clipping, push-out, extension of the liquid distance, slip inside them;
     /// with solids: push-out of nodes.
     pub obstacles: bool,
+    /// There are liquid and solids: `clip` in every sub-step, J, and one solve for both where they touch.
+    pub coupling: bool,
+    /// The pressure on the solids' patches varies within cells: forces on their nodes.
+    pub patch_correction: bool,
     /// There are probes: the `probe` stage and its few numbers read back.
     pub probes: bool,
 }
@@ -58,6 +62,10 @@ impl Effects {
             scripts: pin(true),
             loads: any(|solid| !solid.loads.is_empty()),
             obstacles: !scene.obstacles.is_empty(),
+            coupling: scene.liquid.is_some() && !scene.solids.is_empty(),
+            patch_correction: scene.liquid.is_some()
+                && !scene.solids.is_empty()
+                && scene.solver.pressure_on_patches != PatchPressure::Cell,
             probes: !scene.probes.is_empty(),
         }
     }

@@ -4,7 +4,8 @@
 //! [`stages`] and [`solver`], their f64 twins under the same names in [`mod@reference`]:
 //!
 //! 1. `time_step`: the largest step that the velocities allow and that lands on the frame times ([`sim`])
-//! 2. `clip`: open face areas and the distance to the obstacles, on the CPU ([`geometry`])
+//! 2. `clip`: open face areas and the distance to the obstacles, on the CPU ([`geometry`]); once, and with solids in liquid in
+//!    every sub-step, after they have moved
 //! 3. `move_solid`: nodes of the solids, then out of walls and obstacles
 //! 4. `advect_markers`: midpoint rule through the MAC field, then out of solids and walls; on the GPU `band` then lists the
 //!    quads near the liquid, which all other stages of the liquid work on

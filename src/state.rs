@@ -85,6 +85,8 @@ pub enum SolveStatus {
     Breakdown,
     /// The right-hand side or the iterate is not finite.
     NonFinite,
+    /// Prescribed motion asks a liquid without a free surface to change its volume: the nearest that keeps it was solved for.
+    Incompatible,
 }
 
 impl SolveStatus {
@@ -96,6 +98,7 @@ impl SolveStatus {
             SolveStatus::Stagnated => "stagnated",
             SolveStatus::Breakdown => "breakdown",
             SolveStatus::NonFinite => "non_finite",
+            SolveStatus::Incompatible => "incompatible",
         }
     }
 }
@@ -145,6 +148,8 @@ pub struct StepReport {
     pub liquid: Option<LiquidReport>,
     /// The solids' part, where the scene has solids.
     pub solid: Option<SolidReport>,
+    /// What they do to each other, where the scene has both.
+    pub coupling: Option<CouplingReport>,
     /// Seconds of each stage, by its canonical noun, in order: on the device, where it can tell them, or of wall clock on the f64
     /// path.
     pub seconds: Vec<(&'static str, f64)>,
@@ -183,6 +188,21 @@ pub struct SolidReport {
     pub solve: SolveReport,
     /// Momentum, energies and the worst element after the sub-step.
     pub diagnosis: SolidDiagnosis,
+}
+
+/// What liquid and solids did to each other in one sub-step.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct CouplingReport {
+    /// Whether they touch: otherwise each was solved for itself.
+    pub touching: bool,
+    /// Sum of the liquid's forces on the solids by the pressure at the centres of cells, J^T p, N.
+    pub force: [f64; 3],
+    /// Sum of what pressure adds that varies within cells, N. It acts on the solids alone.
+    pub correction: [f64; 3],
+    /// Cells whose centre lies in two solids, or in a solid and an obstacle.
+    pub overlap_cells: usize,
+    /// Thickness of that overlap, m.
+    pub overlap_depth: f64,
 }
 
 /// What the liquid amounts to at one moment.

@@ -234,8 +234,8 @@ pub fn seed_markers(
     let Some(liquid) = &scene.liquid else {
         return Ok(Vec::new());
     };
-    let in_solid =
-        |x| !scene.obstacles.is_empty() && grid.sample_cells(&cut_cells.solid_distance, x) < 0.0;
+    let bodies = !scene.obstacles.is_empty() || !scene.solids.is_empty();
+    let in_solid = |x| bodies && grid.sample_cells(&cut_cells.solid_distance, x) < 0.0;
     let seeding = Seeding {
         regions: Regions::new(liquid)?,
         size: grid.size(),

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use crate::Error;
 use crate::scene::Probe;
-use crate::state::{LiquidReport, SolidReport, StepReport};
+use crate::state::{CouplingReport, LiquidReport, SolidReport, StepReport};
 
 /// A CSV file that grows by rows and is flushed once per frame.
 #[derive(Debug)]
@@ -111,14 +111,29 @@ const SOLIDS: [&str; 16] = [
     "inverted",
 ];
 
+/// Columns of what both do to each other.
+const COUPLING: [&str; 9] = [
+    "touching",
+    "force_x",
+    "force_y",
+    "force_z",
+    "correction_x",
+    "correction_y",
+    "correction_z",
+    "overlap_cells",
+    "overlap_depth",
+];
+
 impl StepTable {
     /// The columns of a scene with or without liquid and solids. Units: s, relative residual (f64, true), 1/s, m^3, kg m/s,
-    /// kg m^2/s (about the origin), J, m/s; `markers_dropped` in this sub-step; `dt_floored` is 0 or 1; a `status` is `converged`
-    /// or what went wrong; `inverted` counts elements.
+    /// kg m^2/s (about the origin), J, m/s, N (forces of the liquid on the solids), m; `markers_dropped` in this sub-step;
+    /// `dt_floored` and `touching` are 0 or 1; a `status` is `converged` or what went wrong; `inverted` counts elements.
     pub fn columns(liquid: bool, solids: bool) -> impl Iterator<Item = &'static str> {
-        let liquid = LIQUID.into_iter().filter(move |_| liquid);
+        let of_liquid = LIQUID.into_iter().filter(move |_| liquid);
+        let coupling = COUPLING.into_iter().filter(move |_| liquid && solids);
         let solids = SOLIDS.into_iter().filter(move |_| solids);
-        FIRST.into_iter().chain(liquid).chain(solids).chain(LAST)
+        let parts = of_liquid.chain(solids).chain(coupling);
+        FIRST.into_iter().chain(parts).chain(LAST)
     }
 
     /// A new steps.csv in `run`; the head line comes with the first row, which tells the parts and the stages.
@@ -163,6 +178,9 @@ impl StepTable {
         }
         if let Some(solid) = &report.solid {
             fields.extend(solid_fields(step, solid)?);
+        }
+        if let Some(coupling) = &report.coupling {
+            fields.extend(coupling_fields(step, coupling)?);
         }
         fields.push(u8::from(report.dt_floored).to_string());
         fields.push(number("seconds_total", step, report.seconds_total)?);
@@ -230,6 +248,25 @@ fn solid_fields(step: u64, solid: &SolidReport) -> Result<Vec<String>, Error> {
         real("min_det_f", diagnosis.min_det)?,
         diagnosis.inverted.to_string(),
     ])
+}
+
+/// The values of [`COUPLING`].
+fn coupling_fields(step: u64, coupling: &CouplingReport) -> Result<Vec<String>, Error> {
+    let CouplingReport {
+        touching,
+        force,
+        correction,
+        overlap_cells,
+        overlap_depth,
+    } = *coupling;
+    let mut fields = vec![u8::from(touching).to_string()];
+    let forces = force.into_iter().chain(correction);
+    for (column, value) in COUPLING[1..].iter().zip(forces) {
+        fields.push(number(column, step, value)?);
+    }
+    fields.push(overlap_cells.to_string());
+    fields.push(number("overlap_depth", step, overlap_depth)?);
+    Ok(fields)
 }
 
 /// probes.csv. Columns: `step` and `t` (s) as in steps.csv, then the [`Probe::columns`] of each probe.

@@ -39,12 +39,14 @@ pub(super) fn larger(a: f64, b: f64) -> f64 {
     if a >= b || a.is_nan() { a } else { b }
 }
 
-/// What the liquid amounts to. `stencil`: of the last projection; `density` in kg/m^3, `gravity` in m/s^2, the rest as in [`crate::state::State`].
+/// What the liquid amounts to. `stencil`: of the last projection; `flux`: what solids take up of each cell, J v, m^3/s; `density` in
+/// kg/m^3, `gravity` in m/s^2, the rest as in [`crate::state::State`].
 pub fn diagnose(
     cut: &CutCells,
     liquid_distance: &[f64],
     velocity: &[Vec<f64>; 3],
     stencil: &Stencil,
+    flux: Option<&[f64]>,
     density: f64,
     gravity: DVec3,
 ) -> Diagnosis {
@@ -63,8 +65,9 @@ pub fn diagnose(
             potential_energy -= mass * gravity.dot(grid.cell_centre(ijk));
         }
         if stencil.active(cell) {
-            divergence = divergence
-                .max(inflow(grid, &cut.open, velocity, cell).0.abs() / grid.cell_volume());
+            let taken = flux.map_or(0.0, |flux| flux[cell]);
+            let left = inflow(grid, &cut.open, velocity, cell).0 - taken;
+            divergence = divergence.max(left.abs() / grid.cell_volume());
         }
     }
     Diagnosis {

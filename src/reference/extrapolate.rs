@@ -4,12 +4,12 @@
 //! have one: those beside it, else those across an edge, else those across a corner. A layer so reaches one cell along every
 //! diagonal too: a sub-step goes up to cfl cells along each axis at once, and through neighbours beside a face alone liquid
 //! that moves along a diagonal ran into faces that no layer had reached. What no layer reaches is 0, and so are domain walls.
-//! Closed faces in and just outside obstacles lose their normal velocity.
+//! Closed faces in and just outside obstacles lose their normal velocity; those in and outside solids get that of the solid.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::geometry::CutCells;
+use crate::geometry::{CutCells, SolidClip};
 use crate::grid::{Axis, Grid};
 
 /// Layers beyond those that a step of `cfl` cells crosses.
@@ -24,10 +24,38 @@ pub fn n_layers(cfl: f64) -> usize {
     cfl.ceil() as usize + SPARE_LAYERS
 }
 
+/// The solids as walls that move.
+#[derive(Clone, Copy, Debug)]
+pub struct MovingWalls<'a> {
+    /// Where they are.
+    pub clip: &'a SolidClip,
+    /// Nodes of their surface triangles.
+    pub triangles: &'a [[u32; 3]],
+    /// Velocity of all nodes, m/s.
+    pub velocity: &'a [[f64; 3]],
+}
+
+impl MovingWalls<'_> {
+    /// Velocity of the nearest place on a solid, m/s: the mean over the cells at both sides of a face that have one.
+    fn at_face(&self, grid: &Grid, axis: Axis, face: [usize; 3]) -> DVec3 {
+        let sides = grid.face_sides(axis, face).into_iter().flatten();
+        let velocities = sides.filter_map(|cell| {
+            let nearest = self.clip.nearest(cell)?;
+            let corners = self.triangles[nearest.triangle].iter().zip(nearest.weights);
+            let parts =
+                corners.map(|(&node, weight)| weight * DVec3::from(self.velocity[node as usize]));
+            Some(parts.sum::<DVec3>())
+        });
+        let (sum, count) = velocities.fold((DVec3::ZERO, 0), |(sum, n), v| (sum + v, n + 1));
+        sum / f64::from(count.max(1))
+    }
+}
+
 /// Extends `faces` (m/s) by `layers` from where they are `valid`, and constrains them.
 pub fn extrapolate(
     grid: &Grid,
     cut: &CutCells,
+    walls: Option<MovingWalls>,
     valid: [Vec<bool>; 3],
     layers: usize,
     faces: &mut [Vec<f64>; 3],
@@ -36,7 +64,7 @@ pub fn extrapolate(
         extend(grid, axis, valid, layers, &mut faces[axis.index()]);
     }
     close_walls(grid, faces);
-    slip(grid, cut, faces);
+    slip(grid, cut, walls, faces);
 }
 
 fn extend(grid: &Grid, axis: Axis, mut valid: Vec<bool>, layers: usize, values: &mut [f64]) {
@@ -107,7 +135,7 @@ fn direction(grid: &Grid, solid_distance: &[f64], x: DVec3) -> Option<DVec3> {
     (length >= SMALLEST_GRADIENT).then(|| gradient / length)
 }
 
-fn slip(grid: &Grid, cut: &CutCells, faces: &mut [Vec<f64>; 3]) {
+fn slip(grid: &Grid, cut: &CutCells, walls: Option<MovingWalls>, faces: &mut [Vec<f64>; 3]) {
     let constrained = Axis::ALL.map(|axis| -> Vec<(usize, f64)> {
         let a = axis.index();
         let constrain = |face: usize| {
@@ -120,10 +148,9 @@ fn slip(grid: &Grid, cut: &CutCells, faces: &mut [Vec<f64>; 3]) {
                 return None;
             }
             let n = direction(grid, &cut.solid_distance, x)?;
-            Some((
-                face,
-                faces[a][face] - grid.velocity_at(faces, x).dot(n) * n[a],
-            ))
+            let of_wall = walls.map_or(DVec3::ZERO, |walls| walls.at_face(grid, axis, ijk));
+            let into = (grid.velocity_at(faces, x) - of_wall).dot(n);
+            Some((face, faces[a][face] - into * n[a]))
         };
         (0..grid.n_faces(axis))
             .into_par_iter()

@@ -17,6 +17,7 @@ mod liquid_distance;
 mod move_solid;
 mod multigrid;
 mod node_forces;
+mod patch_pressure;
 mod prepare;
 mod pressure_system;
 mod probe;
@@ -41,12 +42,13 @@ pub use advect_velocity::advect_velocity;
 pub use coupled_system::{Blocks, CoupledSystem, TwoField};
 pub use diagnose::{diagnose, liquid_volume, max_speed, open_volumes};
 pub use diagnose_solid::diagnose_solid;
-pub use extrapolate::{extrapolate, n_layers};
+pub use extrapolate::{MovingWalls, extrapolate, n_layers};
 pub use forces::forces;
 pub use liquid_distance::liquid_distance;
 pub use move_solid::move_solid;
 pub use multigrid::Multigrid;
 pub use node_forces::node_forces;
+pub use patch_pressure::{patch_pressure, pressure_gradient};
 pub use prepare::prepare;
 pub use pressure_system::{PressureSystem, Stencil, remove_means};
 pub use probe::probe;
@@ -58,7 +60,9 @@ pub use solid_matrices::{BlockMatrix, BlockPattern, SolidMatrices, solid_matrice
 pub use solid_right_hand_side::{SolidRightHandSide, solid_right_hand_side};
 pub use solid_system::SolidSystem;
 pub use solve::{DIRECT_UNKNOWNS, solve, solve_direct, solve_iterative};
-pub use solve_coupled::{CoupledSolution, Formulation, SIGMA, solve_coupled, solve_weak};
+pub use solve_coupled::{
+    CoupledSolution, Formulation, SIGMA, solve_coupled, solve_coupled_in_contact, solve_weak,
+};
 pub use solve_solid::{Chebyshev, SolidSolver};
 pub use step::{Reference, StepSystem};
 pub use stress_variables::{StressSystem, StressVariables};

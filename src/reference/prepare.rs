@@ -1,16 +1,23 @@
 //! `prepare`: what the first step reads beyond the initial markers and velocities.
 
 use super::diagnose::{liquid_volume, open_volumes};
-use super::extrapolate::{extrapolate, n_layers};
+use super::extrapolate::{MovingWalls, extrapolate, n_layers};
 use super::liquid_distance::liquid_distance;
-use crate::geometry::CutCells;
+use crate::geometry::{CutCells, SolidClip};
 use crate::grid::{Axis, Grid};
 use crate::scene::{Scene, Surface};
 use crate::state::State;
 
 /// Completes an initial state: the liquid distance that the markers make, the volume to hold, and velocities beyond the
-/// liquid, so that markers at the border of a moving region move with it. Doing it twice changes nothing.
-pub fn prepare(scene: &Scene, grid: &Grid, cut: &CutCells, state: &mut State) {
+/// liquid, so that markers at the border of a moving region move with it. `solids`: where they are, with the nodes of their surface
+/// triangles. Doing it twice changes nothing.
+pub fn prepare(
+    scene: &Scene,
+    grid: &Grid,
+    cut: &CutCells,
+    solids: Option<(&SolidClip, &[[u32; 3]])>,
+    state: &mut State,
+) {
     let Some(liquid) = &scene.liquid else { return };
     if liquid.surface == Surface::Markers {
         state.liquid_distance =
@@ -33,9 +40,15 @@ pub fn prepare(scene: &Scene, grid: &Grid, cut: &CutCells, state: &mut State) {
         open.map(|(face, &open)| open > 0.0 && beside_liquid(face))
             .collect()
     });
+    let walls = solids.map(|(clip, triangles)| MovingWalls {
+        clip,
+        triangles,
+        velocity: &state.node_velocity,
+    });
     extrapolate(
         grid,
         cut,
+        walls,
         valid,
         n_layers(scene.time.cfl),
         &mut state.velocity,

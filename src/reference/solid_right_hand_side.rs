@@ -14,6 +14,21 @@ pub struct SolidRightHandSide {
     pub scale: f64,
 }
 
+impl SolidRightHandSide {
+    /// Adds forces on all nodes, N, but for prescribed components.
+    pub fn add(&mut self, solids: &Solids, forces: &[DVec3]) {
+        let mut squares = 0.0;
+        let nodes = self.values.iter_mut().zip(forces).zip(&solids.prescribed);
+        for ((values, force), prescribed) in nodes {
+            for axis in (0..3).filter(|&axis| !prescribed[axis]) {
+                values[axis] += force[axis];
+                squares += force[axis] * force[axis];
+            }
+        }
+        self.scale += squares.sqrt();
+    }
+}
+
 /// The right-hand side from v* (m/s, of all nodes).
 pub fn solid_right_hand_side(
     solids: &Solids,

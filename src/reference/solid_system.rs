@@ -81,6 +81,22 @@ impl SolidSystem {
         self.rhs_scale = self.forces_scale + norm(&pull);
     }
 
+    /// Adds forces on all nodes, N, three numbers per node.
+    pub fn push(&mut self, forces: &[f64]) {
+        let (nodes, _) = forces.as_chunks::<3>();
+        let free = self.free_part(nodes);
+        for (rhs, force) in self.rhs.iter_mut().zip(&free) {
+            *rhs += force;
+        }
+        for ((sums, forces), freedom) in self.forces.iter_mut().zip(nodes).zip(&self.freedom) {
+            for axis in (0..3).filter(|&axis| freedom.free[axis]) {
+                sums[axis] += forces[axis];
+            }
+        }
+        self.rhs_scale += norm(&free);
+        self.forces_scale += norm(&free);
+    }
+
     /// M v*/dt - (K x* - b) + load of the nodes, N, 0 in prescribed components.
     pub fn forces(&self) -> &[[f64; 3]] {
         &self.forces

@@ -5,6 +5,7 @@ use super::coupled_system::{Blocks, CoupledSystem, TwoField};
 use super::multigrid::Multigrid;
 use super::pressure_system::PressureSystem;
 use super::refine::{Correction, Judged, refine_parts};
+use super::solid_contacts::{Contacts, MOST_SOLVES};
 use super::solid_system::SolidSystem;
 use super::solve::{DIRECT_UNKNOWNS, solve};
 use super::solve_solid::{Chebyshev, SolidSolver};
@@ -17,7 +18,7 @@ use crate::linalg::{
     conjugate_gradient, norm, stabilised_biconjugate_gradient,
 };
 use crate::scene::Solver;
-use crate::state::SolveReport;
+use crate::state::{SolveReport, SolveStatus};
 
 /// Share of the mass in Z1. Between exact inverses, 0.5 makes the fewest iterations.
 pub const SIGMA: f64 = 0.5;
@@ -227,6 +228,46 @@ pub fn solve_coupled(
             })
         }
     }
+}
+
+/// Solves for liquid and solids again while contacts change, which hold what the system of the solids holds; the last system and its
+/// solution. In the formulation that [`Formulation::of`] says.
+///
+/// # Errors
+/// As those of [`solve_coupled`].
+pub fn solve_coupled_in_contact(
+    pressure: &PressureSystem,
+    solid: &mut SolidSystem,
+    coupling: &Coupling,
+    contacts: &mut Contacts,
+    solver: &SolidSolver,
+    solids: &Solids,
+    settings: &Solver,
+) -> Result<(CoupledSystem, CoupledSolution), Error> {
+    let mut iterations = 0;
+    for solves in 1.. {
+        let system = CoupledSystem::new(pressure.clone(), solid.clone(), coupling);
+        let formulation = Formulation::of(&system);
+        let mut solution = solve_coupled(&system, formulation, solver, solids, settings)?;
+        iterations += solution.reports[0].iterations;
+        for report in &mut solution.reports {
+            report.iterations = iterations;
+        }
+        // The liquid pushes nodes to walls too.
+        let mut pushed = solid.clone();
+        let mut force = vec![0.0; pushed.rhs.len()];
+        system
+            .coupling
+            .add_transposed(&solution.pressure, &mut force);
+        pushed.push(&force);
+        let changes = contacts.update(&pushed, &solution.velocity);
+        let converged = solution.reports[0].status == SolveStatus::Converged;
+        if !converged || solves == MOST_SOLVES || changes == 0 {
+            return Ok((system, solution));
+        }
+        solid.free(contacts.hold(&mut solution.velocity), &solution.velocity);
+    }
+    unreachable!("the last solve returns")
 }
 
 /// A correction without iterations.
@@ -444,11 +485,7 @@ pub fn solve_weak(
     let (found, of_pressure) = solve(&pressure, settings)?;
     let mut force = vec![0.0; solid.rhs.len()];
     coupling.add_transposed(&found, &mut force);
-    let force = solid.free_part(force.as_chunks().0);
-    for (rhs, force) in solid.rhs.iter_mut().zip(&force) {
-        *rhs += force;
-    }
-    solid.rhs_scale += norm(&force);
+    solid.push(&force);
     let (velocity, of_solid) = solver.solve(solids, &solid, settings)?;
     Ok(CoupledSolution {
         pressure: found,

@@ -1,35 +1,78 @@
 //! One step of the f64 path, in the lines of the crate's list (thesis, algorithm 4).
 
+use std::borrow::Cow;
 use std::sync::Arc;
 use std::time::Instant;
 
+use glam::DVec3;
+
 use super::diagnose::larger;
 use super::{
-    BlockPattern, Contacts, PressureSystem, SolidSolver, SolidSystem, TimeStep, VolumeSource,
-    active_cells, advect_markers, advect_velocity, diagnose, diagnose_solid, extrapolate, forces,
-    liquid_distance, liquid_volume, max_speed, move_solid, n_layers, node_forces, open_volumes,
-    prepare, right_hand_side, solid_matrices, solid_right_hand_side, solve, time_step, volume_rate,
-    write_back,
+    BlockPattern, Contacts, CoupledSystem, MovingWalls, PressureSystem, SolidSolver, SolidSystem,
+    TimeStep, VolumeSource, active_cells, advect_markers, advect_velocity, diagnose,
+    diagnose_solid, extrapolate, forces, liquid_distance, liquid_volume, max_speed, move_solid,
+    n_layers, node_forces, open_volumes, patch_pressure, prepare, pressure_gradient,
+    right_hand_side, solid_matrices, solid_right_hand_side, solve, solve_coupled_in_contact,
+    time_step, volume_rate, write_back,
 };
 use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::Solids;
-use crate::geometry::CutCells;
+use crate::geometry::{CutCells, ObstacleCut, SolidClip};
 use crate::grid::{Axis, Grid};
-use crate::scene::{Liquid, Scene};
-use crate::state::{LiquidReport, SolidReport, SolveReport, SolveStatus, State, StepReport};
+use crate::scene::{Liquid, PatchPressure, Scene};
+use crate::state::{
+    CouplingReport, LiquidReport, SolidReport, SolveReport, SolveStatus, State, StepReport,
+};
 
 /// The simulator on the CPU in f64: a scene's settings and obstacles, and the state that its steps move on.
 #[derive(Clone, Debug)]
 pub struct Reference {
     scene: Scene,
     grid: Grid,
-    cut: CutCells,
+    cut: Cut,
     effects: Effects,
     liquid: Option<LiquidPart>,
     solid: Option<SolidPart>,
     state: State,
 }
+
+/// What bodies leave of the grid.
+#[derive(Clone, Debug)]
+enum Cut {
+    /// Obstacles alone.
+    Still(CutCells),
+    /// Obstacles and solids.
+    Moving(Box<SolidClip>),
+}
+
+impl Cut {
+    /// Now.
+    fn now(&self) -> &CutCells {
+        match self {
+            Cut::Still(cut) => cut,
+            Cut::Moving(clip) => clip.cut_cells(),
+        }
+    }
+
+    /// Of the obstacles alone.
+    fn obstacles(&self) -> &CutCells {
+        match self {
+            Cut::Still(cut) => cut,
+            Cut::Moving(clip) => clip.obstacles(),
+        }
+    }
+
+    fn clip(&self) -> Option<&SolidClip> {
+        match self {
+            Cut::Still(_) => None,
+            Cut::Moving(clip) => Some(clip),
+        }
+    }
+}
+
+/// A prescribed motion may squeeze a liquid without a surface by this share of what it moves: rounding, and what the area clamp hides.
+const SQUEEZE: f64 = 1e-2;
 
 /// What the steps of a liquid share.
 #[derive(Clone, Debug)]
@@ -47,6 +90,23 @@ struct SolidPart {
     solver: SolidSolver,
 }
 
+/// The systems of a step.
+enum Systems {
+    /// Each by itself.
+    Apart(Option<Box<PressureSystem>>, Option<Box<SolidSystem>>),
+    /// Liquid and solids that touch.
+    Coupled(Box<CoupledSystem>),
+}
+
+impl Systems {
+    fn pressure(&self) -> Option<&PressureSystem> {
+        match self {
+            Systems::Apart(pressure, _) => pressure.as_deref(),
+            Systems::Coupled(system) => Some(&system.pressure),
+        }
+    }
+}
+
 /// A system of a step and its answer.
 #[derive(Clone, Copy, Debug)]
 pub enum StepSystem<'a> {
@@ -54,6 +114,8 @@ pub enum StepSystem<'a> {
     Pressure(&'a PressureSystem, &'a [f64]),
     /// The velocities of the nodes, m/s.
     Solid(&'a SolidSystem, &'a [[f64; 3]]),
+    /// Both, where liquid and solids touch.
+    Coupled(&'a CoupledSystem, &'a [f64], &'a [[f64; 3]]),
 }
 
 impl Reference {
@@ -61,68 +123,79 @@ impl Reference {
     /// distance is the exact one, and stays. `solids`: those of the scene.
     ///
     /// # Errors
-    /// [`Error::Input`] where the scene has neither liquid nor solids, or both, and where the state is not one of the scene.
+    /// [`Error::Input`] where the scene has neither liquid nor solids, and where the state is not one of the scene.
     pub fn new(
         scene: &Scene,
-        cut: CutCells,
+        obstacles: ObstacleCut,
         solids: Solids,
-        mut state: State,
+        state: State,
     ) -> Result<Reference, Error> {
         let grid = scene.grid();
         let effects = Effects::of(scene);
-        let refused = |problem: String, cure: &str| {
-            Err(Error::input(
+        if !effects.liquid && !effects.solids {
+            return Err(Error::input(
                 scene.file.display().to_string(),
-                problem,
-                cure,
-            ))
-        };
-        match (effects.liquid, effects.solids) {
-            (false, false) => {
-                let problem = "the scene has neither liquid nor solids".to_owned();
-                return refused(
-                    problem,
-                    "add a [liquid] section with a region, or a [[solid]]",
-                );
-            }
-            (true, true) => {
-                let problem = "the coupling of liquid and elastic solids is not simulated yet";
-                return refused(problem.to_owned(), "remove [liquid], or the solids");
-            }
-            _ => {}
-        }
-        let cure = "resume with the scene and the scale that the state was made with";
-        if effects.liquid && !fits_grid(&grid, &cut, &state) {
-            let problem = format!("the state does not have the scene's {:?} cells", grid.cells);
-            return refused(problem, cure);
-        }
-        let n_nodes = solids.rest.len();
-        if [state.displacement.len(), state.node_velocity.len()] != [n_nodes; 2] {
-            let problem =
-                format!("the state does not have the {n_nodes} nodes of the scene's solids");
-            return refused(problem, cure);
-        }
-        if state.step == 0 {
-            prepare(scene, &grid, &cut, &mut state);
+                "the scene has neither liquid nor solids",
+                "add a [liquid] section with a region, or a [[solid]]",
+            ));
         }
         let liquid = scene.liquid.clone().map(|liquid| LiquidPart {
             liquid,
-            open_volumes: open_volumes(&grid, &cut.solid_distance),
+            open_volumes: open_volumes(&grid, &obstacles.cut.solid_distance),
         });
+        let cut = match effects.coupling {
+            false => Cut::Still(obstacles.cut),
+            true => Cut::Moving(Box::new(SolidClip::new(&grid, obstacles, &scene.solver))),
+        };
         let solid = effects.solids.then(|| SolidPart {
             pattern: Arc::new(BlockPattern::new(&solids)),
             solver: SolidSolver::new(&solids),
             solids,
         });
-        Ok(Reference {
+        let mut reference = Reference {
             scene: scene.clone(),
             grid,
             cut,
             effects,
             liquid,
             solid,
-            state,
-        })
+            state: State::default(),
+        };
+        reference.reset(state)?;
+        Ok(reference)
+    }
+
+    /// Goes on from another state of the scene.
+    ///
+    /// # Errors
+    /// [`Error::Input`] where it is none.
+    pub fn reset(&mut self, mut state: State) -> Result<(), Error> {
+        let refused = |problem: String| {
+            let file = self.scene.file.display().to_string();
+            let cure = "resume with the scene and the scale that the state was made with";
+            Err(Error::input(file, problem, cure))
+        };
+        let grid = &self.grid;
+        if self.effects.liquid && !fits_grid(grid, self.cut.now(), &state) {
+            return refused(format!(
+                "the state does not have the scene's {:?} cells",
+                grid.cells
+            ));
+        }
+        let n_nodes = self.solid.as_ref().map_or(0, |part| part.solids.rest.len());
+        if [state.displacement.len(), state.node_velocity.len()] != [n_nodes; 2] {
+            return refused(format!(
+                "the state does not have the {n_nodes} nodes of the scene's solids"
+            ));
+        }
+        clip(&mut self.cut, self.solid.as_ref(), &state);
+        if state.step == 0 {
+            let triangles = self.solid.as_ref().map(|part| &part.solids.triangles[..]);
+            let solids = self.cut.clip().zip(triangles);
+            prepare(&self.scene, grid, self.cut.now(), solids, &mut state);
+        }
+        self.state = state;
+        Ok(())
     }
 
     /// The scene.
@@ -135,9 +208,14 @@ impl Reference {
         &self.state
     }
 
-    /// The obstacles.
+    /// What obstacles, and solids in liquid, leave of the grid.
     pub fn cut_cells(&self) -> &CutCells {
-        &self.cut
+        self.cut.now()
+    }
+
+    /// The solids in liquid as they cut the grid.
+    pub fn clip(&self) -> Option<&SolidClip> {
+        self.cut.clip()
     }
 
     /// The length of the next sub-step.
@@ -161,11 +239,32 @@ impl Reference {
     /// Does one sub-step, and tells of the systems solved and their answers.
     pub fn step_observed(
         &mut self,
-        TimeStep { dt, floored }: TimeStep,
+        time_step: TimeStep,
         observer: &mut dyn FnMut(StepSystem),
     ) -> Result<StepReport, Error> {
-        let (scene, grid, cut) = (&self.scene, &self.grid, &self.cut);
-        let (open, solid_distance) = (&cut.open, &cut.solid_distance);
+        let nothing = Cut::Still(CutCells {
+            open: Default::default(),
+            solid_distance: Vec::new(),
+        });
+        let mut cut = std::mem::replace(&mut self.cut, nothing);
+        let stepped = self.stages(time_step, &mut cut, observer);
+        if stepped.is_err() {
+            clip(&mut cut, self.solid.as_ref(), &self.state);
+        }
+        self.cut = cut;
+        let (state, report) = stepped?;
+        self.state = state;
+        Ok(report)
+    }
+
+    /// The stages of a sub-step: the state after it, and `cut` with it.
+    fn stages(
+        &self,
+        TimeStep { dt, floored }: TimeStep,
+        cut: &mut Cut,
+        observer: &mut dyn FnMut(StepSystem),
+    ) -> Result<(State, StepReport), Error> {
+        let (scene, grid) = (&self.scene, &self.grid);
         let (settings, gravity) = (&scene.solver, scene.domain.gravity);
         let (liquid, solid) = (self.liquid.as_ref(), self.solid.as_ref());
         let before = &self.state;
@@ -181,13 +280,20 @@ impl Reference {
             move_solid(
                 solids,
                 grid,
-                solid_distance,
+                &cut.obstacles().solid_distance,
                 dt,
                 displacement,
                 node_velocity,
             );
             clock.lap("move_solid");
         }
+
+        if self.effects.coupling {
+            clip(cut, solid, &state);
+            clock.lap("clip");
+        }
+        let (clip, obstacles, cut) = (cut.clip(), cut.obstacles(), cut.now());
+        let (open, solid_distance) = (&cut.open, &cut.solid_distance);
 
         let mut dropped = 0;
         if liquid.is_some() {
@@ -215,7 +321,10 @@ impl Reference {
             }
             clock.lap("liquid_distance");
 
-            let active = active_cells(grid, open, &state.liquid_distance, settings.theta_floor);
+            let mut active = active_cells(grid, open, &state.liquid_distance, settings.theta_floor);
+            if let Some((clip, part)) = clip.zip(solid) {
+                active.seal(clip.coupling(), &part.solids.prescribed);
+            }
             clock.lap("active_cells");
             active
         });
@@ -230,21 +339,31 @@ impl Reference {
             },
         );
 
+        let mut coupling = CouplingReport::default();
         let pressure = liquid.zip(active).map(|(part, active)| {
-            let source = self.volume_source(part, &state.liquid_distance, dt);
+            let open_volumes = match clip {
+                None => Cow::Borrowed(&part.open_volumes),
+                Some(_) => Cow::Owned(open_volumes(grid, solid_distance)),
+            };
+            let source = self.volume_source(&open_volumes, &state.liquid_distance, dt);
             let rhs = right_hand_side(grid, open, &state.velocity, &active, source);
             PressureSystem::new(active, rhs, dt, part.liquid.density)
         });
-        let mut motion = solid.zip(matrices.as_ref()).map(|(part, matrices)| {
+        let motion = solid.zip(matrices.as_ref()).map(|(part, matrices)| {
             let SolidPart { solids, .. } = part;
-            let rhs = solid_right_hand_side(solids, matrices, &state.node_velocity, dt);
+            let mut rhs = solid_right_hand_side(solids, matrices, &state.node_velocity, dt);
+            if let Some((clip, pressure)) = clip.zip(pressure.as_ref()) {
+                let forces = self.patch_correction(clip, pressure, solids);
+                coupling.correction = forces.iter().copied().sum::<DVec3>().to_array();
+                rhs.add(solids, &forces);
+            }
             let State {
                 displacement,
                 node_velocity,
                 ..
             } = &mut state;
-            let contacts =
-                Contacts::new(solids, grid, solid_distance, displacement, &rhs.values, dt);
+            let of_obstacles = &obstacles.solid_distance;
+            let contacts = Contacts::new(solids, grid, of_obstacles, displacement, &rhs.values, dt);
             let freedom = contacts.hold(node_velocity);
             let stiffness = matrices.stiffness.clone();
             let system = SolidSystem::new(solids, stiffness, &rhs, node_velocity, freedom, dt);
@@ -252,35 +371,33 @@ impl Reference {
         });
         clock.lap("right_hand_side");
 
-        let pressure_solve = match &pressure {
-            None => None,
-            Some(system) => {
-                let (pressure, report) = solve(system, settings)?;
-                state.pressure = pressure;
-                Some(report)
-            }
-        };
-        let solid_solve = match solid.zip(motion.as_mut()) {
-            None => None,
-            Some((SolidPart { solids, solver, .. }, (system, contacts))) => {
-                let (velocity, report) =
-                    solver.solve_in_contact(solids, system, contacts, settings)?;
-                state.node_velocity = velocity;
-                Some(report)
-            }
-        };
+        let (systems, [pressure_solve, solid_solve]) =
+            self.solve(clip, pressure, motion, &mut state)?;
         let finite = |solve: &SolveReport| solve.status != SolveStatus::NonFinite;
         let mut solves = pressure_solve.iter().chain(&solid_solve);
         self.ensure_finite("solve", solves.all(finite))?;
         clock.lap("solve");
-        if let Some(system) = &pressure {
-            observer(StepSystem::Pressure(system, &state.pressure));
-        }
-        if let Some((system, _)) = &motion {
-            observer(StepSystem::Solid(system, &state.node_velocity));
+        match &systems {
+            Systems::Apart(pressure, motion) => {
+                if let Some(system) = pressure {
+                    observer(StepSystem::Pressure(system, &state.pressure));
+                }
+                if let Some(system) = motion {
+                    observer(StepSystem::Solid(system, &state.node_velocity));
+                }
+            }
+            Systems::Coupled(system) => {
+                let (pressure, velocity) = (&state.pressure, &state.node_velocity);
+                observer(StepSystem::Coupled(system, pressure, velocity));
+                let mut force = vec![0.0; velocity.as_flattened().len()];
+                system.coupling.add_transposed(pressure, &mut force);
+                let nodes = force.chunks_exact(3).map(DVec3::from_slice);
+                coupling.force = nodes.sum::<DVec3>().to_array();
+                coupling.touching = true;
+            }
         }
 
-        if let Some(system) = &pressure {
+        if let Some(system) = systems.pressure() {
             let (phi, floor) = (&state.liquid_distance, settings.theta_floor);
             let valid = write_back(
                 system,
@@ -292,21 +409,28 @@ impl Reference {
             );
             clock.lap("write_back");
 
-            extrapolate(
-                grid,
-                cut,
-                valid,
-                n_layers(scene.time.cfl),
-                &mut state.velocity,
-            );
+            let walls = clip.zip(solid).map(|(clip, part)| MovingWalls {
+                clip,
+                triangles: &part.solids.triangles,
+                velocity: &state.node_velocity,
+            });
+            let layers = n_layers(scene.time.cfl);
+            extrapolate(grid, cut, walls, valid, layers, &mut state.velocity);
             clock.lap("extrapolate");
         }
 
-        let liquid_report = liquid.zip(pressure).zip(pressure_solve);
+        let flux = clip.map(|clip| {
+            let mut flux = vec![0.0; grid.n_cells()];
+            clip.coupling()
+                .add_product(state.node_velocity.as_flattened(), &mut flux);
+            flux
+        });
+        let liquid_report = liquid.zip(systems.pressure()).zip(pressure_solve);
         let liquid_report = liquid_report.map(|((part, system), solve)| {
             let (phi, velocity) = (&state.liquid_distance, &state.velocity);
             let density = part.liquid.density;
-            let diagnosis = diagnose(cut, phi, velocity, &system.stencil, density, gravity);
+            let (stencil, flux) = (&system.stencil, flux.as_deref());
+            let diagnosis = diagnose(cut, phi, velocity, stencil, flux, density, gravity);
             state.active = system.stencil.active_mask();
             LiquidReport {
                 solve,
@@ -330,31 +454,125 @@ impl Reference {
 
         state.markers_dropped += dropped;
         state.advance_clock(dt, scene.time.frames_per_second);
-        self.state = state;
-        Ok(StepReport {
+        let coupling = clip.map(|clip| CouplingReport {
+            overlap_cells: clip.overlap().cells,
+            overlap_depth: clip.overlap().depth,
+            ..coupling
+        });
+        let report = StepReport {
             dt,
             dt_floored: floored,
             liquid: liquid_report,
             solid: solid_report,
+            coupling,
             seconds_total: clock.start.elapsed().as_secs_f64(),
             seconds: clock.laps,
-        })
+        };
+        Ok((state, report))
+    }
+
+    /// Solves for the pressure and the velocities of the nodes, which go into the state: the systems as they were solved at last, and the
+    /// reports of both.
+    fn solve(
+        &self,
+        clip: Option<&SolidClip>,
+        pressure: Option<PressureSystem>,
+        motion: Option<(SolidSystem, Contacts)>,
+        state: &mut State,
+    ) -> Result<(Systems, [Option<SolveReport>; 2]), Error> {
+        let (settings, part) = (&self.scene.solver, self.solid.as_ref());
+        let touched = clip
+            .zip(pressure.as_ref())
+            .filter(|(clip, pressure)| touches(clip, pressure))
+            .map(|(clip, _)| clip);
+        match (touched, pressure, motion, part) {
+            (Some(clip), Some(pressure), Some((mut solid, mut contacts)), Some(part)) => {
+                let (system, solution) = solve_coupled_in_contact(
+                    &pressure,
+                    &mut solid,
+                    clip.coupling(),
+                    &mut contacts,
+                    &part.solver,
+                    &part.solids,
+                    settings,
+                )?;
+                (state.pressure, state.node_velocity) = (solution.pressure, solution.velocity);
+                let reports = solution.reports.map(|mut report| {
+                    if report.status == SolveStatus::Converged && system.squeezed > SQUEEZE {
+                        report.status = SolveStatus::Incompatible;
+                    }
+                    Some(report)
+                });
+                Ok((Systems::Coupled(Box::new(system)), reports))
+            }
+            (_, pressure, motion, part) => {
+                let mut reports = [None; 2];
+                if let Some(system) = &pressure {
+                    let (pressure, report) = solve(system, settings)?;
+                    state.pressure = pressure;
+                    reports[0] = Some(report);
+                }
+                let mut solved = None;
+                if let Some(((mut system, mut contacts), part)) = motion.zip(part) {
+                    let SolidPart { solids, solver, .. } = part;
+                    let (velocity, report) =
+                        solver.solve_in_contact(solids, &mut system, &mut contacts, settings)?;
+                    state.node_velocity = velocity;
+                    reports[1] = Some(report);
+                    solved = Some(Box::new(system));
+                }
+                Ok((Systems::Apart(pressure.map(Box::new), solved), reports))
+            }
+        }
+    }
+
+    /// Forces of the pressure's variation within cells on all nodes, N; none where the scene has no such effect.
+    fn patch_correction(
+        &self,
+        clip: &SolidClip,
+        pressure: &PressureSystem,
+        solids: &Solids,
+    ) -> Vec<DVec3> {
+        let Some(LiquidPart { liquid, .. }) = self
+            .liquid
+            .as_ref()
+            .filter(|_| self.effects.patch_correction)
+        else {
+            return Vec::new();
+        };
+        let at_rest = liquid.density * self.scene.domain.gravity;
+        let (before, open) = (&self.state, &clip.cut_cells().open);
+        let forces = |gradient: &dyn Fn(usize) -> DVec3| {
+            let (stencil, triangles) = (&pressure.stencil, &solids.triangles);
+            patch_pressure(
+                stencil,
+                clip.patches(),
+                triangles,
+                solids.rest.len(),
+                gradient,
+            )
+        };
+        match self.scene.solver.pressure_on_patches {
+            PatchPressure::Cell => Vec::new(),
+            PatchPressure::Hydrostatic => forces(&|_| at_rest),
+            PatchPressure::Gradient => forces(&|cell| {
+                let (grid, active) = (&self.grid, &before.active);
+                pressure_gradient(grid, open, active, &before.pressure, at_rest, cell)
+            }),
+        }
     }
 
     /// What volume control asks for, given phi (m) and dt (s); nothing where the scene has none.
     fn volume_source<'a>(
         &self,
-        part: &'a LiquidPart,
+        open_volumes: &'a [f64],
         liquid_distance: &[f64],
         dt: f64,
     ) -> Option<VolumeSource<'a>> {
-        let volume = liquid_volume(&self.grid, &part.open_volumes, liquid_distance);
+        let volume = liquid_volume(&self.grid, open_volumes, liquid_distance);
         let frame = 1.0 / self.scene.time.frames_per_second;
         let rate = volume_rate(self.state.volume_0, volume, frame, dt);
-        let source = VolumeSource {
-            rate,
-            open_volumes: &part.open_volumes,
-        };
+        let source = VolumeSource { rate, open_volumes };
         self.effects.volume_control.then_some(source)
     }
 
@@ -371,6 +589,19 @@ impl Reference {
             })
         }
     }
+}
+
+/// `clip`: what solids in liquid leave of the grid where a state puts them.
+fn clip(cut: &mut Cut, solid: Option<&SolidPart>, state: &State) {
+    if let (Cut::Moving(clip), Some(SolidPart { solids, .. })) = (cut, solid) {
+        clip.clip(&solids.moved(&state.displacement));
+    }
+}
+
+/// Whether a patch lies in a cell that is an unknown.
+fn touches(clip: &SolidClip, pressure: &PressureSystem) -> bool {
+    let mut cells = clip.coupling().cells();
+    cells.any(|(cell, _)| pressure.stencil.active(cell))
 }
 
 /// Whether a state and cut cells have the cells and faces of a grid.

@@ -38,7 +38,7 @@ pub struct Scene {
     pub obstacles: Vec<Obstacle>,
     /// Measurements written to probes.csv.
     pub probes: Vec<Probe>,
-    /// How the pressure is solved.
+    /// How the systems of a sub-step are made and solved.
     pub solver: Solver,
     /// What is written.
     pub output: Output,
@@ -407,7 +407,7 @@ impl ProbeKind {
     }
 }
 
-/// How the pressure is solved.
+/// How the systems of a sub-step are made and solved.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Solver {
     /// Relative tolerance of the true residual; default 1e-8, with `f32` 1e-5.
@@ -424,6 +424,8 @@ pub struct Solver {
     pub area_clamp: f64,
     /// Where the open areas beside elastic solids come from; default `clipped`.
     pub face_areas: FaceAreas,
+    /// How pressure varies over a cell where it acts on a solid; default `hydrostatic`.
+    pub pressure_on_patches: PatchPressure,
 }
 
 impl Default for Solver {
@@ -436,6 +438,7 @@ impl Default for Solver {
             theta_floor: 1e-2,
             area_clamp: 1e-3,
             face_areas: FaceAreas::Clipped,
+            pressure_on_patches: PatchPressure::Hydrostatic,
         }
     }
 }
@@ -468,6 +471,17 @@ pub enum FaceAreas {
     Clipped,
     /// From the distance at the corners of the cells (thesis, figure 5.2); cut cells close to some percent.
     Nodal,
+}
+
+/// How pressure varies over a cell where it acts on the patches of a solid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PatchPressure {
+    /// Not at all, as in the thesis: off by the weight of the liquid between a patch and the centre.
+    Cell,
+    /// As in a liquid at rest: with gradient rho g.
+    Hydrostatic,
+    /// With the gradient that the sub-step before left.
+    Gradient,
 }
 
 /// What preconditions the conjugate gradients.

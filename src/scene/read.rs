@@ -12,8 +12,8 @@ use super::probe::probes;
 use super::shape::{placement, shape};
 use super::solid::solids;
 use super::{
-    Domain, Liquid, Obstacle, Output, Placement, Precision, Preconditioner, Region, Scene, Shape,
-    Solid, SolidMesh, Solver, Surface, Time,
+    Domain, FaceAreas, Liquid, Obstacle, Output, PatchPressure, Placement, Precision,
+    Preconditioner, Region, Scene, Shape, Solid, SolidMesh, Solver, Surface, Time,
 };
 use crate::error::Error;
 
@@ -102,6 +102,8 @@ const SOLVER: Keys = Keys {
         "preconditioner",
         "theta_floor",
         "area_clamp",
+        "face_areas",
+        "pressure_on_patches",
     ],
     later: &[
         (
@@ -116,11 +118,6 @@ const SOLVER: Keys = Keys {
             "alpha",
             "formulations of coupled problems are not simulated",
         ),
-        (
-            "pressure_on_patches",
-            "liquid and elastic solids in one scene are not simulated",
-        ),
-        ("face_areas", "nodal face areas are not computed"),
     ],
 };
 const OUTPUT: Keys = Keys {
@@ -156,19 +153,10 @@ impl Scene {
         let document = Document::parse(path, &text, overrides)?;
         let root = document.root().table(&ROOT)?;
         let domain = domain(&root, scale)?;
-        let (solids, first_solid) = solids(&root, path, &domain)?;
-        let liquid = match (root.get("liquid"), first_solid) {
-            (None, Some(_)) => None,
-            (_, first_solid) => {
-                let liquid = liquid(&root, path, &domain)?;
-                if let Some(place) = first_solid {
-                    return Err(place.fail(
-                        "is in a scene with liquid: the coupling of liquid and elastic solids is not simulated yet",
-                        "remove [liquid], or the solids; a body that does not move can be an [[obstacle]]",
-                    ));
-                }
-                Some(liquid)
-            }
+        let solids = solids(&root, path, &domain)?;
+        let liquid = match root.get("liquid") {
+            None if !solids.is_empty() => None,
+            _ => Some(liquid(&root, path, &domain)?),
         };
         let obstacles = obstacles(&root, path, &domain)?;
         let scene = Scene {
@@ -187,7 +175,11 @@ impl Scene {
             scale,
             overrides: overrides.to_vec(),
             time: time(&root)?,
-            solver: solver(&root, liquid.as_ref().map(|liquid| liquid.surface))?,
+            solver: solver(
+                &root,
+                liquid.as_ref().map(|liquid| liquid.surface),
+                !solids.is_empty(),
+            )?,
             obstacles,
             probes: probes(&root, &domain, liquid.is_some(), &solids)?,
             output: output(&root, liquid.is_some(), !solids.is_empty())?,
@@ -566,8 +558,11 @@ fn obstacles(root: &Table, file: &Path, domain: &Domain) -> Result<Vec<Obstacle>
 /// from 0.2.
 const MARKER_THETA_FLOOR: f64 = 0.15;
 
+/// The thesis's clamp, for its face areas.
+const NODAL_AREA_CLAMP: f64 = 1e-2;
+
 /// `surface` is the liquid's; none without liquid.
-fn solver(root: &Table, surface: Option<Surface>) -> Result<Solver, Error> {
+fn solver(root: &Table, surface: Option<Surface>, has_solids: bool) -> Result<Solver, Error> {
     let mut solver = Solver {
         theta_floor: match surface {
             Some(Surface::Markers) => MARKER_THETA_FLOOR,
@@ -615,6 +610,30 @@ fn solver(root: &Table, surface: Option<Surface>) -> Result<Solver, Error> {
             problem,
             "use 1e-6 to 0.5; 1e-2 is usual with a fixed surface, 0.15 with markers",
         )?;
+    }
+    let ensure_coupled = |place: &Place| {
+        place.ensure(
+            surface.is_some() && has_solids,
+            "is about elastic solids in liquid, and the scene does not have both",
+            "remove it",
+        )
+    };
+    if let Some(place) = table.get("pressure_on_patches") {
+        ensure_coupled(&place)?;
+        let choices = [
+            ("cell", PatchPressure::Cell),
+            ("hydrostatic", PatchPressure::Hydrostatic),
+            ("gradient", PatchPressure::Gradient),
+        ];
+        solver.pressure_on_patches = place.choice(&choices)?;
+    }
+    if let Some(place) = table.get("face_areas") {
+        ensure_coupled(&place)?;
+        let choices = [("clipped", FaceAreas::Clipped), ("nodal", FaceAreas::Nodal)];
+        solver.face_areas = place.choice(&choices)?;
+        if solver.face_areas == FaceAreas::Nodal {
+            solver.area_clamp = NODAL_AREA_CLAMP;
+        }
     }
     if let Some(place) = table.get("area_clamp") {
         solver.area_clamp = place.number("the smallest open fraction of a face")?;

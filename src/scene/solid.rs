@@ -96,22 +96,17 @@ const SCRIPT_REGION: Keys = Keys {
     later: &[],
 };
 
-/// All solids of a scene, in order; none where it has no `[[solid]]`. With the place of the first, for errors about all.
-pub(super) fn solids<'a>(
-    root: &Table<'a>,
-    file: &Path,
-    domain: &Domain,
-) -> Result<(Vec<Solid>, Option<Place<'a>>), Error> {
+/// All solids of a scene, in order; none where it has no `[[solid]]`.
+pub(super) fn solids(root: &Table, file: &Path, domain: &Domain) -> Result<Vec<Solid>, Error> {
     let Some(places) = root.get("solid") else {
-        return Ok((Vec::new(), None));
+        return Ok(Vec::new());
     };
     let mut solids: Vec<Solid> = Vec::new();
-    let entries = places.list()?;
-    for place in &entries {
+    for place in &places.list()? {
         let solid = solid(place, file, domain, &solids)?;
         solids.push(solid);
     }
-    Ok((solids, entries.into_iter().next()))
+    Ok(solids)
 }
 
 fn solid(place: &Place, file: &Path, domain: &Domain, earlier: &[Solid]) -> Result<Solid, Error> {

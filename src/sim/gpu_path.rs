@@ -46,13 +46,14 @@ impl GpuPath {
         solids: &Solids,
         choice: &AdapterChoice,
     ) -> Result<GpuPath, Error> {
+        super::ensure_gpu_can(scene)?;
         let gpu = Gpu::new(choice)?;
         // Before the liquid is seeded, which may take long.
         Plan::with(scene, solids, Some(gpu.report()))?.check(gpu.report())?;
         let grid = scene.grid();
         let cut = geometry::cut_cells(scene, &grid)?;
         let mut state = geometry::initial_state(scene, &grid, &cut)?;
-        reference::prepare(scene, &grid, &cut, &mut state);
+        reference::prepare(scene, &grid, &cut, None, &mut state);
         (state.displacement, state.node_velocity) = solids.initial_state(scene);
         solids.ensure_room(scene, &cut.solid_distance, &state.displacement)?;
         let liquid = GpuLiquid::new(&gpu, scene, &cut, state.markers.len())?;

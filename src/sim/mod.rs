@@ -15,8 +15,9 @@ pub use snapshot::{LiquidSnapshot, Snapshot, SolidSnapshot};
 pub use step::Observer;
 
 use crate::Error;
+use crate::effects::Effects;
 use crate::elastic::Solids;
-use crate::geometry::{self, CutCells};
+use crate::geometry::{self, CutCells, SolidClip};
 use crate::gpu::{AdapterChoice, AdapterReport, Gpu};
 use crate::reference::{self, Reference};
 use crate::scene::Scene;
@@ -196,7 +197,7 @@ impl Simulation {
         &self.solids
     }
 
-    /// The obstacles' cut cells.
+    /// What obstacles, and solids in liquid, leave of the grid.
     pub fn cut_cells(&self) -> &CutCells {
         match &self.path {
             Path::Gpu(path) => &path.cut,
@@ -211,11 +212,7 @@ impl Simulation {
     pub fn reset(&mut self, state: &State) -> Result<(), Error> {
         match &mut self.path {
             Path::Gpu(path) => path.write_state(state),
-            Path::Cpu(path) => {
-                let cut = path.cut_cells().clone();
-                **path = Reference::new(&self.scene, cut, self.solids.clone(), state.clone())?;
-                Ok(())
-            }
+            Path::Cpu(path) => path.reset(state.clone()),
         }
     }
 
@@ -256,9 +253,32 @@ pub fn reference_path(scene: &Scene) -> Result<Reference, Error> {
 
 fn reference_with(scene: &Scene, solids: &Solids) -> Result<Reference, Error> {
     let grid = scene.grid();
-    let cut = geometry::cut_cells(scene, &grid)?;
-    let mut state = geometry::initial_state(scene, &grid, &cut)?;
-    (state.displacement, state.node_velocity) = solids.initial_state(scene);
-    solids.ensure_room(scene, &cut.solid_distance, &state.displacement)?;
-    Reference::new(scene, cut, solids.clone(), state)
+    let obstacles = geometry::obstacle_cut(scene, &grid)?;
+    let (displacement, velocity) = solids.initial_state(scene);
+    solids.ensure_room(scene, &obstacles.cut.solid_distance, &displacement)?;
+    // Liquid starts beside the solids.
+    let mut state = if Effects::of(scene).coupling {
+        let mut clip = SolidClip::new(&grid, obstacles.clone(), &scene.solver);
+        clip.clip(&solids.moved(&displacement));
+        geometry::initial_state(scene, &grid, clip.cut_cells())?
+    } else {
+        geometry::initial_state(scene, &grid, &obstacles.cut)?
+    };
+    (state.displacement, state.node_velocity) = (displacement, velocity);
+    Reference::new(scene, obstacles, solids.clone(), state)
+}
+
+/// Refuses scenes that only the f64 path can simulate.
+///
+/// # Errors
+/// [`Error::Input`] naming the file.
+pub fn ensure_gpu_can(scene: &Scene) -> Result<(), Error> {
+    if Effects::of(scene).coupling {
+        return Err(Error::input(
+            scene.file.display().to_string(),
+            "the coupling of liquid and elastic solids is not simulated on the GPU yet",
+            "use --backend cpu; or remove [liquid], or the solids: a body that does not move can be an [[obstacle]]",
+        ));
+    }
+    Ok(())
 }

@@ -7,7 +7,9 @@ use crate::geometry;
 use crate::gpu::{AdapterReport, BufferPlan, Timer};
 use crate::grid::Grid;
 use crate::reference::{TimeStep, time_step};
-use crate::scene::{self, ElasticModel, Precision, Preconditioner, ProbeKind, Scene, Solid};
+use crate::scene::{
+    self, ElasticModel, PatchPressure, Precision, Preconditioner, ProbeKind, Scene, Solid,
+};
 use crate::solver::{self, LevelPlan, SolidRows, SolverBuffers};
 use crate::stages::{Probe, extrapolation_layers};
 
@@ -189,6 +191,11 @@ fn effect_lines(scene: &Scene, effects: &Effects) -> Vec<EffectLine> {
             "liquid.volume_control = false",
         ),
     };
+    let coupling = match (effects.liquid, effects.solids) {
+        (true, true) => "[liquid] and [[solid]]",
+        (false, _) => "there is no liquid",
+        (true, false) => "there are no solids",
+    };
     // Of solids: how many, by what each of them has.
     let of_solids = |what: &dyn Fn(&Solid) -> usize, n: &str, none: &str| match scene
         .solids
@@ -262,6 +269,20 @@ fn effect_lines(scene: &Scene, effects: &Effects) -> Vec<EffectLine> {
             "obstacles",
             effects.obstacles,
             count(scene.obstacles.len(), "[[obstacle]]"),
+        ),
+        ("coupling", effects.coupling, coupling.to_owned()),
+        (
+            "patch_correction",
+            effects.patch_correction,
+            match scene.solver.pressure_on_patches {
+                _ if !effects.coupling => coupling,
+                PatchPressure::Cell => "solver.pressure_on_patches = \"cell\"",
+                PatchPressure::Hydrostatic => {
+                    "solver.pressure_on_patches = \"hydrostatic\": assumes that pressure grows with depth as at rest"
+                }
+                PatchPressure::Gradient => "solver.pressure_on_patches = \"gradient\"",
+            }
+            .to_owned(),
         ),
         (
             "probes",

@@ -243,6 +243,7 @@ impl GpuPath {
             dt_floored: floored,
             liquid: liquid.map(|(liquid, (outcome, report))| liquid.finish(&outcome, report)),
             solid: solids.map(|(solids, (outcome, report))| solids.finish(&outcome, report)),
+            coupling: None,
             seconds: by_stage(&told.seconds),
             seconds_total: 0.0,
         }

@@ -430,6 +430,7 @@ pub(crate) fn report(step: u32) -> StepReport {
             dropped: 2,
         }),
         solid: None,
+        coupling: None,
         seconds: vec![("advect_markers", 0.25), ("solve", 0.5 + x)],
         seconds_total: 1.0 + x,
     }
@@ -472,6 +473,7 @@ fn tables_read_back_exactly() {
             dt_floored,
             liquid,
             solid: _,
+            coupling: _,
             seconds,
             seconds_total,
         } = report(step);

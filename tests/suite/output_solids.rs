@@ -11,7 +11,9 @@ use cutwater::output::manifest::{Manifest, RunOptions};
 use cutwater::output::preview::{Colour, PreviewOptions, preview};
 use cutwater::output::tables::{StepRow, StepTable};
 use cutwater::scene::Scene;
-use cutwater::state::{SolidDiagnosis, SolidReport, SolveReport, SolveStatus, State, StepReport};
+use cutwater::state::{
+    CouplingReport, SolidDiagnosis, SolidReport, SolveReport, SolveStatus, State, StepReport,
+};
 use glam::DVec3;
 
 use crate::output::{Decoded, f32s, flat, front_camera, pixel, python, read, report};
@@ -233,6 +235,13 @@ fn tables_of_solids_read_back_exactly() {
             dt_floored: false,
             liquid,
             solid: Some(solid_report()),
+            coupling: with_liquid.then_some(CouplingReport {
+                touching: true,
+                force: [1.5, -2e-17, 3e20],
+                correction: [0.0, 0.25, 1.0 / 3.0],
+                overlap_cells: 7,
+                overlap_depth: 0.125,
+            }),
             seconds: vec![("solve", 0.5)],
             seconds_total: 0.5,
         };
@@ -246,6 +255,7 @@ fn tables_of_solids_read_back_exactly() {
         table.push(&row).unwrap();
         let bare = StepReport {
             solid: None,
+            coupling: None,
             ..report.clone()
         };
         let error = table.push(&StepRow {
@@ -262,13 +272,24 @@ fn tables_of_solids_read_back_exactly() {
             true => liquid_columns[..liquid_columns.len() - 2].join(","),
             false => "step,t,dt".to_owned(),
         };
+        let [coupling_columns, coupling] = match with_liquid {
+            true => [
+                ",touching,force_x,force_y,force_z,correction_x,correction_y,correction_z,overlap_cells,overlap_depth",
+                ",1,1.5,-2e-17,3e20,0.0,0.25,0.3333333333333333,7,0.125",
+            ],
+            false => ["", ""],
+        };
         assert_eq!(
             head,
-            format!("{before},{solid_columns},dt_floored,seconds_total,seconds_solve")
+            format!(
+                "{before},{solid_columns}{coupling_columns},dt_floored,seconds_total,seconds_solve"
+            )
         );
-        let expected = "17,3.25e-9,stagnated,321,0.3333333333333333,-2e-17,3e20,4.0,5.5,-6.0,7.5,8.5,-9.5,10.25,-0.125,12,0,0.5,0.5";
+        let expected = format!(
+            "17,3.25e-9,stagnated,321,0.3333333333333333,-2e-17,3e20,4.0,5.5,-6.0,7.5,8.5,-9.5,10.25,-0.125,12{coupling},0,0.5,0.5"
+        );
         assert!(
-            values.starts_with("4,0.75,0.25,") && values.ends_with(expected),
+            values.starts_with("4,0.75,0.25,") && values.ends_with(&expected),
             "{values}"
         );
         assert_eq!(values.split(',').count(), head.split(',').count());

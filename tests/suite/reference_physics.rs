@@ -4,7 +4,7 @@ use std::fs;
 use std::path::PathBuf;
 
 use cutwater::elastic::Solids;
-use cutwater::geometry::{cut_cells, initial_state};
+use cutwater::geometry::{initial_state, obstacle_cut};
 use cutwater::grid::{Axis, Grid};
 use cutwater::reference::{Reference, TimeStep, probe};
 use cutwater::scene::{ProbeKind, Scene, Shape};
@@ -26,8 +26,8 @@ pub(crate) fn scene(cells: [usize; 3], rest: &str) -> Scene {
 
 fn start(scene: &Scene) -> Reference {
     let grid = scene.grid();
-    let cut = cut_cells(scene, &grid).unwrap();
-    let state = initial_state(scene, &grid, &cut).unwrap();
+    let cut = obstacle_cut(scene, &grid).unwrap();
+    let state = initial_state(scene, &grid, &cut.cut).unwrap();
     Reference::new(scene, cut, Solids::default(), state).unwrap()
 }
 
@@ -487,7 +487,7 @@ fn free_fall_of_a_ball_is_exact() {
 fn a_state_of_another_grid_is_refused() {
     let other = scene([8, 8, 8], &pool(0.5));
     let scene = scene([10, 8, 8], &pool(0.5));
-    let cut = cut_cells(&scene, &scene.grid()).unwrap();
+    let cut = obstacle_cut(&scene, &scene.grid()).unwrap();
     let error = Reference::new(
         &scene,
         cut,
@@ -505,8 +505,8 @@ fn a_state_of_another_grid_is_refused() {
 #[test]
 fn a_velocity_that_is_not_finite_stops_the_step_and_keeps_the_state() {
     let scene = scene([8, 8, 8], &pool(0.5));
-    let cut = cut_cells(&scene, &scene.grid()).unwrap();
-    let mut state = initial_state(&scene, &scene.grid(), &cut).unwrap();
+    let cut = obstacle_cut(&scene, &scene.grid()).unwrap();
+    let mut state = initial_state(&scene, &scene.grid(), &cut.cut).unwrap();
     state.velocity[1][scene.grid().face(Axis::Y, [3, 3, 3])] = f64::NAN;
     let mut reference = Reference::new(&scene, cut, Solids::default(), state).unwrap();
     let error = reference

@@ -431,7 +431,7 @@ fn closed_components_are_found_and_solved_beside_an_open_one() {
 
     // The projected field has no divergence.
     let valid = write_back(&system, &direct, &cut.open, &phi, 0.01, &mut u);
-    let diagnosis = diagnose(&cut, &phi, &u, &system.stencil, 1000.0, DVec3::ZERO);
+    let diagnosis = diagnose(&cut, &phi, &u, &system.stencil, None, 1000.0, DVec3::ZERO);
     assert!(
         diagnosis.divergence < 1e-10,
         "divergence {}",
@@ -539,7 +539,7 @@ fn extrapolation_takes_means_layer_by_layer() {
         let face = grid.face(Axis::X, [2, j, 0]);
         (faces[0][face], valid[0][face]) = (value, true);
     }
-    extrapolate(&grid, &cut, valid, 2, &mut faces);
+    extrapolate(&grid, &cut, None, valid, 2, &mut faces);
     let x = |i, j| faces[0][grid.face(Axis::X, [i, j, 0])];
     assert_eq!([x(2, 0), x(2, 1), x(2, 2)], [1.0, 2.5, 4.0]);
     // First layer: one beside, or two across an edge. Second: the one beside, whatever is across an edge.
@@ -565,7 +565,7 @@ fn extrapolation_takes_means_layer_by_layer() {
         let face = grid.face(Axis::X, ijk);
         (faces[0][face], valid[0][face]) = (value, true);
     }
-    extrapolate(&grid, &cut, valid, 1, &mut faces);
+    extrapolate(&grid, &cut, None, valid, 1, &mut faces);
     let x = |ijk| faces[0][grid.face(Axis::X, ijk)];
     assert_eq!([x([4, 0, 0]), x([4, 1, 0])], [1.0, 1.0], "one index, two");
     assert_eq!(x([3, 1, 1]), 7.0, "one index before two");
@@ -596,7 +596,7 @@ fn faces_in_obstacles_slip() {
     let flow = DVec3::new(3.0, 1.0, 0.5);
     let mut faces = on_faces(&grid, |_| flow);
     let valid = Axis::ALL.map(|axis| vec![true; grid.n_faces(axis)]);
-    extrapolate(&grid, &cut, valid, 1, &mut faces);
+    extrapolate(&grid, &cut, None, valid, 1, &mut faces);
     let [inside, outside] = [[2, 2, 1], [6, 6, 1]]
         .map(|ijk| Axis::ALL.map(|axis| faces[axis.index()][grid.face(axis, ijk)]));
     let slipped = flow - flow.dot(normal) * normal;
@@ -625,6 +625,7 @@ fn diagnosis_of_a_moving_block() {
         &phi,
         &u,
         &stencil,
+        None,
         1000.0,
         DVec3::new(0.0, -10.0, 0.0),
     );

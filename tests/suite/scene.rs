@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use cutwater::Error;
 use cutwater::scene::{
-    ElasticModel, FaceAreas, LoadKind, Placement, Precision, Preconditioner, Probe, ProbeKind,
-    Scene, Shape, SolidMesh, Solver, Surface,
+    ElasticModel, LoadKind, Placement, Precision, Preconditioner, Probe, ProbeKind, Scene, Shape,
+    SolidMesh, Solver, Surface,
 };
 use glam::DVec3;
 
@@ -166,7 +166,7 @@ fn a_scene_says_what_its_file_says() {
         preconditioner: Preconditioner::Jacobi,
         theta_floor: 1e-3,
         area_clamp: 1e-5,
-        face_areas: FaceAreas::Clipped,
+        ..Solver::default()
     };
     assert_eq!(scene.solver, solver);
     assert!(!scene.output.particles && scene.output.fields);
@@ -289,7 +289,8 @@ const REFUSED: &[Case] = &[
     ("seed = 7", "zebra = 7", 15, "liquid.zebra", &["unknown key", "the keys here are density"]),
     ("degrees = 90", "degree = 90", 27, "obstacle[0].placement.rotate.degree", &["did you mean `degrees`"]),
     ("gravity = [0.0, 0.0, -9.81]", "open = [\"+x\"]", 5, "domain.open", &["open sides are not simulated yet"]),
-    ("[solver]", "[[solid]]\nname = \"ball\"\nmesh = { sphere = { radius = 0.1, cell_size = 0.05 } }\nplacement = { translate = [1, 0.5, 0.25] }\ndensity = 1000\nyoung = 1e6\npoisson = 0.3\n[solver]", 40, "solid[0]", &["coupling of liquid and elastic solids is not simulated yet", "[[obstacle]]"]),
+    ("precision = \"f32\"", "face_areas = \"nodal\"", 43, "solver.face_areas", &["about elastic solids in liquid", "remove it"]),
+    ("precision = \"f32\"", "pressure_on_patches = \"cell\"", 43, "solver.pressure_on_patches", &["about elastic solids in liquid", "remove it"]),
     ("[solver]", "[[source]]\n[solver]", 40, "source", &["not simulated yet"]),
     ("inside_out = true", "keyframes = []", 30, "obstacle[1].keyframes", &["moving obstacles are not simulated yet"]),
     ("front = { axis = \"x\" }", "node = { solid = \"ball\" }", 39, "probe[2].node", &["no [[solid]]", "measure the liquid"]),

@@ -1,6 +1,6 @@
 //! Solids of the f64 path against what is known of elasticity and of backward Euler (validation S2 to S13).
 
-use cutwater::geometry::{CutCells, cut_cells};
+use cutwater::geometry::obstacle_cut;
 use cutwater::grid::Grid;
 use cutwater::reference::{Reference, TimeStep};
 use cutwater::scene::{
@@ -138,7 +138,7 @@ fn a_bar_on_rollers_has_the_frequency_of_a_bar() {
 
 fn start(scene: &Scene) -> Reference {
     let grid = scene.grid();
-    let cut: CutCells = cut_cells(scene, &grid).unwrap();
+    let cut = obstacle_cut(scene, &grid).unwrap();
     let solids = solids_of(scene);
     let (displacement, node_velocity) = solids.initial_state(scene);
     let state = State {
@@ -196,7 +196,7 @@ fn inverted_elements_recover() {
             displacement,
             ..State::default()
         };
-        let cut = cut_cells(&scene, &scene.grid()).unwrap();
+        let cut = obstacle_cut(&scene, &scene.grid()).unwrap();
         let mut reference = Reference::new(&scene, cut, solids.clone(), state).unwrap();
         let mut last = 0;
         for _ in 0..240 {
@@ -507,7 +507,7 @@ fn a_run_of_solids_repeats_bit_for_bit() {
 #[test]
 fn a_state_of_other_solids_is_refused() {
     let scene = scene_of(vec![block([0.5; 3], [1, 1, 1])]);
-    let cut = cut_cells(&scene, &scene.grid()).unwrap();
+    let cut = obstacle_cut(&scene, &scene.grid()).unwrap();
     let refused = |scene: &Scene| {
         let error = Reference::new(scene, cut.clone(), solids_of(scene), State::default());
         error.unwrap_err().to_string()

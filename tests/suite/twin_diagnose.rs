@@ -51,6 +51,7 @@ fn the_liquid_amounts_to_the_twins() {
             &phi,
             &u,
             &active.cells.stencil,
+            None,
             DENSITY,
             DVec3::from(GRAVITY),
         );

@@ -55,7 +55,7 @@ fn the_layers_are_the_twins() {
         assert_eq!(faces, run(), "{}: again", case.name);
         let mut twin = projected.clone();
         let layers = n_layers(case.cfl);
-        reference::extrapolate(grid, &case.cut, valid, layers, &mut twin);
+        reference::extrapolate(grid, &case.cut, None, valid, layers, &mut twin);
         // A mean of up to twelve per layer. Along obstacles the direction is off by the roundings of distances up to 3 dx over
         // the length of the gradient, which is at least 0.05 where it is not 0.
         let slip = if case.effects.obstacles {

@@ -9,8 +9,10 @@
 //!
 //! With liquid the matrix is B of B p = E u* (design section 2) and cells.csv tells which cell each row is; with solids it is S of
 //! S v = rhs on the free components, nodes.csv tells which component of which node each row is, and M.mtx, K.mtx and S.mtx are the
-//! blocks with all components. On the GPU path the system is the one that the device stored, widened: the system of the step.
+//! blocks with all components. Where both touch, spd.mtx is the matrix of the two fields of thesis (5.25), and the same problem is written
+//! as indefinite.mtx (5.17) and stress.mtx (5.3), each with its right-hand side, and as the blocks B, J, M, K, Z1 and Z2. On the GPU path the system is the one that the device stored, widened: the system of the step.
 
+mod coupled;
 mod pressure;
 mod solids;
 
@@ -22,7 +24,7 @@ use crate::Error;
 use crate::gpu::AdapterChoice;
 use crate::linalg::{Csr, Symmetry, matrix_text, norm, vector_text};
 use crate::output::write_atomically;
-use crate::reference::StepSystem;
+use crate::reference::{Reference, StepSystem};
 use crate::scene::Scene;
 use crate::sim::{Backend, GpuPath, reference_path};
 use crate::state::{SolveReport, SolveStatus, StepReport};
@@ -89,6 +91,25 @@ pub enum Part {
         /// Components without a free surface: as many times is B singular.
         closed_components: usize,
     },
+    /// Of the system of both.
+    Coupled {
+        /// Of the liquid, kg/m^3.
+        density: f64,
+        /// Share of the mass in Z1.
+        sigma: f64,
+        /// What the thesis multiplies the second part of the matrix by (5.36): 1, so that rows keep their units.
+        alpha: f64,
+        /// Components of the liquid whose level nothing fixes: one of their cells has twice its diagonal.
+        closed_components: usize,
+        /// Rows of the pressure; those of the velocity follow.
+        cells: usize,
+        /// Nodes of all solids.
+        nodes: usize,
+        /// Elements of all solids.
+        elements: usize,
+        /// The solids in their order.
+        solids: Vec<SolidMeta>,
+    },
     /// Of the solids' system.
     Solids {
         /// Nodes of all solids.
@@ -125,9 +146,10 @@ struct Ran {
 /// # Errors
 /// Whatever the simulation ends with, and [`Error::Output`].
 pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
-    let (system, ran) = match scene.solids.is_empty() {
-        true => pressure::system(scene, options)?,
-        false => solids::system(scene, options)?,
+    let (system, ran) = match (scene.liquid.is_some(), scene.solids.is_empty()) {
+        (_, true) => pressure::system(scene, options)?,
+        (false, false) => solids::system(scene, options)?,
+        (true, false) => coupled::system(scene, options)?,
     };
     let status = status(&ran.report);
     if matches!(status, SolveStatus::Breakdown | SolveStatus::NonFinite) {
@@ -232,12 +254,12 @@ fn on_gpu<T>(
     }
 }
 
-/// Runs the f64 path to a sub-step and takes its system.
+/// Runs the f64 path to a sub-step and takes its system; the path is left after it.
 fn on_cpu<T>(
     scene: &Scene,
     step: u64,
     mut take: impl FnMut(StepSystem) -> Option<T>,
-) -> Result<(T, Ran), Error> {
+) -> Result<(T, Ran, Reference), Error> {
     let mut path = reference_path(scene)?;
     loop {
         let time_step = path.next_time_step();
@@ -249,14 +271,18 @@ fn on_cpu<T>(
             }
         })?;
         if let Some(taken) = taken {
-            let dt = time_step.dt;
-            return Ok((
-                taken,
-                Ran {
-                    dt,
-                    report,
-                    adapter: None,
-                },
+            let ran = Ran {
+                dt: time_step.dt,
+                report,
+                adapter: None,
+            };
+            return Ok((taken, ran, path));
+        }
+        if wanted {
+            return Err(Error::input(
+                format!("--step {step}"),
+                "liquid and solids do not touch in this sub-step, so there is no system of both",
+                "choose a sub-step in which `touching` of steps.csv is 1",
             ));
         }
     }

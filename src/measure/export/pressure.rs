@@ -2,6 +2,7 @@
 
 use super::{Options, Part, Ran, System, on_cpu, on_gpu};
 use crate::Error;
+use crate::grid::Grid;
 use crate::reference::{PressureSystem, StepSystem, right_hand_side};
 use crate::scene::Scene;
 use crate::sim::{Backend, GpuPath};
@@ -13,20 +14,17 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
         Backend::Gpu(choice) => on_gpu(scene, choice, options.step, |path, dt| {
             stored(scene, path, density, dt)
         })?,
-        Backend::Cpu => on_cpu(scene, options.step, |of_step| match of_step {
-            StepSystem::Pressure(system, pressure) => Some((system.clone(), pressure.to_vec())),
-            StepSystem::Solid(..) => None,
-        })?,
+        Backend::Cpu => {
+            let (taken, ran, _) = on_cpu(scene, options.step, |of_step| match of_step {
+                StepSystem::Pressure(system, pressure) => Some((system.clone(), pressure.to_vec())),
+                StepSystem::Solid(..) | StepSystem::Coupled(..) => None,
+            })?;
+            (taken, ran)
+        }
     };
     let grid = scene.grid();
     let cells = system.stencil.active_cells();
     let of_active = |field: &[f64]| cells.iter().map(|&cell| field[cell]).collect::<Vec<f64>>();
-    let mut table = String::from("row,i,j,k,x,y,z\n");
-    for (row, &cell) in cells.iter().enumerate() {
-        let [i, j, k] = grid.cell_at(cell);
-        let x = grid.cell_centre([i, j, k]);
-        table += &format!("{},{i},{j},{k},{:?},{:?},{:?}\n", row + 1, x.x, x.y, x.z);
-    }
     let written = System {
         matrix: system.to_csr(),
         rhs: of_active(&system.rhs),
@@ -36,7 +34,7 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
             "E u*, m^3/s",
             "p, Pa",
         ],
-        others: vec![("cells.csv", table)],
+        others: vec![("cells.csv", table(&grid, &cells))],
         part: Part::Liquid {
             density,
             closed_components: system.closed.len(),
@@ -45,8 +43,19 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
     Ok((written, ran))
 }
 
+/// A line per row: its cell and where that is.
+pub(super) fn table(grid: &Grid, cells: &[usize]) -> String {
+    let mut table = String::from("row,i,j,k,x,y,z\n");
+    for (row, &cell) in cells.iter().enumerate() {
+        let [i, j, k] = grid.cell_at(cell);
+        let x = grid.cell_centre([i, j, k]);
+        table += &format!("{},{i},{j},{k},{:?},{:?},{:?}\n", row + 1, x.x, x.y, x.z);
+    }
+    table
+}
+
 /// kg/m^3
-fn density(scene: &Scene) -> Result<f64, Error> {
+pub(super) fn density(scene: &Scene) -> Result<f64, Error> {
     let liquid = scene.liquid.as_ref().ok_or_else(|| {
         Error::input(
             scene.file.display().to_string(),

@@ -38,10 +38,13 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
     let solids = solids_of(scene)?;
     let ((system, velocity), ran) = match &options.backend {
         Backend::Gpu(choice) => on_gpu(scene, choice, options.step, stored)?,
-        Backend::Cpu => on_cpu(scene, options.step, |of_step| match of_step {
-            StepSystem::Solid(system, velocity) => Some((system.clone(), velocity.to_vec())),
-            StepSystem::Pressure(..) => None,
-        })?,
+        Backend::Cpu => {
+            let (taken, ran, _) = on_cpu(scene, options.step, |of_step| match of_step {
+                StepSystem::Solid(system, velocity) => Some((system.clone(), velocity.to_vec())),
+                StepSystem::Pressure(..) | StepSystem::Coupled(..) => None,
+            })?;
+            (taken, ran)
+        }
     };
     let components = system.components();
     let free = |values: &[f64]| {
@@ -79,7 +82,7 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
                     "S = (1/dt + tau_M) M + (dt + tau_K) K, kg/s, rows as those of M",
                 ),
             ),
-            ("nodes.csv", table(&solids, &components)),
+            ("nodes.csv", table(&solids, &components, 0)),
         ],
         part: Part::Solids {
             nodes: solids.rest.len(),
@@ -90,7 +93,7 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
     Ok((written, ran))
 }
 
-fn meta(body: &Body) -> SolidMeta {
+pub(super) fn meta(body: &Body) -> SolidMeta {
     SolidMeta {
         name: body.name.clone(),
         density: body.density,
@@ -103,11 +106,12 @@ fn meta(body: &Body) -> SolidMeta {
     }
 }
 
-/// A line per node: its solid, where it rests, and the rows of spd.mtx that are its components, 0 for prescribed ones.
-fn table(solids: &Solids, components: &[usize]) -> String {
+/// A line per node: its solid, where it rests, and the rows of spd.mtx that are its components, 0 for prescribed ones; `first` rows
+/// come before theirs.
+pub(super) fn table(solids: &Solids, components: &[usize], first: usize) -> String {
     let mut rows = vec![0; 3 * solids.rest.len()];
     for (row, &component) in components.iter().enumerate() {
-        rows[component] = row + 1;
+        rows[component] = first + row + 1;
     }
     let mut table = String::from("node,solid,rest_x,rest_y,rest_z,row_x,row_y,row_z\n");
     for body in &solids.bodies {

@@ -525,7 +525,7 @@ impl<'a> LiquidJudge<'a> {
         let speed = reference::max_speed(&self.before.velocity);
         let mut twin = self.before.velocity.clone();
         let valid = self.before.valid.clone();
-        reference::extrapolate(&grid, &self.cut, valid, layers, &mut twin);
+        reference::extrapolate(&grid, &self.cut, None, valid, layers, &mut twin);
         let means = EPS * speed * 10.0 * layers as f64;
         for axis in Axis::ALL {
             let a = axis.index();
@@ -593,7 +593,10 @@ impl<'a> LiquidJudge<'a> {
         let density = f64::from(self.step.density);
         let gravity = self.gravity();
         let stencil = after.active_cells(&grid).stencil;
-        let twin = reference::diagnose(&self.cut, phi, &after.velocity, &stencil, density, gravity);
+        let twin = {
+            let (cut, velocity) = (&self.cut, &after.velocity);
+            reference::diagnose(cut, phi, velocity, &stencil, None, density, gravity)
+        };
         let gpu = after.report.diagnosis;
         let rounding = self.sum_error(after.real, phi);
         let volume = rounding * self.wet_volume(phi);

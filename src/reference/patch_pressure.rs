@@ -1,0 +1,69 @@
+//! `right_hand_side`, for solids in liquid: what pressure does beyond its value at the centre of a cell.
+//!
+//! J^T p takes the pressure as constant over a cell. That is off by its gradient times the way from the centre to the patch, which adds
+//! to the force on the nodes
+//!
+//! ```text
+//! f_i = sum over the patches of active cells of the integral of N_i (grad p . (x - x_cell)) n dA
+//! ```
+//!
+//! with n into the solid. N_i is linear on a patch, so the integrals are exact. The matrix and the liquid stay as they are.
+
+use glam::DVec3;
+
+use super::pressure_system::Stencil;
+use crate::geometry::Patch;
+use crate::grid::{Axis, Grid};
+
+/// The forces on all nodes, N. `triangles`: nodes of the triangles that patches name; `gradient`: grad p of a cell, Pa/m.
+pub fn patch_pressure(
+    stencil: &Stencil,
+    patches: &[Patch],
+    triangles: &[[u32; 3]],
+    n_nodes: usize,
+    gradient: impl Fn(usize) -> DVec3,
+) -> Vec<DVec3> {
+    let grid = &stencil.grid;
+    let mut forces = vec![DVec3::ZERO; n_nodes];
+    for patch in patches.iter().filter(|patch| stencil.active(patch.cell)) {
+        let slope = gradient(patch.cell);
+        let way = patch.centroid - grid.cell_centre(grid.cell_at(patch.cell));
+        let corners = patch.barycentric.into_iter().zip(patch.moments);
+        for ((weight, moment), node) in corners.zip(triangles[patch.triangle]) {
+            let excess = slope.dot(weight * patch.area * way + moment);
+            forces[node as usize] += excess * patch.normal;
+        }
+    }
+    forces
+}
+
+/// Gradient of the pressure of a sub-step at a cell's centre, Pa/m, from the open neighbours that were unknowns of it; along an axis
+/// without such a neighbour, and where the cell itself was none, `at_rest`.
+pub fn pressure_gradient(
+    grid: &Grid,
+    open: &[Vec<f64>; 3],
+    active: &[bool],
+    pressure: &[f64],
+    at_rest: DVec3,
+    cell: usize,
+) -> DVec3 {
+    if !active[cell] {
+        return at_rest;
+    }
+    DVec3::from(Axis::ALL.map(|axis| {
+        let a = axis.index();
+        let slope = |side: usize| {
+            let mut face = grid.cell_at(cell);
+            face[a] += side;
+            let neighbour = grid.face_sides(axis, face)[side]?;
+            let known = open[a][grid.face(axis, face)] > 0.0 && active[neighbour];
+            let way = if side == 1 { grid.dx } else { -grid.dx };
+            known.then(|| (pressure[neighbour] - pressure[cell]) / way)
+        };
+        match [slope(0), slope(1)] {
+            [Some(minus), Some(plus)] => 0.5 * (minus + plus),
+            [Some(slope), None] | [None, Some(slope)] => slope,
+            [None, None] => at_rest[a],
+        }
+    }))
+}

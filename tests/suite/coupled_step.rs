@@ -1,0 +1,456 @@
+//! Steps of liquid and solids together on the f64 path.
+
+use std::fs;
+
+use cutwater::geometry::{ObstacleCut, SolidClip};
+use cutwater::grid::Axis;
+use cutwater::linalg::{Csr, SymbolicCholesky, norm, read_matrix, read_vector};
+use cutwater::measure::export;
+use cutwater::reference::{Reference, StepSystem, TimeStep, patch_pressure, pressure_gradient};
+use cutwater::scene::{FaceAreas, PatchPressure, Scene};
+use cutwater::sim::{Backend, Simulation, reference_path};
+use cutwater::state::{SolveStatus, State, StepReport};
+use glam::DVec3;
+
+/// Seconds.
+const DT: f64 = 1.0 / 120.0;
+const GRAVITY: f64 = 9.81;
+
+fn scene(text: &str) -> Scene {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("test.toml");
+    fs::write(&path, text).unwrap();
+    Scene::load(&path, &[], 1.0).unwrap()
+}
+
+/// A turned block in a tank with a level that is kept, of 1000 kg/m^3 and hard.
+fn block_at_rest(n: usize, pressure_on_patches: &str) -> Scene {
+    scene(&format!(
+        "[domain]
+size = [1, 1, 1]
+cells = [{n}, {n}, {n}]
+[time]
+duration = 1
+frames_per_second = 120
+fixed_step = {DT:?}
+[liquid]
+surface = \"fixed\"
+[[liquid.region]]
+box = {{ min = [0, 0, 0], max = [1, 0.81, 1] }}
+[[solid]]
+name = \"block\"
+mesh = {{ box = {{ size = [0.3, 0.24, 0.2], cells = [6, 5, 4] }} }}
+placement = {{ translate = [0.51, 0.43, 0.47], rotate = {{ axis = [1, 2, 3], degrees = 37 }} }}
+density = 1000.0
+young = 1e10
+poisson = 0.3
+[solver]
+tolerance = 1e-10
+pressure_on_patches = \"{pressure_on_patches}\"
+"
+    ))
+}
+
+fn step(reference: &mut Reference) -> StepReport {
+    let time_step = TimeStep {
+        dt: DT,
+        floored: false,
+    };
+    let report = reference.step(time_step).unwrap();
+    for solve in report.solves() {
+        assert_eq!(solve.status, SolveStatus::Converged, "{solve:?}");
+    }
+    report
+}
+
+/// Acceleration of the block in a step from rest, in g: of its mass's mean, and the largest of a node.
+fn accelerations(reference: &Reference, before: &[[f64; 3]]) -> [f64; 2] {
+    let solids = cutwater::sim::solids_of(reference.scene()).unwrap();
+    let after = &reference.state().node_velocity;
+    let change = |node: usize| DVec3::from(after[node]) - DVec3::from(before[node]);
+    let nodes = || 0..after.len();
+    let mass: f64 = solids.mass.iter().sum();
+    let mean: DVec3 = nodes()
+        .map(|node| solids.mass[node] * change(node))
+        .sum::<DVec3>()
+        / mass;
+    let largest = nodes()
+        .map(|node| change(node).length())
+        .fold(0.0, f64::max);
+    [mean.length(), largest].map(|v| v / (DT * GRAVITY))
+}
+
+/// A block that is as heavy as its liquid stays at rest. Where pressure does not vary within cells, it does not.
+#[test]
+fn a_neutral_block_stays_at_rest() {
+    let still = |n: usize| vec![[0.0; 3]; n];
+    let mut reference = reference_path(&block_at_rest(20, "hydrostatic")).unwrap();
+    let n = reference.state().node_velocity.len();
+    let report = step(&mut reference);
+    let [mean, largest] = accelerations(&reference, &still(n));
+    assert!(
+        mean < 1e-4 && largest < 1e-3,
+        "{mean:e} g and {largest:e} g"
+    );
+    // All forces together: pressure at the centres, its variation, and weight.
+    let coupling = report.coupling.unwrap();
+    let weight = 1000.0 * 0.3 * 0.24 * 0.2 * GRAVITY;
+    let sum = DVec3::from(coupling.force) + DVec3::from(coupling.correction);
+    assert!(
+        (sum.y / weight - 1.0).abs() < 1e-4,
+        "{coupling:?}, {weight} N"
+    );
+    assert!(coupling.touching && coupling.overlap_cells == 0);
+    assert!(report.liquid.unwrap().diagnosis.divergence < 1e-6);
+
+    let mut reference = reference_path(&block_at_rest(20, "cell")).unwrap();
+    let report = step(&mut reference);
+    let [_, largest] = accelerations(&reference, &still(n));
+    assert!((3e-3..0.1).contains(&largest), "{largest:e} g");
+    assert_eq!(report.coupling.unwrap().correction, [0.0; 3]);
+
+    // The first step has no gradient but that at rest; the second takes it from the first.
+    let mut reference = reference_path(&block_at_rest(20, "gradient")).unwrap();
+    for bounds in [[1e-4, 1e-3], [1e-3, 1e-2]] {
+        let before = reference.state().node_velocity.clone();
+        step(&mut reference);
+        let [mean, largest] = accelerations(&reference, &before);
+        assert!(
+            mean < bounds[0] && largest < bounds[1],
+            "{mean:e} g and {largest:e} g"
+        );
+    }
+}
+
+/// A pressure that is linear everywhere has its gradient as its gradient; and its forces, with those at the centres, are the
+/// buoyancy of the body.
+#[test]
+fn linear_pressure_pushes_as_archimedes_says() {
+    let scene = block_at_rest(14, "hydrostatic");
+    let solids = cutwater::sim::solids_of(&scene).unwrap();
+    let grid = scene.grid();
+    let still = vec![[0.0; 3]; solids.rest.len()];
+    let mut clip = SolidClip::new(&grid, ObstacleCut::none(&grid), &scene.solver);
+    clip.clip(&solids.moved(&still));
+    let open = &clip.cut_cells().open;
+    let active = cutwater::reference::active_cells(&grid, open, &vec![-1.0; grid.n_cells()], 0.01);
+    let slope = DVec3::new(3.0, -7.0, 2.0);
+    let pressure: Vec<f64> = (0..grid.n_cells())
+        .map(|cell| slope.dot(grid.cell_centre(grid.cell_at(cell))))
+        .collect();
+    let mask = active.stencil.active_mask();
+    let mut inner = 0;
+    for cell in 0..grid.n_cells() {
+        let found = pressure_gradient(&grid, open, &mask, &pressure, DVec3::ZERO, cell);
+        let expected = if mask[cell] { slope } else { DVec3::ZERO };
+        // A cell with no open neighbour along an axis has nothing to tell there.
+        let off = (found - expected).abs();
+        assert!(
+            off.max_element() < 1e-10 || off.min_element() < 1e-10,
+            "{found}"
+        );
+        inner += usize::from(off.max_element() < 1e-10 && mask[cell]);
+    }
+    assert!(inner > grid.n_cells() / 2);
+    let forces = patch_pressure(
+        &active.stencil,
+        clip.patches(),
+        &solids.triangles,
+        solids.rest.len(),
+        |_| slope,
+    );
+    let mut of_centres = vec![0.0; 3 * solids.rest.len()];
+    let coupling = clip.coupling().restricted(|cell| mask[cell]);
+    coupling.add_transposed(&pressure, &mut of_centres);
+    let volume: f64 = solids.volume.iter().sum();
+    let centroid: DVec3 = solids.centroid(&solids.bodies[0]);
+    let (mut sum, mut moment) = (DVec3::ZERO, DVec3::ZERO);
+    for (node, force) in forces.iter().enumerate() {
+        let force = *force + DVec3::from_slice(&of_centres[3 * node..]);
+        sum += force;
+        moment += (solids.rest[node] - centroid).cross(force);
+    }
+    // Patches in cells without an open face push nothing; they are a few.
+    assert!(
+        sum.distance(-volume * slope) < 1e-3 * volume * slope.length(),
+        "{sum}"
+    );
+    assert!(moment.length() < 1e-4 * volume * slope.length(), "{moment}");
+}
+
+/// A light ball and a heavy one, with markers.
+fn two_balls(y: f64) -> Scene {
+    scene(&two_balls_text(y, ""))
+}
+
+fn two_balls_text(y: f64, more: &str) -> String {
+    format!(
+        "[domain]
+size = [1, 1, 1]
+cells = [16, 16, 16]
+[time]
+duration = 1
+[[liquid.region]]
+box = {{ min = [0, 0, 0], max = [1, 0.5, 1] }}
+[[solid]]
+name = \"light\"
+mesh = {{ sphere = {{ radius = 0.12, cell_size = 0.06 }} }}
+placement = {{ translate = [0.3, {y}, 0.5] }}
+density = 300.0
+young = 1e5
+poisson = 0.4
+[[solid]]
+name = \"heavy\"
+mesh = {{ sphere = {{ radius = 0.12, cell_size = 0.06 }} }}
+placement = {{ translate = [0.7, {y}, 0.5] }}
+density = 3000.0
+young = 1e6
+poisson = 0.3
+{more}"
+    )
+}
+
+fn heights(simulation: &Simulation) -> [f64; 2] {
+    let (solids, state) = (simulation.solids(), simulation.state().unwrap());
+    let moved = solids.moved(&state.displacement);
+    let of_body = |body: &cutwater::elastic::Body| {
+        let nodes = body.nodes.clone();
+        nodes.map(|node| moved.nodes[node].y).sum::<f64>() / body.nodes.len() as f64
+    };
+    [of_body(&solids.bodies[0]), of_body(&solids.bodies[1])]
+}
+
+#[test]
+fn light_balls_rise_and_heavy_ones_sink() {
+    let scene = two_balls(0.25);
+    let mut simulation = Simulation::new(&scene, &Backend::Cpu).unwrap();
+    let before = heights(&simulation);
+    let start = simulation.state().unwrap();
+    let markers = start.markers.len();
+    let inside = |state: &State, simulation: &Simulation| {
+        let distance = &simulation.cut_cells().solid_distance;
+        let grid = scene.grid();
+        state
+            .markers
+            .iter()
+            .filter(|&&x| grid.sample_cells(distance, x.into()) < 0.0)
+            .count()
+    };
+    assert_eq!(inside(&start, &simulation), 0);
+    let mut again = Simulation::new(&scene, &Backend::Cpu).unwrap();
+    while simulation.clock().frame < 2 {
+        let report = simulation.step().unwrap();
+        assert_eq!(report.solves().count(), 2);
+        for solve in report.solves() {
+            assert_eq!(solve.status, SolveStatus::Converged);
+            assert!(solve.residual <= scene.solver.tolerance);
+        }
+        let liquid = report.liquid.unwrap();
+        assert!(liquid.diagnosis.divergence < 0.1, "{:?}", liquid.diagnosis);
+        let volume = simulation.volume_ratio(&report).unwrap();
+        assert!((volume - 1.0).abs() < 0.05, "{volume}");
+        assert!(report.coupling.unwrap().touching);
+        assert!(report.seconds.iter().any(|(stage, _)| *stage == "clip"));
+        // Bit for bit.
+        let second = again.step().unwrap();
+        assert_eq!(second.liquid, report.liquid);
+        assert_eq!(second.solid, report.solid);
+        assert_eq!(second.coupling, report.coupling);
+    }
+    assert_eq!(simulation.state().unwrap(), again.state().unwrap());
+    let after = heights(&simulation);
+    assert!(
+        after[0] > before[0] + 0.005 && after[1] < before[1] - 0.005,
+        "{before:?} {after:?}"
+    );
+    let end = simulation.state().unwrap();
+    assert!(inside(&end, &simulation) == 0 && end.markers.len() > markers * 9 / 10);
+
+    // A state in the middle goes on as if nothing had happened.
+    again.reset(&end).unwrap();
+    assert_eq!(
+        again.step().unwrap().liquid,
+        simulation.step().unwrap().liquid
+    );
+}
+
+/// Above the liquid they fall, and each is solved for itself, as if the other were not there.
+#[test]
+fn solids_out_of_the_liquid_are_solved_apart() {
+    let mut both = two_balls(0.8);
+    both.time.fixed_step = Some(1.0 / 240.0);
+    let mut reference = reference_path(&both).unwrap();
+    let mut kinds = Vec::new();
+    let time_step = TimeStep {
+        dt: DT,
+        floored: false,
+    };
+    let report = reference
+        .step_observed(time_step, &mut |system| {
+            kinds.push(match system {
+                StepSystem::Pressure(..) => "pressure",
+                StepSystem::Solid(..) => "solid",
+                StepSystem::Coupled(..) => "coupled",
+            });
+        })
+        .unwrap();
+    assert_eq!(kinds, ["pressure", "solid"]);
+    let coupling = report.coupling.unwrap();
+    assert!(!coupling.touching && coupling.force == [0.0; 3]);
+    let mut liquid = both.clone();
+    liquid.solids.clear();
+    let mut alone = reference_path(&liquid).unwrap();
+    let of_liquid = alone.step(time_step).unwrap();
+    assert_eq!(alone.state().pressure, reference.state().pressure);
+    assert!(alone.clip().is_none() && of_liquid.coupling.is_none());
+    assert!(of_liquid.seconds.iter().all(|(stage, _)| *stage != "clip"));
+    let mut solids = both.clone();
+    solids.liquid = None;
+    let mut alone = reference_path(&solids).unwrap();
+    let of_solids = alone.step(time_step).unwrap();
+    assert_eq!(of_solids.solid, report.solid);
+    assert!(alone.clip().is_none() && of_solids.seconds.iter().all(|(stage, _)| *stage != "clip"));
+}
+
+/// What is wrong with a step leaves the state, and the cut cells of that state.
+#[test]
+fn a_failed_step_changes_nothing() {
+    let scene = two_balls(0.25);
+    let mut reference = reference_path(&scene).unwrap();
+    let mut state = reference.state().clone();
+    let cut = reference.cut_cells().clone();
+    state.node_velocity.fill([0.3, -1.0, 0.2]);
+    reference.reset(state.clone()).unwrap();
+    let time_step = TimeStep {
+        dt: DT,
+        floored: false,
+    };
+    let face = scene.grid().face(Axis::Y, [8, 3, 8]);
+    for of_liquid in [true, false] {
+        let mut bad = state.clone();
+        if of_liquid {
+            bad.velocity[1][face] = f64::NAN;
+        } else {
+            bad.node_velocity[7][1] = f64::NAN;
+        }
+        bad.step = 1;
+        reference.reset(bad).unwrap();
+        let error = reference.step(time_step).unwrap_err().to_string();
+        assert!(error.contains("not finite"), "{error}");
+        assert_eq!(reference.state().step, 1);
+        assert_eq!(reference.cut_cells().open, cut.open);
+        assert_eq!(reference.cut_cells().solid_distance, cut.solid_distance);
+    }
+}
+
+#[test]
+fn the_gpu_refuses_both_together() {
+    let error = Simulation::new(&two_balls(0.25), &Backend::Gpu(Default::default()));
+    let error = error.unwrap_err().to_string();
+    assert!(
+        error.contains("not simulated on the GPU yet") && error.contains("--backend cpu"),
+        "{error}"
+    );
+}
+
+/// All formulations that are written have the answer that is written.
+#[test]
+fn exported_systems_agree() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("system");
+    let options = export::Options {
+        backend: Backend::Cpu,
+        step: 0,
+        out: out.clone(),
+    };
+    let meta = export::export(&block_at_rest(10, "hydrostatic"), &options).unwrap();
+    assert!(meta.residual < 1e-8, "{meta:?}");
+    let matrix = |name: &str| read_matrix(&out.join(name)).unwrap();
+    let vector = |name: &str| read_vector(&out.join(name)).unwrap();
+    let solution = vector("solution.mtx");
+    let residual = |matrix: &Csr, x: &[f64], rhs: &[f64]| {
+        let mut product = vec![0.0; rhs.len()];
+        matrix.multiply(x, &mut product);
+        let left: Vec<f64> = rhs.iter().zip(&product).map(|(b, y)| b - y).collect();
+        norm(&left) / norm(rhs)
+    };
+    let indefinite = matrix("indefinite.mtx");
+    let left = residual(&indefinite, &solution, &vector("indefinite_rhs.mtx"));
+    assert!(left < 1e-10, "{left:e}");
+    let spd = matrix("spd.mtx");
+    let symbolic = SymbolicCholesky::new(&spd).unwrap();
+    let factor = symbolic
+        .factorise(&spd)
+        .expect("spd.mtx is positive definite");
+    let mut direct = vector("spd_rhs.mtx");
+    factor.solve(&mut direct);
+    let largest = |x: &[f64]| x.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
+    let n = matrix("B.mtx").n_rows();
+    for part in [0..n, n..solution.len()] {
+        let pairs = direct[part.clone()].iter().zip(&solution[part.clone()]);
+        let off: Vec<f64> = pairs.map(|(a, b)| a - b).collect();
+        assert!(
+            largest(&off) <= 1e-5 * largest(&solution[..n]),
+            "{part:?}: {:e}",
+            largest(&off)
+        );
+    }
+    // [B J; J^T -S] with S = Z1 + Z2 is the indefinite matrix.
+    let s = matrix("Z1.mtx").plus(1.0, &matrix("Z2.mtx"));
+    let blocks = Csr::bordered(&matrix("B.mtx"), &matrix("J.mtx"), -1.0, &s);
+    for (row, column, value) in blocks.triplets() {
+        let error = (value - indefinite.get(row, column)).abs();
+        assert!(
+            error <= 1e-14 * s.infinity_norm(),
+            "({row}, {column}): {error:e}"
+        );
+    }
+    let stress = matrix("stress.mtx");
+    let symbolic = SymbolicCholesky::new(&stress).unwrap();
+    let mut direct = vector("stress_rhs.mtx");
+    symbolic.factorise(&stress).unwrap().solve(&mut direct);
+    let off: Vec<f64> = direct[..n]
+        .iter()
+        .zip(&solution)
+        .map(|(a, b)| a - b)
+        .collect();
+    assert!(
+        largest(&off) <= 1e-6 * largest(&solution[..n]),
+        "{:e}",
+        largest(&off)
+    );
+    let nodes = fs::read_to_string(out.join("nodes.csv")).unwrap();
+    assert!(
+        nodes
+            .lines()
+            .nth(1)
+            .unwrap()
+            .contains(&format!(",{},", n + 1)),
+        "{nodes}"
+    );
+
+    // Above the liquid there is no system of both.
+    let error = export::export(&two_balls(0.8), &options)
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("do not touch") && error.contains("touching"),
+        "{error}"
+    );
+}
+
+#[test]
+fn scenes_of_both_have_keys_of_their_own() {
+    let solver = block_at_rest(8, "gradient").solver;
+    assert_eq!(solver.pressure_on_patches, PatchPressure::Gradient);
+    assert_eq!(
+        (solver.face_areas, solver.area_clamp),
+        (FaceAreas::Clipped, 1e-3)
+    );
+    let nodal = scene(&two_balls_text(0.25, "[solver]\nface_areas = \"nodal\"\n")).solver;
+    assert_eq!(nodal.pressure_on_patches, PatchPressure::Hydrostatic);
+    assert_eq!(
+        (nodal.face_areas, nodal.area_clamp),
+        (FaceAreas::Nodal, 1e-2)
+    );
+}
