@@ -84,7 +84,7 @@ pub fn active_cells(
 }
 
 /// Flood fill over faces with weight: the components without a Dirichlet part.
-fn closed_components(stencil: &Stencil) -> Vec<Vec<usize>> {
+pub(super) fn closed_components(stencil: &Stencil) -> Vec<Vec<usize>> {
     let mut seen = vec![false; stencil.grid.n_cells()];
     let mut closed = Vec::new();
     for seed in 0..seen.len() {

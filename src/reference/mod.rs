@@ -61,7 +61,8 @@ pub use solid_right_hand_side::{SolidRightHandSide, solid_right_hand_side};
 pub use solid_system::SolidSystem;
 pub use solve::{DIRECT_UNKNOWNS, solve, solve_direct, solve_iterative};
 pub use solve_coupled::{
-    CoupledSolution, Formulation, SIGMA, solve_coupled, solve_coupled_in_contact, solve_weak,
+    CoupledSolution, Formulation, SIGMA, solve_coupled, solve_coupled_in_contact,
+    solve_damping_only, solve_weak,
 };
 pub use solve_solid::{Chebyshev, SolidSolver};
 pub use step::{Reference, StepSystem};

@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 use super::{BlockMatrix, Freedom, SolidRightHandSide};
-use crate::elastic::Solids;
+use crate::elastic::{Body, Solids};
 use crate::linalg::{Csr, LinearOperator, norm};
 
 /// S, what S v must be, and the prescribed components of v. Vectors have three numbers per node.
@@ -79,6 +79,50 @@ impl SolidSystem {
         let pairs = values.iter().zip(&pull);
         self.rhs = pairs.map(|(value, pull)| value - pull).collect();
         self.rhs_scale = self.forces_scale + norm(&pull);
+    }
+
+    /// The system of the same step with other zeta_M (1/s) and zeta_K (s) of each body, and what S v must be.
+    pub fn changed(
+        &self,
+        solids: &Solids,
+        zeta: impl Fn(&Body) -> [f64; 2],
+        rhs: &SolidRightHandSide,
+    ) -> SolidSystem {
+        let mut system = self.clone();
+        for node in 0..self.mass.len() {
+            let [mass, stiffness] = zeta(solids.body_of_node(node));
+            system.mass[node] = mass * self.lumped[node];
+            system.zeta_stiffness[node] = stiffness;
+        }
+        system.forces.clone_from(&rhs.values);
+        system.forces_scale = rhs.scale;
+        let held: Vec<[f64; 3]> = self.held.as_chunks().0.to_vec();
+        system.free(self.freedom.clone(), &held);
+        system
+    }
+
+    /// What S v must be, all directions free.
+    pub fn right_hand_side(&self) -> SolidRightHandSide {
+        SolidRightHandSide {
+            values: self.forces.clone(),
+            scale: self.forces_scale,
+        }
+    }
+
+    /// M v / dt on what is not prescribed, N; `velocity`: m/s.
+    pub fn inertia(&self, velocity: &[[f64; 3]]) -> SolidRightHandSide {
+        let nodes = self.lumped.iter().zip(velocity).zip(&self.freedom);
+        let values = nodes.map(|((mass, v), freedom)| {
+            std::array::from_fn(|axis| match freedom.free[axis] {
+                true => mass * v[axis] / self.dt,
+                false => 0.0,
+            })
+        });
+        let values: Vec<[f64; 3]> = values.collect();
+        SolidRightHandSide {
+            scale: norm(values.as_flattened()),
+            values,
+        }
     }
 
     /// Adds forces on all nodes, N, three numbers per node.

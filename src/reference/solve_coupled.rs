@@ -1,6 +1,7 @@
 //! `solve`, for liquid and solids together: one function per formulation of design section 2. All are judged on the residual of the
 //! indefinite system, and repeated on what it leaves until both its parts pass.
 
+use super::active_cells::closed_components;
 use super::coupled_system::{Blocks, CoupledSystem, TwoField};
 use super::multigrid::Multigrid;
 use super::pressure_system::PressureSystem;
@@ -11,7 +12,7 @@ use super::solve::{DIRECT_UNKNOWNS, solve};
 use super::solve_solid::{Chebyshev, SolidSolver};
 use super::stress_variables::StressVariables;
 use crate::Error;
-use crate::elastic::Solids;
+use crate::elastic::{Body, Solids};
 use crate::geometry::Coupling;
 use crate::linalg::{
     CgEnd, CgReport, Cholesky, Csr, Incomplete, LinearOperator, SymbolicCholesky,
@@ -458,19 +459,18 @@ impl LinearOperator for Factored<'_> {
     }
 }
 
-/// The weak coupling that chapter 6 of the thesis compares with: B p = E u* - J v of the velocities `before` the step (m/s), without
-/// what forces add to them; then S v = -w + J^T p.
+/// Weak coupling: B p = E u* - J v of the velocities `before` the step (m/s), without what forces add to them; then S v = -w + J^T p,
+/// which `solve_solid` solves. Both systems become those solved.
 ///
 /// # Errors
 /// As those of both solves.
 pub fn solve_weak(
-    mut pressure: PressureSystem,
-    mut solid: SolidSystem,
+    pressure: &mut PressureSystem,
+    solid: &mut SolidSystem,
     coupling: &Coupling,
     before: &[[f64; 3]],
-    solver: &SolidSolver,
-    solids: &Solids,
     settings: &Solver,
+    solve_solid: impl FnOnce(&mut SolidSystem) -> Result<(Vec<[f64; 3]>, SolveReport), Error>,
 ) -> Result<CoupledSolution, Error> {
     let coupling = coupling.restricted(|cell| pressure.stencil.active(cell));
     let mut flux = vec![0.0; pressure.rhs.len()];
@@ -478,18 +478,52 @@ pub fn solve_weak(
     for (rhs, flux) in pressure.rhs.iter_mut().zip(&flux) {
         *rhs -= flux;
     }
+    // The solids give way too late to fix the level.
+    let level_free = closed_components(&pressure.stencil);
+    pressure.closed = level_free;
     let mut rhs = std::mem::take(&mut pressure.rhs);
     pressure.remove_closed_means(&mut rhs);
     pressure.rhs = rhs;
     pressure.rhs_scale += norm(&flux);
-    let (found, of_pressure) = solve(&pressure, settings)?;
+    let (found, of_pressure) = solve(pressure, settings)?;
     let mut force = vec![0.0; solid.rhs.len()];
     coupling.add_transposed(&found, &mut force);
     solid.push(&force);
-    let (velocity, of_solid) = solver.solve(solids, &solid, settings)?;
+    let (velocity, of_solid) = solve_solid(solid)?;
     Ok(CoupledSolution {
         pressure: found,
         velocity,
         reports: [of_pressure, of_solid],
     })
+}
+
+/// Damping-only coupling: (M/dt + dt K) v' = -w of the solids by themselves, then the coupled system with M/dt + D in place of S
+/// and w = -M v'/dt. As [`solve_coupled_in_contact`] otherwise; the iterations are those of the second solve.
+///
+/// # Errors
+/// As those of both solves.
+pub fn solve_damping_only(
+    pressure: &PressureSystem,
+    solid: &mut SolidSystem,
+    coupling: &Coupling,
+    contacts: &mut Contacts,
+    solver: &SolidSolver,
+    solids: &Solids,
+    settings: &Solver,
+) -> Result<(CoupledSystem, CoupledSolution), Error> {
+    let dt = solid.dt();
+    let undamped = |_: &Body| [1.0 / dt, dt];
+    let mut elastic = solid.changed(solids, undamped, &solid.right_hand_side());
+    let (mut velocity, report) =
+        solver.solve_in_contact(solids, &mut elastic, contacts, settings)?;
+    let damping = |body: &Body| [1.0 / dt + body.mass_damping, body.stiffness_damping];
+    *solid = solid.changed(solids, damping, &solid.inertia(&velocity));
+    solid.free(contacts.hold(&mut velocity), &velocity);
+    let (system, mut solution) = solve_coupled_in_contact(
+        pressure, solid, coupling, contacts, solver, solids, settings,
+    )?;
+    if report.status != SolveStatus::Converged {
+        solution.reports[1].status = report.status;
+    }
+    Ok((system, solution))
 }

@@ -13,14 +13,14 @@ use super::{
     diagnose_solid, extrapolate, forces, liquid_distance, liquid_volume, max_speed, move_solid,
     n_layers, node_forces, open_volumes, patch_pressure, prepare, pressure_gradient,
     right_hand_side, solid_matrices, solid_right_hand_side, solve, solve_coupled_in_contact,
-    time_step, volume_rate, write_back,
+    solve_damping_only, solve_weak, time_step, volume_rate, write_back,
 };
 use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::Solids;
 use crate::geometry::{CutCells, ObstacleCut, SolidClip};
 use crate::grid::{Axis, Grid};
-use crate::scene::{Liquid, PatchPressure, Scene};
+use crate::scene::{CouplingScheme, Liquid, PatchPressure, Scene};
 use crate::state::{
     CouplingReport, LiquidReport, SolidReport, SolveReport, SolveStatus, State, StepReport,
 };
@@ -389,12 +389,14 @@ impl Reference {
             Systems::Coupled(system) => {
                 let (pressure, velocity) = (&state.pressure, &state.node_velocity);
                 observer(StepSystem::Coupled(system, pressure, velocity));
-                let mut force = vec![0.0; velocity.as_flattened().len()];
-                system.coupling.add_transposed(pressure, &mut force);
-                let nodes = force.chunks_exact(3).map(DVec3::from_slice);
-                coupling.force = nodes.sum::<DVec3>().to_array();
-                coupling.touching = true;
             }
+        }
+        if let Some((clip, system)) = clip.zip(systems.pressure()) {
+            let mut force = vec![0.0; state.node_velocity.as_flattened().len()];
+            clip.coupling().add_transposed(&state.pressure, &mut force);
+            let nodes = force.chunks_exact(3).map(DVec3::from_slice);
+            coupling.force = nodes.sum::<DVec3>().to_array();
+            coupling.touching = touches(clip, system);
         }
 
         if let Some(system) = systems.pressure() {
@@ -486,14 +488,35 @@ impl Reference {
             .filter(|(clip, pressure)| touches(clip, pressure))
             .map(|(clip, _)| clip);
         match (touched, pressure, motion, part) {
-            (Some(clip), Some(pressure), Some((mut solid, mut contacts)), Some(part)) => {
-                let (system, solution) = solve_coupled_in_contact(
+            (Some(clip), Some(mut pressure), Some((mut solid, mut contacts)), Some(part)) => {
+                let SolidPart { solids, solver, .. } = part;
+                let coupling = clip.coupling();
+                let strong = match settings.coupling {
+                    CouplingScheme::Strong => solve_coupled_in_contact,
+                    CouplingScheme::DampingOnly => solve_damping_only,
+                    CouplingScheme::Weak => {
+                        let before = &self.state.node_velocity;
+                        let solution = solve_weak(
+                            &mut pressure,
+                            &mut solid,
+                            coupling,
+                            before,
+                            settings,
+                            |solid| solver.solve_in_contact(solids, solid, &mut contacts, settings),
+                        )?;
+                        (state.pressure, state.node_velocity) =
+                            (solution.pressure, solution.velocity);
+                        let systems = Systems::Apart(Some(pressure.into()), Some(solid.into()));
+                        return Ok((systems, solution.reports.map(Some)));
+                    }
+                };
+                let (system, solution) = strong(
                     &pressure,
                     &mut solid,
-                    clip.coupling(),
+                    coupling,
                     &mut contacts,
-                    &part.solver,
-                    &part.solids,
+                    solver,
+                    solids,
                     settings,
                 )?;
                 (state.pressure, state.node_velocity) = (solution.pressure, solution.velocity);

@@ -424,6 +424,8 @@ pub struct Solver {
     pub area_clamp: f64,
     /// Where the open areas beside elastic solids come from; default `clipped`.
     pub face_areas: FaceAreas,
+    /// How liquid and elastic solids are solved for where they touch; default `strong`.
+    pub coupling: CouplingScheme,
     /// How pressure varies over a cell where it acts on a solid; default `hydrostatic`.
     pub pressure_on_patches: PatchPressure,
 }
@@ -438,6 +440,7 @@ impl Default for Solver {
             theta_floor: 1e-2,
             area_clamp: 1e-3,
             face_areas: FaceAreas::Clipped,
+            coupling: CouplingScheme::Strong,
             pressure_on_patches: PatchPressure::Hydrostatic,
         }
     }
@@ -471,6 +474,17 @@ pub enum FaceAreas {
     Clipped,
     /// From the distance at the corners of the cells (thesis, figure 5.2); cut cells close to some percent.
     Nodal,
+}
+
+/// How liquid and elastic solids are solved for where they touch. The last two are what chapter 6 of the thesis compares with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CouplingScheme {
+    /// Pressures and velocities in one solve.
+    Strong,
+    /// The pressure against the solids' velocities before the sub-step, then the solids under that pressure.
+    Weak,
+    /// The solids' elasticity by itself first, then pressures and velocities in one solve that knows of mass and damping alone.
+    DampingOnly,
 }
 
 /// How pressure varies over a cell where it acts on the patches of a solid.

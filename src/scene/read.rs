@@ -12,8 +12,8 @@ use super::probe::probes;
 use super::shape::{placement, shape};
 use super::solid::solids;
 use super::{
-    Domain, FaceAreas, Liquid, Obstacle, Output, PatchPressure, Placement, Precision,
-    Preconditioner, Region, Scene, Shape, Solid, SolidMesh, Solver, Surface, Time,
+    CouplingScheme, Domain, FaceAreas, Liquid, Obstacle, Output, PatchPressure, Placement,
+    Precision, Preconditioner, Region, Scene, Shape, Solid, SolidMesh, Solver, Surface, Time,
 };
 use crate::error::Error;
 
@@ -102,6 +102,7 @@ const SOLVER: Keys = Keys {
         "preconditioner",
         "theta_floor",
         "area_clamp",
+        "coupling",
         "face_areas",
         "pressure_on_patches",
     ],
@@ -618,6 +619,15 @@ fn solver(root: &Table, surface: Option<Surface>, has_solids: bool) -> Result<So
             "remove it",
         )
     };
+    if let Some(place) = table.get("coupling") {
+        ensure_coupled(&place)?;
+        let choices = [
+            ("strong", CouplingScheme::Strong),
+            ("weak", CouplingScheme::Weak),
+            ("damping_only", CouplingScheme::DampingOnly),
+        ];
+        solver.coupling = place.choice(&choices)?;
+    }
     if let Some(place) = table.get("pressure_on_patches") {
         ensure_coupled(&place)?;
         let choices = [

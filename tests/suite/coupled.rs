@@ -177,14 +177,14 @@ fn weak_coupling_takes_the_velocities_before_the_step() {
     let before = &scene.node_velocity;
     let solver = SolidSolver::new(&scene.solids);
     let settings = settings(1e-12);
+    let (mut pushed_back, mut pushed) = (pressure.clone(), solid.clone());
     let solution = solve_weak(
-        pressure.clone(),
-        solid.clone(),
+        &mut pushed_back,
+        &mut pushed,
         clip.coupling(),
         before,
-        &solver,
-        &scene.solids,
         &settings,
+        |solid| solver.solve(&scene.solids, solid, &settings),
     )
     .unwrap();
     let coupling = clip

@@ -23,6 +23,7 @@ mod solid_modes;
 #[path = "../suite/solid_scene.rs"]
 mod solid_scene;
 
+mod coupled;
 mod lane;
 mod liquid;
 mod sheet;
@@ -75,6 +76,7 @@ impl Case {
 fn cases() -> Vec<Case> {
     [
         liquid::cases(),
+        coupled::cases(),
         solid_elements::cases(),
         solid_statics::cases(),
         solid_motion::cases(),

@@ -1,0 +1,187 @@
+//! Cases of liquid and elastic solids together, on the f64 path.
+
+use std::time::Instant;
+
+use cutwater::linalg::SymbolicCholesky;
+use cutwater::reference::base_scene::{BaseBeam, BaseScene};
+use cutwater::reference::{
+    CoupledSolution, CoupledSystem, Formulation, SIGMA, SolidSolver, StressVariables, solve_coupled,
+};
+use cutwater::scene::Solver;
+use cutwater::state::SolveStatus;
+
+use crate::Case;
+use crate::sheet::Sheet;
+
+pub(crate) fn cases() -> Vec<Case> {
+    let beams = [
+        (20, [2, 2, 14]),
+        (40, [2, 2, 14]),
+        (60, [3, 3, 21]),
+        (80, [4, 4, 28]),
+        (100, [4, 4, 28]),
+    ];
+    let mut cases = vec![Case::new("C1", formulations)];
+    for (n, bricks) in beams {
+        cases.push(Case::new(format!("C2/{n}"), move |sheet| {
+            iterations(n, bricks, sheet)
+        }));
+    }
+    cases.push(Case::new("C3", parameters));
+    cases
+}
+
+/// The base scene's system with its beam.
+struct Base {
+    scene: BaseScene,
+    system: CoupledSystem,
+    solver: SolidSolver,
+}
+
+impl Base {
+    fn new(n: usize, beam: &BaseBeam) -> Base {
+        let scene = BaseScene::new(n, beam).expect("the base scene has a beam");
+        Base {
+            system: scene.coupled_system(),
+            solver: SolidSolver::new(&scene.solids),
+            scene,
+        }
+    }
+
+    fn solve(&self, formulation: Formulation, tolerance: f64) -> CoupledSolution {
+        let settings = Solver {
+            tolerance,
+            max_iterations: 20_000,
+            ..Solver::default()
+        };
+        let (system, solids) = (&self.system, &self.scene.solids);
+        let solution = solve_coupled(system, formulation, &self.solver, solids, &settings);
+        let solution = solution.unwrap_or_else(|error| panic!("{error}"));
+        for report in solution.reports {
+            assert_eq!(
+                report.status,
+                SolveStatus::Converged,
+                "{}: {report:?}",
+                formulation.name()
+            );
+        }
+        solution
+    }
+}
+
+/// Largest differences of p and v, relative to the largest of them.
+fn differences(a: &CoupledSolution, b: &CoupledSolution) -> [f64; 2] {
+    let relative = |a: &[f64], b: &[f64]| {
+        let largest = b.iter().fold(0.0, |m, b| f64::max(m, b.abs()));
+        let off = a.iter().zip(b).map(|(a, b)| (a - b).abs());
+        off.fold(0.0, f64::max) / largest
+    };
+    [
+        relative(&a.pressure, &b.pressure),
+        relative(a.velocity.as_flattened(), b.velocity.as_flattened()),
+    ]
+}
+
+/// Direct solves of all forms at 40^3, one correction each: the same answer.
+fn formulations(sheet: &mut Sheet) {
+    let base = Base::new(40, &BaseBeam::default());
+    let exact = base.solve(Formulation::Indefinite, 1e-12);
+    let deformations = base.scene.matrices().deformations;
+    let stress = StressVariables::new(&base.scene.solids, &deformations, base.scene.dt);
+    for (formulation, tolerance, bound) in [
+        (Formulation::TwoField(SIGMA), 1e-2, 1e-9),
+        (Formulation::TwoField(0.9), 1e-2, 1e-9),
+        (Formulation::Stress(&stress), 1e-2, 1e-11),
+        (Formulation::IndefiniteIterative, 1e-10, 1e-7),
+        (Formulation::TwoFieldIncomplete(0.9), 1e-10, 1e-7),
+        (Formulation::TwoFieldIterative(SIGMA), 1e-10, 1e-7),
+        (Formulation::Condensed, 1e-10, 1e-7),
+    ] {
+        let start = Instant::now();
+        let solution = base.solve(formulation, tolerance);
+        let seconds = start.elapsed().as_secs_f64();
+        let [p, v] = differences(&solution, &exact);
+        let name = formulation.name();
+        sheet.at_most(
+            &format!("{name}: p against the indefinite system"),
+            p,
+            bound,
+        );
+        sheet.at_most(&format!("{name}: v"), v, bound);
+        let iterations = solution.reports[0].iterations;
+        sheet.told(
+            &format!("{name}: iterations"),
+            format!("{iterations} in {seconds:.2} s"),
+        );
+    }
+    let matrix = base
+        .system
+        .blocks()
+        .two_field(0.9)
+        .expect("it fits into memory");
+    let factor = SymbolicCholesky::new(&matrix).map(|symbolic| symbolic.factorise(&matrix).is_ok());
+    sheet.holds(
+        "the matrix of the two fields",
+        "positive definite",
+        format!("{factor:?}"),
+        matches!(factor, Ok(true)),
+    );
+}
+
+/// Conjugate gradients to 1e-8 of both residuals.
+fn iterations(n: usize, bricks: [usize; 3], sheet: &mut Sheet) {
+    let base = Base::new(
+        n,
+        &BaseBeam {
+            bricks,
+            ..BaseBeam::default()
+        },
+    );
+    for (formulation, bound) in [
+        (Formulation::Condensed, 20.0),
+        (Formulation::TwoFieldIterative(SIGMA), 42.0),
+    ] {
+        let start = Instant::now();
+        let iterations = base.solve(formulation, 1e-8).reports[0].iterations;
+        let name = formulation.name();
+        sheet.at_most(&format!("{name}: iterations"), f64::from(iterations), bound);
+        sheet.told(
+            &format!("{name}: seconds"),
+            format!("{:.2}", start.elapsed().as_secs_f64()),
+        );
+    }
+}
+
+/// The condensed form with one parameter changed, and with the worst two.
+fn parameters(sheet: &mut Sheet) {
+    let base = BaseBeam::default();
+    let mut beams = Vec::new();
+    for young in [1e4, 1e5, 1e7, 1e8, 1e9] {
+        beams.push((
+            format!("E = {young:e} Pa"),
+            26.0,
+            BaseBeam { young, ..base },
+        ));
+    }
+    for density in [20.0, 100.0, 500.0, 5000.0, 20_000.0] {
+        beams.push((
+            format!("density {density}"),
+            26.0,
+            BaseBeam { density, ..base },
+        ));
+    }
+    beams.push((
+        "E = 1e4 Pa, density 20".into(),
+        50.0,
+        BaseBeam {
+            young: 1e4,
+            density: 20.0,
+            ..base
+        },
+    ));
+    for (name, bound, beam) in beams {
+        let solution = Base::new(40, &beam).solve(Formulation::Condensed, 1e-8);
+        let iterations = f64::from(solution.reports[0].iterations);
+        sheet.at_most(&format!("condensed, {name}: iterations"), iterations, bound);
+    }
+}
