@@ -24,8 +24,13 @@ use crate::state::{SolveReport, SolveStatus};
 /// Share of the mass in Z1. Between exact inverses, 0.5 makes the fewest iterations.
 pub const SIGMA: f64 = 0.5;
 
-/// Iterative solves of transformed systems go at least this far in a round: their residual is not the one that is judged.
+/// Other iterative solves of transformed systems go at least this far in a round: their residual is not the one that is judged.
 const TRANSFORMED_TOLERANCE: f64 = 1e-8;
+
+/// The factored two-field solve takes rounds, each to this, or to this share of what is left: more of the transformed residual says little
+/// of the one that is judged.
+const ROUND_TOLERANCE: f64 = 1e-4;
+const ROUND_SHARE: f64 = 0.3;
 
 /// Relative residual of the solves with S inside an iteration, where S has no factor.
 const INNER_TOLERANCE: f64 = 1e-13;
@@ -183,7 +188,7 @@ pub fn solve_coupled(
                     &preconditioner,
                     &rhs,
                     &mut x,
-                    tolerance.min(TRANSFORMED_TOLERANCE),
+                    (ROUND_SHARE * tolerance).max(ROUND_TOLERANCE),
                     left as usize,
                 );
                 iterated(x, report)
