@@ -2,16 +2,21 @@
 
 use std::time::Instant;
 
+use cutwater::geometry::{ObstacleCut, SolidClip};
 use cutwater::linalg::SymbolicCholesky;
 use cutwater::reference::base_scene::{BaseBeam, BaseScene};
 use cutwater::reference::{
     CoupledSolution, CoupledSystem, Formulation, SIGMA, SolidSolver, StressVariables, solve_coupled,
 };
 use cutwater::scene::Solver;
+use cutwater::sim::{Backend, Simulation};
 use cutwater::state::SolveStatus;
+use glam::DVec3;
 
 use crate::Case;
+use crate::liquid::written;
 use crate::sheet::Sheet;
+use crate::solid_scene::solids_of;
 
 pub(crate) fn cases() -> Vec<Case> {
     let beams = [
@@ -28,6 +33,8 @@ pub(crate) fn cases() -> Vec<Case> {
         }));
     }
     cases.push(Case::new("C3", parameters));
+    cases.push(Case::new("C4", seconds_of_clip));
+    cases.push(Case::new("C5", neutral_block));
     cases
 }
 
@@ -183,5 +190,110 @@ fn parameters(sheet: &mut Sheet) {
         let solution = Base::new(40, &beam).solve(Formulation::Condensed, 1e-8);
         let iterations = f64::from(solution.reports[0].iterations);
         sheet.at_most(&format!("condensed, {name}: iterations"), iterations, bound);
+    }
+}
+
+/// Clipping, open areas, distances and J at 100^3, of solids with about 3,000 surface triangles: at most 15 % of a step of 2 s.
+fn seconds_of_clip(sheet: &mut Sheet) {
+    for (what, size, bricks) in [
+        ("beam", [0.1, 0.6, 0.1], [6, 58, 6]),
+        ("block", [0.4, 0.4, 0.4], [16, 16, 16]),
+        ("plate", [0.8, 0.04, 0.8], [26, 1, 26]),
+    ] {
+        let scene = written(&format!(
+            "[domain]
+size = [1, 1, 1]
+cells = [100, 100, 100]
+[time]
+duration = 1
+[[solid]]
+name = \"body\"
+mesh = {{ box = {{ size = {size:?}, cells = {bricks:?} }} }}
+placement = {{ translate = [0.5, 0.5, 0.5], rotate = {{ axis = [1, 2, 3], degrees = 20 }} }}
+density = 1000
+young = 1e6
+poisson = 0.3
+"
+        ));
+        let (grid, solids) = (scene.grid(), solids_of(&scene));
+        let mut clip = SolidClip::new(&grid, ObstacleCut::none(&grid), &scene.solver);
+        let mut seconds: Vec<f64> = (0..11)
+            .map(|step| {
+                let moved = vec![[1e-3 * f64::from(step), 2e-3, 0.0]; solids.rest.len()];
+                let start = Instant::now();
+                clip.clip(&solids.moved(&moved));
+                start.elapsed().as_secs_f64()
+            })
+            .collect();
+        seconds.sort_by(f64::total_cmp);
+        let triangles = solids.triangles.len();
+        let what = format!("clip of a {what} of {triangles} triangles: median seconds of 11");
+        sheet.at_most(&what, seconds[5], 0.3);
+        sheet.told(
+            "patches; least and most seconds",
+            format!(
+                "{}; {:.3}, {:.3}",
+                clip.patches().len(),
+                seconds[0],
+                seconds[10]
+            ),
+        );
+    }
+}
+
+/// A turned block as heavy as the liquid around it, one step from rest: its accelerations, in g.
+fn neutral_block(sheet: &mut Sheet) {
+    const DT: f64 = 1.0 / 120.0;
+    for (n, pressure) in [
+        (20, "hydrostatic"),
+        (30, "hydrostatic"),
+        (40, "hydrostatic"),
+        (20, "cell"),
+        (40, "cell"),
+    ] {
+        let scene = written(&format!(
+            "[domain]
+size = [1, 1, 1]
+cells = [{n}, {n}, {n}]
+[time]
+duration = 1
+frames_per_second = 120
+fixed_step = {DT:?}
+[liquid]
+surface = \"fixed\"
+[[liquid.region]]
+box = {{ min = [0, 0, 0], max = [1, 0.81, 1] }}
+[[solid]]
+name = \"block\"
+mesh = {{ box = {{ size = [0.3, 0.24, 0.2], cells = [6, 5, 4] }} }}
+placement = {{ translate = [0.51, 0.43, 0.47], rotate = {{ axis = [1, 2, 3], degrees = 37 }} }}
+density = 1000.0
+young = 1e10
+poisson = 0.3
+[solver]
+tolerance = 1e-10
+pressure_on_patches = \"{pressure}\"
+"
+        ));
+        let mut simulation = Simulation::new(&scene, &Backend::Cpu).expect("the scene is sound");
+        simulation.step().expect("a step");
+        let (state, solids) = (simulation.state().expect("a state"), simulation.solids());
+        let (mut momentum, mut largest) = (DVec3::ZERO, 0.0);
+        for (v, mass) in state.node_velocity.iter().zip(&solids.mass) {
+            momentum += *mass * DVec3::from(*v);
+            largest = f64::max(largest, DVec3::from(*v).length());
+        }
+        let mass: f64 = solids.mass.iter().sum();
+        let [mean, largest] = [momentum.length() / mass, largest].map(|v| v / (9.81 * DT));
+        let what = format!("{n}³, \"{pressure}\": acceleration of the block");
+        if pressure == "hydrostatic" {
+            sheet.at_most(&format!("{what}, mean, g"), mean, 1e-4);
+            sheet.at_most(&format!("{what}, largest of a node, g"), largest, 1e-3);
+        } else {
+            sheet.told(
+                &what,
+                format!("mean {mean:.1e} g, largest of a node {largest:.1e} g"),
+            );
+        }
     }
 }

@@ -36,7 +36,7 @@ fn shipped(name: &str, overrides: &[&str], scale: f64) -> Scene {
         .unwrap_or_else(|error| panic!("{error}"))
 }
 
-fn written(text: &str) -> Scene {
+pub(crate) fn written(text: &str) -> Scene {
     let folder = tempfile::tempdir().expect("a folder for the scene");
     let path = folder.path().join("case.toml");
     fs::write(&path, text).expect("the scene is written");
