@@ -4,6 +4,14 @@ const NORM_B = 1u;      // |b|^2
 const NORM_TERMS = 2u;  // squared norm of the terms that b sums: of | |E| |u*| | for the pressure
 const NORM_LAST = 3u;   // |r|^2 before the last correction
 const SCALE = 4u;       // |r| by which the round's right-hand side was divided; negative to take a correction back
+// Of coupled systems, whose first four are the pressure's.
+const NORM_R_V = 5u;        // |r|^2 of the solids' rows, of the last evaluation
+const NORM_B_V = 6u;        // of their right-hand side
+const NORM_TERMS_V = 7u;    // squared norm of the terms that it sums
+const NORM_D_V = 8u;        // |D v|^2, D the diagonal
+const UNKNOWNS_V = 9u;     // free directions of the nodes
+const STRICTNESS = 11u;       // by what a round aims below its goal
+const NORM_BEST_V = 10u;    // |r|^2 of the solids' rows, of the iterate that is kept
 
 // What the outer loop is to reach: solver::RefineSettings is the same struct on the host.
 struct RefineSettings {

@@ -27,6 +27,7 @@
 
 mod chebyshev;
 mod components;
+mod coupling;
 mod hierarchy;
 mod host_residual;
 mod pcg;
@@ -38,9 +39,11 @@ mod solid_host;
 mod solid_solver;
 mod solid_system;
 mod system;
+mod two_field;
 
 pub use chebyshev::Polynomial;
 pub use components::Components;
+pub use coupling::{Coupling, CouplingBuffers, CouplingSize, Pair};
 pub use hierarchy::{Hierarchy, Tail, TailStep};
 pub use plan::small_buffers;
 pub use pressure::PressureSolver;
@@ -51,6 +54,7 @@ pub use solid_system::{Rows, SolidFields, SolidRows, SolidSystem, SolidSystemBuf
 pub use system::{
     ActiveSettings, Everywhere, LevelPlan, PressureSystem, SolverBuffers, Within, variant,
 };
+pub use two_field::{CoupledFields, CoupledOutcome, TwoFieldSolver};
 
 use crate::grid::Layout;
 

@@ -73,6 +73,8 @@ pub(super) struct Unknowns<'a> {
     pub(super) level: Level,
     /// Lists whose dispatch sizes open while a round runs; the first is that of the quads.
     pub(super) n_lists: usize,
+    /// First word of the length of the partials of a round in `args`.
+    pub(super) sums: u32,
     /// Whether sums take two levels: one workgroup alone would be slow on a wide device.
     pub(super) long_sums: bool,
     /// Scalar types of the outer loop (`real`) and of the rounds (`inner`).
@@ -173,17 +175,19 @@ pub(super) struct Fold {
 }
 
 impl Fold {
-    /// Binds a one-workgroup kernel that sums `partials` and goes on from there with the `other` bindings.
+    /// Binds a one-workgroup kernel that sums `partials`, whose length stands after word `sums` of the arguments, and goes on from there
+    /// with the `other` bindings.
     pub(super) fn new(
         gpu: &Gpu,
         unknowns: &Unknowns,
         kernel: &Kernel,
-        [partials, folded]: [&RealBuffer; 2],
+        ([partials, folded], sums): ([&RealBuffer; 2], u32),
         other: &[(&str, crate::gpu::Binding)],
     ) -> Result<Fold, Error> {
-        let level = gpu.uniform(unknowns.labels.level, &unknowns.level)?;
-        let args = ("args", unknowns.args.into());
         let mut total = unknowns.level;
+        total.args = sums;
+        let level = gpu.uniform(unknowns.labels.level, &total)?;
+        let args = ("args", unknowns.args.into());
         let mut summed = partials;
         let mut first = None;
         if unknowns.long_sums {
@@ -223,7 +227,7 @@ impl Fold {
     }
 
     /// Records the sum behind the gate: slot 0 has one workgroup, slot 1 those of the first level.
-    fn record_gated(&self, pass: &mut Pass, gate: &Buffer<u32>) {
+    pub(super) fn record_gated(&self, pass: &mut Pass, gate: &Buffer<u32>) {
         if let Some(first) = &self.first {
             pass.dispatch_indirect(first, gate, 1);
         }
@@ -235,9 +239,9 @@ impl Fold {
 #[derive(Debug)]
 pub(super) struct Pcg {
     open: Bound,
-    beta: Fold,
-    direction: Bound,
-    alpha: Fold,
+    pub(super) beta: Fold,
+    pub(super) direction: Bound,
+    pub(super) alpha: Fold,
 }
 
 impl Pcg {
@@ -255,7 +259,7 @@ impl Pcg {
         let gated = ("gated", (&state.gated).into());
         let fold = |kernel: &Kernel| {
             let other = [scalars, control, gated];
-            let sums = [unknowns.partials, &state.folded];
+            let sums = ([unknowns.partials, &state.folded], unknowns.sums);
             Fold::new(gpu, unknowns, kernel, sums, &other)
         };
         let open = kernel(&crate::wgsl!("pcg_gate"))?

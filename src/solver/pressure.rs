@@ -81,7 +81,7 @@ impl PressureSolver {
 
 /// The kernels of the pressure's system.
 #[derive(Debug)]
-struct Pressure {
+pub(super) struct Pressure {
     measure: Bound,
     residual: Bound,
     begin: Bound,
@@ -97,7 +97,7 @@ enum Precondition {
 }
 
 /// The first sweep of a V-cycle, from zero, which the kernels that write r do on the way.
-const FIRST_SWEEP: Sweep = Sweep {
+pub(super) const FIRST_SWEEP: Sweep = Sweep {
     omega: OMEGA[0],
     ends_cycle: 0,
     pad_0: 0,
@@ -105,7 +105,7 @@ const FIRST_SWEEP: Sweep = Sweep {
 };
 
 impl Pressure {
-    fn new(
+    pub(super) fn new(
         gpu: &Gpu,
         buffers: &SolverBuffers,
         state: &State,
@@ -265,6 +265,7 @@ impl System for Pressure {
             labels: &LABELS,
             level: plan.level(0),
             n_lists: plan.len(),
+            sums: plan.level(0).args,
             long_sums: plan.long_sums(),
             variant: *variant,
             flags,

@@ -15,7 +15,7 @@ use super::pcg::{Fold, N_SCALARS, Pcg, State, Unknowns};
 use super::{Control, Level};
 
 /// Slots of the norms: `shaders/common/refine.wgsl` names them.
-pub(super) const N_NORMS: usize = 8;
+pub(super) const N_NORMS: usize = 12;
 const NORM_R: usize = 0;
 const NORM_B: usize = 1;
 const NORM_TERMS: usize = 2;
@@ -219,7 +219,7 @@ impl<S: System> OuterLoop<S> {
         ];
         let sum = |kernel: Kernel, other: &[_]| {
             let sums = [unknowns.outer_partials, &state.outer_folded];
-            Fold::new(gpu, &unknowns, &kernel, sums, other)
+            Fold::new(gpu, &unknowns, &kernel, (sums, unknowns.level.args), other)
         };
         let start = sum(kernel(&crate::wgsl!("refine_start"))?, &shared)?;
         let mut turn = shared.to_vec();
@@ -551,7 +551,7 @@ pub(super) fn host_turns(solver: &Solver, variant: Variant) -> bool {
 }
 
 /// Rounds in f32 end early; those as precise as the residual take one to do it all.
-fn round_floor(inner: Real) -> f32 {
+pub(super) fn round_floor(inner: Real) -> f32 {
     match inner {
         Real::F32 => ROUND_FLOOR_F32,
         Real::F64 => 0.0,
@@ -559,6 +559,6 @@ fn round_floor(inner: Real) -> f32 {
 }
 
 /// sqrt(rr / bb), and 0 where b is nothing: its squares may be below what f32 can tell from 0, and then the unknowns that are 0 solve it.
-fn relative(rr: f64, bb: f64) -> f64 {
+pub(super) fn relative(rr: f64, bb: f64) -> f64 {
     if bb == 0.0 { 0.0 } else { (rr / bb).sqrt() }
 }

@@ -196,7 +196,7 @@ struct Elastic {
 }
 
 #[derive(Debug)]
-enum Chebyshev {
+pub(super) enum Chebyshev {
     /// All steps in one dispatch, a workgroup per solid.
     Workgroups(Bound),
     /// A dispatch per step.
@@ -257,7 +257,7 @@ impl Elastic {
             )?,
             begin: kernel(&crate::wgsl!("solid_begin"))?
                 .bind(gpu, &[rows, ("norms", norms.into()), outer, r, search])?,
-            preconditioner: Chebyshev::new(gpu, buffers, polynomial)?,
+            preconditioner: Chebyshev::new(gpu, buffers, polynomial, &buffers.r, &buffers.z)?,
             apply: kernel(&crate::wgsl!("solid_apply"))?.bind(
                 gpu,
                 &[
@@ -287,10 +287,13 @@ impl Elastic {
 }
 
 impl Chebyshev {
-    fn new(
+    /// Binds z = p(D^-1 S) D^-1 r.
+    pub(super) fn new(
         gpu: &Gpu,
         buffers: &SolidSystemBuffers,
         polynomial: &Buffer<Polynomial>,
+        r: &RealBuffer,
+        z: &RealBuffer,
     ) -> Result<Chebyshev, Error> {
         let kernel = |source| Kernel::new(gpu, source, buffers.variant);
         let bindings = [
@@ -299,10 +302,10 @@ impl Chebyshev {
             ("list", (&buffers.list).into()),
             ("blocks", (&buffers.blocks).into()),
             ("inverse", (&buffers.inverse).into()),
-            ("r", (&buffers.r).into()),
+            ("r", r.into()),
             ("pair", (&buffers.pair).into()),
             ("increment", (&buffers.increment).into()),
-            ("z", (&buffers.z).into()),
+            ("z", z.into()),
             ("partials", (&buffers.partials).into()),
         ];
         if in_workgroups(buffers.largest_body, buffers.sizes.n_bodies as usize) {
@@ -317,6 +320,32 @@ impl Chebyshev {
             kernel.bind(gpu, &bindings)
         });
         Ok(Chebyshev::Sweeps(sweeps.collect::<Result<_, _>>()?))
+    }
+
+    /// Records it; `sizes` has the dispatch sizes of nodes and of solids in these slots.
+    pub(super) fn record(
+        &self,
+        pass: &mut Pass,
+        sizes: &Buffer<u32>,
+        [nodes, bodies]: [usize; 2],
+        degree: usize,
+    ) {
+        match self {
+            Chebyshev::Workgroups(bound) => pass.dispatch_indirect(bound, sizes, bodies),
+            Chebyshev::Sweeps(sweeps) => {
+                for sweep in &sweeps[..=degree] {
+                    pass.dispatch_indirect(sweep, sizes, nodes);
+                }
+            }
+        }
+    }
+
+    /// Dispatches that it takes.
+    pub(super) fn dispatches(&self, degree: usize) -> usize {
+        match self {
+            Chebyshev::Workgroups(_) => 1,
+            Chebyshev::Sweeps(_) => degree + 1,
+        }
     }
 }
 
@@ -334,6 +363,7 @@ impl System for Elastic {
             labels: &LABELS,
             level: buffers.level(),
             n_lists: N_LISTS,
+            sums: buffers.level().args,
             long_sums: buffers.long_sums,
             variant: rounds(buffers.variant),
             flags: fields.flags,
@@ -351,10 +381,7 @@ impl System for Elastic {
     }
 
     fn pace(&self, case: Case<'_>) -> Pace {
-        let steps = match self.preconditioner {
-            Chebyshev::Workgroups(_) => 1,
-            Chebyshev::Sweeps(_) => case.degree + 1,
-        };
+        let steps = self.preconditioner.dispatches(case.degree);
         Pace {
             chunk: (AHEAD / (DISPATCHES + steps))
                 .next_multiple_of(super::refine::BLOCK)
@@ -379,14 +406,8 @@ impl System for Elastic {
     }
 
     fn record_preconditioner(&self, pass: &mut Pass, state: &State, case: Case<'_>) {
-        match &self.preconditioner {
-            Chebyshev::Workgroups(bound) => state.in_round(pass, bound, BODIES),
-            Chebyshev::Sweeps(sweeps) => {
-                for sweep in &sweeps[..=case.degree] {
-                    state.in_round(pass, sweep, NODES);
-                }
-            }
-        }
+        self.preconditioner
+            .record(pass, &state.gated, [NODES, BODIES], case.degree);
     }
 
     fn record_operator(&self, pass: &mut Pass, sizes: &Buffer<u32>) {

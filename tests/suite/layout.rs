@@ -86,6 +86,15 @@ fn solver_structs_match() {
 }
 
 #[test]
+fn coupling_matches() {
+    use cutwater::solver::Coupling;
+    let fields = fields!(
+        Coupling: n_wet, n_nodes, quad_starts, node_starts, mass, share, pad_0, pad_1
+    );
+    assert_layout("coupling", "Coupling", fields, size_of::<Coupling>());
+}
+
+#[test]
 fn step_matches() {
     let fields = fields!(
         Step: gravity, dt, size, dx, inv_dx, frame, volume_0, density, marker_radius, theta_floor,

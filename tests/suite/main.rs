@@ -54,3 +54,4 @@ mod twin_node_forces;
 mod twin_probe;
 mod twin_right_hand_side;
 mod twin_write_back;
+mod two_field;

@@ -1,0 +1,24 @@
+// Two-field PCG, for nodes: x = x + alpha s, r = r - alpha q.
+// coupling. scalars: see pcg_slots. search: direction, then correction. q_in: A s. r: in and out.
+#import coupling
+#import dispatch
+#import inner
+#import pcg_slots
+#import real
+
+@group(0) @binding(0) var<uniform> coupling: Coupling;
+@group(0) @binding(1) var<storage, read> scalars: array<Inner>;
+@group(0) @binding(2) var<storage, read_write> search: array<Real4>;
+@group(0) @binding(3) var<storage, read> q_in: array<Real4>;
+@group(0) @binding(4) var<storage, read_write> r: array<Real4>;
+
+@compute @workgroup_size(WG_SIZE)
+fn two_field_update(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let node = linear_index(workgroup, lane);
+    if node >= coupling.n_nodes {
+        return;
+    }
+    let alpha = Real(scalars[ALPHA]);
+    search[coupling.n_nodes + node] += alpha * search[node];
+    r[node] -= alpha * q_in[node];
+}

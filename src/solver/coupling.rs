@@ -1,0 +1,232 @@
+//! J between liquid and solids on the device, in the units of the pressure's system, and what a coupled solve computes with.
+
+use crate::Error;
+use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, RealBuffer, WG_SIZE, groups};
+
+use super::pcg::{Labels, labels};
+use super::solid_system::SolidSystemBuffers;
+use super::{FOLD_THREADS, SolverBuffers};
+
+pub(super) const LABELS: Labels = labels!("coupled_solver");
+
+/// Lists of a coupled system after those of the levels, in the order of `shaders/coupled_args.wgsl`: nodes, solids, wet quads, and a
+/// slot for the length of the partials.
+pub(super) const N_LISTS: usize = 4;
+/// Slots of those lists, from the number of levels on.
+pub(super) const NODES: usize = 0;
+pub(super) const BODIES: usize = 1;
+pub(super) const WET: usize = 2;
+pub(super) const PARTIALS: usize = 3;
+
+/// Share of zeta_M M in Z1: design section 5.
+const SIGMA: f32 = 0.5;
+
+/// The doppelganger of `Coupling` in `shaders/common/coupling.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct Coupling {
+    /// Quads with patches.
+    pub n_wet: u32,
+    /// Nodes.
+    pub n_nodes: u32,
+    /// First word of where the pairs of the wet quads start.
+    pub quad_starts: u32,
+    /// First word of where the pairs of the nodes start.
+    pub node_starts: u32,
+    /// rho dx^3 / dt, kg/s.
+    pub mass: f32,
+    /// sigma.
+    pub share: f32,
+    /// Nothing.
+    pub pad_0: u32,
+    /// Nothing.
+    pub pad_1: u32,
+}
+
+/// A cell and a node that patches join.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pair {
+    /// Index of the cell in the padded layout.
+    pub cell: usize,
+    /// Among the nodes of all solids.
+    pub node: usize,
+    /// Area over dx^2 times the unit normal into the solid, shared out by the weights at the patch's centroid.
+    pub value: [f32; 3],
+}
+
+/// How much room there is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CouplingSize {
+    /// Quads with patches, at most.
+    pub quads: usize,
+    /// Pairs, at most.
+    pub pairs: usize,
+}
+
+/// J, and the vectors of a coupled solve over nodes and wet quads.
+#[derive(Debug)]
+pub struct CouplingBuffers {
+    size: CouplingSize,
+    n_nodes: usize,
+    n_bodies: usize,
+    n_levels: usize,
+    pub(super) coupling: Buffer<Coupling>,
+    /// Wet quads, where their pairs start, where those of the nodes start.
+    pub(super) words: Buffer<u32>,
+    /// By wet quad: bits of the value, 4 node + lane.
+    pub(super) quad_pairs: Buffer<[u32; 4]>,
+    /// By node: bits of the value, padded index of the cell.
+    pub(super) node_pairs: Buffer<[u32; 4]>,
+    sizes: Buffer<u32>,
+    /// Dispatch size and length of all lists; after them the length of folded partials.
+    pub(super) args: Buffer<u32>,
+    /// Of the wet quads, then of the nodes.
+    pub(super) partials: RealBuffer,
+    /// g_p of the wet quads while the V-cycle has another right-hand side.
+    pub(super) kept: RealBuffer,
+    /// Right-hand side of the wet quads before anything flows through solids.
+    pub(super) base: RealBuffer,
+    pub(super) t: RealBuffer,
+    pub(super) difference: RealBuffer,
+    measure: Bound,
+}
+
+impl CouplingBuffers {
+    /// Allocates for the systems of a liquid and of solids. Nothing is coupled until [`CouplingBuffers::write`].
+    ///
+    /// # Errors
+    /// [`Error::Limit`] where the adapter is too small.
+    pub fn new(
+        gpu: &Gpu,
+        liquid: &SolverBuffers,
+        solids: &SolidSystemBuffers,
+        size: CouplingSize,
+    ) -> Result<CouplingBuffers, Error> {
+        let (n, n_levels) = (solids.sizes.n_nodes as usize, liquid.plan.len());
+        let variant = liquid.variant;
+        let words = 2 * size.quads + n + 2;
+        let n_args = 4 * (n_levels + N_LISTS + 1);
+        let real = |label: &str, len: usize| RealBuffer::new(gpu, label, len, variant.real);
+        let coupling = gpu.uniform("coupling.coupling", &Coupling::default())?;
+        let sizes = gpu.buffer("coupling.sizes", 4 * (N_LISTS + 1))?;
+        let args = gpu.buffer("coupling.args", n_args)?;
+        let measure = Kernel::new(gpu, &crate::wgsl!("coupled_args"), variant)?.bind(
+            gpu,
+            &[
+                ("coupling", (&coupling).into()),
+                ("from_args", (&liquid.args).into()),
+                ("sizes", (&sizes).into()),
+                ("args", (&args).into()),
+            ],
+        )?;
+        Ok(CouplingBuffers {
+            size,
+            n_nodes: n,
+            n_bodies: solids.sizes.n_bodies as usize,
+            n_levels,
+            coupling,
+            words: gpu.buffer("coupling.words", words)?,
+            quad_pairs: gpu.buffer("coupling.quad_pairs", size.pairs)?,
+            node_pairs: gpu.buffer("coupling.node_pairs", size.pairs)?,
+            sizes,
+            args,
+            partials: real("coupling.partials", 4 * (size.quads + n))?,
+            kept: RealBuffer::new(gpu, "coupling.kept", 4 * size.quads, variant.inner)?,
+            base: real("coupling.base", 4 * size.quads)?,
+            t: real("coupling.t", 4 * n)?,
+            difference: real("coupling.difference", 4 * n)?,
+            measure,
+        })
+    }
+
+    /// Slot of a list.
+    pub(super) fn slot(&self, list: usize) -> usize {
+        self.n_levels + list
+    }
+
+    /// Replaces J. `pairs`: by cell, then by node; `mass`: rho dx^3 / dt, kg/s.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] when there is no room for as many.
+    pub fn write(&mut self, gpu: &Gpu, pairs: &[Pair], mass: f64) -> Result<(), Error> {
+        let (mut quads, mut starts) = (Vec::<u32>::new(), Vec::new());
+        let mut by_quad = Vec::with_capacity(pairs.len());
+        let words = |value: [f32; 3], last: u32| {
+            let [x, y, z] = value.map(f32::to_bits);
+            [x, y, z, last]
+        };
+        for pair in pairs {
+            let (quad, lane) = ((pair.cell / 4) as u32, (pair.cell % 4) as u32);
+            if quads.last() != Some(&quad) {
+                quads.push(quad);
+                starts.push(by_quad.len() as u32);
+            }
+            by_quad.push(words(pair.value, 4 * pair.node as u32 + lane));
+        }
+        starts.push(by_quad.len() as u32);
+        for (what, needed, available) in [
+            ("quads of cells with patches", quads.len(), self.size.quads),
+            ("pairs of cells and nodes", pairs.len(), self.size.pairs),
+        ] {
+            if needed > available {
+                return Err(Error::Limit {
+                    what: "the surfaces of the solids".to_owned(),
+                    needed: needed as u64,
+                    available: available as u64,
+                    unit: what,
+                    cure: "use coarser meshes, or --backend cpu".to_owned(),
+                });
+            }
+        }
+        let mut by_node: Vec<&Pair> = pairs.iter().collect();
+        // Stable: cells stay in order.
+        by_node.sort_by_key(|pair| pair.node);
+        let mut node_starts = vec![0; self.n_nodes + 1];
+        for pair in &by_node {
+            node_starts[pair.node + 1] += 1;
+        }
+        for node in 0..self.n_nodes {
+            node_starts[node + 1] += node_starts[node];
+        }
+        let by_node: Vec<[u32; 4]> = by_node
+            .iter()
+            .map(|pair| words(pair.value, pair.cell as u32))
+            .collect();
+        let n_wet = quads.len() as u32;
+        let coupling = Coupling {
+            n_wet,
+            n_nodes: self.n_nodes as u32,
+            quad_starts: n_wet,
+            node_starts: 2 * n_wet + 1,
+            mass: mass as f32,
+            share: SIGMA,
+            pad_0: 0,
+            pad_1: 0,
+        };
+        let mut all = quads;
+        all.append(&mut starts);
+        all.append(&mut node_starts);
+        let mut sizes = Vec::new();
+        for (n, per_group) in [
+            (self.n_nodes as u32, WG_SIZE),
+            (self.n_bodies as u32, 1),
+            (n_wet, WG_SIZE),
+        ] {
+            sizes.extend(groups(n.div_ceil(per_group)));
+            sizes.push(n);
+        }
+        sizes.extend([0; 4]);
+        sizes.extend([0, 0, 0, FOLD_THREADS as u32]);
+        gpu.upload(&self.coupling, &[coupling]);
+        gpu.upload(&self.words, &all);
+        gpu.upload(&self.quad_pairs, &by_quad);
+        gpu.upload(&self.node_pairs, &by_node);
+        gpu.upload(&self.sizes, &sizes);
+        Ok(())
+    }
+
+    /// Records the sizes of all lists, once the active cells are known.
+    pub fn record_args(&self, pass: &mut Pass) {
+        pass.dispatch(&self.measure, 1);
+    }
+}
