@@ -6,7 +6,7 @@ use clap::{Args, Subcommand, ValueEnum};
 use cutwater::Error;
 use cutwater::gpu::Gpu;
 use cutwater::measure::bench_solids;
-use cutwater::measure::bench_solve::{self, Options};
+use cutwater::measure::bench_solve::{self, Formulation, Options};
 use cutwater::measure::bench_sort;
 use cutwater::measure::bench_step;
 use cutwater::measure::table::Machine;
@@ -23,7 +23,7 @@ pub(super) struct Bench {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// The pressure solve on the pressure-only base block, against the grid: solve.csv, solve.json, solve.svg
+    /// The solve against the grid, on the base block and, with a beam, on the base scene: solve.csv, solve.json, solve.svg
     Solve(Solve),
     /// The solve of elastic solids against their size, and against sparse Cholesky: solids.csv, solids.json, solids.svg
     Solids(Solids),
@@ -131,7 +131,10 @@ struct Solve {
     /// Precisions to measure
     #[arg(long, value_enum, value_delimiter = ',', default_values_t = [PrecisionName::Mixed])]
     precision: Vec<PrecisionName>,
-    /// Preconditioners to measure
+    /// Systems to solve: pressures on the base block, or pressures and the velocities of a beam on the base scene
+    #[arg(long, value_enum, value_delimiter = ',', default_values_t = [FormulationName::Pressure])]
+    formulation: Vec<FormulationName>,
+    /// Preconditioners of the pressure to measure
     #[arg(long, value_enum, value_delimiter = ',', default_values_t = [PreconditionerName::Multigrid])]
     preconditioner: Vec<PreconditionerName>,
     /// PCG iterations in all rounds
@@ -145,6 +148,12 @@ struct Solve {
     out: PathBuf,
     #[command(flatten)]
     adapter: AdapterArgs,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum FormulationName {
+    Pressure,
+    TwoField,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -398,20 +407,27 @@ impl Solve {
                 });
             }
         }
+        let formulations = self.formulation.iter().map(|name| match name {
+            FormulationName::Pressure => Formulation::Pressure,
+            FormulationName::TwoField => Formulation::TwoField,
+        });
         let options = Options {
+            formulations: formulations.collect(),
             grids: self.grids.clone(),
             repeats: self.repeats,
             solvers,
             matrices: self.matrices,
         };
         say!(
-            "grid  unknowns  preconditioner precision  iterations  seconds (least, largest)  residual"
+            "grid  cells     nodes  formulation  preconditioner precision  iterations  seconds (least, largest)  residuals"
         );
         let table = bench_solve::bench_solve(&gpu, &options, &self.out, &mut |row| {
             say!(
-                "{:4}  {:8}  {:14} {:9}  {:10}  {:.4} ({:.4}, {:.4})  {:.1e} {}",
+                "{:4}  {:8}  {:5}  {:11}  {:14} {:9}  {:10}  {:.4} ({:.4}, {:.4})  {:.1e} {:.1e} {}",
                 row.grid,
                 row.active_cells,
+                row.solid_nodes,
+                row.formulation,
                 row.preconditioner,
                 row.precision,
                 row.iterations,
@@ -419,6 +435,7 @@ impl Solve {
                 row.seconds_min,
                 row.seconds_max,
                 row.residual_p,
+                row.residual_v,
                 row.status,
             );
         })?;

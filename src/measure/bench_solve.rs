@@ -1,6 +1,6 @@
-//! `bench solve`: the pressure solve against the grid, on the pressure-only base block.
+//! `bench solve`: the solve against the grid, of the pressure on the pressure-only base block, and of liquid and solids on the base scene.
 //!
-//! A run is timed from the recording of the hierarchy's set-up to the verdict on the host. The first run of each row, which
+//! A run is timed from the recording of the set-up of hierarchy and, with solids, of their elements to the verdict on the host. The first run of each row, which
 //! compiles, is not counted. Bytes follow the model of `bytes_per_solve`: every array that a pass needs, once.
 
 use std::fs;
@@ -16,15 +16,40 @@ use crate::grid::{Axis, Padded};
 use crate::linalg;
 use crate::output::write_atomically;
 use crate::reference::base_block::{BaseBlock, THETA_FLOOR};
+use crate::reference::base_scene::{BaseBeam, BaseScene};
 use crate::scene::{Precision, Preconditioner, Solver};
-use crate::solver::{Everywhere, Outcome, PressureSolver, PressureSystem, SolverBuffers};
+use crate::solver::{
+    CoupledOutcome, Everywhere, Outcome, PressureSolver, PressureSystem, SolverBuffers,
+};
 
+use super::base_scene::DeviceScene;
+use super::solid_bytes::SolidBytes;
 use super::statistics::Spread;
 use super::table::{Machine, write_csv, write_json, write_svg};
+
+/// What is solved for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Formulation {
+    /// Pressures, without solids.
+    Pressure,
+    /// Pressures and velocities of solids, thesis (5.25) in factored form.
+    TwoField,
+}
+
+impl Formulation {
+    fn name(self) -> &'static str {
+        match self {
+            Formulation::Pressure => "pressure",
+            Formulation::TwoField => "two-field",
+        }
+    }
+}
 
 /// What to measure.
 #[derive(Clone, Debug)]
 pub struct Options {
+    /// The systems.
+    pub formulations: Vec<Formulation>,
     /// Cells along an edge of the block.
     pub grids: Vec<usize>,
     /// Runs per row.
@@ -38,15 +63,15 @@ pub struct Options {
 /// A row of solve.csv.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
-    /// `base_block`.
+    /// `base_block`, or `base_scene` with solids.
     pub scene: &'static str,
     /// Cells along an edge.
     pub grid: usize,
     /// Unknowns.
     pub active_cells: u32,
-    /// None in this scene.
+    /// Nodes of the solids: of the beam that the thesis has on a grid of this size.
     pub solid_nodes: u32,
-    /// Pressures alone.
+    /// `pressure` or `two-field`.
     pub formulation: &'static str,
     /// `multigrid` or `jacobi`.
     pub preconditioner: &'static str,
@@ -68,7 +93,7 @@ pub struct Row {
     pub seconds_max: f64,
     /// True relative residual, f64.
     pub residual_p: f64,
-    /// No solid, no residual: 0.
+    /// That of the solids' rows; 0 without solids.
     pub residual_v: f64,
     /// Unknowns times iterations per second.
     pub cell_iterations_per_second: f64,
@@ -150,10 +175,16 @@ pub fn bench_solve(
         if options.matrices {
             write_matrices(&block, n, out)?;
         }
-        for solver in &options.solvers {
-            let row = measure(gpu, &block, solver, options.repeats, &table.machine)?;
-            tell(&row);
-            table.rows.push(row);
+        for &formulation in &options.formulations {
+            for solver in &options.solvers {
+                let (repeats, machine) = (options.repeats, &table.machine);
+                let row = match formulation {
+                    Formulation::Pressure => measure(gpu, &block, solver, repeats, machine)?,
+                    Formulation::TwoField => measure_coupled(gpu, n, solver, repeats, machine)?,
+                };
+                tell(&row);
+                table.rows.push(row);
+            }
         }
     }
     write_csv(&table.rows, &out.join("solve.csv"))?;
@@ -235,21 +266,12 @@ fn measure(
         seconds.push(elapsed);
     }
     let seconds = Spread::of(seconds);
-    let flags = gpu.download(&buffers.flags)?;
-    let quads = flags[..padded.quads]
-        .iter()
-        .filter(|&&flag| flag != 0)
-        .count() as f64;
-    let uniform = flags[..padded.quads]
-        .iter()
-        .filter(|&&flag| flag >> 31 == 1)
-        .count() as f64;
-    let width = |real: Real| real.bytes() as f64;
-    let widths = [width(buffers.variant.inner), width(buffers.variant.real)];
+    let not_uniform = not_uniform(gpu, &buffers)?;
+    let widths = widths(&buffers);
     let (unknowns, iterations) = (f64::from(outcome.unknowns), f64::from(outcome.iterations));
     let bytes = bytes_per_solve(
         unknowns,
-        1.0 - uniform / quads.max(1.0),
+        not_uniform,
         iterations,
         f64::from(outcome.rounds),
         widths,
@@ -259,11 +281,8 @@ fn measure(
         grid: grid.cells[0],
         active_cells: outcome.unknowns,
         solid_nodes: 0,
-        formulation: "pressure",
-        preconditioner: match solver.preconditioner {
-            Preconditioner::Multigrid => "multigrid",
-            Preconditioner::Jacobi => "jacobi",
-        },
+        formulation: Formulation::Pressure.name(),
+        preconditioner: preconditioner(solver),
         precision: name(solver.precision),
         tolerance: solver.tolerance,
         status: outcome.status.name(),
@@ -278,6 +297,100 @@ fn measure(
         bytes,
         share_of_copy_bandwidth: machine.share_of_copy_bandwidth(bytes, seconds.median),
     })
+}
+
+/// The beam that the thesis has on about so many cells along an edge.
+fn bricks(n: usize) -> [usize; 3] {
+    match n {
+        ..50 => [2, 2, 14],
+        50..70 => [3, 3, 21],
+        _ => [4, 4, 28],
+    }
+}
+
+fn measure_coupled(
+    gpu: &Gpu,
+    n: usize,
+    solver: &Solver,
+    repeats: usize,
+    machine: &Machine,
+) -> Result<Row, Error> {
+    let beam = BaseBeam {
+        bricks: bricks(n),
+        ..BaseBeam::default()
+    };
+    let scene = BaseScene::new(n, &beam)?;
+    let system = scene.coupled_system();
+    let device = DeviceScene::new(gpu, &scene, &system, solver)?;
+    let solve = || -> Result<(f64, CoupledOutcome), Error> {
+        device.reset();
+        gpu.wait("bench")?;
+        let clock = Instant::now();
+        let outcome = device.solve()?;
+        Ok((clock.elapsed().as_secs_f64(), outcome))
+    };
+    let (_, outcome) = solve()?;
+    let mut seconds = Vec::new();
+    for _ in 0..repeats.max(1) {
+        let (elapsed, again) = solve()?;
+        assert_eq!(again, outcome, "the same solve on the same device repeats");
+        seconds.push(elapsed);
+    }
+    let seconds = Spread::of(seconds);
+    let n_cells = system.pressure.n_unknowns() as f64;
+    let iterations = f64::from(outcome.iterations);
+    let widths = widths(&device.liquid);
+    let [inner, outer] = widths.map(|bytes| bytes as usize);
+    let not_uniform = not_uniform(gpu, &device.liquid)?;
+    let rounds = f64::from(outcome.rounds);
+    // Two polynomials an iteration; what else there is of the solids is little beside their products.
+    let solids = SolidBytes::new(&scene.solids, [outer, inner]);
+    let products = 2.0 * f64::from(device.polynomial.degree) * iterations;
+    let bytes = bytes_per_solve(n_cells, not_uniform, iterations, rounds, widths)
+        + products * solids.of_step();
+    Ok(Row {
+        scene: "base_scene",
+        grid: n,
+        active_cells: n_cells as u32,
+        solid_nodes: scene.solids.rest.len() as u32,
+        formulation: Formulation::TwoField.name(),
+        preconditioner: preconditioner(solver),
+        precision: name(solver.precision),
+        tolerance: solver.tolerance,
+        status: outcome.status.name(),
+        iterations: outcome.iterations,
+        rounds: outcome.rounds,
+        seconds_median: seconds.median,
+        seconds_min: seconds.min,
+        seconds_max: seconds.max,
+        residual_p: outcome.residuals[0],
+        residual_v: outcome.residuals[1],
+        cell_iterations_per_second: n_cells * iterations / seconds.median,
+        bytes,
+        share_of_copy_bandwidth: machine.share_of_copy_bandwidth(bytes, seconds.median),
+    })
+}
+
+fn preconditioner(solver: &Solver) -> &'static str {
+    match solver.preconditioner {
+        Preconditioner::Multigrid => "multigrid",
+        Preconditioner::Jacobi => "jacobi",
+    }
+}
+
+/// Bytes of a scalar of the corrections and of the outer loop.
+fn widths(buffers: &SolverBuffers) -> [f64; 2] {
+    let width = |real: Real| real.bytes() as f64;
+    [width(buffers.variant.inner), width(buffers.variant.real)]
+}
+
+/// Share of the active quads that are not uniform.
+fn not_uniform(gpu: &Gpu, buffers: &SolverBuffers) -> Result<f64, Error> {
+    let flags = gpu.download(&buffers.flags)?;
+    let flags = flags[..buffers.plan.levels[0].quads].iter();
+    let quads = flags.clone().filter(|&&flag| flag != 0).count() as f64;
+    let uniform = flags.filter(|&&flag| flag >> 31 == 1).count() as f64;
+    Ok(1.0 - uniform / quads.max(1.0))
 }
 
 /// Seconds against unknowns, log-log, a line per solver, bars from least to largest.
@@ -300,7 +413,7 @@ fn draw(table: &Table, page: SVGBackend) -> Result<(), Box<dyn std::error::Error
     );
     let mut chart = ChartBuilder::on(&root)
         .caption(
-            format!("Pressure solve, {}", table.machine.adapter),
+            format!("Solve, {}", table.machine.adapter),
             ("sans-serif", 20),
         )
         .margin(12)
@@ -314,8 +427,8 @@ fn draw(table: &Table, page: SVGBackend) -> Result<(), Box<dyn std::error::Error
         .draw()?;
     let key = |row: &Row| {
         format!(
-            "{} {} {:.0e}",
-            row.preconditioner, row.precision, row.tolerance
+            "{} {} {} {:.0e}",
+            row.formulation, row.preconditioner, row.precision, row.tolerance
         )
     };
     let mut keys: Vec<String> = table.rows.iter().map(key).collect();

@@ -1,6 +1,7 @@
 //! Measurements: benches, comparisons, reports. Speed is claimed here only, as medians with their spread.
 
 pub mod bandwidth;
+pub mod base_scene;
 pub mod bench_solids;
 pub mod bench_solve;
 pub mod bench_sort;

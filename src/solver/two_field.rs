@@ -22,7 +22,7 @@ use crate::Error;
 use crate::gpu::{
     Bound, Buffer, Gpu, Kernel, Pass, Readback, Real, RealBuffer, Recorder, StageTimes,
 };
-use crate::scene::Solver;
+use crate::scene::{Precision, Solver};
 use crate::state::SolveStatus;
 
 use super::chebyshev::Polynomial;
@@ -153,7 +153,8 @@ impl TwoFieldSolver {
     /// Compiles and binds.
     ///
     /// # Errors
-    /// As [`Kernel::new`] and [`Gpu::buffer`].
+    /// As [`Kernel::new`] and [`Gpu::buffer`]; [`Error::Limit`] for `mixed` on an adapter without f64: its outer loop would be the host's,
+    /// which is not made for two systems.
     pub fn new(gpu: &Gpu, at: CoupledFields, solver: &Solver) -> Result<TwoFieldSolver, Error> {
         let CoupledFields {
             liquid,
@@ -163,6 +164,15 @@ impl TwoFieldSolver {
             ..
         } = at;
         let variant = liquid.variant;
+        if solver.precision == Precision::Mixed && variant.real == Real::F32 {
+            return Err(Error::Limit {
+                what: "the two-field solve in precision mixed".to_owned(),
+                needed: 1,
+                available: 0,
+                unit: "feature (SHADER_F64)",
+                cure: "choose another adapter with --adapter, or precision \"f32\"".to_owned(),
+            });
+        }
         let unknowns = unknowns(at);
         let state = State::new(gpu, &unknowns)?;
         let norms = RealBuffer::new(gpu, LABELS.norms, N_NORMS, variant.real)?;

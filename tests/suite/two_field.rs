@@ -1,197 +1,27 @@
 //! The two-field solver on the device, on the base scene, against the f64 path.
 
-use cutwater::elastic::Bounds;
-use cutwater::gpu::{Buffer, Gpu, Recorder};
-use cutwater::grid::{Axis, Grid};
+use cutwater::gpu::Gpu;
 use cutwater::linalg::dot;
-use cutwater::reference::base_block::{DENSITY, THETA_FLOOR};
+use cutwater::measure::base_scene::DeviceScene;
+use cutwater::measure::bench_solve::{self, Options};
 use cutwater::reference::base_scene::{BaseBeam, BaseScene};
 use cutwater::reference::{
     CoupledSolution, CoupledSystem, Formulation, SolidSolver as TwinSolver, solve_coupled,
 };
 use cutwater::scene::{Precision, Solver};
-use cutwater::solver::{
-    CoupledFields, CoupledOutcome, CouplingBuffers, CouplingSize, Everywhere, Pair, Polynomial,
-    PressureSystem, SolidRows, SolidSystem, SolidSystemBuffers, SolverBuffers, TwoFieldSolver,
-    variant,
-};
-use cutwater::stages::{ElementRotations, SolidBuffers, SolidPlan};
-use cutwater::state::{SolveStatus, State};
+use cutwater::state::SolveStatus;
 
 use crate::common::{Random, gpu};
 
-/// The base scene on the device.
-struct Device<'a> {
+fn holding<'a>(
     gpu: &'a Gpu,
-    grid: Grid,
-    dt: f64,
-    liquid: SolverBuffers,
-    everywhere: Everywhere,
-    pressure: PressureSystem,
-    rhs: Vec<f64>,
-    open: Buffer<f32>,
-    velocity: Buffer<f32>,
-    _distance: Buffer<f32>,
-    fields: SolidBuffers,
-    solids: SolidSystemBuffers,
-    rotations: ElementRotations,
-    system: SolidSystem,
-    coupling: CouplingBuffers,
-    polynomial: Polynomial,
-    state: State,
-    solver: TwoFieldSolver,
-}
-
-impl<'a> Device<'a> {
-    fn holding(
-        gpu: &'a Gpu,
-        scene: &BaseScene,
-        system: &CoupledSystem,
-        solver: &Solver,
-    ) -> Device<'a> {
-        let grid = scene.block.grid;
-        let padded = grid.padded();
-        let field = |label: &str, n: usize| gpu.buffer::<f32>(label, n * padded.len()).unwrap();
-        let (open, velocity) = (field("test.open", 3), field("test.velocity", 3));
-        let distance = field("test.liquid_distance", 1);
-        let clip = scene.clip();
-        for (buffer, fields) in [
-            (&open, &clip.cut_cells().open),
-            (&velocity, &scene.block.velocity),
-        ] {
-            let values: Vec<f32> = Axis::ALL
-                .iter()
-                .flat_map(|&axis| {
-                    let n = grid.faces(axis);
-                    padded.pad(n, &fields[axis.index()], |value| value as f32)
-                })
-                .collect();
-            gpu.upload(buffer, &values);
-        }
-        let phi = padded.pad(grid.cells, &scene.block.liquid_distance, |x| x as f32);
-        gpu.upload(&distance, &phi);
-        let liquid = SolverBuffers::new(gpu, &grid, solver.precision).unwrap();
-        let everywhere = Everywhere::new(gpu, &grid).unwrap();
-        let within = everywhere.within();
-        let pressure = PressureSystem::new(gpu, &liquid, &open, &distance, within, THETA_FLOOR);
-        let real = variant(gpu.has_f64(), solver.precision).real;
-        let plan = SolidPlan {
-            grid,
-            n_nodes: scene.solids.rest.len(),
-            n_elements: scene.solids.elements.len(),
-            scripts: false,
-            obstacles: false,
-            real,
-        };
-        let fields = SolidBuffers::new(gpu, plan, &scene.solids).unwrap();
-        let rows = SolidRows::new(&scene.solids).unwrap();
-        let solids = SolidSystemBuffers::new(gpu, &rows, solver).unwrap();
-        // The base scene's v* contains gravity already.
-        let step = fields.step_of(glam::DVec3::ZERO, scene.dt);
-        gpu.upload(&fields.step, &[step]);
-        let area = grid.dx * grid.dx;
-        let all = system.coupling.pairs().iter();
-        let pairs: Vec<Pair> = all
-            .map(|pair| Pair {
-                cell: padded.index(grid.cell_at(pair.cell)),
-                node: pair.node,
-                value: (pair.value / area).as_vec3().to_array(),
-            })
-            .collect();
-        let size = CouplingSize {
-            quads: pairs.len(),
-            pairs: pairs.len(),
-        };
-        let mut coupling = CouplingBuffers::new(gpu, &liquid, &solids, size).unwrap();
-        let mass = DENSITY * grid.dx.powi(3) / scene.dt;
-        coupling.write(gpu, &pairs, mass).unwrap();
-        let bounds = Bounds::new(&scene.solids);
-        let degree = bounds.chebyshev_degree(&scene.solids, scene.dt);
-        let two_field = TwoFieldSolver::new(
-            gpu,
-            CoupledFields {
-                liquid: &liquid,
-                solids: &solids,
-                fields: fields.fields(),
-                coupling: &coupling,
-                velocity: &velocity,
-                open: &open,
-            },
-            solver,
-        );
-        let rhs: Vec<f64> = system.pressure.rhs.iter().map(|b| b / area).collect();
-        Device {
-            solver: two_field.unwrap(),
-            pressure: pressure.unwrap(),
-            rotations: ElementRotations::new(gpu, &fields).unwrap(),
-            system: SolidSystem::new(gpu, &solids, fields.fields(), None).unwrap(),
-            rhs: padded.pad(grid.cells, &rhs, |b| b),
-            polynomial: Polynomial::new(degree, bounds.block_jacobi),
-            state: State {
-                displacement: scene.displacement.clone(),
-                node_velocity: scene.node_velocity.clone(),
-                ..State::at_rest(&grid)
-            },
-            dt: scene.dt,
-            _distance: distance,
-            gpu,
-            grid,
-            liquid,
-            everywhere,
-            open,
-            velocity,
-            fields,
-            solids,
-            coupling,
-        }
-    }
-
-    fn at(&self) -> CoupledFields<'_> {
-        CoupledFields {
-            liquid: &self.liquid,
-            solids: &self.solids,
-            fields: self.fields.fields(),
-            coupling: &self.coupling,
-            velocity: &self.velocity,
-            open: &self.open,
-        }
-    }
-
-    /// Both systems.
-    fn prepare(&self) -> Recorder<'a> {
-        let Device { gpu, liquid, .. } = self;
-        self.fields.write_state(gpu, &self.state);
-        liquid.rhs.upload(gpu, &self.rhs);
-        let mut recorder = Recorder::timed(gpu);
-        recorder.stage("active_cells", |pass| {
-            self.pressure.record(pass, liquid, self.everywhere.within())
-        });
-        recorder.stage("solid_matrices", |pass| {
-            self.rotations.dispatch(pass);
-            self.system.record_matrices(pass);
-            self.system.record_right_hand_side(pass);
-        });
-        recorder
-    }
-
-    /// The verdict, pressures (Pa) and velocities (m/s).
-    fn solve(&self) -> (CoupledOutcome, Vec<f64>, Vec<[f64; 3]>) {
-        let Device {
-            gpu, liquid, grid, ..
-        } = self;
-        let (outcome, _) = self
-            .solver
-            .solve(gpu, self.prepare(), self.at(), &self.polynomial)
-            .unwrap();
-        let potential = liquid.potential.download(gpu).unwrap();
-        let to_pressure = DENSITY * grid.dx / self.dt;
-        let pressure = grid
-            .padded()
-            .unpad(grid.cells, &potential, |phi| to_pressure * phi);
-        let mut state = self.state.clone();
-        self.fields.read_state(gpu, &mut state).unwrap();
-        (outcome, pressure, state.node_velocity)
-    }
+    scene: &BaseScene,
+    system: &CoupledSystem,
+    solver: &Solver,
+) -> DeviceScene<'a> {
+    let device = DeviceScene::new(gpu, scene, system, solver).unwrap();
+    device.reset();
+    device
 }
 
 fn direct(scene: &BaseScene, system: &CoupledSystem) -> CoupledSolution {
@@ -211,7 +41,7 @@ fn direct(scene: &BaseScene, system: &CoupledSystem) -> CoupledSolution {
 }
 
 /// A random vector of unknowns: quads, then nodes; 0 in what is none.
-fn noise(device: &Device, system: &CoupledSystem, seed: u64) -> Vec<f64> {
+fn noise(device: &DeviceScene, system: &CoupledSystem, seed: u64) -> Vec<f64> {
     let mut random = Random(seed);
     let grid = &device.grid;
     let cells: Vec<f64> = (0..grid.n_cells())
@@ -232,7 +62,7 @@ fn noise(device: &Device, system: &CoupledSystem, seed: u64) -> Vec<f64> {
 }
 
 /// x . y over the unknowns.
-fn dot_active(device: &Device, system: &CoupledSystem, x: &[f64], y: &[f64]) -> f64 {
+fn dot_active(device: &DeviceScene, system: &CoupledSystem, x: &[f64], y: &[f64]) -> f64 {
     let grid = &device.grid;
     let padded = grid.padded();
     let cells = (0..grid.n_cells()).filter(|&cell| system.pressure.stencil.active(cell));
@@ -252,19 +82,20 @@ fn operator_and_preconditioner_are_symmetric_and_positive() {
         };
         let scene = BaseScene::new(16, &beam).unwrap();
         let system = scene.coupled_system();
-        for precision in [Precision::F32, Precision::Mixed] {
+        let precisions = [Precision::F32, Precision::Mixed].into_iter();
+        for precision in precisions.filter(|p| gpu.has_f64() || *p == Precision::F32) {
             let solver = Solver {
                 precision,
                 ..Solver::default()
             };
-            let device = Device::holding(gpu, &scene, &system, &solver);
-            device.prepare().submit();
+            let device = holding(gpu, &scene, &system, &solver);
+            device.record_systems().submit();
             let [x, y] = [1, 2].map(|seed| noise(&device, &system, seed));
-            let apply = |x: &[f64]| device.solver.apply(gpu, device.at(), x).unwrap();
+            let apply = |x: &[f64]| device.solver.apply(gpu, device.fields(), x).unwrap();
             let precondition = |g: &[f64]| {
                 let z = device
                     .solver
-                    .precondition(gpu, device.at(), &device.polynomial, g);
+                    .precondition(gpu, device.fields(), &device.polynomial, g);
                 z.unwrap()
             };
             let inner = |a: &[f64], b: &[f64]| dot_active(&device, &system, a, b);
@@ -311,8 +142,9 @@ fn the_base_scene_agrees_with_the_direct_solve() {
             tolerance,
             ..Solver::default()
         };
-        let device = Device::holding(gpu, &scene, &system, &solver);
-        let (outcome, mut pressure, velocity) = device.solve();
+        let device = holding(gpu, &scene, &system, &solver);
+        let outcome = device.solve().unwrap();
+        let (mut pressure, velocity) = device.answer().unwrap();
         for (cell, pressure) in pressure.iter_mut().enumerate() {
             if !system.pressure.stencil.active(cell) {
                 *pressure = 0.0;
@@ -345,8 +177,8 @@ fn iterations_stay_few() {
     for n in [16, 32] {
         let scene = BaseScene::new(n, &BaseBeam::default()).unwrap();
         let system = scene.coupled_system();
-        let device = Device::holding(gpu, &scene, &system, &Solver::default());
-        let (outcome, ..) = device.solve();
+        let device = holding(gpu, &scene, &system, &Solver::default());
+        let outcome = device.solve().unwrap();
         assert_eq!(outcome.status, SolveStatus::Converged, "{outcome:?}");
         assert!(outcome.verified && outcome.iterations <= 30, "{outcome:?}");
         counts.push(f64::from(outcome.iterations));
@@ -372,8 +204,9 @@ fn extreme_beams_converge() {
             max_iterations: 400,
             ..Solver::default()
         };
-        let device = Device::holding(gpu, &scene, &system, &solver);
-        let (outcome, _, velocity) = device.solve();
+        let device = holding(gpu, &scene, &system, &solver);
+        let outcome = device.solve().unwrap();
+        let (_, velocity) = device.answer().unwrap();
         let what = format!("E {young:e}, {density} kg/m^3: {outcome:?}");
         assert_eq!(outcome.status, SolveStatus::Converged, "{what}");
         let passes = outcome.residuals.iter().all(|r| *r <= solver.tolerance);
@@ -381,4 +214,42 @@ fn extreme_beams_converge() {
         let finite = velocity.as_flattened().iter().all(|v| v.is_finite());
         assert!(finite, "{what}");
     }
+}
+
+#[test]
+fn the_bench_has_a_row_for_both_formulations() {
+    let Some(gpu) = gpu().filter(|gpu| gpu.has_f64()) else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let options = Options {
+        formulations: vec![
+            bench_solve::Formulation::Pressure,
+            bench_solve::Formulation::TwoField,
+        ],
+        grids: vec![12],
+        repeats: 1,
+        solvers: vec![Solver::default()],
+        matrices: false,
+    };
+    let table = bench_solve::bench_solve(gpu, &options, folder.path(), &mut |_| {}).unwrap();
+    let [pressure, both] = &table.rows[..] else {
+        panic!("{:?}", table.rows);
+    };
+    assert_eq!(
+        [pressure.formulation, both.formulation],
+        ["pressure", "two-field"]
+    );
+    assert_eq!([pressure.solid_nodes, both.solid_nodes], [0, 135]);
+    for row in [pressure, both] {
+        assert_eq!(row.status, "converged", "{row:?}");
+        assert!(row.residual_p <= 1e-8 && row.residual_v <= 1e-8, "{row:?}");
+        assert!(row.bytes > 0.0 && row.seconds_min > 0.0, "{row:?}");
+    }
+    assert!(pressure.residual_v == 0.0 && both.residual_v > 0.0);
+    let written = std::fs::read_to_string(folder.path().join("solve.csv")).unwrap();
+    assert!(
+        written.contains("two-field") && written.lines().count() == 3,
+        "{written}"
+    );
 }

@@ -1,0 +1,210 @@
+//! The base scene on a device: both systems and J between them, for benches and tests of coupled solvers.
+
+use crate::Error;
+use crate::elastic::Bounds;
+use crate::gpu::{Buffer, Gpu, Recorder};
+use crate::grid::{Axis, Grid};
+use crate::reference::CoupledSystem;
+use crate::reference::base_block::{DENSITY, THETA_FLOOR};
+use crate::reference::base_scene::BaseScene;
+use crate::scene::Solver;
+use crate::solver::{
+    CoupledFields, CoupledOutcome, CouplingBuffers, CouplingSize, Everywhere, Pair, Polynomial,
+    PressureSystem, SolidRows, SolidSystem, SolidSystemBuffers, SolverBuffers, TwoFieldSolver,
+    variant,
+};
+use crate::stages::{ElementRotations, SolidBuffers, SolidPlan};
+use crate::state::State;
+
+/// The base scene and its two-field solver.
+#[derive(Debug)]
+pub struct DeviceScene<'a> {
+    gpu: &'a Gpu,
+    /// The cells.
+    pub grid: Grid,
+    /// s
+    dt: f64,
+    /// The liquid's system.
+    pub liquid: SolverBuffers,
+    everywhere: Everywhere,
+    pressure: PressureSystem,
+    /// E u* over dx^2, device layout, m/s.
+    rhs: Vec<f64>,
+    open: Buffer<f32>,
+    velocity: Buffer<f32>,
+    /// Read by the kernel of the active cells.
+    _distance: Buffer<f32>,
+    fields: SolidBuffers,
+    solids: SolidSystemBuffers,
+    rotations: ElementRotations,
+    system: SolidSystem,
+    coupling: CouplingBuffers,
+    /// The preconditioner of the solids, for the scene's step.
+    pub polynomial: Polynomial,
+    state: State,
+    /// The solver.
+    pub solver: TwoFieldSolver,
+}
+
+impl<'a> DeviceScene<'a> {
+    /// Puts a scene and its system, for J and E u*, onto a device.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] where the adapter is too small or has no f64 and the precision needs it.
+    pub fn new(
+        gpu: &'a Gpu,
+        scene: &BaseScene,
+        system: &CoupledSystem,
+        solver: &Solver,
+    ) -> Result<DeviceScene<'a>, Error> {
+        let grid = scene.block.grid;
+        let padded = grid.padded();
+        let clip = scene.clip();
+        let faces = |label: &str, fields: &[Vec<f64>; 3]| {
+            let axes = Axis::ALL.iter();
+            let values = axes.flat_map(|&axis| {
+                padded.pad(grid.faces(axis), &fields[axis.index()], |value| {
+                    value as f32
+                })
+            });
+            gpu.buffer_with(label, &values.collect::<Vec<f32>>())
+        };
+        let open = faces("base_scene.open", &clip.cut_cells().open)?;
+        let velocity = faces("base_scene.velocity", &scene.block.velocity)?;
+        let phi = padded.pad(grid.cells, &scene.block.liquid_distance, |x| x as f32);
+        let distance = gpu.buffer_with("base_scene.liquid_distance", &phi)?;
+        let liquid = SolverBuffers::new(gpu, &grid, solver.precision)?;
+        let everywhere = Everywhere::new(gpu, &grid)?;
+        let within = everywhere.within();
+        let pressure = PressureSystem::new(gpu, &liquid, &open, &distance, within, THETA_FLOOR)?;
+        let plan = SolidPlan {
+            grid,
+            n_nodes: scene.solids.rest.len(),
+            n_elements: scene.solids.elements.len(),
+            scripts: false,
+            obstacles: false,
+            real: variant(gpu.has_f64(), solver.precision).real,
+        };
+        let fields = SolidBuffers::new(gpu, plan, &scene.solids)?;
+        let rows = SolidRows::new(&scene.solids)?;
+        let solids = SolidSystemBuffers::new(gpu, &rows, solver)?;
+        // v* of the scene has its gravity already.
+        let step = fields.step_of(glam::DVec3::ZERO, scene.dt);
+        gpu.upload(&fields.step, &[step]);
+        let area = grid.dx * grid.dx;
+        let joined = system.coupling.pairs().iter();
+        let pairs: Vec<Pair> = joined
+            .map(|pair| Pair {
+                cell: padded.index(grid.cell_at(pair.cell)),
+                node: pair.node,
+                value: (pair.value / area).as_vec3().to_array(),
+            })
+            .collect();
+        let size = CouplingSize {
+            quads: pairs.len(),
+            pairs: pairs.len(),
+        };
+        let mut coupling = CouplingBuffers::new(gpu, &liquid, &solids, size)?;
+        coupling.write(gpu, &pairs, DENSITY * grid.dx.powi(3) / scene.dt)?;
+        let bounds = Bounds::new(&scene.solids);
+        let degree = bounds.chebyshev_degree(&scene.solids, scene.dt);
+        let two_field = TwoFieldSolver::new(
+            gpu,
+            CoupledFields {
+                liquid: &liquid,
+                solids: &solids,
+                fields: fields.fields(),
+                coupling: &coupling,
+                velocity: &velocity,
+                open: &open,
+            },
+            solver,
+        )?;
+        let rhs: Vec<f64> = system.pressure.rhs.iter().map(|b| b / area).collect();
+        Ok(DeviceScene {
+            solver: two_field,
+            rotations: ElementRotations::new(gpu, &fields)?,
+            system: SolidSystem::new(gpu, &solids, fields.fields(), None)?,
+            rhs: padded.pad(grid.cells, &rhs, |b| b),
+            polynomial: Polynomial::new(degree, bounds.block_jacobi),
+            state: State {
+                displacement: scene.displacement.clone(),
+                node_velocity: scene.node_velocity.clone(),
+                ..State::at_rest(&grid)
+            },
+            dt: scene.dt,
+            _distance: distance,
+            gpu,
+            grid,
+            liquid,
+            everywhere,
+            pressure,
+            open,
+            velocity,
+            fields,
+            solids,
+            coupling,
+        })
+    }
+
+    /// What the solver reads and writes.
+    pub fn fields(&self) -> CoupledFields<'_> {
+        CoupledFields {
+            liquid: &self.liquid,
+            solids: &self.solids,
+            fields: self.fields.fields(),
+            coupling: &self.coupling,
+            velocity: &self.velocity,
+            open: &self.open,
+        }
+    }
+
+    /// Writes u* and v*, which a solve replaces.
+    pub fn reset(&self) {
+        self.fields.write_state(self.gpu, &self.state);
+        self.liquid.rhs.upload(self.gpu, &self.rhs);
+    }
+
+    /// Records the set-up of both systems.
+    pub fn record_systems(&self) -> Recorder<'a> {
+        let mut recorder = Recorder::new(self.gpu);
+        recorder.stage("active_cells", |pass| {
+            self.pressure
+                .record(pass, &self.liquid, self.everywhere.within())
+        });
+        recorder.stage(ElementRotations::NAME, |pass| {
+            self.rotations.dispatch(pass);
+            self.system.record_matrices(pass);
+            self.system.record_right_hand_side(pass);
+        });
+        recorder
+    }
+
+    /// Sets both systems up and solves them.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn solve(&self) -> Result<CoupledOutcome, Error> {
+        let (recorder, fields) = (self.record_systems(), self.fields());
+        let (outcome, _) = self
+            .solver
+            .solve(self.gpu, recorder, fields, &self.polynomial)?;
+        Ok(outcome)
+    }
+
+    /// Pressures per cell, Pa, and velocities of the nodes, m/s. What inactive cells have means nothing.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn answer(&self) -> Result<(Vec<f64>, Vec<[f64; 3]>), Error> {
+        let grid = &self.grid;
+        let potential = self.liquid.potential.download(self.gpu)?;
+        let to_pressure = DENSITY * grid.dx / self.dt;
+        let pressure = grid
+            .padded()
+            .unpad(grid.cells, &potential, |phi| to_pressure * phi);
+        let mut state = self.state.clone();
+        self.fields.read_state(self.gpu, &mut state)?;
+        Ok((pressure, state.node_velocity))
+    }
+}
