@@ -235,7 +235,8 @@ impl Solids {
     /// later; 0 in all others. Nothing without scripts.
     ///
     /// A step asks for them after its nodes have moved, and the next step moves on with them: nodes land on their scripts exactly
-    /// where both steps are of one length, and lag behind by what a change of length makes of an acceleration otherwise.
+    /// where both steps are of one length, and lag behind by what a change of length makes of an acceleration otherwise. The first step
+    /// moves with those of [`Solids::start_scripts`].
     pub fn prescribed_velocity(
         &self,
         displacement: &[[f64; 3]],
@@ -256,6 +257,19 @@ impl Solids {
             }
         }
         velocity
+    }
+
+    /// Before the first step, of dt (s), of a scene: lets the velocities (m/s) of scripted components, which are along the tangents of
+    /// their scripts, take them to where the scripts want them at its end. A tangent leads past keyframes that come sooner.
+    pub fn start_scripts(&self, displacement: &[[f64; 3]], velocity: &mut [[f64; 3]], dt: f64) {
+        let start = self.prescribed_velocity(displacement, 0.0, dt);
+        for script in &self.scripts {
+            for &node in &script.nodes {
+                for axis in (0..3).filter(|&axis| script.components[axis]) {
+                    velocity[node as usize][axis] = start[node as usize][axis];
+                }
+            }
+        }
     }
 
     /// The mesh under displacements (m, of all nodes).

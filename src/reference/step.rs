@@ -277,6 +277,9 @@ impl Reference {
                 node_velocity,
                 ..
             } = &mut state;
+            if before.step == 0 {
+                solids.start_scripts(displacement, node_velocity, dt);
+            }
             move_solid(
                 solids,
                 grid,

@@ -158,7 +158,7 @@ impl GpuPath {
             self.gpu.upload(&liquid.buffers.step, &[step]);
         }
         if let Some(solids) = &mut self.solids {
-            solids.write_step(&self.gpu, &self.scene, self.head.time, dt);
+            solids.write_step(&self.gpu, &self.scene, &self.head, dt);
         }
     }
 

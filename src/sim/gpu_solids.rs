@@ -4,7 +4,7 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::{Bounds, Solids};
 use crate::geometry::CutCells;
-use crate::gpu::{BufferPlan, Gpu, Readback, Recorder, StageTimes};
+use crate::gpu::{BufferPlan, Gpu, Readback, Real, Recorder, StageTimes};
 use crate::reference::MOST_SOLVES;
 use crate::scene::Scene;
 use crate::solver::{
@@ -95,6 +95,13 @@ pub(super) fn buffers(
         all.push(BufferPlan::of::<[f32; 4]>(PROBED, 2 * plan.n_nodes));
     }
     all
+}
+
+/// To what the device holds in f32.
+fn round_to_f32(velocity: &mut [[f64; 3]]) {
+    for v in velocity.iter_mut().flatten() {
+        *v = f64::from(*v as f32);
+    }
 }
 
 const PROBED: &str = "solid.displacement (read-back)";
@@ -215,8 +222,8 @@ impl GpuSolids {
         }
     }
 
-    /// Tells the kernels of a sub-step of dt (s) that begins at a time (s).
-    pub(super) fn write_step(&mut self, gpu: &Gpu, scene: &Scene, time: f64, dt: f64) {
+    /// Tells the kernels of a sub-step of dt (s) that begins at the time of a clock.
+    pub(super) fn write_step(&mut self, gpu: &Gpu, scene: &Scene, clock: &State, dt: f64) {
         let step = self.buffers.step_of(scene.domain.gravity, dt);
         gpu.upload(&self.buffers.step, &[step]);
         let Scripted {
@@ -226,16 +233,23 @@ impl GpuSolids {
         if displacement.is_empty() {
             return;
         }
+        if clock.step == 0 {
+            self.solids
+                .start_scripts(displacement, velocity, f64::from(step.dt));
+            if self.buffers.plan.real == Real::F32 {
+                round_to_f32(velocity);
+            }
+            self.buffers.write_velocity(gpu, velocity);
+        }
         // As `move_solid` will move them.
         for (u, v) in displacement.iter_mut().zip(velocity.iter()) {
             for (u, v) in u.iter_mut().zip(v) {
                 *u += f64::from(step.dt) * v;
             }
         }
-        *velocity = self.solids.prescribed_velocity(displacement, time + dt, dt);
-        for v in velocity.iter_mut().flatten() {
-            *v = f64::from(*v as f32);
-        }
+        *velocity = self.solids
+            .prescribed_velocity(displacement, clock.time + dt, dt);
+        round_to_f32(velocity);
         self.buffers.write_prescribed(gpu, velocity);
     }
 

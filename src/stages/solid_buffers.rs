@@ -312,12 +312,14 @@ impl SolidBuffers {
             }
         }
         gpu.upload(&self.displacement, &displacement);
-        let velocity: Vec<f64> = state
-            .node_velocity
-            .iter()
-            .flat_map(|&[x, y, z]| [x, y, z, 0.0])
-            .collect();
-        self.velocity.upload(gpu, &velocity);
+        self.write_velocity(gpu, &state.node_velocity);
+    }
+
+    /// Writes the velocities of all nodes, m/s, before all work submitted later.
+    pub fn write_velocity(&self, gpu: &Gpu, velocity: &[[f64; 3]]) {
+        let nodes = velocity.iter();
+        let words: Vec<f64> = nodes.flat_map(|&[x, y, z]| [x, y, z, 0.0]).collect();
+        self.velocity.upload(gpu, &words);
     }
 
     /// Waits for all submitted work and reads displacements and velocities into a state; exact, since the parts of a

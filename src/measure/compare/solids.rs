@@ -83,6 +83,20 @@ impl<'a> SolidJudge<'a> {
     pub(super) fn begin(&mut self, path: &GpuPath, dt: f64) {
         self.table.step = path.clock().step;
         self.dt = f64::from(dt as f32);
+        if path.clock().step == 0 {
+            let SolidSnapshot {
+                displacement,
+                velocity,
+                real,
+                ..
+            } = &mut self.before;
+            self.solids.start_scripts(displacement, velocity, self.dt);
+            if *real == Real::F32 {
+                for v in velocity.iter_mut().flatten() {
+                    *v = f64::from(*v as f32);
+                }
+            }
+        }
     }
 
     /// Judges what a stage left; `held` is what the device really holds.
