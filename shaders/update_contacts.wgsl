@@ -1,8 +1,8 @@
 // solve, for solids, after a solve: holds nodes that are beyond a wall or obstacle with the velocities found, and lets those go that it
-// would have to pull. The push of what holds a node is S v - F; over the mean of the diagonal of S, times dt, it is a length.
-// One thread per node.
+// would have to pull, as long as any may be let go. The push of what holds a node is S v - F; over the mean of the diagonal of S,
+// times dt, it is a length. One thread per node.
 // step. gaps: see contact. incidence, products: see gather, zeta_K K v. masses: zeta_M m, then the mean of the diagonal of D, kg/s.
-// rhs: F, N. velocity: v, m/s. freedom: see freedom, in place. changes: how many, added.
+// rhs: F, N. velocity: v, m/s. freedom: see freedom, in place. changes: how many, added; then 1 if nodes may be let go.
 #import contact
 #import dispatch
 #import gather
@@ -36,7 +36,8 @@ fn update_contacts(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_i
     let held = held_by_walls(walls, here);
     let sign = outwards(walls);
     let way = select(Real3(walls.xyz) + dt * sign * v, softness * sign * push, held);
-    let changed = is_free(u32(walls.w)) & (way < Real3(-near));
+    let lets_go = atomicLoad(&changes[1]) > 0u;
+    let changed = is_free(u32(walls.w)) & (way < Real3(-near)) & (!held | vec3<bool>(lets_go));
     var count = countOneBits(flags_of(changed));
     let walls_only = vec4<f32>(vec3<f32>(), f32(flags_of(free_components(here) != changed)));
     var next = walls_only;
@@ -48,7 +49,7 @@ fn update_contacts(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_i
         if any(direction != vec3<f32>()) {
             let beyond = Real(surface.w) + dt * dot(v, Real3(surface.xyz));
             let pushed = softness * dot(push, Real3(direction));
-            if select(beyond, pushed, by_obstacle) < -near {
+            if select(beyond, pushed, by_obstacle) < -near && (lets_go || !by_obstacle) {
                 by_obstacle = !by_obstacle;
                 count++;
             }

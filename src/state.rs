@@ -181,11 +181,22 @@ pub struct LiquidReport {
     pub dropped: u64,
 }
 
+/// How the search for what walls and obstacles hold of the solids ended.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ContactReport {
+    /// Solves that it took.
+    pub solves: u32,
+    /// Contacts that one more solve would have with a node held or let go; 0 where the search came to its end.
+    pub unsettled: u32,
+}
+
 /// What one sub-step did to the solids.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SolidReport {
-    /// The solve for the velocities of the nodes.
+    /// The solve for the velocities of the nodes; the last one, with the iterations of all.
     pub solve: SolveReport,
+    /// What became of contact.
+    pub contact: ContactReport,
     /// Momentum, energies and the worst element after the sub-step.
     pub diagnosis: SolidDiagnosis,
 }

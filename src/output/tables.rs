@@ -92,7 +92,9 @@ const LIQUID: [&str; 16] = [
     "closed_components",
 ];
 /// Columns of the solids.
-const SOLIDS: [&str; 16] = [
+const SOLIDS: [&str; 18] = [
+    "solid_solves",
+    "unsettled_contacts",
     "solid_iterations",
     "residual_v",
     "solid_status",
@@ -228,9 +230,15 @@ fn liquid_fields(
 
 /// The values of [`SOLIDS`].
 fn solid_fields(step: u64, solid: &SolidReport) -> Result<Vec<String>, Error> {
-    let SolidReport { solve, diagnosis } = solid;
+    let SolidReport {
+        solve,
+        contact,
+        diagnosis,
+    } = solid;
     let real = |column: &str, value: f64| number(column, step, value);
     Ok(vec![
+        contact.solves.to_string(),
+        contact.unsettled.to_string(),
         solve.iterations.to_string(),
         real("residual_v", solve.residual)?,
         solve.status.name().to_owned(),

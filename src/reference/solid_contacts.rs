@@ -3,7 +3,8 @@
 //! A node at a gap d (m) from a wall or obstacle with the normal n, away from it, may not be beyond it after the next move,
 //! d + dt v . n >= 0, and what keeps it out pushes only, f >= 0, and only where it is on the surface, f (d + dt v . n) = 0. Which nodes
 //! are held is found by a primal-dual active set (Hintermueller, Ito & Kunisch 2003): solve with some of them held at v . n = -d/dt, hold
-//! also those that are beyond a surface then, let those go that it would have to pull, and solve again while anything changes.
+//! also those that are beyond a surface then, let those go that it would have to pull, and solve again while anything changes. On matrices
+//! like S this may go in circles, so late solves let none go: a node may then be pulled for a sub-step, but is beyond no surface.
 
 use glam::{DMat3, DVec3};
 
@@ -13,7 +14,9 @@ use crate::elastic::Solids;
 use crate::grid::Grid;
 
 /// Solves of a sub-step in search of what is held, at most. What is beyond a surface after the last is put back by the next move.
-pub const MOST_SOLVES: usize = 8;
+pub const MOST_SOLVES: u32 = 8;
+/// After so many of them no node is let go: the search may go in circles, and each solve then only adds to what is held.
+pub const LETTING_GO: u32 = 5;
 /// A node this near, in cells, is held from the start if it is pressed to the surface.
 const SKIN: f64 = 1e-3;
 /// How far from where it should be, in cells, a node is left.
@@ -216,14 +219,17 @@ impl Contacts {
             .collect()
     }
 
-    /// After a solve: holds nodes that are beyond a surface with the velocities v (m/s), and lets those go that would have to be pulled.
-    /// How many of both there were. `system`: the one solved.
-    pub fn update(&mut self, system: &SolidSystem, velocity: &[[f64; 3]]) -> usize {
+    /// After the solve of a number, counted from 1: holds nodes that are beyond a surface with the velocities v (m/s), and lets those go
+    /// that would have to be pulled. How many of both there were. `system`: the one solved.
+    pub fn update(&mut self, system: &SolidSystem, velocity: &[[f64; 3]], solve: u32) -> u32 {
         let ways = self.ways(system, velocity);
+        let lets_go = solve <= LETTING_GO;
         let mut changes = 0;
         for (surfaces, ways) in self.surfaces.iter_mut().zip(ways) {
             for (surface, way) in surfaces.iter_mut().zip(ways) {
-                if let (Some(surface), true) = (surface, way < -self.near) {
+                if let (Some(surface), true) = (surface, way < -self.near)
+                    && (lets_go || !surface.held)
+                {
                     surface.held = !surface.held;
                     changes += 1;
                 }

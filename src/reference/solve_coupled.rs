@@ -19,7 +19,7 @@ use crate::linalg::{
     conjugate_gradient, norm, stabilised_biconjugate_gradient,
 };
 use crate::scene::Solver;
-use crate::state::{SolveReport, SolveStatus};
+use crate::state::{ContactReport, SolveReport, SolveStatus};
 
 /// Share of the mass in Z1. Between exact inverses, 0.5 makes the fewest iterations.
 pub const SIGMA: f64 = 0.5;
@@ -249,7 +249,7 @@ pub fn solve_coupled_in_contact(
     solver: &SolidSolver,
     solids: &Solids,
     settings: &Solver,
-) -> Result<(CoupledSystem, CoupledSolution), Error> {
+) -> Result<(CoupledSystem, CoupledSolution, ContactReport), Error> {
     let mut iterations = 0;
     for solves in 1.. {
         let system = CoupledSystem::new(pressure.clone(), solid.clone(), coupling);
@@ -266,10 +266,10 @@ pub fn solve_coupled_in_contact(
             .coupling
             .add_transposed(&solution.pressure, &mut force);
         pushed.push(&force);
-        let changes = contacts.update(&pushed, &solution.velocity);
+        let unsettled = contacts.update(&pushed, &solution.velocity, solves);
         let converged = solution.reports[0].status == SolveStatus::Converged;
-        if !converged || solves == MOST_SOLVES || changes == 0 {
-            return Ok((system, solution));
+        if !converged || solves == MOST_SOLVES || unsettled == 0 {
+            return Ok((system, solution, ContactReport { solves, unsettled }));
         }
         solid.free(contacts.hold(&mut solution.velocity), &solution.velocity);
     }
@@ -503,7 +503,7 @@ pub fn solve_weak(
 }
 
 /// Damping-only coupling: (M/dt + dt K) v' = -w of the solids by themselves, then the coupled system with M/dt + D in place of S
-/// and w = -M v'/dt. As [`solve_coupled_in_contact`] otherwise; the iterations are those of the second solve.
+/// and w = -M v'/dt. As [`solve_coupled_in_contact`] otherwise; the iterations are those of the second solve, the solves in search of contacts those of both.
 ///
 /// # Errors
 /// As those of both solves.
@@ -515,20 +515,21 @@ pub fn solve_damping_only(
     solver: &SolidSolver,
     solids: &Solids,
     settings: &Solver,
-) -> Result<(CoupledSystem, CoupledSolution), Error> {
+) -> Result<(CoupledSystem, CoupledSolution, ContactReport), Error> {
     let dt = solid.dt();
     let undamped = |_: &Body| [1.0 / dt, dt];
     let mut elastic = solid.changed(solids, undamped, &solid.right_hand_side());
-    let (mut velocity, report) =
+    let (mut velocity, report, before) =
         solver.solve_in_contact(solids, &mut elastic, contacts, settings)?;
     let damping = |body: &Body| [1.0 / dt + body.mass_damping, body.stiffness_damping];
     *solid = solid.changed(solids, damping, &solid.inertia(&velocity));
     solid.free(contacts.hold(&mut velocity), &velocity);
-    let (system, mut solution) = solve_coupled_in_contact(
+    let (system, mut solution, mut contact) = solve_coupled_in_contact(
         pressure, solid, coupling, contacts, solver, solids, settings,
     )?;
     if report.status != SolveStatus::Converged {
         solution.reports[1].status = report.status;
     }
-    Ok((system, solution))
+    contact.solves += before.solves;
+    Ok((system, solution, contact))
 }

@@ -14,7 +14,7 @@ use crate::Error;
 use crate::elastic::{Bounds, Solids};
 use crate::linalg::{CgEnd, Cholesky, Csr, LinearOperator, SymbolicCholesky, conjugate_gradient};
 use crate::scene::Solver;
-use crate::state::{SolveReport, SolveStatus};
+use crate::state::{ContactReport, SolveReport, SolveStatus};
 use glam::{DMat3, DVec3};
 
 /// The polynomial acts on eigenvalues from the largest over this times the squared degree.
@@ -63,16 +63,16 @@ impl SolidSolver {
         system: &mut SolidSystem,
         contacts: &mut Contacts,
         settings: &Solver,
-    ) -> Result<(Vec<[f64; 3]>, SolveReport), Error> {
+    ) -> Result<(Vec<[f64; 3]>, SolveReport, ContactReport), Error> {
         let mut iterations = 0;
         for solves in 1.. {
             let (mut velocity, mut report) = self.solve(solids, system, settings)?;
             iterations += report.iterations;
             report.iterations = iterations;
-            let changes = contacts.update(system, &velocity);
+            let unsettled = contacts.update(system, &velocity, solves);
             let ended = report.status != SolveStatus::Converged || solves == MOST_SOLVES;
-            if ended || changes == 0 {
-                return Ok((velocity, report));
+            if ended || unsettled == 0 {
+                return Ok((velocity, report, ContactReport { solves, unsettled }));
             }
             system.free(contacts.hold(&mut velocity), &velocity);
         }

@@ -22,7 +22,8 @@ use crate::geometry::{CutCells, ObstacleCut, SolidClip};
 use crate::grid::{Axis, Grid};
 use crate::scene::{CouplingScheme, Liquid, PatchPressure, Scene};
 use crate::state::{
-    CouplingReport, LiquidReport, SolidReport, SolveReport, SolveStatus, State, StepReport,
+    ContactReport, CouplingReport, LiquidReport, SolidReport, SolveReport, SolveStatus, State,
+    StepReport,
 };
 
 /// The simulator on the CPU in f64: a scene's settings and obstacles, and the state that its steps move on.
@@ -374,7 +375,7 @@ impl Reference {
         });
         clock.lap("right_hand_side");
 
-        let (systems, [pressure_solve, solid_solve]) =
+        let (systems, [pressure_solve, solid_solve], contact) =
             self.solve(clip, pressure, motion, &mut state)?;
         let finite = |solve: &SolveReport| solve.status != SolveStatus::NonFinite;
         let mut solves = pressure_solve.iter().chain(&solid_solve);
@@ -449,7 +450,11 @@ impl Reference {
         let solid_report = solid_report.map(|((part, matrices), solve)| {
             let (u, v) = (&state.displacement, &state.node_velocity);
             let diagnosis = diagnose_solid(&part.solids, &matrices.deformations, u, v, gravity);
-            SolidReport { solve, diagnosis }
+            SolidReport {
+                solve,
+                contact,
+                diagnosis,
+            }
         });
         let liquid_speed = liquid_report.map(|liquid| liquid.diagnosis.max_speed);
         let solid_speed = solid_report.map(|solid| solid.diagnosis.max_speed);
@@ -477,14 +482,14 @@ impl Reference {
     }
 
     /// Solves for the pressure and the velocities of the nodes, which go into the state: the systems as they were solved at last, and the
-    /// reports of both.
+    /// reports of both and of contact.
     fn solve(
         &self,
         clip: Option<&SolidClip>,
         pressure: Option<PressureSystem>,
         motion: Option<(SolidSystem, Contacts)>,
         state: &mut State,
-    ) -> Result<(Systems, [Option<SolveReport>; 2]), Error> {
+    ) -> Result<(Systems, [Option<SolveReport>; 2], ContactReport), Error> {
         let (settings, part) = (&self.scene.solver, self.solid.as_ref());
         let touched = clip
             .zip(pressure.as_ref())
@@ -499,21 +504,31 @@ impl Reference {
                     CouplingScheme::DampingOnly => solve_damping_only,
                     CouplingScheme::Weak => {
                         let before = &self.state.node_velocity;
+                        let mut contact = ContactReport::default();
                         let solution = solve_weak(
                             &mut pressure,
                             &mut solid,
                             coupling,
                             before,
                             settings,
-                            |solid| solver.solve_in_contact(solids, solid, &mut contacts, settings),
+                            |solid| {
+                                let (velocity, report, found) = solver.solve_in_contact(
+                                    solids,
+                                    solid,
+                                    &mut contacts,
+                                    settings,
+                                )?;
+                                contact = found;
+                                Ok((velocity, report))
+                            },
                         )?;
                         (state.pressure, state.node_velocity) =
                             (solution.pressure, solution.velocity);
                         let systems = Systems::Apart(Some(pressure.into()), Some(solid.into()));
-                        return Ok((systems, solution.reports.map(Some)));
+                        return Ok((systems, solution.reports.map(Some), contact));
                     }
                 };
-                let (system, solution) = strong(
+                let (system, solution, contact) = strong(
                     &pressure,
                     &mut solid,
                     coupling,
@@ -529,10 +544,11 @@ impl Reference {
                     }
                     Some(report)
                 });
-                Ok((Systems::Coupled(Box::new(system)), reports))
+                Ok((Systems::Coupled(Box::new(system)), reports, contact))
             }
             (_, pressure, motion, part) => {
                 let mut reports = [None; 2];
+                let mut contact = ContactReport::default();
                 if let Some(system) = &pressure {
                     let (pressure, report) = solve(system, settings)?;
                     state.pressure = pressure;
@@ -541,13 +557,14 @@ impl Reference {
                 let mut solved = None;
                 if let Some(((mut system, mut contacts), part)) = motion.zip(part) {
                     let SolidPart { solids, solver, .. } = part;
-                    let (velocity, report) =
+                    let (velocity, report, found) =
                         solver.solve_in_contact(solids, &mut system, &mut contacts, settings)?;
                     state.node_velocity = velocity;
-                    reports[1] = Some(report);
+                    (reports[1], contact) = (Some(report), found);
                     solved = Some(Box::new(system));
                 }
-                Ok((Systems::Apart(pressure.map(Box::new), solved), reports))
+                let systems = Systems::Apart(pressure.map(Box::new), solved);
+                Ok((systems, reports, contact))
             }
         }
     }

@@ -5,7 +5,7 @@ use crate::effects::Effects;
 use crate::elastic::{Bounds, Solids};
 use crate::geometry::CutCells;
 use crate::gpu::{BufferPlan, Gpu, Readback, Real, Recorder, StageTimes};
-use crate::reference::MOST_SOLVES;
+use crate::reference::{LETTING_GO, MOST_SOLVES};
 use crate::scene::Scene;
 use crate::solver::{
     self, ObstacleField, Outcome, Polynomial, SolidRows, SolidSolver, SolidSystem,
@@ -15,7 +15,7 @@ use crate::stages::{
     self, DiagnoseSolid, ElementRotations, MoveSolid, NodeForces, ObstacleBuffers, SolidBuffers,
     SolidPlan,
 };
-use crate::state::{SolidReport, SolveStatus, State};
+use crate::state::{ContactReport, SolidReport, SolveStatus, State};
 
 use super::step::solve_report;
 
@@ -164,7 +164,7 @@ impl GpuSolids {
     pub(super) fn readbacks(gpu: &Gpu) -> Result<SolidReadbacks, Error> {
         Ok(SolidReadbacks {
             report: Readback::new(gpu, "solid.report", stages::SolidReport::WORDS)?,
-            changes: Readback::new(gpu, "solid.changes", 1)?,
+            changes: Readback::new(gpu, "solid.changes", 2)?,
         })
     }
 
@@ -175,7 +175,7 @@ impl GpuSolids {
         mut recorder: Recorder<'a>,
         changes: &mut Readback<u32>,
         dt: f64,
-    ) -> Result<(Outcome, StageTimes), Error> {
+    ) -> Result<(Outcome, ContactReport, StageTimes), Error> {
         let GpuSolids {
             buffers,
             system,
@@ -194,14 +194,16 @@ impl GpuSolids {
             outcome.iterations = iterations;
             seconds.append(&mut times);
             let mut to = Recorder::timed(gpu);
-            to.clear(&buffers.changes);
+            gpu.upload(&buffers.changes, &[0, u32::from(solves <= LETTING_GO)]);
             to.stage("solve", |pass| stages.system.record_update(pass));
             to.read(&buffers.changes, changes);
             let timing = to.submit();
-            let changed = changes.wait(gpu)?[0] > 0;
+            let unsettled = changes.wait(gpu)?[0];
             seconds.append(&mut timing.wait()?);
-            if !changed || solves == MOST_SOLVES || outcome.status != SolveStatus::Converged {
-                return Ok((outcome, seconds));
+            let ended = solves == MOST_SOLVES || outcome.status != SolveStatus::Converged;
+            if ended || unsettled == 0 {
+                let contact = ContactReport { solves, unsettled };
+                return Ok((outcome, contact, seconds));
             }
             recorder = Recorder::timed(gpu);
             recorder.stage("solve", |pass| stages.system.record_hold(pass));
@@ -247,7 +249,8 @@ impl GpuSolids {
                 *u += f64::from(step.dt) * v;
             }
         }
-        *velocity = self.solids
+        *velocity = self
+            .solids
             .prescribed_velocity(displacement, clock.time + dt, dt);
         round_to_f32(velocity);
         self.buffers.write_prescribed(gpu, velocity);
@@ -260,10 +263,16 @@ impl GpuSolids {
     }
 
     /// Keeps what the next sub-step needs of the report.
-    pub(super) fn finish(&mut self, outcome: &Outcome, report: stages::SolidReport) -> SolidReport {
+    pub(super) fn finish(
+        &mut self,
+        outcome: &Outcome,
+        contact: ContactReport,
+        report: stages::SolidReport,
+    ) -> SolidReport {
         self.max_speed = report.diagnosis.max_speed;
         SolidReport {
             solve: solve_report(outcome),
+            contact,
             diagnosis: report.diagnosis,
         }
     }

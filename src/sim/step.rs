@@ -10,7 +10,7 @@ use crate::stages::{
     AdvectMarkers, AdvectVelocity, Band, Diagnose, ElementRotations, Extrapolate, Forces,
     LiquidDistance, MoveSolid, Report, RightHandSide, SolidReport, WriteBack,
 };
-use crate::state::{SolveReport, StepReport};
+use crate::state::{ContactReport, SolveReport, StepReport};
 
 use super::gpu_liquid::{GpuLiquid, active, within};
 use super::gpu_path::GpuPath;
@@ -30,7 +30,7 @@ pub(super) struct Readbacks {
 #[derive(Default)]
 struct Told {
     liquid: Option<(Outcome, Report)>,
-    solids: Option<(Outcome, SolidReport)>,
+    solids: Option<((Outcome, ContactReport), SolidReport)>,
     seconds: StageTimes,
 }
 
@@ -161,8 +161,8 @@ impl GpuPath {
         if let Some((solids, SolidReadbacks { changes, .. })) =
             solids.zip(readbacks.solids.as_mut())
         {
-            let (outcome, mut seconds) = solids.solve_in_contact(gpu, to, changes, dt)?;
-            elastic = Some(outcome);
+            let (outcome, contact, mut seconds) = solids.solve_in_contact(gpu, to, changes, dt)?;
+            elastic = Some((outcome, contact));
             told.seconds.append(&mut seconds);
             to = Recorder::timed(gpu);
         }
@@ -242,7 +242,9 @@ impl GpuPath {
             dt,
             dt_floored: floored,
             liquid: liquid.map(|(liquid, (outcome, report))| liquid.finish(&outcome, report)),
-            solid: solids.map(|(solids, (outcome, report))| solids.finish(&outcome, report)),
+            solid: solids.map(|(solids, ((outcome, contact), report))| {
+                solids.finish(&outcome, contact, report)
+            }),
             coupling: None,
             seconds: by_stage(&told.seconds),
             seconds_total: 0.0,

@@ -56,7 +56,7 @@ impl SolidPlan {
         let mut plans = vec![
             BufferPlan::of::<SolidStep>("solid.step", 1),
             BufferPlan::of::<u32>("solid.report (read-back)", SolidReport::WORDS),
-            BufferPlan::of::<u32>("solid.changes (read-back)", 1),
+            BufferPlan::of::<u32>("solid.changes (read-back)", 2),
         ];
         if self.obstacles {
             plans.push(BufferPlan::of::<Layout>("solid.level", 1));
@@ -76,7 +76,7 @@ impl SolidPlan {
             BufferPlan::of::<u32>("solid.flags", n.next_multiple_of(4)),
             BufferPlan::of::<[f32; 4]>("solid.gaps", surfaces * n),
             BufferPlan::of::<[f32; 4]>("solid.freedom", n),
-            BufferPlan::of::<u32>("solid.changes", 1),
+            BufferPlan::of::<u32>("solid.changes", 2),
             BufferPlan::of::<[u32; 4]>("solid.elements", m),
             RealBuffer::plan("solid.rest_gradients", 12 * m, self.real),
             BufferPlan::of::<[f32; 2]>("solid.damping", m),

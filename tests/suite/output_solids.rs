@@ -12,7 +12,8 @@ use cutwater::output::preview::{Colour, PreviewOptions, preview};
 use cutwater::output::tables::{StepRow, StepTable};
 use cutwater::scene::Scene;
 use cutwater::state::{
-    CouplingReport, SolidDiagnosis, SolidReport, SolveReport, SolveStatus, State, StepReport,
+    ContactReport, CouplingReport, SolidDiagnosis, SolidReport, SolveReport, SolveStatus, State,
+    StepReport,
 };
 use glam::DVec3;
 
@@ -208,6 +209,10 @@ fn solid_report() -> SolidReport {
             residual: 3.25e-9,
             status: SolveStatus::Stagnated,
         },
+        contact: ContactReport {
+            solves: 5,
+            unsettled: 2,
+        },
         diagnosis: SolidDiagnosis {
             momentum: [1.0 / 3.0, -2e-17, 3e20],
             angular_momentum: [4.0, 5.5, -6.0],
@@ -223,7 +228,7 @@ fn solid_report() -> SolidReport {
 
 #[test]
 fn tables_of_solids_read_back_exactly() {
-    let solid_columns = "solid_iterations,residual_v,solid_status,solid_unknowns,solid_momentum_x,solid_momentum_y,\
+    let solid_columns = "solid_solves,unsettled_contacts,solid_iterations,residual_v,solid_status,solid_unknowns,solid_momentum_x,solid_momentum_y,\
                          solid_momentum_z,solid_angular_momentum_x,solid_angular_momentum_y,solid_angular_momentum_z,\
                          solid_kinetic_energy,solid_elastic_energy,solid_potential_energy,solid_max_speed,min_det_f,inverted";
     let liquid_columns: Vec<&str> = StepTable::columns(true, false).collect();
@@ -286,7 +291,7 @@ fn tables_of_solids_read_back_exactly() {
             )
         );
         let expected = format!(
-            "17,3.25e-9,stagnated,321,0.3333333333333333,-2e-17,3e20,4.0,5.5,-6.0,7.5,8.5,-9.5,10.25,-0.125,12{coupling},0,0.5,0.5"
+            "5,2,17,3.25e-9,stagnated,321,0.3333333333333333,-2e-17,3e20,4.0,5.5,-6.0,7.5,8.5,-9.5,10.25,-0.125,12{coupling},0,0.5,0.5"
         );
         assert!(
             values.starts_with("4,0.75,0.25,") && values.ends_with(&expected),

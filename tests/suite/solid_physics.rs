@@ -3,7 +3,7 @@
 use cutwater::geometry::obstacle_cut;
 use cutwater::gpu::AdapterChoice;
 use cutwater::grid::Grid;
-use cutwater::reference::{Reference, TimeStep};
+use cutwater::reference::{LETTING_GO, Reference, TimeStep};
 use cutwater::scene::{
     ElasticModel, Keyframe, Obstacle, Pin, Placement, Scene, Shape, Solid, SolidMesh,
 };
@@ -425,6 +425,33 @@ fn bodies_that_start_outside_or_in_an_obstacle_are_refused() {
         scene.obstacles = vec![stone.clone()];
         Simulation::new(&scene, &Backend::Cpu).unwrap();
     }
+}
+
+/// A soft block forced into a slot narrower than itself: the search for what holds it goes in circles at times, and ends all the same.
+#[test]
+fn the_search_for_contacts_comes_to_its_end() {
+    let mut solid = block([0.2; 3], [4, 4, 4]);
+    solid.placement.translate = DVec3::new(0.5, 0.52, 0.5);
+    solid.initial.velocity = DVec3::new(0.0, -2.0, 0.0);
+    (solid.young, solid.poisson) = (1e4, 0.3);
+    let mut scene = scene_of(vec![solid]);
+    scene.domain.size = DVec3::ONE;
+    scene.domain.cells = [32; 3];
+    scene.domain.gravity = DVec3::new(0.0, -9.81, 0.0);
+    let post = |low: f64, high: f64| Obstacle {
+        shape: region([low, 0.0, 0.0], [high, 0.4, 1.0]),
+        placement: Placement::default(),
+        inside_out: false,
+    };
+    scene.obstacles = vec![post(0.0, 0.41), post(0.59, 1.0)];
+    let mut reference = start(&scene);
+    let mut most = 0;
+    for number in 1..=60 {
+        let contact = step(&mut reference, 1.0 / 240.0).contact;
+        assert_eq!(contact.unsettled, 0, "step {number}: {contact:?}");
+        most = contact.solves.max(most);
+    }
+    assert!(most > LETTING_GO, "{most} solves at most");
 }
 
 /// A beam twisted and stretched by a script: the scripted end lands on its keyframes, the other end is held.

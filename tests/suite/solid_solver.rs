@@ -6,7 +6,7 @@ use cutwater::elastic::{Bounds, Solids};
 use cutwater::geometry::CutCells;
 use cutwater::gpu::{Gpu, Real, Recorder};
 use cutwater::linalg::{LinearOperator, dot, norm};
-use cutwater::reference::{self, BlockPattern, Contacts, Freedom, SolidSystem as Twin};
+use cutwater::reference::{self, BlockPattern, Contacts, Freedom, LETTING_GO, SolidSystem as Twin};
 use cutwater::scene::{Precision, Solver};
 use cutwater::solver::{
     ObstacleField, Outcome, Polynomial, SolidRows, SolidSolver, SolidSystem, SolidSystemBuffers,
@@ -135,10 +135,11 @@ impl<'a> Device<'a> {
         words.chunks_exact(4).map(|v| [v[0], v[1], v[2]]).collect()
     }
 
-    /// How many contacts change after the solve.
-    fn update(&self) -> u32 {
+    /// How many contacts change after a solve.
+    fn update(&self, may_let_go: bool) -> u32 {
+        self.gpu
+            .upload(&self.fields.changes, &[0, u32::from(may_let_go)]);
         let mut recorder = Recorder::new(self.gpu);
-        recorder.clear(&self.fields.changes);
         recorder.stage("solve", |pass| self.system.record_update(pass));
         recorder.submit();
         self.gpu.download(&self.fields.changes).unwrap()[0]
@@ -400,7 +401,7 @@ fn assert_contacts(what: &str, case: &SolidCase, twin: &Twin, device: &Device) -
     contacts
 }
 
-/// After a solve the same nodes are let go and held.
+/// After a late solve the same nodes are held, and none is let go; after an early one the same are held and let go.
 fn assert_update(
     what: &str,
     case: &SolidCase,
@@ -408,16 +409,22 @@ fn assert_update(
     mut contacts: Contacts,
     device: &Device,
 ) {
-    let changes = contacts.update(twin, &device.velocity());
-    assert_eq!(device.update() as usize, changes, "{what}");
-    let mut velocity = device.velocity();
-    let pairs = contacts.hold(&mut velocity).into_iter();
-    for (node, (twin, found)) in pairs.zip(device.freedom(case)).enumerate() {
-        let off = (twin.projector - found.projector)
-            .to_cols_array()
-            .map(f64::abs);
-        let off = off.into_iter().fold(0.0, f64::max);
-        assert!(off < 1e-5, "{what}: node {node}: {found:?} for {twin:?}");
+    for may_let_go in [false, true] {
+        let solve = if may_let_go { 1 } else { LETTING_GO + 1 };
+        let before = twin.freedom().iter().map(Freedom::rank);
+        let changes = contacts.update(twin, &device.velocity(), solve);
+        assert_eq!(device.update(may_let_go), changes, "{what}, solve {solve}");
+        let mut velocity = device.velocity();
+        let pairs = contacts.hold(&mut velocity).into_iter();
+        let pairs = pairs.zip(device.freedom(case)).zip(before);
+        for (node, ((twin, found), before)) in pairs.enumerate() {
+            let off = (twin.projector - found.projector)
+                .to_cols_array()
+                .map(f64::abs);
+            let off = off.into_iter().fold(0.0, f64::max);
+            assert!(off < 1e-5, "{what}: node {node}: {found:?} for {twin:?}");
+            assert!(may_let_go || twin.rank() <= before, "{what}: node {node}");
+        }
     }
 }
 
