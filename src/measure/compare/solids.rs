@@ -142,7 +142,8 @@ impl<'a> SolidJudge<'a> {
     }
 
     /// A free node is off by the rounding of the pair and of dt v. One that is put on a wall or an obstacle is off by the rounding of its
-    /// position, of the distance there (three cells at most, sampled with a position in cells), and of the direction.
+    /// position, of the distance there (three cells at most, sampled with a position in cells), and of the direction. Rounding decides whether
+    /// one that the solve has brought to the surface is beyond it and loses its velocity into it.
     fn move_solid(&mut self, after: &SolidSnapshot) {
         let before = self.before.clone();
         let (mut u, mut v) = (before.displacement.clone(), before.velocity.clone());
@@ -176,12 +177,22 @@ impl<'a> SolidJudge<'a> {
                 false => 4.0 * PAIR * (u[node][axis].abs() + way) + eps * way,
             }
         });
+        let size = self.grid.size();
+        let arrives: Vec<bool> = (0..u.len())
+            .map(|node| {
+                let x = self.solids.rest[node] + DVec3::from(u[node]);
+                let of_walls = x.min(size - x).min_element();
+                let of_obstacles = self.grid.sample_cells(&self.cut.solid_distance, x);
+                of_walls.min(of_obstacles) <= contact
+            })
+            .collect();
         let row = [MoveSolid::NAME, "v*", "m/s"];
         self.add_nodes(row, &after.velocity, &v, |node, _| {
             let speed = DVec3::from(before.velocity[node]).length();
-            match touched[node] {
-                true => 64.0 * EPS * cells * speed,
-                false => 0.0,
+            match (arrives[node], touched[node]) {
+                (true, _) => speed * (1.0 + 64.0 * EPS * cells),
+                (_, true) => 64.0 * EPS * cells * speed,
+                _ => 0.0,
             }
         });
     }
