@@ -15,7 +15,7 @@ use super::pcg::{Fold, N_SCALARS, Pcg, State, Unknowns};
 use super::{Control, Level};
 
 /// Slots of the norms: `shaders/common/refine.wgsl` names them.
-pub(super) const N_NORMS: usize = 12;
+pub(super) const N_NORMS: usize = 8;
 const NORM_R: usize = 0;
 const NORM_B: usize = 1;
 const NORM_TERMS: usize = 2;

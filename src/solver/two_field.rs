@@ -29,12 +29,13 @@ use super::chebyshev::Polynomial;
 use super::coupling::{BODIES, CouplingBuffers, LABELS, N_LISTS, NODES, PARTIALS, WET};
 use super::pcg::{Fold, Pcg, State, Unknowns};
 use super::pressure::{FIRST_SWEEP, Pressure};
-use super::refine::{N_NORMS, RefineSettings, System, relative, round_floor, rounding};
+use super::refine::{RefineSettings, System, relative, round_floor, rounding};
 use super::solid_solver::Chebyshev;
 use super::solid_system::{SolidFields, SolidSystemBuffers};
 use super::{Control, SolverBuffers};
 
-/// Slots of the norms: `shaders/common/refine.wgsl`.
+/// Slots of the norms: `shaders/common/refine.wgsl` names them, also those that other systems lack.
+const N_NORMS: usize = 12;
 const NORM_R: usize = 0;
 const NORM_B: usize = 1;
 const SCALE: usize = 4;
