@@ -32,7 +32,7 @@ const DENSITY: [f64; 3] = [10.0, 300.0, 1e4];
 /// s
 const STEP: [f64; 3] = [1.0 / 1000.0, 1.0 / 120.0, 1.0 / 24.0];
 /// Kinetic energy over what there was at the start that these steps may come to.
-const MOST_KINETIC: [f64; 3] = [1.01, 1.01, 10.0];
+const MOST_KINETIC: [f64; 3] = [1.01, 1.01, 5.0];
 /// Kinetic and elastic energy of the second half of the steps over that of the first, or over what there was at the start.
 const MOST_GROWTH: f64 = 1.05;
 /// tau_M (1/s), tau_K (s)
