@@ -16,14 +16,14 @@ use super::{Control, Level};
 
 /// Slots of the norms: `shaders/common/refine.wgsl` names them.
 pub(super) const N_NORMS: usize = 8;
-const NORM_R: usize = 0;
-const NORM_B: usize = 1;
+pub(super) const NORM_R: usize = 0;
+pub(super) const NORM_B: usize = 1;
 const NORM_TERMS: usize = 2;
-const SCALE: usize = 4;
+pub(super) const SCALE: usize = 4;
 /// Slot of the scalars: `shaders/common/pcg_slots.wgsl`.
 const GOAL: usize = 3;
 /// Status in [`Control`] of a round that made it worse: `shaders/common/control_state.wgsl`.
-const STATUS_STAGNATED: u32 = 4;
+pub(super) const STATUS_STAGNATED: u32 = 4;
 
 /// Iterations between two looks at whether the one-workgroup kernels still have work.
 pub(super) const BLOCK: usize = 4;
@@ -419,17 +419,8 @@ impl<S: System> OuterLoop<S> {
             norms,
             closed,
         } = reading;
-        let status = match control.status {
-            _ if !norms[NORM_R].is_finite() || !norms[NORM_B].is_finite() => SolveStatus::NonFinite,
-            0 => return None,
-            1 => SolveStatus::Converged,
-            2 => SolveStatus::IterationLimit,
-            3 if control.running == 1 => return None,
-            3 => SolveStatus::Breakdown,
-            // The last correction made it worse and is taken back, but the limit is what ended the solve.
-            _ if control.iterations >= control.max_iterations => SolveStatus::IterationLimit,
-            _ => SolveStatus::Stagnated,
-        };
+        let finite = norms[NORM_R].is_finite() && norms[NORM_B].is_finite();
+        let status = verdict(control, finite)?;
         Some(Outcome {
             status,
             iterations: control.iterations,
@@ -556,6 +547,21 @@ pub(super) fn round_floor(inner: Real) -> f32 {
         Real::F32 => ROUND_FLOOR_F32,
         Real::F64 => 0.0,
     }
+}
+
+/// How a solve ended, or `None` while there is more to do.
+pub(super) fn verdict(control: &Control, finite: bool) -> Option<SolveStatus> {
+    Some(match control.status {
+        _ if !finite => SolveStatus::NonFinite,
+        0 => return None,
+        1 => SolveStatus::Converged,
+        2 => SolveStatus::IterationLimit,
+        3 if control.running == 1 => return None,
+        3 => SolveStatus::Breakdown,
+        // The last correction made it worse and is taken back, but the limit is what ended the solve.
+        _ if control.iterations >= control.max_iterations => SolveStatus::IterationLimit,
+        _ => SolveStatus::Stagnated,
+    })
 }
 
 /// sqrt(rr / bb), and 0 where b is nothing: its squares may be below what f32 can tell from 0, and then the unknowns that are 0 solve it.

@@ -69,16 +69,7 @@ impl SolidContacts {
             hold: kernel(&crate::wgsl!("hold_nodes"))?
                 .bind(gpu, &[step, gaps, freedom, velocity])?,
             update: [
-                kernel(&crate::wgsl!("solid_products"))?.bind(
-                    gpu,
-                    &[
-                        ("rows", (&buffers.rows).into()),
-                        ("elements", fields.elements.into()),
-                        ("rotated", fields.rotated.into()),
-                        ("x", fields.velocity.into()),
-                        products,
-                    ],
-                )?,
+                buffers.bind_products(gpu, fields, fields.velocity)?,
                 kernel(&crate::wgsl!("update_contacts"))?.bind(
                     gpu,
                     &[

@@ -223,38 +223,11 @@ impl Elastic {
         let r = ("r", (&buffers.r).into());
         let search = ("search", (&buffers.search).into());
         let partials = ("partials", (&buffers.partials).into());
-        let product_of = |x: &RealBuffer| {
-            kernel(&crate::wgsl!("solid_products"))?.bind(
-                gpu,
-                &[
-                    rows,
-                    ("elements", fields.elements.into()),
-                    ("rotated", fields.rotated.into()),
-                    ("x", x.into()),
-                    products,
-                ],
-            )
-        };
+        let product_of = |x| buffers.bind_products(gpu, fields, x);
         Ok(Elastic {
-            guess: kernel(&crate::wgsl!("solid_guess"))?.bind(
-                gpu,
-                &[rows, freedom, ("velocity", fields.velocity.into()), search],
-            )?,
+            guess: buffers.bind_guess(gpu, fields)?,
             products: [product_of(fields.velocity)?, product_of(&buffers.search)?],
-            residual: kernel(&crate::wgsl!("solid_residual"))?.bind(
-                gpu,
-                &[
-                    rows,
-                    freedom,
-                    incidence,
-                    products,
-                    masses,
-                    ("x", fields.velocity.into()),
-                    ("rhs", (&buffers.rhs).into()),
-                    outer,
-                    partials,
-                ],
-            )?,
+            residual: buffers.bind_residual(gpu, fields)?,
             begin: kernel(&crate::wgsl!("solid_begin"))?
                 .bind(gpu, &[rows, ("norms", norms.into()), outer, r, search])?,
             preconditioner: Chebyshev::new(gpu, buffers, polynomial, &buffers.r, &buffers.z)?,

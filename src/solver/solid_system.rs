@@ -392,6 +392,56 @@ impl SolidSystemBuffers {
         })
     }
 
+    /// Binds the products of the elements with a velocity.
+    pub(super) fn bind_products(
+        &self,
+        gpu: &Gpu,
+        fields: SolidFields,
+        x: &RealBuffer,
+    ) -> Result<Bound, Error> {
+        Kernel::new(gpu, &crate::wgsl!("solid_products"), self.variant)?.bind(
+            gpu,
+            &[
+                ("rows", (&self.rows).into()),
+                ("elements", fields.elements.into()),
+                ("rotated", fields.rotated.into()),
+                ("x", x.into()),
+                ("products", (&self.products).into()),
+            ],
+        )
+    }
+
+    /// Binds P (rhs - S v), given the products with v.
+    pub(super) fn bind_residual(&self, gpu: &Gpu, fields: SolidFields) -> Result<Bound, Error> {
+        Kernel::new(gpu, &crate::wgsl!("solid_residual"), self.variant)?.bind(
+            gpu,
+            &[
+                ("rows", (&self.rows).into()),
+                ("freedom", fields.freedom.into()),
+                ("incidence", (&self.incidence).into()),
+                ("products", (&self.products).into()),
+                ("masses", (&self.masses).into()),
+                ("x", fields.velocity.into()),
+                ("rhs", (&self.rhs).into()),
+                ("outer", (&self.outer).into()),
+                ("partials", (&self.partials).into()),
+            ],
+        )
+    }
+
+    /// Binds the start of the unknowns, with what is free of v* as a correction on trial.
+    pub(super) fn bind_guess(&self, gpu: &Gpu, fields: SolidFields) -> Result<Bound, Error> {
+        Kernel::new(gpu, &crate::wgsl!("solid_guess"), self.variant)?.bind(
+            gpu,
+            &[
+                ("rows", (&self.rows).into()),
+                ("freedom", fields.freedom.into()),
+                ("velocity", fields.velocity.into()),
+                ("search", (&self.search).into()),
+            ],
+        )
+    }
+
     /// The uniform of the quads.
     pub(super) fn level(&self) -> Level {
         let n = self.sizes.n_nodes;

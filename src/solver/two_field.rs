@@ -29,20 +29,18 @@ use super::chebyshev::Polynomial;
 use super::coupling::{BODIES, CouplingBuffers, LABELS, N_LISTS, NODES, PARTIALS, WET};
 use super::pcg::{Fold, Pcg, State, Unknowns};
 use super::pressure::{FIRST_SWEEP, Pressure};
-use super::refine::{RefineSettings, System, relative, round_floor, rounding};
+use super::refine::{
+    NORM_B, NORM_R, RefineSettings, SCALE, STATUS_STAGNATED, System, relative, round_floor,
+    rounding, verdict,
+};
 use super::solid_solver::Chebyshev;
 use super::solid_system::{SolidFields, SolidSystemBuffers};
 use super::{Control, SolverBuffers};
 
 /// Slots of the norms: `shaders/common/refine.wgsl` names them, also those that other systems lack.
 const N_NORMS: usize = 12;
-const NORM_R: usize = 0;
-const NORM_B: usize = 1;
-const SCALE: usize = 4;
 const NORM_B_V: usize = 6;
 const NORM_BEST_V: usize = 10;
-/// Status in [`Control`]: `shaders/common/control_state.wgsl`.
-const STATUS_STAGNATED: u32 = 4;
 /// Dispatches of an iteration besides those of V-cycle and polynomial, about.
 const DISPATCHES: usize = 24;
 /// Dispatches that are recorded ahead of a chance to turn, and iterations, at most.
@@ -190,7 +188,6 @@ impl TwoFieldSolver {
         let settings = gpu.uniform(LABELS.refine_settings, &settings)?;
 
         let kernel = |source| Kernel::new(gpu, source, variant);
-        let of_solids = |source| Kernel::new(gpu, source, solids.variant);
         let wide = |source| Kernel::new(gpu, source, variant.real);
         let joint = ("coupling", (&coupling.coupling).into());
         let words = ("words", (&coupling.words).into());
@@ -208,18 +205,7 @@ impl TwoFieldSolver {
         let t = ("t", (&coupling.t).into());
         let base = ("base", (&coupling.base).into());
         let difference = ("difference", (&coupling.difference).into());
-        let product_of = |x: &RealBuffer| {
-            of_solids(&crate::wgsl!("solid_products"))?.bind(
-                gpu,
-                &[
-                    rows,
-                    ("elements", fields.elements.into()),
-                    ("rotated", fields.rotated.into()),
-                    ("x", x.into()),
-                    products,
-                ],
-            )
-        };
+        let product_of = |x| solids.bind_products(gpu, fields, x);
         let sum_joint = |source| {
             kernel(source)?.bind(
                 gpu,
@@ -278,33 +264,12 @@ impl TwoFieldSolver {
                     ],
                 )?,
             ],
-            guess: of_solids(&crate::wgsl!("solid_guess"))?.bind(
-                gpu,
-                &[
-                    rows,
-                    freedom,
-                    ("velocity", fields.velocity.into()),
-                    ("search", (&solids.search).into()),
-                ],
-            )?,
+            guess: solids.bind_guess(gpu, fields)?,
             keep: wide(&crate::wgsl!("couple_keep"))?
                 .bind(gpu, &[joint, words, ("rhs", (&liquid.rhs).into()), base])?,
             residual: Residual {
                 products: product_of(fields.velocity)?,
-                solid: of_solids(&crate::wgsl!("solid_residual"))?.bind(
-                    gpu,
-                    &[
-                        rows,
-                        freedom,
-                        incidence,
-                        products,
-                        masses,
-                        ("x", fields.velocity.into()),
-                        ("rhs", (&solids.rhs).into()),
-                        ("outer", (&solids.outer).into()),
-                        ("partials", (&solids.partials).into()),
-                    ],
-                )?,
+                solid: solids.bind_residual(gpu, fields)?,
                 nodes: wide(&crate::wgsl!("coupled_residual"))?.bind(
                     gpu,
                     &[
@@ -766,16 +731,8 @@ impl TwoFieldSolver {
     /// The verdict, or `None` while there is more to do.
     fn outcome(&self, control: &Control, norms: &[f64]) -> Option<CoupledOutcome> {
         let finite = [NORM_R, NORM_B, NORM_BEST_V, NORM_B_V];
-        let status = match control.status {
-            _ if !finite.iter().all(|&slot| norms[slot].is_finite()) => SolveStatus::NonFinite,
-            0 => return None,
-            1 => SolveStatus::Converged,
-            2 => SolveStatus::IterationLimit,
-            3 if control.running == 1 => return None,
-            3 => SolveStatus::Breakdown,
-            _ if control.iterations >= self.solver.max_iterations => SolveStatus::IterationLimit,
-            _ => SolveStatus::Stagnated,
-        };
+        let finite = finite.iter().all(|&slot| norms[slot].is_finite());
+        let status = verdict(control, finite)?;
         Some(CoupledOutcome {
             status,
             iterations: control.iterations,

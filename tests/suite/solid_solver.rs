@@ -358,7 +358,8 @@ fn the_velocities_solve_the_system() {
             held[by_obstacles] += twin.components().len() - ranks;
         }
     }
-    assert!(held[0] > 20 && held[1] > 150, "{held:?} directions held");
+    let held = held.map(|held| held / precisions(gpu).len());
+    assert!(held[0] > 10 && held[1] > 80, "{held:?} directions held");
 }
 
 /// What walls and obstacles hold from the start, and at which velocities, is the twin's: gaps, and normals of obstacles, are f32.
