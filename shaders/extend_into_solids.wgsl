@@ -1,37 +1,80 @@
-// liquid_distance, last of five, with obstacles only: a cell without a distance takes the mean of its known face neighbours,
-// weighted with the open fractions of the faces between. Three passes, each reading what the one before left.
+// liquid_distance, last of five, with obstacles only: a cell without a distance takes the mean of what its known neighbours say
+// of it, weighted with the open fractions of the faces between: the twin has the equation. A neighbour says its own value less the
+// slope on the way there. The slope along an axis is the mean over the pairs along it of a neighbour and a known cell across a face
+// of that, weighted with the product of both open fractions, and one pair without a slope. The result stays within the range of the
+// neighbours' values. Three passes, each reading what the one before left.
 // One thread per quad of the band; the band's neighbours count as unknown.
 // level. args, list, flags: the band. open: fractions of the minus faces. distance_in, distance_out: m.
 #import dispatch
 #import layout
-#import lanes
 #import unknown
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<storage, read> args: array<u32>;
 @group(0) @binding(2) var<storage, read> list: array<u32>;
 @group(0) @binding(3) var<storage, read> flags: array<u32>;
-@group(0) @binding(4) var<storage, read> open: array<vec4<f32>>;
-@group(0) @binding(5) var<storage, read> distance_in: array<vec4<f32>>;
-@group(0) @binding(6) var<storage, read_write> distance_out: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> open: array<f32>;
+@group(0) @binding(5) var<storage, read> distance_in: array<f32>;
+@group(0) @binding(6) var<storage, read_write> distance_out: array<f32>;
 
-fn known_distance(quad: u32) -> vec4<f32> {
-    if flags[quad] == 0u {
-        return vec4<f32>(UNKNOWN);
+// What lies across a face of a cell.
+struct Neighbour {
+    cell: u32,
+    // Open fraction, 0 where the neighbour is unknown.
+    open: f32,
+    phi: f32,
+}
+
+// On a side (0 minus, 1 plus) along an axis.
+fn neighbour(cell: u32, axis: u32, side: u32) -> Neighbour {
+    let stride = select(select(4u * level.stride_z, 4u * level.stride_y, axis == 1u), 1u, axis == 0u);
+    let plus = cell + side * stride;
+    let fraction = open[axis * 4u * level.quads + plus];
+    if fraction == 0.0 {
+        return Neighbour();
     }
-    return distance_in[quad];
+    let other = plus - (1u - side) * stride;
+    let phi = distance_in[other];
+    let known = flags[other / 4u] != 0u && phi < UNKNOWN;
+    return Neighbour(other, select(0.0, fraction, known), phi);
 }
 
-// Weighted sum (x) and weights (y) over four lanes each.
-struct Mean {
-    sum: vec4<f32>,
-    weight: vec4<f32>,
-}
-
-fn add(mean: Mean, phi: vec4<f32>, area: vec4<f32>) -> Mean {
-    let known = phi < vec4<f32>(UNKNOWN);
-    let weight = select(vec4<f32>(), area, known);
-    return Mean(mean.sum + weight * select(vec4<f32>(), phi, known), mean.weight + weight);
+fn from_neighbours(cell: u32) -> f32 {
+    var slope = vec3<f32>();
+    var pairs = vec3<f32>(1.0);
+    for (var face = 0u; face < 6u; face++) {
+        let n = neighbour(cell, face / 2u, face % 2u);
+        if n.open == 0.0 {
+            continue;
+        }
+        for (var next = 0u; next < 6u; next++) {
+            let m = neighbour(n.cell, next / 2u, next % 2u);
+            if m.open > 0.0 {
+                let weight = n.open * m.open;
+                slope[next / 2u] += weight * select(n.phi - m.phi, m.phi - n.phi, next % 2u == 1u);
+                pairs[next / 2u] += weight;
+            }
+        }
+    }
+    slope /= pairs;
+    var sum = 0.0;
+    var weights = 0.0;
+    var low = UNKNOWN;
+    var high = -UNKNOWN;
+    for (var face = 0u; face < 6u; face++) {
+        let n = neighbour(cell, face / 2u, face % 2u);
+        if n.open > 0.0 {
+            let rise = slope[face / 2u];
+            sum += n.open * (n.phi - select(-rise, rise, face % 2u == 1u));
+            weights += n.open;
+            low = min(low, n.phi);
+            high = max(high, n.phi);
+        }
+    }
+    if weights == 0.0 {
+        return UNKNOWN;
+    }
+    return clamp(sum / weights, low, high);
 }
 
 @compute @workgroup_size(WG_SIZE)
@@ -40,24 +83,12 @@ fn extend_into_solids(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(loca
     if index >= args[3] {
         return;
     }
-    let quad = list[index];
-    var phi = distance_in[quad];
-    let unknown = phi >= vec4<f32>(UNKNOWN);
-    if any(unknown) {
-        let sy = level.stride_y;
-        let sz = level.stride_z;
-        let y = level.quads + quad;
-        let z = 2u * level.quads + quad;
-        let ax = open[quad];
-        var mean = Mean(vec4<f32>(), vec4<f32>());
-        mean = add(mean, shift_up(known_distance(quad - 1u), phi), ax);
-        mean = add(mean, shift_down(phi, known_distance(quad + 1u)), shift_down(ax, open[quad + 1u]));
-        mean = add(mean, known_distance(quad - sy), open[y]);
-        mean = add(mean, known_distance(quad + sy), open[y + sy]);
-        mean = add(mean, known_distance(quad - sz), open[z]);
-        mean = add(mean, known_distance(quad + sz), open[z + sz]);
-        let found = unknown & (mean.weight > vec4<f32>());
-        phi = select(phi, mean.sum / select(vec4<f32>(1.0), mean.weight, found), found);
+    let first = 4u * list[index];
+    for (var cell = first; cell < first + 4u; cell++) {
+        var phi = distance_in[cell];
+        if phi >= UNKNOWN {
+            phi = from_neighbours(cell);
+        }
+        distance_out[cell] = phi;
     }
-    distance_out[quad] = phi;
 }

@@ -1,6 +1,6 @@
 //! `liquid_distance`: phi = min(2 dx, distance to the nearest marker) - r at cell centres, the union of spheres around the markers
-//! (Zhu and Bridson 2005), - dx deep inside, made again in solids as the mean of its known neighbours; and the volume that
-//! it encloses.
+//! (Zhu and Bridson 2005), - dx deep inside, made again in solids as a mean of what its known neighbours say; and the volume
+//! that it encloses.
 //!
 //! The minimum is formed by scattering with integer atomics, so it does not depend on any order. Only markers within two cells of
 //! an empty one scatter, and only to cells that are not deep inside: work follows the surface.

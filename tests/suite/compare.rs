@@ -90,7 +90,7 @@ fn spoil(stage: &str, s: &mut Snapshot) -> &'static [&'static str] {
             &["u*"]
         }
         "liquid_distance" => {
-            s.liquid_distance[first(&s.band)] += 1e-5;
+            s.liquid_distance[first(&s.band)] += 1e-4;
             s.report.volume_rate += 1e-3;
             &["phi", "volume rate"]
         }

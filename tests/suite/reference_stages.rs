@@ -296,7 +296,7 @@ fn liquid_distance_is_the_union_of_spheres() {
 }
 
 #[test]
-fn liquid_distance_goes_into_obstacles_by_open_means() {
+fn liquid_distance_goes_into_obstacles_through_open_faces() {
     // A row of 7 cells; the last 5 centres are solid.
     let grid = Grid {
         cells: [7, 1, 1],
@@ -306,17 +306,58 @@ fn liquid_distance_goes_into_obstacles_by_open_means() {
     cut.solid_distance = vec![0.6, 0.1, -0.2, -1.2, -2.2, -3.0, -3.0];
     cut.open[0][2] = 0.25;
     let phi = liquid_distance(&grid, &cut, &[[1.5, 0.5, 0.5]], 0.87);
-    // The means have one known neighbour each: they copy. Three passes, then air.
+    // Each has one known neighbour and keeps within its range: it copies. Three passes, then air.
     let exact = [0.13, -0.87, -0.87, -0.87, -0.87, 1.0, 1.0];
     assert!(phi.iter().zip(exact).all(|(a, b)| close(*a, b)), "{phi:?}");
 
-    // Two known neighbours, weighted by their open fractions; a closed face does not count.
+    // Two known neighbours, weighted by their open fractions, and the slope between the second and the one behind it, at which half
+    // a pair is open; a closed face does not count.
     cut.solid_distance = vec![0.1, -0.1, 0.1, 3.0, 0.1, -0.1, 0.1];
-    cut.open[0] = vec![0.0, 0.25, 0.75, 1.0, 1.0, 0.0, 0.0, 0.0];
-    let phi = liquid_distance(&grid, &cut, &[[0.5, 0.5, 0.5]], 0.87);
+    cut.open[0] = vec![0.0, 0.25, 0.5, 1.0, 1.0, 0.0, 0.0, 0.0];
+    let phi = liquid_distance(&grid, &cut, &[[0.5, 0.5, 0.5], [4.2, 0.5, 0.5]], 0.87);
+    let slope = 0.5 * (phi[3] - phi[2]) / (1.0 + 0.5);
+    let mean = (0.25 * (phi[0] + slope) + 0.5 * (phi[2] - slope)) / 0.75;
     assert!(
-        close(phi[1], 0.25 * phi[0] + 0.75 * phi[2]) && close(phi[5], 1.0),
+        slope < -0.3 && close(phi[1], mean) && close(phi[5], 1.0),
         "{phi:?}"
+    );
+}
+
+/// A centre just inside an overhang, with more open below it than beside it: beside it the level lies 0.4 cells lower, and so it does
+/// here. The mean alone says liquid.
+#[test]
+fn liquid_distance_stands_no_higher_in_obstacles_than_beside_them() {
+    let grid = Grid {
+        cells: [3, 4, 3],
+        dx: 1.0,
+    };
+    let mut cut = empty(&grid);
+    let at = |i, j, k| grid.cell([i, j, k]);
+    cut.solid_distance[at(1, 2, 1)] = -0.05;
+    cut.solid_distance[at(1, 3, 1)] = -0.6;
+    cut.solid_distance[at(2, 2, 1)] = -0.6;
+    cut.solid_distance[at(1, 2, 2)] = -0.3;
+    // Below 0.9, in front 0.6, on one side 0.4 open; nothing above and behind.
+    let mut face = |axis: Axis, ijk, open| cut.open[axis.index()][grid.face(axis, ijk)] = open;
+    face(Axis::Y, [1, 2, 1], 0.9);
+    face(Axis::Z, [1, 2, 1], 0.6);
+    face(Axis::X, [1, 2, 1], 0.4);
+    face(Axis::Y, [1, 3, 1], 0.0);
+    face(Axis::X, [2, 2, 1], 0.0);
+    face(Axis::Z, [1, 2, 2], 0.0);
+    // Markers so dense that above them phi is the height over the level, 2.1.
+    let steps = |n: usize| (0..n).map(|s| (s as f64 + 0.5) * 0.05);
+    let markers: Vec<_> = steps(60)
+        .flat_map(|x| steps(60).map(move |z| (x, z)))
+        .flat_map(|(x, z)| [0.5, 1.23].map(|y| [x, y, z]))
+        .collect();
+    let phi = liquid_distance(&grid, &cut, &markers, 0.87);
+    let mean = (0.9 * phi[at(1, 1, 1)] + 0.3 * phi[at(1, 2, 0)] + 0.2 * phi[at(0, 2, 1)]) / 1.4;
+    assert!(mean < -0.1, "the mean is {mean}");
+    let value = phi[at(1, 2, 1)];
+    assert!(
+        (0.0..0.5).contains(&value),
+        "{value} where it is 0.4 beside it"
     );
 }
 

@@ -66,9 +66,12 @@ fn the_liquid_lies_where_it_lies_in_the_twin() {
         let phi = run.buffers.padded.unpad(grid.cells, &padded, f64::from);
         let radius = single(RADIUS) * grid.dx;
         let twin = reference::liquid_distance(grid, &case.cut, &case.state.markers, radius);
-        // A position in cells is off by its size times 3 roundings per axis; root, product and difference add a few; the mean
-        // over neighbours in three passes adds 12 each.
-        let bound = EPS * grid.dx * (3.0 * 3.0 * case.extent() + 50.0);
+        // A position in cells is off by its size times 3 roundings per axis; root, product and difference add a few.
+        let outside = EPS * grid.dx * (3.0 * 3.0 * case.extent() + 14.0);
+        // A pass into solids takes values up to 1.2 dx with coefficients whose magnitudes add up to less than 3, a slope being made of
+        // differences: it triples what they are off by. Sums over up to 30 pairs and 6 neighbours add 110 roundings.
+        let pass = |off: f64| 3.0 * off + 110.0 * EPS * grid.dx;
+        let in_solid = pass(pass(pass(outside)));
         let far = |cell: usize| {
             assert!(twin[cell] > 0.0, "{}: liquid outside the band", case.name);
             grid.dx
@@ -78,7 +81,8 @@ fn the_liquid_lies_where_it_lies_in_the_twin() {
             (0..grid.n_cells()).map(|cell| {
                 let ijk = grid.cell_at(cell);
                 let twin = if in_band(ijk) { twin[cell] } else { far(cell) };
-                (phi[cell], twin, bound, ijk)
+                let solid = case.cut.solid_distance[cell] < 0.0;
+                (phi[cell], twin, if solid { in_solid } else { outside }, ijk)
             }),
         );
         let liquid = padded.iter().filter(|&&phi| phi < 0.0).count();

@@ -41,7 +41,8 @@ pub(super) struct LiquidJudge<'a> {
 #[derive(Default)]
 struct Twin {
     liquid_distance: Vec<f64>,
-    distance_bound: f64,
+    /// How far off the device's may be, per cell, m.
+    distance_bounds: Vec<f64>,
     /// Of the stored liquid distance, all in f64.
     active: Option<ActiveCells>,
     /// m/s, and how far off the device's may be.
@@ -84,6 +85,7 @@ impl<'a> LiquidJudge<'a> {
             table: Table::default(),
             twin: Twin {
                 liquid_distance: before.liquid_distance.clone(),
+                distance_bounds: vec![0.0; grid.n_cells()],
                 ..Twin::default()
             },
             before,
@@ -274,17 +276,24 @@ impl<'a> LiquidJudge<'a> {
         }
     }
 
-    /// A position in cells is off by its size times 3 roundings per axis; root, product and difference add a few; the mean
-    /// over neighbours in three passes adds 12 each.
+    /// A position in cells is off by its size times 3 roundings per axis; root, product and difference add a few. A pass into solids
+    /// takes values with coefficients whose magnitudes add up to less than 3, a slope being made of differences: it triples what they
+    /// are off by, and its sums over up to 30 pairs and 6 neighbours add 110 roundings.
     fn liquid_distance(&mut self, after: &LiquidSnapshot) {
         let grid = self.grid;
         let dx = grid.dx;
-        let bound = EPS * dx * (3.0 * 3.0 * self.extent() + 50.0);
+        let outside = EPS * dx * (3.0 * 3.0 * self.extent() + 14.0);
+        let pass = |off: f64| 3.0 * off + 110.0 * EPS * dx;
+        let in_solid = pass(pass(pass(outside)));
+        let centres = self.cut.solid_distance.iter();
+        let bounds: Vec<f64> = centres
+            .map(|&distance| if distance < 0.0 { in_solid } else { outside })
+            .collect();
         let radius = f64::from(self.step.marker_radius) * dx;
         let markers: Vec<[f64; 3]> = after.markers.iter().copied().flatten().collect();
         let twin = reference::liquid_distance(&grid, &self.cut, &markers, radius);
         let gpu = &after.liquid_distance;
-        let differs = |cell: usize, twin: &[f64]| (gpu[cell] - twin[cell]).abs() > bound;
+        let differs = |cell: usize, twin: &[f64]| (gpu[cell] - twin[cell]).abs() > bounds[cell];
         let in_band = |cell: &usize| after.band[*cell];
         let mut excused = vec![false; grid.n_cells()];
         if (0..grid.n_cells())
@@ -296,7 +305,7 @@ impl<'a> LiquidJudge<'a> {
             let other = reference::liquid_distance(&grid, &self.cut, &moved, radius);
             for cell in (0..grid.n_cells()).filter(in_band) {
                 excused[cell] =
-                    differs(cell, &twin) && (gpu[cell] - other[cell]).abs() <= 4.0 * bound;
+                    differs(cell, &twin) && (gpu[cell] - other[cell]).abs() <= 4.0 * bounds[cell];
             }
         }
         let number = |distance: &[f64], cell: usize| {
@@ -312,14 +321,14 @@ impl<'a> LiquidJudge<'a> {
             [LiquidDistance::NAME, "phi", "m"],
             judged.map(|cell| {
                 let place = Place::cell(&grid, cell);
-                (number(gpu, cell), number(&twin, cell), bound, place)
+                (number(gpu, cell), number(&twin, cell), bounds[cell], place)
             }),
         );
         self.table.row(LiquidDistance::NAME, "phi", "m").excused +=
             excused.iter().filter(|&&excused| excused).count() as u64;
         self.volume_rate(after);
         self.twin.liquid_distance = twin;
-        self.twin.distance_bound = bound;
+        self.twin.distance_bounds = bounds;
     }
 
     /// The marker (m), moved to the other side of every cell border that is within its rounding in cells.
@@ -679,18 +688,16 @@ impl<'a> LiquidJudge<'a> {
             ..gpu.clone()
         };
         let surface = |shift: f64| {
-            let phi: Vec<f64> = self
-                .twin
-                .liquid_distance
-                .iter()
-                .map(|phi| phi + shift)
+            let twin = self.twin.liquid_distance.iter();
+            let phi: Vec<f64> = twin
+                .zip(&self.twin.distance_bounds)
+                .map(|(phi, bound)| phi + shift * bound)
                 .collect();
             let open = &self.cut.open;
             let active = reference::active_cells(&grid, open, &phi, self.theta_floor());
             on_device(phi, active.stencil.active_mask())
         };
-        let bound = self.twin.distance_bound;
-        let surfaces = [0.0, bound, -bound].map(surface);
+        let surfaces = [0.0, 1.0, -1.0].map(surface);
         let mut pairs = Vec::new();
         for probe in &self.scene.probes {
             let read = |state: &State| reference::probe(&grid, state, &probe.kind);
