@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DVec3};
 use parry3d_f64::query::{PointQueryWithLocation, Ray, RayCast};
-use parry3d_f64::shape::{TriMesh, TriMeshFlags};
+use parry3d_f64::shape::{TriMesh, TriMeshFlags, Triangle};
 use rayon::prelude::*;
 
 use super::Surface;
@@ -40,7 +40,20 @@ pub(super) enum Solid {
         phase: f64,
     },
     /// Inside a closed mesh.
-    Mesh(Box<TriMesh>),
+    Mesh(Box<ClosedMesh>),
+}
+
+/// A closed mesh, and which of its triangles its distance sees.
+pub(super) struct ClosedMesh {
+    all: TriMesh,
+    free: Free,
+}
+
+/// The triangles that do not lie on walls of the domain.
+enum Free {
+    All,
+    Some(Box<TriMesh>),
+    None,
 }
 
 impl Solid {
@@ -78,13 +91,11 @@ impl Solid {
 
     /// The inside of a closed surface.
     fn mesh(surface: &Surface) -> Solid {
-        let mesh = TriMesh::with_flags(
-            surface.vertices.clone(),
-            surface.triangles.clone(),
-            TriMeshFlags::ORIENTED,
-        )
-        .expect("a surface without fault has triangles");
-        Solid::Mesh(Box::new(mesh))
+        let Surface {
+            vertices,
+            triangles,
+        } = surface.clone();
+        Solid::Mesh(Box::new(ClosedMesh::new(vertices, triangles)))
     }
 
     /// Signed distance at a point, m. Exact but for waves: their value over the length of its gradient, which is right to
@@ -118,59 +129,61 @@ impl Solid {
                 let slope = amplitude * sin * kx.hypot(kz);
                 (x.y - level - amplitude * cos) / 1.0_f64.hypot(slope)
             }
-            Solid::Mesh(ref mesh) => {
-                mesh_distance(mesh, x, f64::MAX).expect("every point has a nearest triangle")
-            }
+            Solid::Mesh(ref mesh) => mesh
+                .distance(x, f64::MAX)
+                .expect("every point has a nearest triangle"),
         }
     }
 
-    /// The solid with its flat sides that lie on or beyond a wall of the domain moved away to infinity, so that its distance
-    /// does not see them.
-    pub(super) fn beyond_walls(self, grid: &Grid) -> Solid {
-        // Far above the rounding of a scene's numbers and far below anything that a cell can tell.
-        let near = 1e-6 * grid.dx;
-        let size = grid.size();
+    /// The solid without its flat sides that lie on or beyond a wall of the domain once it is placed around `centre` (m): its distance
+    /// does not see them. Nothing gets out of it there.
+    pub(super) fn beyond_walls(self, grid: &Grid, placement: &Placement, centre: DVec3) -> Solid {
+        let on_wall = |x, out| on_wall(grid, placement.put(x, centre), placement.rotate * out);
         match self {
-            Solid::Box { min, max } => Solid::Box {
-                min: DVec3::select(min.cmple(DVec3::splat(near)), DVec3::NEG_INFINITY, min),
-                max: DVec3::select(max.cmpge(size - near), DVec3::INFINITY, max),
-            },
+            Solid::Box { min, max } => {
+                let walls =
+                    |corner, sign: f64| DVec3::AXES.map(|axis| on_wall(corner, sign * axis)).into();
+                Solid::Box {
+                    min: DVec3::select(walls(min, -1.0), DVec3::NEG_INFINITY, min),
+                    max: DVec3::select(walls(max, 1.0), DVec3::INFINITY, max),
+                }
+            }
             Solid::Cylinder {
                 point,
                 axis,
                 radius,
-                heights,
-            } => {
-                // The way out through each flat side, and whether that side lies on the wall in that direction.
-                let on_wall = |height: f64, out: DVec3| {
-                    let centre = point + height * axis;
-                    (0..3).any(|a| {
-                        (out[a] > 1.0 - 1e-12 && centre[a] >= size[a] - near)
-                            || (out[a] < -1.0 + 1e-12 && centre[a] <= near)
-                    })
-                };
-                let [low, high] = heights;
-                Solid::Cylinder {
-                    point,
-                    axis,
-                    radius,
-                    heights: [
-                        if on_wall(low, -axis) {
-                            f64::NEG_INFINITY
-                        } else {
-                            low
-                        },
-                        if on_wall(high, axis) {
-                            f64::INFINITY
-                        } else {
-                            high
-                        },
-                    ],
-                }
-            }
+                heights: [low, high],
+            } => Solid::Cylinder {
+                point,
+                axis,
+                radius,
+                heights: [
+                    if on_wall(point + low * axis, -axis) {
+                        f64::NEG_INFINITY
+                    } else {
+                        low
+                    },
+                    if on_wall(point + high * axis, axis) {
+                        f64::INFINITY
+                    } else {
+                        high
+                    },
+                ],
+            },
+            Solid::Mesh(mesh) => Solid::Mesh(Box::new(mesh.beyond_walls(on_wall))),
             other => other,
         }
     }
+}
+
+/// Whether a flat side through a point (m), with this unit way out of its solid, lies on or beyond the wall in that direction.
+fn on_wall(grid: &Grid, x: DVec3, out: DVec3) -> bool {
+    // Far above the rounding of a scene's numbers and far below anything that a cell can tell.
+    let near = 1e-6 * grid.dx;
+    let size = grid.size();
+    (0..3).any(|a| {
+        (out[a] > 1.0 - 1e-12 && x[a] >= size[a] - near) || (out[a] < -1.0 + 1e-12 && x[a] <= near)
+    })
 }
 
 /// The distance of a convex solid from the largest of the distances to its sides and, outside, the length of those above 0.
@@ -178,33 +191,75 @@ fn from_sides(largest: f64, outside: f64) -> f64 {
     if largest > 0.0 { outside } else { largest }
 }
 
-/// Signed distance to a closed mesh if it is at most `reach`; the sign by angle-weighted pseudo-normals (Baerentzen and
-/// Aanaes 2005).
-fn mesh_distance(mesh: &TriMesh, x: DVec3, reach: f64) -> Option<f64> {
-    let (nearest, _) = mesh.project_local_point_and_get_location_with_max_dist(x, false, reach)?;
-    let distance = (x - nearest.point).length();
-    Some(if nearest.is_inside {
-        -distance
-    } else {
-        distance
-    })
+impl ClosedMesh {
+    /// Of at least one triangle, counter-clockwise seen from outside.
+    pub(super) fn new(vertices: Vec<DVec3>, triangles: Vec<[u32; 3]>) -> ClosedMesh {
+        let all = TriMesh::with_flags(vertices, triangles, TriMeshFlags::ORIENTED);
+        ClosedMesh {
+            all: all.expect("a closed surface has triangles"),
+            free: Free::All,
+        }
+    }
+
+    /// The mesh whose distance does not see the triangles through these points with these ways out.
+    fn beyond_walls(self, on_wall: impl Fn(DVec3, DVec3) -> bool) -> ClosedMesh {
+        let all = self.all;
+        let seen = |triangle: &&[u32; 3]| {
+            let [a, b, c] = triangle.map(|vertex| all.vertices()[vertex as usize]);
+            !on_wall(a, (b - a).cross(c - a).normalize_or_zero())
+        };
+        let seen: Vec<[u32; 3]> = all.indices().iter().filter(seen).copied().collect();
+        let free = if seen.len() == all.indices().len() {
+            Free::All
+        } else if seen.is_empty() {
+            Free::None
+        } else {
+            let mesh = TriMesh::new(all.vertices().to_vec(), seen);
+            Free::Some(Box::new(mesh.expect("there are triangles")))
+        };
+        ClosedMesh { all, free }
+    }
+
+    /// Signed distance if it is at most `reach`; the sign by angle-weighted pseudo-normals (Baerentzen and Aanaes 2005). A point of the
+    /// domain outside the mesh is nowhere nearer to a wall's triangle than to another.
+    fn distance(&self, x: DVec3, reach: f64) -> Option<f64> {
+        let nearest = |mesh: &TriMesh| {
+            let found = mesh.project_local_point_and_get_location_with_max_dist(x, false, reach);
+            found.map(|(nearest, _)| nearest)
+        };
+        let surface = nearest(&self.all)?;
+        let length = (x - surface.point).length();
+        if !surface.is_inside {
+            return Some(length);
+        }
+        match &self.free {
+            Free::All => Some(-length),
+            Free::Some(mesh) => nearest(mesh).map(|free| -(x - free.point).length()),
+            Free::None => Some(f64::NEG_INFINITY),
+        }
+    }
+
+    /// As [`Body::thickness`].
+    fn thickness(&self) -> f64 {
+        match &self.free {
+            Free::All => thickness(&self.all, self.all.triangles()),
+            Free::Some(mesh) => thickness(mesh, mesh.triangles()),
+            Free::None => f64::INFINITY,
+        }
+    }
 }
 
-impl Surface {
-    /// As [`Body::thickness`], `mesh` being the same surface.
-    fn thickness(&self, mesh: &TriMesh) -> f64 {
-        let [low, high] = self.bounds();
-        let size = (high - low).length();
-        let every = self.triangles.len().div_ceil(THICKNESS_RAYS);
-        let ways = self.triangles.iter().step_by(every).filter_map(|triangle| {
-            let [a, b, c] = triangle.map(|vertex| self.vertices[vertex as usize]);
-            let inwards = -(b - a).cross(c - a).try_normalize()?;
-            // From just below the triangle, so that it is not hit itself.
-            let start = (a + b + c) / 3.0 + 1e-9 * size * inwards;
-            mesh.cast_local_ray(&Ray::new(start, inwards), size, false)
-        });
-        ways.fold(f64::INFINITY, f64::min)
-    }
+/// The shortest way through a mesh, m, straight from the middle of these triangles of it, or of about a thousand among them.
+fn thickness(mesh: &TriMesh, triangles: impl ExactSizeIterator<Item = Triangle>) -> f64 {
+    let size = mesh.local_aabb().extents().length();
+    let every = triangles.len().div_ceil(THICKNESS_RAYS).max(1);
+    let ways = triangles.step_by(every).filter_map(|triangle| {
+        let inwards = -triangle.scaled_normal().try_normalize()?;
+        // From just below the triangle, so that it is not hit itself.
+        let start = triangle.center() + 1e-9 * size * inwards;
+        mesh.cast_local_ray(&Ray::new(start, inwards), size, false)
+    });
+    ways.fold(f64::INFINITY, f64::min)
 }
 
 /// An obstacle: its boundary and its signed distance.
@@ -218,15 +273,15 @@ pub(super) struct Body {
 }
 
 impl Body {
-    /// The body of an obstacle, tessellated for cells of size `dx`; `name` is for errors.
-    pub(super) fn new(obstacle: &Obstacle, name: &str, dx: f64) -> Result<Body, Error> {
+    /// The body of an obstacle, tessellated for the cells of the grid; `name` is for errors.
+    pub(super) fn new(obstacle: &Obstacle, name: &str, grid: &Grid) -> Result<Body, Error> {
         let Obstacle {
             ref shape,
             placement,
             inside_out,
         } = *obstacle;
         // The tessellation is scaled with the placement.
-        let dx = dx / placement.scale;
+        let dx = grid.dx / placement.scale;
         let surface = match *shape {
             Shape::Box { min, max } => Surface::cuboid(min, max),
             Shape::Sphere { centre, radius } => Surface::sphere(centre, radius, dx),
@@ -250,8 +305,10 @@ impl Body {
         let surface = surface.placed(&placement, centre);
         // A mesh is turned as a whole; the other shapes turn the point back.
         let solid = match shape {
-            Shape::Mesh { .. } => Solid::mesh(&surface),
-            _ => Solid::new(shape)?,
+            Shape::Mesh { .. } => {
+                Solid::mesh(&surface).beyond_walls(grid, &Placement::default(), DVec3::ZERO)
+            }
+            _ => Solid::new(shape)?.beyond_walls(grid, &placement, centre),
         };
         Ok(Body {
             surface: if inside_out {
@@ -272,7 +329,7 @@ impl Body {
     }
 
     /// Least thickness, m: of a mesh the shortest way from the middle of a triangle straight through to the other side, at
-    /// about a thousand triangles. Infinite for a container.
+    /// about a thousand triangles. Infinite for a container, and where the other side lies on a wall.
     pub(super) fn thickness(&self) -> f64 {
         let scale = self.placement.scale;
         match self.solid {
@@ -285,11 +342,12 @@ impl Body {
                 ..
             } => scale * (high - low).min(2.0 * radius),
             Solid::HalfSpace { .. } | Solid::Wave { .. } => f64::INFINITY,
-            Solid::Mesh(ref mesh) => self.surface.thickness(mesh),
+            Solid::Mesh(ref mesh) => mesh.thickness(),
         }
     }
 
-    /// Signed distance at a point, m, of the shape as placed, the right way out. Exact.
+    /// Signed distance at a point, m, of the shape as placed, the right way out. Exact, but for sides on walls: the way out does not
+    /// lead through these.
     fn of_shape(&self, x: DVec3) -> f64 {
         let Placement {
             translate,
@@ -340,11 +398,16 @@ impl Body {
 /// Distance to a mesh along a row of cell centres: exact within the band, beyond it +-band. Between two neighbouring centres
 /// of which one is further from the surface than the band, and the band is wider than a cell, there is no surface: the sign
 /// stays.
-fn mesh_row(mesh: &TriMesh, band: f64, centres: impl Iterator<Item = DVec3>, values: &mut [f64]) {
+fn mesh_row(
+    mesh: &ClosedMesh,
+    band: f64,
+    centres: impl Iterator<Item = DVec3>,
+    values: &mut [f64],
+) {
     let mut last: Option<f64> = None;
     for (x, value) in centres.zip(values) {
-        *value = mesh_distance(mesh, x, band).unwrap_or_else(|| {
-            let signed = last.or_else(|| mesh_distance(mesh, x, f64::MAX));
+        *value = mesh.distance(x, band).unwrap_or_else(|| {
+            let signed = last.or_else(|| mesh.distance(x, f64::MAX));
             band.copysign(signed.expect("every point has a nearest triangle"))
         });
         last = Some(*value);

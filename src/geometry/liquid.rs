@@ -9,7 +9,7 @@ use super::CutCells;
 use super::distance::Solid;
 use crate::error::Error;
 use crate::grid::{Axis, Grid};
-use crate::scene::{Liquid, Scene, Surface};
+use crate::scene::{Liquid, Placement, Scene, Surface};
 use crate::state::State;
 
 /// The regions of a liquid with their shapes ready for distances.
@@ -38,11 +38,12 @@ impl Regions {
         })
     }
 
-    /// The regions without the flat sides that lie on or beyond walls of the domain, which are no free surface: those of
-    /// boxes, and the ends of cylinders.
+    /// The regions without the flat sides that lie on or beyond walls of the domain, which are no free surface.
     pub fn beyond_walls(self, grid: &Grid) -> Regions {
         let parts = self.parts.into_iter().map(|part| Part {
-            solid: part.solid.beyond_walls(grid),
+            solid: part
+                .solid
+                .beyond_walls(grid, &Placement::default(), DVec3::ZERO),
             ..part
         });
         Regions {

@@ -151,7 +151,7 @@ fn bodies(scene: &Scene, grid: &Grid) -> impl Iterator<Item = Result<Body, Error
     let file = scene.file.display();
     let obstacles = scene.obstacles.iter().enumerate();
     obstacles.map(move |(number, obstacle)| {
-        Body::new(obstacle, &format!("{file}: obstacle[{number}]"), grid.dx)
+        Body::new(obstacle, &format!("{file}: obstacle[{number}]"), grid)
     })
 }
 

@@ -116,9 +116,7 @@ impl Surface {
 
     /// The surface put where an obstacle's placement says, turned about `centre`.
     pub fn placed(self, placement: &Placement, centre: DVec3) -> Surface {
-        self.map(|x| {
-            centre + placement.scale * (placement.rotate * (x - centre)) + placement.translate
-        })
+        self.map(|x| placement.put(x, centre))
     }
 
     /// The boundary of everything outside: the same triangles, turned round.

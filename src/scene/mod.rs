@@ -183,6 +183,13 @@ impl Default for Placement {
     }
 }
 
+impl Placement {
+    /// Where a point of a shape with this centre is put, m.
+    pub fn put(&self, x: DVec3, centre: DVec3) -> DVec3 {
+        centre + self.scale * (self.rotate * (x - centre)) + self.translate
+    }
+}
+
 /// An elastic body.
 #[derive(Clone, Debug)]
 pub struct Solid {

@@ -7,7 +7,9 @@ use std::path::Path;
 use cutwater::error::Error;
 use cutwater::geometry::{self, Clipping, CutCells, Regions, Surface, clip, open_fractions};
 use cutwater::grid::{Axis, Grid};
+use cutwater::reference::advect_markers;
 use cutwater::scene::{self, Liquid, Obstacle, Placement, Region, Scene, Shape};
+use cutwater::state::State;
 use glam::{DMat3, DQuat, DVec3};
 
 use crate::common::Random;
@@ -597,6 +599,81 @@ fn obstacle_distance_equals_brute_force() {
                 );
             }
         }
+    }
+}
+
+/// A pillar on the floor and a rod on a wall, as they are, turned, scaled, moved and drawn by a mesh: their distance is that of bodies
+/// that go on beyond the wall, and a marker in the pillar, just above the floor, leaves it sideways.
+#[test]
+fn sides_of_obstacles_on_walls_are_no_way_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("pillar.obj");
+    let [min, max] = [DVec3::new(0.4, 0.0, 0.4), DVec3::new(0.6, 0.5, 0.7)];
+    write_obj(&file, &Surface::cuboid(min, max));
+    let centre = 0.5 * (min + max);
+    let lying = DVec3::new(0.125, 0.05, 0.075);
+    let cuboid = |min, max| Shape::Box { min, max };
+    let rod = |base, axis, height| Shape::Cylinder {
+        base,
+        axis,
+        radius: 0.2,
+        height,
+    };
+    let here = Placement::default();
+    let moved = Placement {
+        translate: -DVec3::X,
+        ..here
+    };
+    let turned = |scale| Placement {
+        rotate: DMat3::from_axis_angle(DVec3::Z, 0.5 * PI),
+        scale,
+        ..here
+    };
+    let pillars = vec![
+        (cuboid(min, max), here),
+        (cuboid(min + DVec3::X, max + DVec3::X), moved),
+        (cuboid(centre - lying, centre + lying), turned(2.0)),
+        (Shape::Mesh { file }, here),
+    ];
+    let rods = vec![
+        (rod(DVec3::new(1.0, 0.5, 0.5), -DVec3::X, 0.4), here),
+        (rod(DVec3::new(0.8, 0.3, 0.5), DVec3::Y, 0.4), turned(1.0)),
+    ];
+    let mut scene = empty_scene([16, 16, 16]);
+    let grid = scene.grid();
+    let mut distance = |shape: &Shape, placement: Placement, inside_out: bool| {
+        scene.obstacles = vec![Obstacle {
+            shape: shape.clone(),
+            placement,
+            inside_out,
+        }];
+        geometry::cut_cells(&scene, &grid).unwrap().solid_distance
+    };
+    for (bodies, beyond) in [
+        (&pillars, cuboid(min - 2.0 * DVec3::Y, max)),
+        (&rods, rod(DVec3::new(3.0, 0.5, 0.5), -DVec3::X, 2.4)),
+    ] {
+        for ((shape, placement), inside_out) in
+            bodies.iter().flat_map(|body| [(body, false), (body, true)])
+        {
+            let expected = distance(&beyond, here, inside_out);
+            let got = distance(shape, *placement, inside_out);
+            for (cell, (got, expected)) in got.iter().zip(expected).enumerate() {
+                assert!(
+                    (got - expected).abs() < 1e-12,
+                    "{shape:?}, cell {:?}: {got}, expected {expected}",
+                    grid.cell_at(cell)
+                );
+            }
+        }
+    }
+    let still = State::at_rest(&grid).velocity;
+    for (shape, placement) in pillars {
+        let distance = distance(&shape, placement, false);
+        let start = [0.42, 0.01, 0.55];
+        let (markers, _) = advect_markers(&grid, &still, &distance, &[start], 0.01);
+        let [x, y, z] = markers[0];
+        assert!(x < 0.4 && [y, z] == start[1..], "{shape:?}: {markers:?}");
     }
 }
 
@@ -1241,6 +1318,15 @@ fn obstacles_thinner_than_a_cell_are_found() {
         radius: 0.2,
         height,
     };
+    // Nothing gets through it.
+    let on_floor = |shape: Shape| Obstacle {
+        shape,
+        placement: Placement {
+            translate: DVec3::new(0.0, 0.5 * 0.0375 - 0.5, 0.0),
+            ..Placement::default()
+        },
+        inside_out: false,
+    };
     // 16 cells to the metre, half as large: 0.0375 m are 0.3 cells.
     let mut scene = crate::reference_physics::scene([16; 3], &crate::reference_physics::pool(0.3));
     scene.obstacles = vec![
@@ -1251,6 +1337,8 @@ fn obstacles_thinner_than_a_cell_are_found() {
         obstacle(disc(0.0375), false),
         obstacle(disc(0.15), false),
         obstacle(cuboid(0.0375), true),
+        on_floor(cuboid(0.0375)),
+        on_floor(mesh("floor.obj", 0.0375)),
     ];
     let thin = geometry::thin_obstacles(&scene, &scene.grid()).unwrap();
     let numbers: Vec<usize> = thin.iter().map(|(number, _)| *number).collect();
