@@ -131,8 +131,7 @@ impl AdapterReport {
             needed: bytes,
             available,
             unit,
-            cure: "use fewer cells (--scale), another adapter (--adapter), or --backend cpu"
-                .to_owned(),
+            cure: "make it smaller, use another adapter (--adapter), or --backend cpu".to_owned(),
         })
     }
 }

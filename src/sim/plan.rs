@@ -137,13 +137,22 @@ impl Plan {
     /// Checks every buffer against the limits of an adapter.
     ///
     /// # Errors
-    /// [`Error::Limit`] naming the largest buffer that does not fit.
+    /// [`Error::Limit`] naming the largest buffer that does not fit, and what would make it smaller.
     pub fn check(&self, adapter: &AdapterReport) -> Result<(), Error> {
         let mut largest_first: Vec<&BufferPlan> = self.buffers.iter().collect();
         largest_first.sort_by_key(|plan| std::cmp::Reverse(plan.bytes()));
-        largest_first
-            .into_iter()
-            .try_for_each(|plan| adapter.check_buffer(plan.label, plan.bytes()))
+        largest_first.into_iter().try_for_each(|plan| {
+            let mut checked = adapter.check_buffer(plan.label, plan.bytes());
+            if let Err(Error::Limit { cure, .. }) = &mut checked {
+                // Labels begin with whose buffer it is.
+                let smaller = match plan.label.starts_with("solid") {
+                    true => "coarser meshes of the solids",
+                    false => "fewer cells (--scale)",
+                };
+                *cure = format!("use {smaller}, another adapter (--adapter), or --backend cpu");
+            }
+            checked
+        })
     }
 }
 

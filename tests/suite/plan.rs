@@ -573,6 +573,22 @@ fn what_does_not_fit_is_named() {
     assert_eq!(scene.solver.precision, Precision::Mixed);
 }
 
+/// More or fewer cells change nothing for solids.
+#[test]
+fn the_cure_for_large_solids_is_a_coarser_mesh() {
+    let mut adapter = large_adapter(true);
+    let [whole, scaled] = [1.0, 0.5]
+        .map(|scale| Plan::new(&scene("cantilever", scale, &[]), Some(&adapter)).unwrap());
+    let largest = |plan: &Plan| plan.buffers.iter().map(|buffer| buffer.bytes()).max();
+    assert_eq!(largest(&whole), largest(&scaled));
+    adapter.storage_binding = largest(&whole).unwrap() - 1;
+    let message = whole.check(&adapter).unwrap_err().to_string();
+    assert!(
+        message.contains("coarser meshes") && !message.contains("--scale"),
+        "{message}"
+    );
+}
+
 #[test]
 fn without_f64_the_host_turns() {
     let scene = scene("dam_break_liquid", 0.25, &[]);
