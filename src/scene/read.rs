@@ -601,6 +601,11 @@ fn solver(root: &Table, surface: Option<Surface>, has_solids: bool) -> Result<So
             ("multigrid", Preconditioner::Multigrid),
             ("jacobi", Preconditioner::Jacobi),
         ];
+        place.ensure(
+            surface.is_some(),
+            "is of the pressure's solve, and the scene has no liquid",
+            "remove it: the solve of solids has a preconditioner of its own",
+        )?;
         solver.preconditioner = place.choice(&choices)?;
     }
     if let Some(place) = table.get("theta_floor") {

@@ -652,6 +652,7 @@ const REFUSED_SOLIDS: &[Case] = &[
     ("name = \"whole\"", "name = \"tip\"", 66, "probe[1].name", &["named \"tip\" too"]),
     ("solids = false", "particles = true", 69, "output.particles", &["no liquid", "particles = false"]),
     ("solids = false", "fields = true", 69, "output.fields", &["no liquid"]),
+    ("[output]\nsolids = false", "[solver]\npreconditioner = \"jacobi\"", 69, "solver.preconditioner", &["no liquid", "of its own"]),
 ];
 
 #[test]
