@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use cutwater::Error;
 use cutwater::geometry;
+use cutwater::output::frames::FrameKinds;
 use cutwater::output::preview::PreviewOptions;
 use cutwater::scene::Scene;
 use cutwater::sim::{self, Options};
@@ -57,6 +58,9 @@ impl Run {
                 "run cutwater once per process",
             )
         })?;
+        if self.preview {
+            ensure_pictures(&scene)?;
+        }
         warn_of_thin(&scene)?;
         let options = Options {
             backend: self.backend.backend(),
@@ -150,6 +154,36 @@ impl Run {
         }
         Ok(())
     }
+}
+
+/// Refuses a scene of which `--preview` would find no frames, before it runs; warns of what pictures will not show.
+fn ensure_pictures(scene: &Scene) -> Result<(), Error> {
+    let FrameKinds {
+        markers,
+        fields,
+        solids,
+    } = FrameKinds::of(scene);
+    let of_liquid = (
+        "liquid",
+        "output.particles or output.fields",
+        scene.liquid.is_some(),
+        markers || fields,
+    );
+    let of_solids = ("solids", "output.solids", !scene.solids.is_empty(), solids);
+    let missing = [of_liquid, of_solids]
+        .into_iter()
+        .filter(|(_, _, present, drawn)| *present && !drawn);
+    for (what, keys, _, _) in missing {
+        if !(markers || fields || solids) {
+            return Err(Error::input(
+                "--preview",
+                "the scene writes no frames to draw",
+                format!("turn {keys} on, or run without --preview"),
+            ));
+        }
+        warn!("warning: the pictures will not show the {what}: {keys} would have to be on");
+    }
+    Ok(())
 }
 
 /// Warns of obstacles that liquid leaks through.

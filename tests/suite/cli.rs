@@ -445,6 +445,47 @@ fn a_scene_without_any_liquid_is_refused_and_little_is_told() {
     }
 }
 
+const BEAM: &str = r#"# A beam that falls onto a plate.
+[domain]
+size = [1.5, 1.0, 0.5]
+cells = [24, 16, 8]
+[time]
+duration = 0.1
+[[solid]]
+name = "beam"
+mesh = { box = { size = [0.5, 0.025, 0.25], cells = [4, 1, 2] } }
+placement = { translate = [0.75, 0.25, 0.25] }
+density = 1000
+young = 1e5
+poisson = 0.3
+[[obstacle]]
+box = { min = [0.5, 0.1, 0.1], max = [1.0, 0.12, 0.4] }
+"#;
+
+#[test]
+fn pictures_without_frames_are_refused_before_the_run() {
+    let without = |folder: &TempDir, arguments: &str, key: &str| {
+        let told = complains(folder, &format!("run dam.toml --preview {arguments}"), 2);
+        let parts = ["--preview", "no frames to draw", key, "without --preview"];
+        assert!(parts.iter().all(|part| told.contains(part)), "{told}");
+        assert!(!folder.path().join("out").exists());
+    };
+    let beam = folder(BEAM);
+    without(&beam, "--set output.solids=false", "output.solids");
+    let dam = folder(DAM);
+    without(&dam, "--set output.particles=false", "output.particles or");
+    let region = "[[liquid.region]]\nbox = { min = [0, 0, 0], max = [1.5, 0.5, 0.5] }\n";
+    let both = folder(&(BEAM.to_owned() + region));
+    for (off, missing) in [("solids", "solids"), ("particles", "liquid")] {
+        // An adapter that is not there ends the run before it begins.
+        let arguments =
+            format!("run dam.toml --preview --adapter nonesuch --set output.{off}=false");
+        let told = text(&cutwater(&both, &arguments).output().unwrap().stderr);
+        let expected = format!("will not show the {missing}: output.{off}");
+        assert!(told.contains(&expected), "{told}");
+    }
+}
+
 #[test]
 fn a_fixed_step_too_long_is_told() {
     let folder = folder(DAM);
