@@ -186,12 +186,28 @@ fn ensure_pictures(scene: &Scene) -> Result<(), Error> {
     Ok(())
 }
 
-/// Warns of obstacles that liquid leaks through.
+/// Warns of obstacles and, in liquid, of solids that are so thin that the cells do not see them.
 pub(super) fn warn_of_thin(scene: &Scene) -> Result<(), Error> {
-    for (number, thickness) in geometry::thin_obstacles(scene, &scene.grid())? {
-        warn!(
-            "warning: obstacle[{number}] is {thickness:.2} cells thick: liquid leaks through it; use more cells or a thickness of at least one"
-        );
+    let grid = scene.grid();
+    let (liquid, solids) = (scene.liquid.is_some(), !scene.solids.is_empty());
+    let passes = match (liquid, solids) {
+        (true, true) => "liquid leaks and solids pass through it",
+        (true, false) => "liquid leaks through it",
+        (false, _) => "solids pass through it",
+    };
+    let cure = "use more cells or a thickness of at least one";
+    for (number, thickness) in geometry::thin_obstacles(scene, &grid)? {
+        warn!("warning: obstacle[{number}] is {thickness:.2} cells thick: {passes}; {cure}");
+    }
+    if liquid && solids {
+        let solids = sim::solids_of(scene)?;
+        let (displacement, _) = solids.initial_state(scene);
+        for (number, thickness) in geometry::thin_solids(&solids.moved(&displacement), &grid) {
+            let name = &scene.solids[number].name;
+            warn!(
+                "warning: solid \"{name}\" is {thickness:.2} cells thick: liquid leaks through it; {cure}"
+            );
+        }
     }
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! Signed distances of the shapes of a scene: exact, negative inside.
 
 use glam::{DMat3, DVec3};
-use parry3d_f64::query::{PointQueryWithLocation, Ray, RayCast};
+use parry3d_f64::query::{PointQuery, PointQueryWithLocation, Ray, RayCast};
 use parry3d_f64::shape::{TriMesh, TriMeshFlags, Triangle};
 use rayon::prelude::*;
 
@@ -201,6 +201,11 @@ impl ClosedMesh {
         }
     }
 
+    /// Whether a point (m) lies inside.
+    pub(super) fn holds(&self, x: DVec3) -> bool {
+        self.all.contains_local_point(x)
+    }
+
     /// The mesh whose distance does not see the triangles through these points with these ways out.
     fn beyond_walls(self, on_wall: impl Fn(DVec3, DVec3) -> bool) -> ClosedMesh {
         let all = self.all;
@@ -246,6 +251,14 @@ impl ClosedMesh {
             Free::Some(mesh) => thickness(mesh, mesh.triangles()),
             Free::None => f64::INFINITY,
         }
+    }
+
+    /// The shortest way from the middle of one of these triangles straight through to the other side, m.
+    pub(super) fn thickness_at(&self, triangles: impl ExactSizeIterator<Item = u32>) -> f64 {
+        thickness(
+            &self.all,
+            triangles.map(|triangle| self.all.triangle(triangle)),
+        )
     }
 }
 

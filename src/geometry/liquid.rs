@@ -5,8 +5,8 @@ use std::sync::LazyLock;
 use glam::{DVec3, I64Vec3};
 use rayon::prelude::*;
 
-use super::CutCells;
 use super::distance::Solid;
+use super::{CutCells, MovedMesh};
 use crate::error::Error;
 use crate::grid::{Axis, Grid};
 use crate::scene::{Liquid, Placement, Scene, Surface};
@@ -281,9 +281,10 @@ pub fn empty_regions(scene: &Scene, markers: &[[f64; 3]]) -> Result<Vec<usize>, 
 /// Cells that [`estimate_markers`] looks at, about.
 const SAMPLED_CELLS: usize = 1 << 15;
 
-/// How many markers [`seed_markers`] will make, to about a percent: those of every so many cells, one in each run of cells at a
-/// random place. Exact on small grids but for markers within the rounding of an obstacle's surface.
-pub fn estimate_markers(scene: &Scene, grid: &Grid) -> Result<usize, Error> {
+/// How many markers [`seed_markers`] will make beside these solids, to about a percent: those of every so many cells, one in each run of
+/// cells at a random place. Exact on small grids but for markers within the rounding of an obstacle's surface, or so near to a solid's
+/// that the distances at the centres of cells decide.
+pub fn estimate_markers(scene: &Scene, grid: &Grid, solids: &MovedMesh) -> Result<usize, Error> {
     let Some(liquid) = scene
         .liquid
         .as_ref()
@@ -292,11 +293,15 @@ pub fn estimate_markers(scene: &Scene, grid: &Grid) -> Result<usize, Error> {
         return Ok(0);
     };
     let bodies = super::bodies(scene, grid).collect::<Result<Vec<_>, _>>()?;
+    let solids = solids.closed();
     let seeding = Seeding {
         regions: Regions::new(liquid)?,
         size: grid.size(),
         dx: grid.dx,
-        in_solid: |x| bodies.iter().any(|body| body.holds(x)),
+        in_solid: |x| {
+            bodies.iter().any(|body| body.holds(x))
+                || solids.as_ref().is_some_and(|solids| solids.holds(x))
+        },
     };
     let run = grid.n_cells().div_ceil(SAMPLED_CELLS);
     let markers: usize = (0..grid.n_cells().div_ceil(run))

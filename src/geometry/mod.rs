@@ -147,6 +147,18 @@ pub fn thin_obstacles(scene: &Scene, grid: &Grid) -> Result<Vec<(usize, f64)>, E
     Ok(thin)
 }
 
+/// The solids thinner than a cell, by number, with their thickness in cells: what is true of obstacles is of solids.
+pub fn thin_solids(mesh: &MovedMesh, grid: &Grid) -> Vec<(usize, f64)> {
+    let Some(closed) = mesh.closed() else {
+        return Vec::new();
+    };
+    let bodies = mesh.triangles_of_bodies().into_iter().enumerate();
+    bodies
+        .map(|(number, triangles)| (number, closed.thickness_at(triangles.into_iter()) / grid.dx))
+        .filter(|(_, thickness)| *thickness < 1.0 - 1e-6)
+        .collect()
+}
+
 fn bodies(scene: &Scene, grid: &Grid) -> impl Iterator<Item = Result<Body, Error>> {
     let file = scene.file.display();
     let obstacles = scene.obstacles.iter().enumerate();

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use super::clip::{Clipping, Patch, clip};
 use super::coupling::Coupling;
-use super::distance::BAND;
+use super::distance::{BAND, ClosedMesh};
 use super::nearest::{Lattice, NearestTriangles, inside_tetrahedra};
 use super::{CutCells, ObstacleCut, Surface, clamp_open};
 use crate::grid::{Axis, Grid};
@@ -28,6 +28,29 @@ pub struct MovedMesh<'a> {
     pub triangles: &'a [[u32; 3]],
     /// Elements of each solid, one solid after another.
     pub bodies: Vec<Range<usize>>,
+}
+
+impl MovedMesh<'_> {
+    /// The surface of all solids, for distances; `None` without any.
+    pub(super) fn closed(&self) -> Option<ClosedMesh> {
+        let triangles = self.triangles.to_vec();
+        (!triangles.is_empty()).then(|| ClosedMesh::new(self.nodes.clone(), triangles))
+    }
+
+    /// The triangles of each solid.
+    pub(super) fn triangles_of_bodies(&self) -> Vec<Vec<u32>> {
+        let mut body_of_node = vec![0; self.nodes.len()];
+        for (number, body) in self.bodies.iter().enumerate() {
+            for &node in self.elements[body.clone()].as_flattened() {
+                body_of_node[node as usize] = number;
+            }
+        }
+        let mut bodies = vec![Vec::new(); self.bodies.len()];
+        for (triangle, number) in self.triangles.iter().zip(0..) {
+            bodies[body_of_node[triangle[0] as usize]].push(number);
+        }
+        bodies
+    }
 }
 
 /// The place on the surface of the solids that is nearest to a cell centre.

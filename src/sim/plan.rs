@@ -90,7 +90,8 @@ impl Plan {
         let effects = Effects::of(scene);
         let f64 = adapter.is_none_or(|adapter| adapter.f64);
         let timestamps = adapter.is_none_or(|adapter| adapter.timestamps);
-        let n_markers = geometry::estimate_markers(scene, &grid)?;
+        let (displacement, _) = solids.initial_state(scene);
+        let n_markers = geometry::estimate_markers(scene, &grid, &solids.moved(&displacement))?;
         let host_turns = scene.solver.precision == Precision::Mixed && !f64;
         let padded_cells = grid.padded().len();
         let rows = SolidRows::new(solids)?;

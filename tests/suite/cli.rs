@@ -463,6 +463,27 @@ box = { min = [0.5, 0.1, 0.1], max = [1.0, 0.12, 0.4] }
 "#;
 
 #[test]
+fn what_is_too_thin_for_the_cells_is_told_in_the_words_of_the_scene() {
+    let told = |scene: &str| complains(&folder(scene), "plan dam.toml --backend cpu", 0);
+    let solids = told(BEAM);
+    assert!(solids.contains("obstacle[0] is 0.32 cells thick: solids pass"));
+    assert!(
+        !solids.contains("liquid") && !solids.contains("beam"),
+        "{solids}"
+    );
+    let region = "[[liquid.region]]\nbox = { min = [0, 0, 0], max = [1.5, 0.5, 0.5] }\n";
+    let both = told(&(BEAM.to_owned() + region));
+    assert!(
+        both.contains("0.32 cells thick: liquid leaks and solids pass"),
+        "{both}"
+    );
+    assert!(
+        both.contains("solid \"beam\" is 0.40 cells thick: liquid leaks"),
+        "{both}"
+    );
+}
+
+#[test]
 fn pictures_without_frames_are_refused_before_the_run() {
     let without = |folder: &TempDir, arguments: &str, key: &str| {
         let told = complains(folder, &format!("run dam.toml --preview {arguments}"), 2);

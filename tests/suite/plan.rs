@@ -8,10 +8,11 @@ use std::path::Path;
 use cutwater::effects::Effects;
 use cutwater::gpu::{AdapterChoice, AdapterReport};
 use cutwater::scene::{Precision, Scene};
-use cutwater::sim::{Backend, Plan, Simulation};
+use cutwater::sim::{Backend, Plan, Simulation, solids_of};
 use cutwater::{Error, geometry};
 
 use crate::common::gpu;
+use crate::reference_physics::{pool, scene as written};
 
 const SCENES: [(&str, f64); 5] = [
     ("dam_break_liquid", 0.25),
@@ -526,12 +527,34 @@ fn markers_are_estimated_within_two_percent() {
         for scale in [0.5, 2.0] {
             let scene = scene(name, scale, &["liquid.surface=markers"]);
             let grid = scene.grid();
-            let estimate = geometry::estimate_markers(&scene, &grid).unwrap() as f64;
+            let solids = solids_of(&scene).unwrap();
+            let mesh = solids.moved(&[]);
+            let estimate = geometry::estimate_markers(&scene, &grid, &mesh).unwrap() as f64;
             let cut = geometry::cut_cells(&scene, &grid).unwrap();
             let exact = geometry::seed_markers(&scene, &grid, &cut).unwrap().len() as f64;
             let off = (estimate / exact - 1.0).abs();
             assert!(off <= 0.02, "{name} at {scale}: {estimate} for {exact}");
         }
+    }
+}
+
+/// A block in the pool, as small as it starts: it takes a fifth of the liquid's room.
+#[test]
+fn markers_are_estimated_beside_the_solids() {
+    let block = "[[solid]]\nname = \"block\"\ndensity = 1000\nyoung = 1e5\npoisson = 0.3\n\
+        mesh = { box = { size = [0.8, 0.8, 0.8], cells = [2, 2, 2] } }\n\
+        placement = { translate = [0.5, 0.3, 0.5] }\ninitial = { scale = 0.6 }\n";
+    for cells in [16, 40] {
+        let pool = pool(0.6).replace("fixed", "markers");
+        let empty = written([cells; 3], &pool);
+        let scene = written([cells; 3], &(pool + block));
+        let planned = |scene: &Scene| Plan::new(scene, None).unwrap().n_markers as f64;
+        let seeded = Simulation::new(&scene, &Backend::Cpu).unwrap();
+        let exact = seeded.state().unwrap().markers.len() as f64;
+        let estimate = planned(&scene);
+        let off = (estimate / exact - 1.0).abs();
+        assert!(off <= 0.02, "{cells}: {estimate} for {exact}");
+        assert!(estimate < 0.9 * planned(&empty), "{cells}: {estimate}");
     }
 }
 
