@@ -31,7 +31,7 @@ pub enum Error {
         cure: String,
     },
     /// A result cannot be written.
-    #[error("cannot write {}: {problem}", path.display())]
+    #[error("cannot write {}: {problem}\n  cure: choose a folder that can be written and has room", path.display())]
     Output {
         /// The file or folder.
         path: PathBuf,

@@ -463,6 +463,18 @@ box = { min = [0.5, 0.1, 0.1], max = [1.0, 0.12, 0.4] }
 "#;
 
 #[test]
+fn a_folder_that_cannot_be_written_is_told() {
+    let folder = folder(DAM);
+    let told = complains(&folder, "run dam.toml --backend cpu --out dam.toml", 2);
+    let parts = ["cannot write dam.toml", "cure: choose a folder"];
+    assert!(parts.iter().all(|part| told.contains(part)), "{told}");
+    assert_eq!(
+        fs::read_to_string(folder.path().join("dam.toml")).unwrap(),
+        DAM
+    );
+}
+
+#[test]
 fn what_is_too_thin_for_the_cells_is_told_in_the_words_of_the_scene() {
     let told = |scene: &str| complains(&folder(scene), "plan dam.toml --backend cpu", 0);
     let solids = told(BEAM);
