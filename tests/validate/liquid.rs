@@ -30,7 +30,7 @@ fn file(name: &str) -> PathBuf {
 }
 
 /// A scene of `scenes/`, with overrides.
-fn shipped(name: &str, overrides: &[&str], scale: f64) -> Scene {
+pub(crate) fn shipped(name: &str, overrides: &[&str], scale: f64) -> Scene {
     let overrides: Vec<String> = overrides.iter().map(|&text| text.to_owned()).collect();
     Scene::load(&file(&format!("scenes/{name}.toml")), &overrides, scale)
         .unwrap_or_else(|error| panic!("{error}"))

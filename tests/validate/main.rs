@@ -24,6 +24,7 @@ mod solid_modes;
 mod solid_scene;
 
 mod coupled;
+mod coupled_scenes;
 mod lane;
 mod liquid;
 mod sheet;
@@ -77,6 +78,7 @@ fn cases() -> Vec<Case> {
     [
         liquid::cases(),
         coupled::cases(),
+        coupled_scenes::cases(),
         solid_elements::cases(),
         solid_statics::cases(),
         solid_motion::cases(),
