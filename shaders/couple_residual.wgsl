@@ -1,8 +1,10 @@
 // Outer loop of the coupled solve, in the wet quads: the right-hand side of B phi = b - J v. A residual that took J v off afterwards would
-// be the difference of squares that are equal in all digits.
+// be the difference of squares that are equal in all digits. Closed components have it already (see couple_close).
 // coupling, words, pairs, flags: see coupling_flux. x: v, m/s. base: b, m/s. rhs: b - J v, out.
+#import active
 #import coupling_flux
 #import dispatch
+#import lanes
 #import real
 
 @group(0) @binding(0) var<uniform> coupling: Coupling;
@@ -19,5 +21,6 @@ fn couple_residual(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_i
     if wet >= coupling.n_wet {
         return;
     }
-    rhs[words[wet]] = base[wet] - flux(wet);
+    let quad = words[wet];
+    rhs[quad] = base[wet] - select(flux(wet), Real4(), bit_lanes(flags[quad] >> CLOSED));
 }

@@ -1,12 +1,11 @@
 // diagnose, second of three: the largest |E u| / dx^3 of an active cell, 1/s. One thread per active quad.
 // level, step. args, list: active quads. flags: see active. velocity: faces, m/s. open: fractions. maxima: bits, second.
-#import dispatch
-#import layout
-#import lanes
-#import step
-#import flux
 #import active
-#import real
+#import dispatch
+#import divergence
+#import flux
+#import layout
+#import step
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<uniform> step: Step;
@@ -24,10 +23,5 @@ fn measure_divergence(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(loca
         return;
     }
     let quad = active_quad(list[index]);
-    let size = abs(vec4<f32>(net_inflow(quad))) * step.inv_dx;
-    let bits = bitcast<vec4<u32>>(select(vec4<f32>(), size, bit_lanes(flags[quad])));
-    let largest = max(max(bits.x, bits.y), max(bits.z, bits.w));
-    if largest > atomicLoad(&maxima[1]) {
-        atomicMax(&maxima[1], largest);
-    }
+    note_divergence(quad, net_inflow(quad));
 }

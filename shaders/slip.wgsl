@@ -1,13 +1,10 @@
-// extrapolate, with obstacles only: closed faces in and just outside obstacles, off the walls, lose the part of their velocity
-// that points into or out of the obstacle: u_a - (v . n) n_a, n the direction of the interpolated distance by central
-// differences over dx. One thread per quad of the band.
+// extrapolate, with obstacles only: free slip along them, as slide explains. One thread per quad of the band.
 // level, step. args, list: the band. solid_distance: cell centres, m. velocity: faces, m/s. valid: which faces are open.
 // velocity_next: the new value where one is made. slipping: those faces, bit 4 axis + lane.
 #import dispatch
 #import layout
-#import lanes
+#import slide
 #import step
-#import valid
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<uniform> step: Step;
@@ -19,95 +16,15 @@
 @group(0) @binding(7) var<storage, read_write> velocity_next: array<f32>;
 @group(0) @binding(8) var<storage, read_write> slipping: array<u32>;
 
-// Faces closer to a surface than this slip along it, cells.
-const SLIP_REACH = 0.5;
-// A cell further out has no such face: the distance changes by one cell from cell to cell.
-const FAR = 2.0;
-// Below this length (per unit length) a gradient has no direction.
-const SMALLEST_GRADIENT = 1e-6;
-
-// Distance of a cell, its position clamped to the domain, m.
-fn distance_of(cell: vec3<i32>) -> f32 {
-    let c = vec3<u32>(clamp(cell, vec3<i32>(), vec3<i32>(level.cells) - 1));
-    return solid_distance[level.stride_z * (c.z + 1u) + level.stride_y * c.y + c.x / 4u][c.x % 4u];
-}
-
-// The unit vector of an axis.
-fn along(axis: u32) -> vec3<i32> {
-    return vec3<i32>(vec3<u32>(axis) == vec3<u32>(0u, 1u, 2u));
-}
-
-// Index of the minus face of a cell.
-fn face_index(axis: u32, cell: vec3<i32>) -> u32 {
-    let c = vec3<u32>(cell);
-    return 4u * (axis * level.quads + level.stride_z * (c.z + 1u) + level.stride_y * c.y) + c.x;
-}
-
-// The new velocity of a face between two cells.
-fn slide(axis: u32, cell: vec3<i32>) -> f32 {
-    let minus = cell - along(axis);
-    var v = vec3<f32>();
-    for (var b = 0u; b < 3u; b++) {
-        v[b] = velocity[face_index(b, cell)];
-        if b != axis {
-            v[b] = 0.25 * ((v[b] + velocity[face_index(b, cell + along(b))])
-                + (velocity[face_index(b, minus)] + velocity[face_index(b, minus + along(b))]));
-        }
-    }
-    // Most of the inside of a solid.
-    if all(v == vec3<f32>()) {
-        return 0.0;
-    }
-    var gradient = vec3<f32>();
-    for (var b = 0u; b < 3u; b++) {
-        if b == axis {
-            gradient[b] = distance_of(cell) - distance_of(minus);
-        } else {
-            gradient[b] = 0.25 * ((distance_of(cell + along(b)) - distance_of(cell - along(b)))
-                + (distance_of(minus + along(b)) - distance_of(minus - along(b))));
-        }
-    }
-    let steepness = length(gradient);
-    if steepness < SMALLEST_GRADIENT * step.dx {
-        return v[axis];
-    }
-    let n = gradient / steepness;
-    return v[axis] - dot(v, n) * n[axis];
-}
-
-// Lanes whose face has a cell on both sides and lies near a surface.
-fn near_lanes(here: vec4<f32>, minus: vec4<f32>, cell: vec3<i32>, axis: u32) -> u32 {
-    let n = vec3<i32>(level.cells);
-    let near = 0.5 * (here + minus) < vec4<f32>(SLIP_REACH * step.dx);
-    return lane_bits(near & lanes_inside(cell, n) & lanes_inside(cell - along(axis), n));
+// Obstacles stand still.
+fn wall_velocity(axis: u32, cell: vec3<i32>) -> vec3<f32> {
+    return vec3<f32>();
 }
 
 @compute @workgroup_size(WG_SIZE)
 fn slip(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let index = linear_index(workgroup, lane);
-    if index >= args[3] {
-        return;
-    }
-    let quad = list[index];
-    let cell = quad_cell(level, quad);
-    let word = valid[quad];
-    let here = solid_distance[quad];
-    // So far outside no face between this quad and its neighbours is near a surface.
-    if all(here >= vec4<f32>(FAR * step.dx)) {
-        slipping[quad] = word & ~VALID;
-        return;
-    }
-    // Closed faces with a cell on both sides near a surface.
-    var found = near_lanes(here, shift_up(solid_distance[quad - 1u], here), cell, 0u)
-        | near_lanes(here, solid_distance[quad - level.stride_y], cell, 1u) << 4u
-        | near_lanes(here, solid_distance[quad - level.stride_z], cell, 2u) << 8u;
-    found &= ~(word >> OPEN);
-    slipping[quad] = (word & ~VALID) | found;
-    while found != 0u {
-        let bit = firstTrailingBit(found);
-        found &= found - 1u;
-        let axis = bit / 4u;
-        let at = cell + vec3<i32>(i32(bit % 4u), 0, 0);
-        velocity_next[face_index(axis, at)] = slide(axis, at);
+    if index < args[3] {
+        slip_quad(list[index]);
     }
 }

@@ -2,7 +2,7 @@
 // would have to pull, as long as any may be let go. The push of what holds a node is S v - F; over the mean of the diagonal of S,
 // times dt, it is a length. One thread per node.
 // step. gaps: see contact. incidence, products: see gather, zeta_K K v. masses: zeta_M m, then the mean of the diagonal of D, kg/s.
-// rhs: F, N. velocity: v, m/s. freedom: see freedom, in place. changes: how many, added; then 1 if nodes may be let go.
+// rhs: F, in liquid F + J^T p, N. velocity: v, m/s. freedom: see freedom, in place. changes: how many, added; then 1 if nodes may be let go.
 #import contact
 #import dispatch
 #import gather

@@ -36,6 +36,11 @@ pub struct Effects {
 }
 
 impl Effects {
+    /// Whether obstacles or solids take room from the liquid.
+    pub fn cuts(&self) -> bool {
+        self.liquid && (self.obstacles || self.coupling)
+    }
+
     /// The effects of a scene.
     pub fn of(scene: &Scene) -> Effects {
         let markers = scene

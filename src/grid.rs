@@ -313,6 +313,13 @@ impl Padded {
         4 * (self.stride_z * (k + 1) + self.stride_y * j) + i
     }
 
+    /// Cell of the first lane of a quad, which lies in a row of the domain.
+    pub fn cell_of(&self, quad: usize) -> [usize; 3] {
+        let (slab, in_slab) = (quad / self.stride_z, quad % self.stride_z);
+        let (row, in_row) = (in_slab / self.stride_y, in_slab % self.stride_y);
+        [4 * in_row, row, slab - 1]
+    }
+
     /// A host array of extents `n` (cells or faces), padded with zeros.
     pub fn pad<T: Copy, U: Copy + Default>(
         &self,

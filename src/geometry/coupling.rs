@@ -1,5 +1,7 @@
 //! What patches of solids give to the cells and nodes they belong to, as lists that both sides gather from.
 
+use std::ops::AddAssign;
+
 use glam::DVec3;
 
 use super::Patch;
@@ -69,6 +71,30 @@ impl Coupling {
             same
         });
         Coupling::sorted(pairs, n_nodes)
+    }
+
+    /// What patches and their corners give to each pair, added to zero in the order of the patches; the pairs as in [`Coupling::pairs`].
+    pub fn sums<T: Copy + AddAssign>(
+        &self,
+        zero: T,
+        patches: &[Patch],
+        triangles: &[[u32; 3]],
+        value: impl Fn(&Patch, usize) -> T,
+    ) -> Vec<T> {
+        let mut sums = vec![zero; self.by_cell.len()];
+        for patch in patches {
+            let Ok(row) = self.cells.binary_search(&patch.cell) else {
+                continue;
+            };
+            let first = self.cell_start[row];
+            let pairs = &self.by_cell[first..self.cell_start[row + 1]];
+            for (corner, node) in triangles[patch.triangle].into_iter().enumerate() {
+                if let Ok(at) = pairs.binary_search_by_key(&(node as usize), |pair| pair.node) {
+                    sums[first + at] += value(patch, corner);
+                }
+            }
+        }
+        sums
     }
 
     /// From pairs by cell, then by node.

@@ -253,6 +253,11 @@ impl SolidClip {
         &self.obstacles.cut
     }
 
+    /// Faces per axis, and cells, that need not be as the obstacles leave them.
+    pub fn changed(&self) -> (&[Vec<usize>; 3], &[usize]) {
+        (&self.changed_faces, &self.changed_cells)
+    }
+
     /// The patches of the solids in the cells of the domain, in the order of the triangles.
     pub fn patches(&self) -> &[Patch] {
         &self.patches

@@ -176,6 +176,7 @@ impl<'a> DeviceScene<'a> {
             self.rotations.dispatch(pass);
             self.system.record_matrices(pass);
             self.system.record_right_hand_side(pass);
+            self.system.record_contacts(pass);
         });
         recorder
     }
@@ -186,9 +187,9 @@ impl<'a> DeviceScene<'a> {
     /// [`Error::Gpu`] when the device fails.
     pub fn solve(&self) -> Result<CoupledOutcome, Error> {
         let (recorder, fields) = (self.record_systems(), self.fields());
-        let (outcome, _) = self
-            .solver
-            .solve(self.gpu, recorder, fields, &self.polynomial)?;
+        let (outcome, _) =
+            self.solver
+                .solve(self.gpu, recorder, fields, &self.polynomial, false)?;
         Ok(outcome)
     }
 

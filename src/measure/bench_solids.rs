@@ -304,6 +304,7 @@ impl<'a> Device<'a> {
             rotations.dispatch(pass);
             system.record_matrices(pass);
             system.record_right_hand_side(pass);
+            system.record_contacts(pass);
         });
         recorder.submit();
         fields.read_state(gpu, &mut state)?;

@@ -51,8 +51,9 @@ pub(super) struct LiquidStages {
     pub(super) right_hand_side: RightHandSide,
     pub(super) solve: PressureSolver,
     pub(super) write_back: WriteBack,
-    pub(super) extrapolate: Extrapolate,
-    pub(super) diagnose: Diagnose,
+    /// Where there are solids, made with [`GpuCoupling`](super::gpu_coupling::GpuCoupling), like `diagnose`.
+    pub(super) extrapolate: Option<Extrapolate>,
+    pub(super) diagnose: Option<Diagnose>,
     /// With its read-back.
     pub(super) probe: Option<(Probe, Readback<u32>)>,
 }
@@ -259,6 +260,9 @@ impl LiquidStages {
             let readback = Readback::new(gpu, "probe.values", probe.values.len())?;
             Ok::<_, Error>((probe, readback))
         };
+        let alone = !effects.coupling;
+        let extrapolate = || Extrapolate::new(gpu, liquid, None);
+        let diagnose = || Diagnose::new(gpu, liquid, &active, None);
         Ok(LiquidStages {
             advect_markers: effects
                 .markers
@@ -279,8 +283,8 @@ impl LiquidStages {
             right_hand_side: RightHandSide::new(gpu, liquid, &active, &solver.rhs)?,
             solve,
             write_back: WriteBack::new(gpu, liquid, &active, &solver.potential)?,
-            extrapolate: Extrapolate::new(gpu, liquid)?,
-            diagnose: Diagnose::new(gpu, liquid, &active)?,
+            extrapolate: alone.then(extrapolate).transpose()?,
+            diagnose: alone.then(diagnose).transpose()?,
             probe: effects.probes.then(probe).transpose()?,
         })
     }

@@ -2,7 +2,7 @@
 
 use crate::Error;
 use crate::elastic::Solids;
-use crate::geometry::{self, CutCells};
+use crate::geometry::{self, CutCells, SolidClip};
 use crate::gpu::{AdapterChoice, Gpu, Real};
 use crate::grid::Grid;
 use crate::reference::{self, TimeStep, time_step};
@@ -11,6 +11,7 @@ use crate::solver;
 use crate::stages::Step;
 use crate::state::State;
 
+use super::gpu_coupling::{At, GpuCoupling};
 use super::gpu_liquid::GpuLiquid;
 use super::gpu_solids::GpuSolids;
 use super::step::Readbacks;
@@ -22,11 +23,14 @@ pub struct GpuPath {
     pub(super) gpu: Gpu,
     pub(super) scene: Scene,
     pub(super) grid: Grid,
-    pub(super) cut: CutCells,
+    /// What obstacles leave of it.
+    cut: CutCells,
     /// The clock of the state; its fields are on the device.
     pub(super) head: State,
     pub(super) liquid: Option<GpuLiquid>,
     pub(super) solids: Option<GpuSolids>,
+    /// With both.
+    pub(super) coupling: Option<GpuCoupling>,
     /// Taken while a step runs.
     pub(super) readbacks: Option<Readbacks>,
 }
@@ -48,29 +52,30 @@ impl GpuPath {
     ) -> Result<GpuPath, Error> {
         super::ensure_gpu_can(scene)?;
         let gpu = Gpu::new(choice)?;
-        // Before the liquid is seeded, which may take long.
-        Plan::with(scene, solids, Some(gpu.report()))?.check(gpu.report())?;
         let grid = scene.grid();
-        let cut = geometry::cut_cells(scene, &grid)?;
-        let mut state = geometry::initial_state(scene, &grid, &cut)?;
-        reference::prepare(scene, &grid, &cut, None, &mut state);
-        (state.displacement, state.node_velocity) = solids.initial_state(scene);
-        solids.ensure_room(scene, &cut.solid_distance, &state.displacement)?;
-        let liquid = GpuLiquid::new(&gpu, scene, &cut, state.markers.len())?;
-        let obstacles = liquid.as_ref().map(|liquid| &liquid.buffers.obstacles);
+        let obstacles = geometry::obstacle_cut(scene, &grid)?;
+        let clip = super::first_clip(scene, solids, &obstacles);
+        // Before the liquid is seeded, which may take long.
+        Plan::with(scene, solids, clip.as_ref(), Some(gpu.report()))?.check(gpu.report())?;
+        let cut = obstacles.cut;
+        let mut state = super::first_state(scene, solids, &cut, clip.as_ref())?;
+        let walls = clip.as_ref().map(|clip| (clip, &solids.triangles[..]));
+        let cut_now = clip.as_ref().map_or(&cut, SolidClip::cut_cells);
+        reference::prepare(scene, &grid, cut_now, walls, &mut state);
+        let mut liquid = GpuLiquid::new(&gpu, scene, &cut, state.markers.len())?;
         let solids = match solids.bodies.is_empty() {
             true => None,
-            false => Some(GpuSolids::new(
-                &gpu,
-                scene,
-                solids.clone(),
-                &cut,
-                obstacles,
-            )?),
+            false => Some(GpuSolids::new(&gpu, scene, solids.clone(), &cut)?),
         };
-        let readbacks = || GpuSolids::readbacks(&gpu);
+        let both = liquid.as_mut().zip(solids.as_ref()).zip(clip);
+        let coupling = both
+            .map(|((liquid, solids), clip)| GpuCoupling::new(&gpu, scene, clip, liquid, solids))
+            .transpose()?;
+        let of_solids = || GpuSolids::readbacks(&gpu);
+        let of_both = || GpuCoupling::readbacks(&gpu);
         let readbacks = Some(Readbacks {
-            solids: solids.as_ref().map(|_| readbacks()).transpose()?,
+            solids: solids.as_ref().map(|_| of_solids()).transpose()?,
+            coupling: coupling.as_ref().map(|_| of_both()).transpose()?,
             liquid: GpuLiquid::readback(&gpu, scene)?,
         });
         let mut path = GpuPath {
@@ -81,6 +86,7 @@ impl GpuPath {
             head: State::at_rest(&grid),
             liquid,
             solids,
+            coupling,
             readbacks,
         };
         path.write_state(&state)?;
@@ -99,6 +105,13 @@ impl GpuPath {
             dt_last: state.dt_last,
             ..State::default()
         };
+        if let Some(coupling) = &mut self.coupling {
+            let both = self.liquid.as_mut().zip(self.solids.as_ref());
+            let both = both.expect("coupling has liquid and solids");
+            let anew = At::Anew;
+            coupling.follow(&self.gpu, &self.scene, both, &state.displacement, anew)?;
+            coupling.write_pressure(&self.gpu, &self.scene, state, self.liquid.as_ref());
+        }
         if let Some(liquid) = &mut self.liquid {
             let step = liquid.step_numbers(&self.scene, 0.0);
             liquid.write_state(&self.gpu, state, step);
@@ -173,9 +186,20 @@ impl GpuPath {
         self.solids.as_ref().map(|solids| &solids.solids)
     }
 
-    /// The obstacles' cut cells.
+    /// What obstacles, and solids in liquid, leave of the grid.
     pub fn cut_cells(&self) -> &CutCells {
+        let coupling = self.coupling.as_ref();
+        coupling.map_or(&self.cut, |coupling| coupling.clip.cut_cells())
+    }
+
+    /// What obstacles alone leave of it.
+    pub fn obstacles(&self) -> &CutCells {
         &self.cut
+    }
+
+    /// The solids in liquid as they cut the grid.
+    pub fn clip(&self) -> Option<&SolidClip> {
+        self.coupling.as_ref().map(|coupling| &coupling.clip)
     }
 
     /// How far the simulation is.

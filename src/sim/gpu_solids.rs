@@ -4,7 +4,7 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::{Bounds, Solids};
 use crate::geometry::CutCells;
-use crate::gpu::{BufferPlan, Gpu, Readback, Real, Recorder, StageTimes};
+use crate::gpu::{BufferPlan, Gpu, Pass, Readback, Real, Recorder, StageTimes};
 use crate::reference::{LETTING_GO, MOST_SOLVES};
 use crate::scene::Scene;
 use crate::solver::{
@@ -86,7 +86,7 @@ pub(super) fn buffers(
     let variant = solver::variant(f64, scene.solver.precision);
     let mut all = plan.buffers();
     all.extend(rows.buffers(variant));
-    if plan.obstacles && scene.liquid.is_none() {
+    if plan.obstacles {
         all.push(ObstacleBuffers::plan(&plan.grid, true));
     }
     all.extend(plan.small_buffers());
@@ -111,26 +111,23 @@ fn has_probes(scene: &Scene) -> bool {
 }
 
 impl GpuSolids {
-    /// Allocates and compiles. The state is to be written. `obstacles`: those of the liquid, where there is any.
+    /// Allocates and compiles. The state is to be written. `cut`: what obstacles leave of the grid.
     pub(super) fn new(
         gpu: &Gpu,
         scene: &Scene,
         solids: Solids,
         cut: &CutCells,
-        obstacles: Option<&ObstacleBuffers>,
     ) -> Result<GpuSolids, Error> {
         let plan = solid_plan(scene, &solids, gpu.has_f64());
         let rows = SolidRows::new(&solids)?;
         let buffers = SolidBuffers::new(gpu, plan, &solids)?;
         let system = SolidSystemBuffers::new(gpu, &rows, &scene.solver)?;
-        let mut own = None;
-        if plan.obstacles && obstacles.is_none() {
-            own = Some(ObstacleBuffers::new(gpu, &plan.grid, true)?);
+        let obstacles = || ObstacleBuffers::new(gpu, &plan.grid, true);
+        let obstacles = plan.obstacles.then(obstacles).transpose()?;
+        let obstacles = obstacles.as_ref();
+        if let Some(obstacles) = obstacles {
+            obstacles.write(gpu, cut);
         }
-        if let Some(own) = &own {
-            own.write(gpu, cut);
-        }
-        let obstacles = obstacles.or(own.as_ref()).filter(|_| plan.obstacles);
         let field = buffers
             .level
             .as_ref()
@@ -172,7 +169,7 @@ impl GpuSolids {
     pub(super) fn solve_in_contact<'a>(
         &self,
         gpu: &'a Gpu,
-        mut recorder: Recorder<'a>,
+        recorder: Recorder<'a>,
         changes: &mut Readback<u32>,
         dt: f64,
     ) -> Result<(Outcome, ContactReport, StageTimes), Error> {
@@ -183,30 +180,50 @@ impl GpuSolids {
             ..
         } = self;
         let polynomial = self.polynomial(dt);
-        let (mut iterations, mut seconds) = (0, StageTimes::new());
-        for solves in 1.. {
+        let mut iterations = 0;
+        let solve = |recorder, _| {
             let fields = buffers.fields();
-            let (mut outcome, mut times) =
+            let (mut outcome, times) =
                 stages
                     .solve
                     .solve(gpu, recorder, system, fields, &polynomial, true)?;
             iterations += outcome.iterations;
             outcome.iterations = iterations;
+            Ok((outcome, outcome.status, times))
+        };
+        let update = |pass: &mut Pass| stages.system.record_update(pass);
+        self.until_settled(gpu, recorder, changes, solve, update)
+    }
+
+    /// Solves and, while `update` changes contacts, again: the last outcome. `solve` submits a recording with itself at the end, and
+    /// hears how many solves there were.
+    pub(super) fn until_settled<'a, Found>(
+        &self,
+        gpu: &'a Gpu,
+        mut recorder: Recorder<'a>,
+        changes: &mut Readback<u32>,
+        mut solve: impl FnMut(Recorder<'a>, u32) -> Result<(Found, SolveStatus, StageTimes), Error>,
+        update: impl Fn(&mut Pass),
+    ) -> Result<(Found, ContactReport, StageTimes), Error> {
+        let mut seconds = StageTimes::new();
+        for solves in 1.. {
+            let (found, status, mut times) = solve(recorder, solves - 1)?;
             seconds.append(&mut times);
             let mut to = Recorder::timed(gpu);
-            gpu.upload(&buffers.changes, &[0, u32::from(solves <= LETTING_GO)]);
-            to.stage("solve", |pass| stages.system.record_update(pass));
-            to.read(&buffers.changes, changes);
+            let letting_go = u32::from(solves <= LETTING_GO);
+            gpu.upload(&self.buffers.changes, &[0, letting_go]);
+            to.stage("solve", &update);
+            to.read(&self.buffers.changes, changes);
             let timing = to.submit();
             let unsettled = changes.wait(gpu)?[0];
             seconds.append(&mut timing.wait()?);
-            let ended = solves == MOST_SOLVES || outcome.status != SolveStatus::Converged;
+            let ended = solves == MOST_SOLVES || status != SolveStatus::Converged;
             if ended || unsettled == 0 {
                 let contact = ContactReport { solves, unsettled };
-                return Ok((outcome, contact, seconds));
+                return Ok((found, contact, seconds));
             }
             recorder = Recorder::timed(gpu);
-            recorder.stage("solve", |pass| stages.system.record_hold(pass));
+            recorder.stage("solve", |pass| self.stages.system.record_hold(pass));
         }
         unreachable!("the last solve returns")
     }

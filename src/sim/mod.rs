@@ -1,5 +1,6 @@
 //! The simulation: a scene on the GPU or on the f64 CPU path, one sub-step after another, and the run loop.
 
+mod gpu_coupling;
 mod gpu_liquid;
 mod gpu_path;
 mod gpu_solids;
@@ -17,10 +18,10 @@ pub use step::Observer;
 use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::Solids;
-use crate::geometry::{self, CutCells, SolidClip};
+use crate::geometry::{self, CutCells, ObstacleCut, SolidClip};
 use crate::gpu::{AdapterChoice, AdapterReport, Gpu};
 use crate::reference::{self, Reference};
-use crate::scene::Scene;
+use crate::scene::{CouplingScheme, Scene};
 use crate::state::{SolveReport, SolveStatus, State, StepReport};
 
 /// Where a simulation runs.
@@ -200,7 +201,7 @@ impl Simulation {
     /// What obstacles, and solids in liquid, leave of the grid.
     pub fn cut_cells(&self) -> &CutCells {
         match &self.path {
-            Path::Gpu(path) => &path.cut,
+            Path::Gpu(path) => path.cut_cells(),
             Path::Cpu(path) => path.cut_cells(),
         }
     }
@@ -252,20 +253,34 @@ pub fn reference_path(scene: &Scene) -> Result<Reference, Error> {
 }
 
 fn reference_with(scene: &Scene, solids: &Solids) -> Result<Reference, Error> {
-    let grid = scene.grid();
-    let obstacles = geometry::obstacle_cut(scene, &grid)?;
-    let (displacement, velocity) = solids.initial_state(scene);
-    solids.ensure_room(scene, &obstacles.cut.solid_distance, &displacement)?;
-    // Liquid starts beside the solids.
-    let mut state = if Effects::of(scene).coupling {
-        let mut clip = SolidClip::new(&grid, obstacles.clone(), &scene.solver);
-        clip.clip(&solids.moved(&displacement));
-        geometry::initial_state(scene, &grid, clip.cut_cells())?
-    } else {
-        geometry::initial_state(scene, &grid, &obstacles.cut)?
-    };
-    (state.displacement, state.node_velocity) = (displacement, velocity);
+    let obstacles = geometry::obstacle_cut(scene, &scene.grid())?;
+    let clip = first_clip(scene, solids, &obstacles);
+    let state = first_state(scene, solids, &obstacles.cut, clip.as_ref())?;
     Reference::new(scene, obstacles, solids.clone(), state)
+}
+
+/// The solids in liquid as they cut the grid at first; `None` where one of both is missing.
+fn first_clip(scene: &Scene, solids: &Solids, obstacles: &ObstacleCut) -> Option<SolidClip> {
+    Effects::of(scene).coupling.then(|| {
+        let mut clip = SolidClip::new(&scene.grid(), obstacles.clone(), &scene.solver);
+        clip.clip(&solids.moved(&solids.initial_state(scene).0));
+        clip
+    })
+}
+
+/// The initial state, which [`reference::prepare`] is to complete: liquid starts beside the solids.
+fn first_state(
+    scene: &Scene,
+    solids: &Solids,
+    obstacles: &CutCells,
+    clip: Option<&SolidClip>,
+) -> Result<State, Error> {
+    let cut = clip.map_or(obstacles, SolidClip::cut_cells);
+    let (displacement, velocity) = solids.initial_state(scene);
+    solids.ensure_room(scene, &obstacles.solid_distance, &displacement)?;
+    let mut state = geometry::initial_state(scene, &scene.grid(), cut)?;
+    (state.displacement, state.node_velocity) = (displacement, velocity);
+    Ok(state)
 }
 
 /// Refuses scenes that only the f64 path can simulate.
@@ -273,11 +288,12 @@ fn reference_with(scene: &Scene, solids: &Solids) -> Result<Reference, Error> {
 /// # Errors
 /// [`Error::Input`] naming the file.
 pub fn ensure_gpu_can(scene: &Scene) -> Result<(), Error> {
-    if Effects::of(scene).coupling {
+    let scheme = scene.solver.coupling;
+    if Effects::of(scene).coupling && scheme != CouplingScheme::Strong {
         return Err(Error::input(
             scene.file.display().to_string(),
-            "the coupling of liquid and elastic solids is not simulated on the GPU yet",
-            "use --backend cpu; or remove [liquid], or the solids: a body that does not move can be an [[obstacle]]",
+            "solver.coupling other than \"strong\" is not simulated on the GPU",
+            "use --backend cpu, or coupling = \"strong\"",
         ));
     }
     Ok(())

@@ -3,7 +3,7 @@
 use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::{Bounds, Solids};
-use crate::geometry;
+use crate::geometry::{self, SolidClip};
 use crate::gpu::{AdapterReport, BufferPlan, Timer};
 use crate::grid::Grid;
 use crate::reference::{TimeStep, time_step};
@@ -13,6 +13,7 @@ use crate::scene::{
 use crate::solver::{self, LevelPlan, SolidRows, SolverBuffers};
 use crate::stages::{Probe, extrapolation_layers};
 
+use super::gpu_coupling::Room;
 use super::gpu_liquid::liquid_plan;
 use super::gpu_solids;
 
@@ -77,13 +78,22 @@ impl Plan {
     /// # Errors
     /// [`Error::Input`] when a mesh file cannot be used.
     pub fn new(scene: &Scene, adapter: Option<&AdapterReport>) -> Result<Plan, Error> {
-        Plan::with(scene, &super::solids_of(scene)?, adapter)
+        let solids = super::solids_of(scene)?;
+        let clip = match Effects::of(scene).coupling {
+            true => {
+                let obstacles = geometry::obstacle_cut(scene, &scene.grid())?;
+                super::first_clip(scene, &solids, &obstacles)
+            }
+            false => None,
+        };
+        Plan::with(scene, &solids, clip.as_ref(), adapter)
     }
 
-    /// Plans a scene whose solids are at hand.
+    /// Plans a scene whose solids are at hand; `clip`: as they cut the grid at first, in liquid.
     pub(super) fn with(
         scene: &Scene,
         solids: &Solids,
+        clip: Option<&SolidClip>,
         adapter: Option<&AdapterReport>,
     ) -> Result<Plan, Error> {
         let grid = scene.grid();
@@ -101,7 +111,7 @@ impl Plan {
             first_step: first_step(scene, &grid, solids),
             effects: effect_lines(scene, &effects),
             stages: stages(scene, &grid, &rows, &effects),
-            buffers: buffers(scene, n_markers, (solids, &rows), f64, timestamps),
+            buffers: buffers(scene, n_markers, (solids, &rows, clip), f64, timestamps),
             n_nodes: solids.rest.len(),
             n_elements: solids.elements.len(),
             solves: solves(scene, solids, &rows, f64),
@@ -316,9 +326,13 @@ fn stages(scene: &Scene, grid: &Grid, rows: &SolidRows, effects: &Effects) -> Ve
         markers,
         solids: elastic,
         obstacles,
+        coupling,
+        patch_correction,
         probes,
         ..
     } = *effects;
+    let cuts = effects.cuts();
+    let gradient = scene.solver.pressure_on_patches == PatchPressure::Gradient;
     let levels = LevelPlan::new(grid);
     let mut plans = Vec::new();
     let mut stage = |name, every_step, groups: &[(bool, &[&'static str])]| {
@@ -334,8 +348,16 @@ fn stages(scene: &Scene, grid: &Grid, rows: &SolidRows, effects: &Effects) -> Ve
             [(true, &["move_solid"]), (obstacles, &["push_nodes_out"])];
         stage("move_solid", true, &kernels);
     }
+    if coupling {
+        let kernels: [(bool, &[_]); 3] = [
+            (true, &["cut_quads"]),
+            (markers, &["cut_room"]),
+            (gradient, &["pressure_slopes"]),
+        ];
+        stage("clip", true, &kernels);
+    }
     if markers {
-        let kernels: [(bool, &[_]); 2] = [(true, &["advect_markers"]), (obstacles, &["push_out"])];
+        let kernels: [(bool, &[_]); 2] = [(true, &["advect_markers"]), (cuts, &["push_out"])];
         stage("advect_markers", true, &kernels);
     }
     if liquid {
@@ -353,42 +375,51 @@ fn stages(scene: &Scene, grid: &Grid, rows: &SolidRows, effects: &Effects) -> Ve
         let distance: [(bool, &[_]); 4] = [
             (markers, &["classify_near", "classify_far"]),
             (markers, &["spread_markers", "union_of_spheres"]),
-            (
-                markers && obstacles,
-                &["extend_into_solids", "finish_extension"],
-            ),
+            (markers && cuts, &["extend_into_solids", "finish_extension"]),
             (true, &["measure_volume", "volume_rate"]),
         ];
-        stage("liquid_distance", markers, &distance);
+        stage("liquid_distance", markers || coupling, &distance);
         let active: [(bool, &[_]); 2] = [
             (true, &["clear_system", "active_cells", "coarsen"]),
             (true, &COMPACTION),
         ];
         stage("active_cells", true, &active);
-        let components = [
-            "components_init",
-            "components_merge",
-            "components_open",
-            "components_gate",
-            "components_flag",
-            "components_largest",
-            "components_sum",
-            "components_subtract",
+        let components: [(bool, &[_]); 5] = [
+            (
+                true,
+                &["components_init", "components_merge", "components_open"],
+            ),
+            (coupling, &["components_seal"]),
+            (true, &["components_gate", "components_flag"]),
+            (coupling, &["couple_close"]),
+            (
+                true,
+                &[
+                    "components_largest",
+                    "components_sum",
+                    "components_subtract",
+                ],
+            ),
         ];
-        stage("closed_components", true, &[(true, &components)]);
+        stage("closed_components", true, &components);
     }
     if elastic {
         let kernels = ["element_rotations", "solid_blocks"];
         stage("solid_matrices", true, &[(true, &kernels)]);
     }
-    let right_hand_side: [(bool, &[_]); 4] = [
+    let right_hand_side: [(bool, &[_]); 6] = [
         (liquid, &["right_hand_side"]),
-        (elastic, &["solid_right_hand_side", "solid_contacts"]),
+        (elastic, &["solid_right_hand_side"]),
+        (patch_correction, &["patch_pressure"]),
+        (elastic, &["solid_contacts"]),
         (elastic && obstacles, &["obstacle_contacts"]),
         (elastic, &["hold_nodes", "solid_diagonals"]),
     ];
     stage("right_hand_side", true, &right_hand_side);
     let mut solve = Vec::new();
+    if coupling {
+        solve.extend(coupled_kernels());
+    }
     if liquid {
         solve.extend(solve_kernels(scene, &levels));
     }
@@ -398,22 +429,28 @@ fn stages(scene: &Scene, grid: &Grid, rows: &SolidRows, effects: &Effects) -> Ve
     stage("solve", true, &solve);
     if liquid {
         stage("write_back", true, &[(true, &["still_air", "write_back"])]);
-        let extrapolate: [(bool, &[_]); 3] = [
+        let extrapolate: [(bool, &[_]); 5] = [
             (
                 extrapolation_layers(scene.time.cfl) > 0,
                 &["extrapolate_layer"],
             ),
             (true, &["extrapolate_walls"]),
-            (obstacles, &["slip", "apply_slip"]),
+            (coupling, &["wall_velocities", "slip_along_solids"]),
+            (cuts && !coupling, &["slip"]),
+            (cuts, &["apply_slip"]),
         ];
         stage("extrapolate", true, &extrapolate);
     }
-    let diagnose: [(bool, &[_]); 2] = [
+    let diagnose: [(bool, &[_]); 6] = [
+        (liquid, &["measure_motion"]),
+        (liquid && !coupling, &["measure_divergence"]),
         (
-            liquid,
-            &["measure_motion", "measure_divergence", "report_motion"],
+            coupling,
+            &["measure_uncut_divergence", "measure_cut_divergence"],
         ),
+        (liquid, &["report_motion"]),
         (elastic, &["measure_solid", "report_solid"]),
+        (coupling, &["measure_coupling", "report_coupling"]),
     ];
     stage("diagnose", true, &diagnose);
     if probes && liquid {
@@ -425,6 +462,24 @@ fn stages(scene: &Scene, grid: &Grid, rows: &SolidRows, effects: &Effects) -> Ve
         stage("probe", true, &kernels);
     }
     plans
+}
+
+/// The kernels of the solve for liquid and solids together, besides those of each for itself.
+fn coupled_kernels() -> Vec<(bool, &'static [&'static str])> {
+    vec![
+        (true, &["coupled_args", "couple_keep", "coupled_turn"]),
+        (true, &["two_field_correct", "couple_residual"]),
+        (true, &["coupled_residual", "coupled_sums"]),
+        (true, &["two_field_begin", "two_field_rhs", "couple_begin"]),
+        (
+            true,
+            &["two_field_weight", "couple_right", "couple_restore"],
+        ),
+        (true, &["couple_nodes", "two_field_z", "couple_beta"]),
+        (true, &["two_field_direction", "couple_force"]),
+        (true, &["two_field_half", "two_field_apply", "couple_apply"]),
+        (true, &["couple_alpha", "two_field_update", "couple_push"]),
+    ]
 }
 
 /// The kernels of the solve, and whether it has them.
@@ -455,7 +510,7 @@ fn solve_kernels(scene: &Scene, levels: &LevelPlan) -> Vec<(bool, &'static [&'st
 fn buffers(
     scene: &Scene,
     n_markers: usize,
-    (solids, rows): (&Solids, &SolidRows),
+    (solids, rows, clip): (&Solids, &SolidRows, Option<&SolidClip>),
     f64: bool,
     timestamps: bool,
 ) -> Vec<BufferPlan> {
@@ -475,6 +530,10 @@ fn buffers(
     }
     if !solids.bodies.is_empty() {
         all.extend(gpu_solids::buffers(scene, solids, rows, f64));
+    }
+    if let Some(clip) = clip {
+        let room = Room::for_clip(&grid, clip);
+        all.extend(room.buffers(scene, rows, variant));
     }
     if timestamps {
         all.extend(Timer::plan());
@@ -504,6 +563,13 @@ fn solves(scene: &Scene, solids: &Solids, rows: &SolidRows, f64: bool) -> Vec<St
     };
     let tolerance = solver.tolerance;
     let mut solves = Vec::new();
+    if Effects::of(scene).coupling {
+        solves.push(format!(
+            "where they touch, liquid and solids together (two-field, thesis 5.25, factored), conjugate gradients with \
+             {preconditioner} on B and a Chebyshev polynomial on S, {numbers}, both residuals of the indefinite system \
+             {tolerance:.0e}"
+        ));
+    }
     if scene.liquid.is_some() {
         solves.push(format!(
             "pressure alone (cut-cell, ghost-fluid Laplacian), conjugate gradients with {preconditioner}, {numbers}, true \

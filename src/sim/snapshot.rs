@@ -6,12 +6,13 @@ use glam::DVec3;
 
 use crate::Error;
 use crate::elastic::{Solids, stiffness_block};
+use crate::geometry::CutCells;
 use crate::gpu::{Buffer, Gpu, Real};
 use crate::grid::{Axis, Grid};
 use crate::reference::{
     ActiveCells, BlockMatrix, BlockPattern, Freedom, SolidRightHandSide, SolidSystem, Stencil,
 };
-use crate::stages::{Report, SolidReport};
+use crate::stages::{CouplingReport, Report, SolidReport};
 use crate::state::State;
 
 use super::GpuPath;
@@ -25,6 +26,8 @@ pub struct Snapshot {
     pub liquid: Option<LiquidSnapshot>,
     /// Of the solids, where the scene has any.
     pub solids: Option<SolidSnapshot>,
+    /// The numbers of the last `diagnose` on both, where the scene has both.
+    pub coupling: Option<CouplingReport>,
 }
 
 /// What the stages of the solids hand to each other: entries of all nodes or of all elements.
@@ -55,6 +58,8 @@ pub struct SolidSnapshot {
 /// What the stages of the liquid hand to each other, host layout.
 #[derive(Clone, Debug)]
 pub struct LiquidSnapshot {
+    /// Open fractions of the faces and distances of the centres (m), where solids cut the grid in every sub-step.
+    pub cut: Option<CutCells>,
     /// Marker positions, m; `None` for a dropped one.
     pub markers: Vec<Option<[f64; 3]>>,
     /// Face velocities, m/s.
@@ -102,6 +107,10 @@ impl GpuPath {
         Ok(Snapshot {
             liquid: liquid.transpose()?,
             solids: solids.transpose()?,
+            coupling: match &self.coupling {
+                Some(coupling) => Some(coupling.told(&self.gpu)?),
+                None => None,
+            },
         })
     }
 }
@@ -204,7 +213,15 @@ impl GpuLiquid {
                 .collect(),
         };
         let distance = gpu.download(&liquid.liquid_distance)?;
+        let cut = || -> Result<CutCells, Error> {
+            let distance = gpu.download(&liquid.obstacles.solid_distance)?;
+            Ok(CutCells {
+                open: liquid.read_faces(gpu, &liquid.open)?,
+                solid_distance: padded.unpad(grid.cells, &distance, f64::from),
+            })
+        };
         Ok(LiquidSnapshot {
+            cut: liquid.plan.effects.coupling.then(cut).transpose()?,
             markers,
             velocity: liquid.read_faces(gpu, &liquid.velocity)?,
             velocity_next: liquid.read_faces(gpu, &liquid.velocity_next)?,

@@ -7,11 +7,12 @@ use crate::gpu::{Readback, Recorder, StageTimes};
 use crate::reference::TimeStep;
 use crate::solver::{Components, Outcome};
 use crate::stages::{
-    AdvectMarkers, AdvectVelocity, Band, Diagnose, ElementRotations, Extrapolate, Forces,
+    AdvectMarkers, AdvectVelocity, Band, Clip, Diagnose, ElementRotations, Extrapolate, Forces,
     LiquidDistance, MoveSolid, Report, RightHandSide, SolidReport, WriteBack,
 };
-use crate::state::{ContactReport, SolveReport, StepReport};
+use crate::state::{ContactReport, CouplingReport, SolveReport, StepReport};
 
+use super::gpu_coupling::{At, CouplingReadbacks};
 use super::gpu_liquid::{GpuLiquid, active, within};
 use super::gpu_path::GpuPath;
 use super::gpu_solids::{GpuSolids, SolidReadbacks};
@@ -24,6 +25,7 @@ pub type Observer<'a> = &'a mut dyn FnMut(&'static str, &GpuPath) -> Result<(), 
 pub(super) struct Readbacks {
     pub(super) liquid: Option<Readback<u32>>,
     pub(super) solids: Option<SolidReadbacks>,
+    pub(super) coupling: Option<CouplingReadbacks>,
 }
 
 /// What the device tells of a sub-step.
@@ -31,6 +33,7 @@ pub(super) struct Readbacks {
 struct Told {
     liquid: Option<(Outcome, Report)>,
     solids: Option<((Outcome, ContactReport), SolidReport)>,
+    coupling: Option<CouplingReport>,
     seconds: StageTimes,
 }
 
@@ -47,7 +50,7 @@ impl GpuPath {
     pub(super) fn step(
         &mut self,
         time_step: TimeStep,
-        observer: Option<Observer>,
+        mut observer: Option<Observer>,
     ) -> Result<StepReport, Error> {
         let clock = Instant::now();
         let mut readbacks = self
@@ -55,35 +58,82 @@ impl GpuPath {
             .take()
             .expect("the read-backs come back after every step");
         self.write_step(time_step.dt);
-        let told = self.stages_of(time_step.dt, &mut readbacks, observer);
+        let told = self
+            .move_and_clip(time_step.dt, &mut observer)
+            .and_then(|told| self.stages_of(time_step.dt, &mut readbacks, observer, told));
         self.readbacks = Some(readbacks);
         let mut report = self.finish(time_step, told?);
         report.seconds_total = clock.elapsed().as_secs_f64();
         Ok(report)
     }
 
-    /// Two waits: for the verdict of the solve, and for the reports.
+    /// With liquid and solids, the stages up to the host's part of `clip`, which waits for where the nodes are. Other scenes wait for
+    /// nothing here.
+    fn move_and_clip(&mut self, dt: f64, observer: &mut Option<Observer>) -> Result<Told, Error> {
+        let mut told = Told::default();
+        let both = self.liquid.as_ref().zip(self.solids.as_ref());
+        let Some((coupling, (_, solids))) = self.coupling.as_mut().zip(both) else {
+            return Ok(told);
+        };
+        let mut to = Recorder::timed(&self.gpu);
+        solids.stages.move_solid.record(&mut to);
+        to.read(&solids.buffers.displacement, &mut coupling.moved);
+        let timing = to.submit();
+        let moved = coupling.moved.wait(&self.gpu)?;
+        told.seconds.append(&mut timing.wait()?);
+        let displacement = solids.buffers.displacement_of(&moved);
+        if let Some(observer) = observer {
+            observer(MoveSolid::NAME, self)?;
+        }
+        let clock = Instant::now();
+        let GpuPath {
+            gpu,
+            scene,
+            head,
+            liquid,
+            solids,
+            coupling,
+            ..
+        } = self;
+        let both = liquid.as_mut().zip(solids.as_ref());
+        if let Some((coupling, both)) = coupling.as_mut().zip(both) {
+            let dt_last = head.dt_last;
+            coupling.follow(gpu, scene, both, &displacement, At::Step { dt, dt_last })?;
+        }
+        told.seconds
+            .push((Clip::NAME, clock.elapsed().as_secs_f64()));
+        Ok(told)
+    }
+
+    /// The other stages, or all of them. Two waits: for the verdict of the solve, and for the reports; with liquid and solids one more, for
+    /// whether they touch.
     fn stages_of(
         &self,
         dt: f64,
         readbacks: &mut Readbacks,
         observer: Option<Observer>,
+        mut told: Told,
     ) -> Result<Told, Error> {
         let GpuPath {
             gpu,
             liquid,
             solids,
+            coupling,
             ..
         } = self;
         let (liquid, solids) = (liquid.as_ref(), solids.as_ref());
-        let mut told = Told::default();
+        let coupling = coupling.as_ref();
         let mut watch = Watch {
             path: self,
             observer,
         };
 
         let mut to = Recorder::timed(gpu);
-        if let Some(GpuSolids { stages, .. }) = solids {
+        if let Some(coupling) = coupling {
+            coupling.stages.clip.record(&mut to);
+            coupling.record_slopes(&mut to);
+            to = watch.after(Clip::NAME, to)?;
+        } else if let Some(GpuSolids { stages, .. }) = solids {
             stages.move_solid.record(&mut to);
             to = watch.after(MoveSolid::NAME, to)?;
         }
@@ -120,12 +170,19 @@ impl GpuPath {
             if let Some(liquid_distance) = &stages.liquid_distance {
                 liquid_distance.record(&mut to, buffers);
                 to = watch.after(LiquidDistance::NAME, to)?;
+            } else if let Some(volume) = stages.volume.as_ref().filter(|_| coupling.is_some()) {
+                // The surface stays, and solids move through it.
+                volume.record(&mut to);
+            }
+            if let Some(coupling) = coupling {
+                coupling.record_clear(&mut to);
             }
             to.stage("active_cells", |pass| {
                 stages.active_cells.record(pass, solver, within(buffers))
             });
             to.stage(Components::NAME, |pass| {
-                stages.closed_components.label(pass, solver)
+                let seal = coupling.map(|coupling| &coupling.stages.closed_components);
+                stages.closed_components.label(pass, solver, seal)
             });
             to = watch.after("active_cells", to)?;
         }
@@ -139,27 +196,58 @@ impl GpuPath {
         if let Some(GpuLiquid { solver, stages, .. }) = liquid {
             stages.right_hand_side.record(&mut to, &active(solver));
             to.stage(Components::NAME, |pass| {
+                if let Some(coupling) = coupling {
+                    coupling.stages.closed_components.record_close(pass);
+                }
                 stages.closed_components.remove_means(pass)
             });
         }
         if let Some(GpuSolids { stages, .. }) = solids {
             to.stage(RightHandSide::NAME, |pass| {
-                stages.system.record_right_hand_side(pass)
+                stages.system.record_right_hand_side(pass);
+                if let Some(patch_pressure) =
+                    coupling.and_then(|c| c.stages.patch_pressure.as_ref())
+                {
+                    patch_pressure.record(pass);
+                }
+                stages.system.record_contacts(pass);
             });
         }
         to = watch.after(RightHandSide::NAME, to)?;
         let (mut pressure, mut elastic) = (None, None);
-        if let Some(GpuLiquid { solver, stages, .. }) = liquid {
-            let (outcome, mut seconds) = stages.solve.solve(gpu, to, solver, true)?;
-            pressure = Some(outcome);
+        let mut together = false;
+        if let (Some(coupling), Some(both), Some(of_coupling), Some(of_solids)) = (
+            coupling,
+            liquid.zip(solids),
+            readbacks.coupling.as_mut(),
+            readbacks.solids.as_mut(),
+        ) {
+            let (touching, closed, mut seconds) =
+                coupling.touching(gpu, both.0, to, of_coupling)?;
             told.seconds.append(&mut seconds);
+            together = touching;
+            if touching {
+                let (outcomes, contact, mut seconds) =
+                    coupling.solve_in_contact(gpu, both, of_solids, dt, closed)?;
+                told.seconds.append(&mut seconds);
+                let [of_liquid, of_solids] = outcomes;
+                (pressure, elastic) = (Some(of_liquid), Some((of_solids, contact)));
+            }
             to = Recorder::timed(gpu);
+        }
+        if let Some(GpuLiquid { solver, stages, .. }) = liquid {
+            if !together {
+                let (outcome, mut seconds) = stages.solve.solve(gpu, to, solver, true)?;
+                pressure = Some(outcome);
+                told.seconds.append(&mut seconds);
+                to = Recorder::timed(gpu);
+            }
             to.stage(Components::NAME, |pass| {
                 stages.closed_components.centre_potential(pass)
             });
         }
         if let Some((solids, SolidReadbacks { changes, .. })) =
-            solids.zip(readbacks.solids.as_mut())
+            solids.zip(readbacks.solids.as_mut()).filter(|_| !together)
         {
             let (outcome, contact, mut seconds) = solids.solve_in_contact(gpu, to, changes, dt)?;
             elastic = Some((outcome, contact));
@@ -174,7 +262,9 @@ impl GpuPath {
         {
             stages.write_back.record(&mut to, buffers);
             to = watch.after(WriteBack::NAME, to)?;
-            stages.extrapolate.record(&mut to, buffers);
+            if let Some(extrapolate) = &stages.extrapolate {
+                extrapolate.record(&mut to, buffers);
+            }
             to = watch.after(Extrapolate::NAME, to)?;
         }
         if let Some((liquid, readback)) = liquid.zip(readbacks.liquid.as_mut()) {
@@ -184,7 +274,9 @@ impl GpuPath {
                 stages,
                 ..
             } = liquid;
-            stages.diagnose.record(&mut to, buffers, &active(solver));
+            if let Some(diagnose) = &stages.diagnose {
+                diagnose.record(&mut to, buffers, &active(solver));
+            }
             to.read(&buffers.report, readback);
         }
         if let Some((solids, SolidReadbacks { report, .. })) = solids.zip(readbacks.solids.as_mut())
@@ -195,6 +287,9 @@ impl GpuPath {
             stages.diagnose.record(&mut to, buffers);
             to.read(&buffers.report, report);
         }
+        if let Some((coupling, readbacks)) = coupling.zip(readbacks.coupling.as_mut()) {
+            coupling.record_report(&mut to, readbacks);
+        }
         let timing = to.submit();
         if let Some((outcome, readback)) = pressure.zip(readbacks.liquid.as_mut()) {
             told.liquid = Some((outcome, Report::from_words(&readback.wait(gpu)?)));
@@ -203,6 +298,9 @@ impl GpuPath {
             elastic.zip(readbacks.solids.as_mut())
         {
             told.solids = Some((outcome, SolidReport::from_words(&report.wait(gpu)?)));
+        }
+        if let Some((coupling, readbacks)) = coupling.zip(readbacks.coupling.as_mut()) {
+            told.coupling = Some(coupling.report(gpu, readbacks)?);
         }
         told.seconds.extend(timing.wait()?);
         watch.after(Diagnose::NAME, Recorder::new(gpu))?;
@@ -245,7 +343,7 @@ impl GpuPath {
             solid: solids.map(|(solids, ((outcome, contact), report))| {
                 solids.finish(&outcome, contact, report)
             }),
-            coupling: None,
+            coupling: told.coupling,
             seconds: by_stage(&told.seconds),
             seconds_total: 0.0,
         }

@@ -9,8 +9,10 @@
 //! borrow buffers of the solve, which has not begun or is over when they are needed.
 
 use crate::Error;
-use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, RealBuffer};
+use crate::gpu::{Binding, Bound, Buffer, Gpu, Kernel, Pass, RealBuffer};
 
+use super::coupling::CouplingBuffers;
+use super::solid_system::SolidFields;
 use super::system::SolverBuffers;
 
 /// Words of [`SolverBuffers::components`].
@@ -83,11 +85,14 @@ impl Components {
         })
     }
 
-    /// Records the labelling. Afterwards bits 4 to 7 of [`SolverBuffers::flags`] say which lanes of a quad belong to closed
-    /// components.
-    pub fn label(&self, pass: &mut Pass, buffers: &SolverBuffers) {
+    /// Records the labelling, with solids also by which components they seal. Afterwards bits 4 to 7 of [`SolverBuffers::flags`] say which
+    /// lanes of a quad belong to closed components.
+    pub fn label(&self, pass: &mut Pass, buffers: &SolverBuffers, seal: Option<&Seal>) {
         for bound in [&self.init, &self.merge, &self.open] {
             pass.dispatch_indirect(bound, &buffers.args, 0);
+        }
+        if let Some(seal) = seal {
+            pass.dispatch(&seal.seal, seal.n_quads);
         }
         pass.dispatch(&self.gate, 1);
         pass.dispatch_indirect(&self.flag, &self.sizes, 0);
@@ -101,6 +106,62 @@ impl Components {
     /// After the solve: gives the potential of every closed component the mean zero.
     pub fn centre_potential(&self, pass: &mut Pass) {
         self.potential.record(pass, &self.sizes);
+    }
+}
+
+/// What solids do to components without a free surface.
+#[derive(Debug)]
+pub struct Seal {
+    seal: Bound,
+    close: Bound,
+    n_quads: usize,
+}
+
+impl Seal {
+    /// Compiles and binds.
+    ///
+    /// # Errors
+    /// As [`Kernel::new`] and [`Kernel::bind`].
+    pub fn new(
+        gpu: &Gpu,
+        buffers: &SolverBuffers,
+        fields: SolidFields,
+        coupling: &CouplingBuffers,
+    ) -> Result<Seal, Error> {
+        let joint = [
+            ("coupling", (&coupling.coupling).into()),
+            ("words", (&coupling.words).into()),
+            ("pairs", (&coupling.quad_pairs).into()),
+            ("flags", (&buffers.flags).into()),
+        ];
+        let with = |source, other: &[(&str, Binding)]| {
+            let all = [&joint[..], other].concat();
+            Kernel::new(gpu, source, buffers.variant.real)?.bind(gpu, &all)
+        };
+        Ok(Seal {
+            seal: with(
+                &crate::wgsl!("components_seal"),
+                &[
+                    ("node_flags", fields.flags.into()),
+                    ("labels", (&buffers.labels).into()),
+                    ("state", (&buffers.components).into()),
+                    ("report", (&coupling.report).into()),
+                ],
+            )?,
+            close: with(
+                &crate::wgsl!("couple_close"),
+                &[
+                    ("x", fields.velocity.into()),
+                    ("rhs", (&buffers.rhs).into()),
+                ],
+            )?,
+            n_quads: coupling.size.quads,
+        })
+    }
+
+    /// Records, before the means are removed, what prescribed nodes take up of closed components.
+    pub fn record_close(&self, pass: &mut Pass) {
+        pass.dispatch(&self.close, self.n_quads);
     }
 }
 

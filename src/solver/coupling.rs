@@ -1,7 +1,9 @@
 //! J between liquid and solids on the device, in the units of the pressure's system, and what a coupled solve computes with.
 
 use crate::Error;
-use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, RealBuffer, WG_SIZE, groups};
+use crate::gpu::{
+    Bound, Buffer, BufferPlan, Gpu, Kernel, Pass, RealBuffer, Variant, WG_SIZE, groups,
+};
 
 use super::pcg::{Labels, labels};
 use super::solid_system::SolidSystemBuffers;
@@ -17,6 +19,9 @@ pub(super) const NODES: usize = 0;
 pub(super) const BODIES: usize = 1;
 pub(super) const WET: usize = 2;
 pub(super) const PARTIALS: usize = 3;
+
+/// Words of [`CouplingBuffers::report`].
+pub const REPORT_WORDS: usize = 16;
 
 /// Share of zeta_M M in Z1: design section 5.
 const SIGMA: f32 = 0.5;
@@ -55,7 +60,7 @@ pub struct Pair {
 }
 
 /// How much room there is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CouplingSize {
     /// Quads with patches, at most.
     pub quads: usize,
@@ -63,31 +68,62 @@ pub struct CouplingSize {
     pub pairs: usize,
 }
 
+impl CouplingSize {
+    /// What [`CouplingBuffers::new`] allocates for solids of `n` nodes and a liquid of so many levels.
+    pub fn buffers(
+        &self,
+        n: usize,
+        n_levels: usize,
+        Variant { real, inner }: Variant,
+    ) -> Vec<BufferPlan> {
+        let real = |label, len| RealBuffer::plan(label, len, real);
+        vec![
+            BufferPlan::of::<Coupling>("coupling.coupling", 1),
+            BufferPlan::of::<u32>("coupling.sizes", 4 * (N_LISTS + 1)),
+            BufferPlan::of::<u32>("coupling.args", 4 * (n_levels + N_LISTS + 1)),
+            BufferPlan::of::<u32>("coupling.words", 2 * self.quads + n + 2),
+            BufferPlan::of::<[u32; 4]>("coupling.quad_pairs", self.pairs),
+            BufferPlan::of::<[u32; 4]>("coupling.node_pairs", self.pairs),
+            real("coupling.partials", 4 * (self.quads + n)),
+            RealBuffer::plan("coupling.kept", 4 * self.quads, inner),
+            real("coupling.base", 4 * self.quads),
+            real("coupling.t", 4 * n),
+            real("coupling.difference", 4 * n),
+            BufferPlan::of::<u32>("coupling.report", REPORT_WORDS),
+        ]
+    }
+}
+
 /// J, and the vectors of a coupled solve over nodes and wet quads.
 #[derive(Debug)]
 pub struct CouplingBuffers {
-    size: CouplingSize,
-    n_nodes: usize,
+    /// Room.
+    pub size: CouplingSize,
+    /// Nodes of all solids.
+    pub n_nodes: usize,
     n_bodies: usize,
     n_levels: usize,
-    pub(super) coupling: Buffer<Coupling>,
+    /// Sizes and units.
+    pub coupling: Buffer<Coupling>,
     /// Wet quads, where their pairs start, where those of the nodes start.
-    pub(super) words: Buffer<u32>,
+    pub words: Buffer<u32>,
     /// By wet quad: bits of the value, 4 node + lane.
-    pub(super) quad_pairs: Buffer<[u32; 4]>,
+    pub quad_pairs: Buffer<[u32; 4]>,
     /// By node: bits of the value, padded index of the cell.
-    pub(super) node_pairs: Buffer<[u32; 4]>,
+    pub node_pairs: Buffer<[u32; 4]>,
     sizes: Buffer<u32>,
     /// Dispatch size and length of all lists; after them the length of folded partials.
     pub(super) args: Buffer<u32>,
-    /// Of the wet quads, then of the nodes.
-    pub(super) partials: RealBuffer,
+    /// Of the wet quads, then of the nodes; `Real4`.
+    pub partials: RealBuffer,
     /// g_p of the wet quads while the V-cycle has another right-hand side.
     pub(super) kept: RealBuffer,
     /// Right-hand side of the wet quads before anything flows through solids.
     pub(super) base: RealBuffer,
     pub(super) t: RealBuffer,
     pub(super) difference: RealBuffer,
+    /// What the host reads once per step: `stages::CouplingReport`.
+    pub report: Buffer<u32>,
     measure: Bound,
 }
 
@@ -104,12 +140,16 @@ impl CouplingBuffers {
     ) -> Result<CouplingBuffers, Error> {
         let (n, n_levels) = (solids.sizes.n_nodes as usize, liquid.plan.len());
         let variant = liquid.variant;
-        let words = 2 * size.quads + n + 2;
-        let n_args = 4 * (n_levels + N_LISTS + 1);
-        let real = |label: &str, len: usize| RealBuffer::new(gpu, label, len, variant.real);
+        let plans = size.buffers(n, n_levels, variant);
+        let len = |label: &str| {
+            let plan = plans.iter().find(|plan| plan.label == label);
+            plan.map_or(0, |plan| plan.len)
+        };
+        let real = |label: &str| RealBuffer::new(gpu, label, len(label), variant.real);
+        let words = |label: &str| gpu.buffer(label, len(label));
+        let pairs = |label: &str| gpu.buffer(label, len(label));
         let coupling = gpu.uniform("coupling.coupling", &Coupling::default())?;
-        let sizes = gpu.buffer("coupling.sizes", 4 * (N_LISTS + 1))?;
-        let args = gpu.buffer("coupling.args", n_args)?;
+        let (sizes, args) = (words("coupling.sizes")?, words("coupling.args")?);
         let measure = Kernel::new(gpu, &crate::wgsl!("coupled_args"), variant)?.bind(
             gpu,
             &[
@@ -125,18 +165,25 @@ impl CouplingBuffers {
             n_bodies: solids.sizes.n_bodies as usize,
             n_levels,
             coupling,
-            words: gpu.buffer("coupling.words", words)?,
-            quad_pairs: gpu.buffer("coupling.quad_pairs", size.pairs)?,
-            node_pairs: gpu.buffer("coupling.node_pairs", size.pairs)?,
+            words: words("coupling.words")?,
+            quad_pairs: pairs("coupling.quad_pairs")?,
+            node_pairs: pairs("coupling.node_pairs")?,
             sizes,
             args,
-            partials: real("coupling.partials", 4 * (size.quads + n))?,
-            kept: RealBuffer::new(gpu, "coupling.kept", 4 * size.quads, variant.inner)?,
-            base: real("coupling.base", 4 * size.quads)?,
-            t: real("coupling.t", 4 * n)?,
-            difference: real("coupling.difference", 4 * n)?,
+            partials: real("coupling.partials")?,
+            kept: RealBuffer::new(gpu, "coupling.kept", len("coupling.kept"), variant.inner)?,
+            base: real("coupling.base")?,
+            t: real("coupling.t")?,
+            difference: real("coupling.difference")?,
+            report: words("coupling.report")?,
             measure,
         })
+    }
+
+    /// Whether there is room for J.
+    pub fn fits(&self, pairs: &[Pair]) -> bool {
+        let mut quads = pairs.chunk_by(|a, b| a.cell / 4 == b.cell / 4);
+        pairs.len() <= self.size.pairs && quads.by_ref().count() <= self.size.quads
     }
 
     /// Slot of a list.

@@ -4,12 +4,17 @@ use crate::gpu::{BufferPlan, Range, Real, RealBuffer, Variant};
 use crate::grid::Grid;
 use crate::scene::{Preconditioner, Solver};
 
+use super::chebyshev::Polynomial;
 use super::components::STATE_WORDS;
+use super::coupling;
 use super::hierarchy::Tail;
 use super::pcg::{EXTRA_SIZES, Labels, N_SCALARS, folded_len};
 use super::pressure::LABELS;
 use super::refine::{N_NORMS, RefineSettings, host_turns};
+use super::solid_solver::sweeps;
+use super::solid_system::SolidRows;
 use super::system::ActiveSettings;
+use super::two_field;
 use super::{Control, Level, LevelPlan, Sweep};
 
 /// Sums that end in a one-workgroup kernel: start and turn of a round, alpha, beta.
@@ -21,7 +26,6 @@ pub fn small_buffers(grid: &Grid, solver: &Solver, variant: Variant) -> Vec<Buff
     let plan = LevelPlan::new(grid);
     let n_levels = plan.len();
     let multigrid = solver.preconditioner == Preconditioner::Multigrid;
-    let in_cycle = |n: usize| if multigrid { n } else { 0 };
     let n_scalars = plan.levels[0].len();
     let mut plans = outer_loop(
         &LABELS,
@@ -30,17 +34,58 @@ pub fn small_buffers(grid: &Grid, solver: &Solver, variant: Variant) -> Vec<Buff
         solver,
         variant,
     );
+    plans.extend(pressure(&plan, multigrid));
     plans.extend([
-        BufferPlan::of::<Level>(LABELS.level, n_levels + 2 + in_cycle(plan.tail + 1)),
-        BufferPlan::of::<Sweep>("solver.sweep", 2 + in_cycle(3)),
+        BufferPlan::of::<Level>(LABELS.level, n_levels + 1),
         BufferPlan::of::<ActiveSettings>("solver.active_settings", 1),
         BufferPlan::of::<Range>("compact.range", n_levels),
         BufferPlan::of::<u32>("solver.closed_sizes", 8),
         BufferPlan::of::<u32>("solver.components (read-back)", STATE_WORDS),
         BufferPlan::of::<[u32; 4]>("solver.closed_settings", 2),
     ]);
+    plans
+}
+
+/// The uniforms of [`Pressure`](super::pressure::Pressure), with or without multigrid.
+fn pressure(plan: &LevelPlan, multigrid: bool) -> Vec<BufferPlan> {
+    let in_cycle = |n: usize| if multigrid { n } else { 0 };
+    let mut plans = vec![
+        BufferPlan::of::<Level>(LABELS.level, 1 + in_cycle(plan.tail + 1)),
+        BufferPlan::of::<Sweep>("solver.sweep", 2 + in_cycle(3)),
+    ];
     if multigrid {
         plans.push(BufferPlan::of::<Tail>("solver.tail", 1));
+    }
+    plans
+}
+
+/// What [`TwoFieldSolver`](super::TwoFieldSolver) allocates.
+pub(super) fn two_field(
+    grid: &Grid,
+    rows: &SolidRows,
+    solver: &Solver,
+    variant: Variant,
+) -> Vec<BufferPlan> {
+    let plan = LevelPlan::new(grid);
+    let labels = &coupling::LABELS;
+    let n_lists = plan.len() + coupling::N_LISTS;
+    let mut plans = state_machine(
+        labels,
+        n_lists,
+        two_field::N_NORMS,
+        plan.long_sums(),
+        variant,
+    );
+    plans.extend(pressure(
+        &plan,
+        solver.preconditioner == Preconditioner::Multigrid,
+    ));
+    plans.extend([
+        BufferPlan::of::<Polynomial>("coupled_solver.polynomial", 1),
+        BufferPlan::of::<Sweep>("coupled_solver.sweep", 1),
+    ]);
+    for _ in 0..2 {
+        plans.extend(sweeps(rows));
     }
     plans
 }
@@ -53,22 +98,8 @@ pub(super) fn outer_loop(
     solver: &Solver,
     variant: Variant,
 ) -> Vec<BufferPlan> {
-    let Variant { real, inner } = variant;
-    let folded = folded_len(long_sums);
-    let mut plans = vec![
-        BufferPlan::of::<Control>(labels.control, 1),
-        RealBuffer::plan(labels.scalars, N_SCALARS, inner),
-        BufferPlan::of::<u32>(labels.gated, 4 * (n_lists + EXTRA_SIZES)),
-        BufferPlan::of::<u32>(labels.gate, 8),
-        RealBuffer::plan(labels.folded, folded, inner),
-        RealBuffer::plan(labels.outer_folded, folded, real),
-        RealBuffer::plan(labels.norms, N_NORMS, real),
-        BufferPlan::of::<Level>(labels.level, FOLDS + 1),
-        BufferPlan::of::<Level>(labels.totals, FOLDS),
-        BufferPlan::of::<RefineSettings>(labels.refine_settings, 1),
-        BufferPlan::of::<Control>(labels.control_back, 1),
-        RealBuffer::plan(labels.norms_back, N_NORMS, real),
-    ];
+    let real = variant.real;
+    let mut plans = state_machine(labels, n_lists, N_NORMS, long_sums, variant);
     if real == Real::F32 {
         plans.push(BufferPlan::of::<u32>(labels.x_back, n_scalars));
     }
@@ -79,4 +110,29 @@ pub(super) fn outer_loop(
         ]);
     }
     plans
+}
+
+/// What the state machine on the device and its folds allocate.
+fn state_machine(
+    labels: &Labels,
+    n_lists: usize,
+    n_norms: usize,
+    long_sums: bool,
+    Variant { real, inner }: Variant,
+) -> Vec<BufferPlan> {
+    let folded = folded_len(long_sums);
+    vec![
+        BufferPlan::of::<Control>(labels.control, 1),
+        RealBuffer::plan(labels.scalars, N_SCALARS, inner),
+        BufferPlan::of::<u32>(labels.gated, 4 * (n_lists + EXTRA_SIZES)),
+        BufferPlan::of::<u32>(labels.gate, 8),
+        RealBuffer::plan(labels.folded, folded, inner),
+        RealBuffer::plan(labels.outer_folded, folded, real),
+        RealBuffer::plan(labels.norms, n_norms, real),
+        BufferPlan::of::<Level>(labels.level, FOLDS + 1),
+        BufferPlan::of::<Level>(labels.totals, FOLDS),
+        BufferPlan::of::<RefineSettings>(labels.refine_settings, 1),
+        BufferPlan::of::<Control>(labels.control_back, 1),
+        RealBuffer::plan(labels.norms_back, n_norms, real),
+    ]
 }

@@ -18,7 +18,7 @@ use super::{Control, Level};
 pub(super) const N_NORMS: usize = 8;
 pub(super) const NORM_R: usize = 0;
 pub(super) const NORM_B: usize = 1;
-const NORM_TERMS: usize = 2;
+pub(super) const NORM_TERMS: usize = 2;
 pub(super) const SCALE: usize = 4;
 /// Slot of the scalars: `shaders/common/pcg_slots.wgsl`.
 const GOAL: usize = 3;

@@ -3,7 +3,7 @@
 //! The rules, and the active set that they make, stand with the twin, `reference/solid_contacts.rs`.
 
 use crate::Error;
-use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass};
+use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, RealBuffer};
 use crate::grid::Layout;
 
 use super::solid_system::{SolidFields, SolidSystemBuffers};
@@ -23,9 +23,46 @@ pub(super) struct SolidContacts {
     /// Who touches what and is pressed to it: walls, then obstacles.
     touch: Vec<Bound>,
     hold: Bound,
-    /// Products of the elements with the velocity, and what follows from them.
-    update: [Bound; 2],
+    update: Update,
     n_nodes: usize,
+}
+
+/// Who is held after a solve: products of the elements with the velocity, and what follows from them.
+#[derive(Debug)]
+pub(super) struct Update([Bound; 2]);
+
+impl Update {
+    /// Compiles and binds. `pushes`: what pushes nodes, N, `Real4` per node.
+    pub(super) fn new(
+        gpu: &Gpu,
+        buffers: &SolidSystemBuffers,
+        fields: SolidFields,
+        pushes: &RealBuffer,
+    ) -> Result<Update, Error> {
+        Ok(Update([
+            buffers.bind_products(gpu, fields, fields.velocity)?,
+            Kernel::new(gpu, &crate::wgsl!("update_contacts"), buffers.variant)?.bind(
+                gpu,
+                &[
+                    ("step", fields.step),
+                    ("gaps", fields.gaps.into()),
+                    ("incidence", (&buffers.incidence).into()),
+                    ("products", (&buffers.products).into()),
+                    ("masses", (&buffers.masses).into()),
+                    ("rhs", pushes.into()),
+                    ("velocity", fields.velocity.into()),
+                    ("freedom", fields.freedom.into()),
+                    ("changes", fields.changes.into()),
+                ],
+            )?,
+        ]))
+    }
+
+    pub(super) fn record(&self, pass: &mut Pass, n_nodes: usize) {
+        for bound in &self.0 {
+            pass.dispatch(bound, n_nodes);
+        }
+    }
 }
 
 impl SolidContacts {
@@ -43,7 +80,6 @@ impl SolidContacts {
         let freedom = ("freedom", fields.freedom.into());
         let rhs = ("rhs", (&buffers.rhs).into());
         let velocity = ("velocity", fields.velocity.into());
-        let products = ("products", (&buffers.products).into());
         let flags = ("flags", fields.flags.into());
         let mut touch = vec![
             kernel(&crate::wgsl!("solid_contacts"))?
@@ -68,23 +104,7 @@ impl SolidContacts {
             touch,
             hold: kernel(&crate::wgsl!("hold_nodes"))?
                 .bind(gpu, &[step, gaps, freedom, velocity])?,
-            update: [
-                buffers.bind_products(gpu, fields, fields.velocity)?,
-                kernel(&crate::wgsl!("update_contacts"))?.bind(
-                    gpu,
-                    &[
-                        step,
-                        gaps,
-                        ("incidence", (&buffers.incidence).into()),
-                        products,
-                        ("masses", (&buffers.masses).into()),
-                        rhs,
-                        velocity,
-                        freedom,
-                        ("changes", fields.changes.into()),
-                    ],
-                )?,
-            ],
+            update: Update::new(gpu, buffers, fields, &buffers.rhs)?,
             n_nodes: buffers.sizes.n_nodes as usize,
         })
     }
@@ -100,8 +120,6 @@ impl SolidContacts {
     }
 
     pub(super) fn record_update(&self, pass: &mut Pass) {
-        for bound in &self.update {
-            pass.dispatch(bound, self.n_nodes);
-        }
+        self.update.record(pass, self.n_nodes);
     }
 }

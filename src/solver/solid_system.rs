@@ -540,9 +540,13 @@ impl SolidSystem {
         pass.dispatch(&self.blocks, self.n_entries);
     }
 
-    /// Records the right-hand side, from v* and the forces of the elements, and what is held from the start.
+    /// Records the right-hand side, from v* and the forces of the elements.
     pub fn record_right_hand_side(&self, pass: &mut Pass) {
         pass.dispatch(&self.right_hand_side, self.n_nodes);
+    }
+
+    /// Records what is held from the start, by the right-hand side.
+    pub fn record_contacts(&self, pass: &mut Pass) {
         self.contacts.record_touch(pass);
         self.record_hold(pass);
     }

@@ -20,8 +20,10 @@ use std::sync::{Mutex, PoisonError};
 
 use crate::Error;
 use crate::gpu::{
-    Bound, Buffer, Gpu, Kernel, Pass, Readback, Real, RealBuffer, Recorder, StageTimes,
+    Bound, Buffer, BufferPlan, Gpu, Kernel, Pass, Readback, Real, RealBuffer, Recorder, StageTimes,
+    Variant,
 };
+use crate::grid::Grid;
 use crate::scene::{Precision, Solver};
 use crate::state::SolveStatus;
 
@@ -30,16 +32,19 @@ use super::coupling::{BODIES, CouplingBuffers, LABELS, N_LISTS, NODES, PARTIALS,
 use super::pcg::{Fold, Pcg, State, Unknowns};
 use super::pressure::{FIRST_SWEEP, Pressure};
 use super::refine::{
-    NORM_B, NORM_R, RefineSettings, SCALE, STATUS_STAGNATED, System, relative, round_floor,
-    rounding, verdict,
+    NORM_B, NORM_R, NORM_TERMS, Outcome, RefineSettings, SCALE, STATUS_STAGNATED, System, relative,
+    round_floor, rounding, verdict,
 };
+use super::solid_contacts::Update;
 use super::solid_solver::Chebyshev;
-use super::solid_system::{SolidFields, SolidSystemBuffers};
-use super::{Control, SolverBuffers};
+use super::solid_system::{SolidFields, SolidRows, SolidSystemBuffers};
+use super::{Control, SolverBuffers, plan};
 
 /// Slots of the norms: `shaders/common/refine.wgsl` names them, also those that other systems lack.
-const N_NORMS: usize = 12;
+pub(super) const N_NORMS: usize = 12;
 const NORM_B_V: usize = 6;
+const NORM_TERMS_V: usize = 7;
+const UNKNOWNS_V: usize = 9;
 const NORM_BEST_V: usize = 10;
 /// Dispatches of an iteration besides those of V-cycle and polynomial, about.
 const DISPATCHES: usize = 24;
@@ -57,12 +62,30 @@ pub struct CoupledOutcome {
     pub iterations: u32,
     /// Rounds.
     pub rounds: u32,
-    /// Active cells and free directions of nodes.
-    pub unknowns: u32,
+    /// Active cells, and free directions of nodes.
+    pub unknowns: [u32; 2],
     /// |r| over |b| of the rows of the liquid and of those of the solids; 0 for b = 0.
     pub residuals: [f64; 2],
+    /// |r| over the norm of the terms that b sums, likewise.
+    pub residual_terms: [f64; 2],
     /// Whether these were evaluated in f64.
     pub verified: bool,
+}
+
+impl CoupledOutcome {
+    /// The part of the liquid, which has so many closed components, and that of the solids. Both have all iterations.
+    pub fn parts(&self, closed_components: u32) -> [Outcome; 2] {
+        [(0, closed_components), (1, 0)].map(|(part, closed_components)| Outcome {
+            status: self.status,
+            iterations: self.iterations,
+            rounds: self.rounds,
+            unknowns: self.unknowns[part],
+            closed_components,
+            residual: self.residuals[part],
+            residual_terms: self.residual_terms[part],
+            verified: self.verified,
+        })
+    }
 }
 
 /// What the solve reads and writes.
@@ -103,6 +126,8 @@ pub struct TwoFieldSolver {
     alpha: Bound,
     direction: Bound,
     update: Bound,
+    push: Bound,
+    contacts: Update,
     polynomial: Buffer<Polynomial>,
     readbacks: Mutex<(Readback<Control>, Readback<u32>)>,
     /// Slots of nodes, solids and wet quads.
@@ -149,6 +174,16 @@ struct Operator {
 }
 
 impl TwoFieldSolver {
+    /// What [`TwoFieldSolver::new`] allocates.
+    pub fn buffers(
+        grid: &Grid,
+        rows: &SolidRows,
+        solver: &Solver,
+        variant: Variant,
+    ) -> Vec<BufferPlan> {
+        plan::two_field(grid, rows, solver, variant)
+    }
+
     /// Compiles and binds.
     ///
     /// # Errors
@@ -486,6 +521,19 @@ impl TwoFieldSolver {
                     ("r", (&solids.r).into()),
                 ],
             )?,
+            push: wide(&crate::wgsl!("couple_push"))?.bind(
+                gpu,
+                &[
+                    joint,
+                    words,
+                    by_node,
+                    flags,
+                    ("p", (&liquid.potential).into()),
+                    ("rhs", (&solids.rhs).into()),
+                    ("pushed", (&coupling.difference).into()),
+                ],
+            )?,
+            contacts: Update::new(gpu, solids, fields, &coupling.difference)?,
             readbacks: Mutex::new((
                 Readback::new(gpu, LABELS.control, 1)?,
                 Readback::new(gpu, LABELS.norms, norms.words.len())?,
@@ -501,7 +549,8 @@ impl TwoFieldSolver {
     }
 
     /// Submits the recording, which ends with both systems and J in place, with the solve at its end, and waits for the verdict. Potential
-    /// and velocity are the answer. `polynomial`: of the solids' preconditioner, for this step's S.
+    /// and velocity are the answer. `polynomial`: of the solids' preconditioner, for this step's S. `again`: the same right-hand side as
+    /// in the last solve, whatever is held now.
     ///
     /// # Errors
     /// [`Error::Gpu`] when the device fails. A solve that does not converge is an outcome, not an error.
@@ -511,6 +560,7 @@ impl TwoFieldSolver {
         mut recorder: Recorder<'a>,
         at: CoupledFields,
         polynomial: &Polynomial,
+        again: bool,
     ) -> Result<(CoupledOutcome, StageTimes), Error> {
         gpu.upload(&self.polynomial, &[*polynomial]);
         let degree = polynomial.degree as usize;
@@ -518,7 +568,9 @@ impl TwoFieldSolver {
             at.coupling.record_args(pass);
             self.pressure.record_measure(pass, at.liquid);
             pass.dispatch_indirect(&self.guess, &at.coupling.args, self.slots[NODES]);
-            pass.dispatch_indirect(&self.keep, &at.coupling.args, self.slots[WET]);
+            if !again {
+                pass.dispatch_indirect(&self.keep, &at.coupling.args, self.slots[WET]);
+            }
             self.start.record(pass);
         });
         let mut times = Vec::new();
@@ -544,6 +596,12 @@ impl TwoFieldSolver {
             }
             recorder = Recorder::timed(gpu);
         }
+    }
+
+    /// Records, after a solve, who is held in the next one; the changes are added to the number in `fields`.
+    pub fn record_update(&self, pass: &mut Pass, n_nodes: usize) {
+        pass.dispatch(&self.push, n_nodes);
+        self.contacts.record(pass, n_nodes);
     }
 
     /// A x as conjugate gradients evaluate it; x and the answer: quads of level 0 in the device layout, then four numbers per node. What
@@ -737,10 +795,17 @@ impl TwoFieldSolver {
             status,
             iterations: control.iterations,
             rounds: control.rounds,
-            unknowns: control.unknowns,
+            unknowns: {
+                let of_solids = norms[UNKNOWNS_V] as u32;
+                [control.unknowns - of_solids, of_solids]
+            },
             residuals: [
                 relative(norms[NORM_R], norms[NORM_B]),
                 relative(norms[NORM_BEST_V], norms[NORM_B_V]),
+            ],
+            residual_terms: [
+                relative(norms[NORM_R], norms[NORM_TERMS]),
+                relative(norms[NORM_BEST_V], norms[NORM_TERMS_V]),
             ],
             verified: self.real == Real::F64,
         })

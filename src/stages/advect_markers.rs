@@ -1,4 +1,4 @@
-//! `advect_markers`: x1 = x + dt u(x + dt/2 u(x)), kept off the walls, then out of obstacles.
+//! `advect_markers`: x1 = x + dt u(x + dt/2 u(x)), kept off the walls, then out of obstacles and solids.
 
 use crate::Error;
 use crate::gpu::{Bound, Gpu, Kernel, Real, Recorder};
@@ -41,7 +41,7 @@ impl AdvectMarkers {
             n_markers: markers.positions.len(),
             advect_markers: Kernel::new(gpu, &wgsl!("advect_markers"), Real::F32)?
                 .bind(gpu, &[level, step, velocity, positions])?,
-            push_out: buffers.plan.effects.obstacles.then(push_out).transpose()?,
+            push_out: buffers.plan.effects.cuts().then(push_out).transpose()?,
         })
     }
 

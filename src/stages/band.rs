@@ -24,9 +24,9 @@ pub struct Tiles {
 
 impl Tiles {
     /// The tiles of a grid. A marker makes cells active within one cell of its own, their plus faces are one further, and the
-    /// extrapolation adds its layers; in an obstacle the extension of the liquid distance adds one more active cell.
-    pub fn new(cells: [usize; 3], cfl: f64, obstacles: bool) -> Tiles {
-        let reach = extrapolation_layers(cfl) + 2 + usize::from(obstacles);
+    /// extrapolation adds its layers; in what cuts the grid the extension of the liquid distance adds one more active cell.
+    pub fn new(cells: [usize; 3], cfl: f64, cuts: bool) -> Tiles {
+        let reach = extrapolation_layers(cfl) + 2 + usize::from(cuts);
         Tiles {
             n: cells.map(|n| (n / TILE + 1) as u32),
             reach: reach.div_ceil(TILE) as u32,

@@ -75,7 +75,7 @@ impl LiquidPlan {
             BufferPlan::of::<f32>("liquid.velocity_next", 3 * padded.len()),
             BufferPlan::of::<f32>("liquid.open", 3 * padded.len()),
             BufferPlan::of::<f32>("liquid.liquid_distance", padded.len()),
-            ObstacleBuffers::plan(&self.grid, self.effects.obstacles),
+            ObstacleBuffers::plan(&self.grid, self.effects.cuts()),
             BufferPlan::of::<u32>("liquid.valid", padded.quads),
             BufferPlan::of::<u32>("liquid.valid_next", padded.quads),
             BufferPlan::of::<u32>("liquid.marks", tiles.len()),
@@ -107,7 +107,7 @@ impl LiquidPlan {
 
     /// The tiles of the grid.
     pub fn tiles(&self) -> Tiles {
-        Tiles::new(self.grid.cells, self.cfl, self.effects.obstacles)
+        Tiles::new(self.grid.cells, self.cfl, self.effects.cuts())
     }
 }
 
@@ -160,7 +160,7 @@ pub struct LiquidBuffers {
     pub maxima: Buffer<u32>,
     /// What the host reads once per step: see [`Report`].
     pub report: Buffer<u32>,
-    /// The distance to the obstacles.
+    /// The distance to the obstacles, and to solids.
     pub obstacles: ObstacleBuffers,
     /// With markers only.
     pub markers: Option<MarkerBuffers>,
@@ -208,7 +208,7 @@ impl LiquidBuffers {
             partials: maker.make_real("liquid.partials", plan.real)?,
             maxima: maker.make("liquid.maxima")?,
             report: maker.make("liquid.report")?,
-            obstacles: ObstacleBuffers::new(gpu, &plan.grid, plan.effects.obstacles)?,
+            obstacles: ObstacleBuffers::new(gpu, &plan.grid, plan.effects.cuts())?,
             markers: plan
                 .effects
                 .markers
@@ -224,7 +224,7 @@ impl LiquidBuffers {
     }
 }
 
-/// Where the obstacles are, for liquid and solids.
+/// Where obstacles are: for solids; for liquid, where solids are too.
 #[derive(Debug)]
 pub struct ObstacleBuffers {
     grid: Grid,
@@ -295,7 +295,7 @@ impl Maker<'_> {
 }
 
 impl LiquidBuffers {
-    /// Writes what the obstacles leave of the grid, before all work submitted later. Also due without obstacles.
+    /// Writes what obstacles and solids leave of the grid, before all work submitted later. Also due without any.
     pub fn write_cut_cells(&self, gpu: &Gpu, cut: &CutCells) {
         let open = self.pad_faces(&cut.open);
         gpu.upload(&self.open, &open);

@@ -5,10 +5,11 @@
 //! the grid and the band, so the sums repeat bit for bit.
 
 use crate::Error;
-use crate::gpu::{Bound, Gpu, Kernel, Recorder};
+use crate::gpu::{Bound, Gpu, Kernel, RealBuffer, Recorder};
+use crate::solver::CouplingBuffers;
 use crate::wgsl;
 
-use super::{Active, LiquidBuffers, over_band};
+use super::{Active, ClipBuffers, LiquidBuffers, over_band};
 
 /// The stage: fields to the report.
 #[derive(Debug)]
@@ -16,6 +17,8 @@ pub struct Diagnose {
     n_threads: usize,
     measure_motion: Bound,
     measure_divergence: Bound,
+    /// With solids: in quads with patches, how many at most.
+    measure_cut_divergence: Option<(Bound, usize)>,
     report_motion: Bound,
 }
 
@@ -23,17 +26,56 @@ impl Diagnose {
     /// The stage's name.
     pub const NAME: &'static str = "diagnose";
 
-    /// Compiles and binds.
+    /// Compiles and binds. `solids`, where there are any: the clipping, J, and `Real4` per node, m/s.
     ///
     /// # Errors
     /// As [`Kernel::new`] and [`Kernel::bind`].
-    pub fn new(gpu: &Gpu, buffers: &LiquidBuffers, active: &Active) -> Result<Diagnose, Error> {
+    pub fn new(
+        gpu: &Gpu,
+        buffers: &LiquidBuffers,
+        active: &Active,
+        solids: Option<(&ClipBuffers, &CouplingBuffers, &RealBuffer)>,
+    ) -> Result<Diagnose, Error> {
         let [level, args, list] = over_band(buffers);
         let step = ("step", (&buffers.step).into());
         let velocity = ("velocity", (&buffers.velocity).into());
         let partials = ("partials", (&buffers.partials).into());
         let maxima = ("maxima", (&buffers.maxima).into());
         let kernel = |source| Kernel::new(gpu, &source, buffers.partials.real);
+        let flags = ("flags", active.flags.into());
+        let open = ("open", (&buffers.open).into());
+        let mut source = wgsl!("measure_divergence");
+        let mut divergence = vec![
+            level,
+            step,
+            ("args", active.args.into()),
+            ("list", active.list.into()),
+            flags,
+            velocity,
+            open,
+            maxima,
+        ];
+        let mut measure_cut_divergence = None;
+        if let Some((clip, coupling, x)) = solids {
+            source = wgsl!("measure_uncut_divergence");
+            divergence.push(("walls", (&clip.walls).into()));
+            let bound = Kernel::new(gpu, &wgsl!("measure_cut_divergence"), x.real)?.bind(
+                gpu,
+                &[
+                    level,
+                    step,
+                    ("coupling", (&coupling.coupling).into()),
+                    ("words", (&coupling.words).into()),
+                    ("pairs", (&coupling.quad_pairs).into()),
+                    flags,
+                    ("x", x.into()),
+                    velocity,
+                    open,
+                    maxima,
+                ],
+            )?;
+            measure_cut_divergence = Some((bound, coupling.size.quads));
+        }
         Ok(Diagnose {
             n_threads: buffers.plan.n_summing(),
             measure_motion: kernel(wgsl!("measure_motion"))?.bind(
@@ -50,19 +92,8 @@ impl Diagnose {
                     maxima,
                 ],
             )?,
-            measure_divergence: kernel(wgsl!("measure_divergence"))?.bind(
-                gpu,
-                &[
-                    level,
-                    step,
-                    ("args", active.args.into()),
-                    ("list", active.list.into()),
-                    ("flags", active.flags.into()),
-                    velocity,
-                    ("open", (&buffers.open).into()),
-                    maxima,
-                ],
-            )?,
+            measure_divergence: kernel(source)?.bind(gpu, &divergence)?,
+            measure_cut_divergence,
             report_motion: kernel(wgsl!("report_motion"))?.bind(
                 gpu,
                 &[partials, maxima, ("report", (&buffers.report).into())],
@@ -76,6 +107,9 @@ impl Diagnose {
         recorder.stage(Diagnose::NAME, |pass| {
             pass.dispatch(&self.measure_motion, self.n_threads);
             pass.dispatch_indirect(&self.measure_divergence, active.args, 0);
+            if let Some((measure_cut_divergence, n_quads)) = &self.measure_cut_divergence {
+                pass.dispatch(measure_cut_divergence, *n_quads);
+            }
             pass.dispatch(&self.report_motion, 1);
         });
     }

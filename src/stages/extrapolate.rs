@@ -1,11 +1,11 @@
 //! `extrapolate`: velocities beyond the liquid, layer by layer, for the next advection; nothing through walls, free slip along
-//! obstacles.
+//! obstacles, and along solids as they move.
 
 use crate::Error;
-use crate::gpu::{Bound, Gpu, Kernel, Real, Recorder};
+use crate::gpu::{Bound, Gpu, Kernel, Real, RealBuffer, Recorder};
 use crate::wgsl;
 
-use super::{LiquidBuffers, extrapolation_layers, over_band};
+use super::{ClipBuffers, LiquidBuffers, extrapolation_layers, over_band};
 
 /// The stage: `velocity` in place, from the `valid` faces outwards.
 #[derive(Debug)]
@@ -14,6 +14,8 @@ pub struct Extrapolate {
     /// The layers by turns: marks from `valid` to `valid_next`, and back.
     layer: [Bound; 2],
     walls: Bound,
+    /// With solids: how fast they move beside the liquid, and the number of places.
+    wall_velocities: Option<(Bound, usize)>,
     slip: Option<[Bound; 2]>,
 }
 
@@ -21,11 +23,15 @@ impl Extrapolate {
     /// The stage's name.
     pub const NAME: &'static str = "extrapolate";
 
-    /// Compiles and binds.
+    /// Compiles and binds. `solids`, where there are any: the clipping, and `Real4` per node, m/s.
     ///
     /// # Errors
     /// As [`Kernel::new`] and [`Kernel::bind`].
-    pub fn new(gpu: &Gpu, buffers: &LiquidBuffers) -> Result<Extrapolate, Error> {
+    pub fn new(
+        gpu: &Gpu,
+        buffers: &LiquidBuffers,
+        solids: Option<(&ClipBuffers, &RealBuffer)>,
+    ) -> Result<Extrapolate, Error> {
         let [level, args, list] = over_band(buffers);
         let step = ("step", (&buffers.step).into());
         let velocity = ("velocity", (&buffers.velocity).into());
@@ -43,30 +49,47 @@ impl Extrapolate {
             // u* and the marks of the last layer but one are no longer needed.
             let [valid, slipping] = [marks[n_layers % 2], marks[1 - n_layers % 2]];
             let slipping = ("slipping", slipping.into());
+            let mut source = wgsl!("slip");
+            let mut bindings = vec![
+                level,
+                step,
+                args,
+                list,
+                ("solid_distance", (&buffers.obstacles.solid_distance).into()),
+                velocity,
+                ("valid", valid.into()),
+                velocity_next,
+                slipping,
+            ];
+            if let Some((clip, _)) = solids {
+                source = wgsl!("slip_along_solids");
+                bindings.push(("clipped", (&clip.clipped).into()));
+                bindings.push(("walls", (&clip.walls).into()));
+            }
             Ok::<_, Error>([
-                kernel(wgsl!("slip"))?.bind(
-                    gpu,
-                    &[
-                        level,
-                        step,
-                        args,
-                        list,
-                        ("solid_distance", (&buffers.obstacles.solid_distance).into()),
-                        velocity,
-                        ("valid", valid.into()),
-                        velocity_next,
-                        slipping,
-                    ],
-                )?,
+                kernel(source)?.bind(gpu, &bindings)?,
                 kernel(wgsl!("apply_slip"))?
                     .bind(gpu, &[level, args, list, slipping, velocity_next, velocity])?,
             ])
         };
+        let wall_velocities = |(clip, velocity): (&ClipBuffers, &RealBuffer)| {
+            let bound = Kernel::new(gpu, &wgsl!("wall_velocities"), velocity.real)?.bind(
+                gpu,
+                &[
+                    ("clipped", (&clip.clipped).into()),
+                    ("places", (&clip.places).into()),
+                    ("velocity", velocity.into()),
+                    ("walls", (&clip.walls).into()),
+                ],
+            )?;
+            Ok::<_, Error>((bound, clip.size.places))
+        };
         Ok(Extrapolate {
             n_layers,
+            wall_velocities: solids.map(wall_velocities).transpose()?,
             layer: [layer(0)?, layer(1)?],
             walls: kernel(wgsl!("extrapolate_walls"))?.bind(gpu, &[level, args, list, velocity])?,
-            slip: buffers.plan.effects.obstacles.then(slip).transpose()?,
+            slip: buffers.plan.effects.cuts().then(slip).transpose()?,
         })
     }
 
@@ -78,7 +101,12 @@ impl Extrapolate {
                 over_band(&self.layer[n % 2]);
             }
             over_band(&self.walls);
-            self.slip.iter().flatten().for_each(over_band);
+            if let Some((wall_velocities, n_places)) = &self.wall_velocities {
+                pass.dispatch(wall_velocities, *n_places);
+            }
+            for bound in self.slip.iter().flatten() {
+                pass.dispatch_indirect(bound, &buffers.band_args, 0);
+            }
         });
     }
 }

@@ -106,7 +106,7 @@ impl LiquidDistance {
                     ("liquid_distance", (&buffers.liquid_distance).into()),
                 ],
             )?,
-            extension: buffers.plan.effects.obstacles.then(extension).transpose()?,
+            extension: buffers.plan.effects.cuts().then(extension).transpose()?,
             volume: Volume::new(gpu, buffers)?,
         })
     }

@@ -68,6 +68,34 @@ impl SolidReport {
     }
 }
 
+/// What liquid and solids tell the host of a sub-step, from the words of their report buffer.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CouplingReport {
+    /// Whether a patch lies in a cell that is an unknown.
+    pub touching: bool,
+    /// Sum of J^T p, N.
+    pub force: [f64; 3],
+    /// Sum of the forces of the pressure's variation within cells, N.
+    pub correction: [f64; 3],
+}
+
+impl CouplingReport {
+    /// Word of the sum of J^T p.
+    pub const FORCE: u32 = 2;
+    /// Word of the other sum.
+    pub const CORRECTION: u32 = 8;
+
+    /// The report in the words of the report buffer.
+    pub fn from_words(words: &[u32]) -> CouplingReport {
+        let vector = |first: u32| [0, 2, 4].map(|at| sum(words, first as usize + at));
+        CouplingReport {
+            touching: words[0] != 0,
+            force: vector(CouplingReport::FORCE),
+            correction: vector(CouplingReport::CORRECTION),
+        }
+    }
+}
+
 fn single(words: &[u32], word: usize) -> f64 {
     f64::from(f32::from_bits(words[word]))
 }

@@ -344,11 +344,12 @@ fn a_failed_step_changes_nothing() {
 }
 
 #[test]
-fn the_gpu_refuses_both_together() {
-    let error = Simulation::new(&two_balls(0.25), &Backend::Gpu(Default::default()));
+fn the_gpu_refuses_other_coupling_than_strong() {
+    let text = two_balls_text(0.25, "[solver]\ncoupling = \"weak\"\n");
+    let error = Simulation::new(&scene(&text), &Backend::Gpu(Default::default()));
     let error = error.unwrap_err().to_string();
     assert!(
-        error.contains("not simulated on the GPU yet") && error.contains("--backend cpu"),
+        error.contains("not simulated on the GPU") && error.contains("--backend cpu"),
         "{error}"
     );
 }

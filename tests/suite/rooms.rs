@@ -345,6 +345,7 @@ fn stages_share_their_nouns() {
         ("node_forces", "forces"),
         ("element_rotations", "solid_matrices"),
         ("diagnose_solid", "diagnose"),
+        ("diagnose_coupling", "diagnose"),
     ];
     for file in files("src/stages", &["rs"]) {
         let stem = file.file_stem().unwrap().to_str().unwrap();

@@ -112,7 +112,8 @@ impl<'a> Device<'a> {
         let mut recorder = Recorder::new(self.gpu);
         recorder.stage("solid_matrices", |pass| self.system.record_matrices(pass));
         recorder.stage("right_hand_side", |pass| {
-            self.system.record_right_hand_side(pass)
+            self.system.record_right_hand_side(pass);
+            self.system.record_contacts(pass);
         });
         recorder
     }

@@ -197,7 +197,7 @@ impl<'a> Device<'a> {
             self.system.record(pass, buffers, within)
         });
         recorder.stage(Components::NAME, |pass| {
-            self.components.label(pass, buffers);
+            self.components.label(pass, buffers, None);
             self.components.remove_means(pass);
         });
         recorder

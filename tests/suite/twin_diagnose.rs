@@ -35,7 +35,7 @@ fn the_liquid_amounts_to_the_twins() {
         }
         gpu.upload(&buffers.velocity, &buffers.pad_faces(&u));
         let volume = Volume::new(gpu, &buffers).unwrap();
-        let diagnose = Diagnose::new(gpu, &buffers, &active.active()).unwrap();
+        let diagnose = Diagnose::new(gpu, &buffers, &active.active(), None).unwrap();
         let run = || {
             let mut recorder = Recorder::new(gpu);
             volume.record(&mut recorder);
@@ -103,7 +103,7 @@ fn not_a_number_is_seen() {
     let buffers = case.upload(gpu);
     case.band(gpu, &buffers);
     let active = ActiveBuffers::new(gpu, &case, &case.state.liquid_distance);
-    let diagnose = Diagnose::new(gpu, &buffers, &active.active()).unwrap();
+    let diagnose = Diagnose::new(gpu, &buffers, &active.active(), None).unwrap();
     let mut recorder = Recorder::new(gpu);
     diagnose.record(&mut recorder, &buffers, &active.active());
     recorder.submit();

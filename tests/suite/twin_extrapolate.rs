@@ -32,7 +32,7 @@ fn the_layers_are_the_twins() {
             }
         }
         let buffers = case.upload(gpu);
-        let stage = Extrapolate::new(gpu, &buffers).unwrap();
+        let stage = Extrapolate::new(gpu, &buffers, None).unwrap();
         let run = || {
             case.write(gpu, &buffers);
             case.band(gpu, &buffers);

@@ -17,9 +17,14 @@ pub use table::{Place, Row, Worst};
 
 use super::bounds::EPS;
 use crate::Error;
+use crate::elastic::Solids;
+use crate::geometry::SolidClip;
 use crate::gpu::{AdapterChoice, Real};
-use crate::scene::Scene;
-use crate::sim::{GpuPath, Snapshot};
+use crate::reference::pressure_gradient;
+use crate::scene::{PatchPressure, Scene};
+use crate::sim::{GpuPath, LiquidSnapshot, Snapshot, SolidSnapshot};
+use crate::stages::{Clip, CouplingReport};
+use glam::DVec3;
 use liquid::LiquidJudge;
 use solids::SolidJudge;
 
@@ -83,6 +88,10 @@ pub fn compare(
     let mut path = GpuPath::open(scene, adapter)?;
     let mut liquid = LiquidJudge::new(scene, &path)?;
     let mut solids = SolidJudge::new(scene, &path)?;
+    // The twin of `clip`, for the others.
+    let mut clip = path.clip().cloned();
+    let mut slopes = Vec::new();
+    let mut dt_last = 0.0;
     while path.clock().frame < frames {
         let dt = path.next_time_step().dt;
         if let Some(judge) = &mut liquid {
@@ -95,14 +104,39 @@ pub fn compare(
             let held = path.snapshot()?;
             let mut after = held.clone();
             listen(stage, &mut after);
-            if let (Some(judge), Some(after)) = (&mut liquid, after.liquid) {
-                judge.judge(stage, after, held.liquid)?;
+            if let (
+                Clip::NAME,
+                Some(clip),
+                Some(solids),
+                Snapshot {
+                    liquid: Some(liquid),
+                    solids: Some(held),
+                    ..
+                },
+            ) = (stage, &mut clip, path.solids(), &held)
+            {
+                clip.clip(&solids.moved(&held.displacement));
+                slopes = slopes_of(scene, clip, liquid, dt_last);
             }
-            if let (Some(judge), Some(after)) = (&mut solids, after.solids) {
-                judge.judge(stage, after, held.solids)?;
+            let both = after.liquid.as_ref().zip(after.solids.as_ref());
+            let both = both.zip(clip.as_ref().zip(path.solids()));
+            let both = both.map(|((liquid, solids), (clip, at_rest))| Both {
+                clip,
+                at_rest,
+                liquid,
+                solids,
+                slopes: &slopes,
+                told: after.coupling,
+            });
+            if let (Some(judge), Some(after)) = (&mut liquid, &after.liquid) {
+                judge.judge(stage, after, held.liquid, both.as_ref())?;
+            }
+            if let (Some(judge), Some(after)) = (&mut solids, &after.solids) {
+                judge.judge(stage, after, held.solids, both.as_ref())?;
             }
             Ok(())
         })?;
+        dt_last = dt;
     }
     let liquid = liquid.into_iter().flat_map(|judge| judge.table.rows);
     let rows = liquid.chain(solids.into_iter().flat_map(|judge| judge.table.rows));
@@ -111,6 +145,83 @@ pub fn compare(
         steps: path.clock().step,
         adapter: path.gpu().report().name.clone(),
     })
+}
+
+/// Gradients of the pressure within cells, Pa/m, those without patches left out; `before`: the liquid before a sub-step, `dt_last`: the
+/// length of the last one, s.
+fn slopes_of(scene: &Scene, clip: &SolidClip, before: &LiquidSnapshot, dt_last: f64) -> Vec<DVec3> {
+    let grid = scene.grid();
+    let density = scene.liquid.as_ref().map_or(0.0, |liquid| liquid.density);
+    let at_rest = (density * scene.domain.gravity).as_vec3().as_dvec3();
+    match scene.solver.pressure_on_patches {
+        PatchPressure::Cell => vec![DVec3::ZERO; grid.n_cells()],
+        PatchPressure::Hydrostatic => vec![at_rest; grid.n_cells()],
+        PatchPressure::Gradient => {
+            let pascal = if dt_last > 0.0 {
+                density * grid.dx / dt_last
+            } else {
+                0.0
+            };
+            let pressure: Vec<f64> = before.potential.iter().map(|phi| pascal * phi).collect();
+            let (open, active) = (&clip.cut_cells().open, &before.active);
+            let mut slopes = vec![at_rest; grid.n_cells()];
+            for (cell, _) in clip.coupling().cells() {
+                slopes[cell] = pressure_gradient(&grid, open, active, &pressure, at_rest, cell);
+            }
+            slopes
+        }
+    }
+}
+
+/// Liquid and solids of a scene after a stage, for the judges of each.
+struct Both<'a> {
+    /// As the twin clips the solids where the device has them.
+    clip: &'a SolidClip,
+    /// The solids at rest.
+    at_rest: &'a Solids,
+    liquid: &'a LiquidSnapshot,
+    solids: &'a SolidSnapshot,
+    /// Gradients of the pressure within the cells with patches, Pa/m.
+    slopes: &'a [DVec3],
+    /// What the device tells of both.
+    told: Option<CouplingReport>,
+}
+
+impl Both<'_> {
+    /// Whether a patch lies in an active cell.
+    fn touch(&self) -> bool {
+        let mut cells = self.clip.coupling().cells();
+        cells.any(|(cell, _)| self.liquid.active[cell])
+    }
+
+    /// J v of the cells (m/s, over dx^2), 0 in inactive ones; and the same of magnitudes.
+    fn flux(&self, dx: f64, active: &[bool]) -> [Vec<f64>; 2] {
+        let velocity = &self.solids.velocity;
+        let mut sums = [(); 2].map(|()| vec![0.0; active.len()]);
+        for pair in self.clip.coupling().pairs() {
+            if active[pair.cell] {
+                let (value, v) = (pair.value / (dx * dx), DVec3::from(velocity[pair.node]));
+                sums[0][pair.cell] += value.dot(v);
+                sums[1][pair.cell] += value.abs().dot(v.abs());
+            }
+        }
+        sums
+    }
+
+    /// J^T p of the nodes, N, three numbers each, of a potential (m/s) times this many Pa; and the same of magnitudes.
+    fn force(&self, pascal: f64) -> [Vec<f64>; 2] {
+        let mut sums = [(); 2].map(|()| vec![0.0; 3 * self.solids.velocity.len()]);
+        for pair in self.clip.coupling().pairs() {
+            if self.liquid.active[pair.cell] {
+                let force = pascal * self.liquid.potential[pair.cell] * pair.value;
+                for axis in 0..3 {
+                    sums[0][3 * pair.node + axis] += force[axis];
+                    sums[1][3 * pair.node + axis] += force[axis].abs();
+                }
+            }
+        }
+        sums
+    }
 }
 
 /// Largest relative error of a rounding to the scalar type, twice for f64, where it never matters.

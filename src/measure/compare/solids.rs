@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{DMat3, DVec3};
 
 use super::table::{Place, Table};
-use super::{EPS, unit};
+use super::{Both, EPS, unit};
 use crate::Error;
 use crate::elastic::{Deformation, Solids, forces as forces_of};
 use crate::geometry::CutCells;
@@ -61,7 +61,7 @@ impl<'a> SolidJudge<'a> {
             dx: f64::from(scene.grid().dx as f32),
         };
         let solids = before.on_device(solids);
-        let cut = path.cut_cells();
+        let cut = path.obstacles();
         Ok(Some(SolidJudge {
             scene,
             grid,
@@ -103,19 +103,20 @@ impl<'a> SolidJudge<'a> {
     pub(super) fn judge(
         &mut self,
         stage: &'static str,
-        after: SolidSnapshot,
+        after: &SolidSnapshot,
         held: Option<SolidSnapshot>,
+        both: Option<&Both>,
     ) -> Result<(), Error> {
         match stage {
-            MoveSolid::NAME => self.move_solid(&after),
-            NodeForces::NAME => self.forces(&after),
-            ElementRotations::NAME => self.solid_matrices(&after),
-            RightHandSide::NAME => self.right_hand_side(&after),
-            "solve" => self.solve(&after)?,
-            DiagnoseSolid::NAME => self.diagnose(&after),
+            MoveSolid::NAME => self.move_solid(after),
+            NodeForces::NAME => self.forces(after),
+            ElementRotations::NAME => self.solid_matrices(after),
+            RightHandSide::NAME => self.right_hand_side(after, both),
+            "solve" => self.solve(after, both)?,
+            DiagnoseSolid::NAME => self.diagnose(after),
             _ => {}
         }
-        self.before = held.unwrap_or(after);
+        self.before = held.unwrap_or_else(|| after.clone());
         Ok(())
     }
 
@@ -296,8 +297,9 @@ impl<'a> SolidJudge<'a> {
         self.matrices = Some(matrices);
     }
 
-    /// A sum over the elements of a node, and three terms: a rounding each, and three in each term.
-    fn right_hand_side(&mut self, after: &SolidSnapshot) {
+    /// A sum over the elements of a node, and three terms: a rounding each, and three in each term. In liquid, what pressure does within
+    /// cells, of integrals that are f32.
+    fn right_hand_side(&mut self, after: &SolidSnapshot, both: Option<&Both>) {
         let n = self.solids.rest.len();
         let (mut elastic, mut size) = (vec![DVec3::ZERO; n], vec![DVec3::ZERO; n]);
         let mut count = vec![0.0; n];
@@ -314,12 +316,17 @@ impl<'a> SolidJudge<'a> {
         let v_star = &self.before.velocity;
         let inertia = |node: usize| self.solids.mass[node] / self.dt * DVec3::from(v_star[node]);
         let eps = unit(after.real);
+        let (corrections, gross) = match both {
+            Some(both) => self.corrections(both),
+            None => (vec![DVec3::ZERO; n], vec![0.0; n]),
+        };
         let (mut twin, mut bounds) = (vec![[0.0; 3]; n], vec![[0.0; 3]; n]);
         for node in 0..n {
             let load = self.solids.load[node];
-            let sum = inertia(node) - elastic[node] + load;
+            let sum = inertia(node) - elastic[node] + load + corrections[node];
             let terms =
                 (count[node] + 4.0) * size[node] + 8.0 * inertia(node).abs() + 4.0 * load.abs();
+            let terms = terms + (8.0 * EPS / eps + 32.0) * gross[node];
             for axis in (0..3).filter(|&axis| !self.solids.prescribed[node][axis]) {
                 twin[node][axis] = sum[axis];
                 bounds[node][axis] = eps * terms[axis];
@@ -329,21 +336,51 @@ impl<'a> SolidJudge<'a> {
         self.add_nodes(row, &after.rhs, &twin, |node, axis| bounds[node][axis]);
     }
 
-    /// The system is the one stored: rotated gradients and moduli in the scalar type of the outer loop, and what the device holds. Row
-    /// `true residual` judges v on it; row `beyond` whether that is what walls and obstacles should hold; row `velocity` compares with a direct solve: S >= zeta_M M, so v is off by |r| over the least zeta_M m at most.
-    fn solve(&mut self, after: &SolidSnapshot) -> Result<(), Error> {
+    /// Forces of the pressure's variation within cells on the nodes, N, and the sums of their terms' sizes.
+    fn corrections(&self, both: &Both) -> (Vec<DVec3>, Vec<f64>) {
+        let n = self.solids.rest.len();
+        let (mut sums, mut gross) = (vec![DVec3::ZERO; n], vec![0.0; n]);
+        // The host made the integrals, with a dx in f64.
+        let (clip, triangles, grid) = (both.clip, &both.at_rest.triangles, self.scene.grid());
+        for patch in clip
+            .patches()
+            .iter()
+            .filter(|patch| both.liquid.active[patch.cell])
+        {
+            let way = patch.centroid - grid.cell_centre(grid.cell_at(patch.cell));
+            let slope = both.slopes[patch.cell];
+            for (corner, &node) in triangles[patch.triangle].iter().enumerate() {
+                let moment = patch.barycentric[corner] * patch.area * way + patch.moments[corner];
+                sums[node as usize] += slope.dot(moment) * patch.normal;
+                gross[node as usize] += slope.length() * moment.length();
+            }
+        }
+        (sums, gross)
+    }
+
+    /// The system is the one stored: rotated gradients and moduli in the scalar type of the outer loop, and what the device holds; in liquid
+    /// with J^T p of the pressure found, whose areas are f32. Row `true residual` judges v on it; row `beyond` whether that is what walls and
+    /// obstacles should hold; row `v` compares with a direct solve: S >= zeta_M M, so v is off by |r| over the least zeta_M m at most.
+    fn solve(&mut self, after: &SolidSnapshot, both: Option<&Both>) -> Result<(), Error> {
         let (solids, dt) = (&self.solids, self.dt);
         let Some(matrices) = self.matrices.take() else {
             return Ok(());
         };
-        let system = after.system(solids, &self.pattern, dt);
+        let mut system = after.system(solids, &self.pattern, dt);
+        let size = norm(&system.rhs);
+        let mut of_areas = 0.0;
+        if let (Some(both), Some(liquid)) = (both.filter(|both| both.touch()), &self.scene.liquid) {
+            let [force, gross] = both.force(liquid.density * self.grid.dx / dt);
+            system.push(&force);
+            of_areas = 4.0 * EPS * norm(&gross);
+        }
         let x = system.free_part(&after.velocity);
         let residual = norm(&system.residual(&x));
         let twin_rhs =
             reference::solid_right_hand_side(solids, &matrices, &self.before.velocity, dt);
-        let rounded = rounding(&self.scene.solver) * (twin_rhs.scale + norm(&system.rhs));
+        let rounded = rounding(&self.scene.solver) * (twin_rhs.scale + size);
         let mut allowed =
-            (self.scene.solver.tolerance * norm(&system.rhs)).max(rounded) * (1.0 + 1e-6);
+            (self.scene.solver.tolerance * size).max(rounded) * (1.0 + 1e-6) + of_areas;
         if after.real == Real::F32 {
             // The verdict was on a velocity in f64, of which the device keeps an f32.
             let rows = system.to_csr();

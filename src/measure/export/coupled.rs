@@ -7,12 +7,16 @@ use crate::Error;
 use crate::linalg::{Csr, Symmetry, matrix_text, vector_text};
 use crate::reference::{BlockPattern, SIGMA, StepSystem, StressVariables, solid_matrices};
 use crate::scene::Scene;
-use crate::sim::{Backend, ensure_gpu_can, solids_of};
+use crate::sim::{Backend, solids_of};
 
 /// A \[p; v\] = rhs of thesis (5.25), with the same problem in its other forms.
 pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), Error> {
     if let Backend::Gpu(_) = options.backend {
-        ensure_gpu_can(scene)?;
+        return Err(Error::input(
+            scene.file.display().to_string(),
+            "the system of liquid and solids is exported from the f64 path only",
+            "use --backend cpu",
+        ));
     }
     let (density, all) = (pressure::density(scene)?, solids_of(scene)?);
     let ((system, mut x), ran, path) = on_cpu(scene, options.step, |of_step| match of_step {

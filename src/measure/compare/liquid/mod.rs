@@ -6,18 +6,19 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::table::{Place, Table};
-use super::{EPS, unit};
+use super::{Both, EPS, unit};
 use crate::Error;
+use crate::effects::Effects;
 use crate::geometry::CutCells;
 use crate::gpu::Real;
 use crate::grid::{Axis, Grid};
 use crate::measure::bounds::trace_error;
-use crate::reference::{self, ActiveCells, PressureSystem, Stencil, VolumeSource};
+use crate::reference::{self, ActiveCells, MovingWalls, PressureSystem, Stencil, VolumeSource};
 use crate::scene::{ProbeKind, Scene};
 use crate::sim::{GpuPath, LiquidSnapshot};
 use crate::stages::{
-    AdvectMarkers, AdvectVelocity, Diagnose, Extrapolate, Forces, LiquidDistance, RightHandSide,
-    Step, WriteBack,
+    AdvectMarkers, AdvectVelocity, Clip, Diagnose, Extrapolate, Forces, LiquidDistance,
+    RightHandSide, Step, WriteBack,
 };
 use crate::state::State;
 
@@ -104,27 +105,38 @@ impl<'a> LiquidJudge<'a> {
     pub(super) fn judge(
         &mut self,
         stage: &'static str,
-        after: LiquidSnapshot,
+        after: &LiquidSnapshot,
         held: Option<LiquidSnapshot>,
+        both: Option<&Both>,
     ) -> Result<(), Error> {
-        self.judge_stage(stage, &after)?;
-        self.before = held.unwrap_or(after);
+        self.judge_stage(stage, after, both)?;
+        self.before = held.unwrap_or_else(|| after.clone());
         Ok(())
     }
 
-    fn judge_stage(&mut self, stage: &'static str, after: &LiquidSnapshot) -> Result<(), Error> {
+    fn judge_stage(
+        &mut self,
+        stage: &'static str,
+        after: &LiquidSnapshot,
+        both: Option<&Both>,
+    ) -> Result<(), Error> {
         match stage {
+            Clip::NAME => {
+                if let Some(both) = both {
+                    self.clip(after, both);
+                }
+            }
             AdvectMarkers::NAME => self.advect_markers(after),
             AdvectVelocity::NAME => self.advect_velocity(after),
             Forces::NAME => self.forces(after),
             LiquidDistance::NAME => self.liquid_distance(after),
-            "active_cells" => self.active_cells(after),
-            RightHandSide::NAME => self.right_hand_side(after),
-            "solve" => self.solve(after)?,
+            "active_cells" => self.active_cells(after, both),
+            RightHandSide::NAME => self.right_hand_side(after, both),
+            "solve" => self.solve(after, both)?,
             WriteBack::NAME => self.write_back(after),
-            Extrapolate::NAME => self.extrapolate(after),
+            Extrapolate::NAME => self.extrapolate(after, both),
             Diagnose::NAME => {
-                self.diagnose(after);
+                self.diagnose(after, both);
                 self.probes(after);
             }
             // The band decides where the others work; what it leaves out shows in theirs.
@@ -151,8 +163,34 @@ impl<'a> LiquidJudge<'a> {
         self.step.theta_floor.into()
     }
 
-    fn has_obstacles(&self) -> bool {
-        !self.scene.obstacles.is_empty()
+    /// Whether obstacles or solids cut the grid.
+    fn cuts(&self) -> bool {
+        Effects::of(self.scene).cuts()
+    }
+
+    /// The device's copies of what the host clipped.
+    fn clip(&mut self, after: &LiquidSnapshot, both: &Both) {
+        let (grid, cut) = (self.grid, both.clip.cut_cells());
+        let Some(device) = &after.cut else { return };
+        for axis in Axis::ALL {
+            let a = axis.index();
+            let pairs = device.open[a].iter().zip(&cut.open[a]).enumerate();
+            self.table.add(
+                [Clip::NAME, "open fractions", ""],
+                pairs.map(|(face, (&gpu, &twin))| {
+                    (gpu, twin, EPS * twin, Place::face(&grid, axis, face))
+                }),
+            );
+        }
+        let pairs = device.solid_distance.iter().zip(&cut.solid_distance);
+        self.table.add(
+            [Clip::NAME, "distance", "m"],
+            pairs.enumerate().map(|(cell, (&gpu, &twin))| {
+                (gpu, twin, EPS * twin.abs(), Place::cell(&grid, cell))
+            }),
+        );
+        self.cut = device.clone();
+        self.open_volumes = reference::open_volumes(&grid, &self.cut.solid_distance);
     }
 
     /// Relative error of a sum over the cells that hold liquid. The twin adds them one after another in f64; the report holds two
@@ -167,7 +205,7 @@ impl<'a> LiquidJudge<'a> {
     fn advect_markers(&mut self, after: &LiquidSnapshot) {
         let (grid, dt) = (self.grid, self.dt());
         let (velocity, solid_distance) = (&self.before.velocity, &self.cut.solid_distance);
-        let pushed = if self.has_obstacles() {
+        let pushed = if self.cuts() {
             3.0 * 64.0 * grid.dx
         } else {
             0.0
@@ -383,10 +421,13 @@ impl<'a> LiquidJudge<'a> {
 
     /// The set of unknowns and the weights copy signs and open fractions, so they are exact. Free-surface terms: theta is off by
     /// one difference and one quotient, its reciprocal by a quotient, a sum of six by five more.
-    fn active_cells(&mut self, after: &LiquidSnapshot) {
+    fn active_cells(&mut self, after: &LiquidSnapshot, both: Option<&Both>) {
         let grid = self.grid;
         let phi = &after.liquid_distance;
-        let twin = reference::active_cells(&grid, &self.cut.open, phi, self.theta_floor());
+        let mut twin = reference::active_cells(&grid, &self.cut.open, phi, self.theta_floor());
+        if let Some(both) = both {
+            twin.seal(both.clip.coupling(), &both.at_rest.prescribed);
+        }
         let stencil = &twin.stencil;
         let stage = "active_cells";
         let cells = || 0..grid.n_cells();
@@ -438,8 +479,9 @@ impl<'a> LiquidJudge<'a> {
         }
     }
 
-    /// Six products and their sum in the scalar type, up to 12 roundings of six speeds; volume control adds a product of three.
-    fn right_hand_side(&mut self, after: &LiquidSnapshot) {
+    /// Six products and their sum in the scalar type, up to 12 roundings of six speeds; volume control adds a product of three, and
+    /// prescribed nodes in closed components products with areas that are f32.
+    fn right_hand_side(&mut self, after: &LiquidSnapshot, both: Option<&Both>) {
         let grid = self.grid;
         let active = self
             .twin
@@ -453,7 +495,7 @@ impl<'a> LiquidJudge<'a> {
         let speed = active_speed(&grid, &active.stencil, velocity);
         let terms = 12.0 * 6.0 * unit(after.real) * speed;
         let rate = after.report.volume_rate.abs();
-        let bound = terms + EPS * 6.0 * rate * grid.dx;
+        let mut bound = terms + EPS * 6.0 * rate * grid.dx;
         let mut gpu = after.rhs.clone();
         reference::remove_means(&active.closed, &mut gpu);
         let mut closed = vec![false; grid.n_cells()];
@@ -468,6 +510,13 @@ impl<'a> LiquidJudge<'a> {
             cells().map(|cell| (after.closed[cell], closed[cell], Place::cell(&grid, cell))),
         );
         self.twin.rhs = twin.values.iter().map(|b| b / area).collect();
+        if let Some(both) = both {
+            let [flux, gross] = both.flux(grid.dx, &closed);
+            let pairs = self.twin.rhs.iter_mut().zip(flux);
+            pairs.for_each(|(rhs, flux)| *rhs -= flux);
+            reference::remove_means(&active.closed, &mut self.twin.rhs);
+            bound += 4.0 * EPS * gross.into_iter().fold(0.0, f64::max);
+        }
         let rhs = &self.twin.rhs;
         self.table.add(
             [RightHandSide::NAME, "E u* / dx^2", "m/s"],
@@ -527,14 +576,21 @@ impl<'a> LiquidJudge<'a> {
     }
 
     /// A mean of up to six per layer: 5 roundings of the sum, a quotient. Along obstacles the direction is off by the roundings
-    /// of distances up to 3 dx over the length of the gradient.
-    fn extrapolate(&mut self, after: &LiquidSnapshot) {
+    /// of distances up to 3 dx over the length of the gradient; solids move by a mean over three nodes and two places.
+    fn extrapolate(&mut self, after: &LiquidSnapshot, both: Option<&Both>) {
         let grid = self.grid;
         let layers = reference::n_layers(self.scene.time.cfl);
-        let speed = reference::max_speed(&self.before.velocity);
+        let walls = both.map(|both| MovingWalls {
+            clip: both.clip,
+            triangles: &both.at_rest.triangles,
+            velocity: &both.solids.velocity,
+        });
+        let of_walls = walls.map_or(&[][..], |walls| walls.velocity.as_flattened());
+        let of_walls = of_walls.iter().fold(0.0, |m, v| f64::max(m, v.abs()));
+        let speed = 3.0 * of_walls + reference::max_speed(&self.before.velocity);
         let mut twin = self.before.velocity.clone();
         let valid = self.before.valid.clone();
-        reference::extrapolate(&grid, &self.cut, None, valid, layers, &mut twin);
+        reference::extrapolate(&grid, &self.cut, walls, valid, layers, &mut twin);
         let means = EPS * speed * 10.0 * layers as f64;
         for axis in Axis::ALL {
             let a = axis.index();
@@ -542,7 +598,7 @@ impl<'a> LiquidJudge<'a> {
             let mut pairs = Vec::new();
             for face in 0..grid.n_faces(axis) {
                 let (gpu, twin) = (after.velocity[a][face], twin[a][face]);
-                let slip = if self.has_obstacles() && self.cut.open[a][face] == 0.0 {
+                let slip = if self.cuts() && self.cut.open[a][face] == 0.0 {
                     self.slip_roundings(axis, face)
                 } else {
                     Slip::Steady(0.0)
@@ -595,16 +651,28 @@ impl<'a> LiquidJudge<'a> {
     }
 
     /// Sums as [`LiquidJudge::sum_error`] says. The largest speed copies a number. Divergence: twelve products summed, rounded to f32 and
-    /// multiplied by 1/dx.
-    fn diagnose(&mut self, after: &LiquidSnapshot) {
+    /// multiplied by 1/dx; solids take up sums of products with areas that are f32.
+    fn diagnose(&mut self, after: &LiquidSnapshot, both: Option<&Both>) {
         let grid = self.grid;
         let phi = &after.liquid_distance;
         let density = f64::from(self.step.density);
         let gravity = self.gravity();
         let stencil = after.active_cells(&grid).stencil;
+        let (mut taken, mut of_areas) = (None, 0.0);
+        if let Some(both) = both {
+            let [flux, gross] = both.flux(grid.dx, &after.active);
+            let area = grid.dx * grid.dx;
+            taken = Some(
+                flux.into_iter()
+                    .map(|flux| area * flux)
+                    .collect::<Vec<f64>>(),
+            );
+            of_areas = 4.0 * EPS * gross.into_iter().fold(0.0, f64::max) / grid.dx;
+            self.diagnose_coupling(after, both);
+        }
         let twin = {
-            let (cut, velocity) = (&self.cut, &after.velocity);
-            reference::diagnose(cut, phi, velocity, &stencil, None, density, gravity)
+            let (cut, velocity, taken) = (&self.cut, &after.velocity, taken.as_deref());
+            reference::diagnose(cut, phi, velocity, &stencil, taken, density, gravity)
         };
         let gpu = after.report.diagnosis;
         let rounding = self.sum_error(after.real, phi);
@@ -615,7 +683,8 @@ impl<'a> LiquidJudge<'a> {
         let energy = 1.5 * mass * speed * speed;
         let height = gravity.abs().dot(grid.size());
         let flux = active_speed(&grid, &stencil, &after.velocity) / grid.dx;
-        let divergence = 72.0 * unit(after.real) * flux + 4.0 * EPS * twin.divergence.abs();
+        let divergence =
+            72.0 * unit(after.real) * flux + 4.0 * EPS * twin.divergence.abs() + of_areas;
         let rows = [
             ("volume", "m^3", gpu.volume, twin.volume, volume),
             (
@@ -668,6 +737,26 @@ impl<'a> LiquidJudge<'a> {
                 [(gpu, twin, bound, Place::Whole)],
             );
         }
+    }
+
+    /// Whether both touch, and the sum of J^T p with areas that are f32, a rounding per node of a sum and level of the tree in f32.
+    fn diagnose_coupling(&mut self, after: &LiquidSnapshot, both: &Both) {
+        let Some(told) = both.told else { return };
+        let [force, gross] = both.force(self.pascal());
+        let sums = |values: &[f64]| {
+            let nodes = values.as_chunks::<3>().0.iter();
+            nodes.map(|force| DVec3::from(*force)).sum::<DVec3>()
+        };
+        let (twin, gross) = (sums(&force), sums(&gross));
+        let bound = (4.0 * EPS + 64.0 * unit(after.real)) * gross.length();
+        self.table.add(
+            [Diagnose::NAME, "J^T p", "N"],
+            (0..3).map(|axis| (told.force[axis], twin[axis], bound, Place::Whole)),
+        );
+        self.table.add_flags(
+            [Diagnose::NAME, "touching"],
+            [(told.touching, both.touch(), Place::Whole)],
+        );
     }
 
     /// What the probes read of the device's fields, and of those that the twins made. Velocity and pressure are means, so they are off

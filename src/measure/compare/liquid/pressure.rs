@@ -5,7 +5,7 @@
 //! allowed residual for its right-hand side, says how far off the pressure may be. In a component without a free surface one
 //! cell is held; differences to it are bounded so, and pressures without the mean by twice the largest of them.
 
-use super::{DIRICHLET_ROUNDINGS, EPS, LiquidJudge, Place, unit};
+use super::{Both, DIRICHLET_ROUNDINGS, EPS, LiquidJudge, Place, unit};
 use crate::Error;
 use crate::linalg::norm;
 use crate::reference::{
@@ -31,18 +31,51 @@ impl LiquidJudge<'_> {
             .collect()
     }
 
-    fn pascal(&self) -> f64 {
+    /// Pressure of a potential of 1 m/s, Pa.
+    pub(super) fn pascal(&self) -> f64 {
         f64::from(self.step.density) * self.grid.dx / self.dt()
     }
 
-    /// Rows `solve` and `assembly`.
-    pub(super) fn solve(&mut self, after: &LiquidSnapshot) -> Result<(), Error> {
+    /// Rows `solve` and `assembly`. With solids the right-hand side is what they leave of it, b - J v for the velocity found, and its size
+    /// for the tolerance that of its parts.
+    pub(super) fn solve(
+        &mut self,
+        after: &LiquidSnapshot,
+        both: Option<&Both>,
+    ) -> Result<(), Error> {
         let grid = self.grid;
-        let twin_active = self
+        let mut parts = 0.0;
+        if let Some(both) = both.filter(|both| both.touch()) {
+            let open: Vec<bool> = (0..grid.n_cells())
+                .map(|cell| after.active[cell] && !after.closed[cell])
+                .collect();
+            let [flux, gross] = both.flux(grid.dx, &open);
+            parts = norm(&self.before.rhs) + norm(&flux);
+            let stage = "solve";
+            let cells = (0..grid.n_cells()).filter(|&cell| open[cell]);
+            let pairs: Vec<_> = cells
+                .map(|cell| {
+                    let left = self.before.rhs[cell] - flux[cell];
+                    let rounded = unit(after.real) * 8.0 * self.before.rhs[cell].abs();
+                    // Areas over dx^2 are f32, and so is the dx of this grid.
+                    let bound = (4.0 * EPS + 32.0 * unit(after.real)) * gross[cell] + rounded;
+                    (after.rhs[cell], left, bound, Place::cell(&grid, cell))
+                })
+                .collect();
+            self.table.add([stage, "E u* - J v", "m/s"], pairs);
+            for (rhs, flux) in self.twin.rhs.iter_mut().zip(flux) {
+                *rhs -= flux;
+            }
+            self.twin.rhs_bound += 4.0 * EPS * gross.into_iter().fold(0.0, f64::max);
+        }
+        let mut twin_active = self
             .twin
             .active
             .take()
             .expect("active_cells comes before solve");
+        // B alone does not know the level that a solid gives a component: it is taken from the device.
+        let sealed = std::mem::take(&mut twin_active.sealed);
+        twin_active.closed.extend(sealed.iter().cloned());
         let settings = Solver {
             tolerance: EXACT.min(1e-2 * self.scene.solver.tolerance),
             max_iterations: 10_000,
@@ -53,11 +86,19 @@ impl LiquidJudge<'_> {
         remove_means(&active.closed, &mut rhs);
         let stored = unit_system(active, rhs, self.twin.flux);
         let assembled = unit_system(twin_active, self.twin.rhs.clone(), self.twin.flux);
-        let (answer, _) = solve(&stored, &settings)?;
-        let (twin, _) = solve(&assembled, &settings)?;
+        let (mut answer, _) = solve(&stored, &settings)?;
+        let (mut twin, _) = solve(&assembled, &settings)?;
+        for component in &sealed {
+            let level = component.iter().map(|&cell| after.potential[cell]);
+            let level = level.sum::<f64>() / component.len() as f64;
+            for &cell in component {
+                answer[cell] += level;
+                twin[cell] += level;
+            }
+        }
 
         // What the true residual may be, and what rounding the answer to its scalar type adds to it.
-        let mut target = (self.scene.solver.tolerance * norm(&stored.rhs))
+        let mut target = (self.scene.solver.tolerance * norm(&stored.rhs).max(parts))
             .max(rounding(&self.scene.solver) * stored.rhs_scale);
         let residual = norm(&stored.residual(&after.potential));
         let stored_as: Vec<f64> = after

@@ -1,0 +1,28 @@
+// extrapolate, with solids only, before slip: the velocities of the places on the surfaces that are nearest to cells. One thread per place.
+// clipped: see cut_quad. places: nodes of a triangle, then bits of their weights. velocity: of the nodes, m/s. walls: see moving_walls.
+#import cut_quad
+#import dispatch
+#import real
+
+@group(0) @binding(0) var<uniform> clipped: Clipped;
+@group(0) @binding(1) var<storage, read> places: array<vec4<u32>>;
+@group(0) @binding(2) var<storage, read> velocity: array<Real4>;
+@group(0) @binding(3) var<storage, read_write> walls: array<u32>;
+
+@compute @workgroup_size(WG_SIZE)
+fn wall_velocities(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let place = linear_index(workgroup, lane);
+    if place >= clipped.n_places {
+        return;
+    }
+    let nodes = places[2u * place];
+    let weights = bitcast<vec4<f32>>(places[2u * place + 1u]);
+    var sum = Real3();
+    for (var corner = 0u; corner < 3u; corner++) {
+        sum += Real(weights[corner]) * velocity[nodes[corner]].xyz;
+    }
+    let at = clipped.first + 3u * place;
+    for (var axis = 0u; axis < 3u; axis++) {
+        walls[at + axis] = bitcast<u32>(f32(sum[axis]));
+    }
+}

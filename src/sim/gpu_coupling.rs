@@ -1,0 +1,438 @@
+//! Liquid and solids of a scene together on a device: the solids' clipping, which the host does, J, and the solve for both.
+
+use glam::{DMat3, DVec3};
+
+use crate::Error;
+use crate::effects::Effects;
+use crate::geometry::SolidClip;
+use crate::gpu::{BufferPlan, Gpu, Pass, Readback, Recorder, StageTimes, Variant};
+use crate::grid::Grid;
+use crate::scene::{PatchPressure as Slopes, Scene};
+use crate::solver::{
+    CoupledFields, CouplingBuffers, CouplingSize, LevelPlan, OpenFaces, Outcome, Pair,
+    PatchPressure, REPORT_WORDS, Seal, SolidRows, TwoFieldSolver,
+};
+use crate::stages::{self, Clip, ClipBuffers, ClipSize, Diagnose, DiagnoseCoupling, Extrapolate};
+use crate::state::{ContactReport, CouplingReport, State};
+
+use super::gpu_liquid::{GpuLiquid, active};
+use super::gpu_solids::{GpuSolids, SolidReadbacks};
+
+/// How much room clipping and J have.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Room {
+    clip: ClipSize,
+    coupling: CouplingSize,
+}
+
+/// When solids are clipped.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum At {
+    /// With a state that takes the place of another: the fields of the liquid are written as well.
+    Anew,
+    /// In a sub-step of dt, after one of dt_last, s; 0 before the first.
+    Step { dt: f64, dt_last: f64 },
+}
+
+/// Labels of read-backs.
+const MOVED: &str = "coupling.displacement (read-back)";
+const REPORT: &str = "coupling.report (read-back)";
+const COMPONENTS: &str = "coupling.components (read-back)";
+
+/// The coupling on the device.
+#[derive(Debug)]
+pub(super) struct GpuCoupling {
+    /// The solids where they are now.
+    pub(super) clip: SolidClip,
+    room: Room,
+    on_device: ClipBuffers,
+    buffers: CouplingBuffers,
+    pub(super) stages: CouplingStages,
+    /// Where displacements arrive for the next clipping.
+    pub(super) moved: Readback<[f32; 4]>,
+}
+
+/// Where what the device tells of a sub-step arrives.
+#[derive(Debug)]
+pub(super) struct CouplingReadbacks {
+    report: Readback<u32>,
+    components: Readback<u32>,
+}
+
+/// The kernels of a step, in its order.
+#[derive(Debug)]
+pub(super) struct CouplingStages {
+    pub(super) clip: Clip,
+    pub(super) closed_components: Seal,
+    pub(super) patch_pressure: Option<PatchPressure>,
+    solve: TwoFieldSolver,
+    pub(super) diagnose: DiagnoseCoupling,
+}
+
+impl Room {
+    /// Half as much again as a clipping takes: solids bend, and cut other cells as they go.
+    pub(super) fn for_clip(grid: &Grid, clip: &SolidClip) -> Room {
+        let ample = |n: usize| n + n / 2 + 64;
+        let (taken, pairs) = (ClipSize::of(grid, clip), clip.coupling().pairs());
+        let padded = grid.padded();
+        let quad = |cell: usize| padded.index(grid.cell_at(cell)) / 4;
+        let cells = clip.coupling().cells().map(|(cell, _)| quad(cell));
+        let mut quads: Vec<usize> = cells.collect();
+        quads.dedup();
+        Room {
+            clip: ClipSize {
+                quads: ample(taken.quads),
+                places: ample(taken.places),
+            },
+            coupling: CouplingSize {
+                quads: ample(quads.len()),
+                pairs: ample(pairs.len()),
+            },
+        }
+    }
+
+    /// Enough for both.
+    fn joined(self, other: Room) -> Room {
+        Room {
+            clip: ClipSize {
+                quads: self.clip.quads.max(other.clip.quads),
+                places: self.clip.places.max(other.clip.places),
+            },
+            coupling: CouplingSize {
+                quads: self.coupling.quads.max(other.coupling.quads),
+                pairs: self.coupling.pairs.max(other.coupling.pairs),
+            },
+        }
+    }
+
+    /// Everything that the coupling allocates.
+    pub(super) fn buffers(
+        &self,
+        scene: &Scene,
+        rows: &SolidRows,
+        variant: Variant,
+    ) -> Vec<BufferPlan> {
+        let grid = scene.grid();
+        let n_nodes = rows.rows.n_nodes as usize;
+        let n_levels = LevelPlan::new(&grid).len();
+        let mut all = self.clip.buffers(&grid);
+        all.extend(self.coupling.buffers(n_nodes, n_levels, variant));
+        let mut n_reports = 1;
+        if Effects::of(scene).patch_correction {
+            all.extend(PatchPressure::buffers(&self.coupling, n_nodes, variant));
+            n_reports += 1;
+        }
+        all.extend(TwoFieldSolver::buffers(&grid, rows, &scene.solver, variant));
+        all.extend([
+            BufferPlan::of::<[u32; 4]>("coupling.first", n_reports),
+            BufferPlan::of::<[f32; 4]>(MOVED, 2 * n_nodes),
+            BufferPlan::of::<u32>(REPORT, REPORT_WORDS),
+            BufferPlan::of::<u32>(COMPONENTS, 1),
+        ]);
+        all
+    }
+}
+
+/// What decides the pressure on patches: the gradient at rest, Pa/m, and where the last one is asked.
+fn slopes<'a>(scene: &Scene, liquid: &'a GpuLiquid) -> (DVec3, Option<OpenFaces<'a>>) {
+    let faces = OpenFaces {
+        level: &liquid.buffers.level,
+        open: &liquid.buffers.open,
+    };
+    let follows = scene.solver.pressure_on_patches == Slopes::Gradient;
+    let at_rest = liquid.settings.density * scene.domain.gravity;
+    (at_rest, follows.then_some(faces))
+}
+
+impl CouplingStages {
+    fn new(
+        gpu: &Gpu,
+        scene: &Scene,
+        liquid: &GpuLiquid,
+        solids: &GpuSolids,
+        (on_device, buffers): (&ClipBuffers, &CouplingBuffers),
+    ) -> Result<CouplingStages, Error> {
+        let fields = solids.buffers.fields();
+        let patch_pressure = || {
+            let slopes = slopes(scene, liquid);
+            PatchPressure::new(gpu, &liquid.solver, &solids.system, fields, buffers, slopes)
+        };
+        let patch_pressure = Effects::of(scene).patch_correction.then(patch_pressure);
+        let patch_pressure = patch_pressure.transpose()?;
+        let correction = patch_pressure.as_ref().map(|patches| &patches.correction);
+        Ok(CouplingStages {
+            clip: Clip::new(gpu, &liquid.buffers, on_device)?,
+            closed_components: Seal::new(gpu, &liquid.solver, fields, buffers)?,
+            solve: TwoFieldSolver::new(gpu, coupled(liquid, solids, buffers), &scene.solver)?,
+            diagnose: DiagnoseCoupling::new(gpu, &liquid.solver, buffers, correction)?,
+            patch_pressure,
+        })
+    }
+}
+
+/// What the solve for both works on.
+fn coupled<'a>(
+    liquid: &'a GpuLiquid,
+    solids: &'a GpuSolids,
+    coupling: &'a CouplingBuffers,
+) -> CoupledFields<'a> {
+    CoupledFields {
+        liquid: &liquid.solver,
+        solids: &solids.system,
+        fields: solids.buffers.fields(),
+        coupling,
+        velocity: &liquid.buffers.velocity_next,
+        open: &liquid.buffers.open,
+    }
+}
+
+impl GpuCoupling {
+    /// Allocates and compiles; and with it the stages of the liquid that see solids. The state is to be written.
+    pub(super) fn new(
+        gpu: &Gpu,
+        scene: &Scene,
+        clip: SolidClip,
+        liquid: &mut GpuLiquid,
+        solids: &GpuSolids,
+    ) -> Result<GpuCoupling, Error> {
+        let grid = scene.grid();
+        let room = Room::for_clip(&grid, &clip);
+        let on_device = ClipBuffers::new(gpu, &grid, room.clip)?;
+        let (liquid_system, solid_system) = (&liquid.solver, &solids.system);
+        let buffers = CouplingBuffers::new(gpu, liquid_system, solid_system, room.coupling)?;
+        let stages = CouplingStages::new(gpu, scene, liquid, solids, (&on_device, &buffers))?;
+        let coupling = GpuCoupling {
+            moved: Readback::new(
+                gpu,
+                "coupling.displacement",
+                2 * solids.buffers.plan.n_nodes,
+            )?,
+            clip,
+            room,
+            on_device,
+            buffers,
+            stages,
+        };
+        coupling.bind_liquid(gpu, liquid, solids)?;
+        Ok(coupling)
+    }
+
+    /// Where a sub-step is told of.
+    pub(super) fn readbacks(gpu: &Gpu) -> Result<CouplingReadbacks, Error> {
+        Ok(CouplingReadbacks {
+            report: Readback::new(gpu, "coupling.report", REPORT_WORDS)?,
+            components: Readback::new(gpu, "coupling.components", 1)?,
+        })
+    }
+
+    /// Makes the stages of the liquid that solids take part in.
+    fn bind_liquid(
+        &self,
+        gpu: &Gpu,
+        liquid: &mut GpuLiquid,
+        solids: &GpuSolids,
+    ) -> Result<(), Error> {
+        let GpuLiquid {
+            buffers,
+            solver,
+            stages,
+            ..
+        } = liquid;
+        let velocity = &solids.buffers.velocity;
+        let walls = Some((&self.on_device, velocity));
+        stages.extrapolate = Some(Extrapolate::new(gpu, buffers, walls)?);
+        let fluxes = Some((&self.on_device, &self.buffers, velocity));
+        stages.diagnose = Some(Diagnose::new(gpu, buffers, &active(solver), fluxes)?);
+        Ok(())
+    }
+
+    /// Clips the solids where they are and writes what follows, before all work submitted later. `displacement`: of all nodes, m.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] where more room is needed than the adapter has.
+    pub(super) fn follow(
+        &mut self,
+        gpu: &Gpu,
+        scene: &Scene,
+        (liquid, solids): (&mut GpuLiquid, &GpuSolids),
+        displacement: &[[f64; 3]],
+        at: At,
+    ) -> Result<(), Error> {
+        let grid = scene.grid();
+        self.clip.clip(&solids.solids.moved(displacement));
+        let pairs = self.pairs(&grid);
+        if !(self.on_device.fits(&self.clip) && self.buffers.fits(&pairs)) {
+            let room = Room::for_clip(&grid, &self.clip);
+            self.room = self.room.joined(room);
+            let (of_liquid, of_solids) = (&liquid.solver, &solids.system);
+            self.on_device = self.on_device.resized(gpu, self.room.clip)?;
+            self.buffers = CouplingBuffers::new(gpu, of_liquid, of_solids, self.room.coupling)?;
+            let with = (&self.on_device, &self.buffers);
+            self.stages = CouplingStages::new(gpu, scene, liquid, solids, with)?;
+            self.bind_liquid(gpu, liquid, solids)?;
+        }
+        let triangles = &solids.solids.triangles;
+        let At::Step { dt, dt_last } = at else {
+            liquid.buffers.write_cut_cells(gpu, self.clip.cut_cells());
+            self.on_device.write(gpu, &self.clip, triangles, true);
+            return Ok(());
+        };
+        self.on_device.write(gpu, &self.clip, triangles, false);
+        let density = liquid.settings.density;
+        self.buffers
+            .write(gpu, &pairs, density * grid.dx.powi(3) / dt)?;
+        if let Some(patch_pressure) = &self.stages.patch_pressure {
+            let moments = self.moments(&grid, triangles);
+            let scale = if dt_last > 0.0 {
+                density / dt_last
+            } else {
+                0.0
+            };
+            patch_pressure.write(gpu, &pairs, &moments, scale);
+        }
+        Ok(())
+    }
+
+    /// Where patches ask for the last pressure: gives the device that of a state.
+    pub(super) fn write_pressure(
+        &self,
+        gpu: &Gpu,
+        scene: &Scene,
+        state: &State,
+        liquid: Option<&GpuLiquid>,
+    ) {
+        let follows = self.stages.patch_pressure.as_ref();
+        let follows = follows.filter(|patches| patches.follows_pressure());
+        let (Some(_), Some(liquid)) = (follows, liquid) else {
+            return;
+        };
+        let grid = scene.grid();
+        let padded = grid.padded();
+        let mut flags = vec![0; padded.quads];
+        for (cell, _) in state
+            .active
+            .iter()
+            .enumerate()
+            .filter(|(_, active)| **active)
+        {
+            let index = padded.index(grid.cell_at(cell));
+            flags[index / 4] |= 1 << (index % 4);
+        }
+        gpu.upload(&liquid.solver.flags, &flags);
+        let to_potential = state.dt_last / (liquid.settings.density * grid.dx);
+        let potential = padded.pad(grid.cells, &state.pressure, |p| to_potential * p);
+        liquid.solver.potential.upload(gpu, &potential);
+    }
+
+    /// J in the units of the device.
+    fn pairs(&self, grid: &Grid) -> Vec<Pair> {
+        let (padded, area) = (grid.padded(), grid.dx * grid.dx);
+        let pairs = self.clip.coupling().pairs().iter();
+        pairs
+            .map(|pair| Pair {
+                cell: padded.index(grid.cell_at(pair.cell)),
+                node: pair.node,
+                value: (pair.value / area).as_vec3().to_array(),
+            })
+            .collect()
+    }
+
+    /// Integrals of n N_i (x - x_cell)^T over the patches of each pair, m^3.
+    fn moments(&self, grid: &Grid, triangles: &[[u32; 3]]) -> Vec<DMat3> {
+        let patches = self.clip.patches();
+        let coupling = self.clip.coupling();
+        coupling.sums(DMat3::ZERO, patches, triangles, |patch, corner| {
+            let way = patch.centroid - grid.cell_centre(grid.cell_at(patch.cell));
+            let weighted = patch.barycentric[corner] * patch.area * way + patch.moments[corner];
+            let column = |axis: usize| weighted[axis] * patch.normal;
+            DMat3::from_cols(column(0), column(1), column(2))
+        })
+    }
+
+    /// Records the gradients of the last pressure, where patches ask for them.
+    pub(super) fn record_slopes(&self, to: &mut Recorder) {
+        let patches = self.stages.patch_pressure.as_ref();
+        if let Some(patches) = patches.filter(|patches| patches.follows_pressure()) {
+            to.stage(Clip::NAME, |pass| patches.record_slopes(pass));
+        }
+    }
+
+    /// Submits the recording, which ends with both systems in place, and waits: whether patches touch the liquid, and how many components
+    /// of it are closed.
+    pub(super) fn touching(
+        &self,
+        gpu: &Gpu,
+        liquid: &GpuLiquid,
+        mut to: Recorder,
+        readbacks: &mut CouplingReadbacks,
+    ) -> Result<(bool, u32, StageTimes), Error> {
+        to.read(&self.buffers.report, &mut readbacks.report);
+        to.read(&liquid.solver.components, &mut readbacks.components);
+        let timing = to.submit();
+        let report = stages::CouplingReport::from_words(&readbacks.report.wait(gpu)?);
+        let closed = readbacks.components.wait(gpu)?[0];
+        Ok((report.touching, closed, timing.wait()?))
+    }
+
+    /// Solves for liquid and solids in a sub-step of dt (s), and again while contacts change.
+    pub(super) fn solve_in_contact(
+        &self,
+        gpu: &Gpu,
+        (liquid, solids): (&GpuLiquid, &GpuSolids),
+        SolidReadbacks { changes, .. }: &mut SolidReadbacks,
+        dt: f64,
+        closed_components: u32,
+    ) -> Result<([Outcome; 2], ContactReport, StageTimes), Error> {
+        let at = coupled(liquid, solids, &self.buffers);
+        let polynomial = solids.polynomial(dt);
+        let mut iterations = 0;
+        let solve = |recorder, solves| {
+            let (mut outcome, times) =
+                self.stages
+                    .solve
+                    .solve(gpu, recorder, at, &polynomial, solves > 0)?;
+            iterations += outcome.iterations;
+            outcome.iterations = iterations;
+            let status = outcome.status;
+            Ok((outcome.parts(closed_components), status, times))
+        };
+        let n_nodes = solids.buffers.plan.n_nodes;
+        let update = |pass: &mut Pass| self.stages.solve.record_update(pass, n_nodes);
+        let recorder = Recorder::timed(gpu);
+        solids.until_settled(gpu, recorder, changes, solve, update)
+    }
+
+    /// Records what the host reads at the end of a sub-step.
+    pub(super) fn record_report(&self, to: &mut Recorder, readbacks: &mut CouplingReadbacks) {
+        self.stages.diagnose.record(to);
+        to.read(&self.buffers.report, &mut readbacks.report);
+    }
+
+    /// Waits for all submitted work and reads the report.
+    pub(super) fn told(&self, gpu: &Gpu) -> Result<stages::CouplingReport, Error> {
+        let words = gpu.download(&self.buffers.report)?;
+        Ok(stages::CouplingReport::from_words(&words))
+    }
+
+    /// Sets the words of the report to zero.
+    pub(super) fn record_clear(&self, to: &mut Recorder) {
+        to.clear(&self.buffers.report);
+    }
+
+    /// The report of a sub-step.
+    pub(super) fn report(
+        &self,
+        gpu: &Gpu,
+        readbacks: &mut CouplingReadbacks,
+    ) -> Result<CouplingReport, Error> {
+        let told = stages::CouplingReport::from_words(&readbacks.report.wait(gpu)?);
+        let overlap = self.clip.overlap();
+        Ok(CouplingReport {
+            touching: told.touching,
+            force: told.force,
+            correction: told.correction,
+            overlap_cells: overlap.cells,
+            overlap_depth: overlap.depth,
+        })
+    }
+}

@@ -1,0 +1,187 @@
+//! The part of `right_hand_side` for solids in liquid that follows from how pressure varies within cells; the equation stands with the
+//! twin, `reference/patch_pressure.rs`.
+
+use glam::{DMat3, DVec3};
+
+use crate::Error;
+use crate::gpu::{Bound, Buffer, BufferPlan, Gpu, Kernel, Pass, RealBuffer, Variant};
+use crate::grid::Layout;
+
+use super::SolverBuffers;
+use super::coupling::{CouplingBuffers, CouplingSize, Pair};
+use super::solid_system::{SolidFields, SolidSystemBuffers};
+
+/// The doppelganger of `PressureSlope` in `shaders/common/pressure_slope.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct PressureSlope {
+    /// Of liquid at rest, Pa/m.
+    pub at_rest: [f32; 3],
+    /// rho / dt of the last sub-step, Pa/m per m/s of the potential; 0 before the first.
+    pub scale: f32,
+}
+
+/// What a gradient of the last pressure is made of, besides it.
+#[derive(Clone, Copy, Debug)]
+pub struct OpenFaces<'a> {
+    /// Layout.
+    pub level: &'a Buffer<Layout>,
+    /// Open fractions.
+    pub open: &'a Buffer<f32>,
+}
+
+/// The kernels, and what they are given.
+#[derive(Debug)]
+pub struct PatchPressure {
+    n_nodes: usize,
+    n_quads: usize,
+    at_rest: [f32; 3],
+    slope: Buffer<PressureSlope>,
+    /// Per pair of a node, bits of the rows of the integral of n N_i (x - x_cell)^T, m^3; fourth of the first row, which slope.
+    moments: Buffer<[u32; 4]>,
+    /// Gradients in the wet cells, four per quad, Pa/m.
+    slopes: Buffer<[f32; 4]>,
+    /// Forces, N, `Real4` per node.
+    pub correction: RealBuffer,
+    measure: Option<Bound>,
+    apply: Bound,
+}
+
+impl PatchPressure {
+    /// What [`PatchPressure::new`] allocates for solids of `n` nodes.
+    pub fn buffers(size: &CouplingSize, n: usize, variant: Variant) -> Vec<BufferPlan> {
+        vec![
+            BufferPlan::of::<PressureSlope>("patch_pressure.slope", 1),
+            BufferPlan::of::<[u32; 4]>("patch_pressure.moments", 3 * size.pairs),
+            BufferPlan::of::<[f32; 4]>("patch_pressure.slopes", 4 * size.quads),
+            RealBuffer::plan("patch_pressure.correction", 4 * n, variant.real),
+        ]
+    }
+
+    /// Compiles and binds. `at_rest`: gradient of the pressure of liquid at rest, Pa/m, taken everywhere unless `faces` are given.
+    ///
+    /// # Errors
+    /// As [`Kernel::new`] and [`Gpu::buffer`].
+    pub fn new(
+        gpu: &Gpu,
+        liquid: &SolverBuffers,
+        solids: &SolidSystemBuffers,
+        fields: SolidFields,
+        coupling: &CouplingBuffers,
+        (at_rest, faces): (DVec3, Option<OpenFaces>),
+    ) -> Result<PatchPressure, Error> {
+        let (size, n) = (coupling.size, coupling.n_nodes);
+        let variant = liquid.variant;
+        let [slope, moments, slopes, correction] = PatchPressure::buffers(&size, n, variant)
+            .try_into()
+            .expect("there are four");
+        let at_rest = at_rest.as_vec3();
+        let everywhere = vec![at_rest.extend(0.0).to_array(); slopes.len];
+        let at_rest = at_rest.to_array();
+        let slope = gpu.uniform(
+            slope.label,
+            &PressureSlope {
+                at_rest,
+                scale: 0.0,
+            },
+        )?;
+        let moments = gpu.buffer(moments.label, moments.len)?;
+        let slopes = gpu.buffer_with(slopes.label, &everywhere)?;
+        let correction = RealBuffer::new(gpu, correction.label, correction.len, variant.real)?;
+        let kernel = |source| Kernel::new(gpu, source, variant.real);
+        let joint = ("coupling", (&coupling.coupling).into());
+        let words = ("words", (&coupling.words).into());
+        let flags = ("flags", (&liquid.flags).into());
+        let measure = |faces: OpenFaces| {
+            kernel(&crate::wgsl!("pressure_slopes"))?.bind(
+                gpu,
+                &[
+                    ("level", faces.level.into()),
+                    ("slope", (&slope).into()),
+                    joint,
+                    words,
+                    flags,
+                    ("potential", (&liquid.potential).into()),
+                    ("open", faces.open.into()),
+                    ("slopes", (&slopes).into()),
+                ],
+            )
+        };
+        Ok(PatchPressure {
+            n_nodes: n,
+            n_quads: size.quads,
+            at_rest,
+            measure: faces.map(measure).transpose()?,
+            apply: kernel(&crate::wgsl!("patch_pressure"))?.bind(
+                gpu,
+                &[
+                    joint,
+                    words,
+                    ("pairs", (&coupling.node_pairs).into()),
+                    flags,
+                    ("moments", (&moments).into()),
+                    ("slopes", (&slopes).into()),
+                    ("node_flags", fields.flags.into()),
+                    ("rhs", (&solids.rhs).into()),
+                    ("correction", (&correction).into()),
+                ],
+            )?,
+            slope,
+            moments,
+            slopes,
+            correction,
+        })
+    }
+
+    /// Whether gradients are those of the last pressure.
+    pub fn follows_pressure(&self) -> bool {
+        self.measure.is_some()
+    }
+
+    /// Writes the integrals of n N_i (x - x_cell)^T over the patches of each pair, m^3, before all work submitted later. `pairs`: those of
+    /// [`CouplingBuffers::write`], in its order. `scale`: rho / dt of the last sub-step, 0 before the first.
+    pub fn write(&self, gpu: &Gpu, pairs: &[Pair], moments: &[DMat3], scale: f64) {
+        let mut wet = 0;
+        let mut order: Vec<(usize, usize)> = Vec::with_capacity(pairs.len());
+        for (at, pair) in pairs.iter().enumerate() {
+            if at > 0 && pairs[at - 1].cell / 4 != pair.cell / 4 {
+                wet += 1;
+            }
+            order.push((at, 4 * wet + pair.cell % 4));
+        }
+        // Stable: as the pairs of the nodes are sorted.
+        order.sort_by_key(|&(at, _)| pairs[at].node);
+        let rows: Vec<[u32; 4]> = order
+            .iter()
+            .flat_map(|&(at, slope)| {
+                [0, 1, 2].map(|row| {
+                    let [x, y, z] = moments[at].row(row).as_vec3().to_array().map(f32::to_bits);
+                    [x, y, z, slope as u32]
+                })
+            })
+            .collect();
+        gpu.upload(&self.moments, &rows);
+        let slope = PressureSlope {
+            at_rest: self.at_rest,
+            scale: scale as f32,
+        };
+        gpu.upload(&self.slope, &[slope]);
+    }
+
+    /// Records the gradients, while the unknowns are still those of the last sub-step.
+    pub fn record_slopes(&self, pass: &mut Pass) {
+        if let Some(measure) = &self.measure {
+            pass.dispatch(measure, self.n_quads);
+        }
+    }
+
+    /// Records what they add to the right-hand side.
+    pub fn record(&self, pass: &mut Pass) {
+        pass.dispatch(&self.apply, self.n_nodes);
+    }
+
+    /// Gradients in the wet cells, Pa/m.
+    pub fn slopes(&self) -> &Buffer<[f32; 4]> {
+        &self.slopes
+    }
+}

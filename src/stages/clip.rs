@@ -1,0 +1,282 @@
+//! `clip`: what deforming solids leave of the grid in a sub-step. The host clips them ([`SolidClip`]); this stage takes the quads that
+//! differ to the device, so the rest of the grid costs nothing.
+
+use crate::Error;
+use crate::geometry::SolidClip;
+use crate::gpu::{Bound, Buffer, BufferPlan, Gpu, Kernel, Real, Recorder};
+use crate::grid::{Axis, Grid, Padded};
+use crate::wgsl;
+
+use super::LiquidBuffers;
+
+/// Bit of a word of [`ClipBuffers::walls`]: patches lie in the quad. `shaders/common/moving_walls.wgsl` has it too.
+const WET: u32 = 16;
+/// First bit of the number of the quad's first place, likewise.
+const FIRST_PLACE: u32 = 5;
+
+/// How much of it there is: the doppelganger of `Clipped` in `shaders/common/cut_quad.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct Clipped {
+    /// Quads whose cells solids cut, or cut in the last sub-step.
+    pub n_quads: u32,
+    /// Cells near solids, with the nearest place on a surface.
+    pub n_places: u32,
+    /// First word of the places' velocities in [`ClipBuffers::walls`].
+    pub first: u32,
+    /// Nothing.
+    pub pad: u32,
+}
+
+/// A quad as it is cut: the doppelganger of `CutQuad` in `shaders/common/cut_quad.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct CutQuad {
+    /// Open fractions of the minus faces across x, y, z.
+    pub open: [[f32; 4]; 3],
+    /// Distance of the centres from obstacles and solids, m.
+    pub distance: [f32; 4],
+    /// The quad.
+    pub quad: u32,
+    /// Its word of [`ClipBuffers::walls`].
+    pub walls: u32,
+    /// Nothing.
+    pub pad_0: u32,
+    /// Nothing.
+    pub pad_1: u32,
+}
+
+/// How much room there is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ClipSize {
+    /// Quads that differ from what the obstacles leave, in this sub-step or in the last.
+    pub quads: usize,
+    /// Cells near solids.
+    pub places: usize,
+}
+
+impl ClipSize {
+    /// What a clipping needs when it is written after another one with as many quads.
+    pub fn of(grid: &Grid, clip: &SolidClip) -> ClipSize {
+        ClipSize {
+            quads: 2 * cut_quads(&grid.padded(), grid, clip).len(),
+            places: clip.band().len(),
+        }
+    }
+
+    /// What [`ClipBuffers::new`] allocates.
+    pub fn buffers(&self, grid: &Grid) -> Vec<BufferPlan> {
+        vec![
+            BufferPlan::of::<CutQuad>("clip.quads", self.quads),
+            BufferPlan::of::<[u32; 4]>("clip.places", 2 * self.places),
+            BufferPlan::of::<u32>("clip.walls", grid.padded().quads + 3 * self.places),
+            BufferPlan::of::<Clipped>("clip.clipped", 1),
+        ]
+    }
+}
+
+/// What solids cut, on its way to the fields, and their surfaces as walls that move.
+#[derive(Debug)]
+pub struct ClipBuffers {
+    /// Room.
+    pub size: ClipSize,
+    grid: Grid,
+    padded: Padded,
+    /// Numbers of what follows.
+    pub clipped: Buffer<Clipped>,
+    quads: Buffer<CutQuad>,
+    /// Per cell near a solid: nodes of the nearest triangle, then bits of their weights at the nearest place of it.
+    pub places: Buffer<[u32; 4]>,
+    /// Per quad: which lanes have a place, and which; then the velocities of the places, m/s (`shaders/common/moving_walls.wgsl`).
+    pub walls: Buffer<u32>,
+    /// Quads that differ on the device.
+    differing: Vec<u32>,
+}
+
+impl ClipBuffers {
+    /// Allocates.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] where the adapter is too small.
+    pub fn new(gpu: &Gpu, grid: &Grid, size: ClipSize) -> Result<ClipBuffers, Error> {
+        let [quads, places, walls, _] = size.buffers(grid).try_into().expect("there are four");
+        Ok(ClipBuffers {
+            size,
+            grid: *grid,
+            padded: grid.padded(),
+            clipped: gpu.uniform("clip.clipped", &Clipped::default())?,
+            quads: gpu.buffer(quads.label, quads.len)?,
+            places: gpu.buffer(places.label, places.len)?,
+            walls: gpu.buffer(walls.label, walls.len)?,
+            differing: Vec::new(),
+        })
+    }
+
+    /// The same with other room, and what differs on the device as it was.
+    ///
+    /// # Errors
+    /// As [`ClipBuffers::new`].
+    pub fn resized(&self, gpu: &Gpu, size: ClipSize) -> Result<ClipBuffers, Error> {
+        Ok(ClipBuffers {
+            differing: self.differing.clone(),
+            ..ClipBuffers::new(gpu, &self.grid, size)?
+        })
+    }
+
+    /// Whether a clipping fits after the one that is on the device.
+    pub fn fits(&self, clip: &SolidClip) -> bool {
+        let now = cut_quads(&self.padded, &self.grid, clip).len();
+        now + self.differing.len() <= self.size.quads && clip.band().len() <= self.size.places
+    }
+
+    /// Writes a clipping, before all work submitted later; `triangles`: nodes of the surface triangles. With `anew` the fields were just
+    /// written as the obstacles leave them.
+    ///
+    /// # Panics
+    /// When it does not fit.
+    pub fn write(&mut self, gpu: &Gpu, clip: &SolidClip, triangles: &[[u32; 3]], anew: bool) {
+        if anew {
+            gpu.upload(&self.walls, &vec![0; self.padded.quads]);
+            self.differing.clear();
+        }
+        let now = cut_quads(&self.padded, &self.grid, clip);
+        let mut listed = std::mem::take(&mut self.differing);
+        listed.extend(&now);
+        listed.sort_unstable();
+        listed.dedup();
+        let mut words = vec![0; listed.len()];
+        // Which of them, and the lane.
+        let at = |cell: usize| {
+            let index = self.padded.index(self.grid.cell_at(cell));
+            let found = listed.binary_search(&((index / 4) as u32));
+            let found = found.expect("cells near solids are among the changed ones");
+            (found, index % 4)
+        };
+        for (place, nearest) in clip.band().iter().enumerate() {
+            let (quad, lane) = at(nearest.cell);
+            if words[quad] == 0 {
+                words[quad] = (place as u32) << FIRST_PLACE;
+            }
+            words[quad] |= 1 << lane;
+        }
+        for (cell, _) in clip.coupling().cells() {
+            words[at(cell).0] |= WET;
+        }
+        let entries: Vec<CutQuad> = listed
+            .iter()
+            .zip(&words)
+            .map(|(&quad, &walls)| self.cut_quad(clip, quad, walls))
+            .collect();
+        let places: Vec<[u32; 4]> = clip
+            .band()
+            .iter()
+            .flat_map(|nearest| {
+                let [a, b, c] = triangles[nearest.triangle];
+                let [u, v, w] = nearest.weights.map(|weight| (weight as f32).to_bits());
+                [[a, b, c, 0], [u, v, w, 0]]
+            })
+            .collect();
+        let clipped = Clipped {
+            n_quads: entries.len() as u32,
+            n_places: clip.band().len() as u32,
+            first: self.padded.quads as u32,
+            pad: 0,
+        };
+        gpu.upload(&self.clipped, &[clipped]);
+        gpu.upload(&self.quads, &entries);
+        gpu.upload(&self.places, &places);
+        self.differing = now;
+    }
+
+    fn cut_quad(&self, clip: &SolidClip, quad: u32, walls: u32) -> CutQuad {
+        let (grid, cut) = (&self.grid, clip.cut_cells());
+        let first = self.padded.cell_of(quad as usize);
+        let lanes = |n: [usize; 3], value: &dyn Fn([usize; 3]) -> f64| {
+            [0, 1, 2, 3].map(|lane| {
+                let at = [first[0] + lane, first[1], first[2]];
+                let exists = (0..3).all(|axis| at[axis] < n[axis]);
+                if exists { value(at) as f32 } else { 0.0 }
+            })
+        };
+        CutQuad {
+            open: Axis::ALL.map(|axis| {
+                let fractions = &cut.open[axis.index()];
+                lanes(grid.faces(axis), &|at| fractions[grid.face(axis, at)])
+            }),
+            distance: lanes(grid.cells, &|at| cut.solid_distance[grid.cell(at)]),
+            quad,
+            walls,
+            pad_0: 0,
+            pad_1: 0,
+        }
+    }
+}
+
+/// Quads with cells or faces that need not be as the obstacles leave them, ascending.
+fn cut_quads(padded: &Padded, grid: &Grid, clip: &SolidClip) -> Vec<u32> {
+    let (faces, cells) = clip.changed();
+    let cells = cells.iter().map(|&cell| grid.cell_at(cell));
+    let faces = Axis::ALL.into_iter().zip(faces);
+    let faces = faces.flat_map(|(axis, faces)| faces.iter().map(move |&f| grid.face_at(axis, f)));
+    let patches = clip.coupling().cells();
+    let patches = patches.map(|(cell, _)| grid.cell_at(cell));
+    let all = cells.chain(faces).chain(patches);
+    let mut quads: Vec<u32> = all.map(|at| (padded.index(at) / 4) as u32).collect();
+    quads.sort_unstable();
+    quads.dedup();
+    quads
+}
+
+/// The stage: a clipping to `open`, `obstacles.solid_distance`, `valid` and, with markers, `occupied`.
+#[derive(Debug)]
+pub struct Clip {
+    n_quads: usize,
+    cut_quads: Bound,
+    cut_room: Option<Bound>,
+}
+
+impl Clip {
+    /// The stage's name.
+    pub const NAME: &'static str = "clip";
+
+    /// Compiles and binds.
+    ///
+    /// # Errors
+    /// As [`Kernel::new`] and [`Kernel::bind`].
+    pub fn new(gpu: &Gpu, buffers: &LiquidBuffers, clip: &ClipBuffers) -> Result<Clip, Error> {
+        let level = ("level", (&buffers.level).into());
+        let clipped = ("clipped", (&clip.clipped).into());
+        let entries = ("entries", (&clip.quads).into());
+        let kernel = |source| Kernel::new(gpu, &source, Real::F32);
+        let cut_room = |markers: &super::MarkerBuffers| {
+            let occupied = ("occupied", (&markers.occupied).into());
+            kernel(wgsl!("cut_room"))?.bind(gpu, &[level, clipped, entries, occupied])
+        };
+        Ok(Clip {
+            n_quads: clip.size.quads,
+            cut_quads: kernel(wgsl!("cut_quads"))?.bind(
+                gpu,
+                &[
+                    level,
+                    clipped,
+                    entries,
+                    ("open", (&buffers.open).into()),
+                    ("solid_distance", (&buffers.obstacles.solid_distance).into()),
+                    ("valid", (&buffers.valid).into()),
+                    ("walls", (&clip.walls).into()),
+                ],
+            )?,
+            cut_room: buffers.markers.as_ref().map(cut_room).transpose()?,
+        })
+    }
+
+    /// Records it, after [`ClipBuffers::write`].
+    pub fn record(&self, recorder: &mut Recorder) {
+        recorder.stage(Clip::NAME, |pass| {
+            pass.dispatch(&self.cut_quads, self.n_quads);
+            if let Some(cut_room) = &self.cut_room {
+                pass.dispatch(cut_room, self.n_quads);
+            }
+        });
+    }
+}

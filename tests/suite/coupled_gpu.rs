@@ -1,0 +1,344 @@
+//! Liquid and solids together on the device, whole steps against the f64 path.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use cutwater::gpu::{AdapterChoice, Gpu};
+use cutwater::measure::compare::compare;
+use cutwater::scene::{Scene, Surface};
+use cutwater::sim::{Backend, Plan, Simulation, reference_path};
+use cutwater::state::SolveStatus;
+use glam::DVec3;
+
+use crate::common::{digest, gpu, same_with_any_number_of_threads};
+
+fn on_gpu(scene: &Scene) -> Simulation {
+    Simulation::new(scene, &Backend::Gpu(AdapterChoice::Best)).unwrap()
+}
+
+fn scene(text: &str, overrides: &[&str]) -> Scene {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("test.toml");
+    std::fs::write(&path, text).unwrap();
+    let mut overrides: Vec<String> = overrides.iter().map(|&text| text.to_owned()).collect();
+    if !gpu().is_some_and(Gpu::has_f64) {
+        overrides.extend(["solver.precision=f32", "solver.tolerance=1e-5"].map(str::to_owned));
+    }
+    Scene::load(&path, &overrides, 1.0).unwrap()
+}
+
+/// A tank of 12^3 cells; `level`: m, 1 for a full one.
+fn tank(level: f64, solids: &str) -> String {
+    format!(
+        "[domain]
+size = [1, 1, 1]
+cells = [12, 12, 12]
+[time]
+duration = 1
+frames_per_second = 100
+fixed_step = 0.01
+[liquid]
+[[liquid.region]]
+box = {{ min = [0, 0, 0], max = [1, {level}, 1] }}
+{solids}"
+    )
+}
+
+fn ball(name: &str, at: [f64; 3], density: f64) -> String {
+    format!(
+        "[[solid]]
+name = \"{name}\"
+mesh = {{ sphere = {{ radius = 0.15, cell_size = 0.1 }} }}
+placement = {{ translate = {at:?} }}
+density = {density:?}
+young = 1e5
+poisson = 0.35
+damping = {{ mass = 0.2, stiffness = 0.01 }}
+"
+    )
+}
+
+const POST: &str = "[[obstacle]]
+box = { min = [0.57, 0.0, 0.35], max = [0.83, 0.26, 0.62] }
+";
+
+const PINNED: &str = "[[solid.pin]]
+region = { box = { min = [0, 0, 0], max = [1, 1, 1] } }
+";
+
+/// Every ugly thing that scenes of both may have, on a small grid.
+fn cases() -> Vec<(&'static str, Scene)> {
+    let light = ball("light", [0.31, 0.34, 0.52], 300.0);
+    let heavy = ball("heavy", [0.7, 0.42, 0.47], 3000.0);
+    let both = format!("{light}{heavy}");
+    let pool = tank(0.55, &both);
+    let full = tank(1.0, &light);
+    let still = tank(1.0, &format!("{light}{PINNED}"));
+    let bar = "[[solid]]
+name = \"bar\"
+mesh = { box = { size = [0.4, 0.08, 1.0], cells = [4, 1, 8] } }
+placement = { translate = [0.5, 0.5, 0.5], rotate = { axis = [0, 0, 1], degrees = 25 } }
+density = 800.0
+young = 1e6
+poisson = 0.3
+";
+    vec![
+        ("two balls in a pool", scene(&pool, &[])),
+        (
+            "pressure of the last step",
+            scene(&pool, &["solver.pressure_on_patches=gradient"]),
+        ),
+        (
+            "pressure constant in cells",
+            scene(&pool, &["solver.pressure_on_patches=cell"]),
+        ),
+        (
+            "areas from corners",
+            scene(&pool, &["solver.face_areas=nodal"]),
+        ),
+        ("a fixed surface", scene(&pool, &["liquid.surface=fixed"])),
+        (
+            "a ball above an obstacle",
+            scene(&tank(0.6, &format!("{heavy}{POST}")), &[]),
+        ),
+        (
+            "a ball in a full tank",
+            scene(&full, &["liquid.surface=fixed"]),
+        ),
+        (
+            "a ball that is held in a full tank",
+            scene(&still, &["liquid.surface=fixed"]),
+        ),
+        (
+            "out of the liquid",
+            scene(&tank(0.2, &ball("dry", [0.5, 0.6, 0.5], 1000.0)), &[]),
+        ),
+        ("a bar from wall to wall", scene(&tank(0.6, bar), &[])),
+    ]
+}
+
+/// Largest difference of two fields.
+fn off<'a>(
+    found: impl IntoIterator<Item = &'a f64>,
+    twin: impl IntoIterator<Item = &'a f64>,
+) -> f64 {
+    let pairs = found.into_iter().zip(twin);
+    pairs.fold(0.0, |m, (a, b)| f64::max(m, (a - b).abs()))
+}
+
+/// Every sub-step from the state that the device is in.
+#[test]
+fn steps_are_the_twins() {
+    if gpu().is_none() {
+        return;
+    }
+    for (name, scene) in cases() {
+        let markers = scene.liquid.as_ref().unwrap().surface == Surface::Markers;
+        let mut simulation = on_gpu(&scene);
+        let mut reference = reference_path(&scene).unwrap();
+        for step in 0..2 {
+            reference.reset(simulation.state().unwrap()).unwrap();
+            let twin = reference.step(reference.next_time_step()).unwrap();
+            let report = simulation.step().unwrap();
+            let (found, wanted) = (simulation.state().unwrap(), reference.state());
+            let what = format!("{name}, sub-step {step}: {report:?} and {twin:?}");
+            for solve in report.solves() {
+                assert_eq!(solve.status, SolveStatus::Converged, "{what}");
+                assert!(solve.residual <= scene.solver.tolerance, "{what}");
+            }
+            // Volumes are f32, and what volume control makes of 1e-7 of them in a frame of 0.01 s is 1e-5 m/s. Without it, velocities are of
+            // up to 0.1 m/s, and the solve leaves as much as rounding to f32; without f64, it leaves its tolerance.
+            let of_velocity = match (markers, simulation.gpu().unwrap().has_f64()) {
+                (true, true) => 2e-5,
+                (false, true) => 2e-7,
+                (_, false) => 1e-4,
+            };
+            for axis in 0..3 {
+                let u = off(&found.velocity[axis], &wanted.velocity[axis]);
+                assert!(u <= of_velocity, "{u:e} m/s, {what}");
+            }
+            let v = off(
+                found.node_velocity.as_flattened(),
+                wanted.node_velocity.as_flattened(),
+            );
+            assert!(v <= of_velocity, "{v:e} m/s, {what}");
+            // rho dx / dt, the impedance of a cell, times that, over the depth of twelve cells.
+            let p = off(&found.pressure, &wanted.pressure);
+            assert!(p <= 12.0 * 1e5 / 12.0 * of_velocity, "{p:e} Pa, {what}");
+            let phi = off(&found.liquid_distance, &wanted.liquid_distance);
+            assert!(phi <= 1e-6, "{phi:e} m, {what}");
+            let moved = off(
+                found.displacement.as_flattened(),
+                wanted.displacement.as_flattened(),
+            );
+            assert!(moved <= 1e-7, "{moved:e} m, {what}");
+
+            let [of_twin, of_device] =
+                [&twin, &report].map(|report| (report.liquid.unwrap(), report.solid.unwrap()));
+            assert_eq!(of_device.1.contact, of_twin.1.contact, "{what}");
+            assert_eq!(
+                of_device.0.closed_components, of_twin.0.closed_components,
+                "{what}"
+            );
+            let [found, wanted] = [of_device, of_twin]
+                .map(|(liquid, solid)| [liquid.solve, solid.solve].map(|solve| solve.unknowns));
+            assert_eq!(found, wanted, "{what}");
+            let [twin, report] = [twin, report].map(|report| report.coupling.unwrap());
+            assert_eq!(report.touching, twin.touching, "{what}");
+            for (found, wanted) in [
+                (report.force, twin.force),
+                (report.correction, twin.correction),
+            ] {
+                let weight = DVec3::from(twin.force).length().max(1.0);
+                let off = DVec3::from(found).distance(wanted.into());
+                assert!(off <= 1e-4 * weight, "{off:e} N, {what}");
+            }
+            assert_eq!(report.overlap_cells, twin.overlap_cells, "{what}");
+            // Rounding of the velocities over a cell.
+            let divergences = [of_device.0, of_twin.0].map(|liquid| liquid.diagnosis.divergence);
+            let off = (divergences[0] - divergences[1]).abs();
+            assert!(off <= of_velocity * 12.0, "{divergences:?} 1/s, {what}");
+        }
+    }
+}
+
+/// Buffers, kernels and stages of coupled scenes are those planned, and a sub-step of solids that are dry runs none of the solve for both.
+#[test]
+fn both_take_what_is_planned() {
+    if gpu().is_none() {
+        return;
+    }
+    let sums = |list: Vec<(String, u64)>| {
+        let mut sums = BTreeMap::<String, u64>::new();
+        for (label, bytes) in list {
+            *sums.entry(label).or_default() += bytes;
+        }
+        // Their number is an estimate.
+        sums.remove("liquid.markers");
+        sums
+    };
+    // The others differ in numbers only.
+    let of_kernels = |(name, _): &(&str, Scene)| !name.starts_with("a b") && !name.contains("from");
+    for (name, scene) in cases().into_iter().filter(of_kernels) {
+        let mut simulation = on_gpu(&scene);
+        let plan = Plan::new(&scene, simulation.adapter()).unwrap();
+        let planned = plan.buffers.iter();
+        let planned = planned.map(|plan| (plan.label.to_owned(), plan.bytes()));
+        let allocated = || simulation.gpu().unwrap().allocated();
+        assert_eq!(
+            sums(planned.collect()),
+            sums(allocated()),
+            "{name}: buffers"
+        );
+        let kernels = plan.stages.iter().flat_map(|stage| &stage.kernels).copied();
+        let kernels: BTreeSet<&str> = kernels.collect();
+        let compiled = simulation.gpu().unwrap().compiled();
+        assert_eq!(kernels, compiled, "{name}: kernels");
+        let before = allocated();
+        simulation.step().unwrap();
+        simulation.gpu().unwrap().note_dispatches();
+        let report = simulation.step().unwrap();
+        let gpu = simulation.gpu().unwrap();
+        let touching = report.coupling.unwrap().touching;
+        for (stage, kernel) in gpu.noted_dispatches() {
+            let planned = plan.stages.iter().find(|planned| planned.name == stage);
+            let kernels = planned.map_or(&[][..], |planned| &planned.kernels);
+            assert!(kernels.contains(&kernel), "{name}: {kernel} in {stage}");
+            let of_both = kernel.starts_with("two_field") || kernel == "coupled_turn";
+            assert!(touching || !of_both, "{name}: {kernel}");
+        }
+        assert_eq!(gpu.allocated(), before, "{name}: a sub-step allocates");
+        if simulation.adapter().unwrap().timestamps {
+            let run: Vec<&str> = report.seconds.iter().map(|(stage, _)| *stage).collect();
+            let every = plan.stages.iter().filter(|stage| stage.every_step);
+            let every: Vec<&str> = every.map(|stage| stage.name).collect();
+            assert_eq!(run, every, "{name}: stages");
+        }
+    }
+}
+
+/// A cube that starts with an eighth of its volume and grows out of the room that was planned for it.
+#[test]
+fn room_grows_with_the_solids() {
+    if gpu().is_none() {
+        return;
+    }
+    let cube = "[[solid]]
+name = \"cube\"
+mesh = { box = { size = [0.5, 0.5, 0.5], cells = [3, 3, 3] } }
+placement = { translate = [0.5, 0.4, 0.5] }
+initial = { scale = 0.3 }
+density = 1000.0
+young = 2e5
+poisson = 0.3
+damping = { stiffness = 0.01 }
+";
+    let scene = scene(&tank(0.7, cube), &[]);
+    let mut simulation = on_gpu(&scene);
+    let before = simulation.gpu().unwrap().allocated().len();
+    let mut reference = reference_path(&scene).unwrap();
+    for _ in 0..8 {
+        let state = simulation.state().unwrap();
+        reference.reset(state).unwrap();
+        let twin = reference.step(reference.next_time_step()).unwrap();
+        let report = simulation.step().unwrap();
+        assert_eq!(report.solid.unwrap().solve.status, SolveStatus::Converged);
+        let [found, wanted] = [&report, &twin].map(|report| report.solid.unwrap().diagnosis);
+        let off = (found.kinetic_energy / wanted.kinetic_energy - 1.0).abs();
+        assert!(off <= 1e-4, "{found:?} {wanted:?}");
+    }
+    let after = simulation.gpu().unwrap().allocated().len();
+    assert!(after > before, "{before} and {after} buffers");
+}
+
+/// Bit for bit, in one process and with any number of threads; and a state in the middle goes on as if nothing had happened.
+#[test]
+fn runs_repeat() {
+    if gpu().is_none() {
+        return;
+    }
+    let (_, scene) = cases().swap_remove(1);
+    let mut first = on_gpu(&scene);
+    let mut again = on_gpu(&scene);
+    for _ in 0..3 {
+        let [a, b] = [&mut first, &mut again].map(|simulation| simulation.step().unwrap());
+        assert_eq!(
+            (a.liquid, a.solid, a.coupling),
+            (b.liquid, b.solid, b.coupling)
+        );
+    }
+    let state = first.state().unwrap();
+    assert_eq!(state, again.state().unwrap());
+    again.reset(&state).unwrap();
+    let [a, b] = [&mut first, &mut again].map(|simulation| simulation.step().unwrap());
+    let [force, resumed] = [a, b].map(|report| DVec3::from(report.coupling.unwrap().force));
+    // The pressure of a state is Pa, and that of the device a potential.
+    assert!(force.distance(resumed) <= 1e-6 * force.length());
+    let end = first.state().unwrap();
+    let values = end.pressure.iter().chain(end.node_velocity.as_flattened());
+    println!("digest of both: {:x}", digest(values.copied()));
+}
+
+#[test]
+fn threads_do_not_matter() {
+    if gpu().is_some() {
+        same_with_any_number_of_threads("coupled_gpu::runs_repeat", 1);
+    }
+}
+
+/// `compare` passes on every case.
+#[test]
+fn every_stage_is_compared() {
+    if gpu().is_none() {
+        return;
+    }
+    for (name, scene) in cases() {
+        let compared = compare(&scene, 2, &AdapterChoice::Best, &mut |_, _| {}).unwrap();
+        let stages: BTreeSet<&str> = compared.rows.iter().map(|row| row.stage).collect();
+        for stage in ["clip", "move_solid", "solve", "extrapolate", "diagnose"] {
+            assert!(stages.contains(stage), "{name}: no {stage} in {stages:?}");
+        }
+        compared
+            .verdict()
+            .unwrap_or_else(|error| panic!("{name}: {error}"));
+    }
+}

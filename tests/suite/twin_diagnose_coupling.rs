@@ -1,0 +1,61 @@
+//! `diagnose`: the force of the liquid on solids against its twin.
+
+use cutwater::gpu::{Real, Recorder};
+use cutwater::measure::base_scene::DeviceScene;
+use cutwater::reference::base_scene::{BaseBeam, BaseScene};
+use cutwater::scene::{Precision, Solver};
+use cutwater::stages::{CouplingReport, DiagnoseCoupling};
+use glam::DVec3;
+
+use crate::common::{Random, gpu};
+use crate::liquid_case::EPS;
+
+#[test]
+fn forces_add_up_as_the_twins() {
+    let Some(gpu) = gpu() else { return };
+    let scene = BaseScene::new(12, &BaseBeam::default()).unwrap();
+    let system = scene.coupled_system();
+    let solver = Solver {
+        precision: Precision::F32,
+        ..Solver::default()
+    };
+    let device = DeviceScene::new(gpu, &scene, &system, &solver).unwrap();
+    device.reset();
+    device.record_systems().submit();
+    let fields = device.fields();
+    let grid = device.grid;
+    let mut random = Random(3);
+    // Also where nothing is active, which counts for nothing.
+    let potential: Vec<f64> = (0..grid.n_cells())
+        .map(|_| f64::from(random.uniform(-1.0, 1.0) as f32))
+        .collect();
+    let padded = grid.padded().pad(grid.cells, &potential, |phi| phi);
+    fields.liquid.potential.upload(gpu, &padded);
+    let stage = DiagnoseCoupling::new(gpu, fields.liquid, fields.coupling, None).unwrap();
+    let run = || {
+        let mut recorder = Recorder::new(gpu);
+        stage.record(&mut recorder);
+        recorder.submit();
+        gpu.download(&fields.coupling.report).unwrap()
+    };
+    let words = run();
+    assert_eq!(words, run());
+    let found = CouplingReport::from_words(&words);
+    // Pa per m/s of potential; the pairs of the system are those of active cells.
+    let pascal = cutwater::reference::base_block::DENSITY * grid.dx / scene.dt;
+    let (mut sum, mut gross) = (DVec3::ZERO, DVec3::ZERO);
+    for pair in system.coupling.pairs() {
+        let force = pascal * potential[pair.cell] * pair.value;
+        sum += force;
+        gross += force.abs();
+    }
+    assert!(gross.min_element() > 0.0 && sum.length() < 0.5 * gross.length());
+    // Areas and the mass of a cell are f32, and so are the sums: four roundings of a term, and one per pair of a node, node of a share and
+    // level of the tree.
+    assert_eq!(fields.coupling.partials.real, Real::F32);
+    for axis in 0..3 {
+        let off = (found.force[axis] - sum[axis]).abs();
+        assert!(off <= 64.0 * EPS * gross[axis], "{found:?} and {sum}");
+    }
+    assert_eq!(found.correction, [0.0; 3]);
+}
