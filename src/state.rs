@@ -206,6 +206,8 @@ pub struct SolidReport {
 pub struct CouplingReport {
     /// Whether they touch: otherwise each was solved for itself.
     pub touching: bool,
+    /// Whether they were solved for in the condensed form, pressures alone.
+    pub condensed: bool,
     /// Sum of the liquid's forces on the solids by the pressure at the centres of cells, J^T p, N.
     pub force: [f64; 3],
     /// Sum of what pressure adds that varies within cells, N. It acts on the solids alone.

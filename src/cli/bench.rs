@@ -154,6 +154,7 @@ struct Solve {
 enum FormulationName {
     Pressure,
     TwoField,
+    Condensed,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -410,6 +411,7 @@ impl Solve {
         let formulations = self.formulation.iter().map(|name| match name {
             FormulationName::Pressure => Formulation::Pressure,
             FormulationName::TwoField => Formulation::TwoField,
+            FormulationName::Condensed => Formulation::Condensed,
         });
         let options = Options {
             formulations: formulations.collect(),

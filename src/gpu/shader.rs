@@ -79,6 +79,7 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/unknown"),
     crate::wgsl!("common/valid"),
     crate::wgsl!("common/walls"),
+    crate::wgsl!("common/wetted"),
 ];
 
 /// The scalar type that `alias Real` stands for.

@@ -119,12 +119,17 @@ pub struct Cholesky<'a> {
 impl Cholesky<'_> {
     /// Solves A x = b in place: b in, x out.
     pub fn solve(&self, x: &mut [f64]) {
+        self.solve_columns(x, 1);
+    }
+
+    /// The same for several right-hand sides, one after another.
+    pub fn solve_columns(&self, x: &mut [f64], n_columns: usize) {
         let factor = &self.symbolic.factor;
-        let scratch = factor.solve_in_place_scratch::<f64>(1, PAR);
-        let n = x.len();
+        let scratch = factor.solve_in_place_scratch::<f64>(n_columns, PAR);
+        let n = x.len() / n_columns;
         LltRef::new(factor, &self.values).solve_in_place_with_conj(
             Conj::No,
-            MatMut::from_column_major_slice_mut(x, n, 1),
+            MatMut::from_column_major_slice_mut(x, n, n_columns),
             PAR,
             MemStack::new(&mut MemBuffer::new(scratch)),
         );

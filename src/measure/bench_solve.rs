@@ -15,9 +15,10 @@ use crate::gpu::{Buffer, Gpu, Real, Recorder};
 use crate::grid::{Axis, Padded};
 use crate::linalg;
 use crate::output::write_atomically;
+use crate::reference::SIGMA;
 use crate::reference::base_block::{BaseBlock, THETA_FLOOR};
 use crate::reference::base_scene::{BaseBeam, BaseScene};
-use crate::scene::{Precision, Preconditioner, Solver};
+use crate::scene::{self, Precision, Preconditioner, Solver};
 use crate::solver::{
     CoupledOutcome, Everywhere, Outcome, PressureSolver, PressureSystem, SolverBuffers,
 };
@@ -34,6 +35,8 @@ pub enum Formulation {
     Pressure,
     /// Pressures and velocities of solids, thesis (5.25) in factored form.
     TwoField,
+    /// Pressures of the same scene alone, with the inverse of the solids' matrix among the wet nodes.
+    Condensed,
 }
 
 impl Formulation {
@@ -41,6 +44,7 @@ impl Formulation {
         match self {
             Formulation::Pressure => "pressure",
             Formulation::TwoField => "two-field",
+            Formulation::Condensed => "condensed",
         }
     }
 }
@@ -173,14 +177,20 @@ pub fn bench_solve(
     for &n in &options.grids {
         let block = BaseBlock::new(n);
         if options.matrices {
+            let mut formulations = options.formulations.iter();
             write_matrices(&block, n, out)?;
+            if formulations.any(|formulation| *formulation != Formulation::Pressure) {
+                write_coupled_matrices(n, out)?;
+            }
         }
         for &formulation in &options.formulations {
             for solver in &options.solvers {
                 let (repeats, machine) = (options.repeats, &table.machine);
                 let row = match formulation {
                     Formulation::Pressure => measure(gpu, &block, solver, repeats, machine)?,
-                    Formulation::TwoField => measure_coupled(gpu, n, solver, repeats, machine)?,
+                    Formulation::TwoField | Formulation::Condensed => {
+                        measure_coupled(gpu, (formulation, n), solver, repeats, machine)?
+                    }
                 };
                 tell(&row);
                 table.rows.push(row);
@@ -209,6 +219,49 @@ fn write_matrices(block: &BaseBlock, n: usize, out: &Path) -> Result<(), Error> 
     write_atomically(&matrix, text.as_bytes())?;
     let rhs = linalg::vector_text(&rhs, "E u*, m^3/s");
     write_atomically(&out.join(format!("base_block_{n}_rhs.mtx")), rhs.as_bytes())
+}
+
+/// The system of liquid and beam in the thesis's forms (5.25) and (5.17).
+fn write_coupled_matrices(n: usize, out: &Path) -> Result<(), Error> {
+    let system = base_scene(n)?.coupled_system();
+    let blocks = system.blocks();
+    let cells = blocks.cells.iter();
+    let e: Vec<f64> = cells.map(|&cell| system.pressure.rhs[cell]).collect();
+    let components = blocks.components.iter();
+    let w: Vec<f64> = components.map(|&at| -system.solid.rhs[at]).collect();
+    let both: Vec<f64> = e.iter().chain(&w).copied().collect();
+    let parts = [
+        (
+            "spd",
+            blocks.two_field(SIGMA)?,
+            blocks.two_field_rhs(SIGMA, &e, &w),
+            "A of the thesis's (5.25): pressures, then velocities",
+        ),
+        (
+            "indefinite",
+            blocks.indefinite(),
+            both,
+            "[B J; J^T -S] of the thesis's (5.17), the same unknowns",
+        ),
+    ];
+    for (name, matrix, rhs, comment) in parts {
+        let text = linalg::matrix_text(&matrix, linalg::Symmetry::Symmetric, comment);
+        let file = out.join(format!("base_scene_{n}_{name}.mtx"));
+        write_atomically(&file, text.as_bytes())?;
+        let text = linalg::vector_text(&rhs, "its right-hand side");
+        let file = out.join(format!("base_scene_{n}_{name}_rhs.mtx"));
+        write_atomically(&file, text.as_bytes())?;
+    }
+    Ok(())
+}
+
+/// The base scene with the beam that goes with a grid.
+fn base_scene(n: usize) -> Result<BaseScene, Error> {
+    let beam = BaseBeam {
+        bricks: bricks(n),
+        ..BaseBeam::default()
+    };
+    BaseScene::new(n, &beam)
 }
 
 fn measure(
@@ -310,16 +363,19 @@ fn bricks(n: usize) -> [usize; 3] {
 
 fn measure_coupled(
     gpu: &Gpu,
-    n: usize,
+    (formulation, n): (Formulation, usize),
     solver: &Solver,
     repeats: usize,
     machine: &Machine,
 ) -> Result<Row, Error> {
-    let beam = BaseBeam {
-        bricks: bricks(n),
-        ..BaseBeam::default()
+    let solver = &Solver {
+        formulation: match formulation {
+            Formulation::Condensed => scene::Formulation::Condensed,
+            Formulation::Pressure | Formulation::TwoField => scene::Formulation::TwoField,
+        },
+        ..*solver
     };
-    let scene = BaseScene::new(n, &beam)?;
+    let scene = base_scene(n)?;
     let system = scene.coupled_system();
     let device = DeviceScene::new(gpu, &scene, &system, solver)?;
     let solve = || -> Result<(f64, CoupledOutcome), Error> {
@@ -353,7 +409,7 @@ fn measure_coupled(
         grid: n,
         active_cells: n_cells as u32,
         solid_nodes: scene.solids.rest.len() as u32,
-        formulation: Formulation::TwoField.name(),
+        formulation: formulation.name(),
         preconditioner: preconditioner(solver),
         precision: name(solver.precision),
         tolerance: solver.tolerance,

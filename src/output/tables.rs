@@ -114,8 +114,9 @@ const SOLIDS: [&str; 18] = [
 ];
 
 /// Columns of what both do to each other.
-const COUPLING: [&str; 9] = [
+const COUPLING: [&str; 10] = [
     "touching",
+    "condensed",
     "force_x",
     "force_y",
     "force_z",
@@ -129,7 +130,7 @@ const COUPLING: [&str; 9] = [
 impl StepTable {
     /// The columns of a scene with or without liquid and solids. Units: s, relative residual (f64, true), 1/s, m^3, kg m/s,
     /// kg m^2/s (about the origin), J, m/s, N (forces of the liquid on the solids), m; `markers_dropped` in this sub-step;
-    /// `dt_floored` and `touching` are 0 or 1; a `status` is `converged` or what went wrong; `inverted` counts elements.
+    /// `dt_floored`, `touching` and `condensed` are 0 or 1; a `status` is `converged` or what went wrong; `inverted` counts elements.
     pub fn columns(liquid: bool, solids: bool) -> impl Iterator<Item = &'static str> {
         let of_liquid = LIQUID.into_iter().filter(move |_| liquid);
         let coupling = COUPLING.into_iter().filter(move |_| liquid && solids);
@@ -262,14 +263,17 @@ fn solid_fields(step: u64, solid: &SolidReport) -> Result<Vec<String>, Error> {
 fn coupling_fields(step: u64, coupling: &CouplingReport) -> Result<Vec<String>, Error> {
     let CouplingReport {
         touching,
+        condensed,
         force,
         correction,
         overlap_cells,
         overlap_depth,
     } = *coupling;
-    let mut fields = vec![u8::from(touching).to_string()];
+    let mut fields = [touching, condensed]
+        .map(|is| u8::from(is).to_string())
+        .to_vec();
     let forces = force.into_iter().chain(correction);
-    for (column, value) in COUPLING[1..].iter().zip(forces) {
+    for (column, value) in COUPLING[2..].iter().zip(forces) {
         fields.push(number(column, step, value)?);
     }
     fields.push(overlap_cells.to_string());

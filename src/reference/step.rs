@@ -8,8 +8,8 @@ use glam::DVec3;
 
 use super::diagnose::larger;
 use super::{
-    BlockPattern, Contacts, CoupledSystem, MovingWalls, PressureSystem, SolidSolver, SolidSystem,
-    TimeStep, VolumeSource, active_cells, advect_markers, advect_velocity, diagnose,
+    BlockPattern, Contacts, CoupledSystem, Formulation, MovingWalls, PressureSystem, SolidSolver,
+    SolidSystem, TimeStep, VolumeSource, active_cells, advect_markers, advect_velocity, diagnose,
     diagnose_solid, extrapolate, forces, liquid_distance, liquid_volume, max_speed, move_solid,
     n_layers, node_forces, open_volumes, patch_pressure, prepare, pressure_gradient,
     right_hand_side, solid_matrices, solid_right_hand_side, solve, solve_coupled_in_contact,
@@ -401,6 +401,10 @@ impl Reference {
             let nodes = force.chunks_exact(3).map(DVec3::from_slice);
             coupling.force = nodes.sum::<DVec3>().to_array();
             coupling.touching = touches(clip, system);
+            coupling.condensed = matches!(
+                &systems,
+                Systems::Coupled(both) if Formulation::of(both) == Formulation::Condensed
+            );
         }
 
         if let Some(system) = systems.pressure() {

@@ -435,6 +435,8 @@ pub struct Solver {
     pub coupling: CouplingScheme,
     /// How pressure varies over a cell where it acts on a solid; default `hydrostatic`.
     pub pressure_on_patches: PatchPressure,
+    /// What the corrections of a coupled solve on a GPU are made of; default `auto`.
+    pub formulation: Formulation,
 }
 
 impl Default for Solver {
@@ -449,6 +451,7 @@ impl Default for Solver {
             face_areas: FaceAreas::Clipped,
             coupling: CouplingScheme::Strong,
             pressure_on_patches: PatchPressure::Hydrostatic,
+            formulation: Formulation::Auto,
         }
     }
 }
@@ -492,6 +495,17 @@ pub enum CouplingScheme {
     Weak,
     /// The solids' elasticity by itself first, then pressures and velocities in one solve that knows of mass and damping alone.
     DampingOnly,
+}
+
+/// What the corrections of a coupled solve on a GPU are made of. The answer is the same.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Formulation {
+    /// Condensed where the liquid wets few nodes, else two-field.
+    Auto,
+    /// Pressures and velocities (thesis 5.25), all on the device.
+    TwoField,
+    /// Pressures alone, with the inverse of the solids' matrix among the wet nodes, made on the CPU.
+    Condensed,
 }
 
 /// How pressure varies over a cell where it acts on the patches of a solid.

@@ -12,8 +12,9 @@ use super::probe::probes;
 use super::shape::{placement, shape};
 use super::solid::solids;
 use super::{
-    CouplingScheme, Domain, FaceAreas, Liquid, Obstacle, Output, PatchPressure, Placement,
-    Precision, Preconditioner, Region, Scene, Shape, Solid, SolidMesh, Solver, Surface, Time,
+    CouplingScheme, Domain, FaceAreas, Formulation, Liquid, Obstacle, Output, PatchPressure,
+    Placement, Precision, Preconditioner, Region, Scene, Shape, Solid, SolidMesh, Solver, Surface,
+    Time,
 };
 use crate::error::Error;
 
@@ -105,12 +106,9 @@ const SOLVER: Keys = Keys {
         "coupling",
         "face_areas",
         "pressure_on_patches",
+        "formulation",
     ],
     later: &[
-        (
-            "formulation",
-            "formulations of coupled problems are not simulated",
-        ),
         (
             "sigma",
             "formulations of coupled problems are not simulated",
@@ -641,6 +639,15 @@ fn solver(root: &Table, surface: Option<Surface>, has_solids: bool) -> Result<So
             ("gradient", PatchPressure::Gradient),
         ];
         solver.pressure_on_patches = place.choice(&choices)?;
+    }
+    if let Some(place) = table.get("formulation") {
+        ensure_coupled(&place)?;
+        let choices = [
+            ("auto", Formulation::Auto),
+            ("two_field", Formulation::TwoField),
+            ("condensed", Formulation::Condensed),
+        ];
+        solver.formulation = place.choice(&choices)?;
     }
     if let Some(place) = table.get("face_areas") {
         ensure_coupled(&place)?;

@@ -59,6 +59,16 @@ pub(super) struct CouplingReadbacks {
     components: Readback<u32>,
 }
 
+/// What the solve for both found.
+#[derive(Debug)]
+pub(super) struct Solved {
+    /// Of the liquid, of the solids.
+    pub(super) parts: [Outcome; 2],
+    /// Whether in the condensed form.
+    pub(super) condensed: bool,
+    pub(super) contact: ContactReport,
+}
+
 /// The kernels of a step, in its order.
 #[derive(Debug)]
 pub(super) struct CouplingStages {
@@ -382,7 +392,7 @@ impl GpuCoupling {
         SolidReadbacks { changes, .. }: &mut SolidReadbacks,
         dt: f64,
         closed_components: u32,
-    ) -> Result<([Outcome; 2], ContactReport, StageTimes), Error> {
+    ) -> Result<(Solved, StageTimes), Error> {
         let at = coupled(liquid, solids, &self.buffers);
         let polynomial = solids.polynomial(dt);
         let mut iterations = 0;
@@ -394,12 +404,19 @@ impl GpuCoupling {
             iterations += outcome.iterations;
             outcome.iterations = iterations;
             let status = outcome.status;
-            Ok((outcome.parts(closed_components), status, times))
+            Ok((outcome, status, times))
         };
         let n_nodes = solids.buffers.plan.n_nodes;
         let update = |pass: &mut Pass| self.stages.solve.record_update(pass, n_nodes);
         let recorder = Recorder::timed(gpu);
-        solids.until_settled(gpu, recorder, changes, solve, update)
+        let (outcome, contact, times) =
+            solids.until_settled(gpu, recorder, changes, solve, update)?;
+        let solved = Solved {
+            parts: outcome.parts(closed_components),
+            condensed: outcome.condensed,
+            contact,
+        };
+        Ok((solved, times))
     }
 
     /// Records what the host reads at the end of a sub-step.
@@ -424,11 +441,13 @@ impl GpuCoupling {
         &self,
         gpu: &Gpu,
         readbacks: &mut CouplingReadbacks,
+        condensed: bool,
     ) -> Result<CouplingReport, Error> {
         let told = stages::CouplingReport::from_words(&readbacks.report.wait(gpu)?);
         let overlap = self.clip.overlap();
         Ok(CouplingReport {
             touching: told.touching,
+            condensed,
             force: told.force,
             correction: told.correction,
             overlap_cells: overlap.cells,

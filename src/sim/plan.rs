@@ -110,7 +110,7 @@ impl Plan {
             n_markers,
             first_step: first_step(scene, &grid, solids),
             effects: effect_lines(scene, &effects),
-            stages: stages(scene, &grid, &rows, &effects),
+            stages: stages(scene, &grid, &rows, &effects, f64),
             buffers: buffers(scene, n_markers, (solids, &rows, clip), f64, timestamps),
             n_nodes: solids.rest.len(),
             n_elements: solids.elements.len(),
@@ -319,7 +319,13 @@ fn effect_lines(scene: &Scene, effects: &Effects) -> Vec<EffectLine> {
 }
 
 /// The stages in the order of [`GpuPath`](super::GpuPath)'s step.
-fn stages(scene: &Scene, grid: &Grid, rows: &SolidRows, effects: &Effects) -> Vec<StagePlan> {
+fn stages(
+    scene: &Scene,
+    grid: &Grid,
+    rows: &SolidRows,
+    effects: &Effects,
+    f64: bool,
+) -> Vec<StagePlan> {
     const COMPACTION: [&str; 3] = ["compact_count", "compact_scan", "compact_write"];
     let Effects {
         liquid,
@@ -418,7 +424,11 @@ fn stages(scene: &Scene, grid: &Grid, rows: &SolidRows, effects: &Effects) -> Ve
     stage("right_hand_side", true, &right_hand_side);
     let mut solve = Vec::new();
     if coupling {
-        solve.extend(coupled_kernels());
+        solve.extend(coupled_kernels(solver::can_condense(
+            rows,
+            &scene.solver,
+            f64,
+        )));
     }
     if liquid {
         solve.extend(solve_kernels(scene, &levels));
@@ -465,8 +475,10 @@ fn stages(scene: &Scene, grid: &Grid, rows: &SolidRows, effects: &Effects) -> Ve
 }
 
 /// The kernels of the solve for liquid and solids together, besides those of each for itself.
-fn coupled_kernels() -> Vec<(bool, &'static [&'static str])> {
+fn coupled_kernels(condensed: bool) -> Vec<(bool, &'static [&'static str])> {
     vec![
+        (condensed, &["condensed_wet", "condensed_begin"]),
+        (condensed, &["condensed_apply", "condensed_force"]),
         (true, &["coupled_args", "couple_keep", "coupled_turn"]),
         (true, &["two_field_correct", "couple_residual"]),
         (true, &["coupled_residual", "coupled_sums"]),
@@ -564,9 +576,18 @@ fn solves(scene: &Scene, solids: &Solids, rows: &SolidRows, f64: bool) -> Vec<St
     let tolerance = solver.tolerance;
     let mut solves = Vec::new();
     if Effects::of(scene).coupling {
+        let two_field = format!(
+            "two-field (thesis 5.25, factored), conjugate gradients with {preconditioner} on B and a Chebyshev polynomial on S"
+        );
+        let form = match solver::can_condense(rows, solver, f64) {
+            true => format!(
+                "condensed, conjugate gradients with {preconditioner} on B, where at most {} nodes are wet, else {two_field}",
+                solver::MOST_WETTED / 3
+            ),
+            false => two_field,
+        };
         solves.push(format!(
-            "where they touch, liquid and solids together (two-field, thesis 5.25, factored), conjugate gradients with \
-             {preconditioner} on B and a Chebyshev polynomial on S, {numbers}, both residuals of the indefinite system \
+            "where they touch, liquid and solids together: {form}; {numbers}, both residuals of the indefinite system \
              {tolerance:.0e}"
         ));
     }

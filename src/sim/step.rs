@@ -215,7 +215,7 @@ impl GpuPath {
         }
         to = watch.after(RightHandSide::NAME, to)?;
         let (mut pressure, mut elastic) = (None, None);
-        let mut together = false;
+        let (mut together, mut condensed) = (false, false);
         if let (Some(coupling), Some(both), Some(of_coupling), Some(of_solids)) = (
             coupling,
             liquid.zip(solids),
@@ -227,11 +227,12 @@ impl GpuPath {
             told.seconds.append(&mut seconds);
             together = touching;
             if touching {
-                let (outcomes, contact, mut seconds) =
+                let (solved, mut seconds) =
                     coupling.solve_in_contact(gpu, both, of_solids, dt, closed)?;
                 told.seconds.append(&mut seconds);
-                let [of_liquid, of_solids] = outcomes;
-                (pressure, elastic) = (Some(of_liquid), Some((of_solids, contact)));
+                let [of_liquid, of_solids] = solved.parts;
+                condensed = solved.condensed;
+                (pressure, elastic) = (Some(of_liquid), Some((of_solids, solved.contact)));
             }
             to = Recorder::timed(gpu);
         }
@@ -300,7 +301,7 @@ impl GpuPath {
             told.solids = Some((outcome, SolidReport::from_words(&report.wait(gpu)?)));
         }
         if let Some((coupling, readbacks)) = coupling.zip(readbacks.coupling.as_mut()) {
-            told.coupling = Some(coupling.report(gpu, readbacks)?);
+            told.coupling = Some(coupling.report(gpu, readbacks, condensed)?);
         }
         told.seconds.extend(timing.wait()?);
         watch.after(Diagnose::NAME, Recorder::new(gpu))?;

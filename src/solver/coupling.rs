@@ -103,6 +103,8 @@ pub struct CouplingBuffers {
     pub n_nodes: usize,
     n_bodies: usize,
     n_levels: usize,
+    /// What was written last.
+    pub(super) now: Coupling,
     /// Sizes and units.
     pub coupling: Buffer<Coupling>,
     /// Wet quads, where their pairs start, where those of the nodes start.
@@ -161,6 +163,7 @@ impl CouplingBuffers {
         )?;
         Ok(CouplingBuffers {
             size,
+            now: Coupling::default(),
             n_nodes: n,
             n_bodies: solids.sizes.n_bodies as usize,
             n_levels,
@@ -264,6 +267,7 @@ impl CouplingBuffers {
         }
         sizes.extend([0; 4]);
         sizes.extend([0, 0, 0, FOLD_THREADS as u32]);
+        self.now = coupling;
         gpu.upload(&self.coupling, &[coupling]);
         gpu.upload(&self.words, &all);
         gpu.upload(&self.quad_pairs, &by_quad);

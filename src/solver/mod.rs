@@ -23,10 +23,15 @@
 //! alpha, so that a finished round does not start another V-cycle. State machine and outer loop are the same for every system of
 //! quads, whatever their four scalars stand for.
 //!
+//! **Liquid and solids together** ([`two_field`], [`condensed`]): one outer loop on the residual of the indefinite system (thesis 5.17), two
+//! forms of the corrections: pressures and velocities, all on the device; or pressures alone, with S^-1 among the wet nodes as a dense
+//! matrix that the host makes from a sparse Cholesky factor.
+//!
 //! Letters: x correction, r residual, z preconditioned residual, s search direction, q = B s.
 
 mod chebyshev;
 mod components;
+mod condensed;
 mod coupling;
 mod hierarchy;
 mod host_residual;
@@ -39,11 +44,13 @@ mod solid_contacts;
 mod solid_host;
 mod solid_solver;
 mod solid_system;
+mod stored_stiffness;
 mod system;
 mod two_field;
 
 pub use chebyshev::Polynomial;
 pub use components::{Components, Seal};
+pub use condensed::{MOST_WETTED, Wetted, can_condense};
 pub use coupling::{Coupling, CouplingBuffers, CouplingSize, Pair, REPORT_WORDS};
 pub use hierarchy::{Hierarchy, Tail, TailStep};
 pub use patch_pressure::{OpenFaces, PatchPressure, PressureSlope};

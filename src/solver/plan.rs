@@ -2,10 +2,11 @@
 
 use crate::gpu::{BufferPlan, Range, Real, RealBuffer, Variant};
 use crate::grid::Grid;
-use crate::scene::{Preconditioner, Solver};
+use crate::scene::{Formulation, Preconditioner, Solver};
 
 use super::chebyshev::Polynomial;
 use super::components::STATE_WORDS;
+use super::condensed::Condensed;
 use super::coupling;
 use super::hierarchy::Tail;
 use super::pcg::{EXTRA_SIZES, Labels, N_SCALARS, folded_len};
@@ -86,6 +87,9 @@ pub(super) fn two_field(
     ]);
     for _ in 0..2 {
         plans.extend(sweeps(rows));
+    }
+    if solver.formulation != Formulation::TwoField {
+        plans.extend(Condensed::buffers(rows, variant));
     }
     plans
 }

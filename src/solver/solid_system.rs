@@ -300,6 +300,8 @@ pub struct SolidSystemBuffers {
     /// The rows.
     pub rows: Buffer<Rows>,
     pub(super) sizes: Rows,
+    /// What it was made for.
+    pub(super) layout: SolidRows,
     pub(super) long_sums: bool,
     pub(super) largest_body: usize,
     /// Node in each slot of the rows, then where the slices and the solids start.
@@ -366,6 +368,7 @@ impl SolidSystemBuffers {
             variant,
             rows: gpu.uniform("solid_solver.rows", &sizes)?,
             sizes,
+            layout: layout.clone(),
             long_sums: layout.long_sums(),
             largest_body: layout.largest_body,
             list: gpu.buffer_with("solid_solver.list", &layout.list)?,

@@ -24,10 +24,11 @@ use crate::gpu::{
     Variant,
 };
 use crate::grid::Grid;
-use crate::scene::{Precision, Solver};
+use crate::scene::{Formulation, Precision, Solver};
 use crate::state::SolveStatus;
 
 use super::chebyshev::Polynomial;
+use super::condensed::Condensed;
 use super::coupling::{BODIES, CouplingBuffers, LABELS, N_LISTS, NODES, PARTIALS, WET};
 use super::pcg::{Fold, Pcg, State, Unknowns};
 use super::pressure::{FIRST_SWEEP, Pressure};
@@ -70,6 +71,8 @@ pub struct CoupledOutcome {
     pub residual_terms: [f64; 2],
     /// Whether these were evaluated in f64.
     pub verified: bool,
+    /// Whether corrections were made in the condensed form.
+    pub condensed: bool,
 }
 
 impl CoupledOutcome {
@@ -109,9 +112,9 @@ pub struct CoupledFields<'a> {
 #[derive(Debug)]
 pub struct TwoFieldSolver {
     solver: Solver,
-    state: State,
-    pcg: Pcg,
-    pressure: Pressure,
+    pub(super) state: State,
+    pub(super) pcg: Pcg,
+    pub(super) pressure: Pressure,
     norms: RealBuffer,
     start: Fold,
     turn: Fold,
@@ -119,15 +122,17 @@ pub struct TwoFieldSolver {
     guess: Bound,
     keep: Bound,
     residual: Residual,
-    begin: Begin,
+    pub(super) begin: Begin,
     preconditioner: Preconditioner,
-    operator: Operator,
+    pub(super) operator: Operator,
     beta: Bound,
     alpha: Bound,
     direction: Bound,
     update: Bound,
     push: Bound,
     contacts: Update,
+    /// The other form of the correction, where it serves.
+    condensed: Option<Condensed>,
     polynomial: Buffer<Polynomial>,
     readbacks: Mutex<(Readback<Control>, Readback<u32>)>,
     /// Slots of nodes, solids and wet quads.
@@ -146,12 +151,12 @@ struct Residual {
 }
 
 #[derive(Debug)]
-struct Begin {
+pub(super) struct Begin {
     nodes: Bound,
     products: Bound,
     rhs: Bound,
     quads: Bound,
-    weight: Bound,
+    pub(super) weight: Bound,
 }
 
 #[derive(Debug)]
@@ -165,9 +170,9 @@ struct Preconditioner {
 }
 
 #[derive(Debug)]
-struct Operator {
+pub(super) struct Operator {
     products: [Bound; 2],
-    force: Bound,
+    pub(super) force: Bound,
     half: Bound,
     apply: Bound,
     quads: Bound,
@@ -206,6 +211,9 @@ impl TwoFieldSolver {
                 unit: "feature (SHADER_F64)",
                 cure: "choose another adapter with --adapter, or precision \"f32\"".to_owned(),
             });
+        }
+        if solver.formulation == Formulation::Condensed {
+            Condensed::ensure(&solids.layout, variant.real)?;
         }
         let unknowns = unknowns(at);
         let state = State::new(gpu, &unknowns)?;
@@ -534,6 +542,12 @@ impl TwoFieldSolver {
                 ],
             )?,
             contacts: Update::new(gpu, solids, fields, &coupling.difference)?,
+            condensed: match solver.formulation {
+                Formulation::TwoField => None,
+                Formulation::Auto | Formulation::Condensed => {
+                    Condensed::new(gpu, at, &unknowns, &state, (&level, &sweep))?
+                }
+            },
             readbacks: Mutex::new((
                 Readback::new(gpu, LABELS.control, 1)?,
                 Readback::new(gpu, LABELS.norms, norms.words.len())?,
@@ -562,18 +576,22 @@ impl TwoFieldSolver {
         polynomial: &Polynomial,
         again: bool,
     ) -> Result<(CoupledOutcome, StageTimes), Error> {
+        let mut times = Vec::new();
+        if let Some(condensed) = &self.condensed {
+            let (outcome, mut stages) =
+                self.solve_condensed(condensed, gpu, recorder, at, again)?;
+            times.append(&mut stages);
+            if let Some(outcome) = outcome {
+                return Ok((outcome, times));
+            }
+            recorder = Recorder::timed(gpu);
+        }
         gpu.upload(&self.polynomial, &[*polynomial]);
         let degree = polynomial.degree as usize;
         recorder.stage("solve", |pass| {
             at.coupling.record_args(pass);
-            self.pressure.record_measure(pass, at.liquid);
-            pass.dispatch_indirect(&self.guess, &at.coupling.args, self.slots[NODES]);
-            if !again {
-                pass.dispatch_indirect(&self.keep, &at.coupling.args, self.slots[WET]);
-            }
-            self.start.record(pass);
+            self.record_start(pass, at, again);
         });
-        let mut times = Vec::new();
         loop {
             recorder.stage("solve", |pass| {
                 for _ in 0..TURNS {
@@ -672,8 +690,18 @@ impl TwoFieldSolver {
         Ok(z)
     }
 
+    /// Where the solve starts from, and the size of the right-hand sides.
+    pub(super) fn record_start(&self, pass: &mut Pass, at: CoupledFields, again: bool) {
+        self.pressure.record_measure(pass, at.liquid);
+        pass.dispatch_indirect(&self.guess, &at.coupling.args, self.slots[NODES]);
+        if !again {
+            pass.dispatch_indirect(&self.keep, &at.coupling.args, self.slots[WET]);
+        }
+        self.start.record(pass);
+    }
+
     /// Correction, true residuals, verdict, where a round is over.
-    fn record_turn(&self, pass: &mut Pass) {
+    pub(super) fn record_turn(&self, pass: &mut Pass) {
         let Residual {
             products,
             solid,
@@ -768,7 +796,7 @@ impl TwoFieldSolver {
         pass.dispatch_indirect(quads, sizes, wet);
     }
 
-    fn submit(
+    pub(super) fn submit(
         &self,
         gpu: &Gpu,
         mut recorder: Recorder,
@@ -787,7 +815,7 @@ impl TwoFieldSolver {
     }
 
     /// The verdict, or `None` while there is more to do.
-    fn outcome(&self, control: &Control, norms: &[f64]) -> Option<CoupledOutcome> {
+    pub(super) fn outcome(&self, control: &Control, norms: &[f64]) -> Option<CoupledOutcome> {
         let finite = [NORM_R, NORM_B, NORM_BEST_V, NORM_B_V];
         let finite = finite.iter().all(|&slot| norms[slot].is_finite());
         let status = verdict(control, finite)?;
@@ -808,6 +836,7 @@ impl TwoFieldSolver {
                 relative(norms[NORM_BEST_V], norms[NORM_TERMS_V]),
             ],
             verified: self.real == Real::F64,
+            condensed: false,
         })
     }
 }

@@ -88,6 +88,10 @@ poisson = 0.3
             scene(&pool, &["solver.pressure_on_patches=gradient"]),
         ),
         (
+            "the two-field form",
+            scene(&pool, &["solver.formulation=two_field"]),
+        ),
+        (
             "pressure constant in cells",
             scene(&pool, &["solver.pressure_on_patches=cell"]),
         ),

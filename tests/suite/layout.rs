@@ -260,3 +260,22 @@ fn derived_constants_match() {
         assert_eq!(of_shader(shader, name), 256.0, "{name}");
     }
 }
+
+#[test]
+fn coupled_structs_match() {
+    use cutwater::solver::{PressureSlope, Wetted};
+    use cutwater::stages::{Clipped, CutQuad};
+    let fields = fields!(Clipped: n_quads, n_places, first, pad);
+    assert_layout("cut_quad", "Clipped", fields, size_of::<Clipped>());
+    let fields = fields!(CutQuad: open, distance, quad, walls, pad_0, pad_1);
+    assert_layout("cut_quad", "CutQuad", fields, size_of::<CutQuad>());
+    let fields = fields!(PressureSlope: at_rest, scale);
+    assert_layout(
+        "pressure_slope",
+        "PressureSlope",
+        fields,
+        size_of::<PressureSlope>(),
+    );
+    let fields = fields!(Wetted: n, pad_0, pad_1, pad_2);
+    assert_layout("wetted", "Wetted", fields, size_of::<Wetted>());
+}

@@ -242,6 +242,7 @@ fn tables_of_solids_read_back_exactly() {
             solid: Some(solid_report()),
             coupling: with_liquid.then_some(CouplingReport {
                 touching: true,
+                condensed: false,
                 force: [1.5, -2e-17, 3e20],
                 correction: [0.0, 0.25, 1.0 / 3.0],
                 overlap_cells: 7,
@@ -279,8 +280,8 @@ fn tables_of_solids_read_back_exactly() {
         };
         let [coupling_columns, coupling] = match with_liquid {
             true => [
-                ",touching,force_x,force_y,force_z,correction_x,correction_y,correction_z,overlap_cells,overlap_depth",
-                ",1,1.5,-2e-17,3e20,0.0,0.25,0.3333333333333333,7,0.125",
+                ",touching,condensed,force_x,force_y,force_z,correction_x,correction_y,correction_z,overlap_cells,overlap_depth",
+                ",1,0,1.5,-2e-17,3e20,0.0,0.25,0.3333333333333333,7,0.125",
             ],
             false => ["", ""],
         };

@@ -296,7 +296,7 @@ const REFUSED: &[Case] = &[
     ("front = { axis = \"x\" }", "node = { solid = \"ball\" }", 39, "probe[2].node", &["no [[solid]]", "measure the liquid"]),
     ("front = { axis = \"x\" }", "solid = { name = \"ball\" }", 39, "probe[2].solid", &["no [[solid]]", "measure the liquid"]),
     ("fields = true", "solids = true", 49, "output.solids", &["no [[solid]]", "solids = false"]),
-    ("precision = \"f32\"", "formulation = \"auto\"", 43, "solver.formulation", &["not simulated yet"]),
+    ("precision = \"f32\"", "formulation = \"auto\"", 43, "solver.formulation", &["about elastic solids in liquid", "remove it"]),
     ("every = 2", "checkpoint_every = 2", 50, "output.checkpoint_every", &["checkpoints are not written yet"]),
     // What is missing: at the header of its table.
     ("cells = [32, 16, 8]\n", "", 2, "domain.cells", &["is missing", "cells = [32, 32, 32]"]),

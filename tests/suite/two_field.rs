@@ -1,4 +1,4 @@
-//! The two-field solver on the device, on the base scene, against the f64 path.
+//! The solve for liquid and solids on the device, on the base scene, in both its forms, against the f64 path.
 
 use cutwater::gpu::Gpu;
 use cutwater::linalg::dot;
@@ -6,9 +6,9 @@ use cutwater::measure::base_scene::DeviceScene;
 use cutwater::measure::bench_solve::{self, Options};
 use cutwater::reference::base_scene::{BaseBeam, BaseScene};
 use cutwater::reference::{
-    CoupledSolution, CoupledSystem, Formulation, SolidSolver as TwinSolver, solve_coupled,
+    self, CoupledSolution, CoupledSystem, SolidSolver as TwinSolver, solve_coupled,
 };
-use cutwater::scene::{Precision, Solver};
+use cutwater::scene::{Formulation, Precision, Solver};
 use cutwater::state::SolveStatus;
 
 use crate::common::{Random, gpu};
@@ -32,7 +32,7 @@ fn direct(scene: &BaseScene, system: &CoupledSystem) -> CoupledSolution {
     let solver = TwinSolver::new(&scene.solids);
     solve_coupled(
         system,
-        Formulation::Indefinite,
+        reference::Formulation::Indefinite,
         &solver,
         &scene.solids,
         &exact,
@@ -86,6 +86,7 @@ fn operator_and_preconditioner_are_symmetric_and_positive() {
         for precision in precisions.filter(|p| gpu.has_f64() || *p == Precision::F32) {
             let solver = Solver {
                 precision,
+                formulation: Formulation::TwoField,
                 ..Solver::default()
             };
             let device = holding(gpu, &scene, &system, &solver);
@@ -128,18 +129,23 @@ fn off(found: &[f64], wanted: &[f64]) -> f64 {
 #[test]
 fn the_base_scene_agrees_with_the_direct_solve() {
     let Some(gpu) = gpu() else { return };
-    let mut precisions = vec![(Precision::F32, 1e-5)];
+    let two_field = Formulation::TwoField;
+    let mut cases = vec![(Precision::F32, 1e-5, two_field)];
     if gpu.has_f64() {
-        precisions.extend([(Precision::Mixed, 1e-10), (Precision::F64, 1e-10)]);
+        for precision in [Precision::Mixed, Precision::F64] {
+            cases.push((precision, 1e-10, two_field));
+            cases.push((precision, 1e-10, Formulation::Condensed));
+        }
     }
     let scene = BaseScene::new(20, &BaseBeam::default()).unwrap();
     let system = scene.coupled_system();
     let exact = direct(&scene, &system);
     let unknowns = system.pressure.n_unknowns() + system.solid.n_unknowns();
-    for (precision, tolerance) in precisions {
+    for (precision, tolerance, formulation) in cases {
         let solver = Solver {
             precision,
             tolerance,
+            formulation,
             ..Solver::default()
         };
         let device = holding(gpu, &scene, &system, &solver);
@@ -152,8 +158,9 @@ fn the_base_scene_agrees_with_the_direct_solve() {
         }
         let of_p = off(&pressure, &exact.pressure);
         let of_v = off(velocity.as_flattened(), exact.velocity.as_flattened());
-        let what = format!("{precision:?}: {outcome:?}, p {of_p:e}, v {of_v:e}");
+        let what = format!("{formulation:?} {precision:?}: {outcome:?}, p {of_p:e}, v {of_v:e}");
         assert_eq!(outcome.status, SolveStatus::Converged, "{what}");
+        assert_eq!(outcome.condensed, formulation != two_field, "{what}");
         let found: u32 = outcome.unknowns.iter().sum();
         assert_eq!(found as usize, unknowns, "{what}");
         let [of_liquid, of_solid] = outcome.residuals;
@@ -174,26 +181,43 @@ fn iterations_stay_few() {
     let Some(gpu) = gpu().filter(|gpu| gpu.has_f64()) else {
         return;
     };
-    let mut counts = Vec::new();
-    for n in [16, 32] {
-        let scene = BaseScene::new(n, &BaseBeam::default()).unwrap();
-        let system = scene.coupled_system();
-        let device = holding(gpu, &scene, &system, &Solver::default());
-        let outcome = device.solve().unwrap();
-        assert_eq!(outcome.status, SolveStatus::Converged, "{outcome:?}");
-        assert!(outcome.verified && outcome.iterations <= 30, "{outcome:?}");
-        counts.push(f64::from(outcome.iterations));
+    for (formulation, most) in [(Formulation::TwoField, 30), (Formulation::Condensed, 20)] {
+        let mut counts = Vec::new();
+        for n in [16, 32] {
+            let scene = BaseScene::new(n, &BaseBeam::default()).unwrap();
+            let system = scene.coupled_system();
+            let solver = Solver {
+                formulation,
+                ..Solver::default()
+            };
+            let device = holding(gpu, &scene, &system, &solver);
+            let outcome = device.solve().unwrap();
+            assert_eq!(outcome.status, SolveStatus::Converged, "{outcome:?}");
+            assert!(
+                outcome.verified && outcome.iterations <= most,
+                "{outcome:?}"
+            );
+            counts.push(f64::from(outcome.iterations));
+        }
+        assert!(counts[1] <= 1.25 * counts[0] + 1.0, "{counts:?}");
     }
-    assert!(counts[1] <= 1.25 * counts[0] + 1.0, "{counts:?}");
 }
 
-/// Soft, stiff and light beams, as far as the polynomial's largest degree is from enough.
+/// Soft, stiff and light beams: of the two-field form as far as the polynomial's largest degree is from enough. The condensed form takes
+/// at most 26 iterations where one of stiffness and density is extreme, and at most 50 where both are (design section 5).
 #[test]
 fn extreme_beams_converge() {
     let Some(gpu) = gpu().filter(|gpu| gpu.has_f64()) else {
         return;
     };
-    for (young, density) in [(1e4, 1100.0), (1e7, 500.0), (1e6, 50.0), (1e9, 1100.0)] {
+    for (young, density, most) in [
+        (1e4, 1100.0, 26),
+        (1e6, 20.0, 26),
+        (1e9, 1100.0, 26),
+        (1e7, 500.0, 26),
+        (1e4, 20.0, 50),
+        (1e9, 22_000.0, 50),
+    ] {
         let beam = BaseBeam {
             young,
             density,
@@ -201,24 +225,32 @@ fn extreme_beams_converge() {
         };
         let scene = BaseScene::new(12, &beam).unwrap();
         let system = scene.coupled_system();
-        let solver = Solver {
-            max_iterations: 400,
-            ..Solver::default()
-        };
-        let device = holding(gpu, &scene, &system, &solver);
-        let outcome = device.solve().unwrap();
-        let (_, velocity) = device.answer().unwrap();
-        let what = format!("E {young:e}, {density} kg/m^3: {outcome:?}");
-        assert_eq!(outcome.status, SolveStatus::Converged, "{what}");
-        let passes = outcome.residuals.iter().all(|r| *r <= solver.tolerance);
-        assert!(passes && outcome.verified, "{what}");
-        let finite = velocity.as_flattened().iter().all(|v| v.is_finite());
-        assert!(finite, "{what}");
+        for formulation in [Formulation::TwoField, Formulation::Condensed] {
+            let solver = Solver {
+                max_iterations: 400,
+                formulation,
+                ..Solver::default()
+            };
+            // A body that light is beyond the two-field form's polynomial.
+            if formulation == Formulation::TwoField && density < 50.0 {
+                continue;
+            }
+            let device = holding(gpu, &scene, &system, &solver);
+            let outcome = device.solve().unwrap();
+            let (_, velocity) = device.answer().unwrap();
+            let what = format!("{formulation:?}, E {young:e}, {density} kg/m^3: {outcome:?}");
+            assert_eq!(outcome.status, SolveStatus::Converged, "{what}");
+            let passes = outcome.residuals.iter().all(|r| *r <= solver.tolerance);
+            assert!(passes && outcome.verified, "{what}");
+            let finite = velocity.as_flattened().iter().all(|v| v.is_finite());
+            assert!(finite, "{what}");
+            assert!(!outcome.condensed || outcome.iterations <= most, "{what}");
+        }
     }
 }
 
 #[test]
-fn the_bench_has_a_row_for_both_formulations() {
+fn the_bench_has_a_row_for_every_formulation() {
     let Some(gpu) = gpu().filter(|gpu| gpu.has_f64()) else {
         return;
     };
@@ -227,6 +259,7 @@ fn the_bench_has_a_row_for_both_formulations() {
         formulations: vec![
             bench_solve::Formulation::Pressure,
             bench_solve::Formulation::TwoField,
+            bench_solve::Formulation::Condensed,
         ],
         grids: vec![12],
         repeats: 1,
@@ -234,15 +267,15 @@ fn the_bench_has_a_row_for_both_formulations() {
         matrices: false,
     };
     let table = bench_solve::bench_solve(gpu, &options, folder.path(), &mut |_| {}).unwrap();
-    let [pressure, both] = &table.rows[..] else {
+    let [pressure, both, condensed] = &table.rows[..] else {
         panic!("{:?}", table.rows);
     };
     assert_eq!(
-        [pressure.formulation, both.formulation],
-        ["pressure", "two-field"]
+        [pressure, both, condensed].map(|row| row.formulation),
+        ["pressure", "two-field", "condensed"]
     );
     assert_eq!([pressure.solid_nodes, both.solid_nodes], [0, 135]);
-    for row in [pressure, both] {
+    for row in [pressure, both, condensed] {
         assert_eq!(row.status, "converged", "{row:?}");
         assert!(row.residual_p <= 1e-8 && row.residual_v <= 1e-8, "{row:?}");
         assert!(row.bytes > 0.0 && row.seconds_min > 0.0, "{row:?}");
@@ -250,7 +283,7 @@ fn the_bench_has_a_row_for_both_formulations() {
     assert!(pressure.residual_v == 0.0 && both.residual_v > 0.0);
     let written = std::fs::read_to_string(folder.path().join("solve.csv")).unwrap();
     assert!(
-        written.contains("two-field") && written.lines().count() == 3,
+        written.contains("two-field") && written.lines().count() == 4,
         "{written}"
     );
 }

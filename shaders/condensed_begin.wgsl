@@ -1,0 +1,36 @@
+// Condensed PCG, start of a round, in the wet quads: g_p = r_p - J y / |r| with y = S^-1 r_v, and per thread what that adds to |g_p|^2; the
+// first sweep of the first V-cycle is done again.
+// coupling, words, pairs, flags: see coupling_flux. level: level 0. sweep: first omega. x: y / |r|. matrix: see level.
+// r: r_p in, g_p out. z: first sweep, out. partials: those of the wet quads.
+#import coupling_flux
+#import dispatch
+#import inner
+#import level
+#import real
+#import sweep
+
+@group(0) @binding(0) var<uniform> coupling: Coupling;
+@group(0) @binding(1) var<uniform> level: Level;
+@group(0) @binding(2) var<uniform> sweep: Sweep;
+@group(0) @binding(3) var<storage, read> words: array<u32>;
+@group(0) @binding(4) var<storage, read> pairs: array<vec4<u32>>;
+@group(0) @binding(5) var<storage, read> flags: array<u32>;
+@group(0) @binding(6) var<storage, read> x: array<Real4>;
+@group(0) @binding(7) var<storage, read> matrix: array<Inner4>;
+@group(0) @binding(8) var<storage, read_write> r: array<Inner4>;
+@group(0) @binding(9) var<storage, read_write> z: array<Inner4>;
+@group(0) @binding(10) var<storage, read_write> partials: array<Real4>;
+
+@compute @workgroup_size(WG_SIZE)
+fn condensed_begin(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let wet = linear_index(workgroup, lane);
+    if wet >= coupling.n_wet {
+        return;
+    }
+    let quad = words[wet];
+    let before = r[quad];
+    let after = before - Inner4(flux(wet));
+    r[quad] = after;
+    z[quad] = Inner(sweep.omega) * matrix[INV_DIAGONAL * level.shape.total + quad] * after;
+    partials[wet] = Real4(dot(Real4(after) - Real4(before), Real4(after) + Real4(before)), Real(0.0), Real(0.0), Real(0.0));
+}
