@@ -1,4 +1,4 @@
-// diagnose, second of three: the largest |E u| / dx^3 of an active cell, 1/s. One thread per active quad.
+// diagnose, second: the largest |E u| / dx^3 of an active cell, 1/s. One thread per active quad.
 // level, step. args, list: active quads. flags: see active. velocity: faces, m/s. open: fractions. maxima: bits, second.
 #import active
 #import dispatch

@@ -1,4 +1,4 @@
-// diagnose, first of three: momentum sum of m_c v_c and kinetic energy sum of m_c |v_c|^2 / 2, v_c the means of opposite faces and
+// diagnose, first: momentum sum of m_c v_c and kinetic energy sum of m_c |v_c|^2 / 2, v_c the means of opposite faces and
 // m_c = rho times the liquid volume of the cell; the largest magnitude of a face velocity. One thread per share of the band;
 // each adds every n-th quad. level, step. args, list: the band. velocity: faces, m/s. liquid_distance, solid_distance: m.
 // partials: momentum (kg m/s), kinetic energy (J). maxima: bits of the largest speed (m/s) first.

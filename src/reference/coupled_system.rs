@@ -8,6 +8,9 @@ use super::solid_system::SolidSystem;
 use crate::geometry::{CellNode, Coupling};
 use crate::linalg::{Csr, LinearOperator, norm};
 
+/// A prescribed motion may squeeze a liquid without a surface by this share of what it moves: rounding, and what the area clamp hides.
+pub const SQUEEZE: f64 = 1e-2;
+
 /// The two systems and J between them. A vector of it holds a pressure per cell of the grid (0 in inactive ones), then three
 /// velocities per node of the solids (0 in prescribed components).
 #[derive(Clone, Debug)]

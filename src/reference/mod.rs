@@ -39,7 +39,7 @@ mod write_back;
 pub use active_cells::{ActiveCells, active_cells, theta};
 pub use advect_markers::advect_markers;
 pub use advect_velocity::advect_velocity;
-pub use coupled_system::{Blocks, CoupledSystem, TwoField};
+pub use coupled_system::{Blocks, CoupledSystem, SQUEEZE, TwoField};
 pub use diagnose::{diagnose, liquid_volume, max_speed, open_volumes};
 pub use diagnose_solid::diagnose_solid;
 pub use extrapolate::{MovingWalls, extrapolate, n_layers};

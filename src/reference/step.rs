@@ -8,12 +8,12 @@ use glam::DVec3;
 
 use super::diagnose::larger;
 use super::{
-    BlockPattern, Contacts, CoupledSystem, Formulation, MovingWalls, PressureSystem, SolidSolver,
-    SolidSystem, TimeStep, VolumeSource, active_cells, advect_markers, advect_velocity, diagnose,
-    diagnose_solid, extrapolate, forces, liquid_distance, liquid_volume, max_speed, move_solid,
-    n_layers, node_forces, open_volumes, patch_pressure, prepare, pressure_gradient,
-    right_hand_side, solid_matrices, solid_right_hand_side, solve, solve_coupled_in_contact,
-    solve_damping_only, solve_weak, time_step, volume_rate, write_back,
+    BlockPattern, Contacts, CoupledSystem, Formulation, MovingWalls, PressureSystem, SQUEEZE,
+    SolidSolver, SolidSystem, TimeStep, VolumeSource, active_cells, advect_markers,
+    advect_velocity, diagnose, diagnose_solid, extrapolate, forces, liquid_distance, liquid_volume,
+    max_speed, move_solid, n_layers, node_forces, open_volumes, patch_pressure, prepare,
+    pressure_gradient, right_hand_side, solid_matrices, solid_right_hand_side, solve,
+    solve_coupled_in_contact, solve_damping_only, solve_weak, time_step, volume_rate, write_back,
 };
 use crate::Error;
 use crate::effects::Effects;
@@ -71,9 +71,6 @@ impl Cut {
         }
     }
 }
-
-/// A prescribed motion may squeeze a liquid without a surface by this share of what it moves: rounding, and what the area clamp hides.
-const SQUEEZE: f64 = 1e-2;
 
 /// What the steps of a liquid share.
 #[derive(Clone, Debug)]

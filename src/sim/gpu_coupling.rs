@@ -1,19 +1,22 @@
 //! Liquid and solids of a scene together on a device: the solids' clipping, which the host does, J, and the solve for both.
 
+use std::collections::BTreeMap;
+
 use glam::{DMat3, DVec3};
 
 use crate::Error;
 use crate::effects::Effects;
-use crate::geometry::SolidClip;
+use crate::geometry::{CellNode, SolidClip};
 use crate::gpu::{BufferPlan, Gpu, Pass, Readback, Recorder, StageTimes, Variant};
 use crate::grid::Grid;
+use crate::reference::SQUEEZE;
 use crate::scene::{PatchPressure as Slopes, Scene};
 use crate::solver::{
     CoupledFields, CouplingBuffers, CouplingSize, LevelPlan, OpenFaces, Outcome, Pair,
     PatchPressure, REPORT_WORDS, Seal, SolidRows, TwoFieldSolver,
 };
 use crate::stages::{self, Clip, ClipBuffers, ClipSize, Diagnose, DiagnoseCoupling, Extrapolate};
-use crate::state::{ContactReport, CouplingReport, State};
+use crate::state::{ContactReport, CouplingReport, SolveStatus, State};
 
 use super::gpu_liquid::{GpuLiquid, active};
 use super::gpu_solids::{GpuSolids, SolidReadbacks};
@@ -57,6 +60,26 @@ pub(super) struct GpuCoupling {
 pub(super) struct CouplingReadbacks {
     report: Readback<u32>,
     components: Readback<u32>,
+    /// Where prescribed nodes move.
+    squeeze: Option<SqueezeReadbacks>,
+}
+
+/// What tells how far prescribed motion squeezes closed components of the liquid.
+#[derive(Debug)]
+struct SqueezeReadbacks {
+    flags: Readback<u32>,
+    labels: Readback<u32>,
+    velocity: Readback<u32>,
+}
+
+/// What is known of both before they are solved for.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Touch {
+    /// Whether a patch lies in a cell that is an unknown.
+    pub(super) touching: bool,
+    closed_components: u32,
+    /// Share of what prescribed components do to a closed component that it would have to grow or shrink by.
+    squeezed: f64,
 }
 
 /// What the solve for both found.
@@ -81,9 +104,11 @@ pub(super) struct CouplingStages {
 
 impl Room {
     /// Half as much again as a clipping takes: solids bend, and cut other cells as they go.
-    pub(super) fn for_clip(grid: &Grid, clip: &SolidClip) -> Room {
+    /// `differing`: quads that the clipping before it cut.
+    pub(super) fn for_clip(grid: &Grid, clip: &SolidClip, differing: usize) -> Room {
         let ample = |n: usize| n + n / 2 + 64;
-        let (taken, pairs) = (ClipSize::of(grid, clip), clip.coupling().pairs());
+        let taken = ClipSize::of(grid, clip, differing);
+        let pairs = clip.coupling().pairs();
         let padded = grid.padded();
         let quad = |cell: usize| padded.index(grid.cell_at(cell)) / 4;
         let cells = clip.coupling().cells().map(|(cell, _)| quad(cell));
@@ -139,6 +164,14 @@ impl Room {
             BufferPlan::of::<u32>(REPORT, REPORT_WORDS),
             BufferPlan::of::<u32>(COMPONENTS, 1),
         ]);
+        if Effects::of(scene).scripts {
+            let words = variant.real.bytes() / 4;
+            all.extend([
+                BufferPlan::of::<u32>("coupling.flags (read-back)", grid.padded().quads),
+                BufferPlan::of::<u32>("coupling.labels (read-back)", grid.padded().len()),
+                BufferPlan::of::<u32>("coupling.velocity (read-back)", 4 * words * n_nodes),
+            ]);
+        }
         all
     }
 }
@@ -206,7 +239,7 @@ impl GpuCoupling {
         solids: &GpuSolids,
     ) -> Result<GpuCoupling, Error> {
         let grid = scene.grid();
-        let room = Room::for_clip(&grid, &clip);
+        let room = Room::for_clip(&grid, &clip, 0);
         let on_device = ClipBuffers::new(gpu, &grid, room.clip)?;
         let (liquid_system, solid_system) = (&liquid.solver, &solids.system);
         let buffers = CouplingBuffers::new(gpu, liquid_system, solid_system, room.coupling)?;
@@ -228,10 +261,24 @@ impl GpuCoupling {
     }
 
     /// Where a sub-step is told of.
-    pub(super) fn readbacks(gpu: &Gpu) -> Result<CouplingReadbacks, Error> {
+    pub(super) fn readbacks(
+        gpu: &Gpu,
+        scene: &Scene,
+        solids: &GpuSolids,
+    ) -> Result<CouplingReadbacks, Error> {
+        let padded = scene.grid().padded();
+        let squeeze = || {
+            let velocity = solids.buffers.velocity.words.len();
+            Ok::<_, Error>(SqueezeReadbacks {
+                flags: Readback::new(gpu, "coupling.flags", padded.quads)?,
+                labels: Readback::new(gpu, "coupling.labels", padded.len())?,
+                velocity: Readback::new(gpu, "coupling.velocity", velocity)?,
+            })
+        };
         Ok(CouplingReadbacks {
             report: Readback::new(gpu, "coupling.report", REPORT_WORDS)?,
             components: Readback::new(gpu, "coupling.components", 1)?,
+            squeeze: Effects::of(scene).scripts.then(squeeze).transpose()?,
         })
     }
 
@@ -272,7 +319,7 @@ impl GpuCoupling {
         self.clip.clip(&solids.solids.moved(displacement));
         let pairs = self.pairs(&grid);
         if !(self.on_device.fits(&self.clip) && self.buffers.fits(&pairs)) {
-            let room = Room::for_clip(&grid, &self.clip);
+            let room = Room::for_clip(&grid, &self.clip, self.on_device.n_differing());
             self.room = self.room.joined(room);
             let (of_liquid, of_solids) = (&liquid.solver, &solids.system);
             self.on_device = self.on_device.resized(gpu, self.room.clip)?;
@@ -367,21 +414,68 @@ impl GpuCoupling {
         }
     }
 
-    /// Submits the recording, which ends with both systems in place, and waits: whether patches touch the liquid, and how many components
-    /// of it are closed.
-    pub(super) fn touching(
+    /// Submits the recording, which ends with both systems in place, and waits for what is known of both.
+    pub(super) fn touch(
         &self,
         gpu: &Gpu,
-        liquid: &GpuLiquid,
+        (liquid, solids): (&GpuLiquid, &GpuSolids),
         mut to: Recorder,
         readbacks: &mut CouplingReadbacks,
-    ) -> Result<(bool, u32, StageTimes), Error> {
+    ) -> Result<(Touch, StageTimes), Error> {
         to.read(&self.buffers.report, &mut readbacks.report);
         to.read(&liquid.solver.components, &mut readbacks.components);
         let timing = to.submit();
         let report = stages::CouplingReport::from_words(&readbacks.report.wait(gpu)?);
-        let closed = readbacks.components.wait(gpu)?[0];
-        Ok((report.touching, closed, timing.wait()?))
+        let closed_components = readbacks.components.wait(gpu)?[0];
+        let mut squeezed = 0.0;
+        if let (true, Some(readbacks)) = (closed_components > 0, &mut readbacks.squeeze) {
+            squeezed = self.squeezed(gpu, (liquid, solids), readbacks)?;
+        }
+        let touch = Touch {
+            touching: report.touching,
+            closed_components,
+            squeezed,
+        };
+        Ok((touch, timing.wait()?))
+    }
+
+    /// The largest share of J v, v of the nodes that are all prescribed, by which a closed component would have to grow or shrink.
+    fn squeezed(
+        &self,
+        gpu: &Gpu,
+        (liquid, solids): (&GpuLiquid, &GpuSolids),
+        SqueezeReadbacks {
+            flags,
+            labels,
+            velocity,
+        }: &mut SqueezeReadbacks,
+    ) -> Result<f64, Error> {
+        let mut to = Recorder::new(gpu);
+        to.read(&liquid.solver.flags, flags);
+        to.read(&liquid.solver.labels, labels);
+        to.read(&solids.buffers.velocity.words, velocity);
+        to.submit();
+        let (flags, labels) = (flags.wait(gpu)?, labels.wait(gpu)?);
+        let velocity = solids.buffers.velocity.widen(&velocity.wait(gpu)?);
+        let grid = &liquid.buffers.plan.grid;
+        let padded = grid.padded();
+        let mut sums = BTreeMap::<u32, [f64; 2]>::new();
+        for (cell, pairs) in self.clip.coupling().cells() {
+            let index = padded.index(grid.cell_at(cell));
+            // Bits 4 to 7: see `shaders/common/active.wgsl`.
+            if flags[index / 4] >> (4 + index % 4) & 1 == 1 {
+                let flux = |pair: &CellNode| {
+                    pair.value
+                        .dot(DVec3::from_slice(&velocity[4 * pair.node..]))
+                };
+                let flux: f64 = pairs.iter().map(flux).sum();
+                let [net, gross] = sums.entry(labels[index]).or_default();
+                *net += flux;
+                *gross += flux.abs();
+            }
+        }
+        let shares = sums.values().filter(|[_, gross]| *gross > 0.0);
+        Ok(shares.fold(0.0, |most, [net, gross]| f64::max(most, net.abs() / gross)))
     }
 
     /// Solves for liquid and solids in a sub-step of dt (s), and again while contacts change.
@@ -391,7 +485,7 @@ impl GpuCoupling {
         (liquid, solids): (&GpuLiquid, &GpuSolids),
         SolidReadbacks { changes, .. }: &mut SolidReadbacks,
         dt: f64,
-        closed_components: u32,
+        touch: Touch,
     ) -> Result<(Solved, StageTimes), Error> {
         let at = coupled(liquid, solids, &self.buffers);
         let polynomial = solids.polynomial(dt);
@@ -411,8 +505,14 @@ impl GpuCoupling {
         let recorder = Recorder::timed(gpu);
         let (outcome, contact, times) =
             solids.until_settled(gpu, recorder, changes, solve, update)?;
+        let mut parts = outcome.parts(touch.closed_components);
+        for part in &mut parts {
+            if part.status == SolveStatus::Converged && touch.squeezed > SQUEEZE {
+                part.status = SolveStatus::Incompatible;
+            }
+        }
         let solved = Solved {
-            parts: outcome.parts(closed_components),
+            parts,
             condensed: outcome.condensed,
             contact,
         };

@@ -72,10 +72,14 @@ impl GpuPath {
             .map(|((liquid, solids), clip)| GpuCoupling::new(&gpu, scene, clip, liquid, solids))
             .transpose()?;
         let of_solids = || GpuSolids::readbacks(&gpu);
-        let of_both = || GpuCoupling::readbacks(&gpu);
+        let of_both = |solids| GpuCoupling::readbacks(&gpu, scene, solids);
         let readbacks = Some(Readbacks {
             solids: solids.as_ref().map(|_| of_solids()).transpose()?,
-            coupling: coupling.as_ref().map(|_| of_both()).transpose()?,
+            coupling: coupling
+                .as_ref()
+                .and(solids.as_ref())
+                .map(of_both)
+                .transpose()?,
             liquid: GpuLiquid::readback(&gpu, scene)?,
         });
         let mut path = GpuPath {

@@ -222,13 +222,12 @@ impl GpuPath {
             readbacks.coupling.as_mut(),
             readbacks.solids.as_mut(),
         ) {
-            let (touching, closed, mut seconds) =
-                coupling.touching(gpu, both.0, to, of_coupling)?;
+            let (touch, mut seconds) = coupling.touch(gpu, both, to, of_coupling)?;
             told.seconds.append(&mut seconds);
-            together = touching;
-            if touching {
+            together = touch.touching;
+            if together {
                 let (solved, mut seconds) =
-                    coupling.solve_in_contact(gpu, both, of_solids, dt, closed)?;
+                    coupling.solve_in_contact(gpu, both, of_solids, dt, touch)?;
                 told.seconds.append(&mut seconds);
                 let [of_liquid, of_solids] = solved.parts;
                 condensed = solved.condensed;

@@ -56,10 +56,11 @@ pub struct ClipSize {
 }
 
 impl ClipSize {
-    /// What a clipping needs when it is written after another one with as many quads.
-    pub fn of(grid: &Grid, clip: &SolidClip) -> ClipSize {
+    /// What a clipping needs when it is written after one with so many quads, or with as many as its own.
+    pub fn of(grid: &Grid, clip: &SolidClip, differing: usize) -> ClipSize {
+        let now = cut_quads(&grid.padded(), grid, clip).len();
         ClipSize {
-            quads: 2 * cut_quads(&grid.padded(), grid, clip).len(),
+            quads: now + differing.max(now),
             places: clip.band().len(),
         }
     }
@@ -121,6 +122,11 @@ impl ClipBuffers {
             differing: self.differing.clone(),
             ..ClipBuffers::new(gpu, &self.grid, size)?
         })
+    }
+
+    /// Quads that differ on the device from what the obstacles leave.
+    pub fn n_differing(&self) -> usize {
+        self.differing.len()
     }
 
     /// Whether a clipping fits after the one that is on the device.

@@ -627,6 +627,26 @@ fn without_f64_the_host_turns() {
     assert_eq!(turns(false), (true, 4));
 }
 
+/// Liquid and solids together have no outer loop on the host: refused before anything is seeded, with what helps.
+#[test]
+fn both_in_mixed_need_f64() {
+    let both = |overrides: &[&str]| {
+        let scene = scene("dam_break", 0.12, overrides);
+        Plan::new(&scene, Some(&large_adapter(false))).unwrap()
+    };
+    let plan = both(&[]);
+    assert!(!plan.host_turns);
+    let error = plan.check(&large_adapter(false)).unwrap_err();
+    assert_eq!(error.exit_code(), 3, "{error}");
+    let message = error.to_string();
+    for part in ["SHADER_F64", "precision=f32", "--backend cpu"] {
+        assert!(message.contains(part), "{message}");
+    }
+    let single = both(&["solver.precision=f32", "solver.tolerance=1e-5"]);
+    single.check(&large_adapter(false)).unwrap();
+    plan.check(&large_adapter(true)).unwrap();
+}
+
 #[test]
 fn effects_of_solids_say_why_they_are_there() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/scene.md");

@@ -85,7 +85,7 @@ fn fields_are_those_of_the_clipping() {
                 clip
             })
             .collect();
-        let sizes = clips.iter().map(|clip| ClipSize::of(&grid, clip));
+        let sizes = clips.iter().map(|clip| ClipSize::of(&grid, clip, 0));
         let room = ClipSize {
             quads: sizes.clone().map(|size| size.quads).sum(),
             places: sizes.map(|size| size.places).max().unwrap(),
