@@ -55,7 +55,7 @@ pub use probe::probe;
 pub use refine::EPSILON;
 pub use right_hand_side::{RightHandSide, VolumeSource, right_hand_side, volume_rate};
 pub use sample::gradient;
-pub use solid_contacts::{Contacts, Freedom, LETTING_GO, MOST_SOLVES};
+pub use solid_contacts::{Contacts, Freedom, Held, LETTING_GO, MOST_SOLVES};
 pub use solid_matrices::{BlockMatrix, BlockPattern, SolidMatrices, solid_matrices};
 pub use solid_right_hand_side::{SolidRightHandSide, solid_right_hand_side};
 pub use solid_system::SolidSystem;

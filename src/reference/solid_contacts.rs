@@ -85,6 +85,15 @@ impl Freedom {
     }
 }
 
+/// What holds a node in a sub-step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Held {
+    /// Per component: whether the nearer wall across it does.
+    pub walls: [bool; 3],
+    /// Whether an obstacle does.
+    pub obstacle: bool,
+}
+
 /// n n^T.
 fn square(n: DVec3) -> DMat3 {
     let [x, y, z] = n.to_array().map(|part| part * n);
@@ -139,18 +148,18 @@ impl Contacts {
         Contacts::with(solids, grid, solid_distance, displacement, dt, pressed)
     }
 
-    /// Where nodes are held as `freedom` says.
+    /// Where nodes are held as `held` says of each: how one may move does not tell by what, as an obstacle's face may lie along a wall.
     pub fn holding(
         solids: &Solids,
         grid: &Grid,
         solid_distance: &[f64],
         displacement: &[[f64; 3]],
-        freedom: &[Freedom],
+        held: &[Held],
         dt: f64,
     ) -> Contacts {
-        let held = |node: usize, which: usize, surface: &Surface, before: &Freedom| match which {
-            3 => freedom[node].rank() < before.rank(),
-            _ => freedom[node].projector * surface.normal == DVec3::ZERO,
+        let held = |node: usize, which: usize, _: &Surface, _: &Freedom| match which {
+            3 => held[node].obstacle,
+            axis => held[node].walls[axis],
         };
         Contacts::with(solids, grid, solid_distance, displacement, dt, held)
     }

@@ -10,7 +10,7 @@ use crate::geometry::CutCells;
 use crate::gpu::{Buffer, Gpu, Real};
 use crate::grid::{Axis, Grid};
 use crate::reference::{
-    ActiveCells, BlockMatrix, BlockPattern, Freedom, SolidRightHandSide, SolidSystem, Stencil,
+    ActiveCells, BlockMatrix, BlockPattern, Freedom, Held, SolidRightHandSide, SolidSystem, Stencil,
 };
 use crate::stages::{CouplingReport, Report, SolidReport};
 use crate::state::State;
@@ -49,6 +49,8 @@ pub struct SolidSnapshot {
     pub rhs: Vec<[f64; 3]>,
     /// How the nodes may move.
     pub freedom: Vec<Freedom>,
+    /// What holds them.
+    pub held: Vec<Held>,
     /// Scalar type of all these but the displacement.
     pub real: Real,
     /// The numbers of the last `diagnose`.
@@ -117,15 +119,19 @@ impl GpuPath {
 
 impl GpuSolids {
     /// Walls leave components, obstacles a direction.
-    fn freedom(&self, gpu: &Gpu) -> Result<Vec<Freedom>, Error> {
+    fn freedom(&self, gpu: &Gpu) -> Result<(Vec<Freedom>, Vec<Held>), Error> {
         let prescribed = self.solids.prescribed.iter();
         let words = gpu.download(&self.buffers.freedom)?;
         let nodes = prescribed.zip(words);
         Ok(nodes
             .map(|(&prescribed, [x, y, z, flags])| {
                 let components = [0, 1, 2].map(|axis| flags as u32 >> axis & 1 == 1);
-                let held = DVec3::new(x.into(), y.into(), z.into());
-                Freedom::left(prescribed, components, held.normalize_or_zero())
+                let direction = DVec3::new(x.into(), y.into(), z.into()).normalize_or_zero();
+                let held = Held {
+                    walls: [0, 1, 2].map(|axis| !prescribed[axis] && !components[axis]),
+                    obstacle: direction != DVec3::ZERO,
+                };
+                (Freedom::left(prescribed, components, direction), held)
             })
             .collect())
     }
@@ -152,6 +158,7 @@ impl GpuSolids {
                 .map(|&[x, y, z, _]| [x, y, z].map(f64::from))
                 .collect();
         }
+        let (freedom, held) = self.freedom(gpu)?;
         Ok(SolidSnapshot {
             displacement: state.displacement,
             velocity: state.node_velocity,
@@ -160,7 +167,8 @@ impl GpuSolids {
             element_forces: [0, 1, 2].map(|s| three(&section(&forces, s))),
             masses: system.masses.download(gpu)?[..n].to_vec(),
             rhs: three(&system.rhs.download(gpu)?[..4 * n]),
-            freedom: self.freedom(gpu)?,
+            freedom,
+            held,
             real: buffers.plan.real,
             report: SolidReport::from_words(&gpu.download(&buffers.report)?),
         })

@@ -1,12 +1,13 @@
 //! `compare`: the five scenes pass it, and a value that is off does not.
 
+use std::fs;
 use std::path::Path;
 
 use cutwater::Error;
 use cutwater::gpu::AdapterChoice;
 use cutwater::measure::compare::{Comparison, compare};
 use cutwater::scene::Scene;
-use cutwater::sim::Snapshot;
+use cutwater::sim::{Snapshot, SolidSnapshot};
 
 use crate::common::gpu;
 
@@ -165,4 +166,55 @@ fn what_is_off_is_found_and_nothing_else() {
     let verdict = comparison.verdict();
     assert!(matches!(verdict, Err(Error::Check(_))), "{verdict:?}");
     assert_eq!(verdict.unwrap_err().exit_code(), 1);
+}
+
+/// What of a scene, given as text, differs by more than its bound; `held` hears of the solids after each search for what holds them.
+fn compared(text: &str, frames: u64, mut held: impl FnMut(&SolidSnapshot)) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("test.toml");
+    fs::write(&path, text).unwrap();
+    let scene = Scene::load(&path, &[], 1.0).unwrap();
+    let mut listen = |stage: &'static str, snapshot: &mut Snapshot| {
+        if stage == "solve" {
+            held(snapshot.solids.as_ref().unwrap());
+        }
+    };
+    breaches(&compare(&scene, frames, &AdapterChoice::Best, &mut listen).unwrap())
+}
+
+/// A block on the floor that moves into the side of an obstacle, which looks away from the nearer wall or along it.
+#[test]
+fn an_obstacle_beside_a_wall_is_not_taken_for_it() {
+    if gpu().is_none() {
+        return;
+    }
+    for speed in [1.0, -1.0] {
+        let mut by_obstacle = 0;
+        let found = compared(
+            &format!(
+                "[domain]
+size = [1.0, 1.0, 1.0]
+cells = [10, 10, 10]
+[time]
+duration = 1.0
+frames_per_second = 60
+[[solid]]
+name = \"block\"
+mesh = {{ box = {{ size = [0.2, 0.2, 0.2], cells = [2, 2, 2] }} }}
+placement = {{ translate = [{}, 0.1, 0.5] }}
+initial = {{ velocity = [{speed}, 0.0, 0.0] }}
+density = 1000.0
+young = 1e6
+poisson = 0.4
+[[obstacle]]
+box = {{ min = [0.4, 0.0, 0.2], max = [0.6, 0.5, 0.8] }}
+",
+                0.5 - 0.205 * speed
+            ),
+            2,
+            |solids| by_obstacle += solids.held.iter().filter(|held| held.obstacle).count(),
+        );
+        assert!(by_obstacle > 0);
+        assert!(found.is_empty(), "{speed} m/s:\n{found}");
+    }
 }

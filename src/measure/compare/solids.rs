@@ -400,7 +400,7 @@ impl<'a> SolidJudge<'a> {
             &self.grid,
             &distance,
             &after.displacement,
-            &after.freedom,
+            &after.held,
             dt,
         );
         let beyond = contacts.worst(&system, &after.velocity);
