@@ -247,10 +247,13 @@ impl Contacts {
         changes
     }
 
-    /// How far, m, a node is beyond a surface at most with the velocities v (m/s), or pulled.
-    pub fn worst(&self, system: &SolidSystem, velocity: &[[f64; 3]]) -> f64 {
+    /// How far, m, a node is beyond a surface at most with the velocities v (m/s), or pulled; what is held is left out unless the search
+    /// lets go.
+    pub fn worst(&self, system: &SolidSystem, velocity: &[[f64; 3]], lets_go: bool) -> f64 {
         let ways = self.ways(system, velocity).into_iter().flatten();
-        ways.fold(0.0, |worst, way| f64::max(worst, -way))
+        let judged = self.surfaces.iter().flatten().zip(ways);
+        let judged = judged.filter(|(surface, _)| lets_go || surface.is_none_or(|s| !s.held));
+        judged.fold(0.0, |worst, (_, way)| f64::max(worst, -way))
     }
 
     /// How far the push of what holds a node would move it, or where nothing does, how far from the surface it is after the move, m;

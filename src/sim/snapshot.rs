@@ -51,6 +51,9 @@ pub struct SolidSnapshot {
     pub freedom: Vec<Freedom>,
     /// What holds them.
     pub held: Vec<Held>,
+    /// Whether the last search for that could let nodes go: if not, what holds a node may pull it (see
+    /// [`LETTING_GO`](crate::reference::LETTING_GO)).
+    pub lets_go: bool,
     /// Scalar type of all these but the displacement.
     pub real: Real,
     /// The numbers of the last `diagnose`.
@@ -169,6 +172,7 @@ impl GpuSolids {
             rhs: three(&system.rhs.download(gpu)?[..4 * n]),
             freedom,
             held,
+            lets_go: gpu.download(&buffers.changes)?[1] > 0,
             real: buffers.plan.real,
             report: SolidReport::from_words(&gpu.download(&buffers.report)?),
         })

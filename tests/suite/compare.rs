@@ -218,3 +218,34 @@ box = {{ min = [0.4, 0.0, 0.2], max = [0.6, 0.5, 0.8] }}
         assert!(found.is_empty(), "{speed} m/s:\n{found}");
     }
 }
+
+/// A block between two walls and a ball, of which the search for what holds it takes more solves than may let nodes go.
+#[test]
+fn what_a_late_solve_holds_may_be_pulled() {
+    let Some(gpu) = gpu() else { return };
+    let mut late = 0;
+    let found = compared(
+        "[domain]
+size = [1.0, 1.0, 1.0]
+cells = [14, 14, 14]
+[time]
+duration = 0.2
+frames_per_second = 24
+[[liquid.region]]
+box = { min = [0, 0, 0], max = [1, 0.5, 1] }
+[[solid]]
+name = \"block\"
+mesh = { box = { size = [0.3, 0.3, 0.3], cells = [2, 2, 2] } }
+placement = { translate = [0.15, 0.15, 0.5] }
+density = 2000.0
+young = 1e6
+poisson = 0.4
+[[obstacle]]
+sphere = { centre = [0.5, 0.13, 0.47], radius = 0.25 }
+",
+        1,
+        |solids| late += u32::from(!solids.lets_go),
+    );
+    assert!(late > 0 || !gpu.has_f64());
+    assert!(found.is_empty(), "{found}");
+}

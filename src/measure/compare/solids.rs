@@ -360,7 +360,7 @@ impl<'a> SolidJudge<'a> {
 
     /// The system is the one stored: rotated gradients and moduli in the scalar type of the outer loop, and what the device holds; in liquid
     /// with J^T p of the pressure found, whose areas are f32. Row `true residual` judges v on it; row `beyond` whether that is what walls and
-    /// obstacles should hold; row `v` compares with a direct solve: S >= zeta_M M, so v is off by |r| over the least zeta_M m at most.
+    /// obstacles should hold, but for what late solves let none go of; row `v` compares with a direct solve: S >= zeta_M M, so v is off by |r| over the least zeta_M m at most.
     fn solve(&mut self, after: &SolidSnapshot, both: Option<&Both>) -> Result<(), Error> {
         let (solids, dt) = (&self.solids, self.dt);
         let Some(matrices) = self.matrices.take() else {
@@ -403,7 +403,7 @@ impl<'a> SolidJudge<'a> {
             &after.held,
             dt,
         );
-        let beyond = contacts.worst(&system, &after.velocity);
+        let beyond = contacts.worst(&system, &after.velocity, after.lets_go);
         // Gaps are f32, of a distance sampled with a position in cells.
         let size = self.grid.size().max_element();
         let bound = contacts.near() + 64.0 * EPS * size;
