@@ -120,6 +120,7 @@ impl CoupledSystem {
             b: self.pressure.numbered(self.pressure.scale, &pinned),
             j,
             s: self.solid.free_to_csr(),
+            free: self.solid.free_directions(),
             mass: self.components.iter().map(|&at| mass[at / 3]).collect(),
             cells,
             components: self.components.clone(),
@@ -138,6 +139,8 @@ pub struct Blocks {
     pub j: Csr,
     /// P S P, kg/s, and the mean of a node's diagonal in what is held.
     pub s: Csr,
+    /// P: rows as all components, columns as those of S.
+    pub free: Csr,
     /// zeta_M M, kg/s.
     pub mass: Vec<f64>,
     /// Cell of each row of B.

@@ -253,14 +253,31 @@ impl SolidSystem {
         })
     }
 
+    /// The place of each component among those that are not prescribed.
+    fn numbers(&self) -> Vec<Option<usize>> {
+        let mut number = vec![None; 3 * self.freedom.len()];
+        for (n, &component) in self.components().iter().enumerate() {
+            number[component] = Some(n);
+        }
+        number
+    }
+
+    /// P: a row per component, a column per component that is not prescribed, numbered in order.
+    pub fn free_directions(&self) -> Csr {
+        let number = self.numbers();
+        Csr::from_rows(number.len(), self.components().len(), |row, entries| {
+            let (node, axis) = (row / 3, row % 3);
+            let values = self.freedom[node].projector.row(axis);
+            entries.extend((0..3).filter_map(|other| {
+                number[3 * node + other].map(|column| (column, values[other]))
+            }));
+        })
+    }
+
     /// P S P + mu (I - P) on the components that are not prescribed, numbered in order, where mu is the mean of the diagonal at a node:
     /// what is held has x = 0, and the pattern is that of S whatever is held.
     pub fn free_to_csr(&self) -> Csr {
-        let components = self.components();
-        let mut number = vec![None; 3 * self.freedom.len()];
-        for (n, &component) in components.iter().enumerate() {
-            number[component] = Some(n);
-        }
+        let (components, number) = (self.components(), self.numbers());
         let n = components.len();
         Csr::from_rows(n, n, |row, entries| {
             let (node, axis) = (components[row] / 3, components[row] % 3);

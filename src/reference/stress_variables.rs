@@ -42,20 +42,13 @@ impl StressVariables {
         &self.matrix
     }
 
-    /// G on the free components and the matrix over pressures and stresses.
+    /// G P, P on the free directions, and the matrix over pressures and stresses.
     ///
     /// # Errors
     /// When it does not fit into memory.
     pub fn system(&self, blocks: &Blocks) -> Result<(StressSystem, Csr), Error> {
-        let mut column = vec![None; self.matrix.n_columns()];
-        for (number, &component) in blocks.components.iter().enumerate() {
-            column[component] = Some(number);
-        }
-        let (n_z, n_v) = (self.matrix.n_rows(), blocks.components.len());
-        let g = Csr::from_rows(n_z, n_v, |row, entries| {
-            let row = self.matrix.row(row);
-            entries.extend(row.filter_map(|(at, value)| column[at].map(|at| (at, value))));
-        });
+        let n_z = self.matrix.n_rows();
+        let g = self.matrix.product(&blocks.free)?;
         let inverse: Vec<f64> = blocks.mass.iter().map(|mass| 1.0 / mass).collect();
         let j_over_d = blocks
             .j

@@ -6,7 +6,9 @@ use cutwater::geometry::{ObstacleCut, SolidClip};
 use cutwater::grid::Axis;
 use cutwater::linalg::{Csr, SymbolicCholesky, norm, read_matrix, read_vector};
 use cutwater::measure::export;
-use cutwater::reference::{Reference, StepSystem, TimeStep, patch_pressure, pressure_gradient};
+use cutwater::reference::{
+    Freedom, Reference, StepSystem, TimeStep, patch_pressure, pressure_gradient,
+};
 use cutwater::scene::{FaceAreas, PatchPressure, Scene};
 use cutwater::sim::{Backend, Simulation, reference_path};
 use cutwater::state::{SolveStatus, State, StepReport};
@@ -400,9 +402,34 @@ coupling = \"{coupling}\"
     );
 }
 
-/// All formulations that are written have the answer that is written.
-#[test]
-fn exported_systems_agree() {
+/// A block between a wall, the floor and a ball that holds it obliquely, half under water.
+fn wedged_block() -> Scene {
+    scene(
+        "[domain]
+size = [1.0, 1.0, 1.0]
+cells = [10, 10, 10]
+[time]
+duration = 0.2
+frames_per_second = 24
+[[liquid.region]]
+box = { min = [0, 0, 0], max = [1, 0.5, 1] }
+[[solid]]
+name = \"block\"
+mesh = { box = { size = [0.3, 0.3, 0.3], cells = [2, 2, 2] } }
+placement = { translate = [0.15, 0.15, 0.5] }
+density = 2000.0
+young = 1e6
+poisson = 0.4
+[solver]
+tolerance = 1e-10
+[[obstacle]]
+sphere = { centre = [0.5, 0.13, 0.47], radius = 0.25 }
+",
+    )
+}
+
+/// All formulations of a scene's first sub-step have the answer that is written.
+fn exported_systems_agree(scene: &Scene) {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("system");
     let options = export::Options {
@@ -410,7 +437,7 @@ fn exported_systems_agree() {
         step: 0,
         out: out.clone(),
     };
-    let meta = export::export(&block_at_rest(10, "hydrostatic"), &options).unwrap();
+    let meta = export::export(scene, &options).unwrap();
     assert!(meta.residual < 1e-8, "{meta:?}");
     let matrix = |name: &str| read_matrix(&out.join(name)).unwrap();
     let vector = |name: &str| read_vector(&out.join(name)).unwrap();
@@ -475,8 +502,39 @@ fn exported_systems_agree() {
             .contains(&format!(",{},", n + 1)),
         "{nodes}"
     );
+}
 
-    // Above the liquid there is no system of both.
+#[test]
+fn exported_systems_of_a_free_block_agree() {
+    exported_systems_agree(&block_at_rest(10, "hydrostatic"));
+}
+
+#[test]
+fn exported_systems_of_a_held_block_agree() {
+    let scene = wedged_block();
+    let mut reference = reference_path(&scene).unwrap();
+    let time_step = reference.next_time_step();
+    let mut oblique = 0;
+    let mut look = |of_step: StepSystem| {
+        let StepSystem::Coupled(system, ..) = of_step else {
+            panic!("block and liquid touch")
+        };
+        let across = |freedom: &&Freedom| freedom.projector.col(0).y.abs() > 1e-3;
+        oblique += system.solid.freedom().iter().filter(across).count();
+    };
+    reference.step_observed(time_step, &mut look).unwrap();
+    assert!(oblique > 0, "nothing is held obliquely");
+    exported_systems_agree(&scene);
+}
+
+/// Above the liquid there is no system of both.
+#[test]
+fn solids_out_of_the_liquid_export_no_system_of_both() {
+    let options = export::Options {
+        backend: Backend::Cpu,
+        step: 0,
+        out: tempfile::tempdir().unwrap().path().join("system"),
+    };
     let error = export::export(&two_balls(0.8), &options)
         .unwrap_err()
         .to_string();

@@ -9,7 +9,7 @@ use crate::reference::{BlockPattern, SIGMA, StepSystem, StressVariables, solid_m
 use crate::scene::Scene;
 use crate::sim::{Backend, solids_of};
 
-/// A \[p; v\] = rhs of thesis (5.25), with the same problem in its other forms.
+/// A \[p; P v\] = rhs of thesis (5.25), P on what walls and obstacles leave, with the same problem in its other forms.
 pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), Error> {
     if let Backend::Gpu(_) = options.backend {
         return Err(Error::input(
@@ -21,8 +21,9 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
     let (density, all) = (pressure::density(scene)?, solids_of(scene)?);
     let ((system, mut x), ran, path) = on_cpu(scene, options.step, |of_step| match of_step {
         StepSystem::Coupled(system, pressure, velocity) => {
-            let nodes = velocity.as_flattened().iter();
-            let x: Vec<f64> = pressure.iter().chain(nodes).copied().collect();
+            // What is held is on the other side.
+            let free = system.solid.free_part(velocity);
+            let x: Vec<f64> = pressure.iter().chain(&free).copied().collect();
             Some((system.clone(), x))
         }
         StepSystem::Pressure(..) | StepSystem::Solid(..) => None,
@@ -85,7 +86,7 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
             matrix_text(
                 &blocks.j,
                 Symmetry::General,
-                "J, m^2: rows as those of B, columns as rows of S",
+                "J P, m^2: rows as those of B, columns as the velocities of nodes.csv",
             ),
         ),
         (
@@ -109,7 +110,10 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
                 "Z1 = sigma (1/dt + tau_M) M on the free components, kg/s; nodes.csv",
             ),
         ),
-        ("Z2.mtx", symmetric(&blocks.z2(SIGMA), "Z2 = S - Z1, kg/s")),
+        (
+            "Z2.mtx",
+            symmetric(&blocks.z2(SIGMA), "Z2 = P S P + mu (I - P) - Z1, kg/s"),
+        ),
         ("cells.csv", pressure::table(&scene.grid(), &blocks.cells)),
         (
             "nodes.csv",
@@ -123,7 +127,7 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
         comments: [
             "A of the thesis's (5.25): pressures (cells.csv), then velocities (nodes.csv)",
             "[E u* + J Z1^-1 w; -Z2 Z1^-1 w]",
-            "[p; v], Pa and m/s",
+            "[p; P v], Pa and m/s",
         ],
         others,
         part: Part::Coupled {
