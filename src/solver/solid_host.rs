@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, PoisonError};
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
 use crate::Error;
 use crate::gpu::{BufferPlan, Gpu, Readback, Recorder};
@@ -51,13 +51,13 @@ impl SolidReadbacks {
 
 /// How a node may move, widened: see `shaders/common/freedom.wgsl`.
 #[derive(Clone, Copy, Debug)]
-struct Free {
+pub(super) struct Free {
     components: DVec3,
     held: DVec3,
 }
 
 impl Free {
-    fn new(&[x, y, z, flags]: &[f32; 4]) -> Free {
+    pub(super) fn new(&[x, y, z, flags]: &[f32; 4]) -> Free {
         let held = DVec3::new(x.into(), y.into(), z.into());
         let bit = |axis: u32| f64::from(flags as u32 >> axis & 1);
         Free {
@@ -66,9 +66,18 @@ impl Free {
         }
     }
 
-    fn part(&self, y: DVec3) -> DVec3 {
+    pub(super) fn part(&self, y: DVec3) -> DVec3 {
         let kept = self.components * y;
         kept - self.held.dot(kept) * self.held
+    }
+
+    /// P, of which `part` is the product.
+    pub(super) fn projector(&self) -> DMat3 {
+        DMat3::from_cols(
+            self.part(DVec3::X),
+            self.part(DVec3::Y),
+            self.part(DVec3::Z),
+        )
     }
 }
 

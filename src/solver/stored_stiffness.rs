@@ -12,6 +12,8 @@ use crate::Error;
 use crate::elastic::{Incidence, stiffness_block};
 use crate::linalg::{Cholesky, Csr, SymbolicCholesky};
 
+use super::solid_host::Free;
+
 /// Columns of an inverse that one task solves for: their order, and with it every bit, does not depend on the threads.
 const COLUMNS: usize = 48;
 
@@ -48,7 +50,8 @@ impl StoredStiffness {
     /// # Errors
     /// When the factor does not fit into memory, or the matrix is not definite.
     pub(super) fn factorise(&self, stored: &Stored) -> Result<Factor<'_>, Error> {
-        let projectors: Vec<DMat3> = stored.freedom.iter().map(projector).collect();
+        let nodes = stored.freedom.iter();
+        let projectors: Vec<DMat3> = nodes.map(|node| Free::new(node).projector()).collect();
         let matrix = self.assemble(stored, &projectors);
         let symbolic = match self.symbolic.get() {
             Some(symbolic) => symbolic,
@@ -117,15 +120,6 @@ impl StoredStiffness {
             }
         })
     }
-}
-
-/// P of a node: see `shaders/common/freedom.wgsl`.
-fn projector(&[x, y, z, flags]: &[f32; 4]) -> DMat3 {
-    let bit = |axis: u32| f64::from(flags as u32 >> axis & 1);
-    let components = DVec3::new(bit(0), bit(1), bit(2));
-    let held = components * DVec3::new(x.into(), y.into(), z.into()).normalize_or_zero();
-    let column = |axis: usize| held[axis] * held;
-    DMat3::from_diagonal(components) - DMat3::from_cols(column(0), column(1), column(2))
 }
 
 /// A factor of it.

@@ -208,6 +208,19 @@ impl Both<'_> {
         sums
     }
 
+    /// J v of what prescription, walls and obstacles hold of v, likewise.
+    fn flux_of_held(&self, dx: f64, active: &[bool]) -> Vec<f64> {
+        let mut sums = vec![0.0; active.len()];
+        for pair in self.clip.coupling().pairs() {
+            if active[pair.cell] {
+                let v = DVec3::from(self.solids.velocity[pair.node]);
+                let held = v - self.solids.freedom[pair.node].projector * v;
+                sums[pair.cell] += (pair.value / (dx * dx)).dot(held);
+            }
+        }
+        sums
+    }
+
     /// J^T p of the nodes, N, three numbers each, of a potential (m/s) times this many Pa; and the same of magnitudes.
     fn force(&self, pascal: f64) -> [Vec<f64>; 2] {
         let mut sums = [(); 2].map(|()| vec![0.0; 3 * self.solids.velocity.len()]);

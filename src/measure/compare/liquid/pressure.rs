@@ -37,20 +37,22 @@ impl LiquidJudge<'_> {
     }
 
     /// Rows `solve` and `assembly`. With solids the right-hand side is what they leave of it, b - J v for the velocity found, and its size
-    /// for the tolerance that of its parts.
+    /// for the tolerance what held nodes alone leave, from which the solve starts.
     pub(super) fn solve(
         &mut self,
         after: &LiquidSnapshot,
         both: Option<&Both>,
     ) -> Result<(), Error> {
         let grid = self.grid;
-        let mut parts = 0.0;
+        let mut start = 0.0;
         if let Some(both) = both.filter(|both| both.touch()) {
             let open: Vec<bool> = (0..grid.n_cells())
                 .map(|cell| after.active[cell] && !after.closed[cell])
                 .collect();
             let [flux, gross] = both.flux(grid.dx, &open);
-            parts = norm(&self.before.rhs) + norm(&flux);
+            let held = both.flux_of_held(grid.dx, &open);
+            let left = self.before.rhs.iter().zip(&held);
+            start = norm(&left.map(|(b, held)| b - held).collect::<Vec<f64>>());
             let stage = "solve";
             let cells = (0..grid.n_cells()).filter(|&cell| open[cell]);
             let pairs: Vec<_> = cells
@@ -98,7 +100,7 @@ impl LiquidJudge<'_> {
         }
 
         // What the true residual may be, and what rounding the answer to its scalar type adds to it.
-        let mut target = (self.scene.solver.tolerance * norm(&stored.rhs).max(parts))
+        let mut target = (self.scene.solver.tolerance * norm(&stored.rhs).max(start))
             .max(rounding(&self.scene.solver) * stored.rhs_scale);
         let residual = norm(&stored.residual(&after.potential));
         let stored_as: Vec<f64> = after
