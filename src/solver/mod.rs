@@ -23,7 +23,7 @@
 //! alpha, so that a finished round does not start another V-cycle. State machine and outer loop are the same for every system of
 //! quads, whatever their four scalars stand for.
 //!
-//! **Liquid and solids together** ([`two_field`], [`condensed`]): one outer loop on the residual of the indefinite system (thesis 5.17), two
+//! **Liquid and solids together** ([`TwoFieldSolver`]): one outer loop on the residual of the indefinite system (thesis 5.17), two
 //! forms of the corrections: pressures and velocities, all on the device; or pressures alone, with S^-1 among the wet nodes as a dense
 //! matrix that the host makes from a sparse Cholesky factor.
 //!
