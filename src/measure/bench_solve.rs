@@ -3,6 +3,7 @@
 //! A run is timed from the recording of the set-up of hierarchy and, with solids, of their elements to the verdict on the host. The first run of each row, which
 //! compiles, is not counted. Bytes follow the model of `bytes_per_solve`: every array that a pass needs, once.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 use std::time::Instant;
@@ -399,11 +400,17 @@ fn measure_coupled(
     let [inner, outer] = widths.map(|bytes| bytes as usize);
     let not_uniform = not_uniform(gpu, &device.liquid)?;
     let rounds = f64::from(outcome.rounds);
-    // Two polynomials an iteration; what else there is of the solids is little beside their products.
-    let solids = SolidBytes::new(&scene.solids, [outer, inner]);
-    let products = 2.0 * f64::from(device.polynomial.degree) * iterations;
-    let bytes = bytes_per_solve(n_cells, not_uniform, iterations, rounds, widths)
-        + products * solids.of_step();
+    // Two polynomials an iteration, or W in f32; what else there is of the solids is little beside that.
+    let of_solids = if outcome.condensed {
+        let pairs = system.coupling.pairs().iter();
+        let wet: BTreeSet<usize> = pairs.map(|pair| pair.node).collect();
+        4.0 * (3.0 * wet.len() as f64).powi(2)
+    } else {
+        let solids = SolidBytes::new(&scene.solids, [outer, inner]);
+        2.0 * f64::from(device.polynomial.degree) * solids.of_step()
+    };
+    let bytes =
+        bytes_per_solve(n_cells, not_uniform, iterations, rounds, widths) + iterations * of_solids;
     Ok(Row {
         scene: "base_scene",
         grid: n,

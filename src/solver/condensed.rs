@@ -12,6 +12,7 @@ use crate::gpu::{
     Bound, Buffer, BufferPlan, Gpu, Kernel, Pass, Readback, Real, RealBuffer, Recorder, StageTimes,
     Variant,
 };
+use crate::scene::{Formulation, Solver};
 
 use super::coupling::{Coupling, LABELS, NODES, WET};
 use super::pcg::{Pcg, State, Unknowns};
@@ -20,7 +21,6 @@ use super::solid_system::SolidRows;
 use super::stored_stiffness::{Factor, Stored, StoredStiffness};
 use super::two_field::{CoupledFields, CoupledOutcome, TwoFieldSolver};
 use super::{Control, Level, Sweep, variant};
-use crate::scene::{Formulation, Solver};
 
 /// Wetted components, at most: a W of 16 MB, whose making costs about as much as what it saves.
 pub const MOST_WETTED: usize = 2000;
@@ -354,7 +354,7 @@ struct Told {
 }
 
 impl TwoFieldSolver {
-    /// As [`TwoFieldSolver::solve`], in the condensed form; `Err` of a recorder with nothing in it where too many nodes are wet.
+    /// As [`TwoFieldSolver::solve`], in the condensed form; no outcome, and nothing changed, where too many nodes are wet.
     pub(super) fn solve_condensed<'a>(
         &self,
         condensed: &Condensed,
