@@ -39,10 +39,14 @@ fn flood(active: &ActiveCells) -> BTreeMap<usize, usize> {
 
 /// Number, flags and labels of a case on the device against the twin's.
 fn assert_components(device: &mut Device, name: &str, case: &Case) {
-    let gpu = device.gpu;
     device.load(case);
     device.prepare().submit();
-    let active = case.twin();
+    assert_labels(device, name, case, &case.twin());
+}
+
+/// The same of what the device holds.
+pub(crate) fn assert_labels(device: &Device, name: &str, case: &Case, active: &ActiveCells) {
+    let gpu = device.gpu;
     let (grid, padded) = (case.grid, case.grid.padded());
     let found = gpu.download(&device.buffers.components).unwrap()[0] as usize;
     assert_eq!(found, active.closed.len(), "{name}: closed components");
@@ -68,7 +72,7 @@ fn assert_components(device: &mut Device, name: &str, case: &Case) {
         return;
     }
     let labels = gpu.download(&device.buffers.labels).unwrap();
-    for (cell, root) in flood(&active) {
+    for (cell, root) in flood(active) {
         let root = padded.index(grid.cell_at(root)) as u32;
         let expected = if closed[cell] { root } else { root | OPEN };
         let label = labels[padded.index(grid.cell_at(cell))];

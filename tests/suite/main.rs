@@ -45,6 +45,7 @@ mod tet_mesh;
 mod twin_advect_markers;
 mod twin_advect_velocity;
 mod twin_clip;
+mod twin_coupling;
 mod twin_diagnose;
 mod twin_diagnose_coupling;
 mod twin_diagnose_solid;

@@ -11,7 +11,7 @@ use cutwater::reference::{
 };
 use cutwater::scene::{Precision, Preconditioner, Solver};
 use cutwater::solver::{
-    Components, Everywhere, Outcome, PressureSolver, PressureSystem, SolverBuffers,
+    Components, Everywhere, Outcome, PressureSolver, PressureSystem, Seal, SolverBuffers,
 };
 use cutwater::state::SolveStatus;
 
@@ -107,7 +107,7 @@ pub(crate) struct Device<'a> {
     pub(crate) gpu: &'a Gpu,
     cells: [usize; 3],
     padded: Padded,
-    open: Buffer<f32>,
+    pub(crate) open: Buffer<f32>,
     velocity: Buffer<f32>,
     distance: Buffer<f32>,
     pub(crate) buffers: SolverBuffers,
@@ -189,6 +189,11 @@ impl<'a> Device<'a> {
 
     /// Everything up to the solve.
     pub(crate) fn prepare(&self) -> Recorder<'a> {
+        self.prepare_sealed(None)
+    }
+
+    /// The same with solids, which seal components.
+    pub(crate) fn prepare_sealed(&self, seal: Option<&Seal>) -> Recorder<'a> {
         let Device { buffers, .. } = self;
         buffers.rhs.upload(self.gpu, &self.rhs);
         let mut recorder = Recorder::timed(self.gpu);
@@ -197,7 +202,7 @@ impl<'a> Device<'a> {
             self.system.record(pass, buffers, within)
         });
         recorder.stage(Components::NAME, |pass| {
-            self.components.label(pass, buffers, None);
+            self.components.label(pass, buffers, seal);
             self.components.remove_means(pass);
         });
         recorder

@@ -1,6 +1,6 @@
 //! `diagnose`: the force of the liquid on solids against its twin.
 
-use cutwater::gpu::{Real, Recorder};
+use cutwater::gpu::{Real, RealBuffer, Recorder};
 use cutwater::measure::base_scene::DeviceScene;
 use cutwater::reference::base_scene::{BaseBeam, BaseScene};
 use cutwater::scene::{Precision, Solver};
@@ -31,16 +31,30 @@ fn forces_add_up_as_the_twins() {
         .collect();
     let padded = grid.padded().pad(grid.cells, &potential, |phi| phi);
     fields.liquid.potential.upload(gpu, &padded);
-    let stage = DiagnoseCoupling::new(gpu, fields.liquid, fields.coupling, None).unwrap();
-    let run = || {
+    // Forces of pressure within cells, over ten decades.
+    let n = fields.coupling.n_nodes;
+    let forces: Vec<f64> = (0..4 * n)
+        .map(|_| random.uniform(-1.0, 1.0) * 10_f64.powf(random.uniform(-6.0, 4.0)))
+        .map(|force| f64::from(force as f32))
+        .collect();
+    let correction = RealBuffer::new(gpu, "test.correction", 4 * n, Real::F32).unwrap();
+    correction.upload(gpu, &forces);
+    let stage = |correction| {
+        DiagnoseCoupling::new(gpu, fields.liquid, fields.coupling, correction).unwrap()
+    };
+    let run = |stage: &DiagnoseCoupling| {
         let mut recorder = Recorder::new(gpu);
         stage.record(&mut recorder);
         recorder.submit();
         gpu.download(&fields.coupling.report).unwrap()
     };
-    let words = run();
-    assert_eq!(words, run());
+    let without = CouplingReport::from_words(&run(&stage(None)));
+    assert_eq!(without.correction, [0.0; 3]);
+    let with_correction = stage(Some(&correction));
+    let words = run(&with_correction);
+    assert_eq!(words, run(&with_correction));
     let found = CouplingReport::from_words(&words);
+    assert_eq!(found.force, without.force);
     // Pa per m/s of potential; the pairs of the system are those of active cells.
     let pascal = cutwater::reference::base_block::DENSITY * grid.dx / scene.dt;
     let (mut sum, mut gross) = (DVec3::ZERO, DVec3::ZERO);
@@ -57,5 +71,15 @@ fn forces_add_up_as_the_twins() {
         let off = (found.force[axis] - sum[axis]).abs();
         assert!(off <= 64.0 * EPS * gross[axis], "{found:?} and {sum}");
     }
-    assert_eq!(found.correction, [0.0; 3]);
+    // As many roundings of the sum of what is an f32 as it is.
+    let sums = forces
+        .chunks_exact(4)
+        .fold([DVec3::ZERO; 2], |[sum, gross], force| {
+            let force = DVec3::from_slice(force);
+            [sum + force, gross + force.abs()]
+        });
+    for axis in 0..3 {
+        let off = (found.correction[axis] - sums[0][axis]).abs();
+        assert!(off <= 64.0 * EPS * sums[1][axis], "{found:?} and {sums:?}");
+    }
 }
