@@ -116,9 +116,26 @@ impl Case {
         filled: impl Fn([usize; 3], &mut Random) -> usize,
     ) -> Case {
         let grid = Grid { cells, dx };
-        let mut random = Random(cells.iter().fold(7, |seed, &n| 31 * seed + n as u64));
         let far: Distance = Box::new(|_| f64::INFINITY);
         let cut = cut(&grid, &distance.map_or(far, |distance| distance(&grid)));
+        let effects = Effects {
+            liquid: true,
+            markers: true,
+            volume_control: true,
+            obstacles: distance.is_some(),
+            ..Effects::default()
+        };
+        Case::around(name, (grid, effects, cut), cfl, filled)
+    }
+
+    /// In what bodies leave of a grid.
+    pub(crate) fn around(
+        name: &'static str,
+        (grid, effects, cut): (Grid, Effects, CutCells),
+        cfl: f64,
+        filled: impl Fn([usize; 3], &mut Random) -> usize,
+    ) -> Case {
+        let mut random = Random(grid.cells.iter().fold(7, |seed, &n| 31 * seed + n as u64));
         let speed = 2.0;
         let mut state = State::at_rest(&grid);
         state.velocity = velocities(&mut random, &grid, speed);
@@ -131,17 +148,11 @@ impl Case {
         Case {
             name,
             grid,
-            effects: Effects {
-                liquid: true,
-                markers: true,
-                volume_control: true,
-                obstacles: distance.is_some(),
-                ..Effects::default()
-            },
+            effects,
             cut,
             state,
             cfl,
-            dt: single(cfl * dx / speed),
+            dt: single(cfl * grid.dx / speed),
         }
     }
 

@@ -9,6 +9,7 @@ mod common;
 mod compare;
 mod components;
 mod coupled;
+mod coupled_case;
 mod coupled_gpu;
 mod coupled_step;
 mod dinosaur;

@@ -3,39 +3,13 @@
 use cutwater::effects::Effects;
 use cutwater::geometry::{SolidClip, obstacle_cut};
 use cutwater::gpu::{Gpu, Real, RealBuffer, Recorder};
-use cutwater::scene::Scene;
 use cutwater::sim::solids_of;
 use cutwater::stages::{Clip, ClipBuffers, ClipSize, Extrapolate, LiquidBuffers, LiquidPlan};
 use glam::DVec3;
 
 use crate::common::{Random, gpu};
+use crate::coupled_case::scene;
 use crate::liquid_case::EPS;
-
-/// Two solids that touch, one near a wall, and an obstacle; cells that do not fill quads.
-const SCENE: &str = "[domain]
-size = [1.3, 0.9, 1.1]
-cells = [13, 9, 11]
-[time]
-duration = 1
-[[liquid.region]]
-box = { min = [0, 0, 0], max = [1.3, 0.5, 1.1] }
-[[obstacle]]
-sphere = { centre = [0.9, 0.2, 0.6], radius = 0.17 }
-[[solid]]
-name = \"ball\"
-mesh = { sphere = { radius = 0.16, cell_size = 0.08 } }
-placement = { translate = [0.3, 0.45, 0.5] }
-density = 1000.0
-young = 1e5
-poisson = 0.3
-[[solid]]
-name = \"beam\"
-mesh = { box = { size = [0.1, 0.07, 0.5], cells = [2, 1, 4] } }
-placement = { translate = [0.51, 0.42, 0.4], rotate = { axis = [1, 2, 0], degrees = 31 } }
-density = 1000.0
-young = 1e5
-poisson = 0.3
-";
 
 /// What the stage writes, bit for bit.
 type Fields = (Vec<f32>, Vec<f32>, Vec<u32>, Vec<u32>);
@@ -54,10 +28,7 @@ fn fields(gpu: &Gpu, buffers: &LiquidBuffers) -> Fields {
 fn fields_are_those_of_the_clipping() {
     let Some(gpu) = gpu() else { return };
     for surface in ["markers", "fixed"] {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("test.toml");
-        std::fs::write(&path, SCENE).unwrap();
-        let scene = Scene::load(&path, &[format!("liquid.surface={surface}")], 1.0).unwrap();
+        let scene = scene(&[&format!("liquid.surface={surface}")]);
         let (grid, solids) = (scene.grid(), solids_of(&scene).unwrap());
         let obstacles = obstacle_cut(&scene, &grid).unwrap();
         let plan = LiquidPlan {

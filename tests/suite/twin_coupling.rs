@@ -18,6 +18,7 @@ use glam::{DMat3, DVec3};
 
 use crate::common::{Random, gpu};
 use crate::components::assert_labels;
+use crate::coupled_case::pairs;
 use crate::liquid_case::{EPS, assert_close, single};
 use crate::solid_case::{RUBBER, eps, lattice, solids};
 use crate::solver::{Case, Device};
@@ -213,17 +214,7 @@ impl<'a> OnDevice<'a> {
             real: liquid.buffers.variant.real,
         };
         let fields = SolidBuffers::new(gpu, plan, &joint.solids).unwrap();
-        let (padded, area) = (grid.padded(), grid.dx * grid.dx);
-        let pairs: Vec<Pair> = joint
-            .coupling()
-            .pairs()
-            .iter()
-            .map(|pair| Pair {
-                cell: padded.index(grid.cell_at(pair.cell)),
-                node: pair.node,
-                value: (pair.value / area).as_vec3().to_array(),
-            })
-            .collect();
+        let pairs = pairs(&grid, &joint.coupling());
         let size = CouplingSize {
             quads: pairs.len().max(1),
             pairs: pairs.len().max(1),

@@ -3,10 +3,11 @@
 use cutwater::gpu::{Real, Recorder};
 use cutwater::grid::Axis;
 use cutwater::reference::{self, liquid_distance};
-use cutwater::stages::{Diagnose, Report, Volume};
+use cutwater::stages::{Clip, Diagnose, Report, Volume};
 use glam::DVec3;
 
-use crate::common::gpu;
+use crate::common::{Random, gpu};
+use crate::coupled_case::{self, quads};
 use crate::liquid_case::{
     ActiveBuffers, DENSITY, EPS, GRAVITY, RADIUS, assert_close, cases, single,
 };
@@ -113,4 +114,83 @@ fn not_a_number_is_seen() {
         "{:?}",
         report.diagnosis
     );
+}
+
+/// Where solids are, and that quads with patches count once, with what the solids take up. Each run has its largest divergence somewhere
+/// else: in the cells of a node that alone moves, and beside a face that does.
+#[test]
+fn divergence_beside_solids_is_the_twins() {
+    let Some(gpu) = gpu() else { return };
+    for case in coupled_case::cases() {
+        let name = case.liquid.name;
+        let grid = case.liquid.grid;
+        let (radius, markers) = (RADIUS * grid.dx, &case.liquid.state.markers);
+        let phi = liquid_distance(&grid, &case.liquid.cut, markers, radius);
+        let active = ActiveBuffers::new(gpu, &case.liquid, &phi);
+        let (buffers, clip, velocity) = case.upload(gpu);
+        let cut = Clip::new(gpu, &buffers, &clip).unwrap();
+        let joint = case.joint(gpu);
+        let solids = Some((&clip, &joint, &velocity));
+        let diagnose = Diagnose::new(gpu, &buffers, &active.active(), solids).unwrap();
+        let mut recorder = Recorder::new(gpu);
+        cut.record(&mut recorder);
+        recorder.submit();
+        case.liquid.band(gpu, &buffers);
+        let coupling = case.clip.coupling();
+        let stencil = &active.cells.stencil;
+        let compare = |what: &str, u: &[Vec<f64>; 3], v: &[[f64; 3]]| {
+            gpu.upload(&buffers.velocity, &buffers.pad_faces(u));
+            velocity.upload(gpu, &quads(v));
+            let mut recorder = Recorder::new(gpu);
+            diagnose.record(&mut recorder, &buffers, &active.active());
+            recorder.submit();
+            let words = gpu.download(&buffers.report).unwrap();
+            let found = Report::from_words(&words).diagnosis.divergence;
+            let (mut flux, mut gross) = (vec![0.0; grid.n_cells()], 0.0);
+            for (cell, pairs) in coupling.cells() {
+                let sum = pairs.iter().map(|pair| pair.value.dot(v[pair.node].into()));
+                flux[cell] = sum.sum();
+                let sizes = pairs
+                    .iter()
+                    .map(|pair| pair.value.abs().dot(DVec3::from(v[pair.node]).abs()));
+                gross = f64::max(gross, (pairs.len() as f64 + 4.0) * sizes.sum::<f64>());
+            }
+            let gravity = DVec3::from(GRAVITY);
+            let cut = &case.liquid.cut;
+            let twin = reference::diagnose(cut, &phi, u, stencil, Some(&flux), DENSITY, gravity);
+            // Six products and sums of open areas and velocities, a rounding per pair, and two of the result.
+            let speed = reference::max_speed(u);
+            let bound =
+                EPS * (16.0 * speed / grid.dx + gross / grid.cell_volume() + 2.0 * twin.divergence);
+            assert_close(
+                &format!("{name}, {what}"),
+                [(found, twin.divergence, bound, [0; 3])],
+            );
+            twin.divergence
+        };
+        let u = &case.liquid.state.velocity;
+        let still = Axis::ALL.map(|axis| vec![0.0; grid.n_faces(axis)]);
+        let at_rest = vec![[0.0; 3]; case.velocity.len()];
+        compare("both", u, &case.velocity);
+        compare("liquid", u, &at_rest);
+        compare("solids", &still, &case.velocity);
+        let mut random = Random(41);
+        let mut n_seen = 0;
+        for _ in 0..12 {
+            let pairs = coupling.pairs();
+            if !pairs.is_empty() {
+                let mut one = at_rest.clone();
+                let node = pairs[random.uniform(0.0, pairs.len() as f64) as usize].node;
+                one[node] = [0, 1, 2].map(|_| single(random.uniform(-1.0, 1.0)));
+                n_seen += usize::from(compare("a node", &still, &one) > 0.0);
+            }
+            let axis = random.uniform(0.0, 3.0) as usize;
+            let mut one = still.clone();
+            let face = random.uniform(0.0, one[axis].len() as f64) as usize;
+            one[axis][face] = single(random.uniform(-1.0, 1.0));
+            compare("a face", &one, &at_rest);
+        }
+        let touch = coupling.cells().any(|(cell, _)| stencil.active(cell));
+        assert_eq!(touch, n_seen > 0, "{name}");
+    }
 }
