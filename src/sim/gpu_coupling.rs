@@ -157,7 +157,13 @@ impl Room {
             all.extend(PatchPressure::buffers(&self.coupling, n_nodes, variant));
             n_reports += 1;
         }
-        all.extend(TwoFieldSolver::buffers(&grid, rows, &scene.solver, variant));
+        all.extend(TwoFieldSolver::buffers(
+            &grid,
+            rows,
+            &self.coupling,
+            &scene.solver,
+            variant,
+        ));
         all.extend([
             BufferPlan::of::<[u32; 4]>("coupling.first", n_reports),
             BufferPlan::of::<[f32; 4]>(MOVED, 2 * n_nodes),

@@ -66,8 +66,6 @@ pub struct Plan {
     pub buffers: Vec<BufferPlan>,
     /// How each system of a sub-step is solved.
     pub solves: Vec<String>,
-    /// Whether the solve needs an adapter with f64: the outer loop for liquid and solids together has no form on the host.
-    pub needs_f64: bool,
     /// Whether the outer loop of the solve runs on the host, one exchange per round.
     pub host_turns: bool,
     /// Bytes that a round of such a loop copies to and from the device.
@@ -105,7 +103,7 @@ impl Plan {
         let (displacement, _) = solids.initial_state(scene);
         let n_markers = geometry::estimate_markers(scene, &grid, &solids.moved(&displacement))?;
         let mixed = scene.solver.precision == Precision::Mixed;
-        let host_turns = mixed && !f64 && !effects.coupling;
+        let host_turns = mixed && !f64;
         let padded_cells = grid.padded().len();
         let rows = SolidRows::new(solids)?;
         Ok(Plan {
@@ -118,7 +116,6 @@ impl Plan {
             n_nodes: solids.rest.len(),
             n_elements: solids.elements.len(),
             solves: solves(scene, solids, &rows, f64),
-            needs_f64: mixed && effects.coupling,
             host_turns,
             bytes_per_turn: bytes_per_turn(&effects, padded_cells, solids.rest.len()),
             grid,
@@ -149,21 +146,11 @@ impl Plan {
         of_markers.map(BufferPlan::bytes).sum()
     }
 
-    /// Checks precision and every buffer against what an adapter has.
+    /// Checks every buffer against what an adapter has.
     ///
     /// # Errors
     /// [`Error::Limit`] naming what is missing, or the largest buffer that does not fit and what would make it smaller.
     pub fn check(&self, adapter: &AdapterReport) -> Result<(), Error> {
-        if self.needs_f64 && !adapter.f64 {
-            return Err(Error::Limit {
-                what: "liquid and solids together in precision \"mixed\"".to_owned(),
-                needed: 1,
-                available: 0,
-                unit: "feature (SHADER_F64)",
-                cure: "choose another adapter with --adapter, or --set solver.precision=f32, or --backend cpu"
-                    .to_owned(),
-            });
-        }
         let mut largest_first: Vec<&BufferPlan> = self.buffers.iter().collect();
         largest_first.sort_by_key(|plan| std::cmp::Reverse(plan.bytes()));
         largest_first.into_iter().try_for_each(|plan| {
@@ -580,9 +567,6 @@ fn solves(scene: &Scene, solids: &Solids, rows: &SolidRows, f64: bool) -> Vec<St
     let numbers = match (solver.precision, f64) {
         (Precision::F32, _) => "all in f32",
         (Precision::Mixed, true) => "unknowns and residual in f64, corrections in f32",
-        (Precision::Mixed, false) if Effects::of(scene).coupling => {
-            "mixed, for which this adapter lacks f64"
-        }
         (Precision::Mixed, false) => "unknowns and residual in f64 on the host, corrections in f32",
         (Precision::F64, _) => "all in f64",
     };

@@ -19,8 +19,6 @@ use super::system::SolverBuffers;
 pub(super) const STATE_WORDS: usize = 8;
 /// Word with the number of closed components; `shaders/common/components.wgsl` names the words.
 pub(super) const CLOSED: usize = 0;
-/// Bit of a label whose component has a free surface; `shaders/common/components.wgsl` has it too.
-pub(super) const OPEN: u32 = 0x8000_0000;
 /// Words with the largest magnitude in closed components: of the right-hand side, of the potential.
 const LARGEST: [u32; 2] = [4, 5];
 

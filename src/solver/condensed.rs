@@ -16,7 +16,7 @@ use crate::scene::{Formulation, Solver};
 
 use super::coupling::{Coupling, LABELS, NODES, WET};
 use super::pcg::{Pcg, State, Unknowns};
-use super::refine::{SCALE, STATUS_STAGNATED, System};
+use super::refine::{SCALE, STATUS_STAGNATED, System, host_turns};
 use super::solid_system::SolidRows;
 use super::stored_stiffness::{Factor, Stored, StoredStiffness};
 use super::two_field::{CoupledFields, CoupledOutcome, TwoFieldSolver};
@@ -78,7 +78,8 @@ struct Readbacks {
 }
 
 /// What is uploaded for a solve, and the factor.
-struct Ready<'a> {
+#[derive(Debug)]
+pub(super) struct Ready<'a> {
     factor: Factor<'a>,
     /// rho dx^3 / dt, kg/s.
     mass: f64,
@@ -86,14 +87,19 @@ struct Ready<'a> {
 
 /// Whether corrections of a coupled solve may have the condensed form, on an adapter with or without f64.
 pub fn can_condense(rows: &SolidRows, solver: &Solver, f64: bool) -> bool {
-    let real = variant(f64, solver.precision).real;
-    solver.formulation != Formulation::TwoField && room(rows, real) > 0
+    let variant = variant(f64, solver.precision);
+    solver.formulation != Formulation::TwoField && room(rows, solver, variant) > 0
 }
 
-/// Wetted nodes that there is room for; 0 where the solids are too large or the outer loop is not in f64 on the device.
-fn room(rows: &SolidRows, real: Real) -> usize {
+/// Whether the outer loop is in f64, on the device or on the host, as dv is.
+fn refines(solver: &Solver, variant: Variant) -> bool {
+    variant.real == Real::F64 || host_turns(solver, variant)
+}
+
+/// Wetted nodes that there is room for; 0 where the solids are too large or the outer loop is not in f64.
+fn room(rows: &SolidRows, solver: &Solver, variant: Variant) -> usize {
     let n = rows.rows.n_nodes as usize;
-    match real == Real::F64 && 3 * n <= MOST_COMPONENTS {
+    match refines(solver, variant) && 3 * n <= MOST_COMPONENTS {
         true => n.min(MOST_WETTED / 3),
         false => 0,
     }
@@ -102,7 +108,7 @@ fn room(rows: &SolidRows, real: Real) -> usize {
 impl Condensed {
     /// # Errors
     /// [`Error::Limit`] where the condensed form does not serve.
-    pub(super) fn ensure(rows: &SolidRows, real: Real) -> Result<(), Error> {
+    pub(super) fn ensure(rows: &SolidRows, solver: &Solver, variant: Variant) -> Result<(), Error> {
         let components = 3 * rows.rows.n_nodes as usize;
         let limit = |needed: usize, available: usize, unit, cure: &str| {
             Err(Error::Limit {
@@ -114,9 +120,9 @@ impl Condensed {
             })
         };
         let auto = "use formulation \"auto\" or \"two_field\"";
-        match (real, components) {
-            (Real::F32, _) => limit(1, 0, "outer loop in f64 on the device", auto),
-            (Real::F64, n) if n > MOST_COMPONENTS => limit(
+        match (refines(solver, variant), components) {
+            (false, _) => limit(1, 0, "outer loop in f64", auto),
+            (true, n) if n > MOST_COMPONENTS => limit(
                 n,
                 MOST_COMPONENTS,
                 "components of the nodes of solids",
@@ -127,9 +133,9 @@ impl Condensed {
     }
 
     /// What [`Condensed::new`] allocates besides the folds of conjugate gradients.
-    pub(super) fn buffers(rows: &SolidRows, Variant { real, .. }: Variant) -> Vec<BufferPlan> {
+    pub(super) fn buffers(rows: &SolidRows, solver: &Solver, variant: Variant) -> Vec<BufferPlan> {
         let (n, m) = (rows.rows.n_nodes as usize, rows.rows.n_elements as usize);
-        let room = room(rows, real);
+        let (room, real) = (room(rows, solver, variant), variant.real);
         if room == 0 {
             return Vec::new();
         }
@@ -158,6 +164,7 @@ impl Condensed {
         unknowns: &Unknowns,
         state: &State,
         (level, sweep): (&Buffer<Level>, &Buffer<Sweep>),
+        solver: &Solver,
     ) -> Result<Option<Condensed>, Error> {
         let CoupledFields {
             liquid,
@@ -167,7 +174,7 @@ impl Condensed {
         } = at;
         let rows = &solids.layout;
         let (n, m) = (rows.rows.n_nodes as usize, rows.rows.n_elements as usize);
-        let room = room(rows, liquid.variant.real);
+        let room = room(rows, solver, liquid.variant);
         if room == 0 {
             return Ok(None);
         }
@@ -277,7 +284,7 @@ impl Condensed {
     }
 
     /// Submits the recording, which ends with both systems and J in place, and makes W; `None` where too many nodes are wet.
-    fn ready<'a>(
+    pub(super) fn ready<'a>(
         &'a self,
         gpu: &Gpu,
         mut recorder: Recorder,
@@ -335,9 +342,16 @@ impl Condensed {
     }
 }
 
+impl Condensed {
+    /// Writes y of a round.
+    pub(super) fn write_start(&self, gpu: &Gpu, y: &[f64]) {
+        self.y.upload(gpu, y);
+    }
+}
+
 impl Ready<'_> {
     /// S^-1 of forces over the mass rate of a cell, in m/s, over a size.
-    fn velocity(&self, forces: &[f64], size: f64) -> Vec<f64> {
+    pub(super) fn velocity(&self, forces: &[f64], size: f64) -> Vec<f64> {
         let newtons: Vec<f64> = forces.iter().map(|force| self.mass * force).collect();
         let mut velocity = self.factor.solve(&newtons);
         velocity.iter_mut().for_each(|v| *v /= size);
@@ -400,7 +414,7 @@ impl TwoFieldSolver {
                     _ => nothing.clone(),
                 };
                 rounds = told.control.rounds;
-                condensed.y.upload(gpu, &y);
+                condensed.write_start(gpu, &y);
                 let residual = told.of_nodes;
                 let mut to = Recorder::timed(gpu);
                 to.stage("solve", |pass| self.record_condensed_begin(pass, condensed));
@@ -451,14 +465,19 @@ impl TwoFieldSolver {
     }
 
     /// The right-hand side of a correction.
-    fn record_condensed_begin(&self, pass: &mut Pass, condensed: &Condensed) {
+    pub(super) fn record_condensed_begin(&self, pass: &mut Pass, condensed: &Condensed) {
         self.pressure.record_begin(pass, &self.state);
         self.state.in_begin(pass, &condensed.begin);
         self.pcg.record_gate(pass);
         pass.dispatch_indirect(&self.begin.weight, &self.state.gate, 0);
     }
 
-    fn record_condensed(&self, pass: &mut Pass, condensed: &Condensed, at: CoupledFields) {
+    pub(super) fn record_condensed(
+        &self,
+        pass: &mut Pass,
+        condensed: &Condensed,
+        at: CoupledFields,
+    ) {
         let [nodes, wet] = [NODES, WET].map(|list| at.coupling.slot(list));
         let (state, gated) = (&self.state, &self.state.gated);
         self.pcg.record_gate(pass);

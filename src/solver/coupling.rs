@@ -105,6 +105,7 @@ pub struct CouplingBuffers {
     n_levels: usize,
     /// What was written last.
     pub(super) now: Coupling,
+    pub(super) pairs: Vec<Pair>,
     /// Sizes and units.
     pub coupling: Buffer<Coupling>,
     /// Wet quads, where their pairs start, where those of the nodes start.
@@ -164,6 +165,7 @@ impl CouplingBuffers {
         Ok(CouplingBuffers {
             size,
             now: Coupling::default(),
+            pairs: Vec::new(),
             n_nodes: n,
             n_bodies: solids.sizes.n_bodies as usize,
             n_levels,
@@ -268,6 +270,8 @@ impl CouplingBuffers {
         sizes.extend([0; 4]);
         sizes.extend([0, 0, 0, FOLD_THREADS as u32]);
         self.now = coupling;
+        self.pairs.clear();
+        self.pairs.extend_from_slice(pairs);
         gpu.upload(&self.coupling, &[coupling]);
         gpu.upload(&self.words, &all);
         gpu.upload(&self.quad_pairs, &by_quad);

@@ -10,8 +10,7 @@ use crate::gpu::{BufferPlan, Gpu, Readback, Recorder};
 use crate::grid::Padded;
 
 use super::SolverBuffers;
-use super::components::OPEN;
-use super::refine::HostSystem;
+use super::refine::{HostResidual, HostSystem};
 
 /// Where level 0 of the stored system, in f32, arrives.
 #[derive(Debug)]
@@ -51,16 +50,20 @@ pub(super) struct HostPressure {
     level: Padded,
     /// Weights of the minus faces along x, y, z, and the free-surface term.
     matrix: [Vec<f64>; 4],
-    active: Vec<bool>,
-    rhs: Vec<f64>,
+    pub(super) active: Vec<bool>,
+    /// Cells of closed components.
+    pub(super) closed: Vec<bool>,
+    pub(super) rhs: Vec<f64>,
 }
 
 impl HostPressure {
-    /// Reads the system back; without the mean of the right-hand side over closed components, if there are any.
+    /// Reads the system back, with the right-hand side that `amend` makes of the stored one; without its mean over closed components
+    /// unless they are known to be none.
     pub(super) fn download(
         gpu: &Gpu,
         buffers: &SolverBuffers,
         closed: u32,
+        amend: impl FnOnce(&mut [f64]),
     ) -> Result<HostPressure, Error> {
         let level = buffers.plan.levels[0];
         let readbacks = buffers.to_host.as_ref();
@@ -88,14 +91,19 @@ impl HostPressure {
         let section =
             |section: &mut Readback<u32>| Ok::<_, Error>(buffers.matrix.widen(&section.wait(gpu)?));
         let flags = flags.wait(gpu)?;
+        // Bits 0 to 3, then 4 to 7: see `shaders/common/active.wgsl`.
+        let lanes = |first: usize| {
+            let bits = (0..level.len()).map(|ix| flags[ix / 4] >> (first + ix % 4) & 1 == 1);
+            bits.collect()
+        };
         let mut system = HostPressure {
             level,
             matrix: [section(x)?, section(y)?, section(z)?, section(dirichlet)?],
-            active: (0..level.len())
-                .map(|ix| flags[ix / 4] >> (ix % 4) & 1 == 1)
-                .collect(),
+            active: lanes(0),
+            closed: lanes(4),
             rhs: buffers.rhs.widen(&rhs.wait(gpu)?),
         };
+        amend(&mut system.rhs);
         if closed > 0 {
             // Rounding to f32 gave them means again, of which no solution could get below the tolerance.
             system.remove_closed_means(&labels.wait(gpu)?);
@@ -105,8 +113,8 @@ impl HostPressure {
 
     /// Takes the mean over every closed component out of the right-hand side; `labels` as in [`SolverBuffers::labels`].
     fn remove_closed_means(&mut self, labels: &[u32]) {
-        let HostPressure { active, rhs, .. } = self;
-        let closed = |cell: &usize| active[*cell] && labels[*cell] & OPEN == 0;
+        let HostPressure { closed, rhs, .. } = self;
+        let closed = |cell: &usize| closed[*cell];
         let mut sums = BTreeMap::new();
         for cell in (0..rhs.len()).filter(closed) {
             let (sum, cells) = sums.entry(labels[cell]).or_insert((0.0, 0.0));
@@ -118,6 +126,38 @@ impl HostPressure {
             rhs[cell] -= sum / cells;
         }
     }
+
+    /// rhs - B x, summed slab by slab.
+    pub(super) fn residual_of(&self, rhs: &[f64], x: &[f64]) -> HostResidual {
+        let strides = [1, 4 * self.level.stride_y, 4 * self.level.stride_z];
+        let mut r = vec![0.0; x.len()];
+        let slab = strides[2];
+        let sums: Vec<[f64; 2]> = r
+            .par_chunks_mut(slab)
+            .enumerate()
+            .map(|(k, r)| {
+                let (mut rr, mut dd) = (0.0, 0.0);
+                for (at, r) in r.iter_mut().enumerate() {
+                    let c = k * slab + at;
+                    if self.active[c] {
+                        let mut diagonal = self.matrix[3][c];
+                        let mut bx = diagonal * x[c];
+                        for (weights, stride) in self.matrix.iter().zip(strides) {
+                            diagonal += weights[c] + weights[c + stride];
+                            bx += weights[c] * (x[c] - x[c - stride])
+                                + weights[c + stride] * (x[c] - x[c + stride]);
+                        }
+                        *r = rhs[c] - bx;
+                        rr += *r * *r;
+                        dd += (diagonal * x[c]).powi(2);
+                    }
+                }
+                [rr, dd]
+            })
+            .collect();
+        let [rr, dd] = [0, 1].map(|part: usize| sums.iter().map(|sums| sums[part]).sum());
+        HostResidual { r, rr, dd }
+    }
 }
 
 impl HostSystem for HostPressure {
@@ -125,32 +165,8 @@ impl HostSystem for HostPressure {
         vec![0.0; self.rhs.len()]
     }
 
-    /// Summed slab by slab.
-    fn residual(&self, x: &[f64]) -> (Vec<f64>, f64) {
-        let strides = [1, 4 * self.level.stride_y, 4 * self.level.stride_z];
-        let mut r = vec![0.0; x.len()];
-        let slab = strides[2];
-        let norms: Vec<f64> = r
-            .par_chunks_mut(slab)
-            .enumerate()
-            .map(|(k, r)| {
-                let mut rr = 0.0;
-                for (at, r) in r.iter_mut().enumerate() {
-                    let c = k * slab + at;
-                    if self.active[c] {
-                        let mut bx = self.matrix[3][c] * x[c];
-                        for (weights, stride) in self.matrix.iter().zip(strides) {
-                            bx += weights[c] * (x[c] - x[c - stride])
-                                + weights[c + stride] * (x[c] - x[c + stride]);
-                        }
-                        *r = self.rhs[c] - bx;
-                        rr += *r * *r;
-                    }
-                }
-                rr
-            })
-            .collect();
-        (r, norms.iter().sum())
+    fn residual(&self, x: &[f64]) -> HostResidual {
+        self.residual_of(&self.rhs, x)
     }
 
     fn mask(&self, x: &mut [f64]) {

@@ -32,6 +32,7 @@
 mod chebyshev;
 mod components;
 mod condensed;
+mod coupled_host;
 mod coupling;
 mod hierarchy;
 mod host_residual;

@@ -7,7 +7,7 @@ use crate::scene::{Formulation, Preconditioner, Solver};
 use super::chebyshev::Polynomial;
 use super::components::STATE_WORDS;
 use super::condensed::Condensed;
-use super::coupling;
+use super::coupling::{self, CouplingSize};
 use super::hierarchy::Tail;
 use super::pcg::{EXTRA_SIZES, Labels, N_SCALARS, folded_len};
 use super::pressure::LABELS;
@@ -64,6 +64,7 @@ fn pressure(plan: &LevelPlan, multigrid: bool) -> Vec<BufferPlan> {
 pub(super) fn two_field(
     grid: &Grid,
     rows: &SolidRows,
+    size: &CouplingSize,
     solver: &Solver,
     variant: Variant,
 ) -> Vec<BufferPlan> {
@@ -89,7 +90,18 @@ pub(super) fn two_field(
         plans.extend(sweeps(rows));
     }
     if solver.formulation != Formulation::TwoField {
-        plans.extend(Condensed::buffers(rows, variant));
+        plans.extend(Condensed::buffers(rows, solver, variant));
+    }
+    if variant.real == Real::F32 {
+        let n_nodes = rows.rows.n_nodes as usize;
+        plans.extend([
+            BufferPlan::of::<u32>("coupled_solver.of_liquid (read-back)", grid.padded().len()),
+            BufferPlan::of::<u32>("coupled_solver.of_nodes (read-back)", 4 * n_nodes),
+            BufferPlan::of::<u32>("coupled_solver.base (read-back)", 4 * size.quads),
+        ]);
+    }
+    if host_turns(solver, variant) {
+        plans.push(BufferPlan::of::<u32>(labels.args_back, 4 * (n_lists + 1)));
     }
     plans
 }

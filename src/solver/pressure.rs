@@ -321,6 +321,6 @@ impl System for Pressure {
     }
 
     fn on_host(gpu: &Gpu, buffers: &SolverBuffers, closed: u32) -> Result<HostPressure, Error> {
-        HostPressure::download(gpu, buffers, closed)
+        HostPressure::download(gpu, buffers, closed, |_| {})
     }
 }

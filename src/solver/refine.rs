@@ -21,7 +21,7 @@ pub(super) const NORM_B: usize = 1;
 pub(super) const NORM_TERMS: usize = 2;
 pub(super) const SCALE: usize = 4;
 /// Slot of the scalars: `shaders/common/pcg_slots.wgsl`.
-const GOAL: usize = 3;
+pub(super) const GOAL: usize = 3;
 /// Status in [`Control`] of a round that made it worse: `shaders/common/control_state.wgsl`.
 pub(super) const STATUS_STAGNATED: u32 = 4;
 
@@ -29,6 +29,8 @@ pub(super) const STATUS_STAGNATED: u32 = 4;
 pub(super) const BLOCK: usize = 4;
 /// Least reduction of a round in f32: recurrences go on falling where the true residual of a correction stays (4e-5 at 80^3).
 const ROUND_FLOOR_F32: f32 = 5e-5;
+/// Share of its last place that storing an unknown may cost it.
+const ROUNDING_OF_X: f64 = 0.5;
 /// Share of what is left that a round aims for.
 const ROUND_MARGIN: f64 = 0.5;
 
@@ -149,11 +151,28 @@ pub(super) trait HostSystem {
     /// What the unknowns start from.
     fn start(&self) -> Vec<f64>;
 
-    /// b - A x, 0 where there is no unknown, and its squared norm.
-    fn residual(&self, x: &[f64]) -> (Vec<f64>, f64);
+    /// r = b - A x, 0 where there is no unknown.
+    fn residual(&self, x: &[f64]) -> HostResidual;
 
     /// Puts what is no unknown right.
     fn mask(&self, _x: &mut [f64]) {}
+}
+
+/// A residual on the host.
+#[derive(Debug)]
+pub(super) struct HostResidual {
+    pub(super) r: Vec<f64>,
+    /// |r|^2
+    pub(super) rr: f64,
+    /// |D x|^2, D the diagonal of A.
+    pub(super) dd: f64,
+}
+
+/// |r|^2 that is enough, as on the device: `shaders/refine_turn.wgsl`.
+pub(super) fn goal(solver: &Solver, [bb, terms]: [f64; 2], dd: f64) -> f64 {
+    let of_x = ROUNDING_OF_X * f64::EPSILON;
+    let of_terms = (rounding(solver).powi(2) * terms).max(of_x.powi(2) * dd);
+    (solver.tolerance.powi(2) * bb).max(of_terms)
 }
 
 /// The solve of a system.
@@ -321,7 +340,8 @@ impl<S: System> OuterLoop<S> {
                 if verify && !outcome.verified {
                     let x = S::unknowns(buffers).x;
                     let words = self.to_host(gpu, &x.words, 0, |kept| &mut kept.x)?;
-                    let (_, rr) = S::on_host(gpu, buffers, 0)?.residual(&x.widen(&words));
+                    let HostResidual { rr, .. } =
+                        S::on_host(gpu, buffers, 0)?.residual(&x.widen(&words));
                     outcome.residual = relative(rr, norms[NORM_B]);
                     outcome.residual_terms = relative(rr, norms[NORM_TERMS]);
                     outcome.verified = true;
@@ -451,10 +471,13 @@ impl<S: System> OuterLoop<S> {
         let unknowns = S::unknowns(buffers);
         let args = self.to_host(gpu, unknowns.args, 0, |kept| &mut kept.args)?;
         let mut x = system.start();
-        let (mut r, mut rr) = system.residual(&x);
-        let goal = (self.solver.tolerance.powi(2) * norms[NORM_B])
-            .max(rounding(&self.solver).powi(2) * norms[NORM_TERMS]);
+        let HostResidual {
+            mut r,
+            mut rr,
+            mut dd,
+        } = system.residual(&x);
         let status = loop {
+            let goal = goal(&self.solver, [norms[NORM_B], norms[NORM_TERMS]], dd);
             if !rr.is_finite() {
                 break SolveStatus::NonFinite;
             }
@@ -491,14 +514,14 @@ impl<S: System> OuterLoop<S> {
                 .zip(&correction)
                 .map(|(x, correction)| x + scale * correction)
                 .collect();
-            let (r_new, rr_new) = system.residual(&better);
-            if rr_new.is_finite() && rr_new >= rr {
+            let residual = system.residual(&better);
+            if residual.rr.is_finite() && residual.rr >= rr {
                 break match control.iterations >= control.max_iterations {
                     true => SolveStatus::IterationLimit,
                     false => SolveStatus::Stagnated,
                 };
             }
-            (x, r, rr) = (better, r_new, rr_new);
+            (x, r, rr, dd) = (better, residual.r, residual.rr, residual.dd);
         };
         system.mask(&mut x);
         unknowns.x.upload(gpu, &x);

@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3};
 use crate::Error;
 use crate::gpu::{BufferPlan, Gpu, Readback, Recorder};
 
-use super::refine::HostSystem;
+use super::refine::{HostResidual, HostSystem};
 use super::solid_system::{SolidFields, SolidRows, SolidSystemBuffers};
 
 /// Where the stored system, in f32, arrives, and what of it never changes.
@@ -28,7 +28,7 @@ impl SolidReadbacks {
         [
             BufferPlan::of::<[f32; 4]>("solid.freedom (read-back)", n),
             BufferPlan::of::<u32>("solid.rotated (read-back)", 12 * m),
-            BufferPlan::of::<u32>("solid_solver.masses (read-back)", n),
+            BufferPlan::of::<u32>("solid_solver.masses (read-back)", 2 * n),
             BufferPlan::of::<u32>("solid_solver.rhs (read-back)", 4 * n),
             BufferPlan::of::<u32>("solid.velocity (read-back)", 4 * n),
             BufferPlan::of::<u32>("solid_solver.guess (read-back)", 4 * n),
@@ -41,7 +41,7 @@ impl SolidReadbacks {
             elements: rows.elements.clone(),
             freedom: Readback::new(gpu, "solid.freedom", n)?,
             rotated: Readback::new(gpu, "solid.rotated", 12 * m)?,
-            masses: Readback::new(gpu, "solid_solver.masses", n)?,
+            masses: Readback::new(gpu, "solid_solver.masses", 2 * n)?,
             rhs: Readback::new(gpu, "solid_solver.rhs", 4 * n)?,
             velocity: Readback::new(gpu, "solid.velocity", 4 * n)?,
             guess: Readback::new(gpu, "solid_solver.guess", 4 * n)?,
@@ -87,7 +87,9 @@ pub(super) struct HostElastic {
     elements: Arc<Vec<[u32; 4]>>,
     freedom: Vec<Free>,
     rotated: Vec<f64>,
+    /// zeta_M m of the nodes, then the means of the diagonal of S, kg/s.
     masses: Vec<f64>,
+    /// N, and the squared norm of the terms that it sums.
     rhs: Vec<f64>,
     /// What is held of the velocities, and nothing else.
     held: Vec<f64>,
@@ -119,7 +121,7 @@ impl HostElastic {
         let mut recorder = Recorder::new(gpu);
         recorder.read(fields.freedom, freedom);
         recorder.read(&fields.rotated.words, rotated);
-        recorder.read_part(&buffers.masses.words, 0, masses);
+        recorder.read(&buffers.masses.words, masses);
         recorder.read(&buffers.rhs.words, rhs);
         recorder.read(&fields.velocity.words, velocity);
         // The second section of the search directions: see solid_guess.
@@ -140,31 +142,40 @@ impl HostElastic {
         })
     }
 
+    /// The velocities with nothing that is free.
+    pub(super) fn held(&self) -> Vec<f64> {
+        self.held.clone()
+    }
+
+    pub(super) fn n_nodes(&self) -> usize {
+        self.freedom.len()
+    }
+
+    /// How many directions nodes are free to move in.
+    pub(super) fn n_free(&self) -> u32 {
+        let traces = self.freedom.iter().map(|free| {
+            let p = free.projector();
+            p.x_axis.x + p.y_axis.y + p.z_axis.z
+        });
+        traces.map(|trace| trace.round() as u32).sum()
+    }
+
+    /// Squared norm of the terms that the right-hand side sums.
+    pub(super) fn terms(&self) -> f64 {
+        self.rhs.chunks_exact(4).map(|node| node[3]).sum()
+    }
+
     /// One of three sections of vectors per element.
     fn vector(&self, section: usize, element: usize) -> (DVec3, f64) {
         let at = 4 * (section * self.elements.len() + element);
         let [x, y, z, w] = [0, 1, 2, 3].map(|part| self.rotated[at + part]);
         (DVec3::new(x, y, z), w)
     }
-}
 
-impl HostSystem for HostElastic {
-    /// v*, unless zero leaves less of the right-hand side.
-    fn start(&self) -> Vec<f64> {
-        let pairs = self.held.iter().zip(&self.guess);
-        let guess: Vec<f64> = pairs.map(|(held, guess)| held + guess).collect();
-        let [with, without] = [&guess, &self.held].map(|x| self.residual(x).1);
-        if with < without {
-            guess
-        } else {
-            self.held.clone()
-        }
-    }
-
-    /// Summed element by element, then node by node.
-    fn residual(&self, x: &[f64]) -> (Vec<f64>, f64) {
+    /// P (rhs + added - S x), N; summed element by element, then node by node.
+    pub(super) fn residual_with(&self, added: Option<&[f64]>, x: &[f64]) -> HostResidual {
         let node = |node: u32| DVec3::from_slice(&x[4 * node as usize..]);
-        let mut product = vec![DVec3::ZERO; self.masses.len()];
+        let mut product = vec![DVec3::ZERO; self.freedom.len()];
         for (element, corners) in self.elements.iter().enumerate() {
             let (g1, lambda) = self.vector(0, element);
             let (g2, mu) = self.vector(1, element);
@@ -182,14 +193,36 @@ impl HostSystem for HostElastic {
             }
         }
         let mut r = vec![0.0; x.len()];
-        let mut rr = 0.0;
+        let (mut rr, mut dd) = (0.0, 0.0);
+        let (masses, diagonals) = self.masses.split_at(self.freedom.len());
         for (node, product) in product.into_iter().enumerate() {
-            let at = 4 * node;
-            let [x, rhs] = [x, self.rhs.as_slice()].map(|all| DVec3::from_slice(&all[at..]));
-            let free = self.freedom[node].part(rhs - (self.masses[node] * x + product));
-            r[at..at + 3].copy_from_slice(&free.to_array());
+            let at = |all: &[f64]| DVec3::from_slice(&all[4 * node..]);
+            let x = at(x);
+            let rhs = at(&self.rhs) + added.map_or(DVec3::ZERO, at);
+            let here = &self.freedom[node];
+            let free = here.part(rhs - (masses[node] * x + product));
+            r[4 * node..4 * node + 3].copy_from_slice(&free.to_array());
             rr += free.length_squared();
+            dd += here.part(diagonals[node] * x).length_squared();
         }
-        (r, rr)
+        HostResidual { r, rr, dd }
+    }
+}
+
+impl HostSystem for HostElastic {
+    /// v*, unless zero leaves less of the right-hand side.
+    fn start(&self) -> Vec<f64> {
+        let pairs = self.held.iter().zip(&self.guess);
+        let guess: Vec<f64> = pairs.map(|(held, guess)| held + guess).collect();
+        let [with, without] = [&guess, &self.held].map(|x| self.residual(x).rr);
+        if with < without {
+            guess
+        } else {
+            self.held.clone()
+        }
+    }
+
+    fn residual(&self, x: &[f64]) -> HostResidual {
+        self.residual_with(None, x)
     }
 }

@@ -24,17 +24,20 @@ use crate::gpu::{
     Variant,
 };
 use crate::grid::Grid;
-use crate::scene::{Formulation, Precision, Solver};
+use crate::scene::{Formulation, Solver};
 use crate::state::SolveStatus;
 
 use super::chebyshev::Polynomial;
 use super::condensed::Condensed;
-use super::coupling::{BODIES, CouplingBuffers, LABELS, N_LISTS, NODES, PARTIALS, WET};
+use super::coupled_host::CoupledReadbacks;
+use super::coupling::{
+    BODIES, CouplingBuffers, CouplingSize, LABELS, N_LISTS, NODES, PARTIALS, WET,
+};
 use super::pcg::{Fold, Pcg, State, Unknowns};
 use super::pressure::{FIRST_SWEEP, Pressure};
 use super::refine::{
-    NORM_B, NORM_R, NORM_TERMS, Outcome, RefineSettings, SCALE, STATUS_STAGNATED, System, relative,
-    round_floor, rounding, verdict,
+    NORM_B, NORM_R, NORM_TERMS, Outcome, RefineSettings, SCALE, STATUS_STAGNATED, System,
+    host_turns, relative, round_floor, rounding, verdict,
 };
 use super::solid_contacts::Update;
 use super::solid_solver::Chebyshev;
@@ -43,10 +46,10 @@ use super::{Control, SolverBuffers, plan};
 
 /// Slots of the norms: `shaders/common/refine.wgsl` names them, also those that other systems lack.
 pub(super) const N_NORMS: usize = 12;
-const NORM_B_V: usize = 6;
-const NORM_TERMS_V: usize = 7;
-const UNKNOWNS_V: usize = 9;
-const NORM_BEST_V: usize = 10;
+pub(super) const NORM_B_V: usize = 6;
+pub(super) const NORM_TERMS_V: usize = 7;
+pub(super) const UNKNOWNS_V: usize = 9;
+pub(super) const NORM_BEST_V: usize = 10;
 /// Dispatches of an iteration besides those of V-cycle and polynomial, about.
 const DISPATCHES: usize = 24;
 /// Dispatches that are recorded ahead of a chance to turn, and iterations, at most.
@@ -111,11 +114,11 @@ pub struct CoupledFields<'a> {
 /// The kernels of the two-field solve.
 #[derive(Debug)]
 pub struct TwoFieldSolver {
-    solver: Solver,
+    pub(super) solver: Solver,
     pub(super) state: State,
     pub(super) pcg: Pcg,
     pub(super) pressure: Pressure,
-    norms: RealBuffer,
+    pub(super) norms: RealBuffer,
     start: Fold,
     turn: Fold,
     correct: [Bound; 2],
@@ -132,12 +135,14 @@ pub struct TwoFieldSolver {
     push: Bound,
     contacts: Update,
     /// The other form of the correction, where it serves.
-    condensed: Option<Condensed>,
-    polynomial: Buffer<Polynomial>,
+    pub(super) condensed: Option<Condensed>,
+    pub(super) polynomial: Buffer<Polynomial>,
     readbacks: Mutex<(Readback<Control>, Readback<u32>)>,
+    /// What the host judges with where the device rounds the residuals.
+    pub(super) to_host: Option<Mutex<CoupledReadbacks>>,
     /// Slots of nodes, solids and wet quads.
     slots: [usize; 3],
-    real: Real,
+    pub(super) variant: Variant,
 }
 
 #[derive(Debug)]
@@ -183,17 +188,17 @@ impl TwoFieldSolver {
     pub fn buffers(
         grid: &Grid,
         rows: &SolidRows,
+        size: &CouplingSize,
         solver: &Solver,
         variant: Variant,
     ) -> Vec<BufferPlan> {
-        plan::two_field(grid, rows, solver, variant)
+        plan::two_field(grid, rows, size, solver, variant)
     }
 
     /// Compiles and binds.
     ///
     /// # Errors
-    /// As [`Kernel::new`] and [`Gpu::buffer`]; [`Error::Limit`] for `mixed` on an adapter without f64: its outer loop would be the host's,
-    /// which is not made for two systems.
+    /// As [`Kernel::new`] and [`Gpu::buffer`]; [`Error::Limit`] where the condensed form is asked for and does not serve.
     pub fn new(gpu: &Gpu, at: CoupledFields, solver: &Solver) -> Result<TwoFieldSolver, Error> {
         let CoupledFields {
             liquid,
@@ -203,17 +208,8 @@ impl TwoFieldSolver {
             ..
         } = at;
         let variant = liquid.variant;
-        if solver.precision == Precision::Mixed && variant.real == Real::F32 {
-            return Err(Error::Limit {
-                what: "the two-field solve in precision mixed".to_owned(),
-                needed: 1,
-                available: 0,
-                unit: "feature (SHADER_F64)",
-                cure: "choose another adapter with --adapter, or precision \"f32\"".to_owned(),
-            });
-        }
         if solver.formulation == Formulation::Condensed {
-            Condensed::ensure(&solids.layout, variant.real)?;
+            Condensed::ensure(&solids.layout, solver, variant)?;
         }
         let unknowns = unknowns(at);
         let state = State::new(gpu, &unknowns)?;
@@ -545,16 +541,19 @@ impl TwoFieldSolver {
             condensed: match solver.formulation {
                 Formulation::TwoField => None,
                 Formulation::Auto | Formulation::Condensed => {
-                    Condensed::new(gpu, at, &unknowns, &state, (&level, &sweep))?
+                    Condensed::new(gpu, at, &unknowns, &state, (&level, &sweep), solver)?
                 }
             },
             readbacks: Mutex::new((
                 Readback::new(gpu, LABELS.control, 1)?,
                 Readback::new(gpu, LABELS.norms, norms.words.len())?,
             )),
+            to_host: (variant.real == Real::F32)
+                .then(|| CoupledReadbacks::new(gpu, at, solver).map(Mutex::new))
+                .transpose()?,
             pcg: Pcg::new(gpu, &unknowns, &level, &state)?,
             slots,
-            real: variant.real,
+            variant,
             pressure,
             polynomial,
             state,
@@ -576,6 +575,9 @@ impl TwoFieldSolver {
         polynomial: &Polynomial,
         again: bool,
     ) -> Result<(CoupledOutcome, StageTimes), Error> {
+        if host_turns(&self.solver, self.variant) {
+            return self.solve_with_host_turns(gpu, recorder, at, polynomial, again);
+        }
         let mut times = Vec::new();
         if let Some(condensed) = &self.condensed {
             let (outcome, mut stages) =
@@ -603,12 +605,15 @@ impl TwoFieldSolver {
             });
             let (control, norms, mut stages) = self.submit(gpu, recorder)?;
             times.append(&mut stages);
-            if let Some(outcome) = self.outcome(&control, &norms) {
+            if let Some(mut outcome) = self.outcome(&control, &norms) {
                 if control.status == STATUS_STAGNATED {
                     // One more turn, so that a correction on trial is taken back.
                     recorder = Recorder::new(gpu);
                     recorder.stage("solve", |pass| self.record_turn(pass));
                     recorder.submit();
+                }
+                if !outcome.verified {
+                    self.verify(gpu, at, &norms, &mut outcome)?;
                 }
                 return Ok((outcome, times));
             }
@@ -722,7 +727,7 @@ impl TwoFieldSolver {
     }
 
     /// The right-hand side of a correction.
-    fn record_begin(&self, pass: &mut Pass) {
+    pub(super) fn record_begin(&self, pass: &mut Pass) {
         let Begin {
             nodes,
             products,
@@ -738,7 +743,7 @@ impl TwoFieldSolver {
         pass.dispatch_indirect(weight, &self.state.gate, 0);
     }
 
-    fn record_iterations(&self, pass: &mut Pass, at: CoupledFields, degree: usize) {
+    pub(super) fn record_iterations(&self, pass: &mut Pass, at: CoupledFields, degree: usize) {
         let steps = 2 * self.preconditioner.polynomials[0].dispatches(degree);
         let count = (AHEAD / (DISPATCHES + steps)).clamp(2, CHUNK);
         let nodes = self.slots[NODES];
@@ -819,7 +824,16 @@ impl TwoFieldSolver {
         let finite = [NORM_R, NORM_B, NORM_BEST_V, NORM_B_V];
         let finite = finite.iter().all(|&slot| norms[slot].is_finite());
         let status = verdict(control, finite)?;
-        Some(CoupledOutcome {
+        Some(self.outcome_of(status, control, norms))
+    }
+
+    pub(super) fn outcome_of(
+        &self,
+        status: SolveStatus,
+        control: &Control,
+        norms: &[f64],
+    ) -> CoupledOutcome {
+        CoupledOutcome {
             status,
             iterations: control.iterations,
             rounds: control.rounds,
@@ -835,9 +849,9 @@ impl TwoFieldSolver {
                 relative(norms[NORM_R], norms[NORM_TERMS]),
                 relative(norms[NORM_BEST_V], norms[NORM_TERMS_V]),
             ],
-            verified: self.real == Real::F64,
+            verified: self.variant.real == Real::F64,
             condensed: false,
-        })
+        }
     }
 }
 

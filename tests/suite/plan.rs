@@ -614,37 +614,21 @@ fn the_cure_for_large_solids_is_a_coarser_mesh() {
 
 #[test]
 fn without_f64_the_host_turns() {
-    let scene = scene("dam_break_liquid", 0.25, &[]);
-    let turns = |f64| {
-        let plan = Plan::new(&scene, Some(&large_adapter(f64))).unwrap();
-        let rhs = plan
-            .buffers
-            .iter()
-            .find(|buffer| buffer.label == "solver.rhs");
-        (plan.host_turns, rhs.unwrap().element)
-    };
-    assert_eq!(turns(true), (false, 8));
-    assert_eq!(turns(false), (true, 4));
-}
-
-/// Liquid and solids together have no outer loop on the host: refused before anything is seeded, with what helps.
-#[test]
-fn both_in_mixed_need_f64() {
-    let both = |overrides: &[&str]| {
-        let scene = scene("dam_break", 0.12, overrides);
-        Plan::new(&scene, Some(&large_adapter(false))).unwrap()
-    };
-    let plan = both(&[]);
-    assert!(!plan.host_turns);
-    let error = plan.check(&large_adapter(false)).unwrap_err();
-    assert_eq!(error.exit_code(), 3, "{error}");
-    let message = error.to_string();
-    for part in ["SHADER_F64", "precision=f32", "--backend cpu"] {
-        assert!(message.contains(part), "{message}");
+    for name in ["dam_break_liquid", "dam_break"] {
+        let scene = scene(name, 0.25, &[]);
+        let turns = |f64| {
+            let adapter = large_adapter(f64);
+            let plan = Plan::new(&scene, Some(&adapter)).unwrap();
+            plan.check(&adapter).unwrap();
+            let rhs = plan
+                .buffers
+                .iter()
+                .find(|buffer| buffer.label == "solver.rhs");
+            (plan.host_turns, rhs.unwrap().element)
+        };
+        assert_eq!(turns(true), (false, 8), "{name}");
+        assert_eq!(turns(false), (true, 4), "{name}");
     }
-    let single = both(&["solver.precision=f32", "solver.tolerance=1e-5"]);
-    single.check(&large_adapter(false)).unwrap();
-    plan.check(&large_adapter(true)).unwrap();
 }
 
 #[test]

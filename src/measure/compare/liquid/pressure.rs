@@ -109,6 +109,10 @@ impl LiquidJudge<'_> {
             .map(|x| unit(after.real) * x.abs())
             .collect();
         let spread = norm(&magnitudes(&stored.stencil, &stored_as));
+        if start > 0.0 {
+            // The verdict was on E u* - J v before its rounding.
+            target += unit(after.real) * norm(&stored.rhs);
+        }
         if self.scene.solver.precision == Precision::F32 {
             // Half of this passes as rounding of the unknowns; the device evaluates the residual with such roundings too.
             target = target.max(spread);
