@@ -1,4 +1,4 @@
-//! Cases of liquid and elastic solids together, on the f64 path.
+//! Cases of liquid and elastic solids together: the solve, mostly on the f64 path.
 
 use std::time::Instant;
 
@@ -9,11 +9,12 @@ use cutwater::reference::{
     CoupledSolution, CoupledSystem, Formulation, SIGMA, SolidSolver, StressVariables, solve_coupled,
 };
 use cutwater::scene::Solver;
-use cutwater::sim::{Backend, Simulation};
+use cutwater::sim::Simulation;
 use cutwater::state::SolveStatus;
 use glam::DVec3;
 
 use crate::Case;
+use crate::lane::Lane;
 use crate::liquid::written;
 use crate::sheet::Sheet;
 use crate::solid_scene::solids_of;
@@ -34,7 +35,11 @@ pub(crate) fn cases() -> Vec<Case> {
     }
     cases.push(Case::new("C3", parameters));
     cases.push(Case::new("C4", seconds_of_clip));
-    cases.push(Case::new("C5", neutral_block));
+    for lane in Lane::PRECISE {
+        cases.push(Case::new(format!("C5/{}", lane.name()), move |sheet| {
+            neutral_block(lane, sheet)
+        }));
+    }
     cases
 }
 
@@ -242,7 +247,7 @@ poisson = 0.3
 }
 
 /// A turned block as heavy as the liquid around it, one step from rest: its accelerations, in g.
-fn neutral_block(sheet: &mut Sheet) {
+fn neutral_block(lane: Lane, sheet: &mut Sheet) {
     const DT: f64 = 1.0 / 120.0;
     for (n, pressure) in [
         (20, "hydrostatic"),
@@ -275,8 +280,11 @@ tolerance = 1e-10
 pressure_on_patches = \"{pressure}\"
 "
         ));
-        let mut simulation = Simulation::new(&scene, &Backend::Cpu).expect("the scene is sound");
-        simulation.step().expect("a step");
+        let mut simulation = Simulation::new(&scene, &lane.backend()).expect("the scene is sound");
+        let report = simulation.step().expect("a step");
+        for solve in report.solves() {
+            assert_eq!(solve.status, SolveStatus::Converged, "{report:?}");
+        }
         let (state, solids) = (simulation.state().expect("a state"), simulation.solids());
         let (mut momentum, mut largest) = (DVec3::ZERO, 0.0);
         for (v, mass) in state.node_velocity.iter().zip(&solids.mass) {

@@ -38,6 +38,14 @@ impl Lane {
         }
     }
 
+    /// Where it is computed.
+    pub(crate) fn backend(self) -> Backend {
+        match self {
+            Lane::F64 => Backend::Cpu,
+            Lane::Mixed | Lane::F32 => Backend::Gpu(AdapterChoice::Best),
+        }
+    }
+
     /// One of three numbers.
     pub(crate) fn choose<T>(self, f64: T, mixed: T, f32: T) -> T {
         match self {
@@ -93,13 +101,9 @@ impl Motion {
         // Every step ends a frame: no dt is stretched to fit one.
         scene.time.frames_per_second = 1.0 / dt;
         scene.time.fixed_step = Some(dt);
-        let backend = match lane {
-            Lane::F64 => Backend::Cpu,
-            _ => Backend::Gpu(AdapterChoice::Best),
-        };
         Motion {
             solids: solids_of(&scene),
-            simulation: Simulation::new(&scene, &backend).unwrap(),
+            simulation: Simulation::new(&scene, &lane.backend()).unwrap(),
             lane,
             dt,
         }

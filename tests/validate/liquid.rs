@@ -60,7 +60,7 @@ fn step(simulation: &mut Simulation) -> StepReport {
 }
 
 /// The numbers of a table with `#` lines and a line of names.
-fn table(name: &str) -> Vec<Vec<f64>> {
+pub(crate) fn table(name: &str) -> Vec<Vec<f64>> {
     let text = fs::read_to_string(file(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
     let rows = text.lines().filter(|line| !line.starts_with('#')).skip(1);
     rows.map(|line| {

@@ -25,6 +25,7 @@ mod solid_scene;
 
 mod coupled;
 mod coupled_scenes;
+mod coupled_truths;
 mod lane;
 mod liquid;
 mod sheet;
@@ -78,6 +79,7 @@ fn cases() -> Vec<Case> {
     [
         liquid::cases(),
         coupled::cases(),
+        coupled_truths::cases(),
         coupled_scenes::cases(),
         solid_elements::cases(),
         solid_statics::cases(),
