@@ -131,6 +131,15 @@ impl Coupling {
         Coupling::sorted(pairs.copied().collect(), self.n_nodes())
     }
 
+    /// The same pairs with other values.
+    pub fn mapped(&self, value: impl Fn(DVec3) -> DVec3) -> Coupling {
+        let mut mapped = self.clone();
+        for pair in mapped.by_cell.iter_mut().chain(&mut mapped.by_node) {
+            pair.value = value(pair.value);
+        }
+        mapped
+    }
+
     /// Number of nodes, with and without patches.
     pub fn n_nodes(&self) -> usize {
         self.node_start.len().saturating_sub(1)

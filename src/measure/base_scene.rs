@@ -1,13 +1,17 @@
 //! The base scene on a device: both systems and J between them, for benches and tests of coupled solvers.
 
+use std::sync::Arc;
+
 use crate::Error;
 use crate::elastic::Bounds;
-use crate::gpu::{Buffer, Gpu, Recorder};
+use crate::gpu::{Buffer, Gpu, Real, Recorder};
 use crate::grid::{Axis, Grid};
-use crate::reference::CoupledSystem;
+use crate::linalg::norm;
 use crate::reference::base_block::{DENSITY, THETA_FLOOR};
 use crate::reference::base_scene::BaseScene;
+use crate::reference::{ActiveCells, BlockPattern, CoupledSystem, RightHandSide, Stencil};
 use crate::scene::Solver;
+use crate::sim::{SolidSnapshot, StoredPressure, coupled_system, stored_coupling};
 use crate::solver::{
     CoupledFields, CoupledOutcome, CouplingBuffers, CouplingSize, Everywhere, Pair, Polynomial,
     PressureSystem, SolidRows, SolidSystem, SolidSystemBuffers, SolverBuffers, TwoFieldSolver,
@@ -191,6 +195,40 @@ impl<'a> DeviceScene<'a> {
             self.solver
                 .solve(self.gpu, recorder, fields, &self.polynomial, false)?;
         Ok(outcome)
+    }
+
+    /// The system as it is stored once both are set up. `scene`: the one it was made of.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn stored(&self, scene: &BaseScene) -> Result<CoupledSystem, Error> {
+        let grid = &self.grid;
+        let prescribed = &scene.solids.prescribed;
+        let snapshot = SolidSnapshot::read(self.gpu, &self.fields, &self.solids, prescribed)?;
+        let solids = snapshot.on_device(&scene.solids);
+        let pattern = Arc::new(BlockPattern::new(&solids));
+        let solid = snapshot.system(&solids, &pattern, f64::from(self.dt as f32));
+        let (clip, pressure) = (
+            scene.clip(),
+            StoredPressure::read(self.gpu, grid, &self.liquid)?,
+        );
+        let (coupling, density) = stored_coupling(clip.coupling(), grid.dx, DENSITY, self.dt);
+        let stencil = Stencil::new(*grid, pressure.weight, pressure.dirichlet);
+        let mut active = ActiveCells::new(stencil);
+        active.seal(&coupling, prescribed);
+        // What was uploaded: a solve takes J v from it.
+        let area = grid.dx * grid.dx;
+        let values = grid
+            .padded()
+            .unpad(grid.cells, &self.rhs, |b| match self.liquid.rhs.real {
+                Real::F32 => area * f64::from(b as f32),
+                Real::F64 => area * b,
+            });
+        let rhs = RightHandSide {
+            scale: norm(&values),
+            values,
+        };
+        Ok(coupled_system(active, rhs, solid, &coupling, density))
     }
 
     /// Pressures per cell, Pa, and velocities of the nodes, m/s. What inactive cells have means nothing.

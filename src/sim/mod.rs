@@ -12,7 +12,9 @@ mod step;
 pub use gpu_path::GpuPath;
 pub use plan::{EffectLine, Plan, StagePlan};
 pub use run::{Options, Progress, Summary, run};
-pub use snapshot::{LiquidSnapshot, Snapshot, SolidSnapshot};
+pub use snapshot::{
+    LiquidSnapshot, Snapshot, SolidSnapshot, StoredPressure, coupled_system, stored_coupling,
+};
 pub use step::Observer;
 
 use crate::Error;

@@ -2,22 +2,23 @@
 
 use std::sync::Arc;
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
 use crate::Error;
-use crate::elastic::{Solids, stiffness_block};
-use crate::geometry::CutCells;
-use crate::gpu::{Buffer, Gpu, Real};
-use crate::grid::{Axis, Grid};
+use crate::elastic::{Deformation, Solids, stiffness_block};
+use crate::geometry::{Coupling, CutCells};
+use crate::gpu::{Gpu, Real};
+use crate::grid::{Axis, Grid, Padded};
 use crate::reference::{
-    ActiveCells, BlockMatrix, BlockPattern, Freedom, Held, SolidRightHandSide, SolidSystem, Stencil,
+    ActiveCells, BlockMatrix, BlockPattern, CoupledSystem, Freedom, Held, PressureSystem,
+    RightHandSide, SolidRightHandSide, SolidSystem, Stencil,
 };
-use crate::stages::{CouplingReport, Report, SolidReport};
+use crate::solver::{SolidSystemBuffers, SolverBuffers};
+use crate::stages::{CouplingReport, Report, SolidBuffers, SolidReport};
 use crate::state::State;
 
 use super::GpuPath;
 use super::gpu_liquid::GpuLiquid;
-use super::gpu_solids::GpuSolids;
 
 /// All that stages hand to each other, widened to f64.
 #[derive(Clone, Debug)]
@@ -108,7 +109,10 @@ impl GpuPath {
         let liquid = self.liquid.as_ref();
         let liquid = liquid.map(|liquid| liquid.snapshot(&self.gpu, &self.grid));
         let solids = self.solids.as_ref();
-        let solids = solids.map(|solids| solids.snapshot(&self.gpu));
+        let solids = solids.map(|solids| {
+            let prescribed = &solids.solids.prescribed;
+            SolidSnapshot::read(&self.gpu, &solids.buffers, &solids.system, prescribed)
+        });
         Ok(Snapshot {
             liquid: liquid.transpose()?,
             solids: solids.transpose()?,
@@ -120,12 +124,103 @@ impl GpuPath {
     }
 }
 
-impl GpuSolids {
+/// Bits of the lanes of all quads, four from `first` on.
+fn bits(padded: &Padded, words: &[u32], first: usize) -> Vec<bool> {
+    let lanes = 0..padded.len();
+    lanes
+        .map(|at| words[at / 4] >> (first + at % 4) & 1 == 1)
+        .collect()
+}
+
+/// The system of the pressure as a device stores it, host layout; the fields of the same names of a [`LiquidSnapshot`].
+#[derive(Clone, Debug)]
+pub struct StoredPressure {
+    /// Unknowns.
+    pub active: Vec<bool>,
+    /// Those in components without a free surface.
+    pub closed: Vec<bool>,
+    /// Dimensionless.
+    pub weight: [Vec<f64>; 3],
+    /// Dimensionless.
+    pub dirichlet: Vec<f64>,
+    /// Dimensionless.
+    pub inverse_diagonal: Vec<f64>,
+    /// m/s
+    pub rhs: Vec<f64>,
+    /// m/s
+    pub potential: Vec<f64>,
+}
+
+impl StoredPressure {
+    /// Waits for all submitted work and reads it.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn read(gpu: &Gpu, grid: &Grid, solver: &SolverBuffers) -> Result<StoredPressure, Error> {
+        let padded = grid.padded();
+        let cells = |values: &[f64]| padded.unpad(grid.cells, values, |value| value);
+        let flags = gpu.download(&solver.flags)?;
+        let [active, closed] = [0, 4].map(|first| {
+            let lanes = bits(&padded, &flags, first);
+            padded.unpad(grid.cells, &lanes, |lane| lane)
+        });
+        let matrix = solver.matrix.download(gpu)?;
+        let section = |s: usize| &matrix[4 * solver.plan.total * s..][..padded.len()];
+        // Nobody clears what is left of other sub-steps in quads that hold no liquid now.
+        let masked = |values: Vec<f64>| {
+            let mut values = cells(&values);
+            for (value, active) in values.iter_mut().zip(&active) {
+                *value = if *active { *value } else { 0.0 };
+            }
+            values
+        };
+        Ok(StoredPressure {
+            weight: Axis::ALL
+                .map(|axis| padded.unpad(grid.faces(axis), section(axis.index()), |weight| weight)),
+            dirichlet: cells(section(3)),
+            inverse_diagonal: cells(section(4)),
+            rhs: masked(solver.rhs.download(gpu)?),
+            potential: masked(solver.potential.download(gpu)?),
+            active,
+            closed,
+        })
+    }
+}
+
+/// J as a device holds it in a sub-step of dt (s), whose areas over dx^2 are f32, and the density (kg/m^3) with which its pressures are Pa:
+/// a potential pushes with the mass of a cell over dt, an f32. Systems of it have a dt that is an f32 too.
+pub fn stored_coupling(coupling: &Coupling, dx: f64, density: f64, dt: f64) -> (Coupling, f64) {
+    let area = dx * dx;
+    let stored = coupling.mapped(|value| area * (value / area).as_vec3().as_dvec3());
+    let mass = f64::from((density * dx.powi(3) / dt) as f32);
+    (stored, mass * f64::from(dt as f32) / dx.powi(3))
+}
+
+/// The system of liquid and solids from its parts. `rhs`: E u*, m^3/s, from which what prescribed nodes take up of closed components is
+/// taken already.
+pub fn coupled_system(
+    active: ActiveCells,
+    rhs: RightHandSide,
+    solid: SolidSystem,
+    coupling: &Coupling,
+    density: f64,
+) -> CoupledSystem {
+    let mut closed = vec![false; rhs.values.len()];
+    let cells = active.closed.iter().flatten();
+    cells.for_each(|&cell| closed[cell] = true);
+    let pressure = PressureSystem::new(active, rhs, solid.dt(), density);
+    CoupledSystem::new(pressure, solid, &coupling.restricted(|cell| !closed[cell]))
+}
+
+impl SolidSnapshot {
     /// Walls leave components, obstacles a direction.
-    fn freedom(&self, gpu: &Gpu) -> Result<(Vec<Freedom>, Vec<Held>), Error> {
-        let prescribed = self.solids.prescribed.iter();
-        let words = gpu.download(&self.buffers.freedom)?;
-        let nodes = prescribed.zip(words);
+    fn freedom(
+        gpu: &Gpu,
+        buffers: &SolidBuffers,
+        prescribed: &[[bool; 3]],
+    ) -> Result<(Vec<Freedom>, Vec<Held>), Error> {
+        let words = gpu.download(&buffers.freedom)?;
+        let nodes = prescribed.iter().zip(words);
         Ok(nodes
             .map(|(&prescribed, [x, y, z, flags])| {
                 let components = [0, 1, 2].map(|axis| flags as u32 >> axis & 1 == 1);
@@ -139,10 +234,17 @@ impl GpuSolids {
             .collect())
     }
 
-    fn snapshot(&self, gpu: &Gpu) -> Result<SolidSnapshot, Error> {
-        let GpuSolids {
-            buffers, system, ..
-        } = self;
+    /// Waits for all submitted work and reads everything. `prescribed`: components of the nodes.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn read(
+        gpu: &Gpu,
+        buffers: &SolidBuffers,
+        system: &SolidSystemBuffers,
+        prescribed: &[[bool; 3]],
+    ) -> Result<SolidSnapshot, Error> {
+        let (freedom, held) = SolidSnapshot::freedom(gpu, buffers, prescribed)?;
         let mut state = State::default();
         buffers.read_state(gpu, &mut state)?;
         let (n, m) = (buffers.plan.n_nodes, buffers.plan.n_elements);
@@ -161,7 +263,6 @@ impl GpuSolids {
                 .map(|&[x, y, z, _]| [x, y, z].map(f64::from))
                 .collect();
         }
-        let (freedom, held) = self.freedom(gpu)?;
         Ok(SolidSnapshot {
             displacement: state.displacement,
             velocity: state.node_velocity,
@@ -187,36 +288,17 @@ impl GpuLiquid {
             ..
         } = self;
         let padded = grid.padded();
-        let cells = |values: &[f64]| padded.unpad(grid.cells, values, |value| value);
-        let bits = |words: &Buffer<u32>, first: usize| -> Result<Vec<bool>, Error> {
-            let words = gpu.download(words)?;
-            Ok((0..padded.len())
-                .map(|at| words[at / 4] >> (first + at % 4) & 1 == 1)
-                .collect())
-        };
         let on_cells = |lanes: &[bool]| padded.unpad(grid.cells, lanes, |lane| lane);
+        let words = gpu.download(&liquid.valid)?;
         let band_words = gpu.download(&liquid.band_flags)?;
         let band: Vec<bool> = (0..padded.len())
             .map(|at| band_words[at / 4] != 0)
             .collect();
-        let valid = [0, 4, 8].map(|first| bits(&liquid.valid, first));
-        let mut faces = Axis::ALL.into_iter().zip(valid);
-        let mut next_valid = || -> Result<Vec<bool>, Error> {
-            let (axis, valid) = faces.next().expect("there are three axes");
-            Ok(padded.unpad(grid.faces(axis), &valid?, |valid| valid))
-        };
-        let valid = [next_valid()?, next_valid()?, next_valid()?];
-        let matrix = solver.matrix.download(gpu)?;
-        let section = |s: usize| &matrix[4 * solver.plan.total * s..][..padded.len()];
-        let active = bits(&solver.flags, 0)?;
-        // Nobody clears what is left of other sub-steps in quads that hold no liquid now.
-        let masked = |values: Vec<f64>| {
-            let mut values = cells(&values);
-            for (value, active) in values.iter_mut().zip(on_cells(&active)) {
-                *value = if active { *value } else { 0.0 };
-            }
-            values
-        };
+        let valid = Axis::ALL.map(|axis| {
+            let lanes = bits(&padded, &words, 4 * axis.index());
+            padded.unpad(grid.faces(axis), &lanes, |valid| valid)
+        });
+        let stored = StoredPressure::read(gpu, grid, solver)?;
         let markers = match &liquid.markers {
             None => Vec::new(),
             Some(markers) => gpu.download(&markers.positions)?[..self.n_markers]
@@ -241,14 +323,13 @@ impl GpuLiquid {
             liquid_distance: padded.unpad(grid.cells, &distance, f64::from),
             face_band: Axis::ALL.map(|axis| padded.unpad(grid.faces(axis), &band, |band| band)),
             band: on_cells(&band),
-            closed: on_cells(&bits(&solver.flags, 4)?),
-            weight: Axis::ALL
-                .map(|axis| padded.unpad(grid.faces(axis), section(axis.index()), |weight| weight)),
-            dirichlet: cells(section(3)),
-            inverse_diagonal: cells(section(4)),
-            rhs: masked(solver.rhs.download(gpu)?),
-            potential: masked(solver.potential.download(gpu)?),
-            active: on_cells(&active),
+            active: stored.active,
+            closed: stored.closed,
+            weight: stored.weight,
+            dirichlet: stored.dirichlet,
+            inverse_diagonal: stored.inverse_diagonal,
+            rhs: stored.rhs,
+            potential: stored.potential,
             real: solver.rhs.real,
             report: Report::from_words(&gpu.download(&liquid.report)?),
         })
@@ -287,6 +368,24 @@ impl SolidSnapshot {
             body.stiffness_damping = single(body.stiffness_damping);
         }
         device
+    }
+
+    /// A deformation with the rotation that turned the element's gradients as the device has them. `solids`: those
+    /// [`on_device`](Self::on_device).
+    pub fn turned(&self, solids: &Solids, element: usize, gradient: DMat3) -> Deformation {
+        let [_, a, b, c] = solids.gradients[element];
+        let turned = self.rotated.each_ref().map(|section| {
+            let [x, y, z, _] = section[element];
+            DVec3::new(x, y, z)
+        });
+        let columns = |[a, b, c]: [DVec3; 3]| DMat3::from_cols(a, b, c);
+        let rotation = columns(turned) * columns([a, b, c]).inverse();
+        let back = rotation.transpose() * (gradient + (DMat3::IDENTITY - rotation));
+        Deformation {
+            gradient,
+            rotation,
+            strain: 0.5 * (back + back.transpose()),
+        }
     }
 
     /// The stored system of a sub-step of dt (s, an f32): rotated gradients, moduli and right-hand side in the device's scalar type.

@@ -3,12 +3,14 @@
 use std::time::Instant;
 
 use cutwater::geometry::{ObstacleCut, SolidClip};
+use cutwater::gpu::{AdapterChoice, Gpu};
 use cutwater::linalg::SymbolicCholesky;
+use cutwater::measure::base_scene::DeviceScene;
 use cutwater::reference::base_scene::{BaseBeam, BaseScene};
 use cutwater::reference::{
     CoupledSolution, CoupledSystem, Formulation, SIGMA, SolidSolver, StressVariables, solve_coupled,
 };
-use cutwater::scene::Solver;
+use cutwater::scene::{Formulation as Form, Precision, Solver};
 use cutwater::sim::Simulation;
 use cutwater::state::SolveStatus;
 use glam::DVec3;
@@ -34,6 +36,7 @@ pub(crate) fn cases() -> Vec<Case> {
         }));
     }
     cases.push(Case::new("C3", parameters));
+    cases.push(Case::new("C3/device", stored));
     cases.push(Case::new("C4", seconds_of_clip));
     for lane in Lane::PRECISE {
         cases.push(Case::new(format!("C5/{}", lane.name()), move |sheet| {
@@ -195,6 +198,92 @@ fn parameters(sheet: &mut Sheet) {
         let solution = Base::new(40, &beam).solve(Formulation::Condensed, 1e-8);
         let iterations = f64::from(solution.reports[0].iterations);
         sheet.at_most(&format!("condensed, {name}: iterations"), iterations, bound);
+    }
+}
+
+/// What a device answers against the direct solve of the system that it stored, and that against the one assembled in f64, over stiffness,
+/// step, density and Poisson's ratio. `mixed` to a tolerance of 1e-10; `f32` until rounding stops it.
+fn stored(sheet: &mut Sheet) {
+    let gpu = Gpu::new(&AdapterChoice::Best).expect("there is an adapter");
+    sheet.told("adapter", gpu.report().name.clone());
+    let base = BaseBeam::default();
+    let mut beams = vec![("base".to_owned(), base)];
+    for young in [1e4, 1e5, 1e7, 1e8, 1e9] {
+        beams.push((format!("E = {young:e} Pa"), BaseBeam { young, ..base }));
+    }
+    for dt in [1e-3, 5e-3, 2e-2] {
+        beams.push((format!("dt = {dt:e} s"), BaseBeam { dt, ..base }));
+    }
+    for density in [100.0, 500.0, 5000.0, 20_000.0] {
+        beams.push((format!("density {density}"), BaseBeam { density, ..base }));
+    }
+    for poisson in [0.0, 0.3, 0.49] {
+        beams.push((format!("nu = {poisson}"), BaseBeam { poisson, ..base }));
+    }
+    let (young, density) = (1e7, 500.0);
+    let both = BaseBeam {
+        young,
+        density,
+        ..base
+    };
+    beams.push(("E = 1e7 Pa, density 500".to_owned(), both));
+    for (name, beam) in beams {
+        let assembled = Base::new(20, &beam);
+        let exact = assembled.solve(Formulation::Indefinite, 1e-12);
+        for (precision, tolerance) in [(Precision::Mixed, 1e-10), (Precision::F32, 1e-5)] {
+            if precision == Precision::Mixed && !gpu.has_f64() {
+                continue;
+            }
+            for formulation in [Form::TwoField, Form::Condensed] {
+                // Whose dense inverse comes from a factor in f64.
+                if precision == Precision::F32 && formulation == Form::Condensed {
+                    continue;
+                }
+                let settings = Solver {
+                    precision,
+                    tolerance,
+                    formulation,
+                    max_iterations: 1000,
+                    ..Solver::default()
+                };
+                let device = DeviceScene::new(&gpu, &assembled.scene, &assembled.system, &settings);
+                let device = device.expect("the adapter is large enough");
+                device.reset();
+                let outcome = device.solve().expect("the device works");
+                let (mut pressure, velocity) = device.answer().expect("the device works");
+                let active = &assembled.system.pressure.stencil;
+                for (cell, pressure) in pressure.iter_mut().enumerate() {
+                    *pressure *= f64::from(u8::from(active.active(cell)));
+                }
+                let mut of_device = exact.clone();
+                (of_device.pressure, of_device.velocity) = (pressure, velocity);
+                let stored = Base {
+                    system: device.stored(&assembled.scene).expect("the device works"),
+                    solver: SolidSolver::new(&assembled.scene.solids),
+                    scene: BaseScene::new(20, &beam).expect("the base scene has a beam"),
+                };
+                let direct = stored.solve(Formulation::Indefinite, 1e-12);
+                let [p, v] = differences(&of_device, &direct);
+                let what = format!("{name}: {precision:?}, {formulation:?}");
+                let bounds = match precision {
+                    Precision::F32 => [3e-5, 3e-5],
+                    _ => [1e-8, 1e-8],
+                };
+                let (status, iterations) = (outcome.status, outcome.iterations);
+                let ended = format!("{} after {iterations} iterations", status.name());
+                sheet.told(&format!("{what}: ended"), ended);
+                // Conjugate gradients in f32 end before a beam as stiff as this is solved for, and say so.
+                if status == SolveStatus::Converged || beam.young < 1e9 || bounds[0] < 1e-5 {
+                    sheet.at_most(&format!("{what}: p against its direct solve"), p, bounds[0]);
+                    sheet.at_most(&format!("{what}: v"), v, bounds[1]);
+                }
+                if formulation == Form::TwoField {
+                    let [p, v] = differences(&direct, &exact);
+                    sheet.at_most(&format!("{what}: assembly, p"), p, 1e-5);
+                    sheet.at_most(&format!("{what}: assembly, v"), v, 1e-5);
+                }
+            }
+        }
     }
 }
 

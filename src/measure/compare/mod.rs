@@ -128,6 +128,15 @@ pub fn compare(
                 slopes: &slopes,
                 told: after.coupling,
             });
+            let density = scene.liquid.as_ref().map_or(0.0, |liquid| liquid.density);
+            let together = both
+                .as_ref()
+                .filter(|both| stage == "solve" && both.touch());
+            if let (Some(both), Some(of_liquid), Some(judge)) = (together, &liquid, &mut solids)
+                && let Some(parts) = of_liquid.systems(both.liquid, both)
+            {
+                judge.assembly(both.solids, both, density, parts)?;
+            }
             if let (Some(judge), Some(after)) = (&mut liquid, &after.liquid) {
                 judge.judge(stage, after, held.liquid, both.as_ref())?;
             }

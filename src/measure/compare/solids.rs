@@ -8,19 +8,25 @@ use super::table::{Place, Table};
 use super::{Both, EPS, unit};
 use crate::Error;
 use crate::elastic::{Deformation, Solids, forces as forces_of};
-use crate::geometry::CutCells;
+use crate::geometry::{Coupling, CutCells};
 use crate::gpu::Real;
 use crate::grid::Grid;
 use crate::linalg::norm;
-use crate::reference::{self, BlockPattern, Contacts, SolidMatrices, SolidSolver};
+use crate::reference::{
+    self, ActiveCells, BlockPattern, Contacts, Formulation, RightHandSide as Inflow, SolidMatrices,
+    SolidRightHandSide, SolidSolver, SolidSystem,
+};
 use crate::scene::{Scene, Solver};
-use crate::sim::{GpuPath, SolidSnapshot};
+use crate::sim::{GpuPath, SolidSnapshot, coupled_system, stored_coupling};
 use crate::solver::rounding;
 use crate::stages::{DiagnoseSolid, ElementRotations, MoveSolid, NodeForces, RightHandSide};
 use crate::state::SolidDiagnosis;
 
 /// Relative error of the sum of two f32 that a displacement is held as, and of what is added to it.
 const PAIR: f64 = 1.0 / (1u64 << 45) as f64;
+
+/// How far coefficients in f32 may move the answer of liquid and solids, relative to its largest numbers.
+const ASSEMBLY: f64 = 1e-5;
 
 /// Where R may be off by more than this, the nearest rotation is as good as not unique.
 const AMBIGUOUS: f64 = 1e-2;
@@ -42,6 +48,8 @@ pub(super) struct SolidJudge<'a> {
     before: SolidSnapshot,
     /// Of the sub-step's displacements, once `solid_matrices` was judged.
     matrices: Option<SolidMatrices>,
+    /// Right-hand side of the twin, N.
+    rhs: Vec<[f64; 3]>,
 }
 
 impl<'a> SolidJudge<'a> {
@@ -76,6 +84,7 @@ impl<'a> SolidJudge<'a> {
             dt: 0.0,
             before,
             matrices: None,
+            rhs: Vec::new(),
         }))
     }
 
@@ -234,7 +243,7 @@ impl<'a> SolidJudge<'a> {
             if off_r > AMBIGUOUS {
                 // Any nearest rotation will do, so the twin goes on with the device's.
                 let twin = &mut matrices.deformations[element];
-                let gpu = turned_by(twin, g, &after.rotated, element);
+                let gpu = after.turned(solids, element, twin.gradient);
                 let [gpu_distance, distance] = [&gpu, &*twin].map(distance_to_rotation);
                 let bound = 1e-6 * distance + 8.0 * eps * size;
                 ambiguous.push((gpu_distance, distance, bound, Place::Element(element)));
@@ -334,6 +343,7 @@ impl<'a> SolidJudge<'a> {
         }
         let row = [RightHandSide::NAME, "M v*/dt - (K x* - b) + load", "N"];
         self.add_nodes(row, &after.rhs, &twin, |node, axis| bounds[node][axis]);
+        self.rhs = twin;
     }
 
     /// Forces of the pressure's variation within cells on the nodes, N, and the sums of their terms' sizes.
@@ -356,6 +366,57 @@ impl<'a> SolidJudge<'a> {
             }
         }
         (sums, gross)
+    }
+
+    /// Row `assembly` of liquid and solids together, before `solve` is judged: the answer of the system of both as it is stored against that
+    /// of the one assembled in f64. `parts`: unknowns and E u* of each.
+    pub(super) fn assembly(
+        &mut self,
+        after: &SolidSnapshot,
+        both: &Both,
+        density: f64,
+        parts: [(ActiveCells, Inflow); 2],
+    ) -> Result<(), Error> {
+        let (solids, dt, grid) = (&self.solids, self.dt, self.scene.grid());
+        let Some(matrices) = &self.matrices else {
+            return Ok(());
+        };
+        let exact = Solver {
+            tolerance: 1e-12,
+            max_iterations: 10_000,
+            ..self.scene.solver
+        };
+        let solved = |(active, rhs), solid, coupling: &Coupling, density| {
+            let system = coupled_system(active, rhs, solid, coupling, density);
+            let form = Formulation::of(&system);
+            reference::solve_coupled(&system, form, &self.solver, solids, &exact)
+        };
+        let [of_device, of_twin] = parts;
+        let (areas, weight) = stored_coupling(both.clip.coupling(), grid.dx, density, dt);
+        let solid = after.system(solids, &self.pattern, dt);
+        let stored = solved(of_device, solid, &areas, weight)?;
+        let rhs = SolidRightHandSide {
+            values: self.rhs.clone(),
+            scale: 0.0,
+        };
+        let (stiffness, freedom) = (matrices.stiffness.clone(), after.freedom.clone());
+        let solid = SolidSystem::new(solids, stiffness, &rhs, &after.velocity, freedom, dt);
+        let assembled = solved(of_twin, solid, both.clip.coupling(), density)?;
+        // What gravity does to a velocity in a step is there even where nothing moves.
+        let falls = dt * self.scene.domain.gravity.length();
+        let largest = |values: &[f64]| values.iter().fold(0.0, |m, x| f64::max(m, x.abs()));
+        let bound = ASSEMBLY * largest(&assembled.pressure);
+        let cells = stored.pressure.iter().zip(&assembled.pressure).enumerate();
+        let cells = cells.filter(|(cell, _)| both.liquid.active[*cell]);
+        let row = ["assembly", "pressure, with solids", "Pa"];
+        self.table.add(
+            row,
+            cells.map(|(cell, (&stored, &twin))| (stored, twin, bound, Place::cell(&grid, cell))),
+        );
+        let bound = ASSEMBLY * largest(assembled.velocity.as_flattened()).max(falls);
+        let row = ["assembly", "v, with liquid", "m/s"];
+        self.add_nodes(row, &stored.velocity, &assembled.velocity, |_, _| bound);
+        Ok(())
     }
 
     /// The system is the one stored: rotated gradients and moduli in the scalar type of the outer loop, and what the device holds; in liquid
@@ -564,26 +625,4 @@ fn frobenius(m: DMat3) -> f64 {
 /// |F - R|
 fn distance_to_rotation(deformation: &Deformation) -> f64 {
     frobenius(DMat3::IDENTITY + deformation.gradient - deformation.rotation)
-}
-
-/// The deformation with the rotation that turned the gradients `g` as the device has them.
-fn turned_by(
-    deformation: &Deformation,
-    g: &[DVec3; 4],
-    rotated: &[Vec<[f64; 4]>; 3],
-    element: usize,
-) -> Deformation {
-    let turned = rotated.each_ref().map(|section| {
-        let [x, y, z, _] = section[element];
-        DVec3::new(x, y, z)
-    });
-    let columns = |[a, b, c]: [DVec3; 3]| DMat3::from_cols(a, b, c);
-    let rotation = columns(turned) * columns([g[1], g[2], g[3]]).inverse();
-    let gradient = deformation.gradient;
-    let back = rotation.transpose() * (gradient + (DMat3::IDENTITY - rotation));
-    Deformation {
-        gradient,
-        rotation,
-        strain: 0.5 * (back + back.transpose()),
-    }
 }

@@ -2,32 +2,46 @@
 
 use std::sync::Arc;
 
-use super::{Options, Part, Ran, System, on_cpu, pressure, solids};
+use super::{Options, Part, Ran, System, no_system_of_both, on_cpu, on_gpu, pressure, solids};
 use crate::Error;
+use crate::elastic::Solids;
+use crate::gpu::AdapterChoice;
 use crate::linalg::{Csr, Symmetry, matrix_text, vector_text};
-use crate::reference::{BlockPattern, SIGMA, StepSystem, StressVariables, solid_matrices};
+use crate::reference::{
+    BlockPattern, CoupledSystem, SIGMA, StepSystem, StressVariables, right_hand_side,
+    solid_matrices,
+};
 use crate::scene::Scene;
-use crate::sim::{Backend, solids_of};
+use crate::sim::{Backend, Snapshot, coupled_system, solids_of, stored_coupling};
+use crate::stages::RightHandSide;
+
+/// What is exported of a sub-step.
+struct Taken {
+    system: CoupledSystem,
+    /// Pa.
+    pressure: Vec<f64>,
+    /// m/s
+    velocity: Vec<[f64; 3]>,
+    variables: StressVariables,
+    ran: Ran,
+}
 
 /// A \[p; P v\] = rhs of thesis (5.25), P on what walls and obstacles leave, with the same problem in its other forms.
 pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), Error> {
-    if let Backend::Gpu(_) = options.backend {
-        return Err(Error::input(
-            scene.file.display().to_string(),
-            "the system of liquid and solids is exported from the f64 path only",
-            "use --backend cpu",
-        ));
-    }
     let (density, all) = (pressure::density(scene)?, solids_of(scene)?);
-    let ((system, mut x), ran, path) = on_cpu(scene, options.step, |of_step| match of_step {
-        StepSystem::Coupled(system, pressure, velocity) => {
-            // What is held is on the other side.
-            let free = system.solid.free_part(velocity);
-            let x: Vec<f64> = pressure.iter().chain(&free).copied().collect();
-            Some((system.clone(), x))
-        }
-        StepSystem::Pressure(..) | StepSystem::Solid(..) => None,
-    })?;
+    let Taken {
+        system,
+        pressure,
+        velocity,
+        variables,
+        ran,
+    } = match &options.backend {
+        Backend::Gpu(choice) => stored(scene, choice, options.step, density)?,
+        Backend::Cpu => assembled(scene, options.step, &all)?,
+    };
+    // What is held is on the other side.
+    let mut x = pressure;
+    x.extend(system.solid.free_part(&velocity));
     let blocks = system.blocks();
     let n_cells = blocks.cells.len();
     // Where nothing fixes the level, the matrices put the cell with twice its diagonal at 0.
@@ -45,9 +59,6 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
         .collect();
     let w: Vec<f64> = minus_w.iter().map(|w| -w).collect();
     let both = |of_v: &[f64]| e.iter().chain(of_v).copied().collect::<Vec<f64>>();
-    let pattern = Arc::new(BlockPattern::new(&all));
-    let deformations = solid_matrices(&all, &pattern, &path.state().displacement).deformations;
-    let variables = StressVariables::new(&all, &deformations, ran.dt);
     let (stress, stress_matrix) = variables.system(&blocks)?;
     let symmetric = |matrix: &Csr, what| matrix_text(matrix, Symmetry::Symmetric, what);
     let z1 = Csr::diagonal_of(&blocks.z1(SIGMA));
@@ -142,4 +153,76 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
         },
     };
     Ok((written, ran))
+}
+
+/// The system of the f64 path.
+fn assembled(scene: &Scene, step: u64, all: &Solids) -> Result<Taken, Error> {
+    let ((system, pressure, velocity), ran, path) = on_cpu(scene, step, |of_step| match of_step {
+        StepSystem::Coupled(system, pressure, velocity) => {
+            Some((system.clone(), pressure.to_vec(), velocity.to_vec()))
+        }
+        StepSystem::Pressure(..) | StepSystem::Solid(..) => None,
+    })?;
+    let pattern = Arc::new(BlockPattern::new(all));
+    let deformations = solid_matrices(all, &pattern, &path.state().displacement).deformations;
+    Ok(Taken {
+        system,
+        pressure,
+        velocity,
+        variables: StressVariables::new(all, &deformations, ran.dt),
+        ran,
+    })
+}
+
+/// The system in the device's memory.
+fn stored(scene: &Scene, choice: &AdapterChoice, step: u64, density: f64) -> Result<Taken, Error> {
+    let grid = scene.grid();
+    let mut inflow = Vec::new();
+    let (taken, ran) = on_gpu(scene, choice, step, |stage, path, dt| {
+        if !["solve", RightHandSide::NAME].contains(&stage) {
+            return Ok(None);
+        }
+        let (Snapshot { liquid, solids, .. }, clip, at_rest) =
+            (path.snapshot()?, path.clip(), path.solids());
+        let both = liquid.zip(solids).zip(clip.zip(at_rest));
+        let ((liquid, solids), (clip, at_rest)) = both.expect("the scene has liquid and solids");
+        if stage == RightHandSide::NAME {
+            // The solve takes from it what the solids take up.
+            inflow = liquid.rhs;
+            return Ok(None);
+        }
+        let (coupling, density) = stored_coupling(clip.coupling(), grid.dx, density, dt);
+        let mut active = liquid.active_cells(&grid);
+        active.seal(&coupling, &at_rest.prescribed);
+        let mut joined = coupling.cells();
+        if !joined.any(|(cell, _)| active.stencil.active(cell)) {
+            return Err(no_system_of_both(step));
+        }
+        let open = &path.cut_cells().open;
+        let mut rhs = right_hand_side(&grid, open, &liquid.velocity_next, &active, None);
+        rhs.values = inflow.iter().map(|b| grid.dx * grid.dx * b).collect();
+        // As the device has it.
+        let dt = f64::from(dt as f32);
+        let all = solids.on_device(at_rest);
+        let pattern = Arc::new(BlockPattern::new(&all));
+        let mut deformations = solid_matrices(&all, &pattern, &solids.displacement).deformations;
+        for (element, deformation) in deformations.iter_mut().enumerate() {
+            *deformation = solids.turned(&all, element, deformation.gradient);
+        }
+        let solid = solids.system(&all, &pattern, dt);
+        let system = coupled_system(active, rhs, solid, &coupling, density);
+        let pascal = density * grid.dx / dt;
+        let potential = liquid.potential.iter();
+        let pressure: Vec<f64> = potential.map(|phi| pascal * phi).collect();
+        let variables = StressVariables::new(&all, &deformations, dt);
+        Ok(Some((system, pressure, solids.velocity, variables)))
+    })?;
+    let (system, pressure, velocity, variables) = taken;
+    Ok(Taken {
+        system,
+        pressure,
+        velocity,
+        variables,
+        ran,
+    })
 }

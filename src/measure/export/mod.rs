@@ -10,7 +10,8 @@
 //! With liquid the matrix is B of B p = E u* (design section 2) and cells.csv tells which cell each row is; with solids it is S of
 //! S v = rhs on the free components, nodes.csv tells which component of which node each row is, and M.mtx, K.mtx and S.mtx are the
 //! blocks with all components. Where both touch, spd.mtx is the matrix of the two fields of thesis (5.25), and the same problem is written
-//! as indefinite.mtx (5.17) and stress.mtx (5.3), each with its right-hand side, and as the blocks B, J, M, K, Z1 and Z2. On the GPU path the system is the one that the device stored, widened: the system of the step.
+//! as indefinite.mtx (5.17) and stress.mtx (5.3), each with its right-hand side, and as the blocks B, J, M, K, Z1 and Z2.
+//! On the GPU path the system is the one that the device stored, widened: the system of the step.
 
 mod coupled;
 mod pressure;
@@ -222,12 +223,13 @@ fn status(report: &StepReport) -> SolveStatus {
     solve.map_or(SolveStatus::Converged, |SolveReport { status, .. }| status)
 }
 
-/// Runs the GPU path to a sub-step and takes something off it after that sub-step's solve.
+/// Runs the GPU path to a sub-step and takes something off it after one of that sub-step's stages. `take`: given a stage that is over and
+/// the length of the sub-step, s; it answers at the solve at the latest.
 fn on_gpu<T>(
     scene: &Scene,
     choice: &AdapterChoice,
     step: u64,
-    take: impl Fn(&GpuPath, f64) -> Result<T, Error>,
+    mut take: impl FnMut(&'static str, &GpuPath, f64) -> Result<Option<T>, Error>,
 ) -> Result<(T, Ran), Error> {
     let mut path = GpuPath::open(scene, choice)?;
     loop {
@@ -235,8 +237,8 @@ fn on_gpu<T>(
         let wanted = path.clock().step == step;
         let mut taken = None;
         let report = path.step_observed(&mut |stage, path| {
-            if wanted && stage == "solve" {
-                taken = Some(take(path, dt)?);
+            if wanted && taken.is_none() {
+                taken = take(stage, path, dt)?;
             }
             Ok(())
         })?;
@@ -279,11 +281,16 @@ fn on_cpu<T>(
             return Ok((taken, ran, path));
         }
         if wanted {
-            return Err(Error::input(
-                format!("--step {step}"),
-                "liquid and solids do not touch in this sub-step, so there is no system of both",
-                "choose a sub-step in which `touching` of steps.csv is 1",
-            ));
+            return Err(no_system_of_both(step));
         }
     }
+}
+
+/// Liquid and solids are solved apart in a sub-step.
+fn no_system_of_both(step: u64) -> Error {
+    Error::input(
+        format!("--step {step}"),
+        "liquid and solids do not touch in this sub-step, so there is no system of both",
+        "choose a sub-step in which `touching` of steps.csv is 1",
+    )
 }

@@ -11,8 +11,9 @@ use crate::sim::{Backend, GpuPath};
 pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), Error> {
     let density = density(scene)?;
     let ((system, pressure), ran) = match &options.backend {
-        Backend::Gpu(choice) => on_gpu(scene, choice, options.step, |path, dt| {
-            stored(scene, path, density, dt)
+        Backend::Gpu(choice) => on_gpu(scene, choice, options.step, |stage, path, dt| {
+            let solved = || stored(scene, path, density, dt);
+            (stage == "solve").then(solved).transpose()
         })?,
         Backend::Cpu => {
             let (taken, ran, _) = on_cpu(scene, options.step, |of_step| match of_step {

@@ -37,7 +37,9 @@ pub struct SolidMeta {
 pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), Error> {
     let solids = solids_of(scene)?;
     let ((system, velocity), ran) = match &options.backend {
-        Backend::Gpu(choice) => on_gpu(scene, choice, options.step, stored)?,
+        Backend::Gpu(choice) => on_gpu(scene, choice, options.step, |stage, path, dt| {
+            (stage == "solve").then(|| stored(path, dt)).transpose()
+        })?,
         Backend::Cpu => {
             let (taken, ran, _) = on_cpu(scene, options.step, |of_step| match of_step {
                 StepSystem::Solid(system, velocity) => Some((system.clone(), velocity.to_vec())),

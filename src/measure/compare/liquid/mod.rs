@@ -13,7 +13,9 @@ use crate::geometry::CutCells;
 use crate::gpu::Real;
 use crate::grid::{Axis, Grid};
 use crate::measure::bounds::trace_error;
-use crate::reference::{self, ActiveCells, MovingWalls, PressureSystem, Stencil, VolumeSource};
+use crate::reference::{
+    self, ActiveCells, MovingWalls, PressureSystem, RightHandSide as Inflow, Stencil, VolumeSource,
+};
 use crate::scene::{ProbeKind, Scene};
 use crate::sim::{GpuPath, LiquidSnapshot};
 use crate::stages::{
@@ -91,6 +93,24 @@ impl<'a> LiquidJudge<'a> {
             },
             before,
         }))
+    }
+
+    /// Before `solve` is judged: the unknowns and E u* (m^3/s) as the device stores them, and as the twins assemble them.
+    pub(super) fn systems(
+        &self,
+        after: &LiquidSnapshot,
+        both: &Both,
+    ) -> Option<[(ActiveCells, Inflow); 2]> {
+        let area = self.grid.dx * self.grid.dx;
+        let assembled = self.twin.active.clone()?;
+        let mut stored = after.active_cells(&self.grid);
+        stored.seal(both.clip.coupling(), &both.at_rest.prescribed);
+        let rhs = |values: &[f64]| Inflow {
+            values: values.iter().map(|b| area * b).collect(),
+            scale: area * self.twin.flux,
+        };
+        let [of_device, of_twin] = [rhs(&self.before.rhs), rhs(&self.twin.rhs)];
+        Some([(stored, of_device), (assembled, of_twin)])
     }
 
     /// Hears of the next sub-step.
