@@ -69,7 +69,7 @@ fn element_rotations(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local
     let force = rotation * (volume * stress);
     let square = dot(strain[0], strain[0]) + dot(strain[1], strain[1]) + dot(strain[2], strain[2]);
     let energy = volume * (mu * square + half * lambda * dilation * dilation);
-    let zeta_k_volume = (Real(step.dt) + Real(material.x)) * volume;
+    let zeta_k_volume = (Real(step.elastic * step.dt) + Real(step.damped * material.x)) * volume;
     rotated[element] = Real4(rotation * g1, zeta_k_volume * lambda);
     rotated[n + element] = Real4(rotation * g2, zeta_k_volume * mu);
     rotated[2u * n + element] = Real4(rotation * g3, dot(f[0], cross(f[1], f[2])));

@@ -26,7 +26,7 @@ fn solid_diagonals(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_i
     if node >= rows.n_nodes {
         return;
     }
-    let mass = (Real(1.0) / Real(step.dt) + load[node].w) * Real(rest[node].w);
+    let mass = (Real(1.0) / Real(step.dt) + Real(step.damped) * load[node].w) * Real(rest[node].w);
     masses[node] = mass;
     // xx, yy, zz and xy, xz, yz.
     var squares = Real3(mass);

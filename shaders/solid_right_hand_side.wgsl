@@ -27,8 +27,8 @@ fn solid_right_hand_side(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(l
     }
     let free = is_free(flags[node]);
     let momentum = (Real(rest[node].w) / Real(step.dt)) * velocity[node].xyz;
-    let elastic = gather(node, rows.n_elements);
-    let applied = load[node].xyz;
+    let elastic = Real(step.elastic) * gather(node, rows.n_elements);
+    let applied = Real(step.elastic) * load[node].xyz;
     let terms = select(Real3(), abs(momentum) + abs(elastic) + abs(applied), free);
     rhs[node] = Real4(select(Real3(), (momentum - elastic) + applied, free), dot(terms, terms));
 }

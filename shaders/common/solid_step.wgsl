@@ -14,4 +14,10 @@ struct SolidStep {
     n_elements: u32,
     // 0 in every step; compilers do not know.
     zero: u32,
+    // 1, or 0 in a system without elasticity and loads: share of dt in zeta_K, and of all forces but inertia
+    elastic: f32,
+    // 1, or 0 in a system without damping: share of tau_M in zeta_M and of tau_K in zeta_K
+    damped: f32,
+    pad_0: u32,
+    pad_1: u32,
 }

@@ -3,7 +3,7 @@
 use cutwater::Error;
 use cutwater::gpu::{AdapterReport, BufferPlan, Gpu, STORAGE_BUFFERS};
 use cutwater::scene::{Precision, Scene};
-use cutwater::sim::{Backend, Plan, ensure_gpu_can};
+use cutwater::sim::{Backend, Plan};
 
 use super::{BackendArgs, SceneArgs};
 
@@ -33,7 +33,6 @@ impl PlanCommand {
                 Ok(())
             }
             Backend::Gpu(choice) => {
-                ensure_gpu_can(&scene)?;
                 // A named adapter must exist; without a name the plan can do without one.
                 let adapter = match Gpu::find(&choice) {
                     Ok(adapter) => Some(adapter),

@@ -57,9 +57,16 @@ impl Bounds {
     /// Degree of the Chebyshev polynomial in D^-1 S for a step of dt (s): ceil(sqrt(zeta_K lmax(M^-1 K) / zeta_M)), within 8
     /// and 64.
     pub fn chebyshev_degree(&self, solids: &Solids, dt: f64) -> usize {
+        self.chebyshev_degree_for(solids, |body| [body.zeta_mass(dt), body.zeta_stiffness(dt)])
+    }
+
+    /// The same for other zeta_M (1/s) and zeta_K (s).
+    pub fn chebyshev_degree_for(&self, solids: &Solids, zeta: impl Fn(&Body) -> [f64; 2]) -> usize {
         let wanted = solids.bodies.iter().zip(&self.frequency_squared);
-        let wanted = wanted
-            .map(|(body, square)| (body.zeta_stiffness(dt) * square / body.zeta_mass(dt)).sqrt());
+        let wanted = wanted.map(|(body, square)| {
+            let [mass, stiffness] = zeta(body);
+            (stiffness * square / mass).sqrt()
+        });
         let [least, most] = DEGREES;
         wanted.fold(least, f64::max).min(most).ceil() as usize
     }

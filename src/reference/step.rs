@@ -269,6 +269,7 @@ impl Reference {
         let mut state = before.clone();
         let mut clock = Clock::start();
 
+        let mut moved_with = Vec::new();
         if let Some(SolidPart { solids, .. }) = solid {
             let State {
                 displacement,
@@ -277,6 +278,9 @@ impl Reference {
             } = &mut state;
             if before.step == 0 {
                 solids.start_scripts(displacement, node_velocity, dt);
+            }
+            if settings.coupling == CouplingScheme::Weak {
+                moved_with.clone_from(node_velocity);
             }
             move_solid(
                 solids,
@@ -373,7 +377,7 @@ impl Reference {
         clock.lap("right_hand_side");
 
         let (systems, [pressure_solve, solid_solve], contact) =
-            self.solve(clip, pressure, motion, &mut state)?;
+            self.solve(clip, pressure, motion, &moved_with, &mut state)?;
         let finite = |solve: &SolveReport| solve.status != SolveStatus::NonFinite;
         let mut solves = pressure_solve.iter().chain(&solid_solve);
         self.ensure_finite("solve", solves.all(finite))?;
@@ -482,13 +486,14 @@ impl Reference {
         Ok((state, report))
     }
 
-    /// Solves for the pressure and the velocities of the nodes, which go into the state: the systems as they were solved at last, and the
-    /// reports of both and of contact.
+    /// Solves for the pressure and the velocities of the nodes, which go into the state; `moved_with`: velocities before the sub-step, m/s, for
+    /// weak coupling. The systems as they were solved at last, and the reports of both and of contact.
     fn solve(
         &self,
         clip: Option<&SolidClip>,
         pressure: Option<PressureSystem>,
         motion: Option<(SolidSystem, Contacts)>,
+        moved_with: &[[f64; 3]],
         state: &mut State,
     ) -> Result<(Systems, [Option<SolveReport>; 2], ContactReport), Error> {
         let (settings, part) = (&self.scene.solver, self.solid.as_ref());
@@ -504,13 +509,12 @@ impl Reference {
                     CouplingScheme::Strong => solve_coupled_in_contact,
                     CouplingScheme::DampingOnly => solve_damping_only,
                     CouplingScheme::Weak => {
-                        let before = &self.state.node_velocity;
                         let mut contact = ContactReport::default();
                         let solution = solve_weak(
                             &mut pressure,
                             &mut solid,
                             coupling,
-                            before,
+                            moved_with,
                             settings,
                             |solid| {
                                 let (velocity, report, found) = solver.solve_in_contact(

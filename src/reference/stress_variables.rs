@@ -13,7 +13,7 @@ use glam::DVec3;
 
 use super::coupled_system::Blocks;
 use crate::Error;
-use crate::elastic::{Deformation, Solids};
+use crate::elastic::{Body, Deformation, Solids};
 use crate::linalg::Csr;
 
 /// G of all solids, with the root of zeta_K: six rows per element, three columns per node.
@@ -23,14 +23,19 @@ pub struct StressVariables {
 }
 
 impl StressVariables {
-    /// For a step of dt (s) from elements so deformed.
-    pub fn new(solids: &Solids, deformations: &[Deformation], dt: f64) -> StressVariables {
+    /// From elements so deformed, with the zeta_K (s) of each body.
+    pub fn new(
+        solids: &Solids,
+        deformations: &[Deformation],
+        zeta: impl Fn(&Body) -> f64,
+    ) -> StressVariables {
         let n = 6 * solids.elements.len();
         let mut rows = Vec::new();
         let matrix = Csr::from_rows(n, 3 * solids.rest.len(), |row, entries| {
             let element = row / 6;
             if row % 6 == 0 {
-                rows = element_rows(solids, element, &deformations[element], dt);
+                let zeta = zeta(solids.body_of_element(element));
+                rows = element_rows(solids, element, &deformations[element], zeta);
             }
             entries.append(&mut rows[row % 6]);
         });
@@ -110,11 +115,11 @@ fn element_rows(
     solids: &Solids,
     element: usize,
     deformation: &Deformation,
-    dt: f64,
+    zeta: f64,
 ) -> Vec<Vec<(usize, f64)>> {
     let body = solids.body_of_element(element);
     let (lambda, mu) = (body.lambda, body.mu);
-    let factor = (body.zeta_stiffness(dt) * solids.volume[element]).sqrt();
+    let factor = (zeta * solids.volume[element]).sqrt();
     // L of (5.38): L^T L = 2 mu I + lambda 1 1^T on the diagonal strains, 4 mu I on the others.
     let root = (2.0 * mu + lambda).sqrt();
     let square = (mu * mu + lambda * mu).sqrt();

@@ -10,12 +10,14 @@ use crate::geometry::{CellNode, SolidClip};
 use crate::gpu::{BufferPlan, Gpu, Pass, Readback, Recorder, StageTimes, Variant};
 use crate::grid::Grid;
 use crate::reference::SQUEEZE;
-use crate::scene::{PatchPressure as Slopes, Scene};
+use crate::scene::{CouplingScheme, PatchPressure as Slopes, Scene};
 use crate::solver::{
     CoupledFields, CouplingBuffers, CouplingSize, LevelPlan, OpenFaces, Outcome, Pair,
-    PatchPressure, REPORT_WORDS, Seal, SolidRows, TwoFieldSolver,
+    PatchPressure, REPORT_WORDS, Seal, SolidRows, TwoFieldSolver, Weak, WeakBuffers,
 };
-use crate::stages::{self, Clip, ClipBuffers, ClipSize, Diagnose, DiagnoseCoupling, Extrapolate};
+use crate::stages::{
+    self, Clip, ClipBuffers, ClipSize, Diagnose, DiagnoseCoupling, Extrapolate, SolidStep,
+};
 use crate::state::{ContactReport, CouplingReport, SolveStatus, State};
 
 use super::gpu_liquid::{GpuLiquid, active};
@@ -50,6 +52,8 @@ pub(super) struct GpuCoupling {
     room: Room,
     on_device: ClipBuffers,
     buffers: CouplingBuffers,
+    weak: Option<WeakBuffers>,
+    damping_only: bool,
     pub(super) stages: CouplingStages,
     /// Where displacements arrive for the next clipping.
     pub(super) moved: Readback<[f32; 4]>,
@@ -98,8 +102,17 @@ pub(super) struct CouplingStages {
     pub(super) clip: Clip,
     pub(super) closed_components: Seal,
     pub(super) patch_pressure: Option<PatchPressure>,
-    solve: TwoFieldSolver,
+    scheme: Scheme,
     pub(super) diagnose: DiagnoseCoupling,
+}
+
+/// How pressures and velocities come to know of each other.
+#[derive(Debug)]
+enum Scheme {
+    /// In one solve, of all forces or of damping alone.
+    Together(Box<TwoFieldSolver>),
+    /// In one solve after the other.
+    Weak(Weak),
 }
 
 impl Room {
@@ -157,6 +170,16 @@ impl Room {
             all.extend(PatchPressure::buffers(&self.coupling, n_nodes, variant));
             n_reports += 1;
         }
+        all.extend([
+            BufferPlan::of::<[u32; 4]>("coupling.first", n_reports),
+            BufferPlan::of::<[f32; 4]>(MOVED, 2 * n_nodes),
+            BufferPlan::of::<u32>(REPORT, REPORT_WORDS),
+            BufferPlan::of::<u32>(COMPONENTS, 1),
+        ]);
+        if scene.solver.coupling == CouplingScheme::Weak {
+            all.extend(WeakBuffers::plan(n_nodes, variant.real));
+            return all;
+        }
         all.extend(TwoFieldSolver::buffers(
             &grid,
             rows,
@@ -164,12 +187,6 @@ impl Room {
             &scene.solver,
             variant,
         ));
-        all.extend([
-            BufferPlan::of::<[u32; 4]>("coupling.first", n_reports),
-            BufferPlan::of::<[f32; 4]>(MOVED, 2 * n_nodes),
-            BufferPlan::of::<u32>(REPORT, REPORT_WORDS),
-            BufferPlan::of::<u32>(COMPONENTS, 1),
-        ]);
         if Effects::of(scene).scripts {
             let words = variant.real.bytes() / 4;
             all.extend([
@@ -200,8 +217,23 @@ impl CouplingStages {
         liquid: &GpuLiquid,
         solids: &GpuSolids,
         (on_device, buffers): (&ClipBuffers, &CouplingBuffers),
+        weak: Option<&WeakBuffers>,
     ) -> Result<CouplingStages, Error> {
         let fields = solids.buffers.fields();
+        let of_nodes = match weak {
+            Some(weak) => (&weak.held, &weak.before),
+            None => (fields.flags, fields.velocity),
+        };
+        let scheme = match weak {
+            Some(weak) => {
+                let both = (&liquid.solver, &solids.system);
+                Scheme::Weak(Weak::new(gpu, both, fields, buffers, weak)?)
+            }
+            None => {
+                let at = coupled(liquid, solids, buffers);
+                Scheme::Together(TwoFieldSolver::new(gpu, at, &scene.solver)?.into())
+            }
+        };
         let patch_pressure = || {
             let slopes = slopes(scene, liquid);
             PatchPressure::new(gpu, &liquid.solver, &solids.system, fields, buffers, slopes)
@@ -211,8 +243,8 @@ impl CouplingStages {
         let correction = patch_pressure.as_ref().map(|patches| &patches.correction);
         Ok(CouplingStages {
             clip: Clip::new(gpu, &liquid.buffers, on_device)?,
-            closed_components: Seal::new(gpu, &liquid.solver, fields, buffers)?,
-            solve: TwoFieldSolver::new(gpu, coupled(liquid, solids, buffers), &scene.solver)?,
+            closed_components: Seal::new(gpu, &liquid.solver, of_nodes, buffers)?,
+            scheme,
             diagnose: DiagnoseCoupling::new(gpu, &liquid.solver, buffers, correction)?,
             patch_pressure,
         })
@@ -249,7 +281,11 @@ impl GpuCoupling {
         let on_device = ClipBuffers::new(gpu, &grid, room.clip)?;
         let (liquid_system, solid_system) = (&liquid.solver, &solids.system);
         let buffers = CouplingBuffers::new(gpu, liquid_system, solid_system, room.coupling)?;
-        let stages = CouplingStages::new(gpu, scene, liquid, solids, (&on_device, &buffers))?;
+        let weak = scene.solver.coupling == CouplingScheme::Weak;
+        let weak = weak.then(|| WeakBuffers::new(gpu, solid_system));
+        let weak = weak.transpose()?;
+        let with = (&on_device, &buffers);
+        let stages = CouplingStages::new(gpu, scene, liquid, solids, with, weak.as_ref())?;
         let coupling = GpuCoupling {
             moved: Readback::new(
                 gpu,
@@ -260,6 +296,8 @@ impl GpuCoupling {
             room,
             on_device,
             buffers,
+            weak,
+            damping_only: scene.solver.coupling == CouplingScheme::DampingOnly,
             stages,
         };
         coupling.bind_liquid(gpu, liquid, solids)?;
@@ -273,6 +311,7 @@ impl GpuCoupling {
         solids: &GpuSolids,
     ) -> Result<CouplingReadbacks, Error> {
         let padded = scene.grid().padded();
+        let scripts = Effects::of(scene).scripts;
         let squeeze = || {
             let velocity = solids.buffers.velocity.words.len();
             Ok::<_, Error>(SqueezeReadbacks {
@@ -284,7 +323,9 @@ impl GpuCoupling {
         Ok(CouplingReadbacks {
             report: Readback::new(gpu, "coupling.report", REPORT_WORDS)?,
             components: Readback::new(gpu, "coupling.components", 1)?,
-            squeeze: Effects::of(scene).scripts.then(squeeze).transpose()?,
+            squeeze: (scripts && scene.solver.coupling != CouplingScheme::Weak)
+                .then(squeeze)
+                .transpose()?,
         })
     }
 
@@ -331,7 +372,8 @@ impl GpuCoupling {
             self.on_device = self.on_device.resized(gpu, self.room.clip)?;
             self.buffers = CouplingBuffers::new(gpu, of_liquid, of_solids, self.room.coupling)?;
             let with = (&self.on_device, &self.buffers);
-            self.stages = CouplingStages::new(gpu, scene, liquid, solids, with)?;
+            let weak = self.weak.as_ref();
+            self.stages = CouplingStages::new(gpu, scene, liquid, solids, with, weak)?;
             self.bind_liquid(gpu, liquid, solids)?;
         }
         let triangles = &solids.solids.triangles;
@@ -412,6 +454,28 @@ impl GpuCoupling {
         })
     }
 
+    /// Records, before anything moves, what weak coupling solves for the pressure against.
+    pub(super) fn record_before(&self, to: &mut Recorder, solids: &GpuSolids) {
+        if let Some(weak) = &self.weak {
+            weak.record(to, solids.buffers.fields());
+        }
+    }
+
+    /// Records what the right-hand side of the pressure gets from solids before the solve: in strong coupling from what is prescribed beside closed components.
+    pub(super) fn record_close(&self, pass: &mut Pass) {
+        if let Scheme::Weak(weak) = &self.stages.scheme {
+            weak.record_against(pass);
+        }
+        self.stages.closed_components.record_close(pass);
+    }
+
+    /// Records, in weak coupling, what the pressure found does to the right-hand side of the solids.
+    pub(super) fn record_push(&self, to: &mut Recorder) {
+        if let Scheme::Weak(weak) = &self.stages.scheme {
+            to.stage("solve", |pass| weak.record_push(pass));
+        }
+    }
+
     /// Records the gradients of the last pressure, where patches ask for them.
     pub(super) fn record_slopes(&self, to: &mut Recorder) {
         let patches = self.stages.patch_pressure.as_ref();
@@ -420,7 +484,8 @@ impl GpuCoupling {
         }
     }
 
-    /// Submits the recording, which ends with both systems in place, and waits for what is known of both.
+    /// Submits the recording, which ends with both systems in place, and waits for what is known of both: the solve for both where they
+    /// touch, not in weak coupling.
     pub(super) fn touch(
         &self,
         gpu: &Gpu,
@@ -484,34 +549,66 @@ impl GpuCoupling {
         Ok(shares.fold(0.0, |most, [net, gross]| f64::max(most, net.abs() / gross)))
     }
 
-    /// Solves for liquid and solids in a sub-step of dt (s), and again while contacts change.
+    /// Solves for liquid and solids in a sub-step of dt (s), and again while contacts change. In damping-only coupling the solids by
+    /// themselves first, without damping: then both, without elasticity.
     pub(super) fn solve_in_contact(
         &self,
         gpu: &Gpu,
+        together: &TwoFieldSolver,
         (liquid, solids): (&GpuLiquid, &GpuSolids),
         SolidReadbacks { changes, .. }: &mut SolidReadbacks,
-        dt: f64,
+        (step, dt): (SolidStep, f64),
         touch: Touch,
     ) -> Result<(Solved, StageTimes), Error> {
         let at = coupled(liquid, solids, &self.buffers);
-        let polynomial = solids.polynomial(dt);
+        let mut recorder = Recorder::timed(gpu);
+        let mut before = None;
+        let mut times = StageTimes::new();
+        if self.damping_only {
+            let undamped = SolidStep {
+                damped: 0.0,
+                ..step
+            };
+            solids.record_other_system(gpu, &mut recorder, undamped, false);
+            let polynomial = solids.polynomial_for(|_| [1.0 / dt, dt]);
+            let (outcome, contact, mut seconds) =
+                solids.solve_in_contact(gpu, recorder, changes, &polynomial)?;
+            times.append(&mut seconds);
+            before = Some((outcome.status, contact.solves));
+            recorder = Recorder::timed(gpu);
+            let inelastic = SolidStep {
+                elastic: 0.0,
+                ..step
+            };
+            solids.record_other_system(gpu, &mut recorder, inelastic, true);
+        }
+        let polynomial = match self.damping_only {
+            true => {
+                solids.polynomial_for(|body| [1.0 / dt + body.mass_damping, body.stiffness_damping])
+            }
+            false => solids.polynomial(dt),
+        };
         let mut iterations = 0;
         let solve = |recorder, solves| {
             let (mut outcome, times) =
-                self.stages
-                    .solve
-                    .solve(gpu, recorder, at, &polynomial, solves > 0)?;
+                together.solve(gpu, recorder, at, &polynomial, solves > 0)?;
             iterations += outcome.iterations;
             outcome.iterations = iterations;
             let status = outcome.status;
             Ok((outcome, status, times))
         };
         let n_nodes = solids.buffers.plan.n_nodes;
-        let update = |pass: &mut Pass| self.stages.solve.record_update(pass, n_nodes);
-        let recorder = Recorder::timed(gpu);
-        let (outcome, contact, times) =
+        let update = |pass: &mut Pass| together.record_update(pass, n_nodes);
+        let (outcome, mut contact, mut seconds) =
             solids.until_settled(gpu, recorder, changes, solve, update)?;
+        times.append(&mut seconds);
         let mut parts = outcome.parts(touch.closed_components);
+        if let Some((status, solves)) = before {
+            contact.solves += solves;
+            if status != SolveStatus::Converged {
+                parts[1].status = status;
+            }
+        }
         for part in &mut parts {
             if part.status == SolveStatus::Converged && touch.squeezed > SQUEEZE {
                 part.status = SolveStatus::Incompatible;
@@ -523,6 +620,14 @@ impl GpuCoupling {
             contact,
         };
         Ok((solved, times))
+    }
+
+    /// The solver for both; `None` in weak coupling.
+    pub(super) fn together(&self) -> Option<&TwoFieldSolver> {
+        match &self.stages.scheme {
+            Scheme::Together(solver) => Some(solver),
+            Scheme::Weak(_) => None,
+        }
     }
 
     /// Records what the host reads at the end of a sub-step.

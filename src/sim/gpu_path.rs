@@ -50,7 +50,6 @@ impl GpuPath {
         solids: &Solids,
         choice: &AdapterChoice,
     ) -> Result<GpuPath, Error> {
-        super::ensure_gpu_can(scene)?;
         let gpu = Gpu::new(choice)?;
         let grid = scene.grid();
         let obstacles = geometry::obstacle_cut(scene, &grid)?;

@@ -2,7 +2,7 @@
 
 use crate::Error;
 use crate::effects::Effects;
-use crate::elastic::{Bounds, Solids};
+use crate::elastic::{Body, Bounds, Solids};
 use crate::geometry::CutCells;
 use crate::gpu::{BufferPlan, Gpu, Pass, Readback, Real, Recorder, StageTimes};
 use crate::reference::{LETTING_GO, MOST_SOLVES};
@@ -13,7 +13,7 @@ use crate::solver::{
 };
 use crate::stages::{
     self, DiagnoseSolid, ElementRotations, MoveSolid, NodeForces, ObstacleBuffers, SolidBuffers,
-    SolidPlan,
+    SolidPlan, SolidStep,
 };
 use crate::state::{ContactReport, SolidReport, SolveStatus, State};
 
@@ -165,13 +165,13 @@ impl GpuSolids {
         })
     }
 
-    /// Submits the recording with the solve of a sub-step of dt (s) at its end, and solves again while contacts change.
+    /// Submits the recording with the solve of a sub-step at its end, and solves again while contacts change.
     pub(super) fn solve_in_contact<'a>(
         &self,
         gpu: &'a Gpu,
         recorder: Recorder<'a>,
         changes: &mut Readback<u32>,
-        dt: f64,
+        polynomial: &Polynomial,
     ) -> Result<(Outcome, ContactReport, StageTimes), Error> {
         let GpuSolids {
             buffers,
@@ -179,14 +179,12 @@ impl GpuSolids {
             stages,
             ..
         } = self;
-        let polynomial = self.polynomial(dt);
         let mut iterations = 0;
         let solve = |recorder, _| {
             let fields = buffers.fields();
-            let (mut outcome, times) =
-                stages
-                    .solve
-                    .solve(gpu, recorder, system, fields, &polynomial, true)?;
+            let (mut outcome, times) = stages
+                .solve
+                .solve(gpu, recorder, system, fields, polynomial, true)?;
             iterations += outcome.iterations;
             outcome.iterations = iterations;
             Ok((outcome, outcome.status, times))
@@ -277,6 +275,33 @@ impl GpuSolids {
     pub(super) fn polynomial(&self, dt: f64) -> Polynomial {
         let degree = self.bounds.chebyshev_degree(&self.solids, dt);
         Polynomial::new(degree, self.bounds.block_jacobi)
+    }
+
+    /// The same for other zeta_M (1/s) and zeta_K (s) of each body.
+    pub(super) fn polynomial_for(&self, zeta: impl Fn(&Body) -> [f64; 2]) -> Polynomial {
+        let degree = self.bounds.chebyshev_degree_for(&self.solids, zeta);
+        Polynomial::new(degree, self.bounds.block_jacobi)
+    }
+
+    /// Tells the kernels of another system of this sub-step and records it, and with `again` its right-hand side, from the velocities found;
+    /// what is held stays held.
+    pub(super) fn record_other_system(
+        &self,
+        gpu: &Gpu,
+        to: &mut Recorder,
+        step: SolidStep,
+        again: bool,
+    ) {
+        gpu.upload(&self.buffers.step, &[step]);
+        let stages = &self.stages;
+        to.stage("solve", |pass| {
+            stages.rotations.dispatch(pass);
+            stages.system.record_matrices(pass);
+            if again {
+                stages.system.record_right_hand_side(pass);
+            }
+            stages.system.record_hold(pass);
+        });
     }
 
     /// Keeps what the next sub-step needs of the report.

@@ -23,7 +23,7 @@ use crate::elastic::Solids;
 use crate::geometry::{self, CutCells, ObstacleCut, SolidClip};
 use crate::gpu::{AdapterChoice, AdapterReport, Gpu};
 use crate::reference::{self, Reference};
-use crate::scene::{CouplingScheme, Scene};
+use crate::scene::Scene;
 use crate::state::{SolveReport, SolveStatus, State, StepReport};
 
 /// Where a simulation runs.
@@ -283,20 +283,4 @@ fn first_state(
     let mut state = geometry::initial_state(scene, &scene.grid(), cut)?;
     (state.displacement, state.node_velocity) = (displacement, velocity);
     Ok(state)
-}
-
-/// Refuses scenes that only the f64 path can simulate.
-///
-/// # Errors
-/// [`Error::Input`] naming the file.
-pub fn ensure_gpu_can(scene: &Scene) -> Result<(), Error> {
-    let scheme = scene.solver.coupling;
-    if Effects::of(scene).coupling && scheme != CouplingScheme::Strong {
-        return Err(Error::input(
-            scene.file.display().to_string(),
-            "solver.coupling other than \"strong\" is not simulated on the GPU",
-            "use --backend cpu, or coupling = \"strong\"",
-        ));
-    }
-    Ok(())
 }

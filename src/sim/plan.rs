@@ -8,7 +8,8 @@ use crate::gpu::{AdapterReport, BufferPlan, Timer};
 use crate::grid::Grid;
 use crate::reference::{TimeStep, time_step};
 use crate::scene::{
-    self, ElasticModel, PatchPressure, Precision, Preconditioner, ProbeKind, Scene, Solid,
+    self, CouplingScheme, ElasticModel, PatchPressure, Precision, Preconditioner, ProbeKind, Scene,
+    Solid,
 };
 use crate::solver::{self, LevelPlan, SolidRows, SolverBuffers};
 use crate::stages::{Probe, extrapolation_layers};
@@ -340,6 +341,7 @@ fn stages(
     } = *effects;
     let cuts = effects.cuts();
     let gradient = scene.solver.pressure_on_patches == PatchPressure::Gradient;
+    let weak = coupling && scene.solver.coupling == CouplingScheme::Weak;
     let levels = LevelPlan::new(grid);
     let mut plans = Vec::new();
     let mut stage = |name, every_step, groups: &[(bool, &[&'static str])]| {
@@ -391,7 +393,7 @@ fn stages(
             (true, &COMPACTION),
         ];
         stage("active_cells", true, &active);
-        let components: [(bool, &[_]); 5] = [
+        let components: [(bool, &[_]); 6] = [
             (
                 true,
                 &["components_init", "components_merge", "components_open"],
@@ -399,6 +401,7 @@ fn stages(
             (coupling, &["components_seal"]),
             (true, &["components_gate", "components_flag"]),
             (coupling, &["couple_close"]),
+            (weak, &["couple_keep", "couple_residual"]),
             (
                 true,
                 &[
@@ -424,7 +427,9 @@ fn stages(
     ];
     stage("right_hand_side", true, &right_hand_side);
     let mut solve = Vec::new();
-    if coupling {
+    if weak {
+        solve.push((true, &["weak_push"][..]));
+    } else if coupling {
         solve.extend(coupled_kernels(solver::can_condense(
             rows,
             &scene.solver,
@@ -437,6 +442,12 @@ fn stages(
     let solid_kernels = solver::solid_kernels(rows);
     solve.push((elastic, &solid_kernels[..]));
     solve.push((elastic, &["update_contacts"]));
+    if coupling && scene.solver.coupling == CouplingScheme::DampingOnly {
+        // The systems of elasticity alone and of damping alone.
+        solve.push((true, &["element_rotations", "solid_blocks"]));
+        let of_nodes = &["solid_right_hand_side", "hold_nodes", "solid_diagonals"];
+        solve.push((true, of_nodes));
+    }
     stage("solve", true, &solve);
     if liquid {
         stage("write_back", true, &[(true, &["still_air", "write_back"])]);
@@ -580,17 +591,26 @@ fn solves(scene: &Scene, solids: &Solids, rows: &SolidRows, f64: bool) -> Vec<St
         let two_field = format!(
             "two-field (thesis 5.25, factored), conjugate gradients with {preconditioner} on B and a Chebyshev polynomial on S"
         );
-        let form = match solver::can_condense(rows, solver, f64) {
+        let together = match solver::can_condense(rows, solver, f64) {
             true => format!(
                 "condensed, conjugate gradients with {preconditioner} on B, where at most {} nodes are wet, else {two_field}",
                 solver::MOST_WETTED / 3
             ),
             false => two_field,
         };
-        solves.push(format!(
-            "where they touch, liquid and solids together: {form}; {numbers}, both residuals of the indefinite system \
-             {tolerance:.0e}"
-        ));
+        let together = format!(
+            "{together}; {numbers}, both residuals of the indefinite system {tolerance:.0e}"
+        );
+        solves.push(match solver.coupling {
+            CouplingScheme::Strong => {
+                format!("where they touch, liquid and solids together: {together}")
+            }
+            CouplingScheme::DampingOnly => format!(
+                "where they touch, solids by themselves without damping, then liquid and solids together without elasticity: {together}"
+            ),
+            CouplingScheme::Weak => "the pressure against the velocities of the nodes before the sub-step, then the nodes under that pressure"
+                .to_owned(),
+        });
     }
     if scene.liquid.is_some() {
         solves.push(format!(

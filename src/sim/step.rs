@@ -76,6 +76,7 @@ impl GpuPath {
             return Ok(told);
         };
         let mut to = Recorder::timed(&self.gpu);
+        coupling.record_before(&mut to, solids);
         solids.stages.move_solid.record(&mut to);
         to.read(&solids.buffers.displacement, &mut coupling.moved);
         let timing = to.submit();
@@ -197,7 +198,7 @@ impl GpuPath {
             stages.right_hand_side.record(&mut to, &active(solver));
             to.stage(Components::NAME, |pass| {
                 if let Some(coupling) = coupling {
-                    coupling.stages.closed_components.record_close(pass);
+                    coupling.record_close(pass);
                 }
                 stages.closed_components.remove_means(pass)
             });
@@ -216,8 +217,9 @@ impl GpuPath {
         to = watch.after(RightHandSide::NAME, to)?;
         let (mut pressure, mut elastic) = (None, None);
         let (mut together, mut condensed) = (false, false);
-        if let (Some(coupling), Some(both), Some(of_coupling), Some(of_solids)) = (
-            coupling,
+        let one_solve = coupling.and_then(|coupling| Some((coupling, coupling.together()?)));
+        if let (Some((coupling, solver)), Some(both), Some(of_coupling), Some(of_solids)) = (
+            one_solve,
             liquid.zip(solids),
             readbacks.coupling.as_mut(),
             readbacks.solids.as_mut(),
@@ -226,8 +228,9 @@ impl GpuPath {
             told.seconds.append(&mut seconds);
             together = touch.touching;
             if together {
+                let step = both.1.buffers.step_of(self.scene.domain.gravity, dt);
                 let (solved, mut seconds) =
-                    coupling.solve_in_contact(gpu, both, of_solids, dt, touch)?;
+                    coupling.solve_in_contact(gpu, solver, both, of_solids, (step, dt), touch)?;
                 told.seconds.append(&mut seconds);
                 let [of_liquid, of_solids] = solved.parts;
                 condensed = solved.condensed;
@@ -245,11 +248,15 @@ impl GpuPath {
             to.stage(Components::NAME, |pass| {
                 stages.closed_components.centre_potential(pass)
             });
+            if let Some(coupling) = coupling {
+                coupling.record_push(&mut to);
+            }
         }
         if let Some((solids, SolidReadbacks { changes, .. })) =
             solids.zip(readbacks.solids.as_mut()).filter(|_| !together)
         {
-            let (outcome, contact, mut seconds) = solids.solve_in_contact(gpu, to, changes, dt)?;
+            let (outcome, contact, mut seconds) =
+                solids.solve_in_contact(gpu, to, changes, &solids.polynomial(dt))?;
             elastic = Some((outcome, contact));
             told.seconds.append(&mut seconds);
             to = Recorder::timed(gpu);

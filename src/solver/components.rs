@@ -12,7 +12,6 @@ use crate::Error;
 use crate::gpu::{Binding, Bound, Buffer, Gpu, Kernel, Pass, RealBuffer};
 
 use super::coupling::CouplingBuffers;
-use super::solid_system::SolidFields;
 use super::system::SolverBuffers;
 
 /// Words of [`SolverBuffers::components`].
@@ -116,14 +115,14 @@ pub struct Seal {
 }
 
 impl Seal {
-    /// Compiles and binds.
+    /// Compiles and binds. `node_flags`: which components of the nodes give way; `velocity`: what nodes move with, m/s.
     ///
     /// # Errors
     /// As [`Kernel::new`] and [`Kernel::bind`].
     pub fn new(
         gpu: &Gpu,
         buffers: &SolverBuffers,
-        fields: SolidFields,
+        (node_flags, velocity): (&Buffer<u32>, &RealBuffer),
         coupling: &CouplingBuffers,
     ) -> Result<Seal, Error> {
         let joint = [
@@ -140,7 +139,7 @@ impl Seal {
             seal: with(
                 &crate::wgsl!("components_seal"),
                 &[
-                    ("node_flags", fields.flags.into()),
+                    ("node_flags", node_flags.into()),
                     ("labels", (&buffers.labels).into()),
                     ("state", (&buffers.components).into()),
                     ("report", (&coupling.report).into()),
@@ -148,10 +147,7 @@ impl Seal {
             )?,
             close: with(
                 &crate::wgsl!("couple_close"),
-                &[
-                    ("x", fields.velocity.into()),
-                    ("rhs", (&buffers.rhs).into()),
-                ],
+                &[("x", velocity.into()), ("rhs", (&buffers.rhs).into())],
             )?,
             n_quads: coupling.size.quads,
         })

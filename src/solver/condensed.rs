@@ -289,10 +289,11 @@ impl Condensed {
         gpu: &Gpu,
         mut recorder: Recorder,
         at: CoupledFields,
+        record_args: impl FnOnce(&mut Pass),
     ) -> Result<(Option<Ready<'a>>, StageTimes), Error> {
         let (solids, coupling) = (at.solids, at.coupling);
         recorder.stage("solve", |pass| {
-            coupling.record_args(pass);
+            record_args(pass);
             pass.dispatch(&self.wet, coupling.n_nodes);
         });
         // A panic in another solve leaves nothing half done here: every use begins with new copies.
@@ -377,7 +378,8 @@ impl TwoFieldSolver {
         at: CoupledFields,
         again: bool,
     ) -> Result<(Option<CoupledOutcome>, StageTimes), Error> {
-        let (ready, mut times) = condensed.ready(gpu, recorder, at)?;
+        let (ready, mut times) =
+            condensed.ready(gpu, recorder, at, |pass| self.record_args(pass))?;
         let Some(ready) = ready else {
             return Ok((None, times));
         };

@@ -210,12 +210,13 @@ impl TwoFieldSolver {
         let mut times = Vec::new();
         let mut condensed = None;
         if let Some(form) = &self.condensed {
-            let (ready, mut stages) = form.ready(gpu, recorder, at)?;
+            let (ready, mut stages) =
+                form.ready(gpu, recorder, at, |pass| self.record_args(pass))?;
             times.append(&mut stages);
             condensed = ready.map(|ready| (form, ready));
             recorder = Recorder::timed(gpu);
         } else {
-            recorder.stage("solve", |pass| at.coupling.record_args(pass));
+            recorder.stage("solve", |pass| self.record_args(pass));
         }
         gpu.upload(&self.polynomial, &[*polynomial]);
         recorder.stage("solve", |pass| self.record_start(pass, at, again));

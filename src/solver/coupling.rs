@@ -1,9 +1,7 @@
 //! J between liquid and solids on the device, in the units of the pressure's system, and what a coupled solve computes with.
 
 use crate::Error;
-use crate::gpu::{
-    Bound, Buffer, BufferPlan, Gpu, Kernel, Pass, RealBuffer, Variant, WG_SIZE, groups,
-};
+use crate::gpu::{Buffer, BufferPlan, Gpu, RealBuffer, Variant, WG_SIZE, groups};
 
 use super::pcg::{Labels, labels};
 use super::solid_system::SolidSystemBuffers;
@@ -114,7 +112,8 @@ pub struct CouplingBuffers {
     pub quad_pairs: Buffer<[u32; 4]>,
     /// By node: bits of the value, padded index of the cell.
     pub node_pairs: Buffer<[u32; 4]>,
-    sizes: Buffer<u32>,
+    /// Dispatch size and length of the lists of a coupled system.
+    pub(super) sizes: Buffer<u32>,
     /// Dispatch size and length of all lists; after them the length of folded partials.
     pub(super) args: Buffer<u32>,
     /// Of the wet quads, then of the nodes; `Real4`.
@@ -127,7 +126,6 @@ pub struct CouplingBuffers {
     pub(super) difference: RealBuffer,
     /// What the host reads once per step: `stages::CouplingReport`.
     pub report: Buffer<u32>,
-    measure: Bound,
 }
 
 impl CouplingBuffers {
@@ -153,15 +151,6 @@ impl CouplingBuffers {
         let pairs = |label: &str| gpu.buffer(label, len(label));
         let coupling = gpu.uniform("coupling.coupling", &Coupling::default())?;
         let (sizes, args) = (words("coupling.sizes")?, words("coupling.args")?);
-        let measure = Kernel::new(gpu, &crate::wgsl!("coupled_args"), variant)?.bind(
-            gpu,
-            &[
-                ("coupling", (&coupling).into()),
-                ("from_args", (&liquid.args).into()),
-                ("sizes", (&sizes).into()),
-                ("args", (&args).into()),
-            ],
-        )?;
         Ok(CouplingBuffers {
             size,
             now: Coupling::default(),
@@ -181,7 +170,6 @@ impl CouplingBuffers {
             t: real("coupling.t")?,
             difference: real("coupling.difference")?,
             report: words("coupling.report")?,
-            measure,
         })
     }
 
@@ -278,10 +266,5 @@ impl CouplingBuffers {
         gpu.upload(&self.node_pairs, &by_node);
         gpu.upload(&self.sizes, &sizes);
         Ok(())
-    }
-
-    /// Records the sizes of all lists, once the active cells are known.
-    pub fn record_args(&self, pass: &mut Pass) {
-        pass.dispatch(&self.measure, 1);
     }
 }

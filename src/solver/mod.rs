@@ -48,6 +48,7 @@ mod solid_system;
 mod stored_stiffness;
 mod system;
 mod two_field;
+mod weak;
 
 pub use chebyshev::Polynomial;
 pub use components::{Components, Seal};
@@ -65,6 +66,7 @@ pub use system::{
     ActiveSettings, Everywhere, LevelPlan, PressureSystem, SolverBuffers, Within, variant,
 };
 pub use two_field::{CoupledFields, CoupledOutcome, TwoFieldSolver};
+pub use weak::{Weak, WeakBuffers};
 
 use crate::grid::Layout;
 

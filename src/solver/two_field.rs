@@ -119,6 +119,7 @@ pub struct TwoFieldSolver {
     pub(super) pcg: Pcg,
     pub(super) pressure: Pressure,
     pub(super) norms: RealBuffer,
+    args: Bound,
     start: Fold,
     turn: Fold,
     correct: [Bound; 2],
@@ -278,6 +279,15 @@ impl TwoFieldSolver {
         let slots = [NODES, BODIES, WET].map(|list| coupling.slot(list));
         Ok(TwoFieldSolver {
             solver: *solver,
+            args: kernel(&crate::wgsl!("coupled_args"))?.bind(
+                gpu,
+                &[
+                    joint,
+                    ("from_args", (&liquid.args).into()),
+                    ("sizes", (&coupling.sizes).into()),
+                    ("args", (&coupling.args).into()),
+                ],
+            )?,
             start: sum(kernel(&crate::wgsl!("refine_start"))?, &shared)?,
             turn: sum(kernel(&crate::wgsl!("coupled_turn"))?, &turn)?,
             correct: [
@@ -591,7 +601,7 @@ impl TwoFieldSolver {
         gpu.upload(&self.polynomial, &[*polynomial]);
         let degree = polynomial.degree as usize;
         recorder.stage("solve", |pass| {
-            at.coupling.record_args(pass);
+            self.record_args(pass);
             self.record_start(pass, at, again);
         });
         loop {
@@ -638,7 +648,7 @@ impl TwoFieldSolver {
         at.solids.search.upload(gpu, of_v);
         let mut recorder = Recorder::new(gpu);
         recorder.stage("solve", |pass| {
-            at.coupling.record_args(pass);
+            self.record_args(pass);
             self.record_operator(pass, &at.coupling.args);
         });
         recorder.submit();
@@ -669,7 +679,7 @@ impl TwoFieldSolver {
         norms[SCALE] = 1.0;
         self.norms.upload(gpu, &norms);
         let mut recorder = Recorder::new(gpu);
-        recorder.stage("solve", |pass| at.coupling.record_args(pass));
+        recorder.stage("solve", |pass| self.record_args(pass));
         recorder.submit();
         let args = gpu.download(&at.coupling.args)?;
         let control = Control {
@@ -693,6 +703,11 @@ impl TwoFieldSolver {
         z.truncate(n);
         z.extend(at.solids.z.download(gpu)?);
         Ok(z)
+    }
+
+    /// The sizes of all lists, once the active cells are known.
+    pub(super) fn record_args(&self, pass: &mut Pass) {
+        pass.dispatch(&self.args, 1);
     }
 
     /// Where the solve starts from, and the size of the right-hand sides.

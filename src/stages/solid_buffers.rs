@@ -31,6 +31,14 @@ pub struct SolidStep {
     pub n_elements: u32,
     /// Zero, which no compiler of shaders knows: `shaders/common/pair_f32.wgsl` keeps roundings with it.
     pub zero: u32,
+    /// 1, or 0 in a system without elasticity and loads: share of dt in zeta_K, and of all forces but inertia.
+    pub elastic: f32,
+    /// 1, or 0 in a system without damping: share of tau_M in zeta_M and of tau_K in zeta_K.
+    pub damped: f32,
+    /// Nothing.
+    pub pad_0: u32,
+    /// Nothing.
+    pub pad_1: u32,
 }
 
 /// What decides the sizes of [`SolidBuffers`].
@@ -272,6 +280,10 @@ impl SolidBuffers {
             n_nodes: self.plan.n_nodes as u32,
             n_elements: self.plan.n_elements as u32,
             zero: 0,
+            elastic: 1.0,
+            damped: 1.0,
+            pad_0: 0,
+            pad_1: 0,
         }
     }
 

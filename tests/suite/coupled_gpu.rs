@@ -6,7 +6,7 @@ use cutwater::gpu::AdapterChoice;
 use cutwater::linalg::{Csr, SymbolicCholesky, read_matrix, read_vector};
 use cutwater::measure::compare::compare;
 use cutwater::measure::export;
-use cutwater::scene::{Precision, Scene, Surface};
+use cutwater::scene::{CouplingScheme, Precision, Scene, Surface};
 use cutwater::sim::{Backend, Plan, Simulation, reference_path};
 use cutwater::state::SolveStatus;
 use glam::DVec3;
@@ -117,6 +117,28 @@ poisson = 0.3
         (
             "in single precision",
             scene(&pool, &["solver.precision=f32", "solver.tolerance=1e-5"]),
+        ),
+        ("weak coupling", scene(&pool, &["solver.coupling=weak"])),
+        (
+            "weak coupling with a block that is carried through a full tank",
+            scene(
+                &tank(1.0, &carried([0.1, 0.1])),
+                &["liquid.surface=fixed", "solver.coupling=weak"],
+            ),
+        ),
+        (
+            "damping-only coupling",
+            scene(&pool, &["solver.coupling=damping_only"]),
+        ),
+        (
+            "damping-only coupling above an obstacle",
+            scene(
+                &tank(0.6, &format!("{heavy}{POST}")),
+                &[
+                    "solver.coupling=damping_only",
+                    "solver.formulation=two_field",
+                ],
+            ),
         ),
         (
             "pressure constant in cells",
@@ -382,6 +404,12 @@ fn every_stage_is_compared() {
         return;
     }
     for (name, scene) in cases() {
+        if scene.solver.coupling != CouplingScheme::Strong {
+            let refused = compare(&scene, 1, &AdapterChoice::Best, &mut |_, _| {});
+            let message = refused.unwrap_err().to_string();
+            assert!(message.contains("solver.coupling=strong"), "{message}");
+            continue;
+        }
         let compared = compare(&scene, 2, &AdapterChoice::Best, &mut |_, _| {}).unwrap();
         let stages: BTreeSet<&str> = compared.rows.iter().map(|row| row.stage).collect();
         let touching = name != "out of the liquid";

@@ -9,7 +9,7 @@ use cutwater::measure::export;
 use cutwater::reference::{
     Freedom, Reference, StepSystem, TimeStep, patch_pressure, pressure_gradient,
 };
-use cutwater::scene::{FaceAreas, PatchPressure, Scene};
+use cutwater::scene::{CouplingScheme, FaceAreas, PatchPressure, Scene};
 use cutwater::sim::{Backend, Simulation, reference_path};
 use cutwater::state::{SolveStatus, State, StepReport};
 use glam::DVec3;
@@ -345,17 +345,6 @@ fn a_failed_step_changes_nothing() {
     }
 }
 
-#[test]
-fn the_gpu_refuses_other_coupling_than_strong() {
-    let text = two_balls_text(0.25, "[solver]\ncoupling = \"weak\"\n");
-    let error = Simulation::new(&scene(&text), &Backend::Gpu(Default::default()));
-    let error = error.unwrap_err().to_string();
-    assert!(
-        error.contains("not simulated on the GPU") && error.contains("--backend cpu"),
-        "{error}"
-    );
-}
-
 /// A light, soft block that falls into water: weak coupling adds the liquid's mass a step too late, and blows up; the others do not
 /// (thesis, section 6.3).
 #[test]
@@ -525,6 +514,36 @@ fn exported_systems_of_a_held_block_agree() {
     reference.step_observed(time_step, &mut look).unwrap();
     assert!(oblique > 0, "nothing is held obliquely");
     exported_systems_agree(&scene);
+}
+
+/// With damping in place of elasticity, in all its forms.
+#[test]
+fn exported_systems_of_damping_alone_agree() {
+    let mut scene = two_balls(0.25);
+    scene.solver.coupling = CouplingScheme::DampingOnly;
+    scene.solver.tolerance = 1e-10;
+    exported_systems_agree(&scene);
+}
+
+#[test]
+fn other_coupling_exports_what_it_solves_or_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let gpu = || Backend::Gpu(Default::default());
+    for (coupling, backend, message) in [
+        (CouplingScheme::Weak, Backend::Cpu, "no system of both"),
+        (CouplingScheme::Weak, gpu(), "no system of both"),
+        (CouplingScheme::DampingOnly, gpu(), "--backend cpu"),
+    ] {
+        let mut scene = two_balls(0.25);
+        scene.solver.coupling = coupling;
+        let options = export::Options {
+            backend,
+            step: 0,
+            out: folder.path().join("system"),
+        };
+        let error = export::export(&scene, &options).unwrap_err().to_string();
+        assert!(error.contains(message), "{error}");
+    }
 }
 
 /// Above the liquid there is no system of both.

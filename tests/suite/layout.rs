@@ -106,7 +106,7 @@ fn step_matches() {
 #[test]
 fn solid_step_matches() {
     let fields = fields!(
-        SolidStep: gravity, dt, size, dx, inv_dx, n_nodes, n_elements, zero,
+        SolidStep: gravity, dt, size, dx, inv_dx, n_nodes, n_elements, zero, elastic, damped, pad_0, pad_1,
     );
     assert_layout("solid_step", "SolidStep", fields, size_of::<SolidStep>());
 }
@@ -211,12 +211,23 @@ const SHARED: &[(&str, &str, &[&str])] = &[
         &["STATUS_STAGNATED"],
     ),
     ("src/solver/refine.rs", "common/pcg_slots", &["GOAL"]),
-    ("src/solver/refine.rs", "refine_turn", &["ROUND_MARGIN"]),
     (
-        "src/solver/components.rs",
-        "common/components",
-        &["OPEN", "CLOSED"],
+        "src/solver/refine.rs",
+        "refine_turn",
+        &["ROUND_MARGIN", "ROUNDING_OF_X"],
     ),
+    ("src/solver/components.rs", "common/components", &["CLOSED"]),
+    (
+        "src/solver/coupled_host.rs",
+        "coupled_turn",
+        &["ROUND_MARGIN", "SMALLEST", "STRICTER", "STRICTEST"],
+    ),
+    (
+        "src/solver/coupled_host.rs",
+        "common/control_state",
+        &["STATUS_BREAKDOWN"],
+    ),
+    ("src/solver/refine.rs", "coupled_turn", &["ROUNDING_OF_X"]),
 ];
 
 #[test]

@@ -221,7 +221,11 @@ impl<'a> OnDevice<'a> {
         };
         let mut coupling = CouplingBuffers::new(gpu, &liquid.buffers, &solids, size).unwrap();
         coupling.write(gpu, &pairs, joint.units()[0]).unwrap();
-        let seal = Seal::new(gpu, &liquid.buffers, fields.fields(), &coupling).unwrap();
+        let seal = {
+            let of_nodes = (&fields.flags, &fields.velocity);
+            Seal::new(gpu, &liquid.buffers, of_nodes, &coupling)
+        }
+        .unwrap();
         let device = OnDevice {
             gpu,
             liquid,

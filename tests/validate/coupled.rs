@@ -102,7 +102,9 @@ fn formulations(sheet: &mut Sheet) {
     let base = Base::new(40, &BaseBeam::default());
     let exact = base.solve(Formulation::Indefinite, 1e-12);
     let deformations = base.scene.matrices().deformations;
-    let stress = StressVariables::new(&base.scene.solids, &deformations, base.scene.dt);
+    let stress = StressVariables::new(&base.scene.solids, &deformations, |body| {
+        body.zeta_stiffness(base.scene.dt)
+    });
     for (formulation, tolerance, bound) in [
         (Formulation::TwoField(SIGMA), 1e-2, 1e-9),
         (Formulation::TwoField(0.9), 1e-2, 1e-9),

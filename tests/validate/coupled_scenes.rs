@@ -6,7 +6,7 @@
 
 use cutwater::elastic::Solids;
 use cutwater::gpu::AdapterChoice;
-use cutwater::scene::{CouplingScheme, Scene};
+use cutwater::scene::Scene;
 use cutwater::sim::{Backend, Simulation};
 use cutwater::state::{SolveStatus, State, StepReport};
 use glam::DVec3;
@@ -14,14 +14,6 @@ use glam::DVec3;
 use crate::Case;
 use crate::liquid::shipped;
 use crate::sheet::Sheet;
-
-/// Where a scene runs: other coupling than strong is the f64 path's alone.
-fn backend(scene: &Scene) -> Backend {
-    match scene.solver.coupling {
-        CouplingScheme::Strong => Backend::Gpu(AdapterChoice::Best),
-        CouplingScheme::Weak | CouplingScheme::DampingOnly => Backend::Cpu,
-    }
-}
 
 /// Of the behaviour. 100^3 cells become 32^3.
 const SCALE: f64 = 0.32;
@@ -130,8 +122,8 @@ impl Film {
     ) -> Film {
         let scene = shipped(name, overrides, scale);
         let frames = frames.unwrap_or(scene.n_frames());
-        let mut simulation =
-            Simulation::new(&scene, &backend(&scene)).unwrap_or_else(|error| panic!("{error}"));
+        let mut simulation = Simulation::new(&scene, &Backend::Gpu(AdapterChoice::Best))
+            .unwrap_or_else(|error| panic!("{error}"));
         let markers = simulation.state().expect("a state").markers.len();
         let mut film = Film {
             scene,

@@ -17,11 +17,12 @@ pub use table::{Place, Row, Worst};
 
 use super::bounds::EPS;
 use crate::Error;
+use crate::effects::Effects;
 use crate::elastic::Solids;
 use crate::geometry::SolidClip;
 use crate::gpu::{AdapterChoice, Real};
 use crate::reference::pressure_gradient;
-use crate::scene::{PatchPressure, Scene};
+use crate::scene::{CouplingScheme, PatchPressure, Scene};
 use crate::sim::{GpuPath, LiquidSnapshot, Snapshot, SolidSnapshot};
 use crate::stages::{Clip, CouplingReport};
 use glam::DVec3;
@@ -78,13 +79,20 @@ impl Comparison {
 /// stage's name; what it changes there is judged as if it came from the device, and not handed to the next twin.
 ///
 /// # Errors
-/// Whatever the simulation ends with. A breach is no error here: see [`Comparison::verdict`].
+/// [`Error::Input`] for coupling other than strong; whatever the simulation ends with. A breach is no error here: see [`Comparison::verdict`].
 pub fn compare(
     scene: &Scene,
     frames: u64,
     adapter: &AdapterChoice,
     listen: &mut dyn FnMut(&'static str, &mut Snapshot),
 ) -> Result<Comparison, Error> {
+    if Effects::of(scene).coupling && scene.solver.coupling != CouplingScheme::Strong {
+        return Err(Error::input(
+            scene.file.display().to_string(),
+            "solver.coupling other than \"strong\" has no comparison stage by stage",
+            "add --set solver.coupling=strong, or compare a run with one of --backend cpu",
+        ));
+    }
     let mut path = GpuPath::open(scene, adapter)?;
     let mut liquid = LiquidJudge::new(scene, &path)?;
     let mut solids = SolidJudge::new(scene, &path)?;

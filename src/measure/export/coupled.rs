@@ -11,7 +11,7 @@ use crate::reference::{
     BlockPattern, CoupledSystem, SIGMA, StepSystem, StressVariables, right_hand_side,
     solid_matrices,
 };
-use crate::scene::Scene;
+use crate::scene::{CouplingScheme, Scene};
 use crate::sim::{Backend, Snapshot, coupled_system, solids_of, stored_coupling};
 use crate::stages::RightHandSide;
 
@@ -28,6 +28,7 @@ struct Taken {
 
 /// A \[p; P v\] = rhs of thesis (5.25), P on what walls and obstacles leave, with the same problem in its other forms.
 pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), Error> {
+    ensure_system(scene, options)?;
     let (density, all) = (pressure::density(scene)?, solids_of(scene)?);
     let Taken {
         system,
@@ -155,6 +156,26 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
     Ok((written, ran))
 }
 
+/// Refuses schemes of coupling without a system of both, or whose system the device does not keep with its blocks.
+fn ensure_system(scene: &Scene, options: &Options) -> Result<(), Error> {
+    let (problem, cure) = match (scene.solver.coupling, &options.backend) {
+        (CouplingScheme::Weak, _) => (
+            "solver.coupling = \"weak\" solves for the pressure, then for the solids, and has no system of both",
+            "add --set solver.coupling=strong",
+        ),
+        (CouplingScheme::DampingOnly, Backend::Gpu(_)) => (
+            "the system of solver.coupling = \"damping_only\" is exported from the f64 path only",
+            "use --backend cpu, or --set solver.coupling=strong",
+        ),
+        _ => return Ok(()),
+    };
+    Err(Error::input(
+        scene.file.display().to_string(),
+        problem,
+        cure,
+    ))
+}
+
 /// The system of the f64 path.
 fn assembled(scene: &Scene, step: u64, all: &Solids) -> Result<Taken, Error> {
     let ((system, pressure, velocity), ran, path) = on_cpu(scene, step, |of_step| match of_step {
@@ -169,7 +190,10 @@ fn assembled(scene: &Scene, step: u64, all: &Solids) -> Result<Taken, Error> {
         system,
         pressure,
         velocity,
-        variables: StressVariables::new(all, &deformations, ran.dt),
+        variables: StressVariables::new(all, &deformations, |body| match scene.solver.coupling {
+            CouplingScheme::DampingOnly => body.stiffness_damping,
+            CouplingScheme::Strong | CouplingScheme::Weak => body.zeta_stiffness(ran.dt),
+        }),
         ran,
     })
 }
@@ -214,7 +238,7 @@ fn stored(scene: &Scene, choice: &AdapterChoice, step: u64, density: f64) -> Res
         let pascal = density * grid.dx / dt;
         let potential = liquid.potential.iter();
         let pressure: Vec<f64> = potential.map(|phi| pascal * phi).collect();
-        let variables = StressVariables::new(&all, &deformations, dt);
+        let variables = StressVariables::new(&all, &deformations, |body| body.zeta_stiffness(dt));
         Ok(Some((system, pressure, solids.velocity, variables)))
     })?;
     let (system, pressure, velocity, variables) = taken;
