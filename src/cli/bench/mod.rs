@@ -1,0 +1,97 @@
+//! `cutwater bench`
+
+mod solids;
+mod solve;
+mod sort;
+mod step;
+
+use clap::{Args, Subcommand, ValueEnum};
+use cutwater::Error;
+use cutwater::measure::table::Machine;
+use cutwater::scene::{Precision, Preconditioner};
+
+use solids::Solids;
+use solve::Solve;
+use sort::Sort;
+use step::Step;
+
+/// Measure the solves, the whole step, or the sort
+#[derive(Debug, Args)]
+pub(super) struct Bench {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    /// The solve against the grid, on the base block and, with a beam, on the base scene: solve.csv, solve.json, solve.svg
+    Solve(Solve),
+    /// The solve of elastic solids against their size, and against sparse Cholesky: solids.csv, solids.json, solids.svg
+    Solids(Solids),
+    /// Whole sub-steps of scenes, stage by stage: step.csv, step_stages.csv, step.json, step.svg
+    Step(Step),
+    /// The sort of keys and values on the device, against the length of the list: sort.csv, sort.json
+    Sort(Sort),
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum PrecisionName {
+    F32,
+    Mixed,
+    F64,
+}
+
+impl PrecisionName {
+    fn precision(self) -> Precision {
+        match self {
+            PrecisionName::F32 => Precision::F32,
+            PrecisionName::Mixed => Precision::Mixed,
+            PrecisionName::F64 => Precision::F64,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum PreconditionerName {
+    Multigrid,
+    Jacobi,
+}
+
+impl PreconditionerName {
+    fn preconditioner(self) -> Preconditioner {
+        match self {
+            PreconditionerName::Multigrid => Preconditioner::Multigrid,
+            PreconditionerName::Jacobi => Preconditioner::Jacobi,
+        }
+    }
+}
+
+impl Bench {
+    pub(super) fn run(&self) -> Result<(), Error> {
+        match &self.what {
+            What::Solve(solve) => solve.run(),
+            What::Solids(solids) => solids.run(),
+            What::Step(step) => step.run(),
+            What::Sort(sort) => sort.run(),
+        }
+    }
+}
+
+fn tell_machine(machine: &Machine) {
+    say!(
+        "adapter: {}, copy bandwidth {:.1} GB/s",
+        machine.adapter,
+        machine.copy_bandwidth.median * 1e-9
+    );
+}
+
+fn check_tolerance(tolerance: f64) -> Result<(), Error> {
+    if tolerance > 0.0 && tolerance < 1.0 {
+        return Ok(());
+    }
+    Err(Error::input(
+        format!("--tolerance {tolerance}"),
+        "no residual can meet it",
+        "give a number above 0 and below 1, such as 1e-8",
+    ))
+}

@@ -1,0 +1,116 @@
+//! `cutwater bench solve`
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use cutwater::Error;
+use cutwater::gpu::Gpu;
+use cutwater::measure::bench_solve::{self, Formulation, Options};
+use cutwater::scene::Solver;
+
+use super::{PrecisionName, PreconditionerName, check_tolerance, tell_machine};
+use crate::cli::AdapterArgs;
+
+#[derive(Debug, Args)]
+pub(super) struct Solve {
+    /// Cells along an edge of the block
+    #[arg(long, value_delimiter = ',', default_values_t = [20, 40, 60, 80])]
+    grids: Vec<usize>,
+    /// Timed runs per row
+    #[arg(long, default_value_t = 5)]
+    repeats: usize,
+    /// Relative tolerance of the true residual
+    #[arg(long, default_value_t = 1e-8)]
+    tolerance: f64,
+    /// Precisions to measure
+    #[arg(long, value_enum, value_delimiter = ',', default_values_t = [PrecisionName::Mixed])]
+    precision: Vec<PrecisionName>,
+    /// Systems to solve: pressures on the base block, or pressures and the velocities of a beam on the base scene
+    #[arg(long, value_enum, value_delimiter = ',', default_values_t = [FormulationName::Pressure])]
+    formulation: Vec<FormulationName>,
+    /// Preconditioners of the pressure to measure
+    #[arg(long, value_enum, value_delimiter = ',', default_values_t = [PreconditionerName::Multigrid])]
+    preconditioner: Vec<PreconditionerName>,
+    /// PCG iterations in all rounds
+    #[arg(long, default_value_t = 5000)]
+    max_iterations: u32,
+    /// Also write the systems as base_block_N.mtx and base_block_N_rhs.mtx
+    #[arg(long)]
+    matrices: bool,
+    /// Folder of the results
+    #[arg(long, default_value = "out/bench_solve")]
+    out: PathBuf,
+    #[command(flatten)]
+    adapter: AdapterArgs,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum FormulationName {
+    Pressure,
+    TwoField,
+    Condensed,
+}
+
+/// Cells along an edge of the base block: 2^30 in all at most, as of a scene.
+const GRIDS: std::ops::RangeInclusive<usize> = 2..=1024;
+impl Solve {
+    pub(super) fn run(&self) -> Result<(), Error> {
+        if let Some(&grid) = self.grids.iter().find(|n| !GRIDS.contains(n)) {
+            return Err(Error::input(
+                format!("--grids {grid}"),
+                "too few or too many cells along an edge",
+                "give grids of 2 to 1024 cells",
+            ));
+        }
+        check_tolerance(self.tolerance)?;
+        let gpu = Gpu::new(&self.adapter.choice())?;
+        let mut solvers = Vec::new();
+        for precision in &self.precision {
+            for preconditioner in &self.preconditioner {
+                solvers.push(Solver {
+                    tolerance: self.tolerance,
+                    max_iterations: self.max_iterations,
+                    precision: precision.precision(),
+                    preconditioner: preconditioner.preconditioner(),
+                    ..Solver::default()
+                });
+            }
+        }
+        let formulations = self.formulation.iter().map(|name| match name {
+            FormulationName::Pressure => Formulation::Pressure,
+            FormulationName::TwoField => Formulation::TwoField,
+            FormulationName::Condensed => Formulation::Condensed,
+        });
+        let options = Options {
+            formulations: formulations.collect(),
+            grids: self.grids.clone(),
+            repeats: self.repeats,
+            solvers,
+            matrices: self.matrices,
+        };
+        say!(
+            "grid  cells     nodes  formulation  preconditioner precision  iterations  seconds (least, largest)  residuals"
+        );
+        let table = bench_solve::bench_solve(&gpu, &options, &self.out, &mut |row| {
+            say!(
+                "{:4}  {:8}  {:5}  {:11}  {:14} {:9}  {:10}  {:.4} ({:.4}, {:.4})  {:.1e} {:.1e} {}",
+                row.grid,
+                row.active_cells,
+                row.solid_nodes,
+                row.formulation,
+                row.preconditioner,
+                row.precision,
+                row.iterations,
+                row.seconds_median,
+                row.seconds_min,
+                row.seconds_max,
+                row.residual_p,
+                row.residual_v,
+                row.status,
+            );
+        })?;
+        tell_machine(&table.machine);
+        say!("table and picture: {}", self.out.display());
+        Ok(())
+    }
+}

@@ -1,0 +1,55 @@
+//! `cutwater bench sort`
+
+use std::path::PathBuf;
+
+use clap::Args;
+use cutwater::Error;
+use cutwater::gpu::Gpu;
+use cutwater::measure::bench_sort;
+
+use super::tell_machine;
+use crate::cli::AdapterArgs;
+
+#[derive(Debug, Args)]
+pub(super) struct Sort {
+    /// Entries of the lists
+    #[arg(long, value_delimiter = ',', default_values_t = [10_000, 100_000, 1_000_000])]
+    entries: Vec<usize>,
+    /// Bits of the keys
+    #[arg(long, default_value_t = 32, value_parser = clap::value_parser!(u32).range(1..=32))]
+    bits: u32,
+    /// Timed runs per row
+    #[arg(long, default_value_t = 5)]
+    repeats: usize,
+    /// Folder of the results
+    #[arg(long, default_value = "out/bench_sort")]
+    out: PathBuf,
+    #[command(flatten)]
+    adapter: AdapterArgs,
+}
+
+impl Sort {
+    pub(super) fn run(&self) -> Result<(), Error> {
+        let gpu = Gpu::new(&self.adapter.choice())?;
+        let options = bench_sort::Options {
+            entries: self.entries.clone(),
+            bits: self.bits,
+            repeats: self.repeats,
+        };
+        say!("  entries  bits  ms (least, largest)  of copy bandwidth");
+        let table = bench_sort::bench_sort(&gpu, &options, &self.out, &mut |row| {
+            say!(
+                "{:9}  {:4}  {:.2} ({:.2}, {:.2})  {:.0} %",
+                row.entries,
+                row.bits,
+                1e3 * row.seconds_median,
+                1e3 * row.seconds_min,
+                1e3 * row.seconds_max,
+                100.0 * row.share_of_copy_bandwidth,
+            );
+        })?;
+        tell_machine(&table.machine);
+        say!("tables: {}", self.out.display());
+        Ok(())
+    }
+}
