@@ -20,6 +20,7 @@ mod gpu;
 mod layout;
 mod linalg;
 mod liquid_case;
+mod momentum;
 mod output;
 mod output_solids;
 mod pages;
