@@ -1,4 +1,4 @@
-//! Measurements of solids. Both paths give their displacements to it.
+//! Measurements of solids. Both paths give their displacements to it, and the forces of the liquid.
 
 use glam::DVec3;
 
@@ -6,11 +6,18 @@ use super::Solids;
 use crate::scene::ProbeKind;
 
 impl Solids {
-    /// What a probe of a solid reads, its columns in order, from the displacement of all nodes (m); nothing for probes of liquid.
+    /// What a probe of a solid reads, its columns in order, from the displacement of all nodes (m) and the forces of the liquid on them (N);
+    /// nothing for probes of liquid.
     ///
     /// - Node: displacement of the node nearest to the point at rest, m.
     /// - Solid: centre of mass, m; then sum of V det F over sum of V, where an inverted element counts against.
-    pub fn probe(&self, displacement: &[[f64; 3]], kind: &ProbeKind) -> Vec<f64> {
+    /// - Force: sum over its nodes, N.
+    pub fn probe(
+        &self,
+        displacement: &[[f64; 3]],
+        forces: &[[f64; 3]],
+        kind: &ProbeKind,
+    ) -> Vec<f64> {
         match *kind {
             ProbeKind::Node { solid, rest_point } => {
                 displacement[self.nearest_node(solid, rest_point)].to_vec()
@@ -35,6 +42,11 @@ impl Solids {
                     .sum();
                 let centre = moment / mass;
                 vec![centre.x, centre.y, centre.z, volume / rest_volume]
+            }
+            ProbeKind::Force { solid } => {
+                let nodes = forces[self.bodies[solid].nodes.clone()].iter();
+                let sum: DVec3 = nodes.map(|&force| DVec3::from(force)).sum();
+                sum.to_array().to_vec()
             }
             _ => Vec::new(),
         }

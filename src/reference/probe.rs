@@ -15,7 +15,7 @@ use crate::state::State;
 ///   obstacles) do not count; beyond the outermost centres the pressure of the nearest is taken.
 /// - Velocity: trilinear between faces.
 /// - Front: largest coordinate of the liquid along the axis, over active cells; 0 without liquid.
-/// - Of solids: nothing here; [`crate::elastic::Solids::probe`] reads them.
+/// - Of solids, and of forces on them: nothing here; [`crate::elastic::Solids::probe`] reads them.
 pub fn probe(grid: &Grid, state: &State, kind: &ProbeKind) -> Vec<f64> {
     match *kind {
         ProbeKind::Height { x, z } => vec![height(grid, &state.liquid_distance, x, z)],
@@ -24,7 +24,7 @@ pub fn probe(grid: &Grid, state: &State, kind: &ProbeKind) -> Vec<f64> {
             grid.velocity_at(&state.velocity, point).to_array().to_vec()
         }
         ProbeKind::Front { axis } => vec![front(grid, state, Axis::ALL[axis])],
-        ProbeKind::Node { .. } | ProbeKind::Solid { .. } => Vec::new(),
+        ProbeKind::Node { .. } | ProbeKind::Solid { .. } | ProbeKind::Force { .. } => Vec::new(),
     }
 }
 

@@ -36,6 +36,8 @@ pub struct Reference {
     liquid: Option<LiquidPart>,
     solid: Option<SolidPart>,
     state: State,
+    /// N, three numbers per node.
+    node_forces: Vec<f64>,
 }
 
 /// What bodies leave of the grid.
@@ -158,6 +160,7 @@ impl Reference {
             liquid,
             solid,
             state: State::default(),
+            node_forces: Vec::new(),
         };
         reference.reset(state)?;
         Ok(reference)
@@ -187,6 +190,7 @@ impl Reference {
             ));
         }
         clip(&mut self.cut, self.solid.as_ref(), &state);
+        self.node_forces = vec![0.0; 3 * n_nodes];
         if state.step == 0 {
             let triangles = self.solid.as_ref().map(|part| &part.solids.triangles[..]);
             let solids = self.cut.clip().zip(triangles);
@@ -204,6 +208,11 @@ impl Reference {
     /// The state after the last step.
     pub fn state(&self) -> &State {
         &self.state
+    }
+
+    /// Forces of the liquid on the nodes in the last sub-step, N: J^T p and what pressure does that varies within cells.
+    pub fn node_forces(&self) -> &[[f64; 3]] {
+        self.node_forces.as_chunks().0
     }
 
     /// What obstacles, and solids in liquid, leave of the grid.
@@ -250,18 +259,18 @@ impl Reference {
             clip(&mut cut, self.solid.as_ref(), &self.state);
         }
         self.cut = cut;
-        let (state, report) = stepped?;
-        self.state = state;
+        let (state, report, node_forces) = stepped?;
+        (self.state, self.node_forces) = (state, node_forces);
         Ok(report)
     }
 
-    /// The stages of a sub-step: the state after it, and `cut` with it.
+    /// The stages of a sub-step: the state after it, `cut` with it, and the forces of the liquid on the nodes, N.
     fn stages(
         &self,
         TimeStep { dt, floored }: TimeStep,
         cut: &mut Cut,
         observer: &mut dyn FnMut(StepSystem),
-    ) -> Result<(State, StepReport), Error> {
+    ) -> Result<(State, StepReport, Vec<f64>), Error> {
         let (scene, grid) = (&self.scene, &self.grid);
         let (settings, gravity) = (&scene.solver, scene.domain.gravity);
         let (liquid, solid) = (self.liquid.as_ref(), self.solid.as_ref());
@@ -345,6 +354,7 @@ impl Reference {
         );
 
         let mut coupling = CouplingReport::default();
+        let mut node_forces = vec![0.0; 3 * before.displacement.len()];
         let pressure = liquid.zip(active).map(|(part, active)| {
             let open_volumes = match clip {
                 None => Cow::Borrowed(&part.open_volumes),
@@ -360,6 +370,9 @@ impl Reference {
             if let Some((clip, pressure)) = clip.zip(pressure.as_ref()) {
                 let forces = self.patch_correction(clip, pressure, solids);
                 coupling.correction = forces.iter().copied().sum::<DVec3>().to_array();
+                for (sum, force) in node_forces.as_chunks_mut::<3>().0.iter_mut().zip(&forces) {
+                    *sum = force.to_array();
+                }
                 rhs.add(solids, &forces);
             }
             let State {
@@ -401,6 +414,8 @@ impl Reference {
             clip.coupling().add_transposed(&state.pressure, &mut force);
             let nodes = force.chunks_exact(3).map(DVec3::from_slice);
             coupling.force = nodes.sum::<DVec3>().to_array();
+            let sums = node_forces.iter_mut().zip(&force);
+            sums.for_each(|(sum, force)| *sum += force);
             coupling.touching = touches(clip, system);
             coupling.condensed = matches!(
                 &systems,
@@ -483,7 +498,7 @@ impl Reference {
             seconds_total: clock.start.elapsed().as_secs_f64(),
             seconds: clock.laps,
         };
-        Ok((state, report))
+        Ok((state, report, node_forces))
     }
 
     /// Solves for the pressure and the velocities of the nodes, which go into the state; `moved_with`: velocities before the sub-step, m/s, for

@@ -353,14 +353,16 @@ pub struct Probe {
 }
 
 impl Probe {
-    /// Its columns in probes.csv: the name; `_x`, `_y`, `_z` after it for a velocity, a displacement or a centre; and
+    /// Its columns in probes.csv: the name; `_x`, `_y`, `_z` after it for a velocity, a displacement, a centre or a force; and
     /// `_volume` for a solid.
     pub fn columns(&self) -> Vec<String> {
         let endings: &[&str] = match self.kind {
             ProbeKind::Height { .. } | ProbeKind::Pressure { .. } | ProbeKind::Front { .. } => {
                 &[""]
             }
-            ProbeKind::Velocity { .. } | ProbeKind::Node { .. } => &["_x", "_y", "_z"],
+            ProbeKind::Velocity { .. } | ProbeKind::Node { .. } | ProbeKind::Force { .. } => {
+                &["_x", "_y", "_z"]
+            }
             ProbeKind::Solid { .. } => &["_x", "_y", "_z", "_volume"],
         };
         let name = |ending| format!("{}{ending}", self.name);
@@ -405,12 +407,27 @@ pub enum ProbeKind {
         /// Index of the solid.
         solid: usize,
     },
+    /// Force of the liquid on a solid, N: J^T p and what pressure does that varies within cells, summed over its nodes.
+    Force {
+        /// Index of the solid.
+        solid: usize,
+    },
 }
 
 impl ProbeKind {
-    /// Whether it measures the liquid, and not a solid.
+    /// Whether it measures the liquid alone.
     pub fn of_liquid(&self) -> bool {
-        !matches!(self, ProbeKind::Node { .. } | ProbeKind::Solid { .. })
+        !self.of_solid() && !self.of_force()
+    }
+
+    /// Whether it measures where a solid is.
+    pub fn of_solid(&self) -> bool {
+        matches!(self, ProbeKind::Node { .. } | ProbeKind::Solid { .. })
+    }
+
+    /// Whether it measures what the liquid does to a solid.
+    pub fn of_force(&self) -> bool {
+        matches!(self, ProbeKind::Force { .. })
     }
 }
 

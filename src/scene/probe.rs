@@ -11,14 +11,16 @@ use crate::error::Error;
 
 const PROBE: Keys = Keys {
     valid: &[
-        "name", "height", "pressure", "velocity", "front", "node", "solid",
+        "name", "height", "pressure", "velocity", "front", "node", "solid", "force",
     ],
     later: &[],
 };
 /// What measures liquid.
 const OF_LIQUID: [&str; 4] = ["height", "pressure", "velocity", "front"];
 /// All measurements: those of liquid first.
-const MEASUREMENTS: [&str; 6] = ["height", "pressure", "velocity", "front", "node", "solid"];
+const MEASUREMENTS: [&str; 7] = [
+    "height", "pressure", "velocity", "front", "node", "solid", "force",
+];
 const HEIGHT: Keys = Keys {
     valid: &["x", "z"],
     later: &[],
@@ -37,6 +39,10 @@ const NODE: Keys = Keys {
 };
 const SOLID: Keys = Keys {
     valid: &["name"],
+    later: &[],
+};
+const FORCE: Keys = Keys {
+    valid: &["solid"],
     later: &[],
 };
 
@@ -81,6 +87,10 @@ pub(super) fn probes(
             let problem = "measures a solid, and the scene has no [[solid]]";
             place.ensure(!solids.is_empty(), problem, cure)?;
         }
+        if kind == "force" {
+            let problem = "measures the force of liquid, of which the scene has none";
+            place.ensure(has_liquid, problem, "add a [liquid] section with a region")?;
+        }
         let kind = match kind {
             "height" => {
                 let table = place.table(&HEIGHT)?;
@@ -122,6 +132,9 @@ pub(super) fn probes(
                     rest_point: point.vector("a point of the solid at rest in m")?,
                 }
             }
+            "force" => ProbeKind::Force {
+                solid: solid_named(&place.table(&FORCE)?, "solid", solids)?,
+            },
             _ => ProbeKind::Solid {
                 solid: solid_named(&place.table(&SOLID)?, "name", solids)?,
             },

@@ -42,6 +42,8 @@ pub(super) enum At {
 /// Labels of read-backs.
 const MOVED: &str = "coupling.displacement (read-back)";
 const REPORT: &str = "coupling.report (read-back)";
+const PROBED: &str = "coupling.partials (read-back)";
+const PROBED_WITHIN: &str = "patch_pressure.correction (read-back)";
 const COMPONENTS: &str = "coupling.components (read-back)";
 
 /// The coupling on the device.
@@ -57,6 +59,8 @@ pub(super) struct GpuCoupling {
     pub(super) stages: CouplingStages,
     /// Where displacements arrive for the next clipping.
     pub(super) moved: Readback<[f32; 4]>,
+    /// Where forces on the nodes arrive for the probes: J^T p, and what pressure does within cells. None where nobody asks.
+    probed: Vec<Readback<u32>>,
 }
 
 /// Where what the device tells of a sub-step arrives.
@@ -176,6 +180,12 @@ impl Room {
             BufferPlan::of::<u32>(REPORT, REPORT_WORDS),
             BufferPlan::of::<u32>(COMPONENTS, 1),
         ]);
+        let of_probes = [PROBED, PROBED_WITHIN]
+            .into_iter()
+            .take(probed(scene).len());
+        // Four numbers per node.
+        let words = variant.real.bytes() * n_nodes;
+        all.extend(of_probes.map(|label| BufferPlan::of::<u32>(label, words)));
         if scene.solver.coupling == CouplingScheme::Weak {
             all.extend(WeakBuffers::plan(n_nodes, variant.real));
             return all;
@@ -197,6 +207,15 @@ impl Room {
         }
         all
     }
+}
+
+/// What probes read of the forces on the nodes: J^T p and, where there is any, what pressure does within cells.
+fn probed(scene: &Scene) -> Vec<&'static str> {
+    let asked = scene.probes.iter().any(|probe| probe.kind.of_force());
+    let within = Effects::of(scene).patch_correction;
+    let buffers = ["coupling.partials", "patch_pressure.correction"].into_iter();
+    let n = usize::from(asked) * (1 + usize::from(within));
+    buffers.take(n).collect()
 }
 
 /// What decides the pressure on patches: the gradient at rest, Pa/m, and where the last one is asked.
@@ -286,7 +305,12 @@ impl GpuCoupling {
         let weak = weak.transpose()?;
         let with = (&on_device, &buffers);
         let stages = CouplingStages::new(gpu, scene, liquid, solids, with, weak.as_ref())?;
+        // Four numbers per node.
+        let words = buffers.partials.real.bytes() * solids.buffers.plan.n_nodes;
+        let probed = probed(scene).into_iter();
+        let probed = probed.map(|label| Readback::new(gpu, label, words));
         let coupling = GpuCoupling {
+            probed: probed.collect::<Result<_, _>>()?,
             moved: Readback::new(
                 gpu,
                 "coupling.displacement",
@@ -348,6 +372,28 @@ impl GpuCoupling {
         let fluxes = Some((&self.on_device, &self.buffers, velocity));
         stages.diagnose = Some(Diagnose::new(gpu, buffers, &active(solver), fluxes)?);
         Ok(())
+    }
+
+    /// Forces of the liquid on the nodes in the last sub-step, N. Nothing where no probe asks.
+    pub(super) fn probed(&mut self, gpu: &Gpu) -> Result<Vec<[f64; 3]>, Error> {
+        let of_cells = &self.buffers.partials;
+        let within = self.stages.patch_pressure.as_ref();
+        let buffers = [of_cells].into_iter().chain(within.map(|p| &p.correction));
+        let mut to = Recorder::new(gpu);
+        for (buffer, readback) in buffers.zip(&mut self.probed) {
+            to.read_part(&buffer.words, 0, readback);
+        }
+        to.submit();
+        let mut sums = Vec::new();
+        for readback in &mut self.probed {
+            let forces = of_cells.widen(&readback.wait(gpu)?);
+            let (nodes, _) = forces.as_chunks::<4>();
+            sums.resize(nodes.len(), [0.0; 3]);
+            for (sum, force) in sums.iter_mut().zip(nodes) {
+                *sum = std::array::from_fn(|axis| sum[axis] + force[axis]);
+            }
+        }
+        Ok(sums)
     }
 
     /// Clips the solids where they are and writes what follows, before all work submitted later. `displacement`: of all nodes, m.

@@ -6,7 +6,7 @@ use crate::geometry::CutCells;
 use crate::gpu::{CompactKernels, Gpu, Readback, Real, Recorder};
 use crate::grid::Grid;
 use crate::reference;
-use crate::scene::{self, Scene};
+use crate::scene::{self, ProbeKind, Scene};
 use crate::solver::{Components, Outcome, PressureSolver, PressureSystem, SolverBuffers, Within};
 use crate::stages::{
     Active, AdvectMarkers, AdvectVelocity, Band, Diagnose, Extrapolate, Forces, LiquidBuffers,
@@ -255,7 +255,7 @@ impl LiquidStages {
             &scene.solver,
         )?;
         let probe = || {
-            let kinds = scene.probes.iter().map(|probe| &probe.kind);
+            let kinds = probes(scene);
             let probe = Probe::new(gpu, liquid, &active, &solver.potential, kinds)?;
             let readback = Readback::new(gpu, "probe.values", probe.values.len())?;
             Ok::<_, Error>((probe, readback))
@@ -285,7 +285,7 @@ impl LiquidStages {
             write_back: WriteBack::new(gpu, liquid, &active, &solver.potential)?,
             extrapolate: alone.then(extrapolate).transpose()?,
             diagnose: alone.then(diagnose).transpose()?,
-            probe: effects.probes.then(probe).transpose()?,
+            probe: has_probes(scene).then(probe).transpose()?,
         })
     }
 }
@@ -305,4 +305,15 @@ pub(super) fn active(solver: &SolverBuffers) -> Active<'_> {
         list: &solver.list,
         args: &solver.args,
     }
+}
+
+/// What a scene measures of its liquid.
+pub(super) fn probes(scene: &Scene) -> impl Iterator<Item = &ProbeKind> + Clone {
+    let kinds = scene.probes.iter().map(|probe| &probe.kind);
+    kinds.filter(|kind| kind.of_liquid())
+}
+
+/// Whether there is any.
+pub(super) fn has_probes(scene: &Scene) -> bool {
+    probes(scene).next().is_some()
 }

@@ -35,6 +35,10 @@ pub struct GpuPath {
     pub(super) readbacks: Option<Readbacks>,
 }
 
+/// What probes read: those of the liquid, all columns in order; where solids have any, the displacements of the nodes, m; where the liquid's
+/// forces are asked for, those on the nodes, N.
+pub(super) type Probed = (Vec<f64>, Vec<[f64; 3]>, Vec<[f64; 3]>);
+
 impl GpuPath {
     /// Opens the device, clips the obstacles, seeds the liquid, and uploads it.
     ///
@@ -137,8 +141,8 @@ impl GpuPath {
         Ok(state)
     }
 
-    /// The values of the liquid's probes, all columns in order, and the displacements of the nodes (m) where solids have probes.
-    pub(super) fn probed(&mut self) -> Result<(Vec<f64>, Vec<[f64; 3]>), Error> {
+    /// Waits for what probes read after a sub-step.
+    pub(super) fn probed(&mut self) -> Result<Probed, Error> {
         let values = match &mut self.liquid {
             Some(liquid) => liquid.probes(&self.gpu)?,
             None => Vec::new(),
@@ -147,7 +151,11 @@ impl GpuPath {
             Some(solids) => solids.probed(&self.gpu)?,
             None => Vec::new(),
         };
-        Ok((values, displacement))
+        let forces = match &mut self.coupling {
+            Some(coupling) => coupling.probed(&self.gpu)?,
+            None => Vec::new(),
+        };
+        Ok((values, displacement, forces))
     }
 
     /// The length of the next sub-step.

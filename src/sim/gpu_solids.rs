@@ -107,7 +107,7 @@ fn round_to_f32(velocity: &mut [[f64; 3]]) {
 const PROBED: &str = "solid.displacement (read-back)";
 
 fn has_probes(scene: &Scene) -> bool {
-    scene.probes.iter().any(|probe| !probe.kind.of_liquid())
+    scene.probes.iter().any(|probe| probe.kind.of_solid())
 }
 
 impl GpuSolids {

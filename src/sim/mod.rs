@@ -153,14 +153,15 @@ impl Simulation {
     /// [`Error::Gpu`] when the device fails.
     pub fn probes(&mut self) -> Result<Vec<f64>, Error> {
         let probes = &self.scene.probes;
-        let (liquid, displacement) = match &mut self.path {
+        let (liquid, displacement, forces) = match &mut self.path {
             Path::Gpu(path) => path.probed()?,
             Path::Cpu(path) => {
                 let (grid, state) = (self.scene.grid(), path.state());
                 let of_liquid = probes.iter().filter(|probe| probe.kind.of_liquid());
                 let values =
                     of_liquid.flat_map(|probe| reference::probe(&grid, state, &probe.kind));
-                (values.collect(), state.displacement.clone())
+                let forces = path.node_forces().to_vec();
+                (values.collect(), state.displacement.clone(), forces)
             }
         };
         let mut liquid = liquid.into_iter();
@@ -168,7 +169,7 @@ impl Simulation {
             .iter()
             .flat_map(|probe| match probe.kind.of_liquid() {
                 true => liquid.by_ref().take(probe.columns().len()).collect(),
-                false => self.solids.probe(&displacement, &probe.kind),
+                false => self.solids.probe(&displacement, &forces, &probe.kind),
             });
         Ok(values.collect())
     }

@@ -8,14 +8,13 @@ use crate::gpu::{AdapterReport, BufferPlan, Timer};
 use crate::grid::Grid;
 use crate::reference::{TimeStep, time_step};
 use crate::scene::{
-    self, CouplingScheme, ElasticModel, PatchPressure, Precision, Preconditioner, ProbeKind, Scene,
-    Solid,
+    CouplingScheme, ElasticModel, PatchPressure, Precision, Preconditioner, ProbeKind, Scene, Solid,
 };
 use crate::solver::{self, LevelPlan, SolidRows, SolverBuffers};
 use crate::stages::{Probe, extrapolation_layers};
 
 use super::gpu_coupling::Room;
-use super::gpu_liquid::liquid_plan;
+use super::gpu_liquid::{self, liquid_plan};
 use super::gpu_solids;
 
 /// Labels of the buffers that grow with the markers and not with the grid.
@@ -336,7 +335,6 @@ fn stages(
         obstacles,
         coupling,
         patch_correction,
-        probes,
         ..
     } = *effects;
     let cuts = effects.cuts();
@@ -475,11 +473,12 @@ fn stages(
         (coupling, &["measure_coupling", "report_coupling"]),
     ];
     stage("diagnose", true, &diagnose);
-    if probes && liquid {
-        let front = |probe: &scene::Probe| matches!(probe.kind, ProbeKind::Front { .. });
+    let of_liquid: Vec<&ProbeKind> = gpu_liquid::probes(scene).collect();
+    if !of_liquid.is_empty() {
+        let front = |kind: &&ProbeKind| matches!(kind, ProbeKind::Front { .. });
         let kernels: [(bool, &[_]); 2] = [
-            (!scene.probes.iter().all(front), &["probe_points"]),
-            (scene.probes.iter().any(front), &["probe_fronts"]),
+            (!of_liquid.iter().all(front), &["probe_points"]),
+            (of_liquid.iter().any(front), &["probe_fronts"]),
         ];
         stage("probe", true, &kernels);
     }
@@ -547,9 +546,8 @@ fn buffers(
         all.extend(SolverBuffers::plan(&grid, variant));
         all.extend(liquid.small_buffers());
         all.extend(solver::small_buffers(&grid, &scene.solver, variant));
-        let probes = scene.probes.iter().map(|probe| &probe.kind);
-        if probes.clone().any(ProbeKind::of_liquid) {
-            all.extend(Probe::plan(probes));
+        if gpu_liquid::has_probes(scene) {
+            all.extend(Probe::plan(gpu_liquid::probes(scene)));
         }
     }
     if !solids.bodies.is_empty() {

@@ -86,7 +86,7 @@ impl Probe {
                     fronts = true;
                     Some(Columns { first: axis, n: 1 })
                 }
-                ProbeKind::Node { .. } | ProbeKind::Solid { .. } => None,
+                ProbeKind::Node { .. } | ProbeKind::Solid { .. } | ProbeKind::Force { .. } => None,
             })
             .collect();
         let n_points = points.len();

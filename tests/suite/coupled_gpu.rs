@@ -93,7 +93,7 @@ fn cases() -> Vec<(&'static str, Scene)> {
     let light = ball("light", [0.31, 0.34, 0.52], 300.0);
     let heavy = ball("heavy", [0.7, 0.42, 0.47], 3000.0);
     let both = format!("{light}{heavy}");
-    let pool = tank(0.55, &both);
+    let pool = tank(0.55, &format!("{both}{}", forces(&["heavy"])));
     let full = tank(1.0, &light);
     let still = tank(1.0, &format!("{light}{PINNED}"));
     let bar = "[[solid]]
@@ -175,6 +175,67 @@ poisson = 0.3
         ),
         ("a bar from wall to wall", scene(&tank(0.6, bar), &[])),
     ]
+}
+
+/// Probes of the forces on these solids.
+fn forces(solids: &[&str]) -> String {
+    let probe = |name: &&str| {
+        format!("[[probe]]\nname = \"on_{name}\"\nforce = {{ solid = \"{name}\" }}\n")
+    };
+    solids.iter().map(probe).collect()
+}
+
+/// Probes tell the force of the liquid on each solid: on one alone what steps.csv has, on several what sums up to it; where nothing is wet,
+/// none; with the correction and without.
+#[test]
+fn forces_on_each_solid_sum_up_to_those_on_all() {
+    if gpu().is_none() {
+        return;
+    }
+    let light = ball("light", [0.31, 0.34, 0.52], 300.0);
+    let heavy = ball("heavy", [0.7, 0.42, 0.47], 3000.0);
+    let dry = ball("dry", [0.5, 0.8, 0.5], 1000.0);
+    let cell = "solver.pressure_on_patches=cell";
+    let all = format!("{light}{heavy}{dry}");
+    for (solids, names, overrides) in [
+        (&light, &["light"][..], &[][..]),
+        (&all, &["heavy", "light", "dry"], &[]),
+        (&all, &["heavy", "light", "dry"], &[cell]),
+    ] {
+        let text = tank(0.55, &format!("{solids}{}", forces(names)));
+        let scene = scene(&text, overrides);
+        let mut on_each = Vec::new();
+        for backend in [Backend::Gpu(AdapterChoice::Best), Backend::Cpu] {
+            let mut simulation = Simulation::new(&scene, &backend).unwrap();
+            simulation.step().unwrap();
+            let report = simulation.step().unwrap().coupling.unwrap();
+            let probes = simulation.probes().unwrap();
+            let found: Vec<DVec3> = probes.chunks_exact(3).map(DVec3::from_slice).collect();
+            assert_eq!(found.len(), names.len());
+            let wanted = DVec3::from(report.force) + DVec3::from(report.correction);
+            let gross: f64 = found.iter().map(|force| force.length()).sum();
+            let off = found.iter().sum::<DVec3>().distance(wanted);
+            // The device adds them up in f32 where it has no f64, some hundred nodes in a tree.
+            assert!(
+                off <= 1e-5 * gross,
+                "{names:?}, {backend:?}: {found:?}, {report:?}"
+            );
+            let corrected = DVec3::from(report.correction).length() > 0.0;
+            assert_eq!(corrected, overrides.is_empty(), "{names:?}: {report:?}");
+            for (force, name) in found.iter().zip(names) {
+                assert_eq!(*force == DVec3::ZERO, *name == "dry", "{name}: {force}");
+            }
+            on_each.extend(found);
+        }
+        let (device, host) = on_each.split_at(names.len());
+        for (device, host) in device.iter().zip(host) {
+            let off = device.distance(*host);
+            assert!(
+                off <= 1e-3 * host.length(),
+                "{names:?}: {device} and {host}"
+            );
+        }
+    }
 }
 
 /// Largest difference of two fields.

@@ -75,7 +75,7 @@ fn probes_read_what_they_read_in_the_twin() {
                 // Weights that are left out can leave little weight.
                 ProbeKind::Pressure { .. } => 10.0 * 0.2 * pascal,
                 ProbeKind::Velocity { .. } => 2.0 * case.speed(),
-                ProbeKind::Node { .. } | ProbeKind::Solid { .. } => unreachable!("liquid alone"),
+                kind => unreachable!("liquid alone: {kind:?}"),
             };
             for twin in reference::probe(&grid, &case.state, probe) {
                 let gpu = *found.next().expect("a column per value");

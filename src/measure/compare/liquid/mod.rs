@@ -828,7 +828,7 @@ impl<'a> LiquidJudge<'a> {
                     pairs.push(("surface", "m", read(&gpu)[0], twin, bound));
                 }
                 // Both paths read them by the same function of the nodes, which have their own rows.
-                ProbeKind::Node { .. } | ProbeKind::Solid { .. } => {}
+                ProbeKind::Node { .. } | ProbeKind::Solid { .. } | ProbeKind::Force { .. } => {}
             }
         }
         for (column, (quantity, unit, gpu, twin, bound)) in pairs.into_iter().enumerate() {
