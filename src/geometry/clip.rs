@@ -13,7 +13,8 @@
 //!
 //! The grid is padded by one ghost cell on each side, unbounded outwards, which takes everything beyond the domain. A polygon
 //! that lies on a grid plane belongs to the cell on the liquid side; vertices within 1e-9 dx of a plane are moved onto it
-//! first, so that this rule is exact and neighbouring triangles agree.
+//! first, so that this rule is exact and neighbouring triangles agree. Vertices within 1e-4 dx of a wall of the domain are moved onto the
+//! wall: that near the nodes of solids come to rest there, and whether liquid is below a body on the floor must not hang on rounding.
 
 use glam::{DMat3, DVec3};
 use parry3d_f64::query::details::clip_halfspace_polygon;
@@ -64,6 +65,9 @@ pub(super) struct Ghost {
 /// Distance from a grid plane within which a vertex lies on it, cells.
 const ON_PLANE: f64 = 1e-9;
 
+/// The same of a wall of the domain.
+const ON_WALL: f64 = 1e-4;
+
 /// Polygons up to this area (cells^2) are rounding of those that touch a cell from outside.
 const NO_AREA: f64 = 1e-17;
 
@@ -75,7 +79,10 @@ pub fn clip(surface: &Surface, grid: &Grid) -> Clipping {
     let vertices: Vec<DVec3> = surface
         .vertices
         .iter()
-        .map(|&x| DVec3::from_array((x / grid.dx).to_array().map(snap)))
+        .map(|&x| {
+            let x = x / grid.dx;
+            DVec3::from([0, 1, 2].map(|axis| snap(x[axis], grid.cells[axis])))
+        })
         .collect();
     let tasks: Vec<Clipping> = surface
         .triangles
@@ -101,10 +108,11 @@ pub fn clip(surface: &Surface, grid: &Grid) -> Clipping {
     all
 }
 
-/// A coordinate in cells, moved onto a grid plane that it almost lies on.
-fn snap(x: f64) -> f64 {
+/// A coordinate in cells, moved onto a grid plane that it almost lies on, where there are n cells between the walls.
+fn snap(x: f64, n: usize) -> f64 {
     let plane = x.round();
-    if (x - plane).abs() <= ON_PLANE {
+    let wall = plane == 0.0 || plane == n as f64;
+    if (x - plane).abs() <= if wall { ON_WALL } else { ON_PLANE } {
         plane
     } else {
         x

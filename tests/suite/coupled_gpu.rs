@@ -333,6 +333,47 @@ fn steps_are_the_twins() {
     }
 }
 
+/// A box sinks to the floor and rests on it. No liquid is below it then, wherever rounding puts its nodes: what pushes it is above it.
+#[test]
+fn no_liquid_is_below_what_rests_on_the_floor() {
+    if gpu().is_none() {
+        return;
+    }
+    let solid = "[[solid]]
+name = \"box\"
+mesh = { box = { size = [0.4, 0.3, 0.4], cells = [2, 2, 2] } }
+placement = { translate = [0.5, 0.16, 0.5] }
+density = 1500.0
+young = 1e6
+poisson = 0.3
+";
+    let mut scene = scene(&tank(0.8, solid), &["liquid.surface=fixed"]);
+    let dt = 1.0 / 25.0;
+    (scene.time.frames_per_second, scene.time.fixed_step) = (1.0 / dt, Some(dt));
+    let mut both = [
+        on_gpu(&scene),
+        Simulation::new(&scene, &Backend::Cpu).unwrap(),
+    ];
+    for step in 0..12 {
+        let coupling = both
+            .each_mut()
+            .map(|simulation| simulation.step().unwrap().coupling.unwrap());
+        let [force, twin] = coupling.map(|of| DVec3::from(of.force) + DVec3::from(of.correction));
+        assert!(
+            force.distance(twin) <= 1e-3 * twin.length(),
+            "sub-step {step}: {coupling:?}"
+        );
+        if step == 11 {
+            // The water above it, 0.5 m of it.
+            let above = -1000.0 * 9.81 * 0.5 * 0.4 * 0.4;
+            assert!(
+                (twin.y / above - 1.0).abs() < 1e-2,
+                "{twin} N, not {above} N"
+            );
+        }
+    }
+}
+
 /// Buffers, kernels and stages of coupled scenes are those planned, and a sub-step of solids that are dry runs none of the solve for both.
 #[test]
 fn both_take_what_is_planned() {
