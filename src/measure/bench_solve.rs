@@ -336,7 +336,7 @@ fn measure(
         active_cells: outcome.unknowns,
         solid_nodes: 0,
         formulation: Formulation::Pressure.name(),
-        preconditioner: preconditioner(solver),
+        preconditioner: preconditioner_name(solver.preconditioner),
         precision: name(solver.precision),
         tolerance: solver.tolerance,
         status: outcome.status.name(),
@@ -417,7 +417,7 @@ fn measure_coupled(
         active_cells: n_cells as u32,
         solid_nodes: scene.solids.rest.len() as u32,
         formulation: formulation.name(),
-        preconditioner: preconditioner(solver),
+        preconditioner: preconditioner_name(solver.preconditioner),
         precision: name(solver.precision),
         tolerance: solver.tolerance,
         status: outcome.status.name(),
@@ -434,8 +434,9 @@ fn measure_coupled(
     })
 }
 
-fn preconditioner(solver: &Solver) -> &'static str {
-    match solver.preconditioner {
+/// How a preconditioner is spelled in the tables.
+pub(super) fn preconditioner_name(preconditioner: Preconditioner) -> &'static str {
+    match preconditioner {
         Preconditioner::Multigrid => "multigrid",
         Preconditioner::Jacobi => "jacobi",
     }

@@ -2,6 +2,7 @@
 
 pub mod bandwidth;
 pub mod base_scene;
+pub mod bench_accuracy;
 pub mod bench_solids;
 pub mod bench_solve;
 pub mod bench_sort;
@@ -11,4 +12,5 @@ pub mod compare;
 pub mod export;
 mod solid_bytes;
 pub mod statistics;
+mod stored;
 pub mod table;

@@ -668,6 +668,12 @@ impl GpuCoupling {
         Ok((solved, times))
     }
 
+    pub(super) fn set_tolerance(&mut self, gpu: &Gpu, tolerance: f64) {
+        if let Scheme::Together(solver) = &mut self.stages.scheme {
+            solver.set_tolerance(gpu, tolerance);
+        }
+    }
+
     /// The solver for both; `None` in weak coupling.
     pub(super) fn together(&self) -> Option<&TwoFieldSolver> {
         match &self.stages.scheme {

@@ -256,6 +256,25 @@ impl GpuPath {
         [variant.real, variant.inner].map(Real::bytes)
     }
 
+    /// The cells.
+    pub fn grid(&self) -> &Grid {
+        &self.grid
+    }
+
+    /// From the next solve on, another tolerance of the true residuals.
+    pub fn set_tolerance(&mut self, tolerance: f64) {
+        self.scene.solver.tolerance = tolerance;
+        if let Some(liquid) = &mut self.liquid {
+            liquid.stages.solve.set_tolerance(&self.gpu, tolerance);
+        }
+        if let Some(solids) = &mut self.solids {
+            solids.stages.solve.set_tolerance(&self.gpu, tolerance);
+        }
+        if let Some(coupling) = &mut self.coupling {
+            coupling.set_tolerance(&self.gpu, tolerance);
+        }
+    }
+
     /// The device.
     pub fn gpu(&self) -> &Gpu {
         &self.gpu

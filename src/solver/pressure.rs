@@ -50,6 +50,11 @@ impl PressureSolver {
         self.0.solve(gpu, recorder, buffers, verify)
     }
 
+    /// From the next solve on, another tolerance of the true residual.
+    pub fn set_tolerance(&mut self, gpu: &Gpu, tolerance: f64) {
+        self.0.set_tolerance(gpu, tolerance);
+    }
+
     /// B x of the system in `buffers`, in the precision of the corrections, as PCG evaluates it. `x` and the answer are in the
     /// device layout; inactive cells of the answer mean nothing. Overwrites what a solve computes with.
     ///

@@ -90,6 +90,17 @@ pub struct RefineSettings {
     pub guess: f32,
 }
 
+impl RefineSettings {
+    pub(super) fn new(solver: &Solver, variant: Variant, guesses: bool) -> RefineSettings {
+        RefineSettings {
+            tolerance: solver.tolerance as f32,
+            rounding: rounding(solver) as f32,
+            round_floor: round_floor(variant.inner),
+            guess: if guesses { 1.0 } else { 0.0 },
+        }
+    }
+}
+
 /// Relative to the terms that the right-hand side sums, what rounding leaves of the residual (design section 5).
 pub fn rounding(solver: &Solver) -> f64 {
     match solver.precision {
@@ -183,13 +194,13 @@ pub(super) struct OuterLoop<S> {
     state: State,
     pcg: Pcg,
     norms: RealBuffer,
+    settings: Buffer<RefineSettings>,
     readbacks: Mutex<Readbacks>,
     start: Fold,
     correct: Bound,
     turn: Fold,
-    /// The scalar type in which residuals are evaluated on the device.
-    real: Real,
-    round_floor: f32,
+    /// Scalar types: `real` of the residuals on the device.
+    variant: Variant,
     host_turns: bool,
 }
 
@@ -222,13 +233,7 @@ impl<S: System> OuterLoop<S> {
                 ("x", unknowns.x.into()),
             ],
         )?;
-        let round_floor = round_floor(variant.inner);
-        let settings = RefineSettings {
-            tolerance: solver.tolerance as f32,
-            rounding: rounding(solver) as f32,
-            round_floor,
-            guess: if S::GUESSES { 1.0 } else { 0.0 },
-        };
+        let settings = RefineSettings::new(solver, variant, S::GUESSES);
         let settings = gpu.uniform(labels.refine_settings, &settings)?;
         let shared = [
             ("norms", (&norms).into()),
@@ -271,14 +276,20 @@ impl<S: System> OuterLoop<S> {
             system,
             state,
             norms,
+            settings,
             readbacks,
             start,
             correct,
             turn,
-            real: variant.real,
-            round_floor,
+            variant,
             host_turns,
         })
+    }
+
+    pub(super) fn set_tolerance(&mut self, gpu: &Gpu, tolerance: f64) {
+        self.solver.tolerance = tolerance;
+        let settings = RefineSettings::new(&self.solver, self.variant, S::GUESSES);
+        gpu.upload(&self.settings, &[settings]);
     }
 
     /// From a round to the next, where the round is over: correction, true residual, verdict.
@@ -449,7 +460,7 @@ impl<S: System> OuterLoop<S> {
             closed_components: *closed,
             residual: relative(norms[NORM_R], norms[NORM_B]),
             residual_terms: relative(norms[NORM_R], norms[NORM_TERMS]),
-            verified: self.real == Real::F64,
+            verified: self.variant.real == Real::F64,
         })
     }
 
@@ -553,7 +564,8 @@ impl<S: System> OuterLoop<S> {
         norms[SCALE] = 1.0;
         self.norms.upload(gpu, norms);
         let mut scalars = vec![0.0; N_SCALARS];
-        scalars[GOAL] = (ROUND_MARGIN.powi(2) * left).max(f64::from(self.round_floor).powi(2));
+        let floor = f64::from(round_floor(self.variant.inner));
+        scalars[GOAL] = (ROUND_MARGIN.powi(2) * left).max(floor.powi(2));
         self.state.scalars.upload(gpu, &scalars);
         self.state.open(gpu, args);
     }

@@ -118,6 +118,11 @@ impl SolidSolver {
         self.outer.solve(gpu, recorder, case, verify)
     }
 
+    /// From the next solve on, another tolerance of the true residual.
+    pub fn set_tolerance(&mut self, gpu: &Gpu, tolerance: f64) {
+        self.outer.set_tolerance(gpu, tolerance);
+    }
+
     /// S x as conjugate gradients evaluate it, 0 for prescribed components; x and the answer hold four numbers per node, the fourth 0.
     /// Overwrites what a solve computes with.
     ///

@@ -37,7 +37,7 @@ use super::pcg::{Fold, Pcg, State, Unknowns};
 use super::pressure::{FIRST_SWEEP, Pressure};
 use super::refine::{
     NORM_B, NORM_R, NORM_TERMS, Outcome, RefineSettings, SCALE, STATUS_STAGNATED, System,
-    host_turns, relative, round_floor, rounding, verdict,
+    host_turns, relative, verdict,
 };
 use super::solid_contacts::Update;
 use super::solid_solver::Chebyshev;
@@ -119,6 +119,7 @@ pub struct TwoFieldSolver {
     pub(super) pcg: Pcg,
     pub(super) pressure: Pressure,
     pub(super) norms: RealBuffer,
+    settings: Buffer<RefineSettings>,
     args: Bound,
     start: Fold,
     turn: Fold,
@@ -219,12 +220,7 @@ impl TwoFieldSolver {
         let polynomial = gpu.uniform("coupled_solver.polynomial", &Polynomial::new(0, 1.0))?;
         let level = gpu.uniform(LABELS.level, &unknowns.level)?;
         let sweep = gpu.uniform("coupled_solver.sweep", &FIRST_SWEEP)?;
-        let settings = RefineSettings {
-            tolerance: solver.tolerance as f32,
-            rounding: rounding(solver) as f32,
-            round_floor: round_floor(variant.inner),
-            guess: 0.0,
-        };
+        let settings = RefineSettings::new(solver, variant, false);
         let settings = gpu.uniform(LABELS.refine_settings, &settings)?;
 
         let kernel = |source| Kernel::new(gpu, source, variant);
@@ -568,6 +564,7 @@ impl TwoFieldSolver {
             polynomial,
             state,
             norms,
+            settings,
         })
     }
 
@@ -629,6 +626,13 @@ impl TwoFieldSolver {
             }
             recorder = Recorder::timed(gpu);
         }
+    }
+
+    /// From the next solve on, another tolerance of both residuals.
+    pub fn set_tolerance(&mut self, gpu: &Gpu, tolerance: f64) {
+        self.solver.tolerance = tolerance;
+        let settings = RefineSettings::new(&self.solver, self.variant, false);
+        gpu.upload(&self.settings, &[settings]);
     }
 
     /// Records, after a solve, who is held in the next one; the changes are added to the number in `fields`.

@@ -1,6 +1,7 @@
 //! All integration tests, in one binary so that the dependencies are linked once.
 
 mod band;
+mod bench_accuracy;
 mod bench_solids;
 mod bench_sort;
 mod bench_step;

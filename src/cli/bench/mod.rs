@@ -1,5 +1,6 @@
 //! `cutwater bench`
 
+mod accuracy;
 mod solids;
 mod solve;
 mod sort;
@@ -10,6 +11,7 @@ use cutwater::Error;
 use cutwater::measure::table::Machine;
 use cutwater::scene::{Precision, Preconditioner};
 
+use accuracy::Accuracy;
 use solids::Solids;
 use solve::Solve;
 use sort::Sort;
@@ -28,6 +30,9 @@ enum What {
     Solve(Solve),
     /// The solve of elastic solids against their size, and against sparse Cholesky: solids.csv, solids.json, solids.svg
     Solids(Solids),
+    /// What accuracy costs in time: errors against seconds, by precision, preconditioner, form and tolerance, on states of scenes:
+    /// accuracy.csv, accuracy_best.csv, accuracy.json, accuracy.svg
+    Accuracy(Accuracy),
     /// Whole sub-steps of scenes, stage by stage: step.csv, step_stages.csv, step.json, step.svg
     Step(Step),
     /// The sort of keys and values on the device, against the length of the list: sort.csv, sort.json
@@ -70,6 +75,7 @@ impl Bench {
     pub(super) fn run(&self) -> Result<(), Error> {
         match &self.what {
             What::Solve(solve) => solve.run(),
+            What::Accuracy(accuracy) => accuracy.run(),
             What::Solids(solids) => solids.run(),
             What::Step(step) => step.run(),
             What::Sort(sort) => sort.run(),

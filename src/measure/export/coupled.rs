@@ -2,17 +2,17 @@
 
 use std::sync::Arc;
 
+use super::super::stored;
 use super::{Options, Part, Ran, System, no_system_of_both, on_cpu, on_gpu, pressure, solids};
 use crate::Error;
 use crate::elastic::Solids;
 use crate::gpu::AdapterChoice;
 use crate::linalg::{Csr, Symmetry, matrix_text, vector_text};
 use crate::reference::{
-    BlockPattern, CoupledSystem, SIGMA, StepSystem, StressVariables, right_hand_side,
-    solid_matrices,
+    BlockPattern, CoupledSystem, SIGMA, StepSystem, StressVariables, solid_matrices,
 };
 use crate::scene::{CouplingScheme, Scene};
-use crate::sim::{Backend, Snapshot, coupled_system, solids_of, stored_coupling};
+use crate::sim::{Backend, solids_of};
 use crate::stages::RightHandSide;
 
 /// What is exported of a sub-step.
@@ -200,46 +200,32 @@ fn assembled(scene: &Scene, step: u64, all: &Solids) -> Result<Taken, Error> {
 
 /// The system in the device's memory.
 fn stored(scene: &Scene, choice: &AdapterChoice, step: u64, density: f64) -> Result<Taken, Error> {
-    let grid = scene.grid();
     let mut inflow = Vec::new();
     let (taken, ran) = on_gpu(scene, choice, step, |stage, path, dt| {
         if !["solve", RightHandSide::NAME].contains(&stage) {
             return Ok(None);
         }
-        let (Snapshot { liquid, solids, .. }, clip, at_rest) =
-            (path.snapshot()?, path.clip(), path.solids());
-        let both = liquid.zip(solids).zip(clip.zip(at_rest));
-        let ((liquid, solids), (clip, at_rest)) = both.expect("the scene has liquid and solids");
+        let snapshot = path.snapshot()?;
+        let (Some(liquid), Some(solids)) = (&snapshot.liquid, &snapshot.solids) else {
+            unreachable!("the scene has liquid and solids");
+        };
         if stage == RightHandSide::NAME {
             // The solve takes from it what the solids take up.
-            inflow = liquid.rhs;
+            inflow.clone_from(&liquid.rhs);
             return Ok(None);
         }
-        let (coupling, density) = stored_coupling(clip.coupling(), grid.dx, density, dt);
-        let mut active = liquid.active_cells(&grid);
-        active.seal(&coupling, &at_rest.prescribed);
-        let mut joined = coupling.cells();
-        if !joined.any(|(cell, _)| active.stencil.active(cell)) {
-            return Err(no_system_of_both(step));
-        }
-        let open = &path.cut_cells().open;
-        let mut rhs = right_hand_side(&grid, open, &liquid.velocity_next, &active, None);
-        rhs.values = inflow.iter().map(|b| grid.dx * grid.dx * b).collect();
+        let stored = stored::system_of_both(path, &snapshot, &inflow, density, dt);
+        let (system, all) = stored.ok_or_else(|| no_system_of_both(step))?;
         // As the device has it.
         let dt = f64::from(dt as f32);
-        let all = solids.on_device(at_rest);
         let pattern = Arc::new(BlockPattern::new(&all));
         let mut deformations = solid_matrices(&all, &pattern, &solids.displacement).deformations;
         for (element, deformation) in deformations.iter_mut().enumerate() {
             *deformation = solids.turned(&all, element, deformation.gradient);
         }
-        let solid = solids.system(&all, &pattern, dt);
-        let system = coupled_system(active, rhs, solid, &coupling, density);
-        let pascal = density * grid.dx / dt;
-        let potential = liquid.potential.iter();
-        let pressure: Vec<f64> = potential.map(|phi| pascal * phi).collect();
+        let pressure = stored::pressure(path, liquid, density, dt);
         let variables = StressVariables::new(&all, &deformations, |body| body.zeta_stiffness(dt));
-        Ok(Some((system, pressure, solids.velocity, variables)))
+        Ok(Some((system, pressure, solids.velocity.clone(), variables)))
     })?;
     let (system, pressure, velocity, variables) = taken;
     Ok(Taken {

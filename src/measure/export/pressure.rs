@@ -1,9 +1,10 @@
 //! The pressure system of a sub-step.
 
+use super::super::stored;
 use super::{Options, Part, Ran, System, on_cpu, on_gpu};
 use crate::Error;
 use crate::grid::Grid;
-use crate::reference::{PressureSystem, StepSystem, right_hand_side};
+use crate::reference::{PressureSystem, StepSystem};
 use crate::scene::Scene;
 use crate::sim::{Backend, GpuPath};
 
@@ -12,7 +13,7 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
     let density = density(scene)?;
     let ((system, pressure), ran) = match &options.backend {
         Backend::Gpu(choice) => on_gpu(scene, choice, options.step, |stage, path, dt| {
-            let solved = || stored(scene, path, density, dt);
+            let solved = || stored(path, density, dt);
             (stage == "solve").then(solved).transpose()
         })?,
         Backend::Cpu => {
@@ -68,29 +69,9 @@ pub(super) fn density(scene: &Scene) -> Result<f64, Error> {
 }
 
 /// The system in the device's memory, in SI units, and the pressure, Pa.
-fn stored(
-    scene: &Scene,
-    path: &GpuPath,
-    density: f64,
-    dt: f64,
-) -> Result<(PressureSystem, Vec<f64>), Error> {
-    let grid = scene.grid();
+fn stored(path: &GpuPath, density: f64, dt: f64) -> Result<(PressureSystem, Vec<f64>), Error> {
     let snapshot = path.snapshot()?.liquid;
     let snapshot = snapshot.expect("the scene's liquid was asked for its density");
-    let area = grid.dx * grid.dx;
-    let active = snapshot.active_cells(&grid);
-    let open = &path.cut_cells().open;
-    let mut rhs = right_hand_side(&grid, open, &snapshot.velocity_next, &active, None);
-    rhs.values = snapshot.rhs.iter().map(|b| area * b).collect();
-    let mut system = PressureSystem::new(active, rhs, dt, density);
-    let mut values = std::mem::take(&mut system.rhs);
-    // What rounding to f32 left of them, where the device has no f64.
-    system.remove_closed_means(&mut values);
-    system.rhs = values;
-    let pascal = density * grid.dx / dt;
-    let potential = snapshot.potential.iter();
-    Ok((
-        system,
-        potential.map(|potential| pascal * potential).collect(),
-    ))
+    let system = stored::pressure_system(path, &snapshot, density, dt);
+    Ok((system, stored::pressure(path, &snapshot, density, dt)))
 }

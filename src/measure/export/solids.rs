@@ -1,14 +1,13 @@
 //! The system of the solids in a sub-step.
 
-use std::sync::Arc;
-
 use serde::Serialize;
 
+use super::super::stored;
 use super::{Options, Part, Ran, System, on_cpu, on_gpu};
 use crate::Error;
 use crate::elastic::{Body, Solids};
 use crate::linalg::{Csr, Symmetry, matrix_text};
-use crate::reference::{BlockPattern, SolidSystem, StepSystem};
+use crate::reference::{SolidSystem, StepSystem};
 use crate::scene::Scene;
 use crate::sim::{Backend, GpuPath, solids_of};
 
@@ -128,15 +127,7 @@ pub(super) fn table(solids: &Solids, components: &[usize], first: usize) -> Stri
 
 /// The system in the device's memory, and the velocities that it found, m/s.
 fn stored(path: &GpuPath, dt: f64) -> Result<(SolidSystem, Vec<[f64; 3]>), Error> {
-    let (snapshot, solids) = path
-        .snapshot()?
-        .solids
-        .zip(path.solids())
-        .expect("the scene has solids");
-    let solids = snapshot.on_device(solids);
-    // As the device has it.
-    let dt = f64::from(dt as f32);
-    let pattern = Arc::new(BlockPattern::new(&solids));
-    let system = snapshot.system(&solids, &pattern, dt);
+    let snapshot = path.snapshot()?.solids.expect("the scene has solids");
+    let (system, _) = stored::solid_system(path, &snapshot, dt);
     Ok((system, snapshot.velocity))
 }
