@@ -439,6 +439,7 @@ pub(super) fn preconditioner_name(preconditioner: Preconditioner) -> &'static st
     match preconditioner {
         Preconditioner::Multigrid => "multigrid",
         Preconditioner::Jacobi => "jacobi",
+        Preconditioner::BlockJacobi => "block_jacobi",
     }
 }
 

@@ -543,6 +543,8 @@ pub enum Preconditioner {
     Multigrid,
     /// The diagonal, for comparison.
     Jacobi,
+    /// The same with the 3x3 blocks of the nodes of solids, where one solve is for both.
+    BlockJacobi,
 }
 
 /// What a run writes.

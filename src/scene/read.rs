@@ -594,10 +594,18 @@ fn solver(root: &Table, surface: Option<Surface>, has_solids: bool) -> Result<So
     if let Some(place) = table.get("max_iterations") {
         solver.max_iterations = place.count("the iterations of all rounds", 1, 100_000)? as u32;
     }
+    let ensure_coupled = |place: &Place| {
+        place.ensure(
+            surface.is_some() && has_solids,
+            "is about elastic solids in liquid, and the scene does not have both",
+            "remove it",
+        )
+    };
     if let Some(place) = table.get("preconditioner") {
         let choices = [
             ("multigrid", Preconditioner::Multigrid),
             ("jacobi", Preconditioner::Jacobi),
+            ("block_jacobi", Preconditioner::BlockJacobi),
         ];
         place.ensure(
             surface.is_some(),
@@ -605,6 +613,9 @@ fn solver(root: &Table, surface: Option<Surface>, has_solids: bool) -> Result<So
             "remove it: the solve of solids has a preconditioner of its own",
         )?;
         solver.preconditioner = place.choice(&choices)?;
+        if solver.preconditioner == Preconditioner::BlockJacobi {
+            ensure_coupled(&place)?;
+        }
     }
     if let Some(place) = table.get("theta_floor") {
         solver.theta_floor = place.positive("the smallest distance to the surface in cells")?;
@@ -615,13 +626,6 @@ fn solver(root: &Table, surface: Option<Surface>, has_solids: bool) -> Result<So
             "use 1e-6 to 0.5; 1e-2 is usual with a fixed surface, 0.15 with markers",
         )?;
     }
-    let ensure_coupled = |place: &Place| {
-        place.ensure(
-            surface.is_some() && has_solids,
-            "is about elastic solids in liquid, and the scene does not have both",
-            "remove it",
-        )
-    };
     if let Some(place) = table.get("coupling") {
         ensure_coupled(&place)?;
         let choices = [
@@ -648,6 +652,18 @@ fn solver(root: &Table, surface: Option<Surface>, has_solids: bool) -> Result<So
             ("condensed", Formulation::Condensed),
         ];
         solver.formulation = place.choice(&choices)?;
+        place.ensure(
+            solver.formulation != Formulation::Condensed
+                || solver.preconditioner != Preconditioner::BlockJacobi,
+            "knows of pressures alone, and preconditioner \"block_jacobi\" of nodes",
+            "use formulation \"two_field\", or preconditioner \"jacobi\", which is of B then",
+        )?;
+    }
+    let together = surface.is_some() && has_solids;
+    let factored = solver.preconditioner == Preconditioner::Multigrid;
+    if together && solver.formulation == Formulation::Auto && !factored {
+        // The diagonal that is asked for is that of the two-field system.
+        solver.formulation = Formulation::TwoField;
     }
     if let Some(place) = table.get("face_areas") {
         ensure_coupled(&place)?;

@@ -428,11 +428,9 @@ fn stages(
     if weak {
         solve.push((true, &["weak_push"][..]));
     } else if coupling {
-        solve.extend(coupled_kernels(solver::can_condense(
-            rows,
-            &scene.solver,
-            f64,
-        )));
+        let condensed = solver::can_condense(rows, &scene.solver, f64);
+        let factored = scene.solver.preconditioner == Preconditioner::Multigrid;
+        solve.extend(coupled_kernels(condensed, factored));
     }
     if liquid {
         solve.extend(solve_kernels(scene, &levels));
@@ -486,7 +484,7 @@ fn stages(
 }
 
 /// The kernels of the solve for liquid and solids together, besides those of each for itself.
-fn coupled_kernels(condensed: bool) -> Vec<(bool, &'static [&'static str])> {
+fn coupled_kernels(condensed: bool, factored: bool) -> Vec<(bool, &'static [&'static str])> {
     vec![
         (condensed, &["condensed_wet", "condensed_begin"]),
         (condensed, &["condensed_apply", "condensed_force"]),
@@ -494,11 +492,11 @@ fn coupled_kernels(condensed: bool) -> Vec<(bool, &'static [&'static str])> {
         (true, &["two_field_correct", "couple_residual"]),
         (true, &["coupled_residual", "coupled_sums"]),
         (true, &["two_field_begin", "two_field_rhs", "couple_begin"]),
-        (
-            true,
-            &["two_field_weight", "couple_right", "couple_restore"],
-        ),
-        (true, &["couple_nodes", "two_field_z", "couple_beta"]),
+        (true, &["two_field_weight", "couple_beta"]),
+        (factored, &["couple_right", "couple_restore"]),
+        (factored, &["couple_nodes", "two_field_z"]),
+        (!factored, &["two_field_diagonal", "couple_jacobi"]),
+        (!factored, &["two_field_jacobi"]),
         (true, &["two_field_direction", "couple_force"]),
         (true, &["two_field_half", "two_field_apply", "couple_apply"]),
         (true, &["couple_alpha", "two_field_update", "couple_push"]),
@@ -581,14 +579,21 @@ fn solves(scene: &Scene, solids: &Solids, rows: &SolidRows, f64: bool) -> Vec<St
     };
     let preconditioner = match solver.preconditioner {
         Preconditioner::Multigrid => "aggregation multigrid",
-        Preconditioner::Jacobi => "Jacobi",
+        Preconditioner::Jacobi | Preconditioner::BlockJacobi => "Jacobi",
     };
     let tolerance = solver.tolerance;
     let mut solves = Vec::new();
     if Effects::of(scene).coupling {
-        let two_field = format!(
-            "two-field (thesis 5.25, factored), conjugate gradients with {preconditioner} on B and a Chebyshev polynomial on S"
-        );
+        let form = "two-field (thesis 5.25, factored), conjugate gradients with";
+        let two_field = match solver.preconditioner {
+            Preconditioner::Multigrid => {
+                format!("{form} {preconditioner} on B and a Chebyshev polynomial on S")
+            }
+            Preconditioner::Jacobi => format!("{form} its diagonal"),
+            Preconditioner::BlockJacobi => {
+                format!("{form} its diagonal, of nodes with their 3x3 blocks")
+            }
+        };
         let together = match solver::can_condense(rows, solver, f64) {
             true => format!(
                 "condensed, conjugate gradients with {preconditioner} on B, where at most {} nodes are wet, else {two_field}",

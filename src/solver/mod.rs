@@ -48,6 +48,7 @@ mod solid_system;
 mod stored_stiffness;
 mod system;
 mod two_field;
+mod two_field_jacobi;
 mod weak;
 
 pub use chebyshev::Polynomial;

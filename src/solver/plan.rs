@@ -16,6 +16,7 @@ use super::solid_solver::sweeps;
 use super::solid_system::SolidRows;
 use super::system::ActiveSettings;
 use super::two_field;
+use super::two_field_jacobi::Jacobi;
 use super::{Control, Level, LevelPlan, Sweep};
 
 /// Sums that end in a one-workgroup kernel: start and turn of a round, alpha, beta.
@@ -86,8 +87,12 @@ pub(super) fn two_field(
         BufferPlan::of::<Polynomial>("coupled_solver.polynomial", 1),
         BufferPlan::of::<Sweep>("coupled_solver.sweep", 1),
     ]);
-    for _ in 0..2 {
+    let factored = solver.preconditioner == Preconditioner::Multigrid;
+    for _ in 0..1 + usize::from(factored) {
         plans.extend(sweeps(rows));
+    }
+    if !factored {
+        plans.extend(Jacobi::buffers(rows, variant));
     }
     if solver.formulation != Formulation::TwoField {
         plans.extend(Condensed::buffers(rows, solver, variant));

@@ -197,7 +197,7 @@ impl Pressure {
             )?,
             preconditioner: match solver.preconditioner {
                 Preconditioner::Multigrid => Precondition::Multigrid(Hierarchy::new(gpu, buffers)?),
-                Preconditioner::Jacobi => {
+                Preconditioner::Jacobi | Preconditioner::BlockJacobi => {
                     Precondition::Jacobi(kernel(&crate::wgsl!("pcg_jacobi"))?.bind(
                         gpu,
                         &[

@@ -24,7 +24,7 @@ use crate::gpu::{
     Variant,
 };
 use crate::grid::Grid;
-use crate::scene::{Formulation, Solver};
+use crate::scene::{Formulation, Preconditioner, Solver};
 use crate::state::SolveStatus;
 
 use super::chebyshev::Polynomial;
@@ -42,6 +42,7 @@ use super::refine::{
 use super::solid_contacts::Update;
 use super::solid_solver::Chebyshev;
 use super::solid_system::{SolidFields, SolidRows, SolidSystemBuffers};
+use super::two_field_jacobi::Jacobi;
 use super::{Control, SolverBuffers, plan};
 
 /// Slots of the norms: `shaders/common/refine.wgsl` names them, also those that other systems lack.
@@ -128,7 +129,7 @@ pub struct TwoFieldSolver {
     keep: Bound,
     residual: Residual,
     pub(super) begin: Begin,
-    preconditioner: Preconditioner,
+    preconditioner: Precondition,
     pub(super) operator: Operator,
     beta: Bound,
     alpha: Bound,
@@ -167,7 +168,13 @@ pub(super) struct Begin {
 }
 
 #[derive(Debug)]
-struct Preconditioner {
+enum Precondition {
+    Factored(Box<Factored>),
+    Diagonal(Box<Jacobi>),
+}
+
+#[derive(Debug)]
+struct Factored {
     /// t = Sh g_v, then z_v = Sh y.
     polynomials: [Chebyshev; 2],
     right: Bound,
@@ -393,63 +400,72 @@ impl TwoFieldSolver {
                     ],
                 )?,
             },
-            preconditioner: Preconditioner {
-                polynomials: [
-                    Chebyshev::new(gpu, solids, &polynomial, &solids.r, &coupling.t)?,
-                    Chebyshev::new(gpu, solids, &polynomial, &coupling.difference, &solids.z)?,
-                ],
-                right: kernel(&crate::wgsl!("couple_right"))?.bind(
-                    gpu,
-                    &[
-                        joint,
-                        ("level", (&level).into()),
-                        ("sweep", (&sweep).into()),
-                        words,
-                        by_quad,
-                        flags,
-                        ("x", (&coupling.t).into()),
-                        ("matrix", (&liquid.matrix).into()),
-                        ("r", (&liquid.r).into()),
-                        ("z", (&liquid.z).into()),
-                        ("kept", (&coupling.kept).into()),
+            preconditioner: match solver.preconditioner {
+                Preconditioner::Multigrid => Precondition::Factored(Box::new(Factored {
+                    polynomials: [
+                        Chebyshev::new(gpu, solids, &polynomial, &solids.r, &coupling.t)?,
+                        Chebyshev::new(gpu, solids, &polynomial, &coupling.difference, &solids.z)?,
                     ],
-                )?,
-                restore: kernel(&crate::wgsl!("couple_restore"))?.bind(
+                    right: kernel(&crate::wgsl!("couple_right"))?.bind(
+                        gpu,
+                        &[
+                            joint,
+                            ("level", (&level).into()),
+                            ("sweep", (&sweep).into()),
+                            words,
+                            by_quad,
+                            flags,
+                            ("x", (&coupling.t).into()),
+                            ("matrix", (&liquid.matrix).into()),
+                            ("r", (&liquid.r).into()),
+                            ("z", (&liquid.z).into()),
+                            ("kept", (&coupling.kept).into()),
+                        ],
+                    )?,
+                    restore: kernel(&crate::wgsl!("couple_restore"))?.bind(
+                        gpu,
+                        &[
+                            joint,
+                            words,
+                            ("kept", (&coupling.kept).into()),
+                            ("z", (&liquid.z_next).into()),
+                            ("r", (&liquid.r).into()),
+                            partials,
+                        ],
+                    )?,
+                    nodes: kernel(&crate::wgsl!("couple_nodes"))?.bind(
+                        gpu,
+                        &[
+                            joint,
+                            words,
+                            by_node,
+                            flags,
+                            freedom,
+                            ("p", (&liquid.z_next).into()),
+                            masses,
+                            t,
+                            ("y", (&coupling.difference).into()),
+                        ],
+                    )?,
+                    z: wide(&crate::wgsl!("two_field_z"))?.bind(
+                        gpu,
+                        &[
+                            joint,
+                            ("r", (&solids.r).into()),
+                            masses,
+                            t,
+                            ("z", (&solids.z).into()),
+                            partials,
+                        ],
+                    )?,
+                })),
+                kind => Precondition::Diagonal(Box::new(Jacobi::new(
                     gpu,
-                    &[
-                        joint,
-                        words,
-                        ("kept", (&coupling.kept).into()),
-                        ("z", (&liquid.z_next).into()),
-                        ("r", (&liquid.r).into()),
-                        partials,
-                    ],
-                )?,
-                nodes: kernel(&crate::wgsl!("couple_nodes"))?.bind(
-                    gpu,
-                    &[
-                        joint,
-                        words,
-                        by_node,
-                        flags,
-                        freedom,
-                        ("p", (&liquid.z_next).into()),
-                        masses,
-                        t,
-                        ("y", (&coupling.difference).into()),
-                    ],
-                )?,
-                z: wide(&crate::wgsl!("two_field_z"))?.bind(
-                    gpu,
-                    &[
-                        joint,
-                        ("r", (&solids.r).into()),
-                        masses,
-                        t,
-                        ("z", (&solids.z).into()),
-                        partials,
-                    ],
-                )?,
+                    at,
+                    &level,
+                    &polynomial,
+                    kind,
+                )?)),
             },
             operator: Operator {
                 products: [
@@ -683,7 +699,10 @@ impl TwoFieldSolver {
         norms[SCALE] = 1.0;
         self.norms.upload(gpu, &norms);
         let mut recorder = Recorder::new(gpu);
-        recorder.stage("solve", |pass| self.record_args(pass));
+        recorder.stage("solve", |pass| {
+            self.record_args(pass);
+            self.record_set_up(pass);
+        });
         recorder.submit();
         let args = gpu.download(&at.coupling.args)?;
         let control = Control {
@@ -714,9 +733,17 @@ impl TwoFieldSolver {
         pass.dispatch(&self.args, 1);
     }
 
+    /// The set-up of the preconditioner, where it has any.
+    fn record_set_up(&self, pass: &mut Pass) {
+        if let Precondition::Diagonal(jacobi) = &self.preconditioner {
+            jacobi.record_set_up(pass);
+        }
+    }
+
     /// Where the solve starts from, and the size of the right-hand sides.
     pub(super) fn record_start(&self, pass: &mut Pass, at: CoupledFields, again: bool) {
         self.pressure.record_measure(pass, at.liquid);
+        self.record_set_up(pass);
         pass.dispatch_indirect(&self.guess, &at.coupling.args, self.slots[NODES]);
         if !again {
             pass.dispatch_indirect(&self.keep, &at.coupling.args, self.slots[WET]);
@@ -763,7 +790,10 @@ impl TwoFieldSolver {
     }
 
     pub(super) fn record_iterations(&self, pass: &mut Pass, at: CoupledFields, degree: usize) {
-        let steps = 2 * self.preconditioner.polynomials[0].dispatches(degree);
+        let steps = match &self.preconditioner {
+            Precondition::Factored(factored) => 2 * factored.polynomials[0].dispatches(degree),
+            Precondition::Diagonal(jacobi) => jacobi.polynomial.dispatches(degree),
+        };
         let count = (AHEAD / (DISPATCHES + steps)).clamp(2, CHUNK);
         let nodes = self.slots[NODES];
         let (state, gated) = (&self.state, &self.state.gated);
@@ -782,17 +812,25 @@ impl TwoFieldSolver {
         }
     }
 
-    /// Symmetric and positive, since polynomial and V-cycle are.
+    /// Symmetric and positive, since polynomial and V-cycle are, and diagonals.
     fn record_preconditioner(&self, pass: &mut Pass, at: CoupledFields, degree: usize) {
         let [nodes, bodies, wet] = self.slots;
         let gated = &self.state.gated;
-        let Preconditioner {
+        let Factored {
             polynomials,
             right,
             restore,
             nodes: of_nodes,
             z,
-        } = &self.preconditioner;
+        } = match &self.preconditioner {
+            Precondition::Factored(factored) => &**factored,
+            Precondition::Diagonal(jacobi) => {
+                self.pressure
+                    .record_preconditioner(pass, &self.state, at.liquid);
+                jacobi.record(pass, gated, self.slots, degree);
+                return;
+            }
+        };
         polynomials[0].record(pass, gated, [nodes, bodies], degree);
         pass.dispatch_indirect(right, gated, wet);
         self.pressure

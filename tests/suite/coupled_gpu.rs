@@ -380,6 +380,53 @@ fn both_take_what_is_planned() {
     if gpu().is_none() {
         return;
     }
+    // The others differ in numbers only.
+    let of_kernels =
+        |(name, _): &(&str, Scene)| !name.starts_with("a ball") && !name.contains("from");
+    for (name, scene) in cases().into_iter().filter(of_kernels) {
+        assert_planned(name, &scene);
+    }
+}
+
+/// The diagonal for a preconditioner, and its blocks, in contact: the same sub-steps, and what is planned.
+#[test]
+fn diagonals_serve_whole_steps() {
+    if gpu().is_none() {
+        return;
+    }
+    // Soft, so that iterations are some hundred.
+    let soft = ball("heavy", [0.7, 0.42, 0.47], 3000.0).replace("young = 1e5", "young = 1e3");
+    let text = tank(0.6, &format!("{soft}{POST}"));
+    let step = |overrides: &[&str]| {
+        let mut simulation = on_gpu(&scene(&text, overrides));
+        let report = simulation.step().unwrap();
+        for solve in report.solves() {
+            assert_eq!(solve.status, SolveStatus::Converged, "{overrides:?}");
+        }
+        (
+            simulation.state().unwrap(),
+            report.solid.unwrap().solve.iterations,
+        )
+    };
+    let (wanted, few) = step(&["solver.formulation=two_field"]);
+    for kind in ["jacobi", "block_jacobi"] {
+        let overrides = [
+            &format!("solver.preconditioner={kind}")[..],
+            "solver.max_iterations=20000",
+        ];
+        assert_planned(kind, &scene(&text, &overrides));
+        let (found, iterations) = step(&overrides);
+        let found = found.node_velocity.as_flattened();
+        let off = off(found, wanted.node_velocity.as_flattened());
+        // What the tolerance leaves.
+        assert!(off <= 1e-6, "{kind}: {off:e} m/s");
+        assert!(iterations > 5 * few, "{kind}: {iterations}, not {few}");
+        println!("{kind}: {iterations} iterations, not {few}; {off:e} m/s");
+    }
+}
+
+/// Buffers, kernels and stages of a coupled scene are those planned.
+fn assert_planned(name: &str, scene: &Scene) {
     let sums = |list: Vec<(String, u64)>| {
         let mut sums = BTreeMap::<String, u64>::new();
         for (label, bytes) in list {
@@ -389,44 +436,39 @@ fn both_take_what_is_planned() {
         sums.remove("liquid.markers");
         sums
     };
-    // The others differ in numbers only.
-    let of_kernels =
-        |(name, _): &(&str, Scene)| !name.starts_with("a ball") && !name.contains("from");
-    for (name, scene) in cases().into_iter().filter(of_kernels) {
-        let mut simulation = on_gpu(&scene);
-        let plan = Plan::new(&scene, simulation.adapter()).unwrap();
-        let planned = plan.buffers.iter();
-        let planned = planned.map(|plan| (plan.label.to_owned(), plan.bytes()));
-        let allocated = || simulation.gpu().unwrap().allocated();
-        assert_eq!(
-            sums(planned.collect()),
-            sums(allocated()),
-            "{name}: buffers"
-        );
-        let kernels = plan.stages.iter().flat_map(|stage| &stage.kernels).copied();
-        let kernels: BTreeSet<&str> = kernels.collect();
-        let compiled = simulation.gpu().unwrap().compiled();
-        assert_eq!(kernels, compiled, "{name}: kernels");
-        let before = allocated();
-        simulation.step().unwrap();
-        simulation.gpu().unwrap().note_dispatches();
-        let report = simulation.step().unwrap();
-        let gpu = simulation.gpu().unwrap();
-        let touching = report.coupling.unwrap().touching;
-        for (stage, kernel) in gpu.noted_dispatches() {
-            let planned = plan.stages.iter().find(|planned| planned.name == stage);
-            let kernels = planned.map_or(&[][..], |planned| &planned.kernels);
-            assert!(kernels.contains(&kernel), "{name}: {kernel} in {stage}");
-            let of_both = kernel.starts_with("two_field") || kernel == "coupled_turn";
-            assert!(touching || !of_both, "{name}: {kernel}");
-        }
-        assert_eq!(gpu.allocated(), before, "{name}: a sub-step allocates");
-        if simulation.adapter().unwrap().timestamps {
-            let run: Vec<&str> = report.seconds.iter().map(|(stage, _)| *stage).collect();
-            let every = plan.stages.iter().filter(|stage| stage.every_step);
-            let every: Vec<&str> = every.map(|stage| stage.name).collect();
-            assert_eq!(run, every, "{name}: stages");
-        }
+    let mut simulation = on_gpu(scene);
+    let plan = Plan::new(scene, simulation.adapter()).unwrap();
+    let planned = plan.buffers.iter();
+    let planned = planned.map(|plan| (plan.label.to_owned(), plan.bytes()));
+    let allocated = || simulation.gpu().unwrap().allocated();
+    assert_eq!(
+        sums(planned.collect()),
+        sums(allocated()),
+        "{name}: buffers"
+    );
+    let kernels = plan.stages.iter().flat_map(|stage| &stage.kernels).copied();
+    let kernels: BTreeSet<&str> = kernels.collect();
+    let compiled = simulation.gpu().unwrap().compiled();
+    assert_eq!(kernels, compiled, "{name}: kernels");
+    let before = allocated();
+    simulation.step().unwrap();
+    simulation.gpu().unwrap().note_dispatches();
+    let report = simulation.step().unwrap();
+    let gpu = simulation.gpu().unwrap();
+    let touching = report.coupling.unwrap().touching;
+    for (stage, kernel) in gpu.noted_dispatches() {
+        let planned = plan.stages.iter().find(|planned| planned.name == stage);
+        let kernels = planned.map_or(&[][..], |planned| &planned.kernels);
+        assert!(kernels.contains(&kernel), "{name}: {kernel} in {stage}");
+        let of_both = kernel.starts_with("two_field") || kernel == "coupled_turn";
+        assert!(touching || !of_both, "{name}: {kernel}");
+    }
+    assert_eq!(gpu.allocated(), before, "{name}: a sub-step allocates");
+    if simulation.adapter().unwrap().timestamps {
+        let run: Vec<&str> = report.seconds.iter().map(|(stage, _)| *stage).collect();
+        let every = plan.stages.iter().filter(|stage| stage.every_step);
+        let every: Vec<&str> = every.map(|stage| stage.name).collect();
+        assert_eq!(run, every, "{name}: stages");
     }
 }
 

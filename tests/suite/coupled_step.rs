@@ -9,7 +9,7 @@ use cutwater::measure::export;
 use cutwater::reference::{
     Freedom, Reference, StepSystem, TimeStep, patch_pressure, pressure_gradient,
 };
-use cutwater::scene::{CouplingScheme, FaceAreas, PatchPressure, Scene};
+use cutwater::scene::{CouplingScheme, FaceAreas, Formulation, PatchPressure, Scene};
 use cutwater::sim::{Backend, Simulation, reference_path};
 use cutwater::state::{SolveStatus, State, StepReport};
 use glam::DVec3;
@@ -577,4 +577,28 @@ fn scenes_of_both_have_keys_of_their_own() {
         (nodal.face_areas, nodal.area_clamp),
         (FaceAreas::Nodal, 1e-2)
     );
+}
+
+/// Diagonals are those of the two-field system, unless the condensed form is asked for, which has no nodes.
+#[test]
+fn diagonals_are_of_a_form() {
+    let with = |keys: &str| two_balls_text(0.25, &format!("[solver]\n{keys}\n"));
+    let form = |keys: &str| scene(&with(keys)).solver.formulation;
+    assert_eq!(form("preconditioner = \"multigrid\""), Formulation::Auto);
+    for kind in ["jacobi", "block_jacobi"] {
+        let keys = format!("preconditioner = \"{kind}\"");
+        assert_eq!(form(&keys), Formulation::TwoField);
+    }
+    let condensed = "formulation = \"condensed\"\npreconditioner = ";
+    assert_eq!(
+        form(&format!("{condensed}\"jacobi\"")),
+        Formulation::Condensed
+    );
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("test.toml");
+    fs::write(&path, with(&format!("{condensed}\"block_jacobi\""))).unwrap();
+    let error = Scene::load(&path, &[], 1.0).unwrap_err().to_string();
+    for part in ["solver.formulation", "pressures alone", "\"two_field\""] {
+        assert!(error.contains(part), "{error}");
+    }
 }

@@ -268,6 +268,7 @@ const REFUSED: &[Case] = &[
     ("gravity = [0.0, 0.0, -9.81]", "gravity = [0.0, 0.0, -1e20]", 5, "domain.gravity", &["-1e20", "-1e6 to 1e6"]),
     ("frames_per_second = 20", "frames_per_second = 1e300", 8, "time.frames_per_second", &["is 1e300", "1e-3 to 1e6"]),
     ("tolerance = 1e-6", "tolerance = 1", 41, "solver.tolerance", &["1e-8 is usual"]),
+    ("preconditioner = \"jacobi\"", "preconditioner = \"block_jacobi\"", 44, "solver.preconditioner", &["does not have both"]),
     ("theta_floor = 0.001", "theta_floor = 0.6", 45, "solver.theta_floor", &["1e-2 is usual", "0.15 with markers"]),
     ("area_clamp = 1e-5", "area_clamp = 0", 46, "solver.area_clamp", &["is 0", "1e-6 to less", "1e-3 is usual"]),
     ("max_iterations = 50", "max_iterations = 0", 42, "solver.max_iterations", &["from 1"]),

@@ -4,12 +4,14 @@ use cutwater::gpu::Gpu;
 use cutwater::linalg::dot;
 use cutwater::measure::base_scene::DeviceScene;
 use cutwater::measure::bench_solve::{self, Options};
+use cutwater::reference::base_block::DENSITY;
 use cutwater::reference::base_scene::{BaseBeam, BaseScene};
 use cutwater::reference::{
-    self, CoupledSolution, CoupledSystem, SolidSolver as TwinSolver, solve_coupled,
+    self, CoupledSolution, CoupledSystem, SIGMA, SolidSolver as TwinSolver, solve_coupled,
 };
-use cutwater::scene::{Formulation, Precision, Solver};
+use cutwater::scene::{Formulation, Precision, Preconditioner, Solver};
 use cutwater::state::SolveStatus;
+use glam::{DMat3, DVec3};
 
 use crate::common::{Random, gpu};
 
@@ -75,7 +77,14 @@ fn dot_active(device: &DeviceScene, system: &CoupledSystem, x: &[f64], y: &[f64]
 #[test]
 fn operator_and_preconditioner_are_symmetric_and_positive() {
     let Some(gpu) = gpu() else { return };
-    for young in [1e4, 1e6, 1e9] {
+    let kinds = [
+        (1e4, Preconditioner::Multigrid),
+        (1e6, Preconditioner::Multigrid),
+        (1e9, Preconditioner::Multigrid),
+        (1e6, Preconditioner::Jacobi),
+        (1e9, Preconditioner::BlockJacobi),
+    ];
+    for (young, preconditioner) in kinds {
         let beam = BaseBeam {
             young,
             ..BaseBeam::default()
@@ -87,6 +96,7 @@ fn operator_and_preconditioner_are_symmetric_and_positive() {
             let solver = Solver {
                 precision,
                 formulation: Formulation::TwoField,
+                preconditioner,
                 ..Solver::default()
             };
             let device = holding(gpu, &scene, &system, &solver);
@@ -100,7 +110,7 @@ fn operator_and_preconditioner_are_symmetric_and_positive() {
                 z.unwrap()
             };
             let inner = |a: &[f64], b: &[f64]| dot_active(&device, &system, a, b);
-            let what = format!("E {young:e} {precision:?}");
+            let what = format!("E {young:e} {precision:?} {preconditioner:?}");
             let eps = f64::from(f32::EPSILON);
             for (name, [ax, ay]) in [
                 ("operator", [apply(&x), apply(&y)]),
@@ -117,6 +127,126 @@ fn operator_and_preconditioner_are_symmetric_and_positive() {
             }
         }
     }
+}
+
+/// The inverse of the diagonal of the matrix that the f64 path assembles, or of its 3x3 blocks, times random residuals.
+#[test]
+fn diagonals_are_those_of_the_matrix() {
+    let Some(gpu) = gpu() else { return };
+    for (young, stiffness_damping) in [(1e4, 0.0), (1e6, 0.01), (1e9, 0.0)] {
+        let beam = BaseBeam {
+            young,
+            stiffness_damping,
+            ..BaseBeam::default()
+        };
+        let scene = BaseScene::new(12, &beam).unwrap();
+        let system = scene.coupled_system();
+        let blocks = system.blocks();
+        let matrix = blocks.two_field(SIGMA).unwrap();
+        let n_cells = blocks.cells.len();
+        for preconditioner in [Preconditioner::Jacobi, Preconditioner::BlockJacobi] {
+            let solver = Solver {
+                precision: match gpu.has_f64() {
+                    true => Precision::Mixed,
+                    false => Precision::F32,
+                },
+                formulation: Formulation::TwoField,
+                preconditioner,
+                ..Solver::default()
+            };
+            let device = holding(gpu, &scene, &system, &solver);
+            device.record_systems().submit();
+            let g = noise(&device, &system, 5);
+            let z = device
+                .solver
+                .precondition(gpu, device.fields(), &device.polynomial, &g)
+                .unwrap();
+            let (grid, padded) = (&device.grid, device.grid.padded());
+            let of_liquid = grid.dx * scene.dt / DENSITY;
+            let of_solids = DENSITY * grid.dx.powi(3) / scene.dt;
+            let what = format!("E {young:e} {preconditioner:?}");
+            // Coefficients are f32: areas, theta, moduli and masses; of rows that sum squares of blocks, their condition counts.
+            for (row, &cell) in blocks.cells.iter().enumerate() {
+                let at = padded.index(grid.cell_at(cell));
+                let twin = g[at] * of_liquid / matrix.get(row, row);
+                let off = (z[at] - twin).abs();
+                assert!(
+                    off <= 1e-5 * twin.abs(),
+                    "{what}, cell {cell}: {} and {twin}",
+                    z[at]
+                );
+            }
+            let mut first = 0;
+            while first < blocks.components.len() {
+                let node = blocks.components[first] / 3;
+                let rows: Vec<usize> = (first..blocks.components.len())
+                    .take_while(|&row| blocks.components[row] / 3 == node)
+                    .collect();
+                let at = |row: usize| padded.len() + 4 * node + blocks.components[row] % 3;
+                let mut block = DMat3::IDENTITY;
+                let mut right = DVec3::ZERO;
+                for (i, &row) in rows.iter().enumerate() {
+                    right[i] = of_solids * g[at(row)];
+                    for (j, &column) in rows.iter().enumerate() {
+                        let kept = preconditioner == Preconditioner::BlockJacobi || i == j;
+                        let value = matrix.get(n_cells + row, n_cells + column);
+                        block.col_mut(j)[i] = if kept { value } else { 0.0 };
+                    }
+                }
+                let twin = block.inverse() * right;
+                for (i, &row) in rows.iter().enumerate() {
+                    let off = (z[at(row)] - twin[i]).abs();
+                    let found = z[at(row)];
+                    assert!(
+                        off <= 1e-4 * twin.length(),
+                        "{what}, node {node}: {found} and {twin}"
+                    );
+                }
+                first += rows.len();
+            }
+        }
+    }
+}
+
+/// With the diagonal for a preconditioner, the same answer, after many times as many iterations.
+#[test]
+fn diagonals_precondition_worse() {
+    let Some(gpu) = gpu().filter(|gpu| gpu.has_f64()) else {
+        return;
+    };
+    // Iterations grow with its square root.
+    let beam = BaseBeam {
+        young: 1e5,
+        ..BaseBeam::default()
+    };
+    let scene = BaseScene::new(12, &beam).unwrap();
+    let system = scene.coupled_system();
+    let exact = direct(&scene, &system);
+    let mut counts = Vec::new();
+    for preconditioner in [
+        Preconditioner::Multigrid,
+        Preconditioner::BlockJacobi,
+        Preconditioner::Jacobi,
+    ] {
+        let solver = Solver {
+            formulation: Formulation::TwoField,
+            preconditioner,
+            max_iterations: 20_000,
+            ..Solver::default()
+        };
+        let device = holding(gpu, &scene, &system, &solver);
+        let outcome = device.solve().unwrap();
+        let (_, velocity) = device.answer().unwrap();
+        let of_v = off(velocity.as_flattened(), exact.velocity.as_flattened());
+        println!("{preconditioner:?}: {outcome:?}, v {of_v:e}");
+        assert_eq!(outcome.status, SolveStatus::Converged, "{outcome:?}");
+        assert!(of_v <= 1e-5, "{preconditioner:?}: {of_v:e}");
+        counts.push(outcome.iterations);
+    }
+    assert!(
+        counts[1] > 10 * counts[0] && counts[2] > counts[1],
+        "{counts:?}"
+    );
 }
 
 /// Largest difference over the largest value.

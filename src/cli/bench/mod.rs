@@ -60,6 +60,7 @@ impl PrecisionName {
 enum PreconditionerName {
     Multigrid,
     Jacobi,
+    BlockJacobi,
 }
 
 impl PreconditionerName {
@@ -67,6 +68,7 @@ impl PreconditionerName {
         match self {
             PreconditionerName::Multigrid => Preconditioner::Multigrid,
             PreconditionerName::Jacobi => Preconditioner::Jacobi,
+            PreconditionerName::BlockJacobi => Preconditioner::BlockJacobi,
         }
     }
 }

@@ -63,6 +63,15 @@ impl Solve {
             ));
         }
         check_tolerance(self.tolerance)?;
+        let blocks = |name: &PreconditionerName| matches!(name, PreconditionerName::BlockJacobi);
+        let of_nodes = |name: &FormulationName| matches!(name, FormulationName::TwoField);
+        if self.preconditioner.iter().any(blocks) && !self.formulation.iter().all(of_nodes) {
+            return Err(Error::input(
+                "--preconditioner block-jacobi",
+                "only the two-field form has blocks of nodes",
+                "add --formulation two-field, or use --preconditioner jacobi",
+            ));
+        }
         let gpu = Gpu::new(&self.adapter.choice())?;
         let mut solvers = Vec::new();
         for precision in &self.precision {
