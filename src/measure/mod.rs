@@ -3,6 +3,7 @@
 pub mod bandwidth;
 pub mod base_scene;
 pub mod bench_accuracy;
+pub mod bench_effects;
 pub mod bench_solids;
 pub mod bench_solve;
 pub mod bench_sort;

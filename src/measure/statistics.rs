@@ -31,6 +31,23 @@ impl Spread {
     }
 }
 
+impl Spread {
+    /// First quartile, median and third, between values as `numpy.quantile` takes them.
+    ///
+    /// # Panics
+    /// Without values.
+    pub fn quartiles(mut values: Vec<f64>) -> [f64; 3] {
+        assert!(!values.is_empty(), "quartiles need values");
+        values.sort_by(f64::total_cmp);
+        [0.25, 0.5, 0.75].map(|share| {
+            let at = share * (values.len() - 1) as f64;
+            let below = at.floor() as usize;
+            let above = at.ceil() as usize;
+            values[below] + (at - at.floor()) * (values[above] - values[below])
+        })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::Spread;
@@ -47,5 +64,14 @@ mod tests {
             "odd"
         );
         assert_eq!(Spread::of(vec![4.0, 1.0, 2.0, 3.0]).median, 2.5, "even");
+    }
+
+    #[test]
+    fn quartiles_lie_between_values() {
+        assert_eq!(
+            Spread::quartiles(vec![4.0, 1.0, 2.0, 3.0]),
+            [1.75, 2.5, 3.25]
+        );
+        assert_eq!(Spread::quartiles(vec![2.0]), [2.0; 3]);
     }
 }

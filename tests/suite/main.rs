@@ -2,6 +2,7 @@
 
 mod band;
 mod bench_accuracy;
+mod bench_effects;
 mod bench_solids;
 mod bench_sort;
 mod bench_step;

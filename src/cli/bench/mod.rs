@@ -1,6 +1,7 @@
 //! `cutwater bench`
 
 mod accuracy;
+mod effects;
 mod solids;
 mod solve;
 mod sort;
@@ -12,6 +13,7 @@ use cutwater::measure::table::Machine;
 use cutwater::scene::{Precision, Preconditioner};
 
 use accuracy::Accuracy;
+use effects::Effects;
 use solids::Solids;
 use solve::Solve;
 use sort::Sort;
@@ -33,6 +35,8 @@ enum What {
     /// What accuracy costs in time: errors against seconds, by precision, preconditioner, form and tolerance, on states of scenes:
     /// accuracy.csv, accuracy_best.csv, accuracy.json, accuracy.svg
     Accuracy(Accuracy),
+    /// What each effect of a scene adds to a sub-step, in time, bytes and dispatches: effects.csv, effects.json, effects.svg
+    Effects(Effects),
     /// Whole sub-steps of scenes, stage by stage: step.csv, step_stages.csv, step.json, step.svg
     Step(Step),
     /// The sort of keys and values on the device, against the length of the list: sort.csv, sort.json
@@ -78,6 +82,7 @@ impl Bench {
         match &self.what {
             What::Solve(solve) => solve.run(),
             What::Accuracy(accuracy) => accuracy.run(),
+            What::Effects(effects) => effects.run(),
             What::Solids(solids) => solids.run(),
             What::Step(step) => step.run(),
             What::Sort(sort) => sort.run(),

@@ -1,0 +1,72 @@
+//! `cutwater bench effects`
+
+use std::path::PathBuf;
+
+use clap::Args;
+use cutwater::Error;
+use cutwater::measure::bench_effects::{Options, bench_effects};
+use cutwater::scene::Scene;
+
+use super::tell_machine;
+use crate::cli::AdapterArgs;
+
+#[derive(Debug, Args)]
+pub(super) struct Effects {
+    /// Scene files (TOML)
+    #[arg(required = true)]
+    scenes: Vec<PathBuf>,
+    /// Multiply domain.cells, rounded
+    #[arg(long, default_value_t = 1.0)]
+    scale: f64,
+    /// Override a key of every scene; may be repeated
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    overrides: Vec<String>,
+    /// Frames of each scene; a pair of sub-steps with and without each effect after each of them
+    #[arg(long, default_value_t = 12, value_parser = clap::value_parser!(u64).range(1..))]
+    frames: u64,
+    /// Folder of the results
+    #[arg(long, default_value = "out/bench_effects")]
+    out: PathBuf,
+    #[command(flatten)]
+    adapter: AdapterArgs,
+}
+
+impl Effects {
+    pub(super) fn run(&self) -> Result<(), Error> {
+        let load = |path: &PathBuf| Scene::load(path, &self.overrides, self.scale);
+        let options = Options {
+            scenes: self.scenes.iter().map(load).collect::<Result<_, _>>()?,
+            frames: self.frames,
+            adapter: self.adapter.choice(),
+        };
+        say!(
+            "scene            effect            ms with, without  added (quartiles)        MiB     dispatches  kernels of its own"
+        );
+        let table = bench_effects(&options, &self.out, &mut |row| {
+            if row.pairs == 0 {
+                let why = match row.present {
+                    true => "all there is",
+                    false => "absent",
+                };
+                say!("{:16} {:16}  {why}", row.scene, row.effect);
+                return;
+            }
+            say!(
+                "{:16} {:16}  {:7.2}, {:7.2}  {:7.2} ({:.2}, {:.2})  {:8.3}  {:9}  {}",
+                row.scene,
+                row.effect,
+                1e3 * row.seconds_with,
+                1e3 * row.seconds_without,
+                1e3 * row.seconds_added,
+                1e3 * row.seconds_added_low,
+                1e3 * row.seconds_added_high,
+                row.bytes_added as f64 / (1u64 << 20) as f64,
+                row.dispatches_added,
+                row.kernels,
+            );
+        })?;
+        tell_machine(&table.machine);
+        say!("table and picture: {}", self.out.display());
+        Ok(())
+    }
+}

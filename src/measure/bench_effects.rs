@@ -1,0 +1,386 @@
+//! `bench effects`: what each effect of a scene adds to a sub-step, in time, bytes and dispatches.
+//!
+//! The scene runs; after each frame its state is also given to the same scene without one of its effects, for each of them. Sub-steps with and
+//! without are done from the same state one after the other, in a shuffled order, so that what else the machine does falls on both; the
+//! seconds that an effect adds are the median of the paired differences. Bytes are those of all buffers, dispatches those recorded in a
+//! sub-step. What `solids` and `liquid` add where both are there is their coupling, too.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::Path;
+use std::time::Instant;
+
+use plotters::prelude::*;
+use serde::Serialize;
+
+use crate::Error;
+use crate::effects::Effects;
+use crate::gpu::{AdapterChoice, Gpu};
+use crate::scene::{ElasticModel, Liquid, PatchPressure, Scene, Solid, Surface};
+use crate::sim::{Backend, Plan, Simulation};
+use crate::state::State;
+
+use super::statistics::Spread;
+use super::table::{Machine, write_csv, write_json, write_svg};
+
+/// Of the shuffling: the same order in every run.
+const SEED: u64 = 7;
+
+/// What to measure.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Scenes, scaled.
+    pub scenes: Vec<Scene>,
+    /// Frames of each; effects are left out of the sub-step after each of them.
+    pub frames: u64,
+    /// Where.
+    pub adapter: AdapterChoice,
+}
+
+/// A row of effects.csv.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Row {
+    /// Name of the scene.
+    pub scene: String,
+    /// The effect.
+    pub effect: &'static str,
+    /// Whether the scene has it.
+    pub present: bool,
+    /// Seconds of a sub-step with it, median; 0 where the scene does not have it, as the others are then.
+    pub seconds_with: f64,
+    /// Without it.
+    pub seconds_without: f64,
+    /// Median of the differences.
+    pub seconds_added: f64,
+    /// Their first quartile.
+    pub seconds_added_low: f64,
+    /// Their third.
+    pub seconds_added_high: f64,
+    /// Bytes of the buffers that it adds; negative where the scene without it needs others.
+    pub bytes_added: i64,
+    /// Dispatches that it adds to the last of the sub-steps.
+    pub dispatches_added: i64,
+    /// Kernels that are compiled for it alone: the scene without it does not have them.
+    pub kernels: String,
+    /// Pairs of sub-steps.
+    pub pairs: usize,
+}
+
+/// The table and where it was measured.
+pub type Table = super::table::Table<Row>;
+
+/// An effect: its name, whether a scene has it, and what is left of the scene without it.
+struct Effect {
+    name: &'static str,
+    present: fn(&Effects) -> bool,
+    without: fn(&mut Scene),
+}
+
+/// Those that can be left out, in the order of [`Effects`].
+const EFFECTS: [Effect; 12] = [
+    Effect {
+        name: "liquid",
+        present: |effects| effects.liquid,
+        without: |scene| {
+            scene.liquid = None;
+            scene.probes.retain(|probe| !probe.kind.of_liquid());
+        },
+    },
+    Effect {
+        name: "markers",
+        present: |effects| effects.markers,
+        without: |scene| of_liquid(scene, |liquid| liquid.surface = Surface::Fixed),
+    },
+    Effect {
+        name: "volume_control",
+        present: |effects| effects.volume_control,
+        without: |scene| of_liquid(scene, |_| {}),
+    },
+    Effect {
+        name: "solids",
+        present: |effects| effects.solids,
+        without: |scene| {
+            scene.solids.clear();
+            scene.probes.retain(|probe| probe.kind.of_liquid());
+        },
+    },
+    Effect {
+        name: "corotation",
+        present: |effects| effects.corotation,
+        without: |scene| of_solids(scene, |solid| solid.model = ElasticModel::Linear),
+    },
+    Effect {
+        name: "damping",
+        present: |effects| effects.damping,
+        without: |scene| {
+            of_solids(scene, |solid| {
+                (solid.mass_damping, solid.stiffness_damping) = (0.0, 0.0);
+            });
+        },
+    },
+    Effect {
+        name: "pins",
+        present: |effects| effects.pins,
+        without: |scene| {
+            of_solids(scene, |solid| {
+                solid.pins.retain(|pin| !pin.keyframes.is_empty())
+            });
+        },
+    },
+    Effect {
+        name: "scripts",
+        present: |effects| effects.scripts,
+        without: |scene| {
+            of_solids(scene, |solid| {
+                solid.pins.retain(|pin| pin.keyframes.is_empty())
+            });
+        },
+    },
+    Effect {
+        name: "loads",
+        present: |effects| effects.loads,
+        without: |scene| of_solids(scene, |solid| solid.loads.clear()),
+    },
+    Effect {
+        name: "obstacles",
+        present: |effects| effects.obstacles,
+        without: |scene| scene.obstacles.clear(),
+    },
+    Effect {
+        name: "patch_correction",
+        present: |effects| effects.patch_correction,
+        without: |scene| scene.solver.pressure_on_patches = PatchPressure::Cell,
+    },
+    Effect {
+        name: "probes",
+        present: |effects| effects.probes,
+        without: |scene| scene.probes.clear(),
+    },
+];
+
+/// Changes the liquid, whose volume nobody holds then.
+fn of_liquid(scene: &mut Scene, change: fn(&mut Liquid)) {
+    if let Some(liquid) = &mut scene.liquid {
+        change(liquid);
+        liquid.volume_control = false;
+    }
+}
+
+fn of_solids(scene: &mut Scene, change: fn(&mut Solid)) {
+    scene.solids.iter_mut().for_each(change);
+}
+
+/// A scene that is timed, and the sub-steps that it has done.
+struct Run {
+    scene: Scene,
+    simulation: Simulation,
+    dispatches: Vec<(&'static str, &'static str)>,
+}
+
+impl Run {
+    fn new(scene: Scene, adapter: &AdapterChoice) -> Result<Run, Error> {
+        let simulation = Simulation::new(&scene, &Backend::Gpu(adapter.clone()))?;
+        Ok(Run {
+            scene,
+            simulation,
+            dispatches: Vec::new(),
+        })
+    }
+
+    fn gpu(&self) -> &Gpu {
+        self.simulation.gpu().expect("benches run on the GPU path")
+    }
+
+    /// Of all buffers, at the start: room for what solids cut grows with them later.
+    fn bytes(&self) -> Result<i64, Error> {
+        let plan = Plan::new(&self.scene, self.simulation.adapter())?;
+        Ok(plan.bytes() as i64)
+    }
+
+    /// Seconds of a sub-step from a state of the whole scene, with its probes.
+    fn time(&mut self, state: &State) -> Result<f64, Error> {
+        let mut state = state.clone();
+        if self.scene.solids.is_empty() {
+            state.displacement.clear();
+            state.node_velocity.clear();
+        }
+        let markers = Effects::of(&self.scene).markers;
+        if !markers {
+            state.markers.clear();
+        }
+        self.simulation.reset(&state)?;
+        self.gpu().note_dispatches();
+        let clock = Instant::now();
+        self.simulation.step()?;
+        self.simulation.probes()?;
+        let seconds = clock.elapsed().as_secs_f64();
+        self.dispatches = self.gpu().noted_dispatches();
+        Ok(seconds)
+    }
+
+    fn kernels(&self) -> BTreeSet<&'static str> {
+        self.gpu().compiled()
+    }
+}
+
+/// Measures all scenes and writes effects.csv, effects.json and effects.svg into `out`; `tell` hears of each row.
+///
+/// # Errors
+/// [`Error::Output`], and what the simulations say.
+pub fn bench_effects(
+    options: &Options,
+    out: &Path,
+    tell: &mut dyn FnMut(&Row),
+) -> Result<Table, Error> {
+    fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
+    // A device of its own: nothing of this is counted.
+    let machine = Machine::new(&Gpu::new(&options.adapter)?, 3)?;
+    let mut rows = Vec::new();
+    for scene in &options.scenes {
+        for row in measure(scene, options)? {
+            tell(&row);
+            rows.push(row);
+        }
+    }
+    let table = Table { machine, rows };
+    write_csv(&table.rows, &out.join("effects.csv"))?;
+    write_json(&table, &out.join("effects.json"))?;
+    write_svg(&out.join("effects.svg"), (900, 600), |page| {
+        draw(&table.rows, page)
+    })?;
+    Ok(table)
+}
+
+fn measure(scene: &Scene, options: &Options) -> Result<Vec<Row>, Error> {
+    let mut whole = Run::new(scene.clone(), &options.adapter)?;
+    let effects = Effects::of(scene);
+    let mut parts = Vec::new();
+    for effect in EFFECTS.iter().filter(|effect| (effect.present)(&effects)) {
+        let mut without = scene.clone();
+        (effect.without)(&mut without);
+        let left = Effects::of(&without);
+        // A scene of nothing is none.
+        if left.liquid || left.solids {
+            let run = Run::new(without, &options.adapter)?;
+            parts.push((effect.name, run, Vec::<[f64; 2]>::new()));
+        }
+    }
+    let mut random = fastrand::Rng::with_seed(SEED);
+    let mut states = vec![whole.simulation.state()?];
+    while whole.simulation.clock().frame < options.frames {
+        let frame = whole.simulation.clock().frame;
+        while whole.simulation.clock().frame == frame {
+            whole.simulation.step()?;
+        }
+        states.push(whole.simulation.state()?);
+    }
+    // The first compiles and warms caches.
+    for (sample, state) in states.iter().enumerate() {
+        random.shuffle(&mut parts);
+        for (_, part, pairs) in &mut parts {
+            let mut seconds = [0.0; 2];
+            let mut order = [0, 1];
+            random.shuffle(&mut order);
+            for which in order {
+                seconds[which] = match which {
+                    0 => whole.time(state)?,
+                    _ => part.time(state)?,
+                };
+            }
+            if sample > 0 {
+                pairs.push(seconds);
+            }
+        }
+    }
+    let bytes = whole.bytes()?;
+    let rows = EFFECTS.iter().map(|effect| {
+        let part = parts.iter().find(|(name, ..)| *name == effect.name);
+        let mut row = Row {
+            scene: scene.name.clone(),
+            effect: effect.name,
+            present: (effect.present)(&effects),
+            ..Row::default()
+        };
+        let Some((_, part, pairs)) = part else {
+            return Ok(row);
+        };
+        let median =
+            |which: usize| Spread::of(pairs.iter().map(|pair| pair[which]).collect()).median;
+        let added = Spread::quartiles(pairs.iter().map(|[with, without]| with - without).collect());
+        [row.seconds_with, row.seconds_without] = [median(0), median(1)];
+        [
+            row.seconds_added_low,
+            row.seconds_added,
+            row.seconds_added_high,
+        ] = added;
+        row.bytes_added = bytes - part.bytes()?;
+        row.dispatches_added = whole.dispatches.len() as i64 - part.dispatches.len() as i64;
+        let alone = &whole.kernels() - &part.kernels();
+        row.kernels = alone.into_iter().collect::<Vec<_>>().join(" ");
+        row.pairs = pairs.len();
+        Ok(row)
+    });
+    rows.collect()
+}
+
+/// What each effect adds, in milliseconds: a bar from the first to the third quartile with the median, per scene and effect.
+fn draw(rows: &[Row], page: SVGBackend) -> Result<(), Box<dyn std::error::Error>> {
+    let root = page.into_drawing_area();
+    root.fill(&WHITE)?;
+    let measured: Vec<&Row> = rows.iter().filter(|row| row.pairs > 0).collect();
+    let milliseconds = |seconds: f64| 1e3 * seconds;
+    let ends = measured
+        .iter()
+        .flat_map(|row| [row.seconds_added_low, row.seconds_added_high]);
+    let (least, most) = ends
+        .map(milliseconds)
+        .fold((0.0, 1e-3), |(least, most), x| {
+            (f64::min(least, x), f64::max(most, x))
+        });
+    let margin = 0.05 * (most - least);
+    let mut chart = ChartBuilder::on(&root)
+        .caption("what effects add to a sub-step", ("sans-serif", 20))
+        .margin(12)
+        .x_label_area_size(44)
+        .y_label_area_size(220)
+        .build_cartesian_2d(
+            least - margin..most + margin,
+            (0..measured.len()).into_segmented(),
+        )?;
+    let label = |at: &SegmentValue<usize>| match at {
+        SegmentValue::CenterOf(at) | SegmentValue::Exact(at) => {
+            measured.get(*at).map_or(String::new(), |row| {
+                format!("{}: {}", row.scene, row.effect)
+            })
+        }
+        SegmentValue::Last => String::new(),
+    };
+    chart
+        .configure_mesh()
+        .disable_y_mesh()
+        .x_desc("ms")
+        .y_labels(measured.len().max(1))
+        .y_label_formatter(&label)
+        .draw()?;
+    for (at, row) in measured.iter().enumerate() {
+        let [low, median, high] = [
+            row.seconds_added_low,
+            row.seconds_added,
+            row.seconds_added_high,
+        ]
+        .map(milliseconds);
+        let (bottom, top) = (SegmentValue::Exact(at), SegmentValue::Exact(at + 1));
+        let bar = Rectangle::new(
+            [(low, bottom), (high, top)],
+            Palette99::pick(at).mix(0.6).filled(),
+        );
+        chart.draw_series([bar])?;
+        let line = [
+            (median, SegmentValue::Exact(at)),
+            (median, SegmentValue::Exact(at + 1)),
+        ];
+        chart.draw_series([PathElement::new(line, BLACK)])?;
+    }
+    root.present()?;
+    Ok(())
+}
