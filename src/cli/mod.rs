@@ -10,6 +10,7 @@ mod export;
 mod mesh;
 mod plan;
 mod preview;
+mod report;
 mod run;
 
 use std::path::PathBuf;
@@ -37,7 +38,7 @@ enum Command {
     Plan(plan::PlanCommand),
     /// List the GPU adapters
     Adapters(adapters::Adapters),
-    /// Measure the solve or the whole step
+    /// Measure solves, whole steps, what accuracy and effects cost
     Bench(bench::Bench),
     /// Check every stage of the GPU path against the f64 path
     Compare(compare::Compare),
@@ -47,6 +48,8 @@ enum Command {
     Mesh(mesh::Mesh),
     /// Draw the frames of a run as pictures and an animation
     Preview(preview::Preview),
+    /// Gather what benches and runs wrote into one HTML page
+    Report(report::Report),
 }
 
 /// A scene and how it is changed.
@@ -122,6 +125,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Export(command) => command.run(),
         Command::Mesh(command) => command.run(),
         Command::Preview(command) => command.run(),
+        Command::Report(command) => command.run(),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

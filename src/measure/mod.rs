@@ -11,6 +11,7 @@ pub mod bench_step;
 pub mod bounds;
 pub mod compare;
 pub mod export;
+pub mod report;
 mod solid_bytes;
 pub mod statistics;
 mod stored;

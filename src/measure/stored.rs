@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use crate::elastic::Solids;
+use crate::geometry::Coupling;
 use crate::reference::{BlockPattern, CoupledSystem, PressureSystem, SolidSystem, right_hand_side};
 use crate::sim::{
     GpuPath, LiquidSnapshot, Snapshot, SolidSnapshot, coupled_system, stored_coupling,
@@ -29,11 +30,24 @@ pub(super) fn pressure_system(
     system
 }
 
-/// The pressures that the device has found, Pa.
+/// The pressures that the device has found, Pa; where liquid and solids touch those with which it pushes nodes, whose rate is an f32.
 pub(super) fn pressure(path: &GpuPath, liquid: &LiquidSnapshot, density: f64, dt: f64) -> Vec<f64> {
-    let pascal = density * path.grid().dx / dt;
+    let grid = path.grid();
+    let pascal = match path.clip().filter(|clip| touches(clip.coupling(), liquid)) {
+        Some(clip) => {
+            let (_, density) = stored_coupling(clip.coupling(), grid.dx, density, dt);
+            density * grid.dx / f64::from(dt as f32)
+        }
+        None => density * grid.dx / dt,
+    };
     let potential = liquid.potential.iter();
     potential.map(|phi| pascal * phi).collect()
+}
+
+/// Whether a patch lies in a cell that is an unknown.
+fn touches(coupling: &Coupling, liquid: &LiquidSnapshot) -> bool {
+    let mut joined = coupling.cells();
+    joined.any(|(cell, _)| liquid.active[cell])
 }
 
 /// The system of the solids, with the numbers that the device has of them.
@@ -67,8 +81,7 @@ pub(super) fn system_of_both(
     let (coupling, density) = stored_coupling(clip.coupling(), grid.dx, density, dt);
     let mut active = liquid.active_cells(grid);
     active.seal(&coupling, &at_rest.prescribed);
-    let mut joined = coupling.cells();
-    if !joined.any(|(cell, _)| active.stencil.active(cell)) {
+    if !touches(&coupling, liquid) {
         return None;
     }
     let open = &path.cut_cells().open;

@@ -32,6 +32,7 @@ mod reference;
 mod reference_physics;
 mod reference_solids;
 mod reference_stages;
+mod report;
 mod rooms;
 mod scene;
 mod shaders;

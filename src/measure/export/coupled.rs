@@ -216,6 +216,7 @@ fn stored(scene: &Scene, choice: &AdapterChoice, step: u64, density: f64) -> Res
         }
         let stored = stored::system_of_both(path, &snapshot, &inflow, density, dt);
         let (system, all) = stored.ok_or_else(|| no_system_of_both(step))?;
+        let pressure = stored::pressure(path, liquid, density, dt);
         // As the device has it.
         let dt = f64::from(dt as f32);
         let pattern = Arc::new(BlockPattern::new(&all));
@@ -223,7 +224,6 @@ fn stored(scene: &Scene, choice: &AdapterChoice, step: u64, density: f64) -> Res
         for (element, deformation) in deformations.iter_mut().enumerate() {
             *deformation = solids.turned(&all, element, deformation.gradient);
         }
-        let pressure = stored::pressure(path, liquid, density, dt);
         let variables = StressVariables::new(&all, &deformations, |body| body.zeta_stiffness(dt));
         Ok(Some((system, pressure, solids.velocity.clone(), variables)))
     })?;

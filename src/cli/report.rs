@@ -1,0 +1,27 @@
+//! `cutwater report`
+
+use std::path::PathBuf;
+
+use clap::Args;
+use cutwater::Error;
+use cutwater::measure::report::{Contents, PAGE, report};
+
+/// Gather what benches and runs wrote into one HTML page
+#[derive(Debug, Args)]
+pub(super) struct Report {
+    /// Folder of a run or a bench, or one that holds such folders
+    dir: PathBuf,
+}
+
+impl Report {
+    pub(super) fn run(&self) -> Result<(), Error> {
+        let Contents {
+            folders,
+            tables,
+            pictures,
+        } = report(&self.dir)?;
+        say!("{folders} folders, {tables} tables, {pictures} pictures");
+        say!("page: {}", self.dir.join(PAGE).display());
+        Ok(())
+    }
+}
