@@ -7,6 +7,7 @@ pub mod bench_effects;
 pub mod bench_solids;
 pub mod bench_solve;
 pub mod bench_sort;
+pub mod bench_stability;
 pub mod bench_step;
 pub mod bounds;
 pub mod compare;

@@ -142,6 +142,19 @@ impl Scene {
             };
             Error::input(path.display().to_string(), error.to_string(), cure)
         })?;
+        Scene::parse(path, &text, overrides, scale)
+    }
+
+    /// The same of the text of a scene file; `path` names it in errors, and files that it names are beside it.
+    ///
+    /// # Errors
+    /// As [`Scene::load`].
+    pub fn parse(
+        path: &Path,
+        text: &str,
+        overrides: &[String],
+        scale: f64,
+    ) -> Result<Scene, Error> {
         if !(scale.is_finite() && scale > 0.0) {
             return Err(Error::input(
                 format!("--scale {scale}"),
@@ -149,7 +162,7 @@ impl Scene {
                 "use a number above zero",
             ));
         }
-        let document = Document::parse(path, &text, overrides)?;
+        let document = Document::parse(path, text, overrides)?;
         let root = document.root().table(&ROOT)?;
         let domain = domain(&root, scale)?;
         let solids = solids(&root, path, &domain)?;
@@ -166,7 +179,7 @@ impl Scene {
                 .into_owned(),
             file: path.to_owned(),
             hash: hash(
-                &text,
+                text,
                 overrides,
                 scale,
                 &mesh_files(liquid.as_ref(), &obstacles, &solids),

@@ -5,6 +5,7 @@ mod bench_accuracy;
 mod bench_effects;
 mod bench_solids;
 mod bench_sort;
+mod bench_stability;
 mod bench_step;
 mod cli;
 mod common;

@@ -5,6 +5,7 @@ mod effects;
 mod solids;
 mod solve;
 mod sort;
+mod stability;
 mod step;
 
 use clap::{Args, Subcommand, ValueEnum};
@@ -17,6 +18,7 @@ use effects::Effects;
 use solids::Solids;
 use solve::Solve;
 use sort::Sort;
+use stability::Stability;
 use step::Step;
 
 /// Measure the solves, the whole step, or the sort
@@ -39,6 +41,9 @@ enum What {
     Effects(Effects),
     /// Whole sub-steps of scenes, stage by stage: step.csv, step_stages.csv, step.json, step.svg
     Step(Step),
+    /// What stays stable: hostile scenes, the thesis's section 6.3, the limit of weak coupling: stability.csv, stability_limit.csv,
+    /// stability.json, stability.svg
+    Stability(Stability),
     /// The sort of keys and values on the device, against the length of the list: sort.csv, sort.json
     Sort(Sort),
 }
@@ -85,6 +90,7 @@ impl Bench {
             What::Effects(effects) => effects.run(),
             What::Solids(solids) => solids.run(),
             What::Step(step) => step.run(),
+            What::Stability(stability) => stability.run(),
             What::Sort(sort) => sort.run(),
         }
     }

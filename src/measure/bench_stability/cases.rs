@@ -1,0 +1,683 @@
+//! The cases: scenes in strong coupling that are hostile in one way each, and the four variants of the thesis's section 6.3.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use super::{DISTORTED, PUSHED_AWAY, Row, STIFF, TORN};
+use crate::Error;
+use crate::output::write_atomically;
+use crate::scene::Scene;
+
+/// Length of the beam of scenes/stability.toml, m.
+pub(super) const BEAM: f64 = 0.8;
+/// Sub-steps that its scene lasts.
+const THESIS_STEPS: u64 = 120;
+const THESIS: &str = include_str!("../../../scenes/stability.toml");
+
+/// What has to happen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Expected {
+    /// The run comes to its end with a bounded energy and finite values.
+    Completes,
+    /// "the solid undergoing extreme distortion, and the simulation eventually failing"
+    Fails,
+    /// "pressure-induced buoyancy inaccurately dominates and incorrectly pushes the stiff solid to the surface"
+    PushedAway,
+    /// It completes, and the beam stays stiff.
+    StaysStiff,
+}
+
+impl Expected {
+    /// For tables.
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Expected::Completes => "completes",
+            Expected::Fails => "fails",
+            Expected::PushedAway => "is pushed away",
+            Expected::StaysStiff => "stays stiff",
+        }
+    }
+
+    /// Whether it happened.
+    pub(super) fn holds(self, row: &Row) -> bool {
+        let completed = row.status == "completed";
+        let deflection = row.deflection.unwrap_or(0.0);
+        match self {
+            Expected::Completes => completed,
+            Expected::Fails => !completed && row.energy_ratio >= TORN && row.min_det <= DISTORTED,
+            // What pushes it gives it energy that is not there.
+            Expected::PushedAway => {
+                let to_its_end = row.sub_steps == row.steps && row.non_finite == 0;
+                to_its_end && deflection >= PUSHED_AWAY
+            }
+            Expected::StaysStiff => completed && deflection <= STIFF,
+        }
+    }
+}
+
+/// A case.
+#[derive(Clone, Debug)]
+pub struct Case {
+    /// Its name, unique.
+    pub name: String,
+    /// What cases beside it vary too.
+    pub group: &'static str,
+    /// What is hostile about it.
+    pub varies: String,
+    /// Sub-steps.
+    pub steps: u64,
+    /// What has to happen.
+    pub expected: Expected,
+    /// TOML.
+    text: String,
+    overrides: Vec<String>,
+    scale: f64,
+}
+
+impl Case {
+    /// Its scene.
+    ///
+    /// # Errors
+    /// As [`Scene::load`].
+    pub fn scene(&self) -> Result<Scene, Error> {
+        let file = format!("{}.toml", self.name);
+        Scene::parse(file.as_ref(), &self.text, &self.overrides, self.scale)
+    }
+
+    /// Writes the scene file; that of the thesis's is among the project's scenes.
+    pub(super) fn write(&self, folder: &Path) -> Result<(), Error> {
+        if self.group == "thesis" {
+            return Ok(());
+        }
+        let text = format!("# {}.\n\n{}", self.varies, self.text);
+        write_atomically(&folder.join(format!("{}.toml", self.name)), text.as_bytes())
+    }
+}
+
+/// A box of 1 m with water and bodies in it.
+#[derive(Clone)]
+struct Setting {
+    /// Along each edge.
+    cells: usize,
+    /// m/s^2, downwards.
+    gravity: f64,
+    /// Frames per second and sub-steps in each; as speeds allow where there is none.
+    steps: Option<[u32; 2]>,
+    /// Regions of liquid, with what belongs to each.
+    liquid: Vec<String>,
+    bodies: Vec<Body>,
+    obstacle: Option<&'static str>,
+}
+
+#[derive(Clone)]
+struct Body {
+    mesh: String,
+    /// Middle, m.
+    at: [f64; 3],
+    /// About (1, 2, 3), degrees.
+    turned: f64,
+    /// kg/m^3
+    density: f64,
+    /// Pa
+    young: f64,
+    poisson: f64,
+    /// Of mass, 1/s, and of stiffness, s.
+    damping: [f64; 2],
+    /// Keys of `initial`.
+    initial: &'static str,
+    /// Where its nodes are held.
+    held: Option<&'static str>,
+}
+
+/// The lower 0.4 m of the box.
+const POOL: &str = "box = { min = [0, 0, 0], max = [1, 0.4, 1] }";
+/// All of it.
+const FULL: &str = "box = { min = [0, 0, 0], max = [1, 1, 1] }";
+/// A column that breaks.
+const COLUMN: &str = "box = { min = [0, 0, 0], max = [0.35, 0.7, 1] }";
+
+fn cuboid([x, y, z]: [f64; 3], cells: [usize; 3]) -> String {
+    format!("box = {{ size = [{x:?}, {y:?}, {z:?}], cells = {cells:?} }}")
+}
+
+fn shell(thickness: f64) -> String {
+    format!("shell = {{ radius = 0.3, thickness = {thickness:?}, cell_size = 0.1 }}")
+}
+
+/// A cube with a side of four cells.
+fn block(at: [f64; 3]) -> Body {
+    Body {
+        mesh: cuboid([0.25; 3], [3, 3, 3]),
+        at,
+        turned: 0.0,
+        density: 500.0,
+        young: 1e6,
+        poisson: 0.3,
+        damping: [0.0; 2],
+        initial: "",
+        held: None,
+    }
+}
+
+fn setting(liquid: &[&str], bodies: Vec<Body>) -> Setting {
+    Setting {
+        cells: 16,
+        gravity: 9.81,
+        steps: None,
+        liquid: liquid.iter().map(|&region| region.to_owned()).collect(),
+        bodies,
+        obstacle: None,
+    }
+}
+
+/// A block that starts half in a pool.
+fn pool() -> Setting {
+    setting(&[POOL], vec![block([0.47, 0.42, 0.52])])
+}
+
+/// A block below the surface of a pool.
+fn sunken(height: f64) -> Setting {
+    setting(&[POOL], vec![block([0.47, height + 0.125, 0.52])])
+}
+
+/// A column of water that breaks against a beam held at its upper end.
+fn dam() -> Setting {
+    let beam = Body {
+        mesh: cuboid([0.125, 0.7, 0.125], [2, 10, 2]),
+        density: 1100.0,
+        held: Some("box = { min = [0, 0.899, 0], max = [1, 1, 1] }"),
+        ..block([0.6, 0.55, 0.5])
+    };
+    setting(&[COLUMN], vec![beam])
+}
+
+/// Water between walls, all full, and a block in it.
+fn closed() -> Setting {
+    setting(&[FULL], vec![block([0.47, 0.53, 0.52])])
+}
+
+impl Setting {
+    fn body(mut self, change: impl Fn(&mut Body)) -> Setting {
+        self.bodies.iter_mut().for_each(change);
+        self
+    }
+
+    fn cells(mut self, cells: usize) -> Setting {
+        self.cells = cells;
+        self
+    }
+
+    fn gravity(mut self, gravity: f64) -> Setting {
+        self.gravity = gravity;
+        self
+    }
+
+    fn steps(mut self, frames: u32, in_each: u32) -> Setting {
+        self.steps = Some([frames, in_each]);
+        self
+    }
+
+    fn obstacle(mut self, shape: &'static str) -> Setting {
+        self.obstacle = Some(shape);
+        self
+    }
+
+    fn text(&self) -> String {
+        let mut text = format!(
+            "[domain]
+size = [1, 1, 1]
+cells = {:?}
+gravity = [0, {:?}, 0]
+[time]
+duration = 1000
+",
+            [self.cells; 3], -self.gravity,
+        );
+        if let Some([frames, in_each]) = self.steps {
+            let step = 1.0 / (f64::from(frames) * f64::from(in_each));
+            // Past the cells that a sub-step of this length may cross, a run is as it is.
+            let _ = write!(
+                text,
+                "frames_per_second = {frames}\ncfl = 8\nfixed_step = {step:?}\n"
+            );
+        }
+        for region in &self.liquid {
+            let _ = write!(text, "[[liquid.region]]\n{region}\n");
+        }
+        if let Some(shape) = self.obstacle {
+            let _ = write!(text, "[[obstacle]]\n{shape}\n");
+        }
+        for (number, body) in self.bodies.iter().enumerate() {
+            let [of_mass, of_stiffness] = body.damping;
+            let _ = write!(
+                text,
+                "[[solid]]
+name = \"body{number}\"
+mesh = {{ {} }}
+placement = {{ translate = {:?}, rotate = {{ axis = [1, 2, 3], degrees = {:?} }} }}
+initial = {{ {} }}
+density = {:?}
+young = {:?}
+poisson = {:?}
+damping = {{ mass = {of_mass:?}, stiffness = {of_stiffness:?} }}
+",
+                body.mesh,
+                body.at,
+                body.turned,
+                body.initial,
+                body.density,
+                body.young,
+                body.poisson,
+            );
+            if let Some(shape) = body.held {
+                let _ = write!(text, "[[solid.pin]]\nregion = {{ {shape} }}\n");
+            }
+        }
+        text
+    }
+}
+
+/// The matrix.
+struct Matrix {
+    steps: u64,
+    cases: Vec<Case>,
+}
+
+impl Matrix {
+    fn add(&mut self, group: &'static str, name: &str, varies: &str, setting: &Setting) {
+        self.cases.push(Case {
+            name: format!("{group}_{name}"),
+            group,
+            varies: varies.to_owned(),
+            steps: self.steps,
+            expected: Expected::Completes,
+            text: setting.text(),
+            overrides: Vec::new(),
+            scale: 1.0,
+        });
+    }
+}
+
+/// All cases; hostile ones with so many sub-steps each, the thesis's with their own, in its scene with so many times its cells.
+pub fn cases(steps: u64, scale: f64) -> Vec<Case> {
+    let mut matrix = Matrix {
+        steps,
+        cases: Vec::new(),
+    };
+    materials(&mut matrix);
+    times_and_forces(&mut matrix);
+    shapes(&mut matrix);
+    places(&mut matrix);
+    liquids(&mut matrix);
+    matrix.cases.extend(of_thesis(scale));
+    matrix.cases
+}
+
+fn materials(to: &mut Matrix) {
+    for (name, ratio) in [
+        ("1e-3", 1e-3),
+        ("1e-2", 1e-2),
+        ("0.1", 0.1),
+        ("1", 1.0),
+        ("3", 3.0),
+        ("10", 10.0),
+    ] {
+        let varies = format!("{ratio} times as heavy as the liquid");
+        let setting = pool().body(|body| body.density = 1000.0 * ratio);
+        to.add("density", name, &varies, &setting);
+    }
+    for (name, young) in [("1e3", 1e3), ("1e5", 1e5), ("1e7", 1e7), ("1e9", 1e9)] {
+        let varies = format!("block of E = {name} Pa");
+        let setting = pool().body(|body| body.young = young);
+        to.add("young", name, &varies, &setting);
+    }
+    to.add(
+        "young",
+        "1e4_beam",
+        "a beam that its own weight stretches by half, in a dam break",
+        &dam().body(|body| body.young = 1e4),
+    );
+    for (name, poisson) in [("0", 0.0), ("0.45", 0.45), ("0.49", 0.49)] {
+        let varies = format!("beam of nu = {name} in a dam break");
+        let setting = dam().body(|body| body.poisson = poisson);
+        to.add("poisson", name, &varies, &setting);
+    }
+    to.add(
+        "poisson",
+        "0.49_soft",
+        "nu = 0.49, E = 1e4 Pa, lighter than the liquid",
+        &pool().body(|body| (body.poisson, body.young) = (0.49, 1e4)),
+    );
+    for (name, damping) in [
+        ("none", [0.0, 0.0]),
+        ("mass", [100.0, 0.0]),
+        ("stiffness", [0.0, 0.5]),
+        ("both", [100.0, 0.5]),
+    ] {
+        let [of_mass, of_stiffness] = damping;
+        let varies = format!("beam damped by {of_mass}/s and {of_stiffness} s");
+        let setting = dam().body(|body| body.damping = damping);
+        to.add("damping", name, &varies, &setting);
+    }
+}
+
+fn times_and_forces(to: &mut Matrix) {
+    for (name, frames, in_each) in [
+        ("1000", 25, 40),
+        ("240", 24, 10),
+        ("60", 30, 2),
+        ("24", 24, 1),
+        ("15", 15, 1),
+    ] {
+        let varies = format!("sub-steps of 1/{name} s, dam break on a beam");
+        to.add("step", name, &varies, &dam().steps(frames, in_each));
+    }
+    to.add(
+        "step",
+        "15_stiff_light",
+        "sub-steps of 1/15 s, beam of E = 1e9 Pa and 20 kg/m^3",
+        &dam()
+            .steps(15, 1)
+            .body(|body| (body.young, body.density) = (1e9, 20.0)),
+    );
+    to.add(
+        "gravity",
+        "10g",
+        "ten times the gravity, dam break on a beam",
+        &dam().gravity(98.1),
+    );
+    to.add(
+        "gravity",
+        "10g_stiff_light",
+        "ten times the gravity, beam of E = 1e8 Pa and 20 kg/m^3, sub-steps of 1/96 s",
+        &dam()
+            .gravity(98.1)
+            .steps(24, 4)
+            .body(|body| (body.young, body.density) = (1e8, 20.0)),
+    );
+    to.add(
+        "gravity",
+        "100g",
+        "a hundred times the gravity, block in a pool",
+        &pool().gravity(981.0),
+    );
+    to.add(
+        "gravity",
+        "none",
+        "no gravity: a ball of liquid flies into a block",
+        &setting(
+            &["sphere = { centre = [0.25, 0.5, 0.5], radius = 0.18 }\nvelocity = [3, 0, 0]"],
+            vec![block([0.7, 0.5, 0.5])],
+        )
+        .gravity(0.0),
+    );
+}
+
+fn shapes(to: &mut Matrix) {
+    for (name, initial, varies) in [
+        ("inverted", "scale = -1.0", "block inside out"),
+        ("flat", "scale = [1.0, 0.0, 1.0]", "block without a volume"),
+        (
+            "eighth",
+            "scale = 0.5",
+            "block with an eighth of its volume",
+        ),
+        (
+            "grown",
+            "scale = 1.5",
+            "block with three times its volume, half in the liquid",
+        ),
+        (
+            "spun",
+            "spin = [0.0, 0.0, 40.0]",
+            "block that spins at 40 rad/s",
+        ),
+        (
+            "thrown",
+            "velocity = [0.0, -10.0, 0.0]",
+            "block thrown into the pool at 10 m/s",
+        ),
+    ] {
+        to.add(
+            "start",
+            name,
+            varies,
+            &pool().body(|body| body.initial = initial),
+        );
+    }
+    to.add(
+        "sliver",
+        "thin",
+        "plate a fifth of a cell thick under a dam break",
+        &setting(
+            &[COLUMN],
+            vec![Body {
+                mesh: cuboid([0.5, 0.0125, 0.5], [8, 1, 8]),
+                ..block([0.6, 0.31, 0.5])
+            }],
+        ),
+    );
+    to.add(
+        "sliver",
+        "turned",
+        "bricks thirty times as long as thick, turned against the grid",
+        &pool().body(|body| {
+            body.mesh = cuboid([0.3, 0.3, 0.3], [1, 10, 2]);
+            body.turned = 37.0;
+        }),
+    );
+    to.add(
+        "sliver",
+        "aligned",
+        "block whose sides lie a thousandth of a cell off the grid's",
+        &setting(
+            &[POOL],
+            vec![Body {
+                density: 1000.0,
+                ..block([0.500_062_5, 0.250_062_5, 0.500_062_5])
+            }],
+        ),
+    );
+}
+
+fn places(to: &mut Matrix) {
+    for (name, gap) in [("0", 0.0), ("0.1", 0.1), ("0.5", 0.5)] {
+        let varies = format!("heavy block {name} cells above the floor of a pool");
+        let setting = sunken(gap / 16.0).body(|body| body.density = 2000.0);
+        to.add("gap", &format!("floor_{name}"), &varies, &setting);
+    }
+    to.add(
+        "gap",
+        "floor_light",
+        "light block a tenth of a cell above the floor of a pool",
+        &sunken(0.1 / 16.0).body(|body| body.density = 100.0),
+    );
+    let pair = |gap: f64, density: f64| {
+        let low = block([0.47, 0.14, 0.52]);
+        let high = Body {
+            density,
+            ..block([0.5, 0.14 + 0.25 + gap / 16.0, 0.5])
+        };
+        setting(
+            &["box = { min = [0, 0, 0], max = [1, 0.6, 1] }"],
+            vec![
+                Body {
+                    density: 2000.0,
+                    ..low
+                },
+                high,
+            ],
+        )
+    };
+    to.add(
+        "gap",
+        "solids_0.2",
+        "two blocks 0.2 cells apart under water, the upper one heavy",
+        &pair(0.2, 2000.0),
+    );
+    to.add(
+        "gap",
+        "solids_0.2_light",
+        "two blocks 0.2 cells apart under water, the upper one light",
+        &pair(0.2, 50.0),
+    );
+    to.add(
+        "wall",
+        "through",
+        "beam half through an obstacle, held there",
+        &setting(
+            &[POOL],
+            vec![Body {
+                mesh: cuboid([0.75, 0.125, 0.125], [12, 2, 2]),
+                held: Some("box = { min = [0, 0, 0], max = [0.501, 1, 1] }"),
+                ..block([0.5, 0.3, 0.5])
+            }],
+        )
+        .obstacle("box = { min = [0, 0, 0], max = [0.5, 0.7, 1] }"),
+    );
+    to.add(
+        "wall",
+        "obstacle",
+        "block that starts 0.9 cells deep in an obstacle",
+        &setting(&[POOL], vec![block([0.25 + 0.125 - 0.9 / 16.0, 0.3, 0.5])])
+            .obstacle("box = { min = [0, 0, 0], max = [0.25, 0.7, 1] }"),
+    );
+}
+
+fn liquids(to: &mut Matrix) {
+    let pad = || Body {
+        mesh: cuboid([0.5, 0.125, 0.5], [6, 2, 6]),
+        density: 200.0,
+        young: 1e5,
+        ..block([0.5, 0.0625, 0.5])
+    };
+    to.add(
+        "droplet",
+        "one",
+        "a droplet of one cell falls on a light pad",
+        &setting(
+            &["sphere = { centre = [0.53125, 0.53125, 0.53125], radius = 0.075 }"],
+            vec![pad()],
+        ),
+    );
+    to.add(
+        "droplet",
+        "rain",
+        "four droplets of one cell fall on a light pad",
+        &setting(
+            &[
+                "sphere = { centre = [0.34375, 0.53125, 0.53125], radius = 0.075 }",
+                "sphere = { centre = [0.65625, 0.65625, 0.40625], radius = 0.075 }",
+                "sphere = { centre = [0.53125, 0.78125, 0.65625], radius = 0.075 }",
+                "sphere = { centre = [0.40625, 0.90625, 0.34375], radius = 0.075 }",
+            ],
+            vec![pad()],
+        ),
+    );
+    for (name, density, young) in [
+        ("light", 10.0, 1e6),
+        ("heavy", 5000.0, 1e6),
+        ("soft", 900.0, 1e4),
+        ("stiff", 900.0, 1e9),
+    ] {
+        let varies = format!("full tank, block of {density} kg/m^3, E = {young:e} Pa");
+        let setting = closed().body(|body| (body.density, body.young) = (density, young));
+        to.add("closed", name, &varies, &setting);
+    }
+    let ball = "sphere = { centre = [0.5, 0.5, 0.5], radius = 0.2 }";
+    let hollow = |regions: &[&str], density: f64| {
+        let ball = Body {
+            mesh: shell(0.1),
+            density,
+            young: 1e5,
+            ..block([0.5, 0.5, 0.5])
+        };
+        setting(regions, vec![ball]).cells(20)
+    };
+    to.add(
+        "inside",
+        "full",
+        "hollow ball full of liquid falls to the floor",
+        &hollow(&[ball], 300.0),
+    );
+    to.add(
+        "inside",
+        "half",
+        "hollow ball half full falls to the floor",
+        &hollow(
+            &[
+                ball,
+                "box = { min = [0, 0.5, 0], max = [1, 1, 1] }\nsubtract = true",
+            ],
+            300.0,
+        ),
+    );
+    to.add(
+        "inside",
+        "both",
+        "hollow ball full of liquid in a pool",
+        &hollow(&[ball, POOL], 100.0),
+    );
+    to.add(
+        "empty",
+        "nothing",
+        "a region of liquid that no cell holds and a droplet far from a block",
+        &setting(
+            &[
+                "sphere = { centre = [0.1, 0.9, 0.1], radius = 0.005 }",
+                "sphere = { centre = [0.09375, 0.53125, 0.90625], radius = 0.075 }",
+            ],
+            vec![block([0.5, 0.3, 0.5])],
+        ),
+    );
+    to.add(
+        "empty",
+        "dry",
+        "block on a shelf that the liquid does not reach",
+        &setting(
+            &["box = { min = [0, 0, 0], max = [1, 0.2, 1] }"],
+            vec![block([0.5, 0.7, 0.5])],
+        )
+        .obstacle("box = { min = [0.3, 0.3, 0.3], max = [0.7, 0.5, 0.7] }"),
+    );
+}
+
+/// The thesis's four pictures, from left to right.
+fn of_thesis(scale: f64) -> [Case; 4] {
+    [
+        (
+            "weak",
+            "weak coupling",
+            "solver.coupling=weak",
+            Expected::Fails,
+        ),
+        (
+            "damping_only",
+            "coupled to mass and damping alone",
+            "solver.coupling=damping_only",
+            Expected::PushedAway,
+        ),
+        (
+            "strong",
+            "strong coupling",
+            "solver.coupling=strong",
+            Expected::StaysStiff,
+        ),
+        (
+            "undamped",
+            "strong coupling, no damping",
+            "solid[0].damping.stiffness=0",
+            Expected::StaysStiff,
+        ),
+    ]
+    .map(|(name, varies, overridden, expected)| Case {
+        name: format!("thesis_{name}"),
+        group: "thesis",
+        varies: varies.to_owned(),
+        steps: THESIS_STEPS,
+        expected,
+        text: THESIS.to_owned(),
+        overrides: vec![overridden.to_owned()],
+        scale,
+    })
+}
