@@ -151,9 +151,9 @@ pub struct Table {
 }
 
 /// A pressure per cell, Pa, and velocities of the nodes, m/s.
-struct Answer {
-    pressure: Vec<f64>,
-    velocity: Vec<[f64; 3]>,
+pub(super) struct Answer {
+    pub(super) pressure: Vec<f64>,
+    pub(super) velocity: Vec<[f64; 3]>,
 }
 
 /// A sub-step from a state.
@@ -179,11 +179,12 @@ struct Way {
 }
 
 /// What a sub-step came to.
-struct Done {
-    seconds: f64,
-    report: StepReport,
-    answer: Answer,
-    faces: [Vec<f64>; 3],
+pub(super) struct Done {
+    /// Of the solve.
+    pub(super) seconds: f64,
+    pub(super) report: StepReport,
+    pub(super) answer: Answer,
+    pub(super) faces: [Vec<f64>; 3],
 }
 
 /// Measures all rows and writes accuracy.csv, accuracy_best.csv, accuracy.json and accuracy.svg into `out`; `tell` hears of each row.
@@ -290,7 +291,7 @@ fn measure(scene: &Scene, state: &State, options: &Options) -> Result<Vec<Row>, 
     for job in jobs {
         let way = &mut ways[job.0];
         way.path.set_tolerance(options.tolerances[job.1]);
-        let done = sub_step(&mut way.path, &case)?;
+        let done = sub_step(&mut way.path, case.state, case.density())?;
         found
             .entry(job)
             .and_modify(|(seconds, _)| seconds.push(done.seconds))
@@ -500,12 +501,12 @@ fn solution(
     Ok(answer)
 }
 
-/// Does the sub-step once.
-fn sub_step(path: &mut GpuPath, case: &Case) -> Result<Done, Error> {
-    path.write_state(case.state)?;
+/// Does the sub-step after a state once, with liquid of this density (kg/m^3).
+pub(super) fn sub_step(path: &mut GpuPath, state: &State, density: f64) -> Result<Done, Error> {
+    path.write_state(state)?;
     let mut clock = None;
     let (mut seconds, mut answer, mut faces) = (0.0, None, Default::default());
-    let (density, dt) = (case.density(), path.next_time_step().dt);
+    let dt = path.next_time_step().dt;
     let report = path.step_observed(&mut |stage, path| {
         path.gpu().wait("bench")?;
         if stage == RightHandSide::NAME {

@@ -7,6 +7,7 @@ mod bench_solids;
 mod bench_sort;
 mod bench_stability;
 mod bench_step;
+mod bench_thesis;
 mod cli;
 mod common;
 mod compare;

@@ -7,6 +7,7 @@ mod solve;
 mod sort;
 mod stability;
 mod step;
+mod thesis;
 
 use clap::{Args, Subcommand, ValueEnum};
 use cutwater::Error;
@@ -20,8 +21,9 @@ use solve::Solve;
 use sort::Sort;
 use stability::Stability;
 use step::Step;
+use thesis::Thesis;
 
-/// Measure the solves, the whole step, or the sort
+/// Measure the solves, the whole step, or the sort; or the errors of the thesis's tables
 #[derive(Debug, Args)]
 pub(super) struct Bench {
     #[command(subcommand)]
@@ -46,6 +48,8 @@ enum What {
     Stability(Stability),
     /// The sort of keys and values on the device, against the length of the list: sort.csv, sort.json
     Sort(Sort),
+    /// Tables 6.5 and 6.6 of the thesis beside what they are here: thesis.csv, thesis_orders.csv, thesis.json, thesis.svg
+    Thesis(Thesis),
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
@@ -92,6 +96,7 @@ impl Bench {
             What::Step(step) => step.run(),
             What::Stability(stability) => stability.run(),
             What::Sort(sort) => sort.run(),
+            What::Thesis(thesis) => thesis.run(),
         }
     }
 }

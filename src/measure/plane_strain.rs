@@ -1,0 +1,308 @@
+//! Thesis, section 6.4: an elastic block at rest in a liquid at rest, both known exactly, as a slab between two walls.
+//!
+//! y is up, lengths are in m, and the liquid of density rho_f = 1 fills a tank to y = a = 0.8 under gravity g = -1. The block rests on
+//! \[0, 0.4\] x \[0, 0.4\] and is deformed by
+//!
+//! ```text
+//! x = alpha X + x1,  y = beta Y^2 + gamma Y + y1,  z = Z                                  (6.1)
+//! beta = -alpha (y2 - y1) rho_f g / (2 tau0 (2 mu + lambda)),  gamma = (y2 - y1) / tau0 - beta tau0    (6.3, 6.4)
+//! p = rho_f g (y - a)                                                                      (6.5)
+//! T_R = P_xx(Y) + p(y(Y)) (2 beta Y + gamma) = -T_L                                        (6.6, 6.7)
+//! T_T = P_yy(tau0) + alpha p(y2),  T_B = -P_yy(0) - alpha p(y1)                            (6.8, 6.9)
+//! rho_s = alpha (y2 - y1) rho_f / tau0                                                     (6.10)
+//! P_xx = (2 mu + lambda) (alpha - 1) + lambda (2 beta Y + gamma - 1)                       (6.2)
+//! P_yy = (2 mu + lambda) (2 beta Y + gamma - 1) + lambda (alpha - 1)
+//! ```
+//!
+//! The tractions T, per area at rest, are what the liquid's pressure lacks. F is symmetric and positive: no element turns. In three
+//! dimensions the same law with F_zz = 1 has the same P_xx and P_yy; P_zz is for the walls that the faces along z are held on.
+
+use glam::DVec3;
+
+use crate::Error;
+use crate::elastic::Solids;
+use crate::geometry::TetMesh;
+use crate::scene::{
+    Camera, Domain, ElasticModel, Initial, Liquid, Load, LoadKind, Output, Pin, Placement, Region,
+    Scene, Shape, Solid, SolidMesh, Solver, Surface, Time,
+};
+use crate::state::State;
+
+/// Width and height of the tank, m.
+const TANK: [f64; 2] = [0.8, 1.0];
+/// Cells and bricks across the slab.
+const LAYERS: usize = 2;
+/// a, m.
+const LEVEL: f64 = 0.8;
+/// L and tau0, m.
+const EDGE: f64 = 0.4;
+/// Bottom of the block at rest, m. It says nothing: only differences of rest positions count.
+const REST: f64 = 0.2;
+/// rho_f, kg/m^3.
+const DENSITY: f64 = 1.0;
+/// g along y, m/s^2.
+const GRAVITY: f64 = -1.0;
+/// s
+const DT: f64 = 0.01;
+
+/// Points and weights of Gauss's rule on \[0, 1\] that is exact to degree 5.
+const GAUSS: [[f64; 2]; 3] = [
+    [0.112_701_665_379_258_31, 5.0 / 18.0],
+    [0.5, 4.0 / 9.0],
+    [0.887_298_334_620_741_7, 5.0 / 18.0],
+];
+
+/// A choice of the block's material and deformation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PlaneStrain {
+    /// Shear modulus, Pa.
+    pub mu: f64,
+    /// First Lame parameter, Pa.
+    pub lambda: f64,
+    /// Stretch along x.
+    pub alpha: f64,
+    /// Bottom of the deformed block, m.
+    pub y1: f64,
+    /// Its top, m.
+    pub y2: f64,
+}
+
+/// That of table 6.5.
+pub const TABLE_6_5: PlaneStrain = PlaneStrain {
+    mu: 20.0,
+    lambda: 10.0,
+    alpha: 0.9,
+    y1: 0.205,
+    y2: 0.595,
+};
+
+/// That of table 6.6.
+pub const TABLE_6_6: PlaneStrain = PlaneStrain {
+    mu: 100.0,
+    lambda: 100.0,
+    alpha: 1.1,
+    y1: 0.18,
+    y2: 0.62,
+};
+
+impl PlaneStrain {
+    /// Of the liquid, rho_f |g|, N/m^3.
+    pub const WEIGHT: f64 = -DENSITY * GRAVITY;
+
+    /// 2 mu + lambda, Pa.
+    fn modulus(&self) -> f64 {
+        2.0 * self.mu + self.lambda
+    }
+
+    /// beta, 1/m.
+    pub fn beta(&self) -> f64 {
+        -self.alpha * (self.y2 - self.y1) * DENSITY * GRAVITY / (2.0 * EDGE * self.modulus())
+    }
+
+    /// gamma.
+    pub fn gamma(&self) -> f64 {
+        (self.y2 - self.y1) / EDGE - self.beta() * EDGE
+    }
+
+    /// F_yy at a height at rest, m.
+    fn stretch(&self, y: f64) -> f64 {
+        2.0 * self.beta() * y + self.gamma()
+    }
+
+    /// y of a height at rest, m.
+    fn height(&self, y: f64) -> f64 {
+        (self.beta() * y + self.gamma()) * y + self.y1
+    }
+
+    /// Pressure at a height, Pa.
+    pub fn pressure(height: f64) -> f64 {
+        DENSITY * GRAVITY * (height - LEVEL)
+    }
+
+    /// T_R at a height at rest, Pa.
+    pub fn traction_right(&self, y: f64) -> f64 {
+        let [stretch, pressure] = [self.stretch(y), PlaneStrain::pressure(self.height(y))];
+        let stress = self.modulus() * (self.alpha - 1.0) + self.lambda * (stretch - 1.0);
+        stress + pressure * stretch
+    }
+
+    /// T_T, and -T_B, Pa.
+    pub fn tractions_up(&self) -> [f64; 2] {
+        let along = |y: f64, end: f64| {
+            let stress =
+                self.modulus() * (self.stretch(y) - 1.0) + self.lambda * (self.alpha - 1.0);
+            stress + self.alpha * PlaneStrain::pressure(end)
+        };
+        [along(EDGE, self.y2), along(0.0, self.y1)]
+    }
+
+    /// rho_s, kg/m^3.
+    pub fn density(&self) -> f64 {
+        self.alpha * (self.y2 - self.y1) * DENSITY / EDGE
+    }
+
+    /// Distance from the block's bottom, and by symmetry from its top, to the centre of the cell that holds it, m: a pressure that is
+    /// constant over cells is off by rho g times that.
+    pub fn distance(&self, dx: f64) -> f64 {
+        let centre = ((self.y1 / dx).floor() + 0.5) * dx;
+        (self.y1 - centre).abs()
+    }
+
+    /// The slab with `cells` cells along the tank's height, a multiple of 5, and bricks of half a cell.
+    ///
+    /// # Errors
+    /// When it has too many nodes.
+    pub fn scene(&self, cells: usize, solver: Solver) -> Result<Scene, Error> {
+        let dx = TANK[1] / cells as f64;
+        let bricks = (2.0 * EDGE / dx).round() as usize;
+        let thickness = LAYERS as f64 * dx;
+        let size = DVec3::new(TANK[0], TANK[1], thickness);
+        let low = DVec3::new(0.5 * (TANK[0] - EDGE), REST, 0.0);
+        let high = low + DVec3::new(EDGE, EDGE, thickness);
+        let face = |z: f64| Pin {
+            region: Shape::Box {
+                min: low.with_z(z - 0.1 * dx),
+                max: high.with_z(z + 0.1 * dx),
+            },
+            components: [false, false, true],
+            keyframes: Vec::new(),
+        };
+        let [lambda, mu] = [self.lambda, self.mu];
+        let mut solid = Solid {
+            name: "block".to_owned(),
+            mesh: SolidMesh::Box {
+                size: high - low,
+                cells: [bricks, bricks, LAYERS],
+            },
+            placement: Placement {
+                translate: 0.5 * (low + high),
+                ..Placement::default()
+            },
+            initial: Initial::default(),
+            density: self.density(),
+            young: mu * (3.0 * lambda + 2.0 * mu) / (lambda + mu),
+            poisson: 0.5 * lambda / (lambda + mu),
+            model: ElasticModel::Corotational,
+            mass_damping: 0.0,
+            stiffness_damping: 0.0,
+            pins: vec![face(0.0), face(thickness)],
+            loads: Vec::new(),
+        };
+        let mesh = TetMesh::new(&solid, "section 6.4")?;
+        solid.loads = self.loads(&mesh, dx);
+        let domain = Domain {
+            size,
+            cells: [
+                (TANK[0] / dx).round() as usize,
+                (TANK[1] / dx).round() as usize,
+                LAYERS,
+            ],
+            gravity: GRAVITY * DVec3::Y,
+        };
+        let below = Region {
+            shape: Shape::HalfSpace {
+                point: LEVEL * DVec3::Y,
+                normal: DVec3::Y,
+            },
+            subtract: false,
+            velocity: DVec3::ZERO,
+        };
+        Ok(Scene {
+            name: format!("section_6_4_{cells}"),
+            file: "section 6.4".into(),
+            hash: String::new(),
+            scale: 1.0,
+            overrides: Vec::new(),
+            domain,
+            time: Time {
+                duration: DT,
+                frames_per_second: 1.0 / DT,
+                cfl: 3.0,
+                fixed_step: Some(DT),
+            },
+            liquid: Some(Liquid {
+                density: DENSITY,
+                regions: vec![below],
+                surface: Surface::Fixed,
+                marker_radius: 0.87,
+                seed: 0,
+                volume_control: false,
+            }),
+            solids: vec![solid],
+            obstacles: Vec::new(),
+            probes: Vec::new(),
+            solver,
+            output: Output {
+                particles: false,
+                fields: false,
+                solids: false,
+                every: 1,
+            },
+            camera: Camera {
+                eye: 0.5 * size + 3.0 * DVec3::Z,
+                target: 0.5 * size,
+                up: DVec3::Y,
+                fov: 35.0,
+                size: [640, 480],
+            },
+        })
+    }
+
+    /// The deformed block of a scene as it starts.
+    pub fn deform(&self, solids: &Solids, state: &mut State) {
+        let middle = 0.5 * TANK[0];
+        let moved = solids.rest.iter().map(|rest| {
+            let y = rest.y - REST;
+            [
+                (self.alpha - 1.0) * (rest.x - middle),
+                self.height(y) - rest.y,
+                0.0,
+            ]
+        });
+        state.displacement = moved.collect();
+    }
+
+    /// The tractions as a force on each node of the four sides: their integrals times the shape functions over the sides' triangles,
+    /// exact, since T_L and T_R are of degree 3 in Y.
+    fn loads(&self, mesh: &TetMesh, dx: f64) -> Vec<Load> {
+        let mut forces = vec![DVec3::ZERO; mesh.nodes.len()];
+        let [top, bottom] = self.tractions_up();
+        for nodes in mesh.surface() {
+            let corners = nodes.map(|node| mesh.nodes[node as usize]);
+            let [a, b, c] = corners;
+            let cross = (b - a).cross(c - a);
+            let (area, normal) = (0.5 * cross.length(), cross.normalize());
+            let traction = |x: DVec3| {
+                let right = normal.x * self.traction_right(x.y - REST);
+                let up = if normal.y > 0.0 { top } else { bottom };
+                DVec3::new(right, normal.y * up, 0.0)
+            };
+            if normal.z.abs() > 0.5 {
+                continue;
+            }
+            // The triangle as a square of which one side has shrunk to the first corner.
+            for [s, of_s] in GAUSS {
+                for [t, of_t] in GAUSS {
+                    let weights = [1.0 - s, s * (1.0 - t), s * t];
+                    let x: DVec3 = weights.iter().zip(corners).map(|(w, x)| *w * x).sum();
+                    let force = 2.0 * area * s * of_s * of_t * traction(x);
+                    for (node, weight) in nodes.iter().zip(weights) {
+                        forces[*node as usize] += weight * force;
+                    }
+                }
+            }
+        }
+        let near = DVec3::splat(0.01 * dx);
+        let loaded = mesh.nodes.iter().zip(forces);
+        let loaded = loaded.filter(|(_, force)| *force != DVec3::ZERO);
+        loaded
+            .map(|(&x, force)| Load {
+                region: Shape::Box {
+                    min: x - near,
+                    max: x + near,
+                },
+                kind: LoadKind::Force(force),
+            })
+            .collect()
+    }
+}

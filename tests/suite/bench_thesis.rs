@@ -1,0 +1,156 @@
+//! `bench thesis` on its coarser grids: errors as printed with the thesis's pressure on patches, second order with the hydrostatic one, on
+//! the f64 path and in `mixed`.
+
+use std::fs;
+
+use cutwater::gpu::AdapterChoice;
+use cutwater::measure::bench_thesis::{Options, Order, Row, ThesisTable, bench_thesis};
+use cutwater::measure::plane_strain::{PlaneStrain, TABLE_6_5, TABLE_6_6};
+use cutwater::reference::{BlockPattern, solid_matrices};
+use cutwater::scene::{Precision, Solver};
+use cutwater::sim::solids_of;
+use cutwater::state::State;
+
+use crate::common::gpu;
+
+fn options(grids: &[usize]) -> Options {
+    Options {
+        tables: vec![ThesisTable::T6_5, ThesisTable::T6_6],
+        grids: grids.to_vec(),
+        precisions: vec![Precision::Mixed],
+        repeats: 1,
+        adapter: AdapterChoice::Best,
+    }
+}
+
+#[test]
+fn errors_are_the_printed_ones_and_fall() {
+    if gpu().is_none() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let mut told = 0;
+    let table = bench_thesis(&options(&[5, 10, 20]), folder.path(), &mut |_| told += 1).unwrap();
+    assert_eq!((told, table.rows.len()), (24, 24));
+    for row in &table.rows {
+        assert_eq!(row.status, "converged", "{row:?}");
+        if row.patch_pressure == "cell" {
+            let ratios = [row.ratio_p, row.ratio_v, row.ratio_u].map(Option::unwrap);
+            assert!((0.7..=1.4).contains(&ratios[0]), "{row:?}");
+            assert!(
+                ratios.iter().all(|ratio| (0.5..=2.0).contains(ratio)),
+                "{row:?}"
+            );
+            // On two cells across the block other errors are as large.
+            let explained = (0.75..=1.3).contains(&row.error_p_over_weight);
+            assert!(explained || row.grid == 5, "{row:?}");
+        } else {
+            assert!(row.error_p < 0.01, "{row:?}");
+        }
+    }
+    // Both paths solve for the same: what is stored in f32 is far below the errors.
+    let pairs = table.rows.chunks(2);
+    for pair in pairs {
+        let [cpu, gpu] = pair else { panic!("{pair:?}") };
+        assert_eq!((cpu.backend, gpu.backend), ("cpu", "gpu"));
+        let errors = |row: &Row| [row.error_p, row.error_v, row.error_u];
+        for (a, b) in errors(cpu).into_iter().zip(errors(gpu)) {
+            assert!((a - b).abs() < 1e-5, "{cpu:?} {gpu:?}");
+        }
+    }
+    let ours = |order: &&Order| order.patch_pressure == "hydrostatic";
+    let orders: Vec<&Order> = table.orders.iter().filter(ours).collect();
+    assert_eq!(orders.len(), 4);
+    for order in orders {
+        assert!(order.order_p >= 1.8 && order.order_v >= 1.2, "{order:?}");
+    }
+    for file in [
+        "thesis.csv",
+        "thesis_orders.csv",
+        "thesis.json",
+        "thesis.svg",
+    ] {
+        let text = fs::read_to_string(folder.path().join(file)).unwrap();
+        assert!(!text.is_empty() && !text.contains("NaN"), "{file}");
+    }
+}
+
+#[test]
+fn the_problem_is_the_thesis_s() {
+    // Validation.md's own evaluation of (6.3), (6.4), (6.6) to (6.10).
+    for (problem, beta, gamma, density, up, right) in [
+        (
+            TABLE_6_5,
+            0.008775,
+            0.97149,
+            0.8775,
+            -1.89,
+            [-4.70706, -4.85966, -5.01431],
+        ),
+        (
+            TABLE_6_6,
+            0.00201667,
+            1.0991933,
+            1.21,
+            40.44,
+            [40.60083, 40.44009, 40.27881],
+        ),
+    ] {
+        let [top, bottom] = problem.tractions_up();
+        let heights = [0.0, 0.2, 0.4];
+        let tractions = heights.map(|y| problem.traction_right(y));
+        let found = [
+            problem.beta(),
+            problem.gamma(),
+            problem.density(),
+            top,
+            bottom,
+        ];
+        let expected = [beta, gamma, density, up, up];
+        for (a, b) in found
+            .iter()
+            .chain(&tractions)
+            .zip(expected.iter().chain(&right))
+        {
+            assert!((a - b).abs() < 6e-6, "{a} {b}");
+        }
+    }
+    assert_eq!(PlaneStrain::pressure(0.3), 0.5);
+}
+
+#[test]
+fn loads_balance_weight_and_pressure() {
+    for problem in [TABLE_6_5, TABLE_6_6] {
+        let scene = problem.scene(20, Solver::default()).unwrap();
+        let solids = solids_of(&scene).unwrap();
+        let thickness = scene.domain.size.z;
+        let sum = solids.load.iter().copied().sum::<glam::DVec3>();
+        // On the top T_T and on the bottom T_B = -T_T, on the sides T_R and T_L = -T_R.
+        assert!(sum.length() < 1e-12 * 40.0 * thickness, "{sum}");
+        let weight: f64 = solids.mass.iter().sum();
+        let floats = problem.alpha * 0.4 * (problem.y2 - problem.y1) * thickness;
+        assert!((weight - floats).abs() < 1e-12, "{weight} {floats}");
+        // Elements turn nowhere: F is diagonal in the interpolant too.
+        let mut state = State::default();
+        problem.deform(&solids, &mut state);
+        let pattern = std::sync::Arc::new(BlockPattern::new(&solids));
+        let matrices = solid_matrices(&solids, &pattern, &state.displacement);
+        for deformation in &matrices.deformations {
+            let off = deformation.rotation - glam::DMat3::IDENTITY;
+            assert!(
+                off.to_cols_array().iter().all(|x| x.abs() < 1e-12),
+                "{deformation:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn grids_that_do_not_fit_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    for grid in [0, 12, 325] {
+        let error = bench_thesis(&options(&[grid]), folder.path(), &mut |_| {}).unwrap_err();
+        assert_eq!(error.exit_code(), 2);
+        assert!(error.to_string().contains("multiples of 5"), "{error}");
+    }
+}
