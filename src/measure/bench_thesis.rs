@@ -13,7 +13,7 @@ use plotters::prelude::*;
 use serde::Serialize;
 
 use crate::Error;
-use crate::gpu::AdapterChoice;
+use crate::gpu::{AdapterChoice, Gpu};
 use crate::grid::Axis;
 use crate::reference::Reference;
 use crate::scene::{PatchPressure, Precision, Scene, Solver};
@@ -230,24 +230,18 @@ pub fn bench_thesis(
         }
     }
     fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
-    let (mut rows, mut machine) = (Vec::new(), None);
+    let machine = Machine::new(&Gpu::new(&options.adapter)?, options.repeats)?;
+    let mut rows = Vec::new();
     for &table in &options.tables {
         for patches in [PatchPressure::Cell, PatchPressure::Hydrostatic] {
             for &grid in &options.grids {
-                for row in measure(table, patches, grid, options, &mut machine)? {
+                for row in measure(table, patches, grid, options)? {
                     tell(&row);
                     rows.push(row);
                 }
             }
         }
     }
-    let machine = machine.ok_or_else(|| {
-        Error::input(
-            "bench thesis".to_owned(),
-            "nothing to measure",
-            "name a table, a grid and a precision that the adapter has",
-        )
-    })?;
     let orders = orders(&rows, &options.tables);
     let table = Table {
         machine,
@@ -270,7 +264,6 @@ fn measure(
     patches: PatchPressure,
     grid: usize,
     options: &Options,
-    machine: &mut Option<Machine>,
 ) -> Result<Vec<Row>, Error> {
     let solver = |precision: Precision| Solver {
         tolerance: TOLERANCE,
@@ -312,9 +305,6 @@ fn measure(
             Err(Error::Limit { .. }) if precision == Precision::F64 => continue,
             Err(error) => return Err(error),
         };
-        if machine.is_none() {
-            *machine = Some(Machine::new(path.gpu(), options.repeats)?);
-        }
         let density = scene.liquid.as_ref().map_or(0.0, |liquid| liquid.density);
         // The first compiles.
         let mut done = sub_step(&mut path, case.state, density)?;

@@ -154,3 +154,25 @@ fn grids_that_do_not_fit_are_refused() {
         assert!(error.to_string().contains("multiples of 5"), "{error}");
     }
 }
+
+#[test]
+fn an_adapter_without_the_precision_leaves_the_f64_path() {
+    let Some(gpu) = gpu() else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let options = Options {
+        tables: vec![ThesisTable::T6_5],
+        precisions: vec![Precision::F64],
+        ..options(&[5])
+    };
+    let table = bench_thesis(&options, folder.path(), &mut |_| {}).unwrap();
+    let backends: Vec<&str> = table.rows.iter().map(|row| row.backend).collect();
+    let expected: &[&str] = match gpu.has_f64() {
+        true => &["cpu", "gpu", "cpu", "gpu"],
+        false => &["cpu", "cpu"],
+    };
+    assert_eq!(backends, expected);
+    assert_eq!(table.machine.adapter, gpu.report().name);
+    assert!(folder.path().join("thesis.csv").exists());
+}
