@@ -24,7 +24,7 @@ use super::bench_accuracy::{Answer, Done, sub_step};
 use super::bench_solve::name;
 use super::plane_strain::{PlaneStrain, TABLE_6_5, TABLE_6_6};
 use super::statistics::Spread;
-use super::table::{Machine, write_csv, write_json, write_svg};
+use super::table::{Machine, log_range, write_csv, write_json, write_svg};
 
 /// Relative, of the true residuals: far below every error.
 const TOLERANCE: f64 = 1e-10;
@@ -586,8 +586,8 @@ fn draw(
                 .x_label_area_size(44)
                 .y_label_area_size(70)
                 .build_cartesian_2d(
-                    range(points.iter().map(|point| point.0)).log_scale(),
-                    range(points.iter().map(|point| point.1)).log_scale(),
+                    log_range(points.iter().map(|point| point.0)).log_scale(),
+                    log_range(points.iter().map(|point| point.1)).log_scale(),
                 )?;
             chart
                 .configure_mesh()
@@ -627,10 +627,4 @@ fn draw(
     }
     root.present()?;
     Ok(())
-}
-
-/// From below the least to above the largest.
-fn range(values: impl Iterator<Item = f64> + Clone) -> std::ops::Range<f64> {
-    let least = values.clone().fold(f64::INFINITY, f64::min);
-    least / 1.5..1.5 * values.fold(0.0, f64::max)
 }

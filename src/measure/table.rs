@@ -1,5 +1,6 @@
 //! What the tables of the benches share: where they were measured, and how they are written.
 
+use std::ops::Range;
 use std::path::Path;
 
 use plotters::prelude::SVGBackend;
@@ -93,4 +94,10 @@ pub(super) fn write_svg(
     let mut text = String::new();
     draw(SVGBackend::with_string(&mut text, size)).map_err(|error| Error::output(path, error))?;
     write_atomically(path, text.as_bytes())
+}
+
+/// What a logarithmic axis of positive values spans: from below the least to above the largest.
+pub(super) fn log_range(values: impl Iterator<Item = f64> + Clone) -> Range<f64> {
+    let least = values.clone().fold(f64::INFINITY, f64::min);
+    least / 1.5..1.5 * values.fold(0.0, f64::max)
 }
