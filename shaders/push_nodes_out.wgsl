@@ -1,5 +1,6 @@
 // move_solid, second part, with obstacles only: nodes inside an obstacle move to its surface along the gradient of the
-// interpolated distance, twice at most and as far as that is in the domain, and lose their velocity into it. Prescribed components stay. One thread per node.
+// interpolated distance, twice at most and as far as that is in the domain, and lose their velocity into it. Prescribed components stay,
+// and so do nodes without a velocity, which were inside before: contact takes them out. One thread per node.
 // level, step. rest: m. flags: see node_flags. solid_distance: cell centres, m. displacement: larger parts, then smaller, m;
 // velocity: m/s; both in place.
 #import dispatch
@@ -29,6 +30,10 @@ fn push_nodes_out(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_in
     if node >= step.n_nodes {
         return;
     }
+    var v = velocity[node].xyz;
+    if all(v == Real3()) {
+        return;
+    }
     let rest_position = Real3(rest[node].xyz);
     var u = Pair(displacement[node].xyz, displacement[step.n_nodes + node].xyz);
     var distance = sample_distance(vec3<f32>(rest_position + pair_value(u)) * step.inv_dx);
@@ -36,7 +41,6 @@ fn push_nodes_out(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_in
         return;
     }
     let free = is_free(flags[node]);
-    var v = velocity[node].xyz;
     for (var t = 0; t < TRIES && distance.x < 0.0; t++) {
         let steepness = length(distance.yzw);
         if steepness < SMALLEST_GRADIENT * step.dx {

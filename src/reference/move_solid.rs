@@ -12,6 +12,8 @@ const PUSHES: usize = 2;
 /// u += dt v. Then a node beyond a wall of the domain is put on the wall, and one inside an obstacle on its surface along the gradient
 /// of the interpolated distance, as far as that is in the domain; both lose their velocity into what they touch. Prescribed components
 /// move, but nothing stops them. What the solve held is where it should be: this is for what it did not foresee, as surfaces that curve.
+/// A node without a velocity was inside before, as solids may start in obstacles: contact takes it out in the solve, which moves its body
+/// with it, where putting it on the surface by itself would squeeze what lies behind.
 ///
 /// `displacement` (m) and `velocity` (m/s): of all nodes, in place; `solid_distance`: per cell, m.
 pub fn move_solid(
@@ -43,6 +45,9 @@ pub fn move_solid(
             u[axis] += dt * v[axis];
         }
         out_of_walls(u, v);
+        if *v == [0.0; 3] {
+            continue;
+        }
         for _ in 0..PUSHES {
             let x = rest + DVec3::from(*u);
             let depth = grid.sample_cells(solid_distance, x);

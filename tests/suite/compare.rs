@@ -240,6 +240,7 @@ box = { min = [0, 0, 0], max = [1, 0.5, 1] }
 name = \"block\"
 mesh = { box = { size = [0.3, 0.3, 0.3], cells = [2, 2, 2] } }
 placement = { translate = [0.15, 0.15, 0.5] }
+initial = { velocity = [0.5, 0.0, 0.0] }
 density = 2000.0
 young = 1e6
 poisson = 0.4
