@@ -1,6 +1,7 @@
-// Stage closed_components, only where some are closed: every cell gets the label of its root, and its quad a flag if the component is
-// closed.
-// list: active quads. state: see components. labels: in and out, see components. flags: closed lanes, in bits 4-7.
+// Stage closed_components, only where some have no free surface: every cell gets the label of its root, and its quad a flag if the
+// component is closed, and another if it is closed or sealed.
+// list: active quads. state: see components. labels: in and out, see components. flags: closed lanes, in bits 4-7, and those without a free surface, in bits 8-11.
+#import active
 #import dispatch
 #import level
 #import find
@@ -19,7 +20,7 @@ fn components_flag(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_i
     let entry = list[ix];
     let q = entry & ~UNIFORM;
     let flag = flags[q];
-    var closed = 0u;
+    var found = 0u;
     var label = NONE;
     for (var l = 0u; l < 4u; l++) {
         if (flag & (1u << l)) == 0u {
@@ -28,12 +29,14 @@ fn components_flag(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_i
         // The cells of a uniform quad are joined.
         if l == 0u || (entry & UNIFORM) == 0u {
             let root = find(4u * q + l);
-            label = root | (atomicLoad(&labels[root]) & OPEN);
+            label = root | (atomicLoad(&labels[root]) & MARKS);
         }
         atomicStore(&labels[4u * q + l], label);
         if (label & OPEN) == 0u {
-            closed |= 16u << l;
+            found |= (1u << CLOSED | 1u << SURFACELESS) << l;
+        } else if (label & SEALED) != 0u {
+            found |= (1u << SURFACELESS) << l;
         }
     }
-    flags[q] = flag | closed;
+    flags[q] = flag | found;
 }

@@ -12,12 +12,15 @@
 fn components_gate() {
     let closed = state[COUNTER];
     let quads = args[3];
-    state[CLOSED] = closed;
+    state[N_CLOSED] = closed;
+    let any = closed + state[SEALS] > 0u;
     state[COUNTER] = 0u;
+    state[SEALS] = 0u;
     state[QUADS] = quads;
     state[LARGEST] = 0u;
     state[LARGEST + 1u] = 0u;
-    let n = select(0u, quads, closed > 0u);
-    sizes[0] = vec4<u32>(workgroups_for(n), n);
-    sizes[1] = vec4<u32>(workgroups_for((n + RUN - 1u) / RUN), n);
+    let flagged = select(0u, quads, any);
+    let summed = select(0u, quads, closed > 0u);
+    sizes[0] = vec4<u32>(workgroups_for(flagged), flagged);
+    sizes[1] = vec4<u32>(workgroups_for((summed + RUN - 1u) / RUN), summed);
 }

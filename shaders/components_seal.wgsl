@@ -47,12 +47,13 @@ fn components_seal(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_i
         let l = firstTrailingBit(gives_way);
         gives_way &= gives_way - 1u;
         let root = find(4u * quad + l);
-        if (atomicLoad(&labels[root]) & OPEN) == 0u && (atomicOr(&labels[root], OPEN) & OPEN) == 0u {
+        if (atomicLoad(&labels[root]) & OPEN) == 0u && (atomicOr(&labels[root], MARKS) & OPEN) == 0u {
             left_over--;
         }
     }
     if left_over != 0u {
         // Modulo 2^32, as in components_open.
         atomicAdd(&state[COUNTER], left_over);
+        atomicAdd(&state[SEALS], 0u - left_over);
     }
 }

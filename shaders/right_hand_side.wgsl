@@ -32,7 +32,7 @@ fn right_hand_side(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_i
     var b = net_inflow(quad);
     let rate = bitcast<f32>(report[RATE]);
     if rate != 0.0 {
-        let grows = bit_lanes(~flags[quad] >> CLOSED);
+        let grows = bit_lanes(~flags[quad] >> SURFACELESS);
         b += Real(rate) * Real(step.dx) * select(Real4(), open_volume(quad), grows);
     }
     rhs[quad] = select(Real4(), b, bit_lanes(flags[quad]));

@@ -3,10 +3,10 @@
 // The root of a cell's component. The including file declares labels as atomics.
 fn find(cell: u32) -> u32 {
     var at = cell;
-    var above = atomicLoad(&labels[at]) & ~OPEN;
+    var above = atomicLoad(&labels[at]) & ~MARKS;
     while above != at {
         at = above;
-        above = atomicLoad(&labels[at]) & ~OPEN;
+        above = atomicLoad(&labels[at]) & ~MARKS;
     }
     return at;
 }

@@ -17,7 +17,7 @@ use super::system::SolverBuffers;
 /// Words of [`SolverBuffers::components`].
 pub(super) const STATE_WORDS: usize = 8;
 /// Word with the number of closed components; `shaders/common/components.wgsl` names the words.
-pub(super) const CLOSED: usize = 0;
+pub(super) const N_CLOSED: usize = 0;
 /// Words with the largest magnitude in closed components: of the right-hand side, of the potential.
 const LARGEST: [u32; 2] = [4, 5];
 
@@ -32,7 +32,8 @@ pub struct Components {
     flag: Bound,
     rhs: Means,
     potential: Means,
-    /// Dispatch sizes of what closed components call for: a thread per active quad; fewer, with a run of quads each.
+    /// Dispatch sizes: a thread per active quad where some component has no free surface; where some are closed fewer, with a run of quads
+    /// each.
     sizes: Buffer<u32>,
 }
 
@@ -83,7 +84,7 @@ impl Components {
     }
 
     /// Records the labelling, with solids also by which components they seal. Afterwards bits 4 to 7 of [`SolverBuffers::flags`] say which
-    /// lanes of a quad belong to closed components.
+    /// lanes of a quad belong to closed components, bits 8 to 11 which belong to those without a free surface, closed or sealed.
     pub fn label(&self, pass: &mut Pass, buffers: &SolverBuffers, seal: Option<&Seal>) {
         for bound in [&self.init, &self.merge, &self.open] {
             pass.dispatch_indirect(bound, &buffers.args, 0);

@@ -10,7 +10,7 @@ use crate::gpu::{
 use crate::scene::{Precision, Solver};
 use crate::state::SolveStatus;
 
-use super::components::{CLOSED, STATE_WORDS};
+use super::components::{N_CLOSED, STATE_WORDS};
 use super::pcg::{Fold, N_SCALARS, Pcg, State, Unknowns};
 use super::{Control, Level};
 
@@ -416,7 +416,7 @@ impl<S: System> OuterLoop<S> {
             control: control.wait(gpu)?[0],
             norms: self.norms.widen(&norms.wait(gpu)?),
             closed: match components {
-                Some(components) => components.wait(gpu)?[CLOSED],
+                Some(components) => components.wait(gpu)?[N_CLOSED],
                 None => 0,
             },
         };

@@ -31,6 +31,8 @@ fn hostile_cases_keep_their_energy() {
         "gap_solids_0.2_light",
         "droplet_one",
         "closed_light",
+        "closed_stiff",
+        "wall_obstacle",
         "empty_nothing",
     ];
     let mut told = 0;

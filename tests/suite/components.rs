@@ -13,6 +13,8 @@ use crate::solver::{Case, Device, largest};
 
 /// Bit of a label whose component has a free surface.
 const OPEN: u32 = 0x8000_0000;
+/// Bit of a label whose component has none, but a solid that gives way.
+const SEALED: u32 = 0x4000_0000;
 
 /// The smallest cell of every active cell's component.
 fn flood(active: &ActiveCells) -> BTreeMap<usize, usize> {
@@ -52,29 +54,40 @@ pub(crate) fn assert_labels(device: &Device, name: &str, case: &Case, active: &A
     assert_eq!(found, active.closed.len(), "{name}: closed components");
 
     let flags = gpu.download(&device.buffers.flags).unwrap();
-    let mut closed = vec![false; grid.n_cells()];
-    active
-        .closed
-        .iter()
-        .flatten()
-        .for_each(|&cell| closed[cell] = true);
-    for (cell, &closed) in closed.iter().enumerate() {
+    let of = |components: &[Vec<usize>]| {
+        let mut found = vec![false; grid.n_cells()];
+        components
+            .iter()
+            .flatten()
+            .for_each(|&cell| found[cell] = true);
+        found
+    };
+    let (closed, sealed) = (of(&active.closed), of(&active.sealed));
+    for cell in 0..grid.n_cells() {
         let at = padded.index(grid.cell_at(cell));
         let flag = flags[at / 4] >> (at % 4);
         assert_eq!(
-            (flag & 1 == 1, flag >> 4 & 1 == 1),
-            (active.stencil.active(cell), closed),
-            "{name}: active and closed flag of cell {:?}",
+            [0, 4, 8].map(|bit| flag >> bit & 1 == 1),
+            [
+                active.stencil.active(cell),
+                closed[cell],
+                closed[cell] || sealed[cell]
+            ],
+            "{name}: active, closed and surfaceless flag of cell {:?}",
             grid.cell_at(cell)
         );
     }
-    if found == 0 {
+    if active.closed.len() + active.sealed.len() == 0 {
         return;
     }
     let labels = gpu.download(&device.buffers.labels).unwrap();
     for (cell, root) in flood(active) {
         let root = padded.index(grid.cell_at(root)) as u32;
-        let expected = if closed[cell] { root } else { root | OPEN };
+        let expected = match (closed[cell], sealed[cell]) {
+            (true, _) => root,
+            (_, true) => root | OPEN | SEALED,
+            _ => root | OPEN,
+        };
         let label = labels[padded.index(grid.cell_at(cell))];
         assert_eq!(
             label,

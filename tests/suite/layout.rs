@@ -216,7 +216,11 @@ const SHARED: &[(&str, &str, &[&str])] = &[
         "refine_turn",
         &["ROUND_MARGIN", "ROUNDING_OF_X"],
     ),
-    ("src/solver/components.rs", "common/components", &["CLOSED"]),
+    (
+        "src/solver/components.rs",
+        "common/components",
+        &["N_CLOSED"],
+    ),
     (
         "src/solver/coupled_host.rs",
         "coupled_turn",

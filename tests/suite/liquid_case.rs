@@ -241,9 +241,14 @@ pub(crate) struct ActiveBuffers {
 impl ActiveBuffers {
     /// Those that a liquid distance (m) makes.
     pub(crate) fn new(gpu: &Gpu, case: &Case, phi: &[f64]) -> ActiveBuffers {
+        let cells = active_cells(&case.grid, &case.cut.open, phi, single(THETA_FLOOR));
+        ActiveBuffers::of(gpu, case, cells)
+    }
+
+    /// These.
+    pub(crate) fn of(gpu: &Gpu, case: &Case, cells: ActiveCells) -> ActiveBuffers {
         let grid = &case.grid;
         let padded = grid.padded();
-        let cells = active_cells(grid, &case.cut.open, phi, single(THETA_FLOOR));
         let mut flags = vec![0u32; padded.quads];
         let mut mark = |cell: usize, shift: usize| {
             let index = padded.index(grid.cell_at(cell));
@@ -254,6 +259,9 @@ impl ActiveBuffers {
         }
         for &cell in cells.closed.iter().flatten() {
             mark(cell, 4);
+        }
+        for &cell in cells.closed.iter().chain(&cells.sealed).flatten() {
+            mark(cell, 8);
         }
         // The solver tags some of its entries.
         let list: Vec<u32> = (0..padded.quads as u32)
