@@ -16,7 +16,7 @@ use serde::Serialize;
 
 use crate::Error;
 use crate::effects::Effects;
-use crate::gpu::AdapterChoice;
+use crate::gpu::{AdapterChoice, Gpu};
 use crate::grid::Axis;
 use crate::reference::{Formulation as Form, SolidSolver, solve, solve_coupled};
 use crate::scene::{CouplingScheme, Formulation, Precision, Preconditioner, Scene, Solver};
@@ -205,14 +205,18 @@ pub fn bench_accuracy(
             ));
         }
     }
+    if options.scenes.is_empty() {
+        return Err(Error::input(
+            "bench accuracy",
+            "no scene to measure",
+            "give one scene file or more",
+        ));
+    }
     fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
+    let machine = Machine::new(&Gpu::new(&options.adapter)?, options.repeats)?;
     let mut rows = Vec::new();
-    let mut machine = None;
     for scene in &options.scenes {
         let mut simulation = Simulation::new(scene, &Backend::Gpu(options.adapter.clone()))?;
-        if let (None, Some(gpu)) = (&machine, simulation.gpu()) {
-            machine = Some(Machine::new(gpu, options.repeats)?);
-        }
         for &frame in &options.frames {
             while simulation.clock().frame < frame {
                 simulation.step()?;
@@ -225,13 +229,6 @@ pub fn bench_accuracy(
         }
     }
     let best = recommend(&rows);
-    let machine = machine.ok_or_else(|| {
-        Error::input(
-            "bench accuracy".to_owned(),
-            "no scene to measure",
-            "name one",
-        )
-    })?;
     let table = Table {
         machine,
         rows,
@@ -250,14 +247,17 @@ pub fn bench_accuracy(
 /// All rows of a state.
 fn measure(scene: &Scene, state: &State, options: &Options) -> Result<Vec<Row>, Error> {
     let case = Case::new(scene, state)?;
-    let mut ways = Vec::new();
+    let (mut ways, mut refused) = (Vec::new(), None);
     let together = Effects::of(scene).coupling;
     for &precision in &options.precisions {
         for &preconditioner in &options.preconditioners {
             for &formulation in &options.formulations {
                 let apart = !together && formulation != options.formulations[0];
-                let condensed = formulation == Formulation::Condensed;
-                if apart || together && condensed && precision == Precision::F32 {
+                let condensed = together && formulation == Formulation::Condensed;
+                // The two-field form alone has blocks of nodes, the condensed one no f32: as in a scene.
+                let blocks = preconditioner == Preconditioner::BlockJacobi;
+                let without = blocks && (condensed || !together);
+                if apart || without || condensed && precision == Precision::F32 {
                     continue;
                 }
                 let solver = Solver {
@@ -274,11 +274,20 @@ fn measure(scene: &Scene, state: &State, options: &Options) -> Result<Vec<Row>, 
                 match Way::new(&case, solver, &options.adapter) {
                     Ok(way) => ways.push(way),
                     // The adapter has no f64, or solids are too large for the form.
-                    Err(Error::Limit { .. }) => {}
+                    Err(error @ Error::Limit { .. }) => refused = Some(error),
                     Err(error) => return Err(error),
                 }
             }
         }
+    }
+    if ways.is_empty() {
+        return Err(refused.unwrap_or_else(|| {
+            Error::input(
+                scene.file.display().to_string(),
+                "none of the precisions and preconditioners asked for can solve it",
+                "block_jacobi is for solids in liquid, and f32 not for the condensed form: add others",
+            )
+        }));
     }
     let mut jobs: Vec<(usize, usize)> = Vec::new();
     for way in 0..ways.len() {

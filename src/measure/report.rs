@@ -133,7 +133,7 @@ fn gather(dir: &Path, folders: &mut Vec<Folder>) -> Result<(), Error> {
             _ => {}
         }
     }
-    // The frames of an animation are one picture file more.
+    // A run's preview has a picture for each frame; before them sorts the animation, which browsers play.
     folder.pictures = some_of(folder.pictures);
     if !(folder.svg.is_empty() && folder.csv.is_empty() && folder.pictures.is_empty()) {
         folders.push(folder);
