@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use cutwater::elastic::Solids;
 use cutwater::geometry::{initial_state, obstacle_cut};
 use cutwater::grid::{Axis, Grid};
+use cutwater::measure::bench_accuracy::dam_release;
 use cutwater::reference::{Reference, TimeStep, probe};
 use cutwater::scene::{ProbeKind, Scene, Shape};
 use cutwater::state::{LiquidReport, SolveStatus, State, StepReport};
@@ -227,17 +228,6 @@ fn a_full_box_and_a_full_sphere_rest_and_report_a_closed_component() {
             "the mean pressure of a closed component is {mean} Pa"
         );
     }
-}
-
-/// The exact pressure over rho g H at the instant a dam of width a = H is removed; `x` and `y` over H.
-fn dam_release(x: f64, y: f64) -> f64 {
-    let term = |n: u32| {
-        let k = (f64::from(n) + 0.5) * std::f64::consts::PI;
-        // cosh(k x) / cosh(k), without overflow.
-        let ratio = ((k * (x - 1.0)).exp() + (-k * (x + 1.0)).exp()) / (1.0 + (-2.0 * k).exp());
-        2.0 / (k * k) * (k * y).cos() * ratio
-    };
-    1.0 - y - (0..4000).map(term).sum::<f64>()
 }
 
 #[test]

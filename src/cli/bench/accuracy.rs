@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use cutwater::Error;
-use cutwater::measure::bench_accuracy::{Options, bench_accuracy};
+use cutwater::measure::bench_accuracy::{GridRow, Heard, Options, Row, bench_accuracy};
 use cutwater::scene::{Formulation, Scene};
 
 use super::{PrecisionName, PreconditionerName, check_tolerance, tell_machine};
@@ -13,7 +13,7 @@ use crate::cli::AdapterArgs;
 #[derive(Debug, Args)]
 pub(super) struct Accuracy {
     /// Scene files (TOML)
-    #[arg(required = true)]
+    #[arg(required_unless_present = "grids")]
     scenes: Vec<PathBuf>,
     /// Multiply domain.cells, rounded
     #[arg(long, default_value_t = 1.0)]
@@ -24,6 +24,9 @@ pub(super) struct Accuracy {
     /// Frames whose states are solved from
     #[arg(long, value_delimiter = ',', default_values_t = [10])]
     frames: Vec<u64>,
+    /// Also solve problems that are known exactly with so many cells along 1 m, multiples of 10
+    #[arg(long, value_delimiter = ',')]
+    grids: Vec<usize>,
     /// Precisions to measure
     #[arg(long, value_enum, value_delimiter = ',', default_values_t = [PrecisionName::F32, PrecisionName::Mixed, PrecisionName::F64])]
     precision: Vec<PrecisionName>,
@@ -54,9 +57,12 @@ impl Accuracy {
         let load = |path: &PathBuf| Scene::load(path, &self.overrides, self.scale);
         let mut frames = self.frames.clone();
         frames.sort_unstable();
+        let mut grids = self.grids.clone();
+        grids.sort_unstable();
         let options = Options {
             scenes: self.scenes.iter().map(load).collect::<Result<_, _>>()?,
             frames,
+            grids,
             precisions: self.precision.iter().map(|name| name.precision()).collect(),
             preconditioners: self
                 .preconditioner
@@ -69,28 +75,18 @@ impl Accuracy {
             repeats: self.repeats,
             adapter: self.adapter.choice(),
         };
-        say!(
-            "scene            frame  precision preconditioner formulation tolerance  iterations  seconds (least, largest)  error of p, of v"
-        );
-        let table = bench_accuracy(&options, &self.out, &mut |row| {
-            say!(
-                "{:16} {:5}  {:9} {:14} {:11} {:9.0e}  {:10}  {:.4} ({:.4}, {:.4})  {:.1e} {:.1e} {}",
-                row.scene,
-                row.frame,
-                row.precision,
-                row.preconditioner,
-                row.formulation,
-                row.tolerance,
-                row.iterations,
-                row.seconds_median,
-                row.seconds_min,
-                row.seconds_max,
-                row.error_p,
-                row.error_v,
-                row.status,
-            );
+        let head =
+            "precision preconditioner formulation tolerance  iterations  seconds (least, largest)";
+        if !options.scenes.is_empty() {
+            say!("scene            frame  {head}  error of p, of v");
+        }
+        let table = bench_accuracy(&options, &self.out, &mut |heard| match heard {
+            Heard::State(row) => tell_state(row),
+            Heard::Grid(row) => tell_grid(row),
         })?;
-        say!("the cheapest with both errors below");
+        if !table.best.is_empty() {
+            say!("the cheapest with both errors below");
+        }
         for best in &table.best {
             say!(
                 "{:16} {:5}  {:5.0e}: {}, {}, {}, tolerance {:.0e}: {:.4} s in {} iterations",
@@ -105,8 +101,61 @@ impl Accuracy {
                 best.iterations,
             );
         }
+        if !table.grids_best.is_empty() {
+            say!("the cheapest grid, precision and tolerance with errors below");
+        }
+        for best in &table.grids_best {
+            say!(
+                "{:13} {:5.0e}: {} cells along 1 m, {}, tolerance {:.0e}: {:.4} s",
+                best.problem,
+                best.target,
+                best.grid,
+                best.precision,
+                best.tolerance,
+                best.seconds_median,
+            );
+        }
         tell_machine(&table.machine);
         say!("tables and picture: {}", self.out.display());
         Ok(())
     }
+}
+
+fn tell_state(row: &Row) {
+    say!(
+        "{:16} {:5}  {:9} {:14} {:11} {:9.0e}  {:10}  {:.4} ({:.4}, {:.4})  {:.1e} {:.1e} {}",
+        row.scene,
+        row.frame,
+        row.precision,
+        row.preconditioner,
+        row.formulation,
+        row.tolerance,
+        row.iterations,
+        row.seconds_median,
+        row.seconds_min,
+        row.seconds_max,
+        row.error_p,
+        row.error_v,
+        row.status,
+    );
+}
+
+fn tell_grid(row: &GridRow) {
+    let speed = row
+        .error_u
+        .map_or(String::new(), |u| format!(", of u {u:.1e}"));
+    say!(
+        "{:13} {:4}  {:5} {:5.0e}  {:4} iterations  {:.4} s ({:.4}, {:.4})  error of p {:.1e} (of the grid {:.1e}){speed} {}",
+        row.problem,
+        row.grid,
+        row.precision,
+        row.tolerance,
+        row.iterations,
+        row.seconds_median,
+        row.seconds_min,
+        row.seconds_max,
+        row.error_p,
+        row.grid_error_p,
+        row.status,
+    );
 }

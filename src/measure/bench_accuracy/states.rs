@@ -1,64 +1,26 @@
-//! `bench accuracy`: what accuracy costs in time, on chosen states of chosen scenes.
-//!
-//! A scene runs to a frame; the sub-step that follows is then done again and again from the same state, in every precision, with every
-//! preconditioner, in every form of the corrections and to every tolerance, repeats in a shuffled order. The solve is timed on the host
-//! from when the right-hand sides are in place to when the answer is. Its errors are those against two truths: the direct solution in f64
-//! of the system that the device stores in that precision, which is what the solver could do better, and the same sub-step on the f64 path,
-//! which is what the whole path could do better. Systems of more than 60,000 unknowns have no direct solution: theirs is refined to 1e-13.
+//! Work and precision on states of scenes: every precision, preconditioner, form of the corrections and tolerance from the same state.
 
 use std::collections::BTreeMap;
-use std::fs;
-use std::path::Path;
-use std::time::Instant;
 
-use plotters::prelude::*;
 use serde::Serialize;
 
 use crate::Error;
 use crate::effects::Effects;
-use crate::gpu::{AdapterChoice, Gpu};
-use crate::grid::Axis;
+use crate::gpu::AdapterChoice;
 use crate::reference::{Formulation as Form, SolidSolver, solve, solve_coupled};
-use crate::scene::{CouplingScheme, Formulation, Precision, Preconditioner, Scene, Solver};
-use crate::sim::{Backend, GpuPath, Simulation, Snapshot, reference_path};
-use crate::stages::{Diagnose, RightHandSide};
-use crate::state::{SolveStatus, State, StepReport};
+use crate::scene::{Formulation, Precision, Preconditioner, Scene, Solver};
+use crate::sim::{GpuPath, Snapshot, reference_path};
+use crate::stages::RightHandSide;
+use crate::state::{SolveStatus, State};
 
-use super::bench_solve::{name, preconditioner_name};
-use super::statistics::Spread;
-use super::stored;
-use super::table::{Machine, write_csv, write_json, write_svg};
+use super::super::bench_solve::{name, preconditioner_name};
+use super::super::statistics::Spread;
+use super::super::stored;
+use super::sub_step::{Answer, Done, Mask, reference_step, sub_step};
+use super::{EXACT, MOST_ITERATIONS, Options, SEED, cheapest};
 
-/// Of the truths.
-const EXACT: f64 = 1e-13;
-const MOST_ITERATIONS: u32 = 20_000;
 /// Errors that a recommendation is made for.
 const TARGETS: [f64; 5] = [1e-2, 1e-4, 1e-6, 1e-8, 1e-10];
-/// Of the shuffling: the same order in every run.
-const SEED: u64 = 20;
-
-/// What to measure.
-#[derive(Clone, Debug)]
-pub struct Options {
-    /// Scenes, scaled.
-    pub scenes: Vec<Scene>,
-    /// Frames of each from whose states a sub-step is done, ascending.
-    pub frames: Vec<u64>,
-    /// What unknowns and residuals are held in; those that the adapter lacks are left out.
-    pub precisions: Vec<Precision>,
-    /// Preconditioners.
-    pub preconditioners: Vec<Preconditioner>,
-    /// Forms of the corrections where liquid and solids touch.
-    pub formulations: Vec<Formulation>,
-    /// Relative, of the true residuals.
-    pub tolerances: Vec<f64>,
-    /// Iterations in all rounds, at most.
-    pub max_iterations: u32,
-    /// Timed runs per row.
-    pub repeats: usize,
-    /// Where.
-    pub adapter: AdapterChoice,
-}
 
 /// A row of accuracy.csv.
 #[derive(Clone, Debug, Serialize)]
@@ -138,24 +100,6 @@ pub struct Best {
     pub error_v: f64,
 }
 
-/// The tables and where they were measured.
-#[derive(Clone, Debug, Serialize)]
-pub struct Table {
-    /// Where.
-    #[serde(flatten)]
-    pub machine: Machine,
-    /// A row per state, way to solve and tolerance.
-    pub rows: Vec<Row>,
-    /// A row per state and target that any row meets.
-    pub best: Vec<Best>,
-}
-
-/// A pressure per cell, Pa, and velocities of the nodes, m/s.
-pub(super) struct Answer {
-    pub(super) pressure: Vec<f64>,
-    pub(super) velocity: Vec<[f64; 3]>,
-}
-
 /// A sub-step from a state.
 struct Case<'a> {
     scene: &'a Scene,
@@ -164,8 +108,7 @@ struct Case<'a> {
     exact: Answer,
     /// Its velocities on the faces, m/s.
     faces: [Vec<f64>; 3],
-    /// Its unknowns.
-    active: Vec<bool>,
+    mask: Mask,
     dt: f64,
 }
 
@@ -178,74 +121,8 @@ struct Way {
     truth: Answer,
 }
 
-/// What a sub-step came to.
-pub(super) struct Done {
-    /// Of the solve.
-    pub(super) seconds: f64,
-    pub(super) report: StepReport,
-    pub(super) answer: Answer,
-    pub(super) faces: [Vec<f64>; 3],
-}
-
-/// Measures all rows and writes accuracy.csv, accuracy_best.csv, accuracy.json and accuracy.svg into `out`; `tell` hears of each row.
-///
-/// # Errors
-/// [`Error::Input`] for scenes of weak or damping-only coupling, [`Error::Output`], and what the simulations say.
-pub fn bench_accuracy(
-    options: &Options,
-    out: &Path,
-    tell: &mut dyn FnMut(&Row),
-) -> Result<Table, Error> {
-    for scene in &options.scenes {
-        if Effects::of(scene).coupling && scene.solver.coupling != CouplingScheme::Strong {
-            return Err(Error::input(
-                scene.file.display().to_string(),
-                "the errors are those of strong coupling",
-                "add --set solver.coupling=strong",
-            ));
-        }
-    }
-    if options.scenes.is_empty() {
-        return Err(Error::input(
-            "bench accuracy",
-            "no scene to measure",
-            "give one scene file or more",
-        ));
-    }
-    fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
-    let machine = Machine::new(&Gpu::new(&options.adapter)?, options.repeats)?;
-    let mut rows = Vec::new();
-    for scene in &options.scenes {
-        let mut simulation = Simulation::new(scene, &Backend::Gpu(options.adapter.clone()))?;
-        for &frame in &options.frames {
-            while simulation.clock().frame < frame {
-                simulation.step()?;
-            }
-            let state = simulation.state()?;
-            for row in measure(scene, &state, options)? {
-                tell(&row);
-                rows.push(row);
-            }
-        }
-    }
-    let best = recommend(&rows);
-    let table = Table {
-        machine,
-        rows,
-        best,
-    };
-    write_csv(&table.rows, &out.join("accuracy.csv"))?;
-    write_csv(&table.best, &out.join("accuracy_best.csv"))?;
-    write_json(&table, &out.join("accuracy.json"))?;
-    let states = states(&table.rows).len() as u32;
-    write_svg(&out.join("accuracy.svg"), (1200, 480 * states), |page| {
-        draw(&table.rows, page)
-    })?;
-    Ok(table)
-}
-
 /// All rows of a state.
-fn measure(scene: &Scene, state: &State, options: &Options) -> Result<Vec<Row>, Error> {
+pub(super) fn measure(scene: &Scene, state: &State, options: &Options) -> Result<Vec<Row>, Error> {
     let case = Case::new(scene, state)?;
     let (mut ways, mut refused) = (Vec::new(), None);
     let together = Effects::of(scene).coupling;
@@ -327,22 +204,15 @@ impl<'a> Case<'a> {
         exact.solver.max_iterations = MOST_ITERATIONS;
         let mut reference = reference_path(&exact)?;
         reference.reset(state.clone())?;
-        let time_step = reference.next_time_step();
-        reference.step(time_step)?;
-        let State {
-            pressure,
-            node_velocity: velocity,
-            velocity: faces,
-            active,
-            ..
-        } = reference.state().clone();
+        let dt = reference.next_time_step().dt;
+        let Done { answer, faces, .. } = reference_step(&mut reference, state)?;
         Ok(Case {
             scene,
             state,
-            exact: Answer { pressure, velocity },
+            exact: answer,
             faces,
-            active,
-            dt: time_step.dt,
+            mask: Mask::of(&reference),
+            dt,
         })
     }
 
@@ -363,11 +233,13 @@ impl<'a> Case<'a> {
         let iterations = solves.map(|solve| solve.map_or(0, |solve| solve.iterations));
         let mut statuses = solves.into_iter().flatten().map(|solve| solve.status);
         let failed = statuses.find(|status| *status != SolveStatus::Converged);
-        let active = |cell: usize| self.active.get(cell).is_some_and(|active| *active);
         let of_cells = |a: &[f64], b: &[f64]| {
-            let pairs = a.iter().zip(b).enumerate();
-            let pairs = pairs.filter(|(cell, _)| active(*cell));
-            relative(pairs.map(|(_, (a, b))| (*a, *b)))
+            let pairs = a.iter().zip(b).zip(&self.mask.cells);
+            relative(
+                pairs
+                    .filter(|(_, counts)| **counts)
+                    .map(|((a, b), _)| (*a, *b)),
+            )
         };
         let of_nodes = |a: &[[f64; 3]], b: &[[f64; 3]]| {
             let pairs = a.as_flattened().iter().zip(b.as_flattened());
@@ -414,17 +286,14 @@ impl<'a> Case<'a> {
         }
     }
 
-    /// Error of the velocities on the faces of active cells.
+    /// Error of the velocities on the faces that count.
     fn of_faces(&self, found: &[Vec<f64>; 3]) -> f64 {
-        let grid = self.scene.grid();
-        let pairs = Axis::ALL.into_iter().flat_map(|axis| {
-            let (found, exact) = (&found[axis.index()], &self.faces[axis.index()]);
-            let of_liquid = move |face: &usize| {
-                let sides = grid.face_sides(axis, grid.face_at(axis, *face)).into_iter();
-                sides.flatten().any(|cell| self.active[cell])
-            };
-            let faces = (0..found.len()).filter(of_liquid);
-            faces.map(|face| (found[face], exact[face]))
+        let axes = found.iter().zip(&self.faces).zip(&self.mask.faces);
+        let pairs = axes.flat_map(|((found, exact), counts)| {
+            let pairs = found.iter().zip(exact).zip(counts);
+            pairs
+                .filter(|(_, counts)| **counts)
+                .map(|((a, b), _)| (*a, *b))
         });
         relative(pairs)
     }
@@ -510,41 +379,8 @@ fn solution(
     Ok(answer)
 }
 
-/// Does the sub-step after a state once, with liquid of this density (kg/m^3).
-pub(super) fn sub_step(path: &mut GpuPath, state: &State, density: f64) -> Result<Done, Error> {
-    path.write_state(state)?;
-    let mut clock = None;
-    let (mut seconds, mut answer, mut faces) = (0.0, None, Default::default());
-    let dt = path.next_time_step().dt;
-    let report = path.step_observed(&mut |stage, path| {
-        path.gpu().wait("bench")?;
-        if stage == RightHandSide::NAME {
-            clock = Some(Instant::now());
-        } else if stage == "solve" {
-            seconds = clock.map_or(0.0, |clock| clock.elapsed().as_secs_f64());
-            let Snapshot { liquid, solids, .. } = path.snapshot()?;
-            let pressure = |liquid| stored::pressure(path, &liquid, density, dt);
-            answer = Some(Answer {
-                pressure: liquid.map_or(Vec::new(), pressure),
-                velocity: solids.map_or(Vec::new(), |solids| solids.velocity),
-            });
-        } else if stage == Diagnose::NAME
-            && let Some(liquid) = path.snapshot()?.liquid
-        {
-            faces = liquid.velocity;
-        }
-        Ok(())
-    })?;
-    Ok(Done {
-        seconds,
-        report,
-        answer: answer.expect("every sub-step has a solve"),
-        faces,
-    })
-}
-
 /// Scenes and frames, in the order of the rows.
-fn states(rows: &[Row]) -> Vec<(String, u64)> {
+pub(super) fn states(rows: &[Row]) -> Vec<(String, u64)> {
     let mut states: Vec<(String, u64)> = Vec::new();
     for row in rows {
         let state = (row.scene.clone(), row.frame);
@@ -556,7 +392,7 @@ fn states(rows: &[Row]) -> Vec<(String, u64)> {
 }
 
 /// The cheapest rows for each target.
-fn recommend(rows: &[Row]) -> Vec<Best> {
+pub(super) fn recommend(rows: &[Row]) -> Vec<Best> {
     let mut best = Vec::new();
     for (scene, frame) in states(rows) {
         for target in TARGETS {
@@ -564,8 +400,8 @@ fn recommend(rows: &[Row]) -> Vec<Best> {
                 let error = row.error_p.max(row.error_v);
                 row.scene == scene && row.frame == frame && error <= target
             };
-            let meeting = rows.iter().filter(meets);
-            let cheapest = meeting.min_by(|a, b| a.seconds_median.total_cmp(&b.seconds_median));
+            let cost = |row: &Row| ([row.seconds_median, row.seconds_min], row.tolerance);
+            let cheapest = cheapest(rows.iter().filter(meets), cost);
             best.extend(cheapest.map(|row| Best {
                 scene: scene.clone(),
                 frame,
@@ -582,91 +418,4 @@ fn recommend(rows: &[Row]) -> Vec<Best> {
         }
     }
     best
-}
-
-type ErrorOf = fn(&Row) -> f64;
-
-/// Error against seconds: a line of charts per state, of the pressure and of the velocities.
-fn draw(rows: &[Row], page: SVGBackend) -> Result<(), Box<dyn std::error::Error>> {
-    let root = page.into_drawing_area();
-    root.fill(&WHITE)?;
-    let states = states(rows);
-    let charts = root.split_evenly((states.len(), 2));
-    let key = |row: &Row| {
-        format!(
-            "{} {} {}",
-            row.precision, row.preconditioner, row.formulation
-        )
-    };
-    let mut keys: Vec<String> = rows.iter().map(key).collect();
-    keys.sort();
-    keys.dedup();
-    let errors: [(&str, ErrorOf); 2] = [
-        ("error of p", |row| row.error_p),
-        ("error of v", |row| row.error_v),
-    ];
-    for ((scene, frame), charts) in states.iter().zip(charts.chunks(2)) {
-        let here = |row: &&Row| row.scene == *scene && row.frame == *frame;
-        for ((label, error), chart) in errors.iter().zip(charts) {
-            let drawn = |row: &&Row| here(row) && error(row) > 0.0;
-            let points = rows.iter().filter(drawn);
-            let points: Vec<(f64, f64)> =
-                points.map(|row| (row.seconds_median, error(row))).collect();
-            if points.is_empty() {
-                continue;
-            }
-            let range = |of: fn(&(f64, f64)) -> f64| {
-                let values = || points.iter().map(of);
-                let (least, most) = (
-                    values().fold(f64::INFINITY, f64::min),
-                    values().fold(0.0, f64::max),
-                );
-                least / 1.5..most * 1.5
-            };
-            let mut chart = ChartBuilder::on(chart)
-                .caption(format!("{scene}, frame {frame}"), ("sans-serif", 18))
-                .margin(12)
-                .x_label_area_size(44)
-                .y_label_area_size(70)
-                .build_cartesian_2d(
-                    range(|point| point.0).log_scale(),
-                    range(|point| point.1).log_scale(),
-                )?;
-            chart
-                .configure_mesh()
-                .x_desc("seconds of the solve")
-                .x_labels(6)
-                .max_light_lines(1)
-                .x_label_formatter(&|seconds| format!("{seconds:.1e}"))
-                .y_desc(*label)
-                .y_label_formatter(&|error| format!("{error:.0e}"))
-                .draw()?;
-            for (index, series) in keys.iter().enumerate() {
-                let of_series = |row: &&Row| drawn(row) && key(row) == *series;
-                let rows: Vec<&Row> = rows.iter().filter(of_series).collect();
-                if rows.is_empty() {
-                    continue;
-                }
-                let colour = Palette99::pick(index).to_rgba();
-                let points = rows.iter().map(|row| (row.seconds_median, error(row)));
-                chart
-                    .draw_series(LineSeries::new(points, colour.stroke_width(2)).point_size(3))?
-                    .label(series.as_str())
-                    .legend(move |(x, y)| PathElement::new([(x, y), (x + 20, y)], colour));
-                for row in rows {
-                    let y = error(row);
-                    let spread = [(row.seconds_min, y), (row.seconds_max, y)];
-                    chart.draw_series([PathElement::new(spread, colour)])?;
-                }
-            }
-            chart
-                .configure_series_labels()
-                .position(SeriesLabelPosition::LowerLeft)
-                .border_style(BLACK)
-                .background_style(WHITE.mix(0.8))
-                .draw()?;
-        }
-    }
-    root.present()?;
-    Ok(())
 }

@@ -1,0 +1,108 @@
+//! A sub-step from a state, on the device and on the f64 path, and what of it counts as an error.
+
+use std::time::Instant;
+
+use crate::Error;
+use crate::grid::Axis;
+use crate::reference::Reference;
+use crate::sim::{GpuPath, Snapshot};
+use crate::stages::{Diagnose, RightHandSide};
+use crate::state::{State, StepReport};
+
+use super::super::stored;
+
+/// A pressure per cell, Pa, and velocities of the nodes, m/s.
+pub(crate) struct Answer {
+    pub(crate) pressure: Vec<f64>,
+    pub(crate) velocity: Vec<[f64; 3]>,
+}
+
+/// What a sub-step came to.
+pub(crate) struct Done {
+    /// Of the solve.
+    pub(crate) seconds: f64,
+    pub(crate) report: StepReport,
+    pub(crate) answer: Answer,
+    pub(crate) faces: [Vec<f64>; 3],
+}
+
+/// What errors count: unknowns and open faces beside them, as the f64 path has them.
+pub(crate) struct Mask {
+    pub(crate) cells: Vec<bool>,
+    pub(crate) faces: [Vec<bool>; 3],
+}
+
+impl Mask {
+    /// After a sub-step.
+    pub(crate) fn of(path: &Reference) -> Mask {
+        let (grid, cells) = (path.scene().grid(), &path.state().active);
+        let open = &path.cut_cells().open;
+        let faces = Axis::ALL.map(|axis| {
+            let counts = |face: usize| {
+                let sides = grid.face_sides(axis, grid.face_at(axis, face)).into_iter();
+                // Without liquid no cell has an entry.
+                let active = |cell: usize| cells.get(cell).is_some_and(|active| *active);
+                let beside = sides.flatten().any(active);
+                beside && open[axis.index()][face] > 0.0
+            };
+            (0..grid.n_faces(axis)).map(counts).collect()
+        });
+        Mask {
+            cells: cells.clone(),
+            faces,
+        }
+    }
+}
+
+/// Does the sub-step after a state once, with liquid of this density (kg/m^3).
+pub(crate) fn sub_step(path: &mut GpuPath, state: &State, density: f64) -> Result<Done, Error> {
+    path.write_state(state)?;
+    let mut clock = None;
+    let (mut seconds, mut answer, mut faces) = (0.0, None, Default::default());
+    let dt = path.next_time_step().dt;
+    let report = path.step_observed(&mut |stage, path| {
+        path.gpu().wait("bench")?;
+        if stage == RightHandSide::NAME {
+            clock = Some(Instant::now());
+        } else if stage == "solve" {
+            seconds = clock.map_or(0.0, |clock| clock.elapsed().as_secs_f64());
+            let Snapshot { liquid, solids, .. } = path.snapshot()?;
+            let pressure = |liquid| stored::pressure(path, &liquid, density, dt);
+            answer = Some(Answer {
+                pressure: liquid.map_or(Vec::new(), pressure),
+                velocity: solids.map_or(Vec::new(), |solids| solids.velocity),
+            });
+        } else if stage == Diagnose::NAME
+            && let Some(liquid) = path.snapshot()?.liquid
+        {
+            faces = liquid.velocity;
+        }
+        Ok(())
+    })?;
+    Ok(Done {
+        seconds,
+        report,
+        answer: answer.expect("every sub-step has a solve"),
+        faces,
+    })
+}
+
+/// Does it on the f64 path.
+pub(crate) fn reference_step(path: &mut Reference, state: &State) -> Result<Done, Error> {
+    path.reset(state.clone())?;
+    let report = path.step(path.next_time_step())?;
+    let solve = report.seconds.iter().find(|(stage, _)| *stage == "solve");
+    let seconds = solve.map_or(0.0, |(_, seconds)| *seconds);
+    let State {
+        pressure,
+        node_velocity: velocity,
+        velocity: faces,
+        ..
+    } = path.state().clone();
+    Ok(Done {
+        seconds,
+        report,
+        answer: Answer { pressure, velocity },
+        faces,
+    })
+}
