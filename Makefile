@@ -1,6 +1,6 @@
 # Both commands do all the set-up they need: see README.md.
 
-.PHONY: run test validate
+.PHONY: run test validate measure
 
 run: ## simulate the dam break and draw its pictures
 	@bash .ci/demo
@@ -10,3 +10,6 @@ test: ## all tests on lavapipe, those of the kernels and the solver once more on
 
 validate: ## the long validation against theory and other programs; CASES="S2 S9" runs a part
 	@bash .ci/validate $(CASES)
+
+measure: ## the benches behind the tables of README.md and docs/bench.md, and these tables anew
+	@bash .ci/measure

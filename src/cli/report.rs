@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use cutwater::Error;
+use cutwater::measure::insert::insert;
 use cutwater::measure::report::{Contents, PAGE, report};
 
 /// Gather what benches and runs wrote into one HTML page
@@ -11,10 +12,20 @@ use cutwater::measure::report::{Contents, PAGE, report};
 pub(super) struct Report {
     /// Folder of a run or a bench, or one that holds such folders
     dir: PathBuf,
+    /// Write the tables of Markdown files anew from the results instead, where comments in these ask for them
+    #[arg(long, value_name = "FILE", num_args = 1..)]
+    into: Vec<PathBuf>,
 }
 
 impl Report {
     pub(super) fn run(&self) -> Result<(), Error> {
+        for document in &self.into {
+            let tables = insert(&self.dir, document)?;
+            say!("{}: {tables} tables", document.display());
+        }
+        if !self.into.is_empty() {
+            return Ok(());
+        }
         let Contents {
             folders,
             tables,

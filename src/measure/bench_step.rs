@@ -23,13 +23,13 @@ use crate::state::{LiquidReport, SolidReport, StepReport};
 
 use super::bench_solve::bytes_per_iterations;
 use super::solid_bytes::SolidBytes;
-use super::statistics::Spread;
+use super::statistics::{Spread, exponent};
 use super::table::{Machine, write_csv, write_json, write_svg};
 
 /// What to measure.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Scenes, scaled.
+    /// Scenes, scaled; the same one may be there at several scales.
     pub scenes: Vec<Scene>,
     /// Frames of each.
     pub frames: u64,
@@ -46,6 +46,8 @@ pub struct Options {
 pub struct Row {
     /// Name of the scene.
     pub scene: String,
+    /// What its cells are multiplied by.
+    pub scale: f64,
     /// Cells of the domain.
     pub cells: usize,
     /// Markers at the end.
@@ -83,6 +85,8 @@ pub struct Row {
 pub struct StageRow {
     /// Name of the scene.
     pub scene: String,
+    /// What its cells are multiplied by.
+    pub scale: f64,
     /// The stage.
     pub stage: &'static str,
     /// Seconds on the device in a sub-step.
@@ -102,12 +106,27 @@ pub struct StageRow {
 pub struct Pair {
     /// Name of the scene.
     pub scene: String,
+    /// What its cells are multiplied by.
+    pub scale: f64,
     /// How many times larger the domain is along x, y, z.
     pub larger: [usize; 3],
     /// Median seconds of a sub-step in the larger domain over those in the scene's own.
     pub ratio: f64,
     /// The same of the least seconds, on which other work of the machine tells less.
     pub ratio_of_least: f64,
+}
+
+/// How the seconds of a scene grow with its cells.
+#[derive(Clone, Debug, Serialize)]
+pub struct Growth {
+    /// Name of the scene.
+    pub scene: String,
+    /// Cells of the domain at its least scale.
+    pub from: usize,
+    /// At its largest.
+    pub to: usize,
+    /// Of the median seconds of a sub-step, by the cells.
+    pub exponent: f64,
 }
 
 /// The tables and where they were measured.
@@ -122,9 +141,11 @@ pub struct Table {
     pub stages: Vec<StageRow>,
     /// A row per scene, where a larger domain was asked for.
     pub pairs: Vec<Pair>,
+    /// A row per scene with two scales or more.
+    pub growth: Vec<Growth>,
 }
 
-/// Measures all scenes and writes step.csv, step_stages.csv, step.json and step.svg into `out`; `tell` hears of each row.
+/// Measures all scenes and writes step.csv, step_stages.csv, step_growth.csv where a scene has several scales, step.json and step.svg into `out`; `tell` hears of each row.
 ///
 /// # Errors
 /// [`Error::Output`], and what the simulations say.
@@ -156,20 +177,25 @@ pub fn bench_step(
         if let (Some(larger), [own, other]) = (options.larger_domain, &table.rows[first..]) {
             table.pairs.push(Pair {
                 scene: scene.name.clone(),
+                scale: scene.scale,
                 larger,
                 ratio: other.seconds_median / own.seconds_median,
                 ratio_of_least: other.seconds_min / own.seconds_min,
             });
         }
     }
-    let table = table.ok_or_else(|| {
+    let mut table = table.ok_or_else(|| {
         Error::input(
             "bench step",
             "no scene to measure",
             "give one scene file or more",
         )
     })?;
+    table.growth = growth(&table.rows);
     write_csv(&table.rows, &out.join("step.csv"))?;
+    if !table.growth.is_empty() {
+        write_csv(&table.growth, &out.join("step_growth.csv"))?;
+    }
     write_csv(&table.stages, &out.join("step_stages.csv"))?;
     write_json(&table, &out.join("step.json"))?;
     // The right part is for the names of the stages.
@@ -180,6 +206,27 @@ pub fn bench_step(
     Ok(table)
 }
 
+/// Of each scene that was measured at several scales.
+fn growth(rows: &[Row]) -> Vec<Growth> {
+    let mut names: Vec<&String> = rows.iter().map(|row| &row.scene).collect();
+    names.sort();
+    names.dedup();
+    let of_scene = names.into_iter().filter_map(|name| {
+        let rows: Vec<&Row> = rows.iter().filter(|row| row.scene == *name).collect();
+        let cells = rows.iter().map(|row| row.cells);
+        let points = rows
+            .iter()
+            .map(|row| (row.cells as f64, row.seconds_median));
+        Some(Growth {
+            scene: name.clone(),
+            from: cells.clone().min()?,
+            to: cells.max()?,
+            exponent: exponent(points)?,
+        })
+    });
+    of_scene.collect()
+}
+
 fn empty_table(run: &Run, repeats: usize) -> Result<Table, Error> {
     let gpu = run.simulation.gpu().expect("benches run on the GPU path");
     Ok(Table {
@@ -187,6 +234,7 @@ fn empty_table(run: &Run, repeats: usize) -> Result<Table, Error> {
         rows: Vec::new(),
         stages: Vec::new(),
         pairs: Vec::new(),
+        growth: Vec::new(),
     })
 }
 
@@ -301,6 +349,7 @@ impl Run {
                 let bytes = median(&|sample| self.bytes(stage, sample));
                 StageRow {
                     scene: self.scene.name.clone(),
+                    scale: self.scene.scale,
                     stage,
                     seconds_median: seconds.median,
                     seconds_min: seconds.min,
@@ -318,6 +367,7 @@ impl Run {
             .map_or(0, |liquid| liquid.markers);
         let row = Row {
             scene: self.scene.name.clone(),
+            scale: self.scene.scale,
             cells: self.scene.grid().n_cells(),
             markers: last,
             unknowns: median(&Sample::unknowns),
@@ -485,7 +535,8 @@ fn draw(table: &Table, page: SVGBackend) -> Result<(), Box<dyn std::error::Error
     root.fill(&WHITE)?;
     let of_row = |row: &Row| -> Vec<&StageRow> {
         let stages = table.stages.iter();
-        stages.filter(|stage| stage.scene == row.scene).collect()
+        let of_row = |stage: &&StageRow| stage.scene == row.scene && stage.scale == row.scale;
+        stages.filter(of_row).collect()
     };
     let milliseconds = |seconds: f64| 1e3 * seconds;
     let top = table
@@ -541,7 +592,7 @@ fn draw(table: &Table, page: SVGBackend) -> Result<(), Box<dyn std::error::Error
             [(x + 0.1, y), (x + 0.9, y)],
             BLACK.stroke_width(2),
         )])?;
-        let label = format!("{}: {y:.1} ms", row.scene);
+        let label = format!("{}, {} cells: {y:.1} ms", row.scene, row.cells);
         let at = (x + 0.1, y + 0.03 * top);
         chart.draw_series([Text::new(label, at, ("sans-serif", 13))])?;
     }

@@ -32,6 +32,15 @@ impl Spread {
 }
 
 impl Spread {
+    /// Of what has none.
+    pub fn exact(value: f64) -> Spread {
+        Spread {
+            median: value,
+            min: value,
+            max: value,
+        }
+    }
+
     /// First quartile, median and third, between values as `numpy.quantile` takes them.
     ///
     /// # Panics
@@ -48,9 +57,30 @@ impl Spread {
     }
 }
 
+/// The exponent of a power law y ~ x^e through positive points, by least squares of the logarithms; none where all x are the same.
+pub fn exponent(points: impl IntoIterator<Item = (f64, f64)>) -> Option<f64> {
+    let points = points.into_iter();
+    let points: Vec<[f64; 2]> = points.map(|(x, y)| [x.ln(), y.ln()]).collect();
+    let n = points.len() as f64;
+    let middle = [0, 1].map(|axis| points.iter().map(|point| point[axis]).sum::<f64>() / n);
+    let offsets = points.iter().map(|[x, y]| [x - middle[0], y - middle[1]]);
+    let [both, square] = offsets.fold([0.0; 2], |[both, square], [x, y]| {
+        [both + x * y, square + x * x]
+    });
+    (square > 0.0).then(|| both / square)
+}
+
 #[cfg(test)]
 mod tests {
-    use super::Spread;
+    use super::{Spread, exponent};
+
+    #[test]
+    fn the_exponent_of_a_power_is_found() {
+        let points = [1.0_f64, 3.0, 10.0].map(|x| (x, 5.0 * x.powf(1.5)));
+        assert!((exponent(points).unwrap() - 1.5).abs() < 1e-12);
+        assert_eq!(exponent([(2.0, 1.0), (2.0, 4.0)]), None);
+        assert_eq!(exponent([]), None);
+    }
 
     #[test]
     fn median_of_odd_and_even_counts() {

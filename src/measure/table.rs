@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 use std::path::Path;
+use std::time::SystemTime;
 
 use plotters::prelude::SVGBackend;
 use serde::Serialize;
@@ -22,6 +23,12 @@ pub struct Machine {
     pub adapter: String,
     /// Driver.
     pub driver: String,
+    /// When it began, UTC, as RFC 3339 has it.
+    pub measured: String,
+    /// Threads that the CPU runs at once.
+    pub threads: usize,
+    /// Load average of the minute before, where the system tells: what else the machine did.
+    pub load: Option<f64>,
     /// Bytes per second of a copy, read and written.
     pub copy_bandwidth: Spread,
 }
@@ -33,7 +40,11 @@ impl Machine {
     /// What the device says.
     pub fn new(gpu: &Gpu, repeats: usize) -> Result<Machine, Error> {
         let AdapterReport { name, driver, .. } = gpu.report().clone();
+        let load = std::fs::read_to_string("/proc/loadavg").ok();
         Ok(Machine {
+            measured: humantime::format_rfc3339_seconds(SystemTime::now()).to_string(),
+            threads: std::thread::available_parallelism().map_or(1, usize::from),
+            load: load.and_then(|text| text.split(' ').next()?.parse().ok()),
             cutwater: env!("CARGO_PKG_VERSION"),
             adapter: name,
             driver,

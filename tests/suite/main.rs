@@ -4,6 +4,7 @@ mod band;
 mod bench_accuracy;
 mod bench_effects;
 mod bench_solids;
+mod bench_solve;
 mod bench_sort;
 mod bench_stability;
 mod bench_step;

@@ -2,6 +2,7 @@
 
 use std::fs;
 
+use cutwater::measure::insert::insert;
 use cutwater::measure::report::{Contents, PAGE, report};
 
 #[test]
@@ -83,4 +84,94 @@ fn nothing_and_broken_tables_are_refused() {
     refused("broken.json");
     let error = report(&dir.join("nowhere")).unwrap_err();
     assert!(error.to_string().contains("no such folder"), "{error}");
+}
+
+const DOCUMENT: &str = "# Speed
+<!-- table
+{\"file\": \"solve/solve_growth.csv\", \"where\": {\"precision\": \"mixed\", \"tolerance\": 1e-8},
+ \"columns\": [[\"cells\", \"{grid}\"], [\"seconds (least)\", \"{median} ({min})\"], [\"order\", \"{order}\"]]}
+-->
+old
+<!-- end of table -->
+After it.
+";
+
+#[test]
+fn tables_of_documents_are_written_anew() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path().join("results");
+    fs::create_dir_all(dir.join("solve")).unwrap();
+    let table = "grid,precision,tolerance,median,min,order\n\
+                 20,mixed,0.00000001,0.123456,0.1,\n\
+                 20,f32,1e-8,9,9,9\n\
+                 40,mixed,1e-4,9,9,9\n\
+                 80,mixed,1e-8,12.3456,0.00001,1.5\n";
+    fs::write(dir.join("solve/solve_growth.csv"), table).unwrap();
+    let json = "{\"cutwater\": \"0.1.0\", \"adapter\": \"an adapter\", \"measured\": \"2026-11-22T05:00:00Z\", \
+                \"threads\": 2, \"load\": 0.5, \"copy_bandwidth\": {\"median\": 2.5e9}}";
+    fs::write(dir.join("solve/solve.json"), json).unwrap();
+    let document = folder.path().join("speed.md");
+    fs::write(&document, DOCUMENT).unwrap();
+    let expected = DOCUMENT.replace(
+        "old\n",
+        "| cells | seconds (least) | order |\n|---|---|---|\n\
+         | 20 | 0.123 (0.100) |  |\n| 80 | 12.3 (1e-5) | 1.50 |\n\n\
+         *2026-11-22, cutwater 0.1.0, an adapter, copy bandwidth 2.5 GB/s, 2 CPU threads at a load of 0.5.*\n",
+    );
+    // Once more changes nothing.
+    for _ in 0..2 {
+        assert_eq!(insert(&dir, &document).unwrap(), 1);
+        assert_eq!(fs::read_to_string(&document).unwrap(), expected);
+    }
+    for (broken, line, told) in [
+        (
+            DOCUMENT.replace("{grid}", "{grids}"),
+            2,
+            "no column \"grids\"",
+        ),
+        (
+            DOCUMENT.replace("\"precision\"", "\"precisions\""),
+            2,
+            "no column \"precisions\"",
+        ),
+        (
+            DOCUMENT.replace("columns", "colums"),
+            2,
+            "unknown field `colums`",
+        ),
+        (
+            DOCUMENT.replace("<!-- end of table -->\n", ""),
+            2,
+            "does not end",
+        ),
+        (
+            DOCUMENT
+                .replace("-->\nold", "old")
+                .replace("<!-- end of table -->\n", ""),
+            2,
+            "does not end",
+        ),
+        ("# Nothing\n".to_owned(), 1, "no table"),
+    ] {
+        fs::write(&document, &broken).unwrap();
+        let error = insert(&dir, &document).unwrap_err();
+        let place = format!("speed.md:{line}: ");
+        let text = error.to_string();
+        assert!(
+            text.contains(&place) && text.contains(told),
+            "{told}: {text}"
+        );
+        assert_eq!(error.exit_code(), 2);
+        assert_eq!(
+            fs::read_to_string(&document).unwrap(),
+            broken,
+            "left as it was"
+        );
+    }
+    fs::write(&document, DOCUMENT.replace("solve/solve_", "solve/other_")).unwrap();
+    let text = insert(&dir, &document).unwrap_err().to_string();
+    assert!(
+        text.contains("other_growth.csv") && text.contains("run the bench"),
+        "{text}"
+    );
 }

@@ -3,7 +3,6 @@
 use cutwater::gpu::Gpu;
 use cutwater::linalg::dot;
 use cutwater::measure::base_scene::DeviceScene;
-use cutwater::measure::bench_solve::{self, Options};
 use cutwater::reference::base_block::DENSITY;
 use cutwater::reference::base_scene::{BaseBeam, BaseScene};
 use cutwater::reference::{
@@ -375,41 +374,4 @@ fn extreme_beams_converge() {
             assert!(!outcome.condensed || outcome.iterations <= most, "{what}");
         }
     }
-}
-
-#[test]
-fn the_bench_has_a_row_for_every_formulation() {
-    let Some(gpu) = gpu() else { return };
-    let folder = tempfile::tempdir().unwrap();
-    let options = Options {
-        formulations: vec![
-            bench_solve::Formulation::Pressure,
-            bench_solve::Formulation::TwoField,
-            bench_solve::Formulation::Condensed,
-        ],
-        grids: vec![12],
-        repeats: 1,
-        solvers: vec![Solver::default()],
-        matrices: false,
-    };
-    let table = bench_solve::bench_solve(gpu, &options, folder.path(), &mut |_| {}).unwrap();
-    let [pressure, both, condensed] = &table.rows[..] else {
-        panic!("{:?}", table.rows);
-    };
-    assert_eq!(
-        [pressure, both, condensed].map(|row| row.formulation),
-        ["pressure", "two-field", "condensed"]
-    );
-    assert_eq!([pressure.solid_nodes, both.solid_nodes], [0, 135]);
-    for row in [pressure, both, condensed] {
-        assert_eq!(row.status, "converged", "{row:?}");
-        assert!(row.residual_p <= 1e-8 && row.residual_v <= 1e-8, "{row:?}");
-        assert!(row.bytes > 0.0 && row.seconds_min > 0.0, "{row:?}");
-    }
-    assert!(pressure.residual_v == 0.0 && both.residual_v > 0.0);
-    let written = std::fs::read_to_string(folder.path().join("solve.csv")).unwrap();
-    assert!(
-        written.contains("two-field") && written.lines().count() == 4,
-        "{written}"
-    );
 }

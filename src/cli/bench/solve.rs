@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use cutwater::Error;
 use cutwater::gpu::Gpu;
-use cutwater::measure::bench_solve::{self, Formulation, Options};
+use cutwater::measure::bench_solve::{self, Formulation, Options, Rival};
 use cutwater::scene::Solver;
 
 use super::{PrecisionName, PreconditionerName, check_tolerance, tell_machine};
@@ -16,6 +16,9 @@ pub(super) struct Solve {
     /// Cells along an edge of the block
     #[arg(long, value_delimiter = ',', default_values_t = [20, 40, 60, 80])]
     grids: Vec<usize>,
+    /// Bricks across the beam, for beams of their own sizes instead of that which goes with the grid
+    #[arg(long, value_delimiter = ',')]
+    bricks: Vec<usize>,
     /// Timed runs per row
     #[arg(long, default_value_t = 5)]
     repeats: usize,
@@ -31,6 +34,12 @@ pub(super) struct Solve {
     /// Preconditioners of the pressure to measure
     #[arg(long, value_enum, value_delimiter = ',', default_values_t = [PreconditionerName::Multigrid])]
     preconditioner: Vec<PreconditionerName>,
+    /// Solvers on the CPU to take turns with, in double precision
+    #[arg(long, value_enum, value_delimiter = ',')]
+    against: Vec<RivalName>,
+    /// Larger factors on the CPU are not computed, GiB
+    #[arg(long, default_value_t = 1.0, value_name = "GIB")]
+    largest_factor: f64,
     /// PCG iterations in all rounds
     #[arg(long, default_value_t = 5000)]
     max_iterations: u32,
@@ -51,8 +60,22 @@ enum FormulationName {
     Condensed,
 }
 
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum RivalName {
+    /// Conjugate gradients with an incomplete Cholesky factor
+    Ic0,
+    /// A sparse Cholesky factor
+    Cholesky,
+}
+
+const GIB: f64 = (1_u64 << 30) as f64;
+
+/// Bricks across the beam.
+const BRICKS: std::ops::RangeInclusive<usize> = 1..=32;
+
 /// Cells along an edge of the base block: 2^30 in all at most, as of a scene.
 const GRIDS: std::ops::RangeInclusive<usize> = 2..=1024;
+
 impl Solve {
     pub(super) fn run(&self) -> Result<(), Error> {
         if let Some(&grid) = self.grids.iter().find(|n| !GRIDS.contains(n)) {
@@ -60,6 +83,20 @@ impl Solve {
                 format!("--grids {grid}"),
                 "too few or too many cells along an edge",
                 "give grids of 2 to 1024 cells",
+            ));
+        }
+        if let Some(&bricks) = self.bricks.iter().find(|n| !BRICKS.contains(n)) {
+            return Err(Error::input(
+                format!("--bricks {bricks}"),
+                "too few or too many bricks across the beam",
+                "give 1 to 32",
+            ));
+        }
+        if self.largest_factor.is_nan() || self.largest_factor <= 0.0 {
+            return Err(Error::input(
+                format!("--largest-factor {}", self.largest_factor),
+                "not a size",
+                "give a number of GiB above 0",
             ));
         }
         check_tolerance(self.tolerance)?;
@@ -90,9 +127,19 @@ impl Solve {
             FormulationName::TwoField => Formulation::TwoField,
             FormulationName::Condensed => Formulation::Condensed,
         });
+        let against = self.against.iter().map(|name| match name {
+            RivalName::Ic0 => Rival::IncompleteCholesky,
+            RivalName::Cholesky => Rival::Cholesky,
+        });
         let options = Options {
             formulations: formulations.collect(),
             grids: self.grids.clone(),
+            bricks: match self.bricks.is_empty() {
+                true => vec![None],
+                false => self.bricks.iter().copied().map(Some).collect(),
+            },
+            against: against.collect(),
+            largest_factor: self.largest_factor * GIB,
             repeats: self.repeats,
             solvers,
             matrices: self.matrices,
@@ -100,7 +147,7 @@ impl Solve {
         say!(
             "grid  cells     nodes  formulation  preconditioner precision  iterations  seconds (least, largest)  residuals"
         );
-        let table = bench_solve::bench_solve(&gpu, &options, &self.out, &mut |row| {
+        let table = bench_solve::bench_solve(&gpu, &options, &self.out, &mut |row, against| {
             say!(
                 "{:4}  {:8}  {:5}  {:11}  {:14} {:9}  {:10}  {:.4} ({:.4}, {:.4})  {:.1e} {:.1e} {}",
                 row.grid,
@@ -117,7 +164,33 @@ impl Solve {
                 row.residual_v,
                 row.status,
             );
+            for rival in against {
+                match (rival.seconds_median, rival.ratio) {
+                    (Some(seconds), Some(ratio)) => say!(
+                        "      {:8} on the CPU: {seconds:.4} s, {ratio:.2} times as long, residual {:.1e}",
+                        rival.rival,
+                        rival.residual.unwrap_or(0.0)
+                    ),
+                    _ => say!(
+                        "      {:8} on the CPU: left out, its factor would take {:.1} GiB",
+                        rival.rival,
+                        rival.factor_bytes / GIB
+                    ),
+                }
+            }
         })?;
+        for growth in &table.growth {
+            say!(
+                "{} {} {}: seconds grow with {} to the power of {:.2} ({} to {})",
+                growth.formulation,
+                growth.solver,
+                growth.precision,
+                growth.along,
+                growth.exponent,
+                growth.from,
+                growth.to,
+            );
+        }
         tell_machine(&table.machine);
         say!("table and picture: {}", self.out.display());
         Ok(())

@@ -15,9 +15,9 @@ pub(super) struct Step {
     /// Scene files (TOML)
     #[arg(required = true)]
     scenes: Vec<PathBuf>,
-    /// Multiply domain.cells, rounded
-    #[arg(long, default_value_t = 1.0)]
-    scale: f64,
+    /// Multiply domain.cells, rounded; several, to see how seconds grow with the cells
+    #[arg(long, value_delimiter = ',', default_values_t = [1.0])]
+    scale: Vec<f64>,
     /// Override a key of every scene; may be repeated
     #[arg(long = "set", value_name = "KEY=VALUE")]
     overrides: Vec<String>,
@@ -50,9 +50,12 @@ impl Step {
                 ));
             }
         };
-        let load = |path: &PathBuf| Scene::load(path, &self.overrides, self.scale);
+        let scenes = self.scenes.iter().flat_map(|path| {
+            let scales = self.scale.iter();
+            scales.map(|&scale| Scene::load(path, &self.overrides, scale))
+        });
         let options = bench_step::Options {
-            scenes: self.scenes.iter().map(load).collect::<Result<_, _>>()?,
+            scenes: scenes.collect::<Result<_, _>>()?,
             frames: self.frames,
             repeats: self.repeats,
             larger_domain,
@@ -82,6 +85,15 @@ impl Step {
                 pair.scene,
                 pair.ratio,
                 pair.ratio_of_least
+            );
+        }
+        for growth in &table.growth {
+            say!(
+                "{}: seconds grow with the cells to the power of {:.2} ({} to {})",
+                growth.scene,
+                growth.exponent,
+                growth.from,
+                growth.to,
             );
         }
         tell_machine(&table.machine);

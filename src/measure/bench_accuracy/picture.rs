@@ -1,102 +1,23 @@
-//! Error against seconds, both logarithmic.
+//! Error against seconds of the solve.
 
-use std::ops::Range;
-
-use plotters::coord::Shift;
 use plotters::prelude::*;
 
+use super::super::chart::{Failure, Point, chart, series};
+use super::super::statistics::Spread;
 use super::grids::{self, GridRow};
 use super::states::{Row, states};
 
-/// A point with the spread of its seconds.
-struct Point {
-    seconds: [f64; 3],
-    error: f64,
-}
+/// An error of a row, by its name.
+type Named<T> = (&'static str, fn(&T) -> f64);
 
-/// Points under one name in the key.
-struct Series {
-    label: String,
-    points: Vec<Point>,
-}
+const SECONDS: &str = "seconds of the solve";
 
-type Failure = Box<dyn std::error::Error>;
-type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-
-/// Least and largest with some room, of a logarithmic axis.
-fn range(values: impl Iterator<Item = f64>) -> Range<f64> {
-    let ends = values.fold([f64::INFINITY, 0.0], |[least, most], value| {
-        [f64::min(least, value), f64::max(most, value)]
-    });
-    ends[0] / 1.5..ends[1] * 1.5
-}
-
-/// Of those with an error above 0; nothing where there is none.
-fn chart(area: &Area, caption: &str, error: &str, series: &[Series]) -> Result<(), Failure> {
-    let points = || series.iter().flat_map(|series| &series.points);
-    if points().next().is_none() {
-        return Ok(());
+/// An error and the seconds that it takes.
+fn point([median, min, max]: [f64; 3], error: f64) -> Point {
+    Point {
+        x: Spread { median, min, max },
+        y: Spread::exact(error),
     }
-    let mut chart = ChartBuilder::on(area)
-        .caption(caption, ("sans-serif", 18))
-        .margin(12)
-        .x_label_area_size(44)
-        .y_label_area_size(70)
-        .build_cartesian_2d(
-            range(points().flat_map(|point| point.seconds)).log_scale(),
-            range(points().map(|point| point.error)).log_scale(),
-        )?;
-    chart
-        .configure_mesh()
-        .x_desc("seconds of the solve")
-        .x_labels(6)
-        .max_light_lines(1)
-        .x_label_formatter(&|seconds| format!("{seconds:.1e}"))
-        .y_desc(error)
-        .y_label_formatter(&|error| format!("{error:.0e}"))
-        .draw()?;
-    for (index, Series { label, points }) in series.iter().enumerate() {
-        let colour = Palette99::pick(index).to_rgba();
-        let line = points.iter().map(|point| (point.seconds[0], point.error));
-        chart
-            .draw_series(LineSeries::new(line, colour.stroke_width(2)).point_size(3))?
-            .label(label)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 20, y)], colour));
-        for point in points {
-            let spread = [1, 2].map(|end| (point.seconds[end], point.error));
-            chart.draw_series([PathElement::new(spread, colour)])?;
-        }
-    }
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::LowerLeft)
-        .border_style(BLACK)
-        .background_style(WHITE.mix(0.8))
-        .draw()?;
-    Ok(())
-}
-
-/// The points of rows by what they are called, in the order of the names' first appearance.
-fn series<'a, T: 'a>(
-    rows: impl Iterator<Item = &'a T>,
-    label: impl Fn(&T) -> String,
-    point: impl Fn(&T) -> Point,
-) -> Vec<Series> {
-    let mut all: Vec<Series> = Vec::new();
-    for row in rows {
-        let (name, point) = (label(row), point(row));
-        if !(point.error > 0.0) {
-            continue;
-        }
-        match all.iter_mut().find(|series| series.label == name) {
-            Some(series) => series.points.push(point),
-            None => all.push(Series {
-                label: name,
-                points: vec![point],
-            }),
-        }
-    }
-    all
 }
 
 /// A line of charts per state: of the pressure and of the velocities.
@@ -111,21 +32,20 @@ pub(super) fn draw_states(rows: &[Row], page: SVGBackend) -> Result<(), Failure>
             row.precision, row.preconditioner, row.formulation
         )
     };
-    let errors: [(&str, fn(&Row) -> f64); 2] = [
+    let errors: [Named<Row>; 2] = [
         ("error of p", |row| row.error_p),
         ("error of v", |row| row.error_v),
     ];
     for ((scene, frame), charts) in states.iter().zip(charts.chunks(2)) {
         for ((name, error), area) in errors.iter().zip(charts) {
-            let here = rows
-                .iter()
-                .filter(|row| row.scene == *scene && row.frame == *frame);
-            let point = |row: &Row| Point {
-                seconds: [row.seconds_median, row.seconds_min, row.seconds_max],
-                error: error(row),
-            };
+            let here = |row: &&Row| row.scene == *scene && row.frame == *frame;
+            let lines = series(rows.iter().filter(here), label, |row| {
+                let seconds = [row.seconds_median, row.seconds_min, row.seconds_max];
+                point(seconds, error(row))
+            });
             let caption = format!("{scene}, frame {frame}");
-            chart(area, &caption, name, &series(here, label, point))?;
+            let key = SeriesLabelPosition::LowerLeft;
+            chart(area, &caption, [SECONDS, name], key, &lines)?;
         }
     }
     root.present()?;
@@ -139,18 +59,19 @@ pub(super) fn draw_grids(rows: &[GridRow], page: SVGBackend) -> Result<(), Failu
     let problems = grids::problems(rows);
     let charts = root.split_evenly((problems.len(), 2));
     let label = |row: &GridRow| format!("{} cells/m, {}", row.grid, row.precision);
-    let errors: [(&str, fn(&GridRow) -> f64); 2] = [
+    let errors: [Named<GridRow>; 2] = [
         ("error of p over the largest p", |row| row.error_p),
         ("speed over g dt", |row| row.error_u.unwrap_or(0.0)),
     ];
     for (problem, charts) in problems.iter().zip(charts.chunks(2)) {
         for ((name, error), area) in errors.iter().zip(charts) {
             let here = rows.iter().filter(|row| row.problem == *problem);
-            let point = |row: &GridRow| Point {
-                seconds: [row.seconds_median, row.seconds_min, row.seconds_max],
-                error: error(row),
-            };
-            chart(area, problem, name, &series(here, label, point))?;
+            let lines = series(here, label, |row| {
+                let seconds = [row.seconds_median, row.seconds_min, row.seconds_max];
+                point(seconds, error(row))
+            });
+            let key = SeriesLabelPosition::LowerLeft;
+            chart(area, problem, [SECONDS, name], key, &lines)?;
         }
     }
     root.present()?;

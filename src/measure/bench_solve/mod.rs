@@ -1,24 +1,27 @@
 //! `bench solve`: the solve against the grid, of the pressure on the pressure-only base block, and of liquid and solids on the base scene.
 //!
 //! A run is timed from the recording of the set-up of hierarchy and, with solids, of their elements to the verdict on the host. The first run of each row, which
-//! compiles, is not counted. Bytes follow the model of `bytes_per_solve`: every array that a pass needs, once.
+//! compiles, is not counted. Solvers on the CPU take turns with the device. Bytes follow the model of `bytes_per_solve`: every array that a pass needs, once.
+
+mod against;
+mod growth;
+mod picture;
 
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 use std::time::Instant;
 
-use plotters::prelude::*;
 use serde::Serialize;
 
 use crate::Error;
 use crate::gpu::{Buffer, Gpu, Real, Recorder};
 use crate::grid::{Axis, Padded};
-use crate::linalg;
+use crate::linalg::{self, Csr};
 use crate::output::write_atomically;
-use crate::reference::SIGMA;
 use crate::reference::base_block::{BaseBlock, THETA_FLOOR};
 use crate::reference::base_scene::{BaseBeam, BaseScene};
+use crate::reference::{CoupledSystem, SIGMA};
 use crate::scene::{self, Precision, Preconditioner, Solver};
 use crate::solver::{
     CoupledOutcome, Everywhere, Outcome, PressureSolver, PressureSystem, SolverBuffers,
@@ -28,6 +31,10 @@ use super::base_scene::DeviceScene;
 use super::solid_bytes::SolidBytes;
 use super::statistics::Spread;
 use super::table::{Machine, write_csv, write_json, write_svg};
+
+use against::Contest;
+pub use against::{Against, Rival};
+pub use growth::Growth;
 
 /// What is solved for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,10 +64,16 @@ pub struct Options {
     pub formulations: Vec<Formulation>,
     /// Cells along an edge of the block.
     pub grids: Vec<usize>,
+    /// Bricks across the beam, which is seven times as long; none for the beam that goes with the grid.
+    pub bricks: Vec<Option<usize>>,
     /// Runs per row.
     pub repeats: usize,
     /// How to solve.
     pub solvers: Vec<Solver>,
+    /// Solvers on the CPU that take turns with the device.
+    pub against: Vec<Rival>,
+    /// Bytes of a factor on the CPU; with larger ones nothing is solved.
+    pub largest_factor: f64,
     /// Whether the systems are written as Matrix Market files, for other solvers.
     pub matrices: bool,
 }
@@ -74,8 +87,10 @@ pub struct Row {
     pub grid: usize,
     /// Unknowns.
     pub active_cells: u32,
-    /// Nodes of the solids: of the beam that the thesis has on a grid of this size.
+    /// Nodes of the solids.
     pub solid_nodes: u32,
+    /// Bricks across the beam; empty for that which the thesis has on a grid of this size, and without one.
+    pub bricks: Option<usize>,
     /// `pressure` or `two-field`.
     pub formulation: &'static str,
     /// `multigrid` or `jacobi`.
@@ -108,8 +123,26 @@ pub struct Row {
     pub share_of_copy_bandwidth: f64,
 }
 
-/// A row per grid and solver.
-pub type Table = super::table::Table<Row>;
+/// The tables and where they were measured.
+#[derive(Clone, Debug, Serialize)]
+pub struct Table {
+    /// Where.
+    #[serde(flatten)]
+    pub machine: Machine,
+    /// A row per grid, beam and solver.
+    pub rows: Vec<Row>,
+    /// A row for each of them and each solver on the CPU.
+    pub against: Vec<Against>,
+    /// A row for each solver and what grows.
+    pub growth: Vec<Growth>,
+}
+
+/// A grid and a beam.
+#[derive(Clone, Copy)]
+struct Size {
+    grid: usize,
+    bricks: Option<usize>,
+}
 
 /// Bytes per unknown that the iterations of a solve must move, each pass touching each of its arrays once: w bytes a scalar of
 /// the corrections, 8 of the outer loop (4 with `f32`), 5 sections of the matrix for the share of quads that are not uniform.
@@ -155,7 +188,8 @@ pub(super) fn name(precision: Precision) -> &'static str {
     }
 }
 
-/// Measures all rows and writes solve.csv, solve.json and solve.svg into `out`; `tell` hears of each row.
+/// Measures all rows and writes solve.csv, solve_growth.csv, solve.json, solve.svg and, with rivals, solve_against.csv into `out`; `tell`
+/// hears of each row.
 ///
 /// # Errors
 /// [`Error::Output`], and what the device says.
@@ -163,7 +197,7 @@ pub fn bench_solve(
     gpu: &Gpu,
     options: &Options,
     out: &Path,
-    tell: &mut dyn FnMut(&Row),
+    tell: &mut dyn FnMut(&Row, &[Against]),
 ) -> Result<Table, Error> {
     for &n in &options.grids {
         // Before anything is made: a block too large for the device may be too large for the host.
@@ -174,36 +208,125 @@ pub fn bench_solve(
     let mut table = Table {
         machine: Machine::new(gpu, options.repeats)?,
         rows: Vec::new(),
+        against: Vec::new(),
+        growth: Vec::new(),
     };
-    for &n in &options.grids {
-        let block = BaseBlock::new(n);
+    let mut measured = |row: Row, against: Vec<Against>| {
+        tell(&row, &against);
+        table.rows.push(row);
+        table.against.extend(against);
+    };
+    for &grid in &options.grids {
+        let block = BaseBlock::new(grid);
         if options.matrices {
-            let mut formulations = options.formulations.iter();
-            write_matrices(&block, n, out)?;
-            if formulations.any(|formulation| *formulation != Formulation::Pressure) {
-                write_coupled_matrices(n, out)?;
+            write_matrices(&block, grid, out)?;
+        }
+        if options.formulations.contains(&Formulation::Pressure) {
+            for solver in &options.solvers {
+                let (row, against) = measure(gpu, &block, solver, options, &table.machine)?;
+                measured(row, against);
             }
         }
-        for &formulation in &options.formulations {
-            for solver in &options.solvers {
-                let (repeats, machine) = (options.repeats, &table.machine);
-                let row = match formulation {
-                    Formulation::Pressure => measure(gpu, &block, solver, repeats, machine)?,
-                    Formulation::TwoField | Formulation::Condensed => {
-                        measure_coupled(gpu, (formulation, n), solver, repeats, machine)?
-                    }
-                };
-                tell(&row);
-                table.rows.push(row);
+        let mut coupled = options.formulations.iter();
+        if !coupled.any(|formulation| *formulation != Formulation::Pressure) {
+            continue;
+        }
+        for &bricks in &options.bricks {
+            let size = Size { grid, bricks };
+            let scene = base_scene(size)?;
+            let system = scene.coupled_system();
+            let wanted = options.matrices || !options.against.is_empty();
+            let positive = wanted.then(|| Positive::new(&system)).transpose()?;
+            if let (true, Some(positive)) = (options.matrices, &positive) {
+                write_coupled_matrices(&system, positive, size, out)?;
+            }
+            let formulations = options.formulations.iter();
+            for &formulation in formulations.filter(|other| **other != Formulation::Pressure) {
+                for solver in &options.solvers {
+                    let systems = (&scene, &system, positive.as_ref());
+                    let machine = &table.machine;
+                    let (row, against) = measure_coupled(
+                        gpu,
+                        (formulation, size),
+                        systems,
+                        solver,
+                        options,
+                        machine,
+                    )?;
+                    measured(row, against);
+                }
             }
         }
     }
+    table.growth = growth::growth(&table.rows, &table.against);
     write_csv(&table.rows, &out.join("solve.csv"))?;
+    write_csv(&table.growth, &out.join("solve_growth.csv"))?;
+    if !options.against.is_empty() {
+        write_csv(&table.against, &out.join("solve_against.csv"))?;
+    }
     write_json(&table, &out.join("solve.json"))?;
-    write_svg(&out.join("solve.svg"), (800, 600), |page| {
-        draw(&table, page)
+    write_svg(&out.join("solve.svg"), (900, 640), |page| {
+        picture::draw(&table, page)
     })?;
     Ok(table)
+}
+
+/// The system of liquid and beam in the thesis's form (5.25).
+struct Positive {
+    matrix: Csr,
+    rhs: Vec<f64>,
+    /// Right-hand sides e and -w of (5.17).
+    both: [Vec<f64>; 2],
+}
+
+impl Positive {
+    fn new(system: &CoupledSystem) -> Result<Positive, Error> {
+        let blocks = system.blocks();
+        let cells = blocks.cells.iter();
+        let e: Vec<f64> = cells.map(|&cell| system.pressure.rhs[cell]).collect();
+        let components = blocks.components.iter();
+        let w: Vec<f64> = components.map(|&at| -system.solid.rhs[at]).collect();
+        Ok(Positive {
+            matrix: blocks.two_field(SIGMA)?,
+            rhs: blocks.two_field_rhs(SIGMA, &e, &w),
+            both: [e, w],
+        })
+    }
+}
+
+/// Runs of the device and of rivals by turns; what the device came to, and its seconds.
+fn by_turns<Outcome>(
+    repeats: usize,
+    mut device: impl FnMut() -> Result<(f64, Outcome), Error>,
+    rivals: &mut [Contest],
+    mut same: impl FnMut(&Outcome, &Outcome) -> bool,
+) -> Result<(Spread, Outcome), Error> {
+    // The first compiles.
+    let (_, outcome) = device()?;
+    let mut seconds = Vec::new();
+    for _ in 0..repeats.max(1) {
+        let (elapsed, again) = device()?;
+        assert!(
+            same(&again, &outcome),
+            "the same solve on the same device repeats"
+        );
+        seconds.push(elapsed);
+        for rival in &mut *rivals {
+            rival.turn()?;
+        }
+    }
+    Ok((Spread::of(seconds), outcome))
+}
+
+fn contests<'a>(
+    options: &Options,
+    solver: &Solver,
+    system: (&'a Csr, &'a [f64]),
+) -> Result<Vec<Contest<'a>>, Error> {
+    let rivals = options.against.iter();
+    rivals
+        .map(|&rival| Contest::new(rival, system, solver.tolerance, options.largest_factor))
+        .collect()
 }
 
 fn write_matrices(block: &BaseBlock, n: usize, out: &Path) -> Result<(), Error> {
@@ -223,55 +346,65 @@ fn write_matrices(block: &BaseBlock, n: usize, out: &Path) -> Result<(), Error> 
 }
 
 /// The system of liquid and beam in the thesis's forms (5.25) and (5.17).
-fn write_coupled_matrices(n: usize, out: &Path) -> Result<(), Error> {
-    let system = base_scene(n)?.coupled_system();
-    let blocks = system.blocks();
-    let cells = blocks.cells.iter();
-    let e: Vec<f64> = cells.map(|&cell| system.pressure.rhs[cell]).collect();
-    let components = blocks.components.iter();
-    let w: Vec<f64> = components.map(|&at| -system.solid.rhs[at]).collect();
-    let both: Vec<f64> = e.iter().chain(&w).copied().collect();
+fn write_coupled_matrices(
+    system: &CoupledSystem,
+    positive: &Positive,
+    size: Size,
+    out: &Path,
+) -> Result<(), Error> {
+    let indefinite = system.blocks().indefinite();
+    let both = positive.both.concat();
     let parts = [
         (
             "spd",
-            blocks.two_field(SIGMA)?,
-            blocks.two_field_rhs(SIGMA, &e, &w),
+            &positive.matrix,
+            &positive.rhs,
             "A of the thesis's (5.25): pressures, then velocities",
         ),
         (
             "indefinite",
-            blocks.indefinite(),
-            both,
+            &indefinite,
+            &both,
             "[B J; J^T -S] of the thesis's (5.17), the same unknowns",
         ),
     ];
-    for (name, matrix, rhs, comment) in parts {
-        let text = linalg::matrix_text(&matrix, linalg::Symmetry::Symmetric, comment);
-        let file = out.join(format!("base_scene_{n}_{name}.mtx"));
+    let beam = size
+        .bricks
+        .map_or(String::new(), |across| format!("_beam_{across}"));
+    let name = format!("base_scene_{}{beam}", size.grid);
+    for (form, matrix, rhs, comment) in parts {
+        let text = linalg::matrix_text(matrix, linalg::Symmetry::Symmetric, comment);
+        let file = out.join(format!("{name}_{form}.mtx"));
         write_atomically(&file, text.as_bytes())?;
-        let text = linalg::vector_text(&rhs, "its right-hand side");
-        let file = out.join(format!("base_scene_{n}_{name}_rhs.mtx"));
+        let text = linalg::vector_text(rhs, "its right-hand side");
+        let file = out.join(format!("{name}_{form}_rhs.mtx"));
         write_atomically(&file, text.as_bytes())?;
     }
     Ok(())
 }
 
-/// The base scene with the beam that goes with a grid.
-fn base_scene(n: usize) -> Result<BaseScene, Error> {
+/// The base scene with a beam, or with that which goes with its grid.
+fn base_scene(size: Size) -> Result<BaseScene, Error> {
+    let matching = match size.grid {
+        ..50 => 2,
+        50..70 => 3,
+        _ => 4,
+    };
+    let across = size.bricks.unwrap_or(matching);
     let beam = BaseBeam {
-        bricks: bricks(n),
+        bricks: [across, across, 7 * across],
         ..BaseBeam::default()
     };
-    BaseScene::new(n, &beam)
+    BaseScene::new(size.grid, &beam)
 }
 
 fn measure(
     gpu: &Gpu,
     block: &BaseBlock,
     solver: &Solver,
-    repeats: usize,
+    options: &Options,
     machine: &Machine,
-) -> Result<Row, Error> {
+) -> Result<(Row, Vec<Against>), Error> {
     let grid = &block.grid;
     let padded = grid.padded();
     let faces = |label, fields: &[Vec<f64>; 3]| -> Result<Buffer<f32>, Error> {
@@ -295,31 +428,28 @@ fn measure(
     let system = PressureSystem::new(gpu, &buffers, &open, &distance, within, THETA_FLOOR)?;
     let pressure = PressureSolver::new(gpu, &buffers, &velocity, &open, solver)?;
     let area = grid.dx * grid.dx;
-    buffers.rhs.upload(
-        gpu,
-        &padded.pad(grid.cells, &block.pressure_system().rhs, |value| {
-            value / area
-        }),
-    );
-    let solve = |verify: bool| -> Result<(f64, Outcome), Error> {
+    let system_of_block = block.pressure_system();
+    let in_cells = system_of_block.rhs.iter().map(|value| value / area);
+    let in_cells: Vec<f64> = in_cells.collect();
+    buffers
+        .rhs
+        .upload(gpu, &padded.pad(grid.cells, &in_cells, |value| value));
+    let cells = system_of_block.stencil.active_cells().into_iter();
+    let rhs: Vec<f64> = cells.map(|cell| system_of_block.rhs[cell]).collect();
+    let matrix = system_of_block.to_csr();
+    let mut verify = true;
+    let solve = || -> Result<(f64, Outcome), Error> {
         gpu.wait("bench")?;
         let clock = Instant::now();
         let mut recorder = Recorder::new(gpu);
         recorder.stage("active_cells", |pass| system.record(pass, &buffers, within));
         let (outcome, _) = pressure.solve(gpu, recorder, &buffers, verify)?;
+        verify = false;
         Ok((clock.elapsed().as_secs_f64(), outcome))
     };
-    let (_, outcome) = solve(true)?;
-    let mut seconds = Vec::new();
-    for _ in 0..repeats.max(1) {
-        let (elapsed, again) = solve(false)?;
-        assert_eq!(
-            again.iterations, outcome.iterations,
-            "the same solve on the same device repeats"
-        );
-        seconds.push(elapsed);
-    }
-    let seconds = Spread::of(seconds);
+    let mut rivals = contests(options, solver, (&matrix, &rhs))?;
+    let same = |a: &Outcome, b: &Outcome| a.iterations == b.iterations;
+    let (seconds, outcome) = by_turns(options.repeats, solve, &mut rivals, same)?;
     let not_uniform = not_uniform(gpu, &buffers)?;
     let widths = widths(&buffers);
     let (unknowns, iterations) = (f64::from(outcome.unknowns), f64::from(outcome.iterations));
@@ -330,11 +460,12 @@ fn measure(
         f64::from(outcome.rounds),
         widths,
     );
-    Ok(Row {
+    let row = Row {
         scene: "base_block",
         grid: grid.cells[0],
         active_cells: outcome.unknowns,
         solid_nodes: 0,
+        bricks: None,
         formulation: Formulation::Pressure.name(),
         preconditioner: preconditioner_name(solver.preconditioner),
         precision: name(solver.precision),
@@ -350,25 +481,19 @@ fn measure(
         cell_iterations_per_second: unknowns * iterations / seconds.median,
         bytes,
         share_of_copy_bandwidth: machine.share_of_copy_bandwidth(bytes, seconds.median),
-    })
-}
-
-/// The beam that the thesis has on about so many cells along an edge.
-fn bricks(n: usize) -> [usize; 3] {
-    match n {
-        ..50 => [2, 2, 14],
-        50..70 => [3, 3, 21],
-        _ => [4, 4, 28],
-    }
+    };
+    let rivals = rivals.into_iter().map(|rival| rival.row(&row)).collect();
+    Ok((row, rivals))
 }
 
 fn measure_coupled(
     gpu: &Gpu,
-    (formulation, n): (Formulation, usize),
+    (formulation, size): (Formulation, Size),
+    (scene, system, positive): (&BaseScene, &CoupledSystem, Option<&Positive>),
     solver: &Solver,
-    repeats: usize,
+    options: &Options,
     machine: &Machine,
-) -> Result<Row, Error> {
+) -> Result<(Row, Vec<Against>), Error> {
     let solver = &Solver {
         formulation: match formulation {
             Formulation::Condensed => scene::Formulation::Condensed,
@@ -376,9 +501,7 @@ fn measure_coupled(
         },
         ..*solver
     };
-    let scene = base_scene(n)?;
-    let system = scene.coupled_system();
-    let device = DeviceScene::new(gpu, &scene, &system, solver)?;
+    let device = DeviceScene::new(gpu, scene, system, solver)?;
     let solve = || -> Result<(f64, CoupledOutcome), Error> {
         device.reset();
         gpu.wait("bench")?;
@@ -386,14 +509,11 @@ fn measure_coupled(
         let outcome = device.solve()?;
         Ok((clock.elapsed().as_secs_f64(), outcome))
     };
-    let (_, outcome) = solve()?;
-    let mut seconds = Vec::new();
-    for _ in 0..repeats.max(1) {
-        let (elapsed, again) = solve()?;
-        assert_eq!(again, outcome, "the same solve on the same device repeats");
-        seconds.push(elapsed);
-    }
-    let seconds = Spread::of(seconds);
+    let mut rivals = match positive {
+        Some(positive) => contests(options, solver, (&positive.matrix, &positive.rhs))?,
+        None => Vec::new(),
+    };
+    let (seconds, outcome) = by_turns(options.repeats, solve, &mut rivals, PartialEq::eq)?;
     let n_cells = system.pressure.n_unknowns() as f64;
     let iterations = f64::from(outcome.iterations);
     let widths = widths(&device.liquid);
@@ -411,11 +531,12 @@ fn measure_coupled(
     };
     let bytes =
         bytes_per_solve(n_cells, not_uniform, iterations, rounds, widths) + iterations * of_solids;
-    Ok(Row {
+    let row = Row {
         scene: "base_scene",
-        grid: n,
+        grid: size.grid,
         active_cells: n_cells as u32,
         solid_nodes: scene.solids.rest.len() as u32,
+        bricks: size.bricks,
         formulation: formulation.name(),
         preconditioner: preconditioner_name(solver.preconditioner),
         precision: name(solver.precision),
@@ -431,7 +552,9 @@ fn measure_coupled(
         cell_iterations_per_second: n_cells * iterations / seconds.median,
         bytes,
         share_of_copy_bandwidth: machine.share_of_copy_bandwidth(bytes, seconds.median),
-    })
+    };
+    let rivals = rivals.into_iter().map(|rival| rival.row(&row)).collect();
+    Ok((row, rivals))
 }
 
 /// How a preconditioner is spelled in the tables.
@@ -456,70 +579,4 @@ fn not_uniform(gpu: &Gpu, buffers: &SolverBuffers) -> Result<f64, Error> {
     let quads = flags.clone().filter(|&&flag| flag != 0).count() as f64;
     let uniform = flags.filter(|&&flag| flag >> 31 == 1).count() as f64;
     Ok(1.0 - uniform / quads.max(1.0))
-}
-
-/// Seconds against unknowns, log-log, a line per solver, bars from least to largest.
-fn draw(table: &Table, page: SVGBackend) -> Result<(), Box<dyn std::error::Error>> {
-    let root = page.into_drawing_area();
-    root.fill(&WHITE)?;
-    let unknowns = |row: &Row| f64::from(row.active_cells.max(1));
-    let bounds = |values: Vec<f64>| {
-        let low = values.iter().copied().fold(f64::INFINITY, f64::min);
-        let high = values.iter().copied().fold(0.0, f64::max);
-        (low / 1.5)..(high * 1.5)
-    };
-    let x = bounds(table.rows.iter().map(unknowns).collect());
-    let y = bounds(
-        table
-            .rows
-            .iter()
-            .flat_map(|row| [row.seconds_min, row.seconds_max])
-            .collect(),
-    );
-    let mut chart = ChartBuilder::on(&root)
-        .caption(
-            format!("Solve, {}", table.machine.adapter),
-            ("sans-serif", 20),
-        )
-        .margin(12)
-        .x_label_area_size(44)
-        .y_label_area_size(70)
-        .build_cartesian_2d(x.log_scale(), y.log_scale())?;
-    chart
-        .configure_mesh()
-        .x_desc("unknowns")
-        .y_desc("seconds")
-        .draw()?;
-    let key = |row: &Row| {
-        format!(
-            "{} {} {} {:.0e}",
-            row.formulation, row.preconditioner, row.precision, row.tolerance
-        )
-    };
-    let mut keys: Vec<String> = table.rows.iter().map(key).collect();
-    keys.sort();
-    keys.dedup();
-    for (index, series) in keys.into_iter().enumerate() {
-        let colour = Palette99::pick(index).to_rgba();
-        let rows: Vec<&Row> = table.rows.iter().filter(|row| key(row) == series).collect();
-        let points = rows.iter().map(|row| (unknowns(row), row.seconds_median));
-        chart
-            .draw_series(LineSeries::new(points, colour.stroke_width(2)).point_size(3))?
-            .label(series)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 20, y)], colour));
-        for row in rows {
-            let spread = [
-                (unknowns(row), row.seconds_min),
-                (unknowns(row), row.seconds_max),
-            ];
-            chart.draw_series([PathElement::new(spread, colour)])?;
-        }
-    }
-    chart
-        .configure_series_labels()
-        .border_style(BLACK)
-        .background_style(WHITE)
-        .draw()?;
-    root.present()?;
-    Ok(())
 }

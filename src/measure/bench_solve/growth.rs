@@ -1,0 +1,127 @@
+//! Exponents of the growth of seconds and iterations with the grid and with the solids' mesh.
+
+use serde::Serialize;
+
+use super::super::statistics::exponent;
+use super::{Against, Row};
+
+/// A row of solve_growth.csv: seconds ~ size^exponent through the rows of one solver.
+#[derive(Clone, Debug, Serialize)]
+pub struct Growth {
+    /// As in [`Row`].
+    pub formulation: &'static str,
+    /// As in [`Row`], or of a rival its name.
+    pub solver: &'static str,
+    /// As in [`Row`].
+    pub precision: &'static str,
+    /// `cells`: active cells grow. `nodes`: those of the solids grow, cells stay. `both`: both grow.
+    pub along: &'static str,
+    /// What stays: cells along an edge, or nodes.
+    pub fixed: Option<usize>,
+    /// Rows.
+    pub rows: usize,
+    /// Least of what grows: active cells, or nodes.
+    pub from: u32,
+    /// Largest.
+    pub to: u32,
+    /// Of the median seconds.
+    pub exponent: f64,
+    /// Of the iterations; empty for direct solvers.
+    pub iterations: Option<f64>,
+}
+
+/// What an exponent is fitted through.
+#[derive(Clone, Copy)]
+struct Sample {
+    series: [&'static str; 3],
+    grid: usize,
+    cells: u32,
+    nodes: u32,
+    bricks: Option<usize>,
+    seconds: f64,
+    iterations: Option<f64>,
+}
+
+/// Of all series with two sizes or more.
+pub(super) fn growth(rows: &[Row], against: &[Against]) -> Vec<Growth> {
+    let of_device = rows.iter().map(|row| Sample {
+        series: [row.formulation, row.preconditioner, row.precision],
+        grid: row.grid,
+        cells: row.active_cells,
+        nodes: row.solid_nodes,
+        bricks: row.bricks,
+        seconds: row.seconds_median,
+        iterations: Some(f64::from(row.iterations)),
+    });
+    let of_rivals = against.iter().filter_map(|row| {
+        Some(Sample {
+            series: [row.formulation, row.rival, row.precision],
+            grid: row.grid,
+            cells: row.active_cells,
+            nodes: row.solid_nodes,
+            bricks: row.bricks,
+            seconds: row.seconds_median?,
+            iterations: row.iterations.map(|iterations| iterations as f64),
+        })
+    });
+    let samples: Vec<Sample> = of_device.chain(of_rivals).collect();
+    let mut all: Vec<Growth> = Vec::new();
+    let mut seen = Vec::new();
+    for sample in &samples {
+        // A beam of its own size stays while the grid is refined; that which goes with the grid is refined with it.
+        let along_cells = match sample.bricks {
+            Some(_) => ("cells", Some(sample.nodes as usize)),
+            None if sample.nodes == 0 => ("cells", None),
+            None => ("both", None),
+        };
+        let along_nodes = sample.bricks.map(|_| ("nodes", Some(sample.grid)));
+        for (along, fixed) in [Some(along_cells), along_nodes].into_iter().flatten() {
+            let key = (sample.series, along, fixed);
+            if seen.contains(&key) {
+                continue;
+            }
+            seen.push(key);
+            let belongs = |other: &&Sample| {
+                let same = match along {
+                    "nodes" => Some(other.grid) == fixed && other.bricks.is_some(),
+                    "cells" if fixed.is_some() => {
+                        Some(other.nodes as usize) == fixed && other.bricks.is_some()
+                    }
+                    _ => other.bricks.is_none(),
+                };
+                other.series == sample.series && same
+            };
+            let members: Vec<&Sample> = samples.iter().filter(belongs).collect();
+            all.extend(fit(&members, along, fixed));
+        }
+    }
+    all
+}
+
+fn fit(members: &[&Sample], along: &'static str, fixed: Option<usize>) -> Option<Growth> {
+    let size = |sample: &Sample| match along {
+        "nodes" => sample.nodes,
+        _ => sample.cells,
+    };
+    let points = |value: &dyn Fn(&Sample) -> Option<f64>| -> Option<Vec<(f64, f64)>> {
+        let points = members.iter();
+        points
+            .map(|sample| Some((f64::from(size(sample)), value(sample)?)))
+            .collect()
+    };
+    let seconds = exponent(points(&|sample| Some(sample.seconds))?)?;
+    let sizes = members.iter().map(|sample| size(sample));
+    let [formulation, solver, precision] = members.first()?.series;
+    Some(Growth {
+        formulation,
+        solver,
+        precision,
+        along,
+        fixed,
+        rows: members.len(),
+        from: sizes.clone().min()?,
+        to: sizes.max()?,
+        exponent: seconds,
+        iterations: points(&|sample| sample.iterations).and_then(exponent),
+    })
+}

@@ -1,0 +1,232 @@
+//! `report --into`: tables of CSV files in Markdown documents, so that no number there is typed by hand.
+//!
+//! A document says what it wants between a head and an end, both comments in Markdown, and the lines between them are written anew:
+//!
+//! ```text
+//! <!-- table
+//! {"file": "solve/solve.csv", "where": {"precision": "mixed"},
+//!  "columns": [["grid", "{grid}"], ["seconds (least, largest)", "{seconds_median} ({seconds_min}, {seconds_max})"]]}
+//! -->
+//! <!-- end of table -->
+//! ```
+
+use std::fs;
+use std::path::Path;
+
+use serde::Deserialize;
+use serde_json::Value;
+
+use crate::Error;
+use crate::output::write_atomically;
+
+const HEAD: &str = "<!-- table";
+const CLOSE: &str = "-->";
+const END: &str = "<!-- end of table -->";
+
+/// What a document wants of a table.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Wanted {
+    /// Below the folder of the results.
+    file: String,
+    /// Rows: columns with what they must say.
+    #[serde(default, rename = "where")]
+    only: serde_json::Map<String, Value>,
+    /// Heads, and what stands below: text with names of columns in braces.
+    columns: Vec<[String; 2]>,
+}
+
+/// A table of a CSV file.
+struct Found {
+    heads: Vec<String>,
+    rows: Vec<csv::StringRecord>,
+    /// The adapter, and when.
+    measured: Option<String>,
+}
+
+/// Writes a document's tables anew from the results below `dir`; how many it has.
+///
+/// # Errors
+/// [`Error::Input`] where the document or a file that it names cannot be read, or it asks for what is not there; [`Error::Output`].
+pub fn insert(dir: &Path, document: &Path) -> Result<usize, Error> {
+    let text = fs::read_to_string(document).map_err(|problem| {
+        let cure = "give a Markdown file with <!-- table .. --> comments";
+        Error::input(document.display().to_string(), problem.to_string(), cure)
+    })?;
+    let refused = |line: usize, problem: String, cure: &str| {
+        Error::input(format!("{}:{line}", document.display()), problem, cure)
+    };
+    let mut out = String::new();
+    let mut tables = 0;
+    let mut lines = text.lines().enumerate();
+    while let Some((at, line)) = lines.next() {
+        out.push_str(line);
+        out.push('\n');
+        if line.trim() != HEAD {
+            continue;
+        }
+        let head = at + 1;
+        let mut wanted = String::new();
+        loop {
+            let Some((_, line)) = lines.next() else {
+                let cure = "end what the table is of with a line -->";
+                return Err(refused(head, "the comment does not end".to_owned(), cure));
+            };
+            out.push_str(line);
+            out.push('\n');
+            if line.trim() == CLOSE {
+                break;
+            }
+            wanted.push_str(line);
+            wanted.push('\n');
+        }
+        let ends = lines.by_ref().any(|(_, line)| line.trim() == END);
+        if !ends {
+            let cure = "put a line <!-- end of table --> below it";
+            return Err(refused(head, "the table does not end".to_owned(), cure));
+        }
+        let cure = "give JSON with file, columns and, if not all rows are wanted, where";
+        let wanted: Wanted = serde_json::from_str(&wanted)
+            .map_err(|problem| refused(head, problem.to_string(), cure))?;
+        let markdown = Found::read(&dir.join(&wanted.file))?
+            .markdown(&wanted)
+            .map_err(|problem| refused(head, problem, "name columns of the CSV file"))?;
+        out.push_str(&markdown);
+        out.push_str(END);
+        out.push('\n');
+        tables += 1;
+    }
+    if tables == 0 {
+        let cure = "add <!-- table .. --> comments as docs/report.md shows";
+        return Err(refused(1, "it asks for no table".to_owned(), cure));
+    }
+    write_atomically(document, out.as_bytes())?;
+    Ok(tables)
+}
+
+impl Found {
+    fn read(path: &Path) -> Result<Found, Error> {
+        let unreadable = |problem: &dyn std::fmt::Display| {
+            let cure = "run the bench that writes it, with --out a folder of the results";
+            let problem = format!("cannot be read: {problem}");
+            Error::input(path.display().to_string(), problem, cure)
+        };
+        let mut reader = csv::Reader::from_path(path).map_err(|problem| unreadable(&problem))?;
+        let heads = reader.headers().map_err(|problem| unreadable(&problem))?;
+        let heads = heads.iter().map(str::to_owned).collect();
+        let rows = reader.records().collect::<Result<_, _>>();
+        Ok(Found {
+            heads,
+            rows: rows.map_err(|problem| unreadable(&problem))?,
+            measured: measured(path),
+        })
+    }
+
+    fn cell<'a>(&self, row: &'a csv::StringRecord, name: &str) -> Option<&'a str> {
+        let column = self.heads.iter().position(|head| head == name)?;
+        row.get(column)
+    }
+
+    /// The rows and columns that are wanted, and where they were measured; or the name of a column that is not there.
+    fn markdown(&self, wanted: &Wanted) -> Result<String, String> {
+        let known = |name: &str| match self.heads.iter().any(|head| head == name) {
+            true => Ok(()),
+            false => Err(format!("{} has no column {name:?}", wanted.file)),
+        };
+        for name in wanted.only.keys() {
+            known(name)?;
+        }
+        let says = |row: &csv::StringRecord, name: &str, value: &Value| {
+            let text = match value {
+                Value::String(text) => text.clone(),
+                other => other.to_string(),
+            };
+            let cell = self.cell(row, name).unwrap_or("");
+            let numbers = cell.parse::<f64>().ok().zip(text.parse::<f64>().ok());
+            cell == text || numbers.is_some_and(|(a, b)| a == b)
+        };
+        let rows = self.rows.iter().filter(|row| {
+            let mut conditions = wanted.only.iter();
+            conditions.all(|(name, value)| says(row, name, value))
+        });
+        let heads: Vec<&str> = wanted
+            .columns
+            .iter()
+            .map(|[head, _]| head.as_str())
+            .collect();
+        let mut out = format!("| {} |\n", heads.join(" | "));
+        out.push_str(&format!("|{}\n", "---|".repeat(heads.len())));
+        for row in rows {
+            let cells = wanted.columns.iter();
+            let cells = cells.map(|[_, template]| self.fill(row, template));
+            let cells = cells.collect::<Result<Vec<_>, _>>();
+            let cells = cells.map_err(|name| format!("{} has no column {name:?}", wanted.file))?;
+            out.push_str(&format!("| {} |\n", cells.join(" | ")));
+        }
+        if let Some(measured) = &self.measured {
+            out.push_str(&format!("\n*{measured}*\n"));
+        }
+        Ok(out)
+    }
+
+    /// A template with its cells; the name of a column that is not there. Where all cells of it are empty, so is what it gives.
+    fn fill(&self, row: &csv::StringRecord, template: &str) -> Result<String, String> {
+        let mut out = String::new();
+        let mut rest = template;
+        let mut empty = true;
+        while let Some((before, inner)) = rest.split_once('{') {
+            let (name, after) = inner.split_once('}').ok_or_else(|| inner.to_owned())?;
+            let cell = self.cell(row, name).ok_or_else(|| name.to_owned())?;
+            empty &= cell.is_empty();
+            out.push_str(before);
+            out.push_str(&rounded(cell));
+            rest = after;
+        }
+        out.push_str(rest);
+        Ok(if empty { String::new() } else { out })
+    }
+}
+
+/// A number with three digits, as far as it is not whole; other text as it is.
+fn rounded(cell: &str) -> String {
+    let whole = cell.parse::<i64>().is_ok();
+    match cell.parse::<f64>() {
+        Ok(number) if !whole && number.is_finite() => {
+            let size = number.abs();
+            if number == 0.0 {
+                "0".to_owned()
+            } else if (1e-3..1e4).contains(&size) {
+                let digits = (2 - size.log10().floor() as i64).clamp(0, 5) as usize;
+                format!("{number:.digits$}")
+            } else {
+                format!("{number:.1e}").replace(".0e", "e")
+            }
+        }
+        _ => cell.replace('|', "\\|"),
+    }
+}
+
+/// Where and when the tables of a bench were measured, from the JSON file beside them.
+fn measured(path: &Path) -> Option<String> {
+    let stem = path.file_stem()?.to_str()?;
+    let parts: Vec<&str> = stem.split('_').collect();
+    // Tables of a bench are called as its JSON file is, and more.
+    let names = (1..=parts.len()).rev().map(|n| parts[..n].join("_"));
+    let texts = names.map(|name| path.with_file_name(format!("{name}.json")));
+    let text = texts
+        .into_iter()
+        .find_map(|path| fs::read_to_string(path).ok())?;
+    let json: Value = serde_json::from_str(&text).ok()?;
+    let say = |key: &str| Some(json.get(key)?.as_str()?.to_owned());
+    let number = |key: &str| json.get(key)?.as_f64();
+    let bandwidth = json.get("copy_bandwidth")?.get("median")?.as_f64()?;
+    let load = number("load").map_or(String::new(), |load| format!(" at a load of {load}"));
+    Some(format!(
+        "{}, cutwater {}, {}, copy bandwidth {:.1} GB/s, {} CPU threads{load}.",
+        say("measured")?.split('T').next()?,
+        say("cutwater")?,
+        say("adapter")?,
+        1e-9 * bandwidth,
+        number("threads")?,
+    ))
+}

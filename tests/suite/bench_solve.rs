@@ -1,0 +1,114 @@
+//! `bench solve` on small grids: complete tables, rivals that solve the same system, growth of what grows.
+
+use std::fs;
+
+use cutwater::measure::bench_solve::{Formulation, Options, Rival, bench_solve};
+use cutwater::scene::Solver;
+
+use crate::common::gpu;
+
+fn options(formulations: Vec<Formulation>) -> Options {
+    Options {
+        formulations,
+        grids: vec![12],
+        bricks: vec![None],
+        repeats: 1,
+        solvers: vec![Solver::default()],
+        against: Vec::new(),
+        largest_factor: 1e8,
+        matrices: false,
+    }
+}
+
+#[test]
+fn every_formulation_has_a_row_and_every_rival_its_own() {
+    let Some(gpu) = gpu() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let options = Options {
+        against: vec![Rival::IncompleteCholesky, Rival::Cholesky],
+        ..options(vec![
+            Formulation::Pressure,
+            Formulation::TwoField,
+            Formulation::Condensed,
+        ])
+    };
+    let mut told = 0;
+    let tell = &mut |_: &_, against: &[_]| told += 1 + against.len();
+    let table = bench_solve(gpu, &options, folder.path(), tell).unwrap();
+    let [pressure, both, condensed] = &table.rows[..] else {
+        panic!("{:?}", table.rows);
+    };
+    assert_eq!(
+        [pressure, both, condensed].map(|row| row.formulation),
+        ["pressure", "two-field", "condensed"]
+    );
+    assert_eq!([pressure.solid_nodes, both.solid_nodes], [0, 135]);
+    for row in &table.rows {
+        assert_eq!(row.status, "converged", "{row:?}");
+        assert!(row.residual_p <= 1e-8 && row.residual_v <= 1e-8, "{row:?}");
+        assert!(row.bytes > 0.0 && row.seconds_min > 0.0, "{row:?}");
+    }
+    assert!(pressure.residual_v == 0.0 && both.residual_v > 0.0);
+    assert_eq!((told, table.against.len()), (9, 6));
+    for rival in &table.against {
+        let residual = rival.residual.unwrap();
+        let exact = rival.rival == "cholesky";
+        // The recurrence's residual is not the true one.
+        assert!(residual < if exact { 1e-9 } else { 2e-8 }, "{rival:?}");
+        assert_eq!(rival.iterations.is_some(), !exact, "{rival:?}");
+        let ratio = rival.seconds_median.unwrap() / rival.device_seconds;
+        assert_eq!(rival.ratio, Some(ratio), "{rival:?}");
+        let coupled = rival.formulation != "pressure";
+        assert_eq!(
+            rival.rows > rival.active_cells as usize,
+            coupled,
+            "{rival:?}"
+        );
+    }
+    for (file, lines) in [("solve.csv", 4), ("solve_against.csv", 7)] {
+        let written = fs::read_to_string(folder.path().join(file)).unwrap();
+        assert_eq!(written.lines().count(), lines, "{written}");
+    }
+}
+
+#[test]
+fn growth_is_along_what_grows() {
+    let Some(gpu) = gpu() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let options = Options {
+        grids: vec![8, 12],
+        bricks: vec![Some(1), Some(2)],
+        against: vec![Rival::Cholesky],
+        largest_factor: 1.0,
+        ..options(vec![Formulation::Pressure, Formulation::TwoField])
+    };
+    let table = bench_solve(gpu, &options, folder.path(), &mut |_, _| {}).unwrap();
+    assert_eq!(table.rows.len(), 2 + 4);
+    let left_out = table
+        .against
+        .iter()
+        .all(|row| row.seconds_median.is_none() && row.ratio.is_none() && row.factor_bytes > 1.0);
+    assert!(left_out, "{:?}", table.against);
+    // Pressures with the cells; both with the cells for two beams, and with the nodes on two grids.
+    let along: Vec<_> = table
+        .growth
+        .iter()
+        .map(|growth| (growth.formulation, growth.along, growth.fixed, growth.rows))
+        .collect();
+    assert_eq!(along.len(), 5, "{along:?}");
+    for expected in [
+        ("pressure", "cells", None, 2),
+        ("two-field", "cells", Some(32), 2),
+        ("two-field", "cells", Some(135), 2),
+        ("two-field", "nodes", Some(8), 2),
+        ("two-field", "nodes", Some(12), 2),
+    ] {
+        assert!(along.contains(&expected), "{expected:?} {along:?}");
+    }
+    for growth in &table.growth {
+        assert!(
+            growth.exponent.is_finite() && growth.from < growth.to,
+            "{growth:?}"
+        );
+    }
+}
