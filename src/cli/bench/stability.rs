@@ -37,7 +37,7 @@ impl Stability {
         let verdict = |passed: bool| if passed { "ok  " } else { "FAIL" };
         let table = bench_stability(&options, &self.out, &mut |told| match told {
             Told::Case(row) => say!(
-                "{} {:24} sub-steps {:5}, energy {:.3} (to {:.2}; at the end {:.3}, elastic {:.3}), volume {:.3} to {:.3}, least det F {:.3}, inverted {}, missed {}, not settled {}, iterations {}, {:.1} s: {}",
+                "{} {:24} sub-steps {:5}, energy {:.3} (to {:.2}; at the end {:.3}, elastic {:.3}), volume {:.3} to {:.3}, lost {:.4}, least det F {:.3}, inverted {}, missed {}, not settled {}, iterations {}, {:.1} s: {}",
                 verdict(row.passed),
                 row.name,
                 row.sub_steps,
@@ -47,6 +47,7 @@ impl Stability {
                 row.elastic_ratio,
                 row.volume_least,
                 row.volume_most,
+                row.lost,
                 row.min_det,
                 row.inverted,
                 row.missed,

@@ -5,7 +5,10 @@
 //! mass, so that spray does not inflate it; potential energy counts from the corner of the domain where gravity would take everything.
 //! Backward Euler and the projection only take energy away. What gives is the motion: markers fall with the velocities of before, and
 //! gain g v dt / 2 per kg with v at most sqrt(2 g H) in a domain H high. A run whose energy exceeds 1.1 times that of its start and this
-//! gain of its whole mass fails; so it does where a value is not finite, and where the simulation errs.
+//! gain of its whole mass fails; so it does where it loses a tenth of its markers, where a value is not finite, and where the simulation
+//! errs.
+//!
+//! Volume is that of the union of the markers' spheres, which spray inflates; markers are mass.
 
 mod cases;
 mod limit;
@@ -32,6 +35,8 @@ pub use limit::{LimitRow, limits};
 
 /// What the energy may come to over that of the start, beside what falling gains: a tenth for what the sums themselves are off.
 const MOST_ENERGY: f64 = 1.1;
+/// Of the markers that a run may lose.
+const MOST_LOST: f64 = 0.1;
 /// Where a run whose energy has no bound need not go on: the verdict and its size are clear.
 const HOPELESS: f64 = 1e4;
 /// Of its length that the stiff beam of the thesis may bend.
@@ -102,8 +107,9 @@ pub struct Row {
     pub volume_most: f64,
     /// Volume at the end over that at the start, less 1.
     pub volume_drift: f64,
-    /// Markers lost between surfaces that close on them, over those of the start.
-    pub dropped: f64,
+    /// Markers lost between surfaces that close on them, over those of the start: liquid that is gone, where the volume of the spheres
+    /// also changes as they part.
+    pub lost: f64,
     /// Least det F of all sub-steps.
     pub min_det: f64,
     /// Elements with a det F of 0 or less at the end.
@@ -370,7 +376,7 @@ fn run(case: &Case, backend: &Backend) -> Result<(Row, Option<[String; 2]>), Err
         volume_least: 1.0,
         volume_most: 1.0,
         volume_drift: 0.0,
-        dropped: 0.0,
+        lost: 0.0,
         min_det: 1.0,
         inverted: 0,
         missed: 0,
@@ -427,7 +433,11 @@ fn go(run: &mut Run, row: &mut Row) -> Result<(), Error> {
             row.volume_most = row.volume_most.max(volume);
             row.volume_drift = volume - 1.0;
         }
-        row.dropped = state.markers_dropped as f64 / run.markers.max(1) as f64;
+        row.lost = state.markers_dropped as f64 / run.markers.max(1) as f64;
+        if row.lost > MOST_LOST {
+            let lost = 100.0 * MOST_LOST;
+            row.fail(format!("step {at}: more than {lost} % of the markers lost"));
+        }
         let solves = || report.solves();
         row.missed += u64::from(solves().any(|solve| solve.status != SolveStatus::Converged));
         let most = solves().map(|solve| solve.iterations).max();

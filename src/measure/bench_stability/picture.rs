@@ -8,9 +8,13 @@ const LINE: i32 = 17;
 const HEAD: i32 = 74;
 const WIDTH: u32 = 1180;
 /// Left ends of the columns: verdict, name, energy, worst det F, volume, what happened.
-const COLUMNS: [i32; 6] = [12, 34, 240, 460, 620, 800];
+const COLUMNS: [i32; 6] = [12, 34, 220, 400, 530, 730];
 /// Of a bar, pixels.
-const BAR: f64 = 130.0;
+const BAR: f64 = 60.0;
+/// From the left end of a bar to the number beside it.
+const BESIDE: i32 = 68;
+/// From the top of a line to that of its text, which brings it to the height of the bars.
+const DOWN: i32 = 3;
 
 /// Of the page, pixels.
 pub(super) fn size(table: &Table) -> (u32, u32) {
@@ -73,9 +77,9 @@ pub(super) fn draw(table: &Table, page: SVGBackend) -> Drawn {
     let heads = [
         "",
         "case",
-        "largest energy over the start's",
+        "largest energy, of its bound",
         "least det F",
-        "volume, least to largest",
+        "volume; markers lost",
         "",
     ];
     for (head, x) in heads.iter().zip(COLUMNS) {
@@ -96,12 +100,12 @@ pub(super) fn draw(table: &Table, page: SVGBackend) -> Drawn {
     y += LINE;
     for row in &table.limits {
         page.verdict(row.passed, y)?;
-        page.text(&row.name, (COLUMNS[1], y), 12)?;
+        page.text(&row.name, (COLUMNS[1], y + DOWN), 12)?;
         let got = format!(
             "weak coupling, m_a/m_s = {:.4}, {:.2} of the limit: grows by {:.4} a sub-step, formula {:.4}",
             row.ratio, row.over_limit, row.got, row.expected
         );
-        page.text(&got, (COLUMNS[2], y), 12)?;
+        page.text(&got, (COLUMNS[2], y + DOWN), 12)?;
         y += LINE;
     }
     page.0.present()?;
@@ -111,21 +115,24 @@ pub(super) fn draw(table: &Table, page: SVGBackend) -> Drawn {
 fn of_row(page: &Page, row: &Row, y: i32) -> Drawn {
     let [_, name, energy, det, volume, text] = COLUMNS;
     page.verdict(row.passed, y)?;
-    page.text(&row.name, (name, y), 12)?;
-    // 1 is the energy of the start, the end of the bar a hundred times it.
-    let decades = row.energy_ratio.max(1.0).log10() / 2.0;
+    page.text(&row.name, (name, y + DOWN), 12)?;
+    // From the energy of the start to what it may come to.
+    let gained = (row.energy_ratio - 1.0) / (row.energy_bound - 1.0);
     let within = row.energy_ratio <= row.energy_bound;
-    page.bar((energy, y), 0.02 + decades, &colour_of(within))?;
+    page.bar((energy, y), gained.max(0.02), &colour_of(within))?;
     let numbers = format!("{:.3} (to {:.2})", row.energy_ratio, row.energy_bound);
-    page.text(&numbers, (energy + 70, y), 12)?;
+    page.text(&numbers, (energy + BESIDE, y + DOWN), 12)?;
     page.bar((det, y), row.min_det, &RGBColor(70, 110, 180))?;
-    page.text(&format!("{:.3}", row.min_det), (det + 70, y), 12)?;
-    let volumes = format!("{:.3} to {:.3}", row.volume_least, row.volume_most);
-    page.text(&volumes, (volume, y), 12)?;
+    page.text(&format!("{:.3}", row.min_det), (det + BESIDE, y + DOWN), 12)?;
+    let mut volumes = format!("{:.3} to {:.3}", row.volume_least, row.volume_most);
+    if row.lost >= 5e-4 {
+        volumes += &format!(", lost {:.1} %", 100.0 * row.lost);
+    }
+    page.text(&volumes, (volume, y + DOWN), 12)?;
     let first_line = row.status.lines().next().unwrap_or_default();
     let happened = match row.passed && row.status == "completed" {
         true => row.varies.clone(),
         false => first_line.to_owned(),
     };
-    page.text(&happened, (text, y), 12)
+    page.text(&happened, (text, y + DOWN), 12)
 }
