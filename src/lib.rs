@@ -6,7 +6,7 @@
 //! 1. `time_step`: the largest step that the velocities allow and that lands on the frame times ([`sim`])
 //! 2. `clip`: open face areas and the distance to the obstacles, on the CPU ([`geometry`]); once, and with solids in liquid in
 //!    every sub-step, after they have moved
-//! 3. `move_solid`: nodes of the solids, then out of walls and obstacles
+//! 3. `move_solid`: nodes of the solids, on circles where nothing holds their body, then out of walls and obstacles
 //! 4. `advect_markers`: midpoint rule through the MAC field, then out of solids and walls; on the GPU `band` then lists the
 //!    quads near the liquid, which all other stages of the liquid work on
 //! 5. `advect_velocity`: semi-Lagrangian on the faces

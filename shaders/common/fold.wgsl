@@ -1,24 +1,14 @@
 #import real
+#import tree
 
 // Sum of partials[first .. first + n] by one workgroup of FOLD_SIZE threads: strided sums, then a tree; the order depends on n
 // alone. The including file declares partials. All threads must call it, and a barrier must stand between two calls.
-const FOLD_SIZE = 256u;
-var<workgroup> sh_sums: array<Real4, FOLD_SIZE>;
-
 fn fold_from(first: u32, n: u32, lane: u32) -> Real4 {
     var sum = Real4();
     for (var ix = lane; ix < n; ix += FOLD_SIZE) {
         sum += partials[first + ix];
     }
-    sh_sums[lane] = sum;
-    for (var half = FOLD_SIZE / 2u; half > 0u; half /= 2u) {
-        workgroupBarrier();
-        if lane < half {
-            sh_sums[lane] += sh_sums[lane + half];
-        }
-    }
-    workgroupBarrier();
-    return sh_sums[0];
+    return tree(sum, lane);
 }
 
 // Sum of partials[0 .. n].

@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::{Body, Deformation, Script, Solids, lame_parameters, rest_shape, stress, von_mises};
 use crate::error::Error;
 use crate::geometry::{MovedMesh, TetMesh, inside};
-use crate::scene::{Keyframe, Load, LoadKind, Pin, Scene, Shape, Solid};
+use crate::scene::{ElasticModel, Keyframe, Load, LoadKind, Pin, Scene, Shape, Solid};
 
 impl Solids {
     /// The solids of a scene on their meshes (one each, as placed).
@@ -285,6 +285,15 @@ impl Solids {
                 .map(|body| body.elements.clone())
                 .collect(),
         }
+    }
+
+    /// The bodies that move on circles where they turn: corotational ones that nothing holds.
+    pub fn turning(&self) -> impl Iterator<Item = &Body> {
+        self.bodies.iter().filter(|body| {
+            let held = |prescribed: &[bool; 3]| prescribed != &[false; 3];
+            let corotational = body.model == ElasticModel::Corotational;
+            corotational && !self.prescribed[body.nodes.clone()].iter().any(held)
+        })
     }
 
     /// The body of an element.

@@ -78,6 +78,7 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/sweep"),
     crate::wgsl!("common/symmetric"),
     crate::wgsl!("common/tiles"),
+    crate::wgsl!("common/tree"),
     crate::wgsl!("common/unknown"),
     crate::wgsl!("common/valid"),
     crate::wgsl!("common/walls"),

@@ -85,6 +85,7 @@ impl<'a> DeviceScene<'a> {
             grid,
             n_nodes: scene.solids.rest.len(),
             n_elements: scene.solids.elements.len(),
+            n_turning: scene.solids.turning().count(),
             scripts: false,
             obstacles: false,
             real: variant(gpu.has_f64(), solver.precision).real,

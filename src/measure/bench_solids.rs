@@ -287,6 +287,7 @@ impl<'a> Device<'a> {
             grid: scene.grid(),
             n_nodes: solids.rest.len(),
             n_elements: solids.elements.len(),
+            n_turning: solids.turning().count(),
             scripts: false,
             obstacles: false,
             real: variant(gpu.has_f64(), scene.solver.precision).real,

@@ -34,6 +34,7 @@ mod solve_solid;
 mod step;
 mod stress_variables;
 mod time_step;
+mod turn_solids;
 mod write_back;
 
 pub use active_cells::{ActiveCells, active_cells, theta};
@@ -68,4 +69,5 @@ pub use solve_solid::{Chebyshev, SolidSolver};
 pub use step::{Reference, StepSystem};
 pub use stress_variables::{StressSystem, StressVariables};
 pub use time_step::{TimeStep, time_step};
+pub use turn_solids::turn_solids;
 pub use write_back::write_back;

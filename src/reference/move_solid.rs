@@ -3,13 +3,14 @@
 use glam::DVec3;
 
 use super::sample::normal;
+use super::turn_solids;
 use crate::elastic::Solids;
 use crate::grid::Grid;
 
 /// How often a node inside an obstacle is put on its surface.
 const PUSHES: usize = 2;
 
-/// u += dt v. Then a node beyond a wall of the domain is put on the wall, and one inside an obstacle on its surface along the gradient
+/// u += dt v, after [`turn_solids`]. Then a node beyond a wall of the domain is put on the wall, and one inside an obstacle on its surface along the gradient
 /// of the interpolated distance, as far as that is in the domain; both lose their velocity into what they touch. Prescribed components
 /// move, but nothing stops them. What the solve held is where it should be: this is for what it did not foresee, as surfaces that curve.
 /// A node without a velocity was inside before, as solids may start in obstacles: contact takes it out in the solve, which moves its body
@@ -24,6 +25,7 @@ pub fn move_solid(
     displacement: &mut [[f64; 3]],
     velocity: &mut [[f64; 3]],
 ) {
+    turn_solids(solids, dt, displacement, velocity);
     for (node, (u, v)) in displacement.iter_mut().zip(velocity).enumerate() {
         let free = solids.prescribed[node].map(|prescribed| !prescribed);
         let rest = solids.rest[node];

@@ -69,6 +69,7 @@ fn solid_plan(scene: &Scene, solids: &Solids, f64: bool) -> SolidPlan {
         grid: scene.grid(),
         n_nodes: solids.rest.len(),
         n_elements: solids.elements.len(),
+        n_turning: solids.turning().count(),
         scripts: effects.scripts,
         obstacles: effects.obstacles,
         real: solver::variant(f64, scene.solver.precision).real,

@@ -234,6 +234,7 @@ fn effect_lines(scene: &Scene, effects: &Effects) -> Vec<EffectLine> {
             .count()
     };
     let turns = |solid: &Solid| usize::from(solid.model == ElasticModel::Corotational);
+    let free = |solid: &Solid| turns(solid) * usize::from(solid.pins.is_empty());
     let damped =
         |solid: &Solid| usize::from(solid.mass_damping > 0.0 || solid.stiffness_damping > 0.0);
     [
@@ -253,6 +254,11 @@ fn effect_lines(scene: &Scene, effects: &Effects) -> Vec<EffectLine> {
             "corotation",
             effects.corotation,
             of_solids(&turns, "corotational", "model = \"linear\""),
+        ),
+        (
+            "turning",
+            effects.turning,
+            of_solids(&free, "corotational and held nowhere", "none that is corotational and held nowhere"),
         ),
         (
             "damping",
@@ -351,8 +357,11 @@ fn stages(
         });
     };
     if elastic {
-        let kernels: [(bool, &[_]); 2] =
-            [(true, &["move_solid"]), (obstacles, &["push_nodes_out"])];
+        let kernels: [(bool, &[_]); 3] = [
+            (effects.turning, &["turn_solids"]),
+            (true, &["move_solid"]),
+            (obstacles, &["push_nodes_out"]),
+        ];
         stage("move_solid", true, &kernels);
     }
     if coupling {

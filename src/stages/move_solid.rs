@@ -1,6 +1,6 @@
 //! `move_solid`: x = x* + dt v; nodes beyond a wall or inside an obstacle are put out of it and lose their velocity into it.
 //!
-//! Walls first, then obstacles; no prescribed component is stopped by either.
+//! Bodies that nothing holds move on circles where they turn. Walls first, then obstacles; no prescribed component is stopped by either.
 
 use crate::Error;
 use crate::gpu::{Bound, Buffer, Gpu, Kernel, Recorder};
@@ -9,10 +9,15 @@ use crate::wgsl;
 
 use super::{ObstacleBuffers, SolidBuffers};
 
+/// Threads for a body that turns: `FOLD_SIZE` in `shaders/common/tree.wgsl`.
+const TURNING_THREADS: usize = 256;
+
 /// The stage: `displacement` and `velocity` in place, by the velocity of the last sub-step.
 #[derive(Debug)]
 pub struct MoveSolid {
     n_nodes: usize,
+    n_turning: usize,
+    turn_solids: Option<Bound>,
     move_solid: Bound,
     push_nodes_out: Option<Bound>,
 }
@@ -48,9 +53,15 @@ impl MoveSolid {
                 &[level, step, rest, flags, distance, displacement, velocity],
             )
         };
+        let turn_solids = |bodies: &Buffer<[u32; 2]>| {
+            let bodies = ("bodies", bodies.into());
+            kernel(wgsl!("turn_solids"))?.bind(gpu, &[step, bodies, rest, displacement, velocity])
+        };
         let level = solids.level.as_ref();
         Ok(MoveSolid {
             n_nodes: solids.plan.n_nodes,
+            n_turning: solids.plan.n_turning,
+            turn_solids: solids.turning.as_ref().map(turn_solids).transpose()?,
             move_solid: kernel(wgsl!("move_solid"))?
                 .bind(gpu, &[step, rest, flags, displacement, velocity])?,
             push_nodes_out: level.map(push_nodes_out).transpose()?,
@@ -60,6 +71,10 @@ impl MoveSolid {
     /// Records it.
     pub fn record(&self, recorder: &mut Recorder) {
         recorder.stage(MoveSolid::NAME, |pass| {
+            if let Some(turn_solids) = &self.turn_solids {
+                // A workgroup each.
+                pass.dispatch(turn_solids, TURNING_THREADS * self.n_turning);
+            }
             pass.dispatch(&self.move_solid, self.n_nodes);
             if let Some(push_nodes_out) = &self.push_nodes_out {
                 pass.dispatch(push_nodes_out, self.n_nodes);

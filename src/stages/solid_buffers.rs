@@ -50,6 +50,8 @@ pub struct SolidPlan {
     pub n_nodes: usize,
     /// Their elements.
     pub n_elements: usize,
+    /// Bodies that move on circles where they turn.
+    pub n_turning: usize,
     /// Whether prescribed nodes move.
     pub scripts: bool,
     /// Whether there are obstacles.
@@ -77,7 +79,7 @@ impl SolidPlan {
         let (n, m) = (self.n_nodes, self.n_elements);
         let prescribed = if self.scripts { n } else { 1 };
         let surfaces = if self.obstacles { 2 } else { 1 };
-        vec![
+        let mut plans = vec![
             BufferPlan::of::<[f32; 4]>("solid.rest", n),
             BufferPlan::of::<[f32; 4]>("solid.displacement", 2 * n),
             RealBuffer::plan("solid.velocity", 4 * n, self.real),
@@ -95,7 +97,11 @@ impl SolidPlan {
             RealBuffer::plan("solid.partials", 12 * self.n_summing(), self.real),
             BufferPlan::of::<u32>("solid.extremes", EXTREMES),
             BufferPlan::of::<u32>("solid.report", SolidReport::WORDS),
-        ]
+        ];
+        if self.n_turning > 0 {
+            plans.push(BufferPlan::of::<[u32; 2]>("solid.turning", self.n_turning));
+        }
+        plans
     }
 
     /// Threads of a reduction, each with its own share of the nodes and elements: as many as fill a large device, fewer for
@@ -122,6 +128,8 @@ pub struct SolidBuffers {
     pub step: Buffer<SolidStep>,
     /// The layout of the obstacles' distance; only with obstacles.
     pub level: Option<Buffer<Layout>>,
+    /// Per body that moves on circles where it turns: its first node and the one after its last; only with such bodies.
+    pub turning: Option<Buffer<[u32; 2]>>,
     /// Per node: rest position, m, and lumped mass, kg.
     pub rest: Buffer<[f32; 4]>,
     /// Displacement from rest, m, as the sum of two f32: the larger part of all nodes, then the smaller.
@@ -172,19 +180,25 @@ impl SolidBuffers {
     /// When the solids are not those planned.
     pub fn new(gpu: &Gpu, plan: SolidPlan, solids: &Solids) -> Result<SolidBuffers, Error> {
         assert_eq!(
-            (solids.rest.len(), solids.elements.len()),
-            (plan.n_nodes, plan.n_elements),
-            "nodes and elements of the plan"
+            (
+                solids.rest.len(),
+                solids.elements.len(),
+                solids.turning().count()
+            ),
+            (plan.n_nodes, plan.n_elements, plan.n_turning),
+            "nodes, elements and turning bodies of the plan"
         );
         let plans = plan.buffers();
         let maker = Maker { gpu, plans: &plans };
         let padded = plan.grid.padded();
         let level = || gpu.uniform("solid.level", &padded.layout());
+        let turning = || maker.make("solid.turning");
         let zero: SolidStep = bytemuck::Zeroable::zeroed();
         let buffers = SolidBuffers {
             plan,
             step: gpu.uniform("solid.step", &zero)?,
             level: plan.obstacles.then(level).transpose()?,
+            turning: (plan.n_turning > 0).then(turning).transpose()?,
             rest: maker.make("solid.rest")?,
             displacement: maker.make("solid.displacement")?,
             velocity: maker.make_real("solid.velocity", plan.real)?,
@@ -216,6 +230,11 @@ impl SolidBuffers {
             .map(|(x, &mass)| x.extend(mass).as_vec4().to_array())
             .collect();
         gpu.upload(&self.rest, &rest);
+        if let Some(turning) = &self.turning {
+            let bodies = solids.turning();
+            let bodies = bodies.map(|body| [body.nodes.start, body.nodes.end].map(|at| at as u32));
+            gpu.upload(turning, &bodies.collect::<Vec<_>>());
+        }
         let free = |[x, y, z]: &[bool; 3]| u32::from(!x) | u32::from(!y) << 1 | u32::from(!z) << 2;
         let flags: Vec<u32> = solids.prescribed.iter().map(free).collect();
         gpu.upload(&self.flags, &flags);

@@ -189,6 +189,11 @@ const SHARED: &[(&str, &str, &[&str])] = &[
         "vcycle_tail",
         &["TAIL_QUADS", "TAIL_LEVELS", "TAIL_STEPS"],
     ),
+    (
+        "src/reference/turn_solids.rs",
+        "turn_solids",
+        &["LEAST_INERTIA", "ROUNDS", "LEFT"],
+    ),
     ("src/solver/mod.rs", "fold_partials", &["FOLD_THREADS"]),
     (
         "src/solver/hierarchy.rs",
@@ -261,6 +266,10 @@ fn derived_constants_match() {
         constant("src/solver/chebyshev.rs", "MAX_DEGREE") + 1.0,
         of_shader("common/chebyshev", "DEGREES")
     );
+    assert_eq!(
+        constant("src/stages/move_solid.rs", "TURNING_THREADS"),
+        of_shader("common/tree", "FOLD_SIZE")
+    );
     let slice = of_shader("common/rows", "SLICE");
     assert_eq!(slice, of_shader("common/dispatch", "WG_SIZE"));
     let digits = 2f64.powf(of_shader("common/sort", "DIGIT_BITS"));
@@ -271,7 +280,7 @@ fn derived_constants_match() {
         of_shader("pcg_gate", "FOLD_GROUPS") * of_shader("common/dispatch", "WG_SIZE");
     assert_eq!(constant("src/solver/mod.rs", "FOLD_THREADS"), fold_groups);
     // Its workgroups must be allowed everywhere.
-    for (shader, name) in [("common/fold", "FOLD_SIZE"), ("common/scan", "SCAN_SIZE")] {
+    for (shader, name) in [("common/tree", "FOLD_SIZE"), ("common/scan", "SCAN_SIZE")] {
         assert_eq!(of_shader(shader, name), 256.0, "{name}");
     }
 }

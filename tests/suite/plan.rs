@@ -329,6 +329,19 @@ fn absent_effects_of_solids_take_nothing() {
             assert!(compiled(&all) && !compiled(&without), "{kernel}");
         }
     }
+    // What holds a body keeps it from turning as a whole, and linear ones do not turn.
+    let held: &[&str] = &[];
+    for (absent, turns) in [
+        (held, false),
+        (&["pins", "scripts", "loads"], true),
+        (&["pins", "scripts", "loads", "corotation"], false),
+    ] {
+        let (made, _) = made(&solids_with(absent, &[]));
+        let of_two_bodies = if turns { 16 } else { 0 };
+        assert_eq!(bytes(&made, "solid.turning"), of_two_bodies, "{absent:?}");
+        let compiled = made.gpu().unwrap().compiled().contains("turn_solids");
+        assert_eq!(compiled, turns, "{absent:?}");
+    }
 }
 
 /// Of the hash of Fowler, Noll and Vo (FNV-1a, 64 bits).

@@ -92,7 +92,7 @@ fn all_that_is_allocated_is_planned() {
                 assert_eq!(found.len(), 1, "{label}");
                 found[0]
             };
-            let made = [
+            let mut made = vec![
                 (b.step.label(), b.step.bytes()),
                 (b.rest.label(), b.rest.bytes()),
                 (b.displacement.label(), b.displacement.bytes()),
@@ -118,11 +118,14 @@ fn all_that_is_allocated_is_planned() {
                 (b.extremes.label(), b.extremes.bytes()),
                 (b.report.label(), b.report.bytes()),
             ];
+            let turning = b.turning.as_ref();
+            made.extend(turning.map(|turning| (turning.label(), turning.bytes())));
             assert_eq!(made.len(), b.plan.buffers().len() + 1);
             for (label, found) in made {
                 assert_eq!(bytes(label), found, "{}: {label}", case.name);
             }
             assert_eq!(b.level.is_some(), b.plan.obstacles);
+            assert_eq!(b.turning.is_some(), b.plan.n_turning > 0);
         }
     }
 }

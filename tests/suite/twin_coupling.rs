@@ -209,6 +209,7 @@ impl<'a> OnDevice<'a> {
             grid,
             n_nodes: joint.solids.rest.len(),
             n_elements: joint.solids.elements.len(),
+            n_turning: joint.solids.turning().count(),
             scripts: false,
             obstacles: false,
             real: liquid.buffers.variant.real,

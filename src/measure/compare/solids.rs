@@ -24,6 +24,9 @@ use crate::state::SolidDiagnosis;
 
 /// Relative error of the sum of two f32 that a displacement is held as, and of what is added to it.
 const PAIR: f64 = 1.0 / (1u64 << 45) as f64;
+/// Roundings of what a body that turns needs besides its tangents, relative to its largest node's: sums over nodes, with arms that are
+/// differences of positions, and an inverse tensor of inertia.
+const TURNED: f64 = 256.0;
 
 /// How far coefficients in f32 may move the answer of liquid and solids, relative to its largest numbers.
 const ASSEMBLY: f64 = 1e-5;
@@ -151,12 +154,15 @@ impl<'a> SolidJudge<'a> {
         self.table.add(row, pairs);
     }
 
-    /// A free node is off by the rounding of the pair and of dt v. One that is put on a wall or an obstacle is off by the rounding of its
+    /// A free node is off by the rounding of the pair, of dt v and of what it turns by. One that is put on a wall or an obstacle is off by the rounding of its
     /// position, of the distance there (three cells at most, sampled with a position in cells), and of the direction. Rounding decides whether
     /// one that the solve has brought to the surface is beyond it and loses its velocity into it.
     fn move_solid(&mut self, after: &SolidSnapshot) {
         let before = self.before.clone();
         let (mut u, mut v) = (before.displacement.clone(), before.velocity.clone());
+        reference::turn_solids(&self.solids, self.dt, &mut u, &mut v);
+        let (turned, turned_v) = (u.clone(), v.clone());
+        (u, v) = (before.displacement.clone(), before.velocity.clone());
         reference::move_solid(
             &self.solids,
             &self.grid,
@@ -170,8 +176,7 @@ impl<'a> SolidJudge<'a> {
         let touched: Vec<bool> = (0..u.len())
             .map(|node| {
                 (0..3).any(|axis| {
-                    let free =
-                        before.displacement[node][axis] + self.dt * before.velocity[node][axis];
+                    let free = turned[node][axis] + self.dt * turned_v[node][axis];
                     let moved = |u: f64| (u - free).abs() > PAIR * (free.abs() + size);
                     moved(u[node][axis]) || moved(after.displacement[node][axis])
                 })
@@ -179,12 +184,30 @@ impl<'a> SolidJudge<'a> {
             .collect();
         let contact = EPS * (8.0 * size + 64.0 * self.grid.dx * cells.max(8.0));
         let (dt, eps) = (self.dt, unit(after.real));
+        // Per node: how far what its body turns by may be off, m and m/s.
+        let mut off = vec![[0.0; 2]; u.len()];
+        for body in self.solids.turning() {
+            let largest = |of: &dyn Fn(usize) -> DVec3| {
+                let nodes = body.nodes.clone();
+                nodes.fold(0.0, |largest, node| of(node).length().max(largest))
+            };
+            let change = |after: &[[f64; 3]], before: &[[f64; 3]], node: usize| {
+                DVec3::from(after[node]) - DVec3::from(before[node])
+            };
+            let speed = largest(&|node| before.velocity[node].into());
+            let [way, rate] = [
+                largest(&|node| change(&turned, &before.displacement, node)) + dt * speed / TURNED,
+                largest(&|node| change(&turned_v, &before.velocity, node)) + speed / TURNED,
+            ]
+            .map(|change| TURNED * eps * change);
+            off[body.nodes.clone()].fill([way, rate]);
+        }
         let row = [MoveSolid::NAME, "displacement", "m"];
         self.add_nodes(row, &after.displacement, &u, |node, axis| {
             let way = dt * before.velocity[node][axis].abs();
             match touched[node] {
-                true => contact,
-                false => 4.0 * PAIR * (u[node][axis].abs() + way) + eps * way,
+                true => contact + off[node][0],
+                false => 4.0 * PAIR * (u[node][axis].abs() + way) + eps * way + off[node][0],
             }
         });
         let size = self.grid.size();
@@ -199,11 +222,12 @@ impl<'a> SolidJudge<'a> {
         let row = [MoveSolid::NAME, "v*", "m/s"];
         self.add_nodes(row, &after.velocity, &v, |node, _| {
             let speed = DVec3::from(before.velocity[node]).length();
-            match (arrives[node], touched[node]) {
+            let of_contact = match (arrives[node], touched[node]) {
                 (true, _) => speed * (1.0 + 64.0 * EPS * cells),
                 (_, true) => 64.0 * EPS * cells * speed,
                 _ => 0.0,
-            }
+            };
+            of_contact + off[node][1]
         });
     }
 

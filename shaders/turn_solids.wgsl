@@ -1,0 +1,166 @@
+// move_solid, first part, with corotational bodies that nothing holds only: what a body that turns needs besides its tangents, so that moving
+// along them does not stretch it. With c, v_c its centroid and that one's velocity, r = x - c, I = sum m (|r|^2 1 - r r^T), L = sum m r x v:
+//     w = I^-1 L;  y + dt/2 (I^-1 y) x y = L,  theta = dt I^-1 y;  k = 1 / (1 + |theta|^2 / 4)
+//     s = (theta - dt w) x r + k (theta x (theta x r) / 2 - |theta|^2 theta x r / 4),  r' = r + dt (v - v_c) + s
+//     dv = (I'^-1 sum m (v - v_c) x s) x r';  u += s - dt dv,  v += dv.
+// One workgroup per body; sums in a tree. step. bodies: first node and the one after the last. rest: m, kg. displacement: larger parts, then
+// smaller, m; velocity: m/s; both in place.
+#import dispatch
+#import pair
+#import real
+#import solid_step
+#import tree
+
+@group(0) @binding(0) var<uniform> step: SolidStep;
+@group(0) @binding(1) var<storage, read> bodies: array<vec2<u32>>;
+@group(0) @binding(2) var<storage, read> rest: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read_write> displacement: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read_write> velocity: array<Real4>;
+
+// Of the cube of its trace, the determinant that a tensor of inertia has to exceed: the twin has the reason.
+const LEAST_INERTIA = 1e-5;
+// Of Newton's method, and the squared share of L that it may leave.
+const ROUNDS = 5;
+const LEFT = 1e-6;
+
+struct Tensor {
+    inverse: Real3x3,
+    // Whether it is one.
+    regular: bool,
+}
+
+// How a body moves, and what of its motion is rigid.
+struct Motion {
+    centroid: Real3,
+    velocity: Real3,
+    w: Real3,
+    theta: Real3,
+}
+
+fn displacement_of(node: u32) -> Pair {
+    return Pair(displacement[node].xyz, displacement[step.n_nodes + node].xyz);
+}
+
+fn position(node: u32) -> Real3 {
+    return Real3(rest[node].xyz) + pair_value(displacement_of(node));
+}
+
+fn sum_of(part: Real4, lane: u32) -> Real4 {
+    // All have read the sum before.
+    workgroupBarrier();
+    return tree(part, lane);
+}
+
+// Of the sums of m (|r|^2 - r r) and m (yz, zx, xy).
+fn tensor(diagonal: Real3, products: Real3) -> Tensor {
+    let a = Real3(diagonal.x, -products.z, -products.y);
+    let b = Real3(-products.z, diagonal.y, -products.x);
+    let c = Real3(-products.y, -products.x, diagonal.z);
+    let determinant = dot(a, cross(b, c));
+    let trace = diagonal.x + diagonal.y + diagonal.z;
+    let regular = determinant > Real(LEAST_INERTIA) * trace * trace * trace;
+    let by = select(Real(), Real(1.0) / determinant, regular);
+    return Tensor(Real3x3(by * cross(b, c), by * cross(c, a), by * cross(a, b)), regular);
+}
+
+fn diagonal_of(r: Real3) -> Real3 {
+    return Real3(dot(r, r)) - r * r;
+}
+
+// The angular velocity of the implicit midpoint.
+fn midway(inverse: Real3x3, momentum: Real3) -> Real3 {
+    let half = Real(0.5) * Real(step.dt);
+    var y = momentum;
+    var left = Real3();
+    for (var round = 0; round <= ROUNDS; round++) {
+        let w = inverse * y;
+        left = y + half * cross(w, y) - momentum;
+        if round == ROUNDS {
+            break;
+        }
+        let a = Real3(Real(1.0), Real(), Real()) + half * (cross(w, Real3(Real(1.0), Real(), Real())) - cross(y, inverse[0]));
+        let b = Real3(Real(), Real(1.0), Real()) + half * (cross(w, Real3(Real(), Real(1.0), Real())) - cross(y, inverse[1]));
+        let c = Real3(Real(), Real(), Real(1.0)) + half * (cross(w, Real3(Real(), Real(), Real(1.0))) - cross(y, inverse[2]));
+        let bc = cross(b, c);
+        y -= Real3(dot(bc, left), dot(cross(c, a), left), dot(cross(a, b), left)) / dot(a, bc);
+    }
+    let found = dot(left, left) <= Real(LEFT) * dot(momentum, momentum);
+    return inverse * select(momentum, y, found);
+}
+
+fn shift(motion: Motion, r: Real3) -> Real3 {
+    let theta = motion.theta;
+    let square = dot(theta, theta);
+    let k = Real(1.0) / (Real(1.0) + Real(0.25) * square);
+    let tangent = cross(theta, r);
+    let turned = Real(0.5) * cross(theta, tangent) - (Real(0.25) * square) * tangent;
+    return cross(theta - Real(step.dt) * motion.w, r) + k * turned;
+}
+
+@compute @workgroup_size(FOLD_SIZE)
+fn turn_solids(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let body = group_index(workgroup);
+    // No nodes beyond the last body: threads that returned would be missing at the barriers.
+    var nodes = vec2<u32>();
+    if body < arrayLength(&bodies) {
+        nodes = bodies[body];
+    }
+    var of_x = Real4();
+    var of_v = Real3();
+    for (var node = nodes.x + lane; node < nodes.y; node += FOLD_SIZE) {
+        let mass = Real(rest[node].w);
+        of_x += mass * Real4(position(node), Real(1.0));
+        of_v += mass * velocity[node].xyz;
+    }
+    of_x = sum_of(of_x, lane);
+    of_v = sum_of(Real4(of_v, Real()), lane).xyz;
+    var motion = Motion(of_x.xyz / of_x.w, of_v / of_x.w, Real3(), Real3());
+
+    var momentum = Real3();
+    var diagonal = Real3();
+    var products = Real3();
+    for (var node = nodes.x + lane; node < nodes.y; node += FOLD_SIZE) {
+        let mass = Real(rest[node].w);
+        let r = position(node) - motion.centroid;
+        momentum += mass * cross(r, velocity[node].xyz - motion.velocity);
+        diagonal += mass * diagonal_of(r);
+        products += mass * r.yzx * r.zxy;
+    }
+    momentum = sum_of(Real4(momentum, Real()), lane).xyz;
+    diagonal = sum_of(Real4(diagonal, Real()), lane).xyz;
+    products = sum_of(Real4(products, Real()), lane).xyz;
+    let before = tensor(diagonal, products);
+    motion.w = before.inverse * momentum;
+    motion.theta = Real(step.dt) * midway(before.inverse, momentum);
+
+    var lost = Real3();
+    diagonal = Real3();
+    products = Real3();
+    for (var node = nodes.x + lane; node < nodes.y; node += FOLD_SIZE) {
+        let mass = Real(rest[node].w);
+        let r = position(node) - motion.centroid;
+        let v = velocity[node].xyz - motion.velocity;
+        let s = shift(motion, r);
+        let end = r + Real(step.dt) * v + s;
+        lost += mass * cross(v, s);
+        diagonal += mass * diagonal_of(end);
+        products += mass * end.yzx * end.zxy;
+    }
+    lost = sum_of(Real4(lost, Real()), lane).xyz;
+    diagonal = sum_of(Real4(diagonal, Real()), lane).xyz;
+    products = sum_of(Real4(products, Real()), lane).xyz;
+    if !before.regular {
+        return;
+    }
+    let dw = tensor(diagonal, products).inverse * lost;
+    for (var node = nodes.x + lane; node < nodes.y; node += FOLD_SIZE) {
+        let r = position(node) - motion.centroid;
+        let v = velocity[node].xyz;
+        let s = shift(motion, r);
+        let dv = cross(dw, r + Real(step.dt) * (v - motion.velocity) + s);
+        let u = pair_plus(displacement_of(node), s - Real(step.dt) * dv, step.zero);
+        displacement[node] = vec4<f32>(u.hi, 0.0);
+        displacement[step.n_nodes + node] = vec4<f32>(u.lo, 0.0);
+        velocity[node] = Real4(v + dv, Real());
+    }
+}
