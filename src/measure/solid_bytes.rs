@@ -13,6 +13,8 @@ const VEC4: f64 = 16.0;
 pub(super) struct SolidBytes {
     pub(super) nodes: f64,
     pub(super) elements: f64,
+    /// Nodes of bodies that move on circles where they turn.
+    turning: f64,
     /// 3x3 blocks of the stiffness off its diagonal.
     blocks: f64,
     /// Bytes of a scalar of velocities and residuals.
@@ -28,6 +30,7 @@ impl SolidBytes {
         SolidBytes {
             nodes: solids.rest.len() as f64,
             elements: solids.elements.len() as f64,
+            turning: solids.turning().map(|body| body.nodes.len() as f64).sum(),
             blocks: topology.n_blocks() as f64,
             real: real as f64,
             inner: inner as f64,
@@ -54,10 +57,12 @@ impl SolidBytes {
         let (n, m) = (self.nodes, self.elements);
         let [scripts, obstacles] = [scripts, obstacles].map(|there| f64::from(u8::from(there)));
         match stage {
-            // Rest position, flags, displacement in two parts read and written, velocity; once more to look at the distance.
+            // Rest position, flags, displacement in two parts read and written, velocity; once more to look at the distance. Of what turns
+            // rest position, displacement and velocity, both read and written.
             "move_solid" => {
                 let still = n * (VEC4 + WORD + 2.0 * VEC4) + self.vectors(1.0);
-                still + n * 2.0 * VEC4 + obstacles * (still + n * WORD)
+                let turning = self.turning * (5.0 * VEC4 + 8.0 * self.real);
+                still + n * 2.0 * VEC4 + obstacles * (still + n * WORD) + turning
             }
             // Flags, velocity read and written.
             "forces" => n * (WORD + scripts * VEC4) + self.vectors(2.0),
