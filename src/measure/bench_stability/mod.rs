@@ -23,12 +23,13 @@ use serde::Serialize;
 
 use crate::Error;
 use crate::elastic::Solids;
+use crate::gpu::Gpu;
 use crate::reference::diagnose_solid;
 use crate::scene::Scene;
 use crate::sim::{Backend, Simulation};
 use crate::state::{SolidDiagnosis, SolveStatus, State, StepReport};
 
-use super::table::{write_csv, write_json, write_svg};
+use super::table::{Machine, write_csv, write_json, write_svg};
 
 pub use cases::{Case, Expected, cases};
 pub use limit::{LimitRow, limits};
@@ -129,14 +130,11 @@ pub struct Row {
 /// The tables and where they were measured.
 #[derive(Clone, Debug, Serialize)]
 pub struct Table {
-    /// Version of cutwater.
-    pub cutwater: &'static str,
+    /// Of the device; nothing on the CPU.
+    #[serde(flatten)]
+    pub machine: Option<Machine>,
     /// `gpu` or `cpu`.
     pub backend: &'static str,
-    /// Adapter; empty on the CPU.
-    pub adapter: String,
-    /// Driver; empty on the CPU.
-    pub driver: String,
     /// A row per case.
     pub rows: Vec<Row>,
     /// A row per column of liquid on a light piston.
@@ -193,11 +191,13 @@ pub fn bench_stability(
 ) -> Result<Table, Error> {
     let scenes = out.join("scenes");
     fs::create_dir_all(&scenes).map_err(|problem| Error::output(&scenes, problem))?;
+    let machine = match &options.backend {
+        Backend::Gpu(choice) => Some(Machine::new(&Gpu::new(choice)?, 3)?),
+        Backend::Cpu => None,
+    };
     let mut table = Table {
-        cutwater: env!("CARGO_PKG_VERSION"),
+        machine,
         backend: options.backend.name(),
-        adapter: String::new(),
-        driver: String::new(),
         rows: Vec::new(),
         limits: Vec::new(),
     };
@@ -214,10 +214,7 @@ pub fn bench_stability(
             continue;
         }
         case.write(&scenes)?;
-        let (row, adapter) = run(&case, &options.backend)?;
-        if let Some([name, driver]) = adapter {
-            (table.adapter, table.driver) = (name, driver);
-        }
+        let row = run(&case, &options.backend)?;
         tell(Told::Case(&row));
         table.rows.push(row);
         write(&table, out)?;
@@ -354,8 +351,8 @@ fn non_finite(state: &State, report: &StepReport) -> usize {
     of_state.filter(bad).count() + of_report.filter(|value| !value.is_finite()).count()
 }
 
-/// Runs a case; also the name and the driver of the adapter.
-fn run(case: &Case, backend: &Backend) -> Result<(Row, Option<[String; 2]>), Error> {
+/// Runs a case.
+fn run(case: &Case, backend: &Backend) -> Result<Row, Error> {
     let clock = Instant::now();
     let mut row = Row {
         name: case.name.clone(),
@@ -385,14 +382,9 @@ fn run(case: &Case, backend: &Backend) -> Result<(Row, Option<[String; 2]>), Err
         deflection: None,
         seconds: 0.0,
     };
-    let mut adapter = None;
     let started = case.scene().and_then(|scene| Run::new(scene, backend));
     match started {
         Ok(mut run) => {
-            adapter = run.simulation.adapter().map(|report| {
-                let (name, driver) = (report.name.clone(), report.driver.clone());
-                [name, driver]
-            });
             if let Err(error) = go(&mut run, &mut row) {
                 row.fail(error.to_string());
             }
@@ -403,7 +395,7 @@ fn run(case: &Case, backend: &Backend) -> Result<(Row, Option<[String; 2]>), Err
     }
     row.seconds = clock.elapsed().as_secs_f64();
     row.passed = case.expected.holds(&row);
-    Ok((row, adapter))
+    Ok(row)
 }
 
 impl Row {

@@ -65,10 +65,8 @@ pub(super) fn draw(table: &Table, page: SVGBackend) -> Drawn {
     let failed = table.rows.iter().filter(|row| !row.passed).count()
         + table.limits.iter().filter(|row| !row.passed).count();
     let all = table.rows.len() + table.limits.len();
-    let where_ = match table.adapter.as_str() {
-        "" => "the f64 path",
-        adapter => adapter,
-    };
+    let machine = table.machine.as_ref();
+    let where_ = machine.map_or("the f64 path", |machine| &machine.adapter);
     page.text(
         &format!("Stability: {} of {all} cases pass, {where_}", all - failed),
         (COLUMNS[0], 10),
