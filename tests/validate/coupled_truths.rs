@@ -11,6 +11,7 @@ use glam::DVec3;
 use crate::Case;
 use crate::lane::{Lane, largest};
 use crate::liquid::table;
+use crate::page::{Line, Mark};
 use crate::sheet::Sheet;
 
 const GRAVITY: f64 = 9.81;
@@ -48,12 +49,17 @@ const OF_ADDED_MASS: f64 = 0.03;
 
 /// A1: no cell knows of a surface, and the level of the pressure is what keeps the ball's volume.
 fn ball_in_a_vessel(lane: Lane, sheet: &mut Sheet) {
+    let mut own = [Vec::new(), Vec::new()];
     for (ratio, s) in [(2.0, 0.1), (2.0, 2.0), (3.0, 0.1), (3.0, 2.0)] {
         let vessel = Vessel::full(ratio, 10.0);
         let what = format!("ball in a vessel, b/a = {ratio}, s = {s}: C");
         let c = vessel.added_mass(lane, s, STIFF);
+        own[usize::from(s > 1.0)].push([ratio, c]);
         sheet.relative(&what, added_mass(true, ratio), c, OF_ADDED_MASS);
     }
+    // Stokes 1843.
+    let exact = |ratio: f64| (ratio.powi(3) + 2.0) / (2.0 * (ratio.powi(3) - 1.0));
+    chart_of_added_mass(lane, "ball in a spherical vessel", own, exact, sheet);
     if lane == Lane::Mixed {
         let vessel = Vessel {
             formulation: "two_field",
@@ -75,8 +81,35 @@ fn ball_in_a_vessel(lane: Lane, sheet: &mut Sheet) {
     );
 }
 
+/// Of a tenth of the liquid's density and of twice that, over the exact one.
+fn chart_of_added_mass(
+    lane: Lane,
+    body: &str,
+    own: [Vec<[f64; 2]>; 2],
+    exact: impl Fn(f64) -> f64,
+    sheet: &mut Sheet,
+) {
+    let [light, heavy] = own;
+    let ratios = (0..=100).map(|n| 1.6 + 0.02 * f64::from(n));
+    let title = format!("added mass of a {body}, {}", lane.name());
+    sheet.chart(
+        &title,
+        ["radius of the vessel over that of the body", "C"],
+        vec![
+            Line::new(
+                "exact",
+                Mark::Theory,
+                ratios.map(|ratio| [ratio, exact(ratio)]).collect(),
+            ),
+            Line::new("density 0.1", Mark::Points, light),
+            Line::new("density 2", Mark::Points, heavy),
+        ],
+    );
+}
+
 /// A2.
 fn cylinder_in_a_vessel(lane: Lane, sheet: &mut Sheet) {
+    let mut own = [Vec::new(), Vec::new()];
     for (ratio, across, s) in [
         (2.0, 10.0, 0.1),
         (2.0, 10.0, 2.0),
@@ -86,8 +119,11 @@ fn cylinder_in_a_vessel(lane: Lane, sheet: &mut Sheet) {
     ] {
         let what = format!("cylinder in a vessel, b/a = {ratio}, a/dx = {across}, s = {s}: C");
         let c = annulus(lane, ratio, across, s, STIFF);
+        own[usize::from(s > 1.0)].push([ratio, c]);
         sheet.relative(&what, added_mass(false, ratio), c, OF_ADDED_MASS);
     }
+    let exact = |ratio: f64| (ratio * ratio + 1.0) / (ratio * ratio - 1.0);
+    chart_of_added_mass(lane, "cylinder in a cylindrical vessel", own, exact, sheet);
 }
 
 /// A5. A level surface through the middle, where pressure is zero, changes nothing: mirrored there with the opposite sign, the potential
@@ -156,7 +192,7 @@ fn piston(lane: Lane, sheet: &mut Sheet) {
             continue;
         }
         let steps = (1.2 * std::f64::consts::PI / (omega * dt)).ceil().max(8.0) as usize;
-        let swing = swings(
+        let (swing, velocities) = swings(
             lane,
             &Piston {
                 m_s,
@@ -172,6 +208,39 @@ fn piston(lane: Lane, sheet: &mut Sheet) {
         sheet.relative(&format!("{what}: frequency, 1/s"), omega_h, swing[0], 1e-3);
         let [expected, got] = [z, swing[1]].map(|z| -z.ln());
         sheet.relative(&format!("{what}: decay per step"), expected, got, 1e-3);
+        if dt != 0.02 || ratio != 10.0 {
+            continue;
+        }
+        // Backward Euler of one mass and one spring, from the same push.
+        let (mut v, mut x) = (1e-4, 0.0);
+        let discrete = (1..=velocities.len()).map(|number| {
+            v = (v - omega * omega * dt * x) / (1.0 + (omega * dt).powi(2));
+            x += dt * v;
+            [dt * number as f64, v]
+        });
+        let discrete: Vec<[f64; 2]> = discrete.collect();
+        // The block is pushed as a whole, its mode is a slope: both over their first velocity.
+        let over_first = |series: Vec<[f64; 2]>| {
+            let first = series[0][1];
+            series.into_iter().map(|[t, v]| [t, v / first]).collect()
+        };
+        let own = velocities.iter().zip(1..);
+        let own = own.map(|(v, number)| [dt * f64::from(number), *v]);
+        sheet.chart(
+            &format!(
+                "piston against a column, m_a/m_s = {ratio}, dt = {dt}, {}",
+                lane.name()
+            ),
+            ["t, s", "velocity over that of the first step"],
+            vec![
+                Line::new(
+                    "backward Euler of mass and spring",
+                    Mark::Theory,
+                    over_first(discrete),
+                ),
+                Line::new("piston", Mark::Points, over_first(own.collect())),
+            ],
+        );
     }
     if lane != Lane::F64 {
         return;
@@ -186,7 +255,7 @@ fn piston(lane: Lane, sheet: &mut Sheet) {
             off: 0.25,
             patches,
         };
-        let [frequency, _] = swings(lane, &piston, 24);
+        let ([frequency, _], _) = swings(lane, &piston, 24);
         sheet.told(
             &format!("piston a quarter of a cell off the middle of one, \"{patches}\", m_a/m_s = 10: frequency off by"),
             format!("{:+.1e}", frequency / piston.frequency() - 1.0),
@@ -216,8 +285,8 @@ impl Piston {
     }
 }
 
-/// Frequency (1/s) and factor per step of a piston that is pushed, from v'' = a v' + b v of its velocities in a row.
-fn swings(lane: Lane, piston: &Piston, steps: usize) -> [f64; 2] {
+/// Frequency (1/s) and factor per step of a piston that is pushed, from v'' = a v' + b v of its velocities in a row, and these, m/s.
+fn swings(lane: Lane, piston: &Piston, steps: usize) -> ([f64; 2], Vec<f64>) {
     const DX: f64 = 0.03;
     let &Piston {
         m_s,
@@ -291,7 +360,7 @@ pressure_on_patches = \"{patches}\"
     let (a, b) = ((ac * bb - bc * ab) / det, (bc * aa - ac * ab) / det);
     // z^2 = a z + b, with complex roots.
     let angle = (-b - 0.25 * a * a).sqrt().atan2(0.5 * a);
-    [angle / dt, (-b).sqrt()]
+    ([angle / dt, (-b).sqrt()], velocities)
 }
 
 /// B2: a block on rollers under a column of water, both at rest at last. The mean of u over its top is exact in linear tetrahedra,
@@ -347,7 +416,39 @@ tolerance = 1e-10
         let what =
             format!("column on a block, E = {young:e} Pa, after {seconds:.1} s: u of the top, m");
         sheet.relative(&what, expected, top, 1e-4);
+        let pressure = 1000.0 * GRAVITY * (level - length - expected);
+        let heights = (0..=40).map(|n| length * f64::from(n) / 40.0);
+        let exact = heights.map(|y| {
+            let weight = density * GRAVITY * y * (length - 0.5 * y);
+            [y, -(pressure * y + weight) / modulus]
+        });
+        let layers = (0..=4).map(|layer| {
+            let y = length * f64::from(layer) / 4.0;
+            [y, mean_at_height(&simulation, y)]
+        });
+        sheet.chart(
+            &format!(
+                "block under a column of water, E = {young:e} Pa, {}",
+                lane.name()
+            ),
+            ["height at rest, m", "displacement, m"],
+            vec![
+                Line::new("exact", Mark::Theory, exact.collect()),
+                Line::new("nodes", Mark::Points, layers.collect()),
+            ],
+        );
     }
+}
+
+/// Mean displacement upwards of the nodes at a height at rest, m.
+fn mean_at_height(simulation: &Simulation, y: f64) -> f64 {
+    let state = simulation.state().unwrap_or_else(|error| panic!("{error}"));
+    let nodes = simulation.solids().rest.iter().zip(&state.displacement);
+    let there: Vec<f64> = nodes
+        .filter(|(rest, _)| (rest.y - y).abs() < 1e-6)
+        .map(|(_, u)| u[1])
+        .collect();
+    there.iter().sum::<f64>() / there.len() as f64
 }
 
 /// Steps until no node moves by a millionth of the largest displacement in a step; the time then, s.
@@ -386,6 +487,7 @@ fn floating_bodies(lane: Lane, sheet: &mut Sheet) {
     const DX: f64 = 0.025;
     const LEVEL: f64 = 0.37;
     let (height, radius) = (0.2, 0.12);
+    let mut drafts = [Vec::new(), Vec::new()];
     for row in table("tests/data/buoyancy_equilibrium.csv")
         .into_iter()
         .take(2)
@@ -436,12 +538,28 @@ solid = {{ name = \"body\" }}
             let got = LEVEL - (middle - half);
             let what = format!("floating {name}, s = {}: draft off by, cells", row[0]);
             sheet.at_most(&what, (got - draft).abs() / DX, 0.25);
+            drafts[usize::from(name == "ball")].push([row[0], got / half]);
             sheet.told(
                 &format!("floating {name}, s = {}", row[0]),
                 format!("draft {got:.5} m for {draft:.5} m, still {speed:.1e} m/s"),
             );
         }
     }
+    let [boxes, balls] = drafts;
+    let of_box = (0..=50).map(|n| 0.02 * f64::from(n)).map(|s| [s, 2.0 * s]);
+    // The cap of a ball of radius 1 and depth d is d^2 (3 - d) / 4 of it.
+    let of_ball = (0..=50).map(|n| 0.04 * f64::from(n));
+    let of_ball = of_ball.map(|d| [d * d * (3.0 - d) / 4.0, d]);
+    sheet.chart(
+        &format!("where bodies float, {}", lane.name()),
+        ["density over the liquid's", "draft over half the height"],
+        vec![
+            Line::new("box, Archimedes", Mark::Theory, of_box.collect()),
+            Line::new("ball, Archimedes", Mark::Theory, of_ball.collect()),
+            Line::new("box", Mark::Points, boxes),
+            Line::new("ball", Mark::Points, balls),
+        ],
+    );
 }
 
 /// A clamped plate of 1 x 0.05 m, and as wide as the slab that it is computed in, under 2 m of water (Fourey et al. 2017).
@@ -581,10 +699,11 @@ fn plate_under_water(lane: Lane, sheet: &mut Sheet) {
     let dt = 2.5e-4;
     let (_, plate) = calibrated([40, 4], dt);
     let mut wet = plate.wet(lane);
-    let (mut turns, mut before) = (Vec::new(), 0.0);
+    let (mut turns, mut before, mut own) = (Vec::new(), 0.0, Vec::new());
     for number in 0..100 {
         step(&mut wet);
-        let v = Plate::middle(&wet)[1];
+        let [u, v] = Plate::middle(&wet);
+        own.push([dt * f64::from(number + 1), 1e6 * u]);
         if v * before < 0.0 {
             turns.push(dt * (f64::from(number) - v / (v - before)));
         }
@@ -594,6 +713,31 @@ fn plate_under_water(lane: Lane, sheet: &mut Sheet) {
         }
     }
     let omega = std::f64::consts::TAU * 78.9;
+    // Backward Euler of the first mode alone about the plate's rest.
+    let (mut v, mut x) = (0.0, -expected);
+    let discrete = own.iter().map(|[t, _]| {
+        v = (v - omega * omega * dt * x) / (1.0 + (omega * dt).powi(2));
+        x += dt * v;
+        [*t, 1e6 * (expected + x)]
+    });
+    let discrete = discrete.collect();
+    let ends = [own[0][0], own[own.len() - 1][0]];
+    sheet.chart(
+        &format!(
+            "clamped plate when 2 m of water come on at once, {}",
+            lane.name()
+        ),
+        ["t, s", "deflection of the middle, micrometres"],
+        vec![
+            Line::new("plate", Mark::Line, own),
+            Line::new("first mode, backward Euler", Mark::Theory, discrete),
+            Line::new(
+                "at rest (scikit-fem)",
+                Mark::Theory,
+                ends.map(|t| [t, 1e6 * expected]).to_vec(),
+            ),
+        ],
+    );
     let expected = (omega * dt).atan() / dt / std::f64::consts::TAU;
     let what = "plate under 2 m of water, its first swing: frequency, Hz";
     sheet.relative(what, expected, 0.5 / (turns[1] - turns[0]), 0.03);

@@ -6,7 +6,8 @@
 //! ```
 //!
 //! A case is a function that fills a [`Sheet`] with rows: what was expected, what came, what is allowed. Each topic has a file that
-//! lists its cases; the list of topics is [`cases`]. The table is printed and written to `target/validate` as Markdown and CSV. Exit
+//! lists its cases; the list of topics is [`cases`]. The table is printed; a page with charts of what came over what
+//! was expected, and the table as CSV, are written to `target/validate`. Exit
 //! code 1: a row failed.
 
 // What the suite shares; it uses more of it.
@@ -28,6 +29,7 @@ mod coupled_scenes;
 mod coupled_truths;
 mod lane;
 mod liquid;
+mod page;
 mod sheet;
 mod solid_balances;
 mod solid_elements;
@@ -35,6 +37,7 @@ mod solid_inversion;
 mod solid_motion;
 mod solid_scenes;
 mod solid_statics;
+mod waves;
 
 use std::panic::{self, AssertUnwindSafe};
 use std::process::ExitCode;
@@ -44,6 +47,7 @@ use std::time::Instant;
 
 use cutwater::gpu::{AdapterChoice, Gpu};
 
+use page::Chart;
 use sheet::{Row, Sheet};
 
 /// Something to find out.
@@ -59,8 +63,8 @@ impl Case {
         Case { id, run }
     }
 
-    /// Its rows. What panics fails.
-    fn rows(&self) -> Vec<Row> {
+    /// Its rows and charts. What panics fails.
+    fn found(&self) -> (Vec<Row>, Vec<Chart>) {
         let mut sheet = Sheet::default();
         let start = Instant::now();
         let outcome = panic::catch_unwind(AssertUnwindSafe(|| (self.run)(&mut sheet)));
@@ -78,6 +82,7 @@ impl Case {
 fn cases() -> Vec<Case> {
     [
         liquid::cases(),
+        waves::cases(),
         coupled::cases(),
         coupled_truths::cases(),
         coupled_scenes::cases(),
@@ -93,10 +98,10 @@ fn cases() -> Vec<Case> {
     .collect()
 }
 
-/// Runs the cases, `jobs` at a time; rows in the order of the cases.
-fn run(cases: &[Case], jobs: usize) -> Vec<Row> {
+/// Runs the cases, `jobs` at a time; rows and charts in the order of the cases.
+fn run(cases: &[Case], jobs: usize) -> (Vec<Row>, Vec<Chart>) {
     let next = AtomicUsize::new(0);
-    let done: Vec<Mutex<Vec<Row>>> = cases.iter().map(|_| Mutex::default()).collect();
+    let done: Vec<Mutex<(Vec<Row>, Vec<Chart>)>> = cases.iter().map(|_| Mutex::default()).collect();
     std::thread::scope(|scope| {
         for _ in 0..jobs {
             scope.spawn(|| {
@@ -104,16 +109,17 @@ fn run(cases: &[Case], jobs: usize) -> Vec<Row> {
                     let number = next.fetch_add(1, Ordering::Relaxed);
                     cases.get(number).zip(done.get(number))
                 } {
-                    let rows = case.rows();
-                    print!("{}", sheet::lines(&rows));
-                    *done.lock().expect("no other thread has this case") = rows;
+                    let found = case.found();
+                    print!("{}", sheet::lines(&found.0));
+                    *done.lock().expect("no other thread has this case") = found;
                 }
             });
         }
     });
-    let rows = done.into_iter().map(|rows| rows.into_inner());
-    rows.flat_map(|rows| rows.expect("no thread is left"))
-        .collect()
+    let found = done.into_iter().map(|found| found.into_inner());
+    let found = found.map(|found| found.expect("no thread is left"));
+    let (rows, charts): (Vec<_>, Vec<_>) = found.unzip();
+    (rows.concat(), charts.concat())
 }
 
 fn main() -> ExitCode {
@@ -161,7 +167,7 @@ fn main() -> ExitCode {
     panic::set_hook(Box::new(|panic| eprintln!("{panic}")));
     println!("{} cases on {adapter}, {jobs} at a time\n", cases.len());
     let start = Instant::now();
-    let rows = run(&cases, jobs);
+    let (rows, charts) = run(&cases, jobs);
     let failed: Vec<&Row> = rows
         .iter()
         .filter(|row| row.passed == Some(false))
@@ -173,7 +179,7 @@ fn main() -> ExitCode {
         start.elapsed().as_secs_f64(),
         failed.len()
     );
-    if let Err(error) = sheet::write(&rows, &summary) {
+    if let Err(error) = sheet::write(&rows, &charts, &summary) {
         eprintln!("target/validate: {error}");
         return ExitCode::FAILURE;
     }

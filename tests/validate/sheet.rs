@@ -1,7 +1,10 @@
 //! The table of the validation.
 
+use std::error::Error;
 use std::fmt::Write;
-use std::{fs, io};
+use std::fs;
+
+use crate::page::{self, Chart, Line};
 
 /// One thing found out.
 #[derive(Clone, Debug)]
@@ -13,6 +16,8 @@ pub(crate) struct Row {
     pub(crate) tolerance: String,
     /// Nothing where the number is told but not judged.
     pub(crate) passed: Option<bool>,
+    /// Error over what is allowed, where there is a bound.
+    pub(crate) share: Option<f64>,
     /// Of the whole case, s.
     pub(crate) seconds: f64,
 }
@@ -26,7 +31,7 @@ impl Row {
         }
     }
 
-    fn cells(&self) -> [String; 7] {
+    pub(crate) fn cells(&self) -> [String; 7] {
         [
             self.id.clone(),
             self.what.clone(),
@@ -39,7 +44,7 @@ impl Row {
     }
 }
 
-const COLUMNS: [&str; 7] = [
+pub(crate) const COLUMNS: [&str; 7] = [
     "case",
     "what",
     "expected",
@@ -53,6 +58,7 @@ const COLUMNS: [&str; 7] = [
 #[derive(Debug, Default)]
 pub(crate) struct Sheet {
     rows: Vec<Row>,
+    charts: Vec<Chart>,
 }
 
 impl Sheet {
@@ -71,7 +77,25 @@ impl Sheet {
             got,
             tolerance,
             passed,
+            share: None,
             seconds: 0.0,
+        });
+    }
+
+    /// Of the row that was written last.
+    fn share(&mut self, share: f64) {
+        if let Some(row) = self.rows.last_mut() {
+            row.share = Some(share);
+        }
+    }
+
+    /// What came, drawn over what was expected.
+    pub(crate) fn chart(&mut self, title: &str, axes: [&str; 2], lines: Vec<Line>) {
+        self.charts.push(Chart {
+            id: String::new(),
+            title: title.to_owned(),
+            axes: axes.map(str::to_owned),
+            lines,
         });
     }
 
@@ -85,12 +109,16 @@ impl Sheet {
             format!("{tolerance:e} relative"),
             Some(error <= tolerance),
         );
+        self.share(error / tolerance);
     }
 
     /// An error that may not be above its bound.
     pub(crate) fn at_most(&mut self, what: &str, got: f64, bound: f64) {
         let passed = Some(got <= bound);
         self.row(what, "0".into(), number(got), number(bound), passed);
+        if bound > 0.0 {
+            self.share(got.max(0.0) / bound);
+        }
     }
 
     /// A rate of convergence.
@@ -103,6 +131,9 @@ impl Sheet {
             String::new(),
             passed,
         );
+        if bound > 0.0 && got > 0.0 {
+            self.share(bound / got);
+        }
     }
 
     /// Something that holds or does not, in words.
@@ -126,15 +157,18 @@ impl Sheet {
         );
     }
 
-    /// The rows of a case that took so many seconds.
-    pub(crate) fn finish(mut self, id: &str, seconds: f64) -> Vec<Row> {
+    /// Rows and charts of a case that took so many seconds.
+    pub(crate) fn finish(mut self, id: &str, seconds: f64) -> (Vec<Row>, Vec<Chart>) {
         if self.rows.is_empty() {
             self.failed("the case found nothing out");
         }
         for row in &mut self.rows {
             (row.id, row.seconds) = (id.to_owned(), seconds);
         }
-        self.rows
+        for chart in &mut self.charts {
+            chart.id = id.to_owned();
+        }
+        (self.rows, self.charts)
     }
 }
 
@@ -172,20 +206,19 @@ pub(crate) fn lines(rows: &[Row]) -> String {
     text
 }
 
-/// Writes the table to `target/validate`.
-pub(crate) fn write(rows: &[Row], summary: &str) -> io::Result<()> {
+/// Writes page, pictures and table to `target/validate`.
+pub(crate) fn write(rows: &[Row], charts: &[Chart], summary: &str) -> Result<(), Box<dyn Error>> {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("target/validate");
-    fs::create_dir_all(&folder)?;
-    let mut markdown = format!("{summary}\n\n| {} |\n", COLUMNS.join(" | "));
-    markdown += &format!("|{}\n", "---|".repeat(COLUMNS.len()));
+    if folder.exists() {
+        // Of pictures that a run with fewer cases would leave.
+        fs::remove_dir_all(&folder)?;
+    }
+    page::write(&folder, rows, charts, summary)?;
     let mut table = csv::Writer::from_path(folder.join("validation.csv"))?;
     table.write_record(COLUMNS)?;
     for row in rows {
-        let cells = row.cells();
-        table.write_record(&cells)?;
-        let cells = cells.map(|cell| cell.replace('|', "\\|"));
-        markdown += &format!("| {} |\n", cells.join(" | "));
+        table.write_record(row.cells())?;
     }
     table.flush()?;
-    fs::write(folder.join("validation.md"), markdown)
+    Ok(())
 }

@@ -1,0 +1,183 @@
+//! The page of the validation: a summary, how much of what is allowed each row takes, curves over their references, the table.
+
+use std::error::Error;
+use std::fs;
+use std::path::Path;
+
+use plotters::prelude::*;
+
+use crate::sheet::{COLUMNS, Row};
+
+/// How a line of a chart is drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Mark {
+    /// What is computed here, as a line.
+    Line,
+    /// What is computed here, as points.
+    Points,
+    /// A theory, as a line.
+    Theory,
+    /// Measurements or other programs' results, as circles.
+    Measured,
+}
+
+/// One line of a chart.
+#[derive(Clone, Debug)]
+pub(crate) struct Line {
+    pub(crate) label: String,
+    pub(crate) mark: Mark,
+    pub(crate) points: Vec<[f64; 2]>,
+}
+
+impl Line {
+    pub(crate) fn new(label: impl Into<String>, mark: Mark, points: Vec<[f64; 2]>) -> Line {
+        let label = label.into();
+        Line {
+            label,
+            mark,
+            points,
+        }
+    }
+}
+
+/// What came, drawn over what was expected.
+#[derive(Clone, Debug)]
+pub(crate) struct Chart {
+    /// Case.
+    pub(crate) id: String,
+    pub(crate) title: String,
+    pub(crate) axes: [String; 2],
+    pub(crate) lines: Vec<Line>,
+}
+
+/// Page and pictures into a folder, for rows and charts in the order of the cases.
+pub(crate) fn write(
+    folder: &Path,
+    rows: &[Row],
+    charts: &[Chart],
+    summary: &str,
+) -> Result<(), Box<dyn Error>> {
+    fs::create_dir_all(folder)?;
+    let mut page = format!("# Validation\n\n{summary}\n\n");
+    let judged: Vec<&Row> = rows.iter().filter(|row| row.share.is_some()).collect();
+    if !judged.is_empty() {
+        glance(&folder.join("glance.svg"), &judged)?;
+        page += "Each row with a bound, as the share of its bound that it takes: left of the line is within.\n\n![](glance.svg)\n\n";
+    }
+    for (number, chart) in charts.iter().enumerate() {
+        let name = format!("chart_{number:02}.svg");
+        draw(&folder.join(&name), chart)?;
+        page += &format!("![{}: {}]({name})\n\n", chart.id, chart.title);
+    }
+    page += &format!("| {} |\n", COLUMNS.join(" | "));
+    page += &format!("|{}\n", "---|".repeat(COLUMNS.len()));
+    for row in rows {
+        let cells = row.cells().map(|cell| cell.replace('|', "\\|"));
+        page += &format!("| {} |\n", cells.join(" | "));
+    }
+    fs::write(folder.join("validation.md"), page)?;
+    Ok(())
+}
+
+/// A line per case, a dot per row: error over what is allowed, logarithmic.
+fn glance(path: &Path, rows: &[&Row]) -> Result<(), Box<dyn Error>> {
+    let mut ids: Vec<&str> = rows.iter().map(|row| row.id.as_str()).collect();
+    ids.dedup();
+    let n = ids.len() as u32;
+    let root = SVGBackend::new(path, (1000, 90 + 16 * n)).into_drawing_area();
+    root.fill(&WHITE)?;
+    let mut chart = ChartBuilder::on(&root)
+        .caption("Error over what is allowed", ("sans-serif", 18))
+        .margin(12)
+        .x_label_area_size(36)
+        .y_label_area_size(190)
+        .build_cartesian_2d((1e-6..1e2).log_scale(), 0.0..f64::from(n))?;
+    chart
+        .configure_mesh()
+        .disable_y_mesh()
+        .max_light_lines(0)
+        .y_labels(0)
+        .x_label_formatter(&|share| format!("{share:.0e}"))
+        .draw()?;
+    let bound = [(1.0, 0.0), (1.0, f64::from(n))];
+    chart.draw_series([PathElement::new(bound, BLACK.stroke_width(2))])?;
+    for (line, id) in ids.iter().enumerate() {
+        let y = f64::from(n) - line as f64 - 0.5;
+        for row in rows.iter().filter(|row| row.id == *id) {
+            let share = row.share.unwrap_or(0.0).clamp(1.2e-6, 80.0);
+            let colour = if row.passed == Some(true) { GREEN } else { RED };
+            chart.draw_series([Circle::new((share, y), 4, colour.mix(0.6).filled())])?;
+        }
+        let at = chart.backend_coord(&(1e-6, y));
+        let style = ("sans-serif", 12).into_font();
+        root.draw(&Text::new((*id).to_owned(), (14, at.1 - 6), style))?;
+    }
+    root.present()?;
+    Ok(())
+}
+
+fn draw(path: &Path, chart: &Chart) -> Result<(), Box<dyn Error>> {
+    let points = || chart.lines.iter().flat_map(|line| &line.points);
+    // Room on the right for the key.
+    let range = |axis: usize, beyond: f64| {
+        let ends = points().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], point| {
+            [low.min(point[axis]), high.max(point[axis])]
+        });
+        let span = (ends[1] - ends[0]).max(1e-12);
+        ends[0] - 0.05 * span..ends[1] + beyond * span
+    };
+    let root = SVGBackend::new(path, (960, 480)).into_drawing_area();
+    root.fill(&WHITE)?;
+    let mut area = ChartBuilder::on(&root)
+        .caption(format!("{}: {}", chart.id, chart.title), ("sans-serif", 18))
+        .margin(12)
+        .x_label_area_size(44)
+        .y_label_area_size(80)
+        .build_cartesian_2d(range(0, 0.6), range(1, 0.05))?;
+    let number = |x: &f64| match x.abs() {
+        0.0 => "0".to_owned(),
+        1e-3..1e4 => format!("{x:.3}")
+            .trim_end_matches('0')
+            .trim_end_matches('.')
+            .to_owned(),
+        _ => format!("{x:.1e}"),
+    };
+    area.configure_mesh()
+        .x_desc(chart.axes[0].as_str())
+        .y_desc(chart.axes[1].as_str())
+        .x_label_formatter(&number)
+        .y_label_formatter(&number)
+        .max_light_lines(1)
+        .draw()?;
+    for (index, line) in chart.lines.iter().enumerate() {
+        let colour = match line.mark {
+            Mark::Theory | Mark::Measured => BLACK.to_rgba(),
+            Mark::Line | Mark::Points => Palette99::pick(index).to_rgba(),
+        };
+        let points = line.points.iter().map(|point| (point[0], point[1]));
+        match line.mark {
+            Mark::Line | Mark::Theory => {
+                let style = colour.stroke_width(if line.mark == Mark::Line { 2 } else { 1 });
+                area.draw_series(LineSeries::new(points, style))?
+                    .label(&line.label)
+                    .legend(move |(x, y)| PathElement::new([(x, y), (x + 20, y)], style));
+            }
+            Mark::Points | Mark::Measured => {
+                let style = match line.mark {
+                    Mark::Points => colour.filled(),
+                    _ => colour.stroke_width(1),
+                };
+                area.draw_series(points.map(|point| Circle::new(point, 4, style)))?
+                    .label(&line.label)
+                    .legend(move |(x, y)| Circle::new((x + 10, y), 4, style));
+            }
+        }
+    }
+    area.configure_series_labels()
+        .position(SeriesLabelPosition::MiddleRight)
+        .border_style(BLACK)
+        .background_style(WHITE.mix(0.8))
+        .draw()?;
+    root.present()?;
+    Ok(())
+}

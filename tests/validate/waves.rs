@@ -1,0 +1,243 @@
+//! Waves and floods of liquid alone, against theory and an experiment.
+
+use cutwater::sim::Simulation;
+
+use crate::Case;
+use crate::liquid::{GRAVITY, crossings, gpu, middle, points, simulation, step, table, written};
+use crate::page::{Line, Mark};
+use crate::sheet::Sheet;
+
+pub(crate) fn cases() -> Vec<Case> {
+    vec![
+        Case::new("F5", round_tank),
+        Case::new("F9", ritter),
+        Case::new("F10", solitary_wave),
+        Case::new("F12", impact),
+    ]
+}
+
+/// Time and probes of each sub-step of a scene until a time, s.
+fn film(text: &str, end: f64) -> Vec<(f64, Vec<f64>)> {
+    let mut simulation = simulation(&written(text), &gpu());
+    let mut film = Vec::new();
+    while simulation.clock().time < end {
+        step(&mut simulation);
+        let probes = simulation
+            .probes()
+            .unwrap_or_else(|error| panic!("{error}"));
+        film.push((simulation.clock().time, probes));
+    }
+    film
+}
+
+/// F5: the surface of water in a round tank is tilted at first; what swings is the mode of one node line nearly alone.
+fn round_tank(sheet: &mut Sheet) {
+    let (radius, depth, tilt) = (0.5, 0.5, 0.06);
+    let text = format!(
+        "[domain]\nsize = [1.1, 0.73333333333333333, 1.1]\ncells = [48, 32, 48]\n[time]\nduration = 10\nframes_per_second = 48\n\
+         [[obstacle]]\ncylinder = {{ base = [0.55, -0.5, 0.55], axis = [0, 1, 0], radius = {radius}, height = 2.0 }}\ninside_out = true\n\
+         [[liquid.region]]\nhalf_space = {{ point = [0.55, {depth}, 0.55], normal = [{}, 1, 0] }}\n",
+        -tilt / radius,
+    );
+    let mut simulation = simulation(&written(&text), &gpu());
+    // In thousandths of the radius.
+    let aside = |simulation: &Simulation| 1e3 * (middle(simulation)[0] - 0.55) / radius;
+    let mut swing = vec![(0.0, aside(&simulation))];
+    while simulation.clock().time < 2.8 {
+        step(&mut simulation);
+        swing.push((simulation.clock().time, aside(&simulation)));
+    }
+    // Lamb, Hydrodynamics, art. 191: k is the first zero of J_1' over the radius.
+    let k = 1.841_183_781_340_659_4 / radius;
+    let period = std::f64::consts::TAU / (GRAVITY * k * (k * depth).tanh()).sqrt();
+    let times = crossings(&swing, 0.0);
+    let got = times[4] - times[0];
+    let start = swing[0].1;
+    let theory = (0..=280).map(|n| 0.01 * f64::from(n));
+    let theory = theory.map(|t| [t, start * (std::f64::consts::TAU * t / period).cos()]);
+    sheet.chart(
+        "round tank, the liquid's middle, which a tilted surface moves aside",
+        ["t, s", "aside, thousandths of the radius"],
+        vec![
+            Line::new("44 cells across", Mark::Line, points(&swing)),
+            Line::new(
+                "linear theory, without loss",
+                Mark::Theory,
+                theory.collect(),
+            ),
+        ],
+    );
+    let what = "round tank, mode with one node line: period over two periods, s";
+    sheet.relative(what, period, 0.5 * got, 0.02);
+}
+
+/// F9: Ritter 1892. The flood on a dry bed behind a dam, long after, but for its tip.
+fn ritter(sheet: &mut Sheet) {
+    // Lengths in depths of the reservoir, 0.1 m; the dam is at 7 of them.
+    let depth = 0.1;
+    let dx = depth / 20.0;
+    let speed = (GRAVITY * depth).sqrt();
+    let time = 6.0 * depth / speed;
+    let xi: Vec<f64> = (0..19).map(|n| -0.8 + 0.1 * f64::from(n)).collect();
+    let mut text = format!(
+        "[domain]\nsize = [{}, {}, {}]\ncells = [420, 24, 2]\n[time]\nduration = {time}\nframes_per_second = 200\n\
+         [[liquid.region]]\nbox = {{ min = [0, 0, 0], max = [{}, {depth}, 1] }}\n",
+        21.0 * depth,
+        1.2 * depth,
+        2.0 * dx,
+        7.0 * depth,
+    );
+    for (number, xi) in xi.iter().enumerate() {
+        let x = 7.0 * depth + xi * speed * time;
+        text += &format!("[[probe]]\nname = \"h{number}\"\nheight = {{ x = {x}, z = {dx} }}\n");
+    }
+    let film = film(&text, time * (1.0 - 1e-9));
+    let (_, heights) = film.last().expect("there are sub-steps");
+    let exact = |xi: f64| (2.0 - xi).powi(2) / 9.0;
+    let own: Vec<[f64; 2]> = xi
+        .iter()
+        .zip(heights)
+        .map(|(xi, h)| [*xi, h / depth])
+        .collect();
+    let theory = (0..=60).map(|n| -1.0 + 0.05 * f64::from(n));
+    sheet.chart(
+        "flood on a dry bed at t sqrt(g/H) = 6",
+        ["x / (c t)", "h / H"],
+        vec![
+            Line::new("20 cells deep", Mark::Points, own.clone()),
+            Line::new(
+                "Ritter 1892",
+                Mark::Theory,
+                theory.map(|xi| [xi, exact(xi)]).collect(),
+            ),
+        ],
+    );
+    let off = own.iter().map(|[xi, h]| (h - exact(*xi)).abs());
+    let what = "flood on a dry bed, largest error of the depth over the reservoir's";
+    sheet.at_most(what, off.fold(0.0, f64::max), 0.05);
+}
+
+/// F10: a solitary wave runs and climbs a wall.
+fn solitary_wave(sheet: &mut Sheet) {
+    let (eps, h) = (0.25_f64, 0.3);
+    let dx = h / 20.0;
+    let cells = 480;
+    let start = 7.0 * h;
+    let eta = |x: f64| eps * h / ((0.75 * eps).sqrt() * (x - start) / h).cosh().powi(2);
+    // Grimshaw 1971 and Fenton 1972, third order.
+    let froude = (1.0 + eps - eps * eps / 20.0 - 3.0 * eps.powi(3) / 70.0).sqrt();
+    let c = froude * (GRAVITY * h).sqrt();
+    let mut text = format!(
+        "[domain]\nsize = [{}, {}, {}]\ncells = [{cells}, 36, 2]\n[time]\nduration = 10\nframes_per_second = 60\n",
+        f64::from(cells) * dx,
+        36.0 * dx,
+        2.0 * dx,
+    );
+    for column in 0..cells {
+        let x = (f64::from(column) + 0.5) * dx;
+        text += &format!(
+            "[[liquid.region]]\nbox = {{ min = [{}, 0, 0], max = [{}, {}, 1] }}\nvelocity = [{}, 0, 0]\n",
+            f64::from(column) * dx,
+            f64::from(column + 1) * dx,
+            h + eta(x),
+            c * eta(x) / (h + eta(x)),
+        );
+    }
+    let gauges = [10.0, 13.0, 16.0];
+    for (number, at) in gauges.iter().enumerate() {
+        text += &format!(
+            "[[probe]]\nname = \"g{number}\"\nheight = {{ x = {}, z = {dx} }}\n",
+            at * h
+        );
+    }
+    let wall = (f64::from(cells) - 0.5) * dx;
+    text += &format!("[[probe]]\nname = \"wall\"\nheight = {{ x = {wall}, z = {dx} }}\n");
+    let film = film(&text, 22.0 * h / c);
+    let gauge = |number: usize| -> Vec<(f64, f64)> {
+        film.iter()
+            .map(|(t, probes)| (*t, probes[number] / h - 1.0))
+            .collect()
+    };
+    // The time of a crest: the middle of the times at half of its height.
+    let crest = |series: &[(f64, f64)]| {
+        let most = series
+            .iter()
+            .fold(0.0, |most: f64, (_, eta)| most.max(*eta));
+        let times = crossings(series, 0.5 * most);
+        (0.5 * (times[0] + times[1]), most)
+    };
+    let crests = [0, 1, 2].map(|number| crest(&gauge(number)));
+    let speed = (gauges[2] - gauges[0]) * h / (crests[2].0 - crests[0].0);
+    let lines = (0..3).map(|number| {
+        let label = format!("{:.0} depths from the start", gauges[number] - 7.0);
+        Line::new(label, Mark::Line, points(&gauge(number)))
+    });
+    let theory = gauges.map(|at| {
+        let profile = film.iter().map(|(t, _)| [*t, eta(at * h - c * t) / h]);
+        let label = format!("first order, {:.0} depths", at - 7.0);
+        Line::new(label, Mark::Theory, profile.collect())
+    });
+    sheet.chart(
+        "solitary wave of a quarter of the depth, 20 cells deep, at three gauges",
+        ["t, s", "eta / h"],
+        lines.chain(theory).collect(),
+    );
+    let what = "solitary wave: speed over sqrt(g h) between 3 and 9 depths from the start";
+    sheet.relative(what, froude, speed / (GRAVITY * h).sqrt(), 0.02);
+    let what = "solitary wave: height lost over 6 depths";
+    sheet.at_most(what, 1.0 - crests[2].1 / crests[0].1, 0.15);
+    // Su and Mirie 1980.
+    let climb = 2.0 * eps + 0.5 * eps * eps + 0.75 * eps.powi(3);
+    let got = gauge(3)
+        .iter()
+        .fold(0.0, |most: f64, (_, eta)| most.max(*eta));
+    let what = "solitary wave: how high it climbs the wall, over the depth";
+    sheet.relative(what, climb, got, 0.15);
+}
+
+/// F12: a column collapses and hits a wall, where its pressure is measured near the floor.
+fn impact(sheet: &mut Sheet) {
+    let height = 0.3;
+    let dx = 1.61 / 200.0;
+    let text = format!(
+        "[domain]\nsize = [1.61, {}, {}]\ncells = [200, 60, 4]\n[time]\nduration = 2\nframes_per_second = 200\n\
+         [[liquid.region]]\nbox = {{ min = [0, 0, 0], max = [0.6, {height}, 1] }}\n\
+         [[probe]]\nname = \"p\"\npressure = {{ point = [{}, {}, {}] }}\n",
+        60.0 * dx,
+        4.0 * dx,
+        1.61 - 0.5 * dx,
+        0.5 * dx,
+        2.0 * dx,
+    );
+    let scaled = (GRAVITY / height).sqrt();
+    let film = film(&text, 6.0 / scaled);
+    let of_weight = 1000.0 * GRAVITY * height;
+    let pressure: Vec<(f64, f64)> = film
+        .iter()
+        .map(|(t, probes)| (t * scaled, probes[0] / of_weight))
+        .collect();
+    let measured = table("tests/data/lobovsky2014_wall_pressure.csv");
+    sheet.chart(
+        "column hits a wall: pressure near the floor",
+        ["t sqrt(g/H)", "p / (rho g H)"],
+        vec![
+            Line::new("200 cells along the tank", Mark::Line, points(&pressure)),
+            Line::new(
+                "Lobovsky et al. 2014, 3 mm above the floor",
+                Mark::Measured,
+                measured.iter().map(|row| [row[0], row[1]]).collect(),
+            ),
+        ],
+    );
+    let arrival = |series: &[(f64, f64)]| crossings(series, 0.2)[0];
+    let of_experiment: Vec<(f64, f64)> = measured.iter().map(|row| (row[0], row[1])).collect();
+    let what = "column hits a wall: t sqrt(g/H) when p passes 0.2 rho g H";
+    sheet.relative(what, arrival(&of_experiment), arrival(&pressure), 0.03);
+    let plateau = |series: &[(f64, f64)]| {
+        let late = series.iter().filter(|(t, _)| (3.5..5.5).contains(t));
+        let values: Vec<f64> = late.map(|(_, p)| *p).collect();
+        values.iter().sum::<f64>() / values.len() as f64
+    };
+    let what = "column hits a wall: mean of p / (rho g H) for t sqrt(g/H) from 3.5 to 5.5";
+    sheet.relative(what, plateau(&of_experiment), plateau(&pressure), 0.1);
+}
