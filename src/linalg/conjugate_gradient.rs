@@ -127,7 +127,7 @@ pub fn stabilised_biconjugate_gradient(
 }
 
 impl CgReport {
-    fn new(iterations: usize, end: CgEnd, x: &[f64]) -> CgReport {
+    pub(super) fn new(iterations: usize, end: CgEnd, x: &[f64]) -> CgReport {
         CgReport {
             iterations,
             end: if x.iter().all(|v| v.is_finite()) {
@@ -140,7 +140,7 @@ impl CgReport {
 }
 
 /// faer's view of an operator.
-struct Wrapped<'a>(&'a dyn LinearOperator);
+pub(super) struct Wrapped<'a>(pub(super) &'a dyn LinearOperator);
 
 impl fmt::Debug for Wrapped<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

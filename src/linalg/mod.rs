@@ -1,18 +1,23 @@
-//! Sparse linear algebra in f64 on the CPU: matrices, Cholesky, incomplete factors, conjugate gradients, Matrix Market. faer lives here only.
+//! Sparse linear algebra in f64 on the CPU: matrices, Cholesky, incomplete factors, conjugate gradients,
+//! minimal residuals, extreme eigenvalues, Matrix Market. faer lives here only.
 
 mod cholesky;
 mod conjugate_gradient;
 mod csr;
+mod eigenvalues;
 mod incomplete;
 mod matrix_market;
+mod minimal_residual;
 
 pub use cholesky::{Cholesky, QuasiDefinite, SymbolicCholesky};
 pub use conjugate_gradient::{
     CgEnd, CgReport, LinearOperator, conjugate_gradient, stabilised_biconjugate_gradient,
 };
 pub use csr::Csr;
+pub use eigenvalues::{eigenvalues, largest_magnitude, smallest_magnitude};
 pub use incomplete::Incomplete;
 pub use matrix_market::{Symmetry, matrix_text, read_matrix, read_vector, vector_text};
+pub use minimal_residual::minimal_residual;
 
 /// Euclidean norm, summed in order, so that it does not depend on the number of threads.
 pub fn norm(x: &[f64]) -> f64 {

@@ -16,7 +16,7 @@ use crate::elastic::{Body, Solids};
 use crate::geometry::Coupling;
 use crate::linalg::{
     CgEnd, CgReport, Cholesky, Csr, Incomplete, LinearOperator, SymbolicCholesky,
-    conjugate_gradient, norm, stabilised_biconjugate_gradient,
+    conjugate_gradient, minimal_residual, norm, stabilised_biconjugate_gradient,
 };
 use crate::scene::Solver;
 use crate::state::{ContactReport, SolveReport, SolveStatus};
@@ -55,6 +55,8 @@ pub enum Formulation<'a> {
     Indefinite,
     /// The same by stabilised biconjugate gradients with an incomplete LU factor.
     IndefiniteIterative,
+    /// The same by minimal residuals with incomplete factors of B and of S, as the thesis tried.
+    IndefiniteMinimalResidual,
     /// A of thesis (5.25), assembled, by sparse Cholesky; the share sigma of the mass in Z1.
     TwoField(f64),
     /// The same by conjugate gradients with an incomplete Cholesky factor, as the thesis does.
@@ -63,6 +65,8 @@ pub enum Formulation<'a> {
     TwoFieldIterative(f64),
     /// Pressures and stresses (thesis 5.3) by sparse Cholesky.
     Stress(&'a StressVariables),
+    /// The same by conjugate gradients with an incomplete Cholesky factor.
+    StressIncomplete(&'a StressVariables),
     /// (B + J S^-1 J^T) p = E u* + J S^-1 w by conjugate gradients with multigrid on B.
     Condensed,
 }
@@ -73,10 +77,12 @@ impl Formulation<'_> {
         match self {
             Formulation::Indefinite => "indefinite, LDL^T",
             Formulation::IndefiniteIterative => "indefinite, BiCGSTAB-ILU(0)",
+            Formulation::IndefiniteMinimalResidual => "indefinite, MINRES-IC(0)",
             Formulation::TwoField(_) => "two-field, Cholesky",
             Formulation::TwoFieldIncomplete(_) => "two-field, IC(0)-CG",
             Formulation::TwoFieldIterative(_) => "two-field, factored, CG",
             Formulation::Stress(_) => "stress, Cholesky",
+            Formulation::StressIncomplete(_) => "stress, IC(0)-CG",
             Formulation::Condensed => "condensed, CG",
         }
     }
@@ -133,6 +139,27 @@ pub fn solve_coupled(
                 let report = stabilised_biconjugate_gradient(
                     &matrix,
                     &incomplete,
+                    &rhs,
+                    &mut x,
+                    tolerance.min(TRANSFORMED_TOLERANCE),
+                    left as usize,
+                );
+                iterated(blocks.scatter(&x), report)
+            })
+        }
+        Formulation::IndefiniteMinimalResidual => {
+            let blocks = system.blocks();
+            let matrix = blocks.indefinite();
+            let both = Both {
+                liquid: incomplete(&blocks.b)?,
+                solids: incomplete(&blocks.s)?,
+            };
+            corrected(&mut |residual, tolerance, left| {
+                let rhs = blocks.indefinite_rhs(residual);
+                let mut x = vec![0.0; rhs.len()];
+                let report = minimal_residual(
+                    &matrix,
+                    &both,
                     &rhs,
                     &mut x,
                     tolerance.min(TRANSFORMED_TOLERANCE),
@@ -204,6 +231,26 @@ pub fn solve_coupled(
                 let mut x = factored.rhs(&of_unknowns);
                 factor.solve(&mut x);
                 direct(blocks.scatter(&factored.unknowns(&x, &of_unknowns)))
+            })
+        }
+        Formulation::StressIncomplete(stress) => {
+            let blocks = system.blocks();
+            let (factored, matrix) = stress.system(&blocks)?;
+            let incomplete = incomplete(&matrix)?;
+            corrected(&mut |residual, tolerance, left| {
+                let of_unknowns = blocks.gather(residual);
+                let rhs = factored.rhs(&of_unknowns);
+                let mut x = vec![0.0; rhs.len()];
+                let report = conjugate_gradient(
+                    &matrix,
+                    &incomplete,
+                    &rhs,
+                    &mut x,
+                    tolerance.min(TRANSFORMED_TOLERANCE),
+                    left as usize,
+                );
+                let unknowns = factored.unknowns(&x, &of_unknowns);
+                iterated(blocks.scatter(&unknowns), report)
             })
         }
         Formulation::Condensed => {
@@ -302,6 +349,25 @@ fn incomplete(matrix: &Csr) -> Result<Incomplete, Error> {
             "use another formulation",
         )
     })
+}
+
+/// B^-1 and S^-1, each roughly.
+struct Both {
+    liquid: Incomplete,
+    solids: Incomplete,
+}
+
+impl LinearOperator for Both {
+    fn size(&self) -> usize {
+        self.liquid.size() + self.solids.size()
+    }
+
+    fn apply(&self, x: &[f64], y: &mut [f64]) {
+        let (of_p, of_v) = x.split_at(self.liquid.size());
+        let (p, v) = y.split_at_mut(self.liquid.size());
+        self.liquid.apply(of_p, p);
+        self.solids.apply(of_v, v);
+    }
 }
 
 impl Blocks {

@@ -79,7 +79,9 @@ fn all_formulations_give_the_same_pressure_and_velocity() {
         (Formulation::TwoField(0.9), ONE_CORRECTION, 1e-9, 1e-9),
         (Formulation::Stress(&stress), ONE_CORRECTION, 1e-11, 1e-11),
         (Formulation::IndefiniteIterative, 1e-10, 1e-7, 1e-7),
+        (Formulation::IndefiniteMinimalResidual, 1e-10, 1e-7, 1e-7),
         (Formulation::TwoFieldIncomplete(0.9), 1e-10, 1e-7, 1e-7),
+        (Formulation::StressIncomplete(&stress), 1e-10, 1e-7, 1e-7),
         (Formulation::TwoFieldIterative(SIGMA), 1e-10, 1e-7, 1e-7),
         (Formulation::Condensed, 1e-10, 1e-7, 1e-7),
     ] {

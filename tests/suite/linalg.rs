@@ -3,8 +3,9 @@
 use std::fs;
 
 use cutwater::linalg::{
-    CgEnd, Csr, LinearOperator, SymbolicCholesky, Symmetry, conjugate_gradient, matrix_text, norm,
-    read_matrix, read_vector, vector_text,
+    CgEnd, Csr, LinearOperator, SymbolicCholesky, Symmetry, conjugate_gradient, eigenvalues,
+    largest_magnitude, matrix_text, minimal_residual, norm, read_matrix, read_vector,
+    smallest_magnitude, vector_text,
 };
 
 /// The 1D Laplacian with p = 0 beyond both ends; entry (i, j) of its inverse is min(i, j) (n + 1 - max(i, j)) / (n + 1).
@@ -155,6 +156,89 @@ fn conjugate_gradient_ends_within_n_steps_and_tells_how() {
         conjugate_gradient(&negative, &jacobi, &b, &mut x, 1e-12, n).end,
         CgEnd::Breakdown
     );
+}
+
+/// [A B; B^T -A] with A the Laplacian, B a diagonal of both signs.
+fn quasi_definite(n: usize) -> Csr {
+    let a = laplacian(n);
+    let b: Vec<f64> = (0..n).map(|i| (i as f64).sin()).collect();
+    Csr::bordered(&a, &Csr::diagonal_of(&b), -1.0, &a)
+}
+
+#[test]
+fn minimal_residuals_solve_what_is_not_definite() {
+    let n = 60;
+    let matrix = quasi_definite(n);
+    let b: Vec<f64> = (0..2 * n).map(|i| ((i * i) as f64).cos()).collect();
+    let symbolic = SymbolicCholesky::new(&matrix).unwrap();
+    let mut exact = b.clone();
+    symbolic
+        .factorise_quasi_definite(&matrix)
+        .unwrap()
+        .solve(&mut exact);
+    let off = |x: &[f64]| {
+        let pairs = x.iter().zip(&exact);
+        let differences: Vec<f64> = pairs.map(|(a, b)| a - b).collect();
+        norm(&differences) / norm(&exact)
+    };
+    let mut x = vec![f64::NAN; 2 * n];
+    let diagonal = Diagonal((0..2 * n).map(|i| 0.5 + (i % 3) as f64).collect());
+    for preconditioner in [&Diagonal(vec![1.0; 2 * n]), &diagonal] {
+        let report = minimal_residual(&matrix, preconditioner, &b, &mut x, 1e-12, 400);
+        assert_eq!(report.end, CgEnd::Converged, "{report:?}");
+        assert!(off(&x) < 1e-9, "{}", off(&x));
+    }
+    // With |A|^-1 the eigenvalues are 1 and -1: two iterations.
+    let both = Diagonal(vec![0.25, 0.5]);
+    let two = Csr::from_triplets(2, 2, [(0, 0, 4.0), (1, 1, -2.0)]).unwrap();
+    let mut x = [0.0; 2];
+    let report = minimal_residual(&two, &both, &[1.0, 1.0], &mut x, 1e-12, 10);
+    assert_eq!((report.end, report.iterations), (CgEnd::Converged, 2));
+    assert!((x[0] - 0.25).abs() < 1e-15 && (x[1] + 0.5).abs() < 1e-15);
+
+    let report = minimal_residual(&matrix, &diagonal, &b, &mut vec![0.0; 2 * n], 1e-12, 5);
+    assert_eq!(
+        (report.end, report.iterations),
+        (CgEnd::IterationLimit, 5),
+        "five are too few"
+    );
+    let mut x = vec![1.0; 2 * n];
+    let report = minimal_residual(&matrix, &diagonal, &vec![0.0; 2 * n], &mut x, 1e-12, 5);
+    assert_eq!((report.end, norm(&x)), (CgEnd::Converged, 0.0));
+    let indefinite = Diagonal((0..2 * n).map(|i| 0.5 - (i % 2) as f64).collect());
+    let report = minimal_residual(&matrix, &indefinite, &b, &mut x, 1e-12, 400);
+    assert_eq!(report.end, CgEnd::Breakdown, "{report:?}");
+}
+
+#[test]
+fn extreme_eigenvalues_are_those_of_the_laplacian() {
+    for n in [100, 1000] {
+        let matrix = laplacian(n);
+        // 2 - 2 cos(k pi / (n + 1)), k = 1..n
+        let exact = |k: usize| 2.0 - 2.0 * (k as f64 * std::f64::consts::PI / (n + 1) as f64).cos();
+        let symbolic = SymbolicCholesky::new(&matrix).unwrap();
+        let factor = symbolic.factorise(&matrix).unwrap();
+        let largest = largest_magnitude(&matrix).unwrap();
+        assert!((largest / exact(n) - 1.0).abs() < 1e-3, "{n}: {largest}");
+        let mut solves = 0;
+        let smallest = smallest_magnitude(n, &mut |b| {
+            solves += 1;
+            let mut x = b.to_vec();
+            factor.solve(&mut x);
+            Ok(x)
+        });
+        let smallest = smallest.unwrap();
+        assert!((smallest / exact(1) - 1.0).abs() < 1e-3, "{n}: {smallest}");
+        assert!(solves < 30, "{n}: {solves}");
+        if n == 100 {
+            let all = eigenvalues(&matrix).unwrap();
+            for (k, value) in all.iter().enumerate() {
+                assert!((value - exact(k + 1)).abs() < 1e-13, "{k}");
+            }
+        }
+    }
+    let singular = smallest_magnitude(3, &mut |_| Ok(vec![f64::INFINITY; 3])).unwrap_err();
+    assert_eq!(singular.exit_code(), 2);
 }
 
 #[test]

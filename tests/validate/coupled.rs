@@ -110,7 +110,9 @@ fn formulations(sheet: &mut Sheet) {
         (Formulation::TwoField(0.9), 1e-2, 1e-9),
         (Formulation::Stress(&stress), 1e-2, 1e-11),
         (Formulation::IndefiniteIterative, 1e-10, 1e-7),
+        (Formulation::IndefiniteMinimalResidual, 1e-10, 1e-7),
         (Formulation::TwoFieldIncomplete(0.9), 1e-10, 1e-7),
+        (Formulation::StressIncomplete(&stress), 1e-10, 1e-7),
         (Formulation::TwoFieldIterative(SIGMA), 1e-10, 1e-7),
         (Formulation::Condensed, 1e-10, 1e-7),
     ] {
