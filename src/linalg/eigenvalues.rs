@@ -1,12 +1,12 @@
 //! Extreme eigenvalues of symmetric matrices: the largest magnitude by Lanczos's method with restarts, by faer, the smallest by inverse
-//! iteration.
+//! iteration. And what 1-norms of inverses are at least.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::matrix_free::eigen::{self, PartialEigenParams};
 use faer::{ColRef, Mat, Par, Side};
 
 use super::conjugate_gradient::Wrapped;
-use super::{Csr, norm};
+use super::{Csr, dot, norm};
 use crate::Error;
 
 /// Up to so many rows all eigenvalues are computed, since faer's subspace has to be smaller than the matrix.
@@ -15,8 +15,13 @@ const DENSE: usize = 128;
 const TOLERANCE: f64 = 1e-4;
 const MOST_RESTARTS: usize = 100;
 const MOST_SOLVES: usize = 200;
+/// Of the estimate of a 1-norm.
+const MOST_CLIMBS: usize = 5;
 /// Of the vectors that both methods start from.
 const SEED: u64 = 62;
+
+/// x = A^-1 b from b.
+pub type Solve<'a> = &'a mut dyn FnMut(&[f64]) -> Result<Vec<f64>, Error>;
 
 /// All eigenvalues of a symmetric matrix, ascending, without making use of its zeros.
 ///
@@ -74,10 +79,7 @@ pub fn largest_magnitude(matrix: &Csr) -> Result<f64, Error> {
 ///
 /// # Errors
 /// As `solve`, and when the iteration does not converge.
-pub fn smallest_magnitude(
-    n: usize,
-    solve: &mut dyn FnMut(&[f64]) -> Result<Vec<f64>, Error>,
-) -> Result<f64, Error> {
+pub fn smallest_magnitude(n: usize, solve: Solve) -> Result<f64, Error> {
     let mut x = start(n);
     let size = norm(&x);
     x.iter_mut().for_each(|x| *x /= size);
@@ -96,6 +98,40 @@ pub fn smallest_magnitude(
     }
     let problem = format!("inverse iteration took {MOST_SOLVES} solves or broke down");
     Err(not_found(n, problem))
+}
+
+/// A lower bound of the 1-norm of the inverse of a symmetric matrix of n rows, mostly the norm itself, from `solve`, which solves with it
+/// (Hager 1984, Higham 1988: what MATLAB's `condest` does for one vector).
+///
+/// # Errors
+/// As `solve`.
+pub fn inverse_one_norm(n: usize, solve: Solve) -> Result<f64, Error> {
+    let size = |x: &[f64]| x.iter().map(|x| x.abs()).sum::<f64>();
+    let mut x = vec![1.0 / n as f64; n];
+    let mut found: f64 = 0.0;
+    for _ in 0..MOST_CLIMBS {
+        let y = solve(&x)?;
+        if size(&y) <= found {
+            break;
+        }
+        found = size(&y);
+        let signs: Vec<f64> = y.iter().map(|y| y.signum()).collect();
+        let slope = solve(&signs)?;
+        let steepest = (0..n).max_by(|&a, &b| slope[a].abs().total_cmp(&slope[b].abs()));
+        let steepest = steepest.expect("the matrix has rows");
+        if slope[steepest].abs() <= dot(&slope, &x) {
+            break;
+        }
+        x.fill(0.0);
+        x[steepest] = 1.0;
+    }
+    // What the climb may miss.
+    let alternating = (0..n).map(|row| {
+        let sign = if row % 2 == 0 { 1.0 } else { -1.0 };
+        sign * (1.0 + row as f64 / (n - 1).max(1) as f64)
+    });
+    let other = solve(&alternating.collect::<Vec<f64>>())?;
+    Ok(found.max(2.0 * size(&other) / (3 * n) as f64))
 }
 
 fn start(n: usize) -> Vec<f64> {

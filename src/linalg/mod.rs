@@ -14,7 +14,9 @@ pub use conjugate_gradient::{
     CgEnd, CgReport, LinearOperator, conjugate_gradient, stabilised_biconjugate_gradient,
 };
 pub use csr::Csr;
-pub use eigenvalues::{eigenvalues, largest_magnitude, smallest_magnitude};
+pub use eigenvalues::{
+    Solve, eigenvalues, inverse_one_norm, largest_magnitude, smallest_magnitude,
+};
 pub use incomplete::Incomplete;
 pub use matrix_market::{Symmetry, matrix_text, read_matrix, read_vector, vector_text};
 pub use minimal_residual::minimal_residual;

@@ -4,8 +4,8 @@ use std::fs;
 
 use cutwater::linalg::{
     CgEnd, Csr, LinearOperator, SymbolicCholesky, Symmetry, conjugate_gradient, eigenvalues,
-    largest_magnitude, matrix_text, minimal_residual, norm, read_matrix, read_vector,
-    smallest_magnitude, vector_text,
+    inverse_one_norm, largest_magnitude, matrix_text, minimal_residual, norm, read_matrix,
+    read_vector, smallest_magnitude, vector_text,
 };
 
 /// The 1D Laplacian with p = 0 beyond both ends; entry (i, j) of its inverse is min(i, j) (n + 1 - max(i, j)) / (n + 1).
@@ -230,6 +230,19 @@ fn extreme_eigenvalues_are_those_of_the_laplacian() {
         let smallest = smallest.unwrap();
         assert!((smallest / exact(1) - 1.0).abs() < 1e-3, "{n}: {smallest}");
         assert!(solves < 30, "{n}: {solves}");
+        // Rows of the inverse add up to i (n + 1 - i) / 2, i = 1..n.
+        let of_inverse = inverse_one_norm(n, &mut |b| {
+            let mut x = b.to_vec();
+            factor.solve(&mut x);
+            Ok(x)
+        });
+        let middle = (n / 2) as f64;
+        let exact_norm = 0.5 * middle * ((n + 1) as f64 - middle);
+        let of_inverse = of_inverse.unwrap();
+        assert!(
+            (of_inverse / exact_norm - 1.0).abs() < 1e-10,
+            "{n}: {of_inverse}"
+        );
         if n == 100 {
             let all = eigenvalues(&matrix).unwrap();
             for (k, value) in all.iter().enumerate() {

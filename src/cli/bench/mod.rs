@@ -23,7 +23,7 @@ use stability::Stability;
 use step::Step;
 use thesis::Thesis;
 
-/// Measure the solves, the whole step, or the sort; or the errors of the thesis's tables
+/// Measure the solves, the whole step, or the sort; or the thesis's tables
 #[derive(Debug, Args)]
 pub(super) struct Bench {
     #[command(subcommand)]
@@ -48,7 +48,8 @@ enum What {
     Stability(Stability),
     /// The sort of keys and values on the device, against the length of the list: sort.csv, sort.json
     Sort(Sort),
-    /// Tables 6.5 and 6.6 of the thesis beside what they are here: thesis.csv, thesis_orders.csv, thesis.json, thesis.svg
+    /// Tables 6.2 to 6.6 of the thesis beside what they are here: thesis_systems.csv, thesis_means.csv, thesis_growth.csv, thesis.csv,
+    /// thesis_orders.csv, thesis.json, thesis.svg
     Thesis(Thesis),
 }
 

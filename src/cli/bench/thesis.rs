@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use cutwater::Error;
-use cutwater::measure::bench_thesis::{Options, ThesisTable, bench_thesis};
+use cutwater::measure::bench_thesis::{Options, Row, SystemRow, ThesisTable, Told, bench_thesis};
 
 use super::{PrecisionName, tell_machine};
 use crate::cli::AdapterArgs;
@@ -12,15 +12,19 @@ use crate::cli::AdapterArgs;
 #[derive(Debug, Args)]
 pub(super) struct Thesis {
     /// Tables of the thesis
-    #[arg(long, value_enum, value_delimiter = ',', default_values_t = [TableName::T6_5, TableName::T6_6])]
+    #[arg(long, value_enum, value_delimiter = ',', default_values_t = TableName::ALL)]
     tables: Vec<TableName>,
-    /// Cells along the tank's height of 1 m, multiples of 5
-    #[arg(long, value_delimiter = ',', default_values_t = [5, 10, 20, 40, 80])]
+    /// Cells along an edge of the dam break of tables 6.2 to 6.4, or along the tank's height of 1 m of tables 6.5 and 6.6, multiples of
+    /// 5 [default: 40,60 for table 6.2, 50,60 for 6.3 and 6.4, 5,10,20,40,80 for 6.5 and 6.6]
+    #[arg(long, value_delimiter = ',')]
     grids: Vec<usize>,
+    /// Frames of the dam break, 24 a second, whose states are taken for tables 6.2 to 6.4
+    #[arg(long, value_delimiter = ',', default_values_t = [10, 40, 80])]
+    frames: Vec<u64>,
     /// Precisions of the device, beside the f64 path
     #[arg(long, value_enum, value_delimiter = ',', default_values_t = [PrecisionName::Mixed])]
     precision: Vec<PrecisionName>,
-    /// Timed sub-steps per row
+    /// Timed runs per row; no more are begun where they have taken 20 s
     #[arg(long, default_value_t = 3)]
     repeats: usize,
     /// Folder of the results
@@ -32,6 +36,12 @@ pub(super) struct Thesis {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum TableName {
+    #[value(name = "6.2")]
+    T6_2,
+    #[value(name = "6.3")]
+    T6_3,
+    #[value(name = "6.4")]
+    T6_4,
     #[value(name = "6.5")]
     T6_5,
     #[value(name = "6.6")]
@@ -39,8 +49,19 @@ enum TableName {
 }
 
 impl TableName {
+    const ALL: [TableName; 5] = [
+        TableName::T6_2,
+        TableName::T6_3,
+        TableName::T6_4,
+        TableName::T6_5,
+        TableName::T6_6,
+    ];
+
     fn table(self) -> ThesisTable {
         match self {
+            TableName::T6_2 => ThesisTable::T6_2,
+            TableName::T6_3 => ThesisTable::T6_3,
+            TableName::T6_4 => ThesisTable::T6_4,
             TableName::T6_5 => ThesisTable::T6_5,
             TableName::T6_6 => ThesisTable::T6_6,
         }
@@ -49,41 +70,85 @@ impl TableName {
 
 impl Thesis {
     pub(super) fn run(&self) -> Result<(), Error> {
-        let mut grids = self.grids.clone();
+        let mut tables: Vec<ThesisTable> = self.tables.iter().map(|name| name.table()).collect();
+        let (mut grids, mut frames) = (self.grids.clone(), self.frames.clone());
+        tables.sort_unstable();
+        tables.dedup();
         grids.sort_unstable();
         grids.dedup();
+        frames.sort_unstable();
+        frames.dedup();
         let options = Options {
-            tables: self.tables.iter().map(|name| name.table()).collect(),
+            tables,
             grids,
+            frames,
             precisions: self.precision.iter().map(|name| name.precision()).collect(),
             repeats: self.repeats,
             adapter: self.adapter.choice(),
         };
-        say!(
-            "table  grid  path       patches      error of p (over printed), of v, of u               seconds (least, largest)"
-        );
-        let table = bench_thesis(&options, &self.out, &mut |row| {
-            let over = |error: f64, ratio: Option<f64>| match ratio {
-                Some(ratio) => format!("{error:.2e} ({ratio:.2})"),
-                None => format!("{error:.2e}       "),
+        let mut headed = [false; 2];
+        let table = bench_thesis(&options, &self.out, &mut |row| match row {
+            Told::System(row) => {
+                if !std::mem::replace(&mut headed[0], true) {
+                    say!(
+                        "table  grid nodes frame  path       solver                        nonzeros  log10 c  iterations  seconds (least, largest)"
+                    );
+                }
+                tell_system(row);
+            }
+            Told::Accuracy(row) => {
+                if !std::mem::replace(&mut headed[1], true) {
+                    say!(
+                        "table  grid  path       patches      error of p (over printed), of v, of u               seconds (least, largest)"
+                    );
+                }
+                tell_accuracy(row);
+            }
+        })?;
+        if !table.means.is_empty() {
+            say!("means over the states (printed, ratio)");
+        }
+        for mean in &table.means {
+            let printed = match (mean.thesis, mean.ratio) {
+                (Some(thesis), Some(ratio)) => format!("({thesis}, {ratio:.3})"),
+                _ => String::new(),
             };
             say!(
-                "{:5}  {:4}  {:3} {:5}  {:11}  {}  {}  {}  {:.4} ({:.4}, {:.4}) {}",
-                row.table,
-                row.grid,
-                row.backend,
-                row.precision,
-                row.patch_pressure,
-                over(row.error_p, row.ratio_p),
-                over(row.error_v, row.ratio_v),
-                over(row.error_u, row.ratio_u),
-                row.seconds_median,
-                row.seconds_min,
-                row.seconds_max,
-                row.status,
+                "{:5}  {:4} {:5}  {:3} {:5}  {:30} {:15} {:.4e} {printed}",
+                mean.table,
+                mean.grid,
+                mean.nodes,
+                mean.backend,
+                mean.precision,
+                format!("{} {}", mean.formulation, mean.solver),
+                mean.quantity,
+                mean.mean,
             );
-        })?;
-        say!("orders of p, v, u over dx = 0.1 to 0.0125 (least from one grid to the next)");
+        }
+        if !table.growth.is_empty() {
+            say!("powers of the cells along an edge (of the printed numbers)");
+        }
+        for growth in &table.growth {
+            let nodes = growth
+                .nodes
+                .map_or(String::new(), |nodes| nodes.to_string());
+            let printed = growth
+                .thesis
+                .map_or(String::new(), |thesis| format!("({thesis:.2})"));
+            say!(
+                "{:5}  {:5}  {:3} {:5}  {:30} {:15} {:.2} {printed}",
+                growth.table,
+                nodes,
+                growth.backend,
+                growth.precision,
+                format!("{} {}", growth.formulation, growth.solver),
+                growth.quantity,
+                growth.exponent,
+            );
+        }
+        if !table.orders.is_empty() {
+            say!("orders of p, v, u over dx = 0.1 to 0.0125 (least from one grid to the next)");
+        }
         for order in &table.orders {
             say!(
                 "{:5}  {:6} {:5}  {:11}  {:5.2} ({:5.2})  {:5.2} ({:5.2})  {:5.2} ({:5.2})",
@@ -103,4 +168,48 @@ impl Thesis {
         say!("tables and picture: {}", self.out.display());
         Ok(())
     }
+}
+
+fn tell_system(row: &SystemRow) {
+    let or_nothing = |text: Option<String>| text.unwrap_or_default();
+    say!(
+        "{:5}  {:4} {:5} {:5}  {:3} {:5}  {:28} {:>9}  {:>7}  {:>10}  {} {}",
+        row.table,
+        row.grid,
+        row.nodes,
+        row.frame,
+        row.backend,
+        row.precision,
+        format!("{} {}", row.formulation, row.solver),
+        or_nothing(row.nonzeros.map(|n| n.to_string())),
+        or_nothing(row.log10_condest.map(|c| format!("{c:.3}"))),
+        or_nothing(row.iterations.map(|n| n.to_string())),
+        match (row.seconds_median, row.seconds_min, row.seconds_max) {
+            (Some(median), Some(min), Some(max)) => format!("{median:.4} ({min:.4}, {max:.4})"),
+            _ => String::new(),
+        },
+        row.status.unwrap_or_default(),
+    );
+}
+
+fn tell_accuracy(row: &Row) {
+    let over = |error: f64, ratio: Option<f64>| match ratio {
+        Some(ratio) => format!("{error:.2e} ({ratio:.2})"),
+        None => format!("{error:.2e}       "),
+    };
+    say!(
+        "{:5}  {:4}  {:3} {:5}  {:11}  {}  {}  {}  {:.4} ({:.4}, {:.4}) {}",
+        row.table,
+        row.grid,
+        row.backend,
+        row.precision,
+        row.patch_pressure,
+        over(row.error_p, row.ratio_p),
+        over(row.error_v, row.ratio_v),
+        over(row.error_u, row.ratio_u),
+        row.seconds_median,
+        row.seconds_min,
+        row.seconds_max,
+        row.status,
+    );
 }

@@ -383,14 +383,18 @@ fn write_coupled_matrices(
     Ok(())
 }
 
-/// The base scene with a beam, or with that which goes with its grid.
-fn base_scene(size: Size) -> Result<BaseScene, Error> {
-    let matching = match size.grid {
+/// Bricks across the beam that the thesis has on about so many cells along an edge.
+pub(super) fn bricks_across(grid: usize) -> usize {
+    match grid {
         ..50 => 2,
         50..70 => 3,
         _ => 4,
-    };
-    let across = size.bricks.unwrap_or(matching);
+    }
+}
+
+/// The base scene with a beam, or with that which goes with its grid.
+fn base_scene(size: Size) -> Result<BaseScene, Error> {
+    let across = size.bricks.unwrap_or(bricks_across(size.grid));
     let beam = BaseBeam {
         bricks: [across, across, 7 * across],
         ..BaseBeam::default()

@@ -1,34 +1,24 @@
-//! `bench thesis`: tables of the thesis's chapter 6 beside what they are here.
-//!
 //! Tables 6.5 and 6.6: one sub-step from rest of the problem of section 6.4 ([`PlaneStrain`]), of which the pressure is known and no
 //! velocity should come. Errors are largest magnitudes: of the pressures of all unknowns, of the components of the nodes' velocities, of the
 //! velocities on open faces beside unknowns. With pressures that are constant over a cell where they push on the solid, as the thesis has
 //! them, the error of the pressure is the weight of the liquid between the block's face and the centre of the cell that holds it, so
 //! that it jumps with where that centre happens to be; with the hydrostatic ones it falls with the square of the cell size.
 
-use std::fs;
-use std::path::Path;
-
-use plotters::prelude::*;
 use serde::Serialize;
 
+use super::{MOST_ITERATIONS, Options, PATIENCE, TOLERANCE, ThesisTable};
 use crate::Error;
-use crate::gpu::{AdapterChoice, Gpu};
 use crate::grid::Axis;
+use crate::linalg::norm;
+use crate::measure::bench_accuracy::{Answer, Done, sub_step};
+use crate::measure::bench_solve::name;
+use crate::measure::plane_strain::{PlaneStrain, TABLE_6_5, TABLE_6_6};
+use crate::measure::statistics::{Spread, exponent};
 use crate::reference::Reference;
 use crate::scene::{PatchPressure, Precision, Scene, Solver};
 use crate::sim::{GpuPath, reference_path, solids_of};
 use crate::state::{SolveReport, SolveStatus, State};
 
-use super::bench_accuracy::{Answer, Done, sub_step};
-use super::bench_solve::name;
-use super::plane_strain::{PlaneStrain, TABLE_6_5, TABLE_6_6};
-use super::statistics::Spread;
-use super::table::{Machine, log_range, write_csv, write_json, write_svg};
-
-/// Relative, of the true residuals: far below every error.
-const TOLERANCE: f64 = 1e-10;
-const MOST_ITERATIONS: u32 = 20_000;
 /// Cells along the tank's height that an order is fitted over: cell sizes of 0.1 to 0.0125.
 const FITTED: std::ops::RangeInclusive<usize> = 10..=80;
 
@@ -53,53 +43,23 @@ const PRINTED_6_6: Printed = [
     (80, [1.21e-3, 1.07e-4, 1.92e-4]),
 ];
 
-/// A table of the thesis.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ThesisTable {
-    /// A soft block, narrower than at rest.
-    T6_5,
-    /// A stiff one, wider than at rest.
-    T6_6,
+/// What a table is of.
+struct Problem {
+    table: ThesisTable,
+    of: PlaneStrain,
+    printed: &'static Printed,
 }
 
-impl ThesisTable {
-    /// Its number.
-    pub fn number(self) -> &'static str {
-        match self {
-            ThesisTable::T6_5 => "6.5",
-            ThesisTable::T6_6 => "6.6",
-        }
+impl Problem {
+    /// `None` for tables of other things.
+    fn of(table: ThesisTable) -> Option<Problem> {
+        let (of, printed) = match table {
+            ThesisTable::T6_5 => (TABLE_6_5, &PRINTED_6_5),
+            ThesisTable::T6_6 => (TABLE_6_6, &PRINTED_6_6),
+            _ => return None,
+        };
+        Some(Problem { table, of, printed })
     }
-
-    /// Its problem.
-    pub fn problem(self) -> PlaneStrain {
-        match self {
-            ThesisTable::T6_5 => TABLE_6_5,
-            ThesisTable::T6_6 => TABLE_6_6,
-        }
-    }
-
-    fn printed(self) -> &'static Printed {
-        match self {
-            ThesisTable::T6_5 => &PRINTED_6_5,
-            ThesisTable::T6_6 => &PRINTED_6_6,
-        }
-    }
-}
-
-/// What to measure.
-#[derive(Clone, Debug)]
-pub struct Options {
-    /// Tables.
-    pub tables: Vec<ThesisTable>,
-    /// Cells along the tank's height of 1 m, ascending multiples of 5.
-    pub grids: Vec<usize>,
-    /// Of the device, beside the f64 path; those that the adapter lacks are left out.
-    pub precisions: Vec<Precision>,
-    /// Timed sub-steps per row.
-    pub repeats: usize,
-    /// Where.
-    pub adapter: AdapterChoice,
 }
 
 /// A row of thesis.csv. Errors are of p in Pa, of v and u in m/s; what the thesis does not have is empty.
@@ -127,6 +87,8 @@ pub struct Row {
     pub error_v: f64,
     /// Of the velocities on open faces beside unknowns.
     pub error_u: f64,
+    /// Root of the mean square of the components of the nodes' velocities.
+    pub rms_v: f64,
     /// Printed.
     pub thesis_p: Option<f64>,
     /// Printed.
@@ -176,6 +138,8 @@ pub struct Order {
     pub order_v: f64,
     /// Of u.
     pub order_u: f64,
+    /// Of the root of the mean square of v; empty for the thesis.
+    pub order_rms_v: Option<f64>,
     /// Least order from one grid to the next, of p.
     pub least_p: f64,
     /// Of v.
@@ -184,21 +148,9 @@ pub struct Order {
     pub least_u: f64,
 }
 
-/// The tables and where they were measured.
-#[derive(Clone, Debug, Serialize)]
-pub struct Table {
-    /// Where.
-    #[serde(flatten)]
-    pub machine: Machine,
-    /// A row per table, grid, patch pressure and path.
-    pub rows: Vec<Row>,
-    /// A row per series of at least two grids, and the thesis's own.
-    pub orders: Vec<Order>,
-}
-
 /// One way to do the sub-step of one problem on one grid.
 struct Case<'a> {
-    table: ThesisTable,
+    problem: &'a Problem,
     grid: usize,
     scene: &'a Scene,
     /// At rest, deformed.
@@ -211,56 +163,28 @@ struct Mask {
     faces: [Vec<bool>; 3],
 }
 
-/// Measures all rows and writes thesis.csv, thesis_orders.csv, thesis.json and thesis.svg into `out`; `tell` hears of each row.
-///
-/// # Errors
-/// [`Error::Input`] for grids that the problem does not fit, [`Error::Output`], and what the simulations say.
-pub fn bench_thesis(
-    options: &Options,
-    out: &Path,
-    tell: &mut dyn FnMut(&Row),
-) -> Result<Table, Error> {
-    for &grid in &options.grids {
-        if !(5..=320).contains(&grid) || !grid.is_multiple_of(5) {
-            return Err(Error::input(
-                format!("--grids {grid}"),
-                "the liquid's surface at 0.8 m and the walls do not lie on faces of such cells",
-                "give multiples of 5 up to 320",
-            ));
-        }
-    }
-    fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
-    let machine = Machine::new(&Gpu::new(&options.adapter)?, options.repeats)?;
+/// Measures all rows of the tables asked for.
+pub(super) fn measure(options: &Options, tell: &mut dyn FnMut(&Row)) -> Result<Vec<Row>, Error> {
     let mut rows = Vec::new();
     for &table in &options.tables {
+        let Some(problem) = Problem::of(table) else {
+            continue;
+        };
         for patches in [PatchPressure::Cell, PatchPressure::Hydrostatic] {
-            for &grid in &options.grids {
-                for row in measure(table, patches, grid, options)? {
+            for grid in options.grids_of(table) {
+                for row in on_grid(&problem, patches, grid, options)? {
                     tell(&row);
                     rows.push(row);
                 }
             }
         }
     }
-    let orders = orders(&rows, &options.tables);
-    let table = Table {
-        machine,
-        rows,
-        orders,
-    };
-    write_csv(&table.rows, &out.join("thesis.csv"))?;
-    write_csv(&table.orders, &out.join("thesis_orders.csv"))?;
-    write_json(&table, &out.join("thesis.json"))?;
-    let size = (1500, 460 * options.tables.len() as u32);
-    write_svg(&out.join("thesis.svg"), size, |page| {
-        draw(&table.rows, &options.tables, page)
-    })?;
-    Ok(table)
+    Ok(rows)
 }
 
 /// The rows of a problem on a grid: of the f64 path and of the device in each precision.
-fn measure(
-    table: ThesisTable,
+fn on_grid(
+    problem: &Problem,
     patches: PatchPressure,
     grid: usize,
     options: &Options,
@@ -272,13 +196,12 @@ fn measure(
         pressure_on_patches: patches,
         ..Solver::default()
     };
-    let problem = table.problem();
-    let mut scene = problem.scene(grid, solver(Precision::F64))?;
+    let mut scene = problem.of.scene(grid, solver(Precision::F64))?;
     let mut path = reference_path(&scene)?;
     let mut state = path.state().clone();
-    problem.deform(&solids_of(&scene)?, &mut state);
-    let (mut seconds, mut done) = (Vec::new(), None);
-    for _ in 0..options.repeats.max(1) {
+    problem.of.deform(&solids_of(&scene)?, &mut state);
+    let (mut seconds, mut done) = (Vec::<f64>::new(), None);
+    while again(&seconds, options) {
         let found = reference_step(&mut path, &state)?;
         seconds.push(found.seconds);
         done = Some(found);
@@ -286,7 +209,7 @@ fn measure(
     let mask = Mask::of(&path);
     let done = done.expect("there is at least one");
     let case = Case {
-        table,
+        problem,
         grid,
         scene: &scene,
         state: &state,
@@ -295,7 +218,7 @@ fn measure(
     for &precision in &options.precisions {
         scene.solver = solver(precision);
         let case = Case {
-            table,
+            problem,
             grid,
             scene: &scene,
             state: &state,
@@ -308,14 +231,19 @@ fn measure(
         let density = scene.liquid.as_ref().map_or(0.0, |liquid| liquid.density);
         // The first compiles.
         let mut done = sub_step(&mut path, case.state, density)?;
-        let mut seconds = Vec::new();
-        for _ in 0..options.repeats.max(1) {
+        let mut seconds = Vec::<f64>::new();
+        while again(&seconds, options) {
             done = sub_step(&mut path, case.state, density)?;
             seconds.push(done.seconds);
         }
         rows.push(case.row("gpu", &mask, Spread::of(seconds), &done));
     }
     Ok(rows)
+}
+
+/// Whether runs of these seconds are followed by another.
+fn again(seconds: &[f64], options: &Options) -> bool {
+    seconds.is_empty() || seconds.len() < options.repeats && seconds.iter().sum::<f64>() <= PATIENCE
 }
 
 /// The sub-step on the f64 path.
@@ -379,25 +307,27 @@ impl Case<'_> {
             let height = grid.cell_centre(grid.cell_at(cell)).y;
             p - PlaneStrain::pressure(height)
         });
-        let velocities = done.answer.velocity.as_flattened().iter();
+        let velocities = done.answer.velocity.as_flattened();
         let faces = done.faces.iter().zip(&mask.faces);
         let faces = faces.map(|(faces, counts)| largest(faces.iter().copied(), counts));
         let errors = [
             largest(off, &mask.cells),
-            velocities.fold(0.0, |most, v| f64::max(most, v.abs())),
+            velocities
+                .iter()
+                .fold(0.0, |most, v| f64::max(most, v.abs())),
             faces.fold(0.0, f64::max),
         ];
         let [error_p, error_v, error_u] = errors;
-        let mut printed = self.table.printed().iter();
+        let mut printed = self.problem.printed.iter();
         let printed = printed.find(|(cells, _)| *cells == self.grid);
         let thesis = |of: usize| printed.map(|(_, errors)| errors[of]);
         let ratio = |of: usize| thesis(of).map(|printed| errors[of] / printed);
-        let distance = self.table.problem().distance(grid.dx);
+        let distance = self.problem.of.distance(grid.dx);
         let solves: Vec<SolveReport> = done.report.solves().collect();
         let converged = |solve: &&SolveReport| solve.status == SolveStatus::Converged;
         let failed = solves.iter().find(|solve| !converged(solve));
         Row {
-            table: self.table.number(),
+            table: self.problem.table.number(),
             grid: self.grid,
             dx: grid.dx,
             backend,
@@ -408,6 +338,7 @@ impl Case<'_> {
             error_p,
             error_v,
             error_u,
+            rms_v: norm(velocities) / (velocities.len() as f64).sqrt(),
             thesis_p: thesis(0),
             thesis_v: thesis(1),
             thesis_u: thesis(2),
@@ -448,27 +379,18 @@ fn order(
     let [first, .., last] = &points[..] else {
         return None;
     };
-    let logarithms = |of: usize| -> Vec<[f64; 2]> {
+    let sizes = |of: usize| -> Vec<(f64, f64)> {
         let points = points.iter();
         points
-            .map(|(grid, errors)| [-(*grid as f64).ln(), errors[of].ln()])
+            .map(|(grid, errors)| (1.0 / *grid as f64, errors[of]))
             .collect()
     };
-    let fitted = |of: usize| {
-        let points = logarithms(of);
-        let n = points.len() as f64;
-        let middle = [0, 1].map(|axis| points.iter().map(|point| point[axis]).sum::<f64>() / n);
-        let offsets = points.iter().map(|[x, y]| [x - middle[0], y - middle[1]]);
-        let sums = offsets.fold([0.0; 2], |[both, square], [x, y]| {
-            [both + x * y, square + x * x]
-        });
-        sums[0] / sums[1]
-    };
+    let fitted = |of: usize| exponent(sizes(of)).expect("there are two points");
     let least = |of: usize| {
-        let points = logarithms(of);
+        let points = sizes(of);
         let steps = points
             .windows(2)
-            .map(|pair| (pair[1][1] - pair[0][1]) / (pair[1][0] - pair[0][0]));
+            .filter_map(|pair| exponent(pair.iter().copied()));
         steps.fold(f64::INFINITY, f64::min)
     };
     Some(Order {
@@ -481,6 +403,7 @@ fn order(
         order_p: fitted(0),
         order_v: fitted(1),
         order_u: fitted(2),
+        order_rms_v: None,
         least_p: least(0),
         least_v: least(1),
         least_u: least(2),
@@ -488,17 +411,22 @@ fn order(
 }
 
 /// Of all series, and of the printed errors.
-fn orders(rows: &[Row], tables: &[ThesisTable]) -> Vec<Order> {
+pub(super) fn orders(rows: &[Row], tables: &[ThesisTable]) -> Vec<Order> {
     let mut orders = Vec::new();
-    for table in tables {
-        let number = table.number();
-        orders.extend(order([number, "thesis", "", "cell"], table.printed()));
-        let of_table: Vec<&Row> = rows.iter().filter(|row| row.table == number).collect();
-        for series in series_of(&of_table) {
+    for problem in tables.iter().filter_map(|&table| Problem::of(table)) {
+        let number = problem.table.number();
+        orders.extend(order([number, "thesis", "", "cell"], problem.printed));
+        for series in series_of(rows, number) {
             let of_series = rows.iter().filter(|row| series.holds(row));
-            let points = of_series.map(|row| (row.grid, [row.error_p, row.error_v, row.error_u]));
-            let points: Vec<_> = points.collect();
-            orders.extend(order(series.0, &points));
+            let of_series: Vec<&Row> = of_series.collect();
+            let errors = |row: &&Row| (row.grid, [row.error_p, row.error_v, row.error_u]);
+            let points: Vec<_> = of_series.iter().map(errors).collect();
+            let fitted = of_series.iter().filter(|row| FITTED.contains(&row.grid));
+            let means: Vec<(f64, f64)> = fitted.map(|row| (row.dx, row.rms_v)).collect();
+            orders.extend(order(series.0, &points).map(|order| Order {
+                order_rms_v: exponent(means),
+                ..order
+            }));
         }
     }
     orders
@@ -506,125 +434,31 @@ fn orders(rows: &[Row], tables: &[ThesisTable]) -> Vec<Order> {
 
 /// Table, backend, precision and patch pressure.
 #[derive(Clone, Copy, PartialEq)]
-struct Series([&'static str; 4]);
+pub(super) struct Series([&'static str; 4]);
 
 impl Series {
     fn of(row: &Row) -> Series {
         Series([row.table, row.backend, row.precision, row.patch_pressure])
     }
 
-    fn holds(&self, row: &Row) -> bool {
+    pub(super) fn holds(&self, row: &Row) -> bool {
         *self == Series::of(row)
     }
 
-    fn label(&self) -> String {
+    pub(super) fn label(&self) -> String {
         let [_, backend, precision, patches] = self.0;
         format!("{backend} {precision}, {patches}")
     }
 }
 
-/// Those of some rows, in their order.
-fn series_of(rows: &[&Row]) -> Vec<Series> {
+/// Those of a table, in the order of its rows.
+pub(super) fn series_of(rows: &[Row], table: &str) -> Vec<Series> {
     let mut found: Vec<Series> = Vec::new();
-    for row in rows {
+    for row in rows.iter().filter(|row| row.table == table) {
         let series = Series::of(row);
         if !found.contains(&series) {
             found.push(series);
         }
     }
     found
-}
-
-/// What a chart is of.
-struct Drawn {
-    labels: [&'static str; 2],
-    point: fn(&Row) -> (f64, f64),
-    printed: fn(&Row) -> Option<f64>,
-}
-
-const CHARTS: [Drawn; 3] = [
-    Drawn {
-        labels: ["dx, m", "error of p, Pa"],
-        point: |row| (row.dx, row.error_p),
-        printed: |row| row.thesis_p,
-    },
-    Drawn {
-        labels: ["dx, m", "error of v, m/s"],
-        point: |row| (row.dx, row.error_v),
-        printed: |row| row.thesis_v,
-    },
-    Drawn {
-        labels: ["seconds of the solve", "error of p, Pa"],
-        point: |row| (row.seconds_median, row.error_p),
-        printed: |_| None,
-    },
-];
-
-/// A line of charts per table: errors of p and of v against the cell size, with the printed ones, and of p against seconds.
-fn draw(
-    rows: &[Row],
-    tables: &[ThesisTable],
-    page: SVGBackend,
-) -> Result<(), Box<dyn std::error::Error>> {
-    let root = page.into_drawing_area();
-    root.fill(&WHITE)?;
-    let charts = root.split_evenly((tables.len().max(1), CHARTS.len()));
-    for (table, charts) in tables.iter().zip(charts.chunks(CHARTS.len())) {
-        let number = table.number();
-        let rows: Vec<&Row> = rows.iter().filter(|row| row.table == number).collect();
-        for (drawn, chart) in CHARTS.iter().zip(charts) {
-            let [x_label, y_label] = drawn.labels;
-            let of_thesis = rows
-                .iter()
-                .filter_map(|row| Some(((drawn.point)(row).0, (drawn.printed)(row)?)));
-            let of_thesis: Vec<(f64, f64)> = of_thesis.collect();
-            let points = rows.iter().map(|row| (drawn.point)(row));
-            let points: Vec<(f64, f64)> = points.chain(of_thesis.iter().copied()).collect();
-            let mut chart = ChartBuilder::on(chart)
-                .caption(format!("Table {number}"), ("sans-serif", 18))
-                .margin(12)
-                .x_label_area_size(44)
-                .y_label_area_size(70)
-                .build_cartesian_2d(
-                    log_range(points.iter().map(|point| point.0)).log_scale(),
-                    log_range(points.iter().map(|point| point.1)).log_scale(),
-                )?;
-            chart
-                .configure_mesh()
-                .x_desc(x_label)
-                .x_labels(6)
-                .max_light_lines(1)
-                .x_label_formatter(&|x| format!("{x:.1e}"))
-                .y_desc(y_label)
-                .y_label_formatter(&|error| format!("{error:.0e}"))
-                .draw()?;
-            if !of_thesis.is_empty() {
-                chart
-                    .draw_series(
-                        of_thesis
-                            .iter()
-                            .map(|&at| Cross::new(at, 6, BLACK.stroke_width(2))),
-                    )?
-                    .label("printed")
-                    .legend(|(x, y)| Cross::new((x + 10, y), 5, BLACK.stroke_width(2)));
-            }
-            for (index, series) in series_of(&rows).iter().enumerate() {
-                let of_series = rows.iter().filter(|row| series.holds(row));
-                let points = of_series.map(|row| (drawn.point)(row));
-                let colour = Palette99::pick(index).to_rgba();
-                chart
-                    .draw_series(LineSeries::new(points, colour.stroke_width(2)).point_size(3))?
-                    .label(series.label())
-                    .legend(move |(x, y)| PathElement::new([(x, y), (x + 20, y)], colour));
-            }
-            chart
-                .configure_series_labels()
-                .position(SeriesLabelPosition::LowerLeft)
-                .border_style(BLACK)
-                .background_style(WHITE.mix(0.8))
-                .draw()?;
-        }
-    }
-    root.present()?;
-    Ok(())
 }

@@ -1,0 +1,204 @@
+//! `bench thesis`: tables of the thesis's chapter 6 beside what they are here.
+//!
+//! Tables 6.2 to 6.4 ([`systems`]): matrices and solves of the formulations on states of the dam break. Tables 6.5 and 6.6
+//! ([`accuracy`]): errors of a sub-step whose answer is known.
+
+mod accuracy;
+mod condition;
+mod picture;
+mod systems;
+
+use std::fs;
+use std::path::Path;
+
+use serde::Serialize;
+
+use crate::Error;
+use crate::gpu::{AdapterChoice, Gpu};
+use crate::scene::Precision;
+
+use super::table::{Machine, write_csv, write_json, write_svg};
+
+pub use accuracy::{Order, Row};
+pub use condition::{Condition, Conditions, conditions};
+pub use systems::{Growth, Mean, SystemRow};
+
+/// Relative, of the true residuals.
+const TOLERANCE: f64 = 1e-10;
+const MOST_ITERATIONS: u32 = 20_000;
+/// Runs are not repeated that have taken so long, s.
+const PATIENCE: f64 = 20.0;
+
+/// A table of the thesis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum ThesisTable {
+    /// Nonzeros, condition numbers and solves of the indefinite and the positive definite form.
+    T6_2,
+    /// Seconds per frame with velocities and with stresses as unknowns.
+    T6_3,
+    /// Nonzeros of both.
+    T6_4,
+    /// Errors of a soft block, narrower than at rest.
+    T6_5,
+    /// Of a stiff one, wider than at rest.
+    T6_6,
+}
+
+impl ThesisTable {
+    /// Its number.
+    pub fn number(self) -> &'static str {
+        match self {
+            ThesisTable::T6_2 => "6.2",
+            ThesisTable::T6_3 => "6.3",
+            ThesisTable::T6_4 => "6.4",
+            ThesisTable::T6_5 => "6.5",
+            ThesisTable::T6_6 => "6.6",
+        }
+    }
+
+    /// Whether it is of states of the dam break.
+    fn of_systems(self) -> bool {
+        matches!(
+            self,
+            ThesisTable::T6_2 | ThesisTable::T6_3 | ThesisTable::T6_4
+        )
+    }
+
+    /// Grids that are measured where none are asked for: those of the thesis that take minutes on two cores.
+    fn grids(self) -> &'static [usize] {
+        match self {
+            ThesisTable::T6_2 => &[40, 60],
+            ThesisTable::T6_3 | ThesisTable::T6_4 => &[50, 60],
+            ThesisTable::T6_5 | ThesisTable::T6_6 => &[5, 10, 20, 40, 80],
+        }
+    }
+
+    fn ensure_grid(self, grid: usize) -> Result<(), Error> {
+        let (fits, problem, cure) = match self.of_systems() {
+            true => (
+                (8..=256).contains(&grid),
+                "the dam break is too coarse or too large",
+                "give cells from 8 to 256, such as those of the thesis: 40 to 90",
+            ),
+            false => (
+                (5..=320).contains(&grid) && grid.is_multiple_of(5),
+                "the liquid's surface at 0.8 m and the walls do not lie on faces of such cells",
+                "give multiples of 5 up to 320",
+            ),
+        };
+        if fits {
+            return Ok(());
+        }
+        let what = format!("--grids {grid} for table {}", self.number());
+        Err(Error::input(what, problem, cure))
+    }
+}
+
+/// What to measure.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Tables.
+    pub tables: Vec<ThesisTable>,
+    /// Cells along an edge of the dam break, or along the tank's height of 1 m, ascending; each table's own where there are none.
+    pub grids: Vec<usize>,
+    /// Frames of the dam break whose states are taken, ascending.
+    pub frames: Vec<u64>,
+    /// Of the device, beside the f64 path; those that the adapter lacks are left out.
+    pub precisions: Vec<Precision>,
+    /// Timed runs per row; no more are begun where they have taken 20 s.
+    pub repeats: usize,
+    /// Where.
+    pub adapter: AdapterChoice,
+}
+
+impl Options {
+    fn grids_of(&self, table: ThesisTable) -> Vec<usize> {
+        match self.grids.is_empty() {
+            true => table.grids().to_vec(),
+            false => self.grids.clone(),
+        }
+    }
+}
+
+/// The tables and where they were measured.
+#[derive(Clone, Debug, Serialize)]
+pub struct Table {
+    /// Where.
+    #[serde(flatten)]
+    pub machine: Machine,
+    /// Of tables 6.5 and 6.6: a row per table, grid, patch pressure and path.
+    pub rows: Vec<Row>,
+    /// A row per series of at least two grids, and the thesis's own.
+    pub orders: Vec<Order>,
+    /// Of tables 6.2 to 6.4: a row per table, grid, beam, state and solver.
+    pub systems: Vec<SystemRow>,
+    /// Their numbers beside the printed ones.
+    pub means: Vec<Mean>,
+    /// A row per number that is measured on at least two grids.
+    pub growth: Vec<Growth>,
+}
+
+/// A row as it is measured.
+#[derive(Clone, Copy, Debug)]
+pub enum Told<'a> {
+    /// Of tables 6.2 to 6.4.
+    System(&'a SystemRow),
+    /// Of tables 6.5 and 6.6.
+    Accuracy(&'a Row),
+}
+
+/// Measures all rows and writes into `out`: thesis.json, thesis.svg, for tables 6.2 to 6.4 thesis_systems.csv, thesis_means.csv and
+/// thesis_growth.csv, for tables 6.5 and 6.6 thesis.csv and thesis_orders.csv. `tell` hears of each row.
+///
+/// # Errors
+/// [`Error::Input`] for grids and frames that the problems do not have, [`Error::Output`], and what the simulations say.
+pub fn bench_thesis(
+    options: &Options,
+    out: &Path,
+    tell: &mut dyn FnMut(Told),
+) -> Result<Table, Error> {
+    for &table in &options.tables {
+        for grid in options.grids_of(table) {
+            table.ensure_grid(grid)?;
+        }
+    }
+    let has = |of_systems: bool| {
+        let mut tables = options.tables.iter();
+        tables.any(|table| table.of_systems() == of_systems)
+    };
+    if has(true) {
+        for &frame in &options.frames {
+            systems::ensure_frame(frame)?;
+        }
+    }
+    fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
+    let machine = Machine::new(&Gpu::new(&options.adapter)?, options.repeats)?;
+    let systems = systems::measure(options, &mut |row| tell(Told::System(row)))?;
+    let rows = accuracy::measure(options, &mut |row| tell(Told::Accuracy(row)))?;
+    let means = systems::means(&systems);
+    let table = Table {
+        machine,
+        orders: accuracy::orders(&rows, &options.tables),
+        growth: systems::growth(&means),
+        rows,
+        systems,
+        means,
+    };
+    if has(true) {
+        write_csv(&table.systems, &out.join("thesis_systems.csv"))?;
+        write_csv(&table.means, &out.join("thesis_means.csv"))?;
+        if !table.growth.is_empty() {
+            write_csv(&table.growth, &out.join("thesis_growth.csv"))?;
+        }
+    }
+    if has(false) {
+        write_csv(&table.rows, &out.join("thesis.csv"))?;
+        write_csv(&table.orders, &out.join("thesis_orders.csv"))?;
+    }
+    write_json(&table, &out.join("thesis.json"))?;
+    let charts = picture::charts(&table, &options.tables);
+    write_svg(&out.join("thesis.svg"), picture::size(&charts), |page| {
+        picture::draw(&charts, page)
+    })?;
+    Ok(table)
+}
