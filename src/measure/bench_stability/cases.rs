@@ -446,6 +446,21 @@ fn shapes(to: &mut Matrix) {
         );
     }
     to.add(
+        "start",
+        "hinged",
+        "bar of E = 1e8 Pa on a hinge, level, swings into the pool",
+        &setting(
+            &[POOL],
+            vec![Body {
+                mesh: cuboid([0.4, 0.1, 0.1], [8, 2, 2]),
+                density: 1000.0,
+                young: 1e8,
+                held: Some("box = { min = [0.29, 0.69, 0], max = [0.31, 0.71, 1] }"),
+                ..block([0.5, 0.7, 0.5])
+            }],
+        ),
+    );
+    to.add(
         "sliver",
         "thin",
         "plate a fifth of a cell thick under a dam break",
