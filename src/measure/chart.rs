@@ -55,7 +55,7 @@ pub(super) fn series<'a, T: 'a>(
     all
 }
 
-/// A chart of series, its axes named; nothing where there is no point. The key stands where a chart of this kind has room.
+/// A chart of series, its axes named; nothing where there is no point. The key stands on the left, where the axis begins early enough.
 pub(super) fn chart(
     area: &Area,
     caption: &str,
@@ -67,19 +67,21 @@ pub(super) fn chart(
     if points().next().is_none() {
         return Ok(());
     }
+    let x_range = log_range(points().flat_map(|point| [point.x.min, point.x.max]));
+    let x_range = x_range.start * (x_range.start / x_range.end).powf(0.7)..x_range.end;
     let mut chart = ChartBuilder::on(area)
         .caption(caption, ("sans-serif", 18))
         .margin(12)
         .x_label_area_size(44)
         .y_label_area_size(70)
         .build_cartesian_2d(
-            log_range(points().flat_map(|point| [point.x.min, point.x.max])).log_scale(),
+            x_range.log_scale(),
             log_range(points().flat_map(|point| [point.y.min, point.y.max])).log_scale(),
         )?;
     chart
         .configure_mesh()
         .x_desc(x)
-        .x_labels(6)
+        .x_labels(8)
         .max_light_lines(1)
         .x_label_formatter(&|x| format!("{x:.1e}"))
         .y_desc(y)

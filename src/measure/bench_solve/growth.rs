@@ -12,7 +12,7 @@ pub struct Growth {
     pub formulation: &'static str,
     /// As in [`Row`], or of a rival its name.
     pub solver: &'static str,
-    /// As in [`Row`].
+    /// As in [`Row`]; `f64` of rivals.
     pub precision: &'static str,
     /// `cells`: active cells grow. `nodes`: those of the solids grow, cells stay. `both`: both grow.
     pub along: &'static str,
@@ -55,7 +55,7 @@ pub(super) fn growth(rows: &[Row], against: &[Against]) -> Vec<Growth> {
     });
     let of_rivals = against.iter().filter_map(|row| {
         Some(Sample {
-            series: [row.formulation, row.rival, row.precision],
+            series: [row.formulation, row.rival, "f64"],
             grid: row.grid,
             cells: row.active_cells,
             nodes: row.solid_nodes,
