@@ -9,6 +9,7 @@ mod compare;
 mod export;
 mod mesh;
 mod plan;
+mod plot;
 mod preview;
 mod report;
 mod run;
@@ -48,6 +49,8 @@ enum Command {
     Mesh(mesh::Mesh),
     /// Draw the frames of a run as pictures and an animation
     Preview(preview::Preview),
+    /// Draw the probes and the step table of runs as charts
+    Plot(plot::Plot),
     /// Gather what benches and runs wrote into one HTML page
     Report(report::Report),
 }
@@ -125,6 +128,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Export(command) => command.run(),
         Command::Mesh(command) => command.run(),
         Command::Preview(command) => command.run(),
+        Command::Plot(command) => command.run(),
         Command::Report(command) => command.run(),
     };
     match done {

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use cutwater::Error;
-use cutwater::measure::insert::insert;
+use cutwater::measure::insert::{Inserted, insert};
 use cutwater::measure::report::{Contents, PAGE, report};
 
 /// Gather what benches and runs wrote into one HTML page
@@ -20,8 +20,11 @@ pub(super) struct Report {
 impl Report {
     pub(super) fn run(&self) -> Result<(), Error> {
         for document in &self.into {
-            let tables = insert(&self.dir, document)?;
-            say!("{}: {tables} tables", document.display());
+            let Inserted { written, left } = insert(&self.dir, document)?;
+            say!("{}: {written} tables written", document.display());
+            for file in left {
+                say!("  left as it was: {file} is not in {}", self.dir.display());
+            }
         }
         if !self.into.is_empty() {
             return Ok(());

@@ -44,11 +44,21 @@ struct Found {
     measured: Option<String>,
 }
 
-/// Writes a document's tables anew from the results below `dir`; how many it has.
+/// What became of a document's tables.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Inserted {
+    /// Tables that are written anew.
+    pub written: usize,
+    /// CSV files of those that are left as they are, since they are not below the folder.
+    pub left: Vec<String>,
+}
+
+/// Writes a document's tables anew from the results below `dir`. Those of benches that did not run are left as they are.
 ///
 /// # Errors
-/// [`Error::Input`] where the document or a file that it names cannot be read, or it asks for what is not there; [`Error::Output`].
-pub fn insert(dir: &Path, document: &Path) -> Result<usize, Error> {
+/// [`Error::Input`] where the document or a file that it names cannot be read, it asks for columns that are not there, or none of its files is;
+/// [`Error::Output`].
+pub fn insert(dir: &Path, document: &Path) -> Result<Inserted, Error> {
     let text = fs::read_to_string(document).map_err(|problem| {
         let cure = "give a Markdown file with <!-- table .. --> comments";
         Error::input(document.display().to_string(), problem.to_string(), cure)
@@ -57,7 +67,7 @@ pub fn insert(dir: &Path, document: &Path) -> Result<usize, Error> {
         Error::input(format!("{}:{line}", document.display()), problem, cure)
     };
     let mut out = String::new();
-    let mut tables = 0;
+    let mut tables = Inserted::default();
     let mut lines = text.lines().enumerate();
     while let Some((at, line)) = lines.next() {
         out.push_str(line);
@@ -80,7 +90,15 @@ pub fn insert(dir: &Path, document: &Path) -> Result<usize, Error> {
             wanted.push_str(line);
             wanted.push('\n');
         }
-        let ends = lines.by_ref().any(|(_, line)| line.trim() == END);
+        let mut old = String::new();
+        let ends = lines.by_ref().any(|(_, line)| {
+            let end = line.trim() == END;
+            if !end {
+                old.push_str(line);
+                old.push('\n');
+            }
+            end
+        });
         if !ends {
             let cure = "put a line <!-- end of table --> below it";
             return Err(refused(head, "the table does not end".to_owned(), cure));
@@ -88,17 +106,27 @@ pub fn insert(dir: &Path, document: &Path) -> Result<usize, Error> {
         let cure = "give JSON with file, columns and, if not all rows are wanted, where";
         let wanted: Wanted = serde_json::from_str(&wanted)
             .map_err(|problem| refused(head, problem.to_string(), cure))?;
-        let markdown = Found::read(&dir.join(&wanted.file))?
-            .markdown(&wanted)
-            .map_err(|problem| refused(head, problem, "name columns of the CSV file"))?;
-        out.push_str(&markdown);
+        let file = dir.join(&wanted.file);
+        if file.exists() {
+            let markdown = Found::read(&file)?.markdown(&wanted);
+            let cure = "name columns of the CSV file";
+            out.push_str(&markdown.map_err(|problem| refused(head, problem, cure))?);
+            tables.written += 1;
+        } else {
+            out.push_str(&old);
+            tables.left.push(wanted.file);
+        }
         out.push_str(END);
         out.push('\n');
-        tables += 1;
     }
-    if tables == 0 {
+    if tables == Inserted::default() {
         let cure = "add <!-- table .. --> comments as docs/report.md shows";
         return Err(refused(1, "it asks for no table".to_owned(), cure));
+    }
+    if tables.written == 0 {
+        let cure = "give the folder with the --out folders of the benches in it";
+        let problem = format!("no table is there that {} asks for", document.display());
+        return Err(Error::input(dir.display().to_string(), problem, cure));
     }
     write_atomically(document, out.as_bytes())?;
     Ok(tables)

@@ -16,6 +16,7 @@ pub mod compare;
 pub mod export;
 pub mod insert;
 pub mod plane_strain;
+pub mod plot;
 pub mod report;
 mod solid_bytes;
 pub mod statistics;

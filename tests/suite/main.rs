@@ -31,6 +31,7 @@ mod output_solids;
 mod pages;
 mod physics;
 mod plan;
+mod plot;
 mod reference;
 mod reference_physics;
 mod reference_solids;

@@ -1,0 +1,39 @@
+//! `cutwater plot`
+
+use std::path::PathBuf;
+
+use clap::Args;
+use cutwater::Error;
+use cutwater::measure::plot::plot;
+
+/// Draw the probes and the step table of runs as charts
+#[derive(Debug, Args)]
+pub(super) struct Plot {
+    /// Folders of runs; several are drawn over one another
+    #[arg(required = true)]
+    runs: Vec<PathBuf>,
+    /// Folder of the charts; without it `plots` in the folder of the run
+    #[arg(long)]
+    out: Option<PathBuf>,
+}
+
+impl Plot {
+    pub(super) fn run(&self) -> Result<(), Error> {
+        let out = match (&self.out, &self.runs[..]) {
+            (Some(out), _) => out.clone(),
+            (None, [run]) => run.join("plots"),
+            (None, _) => {
+                let cure = "add --out FOLDER";
+                return Err(Error::input(
+                    "plot",
+                    "several runs, and no folder for their charts",
+                    cure,
+                ));
+            }
+        };
+        for file in plot(&self.runs, &out)? {
+            say!("{}", file.display());
+        }
+        Ok(())
+    }
+}
