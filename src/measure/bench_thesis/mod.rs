@@ -1,7 +1,7 @@
 //! `bench thesis`: tables of the thesis's chapter 6 beside what they are here.
 //!
-//! Tables 6.2 to 6.4 ([`systems`]): matrices and solves of the formulations on states of the dam break. Tables 6.5 and 6.6
-//! ([`accuracy`]): errors of a sub-step whose answer is known.
+//! Tables 6.2 to 6.4 (`systems`): matrices and solves of the formulations on states of the dam break. Tables 6.5 and 6.6
+//! (`accuracy`): errors of a sub-step whose answer is known.
 
 mod accuracy;
 mod condition;
