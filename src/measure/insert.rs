@@ -227,7 +227,10 @@ fn rounded(cell: &str) -> String {
                 let digits = (2 - size.log10().floor() as i64).clamp(0, 5) as usize;
                 format!("{number:.digits$}")
             } else {
-                format!("{number:.1e}").replace(".0e", "e")
+                let text = format!("{number:.2e}");
+                let (digits, power) = text.split_once('e').unwrap_or((&text, "0"));
+                let digits = digits.trim_end_matches('0').trim_end_matches('.');
+                format!("{digits}e{power}")
             }
         }
         _ => cell.replace('|', "\\|"),
