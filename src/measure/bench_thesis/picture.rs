@@ -208,7 +208,10 @@ fn draw_chart(
         .max_light_lines(1)
         .x_label_formatter(&|x| match whole {
             true => format!("{x:.0}"),
-            false => format!("{x}"),
+            false => {
+                let text = format!("{x:.4}");
+                text.trim_end_matches('0').trim_end_matches('.').to_owned()
+            }
         })
         .y_desc(y_label)
         .y_label_formatter(&|y| format!("{y:.0e}"))
