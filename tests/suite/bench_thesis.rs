@@ -79,6 +79,31 @@ fn errors_are_the_printed_ones_and_fall() {
 }
 
 #[test]
+fn orders_hold_down_to_the_finest_cells() {
+    if gpu().is_none() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let options = Options {
+        precisions: Vec::new(),
+        ..options(&[10, 20, 40, 80])
+    };
+    let table = bench_thesis(&options, folder.path(), &mut |_| {}).unwrap();
+    let ours = table.orders.iter().filter(|order| order.backend == "cpu");
+    let ours: Vec<&Order> = ours
+        .filter(|order| order.patch_pressure == "hydrostatic")
+        .collect();
+    assert_eq!(ours.len(), 2);
+    for order in ours {
+        assert_eq!((order.coarsest, order.finest), (10, 80));
+        assert!(order.order_p >= 1.8 && order.order_v >= 1.5, "{order:?}");
+        let least = order.least_p.min(order.least_v).min(order.least_u);
+        assert!(least >= 1.0, "{order:?}");
+        assert!(order.order_rms_v.unwrap() >= 1.9, "{order:?}");
+    }
+}
+
+#[test]
 fn the_problem_is_the_thesis_s() {
     // Validation.md's own evaluation of (6.3), (6.4), (6.6) to (6.10).
     for (problem, beta, gamma, density, up, right) in [
