@@ -48,6 +48,10 @@ pub struct CoupledSolution {
     pub reports: [SolveReport; 2],
 }
 
+/// Operator, preconditioner, b, x, tolerance, iterations at most.
+type Iterate =
+    fn(&dyn LinearOperator, &dyn LinearOperator, &[f64], &mut [f64], f64, usize) -> CgReport;
+
 /// A formulation of the coupled system.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Formulation<'a> {
@@ -129,42 +133,26 @@ pub fn solve_coupled(
                 direct(blocks.scatter(&x))
             })
         }
-        Formulation::IndefiniteIterative => {
+        Formulation::IndefiniteIterative | Formulation::IndefiniteMinimalResidual => {
             let blocks = system.blocks();
             let matrix = blocks.indefinite();
-            let incomplete = incomplete(&matrix)?;
-            corrected(&mut |residual, tolerance, left| {
-                let rhs = blocks.indefinite_rhs(residual);
-                let mut x = vec![0.0; rhs.len()];
-                let report = stabilised_biconjugate_gradient(
-                    &matrix,
-                    &incomplete,
-                    &rhs,
-                    &mut x,
-                    tolerance.min(TRANSFORMED_TOLERANCE),
-                    left as usize,
-                );
-                iterated(blocks.scatter(&x), report)
-            })
-        }
-        Formulation::IndefiniteMinimalResidual => {
-            let blocks = system.blocks();
-            let matrix = blocks.indefinite();
-            let both = Both {
-                liquid: incomplete(&blocks.b)?,
-                solids: incomplete(&blocks.s)?,
+            let minimal = formulation == Formulation::IndefiniteMinimalResidual;
+            let (preconditioner, iterate): (Box<dyn LinearOperator>, Iterate) = if minimal {
+                let both = Both {
+                    liquid: incomplete(&blocks.b)?,
+                    solids: incomplete(&blocks.s)?,
+                };
+                (Box::new(both), minimal_residual)
+            } else {
+                let whole = incomplete(&matrix)?;
+                (Box::new(whole), stabilised_biconjugate_gradient)
             };
             corrected(&mut |residual, tolerance, left| {
                 let rhs = blocks.indefinite_rhs(residual);
                 let mut x = vec![0.0; rhs.len()];
-                let report = minimal_residual(
-                    &matrix,
-                    &both,
-                    &rhs,
-                    &mut x,
-                    tolerance.min(TRANSFORMED_TOLERANCE),
-                    left as usize,
-                );
+                let tolerance = tolerance.min(TRANSFORMED_TOLERANCE);
+                let left = left as usize;
+                let report = iterate(&matrix, &*preconditioner, &rhs, &mut x, tolerance, left);
                 iterated(blocks.scatter(&x), report)
             })
         }

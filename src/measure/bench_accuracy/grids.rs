@@ -1,7 +1,5 @@
 //! What the grid costs in accuracy, beside what tolerance and precision do: problems known exactly, on grids.
 
-use std::collections::BTreeMap;
-
 use serde::Serialize;
 
 use crate::Error;
@@ -12,8 +10,8 @@ use crate::state::{SolveReport, SolveStatus, State};
 use super::super::bench_solve::name;
 use super::super::statistics::Spread;
 use super::exact::Exact;
-use super::sub_step::{Done, Mask, reference_step, sub_step};
-use super::{EXACT, MOST_ITERATIONS, Options, SEED, cheapest};
+use super::sub_step::{Done, Mask, reference_step, repeat_shuffled, sub_step};
+use super::{EXACT, MOST_ITERATIONS, Options, cheapest};
 
 /// Errors that a recommendation is made for.
 const TARGETS: [f64; 8] = [1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 1e-6];
@@ -141,33 +139,16 @@ pub(super) fn measure(
             Err(error) => return Err(error),
         }
     }
-    let mut jobs: Vec<(usize, usize)> = Vec::new();
-    for path in 0..paths.len() {
-        for tolerance in 0..options.tolerances.len() {
-            jobs.extend(vec![(path, tolerance); options.repeats.max(1)]);
-        }
-    }
-    fastrand::Rng::with_seed(SEED).shuffle(&mut jobs);
-    let mut found: BTreeMap<(usize, usize), (Vec<f64>, Done)> = BTreeMap::new();
-    for job in jobs {
-        let path = &mut paths[job.0].1;
-        path.set_tolerance(options.tolerances[job.1]);
-        let done = sub_step(path, &case.state, case.density())?;
-        found
-            .entry(job)
-            .and_modify(|(seconds, _)| seconds.push(done.seconds))
-            .or_insert_with(|| (vec![done.seconds], done));
-    }
+    let found = repeat_shuffled(paths.len(), options, |path, tolerance| {
+        let path = &mut paths[path].1;
+        path.set_tolerance(tolerance);
+        sub_step(path, &case.state, case.density())
+    })?;
     let rows = found
         .into_iter()
         .map(|((path, tolerance), (seconds, done))| {
             let (precision, _) = paths[path];
-            case.row(
-                precision,
-                options.tolerances[tolerance],
-                Spread::of(seconds),
-                &done,
-            )
+            case.row(precision, options.tolerances[tolerance], seconds, &done)
         });
     Ok(rows.collect())
 }

@@ -31,7 +31,7 @@ use super::table::{Machine, write_csv, write_json, write_svg};
 pub use exact::{Exact, dam_release};
 pub use grids::{Enough, GridBest, GridRow};
 pub use states::{Best, Row};
-pub(super) use sub_step::{Answer, Done, sub_step};
+pub(super) use sub_step::{Done, Mask, reference_step, sub_step};
 
 /// Of the truths.
 const EXACT: f64 = 1e-13;

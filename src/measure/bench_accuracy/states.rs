@@ -1,7 +1,5 @@
 //! Work and precision on states of scenes: every precision, preconditioner, form of the corrections and tolerance from the same state.
 
-use std::collections::BTreeMap;
-
 use serde::Serialize;
 
 use crate::Error;
@@ -16,8 +14,8 @@ use crate::state::{SolveStatus, State};
 use super::super::bench_solve::{name, preconditioner_name};
 use super::super::statistics::Spread;
 use super::super::stored;
-use super::sub_step::{Answer, Done, Mask, reference_step, sub_step};
-use super::{EXACT, MOST_ITERATIONS, Options, SEED, cheapest};
+use super::sub_step::{Answer, Done, Mask, reference_step, repeat_shuffled, sub_step};
+use super::{EXACT, MOST_ITERATIONS, Options, cheapest};
 
 /// Errors that a recommendation is made for.
 const TARGETS: [f64; 5] = [1e-2, 1e-4, 1e-6, 1e-8, 1e-10];
@@ -166,32 +164,15 @@ pub(super) fn measure(scene: &Scene, state: &State, options: &Options) -> Result
             )
         }));
     }
-    let mut jobs: Vec<(usize, usize)> = Vec::new();
-    for way in 0..ways.len() {
-        for tolerance in 0..options.tolerances.len() {
-            jobs.extend(vec![(way, tolerance); options.repeats.max(1)]);
-        }
-    }
-    fastrand::Rng::with_seed(SEED).shuffle(&mut jobs);
-    let mut found: BTreeMap<(usize, usize), (Vec<f64>, Done)> = BTreeMap::new();
-    for job in jobs {
-        let way = &mut ways[job.0];
-        way.path.set_tolerance(options.tolerances[job.1]);
-        let done = sub_step(&mut way.path, case.state, case.density())?;
-        found
-            .entry(job)
-            .and_modify(|(seconds, _)| seconds.push(done.seconds))
-            .or_insert_with(|| (vec![done.seconds], done));
-    }
+    let found = repeat_shuffled(ways.len(), options, |way, tolerance| {
+        let path = &mut ways[way].path;
+        path.set_tolerance(tolerance);
+        sub_step(path, case.state, case.density())
+    })?;
     let rows = found
         .into_iter()
         .map(|((way, tolerance), (seconds, done))| {
-            case.row(
-                &ways[way],
-                options.tolerances[tolerance],
-                Spread::of(seconds),
-                &done,
-            )
+            case.row(&ways[way], options.tolerances[tolerance], seconds, &done)
         });
     Ok(rows.collect())
 }

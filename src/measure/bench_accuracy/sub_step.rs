@@ -1,5 +1,6 @@
 //! A sub-step from a state, on the device and on the f64 path, and what of it counts as an error.
 
+use std::collections::BTreeMap;
 use std::time::Instant;
 
 use crate::Error;
@@ -9,7 +10,9 @@ use crate::sim::{GpuPath, Snapshot};
 use crate::stages::{Diagnose, RightHandSide};
 use crate::state::{State, StepReport};
 
+use super::super::statistics::Spread;
 use super::super::stored;
+use super::{Options, SEED};
 
 /// A pressure per cell, Pa, and velocities of the nodes, m/s.
 pub(crate) struct Answer {
@@ -85,6 +88,36 @@ pub(crate) fn sub_step(path: &mut GpuPath, state: &State, density: f64) -> Resul
         answer: answer.expect("every sub-step has a solve"),
         faces,
     })
+}
+
+/// By number of the way and of the tolerance: the seconds of all repeats, and what the first came to.
+pub(super) type Repeats = BTreeMap<(usize, usize), (Spread, Done)>;
+
+/// Does the sub-step, by number of a way and to a tolerance, in all ways and to all tolerances as often as asked, in a shuffled order.
+pub(super) fn repeat_shuffled(
+    ways: usize,
+    options: &Options,
+    mut step: impl FnMut(usize, f64) -> Result<Done, Error>,
+) -> Result<Repeats, Error> {
+    let mut jobs: Vec<(usize, usize)> = Vec::new();
+    for way in 0..ways {
+        for tolerance in 0..options.tolerances.len() {
+            jobs.extend(vec![(way, tolerance); options.repeats.max(1)]);
+        }
+    }
+    fastrand::Rng::with_seed(SEED).shuffle(&mut jobs);
+    let mut found: BTreeMap<(usize, usize), (Vec<f64>, Done)> = BTreeMap::new();
+    for job in jobs {
+        let done = step(job.0, options.tolerances[job.1])?;
+        found
+            .entry(job)
+            .and_modify(|(seconds, _)| seconds.push(done.seconds))
+            .or_insert_with(|| (vec![done.seconds], done));
+    }
+    let found = found.into_iter();
+    Ok(found
+        .map(|(job, (seconds, done))| (job, (Spread::of(seconds), done)))
+        .collect())
 }
 
 /// Does it on the f64 path.

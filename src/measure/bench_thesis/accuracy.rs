@@ -8,13 +8,11 @@ use serde::Serialize;
 
 use super::{MOST_ITERATIONS, Options, PATIENCE, TOLERANCE, ThesisTable};
 use crate::Error;
-use crate::grid::Axis;
 use crate::linalg::norm;
-use crate::measure::bench_accuracy::{Answer, Done, sub_step};
+use crate::measure::bench_accuracy::{Done, Mask, reference_step, sub_step};
 use crate::measure::bench_solve::name;
 use crate::measure::plane_strain::{PlaneStrain, TABLE_6_5, TABLE_6_6};
 use crate::measure::statistics::{Spread, exponent};
-use crate::reference::Reference;
 use crate::scene::{PatchPressure, Precision, Scene, Solver};
 use crate::sim::{GpuPath, reference_path, solids_of};
 use crate::state::{SolveReport, SolveStatus, State};
@@ -157,12 +155,6 @@ struct Case<'a> {
     state: &'a State,
 }
 
-/// What errors count: unknowns and open faces beside them, as the f64 path has them.
-struct Mask {
-    cells: Vec<bool>,
-    faces: [Vec<bool>; 3],
-}
-
 /// Measures all rows of the tables asked for.
 pub(super) fn measure(options: &Options, tell: &mut dyn FnMut(&Row)) -> Result<Vec<Row>, Error> {
     let mut rows = Vec::new();
@@ -244,48 +236,6 @@ fn on_grid(
 /// Whether runs of these seconds are followed by another.
 fn again(seconds: &[f64], options: &Options) -> bool {
     seconds.is_empty() || seconds.len() < options.repeats && seconds.iter().sum::<f64>() <= PATIENCE
-}
-
-/// The sub-step on the f64 path.
-fn reference_step(path: &mut Reference, state: &State) -> Result<Done, Error> {
-    path.reset(state.clone())?;
-    let report = path.step(path.next_time_step())?;
-    let solve = report.seconds.iter().find(|(stage, _)| *stage == "solve");
-    let seconds = solve.map_or(0.0, |(_, seconds)| *seconds);
-    let State {
-        pressure,
-        node_velocity: velocity,
-        velocity: faces,
-        ..
-    } = path.state().clone();
-    Ok(Done {
-        seconds,
-        report,
-        answer: Answer { pressure, velocity },
-        faces,
-    })
-}
-
-impl Mask {
-    /// After a sub-step.
-    fn of(path: &Reference) -> Mask {
-        let (grid, cells) = (path.scene().grid(), &path.state().active);
-        let open = &path.cut_cells().open;
-        let faces = Axis::ALL.map(|axis| {
-            let counts = |face: usize| {
-                let mut sides = grid
-                    .face_sides(axis, grid.face_at(axis, face))
-                    .into_iter()
-                    .flatten();
-                open[axis.index()][face] > 0.0 && sides.any(|cell| cells[cell])
-            };
-            (0..grid.n_faces(axis)).map(counts).collect()
-        });
-        Mask {
-            cells: cells.clone(),
-            faces,
-        }
-    }
 }
 
 /// The largest magnitude of those that count.
