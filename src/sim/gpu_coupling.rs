@@ -444,6 +444,12 @@ impl GpuCoupling {
         Ok(())
     }
 
+    /// Whether patches ask for the last pressure.
+    pub(super) fn follows_pressure(&self) -> bool {
+        let patches = self.stages.patch_pressure.as_ref();
+        patches.is_some_and(|patches| patches.follows_pressure())
+    }
+
     /// Where patches ask for the last pressure: gives the device that of a state.
     pub(super) fn write_pressure(
         &self,
@@ -452,9 +458,7 @@ impl GpuCoupling {
         state: &State,
         liquid: Option<&GpuLiquid>,
     ) {
-        let follows = self.stages.patch_pressure.as_ref();
-        let follows = follows.filter(|patches| patches.follows_pressure());
-        let (Some(_), Some(liquid)) = (follows, liquid) else {
+        let Some(liquid) = liquid.filter(|_| self.follows_pressure()) else {
             return;
         };
         let grid = scene.grid();
@@ -469,7 +473,7 @@ impl GpuCoupling {
             let index = padded.index(grid.cell_at(cell));
             flags[index / 4] |= 1 << (index % 4);
         }
-        gpu.upload(&liquid.solver.flags, &flags);
+        liquid.solver.write_active(gpu, &grid, &flags);
         let to_potential = state.dt_last / (liquid.settings.density * grid.dx);
         let potential = padded.pad(grid.cells, &state.pressure, |p| to_potential * p);
         liquid.solver.potential.upload(gpu, &potential);

@@ -230,6 +230,17 @@ impl SolverBuffers {
     }
 }
 
+impl SolverBuffers {
+    /// Writes which lanes of the quads of the finest level were active in the last sub-step, before all work submitted later. The next one puts
+    /// all quads back to zero, whatever else they hold.
+    pub fn write_active(&self, gpu: &Gpu, grid: &Grid, flags: &[u32]) {
+        gpu.upload(&self.flags, flags);
+        let (list, args) = everywhere(grid);
+        gpu.upload(&self.list, &list);
+        gpu.upload(&self.args, &args);
+    }
+}
+
 /// Quads of the finest level that may hold liquid, ascending: nothing is looked for elsewhere.
 #[derive(Clone, Copy, Debug)]
 pub struct Within<'a> {
@@ -237,6 +248,15 @@ pub struct Within<'a> {
     pub list: &'a Buffer<u32>,
     /// Workgroups and length of the list.
     pub args: &'a Buffer<u32>,
+}
+
+/// All quads with cells, and the workgroups and length of their list.
+fn everywhere(grid: &Grid) -> (Vec<u32>, [u32; 4]) {
+    let slab = grid.padded().stride_z as u32;
+    let list: Vec<u32> = (slab..slab * (grid.cells[2] as u32 + 1)).collect();
+    let n = list.len() as u32;
+    let [x, y, z] = groups(n.div_ceil(WG_SIZE));
+    (list, [x, y, z, n])
 }
 
 /// All quads with cells, for systems that stand alone.
@@ -252,13 +272,10 @@ impl Everywhere {
     /// # Errors
     /// As [`Gpu::buffer`].
     pub fn new(gpu: &Gpu, grid: &Grid) -> Result<Everywhere, Error> {
-        let slab = grid.padded().stride_z as u32;
-        let list: Vec<u32> = (slab..slab * (grid.cells[2] as u32 + 1)).collect();
-        let n = list.len() as u32;
-        let [x, y, z] = groups(n.div_ceil(WG_SIZE));
+        let (list, args) = everywhere(grid);
         Ok(Everywhere {
             list: gpu.buffer_with("solver.everywhere", &list)?,
-            args: gpu.buffer_with("solver.everywhere_args", &[x, y, z, n])?,
+            args: gpu.buffer_with("solver.everywhere_args", &args)?,
         })
     }
 
