@@ -1,5 +1,6 @@
 //! The one error type. Every variant names what a user needs to find the cause: file, line, key, stage, buffer or limit.
 
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
 /// What can go wrong. [`Error::exit_code`] gives the exit code of the command line.
@@ -31,12 +32,14 @@ pub enum Error {
         cure: String,
     },
     /// A result cannot be written.
-    #[error("cannot write {}: {problem}\n  cure: choose a folder that can be written and has room", path.display())]
+    #[error("cannot write {}: {problem}\n  cure: {cure}", path.display())]
     Output {
         /// The file or folder.
         path: PathBuf,
         /// What the system said.
         problem: String,
+        /// What the user can do.
+        cure: &'static str,
     },
     /// No adapter fits.
     #[error("no suitable GPU adapter: {problem}\n  cure: {cure}")]
@@ -108,11 +111,29 @@ impl Error {
         }
     }
 
-    /// An [`Error::Output`] from an I/O error.
+    /// An [`Error::Output`] of a file or folder.
     pub fn output(path: &Path, problem: impl std::fmt::Display) -> Error {
         Error::Output {
             path: path.to_owned(),
             problem: problem.to_string(),
+            cure: "choose a folder that can be written and has room",
+        }
+    }
+
+    /// An [`Error::Output`] from what the system said of it.
+    pub fn unwritten(path: &Path, problem: &io::Error) -> Error {
+        let cure = match problem.kind() {
+            ErrorKind::StorageFull => "make room on that disk, or choose a folder on another",
+            ErrorKind::QuotaExceeded => {
+                "remove files of yours from that disk, or choose a folder on another"
+            }
+            ErrorKind::FileTooLarge => "raise the limit for file sizes (`ulimit -f unlimited`)",
+            _ => "choose a folder that can be written and has room",
+        };
+        Error::Output {
+            path: path.to_owned(),
+            problem: problem.to_string(),
+            cure,
         }
     }
 

@@ -33,6 +33,25 @@ pub struct State {
     pub node_velocity: Vec<[f64; 3]>,
 }
 
+/// What the GPU path has beyond a [`State`] from one sub-step to the next: with both it goes on to the bit. A state alone goes on to
+/// rounding. The f64 path has nothing beyond: there all lists are empty.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Carried {
+    /// Largest speeds of the liquid and of the solids, m/s, from which the length of the next sub-step follows.
+    pub max_speed: [f64; 2],
+    /// The potential of the last projection at cell centres, m/s, of which the pressure of the state is a multiple; 0 in inactive
+    /// cells. Only where patches ask for its gradient.
+    pub potential: Vec<f64>,
+    /// The larger parts of the displacements of all nodes, m, f32.
+    pub displacement_high: Vec<[f64; 3]>,
+    /// The smaller parts. Their sum with the larger may have more digits than an f64.
+    pub displacement_low: Vec<[f64; 3]>,
+    /// Displacements of all nodes, m, as the host follows those of scripted ones; only with scripts.
+    pub scripted_displacement: Vec<[f64; 3]>,
+    /// And their velocities, m/s.
+    pub scripted_velocity: Vec<[f64; 3]>,
+}
+
 impl State {
     /// An empty state at rest.
     pub fn at_rest(grid: &Grid) -> State {

@@ -7,7 +7,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use cutwater::Error;
 use cutwater::geometry;
+use cutwater::output::checkpoint::Checkpoint;
 use cutwater::output::frames::FrameKinds;
+use cutwater::output::manifest::Tally;
 use cutwater::output::preview::PreviewOptions;
 use cutwater::scene::Scene;
 use cutwater::sim::{self, Options};
@@ -29,8 +31,11 @@ pub(super) struct Run {
     #[arg(long)]
     frames: Option<u64>,
     /// Replace an earlier run in the folder
-    #[arg(long)]
+    #[arg(long, conflicts_with = "resume")]
     overwrite: bool,
+    /// Go on with the run in the folder where it ended; begin it where there is none
+    #[arg(long)]
+    resume: bool,
     /// Draw the pictures and the animation when the run is done
     #[arg(long)]
     preview: bool,
@@ -67,6 +72,7 @@ impl Run {
             out: out.clone(),
             frames: self.frames,
             overwrite: self.overwrite,
+            resume: self.resume,
         };
         let terminal = std::io::stderr().is_terminal();
         let bar = if terminal {
@@ -96,41 +102,58 @@ impl Run {
         bar.finish_and_clear();
         let summary = outcome.inspect_err(|error| {
             // Not where the run was refused: what is in the folder then is another's.
-            if matches!(error.exit_code(), 4 | 130) && out.join("frames").exists() {
+            let stopped = matches!(error.exit_code(), 4 | 130) || matches!(error, Error::Output { .. });
+            if stopped && Checkpoint::path(&out).exists() {
+                let out = out.display();
+                warn!("what was written so far is in {out}; the same command with --resume goes on from there");
+            } else if stopped && out.join("frames").exists() {
                 warn!("what was written so far is in {}", out.display());
             }
         })?;
-        let volume = summary
-            .volume_ratio
-            .map_or(String::new(), |[least, largest]| {
-                let [least, largest] = [100.0 * least, 100.0 * largest];
-                format!("; volume {least:.1} % to {largest:.1} % of the start")
-            });
-        let det = summary.min_det;
-        let det = det.map_or(String::new(), |det| format!("; least det F {det:.3}"));
+        match &summary.resumed {
+            Some(resumed) if resumed.frames == summary.frames => {
+                say!("the run was finished");
+            }
+            Some(resumed) => say!("went on from frame {}", resumed.frames),
+            None => {}
+        }
+        let Tally {
+            missed,
+            worst_residual,
+            volume_ratio,
+            floored,
+            dropped,
+            min_det,
+            inverted,
+        } = summary.tally;
+        let volume = volume_ratio.map_or(String::new(), |[least, largest]| {
+            let [least, largest] = [100.0 * least, 100.0 * largest];
+            format!("; volume {least:.1} % to {largest:.1} % of the start")
+        });
+        let det = min_det.map_or(String::new(), |det| format!("; least det F {det:.3}"));
         say!(
-            "{} frames in {} sub-steps, {:.1} s; worst residual {:.1e}{volume}{det}",
+            "{} frames in {} sub-steps, {:.1} s; worst residual {worst_residual:.1e}{volume}{det}",
             summary.frames,
             summary.steps,
             summary.seconds,
-            summary.worst_residual,
         );
-        if summary.missed > 0 {
+        if missed > 0 {
             warn!(
-                "warning: {} of {} sub-steps missed the tolerance of {:.0e}; steps.csv says which",
-                summary.missed, summary.steps, scene.solver.tolerance
+                "warning: {missed} of {} sub-steps missed the tolerance of {:.0e}; steps.csv says which",
+                summary.steps, scene.solver.tolerance
             );
         }
-        if summary.dropped > 0 {
+        if dropped > 0 {
+            warn!("warning: {dropped} markers were lost in obstacles; steps.csv says when");
+        }
+        if inverted > 0 {
             warn!(
-                "warning: {} markers were lost in obstacles; steps.csv says when",
-                summary.dropped
+                "warning: {inverted} elements of solids are flat or inside out at the end; shorter sub-steps (time.fixed_step) or a coarser mesh may help"
             );
         }
-        if summary.inverted > 0 {
+        if let Some(earlier) = summary.resumed.and_then(|resumed| resumed.other_adapter) {
             warn!(
-                "warning: {} elements of solids are flat or inside out at the end; shorter sub-steps (time.fixed_step) or a coarser mesh may help",
-                summary.inverted
+                "warning: the run began on {earlier}: what follows differs by rounding from what it would have been there; manifest.json says from where on"
             );
         }
         for region in summary.empty_regions {
@@ -138,14 +161,14 @@ impl Run {
                 "warning: liquid.region[{region}] is too small for the cells, or covered: it has no liquid"
             );
         }
-        if summary.floored > 0 {
+        if floored > 0 {
             let cause = match scene.time.fixed_step {
                 Some(_) => "time.fixed_step is too long for these velocities",
                 None => "a frame has at most 256",
             };
             warn!(
-                "warning: in {} of {} sub-steps something crossed more than {} cells: {cause}; steps.csv says in which",
-                summary.floored, summary.steps, scene.time.cfl
+                "warning: in {floored} of {} sub-steps something crossed more than {} cells: {cause}; steps.csv says in which",
+                summary.steps, scene.time.cfl
             );
         }
         say!("frames: {}", out.join("frames").display());

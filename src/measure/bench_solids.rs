@@ -256,6 +256,7 @@ fn scene(body: Body, nodes: usize, options: &Options) -> Scene {
             fields: false,
             solids: false,
             every: 1,
+            checkpoint_every: 0,
         },
         camera: Camera::looking_at(&domain),
         domain,

@@ -237,6 +237,7 @@ impl PlaneStrain {
                 fields: false,
                 solids: false,
                 every: 1,
+                checkpoint_every: 0,
             },
             camera: Camera {
                 eye: 0.5 * size + 3.0 * DVec3::Z,

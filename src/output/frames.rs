@@ -125,6 +125,27 @@ impl FrameWriter {
         write_vtk(&path, poly_data(piece))
     }
 
+    /// Goes on after frames that were written before, so many per second; the series list these and no others.
+    ///
+    /// # Errors
+    /// [`Error::Output`].
+    pub fn go_on(&mut self, frames: &[u64], frames_per_second: f64) -> Result<(), Error> {
+        let series = [
+            (&mut self.markers, "vtp"),
+            (&mut self.fields, "vti"),
+            (&mut self.solids, "vtu"),
+        ];
+        for (series, extension) in series {
+            let Some(series) = series else { continue };
+            for &frame in frames {
+                let file = format!("{}_{frame:06}.{extension}", self.name);
+                series.add(frame as f64 / frames_per_second, &file);
+            }
+            series.write()?;
+        }
+        Ok(())
+    }
+
     /// Writes one frame under the state's frame number, then the series with its time.
     ///
     /// A number that is not finite in f32 is an error that names the field and the place; no file is written then.
@@ -158,7 +179,8 @@ impl FrameWriter {
             if let (Some(series), Some(file)) = (series, file) {
                 let file_name = format!("{stem}.{extension}");
                 write_vtk(&folder.join(&file_name), file)?;
-                series.push(state.time, file_name)?;
+                series.add(state.time, &file_name);
+                series.write()?;
             }
         }
         Ok(())
@@ -421,8 +443,8 @@ impl Series {
         }
     }
 
-    /// Adds a file of the same folder and rewrites the collection.
-    fn push(&mut self, time: f64, file: String) -> Result<(), Error> {
+    /// Adds a file of the same folder.
+    fn add(&mut self, time: f64, file: &str) {
         let file = file
             .replace('&', "&amp;")
             .replace('<', "&lt;")
@@ -430,6 +452,10 @@ impl Series {
         self.entries += &format!(
             "    <DataSet timestep=\"{time:?}\" group=\"\" part=\"0\" file=\"{file}\"/>\n"
         );
+    }
+
+    /// Rewrites the collection.
+    fn write(&self) -> Result<(), Error> {
         let text = format!(
             "<?xml version=\"1.0\"?>\n<VTKFile type=\"Collection\" version=\"1.0\" byte_order=\"LittleEndian\">\n  \
              <Collection>\n{}  </Collection>\n</VTKFile>\n",

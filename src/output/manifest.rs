@@ -24,6 +24,9 @@ pub struct Manifest {
     pub options: RunOptions,
     /// The GPU; none with the CPU backend.
     pub adapter: Option<AdapterRecord>,
+    /// Those that earlier sub-steps ran on, where the run went on on another; not in the file where there are none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub earlier_adapters: Vec<EarlierAdapter>,
     /// Cells along x, y, z.
     pub cells: [usize; 3],
     /// Cell size, m.
@@ -112,6 +115,15 @@ pub struct AdapterRecord {
     pub limits: BTreeMap<String, u64>,
 }
 
+/// A GPU that a run began on.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct EarlierAdapter {
+    /// The GPU.
+    pub adapter: Option<AdapterRecord>,
+    /// Sub-steps done when the run went on on another.
+    pub steps: u64,
+}
+
 /// [`Camera`] in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CameraRecord {
@@ -160,8 +172,30 @@ pub struct Progress {
     pub steps: u64,
     /// Simulated time, s.
     pub time: f64,
-    /// Wall-clock time, s.
+    /// Wall-clock time, s; of all parts of a run that was interrupted.
     pub seconds: f64,
+    /// What was noticed in all sub-steps done.
+    #[serde(default)]
+    pub tally: Tally,
+}
+
+/// What is noticed sub-step by sub-step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Tally {
+    /// Sub-steps with a solve that missed its tolerance.
+    pub missed: u64,
+    /// Largest true relative residual of all solves.
+    pub worst_residual: f64,
+    /// Least and largest liquid volume over the volume to hold, where there is liquid.
+    pub volume_ratio: Option<[f64; 2]>,
+    /// Sub-steps longer than the CFL condition allows.
+    pub floored: u64,
+    /// Markers lost in obstacles.
+    pub dropped: u64,
+    /// Least det F of the elements of solids in all sub-steps, where there are any.
+    pub min_det: Option<f64>,
+    /// Elements with a det F of 0 or less after the last sub-step.
+    pub inverted: usize,
 }
 
 /// How a run stands or ended. A run that was killed keeps `running`.
@@ -200,6 +234,7 @@ impl Manifest {
             },
             options,
             adapter,
+            earlier_adapters: Vec::new(),
             cells: grid.cells,
             dx: grid.dx,
             size: grid.size().to_array(),
@@ -219,8 +254,62 @@ impl Manifest {
                 steps: 0,
                 time: 0.0,
                 seconds: 0.0,
+                tally: Tally {
+                    volume_ratio: scene.liquid.as_ref().map(|_| [1.0; 2]),
+                    ..Tally::default()
+                },
             },
         }
+    }
+
+    /// Refuses to go on with this run as one of another scene, or with other options. `file`: where it was read. Frames and adapter are not
+    /// looked at.
+    ///
+    /// # Errors
+    /// [`Error::Input`] that names what differs.
+    pub fn ensure_same_run(&self, scene: &Scene, backend: &str, file: &Path) -> Result<(), Error> {
+        let sets = |overrides: &[String]| match overrides {
+            [] => "no --set".to_owned(),
+            sets => format!("--set {}", sets.join(" --set ")),
+        };
+        let options = &self.options;
+        let [name, now] = [&self.scene.name, &scene.name];
+        let version = env!("CARGO_PKG_VERSION");
+        let (problem, cure) = if self.cutwater != version {
+            let problem = format!("of cutwater {}, and this is {version}", self.cutwater);
+            (problem, "go on with that version".to_owned())
+        } else if options.backend != backend {
+            let problem = format!("on the backend {}, and this is {backend}", options.backend);
+            (problem, format!("go on with --backend {}", options.backend))
+        } else if options.scale != scene.scale {
+            let problem = format!(
+                "with --scale {}, and this is {}",
+                options.scale, scene.scale
+            );
+            (problem, format!("go on with --scale {}", options.scale))
+        } else if options.overrides != scene.overrides {
+            let [then, now] = [&options.overrides, &scene.overrides].map(|all| sets(all));
+            (
+                format!("with {then}, and this is with {now}"),
+                format!("go on with {then}"),
+            )
+        } else if name != now {
+            let problem = format!("of a scene file {name}.toml, and this is {now}.toml");
+            (problem, "give the scene its name back".to_owned())
+        } else if self.scene.sha256 != scene.hash {
+            let problem = "of another scene: the file, or a mesh that it names, has changed";
+            (
+                problem.to_owned(),
+                "go on with the scene as it was".to_owned(),
+            )
+        } else {
+            return Ok(());
+        };
+        Err(Error::input(
+            file.display().to_string(),
+            format!("the run is {problem}"),
+            format!("{cure}, choose another folder with --out, or start again with --overwrite"),
+        ))
     }
 
     /// With what the meshes of the scene's solids came to.

@@ -3,6 +3,7 @@
 //! ```text
 //! DIR/manifest.json              what ran, on what, with which options, and how far it came
 //! DIR/steps.csv, DIR/probes.csv  a row per sub-step
+//! DIR/checkpoint.npz             what the run goes on from
 //! DIR/frames/NAME_000042.vtp     markers                 NAME_markers.pvd   the same with times
 //! DIR/frames/NAME_000042.vti     cell fields             NAME_fields.pvd    the same with times
 //! DIR/frames/NAME_000042.vtu     solids                  NAME_solids.pvd    the same with times
@@ -13,11 +14,12 @@
 //! No file ever stands half written under its final name, and no frame or table holds a number that is not finite.
 
 mod atomic;
+pub mod checkpoint;
 pub mod frames;
 pub mod manifest;
 mod mesh;
 pub mod preview;
 pub mod tables;
 
-pub use atomic::write_atomically;
+pub use atomic::{FolderLock, is_partial, write_atomically};
 pub use mesh::write_mesh;

@@ -1,6 +1,7 @@
 //! steps.csv and probes.csv: a row per sub-step, every number with all digits it needs to be read back exactly.
 
-use std::fs::File;
+use std::fs::{File, OpenOptions};
+use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use crate::Error;
@@ -16,23 +17,78 @@ struct Table {
 
 impl Table {
     fn create(path: PathBuf) -> Result<Table, Error> {
-        let file = File::create(&path).map_err(|problem| Error::output(&path, problem))?;
+        let file = File::create(&path).map_err(|problem| Error::unwritten(&path, &problem))?;
         Ok(Table {
             path,
             writer: csv::Writer::from_writer(file),
         })
     }
 
+    /// Opens a table to go on after its first `bytes`; what follows them is cut off. Its columns; none where it has no line.
+    fn go_on(path: PathBuf, bytes: u64) -> Result<(Table, Option<Vec<String>>), Error> {
+        let unreadable = |problem: String| {
+            let cure = "put back the table of the run, or start again with --overwrite";
+            Error::input(path.display().to_string(), problem, cure)
+        };
+        let mut file = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .open(&path)
+            .map_err(|problem| unreadable(problem.to_string()))?;
+        let mut head = None;
+        if bytes > 0 {
+            let mut last = [0];
+            file.seek(SeekFrom::Start(bytes - 1))
+                .and_then(|_| file.read_exact(&mut last))
+                .and_then(|()| file.rewind())
+                .map_err(|_| {
+                    unreadable(format!("is shorter than the {bytes} bytes that it had"))
+                })?;
+            if last != *b"\n" {
+                return Err(unreadable(format!("has no row that ends at byte {bytes}")));
+            }
+            let mut reader = csv::Reader::from_reader(&file);
+            let columns = reader
+                .headers()
+                .map_err(|problem| unreadable(problem.to_string()))?;
+            head = Some(columns.iter().map(str::to_owned).collect());
+        }
+        file.set_len(bytes)
+            .and_then(|()| file.seek(SeekFrom::End(0)))
+            .map_err(|problem| Error::unwritten(&path, &problem))?;
+        let writer = csv::Writer::from_writer(file);
+        Ok((Table { path, writer }, head))
+    }
+
     fn record(&mut self, fields: impl IntoIterator<Item = String>) -> Result<(), Error> {
         self.writer
             .write_record(fields)
-            .map_err(|problem| Error::output(&self.path, problem))
+            .map_err(|problem| match problem.into_kind() {
+                csv::ErrorKind::Io(problem) => Error::unwritten(&self.path, &problem),
+                problem => Error::output(&self.path, format!("{problem:?}")),
+            })
     }
 
     fn flush(&mut self) -> Result<(), Error> {
-        self.writer
-            .flush()
-            .map_err(|problem| Error::output(&self.path, problem))
+        self.tell(|writer| writer.flush())
+    }
+
+    /// Brings all rows to the file, and the file to the disk if `sync`: its length, bytes.
+    fn bytes(&mut self, sync: bool) -> Result<u64, Error> {
+        self.flush()?;
+        self.tell(|writer| {
+            if sync {
+                writer.get_ref().sync_data()?;
+            }
+            writer.get_ref().stream_position()
+        })
+    }
+
+    fn tell<T>(
+        &mut self,
+        ask: impl FnOnce(&mut csv::Writer<File>) -> io::Result<T>,
+    ) -> Result<T, Error> {
+        ask(&mut self.writer).map_err(|problem| Error::unwritten(&self.path, &problem))
     }
 }
 
@@ -147,6 +203,15 @@ impl StepTable {
         })
     }
 
+    /// The steps.csv of an earlier part of the run, cut off after its first `bytes`.
+    ///
+    /// # Errors
+    /// [`Error::Input`] where it has fewer, or no row ends there.
+    pub fn go_on(run: &Path, bytes: u64) -> Result<StepTable, Error> {
+        let (table, head) = Table::go_on(run.join("steps.csv"), bytes)?;
+        Ok(StepTable { table, head })
+    }
+
     /// Appends a row. Every row must have the same parts and time the same stages; a number that is not finite is an error.
     pub fn push(&mut self, row: &StepRow) -> Result<(), Error> {
         let StepRow {
@@ -196,6 +261,11 @@ impl StepTable {
     /// Brings all rows to the file; once per frame.
     pub fn flush(&mut self) -> Result<(), Error> {
         self.table.flush()
+    }
+
+    /// Brings all rows to the file, and the file to the disk if `sync`: its length, bytes.
+    pub fn bytes(&mut self, sync: bool) -> Result<u64, Error> {
+        self.table.bytes(sync)
     }
 }
 
@@ -298,6 +368,24 @@ impl ProbeTable {
         Ok(ProbeTable { table, columns })
     }
 
+    /// The probes.csv of an earlier part of the run, cut off after its first `bytes`.
+    ///
+    /// # Errors
+    /// [`Error::Input`] where it has fewer, or no row ends there, or it is not of these probes.
+    pub fn go_on(run: &Path, probes: &[Probe], bytes: u64) -> Result<ProbeTable, Error> {
+        let columns: Vec<String> = probes.iter().flat_map(Probe::columns).collect();
+        let (table, head) = Table::go_on(run.join("probes.csv"), bytes)?;
+        let found = head.as_ref().and_then(|head| head.get(2..));
+        if found != Some(&columns[..]) {
+            return Err(Error::input(
+                table.path.display().to_string(),
+                "does not have the columns of the scene's probes",
+                "put back the table of the run, or start again with --overwrite",
+            ));
+        }
+        Ok(ProbeTable { table, columns })
+    }
+
     /// Appends the values of all columns after a sub-step, numbered from 0, at a time (s).
     pub fn push(&mut self, step: u64, time: f64, values: &[f64]) -> Result<(), Error> {
         assert_eq!(
@@ -315,5 +403,10 @@ impl ProbeTable {
     /// Brings all rows to the file; once per frame.
     pub fn flush(&mut self) -> Result<(), Error> {
         self.table.flush()
+    }
+
+    /// Brings all rows to the file, and the file to the disk if `sync`: its length, bytes.
+    pub fn bytes(&mut self, sync: bool) -> Result<u64, Error> {
+        self.table.bytes(sync)
     }
 }

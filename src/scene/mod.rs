@@ -558,6 +558,8 @@ pub struct Output {
     pub solids: bool,
     /// Every how many frames; default 1.
     pub every: u64,
+    /// Frames from one checkpoint to the next; 0: only where the run is interrupted. Default 10.
+    pub checkpoint_every: u64,
 }
 
 /// A pinhole camera.

@@ -120,11 +120,8 @@ const SOLVER: Keys = Keys {
     ],
 };
 const OUTPUT: Keys = Keys {
-    valid: &["particles", "fields", "solids", "every"],
-    later: &[
-        ("surface", "surface meshes are not made"),
-        ("checkpoint_every", "checkpoints are not written"),
-    ],
+    valid: &["particles", "fields", "solids", "every", "checkpoint_every"],
+    later: &[("surface", "surface meshes are not made")],
 };
 
 impl Scene {
@@ -705,6 +702,7 @@ fn output(root: &Table, has_liquid: bool, has_solids: bool) -> Result<Output, Er
         fields: false,
         solids: has_solids,
         every: 1,
+        checkpoint_every: 10,
     };
     let Some(place) = root.get("output") else {
         return Ok(output);
@@ -727,6 +725,13 @@ fn output(root: &Table, has_liquid: bool, has_solids: bool) -> Result<Output, Er
         output.every = place.count(
             "the frames from one that is written to the next",
             1,
+            MAX_FRAMES as u64,
+        )?;
+    }
+    if let Some(place) = table.get("checkpoint_every") {
+        output.checkpoint_every = place.count(
+            "the frames from one checkpoint to the next",
+            0,
             MAX_FRAMES as u64,
         )?;
     }

@@ -170,6 +170,23 @@ impl GpuLiquid {
         Ok(())
     }
 
+    /// Markers that it can hold.
+    pub(super) fn room(&self) -> usize {
+        self.buffers.plan.n_markers
+    }
+
+    /// The potential of the last projection at cell centres, m/s; 0 in inactive cells.
+    pub(super) fn potential(&self, gpu: &Gpu, grid: &Grid) -> Result<Vec<f64>, Error> {
+        let flags = gpu.download(&self.solver.flags)?;
+        let mut potential = self.solver.potential.download(gpu)?;
+        for (ix, potential) in potential.iter_mut().enumerate() {
+            if flags[ix / 4] >> (ix % 4) & 1 == 0 {
+                *potential = 0.0;
+            }
+        }
+        Ok(grid.padded().unpad(grid.cells, &potential, |p| p))
+    }
+
     /// The values of the liquid's probes, all columns in order.
     pub(super) fn probes(&mut self, gpu: &Gpu) -> Result<Vec<f64>, Error> {
         let Some((probe, readback)) = &mut self.stages.probe else {

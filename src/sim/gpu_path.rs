@@ -9,7 +9,7 @@ use crate::reference::{self, TimeStep, time_step};
 use crate::scene::Scene;
 use crate::solver;
 use crate::stages::Step;
-use crate::state::State;
+use crate::state::{Carried, State};
 
 use super::gpu_coupling::{At, GpuCoupling};
 use super::gpu_liquid::GpuLiquid;
@@ -139,6 +139,61 @@ impl GpuPath {
             solids.buffers.read_state(&self.gpu, &mut state)?;
         }
         Ok(state)
+    }
+
+    /// What the device and the host know of the present moment beyond [`GpuPath::state`].
+    pub(super) fn carried(&self) -> Result<Carried, Error> {
+        let mut carried = Carried::default();
+        if let Some(liquid) = &self.liquid {
+            carried.max_speed[0] = liquid.max_speed;
+            if self.follows_pressure() {
+                carried.potential = liquid.potential(&self.gpu, &self.grid)?;
+            }
+        }
+        if let Some(solids) = &self.solids {
+            solids.carry(&self.gpu, &mut carried)?;
+        }
+        Ok(carried)
+    }
+
+    fn follows_pressure(&self) -> bool {
+        let coupling = self.coupling.as_ref();
+        coupling.is_some_and(GpuCoupling::follows_pressure)
+    }
+
+    /// Replaces the state by one with which the next sub-steps are those that followed it, to the bit.
+    ///
+    /// # Errors
+    /// [`Error::Input`] where it is not of this scene; [`Error::Gpu`] when the device fails.
+    pub(super) fn resume(&mut self, state: &State, carried: &Carried) -> Result<(), Error> {
+        let n_cells = self.grid.n_cells();
+        let n_markers = self.liquid.as_ref().map_or(0, |liquid| liquid.room());
+        let plan = self.solids.as_ref().map(|solids| &solids.buffers.plan);
+        let n_nodes = plan.map_or(0, |plan| plan.n_nodes);
+        let n_scripted = plan.map_or(0, |plan| if plan.scripts { plan.n_nodes } else { 0 });
+        let follows = if self.follows_pressure() { n_cells } else { 0 };
+        let fits = state.markers.len() <= n_markers
+            && carried.potential.len() == follows
+            && carried.displacement_high.len() == n_nodes
+            && carried.displacement_low.len() == n_nodes
+            && carried.scripted_displacement.len() == n_scripted
+            && carried.scripted_velocity.len() == n_scripted;
+        if !fits {
+            return Err(super::unfit(&self.scene));
+        }
+        self.write_state(state)?;
+        if let Some(liquid) = &mut self.liquid {
+            liquid.max_speed = carried.max_speed[0];
+            if follows > 0 {
+                let padded = self.grid.padded();
+                let potential = padded.pad(self.grid.cells, &carried.potential, |p| p);
+                liquid.solver.potential.upload(&self.gpu, &potential);
+            }
+        }
+        if let Some(solids) = &mut self.solids {
+            solids.take_up(&self.gpu, carried);
+        }
+        Ok(())
     }
 
     /// Waits for what probes read after a sub-step.

@@ -15,7 +15,7 @@ use crate::stages::{
     self, DiagnoseSolid, ElementRotations, MoveSolid, NodeForces, ObstacleBuffers, SolidBuffers,
     SolidPlan, SolidStep,
 };
-use crate::state::{ContactReport, SolidReport, SolveStatus, State};
+use crate::state::{Carried, ContactReport, SolidReport, SolveStatus, State};
 
 use super::step::solve_report;
 
@@ -238,6 +238,38 @@ impl GpuSolids {
                 velocity: state.node_velocity.clone(),
             };
         }
+    }
+
+    /// What of them a state does not hold.
+    pub(super) fn carry(&self, gpu: &Gpu, carried: &mut Carried) -> Result<(), Error> {
+        carried.max_speed[1] = self.max_speed;
+        let parts = gpu.download(&self.buffers.displacement)?;
+        let wide = |&[x, y, z, _]: &[f32; 4]| [x, y, z].map(f64::from);
+        let (high, low) = parts.split_at(self.buffers.plan.n_nodes);
+        carried.displacement_high = high.iter().map(wide).collect();
+        carried.displacement_low = low.iter().map(wide).collect();
+        let Scripted {
+            displacement,
+            velocity,
+        } = &self.scripted;
+        carried.scripted_displacement.clone_from(displacement);
+        carried.scripted_velocity.clone_from(velocity);
+        Ok(())
+    }
+
+    /// Takes that up, after the state.
+    pub(super) fn take_up(&mut self, gpu: &Gpu, carried: &Carried) {
+        self.max_speed = carried.max_speed[1];
+        let parts = [&carried.displacement_high, &carried.displacement_low];
+        let words = parts.into_iter().flatten();
+        let words: Vec<[f32; 4]> = words
+            .map(|&[x, y, z]| [x as f32, y as f32, z as f32, 0.0])
+            .collect();
+        gpu.upload(&self.buffers.displacement, &words);
+        self.scripted = Scripted {
+            displacement: carried.scripted_displacement.clone(),
+            velocity: carried.scripted_velocity.clone(),
+        };
     }
 
     /// Tells the kernels of a sub-step of dt (s) that begins at the time of a clock.

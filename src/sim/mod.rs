@@ -11,7 +11,7 @@ mod step;
 
 pub use gpu_path::GpuPath;
 pub use plan::{EffectLine, Plan, StagePlan};
-pub use run::{Options, Progress, Summary, run};
+pub use run::{Options, Progress, Resumed, Summary, run};
 pub use snapshot::{
     LiquidSnapshot, Snapshot, SolidSnapshot, StoredPressure, coupled_system, stored_coupling,
 };
@@ -22,9 +22,10 @@ use crate::effects::Effects;
 use crate::elastic::Solids;
 use crate::geometry::{self, CutCells, ObstacleCut, SolidClip};
 use crate::gpu::{AdapterChoice, AdapterReport, Gpu};
+use crate::grid::Axis;
 use crate::reference::{self, Reference};
 use crate::scene::Scene;
-use crate::state::{SolveReport, SolveStatus, State, StepReport};
+use crate::state::{Carried, SolveReport, SolveStatus, State, StepReport};
 
 /// Where a simulation runs.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -220,6 +221,49 @@ impl Simulation {
         }
     }
 
+    /// What a path has beyond [`Simulation::state`] at the present moment.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn carried(&self) -> Result<Carried, Error> {
+        match &self.path {
+            Path::Gpu(path) => path.carried(),
+            Path::Cpu(_) => Ok(Carried::default()),
+        }
+    }
+
+    /// Goes on from a moment of the same scene on the same backend, as if it had come there: to the bit on the same device.
+    ///
+    /// # Errors
+    /// [`Error::Input`] where the moment is not one of the scene; [`Error::Gpu`] when the device fails.
+    pub fn resume(&mut self, state: &State, carried: &Carried) -> Result<(), Error> {
+        let (grid, frames) = (self.scene.grid(), self.scene.time.frames_per_second);
+        let n_cells = if self.scene.liquid.is_some() {
+            grid.n_cells()
+        } else {
+            0
+        };
+        let cells = [
+            state.pressure.len(),
+            state.liquid_distance.len(),
+            state.active.len(),
+        ];
+        let faces = Axis::ALL.map(|axis| state.velocity[axis.index()].len());
+        let n_faces = Axis::ALL.map(|axis| grid.n_faces(axis));
+        let liquid = n_cells == 0 || (cells == [n_cells; 3] && faces == n_faces);
+        let n_nodes = self.solids.rest.len();
+        let solids = [state.displacement.len(), state.node_velocity.len()] == [n_nodes; 2];
+        let left = state.time_left(frames) * frames;
+        let clock = 0.0 < left && left <= 1.0 + 1e-9 && state.dt_last >= 0.0;
+        if !(liquid && solids && clock) {
+            return Err(unfit(&self.scene));
+        }
+        match &mut self.path {
+            Path::Gpu(path) => path.resume(state, carried),
+            Path::Cpu(path) => path.reset(state.clone()),
+        }
+    }
+
     /// The GPU path.
     pub fn gpu_path(&self) -> Option<&GpuPath> {
         match &self.path {
@@ -237,6 +281,15 @@ impl Simulation {
     pub fn adapter(&self) -> Option<&AdapterReport> {
         self.gpu().map(Gpu::report)
     }
+}
+
+/// That a moment is not one of a scene.
+fn unfit(scene: &Scene) -> Error {
+    Error::input(
+        scene.file.display().to_string(),
+        "the checkpoint is not of this scene: its lists do not have the lengths that they should, or its time is not within its frame",
+        "go on with the scene and the backend that it was made with, or start again with --overwrite",
+    )
 }
 
 /// The solids of a scene at rest; empty where it has none.

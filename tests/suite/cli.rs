@@ -230,6 +230,7 @@ fn a_run_writes_what_the_page_says() {
     assert_eq!(
         list(&run),
         [
+            "checkpoint.npz",
             "frames",
             "manifest.json",
             "preview",

@@ -619,6 +619,7 @@ fn scene() -> Scene {
             solids: false,
             fields: false,
             every: 1,
+            checkpoint_every: 10,
         },
         camera: scene::Camera {
             eye: DVec3::new(1.5, 1.0, 2.0),

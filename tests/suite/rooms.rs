@@ -53,6 +53,8 @@ const HOMES: &[(&str, &str)] = &[
     ("flate2", "geometry"),
     ("toml", "scene"),
     ("vtkio", "output"),
+    ("npyz", "output"),
+    ("zip", "output"),
     ("maud", "measure"),
     ("clap", "cli"),
     ("ctrlc", "cli"),

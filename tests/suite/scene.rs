@@ -299,7 +299,7 @@ const REFUSED: &[Case] = &[
     ("front = { axis = \"x\" }", "solid = { name = \"ball\" }", 39, "probe[2].solid", &["no [[solid]]", "measure the liquid"]),
     ("fields = true", "solids = true", 49, "output.solids", &["no [[solid]]", "solids = false"]),
     ("precision = \"f32\"", "formulation = \"auto\"", 43, "solver.formulation", &["about elastic solids in liquid", "remove it"]),
-    ("every = 2", "checkpoint_every = 2", 50, "output.checkpoint_every", &["checkpoints are not written yet"]),
+    ("every = 2", "checkpoint_every = -2", 50, "output.checkpoint_every", &["whole number from 0"]),
     // What is missing: at the header of its table.
     ("cells = [32, 16, 8]\n", "", 2, "domain.cells", &["is missing", "cells = [32, 32, 32]"]),
     ("duration = 1.5\n", "", 6, "time.duration", &["is missing"]),

@@ -649,10 +649,15 @@ fn a_scene_of_solids_runs_on_the_cpu() {
         out: folder.path().join("out"),
         frames: None,
         overwrite: false,
+        resume: false,
     };
     let summary = cutwater::sim::run(&scene, &options, &mut |_| {}, &false.into()).unwrap();
     assert_eq!(
-        (summary.frames, summary.missed, summary.volume_ratio),
+        (
+            summary.frames,
+            summary.tally.missed,
+            summary.tally.volume_ratio
+        ),
         (3, 0, None)
     );
     assert!(options.out.join("frames/fall_000003.vtu").exists());

@@ -14,6 +14,8 @@
 #[allow(dead_code, reason = "the suite uses the rest")]
 #[path = "../suite/common.rs"]
 mod common;
+#[path = "../suite/kills.rs"]
+mod kills;
 #[allow(dead_code, reason = "the suite uses the rest")]
 #[path = "../suite/solid_cases.rs"]
 mod solid_cases;
@@ -30,6 +32,7 @@ mod coupled_truths;
 mod lane;
 mod liquid;
 mod page;
+mod resume;
 mod sheet;
 mod solid_balances;
 mod solid_elements;
@@ -92,6 +95,7 @@ fn cases() -> Vec<Case> {
         solid_balances::cases(),
         solid_inversion::cases(),
         solid_scenes::cases(),
+        resume::cases(),
     ]
     .into_iter()
     .flatten()
