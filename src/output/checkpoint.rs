@@ -4,7 +4,7 @@
 //! index order `[z, y, x]`. What a state gains is one line in [`arrays`], for writing and for reading.
 
 use std::fs::File;
-use std::io::{self, BufReader, BufWriter, Read, Seek, Write};
+use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use npyz::{AutoSerialize, NpyFile, Order, Serialize, WriterBuilder};
@@ -53,13 +53,13 @@ impl Checkpoint {
         // The names of what the checkpoint counts on come first.
         sync_folder(&run.join("frames"));
         write_atomically_with(&path, |file| {
-            let zip = ZipWriter::new(BufWriter::new(file));
+            let zip = ZipWriter::new(Quiet::new(BufWriter::new(file)));
             let mut to = Writing { zip };
             to.bytes("format", &FORMAT.to_string())?;
             to.bytes("cutwater", env!("CARGO_PKG_VERSION"))?;
             to.array("manifest", &[manifest.len()], manifest)?;
             arrays(self, &mut to)?;
-            to.zip.finish().map_err(io::Error::from)?.flush()
+            to.zip.finish()?.finish()
         })?;
         sync_folder(run);
         Ok(())
@@ -190,6 +190,69 @@ trait Arrays {
         n: Option<usize>,
         values: &mut Vec<[f64; 3]>,
     ) -> Result<(), Self::Error>;
+}
+
+/// A file that keeps what went wrong first to itself until the end, and from then on takes everything and writes nothing. A ZipWriter that hears
+/// of an error tries to finish the archive when it is dropped, and prints that it cannot.
+struct Quiet<W: Write + Seek> {
+    file: W,
+    problem: Option<io::Error>,
+    /// Where the next byte goes, and where the last one ends.
+    at: u64,
+    end: u64,
+}
+
+impl<W: Write + Seek> Quiet<W> {
+    fn new(file: W) -> Quiet<W> {
+        Quiet {
+            file,
+            problem: None,
+            at: 0,
+            end: 0,
+        }
+    }
+
+    /// Does something to the file, if nothing has gone wrong.
+    fn try_to<T>(&mut self, act: impl FnOnce(&mut W) -> io::Result<T>) {
+        if self.problem.is_none() {
+            self.problem = act(&mut self.file).err();
+        }
+    }
+
+    fn finish(mut self) -> io::Result<()> {
+        self.try_to(W::flush);
+        self.problem.map_or(Ok(()), Err)
+    }
+}
+
+impl<W: Write + Seek> Write for Quiet<W> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.try_to(|file| file.write_all(bytes));
+        self.at += bytes.len() as u64;
+        self.end = self.end.max(self.at);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.try_to(W::flush);
+        Ok(())
+    }
+}
+
+impl<W: Write + Seek> Seek for Quiet<W> {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        let at = match to {
+            SeekFrom::Start(at) => Some(at),
+            SeekFrom::Current(by) => self.at.checked_add_signed(by),
+            SeekFrom::End(by) => self.end.checked_add_signed(by),
+        };
+        let at = at.ok_or(io::ErrorKind::InvalidInput)?;
+        if at != self.at {
+            self.try_to(|file| file.seek(SeekFrom::Start(at)));
+        }
+        self.at = at;
+        Ok(at)
+    }
 }
 
 struct Writing<W: Write + Seek> {

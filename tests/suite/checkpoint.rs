@@ -746,14 +746,17 @@ fn a_full_disk_loses_nothing() {
         length("steps.csv") > 1024 * blocks,
         "nothing fills up: {blocks} kB"
     );
-    let limited = format!(
-        "trap '' XFSZ; ulimit -f {blocks}; exec {} {} --out out",
-        env!("CARGO_BIN_EXE_cutwater"),
-        run.arguments
-    );
-    let mut command = Command::new("bash");
-    command.args(["-c", &limited]).current_dir(folder.path());
-    let told = complains(command, 2);
+    let limited = |blocks: u64, more: &str| {
+        let limited = format!(
+            "trap '' XFSZ; ulimit -f {blocks}; exec {} {} {more}",
+            env!("CARGO_BIN_EXE_cutwater"),
+            run.arguments
+        );
+        let mut command = Command::new("bash");
+        command.args(["-c", &limited]).current_dir(folder.path());
+        complains(command, 2)
+    };
+    let told = limited(blocks, "--out out");
     for part in [
         "cannot write out/steps.csv",
         "cure: raise the limit",
@@ -770,6 +773,54 @@ fn a_full_disk_loses_nothing() {
     );
     run.whole("out", "--resume");
     assert_same(&contents(&path), &wanted);
+    // Only the checkpoint is too large: nothing is left of it.
+    let told = limited(24, "--out none --set output.particles=false");
+    let lines = told.lines().count();
+    assert!(
+        told.contains("cannot write none/checkpoint.npz") && lines == 3,
+        "{told}"
+    );
+    let none = contents(&folder.path().join("none"));
+    assert!(
+        none.keys().all(|name| !name.contains("checkpoint")),
+        "{none:?}"
+    );
+}
+
+/// Rounding differs between adapters: the run goes on, and both the user and the manifest are told.
+#[test]
+fn a_run_may_go_on_on_another_adapter() {
+    if gpu().is_none() {
+        return;
+    }
+    let folder = dam();
+    let run = Run {
+        folder: folder.path(),
+        arguments: "run dam.toml --scale 0.5",
+    };
+    let path = run.whole("out", "--frames 2");
+    let mut checkpoint = Checkpoint::read(&path).unwrap().unwrap();
+    let adapter = checkpoint.manifest.adapter.as_mut().unwrap();
+    let name = std::mem::replace(&mut adapter.name, "Another".to_owned());
+    checkpoint.write(&path).unwrap();
+    let told = complains(run.command("out", "--frames 4 --resume"), 0);
+    assert!(
+        told.contains("warning: the run began on Another ("),
+        "{told}"
+    );
+    for frames in ["4", "5"] {
+        complains(
+            run.command("out", &format!("--frames {frames} --resume")),
+            0,
+        );
+        let manifest = Manifest::read(&path).unwrap();
+        assert_eq!(manifest.adapter.unwrap().name, name);
+        let [earlier] = &manifest.earlier_adapters[..] else {
+            panic!("{:?}", manifest.earlier_adapters);
+        };
+        assert_eq!(earlier.adapter.as_ref().unwrap().name, "Another");
+        assert_eq!(earlier.steps, checkpoint.state.step);
+    }
 }
 
 #[test]
