@@ -192,8 +192,8 @@ trait Arrays {
     ) -> Result<(), Self::Error>;
 }
 
-/// A file that keeps what went wrong first to itself until the end, and from then on takes everything and writes nothing. A ZipWriter that hears
-/// of an error tries to finish the archive when it is dropped, and prints that it cannot.
+/// A file that keeps what went wrong first to itself until the end, and from then on takes everything and writes nothing. A
+/// ZipWriter that hears of an error tries to finish the archive when it is dropped, and prints that it cannot.
 struct Quiet<W: Write + Seek> {
     file: W,
     problem: Option<io::Error>,

@@ -231,8 +231,8 @@ impl SolverBuffers {
 }
 
 impl SolverBuffers {
-    /// Writes which lanes of the quads of the finest level were active in the last sub-step, before all work submitted later. The next one puts
-    /// all quads back to zero, whatever else they hold.
+    /// Writes which lanes of the quads of the finest level were active in the last sub-step, before all work submitted later. The
+    /// next one puts all quads back to zero, whatever else they hold.
     pub fn write_active(&self, gpu: &Gpu, grid: &Grid, flags: &[u32]) {
         gpu.upload(&self.flags, flags);
         let (list, args) = everywhere(grid);
