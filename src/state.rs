@@ -2,7 +2,7 @@
 
 use crate::grid::{Axis, Grid};
 
-/// Everything the next step reads, in f64 on the host. Values that come from the device are f32 and widen exactly.
+/// Everything the next step reads, in f64 on the host; of the GPU path to rounding, and with [`Carried`] to the bit.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct State {
     /// Simulated time, s.

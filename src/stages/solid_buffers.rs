@@ -323,7 +323,8 @@ impl SolidBuffers {
     }
 
     /// Writes displacements and velocities of a state, before all work submitted later. What [`SolidBuffers::read_state`] read
-    /// is written back exactly.
+    /// is written back exactly, but for digits of the smaller parts that no f64 holds beside the larger:
+    /// [`Carried`](crate::state::Carried) has those.
     ///
     /// # Panics
     /// When the state has another number of nodes.
@@ -353,8 +354,8 @@ impl SolidBuffers {
         self.velocity.upload(gpu, &words);
     }
 
-    /// Waits for all submitted work and reads displacements and velocities into a state; exact, since the parts of a
-    /// displacement lie within the digits of an f64.
+    /// Waits for all submitted work and reads displacements and velocities into a state: displacements to the digits of an f64,
+    /// velocities exactly.
     ///
     /// # Errors
     /// [`Error::Gpu`] when the device fails.
