@@ -13,6 +13,7 @@ mod plot;
 mod preview;
 mod report;
 mod run;
+mod sweep;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -35,6 +36,8 @@ struct Cli {
 enum Command {
     /// Simulate a scene and write its frames and tables
     Run(run::Run),
+    /// Run a scene with every combination of some settings, a folder each, and tell how all of them went
+    Sweep(sweep::SweepCommand),
     /// Say what a scene takes: effects, stages, kernels, buffers, and whether the adapter has room
     Plan(plan::PlanCommand),
     /// List the GPU adapters
@@ -121,6 +124,7 @@ pub(crate) fn main() -> ExitCode {
     let cli = Cli::parse();
     let done = match &cli.command {
         Command::Run(command) => command.run(),
+        Command::Sweep(command) => command.run(),
         Command::Plan(command) => command.run(),
         Command::Adapters(command) => command.run(),
         Command::Bench(command) => command.run(),

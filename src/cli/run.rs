@@ -2,8 +2,9 @@
 
 use std::io::IsTerminal;
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
+use std::time::{Duration, Instant};
 
 use cutwater::Error;
 use cutwater::geometry;
@@ -16,6 +17,9 @@ use cutwater::sim::{self, Options};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use super::{BackendArgs, SceneArgs};
+
+/// Schedulers signal a sweep and its runs at once, and the sweep passes it on: that is one signal.
+const SAME_SIGNAL: Duration = Duration::from_millis(500);
 
 /// Simulate a scene and write its frames and tables
 #[derive(Debug, clap::Args)]
@@ -50,9 +54,11 @@ impl Run {
             .unwrap_or_else(|| PathBuf::from("out").join(&scene.name));
         let interrupt = Arc::new(AtomicBool::new(false));
         let flag = Arc::clone(&interrupt);
+        let first = OnceLock::new();
         let stop = move || {
             // The first signal ends the run where its files are whole, the second at once.
-            if flag.swap(true, Ordering::Relaxed) {
+            flag.store(true, Ordering::Relaxed);
+            if first.get_or_init(Instant::now).elapsed() > SAME_SIGNAL {
                 std::process::exit(Error::Interrupted.exit_code().into());
             }
         };

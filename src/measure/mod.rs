@@ -21,4 +21,5 @@ pub mod report;
 mod solid_bytes;
 pub mod statistics;
 mod stored;
+pub mod sweep;
 pub mod table;

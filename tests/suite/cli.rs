@@ -9,7 +9,7 @@ use tempfile::TempDir;
 
 use crate::common::gpu;
 
-const DAM: &str = r#"# A small dam break.
+pub(crate) const DAM: &str = r#"# A small dam break.
 [domain]
 size = [1.5, 1.0, 0.5]
 cells = [24, 16, 8]
@@ -25,14 +25,14 @@ size = [64, 36]
 "#;
 
 /// A new folder with a scene file `dam.toml`.
-fn folder(scene: &str) -> TempDir {
+pub(crate) fn folder(scene: &str) -> TempDir {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("dam.toml"), scene).unwrap();
     folder
 }
 
 /// The program in a folder, ready to start; arguments are separated by spaces.
-fn cutwater(folder: &TempDir, arguments: &str) -> Command {
+pub(crate) fn cutwater(folder: &TempDir, arguments: &str) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_cutwater"));
     command
         .args(arguments.split_whitespace())
@@ -41,12 +41,12 @@ fn cutwater(folder: &TempDir, arguments: &str) -> Command {
     command
 }
 
-fn text(bytes: &[u8]) -> String {
+pub(crate) fn text(bytes: &[u8]) -> String {
     String::from_utf8(bytes.to_vec()).unwrap()
 }
 
 /// Runs a command to its end, which must have this exit code, and must not have come by a panic.
-fn ends(mut command: Command, code: i32) -> Output {
+pub(crate) fn ends(mut command: Command, code: i32) -> Output {
     let output = command.output().unwrap();
     let (out, err) = (text(&output.stdout), text(&output.stderr));
     assert_eq!(
@@ -59,21 +59,21 @@ fn ends(mut command: Command, code: i32) -> Output {
 }
 
 /// As [`ends`]; gives what the program prints on standard output.
-fn says(folder: &TempDir, arguments: &str) -> String {
+pub(crate) fn says(folder: &TempDir, arguments: &str) -> String {
     text(&ends(cutwater(folder, arguments), 0).stdout)
 }
 
 /// As [`ends`]; gives what the program complains about.
-fn complains(folder: &TempDir, arguments: &str, code: i32) -> String {
+pub(crate) fn complains(folder: &TempDir, arguments: &str, code: i32) -> String {
     text(&ends(cutwater(folder, arguments), code).stderr)
 }
 
-fn manifest(run: &Path) -> Value {
+pub(crate) fn manifest(run: &Path) -> Value {
     serde_json::from_str(&fs::read_to_string(run.join("manifest.json")).unwrap()).unwrap()
 }
 
 /// Names of the files in a folder, sorted.
-fn list(folder: &Path) -> Vec<String> {
+pub(crate) fn list(folder: &Path) -> Vec<String> {
     let entries = fs::read_dir(folder).unwrap();
     let mut names: Vec<_> = entries
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())

@@ -58,6 +58,7 @@ const HOMES: &[(&str, &str)] = &[
     ("maud", "measure"),
     ("clap", "cli"),
     ("ctrlc", "cli"),
+    ("nix", "cli"),
     ("indicatif", "cli"),
 ];
 

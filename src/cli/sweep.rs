@@ -1,0 +1,419 @@
+//! `cutwater sweep`
+
+use std::fs::{self, File};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
+use std::time::Duration;
+
+use clap::{ArgAction, ValueEnum};
+use cutwater::Error;
+use cutwater::measure::sweep::{Axis, LOG, Options, Row, Shard, Standing, Sweep};
+
+use super::BackendArgs;
+
+/// How often a run that goes on is looked at.
+const PAUSE: Duration = Duration::from_millis(20);
+
+/// Run a scene with every combination of some settings, a folder each, and tell how all of them went
+#[derive(Debug, clap::Args)]
+pub(super) struct SweepCommand {
+    /// Scene file (TOML)
+    scene: PathBuf,
+    /// A key of the scene and its values, such as solid[0].young=1e5,1e6; may be repeated, for the product of all
+    #[arg(long = "set", value_name = "KEY=V1,V2", required = true, action = ArgAction::Append)]
+    settings: Vec<String>,
+    /// Multiply domain.cells, rounded
+    #[arg(long, default_value_t = 1.0)]
+    scale: f64,
+    #[command(flatten)]
+    backend: BackendArgs,
+    /// Folder of the sweep; out/NAME_sweep by default
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Frames of each run instead of the scene's duration
+    #[arg(long)]
+    frames: Option<u64>,
+    /// Draw the pictures of each run when it is done
+    #[arg(long)]
+    preview: bool,
+    /// Runs at a time
+    #[arg(long, default_value = "1", value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    jobs: u16,
+    /// Make only every N-th run, from the I-th on, I from 1 to N: for the jobs of an array
+    #[arg(
+        long,
+        value_name = "I/N",
+        default_value = "1/1",
+        hide_default_value = true
+    )]
+    shard: Shard,
+    /// Replace runs of another text of the scene, other options or another version, which are refused otherwise
+    #[arg(long)]
+    overwrite: bool,
+    /// Say how each run stands, bring the summary up to date, and run nothing
+    #[arg(long)]
+    list: bool,
+}
+
+impl SweepCommand {
+    pub(super) fn run(&self) -> Result<(), Error> {
+        let axes = self.settings.iter().map(|setting| setting.parse::<Axis>());
+        let out = self.out.clone().unwrap_or_else(|| {
+            let stem = self.scene.file_stem().unwrap_or_default();
+            Path::new("out").join(format!("{}_sweep", stem.to_string_lossy()))
+        });
+        let options = Options {
+            scene: self.scene.clone(),
+            scale: self.scale,
+            frames: self.frames,
+            backend: self.backend.backend().name(),
+            out: out.clone(),
+        };
+        let sweep = Sweep::new(axes.collect::<Result<_, _>>()?, options)?;
+        let mine = sweep.of_shard(self.shard);
+        if self.list {
+            for &number in &mine {
+                say!(
+                    "{:10} {}",
+                    sweep.row(number).standing.name(),
+                    sweep.runs[number].name
+                );
+            }
+            return match out.exists() {
+                true => sweep.write_summary(),
+                false => Ok(()),
+            };
+        }
+        let outdated = mine
+            .iter()
+            .find(|&&number| sweep.row(number).standing == Standing::Outdated);
+        if let (Some(&number), false) = (outdated, self.overwrite) {
+            return Err(Error::input(
+                sweep.runs[number].folder.display().to_string(),
+                "the folder holds a run of another text of the scene, other options, or another version of cutwater",
+                "choose another folder with --out, or replace such runs with --overwrite",
+            ));
+        }
+        let signals = Arc::new(AtomicUsize::new(0));
+        let count = Arc::clone(&signals);
+        ctrlc::set_handler(move || {
+            count.fetch_add(1, Ordering::Relaxed);
+        })
+        .map_err(|problem| {
+            Error::input(
+                "the interrupt handler",
+                problem.to_string(),
+                "run cutwater once per process",
+            )
+        })?;
+        sweep.write_summary()?;
+        self.work(&sweep, &mine, &signals)?;
+        tell(&sweep, &mine);
+        say!("summary: {}", out.join("summary.csv").display());
+        if signals.load(Ordering::Relaxed) > 0 {
+            return Err(Error::Interrupted);
+        }
+        verdict(&sweep, &mine)
+    }
+
+    /// Makes the runs of this process that are not there, `jobs` at a time.
+    fn work(&self, sweep: &Sweep, mine: &[usize], signals: &AtomicUsize) -> Result<(), Error> {
+        let (next, ended) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        let worker = || -> Result<(), Error> {
+            while signals.load(Ordering::Relaxed) == 0
+                && let Some(&number) = mine.get(next.fetch_add(1, Ordering::Relaxed))
+            {
+                let before = sweep.row(number).standing;
+                let end = match before {
+                    Standing::Finished => ending(sweep, number) + ", was there",
+                    Standing::Refused => ending(sweep, number),
+                    _ => match self.make(sweep, number, before == Standing::Outdated, signals) {
+                        Ok(()) => ending(sweep, number),
+                        Err(error) => error.to_string(),
+                    },
+                };
+                sweep.write_summary()?;
+                let nth = ended.fetch_add(1, Ordering::Relaxed) + 1;
+                say!(
+                    "{nth} of {}: {}: {end}",
+                    mine.len(),
+                    sweep.runs[number].name
+                );
+            }
+            Ok(())
+        };
+        thread::scope(|scope| {
+            let jobs = usize::from(self.jobs).min(mine.len());
+            let workers: Vec<_> = (0..jobs).map(|_| scope.spawn(worker)).collect();
+            let ends = workers.into_iter().map(|worker| {
+                worker.join().unwrap_or_else(|_| {
+                    Err(Error::Check("a thread of the sweep ended early".to_owned()))
+                })
+            });
+            ends.fold(Ok(()), Result::and)
+        })
+    }
+
+    /// Makes a run in a process of its own: what breaks it, be it a lost device, costs no other. Nothing where another process is
+    /// at it.
+    fn make(
+        &self,
+        sweep: &Sweep,
+        number: usize,
+        replaces: bool,
+        signals: &AtomicUsize,
+    ) -> Result<(), Error> {
+        let Some(lock) = sweep.take(number)? else {
+            return Ok(());
+        };
+        let run = &sweep.runs[number];
+        let path = run.folder.join(LOG);
+        let failed = |problem: std::io::Error| Error::output(&path, problem);
+        let mut log = File::options()
+            .create(true)
+            .append(true)
+            .open(&path)
+            .map_err(failed)?;
+        let start = log.metadata().map_err(failed)?.len();
+        let mut command = self.command(replaces, &run.overrides, &run.folder)?;
+        writeln!(log, "{command:?}").map_err(failed)?;
+        let copy = log.try_clone().map_err(failed)?;
+        let (exit_code, mut problem) = match command.stdin(lock).stdout(copy).stderr(log).spawn() {
+            Ok(mut child) => {
+                let status = attend(&mut child, signals).map_err(failed)?;
+                (status.code(), signal_name(status))
+            }
+            Err(problem) => (None, Some(format!("cannot be started: {problem}"))),
+        };
+        drop(command);
+        if exit_code != Some(0) {
+            problem = complaint(&path, start).or(problem);
+            sweep.note(number, exit_code, problem)?;
+        }
+        Ok(())
+    }
+
+    fn command(
+        &self,
+        replaces: bool,
+        overrides: &[String],
+        folder: &Path,
+    ) -> Result<Command, Error> {
+        let program = std::env::current_exe().map_err(|problem| {
+            Error::input(
+                "the path of cutwater itself",
+                problem.to_string(),
+                "start it by its full path",
+            )
+        })?;
+        let mut command = Command::new(program);
+        command.arg("run").arg(&self.scene).arg("--out").arg(folder);
+        for setting in overrides {
+            command.arg("--set").arg(setting);
+        }
+        command.args(["--scale", &self.scale.to_string()]);
+        if let Some(name) = self.backend.backend.to_possible_value() {
+            command.args(["--backend", name.get_name()]);
+        }
+        if let Some(adapter) = &self.backend.adapter.adapter {
+            command.args(["--adapter", adapter]);
+        }
+        if let Some(frames) = self.frames {
+            command.args(["--frames", &frames.to_string()]);
+        }
+        // What is there of this run goes on.
+        command.arg(if replaces { "--overwrite" } else { "--resume" });
+        if self.preview {
+            command.arg("--preview");
+        }
+        const THREADS: &str = "RAYON_NUM_THREADS";
+        if self.jobs > 1 && std::env::var_os(THREADS).is_none() {
+            let threads = thread::available_parallelism().map_or(1, usize::from);
+            command.env(
+                THREADS,
+                (threads / usize::from(self.jobs)).max(1).to_string(),
+            );
+        }
+        // Ctrl-C on a terminal goes to a whole group: there a run would get it twice, and end at once.
+        #[cfg(unix)]
+        std::os::unix::process::CommandExt::process_group(&mut command, 0);
+        Ok(command)
+    }
+}
+
+/// Waits for a child. Each signal that the sweep gets goes on to it: the first ends it where its files are whole.
+fn attend(child: &mut Child, signals: &AtomicUsize) -> std::io::Result<ExitStatus> {
+    let mut passed_on = 0;
+    loop {
+        if let Some(status) = child.try_wait()? {
+            return Ok(status);
+        }
+        if signals.load(Ordering::Relaxed) > passed_on {
+            passed_on += 1;
+            interrupt(child)?;
+        }
+        thread::sleep(PAUSE);
+    }
+}
+
+#[cfg(unix)]
+fn interrupt(child: &mut Child) -> std::io::Result<()> {
+    use nix::sys::signal::{Signal, kill};
+    use nix::unistd::Pid;
+
+    let id = i32::try_from(child.id()).map_err(std::io::Error::other)?;
+    // Not waited for yet, so the id is its own still.
+    Ok(kill(Pid::from_raw(id), Signal::SIGINT)?)
+}
+
+#[cfg(not(unix))]
+fn interrupt(child: &mut Child) -> std::io::Result<()> {
+    child.kill()
+}
+
+#[cfg(unix)]
+fn signal_name(status: ExitStatus) -> Option<String> {
+    use std::os::unix::process::ExitStatusExt;
+
+    let signal = nix::sys::signal::Signal::try_from(status.signal()?);
+    Some(format!(
+        "ended by {}",
+        signal.map_or("a signal", |signal| signal.as_str())
+    ))
+}
+
+#[cfg(not(unix))]
+fn signal_name(_: ExitStatus) -> Option<String> {
+    None
+}
+
+/// The last error in what a run printed, in one line; the log is read from `start` on.
+fn complaint(log: &Path, start: u64) -> Option<String> {
+    let bytes = fs::read(log).ok()?;
+    let text = String::from_utf8_lossy(bytes.get(usize::try_from(start).ok()?..)?).into_owned();
+    let error = text.rsplit_once("error: ").map(|(_, error)| error);
+    let panic = || text.rsplit_once(" panicked at ").map(|(_, panic)| panic);
+    let lines: Vec<&str> = error
+        .or_else(panic)?
+        .lines()
+        .map(str::trim)
+        .filter(|line| !line.is_empty())
+        .collect();
+    Some(lines.join("; "))
+}
+
+/// How a run stands, in words.
+fn ending(sweep: &Sweep, number: usize) -> String {
+    let row = sweep.row(number);
+    match row.standing {
+        Standing::Finished => {
+            let volume = row.volume.map_or(String::new(), |[least, largest]| {
+                format!(
+                    ", volume {:.1} % to {:.1} %",
+                    100.0 * least,
+                    100.0 * largest
+                )
+            });
+            let missed = match row.missed {
+                None | Some(0) => String::new(),
+                Some(missed) => format!(", {missed} missed the tolerance"),
+            };
+            format!(
+                "finished, {} frames in {} sub-steps, {:.1} s, worst residual {:.1e}{volume}{missed}",
+                row.frames.unwrap_or_default(),
+                row.sub_steps.unwrap_or_default(),
+                row.seconds.unwrap_or_default(),
+                row.worst_residual.unwrap_or_default()
+            )
+        }
+        Standing::Running => "another process is at it".to_owned(),
+        standing => {
+            let code = row
+                .exit_code
+                .map_or(String::new(), |code| format!(" (exit code {code})"));
+            let problem = row
+                .problem
+                .map_or(String::new(), |problem| format!(": {problem}"));
+            format!("{}{code}{problem}", standing.name())
+        }
+    }
+}
+
+/// The table of the runs of this process.
+fn tell(sweep: &Sweep, mine: &[usize]) {
+    let width = mine
+        .iter()
+        .map(|&number| sweep.runs[number].name.len())
+        .max()
+        .unwrap_or(0);
+    say!(
+        "\n{:width$}  {:11} {:>4} {:>6} {:>9} {:>9} {:>9} {:>15} {:>6}",
+        "run",
+        "status",
+        "exit",
+        "frames",
+        "sub-steps",
+        "seconds",
+        "residual",
+        "volume %",
+        "missed"
+    );
+    fn or_dash<T>(value: Option<T>, text: impl Fn(T) -> String) -> String {
+        value.map_or("-".to_owned(), text)
+    }
+    for &number in mine {
+        let Row {
+            standing,
+            exit_code,
+            frames,
+            sub_steps,
+            seconds,
+            worst_residual,
+            volume,
+            missed,
+            ..
+        } = sweep.row(number);
+        say!(
+            "{:width$}  {:11} {:>4} {:>6} {:>9} {:>9} {:>9} {:>15} {:>6}",
+            sweep.runs[number].name,
+            standing.name(),
+            or_dash(exit_code, |code| code.to_string()),
+            or_dash(frames, |frames| frames.to_string()),
+            or_dash(sub_steps, |steps| steps.to_string()),
+            or_dash(seconds, |seconds| format!("{seconds:.1}")),
+            or_dash(worst_residual, |residual| format!("{residual:.1e}")),
+            or_dash(volume, |[least, largest]| format!(
+                "{:.1} to {:.1}",
+                100.0 * least,
+                100.0 * largest
+            )),
+            or_dash(missed, |missed| missed.to_string()),
+        );
+    }
+}
+
+/// # Errors
+/// [`Error::Check`] with the runs that are not finished.
+fn verdict(sweep: &Sweep, mine: &[usize]) -> Result<(), Error> {
+    let unfinished: Vec<String> = mine
+        .iter()
+        .filter_map(|&number| {
+            let row = sweep.row(number);
+            let name = || format!("{} ({})", sweep.runs[number].name, row.standing.name());
+            (row.standing != Standing::Finished).then(name)
+        })
+        .collect();
+    match unfinished[..] {
+        [] => Ok(()),
+        _ => Err(Error::Check(format!(
+            "{} of {} runs did not finish: {}",
+            unfinished.len(),
+            mine.len(),
+            unfinished.join(", ")
+        ))),
+    }
+}
