@@ -63,6 +63,19 @@ pub enum Error {
         /// What the user can do.
         cure: String,
     },
+    /// The machine is too small for the scene.
+    #[error(
+        "this scene takes at least {:.1} GiB of the machine's memory, of which {:.1} GiB are free\n  cure: {cure}",
+        gibibytes(*needed), gibibytes(*available)
+    )]
+    Memory {
+        /// Bytes that are needed.
+        needed: u64,
+        /// Bytes that are free.
+        available: u64,
+        /// What the user can do.
+        cure: String,
+    },
     /// A shader does not compile.
     #[error("{file}:{line}: {problem}")]
     Shader {
@@ -105,7 +118,7 @@ impl Error {
         match self {
             Error::Check(_) => 1,
             Error::Scene { .. } | Error::Input { .. } | Error::Output { .. } => 2,
-            Error::Adapter { .. } | Error::Limit { .. } => 3,
+            Error::Adapter { .. } | Error::Limit { .. } | Error::Memory { .. } => 3,
             Error::Shader { .. } | Error::Gpu { .. } | Error::Stage { .. } => 4,
             Error::Interrupted => 130,
         }
@@ -149,4 +162,8 @@ impl Error {
             cure: cure.into(),
         }
     }
+}
+
+fn gibibytes(bytes: u64) -> f64 {
+    bytes as f64 / f64::from(1 << 30)
 }

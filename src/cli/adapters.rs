@@ -1,19 +1,19 @@
 //! `cutwater adapters`
 
 use cutwater::Error;
-use cutwater::gpu::Gpu;
+use cutwater::gpu::{Gpu, Surroundings};
 
 /// List the GPU adapters
 #[derive(Debug, clap::Args)]
-pub(super) struct Adapters {}
+pub(super) struct Adapters {
+    /// Also say what was found of loader, drivers and devices
+    #[arg(long)]
+    explain: bool,
+}
 
 impl Adapters {
     pub(super) fn run(&self) -> Result<(), Error> {
         let adapters = Gpu::adapters();
-        if adapters.is_empty() {
-            // Opening one gives the message with the cure.
-            return Gpu::new(&Default::default()).map(|_| ());
-        }
         for (index, adapter) in adapters.iter().enumerate() {
             say!(
                 "{index}: {} ({}, {})",
@@ -31,7 +31,23 @@ impl Adapters {
                 adapter.buffer >> 20,
             );
         }
-        Ok(())
+        // Other systems bring what they need.
+        if cfg!(target_os = "linux") {
+            let surroundings = Surroundings::of_system();
+            if self.explain || adapters.is_empty() {
+                surroundings.facts().iter().for_each(|fact| say!("{fact}"));
+            }
+            let hardware = adapters.iter().any(|adapter| adapter.kind != "software");
+            if !adapters.is_empty() {
+                let cures = surroundings.cures(hardware);
+                cures.iter().for_each(|cure| say!("hint: {cure}"));
+            }
+        }
+        match adapters.is_empty() {
+            // Opening one gives the message with the cure.
+            true => Gpu::new(&Default::default()).map(|_| ()),
+            false => Ok(()),
+        }
     }
 }
 

@@ -3,7 +3,7 @@
 use cutwater::Error;
 use cutwater::gpu::{AdapterReport, BufferPlan, Gpu, STORAGE_BUFFERS};
 use cutwater::scene::{Precision, Scene};
-use cutwater::sim::{Backend, Plan};
+use cutwater::sim::{self, Backend, HostMemory, Plan};
 
 use super::{BackendArgs, SceneArgs};
 
@@ -20,6 +20,7 @@ impl PlanCommand {
     pub(super) fn run(&self) -> Result<(), Error> {
         let scene = self.scene.load()?;
         super::run::warn_of_thin(&scene)?;
+        let memory = |on_cpu| HostMemory::new(&scene, &sim::solids_of(&scene)?, on_cpu);
         match self.backend.backend() {
             Backend::Cpu => {
                 let plan = Plan::new(&scene, None)?;
@@ -30,7 +31,7 @@ impl PlanCommand {
                     say!("  {}", stage.name);
                 }
                 say!("\nno kernels, no buffers on a device, no adapter");
-                Ok(())
+                say_memory(memory(true)?)
             }
             Backend::Gpu(choice) => {
                 // A named adapter must exist; without a name the plan can do without one.
@@ -46,10 +47,17 @@ impl PlanCommand {
                 say_solves(&plan);
                 say_buffers(&plan);
                 match adapter {
-                    Some(adapter) => say_limits(&scene, &plan, &adapter),
-                    None => say!(
-                        "\nno adapter was checked: none was found. The plan is for one with f64."
-                    ),
+                    Some(adapter) => {
+                        say_limits(&scene, &plan, &adapter)?;
+                        say_memory(memory(false)?.beside(plan.bytes(), &adapter))?;
+                        say!("the scene fits; the adapter does not tell how much memory is free");
+                    }
+                    None => {
+                        say!(
+                            "\nno adapter was checked: none was found. The plan is for one with f64."
+                        );
+                        say_memory(memory(false)?)?;
+                    }
                 }
                 Ok(())
             }
@@ -144,7 +152,9 @@ fn say_buffers(plan: &Plan) {
     }
 }
 
-fn say_limits(scene: &Scene, plan: &Plan, adapter: &AdapterReport) {
+/// # Errors
+/// What does not fit.
+fn say_limits(scene: &Scene, plan: &Plan, adapter: &AdapterReport) -> Result<(), Error> {
     say!("\nadapter {} ({})", adapter.name, adapter.kind);
     let largest = plan
         .buffers
@@ -172,27 +182,26 @@ fn say_limits(scene: &Scene, plan: &Plan, adapter: &AdapterReport) {
         };
         say!("  {limit:37} needs {needed:12}, allows {allowed:20}: {verdict}");
     }
-    let mut fits = true;
-    if let Err(error) = plan.check(adapter) {
-        fits = false;
-        say!("does not fit: {error}");
-        let too_large: Vec<&str> = plan
-            .buffers
-            .iter()
-            .filter(|buffer| adapter.check_buffer(buffer.label, buffer.bytes()).is_err())
-            .map(|buffer| buffer.label)
-            .collect();
+    let too_large: Vec<&str> = plan
+        .buffers
+        .iter()
+        .filter(|buffer| adapter.check_buffer(buffer.label, buffer.bytes()).is_err())
+        .map(|buffer| buffer.label)
+        .collect();
+    if !too_large.is_empty() {
         say!("  too large: {}", too_large.join(", "));
     }
-    if scene.solver.precision == Precision::F64 && !adapter.f64 {
-        say!(
-            "does not fit: precision \"f64\" on an adapter without f64\n  cure: use precision \"mixed\", or --backend cpu"
-        );
-        fits = false;
-    }
-    if fits {
-        say!("the scene fits; the adapter does not tell how much memory is free");
-    }
+    plan.check(adapter)?;
+    adapter.check_precision(scene.solver.precision == Precision::F64)
+}
+
+fn say_memory(memory: HostMemory) -> Result<(), Error> {
+    say!(
+        "\nmemory of this machine: at least {}, free {}",
+        mebibytes(memory.needed),
+        mebibytes(memory.available)
+    );
+    memory.check()
 }
 
 fn mebibytes(bytes: u64) -> String {

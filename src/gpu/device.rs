@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use std::sync::{Arc, Mutex, OnceLock};
 
 use super::record::Timer;
-use super::{Kernel, Source, Variant};
+use super::{Kernel, Source, Surroundings, Variant};
 use crate::Error;
 
 /// Which adapter to use.
@@ -110,6 +110,24 @@ impl AdapterReport {
         }
     }
 
+    /// Refuses 64-bit floats in all kernels, where they are `wanted` and the adapter has none.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] with the feature and what to do.
+    pub fn check_precision(&self, wanted: bool) -> Result<(), Error> {
+        if self.f64 || !wanted {
+            return Ok(());
+        }
+        Err(Error::Limit {
+            what: "precision f64".to_owned(),
+            needed: 1,
+            available: 0,
+            unit: "feature (SHADER_F64)",
+            cure: "use precision \"mixed\", which reaches the same tolerance, or --backend cpu"
+                .to_owned(),
+        })
+    }
+
     /// Whether the adapter allows a storage buffer of this size.
     ///
     /// # Errors
@@ -141,8 +159,20 @@ const NEEDED_THREADS: u32 = 256;
 /// Storage buffers that a kernel binds at most, and that every adapter must allow.
 pub const STORAGE_BUFFERS: u32 = 8;
 
-const NO_ADAPTER_CURE: &str = "install a Vulkan driver (Debian: apt-get install mesa-vulkan-drivers gives the software \
-    adapter llvmpipe), point VK_DRIVER_FILES at the driver's JSON file, or run with --backend cpu";
+/// Where nothing at all was found.
+fn no_adapter() -> Error {
+    let surroundings = cfg!(target_os = "linux").then(Surroundings::of_system);
+    let mut cures = surroundings.map_or(Vec::new(), |found| found.cures(false));
+    cures.push(
+        "install a Vulkan driver (Debian: apt-get install mesa-vulkan-drivers brings those of AMD and Intel GPUs, and the software \
+         adapter llvmpipe), point VK_DRIVER_FILES at a driver's JSON file, or run with --backend cpu"
+            .to_owned(),
+    );
+    Error::Adapter {
+        problem: "none found; `cutwater adapters` tells what there is".to_owned(),
+        cure: cures.join("; else "),
+    }
+}
 
 /// An open device with its queue.
 #[derive(Debug)]
@@ -203,7 +233,7 @@ fn choose(choice: &AdapterChoice) -> Result<wgpu::Adapter, Error> {
     };
     chosen.cloned().ok_or_else(|| {
         if adapters.is_empty() {
-            return Error::Adapter { problem: "none found".to_owned(), cure: NO_ADAPTER_CURE.to_owned() };
+            return no_adapter();
         }
         let mut found = String::new();
         for (index, adapter) in adapters.iter().enumerate() {

@@ -13,6 +13,7 @@ mod kernel;
 mod record;
 mod shader;
 mod sort;
+mod surroundings;
 
 pub use buffer::{Buffer, BufferPlan, Readback, RealBuffer};
 pub use compact::{CompactKernels, Compaction, Range};
@@ -21,6 +22,7 @@ pub use kernel::{Binding, Bound, Kernel};
 pub use record::{Pass, Recorder, SPLIT, StageTimes, Timer, groups};
 pub use shader::{COMMON, Composed, Real, Source, Variant, WG_SIZE, compose, validate};
 pub use sort::{Entries, Sort, SortKernels, SortPass, TILE};
+pub use surroundings::Surroundings;
 
 /// The WGSL file `shaders/NAME.wgsl`, embedded.
 #[macro_export]

@@ -15,7 +15,7 @@ use super::gpu_coupling::{At, GpuCoupling};
 use super::gpu_liquid::GpuLiquid;
 use super::gpu_solids::GpuSolids;
 use super::step::Readbacks;
-use super::{Clock, Plan};
+use super::{Clock, HostMemory, Plan};
 
 /// A scene on the device.
 #[derive(Debug)]
@@ -56,10 +56,14 @@ impl GpuPath {
     ) -> Result<GpuPath, Error> {
         let gpu = Gpu::new(choice)?;
         let grid = scene.grid();
+        let memory = HostMemory::new(scene, solids, false)?;
+        memory.check()?;
         let obstacles = geometry::obstacle_cut(scene, &grid)?;
         let clip = super::first_clip(scene, solids, &obstacles);
         // Before the liquid is seeded, which may take long.
-        Plan::with(scene, solids, clip.as_ref(), Some(gpu.report()))?.check(gpu.report())?;
+        let plan = Plan::with(scene, solids, clip.as_ref(), Some(gpu.report()))?;
+        plan.check(gpu.report())?;
+        memory.beside(plan.bytes(), gpu.report()).check()?;
         let cut = obstacles.cut;
         let mut state = super::first_state(scene, solids, &cut, clip.as_ref())?;
         let walls = clip.as_ref().map(|clip| (clip, &solids.triangles[..]));

@@ -4,12 +4,14 @@ mod gpu_coupling;
 mod gpu_liquid;
 mod gpu_path;
 mod gpu_solids;
+mod memory;
 mod plan;
 mod run;
 mod snapshot;
 mod step;
 
 pub use gpu_path::GpuPath;
+pub use memory::HostMemory;
 pub use plan::{EffectLine, Plan, StagePlan};
 pub use run::{Options, Progress, Resumed, Summary, run};
 pub use snapshot::{
@@ -309,6 +311,7 @@ pub fn reference_path(scene: &Scene) -> Result<Reference, Error> {
 }
 
 fn reference_with(scene: &Scene, solids: &Solids) -> Result<Reference, Error> {
+    HostMemory::new(scene, solids, true)?.check()?;
     let obstacles = geometry::obstacle_cut(scene, &scene.grid())?;
     let clip = first_clip(scene, solids, &obstacles);
     let state = first_state(scene, solids, &obstacles.cut, clip.as_ref())?;

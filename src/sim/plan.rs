@@ -16,6 +16,7 @@ use crate::stages::{Probe, extrapolation_layers};
 use super::gpu_coupling::Room;
 use super::gpu_liquid::{self, liquid_plan};
 use super::gpu_solids;
+use super::memory::HostMemory;
 
 /// Labels of the buffers that grow with the markers and not with the grid.
 const PER_MARKER: [&str; 1] = ["liquid.markers"];
@@ -76,11 +77,12 @@ impl Plan {
     /// Plans a scene for an adapter; without one, for an adapter with f64.
     ///
     /// # Errors
-    /// [`Error::Input`] when a mesh file cannot be used.
+    /// [`Error::Input`] when a mesh file cannot be used, [`Error::Memory`] where solids cannot be clipped for want of memory.
     pub fn new(scene: &Scene, adapter: Option<&AdapterReport>) -> Result<Plan, Error> {
         let solids = super::solids_of(scene)?;
         let clip = match Effects::of(scene).coupling {
             true => {
+                HostMemory::new(scene, &solids, false)?.check()?;
                 let obstacles = geometry::obstacle_cut(scene, &scene.grid())?;
                 super::first_clip(scene, &solids, &obstacles)
             }

@@ -100,17 +100,7 @@ pub fn variant(f64: bool, precision: Precision) -> Variant {
 
 /// Refuses a precision that the adapter has not.
 pub(super) fn check_precision(gpu: &Gpu, precision: Precision) -> Result<(), Error> {
-    if precision != Precision::F64 || gpu.has_f64() {
-        return Ok(());
-    }
-    Err(Error::Limit {
-        what: "precision f64".to_owned(),
-        needed: 1,
-        available: 0,
-        unit: "feature (SHADER_F64)",
-        cure: "use precision \"mixed\", which reaches the same tolerance, or --backend cpu"
-            .to_owned(),
-    })
+    gpu.report().check_precision(precision == Precision::F64)
 }
 
 /// The solver's data on the device; all levels one after another unless said otherwise.

@@ -352,6 +352,60 @@ fn a_run_on_the_gpu_names_its_adapter() {
     assert!(message.contains("buffer bench.open"), "{message}");
 }
 
+/// Before anything of the grid's size is allocated.
+#[test]
+fn what_no_machine_has_room_for_is_refused_at_once() {
+    let folder = folder(DAM);
+    // 4096 cells along an axis are nothing special, their cube is.
+    let cube = "--set domain.size=[1,1,1] --set domain.cells=[4096,4096,4096]";
+    for command in ["run", "plan", "run --backend cpu"] {
+        let message = complains(&folder, &format!("{command} dam.toml {cube}"), 2);
+        assert!(
+            message.contains("domain.cells") && message.contains("use fewer cells"),
+            "{message}"
+        );
+    }
+    if gpu().is_some() {
+        let done = ends(cutwater(&folder, "plan dam.toml --scale 64"), 3);
+        let (said, told) = (text(&done.stdout), text(&done.stderr));
+        assert!(
+            said.contains("TOO SMALL") && !said.contains("the scene fits"),
+            "{said}"
+        );
+        assert!(
+            told.contains("bytes (max_") && told.contains("cure: use fewer cells (--scale)"),
+            "{told}"
+        );
+    }
+    let memory = fs::read_to_string("/proc/meminfo").unwrap_or_default();
+    let kibibytes = |line: &str| {
+        line.strip_prefix("MemTotal:")?
+            .trim()
+            .trim_end_matches(" kB")
+            .parse::<u64>()
+            .ok()
+    };
+    let total = memory.lines().find_map(kibibytes);
+    if total.is_none_or(|total| total >= 80 << 20) {
+        eprintln!("skipped: this machine may have room for 805,306,368 cells");
+        return;
+    }
+    for command in ["run", "plan"] {
+        let message = complains(
+            &folder,
+            &format!("{command} dam.toml --scale 64 --backend cpu"),
+            3,
+        );
+        let parts = [
+            "at least",
+            "GiB of the machine's memory",
+            "cure: use fewer cells (--scale)",
+        ];
+        assert!(parts.iter().all(|part| message.contains(part)), "{message}");
+    }
+    assert!(!folder.path().join("out").exists());
+}
+
 /// Vulkan's loader finds no driver; other systems bring theirs.
 #[cfg(target_os = "linux")]
 #[test]

@@ -51,6 +51,7 @@ mod solid_physics;
 mod solid_scene;
 mod solid_solver;
 mod solver;
+mod surroundings;
 mod sweep;
 mod tet_files;
 mod tet_mesh;

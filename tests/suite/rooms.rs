@@ -59,6 +59,7 @@ const HOMES: &[(&str, &str)] = &[
     ("clap", "cli"),
     ("ctrlc", "cli"),
     ("nix", "cli"),
+    ("sysinfo", "sim"),
     ("indicatif", "cli"),
 ];
 
