@@ -71,6 +71,11 @@ need_lavapipe() {
     lavapipe_icd >/dev/null || fail "mesa-vulkan-drivers has no lvp_icd*.json in /usr/share/vulkan/icd.d"
 }
 
+# The layer that checks every call of Vulkan.
+need_validation_layer() {
+    first /usr/share/vulkan/explicit_layer.d/VkLayer_khronos_validation.json >/dev/null || apt_install vulkan-validationlayers
+}
+
 need_swiftshader() {
     need_vulkan_loader
     swiftshader_icd >/dev/null || apt_install chromium-common

@@ -72,3 +72,4 @@ mod twin_probe;
 mod twin_right_hand_side;
 mod twin_write_back;
 mod two_field;
+mod validation_layer;
