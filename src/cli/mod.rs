@@ -13,6 +13,7 @@ mod plot;
 mod preview;
 mod report;
 mod run;
+mod schema;
 mod sweep;
 
 use std::path::PathBuf;
@@ -42,6 +43,8 @@ enum Command {
     Plan(plan::PlanCommand),
     /// List the GPU adapters
     Adapters(adapters::Adapters),
+    /// Print the JSON schema of scene files, from which editors complete and check
+    Schema(schema::Schema),
     /// Measure solves, whole steps, what accuracy and effects cost
     Bench(bench::Bench),
     /// Check every stage of the GPU path against the f64 path
@@ -127,6 +130,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Sweep(command) => command.run(),
         Command::Plan(command) => command.run(),
         Command::Adapters(command) => command.run(),
+        Command::Schema(command) => command.run(),
         Command::Bench(command) => command.run(),
         Command::Compare(command) => command.run(),
         Command::Export(command) => command.run(),

@@ -24,8 +24,9 @@ pub(super) fn camera(root: &Table, domain: &Domain) -> Result<Camera, Error> {
     }
     if let Some(place) = table.get("fov") {
         camera.fov = place.positive("the vertical opening in degrees")?;
-        place.ensure(
-            camera.fov <= 150.0,
+        place.within(
+            camera.fov,
+            ..=150.0,
             format!("is {}", camera.fov),
             "use at most 150 degrees; 35 is usual",
         )?;

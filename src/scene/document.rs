@@ -1,7 +1,10 @@
 //! A scene file as a tree of values that know where they were written, with `--set` laid over it, and typed access to it.
-//! Every refusal names the file and line, or the `--set`, and the dotted key.
+//! Every refusal names the file and line, or the `--set`, and the dotted key. What the reader asks of the values can be listened to:
+//! the JSON schema is made of that.
 
+use std::cell::RefCell;
 use std::collections::BTreeMap;
+use std::ops::{Bound, RangeBounds};
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
@@ -53,12 +56,49 @@ impl Content {
     }
 }
 
+/// What the reader asked of a value.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Asked {
+    /// A finite number; `what`, with its unit.
+    Number(String),
+    /// That it is above zero.
+    Positive,
+    /// That it lies from the first to the second; and whether these are allowed themselves.
+    Within([f64; 2], [bool; 2]),
+    /// A list of so many numbers.
+    Numbers(usize, String),
+    /// Three numbers, or one for all.
+    NumberOrVector(String),
+    /// A whole number from the first to the second.
+    Count(u64, u64, String),
+    /// A list of so many of these.
+    Counts(usize, u64, u64, String),
+    /// `true` or `false`.
+    Boolean,
+    /// A text.
+    Text(String),
+    /// One of these words.
+    Choice(Vec<String>),
+    /// A table with these keys.
+    Table(Vec<String>),
+    /// A list.
+    List,
+    /// Of a table: that it has this key.
+    Required(String),
+    /// Of a table: that it has exactly one of these keys.
+    OneOf(Vec<String>),
+}
+
 /// A parsed scene file with its overrides.
 #[derive(Debug)]
 pub(super) struct Document {
     file: PathBuf,
     overrides: Vec<String>,
     root: Node,
+    /// Whether it only shows the format: the mesh files that it names do not exist.
+    exemplar: bool,
+    /// Keys in the order in which they were asked for.
+    asked: RefCell<Vec<(String, Asked)>>,
 }
 
 impl Document {
@@ -89,6 +129,8 @@ impl Document {
                 origin: Origin::Line(last_line),
                 content: Content::Table(BTreeMap::new()),
             },
+            exemplar: false,
+            asked: RefCell::default(),
         };
         document.root.content =
             document.table(root.into_inner(), "", &|span| Origin::Line(line_of(span)))?;
@@ -96,6 +138,28 @@ impl Document {
             document.lay_over(index)?;
         }
         Ok(document)
+    }
+
+    /// Parses a text that shows the format.
+    pub(super) fn exemplar(text: &str) -> Result<Document, Error> {
+        Ok(Document {
+            exemplar: true,
+            ..Document::parse(Path::new("exemplar.toml"), text, &[])?
+        })
+    }
+
+    /// Whether the mesh files that it names do not exist.
+    pub(super) fn is_exemplar(&self) -> bool {
+        self.exemplar
+    }
+
+    /// Keys, with their indices, and what the reader asked of their values.
+    pub(super) fn into_asked(self) -> Vec<(String, Asked)> {
+        self.asked.into_inner()
+    }
+
+    fn ask(&self, key: &str, asked: Asked) {
+        self.asked.borrow_mut().push((key.to_owned(), asked));
     }
 
     /// The root table.
@@ -379,6 +443,34 @@ impl<'a> Place<'a> {
         }
     }
 
+    /// Whether the mesh files of the scene do not exist.
+    pub(super) fn is_exemplar(&self) -> bool {
+        self.document.exemplar
+    }
+
+    fn ask(&self, asked: Asked) {
+        self.document.ask(&self.key, asked);
+    }
+
+    /// A number that [`Place::number`] or [`Place::positive`] gave, which must lie in a range; `problem` and `cure` say so.
+    pub(super) fn within(
+        &self,
+        value: f64,
+        range: impl RangeBounds<f64>,
+        problem: impl Into<String>,
+        cure: impl Into<String>,
+    ) -> Result<(), Error> {
+        let end = |bound: Bound<&f64>, open: f64| match bound {
+            Bound::Included(&end) => (end, true),
+            Bound::Excluded(&end) => (end, false),
+            Bound::Unbounded => (open, false),
+        };
+        let (least, with_least) = end(range.start_bound(), f64::NEG_INFINITY);
+        let (most, with_most) = end(range.end_bound(), f64::INFINITY);
+        self.ask(Asked::Within([least, most], [with_least, with_most]));
+        self.ensure(range.contains(&value), problem, cure)
+    }
+
     /// Whether an override wrote it.
     pub(super) fn is_override(&self) -> bool {
         matches!(self.node.origin, Origin::Set(_))
@@ -393,6 +485,7 @@ impl<'a> Place<'a> {
 
     /// A finite number. `what` names it with its unit, such as `a density in kg/m^3`.
     pub(super) fn number(&self, what: &str) -> Result<f64, Error> {
+        self.ask(Asked::Number(what.to_owned()));
         let value = match &self.node.content {
             Content::Integer(value) => *value as f64,
             Content::Float(value) => *value,
@@ -414,6 +507,7 @@ impl<'a> Place<'a> {
 
     /// A finite number above zero.
     pub(super) fn positive(&self, what: &str) -> Result<f64, Error> {
+        self.ask(Asked::Positive);
         let value = self.number(what)?;
         self.ensure(
             value > 0.0,
@@ -452,6 +546,7 @@ impl<'a> Place<'a> {
 
     /// A list of `N` finite numbers.
     pub(super) fn numbers<const N: usize>(&self, what: &str) -> Result<[f64; N], Error> {
+        self.ask(Asked::Numbers(N, what.to_owned()));
         let mut values = [0.0; N];
         for (value, place) in values.iter_mut().zip(self.items::<N>(what)?) {
             *value = place.number(what)?;
@@ -466,6 +561,7 @@ impl<'a> Place<'a> {
 
     /// Three finite numbers, or one that stands for all three.
     pub(super) fn number_or_vector(&self, what: &str) -> Result<DVec3, Error> {
+        self.ask(Asked::NumberOrVector(what.to_owned()));
         match self.node.content {
             Content::Integer(_) | Content::Float(_) => self.number(what).map(DVec3::splat),
             _ => self.vector(what),
@@ -486,6 +582,7 @@ impl<'a> Place<'a> {
 
     /// A whole number from `min` to `max`.
     pub(super) fn count(&self, what: &str, min: u64, max: u64) -> Result<u64, Error> {
+        self.ask(Asked::Count(min, max, what.to_owned()));
         let cure = format!("write {what} as a whole number from {min} to {max}");
         match &self.node.content {
             Content::Integer(value) => match u64::try_from(*value) {
@@ -503,6 +600,7 @@ impl<'a> Place<'a> {
         min: u64,
         max: u64,
     ) -> Result<[usize; N], Error> {
+        self.ask(Asked::Counts(N, min, max, what.to_owned()));
         let mut values = [0; N];
         for (value, place) in values.iter_mut().zip(self.items::<N>(what)?) {
             *value = place.count(what, min, max)? as usize;
@@ -512,6 +610,7 @@ impl<'a> Place<'a> {
 
     /// `true` or `false`.
     pub(super) fn boolean(&self) -> Result<bool, Error> {
+        self.ask(Asked::Boolean);
         match self.node.content {
             Content::Boolean(value) => Ok(value),
             _ => Err(self.wrong_type("true or false, without quotes")),
@@ -520,6 +619,7 @@ impl<'a> Place<'a> {
 
     /// A text that is not empty.
     pub(super) fn text(&self, what: &str) -> Result<&'a str, Error> {
+        self.ask(Asked::Text(what.to_owned()));
         match &self.node.content {
             Content::Text(text) if text.is_empty() => {
                 Err(self.fail("is empty", format!("write {what}")))
@@ -529,8 +629,20 @@ impl<'a> Place<'a> {
         }
     }
 
-    /// One of some words.
+    /// One of some words of the format.
     pub(super) fn choice<T: Copy>(&self, choices: &[(&str, T)]) -> Result<T, Error> {
+        let words = choices.iter().map(|(word, _)| (*word).to_owned());
+        self.ask(Asked::Choice(words.collect()));
+        self.one_word(choices)
+    }
+
+    /// One of the names that this scene gives; `what` is named so.
+    pub(super) fn named<T: Copy>(&self, what: &str, names: &[(&str, T)]) -> Result<T, Error> {
+        self.ask(Asked::Text(what.to_owned()));
+        self.one_word(names)
+    }
+
+    fn one_word<T: Copy>(&self, choices: &[(&str, T)]) -> Result<T, Error> {
         let words: Vec<_> = choices
             .iter()
             .map(|(word, _)| format!("\"{word}\""))
@@ -547,6 +659,8 @@ impl<'a> Place<'a> {
 
     /// A table that has none but the keys given.
     pub(super) fn table(self, keys: &Keys) -> Result<Table<'a>, Error> {
+        let valid = keys.valid.iter().map(|&key| key.to_owned());
+        self.ask(Asked::Table(valid.collect()));
         let Content::Table(entries) = &self.node.content else {
             return Err(match &self.node.content {
                 Content::Array(_) => self.fail(
@@ -598,6 +712,7 @@ impl<'a> Place<'a> {
 
     /// The entries of a list of tables.
     pub(super) fn list(&self) -> Result<Vec<Place<'a>>, Error> {
+        self.ask(Asked::List);
         match &self.node.content {
             Content::Array(items) => Ok(items
                 .iter()
@@ -633,6 +748,7 @@ impl<'a> Table<'a> {
 
     /// The value of a key that must be given. `example` is the line that would be right.
     pub(super) fn required(&self, name: &str, example: &str) -> Result<Place<'a>, Error> {
+        self.place.ask(Asked::Required(name.to_owned()));
         self.get(name).ok_or_else(|| {
             let key = join(&self.place.key, name);
             self.place.document.fail(
@@ -650,6 +766,8 @@ impl<'a> Table<'a> {
         names: &[&'k str],
         what: &str,
     ) -> Result<(&'k str, Place<'a>), Error> {
+        let all = names.iter().map(|&name| name.to_owned());
+        self.place.ask(Asked::OneOf(all.collect()));
         let mut given = names
             .iter()
             .filter_map(|&name| Some((name, self.get(name)?)));

@@ -4,6 +4,7 @@ mod camera;
 mod document;
 mod probe;
 mod read;
+pub mod schema;
 mod shape;
 mod solid;
 

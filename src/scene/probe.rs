@@ -166,7 +166,7 @@ fn solid_named(table: &Table, key: &str, solids: &[Solid]) -> Result<usize, Erro
         .zip(solids)
         .map(|(index, solid)| (solid.name.as_str(), index))
         .collect();
-    place.choice(&names)
+    place.named("the name of a solid", &names)
 }
 
 fn point(place: Place, domain: &Domain) -> Result<DVec3, Error> {

@@ -160,6 +160,17 @@ impl Scene {
             ));
         }
         let document = Document::parse(path, text, overrides)?;
+        Scene::of_document(&document, path, text, overrides, scale)
+    }
+
+    /// What a document says; `text` is what it was parsed from.
+    pub(super) fn of_document(
+        document: &Document,
+        path: &Path,
+        text: &str,
+        overrides: &[String],
+        scale: f64,
+    ) -> Result<Scene, Error> {
         let root = document.root().table(&ROOT)?;
         let domain = domain(&root, scale)?;
         let solids = solids(&root, path, &domain)?;
@@ -168,6 +179,10 @@ impl Scene {
             _ => Some(liquid(&root, path, &domain)?),
         };
         let obstacles = obstacles(&root, path, &domain)?;
+        let meshes = match document.is_exemplar() {
+            true => Vec::new(),
+            false => mesh_files(liquid.as_ref(), &obstacles, &solids),
+        };
         let scene = Scene {
             name: path
                 .file_stem()
@@ -175,12 +190,7 @@ impl Scene {
                 .to_string_lossy()
                 .into_owned(),
             file: path.to_owned(),
-            hash: hash(
-                text,
-                overrides,
-                scale,
-                &mesh_files(liquid.as_ref(), &obstacles, &solids),
-            )?,
+            hash: hash(text, overrides, scale, &meshes)?,
             scale,
             overrides: overrides.to_vec(),
             time: time(&root)?,
@@ -306,8 +316,9 @@ fn domain(root: &Table, scale: f64) -> Result<Domain, Error> {
 /// A density whose numbers stay in single precision; `usual`: what is.
 pub(super) fn density(place: &Place, usual: &str) -> Result<f64, Error> {
     let density = place.positive("a density in kg/m^3")?;
-    place.ensure(
-        DENSITIES.contains(&density),
+    place.within(
+        density,
+        DENSITIES,
         format!("is {density:?}"),
         format!("use 1e-6 to 1e6 kg/m^3; {usual}"),
     )?;
@@ -376,8 +387,9 @@ fn time(root: &Table) -> Result<Time, Error> {
     let frames_per_second = match table.get("frames_per_second") {
         Some(place) => {
             let rate = place.positive("frames per second")?;
-            place.ensure(
-                FRAME_RATES.contains(&rate),
+            place.within(
+                rate,
+                FRAME_RATES,
                 format!("is {rate:?}"),
                 "use 1e-3 to 1e6; 24 is usual",
             )?;
@@ -394,8 +406,9 @@ fn time(root: &Table) -> Result<Time, Error> {
     let cfl = match table.get("cfl") {
         Some(place) => {
             let cfl = place.positive("the cells that the fastest point crosses in a sub-step")?;
-            place.ensure(
-                cfl <= 32.0,
+            place.within(
+                cfl,
+                ..=32.0,
                 format!("is {cfl}"),
                 "use at most 32; 1 to 5 is usual",
             )?;
@@ -442,8 +455,7 @@ fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
             let radius = place.number("the marker radius in cells")?;
             let cure =
                 "use 0.5 to 1.2; half a cell's diagonal, 0.87, covers a cell with one marker";
-            let sound = MARKER_RADII.contains(&radius);
-            place.ensure(sound, format!("is {radius}"), cure)?;
+            place.within(radius, MARKER_RADII, format!("is {radius}"), cure)?;
             radius
         }
         None => 0.87,
@@ -595,8 +607,9 @@ fn solver(root: &Table, surface: Option<Surface>, has_solids: bool) -> Result<So
     if let Some(place) = table.get("tolerance") {
         solver.tolerance = place.positive("a relative tolerance")?;
         let problem = format!("is {}", solver.tolerance);
-        place.ensure(
-            (1e-14..1.0).contains(&solver.tolerance),
+        place.within(
+            solver.tolerance,
+            1e-14..1.0,
             problem,
             "use 1e-14 to 0.1; 1e-8 is usual",
         )?;
@@ -630,8 +643,9 @@ fn solver(root: &Table, surface: Option<Surface>, has_solids: bool) -> Result<So
     if let Some(place) = table.get("theta_floor") {
         solver.theta_floor = place.positive("the smallest distance to the surface in cells")?;
         let problem = format!("is {}", solver.theta_floor);
-        place.ensure(
-            (1e-6..=0.5).contains(&solver.theta_floor),
+        place.within(
+            solver.theta_floor,
+            1e-6..=0.5,
             problem,
             "use 1e-6 to 0.5; 1e-2 is usual with a fixed surface, 0.15 with markers",
         )?;
@@ -686,9 +700,10 @@ fn solver(root: &Table, surface: Option<Surface>, has_solids: bool) -> Result<So
     if let Some(place) = table.get("area_clamp") {
         solver.area_clamp = place.number("the smallest open fraction of a face")?;
         let problem = format!("is {}", solver.area_clamp);
-        place.ensure(
+        place.within(
+            solver.area_clamp,
             // Open fractions come from sums over patches and are off by up to 1e-12: those slivers are no faces.
-            (1e-6..0.5).contains(&solver.area_clamp),
+            1e-6..0.5,
             problem,
             "use 1e-6 to less than 0.5; 1e-3 is usual",
         )?;

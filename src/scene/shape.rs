@@ -157,7 +157,7 @@ pub(super) fn existing_file(
     let resolved = file.parent().unwrap_or(Path::new("")).join(name);
     let problem = format!("there is no file {}", resolved.display());
     place.ensure(
-        resolved.is_file(),
+        place.is_exemplar() || resolved.is_file(),
         problem,
         "give the path of the mesh relative to the scene's folder",
     )?;

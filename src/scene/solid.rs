@@ -1,5 +1,6 @@
 //! Elastic bodies: how they are written, and what can be told of them before their mesh is made.
 
+use std::ops::Bound;
 use std::path::Path;
 
 use glam::{DMat3, DVec3};
@@ -319,8 +320,9 @@ fn stays_inside(
 /// Young's modulus, Pa.
 fn stiffness(place: &Place) -> Result<f64, Error> {
     let young = place.positive("Young's modulus in Pa")?;
-    place.ensure(
-        (1e-3..=MAX_STRESS).contains(&young),
+    place.within(
+        young,
+        1e-3..=MAX_STRESS,
         format!("is {young:?}"),
         format!("use 1e-3 to {MAX_STRESS:e} Pa; rubber has 1e6, steel 2e11"),
     )?;
@@ -331,14 +333,16 @@ fn poisson(table: &Table) -> Result<f64, Error> {
     let place = table.required("poisson", "poisson = 0.3, Poisson's ratio")?;
     let poisson = place.number("Poisson's ratio")?;
     let problem = format!("is {poisson}");
-    place.ensure(
-        poisson < 0.5,
+    place.within(
+        poisson,
+        ..0.5,
         problem.clone(),
         "use less than 0.5, where the resistance to a change of volume is infinite; 0.49 is nearly incompressible, and above \
          it linear tetrahedra act stiffer than the material",
     )?;
-    place.ensure(
-        poisson > -1.0,
+    place.within(
+        poisson,
+        (Bound::Excluded(-1.0), Bound::Unbounded),
         problem,
         "use more than -1, where the resistance to shear is infinite; 0.3 is usual",
     )?;
@@ -354,11 +358,7 @@ fn damping(place: Place) -> Result<(f64, f64), Error> {
         };
         let value = place.number(what)?;
         let cure = format!("write {what}, zero or above, at most {MAX_DAMPING:e}");
-        place.ensure(
-            (0.0..=MAX_DAMPING).contains(&value),
-            format!("is {value:?}"),
-            cure,
-        )?;
+        place.within(value, 0.0..=MAX_DAMPING, format!("is {value:?}"), cure)?;
         Ok::<f64, Error>(value)
     };
     Ok((

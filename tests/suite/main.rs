@@ -41,6 +41,7 @@ mod reference_stages;
 mod report;
 mod rooms;
 mod scene;
+mod schema;
 mod shaders;
 mod solid_buffers;
 mod solid_case;

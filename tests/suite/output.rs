@@ -28,10 +28,15 @@ const BOTH: FrameKinds = FrameKinds {
 
 /// The interpreter with the reader, or `None` after saying why.
 pub(crate) fn python() -> Option<PathBuf> {
+    python_with("fieldcompare")
+}
+
+/// The interpreter with a package.
+pub(crate) fn python_with(package: &str) -> Option<PathBuf> {
     let python =
         std::env::var_os("CUTWATER_PYTHON").map_or_else(|| "python3".into(), PathBuf::from);
     let found = Command::new(&python)
-        .args(["-c", "import fieldcompare"])
+        .args(["-c", &format!("import {package}")])
         .output();
     let problem = match found {
         Ok(output) if output.status.success() => return Some(python),
@@ -41,11 +46,11 @@ pub(crate) fn python() -> Option<PathBuf> {
     let required = std::env::var("REQUIRE_READERS").is_ok_and(|value| value == "1");
     assert!(
         !required,
-        "REQUIRE_READERS=1 and {} cannot import fieldcompare: {problem}",
+        "REQUIRE_READERS=1 and {} cannot import {package}: {problem}",
         python.display()
     );
     eprintln!(
-        "skipped for want of fieldcompare in {}: {problem}",
+        "skipped for want of {package} in {}: {problem}",
         python.display()
     );
     None
