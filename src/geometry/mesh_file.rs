@@ -66,6 +66,10 @@ pub fn read(file: &Path) -> Result<Surface, Error> {
 pub fn parse(bytes: Vec<u8>, file: &Path) -> Result<Surface, Error> {
     let extension = extension(file);
     let surface = match extension.as_str() {
+        "obj" | "stl" | "ply" if bytes.is_empty() => Err(Problem::new(
+            "the file is empty: no triangles",
+            "export the mesh again, and see that the disk has room",
+        )),
         "obj" => obj(&bytes),
         "stl" => stl(bytes),
         "ply" => ply(&bytes),
@@ -128,16 +132,16 @@ fn obj(bytes: &[u8]) -> Result<Surface, Problem> {
     let no_materials = |_: &Path| Ok(Default::default());
     let (models, _) =
         tobj::load_obj_buf(&mut reader, &options, no_materials).map_err(|problem| Problem {
-            // Faces are looked up at the end of their object, so only a line that does not parse is the last one read.
-            line: matches!(
-                problem,
+            line: match problem {
                 tobj::LoadError::PositionParseError
-                    | tobj::LoadError::NormalParseError
-                    | tobj::LoadError::TexcoordParseError
-                    | tobj::LoadError::FaceParseError
-                    | tobj::LoadError::ColorParseError
-            )
-            .then_some(lines.get()),
+                | tobj::LoadError::NormalParseError
+                | tobj::LoadError::TexcoordParseError
+                | tobj::LoadError::FaceParseError
+                | tobj::LoadError::ColorParseError => Some(lines.get()),
+                // Faces are looked up at the end of their object.
+                tobj::LoadError::FaceVertexOutOfBounds => line_of_stray_face(bytes),
+                _ => None,
+            },
             problem: problem.to_string(),
             cure: cure.into(),
         })?;
@@ -156,6 +160,24 @@ fn obj(bytes: &[u8]) -> Result<Surface, Problem> {
         );
     }
     Ok(surface)
+}
+
+/// The line of the first face of an OBJ file with a vertex that does not exist.
+fn line_of_stray_face(bytes: &[u8]) -> Option<usize> {
+    let text = String::from_utf8_lossy(bytes);
+    let n_vertices = text.lines().filter(|line| line.starts_with("v ")).count() as u64;
+    let strays = |corner: &str| {
+        let number = corner
+            .split('/')
+            .next()
+            .and_then(|number| number.parse::<i64>().ok());
+        number.is_some_and(|number| !(1..=n_vertices).contains(&number.unsigned_abs()))
+    };
+    let stray = text.lines().position(|line| {
+        let corners = line.strip_prefix("f ").map(str::split_whitespace);
+        corners.is_some_and(|mut corners| corners.any(strays))
+    });
+    stray.map(|line| line + 1)
 }
 
 fn stl(mut bytes: Vec<u8>) -> Result<Surface, Problem> {
@@ -189,10 +211,21 @@ fn ply(bytes: &[u8]) -> Result<Surface, Problem> {
     let cure = "give elements `vertex` with x, y, z and `face` with the list vertex_indices";
     let file = Parser::<DefaultElement>::new()
         .read_ply(&mut Cursor::new(bytes))
-        .map_err(|problem| Problem {
-            line: problem.line(),
-            problem: problem.to_string(),
-            cure: cure.into(),
+        .map_err(|problem| {
+            // In several lines, of which the first begins with the number of that in the file.
+            let lines: Vec<String> = problem
+                .to_string()
+                .lines()
+                .map(|line| line.trim().to_owned())
+                .collect();
+            let text = lines.join(" ");
+            let number = problem.line().map(|line| format!("Line {line}: "));
+            let told = number.and_then(|number| text.strip_prefix(&number).map(str::to_owned));
+            Problem {
+                line: problem.line(),
+                problem: told.unwrap_or(text),
+                cure: cure.into(),
+            }
         })?;
     let elements = |name: &str| {
         file.payload

@@ -199,10 +199,10 @@ impl Surface {
         let mut used = HashMap::new();
         for (number, triangle) in self.triangles.iter().enumerate() {
             let corners = self.corners(number);
-            if let Some(bad) = corners.iter().find(|x| !x.is_finite()) {
+            if let Some(bad) = corners.iter().find(|&&x| !is_near(x)) {
                 return fault(
                     format!("triangle {} has the corner {bad}", number + 1),
-                    "coordinates must be finite numbers",
+                    "coordinates must be finite numbers, of at most 1e60 m",
                 );
             }
             // Twice the area of a triangle is its longest edge times its height: below rounding the height is noise.
@@ -269,4 +269,9 @@ impl Surface {
 /// The three directed edges of a triangle.
 pub(super) fn edges(&[a, b, c]: &[u32; 3]) -> [[u32; 2]; 3] {
     [[a, b], [b, c], [c, a]]
+}
+
+/// Whether the cube of what is so far out is still a number.
+pub(super) fn is_near(x: DVec3) -> bool {
+    x.is_finite() && x.abs().max_element() <= 1e60
 }

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::surface::Fault;
+use super::surface::{Fault, is_near};
 use super::{mesh_file, tet_fill, tet_read, tet_shapes};
 use crate::error::Error;
 use crate::scene::{Scene, Solid, SolidMesh};
@@ -225,10 +225,10 @@ impl TetMesh {
                 "give a mesh with 4-node tetrahedra",
             );
         }
-        if let Some(node) = self.nodes.iter().position(|x| !x.is_finite()) {
+        if let Some(node) = self.nodes.iter().position(|&x| !is_near(x)) {
             return fault(
                 format!("{} is at {}", node_name(node), self.nodes[node]),
-                "coordinates must be finite numbers",
+                "coordinates must be finite numbers, of at most 1e60 m",
             );
         }
         for (number, &element) in self.elements.iter().enumerate() {
