@@ -1,7 +1,7 @@
 //! checkpoint.npz: all that a run goes on from. numpy opens it: `numpy.load("DIR/checkpoint.npz")`.
 //!
 //! Arrays of numbers are f32 where that holds every number exactly, as it does for most that come from a device, else f64. Fields have the
-//! index order `[z, y, x]`. What a state gains is one line in [`arrays`], for writing and for reading.
+//! index order `[z, y, x]`. What a state gains is one line in `arrays`, for writing and for reading.
 
 use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
