@@ -35,6 +35,8 @@ pub struct Effects {
     pub patch_correction: bool,
     /// There are probes: the `probe` stage and its few numbers read back.
     pub probes: bool,
+    /// The liquid's surface is written as a mesh, which the host makes of every frame that is written.
+    pub surface: bool,
 }
 
 impl Effects {
@@ -77,6 +79,7 @@ impl Effects {
                 && !scene.solids.is_empty()
                 && scene.solver.pressure_on_patches != PatchPressure::Cell,
             probes: !scene.probes.is_empty(),
+            surface: scene.liquid.is_some() && scene.output.surface,
         }
     }
 }

@@ -3,9 +3,10 @@
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Receiver;
 
 use cutwater::Error;
-use cutwater::output::preview::{self, PreviewOptions, preview};
+use cutwater::output::preview::{self, Pictures, PreviewOptions};
 use indicatif::{ProgressBar, ProgressDrawTarget};
 
 /// Draw the frames of a run as pictures and an animation
@@ -40,34 +41,62 @@ impl Preview {
             colour,
             ..PreviewOptions::default()
         };
-        draw(&self.run, &options, &AtomicBool::new(false))
+        draw(
+            Pictures::new(&self.run, &options)?,
+            &self.run,
+            &AtomicBool::new(false),
+        )
     }
 }
 
-/// Draws a run's pictures, behind a progress bar on a terminal, and says where they are. A true `interrupt` ends it after the
-/// picture at work.
+/// Draws the pictures that a run lacks and the animation, behind a progress bar on a terminal, and says where they are. A true
+/// `interrupt` ends it after the picture at work.
 pub(super) fn draw(
+    mut pictures: Pictures,
     run: &Path,
-    options: &PreviewOptions,
     interrupt: &AtomicBool,
 ) -> Result<(), Error> {
     let bar = ProgressBar::no_length();
     if !std::io::stderr().is_terminal() {
         bar.set_draw_target(ProgressDrawTarget::hidden());
     }
-    let report = preview(run, options, &mut |done, all| {
+    pictures.draw(&mut |done, all| {
         bar.set_length(all as u64);
         bar.set_position(done as u64);
         !interrupt.load(Ordering::Relaxed)
     })?;
+    let report = pictures.finish()?;
     bar.finish_and_clear();
     say!(
         "{} pictures: {}",
         report.pictures.len(),
         run.join("preview").display()
     );
-    if let Some(animation) = report.animation {
+    if let Some(animation) = &report.animation {
         say!("animation: {}", animation.display());
     }
     Ok(())
+}
+
+/// Draws the pictures of a run while it goes on, each time it is told that a frame may have been written, until nothing more is to
+/// come or, after the picture at work, `stop` is true. Nothing was drawn where it was told nothing.
+pub(super) fn follow(
+    run: &Path,
+    told: &Receiver<()>,
+    stop: &AtomicBool,
+) -> Result<Option<Pictures>, Error> {
+    let mut pictures: Option<Pictures> = None;
+    while told.recv().is_ok() {
+        // What was told meanwhile is drawn with this.
+        while told.try_recv().is_ok() {}
+        let pictures = match &mut pictures {
+            Some(pictures) => pictures,
+            None => pictures.insert(Pictures::new(run, &PreviewOptions::default())?),
+        };
+        match pictures.draw(&mut |_, _| !stop.load(Ordering::Relaxed)) {
+            Err(Error::Interrupted) => break,
+            drawn => drawn?,
+        }
+    }
+    Ok(pictures)
 }

@@ -1,9 +1,10 @@
 //! `cutwater run`
 
 use std::io::IsTerminal;
+use std::panic::resume_unwind;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, OnceLock, mpsc};
 use std::time::{Duration, Instant};
 
 use cutwater::Error;
@@ -11,7 +12,7 @@ use cutwater::geometry;
 use cutwater::output::checkpoint::Checkpoint;
 use cutwater::output::frames::FrameKinds;
 use cutwater::output::manifest::Tally;
-use cutwater::output::preview::PreviewOptions;
+use cutwater::output::preview::{Pictures, PreviewOptions};
 use cutwater::scene::Scene;
 use cutwater::sim::{self, Options};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -40,7 +41,7 @@ pub(super) struct Run {
     /// Go on with the run in the folder where it ended; begin it where there is none
     #[arg(long)]
     resume: bool,
-    /// Draw the pictures and the animation when the run is done
+    /// Draw a picture of every frame as soon as it is written, and the animation at the end
     #[arg(long)]
     preview: bool,
 }
@@ -104,8 +105,31 @@ impl Run {
             }
             bar.set_message(line);
         };
-        let outcome = sim::run(&scene, &options, &mut listen, &interrupt);
-        bar.finish_and_clear();
+        let stop = AtomicBool::new(false);
+        let (outcome, pictures) = std::thread::scope(|scope| {
+            let (told, frames) = mpsc::channel();
+            let (out, stop) = (&out, &stop);
+            let painter = self
+                .preview
+                .then(|| scope.spawn(move || super::preview::follow(out, &frames, stop)));
+            let mut seen = None;
+            let mut listen = |progress: &sim::Progress| {
+                listen(progress);
+                // The files of a frame are whole before its sub-step is told of.
+                if seen < Some(progress.frame) {
+                    seen = Some(progress.frame);
+                    // Where nobody hears it, the painter failed, and says so at the end.
+                    let _ = told.send(());
+                }
+            };
+            let outcome = sim::run(&scene, &options, &mut listen, &interrupt);
+            stop.store(true, Ordering::Relaxed);
+            drop(told);
+            bar.finish_and_clear();
+            let joined = painter.map(|painter| painter.join());
+            let pictures = joined.map(|joined| joined.unwrap_or_else(|panic| resume_unwind(panic)));
+            (outcome, pictures)
+        });
         let summary = outcome.inspect_err(|error| {
             // Not where the run was refused: what is in the folder then is another's.
             let stopped = matches!(error.exit_code(), 4 | 130) || matches!(error, Error::Output { .. });
@@ -178,8 +202,12 @@ impl Run {
             );
         }
         say!("frames: {}", out.join("frames").display());
-        if self.preview {
-            super::preview::draw(&out, &PreviewOptions::default(), &interrupt)?;
+        if let Some(pictures) = pictures {
+            let pictures = match pictures? {
+                Some(pictures) => pictures,
+                None => Pictures::new(&out, &PreviewOptions::default())?,
+            };
+            super::preview::draw(pictures, &out, &interrupt)?;
         }
         Ok(())
     }
@@ -191,19 +219,20 @@ fn ensure_pictures(scene: &Scene) -> Result<(), Error> {
         markers,
         fields,
         solids,
+        surface,
     } = FrameKinds::of(scene);
     let of_liquid = (
         "liquid",
-        "output.particles or output.fields",
+        "output.particles, output.fields or output.surface",
         scene.liquid.is_some(),
-        markers || fields,
+        markers || fields || surface.is_some(),
     );
     let of_solids = ("solids", "output.solids", !scene.solids.is_empty(), solids);
     let missing = [of_liquid, of_solids]
         .into_iter()
         .filter(|(_, _, present, drawn)| *present && !drawn);
     for (what, keys, _, _) in missing {
-        if !(markers || fields || solids) {
+        if !(of_liquid.3 || solids) {
             return Err(Error::input(
                 "--preview",
                 "the scene writes no frames to draw",

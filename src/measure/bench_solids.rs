@@ -22,7 +22,7 @@ use crate::linalg::{SymbolicCholesky, norm};
 use crate::reference::{self, BlockPattern};
 use crate::scene::{
     Camera, Domain, ElasticModel, Initial, Output, Pin, Placement, Scene, Shape, Solid, SolidMesh,
-    Solver, Time,
+    Solver, SurfaceMesh, Time,
 };
 use crate::sim::{Backend, Simulation};
 use crate::solver::{
@@ -255,9 +255,11 @@ fn scene(body: Body, nodes: usize, options: &Options) -> Scene {
             particles: false,
             fields: false,
             solids: false,
+            surface: false,
             every: 1,
             checkpoint_every: 0,
         },
+        surface: SurfaceMesh::default(),
         camera: Camera::looking_at(&domain),
         domain,
     }

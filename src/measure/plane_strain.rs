@@ -24,7 +24,7 @@ use crate::elastic::Solids;
 use crate::geometry::TetMesh;
 use crate::scene::{
     Camera, Domain, ElasticModel, Initial, Liquid, Load, LoadKind, Output, Pin, Placement, Region,
-    Scene, Shape, Solid, SolidMesh, Solver, Surface, Time,
+    Scene, Shape, Solid, SolidMesh, Solver, Surface, SurfaceMesh, Time,
 };
 use crate::state::State;
 
@@ -236,15 +236,18 @@ impl PlaneStrain {
                 particles: false,
                 fields: false,
                 solids: false,
+                surface: false,
                 every: 1,
                 checkpoint_every: 0,
             },
+            surface: SurfaceMesh::default(),
             camera: Camera {
                 eye: 0.5 * size + 3.0 * DVec3::Z,
                 target: 0.5 * size,
                 up: DVec3::Y,
                 fov: 35.0,
                 size: [640, 480],
+                keyframes: Vec::new(),
             },
         })
     }

@@ -1,11 +1,12 @@
-//! Frame files in VTK's XML formats: VTP markers, VTI cell fields, VTU solids, VTP obstacles, and a `.pvd` series per kind.
+//! Frame files in VTK's XML formats: VTP markers, VTI cell fields, VTU solids, VTP surfaces of the liquid, VTP obstacles, and a
+//! `.pvd` series per kind. The liquid's surface comes as PLY too.
 //!
 //! Data are f32, inline base64, little endian. vtkio's compressed arrays are not used here: 0.7.0-rc2 announces one block too
 //! many for an array whose bytes are a multiple of 32768 (every 32^3 field), which VTK refuses.
 
 use std::path::{Path, PathBuf};
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use vtkio::model::{
     Attribute, Attributes, ByteOrder, CellType, Cells, DataArray, DataSet, Extent, IOBuffer,
@@ -14,15 +15,17 @@ use vtkio::model::{
 use vtkio::xml::Compressor;
 
 use super::atomic::{create_folder, write_atomically};
+use super::ply;
+use super::surface::LiquidSurface;
 use crate::Error;
 use crate::elastic::Solids;
 use crate::geometry::{self, CutCells};
 use crate::grid::{Axis, Grid};
-use crate::scene::{Scene, Surface};
+use crate::scene::{Scene, Surface, SurfaceMesh};
 use crate::state::State;
 
 /// Which frame files a run writes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FrameKinds {
     /// `NAME_%06d.vtp`
     pub markers: bool,
@@ -30,6 +33,17 @@ pub struct FrameKinds {
     pub fields: bool,
     /// `NAME_%06d.vtu`
     pub solids: bool,
+    /// `NAME_%06d.ply` and `NAME_surface_%06d.vtp`
+    pub surface: Option<SurfaceSource>,
+}
+
+/// What the mesh of the liquid's surface is made from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum SurfaceSource {
+    /// The markers.
+    Markers(SurfaceMesh),
+    /// The distance at cell centres, where the surface is fixed.
+    Distance,
 }
 
 impl FrameKinds {
@@ -40,6 +54,12 @@ impl FrameKinds {
             markers: scene.output.particles && surface == Some(Surface::Markers),
             fields: scene.output.fields || surface == Some(Surface::Fixed),
             solids: scene.output.solids && !scene.solids.is_empty(),
+            surface: surface
+                .filter(|_| scene.output.surface)
+                .map(|surface| match surface {
+                    Surface::Markers => SurfaceSource::Markers(scene.surface),
+                    Surface::Fixed => SurfaceSource::Distance,
+                }),
         }
     }
 }
@@ -53,6 +73,7 @@ pub struct FrameWriter {
     markers: Option<Series>,
     fields: Option<Series>,
     solids: Option<Series>,
+    surface: Option<(Series, SurfaceSource)>,
 }
 
 impl FrameWriter {
@@ -71,6 +92,7 @@ impl FrameWriter {
         let markers = series(kinds.markers, "markers");
         let fields = series(kinds.fields, "fields");
         let solids = series(kinds.solids, "solids");
+        let surface = series(kinds.surface.is_some(), "surface").zip(kinds.surface);
         Ok(FrameWriter {
             folder,
             name: name.to_owned(),
@@ -78,6 +100,7 @@ impl FrameWriter {
             markers,
             fields,
             solids,
+            surface,
         })
     }
 
@@ -88,34 +111,19 @@ impl FrameWriter {
             return Ok(());
         }
         let path = self.folder.join(format!("{}_obstacles.vtp", self.name));
-        let (mut points, mut connectivity) = (Vec::new(), Vec::new());
+        let (mut points, mut triangles) = (Vec::new(), Vec::new());
         let mut index = Vec::new();
         for (ix, obstacle) in (0_i32..).zip(obstacles) {
-            let first = (points.len() / 3) as u64;
-            points.extend(
-                obstacle
-                    .vertices
-                    .iter()
-                    .flat_map(|x| x.as_vec3().to_array()),
-            );
-            connectivity.extend(
-                obstacle
-                    .triangles
-                    .iter()
-                    .flatten()
-                    .map(|&corner| first + u64::from(corner)),
-            );
+            let first = (points.len() / 3) as u32;
+            let vertices = obstacle.vertices.iter();
+            points.extend(vertices.flat_map(|x| x.as_vec3().to_array()));
+            let corners = obstacle.triangles.iter();
+            triangles.extend(corners.map(|corners| corners.map(|corner| first + corner)));
             index.extend(obstacle.triangles.iter().map(|_| ix));
         }
-        let offsets = (1..=connectivity.len() as u64 / 3)
-            .map(|triangle| 3 * triangle)
-            .collect();
         let piece = PolyDataPiece {
             points: points.into(),
-            polys: Some(VertexNumbers::XML {
-                connectivity,
-                offsets,
-            }),
+            polys: Some(polygons(&triangles)),
             data: Attributes {
                 point: Vec::new(),
                 cell: vec![scalars("obstacle", index.into())],
@@ -130,15 +138,17 @@ impl FrameWriter {
     /// # Errors
     /// [`Error::Output`].
     pub fn go_on(&mut self, frames: &[u64], frames_per_second: f64) -> Result<(), Error> {
+        let surface = self.surface.as_mut().map(|(series, _)| series);
         let series = [
-            (&mut self.markers, "vtp"),
-            (&mut self.fields, "vti"),
-            (&mut self.solids, "vtu"),
+            (self.markers.as_mut(), "", "vtp"),
+            (self.fields.as_mut(), "", "vti"),
+            (self.solids.as_mut(), "", "vtu"),
+            (surface, "_surface", "vtp"),
         ];
-        for (series, extension) in series {
+        for (series, kind, extension) in series {
             let Some(series) = series else { continue };
             for &frame in frames {
-                let file = format!("{}_{frame:06}.{extension}", self.name);
+                let file = format!("{}{kind}_{frame:06}.{extension}", self.name);
                 series.add(frame as f64 / frames_per_second, &file);
             }
             series.write()?;
@@ -157,6 +167,7 @@ impl FrameWriter {
             markers,
             fields,
             solids,
+            surface,
         } = self;
         let stem = format!("{name}_{:06}", state.frame);
         let markers_file = markers
@@ -171,6 +182,10 @@ impl FrameWriter {
             .is_some()
             .then(|| solids_file(bodies, state))
             .transpose()?;
+        let surface = surface
+            .as_mut()
+            .map(|(series, source)| Ok((series, surface_of(grid, state, source)?)))
+            .transpose()?;
         for (series, file, extension) in [
             (markers, markers_file, "vtp"),
             (fields, fields_file, "vti"),
@@ -183,7 +198,95 @@ impl FrameWriter {
                 series.write()?;
             }
         }
+        if let Some((series, surface)) = surface {
+            ply::write(&folder.join(format!("{stem}.ply")), &surface)?;
+            let file_name = format!("{name}_surface_{:06}.vtp", state.frame);
+            write_vtk(&folder.join(&file_name), surface_file(surface))?;
+            series.add(state.time, &file_name);
+            series.write()?;
+        }
         Ok(())
+    }
+}
+
+/// The liquid's surface as it is written.
+pub(super) struct MovingSurface {
+    pub(super) mesh: LiquidSurface,
+    /// Of each vertex, m/s: trilinear from the faces.
+    pub(super) velocity: Vec<Vec3>,
+}
+
+fn surface_of(grid: &Grid, state: &State, source: &SurfaceSource) -> Result<MovingSurface, Error> {
+    let mesh = match source {
+        SurfaceSource::Markers(settings) => {
+            let mut markers = Vec::with_capacity(state.markers.len());
+            for (marker, position) in state.markers.iter().enumerate() {
+                let place = || format!("marker {marker}");
+                let mut x = Vec3::ZERO;
+                for axis in 0..3 {
+                    x[axis] = finite(state, "position", position[axis], place)?;
+                }
+                markers.push(x);
+            }
+            LiquidSurface::of_markers(&markers, grid, settings)
+        }
+        SurfaceSource::Distance => {
+            let cells = state.liquid_distance.iter().enumerate();
+            let distance = cells.map(|(cell, &phi)| {
+                finite(state, "liquid_distance", phi, || cell_name(grid, cell))
+            });
+            LiquidSurface::of_distance(&distance.collect::<Result<Vec<f32>, Error>>()?, grid)
+        }
+    };
+    let mesh = mesh.map_err(|problem| Error::Stage {
+        stage: "write_frame",
+        step: state.step,
+        problem: format!("no mesh of the liquid's surface: {problem}"),
+    })?;
+    let mut velocity = Vec::with_capacity(mesh.vertices.len());
+    for (vertex, x) in mesh.vertices.iter().enumerate() {
+        let place = || format!("vertex {vertex} of the surface");
+        let of_faces = grid.velocity_at(&state.velocity, x.as_dvec3());
+        let mut u = Vec3::ZERO;
+        for axis in 0..3 {
+            u[axis] = finite(state, "velocity", of_faces[axis], place)?;
+        }
+        velocity.push(u);
+    }
+    Ok(MovingSurface { mesh, velocity })
+}
+
+/// Triangles (m); point data `Normals`, out of the liquid, and `velocity` (m/s).
+fn surface_file(MovingSurface { mesh, velocity }: MovingSurface) -> DataSet {
+    let numbers = |vectors: Vec<Vec3>| -> Vec<f32> {
+        vectors.into_iter().flat_map(|x| x.to_array()).collect()
+    };
+    let normals = Attribute::DataArray(DataArray {
+        data: numbers(mesh.normals).into(),
+        ..DataArray::normals("Normals")
+    });
+    let piece = PolyDataPiece {
+        polys: Some(polygons(&mesh.triangles)),
+        points: numbers(mesh.vertices).into(),
+        data: Attributes {
+            point: vec![normals, vectors("velocity", numbers(velocity))],
+            cell: Vec::new(),
+        },
+        ..Default::default()
+    };
+    poly_data(piece)
+}
+
+fn polygons(triangles: &[[u32; 3]]) -> VertexNumbers {
+    VertexNumbers::XML {
+        connectivity: triangles
+            .iter()
+            .flatten()
+            .map(|&corner| corner.into())
+            .collect(),
+        offsets: (1..=triangles.len() as u64)
+            .map(|triangle| 3 * triangle)
+            .collect(),
     }
 }
 

@@ -11,7 +11,7 @@ use super::atomic::write_atomically;
 use super::frames::FrameKinds;
 use crate::Error;
 use crate::elastic::Solids;
-use crate::scene::{Camera, Scene, SolidMesh, Surface};
+use crate::scene::{Camera, CameraKeyframe, Scene, SolidMesh, Surface, SurfaceMesh};
 
 /// Everything in manifest.json. Written when the run starts and again with each frame and at the end.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -43,6 +43,12 @@ pub struct Manifest {
     pub markers: bool,
     /// Whether frames have VTI fields.
     pub fields: bool,
+    /// Whether frames have surfaces; not in the file where they have not.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub surfaces: bool,
+    /// How the mesh of the surface is made, for pictures too; none without markers.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub surface: Option<SurfaceRecord>,
     /// The solids of the scene; not in the file where there are none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub solids: Vec<SolidRecord>,
@@ -125,7 +131,7 @@ pub struct EarlierAdapter {
 }
 
 /// [`Camera`] in a file.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CameraRecord {
     /// Position, m.
     pub eye: [f64; 3],
@@ -137,25 +143,78 @@ pub struct CameraRecord {
     pub fov: f64,
     /// Picture size, pixels.
     pub size: [usize; 2],
+    /// Its path; not in the file where it rests.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub keyframes: Vec<CameraKeyframeRecord>,
+}
+
+/// [`CameraKeyframe`] in a file.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CameraKeyframeRecord {
+    /// s
+    pub t: f64,
+    /// Position, m.
+    pub eye: [f64; 3],
+    /// Point in the middle of the picture, m.
+    pub target: [f64; 3],
+    /// Vertical opening, degrees.
+    pub fov: f64,
 }
 
 impl From<&Camera> for CameraRecord {
-    fn from(
-        &Camera {
-            eye,
-            target,
-            up,
-            fov,
-            size,
-        }: &Camera,
-    ) -> CameraRecord {
+    fn from(camera: &Camera) -> CameraRecord {
+        let keyframes = camera.keyframes.iter();
         CameraRecord {
-            eye: eye.to_array(),
-            target: target.to_array(),
-            up: up.to_array(),
-            fov,
-            size,
+            eye: camera.eye.to_array(),
+            target: camera.target.to_array(),
+            up: camera.up.to_array(),
+            fov: camera.fov,
+            size: camera.size,
+            keyframes: keyframes
+                .map(|keyframe| CameraKeyframeRecord {
+                    t: keyframe.time,
+                    eye: keyframe.eye.to_array(),
+                    target: keyframe.target.to_array(),
+                    fov: keyframe.fov,
+                })
+                .collect(),
         }
+    }
+}
+
+impl From<&CameraRecord> for Camera {
+    fn from(record: &CameraRecord) -> Camera {
+        let keyframes = record.keyframes.iter();
+        Camera {
+            eye: record.eye.into(),
+            target: record.target.into(),
+            up: record.up.into(),
+            fov: record.fov,
+            size: record.size,
+            keyframes: keyframes
+                .map(|keyframe| CameraKeyframe {
+                    time: keyframe.t,
+                    eye: keyframe.eye.into(),
+                    target: keyframe.target.into(),
+                    fov: keyframe.fov,
+                })
+                .collect(),
+        }
+    }
+}
+
+/// [`SurfaceMesh`] in a file.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SurfaceRecord {
+    /// Distance of the surface from a marker alone, cells.
+    pub radius: f64,
+    /// Rounds of smoothing.
+    pub smoothing: u32,
+}
+
+impl From<&SurfaceMesh> for SurfaceRecord {
+    fn from(&SurfaceMesh { radius, smoothing }: &SurfaceMesh) -> SurfaceRecord {
+        SurfaceRecord { radius, smoothing }
     }
 }
 
@@ -220,6 +279,7 @@ impl Manifest {
             markers,
             fields,
             solids: solid_frames,
+            surface,
         } = FrameKinds::of(scene);
         let liquid = scene
             .liquid
@@ -243,6 +303,8 @@ impl Manifest {
             obstacles: !scene.obstacles.is_empty(),
             markers,
             fields,
+            surfaces: surface.is_some(),
+            surface: liquid.map(|_| SurfaceRecord::from(&scene.surface)),
             solids: Vec::new(),
             solid_frames,
             frames_per_second: scene.time.frames_per_second,

@@ -7,6 +7,8 @@
 //! DIR/frames/NAME_000042.vtp     markers                 NAME_markers.pvd   the same with times
 //! DIR/frames/NAME_000042.vti     cell fields             NAME_fields.pvd    the same with times
 //! DIR/frames/NAME_000042.vtu     solids                  NAME_solids.pvd    the same with times
+//! DIR/frames/NAME_000042.ply     the liquid's surface
+//! DIR/frames/NAME_surface_000042.vtp  the same         NAME_surface.pvd   the same with times
 //! DIR/frames/NAME_obstacles.vtp  surfaces of the obstacles
 //! DIR/preview/NAME_000042.png    shaded pictures         NAME.png           the animation (APNG)
 //! ```
@@ -18,7 +20,9 @@ pub mod checkpoint;
 pub mod frames;
 pub mod manifest;
 mod mesh;
+mod ply;
 pub mod preview;
+mod surface;
 pub mod tables;
 
 pub use atomic::{FolderLock, is_partial, write_atomically};

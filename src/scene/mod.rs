@@ -7,6 +7,7 @@ mod read;
 pub mod schema;
 mod shape;
 mod solid;
+mod surface;
 
 use std::path::PathBuf;
 
@@ -43,6 +44,8 @@ pub struct Scene {
     pub solver: Solver,
     /// What is written.
     pub output: Output,
+    /// How the mesh of the liquid's surface is made.
+    pub surface: SurfaceMesh,
     /// Where `preview` looks from.
     pub camera: Camera,
 }
@@ -557,16 +560,28 @@ pub struct Output {
     pub fields: bool,
     /// VTU solids; default on with solids.
     pub solids: bool,
+    /// The liquid's surface as PLY and VTP; default off.
+    pub surface: bool,
     /// Every how many frames; default 1.
     pub every: u64,
     /// Frames from one checkpoint to the next; 0: only where the run is interrupted. Default 10.
     pub checkpoint_every: u64,
 }
 
+/// How the mesh of the liquid's surface is made from markers, for files and for pictures.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SurfaceMesh {
+    /// Distance of the surface from a marker alone, cells; default 0.95. A flat surface lies 0.7 of it beyond its
+    /// outermost markers.
+    pub radius: f64,
+    /// Rounds of smoothing, which keep the volume; default 20.
+    pub smoothing: u32,
+}
+
 /// A pinhole camera.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Camera {
-    /// Position, m; default from the domain.
+    /// Position, m; default from the domain. With keyframes, that of the first.
     pub eye: DVec3,
     /// Point in the middle of the picture, m.
     pub target: DVec3,
@@ -576,6 +591,21 @@ pub struct Camera {
     pub fov: f64,
     /// Picture size, pixels.
     pub size: [usize; 2],
+    /// Its path, ascending in time; empty: it rests.
+    pub keyframes: Vec<CameraKeyframe>,
+}
+
+/// Where a camera is at one time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CameraKeyframe {
+    /// s
+    pub time: f64,
+    /// Position, m.
+    pub eye: DVec3,
+    /// Point in the middle of the picture, m.
+    pub target: DVec3,
+    /// Vertical opening, degrees.
+    pub fov: f64,
 }
 
 impl Scene {

@@ -11,6 +11,7 @@ use super::document::{Document, Keys, Place, Table};
 use super::probe::probes;
 use super::shape::{placement, shape};
 use super::solid::solids;
+use super::surface::surface;
 use super::{
     CouplingScheme, Domain, FaceAreas, Formulation, Liquid, Obstacle, Output, PatchPressure,
     Placement, Precision, Preconditioner, Region, Scene, Shape, Solid, SolidMesh, Solver, Surface,
@@ -43,11 +44,11 @@ const WHOLE_STEPS: f64 = 1e-6;
 const ROOT: Keys = Keys {
     valid: &[
         "domain", "time", "liquid", "solid", "obstacle", "probe", "solver", "output", "camera",
+        "surface",
     ],
     later: &[
         ("source", "sources are not simulated"),
         ("sink", "sinks are not simulated"),
-        ("surface", "surface meshes are not made"),
     ],
 };
 const DOMAIN: Keys = Keys {
@@ -120,8 +121,15 @@ const SOLVER: Keys = Keys {
     ],
 };
 const OUTPUT: Keys = Keys {
-    valid: &["particles", "fields", "solids", "every", "checkpoint_every"],
-    later: &[("surface", "surface meshes are not made")],
+    valid: &[
+        "particles",
+        "fields",
+        "solids",
+        "surface",
+        "every",
+        "checkpoint_every",
+    ],
+    later: &[],
 };
 
 impl Scene {
@@ -179,6 +187,7 @@ impl Scene {
             _ => Some(liquid(&root, path, &domain)?),
         };
         let obstacles = obstacles(&root, path, &domain)?;
+        let time = time(&root)?;
         let meshes = match document.is_exemplar() {
             true => Vec::new(),
             false => mesh_files(liquid.as_ref(), &obstacles, &solids),
@@ -193,7 +202,6 @@ impl Scene {
             hash: hash(text, overrides, scale, &meshes)?,
             scale,
             overrides: overrides.to_vec(),
-            time: time(&root)?,
             solver: solver(
                 &root,
                 liquid.as_ref().map(|liquid| liquid.surface),
@@ -202,9 +210,16 @@ impl Scene {
             obstacles,
             probes: probes(&root, &domain, liquid.is_some(), &solids)?,
             output: output(&root, liquid.is_some(), !solids.is_empty())?,
+            surface: surface(
+                &root,
+                liquid
+                    .as_ref()
+                    .is_some_and(|liquid| liquid.surface == Surface::Markers),
+            )?,
             liquid,
             solids,
-            camera: camera(&root, &domain)?,
+            camera: camera(&root, &domain, &time)?,
+            time,
             domain,
         };
         Ok(scene)
@@ -716,6 +731,7 @@ fn output(root: &Table, has_liquid: bool, has_solids: bool) -> Result<Output, Er
         particles: has_liquid,
         fields: false,
         solids: has_solids,
+        surface: false,
         every: 1,
         checkpoint_every: 10,
     };
@@ -729,6 +745,7 @@ fn output(root: &Table, has_liquid: bool, has_solids: bool) -> Result<Output, Er
         ("particles", &mut output.particles, liquid),
         ("fields", &mut output.fields, liquid),
         ("solids", &mut output.solids, solids),
+        ("surface", &mut output.surface, liquid),
     ] {
         if let Some(place) = table.get(key) {
             *wanted = place.boolean()?;

@@ -318,6 +318,15 @@ fn effect_lines(scene: &Scene, effects: &Effects) -> Vec<EffectLine> {
             effects.probes,
             count(scene.probes.len(), "[[probe]]"),
         ),
+        (
+            "surface",
+            effects.surface,
+            match (effects.liquid, effects.surface) {
+                (false, _) => "there is no liquid".to_owned(),
+                (_, false) => "output.surface is off".to_owned(),
+                (_, true) => "output.surface = true: a mesh of each frame, made by the host".to_owned(),
+            },
+        ),
     ]
     .map(|(name, present, reason)| EffectLine {
         name,

@@ -335,7 +335,7 @@ fn prepare_folder(out: &Path, earlier_run: Option<Manifest>) -> Result<(), Error
             let kind = Path::new(name).extension().and_then(|kind| kind.to_str());
             let rest = name.strip_prefix(&earlier.scene.name);
             rest.is_some_and(|rest| rest.starts_with(['_', '.']))
-                && matches!(kind, Some("vtp" | "vti" | "vtu" | "pvd" | "png"))
+                && matches!(kind, Some("vtp" | "vti" | "vtu" | "ply" | "pvd" | "png"))
         };
         for folder in ["frames", "preview"] {
             remove(&out.join(folder), &of_run)?;

@@ -1,4 +1,4 @@
-"""Prints what an independent reader (fieldcompare) finds in a .vtp, .vti, .vtu or .pvd file, as JSON for tests/suite/output.rs.
+"""Prints what independent readers (fieldcompare, trimesh) find in a .vtp, .vti, .vtu, .pvd or .ply file, as JSON for tests/suite.
 
 Numbers keep all their digits: an f32 is printed as the f64 of the same value.
 """
@@ -8,6 +8,8 @@ import os
 import sys
 from xml.etree import ElementTree
 
+import numpy
+import trimesh
 from fieldcompare.io.vtk import VTIReader, VTPReader, VTUReader, read
 from fieldcompare.mesh._mesh_fields import remove_cell_type_suffix
 
@@ -23,9 +25,31 @@ def fields(mesh_fields):
     return found
 
 
+def surface(path):
+    """A surface of triangles as trimesh reads it, with what it says of its edges and its inside."""
+    with open(path, "rb") as file:
+        parts = trimesh.exchange.ply.load_ply(file)
+    raw = parts["metadata"]["_ply_raw"]
+    vertices = raw["vertex"]["data"]
+    columns = lambda *names: numpy.stack([vertices[name].reshape(-1) for name in names], axis=-1).tolist()
+    mesh = trimesh.Trimesh(parts["vertices"], parts["faces"], process=False) if len(vertices) else trimesh.Trimesh()
+    return {
+        "coordinates": columns("x", "y", "z"),
+        "normals": columns("nx", "ny", "nz"),
+        "velocity": columns("vx", "vy", "vz"),
+        "triangles": mesh.faces.tolist(),
+        "watertight": bool(mesh.is_watertight),
+        "winding": bool(mesh.is_winding_consistent),
+        "volume": float(mesh.volume),
+        "area": float(mesh.area),
+    }
+
+
 def describe(path):
     """Everything in one file."""
     extension = os.path.splitext(path)[1]
+    if extension == ".ply":
+        return surface(path)
     if extension == ".pvd":
         times = [float(entry.attrib["timestep"]) for entry in ElementTree.parse(path).iter("DataSet")]
         frames = [fields(frame) for frame in read(path)]

@@ -561,7 +561,11 @@ fn pictures_without_frames_are_refused_before_the_run() {
     let beam = folder(BEAM);
     without(&beam, "--set output.solids=false", "output.solids");
     let dam = folder(DAM);
-    without(&dam, "--set output.particles=false", "output.particles or");
+    without(
+        &dam,
+        "--set output.particles=false",
+        "output.particles, output.fields or",
+    );
     let region = "[[liquid.region]]\nbox = { min = [0, 0, 0], max = [1.5, 0.5, 0.5] }\n";
     let both = folder(&(BEAM.to_owned() + region));
     for (off, missing) in [("solids", "solids"), ("particles", "liquid")] {

@@ -31,6 +31,7 @@ mod liquid_case;
 mod momentum;
 mod output;
 mod output_solids;
+mod output_surface;
 mod pages;
 mod physics;
 mod plan;

@@ -1,4 +1,4 @@
-//! Files are read back by readers that share no code with the writers: fieldcompare (Python) for VTK files, the csv and
+//! Files are read back by readers that share no code with the writers: fieldcompare and trimesh (Python) for VTK and PLY files, the csv and
 //! png crates for tables and pictures.
 //!
 //! `CUTWATER_PYTHON` names the interpreter (default `python3`), `REQUIRE_READERS=1` makes a missing reader a failure;
@@ -24,6 +24,7 @@ const BOTH: FrameKinds = FrameKinds {
     markers: true,
     fields: true,
     solids: false,
+    surface: None,
 };
 
 /// The interpreter with the reader, or `None` after saying why.
@@ -261,9 +262,8 @@ fn whole_blocks_read_back() {
         solid_distance: vec![3.0 * grid.dx; grid.n_cells()],
     };
     let kinds = FrameKinds {
-        markers: false,
         fields: true,
-        solids: false,
+        ..FrameKinds::default()
     };
     FrameWriter::create(run.path(), "cube", grid, kinds)
         .unwrap()
@@ -288,8 +288,7 @@ fn no_markers_read_back() {
     state.markers.clear();
     let kinds = FrameKinds {
         markers: true,
-        fields: false,
-        solids: false,
+        ..FrameKinds::default()
     };
     FrameWriter::create(run.path(), "dry", grid, kinds)
         .unwrap()
@@ -623,15 +622,18 @@ fn scene() -> Scene {
             particles: true,
             solids: false,
             fields: false,
+            surface: false,
             every: 1,
             checkpoint_every: 10,
         },
+        surface: scene::SurfaceMesh::default(),
         camera: scene::Camera {
             eye: DVec3::new(1.5, 1.0, 2.0),
             target: DVec3::new(0.5, 0.2, 0.25),
             up: DVec3::Y,
             fov: 35.0,
             size: [320, 180],
+            keyframes: Vec::new(),
         },
     }
 }
@@ -696,6 +698,7 @@ pub(crate) fn front_camera() -> scene::Camera {
         up: DVec3::Y,
         fov: 20.0,
         size: [320, 180],
+        keyframes: Vec::new(),
     }
 }
 

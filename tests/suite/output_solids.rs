@@ -119,9 +119,8 @@ fn solids_read_back_exactly() {
     assert_eq!(
         FrameKinds::of(&case.scene),
         FrameKinds {
-            markers: false,
-            fields: false,
-            solids: true
+            solids: true,
+            ..FrameKinds::default()
         }
     );
     // One pulled along x, one turned inside out along y.
@@ -383,7 +382,7 @@ fn colours_tell_stress_and_volume() {
             "{colour:?}: colours of bodies"
         );
         // The legend: its bar in the upper right corner has the largest value's colour above and the least one's below.
-        let [x, above, below] = [first.size[0] - 12, 28, first.size[1] * 2 / 5 + 22];
+        let [x, above, below] = [first.size[0] - 12, 44, first.size[1] * 2 / 5 + 36];
         let bar = [above, below].map(|y| first.at([x, y]));
         assert!(differ(bar[0], bar[1]), "{colour:?}: no legend: {bar:?}");
         let yellow = |[red, green, blue]: [i32; 3]| red > 200 && green > 200 && blue < 80;

@@ -300,6 +300,9 @@ const REFUSED: &[Case] = &[
     ("fields = true", "solids = true", 49, "output.solids", &["no [[solid]]", "solids = false"]),
     ("precision = \"f32\"", "formulation = \"auto\"", 43, "solver.formulation", &["about elastic solids in liquid", "remove it"]),
     ("every = 2", "checkpoint_every = -2", 50, "output.checkpoint_every", &["whole number from 0"]),
+    ("[solver]", "[surface]\nradius = 9\n[solver]", 41, "surface.radius", &["is 9", "0.6 to 3 cells"]),
+    ("[solver]", "[surface]\nsmoothing = -1\n[solver]", 41, "surface.smoothing", &["is -1", "from 0 to 1000"]),
+    ("[solver]", "[surface]\nsmothing = 1\n[solver]", 41, "surface.smothing", &["did you mean `smoothing`"]),
     // What is missing: at the header of its table.
     ("cells = [32, 16, 8]\n", "", 2, "domain.cells", &["is missing", "cells = [32, 32, 32]"]),
     ("duration = 1.5\n", "", 6, "time.duration", &["is missing"]),
@@ -340,6 +343,12 @@ const REFUSED: &[Case] = &[
     // Camera.
     ("eye = [1, 1, 3]", "eye = [1, 0.5, 0.25]", 52, "camera.eye", &["target"]),
     ("eye = [1, 1, 3]", "eye = [1, 5, 0.25]", 52, "camera.eye", &["along the camera's up"]),
+    ("eye = [1, 1, 3]", "eye = [1, 1, 3]\nkeyframes = [{ t = 0, eye = [1, 1, 3] }]", 52, "camera.eye", &["beside keyframes", "remove one"]),
+    ("eye = [1, 1, 3]", "keyframes = []", 52, "camera.keyframes", &["no entry", "eye = [3, 2, 4]"]),
+    ("eye = [1, 1, 3]", "keyframes = [{ t = 0 }]", 52, "camera.keyframes[0].eye", &["is missing", "eye = [3, 2, 4], in m"]),
+    ("eye = [1, 1, 3]", "keyframes = [{ t = 1, eye = [1, 1, 3] }, { t = 1, eye = [2, 1, 3] }]", 52, "camera.keyframes[1].t", &["1 s does not come after", "in the order of their times"]),
+    ("eye = [1, 1, 3]", "keyframes = [{ t = 0, eye = [1, 1, 3], fov = 170 }]", 52, "camera.keyframes[0].fov", &["is 170", "150"]),
+    ("eye = [1, 1, 3]", "keyframes = [{ t = 0, eye = [1, 0.5, 3.25] }, { t = 1, eye = [1, 0.5, -2.75] }]", 52, "camera.keyframes[0]", &["target itself at 0.5 s", "move it"]),
     ("fov = 50", "fov = 180", 55, "camera.fov", &["150"]),
     ("size = [640, 480]", "size = [640, 4]", 56, "camera.size[1]", &["from 16"]),
 ];
@@ -923,4 +932,54 @@ fn every_scene_in_the_folder_loads_at_every_usual_size() {
             );
         }
     }
+}
+
+/// Through its keyframes, at rest before and after them; with two on a straight line at one speed, with three without a kink.
+#[test]
+fn a_camera_goes_smoothly_through_its_keyframes() {
+    let text = "[domain]
+size = [1, 1, 1]
+cells = [8, 8, 8]
+[time]
+duration = 4
+[[liquid.region]]
+box = { min = [0, 0, 0], max = [1, 0.5, 1] }
+[camera]
+target = [0.5, 0.5, 0.5]
+fov = 40
+keyframes = [{ t = 1, eye = [3, 1, 3] }, { t = 2, eye = [0, 1, 4], fov = 20 }, { t = 3.5, eye = [-3, 2, 3], target = [0.5, 1, 0.5] }]
+";
+    let path = Path::new("moving.toml");
+    let camera = Scene::parse(path, text, &[], 1.0).unwrap().camera;
+    assert_eq!(camera.eye, DVec3::new(3.0, 1.0, 3.0));
+    let eye = |time: f64| camera.pose(time).eye;
+    for (time, at) in [
+        (0.0, DVec3::new(3.0, 1.0, 3.0)),
+        (1.0, DVec3::new(3.0, 1.0, 3.0)),
+        (2.0, DVec3::new(0.0, 1.0, 4.0)),
+        (3.5, DVec3::new(-3.0, 2.0, 3.0)),
+        (9.0, DVec3::new(-3.0, 2.0, 3.0)),
+    ] {
+        assert!(eye(time).distance(at) < 1e-12, "at {time} s: {}", eye(time));
+    }
+    let speed = |time: f64| (eye(time + 1e-6) - eye(time - 1e-6)) / 2e-6;
+    let (before, after) = (speed(2.0 - 1e-5), speed(2.0 + 1e-5));
+    assert!(
+        before.distance(after) < 1e-3,
+        "a kink from {before} to {after}"
+    );
+    // From the first to the last, in 2.5 s.
+    assert!(
+        before.distance(DVec3::new(-6.0, 1.0, 0.0) / 2.5) < 1e-3,
+        "{before}"
+    );
+    assert_eq!(camera.pose(2.0).fov, 20.0);
+    assert_eq!(camera.pose(2.0).target, DVec3::splat(0.5));
+    assert!((20.0..=40.0).contains(&camera.pose(2.7).fov));
+    let two = text.replace(
+        ", { t = 3.5, eye = [-3, 2, 3], target = [0.5, 1, 0.5] }",
+        "",
+    );
+    let camera = Scene::parse(path, &two, &[], 1.0).unwrap().camera;
+    assert!(camera.pose(1.25).eye.distance(DVec3::new(2.25, 1.0, 3.25)) < 1e-12);
 }

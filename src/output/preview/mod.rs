@@ -1,8 +1,9 @@
 //! Shaded pictures of a run, from its files alone: `manifest.json` and `frames/`.
 //!
-//! Rays are traced on the CPU in f32: liquid from the markers (or, with a fixed surface, from the cell fields) with
-//! refraction, Fresnel reflection and colour by depth; elastic solids, in colours of their own or of their stress or change of
-//! volume; obstacles; the floor with lines at round distances; the domain's edges. Every pixel is computed by itself, so pictures do not depend on the number of threads.
+//! Rays are traced on the CPU in f32: the mesh of the liquid's surface, as it was written or made from markers or cell fields,
+//! with refraction, Fresnel reflection and colour by depth; elastic solids, in colours of their own or of their stress or change
+//! of volume; obstacles; shadows with soft edges; the floor with lines and numbers at round distances; the domain's edges. Every
+//! pixel is computed by itself, so pictures do not depend on the number of threads.
 
 mod liquid;
 mod picture;
@@ -14,15 +15,18 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use vtkio::Vtk;
 use vtkio::model::{Attribute, Attributes, DataSet, IOBuffer, Piece, VertexNumbers};
 
 use super::atomic::create_folder;
 use super::manifest::Manifest;
+use super::surface::LiquidSurface;
 use crate::Error;
-use liquid::LiquidField;
-use picture::{Animation, Picture};
+use crate::grid::Grid;
+use crate::scene::{Camera, SurfaceMesh};
+use liquid::Liquid;
+use picture::Picture;
 use shade::{Stage, View};
 use solids::{Scale, Skin, SolidFrame};
 use triangles::{Owner, Triangle, Triangles};
@@ -94,93 +98,158 @@ pub fn preview(
     options: &PreviewOptions,
     progress: &mut dyn FnMut(usize, usize) -> bool,
 ) -> Result<PreviewReport, Error> {
-    let manifest = Manifest::read(run)?;
-    let name = &manifest.scene.name;
-    let frames = frame_files(&run.join("frames"), &manifest)?;
-    let frames: Vec<(u64, FrameFiles)> = frames.into_iter().step_by(options.every.max(1)).collect();
-    if options.colour != Colour::Solid && !manifest.solid_frames {
-        return Err(Error::input(
-            run.display().to_string(),
-            "no frame has elastic solids that could be coloured",
-            "draw it without --colour",
-        ));
-    }
-    let solid_files = frames
-        .iter()
-        .filter_map(|(_, files)| files.solids.as_deref());
-    let scale = Scale::over(options.colour, solid_files)?;
-    let folder = run.join("preview");
-    create_folder(&folder)?;
+    let mut pictures = Pictures::new(run, options)?;
+    pictures.draw(progress)?;
+    pictures.finish()
+}
 
-    let camera = &manifest.camera;
-    let vector = |x: [f64; 3]| Vec3::from_array(x.map(|x| x as f32));
-    let size = options.size.unwrap_or(camera.size);
-    let view = View::new(
-        vector(camera.eye),
-        vector(camera.target),
-        vector(camera.up),
-        camera.fov as f32,
-        size,
-    );
-    let domain = vector(manifest.size);
-    let up = upwards(vector(manifest.gravity), vector(camera.up));
-    let obstacles = Triangles::new(match manifest.obstacles {
-        true => read_obstacles(&run.join("frames").join(format!("{name}_obstacles.vtp")))?,
-        false => Vec::new(),
-    });
-    let mut stage = Stage {
-        liquid: None,
-        obstacles: &obstacles,
-        solids: Triangles::none(),
-        looks: Vec::new(),
-        scale: &scale,
-        pixel: view.pixel(),
-        domain,
-        up,
-        floor_lines: round_length(0.12 * domain.max_element()),
-        sun: Stage::sun_for(&view, up),
-    };
+/// Draws the pictures of a run, also while its frames are still being written.
+pub struct Pictures {
+    run: PathBuf,
+    options: PreviewOptions,
+    manifest: Manifest,
+    camera: Camera,
+    stage: Stage,
+    skin: Skin,
+    /// Frames drawn, with their pictures.
+    drawn: BTreeMap<u64, PathBuf>,
+}
 
-    let mut report = PreviewReport {
-        pictures: Vec::new(),
-        animation: None,
-    };
-    let mut animation = Animation::new();
-    let mut skin = Skin::none();
-    for (done, (frame, files)) in frames.iter().enumerate() {
-        if !progress(done, frames.len()) {
-            return Err(Error::Interrupted);
+impl Pictures {
+    /// Reads what all pictures share.
+    ///
+    /// # Errors
+    /// [`Error::Input`] where the run is none, or writes nothing that could be drawn.
+    pub fn new(run: &Path, options: &PreviewOptions) -> Result<Pictures, Error> {
+        let manifest = Manifest::read(run)?;
+        let frames = run.join("frames");
+        let files = frame_files(&frames, &manifest)?;
+        if options.colour != Colour::Solid && !manifest.solid_frames {
+            return Err(Error::input(
+                run.display().to_string(),
+                "no frame has elastic solids that could be coloured",
+                "draw it without --colour",
+            ));
         }
+        let solid_files = files.values().filter_map(|files| files.solids.as_deref());
+        let scale = Scale::over(options.colour, solid_files)?;
+        let name = &manifest.scene.name;
+        let obstacles = Triangles::new(match manifest.obstacles {
+            true => read_obstacles(&frames.join(format!("{name}_obstacles.vtp")))?,
+            false => Vec::new(),
+        });
+        let camera = Camera::from(&manifest.camera);
+        let size = options.size.unwrap_or(camera.size);
+        let view = View::new(&camera.pose(0.0), camera.up, size);
+        let domain = vector(manifest.size);
+        let up = upwards(vector(manifest.gravity), camera.up.as_vec3());
+        let stage = Stage {
+            liquid: None,
+            obstacles,
+            solids: Triangles::none(),
+            looks: Vec::new(),
+            scale,
+            pixel: view.pixel(),
+            domain,
+            up,
+            floor_lines: round_length(0.12 * domain.max_element()),
+            // One for all pictures: light that followed a moving camera would make everything flicker.
+            sun: Stage::sun_for(&view, up),
+        };
+        Ok(Pictures {
+            run: run.to_owned(),
+            options: *options,
+            manifest,
+            camera,
+            stage,
+            skin: Skin::none(),
+            drawn: BTreeMap::new(),
+        })
+    }
+
+    /// Draws all complete frames that have not been drawn. `progress` is told how many pictures are done, of how many, and says whether
+    /// to go on.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`] when `progress` said no; [`Error::Input`] and [`Error::Output`] for files.
+    pub fn draw(&mut self, progress: &mut dyn FnMut(usize, usize) -> bool) -> Result<(), Error> {
+        let files = frame_files(&self.run.join("frames"), &self.manifest)?;
+        let files: Vec<(u64, FrameFiles)> = files
+            .into_iter()
+            .step_by(self.options.every.max(1))
+            .collect();
+        let n = files.len();
+        for (done, (frame, files)) in files.iter().enumerate() {
+            if self.drawn.contains_key(frame) {
+                continue;
+            }
+            if !progress(done, n) {
+                return Err(Error::Interrupted);
+            }
+            let path = self.draw_frame(*frame, files)?;
+            self.drawn.insert(*frame, path);
+        }
+        progress(n, n);
+        Ok(())
+    }
+
+    fn draw_frame(&mut self, frame: u64, files: &FrameFiles) -> Result<PathBuf, Error> {
+        let Pictures {
+            options,
+            manifest,
+            camera,
+            stage,
+            skin,
+            ..
+        } = self;
+        let time = frame as f64 / manifest.frames_per_second;
+        let view = View::new(
+            &camera.pose(time),
+            camera.up,
+            options.size.unwrap_or(camera.size),
+        );
+        stage.pixel = view.pixel();
+        let walls = Vec3::from_array(manifest.cells.map(|n| n as f32)) * manifest.dx as f32;
         if let Some(file) = &files.liquid {
-            stage.liquid = read_liquid(file, &manifest)?;
+            stage.liquid = Liquid::new(&read_surface(file, manifest)?, walls);
         }
         if let Some(file) = &files.solids {
             let frame = SolidFrame::read(file, options.colour)?;
             (stage.solids, stage.looks) = skin.dress(&frame, options.colour);
         }
         let (mut picture, depths) = stage.render(&view);
-        draw_domain(&mut picture, &depths, &view, domain);
-        caption(
-            &mut picture,
-            *frame as f64 / manifest.frames_per_second,
-            stage.floor_lines,
-        );
-        scale.draw(&mut picture);
-        let path = folder.join(format!("{name}_{frame:06}.png"));
+        draw_domain(&mut picture, &depths, &view, stage.domain);
+        label_floor(&mut picture, &view, stage);
+        let [_, line] = picture.letters().extent(1);
+        let corner = (line / 2) as i64;
+        picture.text(corner, corner, &format!("{time:.3} s"), DARK);
+        stage.scale.draw(&mut picture);
+        let folder = self.run.join("preview");
+        create_folder(&folder)?;
+        let path = folder.join(format!("{}_{frame:06}.png", manifest.scene.name));
         picture.write(&path)?;
-        report.pictures.push(path);
-        if options.animation {
-            animation.push(&picture);
+        Ok(path)
+    }
+
+    /// Makes the animation of what was drawn.
+    ///
+    /// # Errors
+    /// [`Error::Input`] and [`Error::Output`] for files.
+    pub fn finish(self) -> Result<PreviewReport, Error> {
+        let name = &self.manifest.scene.name;
+        let path = self.run.join("preview").join(format!("{name}.png"));
+        let animation = self.options.animation && !self.drawn.is_empty();
+        if animation {
+            let numbers: Vec<u64> = self.drawn.keys().copied().collect();
+            let seconds = seconds_shown(&numbers, self.manifest.frames_per_second);
+            let shown: Vec<(PathBuf, f64)> = self.drawn.values().cloned().zip(seconds).collect();
+            picture::animate(&path, &shown)?;
         }
+        Ok(PreviewReport {
+            pictures: self.drawn.into_values().collect(),
+            animation: animation.then_some(path),
+        })
     }
-    if options.animation {
-        let path = folder.join(format!("{name}.png"));
-        let numbers: Vec<u64> = frames.iter().map(|&(number, _)| number).collect();
-        animation.write(&path, &seconds_shown(&numbers, manifest.frames_per_second))?;
-        report.animation = Some(path);
-    }
-    progress(frames.len(), frames.len());
-    Ok(report)
 }
 
 /// What a picture is made from.
@@ -203,15 +272,17 @@ fn seconds_shown(numbers: &[u64], frames_per_second: f64) -> Vec<f64> {
 /// The frames in the folder by number, those with all their files: of the liquid markers where there are any, else fields.
 fn frame_files(folder: &Path, manifest: &Manifest) -> Result<BTreeMap<u64, FrameFiles>, Error> {
     let name = &manifest.scene.name;
-    let solids = manifest.solid_frames.then_some("vtu");
-    let liquid = match (manifest.markers, manifest.fields) {
-        (true, _) => Some("vtp"),
-        (false, true) => Some("vti"),
-        (false, false) => None,
+    let solids = manifest.solid_frames.then(|| (format!("{name}_"), "vtu"));
+    // What the number follows, and what it is followed by.
+    let liquid = match manifest {
+        Manifest { surfaces: true, .. } => Some((format!("{name}_surface_"), "vtp")),
+        Manifest { markers: true, .. } => Some((format!("{name}_"), "vtp")),
+        Manifest { fields: true, .. } => Some((format!("{name}_"), "vti")),
+        _ => None,
     };
-    let Some(first) = liquid.or(solids) else {
+    let Some((first, extension)) = liquid.as_ref().or(solids.as_ref()) else {
         let cure = match manifest.solids.is_empty() {
-            true => "run the scene with output.particles or output.fields on",
+            true => "run the scene with output.particles, output.fields or output.surface on",
             false => "run the scene with output.solids on",
         };
         let problem = "the run writes no frames";
@@ -220,26 +291,26 @@ fn frame_files(folder: &Path, manifest: &Manifest) -> Result<BTreeMap<u64, Frame
     let mut found: BTreeMap<u64, FrameFiles> = BTreeMap::new();
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let path = entry.path();
-        let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-        let number = stem
-            .strip_prefix(name.as_str())
-            .and_then(|rest| rest.strip_prefix('_'))
-            .and_then(|number| number.parse().ok());
-        let extension = path.extension().and_then(|extension| extension.to_str());
-        if let (Some(number), Some(_)) = (number, extension) {
-            let files = found.entry(number).or_default();
-            if extension == liquid {
-                files.liquid = Some(path);
-            } else if extension == solids {
-                files.solids = Some(path);
-            }
+        let of_kind = |kind: &Option<(String, &str)>| -> Option<u64> {
+            let (prefix, extension) = kind.as_ref()?;
+            let number = path.file_name()?.to_str()?.strip_prefix(prefix.as_str())?;
+            number
+                .strip_suffix(extension)?
+                .strip_suffix('.')?
+                .parse()
+                .ok()
+        };
+        if let Some(number) = of_kind(&liquid) {
+            found.entry(number).or_default().liquid = Some(path);
+        } else if let Some(number) = of_kind(&solids) {
+            found.entry(number).or_default().solids = Some(path);
         }
     }
     found.retain(|_, files| {
         files.liquid.is_some() == liquid.is_some() && files.solids.is_some() == solids.is_some()
     });
     if found.is_empty() {
-        let problem = format!("no frame {name}_000000.{first} or later");
+        let problem = format!("no frame {first}000000.{extension} or later");
         let cure = "let `cutwater run` write a frame first";
         return Err(Error::input(folder.display().to_string(), problem, cure));
     }
@@ -295,47 +366,72 @@ fn points(buffer: IOBuffer) -> Option<Vec<Vec3>> {
     Some(numbers.chunks_exact(3).map(Vec3::from_slice).collect())
 }
 
-fn array(attributes: &Attributes, name: &str) -> Option<IOBuffer> {
-    attributes
-        .cell
-        .iter()
-        .find_map(|attribute| match attribute {
-            Attribute::DataArray(array) if array.name == name => Some(array.data.clone()),
-            _ => None,
-        })
+fn array(attributes: &[Attribute], name: &str) -> Option<IOBuffer> {
+    attributes.iter().find_map(|attribute| match attribute {
+        Attribute::DataArray(array) if array.name == name => Some(array.data.clone()),
+        _ => None,
+    })
 }
 
-/// The liquid of a frame file, where it has any.
-fn read_liquid(path: &Path, manifest: &Manifest) -> Result<Option<LiquidField>, Error> {
+/// The liquid's surface in a frame file, or made from its markers or fields.
+fn read_surface(path: &Path, manifest: &Manifest) -> Result<LiquidSurface, Error> {
     let missing = |what: &str| unreadable(path, format!("no {what}"));
-    let dx = manifest.dx as f32;
-    match read_vtk(path)? {
+    let grid = Grid {
+        cells: manifest.cells,
+        dx: manifest.dx,
+    };
+    let surface = match read_vtk(path)? {
         DataSet::PolyData { pieces, .. } => {
-            let mut markers = Vec::new();
-            for piece in pieces {
-                let Piece::Inline(piece) = piece else {
-                    return Err(missing("inline data"));
-                };
-                markers.extend(points(piece.points).ok_or_else(|| missing("f32 points"))?);
+            let Some(Piece::Inline(piece)) = pieces.into_iter().next() else {
+                return Err(missing("inline data"));
+            };
+            let points = points(piece.points).ok_or_else(|| missing("f32 points"))?;
+            if manifest.surfaces {
+                return surface_mesh(points, piece.polys, &piece.data)
+                    .ok_or_else(|| missing("surface"));
             }
-            let radius = manifest
-                .marker_radius
-                .ok_or_else(|| missing("marker_radius in manifest.json"))?
-                as f32;
-            let field = || LiquidField::from_markers(&markers, radius, manifest.cells, dx);
-            Ok((!markers.is_empty()).then(field))
+            let settings = manifest
+                .surface
+                .map_or_else(SurfaceMesh::default, |record| SurfaceMesh {
+                    radius: record.radius,
+                    smoothing: record.smoothing,
+                });
+            LiquidSurface::of_markers(&points, &grid, &settings)
         }
         DataSet::ImageData { pieces, .. } => {
             let Some(Piece::Inline(piece)) = pieces.into_iter().next() else {
                 return Err(missing("inline data"));
             };
-            let phi = array(&piece.data, "liquid_distance").and_then(IOBuffer::into_vec::<f32>);
-            let phi = phi.filter(|phi| phi.len() == manifest.cells.iter().product::<usize>());
+            let phi =
+                array(&piece.data.cell, "liquid_distance").and_then(IOBuffer::into_vec::<f32>);
+            let phi = phi.filter(|phi| phi.len() == grid.n_cells());
             let phi = phi.ok_or_else(|| missing("liquid_distance for every cell"))?;
-            Ok(Some(LiquidField::from_cells(phi, manifest.cells, dx)))
+            LiquidSurface::of_distance(&phi, &grid)
         }
-        _ => Err(missing("markers or fields")),
-    }
+        _ => return Err(missing("markers or fields")),
+    };
+    surface.map_err(|problem| unreadable(path, format!("no surface: {problem}")))
+}
+
+/// The mesh of a file whose parts fit together.
+fn surface_mesh(
+    vertices: Vec<Vec3>,
+    polygons: Option<VertexNumbers>,
+    data: &Attributes,
+) -> Option<LiquidSurface> {
+    let Some(VertexNumbers::XML { connectivity, .. }) = polygons else {
+        return None;
+    };
+    let normals = points(array(&data.point, "Normals")?)?;
+    let known = |corner: &u64| (*corner as usize) < vertices.len();
+    let whole = connectivity.iter().all(known) && normals.len() == vertices.len();
+    let corners = connectivity.chunks_exact(3);
+    let triangles = corners.map(|of| [0, 1, 2].map(|corner| of[corner] as u32));
+    whole.then(|| LiquidSurface {
+        triangles: triangles.collect(),
+        vertices,
+        normals,
+    })
 }
 
 /// The triangles of all obstacles; those of a container have a negative volume together.
@@ -353,7 +449,7 @@ fn read_obstacles(path: &Path) -> Result<Vec<Triangle>, Error> {
         let Some(VertexNumbers::XML { connectivity, .. }) = piece.polys else {
             return Err(missing("triangles"));
         };
-        let owners: Vec<i32> = array(&piece.data, "obstacle")
+        let owners: Vec<i32> = array(&piece.data.cell, "obstacle")
             .and_then(IOBuffer::into_vec)
             .ok_or_else(|| missing("obstacle numbers"))?;
         let mut volumes: BTreeMap<i32, f64> = BTreeMap::new();
@@ -405,14 +501,68 @@ fn draw_domain(picture: &mut Picture, depths: &[f32], view: &View, domain: Vec3)
     }
 }
 
-/// The time, and how far apart the lines of the floor are.
-fn caption(picture: &mut Picture, time: f64, floor_lines: f32) {
-    let [width, height] = picture.size;
-    let scale = (height / 270).max(1);
-    let margin = 8 * scale;
-    picture.text(margin, margin, scale, &format!("{time:.3} s"), DARK);
-    let lines = format!("lines {} m", (f64::from(floor_lines) * 1e6).round() / 1e6);
-    let across = 6 * scale * lines.len() + margin;
-    let y = height.saturating_sub(margin + 7 * scale);
-    picture.text(width.saturating_sub(across), y, scale, &lines, DARK);
+/// Lengths (m) beside the two edges of the domain's floor that are nearest to the eye, at its lines.
+fn label_floor(picture: &mut Picture, view: &View, stage: &Stage) {
+    let Stage {
+        domain,
+        up,
+        floor_lines,
+        ..
+    } = *stage;
+    let floor = domain.dot(up).min(0.0) * up;
+    let [letter, line] = picture.letters().extent(1).map(|pixels| pixels as f32);
+    let [width, height] = view.size.map(|n| n as f32);
+    let axes = [0, 1, 2].into_iter().filter(|&axis| up[axis] == 0.0);
+    let axes: Vec<usize> = axes.collect();
+    for (&axis, &other) in axes.iter().zip(axes.iter().rev()) {
+        let far_side = view.eye[other] > 0.5 * domain[other];
+        let (edge, outwards) = match far_side {
+            true => (domain[other], 1.0),
+            false => (0.0, -1.0),
+        };
+        let place = |along: f32| {
+            let mut at = floor;
+            at[axis] = along;
+            at[other] = edge + outwards * 0.05 * domain.max_element();
+            let (x, y, _) = view.project(at)?;
+            Some(Vec2::new(x, y))
+        };
+        // So many lines from one number to the next that no number reaches into another.
+        let steps = (domain[axis] / floor_lines * (1.0 + 1e-5)) as usize;
+        let texts = |step: usize| solids::label(step as f32 * floor_lines);
+        let fits = |every: usize| {
+            let places: Option<Vec<Vec2>> = (0..=steps)
+                .step_by(every)
+                .map(|step| place(step as f32 * floor_lines))
+                .collect();
+            places.is_some_and(|places| {
+                places.windows(2).enumerate().all(|(pair, ends)| {
+                    let long = texts(pair * every)
+                        .len()
+                        .max(texts((pair + 1) * every).len());
+                    let apart = (ends[1] - ends[0]).abs();
+                    apart.x > letter * (long as f32 + 1.0) || apart.y > 1.1 * line
+                })
+            })
+        };
+        let Some(every) = [1, 2, 5, 10, 20].into_iter().find(|&every| fits(every)) else {
+            continue;
+        };
+        for step in (0..=steps).step_by(every) {
+            let text = texts(step) + if step == 0 { " m" } else { "" };
+            let Some(at) = place(step as f32 * floor_lines) else {
+                continue;
+            };
+            let wide = letter * texts(step).len() as f32;
+            let corner = at - 0.5 * Vec2::new(wide, line);
+            let within = corner.x > 0.0 && corner.y > 0.0;
+            if within && at.x + 0.5 * wide < width && at.y + 0.5 * line < height {
+                picture.text(corner.x as i64, corner.y as i64, &text, DARK);
+            }
+        }
+    }
+}
+
+fn vector(x: [f64; 3]) -> Vec3 {
+    Vec3::from_array(x.map(|x| x as f32))
 }

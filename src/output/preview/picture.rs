@@ -1,45 +1,17 @@
-//! 8-bit sRGB pictures: lines and letters on them, PNG files, and the animation.
+//! 8-bit sRGB pictures: lines and letters on them, PNG files, and the animation (APNG).
 
-use std::path::Path;
+use std::fs::File;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
 
 use glam::Vec3;
+use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
 
 use crate::Error;
 use crate::output::write_atomically;
 
 /// Largest width of the animation, pixels.
 const ANIMATION_WIDTH: usize = 640;
-
-/// The letters of captions: 7 rows of 5 pixels, the left one in bit 4.
-const LETTERS: [(char, [u8; 7]); 27] = [
-    ('0', [0x0e, 0x11, 0x13, 0x15, 0x19, 0x11, 0x0e]),
-    ('1', [0x04, 0x0c, 0x04, 0x04, 0x04, 0x04, 0x0e]),
-    ('2', [0x0e, 0x11, 0x01, 0x02, 0x04, 0x08, 0x1f]),
-    ('3', [0x1f, 0x02, 0x04, 0x02, 0x01, 0x11, 0x0e]),
-    ('4', [0x02, 0x06, 0x0a, 0x12, 0x1f, 0x02, 0x02]),
-    ('5', [0x1f, 0x10, 0x1e, 0x01, 0x01, 0x11, 0x0e]),
-    ('6', [0x06, 0x08, 0x10, 0x1e, 0x11, 0x11, 0x0e]),
-    ('7', [0x1f, 0x01, 0x02, 0x04, 0x08, 0x08, 0x08]),
-    ('8', [0x0e, 0x11, 0x11, 0x0e, 0x11, 0x11, 0x0e]),
-    ('9', [0x0e, 0x11, 0x11, 0x0f, 0x01, 0x02, 0x0c]),
-    ('.', [0x00, 0x00, 0x00, 0x00, 0x00, 0x0c, 0x0c]),
-    ('e', [0x00, 0x00, 0x0e, 0x11, 0x1f, 0x10, 0x0e]),
-    ('-', [0x00, 0x00, 0x00, 0x1f, 0x00, 0x00, 0x00]),
-    ('i', [0x04, 0x00, 0x0c, 0x04, 0x04, 0x04, 0x0e]),
-    ('l', [0x0c, 0x04, 0x04, 0x04, 0x04, 0x04, 0x0e]),
-    ('n', [0x00, 0x00, 0x16, 0x19, 0x11, 0x11, 0x11]),
-    ('m', [0x00, 0x00, 0x1a, 0x15, 0x15, 0x11, 0x11]),
-    ('s', [0x00, 0x00, 0x0e, 0x10, 0x0e, 0x01, 0x1e]),
-    ('a', [0x00, 0x00, 0x0e, 0x01, 0x0f, 0x11, 0x0f]),
-    ('d', [0x01, 0x01, 0x0d, 0x13, 0x11, 0x11, 0x0f]),
-    ('o', [0x00, 0x00, 0x0e, 0x11, 0x11, 0x11, 0x0e]),
-    ('t', [0x08, 0x08, 0x1c, 0x08, 0x08, 0x09, 0x06]),
-    ('v', [0x00, 0x00, 0x11, 0x11, 0x11, 0x0a, 0x04]),
-    ('F', [0x1f, 0x10, 0x10, 0x1e, 0x10, 0x10, 0x10]),
-    ('M', [0x11, 0x1b, 0x15, 0x15, 0x11, 0x11, 0x11]),
-    ('P', [0x1e, 0x11, 0x11, 0x1e, 0x10, 0x10, 0x10]),
-    (',', [0x00, 0x00, 0x00, 0x00, 0x0c, 0x04, 0x08]),
-];
 
 /// A linear colour, 1 is white, as sRGB bytes.
 pub(super) fn srgb(colour: Vec3) -> [u8; 3] {
@@ -53,6 +25,21 @@ pub(super) fn srgb(colour: Vec3) -> [u8; 3] {
         (255.0 * encoded + 0.5) as u8
     };
     colour.to_array().map(byte)
+}
+
+/// Letters of Noto Sans Mono, each pixel `scale` wide.
+#[derive(Clone, Copy)]
+pub(super) struct Letters {
+    height: RasterHeight,
+    scale: usize,
+}
+
+impl Letters {
+    /// Width and height of a text of so many letters, pixels.
+    pub(super) fn extent(self, letters: usize) -> [usize; 2] {
+        let width = get_raster_width(FontWeight::Regular, self.height);
+        [letters * width, self.height.val()].map(|pixels| pixels * self.scale)
+    }
 }
 
 /// Rows of RGB bytes.
@@ -157,19 +144,34 @@ impl Picture {
         }
     }
 
-    /// A caption, its upper left corner given; letters are `7 scale` pixels high. Unknown letters are blanks.
-    pub(super) fn text(&mut self, x: usize, y: usize, scale: usize, text: &str, colour: [u8; 3]) {
-        for (place, letter) in text.chars().enumerate() {
-            let rows = LETTERS
-                .iter()
-                .find(|(known, _)| *known == letter)
-                .map_or([0; 7], |&(_, rows)| rows);
-            for (row, bits) in rows.into_iter().enumerate() {
-                for column in (0..5).filter(|column| bits >> (4 - column) & 1 == 1) {
+    /// Letters that suit the picture's size.
+    pub(super) fn letters(&self) -> Letters {
+        let height = match self.size[1] {
+            0..450 => RasterHeight::Size16,
+            450..900 => RasterHeight::Size24,
+            _ => RasterHeight::Size32,
+        };
+        Letters {
+            height,
+            scale: (self.size[1] / 1440).max(1),
+        }
+    }
+
+    /// A caption, its upper left corner given. Letters other than those of ASCII are blanks.
+    pub(super) fn text(&mut self, x: i64, y: i64, text: &str, colour: [u8; 3]) {
+        let letters = self.letters();
+        let [width, _] = letters.extent(1);
+        for (place, letter) in (0_i64..).zip(text.chars()) {
+            let Some(letter) = get_raster(letter, FontWeight::Regular, letters.height) else {
+                continue;
+            };
+            for (row, strengths) in (0_i64..).zip(letter.rows()) {
+                for (column, &strength) in (0_i64..).zip(strengths.iter()) {
+                    let scale = letters.scale as i64;
                     for pixel in 0..scale * scale {
-                        let px = x + (6 * place + column) * scale + pixel % scale;
+                        let px = x + place * width as i64 + column * scale + pixel % scale;
                         let py = y + row * scale + pixel / scale;
-                        self.mix(px as i64, py as i64, colour, 0.85);
+                        self.mix(px, py, colour, 0.9 * f32::from(strength) / 255.0);
                     }
                 }
             }
@@ -191,6 +193,48 @@ impl Picture {
         };
         encode().map_err(|problem| Error::output(path, problem))?;
         write_atomically(path, &bytes)
+    }
+
+    /// Reads a file that [`Picture::write`] wrote.
+    fn read(path: &Path) -> Result<Picture, Error> {
+        let failed = |problem: String| {
+            let cure = "remove it, and run `cutwater preview` again";
+            Error::input(path.display().to_string(), problem, cure)
+        };
+        let file = File::open(path).map_err(|problem| failed(problem.to_string()))?;
+        let mut reader = png::Decoder::new(BufReader::new(file))
+            .read_info()
+            .map_err(|problem| failed(problem.to_string()))?;
+        let size = [reader.info().width as usize, reader.info().height as usize];
+        let mut bytes = vec![0; 3 * size[0] * size[1]];
+        if reader.output_buffer_size() != Some(bytes.len()) {
+            return Err(failed("is not a picture of cutwater".to_owned()));
+        }
+        reader
+            .next_frame(&mut bytes)
+            .map_err(|problem| failed(problem.to_string()))?;
+        Ok(Picture { size, bytes })
+    }
+
+    /// An animation of so many pictures, of which this is the first.
+    fn animation<'a>(
+        &self,
+        bytes: &'a mut Vec<u8>,
+        pictures: usize,
+        milliseconds: u16,
+    ) -> Result<png::Writer<&'a mut Vec<u8>>, png::EncodingError> {
+        let [width, height] = self.size.map(|n| n as u32);
+        let mut encoder = png::Encoder::new(bytes, width, height);
+        encoder.set_color(png::ColorType::Rgba);
+        encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_compression(png::Compression::High);
+        encoder.set_animated(pictures as u32, 0)?;
+        encoder.set_frame_delay(milliseconds, 1000)?;
+        encoder.set_blend_op(png::BlendOp::Over)?;
+        encoder.set_dispose_op(png::DisposeOp::None)?;
+        let mut writer = encoder.write_header()?;
+        writer.write_image_data(&patch(None, self).bytes)?;
+        Ok(writer)
     }
 
     /// Averaged over squares so that it is at most [`ANIMATION_WIDTH`] wide.
@@ -219,9 +263,32 @@ impl Picture {
     }
 }
 
-/// The frames of an animated PNG, kept small: reduced pictures, of which only the changed pixels are stored.
-pub(super) struct Animation {
-    frames: Vec<Picture>,
+/// Writes an animated PNG of pictures, each shown for its `seconds`, for ever; kept small: reduced pictures, of which only the changed
+/// pixels are stored. The pictures are read one by one.
+pub(super) fn animate(path: &Path, pictures: &[(PathBuf, f64)]) -> Result<(), Error> {
+    let Some((first, seconds)) = pictures.first() else {
+        return Ok(());
+    };
+    let failed = |problem: png::EncodingError| Error::output(path, problem);
+    let mut bytes = Vec::new();
+    let mut before = Picture::read(first)?.reduced();
+    let mut writer = before
+        .animation(&mut bytes, pictures.len(), milliseconds(*seconds))
+        .map_err(failed)?;
+    for (picture, seconds) in &pictures[1..] {
+        let now = Picture::read(picture)?.reduced();
+        let patch = patch(Some(&before), &now);
+        patch
+            .write(&mut writer, milliseconds(*seconds))
+            .map_err(failed)?;
+        before = now;
+    }
+    writer.finish().map_err(failed)?;
+    write_atomically(path, &bytes)
+}
+
+fn milliseconds(seconds: f64) -> u16 {
+    (1000.0 * seconds).round().clamp(10.0, 10_000.0) as u16
 }
 
 /// A rectangle of RGBA bytes with its place.
@@ -231,49 +298,21 @@ struct Patch {
     bytes: Vec<u8>,
 }
 
-impl Animation {
-    pub(super) fn new() -> Animation {
-        Animation { frames: Vec::new() }
-    }
-
-    pub(super) fn push(&mut self, picture: &Picture) {
-        self.frames.push(picture.reduced());
-    }
-
-    /// Writes all frames, each shown for its `seconds`, for ever.
-    pub(super) fn write(&self, path: &Path, seconds: &[f64]) -> Result<(), Error> {
-        let mut bytes = Vec::new();
-        self.encode(&mut bytes, seconds)
-            .map_err(|problem| Error::output(path, problem))?;
-        write_atomically(path, &bytes)
-    }
-
-    fn encode(&self, bytes: &mut Vec<u8>, seconds: &[f64]) -> Result<(), png::EncodingError> {
-        let [width, height] = self.frames[0].size;
-        let mut encoder = png::Encoder::new(bytes, width as u32, height as u32);
-        encoder.set_color(png::ColorType::Rgba);
-        encoder.set_depth(png::BitDepth::Eight);
-        encoder.set_compression(png::Compression::High);
-        encoder.set_animated(self.frames.len() as u32, 0)?;
-        let milliseconds = |seconds: f64| (1000.0 * seconds).round().clamp(10.0, 10_000.0) as u16;
-        encoder.set_frame_delay(milliseconds(seconds[0]), 1000)?;
-        encoder.set_blend_op(png::BlendOp::Over)?;
-        encoder.set_dispose_op(png::DisposeOp::None)?;
-        let mut writer = encoder.write_header()?;
-        let mut before: Option<&Picture> = None;
-        for (frame, &seconds) in self.frames.iter().zip(seconds) {
-            let Patch { at, size, bytes } = patch(before, frame);
-            if before.is_some() {
-                writer.set_frame_delay(milliseconds(seconds), 1000)?;
-                // Smaller first: a rectangle may never reach beyond the picture.
-                writer.set_frame_dimension(1, 1)?;
-                writer.set_frame_position(at[0] as u32, at[1] as u32)?;
-                writer.set_frame_dimension(size[0] as u32, size[1] as u32)?;
-            }
-            writer.write_image_data(&bytes)?;
-            before = Some(frame);
-        }
-        writer.finish()
+impl Patch {
+    /// As the next image, which stays for so long.
+    fn write(
+        &self,
+        writer: &mut png::Writer<&mut Vec<u8>>,
+        milliseconds: u16,
+    ) -> Result<(), png::EncodingError> {
+        let [x, y] = self.at.map(|n| n as u32);
+        let [width, height] = self.size.map(|n| n as u32);
+        writer.set_frame_delay(milliseconds, 1000)?;
+        // Smaller first: a rectangle may never reach beyond the picture.
+        writer.set_frame_dimension(1, 1)?;
+        writer.set_frame_position(x, y)?;
+        writer.set_frame_dimension(width, height)?;
+        writer.write_image_data(&self.bytes)
     }
 }
 

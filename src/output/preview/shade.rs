@@ -2,13 +2,14 @@
 //!
 //! Lengths in the look (depth of colour, floor lines, fade) follow the size of the domain, so a beaker and a lake look alike.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::liquid::LiquidField;
+use super::liquid::{Entry, Liquid};
 use super::picture::Picture;
 use super::solids::{Look, Scale};
 use super::triangles::{Hit, Owner, Triangles};
+use crate::scene::CameraKeyframe;
 
 /// Refractive index of the picture's liquid. Water's 1.33 would show a sunken body once through the surface and once more,
 /// elsewhere, through each wall; this bends enough to look wet and leaves things where they are.
@@ -25,13 +26,48 @@ const VEIL: f32 = 0.30;
 
 /// Linear colours of the rest.
 const FLOOR: Vec3 = Vec3::new(0.62, 0.62, 0.60);
-const OBSTACLE: Vec3 = Vec3::new(0.88, 0.50, 0.20);
+const OBSTACLE: Vec3 = Vec3::new(0.66, 0.34, 0.13);
 const CONTAINER: Vec3 = Vec3::new(0.62, 0.60, 0.57);
 const HORIZON: Vec3 = Vec3::new(0.80, 0.84, 0.88);
 const ZENITH: Vec3 = Vec3::new(0.36, 0.52, 0.72);
 const SUN: Vec3 = Vec3::new(0.78, 0.74, 0.68);
 const SHADOW: Vec3 = Vec3::new(0.16, 0.34, 0.48);
 const AMBIENT: Vec3 = Vec3::new(0.42, 0.46, 0.52);
+
+/// Half the angle of the sun, rad: far larger than it is, for shadows with soft edges.
+const SUN_RADIUS: f32 = 0.04;
+
+/// Where on the sun's disc rays go: a spiral.
+const ON_SUN: [(f32, f32); 8] = [
+    (0.25, 0.0),
+    (-0.319, 0.292),
+    (0.049, -0.557),
+    (0.402, 0.525),
+    (-0.739, -0.131),
+    (0.700, -0.445),
+    (-0.234, 0.871),
+    (-0.446, -0.861),
+];
+
+/// How far bodies keep the sky's light from what is beside them, in depths of the domain, and how much of it at most.
+const SKY_REACH: f32 = 0.12;
+const SKY_TAKEN: f32 = 0.75;
+
+/// Where the sky's light comes from around a normal, which is z.
+const SKY: [Vec3; 9] = [
+    Vec3::new(0.0, 0.0, 1.0),
+    Vec3::new(0.55, 0.15, 0.82),
+    Vec3::new(-0.15, 0.55, 0.82),
+    Vec3::new(-0.55, -0.15, 0.82),
+    Vec3::new(0.15, -0.55, 0.82),
+    Vec3::new(0.66, 0.66, 0.36),
+    Vec3::new(-0.66, 0.66, 0.36),
+    Vec3::new(-0.66, -0.66, 0.36),
+    Vec3::new(0.66, -0.66, 0.36),
+];
+
+/// Share of light from which a reflection shows bodies; below it shows the sky alone.
+const MIRROR: f32 = 0.05;
 
 /// Colour difference between neighbours, of 255, from which a pixel gets more rays.
 const EDGE: i16 = 10;
@@ -56,12 +92,13 @@ pub(super) struct View {
 }
 
 impl View {
-    pub(super) fn new(eye: Vec3, target: Vec3, up: Vec3, degrees: f32, size: [usize; 2]) -> View {
-        let forward = (target - eye).normalize_or(-Vec3::Z);
+    pub(super) fn new(pose: &CameraKeyframe, up: DVec3, size: [usize; 2]) -> View {
+        let forward = (pose.target - pose.eye).as_vec3().normalize_or(-Vec3::Z);
         let right = forward
-            .cross(up)
+            .cross(up.as_vec3())
             .normalize_or(forward.any_orthonormal_vector());
-        let scale = (0.5 * degrees.to_radians()).tan();
+        let eye = pose.eye.as_vec3();
+        let scale = (0.5 * pose.fov.to_radians()).tan() as f32;
         View {
             eye,
             forward,
@@ -114,14 +151,14 @@ impl View {
 }
 
 /// Everything in the picture.
-pub(super) struct Stage<'a> {
-    pub(super) liquid: Option<LiquidField>,
-    pub(super) obstacles: &'a Triangles,
+pub(super) struct Stage {
+    pub(super) liquid: Option<Liquid>,
+    pub(super) obstacles: Triangles,
     /// Surfaces of elastic solids; each triangle has its look.
     pub(super) solids: Triangles,
     pub(super) looks: Vec<Look>,
     /// What the colours of solids stand for.
-    pub(super) scale: &'a Scale,
+    pub(super) scale: Scale,
     /// Width of a pixel at distance 1.
     pub(super) pixel: f32,
     /// Extents of the domain, m.
@@ -146,7 +183,7 @@ enum Seen {
     Body(Hit),
 }
 
-impl Stage<'_> {
+impl Stage {
     /// Unit direction to the sun for a view: high, from the left, over the shoulder.
     pub(super) fn sun_for(view: &View, up: Vec3) -> Vec3 {
         let flat = |v: Vec3| (v - up * v.dot(up)).normalize_or(up.any_orthonormal_vector());
@@ -156,6 +193,10 @@ impl Stage<'_> {
     /// The picture, and the distance along the view of what each pixel shows.
     pub(super) fn render(&self, view: &View) -> (Picture, Vec<f32>) {
         let [width, height] = view.size;
+        let submerged = self
+            .liquid
+            .as_ref()
+            .is_some_and(|liquid| liquid.holds(view.eye));
         let mut depths = vec![f32::INFINITY; width * height];
         let mut colours = vec![Vec3::ZERO; width * height];
         let rows = colours
@@ -164,7 +205,7 @@ impl Stage<'_> {
             .enumerate();
         rows.for_each(|(y, (colours, depths))| {
             for (x, (colour, depth)) in colours.iter_mut().zip(depths).enumerate() {
-                (*colour, *depth) = self.trace(view, x as f32 + 0.5, y as f32 + 0.5);
+                (*colour, *depth) = self.trace(view, submerged, x as f32 + 0.5, y as f32 + 0.5);
             }
         });
         let once = Picture::from_linear(view.size, &colours);
@@ -175,7 +216,7 @@ impl Stage<'_> {
                 let (x, y) = ((pixel % width) as f32 + 0.5, (pixel / width) as f32 + 0.5);
                 let sum: Vec3 = OFFSETS
                     .iter()
-                    .map(|&(dx, dy)| clip(self.trace(view, x + dx, y + dy).0))
+                    .map(|&(dx, dy)| clip(self.trace(view, submerged, x + dx, y + dy).0))
                     .sum();
                 (pixel, sum / OFFSETS.len() as f32)
             })
@@ -186,14 +227,20 @@ impl Stage<'_> {
         (Picture::from_linear(view.size, &colours), depths)
     }
 
-    /// Colour and distance along the view of what is seen at a point of the picture.
-    fn trace(&self, view: &View, x: f32, y: f32) -> (Vec3, f32) {
+    /// Colour and distance along the view of what is seen at a point of the picture; `submerged`: whether the eye is in liquid.
+    fn trace(&self, view: &View, submerged: bool, x: f32, y: f32) -> (Vec3, f32) {
         let direction = view.direction(x, y);
         let meets = self.meets(view.eye, direction);
         let limit = meets.as_ref().map_or(f32::INFINITY, |meets| meets.t);
         let entry = self.liquid.as_ref().and_then(|liquid| {
-            let entry = liquid.entry(view.eye, direction, limit)?;
-            Some((liquid, entry))
+            let entry = match submerged {
+                true => Some(Entry {
+                    t: 0.0,
+                    normal: -direction,
+                }),
+                false => liquid.entry(view.eye, direction, limit),
+            };
+            Some((liquid, entry?))
         });
         let Some((liquid, entry)) = entry else {
             return (
@@ -203,23 +250,19 @@ impl Stage<'_> {
         };
 
         let at = view.eye + direction * entry.t;
-        let normal = if entry.normal.dot(direction) < 0.0 {
-            entry.normal
-        } else {
-            -direction
-        };
+        let normal = entry.normal;
         let cosine = -normal.dot(direction);
         let bent = refract(direction, normal, cosine);
         let meets = self.meets(at, bent);
         let limit = meets.as_ref().map_or(f32::INFINITY, |meets| meets.t);
         let depth_unit = self.domain.length();
-        let length = liquid.length(at, bent, limit, 3.0 * depth_unit);
+        let length = liquid.length(at, bent, limit);
         let through = transmittance(length / depth_unit) * (1.0 - VEIL);
         let behind = self.colour(at, bent, meets);
 
         // Light scattered on the way: the sun's part has come through the liquid above, the sky's from all sides.
         let inside = at + bent * (0.25 * length).min(0.04 * depth_unit);
-        let above = liquid.length(inside, self.sun, f32::INFINITY, depth_unit);
+        let above = liquid.length(inside, self.sun, f32::INFINITY);
         let facing = 0.35 + 0.65 * normal.dot(self.sun).max(0.0);
         let light = transmittance(above / depth_unit) * SUN * facing * 1.5
             + AMBIENT * (0.8 + 0.2 * normal.dot(self.up));
@@ -228,7 +271,12 @@ impl Stage<'_> {
         let mirrored = direction + normal * (2.0 * cosine);
         let fresnel = 0.02 + 0.98 * (1.0 - cosine.clamp(0.0, 1.0)).powi(5);
         let glint = mirrored.dot(self.sun).max(0.0).powi(180) * 2.5;
-        let reflected = self.sky(mirrored) + SUN * glint * f32::from(glint > 1e-3);
+        let start = at + normal * (1e-4 * depth_unit);
+        let bodies = (fresnel > MIRROR).then(|| self.body(start, mirrored, f32::INFINITY));
+        let reflected = match bodies.flatten() {
+            Some(hit) => self.matt(start + mirrored * hit.t, &hit),
+            None => self.sky(mirrored) + SUN * glint * f32::from(glint > 1e-3),
+        };
         let colour = (behind * through + scattered).lerp(reflected, fresnel.min(0.75));
         (colour + SUN * glint * 0.25, view.depth(direction, entry.t))
     }
@@ -240,14 +288,19 @@ impl Stage<'_> {
             surface: Seen::Floor,
         });
         let limit = floor.as_ref().map_or(f32::INFINITY, |floor| floor.t);
-        let obstacle = self.obstacles.hit(origin, direction, limit);
-        let limit = obstacle.as_ref().map_or(limit, |hit| hit.t);
-        let hit = self.solids.hit(origin, direction, limit).or(obstacle);
+        let hit = self.body(origin, direction, limit);
         hit.map(|hit| Meeting {
             t: hit.t,
             surface: Seen::Body(hit),
         })
         .or(floor)
+    }
+
+    /// The nearest of obstacles and solids on a ray before `limit`.
+    fn body(&self, origin: Vec3, direction: Vec3, limit: f32) -> Option<Hit> {
+        let obstacle = self.obstacles.hit(origin, direction, limit);
+        let limit = obstacle.as_ref().map_or(limit, |hit| hit.t);
+        self.solids.hit(origin, direction, limit).or(obstacle)
     }
 
     /// Colour of what a ray meets.
@@ -258,17 +311,22 @@ impl Stage<'_> {
         let at = origin + direction * t;
         match surface {
             Seen::Floor => self.floor(at, direction, t),
-            Seen::Body(hit) => {
-                let base = match hit.owner {
-                    Owner::Obstacle => OBSTACLE,
-                    Owner::Container => CONTAINER,
-                    Owner::Solid(number) => {
-                        self.looks[number].colour(self.scale, &hit, self.pixel * t)
-                    }
-                };
-                base * self.light(at, hit.normal)
-            }
+            Seen::Body(hit) => self.matt(at, &hit),
         }
+    }
+
+    /// Colour of a body.
+    fn matt(&self, at: Vec3, hit: &Hit) -> Vec3 {
+        let base = match hit.owner {
+            // Light comes in through its walls.
+            Owner::Container => {
+                let facing = hit.normal.dot(self.sun);
+                return CONTAINER * (AMBIENT + SUN * (0.35 + 0.25 * facing));
+            }
+            Owner::Solid(number) => self.looks[number].colour(&self.scale, hit, self.pixel * hit.t),
+            Owner::Obstacle | Owner::Liquid(_) => OBSTACLE,
+        };
+        base * self.light(at, hit.normal)
     }
 
     /// Distance along a ray to the plane of the floor, the domain's face that gravity points to; only from above.
@@ -303,22 +361,69 @@ impl Stage<'_> {
         (base * light).lerp(self.sky(direction), fade)
     }
 
-    /// Light on a matt surface: the sun, where nothing is in between, and the sky.
+    /// Light on a matt surface: of the sun, as far as bodies leave it in sight, and of the sky, less near bodies.
     fn light(&self, at: Vec3, normal: Vec3) -> Vec3 {
+        let extent = self.domain.length();
+        let start = at + normal * (1e-4 * extent);
         let facing = normal.dot(self.sun).max(0.0);
-        let start = at + normal * (1e-4 * self.domain.length());
         let mut sun = Vec3::ZERO;
-        let shades = |bodies: &Triangles| bodies.shades(start, self.sun);
-        if facing > 0.0 && !shades(self.obstacles) && !shades(&self.solids) {
-            let extent = self.domain.length();
-            let length = self.liquid.as_ref().map_or(0.0, |liquid| {
-                liquid.length(start, self.sun, f32::INFINITY, extent)
-            });
+        let seen = if facing > 0.0 {
+            self.sun_seen(start)
+        } else {
+            0.0
+        };
+        if seen > 0.0 {
+            let liquid = self.liquid.as_ref();
+            let length = liquid.map_or(0.0, |liquid| liquid.length(start, self.sun, f32::INFINITY));
             // Light goes round a liquid too, through its surface and off the floor: its shadow is blue and never black.
             let through = transmittance(0.8 * length / extent);
-            sun = SUN * facing * (SHADOW + (Vec3::ONE - SHADOW) * through);
+            sun = SUN * (seen * facing) * (SHADOW + (Vec3::ONE - SHADOW) * through);
         }
-        sun + AMBIENT * (0.75 + 0.25 * normal.dot(self.up))
+        sun + AMBIENT * ((0.75 + 0.25 * normal.dot(self.up)) * self.sky_seen(start, normal))
+    }
+
+    /// Whether a body is on a ray before `limit`.
+    fn shaded(&self, start: Vec3, direction: Vec3, limit: f32) -> bool {
+        self.obstacles.shades(start, direction, limit)
+            || self.solids.shades(start, direction, limit)
+    }
+
+    /// Whether the ball around obstacles or that around solids, centre and radius, is where it may take light away.
+    fn bodies_near(&self, may: impl Fn(Vec3, f32) -> bool) -> bool {
+        let bounds = [&self.obstacles, &self.solids].map(Triangles::bounds);
+        let mut balls = bounds.into_iter().flatten();
+        balls.any(|[low, high]| may(0.5 * (low + high), 0.5 * low.distance(high)))
+    }
+
+    /// Share of the sun that bodies leave in sight.
+    fn sun_seen(&self, start: Vec3) -> f32 {
+        if !self.bodies_near(|centre, radius| {
+            let along = (centre - start).dot(self.sun);
+            let aside = (centre - start) - self.sun * along;
+            along > -radius && aside.length() < radius + SUN_RADIUS * along.max(0.0)
+        }) {
+            return 1.0;
+        }
+        let (right, up) = self.sun.any_orthonormal_pair();
+        let seen = ON_SUN.iter().filter(|(x, y)| {
+            let direction = self.sun + (right * *x + up * *y) * SUN_RADIUS;
+            !self.shaded(start, direction, f32::INFINITY)
+        });
+        seen.count() as f32 / ON_SUN.len() as f32
+    }
+
+    /// Share of the sky's light that bodies nearby leave.
+    fn sky_seen(&self, start: Vec3, normal: Vec3) -> f32 {
+        let reach = SKY_REACH * self.domain.length();
+        if !self.bodies_near(|centre, radius| centre.distance(start) < radius + reach) {
+            return 1.0;
+        }
+        let (right, up) = normal.any_orthonormal_pair();
+        let taken = SKY.iter().filter(|local| {
+            let direction = right * local.x + up * local.y + normal * local.z;
+            self.shaded(start, direction, reach)
+        });
+        1.0 - SKY_TAKEN * taken.count() as f32 / SKY.len() as f32
     }
 
     fn sky(&self, direction: Vec3) -> Vec3 {

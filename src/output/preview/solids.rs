@@ -69,9 +69,9 @@ impl SolidFrame {
             .chunks_exact(4)
             .map(|corners| [0, 1, 2, 3].map(|c| corners[c] as u32))
             .collect();
-        let body = array(&piece.data, "solid").and_then(IOBuffer::into_vec);
+        let body = array(&piece.data.cell, "solid").and_then(IOBuffer::into_vec);
         let values = match colour.field() {
-            Some(field) => array(&piece.data, field).and_then(IOBuffer::into_vec),
+            Some(field) => array(&piece.data.cell, field).and_then(IOBuffer::into_vec),
             None => Some(Vec::new()),
         };
         let frame = SolidFrame {
@@ -243,12 +243,13 @@ impl Scale {
             Scale::Volume(reach) => ("det F", 1.0 - reach, 1.0 + reach),
         };
         let [width, height] = picture.size;
-        let scale = (height / 270).max(1);
-        let margin = 8 * scale;
+        let [letter, line] = picture.letters().extent(1);
+        let margin = line / 2;
         let right = |length: usize| width.saturating_sub(margin + length);
-        let letters = |text: &str| 6 * scale * text.len();
-        picture.text(right(letters(title)), margin, scale, title, DARK);
-        let (top, tall, wide) = (margin + 18 * scale, 2 * height / 5, 8 * scale);
+        let at = |x: usize, y: usize| (x as i64, y as i64);
+        let (x, y) = at(right(letter * title.len()), margin);
+        picture.text(x, y, title, DARK);
+        let (top, tall, wide) = (margin + 2 * line, 2 * height / 5, letter);
         for row in 0..tall {
             let share = 1.0 - (row as f32 + 0.5) / tall as f32;
             let colour = picture::srgb(self.colour(low + (high - low) * share));
@@ -256,9 +257,10 @@ impl Scale {
         }
         for (share, value) in [(0.0, high), (0.5, 0.5 * (low + high)), (1.0, low)] {
             let label = label(value);
-            let y = top as f32 + share * tall as f32 - 3.5 * scale as f32;
-            let x = right(wide + 2 * scale + letters(&label));
-            picture.text(x, y as usize, scale, &label, DARK);
+            let middle = top as f32 + share * tall as f32;
+            let x = right(wide + letter / 2 + letter * label.len());
+            let (x, y) = at(x, (middle - 0.5 * line as f32) as usize);
+            picture.text(x, y, &label, DARK);
         }
     }
 }
@@ -315,7 +317,7 @@ fn round_up(value: f32) -> f32 {
 }
 
 /// A number with the digits that it has.
-fn label(value: f32) -> String {
+pub(super) fn label(value: f32) -> String {
     // Through three digits: what is 1 - 0.2 in binary has more.
     let value: f64 = format!("{value:.2e}").parse().unwrap_or_default();
     if value == 0.0 || (1e-2..1e4).contains(&value.abs()) {

@@ -1,4 +1,6 @@
 //! Rays against triangles: a bounding volume hierarchy split at the median, and the Moeller-Trumbore test (1997).
+//!
+//! Which of two triangles at one distance counts is the order of a hierarchy that the triangles alone decide.
 
 use glam::Vec3;
 
@@ -14,6 +16,8 @@ pub(super) enum Owner {
     Container,
     /// An elastic solid, with the number of the triangle on its surface: seen from both sides, since it may be inside out.
     Solid(usize),
+    /// The liquid, with the number of the triangle: seen from outside.
+    Liquid(usize),
 }
 
 /// A triangle of a body.
@@ -50,6 +54,8 @@ struct Node {
     next: usize,
     /// Triangles of a leaf, else 0.
     count: usize,
+    /// Along which the left child comes first.
+    axis: usize,
 }
 
 impl Triangles {
@@ -92,10 +98,31 @@ impl Triangles {
         nearest
     }
 
-    /// Whether a body, but not a container, is between a point and the light.
-    pub(super) fn shades(&self, origin: Vec3, direction: Vec3) -> bool {
-        let mut shaded = false;
+    /// Every triangle on a ray, the nearest first: the distance, and whether the ray meets its outer side.
+    pub(super) fn crossings(&self, origin: Vec3, direction: Vec3) -> Vec<(f32, bool)> {
+        let mut found = Vec::new();
         self.walk(origin, direction, f32::INFINITY, |triangle, limit| {
+            if let Some((t, _)) = intersect(triangle, origin, direction, limit) {
+                let [a, b, c] = triangle.corners;
+                found.push((t, (b - a).cross(c - a).dot(direction) < 0.0));
+            }
+            limit
+        });
+        found.sort_unstable_by(|(a, entering_a), (b, entering_b)| {
+            a.total_cmp(b).then(entering_a.cmp(entering_b))
+        });
+        found
+    }
+
+    /// Corners of the box of all triangles, m; none without any.
+    pub(super) fn bounds(&self) -> Option<[Vec3; 2]> {
+        self.nodes.first().map(|root| [root.low, root.high])
+    }
+
+    /// Whether a body, but not a container, is between a point and the light, no further than `limit`.
+    pub(super) fn shades(&self, origin: Vec3, direction: Vec3, limit: f32) -> bool {
+        let mut shaded = false;
+        self.walk(origin, direction, limit, |triangle, limit| {
             let open = triangle.owner == Owner::Container;
             if open || intersect(triangle, origin, direction, limit).is_none() {
                 return limit;
@@ -115,11 +142,12 @@ impl Triangles {
         mut visit: impl FnMut(&'a Triangle, f32) -> f32,
     ) {
         let inverse = direction.recip();
-        let mut stack = Vec::with_capacity(32);
-        if !self.nodes.is_empty() {
-            stack.push(0);
-        }
-        while let Some(index) = stack.pop() {
+        // Halves of halves: no deeper than the bits of their number.
+        let mut stack = [0; usize::BITS as usize + 1];
+        let mut waiting = usize::from(!self.nodes.is_empty());
+        while waiting > 0 {
+            waiting -= 1;
+            let index = stack[waiting];
             let node = &self.nodes[index];
             let (low, high) = (
                 (node.low - origin) * inverse,
@@ -130,8 +158,12 @@ impl Triangles {
                 continue;
             }
             if node.count == 0 {
-                stack.push(node.next);
-                stack.push(index + 1);
+                // The nearer child is looked at first: what it hides, the other need not show.
+                let children = [node.next, index + 1];
+                let first = usize::from(direction[node.axis] < 0.0);
+                stack[waiting] = children[first];
+                stack[waiting + 1] = children[1 - first];
+                waiting += 2;
             }
             for triangle in &self.triangles[node.next..node.next + node.count] {
                 limit = visit(triangle, limit);
@@ -151,16 +183,18 @@ fn build(triangles: &mut [Triangle], first: usize, nodes: &mut Vec<Node>) {
             high,
             next: first,
             count: triangles.len(),
+            axis: 0,
         });
         return;
     }
+    let axis = (high - low).max_position();
     nodes.push(Node {
         low,
         high,
         next: 0,
         count: 0,
+        axis,
     });
-    let axis = (high - low).max_position();
     let middle = triangles.len() / 2;
     let centre = |triangle: &Triangle| {
         triangle

@@ -1,0 +1,230 @@
+//! The liquid's surface as a closed mesh of triangles, made by splashsurf: a smooth density of the markers, or the distance of
+//! cells, cut by marching cubes at one level, then smoothed and pressed flat against the walls.
+//!
+//! Within this file lengths are in cells. The density is that of smoothed particles with a cubic spline (Monaghan 1992), each
+//! weighted by the volume that it has among its neighbours, so that drops and dense bodies have the same level. Smoothing takes
+//! Taubin's pairs of steps (1995, "A signal processing approach to fair surface design"): the second undoes the shrinking of
+//! the first. The same markers make the same mesh, bit for bit, whatever the number of threads.
+
+use std::collections::HashMap;
+
+use glam::Vec3;
+use rayon::prelude::*;
+use splashsurf_lib::density_map::DensityMap;
+use splashsurf_lib::marching_cubes::triangulate_density_map;
+use splashsurf_lib::mesh::{Mesh3d, TriMesh3d};
+use splashsurf_lib::nalgebra::Vector3;
+use splashsurf_lib::postprocessing::par_laplacian_smoothing_inplace;
+use splashsurf_lib::{
+    GridDecompositionParameters, Parameters, ReconstructionError, SpatialDecomposition,
+    UniformGrid, reconstruct_surface,
+};
+
+use crate::grid::Grid;
+use crate::scene::SurfaceMesh;
+
+/// Reach of a marker's spline over the radius of the surface around a marker alone. With the default radius a flat surface of
+/// seeded markers lies where the region's does, to 0.05 cells, and is bumpy by 0.04 before smoothing. A larger reach takes time as
+/// its cube and hides no more.
+const REACH: f32 = 1.5;
+
+/// The level: the spline at the radius over the spline at 0, 2 (1 - 1/REACH)^3.
+const LEVEL: f32 = 2.0 / 27.0;
+
+/// Edge of the marching cubes.
+const CUBE: f32 = 0.5;
+
+/// Half the distance of markers side by side: eight share a cell.
+const HALF_SPACING: f32 = 0.25;
+
+/// Taubin's steps, forwards and back: waves of ten edges and more stay, those of five lose a twentieth in a pair, ripples most.
+const STEPS: [f32; 2] = [0.6307, -0.6732];
+
+/// Why there is no mesh.
+pub(super) type SurfaceError = ReconstructionError<i64, f32>;
+
+/// A closed mesh of the liquid's surface, empty without liquid.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct LiquidSurface {
+    /// m, within the domain.
+    pub(super) vertices: Vec<Vec3>,
+    /// Unit normals of the vertices, out of the liquid: of the free surface where it meets a wall.
+    pub(super) normals: Vec<Vec3>,
+    /// Corners, counter-clockwise seen from outside the liquid.
+    pub(super) triangles: Vec<[u32; 3]>,
+}
+
+impl LiquidSurface {
+    /// Around markers (m, finite).
+    pub(super) fn of_markers(
+        markers: &[Vec3],
+        grid: &Grid,
+        settings: &SurfaceMesh,
+    ) -> Result<LiquidSurface, SurfaceError> {
+        if markers.is_empty() {
+            return Ok(LiquidSurface::default());
+        }
+        let cells = 1.0 / grid.dx as f32;
+        let particles: Vec<Vector3<f32>> = markers
+            .iter()
+            .map(|&marker| Vector3::from((marker * cells).to_array()))
+            .collect();
+        let parameters = Parameters {
+            iso_surface_threshold: LEVEL,
+            // The other way sums in an order that depends on the threads.
+            spatial_decomposition: SpatialDecomposition::UniformGrid(GridDecompositionParameters {
+                auto_disable: false,
+                ..GridDecompositionParameters::default()
+            }),
+            ..Parameters::new(HALF_SPACING, REACH * settings.radius as f32, CUBE)
+        };
+        let mesh = reconstruct_surface::<i64, f32>(&particles, &parameters)?.mesh;
+        Ok(LiquidSurface::finish(mesh, grid, settings.smoothing))
+    }
+
+    /// Where the distance at cell centres (m, x fastest, negative in liquid) is 0; unchanged from the outermost centres to the walls.
+    pub(super) fn of_distance(
+        distance: &[f32],
+        grid: &Grid,
+    ) -> Result<LiquidSurface, SurfaceError> {
+        // A layer of copies around the cells, and a layer of air around those, which closes the mesh beyond the walls.
+        const LAYERS: usize = 2;
+        let n = grid.cells.map(|n| n + 2 * LAYERS);
+        let samples = UniformGrid::<i64, f32>::new(
+            &Vector3::from_element(0.5 - LAYERS as f32),
+            &n.map(|n| n as i64 - 1),
+            1.0,
+        )?;
+        let mut depths = Vec::with_capacity(n.iter().product());
+        // The last index of a point is the fastest.
+        for i in 0..n[0] {
+            for j in 0..n[1] {
+                for k in 0..n[2] {
+                    let ijk = [i, j, k];
+                    let outermost = (0..3).any(|axis| ijk[axis] == 0 || ijk[axis] == n[axis] - 1);
+                    let inner = [0, 1, 2]
+                        .map(|axis| ijk[axis].clamp(LAYERS, n[axis] - 1 - LAYERS) - LAYERS);
+                    depths.push(match outermost {
+                        true => -1.0,
+                        false => -distance[grid.cell(inner)] / grid.dx as f32,
+                    });
+                }
+            }
+        }
+        let mesh = triangulate_density_map(&samples, &DensityMap::from(depths), 0.0)?;
+        Ok(LiquidSurface::finish(mesh, grid, 0))
+    }
+
+    /// Sorted, smoothed, and within the walls.
+    fn finish(mesh: TriMesh3d<f32>, grid: &Grid, smoothing: u32) -> LiquidSurface {
+        let mut mesh = sorted(mesh);
+        if smoothing > 0 {
+            let connectivity = mesh.vertex_vertex_connectivity();
+            let weights = vec![1.0; mesh.vertices.len()];
+            for _ in 0..smoothing {
+                for step in STEPS {
+                    par_laplacian_smoothing_inplace(&mut mesh, &connectivity, 1, step, &weights);
+                }
+            }
+        }
+        let size = Vec3::from_array(grid.cells.map(|n| n as f32));
+        let vertices: Vec<Vec3> = mesh
+            .vertices
+            .iter()
+            .map(|x| Vec3::new(x[0], x[1], x[2]).clamp(Vec3::ZERO, size))
+            .collect();
+        let triangles: Vec<[u32; 3]> = mesh
+            .triangles
+            .iter()
+            .map(|corners| corners.map(|corner| corner as u32))
+            .collect();
+        LiquidSurface {
+            normals: normals(&vertices, &triangles, size),
+            vertices: vertices.iter().map(|&x| x * grid.dx as f32).collect(),
+            triangles,
+        }
+    }
+}
+
+/// Whether a triangle lies in a wall of a domain.
+pub(super) fn in_wall([a, b, c]: [Vec3; 3], size: Vec3) -> bool {
+    let flat = |wall: Vec3| a.cmpeq(wall) & b.cmpeq(wall) & c.cmpeq(wall);
+    (flat(Vec3::ZERO) | flat(size)).any()
+}
+
+/// Area-weighted normals, of the triangles that lie in no wall where a vertex has any.
+fn normals(vertices: &[Vec3], triangles: &[[u32; 3]], size: Vec3) -> Vec<Vec3> {
+    let mut sums = vec![[Vec3::ZERO; 2]; vertices.len()];
+    for corners in triangles {
+        let points = corners.map(|corner| vertices[corner as usize]);
+        let [a, b, c] = points;
+        let area = (b - a).cross(c - a);
+        let kind = usize::from(in_wall(points, size));
+        for corner in corners {
+            sums[*corner as usize][kind] += area;
+        }
+    }
+    let unit = |[free, wall]: [Vec3; 2]| {
+        let normal = free.try_normalize().or_else(|| wall.try_normalize());
+        normal.unwrap_or(Vec3::Y)
+    };
+    sums.into_iter().map(unit).collect()
+}
+
+/// The mesh with its vertices and triangles in an order that their places decide alone: which part of the mesh splashsurf puts
+/// first depends on the threads.
+fn sorted(mesh: TriMesh3d<f32>) -> TriMesh3d<f32> {
+    /// Places of the corners from the least on, and the corners.
+    type Placed = ([[u32; 3]; 3], [usize; 3]);
+    let place = |corner: usize| mesh.vertices[corner].data.0[0].map(ordered);
+    let mut placed: Vec<Placed> = mesh
+        .triangles
+        .par_iter()
+        .map(|&[a, b, c]| {
+            let turns =
+                [[a, b, c], [b, c, a], [c, a, b]].map(|corners| (corners.map(place), corners));
+            let [first, second, third] = turns;
+            first.min(second).min(third)
+        })
+        .collect();
+    placed.par_sort_unstable();
+    // Corners of triangles without extent do not tell their order; others have them too.
+    let mut numbers = HashMap::with_capacity(mesh.vertices.len());
+    let mut vertices = Vec::with_capacity(mesh.vertices.len());
+    for extended in [true, false] {
+        for ([a, b, c], corners) in &placed {
+            if (a != b && b != c && c != a) == extended {
+                for &corner in corners {
+                    numbers.entry(corner).or_insert_with(|| {
+                        vertices.push(mesh.vertices[corner]);
+                        vertices.len() - 1
+                    });
+                }
+            }
+        }
+    }
+    let mut triangles: Vec<[usize; 3]> = placed
+        .into_iter()
+        .map(|(_, corners)| {
+            let [a, b, c] = corners.map(|corner| numbers[&corner]);
+            [[a, b, c], [b, c, a], [c, a, b]]
+                .into_iter()
+                .min()
+                .unwrap_or([a, b, c])
+        })
+        .collect();
+    triangles.par_sort_unstable();
+    TriMesh3d {
+        vertices,
+        triangles,
+    }
+}
+
+/// A number whose order among others is that of the floating-point number.
+fn ordered(x: f32) -> u32 {
+    let bits = x.to_bits();
+    match bits >> 31 {
+        0 => bits | 1 << 31,
+        _ => !bits,
+    }
+}
