@@ -1,9 +1,9 @@
 // Stage active_cells, level 0: which cells are unknowns, and the matrix of the projection.
 // A cell is active when its liquid distance is negative and one of its faces is open. Off-diagonal weights are the open
-// fractions between active cells; a face towards air adds open / theta to the diagonal (ghost fluid). Only quads that hold
-// liquid are written; all arrays are zero elsewhere. One thread per quad that may hold some.
-// level: the level. settings: theta floor. list, args: those quads. liquid_distance: per cell, m. open: fractions of the minus
-// faces along x, y, z. flags: per quad, active lanes in bits 0-3 and UNIFORM. matrix: see level.
+// fractions between active cells; a face towards air adds open / theta to the diagonal (ghost fluid), one on an open side of the
+// domain open / (1/2). Only quads that hold liquid are written; all arrays are zero elsewhere. One thread per quad that may hold some.
+// level: the level. settings: theta floor, whether sides are open. list, args: those quads. liquid_distance: per cell, m.
+// open: fractions of the minus faces along x, y, z. flags: per quad, active lanes in bits 0-3 and UNIFORM. matrix: see level.
 #import dispatch
 #import level
 #import real
@@ -11,9 +11,10 @@
 
 struct ActiveSettings {
     theta_floor: f32,
+    // 0 or 1
+    open_sides: u32,
     pad_0: f32,
     pad_1: f32,
-    pad_2: f32,
 }
 
 @group(0) @binding(0) var<uniform> level: Level;
@@ -24,6 +25,28 @@ struct ActiveSettings {
 @group(0) @binding(5) var<storage, read> open: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> flags: array<u32>;
 @group(0) @binding(7) var<storage, read_write> matrix: array<Real4>;
+
+// The liquid distance across the faces of a quad, m.
+struct Around {
+    xm: vec4<f32>,
+    xp: vec4<f32>,
+    ym: vec4<f32>,
+    yp: vec4<f32>,
+    zm: vec4<f32>,
+    zp: vec4<f32>,
+}
+
+// Across the sides of the domain the mirror image: the surface that the ghost fluid method sees is the plane of the side.
+fn beyond_sides(around: Around, phi: vec4<f32>, cell: vec3<i32>) -> Around {
+    let n = vec3<i32>(level.shape.cells);
+    let lanes = vec4<i32>(cell.x) + vec4<i32>(0, 1, 2, 3);
+    let low = vec3<bool>(false, cell.y == 0, cell.z == 0);
+    let high = vec3<bool>(false, cell.y == n.y - 1, cell.z == n.z - 1);
+    return Around(
+        select(around.xm, -phi, lanes == vec4<i32>()), select(around.xp, -phi, lanes == vec4<i32>(n.x - 1)),
+        select(around.ym, -phi, vec4<bool>(low.y)), select(around.yp, -phi, vec4<bool>(high.y)),
+        select(around.zm, -phi, vec4<bool>(low.z)), select(around.zp, -phi, vec4<bool>(high.z)));
+}
 
 // Weight between two cells and free-surface term of the first, for one face of each lane.
 struct Face {
@@ -60,12 +83,18 @@ fn active_cells(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
     }
     let n = level.shape.quads;
     let ax = open[q];
-    let xm = face(phi, vec4<f32>(liquid_distance[q - 1u].w, phi.xyz), ax);
-    let xp = face(phi, vec4<f32>(phi.yzw, liquid_distance[q + 1u].x), vec4<f32>(ax.yzw, open[q + 1u].x));
-    let ym = face(phi, liquid_distance[q - sy], open[n + q]);
-    let yp = face(phi, liquid_distance[q + sy], open[n + q + sy]);
-    let zm = face(phi, liquid_distance[q - sz], open[2u * n + q]);
-    let zp = face(phi, liquid_distance[q + sz], open[2u * n + q + sz]);
+    var around = Around(
+        vec4<f32>(liquid_distance[q - 1u].w, phi.xyz), vec4<f32>(phi.yzw, liquid_distance[q + 1u].x),
+        liquid_distance[q - sy], liquid_distance[q + sy], liquid_distance[q - sz], liquid_distance[q + sz]);
+    if settings.open_sides != 0u {
+        around = beyond_sides(around, phi, quad_cell(level.shape, q));
+    }
+    let xm = face(phi, around.xm, ax);
+    let xp = face(phi, around.xp, vec4<f32>(ax.yzw, open[q + 1u].x));
+    let ym = face(phi, around.ym, open[n + q]);
+    let yp = face(phi, around.yp, open[n + q + sy]);
+    let zm = face(phi, around.zm, open[2u * n + q]);
+    let zp = face(phi, around.zp, open[2u * n + q + sz]);
     let surface = ((xm.dirichlet + xp.dirichlet) + (ym.dirichlet + yp.dirichlet)) + (zm.dirichlet + zp.dirichlet);
     let diagonal = surface + ((xm.weight + xp.weight) + (ym.weight + yp.weight)) + (zm.weight + zp.weight);
     let active_lanes = diagonal > Real4();

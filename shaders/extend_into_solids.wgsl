@@ -4,18 +4,20 @@
 // of that, weighted with the product of both open fractions, and one pair without a slope. The result stays within the range of the
 // neighbours' values. Three passes, each reading what the one before left.
 // One thread per quad of the band; the band's neighbours count as unknown.
-// level. args, list, flags: the band. open: fractions of the minus faces. distance_in, distance_out: m.
+// level, step. args, list, flags: the band. open: fractions of the minus faces. distance_in, distance_out: m.
 #import dispatch
 #import layout
+#import step
 #import unknown
 
 @group(0) @binding(0) var<uniform> level: Layout;
-@group(0) @binding(1) var<storage, read> args: array<u32>;
-@group(0) @binding(2) var<storage, read> list: array<u32>;
-@group(0) @binding(3) var<storage, read> flags: array<u32>;
-@group(0) @binding(4) var<storage, read> open: array<f32>;
-@group(0) @binding(5) var<storage, read> distance_in: array<f32>;
-@group(0) @binding(6) var<storage, read_write> distance_out: array<f32>;
+@group(0) @binding(1) var<uniform> step: Step;
+@group(0) @binding(2) var<storage, read> args: array<u32>;
+@group(0) @binding(3) var<storage, read> list: array<u32>;
+@group(0) @binding(4) var<storage, read> flags: array<u32>;
+@group(0) @binding(5) var<storage, read> open: array<f32>;
+@group(0) @binding(6) var<storage, read> distance_in: array<f32>;
+@group(0) @binding(7) var<storage, read_write> distance_out: array<f32>;
 
 // What lies across a face of a cell.
 struct Neighbour {
@@ -23,6 +25,15 @@ struct Neighbour {
     // Open fraction, 0 where the neighbour is unknown.
     open: f32,
     phi: f32,
+}
+
+// Whether there is no such cell: across an open side of the domain.
+fn beyond(cell: u32) -> bool {
+    if step.open_sides == 0u {
+        return false;
+    }
+    let at = quad_cell(level, cell / 4u) + vec3<i32>(i32(cell % 4u), 0, 0);
+    return any(at < vec3<i32>()) || any(at >= vec3<i32>(level.cells));
 }
 
 // On a side (0 minus, 1 plus) along an axis.
@@ -35,7 +46,7 @@ fn neighbour(cell: u32, axis: u32, side: u32) -> Neighbour {
     }
     let other = plus - (1u - side) * stride;
     let phi = distance_in[other];
-    let known = flags[other / 4u] != 0u && phi < UNKNOWN;
+    let known = flags[other / 4u] != 0u && phi < UNKNOWN && !beyond(other);
     return Neighbour(other, select(0.0, fraction, known), phi);
 }
 

@@ -1,13 +1,21 @@
-// extrapolate, after the layers: faces on the walls of the domain do not let anything through. One thread per quad of the band.
-// level. args, list: the band. velocity: faces, m/s, in place.
+// extrapolate, after the layers: faces on the sides of the domain that are not open do not let anything through. One thread per quad
+// of the band. level. args, list: the band. valid: which faces are open. velocity: faces, m/s, in place.
 #import dispatch
 #import layout
 #import lanes
+#import valid
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<storage, read> args: array<u32>;
 @group(0) @binding(2) var<storage, read> list: array<u32>;
-@group(0) @binding(3) var<storage, read_write> velocity: array<f32>;
+@group(0) @binding(3) var<storage, read> valid: array<u32>;
+@group(0) @binding(4) var<storage, read_write> velocity: array<f32>;
+
+fn close(axis: u32, quad: u32, lane: u32) {
+    if (valid[quad] >> (OPEN + 4u * axis + lane) & 1u) == 0u {
+        velocity[4u * (axis * level.quads + quad) + lane] = 0.0;
+    }
+}
 
 @compute @workgroup_size(WG_SIZE)
 fn extrapolate_walls(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
@@ -19,15 +27,15 @@ fn extrapolate_walls(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local
     let cell = quad_cell(level, quad);
     let n = vec3<i32>(level.cells);
     if cell.x == 0 {
-        velocity[4u * quad] = 0.0;
+        close(0u, quad, 0u);
     }
     if cell.x <= n.x && n.x < cell.x + 4 {
-        velocity[4u * quad + u32(n.x - cell.x)] = 0.0;
+        close(0u, quad, u32(n.x - cell.x));
     }
     for (var axis = 1u; axis < 3u; axis++) {
         if cell[axis] == 0 || cell[axis] == n[axis] {
             for (var l = 0u; l < 4u; l++) {
-                velocity[4u * (axis * level.quads + quad) + l] = 0.0;
+                close(axis, quad, l);
             }
         }
     }

@@ -1,6 +1,7 @@
 // liquid_distance, after measure_volume: the volume, and the relative rate at which volume control lets the liquid grow,
-// (V_0/V - 1) over half a frame or one and a half sub-steps, at most 10 % in a frame, 1/s. One workgroup.
-// step: volume_0 = 0 for no control. partials: volume, potential energy. report: see report.
+// (V_0/V - 1) over half a frame or one and a half sub-steps, at most 10 % in a frame, 1/s. Markers that leave or sink in this
+// sub-step take their share of V_0 along, and join those that are gone. One workgroup.
+// step: volume_0 before, 0 for no control. partials: volume, potential energy. report: see report.
 #import step
 #import report
 #import report_sum
@@ -25,9 +26,23 @@ fn volume_rate(@builtin(local_invocation_index) lane: u32) {
     }
     report_sum(VOLUME, sums.x);
     report_sum(VOLUME + 2u, sums.y);
+    var volume_0 = Real(step.volume_0);
+    var going = 0u;
+    if arrayLength(&report) > ROOM {
+        report[LEFT_NOW] = report[LEAVING];
+        report[SUNK_NOW] = report[SINKING];
+        report[LEAVING] = 0u;
+        report[SINKING] = 0u;
+        going = report[LEFT_NOW] + report[SUNK_NOW];
+    }
+    if going > 0u {
+        let before = step.n_markers - report[ROOM] - report[DROPPED] - report[GONE];
+        volume_0 *= Real(before - going) / Real(before);
+        report[GONE] += going;
+    }
     var rate = 0.0;
-    if step.volume_0 > 0.0 && sums.x > Real() {
-        let deficit = f32(Real(step.volume_0) / sums.x - Real(1.0));
+    if volume_0 > Real() && sums.x > Real() {
+        let deficit = f32(volume_0 / sums.x - Real(1.0));
         rate = clamp(
             deficit / max(FRAMES * step.frame, STEPS * step.dt),
             -LARGEST_CHANGE / step.frame,

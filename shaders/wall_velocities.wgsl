@@ -1,5 +1,6 @@
 // extrapolate, with solids only, before slip: the velocities of the places on the surfaces that are nearest to cells. One thread per place.
-// clipped: see cut_quad. places: nodes of a triangle, then bits of their weights. velocity: of the nodes, m/s. walls: see moving_walls.
+// clipped: see cut_quad. places: nodes of a triangle, then bits of their weights; or of an obstacle. velocity: of the nodes, m/s.
+// walls: see moving_walls.
 #import cut_quad
 #import dispatch
 #import real
@@ -16,12 +17,19 @@ fn wall_velocities(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_i
         return;
     }
     let nodes = places[2u * place];
-    let weights = bitcast<vec4<f32>>(places[2u * place + 1u]);
+    let bits = places[2u * place + 1u];
+    let at = clipped.first + 3u * place;
+    if nodes.x == NO_NODE {
+        for (var axis = 0u; axis < 3u; axis++) {
+            walls[at + axis] = bits[axis];
+        }
+        return;
+    }
+    let weights = bitcast<vec4<f32>>(bits);
     var sum = Real3();
     for (var corner = 0u; corner < 3u; corner++) {
         sum += Real(weights[corner]) * velocity[nodes[corner]].xyz;
     }
-    let at = clipped.first + 3u * place;
     for (var axis = 0u; axis < 3u; axis++) {
         walls[at + axis] = bitcast<u32>(f32(sum[axis]));
     }

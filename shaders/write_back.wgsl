@@ -1,5 +1,6 @@
 // write_back: u = u* - (phi_+ - phi_-) on every open face with an active side (thesis 4.36), phi = p dt / (rho dx). Across the free
-// surface the missing phi is 0 and the difference is divided by the theta of the matrix. Other faces are not valid and 0.
+// surface, and on open sides of the domain, the missing phi is 0 and the difference is divided by the theta of the matrix. Other
+// faces are not valid and 0.
 // One thread per quad of the band. level, step. args, list: the band. flags: see active. velocity_next: u*, faces, m/s.
 // liquid_distance: m. potential: phi, m/s. velocity: u, m/s. valid: see valid; in place.
 #import dispatch
@@ -32,18 +33,27 @@ fn cells(quad: u32) -> Cells {
     return Cells(bit_lanes(flags[quad]), liquid_distance[quad], potential[quad]);
 }
 
-// phi_+ - phi_- across the faces between two quads of cells, m/s.
-fn differences(minus: Cells, plus: Cells, update: vec4<bool>) -> Real4 {
+// Lanes whose minus face along an axis lies on a side of the domain that is open.
+fn on_open_side(axis: u32, quad: u32) -> vec4<bool> {
+    if step.open_sides == 0u {
+        return vec4<bool>(false);
+    }
+    let cell = quad_cell(level, quad);
+    let along = select(vec4<i32>(cell[axis]), vec4<i32>(cell.x) + LANES, axis == 0u);
+    return along == vec4<i32>() | along == vec4<i32>(i32(level.cells[axis]));
+}
+
+// phi_+ - phi_- across the faces between two quads of cells, m/s. What is across a side of the domain is the mirror image.
+fn differences(minus: Cells, plus: Cells, update: vec4<bool>, on_side: vec4<bool>) -> Real4 {
     let one = vec4<f32>(1.0);
     var theta = one;
     let surface = update & (minus.inside != plus.inside);
     if any(surface) {
         for (var l = 0u; l < 4u; l++) {
             if surface[l] {
-                theta[l] = ghost_theta(
-                    select(plus.phi[l], minus.phi[l], minus.inside[l]),
-                    select(minus.phi[l], plus.phi[l], minus.inside[l]),
-                    step.theta_floor);
+                let inside = select(plus.phi[l], minus.phi[l], minus.inside[l]);
+                let outside = select(minus.phi[l], plus.phi[l], minus.inside[l]);
+                theta[l] = ghost_theta(inside, select(outside, -inside, on_side[l]), step.theta_floor);
             }
         }
     }
@@ -54,7 +64,7 @@ fn differences(minus: Cells, plus: Cells, update: vec4<bool>) -> Real4 {
 
 fn update_faces(axis: u32, quad: u32, update: vec4<bool>, minus: Cells, plus: Cells) {
     let here = axis * level.quads + quad;
-    let u = Real4(velocity_next[here]) - differences(minus, plus, update);
+    let u = Real4(velocity_next[here]) - differences(minus, plus, update, on_open_side(axis, quad));
     velocity[here] = select(vec4<f32>(), vec4<f32>(u), update);
 }
 

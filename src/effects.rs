@@ -12,6 +12,12 @@ pub struct Effects {
     pub markers: bool,
     /// The liquid's volume is held.
     pub volume_control: bool,
+    /// Liquid leaves through sides of the domain: markers beyond them are removed, and the volume to hold with them.
+    pub open_sides: bool,
+    /// Sources emit liquid: markers, held faces, and more volume to hold.
+    pub sources: bool,
+    /// Sinks take liquid away.
+    pub sinks: bool,
     /// There are elastic solids: `move_solid`, `solid_matrices` and their solve.
     pub solids: bool,
     /// A solid measures strain in the frame that turns with each element: rotations of elements.
@@ -29,6 +35,8 @@ pub struct Effects {
     /// There are obstacles. With liquid: open areas from clipping, push-out, extension of the liquid distance, slip inside them;
     /// with solids: push-out of nodes.
     pub obstacles: bool,
+    /// Obstacles move, in liquid: `clip` in every sub-step, their J v in the right-hand side, slip relative to them.
+    pub moving_obstacles: bool,
     /// There are liquid and solids: `clip` in every sub-step, J, and one solve for both where they touch.
     pub coupling: bool,
     /// The pressure on the solids' patches varies within cells: forces on their nodes.
@@ -43,6 +51,16 @@ impl Effects {
     /// Whether obstacles or solids take room from the liquid.
     pub fn cuts(&self) -> bool {
         self.liquid && (self.obstacles || self.coupling)
+    }
+
+    /// Whether liquid comes in or goes out.
+    pub fn exchange(&self) -> bool {
+        self.open_sides || self.sources || self.sinks
+    }
+
+    /// Whether what takes room from it moves: `clip` in every sub-step.
+    pub fn clips(&self) -> bool {
+        self.coupling || self.moving_obstacles
     }
 
     /// The effects of a scene.
@@ -64,6 +82,9 @@ impl Effects {
                     .liquid
                     .as_ref()
                     .is_some_and(|liquid| liquid.volume_control),
+            open_sides: scene.liquid.is_some() && scene.domain.open.any(),
+            sources: !scene.sources.is_empty(),
+            sinks: !scene.sinks.is_empty(),
             solids: !scene.solids.is_empty(),
             corotation: any(|solid| solid.model == ElasticModel::Corotational),
             turning: any(|solid| {
@@ -74,6 +95,11 @@ impl Effects {
             scripts: pin(true),
             loads: any(|solid| !solid.loads.is_empty()),
             obstacles: !scene.obstacles.is_empty(),
+            moving_obstacles: scene.liquid.is_some()
+                && scene
+                    .obstacles
+                    .iter()
+                    .any(|obstacle| obstacle.motion.is_some()),
             coupling: scene.liquid.is_some() && !scene.solids.is_empty(),
             patch_correction: scene.liquid.is_some()
                 && !scene.solids.is_empty()

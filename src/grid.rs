@@ -46,6 +46,44 @@ impl Axis {
     }
 }
 
+/// Sides of the domain: a set of the six walls, written as in scene files, `-x` to `+z`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Sides(u32);
+
+impl Sides {
+    /// Of all six, -x, +x, -y, +y, -z, +z.
+    pub const NAMES: [&'static str; 6] = ["-x", "+x", "-y", "+y", "-z", "+z"];
+
+    /// These and one more: the minus (0) or the plus side (1) of an axis.
+    pub fn with(self, axis: Axis, side: usize) -> Sides {
+        Sides(self.0 | 1 << (2 * axis.index() + side))
+    }
+
+    /// Whether the minus (0) or the plus side (1) of an axis is among them.
+    #[inline]
+    pub fn has(self, axis: Axis, side: usize) -> bool {
+        self.0 >> (2 * axis.index() + side) & 1 == 1
+    }
+
+    /// Whether there is any.
+    pub fn any(self) -> bool {
+        self.0 != 0
+    }
+
+    /// Bits in the order of the names, the first lowest: what kernels read (`shaders/common/walls.wgsl`).
+    pub fn bits(self) -> u32 {
+        self.0
+    }
+
+    /// The names of those in it, in order.
+    pub fn names(self) -> impl Iterator<Item = &'static str> {
+        let names = Sides::NAMES.into_iter().enumerate();
+        names
+            .filter(move |(bit, _)| self.0 >> bit & 1 == 1)
+            .map(|(_, name)| name)
+    }
+}
+
 /// A MAC grid of cubic cells.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Grid {
@@ -165,6 +203,16 @@ impl Grid {
             self.cell(minus)
         });
         [minus, (ijk[a] < self.cells[a]).then(|| self.cell(ijk))]
+    }
+
+    /// Which walls a face lies on: 0 for the minus, 1 for the plus side of its axis; `None` for a face between two cells.
+    #[inline]
+    pub fn wall(&self, axis: Axis, ijk: [usize; 3]) -> Option<usize> {
+        match ijk[axis.index()] {
+            0 => Some(0),
+            at if at == self.cells[axis.index()] => Some(1),
+            _ => None,
+        }
     }
 
     /// The device layout of this grid.

@@ -19,13 +19,21 @@ pub struct State {
     pub markers: Vec<[f64; 3]>,
     /// Markers dropped so far because they could not be moved out of a solid.
     pub markers_dropped: u64,
+    /// Markers that have left so far through open sides of the domain.
+    pub markers_left: u64,
+    /// Markers that sinks have removed so far.
+    pub markers_sunk: u64,
+    /// Markers that sources have made so far.
+    pub markers_emitted: u64,
+    /// The set of sources that ran in the last sub-step, a bit for each.
+    pub sources_running: u64,
     /// Pressure of the last projection at cell centres, Pa; 0 in inactive cells.
     pub pressure: Vec<f64>,
     /// Liquid distance at cell centres, m; negative inside.
     pub liquid_distance: Vec<f64>,
     /// Whether each cell was an unknown of the last projection.
     pub active: Vec<bool>,
-    /// Liquid volume to hold, m^3.
+    /// Liquid volume to hold, m^3: with what came in and without what went out.
     pub volume_0: f64,
     /// Displacement of the nodes of all solids from rest, m; held on the device as the sum of two f32.
     pub displacement: Vec<[f64; 3]>,
@@ -63,6 +71,10 @@ impl State {
             velocity: Axis::ALL.map(|axis| vec![0.0; grid.n_faces(axis)]),
             markers: Vec::new(),
             markers_dropped: 0,
+            markers_left: 0,
+            markers_sunk: 0,
+            markers_emitted: 0,
+            sources_running: 0,
             pressure: vec![0.0; grid.n_cells()],
             liquid_distance: vec![grid.dx; grid.n_cells()],
             active: vec![false; grid.n_cells()],
@@ -198,6 +210,25 @@ pub struct LiquidReport {
     pub markers: usize,
     /// Markers dropped in this sub-step because they could not be moved out of a solid.
     pub dropped: u64,
+    /// What came in and what went out, where the scene has ways in or out.
+    pub exchange: Option<Exchange>,
+}
+
+/// What came into the domain and what went out in one sub-step.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Exchange {
+    /// Markers that left through open sides.
+    pub left: u64,
+    /// Markers that sinks removed.
+    pub sunk: u64,
+    /// Markers that sources made.
+    pub emitted: u64,
+    /// The volume of those that left, m^3.
+    pub volume_left: f64,
+    /// Of those that sank.
+    pub volume_sunk: f64,
+    /// What sources emitted, with what they filled themselves with at their start, m^3.
+    pub volume_emitted: f64,
 }
 
 /// How the search for what walls and obstacles hold of the solids ended.

@@ -1,8 +1,11 @@
+// In place of the nodes of a place that is of an obstacle: what follows are bits of its velocity, m/s.
+const NO_NODE = 0xffffffffu;
+
 // What the host clipped in this sub-step: stages::Clipped and stages::CutQuad are the same structs there.
 struct Clipped {
-    // quads whose cells solids cut, or cut in the last sub-step
+    // quads whose cells bodies cut that move, or cut in the last sub-step
     n_quads: u32,
-    // cells near solids, with the nearest place on a surface
+    // cells near them, with what is nearest
     n_places: u32,
     // first word of the places' velocities in walls
     first: u32,

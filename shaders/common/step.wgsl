@@ -20,5 +20,6 @@ struct Step {
     marker_radius: f32,
     theta_floor: f32,
     n_markers: u32,
-    spare: u32,
+    // Sides of the domain that are open, see walls.
+    open_sides: u32,
 }

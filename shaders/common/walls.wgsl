@@ -1,4 +1,4 @@
-// The walls of the domain, for markers.
+// The sides of the domain, for markers.
 #import step
 
 // Distance that markers keep from walls, cells: keeps the cell of a marker inside the domain whatever the rounding.
@@ -7,4 +7,14 @@ const WALL_GAP = 0.01;
 fn inside_walls(x: vec3<f32>, step: Step) -> vec3<f32> {
     let gap = vec3<f32>(WALL_GAP * step.dx);
     return clamp(x, gap, step.size - gap);
+}
+
+// Whether a point is beyond an open side: bits 0 to 5 of step.open_sides are -x, +x, -y, +y, -z, +z.
+fn beyond_open_side(x: vec3<f32>, step: Step) -> bool {
+    if step.open_sides == 0u {
+        return false;
+    }
+    let low = (vec3<u32>(step.open_sides) >> vec3<u32>(0u, 2u, 4u) & vec3<u32>(1u)) != vec3<u32>();
+    let high = (vec3<u32>(step.open_sides) >> vec3<u32>(1u, 3u, 5u) & vec3<u32>(1u)) != vec3<u32>();
+    return any((low & (x < vec3<f32>())) | (high & (x > step.size)));
 }

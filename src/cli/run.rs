@@ -8,6 +8,7 @@ use std::sync::{Arc, OnceLock, mpsc};
 use std::time::{Duration, Instant};
 
 use cutwater::Error;
+use cutwater::effects::Effects;
 use cutwater::geometry;
 use cutwater::output::checkpoint::Checkpoint;
 use cutwater::output::frames::FrameKinds;
@@ -158,7 +159,11 @@ impl Run {
         } = summary.tally;
         let volume = volume_ratio.map_or(String::new(), |[least, largest]| {
             let [least, largest] = [100.0 * least, 100.0 * largest];
-            format!("; volume {least:.1} % to {largest:.1} % of the start")
+            let held = match Effects::of(&scene).exchange() {
+                true => "what it should be",
+                false => "the start",
+            };
+            format!("; volume {least:.1} % to {largest:.1} % of {held}")
         });
         let det = min_det.map_or(String::new(), |det| format!("; least det F {det:.3}"));
         say!(
@@ -220,6 +225,7 @@ fn ensure_pictures(scene: &Scene) -> Result<(), Error> {
         fields,
         solids,
         surface,
+        ..
     } = FrameKinds::of(scene);
     let of_liquid = (
         "liquid",
@@ -244,10 +250,20 @@ fn ensure_pictures(scene: &Scene) -> Result<(), Error> {
     Ok(())
 }
 
-/// Warns of obstacles and, in liquid, of solids that are so thin that the cells do not see them.
+/// Warns of obstacles and, in liquid, of solids that are so thin that the cells do not see them, and of obstacles that solids do not see.
 pub(super) fn warn_of_thin(scene: &Scene) -> Result<(), Error> {
     let grid = scene.grid();
     let (liquid, solids) = (scene.liquid.is_some(), !scene.solids.is_empty());
+    if solids
+        && scene
+            .obstacles
+            .iter()
+            .any(|obstacle| obstacle.motion.is_some())
+    {
+        warn!(
+            "warning: obstacles that move and solids pass through each other; a [[solid.script]] moves nodes of a solid"
+        );
+    }
     let passes = match (liquid, solids) {
         (true, true) => "liquid leaks and solids pass through it",
         (true, false) => "liquid leaks through it",

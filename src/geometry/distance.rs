@@ -1,5 +1,8 @@
 //! Signed distances of the shapes of a scene: exact, negative inside.
 
+use std::fmt;
+use std::sync::Arc;
+
 use glam::{DMat3, DVec3};
 use parry3d_f64::query::{PointQuery, PointQueryWithLocation, Ray, RayCast};
 use parry3d_f64::shape::{TriMesh, TriMeshFlags, Triangle};
@@ -18,6 +21,7 @@ pub(super) const BAND: f64 = 3.0;
 const THICKNESS_RAYS: usize = 1024;
 
 /// A shape with its signed distance.
+#[derive(Clone, Debug)]
 pub(super) enum Solid {
     /// Axis-aligned; a side at infinity is no side.
     Box { min: DVec3, max: DVec3 },
@@ -44,15 +48,23 @@ pub(super) enum Solid {
 }
 
 /// A closed mesh, and which of its triangles its distance sees.
+#[derive(Clone)]
 pub(super) struct ClosedMesh {
-    all: TriMesh,
+    all: Arc<TriMesh>,
     free: Free,
 }
 
+impl fmt::Debug for ClosedMesh {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "ClosedMesh of {} triangles", self.all.indices().len())
+    }
+}
+
 /// The triangles that do not lie on walls of the domain.
+#[derive(Clone)]
 enum Free {
     All,
-    Some(Box<TriMesh>),
+    Some(Arc<TriMesh>),
     None,
 }
 
@@ -196,7 +208,7 @@ impl ClosedMesh {
     pub(super) fn new(vertices: Vec<DVec3>, triangles: Vec<[u32; 3]>) -> ClosedMesh {
         let all = TriMesh::with_flags(vertices, triangles, TriMeshFlags::ORIENTED);
         ClosedMesh {
-            all: all.expect("a closed surface has triangles"),
+            all: Arc::new(all.expect("a closed surface has triangles")),
             free: Free::All,
         }
     }
@@ -220,7 +232,7 @@ impl ClosedMesh {
             Free::None
         } else {
             let mesh = TriMesh::new(all.vertices().to_vec(), seen);
-            Free::Some(Box::new(mesh.expect("there are triangles")))
+            Free::Some(Arc::new(mesh.expect("there are triangles")))
         };
         ClosedMesh { all, free }
     }
@@ -275,23 +287,51 @@ fn thickness(mesh: &TriMesh, triangles: impl ExactSizeIterator<Item = Triangle>)
     ways.fold(f64::INFINITY, f64::min)
 }
 
-/// An obstacle: its boundary and its signed distance.
+/// An obstacle at one moment: its boundary and its signed distance.
+#[derive(Clone, Debug)]
 pub(super) struct Body {
     /// Its boundary, normals out of the solid.
     pub(super) surface: Surface,
     solid: Solid,
+    /// What `placement` turns and scales about, m.
     centre: DVec3,
+    /// Where `solid` is put.
     placement: Placement,
     inside_out: bool,
 }
 
+/// A rigid displacement: x = pivot + turn (X - pivot) + translate.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Rigid {
+    pub(super) pivot: DVec3,
+    pub(super) turn: DMat3,
+    pub(super) translate: DVec3,
+}
+
+impl Rigid {
+    /// Where a point goes, m.
+    pub(super) fn put(&self, x: DVec3) -> DVec3 {
+        self.pivot + self.turn * (x - self.pivot) + self.translate
+    }
+}
+
 impl Body {
-    /// The body of an obstacle, tessellated for the cells of the grid; `name` is for errors.
+    /// The body of an obstacle where it starts, tessellated for the cells of the grid; `name` is for errors.
     pub(super) fn new(obstacle: &Obstacle, name: &str, grid: &Grid) -> Result<Body, Error> {
+        Ok(Body::before_walls(obstacle, name, grid)?.beyond_walls(grid))
+    }
+
+    /// The same, whose distance still sees the sides on walls.
+    pub(super) fn before_walls(
+        obstacle: &Obstacle,
+        name: &str,
+        grid: &Grid,
+    ) -> Result<Body, Error> {
         let Obstacle {
             ref shape,
             placement,
             inside_out,
+            ..
         } = *obstacle;
         // The tessellation is scaled with the placement.
         let dx = grid.dx / placement.scale;
@@ -316,12 +356,10 @@ impl Body {
         let [low, high] = surface.bounds();
         let centre = shape.centre().unwrap_or(0.5 * (low + high));
         let surface = surface.placed(&placement, centre);
-        // A mesh is turned as a whole; the other shapes turn the point back.
-        let solid = match shape {
-            Shape::Mesh { .. } => {
-                Solid::mesh(&surface).beyond_walls(grid, &Placement::default(), DVec3::ZERO)
-            }
-            _ => Solid::new(shape)?.beyond_walls(grid, &placement, centre),
+        // A mesh is placed as a whole; for the other shapes points are turned back.
+        let (solid, centre, placement) = match shape {
+            Shape::Mesh { .. } => (Solid::mesh(&surface), DVec3::ZERO, Placement::default()),
+            _ => (Solid::new(shape)?, centre, placement),
         };
         Ok(Body {
             surface: if inside_out {
@@ -334,6 +372,29 @@ impl Body {
             placement,
             inside_out,
         })
+    }
+
+    /// The body whose distance does not see its sides on walls.
+    pub(super) fn beyond_walls(self, grid: &Grid) -> Body {
+        let solid = self.solid.beyond_walls(grid, &self.placement, self.centre);
+        Body { solid, ..self }
+    }
+
+    /// The body elsewhere.
+    pub(super) fn moved(&self, rigid: &Rigid) -> Body {
+        let Placement {
+            translate, rotate, ..
+        } = self.placement;
+        Body {
+            surface: self.surface.clone().map(|x| rigid.put(x)),
+            solid: self.solid.clone(),
+            placement: Placement {
+                translate: rigid.put(self.centre + translate) - self.centre,
+                rotate: rigid.turn * rotate,
+                ..self.placement
+            },
+            ..*self
+        }
     }
 
     /// What the body adds to the open fraction far outside everything: -1 where it fills the outside.
@@ -362,18 +423,19 @@ impl Body {
     /// Signed distance at a point, m, of the shape as placed, the right way out. Exact, but for sides on walls: the way out does not
     /// lead through these.
     fn of_shape(&self, x: DVec3) -> f64 {
+        let scale = self.placement.scale;
+        scale * self.solid.distance(self.back(x))
+    }
+
+    /// The point of the shape that is put at x, m.
+    fn back(&self, x: DVec3) -> DVec3 {
         let Placement {
             translate,
             rotate,
             scale,
         } = self.placement;
-        // The surface of a mesh is placed as a whole.
-        if let Solid::Mesh(_) = self.solid {
-            return self.solid.distance(x);
-        }
         let back: DMat3 = rotate.transpose();
-        let turned = back * (x - self.centre - translate) / scale;
-        scale * self.solid.distance(self.centre + turned)
+        self.centre + back * (x - self.centre - translate) / scale
     }
 
     /// Whether a point lies in the solid.
@@ -383,28 +445,58 @@ impl Body {
 
     /// Signed distance at all cell centres, m, clipped to [`BAND`] cells.
     pub(super) fn distance(&self, grid: &Grid) -> Vec<f64> {
-        let band = BAND * grid.dx;
+        let [nx, ny, _] = grid.cells;
         let mut field = vec![0.0; grid.n_cells()];
+        let rows = field.par_chunks_mut(nx).enumerate();
+        rows.for_each(|(row, values)| self.row(grid, [0, row % ny, row / ny], values));
         field
-            .par_chunks_mut(grid.cells[0])
-            .enumerate()
-            .for_each(|(row, values)| {
-                let [nx, ny, _] = grid.cells;
-                let centre = |i| grid.cell_centre([i, row % ny, row / ny]);
-                match self.solid {
-                    Solid::Mesh(ref mesh) => mesh_row(mesh, band, (0..nx).map(centre), values),
-                    _ => {
-                        for (i, value) in values.iter_mut().enumerate() {
-                            *value = self.of_shape(centre(i));
-                        }
-                    }
+    }
+
+    /// The same along a row of cells from `first` on.
+    fn row(&self, grid: &Grid, [i, j, k]: [usize; 3], values: &mut [f64]) {
+        let band = BAND * grid.dx;
+        let centres = (i..i + values.len()).map(|i| grid.cell_centre([i, j, k]));
+        match self.solid {
+            Solid::Mesh(ref mesh) => mesh_row(mesh, band, centres.map(|x| self.back(x)), values),
+            _ => {
+                for (value, x) in values.iter_mut().zip(centres) {
+                    *value = self.of_shape(x);
                 }
-                for value in values {
-                    let distance = value.clamp(-band, band);
-                    *value = if self.inside_out { -distance } else { distance };
-                }
-            });
-        field
+            }
+        }
+        for value in values {
+            let distance = value.clamp(-band, band);
+            *value = if self.inside_out { -distance } else { distance };
+        }
+    }
+
+    /// The cells whose distance is not that of the far outside, with their distances, in the order of cells.
+    pub(super) fn near(&self, grid: &Grid) -> Vec<(usize, f64)> {
+        let [low, high] = self.surface.bounds();
+        let reach = BAND + 1.0;
+        let range = |axis: usize| {
+            let n = grid.cells[axis] as f64;
+            let first = (low[axis] / grid.dx - reach).clamp(0.0, n) as usize;
+            let end = (high[axis] / grid.dx + reach).ceil().clamp(0.0, n) as usize;
+            match self.inside_out {
+                true => 0..grid.cells[axis],
+                false => first..end.max(first),
+            }
+        };
+        let [is, js, ks] = [range(0), range(1), range(2)];
+        let of_slab = |k: usize| {
+            let mut found = Vec::new();
+            let mut row = vec![0.0; is.len()];
+            for j in js.clone() {
+                self.row(grid, [is.start, j, k], &mut row);
+                let cells = is.clone().map(|i| grid.cell([i, j, k]));
+                let here = cells.zip(row.iter().copied());
+                found.extend(here.filter(|(_, distance)| *distance < BAND * grid.dx));
+            }
+            found
+        };
+        let slabs: Vec<Vec<(usize, f64)>> = ks.into_par_iter().map(of_slab).collect();
+        slabs.concat()
     }
 }
 

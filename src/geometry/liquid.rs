@@ -6,7 +6,7 @@ use glam::{DVec3, I64Vec3};
 use rayon::prelude::*;
 
 use super::distance::Solid;
-use super::{CutCells, MovedMesh};
+use super::{CutCells, MovedMesh, is_wall};
 use crate::error::Error;
 use crate::grid::{Axis, Grid};
 use crate::scene::{Liquid, Placement, Scene, Surface};
@@ -416,7 +416,7 @@ pub fn initial_state(scene: &Scene, grid: &Grid, cut_cells: &CutCells) -> Result
             })
         }
     };
-    if !some {
+    if !some && (scene.sources.is_empty() || !liquid.regions.is_empty()) {
         let [nx, ny, nz] = grid.cells;
         return Err(Error::input(
             format!("{}: liquid.region", scene.file.display()),
@@ -441,13 +441,14 @@ pub fn initial_state(scene: &Scene, grid: &Grid, cut_cells: &CutCells) -> Result
             .enumerate()
             .for_each(|(face, velocity)| {
                 let at = grid.face_at(axis, face);
-                if let [Some(minus), Some(plus)] = grid.face_sides(axis, at) {
-                    let sides = [minus, plus].map(|cell| grid.cell_centre(grid.cell_at(cell)));
-                    let places = [grid.face_centre(axis, at), sides[0], sides[1]];
-                    *velocity = places
-                        .into_iter()
-                        .find_map(|x| regions.velocity(x))
-                        .or_else(|| regions.nearest_velocity(places[0], VELOCITY_REACH * grid.dx))
+                if !is_wall(grid, scene.domain.open, axis, at) {
+                    let sides = grid.face_sides(axis, at).into_iter().flatten();
+                    let mut centres = sides.map(|cell| grid.cell_centre(grid.cell_at(cell)));
+                    let x = grid.face_centre(axis, at);
+                    *velocity = regions
+                        .velocity(x)
+                        .or_else(|| centres.find_map(|x| regions.velocity(x)))
+                        .or_else(|| regions.nearest_velocity(x, VELOCITY_REACH * grid.dx))
                         .map_or(0.0, |velocity| velocity[axis.index()]);
                 }
             });

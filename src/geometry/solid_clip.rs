@@ -1,4 +1,4 @@
-//! `clip`: what deforming solids cut out of the grid, sub-step after sub-step, on top of what obstacles cut out of it once.
+//! `clip`: what deforming solids cut out of the grid, sub-step after sub-step, on top of what obstacles cut out of it.
 //!
 //! Contributions of all bodies to the open fractions add up before they are clamped. Those of the obstacles are kept, so a sub-step
 //! does the grid lines and the cells that solids meet, and no others; those they met before get back what the obstacles left.
@@ -13,7 +13,7 @@ use super::clip::{Clipping, Patch, clip};
 use super::coupling::Coupling;
 use super::distance::{BAND, ClosedMesh};
 use super::nearest::{Lattice, NearestTriangles, inside_tetrahedra};
-use super::{CutCells, ObstacleCut, Surface, clamp_open};
+use super::{CutCells, ObstacleCut, Surface, clamp_open, is_wall};
 use crate::grid::{Axis, Grid};
 use crate::scene::{FaceAreas, Solver};
 
@@ -62,6 +62,30 @@ pub struct Nearest {
     pub triangle: usize,
     /// Weights of its corners.
     pub weights: [f64; 3],
+}
+
+/// What moves beside a cell.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Place {
+    /// A place on a solid.
+    Solid(Nearest),
+    /// An obstacle.
+    Obstacle {
+        /// Host index.
+        cell: usize,
+        /// Of the obstacle, m/s.
+        velocity: DVec3,
+    },
+}
+
+impl Place {
+    /// Host index of the cell.
+    pub fn cell(&self) -> usize {
+        match self {
+            Place::Solid(nearest) => nearest.cell,
+            Place::Obstacle { cell, .. } => *cell,
+        }
+    }
 }
 
 /// Solids that lie in each other or in obstacles.
@@ -128,6 +152,28 @@ impl SolidClip {
         }
     }
 
+    /// Before the solids are clipped: moves the obstacles as [`ObstacleCut::move_to`] does.
+    pub fn move_obstacles(&mut self, time: f64, dt: f64) {
+        self.restore();
+        let SolidClip { cut, obstacles, .. } = self;
+        let differed = |obstacles: &ObstacleCut| {
+            let (faces, cells) = obstacles.changed();
+            (faces.map(<[usize]>::to_vec), cells.to_vec())
+        };
+        let before = differed(obstacles);
+        obstacles.move_to(time, dt);
+        for (faces, cells) in [before, differed(obstacles)] {
+            for (a, faces) in faces.into_iter().enumerate() {
+                for face in faces {
+                    cut.open[a][face] = obstacles.cut.open[a][face];
+                }
+            }
+            for cell in cells {
+                cut.solid_distance[cell] = obstacles.cut.solid_distance[cell];
+            }
+        }
+    }
+
     /// Clips the solids where they are now.
     pub fn clip(&mut self, mesh: &MovedMesh) {
         self.restore();
@@ -147,8 +193,8 @@ impl SolidClip {
         for (axis, changes) in Axis::ALL.into_iter().zip(open) {
             let a = axis.index();
             for (face, change) in changes {
-                let at = self.grid.face_at(axis, face)[a];
-                if at > 0 && at < self.grid.cells[a] {
+                let at = self.grid.face_at(axis, face);
+                if !is_wall(&self.grid, self.obstacles.open_sides, axis, at) {
                     let open = self.obstacles.raw[a][face] + change;
                     self.cut.open[a][face] = clamp_open(open, self.area_clamp);
                     self.changed_faces[a].push(face);
@@ -248,14 +294,29 @@ impl SolidClip {
         &self.cut
     }
 
-    /// The cut cells of the obstacles alone.
-    pub fn obstacles(&self) -> &CutCells {
-        &self.obstacles.cut
+    /// The obstacles, where they are now.
+    pub fn obstacles(&self) -> &ObstacleCut {
+        &self.obstacles
     }
 
-    /// Faces per axis, and cells, that need not be as the obstacles leave them.
-    pub fn changed(&self) -> (&[Vec<usize>; 3], &[usize]) {
-        (&self.changed_faces, &self.changed_cells)
+    /// Faces per axis, and cells, that need not be as those obstacles leave them that stand still; in no order, some twice.
+    pub fn changed(&self) -> ([Vec<usize>; 3], Vec<usize>) {
+        let (faces, cells) = self.obstacles.changed();
+        let all = |of_obstacles: &[usize], of_solids: &[usize]| [of_obstacles, of_solids].concat();
+        let of_faces = [0, 1, 2].map(|a| all(faces[a], &self.changed_faces[a]));
+        (of_faces, all(cells, &self.changed_cells))
+    }
+
+    /// The cells beside something that moves, ascending, and what.
+    pub fn places(&self) -> Vec<Place> {
+        let of_solids = self.band.iter().copied().map(Place::Solid);
+        let of_obstacles = self.obstacles.walls().iter();
+        let of_obstacles = of_obstacles
+            .filter(|(cell, _)| self.nearest(*cell).is_none())
+            .map(|&(cell, velocity)| Place::Obstacle { cell, velocity });
+        let mut places: Vec<Place> = of_solids.chain(of_obstacles).collect();
+        places.sort_by_key(Place::cell);
+        places
     }
 
     /// The patches of the solids in the cells of the domain, in the order of the triangles.
@@ -300,7 +361,7 @@ fn body_of(mesh: &MovedMesh) -> impl Fn(usize) -> u32 + Sync {
 
 /// The area vectors' sums along the lines of an axis that meet a surface: (face, change of the open fraction), and the largest
 /// difference between the start and the end of a line.
-fn line_sums(grid: &Grid, axis: Axis, clipping: &Clipping) -> (Vec<(usize, f64)>, f64) {
+pub(super) fn line_sums(grid: &Grid, axis: Axis, clipping: &Clipping) -> (Vec<(usize, f64)>, f64) {
     let a = axis.index();
     let per_area = 1.0 / (grid.dx * grid.dx);
     // A line is named by its first face.

@@ -1,7 +1,7 @@
 //! Shader composition: `#import name` lines, each module once, with a line map, so that an error names file and line.
 //!
-//! Own code because naga_oil renames identifiers. `#import real` picks the scalar type `Real` (f32 or f64) of the variant, and
-//! `#import pair` what depends on it.
+//! Own code because naga_oil renames identifiers. `#import real` picks the scalar type `Real` (f32 or f64) of the variant,
+//! `#import pair` what depends on it, and `#import obstacles` whether these move.
 
 use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
 
@@ -54,6 +54,8 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/moving_walls"),
     crate::wgsl!("common/node_block"),
     crate::wgsl!("common/node_flags"),
+    crate::wgsl!("common/obstacles_moving"),
+    crate::wgsl!("common/obstacles_still"),
     crate::wgsl!("common/pair_f32"),
     crate::wgsl!("common/pair_f64"),
     crate::wgsl!("common/pcg_slots"),
@@ -63,6 +65,7 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/real_f32"),
     crate::wgsl!("common/real_f64"),
     crate::wgsl!("common/refine"),
+    crate::wgsl!("common/region"),
     crate::wgsl!("common/report"),
     crate::wgsl!("common/report_sum"),
     crate::wgsl!("common/rows"),
@@ -74,6 +77,8 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/solid_step"),
     crate::wgsl!("common/sort"),
     crate::wgsl!("common/stencil"),
+    crate::wgsl!("common/source_face"),
+    crate::wgsl!("common/source_step"),
     crate::wgsl!("common/step"),
     crate::wgsl!("common/sweep"),
     crate::wgsl!("common/symmetric"),
@@ -145,11 +150,27 @@ pub struct Variant {
     pub real: Real,
     /// `Inner`.
     pub inner: Real,
+    /// Whether obstacles move: `#import obstacles` gives what they take up of the liquid, or nothing.
+    pub moving_obstacles: bool,
 }
 
 impl From<Real> for Variant {
     fn from(real: Real) -> Variant {
-        Variant { real, inner: real }
+        Variant {
+            real,
+            inner: real,
+            moving_obstacles: false,
+        }
+    }
+}
+
+impl Variant {
+    /// The same where obstacles move, or do not.
+    pub fn beside_obstacles(self, moving_obstacles: bool) -> Variant {
+        Variant {
+            moving_obstacles,
+            ..self
+        }
     }
 }
 
@@ -177,6 +198,8 @@ fn include(
             let wanted = match name.trim() {
                 name @ ("real" | "pair") => format!("common/{name}_{}", variant.real.name()),
                 "inner" => format!("common/inner_{}", variant.inner.name()),
+                "obstacles" if variant.moving_obstacles => "common/obstacles_moving".to_owned(),
+                "obstacles" => "common/obstacles_still".to_owned(),
                 name => format!("common/{name}"),
             };
             let module = COMMON

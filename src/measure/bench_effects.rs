@@ -16,8 +16,9 @@ use serde::Serialize;
 use crate::Error;
 use crate::effects::Effects;
 use crate::gpu::{AdapterChoice, Gpu};
+use crate::grid::Sides;
 use crate::scene::{ElasticModel, Liquid, PatchPressure, Scene, Solid, Surface};
-use crate::sim::{Backend, Plan, Simulation};
+use crate::sim::{Backend, GpuPath, Plan, Simulation};
 use crate::state::State;
 
 use super::statistics::Spread;
@@ -77,24 +78,43 @@ struct Effect {
 }
 
 /// Those that can be left out, in the order of [`Effects`].
-const EFFECTS: [Effect; 12] = [
+const EFFECTS: [Effect; 15] = [
     Effect {
         name: "liquid",
         present: |effects| effects.liquid,
         without: |scene| {
             scene.liquid = None;
+            (scene.sources, scene.sinks) = (Vec::new(), Vec::new());
             scene.probes.retain(|probe| !probe.kind.of_liquid());
         },
     },
     Effect {
         name: "markers",
         present: |effects| effects.markers,
-        without: |scene| of_liquid(scene, |liquid| liquid.surface = Surface::Fixed),
+        without: |scene| {
+            of_liquid(scene, |liquid| liquid.surface = Surface::Fixed);
+            (scene.sources, scene.sinks) = (Vec::new(), Vec::new());
+        },
     },
     Effect {
         name: "volume_control",
         present: |effects| effects.volume_control,
         without: |scene| of_liquid(scene, |_| {}),
+    },
+    Effect {
+        name: "open_sides",
+        present: |effects| effects.open_sides,
+        without: |scene| scene.domain.open = Sides::default(),
+    },
+    Effect {
+        name: "sources",
+        present: |effects| effects.sources,
+        without: |scene| scene.sources.clear(),
+    },
+    Effect {
+        name: "sinks",
+        present: |effects| effects.sinks,
+        without: |scene| scene.sinks.clear(),
     },
     Effect {
         name: "solids",
@@ -208,6 +228,9 @@ impl Run {
         if !markers {
             state.markers.clear();
         }
+        // Without sources there is no room for what they have emitted.
+        let room = self.simulation.gpu_path().and_then(GpuPath::marker_room);
+        state.markers.truncate(room.unwrap_or(0));
         self.simulation.reset(&state)?;
         self.gpu().note_dispatches();
         let clock = Instant::now();

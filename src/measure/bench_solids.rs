@@ -18,6 +18,7 @@ use serde::Serialize;
 use crate::Error;
 use crate::elastic::{Bounds, Solids};
 use crate::gpu::{AdapterChoice, Gpu, Recorder};
+use crate::grid::Sides;
 use crate::linalg::{SymbolicCholesky, norm};
 use crate::reference::{self, BlockPattern};
 use crate::scene::{
@@ -201,6 +202,7 @@ fn scene(body: Body, nodes: usize, options: &Options) -> Scene {
         size: DVec3::splat(side),
         cells: [16; 3],
         gravity: DVec3::new(0.0, -9.81, 0.0),
+        open: Sides::default(),
     };
     let top = centre.y + (0.5 - 0.5 / (body.height() * cells) as f64) * height;
     let pin = Pin {
@@ -249,6 +251,8 @@ fn scene(body: Body, nodes: usize, options: &Options) -> Scene {
         liquid: None,
         solids: vec![solid],
         obstacles: Vec::new(),
+        sources: Vec::new(),
+        sinks: Vec::new(),
         probes: Vec::new(),
         solver: options.solver,
         output: Output {

@@ -22,6 +22,7 @@ use glam::DVec3;
 use crate::Error;
 use crate::elastic::Solids;
 use crate::geometry::TetMesh;
+use crate::grid::Sides;
 use crate::scene::{
     Camera, Domain, ElasticModel, Initial, Liquid, Load, LoadKind, Output, Pin, Placement, Region,
     Scene, Shape, Solid, SolidMesh, Solver, Surface, SurfaceMesh, Time,
@@ -198,6 +199,7 @@ impl PlaneStrain {
                 LAYERS,
             ],
             gravity: GRAVITY * DVec3::Y,
+            open: Sides::default(),
         };
         let below = Region {
             shape: Shape::HalfSpace {
@@ -230,6 +232,8 @@ impl PlaneStrain {
             }),
             solids: vec![solid],
             obstacles: Vec::new(),
+            sources: Vec::new(),
+            sinks: Vec::new(),
             probes: Vec::new(),
             solver,
             output: Output {

@@ -137,6 +137,10 @@ fn arrays<A: Arrays>(of: &mut Checkpoint, with: &mut A) -> Result<(), A::Error> 
     }
     with.vectors("markers", None, &mut state.markers)?;
     with.count("markers_dropped", &mut state.markers_dropped)?;
+    with.count("markers_left", &mut state.markers_left)?;
+    with.count("markers_sunk", &mut state.markers_sunk)?;
+    with.count("markers_emitted", &mut state.markers_emitted)?;
+    with.count("sources_running", &mut state.sources_running)?;
     with.numbers("pressure", &cells, &mut state.pressure)?;
     with.numbers("liquid_distance", &cells, &mut state.liquid_distance)?;
     with.marks("active", &cells, &mut state.active)?;

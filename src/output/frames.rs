@@ -33,6 +33,8 @@ pub struct FrameKinds {
     pub fields: bool,
     /// `NAME_%06d.vtu`
     pub solids: bool,
+    /// `NAME_obstacles_%06d.vtp`, where some move
+    pub moving_obstacles: bool,
     /// `NAME_%06d.ply` and `NAME_surface_%06d.vtp`
     pub surface: Option<SurfaceSource>,
 }
@@ -54,6 +56,10 @@ impl FrameKinds {
             markers: scene.output.particles && surface == Some(Surface::Markers),
             fields: scene.output.fields || surface == Some(Surface::Fixed),
             solids: scene.output.solids && !scene.solids.is_empty(),
+            moving_obstacles: scene
+                .obstacles
+                .iter()
+                .any(|obstacle| obstacle.motion.is_some()),
             surface: surface
                 .filter(|_| scene.output.surface)
                 .map(|surface| match surface {
@@ -73,6 +79,7 @@ pub struct FrameWriter {
     markers: Option<Series>,
     fields: Option<Series>,
     solids: Option<Series>,
+    obstacles: Option<Series>,
     surface: Option<(Series, SurfaceSource)>,
 }
 
@@ -92,6 +99,7 @@ impl FrameWriter {
         let markers = series(kinds.markers, "markers");
         let fields = series(kinds.fields, "fields");
         let solids = series(kinds.solids, "solids");
+        let obstacles = series(kinds.moving_obstacles, "obstacles");
         let surface = series(kinds.surface.is_some(), "surface").zip(kinds.surface);
         Ok(FrameWriter {
             folder,
@@ -100,6 +108,7 @@ impl FrameWriter {
             markers,
             fields,
             solids,
+            obstacles,
             surface,
         })
     }
@@ -111,26 +120,22 @@ impl FrameWriter {
             return Ok(());
         }
         let path = self.folder.join(format!("{}_obstacles.vtp", self.name));
-        let (mut points, mut triangles) = (Vec::new(), Vec::new());
-        let mut index = Vec::new();
-        for (ix, obstacle) in (0_i32..).zip(obstacles) {
-            let first = (points.len() / 3) as u32;
-            let vertices = obstacle.vertices.iter();
-            points.extend(vertices.flat_map(|x| x.as_vec3().to_array()));
-            let corners = obstacle.triangles.iter();
-            triangles.extend(corners.map(|corners| corners.map(|corner| first + corner)));
-            index.extend(obstacle.triangles.iter().map(|_| ix));
-        }
-        let piece = PolyDataPiece {
-            points: points.into(),
-            polys: Some(polygons(&triangles)),
-            data: Attributes {
-                point: Vec::new(),
-                cell: vec![scalars("obstacle", index.into())],
-            },
-            ..Default::default()
+        write_vtk(&path, obstacles_file(obstacles))
+    }
+
+    /// Writes them where they are in one frame, under the state's frame number, then the series with its time; nothing where none moves.
+    pub fn write_moved_obstacles(
+        &mut self,
+        state: &State,
+        obstacles: &[geometry::Surface],
+    ) -> Result<(), Error> {
+        let Some(series) = &mut self.obstacles else {
+            return Ok(());
         };
-        write_vtk(&path, poly_data(piece))
+        let file_name = moved_obstacles_file(&self.name, state.frame);
+        write_vtk(&self.folder.join(&file_name), obstacles_file(obstacles))?;
+        series.add(state.time, &file_name);
+        series.write()
     }
 
     /// Goes on after frames that were written before, so many per second; the series list these and no others.
@@ -153,7 +158,14 @@ impl FrameWriter {
             }
             series.write()?;
         }
-        Ok(())
+        let Some(series) = &mut self.obstacles else {
+            return Ok(());
+        };
+        for &frame in frames {
+            let file = moved_obstacles_file(&self.name, frame);
+            series.add(frame as f64 / frames_per_second, &file);
+        }
+        series.write()
     }
 
     /// Writes one frame under the state's frame number, then the series with its time.
@@ -168,6 +180,7 @@ impl FrameWriter {
             fields,
             solids,
             surface,
+            ..
         } = self;
         let stem = format!("{name}_{:06}", state.frame);
         let markers_file = markers
@@ -207,6 +220,34 @@ impl FrameWriter {
         }
         Ok(())
     }
+}
+
+/// The file of the obstacles in a frame of a scene, where they move.
+pub(super) fn moved_obstacles_file(name: &str, frame: u64) -> String {
+    format!("{name}_obstacles_{frame:06}.vtp")
+}
+
+/// The surfaces of obstacles, m. Cell data: `obstacle` (index).
+fn obstacles_file(obstacles: &[geometry::Surface]) -> DataSet {
+    let (mut points, mut triangles) = (Vec::new(), Vec::new());
+    let mut index = Vec::new();
+    for (ix, obstacle) in (0_i32..).zip(obstacles) {
+        let first = (points.len() / 3) as u32;
+        let vertices = obstacle.vertices.iter();
+        points.extend(vertices.flat_map(|x| x.as_vec3().to_array()));
+        let corners = obstacle.triangles.iter();
+        triangles.extend(corners.map(|corners| corners.map(|corner| first + corner)));
+        index.extend(obstacle.triangles.iter().map(|_| ix));
+    }
+    poly_data(PolyDataPiece {
+        points: points.into(),
+        polys: Some(polygons(&triangles)),
+        data: Attributes {
+            point: Vec::new(),
+            cell: vec![scalars("obstacle", index.into())],
+        },
+        ..Default::default()
+    })
 }
 
 /// The liquid's surface as it is written.

@@ -280,6 +280,7 @@ impl Manifest {
             fields,
             solids: solid_frames,
             surface,
+            ..
         } = FrameKinds::of(scene);
         let liquid = scene
             .liquid

@@ -9,7 +9,8 @@
 //! DIR/frames/NAME_000042.vtu     solids                  NAME_solids.pvd    the same with times
 //! DIR/frames/NAME_000042.ply     the liquid's surface
 //! DIR/frames/NAME_surface_000042.vtp  the same         NAME_surface.pvd   the same with times
-//! DIR/frames/NAME_obstacles.vtp  surfaces of the obstacles
+//! DIR/frames/NAME_obstacles.vtp  surfaces of the obstacles at the start
+//! DIR/frames/NAME_obstacles_000042.vtp  and, where some move, in a frame; NAME_obstacles.pvd the same with times
 //! DIR/preview/NAME_000042.png    shaded pictures         NAME.png           the animation (APNG)
 //! ```
 //!

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use crate::Error;
 use crate::scene::Probe;
-use crate::state::{CouplingReport, LiquidReport, SolidReport, StepReport};
+use crate::state::{CouplingReport, Exchange, LiquidReport, SolidReport, StepReport};
 
 /// A CSV file that grows by rows and is flushed once per frame.
 #[derive(Debug)]
@@ -147,6 +147,15 @@ const LIQUID: [&str; 16] = [
     "markers_dropped",
     "closed_components",
 ];
+/// Columns of what comes in and goes out.
+const EXCHANGE: [&str; 6] = [
+    "markers_left",
+    "volume_left",
+    "markers_sunk",
+    "volume_sunk",
+    "markers_emitted",
+    "volume_emitted",
+];
 /// Columns of the solids.
 const SOLIDS: [&str; 18] = [
     "solid_solves",
@@ -184,11 +193,18 @@ const COUPLING: [&str; 10] = [
 ];
 
 impl StepTable {
-    /// The columns of a scene with or without liquid and solids. Units: s, relative residual (f64, true), 1/s, m^3, kg m/s,
-    /// kg m^2/s (about the origin), J, m/s, N (forces of the liquid on the solids), m; `markers_dropped` in this sub-step;
+    /// The columns of a scene with or without liquid, ways for it in or out, and solids. Units: s, relative residual (f64, true), 1/s, m^3, kg m/s,
+    /// kg m^2/s (about the origin), J, m/s, N (forces of the liquid on the solids), m; `markers_dropped`, and markers and
+    /// volumes (m^3) that left through open sides, sank or were emitted, in this sub-step;
     /// `dt_floored`, `touching` and `condensed` are 0 or 1; a `status` is `converged` or what went wrong; `inverted` counts elements.
-    pub fn columns(liquid: bool, solids: bool) -> impl Iterator<Item = &'static str> {
+    pub fn columns(
+        liquid: bool,
+        exchange: bool,
+        solids: bool,
+    ) -> impl Iterator<Item = &'static str> {
         let of_liquid = LIQUID.into_iter().filter(move |_| liquid);
+        let exchange = EXCHANGE.into_iter().filter(move |_| exchange);
+        let of_liquid = of_liquid.chain(exchange);
         let coupling = COUPLING.into_iter().filter(move |_| liquid && solids);
         let solids = SOLIDS.into_iter().filter(move |_| solids);
         let parts = of_liquid.chain(solids).chain(coupling);
@@ -221,7 +237,12 @@ impl StepTable {
             volume_ratio,
         } = *row;
         let stages = report.seconds.iter();
-        let head: Vec<String> = StepTable::columns(report.liquid.is_some(), report.solid.is_some())
+        let exchange = report
+            .liquid
+            .is_some_and(|liquid| liquid.exchange.is_some());
+        let parts = [report.liquid.is_some(), exchange, report.solid.is_some()];
+        let [liquid, exchange, solids] = parts;
+        let head: Vec<String> = StepTable::columns(liquid, exchange, solids)
             .map(str::to_owned)
             .chain(stages.map(|(stage, _)| format!("seconds_{stage}")))
             .collect();
@@ -269,7 +290,7 @@ impl StepTable {
     }
 }
 
-/// The values of [`LIQUID`].
+/// The values of [`LIQUID`], and of [`EXCHANGE`] where there is any.
 fn liquid_fields(
     step: u64,
     liquid: &LiquidReport,
@@ -279,7 +300,7 @@ fn liquid_fields(
         solve, diagnosis, ..
     } = liquid;
     let real = |column: &str, value: f64| number(column, step, value);
-    Ok(vec![
+    let mut fields = vec![
         solve.iterations.to_string(),
         real("residual_p", solve.residual)?,
         solve.status.name().to_owned(),
@@ -296,7 +317,26 @@ fn liquid_fields(
         liquid.markers.to_string(),
         liquid.dropped.to_string(),
         liquid.closed_components.to_string(),
-    ])
+    ];
+    if let Some(exchange) = liquid.exchange {
+        let Exchange {
+            left,
+            sunk,
+            emitted,
+            volume_left,
+            volume_sunk,
+            volume_emitted,
+        } = exchange;
+        for (markers, volume, column) in [
+            (left, volume_left, "volume_left"),
+            (sunk, volume_sunk, "volume_sunk"),
+            (emitted, volume_emitted, "volume_emitted"),
+        ] {
+            fields.push(markers.to_string());
+            fields.push(real(column, volume)?);
+        }
+    }
+    Ok(fields)
 }
 
 /// The values of [`SOLIDS`].

@@ -2,7 +2,8 @@
 //!
 //! A cell is active where the liquid distance phi is negative and one of its faces is open. Between active cells a face
 //! weighs its open fraction. Where an open face separates an active cell c from phi_nb >= 0 the ghost fluid method (Gibou et
-//! al. 2002; thesis 4.43) puts p = 0 at the surface between the centres: open / theta goes to the Dirichlet part.
+//! al. 2002; thesis 4.43) puts p = 0 at the surface between the centres: open / theta goes to the Dirichlet part. On an open
+//! side of the domain p = 0 on the wall's plane, half a cell from the centre: open / (1/2).
 
 use super::pressure_system::Stencil;
 use crate::geometry::Coupling;
@@ -52,7 +53,10 @@ pub fn theta(inside: f64, outside: f64, floor: f64) -> f64 {
     (inside / (inside - outside)).max(floor)
 }
 
-/// Finds the active cells. `open`: open fraction per face; `liquid_distance`: phi per cell, m.
+/// The same where the plane of an open side is instead of the surface.
+pub(super) const THETA_OF_SIDES: f64 = 0.5;
+
+/// Finds the active cells. `open`: open fraction per face, 0 on walls; `liquid_distance`: phi per cell, m.
 pub fn active_cells(
     grid: &Grid,
     open: &[Vec<f64>; 3],
@@ -68,8 +72,13 @@ pub fn active_cells(
             .enumerate()
             .filter(|(_, fraction)| **fraction > 0.0)
         {
-            let [Some(minus), Some(plus)] = grid.face_sides(axis, grid.face_at(axis, face)) else {
-                panic!("the {axis:?} face {face} on a domain wall is open");
+            let sides = grid.face_sides(axis, grid.face_at(axis, face));
+            let [Some(minus), Some(plus)] = sides else {
+                let inside = sides.into_iter().flatten();
+                inside
+                    .filter(|&cell| liquid_distance[cell] < 0.0)
+                    .for_each(|cell| dirichlet[cell] += fraction / THETA_OF_SIDES);
+                continue;
             };
             let phi = [liquid_distance[minus], liquid_distance[plus]];
             match [phi[0] < 0.0, phi[1] < 0.0] {

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::pressure_system::PressureSystem;
+use super::pressure_system::{PressureSystem, squeezed};
 use super::refine::{Judged, Part};
 use super::solid_system::SolidSystem;
 use crate::geometry::{CellNode, Coupling};
@@ -46,14 +46,7 @@ impl CoupledSystem {
             *rhs -= flux;
         }
         pressure.rhs_scale += norm(&flux);
-        let of_closed = pressure.closed.iter().map(|component| {
-            let flux = component.iter().map(|&cell| flux[cell]);
-            let [net, gross] = flux.fold([0.0, 0.0], |[net, gross], flux: f64| {
-                [net + flux, gross + flux.abs()]
-            });
-            if gross > 0.0 { net.abs() / gross } else { 0.0 }
-        });
-        let squeezed = of_closed.fold(0.0, f64::max);
+        let squeezed = squeezed(&pressure.closed, &flux).max(pressure.squeezed);
         let mut rhs = std::mem::take(&mut pressure.rhs);
         pressure.remove_closed_means(&mut rhs);
         pressure.rhs.clone_from(&rhs);

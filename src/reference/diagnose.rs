@@ -39,21 +39,37 @@ pub(super) fn larger(a: f64, b: f64) -> f64 {
     if a >= b || a.is_nan() { a } else { b }
 }
 
-/// What the liquid amounts to. `stencil`: of the last projection; `flux`: what solids take up of each cell, J v, m^3/s; `density` in
-/// kg/m^3, `gravity` in m/s^2, the rest as in [`crate::state::State`].
-pub fn diagnose(
+/// The largest divergence that a projection left in an active cell, 1/s. `velocity`: of the faces, m/s, before it is extrapolated, which changes
+/// faces that are almost closed; `flux`: what solids and obstacles take up of each cell, J v, m^3/s.
+pub fn divergence(
     cut: &CutCells,
-    liquid_distance: &[f64],
     velocity: &[Vec<f64>; 3],
     stencil: &Stencil,
     flux: Option<&[f64]>,
+) -> f64 {
+    let grid = &stencil.grid;
+    let active = (0..grid.n_cells()).filter(|&cell| stencil.active(cell));
+    let left = active.map(|cell| {
+        let taken = flux.map_or(0.0, |flux| flux[cell]);
+        inflow(grid, &cut.open, velocity, cell).0 - taken
+    });
+    left.fold(0.0, |most, left| f64::max(most, left.abs())) / grid.cell_volume()
+}
+
+/// What the liquid amounts to. `divergence`: of [`divergence`]; `density` in kg/m^3, `gravity` in m/s^2, the rest as in
+/// [`crate::state::State`].
+pub fn diagnose(
+    grid: &Grid,
+    cut: &CutCells,
+    liquid_distance: &[f64],
+    velocity: &[Vec<f64>; 3],
+    divergence: f64,
     density: f64,
     gravity: DVec3,
 ) -> Diagnosis {
-    let grid = &stencil.grid;
     let open_volumes = open_volumes(grid, &cut.solid_distance);
     let mut momentum = DVec3::ZERO;
-    let (mut kinetic_energy, mut potential_energy, mut divergence) = (0.0, 0.0, 0.0_f64);
+    let (mut kinetic_energy, mut potential_energy) = (0.0, 0.0);
     for cell in 0..grid.n_cells() {
         let ijk = grid.cell_at(cell);
         let mass =
@@ -63,11 +79,6 @@ pub fn diagnose(
             momentum += mass * v;
             kinetic_energy += 0.5 * mass * v.length_squared();
             potential_energy -= mass * gravity.dot(grid.cell_centre(ijk));
-        }
-        if stencil.active(cell) {
-            let taken = flux.map_or(0.0, |flux| flux[cell]);
-            let left = inflow(grid, &cut.open, velocity, cell).0 - taken;
-            divergence = divergence.max(left.abs() / grid.cell_volume());
         }
     }
     Diagnosis {

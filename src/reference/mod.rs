@@ -11,6 +11,7 @@ pub mod base_scene;
 mod coupled_system;
 mod diagnose;
 mod diagnose_solid;
+mod exchange;
 mod extrapolate;
 mod forces;
 mod liquid_distance;
@@ -38,11 +39,15 @@ mod turn_solids;
 mod write_back;
 
 pub use active_cells::{ActiveCells, active_cells, theta};
-pub use advect_markers::advect_markers;
+pub use advect_markers::{Lost, advect_markers, volume_without};
 pub use advect_velocity::advect_velocity;
 pub use coupled_system::{Blocks, CoupledSystem, SQUEEZE, TwoField};
-pub use diagnose::{diagnose, liquid_volume, max_speed, open_volumes};
+pub use diagnose::{diagnose, divergence, liquid_volume, max_speed, open_volumes};
 pub use diagnose_solid::diagnose_solid;
+pub use exchange::{
+    Passed, Seeded, carry_faces, empty_sinks, exchanged_volume, hold_faces, seed_markers,
+    sink_markers,
+};
 pub use extrapolate::{MovingWalls, extrapolate, n_layers};
 pub use forces::forces;
 pub use liquid_distance::liquid_distance;

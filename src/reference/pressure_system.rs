@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::active_cells::ActiveCells;
 use super::right_hand_side::RightHandSide;
 use crate::grid::{Axis, Grid};
-use crate::linalg::{Csr, LinearOperator};
+use crate::linalg::{Csr, LinearOperator, norm};
 
 /// The dimensionless part of B, matrix-free on the whole grid:
 ///
@@ -152,6 +152,9 @@ pub struct PressureSystem {
     pub rhs_scale: f64,
     /// The cells of every component without a free surface, each in ascending order. Their pressure has mean zero.
     pub closed: Vec<Vec<usize>>,
+    /// Share of what obstacles take up of such a component that it would have to shrink by: 0 but for rounding where they keep its volume,
+    /// up to 1 where they do not.
+    pub squeezed: f64,
 }
 
 impl PressureSystem {
@@ -164,7 +167,22 @@ impl PressureSystem {
             rhs: rhs.values,
             rhs_scale: rhs.scale,
             closed: active.closed,
+            squeezed: 0.0,
         }
+    }
+
+    /// The system with obstacles that move: they take J v (m^3/s) of cells, or give where it is negative.
+    pub fn beside_obstacles(mut self, flux: &[(usize, f64)]) -> PressureSystem {
+        let mut taken = vec![0.0; self.rhs.len()];
+        let cells = flux.iter().filter(|(cell, _)| self.stencil.active(*cell));
+        cells.for_each(|&(cell, flux)| taken[cell] = flux);
+        for (rhs, taken) in self.rhs.iter_mut().zip(&taken) {
+            *rhs -= taken;
+        }
+        self.rhs_scale += norm(&taken);
+        self.squeezed = squeezed(&self.closed, &taken);
+        remove_means(&self.closed, &mut self.rhs);
+        self
     }
 
     /// Number of active cells.
@@ -219,6 +237,18 @@ impl PressureSystem {
     pub fn remove_closed_means(&self, field: &mut [f64]) {
         remove_means(&self.closed, field);
     }
+}
+
+/// The largest share, among the components, of what is taken of their cells (m^3/s) that does not come back elsewhere.
+pub(super) fn squeezed(components: &[Vec<usize>], taken: &[f64]) -> f64 {
+    let shares = components.iter().map(|component| {
+        let taken = component.iter().map(|&cell| taken[cell]);
+        let [net, gross] = taken.fold([0.0, 0.0], |[net, gross], taken: f64| {
+            [net + taken, gross + taken.abs()]
+        });
+        if gross > 0.0 { net.abs() / gross } else { 0.0 }
+    });
+    shares.fold(0.0, f64::max)
 }
 
 /// Takes the mean over each list of cells out of a field.

@@ -34,9 +34,10 @@ pub struct VolumeSource<'a> {
 }
 
 /// The rate at which the liquid should grow to come back from `volume` to `volume_0` (m^3), 1/s: the deficit over half a frame
-/// (of `frame` seconds) or one and a half sub-steps (of `dt` seconds), at most 10 % in a frame.
+/// (of `frame` seconds) or one and a half sub-steps (of `dt` seconds), at most 10 % in a frame;
+/// 0 without any.
 pub fn volume_rate(volume_0: f64, volume: f64, frame: f64, dt: f64) -> f64 {
-    if volume <= 0.0 {
+    if volume <= 0.0 || volume_0 <= 0.0 {
         return 0.0;
     }
     ((volume_0 / volume - 1.0) / (FRAMES * frame).max(STEPS * dt))

@@ -8,17 +8,18 @@ use glam::DVec3;
 
 use super::diagnose::larger;
 use super::{
-    BlockPattern, Contacts, CoupledSystem, Formulation, MovingWalls, PressureSystem, SQUEEZE,
-    SolidSolver, SolidSystem, TimeStep, VolumeSource, active_cells, advect_markers,
-    advect_velocity, diagnose, diagnose_solid, extrapolate, forces, liquid_distance, liquid_volume,
-    max_speed, move_solid, n_layers, node_forces, open_volumes, patch_pressure, prepare,
-    pressure_gradient, right_hand_side, solid_matrices, solid_right_hand_side, solve,
+    BlockPattern, Contacts, CoupledSystem, Formulation, Lost, MovingWalls, Passed, PressureSystem,
+    SQUEEZE, SolidSolver, SolidSystem, TimeStep, VolumeSource, active_cells, advect_markers,
+    advect_velocity, carry_faces, diagnose, diagnose_solid, divergence, empty_sinks,
+    exchanged_volume, extrapolate, forces, hold_faces, liquid_distance, liquid_volume, max_speed,
+    move_solid, n_layers, node_forces, open_volumes, patch_pressure, prepare, pressure_gradient,
+    right_hand_side, seed_markers, sink_markers, solid_matrices, solid_right_hand_side, solve,
     solve_coupled_in_contact, solve_damping_only, solve_weak, time_step, volume_rate, write_back,
 };
 use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::Solids;
-use crate::geometry::{CutCells, ObstacleCut, SolidClip};
+use crate::geometry::{CutCells, ObstacleCut, Running, SolidClip, Taps};
 use crate::grid::{Axis, Grid};
 use crate::scene::{CouplingScheme, Liquid, PatchPressure, Scene};
 use crate::state::{
@@ -43,9 +44,9 @@ pub struct Reference {
 /// What bodies leave of the grid.
 #[derive(Clone, Debug)]
 enum Cut {
-    /// Obstacles alone.
+    /// Obstacles that stand still.
     Still(CutCells),
-    /// Obstacles and solids.
+    /// With solids, or obstacles that move.
     Moving(Box<SolidClip>),
 }
 
@@ -58,11 +59,11 @@ impl Cut {
         }
     }
 
-    /// Of the obstacles alone.
+    /// Of the obstacles alone that stand still: what solids touch.
     fn obstacles(&self) -> &CutCells {
         match self {
             Cut::Still(cut) => cut,
-            Cut::Moving(clip) => clip.obstacles(),
+            Cut::Moving(clip) => clip.obstacles().still(),
         }
     }
 
@@ -70,6 +71,13 @@ impl Cut {
         match self {
             Cut::Still(_) => None,
             Cut::Moving(clip) => Some(clip),
+        }
+    }
+
+    /// Puts obstacles where they are at a time, with the velocities of the dt (both s) that follow.
+    fn move_obstacles(&mut self, time: f64, dt: f64) {
+        if let Cut::Moving(clip) = self {
+            clip.move_obstacles(time, dt);
         }
     }
 }
@@ -80,6 +88,7 @@ struct LiquidPart {
     liquid: Liquid,
     /// m^3 per cell
     open_volumes: Vec<f64>,
+    taps: Taps,
 }
 
 /// What the steps of solids share.
@@ -139,11 +148,15 @@ impl Reference {
                 "add a [liquid] section with a region, or a [[solid]]",
             ));
         }
-        let liquid = scene.liquid.clone().map(|liquid| LiquidPart {
-            liquid,
-            open_volumes: open_volumes(&grid, &obstacles.cut.solid_distance),
-        });
-        let cut = match effects.coupling {
+        let part = |liquid| {
+            Ok::<_, Error>(LiquidPart {
+                liquid,
+                open_volumes: open_volumes(&grid, &obstacles.cut.solid_distance),
+                taps: Taps::new(scene, &grid, &obstacles.cut)?,
+            })
+        };
+        let liquid = scene.liquid.clone().map(part).transpose()?;
+        let cut = match effects.clips() {
             false => Cut::Still(obstacles.cut),
             true => Cut::Moving(Box::new(SolidClip::new(&grid, obstacles, &scene.solver))),
         };
@@ -189,12 +202,16 @@ impl Reference {
                 "the state does not have the {n_nodes} nodes of the scene's solids"
             ));
         }
+        self.cut.move_obstacles(state.time, 0.0);
         clip(&mut self.cut, self.solid.as_ref(), &state);
         self.node_forces = vec![0.0; 3 * n_nodes];
         if state.step == 0 {
-            let triangles = self.solid.as_ref().map(|part| &part.solids.triangles[..]);
-            let solids = self.cut.clip().zip(triangles);
-            prepare(&self.scene, grid, self.cut.now(), solids, &mut state);
+            let triangles = self
+                .solid
+                .as_ref()
+                .map_or(&[][..], |part| &part.solids.triangles);
+            let moving = self.cut.clip().map(|clip| (clip, triangles));
+            prepare(&self.scene, grid, self.cut.now(), moving, &mut state);
         }
         self.state = state;
         Ok(())
@@ -220,7 +237,7 @@ impl Reference {
         self.cut.now()
     }
 
-    /// The solids in liquid as they cut the grid.
+    /// Solids in liquid and obstacles that move, as they cut the grid.
     pub fn clip(&self) -> Option<&SolidClip> {
         self.cut.clip()
     }
@@ -234,7 +251,12 @@ impl Reference {
         let left = state.time_left(scene.time.frames_per_second);
         let nodes = state.node_velocity.as_flattened().iter();
         let solid_speed = nodes.fold(0.0, |max, v| larger(max, v.abs()));
-        let speed = larger(max_speed(&state.velocity), solid_speed);
+        let obstacles = self.cut.clip().map(SolidClip::obstacles);
+        let obstacle_speed = obstacles.map_or(0.0, |cut| cut.max_speed(state.time, left));
+        let speed = larger(max_speed(&state.velocity), solid_speed.max(obstacle_speed));
+        let taps = self.liquid.as_ref().map(|part| &part.taps);
+        let sources = taps.map_or(0.0, |taps| taps.speed(state.time, scene.time.cfl));
+        let speed = larger(speed, sources);
         time_step(&scene.time, grid.dx, speed, fall, left, state.dt_last)
     }
 
@@ -256,6 +278,7 @@ impl Reference {
         let mut cut = std::mem::replace(&mut self.cut, nothing);
         let stepped = self.stages(time_step, &mut cut, observer);
         if stepped.is_err() {
+            cut.move_obstacles(self.state.time, 0.0);
             clip(&mut cut, self.solid.as_ref(), &self.state);
         }
         self.cut = cut;
@@ -302,25 +325,58 @@ impl Reference {
             clock.lap("move_solid");
         }
 
-        if self.effects.coupling {
+        if self.effects.clips() {
+            cut.move_obstacles(before.time + dt, dt);
             clip(cut, solid, &state);
             clock.lap("clip");
         }
         let (clip, obstacles, cut) = (cut.clip(), cut.obstacles(), cut.now());
         let (open, solid_distance) = (&cut.open, &cut.solid_distance);
 
-        let mut dropped = 0;
-        if liquid.is_some() {
-            (state.markers, dropped) =
-                advect_markers(grid, &before.velocity, solid_distance, &before.markers, dt);
+        let mut lost = Lost::default();
+        let mut exchange = None;
+        let mut running = Running::default();
+        if let Some(LiquidPart { liquid, taps, .. }) = liquid {
+            (state.markers, lost) = advect_markers(
+                grid,
+                scene.domain.open,
+                &before.velocity,
+                solid_distance,
+                &before.markers,
+                dt,
+            );
             clock.lap("advect_markers");
+
+            if self.effects.exchange() {
+                running = taps.running(before, liquid.seed);
+                let (markers, sunk) = sink_markers(grid, taps, std::mem::take(&mut state.markers));
+                state.markers = markers;
+                let passed = Passed {
+                    left: lost.left,
+                    sunk,
+                    kept: state.markers.len(),
+                    seeded: seed_markers(grid, taps, running, &mut state.markers),
+                };
+                let inflow = dt * taps.flux(running.running);
+                let (volumes, of_step) = exchanged_volume(grid, before.volume_0, inflow, passed);
+                state.volume_0 = volumes[0];
+                state.markers_left += of_step.left;
+                state.markers_sunk += of_step.sunk;
+                state.markers_emitted += of_step.emitted;
+                state.sources_running = running.running.into();
+                exchange = Some((of_step, volumes[1]));
+                if self.effects.sources || self.effects.sinks {
+                    clock.lap("exchange");
+                }
+            }
 
             state.velocity = advect_velocity(grid, &before.velocity, dt);
             clock.lap("advect_velocity");
         }
 
-        if liquid.is_some() {
+        if let Some(LiquidPart { taps, .. }) = liquid {
             forces(&mut state.velocity, gravity, dt);
+            hold_faces(taps, open, running.running, &mut state.velocity);
         }
         if let Some(SolidPart { solids, .. }) = solid {
             let prescribed = solids.prescribed_velocity(&state.displacement, before.time + dt, dt);
@@ -328,14 +384,25 @@ impl Reference {
         }
         clock.lap("forces");
 
-        let active = liquid.map(|LiquidPart { liquid, .. }| {
+        // Faces that sources hold are closed for the pressure.
+        let held_open = liquid
+            .filter(|_| self.effects.sources)
+            .map(|part| part.taps.held_open(open, running.running));
+        let open_to_pressure = held_open.as_ref().unwrap_or(open);
+        let active = liquid.map(|LiquidPart { liquid, taps, .. }| {
             if self.effects.markers {
                 let radius = liquid.marker_radius * grid.dx;
                 state.liquid_distance = liquid_distance(grid, cut, &state.markers, radius);
+                empty_sinks(taps, grid.dx, &mut state.liquid_distance);
             }
             clock.lap("liquid_distance");
 
-            let mut active = active_cells(grid, open, &state.liquid_distance, settings.theta_floor);
+            let mut active = active_cells(
+                grid,
+                open_to_pressure,
+                &state.liquid_distance,
+                settings.theta_floor,
+            );
             if let Some((clip, part)) = clip.zip(solid) {
                 active.seal(clip.coupling(), &part.solids.prescribed);
             }
@@ -360,9 +427,13 @@ impl Reference {
                 None => Cow::Borrowed(&part.open_volumes),
                 Some(_) => Cow::Owned(open_volumes(grid, solid_distance)),
             };
-            let source = self.volume_source(&open_volumes, &state.liquid_distance, dt);
+            let source = self.volume_source(&open_volumes, &state, dt);
             let rhs = right_hand_side(grid, open, &state.velocity, &active, source);
-            PressureSystem::new(active, rhs, dt, part.liquid.density)
+            let system = PressureSystem::new(active, rhs, dt, part.liquid.density);
+            match clip {
+                Some(clip) => system.beside_obstacles(clip.obstacles().flux()),
+                None => system,
+            }
         });
         let motion = solid.zip(matrices.as_ref()).map(|(part, matrices)| {
             let SolidPart { solids, .. } = part;
@@ -423,21 +494,36 @@ impl Reference {
             );
         }
 
+        let mut left = 0.0;
         if let Some(system) = systems.pressure() {
             let (phi, floor) = (&state.liquid_distance, settings.theta_floor);
-            let valid = write_back(
+            let mut valid = write_back(
                 system,
                 &state.pressure,
-                open,
+                open_to_pressure,
                 phi,
                 floor,
                 &mut state.velocity,
             );
+            if let Some(LiquidPart { taps, .. }) = liquid {
+                carry_faces(taps, open, running.running, &mut state.velocity, &mut valid);
+            }
+
+            let flux = clip.map(|clip| {
+                let mut flux = vec![0.0; grid.n_cells()];
+                clip.coupling()
+                    .add_product(state.node_velocity.as_flattened(), &mut flux);
+                for &(cell, taken) in clip.obstacles().flux() {
+                    flux[cell] += taken;
+                }
+                flux
+            });
+            left = divergence(cut, &state.velocity, &system.stencil, flux.as_deref());
             clock.lap("write_back");
 
-            let walls = clip.zip(solid).map(|(clip, part)| MovingWalls {
+            let walls = clip.map(|clip| MovingWalls {
                 clip,
-                triangles: &part.solids.triangles,
+                triangles: solid.map_or(&[], |part| &part.solids.triangles),
                 velocity: &state.node_velocity,
             });
             let layers = n_layers(scene.time.cfl);
@@ -445,25 +531,19 @@ impl Reference {
             clock.lap("extrapolate");
         }
 
-        let flux = clip.map(|clip| {
-            let mut flux = vec![0.0; grid.n_cells()];
-            clip.coupling()
-                .add_product(state.node_velocity.as_flattened(), &mut flux);
-            flux
-        });
         let liquid_report = liquid.zip(systems.pressure()).zip(pressure_solve);
         let liquid_report = liquid_report.map(|((part, system), solve)| {
             let (phi, velocity) = (&state.liquid_distance, &state.velocity);
             let density = part.liquid.density;
-            let (stencil, flux) = (&system.stencil, flux.as_deref());
-            let diagnosis = diagnose(cut, phi, velocity, stencil, flux, density, gravity);
+            let diagnosis = diagnose(grid, cut, phi, velocity, left, density, gravity);
             state.active = system.stencil.active_mask();
             LiquidReport {
                 solve,
                 closed_components: system.closed.len(),
                 diagnosis,
                 markers: state.markers.len(),
-                dropped,
+                dropped: lost.dropped,
+                exchange: exchange.map(|(exchange, _)| exchange),
             }
         });
         let solid_report = solid.zip(matrices).zip(solid_solve);
@@ -482,9 +562,13 @@ impl Reference {
         self.ensure_finite("diagnose", speeds.all(f64::is_finite))?;
         clock.lap("diagnose");
 
-        state.markers_dropped += dropped;
+        if let Some((_, volume_0)) = exchange {
+            state.volume_0 = volume_0;
+        }
+        state.markers_dropped += lost.dropped;
         state.advance_clock(dt, scene.time.frames_per_second);
-        let coupling = clip.map(|clip| CouplingReport {
+        let of_both = clip.filter(|_| self.effects.coupling);
+        let coupling = of_both.map(|clip| CouplingReport {
             overlap_cells: clip.overlap().cells,
             overlap_depth: clip.overlap().depth,
             ..coupling
@@ -570,7 +654,10 @@ impl Reference {
                 let mut reports = [None; 2];
                 let mut contact = ContactReport::default();
                 if let Some(system) = &pressure {
-                    let (pressure, report) = solve(system, settings)?;
+                    let (pressure, mut report) = solve(system, settings)?;
+                    if report.status == SolveStatus::Converged && system.squeezed > SQUEEZE {
+                        report.status = SolveStatus::Incompatible;
+                    }
                     state.pressure = pressure;
                     reports[0] = Some(report);
                 }
@@ -625,16 +712,16 @@ impl Reference {
         }
     }
 
-    /// What volume control asks for, given phi (m) and dt (s); nothing where the scene has none.
+    /// What volume control asks for, given phi (m), the volume to hold (m^3) and dt (s); nothing where the scene has none.
     fn volume_source<'a>(
         &self,
         open_volumes: &'a [f64],
-        liquid_distance: &[f64],
+        state: &State,
         dt: f64,
     ) -> Option<VolumeSource<'a>> {
-        let volume = liquid_volume(&self.grid, open_volumes, liquid_distance);
+        let volume = liquid_volume(&self.grid, open_volumes, &state.liquid_distance);
         let frame = 1.0 / self.scene.time.frames_per_second;
-        let rate = volume_rate(self.state.volume_0, volume, frame, dt);
+        let rate = volume_rate(state.volume_0, volume, frame, dt);
         let source = VolumeSource { rate, open_volumes };
         self.effects.volume_control.then_some(source)
     }

@@ -1,7 +1,7 @@
 //! `write_back`: u = u* - dt/(rho dx) (p_+ - p_-) on every open face with an active side (thesis 4.36). Across the free
-//! surface the missing pressure is 0 and the difference is divided by the theta of the matrix.
+//! surface, and on open sides of the domain, the missing pressure is 0 and the difference is divided by the theta of the matrix.
 
-use super::active_cells::theta;
+use super::active_cells::{THETA_OF_SIDES, theta};
 use super::pressure_system::PressureSystem;
 use crate::grid::Axis;
 
@@ -20,20 +20,23 @@ pub fn write_back(
     Axis::ALL.map(|axis| {
         let a = axis.index();
         let update = |(face, u): (usize, &mut f64)| {
-            let [Some(minus), Some(plus)] = grid.face_sides(axis, grid.face_at(axis, face)) else {
-                return false;
-            };
-            let active = [minus, plus].map(|cell| system.stencil.active(cell));
+            let sides = grid.face_sides(axis, grid.face_at(axis, face));
+            let active = sides.map(|cell| cell.is_some_and(|cell| system.stencil.active(cell)));
             if open[a][face] <= 0.0 || active == [false; 2] {
                 return false;
             }
-            let mut difference = pressure[plus] - pressure[minus];
-            if active == [true, false] {
-                difference /= theta(phi[minus], phi[plus], theta_floor);
-            } else if active == [false, true] {
-                difference /= theta(phi[plus], phi[minus], theta_floor);
-            }
-            *u -= factor * difference;
+            let [minus, plus] = sides.map(|cell| cell.map_or(0.0, |cell| pressure[cell]));
+            let theta = match (sides, active) {
+                ([Some(minus), Some(plus)], [true, false]) => {
+                    theta(phi[minus], phi[plus], theta_floor)
+                }
+                ([Some(minus), Some(plus)], [false, true]) => {
+                    theta(phi[plus], phi[minus], theta_floor)
+                }
+                ([Some(_), Some(_)], _) => 1.0,
+                _ => THETA_OF_SIDES,
+            };
+            *u -= factor * (plus - minus) / theta;
             true
         };
         velocity[a].iter_mut().enumerate().map(update).collect()

@@ -8,12 +8,13 @@ pub mod schema;
 mod shape;
 mod solid;
 mod surface;
+mod tap;
 
 use std::path::PathBuf;
 
 use glam::{DMat3, DVec3};
 
-use crate::grid::Grid;
+use crate::grid::{Grid, Sides};
 
 /// A checked scene, all in SI units. Lengths and times are finite, counts are positive, regions and obstacles have volume.
 #[derive(Clone, Debug)]
@@ -38,6 +39,10 @@ pub struct Scene {
     pub solids: Vec<Solid>,
     /// Static obstacles and containers.
     pub obstacles: Vec<Obstacle>,
+    /// Where liquid comes in.
+    pub sources: Vec<Source>,
+    /// Where it is taken away.
+    pub sinks: Vec<Sink>,
     /// Measurements written to probes.csv.
     pub probes: Vec<Probe>,
     /// How the systems of a sub-step are made and solved.
@@ -50,7 +55,7 @@ pub struct Scene {
     pub camera: Camera,
 }
 
-/// The box, walls on all sides.
+/// The box, walls on all sides but the open ones.
 #[derive(Clone, Debug)]
 pub struct Domain {
     /// Extents, m.
@@ -59,6 +64,8 @@ pub struct Domain {
     pub cells: [usize; 3],
     /// Gravity, m/s^2.
     pub gravity: DVec3,
+    /// Sides through which liquid leaves: there the pressure is 0.
+    pub open: Sides,
 }
 
 /// Duration and time steps.
@@ -305,17 +312,43 @@ pub struct Pin {
     pub keyframes: Vec<Keyframe>,
 }
 
-/// Where a script puts its nodes at one time; between two, linear. Before the first and after the last, nothing moves.
+/// Where a script puts its nodes, or a motion its obstacle, at one time; between two, linear. Before the first and after the last,
+/// nothing moves.
 #[derive(Clone, Copy, Debug)]
 pub struct Keyframe {
     /// s
     pub time: f64,
     /// From the rest position, m.
     pub translate: DVec3,
-    /// Axis of the turn about the centre of the pin's region ([`Shape::centre`]), a unit vector.
+    /// Axis of the turn, a unit vector: about the centre of the pin's region ([`Shape::centre`]), or the obstacle's [`Motion::pivot`].
     pub axis: DVec3,
     /// Angle of the turn, rad.
     pub angle: f64,
+}
+
+impl Keyframe {
+    /// The turn (axis times angle, rad) and the translation (m) at a time (s), given at least one keyframe.
+    pub fn pose(keyframes: &[Keyframe], time: f64) -> (DVec3, DVec3) {
+        let after = keyframes.partition_point(|frame| frame.time <= time);
+        let last = keyframes.len() - 1;
+        let [a, b] = [after.saturating_sub(1), after.min(last)].map(|frame| &keyframes[frame]);
+        let turn = |frame: &Keyframe| frame.angle * frame.axis;
+        let share = if b.time > a.time {
+            (time - a.time) / (b.time - a.time)
+        } else {
+            0.0
+        };
+        (
+            turn(a).lerp(turn(b), share),
+            a.translate.lerp(b.translate, share),
+        )
+    }
+
+    /// The time of the next keyframe after a time, s.
+    pub fn next_time(keyframes: &[Keyframe], time: f64) -> Option<f64> {
+        let next = keyframes.iter().find(|frame| frame.time > time);
+        next.map(|frame| frame.time)
+    }
 }
 
 /// A constant force on a solid.
@@ -336,7 +369,7 @@ pub enum LoadKind {
     Traction(DVec3),
 }
 
-/// A body that does not move.
+/// A rigid body that stands still, or moves as its keyframes say.
 #[derive(Clone, Debug)]
 pub struct Obstacle {
     /// Its shape.
@@ -345,6 +378,37 @@ pub struct Obstacle {
     pub placement: Placement,
     /// A container: solid is everything outside the shape.
     pub inside_out: bool,
+    /// How it moves; `None` where it stands still.
+    pub motion: Option<Motion>,
+}
+
+/// How an obstacle moves: x = pivot + turn (X - pivot) + translate, X where its placement puts it.
+#[derive(Clone, Debug)]
+pub struct Motion {
+    /// Times, turns and translations, ascending in time; at least one.
+    pub keyframes: Vec<Keyframe>,
+    /// What it turns about, m; by default the centre of the shape, or of the box around a mesh, where its placement puts it.
+    pub pivot: Option<DVec3>,
+}
+
+/// A region that emits liquid.
+#[derive(Clone, Debug)]
+pub struct Source {
+    /// Its shape.
+    pub shape: Shape,
+    /// Velocity of the liquid in it, m/s; not zero.
+    pub velocity: DVec3,
+    /// It runs from this time on, s; default 0.
+    pub start: f64,
+    /// It runs up to this time, s; default for ever.
+    pub end: f64,
+}
+
+/// A region that takes liquid away.
+#[derive(Clone, Debug)]
+pub struct Sink {
+    /// Its shape.
+    pub shape: Shape,
 }
 
 /// A measurement, taken after every sub-step.

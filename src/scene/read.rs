@@ -9,15 +9,17 @@ use sha2::{Digest, Sha256};
 use super::camera::camera;
 use super::document::{Document, Keys, Place, Table};
 use super::probe::probes;
-use super::shape::{placement, shape};
+use super::shape::{keyframes, placement, shape};
 use super::solid::solids;
 use super::surface::surface;
+use super::tap::{sinks, sources};
 use super::{
-    CouplingScheme, Domain, FaceAreas, Formulation, Liquid, Obstacle, Output, PatchPressure,
-    Placement, Precision, Preconditioner, Region, Scene, Shape, Solid, SolidMesh, Solver, Surface,
-    Time,
+    CouplingScheme, Domain, FaceAreas, Formulation, Liquid, Motion, Obstacle, Output,
+    PatchPressure, Placement, Precision, Preconditioner, Region, Scene, Shape, Solid, SolidMesh,
+    Solver, Surface, Time,
 };
 use crate::error::Error;
+use crate::grid::{Axis, Sides};
 
 /// Most cells of a domain: marker and cell indices on the device have 32 bits.
 const MAX_CELLS: f64 = (1u64 << 30) as f64;
@@ -43,17 +45,14 @@ const WHOLE_STEPS: f64 = 1e-6;
 
 const ROOT: Keys = Keys {
     valid: &[
-        "domain", "time", "liquid", "solid", "obstacle", "probe", "solver", "output", "camera",
-        "surface",
+        "domain", "time", "liquid", "solid", "obstacle", "source", "sink", "probe", "solver",
+        "output", "camera", "surface",
     ],
-    later: &[
-        ("source", "sources are not simulated"),
-        ("sink", "sinks are not simulated"),
-    ],
+    later: &[],
 };
 const DOMAIN: Keys = Keys {
-    valid: &["size", "cells", "gravity"],
-    later: &[("open", "open sides are not simulated")],
+    valid: &["size", "cells", "gravity", "open"],
+    later: &[],
 };
 const TIME: Keys = Keys {
     valid: &["duration", "frames_per_second", "cfl", "fixed_step"],
@@ -93,8 +92,10 @@ const OBSTACLE: Keys = Keys {
         "mesh",
         "placement",
         "inside_out",
+        "keyframes",
+        "pivot",
     ],
-    later: &[("keyframes", "moving obstacles are not simulated")],
+    later: &[],
 };
 const SOLVER: Keys = Keys {
     valid: &[
@@ -208,6 +209,8 @@ impl Scene {
                 !solids.is_empty(),
             )?,
             obstacles,
+            sources: sources(&root, path, &domain, liquid.as_ref())?,
+            sinks: sinks(&root, path, &domain, liquid.as_ref())?,
             probes: probes(&root, &domain, liquid.is_some(), &solids)?,
             output: output(&root, liquid.is_some(), !solids.is_empty())?,
             surface: surface(
@@ -321,11 +324,43 @@ fn domain(root: &Table, scale: f64) -> Result<Domain, Error> {
         Some(place) => bounded(&place, "gravity in m/s^2", MAX_GRAVITY)?,
         None => DVec3::new(0.0, -9.81, 0.0),
     };
+    let open = match table.get("open") {
+        Some(place) => open_sides(&place, root)?,
+        None => Sides::default(),
+    };
     Ok(Domain {
         size,
         cells,
         gravity,
+        open,
     })
+}
+
+/// The sides through which liquid leaves.
+fn open_sides(place: &Place, root: &Table) -> Result<Sides, Error> {
+    let axes = Axis::ALL.into_iter();
+    let sides = axes.flat_map(|axis| [0, 1].map(|side| (axis, side)));
+    let choices: Vec<_> = Sides::NAMES.into_iter().zip(sides).collect();
+    let example = format!(
+        "write a list, such as [\"+x\"], of any of {}",
+        Sides::NAMES.join(", ")
+    );
+    let entries = place
+        .list()
+        .map_err(|_| place.fail("is not a list", example))?;
+    let mut open = Sides::default();
+    for entry in entries {
+        let (axis, side) = entry.choice(&choices)?;
+        let twice = open.has(axis, side);
+        entry.ensure(!twice, "names a side for the second time", "remove it")?;
+        open = open.with(axis, side);
+    }
+    place.ensure(
+        !open.any() || root.get("liquid").is_some(),
+        "lets liquid out, and the scene has none",
+        "remove `open`, or add a [liquid] section with a region",
+    )?;
+    Ok(open)
 }
 
 /// A density whose numbers stay in single precision; `usual`: what is.
@@ -462,7 +497,16 @@ fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
         None => 1000.0,
     };
     let surface = match table.get("surface") {
-        Some(place) => place.choice(&[("markers", Surface::Markers), ("fixed", Surface::Fixed)])?,
+        Some(place) => {
+            let surface =
+                place.choice(&[("markers", Surface::Markers), ("fixed", Surface::Fixed)])?;
+            place.ensure(
+                surface == Surface::Markers || !domain.open.any(),
+                "stays where it is, and through open sides (domain.open) liquid leaves",
+                "use surface = \"markers\", or close all sides",
+            )?;
+            surface
+        }
         None => Surface::Markers,
     };
     let marker_radius = match table.get("marker_radius") {
@@ -492,9 +536,24 @@ fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
         }
         None => surface == Surface::Markers,
     };
-    let places = table.required("region", example)?;
+    // Sources may fill an empty domain.
+    let sources = root.get("source").is_some();
+    let places = match (table.get("region"), sources) {
+        (Some(places), true) => places.list()?,
+        (None, true) => Vec::new(),
+        (_, false) => {
+            let places = table.required("region", example)?;
+            let entries = places.list()?;
+            places.ensure(
+                !entries.is_empty(),
+                "has no entry, so there is no liquid",
+                format!("write {example}"),
+            )?;
+            entries
+        }
+    };
     let mut regions: Vec<Region> = Vec::new();
-    for place in places.list()? {
+    for place in places {
         let region = region(&place, file, domain)?;
         let adds = regions.iter().any(|earlier| !earlier.subtract);
         let problem = "takes liquid away where there is none: no region before it adds any";
@@ -505,11 +564,6 @@ fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
         )?;
         regions.push(region);
     }
-    places.ensure(
-        !regions.is_empty(),
-        "has no entry, so there is no liquid",
-        format!("write {example}"),
-    )?;
     Ok(Liquid {
         density,
         regions,
@@ -558,8 +612,21 @@ fn obstacles(root: &Table, file: &Path, domain: &Domain) -> Result<Vec<Obstacle>
         let inside_out = table
             .get("inside_out")
             .map_or(Ok(false), |place| place.boolean())?;
+        let motion = motion(&table)?;
+        let moved = |motion: &Motion| {
+            let poses = motion.keyframes.iter().map(|frame| Placement {
+                translate: placement.translate + frame.translate,
+                ..placement
+            });
+            // A turn may take it in from anywhere.
+            let turns = motion.keyframes.iter().any(|frame| frame.angle != 0.0);
+            turns
+                || poses
+                    .into_iter()
+                    .any(|pose| shape.reaches(&pose, domain.size))
+        };
         shape_place.ensure(
-            shape.reaches(&placement, domain.size),
+            shape.reaches(&placement, domain.size) || motion.as_ref().is_some_and(moved),
             format!(
                 "lies outside the domain, which goes from the origin to {} m",
                 list(domain.size.to_array())
@@ -583,9 +650,47 @@ fn obstacles(root: &Table, file: &Path, domain: &Domain) -> Result<Vec<Obstacle>
             shape,
             placement,
             inside_out,
+            motion,
         })
     };
     places.list()?.into_iter().map(obstacle).collect()
+}
+
+/// How an obstacle moves; `None` where it has no keyframes.
+fn motion(table: &Table) -> Result<Option<Motion>, Error> {
+    let pivot = table.get("pivot");
+    if table.get("keyframes").is_none() {
+        return match pivot {
+            None => Ok(None),
+            Some(place) => Err(place.fail(
+                "is what keyframes turn about, and the obstacle has none",
+                "remove it, or add keyframes",
+            )),
+        };
+    }
+    let keyframes = keyframes(table)?;
+    for (place, frame) in table
+        .required("keyframes", "keyframes = [{ t = 0 }]")?
+        .list()?
+        .iter()
+        .zip(&keyframes)
+        .skip(1)
+    {
+        let before = keyframes.iter().rev().find(|other| other.time < frame.time);
+        let before = before.expect("the first keyframe was skipped");
+        let speed = (frame.translate - before.translate).length() / (frame.time - before.time);
+        place.ensure(
+            speed <= MAX_VELOCITY,
+            format!("asks for {speed:.3e} m/s"),
+            format!("leave more time, or go less far: at most {MAX_VELOCITY:e} m/s"),
+        )?;
+    }
+    Ok(Some(Motion {
+        keyframes,
+        pivot: pivot
+            .map(|place| place.vector("the point that it turns about in m"))
+            .transpose()?,
+    }))
 }
 
 /// Floor of theta with markers. Their surface is bumpy by about a tenth of a cell, so a smaller theta is no more true; it only

@@ -1,11 +1,11 @@
-//! Shapes and placements: how they are written, and what can be told of them without a mesh file.
+//! Shapes, placements and keyframes: how they are written, and what can be told of them without a mesh file.
 
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3};
 
-use super::document::{Keys, Place};
-use super::{Placement, Shape};
+use super::document::{Keys, Place, Table};
+use super::{Keyframe, Placement, Shape};
 use crate::error::Error;
 
 const PLACEMENT: Keys = Keys {
@@ -14,6 +14,10 @@ const PLACEMENT: Keys = Keys {
 };
 const ROTATE: Keys = Keys {
     valid: &["axis", "degrees"],
+    later: &[],
+};
+const KEYFRAME: Keys = Keys {
+    valid: &["t", "translate", "rotate"],
     later: &[],
 };
 const BOX: Keys = Keys {
@@ -191,6 +195,53 @@ pub(super) fn turn(place: Place) -> Result<(DVec3, f64), Error> {
         .required("degrees", "degrees = 30")?
         .number("the angle in degrees")?;
     Ok((axis, degrees.to_radians()))
+}
+
+/// The keyframes of a script or of an obstacle, ascending in time.
+pub(super) fn keyframes(table: &Table) -> Result<Vec<Keyframe>, Error> {
+    let example = "keyframes = [{ t = 0 }, { t = 1, translate = [0, 0.1, 0] }]";
+    let places = table.required("keyframes", example)?;
+    let mut keyframes: Vec<Keyframe> = Vec::new();
+    for place in places.list()? {
+        let table = place.table(&KEYFRAME)?;
+        let time_place = table.required("t", "t = 0.5, in s")?;
+        let time = time_place.number("the time of the keyframe in s")?;
+        time_place.ensure(
+            time >= 0.0,
+            format!("is {time}, before the start"),
+            "write a time from 0 on",
+        )?;
+        if let Some(last) = keyframes.last() {
+            time_place.ensure(
+                time > last.time,
+                format!(
+                    "{time} s does not come after {} s, the time before it",
+                    last.time
+                ),
+                "write the keyframes in the order of their times, each time once",
+            )?;
+        }
+        let translate = match table.get("translate") {
+            Some(place) => place.vector("a translation from rest in m")?,
+            None => DVec3::ZERO,
+        };
+        let (axis, angle) = match table.get("rotate") {
+            Some(place) => turn(place)?,
+            None => (DVec3::Y, 0.0),
+        };
+        keyframes.push(Keyframe {
+            time,
+            translate,
+            axis,
+            angle,
+        });
+    }
+    places.ensure(
+        !keyframes.is_empty(),
+        "has no entry",
+        format!("write {example}"),
+    )?;
+    Ok(keyframes)
 }
 
 impl Shape {

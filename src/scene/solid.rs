@@ -7,10 +7,8 @@ use glam::{DMat3, DVec3};
 
 use super::document::{Keys, Place, Table};
 use super::read::{MAX_VELOCITY, bounded, density as density_of, list};
-use super::shape::{existing_file, placement, shape, turn};
-use super::{
-    Domain, ElasticModel, Initial, Keyframe, Load, LoadKind, Pin, Placement, Solid, SolidMesh,
-};
+use super::shape::{existing_file, keyframes, placement, shape};
+use super::{Domain, ElasticModel, Initial, Load, LoadKind, Pin, Placement, Solid, SolidMesh};
 use crate::error::Error;
 
 /// Most bricks of a box, and most cells of the given size in the cube around a ball: six tetrahedra in each still have 32-bit
@@ -78,10 +76,6 @@ const SCRIPT: Keys = Keys {
 };
 const LOAD: Keys = Keys {
     valid: &["region", "force", "traction"],
-    later: &[],
-};
-const KEYFRAME: Keys = Keys {
-    valid: &["t", "translate", "rotate"],
     later: &[],
 };
 /// Shapes that choose nodes.
@@ -411,52 +405,6 @@ fn script(place: Place, file: &Path) -> Result<Pin, Error> {
         components: components(&table)?,
         keyframes: keyframes(&table)?,
     })
-}
-
-fn keyframes(table: &Table) -> Result<Vec<Keyframe>, Error> {
-    let example = "keyframes = [{ t = 0 }, { t = 1, translate = [0, 0.1, 0] }]";
-    let places = table.required("keyframes", example)?;
-    let mut keyframes: Vec<Keyframe> = Vec::new();
-    for place in places.list()? {
-        let table = place.table(&KEYFRAME)?;
-        let time_place = table.required("t", "t = 0.5, in s")?;
-        let time = time_place.number("the time of the keyframe in s")?;
-        time_place.ensure(
-            time >= 0.0,
-            format!("is {time}, before the start"),
-            "write a time from 0 on",
-        )?;
-        if let Some(last) = keyframes.last() {
-            time_place.ensure(
-                time > last.time,
-                format!(
-                    "{time} s does not come after {} s, the time before it",
-                    last.time
-                ),
-                "write the keyframes in the order of their times, each time once",
-            )?;
-        }
-        let translate = match table.get("translate") {
-            Some(place) => place.vector("a translation from rest in m")?,
-            None => DVec3::ZERO,
-        };
-        let (axis, angle) = match table.get("rotate") {
-            Some(place) => turn(place)?,
-            None => (DVec3::Y, 0.0),
-        };
-        keyframes.push(Keyframe {
-            time,
-            translate,
-            axis,
-            angle,
-        });
-    }
-    places.ensure(
-        !keyframes.is_empty(),
-        "has no entry",
-        format!("write {example}"),
-    )?;
-    Ok(keyframes)
 }
 
 fn load(place: Place, file: &Path) -> Result<Load, Error> {

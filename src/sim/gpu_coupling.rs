@@ -33,10 +33,10 @@ pub(super) struct Room {
 /// When solids are clipped.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum At {
-    /// With a state that takes the place of another: the fields of the liquid are written as well.
-    Anew,
-    /// In a sub-step of dt, after one of dt_last, s; 0 before the first.
-    Step { dt: f64, dt_last: f64 },
+    /// With a state, of a time in s, that takes the place of another: the fields of the liquid are written as well.
+    Anew { time: f64 },
+    /// In a sub-step that ends at a time, of dt, after one of dt_last, all in s; 0 before the first.
+    Step { time: f64, dt: f64, dt_last: f64 },
 }
 
 /// Labels of read-backs.
@@ -132,10 +132,7 @@ impl Room {
         let mut quads: Vec<usize> = cells.collect();
         quads.dedup();
         Room {
-            clip: ClipSize {
-                quads: ample(taken.quads),
-                places: ample(taken.places),
-            },
+            clip: taken.ample(),
             coupling: CouplingSize {
                 quads: ample(quads.len()),
                 pairs: ample(pairs.len()),
@@ -146,10 +143,7 @@ impl Room {
     /// Enough for both.
     fn joined(self, other: Room) -> Room {
         Room {
-            clip: ClipSize {
-                quads: self.clip.quads.max(other.clip.quads),
-                places: self.clip.places.max(other.clip.places),
-            },
+            clip: self.clip.joined(other.clip),
             coupling: CouplingSize {
                 quads: self.coupling.quads.max(other.coupling.quads),
                 pairs: self.coupling.pairs.max(other.coupling.pairs),
@@ -367,7 +361,7 @@ impl GpuCoupling {
             ..
         } = liquid;
         let velocity = &solids.buffers.velocity;
-        let walls = Some((&self.on_device, velocity));
+        let walls = Some((&self.on_device, Some(velocity)));
         stages.extrapolate = Some(Extrapolate::new(gpu, buffers, walls)?);
         let fluxes = Some((&self.on_device, &self.buffers, velocity));
         stages.diagnose = Some(Diagnose::new(gpu, buffers, &active(solver), fluxes)?);
@@ -409,6 +403,11 @@ impl GpuCoupling {
         at: At,
     ) -> Result<(), Error> {
         let grid = scene.grid();
+        let (time, span) = match at {
+            At::Anew { time } => (time, 0.0),
+            At::Step { time, dt, .. } => (time, dt),
+        };
+        self.clip.move_obstacles(time, span);
         self.clip.clip(&solids.solids.moved(displacement));
         let pairs = self.pairs(&grid);
         if !(self.on_device.fits(&self.clip) && self.buffers.fits(&pairs)) {
@@ -423,7 +422,7 @@ impl GpuCoupling {
             self.bind_liquid(gpu, liquid, solids)?;
         }
         let triangles = &solids.solids.triangles;
-        let At::Step { dt, dt_last } = at else {
+        let At::Step { dt, dt_last, .. } = at else {
             liquid.buffers.write_cut_cells(gpu, self.clip.cut_cells());
             self.on_device.write(gpu, &self.clip, triangles, true);
             return Ok(());

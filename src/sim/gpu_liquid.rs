@@ -2,15 +2,18 @@
 
 use crate::Error;
 use crate::effects::Effects;
-use crate::geometry::CutCells;
+use crate::geometry::{CutCells, Running, Taps};
 use crate::gpu::{CompactKernels, Gpu, Readback, Real, Recorder};
 use crate::grid::Grid;
-use crate::reference;
+use crate::reference::{self, Seeded};
 use crate::scene::{self, ProbeKind, Scene};
-use crate::solver::{Components, Outcome, PressureSolver, PressureSystem, SolverBuffers, Within};
+use crate::solver::{
+    Components, FreeSurface, Outcome, PressureSolver, PressureSystem, SolverBuffers, Within,
+};
 use crate::stages::{
     Active, AdvectMarkers, AdvectVelocity, Band, Diagnose, Extrapolate, Forces, LiquidBuffers,
-    LiquidDistance, LiquidPlan, Probe, Report, RightHandSide, Step, Volume, WriteBack,
+    LiquidDistance, LiquidPlan, Probe, Report, RightHandSide, Sinks, SourceStep, Sources, Step,
+    Volume, WriteBack,
 };
 use crate::state::{LiquidReport, State};
 
@@ -20,11 +23,19 @@ use super::step::solve_report;
 #[derive(Debug)]
 pub(super) struct GpuLiquid {
     pub(super) settings: scene::Liquid,
+    /// Slots of the marker buffer in use: markers, and what those left that are gone.
     pub(super) n_markers: usize,
-    /// Markers dropped so far, those before the state that was put in place among them.
-    pub(super) markers_dropped: u64,
-    /// Those alone: they are not among the `n_markers`.
+    /// Markers alive.
+    alive: usize,
+    /// Markers that came and went so far.
+    passed: Passed,
+    /// Of those dropped, what the report no longer counts.
     dropped_before: u64,
+    /// Sources and sinks.
+    pub(super) taps: Taps,
+    /// What the sources do in the sub-step, and what they emit in it beyond filling themselves, m^3.
+    running: Running,
+    inflow: f64,
     /// Pressure and active cells of the state that was put in place: until the next solve the device has those of the last.
     solved_before: Option<(Vec<f64>, Vec<bool>)>,
     /// m/s
@@ -36,10 +47,38 @@ pub(super) struct GpuLiquid {
     pub(super) stages: LiquidStages,
 }
 
+/// Markers that came and went since the start of the simulation.
+#[derive(Clone, Copy, Debug, Default)]
+struct Passed {
+    /// Lost in solids.
+    dropped: u64,
+    /// Through open sides.
+    left: u64,
+    /// In sinks.
+    sunk: u64,
+    /// Of sources.
+    emitted: u64,
+}
+
+impl LiquidStages {
+    /// Markers come and go, once all have moved. Whether there is such a stage.
+    pub(super) fn record_exchange(&self, to: &mut Recorder) -> bool {
+        if let Some(sinks) = &self.sinks {
+            sinks.record(to);
+        }
+        if let Some(sources) = &self.sources {
+            sources.record(to);
+        }
+        self.sinks.is_some() || self.sources.is_some()
+    }
+}
+
 /// The kernels of a step, in its order. Those of an absent effect are absent.
 #[derive(Debug)]
 pub(super) struct LiquidStages {
     pub(super) advect_markers: Option<AdvectMarkers>,
+    pub(super) sinks: Option<Sinks>,
+    pub(super) sources: Option<Sources>,
     pub(super) band: Band,
     pub(super) advect_velocity: AdvectVelocity,
     pub(super) forces: Forces,
@@ -51,19 +90,21 @@ pub(super) struct LiquidStages {
     pub(super) right_hand_side: RightHandSide,
     pub(super) solve: PressureSolver,
     pub(super) write_back: WriteBack,
-    /// Where there are solids, made with [`GpuCoupling`](super::gpu_coupling::GpuCoupling), like `diagnose`.
+    /// Where there are solids, made with [`GpuCoupling`](super::gpu_coupling::GpuCoupling), and where obstacles move, with
+    /// [`GpuObstacles`](super::gpu_obstacles::GpuObstacles); like `diagnose`.
     pub(super) extrapolate: Option<Extrapolate>,
     pub(super) diagnose: Option<Diagnose>,
     /// With its read-back.
     pub(super) probe: Option<(Probe, Readback<u32>)>,
 }
 
-/// What decides the sizes of all buffers of a scene on an adapter with or without f64.
-pub(super) fn liquid_plan(scene: &Scene, n_markers: usize, f64: bool) -> LiquidPlan {
+/// What decides the sizes of all buffers of a scene that starts with so many markers, on an adapter with or without f64.
+pub(super) fn liquid_plan(scene: &Scene, taps: &Taps, n_markers: usize, f64: bool) -> LiquidPlan {
+    let grid = scene.grid();
     LiquidPlan {
-        grid: scene.grid(),
+        n_markers: n_markers + taps.room(scene.time.duration, &grid),
+        grid,
         effects: Effects::of(scene),
-        n_markers,
         cfl: scene.time.cfl,
         real: if f64 { Real::F64 } else { Real::F32 },
     }
@@ -80,17 +121,21 @@ impl GpuLiquid {
         let Some(settings) = scene.liquid.clone() else {
             return Ok(None);
         };
-        let effects = Effects::of(scene);
-        let plan = liquid_plan(scene, n_markers, gpu.has_f64());
+        let taps = Taps::new(scene, &scene.grid(), cut)?;
+        let plan = liquid_plan(scene, &taps, n_markers, gpu.has_f64());
         let buffers = LiquidBuffers::new(gpu, plan)?;
         let solver = SolverBuffers::new(gpu, &scene.grid(), scene.solver.precision)?;
-        let stages = LiquidStages::new(gpu, scene, &effects, &buffers, &solver)?;
+        let stages = LiquidStages::new(gpu, scene, &taps, &buffers, &solver)?;
         buffers.write_cut_cells(gpu, cut);
         Ok(Some(GpuLiquid {
             settings,
             n_markers,
-            markers_dropped: 0,
+            alive: n_markers,
+            passed: Passed::default(),
             dropped_before: 0,
+            taps,
+            running: Running::default(),
+            inflow: 0.0,
             solved_before: None,
             max_speed: 0.0,
             volume_0: 0.0,
@@ -102,15 +147,24 @@ impl GpuLiquid {
 
     /// Where the report of a sub-step arrives.
     pub(super) fn readback(gpu: &Gpu, scene: &Scene) -> Result<Option<Readback<u32>>, Error> {
-        let readback = || Readback::new(gpu, "liquid.report", Report::WORDS);
+        let words = Report::words(&Effects::of(scene));
+        let readback = || Readback::new(gpu, "liquid.report", words);
         scene.liquid.as_ref().map(|_| readback()).transpose()
     }
 
     /// Replaces the liquid's part of the state.
     pub(super) fn write_state(&mut self, gpu: &Gpu, state: &State, step: Step) {
         self.n_markers = state.markers.len();
-        self.markers_dropped = state.markers_dropped;
+        self.alive = self.n_markers;
+        self.passed = Passed {
+            dropped: state.markers_dropped,
+            left: state.markers_left,
+            sunk: state.markers_sunk,
+            emitted: state.markers_emitted,
+        };
         self.dropped_before = state.markers_dropped;
+        self.running = Running::default();
+        self.inflow = 0.0;
         self.solved_before = Some((state.pressure.clone(), state.active.clone()));
         self.max_speed = reference::max_speed(&state.velocity);
         self.volume_0 = state.volume_0;
@@ -140,7 +194,10 @@ impl GpuLiquid {
         state: &mut State,
     ) -> Result<(), Error> {
         self.buffers.read_state(gpu, self.n_markers, state)?;
-        state.markers_dropped = self.markers_dropped;
+        state.markers_dropped = self.passed.dropped;
+        state.markers_left = self.passed.left;
+        state.markers_sunk = self.passed.sunk;
+        state.markers_emitted = self.passed.emitted;
         state.volume_0 = self.volume_0;
         if let Some((pressure, active)) = &self.solved_before {
             state.pressure.clone_from(pressure);
@@ -199,24 +256,109 @@ impl GpuLiquid {
         Ok(probe.columns(&readback.wait(gpu)?))
     }
 
+    /// Before a sub-step of dt (s) from the state at the head: what the sources will do in it, and room for their markers.
+    pub(super) fn begin(&mut self, gpu: &Gpu, head: &State, dt: f64) -> Result<(), Error> {
+        self.make_room(gpu)?;
+        self.running = self.running_after(head);
+        self.inflow = dt * self.taps.flux(self.running.running);
+        if let Some(sources) = &self.stages.sources {
+            sources.write_step(gpu, SourceStep::new(self.running, self.n_markers));
+        }
+        Ok(())
+    }
+
+    /// What the sources do in the sub-step after the state at the head.
+    pub(super) fn running_after(&self, head: &State) -> Running {
+        self.taps.running(head, self.settings.seed)
+    }
+
+    /// Takes the markers that are gone out of the buffer where sources need their slots. The others keep their order, so it does not
+    /// matter when this happens.
+    fn make_room(&mut self, gpu: &Gpu) -> Result<(), Error> {
+        let both = self
+            .stages
+            .sources
+            .as_ref()
+            .zip(self.buffers.markers.as_ref());
+        let Some((sources, markers)) = both else {
+            return Ok(());
+        };
+        let (capacity, slots) = (markers.positions.len(), sources.slots());
+        if self.n_markers + slots <= capacity {
+            return Ok(());
+        }
+        if self.alive + slots > capacity {
+            return Err(Error::Limit {
+                what: "liquid.markers".to_owned(),
+                needed: (self.alive + slots) as u64,
+                available: capacity as u64,
+                unit: "markers",
+                cure: "room is made for what sources emit within time.duration: make that longer"
+                    .to_owned(),
+            });
+        }
+        let mut positions = gpu.download(&markers.positions)?;
+        positions.truncate(self.n_markers);
+        positions.retain(|marker| marker[3] != 0.0);
+        self.n_markers = positions.len();
+        positions.resize(capacity, [0.0; 4]);
+        gpu.upload(&markers.positions, &positions);
+        gpu.upload(&self.buffers.report, &vec![0; self.buffers.report.len()]);
+        self.dropped_before = self.passed.dropped;
+        Ok(())
+    }
+
+    /// Slots that kernels look at in a sub-step: those in use, and those kept for new markers.
+    pub(super) fn n_slots(&self) -> usize {
+        self.n_markers + self.stages.sources.as_ref().map_or(0, Sources::slots)
+    }
+
     /// Keeps what the next sub-step needs of the report.
     pub(super) fn finish(&mut self, outcome: &Outcome, report: Report) -> LiquidReport {
-        let dropped_so_far = u64::from(report.markers_dropped);
-        let dropped = dropped_so_far - self.markers_dropped;
-        self.markers_dropped = dropped_so_far;
+        let dropped_so_far = self.dropped_before + u64::from(report.markers_dropped);
+        let dropped = dropped_so_far - self.passed.dropped;
+        let [left, sunk, emitted] = [report.left, report.sunk, report.emitted].map(u64::from);
+        let kept = self.alive - (dropped + left + sunk) as usize;
+        self.alive = kept + emitted as usize;
+        self.n_markers += emitted as usize;
+        self.passed = Passed {
+            dropped: dropped_so_far,
+            left: self.passed.left + left,
+            sunk: self.passed.sunk + sunk,
+            emitted: self.passed.emitted + emitted,
+        };
+        let plan = &self.buffers.plan;
+        let exchange = plan.effects.exchange().then(|| {
+            let seeded = Seeded {
+                emitted,
+                filled: report.filled.into(),
+            };
+            let passed = reference::Passed {
+                left,
+                sunk,
+                seeded,
+                kept,
+            };
+            let ([_, volume_0], exchange) =
+                reference::exchanged_volume(&plan.grid, self.volume_0, self.inflow, passed);
+            self.volume_0 = volume_0;
+            exchange
+        });
         self.solved_before = None;
         self.max_speed = report.diagnosis.max_speed;
         LiquidReport {
             solve: solve_report(outcome),
             closed_components: outcome.closed_components as usize,
             diagnosis: report.diagnosis,
-            markers: self.n_markers - (dropped_so_far - self.dropped_before) as usize,
+            markers: self.alive,
             dropped,
+            exchange,
         }
     }
 
-    /// What the kernels know of a sub-step of dt (s).
-    pub(super) fn step_numbers(&self, scene: &Scene, dt: f64) -> Step {
+    /// What the kernels know of the sub-step of dt (s) after the state at the head.
+    pub(super) fn step_numbers(&self, scene: &Scene, head: &State, dt: f64) -> Step {
+        let inflow = dt * self.taps.flux(self.running_after(head).running);
         let Scene {
             time,
             domain,
@@ -232,15 +374,15 @@ impl GpuLiquid {
             inv_dx: (1.0 / grid.dx) as f32,
             frame: (1.0 / time.frames_per_second) as f32,
             volume_0: if self.buffers.plan.effects.volume_control {
-                self.volume_0 as f32
+                (self.volume_0 + inflow) as f32
             } else {
                 0.0
             },
             density: self.settings.density as f32,
             marker_radius: self.settings.marker_radius as f32,
             theta_floor: solver.theta_floor as f32,
-            n_markers: self.n_markers as u32,
-            spare: 0,
+            n_markers: self.n_slots() as u32,
+            open_sides: domain.open.bits(),
         }
     }
 }
@@ -249,20 +391,27 @@ impl LiquidStages {
     fn new(
         gpu: &Gpu,
         scene: &Scene,
-        effects: &Effects,
+        taps: &Taps,
         liquid: &LiquidBuffers,
         solver: &SolverBuffers,
     ) -> Result<LiquidStages, Error> {
         let active = active(solver);
+        let effects = &liquid.plan.effects;
+        let sources = Sources::new(gpu, liquid, taps)?;
         let compact = CompactKernels::new(gpu)?;
-        let theta_floor = scene.solver.theta_floor;
+        let free_surface = FreeSurface {
+            theta_floor: scene.solver.theta_floor,
+            open_sides: effects.open_sides,
+        };
         let active_cells = PressureSystem::new(
             gpu,
             solver,
-            &liquid.open,
+            sources
+                .as_ref()
+                .map_or(&liquid.open, |sources| &sources.open),
             &liquid.liquid_distance,
             within(liquid),
-            theta_floor,
+            free_surface,
         )?;
         let solve = PressureSolver::new(
             gpu,
@@ -277,7 +426,7 @@ impl LiquidStages {
             let readback = Readback::new(gpu, "probe.values", probe.values.len())?;
             Ok::<_, Error>((probe, readback))
         };
-        let alone = !effects.coupling;
+        let alone = !effects.clips();
         let extrapolate = || Extrapolate::new(gpu, liquid, None);
         let diagnose = || Diagnose::new(gpu, liquid, &active, None);
         Ok(LiquidStages {
@@ -285,6 +434,8 @@ impl LiquidStages {
                 .markers
                 .then(|| AdvectMarkers::new(gpu, liquid))
                 .transpose()?,
+            sinks: Sinks::new(gpu, liquid, taps)?,
+            sources,
             band: Band::new(gpu, &compact, liquid)?,
             advect_velocity: AdvectVelocity::new(gpu, liquid)?,
             forces: Forces::new(gpu, liquid)?,

@@ -2,7 +2,7 @@
 
 use crate::Error;
 use crate::elastic::Solids;
-use crate::geometry::{self, CutCells, SolidClip};
+use crate::geometry::{self, CutCells, Running, SolidClip, Taps};
 use crate::gpu::{AdapterChoice, Gpu, Real};
 use crate::grid::Grid;
 use crate::reference::{self, TimeStep, time_step};
@@ -13,6 +13,7 @@ use crate::state::{Carried, State};
 
 use super::gpu_coupling::{At, GpuCoupling};
 use super::gpu_liquid::GpuLiquid;
+use super::gpu_obstacles::GpuObstacles;
 use super::gpu_solids::GpuSolids;
 use super::step::Readbacks;
 use super::{Clock, HostMemory, Plan};
@@ -23,7 +24,7 @@ pub struct GpuPath {
     pub(super) gpu: Gpu,
     pub(super) scene: Scene,
     pub(super) grid: Grid,
-    /// What obstacles leave of it.
+    /// What obstacles leave of it that stand still.
     cut: CutCells,
     /// The clock of the state; its fields are on the device.
     pub(super) head: State,
@@ -31,6 +32,8 @@ pub struct GpuPath {
     pub(super) solids: Option<GpuSolids>,
     /// With both.
     pub(super) coupling: Option<GpuCoupling>,
+    /// Those that move in liquid, without solids.
+    pub(super) obstacles: Option<GpuObstacles>,
     /// Taken while a step runs.
     pub(super) readbacks: Option<Readbacks>,
 }
@@ -61,12 +64,14 @@ impl GpuPath {
         let obstacles = geometry::obstacle_cut(scene, &grid)?;
         let clip = super::first_clip(scene, solids, &obstacles);
         // Before the liquid is seeded, which may take long.
-        let plan = Plan::with(scene, solids, clip.as_ref(), Some(gpu.report()))?;
+        let taps = Taps::new(scene, &grid, &obstacles.cut)?;
+        let parts = (solids, clip.as_ref(), &taps);
+        let plan = Plan::with(scene, parts, Some(gpu.report()))?;
         plan.check(gpu.report())?;
         memory.beside(plan.bytes(), gpu.report()).check()?;
-        let cut = obstacles.cut;
-        let mut state = super::first_state(scene, solids, &cut, clip.as_ref())?;
+        let mut state = super::first_state(scene, solids, &obstacles.cut, clip.as_ref())?;
         let walls = clip.as_ref().map(|clip| (clip, &solids.triangles[..]));
+        let cut = obstacles.still().clone();
         let cut_now = clip.as_ref().map_or(&cut, SolidClip::cut_cells);
         reference::prepare(scene, &grid, cut_now, walls, &mut state);
         let mut liquid = GpuLiquid::new(&gpu, scene, &cut, state.markers.len())?;
@@ -74,10 +79,15 @@ impl GpuPath {
             true => None,
             false => Some(GpuSolids::new(&gpu, scene, solids.clone(), &cut)?),
         };
-        let both = liquid.as_mut().zip(solids.as_ref()).zip(clip);
-        let coupling = both
-            .map(|((liquid, solids), clip)| GpuCoupling::new(&gpu, scene, clip, liquid, solids))
-            .transpose()?;
+        let (mut coupling, mut moving) = (None, None);
+        if let Some((liquid, clip)) = liquid.as_mut().zip(clip) {
+            match &solids {
+                Some(solids) => {
+                    coupling = Some(GpuCoupling::new(&gpu, scene, clip, liquid, solids)?);
+                }
+                None => moving = Some(GpuObstacles::new(&gpu, clip, liquid)?),
+            }
+        }
         let of_solids = || GpuSolids::readbacks(&gpu);
         let of_both = |solids| GpuCoupling::readbacks(&gpu, scene, solids);
         let readbacks = Some(Readbacks {
@@ -98,6 +108,7 @@ impl GpuPath {
             liquid,
             solids,
             coupling,
+            obstacles: moving,
             readbacks,
         };
         path.write_state(&state)?;
@@ -107,24 +118,41 @@ impl GpuPath {
     /// Replaces the state.
     ///
     /// # Errors
-    /// [`Error::Gpu`] when the device fails.
+    /// [`Error::Input`] for more markers than there is room for; [`Error::Gpu`] when the device fails.
     pub fn write_state(&mut self, state: &State) -> Result<(), Error> {
+        if let Some(room) = self
+            .marker_room()
+            .filter(|room| *room < state.markers.len())
+        {
+            return Err(Error::input(
+                self.scene.file.display().to_string(),
+                format!(
+                    "the state has {} markers, and there is room for {room}",
+                    state.markers.len()
+                ),
+                "resume with the scene that the state was made with",
+            ));
+        }
         self.head = State {
             time: state.time,
             step: state.step,
             frame: state.frame,
             dt_last: state.dt_last,
+            sources_running: state.sources_running,
             ..State::default()
         };
         if let Some(coupling) = &mut self.coupling {
             let both = self.liquid.as_mut().zip(self.solids.as_ref());
             let both = both.expect("coupling has liquid and solids");
-            let anew = At::Anew;
+            let anew = At::Anew { time: state.time };
             coupling.follow(&self.gpu, &self.scene, both, &state.displacement, anew)?;
             coupling.write_pressure(&self.gpu, &self.scene, state, self.liquid.as_ref());
         }
+        if let Some((obstacles, liquid)) = self.obstacles.as_mut().zip(self.liquid.as_mut()) {
+            obstacles.write(&self.gpu, liquid, state.time)?;
+        }
         if let Some(liquid) = &mut self.liquid {
-            let step = liquid.step_numbers(&self.scene, 0.0);
+            let step = liquid.step_numbers(&self.scene, &self.head, 0.0);
             liquid.write_state(&self.gpu, state, step);
         }
         if let Some(solids) = &mut self.solids {
@@ -223,7 +251,12 @@ impl GpuPath {
         let fall = (domain.gravity.length() * self.grid.dx).sqrt();
         let left = self.head.time_left(time.frames_per_second);
         let liquid = self.liquid.iter().map(|liquid| liquid.max_speed);
-        let max_speed = liquid.chain(self.solids.iter().map(|solids| solids.max_speed));
+        let solids = self.solids.iter().map(|solids| solids.max_speed);
+        let obstacles = self.clip().map(SolidClip::obstacles);
+        let obstacles = obstacles.map(|cut| cut.max_speed(self.head.time, left));
+        let sources = self.liquid.iter();
+        let sources = sources.map(|liquid| liquid.taps.speed(self.head.time, time.cfl));
+        let max_speed = liquid.chain(solids).chain(obstacles).chain(sources);
         time_step(
             time,
             self.grid.dx,
@@ -235,20 +268,22 @@ impl GpuPath {
     }
 
     /// Tells the kernels the length of the sub-step.
-    pub(super) fn write_step(&mut self, dt: f64) {
-        if let Some(liquid) = &self.liquid {
-            let step = liquid.step_numbers(&self.scene, dt);
+    pub(super) fn write_step(&mut self, dt: f64) -> Result<(), Error> {
+        if let Some(liquid) = &mut self.liquid {
+            liquid.begin(&self.gpu, &self.head, dt)?;
+            let step = liquid.step_numbers(&self.scene, &self.head, dt);
             self.gpu.upload(&liquid.buffers.step, &[step]);
         }
         if let Some(solids) = &mut self.solids {
             solids.write_step(&self.gpu, &self.scene, &self.head, dt);
         }
+        Ok(())
     }
 
     /// What the kernels of the liquid know of a sub-step of dt (s); `None` without liquid.
     pub fn step_numbers(&self, dt: f64) -> Option<Step> {
         let liquid = self.liquid.as_ref()?;
-        Some(liquid.step_numbers(&self.scene, dt))
+        Some(liquid.step_numbers(&self.scene, &self.head, dt))
     }
 
     /// The solids at rest; `None` where the scene has none.
@@ -256,20 +291,33 @@ impl GpuPath {
         self.solids.as_ref().map(|solids| &solids.solids)
     }
 
-    /// What obstacles, and solids in liquid, leave of the grid.
-    pub fn cut_cells(&self) -> &CutCells {
-        let coupling = self.coupling.as_ref();
-        coupling.map_or(&self.cut, |coupling| coupling.clip.cut_cells())
+    /// Sources and sinks, and what the sources do in the next sub-step.
+    pub fn taps(&self) -> Option<(&Taps, Running)> {
+        let liquid = self.liquid.as_ref()?;
+        Some((&liquid.taps, liquid.running_after(&self.head)))
     }
 
-    /// What obstacles alone leave of it.
+    /// How many markers there is room for; `None` without any.
+    pub fn marker_room(&self) -> Option<usize> {
+        let markers = self.liquid.as_ref()?.buffers.markers.as_ref()?;
+        Some(markers.positions.len())
+    }
+
+    /// What obstacles, and solids in liquid, leave of the grid.
+    pub fn cut_cells(&self) -> &CutCells {
+        self.clip().map_or(&self.cut, SolidClip::cut_cells)
+    }
+
+    /// What obstacles alone leave of it that stand still.
     pub fn obstacles(&self) -> &CutCells {
         &self.cut
     }
 
-    /// The solids in liquid as they cut the grid.
+    /// Solids in liquid and obstacles that move, as they cut the grid.
     pub fn clip(&self) -> Option<&SolidClip> {
-        self.coupling.as_ref().map(|coupling| &coupling.clip)
+        let obstacles = self.obstacles.as_ref().map(|obstacles| &obstacles.clip);
+        let coupling = self.coupling.as_ref().map(|coupling| &coupling.clip);
+        coupling.or(obstacles)
     }
 
     /// How far the simulation is.

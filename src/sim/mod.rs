@@ -2,6 +2,7 @@
 
 mod gpu_coupling;
 mod gpu_liquid;
+mod gpu_obstacles;
 mod gpu_path;
 mod gpu_solids;
 mod memory;
@@ -185,7 +186,7 @@ impl Simulation {
         }
     }
 
-    /// Liquid volume of a sub-step over the volume at the start; 1 where there was none. Nothing without liquid.
+    /// Liquid volume of a sub-step over the volume to hold, that at the start less what has left; 1 where there was none. Nothing without liquid.
     pub fn volume_ratio(&self, report: &StepReport) -> Option<f64> {
         let liquid = report.liquid?;
         let volume_0 = match &self.path {
@@ -318,9 +319,9 @@ fn reference_with(scene: &Scene, solids: &Solids) -> Result<Reference, Error> {
     Reference::new(scene, obstacles, solids.clone(), state)
 }
 
-/// The solids in liquid as they cut the grid at first; `None` where one of both is missing.
+/// Solids in liquid and obstacles that move as they cut the grid at first; `None` where nothing moves that could.
 fn first_clip(scene: &Scene, solids: &Solids, obstacles: &ObstacleCut) -> Option<SolidClip> {
-    Effects::of(scene).coupling.then(|| {
+    Effects::of(scene).clips().then(|| {
         let mut clip = SolidClip::new(&scene.grid(), obstacles.clone(), &scene.solver);
         clip.clip(&solids.moved(&solids.initial_state(scene).0));
         clip

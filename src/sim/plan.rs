@@ -3,18 +3,20 @@
 use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::{Bounds, Solids};
-use crate::geometry::{self, SolidClip};
+use crate::geometry::{self, SolidClip, Taps};
 use crate::gpu::{AdapterReport, BufferPlan, Timer};
 use crate::grid::Grid;
 use crate::reference::{TimeStep, time_step};
 use crate::scene::{
-    CouplingScheme, ElasticModel, PatchPressure, Precision, Preconditioner, ProbeKind, Scene, Solid,
+    CouplingScheme, ElasticModel, Obstacle, PatchPressure, Precision, Preconditioner, ProbeKind,
+    Scene, Solid,
 };
 use crate::solver::{self, LevelPlan, SolidRows, SolverBuffers};
-use crate::stages::{Probe, extrapolation_layers};
+use crate::stages::{EXCHANGE, Probe, extrapolation_layers, tap_buffers};
 
 use super::gpu_coupling::Room;
 use super::gpu_liquid::{self, liquid_plan};
+use super::gpu_obstacles::GpuObstacles;
 use super::gpu_solids;
 use super::memory::HostMemory;
 
@@ -80,22 +82,22 @@ impl Plan {
     /// [`Error::Input`] when a mesh file cannot be used, [`Error::Memory`] where solids cannot be clipped for want of memory.
     pub fn new(scene: &Scene, adapter: Option<&AdapterReport>) -> Result<Plan, Error> {
         let solids = super::solids_of(scene)?;
-        let clip = match Effects::of(scene).coupling {
-            true => {
-                HostMemory::new(scene, &solids, false)?.check()?;
-                let obstacles = geometry::obstacle_cut(scene, &scene.grid())?;
-                super::first_clip(scene, &solids, &obstacles)
-            }
-            false => None,
-        };
-        Plan::with(scene, &solids, clip.as_ref(), adapter)
+        let effects = Effects::of(scene);
+        let (mut clip, mut taps) = (None, Taps::default());
+        if effects.clips() || effects.sources || effects.sinks {
+            HostMemory::new(scene, &solids, false)?.check()?;
+            let grid = scene.grid();
+            let obstacles = geometry::obstacle_cut(scene, &grid)?;
+            clip = super::first_clip(scene, &solids, &obstacles);
+            taps = Taps::new(scene, &grid, &obstacles.cut)?;
+        }
+        Plan::with(scene, (&solids, clip.as_ref(), &taps), adapter)
     }
 
-    /// Plans a scene whose solids are at hand; `clip`: as they cut the grid at first, in liquid.
+    /// Plans a scene whose solids, and sources and sinks, are at hand; `clip`: as solids cut the grid at first, in liquid.
     pub(super) fn with(
         scene: &Scene,
-        solids: &Solids,
-        clip: Option<&SolidClip>,
+        (solids, clip, taps): (&Solids, Option<&SolidClip>, &Taps),
         adapter: Option<&AdapterReport>,
     ) -> Result<Plan, Error> {
         let grid = scene.grid();
@@ -111,13 +113,19 @@ impl Plan {
         Ok(Plan {
             padded_cells,
             n_markers,
-            first_step: first_step(scene, &grid, solids),
+            first_step: first_step(scene, &grid, (solids, clip, taps)),
             effects: effect_lines(scene, &effects),
             stages: stages(scene, &grid, &rows, &effects, f64),
-            buffers: buffers(scene, n_markers, (solids, &rows, clip), f64, timestamps),
+            buffers: buffers(
+                scene,
+                (n_markers, taps),
+                (solids, &rows, clip),
+                f64,
+                timestamps,
+            ),
             n_nodes: solids.rest.len(),
             n_elements: solids.elements.len(),
-            solves: solves(scene, solids, &rows, f64),
+            solves: solves(scene, (solids, clip, taps), &rows, f64),
             host_turns,
             bytes_per_turn: bytes_per_turn(&effects, padded_cells, solids.rest.len()),
             grid,
@@ -180,7 +188,11 @@ fn bytes_per_turn(effects: &Effects, padded_cells: usize, n_nodes: usize) -> u64
     (cells + 4 * 2 * 4 * n_nodes) as u64
 }
 
-fn first_step(scene: &Scene, grid: &Grid, solids: &Solids) -> TimeStep {
+fn first_step(
+    scene: &Scene,
+    grid: &Grid,
+    (solids, clip, taps): (&Solids, Option<&SolidClip>, &Taps),
+) -> TimeStep {
     let regions = scene.liquid.iter().flat_map(|liquid| &liquid.regions);
     let liquid_speed = regions
         .map(|region| region.velocity.abs().max_element())
@@ -188,9 +200,12 @@ fn first_step(scene: &Scene, grid: &Grid, solids: &Solids) -> TimeStep {
     let (_, velocity) = solids.initial_state(scene);
     let nodes = velocity.as_flattened().iter();
     let solid_speed = nodes.fold(0.0, |speed, v| f64::max(speed, v.abs()));
-    let speed = liquid_speed.max(solid_speed);
-    let fall = (scene.domain.gravity.length() * grid.dx).sqrt();
+    let of_sources = taps.speed(0.0, scene.time.cfl);
     let frame = 1.0 / scene.time.frames_per_second;
+    let obstacle_speed = clip.map_or(0.0, |clip| clip.obstacles().max_speed(0.0, frame));
+    let speed = liquid_speed.max(solid_speed);
+    let speed = speed.max(obstacle_speed).max(of_sources);
+    let fall = (scene.domain.gravity.length() * grid.dx).sqrt();
     time_step(&scene.time, grid.dx, speed, fall, frame, 0.0)
 }
 
@@ -219,6 +234,8 @@ fn effect_lines(scene: &Scene, effects: &Effects) -> Vec<EffectLine> {
         (false, _) => "there is no liquid",
         (true, false) => "there are no solids",
     };
+    let moves = |obstacle: &&Obstacle| obstacle.motion.is_some();
+    let n_moving = scene.obstacles.iter().filter(moves).count();
     // Of solids: how many, by what each of them has.
     let of_solids = |what: &dyn Fn(&Solid) -> usize, n: &str, none: &str| match scene
         .solids
@@ -247,6 +264,23 @@ fn effect_lines(scene: &Scene, effects: &Effects) -> Vec<EffectLine> {
         ),
         ("markers", effects.markers, surface.to_owned()),
         ("volume_control", effects.volume_control, control.to_owned()),
+        (
+            "open_sides",
+            effects.open_sides,
+            match scene.domain.open.any() {
+                true => format!(
+                    "domain.open: {}",
+                    scene.domain.open.names().collect::<Vec<_>>().join(", ")
+                ),
+                false => "no sides in domain.open".to_owned(),
+            },
+        ),
+        (
+            "sources",
+            effects.sources,
+            count(scene.sources.len(), "[[source]]"),
+        ),
+        ("sinks", effects.sinks, count(scene.sinks.len(), "[[sink]]")),
         (
             "solids",
             effects.solids,
@@ -298,6 +332,15 @@ fn effect_lines(scene: &Scene, effects: &Effects) -> Vec<EffectLine> {
             "obstacles",
             effects.obstacles,
             count(scene.obstacles.len(), "[[obstacle]]"),
+        ),
+        (
+            "moving_obstacles",
+            effects.moving_obstacles,
+            match (n_moving, effects.liquid) {
+                (_, false) => "there is no liquid".to_owned(),
+                (0, _) => "no [[obstacle]] with keyframes".to_owned(),
+                (n, _) => format!("{n} [[obstacle]] with keyframes"),
+            },
         ),
         ("coupling", effects.coupling, coupling.to_owned()),
         (
@@ -352,6 +395,7 @@ fn stages(
         obstacles,
         coupling,
         patch_correction,
+        moving_obstacles: moving,
         ..
     } = *effects;
     let cuts = effects.cuts();
@@ -375,17 +419,24 @@ fn stages(
         ];
         stage("move_solid", true, &kernels);
     }
-    if coupling {
-        let kernels: [(bool, &[_]); 3] = [
+    if effects.clips() {
+        let kernels: [(bool, &[_]); 4] = [
             (true, &["cut_quads"]),
             (markers, &["cut_room"]),
-            (gradient, &["pressure_slopes"]),
+            (moving, &["obstacle_flux"]),
+            (coupling && gradient, &["pressure_slopes"]),
         ];
         stage("clip", true, &kernels);
     }
     if markers {
         let kernels: [(bool, &[_]); 2] = [(true, &["advect_markers"]), (cuts, &["push_out"])];
         stage("advect_markers", true, &kernels);
+    }
+    let Effects { sources, sinks, .. } = *effects;
+    if sources || sinks {
+        let seeding = ["count_in_sources", "plan_seeds", "seed_markers"];
+        let kernels: [(bool, &[_]); 2] = [(sinks, &["sink_markers"]), (sources, &seeding)];
+        stage(EXCHANGE, true, &kernels);
     }
     if liquid {
         let band: [(bool, &[_]); 3] = [
@@ -396,16 +447,21 @@ fn stages(
         stage("band", markers, &band);
         stage("advect_velocity", true, &[(true, &["advect_velocity"])]);
     }
-    let forces: [(bool, &[_]); 2] = [(liquid, &["forces"]), (elastic, &["node_forces"])];
+    let forces: [(bool, &[_]); 3] = [
+        (liquid, &["forces"]),
+        (sources, &["hold_faces"]),
+        (elastic, &["node_forces"]),
+    ];
     stage("forces", true, &forces);
     if liquid {
-        let distance: [(bool, &[_]); 4] = [
+        let distance: [(bool, &[_]); 5] = [
             (markers, &["classify_near", "classify_far"]),
             (markers, &["spread_markers", "union_of_spheres"]),
             (markers && cuts, &["extend_into_solids", "finish_extension"]),
+            (sinks, &["empty_sinks"]),
             (true, &["measure_volume", "volume_rate"]),
         ];
-        stage("liquid_distance", markers || coupling, &distance);
+        stage("liquid_distance", markers || effects.clips(), &distance);
         let active: [(bool, &[_]); 2] = [
             (true, &["clear_system", "active_cells", "coarsen"]),
             (true, &COMPACTION),
@@ -435,8 +491,9 @@ fn stages(
         let kernels = ["element_rotations", "solid_blocks"];
         stage("solid_matrices", true, &[(true, &kernels)]);
     }
-    let right_hand_side: [(bool, &[_]); 6] = [
+    let right_hand_side: [(bool, &[_]); 7] = [
         (liquid, &["right_hand_side"]),
+        (moving, &["take_up"]),
         (elastic, &["solid_right_hand_side"]),
         (patch_correction, &["patch_pressure"]),
         (elastic, &["solid_contacts"]),
@@ -466,26 +523,33 @@ fn stages(
     }
     stage("solve", true, &solve);
     if liquid {
-        stage("write_back", true, &[(true, &["still_air", "write_back"])]);
-        let extrapolate: [(bool, &[_]); 5] = [
+        let write_back: [(bool, &[_]); 4] = [
+            (true, &["still_air", "write_back"]),
+            (sources, &["carry_faces"]),
+            (!coupling, &["measure_divergence"]),
+            (
+                coupling,
+                &["measure_uncut_divergence", "measure_cut_divergence"],
+            ),
+        ];
+        stage("write_back", true, &write_back);
+        let extrapolate: [(bool, &[_]); 8] = [
+            (cuts, &["drop_slivers"]),
             (
                 extrapolation_layers(scene.time.cfl) > 0,
                 &["extrapolate_layer"],
             ),
             (true, &["extrapolate_walls"]),
-            (coupling, &["wall_velocities", "slip_along_solids"]),
-            (cuts && !coupling, &["slip"]),
+            (coupling, &["wall_velocities"]),
+            (moving && !coupling, &["obstacle_velocities"]),
+            (effects.clips(), &["slip_along_solids"]),
+            (cuts && !effects.clips(), &["slip"]),
             (cuts, &["apply_slip"]),
         ];
         stage("extrapolate", true, &extrapolate);
     }
-    let diagnose: [(bool, &[_]); 6] = [
+    let diagnose: [(bool, &[_]); 4] = [
         (liquid, &["measure_motion"]),
-        (liquid && !coupling, &["measure_divergence"]),
-        (
-            coupling,
-            &["measure_uncut_divergence", "measure_cut_divergence"],
-        ),
         (liquid, &["report_motion"]),
         (elastic, &["measure_solid", "report_solid"]),
         (coupling, &["measure_coupling", "report_coupling"]),
@@ -550,7 +614,7 @@ fn solve_kernels(scene: &Scene, levels: &LevelPlan) -> Vec<(bool, &'static [&'st
 }
 fn buffers(
     scene: &Scene,
-    n_markers: usize,
+    (n_markers, taps): (usize, &Taps),
     (solids, rows, clip): (&Solids, &SolidRows, Option<&SolidClip>),
     f64: bool,
     timestamps: bool,
@@ -559,10 +623,11 @@ fn buffers(
     let variant = solver::variant(f64, scene.solver.precision);
     let mut all = Vec::new();
     if scene.liquid.is_some() {
-        let liquid = liquid_plan(scene, n_markers, f64);
+        let liquid = liquid_plan(scene, taps, n_markers, f64);
         all.extend(liquid.buffers());
         all.extend(SolverBuffers::plan(&grid, variant));
         all.extend(liquid.small_buffers());
+        all.extend(tap_buffers(&grid, taps));
         all.extend(solver::small_buffers(&grid, &scene.solver, variant));
         if gpu_liquid::has_probes(scene) {
             all.extend(Probe::plan(gpu_liquid::probes(scene)));
@@ -571,7 +636,9 @@ fn buffers(
     if !solids.bodies.is_empty() {
         all.extend(gpu_solids::buffers(scene, solids, rows, f64));
     }
-    if let Some(clip) = clip {
+    if let Some(clip) = clip.filter(|_| solids.bodies.is_empty()) {
+        all.extend(GpuObstacles::buffers(&grid, clip));
+    } else if let Some(clip) = clip {
         let room = Room::for_clip(&grid, clip, 0);
         all.extend(room.buffers(scene, rows, variant));
     }
@@ -589,7 +656,12 @@ fn buffers(
 }
 
 /// Of the pressure, then of the solids.
-fn solves(scene: &Scene, solids: &Solids, rows: &SolidRows, f64: bool) -> Vec<String> {
+fn solves(
+    scene: &Scene,
+    (solids, clip, taps): (&Solids, Option<&SolidClip>, &Taps),
+    rows: &SolidRows,
+    f64: bool,
+) -> Vec<String> {
     let solver = &scene.solver;
     let numbers = match (solver.precision, f64) {
         (Precision::F32, _) => "all in f32",
@@ -642,8 +714,10 @@ fn solves(scene: &Scene, solids: &Solids, rows: &SolidRows, f64: bool) -> Vec<St
         ));
     }
     if !solids.bodies.is_empty() {
-        let degree = Bounds::new(solids)
-            .chebyshev_degree(solids, first_step(scene, &scene.grid(), solids).dt);
+        let degree = Bounds::new(solids).chebyshev_degree(
+            solids,
+            first_step(scene, &scene.grid(), (solids, clip, taps)).dt,
+        );
         solves.push(format!(
             "velocity of the nodes (S v = M v*/dt - K x* + b + loads), conjugate gradients with a Chebyshev polynomial in \
              block-Jacobi (degree {degree} at first), {numbers}, true residual {tolerance:.0e}; {} nodes, {} blocks off the \

@@ -307,6 +307,11 @@ fn frame_of(file: &str, scene: &str) -> Option<u64> {
         .strip_prefix(scene)?
         .strip_prefix('_')?
         .split_once('.')?;
+    let kinds = ["obstacles_", "surface_"];
+    let number = kinds
+        .iter()
+        .find_map(|kind| number.strip_prefix(kind))
+        .unwrap_or(number);
     number.parse().ok()
 }
 
@@ -428,7 +433,7 @@ impl<'a> Recording<'a> {
         manifest.write(out)?;
         let kinds = FrameKinds::of(scene);
         let mut writer = FrameWriter::create(out, &scene.name, scene.grid(), kinds)?;
-        writer.write_obstacles(&geometry::obstacle_surfaces(scene, &scene.grid())?)?;
+        writer.write_obstacles(&geometry::obstacle_surfaces(scene, &scene.grid(), 0.0)?)?;
         if from.is_some() {
             let frames = &manifest.progress.frames_written;
             writer.go_on(frames, scene.time.frames_per_second)?;
@@ -480,6 +485,11 @@ impl<'a> Recording<'a> {
         }
         let state = simulation.state()?;
         if write {
+            if FrameKinds::of(self.scene).moving_obstacles {
+                let grid = self.scene.grid();
+                let surfaces = geometry::obstacle_surfaces(self.scene, &grid, state.time)?;
+                self.writer.write_moved_obstacles(&state, &surfaces)?;
+            }
             self.writer
                 .write(&state, simulation.cut_cells(), simulation.solids())?;
             let at = &mut self.manifest.progress;

@@ -66,7 +66,7 @@ pub struct SolidSnapshot {
 pub struct LiquidSnapshot {
     /// Open fractions of the faces and distances of the centres (m), where solids cut the grid in every sub-step.
     pub cut: Option<CutCells>,
-    /// Marker positions, m; `None` for a dropped one.
+    /// Marker positions, m; `None` for one that is gone and for slots kept for new ones.
     pub markers: Vec<Option<[f64; 3]>>,
     /// Face velocities, m/s.
     pub velocity: [Vec<f64>; 3],
@@ -301,7 +301,7 @@ impl GpuLiquid {
         let stored = StoredPressure::read(gpu, grid, solver)?;
         let markers = match &liquid.markers {
             None => Vec::new(),
-            Some(markers) => gpu.download(&markers.positions)?[..self.n_markers]
+            Some(markers) => gpu.download(&markers.positions)?[..self.n_slots()]
                 .iter()
                 .map(|&[x, y, z, alive]| (alive != 0.0).then(|| [x, y, z].map(f64::from)))
                 .collect(),
@@ -315,7 +315,7 @@ impl GpuLiquid {
             })
         };
         Ok(LiquidSnapshot {
-            cut: liquid.plan.effects.coupling.then(cut).transpose()?,
+            cut: liquid.plan.effects.clips().then(cut).transpose()?,
             markers,
             velocity: liquid.read_faces(gpu, &liquid.velocity)?,
             velocity_next: liquid.read_faces(gpu, &liquid.velocity_next)?,

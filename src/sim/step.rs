@@ -4,16 +4,17 @@ use std::time::Instant;
 
 use crate::Error;
 use crate::gpu::{Readback, Recorder, StageTimes};
-use crate::reference::TimeStep;
+use crate::reference::{SQUEEZE, TimeStep};
 use crate::solver::{Components, Outcome};
 use crate::stages::{
-    AdvectMarkers, AdvectVelocity, Band, Clip, Diagnose, ElementRotations, Extrapolate, Forces,
-    LiquidDistance, MoveSolid, Report, RightHandSide, SolidReport, WriteBack,
+    AdvectMarkers, AdvectVelocity, Band, Clip, Diagnose, EXCHANGE, ElementRotations, Extrapolate,
+    Forces, LiquidDistance, MoveSolid, Report, RightHandSide, SolidReport, WriteBack,
 };
-use crate::state::{ContactReport, CouplingReport, SolveReport, StepReport};
+use crate::state::{ContactReport, CouplingReport, SolveReport, SolveStatus, StepReport};
 
 use super::gpu_coupling::{At, CouplingReadbacks};
 use super::gpu_liquid::{GpuLiquid, active, within};
+use super::gpu_obstacles::squeezed;
 use super::gpu_path::GpuPath;
 use super::gpu_solids::{GpuSolids, SolidReadbacks};
 
@@ -53,11 +54,11 @@ impl GpuPath {
         mut observer: Option<Observer>,
     ) -> Result<StepReport, Error> {
         let clock = Instant::now();
+        self.write_step(time_step.dt)?;
         let mut readbacks = self
             .readbacks
             .take()
             .expect("the read-backs come back after every step");
-        self.write_step(time_step.dt);
         let told = self
             .move_and_clip(time_step.dt, &mut observer)
             .and_then(|told| self.stages_of(time_step.dt, &mut readbacks, observer, told));
@@ -71,6 +72,13 @@ impl GpuPath {
     /// nothing here.
     fn move_and_clip(&mut self, dt: f64, observer: &mut Option<Observer>) -> Result<Told, Error> {
         let mut told = Told::default();
+        let time = self.head.time + dt;
+        if let Some((obstacles, liquid)) = self.obstacles.as_mut().zip(self.liquid.as_mut()) {
+            let clock = Instant::now();
+            obstacles.follow(&self.gpu, liquid, time, dt)?;
+            told.seconds
+                .push((Clip::NAME, clock.elapsed().as_secs_f64()));
+        }
         let both = self.liquid.as_ref().zip(self.solids.as_ref());
         let Some((coupling, (_, solids))) = self.coupling.as_mut().zip(both) else {
             return Ok(told);
@@ -99,7 +107,8 @@ impl GpuPath {
         let both = liquid.as_mut().zip(solids.as_ref());
         if let Some((coupling, both)) = coupling.as_mut().zip(both) {
             let dt_last = head.dt_last;
-            coupling.follow(gpu, scene, both, &displacement, At::Step { dt, dt_last })?;
+            let at = At::Step { time, dt, dt_last };
+            coupling.follow(gpu, scene, both, &displacement, at)?;
         }
         told.seconds
             .push((Clip::NAME, clock.elapsed().as_secs_f64()));
@@ -138,6 +147,10 @@ impl GpuPath {
             stages.move_solid.record(&mut to);
             to = watch.after(MoveSolid::NAME, to)?;
         }
+        if let Some(obstacles) = &self.obstacles {
+            obstacles.stage.record(&mut to);
+            to = watch.after(Clip::NAME, to)?;
+        }
         if let Some(GpuLiquid {
             buffers, stages, ..
         }) = liquid
@@ -145,6 +158,9 @@ impl GpuPath {
             if let Some(advect_markers) = &stages.advect_markers {
                 advect_markers.record(&mut to);
                 to = watch.after(AdvectMarkers::NAME, to)?;
+                if stages.record_exchange(&mut to) {
+                    to = watch.after(EXCHANGE, to)?;
+                }
                 stages.band.record(&mut to);
                 to = watch.after(Band::NAME, to)?;
             }
@@ -156,6 +172,9 @@ impl GpuPath {
         }) = liquid
         {
             stages.forces.record(&mut to, buffers);
+            if let Some(sources) = &stages.sources {
+                sources.record_hold(&mut to, buffers);
+            }
         }
         if let Some(GpuSolids { stages, .. }) = solids {
             stages.forces.record(&mut to);
@@ -169,10 +188,10 @@ impl GpuPath {
         }) = liquid
         {
             if let Some(liquid_distance) = &stages.liquid_distance {
-                liquid_distance.record(&mut to, buffers);
+                liquid_distance.record_with(&mut to, buffers, stages.sinks.as_ref());
                 to = watch.after(LiquidDistance::NAME, to)?;
-            } else if let Some(volume) = stages.volume.as_ref().filter(|_| coupling.is_some()) {
-                // The surface stays, and solids move through it.
+            } else if let Some(volume) = stages.volume.as_ref().filter(|_| self.clip().is_some()) {
+                // The surface stays, and solids or obstacles move through it.
                 volume.record(&mut to);
             }
             if let Some(coupling) = coupling {
@@ -238,12 +257,20 @@ impl GpuPath {
             }
             to = Recorder::timed(gpu);
         }
-        if let Some(GpuLiquid { solver, stages, .. }) = liquid {
+        if let Some(part @ GpuLiquid { solver, stages, .. }) = liquid {
             if !together {
                 let (outcome, mut seconds) = stages.solve.solve(gpu, to, solver, true)?;
                 pressure = Some(outcome);
                 told.seconds.append(&mut seconds);
                 to = Recorder::timed(gpu);
+            }
+            if let (Some(clip), Some(outcome)) = (self.clip(), &mut pressure)
+                && outcome.status == SolveStatus::Converged
+                && outcome.closed_components > 0
+                && !clip.obstacles().flux().is_empty()
+                && squeezed(gpu, part, clip.obstacles())? > SQUEEZE
+            {
+                outcome.status = SolveStatus::Incompatible;
             }
             to.stage(Components::NAME, |pass| {
                 stages.closed_components.centre_potential(pass)
@@ -264,10 +291,19 @@ impl GpuPath {
         to = watch.after("solve", to)?;
 
         if let Some(GpuLiquid {
-            buffers, stages, ..
+            buffers,
+            solver,
+            stages,
+            ..
         }) = liquid
         {
             stages.write_back.record(&mut to, buffers);
+            if let Some(sources) = &stages.sources {
+                sources.record_carry(&mut to);
+            }
+            if let Some(diagnose) = &stages.diagnose {
+                diagnose.record_divergence(&mut to, buffers, &active(solver));
+            }
             to = watch.after(WriteBack::NAME, to)?;
             if let Some(extrapolate) = &stages.extrapolate {
                 extrapolate.record(&mut to, buffers);
@@ -276,13 +312,10 @@ impl GpuPath {
         }
         if let Some((liquid, readback)) = liquid.zip(readbacks.liquid.as_mut()) {
             let GpuLiquid {
-                buffers,
-                solver,
-                stages,
-                ..
+                buffers, stages, ..
             } = liquid;
             if let Some(diagnose) = &stages.diagnose {
-                diagnose.record(&mut to, buffers, &active(solver));
+                diagnose.record(&mut to);
             }
             to.read(&buffers.report, readback);
         }
@@ -339,6 +372,9 @@ impl<'a> Watch<'a, '_> {
 impl GpuPath {
     /// Moves the clock on and puts the row of steps.csv together.
     fn finish(&mut self, TimeStep { dt, floored }: TimeStep, told: Told) -> StepReport {
+        if let Some(liquid) = &self.liquid {
+            self.head.sources_running = liquid.running_after(&self.head).running.into();
+        }
         self.head
             .advance_clock(dt, self.scene.time.frames_per_second);
         let liquid = self.liquid.as_mut().zip(told.liquid);

@@ -72,7 +72,7 @@ impl CouplingSize {
         &self,
         n: usize,
         n_levels: usize,
-        Variant { real, inner }: Variant,
+        Variant { real, inner, .. }: Variant,
     ) -> Vec<BufferPlan> {
         let real = |label, len| RealBuffer::plan(label, len, real);
         vec![

@@ -64,7 +64,8 @@ pub use solid_contacts::ObstacleField;
 pub use solid_solver::{SolidSolver, solid_kernels};
 pub use solid_system::{Rows, SolidFields, SolidRows, SolidSystem, SolidSystemBuffers};
 pub use system::{
-    ActiveSettings, Everywhere, LevelPlan, PressureSystem, SolverBuffers, Within, variant,
+    ActiveSettings, Everywhere, FreeSurface, LevelPlan, PressureSystem, SolverBuffers, Within,
+    variant,
 };
 pub use two_field::{CoupledFields, CoupledOutcome, TwoFieldSolver};
 pub use weak::{Weak, WeakBuffers};

@@ -139,7 +139,7 @@ fn state_machine(
     n_lists: usize,
     n_norms: usize,
     long_sums: bool,
-    Variant { real, inner }: Variant,
+    Variant { real, inner, .. }: Variant,
 ) -> Vec<BufferPlan> {
     let folded = folded_len(long_sums);
     vec![

@@ -209,7 +209,7 @@ impl SolidRows {
     }
 
     /// What [`SolidSystemBuffers::new`] allocates, uniforms aside.
-    pub fn buffers(&self, Variant { real, inner }: Variant) -> Vec<BufferPlan> {
+    pub fn buffers(&self, Variant { real, inner, .. }: Variant) -> Vec<BufferPlan> {
         let (n, m) = (self.rows.n_nodes as usize, self.rows.n_elements as usize);
         let partials = n.max(FOLD_THREADS);
         let mut plans = vec![

@@ -92,6 +92,7 @@ pub fn variant(f64: bool, precision: Precision) -> Variant {
         Precision::Mixed if f64 => Variant {
             real: Real::F64,
             inner: Real::F32,
+            moving_obstacles: false,
         },
         Precision::Mixed => Real::F32.into(),
         Precision::F64 => Real::F64.into(),
@@ -145,7 +146,7 @@ impl SolverBuffers {
     pub fn plan(grid: &Grid, variant: Variant) -> Vec<BufferPlan> {
         let plan = LevelPlan::new(grid);
         let (cells, total) = (plan.levels[0].len(), 4 * plan.total);
-        let Variant { real, inner } = variant;
+        let Variant { real, inner, .. } = variant;
         let partials = cells.max(4 * FOLD_THREADS);
         let mut plans = vec![
             BufferPlan::of::<u32>("solver.flags", plan.total),
@@ -288,18 +289,37 @@ pub struct PressureSystem {
     compact: Vec<Compaction>,
 }
 
+/// Where the pressure is 0.
+#[derive(Clone, Copy, Debug)]
+pub struct FreeSurface {
+    /// Smallest distance to the surface, cells.
+    pub theta_floor: f64,
+    /// Whether it is 0 on the planes of open sides of the domain too: those whose faces are open.
+    pub open_sides: bool,
+}
+
+impl From<f64> for FreeSurface {
+    /// On the surface of a liquid between walls.
+    fn from(theta_floor: f64) -> FreeSurface {
+        FreeSurface {
+            theta_floor,
+            open_sides: false,
+        }
+    }
+}
+
 /// The doppelganger of `ActiveSettings` in `shaders/active_cells.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct ActiveSettings {
     /// Smallest theta.
     pub theta_floor: f32,
+    /// 1 where sides of the domain are open.
+    pub open_sides: u32,
     /// Nothing.
     pub pad_0: f32,
     /// Nothing.
     pub pad_1: f32,
-    /// Nothing.
-    pub pad_2: f32,
 }
 
 impl PressureSystem {
@@ -313,8 +333,12 @@ impl PressureSystem {
         open: &Buffer<f32>,
         liquid_distance: &Buffer<f32>,
         within: Within,
-        theta_floor: f64,
+        free_surface: impl Into<FreeSurface>,
     ) -> Result<PressureSystem, Error> {
+        let FreeSurface {
+            theta_floor,
+            open_sides,
+        } = free_surface.into();
         let SolverBuffers {
             plan,
             variant,
@@ -331,9 +355,9 @@ impl PressureSystem {
             .collect::<Result<Vec<_>, _>>()?;
         let settings = ActiveSettings {
             theta_floor: theta_floor as f32,
+            open_sides: open_sides.into(),
             pad_0: 0.0,
             pad_1: 0.0,
-            pad_2: 0.0,
         };
         let settings = gpu.uniform("solver.active_settings", &settings)?;
         let kernel = Kernel::new(gpu, &crate::wgsl!("clear_system"), inner)?;

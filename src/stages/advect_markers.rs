@@ -6,7 +6,8 @@ use crate::wgsl;
 
 use super::LiquidBuffers;
 
-/// The stage. Moves the markers by the velocity of the last sub-step; counts those it drops in the report.
+/// The stage. Moves the markers by the velocity of the last sub-step; counts those that leave through open sides and those that it
+/// drops in the report.
 #[derive(Debug)]
 pub struct AdvectMarkers {
     n_markers: usize,
@@ -31,16 +32,16 @@ impl AdvectMarkers {
         let step = ("step", (&buffers.step).into());
         let positions = ("markers", (&markers.positions).into());
         let velocity = ("velocity", (&buffers.velocity).into());
+        let report = ("report", (&buffers.report).into());
         let push_out = || {
             let distance = ("solid_distance", (&buffers.obstacles.solid_distance).into());
-            let report = ("report", (&buffers.report).into());
             Kernel::new(gpu, &wgsl!("push_out"), Real::F32)?
                 .bind(gpu, &[level, step, distance, positions, report])
         };
         Ok(AdvectMarkers {
             n_markers: markers.positions.len(),
             advect_markers: Kernel::new(gpu, &wgsl!("advect_markers"), Real::F32)?
-                .bind(gpu, &[level, step, velocity, positions])?,
+                .bind(gpu, &[level, step, velocity, positions, report])?,
             push_out: buffers.plan.effects.cuts().then(push_out).transpose()?,
         })
     }

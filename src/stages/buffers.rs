@@ -33,10 +33,10 @@ pub struct Step {
     pub marker_radius: f32,
     /// Smallest theta of the ghost fluid method.
     pub theta_floor: f32,
-    /// Markers in the buffer, dropped ones included.
+    /// Markers in the buffer, those that are gone included.
     pub n_markers: u32,
-    /// Fills the struct.
-    pub spare: u32,
+    /// Sides of the domain that are open, [`Sides::bits`](crate::grid::Sides::bits).
+    pub open_sides: u32,
 }
 
 /// What decides the sizes of [`LiquidBuffers`].
@@ -46,7 +46,7 @@ pub struct LiquidPlan {
     pub grid: Grid,
     /// What the scene calls for.
     pub effects: Effects,
-    /// Markers seeded.
+    /// Markers that there is room for.
     pub n_markers: usize,
     /// Cells that the fastest point crosses in a sub-step.
     pub cfl: f64,
@@ -62,7 +62,7 @@ impl LiquidPlan {
             BufferPlan::of::<Step>("liquid.step", 1),
             BufferPlan::of::<Tiles>("liquid.tiles", 1),
             BufferPlan::of::<Range>("compact.range", 1),
-            BufferPlan::of::<u32>("liquid.report (read-back)", Report::WORDS),
+            BufferPlan::of::<u32>("liquid.report (read-back)", Report::words(&self.effects)),
         ]
     }
 
@@ -85,9 +85,12 @@ impl LiquidPlan {
             BufferPlan::of::<u32>("liquid.band_args", 4),
             Compaction::scratch("liquid.band_scratch", padded.quads),
             BufferPlan::of::<u32>("liquid.maxima", 2),
-            BufferPlan::of::<u32>("liquid.report", Report::WORDS),
+            BufferPlan::of::<u32>("liquid.report", Report::words(&self.effects)),
             RealBuffer::plan("liquid.partials", 4 * self.n_summing(), self.real),
         ];
+        if self.effects.moving_obstacles {
+            plans.push(BufferPlan::of::<f32>("liquid.obstacle_flux", padded.len()));
+        }
         if self.effects.markers {
             plans.extend([
                 BufferPlan::of::<[f32; 4]>("liquid.markers", self.n_markers),
@@ -162,6 +165,8 @@ pub struct LiquidBuffers {
     pub report: Buffer<u32>,
     /// The distance to the obstacles, and to solids.
     pub obstacles: ObstacleBuffers,
+    /// Where obstacles move: what they take up, J v over dx^2 per cell, m/s.
+    pub obstacle_flux: Option<Buffer<f32>>,
     /// With markers only.
     pub markers: Option<MarkerBuffers>,
 }
@@ -169,7 +174,7 @@ pub struct LiquidBuffers {
 /// What the markers add.
 #[derive(Debug)]
 pub struct MarkerBuffers {
-    /// x, y, z in m, and 1 for alive or 0 for dropped.
+    /// x, y, z in m, and 1 for alive or 0 for gone: dropped, or out of the domain.
     pub positions: Buffer<[f32; 4]>,
     /// Per quad: lanes without room for liquid, lanes that hold a marker (`common/classes.wgsl`).
     pub occupied: Buffer<u32>,
@@ -209,6 +214,11 @@ impl LiquidBuffers {
             maxima: maker.make("liquid.maxima")?,
             report: maker.make("liquid.report")?,
             obstacles: ObstacleBuffers::new(gpu, &plan.grid, plan.effects.cuts())?,
+            obstacle_flux: plan
+                .effects
+                .moving_obstacles
+                .then(|| maker.make("liquid.obstacle_flux"))
+                .transpose()?,
             markers: plan
                 .effects
                 .markers
@@ -341,11 +351,12 @@ impl LiquidBuffers {
         flags[slab..slab * (grid.cells[2] + 2)].fill(1);
         gpu.upload(&self.band_flags, &flags);
         if let Some(markers) = &self.markers {
-            let positions: Vec<[f32; 4]> = state
+            let alive = state
                 .markers
                 .iter()
-                .map(|x| [x[0] as f32, x[1] as f32, x[2] as f32, 1.0])
-                .collect();
+                .map(|x| [x[0] as f32, x[1] as f32, x[2] as f32, 1.0]);
+            let mut positions: Vec<[f32; 4]> = alive.collect();
+            positions.resize(positions.len().max(markers.positions.len()), [0.0; 4]);
             gpu.upload(&markers.positions, &positions);
         } else {
             // The liquid stays where it is, so the tiles that hold it are known.
@@ -361,11 +372,10 @@ impl LiquidBuffers {
             }
             gpu.upload(&self.marks, &marks);
         }
-        let dropped = u32::try_from(state.markers_dropped).unwrap_or(u32::MAX);
-        gpu.upload(&self.report, &[dropped]);
+        gpu.upload(&self.report, &vec![0; self.report.len()]);
     }
 
-    /// Waits for all submitted work and reads velocities, markers (dropped ones left out) and liquid distance into a state.
+    /// Waits for all submitted work and reads velocities, markers (those that are gone left out) and liquid distance into a state.
     ///
     /// # Errors
     /// [`Error::Gpu`] when the device fails.
@@ -384,8 +394,6 @@ impl LiquidBuffers {
                 .map(|&[x, y, z, _]| [x, y, z].map(f64::from))
                 .collect();
         }
-        let words = gpu.download(&self.report)?;
-        state.markers_dropped = words[Report::DROPPED].into();
         Ok(())
     }
 

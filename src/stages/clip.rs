@@ -1,8 +1,8 @@
-//! `clip`: what deforming solids leave of the grid in a sub-step. The host clips them ([`SolidClip`]); this stage takes the quads that
-//! differ to the device, so the rest of the grid costs nothing.
+//! `clip`: what deforming solids and moving obstacles leave of the grid in a sub-step. The host clips them ([`SolidClip`]); this stage
+//! takes the quads that differ to the device, so the rest of the grid costs nothing.
 
 use crate::Error;
-use crate::geometry::SolidClip;
+use crate::geometry::{Place, SolidClip};
 use crate::gpu::{Bound, Buffer, BufferPlan, Gpu, Kernel, Real, Recorder};
 use crate::grid::{Axis, Grid, Padded};
 use crate::wgsl;
@@ -11,6 +11,8 @@ use super::LiquidBuffers;
 
 /// Bit of a word of [`ClipBuffers::walls`]: patches lie in the quad. `shaders/common/moving_walls.wgsl` has it too.
 const WET: u32 = 16;
+/// In place of the nodes of a place that is not on a solid: what follows are bits of its velocity. `wall_velocities.wgsl` has it too.
+const NO_NODE: u32 = u32::MAX;
 /// First bit of the number of the quad's first place, likewise.
 const FIRST_PLACE: u32 = 5;
 
@@ -49,10 +51,12 @@ pub struct CutQuad {
 /// How much room there is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ClipSize {
-    /// Quads that differ from what the obstacles leave, in this sub-step or in the last.
+    /// Quads that differ from what those obstacles leave that stand still, in this sub-step or in the last.
     pub quads: usize,
-    /// Cells near solids.
+    /// Cells near what moves.
     pub places: usize,
+    /// Whether obstacles move.
+    pub moving_obstacles: bool,
 }
 
 impl ClipSize {
@@ -61,18 +65,42 @@ impl ClipSize {
         let now = cut_quads(&grid.padded(), grid, clip).len();
         ClipSize {
             quads: now + differing.max(now),
-            places: clip.band().len(),
+            places: clip.places().len(),
+            moving_obstacles: clip.obstacles().move_at_all(),
+        }
+    }
+
+    /// Half as much again: bodies cut other cells as they go.
+    pub fn ample(self) -> ClipSize {
+        let ample = |n: usize| n + n / 2 + 64;
+        ClipSize {
+            quads: ample(self.quads),
+            places: ample(self.places),
+            ..self
+        }
+    }
+
+    /// Enough for both.
+    pub fn joined(self, other: ClipSize) -> ClipSize {
+        ClipSize {
+            quads: self.quads.max(other.quads),
+            places: self.places.max(other.places),
+            ..self
         }
     }
 
     /// What [`ClipBuffers::new`] allocates.
     pub fn buffers(&self, grid: &Grid) -> Vec<BufferPlan> {
-        vec![
+        let mut plans = vec![
             BufferPlan::of::<CutQuad>("clip.quads", self.quads),
             BufferPlan::of::<[u32; 4]>("clip.places", 2 * self.places),
             BufferPlan::of::<u32>("clip.walls", grid.padded().quads + 3 * self.places),
             BufferPlan::of::<Clipped>("clip.clipped", 1),
-        ]
+        ];
+        if self.moving_obstacles {
+            plans.push(BufferPlan::of::<[f32; 4]>("clip.fluxes", self.quads));
+        }
+        plans
     }
 }
 
@@ -86,7 +114,9 @@ pub struct ClipBuffers {
     /// Numbers of what follows.
     pub clipped: Buffer<Clipped>,
     quads: Buffer<CutQuad>,
-    /// Per cell near a solid: nodes of the nearest triangle, then bits of their weights at the nearest place of it.
+    /// Of the quads, what obstacles take up that move: J v over dx^2, m/s.
+    fluxes: Option<Buffer<[f32; 4]>>,
+    /// Per cell near a solid or moving obstacle: nodes of the nearest triangle, then bits of their weights at the nearest place of it.
     pub places: Buffer<[u32; 4]>,
     /// Per quad: which lanes have a place, and which; then the velocities of the places, m/s (`shaders/common/moving_walls.wgsl`).
     pub walls: Buffer<u32>,
@@ -100,13 +130,19 @@ impl ClipBuffers {
     /// # Errors
     /// [`Error::Limit`] where the adapter is too small.
     pub fn new(gpu: &Gpu, grid: &Grid, size: ClipSize) -> Result<ClipBuffers, Error> {
-        let [quads, places, walls, _] = size.buffers(grid).try_into().expect("there are four");
+        let plans = size.buffers(grid);
+        let [quads, places, walls, _] = &plans[..4] else {
+            unreachable!("there are at least four");
+        };
+        let fluxes = plans.get(4);
+        let fluxes = fluxes.map(|plan| gpu.buffer(plan.label, plan.len));
         Ok(ClipBuffers {
             size,
             grid: *grid,
             padded: grid.padded(),
             clipped: gpu.uniform("clip.clipped", &Clipped::default())?,
             quads: gpu.buffer(quads.label, quads.len)?,
+            fluxes: fluxes.transpose()?,
             places: gpu.buffer(places.label, places.len)?,
             walls: gpu.buffer(walls.label, walls.len)?,
             differing: Vec::new(),
@@ -132,7 +168,7 @@ impl ClipBuffers {
     /// Whether a clipping fits after the one that is on the device.
     pub fn fits(&self, clip: &SolidClip) -> bool {
         let now = cut_quads(&self.padded, &self.grid, clip).len();
-        now + self.differing.len() <= self.size.quads && clip.band().len() <= self.size.places
+        now + self.differing.len() <= self.size.quads && clip.places().len() <= self.size.places
     }
 
     /// Writes a clipping, before all work submitted later; `triangles`: nodes of the surface triangles. With `anew` the fields were just
@@ -158,8 +194,9 @@ impl ClipBuffers {
             let found = found.expect("cells near solids are among the changed ones");
             (found, index % 4)
         };
-        for (place, nearest) in clip.band().iter().enumerate() {
-            let (quad, lane) = at(nearest.cell);
+        let near = clip.places();
+        for (place, nearest) in near.iter().enumerate() {
+            let (quad, lane) = at(nearest.cell());
             if words[quad] == 0 {
                 words[quad] = (place as u32) << FIRST_PLACE;
             }
@@ -173,24 +210,37 @@ impl ClipBuffers {
             .zip(&words)
             .map(|(&quad, &walls)| self.cut_quad(clip, quad, walls))
             .collect();
-        let places: Vec<[u32; 4]> = clip
-            .band()
+        let places: Vec<[u32; 4]> = near
             .iter()
-            .flat_map(|nearest| {
-                let [a, b, c] = triangles[nearest.triangle];
-                let [u, v, w] = nearest.weights.map(|weight| (weight as f32).to_bits());
-                [[a, b, c, 0], [u, v, w, 0]]
+            .flat_map(|place| match place {
+                Place::Solid(nearest) => {
+                    let [a, b, c] = triangles[nearest.triangle];
+                    let [u, v, w] = nearest.weights.map(|weight| (weight as f32).to_bits());
+                    [[a, b, c, 0], [u, v, w, 0]]
+                }
+                Place::Obstacle { velocity, .. } => {
+                    let [u, v, w] = velocity.as_vec3().to_array().map(f32::to_bits);
+                    [[NO_NODE; 4], [u, v, w, 0]]
+                }
             })
             .collect();
         let clipped = Clipped {
             n_quads: entries.len() as u32,
-            n_places: clip.band().len() as u32,
+            n_places: near.len() as u32,
             first: self.padded.quads as u32,
             pad: 0,
         };
         gpu.upload(&self.clipped, &[clipped]);
         gpu.upload(&self.quads, &entries);
         gpu.upload(&self.places, &places);
+        if let Some(fluxes) = &self.fluxes {
+            let mut of_quads = vec![[0.0; 4]; listed.len()];
+            for &(cell, flux) in clip.obstacles().flux() {
+                let (quad, lane) = at(cell);
+                of_quads[quad][lane] = (flux / self.grid.dx.powi(2)) as f32;
+            }
+            gpu.upload(fluxes, &of_quads);
+        }
         self.differing = now;
     }
 
@@ -222,10 +272,11 @@ impl ClipBuffers {
 fn cut_quads(padded: &Padded, grid: &Grid, clip: &SolidClip) -> Vec<u32> {
     let (faces, cells) = clip.changed();
     let cells = cells.iter().map(|&cell| grid.cell_at(cell));
-    let faces = Axis::ALL.into_iter().zip(faces);
+    let faces = Axis::ALL.into_iter().zip(&faces);
     let faces = faces.flat_map(|(axis, faces)| faces.iter().map(move |&f| grid.face_at(axis, f)));
-    let patches = clip.coupling().cells();
-    let patches = patches.map(|(cell, _)| grid.cell_at(cell));
+    let of_solids = clip.coupling().cells().map(|(cell, _)| cell);
+    let of_obstacles = clip.obstacles().flux().iter().map(|&(cell, _)| cell);
+    let patches = of_solids.chain(of_obstacles).map(|cell| grid.cell_at(cell));
     let all = cells.chain(faces).chain(patches);
     let mut quads: Vec<u32> = all.map(|at| (padded.index(at) / 4) as u32).collect();
     quads.sort_unstable();
@@ -233,12 +284,14 @@ fn cut_quads(padded: &Padded, grid: &Grid, clip: &SolidClip) -> Vec<u32> {
     quads
 }
 
-/// The stage: a clipping to `open`, `obstacles.solid_distance`, `valid` and, with markers, `occupied`.
+/// The stage: a clipping to `open`, `obstacles.solid_distance`, `valid` and, with markers, `occupied`; where obstacles move to
+/// `obstacle_flux`.
 #[derive(Debug)]
 pub struct Clip {
     n_quads: usize,
     cut_quads: Bound,
     cut_room: Option<Bound>,
+    obstacle_flux: Option<Bound>,
 }
 
 impl Clip {
@@ -258,8 +311,19 @@ impl Clip {
             let occupied = ("occupied", (&markers.occupied).into());
             kernel(wgsl!("cut_room"))?.bind(gpu, &[level, clipped, entries, occupied])
         };
+        let obstacle_flux = |(fluxes, flux): (&Buffer<[f32; 4]>, &Buffer<f32>)| {
+            let bindings = [
+                clipped,
+                entries,
+                ("fluxes", fluxes.into()),
+                ("flux", flux.into()),
+            ];
+            kernel(wgsl!("obstacle_flux"))?.bind(gpu, &bindings)
+        };
+        let fluxes = clip.fluxes.as_ref().zip(buffers.obstacle_flux.as_ref());
         Ok(Clip {
             n_quads: clip.size.quads,
+            obstacle_flux: fluxes.map(obstacle_flux).transpose()?,
             cut_quads: kernel(wgsl!("cut_quads"))?.bind(
                 gpu,
                 &[
@@ -282,6 +346,9 @@ impl Clip {
             pass.dispatch(&self.cut_quads, self.n_quads);
             if let Some(cut_room) = &self.cut_room {
                 pass.dispatch(cut_room, self.n_quads);
+            }
+            if let Some(obstacle_flux) = &self.obstacle_flux {
+                pass.dispatch(obstacle_flux, self.n_quads);
             }
         });
     }

@@ -5,11 +5,11 @@
 //! the grid and the band, so the sums repeat bit for bit.
 
 use crate::Error;
-use crate::gpu::{Bound, Gpu, Kernel, RealBuffer, Recorder};
+use crate::gpu::{Binding, Bound, Gpu, Kernel, RealBuffer, Recorder, Variant};
 use crate::solver::CouplingBuffers;
 use crate::wgsl;
 
-use super::{Active, ClipBuffers, LiquidBuffers, over_band};
+use super::{Active, ClipBuffers, LiquidBuffers, WriteBack, over_band};
 
 /// The stage: fields to the report.
 #[derive(Debug)]
@@ -26,7 +26,7 @@ impl Diagnose {
     /// The stage's name.
     pub const NAME: &'static str = "diagnose";
 
-    /// Compiles and binds. `solids`, where there are any: the clipping, J, and `Real4` per node, m/s.
+    /// Compiles and binds. `solids`, where there are any in liquid: the clipping, J, and `Real4` per node, m/s.
     ///
     /// # Errors
     /// As [`Kernel::new`] and [`Kernel::bind`].
@@ -55,25 +55,30 @@ impl Diagnose {
             open,
             maxima,
         ];
+        // Of obstacles that move.
+        let flux = buffers.obstacle_flux.as_ref();
+        let flux = flux.map(|flux| ("obstacle_flux", Binding::from(flux)));
+        divergence.extend(flux);
+        let beside = |real| Variant::from(real).beside_obstacles(flux.is_some());
         let mut measure_cut_divergence = None;
         if let Some((clip, coupling, x)) = solids {
             source = wgsl!("measure_uncut_divergence");
             divergence.push(("walls", (&clip.walls).into()));
-            let bound = Kernel::new(gpu, &wgsl!("measure_cut_divergence"), x.real)?.bind(
-                gpu,
-                &[
-                    level,
-                    step,
-                    ("coupling", (&coupling.coupling).into()),
-                    ("words", (&coupling.words).into()),
-                    ("pairs", (&coupling.quad_pairs).into()),
-                    flags,
-                    ("x", x.into()),
-                    velocity,
-                    open,
-                    maxima,
-                ],
-            )?;
+            let mut bindings = vec![
+                level,
+                step,
+                ("coupling", (&coupling.coupling).into()),
+                ("words", (&coupling.words).into()),
+                ("pairs", (&coupling.quad_pairs).into()),
+                flags,
+                ("x", x.into()),
+                velocity,
+                open,
+                maxima,
+            ];
+            bindings.extend(flux);
+            let kernel = Kernel::new(gpu, &wgsl!("measure_cut_divergence"), beside(x.real))?;
+            let bound = kernel.bind(gpu, &bindings)?;
             measure_cut_divergence = Some((bound, coupling.size.quads));
         }
         Ok(Diagnose {
@@ -92,7 +97,8 @@ impl Diagnose {
                     maxima,
                 ],
             )?,
-            measure_divergence: kernel(source)?.bind(gpu, &divergence)?,
+            measure_divergence: Kernel::new(gpu, &source, beside(buffers.partials.real))?
+                .bind(gpu, &divergence)?,
             measure_cut_divergence,
             report_motion: kernel(wgsl!("report_motion"))?.bind(
                 gpu,
@@ -101,15 +107,26 @@ impl Diagnose {
         })
     }
 
-    /// Records it.
-    pub fn record(&self, recorder: &mut Recorder, buffers: &LiquidBuffers, active: &Active) {
+    /// Records, as the end of `write_back`, the divergence that it left: `extrapolate` changes faces that are almost closed.
+    pub fn record_divergence(
+        &self,
+        recorder: &mut Recorder,
+        buffers: &LiquidBuffers,
+        active: &Active,
+    ) {
         recorder.clear(&buffers.maxima);
-        recorder.stage(Diagnose::NAME, |pass| {
-            pass.dispatch(&self.measure_motion, self.n_threads);
+        recorder.stage(WriteBack::NAME, |pass| {
             pass.dispatch_indirect(&self.measure_divergence, active.args, 0);
             if let Some((measure_cut_divergence, n_quads)) = &self.measure_cut_divergence {
                 pass.dispatch(measure_cut_divergence, *n_quads);
             }
+        });
+    }
+
+    /// Records the rest, and the report.
+    pub fn record(&self, recorder: &mut Recorder) {
+        recorder.stage(Diagnose::NAME, |pass| {
+            pass.dispatch(&self.measure_motion, self.n_threads);
             pass.dispatch(&self.report_motion, 1);
         });
     }

@@ -11,10 +11,11 @@ use super::{ClipBuffers, LiquidBuffers, extrapolation_layers, over_band};
 #[derive(Debug)]
 pub struct Extrapolate {
     n_layers: usize,
+    drop_slivers: Option<Bound>,
     /// The layers by turns: marks from `valid` to `valid_next`, and back.
     layer: [Bound; 2],
     walls: Bound,
-    /// With solids: how fast they move beside the liquid, and the number of places.
+    /// How fast solids and obstacles move beside the liquid, where they do, and the number of places.
     wall_velocities: Option<(Bound, usize)>,
     slip: Option<[Bound; 2]>,
 }
@@ -23,14 +24,14 @@ impl Extrapolate {
     /// The stage's name.
     pub const NAME: &'static str = "extrapolate";
 
-    /// Compiles and binds. `solids`, where there are any: the clipping, and `Real4` per node, m/s.
+    /// Compiles and binds. `moving`, where solids or obstacles move: the clipping, and with solids `Real4` per node, m/s.
     ///
     /// # Errors
     /// As [`Kernel::new`] and [`Kernel::bind`].
     pub fn new(
         gpu: &Gpu,
         buffers: &LiquidBuffers,
-        solids: Option<(&ClipBuffers, &RealBuffer)>,
+        moving: Option<(&ClipBuffers, Option<&RealBuffer>)>,
     ) -> Result<Extrapolate, Error> {
         let [level, args, list] = over_band(buffers);
         let step = ("step", (&buffers.step).into());
@@ -44,6 +45,11 @@ impl Extrapolate {
             let (from, to) = (marks[from], marks[1 - from]);
             let marks = [("valid_in", from.into()), ("valid_out", to.into())];
             layer.bind(gpu, &[level, args, list, marks[0], marks[1], velocity])
+        };
+        let drop_slivers = || {
+            let open = ("open", (&buffers.open).into());
+            let valid = ("valid", marks[0].into());
+            kernel(wgsl!("drop_slivers"))?.bind(gpu, &[level, args, list, open, valid])
         };
         let slip = || {
             // u* and the marks of the last layer but one are no longer needed.
@@ -61,7 +67,7 @@ impl Extrapolate {
                 velocity_next,
                 slipping,
             ];
-            if let Some((clip, _)) = solids {
+            if let Some((clip, _)) = moving {
                 source = wgsl!("slip_along_solids");
                 bindings.push(("clipped", (&clip.clipped).into()));
                 bindings.push(("walls", (&clip.walls).into()));
@@ -72,24 +78,39 @@ impl Extrapolate {
                     .bind(gpu, &[level, args, list, slipping, velocity_next, velocity])?,
             ])
         };
-        let wall_velocities = |(clip, velocity): (&ClipBuffers, &RealBuffer)| {
-            let bound = Kernel::new(gpu, &wgsl!("wall_velocities"), velocity.real)?.bind(
-                gpu,
-                &[
-                    ("clipped", (&clip.clipped).into()),
-                    ("places", (&clip.places).into()),
-                    ("velocity", velocity.into()),
-                    ("walls", (&clip.walls).into()),
-                ],
-            )?;
+        let wall_velocities = |(clip, velocity): (&ClipBuffers, Option<&RealBuffer>)| {
+            let mut bindings = vec![
+                ("clipped", (&clip.clipped).into()),
+                ("places", (&clip.places).into()),
+                ("walls", (&clip.walls).into()),
+            ];
+            let kernel = match velocity {
+                Some(velocity) => {
+                    bindings.push(("velocity", velocity.into()));
+                    Kernel::new(gpu, &wgsl!("wall_velocities"), velocity.real)
+                }
+                None => kernel(wgsl!("obstacle_velocities")),
+            };
+            let bound = kernel?.bind(gpu, &bindings)?;
             Ok::<_, Error>((bound, clip.size.places))
         };
+        let cuts = buffers.plan.effects.cuts();
         Ok(Extrapolate {
             n_layers,
-            wall_velocities: solids.map(wall_velocities).transpose()?,
+            drop_slivers: cuts.then(drop_slivers).transpose()?,
+            wall_velocities: moving.map(wall_velocities).transpose()?,
             layer: [layer(0)?, layer(1)?],
-            walls: kernel(wgsl!("extrapolate_walls"))?.bind(gpu, &[level, args, list, velocity])?,
-            slip: buffers.plan.effects.cuts().then(slip).transpose()?,
+            walls: kernel(wgsl!("extrapolate_walls"))?.bind(
+                gpu,
+                &[
+                    level,
+                    args,
+                    list,
+                    ("valid", (&buffers.valid).into()),
+                    velocity,
+                ],
+            )?,
+            slip: cuts.then(slip).transpose()?,
         })
     }
 
@@ -97,6 +118,9 @@ impl Extrapolate {
     pub fn record(&self, recorder: &mut Recorder, buffers: &LiquidBuffers) {
         recorder.stage(Extrapolate::NAME, |pass| {
             let mut over_band = |bound| pass.dispatch_indirect(bound, &buffers.band_args, 0);
+            if let Some(drop_slivers) = &self.drop_slivers {
+                over_band(drop_slivers);
+            }
             for n in 0..self.n_layers {
                 over_band(&self.layer[n % 2]);
             }

@@ -9,7 +9,7 @@ use crate::Error;
 use crate::gpu::{Bound, Gpu, Kernel, Real, Recorder};
 use crate::wgsl;
 
-use super::{LiquidBuffers, over_band};
+use super::{LiquidBuffers, Sinks, over_band};
 
 /// How many cells deep the distance is extended into solids. Odd, so that the last pass leaves it beside its own buffer.
 const PASSES: usize = 3;
@@ -61,7 +61,10 @@ impl LiquidDistance {
             let open = ("open", (&buffers.open).into());
             let between = |from: &crate::gpu::Buffer<f32>, to: &crate::gpu::Buffer<f32>| {
                 let ends = [("distance_in", from.into()), ("distance_out", to.into())];
-                pass.bind(gpu, &[level, args, list, flags, open, ends[0], ends[1]])
+                pass.bind(
+                    gpu,
+                    &[level, step, args, list, flags, open, ends[0], ends[1]],
+                )
             };
             Ok::<_, Error>(Extension {
                 there: between(&buffers.liquid_distance, next)?,
@@ -113,6 +116,16 @@ impl LiquidDistance {
 
     /// Records it.
     pub fn record(&self, recorder: &mut Recorder, buffers: &LiquidBuffers) {
+        self.record_with(recorder, buffers, None);
+    }
+
+    /// Records it with the cells of sinks empty.
+    pub fn record_with(
+        &self,
+        recorder: &mut Recorder,
+        buffers: &LiquidBuffers,
+        sinks: Option<&Sinks>,
+    ) {
         recorder.stage(LiquidDistance::NAME, |pass| {
             let mut over_band = |bound| pass.dispatch_indirect(bound, &buffers.band_args, 0);
             over_band(&self.classify_near);
@@ -129,6 +142,9 @@ impl LiquidDistance {
                     });
                 }
                 over_band(&extension.finish);
+            }
+            if let Some(sinks) = sinks {
+                sinks.empty(pass);
             }
             self.volume.dispatch(pass);
         });

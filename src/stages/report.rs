@@ -1,12 +1,21 @@
 //! What a sub-step tells the host, read back once.
 
+use crate::effects::Effects;
 use crate::state::{Diagnosis, SolidDiagnosis};
 
 /// The numbers of a sub-step, from the words of the report buffer; `shaders/common/report.wgsl` names the same words.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Report {
-    /// Markers dropped so far.
+    /// Markers dropped since the state was put in place.
     pub markers_dropped: u32,
+    /// Markers that left through open sides in this sub-step.
+    pub left: u32,
+    /// Markers that sank.
+    pub sunk: u32,
+    /// Markers that sources made.
+    pub emitted: u32,
+    /// Those of them that filled a source that starts.
+    pub filled: u32,
     /// Relative rate at which volume control lets the liquid grow, 1/s.
     pub volume_rate: f64,
     /// Volume, momentum, energies, speed, divergence.
@@ -14,17 +23,27 @@ pub struct Report {
 }
 
 impl Report {
-    /// Words of the report buffer.
-    pub const WORDS: usize = 16;
-    /// Word that counts the markers dropped so far.
+    /// Words of the report buffer; more where liquid comes in or goes out.
+    pub fn words(effects: &Effects) -> usize {
+        if effects.exchange() { 24 } else { 16 }
+    }
+
+    /// Word that counts the markers dropped since the state was put in place.
     pub const DROPPED: usize = 0;
+    /// Word that counts those that leave until `liquid_distance` has taken them into account.
+    pub const LEAVING: usize = 17;
 
     /// The report in the words of the report buffer.
     pub fn from_words(words: &[u32]) -> Report {
         let single = |word: usize| single(words, word);
         let sum = |word: usize| sum(words, word);
+        let count = |word: usize| words.get(word).copied().unwrap_or(0);
         Report {
             markers_dropped: words[Report::DROPPED],
+            left: count(19),
+            sunk: count(20),
+            emitted: count(21),
+            filled: count(22),
             volume_rate: single(1),
             diagnosis: Diagnosis {
                 max_speed: single(2),

@@ -1,8 +1,8 @@
 //! `right_hand_side`: b = - sum over faces of s_f open_f u*_f, m/s (thesis 4.38 over dx^2), plus what volume control adds in
-//! components with a free surface.
+//! components with a free surface, less what obstacles take up that move.
 
 use crate::Error;
-use crate::gpu::{Bound, Gpu, Kernel, RealBuffer, Recorder};
+use crate::gpu::{Bound, Buffer, Gpu, Kernel, RealBuffer, Recorder};
 use crate::wgsl;
 
 use super::{Active, LiquidBuffers};
@@ -12,6 +12,7 @@ use super::{Active, LiquidBuffers};
 #[derive(Debug)]
 pub struct RightHandSide {
     right_hand_side: Bound,
+    take_up: Option<Bound>,
 }
 
 impl RightHandSide {
@@ -43,13 +44,31 @@ impl RightHandSide {
                 ("rhs", rhs.into()),
             ],
         )?;
-        Ok(RightHandSide { right_hand_side })
+        let take_up = |flux: &Buffer<f32>| {
+            Kernel::new(gpu, &wgsl!("take_up"), rhs.real)?.bind(
+                gpu,
+                &[
+                    ("args", active.args.into()),
+                    ("list", active.list.into()),
+                    ("flags", active.flags.into()),
+                    ("obstacle_flux", flux.into()),
+                    ("rhs", rhs.into()),
+                ],
+            )
+        };
+        Ok(RightHandSide {
+            right_hand_side,
+            take_up: buffers.obstacle_flux.as_ref().map(take_up).transpose()?,
+        })
     }
 
     /// Records it.
     pub fn record(&self, recorder: &mut Recorder, active: &Active) {
         recorder.stage(RightHandSide::NAME, |pass| {
             pass.dispatch_indirect(&self.right_hand_side, active.args, 0);
+            if let Some(take_up) = &self.take_up {
+                pass.dispatch_indirect(take_up, active.args, 0);
+            }
         });
     }
 }

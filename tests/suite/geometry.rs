@@ -6,7 +6,7 @@ use std::path::Path;
 
 use cutwater::error::Error;
 use cutwater::geometry::{self, Clipping, CutCells, Regions, Surface, clip, open_fractions};
-use cutwater::grid::{Axis, Grid};
+use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference::advect_markers;
 use cutwater::scene::{self, Liquid, Obstacle, Placement, Region, Scene, Shape};
 use cutwater::state::State;
@@ -65,6 +65,7 @@ fn obstacle(shape: Shape) -> Obstacle {
         shape,
         placement: Placement::default(),
         inside_out: false,
+        motion: None,
     }
 }
 
@@ -585,6 +586,7 @@ fn obstacle_distance_equals_brute_force() {
                 shape: shape.clone(),
                 placement,
                 inside_out: number == 3,
+                motion: None,
             }];
             let cut_cells = geometry::cut_cells(&scene, &grid).unwrap();
             // A sample of cells, as the tessellations are fine.
@@ -646,6 +648,7 @@ fn sides_of_obstacles_on_walls_are_no_way_out() {
             shape: shape.clone(),
             placement,
             inside_out,
+            motion: None,
         }];
         geometry::cut_cells(&scene, &grid).unwrap().solid_distance
     };
@@ -671,7 +674,8 @@ fn sides_of_obstacles_on_walls_are_no_way_out() {
     for (shape, placement) in pillars {
         let distance = distance(&shape, placement, false);
         let start = [0.42, 0.01, 0.55];
-        let (markers, _) = advect_markers(&grid, &still, &distance, &[start], 0.01);
+        let (markers, _) =
+            advect_markers(&grid, Sides::default(), &still, &distance, &[start], 0.01);
         let [x, y, z] = markers[0];
         assert!(x < 0.4 && [y, z] == start[1..], "{shape:?}: {markers:?}");
     }
@@ -1288,6 +1292,7 @@ fn obstacles_thinner_than_a_cell_are_found() {
             ..Placement::default()
         },
         inside_out,
+        motion: None,
     };
     let block = |thickness: f64| {
         let half = 0.5 * DVec3::new(0.5, thickness, 0.25);
@@ -1326,6 +1331,7 @@ fn obstacles_thinner_than_a_cell_are_found() {
             ..Placement::default()
         },
         inside_out: false,
+        motion: None,
     };
     // 16 cells to the metre, half as large: 0.0375 m are 0.3 cells.
     let mut scene = crate::reference_physics::scene([16; 3], &crate::reference_physics::pool(0.3));

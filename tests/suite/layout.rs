@@ -98,7 +98,7 @@ fn coupling_matches() {
 fn step_matches() {
     let fields = fields!(
         Step: gravity, dt, size, dx, inv_dx, frame, volume_0, density, marker_radius, theta_floor,
-        n_markers, spare,
+        n_markers, open_sides,
     );
     assert_layout("step", "Step", fields, size_of::<Step>());
 }
@@ -140,12 +140,24 @@ fn sort_pass_matches() {
 #[test]
 fn settings_match() {
     use cutwater::solver::{ActiveSettings, RefineSettings};
-    let fields = fields!(ActiveSettings: theta_floor, pad_0, pad_1, pad_2);
+    let fields = fields!(ActiveSettings: theta_floor, open_sides, pad_0, pad_1);
     let size = size_of::<ActiveSettings>();
     assert_layout("active_cells", "ActiveSettings", fields, size);
     let fields = fields!(RefineSettings: tolerance, rounding, round_floor, guess);
     let size = size_of::<RefineSettings>();
     assert_layout("refine", "RefineSettings", fields, size);
+}
+
+#[test]
+fn taps_match() {
+    use cutwater::stages::{DeviceSourceFace, Region, SourceStep};
+    let fields = fields!(Region: low, first, n, number);
+    assert_layout("region", "Region", fields, size_of::<Region>());
+    let fields = fields!(SourceStep: running, starting, first, seed, number, pad_0, pad_1, pad_2);
+    assert_layout("source_step", "SourceStep", fields, size_of::<SourceStep>());
+    let fields = fields!(DeviceSourceFace: face, sides, minus, plus);
+    let size = size_of::<DeviceSourceFace>();
+    assert_layout("source_face", "SourceFace", fields, size);
 }
 
 #[test]

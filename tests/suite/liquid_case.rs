@@ -3,7 +3,7 @@
 use cutwater::effects::Effects;
 use cutwater::geometry::CutCells;
 use cutwater::gpu::{Buffer, CompactKernels, Gpu, Real, Recorder};
-use cutwater::grid::{Axis, Grid};
+use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference::{ActiveCells, active_cells};
 use cutwater::stages::{Active, Band, LiquidBuffers, LiquidPlan, Step};
 use cutwater::state::State;
@@ -31,6 +31,8 @@ pub(crate) struct Case {
     pub(crate) grid: Grid,
     pub(crate) effects: Effects,
     pub(crate) cut: CutCells,
+    /// Open sides of the domain.
+    pub(crate) sides: Sides,
     pub(crate) state: State,
     pub(crate) cfl: f64,
     /// s
@@ -150,10 +152,31 @@ impl Case {
             grid,
             effects,
             cut,
+            sides: Sides::default(),
             state,
             cfl,
             dt: single(cfl * grid.dx / speed),
         }
+    }
+
+    /// With open sides, of whose faces bodies leave nothing, a part or all.
+    fn with_open(mut self, name: &'static str, sides: &[(Axis, usize)]) -> Case {
+        self.name = name;
+        self.sides = sides.iter().fold(Sides::default(), |open, &(axis, side)| {
+            open.with(axis, side)
+        });
+        self.effects.open_sides = true;
+        let mut random = Random(11);
+        for axis in Axis::ALL {
+            for (face, open) in self.cut.open[axis.index()].iter_mut().enumerate() {
+                let side = self.grid.wall(axis, self.grid.face_at(axis, face));
+                if side.is_some_and(|side| self.sides.has(axis, side)) {
+                    *open = [0.0, single(random.uniform(0.1, 0.9)), 1.0, 1.0]
+                        [(random.bits() % 4) as usize];
+                }
+            }
+        }
+        self
     }
 
     /// The device's fields in this state.
@@ -195,7 +218,7 @@ impl Case {
             marker_radius: RADIUS as f32,
             theta_floor: THETA_FLOOR as f32,
             n_markers: self.state.markers.len() as u32,
-            spare: 0,
+            open_sides: self.sides.bits(),
         }
     }
 
@@ -333,7 +356,19 @@ pub(crate) fn cases() -> Vec<Case> {
             .markers
             .push(std::array::from_fn(|a| sides[c >> a & 1][a]));
     }
+    let both_along_x = [(Axis::X, 0), (Axis::X, 1)];
+    let every_side = Axis::ALL.map(|axis| [(axis, 0), (axis, 1)]);
+    let block = boxed(DVec3::new(3.2, 5.1, 2.6));
+    // Rows with one spare cell: it is beside the ends of two rows.
+    let open_block = Case::new("", [15, 14, 13], 0.0625, 3.0, Some(&block), half_full);
+    let open_pool = Case::new("", [12, 9, 10], 0.1, 3.0, None, half_full);
+    let open_spray = Case::new("", [15, 8, 9], 0.1, 5.0, Some(&block), splashes);
     vec![
+        open_block.with_open("block between open sides", &both_along_x),
+        open_pool.with_open("pool open below", &[(Axis::Y, 0), (Axis::Z, 1)]),
+        open_spray.with_open("spray, all open", every_side.as_flattened()),
+        Case::new("one cell", [1, 1, 1], 0.1, 3.0, None, everywhere)
+            .with_open("one cell, all open", every_side.as_flattened()),
         Case::new("half full", [21, 13, 18], 0.05, 3.0, None, half_full),
         Case::new("splashes", [16, 24, 9], 0.1, 5.0, None, splashes),
         Case::new(

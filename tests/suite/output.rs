@@ -10,7 +10,7 @@ use std::process::Command;
 use cutwater::Error;
 use cutwater::elastic::Solids;
 use cutwater::geometry::{CutCells, Surface};
-use cutwater::grid::{Axis, Grid};
+use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::output::frames::{FrameKinds, FrameWriter};
 use cutwater::output::manifest::{AdapterRecord, Manifest, RunOptions, RunStatus};
 use cutwater::output::preview::{PreviewOptions, preview};
@@ -24,6 +24,7 @@ const BOTH: FrameKinds = FrameKinds {
     markers: true,
     fields: true,
     solids: false,
+    moving_obstacles: false,
     surface: None,
 };
 
@@ -432,6 +433,7 @@ pub(crate) fn report(step: u32) -> StepReport {
             },
             markers: 4000,
             dropped: 2,
+            exchange: None,
         }),
         solid: None,
         coupling: None,
@@ -487,6 +489,7 @@ fn tables_read_back_exactly() {
             diagnosis,
             markers,
             dropped,
+            exchange: _,
         } = liquid.unwrap();
         assert_eq!(number("step"), f64::from(step));
         assert_eq!(number("t"), f64::from(step + 1) / 3.0);
@@ -599,6 +602,7 @@ fn scene() -> Scene {
             size: DVec3::new(1.0, 0.5, 0.5),
             cells: [16, 8, 8],
             gravity: -9.81 * DVec3::Y,
+            open: Sides::default(),
         },
         time: scene::Time {
             duration: 2.0,
@@ -616,6 +620,8 @@ fn scene() -> Scene {
         }),
         solids: Vec::new(),
         obstacles: Vec::new(),
+        sources: Vec::new(),
+        sinks: Vec::new(),
         probes: Vec::new(),
         solver: scene::Solver::default(),
         output: scene::Output {

@@ -14,7 +14,9 @@ use cutwater::{Error, geometry};
 use crate::common::gpu;
 use crate::reference_physics::{pool, scene as written};
 
-const SCENES: [(&str, f64); 5] = [
+const SCENES: [(&str, f64); 7] = [
+    ("fountain", 0.25),
+    ("draining_tank", 0.25),
     ("dam_break_liquid", 0.25),
     ("drop_into_pool", 0.5),
     ("hydrostatic_block", 0.5),
@@ -92,7 +94,9 @@ fn kernels_and_stages_are_those_planned() {
         return;
     }
     let fixed = "liquid.surface=fixed";
-    let cases: [(&str, f64, &[&str]); 6] = [
+    let cases: [(&str, f64, &[&str]); 8] = [
+        ("fountain", 0.25, &[]),
+        ("draining_tank", 0.25, &[]),
         ("dam_break_liquid", 0.25, &[]),
         ("dam_break_liquid", 0.25, &[fixed]),
         ("sphere_half_full", 0.5, &[]),

@@ -104,6 +104,7 @@ fn nodes_stop_at_walls_and_obstacles_and_lose_the_velocity_into_them() {
         },
         placement: Placement::default(),
         inside_out: false,
+        motion: None,
     }];
     let cut = cut_cells(&scene, &grid).unwrap();
     let (mut u, mut v) = (vec![[0.0, 2.0, 0.0]; 8], vec![[0.5, 1.0, 0.25]; 8]);

@@ -406,8 +406,9 @@ fn every_shader_is_used() {
             "shaders/{shader}.wgsl: no wgsl!(\"{shader}\") in src"
         );
         if let Some(module) = shader.strip_prefix("common/") {
-            // `real` and `inner` stand for the file of the variant.
-            let module = module.trim_end_matches("_f32").trim_end_matches("_f64");
+            // `real`, `inner` and `obstacles` stand for the file of the variant.
+            let endings = ["_f32", "_f64", "_still", "_moving"].into_iter();
+            let module = endings.fold(module, |module, end| module.trim_end_matches(end));
             assert!(
                 imported.contains(module),
                 "shaders/{shader}.wgsl: nothing imports {module}"

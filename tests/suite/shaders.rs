@@ -50,7 +50,13 @@ fn every_shader_validates_in_every_variant() {
             variants.push(Variant {
                 real: Real::F64,
                 inner: Real::F32,
+                moving_obstacles: false,
             });
+        }
+        // Where obstacles move, what imports them reads one buffer more.
+        if source.text.contains("#import divergence") {
+            let beside = |variant: &Variant| variant.beside_obstacles(true);
+            variants.extend(variants.iter().map(beside).collect::<Vec<_>>());
         }
         for variant in variants {
             let composed = compose(&source, variant).unwrap();

@@ -401,6 +401,7 @@ fn contributions_add_and_overlaps_are_told() {
         },
         placement: Placement::default(),
         inside_out: false,
+        motion: None,
     };
     scene.obstacles = vec![floor(1.07)];
     let solids = solids_of(&scene);
@@ -422,7 +423,7 @@ fn contributions_add_and_overlaps_are_told() {
         let mesh = solids.moved(&displacement);
         let mut clip = SolidClip::new(&grid, obstacle_cut(&scene, &grid).unwrap(), &scene.solver);
         clip.clip(&mesh);
-        let obstacles = cutwater::geometry::obstacle_surfaces(&scene, &grid).unwrap();
+        let obstacles = cutwater::geometry::obstacle_surfaces(&scene, &grid, 0.0).unwrap();
         let mut surfaces = obstacles;
         surfaces.push(Surface {
             vertices: mesh.nodes.clone(),
@@ -435,7 +436,7 @@ fn contributions_add_and_overlaps_are_told() {
         // To twice the way from a plane to the nearest centres.
         assert!((overlap.depth - depth).abs() <= grid.dx, "{overlap:?}");
         for nearest in clip.band() {
-            let left = clip.obstacles().solid_distance[nearest.cell];
+            let left = clip.obstacles().cut.solid_distance[nearest.cell];
             assert!(clip.cut_cells().solid_distance[nearest.cell] < left);
         }
     }

@@ -334,6 +334,7 @@ fn bodies_slide_down_a_slope() {
                 ..Placement::default()
             },
             inside_out: false,
+            motion: None,
         }];
         let mut reference = start(&scene);
         let solids = solids_of(&scene);
@@ -405,6 +406,7 @@ fn bodies_that_start_outside_or_in_an_obstacle_are_refused() {
         shape: region([1.0; 3], [3.0; 3]),
         placement: Placement::default(),
         inside_out: false,
+        motion: None,
     };
     let inside = |y: f64| {
         let mut solid = block([0.4; 3], [2, 2, 2]);
@@ -444,6 +446,7 @@ fn the_search_for_contacts_comes_to_its_end() {
         shape: region([low, 0.01, 0.0], [high, 0.4, 1.0]),
         placement: Placement::default(),
         inside_out: false,
+        motion: None,
     };
     scene.obstacles = vec![post(0.0, 0.41), post(0.59, 1.0)];
     let mut reference = start(&scene);

@@ -60,6 +60,7 @@ fn fields_are_those_of_the_clipping() {
         let room = ClipSize {
             quads: sizes.clone().map(|size| size.quads).sum(),
             places: sizes.map(|size| size.places).max().unwrap(),
+            moving_obstacles: false,
         };
         let buffers = LiquidBuffers::new(gpu, plan).unwrap();
         buffers.write_cut_cells(gpu, &obstacles.cut);
@@ -71,7 +72,7 @@ fn fields_are_those_of_the_clipping() {
             .collect();
         let velocity = RealBuffer::new(gpu, "test.velocity", speeds.len(), Real::F32).unwrap();
         velocity.upload(gpu, &speeds);
-        let walls = Extrapolate::new(gpu, &buffers, Some((&on_device, &velocity))).unwrap();
+        let walls = Extrapolate::new(gpu, &buffers, Some((&on_device, Some(&velocity)))).unwrap();
         for (number, clip) in clips.iter().enumerate() {
             assert!(on_device.fits(clip));
             on_device.write(gpu, clip, &solids.triangles, false);

@@ -27,7 +27,7 @@ fn slip_along_solids_is_the_twins() {
     let Some(gpu) = gpu() else { return };
     for case in coupled_case::cases() {
         let (buffers, clip, velocity) = case.upload(gpu);
-        let stage = Extrapolate::new(gpu, &buffers, Some((&clip, &velocity))).unwrap();
+        let stage = Extrapolate::new(gpu, &buffers, Some((&clip, Some(&velocity)))).unwrap();
         let cut = Clip::new(gpu, &buffers, &clip).unwrap();
         let mut recorder = Recorder::new(gpu);
         cut.record(&mut recorder);

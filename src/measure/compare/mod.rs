@@ -102,6 +102,7 @@ pub fn compare(
     let mut dt_last = 0.0;
     while path.clock().frame < frames {
         let dt = path.next_time_step().dt;
+        let end = path.clock().time + dt;
         if let Some(judge) = &mut liquid {
             judge.begin(&path, dt);
         }
@@ -112,6 +113,9 @@ pub fn compare(
             let held = path.snapshot()?;
             let mut after = held.clone();
             listen(stage, &mut after);
+            if let (Clip::NAME, Some(clip)) = (stage, &mut clip) {
+                clip.move_obstacles(end, dt);
+            }
             if let (
                 Clip::NAME,
                 Some(clip),
@@ -146,7 +150,7 @@ pub fn compare(
                 judge.assembly(both.solids, both, density, parts)?;
             }
             if let (Some(judge), Some(after)) = (&mut liquid, &after.liquid) {
-                judge.judge(stage, after, held.liquid, both.as_ref())?;
+                judge.judge(stage, after, held.liquid, clip.as_ref(), both.as_ref())?;
             }
             if let (Some(judge), Some(after)) = (&mut solids, &after.solids) {
                 judge.judge(stage, after, held.solids, both.as_ref())?;

@@ -20,6 +20,7 @@ use vtkio::Vtk;
 use vtkio::model::{Attribute, Attributes, DataSet, IOBuffer, Piece, VertexNumbers};
 
 use super::atomic::create_folder;
+use super::frames::moved_obstacles_file;
 use super::manifest::Manifest;
 use super::surface::LiquidSurface;
 use crate::Error;
@@ -212,6 +213,12 @@ impl Pictures {
         let walls = Vec3::from_array(manifest.cells.map(|n| n as f32)) * manifest.dx as f32;
         if let Some(file) = &files.liquid {
             stage.liquid = Liquid::new(&read_surface(file, manifest)?, walls);
+        }
+        // One a frame where they move.
+        let obstacles = moved_obstacles_file(&manifest.scene.name, frame);
+        let obstacles = self.run.join("frames").join(obstacles);
+        if manifest.obstacles && obstacles.is_file() {
+            stage.obstacles = Triangles::new(read_obstacles(&obstacles)?);
         }
         if let Some(file) = &files.solids {
             let frame = SolidFrame::read(file, options.colour)?;

@@ -9,7 +9,7 @@ use super::table::{Place, Table};
 use super::{Both, EPS, unit};
 use crate::Error;
 use crate::effects::Effects;
-use crate::geometry::CutCells;
+use crate::geometry::{CutCells, Running, SolidClip, Taps};
 use crate::gpu::Real;
 use crate::grid::{Axis, Grid};
 use crate::measure::bounds::trace_error;
@@ -19,7 +19,7 @@ use crate::reference::{
 use crate::scene::{ProbeKind, Scene};
 use crate::sim::{GpuPath, LiquidSnapshot};
 use crate::stages::{
-    AdvectMarkers, AdvectVelocity, Clip, Diagnose, Extrapolate, Forces, LiquidDistance,
+    AdvectMarkers, AdvectVelocity, Clip, Diagnose, EXCHANGE, Extrapolate, Forces, LiquidDistance,
     RightHandSide, Step, WriteBack,
 };
 use crate::state::State;
@@ -32,12 +32,17 @@ pub(super) struct LiquidJudge<'a> {
     /// As the device has them.
     cut: CutCells,
     open_volumes: Vec<f64>,
+    taps: Taps,
+    /// What the sources do in the sub-step.
+    running: Running,
     step: Step,
     pub(super) table: Table,
     /// What the stage had.
     before: LiquidSnapshot,
     /// What twins of earlier stages of the sub-step made, for later ones.
     twin: Twin,
+    /// What `write_back` left, m/s.
+    projected: [Vec<f64>; 3],
 }
 
 /// Answers of the twins in a sub-step.
@@ -84,6 +89,10 @@ impl<'a> LiquidJudge<'a> {
             grid,
             open_volumes: reference::open_volumes(&grid, &cut.solid_distance),
             cut,
+            taps: path
+                .taps()
+                .map_or_else(Taps::default, |(taps, _)| taps.clone()),
+            running: Running::default(),
             step,
             table: Table::default(),
             twin: Twin {
@@ -91,6 +100,7 @@ impl<'a> LiquidJudge<'a> {
                 distance_bounds: vec![0.0; grid.n_cells()],
                 ..Twin::default()
             },
+            projected: before.velocity.clone(),
             before,
         }))
     }
@@ -119,44 +129,58 @@ impl<'a> LiquidJudge<'a> {
         if let Some(step) = path.step_numbers(dt) {
             self.step = step;
         }
+        if let Some((_, running)) = path.taps() {
+            self.running = running;
+        }
     }
 
-    /// Judges what a stage left; `held` is what the device really holds.
+    /// Judges what a stage left; `held` is what the device really holds, `clip` as the twin clips what moves.
     pub(super) fn judge(
         &mut self,
         stage: &'static str,
         after: &LiquidSnapshot,
         held: Option<LiquidSnapshot>,
+        clip: Option<&SolidClip>,
         both: Option<&Both>,
     ) -> Result<(), Error> {
-        self.judge_stage(stage, after, both)?;
+        self.judge_stage(stage, after, clip, both)?;
         self.before = held.unwrap_or_else(|| after.clone());
+        if stage == WriteBack::NAME {
+            self.projected.clone_from(&self.before.velocity);
+        }
         Ok(())
+    }
+
+    /// Open fractions for the pressure: without the faces that sources hold.
+    fn open_to_pressure(&self) -> [Vec<f64>; 3] {
+        self.taps.held_open(&self.cut.open, self.running.running)
     }
 
     fn judge_stage(
         &mut self,
         stage: &'static str,
         after: &LiquidSnapshot,
+        clip: Option<&SolidClip>,
         both: Option<&Both>,
     ) -> Result<(), Error> {
         match stage {
             Clip::NAME => {
-                if let Some(both) = both {
-                    self.clip(after, both);
+                if let Some(clip) = clip {
+                    self.clip(after, clip);
                 }
             }
             AdvectMarkers::NAME => self.advect_markers(after),
+            EXCHANGE => self.exchange(after),
             AdvectVelocity::NAME => self.advect_velocity(after),
             Forces::NAME => self.forces(after),
             LiquidDistance::NAME => self.liquid_distance(after),
             "active_cells" => self.active_cells(after, both),
-            RightHandSide::NAME => self.right_hand_side(after, both),
+            RightHandSide::NAME => self.right_hand_side(after, clip, both),
             "solve" => self.solve(after, both)?,
             WriteBack::NAME => self.write_back(after),
-            Extrapolate::NAME => self.extrapolate(after, both),
+            Extrapolate::NAME => self.extrapolate(after, clip, both),
             Diagnose::NAME => {
-                self.diagnose(after, both);
+                self.diagnose(after, clip, both);
                 self.probes(after);
             }
             // The band decides where the others work; what it leaves out shows in theirs.
@@ -189,8 +213,8 @@ impl<'a> LiquidJudge<'a> {
     }
 
     /// The device's copies of what the host clipped.
-    fn clip(&mut self, after: &LiquidSnapshot, both: &Both) {
-        let (grid, cut) = (self.grid, both.clip.cut_cells());
+    fn clip(&mut self, after: &LiquidSnapshot, clip: &SolidClip) {
+        let (grid, cut) = (self.grid, clip.cut_cells());
         let Some(device) = &after.cut else { return };
         for axis in Axis::ALL {
             let a = axis.index();
@@ -231,8 +255,9 @@ impl<'a> LiquidJudge<'a> {
             0.0
         };
         let bound = trace_error(&grid, velocity, dt).cells * grid.dx + EPS * pushed;
+        let sides = self.scene.domain.open;
         let twin = |start: [f64; 3]| {
-            reference::advect_markers(&grid, velocity, solid_distance, &[start], dt)
+            reference::advect_markers(&grid, sides, velocity, solid_distance, &[start], dt)
                 .0
                 .pop()
         };
@@ -275,7 +300,7 @@ impl<'a> LiquidJudge<'a> {
         };
         let judged = || pairs.iter().enumerate().filter(|(_, pair)| !pair.3);
         self.table.add_flags(
-            [AdvectMarkers::NAME, "markers dropped"],
+            [AdvectMarkers::NAME, "markers gone"],
             judged()
                 .map(|(index, (_, gpu, twin, _))| (gpu.is_none(), twin.is_none(), place(index))),
         );
@@ -295,6 +320,56 @@ impl<'a> LiquidJudge<'a> {
             .excused += n_excused as u64;
     }
 
+    /// Which markers sink and how many cells of sources lack depends on the cell that a marker is in: those within their rounding of a border
+    /// may be in either. New places are off by the roundings of three sums and products in cells, and of their product with dx.
+    fn exchange(&mut self, after: &LiquidSnapshot) {
+        let grid = self.grid;
+        let n_before = self.before.markers.iter().rposition(Option::is_some);
+        let n_before = n_before.map_or(0, |last| last + 1);
+        let taps = self.taps.clone();
+        let sink = |x: [f64; 3]| reference::sink_markers(&grid, &taps, vec![x]).1 == 1;
+        let at_border = |x: [f64; 3]| across_borders(&grid, x) != x;
+        let mut kept = Vec::new();
+        let mut excused = 0;
+        let mut pairs = Vec::new();
+        let old = self.before.markers.iter().zip(&after.markers);
+        for (index, (before, gpu)) in old.take(n_before).enumerate() {
+            let Some(x) = *before else { continue };
+            let (gone, sinks) = (gpu.is_none(), sink(x));
+            if gone != sinks && at_border(x) {
+                excused += 1;
+            } else {
+                pairs.push((gone, sinks, Place::Marker(index, x.into())));
+            }
+            kept.extend(*gpu);
+        }
+        self.table.add_flags([EXCHANGE, "markers sunk"], pairs);
+        let borders = kept.iter().filter(|&&x| at_border(x)).count();
+        let n_kept = kept.len();
+        let seeded = reference::seed_markers(&grid, &taps, self.running, &mut kept);
+        let twin = &kept[n_kept..];
+        let new = &after.markers[n_before.min(after.markers.len())..];
+        let gpu: Vec<[f64; 3]> = new.iter().copied().flatten().collect();
+        if gpu.len() != twin.len() && gpu.len().abs_diff(twin.len()) <= borders {
+            excused += 1;
+        } else {
+            let counts = [gpu.len(), twin.len()].map(|n| n as f64);
+            let filled = [after.report.filled.into(), seeded.filled as f64];
+            let numbers = [counts, filled].map(|[gpu, twin]| (gpu, twin, 0.0, Place::Whole));
+            self.table.add([EXCHANGE, "markers emitted", ""], numbers);
+            let bound = EPS * grid.dx * 8.0 * self.extent();
+            let places = gpu.iter().zip(twin).enumerate();
+            self.table.add(
+                [EXCHANGE, "new positions", "m"],
+                places.flat_map(|(index, (gpu, twin))| {
+                    let place = move || Place::Marker(n_before + index, (*twin).into());
+                    (0..3).map(move |a| (gpu[a], twin[a], bound, place()))
+                }),
+            );
+        }
+        self.table.row(EXCHANGE, "new positions", "m").excused += excused;
+    }
+
     /// As [`trace_error`] says.
     fn advect_velocity(&mut self, after: &LiquidSnapshot) {
         let velocity = &self.before.velocity;
@@ -309,6 +384,7 @@ impl<'a> LiquidJudge<'a> {
         let (gravity, dt) = (self.gravity(), self.dt());
         let bound = EPS * (2.0 * dt * gravity.abs().max_element() + reference::max_speed(&twin));
         reference::forces(&mut twin, gravity, dt);
+        reference::hold_faces(&self.taps, &self.cut.open, self.running.running, &mut twin);
         self.add_band_faces([Forces::NAME, "u*"], after, &twin, bound);
     }
 
@@ -349,7 +425,8 @@ impl<'a> LiquidJudge<'a> {
             .collect();
         let radius = f64::from(self.step.marker_radius) * dx;
         let markers: Vec<[f64; 3]> = after.markers.iter().copied().flatten().collect();
-        let twin = reference::liquid_distance(&grid, &self.cut, &markers, radius);
+        let mut twin = reference::liquid_distance(&grid, &self.cut, &markers, radius);
+        reference::empty_sinks(&self.taps, dx, &mut twin);
         let gpu = &after.liquid_distance;
         let differs = |cell: usize, twin: &[f64]| (gpu[cell] - twin[cell]).abs() > bounds[cell];
         let in_band = |cell: &usize| after.band[*cell];
@@ -359,7 +436,7 @@ impl<'a> LiquidJudge<'a> {
             .any(|cell| differs(cell, &twin))
         {
             // Markers so close to the border of a cell that a rounding puts them into the next, put there.
-            let moved: Vec<[f64; 3]> = markers.iter().map(|x| self.across_borders(*x)).collect();
+            let moved: Vec<[f64; 3]> = markers.iter().map(|x| across_borders(&grid, *x)).collect();
             let other = reference::liquid_distance(&grid, &self.cut, &moved, radius);
             for cell in (0..grid.n_cells()).filter(in_band) {
                 excused[cell] =
@@ -389,21 +466,6 @@ impl<'a> LiquidJudge<'a> {
         self.twin.distance_bounds = bounds;
     }
 
-    /// The marker (m), moved to the other side of every cell border that is within its rounding in cells.
-    fn across_borders(&self, x: [f64; 3]) -> [f64; 3] {
-        let dx = self.grid.dx;
-        x.map(|x| {
-            let cells = x / dx;
-            let border = cells.round();
-            let rounding = 3.0 * EPS * cells.max(1.0);
-            if border > 0.0 && (cells - border).abs() <= rounding {
-                (border - rounding * (cells - border + 1e-30).signum()) * dx
-            } else {
-                x
-            }
-        })
-    }
-
     /// Cells that hold liquid or are on the brink of it, times their volume: what the roundings of sums are measured against, m^3.
     fn wet_volume(&self, liquid_distance: &[f64]) -> f64 {
         let wet = |phi: &&f64| **phi <= 0.5 * self.grid.dx;
@@ -415,7 +477,12 @@ impl<'a> LiquidJudge<'a> {
         let phi = &after.liquid_distance;
         let volume = reference::liquid_volume(&self.grid, &self.open_volumes, phi);
         let volume_bound = self.sum_error(after.real, phi) * self.wet_volume(phi);
+        // What is there without the new ones.
+        let alive = after.markers.iter().flatten().count();
+        let kept = alive - after.report.emitted as usize;
+        let gone = after.report.left + after.report.sunk;
         let volume_0 = f64::from(self.step.volume_0);
+        let volume_0 = reference::volume_without(volume_0, gone.into(), kept);
         let (frame, dt) = (f64::from(self.step.frame), self.dt());
         let (twin, bound) = if volume_0 > 0.0 && volume > 0.0 {
             let rate = |volume| reference::volume_rate(volume_0, volume, frame, dt);
@@ -444,7 +511,8 @@ impl<'a> LiquidJudge<'a> {
     fn active_cells(&mut self, after: &LiquidSnapshot, both: Option<&Both>) {
         let grid = self.grid;
         let phi = &after.liquid_distance;
-        let mut twin = reference::active_cells(&grid, &self.cut.open, phi, self.theta_floor());
+        let open = self.open_to_pressure();
+        let mut twin = reference::active_cells(&grid, &open, phi, self.theta_floor());
         if let Some(both) = both {
             twin.seal(both.clip.coupling(), &both.at_rest.prescribed);
         }
@@ -499,9 +567,14 @@ impl<'a> LiquidJudge<'a> {
         }
     }
 
-    /// Six products and their sum in the scalar type, up to 12 roundings of six speeds; volume control adds a product of three, and
-    /// prescribed nodes in closed components products with areas that are f32.
-    fn right_hand_side(&mut self, after: &LiquidSnapshot, both: Option<&Both>) {
+    /// Six products and their sum in the scalar type, up to 12 roundings of six speeds; volume control adds a product of three, prescribed
+    /// nodes in closed components products with areas that are f32, and obstacles a number that is one.
+    fn right_hand_side(
+        &mut self,
+        after: &LiquidSnapshot,
+        clip: Option<&SolidClip>,
+        both: Option<&Both>,
+    ) {
         let grid = self.grid;
         let active = self
             .twin
@@ -530,6 +603,15 @@ impl<'a> LiquidJudge<'a> {
             cells().map(|cell| (after.closed[cell], closed[cell], Place::cell(&grid, cell))),
         );
         self.twin.rhs = twin.values.iter().map(|b| b / area).collect();
+        if let Some(clip) = clip {
+            for &(cell, flux) in clip.obstacles().flux() {
+                if active.stencil.active(cell) {
+                    self.twin.rhs[cell] -= flux / area;
+                    bound = bound.max(terms + 4.0 * EPS * (flux.abs() / area + rate * grid.dx));
+                }
+            }
+            reference::remove_means(&active.closed, &mut self.twin.rhs);
+        }
         if let Some(both) = both {
             let [flux, gross] = both.flux(grid.dx, &closed);
             let pairs = self.twin.rhs.iter_mut().zip(flux);
@@ -565,14 +647,16 @@ impl<'a> LiquidJudge<'a> {
         };
         let u_star = &self.before.velocity_next;
         let mut twin = u_star.clone();
-        let valid = reference::write_back(
+        let mut valid = reference::write_back(
             &system,
             &self.before.potential,
-            &self.cut.open,
+            &self.open_to_pressure(),
             &self.before.liquid_distance,
             self.theta_floor(),
             &mut twin,
         );
+        let running = self.running.running;
+        reference::carry_faces(&self.taps, &self.cut.open, running, &mut twin, &mut valid);
         for axis in Axis::ALL {
             let a = axis.index();
             self.table.add_flags(
@@ -597,16 +681,23 @@ impl<'a> LiquidJudge<'a> {
 
     /// A mean of up to six per layer: 5 roundings of the sum, a quotient. Along obstacles the direction is off by the roundings
     /// of distances up to 3 dx over the length of the gradient; solids move by a mean over three nodes and two places.
-    fn extrapolate(&mut self, after: &LiquidSnapshot, both: Option<&Both>) {
+    fn extrapolate(
+        &mut self,
+        after: &LiquidSnapshot,
+        clip: Option<&SolidClip>,
+        both: Option<&Both>,
+    ) {
         let grid = self.grid;
         let layers = reference::n_layers(self.scene.time.cfl);
-        let walls = both.map(|both| MovingWalls {
-            clip: both.clip,
-            triangles: &both.at_rest.triangles,
-            velocity: &both.solids.velocity,
+        let walls = clip.map(|clip| MovingWalls {
+            clip,
+            triangles: both.map_or(&[], |both| &both.at_rest.triangles),
+            velocity: both.map_or(&[], |both| &both.solids.velocity),
         });
-        let of_walls = walls.map_or(&[][..], |walls| walls.velocity.as_flattened());
-        let of_walls = of_walls.iter().fold(0.0, |m, v| f64::max(m, v.abs()));
+        let of_nodes = walls.map_or(&[][..], |walls| walls.velocity.as_flattened());
+        let of_nodes = of_nodes.iter().fold(0.0, |m, v| f64::max(m, v.abs()));
+        let of_obstacles = clip.map_or(&[][..], |clip| clip.obstacles().walls()).iter();
+        let of_walls = of_obstacles.fold(of_nodes, |m, (_, v)| m.max(v.abs().max_element()));
         let speed = 3.0 * of_walls + reference::max_speed(&self.before.velocity);
         let mut twin = self.before.velocity.clone();
         let valid = self.before.valid.clone();
@@ -672,7 +763,7 @@ impl<'a> LiquidJudge<'a> {
 
     /// Sums as [`LiquidJudge::sum_error`] says. The largest speed copies a number. Divergence: twelve products summed, rounded to f32 and
     /// multiplied by 1/dx; solids take up sums of products with areas that are f32.
-    fn diagnose(&mut self, after: &LiquidSnapshot, both: Option<&Both>) {
+    fn diagnose(&mut self, after: &LiquidSnapshot, clip: Option<&SolidClip>, both: Option<&Both>) {
         let grid = self.grid;
         let phi = &after.liquid_distance;
         let density = f64::from(self.step.density);
@@ -690,9 +781,14 @@ impl<'a> LiquidJudge<'a> {
             of_areas = 4.0 * EPS * gross.into_iter().fold(0.0, f64::max) / grid.dx;
             self.diagnose_coupling(after, both);
         }
+        for &(cell, flux) in clip.map_or(&[][..], |clip| clip.obstacles().flux()) {
+            taken.get_or_insert_with(|| vec![0.0; grid.n_cells()])[cell] += flux;
+            of_areas = of_areas.max(4.0 * EPS * flux.abs() / grid.cell_volume());
+        }
         let twin = {
-            let (cut, velocity, taken) = (&self.cut, &after.velocity, taken.as_deref());
-            reference::diagnose(cut, phi, velocity, &stencil, taken, density, gravity)
+            let (cut, projected, velocity) = (&self.cut, &self.projected, &after.velocity);
+            let left = reference::divergence(cut, projected, &stencil, taken.as_deref());
+            reference::diagnose(&grid, cut, phi, velocity, left, density, gravity)
         };
         let gpu = after.report.diagnosis;
         let rounding = self.sum_error(after.real, phi);
@@ -702,7 +798,7 @@ impl<'a> LiquidJudge<'a> {
         let momentum = mass * speed;
         let energy = 1.5 * mass * speed * speed;
         let height = gravity.abs().dot(grid.size());
-        let flux = active_speed(&grid, &stencil, &after.velocity) / grid.dx;
+        let flux = active_speed(&grid, &stencil, &self.projected) / grid.dx;
         let divergence =
             72.0 * unit(after.real) * flux + 4.0 * EPS * twin.divergence.abs() + of_areas;
         let rows = [
@@ -864,4 +960,19 @@ fn active_speed(grid: &Grid, stencil: &Stencil, velocity: &[Vec<f64>; 3]) -> f64
         })
     });
     speeds.fold(0.0, f64::max)
+}
+
+/// The marker (m), moved to the other side of every cell border that is within its rounding in cells.
+fn across_borders(grid: &Grid, x: [f64; 3]) -> [f64; 3] {
+    let dx = grid.dx;
+    x.map(|x| {
+        let cells = x / dx;
+        let border = cells.round();
+        let rounding = 3.0 * EPS * cells.max(1.0);
+        if border > 0.0 && (cells - border).abs() <= rounding {
+            (border - rounding * (cells - border + 1e-30).signum()) * dx
+        } else {
+            x
+        }
+    })
 }

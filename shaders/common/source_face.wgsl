@@ -1,0 +1,26 @@
+// A face of a cell of a source: stages::DeviceSourceFace is the same struct on the host.
+#import source_step
+
+struct SourceFace {
+    // Index among the faces of all axes, device layout.
+    face: u32,
+    // Sources of the cells on the minus side (low byte) and on the plus side; 255 for none.
+    sides: u32,
+    // Their velocities along the axis, m/s.
+    minus: f32,
+    plus: f32,
+}
+
+// What a face carries, m/s, if it does.
+struct Held {
+    is: bool,
+    velocity: f32,
+}
+
+// Between cells of sources their velocity, else that out of the source; into it nothing flows.
+fn held(face: SourceFace, running: u32) -> Held {
+    let minus = runs(face.sides & 255u, running);
+    let plus = runs(face.sides >> 8u, running);
+    let out = select(min(face.plus, 0.0), max(face.minus, 0.0), minus);
+    return Held(minus || plus, select(out, face.minus, minus && plus));
+}

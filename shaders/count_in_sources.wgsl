@@ -1,0 +1,39 @@
+// exchange, with sources only, first of three: how many markers the cells of sources that run have. One thread per marker.
+// level, step. source_step: what the sources do. regions: boxes around them. map: for their cells in these, the number of the cell
+// from 1, else 0. markers: x, y, z (m), w = 1 alive. counts: per cell of a source, added to.
+#import dispatch
+#import layout
+#import step
+#import region
+#import source_step
+
+@group(0) @binding(0) var<uniform> level: Layout;
+@group(0) @binding(1) var<uniform> step: Step;
+@group(0) @binding(2) var<uniform> source_step: SourceStep;
+@group(0) @binding(3) var<storage, read> regions: array<Region>;
+@group(0) @binding(4) var<storage, read> map: array<u32>;
+@group(0) @binding(5) var<storage, read> markers: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> counts: array<atomic<u32>>;
+
+@compute @workgroup_size(WG_SIZE)
+fn count_in_sources(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let index = linear_index(workgroup, lane);
+    if index >= source_step.first {
+        return;
+    }
+    let marker = markers[index];
+    if marker.w == 0.0 {
+        return;
+    }
+    let cell = cell_of(level, marker.xyz * step.inv_dx);
+    for (var r = 0u; r < arrayLength(&regions); r++) {
+        if !runs(regions[r].number, source_step.running) {
+            continue;
+        }
+        let word = word_of(regions[r], cell);
+        if word != NOWHERE && map[word] != 0u {
+            atomicAdd(&counts[map[word] - 1u], 1u);
+            return;
+        }
+    }
+}

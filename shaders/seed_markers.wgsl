@@ -1,0 +1,68 @@
+// exchange, with sources only, last of three: the new markers, behind all others, each at a jittered place in an eighth of its cell;
+// what is left of the slots is empty. The twin has the hash. One thread per slot, 8 per cell of a source.
+// level, step. source_step: what the sources do. cells: x, y, z and source of each. starts: new markers in the cells before.
+// report: their number. markers: x, y, z (m), w = 1 alive, 0 gone.
+#import dispatch
+#import layout
+#import step
+#import report
+#import source_step
+
+@group(0) @binding(0) var<uniform> level: Layout;
+@group(0) @binding(1) var<uniform> step: Step;
+@group(0) @binding(2) var<uniform> source_step: SourceStep;
+@group(0) @binding(3) var<storage, read> cells: array<vec4<u32>>;
+@group(0) @binding(4) var<storage, read> starts: array<u32>;
+@group(0) @binding(5) var<storage, read> report: array<u32>;
+@group(0) @binding(6) var<storage, read_write> markers: array<vec4<f32>>;
+
+// Share of an eighth of a cell, on each side, that jitter leaves free.
+const MARGIN = 0.02;
+
+fn scatter(bits: u32) -> u32 {
+    var x = (bits ^ (bits >> 16u)) * 0x7feb352du;
+    x = (x ^ (x >> 15u)) * 0x846ca68bu;
+    return x ^ (x >> 16u);
+}
+
+// Where a cell that has `count` markers gets its marker with a number, cells.
+fn place(cell: vec3<u32>, count: u32, number: u32) -> vec3<f32> {
+    let index = cell.x + level.cells.x * (cell.y + level.cells.y * cell.z);
+    let of_cell = scatter(scatter(scatter(source_step.seed) ^ source_step.number) ^ index);
+    let eighth = (number + of_cell) % PER_CELL;
+    var bits = scatter(of_cell ^ (number - count + 1u));
+    var within: vec3<f32>;
+    for (var axis = 0u; axis < 3u; axis++) {
+        bits = scatter(bits);
+        // The upper 24 bits, as a number in [0, 1).
+        let jitter = f32(bits >> 8u) / 16777216.0;
+        within[axis] = 0.5 * (f32(eighth >> axis & 1u) + MARGIN + (1.0 - 2.0 * MARGIN) * jitter);
+    }
+    return vec3<f32>(cell) + within;
+}
+
+@compute @workgroup_size(WG_SIZE)
+fn seed_markers(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let index = linear_index(workgroup, lane);
+    let n = arrayLength(&cells);
+    if index >= PER_CELL * n {
+        return;
+    }
+    let cell = index / PER_CELL;
+    let turn = index % PER_CELL;
+    let total = report[EMITTED_NOW];
+    let first = starts[cell];
+    var end = total;
+    if cell + 1u < n {
+        end = starts[cell + 1u];
+    }
+    let lacks = end - first;
+    if turn < lacks {
+        let count = PER_CELL - lacks;
+        let at = place(cells[cell].xyz, count, count + turn);
+        markers[source_step.first + first + turn] = vec4<f32>(at * step.dx, 1.0);
+    } else {
+        // Behind the new ones, in the order of the threads without one: of those before, as many as in `end` have one.
+        markers[source_step.first + total + index - end] = vec4<f32>();
+    }
+}

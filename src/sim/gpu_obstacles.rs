@@ -1,0 +1,130 @@
+//! Obstacles that move in the liquid of a scene without solids: the host moves and clips them, and the device takes over what differs.
+//! With solids [`GpuCoupling`](super::gpu_coupling::GpuCoupling) does both.
+
+use std::collections::BTreeMap;
+
+use crate::Error;
+use crate::geometry::{ObstacleCut, SolidClip};
+use crate::gpu::{BufferPlan, Gpu};
+use crate::grid::Grid;
+use crate::stages::{Clip, ClipBuffers, ClipSize, Diagnose, Extrapolate};
+
+use super::gpu_liquid::{GpuLiquid, active};
+
+/// The obstacles on the device.
+#[derive(Debug)]
+pub(super) struct GpuObstacles {
+    /// Where they are.
+    pub(super) clip: SolidClip,
+    on_device: ClipBuffers,
+    pub(super) stage: Clip,
+}
+
+impl GpuObstacles {
+    /// Everything that they allocate.
+    pub(super) fn buffers(grid: &Grid, clip: &SolidClip) -> Vec<BufferPlan> {
+        ClipSize::of(grid, clip, 0).ample().buffers(grid)
+    }
+
+    /// Allocates and compiles; and with it the stages of the liquid that see them. The state is to be written.
+    pub(super) fn new(
+        gpu: &Gpu,
+        clip: SolidClip,
+        liquid: &mut GpuLiquid,
+    ) -> Result<GpuObstacles, Error> {
+        let grid = liquid.buffers.plan.grid;
+        let size = ClipSize::of(&grid, &clip, 0).ample();
+        let on_device = ClipBuffers::new(gpu, &grid, size)?;
+        let stage = bind(gpu, liquid, &on_device)?;
+        Ok(GpuObstacles {
+            clip,
+            on_device,
+            stage,
+        })
+    }
+
+    /// Takes the place of what the device has: a state at a time (s).
+    pub(super) fn write(
+        &mut self,
+        gpu: &Gpu,
+        liquid: &mut GpuLiquid,
+        time: f64,
+    ) -> Result<(), Error> {
+        self.move_to(gpu, liquid, time, 0.0)?;
+        liquid.buffers.write_cut_cells(gpu, self.clip.cut_cells());
+        self.on_device.write(gpu, &self.clip, &[], true);
+        Ok(())
+    }
+
+    /// Moves them to a time, with the velocities of the dt (both s) that follow, and writes what follows, before all work submitted later.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] where more room is needed than the adapter has.
+    pub(super) fn follow(
+        &mut self,
+        gpu: &Gpu,
+        liquid: &mut GpuLiquid,
+        time: f64,
+        dt: f64,
+    ) -> Result<(), Error> {
+        self.move_to(gpu, liquid, time, dt)?;
+        self.on_device.write(gpu, &self.clip, &[], false);
+        Ok(())
+    }
+
+    fn move_to(
+        &mut self,
+        gpu: &Gpu,
+        liquid: &mut GpuLiquid,
+        time: f64,
+        dt: f64,
+    ) -> Result<(), Error> {
+        self.clip.move_obstacles(time, dt);
+        if !self.on_device.fits(&self.clip) {
+            let grid = &liquid.buffers.plan.grid;
+            let needed = ClipSize::of(grid, &self.clip, self.on_device.n_differing()).ample();
+            let size = self.on_device.size.joined(needed);
+            self.on_device = self.on_device.resized(gpu, size)?;
+            self.stage = bind(gpu, liquid, &self.on_device)?;
+        }
+        Ok(())
+    }
+}
+
+/// Makes the stages of the liquid that obstacles take part in, and that which takes them to the device.
+fn bind(gpu: &Gpu, liquid: &mut GpuLiquid, clip: &ClipBuffers) -> Result<Clip, Error> {
+    let GpuLiquid {
+        buffers,
+        solver,
+        stages,
+        ..
+    } = liquid;
+    stages.extrapolate = Some(Extrapolate::new(gpu, buffers, Some((clip, None)))?);
+    stages.diagnose = Some(Diagnose::new(gpu, buffers, &active(solver), None)?);
+    Clip::new(gpu, buffers, clip)
+}
+
+/// The largest share of J v of the obstacles by which a component of the liquid without a free surface would have to shrink. Waits for all
+/// submitted work.
+pub(super) fn squeezed(
+    gpu: &Gpu,
+    liquid: &GpuLiquid,
+    obstacles: &ObstacleCut,
+) -> Result<f64, Error> {
+    let flags = gpu.download(&liquid.solver.flags)?;
+    let labels = gpu.download(&liquid.solver.labels)?;
+    let grid = &liquid.buffers.plan.grid;
+    let padded = grid.padded();
+    let mut sums = BTreeMap::<u32, [f64; 2]>::new();
+    for &(cell, flux) in obstacles.flux() {
+        let index = padded.index(grid.cell_at(cell));
+        // Bits 4 to 7: see `shaders/common/active.wgsl`.
+        if flags[index / 4] >> (4 + index % 4) & 1 == 1 {
+            let [net, gross] = sums.entry(labels[index]).or_default();
+            *net += flux;
+            *gross += flux.abs();
+        }
+    }
+    let shares = sums.values().filter(|[_, gross]| *gross > 0.0);
+    Ok(shares.fold(0.0, |most, [net, gross]| f64::max(most, net.abs() / gross)))
+}

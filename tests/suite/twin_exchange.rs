@@ -1,0 +1,252 @@
+//! `exchange` against its twin: what sinks remove and sources make, and what sources do to faces.
+
+use cutwater::geometry::{PER_CELL, Running, Taps, obstacle_cut};
+use cutwater::gpu::{Gpu, Recorder};
+use cutwater::grid::{Axis, Grid};
+use cutwater::reference;
+use cutwater::scene::Scene;
+use cutwater::stages::{LiquidBuffers, LiquidPlan, Report, Sinks, SourceStep, Sources};
+
+use crate::common::{Random, gpu};
+use crate::liquid_case::{Case, EPS, assert_close};
+
+/// Sources and sinks that overlap each other, an obstacle and walls, in a grid whose rows have one spare cell.
+fn scene() -> Scene {
+    let text = "[domain]\nsize = [1.5, 1.0, 1.1]\ncells = [15, 10, 11]\n[time]\nduration = 1.0\n[liquid]\n\
+                [[obstacle]]\nsphere = { centre = [0.5, 0.5, 0.5], radius = 0.25 }\n\
+                [[source]]\nbox = { min = [0.3, 0.4, 0.3], max = [0.9, 0.7, 0.6] }\nvelocity = [1.0, -0.5, 0.0]\n\
+                [[source]]\nsphere = { centre = [0.9, 0.6, 0.5], radius = 0.21 }\nvelocity = [-2.0, 0.0, 0.25]\nstart = 0.5\n\
+                [[source]]\nbox = { min = [1.4, 0.0, 0.9], max = [1.5, 0.1, 1.1] }\nvelocity = [0.0, 1.0, 0.0]\n\
+                [[sink]]\nbox = { min = [0.8, 0.5, 0.4], max = [1.3, 0.8, 0.8] }\n\
+                [[sink]]\ncylinder = { base = [0.1, 0.0, 0.1], axis = [0, 1, 0], radius = 0.12, height = 1.0 }\n";
+    Scene::parse(std::path::Path::new("taps.toml"), text, &[], 1.0).unwrap()
+}
+
+struct Run {
+    case: Case,
+    taps: Taps,
+    buffers: LiquidBuffers,
+}
+
+impl Run {
+    /// Cells with between none and twelve markers.
+    fn new(gpu: &Gpu) -> Run {
+        let scene = scene();
+        let grid = Grid {
+            dx: f64::from(0.1_f32),
+            ..scene.grid()
+        };
+        let mut cut = obstacle_cut(&scene, &scene.grid()).unwrap().cut;
+        for values in cut.open.iter_mut().chain([&mut cut.solid_distance]) {
+            values
+                .iter_mut()
+                .for_each(|value| *value = f64::from(*value as f32));
+        }
+        let taps = Taps::new(&scene, &scene.grid(), &cut).unwrap();
+        let effects = cutwater::effects::Effects::of(&scene);
+        let filled = |_: [usize; 3], random: &mut Random| (random.bits() % 13) as usize;
+        let case = Case::around("taps", (grid, effects, cut), 3.0, filled);
+        let buffers = LiquidBuffers::new(
+            gpu,
+            LiquidPlan {
+                grid,
+                effects,
+                n_markers: case.state.markers.len() + PER_CELL * taps.source_cells.len(),
+                cfl: case.cfl,
+                real: cutwater::gpu::Real::F32,
+            },
+        )
+        .unwrap();
+        Run {
+            case,
+            taps,
+            buffers,
+        }
+    }
+
+    /// Starts again; the number of markers.
+    fn write(&self, gpu: &Gpu) -> usize {
+        self.case.write(gpu, &self.buffers);
+        let n = self.case.state.markers.len();
+        let slots = PER_CELL * self.taps.source_cells.len();
+        let step = cutwater::stages::Step {
+            n_markers: (n + slots) as u32,
+            ..self.case.step()
+        };
+        gpu.upload(&self.buffers.step, &[step]);
+        n
+    }
+}
+
+fn runs() -> [Running; 4] {
+    [(0b101, 0b001), (0b111, 0b010), (0b000, 0), (0b010, 0b010)].map(|(running, starting)| {
+        Running {
+            running,
+            starting,
+            seed: 17,
+            step: 1 << 31 | running,
+        }
+    })
+}
+
+#[test]
+fn markers_come_and_go_as_in_the_twin() {
+    let Some(gpu) = gpu() else { return };
+    let run = Run::new(gpu);
+    let grid = &run.case.grid;
+    for running in runs() {
+        let sources = Sources::new(gpu, &run.buffers, &run.taps).unwrap().unwrap();
+        let sinks = Sinks::new(gpu, &run.buffers, &run.taps).unwrap().unwrap();
+        let go = || {
+            let n = run.write(gpu);
+            sources.write_step(gpu, SourceStep::new(running, n));
+            let mut recorder = Recorder::new(gpu);
+            sinks.record(&mut recorder);
+            sources.record(&mut recorder);
+            recorder.submit();
+            let positions = &run.buffers.markers.as_ref().unwrap().positions;
+            (
+                gpu.download(positions).unwrap(),
+                gpu.download(&run.buffers.report).unwrap(),
+            )
+        };
+        let (markers, report) = go();
+        assert!((markers.clone(), report.clone()) == go(), "again");
+        let (mut twin, sunk) =
+            reference::sink_markers(grid, &run.taps, run.case.state.markers.clone());
+        let n_kept = twin.len();
+        let seeded = reference::seed_markers(grid, &run.taps, running, &mut twin);
+        let of_step = Report::from_words(&report);
+        assert!(sunk > 0);
+        assert_eq!(u64::from(report[18]), sunk, "sinking");
+        assert_eq!(
+            [of_step.emitted, of_step.filled].map(u64::from),
+            [seeded.emitted, seeded.filled]
+        );
+        assert_eq!(seeded.emitted > 0, running.running != 0);
+        let alive: Vec<_> = markers.iter().filter(|marker| marker[3] != 0.0).collect();
+        assert_eq!(alive.len(), twin.len());
+        let bound = EPS * grid.dx * 8.0 * run.case.extent();
+        assert_close(
+            "positions",
+            alive
+                .iter()
+                .zip(&twin)
+                .enumerate()
+                .flat_map(|(index, (gpu, twin))| {
+                    let bound = if index < n_kept { 0.0 } else { bound };
+                    (0..3).map(move |a| (f64::from(gpu[a]), twin[a], bound, [index, a, 0]))
+                }),
+        );
+        // Every cell of a source that runs has 8 or more, and each new one is in such a cell.
+        let mut counts = vec![0; run.taps.source_cells.len()];
+        for (index, x) in twin.iter().enumerate() {
+            let at = grid.cell(std::array::from_fn(|a| (x[a] / grid.dx) as usize));
+            let found = run
+                .taps
+                .source_cells
+                .binary_search_by_key(&at, |&(cell, _)| cell);
+            assert!(found.is_ok() || index < n_kept, "{x:?} is in no source");
+            if let Ok(found) = found {
+                counts[found] += 1;
+            }
+        }
+        for ((_, source), count) in run.taps.source_cells.iter().zip(&counts) {
+            assert!(*count >= PER_CELL || running.running >> source & 1 == 0);
+        }
+    }
+}
+
+#[test]
+fn faces_of_sources_carry_what_they_do_in_the_twin() {
+    let Some(gpu) = gpu() else { return };
+    let run = Run::new(gpu);
+    let (grid, cut) = (&run.case.grid, &run.case.cut);
+    let sources = Sources::new(gpu, &run.buffers, &run.taps).unwrap().unwrap();
+    for running in runs() {
+        let n = run.write(gpu);
+        sources.write_step(gpu, SourceStep::new(running, n));
+        let u = &run.case.state.velocity;
+        gpu.upload(&run.buffers.velocity_next, &run.buffers.pad_faces(u));
+        let mut recorder = Recorder::new(gpu);
+        sources.record_hold(&mut recorder, &run.buffers);
+        recorder.submit();
+        let words = gpu.download(&run.buffers.valid).unwrap();
+        let mut twin = u.clone();
+        reference::hold_faces(&run.taps, &cut.open, running.running, &mut twin);
+        assert_eq!(
+            run.buffers
+                .read_faces(gpu, &run.buffers.velocity_next)
+                .unwrap(),
+            twin
+        );
+        let held = run.taps.held_open(&cut.open, running.running);
+        assert_eq!(run.buffers.read_faces(gpu, &sources.open).unwrap(), held);
+        let bit = |words: &[u32], axis: Axis, face: usize, first: usize| {
+            let index = grid.padded().index(grid.face_at(axis, face));
+            words[index / 4] >> (first + 4 * axis.index() + index % 4) & 1 == 1
+        };
+        for axis in Axis::ALL {
+            for (face, &open) in held[axis.index()].iter().enumerate() {
+                assert_eq!(bit(&words, axis, face, 16), open > 0.0, "{axis:?} {face}");
+            }
+        }
+        let mut recorder = Recorder::new(gpu);
+        sources.record_carry(&mut recorder);
+        recorder.submit();
+        let words = gpu.download(&run.buffers.valid).unwrap();
+        let mut valid = Axis::ALL.map(|axis| vec![false; grid.n_faces(axis)]);
+        reference::carry_faces(&run.taps, &cut.open, running.running, &mut twin, &mut valid);
+        let velocity = run.buffers.read_faces(gpu, &run.buffers.velocity).unwrap();
+        for axis in Axis::ALL {
+            let a = axis.index();
+            for (face, &open) in cut.open[a].iter().enumerate() {
+                assert_eq!(bit(&words, axis, face, 16), open > 0.0, "open again");
+                assert_eq!(
+                    bit(&words, axis, face, 0),
+                    valid[a][face],
+                    "{axis:?} {face}"
+                );
+                assert!(!valid[a][face] || velocity[a][face] == twin[a][face]);
+            }
+        }
+    }
+}
+
+/// Into a source nothing flows: what comes out is its velocity times the area that it shows.
+#[test]
+fn a_source_emits_its_velocity_times_its_area() {
+    let text = "[domain]\nsize = [1.0, 1.0, 1.0]\ncells = [10, 10, 10]\n[time]\nduration = 1.0\n[liquid]\n\
+                [[source]]\nbox = { min = [0.3, 0.4, 0.2], max = [0.6, 0.6, 0.7] }\nvelocity = [2.0, 0.0, -1.0]\n\
+                [[source]]\nbox = { min = [0.0, 0.0, 0.0], max = [0.2, 0.1, 0.1] }\nvelocity = [0.0, -3.0, 0.0]\nend = 0.5\n";
+    let scene = Scene::parse(std::path::Path::new("flux.toml"), text, &[], 1.0).unwrap();
+    let grid = scene.grid();
+    let cut = obstacle_cut(&scene, &grid).unwrap().cut;
+    let taps = Taps::new(&scene, &grid, &cut).unwrap();
+    assert_eq!(taps.source_cells.len(), 3 * 2 * 5 + 2);
+    assert!((taps.flux(1) - (2.0 * 0.2 * 0.5 + 1.0 * 0.3 * 0.2)).abs() < 1e-12);
+    // The floor closes the only face that the second could emit through.
+    assert_eq!(taps.flux(2), 0.0);
+    let held = |axis: Axis, at: [usize; 3]| {
+        let face = grid.face(axis, at);
+        let found = taps
+            .faces
+            .iter()
+            .find(|of| of.axis == axis && of.face == face);
+        found.unwrap().held(1)
+    };
+    assert_eq!(held(Axis::X, [3, 5, 4]), Some(0.0), "behind it is a wall");
+    assert_eq!(held(Axis::X, [4, 5, 4]), Some(2.0));
+    assert_eq!(held(Axis::X, [6, 5, 4]), Some(2.0));
+    assert_eq!(held(Axis::Z, [4, 5, 2]), Some(-1.0));
+    assert_eq!(held(Axis::Z, [4, 5, 7]), Some(0.0));
+    assert_eq!(held(Axis::Y, [4, 4, 4]), Some(0.0));
+    // Three cells thick along x: with cfl 3 as fast as it is, with 6 sub-steps are shorter.
+    assert!((taps.speed(0.6, 3.0) - 2.0).abs() < 1e-12);
+    assert!((taps.speed(0.6, 6.0) - 4.0).abs() < 1e-12);
+    assert!(
+        (taps.speed(0.1, 6.0) - 18.0).abs() < 1e-12,
+        "{}",
+        taps.speed(0.1, 6.0)
+    );
+}
