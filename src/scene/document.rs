@@ -476,7 +476,7 @@ impl<'a> Place<'a> {
         matches!(self.node.origin, Origin::Set(_))
     }
 
-    fn wrong_type(&self, wanted: &str) -> Error {
+    pub(super) fn wrong_type(&self, wanted: &str) -> Error {
         self.fail(
             format!("is {}", self.node.content.describe()),
             format!("write {wanted}"),

@@ -341,13 +341,11 @@ fn open_sides(place: &Place, root: &Table) -> Result<Sides, Error> {
     let axes = Axis::ALL.into_iter();
     let sides = axes.flat_map(|axis| [0, 1].map(|side| (axis, side)));
     let choices: Vec<_> = Sides::NAMES.into_iter().zip(sides).collect();
-    let example = format!(
-        "write a list, such as [\"+x\"], of any of {}",
+    let wanted = format!(
+        "a list, such as [\"+x\"], of any of {}",
         Sides::NAMES.join(", ")
     );
-    let entries = place
-        .list()
-        .map_err(|_| place.fail("is not a list", example))?;
+    let entries = place.list().map_err(|_| place.wrong_type(&wanted))?;
     let mut open = Sides::default();
     for entry in entries {
         let (axis, side) = entry.choice(&choices)?;
