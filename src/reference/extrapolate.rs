@@ -5,7 +5,6 @@
 //! diagonal too: a sub-step goes up to cfl cells along each axis at once, and through neighbours beside a face alone liquid
 //! that moves along a diagonal ran into faces that no layer had reached. What no layer reaches is 0, and so are domain walls, but not
 //! open sides.
-//! Faces that are less than a tenth open count as those without a velocity.
 //! Closed faces in and just outside obstacles and solids get the normal velocity of these: 0 where they stand still.
 
 use glam::DVec3;
@@ -14,10 +13,6 @@ use rayon::prelude::*;
 use crate::geometry::{CutCells, SolidClip};
 use crate::grid::{Axis, Grid};
 
-/// Faces less open than this keep no velocity of their own. What flows through them is a flux over a tiny area, fast where a gap opens or
-/// closes; advected on it would count for whole faces. In 2,000 sub-steps of the thesis's stability scene that multiplied the energy by 5.6
-/// (E = 1e7 Pa) and by 2.1 (a solid a tenth as dense as the liquid), which keep theirs to 0.2 % without.
-const LEAST_OPEN: f64 = 0.1;
 /// Layers beyond those that a step of `cfl` cells crosses.
 const SPARE_LAYERS: usize = 2;
 /// Below it a gradient of the distance has no direction.
@@ -62,7 +57,7 @@ impl MovingWalls<'_> {
     }
 }
 
-/// Extends `faces` (m/s) by `layers` from where they are `valid` and not slivers, and constrains them.
+/// Extends `faces` (m/s) by `layers` from where they are `valid`, and constrains them.
 pub fn extrapolate(
     grid: &Grid,
     cut: &CutCells,
@@ -71,11 +66,7 @@ pub fn extrapolate(
     layers: usize,
     faces: &mut [Vec<f64>; 3],
 ) {
-    for (axis, mut valid) in Axis::ALL.into_iter().zip(valid) {
-        let open = &cut.open[axis.index()];
-        for (valid, open) in valid.iter_mut().zip(open) {
-            *valid &= *open <= 0.0 || *open >= LEAST_OPEN;
-        }
+    for (axis, valid) in Axis::ALL.into_iter().zip(valid) {
         extend(grid, axis, valid, layers, &mut faces[axis.index()]);
     }
     close_walls(grid, &cut.open, faces);

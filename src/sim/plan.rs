@@ -523,18 +523,12 @@ fn stages(
     }
     stage("solve", true, &solve);
     if liquid {
-        let write_back: [(bool, &[_]); 4] = [
+        let write_back: [(bool, &[_]); 2] = [
             (true, &["still_air", "write_back"]),
             (sources, &["carry_faces"]),
-            (!coupling, &["measure_divergence"]),
-            (
-                coupling,
-                &["measure_uncut_divergence", "measure_cut_divergence"],
-            ),
         ];
         stage("write_back", true, &write_back);
-        let extrapolate: [(bool, &[_]); 8] = [
-            (cuts, &["drop_slivers"]),
+        let extrapolate: [(bool, &[_]); 7] = [
             (
                 extrapolation_layers(scene.time.cfl) > 0,
                 &["extrapolate_layer"],
@@ -548,8 +542,13 @@ fn stages(
         ];
         stage("extrapolate", true, &extrapolate);
     }
-    let diagnose: [(bool, &[_]); 4] = [
+    let diagnose: [(bool, &[_]); 6] = [
         (liquid, &["measure_motion"]),
+        (liquid && !coupling, &["measure_divergence"]),
+        (
+            coupling,
+            &["measure_uncut_divergence", "measure_cut_divergence"],
+        ),
         (liquid, &["report_motion"]),
         (elastic, &["measure_solid", "report_solid"]),
         (coupling, &["measure_coupling", "report_coupling"]),

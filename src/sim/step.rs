@@ -291,18 +291,12 @@ impl GpuPath {
         to = watch.after("solve", to)?;
 
         if let Some(GpuLiquid {
-            buffers,
-            solver,
-            stages,
-            ..
+            buffers, stages, ..
         }) = liquid
         {
             stages.write_back.record(&mut to, buffers);
             if let Some(sources) = &stages.sources {
                 sources.record_carry(&mut to);
-            }
-            if let Some(diagnose) = &stages.diagnose {
-                diagnose.record_divergence(&mut to, buffers, &active(solver));
             }
             to = watch.after(WriteBack::NAME, to)?;
             if let Some(extrapolate) = &stages.extrapolate {
@@ -312,10 +306,13 @@ impl GpuPath {
         }
         if let Some((liquid, readback)) = liquid.zip(readbacks.liquid.as_mut()) {
             let GpuLiquid {
-                buffers, stages, ..
+                buffers,
+                solver,
+                stages,
+                ..
             } = liquid;
             if let Some(diagnose) = &stages.diagnose {
-                diagnose.record(&mut to);
+                diagnose.record(&mut to, buffers, &active(solver));
             }
             to.read(&buffers.report, readback);
         }

@@ -9,7 +9,7 @@ use crate::gpu::{Binding, Bound, Gpu, Kernel, RealBuffer, Recorder, Variant};
 use crate::solver::CouplingBuffers;
 use crate::wgsl;
 
-use super::{Active, ClipBuffers, LiquidBuffers, WriteBack, over_band};
+use super::{Active, ClipBuffers, LiquidBuffers, over_band};
 
 /// The stage: fields to the report.
 #[derive(Debug)]
@@ -107,26 +107,15 @@ impl Diagnose {
         })
     }
 
-    /// Records, as the end of `write_back`, the divergence that it left: `extrapolate` changes faces that are almost closed.
-    pub fn record_divergence(
-        &self,
-        recorder: &mut Recorder,
-        buffers: &LiquidBuffers,
-        active: &Active,
-    ) {
+    /// Records it.
+    pub fn record(&self, recorder: &mut Recorder, buffers: &LiquidBuffers, active: &Active) {
         recorder.clear(&buffers.maxima);
-        recorder.stage(WriteBack::NAME, |pass| {
+        recorder.stage(Diagnose::NAME, |pass| {
+            pass.dispatch(&self.measure_motion, self.n_threads);
             pass.dispatch_indirect(&self.measure_divergence, active.args, 0);
             if let Some((measure_cut_divergence, n_quads)) = &self.measure_cut_divergence {
                 pass.dispatch(measure_cut_divergence, *n_quads);
             }
-        });
-    }
-
-    /// Records the rest, and the report.
-    pub fn record(&self, recorder: &mut Recorder) {
-        recorder.stage(Diagnose::NAME, |pass| {
-            pass.dispatch(&self.measure_motion, self.n_threads);
             pass.dispatch(&self.report_motion, 1);
         });
     }

@@ -11,7 +11,6 @@ use super::{ClipBuffers, LiquidBuffers, extrapolation_layers, over_band};
 #[derive(Debug)]
 pub struct Extrapolate {
     n_layers: usize,
-    drop_slivers: Option<Bound>,
     /// The layers by turns: marks from `valid` to `valid_next`, and back.
     layer: [Bound; 2],
     walls: Bound,
@@ -45,11 +44,6 @@ impl Extrapolate {
             let (from, to) = (marks[from], marks[1 - from]);
             let marks = [("valid_in", from.into()), ("valid_out", to.into())];
             layer.bind(gpu, &[level, args, list, marks[0], marks[1], velocity])
-        };
-        let drop_slivers = || {
-            let open = ("open", (&buffers.open).into());
-            let valid = ("valid", marks[0].into());
-            kernel(wgsl!("drop_slivers"))?.bind(gpu, &[level, args, list, open, valid])
         };
         let slip = || {
             // u* and the marks of the last layer but one are no longer needed.
@@ -97,7 +91,6 @@ impl Extrapolate {
         let cuts = buffers.plan.effects.cuts();
         Ok(Extrapolate {
             n_layers,
-            drop_slivers: cuts.then(drop_slivers).transpose()?,
             wall_velocities: moving.map(wall_velocities).transpose()?,
             layer: [layer(0)?, layer(1)?],
             walls: kernel(wgsl!("extrapolate_walls"))?.bind(
@@ -118,9 +111,6 @@ impl Extrapolate {
     pub fn record(&self, recorder: &mut Recorder, buffers: &LiquidBuffers) {
         recorder.stage(Extrapolate::NAME, |pass| {
             let mut over_band = |bound| pass.dispatch_indirect(bound, &buffers.band_args, 0);
-            if let Some(drop_slivers) = &self.drop_slivers {
-                over_band(drop_slivers);
-            }
             for n in 0..self.n_layers {
                 over_band(&self.layer[n % 2]);
             }

