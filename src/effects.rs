@@ -95,11 +95,7 @@ impl Effects {
             scripts: pin(true),
             loads: any(|solid| !solid.loads.is_empty()),
             obstacles: !scene.obstacles.is_empty(),
-            moving_obstacles: scene.liquid.is_some()
-                && scene
-                    .obstacles
-                    .iter()
-                    .any(|obstacle| obstacle.motion.is_some()),
+            moving_obstacles: scene.liquid.is_some() && scene.obstacles_move(),
             coupling: scene.liquid.is_some() && !scene.solids.is_empty(),
             patch_correction: scene.liquid.is_some()
                 && !scene.solids.is_empty()

@@ -254,12 +254,7 @@ fn ensure_pictures(scene: &Scene) -> Result<(), Error> {
 pub(super) fn warn_of_thin(scene: &Scene) -> Result<(), Error> {
     let grid = scene.grid();
     let (liquid, solids) = (scene.liquid.is_some(), !scene.solids.is_empty());
-    if solids
-        && scene
-            .obstacles
-            .iter()
-            .any(|obstacle| obstacle.motion.is_some())
-    {
+    if solids && scene.obstacles_move() {
         warn!(
             "warning: obstacles that move and solids pass through each other; a [[solid.script]] moves nodes of a solid"
         );

@@ -36,7 +36,7 @@ pub use liquid::{
     Regions, empty_regions, estimate_markers, initial_state, liquid_distance, seed_markers,
 };
 pub use mesh_file::{parse as parse_mesh, read as read_mesh};
-pub use obstacles::{ObstacleCut, obstacle_cut, obstacle_surfaces};
+pub use obstacles::{ObstacleCut, ObstacleSurfaces, obstacle_cut};
 pub use solid_clip::{MovedMesh, Nearest, Overlap, Place, SolidClip};
 pub use surface::{Fault, Surface};
 pub use taps::{PER_CELL, Running, SourceFace, Taps};

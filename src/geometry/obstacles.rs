@@ -3,8 +3,6 @@
 //! Obstacles that move are cut out of what those that stand still leave, so a sub-step does the grid lines and the cells near those that
 //! move. What comes out depends on the time alone.
 
-use std::fmt;
-
 use glam::{DMat3, DQuat, DVec3};
 
 use super::clip::{Clipping, OpenFractions, clip, open_fractions};
@@ -13,7 +11,7 @@ use super::solid_clip::line_sums;
 use super::{CutCells, Surface, clamp_open, close_walls, is_wall};
 use crate::error::Error;
 use crate::grid::{Axis, Grid, Sides};
-use crate::scene::{Keyframe, Motion, Scene};
+use crate::scene::{Keyframe, Motion, Obstacle, Scene};
 
 /// What the obstacles leave of the grid, and what of it other bodies add to.
 #[derive(Clone, Debug)]
@@ -44,7 +42,7 @@ struct MovingObstacles {
 }
 
 /// One of them.
-#[derive(Clone)]
+#[derive(Clone, Debug)]
 struct MovingBody {
     /// Where its placement puts it.
     rest: Body,
@@ -53,14 +51,6 @@ struct MovingBody {
     pivot: DVec3,
     /// Furthest vertex from the pivot, m.
     radius: f64,
-}
-
-impl fmt::Debug for MovingBody {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("MovingBody")
-            .field("motion", &self.motion)
-            .finish()
-    }
 }
 
 /// How a rigid body moves at one moment: v(x) = velocity + spin x (x - centre). Nothing flows through its closed surface in sum.
@@ -400,20 +390,39 @@ fn joined<'a>(surfaces: impl Iterator<Item = &'a Surface>) -> (Surface, Vec<usiz
     (all, body_of)
 }
 
-/// The surfaces of all obstacles at a time (s), for pictures. Normals point to the liquid.
-///
-/// # Errors
-/// As [`obstacle_cut`].
-pub fn obstacle_surfaces(scene: &Scene, grid: &Grid, time: f64) -> Result<Vec<Surface>, Error> {
-    let obstacles = scene.obstacles.iter().enumerate();
-    let surface = |(number, obstacle): (usize, _)| {
-        let name = format!("{}: obstacle[{number}]", scene.file.display());
-        let obstacle: &crate::scene::Obstacle = obstacle;
-        let body = Body::before_walls(obstacle, &name, grid)?;
-        Ok(match &obstacle.motion {
-            Some(motion) => MovingBody::new(body, motion).at(time).surface,
-            None => body.surface,
+/// The surfaces of all obstacles, for pictures. Normals point to the liquid.
+#[derive(Clone, Debug)]
+pub struct ObstacleSurfaces {
+    bodies: Vec<(Surface, Option<MovingBody>)>,
+}
+
+impl ObstacleSurfaces {
+    /// Reads mesh files once: a run does not need them any more.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when a mesh file cannot be used.
+    pub fn new(scene: &Scene, grid: &Grid) -> Result<ObstacleSurfaces, Error> {
+        let body = |(number, obstacle): (usize, &Obstacle)| {
+            let name = format!("{}: obstacle[{number}]", scene.file.display());
+            let body = Body::before_walls(obstacle, &name, grid)?;
+            let surface = body.surface.clone();
+            let motion = obstacle.motion.as_ref();
+            Ok((surface, motion.map(|motion| MovingBody::new(body, motion))))
+        };
+        let bodies = scene.obstacles.iter().enumerate().map(body);
+        Ok(ObstacleSurfaces {
+            bodies: bodies.collect::<Result<_, Error>>()?,
         })
-    };
-    obstacles.map(surface).collect()
+    }
+
+    /// Where they are at a time, s.
+    pub fn at(&self, time: f64) -> Vec<Surface> {
+        let bodies = self.bodies.iter();
+        bodies
+            .map(|(surface, moving)| match moving {
+                Some(body) => body.at(time).surface,
+                None => surface.clone(),
+            })
+            .collect()
+    }
 }

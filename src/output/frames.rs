@@ -56,10 +56,7 @@ impl FrameKinds {
             markers: scene.output.particles && surface == Some(Surface::Markers),
             fields: scene.output.fields || surface == Some(Surface::Fixed),
             solids: scene.output.solids && !scene.solids.is_empty(),
-            moving_obstacles: scene
-                .obstacles
-                .iter()
-                .any(|obstacle| obstacle.motion.is_some()),
+            moving_obstacles: scene.obstacles_move(),
             surface: surface
                 .filter(|_| scene.output.surface)
                 .map(|surface| match surface {

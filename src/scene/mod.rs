@@ -681,6 +681,13 @@ impl Scene {
         }
     }
 
+    /// Whether an obstacle has keyframes.
+    pub fn obstacles_move(&self) -> bool {
+        self.obstacles
+            .iter()
+            .any(|obstacle| obstacle.motion.is_some())
+    }
+
     /// Frames of the whole run; frame 0 is the initial state and not counted.
     pub fn n_frames(&self) -> u64 {
         (self.time.duration * self.time.frames_per_second)

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use crate::Error;
-use crate::geometry;
+use crate::geometry::{self, ObstacleSurfaces};
 use crate::gpu::AdapterReport;
 use crate::output::checkpoint::Checkpoint;
 use crate::output::frames::{FrameKinds, FrameWriter};
@@ -402,6 +402,7 @@ struct Recording<'a> {
     /// Seconds of earlier parts.
     seconds_before: f64,
     writer: FrameWriter,
+    obstacles: ObstacleSurfaces,
     steps: StepTable,
     probes: Option<ProbeTable>,
     manifest: Manifest,
@@ -433,7 +434,8 @@ impl<'a> Recording<'a> {
         manifest.write(out)?;
         let kinds = FrameKinds::of(scene);
         let mut writer = FrameWriter::create(out, &scene.name, scene.grid(), kinds)?;
-        writer.write_obstacles(&geometry::obstacle_surfaces(scene, &scene.grid(), 0.0)?)?;
+        let obstacles = ObstacleSurfaces::new(scene, &scene.grid())?;
+        writer.write_obstacles(&obstacles.at(0.0))?;
         if from.is_some() {
             let frames = &manifest.progress.frames_written;
             writer.go_on(frames, scene.time.frames_per_second)?;
@@ -442,6 +444,7 @@ impl<'a> Recording<'a> {
             clock: Instant::now(),
             seconds_before: manifest.progress.seconds,
             writer,
+            obstacles,
             steps,
             probes,
             manifest,
@@ -485,9 +488,8 @@ impl<'a> Recording<'a> {
         }
         let state = simulation.state()?;
         if write {
-            if FrameKinds::of(self.scene).moving_obstacles {
-                let grid = self.scene.grid();
-                let surfaces = geometry::obstacle_surfaces(self.scene, &grid, state.time)?;
+            if self.scene.obstacles_move() {
+                let surfaces = self.obstacles.at(state.time);
                 self.writer.write_moved_obstacles(&state, &surfaces)?;
             }
             self.writer

@@ -2,7 +2,8 @@
 
 use cutwater::elastic::Solids;
 use cutwater::geometry::{
-    Coupling, CutCells, MovedMesh, SolidClip, Surface, clip, obstacle_cut, open_fractions,
+    Coupling, CutCells, MovedMesh, ObstacleSurfaces, SolidClip, Surface, clip, obstacle_cut,
+    open_fractions,
 };
 use cutwater::grid::{Axis, Grid};
 use cutwater::linalg::dot;
@@ -423,7 +424,7 @@ fn contributions_add_and_overlaps_are_told() {
         let mesh = solids.moved(&displacement);
         let mut clip = SolidClip::new(&grid, obstacle_cut(&scene, &grid).unwrap(), &scene.solver);
         clip.clip(&mesh);
-        let obstacles = cutwater::geometry::obstacle_surfaces(&scene, &grid, 0.0).unwrap();
+        let obstacles = ObstacleSurfaces::new(&scene, &grid).unwrap().at(0.0);
         let mut surfaces = obstacles;
         surfaces.push(Surface {
             vertices: mesh.nodes.clone(),

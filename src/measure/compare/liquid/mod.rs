@@ -41,8 +41,6 @@ pub(super) struct LiquidJudge<'a> {
     before: LiquidSnapshot,
     /// What twins of earlier stages of the sub-step made, for later ones.
     twin: Twin,
-    /// What `write_back` left, m/s.
-    projected: [Vec<f64>; 3],
 }
 
 /// Answers of the twins in a sub-step.
@@ -100,7 +98,6 @@ impl<'a> LiquidJudge<'a> {
                 distance_bounds: vec![0.0; grid.n_cells()],
                 ..Twin::default()
             },
-            projected: before.velocity.clone(),
             before,
         }))
     }
@@ -145,9 +142,6 @@ impl<'a> LiquidJudge<'a> {
     ) -> Result<(), Error> {
         self.judge_stage(stage, after, clip, both)?;
         self.before = held.unwrap_or_else(|| after.clone());
-        if stage == WriteBack::NAME {
-            self.projected.clone_from(&self.before.velocity);
-        }
         Ok(())
     }
 
@@ -786,8 +780,8 @@ impl<'a> LiquidJudge<'a> {
             of_areas = of_areas.max(4.0 * EPS * flux.abs() / grid.cell_volume());
         }
         let twin = {
-            let (cut, projected, velocity) = (&self.cut, &self.projected, &after.velocity);
-            let left = reference::divergence(cut, projected, &stencil, taken.as_deref());
+            let (cut, velocity) = (&self.cut, &after.velocity);
+            let left = reference::divergence(cut, velocity, &stencil, taken.as_deref());
             reference::diagnose(&grid, cut, phi, velocity, left, density, gravity)
         };
         let gpu = after.report.diagnosis;
@@ -798,7 +792,7 @@ impl<'a> LiquidJudge<'a> {
         let momentum = mass * speed;
         let energy = 1.5 * mass * speed * speed;
         let height = gravity.abs().dot(grid.size());
-        let flux = active_speed(&grid, &stencil, &self.projected) / grid.dx;
+        let flux = active_speed(&grid, &stencil, &after.velocity) / grid.dx;
         let divergence =
             72.0 * unit(after.real) * flux + 4.0 * EPS * twin.divergence.abs() + of_areas;
         let rows = [
