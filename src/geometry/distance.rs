@@ -10,9 +10,10 @@ use rayon::prelude::*;
 
 use super::Surface;
 use super::mesh_file;
+use super::solitary;
 use crate::error::Error;
 use crate::grid::Grid;
-use crate::scene::{Obstacle, Placement, Shape};
+use crate::scene::{Obstacle, Placement, Shape, SolitaryWave};
 
 /// Half the width of the band in which obstacle distances are exact, cells.
 pub(super) const BAND: f64 = 3.0;
@@ -43,6 +44,8 @@ pub(super) enum Solid {
         wave_number: [f64; 2],
         phase: f64,
     },
+    /// Below a solitary wave.
+    Solitary(SolitaryWave),
     /// Inside a closed mesh.
     Mesh(Box<ClosedMesh>),
 }
@@ -97,6 +100,7 @@ impl Solid {
                 wave_number,
                 phase,
             },
+            Shape::Solitary(wave) => Solid::Solitary(wave),
             Shape::Mesh { ref file } => Solid::mesh(&mesh_file::read(file)?),
         })
     }
@@ -141,9 +145,18 @@ impl Solid {
                 let slope = amplitude * sin * kx.hypot(kz);
                 (x.y - level - amplitude * cos) / 1.0_f64.hypot(slope)
             }
+            Solid::Solitary(ref wave) => solitary::distance(wave, x),
             Solid::Mesh(ref mesh) => mesh
                 .distance(x, f64::MAX)
                 .expect("every point has a nearest triangle"),
+        }
+    }
+
+    /// Velocity that the shape itself gives to liquid at a point in it, m/s: that of a solitary wave; none of other shapes.
+    pub(super) fn velocity(&self, x: DVec3) -> DVec3 {
+        match self {
+            Solid::Solitary(wave) => solitary::velocity(wave, x),
+            _ => DVec3::ZERO,
         }
     }
 
@@ -345,7 +358,7 @@ impl Body {
                 height,
             } => Surface::cylinder(base, axis, radius, height, dx),
             Shape::Mesh { ref file } => mesh_file::read(file)?,
-            Shape::HalfSpace { .. } | Shape::Wave { .. } => {
+            Shape::HalfSpace { .. } | Shape::Wave { .. } | Shape::Solitary(_) => {
                 return Err(Error::input(
                     name,
                     "half spaces and waves have no closed surface",
@@ -415,7 +428,7 @@ impl Body {
                 heights: [low, high],
                 ..
             } => scale * (high - low).min(2.0 * radius),
-            Solid::HalfSpace { .. } | Solid::Wave { .. } => f64::INFINITY,
+            Solid::HalfSpace { .. } | Solid::Wave { .. } | Solid::Solitary(_) => f64::INFINITY,
             Solid::Mesh(ref mesh) => mesh.thickness(),
         }
     }

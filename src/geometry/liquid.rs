@@ -6,10 +6,10 @@ use glam::{DVec3, I64Vec3};
 use rayon::prelude::*;
 
 use super::distance::Solid;
-use super::{CutCells, MovedMesh, is_wall};
+use super::{CutCells, MovedMesh, is_wall, solitary};
 use crate::error::Error;
 use crate::grid::{Axis, Grid};
-use crate::scene::{Liquid, Placement, Scene, Surface};
+use crate::scene::{Liquid, Placement, Region, Scene, Shape, Surface};
 use crate::state::State;
 
 /// The regions of a liquid with their shapes ready for distances.
@@ -21,6 +21,13 @@ struct Part {
     solid: Solid,
     subtract: bool,
     velocity: DVec3,
+}
+
+impl Part {
+    /// Velocity of its liquid at a point, m/s: the region's and, of a solitary wave, its own.
+    fn velocity_at(&self, x: DVec3) -> DVec3 {
+        self.velocity + self.solid.velocity(x)
+    }
 }
 
 impl Regions {
@@ -71,7 +78,7 @@ impl Regions {
             if part.solid.distance(x) >= 0.0 {
                 velocity
             } else {
-                (!part.subtract).then_some(part.velocity)
+                (!part.subtract).then(|| part.velocity_at(x))
             }
         })
     }
@@ -79,12 +86,24 @@ impl Regions {
     /// Velocity of the nearest region that adds liquid, m/s, if it is within `reach` (m); of the last among several.
     fn nearest_velocity(&self, x: DVec3, reach: f64) -> Option<DVec3> {
         let adding = self.parts.iter().rev().filter(|part| !part.subtract);
-        let distances = adding.map(|part| (part.solid.distance(x), part.velocity));
+        let distances = adding.map(|part| (part.solid.distance(x), part));
         distances
             .filter(|&(distance, _)| distance <= reach)
             .min_by(|a, b| a.0.total_cmp(&b.0))
-            .map(|(_, velocity)| velocity)
+            .map(|(_, part)| part.velocity_at(x))
     }
+}
+
+/// Largest component of a velocity that the regions give their liquid, m/s.
+pub fn initial_speed(liquid: &Liquid) -> f64 {
+    let speed = |region: &Region| {
+        let own = match &region.shape {
+            Shape::Solitary(wave) => solitary::fastest(wave),
+            _ => 0.0,
+        };
+        region.velocity.abs().max_element() + own
+    };
+    liquid.regions.iter().map(speed).fold(0.0, f64::max)
 }
 
 /// How far outside the regions faces start with the velocity of the nearest, cells: the surface that markers make is bumpy, and
@@ -427,11 +446,10 @@ pub fn initial_state(scene: &Scene, grid: &Grid, cut_cells: &CutCells) -> Result
             "use more cells (domain.cells, --scale), larger regions, or smaller obstacles",
         ));
     }
-    if liquid
-        .regions
-        .iter()
-        .all(|region| region.velocity == DVec3::ZERO)
-    {
+    let at_rest = |region: &Region| {
+        region.velocity == DVec3::ZERO && !matches!(region.shape, Shape::Solitary(_))
+    };
+    if liquid.regions.iter().all(at_rest) {
         return Ok(state);
     }
     let regions = Regions::new(liquid)?;

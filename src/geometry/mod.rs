@@ -21,6 +21,7 @@ mod nearest;
 mod obstacles;
 mod parts;
 mod solid_clip;
+mod solitary;
 mod surface;
 mod taps;
 mod tet_fill;
@@ -33,7 +34,8 @@ pub use clip::{Clipping, OpenFractions, Patch, clip, open_fractions};
 pub use coupling::{CellNode, Coupling};
 pub use inside::inside;
 pub use liquid::{
-    Regions, empty_regions, estimate_markers, initial_state, liquid_distance, seed_markers,
+    Regions, empty_regions, estimate_markers, initial_speed, initial_state, liquid_distance,
+    seed_markers,
 };
 pub use mesh_file::{parse as parse_mesh, read as read_mesh};
 pub use obstacles::{ObstacleCut, ObstacleSurfaces, obstacle_cut};

@@ -164,11 +164,28 @@ pub enum Shape {
         /// rad
         phase: f64,
     },
+    /// All points below a solitary wave. Regions only; it brings a velocity of its own.
+    Solitary(SolitaryWave),
     /// A closed triangle mesh (OBJ, STL, PLY).
     Mesh {
         /// Its file, relative to the scene's folder, resolved.
         file: PathBuf,
     },
+}
+
+/// A solitary wave over the floor y = 0, at the start.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SolitaryWave {
+    /// Of the water at rest, m.
+    pub depth: f64,
+    /// Of the crest above the water at rest, m.
+    pub height: f64,
+    /// x and z of a point of the crest, m.
+    pub crest: [f64; 2],
+    /// Where it goes: the unit vector along x and z.
+    pub direction: [f64; 2],
+    /// Downwards, m/s^2: its speed depends on it.
+    pub gravity: f64,
 }
 
 /// Scale and rotation about the shape's own centre ([`Shape::centre`]), then translation, of an obstacle's shape or a solid's

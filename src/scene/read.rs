@@ -9,7 +9,7 @@ use sha2::{Digest, Sha256};
 use super::camera::camera;
 use super::document::{Document, Keys, Place, Table};
 use super::probe::probes;
-use super::shape::{keyframes, placement, shape};
+use super::shape::{keyframes, placement, shape, solitary};
 use super::solid::solids;
 use super::surface::surface;
 use super::tap::{sinks, sources};
@@ -69,7 +69,15 @@ const LIQUID: Keys = Keys {
     ],
     later: &[],
 };
-const REGION_SHAPES: [&str; 6] = ["box", "sphere", "cylinder", "half_space", "mesh", "wave"];
+const REGION_SHAPES: [&str; 7] = [
+    "box",
+    "sphere",
+    "cylinder",
+    "half_space",
+    "mesh",
+    "wave",
+    "solitary",
+];
 const REGION: Keys = Keys {
     valid: &[
         "box",
@@ -78,6 +86,7 @@ const REGION: Keys = Keys {
         "half_space",
         "mesh",
         "wave",
+        "solitary",
         "subtract",
         "velocity",
     ],
@@ -575,7 +584,10 @@ fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
 fn region(place: &Place, file: &Path, domain: &Domain) -> Result<Region, Error> {
     let table = place.clone().table(&REGION)?;
     let (kind, shape_place) = table.one_of(&REGION_SHAPES, "shape")?;
-    let shape = shape(kind, shape_place.clone(), file)?;
+    let shape = match kind {
+        "solitary" => solitary(shape_place.clone(), domain.gravity)?,
+        _ => shape(kind, shape_place.clone(), file)?,
+    };
     shape_place.ensure(
         shape.reaches(&Placement::default(), domain.size),
         format!(

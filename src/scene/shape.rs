@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use glam::{DMat3, DVec3};
 
 use super::document::{Keys, Place, Table};
-use super::{Keyframe, Placement, Shape};
+use super::{Keyframe, Placement, Shape, SolitaryWave};
 use crate::error::Error;
 
 const PLACEMENT: Keys = Keys {
@@ -40,10 +40,17 @@ const WAVE: Keys = Keys {
     valid: &["level", "amplitude", "wave_number", "phase"],
     later: &[],
 };
+const SOLITARY: Keys = Keys {
+    valid: &["depth", "height", "crest", "direction"],
+    later: &[],
+};
 const MESH: Keys = Keys {
     valid: &["file"],
     later: &[],
 };
+
+/// Highest solitary wave, over the depth: beyond, theory of third order is not the wave that stays as it is.
+const HIGHEST_SOLITARY: f64 = 0.6;
 
 /// The shape under the key `kind`; mesh files are relative to the folder of the scene's `file`.
 pub(super) fn shape(kind: &str, place: Place, file: &Path) -> Result<Shape, Error> {
@@ -140,6 +147,54 @@ pub(super) fn shape(kind: &str, place: Place, file: &Path) -> Result<Shape, Erro
         }
         _ => unreachable!("a shape key that no table lists"),
     })
+}
+
+/// A solitary wave under this gravity, m/s^2.
+pub(super) fn solitary(place: Place, gravity: DVec3) -> Result<Shape, Error> {
+    let table = place.clone().table(&SOLITARY)?;
+    let depth = table
+        .required("depth", "depth = 0.3, of the water at rest in m")?
+        .positive("the depth of the water at rest in m")?;
+    let height_place = table.required("height", "height = 0.06, of the crest in m")?;
+    let height = height_place.positive("the height of the crest above the water at rest in m")?;
+    height_place.ensure(
+        height <= HIGHEST_SOLITARY * depth,
+        format!("is {height}, {:.2} of the depth", height / depth),
+        format!(
+            "write at most {HIGHEST_SOLITARY} of the depth, {} m: higher ones are not known well, and break from 0.83 on",
+            HIGHEST_SOLITARY * depth
+        ),
+    )?;
+    let crest = table.required(
+        "crest",
+        "crest = [1, 0], x and z of a point of the crest in m",
+    )?;
+    let way = table.required(
+        "direction",
+        "direction = [1, 0], where it goes along x and z",
+    )?;
+    let [x, z] = way.numbers("where it goes along x and z")?;
+    let length = f64::hypot(x, z);
+    way.ensure(
+        length.is_normal(),
+        format!("is [{x}, {z}], which has no direction"),
+        "write where it goes along x and z, such as [1, 0]",
+    )?;
+    place.ensure(
+        gravity.y < 0.0 && gravity.x == 0.0 && gravity.z == 0.0,
+        format!(
+            "runs over a level floor, and gravity is [{}, {}, {}]",
+            gravity.x, gravity.y, gravity.z
+        ),
+        "let domain.gravity point along -y, such as [0, -9.81, 0]",
+    )?;
+    Ok(Shape::Solitary(SolitaryWave {
+        depth,
+        height,
+        crest: crest.numbers("x and z of a point of the crest in m")?,
+        direction: [x / length, z / length],
+        gravity: -gravity.y,
+    }))
 }
 
 /// The file with the name at `place`, resolved against the folder of the scene's `file`. `what` names it; its extension must be
@@ -246,7 +301,7 @@ pub(super) fn keyframes(table: &Table) -> Result<Vec<Keyframe>, Error> {
 
 impl Shape {
     /// What it is turned and scaled about: the middle of a box, ball or cylinder. `None` for a mesh, whose centre is that
-    /// of its bounding box and known only to the reader of its file, and for half spaces and waves, which are not placed.
+    /// of its bounding box and known only to the reader of its file, and for half spaces and waves of both kinds, which are not placed.
     pub fn centre(&self) -> Option<DVec3> {
         match self {
             Shape::Box { min, max } => Some(0.5 * (min + max)),
@@ -254,11 +309,14 @@ impl Shape {
             Shape::Cylinder {
                 base, axis, height, ..
             } => Some(base + 0.5 * height * axis),
-            Shape::HalfSpace { .. } | Shape::Wave { .. } | Shape::Mesh { .. } => None,
+            Shape::HalfSpace { .. }
+            | Shape::Wave { .. }
+            | Shape::Solitary(_)
+            | Shape::Mesh { .. } => None,
         }
     }
 
-    /// Whether some of it lies in the box from the origin to `size`, judged by bounding boxes; true for meshes.
+    /// Whether some of it lies in the box from the origin to `size`, judged by bounding boxes; true for meshes and solitary waves.
     pub(super) fn reaches(&self, placement: &Placement, size: DVec3) -> bool {
         let half_extent = match self {
             Shape::Box { min, max } => {
@@ -291,7 +349,7 @@ impl Shape {
             Shape::Wave {
                 level, amplitude, ..
             } => return level + amplitude.abs() > 0.0,
-            Shape::Mesh { .. } => return true,
+            Shape::Solitary(_) | Shape::Mesh { .. } => return true,
         };
         let centre =
             self.centre().expect("boxes and cylinders have a centre") + placement.translate;
@@ -321,7 +379,10 @@ impl Shape {
                     x.dot(*axis).abs() <= 0.5 * height
                         && x.reject_from_normalized(*axis).length() <= *radius
                 }
-                Shape::HalfSpace { .. } | Shape::Wave { .. } | Shape::Mesh { .. } => false,
+                Shape::HalfSpace { .. }
+                | Shape::Wave { .. }
+                | Shape::Solitary(_)
+                | Shape::Mesh { .. } => false,
             }
         })
     }

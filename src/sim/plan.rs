@@ -193,10 +193,7 @@ fn first_step(
     grid: &Grid,
     (solids, clip, taps): (&Solids, Option<&SolidClip>, &Taps),
 ) -> TimeStep {
-    let regions = scene.liquid.iter().flat_map(|liquid| &liquid.regions);
-    let liquid_speed = regions
-        .map(|region| region.velocity.abs().max_element())
-        .fold(0.0, f64::max);
+    let liquid_speed = scene.liquid.as_ref().map_or(0.0, geometry::initial_speed);
     let (_, velocity) = solids.initial_state(scene);
     let nodes = velocity.as_flattened().iter();
     let solid_speed = nodes.fold(0.0, |speed, v| f64::max(speed, v.abs()));

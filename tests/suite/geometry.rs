@@ -8,7 +8,7 @@ use cutwater::error::Error;
 use cutwater::geometry::{self, Clipping, CutCells, Regions, Surface, clip, open_fractions};
 use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference::advect_markers;
-use cutwater::scene::{self, Liquid, Obstacle, Placement, Region, Scene, Shape};
+use cutwater::scene::{self, Liquid, Obstacle, Placement, Region, Scene, Shape, SolitaryWave};
 use cutwater::state::State;
 use glam::{DMat3, DQuat, DVec3};
 
@@ -1048,6 +1048,76 @@ fn region_distances_are_exact() {
             let got = regions.distance(on + offset * normal);
             assert!((got - offset).abs() < 3e-8, "{got} for {offset}");
         }
+    }
+}
+
+/// What is left of the equations of a wave that stays as it is falls with the fourth power of its height, within the depth and at the surface: no
+/// divergence, no curl, no flow through the surface and Bernoulli's law on it, all in the frame that goes with the wave. Lengths in
+/// depths, speeds in sqrt(g depth), the wave turned.
+#[test]
+fn a_solitary_wave_is_one_to_third_order() {
+    let residuals = |e: f64| {
+        let (gravity, depth): (f64, f64) = (9.81, 0.4);
+        let direction = [0.6, -0.8];
+        let way = DVec3::new(direction[0], 0.0, direction[1]);
+        let crest = [0.7, -0.2];
+        let wave = liquid(&[Shape::Solitary(SolitaryWave {
+            depth,
+            height: e * depth,
+            crest,
+            direction,
+            gravity,
+        })]);
+        let regions = Regions::new(&wave).unwrap();
+        let at =
+            |x: f64, z: f64| DVec3::new(crest[0], 0.0, crest[1]) + depth * (x * way + z * DVec3::Y);
+        let velocity = |x: f64, z: f64| {
+            let velocity = regions.velocity(at(x, z)).unwrap();
+            assert!(velocity.dot(DVec3::new(-way.z, 0.0, way.x)).abs() < 1e-15);
+            [velocity.dot(way), velocity.y].map(|v| v / (gravity * depth).sqrt())
+        };
+        // The height at which the distance is 0.
+        let surface = |x: f64| {
+            let [mut low, mut high] = [0.5, 2.0];
+            for _ in 0..60 {
+                let middle = 0.5 * (low + high);
+                let below = regions.distance(at(x, middle)) < 0.0;
+                *(if below { &mut low } else { &mut high }) = middle;
+            }
+            low
+        };
+        let speed = (1.0 + e - e * e / 20.0 - 3.0 * e.powi(3) / 70.0).sqrt();
+        let d = 1e-4;
+        let (mut within, mut on) = ([0.0_f64; 2], [0.0_f64; 2]);
+        for step in -40..=40 {
+            let x = 0.2 * f64::from(step);
+            for z in [0.2, 0.5, 0.9] {
+                let [[east_u, east_w], [west_u, west_w]] = [velocity(x + d, z), velocity(x - d, z)];
+                let [[up_u, up_w], [down_u, down_w]] = [velocity(x, z + d), velocity(x, z - d)];
+                let divergence = (east_u - west_u + up_w - down_w) / (2.0 * d);
+                let curl = (east_w - west_w - up_u + down_u) / (2.0 * d);
+                within = [within[0].max(divergence.abs()), within[1].max(curl.abs())];
+            }
+            let height = surface(x);
+            let slope = (surface(x + d) - surface(x - d)) / (2.0 * d);
+            let [u, w] = velocity(x, height - 1e-9);
+            let through = (u - speed) * slope - w;
+            let bernoulli =
+                0.5 * ((u - speed).powi(2) + w * w) + height - 1.0 - 0.5 * speed * speed;
+            on = [on[0].max(through.abs()), on[1].max(bernoulli.abs())];
+        }
+        [within[0], within[1], on[0], on[1]]
+    };
+    let [high, low] = [residuals(0.2), residuals(0.1)];
+    for (what, (high, low)) in ["divergence", "curl", "through", "Bernoulli"]
+        .into_iter()
+        .zip(high.into_iter().zip(low))
+    {
+        let order = (high / low).log2();
+        assert!(
+            high < 0.01 && order > 3.6,
+            "{what}: {high:e}, {low:e}, order {order}"
+        );
     }
 }
 

@@ -320,6 +320,10 @@ const REFUSED: &[Case] = &[
     ("point = [0, 0.1, 0]", "point = [0, -0.1, 0]", 24, "liquid.region[2].half_space", &["outside the domain"]),
     ("half_space = { point = [0, 0.1, 0], normal = [0, 2, 0] }", "wave = { level = -0.2, amplitude = 0.1, wave_number = [3, 0] }", 24, "liquid.region[2].wave", &["outside the domain"]),
     ("normal = [0, 2, 0]", "normal = [0, 0, 0]", 24, "liquid.region[2].half_space.normal", &["no direction", "[0, 1, 0]"]),
+    ("half_space = { point = [0, 0.1, 0], normal = [0, 2, 0] }", "solitary = { height = 0.05, crest = [0, 0], direction = [1, 0] }", 24, "liquid.region[2].solitary.depth", &["is missing", "depth = 0.3"]),
+    ("half_space = { point = [0, 0.1, 0], normal = [0, 2, 0] }", "solitary = { depth = 0.2, height = 0.15, crest = [0, 0], direction = [1, 0] }", 24, "liquid.region[2].solitary.height", &["is 0.15, 0.75 of the depth", "at most 0.6"]),
+    ("half_space = { point = [0, 0.1, 0], normal = [0, 2, 0] }", "solitary = { depth = 0.2, height = 0.05, crest = [0, 0], direction = [0, 0] }", 24, "liquid.region[2].solitary.direction", &["no direction", "[1, 0]"]),
+    ("half_space = { point = [0, 0.1, 0], normal = [0, 2, 0] }", "solitary = { depth = 0.2, height = 0.05, crest = [0, 0], direction = [1, 0] }", 24, "liquid.region[2].solitary", &["gravity is [0, 0, -9.81]", "along -y"]),
     ("surface = \"markers\"\nmarker_radius = 1.0\nseed = 7\nvolume_control = false", "surface = \"fixed\"\nvolume_control = true", 14, "liquid.volume_control", &["no volume control"]),
     // Obstacles.
     ("axis = [0, 3, 0]", "axis = [0, 0, 0]", 26, "obstacle[0].cylinder.axis", &["no direction"]),
@@ -890,6 +894,7 @@ fn every_scene_in_the_folder_loads_at_every_usual_size() {
         "conditioning_40",
         "conditioning_60",
         "conditioning_80",
+        "cylinder_tank",
         "dam_break",
         "dam_break_liquid",
         "dinosaur_step",
@@ -904,6 +909,8 @@ fn every_scene_in_the_folder_loads_at_every_usual_size() {
         "material_stack",
         "platform",
         "sloped_panel",
+        "sloshing_tank",
+        "solitary_run_up",
         "sphere_half_full",
         "spinning_block",
         "squashed_cube",
@@ -927,13 +934,8 @@ fn every_scene_in_the_folder_loads_at_every_usual_size() {
         for scale in [0.5, 1.0, 2.0] {
             let scene = Scene::load(file, &[], scale).unwrap();
             assert!(scene.domain.cells.iter().any(|&n| n as f64 >= 20.0 * scale));
-            assert!(
-                scene
-                    .domain
-                    .cells
-                    .iter()
-                    .all(|&n| n as f64 <= 100.0 * scale)
-            );
+            let n_cells: usize = scene.domain.cells.iter().product();
+            assert!(n_cells as f64 <= (100.0 * scale).powi(3), "{n_cells} cells");
         }
     }
 }
