@@ -3,7 +3,8 @@
 //! The scene runs; after each frame its state is also given to the same scene without one of its effects, for each of them. Sub-steps with and
 //! without are done from the same state one after the other, in a shuffled order, so that what else the machine does falls on both; the
 //! seconds that an effect adds are the median of the paired differences. Bytes are those of all buffers, dispatches those recorded in a
-//! sub-step. What `solids` and `liquid` add where both are there is their coupling, too.
+//! sub-step. What `solids` and `liquid` add where both are there is their coupling, too. On the same states every output is timed, too
+//! ([`super::output_cost`]).
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -21,8 +22,9 @@ use crate::scene::{ElasticModel, Liquid, PatchPressure, Scene, Solid, Surface};
 use crate::sim::{Backend, GpuPath, Plan, Simulation};
 use crate::state::State;
 
+use super::output_cost::{self, OutputRow};
 use super::statistics::Spread;
-use super::table::{Machine, write_csv, write_json, write_svg};
+use super::table::{Machine, Table, write_csv, write_json, write_svg};
 
 /// Of the shuffling: the same order in every run.
 const SEED: u64 = 7;
@@ -67,8 +69,23 @@ pub struct Row {
     pub pairs: usize,
 }
 
-/// The table and where it was measured.
-pub type Table = super::table::Table<Row>;
+/// What was measured.
+#[derive(Clone, Debug)]
+pub struct Tables {
+    /// Of the effects.
+    pub effects: Table<Row>,
+    /// Of the outputs.
+    pub outputs: Table<OutputRow>,
+}
+
+/// A row that is done.
+#[derive(Clone, Copy, Debug)]
+pub enum Told<'a> {
+    /// Of an effect.
+    Effect(&'a Row),
+    /// Of an output.
+    Output(&'a OutputRow),
+}
 
 /// An effect: its name, whether a scene has it, and what is left of the scene without it.
 struct Effect {
@@ -78,7 +95,7 @@ struct Effect {
 }
 
 /// Those that can be left out, in the order of [`Effects`].
-const EFFECTS: [Effect; 15] = [
+const EFFECTS: [Effect; 16] = [
     Effect {
         name: "liquid",
         present: |effects| effects.liquid,
@@ -167,6 +184,17 @@ const EFFECTS: [Effect; 15] = [
         without: |scene| scene.obstacles.clear(),
     },
     Effect {
+        name: "moving_obstacles",
+        present: |effects| effects.moving_obstacles,
+        // They stand where they were at first.
+        without: |scene| {
+            scene
+                .obstacles
+                .iter_mut()
+                .for_each(|obstacle| obstacle.motion = None)
+        },
+    },
+    Effect {
         name: "patch_correction",
         present: |effects| effects.patch_correction,
         without: |scene| scene.solver.pressure_on_patches = PatchPressure::Cell,
@@ -246,35 +274,50 @@ impl Run {
     }
 }
 
-/// Measures all scenes and writes effects.csv, effects.json and effects.svg into `out`; `tell` hears of each row.
+/// Measures all scenes and writes effects.csv, effects.json, effects.svg, outputs.csv and outputs.json into `out`; `tell` hears of each row.
 ///
 /// # Errors
 /// [`Error::Output`], and what the simulations say.
 pub fn bench_effects(
     options: &Options,
     out: &Path,
-    tell: &mut dyn FnMut(&Row),
-) -> Result<Table, Error> {
+    tell: &mut dyn FnMut(Told),
+) -> Result<Tables, Error> {
     fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
     // A device of its own: nothing of this is counted.
     let machine = Machine::new(&Gpu::new(&options.adapter)?, 3)?;
-    let mut rows = Vec::new();
+    let (mut of_effects, mut of_outputs) = (Vec::new(), Vec::new());
     for scene in &options.scenes {
-        for row in measure(scene, options)? {
-            tell(&row);
-            rows.push(row);
-        }
+        let (effects, outputs) = measure(scene, options, &out.join("frames"))?;
+        effects.iter().for_each(|row| tell(Told::Effect(row)));
+        outputs.iter().for_each(|row| tell(Told::Output(row)));
+        of_effects.extend(effects);
+        of_outputs.extend(outputs);
     }
-    let table = Table { machine, rows };
-    write_csv(&table.rows, &out.join("effects.csv"))?;
-    write_json(&table, &out.join("effects.json"))?;
+    let effects = Table {
+        machine: machine.clone(),
+        rows: of_effects,
+    };
+    write_csv(&effects.rows, &out.join("effects.csv"))?;
+    write_json(&effects, &out.join("effects.json"))?;
     write_svg(&out.join("effects.svg"), (900, 600), |page| {
-        draw(&table.rows, page)
+        draw(&effects.rows, page)
     })?;
-    Ok(table)
+    let outputs = Table {
+        machine,
+        rows: of_outputs,
+    };
+    write_csv(&outputs.rows, &out.join("outputs.csv"))?;
+    write_json(&outputs, &out.join("outputs.json"))?;
+    Ok(Tables { effects, outputs })
 }
 
-fn measure(scene: &Scene, options: &Options) -> Result<Vec<Row>, Error> {
+/// Rows of the effects and of the outputs of a scene; frames are written into `folder` and removed.
+fn measure(
+    scene: &Scene,
+    options: &Options,
+    folder: &Path,
+) -> Result<(Vec<Row>, Vec<OutputRow>), Error> {
     let mut whole = Run::new(scene.clone(), &options.adapter)?;
     let effects = Effects::of(scene);
     let mut parts = Vec::new();
@@ -343,7 +386,11 @@ fn measure(scene: &Scene, options: &Options) -> Result<Vec<Row>, Error> {
         row.pairs = pairs.len();
         Ok(row)
     });
-    rows.collect()
+    let rows = rows.collect::<Result<_, Error>>()?;
+    let outputs = output_cost::measure(scene, &mut whole.simulation, &states, folder, &mut random)?;
+    // Empty now.
+    fs::remove_dir(folder).map_err(|problem| Error::output(folder, problem))?;
+    Ok((rows, outputs))
 }
 
 /// What each effect adds, in milliseconds: a bar from the first to the third quartile with the median, per scene and effect.

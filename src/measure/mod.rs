@@ -15,6 +15,7 @@ mod chart;
 pub mod compare;
 pub mod export;
 pub mod insert;
+pub mod output_cost;
 pub mod plane_strain;
 pub mod plot;
 pub mod report;

@@ -252,6 +252,7 @@ impl PlaneStrain {
                 fov: 35.0,
                 size: [640, 480],
                 keyframes: Vec::new(),
+                cut: None,
             },
         })
     }

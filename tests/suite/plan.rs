@@ -7,6 +7,7 @@ use std::path::Path;
 
 use cutwater::effects::Effects;
 use cutwater::gpu::{AdapterChoice, AdapterReport};
+use cutwater::grid::Axis;
 use cutwater::scene::{Precision, Scene};
 use cutwater::sim::{Backend, Plan, Simulation, solids_of};
 use cutwater::{Error, geometry};
@@ -476,6 +477,74 @@ fn absent_effects_take_nothing() {
                 .any(|stage| stage.name == "advect_markers"),
             "advect_markers with a fixed surface"
         );
+    }
+}
+
+/// Liquid, a solid that swims in it and an obstacle: of what brings liquid in, takes it out or moves the obstacle each comes with kernels and buffers
+/// of its own, and is gone without it; nothing else comes or goes with it. An open side has no kernel of its own.
+#[test]
+fn ways_in_and_out_and_motion_take_nothing_where_they_are_absent() {
+    if gpu().is_none() {
+        return;
+    }
+    let text = |more: &str, keyframes: &str| {
+        format!(
+            "surface = \"markers\"\n\
+             [[liquid.region]]\nbox = {{ min = [0, 0, 0], max = [1, 0.5, 1] }}\n{more}\
+             [[solid]]\nname = \"raft\"\nmesh = {{ box = {{ size = [0.2, 0.2, 0.2], cells = [2, 2, 2] }} }}\n\
+             placement = {{ translate = [0.7, 0.5, 0.5] }}\ndensity = 500\nyoung = 1e5\npoisson = 0.3\n\
+             [[obstacle]]\nbox = {{ min = [0.1, 0.2, 0.3], max = [0.4, 0.6, 0.7] }}\n{keyframes}"
+        )
+    };
+    let of = |text: &str, open: bool| -> (BTreeSet<&'static str>, BTreeSet<String>) {
+        let mut scene = written([16, 16, 16], text);
+        if open {
+            scene.domain.open = scene.domain.open.with(Axis::X, 1);
+        }
+        let (simulation, plan) = made(&scene);
+        assert_buffers(text, &plan, &simulation);
+        let labels = allocated(&simulation).into_iter().map(|(label, _)| label);
+        (simulation.gpu().unwrap().compiled(), labels.collect())
+    };
+    let (kernels, labels) = of(&text("", ""), false);
+    let source = "[[source]]\nbox = { min = [0.5, 0.8, 0.5], max = [0.7, 0.9, 0.7] }\nvelocity = [0, -1, 0]\n";
+    let sink = "[[sink]]\nbox = { min = [0.9, 0, 0], max = [1, 0.1, 1] }\n";
+    let keyframes = "keyframes = [{ t = 0 }, { t = 1, translate = [0.1, 0, 0] }]\n";
+    let sourcing = [
+        "carry_faces",
+        "count_in_sources",
+        "hold_faces",
+        "plan_seeds",
+        "seed_markers",
+    ];
+    for (what, text, open, own_kernels, own_labels) in [
+        ("open side", text("", ""), true, &[][..], &[][..]),
+        ("source", text(source, ""), false, &sourcing, &["sources."]),
+        (
+            "sink",
+            text(sink, ""),
+            false,
+            &["empty_sinks", "sink_markers"],
+            &["sinks."],
+        ),
+        (
+            "motion",
+            text("", keyframes),
+            false,
+            &["obstacle_flux", "take_up"],
+            &["clip.fluxes", "liquid.obstacle_flux"],
+        ),
+    ] {
+        let (with_kernels, with_labels) = of(&text, open);
+        let own: Vec<&str> = with_kernels.difference(&kernels).copied().collect();
+        assert_eq!(own, own_kernels, "{what}");
+        assert_eq!(kernels.difference(&with_kernels).count(), 0, "{what}");
+        let own: Vec<&String> = with_labels.difference(&labels).collect();
+        assert_eq!(own.is_empty(), own_labels.is_empty(), "{what}: {own:?}");
+        let of_its_own = |label: &String| own_labels.iter().any(|own| label.starts_with(own));
+        assert!(own.iter().all(|label| of_its_own(label)), "{what}: {own:?}");
+        assert!(!labels.iter().any(of_its_own), "{what}");
+        assert_eq!(labels.difference(&with_labels).count(), 0, "{what}");
     }
 }
 

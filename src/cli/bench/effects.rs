@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 use cutwater::Error;
-use cutwater::measure::bench_effects::{Options, bench_effects};
+use cutwater::measure::bench_effects::{Options, Row, Told, bench_effects};
+use cutwater::measure::output_cost::OutputRow;
 use cutwater::scene::Scene;
 
 use super::tell_machine;
@@ -39,34 +40,70 @@ impl Effects {
             frames: self.frames,
             adapter: self.adapter.choice(),
         };
-        say!(
-            "scene            effect            ms with, without  added (quartiles)        MiB     dispatches  kernels of its own"
-        );
-        let table = bench_effects(&options, &self.out, &mut |row| {
-            if row.pairs == 0 {
-                let why = match row.present {
-                    true => "all there is",
-                    false => "absent",
-                };
-                say!("{:16} {:16}  {why}", row.scene, row.effect);
-                return;
+        let mut told = "";
+        let tables = bench_effects(&options, &self.out, &mut |row| match row {
+            Told::Effect(row) => {
+                if told != "effects" {
+                    say!(
+                        "scene            effect            ms with, without  added (quartiles)        MiB     dispatches  kernels of its own"
+                    );
+                }
+                told = "effects";
+                say_effect(row);
             }
-            say!(
-                "{:16} {:16}  {:7.2}, {:7.2}  {:7.2} ({:.2}, {:.2})  {:8.3}  {:9}  {}",
-                row.scene,
-                row.effect,
-                1e3 * row.seconds_with,
-                1e3 * row.seconds_without,
-                1e3 * row.seconds_added,
-                1e3 * row.seconds_added_low,
-                1e3 * row.seconds_added_high,
-                row.bytes_added as f64 / (1u64 << 20) as f64,
-                row.dispatches_added,
-                row.kernels,
-            );
+            Told::Output(row) => {
+                if told != "outputs" {
+                    say!(
+                        "scene            output            ms a frame (quartiles)        KiB a frame"
+                    );
+                }
+                told = "outputs";
+                say_output(row);
+            }
         })?;
-        tell_machine(&table.machine);
-        say!("table and picture: {}", self.out.display());
+        tell_machine(&tables.effects.machine);
+        say!("tables and picture: {}", self.out.display());
         Ok(())
     }
+}
+
+fn say_effect(row: &Row) {
+    if row.pairs == 0 {
+        let why = match row.present {
+            true => "all there is",
+            false => "absent",
+        };
+        say!("{:16} {:16}  {why}", row.scene, row.effect);
+        return;
+    }
+    say!(
+        "{:16} {:16}  {:7.2}, {:7.2}  {:7.2} ({:.2}, {:.2})  {:8.3}  {:9}  {}",
+        row.scene,
+        row.effect,
+        1e3 * row.seconds_with,
+        1e3 * row.seconds_without,
+        1e3 * row.seconds_added,
+        1e3 * row.seconds_added_low,
+        1e3 * row.seconds_added_high,
+        row.bytes_added as f64 / (1u64 << 20) as f64,
+        row.dispatches_added,
+        row.kernels,
+    );
+}
+
+fn say_output(row: &OutputRow) {
+    say!(
+        "{:16} {:16}  {:7.2} ({:.2}, {:.2})  {:12.1}{}",
+        row.scene,
+        row.output,
+        1e3 * row.seconds,
+        1e3 * row.seconds_low,
+        1e3 * row.seconds_high,
+        row.bytes as f64 / 1024.0,
+        if row.present {
+            ""
+        } else {
+            "  off in the scene"
+        },
+    );
 }
