@@ -11,7 +11,7 @@ use super::atomic::write_atomically;
 use super::frames::FrameKinds;
 use crate::Error;
 use crate::elastic::Solids;
-use crate::scene::{Camera, CameraKeyframe, Scene, SolidMesh, Surface, SurfaceMesh};
+use crate::scene::{Camera, CameraCut, CameraKeyframe, Scene, SolidMesh, Surface, SurfaceMesh};
 
 /// Everything in manifest.json. Written when the run starts and again with each frame and at the end.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -146,6 +146,9 @@ pub struct CameraRecord {
     /// Its path; not in the file where it rests.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub keyframes: Vec<CameraKeyframeRecord>,
+    /// Where solids are cut open, the number of the axis and the place in m; not in the file where they are whole.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cut: Option<(usize, f64)>,
 }
 
 /// [`CameraKeyframe`] in a file.
@@ -178,6 +181,7 @@ impl From<&Camera> for CameraRecord {
                     fov: keyframe.fov,
                 })
                 .collect(),
+            cut: camera.cut.map(|cut| (cut.axis, cut.at)),
         }
     }
 }
@@ -199,6 +203,11 @@ impl From<&CameraRecord> for Camera {
                     fov: keyframe.fov,
                 })
                 .collect(),
+            // An axis that there is not cuts nothing.
+            cut: record
+                .cut
+                .filter(|(axis, _)| *axis < 3)
+                .map(|(axis, at)| CameraCut { axis, at }),
         }
     }
 }

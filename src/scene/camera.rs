@@ -4,16 +4,20 @@ use glam::DVec3;
 
 use super::document::{Keys, Place, Table};
 use super::shape::corners;
-use super::{Camera, CameraKeyframe, Domain, Time};
+use super::{Camera, CameraCut, CameraKeyframe, Domain, Time};
 use crate::error::Error;
 
 const CAMERA: Keys = Keys {
-    valid: &["eye", "target", "up", "fov", "size", "keyframes"],
-    later: &[],
+    valid: &["eye", "target", "up", "fov", "size", "keyframes", "cut"],
+    absent: &[],
+};
+const CUT: Keys = Keys {
+    valid: &["axis", "at"],
+    absent: &[],
 };
 const KEYFRAME: Keys = Keys {
     valid: &["t", "eye", "target", "fov"],
-    later: &[],
+    absent: &[],
 };
 
 /// The camera of a scene.
@@ -34,6 +38,9 @@ pub(super) fn camera(root: &Table, domain: &Domain, time: &Time) -> Result<Camer
     }
     if let Some(place) = table.get("target") {
         camera.target = place.vector(TARGET)?;
+    }
+    if let Some(place) = table.get("cut") {
+        camera.cut = Some(cut(&place, domain)?);
     }
     let keyframes = table.get("keyframes");
     match table.get("eye") {
@@ -65,6 +72,21 @@ pub(super) fn camera(root: &Table, domain: &Domain, time: &Time) -> Result<Camer
 
 const EYE: &str = "the position of the camera in m";
 const TARGET: &str = "the point in the middle of the picture in m";
+
+fn cut(place: &Place, domain: &Domain) -> Result<CameraCut, Error> {
+    let table = place.clone().table(&CUT)?;
+    let axis = table.required("axis", "axis = \"z\"")?;
+    let axis = axis.choice(&[("x", 0), ("y", 1), ("z", 2)])?;
+    let at_place = table.required("at", "at = 0.5, in m")?;
+    let at = at_place.number("where the plane crosses the axis in m")?;
+    let end = domain.size[axis];
+    at_place.ensure(
+        at > 0.0 && at < end,
+        format!("is {at}, outside the domain"),
+        format!("write a number between 0 and {end}"),
+    )?;
+    Ok(CameraCut { axis, at })
+}
 
 fn opening(place: &Place) -> Result<f64, Error> {
     let fov = place.positive("the vertical opening in degrees")?;
@@ -195,6 +217,7 @@ impl Camera {
             fov: 35.0,
             size: [1280, 720],
             keyframes: Vec::new(),
+            cut: None,
         };
         camera.step_back(domain);
         camera

@@ -410,8 +410,8 @@ fn one_line(message: &str) -> String {
 pub(super) struct Keys {
     /// Those that mean something.
     pub(super) valid: &'static [&'static str],
-    /// Those of the format that this version refuses, with the reason: a sentence that "yet" ends.
-    pub(super) later: &'static [(&'static str, &'static str)],
+    /// Those that one might look for and that are none, with the reason.
+    pub(super) absent: &'static [(&'static str, &'static str)],
 }
 
 /// A value in the tree.
@@ -683,11 +683,8 @@ impl<'a> Place<'a> {
                 key: join(&self.key, name),
                 node,
             };
-            if let Some((_, reason)) = keys.later.iter().find(|(later, _)| later == name) {
-                return Err(place.fail(
-                    format!("{reason} yet"),
-                    format!("remove `{name}`: this version simulates liquid or elastic solids in a closed box with obstacles that do not move"),
-                ));
+            if let Some((_, reason)) = keys.absent.iter().find(|(absent, _)| absent == name) {
+                return Err(place.fail(format!("is no key: {reason}"), format!("remove `{name}`")));
             }
             let nearest = keys
                 .valid

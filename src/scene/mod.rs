@@ -674,6 +674,17 @@ pub struct Camera {
     pub size: [usize; 2],
     /// Its path, ascending in time; empty: it rests.
     pub keyframes: Vec<CameraKeyframe>,
+    /// Where pictures show elastic solids cut open, so that one sees what is in them.
+    pub cut: Option<CameraCut>,
+}
+
+/// A plane across an axis: what lies on the camera's side of it is not drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CameraCut {
+    /// 0, 1 or 2.
+    pub axis: usize,
+    /// m
+    pub at: f64,
 }
 
 /// Where a camera is at one time.

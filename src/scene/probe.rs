@@ -13,7 +13,7 @@ const PROBE: Keys = Keys {
     valid: &[
         "name", "height", "pressure", "velocity", "front", "node", "solid", "force",
     ],
-    later: &[],
+    absent: &[],
 };
 /// What measures liquid.
 const OF_LIQUID: [&str; 4] = ["height", "pressure", "velocity", "front"];
@@ -23,27 +23,27 @@ const MEASUREMENTS: [&str; 7] = [
 ];
 const HEIGHT: Keys = Keys {
     valid: &["x", "z"],
-    later: &[],
+    absent: &[],
 };
 const POINT: Keys = Keys {
     valid: &["point"],
-    later: &[],
+    absent: &[],
 };
 const FRONT: Keys = Keys {
     valid: &["axis"],
-    later: &[],
+    absent: &[],
 };
 const NODE: Keys = Keys {
     valid: &["solid", "rest_point"],
-    later: &[],
+    absent: &[],
 };
 const SOLID: Keys = Keys {
     valid: &["name"],
-    later: &[],
+    absent: &[],
 };
 const FORCE: Keys = Keys {
     valid: &["solid"],
-    later: &[],
+    absent: &[],
 };
 
 /// All probes of a scene, in order.

@@ -48,15 +48,15 @@ const ROOT: Keys = Keys {
         "domain", "time", "liquid", "solid", "obstacle", "source", "sink", "probe", "solver",
         "output", "camera", "surface",
     ],
-    later: &[],
+    absent: &[],
 };
 const DOMAIN: Keys = Keys {
     valid: &["size", "cells", "gravity", "open"],
-    later: &[],
+    absent: &[],
 };
 const TIME: Keys = Keys {
     valid: &["duration", "frames_per_second", "cfl", "fixed_step"],
-    later: &[],
+    absent: &[],
 };
 const LIQUID: Keys = Keys {
     valid: &[
@@ -67,7 +67,7 @@ const LIQUID: Keys = Keys {
         "volume_control",
         "region",
     ],
-    later: &[],
+    absent: &[],
 };
 const REGION_SHAPES: [&str; 7] = [
     "box",
@@ -90,7 +90,7 @@ const REGION: Keys = Keys {
         "subtract",
         "velocity",
     ],
-    later: &[],
+    absent: &[],
 };
 const OBSTACLE_SHAPES: [&str; 4] = ["box", "sphere", "cylinder", "mesh"];
 const OBSTACLE: Keys = Keys {
@@ -104,7 +104,7 @@ const OBSTACLE: Keys = Keys {
         "keyframes",
         "pivot",
     ],
-    later: &[],
+    absent: &[],
 };
 const SOLVER: Keys = Keys {
     valid: &[
@@ -119,14 +119,11 @@ const SOLVER: Keys = Keys {
         "pressure_on_patches",
         "formulation",
     ],
-    later: &[
-        (
-            "sigma",
-            "formulations of coupled problems are not simulated",
-        ),
+    absent: &[
+        ("sigma", "the form with two fields halves the masses"),
         (
             "alpha",
-            "formulations of coupled problems are not simulated",
+            "residuals of pressures and of velocities are judged apart, without a weight",
         ),
     ],
 };
@@ -139,7 +136,7 @@ const OUTPUT: Keys = Keys {
         "every",
         "checkpoint_every",
     ],
-    later: &[],
+    absent: &[],
 };
 
 impl Scene {

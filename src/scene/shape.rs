@@ -10,47 +10,50 @@ use crate::error::Error;
 
 const PLACEMENT: Keys = Keys {
     valid: &["translate", "rotate", "scale"],
-    later: &[],
+    absent: &[],
 };
 const ROTATE: Keys = Keys {
     valid: &["axis", "degrees"],
-    later: &[],
+    absent: &[],
 };
 const KEYFRAME: Keys = Keys {
     valid: &["t", "translate", "rotate"],
-    later: &[],
+    absent: &[],
 };
 const BOX: Keys = Keys {
     valid: &["min", "max"],
-    later: &[],
+    absent: &[],
 };
 const SPHERE: Keys = Keys {
     valid: &["centre", "radius"],
-    later: &[],
+    absent: &[],
 };
 const CYLINDER: Keys = Keys {
     valid: &["base", "axis", "radius", "height"],
-    later: &[],
+    absent: &[],
 };
 const HALF_SPACE: Keys = Keys {
     valid: &["point", "normal"],
-    later: &[],
+    absent: &[],
 };
 const WAVE: Keys = Keys {
     valid: &["level", "amplitude", "wave_number", "phase"],
-    later: &[],
+    absent: &[],
 };
 const SOLITARY: Keys = Keys {
     valid: &["depth", "height", "crest", "direction"],
-    later: &[],
+    absent: &[],
 };
 const MESH: Keys = Keys {
     valid: &["file"],
-    later: &[],
+    absent: &[],
 };
 
 /// Highest solitary wave, over the depth: beyond, theory of third order is not the wave that stays as it is.
 const HIGHEST_SOLITARY: f64 = 0.6;
+
+/// Of a solitary wave, m: its speed grows with it.
+const MAX_DEPTH: f64 = 1e6;
 
 /// The shape under the key `kind`; mesh files are relative to the folder of the scene's `file`.
 pub(super) fn shape(kind: &str, place: Place, file: &Path) -> Result<Shape, Error> {
@@ -152,9 +155,14 @@ pub(super) fn shape(kind: &str, place: Place, file: &Path) -> Result<Shape, Erro
 /// A solitary wave under this gravity, m/s^2.
 pub(super) fn solitary(place: Place, gravity: DVec3) -> Result<Shape, Error> {
     let table = place.clone().table(&SOLITARY)?;
-    let depth = table
-        .required("depth", "depth = 0.3, of the water at rest in m")?
-        .positive("the depth of the water at rest in m")?;
+    let depth_place = table.required("depth", "depth = 0.3, of the water at rest in m")?;
+    let depth = depth_place.positive("the depth of the water at rest in m")?;
+    depth_place.within(
+        depth,
+        ..=MAX_DEPTH,
+        format!("is {depth:e}"),
+        format!("write at most {MAX_DEPTH:e} m, as large as a domain may be"),
+    )?;
     let height_place = table.required("height", "height = 0.06, of the crest in m")?;
     let height = height_place.positive("the height of the crest above the water at rest in m")?;
     height_place.ensure(

@@ -35,60 +35,60 @@ const SOLID: Keys = Keys {
         "script",
         "load",
     ],
-    later: &[],
+    absent: &[],
 };
 const MESH_KINDS: [&str; 5] = ["box", "sphere", "shell", "file", "surface"];
 const MESH: Keys = Keys {
     valid: &MESH_KINDS,
-    later: &[],
+    absent: &[],
 };
 const BOX: Keys = Keys {
     valid: &["size", "cells"],
-    later: &[],
+    absent: &[],
 };
 const SPHERE: Keys = Keys {
     valid: &["radius", "cell_size"],
-    later: &[],
+    absent: &[],
 };
 const SHELL: Keys = Keys {
     valid: &["radius", "thickness", "cell_size"],
-    later: &[],
+    absent: &[],
 };
 const SURFACE: Keys = Keys {
     valid: &["file", "cell_size"],
-    later: &[],
+    absent: &[],
 };
 const INITIAL: Keys = Keys {
     valid: &["scale", "velocity", "spin"],
-    later: &[],
+    absent: &[],
 };
 const DAMPING: Keys = Keys {
     valid: &["mass", "stiffness"],
-    later: &[],
+    absent: &[],
 };
 const PIN: Keys = Keys {
     valid: &["region", "components"],
-    later: &[],
+    absent: &[],
 };
 const SCRIPT: Keys = Keys {
     valid: &["region", "components", "keyframes"],
-    later: &[],
+    absent: &[],
 };
 const LOAD: Keys = Keys {
     valid: &["region", "force", "traction"],
-    later: &[],
+    absent: &[],
 };
 /// Shapes that choose nodes.
 const REGION_SHAPES: [&str; 4] = ["box", "sphere", "cylinder", "half_space"];
 const REGION: Keys = Keys {
     valid: &REGION_SHAPES,
-    later: &[],
+    absent: &[],
 };
 /// Those of them that have a middle to turn about.
 const SCRIPT_SHAPES: [&str; 3] = ["box", "sphere", "cylinder"];
 const SCRIPT_REGION: Keys = Keys {
     valid: &SCRIPT_SHAPES,
-    later: &[],
+    absent: &[],
 };
 
 /// All solids of a scene, in order; none where it has no `[[solid]]`.

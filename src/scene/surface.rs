@@ -6,7 +6,7 @@ use crate::error::Error;
 
 const SURFACE: Keys = Keys {
     valid: &["radius", "smoothing"],
-    later: &[],
+    absent: &[],
 };
 
 /// Radii, cells: below, a dense body has holes, since markers are half a cell apart; above, a drop is as large as a wave.

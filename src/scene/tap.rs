@@ -13,11 +13,11 @@ use crate::error::Error;
 const SHAPES: [&str; 3] = ["box", "sphere", "cylinder"];
 const SOURCE: Keys = Keys {
     valid: &["box", "sphere", "cylinder", "velocity", "start", "end"],
-    later: &[],
+    absent: &[],
 };
 const SINK: Keys = Keys {
     valid: &["box", "sphere", "cylinder"],
-    later: &[],
+    absent: &[],
 };
 /// Most sources, and most sinks: which of them run are bits of a word.
 const MOST: usize = 32;

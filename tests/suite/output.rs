@@ -640,6 +640,7 @@ fn scene() -> Scene {
             fov: 35.0,
             size: [320, 180],
             keyframes: Vec::new(),
+            cut: None,
         },
     }
 }
@@ -705,6 +706,7 @@ pub(crate) fn front_camera() -> scene::Camera {
         fov: 20.0,
         size: [320, 180],
         keyframes: Vec::new(),
+        cut: None,
     }
 }
 

@@ -10,7 +10,7 @@ use cutwater::output::frames::{FrameKinds, FrameWriter};
 use cutwater::output::manifest::{Manifest, RunOptions};
 use cutwater::output::preview::{Colour, PreviewOptions, preview};
 use cutwater::output::tables::{StepRow, StepTable};
-use cutwater::scene::Scene;
+use cutwater::scene::{CameraCut, Scene};
 use cutwater::state::{
     ContactReport, CouplingReport, SolidDiagnosis, SolidReport, SolveReport, SolveStatus, State,
     StepReport,
@@ -50,10 +50,11 @@ struct Case {
 
 impl Case {
     fn new() -> Case {
-        let folder = tempfile::tempdir().unwrap();
-        let file = folder.path().join("blocks.toml");
-        std::fs::write(&file, SCENE).unwrap();
-        let mut scene = Scene::load(&file, &[], 1.0).unwrap();
+        Case::of(SCENE)
+    }
+
+    fn of(text: &str) -> Case {
+        let mut scene = Scene::parse(Path::new("blocks.toml"), text, &[], 1.0).unwrap();
         scene.camera = front_camera();
         let meshes = geometry::solid_meshes(&scene).unwrap();
         let solids = Solids::new(&scene, &meshes).unwrap();
@@ -362,6 +363,61 @@ fn pictures_show_solids_where_they_are() {
         "the right block is not where it moved to"
     );
     assert_eq!(first.at(air), second.at(air));
+}
+
+/// A ball in a hollow ball: whole, nothing is seen of it; cut through the middle, both show what they are made of, and the space between
+/// them is seen. From the other side, too.
+#[test]
+fn solids_are_cut_open() {
+    let text = "[domain]\nsize = [1, 0.5, 0.5]\ncells = [16, 8, 8]\n[time]\nduration = 1\n\
+        [[solid]]\nname = 'shell'\nmesh = { shell = { radius = 0.2, thickness = 0.08, cell_size = 0.05 } }\n\
+        placement = { translate = [0.5, 0.25, 0.25] }\ndensity = 1000\nyoung = 1e6\npoisson = 0.25\n\
+        [[solid]]\nname = 'core'\nmesh = { sphere = { radius = 0.06, cell_size = 0.03 } }\n\
+        placement = { translate = [0.5, 0.25, 0.25] }\ndensity = 1000\nyoung = 1e6\npoisson = 0.25\n";
+    let draw = |cut: Option<CameraCut>, from: f64| {
+        let run = tempfile::tempdir().unwrap();
+        let mut case = Case::of(text);
+        case.scene.camera.eye.z = 0.25 + from;
+        case.scene.camera.cut = cut;
+        case.manifest().write(run.path()).unwrap();
+        let manifest = Manifest::read(run.path()).unwrap();
+        assert_eq!(manifest, case.manifest());
+        case.write(&mut case.writer(run.path())).unwrap();
+        Decoded::read(&pictures(run.path(), Colour::Solid)[0])
+    };
+    // On the plane through the middle, which is 2.5 m before the eye as the front wall is for `pixel`.
+    let [core, gap, wall, air] = [0.5, 0.59, 0.66, 0.9].map(|x| pixel(x, 0.251));
+    let middle = CameraCut { axis: 2, at: 0.25 };
+    for from in [2.5, -2.5] {
+        let whole = draw(None, from);
+        let cut = draw(Some(middle), from);
+        assert!(
+            !differ(whole.at(core), whole.at(wall)),
+            "{from}: the shell hides what is in it"
+        );
+        assert!(
+            differ(cut.at(core), cut.at(wall)),
+            "{from}: the ball in the shell is not seen"
+        );
+        assert!(
+            differ(cut.at(gap), cut.at(core)),
+            "{from}: the space in the shell is not seen"
+        );
+        assert!(
+            differ(cut.at(wall), cut.at(air)),
+            "{from}: the shell is hollow where it is cut"
+        );
+        // Beyond what there is, it takes nothing; before it, everything.
+        let far = |at: f64| draw(Some(CameraCut { axis: 2, at }), from);
+        let [beyond, before] = if from > 0.0 {
+            [0.49, 0.01]
+        } else {
+            [0.01, 0.49]
+        }
+        .map(far);
+        assert_eq!(beyond.at(core), whole.at(core), "{from}");
+        assert!(differ(before.at(core), whole.at(core)), "{from}");
+    }
 }
 
 #[test]

@@ -354,6 +354,9 @@ const REFUSED: &[Case] = &[
     ("eye = [1, 1, 3]", "keyframes = [{ t = 0, eye = [1, 1, 3], fov = 170 }]", 52, "camera.keyframes[0].fov", &["is 170", "150"]),
     ("eye = [1, 1, 3]", "keyframes = [{ t = 0, eye = [1, 0.5, 3.25] }, { t = 1, eye = [1, 0.5, -2.75] }]", 52, "camera.keyframes[0]", &["target itself at 0.5 s", "move it"]),
     ("fov = 50", "fov = 180", 55, "camera.fov", &["150"]),
+    ("fov = 50", "cut = { axis = \"z\", at = 0.5 }", 55, "camera.cut.at", &["is 0.5, outside the domain", "between 0 and 0.5"]),
+    ("fov = 50", "cut = { axis = \"z\" }", 55, "camera.cut.at", &["is missing", "at = 0.5, in m"]),
+    ("tolerance = 1e-6", "sigma = 0.5", 41, "solver.sigma", &["is no key", "halves the masses", "remove `sigma`"]),
     ("size = [640, 480]", "size = [640, 4]", 56, "camera.size[1]", &["from 16"]),
 ];
 

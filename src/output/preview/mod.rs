@@ -25,12 +25,12 @@ use super::manifest::Manifest;
 use super::surface::LiquidSurface;
 use crate::Error;
 use crate::grid::Grid;
-use crate::scene::{Camera, SurfaceMesh};
+use crate::scene::{Camera, CameraCut, SurfaceMesh};
 use liquid::Liquid;
 use picture::Picture;
 use shade::{Stage, View};
 use solids::{Scale, Skin, SolidFrame};
-use triangles::{Owner, Triangle, Triangles};
+use triangles::{HalfSpace, Owner, Triangle, Triangles};
 
 const DARK: [u8; 3] = [40, 46, 54];
 
@@ -222,7 +222,8 @@ impl Pictures {
         }
         if let Some(file) = &files.solids {
             let frame = SolidFrame::read(file, options.colour)?;
-            (stage.solids, stage.looks) = skin.dress(&frame, options.colour);
+            let (solids, looks) = skin.dress(&frame, options.colour);
+            (stage.solids, stage.looks) = (solids.without(before(camera.cut, view.eye)), looks);
         }
         let (mut picture, depths) = stage.render(&view);
         draw_domain(&mut picture, &depths, &view, stage.domain);
@@ -322,6 +323,17 @@ fn frame_files(folder: &Path, manifest: &Manifest) -> Result<BTreeMap<u64, Frame
         return Err(Error::input(folder.display().to_string(), problem, cure));
     }
     Ok(found)
+}
+
+/// What lies before a cut, seen from the eye.
+fn before(cut: Option<CameraCut>, eye: Vec3) -> Option<HalfSpace> {
+    let CameraCut { axis, at } = cut?;
+    let at = at as f32;
+    let side = if eye[axis] < at { -1.0 } else { 1.0 };
+    Some(HalfSpace {
+        normal: side * Vec3::AXES[axis],
+        offset: side * at,
+    })
 }
 
 /// Against gravity along the nearest axis; without gravity the camera's up.

@@ -40,8 +40,25 @@ pub(super) struct Hit {
     pub(super) weights: [f32; 3],
 }
 
+/// Half of space: the points with normal . x > offset.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct HalfSpace {
+    /// Unit vector.
+    pub(super) normal: Vec3,
+    /// m
+    pub(super) offset: f32,
+}
+
+impl HalfSpace {
+    fn holds(&self, x: Vec3) -> bool {
+        self.normal.dot(x) > self.offset
+    }
+}
+
 /// Triangles of a scene.
 pub(super) struct Triangles {
+    /// What is in it is not seen and gives no shade.
+    cut: Option<HalfSpace>,
     triangles: Vec<Triangle>,
     /// In the order of a depth-first walk: the left child follows its parent.
     nodes: Vec<Node>,
@@ -70,11 +87,55 @@ impl Triangles {
         if !triangles.is_empty() {
             build(&mut triangles, 0, &mut nodes);
         }
-        Triangles { triangles, nodes }
+        Triangles {
+            cut: None,
+            triangles,
+            nodes,
+        }
     }
 
-    /// The nearest triangle before `limit` that shows a side that can be seen.
+    /// The same without what is in a part of space.
+    pub(super) fn without(self, cut: Option<HalfSpace>) -> Triangles {
+        Triangles { cut, ..self }
+    }
+
+    /// The nearest triangle before `limit` that shows a side that can be seen, or where a body is cut, its inside.
     pub(super) fn hit(&self, origin: Vec3, direction: Vec3, limit: f32) -> Option<Hit> {
+        let face = self
+            .cut
+            .and_then(|cut| self.cut_face(&cut, origin, direction, limit));
+        let limit = face.as_ref().map_or(limit, |face| face.t);
+        self.surface(self.cut, origin, direction, limit).or(face)
+    }
+
+    /// Where a ray that comes out of what is cut away comes into a body: it next meets that body's surface from inside. Its look is that
+    /// of the triangle there, in the middle of it.
+    fn cut_face(&self, cut: &HalfSpace, origin: Vec3, direction: Vec3, limit: f32) -> Option<Hit> {
+        let speed = cut.normal.dot(direction);
+        let t = (cut.offset - cut.normal.dot(origin)) / speed;
+        if !(speed < 0.0 && t > 0.0 && t < limit) {
+            return None;
+        }
+        let behind = self.surface(None, origin + direction * t, direction, f32::INFINITY)?;
+        let [a, b, c] = behind.corners;
+        let from_inside = (b - a).cross(c - a).dot(direction) > 0.0;
+        from_inside.then_some(Hit {
+            t,
+            normal: cut.normal,
+            weights: [1.0 / 3.0; 3],
+            ..behind
+        })
+    }
+
+    /// The nearest triangle before `limit` that shows a side that can be seen, of what is not cut away.
+    fn surface(
+        &self,
+        cut: Option<HalfSpace>,
+        origin: Vec3,
+        direction: Vec3,
+        limit: f32,
+    ) -> Option<Hit> {
+        let gone = |t: f32| cut.is_some_and(|cut| cut.holds(origin + direction * t));
         let mut nearest: Option<Hit> = None;
         self.walk(origin, direction, limit, |triangle, limit| {
             let [a, b, c] = triangle.corners;
@@ -86,6 +147,9 @@ impl Triangles {
             let Some((t, weights)) = intersect(triangle, origin, direction, limit) else {
                 return limit;
             };
+            if gone(t) {
+                return limit;
+            }
             nearest = Some(Hit {
                 t,
                 normal: normal.normalize_or(-direction) * if behind { -1.0 } else { 1.0 },
@@ -121,14 +185,20 @@ impl Triangles {
 
     /// Whether a body, but not a container, is between a point and the light, no further than `limit`.
     pub(super) fn shades(&self, origin: Vec3, direction: Vec3, limit: f32) -> bool {
+        let gone = |t: f32| {
+            let cut = self.cut.as_ref();
+            cut.is_some_and(|cut| cut.holds(origin + direction * t))
+        };
         let mut shaded = false;
         self.walk(origin, direction, limit, |triangle, limit| {
             let open = triangle.owner == Owner::Container;
-            if open || intersect(triangle, origin, direction, limit).is_none() {
-                return limit;
+            match intersect(triangle, origin, direction, limit) {
+                Some((t, _)) if !open && !gone(t) => {
+                    shaded = true;
+                    0.0
+                }
+                _ => limit,
             }
-            shaded = true;
-            0.0
         });
         shaded
     }
