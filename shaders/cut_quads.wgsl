@@ -23,12 +23,14 @@ fn cut_quads(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocat
     }
     let quad = entries[index].quad;
     var is_open = 0u;
+    var slivers = false;
     for (var axis = 0u; axis < 3u; axis++) {
         let fractions = entries[index].open[axis];
         open[axis * level.quads + quad] = fractions;
         is_open |= lane_bits(fractions > vec4<f32>()) << (4u * axis);
+        slivers |= any((fractions > vec4<f32>()) & (fractions < vec4<f32>(SLIVER)));
     }
-    valid[quad] = (valid[quad] & VALID) | is_open << OPEN;
+    valid[quad] = (valid[quad] & VALID) | is_open << OPEN | select(0u, SLIVERS, slivers);
     solid_distance[quad] = entries[index].distance;
     walls[quad] = entries[index].walls;
 }

@@ -2,6 +2,7 @@
 // that points into or out of the solid: u_a - ((v - w) . n) n_a, n the direction of the interpolated distance by central differences
 // over dx. The importing kernel declares level, step, solid_distance (vec4 per quad), velocity, valid, velocity_next, slipping (see slip),
 // and wall_velocity(axis, cell): w at the minus face of a cell, m/s.
+#import face_index
 #import layout
 #import lanes
 #import step
@@ -18,17 +19,6 @@ const SMALLEST_GRADIENT = 1e-6;
 fn distance_of(cell: vec3<i32>) -> f32 {
     let c = vec3<u32>(clamp(cell, vec3<i32>(), vec3<i32>(level.cells) - 1));
     return solid_distance[level.stride_z * (c.z + 1u) + level.stride_y * c.y + c.x / 4u][c.x % 4u];
-}
-
-// The unit vector of an axis.
-fn along(axis: u32) -> vec3<i32> {
-    return vec3<i32>(vec3<u32>(axis) == vec3<u32>(0u, 1u, 2u));
-}
-
-// Index of the minus face of a cell.
-fn face_index(axis: u32, cell: vec3<i32>) -> u32 {
-    let c = vec3<u32>(cell);
-    return 4u * (axis * level.quads + level.stride_z * (c.z + 1u) + level.stride_y * c.y) + c.x;
 }
 
 // The new velocity of a face between two cells.

@@ -38,6 +38,7 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/domain_walls"),
     crate::wgsl!("common/edges"),
     crate::wgsl!("common/extremes"),
+    crate::wgsl!("common/face_index"),
     crate::wgsl!("common/filled"),
     crate::wgsl!("common/find"),
     crate::wgsl!("common/fixed_point"),

@@ -468,8 +468,8 @@ impl Run {
             }
             // u*, distance, velocity, marks; potential.
             "write_back" => band * (12.0 + 4.0 + 12.0 + 2.0) + unknowns * real,
-            // Marks read and written in each layer, the velocity once.
-            "extrapolate" => band * (layers * 2.0 + 24.0 + obstacles * 28.0),
+            // Marks read and written in each layer, the velocity once; with obstacles marks three times more.
+            "extrapolate" => band * (layers * 2.0 + 24.0 + obstacles * 31.0),
             "diagnose" => band * (12.0 + 4.0 + 1.0) + unknowns * (12.0 + 12.0 + 1.0),
             _ => 0.0,
         }

@@ -525,7 +525,8 @@ fn stages(
             (sources, &["carry_faces"]),
         ];
         stage("write_back", true, &write_back);
-        let extrapolate: [(bool, &[_]); 7] = [
+        let extrapolate: [(bool, &[_]); 8] = [
+            (cuts, &["blend_slivers", "swap_slivers"]),
             (
                 extrapolation_layers(scene.time.cfl) > 0,
                 &["extrapolate_layer"],

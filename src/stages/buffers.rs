@@ -116,6 +116,10 @@ impl LiquidPlan {
 
 /// First bit of the open faces in `valid`; `common/valid.wgsl` has it too.
 const OPEN: usize = 16;
+/// There: slivers are in the quad, faces that are open but by less than [`SLIVER`].
+const SLIVERS: u32 = 1 << 31;
+/// Open fraction below which a face is one; likewise.
+const SLIVER: f32 = 0.2;
 /// Threads of a reduction, at most.
 const LARGEST_SUMMING: usize = 16384;
 
@@ -314,6 +318,9 @@ impl LiquidBuffers {
             for bit in 0..12 {
                 let face = 4 * (bit / 4 * self.padded.quads + quad) + bit % 4;
                 *word |= u32::from(open[face] > 0.0) << (OPEN + bit);
+                if open[face] > 0.0 && open[face] < SLIVER {
+                    *word |= SLIVERS;
+                }
             }
         }
         gpu.upload(&self.valid, &valid);

@@ -1,5 +1,5 @@
 //! `extrapolate`: velocities beyond the liquid, layer by layer, for the next advection; nothing through walls, free slip along
-//! obstacles, and along solids as they move.
+//! obstacles, and along solids as they move. Faces that are almost closed show a part of their velocity only.
 
 use crate::Error;
 use crate::gpu::{Bound, Gpu, Kernel, Real, RealBuffer, Recorder};
@@ -11,6 +11,8 @@ use super::{ClipBuffers, LiquidBuffers, extrapolation_layers, over_band};
 #[derive(Debug)]
 pub struct Extrapolate {
     n_layers: usize,
+    /// Where bodies cut the grid: what slivers show, and the exchange with what they have.
+    slivers: Option<[Bound; 2]>,
     /// The layers by turns: marks from `valid` to `valid_next`, and back.
     layer: [Bound; 2],
     walls: Bound,
@@ -44,6 +46,15 @@ impl Extrapolate {
             let (from, to) = (marks[from], marks[1 - from]);
             let marks = [("valid_in", from.into()), ("valid_out", to.into())];
             layer.bind(gpu, &[level, args, list, marks[0], marks[1], velocity])
+        };
+        let slivers = || {
+            let valid = ("valid", (&buffers.valid).into());
+            let open = ("open", (&buffers.open).into());
+            let bindings = [level, args, list, valid, open, velocity, velocity_next];
+            Ok::<_, Error>([
+                kernel(wgsl!("blend_slivers"))?.bind(gpu, &bindings)?,
+                kernel(wgsl!("swap_slivers"))?.bind(gpu, &bindings)?,
+            ])
         };
         let slip = || {
             // u* and the marks of the last layer but one are no longer needed.
@@ -91,6 +102,7 @@ impl Extrapolate {
         let cuts = buffers.plan.effects.cuts();
         Ok(Extrapolate {
             n_layers,
+            slivers: cuts.then(slivers).transpose()?,
             wall_velocities: moving.map(wall_velocities).transpose()?,
             layer: [layer(0)?, layer(1)?],
             walls: kernel(wgsl!("extrapolate_walls"))?.bind(
@@ -111,6 +123,9 @@ impl Extrapolate {
     pub fn record(&self, recorder: &mut Recorder, buffers: &LiquidBuffers) {
         recorder.stage(Extrapolate::NAME, |pass| {
             let mut over_band = |bound| pass.dispatch_indirect(bound, &buffers.band_args, 0);
+            for bound in self.slivers.iter().flatten() {
+                over_band(bound);
+            }
             for n in 0..self.n_layers {
                 over_band(&self.layer[n % 2]);
             }
@@ -118,8 +133,12 @@ impl Extrapolate {
             if let Some((wall_velocities, n_places)) = &self.wall_velocities {
                 pass.dispatch(wall_velocities, *n_places);
             }
+            let mut over_band = |bound| pass.dispatch_indirect(bound, &buffers.band_args, 0);
             for bound in self.slip.iter().flatten() {
-                pass.dispatch_indirect(bound, &buffers.band_args, 0);
+                over_band(bound);
+            }
+            if let Some([_, swap_slivers]) = &self.slivers {
+                over_band(swap_slivers);
             }
         });
     }

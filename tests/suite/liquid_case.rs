@@ -171,8 +171,9 @@ impl Case {
             for (face, open) in self.cut.open[axis.index()].iter_mut().enumerate() {
                 let side = self.grid.wall(axis, self.grid.face_at(axis, face));
                 if side.is_some_and(|side| self.sides.has(axis, side)) {
-                    *open = [0.0, single(random.uniform(0.1, 0.9)), 1.0, 1.0]
-                        [(random.bits() % 4) as usize];
+                    let part = single(random.uniform(0.1, 0.9));
+                    let part = if self.effects.obstacles { part } else { 1.0 };
+                    *open = [0.0, part, 1.0, 1.0][(random.bits() % 4) as usize];
                 }
             }
         }

@@ -440,6 +440,8 @@ fn absent_effects_take_nothing() {
             "push_out",
             "extend_into_solids",
             "finish_extension",
+            "blend_slivers",
+            "swap_slivers",
             "slip",
             "apply_slip",
         ] {

@@ -630,6 +630,43 @@ fn extrapolation_takes_means_layer_by_layer() {
 }
 
 #[test]
+fn slivers_keep_their_velocity_and_show_what_their_area_is_worth() {
+    let grid = Grid {
+        cells: [4, 8, 1],
+        dx: 1.0,
+    };
+    // Valid faces across x at i = 1 and 2 with a fraction and a velocity; those at i = 3 are closed.
+    let shown = |fraction: f64, sliver: f64, rest: f64, full: f64| {
+        let mut cut = empty(&grid);
+        let mut faces = on_faces(&grid, |_| DVec3::ZERO);
+        let mut valid = Axis::ALL.map(|axis| vec![false; grid.n_faces(axis)]);
+        for j in 0..8 {
+            let [near, far, closed] = [2, 1, 3].map(|i| grid.face(Axis::X, [i, j, 0]));
+            (cut.open[0][near], faces[0][near], valid[0][near]) = (fraction, sliver, true);
+            (cut.open[0][far], faces[0][far], valid[0][far]) = (rest, full, true);
+            cut.open[0][closed] = 0.0;
+        }
+        extrapolate(&grid, &cut, None, valid, 1, &mut faces);
+        let x = |i| faces[0][grid.face(Axis::X, [i, 4, 0])];
+        assert_eq!([x(1), x(2)], [full, sliver], "valid faces stay as they are");
+        x(3)
+    };
+    // Five neighbours: two slivers and three whole faces.
+    let (a, [u, v]) = (0.05, [100.0, 1.0]);
+    let mean = (2.0 * a * u + 3.0 * v) / (2.0 * a + 3.0);
+    assert!(close(shown(a, u, 1.0, v), u + 0.75 * (mean - u)));
+    assert!(
+        (shown(1e-6, u, 1.0, v) - v).abs() < 1e-2,
+        "almost closed: what is around it"
+    );
+    assert_eq!(shown(0.2, u, 1.0, v), u, "a fifth open: no sliver");
+    assert!(
+        close(shown(a, u, a, u), u),
+        "a film that flows as one shows its velocity"
+    );
+}
+
+#[test]
 fn faces_in_obstacles_slip() {
     // Solid below a plane tilted by 45 degrees.
     let grid = Grid {

@@ -1,0 +1,13 @@
+// Where faces are in a field of the x, y and z faces, one after another. The importing kernel declares level.
+#import layout
+
+// The unit vector of an axis.
+fn along(axis: u32) -> vec3<i32> {
+    return vec3<i32>(vec3<u32>(axis) == vec3<u32>(0u, 1u, 2u));
+}
+
+// Index of the minus face of a cell.
+fn face_index(axis: u32, cell: vec3<i32>) -> u32 {
+    let c = vec3<u32>(cell);
+    return 4u * (axis * level.quads + level.stride_z * (c.z + 1u) + level.stride_y * c.y) + c.x;
+}
