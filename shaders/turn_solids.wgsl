@@ -1,23 +1,30 @@
-// move_solid, first part, with corotational bodies that nothing holds only: what a body that turns needs besides its tangents, so that moving
+// move_solid, first part, with corotational bodies only that nothing holds, or a hinge: what a body that turns needs besides its tangents, so that moving
 // along them does not stretch it. With c, v_c its centroid and that one's velocity, r = x - c, I = sum m (|r|^2 1 - r r^T), L = sum m r x v:
 //     w = I^-1 L;  y + dt/2 (I^-1 y) x y = L,  theta = dt I^-1 y;  k = 1 / (1 + |theta|^2 / 4)
 //     s = (theta - dt w) x r + k (theta x (theta x r) / 2 - |theta|^2 theta x r / 4),  r' = r + dt (v - v_c) + s
 //     dv = (I'^-1 sum m (v - v_c) x s) x r';  u += s - dt dv,  v += dv.
-// One workgroup per body; sums in a tree. step. bodies: first node and the one after the last. rest: m, kg. displacement: larger parts, then
-// smaller, m; velocity: m/s; both in place.
+// About a point that is held c is there and v_c = 0; about a hinge, two of its nodes far apart, I^-1 is e e^T / (e . I e), theta = dt w.
+// One workgroup per body; sums in a tree. step. bodies: first node and the one after the last, nodes of the hinge or FREE. rest: m, kg.
+// flags: see node_flags. displacement: larger parts, then smaller, m; velocity: m/s; both in place.
 #import dispatch
+#import node_flags
 #import pair
 #import real
 #import solid_step
 #import tree
 
 @group(0) @binding(0) var<uniform> step: SolidStep;
-@group(0) @binding(1) var<storage, read> bodies: array<vec2<u32>>;
+@group(0) @binding(1) var<storage, read> bodies: array<vec4<u32>>;
 @group(0) @binding(2) var<storage, read> rest: array<vec4<f32>>;
-@group(0) @binding(3) var<storage, read_write> displacement: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read_write> velocity: array<Real4>;
+@group(0) @binding(3) var<storage, read> flags: array<u32>;
+@group(0) @binding(4) var<storage, read_write> displacement: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read_write> velocity: array<Real4>;
 
-// Of the cube of its trace, the determinant that a tensor of inertia has to exceed: the twin has the reason.
+// In the place of nodes of a hinge: nothing holds the body. stages::solid_buffers has it too.
+const FREE = 0xffffffffu;
+
+// Of the cube of its trace, the determinant that a tensor of inertia has to exceed, and of its trace the moment about a hinge: the twin has
+// the reason.
 const LEAST_INERTIA = 1e-5;
 // Of Newton's method, and the squared share of L that it may leave.
 const ROUNDS = 5;
@@ -31,6 +38,8 @@ struct Tensor {
 
 // How a body moves, and what of its motion is rigid.
 struct Motion {
+    // Direction of its hinge; 0 where it may turn about all axes.
+    hinge: Real3,
     centroid: Real3,
     velocity: Real3,
     w: Real3,
@@ -52,12 +61,18 @@ fn sum_of(part: Real4, lane: u32) -> Real4 {
 }
 
 // Of the sums of m (|r|^2 - r r) and m (yz, zx, xy).
-fn tensor(diagonal: Real3, products: Real3) -> Tensor {
+fn tensor(hinge: Real3, diagonal: Real3, products: Real3) -> Tensor {
     let a = Real3(diagonal.x, -products.z, -products.y);
     let b = Real3(-products.z, diagonal.y, -products.x);
     let c = Real3(-products.y, -products.x, diagonal.z);
-    let determinant = dot(a, cross(b, c));
     let trace = diagonal.x + diagonal.y + diagonal.z;
+    if any(hinge != Real3()) {
+        let about = dot(hinge, Real3x3(a, b, c) * hinge);
+        let turns = about > Real(LEAST_INERTIA) * trace;
+        let share = select(Real(), Real(1.0) / about, turns) * hinge;
+        return Tensor(Real3x3(share * hinge.x, share * hinge.y, share * hinge.z), turns);
+    }
+    let determinant = dot(a, cross(b, c));
     let regular = determinant > Real(LEAST_INERTIA) * trace * trace * trace;
     let by = select(Real(), Real(1.0) / determinant, regular);
     return Tensor(Real3x3(by * cross(b, c), by * cross(c, a), by * cross(a, b)), regular);
@@ -101,7 +116,7 @@ fn shift(motion: Motion, r: Real3) -> Real3 {
 fn turn_solids(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let body = group_index(workgroup);
     // No nodes beyond the last body: threads that returned would be missing at the barriers.
-    var nodes = vec2<u32>();
+    var nodes = vec4<u32>();
     if body < arrayLength(&bodies) {
         nodes = bodies[body];
     }
@@ -114,7 +129,15 @@ fn turn_solids(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoc
     }
     of_x = sum_of(of_x, lane);
     of_v = sum_of(Real4(of_v, Real()), lane).xyz;
-    var motion = Motion(of_x.xyz / of_x.w, of_v / of_x.w, Real3(), Real3());
+    var motion = Motion(Real3(), of_x.xyz / of_x.w, of_v / of_x.w, Real3(), Real3());
+    if nodes.z != FREE && body < arrayLength(&bodies) {
+        motion.centroid = position(nodes.z);
+        motion.velocity = Real3();
+        let way = position(nodes.w) - motion.centroid;
+        if any(way != Real3()) {
+            motion.hinge = way / length(way);
+        }
+    }
 
     var momentum = Real3();
     var diagonal = Real3();
@@ -129,9 +152,12 @@ fn turn_solids(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoc
     momentum = sum_of(Real4(momentum, Real()), lane).xyz;
     diagonal = sum_of(Real4(diagonal, Real()), lane).xyz;
     products = sum_of(Real4(products, Real()), lane).xyz;
-    let before = tensor(diagonal, products);
+    let before = tensor(motion.hinge, diagonal, products);
     motion.w = before.inverse * momentum;
-    motion.theta = Real(step.dt) * midway(before.inverse, momentum);
+    motion.theta = Real(step.dt) * motion.w;
+    if all(motion.hinge == Real3()) {
+        motion.theta = Real(step.dt) * midway(before.inverse, momentum);
+    }
 
     var lost = Real3();
     diagonal = Real3();
@@ -152,8 +178,11 @@ fn turn_solids(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoc
     if !before.regular {
         return;
     }
-    let dw = tensor(diagonal, products).inverse * lost;
+    let dw = tensor(motion.hinge, diagonal, products).inverse * lost;
     for (var node = nodes.x + lane; node < nodes.y; node += FOLD_SIZE) {
+        if !all(is_free(flags[node])) {
+            continue;
+        }
         let r = position(node) - motion.centroid;
         let v = velocity[node].xyz;
         let s = shift(motion, r);

@@ -22,8 +22,6 @@ pub struct Effects {
     pub solids: bool,
     /// A solid measures strain in the frame that turns with each element: rotations of elements.
     pub corotation: bool,
-    /// A corotational solid is held nowhere: it moves on circles where it turns.
-    pub turning: bool,
     /// A solid is damped by its mass or by its stiffness.
     pub damping: bool,
     /// Nodes are held.
@@ -87,9 +85,6 @@ impl Effects {
             sinks: !scene.sinks.is_empty(),
             solids: !scene.solids.is_empty(),
             corotation: any(|solid| solid.model == ElasticModel::Corotational),
-            turning: any(|solid| {
-                solid.model == ElasticModel::Corotational && solid.pins.is_empty()
-            }),
             damping: any(|solid| solid.mass_damping > 0.0 || solid.stiffness_damping > 0.0),
             pins: pin(false),
             scripts: pin(true),

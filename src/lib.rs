@@ -51,7 +51,7 @@
 //! 1. `time_step`: the largest step that the velocities allow and that lands on the frame times ([`sim`])
 //! 2. `clip`: open face areas and the distance to the obstacles, on the CPU ([`geometry`]); once, and with solids in liquid in
 //!    every sub-step, after they have moved
-//! 3. `move_solid`: nodes of the solids, on circles where nothing holds their body, then out of walls and obstacles
+//! 3. `move_solid`: nodes of the solids, on circles where their body is free or on a hinge, then out of walls and obstacles
 //! 4. `advect_markers`: midpoint rule through the MAC field, then out of the domain through open sides, else out of solids and
 //!    walls; on the GPU `band` then lists the
 //!    quads near the liquid, which all other stages of the liquid work on
@@ -65,7 +65,7 @@
 //! 11. `right_hand_side`: negative divergence and volume control; forces of the solids
 //! 12. `solve`: the pressure and the velocities of the solids ([`solver`])
 //! 13. `write_back`: the divergence-free face velocities
-//! 14. `extrapolate`: velocities beyond the liquid
+//! 14. `extrapolate`: velocities beyond the liquid, of faces that are almost closed only what their area is worth
 //! 15. `diagnose`: volume, momentum, energies, the worst element and the solver's report
 //! 16. `probe`: what the scene measures at points, above points and at the front
 //!

@@ -76,6 +76,15 @@ pub struct Body {
     pub stiffness_damping: f64,
 }
 
+/// A body that moves on circles where it turns.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Turning {
+    /// Its nodes.
+    pub nodes: Range<usize>,
+    /// Two nodes of the hinge that it turns about; twice the same where it is a point. None where nothing holds it.
+    pub about: Option<[usize; 2]>,
+}
+
 /// The motion of some prescribed nodes.
 #[derive(Clone, Debug)]
 pub struct Script {

@@ -2,10 +2,15 @@
 
 use glam::DVec3;
 
-use super::{Body, Deformation, Script, Solids, lame_parameters, rest_shape, stress, von_mises};
+use super::{
+    Body, Deformation, Script, Solids, Turning, lame_parameters, rest_shape, stress, von_mises,
+};
 use crate::error::Error;
 use crate::geometry::{MovedMesh, TetMesh, inside};
 use crate::scene::{ElasticModel, Keyframe, Load, LoadKind, Pin, Scene, Shape, Solid};
+
+/// Of its length, how far aside of a line nodes may lie that make a hinge.
+const STRAIGHT: f64 = 1e-6;
 
 impl Solids {
     /// The solids of a scene on their meshes (one each, as placed).
@@ -287,13 +292,50 @@ impl Solids {
         }
     }
 
-    /// The bodies that move on circles where they turn: corotational ones that nothing holds.
-    pub fn turning(&self) -> impl Iterator<Item = &Body> {
-        self.bodies.iter().filter(|body| {
-            let held = |prescribed: &[bool; 3]| prescribed != &[false; 3];
-            let corotational = body.model == ElasticModel::Corotational;
-            corotational && !self.prescribed[body.nodes.clone()].iter().any(held)
-        })
+    /// The bodies that move on circles where they turn: corotational ones that nothing holds, or that are held still in a point or along a
+    /// line.
+    pub fn turning(&self) -> impl Iterator<Item = Turning> {
+        let corotational = |body: &&Body| body.model == ElasticModel::Corotational;
+        let turning = |body: &Body| {
+            let nodes = body.nodes.clone();
+            match self.held(body).as_slice() {
+                [] => Some(Turning { nodes, about: None }),
+                held => self.hinge(held).map(|hinge| Turning {
+                    nodes,
+                    about: Some(hinge),
+                }),
+            }
+        };
+        self.bodies.iter().filter(corotational).filter_map(turning)
+    }
+
+    /// The nodes of a body of which some component is prescribed.
+    fn held(&self, body: &Body) -> Vec<usize> {
+        let held = |node: &usize| self.prescribed[*node] != [false; 3];
+        body.nodes.clone().filter(held).collect()
+    }
+
+    /// Two of the nodes, as far apart as any, or twice the same, where they are held still in all components and lie on a line.
+    fn hinge(&self, held: &[usize]) -> Option<[usize; 2]> {
+        let scripted = |node: &usize| {
+            let mut scripts = self.scripts.iter();
+            scripts.any(|script| script.nodes.binary_search(&(*node as u32)).is_ok())
+        };
+        let all_of = |node: &usize| self.prescribed[*node] == [true; 3];
+        if !held.iter().all(all_of) || held.iter().any(scripted) {
+            return None;
+        }
+        let farthest = |from: usize| {
+            let away = |node: usize| self.rest[node].distance_squared(self.rest[from]);
+            let farther = |a: &&usize, b: &&usize| away(**a).total_cmp(&away(**b));
+            held.iter().max_by(farther).copied()
+        };
+        let first = farthest(held[0])?;
+        let last = farthest(first)?;
+        let way = self.rest[last] - self.rest[first];
+        let aside = |node: &usize| (self.rest[*node] - self.rest[first]).cross(way).length();
+        let straight = |node: &usize| aside(node) <= STRAIGHT * way.length_squared();
+        held.iter().all(straight).then_some([first, last])
     }
 
     /// The body of an element.

@@ -2,9 +2,10 @@
 
 use glam::{DMat3, DVec3};
 
-use crate::elastic::Solids;
+use crate::elastic::{Solids, Turning};
 
-/// Of the cube of its trace, the determinant that a tensor of inertia has to exceed: bodies on a line turn about it as fast as they like.
+/// Of the cube of its trace, the determinant that a tensor of inertia has to exceed, and of its trace the moment about a hinge: bodies on a
+/// line turn about it as fast as they like.
 const LEAST_INERTIA: f64 = 1e-5;
 
 /// Of Newton's method for the angular velocity midway, and the squared share of the angular momentum that it may leave.
@@ -31,21 +32,27 @@ const LEFT: f64 = 1e-6;
 /// ```
 ///
 /// Momentum, angular momentum about any point, and the way of the centroid are those without it; a body at rest stays where it is to the
-/// last bit. Both corrections vanish with the square of the angle. `displacement` (m) and `velocity` (m/s): of all nodes, in place.
+/// last bit. Both corrections vanish with the square of the angle. What is held in a point turns about it, with c there and v_c = 0. What is
+/// held along a line, a hinge of direction e, has e e^T / (e . I e) in the place of I^-1, and theta = dt w: the hinge takes up the rest of L.
+/// Held nodes stay. `displacement` (m) and `velocity` (m/s): of all nodes, in place.
 pub fn turn_solids(
     solids: &Solids,
     dt: f64,
     displacement: &mut [[f64; 3]],
     velocity: &mut [[f64; 3]],
 ) {
-    for body in solids.turning() {
-        let nodes = || body.nodes.clone();
+    for Turning { nodes, about } in solids.turning() {
+        let nodes = || nodes.clone();
         let mean = |of: &dyn Fn(usize) -> DVec3| {
             let sum = nodes().map(|node| solids.mass[node] * of(node));
             sum.sum::<DVec3>() / nodes().map(|node| solids.mass[node]).sum::<f64>()
         };
         let x = |node: usize| solids.rest[node] + DVec3::from(displacement[node]);
-        let (c, v_c) = (mean(&x), mean(&|node| DVec3::from(velocity[node])));
+        let (c, v_c) = match about {
+            Some([hinge, _]) => (x(hinge), DVec3::ZERO),
+            None => (mean(&x), mean(&|node| DVec3::from(velocity[node]))),
+        };
+        let hinge = about.and_then(|[a, b]| (x(b) - x(a)).try_normalize());
         let arms: Vec<[DVec3; 2]> = nodes()
             .map(|node| [x(node) - c, DVec3::from(velocity[node]) - v_c])
             .collect();
@@ -55,11 +62,15 @@ pub fn turn_solids(
             .zip(&arms)
             .map(|(mass, [r, v])| mass * r.cross(*v))
             .sum();
-        let Some(inverse) = inverse_inertia(masses.iter().zip(arms.iter().map(|[r, _]| *r))) else {
+        let Some(inverse) = inverse_inertia(hinge, masses.iter().zip(arms.iter().map(|[r, _]| *r)))
+        else {
             continue;
         };
         let w = inverse * momentum;
-        let theta = dt * midway(inverse, momentum, dt);
+        let theta = match hinge {
+            Some(_) => dt * w,
+            None => dt * midway(inverse, momentum, dt),
+        };
         let square = theta.length_squared();
         let k = 1.0 / (1.0 + 0.25 * square);
         let shift = |r: DVec3| {
@@ -77,9 +88,11 @@ pub fn turn_solids(
             .zip(after())
             .map(|(mass, (_, s, v))| mass * v.cross(s))
             .sum();
-        let inverse = inverse_inertia(masses.iter().zip(after().map(|(r, ..)| r)));
+        let inverse = inverse_inertia(hinge, masses.iter().zip(after().map(|(r, ..)| r)));
         let dw = inverse.map_or(DVec3::ZERO, |inverse| inverse * lost);
-        for (node, (r, s, _)) in nodes().zip(after()) {
+        let after: Vec<_> = after().collect();
+        let moving = |(node, _): &(usize, _)| solids.prescribed[*node] == [false; 3];
+        for (node, (r, s, _)) in nodes().zip(after).filter(moving) {
             let dv = dw.cross(r);
             // The move that follows adds dt dv too.
             displacement[node] = (DVec3::from(displacement[node]) + s - dt * dv).to_array();
@@ -104,12 +117,21 @@ fn midway(inverse: DMat3, momentum: DVec3, dt: f64) -> DVec3 {
     inverse * if found { y } else { momentum }
 }
 
-/// The inverse of sum m (|r|^2 I - r r^T); none for what lies on a line or in a point, and for numbers that are not finite.
-fn inverse_inertia<'a>(of: impl Iterator<Item = (&'a f64, DVec3)>) -> Option<DMat3> {
+/// The inverse of sum m (|r|^2 I - r r^T), about a hinge alone where there is one; none for what lies on a line or in a point, or along
+/// the hinge, and for numbers that are not finite.
+fn inverse_inertia<'a>(
+    hinge: Option<DVec3>,
+    of: impl Iterator<Item = (&'a f64, DVec3)>,
+) -> Option<DMat3> {
     let inertia = of.fold(DMat3::ZERO, |sum, (mass, r)| {
         let square = DMat3::from_cols(r.x * r, r.y * r, r.z * r);
         sum + *mass * (r.length_squared() * DMat3::IDENTITY - square)
     });
     let trace: f64 = (0..3).map(|axis| inertia.col(axis)[axis]).sum();
+    if let Some(e) = hinge {
+        let about = e.dot(inertia * e);
+        let outer = DMat3::from_cols(e.x * e, e.y * e, e.z * e);
+        return (about > LEAST_INERTIA * trace).then(|| outer * about.recip());
+    }
     (inertia.determinant() > LEAST_INERTIA * trace.powi(3)).then(|| inertia.inverse())
 }

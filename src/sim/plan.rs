@@ -110,12 +110,13 @@ impl Plan {
         let host_turns = mixed && !f64;
         let padded_cells = grid.padded().len();
         let rows = SolidRows::new(solids)?;
+        let n_turning = solids.turning().count();
         Ok(Plan {
             padded_cells,
             n_markers,
             first_step: first_step(scene, &grid, (solids, clip, taps)),
-            effects: effect_lines(scene, &effects),
-            stages: stages(scene, &grid, &rows, &effects, f64),
+            effects: effect_lines(scene, &effects, n_turning),
+            stages: stages(scene, &grid, &rows, (&effects, n_turning > 0), f64),
             buffers: buffers(
                 scene,
                 (n_markers, taps),
@@ -206,7 +207,7 @@ fn first_step(
     time_step(&scene.time, grid.dx, speed, fall, frame, 0.0)
 }
 
-fn effect_lines(scene: &Scene, effects: &Effects) -> Vec<EffectLine> {
+fn effect_lines(scene: &Scene, effects: &Effects, n_turning: usize) -> Vec<EffectLine> {
     let count = |n: usize, what: &str| match n {
         0 => format!("no {what} in the scene"),
         n => format!("{n} {what}"),
@@ -250,7 +251,6 @@ fn effect_lines(scene: &Scene, effects: &Effects) -> Vec<EffectLine> {
             .count()
     };
     let turns = |solid: &Solid| usize::from(solid.model == ElasticModel::Corotational);
-    let free = |solid: &Solid| turns(solid) * usize::from(solid.pins.is_empty());
     let damped =
         |solid: &Solid| usize::from(solid.mass_damping > 0.0 || solid.stiffness_damping > 0.0);
     [
@@ -290,8 +290,11 @@ fn effect_lines(scene: &Scene, effects: &Effects) -> Vec<EffectLine> {
         ),
         (
             "turning",
-            effects.turning,
-            of_solids(&free, "corotational and held nowhere", "none that is corotational and held nowhere"),
+            n_turning > 0,
+            match n_turning {
+                0 => "none that is corotational and held nowhere, in a point or along a line".to_owned(),
+                n => format!("{n} corotational, held nowhere, in a point or along a line"),
+            },
         ),
         (
             "damping",
@@ -381,7 +384,7 @@ fn stages(
     scene: &Scene,
     grid: &Grid,
     rows: &SolidRows,
-    effects: &Effects,
+    (effects, turning): (&Effects, bool),
     f64: bool,
 ) -> Vec<StagePlan> {
     const COMPACTION: [&str; 3] = ["compact_count", "compact_scan", "compact_write"];
@@ -410,7 +413,7 @@ fn stages(
     };
     if elastic {
         let kernels: [(bool, &[_]); 3] = [
-            (effects.turning, &["turn_solids"]),
+            (turning, &["turn_solids"]),
             (true, &["move_solid"]),
             (obstacles, &["push_nodes_out"]),
         ];

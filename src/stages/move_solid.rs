@@ -1,6 +1,6 @@
 //! `move_solid`: x = x* + dt v; nodes beyond a wall or inside an obstacle are put out of it and lose their velocity into it.
 //!
-//! Bodies that nothing holds move on circles where they turn. Walls first, then obstacles; no prescribed component is stopped by either.
+//! Bodies that nothing holds, and those on hinges, move on circles where they turn. Walls first, then obstacles; no prescribed component is stopped by either.
 
 use crate::Error;
 use crate::gpu::{Bound, Buffer, Gpu, Kernel, Recorder};
@@ -53,9 +53,10 @@ impl MoveSolid {
                 &[level, step, rest, flags, distance, displacement, velocity],
             )
         };
-        let turn_solids = |bodies: &Buffer<[u32; 2]>| {
+        let turn_solids = |bodies: &Buffer<[u32; 4]>| {
             let bodies = ("bodies", bodies.into());
-            kernel(wgsl!("turn_solids"))?.bind(gpu, &[step, bodies, rest, displacement, velocity])
+            kernel(wgsl!("turn_solids"))?
+                .bind(gpu, &[step, bodies, rest, flags, displacement, velocity])
         };
         let level = solids.level.as_ref();
         Ok(MoveSolid {

@@ -1,7 +1,7 @@
 //! The nodes and elements of all solids on the device.
 
 use crate::Error;
-use crate::elastic::Solids;
+use crate::elastic::{Solids, Turning};
 use crate::gpu::{Buffer, BufferPlan, Gpu, Real, RealBuffer, WG_SIZE};
 use crate::grid::{Grid, Layout};
 use crate::scene::ElasticModel;
@@ -99,7 +99,7 @@ impl SolidPlan {
             BufferPlan::of::<u32>("solid.report", SolidReport::WORDS),
         ];
         if self.n_turning > 0 {
-            plans.push(BufferPlan::of::<[u32; 2]>("solid.turning", self.n_turning));
+            plans.push(BufferPlan::of::<[u32; 4]>("solid.turning", self.n_turning));
         }
         plans
     }
@@ -113,6 +113,8 @@ impl SolidPlan {
     }
 }
 
+/// In the place of nodes of a hinge: nothing holds the body. `turn_solids.wgsl` has it too.
+const FREE: u32 = u32::MAX;
 /// Threads of a reduction, at most.
 const LARGEST_SUMMING: usize = 16384;
 /// Words of [`SolidBuffers::extremes`].
@@ -128,8 +130,9 @@ pub struct SolidBuffers {
     pub step: Buffer<SolidStep>,
     /// The layout of the obstacles' distance; only with obstacles.
     pub level: Option<Buffer<Layout>>,
-    /// Per body that moves on circles where it turns: its first node and the one after its last; only with such bodies.
-    pub turning: Option<Buffer<[u32; 2]>>,
+    /// Per body that moves on circles where it turns: its first node and the one after its last, and two nodes of its hinge or
+    /// all bits set; only with such bodies.
+    pub turning: Option<Buffer<[u32; 4]>>,
     /// Per node: rest position, m, and lumped mass, kg.
     pub rest: Buffer<[f32; 4]>,
     /// Displacement from rest, m, as the sum of two f32: the larger part of all nodes, then the smaller.
@@ -232,7 +235,10 @@ impl SolidBuffers {
         gpu.upload(&self.rest, &rest);
         if let Some(turning) = &self.turning {
             let bodies = solids.turning();
-            let bodies = bodies.map(|body| [body.nodes.start, body.nodes.end].map(|at| at as u32));
+            let bodies = bodies.map(|Turning { nodes, about }| {
+                let [a, b] = about.map_or([FREE; 2], |hinge| hinge.map(|node| node as u32));
+                [nodes.start as u32, nodes.end as u32, a, b]
+            });
             gpu.upload(turning, &bodies.collect::<Vec<_>>());
         }
         let free = |[x, y, z]: &[bool; 3]| u32::from(!x) | u32::from(!y) << 1 | u32::from(!z) << 2;

@@ -342,7 +342,7 @@ fn absent_effects_of_solids_take_nothing() {
         (&["pins", "scripts", "loads", "corotation"], false),
     ] {
         let (made, _) = made(&solids_with(absent, &[]));
-        let of_two_bodies = if turns { 16 } else { 0 };
+        let of_two_bodies = if turns { 32 } else { 0 };
         assert_eq!(bytes(&made, "solid.turning"), of_two_bodies, "{absent:?}");
         let compiled = made.gpu().unwrap().compiled().contains("turn_solids");
         assert_eq!(compiled, turns, "{absent:?}");

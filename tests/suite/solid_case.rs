@@ -294,6 +294,18 @@ pub(crate) fn cases() -> Vec<SolidCase> {
     for node in 0..pinned.solids.rest.len() {
         pinned.solids.prescribed[node] = std::array::from_fn(|axis| (node + axis) % 3 == 0);
     }
+    // Held along an edge, in the middle of it too, and in a corner.
+    let held = |name, shift: f64, speed: f64, held: &dyn Fn(DVec3) -> bool| {
+        let mut case = SolidCase::new(name, solids(&[(cube(), RUBBER)])).shaken(shift, speed);
+        for node in 0..case.solids.rest.len() {
+            if held(case.solids.rest[node]) {
+                case.solids.prescribed[node] = [true; 3];
+                (case.displacement[node], case.velocity[node]) = ([0.0; 3], [0.0; 3]);
+            }
+        }
+        case
+    };
+    let on_edge = |x: DVec3| x.x < 0.41 && x.y < 0.41;
     let mut denormal = SolidCase::new("denormals", one()).shaken(1e-41, 1e-40);
     denormal.displacement[1] = pair(DVec3::new(1e-30, -1e-38, 5e-45));
     vec![
@@ -301,6 +313,9 @@ pub(crate) fn cases() -> Vec<SolidCase> {
         bent_beam().shaken(1e-2, 4.0),
         SolidCase::new("one element", one()).shaken(0.05, 1.0),
         SolidCase::new("at rest", stack()),
+        held("on a hinge", 1e-2, 4.0, &on_edge),
+        held("held in a point", 1e-2, 4.0, &|x| on_edge(x) && x.z < 0.41),
+        held("at rest on a hinge", 0.0, 0.0, &on_edge),
         SolidCase::new("turned", solids(&[(cube(), RUBBER)])).deformed(|x| {
             middle + DMat3::from_axis_angle(DVec3::ONE.normalize(), 2.5) * (x - middle)
         }),

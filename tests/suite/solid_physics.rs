@@ -597,6 +597,61 @@ fn bars_spin_in_long_sub_steps() {
     assert!((long / short - 1.0).abs() <= 0.2, "{long} for {short}");
 }
 
+/// The same of a bar that turns about the edge of its end, or about a corner of it: along tangents it comes to three times its energy.
+#[test]
+fn bars_swing_about_what_holds_them() {
+    let run = |[min, max]: [DVec3; 2], spin: DVec3| {
+        let mut bar = block([0.6, 0.1, 0.1], [12, 2, 2]);
+        bar.placement.translate = DVec3::splat(1.0);
+        (bar.young, bar.poisson) = (1e8, 0.3);
+        bar.pins = vec![held(region(min, max), [true; 3])];
+        // Of the end's corner at low y and z.
+        let arm = DVec3::new(0.3, 0.05, 0.05);
+        (bar.initial.spin, bar.initial.velocity) = (spin, spin.cross(arm));
+        let mut scene = scene_of(vec![bar]);
+        scene.domain.gravity = DVec3::ZERO;
+        (scene.time.duration, scene.time.frames_per_second) = (1.0, 24.0);
+        let mut reference = start(&scene);
+        let solids = solids_of(&scene);
+        let at_start = reference.state().node_velocity.iter().zip(&solids.mass);
+        let energy: f64 = at_start
+            .map(|(v, mass)| 0.5 * mass * DVec3::from(*v).length_squared())
+            .sum();
+        let (mut most, mut end) = (0.0, [0.0; 2]);
+        for _ in 0..24 {
+            let report = reference.step(reference.next_time_step()).unwrap();
+            let it = report.solid.unwrap().diagnosis;
+            most = f64::max(most, (it.kinetic_energy + it.elastic_energy) / energy);
+            end = [it.kinetic_energy, it.elastic_energy].map(|part| part / energy);
+        }
+        let state = reference.state();
+        let held = |node: &usize| solids.prescribed[*node] != [false; 3];
+        for node in (0..solids.rest.len()).filter(held) {
+            let moved = [state.displacement[node], state.node_velocity[node]];
+            assert_eq!(moved, [[0.0; 3]; 2], "what is held stays");
+        }
+        (most, end)
+    };
+    let low = DVec3::new(0.69, 0.94, 0.94);
+    for (held, spin) in [
+        (
+            [low, DVec3::new(0.71, 0.96, 1.06)],
+            DVec3::new(0.0, 0.0, 6.0),
+        ),
+        (
+            [low, DVec3::new(0.71, 0.96, 0.96)],
+            DVec3::new(0.0, 6.0, 1.0),
+        ),
+    ] {
+        let (most, [kinetic, elastic]) = run(held, spin);
+        assert!(
+            most <= 1.005 && elastic <= 1e-3,
+            "{spin}: {most}, {elastic}"
+        );
+        assert!(kinetic >= 0.9, "{spin}: it swings on, {kinetic}");
+    }
+}
+
 /// The same bits whatever the number of threads.
 #[test]
 fn a_run_of_solids_repeats_bit_for_bit() {

@@ -83,7 +83,7 @@ fn turning_slack(case: &SolidCase, exact: &[[DVec3; 2]], eps: f64) -> Vec<[f64; 
     for seed in 1..=6 {
         let noisy = turning(case, eps, seed);
         for body in case.solids.turning() {
-            let nodes = body.nodes.clone();
+            let nodes = body.nodes;
             let off = [0, 1].map(|which| {
                 let off = |node: usize| (noisy[node][which] - exact[node][which]).length();
                 nodes.clone().map(off).fold(0.0, f64::max)
