@@ -871,6 +871,16 @@ fn obstacles_hide_what_is_behind_them_and_containers_are_open_to_the_eye() {
         is_liquid(with_block.at(pixel(0.3, 0.2))),
         "liquid beside the block"
     );
+    // One side of it in the front wall, where that of the liquid is too, a tenth of a metre into it: no speckles.
+    let flush = Surface::cuboid(DVec3::new(0.2, 0.0, 0.3), DVec3::new(0.6, 0.2, 0.5));
+    let with_flush = looks(&[flush]);
+    for x in 0..24 {
+        for y in 0..20 {
+            let (x, y) = (0.21 + 0.005 * f64::from(x), 0.05 + 0.006 * f64::from(y));
+            let [red, _, blue] = with_flush.at(pixel(x, y));
+            assert!(red > blue, "liquid over the body's side at {x}, {y}");
+        }
+    }
     let with_tank = looks(&[tank]);
     assert!(
         is_liquid(with_tank.at(pixel(0.15, 0.1))),

@@ -69,6 +69,9 @@ const SKY: [Vec3; 9] = [
 /// Share of light from which a reflection shows bodies; below it shows the sky alone.
 const MIRROR: f32 = 0.05;
 
+/// Surfaces that are nearer to each other than this, in depths of the domain, are one: far above rounding, far below a cell.
+const SAME_PLANE: f32 = 1e-5;
+
 /// Colour difference between neighbours, of 255, from which a pixel gets more rays.
 const EDGE: i16 = 10;
 
@@ -232,13 +235,15 @@ impl Stage {
         let direction = view.direction(x, y);
         let meets = self.meets(view.eye, direction);
         let limit = meets.as_ref().map_or(f32::INFINITY, |meets| meets.t);
+        // Where a body's side lies in a wall the liquid's mesh, which reaches a little into the body, lies in it too: the body is seen.
+        let before = limit - SAME_PLANE * self.domain.length();
         let entry = self.liquid.as_ref().and_then(|liquid| {
             let entry = match submerged {
                 true => Some(Entry {
                     t: 0.0,
                     normal: -direction,
                 }),
-                false => liquid.entry(view.eye, direction, limit),
+                false => liquid.entry(view.eye, direction, before),
             };
             Some((liquid, entry?))
         });
