@@ -322,8 +322,13 @@ fn steps_are_the_twins() {
                     CouplingScheme::Strong | CouplingScheme::DampingOnly => 1.0,
                 };
                 let weight = DVec3::from(twin.force).length().max(least);
+                // Where volumes are summed in f32, volume control makes 1e-5 m/s in a sub-step of what the ball displaces, 14.2 kg.
+                let of_volume = match markers && !simulation.gpu().unwrap().has_f64() {
+                    true => 14.2 * 1e-5 / 0.01,
+                    false => 0.0,
+                };
                 let off = DVec3::from(found).distance(wanted.into());
-                assert!(off <= 1e-4 * weight, "{off:e} N, {what}");
+                assert!(off <= 1e-4 * weight + of_volume, "{off:e} N, {what}");
             }
             assert_eq!(report.overlap_cells, twin.overlap_cells, "{what}");
             // Rounding of the velocities over a cell, and, where the device has no f64, of potentials of 0.6 m/s on both sides of its faces.
