@@ -1,5 +1,5 @@
-// move_solid, first part, with corotational bodies only that nothing holds, or a hinge: what a body that turns needs besides its tangents, so that moving
-// along them does not stretch it. With c, v_c its centroid and that one's velocity, r = x - c, I = sum m (|r|^2 1 - r r^T), L = sum m r x v:
+// move_solid, first part, with corotational bodies only that nothing holds, or a hinge: what a body that turns needs besides its
+// tangents, so that moving along them does not stretch it. With c, v_c its centroid and that one's velocity, r = x - c, I = sum m (|r|^2 1 - r r^T), L = sum m r x v:
 //     w = I^-1 L;  y + dt/2 (I^-1 y) x y = L,  theta = dt I^-1 y;  k = 1 / (1 + |theta|^2 / 4)
 //     s = (theta - dt w) x r + k (theta x (theta x r) / 2 - |theta|^2 theta x r / 4),  r' = r + dt (v - v_c) + s
 //     dv = (I'^-1 sum m (v - v_c) x s) x r';  u += s - dt dv,  v += dv.

@@ -292,6 +292,7 @@ fn effect_lines(scene: &Scene, effects: &Effects, n_turning: usize) -> Vec<Effec
             "turning",
             n_turning > 0,
             match n_turning {
+                _ if !effects.solids => "there are no solids".to_owned(),
                 0 => "none that is corotational and held nowhere, in a point or along a line".to_owned(),
                 n => format!("{n} corotational, held nowhere, in a point or along a line"),
             },

@@ -1,6 +1,7 @@
 //! `move_solid`: x = x* + dt v; nodes beyond a wall or inside an obstacle are put out of it and lose their velocity into it.
 //!
-//! Bodies that nothing holds, and those on hinges, move on circles where they turn. Walls first, then obstacles; no prescribed component is stopped by either.
+//! Bodies that nothing holds, and those on hinges, move on circles where they turn. Walls first, then obstacles; no prescribed
+//! component is stopped by either.
 
 use crate::Error;
 use crate::gpu::{Bound, Buffer, Gpu, Kernel, Recorder};
