@@ -1,6 +1,6 @@
 // right_hand_side, for solids, third part, with obstacles only: the normal and the gap at each node, and whether the obstacle holds it
 // from the start. One thread per node.
-// level, step. rest: m. displacement: larger parts, then smaller, m. solid_distance: cell centres, m. rhs: forces, N. gaps: see contact,
+// level, step. rest: m. displacement: larger parts, then smaller, m. distances: to obstacles, cell centres, m. rhs: forces, N. gaps: see contact,
 // second section, out. freedom: see freedom, in place.
 #import contact
 #import dispatch
@@ -14,7 +14,7 @@
 @group(0) @binding(1) var<uniform> step: SolidStep;
 @group(0) @binding(2) var<storage, read> rest: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> displacement: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read> solid_distance: array<f32>;
+@group(0) @binding(4) var<storage, read> distances: array<f32>;
 @group(0) @binding(5) var<storage, read> rhs: array<Real4>;
 @group(0) @binding(6) var<storage, read_write> gaps: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read_write> freedom: array<vec4<f32>>;

@@ -1,7 +1,7 @@
 // move_solid, second part, with obstacles only: nodes inside an obstacle move to its surface along the gradient of the
 // interpolated distance, twice at most and as far as that is in the domain, and lose their velocity into it. Prescribed components stay,
 // and so do nodes without a velocity, which were inside before: contact takes them out. One thread per node.
-// level, step. rest: m. flags: see node_flags. solid_distance: cell centres, m. displacement: larger parts, then smaller, m;
+// level, step. rest: m. flags: see node_flags. distances: to obstacles, cell centres, m. displacement: larger parts, then smaller, m;
 // velocity: m/s; both in place.
 #import dispatch
 #import domain_walls
@@ -16,7 +16,7 @@
 @group(0) @binding(1) var<uniform> step: SolidStep;
 @group(0) @binding(2) var<storage, read> rest: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> flags: array<u32>;
-@group(0) @binding(4) var<storage, read> solid_distance: array<f32>;
+@group(0) @binding(4) var<storage, read> distances: array<f32>;
 @group(0) @binding(5) var<storage, read_write> displacement: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> velocity: array<Real4>;
 

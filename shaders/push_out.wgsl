@@ -1,7 +1,7 @@
-// advect_markers, second part, with obstacles only: markers inside a solid move to its surface + 0.1 dx along the gradient of
+// advect_markers, last of three, with obstacles only: markers inside a solid move to its surface + 0.1 dx along the gradient of
 // the interpolated distance, twice at most; what is still inside is dropped and counted.
 // One thread per marker.
-// level, step. solid_distance: cell centres, m. markers: x, y, z (m), w = 1 alive, 0 dropped; in place.
+// level, step. distances: to obstacles, cell centres, m. markers: x, y, z (m), w = 1 alive, 0 dropped; in place.
 // report: see report.
 #import dispatch
 #import layout
@@ -12,7 +12,7 @@
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<uniform> step: Step;
-@group(0) @binding(2) var<storage, read> solid_distance: array<f32>;
+@group(0) @binding(2) var<storage, read> distances: array<f32>;
 @group(0) @binding(3) var<storage, read_write> markers: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> report: array<atomic<u32>>;
 

@@ -1,5 +1,5 @@
 // Trilinear interpolation of a cell-centred distance and the exact gradient of the interpolant, clamped to the range of the
-// cells. The importing kernel declares level: Layout and solid_distance: array<f32>, m.
+// cells. The importing kernel declares level: Layout and distances: array<f32>, m.
 #import layout
 
 // at: position in cells, that is x / dx. Returns the distance, m, and its gradient per cell, m.
@@ -15,8 +15,8 @@ fn sample_distance(at: vec3<f32>) -> vec4<f32> {
     let k = i + slab;
     // A grid one cell thick has no second cell: the gradient across it is zero.
     let thick = vec3<f32>(level.cells > vec3<u32>(1u));
-    let a = vec4<f32>(solid_distance[i], solid_distance[i + row], solid_distance[k], solid_distance[k + row]);
-    let b = vec4<f32>(solid_distance[i + 1u], solid_distance[i + row + 1u], solid_distance[k + 1u], solid_distance[k + row + 1u]);
+    let a = vec4<f32>(distances[i], distances[i + row], distances[k], distances[k + row]);
+    let b = vec4<f32>(distances[i + 1u], distances[i + row + 1u], distances[k + 1u], distances[k + row + 1u]);
     let along_x = mix(a, b, f.x);
     let along_xy = mix(along_x.xz, along_x.yw, f.y);
     let slope_x = mix((b - a).xz, (b - a).yw, f.y);

@@ -34,12 +34,14 @@ mod solve_coupled;
 mod solve_solid;
 mod step;
 mod stress_variables;
+mod surface_distance;
 mod time_step;
 mod turn_solids;
 mod write_back;
 
 pub use active_cells::{ActiveCells, active_cells, theta};
-pub use advect_markers::{Lost, advect_markers, volume_without};
+pub(crate) use advect_markers::Layer;
+pub use advect_markers::{Lost, Surface, advect_markers, volume_without};
 pub use advect_velocity::advect_velocity;
 pub use coupled_system::{Blocks, CoupledSystem, SQUEEZE, TwoField};
 pub use diagnose::{diagnose, divergence, liquid_volume, max_speed, open_volumes};
@@ -73,6 +75,7 @@ pub use solve_coupled::{
 pub use solve_solid::{Chebyshev, SolidSolver};
 pub use step::{Reference, StepSystem};
 pub use stress_variables::{StressSystem, StressVariables};
+pub use surface_distance::surface_distance;
 pub use time_step::{TimeStep, time_step};
 pub use turn_solids::turn_solids;
 pub use write_back::write_back;

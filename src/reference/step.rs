@@ -9,12 +9,13 @@ use glam::DVec3;
 use super::diagnose::larger;
 use super::{
     BlockPattern, Contacts, CoupledSystem, Formulation, Lost, MovingWalls, Passed, PressureSystem,
-    SQUEEZE, SolidSolver, SolidSystem, TimeStep, VolumeSource, active_cells, advect_markers,
-    advect_velocity, carry_faces, diagnose, diagnose_solid, divergence, empty_sinks,
-    exchanged_volume, extrapolate, forces, hold_faces, liquid_distance, liquid_volume, max_speed,
-    move_solid, n_layers, node_forces, open_volumes, patch_pressure, prepare, pressure_gradient,
-    right_hand_side, seed_markers, sink_markers, solid_matrices, solid_right_hand_side, solve,
-    solve_coupled_in_contact, solve_damping_only, solve_weak, time_step, volume_rate, write_back,
+    SQUEEZE, SolidSolver, SolidSystem, Surface, TimeStep, VolumeSource, active_cells,
+    advect_markers, advect_velocity, carry_faces, diagnose, diagnose_solid, divergence,
+    empty_sinks, exchanged_volume, extrapolate, forces, hold_faces, liquid_distance, liquid_volume,
+    max_speed, move_solid, n_layers, node_forces, open_volumes, patch_pressure, prepare,
+    pressure_gradient, right_hand_side, seed_markers, sink_markers, solid_matrices,
+    solid_right_hand_side, solve, solve_coupled_in_contact, solve_damping_only, solve_weak,
+    surface_distance, time_step, volume_rate, write_back,
 };
 use crate::Error;
 use crate::effects::Effects;
@@ -337,11 +338,17 @@ impl Reference {
         let mut exchange = None;
         let mut running = Running::default();
         if let Some(LiquidPart { liquid, taps, .. }) = liquid {
+            let distance = surface_distance(grid, &before.liquid_distance);
+            let surface = Surface {
+                distance: &distance,
+                radius: liquid.marker_radius * grid.dx,
+            };
             (state.markers, lost) = advect_markers(
                 grid,
                 scene.domain.open,
                 &before.velocity,
                 solid_distance,
+                &surface,
                 &before.markers,
                 dt,
             );

@@ -430,7 +430,10 @@ fn stages(
         stage("clip", true, &kernels);
     }
     if markers {
-        let kernels: [(bool, &[_]); 2] = [(true, &["advect_markers"]), (cuts, &["push_out"])];
+        let kernels: [(bool, &[_]); 2] = [
+            (true, &["surface_distance", "advect_markers"]),
+            (cuts, &["push_out"]),
+        ];
         stage("advect_markers", true, &kernels);
     }
     let Effects { sources, sinks, .. } = *effects;

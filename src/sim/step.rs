@@ -156,7 +156,7 @@ impl GpuPath {
         }) = liquid
         {
             if let Some(advect_markers) = &stages.advect_markers {
-                advect_markers.record(&mut to);
+                advect_markers.record(&mut to, buffers);
                 to = watch.after(AdvectMarkers::NAME, to)?;
                 if stages.record_exchange(&mut to) {
                     to = watch.after(EXCHANGE, to)?;

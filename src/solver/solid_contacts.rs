@@ -87,7 +87,7 @@ impl SolidContacts {
         ];
         if let Some(obstacles) = obstacles {
             let level = ("level", obstacles.level.into());
-            let distance = ("solid_distance", obstacles.solid_distance.into());
+            let distance = ("distances", obstacles.solid_distance.into());
             let bindings = [
                 level,
                 step,

@@ -3,7 +3,7 @@
 use crate::Error;
 use crate::effects::Effects;
 use crate::geometry::CutCells;
-use crate::gpu::{Buffer, BufferPlan, Compaction, Gpu, Range, Real, RealBuffer, WG_SIZE};
+use crate::gpu::{Buffer, BufferPlan, Compaction, Gpu, Range, Real, RealBuffer, WG_SIZE, groups};
 use crate::grid::{Axis, Grid, Layout, Padded};
 use crate::state::State;
 
@@ -355,8 +355,14 @@ impl LiquidBuffers {
         gpu.upload(&self.dilated, &vec![1; self.dilated.len()]);
         let slab = self.padded.stride_z;
         let mut flags = vec![0; self.padded.quads];
-        flags[slab..slab * (grid.cells[2] + 2)].fill(1);
+        let quads = slab..slab * (grid.cells[2] + 2);
+        flags[quads.clone()].fill(1);
         gpu.upload(&self.band_flags, &flags);
+        let list: Vec<u32> = quads.map(|quad| quad as u32).collect();
+        let n = list.len() as u32;
+        let [x, y, z] = groups(n.div_ceil(WG_SIZE));
+        gpu.upload(&self.band_list, &list);
+        gpu.upload(&self.band_args, &[x, y, z, n]);
         if let Some(markers) = &self.markers {
             let alive = state
                 .markers

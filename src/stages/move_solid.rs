@@ -48,7 +48,7 @@ impl MoveSolid {
         let push_nodes_out = |level: &Buffer<Layout>| {
             let level = ("level", level.into());
             let distance = &obstacles.expect("the plan has obstacles").solid_distance;
-            let distance = ("solid_distance", distance.into());
+            let distance = ("distances", distance.into());
             kernel(wgsl!("push_nodes_out"))?.bind(
                 gpu,
                 &[level, step, rest, flags, distance, displacement, velocity],

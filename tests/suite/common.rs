@@ -4,6 +4,8 @@ use std::process::Command;
 use std::sync::OnceLock;
 
 use cutwater::gpu::{AdapterChoice, Gpu};
+use cutwater::grid::Grid;
+use cutwater::reference::Surface;
 
 /// The one device of the test process; `None`, with the reason printed, where there is no adapter. `REQUIRE_GPU=1` makes a
 /// missing adapter a failure.
@@ -19,6 +21,19 @@ pub(crate) fn gpu() -> Option<&'static Gpu> {
         }
     })
     .as_ref()
+}
+
+/// Distances (m) to a surface that is too far for markers to know of it.
+pub(crate) fn far_below(grid: &Grid) -> Vec<f64> {
+    vec![-2.0 * grid.dx; grid.n_cells()]
+}
+
+/// A surface with the default radius of markers.
+pub(crate) fn surface<'a>(grid: &Grid, distance: &'a [f64]) -> Surface<'a> {
+    Surface {
+        distance,
+        radius: 0.87 * grid.dx,
+    }
 }
 
 /// SplitMix64 (Steele, Lea and Flood 2014): repeatable random numbers.

@@ -12,7 +12,7 @@ use cutwater::scene::{self, Liquid, Obstacle, Placement, Region, Scene, Shape, S
 use cutwater::state::State;
 use glam::{DMat3, DQuat, DVec3};
 
-use crate::common::Random;
+use crate::common::{Random, far_below, surface};
 
 fn point(random: &mut Random, low: f64, high: f64) -> DVec3 {
     DVec3::from_array([0; 3].map(|_| random.uniform(low, high)))
@@ -674,8 +674,11 @@ fn sides_of_obstacles_on_walls_are_no_way_out() {
     for (shape, placement) in pillars {
         let distance = distance(&shape, placement, false);
         let start = [0.42, 0.01, 0.55];
+        let deep = far_below(&grid);
+        let surface = surface(&grid, &deep);
+        let sides = Sides::default();
         let (markers, _) =
-            advect_markers(&grid, Sides::default(), &still, &distance, &[start], 0.01);
+            advect_markers(&grid, sides, &still, &distance, &surface, &[start], 0.01);
         let [x, y, z] = markers[0];
         assert!(x < 0.4 && [y, z] == start[1..], "{shape:?}: {markers:?}");
     }

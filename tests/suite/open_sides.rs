@@ -14,7 +14,7 @@ use cutwater::scene::{Scene, Solver};
 use cutwater::sim::{Backend, Plan, Simulation, reference_path};
 use cutwater::state::{SolveStatus, State};
 
-use crate::common::gpu;
+use crate::common::{far_below, gpu, surface};
 
 const GRAVITY: f64 = 9.81;
 
@@ -189,7 +189,9 @@ fn markers_leave_through_open_sides_alone() {
     let mut faces = State::at_rest(&grid).velocity;
     faces[0].iter_mut().for_each(|u| *u = 1.0);
     let markers = [[0.95, 0.5, 0.5], [0.5, 0.5, 0.5], [0.85, 0.2, 0.2]];
-    let moved = |sides| advect_markers(&grid, sides, &faces, &far, &markers, 0.1);
+    let deep = far_below(&grid);
+    let surface = surface(&grid, &deep);
+    let moved = |sides| advect_markers(&grid, sides, &faces, &far, &surface, &markers, 0.1);
     let (kept, lost) = moved(Sides::default().with(Axis::X, 1));
     assert_eq!(
         lost,

@@ -5,14 +5,14 @@ use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference::{
     Lost, PressureSystem, VolumeSource, active_cells, advect_markers, advect_velocity, diagnose,
     divergence, extrapolate, forces, gradient, liquid_distance, liquid_volume, max_speed, n_layers,
-    open_volumes, probe, right_hand_side, solve, solve_direct, solve_iterative, theta, time_step,
-    volume_rate, write_back,
+    open_volumes, probe, right_hand_side, solve, solve_direct, solve_iterative, surface_distance,
+    theta, time_step, volume_rate, write_back,
 };
 use cutwater::scene::{ProbeKind, Solver, Time};
 use cutwater::state::{SolveStatus, State};
 use glam::DVec3;
 
-use crate::common::Random;
+use crate::common::{Random, far_below, surface};
 
 const GRID: Grid = Grid {
     cells: [6, 5, 4],
@@ -152,7 +152,16 @@ fn markers_follow_a_shear_exactly_and_stay_inside() {
     let faces = on_faces(&GRID, |x| DVec3::new(0.8 * x.y, 0.0, 0.0));
     let open = empty(&GRID).solid_distance;
     let markers = [[0.4, 0.7, 1.1], [2.9, 2.0, 1.9]];
-    let (moved, lost) = advect_markers(&GRID, Sides::default(), &faces, &open, &markers, 0.5);
+    let deep = far_below(&GRID);
+    let (moved, lost) = advect_markers(
+        &GRID,
+        Sides::default(),
+        &faces,
+        &open,
+        &surface(&GRID, &deep),
+        &markers,
+        0.5,
+    );
     assert_eq!(lost, Lost::default());
     assert!(
         DVec3::from(moved[0]).distance(DVec3::new(0.4 + 0.5 * 0.8 * 0.7, 0.7, 1.1)) < 1e-12,
@@ -172,6 +181,7 @@ fn markers_follow_a_rotation_to_second_order() {
     };
     let faces = on_faces(&grid, |x| DVec3::new(0.5 - x.y, x.x - 0.5, 0.0));
     let solid_distance = empty(&grid).solid_distance;
+    let deep = far_below(&grid);
     let error = |steps: u32| {
         let dt = 1.0 / f64::from(steps);
         let mut markers = vec![[0.75, 0.5, 0.05]];
@@ -181,6 +191,7 @@ fn markers_follow_a_rotation_to_second_order() {
                 Sides::default(),
                 &faces,
                 &solid_distance,
+                &surface(&grid, &deep),
                 &markers,
                 dt,
             )
@@ -197,15 +208,103 @@ fn markers_follow_a_rotation_to_second_order() {
 }
 
 #[test]
+fn markers_move_with_the_surface_above_them() {
+    // The surface is the plane y = 1.5; at the depth of a marker the velocity differs from that 0.67 cells above by 0.67 of its slope.
+    let slope = 0.4;
+    let faces = on_faces(&GRID, |x| DVec3::new(slope * x.y, 0.0, 0.0));
+    let open = empty(&GRID).solid_distance;
+    let distance = on_cells(&GRID, |x| x.y - 1.5);
+    let (dx, dt) = (GRID.dx, 0.25);
+    let ahead = |depth: f64| {
+        let start = [1.1, 1.5 - depth * dx, 0.9];
+        let sides = Sides::default();
+        let surface = surface(&GRID, &distance);
+        let (moved, _) = advect_markers(&GRID, sides, &faces, &open, &surface, &[start], dt);
+        (moved[0][0] - start[0] - dt * slope * start[1]) / (dt * slope * dx)
+    };
+    for (depth, expected) in [
+        (0.4, 0.67),
+        (1.0, 0.67),
+        (1.25, 0.5025),
+        (1.5, 0.335),
+        (2.0, 0.0),
+        (2.4, 0.0),
+    ] {
+        let got = ahead(depth);
+        assert!((got - expected).abs() < 1e-12, "{depth} cells deep: {got}");
+    }
+    // Where the slope would take it further, half a cell is the most.
+    let steep = on_faces(&GRID, |x| DVec3::new(0.0, 0.0, 8.0 * (x.y - 1.0)));
+    let start = [1.1, 1.1, 0.5];
+    let surface = surface(&GRID, &distance);
+    let sides = Sides::default();
+    let (moved, _) = advect_markers(&GRID, sides, &steep, &open, &surface, &[start], dt);
+    let expected = start[2] + dt * 0.8 + 0.5 * dx;
+    assert!((moved[0][2] - expected).abs() < 1e-12, "{moved:?}");
+}
+
+#[test]
+fn the_surface_is_as_far_from_the_liquid_as_from_the_air() {
+    let grid = Grid {
+        cells: [7, 8, 5],
+        dx: 0.25,
+    };
+    // Below a plane between the cells, whatever the liquid distance says inside.
+    let level = 4.2 * grid.dx;
+    let plane = |inside: f64| {
+        let phi = on_cells(&grid, |x| {
+            let distance = x.y - level;
+            if distance > 0.0 { distance } else { inside }
+        });
+        surface_distance(&grid, &phi)
+    };
+    let expected = on_cells(&grid, |x| (x.y - level).max(-2.0 * grid.dx));
+    for inside in [-grid.dx, -0.3 * grid.dx, 0.0] {
+        for (cell, got) in plane(inside).iter().enumerate() {
+            let expected = expected[cell];
+            let known = expected >= -1.5 * grid.dx;
+            assert!(
+                (got - expected).abs() < 1e-12 || (!known && *got <= expected + 0.5 * grid.dx),
+                "cell {:?}: {got}, expected {expected}",
+                grid.cell_at(cell)
+            );
+        }
+    }
+    // A bubble of one cell in the liquid, and no surface at all.
+    let middle = grid.cell([3, 4, 2]);
+    let mut phi = vec![-grid.dx; grid.n_cells()];
+    assert!(
+        surface_distance(&grid, &phi)
+            .iter()
+            .all(|d| *d == -2.0 * grid.dx)
+    );
+    phi[middle] = 0.1 * grid.dx;
+    let bubble = surface_distance(&grid, &phi);
+    for (ijk, expected) in [
+        ([3, 4, 2], 0.1),
+        ([4, 4, 2], -0.9),
+        ([3, 3, 1], 0.1 - 2.0_f64.sqrt()),
+        ([3, 2, 2], -1.9),
+        ([5, 5, 2], -2.0),
+        ([0, 4, 2], -2.0),
+    ] {
+        let got = bubble[grid.cell(ijk)] / grid.dx;
+        assert!((got - expected).abs() < 1e-12, "{ijk:?}: {got}");
+    }
+}
+
+#[test]
 fn markers_leave_obstacles_along_the_normal_or_are_dropped() {
     // A wall through x = 1: everything below is solid.
     let still = on_faces(&GRID, |_| DVec3::ZERO);
     let wall = on_cells(&GRID, |x| x.x - 1.0);
+    let deep = far_below(&GRID);
     let (moved, lost) = advect_markers(
         &GRID,
         Sides::default(),
         &still,
         &wall,
+        &surface(&GRID, &deep),
         &[[0.8, 1.0, 1.0], [1.2, 1.0, 1.0]],
         0.1,
     );
@@ -222,6 +321,7 @@ fn markers_leave_obstacles_along_the_normal_or_are_dropped() {
         Sides::default(),
         &still,
         &buried,
+        &surface(&GRID, &deep),
         &[[0.8, 1.0, 1.0]],
         0.1,
     );

@@ -1,12 +1,12 @@
 //! `advect_markers` against its twin.
 
 use cutwater::gpu::{Gpu, Recorder};
-use cutwater::measure::bounds::trace_error;
-use cutwater::reference::{self, Lost};
+use cutwater::measure::bounds::MarkerError;
+use cutwater::reference::{self, Lost, Surface};
 use cutwater::stages::{AdvectMarkers, LiquidBuffers, Report};
 
-use crate::common::gpu;
-use crate::liquid_case::{Case, EPS, assert_close, cases};
+use crate::common::{Random, gpu};
+use crate::liquid_case::{Case, EPS, RADIUS, assert_close, cases, single};
 
 /// Markers after the stage, and what is lost of them.
 fn advected(
@@ -17,7 +17,7 @@ fn advected(
 ) -> (Vec<[f32; 4]>, Lost) {
     case.write(gpu, buffers);
     let mut recorder = Recorder::new(gpu);
-    stage.record(&mut recorder);
+    stage.record(&mut recorder, buffers);
     recorder.submit();
     let markers = gpu
         .download(&buffers.markers.as_ref().unwrap().positions)
@@ -28,14 +28,38 @@ fn advected(
     (markers, Lost { dropped, left })
 }
 
+/// The cases with the liquid where their markers are.
+fn filled_cases() -> Vec<Case> {
+    let mut cases = cases();
+    for case in &mut cases {
+        let radius = RADIUS * case.grid.dx;
+        let phi = reference::liquid_distance(&case.grid, &case.cut, &case.state.markers, radius);
+        case.state.liquid_distance = phi.into_iter().map(single).collect();
+    }
+    cases
+}
+
+/// The distance to the surface, m.
+fn surface_distance(case: &Case) -> Vec<f64> {
+    reference::surface_distance(&case.grid, &case.state.liquid_distance)
+}
+
+fn surface<'a>(case: &Case, distance: &'a [f64]) -> Surface<'a> {
+    Surface {
+        distance,
+        radius: RADIUS * case.grid.dx,
+    }
+}
+
 /// Where the twin puts a marker; otherwise how it is lost.
-fn twin(case: &Case, marker: [f64; 3]) -> Result<[f64; 3], Lost> {
+fn twin(case: &Case, surface: &Surface, marker: [f64; 3]) -> Result<[f64; 3], Lost> {
     let distance = &case.cut.solid_distance;
     let (kept, lost) = reference::advect_markers(
         &case.grid,
         case.sides,
         &case.state.velocity,
         distance,
+        surface,
         &[marker],
         case.dt,
     );
@@ -43,28 +67,30 @@ fn twin(case: &Case, marker: [f64; 3]) -> Result<[f64; 3], Lost> {
 }
 
 /// Push-out moves by the distance's error and turns by the normal's.
-fn bound(case: &Case) -> f64 {
-    let pushed = 3.0 * 64.0 * case.grid.dx * f64::from(u8::from(case.effects.obstacles));
-    let trace = trace_error(&case.grid, &case.state.velocity, case.dt);
-    trace.cells * case.grid.dx + EPS * pushed
+fn push_error(case: &Case) -> f64 {
+    EPS * 3.0 * 64.0 * case.grid.dx * f64::from(u8::from(case.effects.obstacles))
 }
 
 #[test]
 fn markers_move_as_in_the_twin() {
     let Some(gpu) = gpu() else { return };
-    for case in cases() {
+    for case in filled_cases() {
+        let distance = surface_distance(&case);
+        let surface = surface(&case, &distance);
         let buffers = case.upload(gpu);
         let stage = AdvectMarkers::new(gpu, &buffers).unwrap();
         let (markers, lost) = advected(gpu, &case, &buffers, &stage);
-        let bound = bound(&case);
+        let error = MarkerError::new(&case.grid, &case.state.velocity, surface, case.dt);
         let mut pairs = Vec::new();
         let mut expected = Lost::default();
         let mut n_unsteady = 0;
         let mut n_unsteady_lost = 0;
         for (index, (marker, &start)) in markers.iter().zip(&case.state.markers).enumerate() {
-            let end = twin(&case, start);
+            let end = twin(&case, &surface, start);
+            let bound = error.at(start.into()) + push_error(&case);
             // Where the gradient of the distance jumps, or its sign decides, a rounding decides: such markers show in the twin.
-            let shifted = [1.0, -1.0].map(|side| twin(&case, start.map(|x| x + side * bound)));
+            let shifted =
+                [1.0, -1.0].map(|side| twin(&case, &surface, start.map(|x| x + side * bound)));
             let steady = shifted.iter().all(|other| match (other, &end) {
                 (Ok(a), Ok(b)) => (0..3).all(|c| (a[c] - b[c]).abs() < 100.0 * bound),
                 (a, b) => a.is_err() && a == b,
@@ -114,6 +140,36 @@ fn markers_move_as_in_the_twin() {
 }
 
 #[test]
+fn the_surface_is_where_the_twin_has_it() {
+    let Some(gpu) = gpu() else { return };
+    for case in filled_cases() {
+        let buffers = case.upload(gpu);
+        let stage = AdvectMarkers::new(gpu, &buffers).unwrap();
+        let (grid, padded) = (case.grid, buffers.padded);
+        // A root, a product and a difference, of numbers up to 5 dx.
+        let bound = 3.0 * EPS * 5.0 * grid.dx;
+        let check = |case: &Case| {
+            advected(gpu, case, &buffers, &stage);
+            let stored = gpu.download(&buffers.velocity_next).unwrap();
+            let twin = surface_distance(case);
+            let pairs = twin.iter().enumerate().map(|(cell, &twin)| {
+                let ijk = grid.cell_at(cell);
+                (stored[padded.index(ijk)].into(), twin, bound, ijk)
+            });
+            assert_close(case.name, pairs);
+        };
+        check(&case);
+        // The worst liquid: some of it anywhere.
+        let mut random = Random(5);
+        let mut rough = case;
+        for phi in &mut rough.state.liquid_distance {
+            *phi = single(grid.dx * random.uniform(-1.0, 1.2));
+        }
+        check(&rough);
+    }
+}
+
+#[test]
 fn dropped_markers_stay_dropped() {
     let Some(gpu) = gpu() else { return };
     let case = cases()
@@ -123,8 +179,8 @@ fn dropped_markers_stay_dropped() {
     let buffers = case.upload(gpu);
     let stage = AdvectMarkers::new(gpu, &buffers).unwrap();
     let mut recorder = Recorder::new(gpu);
-    stage.record(&mut recorder);
-    stage.record(&mut recorder);
+    stage.record(&mut recorder, &buffers);
+    stage.record(&mut recorder, &buffers);
     recorder.submit();
     let n = case.state.markers.len();
     assert_eq!(

@@ -12,7 +12,7 @@ use crate::effects::Effects;
 use crate::geometry::{CutCells, Running, SolidClip, Taps};
 use crate::gpu::Real;
 use crate::grid::{Axis, Grid};
-use crate::measure::bounds::trace_error;
+use crate::measure::bounds::{MarkerError, trace_error};
 use crate::reference::{
     self, ActiveCells, MovingWalls, PressureSystem, RightHandSide as Inflow, Stencil, VolumeSource,
 };
@@ -239,7 +239,7 @@ impl<'a> LiquidJudge<'a> {
         shares + (terms + 16.0) * f64::EPSILON + EPS * EPS
     }
 
-    /// As [`trace_error`] says. Push-out moves by the distance's error and turns by the normal's.
+    /// As [`MarkerError`] says. Push-out moves by the distance's error and turns by the normal's.
     fn advect_markers(&mut self, after: &LiquidSnapshot) {
         let (grid, dt) = (self.grid, self.dt());
         let (velocity, solid_distance) = (&self.before.velocity, &self.cut.solid_distance);
@@ -248,19 +248,35 @@ impl<'a> LiquidJudge<'a> {
         } else {
             0.0
         };
-        let bound = trace_error(&grid, velocity, dt).cells * grid.dx + EPS * pushed;
+        let distance = reference::surface_distance(&grid, &self.before.liquid_distance);
+        let surface = reference::Surface {
+            distance: &distance,
+            radius: f64::from(self.step.marker_radius) * grid.dx,
+        };
+        let error = MarkerError::new(&grid, velocity, surface, dt);
+        let bound = |start: [f64; 3]| error.at(start.into()) + EPS * pushed;
         let sides = self.scene.domain.open;
         let twin = |start: [f64; 3]| {
-            reference::advect_markers(&grid, sides, velocity, solid_distance, &[start], dt)
-                .0
-                .pop()
+            let markers = [start];
+            reference::advect_markers(
+                &grid,
+                sides,
+                velocity,
+                solid_distance,
+                &surface,
+                &markers,
+                dt,
+            )
+            .0
+            .pop()
         };
-        let close = |gpu: &Option<[f64; 3]>, twin: &Option<[f64; 3]>| match (gpu, twin) {
+        let close = |gpu: &Option<[f64; 3]>, twin: &Option<[f64; 3]>, bound: f64| match (gpu, twin)
+        {
             (Some(gpu), Some(twin)) => (0..3).all(|a| (gpu[a] - twin[a]).abs() <= bound),
             (gpu, twin) => gpu.is_none() == twin.is_none(),
         };
         // Where the gradient of the distance jumps, or its sign decides, a start that is off by a rounding ends elsewhere.
-        let excused = |start: [f64; 3], gpu: &Option<[f64; 3]>| {
+        let excused = |start: [f64; 3], gpu: &Option<[f64; 3]>, bound: f64| {
             let shifted: Vec<_> = (0..8)
                 .map(|corner| {
                     twin(std::array::from_fn(|a| {
@@ -285,8 +301,10 @@ impl<'a> LiquidJudge<'a> {
             .zip(&after.markers)
             .map(|(start, gpu)| {
                 let end = start.and_then(twin);
-                let excused = !close(gpu, &end) && start.is_some_and(|start| excused(start, gpu));
-                (*start, *gpu, end, excused)
+                let bound = start.map_or(0.0, bound);
+                let excused = !close(gpu, &end, bound)
+                    && start.is_some_and(|start| excused(start, gpu, bound));
+                (bound, *gpu, end, excused)
             })
             .collect();
         let place = |index: usize| {
@@ -300,8 +318,8 @@ impl<'a> LiquidJudge<'a> {
         );
         self.table.add(
             [AdvectMarkers::NAME, "positions", "m"],
-            judged().flat_map(|(index, (_, gpu, twin, _))| {
-                let both = gpu.zip(*twin).into_iter();
+            judged().flat_map(|(index, &(bound, gpu, twin, _))| {
+                let both = gpu.zip(twin).into_iter();
                 both.flat_map(move |(gpu, twin)| {
                     (0..3).map(move |a| (gpu[a], twin[a], bound, index))
                 })

@@ -1,0 +1,68 @@
+// advect_markers, first of three: how far the surface is at the centres of cells. In air that is the liquid distance; in the liquid it
+// is made again from the air: no liquid is within phi of a centre of air, so a cell at a distance d of it is phi - d from the surface,
+// negative. The largest over the 5 x 5 x 5 cells around, at least -2 dx.
+// One thread per quad of the band.
+// level, step. args, list: the band of the last sub-step. liquid_distance, surface (signed distance to it): m.
+#import dispatch
+#import layout
+#import lanes
+#import step
+
+@group(0) @binding(0) var<uniform> level: Layout;
+@group(0) @binding(1) var<uniform> step: Step;
+@group(0) @binding(2) var<storage, read> args: array<u32>;
+@group(0) @binding(3) var<storage, read> list: array<u32>;
+@group(0) @binding(4) var<storage, read> liquid_distance: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read_write> surface: array<vec4<f32>>;
+
+// Cells that are looked at each way, and how deep the distance is known.
+const REACH = 2;
+
+// What the cells of a row say of four lanes. quad, cell: where their own lie moved to the row, which is in the domain. away: how far
+// that is, squared, cells^2.
+fn told(quad: u32, cell: vec3<i32>, away: f32) -> vec4<f32> {
+    let deepest = vec4<f32>(-f32(REACH) * step.dx);
+    let n = vec3<i32>(level.cells);
+    let own = select(deepest, liquid_distance[quad], lanes_inside(cell, n));
+    let before = select(deepest, liquid_distance[quad - 1u], lanes_inside(cell - vec3<i32>(4, 0, 0), n));
+    let after = select(deepest, liquid_distance[quad + 1u], lanes_inside(cell + vec3<i32>(4, 0, 0), n));
+    let ways = step.dx * sqrt(vec3<f32>(away, away + 1.0, away + 4.0));
+    return max(
+        from_air(own, ways.x),
+        max(
+            max(from_air(shift_up(before, own), ways.y), from_air(shift_down(own, after), ways.y)),
+            max(from_air(vec4<f32>(before.zw, own.xy), ways.z), from_air(vec4<f32>(own.zw, after.xy), ways.z)),
+        ),
+    );
+}
+
+fn from_air(phi: vec4<f32>, way: f32) -> vec4<f32> {
+    return select(vec4<f32>(-f32(REACH) * step.dx), phi - way, phi > vec4<f32>());
+}
+
+@compute @workgroup_size(WG_SIZE)
+fn surface_distance(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let index = linear_index(workgroup, lane);
+    if index >= args[3] {
+        return;
+    }
+    let quad = list[index];
+    let own = liquid_distance[quad];
+    if all(own > vec4<f32>()) {
+        surface[quad] = own;
+        return;
+    }
+    let cell = quad_cell(level, quad);
+    let rows = vec2<i32>(level.cells.yz);
+    var deep = vec4<f32>(-f32(REACH) * step.dx);
+    for (var z = -REACH; z <= REACH; z++) {
+        for (var y = -REACH; y <= REACH; y++) {
+            let row = cell + vec3<i32>(0, y, z);
+            if all(row.yz >= vec2<i32>()) && all(row.yz < rows) {
+                let there = i32(quad) + z * i32(level.stride_z) + y * i32(level.stride_y);
+                deep = max(deep, told(u32(there), row, f32(y * y + z * z)));
+            }
+        }
+    }
+    surface[quad] = select(deep, own, own > vec4<f32>());
+}
