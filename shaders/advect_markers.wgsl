@@ -20,15 +20,16 @@
 @group(0) @binding(4) var<storage, read_write> markers: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read_write> report: array<atomic<u32>>;
 
+// The same numbers as in reference/advect_markers.rs.
 // By how much less than the radius of their spheres the surface stands above the outermost markers, in cells.
 const SPHERE_GAP = 0.2;
-// How deep below it markers know of it, in cells; it tells for all from one cell less on.
+// How deep below it markers know of it, in cells; all that it does they do from one cell less on.
 const DEEPEST = 2.0;
 // How much further than others they move in a sub-step at most, in cells.
 const MOST_AHEAD = 0.5;
 
-// Of a marker at a position (cells), whose way up is a cell long (cells), m/s. ahead: by which share of the difference over that way the
-// surface is.
+// Of a marker at a position (cells), m/s. up: a cell out of the liquid at most, cells. ahead: by which share of the difference over that way
+// the surface is.
 fn velocity_below_surface(at: vec3<f32>, up: vec3<f32>, ahead: f32) -> vec3<f32> {
     let here = sample_velocity(at);
     if ahead == 0.0 {

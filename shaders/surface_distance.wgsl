@@ -1,31 +1,39 @@
 // advect_markers, first of three: how far the surface is at the centres of cells. In air that is the liquid distance; in the liquid it
 // is made again from the air: no liquid is within phi of a centre of air, so a cell at a distance d of it is phi - d from the surface,
-// negative. The largest over the 5 x 5 x 5 cells around, at least -2 dx.
+// negative. The largest over the 5 x 5 x 5 cells around, at least -2 dx. Cells with their centre in a solid say nothing, and theirs is
+// made again, too.
 // One thread per quad of the band.
-// level, step. args, list: the band of the last sub-step. liquid_distance, surface (signed distance to it): m.
+// level, step. args, list: the band of the last sub-step. occupied: see classes. liquid_distance, surface (signed distance to it): m.
 #import dispatch
 #import layout
 #import lanes
 #import step
+#import classes
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<uniform> step: Step;
 @group(0) @binding(2) var<storage, read> args: array<u32>;
 @group(0) @binding(3) var<storage, read> list: array<u32>;
-@group(0) @binding(4) var<storage, read> liquid_distance: array<vec4<f32>>;
-@group(0) @binding(5) var<storage, read_write> surface: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read> occupied: array<u32>;
+@group(0) @binding(5) var<storage, read> liquid_distance: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read_write> surface: array<vec4<f32>>;
 
 // Cells that are looked at each way, and how deep the distance is known.
 const REACH = 2;
 
+// phi where there is air, else the deepest distance.
+fn air(quad: u32, cell: vec3<i32>) -> vec4<f32> {
+    let phi = liquid_distance[quad];
+    let room = lanes_inside(cell, vec3<i32>(level.cells)) & !bit_lanes(lanes_of(occupied[quad], NO_ROOM));
+    return select(vec4<f32>(-f32(REACH) * step.dx), phi, room & (phi > vec4<f32>()));
+}
+
 // What the cells of a row say of four lanes. quad, cell: where their own lie moved to the row, which is in the domain. away: how far
 // that is, squared, cells^2.
 fn told(quad: u32, cell: vec3<i32>, away: f32) -> vec4<f32> {
-    let deepest = vec4<f32>(-f32(REACH) * step.dx);
-    let n = vec3<i32>(level.cells);
-    let own = select(deepest, liquid_distance[quad], lanes_inside(cell, n));
-    let before = select(deepest, liquid_distance[quad - 1u], lanes_inside(cell - vec3<i32>(4, 0, 0), n));
-    let after = select(deepest, liquid_distance[quad + 1u], lanes_inside(cell + vec3<i32>(4, 0, 0), n));
+    let before = air(quad - 1u, cell - vec3<i32>(4, 0, 0));
+    let own = air(quad, cell);
+    let after = air(quad + 1u, cell + vec3<i32>(4, 0, 0));
     let ways = step.dx * sqrt(vec3<f32>(away, away + 1.0, away + 4.0));
     return max(
         from_air(own, ways.x),
@@ -47,12 +55,12 @@ fn surface_distance(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_
         return;
     }
     let quad = list[index];
-    let own = liquid_distance[quad];
+    let cell = quad_cell(level, quad);
+    let own = air(quad, cell);
     if all(own > vec4<f32>()) {
         surface[quad] = own;
         return;
     }
-    let cell = quad_cell(level, quad);
     let rows = vec2<i32>(level.cells.yz);
     var deep = vec4<f32>(-f32(REACH) * step.dx);
     for (var z = -REACH; z <= REACH; z++) {

@@ -52,8 +52,8 @@
 //! 2. `clip`: open face areas and the distance to the obstacles, on the CPU ([`geometry`]); once, and with solids in liquid in
 //!    every sub-step, after they have moved
 //! 3. `move_solid`: nodes of the solids, on circles where their body is free or on a hinge, then out of walls and obstacles
-//! 4. `advect_markers`: midpoint rule through the MAC field, then out of the domain through open sides, else out of solids and
-//!    walls; on the GPU `band` then lists the
+//! 4. `advect_markers`: midpoint rule through the MAC field, near the surface with the velocity of the surface, then out of the domain
+//!    through open sides, else out of solids and walls; on the GPU `band` then lists the
 //!    quads near the liquid, which all other stages of the liquid work on
 //! 5. `exchange`: sinks take markers away, sources make some, where the scene has any
 //! 6. `advect_velocity`: semi-Lagrangian on the faces

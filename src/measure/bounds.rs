@@ -67,10 +67,11 @@ impl<'a> MarkerError<'a> {
         }
     }
 
-    /// The error of where the one at x (m) goes, m. Beside what [`trace_error`] counts there is another sample, one cell below: the way
-    /// there is a slope of the distance, which is rounded 10 times, and 3 times before that, and changes by 4 slopes per cell with the
-    /// position, as the two other axes' do; the weight of the difference changes with the distance. Where the difference is cut off, its
-    /// error shrinks as it does.
+    /// The error of where the one at x (m) goes, m. Beside what [`trace_error`] counts there is another sample, one cell below. The way
+    /// there is a slope of the distance; that is a difference of numbers up to 4 cells with a root that may be off by four roundings, is
+    /// at least -2 cells and sampled in 10 roundings; its slope changes by 4 of the steepest per cell of the position, as the two other
+    /// axes' do, but jumps on planes of cell centres, where markers have to be excused. The weight of the difference changes with the
+    /// distance. Where the difference is cut off, its error shrinks as it does.
     pub fn at(&self, x: DVec3) -> f64 {
         let MarkerError {
             grid,
@@ -81,7 +82,7 @@ impl<'a> MarkerError<'a> {
         let cells_per_speed = self.dt / grid.dx;
         let layer = reference::Layer::at(grid, surface, x, self.dt);
         let position = self.position();
-        let rounded = EPS * (10.0 * self.steep + 6.0);
+        let rounded = EPS * (10.0 * self.steep.max(2.0) + 12.0);
         let way = 2.0 * rounded + 4.0 * self.steep * position;
         let weight = surface.radius / grid.dx * (rounded + 3.0 * self.steep * position);
         let sample = |position: f64| sample_error(self.speed, self.slope, position);

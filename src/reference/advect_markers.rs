@@ -2,16 +2,16 @@
 //! obstacles.
 //!
 //! Markers carry the surface, which stands h = r - 0.2 dx above the outermost of them, r the radius of their spheres. Moved by the
-//! velocity where they are, they would move it too little: by exp(-h k) in a wave with wave number k, whose frequency was 5 % too
-//! low at 40 cells a wavelength and 10 % at 20. So markers near the surface move with the velocity up there, continued along the normal
-//! n = grad d:
+//! velocity where they are, they would move it too little: by exp(-h k) in a wave with wave number k, whose period is then longer by
+//! about h k / 2, 5 % at 40 cells a wavelength and 10 % at 20. So markers near the surface move with the velocity up there, continued along
+//! n = grad d, the normal, shorter where two sides of the liquid are close:
 //!
 //! ```text
 //! v(x) = u(x) + w h/dx (u(x) - u(x - dx n))    w = 1 where d >= - dx, 0 at - 2 dx, linear between
 //! ```
 //!
-//! with the signed distance d of `surface_distance`. Both samples lie in the liquid, where velocities are solved for; a sample on the
-//! surface itself would see as much of the air, where they are continued without a slope. What is added moves a marker by half a cell
+//! with the signed distance d of `surface_distance`. Both samples lie in the liquid, unless it is a sheet or a drop; a sample on the
+//! surface would see as much of the air, where velocities are continued without a slope. What is added moves a marker by half a cell
 //! at most: so far beyond what others cross there are velocities.
 
 use glam::DVec3;
@@ -26,8 +26,8 @@ const WALL_GAP: f64 = 0.01;
 const SOLID_GAP: f64 = 0.1;
 /// How often it is tried.
 const PUSHES: usize = 2;
-/// By how much less than the radius of their spheres the surface stands above the outermost markers on average, in cells. Markers that
-/// are seeded begin as deep.
+/// By how much less than the radius of their spheres the surface stands above the outermost markers on average, in cells. Markers
+/// are seeded as deep with the default radius (`geometry/liquid.rs`).
 const SPHERE_GAP: f64 = 0.2;
 /// From this far below the surface on markers move with its velocity, in cells, and over how many less and less.
 const SURFACE_LAYER: [f64; 2] = [1.0, 1.0];
@@ -106,7 +106,7 @@ pub fn volume_without(volume_0: f64, left: u64, kept: usize) -> f64 {
 /// What the surface is to a marker.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Layer {
-    /// One cell out of the liquid, m.
+    /// A cell out of the liquid at most, m.
     pub(crate) up: DVec3,
     /// By which share of the difference over that way the surface is ahead.
     pub(crate) ahead: f64,

@@ -338,7 +338,7 @@ impl Reference {
         let mut exchange = None;
         let mut running = Running::default();
         if let Some(LiquidPart { liquid, taps, .. }) = liquid {
-            let distance = surface_distance(grid, &before.liquid_distance);
+            let distance = surface_distance(grid, solid_distance, &before.liquid_distance);
             let surface = Surface {
                 distance: &distance,
                 radius: liquid.marker_radius * grid.dx,

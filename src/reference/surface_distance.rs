@@ -7,6 +7,9 @@
 //! ```text
 //! d_c = max(- 2 dx, max_n (phi_n - |x_c - x_n|))    over the cells of air in the 5 x 5 x 5 around it
 //! ```
+//!
+//! Cells whose centre is in an obstacle or a solid say nothing: far inside, phi takes them for air. Theirs is made again, too, so that
+//! no surface is seen where liquid ends at a wall.
 
 use glam::IVec3;
 use rayon::prelude::*;
@@ -17,25 +20,25 @@ use crate::grid::Grid;
 const REACH: i32 = 2;
 
 /// Signed distance to the surface at cell centres, m, negative in the liquid, where it is at least -2 dx; in air that of
-/// `liquid_distance` (m).
-pub fn surface_distance(grid: &Grid, liquid_distance: &[f64]) -> Vec<f64> {
+/// `liquid_distance` (m). `solid_distance`: to obstacles and solids, m.
+pub fn surface_distance(grid: &Grid, solid_distance: &[f64], liquid_distance: &[f64]) -> Vec<f64> {
     let n = IVec3::from(grid.cells.map(|n| n as i32));
     let inside = |ijk: IVec3| ijk.cmpge(IVec3::ZERO).all() && ijk.cmplt(n).all();
     let around = || -REACH..=REACH;
+    let air = |cell: usize| liquid_distance[cell] > 0.0 && solid_distance[cell] >= 0.0;
     let cells = (0..grid.n_cells()).into_par_iter();
     let distances = cells.map(|cell| {
-        let own = liquid_distance[cell];
-        if own > 0.0 {
-            return own;
+        if air(cell) {
+            return liquid_distance[cell];
         }
         let here = IVec3::from(grid.cell_at(cell).map(|n| n as i32));
         let offsets = around()
             .flat_map(|z| around().flat_map(move |y| around().map(move |x| IVec3::new(x, y, z))));
         let told = offsets.filter_map(|offset| {
-            let there = here + offset;
-            let phi = inside(there)
-                .then(|| liquid_distance[grid.cell(there.to_array().map(|n| n as usize))])?;
-            (phi > 0.0).then(|| phi - grid.dx * offset.as_dvec3().length())
+            let there = inside(here + offset)
+                .then(|| grid.cell((here + offset).to_array().map(|n| n as usize)))
+                .filter(|&there| air(there))?;
+            Some(liquid_distance[there] - grid.dx * offset.as_dvec3().length())
         });
         told.fold(-f64::from(REACH) * grid.dx, f64::max)
     });

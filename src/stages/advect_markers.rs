@@ -34,7 +34,7 @@ impl AdvectMarkers {
         let step = ("step", (&buffers.step).into());
         let positions = ("markers", (&markers.positions).into());
         let velocity = ("velocity", (&buffers.velocity).into());
-        // Nobody needs what advection writes next before it does.
+        // Free until advection writes it.
         let surface = &buffers.velocity_next;
         let [_, args, list] = over_band(buffers);
         let report = ("report", (&buffers.report).into());
@@ -52,6 +52,7 @@ impl AdvectMarkers {
                     step,
                     args,
                     list,
+                    ("occupied", (&markers.occupied).into()),
                     ("liquid_distance", (&buffers.liquid_distance).into()),
                     ("surface", surface.into()),
                 ],

@@ -139,7 +139,8 @@ pub struct LiquidBuffers {
     /// Face velocities after the last projection and extrapolation: x, y, z faces one after another, m/s; 0 outside the band.
     /// From `advect_velocity` to `write_back` its contents are not needed, and `liquid_distance` computes in it with obstacles.
     pub velocity: Buffer<f32>,
-    /// u*: face velocities before the projection, m/s; defined on the band only.
+    /// u*: face velocities before the projection, m/s; defined on the band only. In `advect_markers` its first third is how far the surface is,
+    /// m.
     pub velocity_next: Buffer<f32>,
     /// Open fractions of the faces.
     pub open: Buffer<f32>,

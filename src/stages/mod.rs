@@ -65,7 +65,7 @@ pub struct Active<'a> {
 }
 
 /// Faces count as reached from the liquid within this many layers, each a cell wide along axes and diagonals: one cell beyond
-/// what a point crosses along each axis in a sub-step, and one for the trilinear sample.
+/// what a point crosses along each axis in a sub-step, of which markers near the surface take half, and one for the trilinear sample.
 pub fn extrapolation_layers(cfl: f64) -> usize {
     cfl.ceil() as usize + 2
 }

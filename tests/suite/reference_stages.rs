@@ -249,6 +249,7 @@ fn the_surface_is_as_far_from_the_liquid_as_from_the_air() {
         cells: [7, 8, 5],
         dx: 0.25,
     };
+    let far = empty(&grid).solid_distance;
     // Below a plane between the cells, whatever the liquid distance says inside.
     let level = 4.2 * grid.dx;
     let plane = |inside: f64| {
@@ -256,7 +257,7 @@ fn the_surface_is_as_far_from_the_liquid_as_from_the_air() {
             let distance = x.y - level;
             if distance > 0.0 { distance } else { inside }
         });
-        surface_distance(&grid, &phi)
+        surface_distance(&grid, &far, &phi)
     };
     let expected = on_cells(&grid, |x| (x.y - level).max(-2.0 * grid.dx));
     for inside in [-grid.dx, -0.3 * grid.dx, 0.0] {
@@ -274,12 +275,12 @@ fn the_surface_is_as_far_from_the_liquid_as_from_the_air() {
     let middle = grid.cell([3, 4, 2]);
     let mut phi = vec![-grid.dx; grid.n_cells()];
     assert!(
-        surface_distance(&grid, &phi)
+        surface_distance(&grid, &far, &phi)
             .iter()
             .all(|d| *d == -2.0 * grid.dx)
     );
     phi[middle] = 0.1 * grid.dx;
-    let bubble = surface_distance(&grid, &phi);
+    let bubble = surface_distance(&grid, &far, &phi);
     for (ijk, expected) in [
         ([3, 4, 2], 0.1),
         ([4, 4, 2], -0.9),
@@ -291,6 +292,12 @@ fn the_surface_is_as_far_from_the_liquid_as_from_the_air() {
         let got = bubble[grid.cell(ijk)] / grid.dx;
         assert!((got - expected).abs() < 1e-12, "{ijk:?}: {got}");
     }
+    // In the middle of an obstacle, where nothing is known of the liquid, there is no surface.
+    let mut solid = far;
+    solid[middle] = -0.5 * grid.dx;
+    phi[middle] = grid.dx;
+    let under_water = surface_distance(&grid, &solid, &phi);
+    assert!(under_water.iter().all(|d| *d == -2.0 * grid.dx));
 }
 
 #[test]

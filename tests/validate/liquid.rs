@@ -20,6 +20,7 @@ pub(crate) fn cases() -> Vec<Case> {
         Case::new("F2", sphere_at_rest),
         Case::new("F3", dam_release),
         Case::new("F4", standing_wave),
+        Case::new("F4/coarse", coarse_waves),
         Case::new("F11", collapsing_column),
         Case::new("free_fall", free_fall),
         Case::new("volume", volume),
@@ -229,6 +230,36 @@ fn standing_wave(sheet: &mut Sheet) {
         "the same by the level at each wall, which is bumpy",
         off.join(", "),
     );
+}
+
+/// F4 again, on 20 and 40 cells a wavelength: half of one between walls 1 m apart, 1 m deep, one and a half cells high.
+fn coarse_waves(sheet: &mut Sheet) {
+    for (cells, allowed) in [(20, 0.02), (40, 0.01)] {
+        let half = cells / 2;
+        let dx = 1.0 / f64::from(half);
+        let (k, amplitude) = (std::f64::consts::PI, 1.5 * dx);
+        let text = format!(
+            "[domain]\nsize = [1, {}, {}]\ncells = [{half}, {}, 4]\n[time]\nduration = 10\nframes_per_second = 60\n\
+             [[liquid.region]]\nwave = {{ level = 1.0, amplitude = {amplitude}, wave_number = [{k}, 0.0] }}\n",
+            1.0 + 8.0 * dx,
+            4.0 * dx,
+            half + 8,
+        );
+        // Lamb, Hydrodynamics, art. 228, and the next order of Tadjbakhsh and Keller 1960 at k h = pi.
+        let linear = std::f64::consts::TAU / (GRAVITY * k * k.tanh()).sqrt();
+        let period = linear / (1.0 - 0.124_056_62 * (k * amplitude).powi(2));
+        let mut simulation = simulation(&written(&text), &gpu());
+        let mut aside = vec![(0.0, middle(&simulation)[0] - 0.5)];
+        while simulation.clock().time < 2.6 * period {
+            step(&mut simulation);
+            aside.push((simulation.clock().time, middle(&simulation)[0] - 0.5));
+        }
+        // Once there and back, so that it does not matter around what the middle swings.
+        let times = crossings(&aside, 0.0);
+        let what =
+            format!("{cells} cells a wavelength, 1.5 cells high: period over two periods, s");
+        sheet.relative(&what, period, 0.5 * (times[4] - times[0]), allowed);
+    }
 }
 
 /// Of the markers, m: what a long wave moves aside, without the bumps of the surface.

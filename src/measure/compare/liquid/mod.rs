@@ -248,7 +248,8 @@ impl<'a> LiquidJudge<'a> {
         } else {
             0.0
         };
-        let distance = reference::surface_distance(&grid, &self.before.liquid_distance);
+        let phi = &self.before.liquid_distance;
+        let distance = reference::surface_distance(&grid, solid_distance, phi);
         let surface = reference::Surface {
             distance: &distance,
             radius: f64::from(self.step.marker_radius) * grid.dx,
