@@ -155,9 +155,11 @@ struct Case<'a> {
     state: &'a State,
 }
 
-/// Measures all rows of the tables asked for.
-pub(super) fn measure(options: &Options, tell: &mut dyn FnMut(&Row)) -> Result<Vec<Row>, Error> {
-    let mut rows = Vec::new();
+/// Gives `take` all rows of the tables asked for.
+pub(super) fn measure(
+    options: &Options,
+    take: &mut dyn FnMut(Row) -> Result<(), Error>,
+) -> Result<(), Error> {
     for &table in &options.tables {
         let Some(problem) = Problem::of(table) else {
             continue;
@@ -165,13 +167,12 @@ pub(super) fn measure(options: &Options, tell: &mut dyn FnMut(&Row)) -> Result<V
         for patches in [PatchPressure::Cell, PatchPressure::Hydrostatic] {
             for grid in options.grids_of(table) {
                 for row in on_grid(&problem, patches, grid, options)? {
-                    tell(&row);
-                    rows.push(row);
+                    take(row)?;
                 }
             }
         }
     }
-    Ok(rows)
+    Ok(())
 }
 
 /// The rows of a problem on a grid: of the f64 path and of the device in each precision.

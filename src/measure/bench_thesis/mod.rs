@@ -147,8 +147,8 @@ pub enum Told<'a> {
     Accuracy(&'a Row),
 }
 
-/// Measures all rows and writes into `out`: thesis.json, thesis.svg, for tables 6.2 to 6.4 thesis_systems.csv, thesis_means.csv and
-/// thesis_growth.csv, for tables 6.5 and 6.6 thesis.csv and thesis_orders.csv. `tell` hears of each row.
+/// Measures all rows and writes into `out`, anew after each: thesis.json, thesis.svg, for tables 6.2 to 6.4 thesis_systems.csv,
+/// thesis_means.csv and thesis_growth.csv, for tables 6.5 and 6.6 thesis.csv and thesis_orders.csv. `tell` hears of each row.
 ///
 /// # Errors
 /// [`Error::Input`] for grids and frames that the problems do not have, [`Error::Output`], and what the simulations say.
@@ -162,43 +162,55 @@ pub fn bench_thesis(
             table.ensure_grid(grid)?;
         }
     }
-    let has = |of_systems: bool| {
-        let mut tables = options.tables.iter();
-        tables.any(|table| table.of_systems() == of_systems)
-    };
-    if has(true) {
+    if options.tables.iter().any(|table| table.of_systems()) {
         for &frame in &options.frames {
             systems::ensure_frame(frame)?;
         }
     }
     fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
-    let machine = Machine::new(&Gpu::new(&options.adapter)?, options.repeats)?;
-    let systems = systems::measure(options, &mut |row| tell(Told::System(row)))?;
-    let rows = accuracy::measure(options, &mut |row| tell(Told::Accuracy(row)))?;
-    let means = systems::means(&systems);
-    let table = Table {
-        machine,
-        orders: accuracy::orders(&rows, &options.tables),
-        growth: systems::growth(&means),
-        rows,
-        systems,
-        means,
+    let mut table = Table {
+        machine: Machine::new(&Gpu::new(&options.adapter)?, options.repeats)?,
+        rows: Vec::new(),
+        orders: Vec::new(),
+        systems: Vec::new(),
+        means: Vec::new(),
+        growth: Vec::new(),
     };
-    if has(true) {
-        write_csv(&table.systems, &out.join("thesis_systems.csv"))?;
-        write_csv(&table.means, &out.join("thesis_means.csv"))?;
-        if !table.growth.is_empty() {
-            write_csv(&table.growth, &out.join("thesis_growth.csv"))?;
-        }
-    }
-    if has(false) {
-        write_csv(&table.rows, &out.join("thesis.csv"))?;
-        write_csv(&table.orders, &out.join("thesis_orders.csv"))?;
-    }
-    write_json(&table, &out.join("thesis.json"))?;
-    let charts = picture::charts(&table, &options.tables);
-    write_svg(&out.join("thesis.svg"), picture::size(&charts), |page| {
-        picture::draw(&charts, page)
+    systems::measure(options, &mut |row| {
+        tell(Told::System(&row));
+        table.systems.push(row);
+        table.write(options, out)
+    })?;
+    accuracy::measure(options, &mut |row| {
+        tell(Told::Accuracy(&row));
+        table.rows.push(row);
+        table.write(options, out)
     })?;
     Ok(table)
+}
+
+impl Table {
+    /// Makes again what follows from the rows, and writes what there is.
+    fn write(&mut self, options: &Options, out: &Path) -> Result<(), Error> {
+        self.systems.sort_by_key(|row| row.table);
+        self.means = systems::means(&self.systems);
+        self.growth = systems::growth(&self.means);
+        self.orders = accuracy::orders(&self.rows, &options.tables);
+        if !self.systems.is_empty() {
+            write_csv(&self.systems, &out.join("thesis_systems.csv"))?;
+            write_csv(&self.means, &out.join("thesis_means.csv"))?;
+        }
+        if !self.growth.is_empty() {
+            write_csv(&self.growth, &out.join("thesis_growth.csv"))?;
+        }
+        if !self.rows.is_empty() {
+            write_csv(&self.rows, &out.join("thesis.csv"))?;
+            write_csv(&self.orders, &out.join("thesis_orders.csv"))?;
+        }
+        write_json(self, &out.join("thesis.json"))?;
+        let charts = picture::charts(self, &options.tables);
+        write_svg(&out.join("thesis.svg"), picture::size(&charts), |page| {
+            picture::draw(&charts, page)
+        })
+    }
 }

@@ -192,11 +192,11 @@ struct Case<'a> {
     other_stages: f64,
 }
 
-/// All rows of the tables asked for.
+/// Gives `take` all rows of the tables asked for.
 pub(super) fn measure(
     options: &Options,
-    tell: &mut dyn FnMut(&SystemRow),
-) -> Result<Vec<SystemRow>, Error> {
+    take: &mut dyn FnMut(SystemRow) -> Result<(), Error>,
+) -> Result<(), Error> {
     let mut sizes: BTreeMap<Size, Vec<ThesisTable>> = BTreeMap::new();
     for &table in &options.tables {
         for grid in options.grids_of(table) {
@@ -210,7 +210,6 @@ pub(super) fn measure(
             }
         }
     }
-    let mut rows = Vec::new();
     for (size, tables) in sizes {
         let scene = scene(size)?;
         let solids = solids_of(&scene)?;
@@ -223,14 +222,12 @@ pub(super) fn measure(
             let case = Case::new(size, &scene, &solids, &state)?;
             for &table in &tables {
                 for row in case.rows(table, options)? {
-                    tell(&row);
-                    rows.push(row);
+                    take(row)?;
                 }
             }
         }
     }
-    rows.sort_by_key(|row| row.table);
-    Ok(rows)
+    Ok(())
 }
 
 /// The dam break with a beam of k bricks across and 7 k along on n^3 cells.
