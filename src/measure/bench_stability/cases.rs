@@ -3,7 +3,7 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use super::{DISTORTED, PUSHED_AWAY, Row, STIFF, TORN};
+use super::{BENT, PUSHED_AWAY, Row, STIFF, TORN};
 use crate::Error;
 use crate::output::write_atomically;
 use crate::scene::Scene;
@@ -44,7 +44,7 @@ impl Expected {
         let deflection = row.deflection.unwrap_or(0.0);
         match self {
             Expected::Completes => completed,
-            Expected::Fails => !completed && row.energy_ratio >= TORN && row.min_det <= DISTORTED,
+            Expected::Fails => !completed && row.elastic_ratio >= TORN && deflection >= BENT,
             // What pushes it gives it energy that is not there.
             Expected::PushedAway => {
                 let to_its_end = row.sub_steps == row.steps && row.non_finite == 0;

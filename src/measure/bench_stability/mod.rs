@@ -44,10 +44,10 @@ const HOPELESS: f64 = 1e4;
 const STIFF: f64 = 0.1;
 /// Of its length that the wrong buoyancy pushes it away.
 const PUSHED_AWAY: f64 = 0.2;
-/// What "extreme distortion" is at least, with energy ten times that of the start: det F.
-const DISTORTED: f64 = 0.1;
-/// See [`DISTORTED`].
+/// What "extreme distortion" is at least: elastic energy over all energy of the start. Not det F, which bending and shear leave as it is.
 const TORN: f64 = 10.0;
+/// Of its length that a torn beam is bent, besides.
+const BENT: f64 = 0.5;
 
 /// What to run.
 #[derive(Clone, Debug)]
