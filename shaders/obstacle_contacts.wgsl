@@ -1,7 +1,7 @@
 // right_hand_side, for solids, third part, with obstacles only: the normal and the gap at each node, and whether the obstacle holds it
 // from the start. One thread per node.
-// level, step. rest: m. displacement: larger parts, then smaller, m. distances: to obstacles, cell centres, m. rhs: forces, N. gaps: see contact,
-// second section, out. freedom: see freedom, in place.
+// level, step. rest: m. displacement: larger parts, then smaller, m. distances: to obstacles, cell centres, m. rhs: forces, N. gaps: see
+// contact, second section, out. freedom: see freedom, in place.
 #import contact
 #import dispatch
 #import layout

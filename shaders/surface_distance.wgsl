@@ -28,24 +28,16 @@ fn air(quad: u32, cell: vec3<i32>) -> vec4<f32> {
     return select(vec4<f32>(-f32(REACH) * step.dx), phi, room & (phi > vec4<f32>()));
 }
 
-// What the cells of a row say of four lanes. quad, cell: where their own lie moved to the row, which is in the domain. away: how far
-// that is, squared, cells^2.
+// What the cells of a row say of four lanes; where there is no air, the deepest distance or less. quad, cell: where their own lie moved to
+// the row, which is in the domain. away: how far that is, squared, cells^2.
 fn told(quad: u32, cell: vec3<i32>, away: f32) -> vec4<f32> {
     let before = air(quad - 1u, cell - vec3<i32>(4, 0, 0));
     let own = air(quad, cell);
     let after = air(quad + 1u, cell + vec3<i32>(4, 0, 0));
     let ways = step.dx * sqrt(vec3<f32>(away, away + 1.0, away + 4.0));
-    return max(
-        from_air(own, ways.x),
-        max(
-            max(from_air(shift_up(before, own), ways.y), from_air(shift_down(own, after), ways.y)),
-            max(from_air(vec4<f32>(before.zw, own.xy), ways.z), from_air(vec4<f32>(own.zw, after.xy), ways.z)),
-        ),
-    );
-}
-
-fn from_air(phi: vec4<f32>, way: f32) -> vec4<f32> {
-    return select(vec4<f32>(-f32(REACH) * step.dx), phi - way, phi > vec4<f32>());
+    let next = max(shift_up(before, own), shift_down(own, after));
+    let second = max(vec4<f32>(before.zw, own.xy), vec4<f32>(own.zw, after.xy));
+    return max(own - ways.x, max(next - ways.y, second - ways.z));
 }
 
 @compute @workgroup_size(WG_SIZE)
