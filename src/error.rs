@@ -150,6 +150,18 @@ impl Error {
         }
     }
 
+    /// The error; of a file that cannot be used, with the place that names the file before it.
+    pub fn within(self, place: &str) -> Error {
+        match self {
+            Error::Input {
+                what,
+                problem,
+                cure,
+            } => Error::input(format!("{place}: {what}"), problem, cure),
+            other => other,
+        }
+    }
+
     /// An [`Error::Input`].
     pub fn input(
         what: impl Into<String>,

@@ -67,7 +67,7 @@ struct SceneArgs {
     /// Scene file (TOML)
     scene: PathBuf,
     /// Multiply domain.cells, rounded
-    #[arg(long, default_value_t = 1.0)]
+    #[arg(long, default_value_t = 1.0, allow_negative_numbers = true)]
     scale: f64,
     /// Override a key of the scene, such as liquid.region[0].velocity=[1,0,0]; may be repeated
     #[arg(long = "set", value_name = "KEY=VALUE")]

@@ -75,6 +75,12 @@ pub(super) fn draw(
     if let Some(animation) = &report.animation {
         say!("animation: {}", animation.display());
     }
+    if let [first, ..] = report.missing[..] {
+        warn!(
+            "warning: files of {} frames are gone or not whole, frame {first} the first: they have no picture",
+            report.missing.len()
+        );
+    }
     Ok(())
 }
 

@@ -33,8 +33,8 @@ pub(super) struct Run {
     /// Folder of the run; out/NAME by default
     #[arg(long)]
     out: Option<PathBuf>,
-    /// Frames to compute instead of the scene's duration
-    #[arg(long)]
+    /// Frames to compute instead of the scene's duration, at most 999999
+    #[arg(long, allow_negative_numbers = true, value_parser = clap::value_parser!(u64).range(..=999_999))]
     frames: Option<u64>,
     /// Replace an earlier run in the folder
     #[arg(long, conflicts_with = "resume")]
@@ -74,7 +74,7 @@ impl Run {
         if self.preview {
             ensure_pictures(&scene)?;
         }
-        warn_of_thin(&scene)?;
+        warn_of_blind_spots(&scene)?;
         let options = Options {
             backend: self.backend.backend(),
             out: out.clone(),
@@ -150,12 +150,14 @@ impl Run {
         }
         let Tally {
             missed,
+            squeezed,
             worst_residual,
             volume_ratio,
             floored,
             dropped,
             min_det,
             inverted,
+            overlap,
         } = summary.tally;
         let volume = volume_ratio.map_or(String::new(), |[least, largest]| {
             let [least, largest] = [100.0 * least, 100.0 * largest];
@@ -178,8 +180,21 @@ impl Run {
                 summary.steps, scene.solver.tolerance
             );
         }
+        if squeezed > 0 {
+            warn!(
+                "warning: in {squeezed} of {} sub-steps liquid without a free surface had nowhere to go: what moves into it, or a source, would have to compress it, and its volume is not kept; leave it room (domain.open, a sink, air); steps.csv says in which (incompatible)",
+                summary.steps
+            );
+        }
         if dropped > 0 {
-            warn!("warning: {dropped} markers were lost in obstacles; steps.csv says when");
+            warn!(
+                "warning: {dropped} markers were lost in obstacles or solids; steps.csv says when"
+            );
+        }
+        if overlap > scene.grid().dx {
+            warn!(
+                "warning: solids lay up to {overlap:.3} m deep in each other or in obstacles; they do not touch each other, nor obstacles that move: place them apart; steps.csv says when (overlap_depth)"
+            );
         }
         if inverted > 0 {
             warn!(
@@ -250,8 +265,9 @@ fn ensure_pictures(scene: &Scene) -> Result<(), Error> {
     Ok(())
 }
 
-/// Warns of obstacles and, in liquid, of solids that are so thin that the cells do not see them, and of obstacles that solids do not see.
-pub(super) fn warn_of_thin(scene: &Scene) -> Result<(), Error> {
+/// Warns of obstacles and, in liquid, of solids that are so thin that the cells do not see them, of obstacles that solids do not see, and of
+/// probes that see no liquid.
+pub(super) fn warn_of_blind_spots(scene: &Scene) -> Result<(), Error> {
     let grid = scene.grid();
     let (liquid, solids) = (scene.liquid.is_some(), !scene.solids.is_empty());
     if solids && scene.obstacles_move() {
@@ -267,6 +283,12 @@ pub(super) fn warn_of_thin(scene: &Scene) -> Result<(), Error> {
     let cure = "use more cells or a thickness of at least one";
     for (number, thickness) in geometry::thin_obstacles(scene, &grid)? {
         warn!("warning: obstacle[{number}] is {thickness:.2} cells thick: {passes}; {cure}");
+    }
+    for number in geometry::covered_probes(scene, &grid)? {
+        let name = &scene.probes[number].name;
+        warn!(
+            "warning: probe \"{name}\" lies in an obstacle: what it measures is none of the liquid's"
+        );
     }
     if liquid && solids {
         let solids = sim::solids_of(scene)?;

@@ -27,15 +27,15 @@ pub(super) struct SweepCommand {
     #[arg(long = "set", value_name = "KEY=V1,V2", required = true, action = ArgAction::Append)]
     settings: Vec<String>,
     /// Multiply domain.cells, rounded
-    #[arg(long, default_value_t = 1.0)]
+    #[arg(long, default_value_t = 1.0, allow_negative_numbers = true)]
     scale: f64,
     #[command(flatten)]
     backend: BackendArgs,
     /// Folder of the sweep; out/NAME_sweep by default
     #[arg(long)]
     out: Option<PathBuf>,
-    /// Frames of each run instead of the scene's duration
-    #[arg(long)]
+    /// Frames of each run instead of the scene's duration, at most 999999
+    #[arg(long, allow_negative_numbers = true, value_parser = clap::value_parser!(u64).range(..=999_999))]
     frames: Option<u64>,
     /// Draw the pictures of each run when it is done
     #[arg(long)]
@@ -94,7 +94,7 @@ impl SweepCommand {
         if let (Some(&number), false) = (outdated, self.overwrite) {
             return Err(Error::input(
                 sweep.runs[number].folder.display().to_string(),
-                "the folder holds a run of another text of the scene, other options, or another version of cutwater",
+                "the folder holds a run of another text of the scene, of other options (--frames and the backend among them), or of another version of cutwater",
                 "choose another folder with --out, or replace such runs with --overwrite",
             ));
         }
@@ -322,8 +322,12 @@ fn ending(sweep: &Sweep, number: usize) -> String {
                 None | Some(0) => String::new(),
                 Some(missed) => format!(", {missed} missed the tolerance"),
             };
+            let squeezed = match row.squeezed {
+                None | Some(0) => String::new(),
+                Some(squeezed) => format!(", in {squeezed} liquid had nowhere to go"),
+            };
             format!(
-                "finished, {} frames in {} sub-steps, {:.1} s, worst residual {:.1e}{volume}{missed}",
+                "finished, {} frames in {} sub-steps, {:.1} s, worst residual {:.1e}{volume}{missed}{squeezed}",
                 row.frames.unwrap_or_default(),
                 row.sub_steps.unwrap_or_default(),
                 row.seconds.unwrap_or_default(),

@@ -19,22 +19,32 @@ impl Solids {
     /// [`Error::Input`] that names the scene file and the key: pins and loads that hold nothing, pins of the same component of a
     /// node that move differently, turns about the centre of a shape that has none, meshes of pins that cannot be read.
     pub fn new(scene: &Scene, meshes: &[TetMesh]) -> Result<Solids, Error> {
-        Solids::of(&scene.solids, meshes, &scene.file.display().to_string())
+        Solids::of(&scene.solids, meshes, &|key| scene.at(key))
     }
 
-    /// The same for solids of no scene; `file` is for errors.
+    /// The same for solids of no scene; `at` says for errors where a key was written.
     ///
     /// # Errors
     /// As those of [`Solids::new`].
-    pub fn of(solids: &[Solid], meshes: &[TetMesh], file: &str) -> Result<Solids, Error> {
+    pub fn of(
+        solids: &[Solid],
+        meshes: &[TetMesh],
+        at: &dyn Fn(&str) -> String,
+    ) -> Result<Solids, Error> {
         let mut all = Solids::default();
         for (number, (solid, mesh)) in solids.iter().zip(meshes).enumerate() {
-            all.push(solid, mesh, &format!("{file}: solid[{number}]"))?;
+            all.push(solid, mesh, &|key| at(&format!("solid[{number}].{key}")))?;
         }
         Ok(all)
     }
 
-    fn push(&mut self, solid: &Solid, mesh: &TetMesh, what: &str) -> Result<(), Error> {
+    /// `at`: where a key of the solid was written.
+    fn push(
+        &mut self,
+        solid: &Solid,
+        mesh: &TetMesh,
+        at: &dyn Fn(&str) -> String,
+    ) -> Result<(), Error> {
         let first_node = self.rest.len();
         let (first_element, first_triangle) = (self.elements.len(), self.triangles.len());
         let n_nodes = first_node + mesh.nodes.len();
@@ -71,10 +81,10 @@ impl Solids {
         };
         let mut held_by = vec![[None; 3]; mesh.nodes.len()];
         for (number, pin) in solid.pins.iter().enumerate() {
-            self.pin(&body, pin, number, what, &mut held_by, &solid.pins)?;
+            self.pin(&body, pin, number, at, &mut held_by, &solid.pins)?;
         }
         for (number, load) in solid.loads.iter().enumerate() {
-            self.load(&body, load, &format!("{what}.load[{number}]"))?;
+            self.load(&body, load, &at(&format!("load[{number}]")))?;
         }
         self.bodies.push(body);
         Ok(())
@@ -86,11 +96,11 @@ impl Solids {
         body: &Body,
         pin: &Pin,
         number: usize,
-        what: &str,
+        at: &dyn Fn(&str) -> String,
         held_by: &mut [[Option<usize>; 3]],
         pins: &[Pin],
     ) -> Result<(), Error> {
-        let name = format!("{what}.{}", key(pins, number));
+        let name = at(&key(pins, number));
         let nodes = self.nodes_in(body, &pin.region, &name)?;
         for &node in &nodes {
             for axis in (0..3).filter(|&axis| pin.components[axis]) {
@@ -382,7 +392,7 @@ impl Solids {
         let size = grid.size();
         let slack = STICKS_OUT * size.max_element();
         for (number, body) in self.bodies.iter().enumerate() {
-            let what = format!("{}: solid[{number}]", scene.file.display());
+            let what = scene.at(&format!("solid[{number}]"));
             let nodes = body.nodes.clone();
             let free = nodes.filter(|&node| self.prescribed[node] != [true; 3]);
             let mut deepest = 0.0;

@@ -357,7 +357,9 @@ impl Body {
                 radius,
                 height,
             } => Surface::cylinder(base, axis, radius, height, dx),
-            Shape::Mesh { ref file } => mesh_file::read(file)?,
+            Shape::Mesh { ref file } => {
+                mesh_file::read(file).map_err(|error| error.within(name))?
+            }
             Shape::HalfSpace { .. } | Shape::Wave { .. } | Shape::Solitary(_) => {
                 return Err(Error::input(
                     name,

@@ -438,7 +438,7 @@ pub fn initial_state(scene: &Scene, grid: &Grid, cut_cells: &CutCells) -> Result
     if !some && (scene.sources.is_empty() || !liquid.regions.is_empty()) {
         let [nx, ny, nz] = grid.cells;
         return Err(Error::input(
-            format!("{}: liquid.region", scene.file.display()),
+            scene.at("liquid.region"),
             format!(
                 "no cell of the {nx} x {ny} x {nz} has liquid: the regions are thinner than about 1.5 cells of {} m, or obstacles cover them",
                 grid.dx

@@ -46,9 +46,11 @@ pub use tet_fill::fill;
 pub use tet_mesh::{ElementShape, TetMesh, solid_meshes};
 pub use tet_read::{TetFile, parse as parse_tets, read as read_tets};
 
+use glam::DVec3;
+
 use crate::error::Error;
 use crate::grid::{Axis, Grid, Sides};
-use crate::scene::Scene;
+use crate::scene::{ProbeKind, Scene};
 use distance::Body;
 
 /// What obstacles, and solids in liquid, leave of the grid.
@@ -80,6 +82,24 @@ pub fn thin_obstacles(scene: &Scene, grid: &Grid) -> Result<Vec<(usize, f64)>, E
     Ok(thin)
 }
 
+/// The probes of pressure and velocity whose point lies in an obstacle at the start, by number.
+pub fn covered_probes(scene: &Scene, grid: &Grid) -> Result<Vec<usize>, Error> {
+    let probes = scene.probes.iter().enumerate();
+    let points = probes.filter_map(|(number, probe)| match probe.kind {
+        ProbeKind::Pressure { point } | ProbeKind::Velocity { point } => Some((number, point)),
+        _ => None,
+    });
+    let points: Vec<(usize, DVec3)> = points.collect();
+    if points.is_empty() || scene.obstacles.is_empty() {
+        return Ok(Vec::new());
+    }
+    let distance = cut_cells(scene, grid)?.solid_distance;
+    let covered = points
+        .into_iter()
+        .filter(|&(_, point)| grid.sample_cells(&distance, point) < 0.0);
+    Ok(covered.map(|(number, _)| number).collect())
+}
+
 /// The solids thinner than a cell, by number, with their thickness in cells: what is true of obstacles is of solids.
 pub fn thin_solids(mesh: &MovedMesh, grid: &Grid) -> Vec<(usize, f64)> {
     let Some(closed) = mesh.closed() else {
@@ -94,10 +114,9 @@ pub fn thin_solids(mesh: &MovedMesh, grid: &Grid) -> Vec<(usize, f64)> {
 
 /// Obstacles where their placements put them.
 fn bodies(scene: &Scene, grid: &Grid) -> impl Iterator<Item = Result<Body, Error>> {
-    let file = scene.file.display();
     let obstacles = scene.obstacles.iter().enumerate();
     obstacles.map(move |(number, obstacle)| {
-        Body::new(obstacle, &format!("{file}: obstacle[{number}]"), grid)
+        Body::new(obstacle, &scene.at(&format!("obstacle[{number}]")), grid)
     })
 }
 

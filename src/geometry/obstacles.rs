@@ -87,7 +87,7 @@ pub fn obstacle_cut(scene: &Scene, grid: &Grid) -> Result<ObstacleCut, Error> {
     let mut start = 1.0;
     let mut bodies = Vec::new();
     for (number, obstacle) in scene.obstacles.iter().enumerate() {
-        let name = format!("{}: obstacle[{number}]", scene.file.display());
+        let name = scene.at(&format!("obstacle[{number}]"));
         if let Some(motion) = &obstacle.motion {
             let body = MovingBody::new(Body::before_walls(obstacle, &name, grid)?, motion);
             // Where it starts: what moves stays closed.
@@ -403,7 +403,7 @@ impl ObstacleSurfaces {
     /// [`Error::Input`] when a mesh file cannot be used.
     pub fn new(scene: &Scene, grid: &Grid) -> Result<ObstacleSurfaces, Error> {
         let body = |(number, obstacle): (usize, &Obstacle)| {
-            let name = format!("{}: obstacle[{number}]", scene.file.display());
+            let name = scene.at(&format!("obstacle[{number}]"));
             let body = Body::before_walls(obstacle, &name, grid)?;
             let surface = body.surface.clone();
             let motion = obstacle.motion.as_ref();

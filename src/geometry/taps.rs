@@ -214,6 +214,26 @@ impl Taps {
         self.faces.iter().map(|face| face.flux(running)).sum()
     }
 
+    /// What sources of a set take of cells beside them, m^3/s: negative, for they give. `open`: fractions of faces, as bodies that move leave
+    /// them.
+    pub fn taken(
+        &self,
+        grid: &Grid,
+        open: Option<&[Vec<f64>; 3]>,
+        running: u32,
+    ) -> Vec<(usize, f64)> {
+        let faces = self.faces.iter().filter_map(|face| {
+            let area = open.map_or(face.area, |open| {
+                grid.dx * grid.dx * open[face.axis.index()][face.face]
+            });
+            let flux = SourceFace { area, ..*face }.flux(running);
+            let outer = face.sides.iter().position(|&side| !runs(side, running))?;
+            let cell = grid.face_sides(face.axis, grid.face_at(face.axis, face.face))[outer]?;
+            (flux > 0.0).then_some((cell, -flux))
+        });
+        faces.collect()
+    }
+
     /// The speed that limits sub-steps in which something may cross `cfl` cells, for sources that run at a time (s) or later, m/s:
     /// theirs or, where one is thinner than that, as much more as keeps a sub-step from emptying it: what it emits would have gaps.
     pub fn speed(&self, time: f64, cfl: f64) -> f64 {
@@ -262,7 +282,7 @@ fn cells(
     let cells: Vec<usize> = (0..grid.n_cells()).filter(|&cell| holds(cell)).collect();
     if cells.is_empty() {
         return Err(Error::input(
-            format!("{}: {what}", scene.file.display()),
+            scene.at(what),
             format!(
                 "no cell of {} m outside obstacles has its centre in it",
                 grid.dx

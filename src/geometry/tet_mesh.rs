@@ -42,10 +42,9 @@ pub(super) const MAX_ELEMENTS: f64 = 33_554_432.0;
 
 /// The rest meshes of all solids of a scene, in its order.
 pub fn solid_meshes(scene: &Scene) -> Result<Vec<TetMesh>, Error> {
-    let file = scene.file.display();
     let solids = scene.solids.iter().enumerate();
     solids
-        .map(|(number, solid)| TetMesh::new(solid, &format!("{file}: solid[{number}]")))
+        .map(|(number, solid)| TetMesh::new(solid, &scene.at(&format!("solid[{number}]"))))
         .collect()
 }
 
@@ -67,8 +66,14 @@ impl TetMesh {
             SolidMesh::Surface {
                 ref file,
                 cell_size,
-            } => tet_fill::fill(&mesh_file::read(file)?, cell_size).map_err(error)?,
-            SolidMesh::File { ref file } => tet_read::read(file)?.mesh,
+            } => {
+                let surface = mesh_file::read(file).map_err(|error| error.within(what))?;
+                tet_fill::fill(&surface, cell_size).map_err(error)?
+            }
+            SolidMesh::File { ref file } => {
+                let read = tet_read::read(file).map_err(|error| error.within(what))?;
+                read.mesh
+            }
         };
         let centre = match solid.mesh {
             SolidMesh::File { .. } | SolidMesh::Surface { .. } => {

@@ -23,7 +23,7 @@ use crate::linalg::{SymbolicCholesky, norm};
 use crate::reference::{self, BlockPattern};
 use crate::scene::{
     Camera, Domain, ElasticModel, Initial, Output, Pin, Placement, Scene, Shape, Solid, SolidMesh,
-    Solver, SurfaceMesh, Time,
+    Solver, SurfaceMesh, Time, Written,
 };
 use crate::sim::{Backend, Simulation};
 use crate::solver::{
@@ -239,6 +239,7 @@ fn scene(body: Body, nodes: usize, options: &Options) -> Scene {
     Scene {
         name: body.name().to_owned(),
         file: "bench solids".into(),
+        written: Written::default(),
         hash: String::new(),
         scale: 1.0,
         overrides: Vec::new(),

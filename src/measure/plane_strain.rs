@@ -25,7 +25,7 @@ use crate::geometry::TetMesh;
 use crate::grid::Sides;
 use crate::scene::{
     Camera, Domain, ElasticModel, Initial, Liquid, Load, LoadKind, Output, Pin, Placement, Region,
-    Scene, Shape, Solid, SolidMesh, Solver, Surface, SurfaceMesh, Time,
+    Scene, Shape, Solid, SolidMesh, Solver, Surface, SurfaceMesh, Time, Written,
 };
 use crate::state::State;
 
@@ -212,6 +212,7 @@ impl PlaneStrain {
         Ok(Scene {
             name: format!("section_6_4_{cells}"),
             file: "section 6.4".into(),
+            written: Written::default(),
             hash: String::new(),
             scale: 1.0,
             overrides: Vec::new(),

@@ -202,6 +202,8 @@ pub struct Row {
     pub volume: Option<[f64; 2]>,
     /// Sub-steps with a solve that missed its tolerance.
     pub missed: Option<u64>,
+    /// Sub-steps in which liquid had nowhere to go.
+    pub squeezed: Option<u64>,
     /// What went wrong.
     pub problem: Option<String>,
 }
@@ -348,6 +350,7 @@ impl Sweep {
             worst_residual: None,
             volume: None,
             missed: None,
+            squeezed: None,
             problem: None,
         };
         let (hash, frames) = match &run.scene {
@@ -401,6 +404,7 @@ impl Sweep {
                 row.worst_residual = Some(tally.worst_residual);
                 row.volume = tally.volume_ratio;
                 row.missed = Some(tally.missed);
+                row.squeezed = Some(tally.squeezed);
             }
             (Some(_), _) => row.standing = Standing::Outdated,
             (None, Some(record)) => {
@@ -497,6 +501,7 @@ impl Sweep {
             "volume_least",
             "volume_largest",
             "missed",
+            "squeezed",
             "folder",
             "problem",
         ];
@@ -509,7 +514,7 @@ impl Sweep {
             fields.extend([row.frames, row.sub_steps].map(text));
             let [least, largest] = [0, 1].map(|end| row.volume.map(|range| range[end]));
             fields.extend([row.seconds, row.worst_residual, least, largest].map(text));
-            fields.push(text(row.missed));
+            fields.extend([row.missed, row.squeezed].map(text));
             fields.push(run.name.clone());
             fields.push(row.problem.unwrap_or_default());
             table.write_record(fields).map_err(failed)?;

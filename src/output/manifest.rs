@@ -252,14 +252,20 @@ pub struct Progress {
 pub struct Tally {
     /// Sub-steps with a solve that missed its tolerance.
     pub missed: u64,
+    /// Sub-steps in which liquid had nowhere to go ([`crate::state::SolveStatus::Incompatible`]).
+    #[serde(default)]
+    pub squeezed: u64,
     /// Largest true relative residual of all solves.
     pub worst_residual: f64,
     /// Least and largest liquid volume over the volume to hold, where there is liquid.
     pub volume_ratio: Option<[f64; 2]>,
     /// Sub-steps longer than the CFL condition allows.
     pub floored: u64,
-    /// Markers lost in obstacles.
+    /// Markers lost in obstacles and solids.
     pub dropped: u64,
+    /// How deep solids lay in each other and in obstacles at most, m, where there is liquid.
+    #[serde(default)]
+    pub overlap: f64,
     /// Least det F of the elements of solids in all sub-steps, where there are any.
     pub min_det: Option<f64>,
     /// Elements with a det F of 0 or less after the last sub-step.

@@ -110,7 +110,7 @@ impl BaseScene {
             loads: Vec::new(),
         };
         let mesh = TetMesh::new(&solid, "base scene")?;
-        let solids = Solids::of(&[solid], &[mesh], "base scene")?;
+        let solids = Solids::of(&[solid], &[mesh], &|key| format!("base scene: {key}"))?;
         let bent = solids.rest.iter().map(|&rest| bent(rest));
         let displacement = bent
             .zip(&solids.rest)

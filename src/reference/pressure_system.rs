@@ -152,8 +152,8 @@ pub struct PressureSystem {
     pub rhs_scale: f64,
     /// The cells of every component without a free surface, each in ascending order. Their pressure has mean zero.
     pub closed: Vec<Vec<usize>>,
-    /// Share of what obstacles take up of such a component that it would have to shrink by: 0 but for rounding where they keep its volume,
-    /// up to 1 where they do not.
+    /// Share of what obstacles and sources take of such a component, or give, that its volume would have to change by: 0 but for rounding
+    /// where they keep it, up to 1 where they do not.
     pub squeezed: f64,
 }
 
@@ -180,8 +180,17 @@ impl PressureSystem {
             *rhs -= taken;
         }
         self.rhs_scale += norm(&taken);
-        self.squeezed = squeezed(&self.closed, &taken);
         remove_means(&self.closed, &mut self.rhs);
+        self
+    }
+
+    /// The system, [`PressureSystem::squeezed`] by what is taken of cells, m^3/s.
+    pub fn squeezed_by(mut self, taken: impl IntoIterator<Item = (usize, f64)>) -> PressureSystem {
+        let mut of_cells = vec![0.0; self.rhs.len()];
+        for (cell, taken) in taken {
+            of_cells[cell] += taken;
+        }
+        self.squeezed = squeezed(&self.closed, &of_cells);
         self
     }
 

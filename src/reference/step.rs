@@ -338,7 +338,12 @@ impl Reference {
         let mut exchange = None;
         let mut running = Running::default();
         if let Some(LiquidPart { liquid, taps, .. }) = liquid {
-            let distance = surface_distance(grid, solid_distance, &before.liquid_distance);
+            // Without markers nobody asks where the surface is.
+            let distance = if before.markers.is_empty() {
+                Vec::new()
+            } else {
+                surface_distance(grid, solid_distance, &before.liquid_distance)
+            };
             let surface = Surface {
                 distance: &distance,
                 radius: liquid.marker_radius * grid.dx,
@@ -437,10 +442,13 @@ impl Reference {
             let source = self.volume_source(&open_volumes, &state, dt);
             let rhs = right_hand_side(grid, open, &state.velocity, &active, source);
             let system = PressureSystem::new(active, rhs, dt, part.liquid.density);
-            match clip {
-                Some(clip) => system.beside_obstacles(clip.obstacles().flux()),
-                None => system,
-            }
+            let obstacles = clip.map_or(&[][..], |clip| clip.obstacles().flux());
+            let sources = part.taps.taken(grid, Some(open), running.running);
+            let system = match obstacles {
+                [] => system,
+                flux => system.beside_obstacles(flux),
+            };
+            system.squeezed_by(obstacles.iter().copied().chain(sources))
         });
         let motion = solid.zip(matrices.as_ref()).map(|(part, matrices)| {
             let SolidPart { solids, .. } = part;
@@ -635,8 +643,10 @@ impl Reference {
                         )?;
                         (state.pressure, state.node_velocity) =
                             (solution.pressure, solution.velocity);
+                        let [of_pressure, of_solid] = solution.reports;
+                        let of_pressure = or_incompatible(of_pressure, pressure.squeezed);
                         let systems = Systems::Apart(Some(pressure.into()), Some(solid.into()));
-                        return Ok((systems, solution.reports.map(Some), contact));
+                        return Ok((systems, [of_pressure, of_solid].map(Some), contact));
                     }
                 };
                 let (system, solution, contact) = strong(
@@ -649,24 +659,17 @@ impl Reference {
                     settings,
                 )?;
                 (state.pressure, state.node_velocity) = (solution.pressure, solution.velocity);
-                let reports = solution.reports.map(|mut report| {
-                    if report.status == SolveStatus::Converged && system.squeezed > SQUEEZE {
-                        report.status = SolveStatus::Incompatible;
-                    }
-                    Some(report)
-                });
+                let reports = solution.reports;
+                let reports = reports.map(|report| Some(or_incompatible(report, system.squeezed)));
                 Ok((Systems::Coupled(Box::new(system)), reports, contact))
             }
             (_, pressure, motion, part) => {
                 let mut reports = [None; 2];
                 let mut contact = ContactReport::default();
                 if let Some(system) = &pressure {
-                    let (pressure, mut report) = solve(system, settings)?;
-                    if report.status == SolveStatus::Converged && system.squeezed > SQUEEZE {
-                        report.status = SolveStatus::Incompatible;
-                    }
+                    let (pressure, report) = solve(system, settings)?;
                     state.pressure = pressure;
-                    reports[0] = Some(report);
+                    reports[0] = Some(or_incompatible(report, system.squeezed));
                 }
                 let mut solved = None;
                 if let Some(((mut system, mut contacts), part)) = motion.zip(part) {
@@ -801,4 +804,13 @@ impl Clock {
         self.laps.push((stage, (now - self.last).as_secs_f64()));
         self.last = now;
     }
+}
+
+/// The report, or that a prescribed motion or a source asks too much: `squeezed` is its share.
+fn or_incompatible(report: SolveReport, squeezed: f64) -> SolveReport {
+    let status = match report.status {
+        SolveStatus::Converged if squeezed > SQUEEZE => SolveStatus::Incompatible,
+        status => status,
+    };
+    SolveReport { status, ..report }
 }

@@ -7,6 +7,9 @@ use super::shape::corners;
 use super::{Camera, CameraCut, CameraKeyframe, Domain, Time};
 use crate::error::Error;
 
+/// Sides of pictures, pixels.
+pub const PICTURE_SIDES: std::ops::RangeInclusive<usize> = 16..=8192;
+
 const CAMERA: Keys = Keys {
     valid: &["eye", "target", "up", "fov", "size", "keyframes", "cut"],
     absent: &[],
@@ -34,7 +37,11 @@ pub(super) fn camera(root: &Table, domain: &Domain, time: &Time) -> Result<Camer
         camera.fov = opening(&place)?;
     }
     if let Some(place) = table.get("size") {
-        camera.size = place.counts("the width and height of the picture in pixels", 16, 8192)?;
+        camera.size = place.counts(
+            "the width and height of the picture in pixels",
+            *PICTURE_SIDES.start() as u64,
+            *PICTURE_SIDES.end() as u64,
+        )?;
     }
     if let Some(place) = table.get("target") {
         camera.target = place.vector(TARGET)?;

@@ -56,6 +56,39 @@ impl Content {
     }
 }
 
+impl Node {
+    /// Tells of it and of all that is in it.
+    fn written(&self, key: &str, tell: &mut dyn FnMut(&str, Origin)) {
+        tell(key, self.origin);
+        match &self.content {
+            Content::Array(items) => {
+                for (i, item) in items.iter().enumerate() {
+                    item.written(&format!("{key}[{i}]"), tell);
+                }
+            }
+            Content::Table(entries) => {
+                for (name, node) in entries {
+                    node.written(&join(key, name), tell);
+                }
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Where the values of a scene file were written, for what is found wrong only when the scene is built.
+#[derive(Clone, Debug, Default)]
+pub struct Written(BTreeMap<String, Origin>);
+
+impl Written {
+    /// Where a value was written, by its dotted key; where it is left out, that of its table.
+    pub(super) fn at(&self, key: &str) -> Option<Origin> {
+        let ends = key.rmatch_indices(['.', '[']).map(|(end, _)| end);
+        let mut keys = std::iter::once(key.len()).chain(ends).chain([0]);
+        keys.find_map(|end| self.0.get(&key[..end]).copied())
+    }
+}
+
 /// What the reader asked of a value.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Asked {
@@ -153,6 +186,15 @@ impl Document {
         self.exemplar
     }
 
+    /// Where its values were written.
+    pub(super) fn written(&self) -> Written {
+        let mut origins = BTreeMap::new();
+        self.root.written("", &mut |key, origin| {
+            origins.insert(key.to_owned(), origin);
+        });
+        Written(origins)
+    }
+
     /// Keys, with their indices, and what the reader asked of their values.
     pub(super) fn into_asked(self) -> Vec<(String, Asked)> {
         self.asked.into_inner()
@@ -199,7 +241,7 @@ impl Document {
                 match i64::from_str_radix(number.as_str(), number.radix()) {
                     Ok(number) => Content::Integer(number),
                     Err(_) => {
-                        let problem = format!("{number} is beyond 64 bits");
+                        let problem = format!("{number} lies beyond +-2^63");
                         return Err(self.fail(place, key, problem, "write a smaller number"));
                     }
                 }

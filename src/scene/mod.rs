@@ -16,6 +16,11 @@ use glam::{DMat3, DVec3};
 
 use crate::grid::{Grid, Sides};
 
+pub use camera::PICTURE_SIDES;
+use document::Origin;
+pub use document::Written;
+pub(crate) use read::MAX_FRAMES;
+
 /// A checked scene, all in SI units. Lengths and times are finite, counts are positive, regions and obstacles have volume.
 #[derive(Clone, Debug)]
 pub struct Scene {
@@ -23,6 +28,8 @@ pub struct Scene {
     pub name: String,
     /// The file it came from.
     pub file: PathBuf,
+    /// Where in it its values are: see [`Scene::at`].
+    pub written: Written,
     /// SHA-256 of the file's text, all overrides and the scale, in hexadecimal.
     pub hash: String,
     /// `--scale`, already applied to [`Domain::cells`].
@@ -701,6 +708,16 @@ pub struct CameraKeyframe {
 }
 
 impl Scene {
+    /// Where a value was written, for errors, by its dotted key: file, line and key, or the `--set`. Where it is left out, its table's line.
+    pub fn at(&self, key: &str) -> String {
+        let file = self.file.display();
+        match self.written.at(key) {
+            Some(Origin::Line(line)) => format!("{file}:{line}: {key}"),
+            Some(Origin::Set(index)) => format!("--set {}: {key}", self.overrides[index]),
+            None => format!("{file}: {key}"),
+        }
+    }
+
     /// The grid of the scene.
     pub fn grid(&self) -> Grid {
         Grid {

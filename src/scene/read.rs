@@ -39,7 +39,7 @@ const FRAME_RATES: std::ops::RangeInclusive<f64> = 1e-3..=1e6;
 /// Cells are cubic to this relative difference.
 const CUBIC: f64 = 1e-6;
 /// Most frames: file names have six digits.
-const MAX_FRAMES: f64 = 999_999.0;
+pub(crate) const MAX_FRAMES: u64 = 999_999;
 /// The fixed step divides the frame time to this relative difference.
 const WHOLE_STEPS: f64 = 1e-6;
 
@@ -206,6 +206,7 @@ impl Scene {
                 .to_string_lossy()
                 .into_owned(),
             file: path.to_owned(),
+            written: document.written(),
             hash: hash(text, overrides, scale, &meshes)?,
             scale,
             overrides: overrides.to_vec(),
@@ -453,7 +454,7 @@ fn time(root: &Table) -> Result<Time, Error> {
     };
     let frames = duration * frames_per_second;
     duration_place.ensure(
-        frames <= MAX_FRAMES,
+        frames <= MAX_FRAMES as f64,
         format!("{duration} s at {frames_per_second} frames per second are {frames:.0} frames, more than {MAX_FRAMES}"),
         "shorten the duration or use fewer frames per second",
     )?;
@@ -869,15 +870,12 @@ fn output(root: &Table, has_liquid: bool, has_solids: bool) -> Result<Output, Er
         output.every = place.count(
             "the frames from one that is written to the next",
             1,
-            MAX_FRAMES as u64,
+            MAX_FRAMES,
         )?;
     }
     if let Some(place) = table.get("checkpoint_every") {
-        output.checkpoint_every = place.count(
-            "the frames from one checkpoint to the next",
-            0,
-            MAX_FRAMES as u64,
-        )?;
+        output.checkpoint_every =
+            place.count("the frames from one checkpoint to the next", 0, MAX_FRAMES)?;
     }
     Ok(output)
 }

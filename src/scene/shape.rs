@@ -222,7 +222,10 @@ pub(super) fn existing_file(
     let problem = format!("`{name}` is not a kind of mesh that is read");
     place.ensure(known, problem, cure)?;
     let resolved = file.parent().unwrap_or(Path::new("")).join(name);
-    let problem = format!("there is no file {}", resolved.display());
+    let problem = match resolved.is_dir() {
+        true => format!("{} is a folder", resolved.display()),
+        false => format!("there is no file {}", resolved.display()),
+    };
     place.ensure(
         place.is_exemplar() || resolved.is_file(),
         problem,

@@ -258,7 +258,7 @@ impl GpuLiquid {
 
     /// Before a sub-step of dt (s) from the state at the head: what the sources will do in it, and room for their markers.
     pub(super) fn begin(&mut self, gpu: &Gpu, head: &State, dt: f64) -> Result<(), Error> {
-        self.make_room(gpu)?;
+        self.make_room(gpu, head.step)?;
         self.running = self.running_after(head);
         self.inflow = dt * self.taps.flux(self.running.running);
         if let Some(sources) = &self.stages.sources {
@@ -272,9 +272,15 @@ impl GpuLiquid {
         self.taps.running(head, self.settings.seed)
     }
 
+    /// What the sources take of cells in the sub-step, m^3/s; `open`: see [`Taps::taken`].
+    pub(super) fn taken_by_sources(&self, open: Option<&[Vec<f64>; 3]>) -> Vec<(usize, f64)> {
+        let grid = &self.buffers.plan.grid;
+        self.taps.taken(grid, open, self.running.running)
+    }
+
     /// Takes the markers that are gone out of the buffer where sources need their slots. The others keep their order, so it does not
     /// matter when this happens.
-    fn make_room(&mut self, gpu: &Gpu) -> Result<(), Error> {
+    fn make_room(&mut self, gpu: &Gpu, step: u64) -> Result<(), Error> {
         let both = self
             .stages
             .sources
@@ -288,13 +294,12 @@ impl GpuLiquid {
             return Ok(());
         }
         if self.alive + slots > capacity {
-            return Err(Error::Limit {
-                what: "liquid.markers".to_owned(),
-                needed: (self.alive + slots) as u64,
-                available: capacity as u64,
-                unit: "markers",
-                cure: "room is made for what sources emit within time.duration: make that longer"
-                    .to_owned(),
+            return Err(Error::Stage {
+                stage: "exchange",
+                step,
+                problem: format!(
+                    "all {capacity} markers that there is room for are in use: those of the start, and a quarter more than sources emit until the end of the run\n  cure: give the liquid a way out (domain.open, a sink), and begin anew"
+                ),
             });
         }
         let mut positions = gpu.download(&markers.positions)?;

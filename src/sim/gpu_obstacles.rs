@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use crate::Error;
-use crate::geometry::{ObstacleCut, SolidClip};
+use crate::geometry::SolidClip;
 use crate::gpu::{BufferPlan, Gpu};
 use crate::grid::Grid;
 use crate::stages::{Clip, ClipBuffers, ClipSize, Diagnose, Extrapolate};
@@ -104,19 +104,19 @@ fn bind(gpu: &Gpu, liquid: &mut GpuLiquid, clip: &ClipBuffers) -> Result<Clip, E
     Clip::new(gpu, buffers, clip)
 }
 
-/// The largest share of J v of the obstacles by which a component of the liquid without a free surface would have to shrink. Waits for all
-/// submitted work.
+/// The largest share of what is taken of cells (m^3/s), by J v of obstacles and by sources, by which a component of the liquid without a free
+/// surface would have to change its volume. Waits for all submitted work.
 pub(super) fn squeezed(
     gpu: &Gpu,
     liquid: &GpuLiquid,
-    obstacles: &ObstacleCut,
+    taken: &[(usize, f64)],
 ) -> Result<f64, Error> {
     let flags = gpu.download(&liquid.solver.flags)?;
     let labels = gpu.download(&liquid.solver.labels)?;
     let grid = &liquid.buffers.plan.grid;
     let padded = grid.padded();
     let mut sums = BTreeMap::<u32, [f64; 2]>::new();
-    for &(cell, flux) in obstacles.flux() {
+    for &(cell, flux) in taken {
         let index = padded.index(grid.cell_at(cell));
         // Bits 4 to 7: see `shaders/common/active.wgsl`.
         if flags[index / 4] >> (4 + index % 4) & 1 == 1 {

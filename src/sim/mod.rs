@@ -128,7 +128,7 @@ impl Simulation {
             {
                 let status = status.name();
                 let problem = format!(
-                    "the {name} solve ended with {status} at a relative residual of {residual:.1e}"
+                    "the {name} solve ended with {status} at a relative residual of {residual:.1e}\n  cure: shorter sub-steps (time.fixed_step), solver.precision = \"f64\", or loads and stiffnesses nearer to each other"
                 );
                 return Err(Error::Stage {
                     stage: "solve",

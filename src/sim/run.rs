@@ -15,8 +15,8 @@ use crate::output::manifest::{
 };
 use crate::output::tables::{ProbeTable, StepRow, StepTable};
 use crate::output::{FolderLock, is_partial};
-use crate::scene::Scene;
-use crate::state::{SolveReport, SolveStatus, State, StepReport};
+use crate::scene::{MAX_FRAMES, Scene};
+use crate::state::{SolveStatus, State, StepReport};
 
 use super::{Backend, Simulation};
 
@@ -93,7 +93,16 @@ impl Start {
         let manifest_path = out.join("manifest.json");
         let (manifest, checkpoint) = (manifest_path.exists(), Checkpoint::path(out).exists());
         if !(manifest || checkpoint) {
-            return Ok(Start::Anew(None));
+            // Nobody knows whose these are: a run would write over them.
+            let names = ["steps.csv", "probes.csv", "frames", "preview"];
+            return match names.iter().find(|name| out.join(name).exists()) {
+                Some(name) => Err(Error::input(
+                    out.join(name).display().to_string(),
+                    "it is in the folder of the run, and there is no manifest.json that says of which run it is",
+                    "choose another folder with --out, or remove this one by hand",
+                )),
+                None => Ok(Start::Anew(None)),
+            };
         }
         if options.resume {
             return Start::resume(scene, options, n_frames);
@@ -107,7 +116,10 @@ impl Start {
         match Manifest::read(out) {
             Ok(manifest) => Ok(Start::Anew(Some(Box::new(manifest)))),
             Err(error) => refused(
-                &format!("manifest.json is not of a run that this version can replace: {error}"),
+                &format!(
+                    "manifest.json is not of a run that this version can replace: {}",
+                    error.to_string().lines().next().unwrap_or_default()
+                ),
                 "choose another folder with --out, or remove this one by hand",
             ),
         }
@@ -175,6 +187,10 @@ pub fn run(
 ) -> Result<Summary, Error> {
     let out = &options.out;
     let n_frames = options.frames.unwrap_or_else(|| scene.n_frames());
+    ensure_frames(n_frames)?;
+    // What sources emit until then has to fit.
+    let longer = lasting(scene, n_frames);
+    let scene = &longer;
     let held = out.exists().then(|| FolderLock::take(out)).transpose()?;
     let mut start = Start::find(scene, options, n_frames)?;
     if let Start::Finished(manifest) = &start {
@@ -237,6 +253,27 @@ pub fn run(
         resumed,
         ..Summary::of(&manifest)
     })
+}
+
+/// Refuses more frames than file names have digits for.
+fn ensure_frames(n_frames: u64) -> Result<(), Error> {
+    if n_frames <= MAX_FRAMES {
+        return Ok(());
+    }
+    let problem = format!("file names have room for {MAX_FRAMES} frames");
+    Err(Error::input(
+        format!("--frames {n_frames}"),
+        problem,
+        "ask for fewer frames",
+    ))
+}
+
+/// The scene, with a duration of at least so many frames.
+fn lasting(scene: &Scene, n_frames: u64) -> Scene {
+    let mut scene = scene.clone();
+    let asked = n_frames as f64 / scene.time.frames_per_second;
+    scene.time.duration = scene.time.duration.max(asked);
+    scene
 }
 
 impl Summary {
@@ -418,7 +455,10 @@ impl<'a> Recording<'a> {
         manifest: Manifest,
         from: Option<TablesAt>,
     ) -> Result<Recording<'a>, Error> {
-        // First: tables that are not those of the run leave it as it was.
+        // First what says whose the folder is, wherever it ends; but tables that are not those of the run leave it as it was.
+        if from.is_none() {
+            manifest.write(out)?;
+        }
         let steps = match from {
             None => StepTable::create(out)?,
             Some(at) => StepTable::go_on(out, at.steps)?,
@@ -430,8 +470,8 @@ impl<'a> Recording<'a> {
         };
         if from.is_some() {
             remove_frames_without_place(out, scene, manifest.options.frames)?;
+            manifest.write(out)?;
         }
-        manifest.write(out)?;
         let kinds = FrameKinds::of(scene);
         let mut writer = FrameWriter::create(out, &scene.name, scene.grid(), kinds)?;
         let obstacles = ObstacleSurfaces::new(scene, &scene.grid())?;
@@ -565,8 +605,11 @@ impl<'a> Recording<'a> {
 }
 
 fn notice(tally: &mut Tally, report: &StepReport, volume_ratio: Option<f64>) {
-    let missed = |solve: SolveReport| solve.status != SolveStatus::Converged;
-    tally.missed += u64::from(report.solves().any(missed));
+    let ended = |with: fn(SolveStatus) -> bool| report.solves().any(|solve| with(solve.status));
+    tally.squeezed += u64::from(ended(|status| status == SolveStatus::Incompatible));
+    tally.missed += u64::from(ended(|status| {
+        !matches!(status, SolveStatus::Converged | SolveStatus::Incompatible)
+    }));
     for solve in report.solves() {
         tally.worst_residual = tally.worst_residual.max(solve.residual);
     }
@@ -581,6 +624,9 @@ fn notice(tally: &mut Tally, report: &StepReport, volume_ratio: Option<f64>) {
         tally.inverted = solid.diagnosis.inverted;
     }
     tally.dropped += report.liquid.map_or(0, |liquid| liquid.dropped);
+    if let Some(coupling) = report.coupling {
+        tally.overlap = tally.overlap.max(coupling.overlap_depth);
+    }
 }
 
 /// Does the frames that are left.

@@ -264,13 +264,17 @@ impl GpuPath {
                 told.seconds.append(&mut seconds);
                 to = Recorder::timed(gpu);
             }
-            if let (Some(clip), Some(outcome)) = (self.clip(), &mut pressure)
+            if let Some(outcome) = &mut pressure
                 && outcome.status == SolveStatus::Converged
                 && outcome.closed_components > 0
-                && !clip.obstacles().flux().is_empty()
-                && squeezed(gpu, part, clip.obstacles())? > SQUEEZE
             {
-                outcome.status = SolveStatus::Incompatible;
+                let clip = self.clip();
+                let obstacles = clip.map_or(&[][..], |clip| clip.obstacles().flux());
+                let sources = part.taken_by_sources(clip.map(|clip| &clip.cut_cells().open));
+                let taken = [obstacles, &sources].concat();
+                if !taken.is_empty() && squeezed(gpu, part, &taken)? > SQUEEZE {
+                    outcome.status = SolveStatus::Incompatible;
+                }
             }
             to.stage(Components::NAME, |pass| {
                 stages.closed_components.centre_potential(pass)

@@ -323,6 +323,117 @@ fn an_earlier_run_is_replaced_only_when_asked() {
     );
 }
 
+/// Files of the names that a run has, in a folder that is of no run, are somebody's.
+#[test]
+fn files_of_no_run_are_left_alone() {
+    for name in ["steps.csv", "probes.csv", "frames", "preview"] {
+        let folder = folder(DAM);
+        let out = folder.path().join("out/dam");
+        fs::create_dir_all(&out).unwrap();
+        fs::write(out.join(name), "mine").unwrap();
+        for how in ["", "--overwrite", "--resume"] {
+            let message = complains(
+                &folder,
+                &format!("run dam.toml --backend cpu --frames 1 {how}"),
+                2,
+            );
+            assert!(
+                message.contains(name) && message.contains("--out"),
+                "{message}"
+            );
+        }
+        assert_eq!(fs::read_to_string(out.join(name)).unwrap(), "mine");
+    }
+}
+
+#[test]
+fn numbers_that_cannot_be_are_answered_with_the_cure() {
+    let folder = folder(DAM);
+    for (arguments, told) in [
+        (
+            "run dam.toml --frames 1000000",
+            "1000000 is not in 0..=999999",
+        ),
+        ("run dam.toml --frames -1", "invalid value '-1'"),
+        ("plan dam.toml --scale -1", "use a number above zero"),
+    ] {
+        let message = complains(&folder, arguments, 2);
+        assert!(message.contains(told), "{arguments}: {message}");
+    }
+    assert!(!folder.path().join("out").exists());
+}
+
+/// What is found only when the scene is built has its line too, or the `--set`.
+#[test]
+fn what_has_no_cell_is_refused_in_its_line() {
+    let tap = "[[sink]]\nbox = { min = [0.1, 0.1, 0.1], max = [0.101, 0.101, 0.101] }\n";
+    let folder = folder(&format!("{DAM}{tap}"));
+    let message = complains(&folder, "plan dam.toml", 2);
+    assert!(
+        message.contains("dam.toml:14: sink[0]: no cell of"),
+        "{message}"
+    );
+    let moved = "plan dam.toml --set sink[0]={box={min=[0,0,0],max=[1e-3,1e-3,1e-3]}}";
+    let message = complains(&folder, moved, 2);
+    assert!(
+        message.contains("--set sink[0]=") && message.contains(": sink[0]: no cell of"),
+        "{message}"
+    );
+}
+
+#[test]
+fn runs_and_plans_warn_of_what_they_cannot_do() {
+    let piston = "[[obstacle]]\nbox = { min = [0.5, 0.5, 0.1], max = [0.7, 2.0, 0.4] }\n\
+                  keyframes = [{ t = 0 }, { t = 1, translate = [0, -0.4, 0] }]\n\
+                  [[probe]]\nname = \"blind\"\npressure = { point = [0.6, 0.7, 0.25] }\n";
+    let folder = folder(&format!(
+        "{}{piston}",
+        DAM.replace("max = [0.5, 0.75, 0.5]", "max = [1.5, 1.0, 0.5]")
+    ));
+    let output = ends(
+        cutwater(&folder, "run dam.toml --backend cpu --frames 1"),
+        0,
+    );
+    let told = text(&output.stderr);
+    for words in [
+        "probe \"blind\" lies in an obstacle",
+        "liquid without a free surface had nowhere to go",
+    ] {
+        assert!(told.contains(words), "{told}");
+    }
+    assert!(!told.contains("missed the tolerance"), "{told}");
+    let told = text(&ends(cutwater(&folder, "plan dam.toml"), 0).stderr);
+    assert!(
+        told.contains("probe \"blind\" lies in an obstacle"),
+        "{told}"
+    );
+}
+
+#[test]
+fn a_frame_whose_files_are_gone_is_missed() {
+    let folder = folder(DAM);
+    says(&folder, "run dam.toml --backend cpu --frames 2 --scale 0.5");
+    fs::remove_file(folder.path().join("out/dam/frames/dam_000001.vtp")).unwrap();
+    let output = ends(cutwater(&folder, "preview out/dam"), 0);
+    assert!(text(&output.stdout).contains("2 pictures"));
+    let told = text(&output.stderr);
+    assert!(
+        told.contains("files of 1 frames are gone or not whole, frame 1 the first"),
+        "{told}"
+    );
+    // A manifest that asks for more than a picture can be is refused, not tried.
+    let path = folder.path().join("out/dam/manifest.json");
+    let manifest = fs::read_to_string(&path).unwrap();
+    let mut manifest: Value = serde_json::from_str(&manifest).unwrap();
+    manifest["camera"]["size"] = serde_json::json!([1_000_000, 1_000_000]);
+    fs::write(&path, manifest.to_string()).unwrap();
+    let message = complains(&folder, "preview out/dam", 2);
+    assert!(
+        message.contains("manifest.json") && message.contains("16 to 8192"),
+        "{message}"
+    );
+}
+
 #[test]
 fn a_run_on_the_gpu_names_its_adapter() {
     let Some(gpu) = gpu() else { return };
@@ -452,8 +563,9 @@ fn overwriting_removes_a_run_and_nothing_else() {
         "{message}"
     );
     assert!(run.join("frames/mine.txt").exists());
-    fs::remove_file(run.join("manifest.json")).unwrap();
+    fs::remove_dir_all(&run).unwrap();
     says(&folder, "run dam.toml --backend cpu --frames 3");
+    fs::write(run.join("frames/mine.txt"), "mine").unwrap();
     says(&folder, again);
     assert_eq!(
         list(&run.join("frames")),
@@ -476,7 +588,7 @@ fn a_scene_without_any_liquid_is_refused_and_little_is_told() {
     for surface in ["markers", "fixed"] {
         let arguments = format!("run dam.toml --backend cpu --set liquid.surface={surface}");
         let message = complains(&none, &arguments, 2);
-        let parts = ["dam.toml: liquid.region", "no cell", "use more cells"];
+        let parts = ["dam.toml:7: liquid.region", "no cell", "use more cells"];
         assert!(parts.iter().all(|part| message.contains(part)), "{message}");
     }
     let plate = "[[obstacle]]\nbox = { min = [1.2, 0, 0], max = [1.22, 1, 0.5] }\n";

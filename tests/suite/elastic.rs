@@ -456,7 +456,7 @@ fn pins_and_loads_that_cannot_be_are_refused() {
     solid.pins = vec![pin(nowhere(), [true; 3], Vec::new())];
     let text = refused(solid);
     assert!(
-        text.contains("test.toml: solid[0].pin[0]") && text.contains("no node of \"block\""),
+        text.contains("test.toml:") && text.contains(": solid[0].pin[0]: no node of \"block\""),
         "{text}"
     );
 

@@ -595,6 +595,7 @@ fn scene() -> Scene {
     Scene {
         name: "dam".into(),
         file: "/somewhere/private/dam.toml".into(),
+        written: scene::Written::default(),
         hash: "0123abcd".into(),
         scale: 0.5,
         overrides: vec!["time.duration=2".into()],

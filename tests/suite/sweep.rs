@@ -150,7 +150,7 @@ fn a_sweep_goes_on_past_failures_and_makes_what_is_missing() {
         ),
         (
             names[2],
-            "failed (exit code 2): dam.toml: liquid.region: no cell",
+            "failed (exit code 2): dam.toml:7: liquid.region: no cell",
         ),
     ] {
         let line = said

@@ -158,7 +158,7 @@ fn what_is_no_source_or_sink_is_refused() {
         let refused = Plan::new(&parse(&text).unwrap(), None).unwrap_err();
         let message = refused.to_string();
         assert!(
-            message.contains("taps.toml: source[0]") && message.contains("at least a cell thick"),
+            message.contains("taps.toml:9: source[0]") && message.contains("at least a cell thick"),
             "{message}"
         );
         assert_eq!(refused.exit_code(), 2);
@@ -228,6 +228,31 @@ fn sources_keep_their_times() {
     let after = run(&mut simulation, 18, |_| {});
     assert_eq!((after.emitted, after.volume_emitted), (0, 0.0));
     assert!(simulation.state().unwrap().sources_running == 0);
+}
+
+/// Liquid that fills its vessel takes no more: a source in it asks for what cannot be, on both paths, and where there is air again it does not.
+#[test]
+fn a_source_in_a_full_vessel_is_told() {
+    let scene = |level: f64| {
+        parse(&format!(
+            "[liquid]\n[[liquid.region]]\nhalf_space = {{ point = [0.0, {level}, 0.0], normal = [0.0, 1.0, 0.0] }}\n\
+             [[source]]\nbox = {{ min = [0.125, 0.0625, 0.0625], max = [0.25, 0.125, 0.1875] }}\nvelocity = [1.0, 0.0, 0.0]\n"
+        ))
+        .unwrap()
+    };
+    for (level, closed, status) in [
+        (1.0, 1, SolveStatus::Incompatible),
+        (0.25, 0, SolveStatus::Converged),
+    ] {
+        let mut backends = vec![Backend::Cpu];
+        backends.extend(gpu().map(|_| Backend::Gpu(AdapterChoice::Best)));
+        for backend in backends {
+            let mut simulation = Simulation::new(&scene(level), &backend).unwrap();
+            let liquid = simulation.step().unwrap().liquid.unwrap();
+            assert_eq!(liquid.closed_components, closed, "{backend:?}");
+            assert_eq!(liquid.solve.status, status, "{backend:?}");
+        }
+    }
 }
 
 /// A pump between a source and a sink: what is there, what came and what went add up, and in the end as much goes as comes.

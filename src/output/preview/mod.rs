@@ -25,7 +25,7 @@ use super::manifest::Manifest;
 use super::surface::LiquidSurface;
 use crate::Error;
 use crate::grid::Grid;
-use crate::scene::{Camera, CameraCut, SurfaceMesh};
+use crate::scene::{Camera, CameraCut, PICTURE_SIDES, SurfaceMesh};
 use liquid::Liquid;
 use picture::Picture;
 use shade::{Stage, View};
@@ -88,6 +88,8 @@ pub struct PreviewReport {
     pub pictures: Vec<PathBuf>,
     /// `DIR/preview/NAME.png`, an APNG: browsers play it.
     pub animation: Option<PathBuf>,
+    /// Frames that the run has written and whose files are gone or not whole.
+    pub missing: Vec<u64>,
 }
 
 /// Renders the frames of a run directory. `progress` is told how many pictures are done, of how many, and says whether to go on.
@@ -141,6 +143,17 @@ impl Pictures {
         });
         let camera = Camera::from(&manifest.camera);
         let size = options.size.unwrap_or(camera.size);
+        if !size.iter().all(|side| PICTURE_SIDES.contains(side)) {
+            return Err(Error::input(
+                run.join("manifest.json").display().to_string(),
+                format!("pictures of {} x {} pixels", size[0], size[1]),
+                format!(
+                    "sides have {} to {} pixels",
+                    PICTURE_SIDES.start(),
+                    PICTURE_SIDES.end()
+                ),
+            ));
+        }
         let view = View::new(&camera.pose(0.0), camera.up, size);
         let domain = vector(manifest.size);
         let up = upwards(vector(manifest.gravity), camera.up.as_vec3());
@@ -230,7 +243,9 @@ impl Pictures {
         label_floor(&mut picture, &view, stage);
         let [_, line] = picture.letters().extent(1);
         let corner = (line / 2) as i64;
-        picture.text(corner, corner, &format!("{time:.3} s"), DARK);
+        // So many that each frame has its own.
+        let decimals = 1 + manifest.frames_per_second.log10().ceil().max(2.0) as usize;
+        picture.text(corner, corner, &format!("{time:.decimals$} s"), DARK);
         stage.scale.draw(&mut picture);
         let folder = self.run.join("preview");
         create_folder(&folder)?;
@@ -253,7 +268,10 @@ impl Pictures {
             let shown: Vec<(PathBuf, f64)> = self.drawn.values().cloned().zip(seconds).collect();
             picture::animate(&path, &shown)?;
         }
+        let mut missing = Manifest::read(&self.run)?.progress.frames_written;
+        missing.retain(|frame| self.options.every == 1 && !self.drawn.contains_key(frame));
         Ok(PreviewReport {
+            missing,
             pictures: self.drawn.into_values().collect(),
             animation: animation.then_some(path),
         })
