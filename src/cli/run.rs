@@ -14,7 +14,7 @@ use cutwater::output::checkpoint::Checkpoint;
 use cutwater::output::frames::FrameKinds;
 use cutwater::output::manifest::Tally;
 use cutwater::output::preview::{Pictures, PreviewOptions};
-use cutwater::scene::Scene;
+use cutwater::scene::{MAX_FRAMES, Scene};
 use cutwater::sim::{self, Options};
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -34,7 +34,7 @@ pub(super) struct Run {
     #[arg(long)]
     out: Option<PathBuf>,
     /// Frames to compute instead of the scene's duration, at most 999999
-    #[arg(long, allow_negative_numbers = true, value_parser = clap::value_parser!(u64).range(..=999_999))]
+    #[arg(long, allow_negative_numbers = true, value_parser = clap::value_parser!(u64).range(..=MAX_FRAMES))]
     frames: Option<u64>,
     /// Replace an earlier run in the folder
     #[arg(long, conflicts_with = "resume")]

@@ -12,6 +12,7 @@ use std::time::Duration;
 use clap::{ArgAction, ValueEnum};
 use cutwater::Error;
 use cutwater::measure::sweep::{Axis, LOG, Options, Row, Shard, Standing, Sweep};
+use cutwater::scene::MAX_FRAMES;
 
 use super::BackendArgs;
 
@@ -35,7 +36,7 @@ pub(super) struct SweepCommand {
     #[arg(long)]
     out: Option<PathBuf>,
     /// Frames of each run instead of the scene's duration, at most 999999
-    #[arg(long, allow_negative_numbers = true, value_parser = clap::value_parser!(u64).range(..=999_999))]
+    #[arg(long, allow_negative_numbers = true, value_parser = clap::value_parser!(u64).range(..=MAX_FRAMES))]
     frames: Option<u64>,
     /// Draw the pictures of each run when it is done
     #[arg(long)]

@@ -186,6 +186,9 @@ impl PressureSystem {
 
     /// The system, [`PressureSystem::squeezed`] by what is taken of cells, m^3/s.
     pub fn squeezed_by(mut self, taken: impl IntoIterator<Item = (usize, f64)>) -> PressureSystem {
+        if self.closed.is_empty() {
+            return self;
+        }
         let mut of_cells = vec![0.0; self.rhs.len()];
         for (cell, taken) in taken {
             of_cells[cell] += taken;

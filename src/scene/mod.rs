@@ -19,7 +19,7 @@ use crate::grid::{Grid, Sides};
 pub use camera::PICTURE_SIDES;
 use document::Origin;
 pub use document::Written;
-pub(crate) use read::MAX_FRAMES;
+pub use read::MAX_FRAMES;
 
 /// A checked scene, all in SI units. Lengths and times are finite, counts are positive, regions and obstacles have volume.
 #[derive(Clone, Debug)]

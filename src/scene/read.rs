@@ -38,8 +38,8 @@ const MAX_GRAVITY: f64 = 1e6;
 const FRAME_RATES: std::ops::RangeInclusive<f64> = 1e-3..=1e6;
 /// Cells are cubic to this relative difference.
 const CUBIC: f64 = 1e-6;
-/// Most frames: file names have six digits.
-pub(crate) const MAX_FRAMES: u64 = 999_999;
+/// Most frames of a run: file names have six digits.
+pub const MAX_FRAMES: u64 = 999_999;
 /// The fixed step divides the frame time to this relative difference.
 const WHOLE_STEPS: f64 = 1e-6;
 

@@ -410,6 +410,25 @@ fn runs_and_plans_warn_of_what_they_cannot_do() {
 }
 
 #[test]
+fn solids_in_each_other_are_told() {
+    let solid = |name: &str, x: f64| {
+        format!(
+            "[[solid]]\nname = \"{name}\"\nmesh = {{ box = {{ size = [0.25, 0.25, 0.25], cells = [2, 2, 2] }} }}\n\
+             placement = {{ translate = [{x}, 0.3, 0.25] }}\ndensity = 1000.0\nyoung = 1e5\npoisson = 0.3\n"
+        )
+    };
+    for (x, told) in [(0.55, true), (1.0, false)] {
+        let folder = folder(&format!("{DAM}{}{}", solid("one", 0.45), solid("other", x)));
+        let output = ends(
+            cutwater(&folder, "run dam.toml --backend cpu --frames 1"),
+            0,
+        );
+        let warned = text(&output.stderr).contains("deep in each other or in obstacles");
+        assert_eq!(warned, told, "{output:?}");
+    }
+}
+
+#[test]
 fn a_frame_whose_files_are_gone_is_missed() {
     let folder = folder(DAM);
     says(&folder, "run dam.toml --backend cpu --frames 2 --scale 0.5");
