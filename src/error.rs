@@ -176,6 +176,11 @@ impl Error {
     }
 }
 
+/// A number that was computed, as messages show it: six digits of it.
+pub(crate) fn rounded(x: f64) -> f64 {
+    format!("{x:.5e}").parse().unwrap_or(x)
+}
+
 fn gibibytes(bytes: u64) -> f64 {
     bytes as f64 / f64::from(1 << 30)
 }

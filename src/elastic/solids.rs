@@ -5,7 +5,7 @@ use glam::DVec3;
 use super::{
     Body, Deformation, Script, Solids, Turning, lame_parameters, rest_shape, stress, von_mises,
 };
-use crate::error::Error;
+use crate::error::{Error, rounded};
 use crate::geometry::{MovedMesh, TetMesh, inside};
 use crate::scene::{ElasticModel, Keyframe, Load, LoadKind, Pin, Scene, Shape, Solid};
 
@@ -196,6 +196,7 @@ impl Solids {
             let [low, high] = rest
                 .iter()
                 .fold(none, |[low, high], &x| [low.min(x), high.max(x)]);
+            let [low, high] = [low, high].map(|x| DVec3::from(x.to_array().map(rounded)));
             let problem = format!("no node of \"{}\" rests in the region", body.name);
             let cure =
                 format!("the nodes lie between {low} and {high} m: move or enlarge the region");
@@ -399,6 +400,7 @@ impl Solids {
             for node in free {
                 let x = self.rest[node] + DVec3::from(displacement[node]);
                 if (x - x.clamp(DVec3::ZERO, size)).abs().max_element() > slack {
+                    let x = DVec3::from(x.to_array().map(rounded));
                     return Err(Error::input(
                         what,
                         format!(
@@ -414,7 +416,7 @@ impl Solids {
             if deepest < -grid.dx {
                 return Err(Error::input(
                     what,
-                    format!("starts {} m deep in an obstacle", -deepest),
+                    format!("starts {} m deep in an obstacle", rounded(-deepest)),
                     "move the solid or the obstacle, or hold the nodes in it with a [[solid.pin]]",
                 ));
             }

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::distance::Solid;
 use super::{CutCells, MovedMesh, is_wall, solitary};
-use crate::error::Error;
+use crate::error::{Error, rounded};
 use crate::grid::{Axis, Grid};
 use crate::scene::{Liquid, Placement, Region, Scene, Shape, Surface};
 use crate::state::State;
@@ -441,7 +441,7 @@ pub fn initial_state(scene: &Scene, grid: &Grid, cut_cells: &CutCells) -> Result
             scene.at("liquid.region"),
             format!(
                 "no cell of the {nx} x {ny} x {nz} has liquid: the regions are thinner than about 1.5 cells of {} m, or obstacles cover them",
-                grid.dx
+                rounded(grid.dx)
             ),
             "use more cells (domain.cells, --scale), larger regions, or smaller obstacles",
         ));

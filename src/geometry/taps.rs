@@ -9,7 +9,7 @@ use glam::DVec3;
 
 use super::distance::Solid;
 use super::{CutCells, open_volume};
-use crate::error::Error;
+use crate::error::{Error, rounded};
 use crate::grid::{Axis, Grid};
 use crate::scene::{Scene, Shape};
 use crate::state::State;
@@ -285,7 +285,7 @@ fn cells(
             scene.at(what),
             format!(
                 "no cell of {} m outside obstacles has its centre in it",
-                grid.dx
+                rounded(grid.dx)
             ),
             "make it at least a cell thick, use more cells (domain.cells, --scale), or move it out of obstacles",
         ));

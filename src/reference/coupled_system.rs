@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::pressure_system::{PressureSystem, squeezed};
+use super::pressure_system::{PressureSystem, remove_means};
 use super::refine::{Judged, Part};
 use super::solid_system::SolidSystem;
 use crate::geometry::{CellNode, Coupling};
@@ -10,6 +10,8 @@ use crate::linalg::{Csr, LinearOperator, norm};
 
 /// A prescribed motion may squeeze a liquid without a surface by this share of what it moves: rounding, and what the area clamp hides.
 pub const SQUEEZE: f64 = 1e-2;
+/// What rounding leaves of a direction that an obstacle holds.
+const ROUNDED: f64 = 1e-12;
 
 /// The two systems and J between them. A vector of it holds a pressure per cell of the grid (0 in inactive ones), then three
 /// velocities per node of the solids (0 in prescribed components).
@@ -21,12 +23,14 @@ pub struct CoupledSystem {
     pub solid: SolidSystem,
     /// J on the active cells.
     pub coupling: Coupling,
+    /// The cells of liquid without a free surface beside nodes that all are held by walls and obstacles, or slide along them: nothing
+    /// fixes the level of their pressure either.
+    held: Vec<Vec<usize>>,
     /// Components that are not prescribed, ascending.
     components: Vec<usize>,
     /// Both right-hand sides.
     rhs: Vec<f64>,
-    /// Share of what prescribed components do to components of the liquid that can neither grow nor shrink: 0 but for rounding
-    /// where their volume is kept, up to 1 where it is not.
+    /// [`PressureSystem::squeezed`], by prescribed components too.
     pub squeezed: f64,
 }
 
@@ -46,12 +50,22 @@ impl CoupledSystem {
             *rhs -= flux;
         }
         pressure.rhs_scale += norm(&flux);
-        let squeezed = squeezed(&pressure.closed, &flux).max(pressure.squeezed);
+        let squeezed = pressure.squeezed(Some(&flux));
         let mut rhs = std::mem::take(&mut pressure.rhs);
+        let freedom = solid.freedom();
+        let gives_way = |pair: &CellNode| {
+            let free = freedom[pair.node].projector * pair.value;
+            free.length() > ROUNDED * pair.value.length()
+        };
+        let gives_way = |&cell: &usize| coupling.of_cell(cell).iter().any(gives_way);
+        let mut held = pressure.sealed.clone();
+        held.retain(|cells| !cells.iter().any(gives_way));
         pressure.remove_closed_means(&mut rhs);
+        remove_means(&held, &mut rhs);
         pressure.rhs.clone_from(&rhs);
         rhs.extend(&solid.rhs);
         CoupledSystem {
+            held,
             components: solid.components(),
             pressure,
             solid,
@@ -107,7 +121,8 @@ impl CoupledSystem {
                 }));
             }
         });
-        let pinned: Vec<usize> = self.pressure.closed.iter().map(|cells| cells[0]).collect();
+        let loose = self.pressure.closed.iter().chain(&self.held);
+        let pinned: Vec<usize> = loose.map(|cells| cells[0]).collect();
         let mass = self.solid.mass_term();
         Blocks {
             b: self.pressure.numbered(self.pressure.scale, &pinned),
@@ -196,7 +211,9 @@ impl Judged for CoupledSystem {
     }
 
     fn project(&self, x: &mut [f64]) {
-        self.pressure.remove_closed_means(&mut x[..self.n_cells()]);
+        let n_cells = self.n_cells();
+        self.pressure.remove_closed_means(&mut x[..n_cells]);
+        remove_means(&self.held, &mut x[..n_cells]);
     }
 
     /// Rounding of the terms that couple counts too: where nothing else acts, they are all there is.

@@ -152,9 +152,10 @@ pub struct PressureSystem {
     pub rhs_scale: f64,
     /// The cells of every component without a free surface, each in ascending order. Their pressure has mean zero.
     pub closed: Vec<Vec<usize>>,
-    /// Share of what obstacles and sources take of such a component, or give, that its volume would have to change by: 0 but for rounding
-    /// where they keep it, up to 1 where they do not.
-    pub squeezed: f64,
+    /// The same of those without a free surface whose level solids fix, as far as these give way.
+    pub sealed: Vec<Vec<usize>>,
+    /// What obstacles and sources take of cells, or give where it is negative, m^3/s; not told where no component is closed.
+    pub taken: Vec<(usize, f64)>,
 }
 
 impl PressureSystem {
@@ -167,7 +168,8 @@ impl PressureSystem {
             rhs: rhs.values,
             rhs_scale: rhs.scale,
             closed: active.closed,
-            squeezed: 0.0,
+            sealed: active.sealed,
+            taken: Vec::new(),
         }
     }
 
@@ -184,17 +186,32 @@ impl PressureSystem {
         self
     }
 
-    /// The system, [`PressureSystem::squeezed`] by what is taken of cells, m^3/s.
-    pub fn squeezed_by(mut self, taken: impl IntoIterator<Item = (usize, f64)>) -> PressureSystem {
-        if self.closed.is_empty() {
-            return self;
+    /// The system with what obstacles and sources take of cells, m^3/s.
+    pub fn with_taken(mut self, taken: impl IntoIterator<Item = (usize, f64)>) -> PressureSystem {
+        if !self.closed.is_empty() {
+            self.taken.extend(taken);
         }
-        let mut of_cells = vec![0.0; self.rhs.len()];
-        for (cell, taken) in taken {
+        self
+    }
+
+    /// The largest share of what is taken of its cells, by `taken` and by solids (m^3/s per cell), by which a closed component would have to
+    /// change its volume: 0 but for rounding where it is kept, up to 1 where it is not.
+    pub fn squeezed(&self, by_solids: Option<&[f64]>) -> f64 {
+        if self.closed.is_empty() {
+            return 0.0;
+        }
+        let mut of_cells = by_solids.map_or_else(|| vec![0.0; self.rhs.len()], <[f64]>::to_vec);
+        for &(cell, taken) in &self.taken {
             of_cells[cell] += taken;
         }
-        self.squeezed = squeezed(&self.closed, &of_cells);
-        self
+        let shares = self.closed.iter().map(|component| {
+            let taken = component.iter().map(|&cell| of_cells[cell]);
+            let [net, gross] = taken.fold([0.0, 0.0], |[net, gross], taken: f64| {
+                [net + taken, gross + taken.abs()]
+            });
+            if gross > 0.0 { net.abs() / gross } else { 0.0 }
+        });
+        shares.fold(0.0, f64::max)
     }
 
     /// Number of active cells.
@@ -249,18 +266,6 @@ impl PressureSystem {
     pub fn remove_closed_means(&self, field: &mut [f64]) {
         remove_means(&self.closed, field);
     }
-}
-
-/// The largest share, among the components, of what is taken of their cells (m^3/s) that does not come back elsewhere.
-pub(super) fn squeezed(components: &[Vec<usize>], taken: &[f64]) -> f64 {
-    let shares = components.iter().map(|component| {
-        let taken = component.iter().map(|&cell| taken[cell]);
-        let [net, gross] = taken.fold([0.0, 0.0], |[net, gross], taken: f64| {
-            [net + taken, gross + taken.abs()]
-        });
-        if gross > 0.0 { net.abs() / gross } else { 0.0 }
-    });
-    shares.fold(0.0, f64::max)
 }
 
 /// Takes the mean over each list of cells out of a field.

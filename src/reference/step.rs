@@ -448,7 +448,7 @@ impl Reference {
                 [] => system,
                 flux => system.beside_obstacles(flux),
             };
-            system.squeezed_by(obstacles.iter().copied().chain(sources))
+            system.with_taken(obstacles.iter().copied().chain(sources))
         });
         let motion = solid.zip(matrices.as_ref()).map(|(part, matrices)| {
             let SolidPart { solids, .. } = part;
@@ -644,7 +644,7 @@ impl Reference {
                         (state.pressure, state.node_velocity) =
                             (solution.pressure, solution.velocity);
                         let [of_pressure, of_solid] = solution.reports;
-                        let of_pressure = or_incompatible(of_pressure, pressure.squeezed);
+                        let of_pressure = or_incompatible(of_pressure, pressure.squeezed(None));
                         let systems = Systems::Apart(Some(pressure.into()), Some(solid.into()));
                         return Ok((systems, [of_pressure, of_solid].map(Some), contact));
                     }
@@ -669,7 +669,7 @@ impl Reference {
                 if let Some(system) = &pressure {
                     let (pressure, report) = solve(system, settings)?;
                     state.pressure = pressure;
-                    reports[0] = Some(or_incompatible(report, system.squeezed));
+                    reports[0] = Some(or_incompatible(report, system.squeezed(None)));
                 }
                 let mut solved = None;
                 if let Some(((mut system, mut contacts), part)) = motion.zip(part) {

@@ -1,15 +1,12 @@
 //! Liquid and solids of a scene together on a device: the solids' clipping, which the host does, J, and the solve for both.
 
-use std::collections::BTreeMap;
-
 use glam::{DMat3, DVec3};
 
 use crate::Error;
 use crate::effects::Effects;
-use crate::geometry::{CellNode, SolidClip};
+use crate::geometry::SolidClip;
 use crate::gpu::{BufferPlan, Gpu, Pass, Readback, Recorder, StageTimes, Variant};
 use crate::grid::Grid;
-use crate::reference::SQUEEZE;
 use crate::scene::{CouplingScheme, PatchPressure as Slopes, Scene};
 use crate::solver::{
     CoupledFields, CouplingBuffers, CouplingSize, LevelPlan, OpenFaces, Outcome, Pair,
@@ -22,6 +19,7 @@ use crate::state::{ContactReport, CouplingReport, SolveStatus, State};
 
 use super::gpu_liquid::{GpuLiquid, active};
 use super::gpu_solids::{GpuSolids, SolidReadbacks};
+use super::squeeze::SqueezeReadbacks;
 
 /// How much room clipping and J have.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -68,16 +66,7 @@ pub(super) struct GpuCoupling {
 pub(super) struct CouplingReadbacks {
     report: Readback<u32>,
     components: Readback<u32>,
-    /// Where prescribed nodes move.
-    squeeze: Option<SqueezeReadbacks>,
-}
-
-/// What tells how far prescribed motion squeezes closed components of the liquid.
-#[derive(Debug)]
-struct SqueezeReadbacks {
-    flags: Readback<u32>,
-    labels: Readback<u32>,
-    velocity: Readback<u32>,
+    pub(super) squeeze: Option<SqueezeReadbacks>,
 }
 
 /// What is known of both before they are solved for.
@@ -86,8 +75,6 @@ pub(super) struct Touch {
     /// Whether a patch lies in a cell that is an unknown.
     pub(super) touching: bool,
     closed_components: u32,
-    /// Share of what prescribed components do to a closed component that it would have to grow or shrink by.
-    squeezed: f64,
 }
 
 /// What the solve for both found.
@@ -191,14 +178,7 @@ impl Room {
             &scene.solver,
             variant,
         ));
-        if Effects::of(scene).scripts {
-            let words = variant.real.bytes() / 4;
-            all.extend([
-                BufferPlan::of::<u32>("coupling.flags (read-back)", grid.padded().quads),
-                BufferPlan::of::<u32>("coupling.labels (read-back)", grid.padded().len()),
-                BufferPlan::of::<u32>("coupling.velocity (read-back)", 4 * words * n_nodes),
-            ]);
-        }
+        all.extend(SqueezeReadbacks::buffers(scene, n_nodes, variant.real));
         all
     }
 }
@@ -328,22 +308,10 @@ impl GpuCoupling {
         scene: &Scene,
         solids: &GpuSolids,
     ) -> Result<CouplingReadbacks, Error> {
-        let padded = scene.grid().padded();
-        let scripts = Effects::of(scene).scripts;
-        let squeeze = || {
-            let velocity = solids.buffers.velocity.words.len();
-            Ok::<_, Error>(SqueezeReadbacks {
-                flags: Readback::new(gpu, "coupling.flags", padded.quads)?,
-                labels: Readback::new(gpu, "coupling.labels", padded.len())?,
-                velocity: Readback::new(gpu, "coupling.velocity", velocity)?,
-            })
-        };
         Ok(CouplingReadbacks {
             report: Readback::new(gpu, "coupling.report", REPORT_WORDS)?,
             components: Readback::new(gpu, "coupling.components", 1)?,
-            squeeze: (scripts && scene.solver.coupling != CouplingScheme::Weak)
-                .then(squeeze)
-                .transpose()?,
+            squeeze: SqueezeReadbacks::new(gpu, scene, solids)?,
         })
     }
 
@@ -538,7 +506,7 @@ impl GpuCoupling {
     pub(super) fn touch(
         &self,
         gpu: &Gpu,
-        (liquid, solids): (&GpuLiquid, &GpuSolids),
+        liquid: &GpuLiquid,
         mut to: Recorder,
         readbacks: &mut CouplingReadbacks,
     ) -> Result<(Touch, StageTimes), Error> {
@@ -547,55 +515,11 @@ impl GpuCoupling {
         let timing = to.submit();
         let report = stages::CouplingReport::from_words(&readbacks.report.wait(gpu)?);
         let closed_components = readbacks.components.wait(gpu)?[0];
-        let mut squeezed = 0.0;
-        if let (true, Some(readbacks)) = (closed_components > 0, &mut readbacks.squeeze) {
-            squeezed = self.squeezed(gpu, (liquid, solids), readbacks)?;
-        }
         let touch = Touch {
             touching: report.touching,
             closed_components,
-            squeezed,
         };
         Ok((touch, timing.wait()?))
-    }
-
-    /// The largest share of J v, v of the nodes that are all prescribed, by which a closed component would have to grow or shrink.
-    fn squeezed(
-        &self,
-        gpu: &Gpu,
-        (liquid, solids): (&GpuLiquid, &GpuSolids),
-        SqueezeReadbacks {
-            flags,
-            labels,
-            velocity,
-        }: &mut SqueezeReadbacks,
-    ) -> Result<f64, Error> {
-        let mut to = Recorder::new(gpu);
-        to.read(&liquid.solver.flags, flags);
-        to.read(&liquid.solver.labels, labels);
-        to.read(&solids.buffers.velocity.words, velocity);
-        to.submit();
-        let (flags, labels) = (flags.wait(gpu)?, labels.wait(gpu)?);
-        let velocity = solids.buffers.velocity.widen(&velocity.wait(gpu)?);
-        let grid = &liquid.buffers.plan.grid;
-        let padded = grid.padded();
-        let mut sums = BTreeMap::<u32, [f64; 2]>::new();
-        for (cell, pairs) in self.clip.coupling().cells() {
-            let index = padded.index(grid.cell_at(cell));
-            // Bits 4 to 7: see `shaders/common/active.wgsl`.
-            if flags[index / 4] >> (4 + index % 4) & 1 == 1 {
-                let flux = |pair: &CellNode| {
-                    pair.value
-                        .dot(DVec3::from_slice(&velocity[4 * pair.node..]))
-                };
-                let flux: f64 = pairs.iter().map(flux).sum();
-                let [net, gross] = sums.entry(labels[index]).or_default();
-                *net += flux;
-                *gross += flux.abs();
-            }
-        }
-        let shares = sums.values().filter(|[_, gross]| *gross > 0.0);
-        Ok(shares.fold(0.0, |most, [net, gross]| f64::max(most, net.abs() / gross)))
     }
 
     /// Solves for liquid and solids in a sub-step of dt (s), and again while contacts change. In damping-only coupling the solids by
@@ -656,11 +580,6 @@ impl GpuCoupling {
             contact.solves += solves;
             if status != SolveStatus::Converged {
                 parts[1].status = status;
-            }
-        }
-        for part in &mut parts {
-            if part.status == SolveStatus::Converged && touch.squeezed > SQUEEZE {
-                part.status = SolveStatus::Incompatible;
             }
         }
         let solved = Solved {

@@ -1,8 +1,6 @@
 //! Obstacles that move in the liquid of a scene without solids: the host moves and clips them, and the device takes over what differs.
 //! With solids [`GpuCoupling`](super::gpu_coupling::GpuCoupling) does both.
 
-use std::collections::BTreeMap;
-
 use crate::Error;
 use crate::geometry::SolidClip;
 use crate::gpu::{BufferPlan, Gpu};
@@ -102,29 +100,4 @@ fn bind(gpu: &Gpu, liquid: &mut GpuLiquid, clip: &ClipBuffers) -> Result<Clip, E
     stages.extrapolate = Some(Extrapolate::new(gpu, buffers, Some((clip, None)))?);
     stages.diagnose = Some(Diagnose::new(gpu, buffers, &active(solver), None)?);
     Clip::new(gpu, buffers, clip)
-}
-
-/// The largest share of what is taken of cells (m^3/s), by J v of obstacles and by sources, by which a component of the liquid without a free
-/// surface would have to change its volume. Waits for all submitted work.
-pub(super) fn squeezed(
-    gpu: &Gpu,
-    liquid: &GpuLiquid,
-    taken: &[(usize, f64)],
-) -> Result<f64, Error> {
-    let flags = gpu.download(&liquid.solver.flags)?;
-    let labels = gpu.download(&liquid.solver.labels)?;
-    let grid = &liquid.buffers.plan.grid;
-    let padded = grid.padded();
-    let mut sums = BTreeMap::<u32, [f64; 2]>::new();
-    for &(cell, flux) in taken {
-        let index = padded.index(grid.cell_at(cell));
-        // Bits 4 to 7: see `shaders/common/active.wgsl`.
-        if flags[index / 4] >> (4 + index % 4) & 1 == 1 {
-            let [net, gross] = sums.entry(labels[index]).or_default();
-            *net += flux;
-            *gross += flux.abs();
-        }
-    }
-    let shares = sums.values().filter(|[_, gross]| *gross > 0.0);
-    Ok(shares.fold(0.0, |most, [net, gross]| f64::max(most, net.abs() / gross)))
 }

@@ -9,6 +9,7 @@ mod memory;
 mod plan;
 mod run;
 mod snapshot;
+mod squeeze;
 mod step;
 
 pub use gpu_path::GpuPath;

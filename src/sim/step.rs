@@ -14,9 +14,9 @@ use crate::state::{ContactReport, CouplingReport, SolveReport, SolveStatus, Step
 
 use super::gpu_coupling::{At, CouplingReadbacks};
 use super::gpu_liquid::{GpuLiquid, active, within};
-use super::gpu_obstacles::squeezed;
 use super::gpu_path::GpuPath;
 use super::gpu_solids::{GpuSolids, SolidReadbacks};
+use super::squeeze::{can_squeeze, squeezed};
 
 /// Hears of every stage once its results are on the device.
 pub type Observer<'a> = &'a mut dyn FnMut(&'static str, &GpuPath) -> Result<(), Error>;
@@ -234,7 +234,8 @@ impl GpuPath {
             });
         }
         to = watch.after(RightHandSide::NAME, to)?;
-        let (mut pressure, mut elastic) = (None, None);
+        let mut pressure = None;
+        let mut elastic: Option<(Outcome, ContactReport)> = None;
         let (mut together, mut condensed) = (false, false);
         let one_solve = coupling.and_then(|coupling| Some((coupling, coupling.together()?)));
         if let (Some((coupling, solver)), Some(both), Some(of_coupling), Some(of_solids)) = (
@@ -243,7 +244,7 @@ impl GpuPath {
             readbacks.coupling.as_mut(),
             readbacks.solids.as_mut(),
         ) {
-            let (touch, mut seconds) = coupling.touch(gpu, both, to, of_coupling)?;
+            let (touch, mut seconds) = coupling.touch(gpu, both.0, to, of_coupling)?;
             told.seconds.append(&mut seconds);
             together = touch.touching;
             if together {
@@ -265,15 +266,25 @@ impl GpuPath {
                 to = Recorder::timed(gpu);
             }
             if let Some(outcome) = &mut pressure
+                && can_squeeze(&self.scene)
                 && outcome.status == SolveStatus::Converged
                 && outcome.closed_components > 0
             {
                 let clip = self.clip();
                 let obstacles = clip.map_or(&[][..], |clip| clip.obstacles().flux());
                 let sources = part.taken_by_sources(clip.map(|clip| &clip.cut_cells().open));
-                let taken = [obstacles, &sources].concat();
-                if !taken.is_empty() && squeezed(gpu, part, &taken)? > SQUEEZE {
+                let taken = obstacles.iter().copied().chain(sources);
+                let of_nodes = readbacks.coupling.as_mut().filter(|_| together);
+                let of_nodes = of_nodes.and_then(|coupling| coupling.squeeze.as_mut());
+                let nodes = solids.zip(clip).zip(of_nodes);
+                let nodes = nodes.map(|((solids, clip), of_nodes)| (solids, clip, of_nodes));
+                if squeezed(gpu, part, nodes, taken)? > SQUEEZE {
                     outcome.status = SolveStatus::Incompatible;
+                    if let Some((of_solids, _)) = &mut elastic
+                        && of_solids.status == SolveStatus::Converged
+                    {
+                        of_solids.status = SolveStatus::Incompatible;
+                    }
                 }
             }
             to.stage(Components::NAME, |pass| {

@@ -3,11 +3,12 @@
 use cutwater::linalg::{Incomplete, LinearOperator, SymbolicCholesky, dot};
 use cutwater::reference::base_scene::{BaseBeam, BaseScene};
 use cutwater::reference::{
-    CoupledSolution, CoupledSystem, Formulation, SIGMA, SolidSolver, StressVariables, TwoField,
-    solve_coupled, solve_weak,
+    CoupledSolution, CoupledSystem, Formulation, Freedom, SIGMA, SolidSolver, StressVariables,
+    TwoField, solve_coupled, solve_weak,
 };
 use cutwater::scene::Solver;
 use cutwater::state::SolveStatus;
+use glam::DVec3;
 
 use crate::common::Random;
 
@@ -239,6 +240,27 @@ fn closed_liquids_get_their_level_from_solids_that_give_way() {
             "{}: {p:e} {v:e}",
             formulation.name()
         );
+    }
+
+    // Walls that hold every node of it leave the level to nothing, too.
+    let mut solid = system.solid.clone();
+    let at_rest = vec![[0.0; 3]; scene.solids.rest.len()];
+    let nowhere = Freedom::left([false; 3], [false; 3], DVec3::ZERO);
+    solid.free(vec![nowhere; at_rest.len()], &at_rest);
+    let held = CoupledSystem::new(system.pressure.clone(), solid, &system.coupling);
+    let exact = solved(&scene, &held, Formulation::Indefinite, 1e-12);
+    assert_eq!(exact.velocity, at_rest);
+    let [largest, sum] = exact
+        .pressure
+        .iter()
+        .fold([0.0, 0.0], |[m, s], p| [f64::max(m, p.abs()), s + p]);
+    assert!(
+        largest > 1.0 && sum.abs() <= 1e-9 * largest,
+        "{largest:e} {sum:e}"
+    );
+    for formulation in [Formulation::TwoField(SIGMA), Formulation::Condensed] {
+        let [p, _] = differences(&solved(&scene, &held, formulation, 1e-10), &exact);
+        assert!(p <= 1e-7, "{}: {p:e}", formulation.name());
     }
 
     scene.solids.prescribed.fill([true; 3]);

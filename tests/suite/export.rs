@@ -137,6 +137,27 @@ fn the_cpu_path_exports_what_it_solved() {
 }
 
 #[test]
+fn a_sub_step_after_the_end_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = scene("dam_break_liquid", 0.25, &["time.duration=0.05"]);
+    let mut backends = vec![Backend::Cpu];
+    backends.extend(gpu().map(|_| Backend::Gpu(AdapterChoice::Best)));
+    for backend in backends {
+        let options = Options {
+            backend,
+            step: 1000,
+            out: folder.path().join("system"),
+        };
+        let refused = export(&scene, &options).unwrap_err().to_string();
+        assert!(
+            refused.contains("--step 1000") && refused.contains("the scene is over after"),
+            "{refused}"
+        );
+        assert!(!options.out.exists());
+    }
+}
+
+#[test]
 fn the_gpu_path_exports_what_it_stored() {
     let Some(gpu) = gpu() else { return };
     // Rounding of the potential to f32, where the device has no f64.

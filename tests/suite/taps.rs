@@ -255,6 +255,46 @@ fn a_source_in_a_full_vessel_is_told() {
     }
 }
 
+/// What a source fills, a body that is moved may leave: one judgement for both, on both paths.
+#[test]
+fn a_source_and_a_body_that_gives_way_to_it_are_told_together() {
+    // The source gives 1 m/s through 0.0625 x 0.125 m; the top of the block, 0.125 x 0.125 m, sinks, and its bottom stays.
+    let scene = |speed: f64| {
+        let script = |low: f64, high: f64, down: f64| {
+            format!(
+                "[[solid.script]]\nregion = {{ box = {{ min = [0, {low:?}, 0], max = [1, {high:?}, 1] }} }}\n\
+                 keyframes = [{{ t = 0 }}, {{ t = 0.1, translate = [0, {:?}, 0] }}]\n",
+                -0.1 * down
+            )
+        };
+        parse(&format!(
+            "[liquid]\n[[liquid.region]]\nhalf_space = {{ point = [0.0, 1.0, 0.0], normal = [0.0, 1.0, 0.0] }}\n\
+             [[source]]\nbox = {{ min = [0.125, 0.0625, 0.0625], max = [0.25, 0.125, 0.1875] }}\nvelocity = [1.0, 0.0, 0.0]\n\
+             [[solid]]\nname = \"block\"\nmesh = {{ box = {{ size = [0.125, 0.125, 0.125], cells = [1, 1, 1] }} }}\n\
+             placement = {{ translate = [0.35, 0.3, 0.125] }}\ndensity = 1000.0\nyoung = 1e5\npoisson = 0.3\n{}{}",
+            script(0.0, 0.3, 0.0),
+            script(0.3, 0.5, speed),
+        ))
+        .unwrap()
+    };
+    for (speed, status) in [
+        (0.5, SolveStatus::Converged),
+        (0.25, SolveStatus::Incompatible),
+        (0.0, SolveStatus::Incompatible),
+    ] {
+        let mut backends = vec![Backend::Cpu];
+        backends.extend(gpu().map(|_| Backend::Gpu(AdapterChoice::Best)));
+        for backend in backends {
+            let mut simulation = Simulation::new(&scene(speed), &backend).unwrap();
+            let report = simulation.step().unwrap();
+            assert_eq!(report.liquid.unwrap().closed_components, 1, "{backend:?}");
+            for solve in report.solves() {
+                assert_eq!(solve.status, status, "{backend:?}, {speed} m/s: {report:?}");
+            }
+        }
+    }
+}
+
 /// A pump between a source and a sink: what is there, what came and what went add up, and in the end as much goes as comes.
 #[test]
 fn a_fountain_comes_to_a_steady_volume() {

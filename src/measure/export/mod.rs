@@ -233,6 +233,8 @@ fn on_gpu<T>(
 ) -> Result<(T, Ran), Error> {
     let mut path = GpuPath::open(scene, choice)?;
     loop {
+        let clock = path.clock();
+        ensure_within(scene, step, (clock.step, clock.frame))?;
         let dt = path.next_time_step().dt;
         let wanted = path.clock().step == step;
         let mut taken = None;
@@ -264,6 +266,7 @@ fn on_cpu<T>(
 ) -> Result<(T, Ran, Reference), Error> {
     let mut path = reference_path(scene)?;
     loop {
+        ensure_within(scene, step, (path.state().step, path.state().frame))?;
         let time_step = path.next_time_step();
         let wanted = path.state().step == step;
         let mut taken = None;
@@ -284,6 +287,18 @@ fn on_cpu<T>(
             return Err(no_system_of_both(step));
         }
     }
+}
+
+/// Refuses to go on to a sub-step when the frames of a scene are over, after so many sub-steps and frames.
+fn ensure_within(scene: &Scene, step: u64, (done, frame): (u64, u64)) -> Result<(), Error> {
+    if frame < scene.n_frames() {
+        return Ok(());
+    }
+    Err(Error::input(
+        format!("--step {step}"),
+        format!("the scene is over after {done} sub-steps"),
+        format!("choose one from 0 to {}", done.saturating_sub(1)),
+    ))
 }
 
 /// Liquid and solids are solved apart in a sub-step.

@@ -240,12 +240,13 @@ impl Pictures {
         }
         let (mut picture, depths) = stage.render(&view);
         draw_domain(&mut picture, &depths, &view, stage.domain);
-        label_floor(&mut picture, &view, stage);
+        label_floor(&mut picture, &depths, &view, stage);
         let [_, line] = picture.letters().extent(1);
         let corner = (line / 2) as i64;
         // So many that each frame has its own.
         let decimals = 1 + manifest.frames_per_second.log10().ceil().max(2.0) as usize;
-        picture.text(corner, corner, &format!("{time:.decimals$} s"), DARK);
+        let time = format!("{time:.decimals$} s");
+        picture.text(corner, corner, &time, DARK, |_, _| true);
         stage.scale.draw(&mut picture);
         let folder = self.run.join("preview");
         create_folder(&folder)?;
@@ -538,8 +539,8 @@ fn draw_domain(picture: &mut Picture, depths: &[f32], view: &View, domain: Vec3)
     }
 }
 
-/// Lengths (m) beside the two edges of the domain's floor that are nearest to the eye, at its lines.
-fn label_floor(picture: &mut Picture, view: &View, stage: &Stage) {
+/// Lengths (m) beside the two edges of the domain's floor that are nearest to the eye, at its lines; behind what stands before them.
+fn label_floor(picture: &mut Picture, depths: &[f32], view: &View, stage: &Stage) {
     let Stage {
         domain,
         up,
@@ -561,8 +562,8 @@ fn label_floor(picture: &mut Picture, view: &View, stage: &Stage) {
             let mut at = floor;
             at[axis] = along;
             at[other] = edge + outwards * 0.05 * domain.max_element();
-            let (x, y, _) = view.project(at)?;
-            Some(Vec2::new(x, y))
+            let (x, y, depth) = view.project(at)?;
+            Some((Vec2::new(x, y), depth))
         };
         // So many lines from one number to the next that no number reaches into another.
         let steps = (domain[axis] / floor_lines * (1.0 + 1e-5)) as usize;
@@ -570,7 +571,7 @@ fn label_floor(picture: &mut Picture, view: &View, stage: &Stage) {
         let fits = |every: usize| {
             let places: Option<Vec<Vec2>> = (0..=steps)
                 .step_by(every)
-                .map(|step| place(step as f32 * floor_lines))
+                .map(|step| Some(place(step as f32 * floor_lines)?.0))
                 .collect();
             places.is_some_and(|places| {
                 places.windows(2).enumerate().all(|(pair, ends)| {
@@ -587,14 +588,19 @@ fn label_floor(picture: &mut Picture, view: &View, stage: &Stage) {
         };
         for step in (0..=steps).step_by(every) {
             let text = texts(step) + if step == 0 { " m" } else { "" };
-            let Some(at) = place(step as f32 * floor_lines) else {
+            let Some((at, depth)) = place(step as f32 * floor_lines) else {
                 continue;
+            };
+            // Numbers stand upright: the floor below their middle is nearer than they are, and hides nothing of them.
+            let seen = |x: usize, y: usize| {
+                let depth = depth.min(stage.floor_depth(view, x, y));
+                depth < 1.004 * depths[x + view.size[0] * y]
             };
             let wide = letter * texts(step).len() as f32;
             let corner = at - 0.5 * Vec2::new(wide, line);
             let within = corner.x > 0.0 && corner.y > 0.0;
             if within && at.x + 0.5 * wide < width && at.y + 0.5 * line < height {
-                picture.text(corner.x as i64, corner.y as i64, &text, DARK);
+                picture.text(corner.x as i64, corner.y as i64, &text, DARK, seen);
             }
         }
     }

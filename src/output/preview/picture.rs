@@ -157,8 +157,15 @@ impl Picture {
         }
     }
 
-    /// A caption, its upper left corner given. Letters other than those of ASCII are blanks.
-    pub(super) fn text(&mut self, x: i64, y: i64, text: &str, colour: [u8; 3]) {
+    /// A caption, its upper left corner given, where its pixels are `seen`. Letters other than those of ASCII are blanks.
+    pub(super) fn text(
+        &mut self,
+        x: i64,
+        y: i64,
+        text: &str,
+        colour: [u8; 3],
+        seen: impl Fn(usize, usize) -> bool,
+    ) {
         let letters = self.letters();
         let [width, _] = letters.extent(1);
         for (place, letter) in (0_i64..).zip(text.chars()) {
@@ -171,7 +178,11 @@ impl Picture {
                     for pixel in 0..scale * scale {
                         let px = x + place * width as i64 + column * scale + pixel % scale;
                         let py = y + row * scale + pixel / scale;
-                        self.mix(px, py, colour, 0.9 * f32::from(strength) / 255.0);
+                        let within = usize::try_from(px).ok().zip(usize::try_from(py).ok());
+                        let within = within.filter(|&(x, y)| x < self.size[0] && y < self.size[1]);
+                        if within.is_some_and(|(x, y)| seen(x, y)) {
+                            self.mix(px, py, colour, 0.9 * f32::from(strength) / 255.0);
+                        }
                     }
                 }
             }

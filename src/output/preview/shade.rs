@@ -286,6 +286,13 @@ impl Stage {
         (colour + SUN * glint * 0.25, view.depth(direction, entry.t))
     }
 
+    /// Distance along the view of the floor at a pixel; infinite beside it.
+    pub(super) fn floor_depth(&self, view: &View, x: usize, y: usize) -> f32 {
+        let direction = view.direction(x as f32 + 0.5, y as f32 + 0.5);
+        let distance = self.floor_distance(view.eye, direction);
+        view.depth(direction, distance.unwrap_or(f32::INFINITY))
+    }
+
     /// The nearest of obstacles, solids and floor on a ray.
     fn meets(&self, origin: Vec3, direction: Vec3) -> Option<Meeting> {
         let floor = self.floor_distance(origin, direction).map(|t| Meeting {

@@ -248,7 +248,7 @@ impl Scale {
         let right = |length: usize| width.saturating_sub(margin + length);
         let at = |x: usize, y: usize| (x as i64, y as i64);
         let (x, y) = at(right(letter * title.len()), margin);
-        picture.text(x, y, title, DARK);
+        picture.text(x, y, title, DARK, |_, _| true);
         let (top, tall, wide) = (margin + 2 * line, 2 * height / 5, letter);
         for row in 0..tall {
             let share = 1.0 - (row as f32 + 0.5) / tall as f32;
@@ -260,7 +260,7 @@ impl Scale {
             let middle = top as f32 + share * tall as f32;
             let x = right(wide + letter / 2 + letter * label.len());
             let (x, y) = at(x, (middle - 0.5 * line as f32) as usize);
-            picture.text(x, y, &label, DARK);
+            picture.text(x, y, &label, DARK, |_, _| true);
         }
     }
 }

@@ -181,7 +181,8 @@ fn unit_system(active: ActiveCells, rhs: Vec<f64>, rhs_scale: f64) -> PressureSy
         rhs,
         rhs_scale,
         closed: active.closed,
-        squeezed: 0.0,
+        sealed: active.sealed,
+        taken: Vec::new(),
     }
 }
 
