@@ -116,7 +116,7 @@ pub enum SolveStatus {
     Breakdown,
     /// The right-hand side or the iterate is not finite.
     NonFinite,
-    /// Prescribed motion asks a liquid without a free surface to change its volume: the nearest that keeps it was solved for.
+    /// Prescribed motion or a source asks a liquid without a free surface to change its volume: the nearest that keeps it was solved for.
     Incompatible,
 }
 

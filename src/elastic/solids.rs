@@ -400,7 +400,6 @@ impl Solids {
             for node in free {
                 let x = self.rest[node] + DVec3::from(displacement[node]);
                 if (x - x.clamp(DVec3::ZERO, size)).abs().max_element() > slack {
-                    let x = DVec3::from(x.to_array().map(rounded));
                     return Err(Error::input(
                         what,
                         format!(

@@ -10,8 +10,8 @@ use crate::linalg::{Csr, LinearOperator, norm};
 
 /// A prescribed motion may squeeze a liquid without a surface by this share of what it moves: rounding, and what the area clamp hides.
 pub const SQUEEZE: f64 = 1e-2;
-/// What rounding leaves of a direction that an obstacle holds.
-const ROUNDED: f64 = 1e-12;
+/// What is left of a direction that an obstacle holds where its normal is rounded, on devices to f32.
+const ROUNDED: f64 = 1e-6;
 
 /// The two systems and J between them. A vector of it holds a pressure per cell of the grid (0 in inactive ones), then three
 /// velocities per node of the solids (0 in prescribed components).
@@ -30,7 +30,7 @@ pub struct CoupledSystem {
     components: Vec<usize>,
     /// Both right-hand sides.
     rhs: Vec<f64>,
-    /// [`PressureSystem::squeezed`], by prescribed components too.
+    /// [`PressureSystem::squeezed`], of the components whose level nothing fixes, by prescribed components of the nodes too.
     pub squeezed: f64,
 }
 
@@ -43,15 +43,13 @@ impl CoupledSystem {
     ) -> CoupledSystem {
         let coupling = coupling.restricted(|cell| pressure.stencil.active(cell));
         let (n_cells, n_components) = (pressure.rhs.len(), solid.rhs.len());
-        let held = solid.velocity(&vec![0.0; n_components]);
+        let prescribed = solid.velocity(&vec![0.0; n_components]);
         let mut flux = vec![0.0; n_cells];
-        coupling.add_product(held.as_flattened(), &mut flux);
+        coupling.add_product(prescribed.as_flattened(), &mut flux);
         for (rhs, flux) in pressure.rhs.iter_mut().zip(&flux) {
             *rhs -= flux;
         }
         pressure.rhs_scale += norm(&flux);
-        let squeezed = pressure.squeezed(Some(&flux));
-        let mut rhs = std::mem::take(&mut pressure.rhs);
         let freedom = solid.freedom();
         let gives_way = |pair: &CellNode| {
             let free = freedom[pair.node].projector * pair.value;
@@ -60,6 +58,11 @@ impl CoupledSystem {
         let gives_way = |&cell: &usize| coupling.of_cell(cell).iter().any(gives_way);
         let mut held = pressure.sealed.clone();
         held.retain(|cells| !cells.iter().any(gives_way));
+        // What contacts close of a gap in a sub-step is no motion that anybody asked for.
+        let squeezed = pressure
+            .squeezed(&pressure.closed, Some(&flux))
+            .max(pressure.squeezed(&held, None));
+        let mut rhs = std::mem::take(&mut pressure.rhs);
         pressure.remove_closed_means(&mut rhs);
         remove_means(&held, &mut rhs);
         pressure.rhs.clone_from(&rhs);
@@ -73,6 +76,11 @@ impl CoupledSystem {
             rhs,
             squeezed,
         }
+    }
+
+    /// The cells of every component of the liquid whose level of pressure nothing fixes.
+    pub fn level_free(&self) -> impl Iterator<Item = &Vec<usize>> {
+        self.pressure.closed.iter().chain(&self.held)
     }
 
     /// Number of cells of the grid: where velocities start in a vector.
@@ -121,8 +129,7 @@ impl CoupledSystem {
                 }));
             }
         });
-        let loose = self.pressure.closed.iter().chain(&self.held);
-        let pinned: Vec<usize> = loose.map(|cells| cells[0]).collect();
+        let pinned: Vec<usize> = self.level_free().map(|cells| cells[0]).collect();
         let mass = self.solid.mass_term();
         Blocks {
             b: self.pressure.numbered(self.pressure.scale, &pinned),

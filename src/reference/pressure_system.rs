@@ -154,7 +154,7 @@ pub struct PressureSystem {
     pub closed: Vec<Vec<usize>>,
     /// The same of those without a free surface whose level solids fix, as far as these give way.
     pub sealed: Vec<Vec<usize>>,
-    /// What obstacles and sources take of cells, or give where it is negative, m^3/s; not told where no component is closed.
+    /// What obstacles and sources take of cells, or give where it is negative, m^3/s.
     pub taken: Vec<(usize, f64)>,
 }
 
@@ -188,23 +188,21 @@ impl PressureSystem {
 
     /// The system with what obstacles and sources take of cells, m^3/s.
     pub fn with_taken(mut self, taken: impl IntoIterator<Item = (usize, f64)>) -> PressureSystem {
-        if !self.closed.is_empty() {
-            self.taken.extend(taken);
-        }
+        self.taken.extend(taken);
         self
     }
 
-    /// The largest share of what is taken of its cells, by `taken` and by solids (m^3/s per cell), by which a closed component would have to
-    /// change its volume: 0 but for rounding where it is kept, up to 1 where it is not.
-    pub fn squeezed(&self, by_solids: Option<&[f64]>) -> f64 {
-        if self.closed.is_empty() {
+    /// The largest share of what is taken of its cells, by `taken` and by solids (m^3/s per cell), by which one of the components would have
+    /// to change its volume: 0 but for rounding where it is kept, up to 1 where it is not.
+    pub fn squeezed(&self, components: &[Vec<usize>], by_solids: Option<&[f64]>) -> f64 {
+        if components.is_empty() {
             return 0.0;
         }
         let mut of_cells = by_solids.map_or_else(|| vec![0.0; self.rhs.len()], <[f64]>::to_vec);
         for &(cell, taken) in &self.taken {
             of_cells[cell] += taken;
         }
-        let shares = self.closed.iter().map(|component| {
+        let shares = components.iter().map(|component| {
             let taken = component.iter().map(|&cell| of_cells[cell]);
             let [net, gross] = taken.fold([0.0, 0.0], |[net, gross], taken: f64| {
                 [net + taken, gross + taken.abs()]

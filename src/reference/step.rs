@@ -644,7 +644,8 @@ impl Reference {
                         (state.pressure, state.node_velocity) =
                             (solution.pressure, solution.velocity);
                         let [of_pressure, of_solid] = solution.reports;
-                        let of_pressure = or_incompatible(of_pressure, pressure.squeezed(None));
+                        let of_pressure =
+                            or_incompatible(of_pressure, pressure.squeezed(&pressure.closed, None));
                         let systems = Systems::Apart(Some(pressure.into()), Some(solid.into()));
                         return Ok((systems, [of_pressure, of_solid].map(Some), contact));
                     }
@@ -669,7 +670,10 @@ impl Reference {
                 if let Some(system) = &pressure {
                     let (pressure, report) = solve(system, settings)?;
                     state.pressure = pressure;
-                    reports[0] = Some(or_incompatible(report, system.squeezed(None)));
+                    reports[0] = Some(or_incompatible(
+                        report,
+                        system.squeezed(&system.closed, None),
+                    ));
                 }
                 let mut solved = None;
                 if let Some(((mut system, mut contacts), part)) = motion.zip(part) {

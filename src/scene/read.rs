@@ -18,7 +18,7 @@ use super::{
     PatchPressure, Placement, Precision, Preconditioner, Region, Scene, Shape, Solid, SolidMesh,
     Solver, Surface, Time,
 };
-use crate::error::{Error, rounded};
+use crate::error::Error;
 use crate::grid::{Axis, Sides};
 
 /// Most cells of a domain: marker and cell indices on the device have 32 bits.
@@ -306,7 +306,6 @@ fn domain(root: &Table, scale: f64) -> Result<Domain, Error> {
         } else {
             &cells_place
         };
-        let [x, y, z] = [x, y, z].map(rounded);
         return Err(place.fail(format!("cells of {x} x {y} x {z} m are not cubic"), cure));
     }
 

@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3};
 
 use super::document::{Keys, Place, Table};
 use super::{Keyframe, Placement, Shape, SolitaryWave};
-use crate::error::{Error, rounded};
+use crate::error::Error;
 
 const PLACEMENT: Keys = Keys {
     valid: &["translate", "rotate", "scale"],
@@ -170,7 +170,7 @@ pub(super) fn solitary(place: Place, gravity: DVec3) -> Result<Shape, Error> {
         format!("is {height}, {:.2} of the depth", height / depth),
         format!(
             "write at most {HIGHEST_SOLITARY} of the depth, {} m: higher ones are not known well, and break from 0.83 on",
-            rounded(HIGHEST_SOLITARY * depth)
+            HIGHEST_SOLITARY * depth
         ),
     )?;
     let crest = table.required(

@@ -9,7 +9,7 @@ use super::document::{Keys, Place, Table};
 use super::read::{MAX_VELOCITY, bounded, density as density_of, list};
 use super::shape::{existing_file, keyframes, placement, shape};
 use super::{Domain, ElasticModel, Initial, Load, LoadKind, Pin, Placement, Solid, SolidMesh};
-use crate::error::{Error, rounded};
+use crate::error::Error;
 
 /// Most bricks of a box, and most cells of the given size in the cube around a ball: six tetrahedra in each still have 32-bit
 /// numbers.
@@ -301,9 +301,7 @@ fn stays_inside(
         if low[axis] < -slack || high[axis] > domain.size[axis] + slack {
             let problem = format!(
                 "sticks out of the domain: along {name} it goes from {} to {} m, the domain from 0 to {} m",
-                rounded(low[axis]),
-                rounded(high[axis]),
-                domain.size[axis]
+                low[axis], high[axis], domain.size[axis]
             );
             let cure = "move it with placement.translate, which is where its middle is, or make it smaller";
             let place = table.get("placement").or_else(|| table.get("mesh"));

@@ -86,6 +86,7 @@ pub(super) fn squeezed(
         *of_cells.entry(cell).or_default() += flux;
     }
     let (flags, labels) = match solids {
+        None if of_cells.is_empty() => return Ok(0.0),
         None => (
             gpu.download(&liquid.solver.flags)?,
             gpu.download(&liquid.solver.labels)?,

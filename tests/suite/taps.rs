@@ -233,21 +233,25 @@ fn sources_keep_their_times() {
 /// Liquid that fills its vessel takes no more: a source in it asks for what cannot be, on both paths, and where there is air again it does not.
 #[test]
 fn a_source_in_a_full_vessel_is_told() {
-    let scene = |level: f64| {
+    let block = "[solver]\ncoupling = \"weak\"\n[[solid]]\nname = \"block\"\nmesh = { box = { size = [0.125, 0.125, 0.125], cells = [1, 1, 1] } }\n\
+                 placement = { translate = [0.35, 0.3, 0.125] }\ndensity = 1000.0\nyoung = 1e5\npoisson = 0.3\n";
+    let scene = |level: f64, solid: &str| {
         parse(&format!(
             "[liquid]\n[[liquid.region]]\nhalf_space = {{ point = [0.0, {level}, 0.0], normal = [0.0, 1.0, 0.0] }}\n\
-             [[source]]\nbox = {{ min = [0.125, 0.0625, 0.0625], max = [0.25, 0.125, 0.1875] }}\nvelocity = [1.0, 0.0, 0.0]\n"
+             [[source]]\nbox = {{ min = [0.125, 0.0625, 0.0625], max = [0.25, 0.125, 0.1875] }}\nvelocity = [1.0, 0.0, 0.0]\n{solid}"
         ))
         .unwrap()
     };
-    for (level, closed, status) in [
-        (1.0, 1, SolveStatus::Incompatible),
-        (0.25, 0, SolveStatus::Converged),
+    for (level, solid, closed, status) in [
+        (1.0, "", 1, SolveStatus::Incompatible),
+        // A body that gives way too late.
+        (1.0, block, 1, SolveStatus::Incompatible),
+        (0.25, "", 0, SolveStatus::Converged),
     ] {
         let mut backends = vec![Backend::Cpu];
         backends.extend(gpu().map(|_| Backend::Gpu(AdapterChoice::Best)));
         for backend in backends {
-            let mut simulation = Simulation::new(&scene(level), &backend).unwrap();
+            let mut simulation = Simulation::new(&scene(level, solid), &backend).unwrap();
             let liquid = simulation.step().unwrap().liquid.unwrap();
             assert_eq!(liquid.closed_components, closed, "{backend:?}");
             assert_eq!(liquid.solve.status, status, "{backend:?}");

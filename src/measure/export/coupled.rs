@@ -46,7 +46,7 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
     let blocks = system.blocks();
     let n_cells = blocks.cells.len();
     // Where nothing fixes the level, the matrices put the cell with twice its diagonal at 0.
-    for component in &system.pressure.closed {
+    for component in system.level_free() {
         let level = x[component[0]];
         component.iter().for_each(|&cell| x[cell] -= level);
     }
@@ -146,7 +146,7 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
             density,
             sigma: SIGMA,
             alpha: 1.0,
-            closed_components: system.pressure.closed.len(),
+            closed_components: system.level_free().count(),
             cells: n_cells,
             nodes: all.rest.len(),
             elements: all.elements.len(),

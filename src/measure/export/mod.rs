@@ -297,7 +297,10 @@ fn ensure_within(scene: &Scene, step: u64, (done, frame): (u64, u64)) -> Result<
     Err(Error::input(
         format!("--step {step}"),
         format!("the scene is over after {done} sub-steps"),
-        format!("choose one from 0 to {}", done.saturating_sub(1)),
+        format!(
+            "choose one from 0 to {}, or let the scene last longer: --set time.duration=...",
+            done.saturating_sub(1)
+        ),
     ))
 }
 

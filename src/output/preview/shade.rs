@@ -283,7 +283,8 @@ impl Stage {
             None => self.sky(mirrored) + SUN * glint * f32::from(glint > 1e-3),
         };
         let colour = (behind * through + scattered).lerp(reflected, fresnel.min(0.75));
-        (colour + SUN * glint * 0.25, view.depth(direction, entry.t))
+        let seen = if submerged { limit } else { entry.t };
+        (colour + SUN * glint * 0.25, view.depth(direction, seen))
     }
 
     /// Distance along the view of the floor at a pixel; infinite beside it.
