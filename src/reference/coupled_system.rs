@@ -56,8 +56,9 @@ impl CoupledSystem {
             free.length() > ROUNDED * pair.value.length()
         };
         let gives_way = |&cell: &usize| coupling.of_cell(cell).iter().any(gives_way);
-        let mut held = pressure.sealed.clone();
-        held.retain(|cells| !cells.iter().any(gives_way));
+        let held = pressure.sealed.iter();
+        let held = held.filter(|cells| !cells.iter().any(gives_way));
+        let held: Vec<Vec<usize>> = held.cloned().collect();
         // What contacts close of a gap in a sub-step is no motion that anybody asked for.
         let squeezed = pressure
             .squeezed(&pressure.closed, Some(&flux))

@@ -266,9 +266,9 @@ impl GpuPath {
                 to = Recorder::timed(gpu);
             }
             if let Some(outcome) = &mut pressure
-                && can_squeeze(&self.scene)
                 && outcome.status == SolveStatus::Converged
                 && outcome.closed_components > 0
+                && can_squeeze(&self.scene)
             {
                 let clip = self.clip();
                 let obstacles = clip.map_or(&[][..], |clip| clip.obstacles().flux());

@@ -236,7 +236,7 @@ fn on_gpu<T>(
         let clock = path.clock();
         ensure_within(scene, step, (clock.step, clock.frame))?;
         let dt = path.next_time_step().dt;
-        let wanted = path.clock().step == step;
+        let wanted = clock.step == step;
         let mut taken = None;
         let report = path.step_observed(&mut |stage, path| {
             if wanted && taken.is_none() {
