@@ -1,11 +1,9 @@
-// advect_velocity: per face at x, u*(x) = u(x - dt u(x - dt/2 u(x))): semi-Lagrangian along the midpoint rule (Stam 1999),
-// trilinear. One thread per quad of the band and its 12 minus faces.
+// advect_velocity: the faces carry their velocities, as advect explains. One thread per quad of the band and its 12 minus faces.
 // level, step. args, list: the band. velocity: faces, m/s (quads: the same). velocity_next: u*, m/s.
+#import advect
 #import dispatch
 #import layout
-#import lanes
 #import step
-#import sample_velocity
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<uniform> step: Step;
@@ -15,71 +13,18 @@
 @group(0) @binding(5) var<storage, read> quads: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> velocity_next: array<vec4<f32>>;
 
-// Faces of an axis: own component here, the other two as means of the cells on both sides, m/s.
-fn advect(axis: u32, quad: u32, cell: vec3<i32>, u: vec4<f32>, v: vec4<f32>, w: vec4<f32>) {
-    let exists = lanes_inside(cell, face_extents(level, axis));
-    // Where nothing moves the face keeps its value; most of the band is air at rest.
-    let moves = exists & ((u != vec4<f32>()) | (v != vec4<f32>()) | (w != vec4<f32>()));
-    let here = axis * level.quads + quad;
-    var result = vec4<f32>();
-    if any(moves) {
-        let centre = vec3<f32>(cell) + select(vec3<f32>(0.5), vec3<f32>(), vec3<u32>(axis) == vec3<u32>(0u, 1u, 2u));
-        let way = step.dt * step.inv_dx;
-        for (var l = 0u; l < 4u; l++) {
-            if moves[l] {
-                let at = centre + vec3<f32>(f32(l), 0.0, 0.0);
-                let middle = at - 0.5 * way * vec3<f32>(u[l], v[l], w[l]);
-                result[l] = sample_face(axis, at - way * sample_velocity(middle));
-            }
-        }
-    }
-    velocity_next[here] = result;
+fn makes(axis: u32, quad: u32) -> vec4<bool> {
+    return vec4<bool>(true);
+}
+
+fn put(axis: u32, quad: u32, made: vec4<bool>, result: vec4<f32>) {
+    velocity_next[axis * level.quads + quad] = result;
 }
 
 @compute @workgroup_size(WG_SIZE)
 fn advect_velocity(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let index = linear_index(workgroup, lane);
-    if index >= args[3] {
-        return;
+    if index < args[3] {
+        advect_quad(list[index]);
     }
-    let quad = list[index];
-    let cell = quad_cell(level, quad);
-    let x = quad;
-    let y = level.quads + quad;
-    let z = 2u * level.quads + quad;
-    let sy = level.stride_y;
-    let sz = level.stride_z;
-    // Twice the velocity at the cell centres, here and at the cells before along each axis.
-    let u = quads[x];
-    let v = quads[y];
-    let w = quads[z];
-    let cu = u + shift_down(u, quads[x + 1u]);
-    let cv = v + quads[y + sy];
-    let cw = w + quads[z + sz];
-    let cv_x = shift_up(quads[y - 1u] + quads[y + sy - 1u], cv);
-    let cw_x = shift_up(quads[z - 1u] + quads[z + sz - 1u], cw);
-    let u_y = quads[x - sy];
-    let cu_y = u_y + shift_down(u_y, quads[x - sy + 1u]);
-    let cw_y = quads[z - sy] + quads[z - sy + sz];
-    let u_z = quads[x - sz];
-    let cu_z = u_z + shift_down(u_z, quads[x - sz + 1u]);
-    let cv_z = quads[y - sz] + quads[y - sz + sy];
-    // On a wall the one cell at it counts for both.
-    let n = vec3<i32>(level.cells);
-    let lanes = vec4<i32>(cell.x) + LANES;
-    let low = lanes == vec4<i32>();
-    let high = lanes == vec4<i32>(n.x);
-    advect(0u, quad, cell, u,
-        0.25 * (select(cv, cv_x, high) + select(cv_x, cv, low)),
-        0.25 * (select(cw, cw_x, high) + select(cw_x, cw, low)));
-    let low_y = cell.y == 0;
-    let high_y = cell.y == n.y;
-    advect(1u, quad, cell,
-        0.25 * (select(cu, cu_y, high_y) + select(cu_y, cu, low_y)), v,
-        0.25 * (select(cw, cw_y, high_y) + select(cw_y, cw, low_y)));
-    let low_z = cell.z == 0;
-    let high_z = cell.z == n.z;
-    advect(2u, quad, cell,
-        0.25 * (select(cu, cu_z, high_z) + select(cu_z, cu, low_z)),
-        0.25 * (select(cv, cv_z, high_z) + select(cv_z, cv, low_z)), w);
 }

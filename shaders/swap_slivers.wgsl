@@ -4,6 +4,7 @@
 // left it.
 #import dispatch
 #import layout
+#import slivers
 #import valid
 
 @group(0) @binding(0) var<uniform> level: Layout;
@@ -21,17 +22,12 @@ fn swap_slivers(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
         return;
     }
     let quad = list[index];
-    let word = valid[quad];
-    if (word & SLIVERS) == 0u {
-        return;
-    }
-    var faces = word >> OPEN & VALID;
-    while faces != 0u {
-        let bit = firstTrailingBit(faces);
-        faces &= faces - 1u;
-        let face = 4u * (bit / 4u * level.quads + quad) + bit % 4u;
+    var slivers = slivers_of(quad);
+    while slivers != 0u {
+        let face = sliver_face(quad, firstTrailingBit(slivers));
+        slivers &= slivers - 1u;
         let other = velocity_next[face];
-        if open[face] < SLIVER && other != NO_VELOCITY {
+        if other != NO_VELOCITY {
             velocity_next[face] = bitcast<u32>(velocity[face]);
             velocity[face] = bitcast<f32>(other);
         }

@@ -56,7 +56,7 @@
 //!    through open sides, else out of solids and walls; on the GPU `band` then lists the
 //!    quads near the liquid, which all other stages of the liquid work on
 //! 5. `exchange`: sinks take markers away, sources make some, where the scene has any
-//! 6. `advect_velocity`: semi-Lagrangian on the faces
+//! 6. `advect_velocity`: semi-Lagrangian on the faces, beside almost closed ones with a part of their velocity only
 //! 7. `forces`: gravity on faces and nodes, and what prescribed nodes move with
 //! 8. `liquid_distance`: union of spheres, extended into the solids
 //! 9. `active_cells`: the unknowns, compacted, and the levels of the multigrid hierarchy; `closed_components`: those among

@@ -192,8 +192,12 @@ impl Run {
             );
         }
         if overlap > scene.grid().dx {
+            let when = match scene.liquid {
+                Some(_) => "steps.csv says when (overlap_depth)",
+                None => "the frames show when",
+            };
             warn!(
-                "warning: solids lay up to {overlap:.3} m deep in each other or in obstacles; they do not touch each other, nor obstacles that move: place them apart; steps.csv says when (overlap_depth)"
+                "warning: solids lay up to {overlap:.3} m deep in each other or in obstacles; they do not touch each other, nor obstacles that move: place them apart; {when}"
             );
         }
         if inverted > 0 {

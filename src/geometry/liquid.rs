@@ -31,11 +31,12 @@ impl Part {
 }
 
 impl Regions {
-    /// The regions of a liquid; reads the files of meshes.
-    pub fn new(liquid: &Liquid) -> Result<Regions, Error> {
-        let parts = liquid.regions.iter().map(|region| {
+    /// The regions of a liquid; reads the files of meshes. Errors begin with where one was written, which `at` tells by its key.
+    pub fn new(liquid: &Liquid, at: impl Fn(&str) -> String) -> Result<Regions, Error> {
+        let parts = liquid.regions.iter().enumerate().map(|(number, region)| {
+            let place = || at(&format!("liquid.region[{number}]"));
             Ok(Part {
-                solid: Solid::new(&region.shape)?,
+                solid: Solid::new(&region.shape).map_err(|error| error.within(&place()))?,
                 subtract: region.subtract,
                 velocity: region.velocity,
             })
@@ -118,7 +119,7 @@ pub fn liquid_distance(scene: &Scene, grid: &Grid) -> Result<Vec<f64>, Error> {
         return Ok(vec![grid.dx; grid.n_cells()]);
     };
     let fixed = FixedSurface {
-        regions: Regions::new(liquid)?.beyond_walls(grid),
+        regions: Regions::new(liquid, |key| scene.at(key))?.beyond_walls(grid),
         size: grid.size(),
         dx: grid.dx,
     };
@@ -257,7 +258,7 @@ pub fn seed_markers(
     let bodies = !scene.obstacles.is_empty() || !scene.solids.is_empty();
     let in_solid = |x| bodies && grid.sample_cells(&cut_cells.solid_distance, x) < 0.0;
     let seeding = Seeding {
-        regions: Regions::new(liquid)?,
+        regions: Regions::new(liquid, |key| scene.at(key))?,
         size: grid.size(),
         dx: grid.dx,
         in_solid,
@@ -283,7 +284,7 @@ pub fn empty_regions(scene: &Scene, markers: &[[f64; 3]]) -> Result<Vec<usize>, 
         return Ok(Vec::new());
     };
     let grid = scene.grid();
-    let parts = Regions::new(liquid)?.parts;
+    let parts = Regions::new(liquid, |key| scene.at(key))?.parts;
     let adding = parts.iter().enumerate().filter(|(_, part)| !part.subtract);
     let empty = adding.filter(|(_, part)| {
         let holds = |x: DVec3| part.solid.distance(x) < 0.0;
@@ -314,7 +315,7 @@ pub fn estimate_markers(scene: &Scene, grid: &Grid, solids: &MovedMesh) -> Resul
     let bodies = super::bodies(scene, grid).collect::<Result<Vec<_>, _>>()?;
     let solids = solids.closed();
     let seeding = Seeding {
-        regions: Regions::new(liquid)?,
+        regions: Regions::new(liquid, |key| scene.at(key))?,
         size: grid.size(),
         dx: grid.dx,
         in_solid: |x| {
@@ -452,7 +453,7 @@ pub fn initial_state(scene: &Scene, grid: &Grid, cut_cells: &CutCells) -> Result
     if liquid.regions.iter().all(at_rest) {
         return Ok(state);
     }
-    let regions = Regions::new(liquid)?;
+    let regions = Regions::new(liquid, |key| scene.at(key))?;
     for (axis, velocity) in Axis::ALL.into_iter().zip(&mut state.velocity) {
         velocity
             .par_iter_mut()

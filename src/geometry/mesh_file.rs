@@ -7,7 +7,7 @@ use std::io::{self, BufRead, Cursor, Read};
 use std::path::Path;
 
 use glam::DVec3;
-use ply_rs_bw::parser::Parser;
+use ply_rs_bw::parser::{ParseError, Parser};
 use ply_rs_bw::ply::{DefaultElement, Property};
 
 use super::{Fault, Surface};
@@ -35,6 +35,26 @@ impl Problem {
         let what = format!("{}{}", file.display(), line.unwrap_or_default());
         Error::input(what, self.problem, self.cure)
     }
+}
+
+/// A line of a file, by its number from 1, as errors quote it: its first characters, those that control a terminal replaced.
+fn quoted(bytes: &[u8], line: usize) -> String {
+    const LONGEST: usize = 60;
+    let text = bytes
+        .split(|&byte| byte == b'\n')
+        .nth(line.saturating_sub(1));
+    let text = String::from_utf8_lossy(text.unwrap_or_default());
+    let text = text.trim();
+    let shown = text.chars().take(LONGEST);
+    let shown: String = shown
+        .map(|c| if c.is_control() { '\u{fffd}' } else { c })
+        .collect();
+    let more = if text.chars().nth(LONGEST).is_some() {
+        " ..."
+    } else {
+        ""
+    };
+    format!("`{shown}{more}`")
 }
 
 impl From<Fault> for Problem {
@@ -109,7 +129,9 @@ impl BufRead for Lines<'_> {
     fn consume(&mut self, n: usize) {
         let (used, rest) = self.rest.split_at(n);
         let newlines = used.iter().filter(|&&byte| byte == b'\n').count();
-        self.count.set(self.count.get() + newlines);
+        let ends_without = rest.is_empty() && used.last().is_some_and(|&byte| byte != b'\n');
+        let lines = newlines + usize::from(ends_without);
+        self.count.set(self.count.get() + lines);
         self.rest = rest;
     }
 }
@@ -131,8 +153,8 @@ fn obj(bytes: &[u8]) -> Result<Surface, Problem> {
     // Materials do not matter here.
     let no_materials = |_: &Path| Ok(Default::default());
     let (models, _) =
-        tobj::load_obj_buf(&mut reader, &options, no_materials).map_err(|problem| Problem {
-            line: match problem {
+        tobj::load_obj_buf(&mut reader, &options, no_materials).map_err(|problem| {
+            let line = match problem {
                 tobj::LoadError::PositionParseError
                 | tobj::LoadError::NormalParseError
                 | tobj::LoadError::TexcoordParseError
@@ -141,9 +163,13 @@ fn obj(bytes: &[u8]) -> Result<Surface, Problem> {
                 // Faces are looked up at the end of their object.
                 tobj::LoadError::FaceVertexOutOfBounds => line_of_stray_face(bytes),
                 _ => None,
-            },
-            problem: problem.to_string(),
-            cure: cure.into(),
+            };
+            let quoted = line.map_or_else(String::new, |line| quoted(bytes, line) + ": ");
+            Problem {
+                line,
+                problem: format!("{quoted}{problem}"),
+                cure: cure.into(),
+            }
         })?;
     let mut surface = Surface::default();
     for mesh in models.iter().map(|model| &model.mesh) {
@@ -194,8 +220,16 @@ fn stl(mut bytes: Vec<u8>) -> Result<Surface, Problem> {
         .map_err(|problem| Problem::new(format!("not an STL file: {problem}"), cure))?;
     let mut surface = Surface::default();
     for (number, triangle) in triangles.enumerate() {
-        let triangle = triangle
-            .map_err(|problem| Problem::new(format!("facet {}: {problem}", number + 1), cure))?;
+        let triangle = triangle.map_err(|problem| {
+            let number = number + 1;
+            let told = match problem.kind() {
+                io::ErrorKind::UnexpectedEof => {
+                    format!("the file ends in or before facet {number}")
+                }
+                _ => format!("facet {number}: {problem}"),
+            };
+            Problem::new(told, cure)
+        })?;
         let first = surface.vertices.len() as u32;
         for vertex in triangle.vertices {
             surface
@@ -207,26 +241,45 @@ fn stl(mut bytes: Vec<u8>) -> Result<Surface, Problem> {
     Ok(surface)
 }
 
+const PLY_CURE: &str =
+    "give elements `vertex` with x, y, z and `face` with the list vertex_indices";
+
+/// Why a PLY file cannot be read. All that the library tells of a line is how its grammar came to an end.
+fn no_ply(bytes: &[u8], problem: &ParseError) -> Problem {
+    let told = problem.to_string();
+    let told = told.lines().next().unwrap_or_default();
+    let number = problem.line().map(|line| format!("Line {line}: "));
+    let told = number
+        .and_then(|number| told.strip_prefix(&number))
+        .unwrap_or(told);
+    if problem.kind() == io::ErrorKind::UnexpectedEof {
+        return Problem::new(format!("the file ends too early: {told}"), PLY_CURE);
+    }
+    let mut lines = bytes.split(|&byte| byte == b'\n').map(<[u8]>::trim_ascii);
+    let before_end = lines.clone().position(|line| line == b"end_header");
+    let n_header = before_end.map_or(usize::MAX, |before| before + 1);
+    let is_binary = lines.any(|line| line.starts_with(b"format binary"));
+    let (line, problem) = match problem.line() {
+        Some(line) if line <= n_header => (line, "does not belong there in the header"),
+        Some(line) if !is_binary => (line, "is not what the header asks for"),
+        _ => return Problem::new(told, PLY_CURE),
+    };
+    Problem {
+        line: Some(line),
+        ..Problem::new(format!("{} {problem}", quoted(bytes, line)), PLY_CURE)
+    }
+}
+
 fn ply(bytes: &[u8]) -> Result<Surface, Problem> {
-    let cure = "give elements `vertex` with x, y, z and `face` with the list vertex_indices";
+    let cure = PLY_CURE;
+    let first = bytes.split(|&byte| byte == b'\n').next();
+    if first.map(<[u8]>::trim_ascii) != Some(b"ply") {
+        let problem = "not a PLY file: its first line is not `ply`";
+        return Err(Problem::new(problem, cure));
+    }
     let file = Parser::<DefaultElement>::new()
         .read_ply(&mut Cursor::new(bytes))
-        .map_err(|problem| {
-            // In several lines, of which the first begins with the number of that in the file.
-            let lines: Vec<String> = problem
-                .to_string()
-                .lines()
-                .map(|line| line.trim().to_owned())
-                .collect();
-            let text = lines.join(" ");
-            let number = problem.line().map(|line| format!("Line {line}: "));
-            let told = number.and_then(|number| text.strip_prefix(&number).map(str::to_owned));
-            Problem {
-                line: problem.line(),
-                problem: told.unwrap_or(text),
-                cure: cure.into(),
-            }
-        })?;
+        .map_err(|problem| no_ply(bytes, &problem))?;
     let elements = |name: &str| {
         file.payload
             .get(name)

@@ -97,6 +97,49 @@ pub struct Overlap {
     pub depth: f64,
 }
 
+impl Overlap {
+    /// Of solids in each other, where nothing clips them: without liquid.
+    pub fn of_solids(grid: &Grid, mesh: &MovedMesh) -> Overlap {
+        let lattice = centres(grid);
+        let held = inside_tetrahedra(&lattice, mesh.elements, body_of(mesh), &mesh.nodes);
+        let cells = held.chunk_by(|a, b| a.0 == b.0);
+        let shared: Vec<usize> = cells
+            .filter(|held| held.len() > 1)
+            .map(|held| held[0].0)
+            .collect();
+        let mut overlap = Overlap::default();
+        if shared.is_empty() {
+            return overlap;
+        }
+        let triangles = mesh.triangles.iter();
+        let corners = triangles.map(|triangle| triangle.map(|node| mesh.nodes[node as usize]));
+        let reach = BAND * grid.dx;
+        let mut near = NearestTriangles::new(lattice, reach);
+        near.find(&corners.collect::<Vec<_>>());
+        for cell in shared {
+            overlap.add(near.distance(cell).min(reach), grid.dx);
+        }
+        overlap
+    }
+
+    /// Counts a cell whose centre lies so deep (m) in what overlaps there.
+    fn add(&mut self, depth: f64, dx: f64) {
+        if depth > TOUCHES * dx {
+            self.cells += 1;
+            self.depth = self.depth.max(2.0 * depth);
+        }
+    }
+}
+
+/// The centres of cells.
+fn centres(grid: &Grid) -> Lattice {
+    Lattice {
+        n: grid.cells,
+        offset: 0.5,
+        dx: grid.dx,
+    }
+}
+
 /// The cut cells of a scene with solids.
 #[derive(Clone, Debug)]
 pub struct SolidClip {
@@ -126,13 +169,12 @@ const TOUCHES: f64 = 1e-6;
 impl SolidClip {
     /// Before any solid is clipped: what the obstacles leave.
     pub fn new(grid: &Grid, obstacles: ObstacleCut, settings: &Solver) -> SolidClip {
-        let lattice = |n, offset| Lattice {
-            n,
-            offset,
-            dx: grid.dx,
-        };
         let corners = || {
-            let lattice = lattice(grid.cells.map(|n| n + 1), 0.0);
+            let lattice = Lattice {
+                n: grid.cells.map(|n| n + 1),
+                offset: 0.0,
+                dx: grid.dx,
+            };
             NearestTriangles::new(lattice, CORNER_BAND * grid.dx)
         };
         SolidClip {
@@ -142,7 +184,7 @@ impl SolidClip {
             obstacles,
             changed_faces: Default::default(),
             changed_cells: Vec::new(),
-            near_centres: NearestTriangles::new(lattice(grid.cells, 0.5), BAND * grid.dx),
+            near_centres: NearestTriangles::new(centres(grid), BAND * grid.dx),
             near_corners: (settings.face_areas == FaceAreas::Nodal).then(corners),
             patches: Vec::new(),
             coupling: Coupling::default(),
@@ -269,14 +311,11 @@ impl SolidClip {
         for same in held.chunk_by(|a, b| a.0 == b.0) {
             let cell = same[0].0;
             let distance = signed(cell);
-            let depth = match same.len() {
+            let shared = match same.len() {
                 1 => distance.max(left[cell]),
                 _ => distance,
             };
-            if depth < -TOUCHES * self.grid.dx {
-                self.overlap.cells += 1;
-                self.overlap.depth = self.overlap.depth.max(-2.0 * depth);
-            }
+            self.overlap.add(-shared, self.grid.dx);
             // Deeper than the band reaches.
             if distance == -reach {
                 self.cut.solid_distance[cell] = -reach;

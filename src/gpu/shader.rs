@@ -22,6 +22,7 @@ pub struct Source {
 /// The modules that `#import` knows.
 pub const COMMON: &[Source] = &[
     crate::wgsl!("common/active"),
+    crate::wgsl!("common/advect"),
     crate::wgsl!("common/chebyshev"),
     crate::wgsl!("common/classes"),
     crate::wgsl!("common/compact"),
@@ -73,7 +74,9 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/sample_distance"),
     crate::wgsl!("common/sample_velocity"),
     crate::wgsl!("common/scan"),
+    crate::wgsl!("common/shown"),
     crate::wgsl!("common/slide"),
+    crate::wgsl!("common/slivers"),
     crate::wgsl!("common/solid_report"),
     crate::wgsl!("common/solid_step"),
     crate::wgsl!("common/sort"),

@@ -440,18 +440,19 @@ impl Run {
         } else {
             0.0
         };
-        let obstacles = f64::from(u8::from(effects.obstacles));
+        let bodies = f64::from(u8::from(effects.cuts()));
         let layers = extrapolation_layers(self.scene.time.cfl) as f64;
         match stage {
             // Position read and written; velocity.
-            "advect_markers" => markers * 32.0 + band * (12.0 + 4.0 * obstacles),
+            "advect_markers" => markers * 32.0 + band * (12.0 + 4.0 * bodies),
             // Position, occupied; flags counted through the domain, list.
             "band" => markers * 16.0 + band * 3.0 + padded,
-            "advect_velocity" => band * (12.0 + 12.0 + 1.0),
+            // With bodies marks and list for slivers, too.
+            "advect_velocity" => band * (12.0 + 12.0 + 1.0 + bodies * 5.0),
             "forces" => band * (12.0 + 12.0 + 1.0),
             // Classes near (3) and far (2), squares cleared, spread, made a distance, summed; the extension into solids.
             "liquid_distance" if effects.markers => {
-                markers * 16.0 + band * (5.0 + 4.0 + 8.0 + 9.0 + 4.0 + obstacles * (64.0 + 8.0))
+                markers * 16.0 + band * (5.0 + 4.0 + 8.0 + 9.0 + 4.0 + bodies * (64.0 + 8.0))
             }
             // Flags counted through the domain; distance and list; open fractions; matrix and flags, cleared and written, of all levels.
             "active_cells" => {
@@ -468,8 +469,8 @@ impl Run {
             }
             // u*, distance, velocity, marks; potential.
             "write_back" => band * (12.0 + 4.0 + 12.0 + 2.0) + unknowns * real,
-            // Marks read and written in each layer, the velocity once; with obstacles marks three times more.
-            "extrapolate" => band * (layers * 2.0 + 24.0 + obstacles * 31.0),
+            // Marks read and written in each layer, the velocity once; with bodies marks three times more.
+            "extrapolate" => band * (layers * 2.0 + 24.0 + bodies * 31.0),
             "diagnose" => band * (12.0 + 4.0 + 1.0) + unknowns * (12.0 + 12.0 + 1.0),
             _ => 0.0,
         }

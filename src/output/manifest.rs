@@ -263,7 +263,7 @@ pub struct Tally {
     pub floored: u64,
     /// Markers lost in obstacles and solids.
     pub dropped: u64,
-    /// How deep solids lay in each other and in obstacles at most, m, where there is liquid.
+    /// How deep solids lay in each other and in obstacles at most, m; where there is no liquid, in each other, in frames that are written.
     #[serde(default)]
     pub overlap: f64,
     /// Least det F of the elements of solids in all sub-steps, where there are any.

@@ -1,17 +1,35 @@
 //! `advect_velocity`: semi-Lagrangian with a midpoint trace-back (Stam 1999), per face: u(x_f) := u at where x_f came from.
+//!
+//! For whole faces u is what slivers show ([`shown_to_whole`]), for slivers, as far as they are closed, the velocity of the faces: a film
+//! that a body squeezes out goes on as fast as it is, and what is beside it does not.
 
 use rayon::prelude::*;
 
+use super::slivers::{shown_to_whole, wholeness};
 use crate::grid::{Axis, Grid};
 
-/// The face velocities (m/s) carried along by themselves for dt (s).
-pub fn advect_velocity(grid: &Grid, faces: &[Vec<f64>; 3], dt: f64) -> [Vec<f64>; 3] {
+/// The face velocities (m/s) carried along by themselves for dt (s). `open`: fractions of the faces.
+pub fn advect_velocity(
+    grid: &Grid,
+    open: &[Vec<f64>; 3],
+    faces: &[Vec<f64>; 3],
+    dt: f64,
+) -> [Vec<f64>; 3] {
+    let shown = shown_to_whole(grid, open, faces);
     Axis::ALL.map(|axis| {
+        let a = axis.index();
         let carried = (0..grid.n_faces(axis)).into_par_iter().map(|face| {
             let x = grid.face_centre(axis, grid.face_at(axis, face));
-            let middle = x - 0.5 * dt * grid.velocity_at(faces, x);
-            let origin = x - dt * grid.velocity_at(faces, middle);
-            grid.sample(axis, &faces[axis.index()], origin)
+            let carry = |field: &[Vec<f64>; 3]| {
+                let middle = x - 0.5 * dt * grid.velocity_at(field, x);
+                let origin = x - dt * grid.velocity_at(field, middle);
+                grid.sample(axis, &field[a], origin)
+            };
+            match wholeness(open[a][face]) {
+                0.0 => carry(faces),
+                1.0 => carry(&shown),
+                part => (1.0 - part) * carry(faces) + part * carry(&shown),
+            }
         });
         carried.collect()
     })

@@ -6,29 +6,19 @@
 //! that moves along a diagonal ran into faces that no layer had reached. What no layer reaches is 0, and so are domain walls, but not
 //! open sides.
 //!
-//! Faces that are less than a fifth open, slivers, show a part of their velocity only to what is extended from them, the rest being
-//! that of the neighbours, as their fractions a weigh them:
-//!
-//! ```text
-//! u + (1 - a / 0.2) (m - u),    m = sum_n a_n u_n / sum_n a_n    over the valid ones of the 26 neighbours
-//! ```
-//!
-//! A body that comes near another, or a wall, drives what is between them out through faces of almost no area, at any speed. Given to
-//! whole faces, that is momentum out of nothing: 2,000 sub-steps of a block in a tank (`bench stability`, density_0.1 and young_1e7)
-//! reached 2.1 and 5.6 times the energy of the start. They keep it for themselves, since films that are squeezed resist with it.
+//! Slivers show a part of their velocity only to what is extended from them ([`super::slivers`]), and have their own again afterwards.
 //!
 //! Closed faces in and just outside obstacles and solids get the normal velocity of these: 0 where they stand still.
 
 use glam::DVec3;
 use rayon::prelude::*;
 
+use super::slivers;
 use crate::geometry::{CutCells, SolidClip};
 use crate::grid::{Axis, Grid};
 
 /// Layers beyond those that a step of `cfl` cells crosses.
 const SPARE_LAYERS: usize = 2;
-/// Faces that are less open are slivers.
-const SLIVER: f64 = 0.2;
 /// Below it a gradient of the distance has no direction.
 const SMALLEST_GRADIENT: f64 = 1e-6;
 /// Faces closer than this to an obstacle, or in it, slip along it; in cells.
@@ -80,59 +70,17 @@ pub fn extrapolate(
     layers: usize,
     faces: &mut [Vec<f64>; 3],
 ) {
-    let mut slivers = [const { Vec::new() }; 3];
+    let mut blended = [const { Vec::new() }; 3];
     for (axis, valid) in Axis::ALL.into_iter().zip(valid) {
         let (a, values) = (axis.index(), &mut faces[axis.index()]);
-        slivers[a] = blended(grid, axis, &cut.open[a], &valid, values);
-        swap(&mut slivers[a], values);
+        blended[a] = slivers::shown_to_air(grid, axis, &cut.open[a], &valid, values);
+        slivers::swap(&mut blended[a], values);
         extend(grid, axis, valid, layers, values);
     }
     close_walls(grid, &cut.open, faces);
     slip(grid, cut, walls, faces);
-    for (slivers, values) in slivers.iter_mut().zip(faces) {
-        swap(slivers, values);
-    }
-}
-
-/// The valid slivers, and what they show, m/s.
-fn blended(
-    grid: &Grid,
-    axis: Axis,
-    open: &[f64],
-    valid: &[bool],
-    values: &[f64],
-) -> Vec<(usize, f64)> {
-    let sliver = |face: &usize| valid[*face] && 0.0 < open[*face] && open[*face] < SLIVER;
-    let blend = |face: usize| {
-        let (mut sum, mut weight) = (0.0, 0.0);
-        for neighbour in around(grid, axis, face).filter(|&neighbour| valid[neighbour]) {
-            sum += open[neighbour] * values[neighbour];
-            weight += open[neighbour];
-        }
-        let own = values[face];
-        let mean = if weight > 0.0 { sum / weight } else { own };
-        (face, own + (1.0 - open[face] / SLIVER) * (mean - own))
-    };
-    let slivers = (0..values.len()).into_par_iter().filter(sliver);
-    slivers.map(blend).collect()
-}
-
-/// The neighbours of a face among those of its axis, across sides, edges and corners.
-fn around(grid: &Grid, axis: Axis, face: usize) -> impl Iterator<Item = usize> + use<'_> {
-    let n = grid.faces(axis);
-    let ranges: [_; 3] = std::array::from_fn(|b| {
-        let index = grid.face_at(axis, face)[b];
-        index.saturating_sub(1)..(index + 2).min(n[b])
-    });
-    let [is, js, ks] = ranges;
-    let rows = ks.flat_map(move |k| js.clone().map(move |j| (j, k)));
-    let all = rows.flat_map(move |(j, k)| is.clone().map(move |i| grid.face(axis, [i, j, k])));
-    all.filter(move |&neighbour| neighbour != face)
-}
-
-fn swap(slivers: &mut [(usize, f64)], values: &mut [f64]) {
-    for (face, value) in slivers {
-        std::mem::swap(value, &mut values[*face]);
+    for (blended, values) in blended.iter_mut().zip(faces) {
+        slivers::swap(blended, values);
     }
 }
 

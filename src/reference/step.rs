@@ -382,7 +382,7 @@ impl Reference {
                 }
             }
 
-            state.velocity = advect_velocity(grid, &before.velocity, dt);
+            state.velocity = advect_velocity(grid, open, &before.velocity, dt);
             clock.lap("advect_velocity");
         }
 

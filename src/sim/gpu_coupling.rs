@@ -19,7 +19,6 @@ use crate::state::{ContactReport, CouplingReport, SolveStatus, State};
 
 use super::gpu_liquid::{GpuLiquid, active};
 use super::gpu_solids::{GpuSolids, SolidReadbacks};
-use super::squeeze::SqueezeReadbacks;
 
 /// How much room clipping and J have.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -66,7 +65,6 @@ pub(super) struct GpuCoupling {
 pub(super) struct CouplingReadbacks {
     report: Readback<u32>,
     components: Readback<u32>,
-    pub(super) squeeze: Option<SqueezeReadbacks>,
 }
 
 /// What is known of both before they are solved for.
@@ -178,7 +176,6 @@ impl Room {
             &scene.solver,
             variant,
         ));
-        all.extend(SqueezeReadbacks::buffers(scene, n_nodes, variant.real));
         all
     }
 }
@@ -303,15 +300,10 @@ impl GpuCoupling {
     }
 
     /// Where a sub-step is told of.
-    pub(super) fn readbacks(
-        gpu: &Gpu,
-        scene: &Scene,
-        solids: &GpuSolids,
-    ) -> Result<CouplingReadbacks, Error> {
+    pub(super) fn readbacks(gpu: &Gpu) -> Result<CouplingReadbacks, Error> {
         Ok(CouplingReadbacks {
             report: Readback::new(gpu, "coupling.report", REPORT_WORDS)?,
             components: Readback::new(gpu, "coupling.components", 1)?,
-            squeeze: SqueezeReadbacks::new(gpu, scene, solids)?,
         })
     }
 

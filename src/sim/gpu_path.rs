@@ -15,6 +15,7 @@ use super::gpu_coupling::{At, GpuCoupling};
 use super::gpu_liquid::GpuLiquid;
 use super::gpu_obstacles::GpuObstacles;
 use super::gpu_solids::GpuSolids;
+use super::squeeze::SqueezeReadbacks;
 use super::step::Readbacks;
 use super::{Clock, HostMemory, Plan};
 
@@ -89,15 +90,12 @@ impl GpuPath {
             }
         }
         let of_solids = || GpuSolids::readbacks(&gpu);
-        let of_both = |solids| GpuCoupling::readbacks(&gpu, scene, solids);
+        let of_both = || GpuCoupling::readbacks(&gpu);
         let readbacks = Some(Readbacks {
             solids: solids.as_ref().map(|_| of_solids()).transpose()?,
-            coupling: coupling
-                .as_ref()
-                .and(solids.as_ref())
-                .map(of_both)
-                .transpose()?,
+            coupling: coupling.as_ref().map(|_| of_both()).transpose()?,
             liquid: GpuLiquid::readback(&gpu, scene)?,
+            squeeze: SqueezeReadbacks::at_start(&gpu, scene, solids.as_ref())?,
         });
         let mut path = GpuPath {
             gpu,

@@ -19,6 +19,7 @@ use super::gpu_liquid::{self, liquid_plan};
 use super::gpu_obstacles::GpuObstacles;
 use super::gpu_solids;
 use super::memory::HostMemory;
+use super::squeeze::SqueezeReadbacks;
 
 /// Labels of the buffers that grow with the markers and not with the grid.
 const PER_MARKER: [&str; 1] = ["liquid.markers"];
@@ -449,7 +450,9 @@ fn stages(
             (true, &COMPACTION),
         ];
         stage("band", markers, &band);
-        stage("advect_velocity", true, &[(true, &["advect_velocity"])]);
+        let beside_bodies = ["advect_slivers", "show_slivers", "advect_beside_slivers"];
+        let advection: [(bool, &[_]); 2] = [(!cuts, &["advect_velocity"]), (cuts, &beside_bodies)];
+        stage("advect_velocity", true, &advection);
     }
     let forces: [(bool, &[_]); 3] = [
         (liquid, &["forces"]),
@@ -633,6 +636,8 @@ fn buffers(
         all.extend(liquid.small_buffers());
         all.extend(tap_buffers(&grid, taps));
         all.extend(solver::small_buffers(&grid, &scene.solver, variant));
+        let n_nodes = rows.rows.n_nodes as usize;
+        all.extend(SqueezeReadbacks::buffers(scene, n_nodes, variant.real));
         if gpu_liquid::has_probes(scene) {
             all.extend(Probe::plan(gpu_liquid::probes(scene)));
         }

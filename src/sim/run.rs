@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use crate::Error;
-use crate::geometry::{self, ObstacleSurfaces};
+use crate::geometry::{self, ObstacleSurfaces, Overlap};
 use crate::gpu::AdapterReport;
 use crate::output::checkpoint::Checkpoint;
 use crate::output::frames::{FrameKinds, FrameWriter};
@@ -532,9 +532,14 @@ impl<'a> Recording<'a> {
                 let surfaces = self.obstacles.at(state.time);
                 self.writer.write_moved_obstacles(&state, &surfaces)?;
             }
-            self.writer
-                .write(&state, simulation.cut_cells(), simulation.solids())?;
+            let solids = simulation.solids();
+            self.writer.write(&state, simulation.cut_cells(), solids)?;
             let at = &mut self.manifest.progress;
+            if self.scene.liquid.is_none() && solids.bodies.len() > 1 {
+                let mesh = solids.moved(&state.displacement);
+                let overlap = Overlap::of_solids(&self.scene.grid(), &mesh);
+                at.tally.overlap = at.tally.overlap.max(overlap.depth);
+            }
             at.frames_written.push(state.frame);
             (at.steps, at.time) = (state.step, state.time);
             self.manifest.write(self.out)?;

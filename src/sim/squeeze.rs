@@ -9,17 +9,20 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::geometry::{CellNode, SolidClip};
 use crate::gpu::{BufferPlan, Gpu, Readback, Real, Recorder};
+use crate::grid::Grid;
 use crate::scene::{CouplingScheme, Scene};
 
 use super::gpu_liquid::GpuLiquid;
 use super::gpu_solids::GpuSolids;
 
-/// Where what tells of solids that are moved arrives.
+/// Where what tells of it arrives: made at the start where nodes are moved, else where it is first asked for, since most liquid into which
+/// obstacles or sources move has a surface.
 #[derive(Debug)]
 pub(super) struct SqueezeReadbacks {
     flags: Readback<u32>,
     labels: Readback<u32>,
-    velocity: Readback<u32>,
+    /// Of the nodes, where some are moved.
+    velocity: Option<Readback<u32>>,
 }
 
 /// Whether nodes are moved that may squeeze liquid. In weak coupling they do not wait for it.
@@ -35,7 +38,7 @@ pub(super) fn can_squeeze(scene: &Scene) -> bool {
 }
 
 impl SqueezeReadbacks {
-    /// Everything that they allocate.
+    /// Everything that they allocate at the start.
     pub(super) fn buffers(scene: &Scene, n_nodes: usize, real: Real) -> Vec<BufferPlan> {
         if !by_nodes(scene) {
             return Vec::new();
@@ -44,77 +47,88 @@ impl SqueezeReadbacks {
         // Four numbers per node.
         let words = real.bytes() * n_nodes;
         vec![
-            BufferPlan::of::<u32>("coupling.flags (read-back)", padded.quads),
-            BufferPlan::of::<u32>("coupling.labels (read-back)", padded.len()),
-            BufferPlan::of::<u32>("coupling.velocity (read-back)", words),
+            BufferPlan::of::<u32>("squeeze.flags (read-back)", padded.quads),
+            BufferPlan::of::<u32>("squeeze.labels (read-back)", padded.len()),
+            BufferPlan::of::<u32>("squeeze.velocity (read-back)", words),
         ]
     }
 
-    /// `None` where no nodes are moved.
+    /// Those of the start; `None` where no nodes are moved.
     ///
     /// # Errors
     /// [`Error::Limit`] when the adapter does not allow a size.
-    pub(super) fn new(
+    pub(super) fn at_start(
         gpu: &Gpu,
         scene: &Scene,
-        solids: &GpuSolids,
+        solids: Option<&GpuSolids>,
     ) -> Result<Option<SqueezeReadbacks>, Error> {
-        if !by_nodes(scene) {
-            return Ok(None);
-        }
-        let padded = scene.grid().padded();
-        let velocity = solids.buffers.velocity.words.len();
-        Ok(Some(SqueezeReadbacks {
-            flags: Readback::new(gpu, "coupling.flags", padded.quads)?,
-            labels: Readback::new(gpu, "coupling.labels", padded.len())?,
-            velocity: Readback::new(gpu, "coupling.velocity", velocity)?,
-        }))
+        let moved = solids.filter(|_| by_nodes(scene));
+        let of_nodes = |solids: &GpuSolids| {
+            let len = solids.buffers.velocity.words.len();
+            let velocity = Some(Readback::new(gpu, "squeeze.velocity", len)?);
+            Ok(SqueezeReadbacks {
+                velocity,
+                ..SqueezeReadbacks::new(gpu, &scene.grid())?
+            })
+        };
+        moved.map(of_nodes).transpose()
+    }
+
+    /// Without nodes.
+    fn new(gpu: &Gpu, grid: &Grid) -> Result<SqueezeReadbacks, Error> {
+        let padded = grid.padded();
+        Ok(SqueezeReadbacks {
+            flags: Readback::new(gpu, "squeeze.flags", padded.quads)?,
+            labels: Readback::new(gpu, "squeeze.labels", padded.len())?,
+            velocity: None,
+        })
     }
 }
 
 /// The largest share of what is taken of its cells (m^3/s) by which a component of the liquid without a free surface would have to change
-/// its volume: `taken` by obstacles and sources, J v by the nodes of `solids`, which are all moved beside such a component. Waits for
-/// all submitted work.
+/// its volume: `taken` by obstacles and sources, J v by the nodes of `solids`, if some are moved: beside such a component all are. Waits
+/// for all submitted work.
 pub(super) fn squeezed(
     gpu: &Gpu,
+    readbacks: &mut Option<SqueezeReadbacks>,
     liquid: &GpuLiquid,
-    solids: Option<(&GpuSolids, &SolidClip, &mut SqueezeReadbacks)>,
+    solids: Option<(&GpuSolids, &SolidClip)>,
     taken: impl IntoIterator<Item = (usize, f64)>,
 ) -> Result<f64, Error> {
     let mut of_cells = BTreeMap::<usize, f64>::new();
     for (cell, flux) in taken {
         *of_cells.entry(cell).or_default() += flux;
     }
-    let (flags, labels) = match solids {
-        None if of_cells.is_empty() => return Ok(0.0),
-        None => (
-            gpu.download(&liquid.solver.flags)?,
-            gpu.download(&liquid.solver.labels)?,
-        ),
-        Some((solids, clip, readbacks)) => {
-            let SqueezeReadbacks {
-                flags,
-                labels,
-                velocity,
-            } = readbacks;
-            let of_nodes = &solids.buffers.velocity;
-            let mut to = Recorder::new(gpu);
-            to.read(&liquid.solver.flags, flags);
-            to.read(&liquid.solver.labels, labels);
-            to.read(&of_nodes.words, velocity);
-            to.submit();
-            let velocity = of_nodes.widen(&velocity.wait(gpu)?);
-            for (cell, pairs) in clip.coupling().cells() {
-                let flux = |pair: &CellNode| {
-                    pair.value
-                        .dot(DVec3::from_slice(&velocity[4 * pair.node..]))
-                };
-                *of_cells.entry(cell).or_default() += pairs.iter().map(flux).sum::<f64>();
-            }
-            (flags.wait(gpu)?, labels.wait(gpu)?)
-        }
-    };
+    let of_nodes = |readbacks: &SqueezeReadbacks| readbacks.velocity.is_some();
+    let solids = solids.filter(|_| readbacks.as_ref().is_some_and(of_nodes));
+    if solids.is_none() && of_cells.is_empty() {
+        return Ok(0.0);
+    }
     let grid = &liquid.buffers.plan.grid;
+    let readbacks = match readbacks {
+        Some(readbacks) => readbacks,
+        none => none.insert(SqueezeReadbacks::new(gpu, grid)?),
+    };
+    let moved = solids.zip(readbacks.velocity.as_mut());
+    let mut to = Recorder::new(gpu);
+    to.read(&liquid.solver.flags, &mut readbacks.flags);
+    to.read(&liquid.solver.labels, &mut readbacks.labels);
+    if let Some(((solids, clip), velocity)) = moved {
+        let of_nodes = &solids.buffers.velocity;
+        to.read(&of_nodes.words, velocity);
+        to.submit();
+        let velocity = of_nodes.widen(&velocity.wait(gpu)?);
+        for (cell, pairs) in clip.coupling().cells() {
+            let flux = |pair: &CellNode| {
+                pair.value
+                    .dot(DVec3::from_slice(&velocity[4 * pair.node..]))
+            };
+            *of_cells.entry(cell).or_default() += pairs.iter().map(flux).sum::<f64>();
+        }
+    } else {
+        to.submit();
+    }
+    let (flags, labels) = (readbacks.flags.wait(gpu)?, readbacks.labels.wait(gpu)?);
     let padded = grid.padded();
     let mut sums = BTreeMap::<u32, [f64; 2]>::new();
     for (cell, flux) in of_cells {

@@ -16,7 +16,7 @@ use super::gpu_coupling::{At, CouplingReadbacks};
 use super::gpu_liquid::{GpuLiquid, active, within};
 use super::gpu_path::GpuPath;
 use super::gpu_solids::{GpuSolids, SolidReadbacks};
-use super::squeeze::{can_squeeze, squeezed};
+use super::squeeze::{SqueezeReadbacks, can_squeeze, squeezed};
 
 /// Hears of every stage once its results are on the device.
 pub type Observer<'a> = &'a mut dyn FnMut(&'static str, &GpuPath) -> Result<(), Error>;
@@ -27,6 +27,7 @@ pub(super) struct Readbacks {
     pub(super) liquid: Option<Readback<u32>>,
     pub(super) solids: Option<SolidReadbacks>,
     pub(super) coupling: Option<CouplingReadbacks>,
+    pub(super) squeeze: Option<SqueezeReadbacks>,
 }
 
 /// What the device tells of a sub-step.
@@ -274,11 +275,8 @@ impl GpuPath {
                 let obstacles = clip.map_or(&[][..], |clip| clip.obstacles().flux());
                 let sources = part.taken_by_sources(clip.map(|clip| &clip.cut_cells().open));
                 let taken = obstacles.iter().copied().chain(sources);
-                let of_nodes = readbacks.coupling.as_mut().filter(|_| together);
-                let of_nodes = of_nodes.and_then(|coupling| coupling.squeeze.as_mut());
-                let nodes = solids.zip(clip).zip(of_nodes);
-                let nodes = nodes.map(|((solids, clip), of_nodes)| (solids, clip, of_nodes));
-                if squeezed(gpu, part, nodes, taken)? > SQUEEZE {
+                let nodes = solids.zip(clip).filter(|_| together);
+                if squeezed(gpu, &mut readbacks.squeeze, part, nodes, taken)? > SQUEEZE {
                     outcome.status = SolveStatus::Incompatible;
                     if let Some((of_solids, _)) = &mut elastic
                         && of_solids.status == SolveStatus::Converged

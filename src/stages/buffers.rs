@@ -137,7 +137,8 @@ pub struct LiquidBuffers {
     /// The tiles, for kernels.
     pub tiles: Buffer<Tiles>,
     /// Face velocities after the last projection and extrapolation: x, y, z faces one after another, m/s; 0 outside the band.
-    /// From `advect_velocity` to `write_back` its contents are not needed, and `liquid_distance` computes in it with obstacles.
+    /// From `advect_velocity`, which leaves there what slivers show, to `write_back` its contents are not needed, and `liquid_distance`
+    /// computes in it with obstacles.
     pub velocity: Buffer<f32>,
     /// u*: face velocities before the projection, m/s; defined on the band only. In `advect_markers` its first third is how far the surface is,
     /// m.

@@ -417,8 +417,18 @@ fn solids_in_each_other_are_told() {
              placement = {{ translate = [{x}, 0.3, 0.25] }}\ndensity = 1000.0\nyoung = 1e5\npoisson = 0.3\n"
         )
     };
-    for (x, told) in [(0.55, true), (1.0, false)] {
-        let folder = folder(&format!("{DAM}{}{}", solid("one", 0.45), solid("other", x)));
+    let domain = DAM.split("[[liquid.region]]").next().unwrap();
+    for (scene, x, told) in [
+        (DAM, 0.55, true),
+        (DAM, 1.0, false),
+        (domain, 0.55, true),
+        (domain, 1.0, false),
+    ] {
+        let folder = folder(&format!(
+            "{scene}{}{}",
+            solid("one", 0.45),
+            solid("other", x)
+        ));
         let output = ends(
             cutwater(&folder, "run dam.toml --backend cpu --frames 1"),
             0,

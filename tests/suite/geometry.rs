@@ -815,7 +815,7 @@ fn broken_mesh_files_are_refused_with_the_place_and_the_cure() {
             with(&stl, "endloop", "endlop"),
             &["facet 1:", "endlop"],
         ),
-        ("stl", cut(2, 25), &["facet 12:", "export"]),
+        ("stl", cut(2, 25), &["facet 12", "export"]),
         ("stl", b"nothing".to_vec(), &["mesh.stl", "not an STL file"]),
         ("ply", with(&ply, "\n1 0 0\n", "\n1 0\n"), &["mesh.ply:12:"]),
         (
@@ -1033,14 +1033,16 @@ fn region_distances_are_exact() {
         (&half_space, [0.2, 0.5, 0.5], -0.1),
     ];
     for (liquid, x, expected) in cases {
-        let got = Regions::new(liquid).unwrap().distance(DVec3::from_array(x));
+        let got = Regions::new(liquid, str::to_owned)
+            .unwrap()
+            .distance(DVec3::from_array(x));
         assert!(
             (got - expected).abs() < 1e-15,
             "{x:?}: {got}, expected {expected}"
         );
     }
     // Near its surface the wave's distance is right to second order in the distance.
-    let regions = Regions::new(&wave).unwrap();
+    let regions = Regions::new(&wave, str::to_owned).unwrap();
     for step in 0..50 {
         let x = step as f64 / 50.0;
         let phase = k * x + 0.3;
@@ -1071,7 +1073,7 @@ fn a_solitary_wave_is_one_to_third_order() {
             direction,
             gravity,
         })]);
-        let regions = Regions::new(&wave).unwrap();
+        let regions = Regions::new(&wave, str::to_owned).unwrap();
         let at =
             |x: f64, z: f64| DVec3::new(crest[0], 0.0, crest[1]) + depth * (x * way + z * DVec3::Y);
         let velocity = |x: f64, z: f64| {

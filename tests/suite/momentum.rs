@@ -382,8 +382,6 @@ fn what_the_liquid_gains_is_what_everything_else_loses() {
         for _ in 0..STEPS {
             let before = reference.state().clone();
             let dt = reference.next_time_step().dt;
-            let mut u = advect_velocity(&grid, &before.velocity, dt);
-            forces(&mut u, case.scene.domain.gravity, dt);
             let v = before.node_velocity.iter();
             let v = v.map(|v| (DVec3::from(*v) + dt * case.scene.domain.gravity).to_array());
             let v = v.collect();
@@ -395,11 +393,14 @@ fn what_the_liquid_gains_is_what_everything_else_loses() {
             };
             let report = reference.step_observed(time_step, look).unwrap();
             let (stencil, state) = (stencil.unwrap(), reference.state());
+            let open = reference.cut_cells().open.clone();
+            let mut u = advect_velocity(&grid, &open, &before.velocity, dt);
+            forces(&mut u, case.scene.domain.gravity, dt);
             let moment = Moment {
                 case: &case,
                 grid,
                 dt,
-                open: reference.cut_cells().open.clone(),
+                open,
                 weight: stencil.weight.clone(),
                 dirichlet: stencil.dirichlet.clone(),
                 phi: state.liquid_distance.clone(),

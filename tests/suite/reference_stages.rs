@@ -338,7 +338,8 @@ fn markers_leave_obstacles_along_the_normal_or_are_dropped() {
 #[test]
 fn advection_keeps_a_constant_and_shifts_a_linear_field() {
     let constant = on_faces(&GRID, |_| DVec3::new(0.3, -0.2, 0.1));
-    let advected = advect_velocity(&GRID, &constant, 0.4);
+    let open = empty(&GRID).open;
+    let advected = advect_velocity(&GRID, &open, &constant, 0.4);
     assert!(
         advected
             .iter()
@@ -347,11 +348,55 @@ fn advection_keeps_a_constant_and_shifts_a_linear_field() {
     );
     // v depends on x and is carried along x by 0.5 m/s for 0.6 s: v(x - 0.3), where that lies between faces.
     let field = |x: DVec3| DVec3::new(0.5, 2.0 * x.x, 0.0);
-    let advected = advect_velocity(&GRID, &on_faces(&GRID, field), 0.6);
+    let advected = advect_velocity(&GRID, &open, &on_faces(&GRID, field), 0.6);
     for (face, v) in advected[1].iter().enumerate() {
         let x = GRID.face_centre(Axis::Y, GRID.face_at(Axis::Y, face)).x;
         let exact = 2.0 * (x - 0.3).max(0.25);
         assert!(close(*v, exact), "{v}, exactly {exact}, at x = {x}");
+    }
+}
+
+#[test]
+fn slivers_carry_what_is_and_whole_faces_what_these_show() {
+    let grid = Grid {
+        cells: [4, 8, 1],
+        dx: 1.0,
+    };
+    // Everything moves along x at 1 m/s but one sliver. Its eight neighbours of the same axis are whole.
+    let (sliver, u, dt) = (grid.face(Axis::X, [2, 4, 0]), 3.0, 0.25);
+    let mut cut = empty(&grid);
+    let mut faces = on_faces(&grid, |_| DVec3::X);
+    faces[0][sliver] = u;
+    // Between it and the faces before and after it u falls linearly to 1. A trace goes back dt u of where it is half way.
+    let carried = |u: f64| u - dt * (u - 0.5 * dt * u * (u - 1.0)) * (u - 1.0);
+    for (a, part_of_shown) in [(0.05, 0.0), (0.15, 0.5)] {
+        cut.open[0][sliver] = a;
+        let advected = &advect_velocity(&grid, &cut.open, &faces, dt)[0];
+        let shows = u + (1.0 - a / 0.2) * (1.0 - u);
+        let expected = carried(u) + part_of_shown * (carried(shows) - carried(u));
+        assert!(close(advected[sliver], expected), "{a} open");
+        let back = dt * (1.0 + 0.5 * dt * (shows - 1.0));
+        let next = advected[grid.face(Axis::X, [3, 4, 0])];
+        assert!(close(next, 1.0 + back * (shows - 1.0)), "{a} open");
+    }
+    // Closed faces and those that are a fifth open are carried as they are.
+    for open in [0.0, 0.2] {
+        cut.open[0][sliver] = open;
+        let whole = advect_velocity(&grid, &empty(&grid).open, &faces, dt);
+        assert_eq!(advect_velocity(&grid, &cut.open, &faces, dt), whole);
+    }
+    // A film of slivers shows what it is; almost as much, where the others are no more than just whole.
+    let whole = advect_velocity(&grid, &empty(&grid).open, &faces, dt);
+    for open in [0.15, 0.2 + 1e-9] {
+        let mut film = cut.open.each_ref().map(|faces| vec![open; faces.len()]);
+        film[0][sliver] = 0.15;
+        let advected = advect_velocity(&grid, &film, &faces, dt);
+        let pairs = advected.iter().flatten().zip(whole.iter().flatten());
+        assert!(
+            pairs
+                .into_iter()
+                .all(|(u, expected)| (u - expected).abs() < 1e-6)
+        );
     }
 }
 

@@ -358,18 +358,28 @@ fn meshes_that_make_no_solid_are_refused_where_a_scene_names_them() {
         ("a.obj", obj(&turned), &["triangles 1 and 4 use the edge", "in the same direction", "consistent"]),
         ("a.obj", obj(&flat), &["triangle 1 with the corners", "has no area", "remove degenerate triangles"]),
         ("a.obj", obj(&inverted), &["inverted: the normals point inwards", "flip the normals"]),
-        ("a.obj", obj(&SIDES).replace("f 1 2 4", "f 1 2 9"), &["a.obj:6: ", "out of bounds", "existing vertices"]),
-        ("a.obj", obj(&SIDES).replace("v 1 0 0", "v 1 nil 0"), &["a.obj:2: position", "three coordinates"]),
+        ("a.obj", obj(&SIDES).replace("f 1 2 4", "f 1 2 9"), &["a.obj:6: `f 1 2 9`: ", "out of bounds", "existing vertices"]),
+        ("a.obj", obj(&SIDES).replace("v 1 0 0", "v 1 nil 0"), &["a.obj:2: `v 1 nil 0`: position", "three coordinates"]),
+        ("a.obj", "v 1 nil 0".to_owned(), &["a.obj:1: `v 1 nil 0`: position"]),
+        ("a.obj", "v 0 0 0\nv 1 \u{1b}[7mnil 0".to_owned(), &["a.obj:2: `v 1 \u{fffd}[7mnil 0`: position"]),
         ("a.obj", obj(&SIDES).replace("v 1 0 0", "v 1e308 0 0"), &["triangle 1 has the corner [", "at most 1e60 m"]),
         ("a.obj", obj(&SIDES).replace("v 1 0 0", "v inf 0 0"), &["triangle 1 has the corner [inf, 0, 0]", "finite numbers"]),
         ("a.stl", String::new(), &["the file is empty: no triangles"]),
         ("a.stl", "hello".to_owned(), &["not an STL file", "export the surface again"]),
-        ("a.stl", cut(&stl(&SIDES), 0.6), &["facet 3: ", "export the surface again"]),
+        ("a.stl", cut(&stl(&SIDES), 0.6),  &["facet 3: ", "export the surface again"]),
+        ("a.stl", format!("{}\u{4}\0\0\0{}", "\0".repeat(80), "\0".repeat(70)), &["the file ends in or before facet 2", "export the surface again"]),
         ("a.stl", stl(open), &["not closed", "fill the holes"]),
         ("a.stl", stl(&inverted), &["inverted", "flip the normals"]),
         ("a.stl", stl(&SIDES).replace("vertex 1 0 0", "vertex 1 0 x"), &["facet 1: ", "export the surface again"]),
         ("a.ply", String::new(), &["the file is empty: no triangles"]),
-        ("a.ply", cut(&ply(&SIDES), 0.9), &["a.ply:15: Couldn't read element line. String: '3 0'", "vertex_indices"]),
+        ("a.ply", cut(&ply(&SIDES), 0.9), &["a.ply:15: `3 0` is not what the header asks for", "vertex_indices"]),
+        ("a.ply", ply(&SIDES).replace("ply\n", "plx\n"), &["not a PLY file: its first line is not `ply`"]),
+        ("a.ply", ply(&SIDES).replace("element face", "elements face"), &["a.ply:7: `elements face 4` does not belong there in the header", "vertex_indices"]),
+        ("a.ply", ply(&SIDES).replace("element vertex 4\n", ""), &["a.ply:3: `property float x` does not belong there"]),
+        ("a.ply", ply(&SIDES).replace("end_header\n", ""), &["a.ply:9: `0 0 0` does not belong there in the header"]),
+        ("a.ply", ply(&SIDES).replace("3 0 3 2\n", ""), &["the file ends too early: ", "face"]),
+        ("a.ply", cut(&ply(&SIDES), 0.5), &["a.ply:8: `p` does not belong there in the header"]),
+        ("a.ply", ply(&SIDES).replace("ascii", "binary_little_endian").replace("0 0 0\n", "\u{1b}[7m\n"), &["the file ends too early: "]),
         ("a.ply", ply(open), &["not closed", "fill the holes"]),
         ("a.ply", ply(&inverted), &["inverted", "flip the normals"]),
         ("a.ply", ply(&SIDES).replace("3 0 2 1", "3 0 2 7"), &["face 1: vertex 7, but there are 4"]),
@@ -392,6 +402,8 @@ fn meshes_that_make_no_solid_are_refused_where_a_scene_names_them() {
         let error = prepare(file, &contents).expect_err(&contents);
         let message = error.to_string();
         assert_eq!(error.exit_code(), 2, "{message}");
+        let controls = |c: char| c.is_control() && c != '\n';
+        assert!(!message.contains(controls), "{message:?}");
         for part in parts.iter().chain(&[file, "cure: "]) {
             assert!(
                 message.contains(part),
@@ -400,4 +412,20 @@ fn meshes_that_make_no_solid_are_refused_where_a_scene_names_them() {
         }
     }
     assert!(n > 25, "{n}");
+}
+
+#[test]
+fn a_broken_mesh_of_a_region_is_told_with_where_it_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("a.obj"), "v 0 0\n").unwrap();
+    let text = format!("{HEAD}{POOL}[[liquid.region]]\nmesh = {{ file = \"a.obj\" }}\n");
+    let scene = Scene::parse(&folder.path().join("scene.toml"), &text, &[], 1.0).unwrap();
+    let message = sim::reference_path(&scene).unwrap_err().to_string();
+    let line = HEAD.lines().count() + POOL.lines().count() + 1;
+    for told in [
+        &format!("scene.toml:{line}: liquid.region[1]: "),
+        "a.obj:1: `v 0 0`: position",
+    ] {
+        assert!(message.contains(told), "{message}\nhas no {told}");
+    }
 }

@@ -2,7 +2,7 @@
 
 use cutwater::gpu::Recorder;
 use cutwater::grid::Axis;
-use cutwater::measure::bounds::trace_error;
+use cutwater::measure::bounds::{advection_error, open_to_advection};
 use cutwater::reference;
 use cutwater::stages::AdvectVelocity;
 
@@ -12,11 +12,20 @@ use crate::liquid_case::{assert_close, cases};
 #[test]
 fn faces_carry_what_they_carry_in_the_twin() {
     let Some(gpu) = gpu() else { return };
-    for case in cases() {
+    for mut case in cases() {
+        // Slivers are fast.
+        let faces = case.state.velocity.iter_mut().zip(&case.cut.open);
+        for (value, &open) in faces.flat_map(|(values, open)| values.iter_mut().zip(open)) {
+            if reference::is_sliver(open) {
+                *value *= 4.0;
+            }
+        }
         let buffers = case.upload(gpu);
-        case.band(gpu, &buffers);
         let stage = AdvectVelocity::new(gpu, &buffers).unwrap();
         let run = || {
+            // Slivers put on what they show.
+            case.write(gpu, &buffers);
+            case.band(gpu, &buffers);
             let mut recorder = Recorder::new(gpu);
             stage.record(&mut recorder, &buffers);
             recorder.submit();
@@ -27,8 +36,11 @@ fn faces_carry_what_they_carry_in_the_twin() {
             )
         };
         let (faces, in_band) = run();
-        let twin = reference::advect_velocity(&case.grid, &case.state.velocity, case.dt);
-        let bound = trace_error(&case.grid, &case.state.velocity, case.dt).speed;
+        let (grid, velocity) = (&case.grid, &case.state.velocity);
+        let known = |axis: Axis, face: usize| in_band(grid.face_at(axis, face));
+        let open = &open_to_advection(&case.cut.open, known);
+        let twin = reference::advect_velocity(&case.grid, open, velocity, case.dt);
+        let bound = advection_error(&case.grid, open, velocity, case.dt);
         for axis in Axis::ALL {
             let pairs = faces[axis.index()].iter().zip(&twin[axis.index()]);
             let places = pairs

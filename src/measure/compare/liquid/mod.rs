@@ -12,7 +12,7 @@ use crate::effects::Effects;
 use crate::geometry::{CutCells, Running, SolidClip, Taps};
 use crate::gpu::Real;
 use crate::grid::{Axis, Grid};
-use crate::measure::bounds::{MarkerError, trace_error};
+use crate::measure::bounds::{MarkerError, advection_error, open_to_advection};
 use crate::reference::{
     self, ActiveCells, MovingWalls, PressureSystem, RightHandSide as Inflow, Stencil, VolumeSource,
 };
@@ -383,11 +383,13 @@ impl<'a> LiquidJudge<'a> {
         self.table.row(EXCHANGE, "new positions", "m").excused += excused;
     }
 
-    /// As [`trace_error`] says.
+    /// As [`advection_error`] says.
     fn advect_velocity(&mut self, after: &LiquidSnapshot) {
-        let velocity = &self.before.velocity;
-        let bound = trace_error(&self.grid, velocity, self.dt()).speed;
-        let twin = reference::advect_velocity(&self.grid, velocity, self.dt());
+        let (velocity, dt) = (&self.before.velocity, self.dt());
+        let in_band = |axis: Axis, face: usize| after.face_band[axis.index()][face];
+        let open = &open_to_advection(&self.cut.open, in_band);
+        let bound = advection_error(&self.grid, open, velocity, dt);
+        let twin = reference::advect_velocity(&self.grid, open, velocity, dt);
         self.add_band_faces([AdvectVelocity::NAME, "u*"], after, &twin, bound);
     }
 
@@ -716,7 +718,7 @@ impl<'a> LiquidJudge<'a> {
         let valid = self.before.valid.clone();
         reference::extrapolate(&grid, &self.cut, walls, valid, layers, &mut twin);
         // What slivers show: two sums of up to 26, products and a quotient.
-        let blended = if self.cuts() { 64.0 } else { 0.0 };
+        let blended = if self.cuts() { 68.0 } else { 0.0 };
         let means = EPS * speed * (blended + 10.0 * layers as f64);
         for axis in Axis::ALL {
             let a = axis.index();

@@ -1,0 +1,54 @@
+// advect_velocity, where bodies cut the grid, last: faces carry what slivers show, as advect explains. Slivers mix it with what
+// advect_slivers made, from half of SLIVER on; less open ones keep that. One thread per quad of the band and its 12 minus faces.
+// level, step. args, list: the band. velocity: what faces show, m/s (quads: the same). valid: see valid. open: fractions of the faces.
+// velocity_next: u*, m/s (of slivers: as advect_slivers left it).
+#import advect
+#import dispatch
+#import lanes
+#import layout
+#import slivers
+#import step
+
+@group(0) @binding(0) var<uniform> level: Layout;
+@group(0) @binding(1) var<uniform> step: Step;
+@group(0) @binding(2) var<storage, read> args: array<u32>;
+@group(0) @binding(3) var<storage, read> list: array<u32>;
+@group(0) @binding(4) var<storage, read> velocity: array<f32>;
+@group(0) @binding(5) var<storage, read> quads: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read> valid: array<u32>;
+@group(0) @binding(7) var<storage, read> open: array<f32>;
+@group(0) @binding(8) var<storage, read_write> velocity_next: array<vec4<f32>>;
+
+// Which part of what the faces of an axis carry is made from what slivers show.
+fn wholeness(axis: u32, quad: u32) -> vec4<f32> {
+    if (valid[quad] & SLIVERS) == 0u {
+        return vec4<f32>(1.0);
+    }
+    let face = 4u * (axis * level.quads + quad);
+    let fractions = vec4<f32>(open[face], open[face + 1u], open[face + 2u], open[face + 3u]);
+    let slivers = bit_lanes(slivers_of(quad) >> (4u * axis));
+    return select(vec4<f32>(1.0), max(2.0 / SLIVER * fractions - 1.0, vec4<f32>()), slivers);
+}
+
+fn makes(axis: u32, quad: u32) -> vec4<bool> {
+    return wholeness(axis, quad) > vec4<f32>();
+}
+
+fn put(axis: u32, quad: u32, made: vec4<bool>, result: vec4<f32>) {
+    let here = axis * level.quads + quad;
+    let part = wholeness(axis, quad);
+    if all(part == vec4<f32>(1.0)) {
+        velocity_next[here] = result;
+        return;
+    }
+    let raw = velocity_next[here];
+    velocity_next[here] = select(raw + part * (result - raw), result, part == vec4<f32>(1.0));
+}
+
+@compute @workgroup_size(WG_SIZE)
+fn advect_beside_slivers(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let index = linear_index(workgroup, lane);
+    if index < args[3] {
+        advect_quad(list[index]);
+    }
+}
