@@ -110,10 +110,10 @@ fn assert_layers(
         let a = axis.index();
         let pairs = (0..grid.n_faces(axis)).map(|face| {
             let ijk = grid.face_at(axis, face);
-            // What slivers show is a quotient of two sums of up to 26 products, and a part of it: 68 roundings in all. A mean of up to
+            // What slivers show is a quotient of two sums of up to 26 products, and a part of it: 64 roundings in all. A mean of up to
             // twelve per layer. Along bodies the velocity of a wall is a mean of two sums of three, and the direction
             // is off by the roundings of distances up to 3 dx over the length of their gradient.
-            let mut bound = EPS * case.speed() * (68.0 + 13.0 * layers as f64);
+            let mut bound = EPS * case.speed() * (64.0 + 13.0 * layers as f64);
             if twin[a][face] != unslipped[a][face] {
                 n_slipping += 1;
                 let steepness = steepness(grid, &case.cut, grid.face_centre(axis, ijk));

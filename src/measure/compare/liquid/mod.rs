@@ -718,7 +718,7 @@ impl<'a> LiquidJudge<'a> {
         let valid = self.before.valid.clone();
         reference::extrapolate(&grid, &self.cut, walls, valid, layers, &mut twin);
         // What slivers show: two sums of up to 26, products and a quotient.
-        let blended = if self.cuts() { 68.0 } else { 0.0 };
+        let blended = if self.cuts() { 64.0 } else { 0.0 };
         let means = EPS * speed * (blended + 10.0 * layers as f64);
         for axis in Axis::ALL {
             let a = axis.index();
