@@ -271,11 +271,10 @@ fn no_ply(bytes: &[u8], problem: &ParseError) -> Problem {
 }
 
 fn ply(bytes: &[u8]) -> Result<Surface, Problem> {
-    let cure = PLY_CURE;
     let first = bytes.split(|&byte| byte == b'\n').next();
     if first.map(<[u8]>::trim_ascii) != Some(b"ply") {
         let problem = "not a PLY file: its first line is not `ply`";
-        return Err(Problem::new(problem, cure));
+        return Err(Problem::new(problem, PLY_CURE));
     }
     let file = Parser::<DefaultElement>::new()
         .read_ply(&mut Cursor::new(bytes))
@@ -283,7 +282,7 @@ fn ply(bytes: &[u8]) -> Result<Surface, Problem> {
     let elements = |name: &str| {
         file.payload
             .get(name)
-            .ok_or_else(|| Problem::new(format!("no element `{name}`"), cure))
+            .ok_or_else(|| Problem::new(format!("no element `{name}`"), PLY_CURE))
     };
     let mut surface = Surface::default();
     for (number, vertex) in elements("vertex")?.iter().enumerate() {
@@ -292,7 +291,7 @@ fn ply(bytes: &[u8]) -> Result<Surface, Problem> {
             Some(&Property::Double(x)) => Ok(x),
             _ => Err(Problem::new(
                 format!("vertex {}: no float or double `{name}`", number + 1),
-                cure,
+                PLY_CURE,
             )),
         };
         surface.vertices.push(DVec3::new(
@@ -304,7 +303,7 @@ fn ply(bytes: &[u8]) -> Result<Surface, Problem> {
     let n_vertices = surface.vertices.len();
     for (number, face) in elements("face")?.iter().enumerate() {
         let problem =
-            |problem: String| Problem::new(format!("face {}: {problem}", number + 1), cure);
+            |problem: String| Problem::new(format!("face {}: {problem}", number + 1), PLY_CURE);
         let corners = face
             .get("vertex_indices")
             .or_else(|| face.get("vertex_index"))

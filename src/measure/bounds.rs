@@ -97,8 +97,8 @@ impl<'a> MarkerError<'a> {
         }
     }
 
-    /// The error of where the one at x (m) goes, m. Beside what [`advection_error`] counts of a trace there is another sample, one cell below. The way
-    /// there is a slope of the distance; that is a difference of numbers up to 4 cells with a root that may be off by four roundings, is
+    /// The error of where the one at x (m) goes, m. Beside what [`advection_error`] counts of a trace there is another sample, one cell
+    /// below. The way there is a slope of the distance; that is a difference of numbers up to 4 cells with a root that may be off by four roundings, is
     /// at least -2 cells and sampled in 10 roundings; its slope changes by 4 of the steepest per cell of the position, as the two other
     /// axes' do, but jumps on planes of cell centres, where markers have to be excused. The weight of the difference changes with the
     /// distance. Where the difference is cut off, its error shrinks as it does.

@@ -366,7 +366,7 @@ fn meshes_that_make_no_solid_are_refused_where_a_scene_names_them() {
         ("a.obj", obj(&SIDES).replace("v 1 0 0", "v inf 0 0"), &["triangle 1 has the corner [inf, 0, 0]", "finite numbers"]),
         ("a.stl", String::new(), &["the file is empty: no triangles"]),
         ("a.stl", "hello".to_owned(), &["not an STL file", "export the surface again"]),
-        ("a.stl", cut(&stl(&SIDES), 0.6),  &["facet 3: ", "export the surface again"]),
+        ("a.stl", cut(&stl(&SIDES), 0.6), &["facet 3: ", "export the surface again"]),
         ("a.stl", format!("{}\u{4}\0\0\0{}", "\0".repeat(80), "\0".repeat(70)), &["the file ends in or before facet 2", "export the surface again"]),
         ("a.stl", stl(open), &["not closed", "fill the holes"]),
         ("a.stl", stl(&inverted), &["inverted", "flip the normals"]),
