@@ -1,5 +1,5 @@
 // Outer loop of the coupled solve, for nodes: r = P (rhs - S v + J^T p), over the mass rate of a cell, and per thread |r|^2, the squared
-// norm of the terms of rhs, free directions and |D v|^2.
+// norm of the terms of rhs with |P J^T p|^2, free directions and |D v|^2.
 // coupling, words, pairs, flags: see coupling_force. freedom: see freedom. sums: partials of solid_residual. p: potential, m/s.
 // outer: P (rhs - S v), N, in; r, m/s, out. partials: those of the wet quads, then of the nodes.
 #import coupling_force
@@ -24,9 +24,10 @@ fn coupled_residual(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_
         return;
     }
     let mass = Real(coupling.mass);
-    let residual = outer[node].xyz / mass + free_part(freedom[node], force(node));
+    let push = free_part(freedom[node], force(node));
+    let residual = outer[node].xyz / mass + push;
     outer[node] = Real4(residual, Real(0.0));
     let of_solid = sums[node];
     let squared = mass * mass;
-    partials[coupling.n_wet + node] = Real4(dot(residual, residual), of_solid.y / squared, of_solid.z, of_solid.w / squared);
+    partials[coupling.n_wet + node] = Real4(dot(residual, residual), of_solid.y / squared + dot(push, push), of_solid.z, of_solid.w / squared);
 }

@@ -1,8 +1,9 @@
 // Outer loop of the coupled solve, one workgroup, between rounds: as refine_turn, but both residuals must pass, each by its own
-// right-hand side, which are the residuals of the start from zero. What is compared from round to round is how far the worse of them is
+// right-hand side, which are the residuals of the start from zero, or by a hundredth of what the other part puts on its rows, where that is
+// more: a body that moves in a liquid at rest is all that acts on the liquid. What is compared from round to round is how far the worse of them is
 // from its goal.
 // totals: where the number of partials stands. settings: tolerances. args, gated: see control.
-// partials: |r|^2 of the pressure's part in x; in w |D x|^2.
+// partials: of the pressure's part |r|^2 in x, |b - J v|^2 in y, |D x|^2 in w.
 #import level
 #import refine
 #import pcg_slots
@@ -24,6 +25,8 @@ const ROUND_MARGIN = 0.3;
 // See refine_turn.
 const ROUNDING_OF_X = 0.5;
 const SMALLEST = 1e-37;
+// The share, squared, of what the other part puts on the rows.
+const OF_OTHER = 1e-4;
 // By what a round is to go further than one that made it worse, and how far at most.
 const STRICTER = 0.03;
 const STRICTEST = 1e-5;
@@ -45,15 +48,19 @@ fn coupled_turn(@builtin(local_invocation_index) lane: u32) {
     if control.rounds == 0u {
         norms[NORM_B] = rr_p;
         norms[NORM_B_V] = rr_v;
+        norms[NORM_TERMS_V] = norms[NORM_PUSHED_V];
         control.unknowns += u32(norms[UNKNOWNS_V]);
     }
     let tolerance = Real(settings.tolerance);
     let rounding = Real(settings.rounding);
     let of_x = Real(ROUNDING_OF_X) * EPSILON;
+    let pushed = max(norms[NORM_PUSHED_V] - norms[NORM_TERMS_V], Real(0.0));
+    let acts_p = max(norms[NORM_B], Real(OF_OTHER) * sums.y);
+    let acts_v = max(norms[NORM_B_V], Real(OF_OTHER) * pushed);
     let terms_p = max(rounding * rounding * norms[NORM_TERMS], of_x * of_x * sums.w);
     let terms_v = max(rounding * rounding * norms[NORM_TERMS_V], of_x * of_x * norms[NORM_D_V]);
-    let goal_p = max(max(tolerance * tolerance * norms[NORM_B], terms_p), Real(SMALLEST));
-    let goal_v = max(max(tolerance * tolerance * norms[NORM_B_V], terms_v), Real(SMALLEST));
+    let goal_p = max(max(tolerance * tolerance * acts_p, terms_p), Real(SMALLEST));
+    let goal_v = max(max(tolerance * tolerance * acts_v, terms_v), Real(SMALLEST));
     let worst = max(rr_p / goal_p, rr_v / goal_v);
     if control.rounds == 0u {
         norms[STRICTNESS] = Real(1.0);
@@ -71,6 +78,8 @@ fn coupled_turn(@builtin(local_invocation_index) lane: u32) {
     }
     norms[NORM_R] = rr_p;
     norms[NORM_BEST_V] = rr_v;
+    norms[NORM_ACTS] = acts_p;
+    norms[NORM_ACTS_V] = acts_v;
     if worst <= Real(1.0) {
         control.status = STATUS_CONVERGED;
     } else if control.iterations >= control.max_iterations {

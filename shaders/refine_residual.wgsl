@@ -1,5 +1,5 @@
-// Outer loop: r = b - B x in the precision of the unknowns, and per thread |r|^2 and |D x|^2, D the diagonal of B: see
-// refine_turn. Inactive cells get 0.
+// Outer loop: r = b - B x in the precision of the unknowns, and per thread |r|^2, |b|^2 and |D x|^2, D the diagonal of B: see
+// refine_turn and coupled_turn. Inactive cells get 0.
 // level: level 0. list, args, flags: active quads. matrix: see level. x: unknowns. rhs: b. outer: r, out.
 #import dispatch
 #import stencil
@@ -25,8 +25,9 @@ fn refine_residual(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_i
     let uniform_quad = (entry & UNIFORM) != 0u;
     let row = row_of(level, q, uniform_quad);
     let lanes = (vec4<u32>(flags[q]) & vec4<u32>(1u, 2u, 4u, 8u)) != vec4<u32>();
-    let residual = select(Real4(), rhs[q] - row.bx, lanes);
+    let b = select(Real4(), rhs[q], lanes);
+    let residual = b - select(Real4(), row.bx, lanes);
     outer[q] = residual;
     let values = select(Real4(), row.x / inv_diagonal(level, q, uniform_quad), lanes);
-    partials[ix] = Real4(dot(residual, residual), Real(0.0), Real(0.0), dot(values, values));
+    partials[ix] = Real4(dot(residual, residual), dot(b, b), Real(0.0), dot(values, values));
 }

@@ -12,6 +12,10 @@ const NORM_D_V = 8u;        // |D v|^2, D the diagonal
 const UNKNOWNS_V = 9u;     // free directions of the nodes
 const STRICTNESS = 11u;       // by what a round aims below its goal
 const NORM_BEST_V = 10u;    // |r|^2 of the solids' rows, of the iterate that is kept
+const NORM_PUSHED_V = 12u;  // of the terms that the solids' right-hand side sums, and what the liquid adds to it: NORM_TERMS_V + |J^T p|^2
+// What the residuals of the iterate that is kept are relative to: see coupled_turn.
+const NORM_ACTS = 13u;
+const NORM_ACTS_V = 14u;
 
 // What the outer loop is to reach: solver::RefineSettings is the same struct on the host.
 struct RefineSettings {

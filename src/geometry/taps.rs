@@ -1,4 +1,5 @@
-//! Sources and sinks as cells and faces of the grid: those whose centre lies in a shape and in no obstacle.
+//! Sources and sinks as cells and faces of the grid: those whose centre lies in a shape and in no obstacle that
+//! stands still.
 //!
 //! The cells of a source that runs are full of liquid that moves with its velocity. They are no unknowns: their faces carry that
 //! velocity, are closed for the pressure and let the flux through to the neighbours. Faces through which it would flow into the
@@ -97,7 +98,7 @@ pub struct Taps {
 }
 
 impl Taps {
-    /// Those of a scene; `cut`: what obstacles leave.
+    /// Those of a scene; `cut`: what obstacles leave that stand still.
     ///
     /// # Errors
     /// [`Error::Input`] for one in which no free cell has its centre.

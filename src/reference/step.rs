@@ -153,12 +153,12 @@ impl Reference {
             Ok::<_, Error>(LiquidPart {
                 liquid,
                 open_volumes: open_volumes(&grid, &obstacles.cut.solid_distance),
-                taps: Taps::new(scene, &grid, &obstacles.cut)?,
+                taps: Taps::new(scene, &grid, obstacles.still())?,
             })
         };
         let liquid = scene.liquid.clone().map(part).transpose()?;
         let cut = match effects.clips() {
-            false => Cut::Still(obstacles.cut),
+            false => Cut::Still(obstacles.still().clone()),
             true => Cut::Moving(Box::new(SolidClip::new(&grid, obstacles, &scene.solver))),
         };
         let solid = effects.solids.then(|| SolidPart {

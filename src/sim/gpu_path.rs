@@ -65,7 +65,7 @@ impl GpuPath {
         let obstacles = geometry::obstacle_cut(scene, &grid)?;
         let clip = super::first_clip(scene, solids, &obstacles);
         // Before the liquid is seeded, which may take long.
-        let taps = Taps::new(scene, &grid, &obstacles.cut)?;
+        let taps = Taps::new(scene, &grid, obstacles.still())?;
         let parts = (solids, clip.as_ref(), &taps);
         let plan = Plan::with(scene, parts, Some(gpu.report()))?;
         plan.check(gpu.report())?;

@@ -90,7 +90,7 @@ impl Plan {
             let grid = scene.grid();
             let obstacles = geometry::obstacle_cut(scene, &grid)?;
             clip = super::first_clip(scene, &solids, &obstacles);
-            taps = Taps::new(scene, &grid, &obstacles.cut)?;
+            taps = Taps::new(scene, &grid, obstacles.still())?;
         }
         Plan::with(scene, (&solids, clip.as_ref(), &taps), adapter)
     }

@@ -656,7 +656,8 @@ fn frames(
             time: clock.time,
             report: &report,
         });
-        if interrupt.load(Ordering::Relaxed) {
+        // A run whose last frame is written is done.
+        if interrupt.load(Ordering::Relaxed) && clock.frame < n_frames {
             return Err(Error::Interrupted);
         }
     }

@@ -409,12 +409,9 @@ impl TwoFieldSolver {
                 return Ok((Some(outcome), times));
             }
             if told.control.rounds > rounds {
-                // After a round dv has left nothing of r_v but rounding.
+                // After a round that is kept dv has left nothing of r_v but rounding; after one that is taken back all of it is there.
                 let size = told.norms[SCALE];
-                let y = match rounds {
-                    0 => ready.velocity(&told.of_nodes, size),
-                    _ => nothing.clone(),
-                };
+                let y = ready.velocity(&told.of_nodes, size);
                 rounds = told.control.rounds;
                 condensed.write_start(gpu, &y);
                 let residual = told.of_nodes;

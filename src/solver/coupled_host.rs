@@ -24,12 +24,14 @@ use super::refine::{
 };
 use super::solid_host::HostElastic;
 use super::two_field::{
-    CoupledFields, CoupledOutcome, NORM_B_V, NORM_BEST_V, NORM_TERMS_V, TwoFieldSolver, UNKNOWNS_V,
+    CoupledFields, CoupledOutcome, NORM_ACTS, NORM_B_V, NORM_BEST_V, NORM_TERMS_V, TwoFieldSolver,
+    UNKNOWNS_V,
 };
 
 /// What `shaders/coupled_turn.wgsl` has too.
 const ROUND_MARGIN: f64 = 0.3;
 const SMALLEST: f64 = 1e-37;
+const OF_OTHER: f64 = 1e-4;
 const STRICTER: f64 = 0.03;
 const STRICTEST: f64 = 1e-5;
 /// Status in [`Control`] of conjugate gradients that cannot go on: `shaders/common/control_state.wgsl`.
@@ -89,12 +91,21 @@ struct Iterate {
     v: Vec<f64>,
 }
 
-/// What an iterate leaves of both right-hand sides, m/s; squared norms of that and of D times the iterate.
+/// What an iterate leaves of both right-hand sides, m/s; squared norms of that, of what each part puts on the other's rows, and of D times the
+/// iterate.
 #[derive(Debug)]
 struct Left {
     r: Iterate,
     rr: [f64; 2],
+    acts: [f64; 2],
     dd: [f64; 2],
+}
+
+impl Left {
+    /// Squared norms that residuals are relative to, given those of the right-hand sides.
+    fn acts(&self, bb: [f64; 2]) -> [f64; 2] {
+        [0, 1].map(|part: usize| bb[part].max(OF_OTHER * self.acts[part]))
+    }
 }
 
 impl HostCoupled<'_> {
@@ -173,6 +184,7 @@ impl HostCoupled<'_> {
         let both = |of: fn(&HostResidual) -> f64| [of(&of_liquid), of(&of_solids) / squared];
         Left {
             rr: both(|of| of.rr),
+            acts: both(|of| of.acts),
             dd: both(|of| of.dd),
             r: Iterate {
                 p: of_liquid.r,
@@ -238,8 +250,9 @@ impl TwoFieldSolver {
         let bb = left.rr;
         let terms = [norms[NORM_TERMS], system.terms()];
         let worst = |left: &Left| {
+            let acts = left.acts(bb);
             let part = |part: usize| {
-                let goal = goal(&self.solver, [bb[part], terms[part]], left.dd[part]);
+                let goal = goal(&self.solver, [acts[part], terms[part]], left.dd[part]);
                 left.rr[part] / goal.max(SMALLEST)
             };
             // Not a number where one of them is none.
@@ -313,6 +326,9 @@ impl TwoFieldSolver {
         norms[NORM_TERMS_V] = terms[1];
         norms[NORM_R] = left.rr[0];
         norms[NORM_BEST_V] = left.rr[1];
+        for (slot, acts) in NORM_ACTS.into_iter().zip(left.acts(bb)) {
+            norms[slot] = acts;
+        }
         let mut outcome = self.outcome_of(status, &control, &norms);
         outcome.condensed = condensed.is_some();
         outcome.verified = true;
@@ -339,10 +355,8 @@ impl TwoFieldSolver {
             Ok(HostCoupled::download(gpu, at, &mut readbacks.base)?.left(&x))
         })?;
         let [rr_p, rr_v] = left.rr;
-        outcome.residuals = [
-            relative(rr_p, norms[NORM_B]),
-            relative(rr_v, norms[NORM_B_V]),
-        ];
+        let acts = left.acts([norms[NORM_B], norms[NORM_B_V]]);
+        outcome.residuals = [relative(rr_p, acts[0]), relative(rr_v, acts[1])];
         outcome.residual_terms = [
             relative(rr_p, norms[NORM_TERMS]),
             relative(rr_v, norms[NORM_TERMS_V]),

@@ -132,11 +132,11 @@ impl HostPressure {
         let strides = [1, 4 * self.level.stride_y, 4 * self.level.stride_z];
         let mut r = vec![0.0; x.len()];
         let slab = strides[2];
-        let sums: Vec<[f64; 2]> = r
+        let sums: Vec<[f64; 3]> = r
             .par_chunks_mut(slab)
             .enumerate()
             .map(|(k, r)| {
-                let (mut rr, mut dd) = (0.0, 0.0);
+                let (mut rr, mut acts, mut dd) = (0.0, 0.0, 0.0);
                 for (at, r) in r.iter_mut().enumerate() {
                     let c = k * slab + at;
                     if self.active[c] {
@@ -149,14 +149,15 @@ impl HostPressure {
                         }
                         *r = rhs[c] - bx;
                         rr += *r * *r;
+                        acts += rhs[c] * rhs[c];
                         dd += (diagonal * x[c]).powi(2);
                     }
                 }
-                [rr, dd]
+                [rr, acts, dd]
             })
             .collect();
-        let [rr, dd] = [0, 1].map(|part: usize| sums.iter().map(|sums| sums[part]).sum());
-        HostResidual { r, rr, dd }
+        let [rr, acts, dd] = [0, 1, 2].map(|part: usize| sums.iter().map(|sums| sums[part]).sum());
+        HostResidual { r, rr, acts, dd }
     }
 }
 

@@ -175,6 +175,8 @@ pub(super) struct HostResidual {
     pub(super) r: Vec<f64>,
     /// |r|^2
     pub(super) rr: f64,
+    /// Squared norm of what the other part of a coupled system puts on the rows; of pressures with b, where that is known together only.
+    pub(super) acts: f64,
     /// |D x|^2, D the diagonal of A.
     pub(super) dd: f64,
 }

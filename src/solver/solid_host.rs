@@ -193,19 +193,21 @@ impl HostElastic {
             }
         }
         let mut r = vec![0.0; x.len()];
-        let (mut rr, mut dd) = (0.0, 0.0);
+        let (mut rr, mut acts, mut dd) = (0.0, 0.0, 0.0);
         let (masses, diagonals) = self.masses.split_at(self.freedom.len());
         for (node, product) in product.into_iter().enumerate() {
             let at = |all: &[f64]| DVec3::from_slice(&all[4 * node..]);
             let x = at(x);
-            let rhs = at(&self.rhs) + added.map_or(DVec3::ZERO, at);
+            let added = added.map_or(DVec3::ZERO, at);
+            let rhs = at(&self.rhs) + added;
             let here = &self.freedom[node];
             let free = here.part(rhs - (masses[node] * x + product));
             r[4 * node..4 * node + 3].copy_from_slice(&free.to_array());
             rr += free.length_squared();
+            acts += here.part(added).length_squared();
             dd += here.part(diagonals[node] * x).length_squared();
         }
-        HostResidual { r, rr, dd }
+        HostResidual { r, rr, acts, dd }
     }
 }
 

@@ -46,11 +46,13 @@ use super::two_field_jacobi::Jacobi;
 use super::{Control, SolverBuffers, plan};
 
 /// Slots of the norms: `shaders/common/refine.wgsl` names them, also those that other systems lack.
-pub(super) const N_NORMS: usize = 12;
+pub(super) const N_NORMS: usize = 15;
 pub(super) const NORM_B_V: usize = 6;
 pub(super) const NORM_TERMS_V: usize = 7;
 pub(super) const UNKNOWNS_V: usize = 9;
 pub(super) const NORM_BEST_V: usize = 10;
+/// Of both parts: what residuals are relative to.
+pub(super) const NORM_ACTS: [usize; 2] = [13, 14];
 /// Dispatches of an iteration besides those of V-cycle and polynomial, about.
 const DISPATCHES: usize = 24;
 /// Dispatches that are recorded ahead of a chance to turn, and iterations, at most.
@@ -899,8 +901,8 @@ impl TwoFieldSolver {
                 [control.unknowns - of_solids, of_solids]
             },
             residuals: [
-                relative(norms[NORM_R], norms[NORM_B]),
-                relative(norms[NORM_BEST_V], norms[NORM_B_V]),
+                relative(norms[NORM_R], norms[NORM_ACTS[0]]),
+                relative(norms[NORM_BEST_V], norms[NORM_ACTS[1]]),
             ],
             residual_terms: [
                 relative(norms[NORM_R], norms[NORM_TERMS]),

@@ -179,7 +179,6 @@ impl ClipBuffers {
     pub fn write(&mut self, gpu: &Gpu, clip: &SolidClip, triangles: &[[u32; 3]], anew: bool) {
         if anew {
             gpu.upload(&self.walls, &vec![0; self.padded.quads]);
-            self.differing.clear();
         }
         let now = cut_quads(&self.padded, &self.grid, clip);
         let mut listed = std::mem::take(&mut self.differing);

@@ -8,6 +8,7 @@ use cutwater::geometry::{ObstacleCut, initial_state, obstacle_cut};
 use cutwater::grid::{Axis, Grid};
 use cutwater::reference::{Reference, TimeStep};
 use cutwater::scene::{Keyframe, Motion, Obstacle, Placement, Scene, Shape};
+use cutwater::sim::{Backend, Simulation};
 use cutwater::state::{SolveStatus, StepReport};
 use glam::{DMat3, DVec3};
 
@@ -330,6 +331,28 @@ fn a_vessel_that_shrinks_is_told() {
     let liquid = step(&mut reference, 0.02).liquid.unwrap();
     assert_eq!(liquid.closed_components, 1);
     assert_eq!(liquid.solve.status, SolveStatus::Incompatible);
+}
+
+/// Elastic solids and obstacles that move pass through each other (docs/scene.md): nothing is left where one stood at the start.
+#[test]
+fn a_solid_falls_past_where_an_obstacle_was() {
+    let text = "[domain]\nsize = [1, 1, 1]\ncells = [8, 8, 8]\n[time]\nduration = 1\n\
+                [[solid]]\nname = \"block\"\nmesh = { box = { size = [0.2, 0.2, 0.2], cells = [1, 1, 1] } }\n\
+                placement = { translate = [0.5, 0.7, 0.5] }\ndensity = 1000\nyoung = 1e5\npoisson = 0.3\n";
+    let obstacle = "[[obstacle]]\nbox = { min = [0, 0.3, 0], max = [1, 0.4, 1] }\nkeyframes = [{ t = 0 }, { t = 0.1, translate = [0, -0.3, 0] }]\n";
+    let fallen = |text: &str| {
+        let scene = Scene::parse("block.toml".as_ref(), text, &[], 1.0).unwrap();
+        let mut simulation = Simulation::new(&scene, &Backend::Cpu).unwrap();
+        while simulation.clock().frame < 7 {
+            simulation.step().unwrap();
+        }
+        simulation.state().unwrap().displacement
+    };
+    let (past, free) = (fallen(&format!("{text}{obstacle}")), fallen(text));
+    assert!(free[0][1] < -0.35, "{free:?}");
+    for (past, free) in past.iter().flatten().zip(free.iter().flatten()) {
+        assert!((past - free).abs() < 1e-3, "{past} {free}");
+    }
 }
 
 #[test]

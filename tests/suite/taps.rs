@@ -300,6 +300,32 @@ fn a_source_and_a_body_that_gives_way_to_it_are_told_together() {
 }
 
 /// A pump between a source and a sink: what is there, what came and what went add up, and in the end as much goes as comes.
+/// A gate stands in half of the source at first and is gone after a tenth of a second: the source is where it would be without the gate.
+#[test]
+fn what_moves_away_takes_no_cells_of_a_source() {
+    let gate = "[[obstacle]]\nbox = { min = [0.1875, 0.34375, 0.03125], max = [0.28125, 0.5, 0.21875] }\n\
+                keyframes = [{ t = 0 }, { t = 0.1, translate = [0.2, 0, 0] }]\n";
+    let scene = parse(&format!("[liquid]\n{POOL}{TAP}{gate}")).unwrap();
+    let mut backends = vec![Backend::Cpu];
+    if gpu().is_some() {
+        backends.push(Backend::Gpu(AdapterChoice::Best));
+    }
+    for backend in backends {
+        let mut simulation = Simulation::new(&scene, &backend).unwrap();
+        let mut flux = 0.0;
+        while simulation.clock().time < 0.3 {
+            let report = simulation.step().unwrap();
+            flux = report.liquid.unwrap().exchange.unwrap().volume_emitted / report.dt;
+        }
+        // 16 faces of 1/32 m, at 1 m/s.
+        assert!(
+            (64.0 * flux - 1.0).abs() < 1e-9,
+            "{}: {flux} m^3/s",
+            backend.name()
+        );
+    }
+}
+
 #[test]
 fn a_fountain_comes_to_a_steady_volume() {
     if gpu().is_none() {
