@@ -48,7 +48,7 @@ enum What {
     Stability(Stability),
     /// The sort of keys and values on the device, against the length of the list: sort.csv, sort.json
     Sort(Sort),
-    /// Tables 6.2 to 6.6 of the thesis beside what they are here: thesis_systems.csv, thesis_means.csv, thesis_growth.csv, thesis.csv,
+    /// Tables 6.1 to 6.6 of the thesis beside what they are here: thesis_scenes.csv, thesis_systems.csv, thesis_means.csv, thesis_growth.csv, thesis.csv,
     /// thesis_orders.csv, thesis.json, thesis.svg
     Thesis(Thesis),
 }
