@@ -215,20 +215,21 @@ impl Found {
     }
 }
 
-/// A number with three digits, as far as it is not whole; other text as it is.
+/// A number with three digits, as far as it is not whole, without zeros at the end before a power of ten; other text as it is.
 fn rounded(cell: &str) -> String {
     let whole = cell.parse::<i64>().is_ok();
     match cell.parse::<f64>() {
         Ok(number) if !whole && number.is_finite() => {
-            let size = number.abs();
+            // The power of what it is rounded to: 0.9996 is 1.00.
+            let text = format!("{number:.2e}");
+            let (digits, power) = text.split_once('e').expect("it is written with a power");
+            let power: i32 = power.parse().expect("it is a power of ten");
             if number == 0.0 {
                 "0".to_owned()
-            } else if (1e-3..1e4).contains(&size) {
-                let digits = (2 - size.log10().floor() as i64).clamp(0, 5) as usize;
-                format!("{number:.digits$}")
+            } else if (-3..4).contains(&power) {
+                let decimals = (2 - power).max(0) as usize;
+                format!("{number:.decimals$}")
             } else {
-                let text = format!("{number:.2e}");
-                let (digits, power) = text.split_once('e').unwrap_or((&text, "0"));
                 let digits = digits.trim_end_matches('0').trim_end_matches('.');
                 format!("{digits}e{power}")
             }
@@ -260,4 +261,31 @@ fn measured(path: &Path) -> Option<String> {
         1e-9 * bandwidth,
         number("threads")?,
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::rounded;
+
+    #[test]
+    fn numbers_have_three_digits() {
+        for (cell, expected) in [
+            ("0.000975", "9.75e-4"),
+            ("-0.000012345", "-1.23e-5"),
+            ("0.00097", "9.7e-4"),
+            ("0.00000001", "1e-8"),
+            ("157498.5", "1.57e5"),
+            ("0.0042", "0.00420"),
+            ("0.9994", "0.999"),
+            ("0.9996", "1.00"),
+            ("9.996", "10.0"),
+            ("1234.5678", "1235"),
+            ("0.0", "0"),
+            ("157498", "157498"),
+            ("a|b", "a\\|b"),
+            ("", ""),
+        ] {
+            assert_eq!(rounded(cell), expected, "{cell}");
+        }
+    }
 }

@@ -4,7 +4,9 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use cutwater::Error;
-use cutwater::measure::bench_thesis::{Options, Row, SystemRow, ThesisTable, Told, bench_thesis};
+use cutwater::measure::bench_thesis::{
+    Options, Row, SceneRow, SystemRow, ThesisTable, Told, bench_thesis,
+};
 
 use super::{PrecisionName, tell_machine};
 use crate::cli::AdapterArgs;
@@ -18,6 +20,15 @@ pub(super) struct Thesis {
     /// 5 [default: 40,60 for table 6.2, 50,60 for 6.3 and 6.4, 5,10,20,40,80 for 6.5 and 6.6]
     #[arg(long, value_delimiter = ',')]
     grids: Vec<usize>,
+    /// Folder of the scenes of table 6.1
+    #[arg(long, default_value = "scenes")]
+    scenes: PathBuf,
+    /// Multiply domain.cells of the scenes of table 6.1, rounded
+    #[arg(long, default_value_t = 1.0)]
+    scale: f64,
+    /// Sub-steps of the scenes of table 6.1 that are timed, from their start
+    #[arg(long, default_value_t = 5)]
+    steps: usize,
     /// Frames of the dam break, 24 a second, whose states are taken for tables 6.2 to 6.4
     #[arg(long, value_delimiter = ',', default_values_t = [10, 40, 80])]
     frames: Vec<u64>,
@@ -36,6 +47,8 @@ pub(super) struct Thesis {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum TableName {
+    #[value(name = "6.1")]
+    T6_1,
     #[value(name = "6.2")]
     T6_2,
     #[value(name = "6.3")]
@@ -49,7 +62,8 @@ enum TableName {
 }
 
 impl TableName {
-    const ALL: [TableName; 5] = [
+    const ALL: [TableName; 6] = [
+        TableName::T6_1,
         TableName::T6_2,
         TableName::T6_3,
         TableName::T6_4,
@@ -59,6 +73,7 @@ impl TableName {
 
     fn table(self) -> ThesisTable {
         match self {
+            TableName::T6_1 => ThesisTable::T6_1,
             TableName::T6_2 => ThesisTable::T6_2,
             TableName::T6_3 => ThesisTable::T6_3,
             TableName::T6_4 => ThesisTable::T6_4,
@@ -81,15 +96,26 @@ impl Thesis {
         let options = Options {
             tables,
             grids,
+            scenes: self.scenes.clone(),
+            scale: self.scale,
+            steps: self.steps,
             frames,
             precisions: self.precision.iter().map(|name| name.precision()).collect(),
             repeats: self.repeats,
             adapter: self.adapter.choice(),
         };
-        let mut headed = [false; 2];
+        let mut headed = [false; 3];
         let table = bench_thesis(&options, &self.out, &mut |row| match row {
-            Told::System(row) => {
+            Told::Scene(row) => {
                 if !std::mem::replace(&mut headed[0], true) {
+                    say!(
+                        "table  scene            path       cells, nodes, elements (over printed)           seconds (least, largest)  of the projection  sub-steps a frame"
+                    );
+                }
+                tell_scene(row);
+            }
+            Told::System(row) => {
+                if !std::mem::replace(&mut headed[1], true) {
                     say!(
                         "table  grid nodes frame  path       solver                        nonzeros  log10 c  iterations  seconds (least, largest)"
                     );
@@ -97,7 +123,7 @@ impl Thesis {
                 tell_system(row);
             }
             Told::Accuracy(row) => {
-                if !std::mem::replace(&mut headed[1], true) {
+                if !std::mem::replace(&mut headed[2], true) {
                     say!(
                         "table  grid  path       patches      error of p (over printed), of v, of u               seconds (least, largest)"
                     );
@@ -105,6 +131,16 @@ impl Thesis {
                 tell_accuracy(row);
             }
         })?;
+        if let Some(row) = table.scenes.first() {
+            say!(
+                "printed, of all scenes: {} to {} s, {} to {} s of the projection, {} sub-steps a frame",
+                row.thesis_seconds_least,
+                row.thesis_seconds_largest,
+                row.thesis_projection_least,
+                row.thesis_projection_largest,
+                row.thesis_sub_steps_per_frame,
+            );
+        }
         if !table.means.is_empty() {
             say!("means over the states (printed, ratio)");
         }
@@ -168,6 +204,28 @@ impl Thesis {
         say!("tables and picture: {}", self.out.display());
         Ok(())
     }
+}
+
+fn tell_scene(row: &SceneRow) {
+    let over = |here: usize, ratio: f64| format!("{here} ({ratio:.2})");
+    say!(
+        "{:5}  {:15}  gpu {:5}  {:>14}  {:>12}  {:>12}  {:.4} ({:.4}, {:.4})  {}  {:.2}  {}",
+        row.table,
+        row.scene,
+        row.precision,
+        over(row.cells, row.ratio_cells),
+        over(row.nodes, row.ratio_nodes),
+        over(row.elements, row.ratio_elements),
+        row.seconds_median,
+        row.seconds_min,
+        row.seconds_max,
+        match (row.projection_median, row.projection_share) {
+            (Some(seconds), Some(share)) => format!("{seconds:.4} ({:.0} %)", 100.0 * share),
+            _ => String::new(),
+        },
+        row.sub_steps_per_frame,
+        row.status,
+    );
 }
 
 fn tell_system(row: &SystemRow) {

@@ -1,15 +1,16 @@
 //! `bench thesis`: tables of the thesis's chapter 6 beside what they are here.
 //!
-//! Tables 6.2 to 6.4 (`systems`): matrices and solves of the formulations on states of the dam break. Tables 6.5 and 6.6
-//! (`accuracy`): errors of a sub-step whose answer is known.
+//! Table 6.1 (`scenes`): grids, meshes and sub-steps of the scenes. Tables 6.2 to 6.4 (`systems`): matrices and solves of the
+//! formulations on states of the dam break. Tables 6.5 and 6.6 (`accuracy`): errors of a sub-step whose answer is known.
 
 mod accuracy;
 mod condition;
 mod picture;
+mod scenes;
 mod systems;
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
@@ -21,6 +22,7 @@ use super::table::{Machine, write_csv, write_json, write_svg};
 
 pub use accuracy::{Order, Row};
 pub use condition::{Condition, Conditions, conditions};
+pub use scenes::SceneRow;
 pub use systems::{Growth, Mean, SystemRow};
 
 /// Relative, of the true residuals.
@@ -32,6 +34,8 @@ const PATIENCE: f64 = 20.0;
 /// A table of the thesis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum ThesisTable {
+    /// Cells, nodes and elements of the scenes, with the seconds of a step.
+    T6_1,
     /// Nonzeros, condition numbers and solves of the indefinite and the positive definite form.
     T6_2,
     /// Seconds per frame with velocities and with stresses as unknowns.
@@ -48,6 +52,7 @@ impl ThesisTable {
     /// Its number.
     pub fn number(self) -> &'static str {
         match self {
+            ThesisTable::T6_1 => "6.1",
             ThesisTable::T6_2 => "6.2",
             ThesisTable::T6_3 => "6.3",
             ThesisTable::T6_4 => "6.4",
@@ -64,9 +69,10 @@ impl ThesisTable {
         )
     }
 
-    /// Grids that are measured where none are asked for: those of the thesis that take minutes on two cores.
+    /// Grids that are measured where none are asked for: those of the thesis that take minutes on two cores. Scenes have their own.
     fn grids(self) -> &'static [usize] {
         match self {
+            ThesisTable::T6_1 => &[],
             ThesisTable::T6_2 => &[40, 60],
             ThesisTable::T6_3 | ThesisTable::T6_4 => &[50, 60],
             ThesisTable::T6_5 | ThesisTable::T6_6 => &[5, 10, 20, 40, 80],
@@ -101,6 +107,12 @@ pub struct Options {
     pub tables: Vec<ThesisTable>,
     /// Cells along an edge of the dam break, or along the tank's height of 1 m, ascending; each table's own where there are none.
     pub grids: Vec<usize>,
+    /// Folder of the scenes of table 6.1.
+    pub scenes: PathBuf,
+    /// What their cells are multiplied by along each axis.
+    pub scale: f64,
+    /// Sub-steps of each that are timed, from its start, after one that compiles.
+    pub steps: usize,
     /// Frames of the dam break whose states are taken, ascending.
     pub frames: Vec<u64>,
     /// Of the device, beside the f64 path; those that the adapter lacks are left out.
@@ -113,7 +125,7 @@ pub struct Options {
 
 impl Options {
     fn grids_of(&self, table: ThesisTable) -> Vec<usize> {
-        match self.grids.is_empty() {
+        match self.grids.is_empty() || table == ThesisTable::T6_1 {
             true => table.grids().to_vec(),
             false => self.grids.clone(),
         }
@@ -126,6 +138,8 @@ pub struct Table {
     /// Where.
     #[serde(flatten)]
     pub machine: Machine,
+    /// Of table 6.1: a row per scene and precision.
+    pub scenes: Vec<SceneRow>,
     /// Of tables 6.5 and 6.6: a row per table, grid, patch pressure and path.
     pub rows: Vec<Row>,
     /// A row per series of at least two grids, and the thesis's own.
@@ -141,17 +155,21 @@ pub struct Table {
 /// A row as it is measured.
 #[derive(Clone, Copy, Debug)]
 pub enum Told<'a> {
+    /// Of table 6.1.
+    Scene(&'a SceneRow),
     /// Of tables 6.2 to 6.4.
     System(&'a SystemRow),
     /// Of tables 6.5 and 6.6.
     Accuracy(&'a Row),
 }
 
-/// Measures all rows and writes into `out`, anew after each: thesis.json, thesis.svg, for tables 6.2 to 6.4 thesis_systems.csv,
-/// thesis_means.csv and thesis_growth.csv, for tables 6.5 and 6.6 thesis.csv and thesis_orders.csv. `tell` hears of each row.
+/// Measures all rows and writes into `out`, anew after each: thesis.json, for table 6.1 thesis_scenes.csv, for tables 6.2 to 6.4
+/// thesis_systems.csv, thesis_means.csv and thesis_growth.csv, for tables 6.5 and 6.6 thesis.csv and thesis_orders.csv, and for all but table 6.1
+/// thesis.svg. `tell` hears of each row.
 ///
 /// # Errors
-/// [`Error::Input`] for grids and frames that the problems do not have, [`Error::Output`], and what the simulations say.
+/// [`Error::Input`] for grids and frames that the problems do not have and scenes that are not there, [`Error::Output`], and what the
+/// simulations say.
 pub fn bench_thesis(
     options: &Options,
     out: &Path,
@@ -167,15 +185,22 @@ pub fn bench_thesis(
             systems::ensure_frame(frame)?;
         }
     }
+    let scenes = scenes::load(options)?;
     fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
     let mut table = Table {
         machine: Machine::new(&Gpu::new(&options.adapter)?, options.repeats)?,
+        scenes: Vec::new(),
         rows: Vec::new(),
         orders: Vec::new(),
         systems: Vec::new(),
         means: Vec::new(),
         growth: Vec::new(),
     };
+    scenes::measure(&scenes, options, &mut |row| {
+        tell(Told::Scene(&row));
+        table.scenes.push(row);
+        table.write(options, out)
+    })?;
     systems::measure(options, &mut |row| {
         tell(Told::System(&row));
         table.systems.push(row);
@@ -196,6 +221,9 @@ impl Table {
         self.means = systems::means(&self.systems);
         self.growth = systems::growth(&self.means);
         self.orders = accuracy::orders(&self.rows, &options.tables);
+        if !self.scenes.is_empty() {
+            write_csv(&self.scenes, &out.join("thesis_scenes.csv"))?;
+        }
         if !self.systems.is_empty() {
             write_csv(&self.systems, &out.join("thesis_systems.csv"))?;
             write_csv(&self.means, &out.join("thesis_means.csv"))?;
@@ -209,6 +237,9 @@ impl Table {
         }
         write_json(self, &out.join("thesis.json"))?;
         let charts = picture::charts(self, &options.tables);
+        if charts.is_empty() {
+            return Ok(());
+        }
         write_svg(&out.join("thesis.svg"), picture::size(&charts), |page| {
             picture::draw(&charts, page)
         })

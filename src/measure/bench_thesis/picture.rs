@@ -1,4 +1,4 @@
-//! thesis.svg: a line of charts per table, each with the printed numbers as crosses.
+//! thesis.svg: a line of charts per table but table 6.1, each with the printed numbers as crosses.
 
 use plotters::prelude::*;
 
@@ -57,6 +57,8 @@ pub(super) fn charts(table: &Table, tables: &[ThesisTable]) -> Vec<Vec<Chart>> {
     for &number in tables {
         let of_systems = |quantity, label, nodes| of_systems(table, number, quantity, label, nodes);
         lines.push(match number {
+            // Scenes differ in more than their size: they are no line.
+            ThesisTable::T6_1 => continue,
             ThesisTable::T6_2 => vec![
                 of_systems("nonzeros", "nonzeros", None),
                 of_systems("log10_condest", "condition number, 1-norm", None),
@@ -149,10 +151,7 @@ fn push(lines: &mut Vec<(String, Vec<(f64, f64)>)>, label: String, point: (f64, 
 
 /// Of the page, in pixels.
 pub(super) fn size(charts: &[Vec<Chart>]) -> (u32, u32) {
-    (
-        COLUMNS as u32 * CHART.0,
-        charts.len().max(1) as u32 * CHART.1,
-    )
+    (COLUMNS as u32 * CHART.0, charts.len() as u32 * CHART.1)
 }
 
 /// Draws a line of charts per table.
@@ -162,7 +161,7 @@ pub(super) fn draw(
 ) -> Result<(), Box<dyn std::error::Error>> {
     let root = page.into_drawing_area();
     root.fill(&WHITE)?;
-    let places = root.split_evenly((charts.len().max(1), COLUMNS));
+    let places = root.split_evenly((charts.len(), COLUMNS));
     for (line, places) in charts.iter().zip(places.chunks(COLUMNS)) {
         for (chart, place) in line.iter().zip(places) {
             draw_chart(chart, place)?;

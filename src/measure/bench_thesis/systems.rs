@@ -203,7 +203,7 @@ pub(super) fn measure(
             let beams = match table {
                 ThesisTable::T6_2 => vec![bricks_across(grid)],
                 ThesisTable::T6_3 | ThesisTable::T6_4 => BEAMS.to_vec(),
-                ThesisTable::T6_5 | ThesisTable::T6_6 => Vec::new(),
+                ThesisTable::T6_1 | ThesisTable::T6_5 | ThesisTable::T6_6 => Vec::new(),
             };
             for across in beams {
                 sizes.entry((grid, across)).or_default().push(table);
@@ -387,7 +387,7 @@ impl<'a> Case<'a> {
                     rows.push(row);
                 }
             }
-            ThesisTable::T6_5 | ThesisTable::T6_6 => {}
+            ThesisTable::T6_1 | ThesisTable::T6_5 | ThesisTable::T6_6 => {}
         }
         Ok(rows)
     }
