@@ -1,10 +1,13 @@
 //! `bench effects`: what each effect of a scene adds to a sub-step, in time, bytes and dispatches.
 //!
-//! The scene runs; after each frame its state is also given to the same scene without one of its effects, for each of them. Sub-steps with and
-//! without are done from the same state one after the other, in a shuffled order, so that what else the machine does falls on both; the
-//! seconds that an effect adds are the median of the paired differences. Bytes are those of all buffers, dispatches those recorded in a
-//! sub-step. What `solids` and `liquid` add where both are there is their coupling, too. On the same states every output is timed, too
-//! ([`super::output_cost`]).
+//! The scene runs; the state after each frame is given to the scene and to the same scene without one of its effects, for each of them.
+//! Sub-steps with and without are done from the same state one after the other, in a shuffled order, so that what else the machine does
+//! falls on both; the seconds that an effect adds are the median of the paired differences. Bytes are those of all buffers that are made for
+//! the scene, dispatches all that are submitted in a sub-step, those of the solver's iterations too. What `solids` and `liquid` add where both
+//! are there is their coupling, too. On the same states every output is timed, too ([`super::output_cost`]).
+//!
+//! What an absent effect costs is measured in the same way, against the control: one more path, of the scene from which all that it does not
+//! have is taken away. Bytes and dispatches have to be the same; seconds differ by what the method cannot tell apart.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -19,7 +22,7 @@ use crate::effects::Effects;
 use crate::gpu::{AdapterChoice, Gpu};
 use crate::grid::Sides;
 use crate::scene::{ElasticModel, Liquid, PatchPressure, Scene, Solid, Surface};
-use crate::sim::{Backend, GpuPath, Plan, Simulation};
+use crate::sim::{Backend, GpuPath, Simulation};
 use crate::state::State;
 
 use super::output_cost::{self, OutputRow};
@@ -28,6 +31,8 @@ use super::table::{Machine, Table, write_csv, write_json, write_svg};
 
 /// Of the shuffling: the same order in every run.
 const SEED: u64 = 7;
+/// Name of the row of the control, of which the rows of all absent effects are copies.
+pub const ABSENT: &str = "absent";
 
 /// What to measure.
 #[derive(Clone, Debug)]
@@ -40,33 +45,44 @@ pub struct Options {
     pub adapter: AdapterChoice,
 }
 
-/// A row of effects.csv.
+/// A row of effects.csv. What was not measured is empty: without a present effect nothing would be left of the scene.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Row {
     /// Name of the scene.
     pub scene: String,
-    /// The effect.
+    /// The effect, or [`ABSENT`].
     pub effect: &'static str,
-    /// Whether the scene has it.
+    /// Whether the scene has it. Where not, the numbers are those of the control.
     pub present: bool,
-    /// Seconds of a sub-step with it, median; 0 where the scene does not have it, as the others are then.
-    pub seconds_with: f64,
-    /// Without it.
-    pub seconds_without: f64,
+    /// Seconds of a sub-step of the scene, median.
+    pub seconds_with: Option<f64>,
+    /// Without the effect.
+    pub seconds_without: Option<f64>,
     /// Median of the differences.
-    pub seconds_added: f64,
+    pub seconds_added: Option<f64>,
     /// Their first quartile.
-    pub seconds_added_low: f64,
+    pub seconds_added_low: Option<f64>,
     /// Their third.
-    pub seconds_added_high: f64,
+    pub seconds_added_high: Option<f64>,
     /// Bytes of the buffers that it adds; negative where the scene without it needs others.
-    pub bytes_added: i64,
-    /// Dispatches that it adds to the last of the sub-steps.
-    pub dispatches_added: i64,
+    pub bytes_added: Option<i64>,
+    /// Dispatches that it adds to the last of the sub-steps, iterations of the solver included.
+    pub dispatches_added: Option<i64>,
     /// Kernels that are compiled for it alone: the scene without it does not have them.
     pub kernels: String,
     /// Pairs of sub-steps.
     pub pairs: usize,
+}
+
+impl Row {
+    /// First quartile, median and third of the seconds that it adds.
+    fn quartiles(&self) -> Option<[f64; 3]> {
+        Some([
+            self.seconds_added_low?,
+            self.seconds_added?,
+            self.seconds_added_high?,
+        ])
+    }
 }
 
 /// What was measured.
@@ -78,6 +94,38 @@ pub struct Tables {
     pub outputs: Table<OutputRow>,
 }
 
+impl Tables {
+    /// Names every scene in which absent effects cost something other than time.
+    ///
+    /// # Errors
+    /// [`Error::Check`] where there is one.
+    pub fn verdict(&self) -> Result<(), Error> {
+        let control = self.effects.rows.iter().filter(|row| row.effect == ABSENT);
+        let costs = control.filter(|row| {
+            let nothing = [row.bytes_added, row.dispatches_added] == [Some(0); 2];
+            !(nothing && row.kernels.is_empty())
+        });
+        let costs: Vec<String> = costs
+            .map(|row| {
+                format!(
+                    "\n  {}: bytes {}, dispatches {}, kernels: {}",
+                    row.scene,
+                    row.bytes_added.unwrap_or_default(),
+                    row.dispatches_added.unwrap_or_default(),
+                    row.kernels,
+                )
+            })
+            .collect();
+        if costs.is_empty() {
+            return Ok(());
+        }
+        Err(Error::Check(format!(
+            "effects that a scene does not have cost something{}",
+            costs.concat()
+        )))
+    }
+}
+
 /// A row that is done.
 #[derive(Clone, Copy, Debug)]
 pub enum Told<'a> {
@@ -87,22 +135,26 @@ pub enum Told<'a> {
     Output(&'a OutputRow),
 }
 
-/// An effect: its name, whether a scene has it, and what is left of the scene without it.
-struct Effect {
-    name: &'static str,
-    present: fn(&Effects) -> bool,
-    without: fn(&mut Scene),
+/// An effect that can be left out.
+#[derive(Clone, Copy, Debug)]
+pub struct Effect {
+    /// Its name, as in [`Effects`].
+    pub name: &'static str,
+    /// Whether a scene has it.
+    pub present: fn(&Effects) -> bool,
+    /// Takes it away, and with it what cannot be without it.
+    pub without: fn(&mut Scene),
 }
 
 /// Those that can be left out, in the order of [`Effects`].
-const EFFECTS: [Effect; 16] = [
+pub const EFFECTS: [Effect; 16] = [
     Effect {
         name: "liquid",
         present: |effects| effects.liquid,
         without: |scene| {
             scene.liquid = None;
-            (scene.sources, scene.sinks) = (Vec::new(), Vec::new());
-            scene.probes.retain(|probe| !probe.kind.of_liquid());
+            close(scene);
+            scene.probes.retain(|probe| probe.kind.of_solid());
         },
     },
     Effect {
@@ -110,7 +162,7 @@ const EFFECTS: [Effect; 16] = [
         present: |effects| effects.markers,
         without: |scene| {
             of_liquid(scene, |liquid| liquid.surface = Surface::Fixed);
-            (scene.sources, scene.sinks) = (Vec::new(), Vec::new());
+            close(scene);
         },
     },
     Effect {
@@ -186,12 +238,12 @@ const EFFECTS: [Effect; 16] = [
     Effect {
         name: "moving_obstacles",
         present: |effects| effects.moving_obstacles,
-        // They stand where they were at first.
+        // They stand where they were at first. Without liquid nothing sees what moves, and solids would see what stands.
         without: |scene| {
-            scene
-                .obstacles
-                .iter_mut()
-                .for_each(|obstacle| obstacle.motion = None)
+            if scene.liquid.is_some() {
+                let obstacles = scene.obstacles.iter_mut();
+                obstacles.for_each(|obstacle| obstacle.motion = None);
+            }
         },
     },
     Effect {
@@ -214,35 +266,41 @@ fn of_liquid(scene: &mut Scene, change: fn(&mut Liquid)) {
     }
 }
 
+/// Takes away what brings liquid in or lets it out, which only markers know.
+fn close(scene: &mut Scene) {
+    (scene.sources, scene.sinks) = (Vec::new(), Vec::new());
+    scene.domain.open = Sides::default();
+}
+
 fn of_solids(scene: &mut Scene, change: fn(&mut Solid)) {
     scene.solids.iter_mut().for_each(change);
 }
 
-/// A scene that is timed, and the sub-steps that it has done.
+/// A scene that is timed.
 struct Run {
     scene: Scene,
     simulation: Simulation,
+    /// Bytes of all buffers that were made for it at the start: room for what solids cut grows with them later.
+    bytes: u64,
+    /// Stage and kernel of each dispatch of the last sub-step.
     dispatches: Vec<(&'static str, &'static str)>,
 }
 
 impl Run {
     fn new(scene: Scene, adapter: &AdapterChoice) -> Result<Run, Error> {
         let simulation = Simulation::new(&scene, &Backend::Gpu(adapter.clone()))?;
-        Ok(Run {
+        let mut run = Run {
             scene,
             simulation,
+            bytes: 0,
             dispatches: Vec::new(),
-        })
+        };
+        run.bytes = run.gpu().allocated().iter().map(|(_, bytes)| bytes).sum();
+        Ok(run)
     }
 
     fn gpu(&self) -> &Gpu {
         self.simulation.gpu().expect("benches run on the GPU path")
-    }
-
-    /// Of all buffers, at the start: room for what solids cut grows with them later.
-    fn bytes(&self) -> Result<i64, Error> {
-        let plan = Plan::new(&self.scene, self.simulation.adapter())?;
-        Ok(plan.bytes() as i64)
     }
 
     /// Seconds of a sub-step from a state of the whole scene, with its probes.
@@ -312,16 +370,36 @@ pub fn bench_effects(
     Ok(Tables { effects, outputs })
 }
 
+/// States of a scene at its start and after each frame.
+fn states(scene: &Scene, options: &Options) -> Result<Vec<State>, Error> {
+    let mut simulation = Simulation::new(scene, &Backend::Gpu(options.adapter.clone()))?;
+    let mut states = vec![simulation.state()?];
+    for frame in 0..options.frames {
+        while simulation.clock().frame == frame {
+            simulation.step()?;
+        }
+        states.push(simulation.state()?);
+    }
+    Ok(states)
+}
+
 /// Rows of the effects and of the outputs of a scene; frames are written into `folder` and removed.
 fn measure(
     scene: &Scene,
     options: &Options,
     folder: &Path,
 ) -> Result<(Vec<Row>, Vec<OutputRow>), Error> {
+    // On a path of their own: what grows on the way to them would be in the scene's counts and not in the others'.
+    let states = states(scene, options)?;
     let mut whole = Run::new(scene.clone(), &options.adapter)?;
     let effects = Effects::of(scene);
     let mut parts = Vec::new();
-    for effect in EFFECTS.iter().filter(|effect| (effect.present)(&effects)) {
+    let mut control = scene.clone();
+    for effect in &EFFECTS {
+        if !(effect.present)(&effects) {
+            (effect.without)(&mut control);
+            continue;
+        }
         let mut without = scene.clone();
         (effect.without)(&mut without);
         let left = Effects::of(&without);
@@ -331,15 +409,9 @@ fn measure(
             parts.push((effect.name, run, Vec::<[f64; 2]>::new()));
         }
     }
+    let control = Run::new(control, &options.adapter)?;
+    parts.push((ABSENT, control, Vec::new()));
     let mut random = fastrand::Rng::with_seed(SEED);
-    let mut states = vec![whole.simulation.state()?];
-    while whole.simulation.clock().frame < options.frames {
-        let frame = whole.simulation.clock().frame;
-        while whole.simulation.clock().frame == frame {
-            whole.simulation.step()?;
-        }
-        states.push(whole.simulation.state()?);
-    }
     // The first compiles and warms caches.
     for (sample, state) in states.iter().enumerate() {
         random.shuffle(&mut parts);
@@ -358,55 +430,62 @@ fn measure(
             }
         }
     }
-    let bytes = whole.bytes()?;
-    let rows = EFFECTS.iter().map(|effect| {
-        let part = parts.iter().find(|(name, ..)| *name == effect.name);
-        let mut row = Row {
+    let present = EFFECTS
+        .iter()
+        .map(|effect| (effect.name, (effect.present)(&effects)));
+    let rows = present.chain([(ABSENT, false)]).map(|(effect, present)| {
+        let row = Row {
             scene: scene.name.clone(),
-            effect: effect.name,
-            present: (effect.present)(&effects),
+            effect,
+            present,
             ..Row::default()
         };
-        let Some((_, part, pairs)) = part else {
-            return Ok(row);
+        let beside = if present { effect } else { ABSENT };
+        let Some((_, part, pairs)) = parts.iter().find(|(name, ..)| *name == beside) else {
+            return row;
         };
         let median =
             |which: usize| Spread::of(pairs.iter().map(|pair| pair[which]).collect()).median;
-        let added = Spread::quartiles(pairs.iter().map(|[with, without]| with - without).collect());
-        [row.seconds_with, row.seconds_without] = [median(0), median(1)];
-        [
-            row.seconds_added_low,
-            row.seconds_added,
-            row.seconds_added_high,
-        ] = added;
-        row.bytes_added = bytes - part.bytes()?;
-        row.dispatches_added = whole.dispatches.len() as i64 - part.dispatches.len() as i64;
+        let [low, added, high] =
+            Spread::quartiles(pairs.iter().map(|[with, without]| with - without).collect());
         let alone = &whole.kernels() - &part.kernels();
-        row.kernels = alone.into_iter().collect::<Vec<_>>().join(" ");
-        row.pairs = pairs.len();
-        Ok(row)
+        Row {
+            seconds_with: Some(median(0)),
+            seconds_without: Some(median(1)),
+            seconds_added: Some(added),
+            seconds_added_low: Some(low),
+            seconds_added_high: Some(high),
+            bytes_added: Some(whole.bytes as i64 - part.bytes as i64),
+            dispatches_added: Some(whole.dispatches.len() as i64 - part.dispatches.len() as i64),
+            kernels: alone.into_iter().collect::<Vec<_>>().join(" "),
+            pairs: pairs.len(),
+            ..row
+        }
     });
-    let rows = rows.collect::<Result<_, Error>>()?;
+    let rows = rows.collect();
     let outputs = output_cost::measure(scene, &mut whole.simulation, &states, folder, &mut random)?;
     // Empty now.
     fs::remove_dir(folder).map_err(|problem| Error::output(folder, problem))?;
     Ok((rows, outputs))
 }
 
-/// What each effect adds, in milliseconds: a bar from the first to the third quartile with the median, per scene and effect.
+/// What each effect adds, in milliseconds: a bar from the first to the third quartile with the median, per scene and effect that was measured,
+/// and one for all that are absent.
 fn draw(rows: &[Row], page: SVGBackend) -> Result<(), Box<dyn std::error::Error>> {
     let root = page.into_drawing_area();
     root.fill(&WHITE)?;
-    let measured: Vec<&Row> = rows.iter().filter(|row| row.pairs > 0).collect();
-    let milliseconds = |seconds: f64| 1e3 * seconds;
+    let drawn = rows
+        .iter()
+        .filter(|row| row.present || row.effect == ABSENT);
+    let measured: Vec<(&Row, [f64; 3])> = drawn
+        .filter_map(|row| Some((row, row.quartiles()?.map(|seconds| 1e3 * seconds))))
+        .collect();
     let ends = measured
         .iter()
-        .flat_map(|row| [row.seconds_added_low, row.seconds_added_high]);
-    let (least, most) = ends
-        .map(milliseconds)
-        .fold((0.0, 1e-3), |(least, most), x| {
-            (f64::min(least, x), f64::max(most, x))
-        });
+        .flat_map(|(_, [low, _, high])| [*low, *high]);
+    let (least, most) = ends.fold((0.0, 1e-3), |(least, most), x| {
+        (f64::min(least, x), f64::max(most, x))
+    });
     let margin = 0.05 * (most - least);
     let mut chart = ChartBuilder::on(&root)
         .caption("what effects add to a sub-step", ("sans-serif", 20))
@@ -419,7 +498,7 @@ fn draw(rows: &[Row], page: SVGBackend) -> Result<(), Box<dyn std::error::Error>
         )?;
     let label = |at: &SegmentValue<usize>| match at {
         SegmentValue::CenterOf(at) | SegmentValue::Exact(at) => {
-            measured.get(*at).map_or(String::new(), |row| {
+            measured.get(*at).map_or(String::new(), |(row, _)| {
                 format!("{}: {}", row.scene, row.effect)
             })
         }
@@ -432,22 +511,16 @@ fn draw(rows: &[Row], page: SVGBackend) -> Result<(), Box<dyn std::error::Error>
         .y_labels(measured.len().max(1))
         .y_label_formatter(&label)
         .draw()?;
-    for (at, row) in measured.iter().enumerate() {
-        let [low, median, high] = [
-            row.seconds_added_low,
-            row.seconds_added,
-            row.seconds_added_high,
-        ]
-        .map(milliseconds);
+    for (at, (_, [low, median, high])) in measured.iter().enumerate() {
         let (bottom, top) = (SegmentValue::Exact(at), SegmentValue::Exact(at + 1));
         let bar = Rectangle::new(
-            [(low, bottom), (high, top)],
+            [(*low, bottom), (*high, top)],
             Palette99::pick(at).mix(0.6).filled(),
         );
         chart.draw_series([bar])?;
         let line = [
-            (median, SegmentValue::Exact(at)),
-            (median, SegmentValue::Exact(at + 1)),
+            (*median, SegmentValue::Exact(at)),
+            (*median, SegmentValue::Exact(at + 1)),
         ];
         chart.draw_series([PathElement::new(line, BLACK)])?;
     }

@@ -1,10 +1,13 @@
-//! `bench effects` on small scenes: what an effect adds is its own, and what is not there adds nothing; what outputs take.
+//! `bench effects` on small scenes: what an effect adds is its own, and what is not there adds nothing; what outputs take. An effect that is
+//! taken away leaves nothing.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
+use cutwater::effects::Effects;
 use cutwater::gpu::AdapterChoice;
-use cutwater::measure::bench_effects::{Options, Row, bench_effects};
+use cutwater::measure::bench_effects::{ABSENT, EFFECTS, Options, Row, bench_effects};
 use cutwater::measure::output_cost::OutputRow;
 use cutwater::scene::Scene;
 use cutwater::sim::{Backend, Simulation};
@@ -32,7 +35,7 @@ fn effects_add_what_is_theirs() {
         adapter: AdapterChoice::Best,
     };
     let mut told = 0;
-    let tables = bench_effects(&options, folder.path(), &mut |_| told += 1).unwrap();
+    let mut tables = bench_effects(&options, folder.path(), &mut |_| told += 1).unwrap();
     let (table, outputs) = (&tables.effects, &tables.outputs);
     assert_eq!(told, table.rows.len() + outputs.rows.len());
     let row = |scene: &str, effect: &str| -> &Row {
@@ -58,17 +61,8 @@ fn effects_add_what_is_theirs() {
         assert!(row.present && row.pairs == 2, "{row:?}");
         let own: Vec<&str> = row.kernels.split(' ').collect();
         assert!(kernels.iter().all(|kernel| own.contains(kernel)), "{row:?}");
-        assert_eq!(row.bytes_added > 0, bytes, "{row:?}");
-        assert!(
-            row.seconds_with > 0.0 && row.seconds_without > 0.0,
-            "{row:?}"
-        );
-        let quartiles = [
-            row.seconds_added_low,
-            row.seconds_added,
-            row.seconds_added_high,
-        ];
-        assert!(quartiles.is_sorted(), "{row:?}");
+        assert_eq!(row.bytes_added > Some(0), bytes, "{row:?}");
+        assert_timed(row);
     }
     for (scene, effect) in [
         ("dam_break", "obstacles"),
@@ -76,17 +70,21 @@ fn effects_add_what_is_theirs() {
         ("hydrostatic_block", "solids"),
         ("hydrostatic_block", "moving_obstacles"),
         ("hydrostatic_block", "patch_correction"),
+        ("gate", ABSENT),
     ] {
         let row = row(scene, effect);
-        assert!(
-            !row.present && row.pairs == 0 && row.kernels.is_empty(),
-            "{row:?}"
-        );
-        assert_eq!((row.bytes_added, row.dispatches_added), (0, 0), "{row:?}");
+        assert!(!row.present && row.pairs == 2, "{row:?}");
+        assert_timed(row);
+        assert_eq!(row.kernels, "", "{row:?}");
+        let added = [row.bytes_added, row.dispatches_added];
+        assert_eq!(added, [Some(0); 2], "{row:?}");
     }
-    // Without its liquid there is nothing left of it.
+    // Without its liquid there is nothing left of it, and nothing is said of what it costs.
     let all = row("hydrostatic_block", "liquid");
     assert!(all.present && all.pairs == 0, "{all:?}");
+    let text = fs::read_to_string(folder.path().join("effects.csv")).unwrap();
+    let empty = "\nhydrostatic_block,liquid,true,,,,,,,,,0\n";
+    assert!(text.contains(empty), "{text}");
     let of_scene = |scene: &str| -> Vec<(&str, bool)> {
         let rows = outputs.rows.iter().filter(|row| row.scene == scene);
         rows.map(|row| (row.output, row.present)).collect()
@@ -144,4 +142,171 @@ fn effects_add_what_is_theirs() {
         let text = fs::read_to_string(folder.path().join(file)).unwrap();
         assert!(!text.is_empty() && !text.contains("NaN"), "{file}");
     }
+
+    tables.verdict().unwrap();
+    let rows = &mut tables.effects.rows;
+    let row = rows
+        .iter_mut()
+        .find(|row| row.scene == "gate" && row.effect == ABSENT);
+    row.unwrap().bytes_added = Some(16);
+    let verdict = tables.verdict().unwrap_err();
+    assert_eq!(verdict.exit_code(), 1, "{verdict}");
+    assert!(verdict.to_string().contains("gate: bytes 16"), "{verdict}");
+}
+
+/// That both sides took time, and what lies between them is in order.
+fn assert_timed(row: &Row) {
+    let order = [
+        row.seconds_added_low,
+        row.seconds_added,
+        row.seconds_added_high,
+    ];
+    let timed = [row.seconds_with, row.seconds_without];
+    assert!(
+        order[0].is_some() && order.is_sorted() && timed.iter().all(|s| *s > Some(0.0)),
+        "{row:?}"
+    );
+}
+
+const POOL: &str = "liquid.region=[{ box = { min = [0, 0, 0], max = [1, 0.5, 1] } }]";
+const RAFT: &str = r#"solid=[{ name = "raft", model = "linear", mesh = { box = { size = [0.25, 0.25, 0.25], cells = [2, 2, 2] } }, placement = { translate = [0.7, 0.5, 0.5] }, density = 500, young = 1e5, poisson = 0.3 }]"#;
+const SOURCE: &str = "source=[{ box = { min = [0.5, 0.75, 0.5], max = [0.75, 0.875, 0.75] }, velocity = [0, -1, 0] }]";
+const SINK: &str = "sink=[{ box = { min = [0.875, 0, 0], max = [1, 0.125, 1] } }]";
+const OPEN: &str = "domain.open=[\"+x\"]";
+const BALL: &str = "obstacle=[{ sphere = { centre = [0.3, 0.3, 0.5], radius = 0.2 } }]";
+const HEIGHT: &str = r#"probe=[{ name = "level", height = { x = 0.7, z = 0.2 } }]"#;
+const NODE: &str =
+    r#"probe=[{ name = "corner", node = { solid = "raft", rest_point = [0.6, 0.4, 0.4] } }]"#;
+const PROBES: &str = r#"probe=[{ name = "force", force = { solid = "raft" } }, { name = "corner", node = { solid = "raft", rest_point = [0.6, 0.4, 0.4] } }, { name = "level", height = { x = 0.7, z = 0.2 } }]"#;
+
+/// A box of 8^3 cells with what is set.
+fn small(set: &[&str]) -> Scene {
+    let text = "[domain]\nsize = [1.0, 1.0, 1.0]\ncells = [8, 8, 8]\n[time]\nduration = 0.5\n";
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("small.toml");
+    fs::write(&file, text).unwrap();
+    let set: Vec<String> = set.iter().map(|&text| text.to_owned()).collect();
+    Scene::load(&file, &set, 1.0).unwrap()
+}
+
+/// What a scene takes: bytes of its buffers by label, kernels, and stages and kernels of the dispatches of its first sub-step with its probes.
+struct Taken {
+    bytes: BTreeMap<String, u64>,
+    kernels: BTreeSet<&'static str>,
+    dispatches: Vec<(&'static str, &'static str)>,
+}
+
+impl Taken {
+    fn by(scene: &Scene) -> Taken {
+        let mut simulation = Simulation::new(scene, &Backend::Gpu(AdapterChoice::Best)).unwrap();
+        let mut bytes = BTreeMap::new();
+        for (label, made) in simulation.gpu().unwrap().allocated() {
+            *bytes.entry(label).or_default() += made;
+        }
+        simulation.gpu().unwrap().note_dispatches();
+        simulation.step().unwrap();
+        simulation.probes().unwrap();
+        let gpu = simulation.gpu().unwrap();
+        Taken {
+            bytes,
+            kernels: gpu.compiled(),
+            dispatches: gpu.noted_dispatches(),
+        }
+    }
+}
+
+/// Each effect is added to a scene and taken away again: what is left takes what the scene takes that never had it.
+#[test]
+fn effects_that_are_taken_away_leave_nothing() {
+    if gpu().is_none() {
+        return;
+    }
+    let cases: [(&[&str], &[&str], &[&str]); 5] = [
+        (
+            &[POOL, "liquid.volume_control=false"],
+            &[
+                "liquid.volume_control=true",
+                OPEN,
+                SOURCE,
+                SINK,
+                BALL,
+                HEIGHT,
+            ],
+            &[
+                "volume_control",
+                "open_sides",
+                "sources",
+                "sinks",
+                "obstacles",
+                "probes",
+            ],
+        ),
+        // The floor of theta has other defaults with markers and without.
+        (
+            &[POOL, "liquid.surface=fixed", "solver.theta_floor=0.1"],
+            &["liquid.surface=markers", OPEN, SOURCE, SINK],
+            &["markers"],
+        ),
+        (
+            &[RAFT, NODE],
+            &[
+                PROBES,
+                POOL,
+                OPEN,
+                SOURCE,
+                SINK,
+                BALL,
+                "solid[0].model=corotational",
+                "solid[0].damping.mass=0.5",
+                "solid[0].pin=[{ region = { box = { min = [0, 0.6, 0], max = [1, 1, 1] } } }]",
+                "solid[0].script=[{ region = { box = { min = [0, 0, 0], max = [1, 0.4, 1] } }, keyframes = [{ t = 0 }, { t = 1, translate = [0.1, 0, 0] }] }]",
+                "solid[0].load=[{ region = { box = { min = [0, 0.4, 0], max = [1, 0.6, 1] } }, force = [0, 1, 0] }]",
+            ],
+            &[
+                "liquid",
+                "corotation",
+                "damping",
+                "pins",
+                "scripts",
+                "loads",
+                "obstacles",
+            ],
+        ),
+        (
+            &[POOL, BALL, HEIGHT],
+            &[
+                RAFT,
+                PROBES,
+                "obstacle[0].keyframes=[{ t = 0 }, { t = 1, translate = [0.1, 0, 0] }]",
+            ],
+            &["solids", "moving_obstacles"],
+        ),
+        (
+            &[POOL, RAFT, "solver.pressure_on_patches=cell"],
+            &["solver.pressure_on_patches=hydrostatic"],
+            &["patch_correction"],
+        ),
+    ];
+    let mut away = BTreeSet::new();
+    for (plain, more, names) in cases {
+        let mut left = small(&[plain, more].concat());
+        for effect in EFFECTS.iter().filter(|effect| names.contains(&effect.name)) {
+            let present = |scene: &Scene| (effect.present)(&Effects::of(scene));
+            assert!(present(&left), "{} was not there", effect.name);
+            (effect.without)(&mut left);
+            assert!(!present(&left), "{} is still there", effect.name);
+            away.insert(effect.name);
+        }
+        let plain = small(plain);
+        assert_eq!(Effects::of(&left), Effects::of(&plain), "{names:?}");
+        let [left, plain] = [left, plain].map(|scene| Taken::by(&scene));
+        assert_eq!(left.bytes, plain.bytes, "without {names:?}");
+        assert_eq!(left.kernels, plain.kernels, "without {names:?}");
+        let [n, n_plain] = [&left, &plain].map(|taken| taken.dispatches.len());
+        assert!(
+            left.dispatches == plain.dispatches,
+            "without {names:?}: {n} dispatches, and {n_plain} of what never had them"
+        );
+    }
+    assert_eq!(away.len(), EFFECTS.len(), "all but {away:?}");
 }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use cutwater::Error;
-use cutwater::measure::bench_effects::{Options, Row, Told, bench_effects};
+use cutwater::measure::bench_effects::{ABSENT, Options, Row, Told, bench_effects};
 use cutwater::measure::output_cost::OutputRow;
 use cutwater::scene::Scene;
 
@@ -63,30 +63,40 @@ impl Effects {
         })?;
         tell_machine(&tables.effects.machine);
         say!("tables and picture: {}", self.out.display());
-        Ok(())
+        tables.verdict()
     }
 }
 
 fn say_effect(row: &Row) {
-    if row.pairs == 0 {
-        let why = match row.present {
-            true => "all there is",
-            false => "absent",
-        };
-        say!("{:16} {:16}  {why}", row.scene, row.effect);
+    // Their numbers are those of the row of all absent ones.
+    if !row.present && row.effect != ABSENT {
+        say!("{:16} {:16}  absent", row.scene, row.effect);
         return;
     }
+    let Row {
+        seconds_with: Some(with),
+        seconds_without: Some(without),
+        seconds_added: Some(added),
+        seconds_added_low: Some(low),
+        seconds_added_high: Some(high),
+        bytes_added: Some(bytes),
+        dispatches_added: Some(dispatches),
+        ..
+    } = *row
+    else {
+        say!("{:16} {:16}  all there is", row.scene, row.effect);
+        return;
+    };
     say!(
-        "{:16} {:16}  {:7.2}, {:7.2}  {:7.2} ({:.2}, {:.2})  {:8.3}  {:9}  {}",
+        "{:16} {:16}  {:7.2}, {:7.2}  {:7.2} ({:.2}, {:.2})  {:8.3}  {dispatches:9}  {}",
         row.scene,
         row.effect,
-        1e3 * row.seconds_with,
-        1e3 * row.seconds_without,
-        1e3 * row.seconds_added,
-        1e3 * row.seconds_added_low,
-        1e3 * row.seconds_added_high,
-        row.bytes_added as f64 / (1u64 << 20) as f64,
-        row.dispatches_added,
+        1e3 * with,
+        1e3 * without,
+        1e3 * added,
+        1e3 * low,
+        1e3 * high,
+        bytes as f64 / (1u64 << 20) as f64,
         row.kernels,
     );
 }
