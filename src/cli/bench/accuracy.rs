@@ -89,7 +89,7 @@ impl Accuracy {
         }
         for best in &table.best {
             say!(
-                "{:16} {:5}  {:5.0e}: {}, {}, {}, tolerance {:.0e}: {:.4} s in {} iterations",
+                "{:16} {:5}  {:5.0e}: {}, {}, {}, tolerance {:.0e}: {:.4} ({:.4}, {:.4}) s in {} iterations",
                 best.scene,
                 best.frame,
                 best.target,
@@ -98,6 +98,8 @@ impl Accuracy {
                 best.formulation,
                 best.tolerance,
                 best.seconds_median,
+                best.seconds_min,
+                best.seconds_max,
                 best.iterations,
             );
         }
@@ -106,13 +108,15 @@ impl Accuracy {
         }
         for best in &table.grids_best {
             say!(
-                "{:13} {:5.0e}: {} cells along 1 m, {}, tolerance {:.0e}: {:.4} s",
+                "{:13} {:5.0e}: {} cells along 1 m, {}, tolerance {:.0e}: {:.4} ({:.4}, {:.4}) s",
                 best.problem,
                 best.target,
                 best.grid,
                 best.precision,
                 best.tolerance,
                 best.seconds_median,
+                best.seconds_min,
+                best.seconds_max,
             );
         }
         tell_machine(&table.machine);

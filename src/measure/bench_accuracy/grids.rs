@@ -11,7 +11,7 @@ use super::super::bench_solve::name;
 use super::super::statistics::Spread;
 use super::exact::Exact;
 use super::sub_step::{Done, Mask, reference_step, repeat_shuffled, sub_step};
-use super::{EXACT, MOST_ITERATIONS, Options, cheapest};
+use super::{Choice, EXACT, MOST_ITERATIONS, Options, cheapest};
 
 /// Errors that a recommendation is made for.
 const TARGETS: [f64; 8] = [1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 1e-6];
@@ -53,7 +53,8 @@ pub struct GridRow {
     pub grid_error_u: Option<f64>,
 }
 
-/// The cheapest row of a problem that is as accurate as a target.
+/// The cheapest converged row of a problem that is as accurate as a target; of those that time does not tell apart the one of the coarsest
+/// grid, then of fewest bytes a number, then of the loosest tolerance.
 #[derive(Clone, Debug, Serialize)]
 pub struct GridBest {
     /// As in [`GridRow`].
@@ -68,6 +69,10 @@ pub struct GridBest {
     pub tolerance: f64,
     /// As in [`GridRow`].
     pub seconds_median: f64,
+    /// As in [`GridRow`].
+    pub seconds_min: f64,
+    /// As in [`GridRow`].
+    pub seconds_max: f64,
     /// As in [`GridRow`].
     pub error_p: f64,
     /// As in [`GridRow`].
@@ -91,17 +96,45 @@ pub struct Enough {
     pub tolerance: Option<f64>,
     /// As in [`GridRow`].
     pub seconds_median: Option<f64>,
+    /// As in [`GridRow`].
+    pub seconds_min: Option<f64>,
+    /// As in [`GridRow`].
+    pub seconds_max: Option<f64>,
 }
 
 impl GridRow {
+    /// Of the solve.
+    pub(super) fn seconds(&self) -> Spread {
+        Spread {
+            median: self.seconds_median,
+            min: self.seconds_min,
+            max: self.seconds_max,
+        }
+    }
+
+    fn choice(&self) -> Choice {
+        Choice {
+            seconds: self.seconds(),
+            cells: self.grid,
+            precision: self.precision,
+            tolerance: self.tolerance,
+            iterations: self.iterations,
+        }
+    }
+
     /// Both errors.
     fn error(&self) -> f64 {
         self.error_p.max(self.error_u.unwrap_or(0.0))
     }
 
+    fn converged(&self) -> bool {
+        self.status == SolveStatus::Converged.name()
+    }
+
     fn is_of_the_grid(&self) -> bool {
         let of_u = self.error_u.zip(self.grid_error_u);
-        self.error_p <= OF_THE_GRID * self.grid_error_p
+        self.converged()
+            && self.error_p <= OF_THE_GRID * self.grid_error_p
             && of_u.is_none_or(|(error, grid)| error <= OF_THE_GRID * grid)
     }
 }
@@ -255,9 +288,9 @@ pub(super) fn recommend(rows: &[GridRow]) -> Vec<GridBest> {
     let mut best = Vec::new();
     for problem in problems(rows) {
         for target in TARGETS {
-            let meets = |row: &&GridRow| row.problem == problem && row.error() <= target;
-            let cost = |row: &GridRow| ([row.seconds_median, row.seconds_min], row.tolerance);
-            let cheapest = cheapest(rows.iter().filter(meets), cost);
+            let meets =
+                |row: &&GridRow| row.problem == problem && row.converged() && row.error() <= target;
+            let cheapest = cheapest(rows.iter().filter(meets), GridRow::choice);
             best.extend(cheapest.map(|row| GridBest {
                 problem,
                 target,
@@ -265,6 +298,8 @@ pub(super) fn recommend(rows: &[GridRow]) -> Vec<GridBest> {
                 precision: row.precision,
                 tolerance: row.tolerance,
                 seconds_median: row.seconds_median,
+                seconds_min: row.seconds_min,
+                seconds_max: row.seconds_max,
                 error_p: row.error_p,
                 error_u: row.error_u,
             }));
@@ -289,6 +324,8 @@ pub(super) fn enough(rows: &[GridRow]) -> Vec<Enough> {
             grid_error_u: rows[0].grid_error_u,
             tolerance: loosest.map(|row| row.tolerance),
             seconds_median: loosest.map(|row| row.seconds_median),
+            seconds_min: loosest.map(|row| row.seconds_min),
+            seconds_max: loosest.map(|row| row.seconds_max),
         }
     });
     of_grids.collect()

@@ -15,6 +15,7 @@ mod picture;
 mod states;
 mod sub_step;
 
+use std::cmp::Ordering;
 use std::fs;
 use std::path::Path;
 
@@ -26,6 +27,8 @@ use crate::gpu::{AdapterChoice, Gpu};
 use crate::scene::{CouplingScheme, Formulation, Precision, Preconditioner, Scene};
 use crate::sim::{Backend, Simulation};
 
+use super::bench_solve::name;
+use super::statistics::Spread;
 use super::table::{Machine, write_csv, write_json, write_svg};
 
 pub use exact::{Exact, dam_release};
@@ -180,18 +183,109 @@ pub fn bench_accuracy(
     Ok(table)
 }
 
-/// Of rows that are accurate enough, as seconds (median, least), tolerance: the loosest of those whose least is not above the cheapest's
-/// median. What else the machine does would choose among these.
+/// What a recommendation weighs of a row.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Choice {
+    /// Of the solve.
+    seconds: Spread,
+    /// Of the domain, or along 1 m of it.
+    cells: usize,
+    /// `f32`, `mixed` or `f64`.
+    precision: &'static str,
+    tolerance: f64,
+    iterations: u32,
+}
+
+impl Choice {
+    /// The better first: fewer cells, since all stages and the memory go with them; then the precision of fewer bytes, which more adapters
+    /// have; the looser tolerance; fewer iterations; and only then the time.
+    fn compare(&self, other: &Choice) -> Ordering {
+        let width = |choice: &Choice| {
+            let ascending = [Precision::F32, Precision::Mixed, Precision::F64].map(name);
+            ascending.iter().position(|name| *name == choice.precision)
+        };
+        self.cells
+            .cmp(&other.cells)
+            .then(width(self).cmp(&width(other)))
+            .then(other.tolerance.total_cmp(&self.tolerance))
+            .then(self.iterations.cmp(&other.iterations))
+            .then(self.seconds.median.total_cmp(&other.seconds.median))
+    }
+}
+
+/// Of rows that are accurate enough, the best ([`Choice::compare`]) of those that time does not tell from the fastest: whose least is not
+/// above the largest of the row with the least median.
 fn cheapest<'a, T>(
     rows: impl Iterator<Item = &'a T> + Clone,
-    cost: impl Fn(&T) -> ([f64; 2], f64),
+    choice: impl Fn(&T) -> Choice,
 ) -> Option<&'a T> {
-    let medians = rows.clone().map(|row| cost(row).0[0]);
-    let least = medians.fold(f64::INFINITY, f64::min);
-    let equal = rows.filter(|row| cost(row).0[1] <= least);
-    equal.max_by(|a, b| {
-        let ([a, _], a_tolerance) = cost(a);
-        let ([b, _], b_tolerance) = cost(b);
-        a_tolerance.total_cmp(&b_tolerance).then(b.total_cmp(&a))
-    })
+    let seconds = rows.clone().map(|row| choice(row).seconds);
+    let fastest = seconds.min_by(|a, b| a.median.total_cmp(&b.median))?;
+    let equal = rows.filter(|row| choice(row).seconds.min <= fastest.max);
+    equal.min_by(|a, b| choice(a).compare(&choice(b)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::statistics::Spread;
+    use super::{Choice, cheapest};
+
+    fn way(cells: usize, precision: &'static str, tolerance: f64, iterations: u32) -> Choice {
+        Choice {
+            seconds: Spread::of(vec![12.0, 13.0, 14.0]),
+            cells,
+            precision,
+            tolerance,
+            iterations,
+        }
+    }
+
+    fn taking(seconds: [f64; 3], way: Choice) -> Choice {
+        Choice {
+            seconds: Spread::of(seconds.to_vec()),
+            ..way
+        }
+    }
+
+    /// Of the rows, in this order and the other.
+    fn chosen(rows: &[Choice]) -> Choice {
+        let first = *cheapest(rows.iter(), |row| *row).unwrap();
+        let second = *cheapest(rows.iter().rev(), |row| *row).unwrap();
+        assert_eq!(first, second, "the order of rows counts");
+        first
+    }
+
+    #[test]
+    fn what_time_does_not_tell_apart_is_chosen_by_what_it_takes() {
+        let fastest = taking([9.0, 10.0, 12.0], way(20, "f64", 1e-6, 9));
+        // Each is better than those before it in one thing that counts for more, and worse in what counts for less.
+        let mut rows = vec![fastest];
+        for better in [
+            way(20, "f64", 1e-6, 8),
+            way(20, "f64", 1e-4, 30),
+            way(20, "mixed", 1e-8, 40),
+            way(20, "f32", 1e-10, 50),
+            way(10, "f64", 1e-12, 60),
+        ] {
+            rows.push(better);
+            assert_eq!(chosen(&rows), better);
+        }
+    }
+
+    #[test]
+    fn what_is_slower_in_every_repeat_is_not_chosen() {
+        let fastest = taking([9.0, 10.0, 11.9], way(20, "f64", 1e-6, 9));
+        assert_eq!(chosen(&[fastest, way(10, "f32", 1e-2, 1)]), fastest);
+        assert!(cheapest([].iter(), |row: &Choice| *row).is_none());
+    }
+
+    #[test]
+    fn noise_does_not_change_the_choice() {
+        let (mixed, double) = (way(20, "mixed", 1e-6, 9), way(20, "f64", 1e-4, 7));
+        for [a, b] in [[0, 1], [1, 0]] {
+            let seconds = [[9.0, 10.0, 12.0], [9.5, 11.0, 13.0]];
+            let rows = [taking(seconds[a], mixed), taking(seconds[b], double)];
+            assert_eq!(chosen(&rows).precision, "mixed");
+        }
+    }
 }

@@ -13,9 +13,9 @@ type Named<T> = (&'static str, fn(&T) -> f64);
 const SECONDS: &str = "seconds of the solve";
 
 /// An error and the seconds that it takes.
-fn point([median, min, max]: [f64; 3], error: f64) -> Point {
+fn point(seconds: Spread, error: f64) -> Point {
     Point {
-        x: Spread { median, min, max },
+        x: seconds,
         y: Spread::exact(error),
     }
 }
@@ -40,8 +40,7 @@ pub(super) fn draw_states(rows: &[Row], page: SVGBackend) -> Result<(), Failure>
         for ((name, error), area) in errors.iter().zip(charts) {
             let here = |row: &&Row| row.scene == *scene && row.frame == *frame;
             let lines = series(rows.iter().filter(here), label, |row| {
-                let seconds = [row.seconds_median, row.seconds_min, row.seconds_max];
-                point(seconds, error(row))
+                point(row.seconds(), error(row))
             });
             let caption = format!("{scene}, frame {frame}");
             let key = SeriesLabelPosition::LowerLeft;
@@ -66,10 +65,7 @@ pub(super) fn draw_grids(rows: &[GridRow], page: SVGBackend) -> Result<(), Failu
     for (problem, charts) in problems.iter().zip(charts.chunks(2)) {
         for ((name, error), area) in errors.iter().zip(charts) {
             let here = rows.iter().filter(|row| row.problem == *problem);
-            let lines = series(here, label, |row| {
-                let seconds = [row.seconds_median, row.seconds_min, row.seconds_max];
-                point(seconds, error(row))
-            });
+            let lines = series(here, label, |row| point(row.seconds(), error(row)));
             let key = SeriesLabelPosition::LowerLeft;
             chart(area, problem, [SECONDS, name], key, &lines)?;
         }

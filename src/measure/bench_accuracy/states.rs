@@ -15,7 +15,7 @@ use super::super::bench_solve::{name, preconditioner_name};
 use super::super::statistics::Spread;
 use super::super::stored;
 use super::sub_step::{Answer, Done, Mask, reference_step, repeat_shuffled, sub_step};
-use super::{EXACT, MOST_ITERATIONS, Options, cheapest};
+use super::{Choice, EXACT, MOST_ITERATIONS, Options, cheapest};
 
 /// Errors that a recommendation is made for.
 const TARGETS: [f64; 5] = [1e-2, 1e-4, 1e-6, 1e-8, 1e-10];
@@ -71,7 +71,8 @@ pub struct Row {
     pub speed_over_g_dt: f64,
 }
 
-/// The cheapest row that is as accurate as a target.
+/// The cheapest converged row that is as accurate as a target; of those that time does not tell apart the one of fewest bytes a
+/// number, then of the loosest tolerance, then of fewest iterations.
 #[derive(Clone, Debug, Serialize)]
 pub struct Best {
     /// Name of the scene.
@@ -93,9 +94,34 @@ pub struct Best {
     /// As in [`Row`].
     pub seconds_median: f64,
     /// As in [`Row`].
+    pub seconds_min: f64,
+    /// As in [`Row`].
+    pub seconds_max: f64,
+    /// As in [`Row`].
     pub error_p: f64,
     /// As in [`Row`].
     pub error_v: f64,
+}
+
+impl Row {
+    /// Of the solve.
+    pub(super) fn seconds(&self) -> Spread {
+        Spread {
+            median: self.seconds_median,
+            min: self.seconds_min,
+            max: self.seconds_max,
+        }
+    }
+
+    fn choice(&self) -> Choice {
+        Choice {
+            seconds: self.seconds(),
+            cells: self.cells,
+            precision: self.precision,
+            tolerance: self.tolerance,
+            iterations: self.iterations,
+        }
+    }
 }
 
 /// A sub-step from a state.
@@ -379,10 +405,10 @@ pub(super) fn recommend(rows: &[Row]) -> Vec<Best> {
         for target in TARGETS {
             let meets = |row: &&Row| {
                 let error = row.error_p.max(row.error_v);
-                row.scene == scene && row.frame == frame && error <= target
+                let converged = row.status == SolveStatus::Converged.name();
+                row.scene == scene && row.frame == frame && converged && error <= target
             };
-            let cost = |row: &Row| ([row.seconds_median, row.seconds_min], row.tolerance);
-            let cheapest = cheapest(rows.iter().filter(meets), cost);
+            let cheapest = cheapest(rows.iter().filter(meets), Row::choice);
             best.extend(cheapest.map(|row| Best {
                 scene: scene.clone(),
                 frame,
@@ -393,6 +419,8 @@ pub(super) fn recommend(rows: &[Row]) -> Vec<Best> {
                 tolerance: row.tolerance,
                 iterations: row.iterations,
                 seconds_median: row.seconds_median,
+                seconds_min: row.seconds_min,
+                seconds_max: row.seconds_max,
                 error_p: row.error_p,
                 error_v: row.error_v,
             }));
