@@ -40,7 +40,7 @@ struct Wanted {
 struct Found {
     heads: Vec<String>,
     rows: Vec<csv::StringRecord>,
-    /// The adapter, and when.
+    /// When, the adapter where there was one, and the CPU.
     measured: Option<String>,
 }
 
@@ -251,14 +251,19 @@ fn measured(path: &Path) -> Option<String> {
     let json: Value = serde_json::from_str(&text).ok()?;
     let say = |key: &str| Some(json.get(key)?.as_str()?.to_owned());
     let number = |key: &str| json.get(key)?.as_f64();
-    let bandwidth = json.get("copy_bandwidth")?.get("median")?.as_f64()?;
+    let bandwidth = json.pointer("/copy_bandwidth/median");
+    let bandwidth = bandwidth.and_then(Value::as_f64);
+    // Runs on the CPU have neither.
+    let adapter = say("adapter").zip(bandwidth);
+    let adapter = adapter.map_or(String::new(), |(name, bandwidth)| {
+        format!(", {name}, copy bandwidth {:.1} GB/s", 1e-9 * bandwidth)
+    });
+    let cpu = say("cpu").map_or(String::new(), |cpu| format!(" ({cpu})"));
     let load = number("load").map_or(String::new(), |load| format!(" at a load of {load}"));
     Some(format!(
-        "{}, cutwater {}, {}, copy bandwidth {:.1} GB/s, {} CPU threads{load}.",
+        "{}, cutwater {}{adapter}, {} CPU threads{cpu}{load}.",
         say("measured")?.split('T').next()?,
         say("cutwater")?,
-        say("adapter")?,
-        1e-9 * bandwidth,
         number("threads")?,
     ))
 }

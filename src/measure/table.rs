@@ -1,5 +1,6 @@
 //! What the tables of the benches share: where they were measured, and how they are written.
 
+use std::fs;
 use std::ops::Range;
 use std::path::Path;
 use std::time::SystemTime;
@@ -14,21 +15,53 @@ use crate::output::write_atomically;
 use super::bandwidth::copy_bandwidth;
 use super::statistics::Spread;
 
-/// Where a table was measured.
+/// When a table was measured, and on which CPU: what runs without an adapter says no more.
 #[derive(Clone, Debug, Serialize)]
-pub struct Machine {
+pub struct Host {
     /// Version of cutwater.
     pub cutwater: &'static str,
-    /// Adapter.
-    pub adapter: String,
-    /// Driver.
-    pub driver: String,
     /// When it began, UTC, as RFC 3339 has it.
     pub measured: String,
+    /// Model of the CPU, where the system tells: software drivers and rivals run on it.
+    pub cpu: Option<String>,
     /// Threads that the CPU runs at once.
     pub threads: usize,
     /// Load average of the minute before, where the system tells: what else the machine did.
     pub load: Option<f64>,
+}
+
+impl Host {
+    /// Asks the system.
+    pub fn now() -> Host {
+        let load = fs::read_to_string("/proc/loadavg").ok();
+        Host {
+            cutwater: env!("CARGO_PKG_VERSION"),
+            measured: humantime::format_rfc3339_seconds(SystemTime::now()).to_string(),
+            cpu: cpu(),
+            threads: std::thread::available_parallelism().map_or(1, usize::from),
+            load: load.and_then(|text| text.split(' ').next()?.parse().ok()),
+        }
+    }
+}
+
+/// The line `model name : ...` of the first processor; some kinds of CPU have none.
+fn cpu() -> Option<String> {
+    let text = fs::read_to_string("/proc/cpuinfo").ok()?;
+    let mut lines = text.lines().filter_map(|line| line.split_once(':'));
+    let (_, model) = lines.find(|(key, _)| key.trim() == "model name")?;
+    Some(model.trim().to_owned())
+}
+
+/// Where a table was measured.
+#[derive(Clone, Debug, Serialize)]
+pub struct Machine {
+    /// CPU and date.
+    #[serde(flatten)]
+    pub host: Host,
+    /// Adapter.
+    pub adapter: String,
+    /// Driver.
+    pub driver: String,
     /// Bytes per second of a copy, read and written.
     pub copy_bandwidth: Spread,
 }
@@ -40,12 +73,8 @@ impl Machine {
     /// What the device says.
     pub fn new(gpu: &Gpu, repeats: usize) -> Result<Machine, Error> {
         let AdapterReport { name, driver, .. } = gpu.report().clone();
-        let load = std::fs::read_to_string("/proc/loadavg").ok();
         Ok(Machine {
-            measured: humantime::format_rfc3339_seconds(SystemTime::now()).to_string(),
-            threads: std::thread::available_parallelism().map_or(1, usize::from),
-            load: load.and_then(|text| text.split(' ').next()?.parse().ok()),
-            cutwater: env!("CARGO_PKG_VERSION"),
+            host: Host::now(),
             adapter: name,
             driver,
             copy_bandwidth: copy_bandwidth(gpu, repeats)?,

@@ -124,6 +124,23 @@ fn tables_of_documents_are_written_anew() {
         assert_eq!((tables.written, tables.left.len()), (1, 0));
         assert_eq!(fs::read_to_string(&document).unwrap(), expected);
     }
+    // The CPU's model where it is told, no adapter where there was none.
+    let threads = "2 CPU threads";
+    let with_model = "2 CPU threads (a CPU)";
+    let adapter = ", an adapter, copy bandwidth 2.5 GB/s";
+    let of_model = json.replace("\"threads\"", "\"cpu\": \"a CPU\", \"threads\"");
+    let of_cpu = "{\"cutwater\": \"0.1.0\", \"measured\": \"2026-11-22T05:00:00Z\", \"cpu\": \"a CPU\", \"threads\": 2, \
+                  \"load\": 0.5}";
+    let told = expected.replace(threads, with_model);
+    for (json, expected) in [
+        (of_cpu, &told.replace(adapter, "")),
+        (of_model.as_str(), &told),
+        (json, &expected),
+    ] {
+        fs::write(dir.join("solve/solve.json"), json).unwrap();
+        insert(&dir, &document).unwrap();
+        assert_eq!(&fs::read_to_string(&document).unwrap(), expected);
+    }
     for (broken, line, told) in [
         (
             DOCUMENT.replace("{grid}", "{grids}"),

@@ -52,7 +52,8 @@ impl Stability {
                 row.inverted,
                 row.missed,
                 row.unsettled,
-                row.most_iterations,
+                row.most_iterations
+                    .map_or("none".to_owned(), |most| most.to_string()),
                 row.seconds,
                 row.status,
             ),

@@ -29,7 +29,7 @@ use crate::scene::Scene;
 use crate::sim::{Backend, Simulation};
 use crate::state::{SolidDiagnosis, SolveStatus, State, StepReport};
 
-use super::table::{Machine, write_csv, write_json, write_svg};
+use super::table::{Host, Machine, write_csv, write_json, write_svg};
 
 pub use cases::{Case, Expected, cases};
 pub use limit::{LimitRow, limits};
@@ -119,20 +119,30 @@ pub struct Row {
     pub missed: u64,
     /// Sub-steps with contacts that did not settle.
     pub unsettled: u64,
-    /// Most iterations of a solve.
-    pub most_iterations: u32,
+    /// Most iterations of a solve; empty where all were direct.
+    pub most_iterations: Option<u32>,
     /// Largest way of the end of the thesis's beam over its length; empty elsewhere.
     pub deflection: Option<f64>,
     /// Wall-clock seconds.
     pub seconds: f64,
 }
 
+/// Where the cases ran.
+#[derive(Clone, Debug, Serialize)]
+#[serde(untagged)]
+pub enum Place {
+    /// On an adapter.
+    Gpu(Machine),
+    /// On the f64 path.
+    Cpu(Host),
+}
+
 /// The tables and where they were measured.
 #[derive(Clone, Debug, Serialize)]
 pub struct Table {
-    /// Of the device; nothing on the CPU.
+    /// Where.
     #[serde(flatten)]
-    pub machine: Option<Machine>,
+    pub place: Place,
     /// `gpu` or `cpu`.
     pub backend: &'static str,
     /// A row per case.
@@ -191,12 +201,12 @@ pub fn bench_stability(
 ) -> Result<Table, Error> {
     let scenes = out.join("scenes");
     fs::create_dir_all(&scenes).map_err(|problem| Error::output(&scenes, problem))?;
-    let machine = match &options.backend {
-        Backend::Gpu(choice) => Some(Machine::new(&Gpu::new(choice)?, 3)?),
-        Backend::Cpu => None,
+    let place = match &options.backend {
+        Backend::Gpu(choice) => Place::Gpu(Machine::new(&Gpu::new(choice)?, 3)?),
+        Backend::Cpu => Place::Cpu(Host::now()),
     };
     let mut table = Table {
-        machine,
+        place,
         backend: options.backend.name(),
         rows: Vec::new(),
         limits: Vec::new(),
@@ -214,7 +224,7 @@ pub fn bench_stability(
             continue;
         }
         case.write(&scenes)?;
-        let row = run(&case, &options.backend)?;
+        let row = case.run(&options.backend)?;
         tell(Told::Case(&row));
         table.rows.push(row);
         write(&table, out)?;
@@ -351,51 +361,56 @@ fn non_finite(state: &State, report: &StepReport) -> usize {
     of_state.filter(bad).count() + of_report.filter(|value| !value.is_finite()).count()
 }
 
-/// Runs a case.
-fn run(case: &Case, backend: &Backend) -> Result<Row, Error> {
-    let clock = Instant::now();
-    let mut row = Row {
-        name: case.name.clone(),
-        group: case.group,
-        varies: case.varies.clone(),
-        cells: 0,
-        nodes: 0,
-        steps: case.steps,
-        sub_steps: 0,
-        expected: case.expected.name(),
-        status: "completed".to_owned(),
-        passed: false,
-        energy_ratio: 1.0,
-        energy_bound: MOST_ENERGY,
-        energy_end: 1.0,
-        elastic_ratio: 0.0,
-        non_finite: 0,
-        volume_least: 1.0,
-        volume_most: 1.0,
-        volume_drift: 0.0,
-        lost: 0.0,
-        min_det: 1.0,
-        inverted: 0,
-        missed: 0,
-        unsettled: 0,
-        most_iterations: 0,
-        deflection: None,
-        seconds: 0.0,
-    };
-    let started = case.scene().and_then(|scene| Run::new(scene, backend));
-    match started {
-        Ok(mut run) => {
-            if let Err(error) = go(&mut run, &mut row) {
-                row.fail(error.to_string());
+impl Case {
+    /// Runs it. What fails is told in the row.
+    ///
+    /// # Errors
+    /// [`Error::Adapter`].
+    pub fn run(&self, backend: &Backend) -> Result<Row, Error> {
+        let clock = Instant::now();
+        let mut row = Row {
+            name: self.name.clone(),
+            group: self.group,
+            varies: self.varies.clone(),
+            cells: 0,
+            nodes: 0,
+            steps: self.steps,
+            sub_steps: 0,
+            expected: self.expected.name(),
+            status: "completed".to_owned(),
+            passed: false,
+            energy_ratio: 1.0,
+            energy_bound: MOST_ENERGY,
+            energy_end: 1.0,
+            elastic_ratio: 0.0,
+            non_finite: 0,
+            volume_least: 1.0,
+            volume_most: 1.0,
+            volume_drift: 0.0,
+            lost: 0.0,
+            min_det: 1.0,
+            inverted: 0,
+            missed: 0,
+            unsettled: 0,
+            most_iterations: None,
+            deflection: None,
+            seconds: 0.0,
+        };
+        let started = self.scene().and_then(|scene| Run::new(scene, backend));
+        match started {
+            Ok(mut run) => {
+                if let Err(error) = go(&mut run, &mut row) {
+                    row.fail(error.to_string());
+                }
             }
+            // Nothing can run then.
+            Err(error @ Error::Adapter { .. }) => return Err(error),
+            Err(error) => row.fail(format!("does not start: {error}")),
         }
-        // Nothing can run then.
-        Err(error @ Error::Adapter { .. }) => return Err(error),
-        Err(error) => row.fail(format!("does not start: {error}")),
+        row.seconds = clock.elapsed().as_secs_f64();
+        row.passed = self.expected.holds(&row);
+        Ok(row)
     }
-    row.seconds = clock.elapsed().as_secs_f64();
-    row.passed = case.expected.holds(&row);
-    Ok(row)
 }
 
 impl Row {
@@ -432,8 +447,9 @@ fn go(run: &mut Run, row: &mut Row) -> Result<(), Error> {
         }
         let solves = || report.solves();
         row.missed += u64::from(solves().any(|solve| solve.status != SolveStatus::Converged));
-        let most = solves().map(|solve| solve.iterations).max();
-        row.most_iterations = row.most_iterations.max(most.unwrap_or(0));
+        let iterations = solves().map(|solve| solve.iterations);
+        let most = iterations.filter(|&iterations| iterations > 0).max();
+        row.most_iterations = row.most_iterations.max(most);
         row.non_finite = non_finite(&state, &report);
         if row.non_finite > 0 {
             row.fail(format!(

@@ -2,7 +2,7 @@
 
 use plotters::prelude::*;
 
-use super::{Row, Table};
+use super::{Place, Row, Table};
 
 const LINE: i32 = 17;
 const HEAD: i32 = 74;
@@ -65,8 +65,10 @@ pub(super) fn draw(table: &Table, page: SVGBackend) -> Drawn {
     let failed = table.rows.iter().filter(|row| !row.passed).count()
         + table.limits.iter().filter(|row| !row.passed).count();
     let all = table.rows.len() + table.limits.len();
-    let machine = table.machine.as_ref();
-    let where_ = machine.map_or("the f64 path", |machine| &machine.adapter);
+    let where_ = match &table.place {
+        Place::Gpu(machine) => machine.adapter.as_str(),
+        Place::Cpu(_) => "the f64 path",
+    };
     page.text(
         &format!("Stability: {} of {all} cases pass, {where_}", all - failed),
         (COLUMNS[0], 10),
