@@ -82,6 +82,11 @@ need_swiftshader() {
     swiftshader_icd >/dev/null || fail "chromium-common has no /usr/lib/chromium/vk_swiftshader_icd.json"
 }
 
+# A browser without a screen, for the pages that the program writes.
+need_browser() {
+    command -v chromium-headless-shell >/dev/null || apt_install chromium-headless-shell
+}
+
 # The independent readers of the output files, in a virtual environment; sets CUTWATER_PYTHON.
 need_readers() {
     local venv=$PWD/target/readers wanted=tests/readers/requirements.txt

@@ -1,5 +1,6 @@
 //! Measurements: benches, comparisons, reports. Speed is claimed here only, as medians with their spread.
 
+pub mod agreement;
 pub mod bandwidth;
 pub mod base_scene;
 pub mod bench_accuracy;

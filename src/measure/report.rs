@@ -19,13 +19,17 @@ pub const PAGE: &str = "report.html";
 const PICTURES: usize = 3;
 /// Rows of a table that are shown; those of a long run are in its file.
 const MOST_ROWS: usize = 400;
+/// Characters of a cell above which it is cut where it is shown; the pointer over it shows all.
+const LONG: usize = 40;
 
 const STYLE: &str = "
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 1200px; padding: 0 1rem; color: #1b1f24 }
 h2 { border-bottom: 1px solid #d0d7de; margin-top: 3rem } figure { margin: 1rem 0 } svg, img { max-width: 100%; height: auto }
 .wide { overflow-x: auto } table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 13px }
 th, td { border: 1px solid #d0d7de; padding: .15rem .5rem; text-align: right } th { background: #f6f8fa }
-td:first-child, th:first-child { text-align: left } dt { font-weight: 600 } dd { margin: 0 0 .3rem 1rem }
+td:first-child, th:first-child { text-align: left } td { white-space: nowrap }
+.long { max-width: 30ch; overflow: hidden; text-overflow: ellipsis; text-align: left }
+dl { display: grid; grid-template-columns: max-content auto; gap: 0 1rem; font-size: 13px } dt { font-weight: 600 } dd { margin: 0; overflow-wrap: anywhere }
 .pictures { display: flex; gap: .5rem; flex-wrap: wrap } .pictures img { width: 380px }
 ";
 
@@ -145,6 +149,31 @@ fn gather(dir: &Path, folders: &mut Vec<Folder>) -> Result<(), Error> {
     Ok(())
 }
 
+/// All tables below a folder, in the order of their names.
+///
+/// # Errors
+/// [`Error::Input`] where a folder cannot be read.
+pub(super) fn csv_files(dir: &Path) -> Result<Vec<PathBuf>, Error> {
+    let mut folders = Vec::new();
+    gather(dir, &mut folders)?;
+    Ok(folders.into_iter().flat_map(|folder| folder.csv).collect())
+}
+
+/// Heads and rows of a table.
+///
+/// # Errors
+/// [`Error::Input`] where it cannot be read.
+pub(super) fn records(path: &Path) -> Result<(csv::StringRecord, Vec<csv::StringRecord>), Error> {
+    let text = read(path)?;
+    let mut reader = csv::Reader::from_reader(text.as_bytes());
+    let heads = reader
+        .headers()
+        .map_err(|problem| unreadable(path, &problem))?
+        .clone();
+    let rows = reader.records().collect::<Result<_, _>>();
+    Ok((heads, rows.map_err(|problem| unreadable(path, &problem))?))
+}
+
 /// The first, one in the middle and the last.
 fn some_of(paths: Vec<PathBuf>) -> Vec<PathBuf> {
     let n = paths.len();
@@ -169,7 +198,9 @@ fn file_name(path: &Path) -> String {
 
 fn section(dir: &Path, folder: &Folder) -> Result<Markup, Error> {
     let facts = folder.json.iter().map(|path| facts(path));
-    let facts: Vec<Vec<(String, String)>> = facts.collect::<Result<_, _>>()?;
+    let mut facts: Vec<Vec<(String, String)>> = facts.collect::<Result<_, _>>()?;
+    // Tables of one bench tell the same of it.
+    facts.dedup();
     let drawn = folder
         .svg
         .iter()
@@ -206,7 +237,7 @@ fn facts(path: &Path) -> Result<Vec<(String, String)>, Error> {
         serde_json::from_str(&read(path)?).map_err(|problem| unreadable(path, &problem))?;
     let plain = |value: &Value| match value {
         Value::String(text) => Some(text.clone()),
-        Value::Number(number) => Some(number.to_string()),
+        Value::Number(number) => Some(short(&number.to_string())),
         Value::Bool(flag) => Some(flag.to_string()),
         Value::Null | Value::Array(_) | Value::Object(_) => None,
     };
@@ -225,14 +256,7 @@ fn facts(path: &Path) -> Result<Vec<(String, String)>, Error> {
 }
 
 fn table(path: &Path) -> Result<Markup, Error> {
-    let text = read(path)?;
-    let mut reader = csv::Reader::from_reader(text.as_bytes());
-    let head = reader
-        .headers()
-        .map_err(|problem| unreadable(path, &problem))?
-        .clone();
-    let rows = reader.records().collect::<Result<Vec<_>, _>>();
-    let rows = rows.map_err(|problem| unreadable(path, &problem))?;
+    let (head, rows) = records(path)?;
     let left_out = rows.len().saturating_sub(MOST_ROWS);
     Ok(html! {
         details open[rows.len() <= 40] {
@@ -240,7 +264,16 @@ fn table(path: &Path) -> Result<Markup, Error> {
             div class="wide" {
                 table {
                     thead { tr { @for name in &head { th { (name) } } } }
-                    tbody { @for row in rows.iter().take(MOST_ROWS) { tr { @for cell in row { td { (short(cell)) } } } } }
+                    tbody {
+                        @for row in rows.iter().take(MOST_ROWS) {
+                            tr {
+                                @for cell in row {
+                                    @if cell.chars().count() > LONG { td class="long" title=(cell) { (short(cell)) } }
+                                    @else { td { (short(cell)) } }
+                                }
+                            }
+                        }
+                    }
                 }
             }
             @if left_out > 0 { p { (left_out) " more rows are in the file." } }

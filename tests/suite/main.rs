@@ -9,6 +9,7 @@ mod bench_sort;
 mod bench_stability;
 mod bench_step;
 mod bench_thesis;
+mod browser;
 mod checkpoint;
 mod cli;
 mod common;

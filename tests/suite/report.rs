@@ -1,7 +1,9 @@
 //! `report`: one page with everything in it, whatever the tables hold; refusals that name the file.
 
 use std::fs;
+use std::path::Path;
 
+use cutwater::measure::agreement::agreement;
 use cutwater::measure::insert::insert;
 use cutwater::measure::report::{Contents, PAGE, report};
 
@@ -204,4 +206,61 @@ fn tables_of_documents_are_written_anew() {
         text.contains("results: no table is there") && text.contains("speed.md"),
         "{text}"
     );
+}
+
+#[test]
+fn two_runs_are_compared_number_by_number() {
+    let folder = tempfile::tempdir().unwrap();
+    let [first, second] = ["first", "second"].map(|name| folder.path().join(name));
+    let write = |dir: &Path, table: &str| {
+        fs::create_dir_all(dir.join("solve")).unwrap();
+        fs::write(dir.join("solve/solve.csv"), table).unwrap();
+    };
+    let heads = "grid,note,seconds_median,seconds_min,seconds_max,rate,residual\n";
+    write(
+        &first,
+        &format!("{heads}20,a,1,0.9,1.2,10,1e-9\n40,,4,3.9,4.1,10,0\n"),
+    );
+    // Spreads that touch, and that do not; a rate within 1.5 / 0.9, and one beyond 6.1 / 3.9; a residual that is not the same.
+    write(
+        &second,
+        &format!("{heads}20,a,1.4,1.2,1.5,16,1e-9\n40,,6,5.9,6.1,15.7,1e-12\n"),
+    );
+    let columns = agreement(&first, &second).unwrap();
+    let said = |name: &str| {
+        let row = columns.iter().find(|row| row.column == name).unwrap();
+        (row.rows, row.same, row.agree)
+    };
+    assert_eq!(columns.len(), 5, "{columns:?}");
+    assert_eq!(said("grid"), (2, 2, 2));
+    assert_eq!(said("note"), (1, 1, 1));
+    assert_eq!(said("seconds_median"), (2, 0, 1));
+    assert_eq!(said("rate"), (2, 0, 1));
+    assert_eq!(said("residual"), (2, 1, 1));
+    let seconds = columns
+        .iter()
+        .find(|row| row.column == "seconds_median")
+        .unwrap();
+    assert_eq!(
+        [
+            seconds.ratio_least,
+            seconds.ratio_median,
+            seconds.ratio_most
+        ],
+        [Some(1.4), Some(1.45), Some(1.5)]
+    );
+    let table = fs::read_to_string(first.join("agreement.csv")).unwrap();
+    assert_eq!(table.lines().count(), 6);
+    // Not itself, the second time.
+    assert_eq!(agreement(&first, &second).unwrap(), columns);
+
+    let refused = |part: &str| {
+        let error = agreement(&first, &second).unwrap_err();
+        assert_eq!(error.exit_code(), 2, "{error}");
+        assert!(error.to_string().contains(part), "{error}");
+    };
+    write(&second, heads);
+    refused("number of its rows");
+    fs::remove_file(second.join("solve/solve.csv")).unwrap();
+    refused("no table of the name");
 }
