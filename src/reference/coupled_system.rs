@@ -246,11 +246,13 @@ impl Judged for CoupledSystem {
                 range: 0..n_cells,
                 unknowns: self.pressure.n_unknowns(),
                 scale: self.pressure.rhs_scale + norm(&fluxes),
+                acts: norm(&self.flux(velocity)),
             },
             Part {
                 range: n_cells..self.rhs.len(),
                 unknowns: self.solid.n_unknowns(),
                 scale: self.solid.rhs_scale + norm(&forces),
+                acts: norm(&self.force(pressure)),
             },
         ]
     }

@@ -15,6 +15,8 @@ const MARGIN: f64 = 0.9;
 const ROUND_TOLERANCE: f64 = 1e-10;
 /// A round that does not reduce the true residual by at least this factor is the last.
 const STAGNATION: f64 = 0.5;
+/// The share of what another part puts on a part's rows that counts as their right-hand side, where they have less of their own.
+const OF_OTHER: f64 = 0.01;
 
 /// A system A x = b that is judged on its true residual, as a whole or in parts.
 pub(super) trait Judged {
@@ -38,6 +40,7 @@ pub(super) trait Judged {
             range: 0..self.rhs().len(),
             unknowns: self.n_unknowns(),
             scale: self.rhs_scale(),
+            acts: 0.0,
         }]
     }
 }
@@ -47,6 +50,15 @@ pub(super) struct Part {
     pub(super) range: Range<usize>,
     pub(super) unknowns: usize,
     pub(super) scale: f64,
+    /// Norm of what another part puts on its rows.
+    pub(super) acts: f64,
+}
+
+impl Part {
+    /// What its residual is relative to.
+    fn acting(&self, rhs_norm: f64) -> f64 {
+        rhs_norm.max(OF_OTHER * self.acts)
+    }
 }
 
 /// An answer to A x = r.
@@ -71,7 +83,9 @@ impl Verdict {
                 .map(|part| norm(&residual[part.range.clone()]))
                 .collect(),
             targets: targets
-                .map(|(part, rhs_norm)| (tolerance * rhs_norm).max(EPSILON * part.scale))
+                .map(|(part, &rhs_norm)| {
+                    (tolerance * part.acting(rhs_norm)).max(EPSILON * part.scale)
+                })
                 .collect(),
         }
     }
@@ -173,9 +187,7 @@ fn reports(
         iterations,
         residual: match norm {
             0.0 => 0.0,
-            // Nothing but the other part acts on it.
-            norm if rhs_norm == 0.0 => norm / part.scale,
-            norm => norm / rhs_norm,
+            norm => norm / part.acting(rhs_norm),
         },
         status,
     };
