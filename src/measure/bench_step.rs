@@ -74,6 +74,8 @@ pub struct Row {
     pub seconds_min: f64,
     /// Largest.
     pub seconds_max: f64,
+    /// Unknowns of the pressure solve per second of the median.
+    pub cells_per_second: f64,
     /// Bytes that a sub-step must move.
     pub bytes: f64,
     /// Bytes per second over the copy bandwidth of the same run.
@@ -365,12 +367,13 @@ impl Run {
             .last()
             .and_then(|sample| sample.report.liquid)
             .map_or(0, |liquid| liquid.markers);
+        let unknowns = median(&Sample::unknowns);
         let row = Row {
             scene: self.scene.name.clone(),
             scale: self.scene.scale,
             cells: self.scene.grid().n_cells(),
             markers: last,
-            unknowns: median(&Sample::unknowns),
+            unknowns,
             band_cells: median(&|sample| sample.band_cells as f64),
             iterations: median(&Sample::iterations),
             nodes: self.simulation.solids().rest.len(),
@@ -381,6 +384,7 @@ impl Run {
             seconds_median: seconds.median,
             seconds_min: seconds.min,
             seconds_max: seconds.max,
+            cells_per_second: unknowns / seconds.median,
             bytes,
             share_of_copy_bandwidth: machine.share_of_copy_bandwidth(bytes, seconds.median),
         };

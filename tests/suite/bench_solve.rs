@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use cutwater::measure::bench_solve::{Formulation, Options, Rival, bench_solve};
+use cutwater::measure::bench_solve::{Formulation, Options, Rival, bench_solve, largest_grid};
 use cutwater::scene::Solver;
 
 use crate::common::gpu;
@@ -26,6 +26,7 @@ fn every_formulation_has_a_row_and_every_rival_its_own() {
     let folder = tempfile::tempdir().unwrap();
     let options = Options {
         against: vec![Rival::IncompleteCholesky, Rival::Cholesky],
+        repeats: 3,
         ..options(vec![
             Formulation::Pressure,
             Formulation::TwoField,
@@ -47,6 +48,9 @@ fn every_formulation_has_a_row_and_every_rival_its_own() {
         assert_eq!(row.status, "converged", "{row:?}");
         assert!(row.residual_p <= 1e-8 && row.residual_v <= 1e-8, "{row:?}");
         assert!(row.bytes > 0.0 && row.seconds_min > 0.0, "{row:?}");
+        let cells = f64::from(row.active_cells);
+        assert!(row.cells_per_second * row.seconds_max >= 0.999 * cells);
+        assert!(row.cells_per_second * row.seconds_min <= 1.001 * cells);
     }
     assert!(pressure.residual_v == 0.0 && both.residual_v > 0.0);
     assert_eq!((told, table.against.len()), (9, 6));
@@ -56,8 +60,16 @@ fn every_formulation_has_a_row_and_every_rival_its_own() {
         // The recurrence's residual is not the true one.
         assert!(residual < if exact { 1e-9 } else { 2e-8 }, "{rival:?}");
         assert_eq!(rival.iterations.is_some(), !exact, "{rival:?}");
-        let ratio = rival.seconds_median.unwrap() / rival.device_seconds;
-        assert_eq!(rival.ratio, Some(ratio), "{rival:?}");
+        // Of the turns, whichever they were.
+        let bounds = [
+            rival.seconds_min.unwrap() / rival.device_seconds_max,
+            rival.ratio_min.unwrap(),
+            rival.ratio_median.unwrap(),
+            rival.ratio_max.unwrap(),
+            rival.seconds_max.unwrap() / rival.device_seconds_min,
+        ];
+        assert!(bounds.is_sorted() && bounds[0] > 0.0, "{rival:?}");
+        assert_eq!((rival.turns, rival.note.as_str()), (3, ""), "{rival:?}");
         let coupled = rival.formulation != "pressure";
         assert_eq!(
             rival.rows > rival.active_cells as usize,
@@ -87,8 +99,10 @@ fn growth_is_along_what_grows() {
     let left_out = table
         .against
         .iter()
-        .all(|row| row.seconds_median.is_none() && row.ratio.is_none() && row.factor_bytes > 1.0);
+        .all(|row| row.seconds_median.is_none() && row.turns == 0 && row.factor_bytes > 1.0);
     assert!(left_out, "{:?}", table.against);
+    let written = fs::read_to_string(folder.path().join("solve_against.csv")).unwrap();
+    assert_eq!(written.matches("GiB left out").count(), 6, "{written}");
     // Pressures with the cells; both with the cells for two beams, and with the nodes on two grids.
     let along: Vec<_> = table
         .growth
@@ -111,4 +125,21 @@ fn growth_is_along_what_grows() {
             "{growth:?}"
         );
     }
+}
+
+#[test]
+fn grids_without_room_are_refused_before_any_work() {
+    let Some(gpu) = gpu() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    let options = Options {
+        grids: vec![8, 1024],
+        ..options(vec![Formulation::Pressure])
+    };
+    let largest = largest_grid(gpu.report(), &options.solvers).unwrap();
+    assert!((20..1020).contains(&largest) && largest % 10 == 0);
+    let error = bench_solve(gpu, &options, &out, &mut |_, _| {}).unwrap_err();
+    let told = error.to_string();
+    assert!(told.contains(&format!("at most {largest} cells")), "{told}");
+    assert!(error.exit_code() == 3 && !out.exists(), "{told}");
 }

@@ -36,6 +36,8 @@ fn tables_are_complete_and_both_domains_hold_the_same_liquid() {
         );
         assert!(row.bytes > 100.0 * row.unknowns, "{row:?}");
         assert!(row.share_of_copy_bandwidth > 0.0, "{row:?}");
+        assert!(row.cells_per_second * row.seconds_max >= 0.999 * row.unknowns);
+        assert!(row.cells_per_second * row.seconds_min <= 1.001 * row.unknowns);
     }
     // The jitter depends on the cell's number, so the markers are others, but about as many.
     let alike = |a: f64, b: f64, bound: f64| (a / b - 1.0).abs() <= bound;

@@ -13,9 +13,9 @@ use crate::cli::AdapterArgs;
 
 #[derive(Debug, Args)]
 pub(super) struct Solve {
-    /// Cells along an edge of the block
-    #[arg(long, value_delimiter = ',', default_values_t = [20, 40, 60, 80])]
-    grids: Vec<usize>,
+    /// Cells along an edge of the block; max: the largest multiple of 10 that the adapter and this machine have room for
+    #[arg(long, value_delimiter = ',', default_values = ["20", "40", "60", "80"])]
+    grids: Vec<GridName>,
     /// Bricks across the beam, for beams of their own sizes instead of that which goes with the grid
     #[arg(long, value_delimiter = ',')]
     bricks: Vec<usize>,
@@ -53,6 +53,26 @@ pub(super) struct Solve {
     adapter: AdapterArgs,
 }
 
+#[derive(Clone, Copy, Debug)]
+enum GridName {
+    Cells(usize),
+    Max,
+}
+
+impl std::str::FromStr for GridName {
+    type Err = &'static str;
+
+    fn from_str(text: &str) -> Result<GridName, Self::Err> {
+        match text {
+            "max" => Ok(GridName::Max),
+            _ => text
+                .parse()
+                .map(GridName::Cells)
+                .map_err(|_| "give numbers of cells, or max"),
+        }
+    }
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum FormulationName {
     Pressure,
@@ -73,16 +93,17 @@ const GIB: f64 = (1_u64 << 30) as f64;
 /// Bricks across the beam.
 const BRICKS: std::ops::RangeInclusive<usize> = 1..=32;
 
-/// Cells along an edge of the base block: 2^30 in all at most, as of a scene.
-const GRIDS: std::ops::RangeInclusive<usize> = 2..=1024;
+/// Cells along an edge of the base block.
+const GRIDS: std::ops::RangeInclusive<usize> = 2..=bench_solve::LARGEST_GRID;
 
 impl Solve {
     pub(super) fn run(&self) -> Result<(), Error> {
-        if let Some(&grid) = self.grids.iter().find(|n| !GRIDS.contains(n)) {
+        let outside = |grid: &&GridName| matches!(grid, GridName::Cells(n) if !GRIDS.contains(n));
+        if let Some(GridName::Cells(n)) = self.grids.iter().find(outside) {
             return Err(Error::input(
-                format!("--grids {grid}"),
+                format!("--grids {n}"),
                 "too few or too many cells along an edge",
-                "give grids of 2 to 1024 cells",
+                "give grids of 2 to 1024 cells, or max",
             ));
         }
         if let Some(&bricks) = self.bricks.iter().find(|n| !BRICKS.contains(n)) {
@@ -122,6 +143,11 @@ impl Solve {
                 });
             }
         }
+        let grids = self.grids.iter().map(|grid| match grid {
+            GridName::Cells(n) => Ok(*n),
+            GridName::Max => bench_solve::largest_grid(gpu.report(), &solvers),
+        });
+        let grids = grids.collect::<Result<_, _>>()?;
         let formulations = self.formulation.iter().map(|name| match name {
             FormulationName::Pressure => Formulation::Pressure,
             FormulationName::TwoField => Formulation::TwoField,
@@ -133,7 +159,7 @@ impl Solve {
         });
         let options = Options {
             formulations: formulations.collect(),
-            grids: self.grids.clone(),
+            grids,
             bricks: match self.bricks.is_empty() {
                 true => vec![None],
                 false => self.bricks.iter().copied().map(Some).collect(),
@@ -165,17 +191,15 @@ impl Solve {
                 row.status,
             );
             for rival in against {
-                match (rival.seconds_median, rival.ratio) {
+                match (rival.seconds_median, rival.ratio_median) {
                     (Some(seconds), Some(ratio)) => say!(
-                        "      {:8} on the CPU: {seconds:.4} s, {ratio:.2} times as long, residual {:.1e}",
+                        "      {:8} on the CPU: {seconds:.4} s, {ratio:.2} times as long ({:.2}, {:.2}), residual {:.1e}",
                         rival.rival,
+                        rival.ratio_min.unwrap_or(ratio),
+                        rival.ratio_max.unwrap_or(ratio),
                         rival.residual.unwrap_or(0.0)
                     ),
-                    _ => say!(
-                        "      {:8} on the CPU: left out, its factor would take {:.1} GiB",
-                        rival.rival,
-                        rival.factor_bytes / GIB
-                    ),
+                    _ => say!("      {:8} on the CPU: {}", rival.rival, rival.note),
                 }
             }
         })?;

@@ -62,11 +62,11 @@ impl Step {
             adapter: self.adapter.choice(),
         };
         say!(
-            "scene                       cells  unknowns   markers     nodes  sub-steps  ms (least, largest)  of copy bandwidth"
+            "scene                       cells  unknowns   markers     nodes  sub-steps  ms (least, largest)  cells/s  of copy bandwidth"
         );
         let table = bench_step::bench_step(&options, &self.out, &mut |row| {
             say!(
-                "{:24} {:8}  {:8}  {:8}  {:8}  {:9}  {:.2} ({:.2}, {:.2})  {:.0} %",
+                "{:24} {:8}  {:8}  {:8}  {:8}  {:9}  {:.2} ({:.2}, {:.2})  {:.1e}  {:.0} %",
                 row.scene,
                 row.cells,
                 row.unknowns + row.solid_unknowns,
@@ -76,6 +76,7 @@ impl Step {
                 1e3 * row.seconds_median,
                 1e3 * row.seconds_min,
                 1e3 * row.seconds_max,
+                row.cells_per_second,
                 100.0 * row.share_of_copy_bandwidth,
             );
         })?;

@@ -10,8 +10,10 @@ use crate::linalg::{Csr, Incomplete, SymbolicCholesky, conjugate_gradient, norm}
 use super::super::statistics::Spread;
 use super::Row;
 
-/// Repeats end once they have taken so long, s.
+/// Turns end once they have taken so long, s.
 const LONG_ENOUGH: f64 = 20.0;
+
+const GIB: f64 = (1_u64 << 30) as f64;
 
 /// Another solver, on the CPU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,7 +54,11 @@ pub struct Against {
     /// As in [`Row`].
     pub precision: &'static str,
     /// As in [`Row`], on the device.
-    pub device_seconds: f64,
+    pub device_seconds_median: f64,
+    /// Least.
+    pub device_seconds_min: f64,
+    /// Largest.
+    pub device_seconds_max: f64,
     /// `ic0_cg` or `cholesky`.
     pub rival: &'static str,
     /// Of the matrix.
@@ -63,6 +69,8 @@ pub struct Against {
     pub factor_bytes: f64,
     /// Of conjugate gradients.
     pub iterations: Option<usize>,
+    /// How often it was solved, each time after the device.
+    pub turns: usize,
     /// Factor and solution, the order found included; the matrix is there.
     pub seconds_median: Option<f64>,
     /// Least.
@@ -71,8 +79,14 @@ pub struct Against {
     pub seconds_max: Option<f64>,
     /// True relative residual of the rival's own system.
     pub residual: Option<f64>,
-    /// Median seconds over those on the device.
-    pub ratio: Option<f64>,
+    /// Seconds over those on the device in the same turn, median of the turns.
+    pub ratio_median: Option<f64>,
+    /// Least.
+    pub ratio_min: Option<f64>,
+    /// Largest.
+    pub ratio_max: Option<f64>,
+    /// Why it had no turns; else empty.
+    pub note: String,
 }
 
 /// A rival at work on a system.
@@ -82,9 +96,10 @@ pub(super) struct Contest<'a> {
     rhs: &'a [f64],
     tolerance: f64,
     factor_bytes: f64,
-    /// Whether the factor is larger than what is allowed.
-    left_out: bool,
-    seconds: Vec<f64>,
+    /// Why it has no turns.
+    left_out: Option<String>,
+    /// Seconds of the device and of the rival.
+    turns: Vec<[f64; 2]>,
     iterations: Option<usize>,
     residual: f64,
 }
@@ -108,16 +123,18 @@ impl<'a> Contest<'a> {
             rhs,
             tolerance,
             factor_bytes,
-            left_out: factor_bytes > largest,
-            seconds: Vec::new(),
+            left_out: (factor_bytes > largest)
+                .then(|| format!("factor of {:.1} GiB left out", factor_bytes / GIB)),
+            turns: Vec::new(),
             iterations: None,
             residual: 0.0,
         })
     }
 
-    /// Solves once, unless it has taken long enough.
-    pub(super) fn turn(&mut self) -> Result<(), Error> {
-        if self.left_out || self.seconds.iter().sum::<f64>() > LONG_ENOUGH {
+    /// Solves once, unless it has taken long enough. `device`: seconds that the device took just before.
+    pub(super) fn turn(&mut self, device: f64) -> Result<(), Error> {
+        let taken: f64 = self.turns.iter().map(|[_, rival]| rival).sum();
+        if self.left_out.is_some() || taken > LONG_ENOUGH {
             return Ok(());
         }
         let mut x = self.rhs.to_vec();
@@ -125,7 +142,7 @@ impl<'a> Contest<'a> {
         match self.rival {
             Rival::IncompleteCholesky => {
                 let Some(factor) = Incomplete::new(self.matrix) else {
-                    self.left_out = true;
+                    self.left_out = Some("no incomplete factor without fill".to_owned());
                     return Ok(());
                 };
                 let most = 10 * self.matrix.n_rows();
@@ -138,7 +155,7 @@ impl<'a> Contest<'a> {
                 symbolic.factorise_in_parallel(self.matrix)?.solve(&mut x);
             }
         }
-        self.seconds.push(clock.elapsed().as_secs_f64());
+        self.turns.push([device, clock.elapsed().as_secs_f64()]);
         let mut residual = vec![0.0; x.len()];
         self.matrix.multiply(&x, &mut residual);
         for (r, b) in residual.iter_mut().zip(self.rhs) {
@@ -150,9 +167,8 @@ impl<'a> Contest<'a> {
 
     /// Beside the row of the device.
     pub(super) fn row(self, device: &Row) -> Against {
-        let found = !self.seconds.is_empty();
-        let seconds = found.then(|| Spread::of(self.seconds));
-        let median = seconds.map(|seconds| seconds.median);
+        let seconds = spread(&self.turns, |[_, rival]| rival);
+        let ratio = spread(&self.turns, ratio);
         Against {
             scene: device.scene,
             grid: device.grid,
@@ -162,17 +178,53 @@ impl<'a> Contest<'a> {
             formulation: device.formulation,
             preconditioner: device.preconditioner,
             precision: device.precision,
-            device_seconds: device.seconds_median,
+            device_seconds_median: device.seconds_median,
+            device_seconds_min: device.seconds_min,
+            device_seconds_max: device.seconds_max,
             rival: self.rival.name(),
             rows: self.matrix.n_rows(),
             entries: self.matrix.n_entries(),
             factor_bytes: self.factor_bytes,
             iterations: self.iterations,
-            seconds_median: median,
+            turns: self.turns.len(),
+            seconds_median: seconds.map(|seconds| seconds.median),
             seconds_min: seconds.map(|seconds| seconds.min),
             seconds_max: seconds.map(|seconds| seconds.max),
-            residual: found.then_some(self.residual),
-            ratio: median.map(|median| median / device.seconds_median),
+            residual: seconds.map(|_| self.residual),
+            ratio_median: ratio.map(|ratio| ratio.median),
+            ratio_min: ratio.map(|ratio| ratio.min),
+            ratio_max: ratio.map(|ratio| ratio.max),
+            note: self.left_out.unwrap_or_default(),
         }
+    }
+}
+
+/// Of a value of each turn, seconds of device and rival; none without turns.
+fn spread(turns: &[[f64; 2]], value: fn([f64; 2]) -> f64) -> Option<Spread> {
+    let values: Vec<f64> = turns.iter().copied().map(value).collect();
+    (!values.is_empty()).then(|| Spread::of(values))
+}
+
+fn ratio([device, rival]: [f64; 2]) -> f64 {
+    rival / device
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Spread, ratio, spread};
+
+    #[test]
+    fn ratios_are_of_the_same_turn() {
+        // The medians are 2 s and 4 s.
+        let turns = [[1.0, 4.0], [2.0, 2.0], [4.0, 12.0]];
+        let expected = Spread {
+            median: 3.0,
+            min: 1.0,
+            max: 4.0,
+        };
+        assert_eq!(spread(&turns, ratio), Some(expected));
+        let one = spread(&[[4.0, 1.0]], ratio);
+        assert_eq!(one, Some(Spread::exact(0.25)));
+        assert_eq!(spread(&[], ratio), None);
     }
 }

@@ -4,6 +4,7 @@
 //! compiles, is not counted. Solvers on the CPU take turns with the device. Bytes follow the model of `bytes_per_solve`: every array that a pass needs, once.
 
 mod against;
+mod capacity;
 mod growth;
 mod picture;
 
@@ -16,7 +17,7 @@ use serde::Serialize;
 
 use crate::Error;
 use crate::gpu::{Buffer, Gpu, Real, Recorder};
-use crate::grid::{Axis, Padded};
+use crate::grid::Axis;
 use crate::linalg::{self, Csr};
 use crate::output::write_atomically;
 use crate::reference::base_block::{BaseBlock, THETA_FLOOR};
@@ -34,6 +35,8 @@ use super::table::{Machine, write_csv, write_json, write_svg};
 
 use against::Contest;
 pub use against::{Against, Rival};
+use capacity::Capacity;
+pub use capacity::{LARGEST_GRID, largest_grid};
 pub use growth::Growth;
 
 /// What is solved for.
@@ -115,7 +118,9 @@ pub struct Row {
     pub residual_p: f64,
     /// That of the solids' rows; 0 without solids.
     pub residual_v: f64,
-    /// Unknowns times iterations per second.
+    /// Unknowns per second of the median.
+    pub cells_per_second: f64,
+    /// The same times the iterations.
     pub cell_iterations_per_second: f64,
     /// Bytes that the solve must move.
     pub bytes: f64,
@@ -192,17 +197,16 @@ pub(super) fn name(precision: Precision) -> &'static str {
 /// hears of each row.
 ///
 /// # Errors
-/// [`Error::Output`], and what the device says.
+/// Before any work [`Error::Limit`] and [`Error::Memory`] where there is no room for a grid; [`Error::Output`], and what the device says.
 pub fn bench_solve(
     gpu: &Gpu,
     options: &Options,
     out: &Path,
     tell: &mut dyn FnMut(&Row, &[Against]),
 ) -> Result<Table, Error> {
-    for &n in &options.grids {
-        // Before anything is made: a block too large for the device may be too large for the host.
-        let bytes = 3 * 16 * Padded::new([n; 3]).quads as u64;
-        gpu.report().check_buffer("bench.open", bytes)?;
+    let capacity = Capacity::new(gpu.report())?;
+    for &grid in &options.grids {
+        capacity.check(grid, &options.solvers)?;
     }
     fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
     let mut table = Table {
@@ -312,7 +316,7 @@ fn by_turns<Outcome>(
         );
         seconds.push(elapsed);
         for rival in &mut *rivals {
-            rival.turn()?;
+            rival.turn(elapsed)?;
         }
     }
     Ok((Spread::of(seconds), outcome))
@@ -482,6 +486,7 @@ fn measure(
         seconds_max: seconds.max,
         residual_p: outcome.residual,
         residual_v: 0.0,
+        cells_per_second: unknowns / seconds.median,
         cell_iterations_per_second: unknowns * iterations / seconds.median,
         bytes,
         share_of_copy_bandwidth: machine.share_of_copy_bandwidth(bytes, seconds.median),
@@ -553,6 +558,7 @@ fn measure_coupled(
         seconds_max: seconds.max,
         residual_p: outcome.residuals[0],
         residual_v: outcome.residuals[1],
+        cells_per_second: n_cells / seconds.median,
         cell_iterations_per_second: n_cells * iterations / seconds.median,
         bytes,
         share_of_copy_bandwidth: machine.share_of_copy_bandwidth(bytes, seconds.median),

@@ -1,0 +1,181 @@
+//! Which grids an adapter and this machine have room for, before anything of their size is made.
+
+use std::path::Path;
+
+use crate::Error;
+use crate::elastic::Solids;
+use crate::gpu::{AdapterReport, BufferPlan};
+use crate::grid::Grid;
+use crate::scene::{Scene, Solver};
+use crate::sim::HostMemory;
+use crate::solver::{SolverBuffers, small_buffers, variant};
+
+/// Cells along an edge of the base block: 2^30 in all at most, as of a scene.
+pub const LARGEST_GRID: usize = 1024;
+/// The largest grid is looked for in multiples of it.
+const STEP: usize = 10;
+
+/// Bytes per cell that the host holds at the least while the device is set up, in f64: 7 numbers of the block (open fractions, velocities,
+/// distance), 6 of stencil and right-hand side, and 9 of the matrix, seven entries with their columns in 55 % of the cells.
+const PER_CELL: u64 = 8 * (7 + 6 + 9);
+
+/// Any scene: the check of scenes tells what memory is left.
+const ANY: &str = "
+[domain]
+size = [1, 1, 1]
+cells = [4, 4, 4]
+[time]
+duration = 1
+[[liquid.region]]
+box = { min = [0, 0, 0], max = [1, 0.5, 1] }
+";
+
+/// Cells along an edge of the largest base block that the adapter and this machine have room for, whichever of these solvers solves it: a
+/// multiple of 10. The beam and solvers on the CPU come on top.
+///
+/// # Errors
+/// [`Error::Limit`] and [`Error::Memory`] where there is no room for 10 cells.
+pub fn largest_grid(adapter: &AdapterReport, solvers: &[Solver]) -> Result<usize, Error> {
+    let capacity = Capacity::new(adapter)?;
+    capacity.check(STEP, solvers)?;
+    Ok(capacity.largest(solvers).unwrap_or(STEP))
+}
+
+/// What there is.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Capacity<'a> {
+    adapter: &'a AdapterReport,
+    /// Bytes of this machine that are free.
+    memory: u64,
+}
+
+impl<'a> Capacity<'a> {
+    /// Of an adapter and this machine.
+    pub(super) fn new(adapter: &'a AdapterReport) -> Result<Capacity<'a>, Error> {
+        let scene = Scene::parse(Path::new("bench solve"), ANY, &[], 1.0)?;
+        let memory = HostMemory::new(&scene, &Solids::default(), false)?.available;
+        Ok(Capacity { adapter, memory })
+    }
+
+    /// Refuses a grid that is too large; the cure names the largest that is not.
+    ///
+    /// # Errors
+    /// [`Error::Limit`], [`Error::Memory`].
+    pub(super) fn check(self, grid: usize, solvers: &[Solver]) -> Result<(), Error> {
+        let mut checked = self.fits(grid, solvers);
+        if let Err(Error::Limit { cure, .. } | Error::Memory { cure, .. }) = &mut checked {
+            let smaller = self.largest(solvers).map_or(String::new(), |largest| {
+                format!("give grids of at most {largest} cells (--grids max), or ")
+            });
+            *cure = format!("{smaller}use another adapter (--adapter) or machine");
+        }
+        checked
+    }
+
+    fn largest(self, solvers: &[Solver]) -> Option<usize> {
+        let mut grids = (1..=LARGEST_GRID / STEP).rev().map(|n| n * STEP);
+        grids.find(|&grid| self.fits(grid, solvers).is_ok())
+    }
+
+    fn fits(self, grid: usize, solvers: &[Solver]) -> Result<(), Error> {
+        solvers.iter().try_for_each(|solver| {
+            let plans = buffers(grid, solver, self.adapter.f64);
+            for plan in &plans {
+                self.adapter.check_buffer(plan.label, plan.bytes())?;
+            }
+            let memory = HostMemory {
+                needed: PER_CELL * (grid as u64).pow(3),
+                available: self.memory,
+            };
+            let bytes = plans.iter().map(BufferPlan::bytes).sum();
+            memory.beside(bytes, self.adapter).check()
+        })
+    }
+}
+
+/// What grows with the grid on an adapter with or without f64.
+fn buffers(grid: usize, solver: &Solver, f64: bool) -> Vec<BufferPlan> {
+    let grid = Grid {
+        cells: [grid; 3],
+        dx: 1.0 / grid as f64,
+    };
+    let variant = variant(f64, solver.precision);
+    let n = grid.padded().len();
+    let mut plans = vec![
+        BufferPlan::of::<[f32; 3]>("bench.open", n),
+        BufferPlan::of::<[f32; 3]>("bench.velocity", n),
+        BufferPlan::of::<f32>("bench.liquid_distance", n),
+    ];
+    plans.extend(SolverBuffers::plan(&grid, variant));
+    plans.extend(small_buffers(&grid, solver, variant));
+    plans
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Capacity, PER_CELL};
+    use crate::Error;
+    use crate::gpu::AdapterReport;
+    use crate::scene::{Precision, Solver};
+
+    fn adapter(kind: &'static str, storage_binding: u64) -> AdapterReport {
+        AdapterReport {
+            name: "made up".to_owned(),
+            driver: String::new(),
+            backend: "vulkan".to_owned(),
+            kind,
+            f64: true,
+            timestamps: true,
+            storage_buffers: 8,
+            storage_binding,
+            buffer: 1 << 40,
+            threads: 256,
+            workgroups: 65535,
+        }
+    }
+
+    fn solver(precision: Precision) -> Solver {
+        Solver {
+            precision,
+            ..Solver::default()
+        }
+    }
+
+    /// The matrix is what is largest: 80 bytes a quad in f32, 9852 quads of all levels at 30 cells, 24820 at 40; in f64 160 bytes,
+    /// 3664 quads at 20 cells.
+    #[test]
+    fn the_largest_binding_decides() {
+        let adapter = adapter("discrete", 1 << 20);
+        let memory = 1 << 40;
+        let capacity = Capacity {
+            adapter: &adapter,
+            memory,
+        };
+        let [mixed, f64] = [Precision::Mixed, Precision::F64].map(solver);
+        for (solvers, largest) in [(vec![mixed], 30), (vec![f64], 20), (vec![mixed, f64], 20)] {
+            assert_eq!(capacity.largest(&solvers), Some(largest));
+            capacity.check(largest, &solvers).unwrap();
+            let error = capacity.check(largest + 10, &solvers).unwrap_err();
+            assert!(matches!(error, Error::Limit { .. }), "{error}");
+            let told = format!("at most {largest} cells");
+            assert!(error.to_string().contains(&told), "{error}");
+        }
+    }
+
+    #[test]
+    fn free_memory_decides_and_software_adapters_share_it() {
+        let solvers = [solver(Precision::Mixed)];
+        let memory = PER_CELL * 50_u64.pow(3);
+        let largest = |kind, memory| {
+            let adapter = &adapter(kind, 1 << 32);
+            Capacity { adapter, memory }.largest(&solvers)
+        };
+        assert_eq!(largest("discrete", memory), Some(50));
+        assert_eq!(largest("discrete", memory - 1), Some(40));
+        assert!(largest("software", memory) < Some(50));
+        let adapter = &adapter("discrete", 1 << 32);
+        let nothing = Capacity { adapter, memory: 0 };
+        let error = nothing.check(8, &solvers).unwrap_err();
+        assert!(matches!(error, Error::Memory { .. }), "{error}");
+    }
+}
