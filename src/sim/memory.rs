@@ -17,7 +17,7 @@ const PER_MARKER: u64 = 48;
 pub struct HostMemory {
     /// Bytes that the scene takes.
     pub needed: u64,
-    /// Bytes that this machine, or the container, has left; swap counts.
+    /// What there is: [`free_memory`].
     pub available: u64,
 }
 
@@ -32,15 +32,9 @@ impl HostMemory {
         let markers =
             geometry::estimate_markers(scene, &grid, &solids.moved(&displacement))? as u64;
         let per_cell = if on_cpu { PER_CELL_CPU } else { PER_CELL_GPU };
-        let mut system = sysinfo::System::new();
-        system.refresh_memory();
-        let mut available = system.available_memory() + system.free_swap();
-        if let Some(limits) = system.cgroup_limits() {
-            available = available.min(limits.free_memory + limits.free_swap);
-        }
         Ok(HostMemory {
             needed: grid.n_cells() as u64 * per_cell + markers * PER_MARKER,
-            available,
+            available: free_memory(),
         })
     }
 
@@ -67,4 +61,15 @@ impl HostMemory {
             cure: "use fewer cells (--scale), or a machine with more memory".to_owned(),
         })
     }
+}
+
+/// Bytes that this machine, or the container, has left; swap counts.
+pub fn free_memory() -> u64 {
+    let mut system = sysinfo::System::new();
+    system.refresh_memory();
+    let available = system.available_memory() + system.free_swap();
+    let limits = system.cgroup_limits();
+    limits.map_or(available, |limits| {
+        available.min(limits.free_memory + limits.free_swap)
+    })
 }

@@ -13,7 +13,7 @@ mod squeeze;
 mod step;
 
 pub use gpu_path::GpuPath;
-pub use memory::HostMemory;
+pub use memory::{HostMemory, free_memory};
 pub use plan::{EffectLine, Plan, StagePlan};
 pub use run::{Options, Progress, Resumed, Summary, run};
 pub use snapshot::{

@@ -488,6 +488,7 @@ impl<S: System> OuterLoop<S> {
             mut r,
             mut rr,
             mut dd,
+            ..
         } = system.residual(&x);
         let status = loop {
             let goal = goal(&self.solver, [norms[NORM_B], norms[NORM_TERMS]], dd);

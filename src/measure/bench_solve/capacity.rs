@@ -1,13 +1,10 @@
 //! Which grids an adapter and this machine have room for, before anything of their size is made.
 
-use std::path::Path;
-
 use crate::Error;
-use crate::elastic::Solids;
 use crate::gpu::{AdapterReport, BufferPlan};
 use crate::grid::Grid;
-use crate::scene::{Scene, Solver};
-use crate::sim::HostMemory;
+use crate::scene::Solver;
+use crate::sim::{HostMemory, free_memory};
 use crate::solver::{SolverBuffers, small_buffers, variant};
 
 /// Cells along an edge of the base block: 2^30 in all at most, as of a scene.
@@ -19,24 +16,13 @@ const STEP: usize = 10;
 /// distance), 6 of stencil and right-hand side, and 9 of the matrix, seven entries with their columns in 55 % of the cells.
 const PER_CELL: u64 = 8 * (7 + 6 + 9);
 
-/// Any scene: the check of scenes tells what memory is left.
-const ANY: &str = "
-[domain]
-size = [1, 1, 1]
-cells = [4, 4, 4]
-[time]
-duration = 1
-[[liquid.region]]
-box = { min = [0, 0, 0], max = [1, 0.5, 1] }
-";
-
 /// Cells along an edge of the largest base block that the adapter and this machine have room for, whichever of these solvers solves it: a
 /// multiple of 10. The beam and solvers on the CPU come on top.
 ///
 /// # Errors
 /// [`Error::Limit`] and [`Error::Memory`] where there is no room for 10 cells.
 pub fn largest_grid(adapter: &AdapterReport, solvers: &[Solver]) -> Result<usize, Error> {
-    let capacity = Capacity::new(adapter)?;
+    let capacity = Capacity::new(adapter);
     capacity.check(STEP, solvers)?;
     Ok(capacity.largest(solvers).unwrap_or(STEP))
 }
@@ -51,10 +37,9 @@ pub(super) struct Capacity<'a> {
 
 impl<'a> Capacity<'a> {
     /// Of an adapter and this machine.
-    pub(super) fn new(adapter: &'a AdapterReport) -> Result<Capacity<'a>, Error> {
-        let scene = Scene::parse(Path::new("bench solve"), ANY, &[], 1.0)?;
-        let memory = HostMemory::new(&scene, &Solids::default(), false)?.available;
-        Ok(Capacity { adapter, memory })
+    pub(super) fn new(adapter: &'a AdapterReport) -> Capacity<'a> {
+        let memory = free_memory();
+        Capacity { adapter, memory }
     }
 
     /// Refuses a grid that is too large; the cure names the largest that is not.

@@ -204,7 +204,7 @@ pub fn bench_solve(
     out: &Path,
     tell: &mut dyn FnMut(&Row, &[Against]),
 ) -> Result<Table, Error> {
-    let capacity = Capacity::new(gpu.report())?;
+    let capacity = Capacity::new(gpu.report());
     for &grid in &options.grids {
         capacity.check(grid, &options.solvers)?;
     }
