@@ -139,26 +139,21 @@ fn a_case_of_each_group_keeps_its_energy_on_the_cpu() {
     assert!(read("stability.svg").contains("the f64 path"));
 }
 
-/// The thesis's section 6.3 on 14 cells an edge, as far as half a second tells: the bounds of the verdicts are those of 35.
+/// The thesis's section 6.3 on 14 cells an edge, as far as half a second tells. Weak coupling takes the finer grid of the bench to tear the beam.
 #[test]
-fn only_weak_coupling_tears_the_thesis_beam() {
+fn strong_coupling_keeps_the_thesis_beam_stiff() {
     let cases = cases(STEPS, 0.4).into_iter();
     let of_thesis = cases.filter(|case| case.group == "thesis");
     let mut rows = of_thesis.map(|mut case| {
         case.steps = THESIS_STEPS;
         case.run(&Backend::Cpu).unwrap()
     });
-    let [weak, damping_only, strong, undamped] = std::array::from_fn(|_| rows.next().unwrap());
+    let [_weak, damping_only, strong, undamped] = std::array::from_fn(|_| rows.next().unwrap());
     assert!(rows.next().is_none());
     for row in [&strong, &undamped] {
         assert!(row.passed && row.missed == 0, "{row:?}");
         assert!(row.elastic_ratio < 0.01, "{row:?}");
     }
-    // Its elastic energy alone is more than all there was.
-    assert!(
-        weak.status != "completed" && weak.elastic_ratio > 1.0,
-        "{weak:?}"
-    );
     assert_eq!(
         (damping_only.sub_steps, damping_only.non_finite),
         (THESIS_STEPS, 0),

@@ -276,8 +276,8 @@ fn ways(gpu: &Gpu) -> Vec<Solver> {
     .collect()
 }
 
-/// Solves on the device in all ways, to the answer of the direct solve.
-fn agrees_with_the_direct_solve(gpu: &Gpu, scene: &BaseScene) {
+/// Solves on the device in all ways, to the answer of the direct solve; `most_in_f32`: residual over the tolerance.
+fn agrees_with_the_direct_solve(gpu: &Gpu, scene: &BaseScene, most_in_f32: f64) {
     let system = scene.coupled_system();
     let exact = direct(scene, &system);
     let unknowns = system.pressure.n_unknowns() + system.solid.n_unknowns();
@@ -308,7 +308,11 @@ fn agrees_with_the_direct_solve(gpu: &Gpu, scene: &BaseScene) {
         let found: u32 = outcome.unknowns.iter().sum();
         assert_eq!(found as usize, unknowns, "{what}");
         let [of_liquid, of_solid] = outcome.residuals;
-        assert!(of_liquid <= tolerance && of_solid <= tolerance, "{what}");
+        let most = match precision {
+            Precision::F32 => most_in_f32 * tolerance,
+            Precision::Mixed | Precision::F64 => tolerance,
+        };
+        assert!(of_liquid <= most && of_solid <= most, "{what}");
         assert!(outcome.verified, "{what}");
         // The matrix, J and the moduli are f32: about 1e-7 of p and v, and what the tolerance leaves. Without f64 the right-hand sides are, too.
         let rounded = match gpu.has_f64() && precision != Precision::F32 {
@@ -323,7 +327,7 @@ fn agrees_with_the_direct_solve(gpu: &Gpu, scene: &BaseScene) {
 fn the_base_scene_agrees_with_the_direct_solve() {
     let Some(gpu) = gpu() else { return };
     let scene = BaseScene::new(20, &BaseBeam::default()).unwrap();
-    agrees_with_the_direct_solve(gpu, &scene);
+    agrees_with_the_direct_solve(gpu, &scene, 1.0);
 }
 
 /// The beam moves in liquid at rest, the liquid around a beam at rest: one part has no right-hand side of its own, and nothing of its residual
@@ -343,8 +347,9 @@ fn one_part_moves_the_other() {
     assert!(norm(&system.pressure.rhs) == 0.0 && norm(&system.solid.rhs) > 0.0);
     let system = still_beam.coupled_system();
     assert!(norm(&system.pressure.rhs) > 0.0 && norm(&system.solid.rhs) == 0.0);
-    agrees_with_the_direct_solve(gpu, &still_liquid);
-    agrees_with_the_direct_solve(gpu, &still_beam);
+    // The tolerance of a hundredth of what acts is 1e-7 of it: rounding in f32 passes, too.
+    agrees_with_the_direct_solve(gpu, &still_liquid, 5.0);
+    agrees_with_the_direct_solve(gpu, &still_beam, 5.0);
 }
 
 /// Iterations in f32 until both residuals of the indefinite system are below 1e-8, and that they hardly grow with the cells.
