@@ -137,7 +137,7 @@ fn grids_without_room_are_refused_before_any_work() {
         ..options(vec![Formulation::Pressure])
     };
     let largest = largest_grid(gpu.report(), &options.solvers).unwrap();
-    assert!((20..1020).contains(&largest) && largest % 10 == 0);
+    assert!((20..1020).contains(&largest) && largest.is_multiple_of(10));
     let error = bench_solve(gpu, &options, &out, &mut |_, _| {}).unwrap_err();
     let told = error.to_string();
     assert!(told.contains(&format!("at most {largest} cells")), "{told}");

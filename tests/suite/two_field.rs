@@ -347,9 +347,10 @@ fn one_part_moves_the_other() {
     assert!(norm(&system.pressure.rhs) == 0.0 && norm(&system.solid.rhs) > 0.0);
     let system = still_beam.coupled_system();
     assert!(norm(&system.pressure.rhs) > 0.0 && norm(&system.solid.rhs) == 0.0);
-    // The tolerance of a hundredth of what acts is 1e-7 of it: rounding in f32 passes, too.
+    // The tolerance of a hundredth of what acts is 1e-7 of it. In f32 what rounding the unknowns leaves passes, too: of the beam's velocities it is
+    // as much more as the beam is stiffer than what pushes it.
     agrees_with_the_direct_solve(gpu, &still_liquid, 5.0);
-    agrees_with_the_direct_solve(gpu, &still_beam, 5.0);
+    agrees_with_the_direct_solve(gpu, &still_beam, 100.0);
 }
 
 /// Iterations in f32 until both residuals of the indefinite system are below 1e-8, and that they hardly grow with the cells.
