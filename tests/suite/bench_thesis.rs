@@ -7,7 +7,9 @@ use std::path::Path;
 
 use cutwater::gpu::AdapterChoice;
 use cutwater::linalg::{Csr, eigenvalues};
-use cutwater::measure::bench_thesis::{Options, Order, Row, ThesisTable, bench_thesis, conditions};
+use cutwater::measure::bench_thesis::{
+    Options, Order, Row, ThesisTable, Told, bench_thesis, conditions,
+};
 use cutwater::measure::plane_strain::{PlaneStrain, TABLE_6_5, TABLE_6_6};
 use cutwater::reference::base_scene::{BaseBeam, BaseScene};
 use cutwater::reference::{BlockPattern, solid_matrices};
@@ -28,6 +30,7 @@ fn options(grids: &[usize]) -> Options {
         precisions: vec![Precision::Mixed],
         repeats: 1,
         adapter: AdapterChoice::Best,
+        resume: false,
     }
 }
 
@@ -366,11 +369,17 @@ fn systems_of_the_dam_break_are_measured() {
         tables: vec![ThesisTable::T6_2, ThesisTable::T6_4],
         ..options(&[12])
     };
-    let mut told = 0;
-    let table = bench_thesis(&options, folder.path(), &mut |_| {
-        // What was measured is kept, whatever becomes of the rest.
-        let kept = fs::read_to_string(folder.path().join("thesis_systems.csv"));
-        assert_eq!(kept.map_or(0, |text| text.lines().count() - 1), told);
+    let file = folder.path().join("thesis_systems.csv");
+    let (mut told, mut last) = (0, None);
+    let table = bench_thesis(&options, folder.path(), &mut |row| {
+        let Told::System(row) = row else {
+            panic!("{row:?}")
+        };
+        // What was measured before of a table and a state is kept, whatever becomes of the rest.
+        if last.replace((row.table, row.nodes)) != Some((row.table, row.nodes)) {
+            let kept = fs::read_to_string(&file);
+            assert_eq!(kept.map_or(0, |text| text.lines().count() - 1), told);
+        }
         told += 1;
     });
     let table = table.unwrap();
@@ -419,6 +428,41 @@ fn systems_of_the_dam_break_are_measured() {
         assert!(text.starts_with(columns) && !text.contains("NaN"), "{file}");
     }
     assert!(!folder.path().join("thesis.csv").exists());
+
+    // Goes on: only the states that are missing are measured, and the rows of the others are there to the digit.
+    let before = fs::read_to_string(&file).unwrap();
+    let more = Options {
+        tables: vec![ThesisTable::T6_4],
+        frames: vec![9, 10],
+        resume: true,
+        ..options
+    };
+    let mut frames = Vec::new();
+    let longer = bench_thesis(&more, folder.path(), &mut |row| match row {
+        Told::System(row) => frames.push(row.frame),
+        other => panic!("{other:?}"),
+    });
+    assert_eq!(frames, [9; 4]);
+    assert_eq!(longer.unwrap().systems.len(), table.systems.len() + 4);
+    let after = fs::read_to_string(&file).unwrap();
+    assert!(
+        before.lines().all(|line| after.contains(line)),
+        "{before}{after}"
+    );
+    // Not with the rows of another adapter.
+    let json = folder.path().join("thesis.json");
+    let text = fs::read_to_string(&json).unwrap();
+    fs::write(
+        &json,
+        text.replacen("\"adapter\": \"", "\"adapter\": \"another ", 1),
+    )
+    .unwrap();
+    let error = bench_thesis(&more, folder.path(), &mut |_| {}).unwrap_err();
+    assert_eq!(error.exit_code(), 2);
+    assert!(
+        error.to_string().contains("another ") && error.to_string().contains("--resume"),
+        "{error}"
+    );
 }
 
 #[test]

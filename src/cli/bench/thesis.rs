@@ -41,6 +41,9 @@ pub(super) struct Thesis {
     /// Folder of the results
     #[arg(long, default_value = "out/bench_thesis")]
     out: PathBuf,
+    /// Keep the rows of tables 6.2 to 6.4 that a run with these options left in the folder when it was stopped, and measure the others
+    #[arg(long)]
+    resume: bool,
     #[command(flatten)]
     adapter: AdapterArgs,
 }
@@ -103,6 +106,7 @@ impl Thesis {
             precisions: self.precision.iter().map(|name| name.precision()).collect(),
             repeats: self.repeats,
             adapter: self.adapter.choice(),
+            resume: self.resume,
         };
         let mut headed = [false; 3];
         let table = bench_thesis(&options, &self.out, &mut |row| match row {

@@ -121,6 +121,8 @@ pub struct Options {
     pub repeats: usize,
     /// Where.
     pub adapter: AdapterChoice,
+    /// Whether the rows of tables 6.2 to 6.4 that an earlier run with these options has left in the folder stay, and only the others are measured.
+    pub resume: bool,
 }
 
 impl Options {
@@ -168,8 +170,8 @@ pub enum Told<'a> {
 /// thesis.svg. `tell` hears of each row.
 ///
 /// # Errors
-/// [`Error::Input`] for grids and frames that the problems do not have and scenes that are not there, [`Error::Output`], and what the
-/// simulations say.
+/// [`Error::Input`] for grids and frames that the problems do not have, scenes that are not there, and an earlier run of another version or adapter;
+/// [`Error::Output`], and what the simulations say.
 pub fn bench_thesis(
     options: &Options,
     out: &Path,
@@ -187,12 +189,20 @@ pub fn bench_thesis(
     }
     let scenes = scenes::load(options)?;
     fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
+    let machine = Machine::new(&Gpu::new(&options.adapter)?, options.repeats)?;
+    let kept = match options.resume {
+        true => {
+            ensure_same_machine(&machine, &out.join("thesis.json"))?;
+            systems::kept(&out.join("thesis_systems.csv"))?
+        }
+        false => Vec::new(),
+    };
     let mut table = Table {
-        machine: Machine::new(&Gpu::new(&options.adapter)?, options.repeats)?,
+        machine,
         scenes: Vec::new(),
         rows: Vec::new(),
         orders: Vec::new(),
-        systems: Vec::new(),
+        systems: kept.clone(),
         means: Vec::new(),
         growth: Vec::new(),
     };
@@ -201,9 +211,9 @@ pub fn bench_thesis(
         table.scenes.push(row);
         table.write(options, out)
     })?;
-    systems::measure(options, &mut |row| {
-        tell(Told::System(&row));
-        table.systems.push(row);
+    systems::measure(options, &kept, &mut |rows| {
+        rows.iter().for_each(|row| tell(Told::System(row)));
+        table.systems.extend(rows);
         table.write(options, out)
     })?;
     accuracy::measure(options, &mut |row| {
@@ -214,10 +224,39 @@ pub fn bench_thesis(
     Ok(table)
 }
 
+/// Whether an earlier table, where there is one, is of the same version and adapter.
+fn ensure_same_machine(machine: &Machine, path: &Path) -> Result<(), Error> {
+    let Ok(text) = fs::read_to_string(path) else {
+        return Ok(());
+    };
+    let refused = |problem: String| {
+        Error::input(
+            path.display().to_string(),
+            problem,
+            "measure into another folder (--out), or leave --resume out to measure all anew",
+        )
+    };
+    let json: serde_json::Value = serde_json::from_str(&text)
+        .map_err(|problem| refused(format!("cannot be read: {problem}")))?;
+    for (key, now) in [
+        ("cutwater", machine.host.cutwater),
+        ("adapter", machine.adapter.as_str()),
+    ] {
+        let then = json[key].as_str().unwrap_or_default();
+        if then != now {
+            return Err(refused(format!(
+                "its {key} is {then:?}, that of this run {now:?}"
+            )));
+        }
+    }
+    Ok(())
+}
+
 impl Table {
     /// Makes again what follows from the rows, and writes what there is.
     fn write(&mut self, options: &Options, out: &Path) -> Result<(), Error> {
-        self.systems.sort_by_key(|row| row.table);
+        self.systems
+            .sort_by_key(|row| (row.table, row.grid, row.nodes, row.frame));
         self.means = systems::means(&self.systems);
         self.growth = systems::growth(&self.means);
         self.orders = accuracy::orders(&self.rows, &options.tables);

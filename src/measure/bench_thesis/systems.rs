@@ -5,10 +5,11 @@
 //! matrices and factors included; and the device does that sub-step.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
 
-use serde::Serialize;
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::condition::conditions;
 use super::{MOST_ITERATIONS, Options, PATIENCE, TOLERANCE, ThesisTable};
@@ -62,9 +63,10 @@ const PRINTED_6_4: [(usize, [[f64; 2]; 2]); 5] = [
 ];
 
 /// A row of thesis_systems.csv. What a table does not have is empty.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct SystemRow {
     /// Number of the table.
+    #[serde(deserialize_with = "word")]
     pub table: &'static str,
     /// Cells along an edge.
     pub grid: usize,
@@ -79,12 +81,16 @@ pub struct SystemRow {
     /// Sub-steps per frame up to this one.
     pub sub_steps_per_frame: f64,
     /// `indefinite`, `two-field`, `stress` or `condensed`.
+    #[serde(deserialize_with = "word")]
     pub formulation: &'static str,
     /// How it is solved.
+    #[serde(deserialize_with = "word")]
     pub solver: &'static str,
     /// `cpu` or `gpu`.
+    #[serde(deserialize_with = "word")]
     pub backend: &'static str,
     /// `f32`, `mixed` or `f64`.
+    #[serde(deserialize_with = "word")]
     pub precision: &'static str,
     /// Cells with a pressure.
     pub unknowns: usize,
@@ -99,6 +105,7 @@ pub struct SystemRow {
     /// That for the 2-norm with alpha = 1: SI units.
     pub log10_condition_unscaled: Option<f64>,
     /// How the solve ended.
+    #[serde(deserialize_with = "word_if_any")]
     pub status: Option<&'static str>,
     /// In all rounds.
     pub iterations: Option<u32>,
@@ -192,10 +199,39 @@ struct Case<'a> {
     other_stages: f64,
 }
 
-/// Gives `take` all rows of the tables asked for.
+/// A text of a table that was written before. It stays as long as the process, as those do that rows have from here: they are few.
+fn word<'de, D: Deserializer<'de>>(from: D) -> Result<&'static str, D::Error> {
+    Ok(String::deserialize(from)?.leak())
+}
+
+fn word_if_any<'de, D: Deserializer<'de>>(from: D) -> Result<Option<&'static str>, D::Error> {
+    let text = Option::<String>::deserialize(from)?;
+    Ok(text.map(|text| &*text.leak()))
+}
+
+/// The rows that an earlier run has left; none where there is no such file.
+///
+/// # Errors
+/// [`Error::Input`] where it cannot be read.
+pub(super) fn kept(path: &Path) -> Result<Vec<SystemRow>, Error> {
+    if !path.exists() {
+        return Ok(Vec::new());
+    }
+    let rows = csv::Reader::from_path(path).and_then(|reader| reader.into_deserialize().collect());
+    rows.map_err(|problem| {
+        Error::input(
+            path.display().to_string(),
+            format!("cannot be read: {problem}"),
+            "measure into another folder (--out), or leave --resume out to measure all anew",
+        )
+    })
+}
+
+/// Gives `take` all rows of the tables asked for that are not kept: those of a table and a state at a time.
 pub(super) fn measure(
     options: &Options,
-    take: &mut dyn FnMut(SystemRow) -> Result<(), Error>,
+    kept: &[SystemRow],
+    take: &mut dyn FnMut(Vec<SystemRow>) -> Result<(), Error>,
 ) -> Result<(), Error> {
     let mut sizes: BTreeMap<Size, Vec<ThesisTable>> = BTreeMap::new();
     for &table in &options.tables {
@@ -213,17 +249,31 @@ pub(super) fn measure(
     for (size, tables) in sizes {
         let scene = scene(size)?;
         let solids = solids_of(&scene)?;
+        let is_kept = |table: ThesisTable, frame: u64| {
+            let of = (table.number(), size.0, solids.rest.len(), frame);
+            let mut rows = kept.iter();
+            rows.any(|row| (row.table, row.grid, row.nodes, row.frame) == of)
+        };
+        let missing = |frame: u64| {
+            let tables = tables.iter().copied();
+            tables.filter(move |&table| !is_kept(table, frame))
+        };
+        let frames = options.frames.iter().copied();
+        let frames: Vec<u64> = frames
+            .filter(|&frame| missing(frame).next().is_some())
+            .collect();
+        if frames.is_empty() {
+            continue;
+        }
         let mut simulation = Simulation::new(&scene, &Backend::Gpu(options.adapter.clone()))?;
-        for &frame in &options.frames {
+        for frame in frames {
             while simulation.clock().frame < frame {
                 simulation.step()?;
             }
             let state = simulation.state()?;
             let case = Case::new(size, &scene, &solids, &state)?;
-            for &table in &tables {
-                for row in case.rows(table, options)? {
-                    take(row)?;
-                }
+            for table in missing(frame) {
+                take(case.rows(table, options)?)?;
             }
         }
     }
