@@ -809,7 +809,7 @@ solid = {{ name = \"ball\" }}
 }
 
 /// A scene from text, beside other files.
-fn simulation(lane: Lane, text: &str, files: &[(&str, String)]) -> Simulation {
+pub(crate) fn simulation(lane: Lane, text: &str, files: &[(&str, String)]) -> Simulation {
     let folder = tempfile::tempdir().expect("a folder for the scene");
     for (name, content) in files {
         fs::write(folder.path().join(name), content).expect("the mesh is written");
@@ -821,7 +821,7 @@ fn simulation(lane: Lane, text: &str, files: &[(&str, String)]) -> Simulation {
 }
 
 /// A sub-step, all solves of which must have converged.
-fn step(simulation: &mut Simulation) -> StepReport {
+pub(crate) fn step(simulation: &mut Simulation) -> StepReport {
     let report = simulation.step().unwrap_or_else(|error| panic!("{error}"));
     for solve in report.solves() {
         assert_eq!(solve.status, SolveStatus::Converged, "{report:?}");
@@ -830,7 +830,7 @@ fn step(simulation: &mut Simulation) -> StepReport {
 }
 
 /// Momentum of all solids over their mass, m/s.
-fn mean_velocity(simulation: &Simulation) -> DVec3 {
+pub(crate) fn mean_velocity(simulation: &Simulation) -> DVec3 {
     let state = simulation.state().unwrap_or_else(|error| panic!("{error}"));
     let solids = simulation.solids();
     let nodes = state.node_velocity.iter().zip(&solids.mass);
@@ -969,7 +969,7 @@ components = \"z\"
 }
 
 /// A disc about the origin as the prism of a regular polygon of the same area, upright along z, in the text of a Gmsh file: rings of
-/// wedges, three tetrahedra each.
+/// wedges.
 fn disc(radius: f64, thickness: f64, rings: usize, sides: usize) -> String {
     let turn = std::f64::consts::TAU / sides as f64;
     let corner = radius * (turn / turn.sin()).sqrt();
@@ -996,21 +996,30 @@ fn disc(radius: f64, thickness: f64, rings: usize, sides: usize) -> String {
             }
         }
     }
-    let low = nodes.len();
-    let all = [-0.5, 0.5].map(|z| nodes.iter().map(move |x| x + DVec3::Z * (z * thickness)));
-    let nodes: Vec<DVec3> = all.into_iter().flatten().collect();
+    extruded(&nodes, &triangles, &[-0.5 * thickness, 0.5 * thickness])
+}
+
+/// Triangles of a plane z = 0, drawn up through layers between heights, m, in the text of a Gmsh file: wedges of three tetrahedra each.
+pub(crate) fn extruded(flat: &[DVec3], triangles: &[[usize; 3]], heights: &[f64]) -> String {
+    let all = heights
+        .iter()
+        .flat_map(|&z| flat.iter().map(move |x| x.with_z(z)));
+    let nodes: Vec<DVec3> = all.collect();
     let mut elements = Vec::new();
-    for triangle in triangles {
-        // The least number first: neighbours cut the side between them along the same diagonal.
-        let first = (0..3)
-            .min_by_key(|&at| triangle[at])
-            .expect("three corners");
-        let [a, b, c] = [0, 1, 2].map(|at| triangle[(first + at) % 3]);
-        let [d, e, f] = [a, b, c].map(|node| node + low);
-        if b < c {
-            elements.extend([[a, b, c, f], [a, b, f, e], [a, e, f, d]]);
-        } else {
-            elements.extend([[a, b, c, e], [a, e, c, f], [a, e, f, d]]);
+    for layer in 1..heights.len() {
+        let low = (layer - 1) * flat.len();
+        for triangle in triangles {
+            // The least number first: neighbours cut the side between them along the same diagonal.
+            let first = (0..3)
+                .min_by_key(|&at| triangle[at])
+                .expect("three corners");
+            let [a, b, c] = [0, 1, 2].map(|at| low + triangle[(first + at) % 3]);
+            let [d, e, f] = [a, b, c].map(|node| node + flat.len());
+            if b < c {
+                elements.extend([[a, b, c, f], [a, b, f, e], [a, e, f, d]]);
+            } else {
+                elements.extend([[a, b, c, e], [a, e, c, f], [a, e, f, d]]);
+            }
         }
     }
     gmsh(&nodes, &elements)

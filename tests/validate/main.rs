@@ -7,8 +7,7 @@
 //!
 //! A case is a function that fills a [`Sheet`] with rows: what was expected, what came, what is allowed. Each topic has a file that
 //! lists its cases; the list of topics is [`cases`]. The table is printed; a page with charts of what came over what
-//! was expected, and the table as CSV, are written to `target/validate`. Exit
-//! code 1: a row failed.
+//! was expected, and the tables of docs/validation.md as CSV, are written to `target/validate`. Exit code 1: a row failed.
 
 // What the suite shares; it uses more of it.
 #[allow(dead_code, reason = "the suite uses the rest")]
@@ -26,9 +25,11 @@ mod solid_modes;
 #[path = "../suite/solid_scene.rs"]
 mod solid_scene;
 
+mod benches;
 mod coupled;
 mod coupled_scenes;
 mod coupled_truths;
+mod lamb;
 mod lane;
 mod liquid;
 mod page;
@@ -49,12 +50,15 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
 use cutwater::gpu::{AdapterChoice, Gpu};
+use cutwater::measure::table::Machine;
 
 use page::Chart;
 use sheet::{Row, Sheet};
 
 /// Something to find out.
 pub(crate) struct Case {
+    /// What it is about: a section of docs/validation.md.
+    topic: &'static str,
     /// Names it on the command line and in the table.
     id: String,
     run: Box<dyn Fn(&mut Sheet) + Send + Sync>,
@@ -63,7 +67,7 @@ pub(crate) struct Case {
 impl Case {
     fn new(id: impl Into<String>, run: impl Fn(&mut Sheet) + Send + Sync + 'static) -> Case {
         let (id, run) = (id.into(), Box::new(run));
-        Case { id, run }
+        Case { topic: "", id, run }
     }
 
     /// Its rows and charts. What panics fails.
@@ -77,28 +81,31 @@ impl Case {
             let text = text.or_else(|| panic.downcast_ref::<&str>().map(|text| (*text).into()));
             sheet.failed(&text.unwrap_or_else(|| "a panic".into()));
         }
-        sheet.finish(&self.id, seconds)
+        sheet.finish(self.topic, &self.id, seconds)
     }
 }
 
 /// All cases, in the order of the table.
 fn cases() -> Vec<Case> {
     [
-        liquid::cases(),
-        waves::cases(),
-        coupled::cases(),
-        coupled_truths::cases(),
-        coupled_scenes::cases(),
-        solid_elements::cases(),
-        solid_statics::cases(),
-        solid_motion::cases(),
-        solid_balances::cases(),
-        solid_inversion::cases(),
-        solid_scenes::cases(),
-        resume::cases(),
+        ("liquid", liquid::cases()),
+        ("liquid", waves::cases()),
+        ("coupled solve", coupled::cases()),
+        ("liquid and solids", coupled_truths::cases()),
+        ("liquid and solids", lamb::cases()),
+        ("liquid and solids", benches::cases()),
+        ("thesis", coupled_scenes::cases()),
+        ("thesis, two frames", coupled_scenes::frames()),
+        ("solids", solid_elements::cases()),
+        ("solids", solid_statics::cases()),
+        ("solids", solid_motion::cases()),
+        ("solids", solid_balances::cases()),
+        ("solids", solid_inversion::cases()),
+        ("hard materials", solid_scenes::cases()),
+        ("kills", resume::cases()),
     ]
     .into_iter()
-    .flatten()
+    .flat_map(|(topic, cases)| cases.into_iter().map(move |case| Case { topic, ..case }))
     .collect()
 }
 
@@ -160,8 +167,8 @@ fn main() -> ExitCode {
         cases.iter().for_each(|case| println!("{}", case.id));
         return ExitCode::SUCCESS;
     }
-    let adapter = match Gpu::new(&AdapterChoice::Best) {
-        Ok(gpu) => gpu.report().name.clone(),
+    let machine = match Gpu::new(&AdapterChoice::Best).and_then(|gpu| Machine::new(&gpu, 3)) {
+        Ok(machine) => machine,
         Err(error) => {
             eprintln!("{error}");
             return ExitCode::from(3);
@@ -169,7 +176,11 @@ fn main() -> ExitCode {
     };
     // The table tells the rest.
     panic::set_hook(Box::new(|panic| eprintln!("{panic}")));
-    println!("{} cases on {adapter}, {jobs} at a time\n", cases.len());
+    println!(
+        "{} cases on {}, {jobs} at a time\n",
+        cases.len(),
+        machine.adapter
+    );
     let start = Instant::now();
     let (rows, charts) = run(&cases, jobs);
     let failed: Vec<&Row> = rows
@@ -177,13 +188,14 @@ fn main() -> ExitCode {
         .filter(|row| row.passed == Some(false))
         .collect();
     let summary = format!(
-        "{} rows of {} cases in {:.0} s on {adapter}: {} failed",
+        "{} rows of {} cases in {:.0} s on {}: {} failed",
         rows.len(),
         cases.len(),
         start.elapsed().as_secs_f64(),
+        machine.adapter,
         failed.len()
     );
-    if let Err(error) = sheet::write(&rows, &charts, &summary) {
+    if let Err(error) = sheet::write(&rows, &charts, &summary, machine) {
         eprintln!("target/validate: {error}");
         return ExitCode::FAILURE;
     }

@@ -1,14 +1,20 @@
 //! The table of the validation.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::error::Error;
 use std::fmt::Write;
 use std::fs;
+
+use cutwater::measure::table::{Machine, Table};
+use serde::Serialize;
 
 use crate::page::{self, Chart, Line};
 
 /// One thing found out.
 #[derive(Clone, Debug)]
 pub(crate) struct Row {
+    /// What the case is about: a section of docs/validation.md.
+    pub(crate) topic: &'static str,
     pub(crate) id: String,
     pub(crate) what: String,
     pub(crate) expected: String,
@@ -42,6 +48,21 @@ impl Row {
             format!("{:.1}", self.seconds),
         ]
     }
+
+    /// The first two parts of the id: what has three is one of many variants.
+    fn case(&self) -> &str {
+        let end = self.id.match_indices('/').nth(1);
+        &self.id[..end.map_or(self.id.len(), |(at, _)| at)]
+    }
+
+    /// How bad it is: failures before all, what is told after all.
+    fn rank(&self) -> f64 {
+        match self.passed {
+            Some(true) => self.share.unwrap_or(0.0),
+            Some(false) => f64::INFINITY,
+            None => -1.0,
+        }
+    }
 }
 
 pub(crate) const COLUMNS: [&str; 7] = [
@@ -71,6 +92,7 @@ impl Sheet {
         passed: Option<bool>,
     ) {
         self.rows.push(Row {
+            topic: "",
             id: String::new(),
             what: what.to_owned(),
             expected,
@@ -110,6 +132,19 @@ impl Sheet {
             Some(error <= tolerance),
         );
         self.share(error / tolerance);
+    }
+
+    /// expected / factor <= got <= expected factor.
+    pub(crate) fn within(&mut self, what: &str, expected: f64, got: f64, factor: f64) {
+        let share = (got / expected).ln().abs() / factor.ln();
+        self.row(
+            what,
+            number(expected),
+            format!("{} (times {:.3})", number(got), got / expected),
+            format!("a factor of {factor}"),
+            Some(share <= 1.0),
+        );
+        self.share(share);
     }
 
     /// An error that may not be above its bound.
@@ -158,12 +193,17 @@ impl Sheet {
     }
 
     /// Rows and charts of a case that took so many seconds.
-    pub(crate) fn finish(mut self, id: &str, seconds: f64) -> (Vec<Row>, Vec<Chart>) {
+    pub(crate) fn finish(
+        mut self,
+        topic: &'static str,
+        id: &str,
+        seconds: f64,
+    ) -> (Vec<Row>, Vec<Chart>) {
         if self.rows.is_empty() {
             self.failed("the case found nothing out");
         }
         for row in &mut self.rows {
-            (row.id, row.seconds) = (id.to_owned(), seconds);
+            (row.topic, row.id, row.seconds) = (topic, id.to_owned(), seconds);
         }
         for chart in &mut self.charts {
             chart.id = id.to_owned();
@@ -206,8 +246,64 @@ pub(crate) fn lines(rows: &[Row]) -> String {
     text
 }
 
-/// Writes page, pictures and table to `target/validate`.
-pub(crate) fn write(rows: &[Row], charts: &[Chart], summary: &str) -> Result<(), Box<dyn Error>> {
+/// Numbers of the row of each case that takes most of its bound; of several that fail, the first.
+fn worst(rows: &[Row]) -> BTreeSet<usize> {
+    let mut found: BTreeMap<&str, usize> = BTreeMap::new();
+    for (number, row) in rows.iter().enumerate() {
+        let worst = found.entry(row.case()).or_insert(number);
+        if row.rank() > rows[*worst].rank() {
+            *worst = number;
+        }
+    }
+    found.into_values().collect()
+}
+
+/// A row of validation_topics.csv.
+#[derive(Debug, Default, Serialize)]
+struct Topic {
+    topic: &'static str,
+    cases: usize,
+    /// Rows with a verdict.
+    judged: usize,
+    failed: usize,
+    /// Rows without.
+    told: usize,
+    /// Of all cases, s.
+    seconds: f64,
+}
+
+/// Of rows in the order of the cases.
+fn topics(rows: &[Row]) -> Vec<Topic> {
+    let mut topics: Vec<Topic> = Vec::new();
+    let mut id = "";
+    for row in rows {
+        if topics.last().is_none_or(|topic| topic.topic != row.topic) {
+            topics.push(Topic {
+                topic: row.topic,
+                ..Topic::default()
+            });
+        }
+        let topic = topics.last_mut().expect("one was pushed");
+        if row.id != id {
+            id = &row.id;
+            topic.cases += 1;
+            topic.seconds += row.seconds;
+        }
+        topic.judged += usize::from(row.passed.is_some());
+        topic.failed += usize::from(row.passed == Some(false));
+        topic.told += usize::from(row.passed.is_none());
+    }
+    topics
+}
+
+/// Writes page, pictures and tables to `target/validate`: validation.csv with a row for each found out, validation_topics.csv, and
+/// validation.json with the latter and where all was computed. docs/validation.md has its tables from these.
+pub(crate) fn write(
+    rows: &[Row],
+    charts: &[Chart],
+    summary: &str,
+    machine: Machine,
+) -> Result<(), Box<dyn Error>> {
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("target/validate");
     if folder.exists() {
         // Of pictures that a run with fewer cases would leave.
@@ -215,10 +311,23 @@ pub(crate) fn write(rows: &[Row], charts: &[Chart], summary: &str) -> Result<(),
     }
     page::write(&folder, rows, charts, summary)?;
     let mut table = csv::Writer::from_path(folder.join("validation.csv"))?;
-    table.write_record(COLUMNS)?;
-    for row in rows {
-        table.write_record(row.cells())?;
+    table.write_record(["topic"].iter().chain(&COLUMNS).chain(&["share", "worst"]))?;
+    let worst = worst(rows);
+    for (number, row) in rows.iter().enumerate() {
+        let share = row
+            .share
+            .map_or(String::new(), |share| format!("{share:e}"));
+        let first = [row.topic.to_owned()].into_iter().chain(row.cells());
+        table.write_record(first.chain([share, worst.contains(&number).to_string()]))?;
     }
     table.flush()?;
+    let rows = topics(rows);
+    let mut table = csv::Writer::from_path(folder.join("validation_topics.csv"))?;
+    for topic in &rows {
+        table.serialize(topic)?;
+    }
+    table.flush()?;
+    let table = serde_json::to_vec_pretty(&Table { machine, rows })?;
+    fs::write(folder.join("validation.json"), table)?;
     Ok(())
 }

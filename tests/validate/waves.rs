@@ -10,7 +10,9 @@ use crate::sheet::Sheet;
 pub(crate) fn cases() -> Vec<Case> {
     vec![
         Case::new("F5", round_tank),
+        Case::new("F5/square", square_tank),
         Case::new("F7", u_tube),
+        Case::new("F8", slot),
         Case::new("F9", ritter),
         Case::new("F10", solitary_wave),
         Case::new("F12", impact),
@@ -72,6 +74,52 @@ fn round_tank(sheet: &mut Sheet) {
     sheet.relative(what, period, 0.5 * got, 0.02);
 }
 
+/// F5: the mode of a square tank with a node line along each middle, 1 m wide, half as deep. A wave along the diagonal holds it, and
+/// modes that are even about the middle, which the moment of the markers about both middles does not see.
+fn square_tank(sheet: &mut Sheet) {
+    let (depth, cells) = (0.5, 32);
+    let dx = 1.0 / f64::from(cells);
+    let k = std::f64::consts::PI;
+    let text = format!(
+        "[domain]\nsize = [1, {}, 1]\ncells = [{cells}, 24, {cells}]\n[time]\nduration = 10\nframes_per_second = 48\n\
+         [[liquid.region]]\nwave = {{ level = {depth}, amplitude = {}, wave_number = [{k}, {k}] }}\n",
+        24.0 * dx,
+        1.5 * dx,
+    );
+    let mut simulation = simulation(&written(&text), &gpu());
+    // Lamb, Hydrodynamics, art. 190.
+    let of_both = std::f64::consts::SQRT_2 * k;
+    let period = std::f64::consts::TAU / (GRAVITY * of_both * (of_both * depth).tanh()).sqrt();
+    let moment = |simulation: &Simulation| {
+        let state = simulation.state().unwrap_or_else(|error| panic!("{error}"));
+        let sum = state.markers.iter().map(|x| (x[0] - 0.5) * (x[2] - 0.5));
+        1e3 * sum.sum::<f64>() / state.markers.len() as f64
+    };
+    let mut swing = vec![(0.0, moment(&simulation))];
+    while simulation.clock().time < 2.5 * period {
+        step(&mut simulation);
+        swing.push((simulation.clock().time, moment(&simulation)));
+    }
+    let start = swing[0].1;
+    let theory = (0..=250).map(|n| 0.01 * period * f64::from(n));
+    let theory = theory.map(|t| [t, start * (std::f64::consts::TAU * t / period).cos()]);
+    sheet.chart(
+        "square tank, moment of the liquid about both middles",
+        ["t, s", "moment, thousandths of the area"],
+        vec![
+            Line::new("32 cells across", Mark::Line, points(&swing)),
+            Line::new(
+                "linear theory, without loss",
+                Mark::Theory,
+                theory.collect(),
+            ),
+        ],
+    );
+    let times = crossings(&swing, 0.0);
+    let what = "square tank, mode with two node lines: period over two periods, s";
+    sheet.relative(what, period, 0.5 * (times[4] - times[0]), 0.02);
+}
+
 /// F7: water swings in a U-tube, in the plane: two legs and the way between them under a block, all of one width.
 fn u_tube(sheet: &mut Sheet) {
     let width = 0.1;
@@ -116,6 +164,61 @@ fn u_tube(sheet: &mut Sheet) {
     let times = crossings(&swing, 0.0);
     let what = "U-tube 12 widths long: period over two periods, s";
     sheet.relative(what, period, 0.5 * (times[4] - times[0]), 0.03);
+}
+
+/// F8: a tank runs dry through a slot in its floor, 12 cells wide, a twentieth of the tank; half of both, beside a wall. sqrt(h) falls by
+/// C (b / W) sqrt(g / 2) in a second (Torricelli), C = pi / (pi + 2) for the sharp edges of a slot in the plane (Kirchhoff).
+fn slot(sheet: &mut Sheet) {
+    let (width, dx) = (1.0, 1.0 / 120.0);
+    let (half, floor) = (6.0 * dx, 8.0 * dx);
+    // The floor is two cells thick and has air below it: the jet parts from its edge.
+    let text = format!(
+        "[domain]\nsize = [{width}, {}, {}]\ncells = [120, 84, 2]\nopen = [\"-y\"]\n[time]\nduration = 10\nframes_per_second = 48\n\
+         [[obstacle]]\nbox = {{ min = [{half}, {}, -1], max = [2, {floor}, 1] }}\n\
+         [[liquid.region]]\nbox = {{ min = [0, {floor}, 0], max = [{width}, {}, 1] }}\n\
+         [[probe]]\nname = \"level\"\nheight = {{ x = {}, z = {dx} }}\n",
+        84.0 * dx,
+        2.0 * dx,
+        floor - 2.0 * dx,
+        floor + 72.0 * dx,
+        0.7 * width,
+    );
+    // The quarter of a second in which the flow begins is left out.
+    let film = film(&text, 1.25);
+    let levels: Vec<(f64, f64)> = film
+        .iter()
+        .filter(|(t, _)| *t > 0.25)
+        .map(|(t, probes)| (*t, (probes[0] - floor).sqrt()))
+        .collect();
+    let n = levels.len() as f64;
+    let [t, root] = [
+        levels.iter().map(|(t, _)| t).sum::<f64>() / n,
+        levels.iter().map(|(_, root)| root).sum::<f64>() / n,
+    ];
+    let across = levels.iter().map(|(a, b)| (a - t) * (b - root));
+    let slope = across.sum::<f64>() / levels.iter().map(|(a, _)| (a - t).powi(2)).sum::<f64>();
+    let whole = half / width * (0.5 * GRAVITY).sqrt();
+    let expected = std::f64::consts::PI / (std::f64::consts::PI + 2.0);
+    let theory = |c: f64| [0.25, 1.25].map(|at| [at, levels[0].1 - c * whole * (at - levels[0].0)]);
+    sheet.chart(
+        "tank that runs dry through a slot in its floor",
+        ["t, s", "root of the level above the floor, m^(1/2)"],
+        vec![
+            Line::new("slot 12 cells wide", Mark::Line, points(&levels)),
+            Line::new(
+                "Torricelli, contracted",
+                Mark::Theory,
+                theory(expected).into(),
+            ),
+            Line::new(
+                "Torricelli, not contracted",
+                Mark::Theory,
+                theory(1.0).into(),
+            ),
+        ],
+    );
+    let what = "tank that runs dry through a slot in its floor: flow over that of Torricelli";
+    sheet.relative(what, expected, -slope / whole, 0.1);
 }
 
 /// F9: Ritter 1892. The flood on a dry bed behind a dam, long after, but for its tip.
