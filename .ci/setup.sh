@@ -84,7 +84,7 @@ need_swiftshader() {
 
 # A browser without a screen, for the pages that the program writes.
 need_browser() {
-    command -v chromium-headless-shell >/dev/null || apt_install chromium-headless-shell
+    command -v "${CUTWATER_BROWSER:-chromium-headless-shell}" >/dev/null || apt_install chromium-headless-shell
 }
 
 # The independent readers of the output files, in a virtual environment; sets CUTWATER_PYTHON.

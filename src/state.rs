@@ -106,7 +106,8 @@ impl State {
 /// How a solve ended. Anything but [`SolveStatus::Converged`] is told to the user.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SolveStatus {
-    /// The true residual passed: ||r|| <= tolerance ||b||, or below what rounding of the right-hand side leaves.
+    /// The true residual passed: ||r|| <= tolerance ||b||, or below what rounding of the right-hand side leaves. Of liquid and solids together a
+    /// hundredth of what the other part puts on the rows stands for b where that is more.
     Converged,
     /// All iterations were used; the iterate with the least true residual was kept.
     IterationLimit,
@@ -141,7 +142,8 @@ pub struct SolveReport {
     pub unknowns: usize,
     /// PCG iterations, summed over all rounds; 0 for a direct solve.
     pub iterations: u32,
-    /// True residual over the right-hand side, evaluated in f64: ||b - B p|| / ||b||, or ||b - S v|| / ||b||.
+    /// True residual over the right-hand side, evaluated in f64: ||b - B p|| / ||b||, or ||b - S v|| / ||b||, with b as in
+    /// [`SolveStatus::Converged`].
     pub residual: f64,
     /// How it ended.
     pub status: SolveStatus,

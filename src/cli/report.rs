@@ -62,7 +62,7 @@ impl Report {
                 "{}: {} differs in {} of {} rows{by}",
                 column.file,
                 column.column,
-                column.rows - column.agree,
+                column.rows - column.agree.unwrap_or(column.rows),
                 column.rows
             );
         }

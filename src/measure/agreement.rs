@@ -1,8 +1,9 @@
 //! `report --against`: whether two runs of the same commands say the same.
 //!
-//! Tables of the same name are compared row by row, number by number. What is told with a spread, X_median between X_min and X_max, agrees
-//! where both spreads share a value. What has none of its own agrees where it is the same to the last digit, or where both differ by no more
-//! than the spreads of their rows let a quotient of times differ.
+//! Tables of the same name are compared row by row, number by number. What is told with a spread, as X_median, X_min and X_max, X, X_low and
+//! X_high, or mean, least and largest, agrees where both spreads share a value. What has none has to be the same to the last digit, but for
+//! what follows from times: it agrees where it differs by no more than the spreads of its row let a quotient of times differ, and is not
+//! judged in a row without spreads. Powers (`_growth.csv`) are of rows that are compared themselves, and left out.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -29,8 +30,8 @@ pub struct Row {
     pub rows: usize,
     /// Of these, those in which both say the same to the last digit.
     pub same: usize,
-    /// Those that agree: these, and those within the spreads.
-    pub agree: usize,
+    /// Those that agree: these, and those within the spreads; empty for what follows from times that have no spread.
+    pub agree: Option<usize>,
     /// Least of the other run's numbers over this one's; empty without numbers but 0.
     pub ratio_least: Option<f64>,
     /// Their median.
@@ -39,21 +40,39 @@ pub struct Row {
     pub ratio_most: Option<f64>,
 }
 
+impl Row {
+    /// Whether it agrees in all rows, as far as it is judged.
+    pub fn agrees(&self) -> bool {
+        self.agree.is_none_or(|agree| agree == self.rows)
+    }
+}
+
 /// A table of one run: heads and rows.
 type Table = (csv::StringRecord, Vec<csv::StringRecord>);
 
 /// Compares all tables below `dir` that are below `other` too, and writes `DIR/agreement.csv`.
 ///
 /// # Errors
-/// [`Error::Input`] where there is no such table, one cannot be read, or one has other columns or rows there; [`Error::Output`].
+/// [`Error::Input`] where there is no such folder or table, one cannot be read, or one has other columns or rows there; [`Error::Output`].
 pub fn agreement(dir: &Path, other: &Path) -> Result<Vec<Row>, Error> {
-    let mut rows = Vec::new();
+    for folder in [dir, other] {
+        if !folder.is_dir() {
+            return Err(Error::input(
+                folder.display().to_string(),
+                "no such folder",
+                "give two folders that the same commands wrote into",
+            ));
+        }
+    }
+    let (mut rows, mut compared) = (Vec::new(), 0);
     for file in csv_files(dir)? {
         let name = file.strip_prefix(dir).unwrap_or(&file);
         let beside = other.join(name);
-        if name == Path::new(TABLE) || !beside.is_file() {
+        let of_powers = name.to_string_lossy().ends_with("_growth.csv");
+        if name == Path::new(TABLE) || of_powers || !beside.is_file() {
             continue;
         }
+        compared += 1;
         let tables = [records(&file)?, records(&beside)?];
         let shape = |(heads, rows): &Table| (heads.clone(), rows.len());
         if shape(&tables[0]) != shape(&tables[1]) {
@@ -68,7 +87,7 @@ pub fn agreement(dir: &Path, other: &Path) -> Result<Vec<Row>, Error> {
         }
         rows.extend(compare(&name.display().to_string(), &tables));
     }
-    if rows.is_empty() {
+    if compared == 0 {
         return Err(Error::input(
             other.display().to_string(),
             format!("it has no table of the name of one in {}", dir.display()),
@@ -86,29 +105,33 @@ fn compare(file: &str, [(heads, ours), (_, theirs)]: &[Table; 2]) -> Vec<Row> {
         .enumerate()
         .map(|(at, name)| (name, at))
         .collect();
-    // Columns of medians with those of their ends.
+    // Columns that have a spread, with those of its ends.
     let spreads: BTreeMap<usize, [usize; 2]> = place
         .iter()
-        .filter_map(|(name, &at)| {
-            let stem = name.strip_suffix("_median")?;
-            let end = |end: &str| place.get(format!("{stem}_{end}").as_str()).copied();
-            Some((at, [end("min")?, end("max")?]))
+        .filter_map(|(&name, &at)| {
+            let [least, most] = match name.strip_suffix("_median") {
+                Some(stem) => ["min", "max"].map(|end| format!("{stem}_{end}")),
+                None if name == "mean" => ["least", "largest"].map(str::to_owned),
+                None => ["low", "high"].map(|end| format!("{name}_{end}")),
+            };
+            let ends = [least, most].map(|end| place.get(end.as_str()).copied());
+            Some((at, [ends[0]?, ends[1]?]))
         })
         .collect();
     let number = |row: &csv::StringRecord, at: usize| row[at].parse::<f64>().ok();
     let ends = |row: &csv::StringRecord, [min, max]: [usize; 2]| {
         Some([number(row, min)?, number(row, max)?])
     };
-    // What times of a pair of rows may differ by, as a quotient of at least 1.
-    let slack: Vec<f64> = ours
+    // What quotients of times of a pair of rows may differ by, at least 1; none where they have no spread.
+    let slack: Vec<Option<f64>> = ours
         .iter()
         .zip(theirs)
         .map(|(ours, theirs)| {
             let widths = spreads.values().filter_map(|&columns| {
                 let ([a, b], [c, d]) = (ends(ours, columns)?, ends(theirs, columns)?);
-                Some((d / a).max(b / c)).filter(|width| width.is_finite())
+                Some((d / a).max(b / c)).filter(|width| width.is_finite() && *width > 0.0)
             });
-            widths.fold(1.0, f64::max)
+            widths.reduce(f64::max).map(|width| width.max(1.0))
         })
         .collect();
     let is_end = |at: usize| spreads.values().any(|ends| ends.contains(&at));
@@ -119,7 +142,7 @@ fn compare(file: &str, [(heads, ours), (_, theirs)]: &[Table; 2]) -> Vec<Row> {
             column: column.to_owned(),
             rows: 0,
             same: 0,
-            agree: 0,
+            agree: Some(0),
             ratio_least: None,
             ratio_median: None,
             ratio_most: None,
@@ -130,20 +153,27 @@ fn compare(file: &str, [(heads, ours), (_, theirs)]: &[Table; 2]) -> Vec<Row> {
                 continue;
             }
             let ratio = number(ours, at).zip(number(theirs, at));
-            let ratio = ratio
-                .map(|(a, b)| b / a)
-                .filter(|ratio| ratio.is_finite() && *ratio > 0.0);
+            let ratio = ratio.map(|(a, b)| b / a);
+            let ratio = ratio.filter(|ratio| ratio.is_finite() && *ratio > 0.0);
             let same = ours[at] == theirs[at];
-            let within = match spreads
+            let of_spreads = spreads
                 .get(&at)
-                .map(|&columns| (ends(ours, columns), ends(theirs, columns)))
-            {
-                Some((Some([a, b]), Some([c, d]))) => a <= d && c <= b,
-                _ => ratio.is_some_and(|ratio| ratio.max(1.0 / ratio) <= slack),
+                .and_then(|&columns| ends(ours, columns).zip(ends(theirs, columns)));
+            let within = match (of_spreads, slack) {
+                (Some(([a, b], [c, d])), _) => Some(a <= d && c <= b),
+                (None, _) if !follows_from_times(column) => Some(false),
+                (None, Some(slack)) => {
+                    Some(ratio.is_some_and(|ratio| ratio.max(1.0 / ratio) <= slack))
+                }
+                (None, None) => None,
             };
             row.rows += 1;
             row.same += usize::from(same);
-            row.agree += usize::from(same || within);
+            let agrees = if same { Some(true) } else { within };
+            row.agree = row
+                .agree
+                .zip(agrees)
+                .map(|(agree, agrees)| agree + usize::from(agrees));
             ratios.extend(ratio);
         }
         if !ratios.is_empty() {
@@ -154,4 +184,17 @@ fn compare(file: &str, [(heads, ours), (_, theirs)]: &[Table; 2]) -> Vec<Row> {
         row
     });
     compared.filter(|row| row.rows > 0).collect()
+}
+
+/// Whether a number is a time, or one over or per another.
+fn follows_from_times(column: &str) -> bool {
+    let parts = [
+        "seconds",
+        "per_second",
+        "ratio",
+        "share",
+        "bandwidth",
+        "overhead",
+    ];
+    parts.iter().any(|part| column.contains(part))
 }

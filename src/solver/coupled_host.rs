@@ -19,8 +19,8 @@ use super::coupling::{LABELS, Pair};
 use super::host_residual::HostPressure;
 use super::pcg::N_SCALARS;
 use super::refine::{
-    GOAL, HostResidual, HostSystem, NORM_B, NORM_R, NORM_TERMS, SCALE, goal, host_turns, relative,
-    round_floor,
+    GOAL, HostResidual, HostSystem, NORM_B, NORM_R, NORM_TERMS, OF_OTHER, SCALE, goal, host_turns,
+    relative, round_floor,
 };
 use super::solid_host::HostElastic;
 use super::two_field::{
@@ -31,7 +31,6 @@ use super::two_field::{
 /// What `shaders/coupled_turn.wgsl` has too.
 const ROUND_MARGIN: f64 = 0.3;
 const SMALLEST: f64 = 1e-37;
-const OF_OTHER: f64 = 1e-4;
 const STRICTER: f64 = 0.03;
 const STRICTEST: f64 = 1e-5;
 /// Status in [`Control`] of conjugate gradients that cannot go on: `shaders/common/control_state.wgsl`.
@@ -104,7 +103,7 @@ struct Left {
 impl Left {
     /// Squared norms that residuals are relative to, given those of the right-hand sides.
     fn acts(&self, bb: [f64; 2]) -> [f64; 2] {
-        [0, 1].map(|part: usize| bb[part].max(OF_OTHER * self.acts[part]))
+        [0, 1].map(|part: usize| bb[part].max(OF_OTHER.powi(2) * self.acts[part]))
     }
 }
 

@@ -109,6 +109,10 @@ pub fn rounding(solver: &Solver) -> f64 {
     }
 }
 
+/// The share of what liquid puts on solids, or these on it, that counts as a part's right-hand side where it has less of its own:
+/// `shaders/coupled_turn.wgsl`.
+pub const OF_OTHER: f64 = 0.01;
+
 /// How many dispatches are recorded ahead.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pace {

@@ -62,7 +62,14 @@ fn found(browser: &str, page: &Path, width: u32) -> Value {
     let profile = tempfile::tempdir().unwrap();
     let output = Command::new(browser)
         // The sandbox does not start as root, the usual user in containers; the page is our own.
-        .args(["--headless", "--no-sandbox", "--disable-gpu", "--dump-dom"])
+        .args([
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--disable-dev-shm-usage",
+            "--timeout=60000",
+            "--dump-dom",
+        ])
         .arg(format!("--window-size={width},900"))
         .arg(format!("--user-data-dir={}", profile.path().display()))
         .arg(format!("file://{}", probed.display()))

@@ -216,27 +216,36 @@ fn two_runs_are_compared_number_by_number() {
         fs::create_dir_all(dir.join("solve")).unwrap();
         fs::write(dir.join("solve/solve.csv"), table).unwrap();
     };
-    let heads = "grid,note,seconds_median,seconds_min,seconds_max,rate,residual\n";
+    let heads = "grid,note,seconds_median,seconds_min,seconds_max,cells_per_second,residual\n";
     write(
         &first,
         &format!("{heads}20,a,1,0.9,1.2,10,1e-9\n40,,4,3.9,4.1,10,0\n"),
     );
-    // Spreads that touch, and that do not; a rate within 1.5 / 0.9, and one beyond 6.1 / 3.9; a residual that is not the same.
+    // Spreads that touch, and that do not; a rate within 1.5 / 0.9, and one beyond 6.1 / 3.9; a residual that is not the same, though as near.
     write(
         &second,
         &format!("{heads}20,a,1.4,1.2,1.5,16,1e-9\n40,,6,5.9,6.1,15.7,1e-12\n"),
     );
+    // Quartiles around 0, a time without a spread, and powers, which are not compared.
+    for (dir, low, seconds) in [(&first, -2, 5), (&second, 1, 7)] {
+        let table = format!("added,added_low,added_high,seconds\n0,{low},1,{seconds}\n");
+        fs::write(dir.join("effects.csv"), table).unwrap();
+        fs::write(dir.join("solve_growth.csv"), format!("exponent\n{low}\n")).unwrap();
+    }
     let columns = agreement(&first, &second).unwrap();
     let said = |name: &str| {
         let row = columns.iter().find(|row| row.column == name).unwrap();
         (row.rows, row.same, row.agree)
     };
-    assert_eq!(columns.len(), 5, "{columns:?}");
-    assert_eq!(said("grid"), (2, 2, 2));
-    assert_eq!(said("note"), (1, 1, 1));
-    assert_eq!(said("seconds_median"), (2, 0, 1));
-    assert_eq!(said("rate"), (2, 0, 1));
-    assert_eq!(said("residual"), (2, 1, 1));
+    assert_eq!(columns.len(), 7, "{columns:?}");
+    assert_eq!(said("grid"), (2, 2, Some(2)));
+    assert_eq!(said("note"), (1, 1, Some(1)));
+    assert_eq!(said("seconds_median"), (2, 0, Some(1)));
+    assert_eq!(said("cells_per_second"), (2, 0, Some(1)));
+    assert_eq!(said("residual"), (2, 1, Some(1)));
+    assert_eq!(said("added"), (1, 1, Some(1)));
+    assert_eq!(said("seconds"), (1, 0, None));
+    assert_eq!(columns.iter().filter(|row| row.agrees()).count(), 4);
     let seconds = columns
         .iter()
         .find(|row| row.column == "seconds_median")
@@ -250,7 +259,7 @@ fn two_runs_are_compared_number_by_number() {
         [Some(1.4), Some(1.45), Some(1.5)]
     );
     let table = fs::read_to_string(first.join("agreement.csv")).unwrap();
-    assert_eq!(table.lines().count(), 6);
+    assert_eq!(table.lines().count(), 8);
     // Not itself, the second time.
     assert_eq!(agreement(&first, &second).unwrap(), columns);
 
@@ -261,6 +270,8 @@ fn two_runs_are_compared_number_by_number() {
     };
     write(&second, heads);
     refused("number of its rows");
-    fs::remove_file(second.join("solve/solve.csv")).unwrap();
+    fs::remove_dir_all(&second).unwrap();
+    refused("no such folder");
+    fs::create_dir(&second).unwrap();
     refused("no table of the name");
 }

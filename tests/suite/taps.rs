@@ -299,7 +299,6 @@ fn a_source_and_a_body_that_gives_way_to_it_are_told_together() {
     }
 }
 
-/// A pump between a source and a sink: what is there, what came and what went add up, and in the end as much goes as comes.
 /// A gate stands in half of the source at first and is gone after a tenth of a second: the source is where it would be without the gate.
 #[test]
 fn what_moves_away_takes_no_cells_of_a_source() {
@@ -326,6 +325,7 @@ fn what_moves_away_takes_no_cells_of_a_source() {
     }
 }
 
+/// A pump between a source and a sink: what is there, what came and what went add up, and in the end as much goes as comes.
 #[test]
 fn a_fountain_comes_to_a_steady_volume() {
     if gpu().is_none() {

@@ -223,10 +223,8 @@ fn tell_scene(row: &SceneRow) {
         row.seconds_median,
         row.seconds_min,
         row.seconds_max,
-        match (row.projection_median, row.projection_share) {
-            (Some(seconds), Some(share)) => format!("{seconds:.4} ({:.0} %)", 100.0 * share),
-            _ => String::new(),
-        },
+        row.projection_median
+            .map_or(String::new(), |seconds| format!("{seconds:.4}")),
         row.sub_steps_per_frame,
         row.status,
     );

@@ -193,8 +193,8 @@ pub(super) fn name(precision: Precision) -> &'static str {
     }
 }
 
-/// Measures all rows and writes solve.csv, solve_growth.csv, solve.json, solve.svg and, with rivals, solve_against.csv into `out`; `tell`
-/// hears of each row.
+/// Measures all rows and writes solve.csv, solve_growth.csv, solve.json, solve.svg and, with rivals, solve_against.csv into `out`, anew after each;
+/// `tell` hears of each row.
 ///
 /// # Errors
 /// Before any work [`Error::Limit`] and [`Error::Memory`] where there is no room for a grid; [`Error::Output`], and what the device says.
@@ -215,10 +215,11 @@ pub fn bench_solve(
         against: Vec::new(),
         growth: Vec::new(),
     };
-    let mut measured = |row: Row, against: Vec<Against>| {
+    let mut measured = |table: &mut Table, row: Row, against: Vec<Against>| {
         tell(&row, &against);
         table.rows.push(row);
         table.against.extend(against);
+        table.write(out, !options.against.is_empty())
     };
     for &grid in &options.grids {
         let block = BaseBlock::new(grid);
@@ -228,7 +229,7 @@ pub fn bench_solve(
         if options.formulations.contains(&Formulation::Pressure) {
             for solver in &options.solvers {
                 let (row, against) = measure(gpu, &block, solver, options, &table.machine)?;
-                measured(row, against);
+                measured(&mut table, row, against)?;
             }
         }
         let mut coupled = options.formulations.iter();
@@ -257,22 +258,28 @@ pub fn bench_solve(
                         options,
                         machine,
                     )?;
-                    measured(row, against);
+                    measured(&mut table, row, against)?;
                 }
             }
         }
     }
-    table.growth = growth::growth(&table.rows, &table.against);
-    write_csv(&table.rows, &out.join("solve.csv"))?;
-    write_csv(&table.growth, &out.join("solve_growth.csv"))?;
-    if !options.against.is_empty() {
-        write_csv(&table.against, &out.join("solve_against.csv"))?;
-    }
-    write_json(&table, &out.join("solve.json"))?;
-    write_svg(&out.join("solve.svg"), (900, 640), |page| {
-        picture::draw(&table, page)
-    })?;
     Ok(table)
+}
+
+impl Table {
+    /// Makes again what follows from the rows, and writes what there is.
+    fn write(&mut self, out: &Path, against: bool) -> Result<(), Error> {
+        self.growth = growth::growth(&self.rows, &self.against);
+        write_csv(&self.rows, &out.join("solve.csv"))?;
+        write_csv(&self.growth, &out.join("solve_growth.csv"))?;
+        if against {
+            write_csv(&self.against, &out.join("solve_against.csv"))?;
+        }
+        write_json(self, &out.join("solve.json"))?;
+        write_svg(&out.join("solve.svg"), (900, 640), |page| {
+            picture::draw(self, page)
+        })
+    }
 }
 
 /// The system of liquid and beam in the thesis's form (5.25).

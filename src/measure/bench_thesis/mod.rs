@@ -187,9 +187,10 @@ pub fn bench_thesis(
             systems::ensure_frame(frame)?;
         }
     }
-    let scenes = scenes::load(options)?;
+    let gpu = Gpu::new(&options.adapter)?;
+    let scenes = scenes::load(options, gpu.has_f64())?;
     fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
-    let machine = Machine::new(&Gpu::new(&options.adapter)?, options.repeats)?;
+    let machine = Machine::new(&gpu, options.repeats)?;
     let kept = match options.resume {
         true => {
             ensure_same_machine(&machine, &out.join("thesis.json"))?;
@@ -221,6 +222,8 @@ pub fn bench_thesis(
         table.rows.push(row);
         table.write(options, out)
     })?;
+    // Also where nothing was left to measure.
+    table.write(options, out)?;
     Ok(table)
 }
 

@@ -111,14 +111,12 @@ pub struct SceneRow {
     pub thesis_seconds_least: f64,
     /// Of the slowest.
     pub thesis_seconds_largest: f64,
-    /// Of the pressure projection on the device: its system, the solve, and the velocities that follow.
+    /// Of the pressure projection on the device: its system, the solve, and the velocities that follow; without what the CPU does of it in between.
     pub projection_median: Option<f64>,
     /// Least.
     pub projection_min: Option<f64>,
     /// Largest.
     pub projection_max: Option<f64>,
-    /// Share of the projection in the sub-step, of the medians.
-    pub projection_share: Option<f64>,
     /// Of the solve alone, median.
     pub solve_median: Option<f64>,
     /// Printed: of the projection of the fastest scene.
@@ -131,11 +129,11 @@ pub struct SceneRow {
     pub thesis_sub_steps_per_frame: f64,
 }
 
-/// The scenes of table 6.1, where it is asked for, in each precision.
+/// The scenes of table 6.1, where it is asked for, in each precision; `f64`: whether the device has it.
 ///
 /// # Errors
 /// [`Error::Input`] where the folder lacks one, and what its file says.
-pub(super) fn load(options: &Options) -> Result<Vec<(&'static Printed, Scene)>, Error> {
+pub(super) fn load(options: &Options, f64: bool) -> Result<Vec<(&'static Printed, Scene)>, Error> {
     let mut scenes = Vec::new();
     if !options.tables.contains(&ThesisTable::T6_1) {
         return Ok(scenes);
@@ -149,7 +147,8 @@ pub(super) fn load(options: &Options) -> Result<Vec<(&'static Printed, Scene)>, 
                 "give the folder scenes of cutwater's source, or --tables without 6.1",
             ));
         }
-        for &precision in &options.precisions {
+        let precisions = options.precisions.iter();
+        for &precision in precisions.filter(|&&precision| f64 || precision != Precision::F64) {
             let precision = format!("solver.precision={}", name(precision));
             scenes.push((printed, Scene::load(&file, &[precision], options.scale)?));
         }
@@ -165,11 +164,7 @@ pub(super) fn measure(
 ) -> Result<(), Error> {
     let backend = Backend::Gpu(options.adapter.clone());
     for (printed, scene) in scenes {
-        let mut simulation = match Simulation::new(scene, &backend) {
-            Ok(simulation) => simulation,
-            Err(Error::Limit { .. }) if scene.solver.precision == Precision::F64 => continue,
-            Err(error) => return Err(error),
-        };
+        let mut simulation = Simulation::new(scene, &backend)?;
         // The first compiles.
         simulation.step()?;
         let steps = (0..options.steps.max(1)).map(|_| simulation.step());
@@ -239,7 +234,6 @@ impl SceneRow {
             projection_median: projection.map(|projection| projection.median),
             projection_min: projection.map(|projection| projection.min),
             projection_max: projection.map(|projection| projection.max),
-            projection_share: projection.map(|projection| projection.median / seconds.median),
             solve_median: of_stages(&["solve"]).map(|solve| solve.median),
             thesis_projection_least: PRINTED_PROJECTION[0],
             thesis_projection_largest: PRINTED_PROJECTION[1],

@@ -18,7 +18,7 @@ use crate::reference::{
 };
 use crate::scene::{Scene, Solver};
 use crate::sim::{GpuPath, SolidSnapshot, coupled_system, stored_coupling};
-use crate::solver::rounding;
+use crate::solver::{OF_OTHER, rounding};
 use crate::stages::{DiagnoseSolid, ElementRotations, MoveSolid, NodeForces, RightHandSide};
 use crate::state::SolidDiagnosis;
 
@@ -452,11 +452,14 @@ impl<'a> SolidJudge<'a> {
             return Ok(());
         };
         let mut system = after.system(solids, &self.pattern, dt);
-        let size = norm(&system.rhs);
+        let mut size = norm(&system.rhs);
         let mut of_areas = 0.0;
         if let (Some(both), Some(liquid)) = (both.filter(|both| both.touch()), &self.scene.liquid) {
             let [force, gross] = both.force(liquid.density * self.grid.dx / dt);
+            let own = system.rhs.clone();
             system.push(&force);
+            let pushed = system.rhs.iter().zip(&own).map(|(both, own)| both - own);
+            size = size.max(OF_OTHER * norm(&pushed.collect::<Vec<_>>()));
             of_areas = 4.0 * EPS * norm(&gross);
         }
         let x = system.free_part(&after.velocity);
