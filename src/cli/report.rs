@@ -51,7 +51,7 @@ impl Report {
         let columns = agreement(&self.dir, other)?;
         let differ: Vec<_> = columns
             .iter()
-            .filter(|column| column.agree < column.rows)
+            .filter(|column| !column.agrees())
             .collect();
         for column in &differ {
             let by = match (column.ratio_least, column.ratio_most) {

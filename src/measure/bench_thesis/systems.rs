@@ -62,12 +62,15 @@ const PRINTED_6_4: [(usize, [[f64; 2]; 2]); 5] = [
     (90, [[1565587.0, 1985347.0], [1856102.0, 6890398.0]]),
 ];
 
+/// A name in a row. By its own name, for serde would borrow a `&str` from the file.
+type Word = &'static str;
+
 /// A row of thesis_systems.csv. What a table does not have is empty.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct SystemRow {
     /// Number of the table.
     #[serde(deserialize_with = "word")]
-    pub table: &'static str,
+    pub table: Word,
     /// Cells along an edge.
     pub grid: usize,
     /// Of the beam.
@@ -82,16 +85,16 @@ pub struct SystemRow {
     pub sub_steps_per_frame: f64,
     /// `indefinite`, `two-field`, `stress` or `condensed`.
     #[serde(deserialize_with = "word")]
-    pub formulation: &'static str,
+    pub formulation: Word,
     /// How it is solved.
     #[serde(deserialize_with = "word")]
-    pub solver: &'static str,
+    pub solver: Word,
     /// `cpu` or `gpu`.
     #[serde(deserialize_with = "word")]
-    pub backend: &'static str,
+    pub backend: Word,
     /// `f32`, `mixed` or `f64`.
     #[serde(deserialize_with = "word")]
-    pub precision: &'static str,
+    pub precision: Word,
     /// Cells with a pressure.
     pub unknowns: usize,
     /// Free components of the nodes' velocities.
@@ -106,7 +109,7 @@ pub struct SystemRow {
     pub log10_condition_unscaled: Option<f64>,
     /// How the solve ended.
     #[serde(deserialize_with = "word_if_any")]
-    pub status: Option<&'static str>,
+    pub status: Option<Word>,
     /// In all rounds.
     pub iterations: Option<u32>,
     /// True relative residual of the pressure's rows.
