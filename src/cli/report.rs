@@ -49,10 +49,7 @@ impl Report {
     /// Says which columns do not agree in all rows.
     fn compare(&self, other: &Path) -> Result<(), Error> {
         let columns = agreement(&self.dir, other)?;
-        let differ: Vec<_> = columns
-            .iter()
-            .filter(|column| !column.agrees())
-            .collect();
+        let differ: Vec<_> = columns.iter().filter(|column| !column.agrees()).collect();
         for column in &differ {
             let by = match (column.ratio_least, column.ratio_most) {
                 (Some(least), Some(most)) => format!(", {least:.3} to {most:.3} times"),

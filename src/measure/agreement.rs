@@ -129,7 +129,8 @@ fn compare(file: &str, [(heads, ours), (_, theirs)]: &[Table; 2]) -> Vec<Row> {
         .map(|(ours, theirs)| {
             let widths = spreads.values().filter_map(|&columns| {
                 let ([a, b], [c, d]) = (ends(ours, columns)?, ends(theirs, columns)?);
-                Some((d / a).max(b / c)).filter(|width| width.is_finite() && *width > 0.0)
+                // Of differences, which may be below 0, nothing follows for quotients.
+                (a > 0.0 && c > 0.0).then(|| (d / a).max(b / c))
             });
             widths.reduce(f64::max).map(|width| width.max(1.0))
         })
