@@ -115,7 +115,10 @@ box = {{ min = [0, 0, {:?}], max = [{WIDTH:?}, {WIDTH:?}, {level:?}] }}
             TOP - 0.5 * THICKNESS,
         );
     }
-    text += "[solver]\ntolerance = 1e-10\npressure_on_patches = \"cell\"\n";
+    text += "[solver]\ntolerance = 1e-10\n";
+    if wet {
+        text += "pressure_on_patches = \"cell\"\n";
+    }
     let mut simulation = simulation(lane, &text, &[("plate.msh", mesh())]);
     let velocities: Vec<f64> = (0..36)
         .map(|_| {
