@@ -709,6 +709,9 @@ impl<'a> Place<'a> {
                     "is a list",
                     format!("write one table: [{}] with single brackets", self.key),
                 ),
+                Content::Text(name) if keys.valid.contains(&"file") => {
+                    self.wrong_type(&format!("{{ file = {name:?} }}"))
+                }
                 _ => self.wrong_type(&format!("a table with the keys {}", keys.valid.join(", "))),
             });
         };

@@ -332,6 +332,7 @@ const REFUSED: &[Case] = &[
     ("translate = [0.1, 0, 0]", "translate = [0, 1, 0]", 26, "obstacle[0].cylinder", &["outside the domain"]),
     ("scale = 0.5", "scale = 50", 26, "obstacle[0].cylinder", &["fills the whole domain"]),
     ("mesh = { file = \"body.stl\" }", "sphere = { centre = [1, 0.5, 0.25], radius = 2 }", 29, "obstacle[1].sphere", &["surrounds the whole domain"]),
+    ("mesh = { file = \"body.stl\" }", "mesh = \"body.stl\"", 29, "obstacle[1].mesh", &["is the text", "write { file = \"body.stl\" }"]),
     ("body.stl", "nobody.stl", 29, "obstacle[1].mesh.file", &["there is no file", "nobody.stl"]),
     ("body.stl", "body.fbx", 29, "obstacle[1].mesh.file", &["not a kind of mesh", ".obj"]),
     ("body.stl", "", 29, "obstacle[1].mesh.file", &["is empty"]),
