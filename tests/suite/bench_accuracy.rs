@@ -92,9 +92,10 @@ fn errors_follow_the_tolerance() {
                 .iter()
                 .min_by(|a, b| a.seconds_median.total_cmp(&b.seconds_median))
                 .unwrap();
-            assert!(best.seconds_min <= fastest.seconds_max, "{best:?}");
+            let most = fastest.seconds_max.min(1.25 * fastest.seconds_median);
+            assert!(best.seconds_min <= most, "{best:?}");
             // f32 before mixed and loose before tight, where the spread of the fastest does not tell them apart.
-            let equal = |row: &&&Row| row.seconds_min <= fastest.seconds_max;
+            let equal = |row: &&&Row| row.seconds_min <= most;
             for row in meeting.iter().filter(equal) {
                 let simpler = row.precision == "f32" && best.precision == "mixed";
                 let looser = row.precision == best.precision && row.tolerance > best.tolerance;
