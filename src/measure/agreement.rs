@@ -189,13 +189,6 @@ fn compare(file: &str, [(heads, ours), (_, theirs)]: &[Table; 2]) -> Vec<Row> {
 
 /// Whether a number is a time, or one over or per another.
 fn follows_from_times(column: &str) -> bool {
-    let parts = [
-        "seconds",
-        "per_second",
-        "ratio",
-        "share",
-        "bandwidth",
-        "overhead",
-    ];
+    let parts = ["second", "ratio", "share"];
     parts.iter().any(|part| column.contains(part))
 }

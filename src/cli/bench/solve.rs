@@ -88,8 +88,6 @@ enum RivalName {
     Cholesky,
 }
 
-const GIB: f64 = (1_u64 << 30) as f64;
-
 /// Bricks across the beam.
 const BRICKS: std::ops::RangeInclusive<usize> = 1..=32;
 
@@ -165,7 +163,7 @@ impl Solve {
                 false => self.bricks.iter().copied().map(Some).collect(),
             },
             against: against.collect(),
-            largest_factor: self.largest_factor * GIB,
+            largest_factor: self.largest_factor * bench_solve::GIB,
             repeats: self.repeats,
             solvers,
             matrices: self.matrices,

@@ -13,7 +13,8 @@ use super::Row;
 /// Turns end once they have taken so long, s.
 const LONG_ENOUGH: f64 = 20.0;
 
-const GIB: f64 = (1_u64 << 30) as f64;
+/// Bytes.
+pub const GIB: f64 = (1_u64 << 30) as f64;
 
 /// Another solver, on the CPU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -34,7 +34,7 @@ use super::statistics::Spread;
 use super::table::{Machine, write_csv, write_json, write_svg};
 
 use against::Contest;
-pub use against::{Against, Rival};
+pub use against::{Against, GIB, Rival};
 use capacity::Capacity;
 pub use capacity::{LARGEST_GRID, largest_grid};
 pub use growth::Growth;

@@ -456,10 +456,9 @@ impl<'a> SolidJudge<'a> {
         let mut of_areas = 0.0;
         if let (Some(both), Some(liquid)) = (both.filter(|both| both.touch()), &self.scene.liquid) {
             let [force, gross] = both.force(liquid.density * self.grid.dx / dt);
-            let own = system.rhs.clone();
+            let pushed = system.free_part(force.as_chunks().0);
+            size = size.max(OF_OTHER * norm(&pushed));
             system.push(&force);
-            let pushed = system.rhs.iter().zip(&own).map(|(both, own)| both - own);
-            size = size.max(OF_OTHER * norm(&pushed.collect::<Vec<_>>()));
             of_areas = 4.0 * EPS * norm(&gross);
         }
         let x = system.free_part(&after.velocity);
