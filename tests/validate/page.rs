@@ -65,7 +65,7 @@ pub(crate) fn write(
         page += "Each row with a bound, as the share of its bound that it takes: left of the line is within.\n\n![](glance.svg)\n\n";
     }
     for (number, chart) in charts.iter().enumerate() {
-        let name = format!("chart_{number:02}.svg");
+        let name = picture(charts, number);
         draw(&folder.join(&name), chart)?;
         page += &format!("![{}: {}]({name})\n\n", chart.id, chart.title);
     }
@@ -77,6 +77,17 @@ pub(crate) fn write(
     }
     fs::write(folder.join("validation.md"), page)?;
     Ok(())
+}
+
+/// File of a chart: F11.svg, the second of a case F11-2.svg, and A1-mixed.svg of A1/mixed.
+fn picture(charts: &[Chart], number: usize) -> String {
+    let id = &charts[number].id;
+    let before = charts[..number].iter().filter(|other| other.id == *id);
+    let nth = match before.count() {
+        0 => String::new(),
+        n => format!("-{}", n + 1),
+    };
+    format!("{}{nth}.svg", id.replace('/', "-"))
 }
 
 /// A line per case, a dot per row: error over what is allowed, logarithmic.
