@@ -7,7 +7,7 @@ use cutwater::measure::export::{Options, export};
 
 use super::{BackendArgs, SceneArgs};
 
-/// Write the system of a sub-step, of the pressure or of the solids, for other solvers
+/// Write the system of a sub-step, of the pressure, the solids or both, for other solvers
 #[derive(Debug, clap::Args)]
 pub(super) struct Export {
     #[command(flatten)]

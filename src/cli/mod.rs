@@ -49,7 +49,7 @@ enum Command {
     Bench(bench::Bench),
     /// Check every stage of the GPU path against the f64 path
     Compare(compare::Compare),
-    /// Write the pressure system of a sub-step for other solvers
+    /// Write the system of a sub-step, of the pressure, the solids or both, for other solvers
     Export(export::Export),
     /// Check a mesh of a solid, or fill a closed surface: counts, volume, worst element
     Mesh(mesh::Mesh),

@@ -38,7 +38,7 @@ pub(super) struct SweepCommand {
     /// Frames of each run instead of the scene's duration, at most 999999
     #[arg(long, allow_negative_numbers = true, value_parser = clap::value_parser!(u64).range(..=MAX_FRAMES))]
     frames: Option<u64>,
-    /// Draw the pictures of each run when it is done
+    /// Draw a picture of every frame of each run as soon as it is written, and the animation at its end
     #[arg(long)]
     preview: bool,
     /// Runs at a time

@@ -31,7 +31,7 @@ const OF_STEPS: [(&str, bool, &[&str]); 12] = [
     ),
     ("largest divergence, 1/s", true, &["divergence"]),
     (
-        "volume of the liquid over that of the start",
+        "volume of the liquid over the volume to hold",
         false,
         &["volume_ratio"],
     ),

@@ -43,7 +43,7 @@ pub(super) struct Solve {
     /// PCG iterations in all rounds
     #[arg(long, default_value_t = 5000)]
     max_iterations: u32,
-    /// Also write the systems as base_block_N.mtx and base_block_N_rhs.mtx
+    /// Also write the systems as Matrix Market files, base_*.mtx
     #[arg(long)]
     matrices: bool,
     /// Folder of the results
@@ -125,7 +125,7 @@ impl Solve {
             return Err(Error::input(
                 "--preconditioner block-jacobi",
                 "only the two-field form has blocks of nodes",
-                "add --formulation two-field, or use --preconditioner jacobi",
+                "give --formulation two-field alone, or use --preconditioner jacobi",
             ));
         }
         let gpu = Gpu::new(&self.adapter.choice())?;
