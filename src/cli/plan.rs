@@ -1,8 +1,8 @@
 //! `cutwater plan`
 
 use cutwater::Error;
-use cutwater::gpu::{AdapterReport, BufferPlan, Gpu, STORAGE_BUFFERS};
-use cutwater::scene::{Precision, Scene};
+use cutwater::gpu::{AdapterReport, BufferPlan, Gpu};
+use cutwater::scene::Scene;
 use cutwater::sim::{self, Backend, HostMemory, Plan};
 
 use super::{BackendArgs, SceneArgs};
@@ -48,7 +48,7 @@ impl PlanCommand {
                 say_buffers(&plan);
                 match adapter {
                     Some(adapter) => {
-                        say_limits(&scene, &plan, &adapter)?;
+                        say_limits(&plan, &adapter)?;
                         say_memory(memory(false)?.beside(plan.bytes(), &adapter))?;
                         say!("the scene fits; the adapter does not tell how much memory is free");
                     }
@@ -56,6 +56,7 @@ impl PlanCommand {
                         say!(
                             "\nno adapter was checked: none was found. The plan is for one with f64."
                         );
+                        plan.check_formulation()?;
                         say_memory(memory(false)?)?;
                     }
                 }
@@ -154,27 +155,25 @@ fn say_buffers(plan: &Plan) {
 
 /// # Errors
 /// What does not fit.
-fn say_limits(scene: &Scene, plan: &Plan, adapter: &AdapterReport) -> Result<(), Error> {
+fn say_limits(plan: &Plan, adapter: &AdapterReport) -> Result<(), Error> {
     say!("\nadapter {} ({})", adapter.name, adapter.kind);
     let largest = plan
         .buffers
         .iter()
         .max_by_key(|buffer| buffer.bytes())
         .map_or(0, BufferPlan::bytes);
-    let lines = [
+    let of_buffers = [
         (
             "max_storage_buffer_binding_size",
             largest,
             adapter.storage_binding,
         ),
         ("max_buffer_size", largest, adapter.buffer),
-        (
-            "max_storage_buffers_per_shader_stage",
-            STORAGE_BUFFERS.into(),
-            adapter.storage_buffers.into(),
-        ),
     ];
-    for (limit, needed, allowed) in lines {
+    let of_kernels = adapter
+        .needed_limits()
+        .map(|limit| (limit.name, limit.needed.into(), limit.available.into()));
+    for (limit, needed, allowed) in of_buffers.into_iter().chain(of_kernels) {
         let verdict = if needed <= allowed {
             "fits"
         } else {
@@ -191,8 +190,7 @@ fn say_limits(scene: &Scene, plan: &Plan, adapter: &AdapterReport) -> Result<(),
     if !too_large.is_empty() {
         say!("  too large: {}", too_large.join(", "));
     }
-    plan.check(adapter)?;
-    adapter.check_precision(scene.solver.precision == Precision::F64)
+    plan.check(adapter)
 }
 
 fn say_memory(memory: HostMemory) -> Result<(), Error> {

@@ -61,6 +61,19 @@ impl std::fmt::Display for AdapterChoice {
     }
 }
 
+/// A limit of an adapter that every scene needs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct NeededLimit {
+    /// As wgpu calls it.
+    pub name: &'static str,
+    /// What needs it.
+    pub what: &'static str,
+    /// What it must be at the least.
+    pub needed: u32,
+    /// What the adapter allows.
+    pub available: u32,
+}
+
 /// What is known of an adapter without opening a device.
 #[derive(Clone, Debug)]
 pub struct AdapterReport {
@@ -107,6 +120,48 @@ impl AdapterReport {
             buffer: limits.max_buffer_size,
             threads: limits.max_compute_invocations_per_workgroup,
             workgroups: limits.max_compute_workgroups_per_dimension,
+        }
+    }
+
+    /// The limits that every scene needs, whatever its size.
+    pub fn needed_limits(&self) -> [NeededLimit; 3] {
+        [
+            NeededLimit {
+                name: "max_compute_invocations_per_workgroup",
+                what: "a kernel's workgroup",
+                needed: NEEDED_THREADS,
+                available: self.threads,
+            },
+            NeededLimit {
+                name: "max_storage_buffers_per_shader_stage",
+                what: "a kernel",
+                needed: STORAGE_BUFFERS,
+                available: self.storage_buffers,
+            },
+            NeededLimit {
+                name: "max_compute_workgroups_per_dimension",
+                what: "a dispatch",
+                needed: super::SPLIT,
+                available: self.workgroups,
+            },
+        ]
+    }
+
+    /// Refuses an adapter that is too small for any scene.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] with the first limit that is too low, and what to do.
+    pub fn check_limits(&self) -> Result<(), Error> {
+        let mut limits = self.needed_limits().into_iter();
+        match limits.find(|limit| limit.available < limit.needed) {
+            None => Ok(()),
+            Some(limit) => Err(Error::Limit {
+                what: format!("{} ({})", limit.what, limit.name),
+                needed: limit.needed.into(),
+                available: limit.available.into(),
+                unit: "units",
+                cure: "choose another adapter with --adapter, or run with --backend cpu".to_owned(),
+            }),
         }
     }
 
@@ -157,7 +212,7 @@ impl AdapterReport {
 /// Threads per workgroup that every adapter must have: what the shaders are written for.
 const NEEDED_THREADS: u32 = 256;
 /// Storage buffers that a kernel binds at most, and that every adapter must allow.
-pub const STORAGE_BUFFERS: u32 = 8;
+const STORAGE_BUFFERS: u32 = 8;
 
 /// Where nothing at all was found.
 fn no_adapter() -> Error {
@@ -271,34 +326,7 @@ impl Gpu {
         let adapter = choose(choice)?;
         let report = AdapterReport::new(&adapter);
         let limits = adapter.limits();
-        for (what, needed, available) in [
-            (
-                "a kernel's workgroup (max_compute_invocations_per_workgroup)",
-                NEEDED_THREADS,
-                report.threads,
-            ),
-            (
-                "a kernel (max_storage_buffers_per_shader_stage)",
-                STORAGE_BUFFERS,
-                report.storage_buffers,
-            ),
-            (
-                "a dispatch (max_compute_workgroups_per_dimension)",
-                super::SPLIT,
-                report.workgroups,
-            ),
-        ] {
-            if available < needed {
-                return Err(Error::Limit {
-                    what: what.to_owned(),
-                    needed: needed.into(),
-                    available: available.into(),
-                    unit: "units",
-                    cure: "choose another adapter with --adapter, or run with --backend cpu"
-                        .to_owned(),
-                });
-            }
-        }
+        report.check_limits()?;
         let wanted = wgpu::Features::SHADER_F64 | wgpu::Features::TIMESTAMP_QUERY;
         let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("cutwater"),

@@ -17,7 +17,7 @@ mod surroundings;
 
 pub use buffer::{Buffer, BufferPlan, Readback, RealBuffer};
 pub use compact::{CompactKernels, Compaction, Range};
-pub use device::{AdapterChoice, AdapterReport, Gpu, STORAGE_BUFFERS};
+pub use device::{AdapterChoice, AdapterReport, Gpu, NeededLimit};
 pub use kernel::{Binding, Bound, Kernel};
 pub use record::{Pass, Recorder, SPLIT, StageTimes, Timer, groups};
 pub use shader::{COMMON, Composed, Real, Source, Variant, WG_SIZE, compose, validate};

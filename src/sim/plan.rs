@@ -4,12 +4,12 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::{Bounds, Solids};
 use crate::geometry::{self, SolidClip, Taps};
-use crate::gpu::{AdapterReport, BufferPlan, Timer};
+use crate::gpu::{AdapterReport, BufferPlan, Timer, Variant};
 use crate::grid::Grid;
 use crate::reference::{TimeStep, time_step};
 use crate::scene::{
     CouplingScheme, ElasticModel, Obstacle, PatchPressure, Precision, Preconditioner, ProbeKind,
-    Scene, Solid,
+    Scene, Solid, Solver,
 };
 use crate::solver::{self, LevelPlan, SolidRows, SolverBuffers};
 use crate::stages::{EXCHANGE, Probe, extrapolation_layers, tap_buffers};
@@ -74,6 +74,12 @@ pub struct Plan {
     pub host_turns: bool,
     /// Bytes that a round of such a loop copies to and from the device.
     pub bytes_per_turn: u64,
+    /// What the scene asks of the solves.
+    solver: Solver,
+    /// The scalar types that they have.
+    variant: Variant,
+    /// Whether one solve is for liquid and solids together.
+    together: bool,
 }
 
 impl Plan {
@@ -130,6 +136,9 @@ impl Plan {
             solves: solves(scene, (solids, clip, taps), &rows, f64),
             host_turns,
             bytes_per_turn: bytes_per_turn(&effects, padded_cells, solids.rest.len()),
+            solver: scene.solver,
+            variant: solver::variant(f64, scene.solver.precision),
+            together: effects.coupling && scene.solver.coupling != CouplingScheme::Weak,
             grid,
         })
     }
@@ -158,11 +167,25 @@ impl Plan {
         of_markers.map(BufferPlan::bytes).sum()
     }
 
-    /// Checks every buffer against what an adapter has.
+    /// Checks that the form that the scene asks for serves the coupled solve: a part of [`Plan::check`] that needs no adapter.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] with what the form needs.
+    pub fn check_formulation(&self) -> Result<(), Error> {
+        match self.together {
+            true => solver::check_formulation(self.n_nodes, &self.solver, self.variant),
+            false => Ok(()),
+        }
+    }
+
+    /// Checks limits, precision, the form of the coupled solve and every buffer against what an adapter has.
     ///
     /// # Errors
     /// [`Error::Limit`] naming what is missing, or the largest buffer that does not fit and what would make it smaller.
     pub fn check(&self, adapter: &AdapterReport) -> Result<(), Error> {
+        adapter.check_limits()?;
+        adapter.check_precision(self.solver.precision == Precision::F64)?;
+        self.check_formulation()?;
         let mut largest_first: Vec<&BufferPlan> = self.buffers.iter().collect();
         largest_first.sort_by_key(|plan| std::cmp::Reverse(plan.bytes()));
         largest_first.into_iter().try_for_each(|plan| {

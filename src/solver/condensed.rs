@@ -105,33 +105,33 @@ fn room(rows: &SolidRows, solver: &Solver, variant: Variant) -> usize {
     }
 }
 
-impl Condensed {
-    /// # Errors
-    /// [`Error::Limit`] where the condensed form does not serve.
-    pub(super) fn ensure(rows: &SolidRows, solver: &Solver, variant: Variant) -> Result<(), Error> {
-        let components = 3 * rows.rows.n_nodes as usize;
-        let limit = |needed: usize, available: usize, unit, cure: &str| {
-            Err(Error::Limit {
-                what: "the condensed form of the coupled solve".to_owned(),
-                needed: needed as u64,
-                available: available as u64,
-                unit,
-                cure: cure.to_owned(),
-            })
-        };
-        let auto = "use formulation \"auto\" or \"two_field\"";
-        match (refines(solver, variant), components) {
-            (false, _) => limit(1, 0, "outer loop in f64", auto),
-            (true, n) if n > MOST_COMPONENTS => limit(
-                n,
-                MOST_COMPONENTS,
-                "components of the nodes of solids",
-                auto,
-            ),
-            _ => Ok(()),
-        }
+/// Refuses the condensed form for solids of so many nodes where it is asked for and does not serve.
+///
+/// # Errors
+/// [`Error::Limit`] with what it needs.
+pub fn check_formulation(n_nodes: usize, solver: &Solver, variant: Variant) -> Result<(), Error> {
+    if solver.formulation != Formulation::Condensed {
+        return Ok(());
     }
+    let limit = |needed: usize, available: usize, unit| {
+        Err(Error::Limit {
+            what: "the condensed form of the coupled solve".to_owned(),
+            needed: needed as u64,
+            available: available as u64,
+            unit,
+            cure: "use formulation \"auto\" or \"two_field\"".to_owned(),
+        })
+    };
+    match (refines(solver, variant), 3 * n_nodes) {
+        (false, _) => limit(1, 0, "outer loop in f64"),
+        (true, n) if n > MOST_COMPONENTS => {
+            limit(n, MOST_COMPONENTS, "components of the nodes of solids")
+        }
+        _ => Ok(()),
+    }
+}
 
+impl Condensed {
     /// What [`Condensed::new`] allocates besides the folds of conjugate gradients.
     pub(super) fn buffers(rows: &SolidRows, solver: &Solver, variant: Variant) -> Vec<BufferPlan> {
         let (n, m) = (rows.rows.n_nodes as usize, rows.rows.n_elements as usize);

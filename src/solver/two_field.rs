@@ -28,7 +28,7 @@ use crate::scene::{Formulation, Preconditioner, Solver};
 use crate::state::SolveStatus;
 
 use super::chebyshev::Polynomial;
-use super::condensed::Condensed;
+use super::condensed::{Condensed, check_formulation};
 use super::coupled_host::CoupledReadbacks;
 use super::coupling::{
     BODIES, CouplingBuffers, CouplingSize, LABELS, N_LISTS, NODES, PARTIALS, WET,
@@ -219,9 +219,7 @@ impl TwoFieldSolver {
             ..
         } = at;
         let variant = liquid.variant;
-        if solver.formulation == Formulation::Condensed {
-            Condensed::ensure(&solids.layout, solver, variant)?;
-        }
+        check_formulation(solids.layout.rows.n_nodes as usize, solver, variant)?;
         let unknowns = unknowns(at);
         let state = State::new(gpu, &unknowns)?;
         let norms = RealBuffer::new(gpu, LABELS.norms, N_NORMS, variant.real)?;

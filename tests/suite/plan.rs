@@ -12,6 +12,7 @@ use cutwater::scene::{Precision, Scene};
 use cutwater::sim::{Backend, Plan, Simulation, solids_of};
 use cutwater::{Error, geometry};
 
+use crate::cli::{complains, cutwater, ends, folder, text};
 use crate::common::gpu;
 use crate::reference_physics::{pool, scene as written};
 
@@ -691,6 +692,126 @@ fn what_does_not_fit_is_named() {
     assert!(message.contains("max_buffer_size"), "{message}");
     assert!(message.contains("--scale"), "{message}");
     assert_eq!(scene.solver.precision, Precision::Mixed);
+}
+
+/// What an adapter must allow for a device to be opened at all, and the precision.
+#[test]
+fn what_every_kernel_needs_is_checked() {
+    let of = |overrides: &[&str], adapter: &AdapterReport| {
+        let scene = scene("dam_break_liquid", 0.25, overrides);
+        Plan::new(&scene, Some(adapter)).unwrap().check(adapter)
+    };
+    let least = AdapterReport {
+        threads: 256,
+        storage_buffers: 8,
+        workgroups: 32_768,
+        ..large_adapter(true)
+    };
+    of(&[], &least).unwrap();
+    let fewer = [
+        (
+            "max_compute_invocations_per_workgroup",
+            256,
+            AdapterReport {
+                threads: 255,
+                ..least.clone()
+            },
+        ),
+        (
+            "max_storage_buffers_per_shader_stage",
+            8,
+            AdapterReport {
+                storage_buffers: 7,
+                ..least.clone()
+            },
+        ),
+        (
+            "max_compute_workgroups_per_dimension",
+            32_768,
+            AdapterReport {
+                workgroups: 32_767,
+                ..least
+            },
+        ),
+    ];
+    for (limit, needed, adapter) in fewer {
+        let error = of(&[], &adapter).unwrap_err();
+        assert_eq!(error.exit_code(), 3, "{error}");
+        let there = needed - 1;
+        let told = format!("({limit}) needs {needed} units, the adapter allows {there}\n");
+        assert!(error.to_string().contains(&told), "{error}");
+    }
+    let double = ["solver.precision=f64"];
+    of(&double, &large_adapter(true)).unwrap();
+    let error = of(&double, &large_adapter(false)).unwrap_err();
+    assert_eq!(error.exit_code(), 3, "{error}");
+    assert!(error.to_string().contains("SHADER_F64"), "{error}");
+}
+
+/// 22^3 nodes in a pool.
+const LARGE_BLOCK: &str = r#"[domain]
+size = [1, 1, 1]
+cells = [8, 8, 8]
+[time]
+duration = 0.1
+[[liquid.region]]
+box = { min = [0, 0, 0], max = [1, 0.6, 1] }
+[[solid]]
+name = "block"
+mesh = { box = { size = [0.4, 0.4, 0.4], cells = [21, 21, 21] } }
+placement = { translate = [0.5, 0.3, 0.5] }
+density = 1000
+young = 1e5
+poisson = 0.3
+[solver]
+formulation = "condensed"
+"#;
+
+/// By the plan after its tables, with and without an adapter, and by a run in the same words.
+#[test]
+fn a_form_that_does_not_serve_is_refused() {
+    let folder = folder(LARGE_BLOCK);
+    let checked = |overrides: &[&str], f64: bool| {
+        let overrides: Vec<String> = overrides.iter().map(|&text| text.to_owned()).collect();
+        let scene = Scene::load(&folder.path().join("dam.toml"), &overrides, 1.0).unwrap();
+        let adapter = large_adapter(f64);
+        Plan::new(&scene, Some(&adapter)).unwrap().check(&adapter)
+    };
+    let small = "solid[0].mesh.box.cells=[2,2,2]";
+    checked(&[small], true).unwrap();
+    checked(&[small], false).unwrap();
+    let single = [small, "solver.precision=f32"];
+    let error = checked(&single, true).unwrap_err();
+    assert!(error.to_string().contains("outer loop in f64"), "{error}");
+    // Other forms serve, and weak coupling has none.
+    for other in ["solver.formulation=two_field", "solver.coupling=weak"] {
+        checked(&[other], true).unwrap();
+    }
+    let error = checked(&[], true).unwrap_err();
+    assert_eq!(error.exit_code(), 3, "{error}");
+    let refusal = error.to_string();
+    let told = "needs 31944 components of the nodes of solids, the adapter allows 30000\n";
+    assert!(refusal.contains(told), "{refusal}");
+
+    for drivers in [true, false] {
+        let mut command = cutwater(&folder, "plan dam.toml");
+        if !drivers {
+            command
+                .env("VK_DRIVER_FILES", "nowhere.json")
+                .env_remove("VK_ICD_FILENAMES");
+        }
+        let done = ends(command, 3);
+        let (said, told) = (text(&done.stdout), text(&done.stderr));
+        assert!(
+            said.contains("coupling.") && !said.contains("the scene fits"),
+            "{said}"
+        );
+        assert!(told.contains(&refusal), "{told}");
+    }
+    if gpu().is_some() {
+        let message = complains(&folder, "run dam.toml", 3);
+        assert!(message.contains(&refusal), "{message}");
+    }
 }
 
 /// More or fewer cells change nothing for solids.
