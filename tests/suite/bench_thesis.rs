@@ -431,8 +431,15 @@ fn systems_of_the_dam_break_are_measured() {
         assert!(tight(row.residual_p) && tight(row.residual_v), "{row:?}");
         let seconds = [row.seconds_min, row.seconds_median, row.seconds_max];
         assert!(seconds.is_sorted(), "{row:?}");
+        let of_frame = [
+            row.frame_seconds_min,
+            row.frame_seconds,
+            row.frame_seconds_max,
+        ];
+        assert!(of_frame.is_sorted(), "{row:?}");
+        assert_eq!(row.frame_seconds_min.is_some(), row.status.is_some());
         assert!(
-            row.frame_seconds.is_none_or(|seconds| seconds > 0.0),
+            row.frame_seconds_min.is_none_or(|seconds| seconds > 0.0),
             "{row:?}"
         );
     }
@@ -457,7 +464,7 @@ fn systems_of_the_dam_break_are_measured() {
         ("thesis_systems.csv", "table,grid,nodes,elements,frame,dt,"),
         (
             "thesis_means.csv",
-            "table,grid,nodes,elements,formulation,solver,backend,precision,quantity,mean,least,largest,thesis,ratio\n",
+            "table,grid,nodes,elements,formulation,solver,backend,precision,quantity,states,mean,least,largest,thesis,ratio\n",
         ),
         ("thesis.json", "{"),
         ("thesis.svg", "<svg"),

@@ -146,7 +146,7 @@ impl Thesis {
             );
         }
         if !table.means.is_empty() {
-            say!("means over the states (printed, ratio)");
+            say!("means, and over how many states (printed, ratio)");
         }
         for mean in &table.means {
             let printed = match (mean.thesis, mean.ratio) {
@@ -154,7 +154,7 @@ impl Thesis {
                 _ => String::new(),
             };
             say!(
-                "{:5}  {:4} {:5}  {:3} {:5}  {:30} {:15} {:.4e} {printed}",
+                "{:5}  {:4} {:5}  {:3} {:5}  {:30} {:15} {:.4e}  {} {printed}",
                 mean.table,
                 mean.grid,
                 mean.nodes,
@@ -163,6 +163,7 @@ impl Thesis {
                 format!("{} {}", mean.formulation, mean.solver),
                 mean.quantity,
                 mean.mean,
+                mean.states,
             );
         }
         if !table.growth.is_empty() {
