@@ -12,6 +12,7 @@ use std::time::Instant;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::condition::conditions;
+use super::parts::ANEW;
 use super::{MOST_ITERATIONS, Options, PATIENCE, TOLERANCE, ThesisTable};
 use crate::Error;
 use crate::elastic::Solids;
@@ -222,20 +223,17 @@ fn word_if_any<'de, D: Deserializer<'de>>(from: D) -> Result<Option<&'static str
     Ok(text.map(|text| &*text.leak()))
 }
 
-/// The rows that an earlier run has left; none where there is no such file.
+/// The rows of an earlier run's thesis_systems.csv.
 ///
 /// # Errors
 /// [`Error::Input`] where it cannot be read.
 pub(super) fn kept(path: &Path) -> Result<Vec<SystemRow>, Error> {
-    if !path.exists() {
-        return Ok(Vec::new());
-    }
     let rows = csv::Reader::from_path(path).and_then(|reader| reader.into_deserialize().collect());
     rows.map_err(|problem| {
         Error::input(
             path.display().to_string(),
             format!("cannot be read: {problem}"),
-            "measure into another folder (--out), or leave --resume out to measure all anew",
+            ANEW,
         )
     })
 }
