@@ -251,21 +251,43 @@ fn measured(path: &Path) -> Option<String> {
     let json: Value = serde_json::from_str(&text).ok()?;
     let say = |key: &str| Some(json.get(key)?.as_str()?.to_owned());
     let number = |key: &str| json.get(key)?.as_f64();
-    let bandwidth = json.pointer("/copy_bandwidth/median");
-    let bandwidth = bandwidth.and_then(Value::as_f64);
+    // Where several runs measured the rows, first to last.
+    let parts = json.get("parts").and_then(Value::as_array);
+    let parts = parts.map_or(std::slice::from_ref(&json), Vec::as_slice);
+    let date = |part: &Value| {
+        let date = part.get("measured")?.as_str()?.split('T').next()?;
+        Some(date.to_owned())
+    };
+    let dates = span(date(parts.first()?)?, date(parts.last()?)?);
+    let range = |key: &str, text: fn(f64) -> String| {
+        let values = parts.iter().filter_map(|part| part.pointer(key)?.as_f64());
+        let least = values.clone().reduce(f64::min)?;
+        Some(span(text(least), text(values.reduce(f64::max)?)))
+    };
+    let bandwidth = range("/copy_bandwidth/median", |bandwidth: f64| {
+        format!("{:.1}", 1e-9 * bandwidth)
+    });
     // Runs on the CPU have neither.
     let adapter = say("adapter").zip(bandwidth);
     let adapter = adapter.map_or(String::new(), |(name, bandwidth)| {
-        format!(", {name}, copy bandwidth {:.1} GB/s", 1e-9 * bandwidth)
+        format!(", {name}, copy bandwidth {bandwidth} GB/s")
     });
     let cpu = say("cpu").map_or(String::new(), |cpu| format!(" ({cpu})"));
-    let load = number("load").map_or(String::new(), |load| format!(" at a load of {load}"));
+    let load = range("/load", |load: f64| load.to_string());
+    let load = load.map_or(String::new(), |load| format!(" at a load of {load}"));
     Some(format!(
-        "{}, cutwater {}{adapter}, {} CPU threads{cpu}{load}.",
-        say("measured")?.split('T').next()?,
+        "{dates}, cutwater {}{adapter}, {} CPU threads{cpu}{load}.",
         say("cutwater")?,
         number("threads")?,
     ))
+}
+
+/// Both ends, or what they both are.
+fn span(first: String, last: String) -> String {
+    match first == last {
+        true => first,
+        false => format!("{first} to {last}"),
+    }
 }
 
 #[cfg(test)]

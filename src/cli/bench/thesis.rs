@@ -38,10 +38,11 @@ pub(super) struct Thesis {
     /// Timed runs per row; no more are begun where they have taken 20 s
     #[arg(long, default_value_t = 3)]
     repeats: usize,
-    /// Folder of the results
+    /// Folder of the results; those of an earlier run are removed, but with --resume
     #[arg(long, default_value = "out/bench_thesis")]
     out: PathBuf,
-    /// Keep the rows of tables 6.2 to 6.4 that a run with these options left in the folder when it was stopped, and measure the others
+    /// Keep the rows of tables 6.2 to 6.4 that runs on this machine with this --precision and these --repeats left in the folder, and
+    /// measure the others
     #[arg(long)]
     resume: bool,
     #[command(flatten)]
@@ -146,7 +147,7 @@ impl Thesis {
             );
         }
         if !table.means.is_empty() {
-            say!("means over the states (printed, ratio)");
+            say!("means, and over how many states (printed, ratio)");
         }
         for mean in &table.means {
             let printed = match (mean.thesis, mean.ratio) {
@@ -154,7 +155,7 @@ impl Thesis {
                 _ => String::new(),
             };
             say!(
-                "{:5}  {:4} {:5}  {:3} {:5}  {:30} {:15} {:.4e} {printed}",
+                "{:5}  {:4} {:5}  {:3} {:5}  {:30} {:15} {:.4e}  {} {printed}",
                 mean.table,
                 mean.grid,
                 mean.nodes,
@@ -163,6 +164,7 @@ impl Thesis {
                 format!("{} {}", mean.formulation, mean.solver),
                 mean.quantity,
                 mean.mean,
+                mean.states,
             );
         }
         if !table.growth.is_empty() {

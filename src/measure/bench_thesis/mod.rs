@@ -5,6 +5,7 @@
 
 mod accuracy;
 mod condition;
+mod parts;
 mod picture;
 mod scenes;
 mod systems;
@@ -18,10 +19,12 @@ use crate::Error;
 use crate::gpu::{AdapterChoice, Gpu};
 use crate::scene::Precision;
 
+use super::bench_solve::name;
 use super::table::{Machine, write_csv, write_json, write_svg};
 
 pub use accuracy::{Order, Row};
 pub use condition::{Condition, Conditions, conditions};
+pub use parts::Part;
 pub use scenes::SceneRow;
 pub use systems::{Growth, Mean, SystemRow};
 
@@ -121,7 +124,8 @@ pub struct Options {
     pub repeats: usize,
     /// Where.
     pub adapter: AdapterChoice,
-    /// Whether the rows of tables 6.2 to 6.4 that an earlier run with these options has left in the folder stay, and only the others are measured.
+    /// Whether the rows of tables 6.2 to 6.4 that earlier runs have left in the folder stay, and only the others are measured. Those runs must have
+    /// had the version, machine, precisions and repeats of this one; tables, grids and frames may be others.
     pub resume: bool,
 }
 
@@ -137,9 +141,15 @@ impl Options {
 /// The tables and where they were measured.
 #[derive(Clone, Debug, Serialize)]
 pub struct Table {
-    /// Where.
+    /// Where and, of the last run, when.
     #[serde(flatten)]
     pub machine: Machine,
+    /// Of the device, as rows name them, in the order of their names.
+    pub precisions: Vec<&'static str>,
+    /// Timed runs per row.
+    pub repeats: usize,
+    /// The runs that measured the rows, first to last: several where rows were kept.
+    pub parts: Vec<Part>,
     /// Of table 6.1: a row per scene and precision.
     pub scenes: Vec<SceneRow>,
     /// Of tables 6.5 and 6.6: a row per table, grid, patch pressure and path.
@@ -167,11 +177,11 @@ pub enum Told<'a> {
 
 /// Measures all rows and writes into `out`, anew after each: thesis.json, for table 6.1 thesis_scenes.csv, for tables 6.2 to 6.4
 /// thesis_systems.csv, thesis_means.csv and thesis_growth.csv, for tables 6.5 and 6.6 thesis.csv and thesis_orders.csv, and for all but table 6.1
-/// thesis.svg. `tell` hears of each row.
+/// thesis.svg. What an earlier run has left of these is removed first, but with `resume`. `tell` hears of each row.
 ///
 /// # Errors
-/// [`Error::Input`] for grids and frames that the problems do not have, scenes that are not there, and an earlier run of another version or adapter;
-/// [`Error::Output`], and what the simulations say.
+/// [`Error::Input`] for grids and frames that the problems do not have, scenes that are not there, and rows to resume from that are not of this
+/// version and machine, these precisions and repeats; [`Error::Output`], and what the simulations say.
 pub fn bench_thesis(
     options: &Options,
     out: &Path,
@@ -190,72 +200,57 @@ pub fn bench_thesis(
     let gpu = Gpu::new(&options.adapter)?;
     let scenes = scenes::load(options, gpu.has_f64())?;
     fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
-    let machine = Machine::new(&gpu, options.repeats)?;
-    let kept = match options.resume {
-        true => {
-            ensure_same_machine(&machine, &out.join("thesis.json"))?;
-            systems::kept(&out.join("thesis_systems.csv"))?
-        }
-        false => Vec::new(),
-    };
+    let precisions = options.precisions.iter();
+    let mut precisions: Vec<&'static str> = precisions.map(|&precision| name(precision)).collect();
+    precisions.sort_unstable();
+    precisions.dedup();
     let mut table = Table {
-        machine,
+        machine: Machine::new(&gpu, options.repeats)?,
+        precisions,
+        repeats: options.repeats,
+        parts: Vec::new(),
         scenes: Vec::new(),
         rows: Vec::new(),
         orders: Vec::new(),
-        systems: kept.clone(),
+        systems: Vec::new(),
         means: Vec::new(),
         growth: Vec::new(),
     };
+    match options.resume {
+        true => table.take_up(out)?,
+        false => parts::remove(out)?,
+    }
+    let kept = table.systems.clone();
     scenes::measure(&scenes, options, &mut |row| {
         tell(Told::Scene(&row));
         table.scenes.push(row);
-        table.write(options, out)
+        table.write_measured(options, out)
     })?;
     systems::measure(options, &kept, &mut |rows| {
         rows.iter().for_each(|row| tell(Told::System(row)));
         table.systems.extend(rows);
-        table.write(options, out)
+        table.write_measured(options, out)
     })?;
     accuracy::measure(options, &mut |row| {
         tell(Told::Accuracy(&row));
         table.rows.push(row);
-        table.write(options, out)
+        table.write_measured(options, out)
     })?;
     // Also where nothing was left to measure.
     table.write(options, out)?;
     Ok(table)
 }
 
-/// Whether an earlier table, where there is one, is of the same version and adapter.
-fn ensure_same_machine(machine: &Machine, path: &Path) -> Result<(), Error> {
-    let Ok(text) = fs::read_to_string(path) else {
-        return Ok(());
-    };
-    let refused = |problem: String| {
-        Error::input(
-            path.display().to_string(),
-            problem,
-            "measure into another folder (--out), or leave --resume out to measure all anew",
-        )
-    };
-    let json: serde_json::Value = serde_json::from_str(&text)
-        .map_err(|problem| refused(format!("cannot be read: {problem}")))?;
-    for (key, now) in [
-        ("cutwater", machine.host.cutwater),
-        ("adapter", machine.adapter.as_str()),
-    ] {
-        let then = json[key].as_str().unwrap_or_default();
-        if then != now {
-            return Err(refused(format!(
-                "its {key} is {then:?}, that of this run {now:?}"
-            )));
-        }
-    }
-    Ok(())
-}
-
 impl Table {
+    /// Writes what there is with rows of this run, which is a part from the first of them on.
+    fn write_measured(&mut self, options: &Options, out: &Path) -> Result<(), Error> {
+        let part = Part::of(&self.machine);
+        if self.parts.last() != Some(&part) {
+            self.parts.push(part);
+        }
+        self.write(options, out)
+    }
+
     /// Makes again what follows from the rows, and writes what there is.
     fn write(&mut self, options: &Options, out: &Path) -> Result<(), Error> {
         self.systems
@@ -263,11 +258,15 @@ impl Table {
         self.means = systems::means(&self.systems);
         self.growth = systems::growth(&self.means);
         self.orders = accuracy::orders(&self.rows, &options.tables);
+        // First, for rows cannot be resumed from without it.
+        write_json(self, &out.join("thesis.json"))?;
         if !self.scenes.is_empty() {
             write_csv(&self.scenes, &out.join("thesis_scenes.csv"))?;
         }
         if !self.systems.is_empty() {
             write_csv(&self.systems, &out.join("thesis_systems.csv"))?;
+        }
+        if !self.means.is_empty() {
             write_csv(&self.means, &out.join("thesis_means.csv"))?;
         }
         if !self.growth.is_empty() {
@@ -277,7 +276,6 @@ impl Table {
             write_csv(&self.rows, &out.join("thesis.csv"))?;
             write_csv(&self.orders, &out.join("thesis_orders.csv"))?;
         }
-        write_json(self, &out.join("thesis.json"))?;
         let charts = picture::charts(self, &options.tables);
         if charts.is_empty() {
             return Ok(());

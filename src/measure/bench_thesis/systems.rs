@@ -2,7 +2,7 @@
 //!
 //! The scene is `scenes/conditioning_40.toml` with other grids and beams. It runs on the device; the system of the sub-step that follows
 //! a frame is then assembled by the f64 path and solved in each formulation, all to the same true residuals of the indefinite system,
-//! matrices and factors included; and the device does that sub-step.
+//! matrices and factors included; and the device does that sub-step, its matrices and hierarchy included.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -12,19 +12,21 @@ use std::time::Instant;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::condition::conditions;
+use super::parts::ANEW;
 use super::{MOST_ITERATIONS, Options, PATIENCE, TOLERANCE, ThesisTable};
 use crate::Error;
 use crate::elastic::Solids;
-use crate::measure::bench_accuracy::sub_step;
+use crate::measure::bench_accuracy::Done;
 use crate::measure::bench_solve::{bricks_across, name};
 use crate::measure::statistics::{Spread, exponent};
 use crate::reference::{
-    BlockPattern, CoupledSystem, Formulation as Form, SolidSolver, StepSystem, StressVariables,
-    solid_matrices, solve_coupled,
+    BlockPattern, CoupledSystem, Formulation as Form, Reference, SolidSolver, StepSystem,
+    StressVariables, solid_matrices, solve_coupled,
 };
 use crate::scene::{Formulation, Precision, Scene, SolidMesh, Solver};
 use crate::sim::{Backend, GpuPath, Simulation, reference_path, solids_of};
-use crate::state::{SolveReport, SolveStatus, State};
+use crate::stages::LiquidDistance;
+use crate::state::{SolveReport, SolveStatus, State, StepReport};
 
 const SCENE: &str = include_str!("../../../scenes/conditioning_40.toml");
 /// The share of the mass in Z1 that the thesis "exclusively used".
@@ -116,17 +118,22 @@ pub struct SystemRow {
     pub residual_p: Option<f64>,
     /// Of the velocities' rows.
     pub residual_v: Option<f64>,
-    /// Of the solve, matrices and preconditioners included.
+    /// Of the solve, matrices and preconditioners included: on the CPU from the assembled B, J and S on; on the device from when the liquid distance
+    /// is there, so that active cells, turns of the elements and right-hand sides count, too.
     pub seconds_median: Option<f64>,
     /// Least.
     pub seconds_min: Option<f64>,
     /// Largest.
     pub seconds_max: Option<f64>,
-    /// Sub-steps per frame times the seconds of a sub-step: the device's, or this solve with the other stages of the f64 path.
+    /// Sub-steps per frame times the seconds of a sub-step: the device's, or this solve with the other stages of the f64 path. Median.
     pub frame_seconds: Option<f64>,
+    /// Least.
+    pub frame_seconds_min: Option<f64>,
+    /// Largest.
+    pub frame_seconds_max: Option<f64>,
 }
 
-/// A row of thesis_means.csv: a number of a table, as a mean over the states.
+/// A row of thesis_means.csv: a number of a table, as a mean over the states; seconds over those whose solve converged.
 #[derive(Clone, Debug, Serialize)]
 pub struct Mean {
     /// Number of the table.
@@ -147,7 +154,9 @@ pub struct Mean {
     pub precision: &'static str,
     /// `nonzeros`, `log10_condest`, `log10_condition`, `seconds` of a solve or `frame_seconds`.
     pub quantity: &'static str,
-    /// Mean over the states.
+    /// How many states.
+    pub states: usize,
+    /// Mean over them.
     pub mean: f64,
     /// Least of a state, and of its repeats.
     pub least: f64,
@@ -180,6 +189,8 @@ pub struct Growth {
     pub coarsest: usize,
     /// Of the finest.
     pub finest: usize,
+    /// States that each mean is over, at least.
+    pub states: usize,
     /// The power.
     pub exponent: f64,
     /// Of the printed numbers on these grids.
@@ -198,8 +209,8 @@ struct Case<'a> {
     system: CoupledSystem,
     stress: StressVariables,
     dt: f64,
-    /// Of a sub-step of the f64 path but for its solve, s.
-    other_stages: f64,
+    /// The f64 path, which has done that sub-step.
+    path: Reference,
 }
 
 /// A text of a table that was written before. It stays as long as the process, as those do that rows have from here: they are few.
@@ -212,20 +223,17 @@ fn word_if_any<'de, D: Deserializer<'de>>(from: D) -> Result<Option<&'static str
     Ok(text.map(|text| &*text.leak()))
 }
 
-/// The rows that an earlier run has left; none where there is no such file.
+/// The rows of an earlier run's thesis_systems.csv.
 ///
 /// # Errors
 /// [`Error::Input`] where it cannot be read.
 pub(super) fn kept(path: &Path) -> Result<Vec<SystemRow>, Error> {
-    if !path.exists() {
-        return Ok(Vec::new());
-    }
     let rows = csv::Reader::from_path(path).and_then(|reader| reader.into_deserialize().collect());
     rows.map_err(|problem| {
         Error::input(
             path.display().to_string(),
             format!("cannot be read: {problem}"),
-            "measure into another folder (--out), or leave --resume out to measure all anew",
+            ANEW,
         )
     })
 }
@@ -321,7 +329,7 @@ impl<'a> Case<'a> {
         path.reset(state.clone())?;
         let time_step = path.next_time_step();
         let mut taken = None;
-        let report = path.step_observed(time_step, &mut |system| {
+        path.step_observed(time_step, &mut |system| {
             if let StepSystem::Coupled(system, ..) = system {
                 taken = Some(system.clone());
             }
@@ -333,7 +341,6 @@ impl<'a> Case<'a> {
                 "give later frames, such as 10,40,80",
             )
         })?;
-        let solve = report.seconds.iter().filter(|(stage, _)| *stage == "solve");
         let pattern = Arc::new(BlockPattern::new(solids));
         let deformed = solid_matrices(solids, &pattern, &path.state().displacement);
         let dt = time_step.dt;
@@ -341,13 +348,13 @@ impl<'a> Case<'a> {
             stress: StressVariables::new(solids, &deformed.deformations, |body| {
                 body.zeta_stiffness(dt)
             }),
-            other_stages: report.seconds_total - solve.map(|(_, seconds)| seconds).sum::<f64>(),
             size,
             scene,
             solids,
             state,
             system,
             dt,
+            path,
         })
     }
 
@@ -388,6 +395,8 @@ impl<'a> Case<'a> {
             seconds_min: None,
             seconds_max: None,
             frame_seconds: None,
+            frame_seconds_min: None,
+            frame_seconds_max: None,
         }
     }
 
@@ -480,16 +489,26 @@ impl<'a> Case<'a> {
             .liquid
             .as_ref()
             .map_or(0.0, |liquid| liquid.density);
+        // From before the device makes its matrices: the CPU's solves make theirs, too.
+        let sub_step = |path: &mut GpuPath| {
+            Done::timed_after(LiquidDistance::NAME, path, self.state, density)
+        };
         for (_, path) in &mut devices {
             // The first compiles.
-            sub_step(path, self.state, density)?;
+            sub_step(path)?;
         }
         let settings = settings(Precision::F64, Formulation::Auto);
+        let mut path = self.path.clone();
+        let mut steps: Vec<StepReport> = Vec::new();
         let mut timed = vec![Vec::new(); forms.len()];
         let mut of_device = vec![(Vec::new(), Vec::new()); devices.len()];
         let mut reports = vec![None; forms.len()];
         let mut told = vec![None; devices.len()];
         for _ in 0..options.repeats.max(1) {
+            if steps.iter().map(|step| step.seconds_total).sum::<f64>() <= PATIENCE {
+                path.reset(self.state.clone())?;
+                steps.push(path.step(path.next_time_step())?);
+            }
             for (number, &form) in forms.iter().enumerate() {
                 if timed[number].iter().sum::<f64>() > PATIENCE {
                     continue;
@@ -504,7 +523,7 @@ impl<'a> Case<'a> {
                 if of_device[number].0.iter().sum::<f64>() > PATIENCE {
                     continue;
                 }
-                let done = sub_step(path, self.state, density)?;
+                let done = sub_step(path)?;
                 path.write_state(self.state)?;
                 let whole = path.step_observed(&mut |_, _| Ok(()))?.seconds_total;
                 of_device[number].0.push(done.seconds);
@@ -512,6 +531,7 @@ impl<'a> Case<'a> {
                 told[number] = Some(done.report);
             }
         }
+        let others = Spread::of(steps.iter().map(other_stages).collect());
         let mut rows = Vec::new();
         for ((form, seconds), reports) in forms.iter().zip(timed).zip(reports) {
             let (formulation, solver) = match form {
@@ -520,7 +540,11 @@ impl<'a> Case<'a> {
             };
             let mut row = self.row(table, [formulation, solver], ["cpu", "f64"]);
             let seconds = Spread::of(seconds);
-            let whole = seconds.median + self.other_stages;
+            let whole = Spread {
+                median: seconds.median + others.median,
+                min: seconds.min + others.min,
+                max: seconds.max + others.max,
+            };
             row.measured(reports.expect("there is at least one"), seconds, whole);
             rows.push(row);
         }
@@ -533,7 +557,7 @@ impl<'a> Case<'a> {
             let mut row = self.row(table, what, ["gpu", name(*precision)]);
             let solves_of_both: Vec<SolveReport> = report.solves().collect();
             let reports = [solves_of_both[0], solves_of_both[1]];
-            row.measured(reports, Spread::of(solves), Spread::of(wholes).median);
+            row.measured(reports, Spread::of(solves), Spread::of(wholes));
             // `auto` may have taken the same form.
             let same = |other: &SystemRow| {
                 [other.backend, other.formulation, other.precision]
@@ -547,8 +571,14 @@ impl<'a> Case<'a> {
     }
 }
 
+/// Of a sub-step of the f64 path but for its solve, s.
+fn other_stages(step: &StepReport) -> f64 {
+    let solve = step.seconds.iter().filter(|(stage, _)| *stage == "solve");
+    step.seconds_total - solve.map(|(_, seconds)| seconds).sum::<f64>()
+}
+
 impl SystemRow {
-    fn measured(&mut self, reports: [SolveReport; 2], seconds: Spread, sub_step: f64) {
+    fn measured(&mut self, reports: [SolveReport; 2], seconds: Spread, sub_step: Spread) {
         let mut statuses = reports.iter().map(|report| report.status);
         let failed = statuses.find(|status| *status != SolveStatus::Converged);
         self.status = Some(failed.unwrap_or(SolveStatus::Converged).name());
@@ -558,7 +588,10 @@ impl SystemRow {
         self.seconds_median = Some(seconds.median);
         self.seconds_min = Some(seconds.min);
         self.seconds_max = Some(seconds.max);
-        self.frame_seconds = Some(self.sub_steps_per_frame * sub_step);
+        let sub_steps = self.sub_steps_per_frame;
+        self.frame_seconds = Some(sub_steps * sub_step.median);
+        self.frame_seconds_min = Some(sub_steps * sub_step.min);
+        self.frame_seconds_max = Some(sub_steps * sub_step.max);
     }
 
     /// What is one line of a table and of a chart.
@@ -570,15 +603,21 @@ impl SystemRow {
         }
     }
 
-    /// Value, least and largest of a quantity.
+    /// Value, least and largest of a quantity; seconds only of a solve that converged: others end when they end.
     fn values(&self, quantity: &str) -> Option<[f64; 3]> {
-        let seconds = || Some([self.seconds_median?, self.seconds_min?, self.seconds_max?]);
+        let converged = self.status == Some(SolveStatus::Converged.name());
         match quantity {
             "nonzeros" => self.nonzeros.map(|n| [n as f64; 3]),
             "log10_condest" => self.log10_condest.map(|c| [c; 3]),
             "log10_condition" => self.log10_condition.map(|c| [c; 3]),
-            "seconds" => seconds(),
-            _ => self.frame_seconds.map(|seconds| [seconds; 3]),
+            _ if !converged => None,
+            "seconds" => Some([self.seconds_median?, self.seconds_min?, self.seconds_max?]),
+            _ => {
+                let seconds = self.frame_seconds?;
+                // Of a sub-step that was timed once there is no more.
+                let [least, most] = [self.frame_seconds_min, self.frame_seconds_max];
+                Some([seconds, least.unwrap_or(seconds), most.unwrap_or(seconds)])
+            }
         }
     }
 }
@@ -644,11 +683,12 @@ pub(super) fn means(rows: &[SystemRow]) -> Vec<Mean> {
         let of_line: Vec<&SystemRow> = of_line.collect();
         let first = of_line[0];
         for &quantity in quantities(first.table) {
-            let values = of_line.iter().map(|row| row.values(quantity));
-            // A quantity that this way does not have.
-            let Some(values) = values.collect::<Option<Vec<[f64; 3]>>>() else {
+            let values = of_line.iter().filter_map(|row| row.values(quantity));
+            let values: Vec<[f64; 3]> = values.collect();
+            // A quantity that this way does not have, or no solve that converged.
+            if values.is_empty() {
                 continue;
-            };
+            }
             let mean = values.iter().map(|[value, ..]| value).sum::<f64>() / values.len() as f64;
             let thesis = printed(
                 first.table,
@@ -667,6 +707,7 @@ pub(super) fn means(rows: &[SystemRow]) -> Vec<Mean> {
                 backend: first.backend,
                 precision: first.precision,
                 quantity,
+                states: values.len(),
                 mean,
                 least: values
                     .iter()
@@ -711,6 +752,7 @@ pub(super) fn growth(means: &[Mean]) -> Vec<Growth> {
             .filter_map(|mean| Some((mean.grid as f64, value(mean.thesis?))));
         let of_thesis: Vec<(f64, f64)> = of_thesis.collect();
         let points: Vec<(f64, f64)> = line.iter().map(point).collect();
+        let states = line.iter().map(|mean| mean.states);
         growth.extend(exponent(points).map(|power| Growth {
             table: first.table,
             nodes: first.series().0,
@@ -721,6 +763,7 @@ pub(super) fn growth(means: &[Mean]) -> Vec<Growth> {
             quantity: first.quantity,
             coarsest: coarsest.grid,
             finest: finest.grid,
+            states: states.fold(usize::MAX, usize::min),
             exponent: power,
             thesis: exponent(of_thesis),
         }));
@@ -759,6 +802,8 @@ mod tests {
             seconds_min: Some(seconds),
             seconds_max: Some(seconds),
             frame_seconds: Some(4.0 * seconds),
+            frame_seconds_min: Some(2.0 * seconds),
+            frame_seconds_max: Some(8.0 * seconds),
         }
     }
 
@@ -778,9 +823,9 @@ mod tests {
         assert_eq!(
             found,
             [
-                (50, 8.0, 4.0, 12.0, Some(14.15)),
-                (100, 64.0, 64.0, 64.0, None),
-                (60, 8.0, 8.0, 8.0, Some(32.02)),
+                (50, 8.0, 2.0, 24.0, Some(14.15)),
+                (100, 64.0, 32.0, 128.0, None),
+                (60, 8.0, 4.0, 16.0, Some(32.02)),
             ]
         );
         assert_eq!(means[0].ratio, Some(8.0 / 14.15));
@@ -788,5 +833,40 @@ mod tests {
         assert_eq!(growth.len(), 1, "stresses have one grid");
         assert!((growth[0].exponent - 3.0).abs() < 1e-12, "{growth:?}");
         assert_eq!((growth[0].nodes, growth[0].thesis), (Some(725), None));
+        assert_eq!((means[0].states, growth[0].states), (2, 1));
+    }
+
+    #[test]
+    fn seconds_of_solves_that_did_not_converge_enter_no_mean() {
+        let failed = |grid, frame| SystemRow {
+            status: Some("iteration_limit"),
+            ..row(grid, frame, "two-field", 100.0)
+        };
+        let rows = [
+            row(50, 10, "two-field", 1.0),
+            failed(50, 40),
+            row(60, 10, "two-field", 2.0),
+            failed(100, 10),
+        ];
+        let of_rows = means(&rows);
+        let found: Vec<_> = of_rows
+            .iter()
+            .map(|mean| (mean.grid, mean.states, mean.mean))
+            .collect();
+        assert_eq!(found, [(50, 1, 4.0), (60, 1, 8.0)]);
+        let growth = growth(&of_rows);
+        assert_eq!((growth.len(), growth[0].finest), (1, 60));
+        // The matrix is what it is.
+        let of_matrix = SystemRow {
+            table: "6.2",
+            nonzeros: Some(5),
+            ..failed(40, 10)
+        };
+        let means = means(&[of_matrix]);
+        let found: Vec<_> = means
+            .iter()
+            .map(|mean| (mean.quantity, mean.states, mean.mean))
+            .collect();
+        assert_eq!(found, [("nonzeros", 1, 5.0)]);
     }
 }
