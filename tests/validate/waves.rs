@@ -1,5 +1,6 @@
 //! Waves and floods of liquid alone, against theory and an experiment.
 
+use cutwater::reference::larger;
 use cutwater::sim::Simulation;
 
 use crate::Case;
@@ -264,7 +265,7 @@ fn ritter(sheet: &mut Sheet) {
     );
     let off = own.iter().map(|[xi, h]| (h - exact(*xi)).abs());
     let what = "flood on a dry bed, largest error of the depth over the reservoir's";
-    sheet.at_most(what, off.fold(0.0, f64::max), 0.05);
+    sheet.at_most(what, off.fold(0.0, larger), 0.05);
 }
 
 /// F10: a solitary wave runs and climbs a wall.
@@ -310,9 +311,7 @@ fn solitary_wave(sheet: &mut Sheet) {
     };
     // The time of a crest: the middle of the times at half of its height.
     let crest = |series: &[(f64, f64)]| {
-        let most = series
-            .iter()
-            .fold(0.0, |most: f64, (_, eta)| most.max(*eta));
+        let most = series.iter().fold(0.0, |most, (_, eta)| larger(most, *eta));
         let times = crossings(series, 0.5 * most);
         (0.5 * (times[0] + times[1]), most)
     };
@@ -340,7 +339,7 @@ fn solitary_wave(sheet: &mut Sheet) {
     let climb = 2.0 * eps + 0.5 * eps * eps + 0.75 * eps.powi(3);
     let got = gauge(3)
         .iter()
-        .fold(0.0, |most: f64, (_, eta)| most.max(*eta));
+        .fold(0.0, |most, (_, eta)| larger(most, *eta));
     let what = "solitary wave: how high it climbs the wall, over the depth";
     sheet.relative(what, climb, got, 0.15);
 }

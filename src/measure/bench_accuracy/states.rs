@@ -5,7 +5,7 @@ use serde::Serialize;
 use crate::Error;
 use crate::effects::Effects;
 use crate::gpu::AdapterChoice;
-use crate::reference::{Formulation as Form, SolidSolver, solve, solve_coupled};
+use crate::reference::{Formulation as Form, SolidSolver, larger, solve, solve_coupled};
 use crate::scene::{Formulation, Precision, Preconditioner, Scene, Solver};
 use crate::sim::{GpuPath, Snapshot, reference_path};
 use crate::stages::RightHandSide;
@@ -306,10 +306,10 @@ impl<'a> Case<'a> {
     }
 }
 
-/// Largest difference of pairs over the largest second of them; 0 where all of them are 0.
+/// Largest difference of pairs over the largest second of them; 0 where all of them are 0, not a number where one is not.
 fn relative(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
     let [off, largest] = pairs.fold([0.0; 2], |[off, largest], (a, b)| {
-        [f64::max(off, (a - b).abs()), f64::max(largest, b.abs())]
+        [larger(off, (a - b).abs()), larger(largest, b.abs())]
     });
     if off == 0.0 { 0.0 } else { off / largest }
 }
@@ -404,7 +404,7 @@ pub(super) fn recommend(rows: &[Row]) -> Vec<Best> {
     for (scene, frame) in states(rows) {
         for target in TARGETS {
             let meets = |row: &&Row| {
-                let error = row.error_p.max(row.error_v);
+                let error = larger(row.error_p, row.error_v);
                 let converged = row.status == SolveStatus::Converged.name();
                 row.scene == scene && row.frame == frame && converged && error <= target
             };
@@ -427,4 +427,55 @@ pub(super) fn recommend(rows: &[Row]) -> Vec<Best> {
         }
     }
     best
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Row, recommend, relative};
+
+    fn row(error_p: f64, error_v: f64) -> Row {
+        Row {
+            scene: "dam_break".to_owned(),
+            frame: 10,
+            cells: 1,
+            unknowns: 1,
+            solid_unknowns: 1,
+            precision: "mixed",
+            preconditioner: "multigrid",
+            formulation: "condensed",
+            tolerance: 1e-6,
+            status: "converged",
+            iterations: 1,
+            seconds_median: 1.0,
+            seconds_min: 1.0,
+            seconds_max: 1.0,
+            residual_p: 0.0,
+            residual_v: 0.0,
+            error_p,
+            error_v,
+            step_error_p: 0.0,
+            step_error_v: 0.0,
+            step_error_u: 0.0,
+            divergence: 0.0,
+            speed_over_g_dt: 0.0,
+        }
+    }
+
+    #[test]
+    fn what_is_not_a_number_is_no_error() {
+        let of = |pairs: [(f64, f64); 2]| relative(pairs.into_iter());
+        assert_eq!(of([(1.0, 2.0), (4.0, 4.0)]), 0.25);
+        assert_eq!(of([(0.0, 0.0); 2]), 0.0);
+        for nan in [(f64::NAN, 1.0), (1.0, f64::NAN)] {
+            assert!(of([nan, (4.0, 4.0)]).is_nan() && of([(4.0, 4.0), nan]).is_nan());
+        }
+    }
+
+    #[test]
+    fn what_has_an_error_that_is_not_a_number_is_not_recommended() {
+        for error in [[f64::NAN, 0.0], [0.0, f64::NAN]] {
+            assert!(recommend(&[row(error[0], error[1])]).is_empty());
+        }
+        assert_eq!(recommend(&[row(1e-5, 1e-7)]).len(), 2);
+    }
 }

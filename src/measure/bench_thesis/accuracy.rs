@@ -13,6 +13,7 @@ use crate::measure::bench_accuracy::{Done, Mask, reference_step, sub_step};
 use crate::measure::bench_solve::name;
 use crate::measure::plane_strain::{PlaneStrain, TABLE_6_5, TABLE_6_6};
 use crate::measure::statistics::{Spread, exponent};
+use crate::reference::larger;
 use crate::scene::{PatchPressure, Precision, Scene, Solver};
 use crate::sim::{GpuPath, reference_path, solids_of};
 use crate::state::{SolveReport, SolveStatus, State};
@@ -239,14 +240,14 @@ fn again(seconds: &[f64], options: &Options) -> bool {
     seconds.is_empty() || seconds.len() < options.repeats && seconds.iter().sum::<f64>() <= PATIENCE
 }
 
-/// The largest magnitude of those that count.
+/// The largest magnitude of those that count; not a number where one is not.
 fn largest<'a>(
     values: impl IntoIterator<Item = f64>,
     counts: impl IntoIterator<Item = &'a bool>,
 ) -> f64 {
     let values = values.into_iter().zip(counts);
     let counted = values.filter(|(_, counts)| **counts);
-    counted.fold(0.0, |most, (value, _)| f64::max(most, value.abs()))
+    counted.fold(0.0, |most, (value, _)| larger(most, value.abs()))
 }
 
 impl Case<'_> {
@@ -263,10 +264,8 @@ impl Case<'_> {
         let faces = faces.map(|(faces, counts)| largest(faces.iter().copied(), counts));
         let errors = [
             largest(off, &mask.cells),
-            velocities
-                .iter()
-                .fold(0.0, |most, v| f64::max(most, v.abs())),
-            faces.fold(0.0, f64::max),
+            velocities.iter().fold(0.0, |most, v| larger(most, v.abs())),
+            faces.fold(0.0, larger),
         ];
         let [error_p, error_v, error_u] = errors;
         let mut printed = self.problem.printed.iter();
