@@ -17,6 +17,7 @@ mod sub_step;
 
 use std::cmp::Ordering;
 use std::fs;
+use std::io::ErrorKind;
 use std::path::Path;
 
 use serde::Serialize;
@@ -41,6 +42,16 @@ const EXACT: f64 = 1e-13;
 const MOST_ITERATIONS: u32 = 20_000;
 /// Of the shuffling: the same order in every run.
 const SEED: u64 = 20;
+/// What is written only where there are rows of it.
+const OPTIONAL: [&str; 7] = [
+    "accuracy.csv",
+    "accuracy_best.csv",
+    "accuracy.svg",
+    "accuracy_grids.csv",
+    "accuracy_grids_best.csv",
+    "accuracy_grids_enough.csv",
+    "accuracy_grids.svg",
+];
 
 /// What to measure.
 #[derive(Clone, Debug)]
@@ -93,7 +104,8 @@ pub enum Heard<'a> {
     Grid(&'a GridRow),
 }
 
-/// Measures all rows and writes their tables and pictures into `out`; `tell` hears of each row.
+/// Measures all rows and writes their tables and pictures into `out`, anew after each state and each problem on a grid; those of an earlier run are
+/// removed first. `tell` hears of each row.
 ///
 /// # Errors
 /// [`Error::Input`] for scenes of weak or damping-only coupling and grids that the problems do not fit, [`Error::Output`], and what the simulations say.
@@ -128,8 +140,19 @@ pub fn bench_accuracy(
         ));
     }
     fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
-    let machine = Machine::new(&Gpu::new(&options.adapter)?, options.repeats)?;
-    let mut rows = Vec::new();
+    let mut table = Table {
+        machine: Machine::new(&Gpu::new(&options.adapter)?, options.repeats)?,
+        rows: Vec::new(),
+        best: Vec::new(),
+        grids: Vec::new(),
+        grids_best: Vec::new(),
+        grids_enough: Vec::new(),
+    };
+    // Shows before any work that the folder can be written.
+    table.write(out)?;
+    for file in OPTIONAL {
+        remove(&out.join(file))?;
+    }
     for scene in &options.scenes {
         let mut simulation = Simulation::new(scene, &Backend::Gpu(options.adapter.clone()))?;
         for &frame in &options.frames {
@@ -137,50 +160,60 @@ pub fn bench_accuracy(
                 simulation.step()?;
             }
             let state = simulation.state()?;
-            for row in states::measure(scene, &state, options)? {
-                tell(Heard::State(&row));
-                rows.push(row);
-            }
+            let rows = states::measure(scene, &state, options)?;
+            rows.iter().for_each(|row| tell(Heard::State(row)));
+            table.rows.extend(rows);
+            table.write(out)?;
         }
     }
-    let mut grids = Vec::new();
-    let problems = Exact::ALL.into_iter().flat_map(|problem| {
-        let grids = options.grids.iter();
-        grids.map(move |&grid| (problem, grid))
-    });
-    for (problem, grid) in problems {
-        for row in grids::measure(problem, grid, options)? {
-            tell(Heard::Grid(&row));
-            grids.push(row);
+    for problem in Exact::ALL {
+        for &grid in &options.grids {
+            let rows = grids::measure(problem, grid, options)?;
+            rows.iter().for_each(|row| tell(Heard::Grid(row)));
+            table.grids.extend(rows);
+            table.write(out)?;
         }
-    }
-    let table = Table {
-        machine,
-        best: states::recommend(&rows),
-        rows,
-        grids_best: grids::recommend(&grids),
-        grids_enough: grids::enough(&grids),
-        grids,
-    };
-    write_json(&table, &out.join("accuracy.json"))?;
-    if !table.rows.is_empty() {
-        write_csv(&table.rows, &out.join("accuracy.csv"))?;
-        write_csv(&table.best, &out.join("accuracy_best.csv"))?;
-        let lines = states::states(&table.rows).len() as u32;
-        write_svg(&out.join("accuracy.svg"), (1200, 480 * lines), |page| {
-            picture::draw_states(&table.rows, page)
-        })?;
-    }
-    if !table.grids.is_empty() {
-        write_csv(&table.grids, &out.join("accuracy_grids.csv"))?;
-        write_csv(&table.grids_best, &out.join("accuracy_grids_best.csv"))?;
-        write_csv(&table.grids_enough, &out.join("accuracy_grids_enough.csv"))?;
-        let size = (1200, 480 * Exact::ALL.len() as u32);
-        write_svg(&out.join("accuracy_grids.svg"), size, |page| {
-            picture::draw_grids(&table.grids, page)
-        })?;
     }
     Ok(table)
+}
+
+impl Table {
+    /// Makes again what follows from the rows, and writes what there is.
+    fn write(&mut self, out: &Path) -> Result<(), Error> {
+        self.best = states::recommend(&self.rows);
+        self.grids_best = grids::recommend(&self.grids);
+        self.grids_enough = grids::enough(&self.grids);
+        write_json(self, &out.join("accuracy.json"))?;
+        if !self.rows.is_empty() {
+            write_csv(&self.rows, &out.join("accuracy.csv"))?;
+            write_csv(&self.best, &out.join("accuracy_best.csv"))?;
+            let lines = states::states(&self.rows).len() as u32;
+            write_svg(&out.join("accuracy.svg"), (1200, 480 * lines), |page| {
+                picture::draw_states(&self.rows, page)
+            })?;
+        }
+        if !self.grids.is_empty() {
+            write_csv(&self.grids, &out.join("accuracy_grids.csv"))?;
+            write_csv(&self.grids_best, &out.join("accuracy_grids_best.csv"))?;
+            write_csv(&self.grids_enough, &out.join("accuracy_grids_enough.csv"))?;
+            let lines = grids::problems(&self.grids).len() as u32;
+            let file = out.join("accuracy_grids.svg");
+            write_svg(&file, (1200, 480 * lines), |page| {
+                picture::draw_grids(&self.grids, page)
+            })?;
+        }
+        Ok(())
+    }
+}
+
+/// Removes a file, where there is one.
+fn remove(file: &Path) -> Result<(), Error> {
+    match fs::remove_file(file) {
+        Err(problem) if problem.kind() != ErrorKind::NotFound => {
+            Err(Error::unwritten(file, &problem))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// What a recommendation weighs of a row.
