@@ -12,7 +12,7 @@ use super::super::bench_solve::name;
 use super::super::statistics::Spread;
 use super::exact::Exact;
 use super::sub_step::{Done, Mask, reference_step, repeat_shuffled, sub_step};
-use super::{Choice, EXACT, MOST_ITERATIONS, Options, cheapest};
+use super::{Choice, EXACT, MOST_ITERATIONS, Options, cheapest, ensure_truth};
 
 /// Errors that a recommendation is made for.
 const TARGETS: [f64; 8] = [1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 1e-6];
@@ -199,6 +199,8 @@ impl Case {
         let state = problem.state(&scene)?;
         let mut path = reference_path(&scene)?;
         let done = reference_step(&mut path, &state)?;
+        let what = format!("{}, {grid} cells along 1 m, the f64 path", problem.name());
+        ensure_truth(&what, state.step, done.report.solves())?;
         let mask = Mask::of(&path);
         let mut case = Case {
             problem,

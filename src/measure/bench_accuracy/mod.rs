@@ -4,8 +4,9 @@
 //! state, in every precision, with every preconditioner, in every form of the corrections and to every tolerance, repeats in a shuffled
 //! order. The solve is timed on the host from when the right-hand sides are in place to when the answer is. Its errors are those against two
 //! truths: the direct solution in f64 of the system that the device stores in that precision, which is what the solver could do better, and the
-//! same sub-step on the f64 path, which is what the whole path could do better. Systems of more than 60,000 unknowns have no direct solution:
-//! theirs is refined to 1e-13.
+//! same sub-step on the f64 path, which is what the whole path could do better. Systems with liquid of more than 60,000 unknowns have no
+//! direct solution: theirs is by conjugate gradients. All are refined to a residual of 1e-13, or as far as rounding lets them; the bench ends
+//! where one that did not converge keeps more than 1e-10.
 //!
 //! On grids ([`GridRow`]): problems whose pressure is known, from which errors are those of the whole simulation, grid and solve together.
 
@@ -27,6 +28,7 @@ use crate::effects::Effects;
 use crate::gpu::{AdapterChoice, Gpu};
 use crate::scene::{CouplingScheme, Formulation, Precision, Preconditioner, Scene};
 use crate::sim::{Backend, Simulation};
+use crate::state::{SolveReport, SolveStatus};
 
 use super::bench_solve::name;
 use super::statistics::Spread;
@@ -40,6 +42,9 @@ pub(super) use sub_step::{Done, Mask, reference_step, sub_step};
 /// Of the truths.
 const EXACT: f64 = 1e-13;
 const MOST_ITERATIONS: u32 = 20_000;
+/// The residual that a truth may keep which did not converge: forces of stiff solids cancel, and in f64 their rounding can be above [`EXACT`]. The
+/// least error that is recommended for.
+const ROUNDED: f64 = 1e-10;
 /// Of the shuffling: the same order in every run.
 const SEED: u64 = 20;
 /// What is written only where there are rows of it.
@@ -108,7 +113,8 @@ pub enum Heard<'a> {
 /// removed first. `tell` hears of each row.
 ///
 /// # Errors
-/// [`Error::Input`] for scenes of weak or damping-only coupling and grids that the problems do not fit, [`Error::Output`], and what the simulations say.
+/// [`Error::Input`] for scenes of weak or damping-only coupling and grids that the problems do not fit, [`Error::Output`], [`Error::Stage`] where
+/// a truth is not solved for, and what the simulations say.
 pub fn bench_accuracy(
     options: &Options,
     out: &Path,
@@ -216,6 +222,33 @@ fn remove(file: &Path) -> Result<(), Error> {
     }
 }
 
+/// Refuses as a truth what was not solved for. `step`: sub-steps before it.
+fn ensure_truth(
+    what: &str,
+    step: u64,
+    solves: impl IntoIterator<Item = SolveReport>,
+) -> Result<(), Error> {
+    for SolveReport {
+        residual, status, ..
+    } in solves
+    {
+        let passed = matches!(status, SolveStatus::Converged | SolveStatus::Incompatible);
+        // Not where the residual is no number.
+        if passed || residual <= ROUNDED {
+            continue;
+        }
+        let status = status.name();
+        return Err(Error::Stage {
+            stage: "solve",
+            step,
+            problem: format!(
+                "{what}: the solution in f64 that errors are to be measured against ended with {status} at a relative residual of {residual:.1e}, above {ROUNDED:e}\n  cure: shorter sub-steps (time.fixed_step), or loads and stiffnesses nearer to each other"
+            ),
+        });
+    }
+    Ok(())
+}
+
 /// What a recommendation weighs of a row.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Choice {
@@ -265,7 +298,8 @@ fn cheapest<'a, T>(
 #[cfg(test)]
 mod tests {
     use super::super::statistics::Spread;
-    use super::{Choice, cheapest};
+    use super::{Choice, cheapest, ensure_truth};
+    use crate::state::{SolveReport, SolveStatus};
 
     fn way(cells: usize, precision: &'static str, tolerance: f64, iterations: u32) -> Choice {
         Choice {
@@ -317,6 +351,45 @@ mod tests {
         let slower = taking([12.6, 13.0, 14.0], way(10, "f32", 1e-2, 1));
         assert_eq!(chosen(&[disturbed, slower]), disturbed);
         assert!(cheapest([].iter(), |row: &Choice| *row).is_none());
+    }
+
+    #[test]
+    fn what_was_not_solved_for_is_no_truth() {
+        let ensure = |status: SolveStatus, residual: f64| {
+            let solved = SolveReport {
+                unknowns: 1,
+                iterations: 0,
+                residual: 0.0,
+                status: SolveStatus::Converged,
+            };
+            let last = SolveReport {
+                residual,
+                status,
+                ..solved
+            };
+            ensure_truth("dam_break, frame 10, stored in mixed", 87, [solved, last])
+        };
+        for (status, residual) in [
+            // Below the rounding of a right-hand side that is nearly nothing.
+            (SolveStatus::Converged, 1e-3),
+            (SolveStatus::Incompatible, 1e-14),
+            (SolveStatus::Stagnated, 4e-12),
+        ] {
+            assert!(ensure(status, residual).is_ok(), "{status:?}");
+        }
+        for (status, residual, shown) in [
+            (SolveStatus::Stagnated, 3e-7, "3.0e-7"),
+            (SolveStatus::IterationLimit, 2e-10, "2.0e-10"),
+            (SolveStatus::Breakdown, 1.0, "1.0e0"),
+            (SolveStatus::NonFinite, f64::NAN, "NaN"),
+        ] {
+            let error = ensure(status, residual).unwrap_err();
+            assert_eq!(error.exit_code(), 4, "{status:?}");
+            let text = error.to_string();
+            for part in ["dam_break, frame 10", "step 87", status.name(), shown] {
+                assert!(text.contains(part), "{part}: {text}");
+            }
+        }
     }
 
     #[test]

@@ -9,13 +9,13 @@ use crate::reference::{Formulation as Form, SolidSolver, larger, solve, solve_co
 use crate::scene::{Formulation, Precision, Preconditioner, Scene, Solver};
 use crate::sim::{GpuPath, Snapshot, reference_path};
 use crate::stages::RightHandSide;
-use crate::state::{SolveStatus, State};
+use crate::state::{SolveReport, SolveStatus, State};
 
 use super::super::bench_solve::{name, preconditioner_name};
 use super::super::statistics::Spread;
 use super::super::stored;
 use super::sub_step::{Answer, Done, Mask, reference_step, repeat_shuffled, sub_step};
-use super::{Choice, EXACT, MOST_ITERATIONS, Options, cheapest};
+use super::{Choice, EXACT, MOST_ITERATIONS, Options, cheapest, ensure_truth};
 
 /// Errors that a recommendation is made for.
 const TARGETS: [f64; 5] = [1e-2, 1e-4, 1e-6, 1e-8, 1e-10];
@@ -212,15 +212,27 @@ impl<'a> Case<'a> {
         let mut reference = reference_path(&exact)?;
         reference.reset(state.clone())?;
         let dt = reference.next_time_step().dt;
-        let Done { answer, faces, .. } = reference_step(&mut reference, state)?;
-        Ok(Case {
+        let done = reference_step(&mut reference, state)?;
+        let case = Case {
             scene,
             state,
-            exact: answer,
-            faces,
+            exact: done.answer,
+            faces: done.faces,
             mask: Mask::of(&reference),
             dt,
-        })
+        };
+        case.ensure_truth("the f64 path", done.report.solves())?;
+        Ok(case)
+    }
+
+    /// Refuses as a truth what was not solved for; `of`: where its system is from.
+    fn ensure_truth(
+        &self,
+        of: &str,
+        solves: impl IntoIterator<Item = SolveReport>,
+    ) -> Result<(), Error> {
+        let what = format!("{}, frame {}, {of}", self.scene.name, self.state.frame);
+        ensure_truth(&what, self.state.step, solves)
     }
 
     /// kg/m^3
@@ -330,13 +342,11 @@ impl Way {
                     .liquid
                     .map_or(Vec::new(), |liquid| liquid.rhs);
             } else if stage == "solve" {
-                truth = Some(solution(
-                    path,
-                    &path.snapshot()?,
-                    &inflow,
-                    case.density(),
-                    dt,
-                )?);
+                let (answer, solves) =
+                    solution(path, &path.snapshot()?, &inflow, case.density(), dt)?;
+                let of = format!("stored in {}", name(solver.precision));
+                case.ensure_truth(&of, solves)?;
+                truth = Some(answer);
             }
             Ok(())
         })?;
@@ -349,14 +359,14 @@ impl Way {
     }
 }
 
-/// The solution of the system that a device stores.
+/// The solution of the system that a device stores, and the reports of its solves.
 fn solution(
     path: &GpuPath,
     snapshot: &Snapshot,
     inflow: &[f64],
     density: f64,
     dt: f64,
-) -> Result<Answer, Error> {
+) -> Result<(Answer, Vec<SolveReport>), Error> {
     let settings = Solver {
         tolerance: EXACT,
         max_iterations: MOST_ITERATIONS,
@@ -366,24 +376,30 @@ fn solution(
     if let Some((system, all)) = stored::system_of_both(path, snapshot, inflow, density, dt) {
         let solver = SolidSolver::new(&all);
         let found = solve_coupled(&system, Form::of(&system), &solver, &all, &settings)?;
-        return Ok(Answer {
+        let answer = Answer {
             pressure: found.pressure,
             velocity: found.velocity,
-        });
+        };
+        return Ok((answer, found.reports.into()));
     }
     let mut answer = Answer {
         pressure: Vec::new(),
         velocity: Vec::new(),
     };
+    let mut solves = Vec::new();
     if let Some(liquid) = &snapshot.liquid {
         let system = stored::pressure_system(path, liquid, density, dt);
-        (answer.pressure, _) = solve(&system, &settings)?;
+        let (pressure, report) = solve(&system, &settings)?;
+        answer.pressure = pressure;
+        solves.push(report);
     }
     if let Some(solids) = &snapshot.solids {
         let (system, all) = stored::solid_system(path, solids, dt);
-        (answer.velocity, _) = SolidSolver::new(&all).solve_direct(&system, &settings)?;
+        let (velocity, report) = SolidSolver::new(&all).solve_direct(&system, &settings)?;
+        answer.velocity = velocity;
+        solves.push(report);
     }
-    Ok(answer)
+    Ok((answer, solves))
 }
 
 /// Scenes and frames, in the order of the rows.
