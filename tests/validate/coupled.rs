@@ -38,7 +38,7 @@ pub(crate) fn cases() -> Vec<Case> {
     }
     cases.push(Case::new("C3", parameters));
     cases.push(Case::new("C3/device", stored));
-    cases.push(Case::new("C4", seconds_of_clip));
+    cases.push(Case::alone("C4", seconds_of_clip));
     for lane in Lane::PRECISE {
         cases.push(Case::new(format!("C5/{}", lane.name()), move |sheet| {
             neutral_block(lane, sheet)
