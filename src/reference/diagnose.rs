@@ -35,7 +35,7 @@ pub fn max_speed(velocity: &[Vec<f64>; 3]) -> f64 {
 }
 
 /// The larger of two numbers; not a number where one is not.
-pub(super) fn larger(a: f64, b: f64) -> f64 {
+pub fn larger(a: f64, b: f64) -> f64 {
     if a >= b || a.is_nan() { a } else { b }
 }
 

@@ -45,7 +45,7 @@ pub(crate) use advect_markers::Layer;
 pub use advect_markers::{Lost, Surface, advect_markers, volume_without};
 pub use advect_velocity::advect_velocity;
 pub use coupled_system::{Blocks, CoupledSystem, SQUEEZE, TwoField};
-pub use diagnose::{diagnose, divergence, liquid_volume, max_speed, open_volumes};
+pub use diagnose::{diagnose, divergence, larger, liquid_volume, max_speed, open_volumes};
 pub use diagnose_solid::diagnose_solid;
 pub use exchange::{
     Passed, Seeded, carry_faces, empty_sinks, exchanged_volume, hold_faces, seed_markers,

@@ -3,6 +3,7 @@
 use cutwater::gpu::AdapterChoice;
 use cutwater::measure::bench_stability::{LimitRow, limits};
 use cutwater::measure::bench_thesis::{Options, Row, ThesisTable, bench_thesis};
+use cutwater::reference::larger;
 use cutwater::scene::Precision;
 use cutwater::sim::Backend;
 
@@ -57,7 +58,7 @@ fn limit(sheet: &mut Sheet) {
     let changes = long.iter().zip(&short);
     let changes = changes.map(|([_, long], [_, short])| (short / long - 1.0).abs());
     let what = "weak coupling without a spring: change of the growth in a quarter of the sub-step";
-    sheet.at_most(what, changes.fold(0.0, f64::max), 0.05);
+    sheet.at_most(what, changes.fold(0.0, larger), 0.05);
     sheet.chart(
         "weak coupling of a piston without a spring and a column",
         [
@@ -148,7 +149,7 @@ fn one_step(table: ThesisTable, lane: Lane, sheet: &mut Sheet) {
             [0, 1, 2].map(|of| (a[of] - b[of]).abs())
         });
         let what = "block at rest: largest difference of an error from that in f64";
-        sheet.at_most(what, off.fold(0.0, f64::max), 1e-5);
+        sheet.at_most(what, off.fold(0.0, larger), 1e-5);
     }
     let line = |label: &str, mark: Mark, patches: &str, error: fn(&Row) -> Option<f64>| {
         let rows = rows.iter().filter(|row| row.patch_pressure == patches);

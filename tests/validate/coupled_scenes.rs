@@ -7,6 +7,7 @@
 use cutwater::elastic::Solids;
 use cutwater::gpu::AdapterChoice;
 use cutwater::measure::bench_stability::{Options, bench_stability};
+use cutwater::reference::larger;
 use cutwater::scene::Scene;
 use cutwater::sim::{Backend, Simulation};
 use cutwater::state::{SolveStatus, State, StepReport};
@@ -259,12 +260,14 @@ impl Film {
     }
 }
 
+/// Not a number where one is not.
 fn largest(values: impl Iterator<Item = f64>) -> f64 {
-    values.fold(f64::NEG_INFINITY, f64::max)
+    values.fold(f64::NEG_INFINITY, larger)
 }
 
+/// Not a number where one is not.
 fn least(values: impl Iterator<Item = f64>) -> f64 {
-    values.fold(f64::INFINITY, f64::min)
+    -largest(values.map(|value| -value))
 }
 
 fn mean(values: impl Iterator<Item = f64>) -> f64 {
@@ -580,8 +583,8 @@ fn fluid_in_sphere(sheet: &mut Sheet) {
     let (mut reach, mut out) = (0.0, 0.0);
     let film = Film::shoot("fluid_in_sphere", &[], SCALE, None, |state, solids| {
         let nodes = solids.rest.iter().zip(&state.displacement);
-        reach = f64::max(reach, largest(nodes.map(|(rest, u)| rest.x + u[0])));
-        out = f64::max(out, escaped(state, solids));
+        reach = larger(reach, largest(nodes.map(|(rest, u)| rest.x + u[0])));
+        out = larger(out, escaped(state, solids));
     });
     film.sound(sheet);
     film.keeps_volume(sheet);
@@ -603,8 +606,9 @@ fn uneven_sphere(sheet: &mut Sheet) {
     let (mut lowest, mut out) = (f64::INFINITY, 0.0);
     let film = Film::shoot("uneven_sphere", &[], SCALE, None, |state, solids| {
         let nodes = solids.rest.iter().zip(&state.displacement);
-        lowest = f64::min(lowest, least(nodes.map(|(rest, u)| rest.y + u[1])));
-        out = f64::max(out, escaped(state, solids));
+        let heights = nodes.map(|(rest, u)| rest.y + u[1]);
+        lowest = least(heights.chain([lowest]));
+        out = larger(out, escaped(state, solids));
     });
     film.sound(sheet);
     film.keeps_volume(sheet);

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 use std::fs;
 
+use cutwater::reference::larger;
 use cutwater::scene::Scene;
 use cutwater::sim::Simulation;
 use cutwater::state::{SolveStatus, StepReport};
@@ -774,15 +775,15 @@ solid = {{ name = \"ball\" }}
             ),
             &[],
         );
-        let (mut divergence, mut off, mut motion) = (0.0_f64, 0.0_f64, Vec::new());
+        let (mut divergence, mut off, mut motion) = (0.0, 0.0, Vec::new());
         while simulation.clock().frame < frames {
             let report = step(&mut simulation);
             let liquid = report.liquid.expect("the scene has liquid");
-            divergence = divergence.max(liquid.diagnosis.divergence);
+            divergence = larger(divergence, liquid.diagnosis.divergence);
             let probes = simulation
                 .probes()
                 .unwrap_or_else(|error| panic!("{error}"));
-            off = off.max((probes[3] - 1.0).abs());
+            off = larger(off, (probes[3] - 1.0).abs());
             let speed = mean_velocity(&simulation).y;
             motion.push((simulation.clock().time, speed, probes));
         }

@@ -3,6 +3,7 @@
 use cutwater::elastic::{Solids, forces};
 use cutwater::gpu::AdapterChoice;
 use cutwater::linalg::dot;
+use cutwater::reference::larger;
 use cutwater::scene::{Precision, Scene};
 use cutwater::sim::{Backend, GpuPath, Simulation};
 use cutwater::state::{SolidReport, SolveStatus, State};
@@ -180,10 +181,10 @@ impl Motion {
     }
 }
 
-/// Largest magnitude of a component.
+/// Largest magnitude of a component; not a number where one is not.
 pub(crate) fn largest(x: &[[f64; 3]]) -> f64 {
     let components = x.as_flattened().iter();
-    components.fold(0.0, |largest, x| f64::max(largest, x.abs()))
+    components.fold(0.0, |largest, x| larger(largest, x.abs()))
 }
 
 /// What a lane makes of the elements of a scene in some state.
@@ -279,7 +280,7 @@ impl Probe {
             }
         }
         let counted = sums.iter().enumerate().filter(|(node, _)| counts(*node));
-        counted.fold(0.0, |most, (_, force)| f64::max(most, force.length()))
+        counted.fold(0.0, |most, (_, force)| larger(most, force.length()))
     }
 }
 

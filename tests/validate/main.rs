@@ -61,13 +61,27 @@ pub(crate) struct Case {
     topic: &'static str,
     /// Names it on the command line and in the table.
     id: String,
+    /// Whether it runs while no other does: one that is judged by its seconds.
+    alone: bool,
     run: Box<dyn Fn(&mut Sheet) + Send + Sync>,
 }
 
 impl Case {
     fn new(id: impl Into<String>, run: impl Fn(&mut Sheet) + Send + Sync + 'static) -> Case {
-        let (id, run) = (id.into(), Box::new(run));
-        Case { topic: "", id, run }
+        Case {
+            topic: "",
+            id: id.into(),
+            alone: false,
+            run: Box::new(run),
+        }
+    }
+
+    /// One that runs while no other does.
+    fn alone(id: impl Into<String>, run: impl Fn(&mut Sheet) + Send + Sync + 'static) -> Case {
+        Case {
+            alone: true,
+            ..Case::new(id, run)
+        }
     }
 
     /// Its rows and charts. What panics fails.
@@ -109,24 +123,27 @@ fn cases() -> Vec<Case> {
     .collect()
 }
 
-/// Runs the cases, `jobs` at a time; rows and charts in the order of the cases.
+/// Runs the cases, `jobs` at a time, and at last those that run alone; rows and charts in the order of the cases.
 fn run(cases: &[Case], jobs: usize) -> (Vec<Row>, Vec<Chart>) {
-    let next = AtomicUsize::new(0);
     let done: Vec<Mutex<(Vec<Row>, Vec<Chart>)>> = cases.iter().map(|_| Mutex::default()).collect();
+    let find = |number: usize| {
+        let found = cases[number].found();
+        print!("{}", sheet::lines(&found.0));
+        *done[number].lock().expect("no other thread has this case") = found;
+    };
+    let (alone, beside): (Vec<usize>, Vec<usize>) =
+        (0..cases.len()).partition(|&number| cases[number].alone);
+    let next = AtomicUsize::new(0);
     std::thread::scope(|scope| {
         for _ in 0..jobs {
             scope.spawn(|| {
-                while let Some((case, done)) = {
-                    let number = next.fetch_add(1, Ordering::Relaxed);
-                    cases.get(number).zip(done.get(number))
-                } {
-                    let found = case.found();
-                    print!("{}", sheet::lines(&found.0));
-                    *done.lock().expect("no other thread has this case") = found;
+                while let Some(&number) = beside.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    find(number);
                 }
             });
         }
     });
+    alone.into_iter().for_each(find);
     let found = done.into_iter().map(|found| found.into_inner());
     let found = found.map(|found| found.expect("no thread is left"));
     let (rows, charts): (Vec<_>, Vec<_>) = found.unzip();

@@ -115,7 +115,9 @@ fn glance(path: &Path, rows: &[&Row]) -> Result<(), Box<dyn Error>> {
     for (line, id) in ids.iter().enumerate() {
         let y = f64::from(n) - line as f64 - 0.5;
         for row in rows.iter().filter(|row| row.id == *id) {
-            let share = row.share.unwrap_or(0.0).clamp(1.2e-6, 80.0);
+            // What is not a number is at the far end.
+            let share = row.share.filter(|share| !share.is_nan());
+            let share = share.unwrap_or(80.0).clamp(1.2e-6, 80.0);
             let colour = if row.passed == Some(true) { GREEN } else { RED };
             chart.draw_series([Circle::new((share, y), 4, colour.mix(0.6).filled())])?;
         }

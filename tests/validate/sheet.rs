@@ -6,6 +6,7 @@ use std::fmt::Write;
 use std::fs;
 
 use cutwater::measure::table::{Machine, Table};
+use cutwater::reference::larger;
 use serde::Serialize;
 
 use crate::page::{self, Chart, Line};
@@ -152,7 +153,7 @@ impl Sheet {
         let passed = Some(got <= bound);
         self.row(what, "0".into(), number(got), number(bound), passed);
         if bound > 0.0 {
-            self.share(got.max(0.0) / bound);
+            self.share(larger(0.0, got) / bound);
         }
     }
 

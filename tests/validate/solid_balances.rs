@@ -1,6 +1,7 @@
 //! What must stay the same: the acceleration of bodies that fall (S13), momentum of free bodies, and what backward Euler takes from their
 //! spin.
 
+use cutwater::reference::larger;
 use cutwater::scene::Scene;
 use glam::DVec3;
 
@@ -40,13 +41,14 @@ fn free_fall(lane: Lane, sheet: &mut Sheet) {
         scene.domain.gravity = gravity;
         let drift = scene.solids[0].initial.velocity;
         let mut motion = Motion::new(lane, &scene, dt);
-        let mut worst: f64 = 0.0;
+        let mut worst = 0.0;
         for number in 1..=60 {
             motion.step();
             let exact = drift + f64::from(number) * dt * gravity;
             let [momentum, _] = motion.momenta();
             // Speeds of nodes are those of the fall, of the spin and of the strain: some m/s.
-            worst = worst.max((momentum / mass).distance(exact) / (1.0 + exact.length()));
+            let off = (momentum / mass).distance(exact) / (1.0 + exact.length());
+            worst = larger(worst, off);
         }
         let name = if strained {
             "spinning and swinging"
@@ -78,11 +80,11 @@ fn free_flight(lane: Lane, young: f64, dt: f64) -> Kept {
     let state = motion.state();
     let nodes = state.node_velocity.iter().zip(&motion.solids.mass);
     let scale: f64 = nodes.map(|(v, mass)| mass * DVec3::from(*v).length()).sum();
-    let (mut momentum, mut energies): (f64, Vec<f64>) = (0.0, Vec::new());
+    let (mut momentum, mut energies) = (0.0, Vec::new());
     for _ in 0..(0.25 / dt).round() as usize {
         let diagnosis = motion.step().diagnosis;
         energies.push(diagnosis.kinetic_energy + diagnosis.elastic_energy);
-        momentum = momentum.max(motion.momenta()[0].distance(before) / scale);
+        momentum = larger(momentum, motion.momenta()[0].distance(before) / scale);
     }
     let centre = DVec3::new(2.0, 3.0, 2.0);
     let spin_before = spin_before - centre.cross(before);
@@ -152,7 +154,7 @@ fn spinning_block(lane: Lane, sheet: &mut Sheet) {
             after.distance(before) / before.length(),
             angle * angle,
         );
-        let most = energies.iter().copied().fold(0.0, f64::max);
+        let most = energies.iter().copied().fold(0.0, larger);
         sheet.told(
             &format!("{angle:.4} rad a step: largest and last energy over the first"),
             format!(

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use cutwater::geometry::TetMesh;
 use cutwater::output::write_mesh;
+use cutwater::reference::larger;
 use cutwater::scene::{ElasticModel, Scene, Solid, SolidMesh};
 use glam::{DMat3, DVec3};
 
@@ -101,7 +102,7 @@ fn element_stiffness(lane: Lane, sheet: &mut Sheet) {
             let number: usize = row[1].parse().unwrap();
             for (ours, table) in matrix[number].iter().zip(&row[2..]) {
                 let table: f64 = table.parse().unwrap();
-                worst = worst.max((ours - table).abs());
+                worst = larger(worst, (ours - table).abs());
                 most = most.max(table.abs());
             }
         }
@@ -110,7 +111,7 @@ fn element_stiffness(lane: Lane, sheet: &mut Sheet) {
         sheet.at_most(&what, worst / most, lane.choose(2e-10, 1e-6, 1e-6));
         let asymmetry = (0..144)
             .map(|at| (matrix[at / 12][at % 12] - matrix[at % 12][at / 12]).abs())
-            .fold(0.0, f64::max);
+            .fold(0.0, larger);
         let what = format!("asymmetry of the {name} tetrahedron's stiffness over largest entry");
         sheet.at_most(&what, asymmetry / most, lane.choose(1e-13, 1e-6, 1e-6));
     }
@@ -264,7 +265,7 @@ fn polar_decomposition(lane: Lane, sheet: &mut Sheet) {
         let most = |m: DMat3| {
             m.to_cols_array()
                 .into_iter()
-                .fold(0.0, |most, x| f64::max(most, x.abs()))
+                .fold(0.0, |most, x| larger(most, x.abs()))
         };
         let bound = lane.choose(1e-12, 1e-10, 1e-6);
         let name = row[0];

@@ -1,5 +1,7 @@
 //! A beam of which 35 to 152 elements are inverted hangs quietly after 240 implicit steps.
 
+use cutwater::reference::larger;
+
 use crate::Case;
 use crate::lane::{Lane, Motion, largest};
 use crate::sheet::Sheet;
@@ -37,7 +39,7 @@ fn recovery(lane: Lane, sheet: &mut Sheet) {
             after.to_string(),
             after == 0,
         );
-        let worst = determinants.fold(f64::INFINITY, f64::min);
+        let worst = -determinants.fold(f64::NEG_INFINITY, |most, det| larger(most, -det));
         sheet.at_least(
             &format!("{before} inverted: least det F at the end"),
             worst,

@@ -1,5 +1,6 @@
 //! Waves and floods of liquid alone, against theory and an experiment.
 
+use cutwater::reference::larger;
 use cutwater::sim::Simulation;
 
 use crate::Case;
@@ -33,45 +34,73 @@ fn film(text: &str, end: f64) -> Vec<(f64, Vec<f64>)> {
     film
 }
 
+/// Water that swings about 0.
+struct Swing<'a> {
+    title: &'a str,
+    /// What swings.
+    value: &'a str,
+    label: &'a str,
+    /// What is compared.
+    what: &'a str,
+    /// Of theory, s.
+    period: f64,
+    /// Theory's periods that it is watched for: two and what comes before it passes 0 for the first time.
+    periods: f64,
+    /// Relative, of the period.
+    allowed: f64,
+}
+
+impl Swing<'_> {
+    /// Runs a scene, draws the value of its states over theory, and compares two periods.
+    fn watch(&self, text: &str, value: impl Fn(&Simulation) -> f64, sheet: &mut Sheet) {
+        let mut simulation = simulation(&written(text), &gpu());
+        let mut swing = vec![(0.0, value(&simulation))];
+        while simulation.clock().time < self.periods * self.period {
+            step(&mut simulation);
+            swing.push((simulation.clock().time, value(&simulation)));
+        }
+        let start = swing[0].1;
+        let theory = (0..=250).map(|n| {
+            let periods = self.periods * f64::from(n) / 250.0;
+            let value = start * (std::f64::consts::TAU * periods).cos();
+            [periods * self.period, value]
+        });
+        sheet.chart(
+            self.title,
+            ["t, s", self.value],
+            vec![
+                Line::new(self.label, Mark::Line, points(&swing)),
+                Line::new("theory, without loss", Mark::Theory, theory.collect()),
+            ],
+        );
+        let times = crossings(&swing, 0.0);
+        let got = 0.5 * (times[4] - times[0]);
+        sheet.relative(self.what, self.period, got, self.allowed);
+    }
+}
+
 /// F5: the surface of water in a round tank is tilted at first; what swings is the mode of one node line nearly alone.
 fn round_tank(sheet: &mut Sheet) {
-    let (radius, depth, tilt) = (0.5, 0.5, 0.06);
+    let (radius, depth, tilt): (f64, f64, f64) = (0.5, 0.5, 0.06);
     let text = format!(
         "[domain]\nsize = [1.1, 0.73333333333333333, 1.1]\ncells = [48, 32, 48]\n[time]\nduration = 10\nframes_per_second = 48\n\
          [[obstacle]]\ncylinder = {{ base = [0.55, -0.5, 0.55], axis = [0, 1, 0], radius = {radius}, height = 2.0 }}\ninside_out = true\n\
          [[liquid.region]]\nhalf_space = {{ point = [0.55, {depth}, 0.55], normal = [{}, 1, 0] }}\n",
         -tilt / radius,
     );
-    let mut simulation = simulation(&written(&text), &gpu());
-    // In thousandths of the radius.
-    let aside = |simulation: &Simulation| 1e3 * (middle(simulation)[0] - 0.55) / radius;
-    let mut swing = vec![(0.0, aside(&simulation))];
-    while simulation.clock().time < 2.8 {
-        step(&mut simulation);
-        swing.push((simulation.clock().time, aside(&simulation)));
-    }
     // Lamb, Hydrodynamics, art. 191: k is the first zero of J_1' over the radius.
     let k = 1.841_183_781_340_659_4 / radius;
-    let period = std::f64::consts::TAU / (GRAVITY * k * (k * depth).tanh()).sqrt();
-    let times = crossings(&swing, 0.0);
-    let got = times[4] - times[0];
-    let start = swing[0].1;
-    let theory = (0..=280).map(|n| 0.01 * f64::from(n));
-    let theory = theory.map(|t| [t, start * (std::f64::consts::TAU * t / period).cos()]);
-    sheet.chart(
-        "round tank, the liquid's middle, which a tilted surface moves aside",
-        ["t, s", "aside, thousandths of the radius"],
-        vec![
-            Line::new("44 cells across", Mark::Line, points(&swing)),
-            Line::new(
-                "linear theory, without loss",
-                Mark::Theory,
-                theory.collect(),
-            ),
-        ],
-    );
-    let what = "round tank, mode with one node line: period over two periods, s";
-    sheet.relative(what, period, 0.5 * got, 0.02);
+    let swing = Swing {
+        title: "round tank, the liquid's middle, which a tilted surface moves aside",
+        value: "aside, thousandths of the radius",
+        label: "44 cells across",
+        what: "round tank, mode with one node line: period over two periods, s",
+        period: std::f64::consts::TAU / (GRAVITY * k * (k * depth).tanh()).sqrt(),
+        periods: 2.6,
+        allowed: 0.02,
+    };
+    let aside = |simulation: &Simulation| 1e3 * (middle(simulation)[0] - 0.55) / radius;
+    swing.watch(&text, aside, sheet);
 }
 
 /// F5: the mode of a square tank with a node line along each middle, 1 m wide, half as deep. A wave along the diagonal holds it, and
@@ -86,38 +115,23 @@ fn square_tank(sheet: &mut Sheet) {
         24.0 * dx,
         1.5 * dx,
     );
-    let mut simulation = simulation(&written(&text), &gpu());
     // Lamb, Hydrodynamics, art. 190.
     let of_both = std::f64::consts::SQRT_2 * k;
-    let period = std::f64::consts::TAU / (GRAVITY * of_both * (of_both * depth).tanh()).sqrt();
+    let swing = Swing {
+        title: "square tank, moment of the liquid about both middles",
+        value: "moment, thousandths of the area",
+        label: "32 cells across",
+        what: "square tank, mode with two node lines: period over two periods, s",
+        period: std::f64::consts::TAU / (GRAVITY * of_both * (of_both * depth).tanh()).sqrt(),
+        periods: 2.5,
+        allowed: 0.02,
+    };
     let moment = |simulation: &Simulation| {
         let state = simulation.state().unwrap_or_else(|error| panic!("{error}"));
         let sum = state.markers.iter().map(|x| (x[0] - 0.5) * (x[2] - 0.5));
         1e3 * sum.sum::<f64>() / state.markers.len() as f64
     };
-    let mut swing = vec![(0.0, moment(&simulation))];
-    while simulation.clock().time < 2.5 * period {
-        step(&mut simulation);
-        swing.push((simulation.clock().time, moment(&simulation)));
-    }
-    let start = swing[0].1;
-    let theory = (0..=250).map(|n| 0.01 * period * f64::from(n));
-    let theory = theory.map(|t| [t, start * (std::f64::consts::TAU * t / period).cos()]);
-    sheet.chart(
-        "square tank, moment of the liquid about both middles",
-        ["t, s", "moment, thousandths of the area"],
-        vec![
-            Line::new("32 cells across", Mark::Line, points(&swing)),
-            Line::new(
-                "linear theory, without loss",
-                Mark::Theory,
-                theory.collect(),
-            ),
-        ],
-    );
-    let times = crossings(&swing, 0.0);
-    let what = "square tank, mode with two node lines: period over two periods, s";
-    sheet.relative(what, period, 0.5 * (times[4] - times[0]), 0.02);
+    swing.watch(&text, moment, sheet);
 }
 
 /// F7: water swings in a U-tube, in the plane: two legs and the way between them under a block, all of one width.
@@ -138,32 +152,21 @@ fn u_tube(sheet: &mut Sheet) {
         3.0 * width,
         level - lift,
     );
-    let mut simulation = simulation(&written(&text), &gpu());
     // Newton for the column, L z'' = -2 g z, at every amplitude. L: the straight parts, and in each corner what potential flow through a
     // square bend is worth, 1 - (2 / pi) ln 2 = 0.559 widths, as for the current in a bent sheet.
     let corner = 1.0 - 2.0 / std::f64::consts::PI * std::f64::consts::LN_2;
     let length = 2.0 * (level - width) + 2.0 * width + 2.0 * corner * width;
-    let period = std::f64::consts::TAU * (length / (2.0 * GRAVITY)).sqrt();
+    let swing = Swing {
+        title: "U-tube 8 cells wide, the liquid's middle",
+        value: "aside, widths of the tube",
+        label: "12 widths long",
+        what: "U-tube 12 widths long: period over two periods, s",
+        period: std::f64::consts::TAU * (length / (2.0 * GRAVITY)).sqrt(),
+        periods: 2.4,
+        allowed: 0.03,
+    };
     let aside = |simulation: &Simulation| (middle(simulation)[0] - 2.0 * width) / width;
-    let mut swing = vec![(0.0, aside(&simulation))];
-    while simulation.clock().time < 2.4 * period {
-        step(&mut simulation);
-        swing.push((simulation.clock().time, aside(&simulation)));
-    }
-    let start = swing[0].1;
-    let theory = (0..=240).map(|n| 0.01 * period * f64::from(n));
-    let theory = theory.map(|t| [t, start * (std::f64::consts::TAU * t / period).cos()]);
-    sheet.chart(
-        "U-tube 8 cells wide, the liquid's middle",
-        ["t, s", "aside, widths of the tube"],
-        vec![
-            Line::new("12 widths long", Mark::Line, points(&swing)),
-            Line::new("theory, without loss", Mark::Theory, theory.collect()),
-        ],
-    );
-    let times = crossings(&swing, 0.0);
-    let what = "U-tube 12 widths long: period over two periods, s";
-    sheet.relative(what, period, 0.5 * (times[4] - times[0]), 0.03);
+    swing.watch(&text, aside, sheet);
 }
 
 /// F8: a tank runs dry through a slot in its floor, 12 cells wide, a twentieth of the tank; half of both, beside a wall. sqrt(h) falls by
@@ -264,7 +267,7 @@ fn ritter(sheet: &mut Sheet) {
     );
     let off = own.iter().map(|[xi, h]| (h - exact(*xi)).abs());
     let what = "flood on a dry bed, largest error of the depth over the reservoir's";
-    sheet.at_most(what, off.fold(0.0, f64::max), 0.05);
+    sheet.at_most(what, off.fold(0.0, larger), 0.05);
 }
 
 /// F10: a solitary wave runs and climbs a wall.
@@ -310,9 +313,7 @@ fn solitary_wave(sheet: &mut Sheet) {
     };
     // The time of a crest: the middle of the times at half of its height.
     let crest = |series: &[(f64, f64)]| {
-        let most = series
-            .iter()
-            .fold(0.0, |most: f64, (_, eta)| most.max(*eta));
+        let most = series.iter().fold(0.0, |most, (_, eta)| larger(most, *eta));
         let times = crossings(series, 0.5 * most);
         (0.5 * (times[0] + times[1]), most)
     };
@@ -340,7 +341,7 @@ fn solitary_wave(sheet: &mut Sheet) {
     let climb = 2.0 * eps + 0.5 * eps * eps + 0.75 * eps.powi(3);
     let got = gauge(3)
         .iter()
-        .fold(0.0, |most: f64, (_, eta)| most.max(*eta));
+        .fold(0.0, |most, (_, eta)| larger(most, *eta));
     let what = "solitary wave: how high it climbs the wall, over the depth";
     sheet.relative(what, climb, got, 0.15);
 }

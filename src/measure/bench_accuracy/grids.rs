@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use crate::Error;
+use crate::reference::larger;
 use crate::scene::{Precision, Scene, Solver};
 use crate::sim::{GpuPath, reference_path};
 use crate::state::{SolveReport, SolveStatus, State};
@@ -11,7 +12,7 @@ use super::super::bench_solve::name;
 use super::super::statistics::Spread;
 use super::exact::Exact;
 use super::sub_step::{Done, Mask, reference_step, repeat_shuffled, sub_step};
-use super::{Choice, EXACT, MOST_ITERATIONS, Options, cheapest};
+use super::{Choice, EXACT, MOST_ITERATIONS, Options, cheapest, ensure_truth};
 
 /// Errors that a recommendation is made for.
 const TARGETS: [f64; 8] = [1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 1e-6];
@@ -122,9 +123,9 @@ impl GridRow {
         }
     }
 
-    /// Both errors.
+    /// The larger of both errors.
     fn error(&self) -> f64 {
-        self.error_p.max(self.error_u.unwrap_or(0.0))
+        larger(self.error_p, self.error_u.unwrap_or(0.0))
     }
 
     fn converged(&self) -> bool {
@@ -198,6 +199,8 @@ impl Case {
         let state = problem.state(&scene)?;
         let mut path = reference_path(&scene)?;
         let done = reference_step(&mut path, &state)?;
+        let what = format!("{}, {grid} cells along 1 m, the f64 path", problem.name());
+        ensure_truth(&what, state.step, done.report.solves())?;
         let mask = Mask::of(&path);
         let mut case = Case {
             problem,
@@ -217,7 +220,7 @@ impl Case {
         liquid.map_or(0.0, |liquid| liquid.density)
     }
 
-    /// Of the pressure over the largest, and of speeds over g dt.
+    /// Of the pressure over the largest, and of speeds over g dt; not a number where one is not.
     fn errors_of(&self, done: &Done) -> [f64; 2] {
         let grid = self.scene.grid();
         let cells = done
@@ -241,9 +244,9 @@ impl Case {
             .zip(self.mask.faces.iter().flatten());
         let liquid = faces.filter(|(_, counts)| **counts).map(|(u, _)| u.abs());
         let solids = done.answer.velocity.as_flattened().iter().map(|v| v.abs());
-        let speed = liquid.chain(solids).fold(0.0, f64::max);
+        let speed = liquid.chain(solids).fold(0.0, larger);
         let fall = self.scene.domain.gravity.length() * self.scene.time.fixed_step.unwrap_or(0.0);
-        [off.fold(0.0, f64::max) / self.problem.scale(), speed / fall]
+        [off.fold(0.0, larger) / self.problem.scale(), speed / fall]
     }
 
     fn row(&self, precision: Precision, tolerance: f64, seconds: Spread, done: &Done) -> GridRow {
@@ -329,4 +332,41 @@ pub(super) fn enough(rows: &[GridRow]) -> Vec<Enough> {
         }
     });
     of_grids.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{GridRow, enough, recommend};
+
+    fn row(error_p: f64, error_u: f64) -> GridRow {
+        GridRow {
+            problem: "pool_at_rest",
+            grid: 10,
+            unknowns: 1,
+            solid_unknowns: 0,
+            precision: "mixed",
+            tolerance: 1e-6,
+            status: "converged",
+            iterations: 1,
+            seconds_median: 1.0,
+            seconds_min: 1.0,
+            seconds_max: 1.0,
+            error_p,
+            grid_error_p: 1e-3,
+            error_u: Some(error_u),
+            grid_error_u: Some(1e-3),
+        }
+    }
+
+    #[test]
+    fn what_has_an_error_that_is_not_a_number_is_neither_best_nor_enough() {
+        for error in [[f64::NAN, 0.0], [0.0, f64::NAN]] {
+            let rows = [row(error[0], error[1])];
+            assert!(recommend(&rows).is_empty());
+            assert_eq!(enough(&rows)[0].tolerance, None);
+        }
+        let rows = [row(1e-3, 1e-3)];
+        assert_eq!(recommend(&rows).len(), 5);
+        assert_eq!(enough(&rows)[0].tolerance, Some(1e-6));
+    }
 }

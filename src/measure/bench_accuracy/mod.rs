@@ -4,8 +4,9 @@
 //! state, in every precision, with every preconditioner, in every form of the corrections and to every tolerance, repeats in a shuffled
 //! order. The solve is timed on the host from when the right-hand sides are in place to when the answer is. Its errors are those against two
 //! truths: the direct solution in f64 of the system that the device stores in that precision, which is what the solver could do better, and the
-//! same sub-step on the f64 path, which is what the whole path could do better. Systems of more than 60,000 unknowns have no direct solution:
-//! theirs is refined to 1e-13.
+//! same sub-step on the f64 path, which is what the whole path could do better. Systems with liquid of more than 60,000 unknowns have no
+//! direct solution: theirs is by conjugate gradients. All are refined to a residual of 1e-13, or as far as rounding lets them; the bench ends
+//! where one that did not converge keeps more than 1e-10.
 //!
 //! On grids ([`GridRow`]): problems whose pressure is known, from which errors are those of the whole simulation, grid and solve together.
 
@@ -17,6 +18,7 @@ mod sub_step;
 
 use std::cmp::Ordering;
 use std::fs;
+use std::io::ErrorKind;
 use std::path::Path;
 
 use serde::Serialize;
@@ -26,6 +28,7 @@ use crate::effects::Effects;
 use crate::gpu::{AdapterChoice, Gpu};
 use crate::scene::{CouplingScheme, Formulation, Precision, Preconditioner, Scene};
 use crate::sim::{Backend, Simulation};
+use crate::state::{SolveReport, SolveStatus};
 
 use super::bench_solve::name;
 use super::statistics::Spread;
@@ -39,8 +42,21 @@ pub(super) use sub_step::{Done, Mask, reference_step, sub_step};
 /// Of the truths.
 const EXACT: f64 = 1e-13;
 const MOST_ITERATIONS: u32 = 20_000;
+/// The residual that a truth may keep which did not converge: forces of stiff solids cancel, and in f64 their rounding can be above [`EXACT`]. The
+/// least error that is recommended for.
+const ROUNDED: f64 = 1e-10;
 /// Of the shuffling: the same order in every run.
 const SEED: u64 = 20;
+/// What is written only where there are rows of it.
+const OPTIONAL: [&str; 7] = [
+    "accuracy.csv",
+    "accuracy_best.csv",
+    "accuracy.svg",
+    "accuracy_grids.csv",
+    "accuracy_grids_best.csv",
+    "accuracy_grids_enough.csv",
+    "accuracy_grids.svg",
+];
 
 /// What to measure.
 #[derive(Clone, Debug)]
@@ -93,10 +109,12 @@ pub enum Heard<'a> {
     Grid(&'a GridRow),
 }
 
-/// Measures all rows and writes their tables and pictures into `out`; `tell` hears of each row.
+/// Measures all rows and writes their tables and pictures into `out`, anew after each state and each problem on a grid; those of an earlier run are
+/// removed first. `tell` hears of each row.
 ///
 /// # Errors
-/// [`Error::Input`] for scenes of weak or damping-only coupling and grids that the problems do not fit, [`Error::Output`], and what the simulations say.
+/// [`Error::Input`] for scenes of weak or damping-only coupling and grids that the problems do not fit, [`Error::Output`], [`Error::Stage`] where
+/// a truth is not solved for, and what the simulations say.
 pub fn bench_accuracy(
     options: &Options,
     out: &Path,
@@ -128,8 +146,19 @@ pub fn bench_accuracy(
         ));
     }
     fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
-    let machine = Machine::new(&Gpu::new(&options.adapter)?, options.repeats)?;
-    let mut rows = Vec::new();
+    let mut table = Table {
+        machine: Machine::new(&Gpu::new(&options.adapter)?, options.repeats)?,
+        rows: Vec::new(),
+        best: Vec::new(),
+        grids: Vec::new(),
+        grids_best: Vec::new(),
+        grids_enough: Vec::new(),
+    };
+    // Shows before any work that the folder can be written.
+    table.write(out)?;
+    for file in OPTIONAL {
+        remove(&out.join(file))?;
+    }
     for scene in &options.scenes {
         let mut simulation = Simulation::new(scene, &Backend::Gpu(options.adapter.clone()))?;
         for &frame in &options.frames {
@@ -137,50 +166,87 @@ pub fn bench_accuracy(
                 simulation.step()?;
             }
             let state = simulation.state()?;
-            for row in states::measure(scene, &state, options)? {
-                tell(Heard::State(&row));
-                rows.push(row);
-            }
+            let rows = states::measure(scene, &state, options)?;
+            rows.iter().for_each(|row| tell(Heard::State(row)));
+            table.rows.extend(rows);
+            table.write(out)?;
         }
     }
-    let mut grids = Vec::new();
-    let problems = Exact::ALL.into_iter().flat_map(|problem| {
-        let grids = options.grids.iter();
-        grids.map(move |&grid| (problem, grid))
-    });
-    for (problem, grid) in problems {
-        for row in grids::measure(problem, grid, options)? {
-            tell(Heard::Grid(&row));
-            grids.push(row);
+    for problem in Exact::ALL {
+        for &grid in &options.grids {
+            let rows = grids::measure(problem, grid, options)?;
+            rows.iter().for_each(|row| tell(Heard::Grid(row)));
+            table.grids.extend(rows);
+            table.write(out)?;
         }
-    }
-    let table = Table {
-        machine,
-        best: states::recommend(&rows),
-        rows,
-        grids_best: grids::recommend(&grids),
-        grids_enough: grids::enough(&grids),
-        grids,
-    };
-    write_json(&table, &out.join("accuracy.json"))?;
-    if !table.rows.is_empty() {
-        write_csv(&table.rows, &out.join("accuracy.csv"))?;
-        write_csv(&table.best, &out.join("accuracy_best.csv"))?;
-        let lines = states::states(&table.rows).len() as u32;
-        write_svg(&out.join("accuracy.svg"), (1200, 480 * lines), |page| {
-            picture::draw_states(&table.rows, page)
-        })?;
-    }
-    if !table.grids.is_empty() {
-        write_csv(&table.grids, &out.join("accuracy_grids.csv"))?;
-        write_csv(&table.grids_best, &out.join("accuracy_grids_best.csv"))?;
-        write_csv(&table.grids_enough, &out.join("accuracy_grids_enough.csv"))?;
-        let size = (1200, 480 * Exact::ALL.len() as u32);
-        write_svg(&out.join("accuracy_grids.svg"), size, |page| {
-            picture::draw_grids(&table.grids, page)
-        })?;
     }
     Ok(table)
+}
+
+impl Table {
+    /// Makes again what follows from the rows, and writes what there is.
+    fn write(&mut self, out: &Path) -> Result<(), Error> {
+        self.best = states::recommend(&self.rows);
+        self.grids_best = grids::recommend(&self.grids);
+        self.grids_enough = grids::enough(&self.grids);
+        write_json(self, &out.join("accuracy.json"))?;
+        if !self.rows.is_empty() {
+            write_csv(&self.rows, &out.join("accuracy.csv"))?;
+            write_csv(&self.best, &out.join("accuracy_best.csv"))?;
+            let lines = states::states(&self.rows).len() as u32;
+            write_svg(&out.join("accuracy.svg"), (1200, 480 * lines), |page| {
+                picture::draw_states(&self.rows, page)
+            })?;
+        }
+        if !self.grids.is_empty() {
+            write_csv(&self.grids, &out.join("accuracy_grids.csv"))?;
+            write_csv(&self.grids_best, &out.join("accuracy_grids_best.csv"))?;
+            write_csv(&self.grids_enough, &out.join("accuracy_grids_enough.csv"))?;
+            let lines = grids::problems(&self.grids).len() as u32;
+            let file = out.join("accuracy_grids.svg");
+            write_svg(&file, (1200, 480 * lines), |page| {
+                picture::draw_grids(&self.grids, page)
+            })?;
+        }
+        Ok(())
+    }
+}
+
+/// Removes a file, where there is one.
+fn remove(file: &Path) -> Result<(), Error> {
+    match fs::remove_file(file) {
+        Err(problem) if problem.kind() != ErrorKind::NotFound => {
+            Err(Error::unwritten(file, &problem))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Refuses as a truth what was not solved for. `step`: sub-steps before it.
+fn ensure_truth(
+    what: &str,
+    step: u64,
+    solves: impl IntoIterator<Item = SolveReport>,
+) -> Result<(), Error> {
+    for SolveReport {
+        residual, status, ..
+    } in solves
+    {
+        let passed = matches!(status, SolveStatus::Converged | SolveStatus::Incompatible);
+        // Not where the residual is no number.
+        if passed || residual <= ROUNDED {
+            continue;
+        }
+        let status = status.name();
+        return Err(Error::Stage {
+            stage: "solve",
+            step,
+            problem: format!(
+                "{what}: the solution in f64 that errors are to be measured against ended with {status} at a relative residual of {residual:.1e}, above {ROUNDED:e}\n  cure: shorter sub-steps (time.fixed_step), or loads and stiffnesses nearer to each other"
+            ),
+        });
+    }
+    Ok(())
 }
 
 /// What a recommendation weighs of a row.
@@ -232,7 +298,8 @@ fn cheapest<'a, T>(
 #[cfg(test)]
 mod tests {
     use super::super::statistics::Spread;
-    use super::{Choice, cheapest};
+    use super::{Choice, cheapest, ensure_truth};
+    use crate::state::{SolveReport, SolveStatus};
 
     fn way(cells: usize, precision: &'static str, tolerance: f64, iterations: u32) -> Choice {
         Choice {
@@ -284,6 +351,45 @@ mod tests {
         let slower = taking([12.6, 13.0, 14.0], way(10, "f32", 1e-2, 1));
         assert_eq!(chosen(&[disturbed, slower]), disturbed);
         assert!(cheapest([].iter(), |row: &Choice| *row).is_none());
+    }
+
+    #[test]
+    fn what_was_not_solved_for_is_no_truth() {
+        let ensure = |status: SolveStatus, residual: f64| {
+            let solved = SolveReport {
+                unknowns: 1,
+                iterations: 0,
+                residual: 0.0,
+                status: SolveStatus::Converged,
+            };
+            let last = SolveReport {
+                residual,
+                status,
+                ..solved
+            };
+            ensure_truth("dam_break, frame 10, stored in mixed", 87, [solved, last])
+        };
+        for (status, residual) in [
+            // Below the rounding of a right-hand side that is nearly nothing.
+            (SolveStatus::Converged, 1e-3),
+            (SolveStatus::Incompatible, 1e-14),
+            (SolveStatus::Stagnated, 4e-12),
+        ] {
+            assert!(ensure(status, residual).is_ok(), "{status:?}");
+        }
+        for (status, residual, shown) in [
+            (SolveStatus::Stagnated, 3e-7, "3.0e-7"),
+            (SolveStatus::IterationLimit, 2e-10, "2.0e-10"),
+            (SolveStatus::Breakdown, 1.0, "1.0e0"),
+            (SolveStatus::NonFinite, f64::NAN, "NaN"),
+        ] {
+            let error = ensure(status, residual).unwrap_err();
+            assert_eq!(error.exit_code(), 4, "{status:?}");
+            let text = error.to_string();
+            for part in ["dam_break, frame 10", "step 87", status.name(), shown] {
+                assert!(text.contains(part), "{part}: {text}");
+            }
+        }
     }
 
     #[test]

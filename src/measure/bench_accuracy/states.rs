@@ -5,17 +5,17 @@ use serde::Serialize;
 use crate::Error;
 use crate::effects::Effects;
 use crate::gpu::AdapterChoice;
-use crate::reference::{Formulation as Form, SolidSolver, solve, solve_coupled};
+use crate::reference::{Formulation as Form, SolidSolver, larger, solve, solve_coupled};
 use crate::scene::{Formulation, Precision, Preconditioner, Scene, Solver};
 use crate::sim::{GpuPath, Snapshot, reference_path};
 use crate::stages::RightHandSide;
-use crate::state::{SolveStatus, State};
+use crate::state::{SolveReport, SolveStatus, State};
 
 use super::super::bench_solve::{name, preconditioner_name};
 use super::super::statistics::Spread;
 use super::super::stored;
 use super::sub_step::{Answer, Done, Mask, reference_step, repeat_shuffled, sub_step};
-use super::{Choice, EXACT, MOST_ITERATIONS, Options, cheapest};
+use super::{Choice, EXACT, MOST_ITERATIONS, Options, cheapest, ensure_truth};
 
 /// Errors that a recommendation is made for.
 const TARGETS: [f64; 5] = [1e-2, 1e-4, 1e-6, 1e-8, 1e-10];
@@ -212,15 +212,27 @@ impl<'a> Case<'a> {
         let mut reference = reference_path(&exact)?;
         reference.reset(state.clone())?;
         let dt = reference.next_time_step().dt;
-        let Done { answer, faces, .. } = reference_step(&mut reference, state)?;
-        Ok(Case {
+        let done = reference_step(&mut reference, state)?;
+        let case = Case {
             scene,
             state,
-            exact: answer,
-            faces,
+            exact: done.answer,
+            faces: done.faces,
             mask: Mask::of(&reference),
             dt,
-        })
+        };
+        case.ensure_truth("the f64 path", done.report.solves())?;
+        Ok(case)
+    }
+
+    /// Refuses as a truth what was not solved for; `of`: where its system is from.
+    fn ensure_truth(
+        &self,
+        of: &str,
+        solves: impl IntoIterator<Item = SolveReport>,
+    ) -> Result<(), Error> {
+        let what = format!("{}, frame {}, {of}", self.scene.name, self.state.frame);
+        ensure_truth(&what, self.state.step, solves)
     }
 
     /// kg/m^3
@@ -306,10 +318,10 @@ impl<'a> Case<'a> {
     }
 }
 
-/// Largest difference of pairs over the largest second of them; 0 where all of them are 0.
+/// Largest difference of pairs over the largest second of them; 0 where all of them are 0, not a number where one is not.
 fn relative(pairs: impl Iterator<Item = (f64, f64)>) -> f64 {
     let [off, largest] = pairs.fold([0.0; 2], |[off, largest], (a, b)| {
-        [f64::max(off, (a - b).abs()), f64::max(largest, b.abs())]
+        [larger(off, (a - b).abs()), larger(largest, b.abs())]
     });
     if off == 0.0 { 0.0 } else { off / largest }
 }
@@ -330,13 +342,11 @@ impl Way {
                     .liquid
                     .map_or(Vec::new(), |liquid| liquid.rhs);
             } else if stage == "solve" {
-                truth = Some(solution(
-                    path,
-                    &path.snapshot()?,
-                    &inflow,
-                    case.density(),
-                    dt,
-                )?);
+                let (answer, solves) =
+                    solution(path, &path.snapshot()?, &inflow, case.density(), dt)?;
+                let of = format!("stored in {}", name(solver.precision));
+                case.ensure_truth(&of, solves)?;
+                truth = Some(answer);
             }
             Ok(())
         })?;
@@ -349,14 +359,14 @@ impl Way {
     }
 }
 
-/// The solution of the system that a device stores.
+/// The solution of the system that a device stores, and the reports of its solves.
 fn solution(
     path: &GpuPath,
     snapshot: &Snapshot,
     inflow: &[f64],
     density: f64,
     dt: f64,
-) -> Result<Answer, Error> {
+) -> Result<(Answer, Vec<SolveReport>), Error> {
     let settings = Solver {
         tolerance: EXACT,
         max_iterations: MOST_ITERATIONS,
@@ -366,24 +376,30 @@ fn solution(
     if let Some((system, all)) = stored::system_of_both(path, snapshot, inflow, density, dt) {
         let solver = SolidSolver::new(&all);
         let found = solve_coupled(&system, Form::of(&system), &solver, &all, &settings)?;
-        return Ok(Answer {
+        let answer = Answer {
             pressure: found.pressure,
             velocity: found.velocity,
-        });
+        };
+        return Ok((answer, found.reports.into()));
     }
     let mut answer = Answer {
         pressure: Vec::new(),
         velocity: Vec::new(),
     };
+    let mut solves = Vec::new();
     if let Some(liquid) = &snapshot.liquid {
         let system = stored::pressure_system(path, liquid, density, dt);
-        (answer.pressure, _) = solve(&system, &settings)?;
+        let (pressure, report) = solve(&system, &settings)?;
+        answer.pressure = pressure;
+        solves.push(report);
     }
     if let Some(solids) = &snapshot.solids {
         let (system, all) = stored::solid_system(path, solids, dt);
-        (answer.velocity, _) = SolidSolver::new(&all).solve_direct(&system, &settings)?;
+        let (velocity, report) = SolidSolver::new(&all).solve_direct(&system, &settings)?;
+        answer.velocity = velocity;
+        solves.push(report);
     }
-    Ok(answer)
+    Ok((answer, solves))
 }
 
 /// Scenes and frames, in the order of the rows.
@@ -404,7 +420,7 @@ pub(super) fn recommend(rows: &[Row]) -> Vec<Best> {
     for (scene, frame) in states(rows) {
         for target in TARGETS {
             let meets = |row: &&Row| {
-                let error = row.error_p.max(row.error_v);
+                let error = larger(row.error_p, row.error_v);
                 let converged = row.status == SolveStatus::Converged.name();
                 row.scene == scene && row.frame == frame && converged && error <= target
             };
@@ -427,4 +443,55 @@ pub(super) fn recommend(rows: &[Row]) -> Vec<Best> {
         }
     }
     best
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Row, recommend, relative};
+
+    fn row(error_p: f64, error_v: f64) -> Row {
+        Row {
+            scene: "dam_break".to_owned(),
+            frame: 10,
+            cells: 1,
+            unknowns: 1,
+            solid_unknowns: 1,
+            precision: "mixed",
+            preconditioner: "multigrid",
+            formulation: "condensed",
+            tolerance: 1e-6,
+            status: "converged",
+            iterations: 1,
+            seconds_median: 1.0,
+            seconds_min: 1.0,
+            seconds_max: 1.0,
+            residual_p: 0.0,
+            residual_v: 0.0,
+            error_p,
+            error_v,
+            step_error_p: 0.0,
+            step_error_v: 0.0,
+            step_error_u: 0.0,
+            divergence: 0.0,
+            speed_over_g_dt: 0.0,
+        }
+    }
+
+    #[test]
+    fn what_is_not_a_number_is_no_error() {
+        let of = |pairs: [(f64, f64); 2]| relative(pairs.into_iter());
+        assert_eq!(of([(1.0, 2.0), (4.0, 4.0)]), 0.25);
+        assert_eq!(of([(0.0, 0.0); 2]), 0.0);
+        for nan in [(f64::NAN, 1.0), (1.0, f64::NAN)] {
+            assert!(of([nan, (4.0, 4.0)]).is_nan() && of([(4.0, 4.0), nan]).is_nan());
+        }
+    }
+
+    #[test]
+    fn what_has_an_error_that_is_not_a_number_is_not_recommended() {
+        for error in [[f64::NAN, 0.0], [0.0, f64::NAN]] {
+            assert!(recommend(&[row(error[0], error[1])]).is_empty());
+        }
+        assert_eq!(recommend(&[row(1e-5, 1e-7)]).len(), 2);
+    }
 }

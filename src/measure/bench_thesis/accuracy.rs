@@ -13,6 +13,7 @@ use crate::measure::bench_accuracy::{Done, Mask, reference_step, sub_step};
 use crate::measure::bench_solve::name;
 use crate::measure::plane_strain::{PlaneStrain, TABLE_6_5, TABLE_6_6};
 use crate::measure::statistics::{Spread, exponent};
+use crate::reference::larger;
 use crate::scene::{PatchPressure, Precision, Scene, Solver};
 use crate::sim::{GpuPath, reference_path, solids_of};
 use crate::state::{SolveReport, SolveStatus, State};
@@ -115,7 +116,7 @@ pub struct Row {
     pub seconds_max: f64,
 }
 
-/// A row of thesis_orders.csv: orders of convergence over cell sizes of 0.1 to 0.0125.
+/// A row of thesis_orders.csv: orders of convergence over cell sizes of 0.1 to 0.0125, of rows that converged.
 #[derive(Clone, Debug, Serialize)]
 pub struct Order {
     /// Number of the table.
@@ -239,14 +240,14 @@ fn again(seconds: &[f64], options: &Options) -> bool {
     seconds.is_empty() || seconds.len() < options.repeats && seconds.iter().sum::<f64>() <= PATIENCE
 }
 
-/// The largest magnitude of those that count.
+/// The largest magnitude of those that count; not a number where one is not.
 fn largest<'a>(
     values: impl IntoIterator<Item = f64>,
     counts: impl IntoIterator<Item = &'a bool>,
 ) -> f64 {
     let values = values.into_iter().zip(counts);
     let counted = values.filter(|(_, counts)| **counts);
-    counted.fold(0.0, |most, (value, _)| f64::max(most, value.abs()))
+    counted.fold(0.0, |most, (value, _)| larger(most, value.abs()))
 }
 
 impl Case<'_> {
@@ -263,10 +264,8 @@ impl Case<'_> {
         let faces = faces.map(|(faces, counts)| largest(faces.iter().copied(), counts));
         let errors = [
             largest(off, &mask.cells),
-            velocities
-                .iter()
-                .fold(0.0, |most, v| f64::max(most, v.abs())),
-            faces.fold(0.0, f64::max),
+            velocities.iter().fold(0.0, |most, v| larger(most, v.abs())),
+            faces.fold(0.0, larger),
         ];
         let [error_p, error_v, error_u] = errors;
         let mut printed = self.problem.printed.iter();
@@ -318,7 +317,7 @@ fn patches_name(patches: PatchPressure) -> &'static str {
     }
 }
 
-/// Errors of p, v, u per cell size, coarsest first, as orders.
+/// Errors of p, v, u per cell size, coarsest first, as orders; none of fewer than two sizes.
 fn order(
     [table, backend, precision, patch_pressure]: [&'static str; 4],
     points: &[(usize, [f64; 3])],
@@ -336,7 +335,7 @@ fn order(
             .map(|(grid, errors)| (1.0 / *grid as f64, errors[of]))
             .collect()
     };
-    let fitted = |of: usize| exponent(sizes(of)).expect("there are two points");
+    let fitted = |of: usize| exponent(sizes(of));
     let least = |of: usize| {
         let points = sizes(of);
         let steps = points
@@ -351,9 +350,9 @@ fn order(
         patch_pressure,
         coarsest: first.0,
         finest: last.0,
-        order_p: fitted(0),
-        order_v: fitted(1),
-        order_u: fitted(2),
+        order_p: fitted(0)?,
+        order_v: fitted(1)?,
+        order_u: fitted(2)?,
         order_rms_v: None,
         least_p: least(0),
         least_v: least(1),
@@ -361,15 +360,16 @@ fn order(
     })
 }
 
-/// Of all series, and of the printed errors.
+/// Of all series, as far as they converged, and of the printed errors.
 pub(super) fn orders(rows: &[Row], tables: &[ThesisTable]) -> Vec<Order> {
     let mut orders = Vec::new();
     for problem in tables.iter().filter_map(|&table| Problem::of(table)) {
         let number = problem.table.number();
         orders.extend(order([number, "thesis", "", "cell"], problem.printed));
         for series in series_of(rows, number) {
+            let converged = |row: &&Row| row.status == SolveStatus::Converged.name();
             let of_series = rows.iter().filter(|row| series.holds(row));
-            let of_series: Vec<&Row> = of_series.collect();
+            let of_series: Vec<&Row> = of_series.filter(converged).collect();
             let errors = |row: &&Row| (row.grid, [row.error_p, row.error_v, row.error_u]);
             let points: Vec<_> = of_series.iter().map(errors).collect();
             let fitted = of_series.iter().filter(|row| FITTED.contains(&row.grid));
@@ -412,4 +412,82 @@ pub(super) fn series_of(rows: &[Row], table: &str) -> Vec<Series> {
         }
     }
     found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Row, ThesisTable, largest, order, orders};
+    use crate::state::SolveStatus;
+
+    /// Of the device, with errors that are the cell size.
+    fn row(grid: usize, status: SolveStatus) -> Row {
+        let dx = 1.0 / grid as f64;
+        Row {
+            table: ThesisTable::T6_5.number(),
+            grid,
+            dx,
+            backend: "gpu",
+            precision: "mixed",
+            patch_pressure: "cell",
+            unknowns: 1,
+            solid_unknowns: 1,
+            error_p: dx,
+            error_v: dx,
+            error_u: dx,
+            rms_v: dx,
+            thesis_p: None,
+            thesis_v: None,
+            thesis_u: None,
+            ratio_p: None,
+            ratio_v: None,
+            ratio_u: None,
+            distance: dx,
+            error_p_over_weight: 1.0,
+            status: status.name(),
+            iterations: 1,
+            seconds_median: 1.0,
+            seconds_min: 1.0,
+            seconds_max: 1.0,
+        }
+    }
+
+    #[test]
+    fn what_did_not_converge_has_no_order() {
+        let mut rows = [10, 20, 40].map(|grid| row(grid, SolveStatus::Converged));
+        let of_rows = |rows: &[Row]| {
+            let orders = orders(rows, &[ThesisTable::T6_5]).into_iter();
+            let of_device = orders.filter(|order| order.backend == "gpu");
+            of_device.collect::<Vec<_>>()
+        };
+        let found = of_rows(&rows);
+        assert_eq!([found[0].coarsest, found[0].finest], [10, 40]);
+        rows[2] = Row {
+            error_p: 1.0,
+            rms_v: 1.0,
+            ..row(40, SolveStatus::IterationLimit)
+        };
+        let found = of_rows(&rows);
+        assert_eq!([found[0].coarsest, found[0].finest], [10, 20]);
+        for order in [found[0].order_p, found[0].order_rms_v.unwrap()] {
+            assert!((order - 1.0).abs() < 1e-12, "{order}");
+        }
+        assert!(of_rows(&rows[1..]).is_empty(), "one grid has no order");
+    }
+
+    #[test]
+    fn one_grid_twice_has_no_order() {
+        let names = ["6.5", "gpu", "mixed", "cell"];
+        let [coarse, fine] = [10, 20].map(|grid: usize| (grid, [1.0 / grid as f64; 3]));
+        assert!(order(names, &[coarse, coarse]).is_none());
+        let order = order(names, &[coarse, coarse, fine]).unwrap();
+        assert!((order.order_p - 1.0).abs() < 1e-12, "{order:?}");
+        assert!((order.least_p - 1.0).abs() < 1e-12, "{order:?}");
+    }
+
+    #[test]
+    fn what_is_not_a_number_is_no_error() {
+        let values = [1.0, f64::NAN, 2.0];
+        assert!(largest(values, &[true; 3]).is_nan());
+        assert_eq!(largest(values, &[true, false, true]), 2.0);
+    }
 }
