@@ -24,8 +24,15 @@ pub(super) struct Report {
 impl Report {
     pub(super) fn run(&self) -> Result<(), Error> {
         for document in &self.into {
-            let Inserted { written, left } = insert(&self.dir, document)?;
+            let Inserted {
+                written,
+                empty,
+                left,
+            } = insert(&self.dir, document)?;
             say!("{}: {written} tables written", document.display());
+            for file in empty {
+                say!("  without rows: none of {file} is as the table wants it");
+            }
             for file in left {
                 say!("  left as it was: {file} is not in {}", self.dir.display());
             }

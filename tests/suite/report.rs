@@ -209,6 +209,44 @@ fn tables_of_documents_are_written_anew() {
 }
 
 #[test]
+fn tables_without_rows_say_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path().join("results");
+    fs::create_dir_all(dir.join("solve")).unwrap();
+    let table = dir.join("solve/solve_growth.csv");
+    let document = folder.path().join("speed.md");
+    let refused = |text: &str, told: &str| {
+        fs::write(&document, text).unwrap();
+        let error = insert(&dir, &document).unwrap_err();
+        assert_eq!(error.exit_code(), 2, "{error}");
+        assert!(error.to_string().contains(told), "{told}: {error}");
+        assert_eq!(fs::read_to_string(&document).unwrap(), text);
+    };
+    for rows in ["", "20,f32,1e-8,9,9,9\n"] {
+        let heads = "grid,precision,tolerance,median,min,order";
+        fs::write(&table, format!("{heads}\n{rows}")).unwrap();
+        fs::write(&document, DOCUMENT).unwrap();
+        let tables = insert(&dir, &document).unwrap();
+        assert_eq!((tables.written, tables.left.len()), (1, 0));
+        assert_eq!(tables.empty, ["solve/solve_growth.csv"]);
+        assert_eq!(
+            fs::read_to_string(&document).unwrap(),
+            DOCUMENT.replace("old\n", "*None.*\n")
+        );
+        for (name, other, told) in [
+            ("{grid}", "{grids}", "no column \"grids\""),
+            ("\"precision\"", "\"precisions\"", "no column \"precisions\""),
+            ("({min})", "({min)", "does not close"),
+        ] {
+            refused(&DOCUMENT.replace(name, other), told);
+        }
+    }
+    // What has no head may have any columns.
+    fs::write(&table, "").unwrap();
+    refused(DOCUMENT, "solve_growth.csv: it is empty");
+}
+
+#[test]
 fn two_runs_are_compared_number_by_number() {
     let folder = tempfile::tempdir().unwrap();
     let [first, second] = ["first", "second"].map(|name| folder.path().join(name));
