@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use cutwater::Error;
-use cutwater::measure::agreement::{TABLE, agreement};
+use cutwater::measure::agreement::{Row, TABLE, agreement};
 use cutwater::measure::insert::{Inserted, insert};
 use cutwater::measure::report::{Contents, PAGE, report};
 
@@ -24,8 +24,15 @@ pub(super) struct Report {
 impl Report {
     pub(super) fn run(&self) -> Result<(), Error> {
         for document in &self.into {
-            let Inserted { written, left } = insert(&self.dir, document)?;
+            let Inserted {
+                written,
+                empty,
+                left,
+            } = insert(&self.dir, document)?;
             say!("{}: {written} tables written", document.display());
+            for file in empty {
+                say!("  without rows: none of {file} is as the table wants it");
+            }
             for file in left {
                 say!("  left as it was: {file} is not in {}", self.dir.display());
             }
@@ -46,35 +53,38 @@ impl Report {
         Ok(())
     }
 
-    /// Says which columns do not agree in all rows.
+    /// Says which tables only one folder has, and which columns differ or are not judged in some rows.
     fn compare(&self, other: &Path) -> Result<(), Error> {
-        let columns = agreement(&self.dir, other)?;
-        let differ: Vec<_> = columns.iter().filter(|column| !column.agrees()).collect();
-        for column in &differ {
-            let by = match (column.ratio_least, column.ratio_most) {
-                (Some(least), Some(most)) => format!(", {least:.3} to {most:.3} times"),
+        let found = agreement(&self.dir, other)?;
+        for table in &found.missing {
+            say!("{}: no such table", table.display());
+        }
+        for row in &found.columns {
+            if row.differ + row.unjudged == 0 {
+                continue;
+            }
+            let by = match (row.ratio_least, row.ratio_most) {
+                (Some(least), Some(most)) => format!(": {least:.3} to {most:.3} times"),
                 _ => String::new(),
             };
             say!(
-                "{}: {} differs in {} of {} rows{by}",
-                column.file,
-                column.column,
-                column.rows - column.agree.unwrap_or(column.rows),
-                column.rows
+                "{}: {}: {} rows judged, of which {} differ, {} not judged{by}",
+                row.file,
+                row.column,
+                row.judged(),
+                row.differ,
+                row.unjudged
             );
         }
+        let sum = |count: fn(&Row) -> usize| found.columns.iter().map(count).sum::<usize>();
         say!(
-            "{} of {} columns agree in all rows: {}",
-            columns.len() - differ.len(),
-            columns.len(),
+            "{} columns: {} rows judged, of which {} differ, {} not judged: {}",
+            found.columns.len(),
+            sum(Row::judged),
+            sum(|row| row.differ),
+            sum(|row| row.unjudged),
             self.dir.join(TABLE).display()
         );
-        match differ.is_empty() {
-            true => Ok(()),
-            false => Err(Error::Check(format!(
-                "{} columns differ by more than their spread",
-                differ.len()
-            ))),
-        }
+        found.verdict()
     }
 }

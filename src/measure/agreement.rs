@@ -1,12 +1,12 @@
 //! `report --against`: whether two runs of the same commands say the same.
 //!
-//! Tables of the same name are compared row by row, number by number. What is told with a spread, as X_median, X_min and X_max, X, X_low and
-//! X_high, or mean, least and largest, agrees where both spreads share a value. What has none has to be the same to the last digit, but for
-//! what follows from times: it agrees where it differs by no more than the spreads of its row let a quotient of times differ, and is not
-//! judged in a row without spreads. Powers (`_growth.csv`) are of rows that are compared themselves, and left out.
+//! Tables of the same name are compared row by row, number by number. A number has to be the same to the last digit, unless it follows from
+//! times. One of those that is told with a spread, as X_median, X_min and X_max, X, X_low and X_high, or mean, least and largest, agrees where
+//! both spreads share a value; one without agrees where it differs by no more than the spreads of its row let a quotient of times differ, and
+//! is not judged in a row without spreads. Powers (`_growth.csv`) are of rows that are compared themselves, and left out.
 
-use std::collections::BTreeMap;
-use std::path::Path;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
@@ -18,20 +18,68 @@ use super::table::write_csv;
 
 /// The table's name in the folder.
 pub const TABLE: &str = "agreement.csv";
+/// Columns, by table, that follow from times and whose names alone do not tell: in other tables numbers that repeat have such names, too.
+const OF_TIMES: [(&str, &[&str]); 5] = [
+    ("solids.csv", &["ratio"]),
+    ("solve_against.csv", &["ratio_median", "ratio_min", "ratio_max"]),
+    ("summary.csv", &["seconds"]),
+    ("thesis_means.csv", &["mean", "least", "largest", "ratio"]),
+    (
+        "thesis_scenes.csv",
+        &[
+            "projection_median",
+            "projection_min",
+            "projection_max",
+            "solve_median",
+        ],
+    ),
+];
+/// Tables whose columns have names that the user chose, of probes and of keys: these tell nothing.
+const NAMED_BY_USERS: [&str; 2] = ["probes.csv", "summary.csv"];
+
+/// What came of a comparison.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Agreement {
+    /// A row per column of the tables that both folders have.
+    pub columns: Vec<Row>,
+    /// Where one of the folders lacks a table that the other has.
+    pub missing: Vec<PathBuf>,
+}
+
+impl Agreement {
+    /// Counts the columns that differ and the tables that only one of the folders has.
+    ///
+    /// # Errors
+    /// [`Error::Check`] where there is one.
+    pub fn verdict(&self) -> Result<(), Error> {
+        let differ = self.columns.iter().filter(|row| row.differ > 0).count();
+        if differ == 0 && self.missing.is_empty() {
+            return Ok(());
+        }
+        Err(Error::Check(format!(
+            "columns that differ: {differ}; tables that only one of the folders has: {}",
+            self.missing.len()
+        )))
+    }
+}
 
 /// A row of agreement.csv: a column of a table.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Row {
     /// Table, below both folders.
     pub file: String,
     /// Its column; of one with a spread the median's.
     pub column: String,
-    /// Rows with a value.
+    /// Rows with a value in either.
     pub rows: usize,
     /// Of these, those in which both say the same to the last digit.
     pub same: usize,
-    /// Those that agree: these, and those within the spreads; empty for what follows from times that have no spread.
-    pub agree: Option<usize>,
+    /// Those that agree: these, and those within the spreads.
+    pub agree: usize,
+    /// Those that do not.
+    pub differ: usize,
+    /// The others, which are not judged: of what follows from times, in rows without spreads.
+    pub unjudged: usize,
     /// Least of the other run's numbers over this one's; empty without numbers but 0.
     pub ratio_least: Option<f64>,
     /// Their median.
@@ -41,20 +89,21 @@ pub struct Row {
 }
 
 impl Row {
-    /// Whether it agrees in all rows, as far as it is judged.
-    pub fn agrees(&self) -> bool {
-        self.agree.is_none_or(|agree| agree == self.rows)
+    /// Rows that are judged.
+    pub fn judged(&self) -> usize {
+        self.agree + self.differ
     }
 }
 
 /// A table of one run: heads and rows.
 type Table = (csv::StringRecord, Vec<csv::StringRecord>);
 
-/// Compares all tables below `dir` that are below `other` too, and writes `DIR/agreement.csv`.
+/// Compares all tables that are below both folders, and writes `DIR/agreement.csv`.
 ///
 /// # Errors
-/// [`Error::Input`] where there is no such folder or table, one cannot be read, or one has other columns or rows there; [`Error::Output`].
-pub fn agreement(dir: &Path, other: &Path) -> Result<Vec<Row>, Error> {
+/// [`Error::Input`] where there is no such folder, none of its tables is in the other, one cannot be read, or one has other columns or rows
+/// there; [`Error::Output`].
+pub fn agreement(dir: &Path, other: &Path) -> Result<Agreement, Error> {
     for folder in [dir, other] {
         if !folder.is_dir() {
             return Err(Error::input(
@@ -64,15 +113,25 @@ pub fn agreement(dir: &Path, other: &Path) -> Result<Vec<Row>, Error> {
             ));
         }
     }
-    let (mut rows, mut compared) = (Vec::new(), 0);
-    for file in csv_files(dir)? {
-        let name = file.strip_prefix(dir).unwrap_or(&file);
-        let beside = other.join(name);
-        let of_powers = name.to_string_lossy().ends_with("_growth.csv");
-        if name == Path::new(TABLE) || of_powers || !beside.is_file() {
-            continue;
-        }
-        compared += 1;
+    let [ours, theirs] = [names(dir)?, names(other)?];
+    let missing = ours.symmetric_difference(&theirs).map(|name| {
+        let without = if ours.contains(name) { other } else { dir };
+        without.join(name)
+    });
+    let missing = missing.collect();
+    let of_powers = |name: &Path| name.to_string_lossy().ends_with("_growth.csv");
+    let both = ours.intersection(&theirs).filter(|name| !of_powers(name));
+    let both: Vec<&PathBuf> = both.collect();
+    if both.is_empty() {
+        return Err(Error::input(
+            other.display().to_string(),
+            format!("it has no table of the name of one in {}", dir.display()),
+            "give the folder that the same commands wrote into, another time",
+        ));
+    }
+    let mut columns = Vec::new();
+    for name in both {
+        let [file, beside] = [dir, other].map(|folder| folder.join(name));
         let tables = [records(&file)?, records(&beside)?];
         let shape = |(heads, rows): &Table| (heads.clone(), rows.len());
         if shape(&tables[0]) != shape(&tables[1]) {
@@ -85,29 +144,38 @@ pub fn agreement(dir: &Path, other: &Path) -> Result<Vec<Row>, Error> {
                 "give folders that the same version wrote with the same options",
             ));
         }
-        rows.extend(compare(&name.display().to_string(), &tables));
+        columns.extend(compare(name, &tables));
     }
-    if compared == 0 {
-        return Err(Error::input(
-            other.display().to_string(),
-            format!("it has no table of the name of one in {}", dir.display()),
-            "give the folder that the same commands wrote into, another time",
-        ));
-    }
-    write_csv(&rows, &dir.join(TABLE))?;
-    Ok(rows)
+    write_csv(&columns, &dir.join(TABLE))?;
+    Ok(Agreement { columns, missing })
+}
+
+/// The tables below a folder, without what comparisons wrote.
+fn names(folder: &Path) -> Result<BTreeSet<PathBuf>, Error> {
+    let files = csv_files(folder)?.into_iter();
+    let names = files.map(|file| file.strip_prefix(folder).unwrap_or(&file).to_owned());
+    Ok(names
+        .filter(|name| name.file_name() != Some(TABLE.as_ref()))
+        .collect())
 }
 
 /// A row per column, but for the ends of spreads.
-fn compare(file: &str, [(heads, ours), (_, theirs)]: &[Table; 2]) -> Vec<Row> {
+fn compare(file: &Path, [(heads, ours), (_, theirs)]: &[Table; 2]) -> Vec<Row> {
+    let table = file.file_name().unwrap_or_default().to_string_lossy();
+    let timed: Vec<bool> = heads.iter().map(|name| of_times(&table, name)).collect();
     let place: BTreeMap<&str, usize> = heads
         .iter()
         .enumerate()
         .map(|(at, name)| (name, at))
         .collect();
+    // Rows of thesis_means.csv say themselves what their numbers are of.
+    let quantity = place.get("quantity").copied();
+    let row_timed =
+        |row: &csv::StringRecord| quantity.is_none_or(|quantity| tells_times(&row[quantity]));
     // Columns that have a spread, with those of its ends.
     let spreads: BTreeMap<usize, [usize; 2]> = place
         .iter()
+        .filter(|&(_, &at)| timed[at])
         .filter_map(|(&name, &at)| {
             let [least, most] = match name.strip_suffix("_median") {
                 Some(stem) => ["min", "max"].map(|end| format!("{stem}_{end}")),
@@ -136,33 +204,30 @@ fn compare(file: &str, [(heads, ours), (_, theirs)]: &[Table; 2]) -> Vec<Row> {
         })
         .collect();
     let is_end = |at: usize| spreads.values().any(|ends| ends.contains(&at));
-    let columns = heads.iter().enumerate().filter(|&(at, _)| !is_end(at));
-    let compared = columns.map(|(at, column)| {
+    let compared = heads.iter().enumerate().map(|(at, column)| {
         let mut row = Row {
-            file: file.to_owned(),
+            file: file.display().to_string(),
             column: column.to_owned(),
-            rows: 0,
-            same: 0,
-            agree: Some(0),
-            ratio_least: None,
-            ratio_median: None,
-            ratio_most: None,
+            ..Row::default()
         };
         let mut ratios = Vec::new();
         for ((ours, theirs), &slack) in ours.iter().zip(theirs).zip(&slack) {
-            if ours[at].is_empty() && theirs[at].is_empty() {
+            let cells = [&ours[at], &theirs[at]];
+            let timed = timed[at] && row_timed(ours);
+            if cells == [""; 2] || (timed && is_end(at)) {
                 continue;
             }
             let ratio = number(ours, at).zip(number(theirs, at));
             let ratio = ratio.map(|(a, b)| b / a);
             let ratio = ratio.filter(|ratio| ratio.is_finite() && *ratio > 0.0);
-            let same = ours[at] == theirs[at];
+            let same = cells[0] == cells[1];
             let of_spreads = spreads
                 .get(&at)
                 .and_then(|&columns| ends(ours, columns).zip(ends(theirs, columns)));
-            let within = match (of_spreads, slack) {
+            let agrees = match (of_spreads, slack) {
+                _ if same => Some(true),
+                _ if !timed || cells.contains(&"") => Some(false),
                 (Some(([a, b], [c, d])), _) => Some(a <= d && c <= b),
-                (None, _) if !follows_from_times(column) => Some(false),
                 (None, Some(slack)) => {
                     Some(ratio.is_some_and(|ratio| ratio.max(1.0 / ratio) <= slack))
                 }
@@ -170,11 +235,11 @@ fn compare(file: &str, [(heads, ours), (_, theirs)]: &[Table; 2]) -> Vec<Row> {
             };
             row.rows += 1;
             row.same += usize::from(same);
-            let agrees = if same { Some(true) } else { within };
-            row.agree = row
-                .agree
-                .zip(agrees)
-                .map(|(agree, agrees)| agree + usize::from(agrees));
+            match agrees {
+                Some(true) => row.agree += 1,
+                Some(false) => row.differ += 1,
+                None => row.unjudged += 1,
+            }
             ratios.extend(ratio);
         }
         if !ratios.is_empty() {
@@ -187,8 +252,15 @@ fn compare(file: &str, [(heads, ours), (_, theirs)]: &[Table; 2]) -> Vec<Row> {
     compared.filter(|row| row.rows > 0).collect()
 }
 
-/// Whether a number is a time, or one over or per another.
-fn follows_from_times(column: &str) -> bool {
-    let parts = ["second", "ratio", "share"];
-    parts.iter().any(|part| column.contains(part))
+/// Whether a column of a table follows from times: [`OF_TIMES`] says so, or its name, but for what users named and the thesis printed.
+fn of_times(table: &str, column: &str) -> bool {
+    let mut listed = OF_TIMES.iter().filter(|(name, _)| *name == table);
+    let named = !NAMED_BY_USERS.contains(&table) && !column.starts_with("thesis_");
+    listed.any(|(_, columns)| columns.contains(&column)) || (named && tells_times(column))
+}
+
+/// Whether a word of a name is one of times.
+fn tells_times(name: &str) -> bool {
+    let words = ["second", "seconds", "bandwidth"];
+    name.split('_').any(|word| words.contains(&word))
 }

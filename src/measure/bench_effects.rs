@@ -10,7 +10,6 @@
 //! have is taken away. Bytes and dispatches have to be the same; seconds differ by what the method cannot tell apart.
 
 use std::collections::BTreeSet;
-use std::fs;
 use std::path::Path;
 use std::time::Instant;
 
@@ -25,7 +24,7 @@ use crate::scene::{ElasticModel, Liquid, PatchPressure, Scene, Solid, Surface};
 use crate::sim::{Backend, GpuPath, Simulation};
 use crate::state::State;
 
-use super::output_cost::{self, OutputRow};
+use super::output_cost::{self, OutputRow, Scratch};
 use super::statistics::Spread;
 use super::table::{Machine, Table, write_csv, write_json, write_svg};
 
@@ -95,6 +94,17 @@ pub struct Tables {
 }
 
 impl Tables {
+    /// Writes what there is.
+    fn write(&self, out: &Path) -> Result<(), Error> {
+        write_csv(&self.effects.rows, &out.join("effects.csv"))?;
+        write_json(&self.effects, &out.join("effects.json"))?;
+        write_svg(&out.join("effects.svg"), (900, 600), |page| {
+            draw(&self.effects.rows, page)
+        })?;
+        write_csv(&self.outputs.rows, &out.join("outputs.csv"))?;
+        write_json(&self.outputs, &out.join("outputs.json"))
+    }
+
     /// Names every scene in which absent effects cost something other than time.
     ///
     /// # Errors
@@ -332,42 +342,38 @@ impl Run {
     }
 }
 
-/// Measures all scenes and writes effects.csv, effects.json, effects.svg, outputs.csv and outputs.json into `out`; `tell` hears of each row.
+/// Measures all scenes and writes effects.csv, effects.json, effects.svg, outputs.csv and outputs.json into `out`, anew after each; `tell` hears
+/// of each row.
 ///
 /// # Errors
-/// [`Error::Output`], and what the simulations say.
+/// [`Error::Output`], before anything is measured where nothing can be written into `out`; and what the simulations say.
 pub fn bench_effects(
     options: &Options,
     out: &Path,
     tell: &mut dyn FnMut(Told),
 ) -> Result<Tables, Error> {
-    fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
+    let scratch = Scratch::new(out)?;
     // A device of its own: nothing of this is counted.
     let machine = Machine::new(&Gpu::new(&options.adapter)?, 3)?;
-    let (mut of_effects, mut of_outputs) = (Vec::new(), Vec::new());
+    let mut tables = Tables {
+        effects: Table {
+            machine: machine.clone(),
+            rows: Vec::new(),
+        },
+        outputs: Table {
+            machine,
+            rows: Vec::new(),
+        },
+    };
     for scene in &options.scenes {
-        let (effects, outputs) = measure(scene, options, &out.join("frames"))?;
+        let (effects, outputs) = measure(scene, options, &scratch.frames())?;
         effects.iter().for_each(|row| tell(Told::Effect(row)));
         outputs.iter().for_each(|row| tell(Told::Output(row)));
-        of_effects.extend(effects);
-        of_outputs.extend(outputs);
+        tables.effects.rows.extend(effects);
+        tables.outputs.rows.extend(outputs);
+        tables.write(out)?;
     }
-    let effects = Table {
-        machine: machine.clone(),
-        rows: of_effects,
-    };
-    write_csv(&effects.rows, &out.join("effects.csv"))?;
-    write_json(&effects, &out.join("effects.json"))?;
-    write_svg(&out.join("effects.svg"), (900, 600), |page| {
-        draw(&effects.rows, page)
-    })?;
-    let outputs = Table {
-        machine,
-        rows: of_outputs,
-    };
-    write_csv(&outputs.rows, &out.join("outputs.csv"))?;
-    write_json(&outputs, &out.join("outputs.json"))?;
-    Ok(Tables { effects, outputs })
+    Ok(tables)
 }
 
 /// States of a scene at its start and after each frame.
@@ -464,8 +470,6 @@ fn measure(
     });
     let rows = rows.collect();
     let outputs = output_cost::measure(scene, &mut whole.simulation, &states, folder, &mut random)?;
-    // Empty now.
-    fs::remove_dir(folder).map_err(|problem| Error::output(folder, problem))?;
     Ok((rows, outputs))
 }
 

@@ -22,6 +22,8 @@ use crate::output::write_atomically;
 const HEAD: &str = "<!-- table";
 const CLOSE: &str = "-->";
 const END: &str = "<!-- end of table -->";
+/// What stands in place of a table without rows.
+const NONE: &str = "*None.*\n";
 
 /// What a document wants of a table.
 #[derive(Debug, Deserialize)]
@@ -49,6 +51,8 @@ struct Found {
 pub struct Inserted {
     /// Tables that are written anew.
     pub written: usize,
+    /// CSV files of those of them that have no row that is wanted: they say so.
+    pub empty: Vec<String>,
     /// CSV files of those that are left as they are, since they are not below the folder.
     pub left: Vec<String>,
 }
@@ -56,8 +60,8 @@ pub struct Inserted {
 /// Writes a document's tables anew from the results below `dir`. Those of benches that did not run are left as they are.
 ///
 /// # Errors
-/// [`Error::Input`] where the document or a file that it names cannot be read, it asks for columns that are not there, or none of its files is;
-/// [`Error::Output`].
+/// [`Error::Input`] where the document or a file that it names cannot be read or has no head, it asks for columns that are not there, or none
+/// of its files is; [`Error::Output`].
 pub fn insert(dir: &Path, document: &Path) -> Result<Inserted, Error> {
     let text = fs::read_to_string(document).map_err(|problem| {
         let cure = "give a Markdown file with <!-- table .. --> comments";
@@ -108,10 +112,15 @@ pub fn insert(dir: &Path, document: &Path) -> Result<Inserted, Error> {
             .map_err(|problem| refused(head, problem.to_string(), cure))?;
         let file = dir.join(&wanted.file);
         if file.exists() {
-            let markdown = Found::read(&file)?.markdown(&wanted);
-            let cure = "name columns of the CSV file";
-            out.push_str(&markdown.map_err(|problem| refused(head, problem, cure))?);
+            let found = Found::read(&file)?;
+            let cure = "name columns of the CSV file; in texts, within braces";
+            let refused = |problem| refused(head, problem, cure);
+            let rows = found.rows(&wanted).map_err(refused)?;
+            out.push_str(&found.markdown(&wanted, &rows).map_err(refused)?);
             tables.written += 1;
+            if rows.is_empty() {
+                tables.empty.push(wanted.file);
+            }
         } else {
             out.push_str(&old);
             tables.left.push(wanted.file);
@@ -141,7 +150,14 @@ impl Found {
         };
         let mut reader = csv::Reader::from_path(path).map_err(|problem| unreadable(&problem))?;
         let heads = reader.headers().map_err(|problem| unreadable(&problem))?;
-        let heads = heads.iter().map(str::to_owned).collect();
+        let heads: Vec<String> = heads.iter().map(str::to_owned).collect();
+        if heads.is_empty() {
+            return Err(Error::input(
+                path.display().to_string(),
+                "it is empty: not even the names of its columns are there",
+                "run the bench that writes it with options that give it rows, or remove it: then the table is left as it is",
+            ));
+        }
         let rows = reader.records().collect::<Result<_, _>>();
         Ok(Found {
             heads,
@@ -150,45 +166,52 @@ impl Found {
         })
     }
 
-    fn cell<'a>(&self, row: &'a csv::StringRecord, name: &str) -> Option<&'a str> {
-        let column = self.heads.iter().position(|head| head == name)?;
-        row.get(column)
+    /// Where a column is, or that it is not there.
+    fn column(&self, wanted: &Wanted, name: &str) -> Result<usize, String> {
+        let at = self.heads.iter().position(|head| head == name);
+        at.ok_or_else(|| format!("{} has no column {name:?}", wanted.file))
     }
 
-    /// The rows and columns that are wanted, and where they were measured; or the name of a column that is not there.
-    fn markdown(&self, wanted: &Wanted) -> Result<String, String> {
-        let known = |name: &str| match self.heads.iter().any(|head| head == name) {
-            true => Ok(()),
-            false => Err(format!("{} has no column {name:?}", wanted.file)),
-        };
-        for name in wanted.only.keys() {
-            known(name)?;
-        }
-        let says = |row: &csv::StringRecord, name: &str, value: &Value| {
+    /// The rows that are wanted; or the name of a column that is not there.
+    fn rows(&self, wanted: &Wanted) -> Result<Vec<&csv::StringRecord>, String> {
+        let conditions = wanted.only.iter();
+        let conditions = conditions.map(|(name, value)| {
             let text = match value {
                 Value::String(text) => text.clone(),
                 other => other.to_string(),
             };
-            let cell = self.cell(row, name).unwrap_or("");
+            Ok((self.column(wanted, name)?, text))
+        });
+        let conditions: Vec<(usize, String)> = conditions.collect::<Result<_, String>>()?;
+        let says = |cell: &str, text: &str| {
             let numbers = cell.parse::<f64>().ok().zip(text.parse::<f64>().ok());
             cell == text || numbers.is_some_and(|(a, b)| a == b)
         };
         let rows = self.rows.iter().filter(|row| {
-            let mut conditions = wanted.only.iter();
-            conditions.all(|(name, value)| says(row, name, value))
+            let mut conditions = conditions.iter();
+            conditions.all(|(at, text)| says(&row[*at], text))
         });
-        let heads: Vec<&str> = wanted
-            .columns
-            .iter()
-            .map(|[head, _]| head.as_str())
-            .collect();
-        let mut out = format!("| {} |\n", heads.join(" | "));
-        out.push_str(&format!("|{}\n", "---|".repeat(heads.len())));
+        Ok(rows.collect())
+    }
+
+    /// Rows in the columns that are wanted, and where they were measured; or what is wrong with a column, also where there are no rows.
+    fn markdown(&self, wanted: &Wanted, rows: &[&csv::StringRecord]) -> Result<String, String> {
+        let column = |name: &str| self.column(wanted, name);
+        let templates = wanted.columns.iter();
+        let templates = templates.map(|[_, text]| Template::read(text, column));
+        let templates: Vec<Template> = templates.collect::<Result<_, String>>()?;
+        let mut out = String::new();
+        if rows.is_empty() {
+            out.push_str(NONE);
+        } else {
+            let heads = wanted.columns.iter().map(|[head, _]| head.as_str());
+            let heads: Vec<&str> = heads.collect();
+            out.push_str(&format!("| {} |\n", heads.join(" | ")));
+            out.push_str(&format!("|{}\n", "---|".repeat(heads.len())));
+        }
         for row in rows {
-            let cells = wanted.columns.iter();
-            let cells = cells.map(|[_, template]| self.fill(row, template));
-            let cells = cells.collect::<Result<Vec<_>, _>>();
-            let cells = cells.map_err(|name| format!("{} has no column {name:?}", wanted.file))?;
+            let cells = templates.iter().map(|template| template.fill(row));
+            let cells: Vec<String> = cells.collect();
             out.push_str(&format!("| {} |\n", cells.join(" | ")));
         }
         if let Some(measured) = &self.measured {
@@ -196,22 +219,43 @@ impl Found {
         }
         Ok(out)
     }
+}
 
-    /// A template with its cells; the name of a column that is not there. Where all cells of it are empty, so is what it gives.
-    fn fill(&self, row: &csv::StringRecord, template: &str) -> Result<String, String> {
-        let mut out = String::new();
-        let mut rest = template;
-        let mut empty = true;
+/// What stands in a column: texts, each with the column of the CSV file after it, and the text at the end.
+struct Template<'a> {
+    cells: Vec<(&'a str, usize)>,
+    end: &'a str,
+}
+
+impl<'a> Template<'a> {
+    /// `column` tells where the column of a name is.
+    fn read(
+        text: &'a str,
+        column: impl Fn(&str) -> Result<usize, String>,
+    ) -> Result<Template<'a>, String> {
+        let mut cells = Vec::new();
+        let mut rest = text;
         while let Some((before, inner)) = rest.split_once('{') {
-            let (name, after) = inner.split_once('}').ok_or_else(|| inner.to_owned())?;
-            let cell = self.cell(row, name).ok_or_else(|| name.to_owned())?;
-            empty &= cell.is_empty();
-            out.push_str(before);
-            out.push_str(&rounded(cell));
+            let unclosed = || format!("a brace in {text:?} does not close");
+            let (name, after) = inner.split_once('}').ok_or_else(unclosed)?;
+            cells.push((before, column(name)?));
             rest = after;
         }
-        out.push_str(rest);
-        Ok(if empty { String::new() } else { out })
+        Ok(Template { cells, end: rest })
+    }
+
+    /// With the cells of a row. Where all of them are empty, so is what it gives.
+    fn fill(&self, row: &csv::StringRecord) -> String {
+        let mut out = String::new();
+        if self.cells.iter().all(|&(_, at)| row[at].is_empty()) {
+            return out;
+        }
+        for &(before, at) in &self.cells {
+            out.push_str(before);
+            out.push_str(&rounded(&row[at]));
+        }
+        out.push_str(self.end);
+        out
     }
 }
 

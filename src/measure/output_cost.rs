@@ -6,7 +6,8 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::Path;
+use std::io::{self, ErrorKind};
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use serde::Serialize;
@@ -58,6 +59,41 @@ enum Output<'a> {
     Preview(FrameWriter, Box<Pictures>),
 }
 
+/// A folder for frames that are only timed, below that of the results, where a run may have frames that stay. It goes, with what is in it, when
+/// this is dropped.
+#[derive(Debug)]
+pub(super) struct Scratch {
+    folder: PathBuf,
+}
+
+impl Scratch {
+    /// Makes it below `out`, without what a bench that was killed has left in it.
+    ///
+    /// # Errors
+    /// [`Error::Output`].
+    pub(super) fn new(out: &Path) -> Result<Scratch, Error> {
+        let folder = out.join(".bench_effects");
+        let failed = |problem: io::Error| Error::unwritten(&folder, &problem);
+        match fs::remove_dir_all(&folder) {
+            Err(problem) if problem.kind() != ErrorKind::NotFound => return Err(failed(problem)),
+            _ => fs::create_dir_all(&folder).map_err(failed)?,
+        }
+        Ok(Scratch { folder })
+    }
+
+    /// Where the frames are: `report` passes over folders of this name, should they be left.
+    pub(super) fn frames(&self) -> PathBuf {
+        self.folder.join("frames")
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        // The next bench tries again, and tells.
+        let _ = fs::remove_dir_all(&self.folder);
+    }
+}
+
 /// Measures all outputs that the scene can have on states of it; the first only warms up. `folder` is empty, and is left so.
 pub(super) fn measure(
     scene: &Scene,
@@ -67,6 +103,8 @@ pub(super) fn measure(
     random: &mut fastrand::Rng,
 ) -> Result<Vec<OutputRow>, Error> {
     let surfaces = ObstacleSurfaces::new(scene, &scene.grid())?;
+    // A preview begins with a frame there. It is the one that only warms up: one that is timed would then have its picture.
+    simulation.reset(&states[0])?;
     let mut outputs = outputs(scene, simulation, &surfaces, folder)?;
     let order: Vec<&'static str> = outputs.iter().map(|(name, ..)| *name).collect();
     let mut seconds: BTreeMap<&'static str, Vec<f64>> = BTreeMap::new();
@@ -89,7 +127,7 @@ pub(super) fn measure(
                 let after = bytes_in(&run)?;
                 *bytes.entry(name).or_default() += match output {
                     Output::Checkpoint(_) => after,
-                    _ => after - before,
+                    _ => after.saturating_sub(before),
                 };
             }
         }
@@ -271,4 +309,90 @@ fn bytes_in(folder: &Path) -> Result<u64, Error> {
         };
     }
     Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use crate::scene::Scene;
+    use crate::sim::{Backend, Simulation};
+
+    use super::{Scratch, measure};
+
+    const POOL: &str = "
+[domain]
+size = [1.0, 1.0, 1.0]
+cells = [8, 8, 8]
+
+[time]
+duration = 0.5
+
+[camera]
+size = [160, 90]
+
+[[liquid.region]]
+box = { min = [0.0, 0.0, 0.0], max = [1.0, 0.5, 1.0] }
+";
+
+    #[test]
+    fn frames_are_timed_in_a_folder_that_goes() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path();
+        let scene = Scene::parse("pool.toml".as_ref(), POOL, &[], 1.0).unwrap();
+        let mut simulation = Simulation::new(&scene, &Backend::Cpu).unwrap();
+        let first = simulation.state().unwrap();
+        let mut second = first.clone();
+        (second.frame, second.time) = (1, 1.0 / scene.time.frames_per_second);
+        // Where the effects' sub-steps leave it.
+        simulation.reset(&second).unwrap();
+        // Of a bench that was killed, and of a run: both larger than what is written here.
+        let frame = "frames/particles/frames/pool_000001.vtp";
+        let [left, of_run] = [".bench_effects", ""].map(|own| out.join(own).join(frame));
+        for file in [&left, &of_run] {
+            fs::create_dir_all(file.parent().unwrap()).unwrap();
+            fs::write(file, vec![0u8; 1 << 20]).unwrap();
+        }
+        let scratch = Scratch::new(out).unwrap();
+        assert!(!left.exists());
+        let rows = measure(
+            &scene,
+            &mut simulation,
+            &[first, second],
+            &scratch.frames(),
+            &mut fastrand::Rng::with_seed(7),
+        )
+        .unwrap();
+        let written: Vec<(&str, bool)> = rows
+            .iter()
+            .map(|row| (row.output, (1..1 << 20).contains(&row.bytes)))
+            .collect();
+        let expected = [
+            ("read_back", false),
+            ("particles", true),
+            ("fields", true),
+            ("surface", true),
+            ("checkpoint", true),
+            ("preview", true),
+        ];
+        assert_eq!(written, expected, "{rows:?}");
+        drop(scratch);
+        let entries = fs::read_dir(out).unwrap();
+        let names: Vec<_> = entries.map(|entry| entry.unwrap().file_name()).collect();
+        assert_eq!(names, ["frames"]);
+        assert_eq!(fs::metadata(of_run).unwrap().len(), 1 << 20);
+    }
+
+    #[test]
+    fn a_folder_that_cannot_be_made_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join(".bench_effects");
+        fs::write(&file, "not the bench's").unwrap();
+        for out in [folder.path(), file.as_path()] {
+            let error = Scratch::new(out).unwrap_err();
+            assert_eq!(error.exit_code(), 2, "{error}");
+            assert!(error.to_string().contains(".bench_effects"), "{error}");
+        }
+        assert!(file.is_file());
+    }
 }

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use cutwater::effects::Effects;
 use cutwater::gpu::AdapterChoice;
-use cutwater::measure::bench_effects::{ABSENT, EFFECTS, Options, Row, bench_effects};
+use cutwater::measure::bench_effects::{ABSENT, EFFECTS, Options, Row, Told, bench_effects};
 use cutwater::measure::output_cost::OutputRow;
 use cutwater::scene::Scene;
 use cutwater::sim::{Backend, Simulation};
@@ -34,8 +34,19 @@ fn effects_add_what_is_theirs() {
         frames: 2,
         adapter: AdapterChoice::Best,
     };
+    let of_run = folder.path().join("frames/of_a_run.vtp");
+    fs::create_dir(folder.path().join("frames")).unwrap();
+    fs::write(&of_run, "").unwrap();
     let mut told = 0;
-    let mut tables = bench_effects(&options, folder.path(), &mut |_| told += 1).unwrap();
+    let mut tables = bench_effects(&options, folder.path(), &mut |row| {
+        told += 1;
+        if let Told::Effect(Row { scene, .. }) = row {
+            let written = folder.path().join("outputs.json").is_file();
+            let expected = scene != "dam_break";
+            assert_eq!(written, expected, "before those of {scene} are written");
+        }
+    })
+    .unwrap();
     let (table, outputs) = (&tables.effects, &tables.outputs);
     assert_eq!(told, table.rows.len() + outputs.rows.len());
     let row = |scene: &str, effect: &str| -> &Row {
@@ -131,7 +142,9 @@ fn effects_add_what_is_theirs() {
         (32.0 * markers..60.0 * markers).contains(&bytes),
         "{bytes} for {markers} markers"
     );
-    assert!(!folder.path().join("frames").exists(), "frames were left");
+    assert!(of_run.is_file(), "a frame of the run is gone");
+    let left = folder.path().join(".bench_effects");
+    assert!(!left.exists(), "frames were left");
     for file in [
         "effects.csv",
         "effects.json",

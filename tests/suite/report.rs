@@ -209,6 +209,44 @@ fn tables_of_documents_are_written_anew() {
 }
 
 #[test]
+fn tables_without_rows_say_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path().join("results");
+    fs::create_dir_all(dir.join("solve")).unwrap();
+    let table = dir.join("solve/solve_growth.csv");
+    let document = folder.path().join("speed.md");
+    let refused = |text: &str, told: &str| {
+        fs::write(&document, text).unwrap();
+        let error = insert(&dir, &document).unwrap_err();
+        assert_eq!(error.exit_code(), 2, "{error}");
+        assert!(error.to_string().contains(told), "{told}: {error}");
+        assert_eq!(fs::read_to_string(&document).unwrap(), text);
+    };
+    for rows in ["", "20,f32,1e-8,9,9,9\n"] {
+        let heads = "grid,precision,tolerance,median,min,order";
+        fs::write(&table, format!("{heads}\n{rows}")).unwrap();
+        fs::write(&document, DOCUMENT).unwrap();
+        let tables = insert(&dir, &document).unwrap();
+        assert_eq!((tables.written, tables.left.len()), (1, 0));
+        assert_eq!(tables.empty, ["solve/solve_growth.csv"]);
+        assert_eq!(
+            fs::read_to_string(&document).unwrap(),
+            DOCUMENT.replace("old\n", "*None.*\n")
+        );
+        for (name, other, told) in [
+            ("{grid}", "{grids}", "no column \"grids\""),
+            ("\"precision\"", "\"precisions\"", "no column \"precisions\""),
+            ("({min})", "({min)", "does not close"),
+        ] {
+            refused(&DOCUMENT.replace(name, other), told);
+        }
+    }
+    // What has no head may have any columns.
+    fs::write(&table, "").unwrap();
+    refused(DOCUMENT, "solve_growth.csv: it is empty");
+}
+
+#[test]
 fn two_runs_are_compared_number_by_number() {
     let folder = tempfile::tempdir().unwrap();
     let [first, second] = ["first", "second"].map(|name| folder.path().join(name));
@@ -216,40 +254,41 @@ fn two_runs_are_compared_number_by_number() {
         fs::create_dir_all(dir.join("solve")).unwrap();
         fs::write(dir.join("solve/solve.csv"), table).unwrap();
     };
-    let heads = "grid,note,seconds_median,seconds_min,seconds_max,cells_per_second,residual\n";
+    let heads = "grid,bricks,seconds_median,seconds_min,seconds_max,cells_per_second,residual_p\n";
     write(
         &first,
-        &format!("{heads}20,a,1,0.9,1.2,10,1e-9\n40,,4,3.9,4.1,10,0\n"),
+        &format!("{heads}20,2,1,0.9,1.2,10,1e-9\n40,,4,3.9,4.1,10,0\n"),
     );
     // Spreads that touch, and that do not; a rate within 1.5 / 0.9, and one beyond 6.1 / 3.9; a residual that is not the same, though as near.
     write(
         &second,
-        &format!("{heads}20,a,1.4,1.2,1.5,16,1e-9\n40,,6,5.9,6.1,15.7,1e-12\n"),
+        &format!("{heads}20,2,1.4,1.2,1.5,16,1e-9\n40,,6,5.9,6.1,15.7,1e-12\n"),
     );
     // Quartiles around 0, a time without a spread, and powers, which are not compared.
     for (dir, low, seconds) in [(&first, -2, 5), (&second, 1, 7)] {
-        let table = format!("added,added_low,added_high,seconds\n0,{low},1,{seconds}\n");
+        let heads = "seconds_with,seconds_added,seconds_added_low,seconds_added_high";
+        let table = format!("{heads}\n{seconds},0,{low},1\n");
         fs::write(dir.join("effects.csv"), table).unwrap();
         fs::write(dir.join("solve_growth.csv"), format!("exponent\n{low}\n")).unwrap();
     }
-    let columns = agreement(&first, &second).unwrap();
-    let said = |name: &str| {
-        let row = columns.iter().find(|row| row.column == name).unwrap();
-        (row.rows, row.same, row.agree)
-    };
+    let found = agreement(&first, &second).unwrap();
+    let columns = &found.columns;
+    let row = |name: &str| columns.iter().find(|row| row.column == name).unwrap();
     assert_eq!(columns.len(), 7, "{columns:?}");
-    assert_eq!(said("grid"), (2, 2, Some(2)));
-    assert_eq!(said("note"), (1, 1, Some(1)));
-    assert_eq!(said("seconds_median"), (2, 0, Some(1)));
-    assert_eq!(said("cells_per_second"), (2, 0, Some(1)));
-    assert_eq!(said("residual"), (2, 1, Some(1)));
-    assert_eq!(said("added"), (1, 1, Some(1)));
-    assert_eq!(said("seconds"), (1, 0, None));
-    assert_eq!(columns.iter().filter(|row| row.agrees()).count(), 4);
-    let seconds = columns
-        .iter()
-        .find(|row| row.column == "seconds_median")
-        .unwrap();
+    for (column, said) in [
+        ("grid", [2, 2, 2, 0, 0]),
+        ("bricks", [1, 1, 1, 0, 0]),
+        ("seconds_median", [2, 0, 1, 1, 0]),
+        ("cells_per_second", [2, 0, 1, 1, 0]),
+        ("residual_p", [2, 1, 1, 1, 0]),
+        ("seconds_added", [1, 1, 1, 0, 0]),
+        ("seconds_with", [1, 0, 0, 0, 1]),
+    ] {
+        let row = row(column);
+        let found = [row.rows, row.same, row.agree, row.differ, row.unjudged];
+        assert_eq!(found, said, "{column}");
+    }
+    let seconds = row("seconds_median");
     assert_eq!(
         [
             seconds.ratio_least,
@@ -258,10 +297,13 @@ fn two_runs_are_compared_number_by_number() {
         ],
         [Some(1.4), Some(1.45), Some(1.5)]
     );
+    let verdict = found.verdict().unwrap_err();
+    assert_eq!(verdict.exit_code(), 1, "{verdict}");
+    assert!(verdict.to_string().contains("differ: 3;"), "{verdict}");
     let table = fs::read_to_string(first.join("agreement.csv")).unwrap();
     assert_eq!(table.lines().count(), 8);
     // Not itself, the second time.
-    assert_eq!(agreement(&first, &second).unwrap(), columns);
+    assert_eq!(agreement(&first, &second).unwrap(), found);
 
     let refused = |part: &str| {
         let error = agreement(&first, &second).unwrap_err();
@@ -274,4 +316,155 @@ fn two_runs_are_compared_number_by_number() {
     refused("no such folder");
     fs::create_dir(&second).unwrap();
     refused("no table of the name");
+}
+
+/// Columns of the tables that there are: what follows from times may differ as these do, everything else may not, and what says nothing of how
+/// far it spreads is not judged.
+#[test]
+fn only_what_follows_from_times_may_differ() {
+    let folder = tempfile::tempdir().unwrap();
+    let [first, second] = ["first", "second"].map(|name| folder.path().join(name));
+    for dir in [&first, &second] {
+        fs::create_dir(dir).unwrap();
+    }
+    // Heads, the rows of both, and how many rows of each column agree, differ and are not judged.
+    let cases = [
+        (
+            "accuracy.csv",
+            "tolerance,iterations,seconds_median,seconds_min,seconds_max,speed_over_g_dt",
+            ["0.01,12,1,0.8,1.2,0.5", "0.01,13,1,0.8,1.2,0.6"],
+            "tolerance 1 0 0, iterations 0 1 0, seconds_median 1 0 0, speed_over_g_dt 0 1 0",
+        ),
+        // A row without a spread, as quartiles around 0 are none, takes nothing back.
+        (
+            "effects.csv",
+            "seconds_with,seconds_without,seconds_added,seconds_added_low,seconds_added_high,pairs",
+            ["5,4,1,0.9,1.1,12\n5,4,0,-1,1,12", "50,4.1,1,0.9,1.1,12\n50,4,0,-1,1,11"],
+            "seconds_with 0 1 1, seconds_without 2 0 0, seconds_added 2 0 0, pairs 1 1 0",
+        ),
+        (
+            "outputs.csv",
+            "seconds,seconds_low,seconds_high,bytes",
+            ["1,0.9,1.1,100", "1.2,1.1,1.3,101"],
+            "seconds 1 0 0, bytes 0 1 0",
+        ),
+        // Names are the scene's.
+        ("probes.csv", "t,seconds", ["0.5,1", "0.5,2"], "t 1 0 0, seconds 0 1 0"),
+        (
+            "solids.csv",
+            "iterations,seconds_median,seconds_min,seconds_max,ordering_seconds,ratio",
+            ["12,1,0.8,1.2,0.1,3", "12,1,0.8,1.2,0.11,3.1"],
+            "iterations 1 0 0, seconds_median 1 0 0, ordering_seconds 1 0 0, ratio 1 0 0",
+        ),
+        (
+            "solve.csv",
+            "rounds,cell_iterations_per_second,seconds_median,seconds_min,seconds_max,share_of_copy_bandwidth",
+            ["2,10,1,0.8,1.2,0.1", "2,11,1,0.8,1.2,0.2"],
+            "rounds 1 0 0, cell_iterations_per_second 1 0 0, seconds_median 1 0 0, share_of_copy_bandwidth 0 1 0",
+        ),
+        (
+            "solve_against.csv",
+            "device_seconds_median,device_seconds_min,device_seconds_max,ratio_median,ratio_min,ratio_max,note",
+            ["1,0.8,1.2,3,2,4,\n1,0.8,1.2,,,,", "1.1,0.9,1.3,5,4,6,\n1.1,0.9,1.3,5,4,6,"],
+            "device_seconds_median 2 0 0, ratio_median 1 1 0",
+        ),
+        (
+            "stability.csv",
+            "energy_ratio,elastic_ratio,most_iterations,seconds",
+            ["1.01,0.1,7,3\n1,0.1,7,3", "1.02,0.1,7,4\n1,0.2,8,"],
+            "energy_ratio 1 1 0, elastic_ratio 1 1 0, most_iterations 1 1 0, seconds 0 1 1",
+        ),
+        ("stability_limit.csv", "ratio", ["0.5", "0.6"], "ratio 0 1 0"),
+        (
+            "step.csv",
+            "iterations,solid_iterations,seconds_median,seconds_min,seconds_max",
+            ["12,5,1,0.8,1.2", "12.5,5.5,1,0.8,1.2"],
+            "iterations 0 1 0, solid_iterations 0 1 0, seconds_median 1 0 0",
+        ),
+        (
+            "steps.csv",
+            "dt,volume_ratio,seconds_total,seconds_advect_markers",
+            ["0.1,1,3,1", "0.1,1.1,4,2"],
+            "dt 1 0 0, volume_ratio 0 1 0, seconds_total 0 0 1, seconds_advect_markers 0 0 1",
+        ),
+        (
+            "summary.csv",
+            "time.frames_per_second,seconds,worst_residual",
+            ["24,3,1e-9", "25,4,1e-9"],
+            "time.frames_per_second 0 1 0, seconds 0 0 1, worst_residual 1 0 0",
+        ),
+        (
+            "thesis.csv",
+            "ratio_p,ratio_v,ratio_u,seconds_median,seconds_min,seconds_max",
+            ["1,1,1,1,0.8,1.2", "1.1,1.2,1,1,0.8,1.2"],
+            "ratio_p 0 1 0, ratio_v 0 1 0, ratio_u 1 0 0, seconds_median 1 0 0",
+        ),
+        // Rows of times, and of what repeats, whose ends are numbers as others.
+        (
+            "thesis_means.csv",
+            "quantity,mean,least,largest,ratio",
+            [
+                "frame_seconds,1,0.8,1.2,0.5\nnonzeros,100,90,110,0.9",
+                "frame_seconds,1.1,0.9,1.3,0.55\nnonzeros,101,90,111,0.91",
+            ],
+            "quantity 2 0 0, mean 1 1 0, least 1 0 0, largest 0 1 0, ratio 1 1 0",
+        ),
+        (
+            "thesis_scenes.csv",
+            "ratio_nodes,seconds_median,seconds_min,seconds_max,thesis_seconds_least,\
+             projection_median,projection_min,projection_max,solve_median",
+            ["1,1,0.8,1.2,0.5,0.5,0.4,0.6,0.3", "1.1,1,0.8,1.2,0.6,0.6,0.5,0.7,0.31"],
+            "ratio_nodes 0 1 0, seconds_median 1 0 0, thesis_seconds_least 0 1 0, \
+             projection_median 1 0 0, solve_median 1 0 0",
+        ),
+        (
+            "validation.csv",
+            "got,verdict,seconds,share",
+            ["0.5,pass,10.0,5e-1", "0.5,pass,12.0,6e-1"],
+            "got 1 0 0, verdict 1 0 0, seconds 0 0 1, share 0 1 0",
+        ),
+    ];
+    for (file, heads, rows, _) in &cases {
+        for (dir, rows) in [&first, &second].into_iter().zip(rows) {
+            fs::write(dir.join(file), format!("{heads}\n{rows}\n")).unwrap();
+        }
+    }
+    let found = agreement(&first, &second).unwrap();
+    for (file, _, _, said) in &cases {
+        let columns = found.columns.iter().filter(|row| row.file == *file);
+        let columns: Vec<String> = columns
+            .map(|row| {
+                let counts = [row.agree, row.differ, row.unjudged];
+                assert_eq!(row.rows, counts.iter().sum::<usize>(), "{row:?}");
+                let [agree, differ, unjudged] = counts;
+                format!("{} {agree} {differ} {unjudged}", row.column)
+            })
+            .collect();
+        assert_eq!(columns.join(", "), *said, "{file}");
+    }
+}
+
+#[test]
+fn tables_of_one_run_alone_are_no_agreement() {
+    let folder = tempfile::tempdir().unwrap();
+    let [first, second] = ["first", "second"].map(|name| folder.path().join(name));
+    for dir in [&first, &second] {
+        fs::create_dir_all(dir.join("solve")).unwrap();
+        fs::write(dir.join("solve/solve.csv"), "grid,iterations\n20,12\n").unwrap();
+        // Of a comparison before.
+        fs::write(dir.join("solve/agreement.csv"), "file\n").unwrap();
+    }
+    fs::remove_file(second.join("solve/agreement.csv")).unwrap();
+    let found = agreement(&first, &second).unwrap();
+    assert!(found.missing.is_empty(), "{found:?}");
+    found.verdict().unwrap();
+    let [against, steps] = ["solve/solve_against.csv", "steps.csv"];
+    fs::write(first.join(against), "grid\n20\n").unwrap();
+    fs::write(second.join(steps), "step\n0\n").unwrap();
+    let found = agreement(&first, &second).unwrap();
+    assert_eq!(found.missing, [second.join(against), first.join(steps)]);
+    let verdict = found.verdict().unwrap_err();
+    assert_eq!(verdict.exit_code(), 1, "{verdict}");
+    let told = "columns that differ: 0; tables that only one of the folders has: 2";
+    assert!(verdict.to_string().contains(told), "{verdict}");
 }
