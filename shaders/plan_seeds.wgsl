@@ -1,17 +1,26 @@
-// exchange, with sources only, second of three: how many markers each cell of a source lacks, and where its new ones begin among all
-// new ones: a sum over the cells in their order. One workgroup.
-// source_step: what the sources do. cells: x, y, z and source of each. chunks: markers that the cells have, in; sums of what those
-// before lack, out. report: see report.
+// exchange, with sources only, second of three: how many markers each cell of a source gets, and where its new ones begin among all
+// new ones: a sum over the cells in their order. Cells with their centre in a body get none: the twin says why. One workgroup.
+// level. source_step: what the sources do. cells: x, y, z and source of each. solid_distance: m, cell centres; one quad, far from any
+// solid, in a scene without any. chunks: markers that the cells have, in; sums of what those before get, out. report: see report.
+#import layout
 #import scan
 #import report
 #import source_step
 
-@group(0) @binding(0) var<uniform> source_step: SourceStep;
-@group(0) @binding(1) var<storage, read> cells: array<vec4<u32>>;
-@group(0) @binding(2) var<storage, read_write> chunks: array<u32>;
-@group(0) @binding(3) var<storage, read_write> report: array<u32>;
+@group(0) @binding(0) var<uniform> level: Layout;
+@group(0) @binding(1) var<uniform> source_step: SourceStep;
+@group(0) @binding(2) var<storage, read> cells: array<vec4<u32>>;
+@group(0) @binding(3) var<storage, read> solid_distance: array<f32>;
+@group(0) @binding(4) var<storage, read_write> chunks: array<u32>;
+@group(0) @binding(5) var<storage, read_write> report: array<u32>;
 
 var<workgroup> sh_filled: atomic<u32>;
+
+// Whether a body covers the centre of a cell.
+fn covered(cell: vec3<u32>) -> bool {
+    let index = 4u * (level.stride_z * (cell.z + 1u) + level.stride_y * cell.y) + cell.x;
+    return solid_distance[min(index, arrayLength(&solid_distance) - 1u)] < 0.0;
+}
 
 @compute @workgroup_size(SCAN_SIZE)
 fn plan_seeds(@builtin(local_invocation_index) lane: u32) {
@@ -24,7 +33,7 @@ fn plan_seeds(@builtin(local_invocation_index) lane: u32) {
         let source = cells[c].w;
         let lacks = select(0u, PER_CELL - min(chunks[c], PER_CELL), runs(source, source_step.running));
         filled += select(0u, lacks, runs(source, source_step.starting));
-        chunks[c] = lacks;
+        chunks[c] = select(lacks, 0u, covered(cells[c].xyz));
     }
     atomicAdd(&sh_filled, filled);
     let total = scan(n, lane);

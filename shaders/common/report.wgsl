@@ -14,7 +14,7 @@ const LEAVING = 17u;
 const SINKING = 18u;
 const LEFT_NOW = 19u;
 const SUNK_NOW = 20u;
-// Of sources, in this sub-step: new markers, those of them that filled a source that starts, slots kept for new markers.
+// Of sources, in this sub-step: new markers, those that sources that start lacked, slots kept for new markers.
 const EMITTED_NOW = 21u;
 const FILLED_NOW = 22u;
 const ROOM = 23u;

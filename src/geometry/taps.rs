@@ -5,11 +5,13 @@
 //! velocity, are closed for the pressure and let the flux through to the neighbours. Faces through which it would flow into the
 //! source are walls, so a source never takes liquid in, wherever it lies: what comes out per second is its velocity times the area
 //! that it shows in that direction.
+//!
+//! Bodies that move do not change which cells and areas these are. `exchange` makes no markers in the cells that they cover.
 
 use glam::DVec3;
 
+use super::CutCells;
 use super::distance::Solid;
-use super::{CutCells, open_volume};
 use crate::error::{Error, rounded};
 use crate::grid::{Axis, Grid};
 use crate::scene::{Scene, Shape};
@@ -277,7 +279,7 @@ fn cells(
 ) -> Result<Vec<usize>, Error> {
     let solid = Solid::new(shape)?;
     let holds = |cell: usize| {
-        let free = open_volume(cut.solid_distance[cell], grid.dx) >= 0.5;
+        let free = cut.solid_distance[cell] >= 0.0;
         free && solid.distance(grid.cell_centre(grid.cell_at(cell))) <= 0.0
     };
     let cells: Vec<usize> = (0..grid.n_cells()).filter(|&cell| holds(cell)).collect();

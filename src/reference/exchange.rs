@@ -2,6 +2,9 @@
 //!
 //! Every cell of a source that runs is filled up to 8 markers in each sub-step, at jittered places of its eighths. The jitter is a function of
 //! the scene's seed, the sub-step's number, the cell and the marker's number in it, so a run repeats and goes on from a state bit for bit.
+//!
+//! Cells with their centre in a body get none: `advect_markers` would put them out of the body, and the cell would be filled anew in every
+//! sub-step. Where a body covers less of a cell, almost all that is put out of it stays in the cell.
 
 use glam::DVec3;
 
@@ -18,7 +21,7 @@ const MARGIN: f64 = 0.02;
 pub struct Seeded {
     /// All.
     pub emitted: u64,
-    /// Those that filled the cells of sources that start.
+    /// Those that the cells of sources that start lacked, whether a body covers them or not.
     pub filled: u64,
 }
 
@@ -34,11 +37,13 @@ pub fn sink_markers(grid: &Grid, taps: &Taps, markers: Vec<[f64; 3]>) -> (Vec<[f
     (kept, sunk)
 }
 
-/// Adds markers (m) behind the others until every cell of the sources that run has 8.
+/// Adds markers (m) behind the others until every cell of the sources that run has 8, but for those with their centre in a body.
+/// `solid_distance`: per cell, m.
 pub fn seed_markers(
     grid: &Grid,
     taps: &Taps,
     sources: Running,
+    solid_distance: &[f64],
     markers: &mut Vec<[f64; 3]>,
 ) -> Seeded {
     let mut counts = vec![0; taps.source_cells.len()];
@@ -56,11 +61,14 @@ pub fn seed_markers(
         if sources.running >> source & 1 == 0 || count >= PER_CELL {
             continue;
         }
+        let lacks = (PER_CELL - count) as u64;
+        seeded.filled += lacks * u64::from(sources.starting >> source & 1);
+        if solid_distance[cell] < 0.0 {
+            continue;
+        }
         let places = (count..PER_CELL).map(|number| place(grid, &sources, cell, count, number));
         markers.extend(places.map(|x| x.to_array()));
-        let made = (PER_CELL - count) as u64;
-        seeded.emitted += made;
-        seeded.filled += made * u64::from(sources.starting >> source & 1);
+        seeded.emitted += lacks;
     }
     seeded
 }
@@ -143,7 +151,7 @@ pub struct Passed {
 
 /// The volumes to hold in a sub-step and after it, m^3, and what it tells of them. `inflow`: what sources emitted beyond filling themselves, m^3.
 ///
-/// What left or sank takes its share of the volume along, as [`volume_without`] says. What filled a source that starts adds an eighth of a
+/// What left or sank takes its share of the volume along, as [`volume_without`] says. What fills a source that starts adds an eighth of a
 /// cell per marker, after the sub-step.
 pub fn exchanged_volume(
     grid: &Grid,

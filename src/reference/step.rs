@@ -367,7 +367,7 @@ impl Reference {
                     left: lost.left,
                     sunk,
                     kept: state.markers.len(),
-                    seeded: seed_markers(grid, taps, running, &mut state.markers),
+                    seeded: seed_markers(grid, taps, running, solid_distance, &mut state.markers),
                 };
                 let inflow = dt * taps.flux(running.running);
                 let (volumes, of_step) = exchanged_volume(grid, before.volume_0, inflow, passed);

@@ -307,8 +307,10 @@ impl Sources {
             plan_seeds: kernel(wgsl!("plan_seeds"))?.bind(
                 gpu,
                 &[
+                    level,
                     source_step,
                     ("cells", (&cells).into()),
+                    ("solid_distance", (&buffers.obstacles.solid_distance).into()),
                     ("chunks", (&counts).into()),
                     report,
                 ],

@@ -14,7 +14,7 @@ pub struct Report {
     pub sunk: u32,
     /// Markers that sources made.
     pub emitted: u32,
-    /// Those of them that filled a source that starts.
+    /// Those that sources that start lacked, also where a body covers them.
     pub filled: u32,
     /// Relative rate at which volume control lets the liquid grow, 1/s.
     pub volume_rate: f64,

@@ -325,6 +325,39 @@ fn what_moves_away_takes_no_cells_of_a_source() {
     }
 }
 
+/// A gate slides over a source and away again. While it covers all of it nothing comes out; then the source is full again.
+#[test]
+fn what_a_gate_covers_gets_no_markers() {
+    let gate = "[[obstacle]]\nbox = { min = [0.28125, 0.34375, 0.03125], max = [0.46875, 0.5, 0.21875] }\n\
+                keyframes = [{ t = 0 }, { t = 0.05, translate = [-0.1875, 0, 0] }, { t = 0.15, translate = [-0.1875, 0, 0] }, { t = 0.2 }]\n";
+    let scene = parse(&format!("[liquid]\n{POOL}{TAP}{gate}")).unwrap();
+    let mut backends = vec![Backend::Cpu];
+    backends.extend(gpu().map(|_| Backend::Gpu(AdapterChoice::Best)));
+    for backend in backends {
+        let mut simulation = Simulation::new(&scene, &backend).unwrap();
+        let mut covered = Vec::new();
+        while simulation.clock().time < 0.25 {
+            let report = simulation.step().unwrap();
+            let emitted = report.liquid.unwrap().exchange.unwrap().emitted;
+            if (0.05..0.15).contains(&simulation.clock().time) {
+                covered.push(emitted);
+            }
+        }
+        // At least those that end with a frame, at 2/24 and 3/24 s.
+        assert!(covered.len() >= 2, "{}: {covered:?}", backend.name());
+        assert!(
+            covered.iter().all(|&emitted| emitted == 0),
+            "{}: {covered:?}",
+            backend.name()
+        );
+        let (low, high) = ([0.125, 0.375, 0.0625], [0.25, 0.5, 0.1875]);
+        let inside = |x: &&[f64; 3]| (0..3).all(|a| (low[a]..high[a]).contains(&x[a]));
+        let state = simulation.state().unwrap();
+        let n_inside = state.markers.iter().filter(inside).count();
+        assert!(n_inside >= 8 * 64, "{}: {n_inside}", backend.name());
+    }
+}
+
 /// A pump between a source and a sink: what is there, what came and what went add up, and in the end as much goes as comes.
 #[test]
 fn a_fountain_comes_to_a_steady_volume() {

@@ -2,13 +2,14 @@
 
 use cutwater::geometry::{PER_CELL, Running, Taps, obstacle_cut};
 use cutwater::gpu::{Gpu, Recorder};
-use cutwater::grid::{Axis, Grid};
+use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference;
 use cutwater::scene::Scene;
 use cutwater::stages::{LiquidBuffers, LiquidPlan, Report, Sinks, SourceStep, Sources};
+use glam::DVec3;
 
-use crate::common::{Random, gpu};
-use crate::liquid_case::{Case, EPS, assert_close};
+use crate::common::{Random, far_below, gpu, surface};
+use crate::liquid_case::{Case, EPS, assert_close, single};
 
 /// Sources and sinks that overlap each other, an obstacle and walls, in a grid whose rows have one spare cell.
 fn scene() -> Scene {
@@ -29,7 +30,7 @@ struct Run {
 }
 
 impl Run {
-    /// Cells with between none and twelve markers.
+    /// Cells with between none and twelve markers; those that a body covers in two of the sources lack some.
     fn new(gpu: &Gpu) -> Run {
         let scene = scene();
         let grid = Grid {
@@ -38,13 +39,24 @@ impl Run {
         };
         let mut cut = obstacle_cut(&scene, &scene.grid()).unwrap().cut;
         for values in cut.open.iter_mut().chain([&mut cut.solid_distance]) {
-            values
-                .iter_mut()
-                .for_each(|value| *value = f64::from(*value as f32));
+            values.iter_mut().for_each(|value| *value = single(*value));
         }
         let taps = Taps::new(&scene, &scene.grid(), &cut).unwrap();
+        // A ball that came in later, a centre on a surface, and one that is as little inside as can be.
+        let centre = DVec3::new(0.9, 0.6, 0.5);
+        for (cell, distance) in cut.solid_distance.iter_mut().enumerate() {
+            let ball = grid.cell_centre(grid.cell_at(cell)).distance(centre) - 0.12;
+            *distance = single(distance.min(ball));
+        }
+        let at_surface = [0.0, -f64::from(f32::MIN_POSITIVE)];
+        for (&(cell, _), distance) in taps.source_cells.iter().zip(at_surface) {
+            cut.solid_distance[cell] = distance;
+        }
         let effects = cutwater::effects::Effects::of(&scene);
-        let filled = |_: [usize; 3], random: &mut Random| (random.bits() % 13) as usize;
+        let filled = |[i, _, _]: [usize; 3], random: &mut Random| {
+            let most = if i < 8 { 13 } else { PER_CELL as u64 };
+            (random.bits() % most) as usize
+        };
         let case = Case::around("taps", (grid, effects, cut), 3.0, filled);
         let buffers = LiquidBuffers::new(
             gpu,
@@ -138,10 +150,12 @@ fn markers_come_and_go_as_in_the_twin() {
                     (0..3).map(move |a| (f64::from(gpu[a]), twin[a], bound, [index, a, 0]))
                 }),
         );
-        // Every cell of a source that runs has 8 or more, and each new one is in such a cell.
+        // Every cell of a source that runs has 8 or more, unless its centre is in a body, and each new one is in such a cell.
+        let covered = |cell: usize| run.case.cut.solid_distance[cell] < 0.0;
         let mut counts = vec![0; run.taps.source_cells.len()];
         for (index, x) in twin.iter().enumerate() {
             let at = grid.cell(std::array::from_fn(|a| (x[a] / grid.dx) as usize));
+            assert!(!covered(at) || index < n_kept, "{x:?} is in a body");
             let found = run
                 .taps
                 .source_cells
@@ -151,9 +165,13 @@ fn markers_come_and_go_as_in_the_twin() {
                 counts[found] += 1;
             }
         }
-        for ((_, source), count) in run.taps.source_cells.iter().zip(&counts) {
-            assert!(*count >= PER_CELL || running.running >> source & 1 == 0);
+        let mut lack = 0;
+        for (&(cell, source), &count) in run.taps.source_cells.iter().zip(&counts) {
+            let runs = running.running >> source & 1 == 1;
+            assert!(count >= PER_CELL || !runs || covered(cell));
+            lack += usize::from(count < PER_CELL && runs);
         }
+        assert_eq!(lack > 0, running.running != 0, "the ball is in both");
     }
 }
 
@@ -249,4 +267,59 @@ fn a_source_emits_its_velocity_times_its_area() {
         "{}",
         taps.speed(0.1, 6.0)
     );
+}
+
+/// A body that has come into a source: cells with their centre in it get nothing. In the others what it puts out stays beside it, so they
+/// are full soon.
+#[test]
+fn no_cell_of_a_source_is_filled_for_ever() {
+    let text = "[domain]\nsize = [1.0, 1.0, 1.0]\ncells = [10, 10, 10]\n[time]\nduration = 1.0\n[liquid]\n\
+                [[source]]\nbox = { min = [0.3, 0.3, 0.3], max = [0.7, 0.7, 0.7] }\nvelocity = [0.0, -1.0, 0.0]\n";
+    let scene = Scene::parse(std::path::Path::new("covered.toml"), text, &[], 1.0).unwrap();
+    let grid = scene.grid();
+    let cut = obstacle_cut(&scene, &grid).unwrap().cut;
+    let taps = Taps::new(&scene, &grid, &cut).unwrap();
+    let at_rest = Axis::ALL.map(|axis| vec![0.0; grid.n_faces(axis)]);
+    let far = far_below(&grid);
+    let normals = [
+        DVec3::X,
+        DVec3::new(1.0, 1.0, 0.0),
+        DVec3::new(0.5, -1.0, 0.75),
+    ];
+    for normal in normals.map(DVec3::normalize) {
+        for level in [-0.13, -0.01, 0.0, 0.03] {
+            let height = |cell| normal.dot(grid.cell_centre(grid.cell_at(cell)) - 0.5) - level;
+            let solid_distance: Vec<f64> = (0..grid.n_cells()).map(height).collect();
+            let cells = taps.source_cells.iter();
+            let free = cells.filter(|(cell, _)| solid_distance[*cell] >= 0.0);
+            let n_free = free.count() as u64;
+            let mut markers: Vec<[f64; 3]> = Vec::new();
+            let mut emitted: Vec<u64> = Vec::new();
+            for step in 0..32 {
+                let running = Running {
+                    running: 1,
+                    starting: 0,
+                    seed: 17,
+                    step,
+                };
+                (markers, _) = reference::advect_markers(
+                    &grid,
+                    Sides::default(),
+                    &at_rest,
+                    &solid_distance,
+                    &surface(&grid, &far),
+                    &markers,
+                    0.01,
+                );
+                let seeded =
+                    reference::seed_markers(&grid, &taps, running, &solid_distance, &mut markers);
+                emitted.push(seeded.emitted);
+            }
+            let what = format!("{normal}, {level}: {emitted:?}");
+            assert!((1..64).contains(&n_free), "{what}");
+            assert_eq!(emitted[0], 8 * n_free, "{what}");
+            assert!(emitted.iter().sum::<u64>() <= 9 * n_free, "{what}");
+            assert!(emitted[16..].iter().all(|&n| n == 0), "{what}");
+        }
+    }
 }

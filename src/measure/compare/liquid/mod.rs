@@ -359,7 +359,13 @@ impl<'a> LiquidJudge<'a> {
         self.table.add_flags([EXCHANGE, "markers sunk"], pairs);
         let borders = kept.iter().filter(|&&x| at_border(x)).count();
         let n_kept = kept.len();
-        let seeded = reference::seed_markers(&grid, &taps, self.running, &mut kept);
+        let seeded = reference::seed_markers(
+            &grid,
+            &taps,
+            self.running,
+            &self.cut.solid_distance,
+            &mut kept,
+        );
         let twin = &kept[n_kept..];
         let new = &after.markers[n_before.min(after.markers.len())..];
         let gpu: Vec<[f64; 3]> = new.iter().copied().flatten().collect();
