@@ -21,7 +21,10 @@ pub const TABLE: &str = "agreement.csv";
 /// Columns, by table, that follow from times and whose names alone do not tell: in other tables numbers that repeat have such names, too.
 const OF_TIMES: [(&str, &[&str]); 5] = [
     ("solids.csv", &["ratio"]),
-    ("solve_against.csv", &["ratio_median", "ratio_min", "ratio_max"]),
+    (
+        "solve_against.csv",
+        &["ratio_median", "ratio_min", "ratio_max"],
+    ),
     ("summary.csv", &["seconds"]),
     ("thesis_means.csv", &["mean", "least", "largest", "ratio"]),
     (

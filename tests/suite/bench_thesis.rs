@@ -538,7 +538,11 @@ fn captions_tell_of_all_parts() {
     let document = folder.path().join("bench.md");
     let head = "<!-- table\n{\"file\": \"thesis_means.csv\", \"columns\": [[\"mean\", \"{mean}\"]]}\n-->\n";
     write("thesis_means.csv", "mean\n1\n");
-    let parts = [part(22, 2.83, 4e9), part(23, 0.5, 1.24e9), part(24, 1.0, 2e9)];
+    let parts = [
+        part(22, 2.83, 4e9),
+        part(23, 0.5, 1.24e9),
+        part(24, 1.0, 2e9),
+    ];
     for (of_them, told) in [
         (
             &parts[..],
@@ -557,8 +561,7 @@ fn captions_tell_of_all_parts() {
         write("thesis.json", &json);
         write("bench.md", &format!("{head}<!-- end of table -->\n"));
         insert(folder.path(), &document).unwrap();
-        let expected =
-            format!("{head}| mean |\n|---|\n| 1 |\n\n*{told}*\n<!-- end of table -->\n");
+        let expected = format!("{head}| mean |\n|---|\n| 1 |\n\n*{told}*\n<!-- end of table -->\n");
         assert_eq!(fs::read_to_string(&document).unwrap(), expected);
     }
 }

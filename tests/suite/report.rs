@@ -235,7 +235,11 @@ fn tables_without_rows_say_so() {
         );
         for (name, other, told) in [
             ("{grid}", "{grids}", "no column \"grids\""),
-            ("\"precision\"", "\"precisions\"", "no column \"precisions\""),
+            (
+                "\"precision\"",
+                "\"precisions\"",
+                "no column \"precisions\"",
+            ),
             ("({min})", "({min)", "does not close"),
         ] {
             refused(&DOCUMENT.replace(name, other), told);
@@ -339,7 +343,10 @@ fn only_what_follows_from_times_may_differ() {
         (
             "effects.csv",
             "seconds_with,seconds_without,seconds_added,seconds_added_low,seconds_added_high,pairs",
-            ["5,4,1,0.9,1.1,12\n5,4,0,-1,1,12", "50,4.1,1,0.9,1.1,12\n50,4,0,-1,1,11"],
+            [
+                "5,4,1,0.9,1.1,12\n5,4,0,-1,1,12",
+                "50,4.1,1,0.9,1.1,12\n50,4,0,-1,1,11",
+            ],
             "seconds_with 0 1 1, seconds_without 2 0 0, seconds_added 2 0 0, pairs 1 1 0",
         ),
         (
@@ -349,7 +356,12 @@ fn only_what_follows_from_times_may_differ() {
             "seconds 1 0 0, bytes 0 1 0",
         ),
         // Names are the scene's.
-        ("probes.csv", "t,seconds", ["0.5,1", "0.5,2"], "t 1 0 0, seconds 0 1 0"),
+        (
+            "probes.csv",
+            "t,seconds",
+            ["0.5,1", "0.5,2"],
+            "t 1 0 0, seconds 0 1 0",
+        ),
         (
             "solids.csv",
             "iterations,seconds_median,seconds_min,seconds_max,ordering_seconds,ratio",
@@ -365,7 +377,10 @@ fn only_what_follows_from_times_may_differ() {
         (
             "solve_against.csv",
             "device_seconds_median,device_seconds_min,device_seconds_max,ratio_median,ratio_min,ratio_max,note",
-            ["1,0.8,1.2,3,2,4,\n1,0.8,1.2,,,,", "1.1,0.9,1.3,5,4,6,\n1.1,0.9,1.3,5,4,6,"],
+            [
+                "1,0.8,1.2,3,2,4,\n1,0.8,1.2,,,,",
+                "1.1,0.9,1.3,5,4,6,\n1.1,0.9,1.3,5,4,6,",
+            ],
             "device_seconds_median 2 0 0, ratio_median 1 1 0",
         ),
         (
@@ -374,7 +389,12 @@ fn only_what_follows_from_times_may_differ() {
             ["1.01,0.1,7,3\n1,0.1,7,3", "1.02,0.1,7,4\n1,0.2,8,"],
             "energy_ratio 1 1 0, elastic_ratio 1 1 0, most_iterations 1 1 0, seconds 0 1 1",
         ),
-        ("stability_limit.csv", "ratio", ["0.5", "0.6"], "ratio 0 1 0"),
+        (
+            "stability_limit.csv",
+            "ratio",
+            ["0.5", "0.6"],
+            "ratio 0 1 0",
+        ),
         (
             "step.csv",
             "iterations,solid_iterations,seconds_median,seconds_min,seconds_max",
@@ -413,7 +433,10 @@ fn only_what_follows_from_times_may_differ() {
             "thesis_scenes.csv",
             "ratio_nodes,seconds_median,seconds_min,seconds_max,thesis_seconds_least,\
              projection_median,projection_min,projection_max,solve_median",
-            ["1,1,0.8,1.2,0.5,0.5,0.4,0.6,0.3", "1.1,1,0.8,1.2,0.6,0.6,0.5,0.7,0.31"],
+            [
+                "1,1,0.8,1.2,0.5,0.5,0.4,0.6,0.3",
+                "1.1,1,0.8,1.2,0.6,0.6,0.5,0.7,0.31",
+            ],
             "ratio_nodes 0 1 0, seconds_median 1 0 0, thesis_seconds_least 0 1 0, \
              projection_median 1 0 0, solve_median 1 0 0",
         ),

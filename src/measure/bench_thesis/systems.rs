@@ -490,9 +490,8 @@ impl<'a> Case<'a> {
             .as_ref()
             .map_or(0.0, |liquid| liquid.density);
         // From before the device makes its matrices: the CPU's solves make theirs, too.
-        let sub_step = |path: &mut GpuPath| {
-            Done::timed_after(LiquidDistance::NAME, path, self.state, density)
-        };
+        let sub_step =
+            |path: &mut GpuPath| Done::timed_after(LiquidDistance::NAME, path, self.state, density);
         for (_, path) in &mut devices {
             // The first compiles.
             sub_step(path)?;
