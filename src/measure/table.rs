@@ -1,6 +1,7 @@
 //! What the tables of the benches share: where they were measured, and how they are written.
 
 use std::fs;
+use std::io::ErrorKind;
 use std::ops::Range;
 use std::path::Path;
 use std::time::SystemTime;
@@ -95,6 +96,24 @@ pub struct Table<Row> {
     pub machine: Machine,
     /// The rows.
     pub rows: Vec<Row>,
+}
+
+/// Removes files of an earlier run into the same folder, which this one may not write: they would stand beside a JSON that says nothing of
+/// them.
+///
+/// # Errors
+/// [`Error::Output`] where one cannot be removed.
+pub(super) fn remove_earlier(out: &Path, files: &[&str]) -> Result<(), Error> {
+    for file in files {
+        let path = out.join(file);
+        match fs::remove_file(&path) {
+            Err(problem) if problem.kind() != ErrorKind::NotFound => {
+                return Err(Error::unwritten(&path, &problem));
+            }
+            _ => {}
+        }
+    }
+    Ok(())
 }
 
 /// Writes rows with a head line.

@@ -39,7 +39,7 @@ pub fn larger(a: f64, b: f64) -> f64 {
     if a >= b || a.is_nan() { a } else { b }
 }
 
-/// The largest divergence that a projection left in an active cell, 1/s. `velocity`: of the faces, m/s, before it is extrapolated; `flux`:
+/// The largest divergence that a projection left in an active cell, 1/s; not a number where one is not. `velocity`: of the faces, m/s, before it is extrapolated; `flux`:
 /// what solids and obstacles take up of each cell, J v, m^3/s.
 pub fn divergence(
     cut: &CutCells,
@@ -53,7 +53,7 @@ pub fn divergence(
         let taken = flux.map_or(0.0, |flux| flux[cell]);
         inflow(grid, &cut.open, velocity, cell).0 - taken
     });
-    left.fold(0.0, |most, left| f64::max(most, left.abs())) / grid.cell_volume()
+    left.map(f64::abs).fold(0.0, larger) / grid.cell_volume()
 }
 
 /// What the liquid amounts to. `divergence`: of [`divergence`]; `density` in kg/m^3, `gravity` in m/s^2, the rest as in

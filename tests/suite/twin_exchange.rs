@@ -127,7 +127,13 @@ fn markers_come_and_go_as_in_the_twin() {
         let (mut twin, sunk) =
             reference::sink_markers(grid, &run.taps, run.case.state.markers.clone());
         let n_kept = twin.len();
-        let seeded = reference::seed_markers(grid, &run.taps, running, &mut twin);
+        let seeded = reference::seed_markers(
+            grid,
+            &run.taps,
+            running,
+            &run.case.cut.solid_distance,
+            &mut twin,
+        );
         let of_step = Report::from_words(&report);
         assert!(sunk > 0);
         assert_eq!(u64::from(report[18]), sunk, "sinking");

@@ -18,7 +18,6 @@ mod sub_step;
 
 use std::cmp::Ordering;
 use std::fs;
-use std::io::ErrorKind;
 use std::path::Path;
 
 use serde::Serialize;
@@ -32,7 +31,7 @@ use crate::state::{SolveReport, SolveStatus};
 
 use super::bench_solve::name;
 use super::statistics::Spread;
-use super::table::{Machine, write_csv, write_json, write_svg};
+use super::table::{Machine, remove_earlier, write_csv, write_json, write_svg};
 
 pub use exact::{Exact, dam_release};
 pub use grids::{Enough, GridBest, GridRow};
@@ -156,9 +155,7 @@ pub fn bench_accuracy(
     };
     // Shows before any work that the folder can be written.
     table.write(out)?;
-    for file in OPTIONAL {
-        remove(&out.join(file))?;
-    }
+    remove_earlier(out, &OPTIONAL)?;
     for scene in &options.scenes {
         let mut simulation = Simulation::new(scene, &Backend::Gpu(options.adapter.clone()))?;
         for &frame in &options.frames {
@@ -209,16 +206,6 @@ impl Table {
             })?;
         }
         Ok(())
-    }
-}
-
-/// Removes a file, where there is one.
-fn remove(file: &Path) -> Result<(), Error> {
-    match fs::remove_file(file) {
-        Err(problem) if problem.kind() != ErrorKind::NotFound => {
-            Err(Error::unwritten(file, &problem))
-        }
-        _ => Ok(()),
     }
 }
 

@@ -20,7 +20,7 @@ use crate::gpu::{AdapterChoice, Gpu};
 use crate::scene::Precision;
 
 use super::bench_solve::name;
-use super::table::{Machine, write_csv, write_json, write_svg};
+use super::table::{Machine, remove_earlier, write_csv, write_json, write_svg};
 
 pub use accuracy::{Order, Row};
 pub use condition::{Condition, Conditions, conditions};
@@ -218,7 +218,7 @@ pub fn bench_thesis(
     };
     match options.resume {
         true => table.take_up(out)?,
-        false => parts::remove(out)?,
+        false => remove_earlier(out, &parts::FILES)?,
     }
     let kept = table.systems.clone();
     scenes::measure(&scenes, options, &mut |row| {

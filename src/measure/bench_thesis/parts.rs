@@ -1,7 +1,6 @@
 //! What earlier runs have left in the folder: removed, or with `--resume` taken up where it can stand beside what this run measures.
 
 use std::fs;
-use std::io::ErrorKind;
 use std::path::Path;
 
 use serde::Serialize;
@@ -13,7 +12,7 @@ use crate::measure::statistics::Spread;
 use crate::measure::table::Machine;
 
 /// All that the bench writes.
-const FILES: [&str; 8] = [
+pub(super) const FILES: [&str; 8] = [
     "thesis.json",
     "thesis.svg",
     "thesis_scenes.csv",
@@ -71,20 +70,6 @@ impl Part {
             },
         })
     }
-}
-
-/// Removes the files of an earlier run: those of tables that are not measured now would stand beside a thesis.json without them.
-pub(super) fn remove(out: &Path) -> Result<(), Error> {
-    for file in FILES {
-        let path = out.join(file);
-        match fs::remove_file(&path) {
-            Err(problem) if problem.kind() != ErrorKind::NotFound => {
-                return Err(Error::unwritten(&path, &problem));
-            }
-            _ => {}
-        }
-    }
-    Ok(())
 }
 
 impl Table {
@@ -189,7 +174,8 @@ mod tests {
                 assert!(text.contains(part), "{part}: {text}");
             }
         };
-        let changes: [(&str, fn(&mut Table)); 7] = [
+        type Change = (&'static str, fn(&mut Table));
+        let changes: [Change; 7] = [
             ("cutwater", |table| table.machine.host.cutwater = "0.0.9"),
             ("adapter", |table| table.machine.adapter.push('2')),
             ("driver", |table| table.machine.driver.push('2')),
