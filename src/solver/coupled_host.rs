@@ -19,8 +19,8 @@ use super::coupling::{LABELS, Pair};
 use super::host_residual::HostPressure;
 use super::pcg::N_SCALARS;
 use super::refine::{
-    GOAL, HostResidual, HostSystem, NORM_B, NORM_R, NORM_TERMS, OF_OTHER, SCALE, goal, host_turns,
-    relative, round_floor,
+    GOAL, HostResidual, HostSystem, NORM_B, NORM_R, NORM_TERMS, OF_OTHER, SCALE, STATUS_BREAKDOWN,
+    goal, host_turns, relative, round_floor,
 };
 use super::solid_host::HostElastic;
 use super::two_field::{
@@ -33,8 +33,6 @@ const ROUND_MARGIN: f64 = 0.3;
 const SMALLEST: f64 = 1e-37;
 const STRICTER: f64 = 0.03;
 const STRICTEST: f64 = 1e-5;
-/// Status in [`Control`] of conjugate gradients that cannot go on: `shaders/common/control_state.wgsl`.
-const STATUS_BREAKDOWN: u32 = 3;
 
 /// Where unknowns and corrections arrive.
 #[derive(Debug)]
