@@ -892,6 +892,18 @@ fn a_breakdown_is_told() {
 }
 
 #[test]
+fn a_matrix_without_a_factor_is_a_breakdown() {
+    let case = Case::new([6, 5, 4], |[_, j, _]| j < 3).random_rhs(1);
+    let mut system = case.twin_system();
+    // Far below the weights of its faces.
+    let cell = system.stencil.active_cells()[0];
+    system.stencil.diagonal[cell] = 1e-3;
+    let (pressure, report) = solve_direct(&system, &Solver::default()).unwrap();
+    assert_eq!(report.status, SolveStatus::Breakdown, "{report:?}");
+    assert_eq!((report.residual, largest(pressure)), (1.0, 0.0));
+}
+
+#[test]
 fn numbers_that_are_not_finite_are_told() {
     let Some(gpu) = gpu() else { return };
     for poison in [f64::NAN, f64::INFINITY] {
