@@ -352,13 +352,17 @@ fn frame_of(file: &str, scene: &str) -> Option<u64> {
     number.parse().ok()
 }
 
-/// Removes the files of frames that a longer or a shorter part of the run has written and this one will not.
+/// Removes the files and pictures of frames that a longer or a shorter part of the run has written and this one will not.
 fn remove_frames_without_place(out: &Path, scene: &Scene, n_frames: u64) -> Result<(), Error> {
     remove_partial(out)?;
-    remove(&out.join("frames"), &|name| {
+    let without_place = |name: &str| {
         let frame = frame_of(name, &scene.name);
         frame.is_some_and(|frame| !has_place(frame, scene.output.every, n_frames))
-    })
+    };
+    for folder in ["frames", "preview"] {
+        remove(&out.join(folder), &without_place)?;
+    }
+    Ok(())
 }
 
 /// Makes the folder, and takes the earlier run out of it: its frames would mix with the new ones.

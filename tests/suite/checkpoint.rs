@@ -531,7 +531,17 @@ fn a_run_is_extended() {
         "{said}"
     );
     assert_same(&contents(&part), &before);
+    // The picture of a frame goes with it, that of another and the animation stay.
+    let pictures = part.join("preview");
+    fs::create_dir(&pictures).unwrap();
+    let names = ["dam.png", "dam_000004.png", "dam_000005.png"];
+    for name in names {
+        fs::write(pictures.join(name), "").unwrap();
+    }
     run.whole("part", &format!("--frames 10 {every} --resume"));
+    let left = names.map(|name| pictures.join(name).exists());
+    assert_eq!(left, [true, true, false]);
+    fs::remove_dir_all(&pictures).unwrap();
     assert_same(&contents(&part), &wanted);
     assert_eq!(progress(&part).frames_written, [0, 4, 8, 10]);
     let told = complains(
