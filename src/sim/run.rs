@@ -512,7 +512,9 @@ impl<'a> Recording<'a> {
         if let Some(table) = &mut self.probes {
             table.push(clock.step - 1, clock.time, &simulation.probes()?)?;
         }
-        notice(&mut self.manifest.progress.tally, report, volume_ratio);
+        let progress = &mut self.manifest.progress;
+        (progress.steps, progress.time) = (clock.step, clock.time);
+        notice(&mut progress.tally, report, volume_ratio);
         Ok(())
     }
 
@@ -545,7 +547,6 @@ impl<'a> Recording<'a> {
                 at.tally.overlap = at.tally.overlap.max(overlap.depth);
             }
             at.frames_written.push(state.frame);
-            (at.steps, at.time) = (state.step, state.time);
             self.manifest.write(self.out)?;
         }
         if checkpoints && frame > 0 {
