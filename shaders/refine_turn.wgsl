@@ -38,7 +38,8 @@ fn refine_turn(@builtin(local_invocation_index) lane: u32) {
         gate_extra(TURN, false);
         return;
     }
-    let worse = rr >= norms[NORM_LAST];
+    // A round that broke down in its first step has corrected nothing: there is nothing to take back.
+    let worse = rr >= norms[NORM_LAST] && control.status != STATUS_BREAKDOWN;
     if worse {
         norms[SCALE] = -norms[SCALE];
         if control.rounds == 0u && norms[SCALE] < Real(0.0) {

@@ -128,6 +128,8 @@ pub struct StepTable {
 /// Columns of every row, before those of the parts and after.
 const FIRST: [&str; 3] = ["step", "t", "dt"];
 const LAST: [&str; 2] = ["dt_floored", "seconds_total"];
+/// What the columns of stages begin with.
+const SECONDS: &str = "seconds_";
 /// Columns of the liquid.
 const LIQUID: [&str; 16] = [
     "iterations",
@@ -228,7 +230,8 @@ impl StepTable {
         Ok(StepTable { table, head })
     }
 
-    /// Appends a row. Every row must have the same parts and time the same stages; a number that is not finite is an error.
+    /// Appends a row. Every row must have the same parts; a number that is not finite is an error. Stages may differ, since a run may go on on
+    /// an adapter that times others: one that the head lacks is left out, and the cell of one that the row lacks is empty.
     pub fn push(&mut self, row: &StepRow) -> Result<(), Error> {
         let StepRow {
             step,
@@ -236,27 +239,27 @@ impl StepTable {
             report,
             volume_ratio,
         } = *row;
-        let stages = report.seconds.iter();
         let exchange = report
             .liquid
             .is_some_and(|liquid| liquid.exchange.is_some());
         let parts = [report.liquid.is_some(), exchange, report.solid.is_some()];
         let [liquid, exchange, solids] = parts;
-        let head: Vec<String> = StepTable::columns(liquid, exchange, solids)
-            .map(str::to_owned)
-            .chain(stages.map(|(stage, _)| format!("seconds_{stage}")))
-            .collect();
-        match &self.head {
+        let columns = StepTable::columns(liquid, exchange, solids).map(str::to_owned);
+        let columns: Vec<String> = columns.collect();
+        let head = match &mut self.head {
+            Some(head) => head,
             None => {
+                let stages = report.seconds.iter();
+                let stages = stages.map(|(stage, _)| format!("{SECONDS}{stage}"));
+                let head: Vec<String> = columns.iter().cloned().chain(stages).collect();
                 self.table.record(head.iter().cloned())?;
-                self.head = Some(head);
+                self.head.insert(head)
             }
-            Some(first) if *first != head => {
-                let problem = format!("step {step} has the columns {head:?}, the first {first:?}");
-                return Err(Error::output(&self.table.path, problem));
-            }
-            Some(_) => {}
-        }
+        };
+        let Some(timed) = head.strip_prefix(&columns[..]) else {
+            let problem = format!("step {step} has the columns {columns:?}, the first {head:?}");
+            return Err(Error::output(&self.table.path, problem));
+        };
         let mut fields = vec![
             step.to_string(),
             number("t", step, time)?,
@@ -273,8 +276,13 @@ impl StepTable {
         }
         fields.push(u8::from(report.dt_floored).to_string());
         fields.push(number("seconds_total", step, report.seconds_total)?);
-        for &(stage, seconds) in &report.seconds {
-            fields.push(number(stage, step, seconds)?);
+        for column in timed {
+            let name = column.strip_prefix(SECONDS);
+            let mut stages = report.seconds.iter();
+            fields.push(match stages.find(|(stage, _)| name == Some(*stage)) {
+                Some(&(stage, seconds)) => number(stage, step, seconds)?,
+                None => String::new(),
+            });
         }
         self.table.record(fields)
     }

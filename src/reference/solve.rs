@@ -15,6 +15,9 @@ use crate::state::{SolveReport, SolveStatus};
 pub const DIRECT_UNKNOWNS: usize = 60_000;
 
 /// Solves B p = rhs: pressure per cell (Pa, 0 in inactive cells, mean zero over every closed component) and the report.
+///
+/// # Errors
+/// When the factor does not fit into memory.
 pub fn solve(system: &PressureSystem, settings: &Solver) -> Result<(Vec<f64>, SolveReport), Error> {
     if system.n_unknowns() <= DIRECT_UNKNOWNS {
         solve_direct(system, settings)
@@ -24,6 +27,9 @@ pub fn solve(system: &PressureSystem, settings: &Solver) -> Result<(Vec<f64>, So
 }
 
 /// By sparse Cholesky, whatever the size.
+///
+/// # Errors
+/// When the factor does not fit into memory.
 pub fn solve_direct(
     system: &PressureSystem,
     settings: &Solver,
@@ -43,7 +49,9 @@ pub fn solve_direct(
     let pinned: Vec<usize> = system.closed.iter().map(|component| component[0]).collect();
     let matrix = system.numbered(1.0, &pinned);
     let symbolic = SymbolicCholesky::new(&matrix)?;
-    let factor = symbolic.factorise(&matrix)?;
+    let Ok(factor) = symbolic.factorise(&matrix) else {
+        return Ok(refine(system, settings, broken_down));
+    };
     Ok(refine(system, settings, |rhs, _, _| {
         let mut active: Vec<f64> = cells.iter().map(|&cell| rhs[cell] / system.scale).collect();
         factor.solve(&mut active);
@@ -57,6 +65,15 @@ pub fn solve_direct(
             end: CgEnd::Converged,
         }
     }))
+}
+
+/// The correction by a matrix without a factor in f64: none, and a breakdown of the solve, not of the program.
+pub(super) fn broken_down(residual: &[f64], _: f64, _: u32) -> Correction {
+    Correction {
+        x: vec![0.0; residual.len()],
+        iterations: 0,
+        end: CgEnd::Breakdown,
+    }
 }
 
 /// By conjugate gradients with one V-cycle as the preconditioner, whatever the size.

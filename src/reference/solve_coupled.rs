@@ -8,7 +8,7 @@ use super::pressure_system::PressureSystem;
 use super::refine::{Correction, Judged, refine_parts};
 use super::solid_contacts::{Contacts, MOST_SOLVES};
 use super::solid_system::SolidSystem;
-use super::solve::{DIRECT_UNKNOWNS, solve};
+use super::solve::{DIRECT_UNKNOWNS, broken_down, solve};
 use super::solve_solid::{Chebyshev, SolidSolver};
 use super::stress_variables::StressVariables;
 use crate::Error;
@@ -101,10 +101,11 @@ impl Formulation<'_> {
     }
 }
 
-/// Solves a coupled system; `solver` and `solids`: of its solids.
+/// Solves a coupled system; `solver` and `solids`: of its solids. In the forms of [`Formulation::of`] a matrix without a factor in f64 is a
+/// breakdown.
 ///
 /// # Errors
-/// When a factor does not fit into memory, or a matrix is not definite in f64.
+/// When a factor does not fit into memory, or the matrix of another form has none in f64.
 pub fn solve_coupled(
     system: &CoupledSystem,
     formulation: Formulation,
@@ -126,7 +127,9 @@ pub fn solve_coupled(
             let blocks = system.blocks();
             let matrix = blocks.indefinite();
             let symbolic = SymbolicCholesky::new(&matrix)?;
-            let factor = symbolic.factorise_quasi_definite(&matrix)?;
+            let Ok(factor) = symbolic.factorise_quasi_definite(&matrix) else {
+                return corrected(&mut broken_down);
+            };
             corrected(&mut |residual, _, _| {
                 let mut x = blocks.indefinite_rhs(residual);
                 factor.solve(&mut x);
@@ -242,7 +245,9 @@ pub fn solve_coupled(
             })
         }
         Formulation::Condensed => {
-            let inverse = Inverse::new(system, solver, solids)?;
+            let Some(inverse) = Inverse::new(system, solver, solids) else {
+                return corrected(&mut broken_down);
+            };
             let condensed = CondensedOperator {
                 system,
                 inverse: &inverse,
@@ -429,21 +434,22 @@ enum Inverse<'a> {
 }
 
 impl<'a> Inverse<'a> {
+    /// `None` where S has no factor in f64.
     fn new(
         system: &'a CoupledSystem,
         solver: &'a SolidSolver,
         solids: &Solids,
-    ) -> Result<Inverse<'a>, Error> {
+    ) -> Option<Inverse<'a>> {
         let (solid, components) = (&system.solid, system.solid.components());
         if components.is_empty() {
-            Ok(Inverse::Nothing)
+            Some(Inverse::Nothing)
         } else if components.len() <= DIRECT_UNKNOWNS {
-            let factor = solver.factorise(solid)?;
-            Ok(Inverse::Factor { factor, components })
+            let factor = solver.factorise(solid).ok()?;
+            Some(Inverse::Factor { factor, components })
         } else {
             let polynomial = solver.polynomial(solids, solid);
             let system = solid;
-            Ok(Inverse::Iterative { system, polynomial })
+            Some(Inverse::Iterative { system, polynomial })
         }
     }
 

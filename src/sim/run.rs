@@ -352,13 +352,17 @@ fn frame_of(file: &str, scene: &str) -> Option<u64> {
     number.parse().ok()
 }
 
-/// Removes the files of frames that a longer or a shorter part of the run has written and this one will not.
+/// Removes the files and pictures of frames that a longer or a shorter part of the run has written and this one will not.
 fn remove_frames_without_place(out: &Path, scene: &Scene, n_frames: u64) -> Result<(), Error> {
     remove_partial(out)?;
-    remove(&out.join("frames"), &|name| {
+    let without_place = |name: &str| {
         let frame = frame_of(name, &scene.name);
         frame.is_some_and(|frame| !has_place(frame, scene.output.every, n_frames))
-    })
+    };
+    for folder in ["frames", "preview"] {
+        remove(&out.join(folder), &without_place)?;
+    }
+    Ok(())
 }
 
 /// Makes the folder, and takes the earlier run out of it: its frames would mix with the new ones.
@@ -508,7 +512,9 @@ impl<'a> Recording<'a> {
         if let Some(table) = &mut self.probes {
             table.push(clock.step - 1, clock.time, &simulation.probes()?)?;
         }
-        notice(&mut self.manifest.progress.tally, report, volume_ratio);
+        let progress = &mut self.manifest.progress;
+        (progress.steps, progress.time) = (clock.step, clock.time);
+        notice(&mut progress.tally, report, volume_ratio);
         Ok(())
     }
 
@@ -541,7 +547,6 @@ impl<'a> Recording<'a> {
                 at.tally.overlap = at.tally.overlap.max(overlap.depth);
             }
             at.frames_written.push(state.frame);
-            (at.steps, at.time) = (state.step, state.time);
             self.manifest.write(self.out)?;
         }
         if checkpoints && frame > 0 {

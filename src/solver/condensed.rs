@@ -13,6 +13,7 @@ use crate::gpu::{
     Variant,
 };
 use crate::scene::{Formulation, Solver};
+use crate::state::SolveStatus;
 
 use super::coupling::{Coupling, LABELS, NODES, WET};
 use super::pcg::{Pcg, State, Unknowns};
@@ -46,6 +47,8 @@ pub struct Wetted {
 /// What the condensed form adds to [`TwoFieldSolver`].
 #[derive(Debug)]
 pub(super) struct Condensed {
+    /// What the scene asks for.
+    formulation: Formulation,
     stiffness: StoredStiffness,
     wet: Bound,
     wet_nodes: Buffer<u32>,
@@ -75,6 +78,17 @@ struct Readbacks {
     rotated: Readback<u32>,
     masses: Readback<u32>,
     of_nodes: Readback<u32>,
+}
+
+/// What the corrections of a solve are made of.
+#[derive(Debug)]
+pub(super) enum Form<'a> {
+    /// Pressures alone.
+    Condensed(Ready<'a>),
+    /// Pressures and velocities: too many nodes are wet, or S, which this form does not factorise, has no factor in f64.
+    TwoField,
+    /// Nothing: S has no factor, and the scene asks for the condensed form.
+    WithoutFactor,
 }
 
 /// What is uploaded for a solve, and the factor.
@@ -196,6 +210,7 @@ impl Condensed {
         let partials = ("partials", (&coupling.partials).into());
         let level_binding = ("level", level.into());
         Ok(Some(Condensed {
+            formulation: solver.formulation,
             stiffness: StoredStiffness::new(n, &rows.elements),
             wet: wide(&crate::wgsl!("condensed_wet"))?.bind(
                 gpu,
@@ -283,14 +298,14 @@ impl Condensed {
         }))
     }
 
-    /// Submits the recording, which ends with both systems and J in place, and makes W; `None` where too many nodes are wet.
+    /// Submits the recording, which ends with both systems and J in place, and makes W where the form is the condensed one.
     pub(super) fn ready<'a>(
         &'a self,
         gpu: &Gpu,
         mut recorder: Recorder,
         at: CoupledFields,
         record_args: impl FnOnce(&mut Pass),
-    ) -> Result<(Option<Ready<'a>>, StageTimes), Error> {
+    ) -> Result<(Form<'a>, StageTimes), Error> {
         let (solids, coupling) = (at.solids, at.coupling);
         recorder.stage("solve", |pass| {
             record_args(pass);
@@ -323,10 +338,16 @@ impl Condensed {
         let nodes = (0..wet.len() as u32).filter(|&node| wet[node as usize] != 0);
         let nodes: Vec<u32> = nodes.collect();
         if nodes.len() > self.nodes.len() {
-            return Ok((None, times));
+            return Ok((Form::TwoField, times));
         }
         let mass = f64::from(coupling.now.mass);
-        let factor = self.stiffness.factorise(&stored)?;
+        let Ok(factor) = self.stiffness.factorise(&stored) else {
+            let form = match self.formulation {
+                Formulation::Condensed => Form::WithoutFactor,
+                Formulation::Auto | Formulation::TwoField => Form::TwoField,
+            };
+            return Ok((form, times));
+        };
         gpu.upload(&self.w, &factor.inverse_among(&nodes, mass));
         gpu.upload(&self.nodes, &nodes);
         let wetted = Wetted {
@@ -339,7 +360,7 @@ impl Condensed {
             ..coupling.now
         };
         gpu.upload(&self.of_quads, &[of_quads]);
-        Ok((Some(Ready { factor, mass }), times))
+        Ok((Form::Condensed(Ready { factor, mass }), times))
     }
 }
 
@@ -369,7 +390,8 @@ struct Told {
 }
 
 impl TwoFieldSolver {
-    /// As [`TwoFieldSolver::solve`], in the condensed form; no outcome, and nothing changed, where too many nodes are wet.
+    /// As [`TwoFieldSolver::solve`], in the condensed form; no outcome, and nothing changed, where the form is the other one. Where there is
+    /// no factor for it a breakdown: what is free stays at zero.
     pub(super) fn solve_condensed<'a>(
         &self,
         condensed: &Condensed,
@@ -378,10 +400,12 @@ impl TwoFieldSolver {
         at: CoupledFields,
         again: bool,
     ) -> Result<(Option<CoupledOutcome>, StageTimes), Error> {
-        let (ready, mut times) =
+        let (form, mut times) =
             condensed.ready(gpu, recorder, at, |pass| self.record_args(pass))?;
-        let Some(ready) = ready else {
-            return Ok((None, times));
+        let ready = match form {
+            Form::Condensed(ready) => Some(ready),
+            Form::TwoField => return Ok((None, times)),
+            Form::WithoutFactor => None,
         };
         let n = 4 * at.coupling.n_nodes;
         let nothing = vec![0.0; n];
@@ -408,6 +432,12 @@ impl TwoFieldSolver {
                 outcome.condensed = true;
                 return Ok((Some(outcome), times));
             }
+            let Some(ready) = &ready else {
+                let status = SolveStatus::Breakdown;
+                let mut outcome = self.outcome_of(status, &told.control, &told.norms);
+                outcome.condensed = true;
+                return Ok((Some(outcome), times));
+            };
             if told.control.rounds > rounds {
                 // After a round that is kept dv has left nothing of r_v but rounding; after one that is taken back all of it is there.
                 let size = told.norms[SCALE];

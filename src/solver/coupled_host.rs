@@ -14,13 +14,13 @@ use crate::state::SolveStatus;
 
 use super::Control;
 use super::chebyshev::Polynomial;
-use super::condensed::{Condensed, Ready};
+use super::condensed::{Condensed, Form, Ready};
 use super::coupling::{LABELS, Pair};
 use super::host_residual::HostPressure;
 use super::pcg::N_SCALARS;
 use super::refine::{
-    GOAL, HostResidual, HostSystem, NORM_B, NORM_R, NORM_TERMS, OF_OTHER, SCALE, goal, host_turns,
-    relative, round_floor,
+    GOAL, HostResidual, HostSystem, NORM_B, NORM_R, NORM_TERMS, OF_OTHER, SCALE, STATUS_BREAKDOWN,
+    goal, host_turns, relative, round_floor,
 };
 use super::solid_host::HostElastic;
 use super::two_field::{
@@ -33,8 +33,6 @@ const ROUND_MARGIN: f64 = 0.3;
 const SMALLEST: f64 = 1e-37;
 const STRICTER: f64 = 0.03;
 const STRICTEST: f64 = 1e-5;
-/// Status in [`Control`] of conjugate gradients that cannot go on: `shaders/common/control_state.wgsl`.
-const STATUS_BREAKDOWN: u32 = 3;
 
 /// Where unknowns and corrections arrive.
 #[derive(Debug)]
@@ -219,12 +217,16 @@ impl TwoFieldSolver {
         again: bool,
     ) -> Result<(CoupledOutcome, StageTimes), Error> {
         let mut times = Vec::new();
-        let mut condensed = None;
-        if let Some(form) = &self.condensed {
-            let (ready, mut stages) =
-                form.ready(gpu, recorder, at, |pass| self.record_args(pass))?;
+        let (mut condensed, mut without_factor) = (None, false);
+        if let Some(kernels) = &self.condensed {
+            let (form, mut stages) =
+                kernels.ready(gpu, recorder, at, |pass| self.record_args(pass))?;
             times.append(&mut stages);
-            condensed = ready.map(|ready| (form, ready));
+            match form {
+                Form::Condensed(ready) => condensed = Some((kernels, ready)),
+                Form::TwoField => {}
+                Form::WithoutFactor => without_factor = true,
+            }
             recorder = Recorder::timed(gpu);
         } else {
             recorder.stage("solve", |pass| self.record_args(pass));
@@ -233,6 +235,9 @@ impl TwoFieldSolver {
         recorder.stage("solve", |pass| self.record_start(pass, at, again));
         let (mut control, mut norms, mut stages) = self.submit(gpu, recorder)?;
         times.append(&mut stages);
+        if without_factor {
+            control.status = STATUS_BREAKDOWN;
+        }
         let (system, args) = self.with_readbacks(|readbacks| {
             let args = readbacks.args.as_mut();
             let args = args.expect("made with every solver whose outer loop is the host's");
@@ -292,8 +297,8 @@ impl TwoFieldSolver {
             };
             let correction;
             (correction, control) = match &condensed {
-                Some((form, ready)) => {
-                    self.condensed_round(gpu, at, &system, (form, ready), round, &mut times)?
+                Some((kernels, ready)) => {
+                    self.condensed_round(gpu, at, &system, (kernels, ready), round, &mut times)?
                 }
                 None => self.two_field_round(gpu, at, polynomial, round, &mut times)?,
             };

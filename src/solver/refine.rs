@@ -22,7 +22,9 @@ pub(super) const NORM_TERMS: usize = 2;
 pub(super) const SCALE: usize = 4;
 /// Slot of the scalars: `shaders/common/pcg_slots.wgsl`.
 pub(super) const GOAL: usize = 3;
-/// Status in [`Control`] of a round that made it worse: `shaders/common/control_state.wgsl`.
+/// Status in [`Control`] of a round whose first direction has no positive energy: `shaders/common/control_state.wgsl`.
+pub(super) const STATUS_BREAKDOWN: u32 = 3;
+/// That of a round that made it worse.
 pub(super) const STATUS_STAGNATED: u32 = 4;
 
 /// Iterations between two looks at whether the one-workgroup kernels still have work.
@@ -505,7 +507,7 @@ impl<S: System> OuterLoop<S> {
             if control.iterations >= control.max_iterations {
                 break SolveStatus::IterationLimit;
             }
-            if control.status == 3 {
+            if control.status == STATUS_BREAKDOWN {
                 break SolveStatus::Breakdown;
             }
             let scale = rr.sqrt();
@@ -533,7 +535,9 @@ impl<S: System> OuterLoop<S> {
                 .map(|(x, correction)| x + scale * correction)
                 .collect();
             let residual = system.residual(&better);
-            if residual.rr.is_finite() && residual.rr >= rr {
+            // A round that broke down in its first step has corrected nothing.
+            let worse = residual.rr.is_finite() && residual.rr >= rr;
+            if worse && control.status != STATUS_BREAKDOWN {
                 break match control.iterations >= control.max_iterations {
                     true => SolveStatus::IterationLimit,
                     false => SolveStatus::Stagnated,
@@ -598,8 +602,8 @@ pub(super) fn verdict(control: &Control, finite: bool) -> Option<SolveStatus> {
         0 => return None,
         1 => SolveStatus::Converged,
         2 => SolveStatus::IterationLimit,
-        3 if control.running == 1 => return None,
-        3 => SolveStatus::Breakdown,
+        STATUS_BREAKDOWN if control.running == 1 => return None,
+        STATUS_BREAKDOWN => SolveStatus::Breakdown,
         // The last correction made it worse and is taken back, but the limit is what ended the solve.
         _ if control.iterations >= control.max_iterations => SolveStatus::IterationLimit,
         _ => SolveStatus::Stagnated,

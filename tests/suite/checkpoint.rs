@@ -4,6 +4,7 @@ use std::fs::{self, File};
 use std::io::Cursor;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use cutwater::gpu::AdapterChoice;
@@ -11,7 +12,7 @@ use cutwater::output::FolderLock;
 use cutwater::output::checkpoint::Checkpoint;
 use cutwater::output::manifest::{Manifest, RunOptions};
 use cutwater::scene::Scene;
-use cutwater::sim::{Backend, Simulation};
+use cutwater::sim::{self, Backend, Options, Progress, Simulation};
 use cutwater::state::{Carried, State};
 use tempfile::TempDir;
 use zip::write::SimpleFileOptions;
@@ -511,6 +512,46 @@ fn interrupted_runs_go_on_to_the_bit() {
     }
 }
 
+/// In the middle of a frame: the manifest has the sub-steps of the table, and the time of the last.
+#[test]
+fn an_interrupted_run_tells_all_its_sub_steps() {
+    let scene = scene(
+        DAM,
+        &[
+            "domain.cells=[6, 4, 2]",
+            "time.frames_per_second=20",
+            "time.fixed_step=0.0125",
+        ],
+    );
+    let folder = tempfile::tempdir().unwrap();
+    let options = Options {
+        backend: Backend::Cpu,
+        out: folder.path().join("out"),
+        frames: None,
+        overwrite: false,
+        resume: false,
+    };
+    let interrupt = AtomicBool::new(false);
+    let mut told = Vec::new();
+    let mut listen = |of: &Progress| {
+        told.push((of.frame, of.time));
+        interrupt.store(told.len() == 7, Ordering::Relaxed);
+    };
+    let error = sim::run(&scene, &options, &mut listen, &interrupt).unwrap_err();
+    assert_eq!(error.exit_code(), 130);
+    assert_eq!(told.len(), 7);
+    let [(before, _), (frame, time)] = told[5..] else {
+        panic!("{told:?}")
+    };
+    assert_eq!(before, frame, "no frame ends there: {told:?}");
+    let progress = progress(&options.out);
+    assert_eq!((progress.steps, progress.time), (7, time));
+    let table = fs::read_to_string(options.out.join("steps.csv")).unwrap();
+    assert_eq!(table.lines().count(), 1 + 7);
+    let checkpoint = Checkpoint::read(&options.out).unwrap().unwrap();
+    assert_eq!(checkpoint.manifest.progress.steps, checkpoint.state.step);
+}
+
 #[test]
 fn a_run_is_extended() {
     let folder = dam();
@@ -531,7 +572,17 @@ fn a_run_is_extended() {
         "{said}"
     );
     assert_same(&contents(&part), &before);
+    // The picture of a frame goes with it, that of another and the animation stay.
+    let pictures = part.join("preview");
+    fs::create_dir(&pictures).unwrap();
+    let names = ["dam.png", "dam_000004.png", "dam_000005.png"];
+    for name in names {
+        fs::write(pictures.join(name), "").unwrap();
+    }
     run.whole("part", &format!("--frames 10 {every} --resume"));
+    let left = names.map(|name| pictures.join(name).exists());
+    assert_eq!(left, [true, true, false]);
+    fs::remove_dir_all(&pictures).unwrap();
     assert_same(&contents(&part), &wanted);
     assert_eq!(progress(&part).frames_written, [0, 4, 8, 10]);
     let told = complains(

@@ -99,6 +99,29 @@ fn all_formulations_give_the_same_pressure_and_velocity() {
     assert!(iterations(Formulation::TwoFieldIterative(SIGMA)) <= 42);
 }
 
+/// Without mass and stiffness, nodes that no liquid touches have rows of zeros: the solve breaks down, and moves nothing.
+#[test]
+fn a_matrix_without_a_factor_is_a_breakdown() {
+    let mut scene = BaseScene::new(12, &BaseBeam::default()).unwrap();
+    let solver = SolidSolver::new(&scene.solids);
+    scene.solids.mass.fill(0.0);
+    for body in &mut scene.solids.bodies {
+        (body.lambda, body.mu) = (0.0, 0.0);
+    }
+    let system = scene.coupled_system();
+    for formulation in [Formulation::Indefinite, Formulation::Condensed] {
+        let solids = &scene.solids;
+        let solution = solve_coupled(&system, formulation, &solver, solids, &settings(1e-8));
+        let solution = solution.unwrap();
+        for report in solution.reports {
+            assert_eq!(report.status, SolveStatus::Breakdown, "{formulation:?}");
+        }
+        let numbers = solution.velocity.as_flattened().iter();
+        let mut numbers = numbers.chain(&solution.pressure);
+        assert!(numbers.all(|x| *x == 0.0), "{formulation:?}");
+    }
+}
+
 #[test]
 fn the_factored_operator_is_the_assembled_matrix() {
     let beam = BaseBeam {

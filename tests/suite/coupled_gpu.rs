@@ -4,9 +4,11 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use cutwater::gpu::AdapterChoice;
 use cutwater::linalg::{Csr, SymbolicCholesky, read_matrix, read_vector};
+use cutwater::measure::base_scene::DeviceScene;
 use cutwater::measure::compare::compare;
 use cutwater::measure::export;
-use cutwater::scene::{CouplingScheme, Precision, Scene, Surface};
+use cutwater::reference::base_scene::{BaseBeam, BaseScene};
+use cutwater::scene::{CouplingScheme, Formulation, Precision, Scene, Solver, Surface};
 use cutwater::sim::{Backend, Plan, Simulation, reference_path};
 use cutwater::state::SolveStatus;
 use glam::DVec3;
@@ -431,6 +433,35 @@ fn diagonals_serve_whole_steps() {
         assert!(off <= 1e-6, "{kind}: {off:e} m/s");
         assert!(iterations > 5 * few, "{kind}: {iterations}, not {few}");
         println!("{kind}: {iterations} iterations, not {few}; {off:e} m/s");
+    }
+}
+
+/// Where solids have no factor the form is the two-field one; where the scene asks for the other, the solve breaks down and moves nothing.
+#[test]
+fn without_a_factor_the_form_is_two_field() {
+    let Some(gpu) = gpu() else { return };
+    let mut scene = BaseScene::new(12, &BaseBeam::default()).unwrap();
+    // What is held has rows in the factor, and no part in anything else.
+    let mut nodes = scene.solids.prescribed.iter();
+    let held = nodes.position(|held| *held == [true; 3]).unwrap();
+    scene.solids.mass[held] = -1e6;
+    let system = scene.coupled_system();
+    for (formulation, status) in [
+        (Formulation::Auto, SolveStatus::Converged),
+        (Formulation::Condensed, SolveStatus::Breakdown),
+    ] {
+        let solver = Solver {
+            formulation,
+            ..Solver::default()
+        };
+        let device = DeviceScene::new(gpu, &scene, &system, &solver).unwrap();
+        device.reset();
+        let outcome = device.solve().unwrap();
+        assert_eq!(outcome.status, status, "{outcome:?}");
+        let (_, velocity) = device.answer().unwrap();
+        let moves = velocity.as_flattened().iter().any(|v| *v != 0.0);
+        assert_eq!(moves, status == SolveStatus::Converged, "{outcome:?}");
+        assert!(!(moves && outcome.condensed), "{outcome:?}");
     }
 }
 

@@ -846,6 +846,63 @@ fn a_limit_of_iterations_leaves_the_iterate_of_the_twin() {
     }
 }
 
+/// A round of which the first direction has negative energy, since the matrix has the other sign, or is none, since the V-cycle has too:
+/// that is told, and the unknowns stay as they were.
+#[test]
+fn a_breakdown_is_told() {
+    let Some(gpu) = gpu() else { return };
+    // No quad takes its weights from its level.
+    let case = Case::new([10, 9, 8], |[_, j, _]| j < 5)
+        .narrow(|_, _| 0.5)
+        .random_rhs(5);
+    for precision in precisions(gpu) {
+        for (preconditioner, iterations) in
+            [(Preconditioner::Multigrid, 0), (Preconditioner::Jacobi, 1)]
+        {
+            let solver = Solver {
+                preconditioner,
+                ..settings(precision)
+            };
+            let device = Device::holding(gpu, &case, &solver);
+            device.prepare().submit();
+            let matrix = &device.buffers.matrix;
+            let mut values = matrix.download(gpu).unwrap();
+            // Of five sections the last is the inverse of the diagonal.
+            let turned = match preconditioner {
+                Preconditioner::Jacobi => values.len() / 5 * 4,
+                _ => values.len(),
+            };
+            values[..turned].iter_mut().for_each(|value| *value *= -1.0);
+            matrix.upload(gpu, &values);
+            let recorder = Recorder::new(gpu);
+            let solve = device
+                .pressure()
+                .solve(gpu, recorder, &device.buffers, true);
+            let (outcome, _) = solve.unwrap();
+            assert_eq!(
+                (outcome.status, outcome.iterations, outcome.rounds),
+                (SolveStatus::Breakdown, iterations, 1),
+                "{precision:?} {preconditioner:?}: {outcome:?}"
+            );
+            assert!((outcome.residual - 1.0).abs() <= 1e-5, "{outcome:?}");
+            let potential = device.cells(&device.buffers.potential);
+            assert_eq!(largest(potential), 0.0, "{precision:?} {preconditioner:?}");
+        }
+    }
+}
+
+#[test]
+fn a_matrix_without_a_factor_is_a_breakdown() {
+    let case = Case::new([6, 5, 4], |[_, j, _]| j < 3).random_rhs(1);
+    let mut system = case.twin_system();
+    // Far below the weights of its faces.
+    let cell = system.stencil.active_cells()[0];
+    system.stencil.diagonal[cell] = 1e-3;
+    let (pressure, report) = solve_direct(&system, &Solver::default()).unwrap();
+    assert_eq!(report.status, SolveStatus::Breakdown, "{report:?}");
+    assert_eq!((report.residual, largest(pressure)), (1.0, 0.0));
+}
+
 #[test]
 fn numbers_that_are_not_finite_are_told() {
     let Some(gpu) = gpu() else { return };
