@@ -559,8 +559,18 @@ fn a_table_goes_on_with_other_stages() {
     let all: &Stages = &[("advect_markers", 0.25), ("solve", 0.5)];
     let other: &Stages = &[("solve", 1.5), ("clip", 2.5)];
     let parts: [(&Stages, &Stages, &str, &str); 4] = [
-        (all, &[], "seconds_advect_markers,seconds_solve", ",0.25,0.5|,,"),
-        (all, other, "seconds_advect_markers,seconds_solve", ",0.25,0.5|,,1.5"),
+        (
+            all,
+            &[],
+            "seconds_advect_markers,seconds_solve",
+            ",0.25,0.5|,,",
+        ),
+        (
+            all,
+            other,
+            "seconds_advect_markers,seconds_solve",
+            ",0.25,0.5|,,1.5",
+        ),
         (other, all, "seconds_solve,seconds_clip", ",1.5,2.5|,0.5,"),
         (&[], all, "", "|"),
     ];
