@@ -16,12 +16,12 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::Bounds;
 use crate::gpu::AdapterChoice;
-use crate::scene::Scene;
-use crate::sim::{Backend, Simulation};
+use crate::scene::{CouplingScheme, Scene};
+use crate::sim::{Backend, GpuPath, Simulation};
 use crate::stages::extrapolation_layers;
 use crate::state::{LiquidReport, SolidReport, StepReport};
 
-use super::bench_solve::bytes_per_iterations;
+use super::bench_solve::{Corrections, SolveBytes};
 use super::solid_bytes::SolidBytes;
 use super::statistics::{Spread, exponent};
 use super::table::{Machine, write_csv, write_json, write_svg};
@@ -268,6 +268,8 @@ struct Run {
 struct Sample {
     seconds: f64,
     band_cells: usize,
+    /// How liquid and solids were solved for together; `None` where each was by itself.
+    corrections: Option<Corrections>,
     report: StepReport,
 }
 
@@ -310,21 +312,51 @@ impl Run {
         })
     }
 
+    fn path(&self) -> &GpuPath {
+        let path = self.simulation.gpu_path();
+        path.expect("benches run on the GPU path")
+    }
+
     fn step(&mut self, count: bool) -> Result<(), Error> {
         let clock = Instant::now();
         let report = self.simulation.step()?;
         let seconds = clock.elapsed().as_secs_f64();
-        let path = self.simulation.gpu_path();
-        let path = path.expect("benches run on the GPU path");
         if count {
-            self.samples.push(Sample {
+            self.not_uniform = self.path().share_not_uniform()?;
+            let sample = Sample {
                 seconds,
-                band_cells: path.band_cells()?,
+                band_cells: self.path().band_cells()?,
+                corrections: self.corrections(&report)?,
                 report,
-            });
-            self.not_uniform = path.share_not_uniform()?;
+            };
+            self.samples.push(sample);
         }
         Ok(())
+    }
+
+    /// How liquid and solids were solved for together in the last sub-step, whose report this is.
+    fn corrections(&self, report: &StepReport) -> Result<Option<Corrections>, Error> {
+        let scheme = self.scene.solver.coupling;
+        let touching = report.coupling.filter(|both| both.touching);
+        let Some((both, (_, bounds))) = touching.zip(self.solids.as_ref()) else {
+            return Ok(None);
+        };
+        let (solids, dt) = (self.simulation.solids(), report.dt);
+        Ok(match scheme {
+            CouplingScheme::Weak => None,
+            _ if both.condensed => Some(Corrections::Condensed {
+                wet_nodes: self.path().wet_nodes()?,
+            }),
+            CouplingScheme::Strong => Some(Corrections::TwoField {
+                degree: bounds.chebyshev_degree(solids, dt),
+            }),
+            // With mass and damping alone. The solve for elasticity before it, of which no report tells, is left out.
+            CouplingScheme::DampingOnly => Some(Corrections::TwoField {
+                degree: bounds.chebyshev_degree_for(solids, |body| {
+                    [1.0 / dt + body.mass_damping, body.stiffness_damping]
+                }),
+            }),
+        })
     }
 
     fn rows(&self, machine: &Machine) -> (Row, Vec<StageRow>) {
@@ -393,40 +425,48 @@ impl Run {
 
     /// Bytes of a scalar of the solve's unknowns, and of its corrections.
     fn scalar_bytes(&self) -> [f64; 2] {
-        let path = self.simulation.gpu_path();
-        let path = path.expect("benches run on the GPU path");
-        path.scalar_bytes().map(|bytes| bytes as f64)
+        self.path().scalar_bytes().map(|bytes| bytes as f64)
     }
 
     /// Bytes that a stage must move in a sub-step, every array that a kernel needs once, reads and writes.
     fn bytes(&self, stage: &str, sample: &Sample) -> f64 {
+        if stage == "solve" {
+            return self.solve_bytes(sample);
+        }
         let mut bytes = 0.0;
         if self.scene.liquid.is_some() {
             bytes += self.liquid_bytes(stage, sample);
         }
-        if let Some(solids) = &self.solids {
-            bytes += self.solid_bytes(solids, stage, sample);
+        if let Some((solids, _)) = &self.solids {
+            let effects = Effects::of(&self.scene);
+            bytes += solids.of_stage(stage, effects.scripts, effects.obstacles);
         }
         bytes
     }
 
-    fn solid_bytes(
-        &self,
-        (bytes, bounds): &(SolidBytes, Bounds),
-        stage: &str,
-        sample: &Sample,
-    ) -> f64 {
-        let effects = Effects::of(&self.scene);
-        if stage != "solve" {
-            return bytes.of_stage(stage, effects.scripts, effects.obstacles);
-        }
-        let degree = bounds.chebyshev_degree(self.simulation.solids(), sample.report.dt);
-        // A round in f64 does it all; in f32 it takes another, as a rule.
-        let rounds = match self.scalar_bytes() {
-            [8.0, _] => 1.0,
-            _ => 2.0,
+    /// Of all solves of a sub-step.
+    fn solve_bytes(&self, sample: &Sample) -> f64 {
+        let [real, inner] = self.scalar_bytes();
+        let liquid = SolveBytes {
+            unknowns: sample.unknowns(),
+            not_uniform: self.not_uniform,
+            iterations: sample.iterations(),
+            rounds: rounds(inner),
+            widths: [inner, real],
+            preconditioner: self.scene.solver.preconditioner,
         };
-        bytes.of_solve(degree as f64, sample.solid_iterations(), rounds)
+        // The size of the right-hand side.
+        let start = liquid.unknowns * real;
+        let Some((solids, bounds)) = &self.solids else {
+            return start + liquid.of_pressure();
+        };
+        if let Some(corrections) = sample.corrections {
+            return start + liquid.of_both(solids, corrections);
+        }
+        let degree = bounds.chebyshev_degree(self.simulation.solids(), sample.report.dt) as f64;
+        // The corrections of solids by themselves are as precise as their residuals.
+        let of_solids = solids.of_solve(degree, sample.solid_iterations(), rounds(real));
+        start + liquid.of_pressure() + of_solids
     }
 
     /// Per cell of the band, per unknown, per marker, and per padded cell of the domain where flags are counted. Words of a quad
@@ -465,12 +505,6 @@ impl Run {
             // Labels written, joined, asked.
             "closed_components" => unknowns * (4.0 + 8.0 + 4.0 + 3.0),
             "right_hand_side" => unknowns * (12.0 + 12.0 + real + 2.0),
-            "solve" => {
-                let iterations = sample.iterations();
-                let iterations =
-                    bytes_per_iterations(self.not_uniform, iterations, 2.0, [inner, real]);
-                unknowns * (real + iterations)
-            }
             // u*, distance, velocity, marks; potential.
             "write_back" => band * (12.0 + 4.0 + 12.0 + 2.0) + unknowns * real,
             // Marks read and written in each layer, the velocity once; with bodies marks three times more.
@@ -479,6 +513,11 @@ impl Run {
             _ => 0.0,
         }
     }
+}
+
+/// Rounds of a solve whose corrections have scalars of so many bytes: one in f64 does it all; in f32 it takes another, as a rule.
+fn rounds(of_corrections: f64) -> f64 {
+    if of_corrections < 8.0 { 2.0 } else { 1.0 }
 }
 
 /// The stages that move bytes.

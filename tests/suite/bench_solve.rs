@@ -47,10 +47,9 @@ fn every_formulation_has_a_row_and_every_rival_its_own() {
     for row in &table.rows {
         assert_eq!(row.status, "converged", "{row:?}");
         assert!(row.residual_p <= 1e-8 && row.residual_v <= 1e-8, "{row:?}");
-        assert!(row.bytes > 0.0 && row.seconds_min > 0.0, "{row:?}");
-        let cells = f64::from(row.active_cells);
-        assert!(row.cells_per_second * row.seconds_max >= 0.999 * cells);
-        assert!(row.cells_per_second * row.seconds_min <= 1.001 * cells);
+        // An iteration with a V-cycle moves 120 bytes a cell where each quad is uniform.
+        let of_cells = 120.0 * f64::from(row.active_cells) * f64::from(row.iterations);
+        assert!(row.bytes > of_cells && row.seconds_min > 0.0, "{row:?}");
     }
     assert!(pressure.residual_v == 0.0 && both.residual_v > 0.0);
     assert_eq!((told, table.against.len()), (9, 6));

@@ -34,10 +34,10 @@ fn tables_are_complete_and_both_domains_hold_the_same_liquid() {
             ordered && row.seconds_min > 0.0 && row.sub_steps >= 4,
             "{row:?}"
         );
-        assert!(row.bytes > 100.0 * row.unknowns, "{row:?}");
+        // An iteration with a V-cycle moves 120 bytes a cell where each quad is uniform, 235 where none is.
+        let per_iteration = row.bytes / (row.unknowns * row.iterations);
+        assert!((120.0..1000.0).contains(&per_iteration), "{row:?}");
         assert!(row.share_of_copy_bandwidth > 0.0, "{row:?}");
-        assert!(row.cells_per_second * row.seconds_max >= 0.999 * row.unknowns);
-        assert!(row.cells_per_second * row.seconds_min <= 1.001 * row.unknowns);
     }
     // The jitter depends on the cell's number, so the markers are others, but about as many.
     let alike = |a: f64, b: f64, bound: f64| (a / b - 1.0).abs() <= bound;

@@ -1,9 +1,10 @@
 //! `bench solve`: the solve against the grid, of the pressure on the pressure-only base block, and of liquid and solids on the base scene.
 //!
 //! A run is timed from the recording of the set-up of hierarchy and, with solids, of their elements to the verdict on the host. The first run of each row, which
-//! compiles, is not counted. Solvers on the CPU take turns with the device. Bytes follow the model of `bytes_per_solve`: every array that a pass needs, once.
+//! compiles, is not counted. Solvers on the CPU take turns with the device.
 
 mod against;
+mod bytes;
 mod capacity;
 mod growth;
 mod picture;
@@ -35,6 +36,7 @@ use super::table::{Machine, write_csv, write_json, write_svg};
 
 use against::Contest;
 pub use against::{Against, GIB, Rival};
+pub(super) use bytes::{Corrections, SolveBytes};
 use capacity::Capacity;
 pub use capacity::{LARGEST_GRID, largest_grid};
 pub use growth::Growth;
@@ -94,9 +96,9 @@ pub struct Row {
     pub solid_nodes: u32,
     /// Bricks across the beam; empty for that which the thesis has on a grid of this size, and without one.
     pub bricks: Option<usize>,
-    /// `pressure` or `two-field`.
+    /// `pressure`, `two-field` or `condensed`.
     pub formulation: &'static str,
-    /// `multigrid` or `jacobi`.
+    /// `multigrid`, `jacobi` or `block_jacobi`.
     pub preconditioner: &'static str,
     /// `f32`, `mixed` or `f64`.
     pub precision: &'static str,
@@ -147,41 +149,6 @@ pub struct Table {
 struct Size {
     grid: usize,
     bricks: Option<usize>,
-}
-
-/// Bytes per unknown that the iterations of a solve must move, each pass touching each of its arrays once: w bytes a scalar of
-/// the corrections, 8 of the outer loop (4 with `f32`), 5 sections of the matrix for the share of quads that are not uniform.
-///
-/// An iteration on the finest level: apply (s, r, q), update (x and r twice, s, q, z), two smoothing sweeps and the one after
-/// the prolongation (x, r, x_out each), restriction (x, r), prolongation (x twice), direction (z, s twice); list entries, a byte per
-/// cell and pass. The coarser levels add a seventh of what the V-cycle moves.
-pub(super) fn bytes_per_iterations(
-    not_uniform: f64,
-    iterations: f64,
-    rounds: f64,
-    [inner, outer]: [f64; 2],
-) -> f64 {
-    let matrix = 5.0 * inner * not_uniform;
-    let cycle =
-        3.0 * (3.0 * inner + matrix + 1.0) + (2.0 * inner + matrix + 1.0) + (2.0 * inner + 1.0);
-    let rest = (3.0 * inner + matrix + 1.0)
-        + (7.0 * inner + not_uniform * inner + 1.0)
-        + (3.0 * inner + 1.0);
-    let iteration = cycle * 8.0 / 7.0 + rest;
-    let turn = (3.0 * outer + matrix + 1.0) + (2.0 * outer + inner + 1.0) + (outer + 5.0 * inner);
-    iterations * iteration + (rounds + 1.0) * turn
-}
-
-/// Bytes that a solve must move, the set-up of the hierarchy included: distance and open fractions in, the matrix out.
-fn bytes_per_solve(
-    unknowns: f64,
-    not_uniform: f64,
-    iterations: f64,
-    rounds: f64,
-    widths: [f64; 2],
-) -> f64 {
-    let set_up = 4.0 * 4.0 + 5.0 * widths[0] * 8.0 / 7.0;
-    unknowns * (bytes_per_iterations(not_uniform, iterations, rounds, widths) + set_up)
 }
 
 /// How a precision is spelled in the tables.
@@ -465,16 +432,16 @@ fn measure(
     let mut rivals = contests(options, solver, (&matrix, &rhs))?;
     let same = |a: &Outcome, b: &Outcome| a.iterations == b.iterations;
     let (seconds, outcome) = by_turns(options.repeats, solve, &mut rivals, same)?;
-    let not_uniform = not_uniform(gpu, &buffers)?;
-    let widths = widths(&buffers);
     let (unknowns, iterations) = (f64::from(outcome.unknowns), f64::from(outcome.iterations));
-    let bytes = bytes_per_solve(
+    let model = SolveBytes {
         unknowns,
-        not_uniform,
+        not_uniform: not_uniform(gpu, &buffers)?,
         iterations,
-        f64::from(outcome.rounds),
-        widths,
-    );
+        rounds: f64::from(outcome.rounds),
+        widths: widths(&buffers),
+        preconditioner: solver.preconditioner,
+    };
+    let bytes = model.of_set_up() + model.of_pressure();
     let row = Row {
         scene: "base_block",
         grid: grid.cells[0],
@@ -532,21 +499,29 @@ fn measure_coupled(
     let (seconds, outcome) = by_turns(options.repeats, solve, &mut rivals, PartialEq::eq)?;
     let n_cells = system.pressure.n_unknowns() as f64;
     let iterations = f64::from(outcome.iterations);
-    let widths = widths(&device.liquid);
-    let [inner, outer] = widths.map(|bytes| bytes as usize);
-    let not_uniform = not_uniform(gpu, &device.liquid)?;
-    let rounds = f64::from(outcome.rounds);
-    // Two polynomials an iteration, or W in f32; what else there is of the solids is little beside that.
-    let of_solids = if outcome.condensed {
-        let pairs = system.coupling.pairs().iter();
-        let wet: BTreeSet<usize> = pairs.map(|pair| pair.node).collect();
-        4.0 * (3.0 * wet.len() as f64).powi(2)
-    } else {
-        let solids = SolidBytes::new(&scene.solids, [outer, inner]);
-        2.0 * f64::from(device.polynomial.degree) * solids.of_step()
+    let model = SolveBytes {
+        unknowns: n_cells,
+        not_uniform: not_uniform(gpu, &device.liquid)?,
+        iterations,
+        rounds: f64::from(outcome.rounds),
+        widths: widths(&device.liquid),
+        preconditioner: solver.preconditioner,
     };
-    let bytes =
-        bytes_per_solve(n_cells, not_uniform, iterations, rounds, widths) + iterations * of_solids;
+    let corrections = match outcome.condensed {
+        true => {
+            let pairs = system.coupling.pairs().iter();
+            let wet: BTreeSet<usize> = pairs.map(|pair| pair.node).collect();
+            Corrections::Condensed {
+                wet_nodes: wet.len(),
+            }
+        }
+        false => Corrections::TwoField {
+            degree: device.polynomial.degree as usize,
+        },
+    };
+    let [inner, outer] = model.widths.map(|bytes| bytes as usize);
+    let solids = SolidBytes::new(&scene.solids, [outer, inner]);
+    let bytes = model.of_set_up() + model.of_both(&solids, corrections);
     let row = Row {
         scene: "base_scene",
         grid: size.grid,
