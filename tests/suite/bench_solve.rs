@@ -3,7 +3,7 @@
 use std::fs;
 
 use cutwater::measure::bench_solve::{Formulation, Options, Rival, bench_solve, largest_grid};
-use cutwater::scene::Solver;
+use cutwater::scene::{Precision, Preconditioner, Solver};
 
 use crate::common::gpu;
 
@@ -80,6 +80,42 @@ fn every_formulation_has_a_row_and_every_rival_its_own() {
         let written = fs::read_to_string(folder.path().join(file)).unwrap();
         assert_eq!(written.lines().count(), lines, "{written}");
     }
+}
+
+#[test]
+fn a_diagonal_moves_less_than_a_cycle_and_rounding_is_told() {
+    let Some(gpu) = gpu() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let multigrid = Solver {
+        max_iterations: 5000,
+        ..Solver::default()
+    };
+    let options = Options {
+        grids: vec![8],
+        solvers: vec![
+            multigrid,
+            Solver {
+                preconditioner: Preconditioner::Jacobi,
+                ..multigrid
+            },
+            Solver {
+                precision: Precision::F32,
+                ..multigrid
+            },
+        ],
+        ..options(vec![Formulation::Pressure])
+    };
+    let table = bench_solve(gpu, &options, folder.path(), &mut |_, _| {}).unwrap();
+    let [multigrid, jacobi, single] = &table.rows[..] else {
+        panic!("{:?}", table.rows);
+    };
+    assert_eq!(jacobi.status, "converged", "{jacobi:?}");
+    assert!(jacobi.iterations > multigrid.iterations, "{jacobi:?}");
+    let [cycle, diagonal] = [multigrid, jacobi].map(|row| row.bytes / f64::from(row.iterations));
+    assert!(diagonal < 0.6 * cycle, "{diagonal}, {cycle}");
+    // No f32 holds what a residual of 1e-8 asks for.
+    assert!(single.residual_p > single.tolerance, "{single:?}");
+    assert_ne!(single.status, "converged", "{single:?}");
 }
 
 #[test]
