@@ -6,7 +6,6 @@
 //! recording of the preconditioner's blocks to the verdict on the host, the factorisation from the assembled matrix to the velocities;
 //! the order of elimination, which serves all sub-steps, is told apart. The first solve on the device, which compiles, is not counted.
 
-use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
@@ -20,6 +19,7 @@ use crate::elastic::{Bounds, Solids};
 use crate::gpu::{AdapterChoice, Gpu, Recorder};
 use crate::grid::Sides;
 use crate::linalg::{SymbolicCholesky, norm};
+use crate::output::FolderLock;
 use crate::reference::{self, BlockPattern};
 use crate::scene::{
     Camera, Domain, ElasticModel, Initial, Output, Pin, Placement, Scene, Shape, Solid, SolidMesh,
@@ -163,16 +163,17 @@ pub struct Row {
 /// A row per body and size.
 pub type Table = super::table::Table<Row>;
 
-/// Measures all rows and writes solids.csv, solids.json and solids.svg into `out`; `tell` hears of each row.
+/// Measures all rows and writes solids.csv, solids.json and solids.svg into `out`, anew after each; `tell` hears of each row.
 ///
 /// # Errors
-/// [`Error::Output`], [`Error::Check`] where a solve does not repeat, and what the simulation and the device say.
+/// Before any work [`Error::Output`] where the folder cannot be written and [`Error::Input`] where another process writes into it; then
+/// [`Error::Check`] where a solve does not repeat, and what the simulation and the device say.
 pub fn bench_solids(
     options: &Options,
     out: &Path,
     tell: &mut dyn FnMut(&Row),
 ) -> Result<Table, Error> {
-    fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
+    let _held = FolderLock::take(out)?;
     let mut table = Table {
         machine: Machine::new(&Gpu::new(&options.adapter)?, options.repeats)?,
         rows: Vec::new(),
@@ -182,14 +183,19 @@ pub fn bench_solids(
             let row = measure(&scene(body, nodes, options), body, options, &table.machine)?;
             tell(&row);
             table.rows.push(row);
+            write(&table, out)?;
         }
     }
-    write_csv(&table.rows, &out.join("solids.csv"))?;
-    write_json(&table, &out.join("solids.json"))?;
-    write_svg(&out.join("solids.svg"), (800, 600), |page| {
-        draw(&table, page)
-    })?;
     Ok(table)
+}
+
+/// Writes the tables and the picture as they are so far.
+fn write(table: &Table, out: &Path) -> Result<(), Error> {
+    write_csv(&table.rows, &out.join("solids.csv"))?;
+    write_json(table, &out.join("solids.json"))?;
+    write_svg(&out.join("solids.svg"), (800, 600), |page| {
+        draw(table, page)
+    })
 }
 
 /// A body that hangs from its upper end and moves sideways.

@@ -12,6 +12,7 @@ mod picture;
 
 use std::collections::BTreeSet;
 use std::fs;
+use std::io::ErrorKind;
 use std::path::Path;
 use std::time::Instant;
 
@@ -21,7 +22,7 @@ use crate::Error;
 use crate::gpu::{Buffer, Gpu, Real, Recorder};
 use crate::grid::Axis;
 use crate::linalg::{self, Csr};
-use crate::output::write_atomically;
+use crate::output::{FolderLock, write_atomically};
 use crate::reference::base_block::{BaseBlock, THETA_FLOOR};
 use crate::reference::base_scene::{BaseBeam, BaseScene};
 use crate::reference::{CoupledSystem, SIGMA};
@@ -164,12 +165,27 @@ pub(super) fn name(precision: Precision) -> &'static str {
     }
 }
 
-/// Measures all rows and writes solve.csv, solve_growth.csv, solve.json, solve.svg and, with rivals, solve_against.csv into `out`, anew after each;
-/// `tell` hears of each row.
+/// Removes the tables that an earlier bench has left in a folder and this one may not write: they would pass for its own.
+pub(super) fn remove_earlier(out: &Path, tables: &[&str]) -> Result<(), Error> {
+    for table in tables {
+        let path = out.join(table);
+        match fs::remove_file(&path) {
+            Err(problem) if problem.kind() != ErrorKind::NotFound => {
+                return Err(Error::unwritten(&path, &problem));
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+/// Measures all rows and writes solve.csv, solve.json, solve.svg, solve_growth.csv where a solver has two sizes or more and, with rivals,
+/// solve_against.csv into `out`, anew after each; `tell` hears of each row.
 ///
 /// # Errors
-/// Before any work [`Error::Limit`] and [`Error::Memory`] where there is no room for a grid; [`Error::Output`], [`Error::Check`] where a solve
-/// does not repeat, and what the device says.
+/// Before any work [`Error::Limit`] and [`Error::Memory`] where there is no room for a grid, [`Error::Output`] where the folder cannot be
+/// written and [`Error::Input`] where another process writes into it; then [`Error::Check`] where a solve does not repeat, and what the device
+/// says.
 pub fn bench_solve(
     gpu: &Gpu,
     options: &Options,
@@ -180,7 +196,8 @@ pub fn bench_solve(
     for &grid in &options.grids {
         capacity.check(grid, &options.solvers)?;
     }
-    fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
+    let _held = FolderLock::take(out)?;
+    remove_earlier(out, &["solve_growth.csv", "solve_against.csv"])?;
     let mut table = Table {
         machine: Machine::new(gpu, options.repeats)?,
         rows: Vec::new(),
@@ -191,7 +208,7 @@ pub fn bench_solve(
         tell(&row, &against);
         table.rows.push(row);
         table.against.extend(against);
-        table.write(out, !options.against.is_empty())
+        table.write(out)
     };
     for &grid in &options.grids {
         let block = BaseBlock::new(grid);
@@ -247,11 +264,13 @@ impl Row {
 
 impl Table {
     /// Makes again what follows from the rows, and writes what there is.
-    fn write(&mut self, out: &Path, against: bool) -> Result<(), Error> {
+    fn write(&mut self, out: &Path) -> Result<(), Error> {
         self.growth = growth::growth(&self.rows, &self.against);
         write_csv(&self.rows, &out.join("solve.csv"))?;
-        write_csv(&self.growth, &out.join("solve_growth.csv"))?;
-        if against {
+        if !self.growth.is_empty() {
+            write_csv(&self.growth, &out.join("solve_growth.csv"))?;
+        }
+        if !self.against.is_empty() {
             write_csv(&self.against, &out.join("solve_against.csv"))?;
         }
         write_json(self, &out.join("solve.json"))?;
