@@ -6,7 +6,6 @@
 //! recording of the preconditioner's blocks to the verdict on the host, the factorisation from the assembled matrix to the velocities;
 //! the order of elimination, which serves all sub-steps, is told apart. The first solve on the device, which compiles, is not counted.
 
-use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;
@@ -20,6 +19,7 @@ use crate::elastic::{Bounds, Solids};
 use crate::gpu::{AdapterChoice, Gpu, Recorder};
 use crate::grid::Sides;
 use crate::linalg::{SymbolicCholesky, norm};
+use crate::output::FolderLock;
 use crate::reference::{self, BlockPattern};
 use crate::scene::{
     Camera, Domain, ElasticModel, Initial, Output, Pin, Placement, Scene, Shape, Solid, SolidMesh,
@@ -32,7 +32,7 @@ use crate::solver::{
 use crate::stages::{ElementRotations, MoveSolid, NodeForces, SolidBuffers, SolidPlan};
 use crate::state::State;
 
-use super::bench_solve::name;
+use super::bench_solve::{Ended, name};
 use super::solid_bytes::SolidBytes;
 use super::statistics::Spread;
 use super::table::{Machine, write_csv, write_json, write_svg};
@@ -123,7 +123,8 @@ pub struct Row {
     pub precision: &'static str,
     /// Relative, of the true residual.
     pub tolerance: f64,
-    /// `converged`, or how else the solve ended.
+    /// `converged`, or how else the solve ended: `converged_to_rounding` where it passed with a residual above the tolerance, but
+    /// below what rounding makes of it.
     pub status: &'static str,
     /// PCG iterations summed over rounds.
     pub iterations: u32,
@@ -162,16 +163,17 @@ pub struct Row {
 /// A row per body and size.
 pub type Table = super::table::Table<Row>;
 
-/// Measures all rows and writes solids.csv, solids.json and solids.svg into `out`; `tell` hears of each row.
+/// Measures all rows and writes solids.csv, solids.json and solids.svg into `out`, anew after each; `tell` hears of each row.
 ///
 /// # Errors
-/// [`Error::Output`], and what the simulation and the device say.
+/// Before any work [`Error::Output`] where the folder cannot be written and [`Error::Input`] where another process writes into it; then
+/// [`Error::Check`] where a solve does not repeat, and what the simulation and the device say.
 pub fn bench_solids(
     options: &Options,
     out: &Path,
     tell: &mut dyn FnMut(&Row),
 ) -> Result<Table, Error> {
-    fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
+    let _held = FolderLock::take(out)?;
     let mut table = Table {
         machine: Machine::new(&Gpu::new(&options.adapter)?, options.repeats)?,
         rows: Vec::new(),
@@ -181,14 +183,19 @@ pub fn bench_solids(
             let row = measure(&scene(body, nodes, options), body, options, &table.machine)?;
             tell(&row);
             table.rows.push(row);
+            write(&table, out)?;
         }
     }
-    write_csv(&table.rows, &out.join("solids.csv"))?;
-    write_json(&table, &out.join("solids.json"))?;
-    write_svg(&out.join("solids.svg"), (800, 600), |page| {
-        draw(&table, page)
-    })?;
     Ok(table)
+}
+
+/// Writes the tables and the picture as they are so far.
+fn write(table: &Table, out: &Path) -> Result<(), Error> {
+    write_csv(&table.rows, &out.join("solids.csv"))?;
+    write_json(table, &out.join("solids.json"))?;
+    write_svg(&out.join("solids.svg"), (800, 600), |page| {
+        draw(table, page)
+    })
 }
 
 /// A body that hangs from its upper end and moves sideways.
@@ -331,7 +338,7 @@ impl<'a> Device<'a> {
     }
 
     /// Solves the system: seconds and verdict.
-    fn solve(&self, verify: bool) -> Result<(f64, Outcome), Error> {
+    fn solve(&self) -> Result<(f64, Outcome), Error> {
         self.fields.write_state(self.gpu, &self.state);
         self.gpu.wait("bench")?;
         let clock = Instant::now();
@@ -346,7 +353,6 @@ impl<'a> Device<'a> {
             &self.buffers,
             self.fields.fields(),
             &self.polynomial,
-            verify,
         )?;
         Ok((clock.elapsed().as_secs_f64(), outcome))
     }
@@ -375,7 +381,8 @@ fn measure(scene: &Scene, body: Body, options: &Options, machine: &Machine) -> R
     let path = simulation.gpu_path().expect("benches run on the GPU path");
     let solids = simulation.solids();
     let device = Device::new(path.gpu(), scene, solids, state)?;
-    let (_, outcome) = device.solve(true)?;
+    let (_, outcome) = device.solve()?;
+    let ended = Ended::alone(&outcome);
 
     let dt = device.state.dt_last;
     let pattern = Arc::new(BlockPattern::new(solids));
@@ -392,14 +399,12 @@ fn measure(scene: &Scene, body: Body, options: &Options, machine: &Machine) -> R
     let factor_bytes = 8.0 * symbolic.n_factor_entries() as f64;
 
     let free = |x: &[f64]| -> Vec<f64> { unknowns.iter().map(|&at| x[at]).collect() };
+    let what = format!("{} of {} nodes", body.name(), solids.rest.len());
     let mut seconds = Vec::new();
     let mut direct = Vec::new();
     for _ in 0..options.repeats.max(1) {
-        let (elapsed, again) = device.solve(false)?;
-        assert_eq!(
-            again.iterations, outcome.iterations,
-            "the same solve on the same device repeats"
-        );
+        let (elapsed, again) = device.solve()?;
+        ended.ensure_repeated(Ended::alone(&again), &what)?;
         seconds.push(elapsed);
         if factor_bytes > options.largest_factor {
             continue;
@@ -437,7 +442,7 @@ fn measure(scene: &Scene, body: Body, options: &Options, machine: &Machine) -> R
         step: dt,
         precision: name(scene.solver.precision),
         tolerance: scene.solver.tolerance,
-        status: outcome.status.name(),
+        status: ended.name(scene.solver.tolerance),
         iterations: outcome.iterations,
         rounds: outcome.rounds,
         degree,

@@ -3,7 +3,6 @@
 //! A run counts from the submission of a sort of random keys to the end of its work. The first run of each row, which compiles,
 //! is not counted; its result is checked.
 
-use std::fs;
 use std::path::Path;
 use std::time::Instant;
 
@@ -11,6 +10,7 @@ use serde::Serialize;
 
 use crate::Error;
 use crate::gpu::{Buffer, Entries, Gpu, Recorder, Sort, SortKernels};
+use crate::output::FolderLock;
 
 use super::statistics::Spread;
 use super::table::{Machine, write_csv, write_json};
@@ -48,17 +48,18 @@ pub struct Row {
 /// A row per length.
 pub type Table = super::table::Table<Row>;
 
-/// Measures all rows and writes sort.csv and sort.json into `out`; `tell` hears of each row.
+/// Measures all rows and writes sort.csv and sort.json into `out`, anew after each; `tell` hears of each row.
 ///
 /// # Errors
-/// [`Error::Output`], what the device says, and [`Error::Check`] when a list is not sorted.
+/// Before any work [`Error::Output`] where the folder cannot be written and [`Error::Input`] where another process writes into it; then
+/// what the device says, and [`Error::Check`] when a list is not sorted.
 pub fn bench_sort(
     gpu: &Gpu,
     options: &Options,
     out: &Path,
     tell: &mut dyn FnMut(&Row),
 ) -> Result<Table, Error> {
-    fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
+    let _held = FolderLock::take(out)?;
     let mut table = Table {
         machine: Machine::new(gpu, options.repeats)?,
         rows: Vec::new(),
@@ -67,9 +68,9 @@ pub fn bench_sort(
         let row = measure(gpu, n, options, &table.machine)?;
         tell(&row);
         table.rows.push(row);
+        write_csv(&table.rows, &out.join("sort.csv"))?;
+        write_json(&table, &out.join("sort.json"))?;
     }
-    write_csv(&table.rows, &out.join("sort.csv"))?;
-    write_json(&table, &out.join("sort.json"))?;
     Ok(table)
 }
 

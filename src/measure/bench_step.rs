@@ -5,7 +5,6 @@
 //! a second domain, every sub-step of the scene is followed by one of the same scene in the larger domain, so that what else
 //! the machine does falls on both.
 
-use std::fs;
 use std::path::Path;
 use std::time::Instant;
 
@@ -16,12 +15,13 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::Bounds;
 use crate::gpu::AdapterChoice;
-use crate::scene::Scene;
-use crate::sim::{Backend, Simulation};
-use crate::stages::extrapolation_layers;
+use crate::output::FolderLock;
+use crate::scene::{CouplingScheme, Scene};
+use crate::sim::{Backend, GpuPath, Simulation};
+use crate::stages::{Clip, extrapolation_layers};
 use crate::state::{LiquidReport, SolidReport, StepReport};
 
-use super::bench_solve::bytes_per_iterations;
+use super::bench_solve::{Corrections, SolveBytes, remove_earlier};
 use super::solid_bytes::SolidBytes;
 use super::statistics::{Spread, exponent};
 use super::table::{Machine, write_csv, write_json, write_svg};
@@ -91,16 +91,19 @@ pub struct StageRow {
     pub scale: f64,
     /// The stage.
     pub stage: &'static str,
-    /// Seconds on the device in a sub-step.
+    /// Where its seconds are spent: `device`; those of `clip` on the `host`, or `host and device` where the device tells its own.
+    #[serde(rename = "where")]
+    pub place: &'static str,
+    /// Seconds in a sub-step.
     pub seconds_median: f64,
     /// Least.
     pub seconds_min: f64,
     /// Largest.
     pub seconds_max: f64,
-    /// Bytes that the stage must move in a sub-step.
+    /// Bytes that the stage must move in a sub-step; 0 for `clip` and `exchange`, which have no model.
     pub bytes: f64,
-    /// Bytes per second over the copy bandwidth of the same run.
-    pub share_of_copy_bandwidth: f64,
+    /// Bytes per second over the copy bandwidth of the same run; empty where bytes or seconds are 0.
+    pub share_of_copy_bandwidth: Option<f64>,
 }
 
 /// A scene in its domain and in a larger one.
@@ -147,16 +150,19 @@ pub struct Table {
     pub growth: Vec<Growth>,
 }
 
-/// Measures all scenes and writes step.csv, step_stages.csv, step_growth.csv where a scene has several scales, step.json and step.svg into `out`; `tell` hears of each row.
+/// Measures all scenes and writes step.csv, step_stages.csv, step_growth.csv where a scene has several scales, step.json and step.svg into `out`,
+/// anew after each scene; `tell` hears of each row.
 ///
 /// # Errors
-/// [`Error::Output`], and what the simulations say.
+/// Before any work [`Error::Output`] where the folder cannot be written and [`Error::Input`] where another process writes into it; then what
+/// the simulations say.
 pub fn bench_step(
     options: &Options,
     out: &Path,
     tell: &mut dyn FnMut(&Row),
 ) -> Result<Table, Error> {
-    fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
+    let _held = FolderLock::take(out)?;
+    remove_earlier(out, &["step_growth.csv"])?;
     let mut table: Option<Table> = None;
     for scene in &options.scenes {
         let mut runs = vec![Run::new(scene, &options.adapter)?];
@@ -185,27 +191,31 @@ pub fn bench_step(
                 ratio_of_least: other.seconds_min / own.seconds_min,
             });
         }
+        table.write(out)?;
     }
-    let mut table = table.ok_or_else(|| {
+    table.ok_or_else(|| {
         Error::input(
             "bench step",
             "no scene to measure",
             "give one scene file or more",
         )
-    })?;
-    table.growth = growth(&table.rows);
-    write_csv(&table.rows, &out.join("step.csv"))?;
-    if !table.growth.is_empty() {
-        write_csv(&table.growth, &out.join("step_growth.csv"))?;
+    })
+}
+
+impl Table {
+    /// Makes again what follows from the rows, and writes what there is.
+    fn write(&mut self, out: &Path) -> Result<(), Error> {
+        self.growth = growth(&self.rows);
+        write_csv(&self.rows, &out.join("step.csv"))?;
+        if !self.growth.is_empty() {
+            write_csv(&self.growth, &out.join("step_growth.csv"))?;
+        }
+        write_csv(&self.stages, &out.join("step_stages.csv"))?;
+        write_json(self, &out.join("step.json"))?;
+        // The right part is for the names of the stages.
+        let width = 360 + 160 * self.rows.len() as u32;
+        write_svg(&out.join("step.svg"), (width, 600), |page| draw(self, page))
     }
-    write_csv(&table.stages, &out.join("step_stages.csv"))?;
-    write_json(&table, &out.join("step.json"))?;
-    // The right part is for the names of the stages.
-    let width = 360 + 160 * table.rows.len() as u32;
-    write_svg(&out.join("step.svg"), (width, 600), |page| {
-        draw(&table, page)
-    })?;
-    Ok(table)
 }
 
 /// Of each scene that was measured at several scales.
@@ -268,6 +278,8 @@ struct Run {
 struct Sample {
     seconds: f64,
     band_cells: usize,
+    /// How liquid and solids were solved for together; `None` where each was by itself.
+    corrections: Option<Corrections>,
     report: StepReport,
 }
 
@@ -310,21 +322,51 @@ impl Run {
         })
     }
 
+    fn path(&self) -> &GpuPath {
+        let path = self.simulation.gpu_path();
+        path.expect("benches run on the GPU path")
+    }
+
     fn step(&mut self, count: bool) -> Result<(), Error> {
         let clock = Instant::now();
         let report = self.simulation.step()?;
         let seconds = clock.elapsed().as_secs_f64();
-        let path = self.simulation.gpu_path();
-        let path = path.expect("benches run on the GPU path");
         if count {
-            self.samples.push(Sample {
+            self.not_uniform = self.path().share_not_uniform()?;
+            let sample = Sample {
                 seconds,
-                band_cells: path.band_cells()?,
+                band_cells: self.path().band_cells()?,
+                corrections: self.corrections(&report)?,
                 report,
-            });
-            self.not_uniform = path.share_not_uniform()?;
+            };
+            self.samples.push(sample);
         }
         Ok(())
+    }
+
+    /// How liquid and solids were solved for together in the last sub-step, whose report this is.
+    fn corrections(&self, report: &StepReport) -> Result<Option<Corrections>, Error> {
+        let scheme = self.scene.solver.coupling;
+        let touching = report.coupling.filter(|both| both.touching);
+        let Some((both, (_, bounds))) = touching.zip(self.solids.as_ref()) else {
+            return Ok(None);
+        };
+        let (solids, dt) = (self.simulation.solids(), report.dt);
+        Ok(match scheme {
+            CouplingScheme::Weak => None,
+            _ if both.condensed => Some(Corrections::Condensed {
+                wet_nodes: self.path().wet_nodes()?,
+            }),
+            CouplingScheme::Strong => Some(Corrections::TwoField {
+                degree: bounds.chebyshev_degree(solids, dt),
+            }),
+            // With mass and damping alone. The solve for elasticity before it, of which no report tells, is left out.
+            CouplingScheme::DampingOnly => Some(Corrections::TwoField {
+                degree: bounds.chebyshev_degree_for(solids, |body| {
+                    [1.0 / dt + body.mass_damping, body.stiffness_damping]
+                }),
+            }),
+        })
     }
 
     fn rows(&self, machine: &Machine) -> (Row, Vec<StageRow>) {
@@ -336,6 +378,7 @@ impl Run {
             let seconds = sample.report.seconds.iter();
             seconds.map(|(stage, _)| *stage).collect()
         };
+        let timestamps = self.path().gpu().report().timestamps;
         let stages = self.samples.first().map(names).unwrap_or_default();
         let stages: Vec<StageRow> = stages
             .into_iter()
@@ -349,15 +392,17 @@ impl Run {
                 };
                 let seconds = Spread::of(self.samples.iter().map(spent).collect());
                 let bytes = median(&|sample| self.bytes(stage, sample));
+                let share = || machine.share_of_copy_bandwidth(bytes, seconds.median);
                 StageRow {
                     scene: self.scene.name.clone(),
                     scale: self.scene.scale,
                     stage,
+                    place: place(stage, timestamps),
                     seconds_median: seconds.median,
                     seconds_min: seconds.min,
                     seconds_max: seconds.max,
                     bytes,
-                    share_of_copy_bandwidth: machine.share_of_copy_bandwidth(bytes, seconds.median),
+                    share_of_copy_bandwidth: (bytes > 0.0 && seconds.median > 0.0).then(share),
                 }
             })
             .collect();
@@ -393,40 +438,48 @@ impl Run {
 
     /// Bytes of a scalar of the solve's unknowns, and of its corrections.
     fn scalar_bytes(&self) -> [f64; 2] {
-        let path = self.simulation.gpu_path();
-        let path = path.expect("benches run on the GPU path");
-        path.scalar_bytes().map(|bytes| bytes as f64)
+        self.path().scalar_bytes().map(|bytes| bytes as f64)
     }
 
     /// Bytes that a stage must move in a sub-step, every array that a kernel needs once, reads and writes.
     fn bytes(&self, stage: &str, sample: &Sample) -> f64 {
+        if stage == "solve" {
+            return self.solve_bytes(sample);
+        }
         let mut bytes = 0.0;
         if self.scene.liquid.is_some() {
             bytes += self.liquid_bytes(stage, sample);
         }
-        if let Some(solids) = &self.solids {
-            bytes += self.solid_bytes(solids, stage, sample);
+        if let Some((solids, _)) = &self.solids {
+            let effects = Effects::of(&self.scene);
+            bytes += solids.of_stage(stage, effects.scripts, effects.obstacles);
         }
         bytes
     }
 
-    fn solid_bytes(
-        &self,
-        (bytes, bounds): &(SolidBytes, Bounds),
-        stage: &str,
-        sample: &Sample,
-    ) -> f64 {
-        let effects = Effects::of(&self.scene);
-        if stage != "solve" {
-            return bytes.of_stage(stage, effects.scripts, effects.obstacles);
-        }
-        let degree = bounds.chebyshev_degree(self.simulation.solids(), sample.report.dt);
-        // A round in f64 does it all; in f32 it takes another, as a rule.
-        let rounds = match self.scalar_bytes() {
-            [8.0, _] => 1.0,
-            _ => 2.0,
+    /// Of all solves of a sub-step.
+    fn solve_bytes(&self, sample: &Sample) -> f64 {
+        let [real, inner] = self.scalar_bytes();
+        let liquid = SolveBytes {
+            unknowns: sample.unknowns(),
+            not_uniform: self.not_uniform,
+            iterations: sample.iterations(),
+            rounds: rounds(inner),
+            widths: [inner, real],
+            preconditioner: self.scene.solver.preconditioner,
         };
-        bytes.of_solve(degree as f64, sample.solid_iterations(), rounds)
+        // The size of the right-hand side.
+        let start = liquid.unknowns * real;
+        let Some((solids, bounds)) = &self.solids else {
+            return start + liquid.of_pressure();
+        };
+        if let Some(corrections) = sample.corrections {
+            return start + liquid.of_both(solids, corrections);
+        }
+        let degree = bounds.chebyshev_degree(self.simulation.solids(), sample.report.dt) as f64;
+        // The corrections of solids by themselves are as precise as their residuals.
+        let of_solids = solids.of_solve(degree, sample.solid_iterations(), rounds(real));
+        start + liquid.of_pressure() + of_solids
     }
 
     /// Per cell of the band, per unknown, per marker, and per padded cell of the domain where flags are counted. Words of a quad
@@ -465,12 +518,6 @@ impl Run {
             // Labels written, joined, asked.
             "closed_components" => unknowns * (4.0 + 8.0 + 4.0 + 3.0),
             "right_hand_side" => unknowns * (12.0 + 12.0 + real + 2.0),
-            "solve" => {
-                let iterations = sample.iterations();
-                let iterations =
-                    bytes_per_iterations(self.not_uniform, iterations, 2.0, [inner, real]);
-                unknowns * (real + iterations)
-            }
             // u*, distance, velocity, marks; potential.
             "write_back" => band * (12.0 + 4.0 + 12.0 + 2.0) + unknowns * real,
             // Marks read and written in each layer, the velocity once; with bodies marks three times more.
@@ -481,7 +528,21 @@ impl Run {
     }
 }
 
-/// The stages that move bytes.
+/// Rounds of a solve whose corrections have scalars of so many bytes: one in f64 does it all; in f32 it takes another, as a rule.
+fn rounds(of_corrections: f64) -> f64 {
+    if of_corrections < 8.0 { 2.0 } else { 1.0 }
+}
+
+/// Where the seconds of a stage are spent, on a device that tells its own or does not.
+fn place(stage: &str, timestamps: bool) -> &'static str {
+    match (stage == Clip::NAME, timestamps) {
+        (false, _) => "device",
+        (true, true) => "host and device",
+        (true, false) => "host",
+    }
+}
+
+/// The stages whose bytes are known; they make up those of a sub-step.
 const STAGES: [&str; 14] = [
     "move_solid",
     "advect_markers",
@@ -568,12 +629,17 @@ fn draw(table: &Table, page: SVGBackend) -> Result<(), Box<dyn std::error::Error
         .disable_x_axis()
         .y_desc("ms a sub-step")
         .draw()?;
-    let seen = |stage: &&&str| table.stages.iter().any(|row| row.stage == **stage);
-    for (index, stage) in STAGES.iter().filter(seen).enumerate() {
+    let mut names: Vec<&'static str> = Vec::new();
+    for row in &table.stages {
+        if !names.contains(&row.stage) {
+            names.push(row.stage);
+        }
+    }
+    for (index, stage) in names.into_iter().enumerate() {
         let colour = Palette99::pick(index).to_rgba();
         let bars = table.rows.iter().enumerate().filter_map(|(number, row)| {
             let stages = of_row(row);
-            let at = stages.iter().position(|other| other.stage == *stage)?;
+            let at = stages.iter().position(|other| other.stage == stage)?;
             let below: f64 = stages[..at].iter().map(|stage| stage.seconds_median).sum();
             let height = stages[at].seconds_median;
             let x = number as f64;
@@ -587,7 +653,7 @@ fn draw(table: &Table, page: SVGBackend) -> Result<(), Box<dyn std::error::Error
         });
         chart
             .draw_series(bars)?
-            .label(*stage)
+            .label(stage)
             .legend(move |(x, y)| Rectangle::new([(x, y - 5), (x + 14, y + 5)], colour.filled()));
     }
     for (number, row) in table.rows.iter().enumerate() {

@@ -2,6 +2,7 @@
 //! What neighbouring threads share comes out of a cache; so does what the padding of the rows repeats.
 
 use crate::elastic::{Incidence, Solids};
+use crate::scene::Preconditioner;
 
 /// Bytes of a flag, a number of the mesh's topology, or an f32.
 const WORD: f64 = 4.0;
@@ -108,11 +109,18 @@ impl SolidBytes {
     }
 
     /// A product of the polynomial of the preconditioner: one step of its iteration.
-    pub(super) fn of_step(&self) -> f64 {
+    fn of_step(&self) -> f64 {
         let n = self.nodes;
         // Node of the row, its inverse, residual, iterate in and out, increment in and out.
         let row = n * (WORD + (8.0 + 4.0 * 4.0) * self.inner) + self.vectors(1.0);
         row + 12.0 * self.inner * self.blocks
+    }
+
+    /// The polynomial of the preconditioner.
+    fn of_polynomial(&self, degree: f64) -> f64 {
+        // The first step has no product; the last gives the answer and the share of r . z.
+        let first = self.nodes * (WORD + 16.0 * self.inner) + self.vectors(1.0);
+        first + degree * self.of_step() + self.vectors(2.0)
     }
 
     /// A product of S with a vector, from the elements, and its sums over the nodes with `others` more vectors.
@@ -126,9 +134,8 @@ impl SolidBytes {
 
     /// A solve, the rows of its preconditioner given.
     pub(super) fn of_solve(&self, degree: f64, iterations: f64, rounds: f64) -> f64 {
-        // The first step has no product; the last gives the answer and the share of r . z, which are summed.
-        let first = self.nodes * (WORD + 16.0 * self.inner) + self.vectors(1.0);
-        let polynomial = first + degree * self.of_step() + self.vectors(3.0);
+        // Its shares of r . z are summed.
+        let polynomial = self.of_polynomial(degree) + self.vectors(1.0);
         // Answer, direction read and written.
         let direction = self.vectors(3.0);
         // Residual; product and partials, which are summed.
@@ -136,13 +143,36 @@ impl SolidBytes {
         // Direction, correction and residual read and written, product.
         let update = self.vectors(6.0);
         let iteration = polynomial + direction + operator + update;
+        // Who is held in the next solve: right-hand side, velocity, gaps, the mean of the diagonal.
+        let update = self.of_product(1.0) + self.nodes * (VEC4 + self.real);
+        self.of_outer_loop(rounds) + iterations * iteration + update
+    }
+
+    /// The outer loop of a solve: what it starts from, and the turns from round to round.
+    pub(super) fn of_outer_loop(&self, rounds: f64) -> f64 {
         // Correction, unknowns read and written; right-hand side, residual and partials, which are summed; then residual in and
         // out, direction and correction out; the mean of the diagonal.
         let turn = self.vectors(7.0) + self.of_product(4.0) + self.nodes * self.real;
         // The guess: freedom, velocity read and written, correction.
         let start = self.nodes * VEC4 + self.vectors(3.0) + turn;
-        // Who is held in the next solve: right-hand side, velocity, gaps, the mean of the diagonal.
-        let update = self.of_product(1.0) + self.nodes * (VEC4 + self.real);
-        start + iterations * iteration + (rounds + 1.0) * turn + update
+        start + (rounds + 1.0) * turn
+    }
+
+    /// What an iteration of a solve for pressures and velocities (letters as in `solver/two_field.rs`) does to the solids.
+    pub(super) fn of_two_field(&self, preconditioner: Preconditioner, degree: f64) -> f64 {
+        let polynomial = self.of_polynomial(degree);
+        let preconditioner = match preconditioner {
+            // Two: y from t; then residual, t, z read and written, partials, which are summed.
+            Preconditioner::Multigrid => 2.0 * polynomial + self.vectors(8.0),
+            // One, which tells how far a round is: residual, the diagonal's two parts, t, z, partials, which are summed.
+            Preconditioner::Jacobi | Preconditioner::BlockJacobi => polynomial + self.vectors(7.0),
+        };
+        // Freedom, masses.
+        let preconditioner = preconditioner + self.nodes * (VEC4 + self.real);
+        // J^T p; t in its place, v - t, partials, which are summed; then the product with v - t.
+        let operator = self.vectors(1.0) + self.of_product(5.0) + self.of_product(1.0);
+        // As in `of_solve`.
+        let (direction, update) = (self.vectors(3.0), self.vectors(6.0));
+        preconditioner + operator + direction + update
     }
 }

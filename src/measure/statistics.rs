@@ -57,17 +57,22 @@ impl Spread {
     }
 }
 
-/// The exponent of a power law y ~ x^e through positive points, by least squares of the logarithms; none where all x are the same.
+/// The exponent of a power law y ~ x^e through points, by least squares of the logarithms; none where all x are the same, or a number has no
+/// finite logarithm: where it is not above 0.
 pub fn exponent(points: impl IntoIterator<Item = (f64, f64)>) -> Option<f64> {
     let points = points.into_iter();
     let points: Vec<[f64; 2]> = points.map(|(x, y)| [x.ln(), y.ln()]).collect();
+    let same = points.iter().all(|point| point[0] == points[0][0]);
+    if same || !points.as_flattened().iter().all(|ln| ln.is_finite()) {
+        return None;
+    }
     let n = points.len() as f64;
     let middle = [0, 1].map(|axis| points.iter().map(|point| point[axis]).sum::<f64>() / n);
     let offsets = points.iter().map(|[x, y]| [x - middle[0], y - middle[1]]);
     let [both, square] = offsets.fold([0.0; 2], |[both, square], [x, y]| {
         [both + x * y, square + x * x]
     });
-    (square > 0.0).then(|| both / square)
+    Some(both / square)
 }
 
 #[cfg(test)]
@@ -80,6 +85,21 @@ mod tests {
         assert!((exponent(points).unwrap() - 1.5).abs() < 1e-12);
         assert_eq!(exponent([(2.0, 1.0), (2.0, 4.0)]), None);
         assert_eq!(exponent([]), None);
+    }
+
+    #[test]
+    fn what_has_no_exponent_gets_none() {
+        // Whether or not their mean is what they are.
+        for x in [0.1, 3.0, 7.0, 4401.0, 281_721.0] {
+            for n in 1..8_u32 {
+                let points = (0..n).map(|k| (x, 1.0 + f64::from(k)));
+                assert_eq!(exponent(points), None, "{n} times {x}");
+            }
+        }
+        for none in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            assert_eq!(exponent([(1.0, none), (2.0, 4.0)]), None, "{none}");
+            assert_eq!(exponent([(none, 1.0), (2.0, 4.0)]), None, "{none}");
+        }
     }
 
     #[test]

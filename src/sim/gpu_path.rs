@@ -1,5 +1,7 @@
 //! The GPU path of a simulation: one scene on one device, and what the host keeps of its state.
 
+use std::collections::BTreeSet;
+
 use crate::Error;
 use crate::elastic::Solids;
 use crate::geometry::{self, CutCells, Running, SolidClip, Taps};
@@ -353,6 +355,26 @@ impl GpuPath {
             n_uniform += flag >> 31;
         }
         Ok(1.0 - f64::from(n_uniform) / f64::from(n_active.max(1)))
+    }
+
+    /// Nodes of the solids on which the last pressures act: those with patches in its active cells.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn wet_nodes(&self) -> Result<usize, Error> {
+        let Some((liquid, coupling)) = self.liquid.as_ref().zip(self.coupling.as_ref()) else {
+            return Ok(0);
+        };
+        let flags = self.gpu.download(&liquid.solver.flags)?;
+        let padded = self.grid.padded();
+        let active = |cell: usize| {
+            let index = padded.index(self.grid.cell_at(cell));
+            flags[index / 4] >> (index % 4) & 1 == 1
+        };
+        let pairs = coupling.clip.coupling().pairs().iter();
+        let wet = pairs.filter(|pair| active(pair.cell));
+        let wet: BTreeSet<usize> = wet.map(|pair| pair.node).collect();
+        Ok(wet.len())
     }
 
     /// Bytes of a scalar of the solve's unknowns, and of its corrections.

@@ -185,7 +185,7 @@ impl GpuSolids {
             let fields = buffers.fields();
             let (mut outcome, times) = stages
                 .solve
-                .solve(gpu, recorder, system, fields, polynomial, true)?;
+                .solve(gpu, recorder, system, fields, polynomial)?;
             iterations += outcome.iterations;
             outcome.iterations = iterations;
             Ok((outcome, outcome.status, times))

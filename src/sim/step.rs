@@ -261,7 +261,7 @@ impl GpuPath {
         }
         if let Some(part @ GpuLiquid { solver, stages, .. }) = liquid {
             if !together {
-                let (outcome, mut seconds) = stages.solve.solve(gpu, to, solver, true)?;
+                let (outcome, mut seconds) = stages.solve.solve(gpu, to, solver)?;
                 pressure = Some(outcome);
                 told.seconds.append(&mut seconds);
                 to = Recorder::timed(gpu);

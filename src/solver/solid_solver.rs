@@ -99,9 +99,8 @@ impl SolidSolver {
         Ok(SolidSolver { outer, polynomial })
     }
 
-    /// Submits the recording with the solve at its end and waits for the verdict. The velocity in `fields` is v* before and v after
-    /// it. `polynomial`: the preconditioner's, for this step's S. `verify` asks for a verdict in f64 where the precision or the
-    /// adapter would not give one.
+    /// Submits the recording with the solve at its end and waits for the verdict, with a residual in f64: of the host where the device rounds it.
+    /// The velocity in `fields` is v* before and v after it. `polynomial`: the preconditioner's, for this step's S.
     ///
     /// # Errors
     /// [`Error::Gpu`] when the device fails. A solve that does not converge is an [`Outcome`], not an error.
@@ -112,10 +111,9 @@ impl SolidSolver {
         buffers: &SolidSystemBuffers,
         fields: SolidFields,
         polynomial: &Polynomial,
-        verify: bool,
     ) -> Result<(Outcome, StageTimes), Error> {
         let case = self.case(gpu, buffers, fields, polynomial);
-        self.outer.solve(gpu, recorder, case, verify)
+        self.outer.solve(gpu, recorder, case)
     }
 
     /// From the next solve on, another tolerance of the true residual.

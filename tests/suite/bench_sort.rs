@@ -33,9 +33,12 @@ fn the_table_has_a_row_per_length() {
     assert_eq!(json["adapter"], gpu.report().name);
     assert_eq!(json["rows"][2]["entries"], 3000);
 
-    options.entries = vec![usize::MAX >> 8];
+    options.entries = vec![1, usize::MAX >> 8];
     match bench_sort(gpu, &options, folder.path(), &mut |_| ()) {
         Err(Error::Limit { what, .. }) => assert!(what.contains("bench.shuffled"), "{what}"),
         other => panic!("{other:?}"),
     }
+    // What was measured before stays.
+    let csv = fs::read_to_string(folder.path().join("sort.csv")).unwrap();
+    assert_eq!(csv.lines().count(), 2, "{csv}");
 }

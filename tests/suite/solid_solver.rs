@@ -153,7 +153,7 @@ impl<'a> Device<'a> {
         let to = self.prepare();
         let solve = self
             .solver
-            .solve(gpu, to, &self.buffers, fields, &self.polynomial, true);
+            .solve(gpu, to, &self.buffers, fields, &self.polynomial);
         let (outcome, _) = solve.unwrap();
         let velocity = self.fields.velocity.download(gpu).unwrap();
         (outcome, three(&velocity))

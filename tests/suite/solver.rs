@@ -212,7 +212,7 @@ impl<'a> Device<'a> {
     pub(crate) fn solve(&self) -> Solved {
         let (outcome, _) = self
             .pressure()
-            .solve(self.gpu, self.prepare(), &self.buffers, true)
+            .solve(self.gpu, self.prepare(), &self.buffers)
             .unwrap();
         let mut recorder = Recorder::new(self.gpu);
         recorder.stage(Components::NAME, |pass| {

@@ -5,7 +5,9 @@ use std::time::Instant;
 use serde::Serialize;
 
 use crate::Error;
-use crate::linalg::{Csr, Incomplete, SymbolicCholesky, conjugate_gradient, norm};
+use crate::linalg::{
+    CgEnd, CgReport, Csr, Incomplete, SymbolicCholesky, conjugate_gradient, norm,
+};
 
 use super::super::statistics::Spread;
 use super::Row;
@@ -35,7 +37,7 @@ impl Rival {
 }
 
 /// A row of solve_against.csv. The system is that of the row of solve.csv; of the two-field and condensed ones, the positive definite one of
-/// the thesis, (5.25). What was left out for its size is empty.
+/// the thesis, (5.25). What was left out for its size, or did not converge, is empty.
 #[derive(Clone, Debug, Serialize)]
 pub struct Against {
     /// As in [`Row`].
@@ -80,13 +82,13 @@ pub struct Against {
     pub seconds_max: Option<f64>,
     /// True relative residual of the rival's own system.
     pub residual: Option<f64>,
-    /// Seconds over those on the device in the same turn, median of the turns.
+    /// Seconds over those on the device in the same turn, median of the turns; empty where the device did not converge.
     pub ratio_median: Option<f64>,
     /// Least.
     pub ratio_min: Option<f64>,
     /// Largest.
     pub ratio_max: Option<f64>,
-    /// Why it had no turns; else empty.
+    /// Why there is no ratio; else empty.
     pub note: String,
 }
 
@@ -149,6 +151,10 @@ impl<'a> Contest<'a> {
                 let most = 10 * self.matrix.n_rows();
                 let (b, tolerance) = (self.rhs, self.tolerance);
                 let report = conjugate_gradient(self.matrix, &factor, b, &mut x, tolerance, most);
+                self.left_out = unsolved(report);
+                if self.left_out.is_some() {
+                    return Ok(());
+                }
                 self.iterations = Some(report.iterations);
             }
             Rival::Cholesky => {
@@ -169,7 +175,12 @@ impl<'a> Contest<'a> {
     /// Beside the row of the device.
     pub(super) fn row(self, device: &Row) -> Against {
         let seconds = spread(&self.turns, |[_, rival]| rival);
-        let ratio = spread(&self.turns, ratio);
+        let ratio = spread(&self.turns, ratio).filter(|_| device.converged());
+        let note = match self.left_out {
+            Some(note) => note,
+            None if device.converged() => String::new(),
+            None => format!("no ratio: on the device {}", device.status),
+        };
         Against {
             scene: device.scene,
             grid: device.grid,
@@ -195,8 +206,17 @@ impl<'a> Contest<'a> {
             ratio_median: ratio.map(|ratio| ratio.median),
             ratio_min: ratio.map(|ratio| ratio.min),
             ratio_max: ratio.map(|ratio| ratio.max),
-            note: self.left_out.unwrap_or_default(),
+            note,
         }
+    }
+}
+
+/// Why conjugate gradients have no solution, where they have none.
+fn unsolved(CgReport { iterations, end }: CgReport) -> Option<String> {
+    match end {
+        CgEnd::Converged => None,
+        CgEnd::IterationLimit => Some(format!("not converged in {iterations} iterations")),
+        CgEnd::Breakdown => Some(format!("broke down after {iterations} iterations")),
     }
 }
 
@@ -212,7 +232,8 @@ fn ratio([device, rival]: [f64; 2]) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::{Spread, ratio, spread};
+    use super::super::tests::row;
+    use super::{CgEnd, CgReport, Contest, Csr, Rival, Spread, ratio, spread, unsolved};
 
     #[test]
     fn ratios_are_of_the_same_turn() {
@@ -227,5 +248,55 @@ mod tests {
         let one = spread(&[[4.0, 1.0]], ratio);
         assert_eq!(one, Some(Spread::exact(0.25)));
         assert_eq!(spread(&[], ratio), None);
+    }
+
+    #[test]
+    fn what_did_not_converge_has_a_note_and_no_ratio() {
+        let end = |end| {
+            unsolved(CgReport {
+                iterations: 70,
+                end,
+            })
+        };
+        assert_eq!(end(CgEnd::Converged), None);
+        let [limit, broken] = [CgEnd::IterationLimit, CgEnd::Breakdown].map(end);
+        assert_eq!(limit.as_deref(), Some("not converged in 70 iterations"));
+        assert_eq!(broken.as_deref(), Some("broke down after 70 iterations"));
+
+        let matrix = Csr::diagonal_of(&[1.0]);
+        let against = |status, left_out: Option<String>| {
+            let turns = match left_out {
+                None => vec![[2.0, 1.0]],
+                Some(_) => Vec::new(),
+            };
+            let contest = Contest {
+                rival: Rival::IncompleteCholesky,
+                matrix: &matrix,
+                rhs: &[1.0],
+                tolerance: 1e-8,
+                factor_bytes: 8.0,
+                left_out,
+                turns,
+                iterations: None,
+                residual: 0.0,
+            };
+            contest.row(&row(20, status))
+        };
+        let fair = against("converged", None);
+        assert_eq!((fair.ratio_median, fair.note.as_str()), (Some(0.5), ""));
+        for status in ["stagnated", "converged_to_rounding"] {
+            let unfair = against(status, None);
+            assert_eq!(
+                (unfair.seconds_median, unfair.ratio_median),
+                (Some(1.0), None)
+            );
+            assert!(unfair.note.ends_with(status), "{}", unfair.note);
+        }
+        let left_out = against("converged", limit);
+        assert_eq!(
+            (left_out.seconds_median, left_out.ratio_median),
+            (None, None)
+        );
+        assert_eq!(left_out.note, "not converged in 70 iterations");
     }
 }

@@ -5,7 +5,7 @@ use serde::Serialize;
 use super::super::statistics::exponent;
 use super::{Against, Row};
 
-/// A row of solve_growth.csv: seconds ~ size^exponent through the rows of one solver.
+/// A row of solve_growth.csv: seconds ~ size^exponent through the rows of one solver that converged.
 #[derive(Clone, Debug, Serialize)]
 pub struct Growth {
     /// As in [`Row`].
@@ -44,7 +44,8 @@ struct Sample {
 
 /// Of all series with two sizes or more.
 pub(super) fn growth(rows: &[Row], against: &[Against]) -> Vec<Growth> {
-    let of_device = rows.iter().map(|row| Sample {
+    let converged = rows.iter().filter(|row| row.converged());
+    let of_device = converged.map(|row| Sample {
         series: [row.formulation, row.preconditioner, row.precision],
         grid: row.grid,
         cells: row.active_cells,
@@ -124,4 +125,31 @@ fn fit(members: &[&Sample], along: &'static str, fixed: Option<usize>) -> Option
         exponent: seconds,
         iterations: points(&|sample| sample.iterations).and_then(exponent),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::row;
+    use super::growth;
+
+    #[test]
+    fn what_did_not_converge_is_in_no_exponent() {
+        let mut rows = vec![row(20, "converged"), row(40, "converged")];
+        let fitted = growth(&rows, &[]);
+        let [found] = &fitted[..] else {
+            panic!("{fitted:?}")
+        };
+        assert_eq!((found.rows, found.from, found.to), (2, 8000, 64000));
+        // Seconds grow with the cells.
+        assert!((found.exponent - 1.0).abs() < 1e-12, "{found:?}");
+        for status in ["iteration_limit", "converged_to_rounding"] {
+            rows.push(row(60, status));
+        }
+        rows[2].seconds_median = 1e6;
+        let again = growth(&rows, &[]);
+        assert_eq!(again.len(), 1, "{again:?}");
+        assert_eq!((again[0].rows, again[0].exponent), (2, found.exponent));
+        // One size is no growth.
+        assert!(growth(&rows[1..], &[]).is_empty());
+    }
 }

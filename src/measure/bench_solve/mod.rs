@@ -1,15 +1,18 @@
 //! `bench solve`: the solve against the grid, of the pressure on the pressure-only base block, and of liquid and solids on the base scene.
 //!
-//! A run is timed from the recording of the set-up of hierarchy and, with solids, of their elements to the verdict on the host. The first run of each row, which
-//! compiles, is not counted. Solvers on the CPU take turns with the device. Bytes follow the model of `bytes_per_solve`: every array that a pass needs, once.
+//! A run is timed from the recording of the set-up of hierarchy and, with solids, of their elements to the verdict on the host, in f64 as in every
+//! sub-step. The first run of each row, which compiles, is not counted. Solvers on the CPU take turns with the device.
 
 mod against;
+mod bytes;
 mod capacity;
+mod ended;
 mod growth;
 mod picture;
 
 use std::collections::BTreeSet;
 use std::fs;
+use std::io::ErrorKind;
 use std::path::Path;
 use std::time::Instant;
 
@@ -19,7 +22,7 @@ use crate::Error;
 use crate::gpu::{Buffer, Gpu, Real, Recorder};
 use crate::grid::Axis;
 use crate::linalg::{self, Csr};
-use crate::output::write_atomically;
+use crate::output::{FolderLock, write_atomically};
 use crate::reference::base_block::{BaseBlock, THETA_FLOOR};
 use crate::reference::base_scene::{BaseBeam, BaseScene};
 use crate::reference::{CoupledSystem, SIGMA};
@@ -27,6 +30,7 @@ use crate::scene::{self, Precision, Preconditioner, Solver};
 use crate::solver::{
     CoupledOutcome, Everywhere, Outcome, PressureSolver, PressureSystem, SolverBuffers,
 };
+use crate::state::SolveStatus;
 
 use super::base_scene::DeviceScene;
 use super::solid_bytes::SolidBytes;
@@ -35,8 +39,10 @@ use super::table::{Machine, write_csv, write_json, write_svg};
 
 use against::Contest;
 pub use against::{Against, GIB, Rival};
+pub(super) use bytes::{Corrections, SolveBytes};
 use capacity::Capacity;
 pub use capacity::{LARGEST_GRID, largest_grid};
+pub(super) use ended::Ended;
 pub use growth::Growth;
 
 /// What is solved for.
@@ -94,15 +100,16 @@ pub struct Row {
     pub solid_nodes: u32,
     /// Bricks across the beam; empty for that which the thesis has on a grid of this size, and without one.
     pub bricks: Option<usize>,
-    /// `pressure` or `two-field`.
+    /// `pressure`, `two-field` or `condensed`.
     pub formulation: &'static str,
-    /// `multigrid` or `jacobi`.
+    /// `multigrid`, `jacobi` or `block_jacobi`.
     pub preconditioner: &'static str,
     /// `f32`, `mixed` or `f64`.
     pub precision: &'static str,
     /// Relative, of the true residual.
     pub tolerance: f64,
-    /// `converged`, or how else the solve ended.
+    /// `converged`, or how else the solve ended: `converged_to_rounding` where it passed with a residual above the tolerance, but
+    /// below what rounding makes of it.
     pub status: &'static str,
     /// PCG iterations summed over rounds.
     pub iterations: u32,
@@ -149,41 +156,6 @@ struct Size {
     bricks: Option<usize>,
 }
 
-/// Bytes per unknown that the iterations of a solve must move, each pass touching each of its arrays once: w bytes a scalar of
-/// the corrections, 8 of the outer loop (4 with `f32`), 5 sections of the matrix for the share of quads that are not uniform.
-///
-/// An iteration on the finest level: apply (s, r, q), update (x and r twice, s, q, z), two smoothing sweeps and the one after
-/// the prolongation (x, r, x_out each), restriction (x, r), prolongation (x twice), direction (z, s twice); list entries, a byte per
-/// cell and pass. The coarser levels add a seventh of what the V-cycle moves.
-pub(super) fn bytes_per_iterations(
-    not_uniform: f64,
-    iterations: f64,
-    rounds: f64,
-    [inner, outer]: [f64; 2],
-) -> f64 {
-    let matrix = 5.0 * inner * not_uniform;
-    let cycle =
-        3.0 * (3.0 * inner + matrix + 1.0) + (2.0 * inner + matrix + 1.0) + (2.0 * inner + 1.0);
-    let rest = (3.0 * inner + matrix + 1.0)
-        + (7.0 * inner + not_uniform * inner + 1.0)
-        + (3.0 * inner + 1.0);
-    let iteration = cycle * 8.0 / 7.0 + rest;
-    let turn = (3.0 * outer + matrix + 1.0) + (2.0 * outer + inner + 1.0) + (outer + 5.0 * inner);
-    iterations * iteration + (rounds + 1.0) * turn
-}
-
-/// Bytes that a solve must move, the set-up of the hierarchy included: distance and open fractions in, the matrix out.
-fn bytes_per_solve(
-    unknowns: f64,
-    not_uniform: f64,
-    iterations: f64,
-    rounds: f64,
-    widths: [f64; 2],
-) -> f64 {
-    let set_up = 4.0 * 4.0 + 5.0 * widths[0] * 8.0 / 7.0;
-    unknowns * (bytes_per_iterations(not_uniform, iterations, rounds, widths) + set_up)
-}
-
 /// How a precision is spelled in the tables.
 pub(super) fn name(precision: Precision) -> &'static str {
     match precision {
@@ -193,11 +165,27 @@ pub(super) fn name(precision: Precision) -> &'static str {
     }
 }
 
-/// Measures all rows and writes solve.csv, solve_growth.csv, solve.json, solve.svg and, with rivals, solve_against.csv into `out`, anew after each;
-/// `tell` hears of each row.
+/// Removes the tables that an earlier bench has left in a folder and this one may not write: they would pass for its own.
+pub(super) fn remove_earlier(out: &Path, tables: &[&str]) -> Result<(), Error> {
+    for table in tables {
+        let path = out.join(table);
+        match fs::remove_file(&path) {
+            Err(problem) if problem.kind() != ErrorKind::NotFound => {
+                return Err(Error::unwritten(&path, &problem));
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+/// Measures all rows and writes solve.csv, solve.json, solve.svg, solve_growth.csv where a solver has two sizes or more and, with rivals,
+/// solve_against.csv into `out`, anew after each; `tell` hears of each row.
 ///
 /// # Errors
-/// Before any work [`Error::Limit`] and [`Error::Memory`] where there is no room for a grid; [`Error::Output`], and what the device says.
+/// Before any work [`Error::Limit`] and [`Error::Memory`] where there is no room for a grid, [`Error::Output`] where the folder cannot be
+/// written and [`Error::Input`] where another process writes into it; then [`Error::Check`] where a solve does not repeat, and what the device
+/// says.
 pub fn bench_solve(
     gpu: &Gpu,
     options: &Options,
@@ -208,7 +196,8 @@ pub fn bench_solve(
     for &grid in &options.grids {
         capacity.check(grid, &options.solvers)?;
     }
-    fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
+    let _held = FolderLock::take(out)?;
+    remove_earlier(out, &["solve_growth.csv", "solve_against.csv"])?;
     let mut table = Table {
         machine: Machine::new(gpu, options.repeats)?,
         rows: Vec::new(),
@@ -219,7 +208,7 @@ pub fn bench_solve(
         tell(&row, &against);
         table.rows.push(row);
         table.against.extend(against);
-        table.write(out, !options.against.is_empty())
+        table.write(out)
     };
     for &grid in &options.grids {
         let block = BaseBlock::new(grid);
@@ -266,13 +255,22 @@ pub fn bench_solve(
     Ok(table)
 }
 
+impl Row {
+    /// Whether the residuals are within the tolerance. Others are no part of ratios and exponents.
+    fn converged(&self) -> bool {
+        self.status == SolveStatus::Converged.name()
+    }
+}
+
 impl Table {
     /// Makes again what follows from the rows, and writes what there is.
-    fn write(&mut self, out: &Path, against: bool) -> Result<(), Error> {
+    fn write(&mut self, out: &Path) -> Result<(), Error> {
         self.growth = growth::growth(&self.rows, &self.against);
         write_csv(&self.rows, &out.join("solve.csv"))?;
-        write_csv(&self.growth, &out.join("solve_growth.csv"))?;
-        if against {
+        if !self.growth.is_empty() {
+            write_csv(&self.growth, &out.join("solve_growth.csv"))?;
+        }
+        if !self.against.is_empty() {
             write_csv(&self.against, &out.join("solve_against.csv"))?;
         }
         write_json(self, &out.join("solve.json"))?;
@@ -305,22 +303,20 @@ impl Positive {
     }
 }
 
-/// Runs of the device and of rivals by turns; what the device came to, and its seconds.
+/// Runs of the device and of rivals by turns; what the device came to, and its seconds. `ended`: what of that repeats. `what`: is solved.
 fn by_turns<Outcome>(
     repeats: usize,
     mut device: impl FnMut() -> Result<(f64, Outcome), Error>,
     rivals: &mut [Contest],
-    mut same: impl FnMut(&Outcome, &Outcome) -> bool,
+    ended: fn(&Outcome) -> Ended,
+    what: &str,
 ) -> Result<(Spread, Outcome), Error> {
     // The first compiles.
     let (_, outcome) = device()?;
     let mut seconds = Vec::new();
     for _ in 0..repeats.max(1) {
         let (elapsed, again) = device()?;
-        assert!(
-            same(&again, &outcome),
-            "the same solve on the same device repeats"
-        );
+        ended(&outcome).ensure_repeated(ended(&again), what)?;
         seconds.push(elapsed);
         for rival in &mut *rivals {
             rival.turn(elapsed)?;
@@ -413,6 +409,19 @@ fn base_scene(size: Size) -> Result<BaseScene, Error> {
     BaseScene::new(size.grid, &beam)
 }
 
+/// What is solved, for messages.
+fn title(formulation: Formulation, Size { grid, bricks }: Size, solver: &Solver) -> String {
+    let beam = bricks.map_or(String::new(), |across| {
+        format!(" with a beam {across} bricks across")
+    });
+    format!(
+        "{} of grid {grid}{beam}, {} in {}",
+        formulation.name(),
+        preconditioner_name(solver.preconditioner),
+        name(solver.precision)
+    )
+}
+
 fn measure(
     gpu: &Gpu,
     block: &BaseBlock,
@@ -452,40 +461,42 @@ fn measure(
     let cells = system_of_block.stencil.active_cells().into_iter();
     let rhs: Vec<f64> = cells.map(|cell| system_of_block.rhs[cell]).collect();
     let matrix = system_of_block.to_csr();
-    let mut verify = true;
     let solve = || -> Result<(f64, Outcome), Error> {
         gpu.wait("bench")?;
         let clock = Instant::now();
         let mut recorder = Recorder::new(gpu);
         recorder.stage("active_cells", |pass| system.record(pass, &buffers, within));
-        let (outcome, _) = pressure.solve(gpu, recorder, &buffers, verify)?;
-        verify = false;
+        let (outcome, _) = pressure.solve(gpu, recorder, &buffers)?;
         Ok((clock.elapsed().as_secs_f64(), outcome))
     };
     let mut rivals = contests(options, solver, (&matrix, &rhs))?;
-    let same = |a: &Outcome, b: &Outcome| a.iterations == b.iterations;
-    let (seconds, outcome) = by_turns(options.repeats, solve, &mut rivals, same)?;
-    let not_uniform = not_uniform(gpu, &buffers)?;
-    let widths = widths(&buffers);
+    let size = Size {
+        grid: grid.cells[0],
+        bricks: None,
+    };
+    let what = title(Formulation::Pressure, size, solver);
+    let (seconds, outcome) = by_turns(options.repeats, solve, &mut rivals, Ended::alone, &what)?;
     let (unknowns, iterations) = (f64::from(outcome.unknowns), f64::from(outcome.iterations));
-    let bytes = bytes_per_solve(
+    let model = SolveBytes {
         unknowns,
-        not_uniform,
+        not_uniform: not_uniform(gpu, &buffers)?,
         iterations,
-        f64::from(outcome.rounds),
-        widths,
-    );
+        rounds: f64::from(outcome.rounds),
+        widths: widths(&buffers),
+        preconditioner: solver.preconditioner,
+    };
+    let bytes = model.of_set_up() + model.of_pressure();
     let row = Row {
         scene: "base_block",
-        grid: grid.cells[0],
+        grid: size.grid,
         active_cells: outcome.unknowns,
         solid_nodes: 0,
-        bricks: None,
+        bricks: size.bricks,
         formulation: Formulation::Pressure.name(),
         preconditioner: preconditioner_name(solver.preconditioner),
         precision: name(solver.precision),
         tolerance: solver.tolerance,
-        status: outcome.status.name(),
+        status: Ended::alone(&outcome).name(solver.tolerance),
         iterations: outcome.iterations,
         rounds: outcome.rounds,
         seconds_median: seconds.median,
@@ -529,24 +540,33 @@ fn measure_coupled(
         Some(positive) => contests(options, solver, (&positive.matrix, &positive.rhs))?,
         None => Vec::new(),
     };
-    let (seconds, outcome) = by_turns(options.repeats, solve, &mut rivals, PartialEq::eq)?;
+    let what = title(formulation, size, solver);
+    let (seconds, outcome) = by_turns(options.repeats, solve, &mut rivals, Ended::together, &what)?;
     let n_cells = system.pressure.n_unknowns() as f64;
     let iterations = f64::from(outcome.iterations);
-    let widths = widths(&device.liquid);
-    let [inner, outer] = widths.map(|bytes| bytes as usize);
-    let not_uniform = not_uniform(gpu, &device.liquid)?;
-    let rounds = f64::from(outcome.rounds);
-    // Two polynomials an iteration, or W in f32; what else there is of the solids is little beside that.
-    let of_solids = if outcome.condensed {
-        let pairs = system.coupling.pairs().iter();
-        let wet: BTreeSet<usize> = pairs.map(|pair| pair.node).collect();
-        4.0 * (3.0 * wet.len() as f64).powi(2)
-    } else {
-        let solids = SolidBytes::new(&scene.solids, [outer, inner]);
-        2.0 * f64::from(device.polynomial.degree) * solids.of_step()
+    let model = SolveBytes {
+        unknowns: n_cells,
+        not_uniform: not_uniform(gpu, &device.liquid)?,
+        iterations,
+        rounds: f64::from(outcome.rounds),
+        widths: widths(&device.liquid),
+        preconditioner: solver.preconditioner,
     };
-    let bytes =
-        bytes_per_solve(n_cells, not_uniform, iterations, rounds, widths) + iterations * of_solids;
+    let corrections = match outcome.condensed {
+        true => {
+            let pairs = system.coupling.pairs().iter();
+            let wet: BTreeSet<usize> = pairs.map(|pair| pair.node).collect();
+            Corrections::Condensed {
+                wet_nodes: wet.len(),
+            }
+        }
+        false => Corrections::TwoField {
+            degree: device.polynomial.degree as usize,
+        },
+    };
+    let [inner, outer] = model.widths.map(|bytes| bytes as usize);
+    let solids = SolidBytes::new(&scene.solids, [outer, inner]);
+    let bytes = model.of_set_up() + model.of_both(&solids, corrections);
     let row = Row {
         scene: "base_scene",
         grid: size.grid,
@@ -557,7 +577,7 @@ fn measure_coupled(
         preconditioner: preconditioner_name(solver.preconditioner),
         precision: name(solver.precision),
         tolerance: solver.tolerance,
-        status: outcome.status.name(),
+        status: Ended::together(&outcome).name(solver.tolerance),
         iterations: outcome.iterations,
         rounds: outcome.rounds,
         seconds_median: seconds.median,
@@ -596,4 +616,38 @@ fn not_uniform(gpu: &Gpu, buffers: &SolverBuffers) -> Result<f64, Error> {
     let quads = flags.clone().filter(|&&flag| flag != 0).count() as f64;
     let uniform = flags.filter(|&&flag| flag >> 31 == 1).count() as f64;
     Ok(1.0 - uniform / quads.max(1.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Row;
+
+    /// A row of the pressure on a grid of which all cells are active, that takes a nanosecond a cell.
+    pub(super) fn row(grid: usize, status: &'static str) -> Row {
+        let active_cells = grid.pow(3) as u32;
+        let seconds = 1e-9 * f64::from(active_cells);
+        Row {
+            scene: "base_block",
+            grid,
+            active_cells,
+            solid_nodes: 0,
+            bricks: None,
+            formulation: "pressure",
+            preconditioner: "multigrid",
+            precision: "mixed",
+            tolerance: 1e-8,
+            status,
+            iterations: 12,
+            rounds: 2,
+            seconds_median: seconds,
+            seconds_min: seconds,
+            seconds_max: seconds,
+            residual_p: 1e-9,
+            residual_v: 0.0,
+            cells_per_second: 1e9,
+            cell_iterations_per_second: 12e9,
+            bytes: 1.0,
+            share_of_copy_bandwidth: 1.0,
+        }
+    }
 }

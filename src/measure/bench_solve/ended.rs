@@ -1,0 +1,134 @@
+//! How solves end: what of it repeats, and what tables call it.
+
+use std::fmt;
+
+use crate::Error;
+use crate::solver::{CoupledOutcome, Outcome};
+use crate::state::SolveStatus;
+
+/// How a solve ended. The same solve on the same device repeats it to the bit.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::measure) struct Ended {
+    status: SolveStatus,
+    iterations: u32,
+    /// True relative residuals; the second is 0 where one system is solved.
+    residuals: [f64; 2],
+}
+
+impl Ended {
+    /// Of one system.
+    pub(in crate::measure) fn alone(outcome: &Outcome) -> Ended {
+        Ended {
+            status: outcome.status,
+            iterations: outcome.iterations,
+            residuals: [outcome.residual, 0.0],
+        }
+    }
+
+    /// Of liquid and solids.
+    pub(super) fn together(outcome: &CoupledOutcome) -> Ended {
+        Ended {
+            status: outcome.status,
+            iterations: outcome.iterations,
+            residuals: outcome.residuals,
+        }
+    }
+
+    /// Refuses a repeat that ended otherwise. `what`: was solved.
+    ///
+    /// # Errors
+    /// [`Error::Check`].
+    pub(in crate::measure) fn ensure_repeated(self, again: Ended, what: &str) -> Result<(), Error> {
+        let pairs = self.residuals.into_iter().zip(again.residuals);
+        let mut same = pairs.map(|(a, b)| a.to_bits() == b.to_bits() || (a.is_nan() && b.is_nan()));
+        if same.all(|same| same)
+            && (self.status, self.iterations) == (again.status, again.iterations)
+        {
+            return Ok(());
+        }
+        Err(Error::Check(format!(
+            "{what}: the same solve ended {self}, then {again}\n  cure: use another adapter (--adapter) or driver: this one does not repeat"
+        )))
+    }
+
+    /// The word for tables. A solve passes, too, whose residual is above the tolerance and below what rounding makes of it: that it is not
+    /// within the tolerance is said.
+    pub(in crate::measure) fn name(self, tolerance: f64) -> &'static str {
+        match self.status {
+            SolveStatus::Converged if self.residuals.iter().any(|&r| r > tolerance) => {
+                "converged_to_rounding"
+            }
+            status => status.name(),
+        }
+    }
+}
+
+impl fmt::Display for Ended {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [first, second] = self.residuals;
+        let (status, iterations) = (self.status.name(), self.iterations);
+        write!(
+            f,
+            "{status} after {iterations} iterations with residuals {first:e} and {second:e}"
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Ended;
+    use crate::state::SolveStatus;
+
+    const CONVERGED: Ended = Ended {
+        status: SolveStatus::Converged,
+        iterations: 12,
+        residuals: [1e-9, 2e-9],
+    };
+
+    #[test]
+    fn what_is_not_a_number_repeats_and_what_differs_is_refused() {
+        let broken = Ended {
+            status: SolveStatus::NonFinite,
+            residuals: [f64::NAN; 2],
+            ..CONVERGED
+        };
+        for ended in [CONVERGED, broken] {
+            ended.ensure_repeated(ended, "a solve").unwrap();
+        }
+        let others = [
+            broken,
+            Ended {
+                status: SolveStatus::Stagnated,
+                ..CONVERGED
+            },
+            Ended {
+                iterations: 13,
+                ..CONVERGED
+            },
+            Ended {
+                residuals: [1e-9, 2e-9_f64.next_up()],
+                ..CONVERGED
+            },
+        ];
+        for other in others {
+            let refused = CONVERGED.ensure_repeated(other, "a solve").unwrap_err();
+            assert_eq!(refused.exit_code(), 1);
+            let told = refused.to_string();
+            assert!(
+                told.contains("a solve: ") && told.contains(&other.to_string()),
+                "{told}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_residual_above_the_tolerance_is_no_convergence_to_it() {
+        assert_eq!(CONVERGED.name(2e-9), "converged");
+        assert_eq!(CONVERGED.name(1.5e-9), "converged_to_rounding");
+        let stagnated = Ended {
+            status: SolveStatus::Stagnated,
+            ..CONVERGED
+        };
+        assert_eq!(stagnated.name(1.5e-9), "stagnated");
+    }
+}
