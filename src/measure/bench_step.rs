@@ -21,10 +21,10 @@ use crate::sim::{Backend, GpuPath, Simulation};
 use crate::stages::{Clip, extrapolation_layers};
 use crate::state::{LiquidReport, SolidReport, StepReport};
 
-use super::bench_solve::{Corrections, SolveBytes, remove_earlier};
+use super::bench_solve::{Corrections, SolveBytes};
 use super::solid_bytes::SolidBytes;
 use super::statistics::{Spread, exponent};
-use super::table::{Machine, write_csv, write_json, write_svg};
+use super::table::{Machine, remove_earlier, write_csv, write_json, write_svg};
 
 /// What to measure.
 #[derive(Clone, Debug)]

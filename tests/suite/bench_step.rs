@@ -130,9 +130,7 @@ fn a_solve_for_both_counts_its_own_bytes_and_is_written_before_another_scene_fai
     let mut told = Vec::new();
     let error = bench_step(&options, &out, &mut |row| told.push(row.clone())).unwrap_err();
     assert!(matches!(error, Error::Limit { .. }), "{error}");
-    let [row] = &told[..] else {
-        panic!("{told:?}")
-    };
+    let [row] = &told[..] else { panic!("{told:?}") };
     assert_eq!((row.nodes, row.elements), (45, 6 * 16));
     // An iteration has a V-cycle and an inverse among the wet nodes in f32. A polynomial of degree 64, as a solve for solids by themselves has
     // here, would move 1 MB and more.

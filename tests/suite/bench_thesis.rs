@@ -494,7 +494,7 @@ fn systems_of_the_dam_break_are_measured() {
     let [first, _] = &longer.parts[..] else {
         panic!("{:?}", longer.parts)
     };
-    assert_eq!(table.parts, [first.clone()]);
+    assert_eq!(table.parts, std::slice::from_ref(first));
     let states = |table: &str| {
         let of_table = longer.means.iter().filter(|mean| mean.table == table);
         of_table.map(|mean| mean.states).collect::<Vec<usize>>()

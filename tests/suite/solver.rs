@@ -875,9 +875,7 @@ fn a_breakdown_is_told() {
             values[..turned].iter_mut().for_each(|value| *value *= -1.0);
             matrix.upload(gpu, &values);
             let recorder = Recorder::new(gpu);
-            let solve = device
-                .pressure()
-                .solve(gpu, recorder, &device.buffers, true);
+            let solve = device.pressure().solve(gpu, recorder, &device.buffers);
             let (outcome, _) = solve.unwrap();
             assert_eq!(
                 (outcome.status, outcome.iterations, outcome.rounds),

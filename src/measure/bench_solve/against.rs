@@ -5,9 +5,7 @@ use std::time::Instant;
 use serde::Serialize;
 
 use crate::Error;
-use crate::linalg::{
-    CgEnd, CgReport, Csr, Incomplete, SymbolicCholesky, conjugate_gradient, norm,
-};
+use crate::linalg::{CgEnd, CgReport, Csr, Incomplete, SymbolicCholesky, conjugate_gradient, norm};
 
 use super::super::statistics::Spread;
 use super::Row;

@@ -74,11 +74,7 @@ impl SolveBytes {
 
     /// A solve for the pressure and the velocities of solids, both systems given. The outer loop counts as that of the solids by
     /// themselves; what it has beside is little, as are the pairs of cells and nodes.
-    pub(in crate::measure) fn of_both(
-        &self,
-        solids: &SolidBytes,
-        corrections: Corrections,
-    ) -> f64 {
+    pub(in crate::measure) fn of_both(&self, solids: &SolidBytes, corrections: Corrections) -> f64 {
         let iteration = match corrections {
             Corrections::TwoField { degree } => {
                 solids.of_two_field(self.preconditioner, degree as f64)

@@ -11,8 +11,6 @@ mod growth;
 mod picture;
 
 use std::collections::BTreeSet;
-use std::fs;
-use std::io::ErrorKind;
 use std::path::Path;
 use std::time::Instant;
 
@@ -35,7 +33,7 @@ use crate::state::SolveStatus;
 use super::base_scene::DeviceScene;
 use super::solid_bytes::SolidBytes;
 use super::statistics::Spread;
-use super::table::{Machine, write_csv, write_json, write_svg};
+use super::table::{Machine, remove_earlier, write_csv, write_json, write_svg};
 
 use against::Contest;
 pub use against::{Against, GIB, Rival};
@@ -163,20 +161,6 @@ pub(super) fn name(precision: Precision) -> &'static str {
         Precision::Mixed => "mixed",
         Precision::F64 => "f64",
     }
-}
-
-/// Removes the tables that an earlier bench has left in a folder and this one may not write: they would pass for its own.
-pub(super) fn remove_earlier(out: &Path, tables: &[&str]) -> Result<(), Error> {
-    for table in tables {
-        let path = out.join(table);
-        match fs::remove_file(&path) {
-            Err(problem) if problem.kind() != ErrorKind::NotFound => {
-                return Err(Error::unwritten(&path, &problem));
-            }
-            _ => {}
-        }
-    }
-    Ok(())
 }
 
 /// Measures all rows and writes solve.csv, solve.json, solve.svg, solve_growth.csv where a solver has two sizes or more and, with rivals,
