@@ -24,6 +24,7 @@ use crate::scene::{ElasticModel, Liquid, PatchPressure, Scene, Solid, Surface};
 use crate::sim::{Backend, GpuPath, Simulation};
 use crate::state::State;
 
+use super::chart::ink;
 use super::output_cost::{self, OutputRow, Scratch};
 use super::statistics::Spread;
 use super::table::{Machine, Table, write_csv, write_json, write_svg};
@@ -517,10 +518,7 @@ fn draw(rows: &[Row], page: SVGBackend) -> Result<(), Box<dyn std::error::Error>
         .draw()?;
     for (at, (_, [low, median, high])) in measured.iter().enumerate() {
         let (bottom, top) = (SegmentValue::Exact(at), SegmentValue::Exact(at + 1));
-        let bar = Rectangle::new(
-            [(*low, bottom), (*high, top)],
-            Palette99::pick(at).mix(0.6).filled(),
-        );
+        let bar = Rectangle::new([(*low, bottom), (*high, top)], ink(at).mix(0.6).filled());
         chart.draw_series([bar])?;
         let line = [
             (*median, SegmentValue::Exact(at)),

@@ -33,6 +33,7 @@ use crate::stages::{ElementRotations, MoveSolid, NodeForces, SolidBuffers, Solid
 use crate::state::State;
 
 use super::bench_solve::{Ended, name};
+use super::chart::ink;
 use super::solid_bytes::SolidBytes;
 use super::statistics::Spread;
 use super::table::{Machine, write_csv, write_json, write_svg};
@@ -507,7 +508,7 @@ fn draw(table: &Table, page: SVGBackend) -> Result<(), Box<dyn std::error::Error
             ("sparse Cholesky", factorised.collect()),
         ];
         for (number, (what, points)) in series.into_iter().enumerate() {
-            let colour = Palette99::pick(2 * index + number).to_rgba();
+            let colour = ink(2 * index + number);
             chart
                 .draw_series(LineSeries::new(points, colour.stroke_width(2)).point_size(3))?
                 .label(format!("{body}, {what}"))
@@ -515,7 +516,7 @@ fn draw(table: &Table, page: SVGBackend) -> Result<(), Box<dyn std::error::Error
         }
         for row in rows {
             let spread = [(nodes(row), row.seconds_min), (nodes(row), row.seconds_max)];
-            let colour = Palette99::pick(2 * index).to_rgba();
+            let colour = ink(2 * index);
             chart.draw_series([PathElement::new(spread, colour)])?;
         }
     }

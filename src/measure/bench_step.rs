@@ -22,6 +22,7 @@ use crate::stages::{Clip, extrapolation_layers};
 use crate::state::{LiquidReport, SolidReport, StepReport};
 
 use super::bench_solve::{Corrections, SolveBytes};
+use super::chart::ink;
 use super::solid_bytes::SolidBytes;
 use super::statistics::{Spread, exponent};
 use super::table::{Machine, remove_earlier, write_csv, write_json, write_svg};
@@ -636,7 +637,7 @@ fn draw(table: &Table, page: SVGBackend) -> Result<(), Box<dyn std::error::Error
         }
     }
     for (index, stage) in names.into_iter().enumerate() {
-        let colour = Palette99::pick(index).to_rgba();
+        let colour = ink(index);
         let bars = table.rows.iter().enumerate().filter_map(|(number, row)| {
             let stages = of_row(row);
             let at = stages.iter().position(|other| other.stage == stage)?;

@@ -25,6 +25,12 @@ impl Point {
     }
 }
 
+/// Colour of a line, which can be read on white: twelve, then these again.
+pub(super) fn ink(index: usize) -> RGBAColor {
+    const READABLE: [usize; 12] = [0, 1, 12, 3, 4, 5, 10, 7, 16, 14, 18, 19];
+    Palette99::pick(READABLE[index % READABLE.len()]).to_rgba()
+}
+
 /// Points under one name in the key.
 #[derive(Clone, Debug)]
 pub(super) struct Series {
@@ -88,7 +94,7 @@ pub(super) fn chart(
         .y_label_formatter(&|y| format!("{y:.0e}"))
         .draw()?;
     for (index, Series { label, points }) in series.iter().enumerate() {
-        let colour = Palette99::pick(index).to_rgba();
+        let colour = ink(index);
         let line = points.iter().map(|point| (point.x.median, point.y.median));
         chart
             .draw_series(LineSeries::new(line, colour.stroke_width(2)).point_size(3))?

@@ -8,7 +8,7 @@ use plotters::prelude::*;
 
 use crate::Error;
 
-use super::chart::{Area, Failure};
+use super::chart::{Area, Failure, ink};
 use super::table::write_svg;
 
 /// Pixels of a chart.
@@ -303,7 +303,7 @@ fn draw(area: &Area, chart: &Chart, runs: &[Run]) -> Result<(), Failure> {
         false => mesh.y_label_formatter(&number).draw()?,
     }
     for (index, (label, points)) in lines.into_iter().enumerate() {
-        let colour = Palette99::pick(index).to_rgba();
+        let colour = ink(index);
         let points = points.into_iter().map(|(t, value)| match logarithmic {
             true => (t, value.log10()),
             false => (t, value),

@@ -5,6 +5,7 @@ use plotters::prelude::*;
 use super::accuracy::{Row, series_of};
 use super::systems::{Mean, plain};
 use super::{Table, ThesisTable};
+use crate::measure::chart::ink;
 use crate::measure::table::log_range;
 
 /// Charts beside each other.
@@ -229,7 +230,7 @@ fn draw_chart(
             .legend(move |(x, y)| Cross::new((x + 10, y), 5, colour.stroke_width(2)));
     }
     for (index, (label, points)) in chart.lines.iter().enumerate() {
-        let colour = Palette99::pick(index).to_rgba();
+        let colour = ink(index);
         let line = LineSeries::new(points.iter().copied(), colour.stroke_width(2));
         // Lines that lie on each other show.
         let line = line.point_size(2 + (chart.lines.len() - index) as u32);
