@@ -38,8 +38,10 @@ fn refine_turn(@builtin(local_invocation_index) lane: u32) {
         gate_extra(TURN, false);
         return;
     }
-    // A round that broke down in its first step has corrected nothing: there is nothing to take back.
-    let worse = rr >= norms[NORM_LAST] && control.status != STATUS_BREAKDOWN;
+    // The first round broke down in its first step: it has corrected nothing, so that there is nothing to take back. Later rounds may, where
+    // what is left is rounding; that is stagnation.
+    let broke_down = control.status == STATUS_BREAKDOWN && control.rounds == 1u;
+    let worse = rr >= norms[NORM_LAST] && !broke_down;
     if worse {
         norms[SCALE] = -norms[SCALE];
         if control.rounds == 0u && norms[SCALE] < Real(0.0) {

@@ -533,9 +533,10 @@ impl<S: System> OuterLoop<S> {
                 .map(|(x, correction)| x + scale * correction)
                 .collect();
             let residual = system.residual(&better);
-            // A round that broke down in its first step has corrected nothing.
+            // As in `refine_turn`: of the first round alone a breakdown is told.
+            let broke_down = control.status == STATUS_BREAKDOWN && control.rounds == 1;
             let worse = residual.rr.is_finite() && residual.rr >= rr;
-            if worse && control.status != STATUS_BREAKDOWN {
+            if worse && !broke_down {
                 break match control.iterations >= control.max_iterations {
                     true => SolveStatus::IterationLimit,
                     false => SolveStatus::Stagnated,

@@ -10,8 +10,8 @@ use crate::linalg::{CgEnd, CgReport, Csr, Incomplete, SymbolicCholesky, conjugat
 use super::super::statistics::Spread;
 use super::Row;
 
-/// Turns end once they have taken so long, s.
-const LONG_ENOUGH: f64 = 20.0;
+/// No more runs of a solver are begun once they have taken so long, s.
+pub(super) const LONG_ENOUGH: f64 = 20.0;
 
 /// Bytes.
 pub const GIB: f64 = (1_u64 << 30) as f64;

@@ -35,8 +35,8 @@ use super::solid_bytes::SolidBytes;
 use super::statistics::Spread;
 use super::table::{Machine, remove_earlier, write_csv, write_json, write_svg};
 
-use against::Contest;
 pub use against::{Against, GIB, Rival};
+use against::{Contest, LONG_ENOUGH};
 pub(super) use bytes::{Corrections, SolveBytes};
 use capacity::Capacity;
 pub use capacity::{LARGEST_GRID, largest_grid};
@@ -113,6 +113,8 @@ pub struct Row {
     pub iterations: u32,
     /// Rounds of refinement.
     pub rounds: u32,
+    /// Timed runs.
+    pub runs: usize,
     /// Seconds, set-up of the hierarchy included.
     pub seconds_median: f64,
     /// Least.
@@ -287,18 +289,20 @@ impl Positive {
     }
 }
 
-/// Runs of the device and of rivals by turns; what the device came to, and its seconds. `ended`: what of that repeats. `what`: is solved.
+/// Runs of the device and of rivals by turns; what the device came to, its seconds and how many runs they are of. `ended`: what of that
+/// repeats. `what`: is solved.
 fn by_turns<Outcome>(
     repeats: usize,
     mut device: impl FnMut() -> Result<(f64, Outcome), Error>,
     rivals: &mut [Contest],
     ended: fn(&Outcome) -> Ended,
     what: &str,
-) -> Result<(Spread, Outcome), Error> {
+) -> Result<(Spread, usize, Outcome), Error> {
     // The first compiles.
     let (_, outcome) = device()?;
-    let mut seconds = Vec::new();
-    for _ in 0..repeats.max(1) {
+    let mut seconds: Vec<f64> = Vec::new();
+    while seconds.is_empty() || seconds.len() < repeats && seconds.iter().sum::<f64>() < LONG_ENOUGH
+    {
         let (elapsed, again) = device()?;
         ended(&outcome).ensure_repeated(ended(&again), what)?;
         seconds.push(elapsed);
@@ -306,7 +310,8 @@ fn by_turns<Outcome>(
             rival.turn(elapsed)?;
         }
     }
-    Ok((Spread::of(seconds), outcome))
+    let runs = seconds.len();
+    Ok((Spread::of(seconds), runs, outcome))
 }
 
 fn contests<'a>(
@@ -459,7 +464,8 @@ fn measure(
         bricks: None,
     };
     let what = title(Formulation::Pressure, size, solver);
-    let (seconds, outcome) = by_turns(options.repeats, solve, &mut rivals, Ended::alone, &what)?;
+    let (seconds, runs, outcome) =
+        by_turns(options.repeats, solve, &mut rivals, Ended::alone, &what)?;
     let (unknowns, iterations) = (f64::from(outcome.unknowns), f64::from(outcome.iterations));
     let model = SolveBytes {
         unknowns,
@@ -483,6 +489,7 @@ fn measure(
         status: Ended::alone(&outcome).name(solver.tolerance),
         iterations: outcome.iterations,
         rounds: outcome.rounds,
+        runs,
         seconds_median: seconds.median,
         seconds_min: seconds.min,
         seconds_max: seconds.max,
@@ -525,7 +532,8 @@ fn measure_coupled(
         None => Vec::new(),
     };
     let what = title(formulation, size, solver);
-    let (seconds, outcome) = by_turns(options.repeats, solve, &mut rivals, Ended::together, &what)?;
+    let (seconds, runs, outcome) =
+        by_turns(options.repeats, solve, &mut rivals, Ended::together, &what)?;
     let n_cells = system.pressure.n_unknowns() as f64;
     let iterations = f64::from(outcome.iterations);
     let model = SolveBytes {
@@ -564,6 +572,7 @@ fn measure_coupled(
         status: Ended::together(&outcome).name(solver.tolerance),
         iterations: outcome.iterations,
         rounds: outcome.rounds,
+        runs,
         seconds_median: seconds.median,
         seconds_min: seconds.min,
         seconds_max: seconds.max,
@@ -623,6 +632,7 @@ mod tests {
             status,
             iterations: 12,
             rounds: 2,
+            runs: 1,
             seconds_median: seconds,
             seconds_min: seconds,
             seconds_max: seconds,
