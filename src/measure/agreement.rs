@@ -3,7 +3,8 @@
 //! Tables of the same name are compared row by row, number by number. A number has to be the same to the last digit, unless it follows from
 //! times. One of those that is told with a spread, as X_median, X_min and X_max, X, X_low and X_high, or mean, least and largest, agrees where
 //! both spreads share a value; one without agrees where it differs by no more than the spreads of its row let a quotient of times differ, and
-//! is not judged in a row without spreads. Powers (`_growth.csv`) are of rows that are compared themselves, and left out.
+//! is not judged in a row without spreads. Powers (`_growth.csv`) are of rows that are compared themselves, and left out, and so
+//! are the choices of fastest rows (`_best.csv`) and the numbers of repeats that a limit of time has ended.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -37,6 +38,8 @@ const OF_TIMES: [(&str, &[&str]); 5] = [
         ],
     ),
 ];
+/// Columns, by table, that say how many repeats there was time for.
+const REPEATS: [(&str, &str); 2] = [("solve.csv", "runs"), ("solve_against.csv", "turns")];
 /// Tables whose columns have names that the user chose, of probes and of keys: these tell nothing.
 const NAMED_BY_USERS: [&str; 2] = ["probes.csv", "summary.csv"];
 
@@ -122,8 +125,11 @@ pub fn agreement(dir: &Path, other: &Path) -> Result<Agreement, Error> {
         without.join(name)
     });
     let missing = missing.collect();
-    let of_powers = |name: &Path| name.to_string_lossy().ends_with("_growth.csv");
-    let both = ours.intersection(&theirs).filter(|name| !of_powers(name));
+    let follows = |name: &Path| {
+        let name = name.to_string_lossy();
+        name.ends_with("_growth.csv") || name.ends_with("_best.csv")
+    };
+    let both = ours.intersection(&theirs).filter(|name| !follows(name));
     let both: Vec<&PathBuf> = both.collect();
     if both.is_empty() {
         return Err(Error::input(
@@ -183,6 +189,9 @@ fn compare(file: &Path, [(heads, ours), (_, theirs)]: &[Table; 2]) -> Vec<Row> {
             let [least, most] = match name.strip_suffix("_median") {
                 Some(stem) => ["min", "max"].map(|end| format!("{stem}_{end}")),
                 None if name == "mean" => ["least", "largest"].map(str::to_owned),
+                None if place.contains_key(format!("{name}_min").as_str()) => {
+                    ["min", "max"].map(|end| format!("{name}_{end}"))
+                }
                 None => ["low", "high"].map(|end| format!("{name}_{end}")),
             };
             let ends = [least, most].map(|end| place.get(end.as_str()).copied());
@@ -207,7 +216,9 @@ fn compare(file: &Path, [(heads, ours), (_, theirs)]: &[Table; 2]) -> Vec<Row> {
         })
         .collect();
     let is_end = |at: usize| spreads.values().any(|ends| ends.contains(&at));
-    let compared = heads.iter().enumerate().map(|(at, column)| {
+    let judged = heads.iter().enumerate();
+    let judged = judged.filter(|(_, column)| !REPEATS.contains(&(&*table, *column)));
+    let compared = judged.map(|(at, column)| {
         let mut row = Row {
             file: file.display().to_string(),
             column: column.to_owned(),

@@ -20,6 +20,7 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::gpu::{AdapterChoice, Gpu};
 use crate::grid::Sides;
+use crate::output::FolderLock;
 use crate::scene::{ElasticModel, Liquid, PatchPressure, Scene, Solid, Surface};
 use crate::sim::{Backend, GpuPath, Simulation};
 use crate::state::State;
@@ -353,6 +354,7 @@ pub fn bench_effects(
     out: &Path,
     tell: &mut dyn FnMut(Told),
 ) -> Result<Tables, Error> {
+    let _held = FolderLock::take(out)?;
     let scratch = Scratch::new(out)?;
     // A device of its own: nothing of this is counted.
     let machine = Machine::new(&Gpu::new(&options.adapter)?, 3)?;

@@ -30,7 +30,7 @@ use crate::solver::{
     Outcome, Polynomial, SolidRows, SolidSolver, SolidSystem, SolidSystemBuffers, variant,
 };
 use crate::stages::{ElementRotations, MoveSolid, NodeForces, SolidBuffers, SolidPlan};
-use crate::state::State;
+use crate::state::{SolveStatus, State};
 
 use super::bench_solve::{Ended, name};
 use super::chart::ink;
@@ -433,6 +433,9 @@ fn measure(scene: &Scene, body: Body, options: &Options, machine: &Machine) -> R
     let [of_degree, iterations, rounds] =
         [degree, outcome.iterations, outcome.rounds].map(f64::from);
     let bytes = model.of_rows() + model.of_solve(of_degree, iterations, rounds);
+    let status = ended.name(scene.solver.tolerance);
+    let whole = median(|direct| direct.factor + direct.substitution)
+        .filter(|_| status == SolveStatus::Converged.name());
     Ok(Row {
         body: body.name(),
         nodes: solids.rest.len(),
@@ -443,7 +446,7 @@ fn measure(scene: &Scene, body: Body, options: &Options, machine: &Machine) -> R
         step: dt,
         precision: name(scene.solver.precision),
         tolerance: scene.solver.tolerance,
-        status: ended.name(scene.solver.tolerance),
+        status,
         iterations: outcome.iterations,
         rounds: outcome.rounds,
         degree,
@@ -456,8 +459,7 @@ fn measure(scene: &Scene, body: Body, options: &Options, machine: &Machine) -> R
         ordering_seconds,
         factor_seconds: median(|direct| direct.factor),
         substitution_seconds: median(|direct| direct.substitution),
-        ratio: median(|direct| direct.factor + direct.substitution)
-            .map(|direct| direct / seconds.median),
+        ratio: whole.map(|direct| direct / seconds.median),
         difference: median(|direct| direct.difference),
         bytes,
         share_of_copy_bandwidth: machine.share_of_copy_bandwidth(bytes, seconds.median),

@@ -26,7 +26,7 @@ impl Point {
 }
 
 /// Colour of a line, which can be read on white: twelve, then these again.
-pub(super) fn ink(index: usize) -> RGBAColor {
+pub fn ink(index: usize) -> RGBAColor {
     const READABLE: [usize; 12] = [0, 1, 12, 3, 4, 5, 10, 7, 16, 14, 18, 19];
     Palette99::pick(READABLE[index % READABLE.len()]).to_rgba()
 }

@@ -25,3 +25,5 @@ pub mod statistics;
 mod stored;
 pub mod sweep;
 pub mod table;
+
+pub use chart::ink;

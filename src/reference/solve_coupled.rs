@@ -245,7 +245,7 @@ pub fn solve_coupled(
             })
         }
         Formulation::Condensed => {
-            let Some(inverse) = Inverse::new(system, solver, solids) else {
+            let Some(inverse) = Inverse::new(system, solver, solids)? else {
                 return corrected(&mut broken_down);
             };
             let condensed = CondensedOperator {
@@ -435,21 +435,24 @@ enum Inverse<'a> {
 
 impl<'a> Inverse<'a> {
     /// `None` where S has no factor in f64.
+    ///
+    /// # Errors
+    /// When the factor does not fit into memory.
     fn new(
         system: &'a CoupledSystem,
         solver: &'a SolidSolver,
         solids: &Solids,
-    ) -> Option<Inverse<'a>> {
+    ) -> Result<Option<Inverse<'a>>, Error> {
         let (solid, components) = (&system.solid, system.solid.components());
         if components.is_empty() {
-            Some(Inverse::Nothing)
+            Ok(Some(Inverse::Nothing))
         } else if components.len() <= DIRECT_UNKNOWNS {
-            let factor = solver.factorise(solid).ok()?;
-            Some(Inverse::Factor { factor, components })
+            let factor = solver.factorise(solid)?;
+            Ok(factor.map(|factor| Inverse::Factor { factor, components }))
         } else {
             let polynomial = solver.polynomial(solids, solid);
             let system = solid;
-            Some(Inverse::Iterative { system, polynomial })
+            Ok(Some(Inverse::Iterative { system, polynomial }))
         }
     }
 

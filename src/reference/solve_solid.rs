@@ -91,8 +91,7 @@ impl SolidSolver {
         let components = system.components();
         // A matrix that is not positive definite in f64 is a breakdown of the solve, not of the program.
         let factor = if system.rhs.iter().any(|&b| b != 0.0) {
-            let matrix = system.free_to_csr();
-            self.symbolic(&matrix)?.factorise(&matrix).ok()
+            self.factorise(system)?
         } else {
             None
         };
@@ -118,13 +117,13 @@ impl SolidSolver {
         Ok((system.velocity(&x), report))
     }
 
-    /// The factor of S on the free components.
+    /// The factor of S on the free components; `None` where S is not positive definite in f64.
     ///
     /// # Errors
-    /// When S is not positive definite in f64, or the factor does not fit into memory.
-    pub(super) fn factorise(&self, system: &SolidSystem) -> Result<Cholesky<'_>, Error> {
+    /// When the factor does not fit into memory.
+    pub(super) fn factorise(&self, system: &SolidSystem) -> Result<Option<Cholesky<'_>>, Error> {
         let matrix = system.free_to_csr();
-        self.symbolic(&matrix)?.factorise(&matrix)
+        Ok(self.symbolic(&matrix)?.factorise(&matrix).ok())
     }
 
     /// The polynomial that stands for S^-1.

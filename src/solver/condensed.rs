@@ -341,7 +341,7 @@ impl Condensed {
             return Ok((Form::TwoField, times));
         }
         let mass = f64::from(coupling.now.mass);
-        let Ok(factor) = self.stiffness.factorise(&stored) else {
+        let Some(factor) = self.stiffness.factorise(&stored)? else {
             let form = match self.formulation {
                 Formulation::Condensed => Form::WithoutFactor,
                 Formulation::Auto | Formulation::TwoField => Form::TwoField,

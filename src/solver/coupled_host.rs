@@ -334,7 +334,7 @@ impl TwoFieldSolver {
             norms[slot] = acts;
         }
         let mut outcome = self.outcome_of(status, &control, &norms);
-        outcome.condensed = condensed.is_some();
+        outcome.condensed = condensed.is_some() || without_factor;
         outcome.verified = true;
         Ok((outcome, times))
     }

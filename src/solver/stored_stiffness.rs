@@ -45,11 +45,11 @@ impl StoredStiffness {
         }
     }
 
-    /// Assembles and factorises.
+    /// Assembles and factorises; `None` where the matrix is not positive definite in f64.
     ///
     /// # Errors
-    /// When the factor does not fit into memory, or the matrix is not definite.
-    pub(super) fn factorise(&self, stored: &Stored) -> Result<Factor<'_>, Error> {
+    /// When the factor does not fit into memory.
+    pub(super) fn factorise(&self, stored: &Stored) -> Result<Option<Factor<'_>>, Error> {
         let nodes = stored.freedom.iter();
         let projectors: Vec<DMat3> = nodes.map(|node| Free::new(node).projector()).collect();
         let matrix = self.assemble(stored, &projectors);
@@ -60,10 +60,11 @@ impl StoredStiffness {
                 self.symbolic.get_or_init(|| made)
             }
         };
-        Ok(Factor {
-            cholesky: symbolic.factorise(&matrix)?,
+        let factor = symbolic.factorise(&matrix).ok();
+        Ok(factor.map(|cholesky| Factor {
+            cholesky,
             projectors,
-        })
+        }))
     }
 
     fn block(&self, stored: &Stored, element: usize, a: usize, b: usize) -> DMat3 {

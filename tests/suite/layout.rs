@@ -225,7 +225,7 @@ const SHARED: &[(&str, &str, &[&str])] = &[
     (
         "src/solver/refine.rs",
         "common/control_state",
-        &["STATUS_STAGNATED"],
+        &["STATUS_BREAKDOWN", "STATUS_STAGNATED"],
     ),
     ("src/solver/refine.rs", "common/pcg_slots", &["GOAL"]),
     (
@@ -242,11 +242,6 @@ const SHARED: &[(&str, &str, &[&str])] = &[
         "src/solver/coupled_host.rs",
         "coupled_turn",
         &["ROUND_MARGIN", "SMALLEST", "STRICTER", "STRICTEST"],
-    ),
-    (
-        "src/solver/coupled_host.rs",
-        "common/control_state",
-        &["STATUS_BREAKDOWN"],
     ),
     ("src/solver/refine.rs", "coupled_turn", &["ROUNDING_OF_X"]),
 ];

@@ -4,6 +4,7 @@ use std::error::Error;
 use std::fs;
 use std::path::Path;
 
+use cutwater::measure::ink;
 use plotters::prelude::*;
 
 use crate::sheet::{COLUMNS, Row};
@@ -129,9 +130,6 @@ fn glance(path: &Path, rows: &[&Row]) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Colours of the palette that can be read on white.
-const READABLE: [usize; 6] = [0, 3, 1, 4, 5, 12];
-
 fn draw(path: &Path, chart: &Chart) -> Result<(), Box<dyn Error>> {
     let points = || chart.lines.iter().flat_map(|line| &line.points);
     // Room on the right for the key.
@@ -168,9 +166,7 @@ fn draw(path: &Path, chart: &Chart) -> Result<(), Box<dyn Error>> {
     for (index, line) in chart.lines.iter().enumerate() {
         let colour = match line.mark {
             Mark::Theory | Mark::Measured => BLACK.to_rgba(),
-            Mark::Line | Mark::Points => {
-                Palette99::pick(READABLE[index % READABLE.len()]).to_rgba()
-            }
+            Mark::Line | Mark::Points => ink(index),
         };
         let points = line.points.iter().map(|point| (point[0], point[1]));
         match line.mark {

@@ -19,7 +19,7 @@ pub(super) struct Solve {
     /// Bricks across the beam, for beams of their own sizes instead of that which goes with the grid
     #[arg(long, value_delimiter = ',')]
     bricks: Vec<usize>,
-    /// Timed runs per row
+    /// Timed runs per row; no more are begun where they have taken 20 s
     #[arg(long, default_value_t = 5)]
     repeats: usize,
     /// Relative tolerance of the true residual

@@ -38,7 +38,7 @@ pub(super) struct Thesis {
     /// Timed runs per row; no more are begun where they have taken 20 s
     #[arg(long, default_value_t = 3)]
     repeats: usize,
-    /// Folder of the results; those of an earlier run are removed, but with --resume
+    /// Folder of the results; those of an earlier run are removed, but with --resume the rows of tables 6.2 to 6.4
     #[arg(long, default_value = "out/bench_thesis")]
     out: PathBuf,
     /// Keep the rows of tables 6.2 to 6.4 that runs on this machine with this --precision and these --repeats left in the folder, and

@@ -17,7 +17,6 @@ mod states;
 mod sub_step;
 
 use std::cmp::Ordering;
-use std::fs;
 use std::path::Path;
 
 use serde::Serialize;
@@ -25,6 +24,7 @@ use serde::Serialize;
 use crate::Error;
 use crate::effects::Effects;
 use crate::gpu::{AdapterChoice, Gpu};
+use crate::output::FolderLock;
 use crate::scene::{CouplingScheme, Formulation, Precision, Preconditioner, Scene};
 use crate::sim::{Backend, Simulation};
 use crate::state::{SolveReport, SolveStatus};
@@ -144,7 +144,7 @@ pub fn bench_accuracy(
             "give a scene file or more, or grids: --grids 10,20,40",
         ));
     }
-    fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
+    let _held = FolderLock::take(out)?;
     let mut table = Table {
         machine: Machine::new(&Gpu::new(&options.adapter)?, options.repeats)?,
         rows: Vec::new(),
@@ -189,7 +189,9 @@ impl Table {
         write_json(self, &out.join("accuracy.json"))?;
         if !self.rows.is_empty() {
             write_csv(&self.rows, &out.join("accuracy.csv"))?;
-            write_csv(&self.best, &out.join("accuracy_best.csv"))?;
+            if !self.best.is_empty() {
+                write_csv(&self.best, &out.join("accuracy_best.csv"))?;
+            }
             let lines = states::states(&self.rows).len() as u32;
             write_svg(&out.join("accuracy.svg"), (1200, 480 * lines), |page| {
                 picture::draw_states(&self.rows, page)
@@ -197,7 +199,9 @@ impl Table {
         }
         if !self.grids.is_empty() {
             write_csv(&self.grids, &out.join("accuracy_grids.csv"))?;
-            write_csv(&self.grids_best, &out.join("accuracy_grids_best.csv"))?;
+            if !self.grids_best.is_empty() {
+                write_csv(&self.grids_best, &out.join("accuracy_grids_best.csv"))?;
+            }
             write_csv(&self.grids_enough, &out.join("accuracy_grids_enough.csv"))?;
             let lines = grids::problems(&self.grids).len() as u32;
             let file = out.join("accuracy_grids.svg");

@@ -29,7 +29,7 @@ use crate::scene::Scene;
 use crate::sim::{Backend, Simulation};
 use crate::state::{SolidDiagnosis, SolveStatus, State, StepReport};
 
-use super::table::{Host, Machine, write_csv, write_json, write_svg};
+use super::table::{Host, Machine, remove_earlier, write_csv, write_json, write_svg};
 
 pub use cases::{Case, Expected, cases};
 pub use limit::{LimitRow, limits};
@@ -201,6 +201,7 @@ pub fn bench_stability(
 ) -> Result<Table, Error> {
     let scenes = out.join("scenes");
     fs::create_dir_all(&scenes).map_err(|problem| Error::output(&scenes, problem))?;
+    remove_earlier(out, &["stability_limit.csv"])?;
     let place = match &options.backend {
         Backend::Gpu(choice) => Place::Gpu(Machine::new(&Gpu::new(choice)?, 3)?),
         Backend::Cpu => Place::Cpu(Host::now()),
@@ -246,7 +247,9 @@ pub fn bench_stability(
 /// Writes the tables and the picture as they are so far.
 fn write(table: &Table, out: &Path) -> Result<(), Error> {
     write_csv(&table.rows, &out.join("stability.csv"))?;
-    write_csv(&table.limits, &out.join("stability_limit.csv"))?;
+    if !table.limits.is_empty() {
+        write_csv(&table.limits, &out.join("stability_limit.csv"))?;
+    }
     write_json(table, &out.join("stability.json"))?;
     let size = picture::size(table);
     write_svg(&out.join("stability.svg"), size, |page| {

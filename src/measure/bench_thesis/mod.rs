@@ -10,13 +10,13 @@ mod picture;
 mod scenes;
 mod systems;
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
 use crate::Error;
 use crate::gpu::{AdapterChoice, Gpu};
+use crate::output::FolderLock;
 use crate::scene::Precision;
 
 use super::bench_solve::name;
@@ -199,7 +199,7 @@ pub fn bench_thesis(
     }
     let gpu = Gpu::new(&options.adapter)?;
     let scenes = scenes::load(options, gpu.has_f64())?;
-    fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
+    let _held = FolderLock::take(out)?;
     let precisions = options.precisions.iter();
     let mut precisions: Vec<&'static str> = precisions.map(|&precision| name(precision)).collect();
     precisions.sort_unstable();
@@ -217,7 +217,10 @@ pub fn bench_thesis(
         growth: Vec::new(),
     };
     match options.resume {
-        true => table.take_up(out)?,
+        true => {
+            table.take_up(out)?;
+            remove_earlier(out, &parts::NOT_KEPT)?;
+        }
         false => remove_earlier(out, &parts::FILES)?,
     }
     let kept = table.systems.clone();

@@ -23,6 +23,14 @@ pub(super) const FILES: [&str; 8] = [
     "thesis_orders.csv",
 ];
 
+/// Those of them that a run which goes on has nothing of.
+pub(super) const NOT_KEPT: [&str; 4] = [
+    "thesis.svg",
+    "thesis_scenes.csv",
+    "thesis.csv",
+    "thesis_orders.csv",
+];
+
 /// Keys of thesis.json that runs have in common whose rows stand in one table.
 const IN_COMMON: [&str; 7] = [
     "cutwater",
