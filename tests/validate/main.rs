@@ -3,6 +3,7 @@
 //! ```text
 //! make validate                     # all cases
 //! make validate CASES="S2 S9/f64"   # those whose id holds one of these
+//! make validate CASES=--resume      # goes on after a run that was stopped
 //! ```
 //!
 //! A case is a function that fills a [`Sheet`] with rows: what was expected, what came, what is allowed. Each topic has a file that
@@ -29,6 +30,7 @@ mod benches;
 mod coupled;
 mod coupled_scenes;
 mod coupled_truths;
+mod found;
 mod lamb;
 mod lane;
 mod liquid;
@@ -52,7 +54,7 @@ use std::time::Instant;
 use cutwater::gpu::{AdapterChoice, Gpu};
 use cutwater::measure::table::Machine;
 
-use page::Chart;
+use found::{Found, Kept};
 use sheet::{Row, Sheet};
 
 /// Something to find out.
@@ -85,7 +87,7 @@ impl Case {
     }
 
     /// Its rows and charts. What panics fails.
-    fn found(&self) -> (Vec<Row>, Vec<Chart>) {
+    fn find(&self) -> Found {
         let mut sheet = Sheet::default();
         let start = Instant::now();
         let outcome = panic::catch_unwind(AssertUnwindSafe(|| (self.run)(&mut sheet)));
@@ -95,7 +97,8 @@ impl Case {
             let text = text.or_else(|| panic.downcast_ref::<&str>().map(|text| (*text).into()));
             sheet.failed(&text.unwrap_or_else(|| "a panic".into()));
         }
-        sheet.finish(self.topic, &self.id, seconds)
+        let (rows, charts) = sheet.finish(self.topic, &self.id, seconds);
+        Found { rows, charts }
     }
 }
 
@@ -123,12 +126,18 @@ fn cases() -> Vec<Case> {
     .collect()
 }
 
-/// Runs the cases, `jobs` at a time, and at last those that run alone; rows and charts in the order of the cases.
-fn run(cases: &[Case], jobs: usize) -> (Vec<Row>, Vec<Chart>) {
-    let done: Vec<Mutex<(Vec<Row>, Vec<Chart>)>> = cases.iter().map(|_| Mutex::default()).collect();
+/// Runs the cases, `jobs` at a time, and at last those that run alone; rows and charts in the order of the cases. What is kept of a case is
+/// not found again.
+fn run(cases: &[Case], jobs: usize, kept: &Kept) -> Found {
+    let done: Vec<Mutex<Found>> = cases.iter().map(|_| Mutex::default()).collect();
     let find = |number: usize| {
-        let found = cases[number].found();
-        print!("{}", sheet::lines(&found.0));
+        let case = &cases[number];
+        let found = kept.of(case.topic, &case.id).unwrap_or_else(|| {
+            let found = case.find();
+            kept.keep(&case.id, &found);
+            found
+        });
+        print!("{}", sheet::lines(&found.rows));
         *done[number].lock().expect("no other thread has this case") = found;
     };
     let (alone, beside): (Vec<usize>, Vec<usize>) =
@@ -145,14 +154,19 @@ fn run(cases: &[Case], jobs: usize) -> (Vec<Row>, Vec<Chart>) {
     });
     alone.into_iter().for_each(find);
     let found = done.into_iter().map(|found| found.into_inner());
-    let found = found.map(|found| found.expect("no thread is left"));
-    let (rows, charts): (Vec<_>, Vec<_>) = found.unzip();
-    (rows.concat(), charts.concat())
+    let mut all = Found::default();
+    for found in found {
+        let Found { rows, charts } = found.expect("no thread is left");
+        all.rows.extend(rows);
+        all.charts.extend(charts);
+    }
+    all
 }
 
 fn main() -> ExitCode {
     let mut filters = Vec::new();
-    let (mut list, mut jobs) = (
+    let (mut list, mut resume, mut jobs) = (
+        false,
         false,
         std::thread::available_parallelism().map_or(1, usize::from),
     );
@@ -160,6 +174,7 @@ fn main() -> ExitCode {
     while let Some(argument) = arguments.next() {
         match argument.as_str() {
             "--list" => list = true,
+            "--resume" => resume = true,
             "--jobs" => match arguments.next().map(|jobs| jobs.parse()) {
                 Some(Ok(number)) if number > 0 => jobs = number,
                 _ => {
@@ -168,7 +183,9 @@ fn main() -> ExitCode {
                 }
             },
             option if option.starts_with('-') => {
-                eprintln!("no option {option}: there are --list and --jobs N, then parts of ids");
+                eprintln!(
+                    "no option {option}: there are --list, --resume and --jobs N, then parts of ids"
+                );
                 return ExitCode::from(2);
             }
             _ => filters.push(argument),
@@ -199,7 +216,14 @@ fn main() -> ExitCode {
         machine.adapter
     );
     let start = Instant::now();
-    let (rows, charts) = run(&cases, jobs);
+    let kept = match Kept::new(&sheet::folder(), &machine, resume) {
+        Ok(kept) => kept,
+        Err(error) => {
+            eprintln!("target/validate: {error}");
+            return ExitCode::FAILURE;
+        }
+    };
+    let Found { rows, charts } = run(&cases, jobs, &kept);
     let failed: Vec<&Row> = rows
         .iter()
         .filter(|row| row.passed == Some(false))

@@ -6,11 +6,12 @@ use std::path::Path;
 
 use cutwater::measure::ink;
 use plotters::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use crate::sheet::{COLUMNS, Row};
 
 /// How a line of a chart is drawn.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) enum Mark {
     /// What is computed here, as a line.
     Line,
@@ -23,7 +24,7 @@ pub(crate) enum Mark {
 }
 
 /// One line of a chart.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Line {
     pub(crate) label: String,
     pub(crate) mark: Mark,
@@ -42,7 +43,7 @@ impl Line {
 }
 
 /// What came, drawn over what was expected.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Chart {
     /// Case.
     pub(crate) id: String,

@@ -4,17 +4,19 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::error::Error;
 use std::fmt::Write;
 use std::fs;
+use std::path::{Path, PathBuf};
 
 use cutwater::measure::table::{Machine, Table};
 use cutwater::reference::larger;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::page::{self, Chart, Line};
 
 /// One thing found out.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Row {
     /// What the case is about: a section of docs/validation.md.
+    #[serde(skip)]
     pub(crate) topic: &'static str,
     pub(crate) id: String,
     pub(crate) what: String,
@@ -297,7 +299,12 @@ fn topics(rows: &[Row]) -> Vec<Topic> {
     topics
 }
 
-/// Writes page, pictures and tables to `target/validate`: validation.csv with a row for each found out, validation_topics.csv, and
+/// Where all is written, `target/validate`.
+pub(crate) fn folder() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("target/validate")
+}
+
+/// Writes page, pictures and tables to [`folder`]: validation.csv with a row for each found out, validation_topics.csv, and
 /// validation.json with the latter and where all was computed. docs/validation.md has its tables from these.
 pub(crate) fn write(
     rows: &[Row],
@@ -305,10 +312,13 @@ pub(crate) fn write(
     summary: &str,
     machine: Machine,
 ) -> Result<(), Box<dyn Error>> {
-    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("target/validate");
-    if folder.exists() {
-        // Of pictures that a run with fewer cases would leave.
-        fs::remove_dir_all(&folder)?;
+    let folder = folder();
+    // A run of more cases may have left some.
+    for entry in fs::read_dir(&folder)? {
+        let file = entry?.path();
+        if file.extension().is_some_and(|end| end == "svg") {
+            fs::remove_file(file)?;
+        }
     }
     page::write(&folder, rows, charts, summary)?;
     let mut table = csv::Writer::from_path(folder.join("validation.csv"))?;

@@ -1,0 +1,61 @@
+//! What was found out of each case, kept in a file as soon as it is there: a run that is stopped goes on from these.
+
+use std::error::Error;
+use std::fs;
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::path::{Path, PathBuf};
+
+use cutwater::measure::table::Machine;
+use cutwater::output::write_atomically;
+use serde::{Deserialize, Serialize};
+
+use crate::page::Chart;
+use crate::sheet::Row;
+
+/// Rows and charts of a case, or of several.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct Found {
+    pub(crate) rows: Vec<Row>,
+    pub(crate) charts: Vec<Chart>,
+}
+
+/// The folder of these files.
+#[derive(Debug)]
+pub(crate) struct Kept {
+    folder: PathBuf,
+}
+
+impl Kept {
+    /// Below `out`, a folder for this build on this adapter: what others found is not theirs. It begins empty but where a run goes on.
+    pub(crate) fn new(out: &Path, machine: &Machine, resume: bool) -> Result<Kept, Box<dyn Error>> {
+        let cases = out.join("cases");
+        if !resume && cases.exists() {
+            fs::remove_dir_all(&cases)?;
+        }
+        let mut hasher = DefaultHasher::new();
+        fs::read(std::env::current_exe()?)?.hash(&mut hasher);
+        (&machine.adapter, &machine.driver).hash(&mut hasher);
+        let folder = cases.join(format!("{:016x}", hasher.finish()));
+        fs::create_dir_all(&folder)?;
+        Ok(Kept { folder })
+    }
+
+    /// What is kept of a case; nothing also where it cannot be read, as of numbers that are not finite: it is found again.
+    pub(crate) fn of(&self, topic: &'static str, id: &str) -> Option<Found> {
+        let text = fs::read(self.file(id)).ok()?;
+        let mut found: Found = serde_json::from_slice(&text).ok()?;
+        found.rows.iter_mut().for_each(|row| row.topic = topic);
+        Some(found)
+    }
+
+    /// Keeps it; a folder that cannot be written is told at the end, when all else is.
+    pub(crate) fn keep(&self, id: &str, found: &Found) {
+        if let Ok(text) = serde_json::to_vec(found) {
+            let _ = write_atomically(&self.file(id), &text);
+        }
+    }
+
+    fn file(&self, id: &str) -> PathBuf {
+        self.folder.join(format!("{}.json", id.replace('/', "-")))
+    }
+}
