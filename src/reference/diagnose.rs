@@ -39,8 +39,8 @@ pub fn larger(a: f64, b: f64) -> f64 {
     if a >= b || a.is_nan() { a } else { b }
 }
 
-/// The largest divergence that a projection left in an active cell, 1/s; not a number where one is not. `velocity`: of the faces, m/s, before it is extrapolated; `flux`:
-/// what solids and obstacles take up of each cell, J v, m^3/s.
+/// The largest divergence that a projection left in an active cell, 1/s; not a number where one is not. `velocity`: of the faces, m/s, before
+/// it is extrapolated; `flux`: what solids and obstacles take up of each cell, J v, m^3/s.
 pub fn divergence(
     cut: &CutCells,
     velocity: &[Vec<f64>; 3],

@@ -164,6 +164,24 @@ pub struct Table {
     pub growth: Vec<Growth>,
 }
 
+impl Table {
+    /// Without rows.
+    fn new(machine: Machine, precisions: Vec<&'static str>, repeats: usize) -> Table {
+        Table {
+            machine,
+            precisions,
+            repeats,
+            parts: Vec::new(),
+            scenes: Vec::new(),
+            rows: Vec::new(),
+            orders: Vec::new(),
+            systems: Vec::new(),
+            means: Vec::new(),
+            growth: Vec::new(),
+        }
+    }
+}
+
 /// A row as it is measured.
 #[derive(Clone, Copy, Debug)]
 pub enum Told<'a> {
@@ -204,18 +222,8 @@ pub fn bench_thesis(
     let mut precisions: Vec<&'static str> = precisions.map(|&precision| name(precision)).collect();
     precisions.sort_unstable();
     precisions.dedup();
-    let mut table = Table {
-        machine: Machine::new(&gpu, options.repeats)?,
-        precisions,
-        repeats: options.repeats,
-        parts: Vec::new(),
-        scenes: Vec::new(),
-        rows: Vec::new(),
-        orders: Vec::new(),
-        systems: Vec::new(),
-        means: Vec::new(),
-        growth: Vec::new(),
-    };
+    let machine = Machine::new(&gpu, options.repeats)?;
+    let mut table = Table::new(machine, precisions, options.repeats);
     match options.resume {
         true => {
             table.take_up(out)?;

@@ -124,33 +124,25 @@ mod tests {
     use crate::measure::table::{Host, Machine, write_json};
 
     fn table() -> Table {
-        Table {
-            machine: Machine {
-                host: Host {
-                    cutwater: "0.1.0",
-                    measured: "2026-11-22T05:00:00Z".to_owned(),
-                    cpu: Some("a CPU".to_owned()),
-                    threads: 2,
-                    load: Some(0.1),
-                },
-                adapter: "an adapter".to_owned(),
-                driver: "a driver".to_owned(),
-                copy_bandwidth: Spread {
-                    median: 2e9,
-                    min: 1e9,
-                    max: 1e10 / 3.0,
-                },
-            },
-            precisions: vec!["mixed"],
-            repeats: 3,
-            parts: Vec::new(),
-            scenes: Vec::new(),
-            rows: Vec::new(),
-            orders: Vec::new(),
-            systems: Vec::new(),
-            means: Vec::new(),
-            growth: Vec::new(),
-        }
+        let host = Host {
+            cutwater: "0.1.0",
+            measured: "2026-11-22T05:00:00Z".to_owned(),
+            cpu: Some("a CPU".to_owned()),
+            threads: 2,
+            load: Some(0.1),
+        };
+        let copy_bandwidth = Spread {
+            median: 2e9,
+            min: 1e9,
+            max: 1e10 / 3.0,
+        };
+        let machine = Machine {
+            host,
+            adapter: "an adapter".to_owned(),
+            driver: "a driver".to_owned(),
+            copy_bandwidth,
+        };
+        Table::new(machine, vec!["mixed"], 3)
     }
 
     #[test]
