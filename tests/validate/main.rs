@@ -8,7 +8,7 @@
 //!
 //! A case is a function that fills a [`Sheet`] with rows: what was expected, what came, what is allowed. Each topic has a file that
 //! lists its cases; the list of topics is [`cases`]. The table is printed; a page with charts of what came over what
-//! was expected, and the tables of docs/validation.md as CSV, are written to `target/validate`. Exit code 1: a row failed.
+//! was expected, and the table as CSV, are written to `target/validate`. Exit code 1: a row failed.
 
 // What the suite shares; it uses more of it.
 #[allow(dead_code, reason = "the suite uses the rest")]

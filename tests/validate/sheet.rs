@@ -305,7 +305,7 @@ pub(crate) fn folder() -> PathBuf {
 }
 
 /// Writes page, pictures and tables to [`folder`]: validation.csv with a row for each found out, validation_topics.csv, and
-/// validation.json with the latter and where all was computed. docs/validation.md has its tables from these.
+/// validation.json with the latter and where all was computed.
 pub(crate) fn write(
     rows: &[Row],
     charts: &[Chart],
