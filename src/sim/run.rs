@@ -107,20 +107,24 @@ impl Start {
         if options.resume {
             return Start::resume(scene, options, n_frames);
         }
-        if !options.overwrite {
-            return refused(
+        match (Manifest::read(out), options.overwrite) {
+            (Ok(manifest), true) => Ok(Start::Anew(Some(Box::new(manifest)))),
+            (Ok(_), false) => refused(
                 "the folder holds an earlier run",
                 "choose another folder with --out, go on with the run with --resume, or replace it with --overwrite",
-            );
-        }
-        match Manifest::read(out) {
-            Ok(manifest) => Ok(Start::Anew(Some(Box::new(manifest)))),
-            Err(error) => refused(
+            ),
+            // Only the manifest tells which files are the run's.
+            (Err(error), _) => refused(
                 &format!(
-                    "manifest.json is not of a run that this version can replace: {}",
+                    "the folder holds an earlier run that this version cannot replace: {}",
                     error.to_string().lines().next().unwrap_or_default()
                 ),
-                "choose another folder with --out, or remove this one by hand",
+                match checkpoint {
+                    true => {
+                        "choose another folder with --out, go on with the run with --resume, or remove this one by hand"
+                    }
+                    false => "choose another folder with --out, or remove this one by hand",
+                },
             ),
         }
     }

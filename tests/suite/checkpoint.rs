@@ -702,10 +702,19 @@ fn a_lost_manifest_does_not_lose_the_run() {
             None => fs::remove_file(&manifest).unwrap(),
             Some(text) => fs::write(&manifest, text).unwrap(),
         }
-        let told = complains(run.command("out", ""), 2);
-        assert!(told.contains("earlier run"), "{told}");
-        let told = complains(run.command("out", "--overwrite"), 2);
-        assert!(told.contains("manifest.json"), "{told}");
+        for how in ["", "--overwrite"] {
+            let told = complains(run.command("out", how), 2);
+            assert!(
+                told.contains("earlier run") && told.contains("manifest.json"),
+                "{told}"
+            );
+            // No cure that is refused, too.
+            let (_, cure) = told.split_once("cure: ").unwrap();
+            assert!(
+                cure.contains("--resume") && !cure.contains("--overwrite"),
+                "{told}"
+            );
+        }
     }
     run.whole("out", "--resume");
     assert_same(&contents(&path), &wanted);
