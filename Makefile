@@ -8,7 +8,7 @@ run: ## simulate the dam break and draw its pictures
 test: ## all tests on lavapipe, those of the kernels and the solver once more on SwiftShader
 	@bash .ci/test
 
-validate: ## the long validation against theory and other programs; CASES="S2 S9" runs a part
+validate: ## the long validation against theory and other programs, and the tables of docs/validation.md anew; CASES="S2 S9" runs a part
 	@bash .ci/validate $(CASES)
 
 measure: ## the benches behind the tables of README.md and docs/bench.md, and these tables anew
