@@ -34,7 +34,7 @@ pub enum Error {
     /// A result cannot be written.
     #[error("cannot write {}: {problem}\n  cure: {cure}", path.display())]
     Output {
-        /// The file or folder.
+        /// The file or folder, or `standard output`.
         path: PathBuf,
         /// What the system said.
         problem: String,

@@ -122,7 +122,7 @@ impl BackendArgs {
     }
 }
 
-/// Parses the arguments, runs the command, prints its error.
+/// Parses the arguments, runs the command, prints its error; where it has none, that of a line that could not be printed.
 pub(crate) fn main() -> ExitCode {
     let cli = Cli::parse();
     let done = match &cli.command {
@@ -139,7 +139,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Plot(command) => command.run(),
         Command::Report(command) => command.run(),
     };
-    match done {
+    match done.and_then(|()| say::ensure_said()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             warn!("error: {error}");

@@ -755,6 +755,30 @@ fn a_reader_that_leaves_does_not_end_a_run() {
     assert_eq!(manifest["progress"]["status"], "finished");
 }
 
+/// A disk without room ends no work either; that lines are missing is told.
+#[cfg(target_os = "linux")]
+#[test]
+fn lines_without_room_are_told_at_the_end() {
+    let folder = folder(DAM);
+    for arguments in [
+        "schema",
+        "plan dam.toml --backend cpu",
+        "run dam.toml --backend cpu --frames 2 --scale 0.5",
+    ] {
+        let full = fs::File::options().write(true).open("/dev/full").unwrap();
+        let mut command = cutwater(&folder, arguments);
+        command.stdout(full);
+        let message = text(&ends(command, 2).stderr);
+        assert!(
+            message.contains("error: cannot write standard output: ")
+                && message.contains("cure: "),
+            "{arguments}: {message}"
+        );
+    }
+    let manifest = manifest(&folder.path().join("out/dam"));
+    assert_eq!(manifest["progress"]["status"], "finished");
+}
+
 #[cfg(unix)]
 #[test]
 fn an_interrupted_run_keeps_what_it_has() {
