@@ -12,7 +12,7 @@ pub(super) struct Mesh {
     /// Tetrahedra (.msh of Gmsh 4.1, .vtu) or a closed surface (.obj, .stl, .ply)
     file: PathBuf,
     /// Edges of the tetrahedra that fill a surface, about, m
-    #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
+    #[arg(long, value_name = "METRES")]
     cell_size: Option<f64>,
     /// Write the tetrahedra to this .vtu file
     #[arg(long, value_name = "FILE.vtu")]

@@ -19,7 +19,7 @@ mod sweep;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 use cutwater::Error;
 use cutwater::gpu::AdapterChoice;
 use cutwater::scene::Scene;
@@ -67,7 +67,7 @@ struct SceneArgs {
     /// Scene file (TOML)
     scene: PathBuf,
     /// Multiply domain.cells, rounded
-    #[arg(long, default_value_t = 1.0, allow_negative_numbers = true)]
+    #[arg(long, default_value_t = 1.0)]
     scale: f64,
     /// Override a key of the scene, such as liquid.region[0].velocity=[1,0,0]; may be repeated
     #[arg(long = "set", value_name = "KEY=VALUE")]
@@ -122,9 +122,23 @@ impl BackendArgs {
     }
 }
 
+/// Takes `-1` after an option for its value and not for another option, so that what is wrong with the number is told.
+fn with_negative_numbers(command: clap::Command) -> clap::Command {
+    command
+        .mut_args(|arg| {
+            let with_value = !arg.is_positional() && arg.get_action().takes_values();
+            match with_value {
+                true => arg.allow_negative_numbers(true),
+                false => arg,
+            }
+        })
+        .mut_subcommands(with_negative_numbers)
+}
+
 /// Parses the arguments, runs the command, prints its error; where it has none, that of a line that could not be printed.
 pub(crate) fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let arguments = with_negative_numbers(Cli::command()).get_matches();
+    let cli = Cli::from_arg_matches(&arguments).unwrap_or_else(|problem| problem.exit());
     let done = match &cli.command {
         Command::Run(command) => command.run(),
         Command::Sweep(command) => command.run(),

@@ -34,7 +34,7 @@ pub(super) struct Run {
     #[arg(long)]
     out: Option<PathBuf>,
     /// Frames to compute instead of the scene's duration, at most 999999
-    #[arg(long, allow_negative_numbers = true, value_parser = clap::value_parser!(u64).range(..=MAX_FRAMES))]
+    #[arg(long, value_parser = clap::value_parser!(u64).range(..=MAX_FRAMES))]
     frames: Option<u64>,
     /// Replace an earlier run in the folder
     #[arg(long, conflicts_with = "resume")]

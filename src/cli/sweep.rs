@@ -28,7 +28,7 @@ pub(super) struct SweepCommand {
     #[arg(long = "set", value_name = "KEY=V1,V2", required = true, action = ArgAction::Append)]
     settings: Vec<String>,
     /// Multiply domain.cells, rounded
-    #[arg(long, default_value_t = 1.0, allow_negative_numbers = true)]
+    #[arg(long, default_value_t = 1.0)]
     scale: f64,
     #[command(flatten)]
     backend: BackendArgs,
@@ -36,7 +36,7 @@ pub(super) struct SweepCommand {
     #[arg(long)]
     out: Option<PathBuf>,
     /// Frames of each run instead of the scene's duration, at most 999999
-    #[arg(long, allow_negative_numbers = true, value_parser = clap::value_parser!(u64).range(..=MAX_FRAMES))]
+    #[arg(long, value_parser = clap::value_parser!(u64).range(..=MAX_FRAMES))]
     frames: Option<u64>,
     /// Draw a picture of every frame of each run as soon as it is written, and the animation at its end
     #[arg(long)]

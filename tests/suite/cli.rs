@@ -151,6 +151,11 @@ fn wrong_arguments_are_bad_input() {
         ("bench solids --step 0", "--step 0"),
         ("bench solids --young nan", "above 0"),
         ("bench solids --tolerance 1", "above 0 and below 1"),
+        ("bench solids --young -1", "--young -1: not a number"),
+        ("bench solve --tolerance -1", "above 0 and below 1"),
+        ("bench sort --bits -1", "invalid value '-1'"),
+        ("bench thesis --repeats -1", "invalid value '-1'"),
+        ("export dam.toml --step -1 --out x", "invalid value '-1'"),
     ] {
         let message = complains(&folder, arguments, 2);
         assert!(message.contains(expected), "{arguments}: {message}");

@@ -16,7 +16,7 @@ pub(super) struct Accuracy {
     #[arg(required_unless_present = "grids")]
     scenes: Vec<PathBuf>,
     /// Multiply domain.cells, rounded
-    #[arg(long, default_value_t = 1.0, allow_negative_numbers = true)]
+    #[arg(long, default_value_t = 1.0)]
     scale: f64,
     /// Override a key of every scene; may be repeated
     #[arg(long = "set", value_name = "KEY=VALUE")]

@@ -17,7 +17,7 @@ pub(super) struct Stability {
     #[arg(long, value_delimiter = ',', value_name = "PART,..")]
     cases: Vec<String>,
     /// Multiply the cells of the thesis's scene, rounded
-    #[arg(long, default_value_t = 1.0, allow_negative_numbers = true)]
+    #[arg(long, default_value_t = 1.0)]
     scale: f64,
     /// Folder of the results
     #[arg(long, default_value = "out/bench_stability")]
