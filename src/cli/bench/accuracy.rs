@@ -22,19 +22,41 @@ pub(super) struct Accuracy {
     #[arg(long = "set", value_name = "KEY=VALUE")]
     overrides: Vec<String>,
     /// Frames whose states are solved from
-    #[arg(long, value_delimiter = ',', default_values_t = [10])]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "N,N,..",
+        default_value = "10"
+    )]
     frames: Vec<u64>,
     /// Also solve problems that are known exactly with so many cells along 1 m, multiples of 10
-    #[arg(long, value_delimiter = ',')]
+    #[arg(long, value_delimiter = ',', value_name = "N,N,..")]
     grids: Vec<usize>,
     /// Precisions to measure
-    #[arg(long, value_enum, value_delimiter = ',', default_values_t = [PrecisionName::F32, PrecisionName::Mixed, PrecisionName::F64])]
+    #[arg(
+        long,
+        value_enum,
+        value_delimiter = ',',
+        value_name = "P,..",
+        default_value = "f32,mixed,f64"
+    )]
     precision: Vec<PrecisionName>,
     /// Preconditioners to measure
-    #[arg(long, value_enum, value_delimiter = ',', default_values_t = [PreconditionerName::Multigrid, PreconditionerName::Jacobi])]
+    #[arg(
+        long,
+        value_enum,
+        value_delimiter = ',',
+        value_name = "P,..",
+        default_value = "multigrid,jacobi"
+    )]
     preconditioner: Vec<PreconditionerName>,
     /// Relative tolerances of the true residuals
-    #[arg(long, value_delimiter = ',', default_values_t = [1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12])]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "X,X,..",
+        default_value = "1e-2,1e-4,1e-6,1e-8,1e-10,1e-12"
+    )]
     tolerance: Vec<f64>,
     /// PCG iterations in all rounds
     #[arg(long, default_value_t = 5000)]

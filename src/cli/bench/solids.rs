@@ -13,10 +13,21 @@ use crate::cli::AdapterArgs;
 #[derive(Debug, Args)]
 pub(super) struct Solids {
     /// Nodes of the bodies, about
-    #[arg(long, value_delimiter = ',', default_values_t = [1_000, 10_000, 100_000])]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "N,N,..",
+        default_value = "1000,10000,100000"
+    )]
     nodes: Vec<usize>,
     /// Bodies to measure
-    #[arg(long, value_enum, value_delimiter = ',', default_values_t = [BodyName::Beam])]
+    #[arg(
+        long,
+        value_enum,
+        value_delimiter = ',',
+        value_name = "B,..",
+        default_value = "beam"
+    )]
     body: Vec<BodyName>,
     /// Young's modulus, Pa
     #[arg(long, default_value_t = 2e5)]

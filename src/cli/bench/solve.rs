@@ -14,10 +14,15 @@ use crate::cli::AdapterArgs;
 #[derive(Debug, Args)]
 pub(super) struct Solve {
     /// Cells along an edge of the block; max: the largest multiple of 10 that the adapter and this machine have room for
-    #[arg(long, value_delimiter = ',', default_values = ["20", "40", "60", "80"])]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "N,N,..",
+        default_value = "20,40,60,80"
+    )]
     grids: Vec<GridName>,
     /// Bricks across the beam, for beams of their own sizes instead of that which goes with the grid
-    #[arg(long, value_delimiter = ',')]
+    #[arg(long, value_delimiter = ',', value_name = "N,N,..")]
     bricks: Vec<usize>,
     /// Timed runs per row; no more are begun where they have taken 20 s
     #[arg(long, default_value_t = 5)]
@@ -26,16 +31,34 @@ pub(super) struct Solve {
     #[arg(long, default_value_t = 1e-8)]
     tolerance: f64,
     /// Precisions to measure
-    #[arg(long, value_enum, value_delimiter = ',', default_values_t = [PrecisionName::Mixed])]
+    #[arg(
+        long,
+        value_enum,
+        value_delimiter = ',',
+        value_name = "P,..",
+        default_value = "mixed"
+    )]
     precision: Vec<PrecisionName>,
     /// Systems to solve: pressures on the base block, or pressures and the velocities of a beam on the base scene
-    #[arg(long, value_enum, value_delimiter = ',', default_values_t = [FormulationName::Pressure])]
+    #[arg(
+        long,
+        value_enum,
+        value_delimiter = ',',
+        value_name = "F,..",
+        default_value = "pressure"
+    )]
     formulation: Vec<FormulationName>,
     /// Preconditioners of the pressure to measure
-    #[arg(long, value_enum, value_delimiter = ',', default_values_t = [PreconditionerName::Multigrid])]
+    #[arg(
+        long,
+        value_enum,
+        value_delimiter = ',',
+        value_name = "P,..",
+        default_value = "multigrid"
+    )]
     preconditioner: Vec<PreconditionerName>,
     /// Solvers on the CPU to take turns with, in double precision
-    #[arg(long, value_enum, value_delimiter = ',')]
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "A,..")]
     against: Vec<RivalName>,
     /// Larger factors on the CPU are not computed, GiB
     #[arg(long, default_value_t = 1.0, value_name = "GIB")]

@@ -13,7 +13,12 @@ use crate::cli::AdapterArgs;
 #[derive(Debug, Args)]
 pub(super) struct Sort {
     /// Entries of the lists
-    #[arg(long, value_delimiter = ',', default_values_t = [10_000, 100_000, 1_000_000])]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "N,N,..",
+        default_value = "10000,100000,1000000"
+    )]
     entries: Vec<usize>,
     /// Bits of the keys
     #[arg(long, default_value_t = 32, value_parser = clap::value_parser!(u32).range(1..=32))]

@@ -16,7 +16,12 @@ pub(super) struct Step {
     #[arg(required = true)]
     scenes: Vec<PathBuf>,
     /// Multiply domain.cells, rounded; several, to see how seconds grow with the cells
-    #[arg(long, value_delimiter = ',', default_values_t = [1.0])]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "S,S,..",
+        default_value = "1"
+    )]
     scale: Vec<f64>,
     /// Override a key of every scene; may be repeated
     #[arg(long = "set", value_name = "KEY=VALUE")]

@@ -14,11 +14,17 @@ use crate::cli::AdapterArgs;
 #[derive(Debug, Args)]
 pub(super) struct Thesis {
     /// Tables of the thesis
-    #[arg(long, value_enum, value_delimiter = ',', default_values_t = TableName::ALL)]
+    #[arg(
+        long,
+        value_enum,
+        value_delimiter = ',',
+        value_name = "T,..",
+        default_value = "6.1,6.2,6.3,6.4,6.5,6.6"
+    )]
     tables: Vec<TableName>,
     /// Cells along an edge of the dam break of tables 6.2 to 6.4, or along the tank's height of 1 m of tables 6.5 and 6.6, multiples of
     /// 5 [default: 40,60 for table 6.2, 50,60 for 6.3 and 6.4, 5,10,20,40,80 for 6.5 and 6.6]
-    #[arg(long, value_delimiter = ',')]
+    #[arg(long, value_delimiter = ',', value_name = "N,N,..")]
     grids: Vec<usize>,
     /// Folder of the scenes of table 6.1
     #[arg(long, default_value = "scenes")]
@@ -30,10 +36,21 @@ pub(super) struct Thesis {
     #[arg(long, default_value_t = 5)]
     steps: usize,
     /// Frames of the dam break, 24 a second, whose states are taken for tables 6.2 to 6.4
-    #[arg(long, value_delimiter = ',', default_values_t = [10, 40, 80])]
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "N,N,..",
+        default_value = "10,40,80"
+    )]
     frames: Vec<u64>,
     /// Precisions of the device, beside the f64 path
-    #[arg(long, value_enum, value_delimiter = ',', default_values_t = [PrecisionName::Mixed])]
+    #[arg(
+        long,
+        value_enum,
+        value_delimiter = ',',
+        value_name = "P,..",
+        default_value = "mixed"
+    )]
     precision: Vec<PrecisionName>,
     /// Timed runs per row; no more are begun where they have taken 20 s
     #[arg(long, default_value_t = 3)]
@@ -66,15 +83,6 @@ enum TableName {
 }
 
 impl TableName {
-    const ALL: [TableName; 6] = [
-        TableName::T6_1,
-        TableName::T6_2,
-        TableName::T6_3,
-        TableName::T6_4,
-        TableName::T6_5,
-        TableName::T6_6,
-    ];
-
     fn table(self) -> ThesisTable {
         match self {
             TableName::T6_1 => ThesisTable::T6_1,
