@@ -33,7 +33,7 @@ pub(super) struct Run {
     /// Folder of the run; out/NAME by default
     #[arg(long)]
     out: Option<PathBuf>,
-    /// Frames to compute instead of the scene's duration, at most 999999
+    /// Frames to compute instead of the scene's duration, at most 999999; 0 for the start alone
     #[arg(long, value_parser = clap::value_parser!(u64).range(..=MAX_FRAMES))]
     frames: Option<u64>,
     /// Replace an earlier run in the folder

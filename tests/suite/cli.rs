@@ -172,11 +172,25 @@ fn wrong_arguments_are_bad_input() {
         ("bench solids --young -1", "--young -1: not a number"),
         ("bench solve --tolerance -1", "above 0 and below 1"),
         ("bench sort --bits -1", "invalid value '-1'"),
+        ("bench sort --entries 10,0", "invalid value '0'"),
+        ("bench thesis --steps 0", "invalid value '0'"),
         ("bench thesis --repeats -1", "invalid value '-1'"),
         ("export dam.toml --step -1 --out x", "invalid value '-1'"),
     ] {
         let message = complains(&folder, arguments, 2);
         assert!(message.contains(expected), "{arguments}: {message}");
+    }
+    for bench in [
+        "accuracy dam.toml",
+        "solids",
+        "solve",
+        "sort",
+        "step dam.toml",
+        "thesis",
+    ] {
+        let message = complains(&folder, &format!("bench {bench} --repeats 0"), 2);
+        let told = "invalid value '0' for '--repeats";
+        assert!(message.contains(told), "{bench}: {message}");
     }
 }
 

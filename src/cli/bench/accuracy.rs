@@ -7,7 +7,7 @@ use cutwater::Error;
 use cutwater::measure::bench_accuracy::{GridRow, Heard, Options, Row, bench_accuracy};
 use cutwater::scene::{Formulation, Scene};
 
-use super::{PrecisionName, PreconditionerName, check_tolerance, tell_machine};
+use super::{PrecisionName, PreconditionerName, at_least_once, check_tolerance, tell_machine};
 use crate::cli::AdapterArgs;
 
 #[derive(Debug, Args)]
@@ -62,7 +62,7 @@ pub(super) struct Accuracy {
     #[arg(long, default_value_t = 5000)]
     max_iterations: u32,
     /// Timed runs per row
-    #[arg(long, default_value_t = 5)]
+    #[arg(long, default_value_t = 5, value_parser = at_least_once())]
     repeats: usize,
     /// Folder of the results
     #[arg(long, default_value = "out/bench_accuracy")]

@@ -9,6 +9,7 @@ mod stability;
 mod step;
 mod thesis;
 
+use clap::builder::RangedU64ValueParser;
 use clap::{Args, Subcommand, ValueEnum};
 use cutwater::Error;
 use cutwater::measure::table::Machine;
@@ -100,6 +101,11 @@ impl Bench {
             What::Thesis(thesis) => thesis.run(),
         }
     }
+}
+
+/// Reads how often something is done.
+fn at_least_once() -> RangedU64ValueParser<usize> {
+    RangedU64ValueParser::new().range(1..)
 }
 
 fn tell_machine(machine: &Machine) {

@@ -7,7 +7,7 @@ use cutwater::Error;
 use cutwater::measure::bench_solids;
 use cutwater::scene::Solver;
 
-use super::{PrecisionName, check_tolerance, tell_machine};
+use super::{PrecisionName, at_least_once, check_tolerance, tell_machine};
 use crate::cli::AdapterArgs;
 
 #[derive(Debug, Args)]
@@ -39,7 +39,7 @@ pub(super) struct Solids {
     #[arg(long, default_value_t = 1.0 / 120.0)]
     step: f64,
     /// Timed solves per row
-    #[arg(long, default_value_t = 5)]
+    #[arg(long, default_value_t = 5, value_parser = at_least_once())]
     repeats: usize,
     /// Relative tolerance of the true residual
     #[arg(long, default_value_t = 1e-8)]

@@ -8,7 +8,7 @@ use cutwater::gpu::Gpu;
 use cutwater::measure::bench_solve::{self, Formulation, Options, Rival};
 use cutwater::scene::Solver;
 
-use super::{PrecisionName, PreconditionerName, check_tolerance, tell_machine};
+use super::{PrecisionName, PreconditionerName, at_least_once, check_tolerance, tell_machine};
 use crate::cli::AdapterArgs;
 
 #[derive(Debug, Args)]
@@ -25,7 +25,7 @@ pub(super) struct Solve {
     #[arg(long, value_delimiter = ',', value_name = "N,N,..")]
     bricks: Vec<usize>,
     /// Timed runs per row; no more are begun where they have taken 20 s
-    #[arg(long, default_value_t = 5)]
+    #[arg(long, default_value_t = 5, value_parser = at_least_once())]
     repeats: usize,
     /// Relative tolerance of the true residual
     #[arg(long, default_value_t = 1e-8)]

@@ -7,7 +7,7 @@ use cutwater::Error;
 use cutwater::gpu::Gpu;
 use cutwater::measure::bench_sort;
 
-use super::tell_machine;
+use super::{at_least_once, tell_machine};
 use crate::cli::AdapterArgs;
 
 #[derive(Debug, Args)]
@@ -17,14 +17,15 @@ pub(super) struct Sort {
         long,
         value_delimiter = ',',
         value_name = "N,N,..",
-        default_value = "10000,100000,1000000"
+        default_value = "10000,100000,1000000",
+        value_parser = clap::value_parser!(u32).range(1..)
     )]
-    entries: Vec<usize>,
+    entries: Vec<u32>,
     /// Bits of the keys
     #[arg(long, default_value_t = 32, value_parser = clap::value_parser!(u32).range(1..=32))]
     bits: u32,
     /// Timed runs per row
-    #[arg(long, default_value_t = 5)]
+    #[arg(long, default_value_t = 5, value_parser = at_least_once())]
     repeats: usize,
     /// Folder of the results
     #[arg(long, default_value = "out/bench_sort")]
@@ -37,7 +38,7 @@ impl Sort {
     pub(super) fn run(&self) -> Result<(), Error> {
         let gpu = Gpu::new(&self.adapter.choice())?;
         let options = bench_sort::Options {
-            entries: self.entries.clone(),
+            entries: self.entries.iter().map(|&n| n as usize).collect(),
             bits: self.bits,
             repeats: self.repeats,
         };

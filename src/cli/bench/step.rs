@@ -7,7 +7,7 @@ use cutwater::Error;
 use cutwater::measure::bench_step;
 use cutwater::scene::Scene;
 
-use super::tell_machine;
+use super::{at_least_once, tell_machine};
 use crate::cli::AdapterArgs;
 
 #[derive(Debug, Args)]
@@ -30,7 +30,7 @@ pub(super) struct Step {
     #[arg(long, default_value_t = 6)]
     frames: u64,
     /// Runs of each scene from its start
-    #[arg(long, default_value_t = 3)]
+    #[arg(long, default_value_t = 3, value_parser = at_least_once())]
     repeats: usize,
     /// Also run each scene in a domain that many times larger along x, y, z, by turns, and give the ratio of the seconds
     #[arg(long, value_delimiter = ',', num_args = 1, value_name = "X,Y,Z")]

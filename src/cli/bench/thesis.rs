@@ -8,7 +8,7 @@ use cutwater::measure::bench_thesis::{
     Options, Row, SceneRow, SystemRow, ThesisTable, Told, bench_thesis,
 };
 
-use super::{PrecisionName, tell_machine};
+use super::{PrecisionName, at_least_once, tell_machine};
 use crate::cli::AdapterArgs;
 
 #[derive(Debug, Args)]
@@ -33,7 +33,7 @@ pub(super) struct Thesis {
     #[arg(long, default_value_t = 1.0)]
     scale: f64,
     /// Sub-steps of the scenes of table 6.1 that are timed, from their start
-    #[arg(long, default_value_t = 5)]
+    #[arg(long, default_value_t = 5, value_parser = at_least_once())]
     steps: usize,
     /// Frames of the dam break, 24 a second, whose states are taken for tables 6.2 to 6.4
     #[arg(
@@ -53,7 +53,7 @@ pub(super) struct Thesis {
     )]
     precision: Vec<PrecisionName>,
     /// Timed runs per row; no more are begun where they have taken 20 s
-    #[arg(long, default_value_t = 3)]
+    #[arg(long, default_value_t = 3, value_parser = at_least_once())]
     repeats: usize,
     /// Folder of the results; those of an earlier run are removed, but with --resume the rows of tables 6.2 to 6.4
     #[arg(long, default_value = "out/bench_thesis")]
