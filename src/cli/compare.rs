@@ -3,7 +3,7 @@
 use cutwater::Error;
 use cutwater::measure::compare::{Comparison, compare};
 
-use super::{AdapterArgs, SceneArgs};
+use super::{AdapterArgs, SMALLER_SCENE, SceneArgs, without_backend};
 
 /// Check every stage of the GPU path against the f64 path
 #[derive(Debug, clap::Args)]
@@ -21,7 +21,8 @@ impl Compare {
     pub(super) fn run(&self) -> Result<(), Error> {
         let scene = self.scene.load()?;
         let choice = self.adapter.choice();
-        let comparison = compare(&scene, self.frames, &choice, &mut |_, _| {})?;
+        let comparison = compare(&scene, self.frames, &choice, &mut |_, _| {})
+            .map_err(|error| without_backend(error, SMALLER_SCENE))?;
         print(&comparison);
         comparison.verdict()
     }

@@ -107,6 +107,27 @@ impl AdapterArgs {
     }
 }
 
+/// What takes less of an adapter, of commands that simulate a scene.
+const SMALLER_SCENE: &str = "fewer cells (--scale) or coarser meshes of the solids";
+
+/// The error of a command that has no `--backend`: a cure that names it gives way to one that the command has; `smaller`: what takes less
+/// of the adapter.
+fn without_backend(mut error: Error, smaller: &str) -> Error {
+    if let Error::Limit {
+        available, cure, ..
+    } = &mut error
+        && cure.ends_with(", or --backend cpu")
+    {
+        let other = match *available {
+            // What is missing altogether is a feature: 64-bit floats.
+            0 => "precision mixed, which reaches the same tolerance",
+            _ => smaller,
+        };
+        *cure = format!("use {other}, or another adapter (--adapter)");
+    }
+    error
+}
+
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 enum BackendName {
     Gpu,

@@ -529,6 +529,23 @@ fn a_run_on_the_gpu_names_its_adapter() {
     assert!(message.contains("buffer bench.open"), "{message}");
 }
 
+/// A bench without `--backend` does not propose it.
+#[test]
+fn cures_are_options_of_the_command() {
+    if gpu().is_none() {
+        return;
+    }
+    let folder = folder(DAM);
+    // 16 GiB, more than Vulkan binds.
+    let arguments = "bench sort --entries 4294967295 --repeats 1";
+    let message = complains(&folder, arguments, 3);
+    let cure = "cure: use fewer entries (--entries), or another adapter (--adapter)";
+    assert!(
+        message.contains("bench.shuffled") && message.contains(cure),
+        "{message}"
+    );
+}
+
 /// Before anything of the grid's size is allocated.
 #[test]
 fn what_no_machine_has_room_for_is_refused_at_once() {

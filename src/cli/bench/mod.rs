@@ -15,6 +15,7 @@ use cutwater::Error;
 use cutwater::measure::table::Machine;
 use cutwater::scene::{Precision, Preconditioner};
 
+use super::{SMALLER_SCENE, without_backend};
 use accuracy::Accuracy;
 use effects::Effects;
 use solids::Solids;
@@ -90,16 +91,21 @@ impl PreconditionerName {
 
 impl Bench {
     pub(super) fn run(&self) -> Result<(), Error> {
-        match &self.what {
-            What::Solve(solve) => solve.run(),
-            What::Accuracy(accuracy) => accuracy.run(),
-            What::Effects(effects) => effects.run(),
-            What::Solids(solids) => solids.run(),
-            What::Step(step) => step.run(),
-            What::Stability(stability) => stability.run(),
-            What::Sort(sort) => sort.run(),
-            What::Thesis(thesis) => thesis.run(),
-        }
+        let (done, smaller) = match &self.what {
+            What::Solve(solve) => (solve.run(), "smaller grids (--grids)"),
+            What::Accuracy(accuracy) => (
+                accuracy.run(),
+                "fewer cells (--scale, --grids) or coarser meshes of the solids",
+            ),
+            What::Effects(effects) => (effects.run(), SMALLER_SCENE),
+            What::Solids(solids) => (solids.run(), "fewer nodes (--nodes)"),
+            What::Step(step) => (step.run(), SMALLER_SCENE),
+            // The one that has --backend.
+            What::Stability(stability) => return stability.run(),
+            What::Sort(sort) => (sort.run(), "fewer entries (--entries)"),
+            What::Thesis(thesis) => (thesis.run(), "smaller grids (--grids) and scenes (--scale)"),
+        };
+        done.map_err(|error| without_backend(error, smaller))
     }
 }
 
