@@ -104,23 +104,27 @@ pub struct Table<Row> {
 /// # Errors
 /// [`Error::Output`] where one cannot be removed.
 pub(super) fn remove_earlier(out: &Path, files: &[&str]) -> Result<(), Error> {
-    for file in files {
-        let path = out.join(file);
-        match fs::remove_file(&path) {
-            Err(problem) if problem.kind() != ErrorKind::NotFound => {
-                return Err(Error::unwritten(&path, &problem));
-            }
-            _ => {}
-        }
-    }
-    Ok(())
+    files.iter().try_for_each(|file| remove(&out.join(file)))
 }
 
-/// Writes rows with a head line.
+/// Removes a file where there is one.
+fn remove(path: &Path) -> Result<(), Error> {
+    match fs::remove_file(path) {
+        Err(problem) if problem.kind() != ErrorKind::NotFound => {
+            Err(Error::unwritten(path, &problem))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Writes rows with a head line. Where there are none, nothing tells the names of the columns: then there is no file, nor one of an earlier run.
 ///
 /// # Errors
 /// [`Error::Output`].
 pub(super) fn write_csv<T: Serialize>(rows: &[T], path: &Path) -> Result<(), Error> {
+    if rows.is_empty() {
+        return remove(path);
+    }
     let mut csv = csv::Writer::from_writer(Vec::new());
     for row in rows {
         csv.serialize(row)
@@ -159,4 +163,23 @@ pub(super) fn write_svg(
 pub(super) fn log_range(values: impl Iterator<Item = f64> + Clone) -> Range<f64> {
     let least = values.clone().fold(f64::INFINITY, f64::min);
     least / 1.5..1.5 * values.fold(0.0, f64::max)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::write_csv;
+
+    #[test]
+    fn a_table_without_rows_is_no_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("table.csv");
+        write_csv(&[(1, "a")], &path).unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "1,a\n");
+        for _ in 0..2 {
+            write_csv::<(i32, &str)>(&[], &path).unwrap();
+            assert!(!path.exists());
+        }
+    }
 }
