@@ -17,7 +17,7 @@ pub(super) struct Export {
     /// Sub-step whose system it is, from 0 as in steps.csv
     #[arg(long)]
     step: u64,
-    /// Folder of the files
+    /// Folder of the files; an earlier export in it is replaced
     #[arg(long)]
     out: PathBuf,
 }

@@ -10,6 +10,7 @@ use cutwater::scene::Scene;
 use cutwater::sim::Backend;
 use serde_json::Value;
 
+use crate::cli::list;
 use crate::common::gpu;
 use crate::solid_cases::{held, region};
 use crate::solid_scene::{block, scene_of};
@@ -154,6 +155,89 @@ fn a_sub_step_after_the_end_is_refused() {
             "{refused}"
         );
         assert!(!options.out.exists());
+    }
+}
+
+/// A block in a pool.
+const BOTH: &str = "[domain]
+size = [1, 1, 1]
+cells = [8, 8, 8]
+[time]
+duration = 0.2
+frames_per_second = 24
+[[liquid.region]]
+box = { min = [0, 0, 0], max = [1, 0.5, 1] }
+[[solid]]
+name = \"block\"
+mesh = { box = { size = [0.3, 0.3, 0.3], cells = [2, 2, 2] } }
+placement = { translate = [0.5, 0.3, 0.5] }
+density = 2000.0
+young = 1e6
+poisson = 0.4
+";
+
+#[test]
+fn an_export_replaces_all_of_an_earlier_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("both.toml");
+    fs::write(&file, BOTH).unwrap();
+    let both = Scene::load(&file, &[], 1.0).unwrap();
+    let liquid = scene("dam_break_liquid", 0.25, &["time.duration=0.05"]);
+    let into = |out: &Path, step: u64| Options {
+        backend: Backend::Cpu,
+        step,
+        out: out.to_owned(),
+    };
+    let same = folder.path().join("same");
+    let mut left = Vec::new();
+    // Each writes files that the next does not.
+    for (number, scene) in [both, two_blocks(), liquid.clone()].iter().enumerate() {
+        let alone = folder.path().join(number.to_string());
+        for out in [&same, &alone] {
+            fs::create_dir_all(out).unwrap();
+            fs::write(out.join("notes.txt"), "of the user").unwrap();
+            export(scene, &into(out, 0)).unwrap();
+        }
+        left = list(&same);
+        assert_eq!(left, list(&alone));
+        for name in &left {
+            let [a, b] = [&same, &alone].map(|out| fs::read(out.join(name)).unwrap());
+            assert!(a == b, "{name}");
+        }
+    }
+    // One that fails takes nothing away.
+    export(&liquid, &into(&same, 1000)).unwrap_err();
+    assert_eq!(list(&same), left);
+    // Where a run followed, the folder is no longer that of an export alone.
+    fs::write(same.join("manifest.json"), "{}").unwrap();
+    let error = export(&liquid, &into(&same, 0)).unwrap_err();
+    assert!(error.to_string().contains("holds a run"), "{error}");
+}
+
+#[test]
+fn a_folder_of_something_else_is_refused() {
+    let scene = scene("dam_break_liquid", 0.25, &[]);
+    for (name, text) in [
+        ("manifest.json", "{}"),
+        ("spd.mtx", "of another program"),
+        ("nodes.csv", "n,x\n"),
+        ("meta.json", "{\"cutwater\": \"0.1.0\", \"step\": 3}"),
+        ("meta.json", "{"),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path();
+        fs::write(out.join(name), text).unwrap();
+        let options = Options {
+            backend: Backend::Cpu,
+            step: 0,
+            out: out.to_owned(),
+        };
+        let error = export(&scene, &options).unwrap_err();
+        assert_eq!(error.exit_code(), 2, "{error}");
+        let told = error.to_string();
+        assert!(told.contains(name) && told.contains("--out"), "{told}");
+        assert_eq!(list(out), [name]);
+        assert_eq!(fs::read_to_string(out.join(name)).unwrap(), text);
     }
 }
 

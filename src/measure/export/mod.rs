@@ -17,20 +17,44 @@ mod coupled;
 mod pressure;
 mod solids;
 
-use std::path::PathBuf;
+use std::fs;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
+use serde_json::Value;
 
+use super::table::remove_earlier;
 use crate::Error;
 use crate::gpu::AdapterChoice;
 use crate::linalg::{Csr, Symmetry, matrix_text, norm, vector_text};
-use crate::output::write_atomically;
+use crate::output::{FolderLock, write_atomically};
 use crate::reference::{Reference, StepSystem};
 use crate::scene::Scene;
 use crate::sim::{Backend, GpuPath, reference_path};
 use crate::state::{SolveReport, SolveStatus, StepReport};
 
 pub use solids::SolidMeta;
+
+/// All that exports write, whatever the system; last what says of which system the others are.
+const FILES: [&str; 17] = [
+    "spd.mtx",
+    "spd_rhs.mtx",
+    "solution.mtx",
+    "indefinite.mtx",
+    "indefinite_rhs.mtx",
+    "stress.mtx",
+    "stress_rhs.mtx",
+    "B.mtx",
+    "J.mtx",
+    "M.mtx",
+    "K.mtx",
+    "S.mtx",
+    "Z1.mtx",
+    "Z2.mtx",
+    "cells.csv",
+    "nodes.csv",
+    "meta.json",
+];
 
 /// What to export.
 #[derive(Clone, Debug)]
@@ -39,7 +63,7 @@ pub struct Options {
     pub backend: Backend,
     /// Sub-step whose system it is, from 0 as in steps.csv.
     pub step: u64,
-    /// The folder; made if absent.
+    /// The folder; made if absent. An earlier export in it is replaced.
     pub out: PathBuf,
 }
 
@@ -142,11 +166,15 @@ struct Ran {
     adapter: Option<String>,
 }
 
-/// Runs a scene to a sub-step and writes that sub-step's system.
+/// Runs a scene to a sub-step and writes that sub-step's system, in place of an earlier export, which stays where there is none to write.
 ///
 /// # Errors
-/// Whatever the simulation ends with, and [`Error::Output`].
+/// [`Error::Input`] where the folder holds a run, or files that the export would replace and that are not of an earlier one, or where another
+/// process writes into it; whatever the simulation ends with, and [`Error::Output`].
 pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
+    let out = &options.out;
+    // First, since the simulation can take long.
+    ensure_replaceable(out)?;
     let (system, ran) = match (scene.liquid.is_some(), scene.solids.is_empty()) {
         (_, true) => pressure::system(scene, options)?,
         (false, false) => solids::system(scene, options)?,
@@ -187,8 +215,6 @@ pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
             0.0
         },
     };
-    let out = &options.out;
-    std::fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
     let [of_matrix, of_rhs, of_solution] = system.comments;
     let text = serde_json::to_string_pretty(&meta).expect("the record has no maps") + "\n";
     let mut files = vec![
@@ -201,10 +227,46 @@ pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
     ];
     files.extend(system.others);
     files.push(("meta.json", text));
+    let _held = FolderLock::take(out)?;
+    // Another process may have been here.
+    ensure_replaceable(out)?;
+    remove_earlier(out, &FILES)?;
     for (name, text) in files {
         write_atomically(&out.join(name), text.as_bytes())?;
     }
     Ok(meta)
+}
+
+/// Refuses a folder that holds something else than an earlier export: nobody knows whose its files are.
+fn ensure_replaceable(out: &Path) -> Result<(), Error> {
+    let refused = |name: &str, problem: &str, cure: &str| {
+        let what = out.join(name).display().to_string();
+        Err(Error::input(what, problem, cure))
+    };
+    let manifest = "manifest.json";
+    if out.join(manifest).exists() {
+        let cure = "choose another folder with --out";
+        return refused(manifest, "the folder holds a run", cure);
+    }
+    if is_meta(&out.join("meta.json")) {
+        return Ok(());
+    }
+    match FILES.iter().find(|name| out.join(name).exists()) {
+        Some(name) => refused(
+            name,
+            "the export would replace it, and no meta.json says that it is of an earlier one",
+            "choose another folder with --out, or remove by hand what is in this one",
+        ),
+        None => Ok(()),
+    }
+}
+
+/// Whether a file is the meta.json of an export, of this version or another.
+fn is_meta(path: &Path) -> bool {
+    let text = fs::read(path).unwrap_or_default();
+    let meta: Value = serde_json::from_slice(&text).unwrap_or_default();
+    let keys = ["cutwater", "step", "unknowns", "residual"];
+    keys.iter().all(|key| meta.get(key).is_some())
 }
 
 /// b - A x
