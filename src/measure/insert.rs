@@ -19,6 +19,8 @@ use serde_json::Value;
 use crate::Error;
 use crate::output::write_atomically;
 
+use super::report::records;
+
 const HEAD: &str = "<!-- table";
 const CLOSE: &str = "-->";
 const END: &str = "<!-- end of table -->";
@@ -40,7 +42,7 @@ struct Wanted {
 
 /// A table of a CSV file.
 struct Found {
-    heads: Vec<String>,
+    heads: csv::StringRecord,
     rows: Vec<csv::StringRecord>,
     /// When, the adapter where there was one, and the CPU.
     measured: Option<String>,
@@ -143,14 +145,7 @@ pub fn insert(dir: &Path, document: &Path) -> Result<Inserted, Error> {
 
 impl Found {
     fn read(path: &Path) -> Result<Found, Error> {
-        let unreadable = |problem: &dyn std::fmt::Display| {
-            let cure = "run the bench that writes it, with --out a folder of the results";
-            let problem = format!("cannot be read: {problem}");
-            Error::input(path.display().to_string(), problem, cure)
-        };
-        let mut reader = csv::Reader::from_path(path).map_err(|problem| unreadable(&problem))?;
-        let heads = reader.headers().map_err(|problem| unreadable(&problem))?;
-        let heads: Vec<String> = heads.iter().map(str::to_owned).collect();
+        let (heads, rows) = records(path)?;
         if heads.is_empty() {
             return Err(Error::input(
                 path.display().to_string(),
@@ -158,10 +153,9 @@ impl Found {
                 "run the bench that writes it with options that give it rows, or remove it: then the table is left as it is",
             ));
         }
-        let rows = reader.records().collect::<Result<_, _>>();
         Ok(Found {
             heads,
-            rows: rows.map_err(|problem| unreadable(&problem))?,
+            rows,
             measured: measured(path),
         })
     }

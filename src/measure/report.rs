@@ -4,13 +4,17 @@
 //! of the CSV files, number for number; nothing is computed here.
 
 use std::fs;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
+use roxmltree::{Document, ParsingOptions};
 
 use crate::Error;
+use crate::output::manifest::Manifest;
+use crate::output::preview::ensure_whole_png;
 use crate::output::write_atomically;
 
 /// The page's name in the folder.
@@ -57,7 +61,7 @@ pub struct Contents {
 /// Writes `DIR/report.html`.
 ///
 /// # Errors
-/// [`Error::Input`] where the folder is not there or holds nothing to show, or a table in it is broken; [`Error::Output`].
+/// [`Error::Input`] where the folder is not there or holds nothing to show, or a file that it would show is broken; [`Error::Output`].
 pub fn report(dir: &Path) -> Result<Contents, Error> {
     let refused = |problem: String| {
         let cure = "give the --out folder of a run or a bench, or one that holds such folders";
@@ -159,7 +163,7 @@ pub(super) fn csv_files(dir: &Path) -> Result<Vec<PathBuf>, Error> {
     Ok(folders.into_iter().flat_map(|folder| folder.csv).collect())
 }
 
-/// Heads and rows of a table.
+/// Heads and rows of a table; neither of an empty file.
 ///
 /// # Errors
 /// [`Error::Input`] where it cannot be read.
@@ -171,7 +175,23 @@ pub(super) fn records(path: &Path) -> Result<(csv::StringRecord, Vec<csv::String
         .map_err(|problem| unreadable(path, &problem))?
         .clone();
     let rows = reader.records().collect::<Result<_, _>>();
-    Ok((heads, rows.map_err(|problem| unreadable(path, &problem))?))
+    let rows = rows.map_err(|problem| unreadable(path, &problem))?;
+    if ends_in_quotes(&text) {
+        return Err(unreadable(path, &"the last quotation mark is not closed"));
+    }
+    Ok((heads, rows))
+}
+
+/// Whether a table ends within quotes, which the reader takes for closed there: then one more line break would be a part of its last cell.
+fn ends_in_quotes(text: &str) -> bool {
+    let last = |end: &str| {
+        let rows = csv::ReaderBuilder::new()
+            .has_headers(false)
+            .from_reader(text.as_bytes().chain(end.as_bytes()))
+            .into_records();
+        rows.last().and_then(Result::ok)
+    };
+    last("") != last("\n")
 }
 
 /// The first, one in the middle and the last.
@@ -204,10 +224,11 @@ fn section(dir: &Path, folder: &Folder) -> Result<Markup, Error> {
     let drawn = folder
         .svg
         .iter()
-        .map(|path| Ok((file_name(path), read(path)?)));
+        .map(|path| Ok((file_name(path), drawing(path)?)));
     let drawn: Vec<(String, String)> = drawn.collect::<Result<_, Error>>()?;
     let rendered = folder.pictures.iter().map(|path| {
         let bytes = fs::read(path).map_err(|problem| unreadable(path, &problem))?;
+        ensure_whole_png(&bytes).map_err(|problem| unreadable(path, &problem))?;
         Ok((file_name(path), STANDARD.encode(bytes)))
     });
     let rendered: Vec<(String, String)> = rendered.collect::<Result<_, Error>>()?;
@@ -255,8 +276,38 @@ fn facts(path: &Path) -> Result<Vec<(String, String)>, Error> {
     Ok(facts)
 }
 
+/// A drawing's text. It becomes a part of the page as it is, where one that does not end would swallow what follows.
+fn drawing(path: &Path) -> Result<String, Error> {
+    let text = read(path)?;
+    // Other programs begin theirs with a document type.
+    let options = ParsingOptions {
+        allow_dtd: true,
+        ..ParsingOptions::default()
+    };
+    let is_svg = Document::parse_with_options(&text, options)
+        .map(|document| document.root_element().tag_name().name() == "svg");
+    match is_svg {
+        Ok(true) => Ok(text),
+        Ok(false) => Err(unreadable(path, &"its root is no svg element")),
+        Err(problem) => Err(unreadable(path, &problem)),
+    }
+}
+
+/// Whether a table is steps.csv of a run without sub-steps: the first of them tells the columns.
+fn is_before_first_step(path: &Path) -> bool {
+    let run = path.parent().filter(|_| path.ends_with("steps.csv"));
+    let manifest = run.and_then(|run| Manifest::read(run).ok());
+    manifest.is_some_and(|manifest| manifest.progress.steps == 0)
+}
+
 fn table(path: &Path) -> Result<Markup, Error> {
     let (head, rows) = records(path)?;
+    if head.is_empty() && !is_before_first_step(path) {
+        return Err(unreadable(
+            path,
+            &"it is empty: not even the names of its columns are there",
+        ));
+    }
     let left_out = rows.len().saturating_sub(MOST_ROWS);
     Ok(html! {
         details open[rows.len() <= 40] {

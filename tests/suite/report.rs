@@ -6,6 +6,25 @@ use std::path::Path;
 use cutwater::measure::agreement::agreement;
 use cutwater::measure::insert::insert;
 use cutwater::measure::report::{Contents, PAGE, report};
+use cutwater::output::manifest::{Manifest, RunOptions};
+use cutwater::scene::Scene;
+
+/// A PNG file of one pixel, an animation where it is to be several greys.
+fn picture(greys: &[u8]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, 1, 1);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_depth(png::BitDepth::Eight);
+    if greys.len() > 1 {
+        encoder.set_animated(greys.len() as u32, 0).unwrap();
+    }
+    let mut writer = encoder.write_header().unwrap();
+    for &grey in greys {
+        writer.write_image_data(&[grey]).unwrap();
+    }
+    writer.finish().unwrap();
+    bytes
+}
 
 #[test]
 fn a_page_holds_everything() {
@@ -30,7 +49,7 @@ fn a_page_holds_everything() {
     fs::write(dir.join("run/steps.csv"), format!("step,t\n{rows}")).unwrap();
     for frame in 0..9 {
         let name = format!("run/preview/frame_{frame}.png");
-        fs::write(dir.join(name), [0x89, b'P', b'N', b'G', frame]).unwrap();
+        fs::write(dir.join(name), picture(&[frame])).unwrap();
     }
     fs::write(frames.join("not_shown.csv"), "a\n1\n").unwrap();
     let contents = report(dir).unwrap();
@@ -70,7 +89,7 @@ fn a_page_holds_everything() {
 }
 
 #[test]
-fn nothing_and_broken_tables_are_refused() {
+fn nothing_and_broken_files_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let dir = folder.path();
     let refused = |part: &str| {
@@ -84,8 +103,67 @@ fn nothing_and_broken_tables_are_refused() {
     fs::write(dir.join("broken.csv"), "a,b\n1,2\n").unwrap();
     fs::write(dir.join("broken.json"), "{").unwrap();
     refused("broken.json");
+    fs::remove_file(dir.join("broken.json")).unwrap();
+    let whole = picture(&[7]);
+    let mut changed = whole.clone();
+    // The last byte of its data, before two checksums and the end.
+    changed[whole.len() - 21] ^= 1;
+    let drawing = "<!DOCTYPE svg><svg xmlns=\"http://www.w3.org/2000/svg\"><g></g></svg>";
+    let files: [(&str, &[u8], &str); 13] = [
+        ("steps.csv", b"", "it is empty"),
+        ("blank.csv", b"\n\n", "it is empty"),
+        ("quote.csv", b"a,b\n1,\"2\n3,4\n", "the last quotation mark"),
+        ("quote.csv", b"a,b\n1,\"2\"\"", "the last quotation mark"),
+        ("quote.csv", b"a,\"b\n", "the last quotation mark"),
+        ("p.png", b"", ""),
+        ("p.png", b"garbage", ""),
+        ("p.png", &whole[..whole.len() - 1], ""),
+        ("p.png", &changed, ""),
+        ("p.svg", b"", ""),
+        ("p.svg", b"<svg", ""),
+        ("p.svg", &drawing.as_bytes()[..drawing.len() - 1], ""),
+        ("p.svg", b"<html></html>", "its root"),
+    ];
+    for (name, bytes, told) in files {
+        fs::write(dir.join(name), bytes).unwrap();
+        refused(&format!("{name}: cannot be read: {told}"));
+        refused("move it elsewhere");
+        fs::remove_file(dir.join(name)).unwrap();
+    }
+    assert!(!dir.join(PAGE).exists());
+    // Line breaks within quotes, also at the end, are of a cell.
+    fs::write(dir.join("quote.csv"), "a,\"b\nc\"\n1,\"2\n\"").unwrap();
+    fs::write(dir.join("p.png"), picture(&[7, 8])).unwrap();
+    fs::write(dir.join("p.svg"), drawing).unwrap();
+    assert_eq!(report(dir).unwrap().tables, 2);
     let error = report(&dir.join("nowhere")).unwrap_err();
     assert!(error.to_string().contains("no such folder"), "{error}");
+}
+
+/// The first sub-step tells the columns: a run that failed in it does not keep those beside it from the page.
+#[test]
+fn a_run_before_its_first_sub_step_has_no_columns() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path();
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/dam_break_liquid.toml");
+    let scene = Scene::load(&path, &[], 0.25).unwrap();
+    let options = RunOptions {
+        backend: "cpu".to_owned(),
+        frames: 1,
+        scale: 0.25,
+        overrides: Vec::new(),
+    };
+    let mut manifest = Manifest::new(&scene, options, None);
+    manifest.write(run).unwrap();
+    fs::write(run.join("steps.csv"), "").unwrap();
+    assert_eq!(report(run).unwrap().tables, 1);
+    manifest.progress.steps = 1;
+    manifest.write(run).unwrap();
+    let error = report(run).unwrap_err().to_string();
+    assert!(
+        error.contains("steps.csv: cannot be read: it is empty"),
+        "{error}"
+    );
 }
 
 const DOCUMENT: &str = "# Speed
@@ -248,6 +326,8 @@ fn tables_without_rows_say_so() {
     // What has no head may have any columns.
     fs::write(&table, "").unwrap();
     refused(DOCUMENT, "solve_growth.csv: it is empty");
+    fs::write(&table, "grid\n\"20\n").unwrap();
+    refused(DOCUMENT, "quotation mark is not closed");
 }
 
 #[test]

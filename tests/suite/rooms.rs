@@ -49,7 +49,6 @@ const HOMES: &[(&str, &str)] = &[
     ("naga", "gpu"),
     ("faer", "linalg"),
     ("parry3d_f64", "geometry"),
-    ("roxmltree", "geometry"),
     ("flate2", "geometry"),
     ("toml", "scene"),
     ("vtkio", "output"),

@@ -32,6 +32,8 @@ use shade::{Stage, View};
 use solids::{Scale, Skin, SolidFrame};
 use triangles::{HalfSpace, Owner, Triangle, Triangles};
 
+pub(crate) use picture::ensure_whole_png;
+
 const DARK: [u8; 3] = [40, 46, 54];
 
 /// What the colours of elastic solids stand for.

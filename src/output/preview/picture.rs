@@ -1,7 +1,7 @@
 //! 8-bit sRGB pictures: lines and letters on them, PNG files, and the animation (APNG).
 
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufReader, Cursor};
 use std::path::{Path, PathBuf};
 
 use glam::Vec3;
@@ -296,6 +296,14 @@ pub(super) fn animate(path: &Path, pictures: &[(PathBuf, f64)]) -> Result<(), Er
     }
     writer.finish().map_err(failed)?;
     write_atomically(path, &bytes)
+}
+
+/// Reads a PNG file to its end, comparing checksums.
+///
+/// # Errors
+/// Where it is none, ends too early or was changed.
+pub(crate) fn ensure_whole_png(bytes: &[u8]) -> Result<(), png::DecodingError> {
+    png::Decoder::new(Cursor::new(bytes)).read_info()?.finish()
 }
 
 fn milliseconds(seconds: f64) -> u16 {
