@@ -34,16 +34,19 @@ pub(super) struct Bench {
 
 #[derive(Debug, Subcommand)]
 enum What {
-    /// The solve against the grid, on the base block and, with a beam, on the base scene: solve.csv, solve.json, solve.svg
+    /// The solve against the grid, on the base block and, with a beam, on the base scene: solve.csv, solve_growth.csv, solve_against.csv,
+    /// solve.json, solve.svg
     Solve(Solve),
     /// The solve of elastic solids against their size, and against sparse Cholesky: solids.csv, solids.json, solids.svg
     Solids(Solids),
     /// What accuracy costs in time: errors against seconds, by precision, preconditioner, form and tolerance, on states of scenes:
-    /// accuracy.csv, accuracy_best.csv, accuracy.json, accuracy.svg
+    /// accuracy.csv, accuracy_best.csv, accuracy_grids.csv, accuracy_grids_best.csv, accuracy_grids_enough.csv, accuracy.json, accuracy.svg,
+    /// accuracy_grids.svg
     Accuracy(Accuracy),
-    /// What each effect of a scene adds to a sub-step, in time, bytes and dispatches: effects.csv, effects.json, effects.svg
+    /// What each effect of a scene adds to a sub-step, in time, bytes and dispatches, and each output to a frame: effects.csv, outputs.csv,
+    /// effects.json, outputs.json, effects.svg
     Effects(Effects),
-    /// Whole sub-steps of scenes, stage by stage: step.csv, step_stages.csv, step.json, step.svg
+    /// Whole sub-steps of scenes, stage by stage: step.csv, step_stages.csv, step_growth.csv, step.json, step.svg
     Step(Step),
     /// What stays stable: hostile scenes, the thesis's section 6.3, the limit of weak coupling: stability.csv, stability_limit.csv,
     /// stability.json, stability.svg
