@@ -31,7 +31,17 @@ impl Mesh {
             ));
         }
         let file = self.file.display().to_string();
-        let is_surface = ["obj", "stl", "ply"].contains(&extension(&self.file).as_str());
+        let is_surface = match extension(&self.file).as_str() {
+            "obj" | "stl" | "ply" => true,
+            "msh" | "vtu" => false,
+            _ => {
+                return Err(Error::input(
+                    file,
+                    "unknown kind of mesh file",
+                    "give tetrahedra (.msh of Gmsh 4.1, .vtu) or a closed surface (.obj, .stl, .ply)",
+                ));
+            }
+        };
         let (tets, surface) = match (is_surface, self.cell_size) {
             (true, None) => {
                 return Err(Error::input(

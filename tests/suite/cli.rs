@@ -195,6 +195,17 @@ fn wrong_arguments_are_bad_input() {
 }
 
 #[test]
+fn mesh_names_all_kinds_of_files_that_it_takes() {
+    let folder = folder(DAM);
+    for arguments in ["mesh dam.toml", "mesh dam.toml --cell-size 0.1"] {
+        let message = complains(&folder, arguments, 2);
+        let mut parts = vec!["dam.toml: unknown kind of mesh file"];
+        parts.extend([".msh", ".vtu", ".obj", ".stl", ".ply"]);
+        assert!(parts.iter().all(|part| message.contains(part)), "{message}");
+    }
+}
+
+#[test]
 fn a_missing_scene_is_bad_input() {
     let message = complains(&folder(DAM), "run pool.toml", 2);
     assert!(
