@@ -739,7 +739,7 @@ fn solver(root: &Table, surface: Option<Surface>, has_solids: bool) -> Result<So
             solver.tolerance,
             1e-14..1.0,
             problem,
-            "use 1e-14 to 0.1; 1e-8 is usual",
+            "use 1e-14 to below 1; 1e-8 is usual",
         )?;
     }
     if let Some(place) = table.get("max_iterations") {

@@ -749,6 +749,7 @@ fn bad_overrides_name_themselves() {
         ("domain.size=[2, 1, 0.4]", &["domain.size", "not cubic", "[30, 15, 6]"]),
         ("obstacle[0].placement.rotate={ axis = [1, 0, 0] }", &["obstacle[0].placement.rotate.degrees: is missing"]),
         ("time.duration=99999999999999999999", &["lies beyond +-2^63"]),
+        ("solver.tolerance=1", &["solver.tolerance: is 1", "use 1e-14 to below 1"]),
     ];
     for &(setting, parts) in cases {
         let error = load(GOOD, &[setting], 1.0).map(|_| ()).expect_err(setting);
