@@ -60,17 +60,18 @@ pub(super) fn shape(kind: &str, place: Place, file: &Path) -> Result<Shape, Erro
     Ok(match kind {
         "box" => {
             let table = place.clone().table(&BOX)?;
-            let min = table
-                .required("min", "min = [0, 0, 0], the low corner in m")?
-                .vector("the low corner in m")?;
-            let max = table
-                .required("max", "max = [1, 1, 1], the high corner in m")?
-                .vector("the high corner in m")?;
+            let min_place = table.required("min", "min = [0, 0, 0], the low corner in m")?;
+            let min = min_place.vector("the low corner in m")?;
+            let max_place = table.required("max", "max = [1, 1, 1], the high corner in m")?;
+            let max = max_place.vector("the high corner in m")?;
+            // A corner that an override moved is at fault.
+            let mut corners = [&min_place, &max_place].into_iter();
+            let moved = corners.find(|corner| corner.is_override());
             for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
-                place.ensure(
+                moved.unwrap_or(&place).ensure(
                     max[axis] > min[axis],
                     format!(
-                        "has no volume: along {name} it goes from {} to {}",
+                        "the box has no volume: along {name} it goes from {} to {}",
                         min[axis], max[axis]
                     ),
                     "make every number of max larger than that of min",

@@ -750,6 +750,8 @@ fn bad_overrides_name_themselves() {
         ("obstacle[0].placement.rotate={ axis = [1, 0, 0] }", &["obstacle[0].placement.rotate.degrees: is missing"]),
         ("time.duration=99999999999999999999", &["lies beyond +-2^63"]),
         ("solver.tolerance=1", &["solver.tolerance: is 1", "use 1e-14 to below 1"]),
+        ("liquid.region[0].box.min=[2, 0, 0]", &["liquid.region[0].box.min: the box has no volume: along x it goes from 2 to 0.5"]),
+        ("liquid.region[0].box.max=[0.5, 0, 0.5]", &["liquid.region[0].box.max: the box has no volume: along y"]),
     ];
     for &(setting, parts) in cases {
         let error = load(GOOD, &[setting], 1.0).map(|_| ()).expect_err(setting);
