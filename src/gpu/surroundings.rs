@@ -303,7 +303,7 @@ impl Surroundings {
         }
         if self.devices.is_empty() && self.container.is_some() {
             cures.push(
-                "the container sees no GPU: start it with --gpus all (NVIDIA) or --device /dev/dri (AMD, Intel)".to_owned(),
+                "the container sees no GPU: if the machine has one, start it with --gpus all (NVIDIA) or --device /dev/dri (AMD, Intel)".to_owned(),
             );
         }
     }

@@ -130,7 +130,7 @@ fn what_is_missing_is_named_with_its_cure() {
     assert!(cures(&[&of_nvidia, &x11, &NVIDIA_DEVICES], &[], &[]).is_empty());
     only(
         &cures(&[&[LOADER, DOCKER], &MESA], &[], &[]),
-        &["sees no GPU", "--device /dev/dri"],
+        &["sees no GPU: if the machine has one", "--device /dev/dri"],
     );
 }
 
