@@ -184,6 +184,11 @@ impl Run {
             .iter()
             .map(|head| (head.to_owned(), Vec::new()))
             .collect();
+        if columns.is_empty() {
+            return Err(broken(
+                &"it is empty: not even the names of its columns are there",
+            ));
+        }
         for record in reader.records() {
             let record = record.map_err(|problem| broken(&problem))?;
             for ((_, column), cell) in columns.iter_mut().zip(&record) {

@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use cutwater::measure::plot::plot;
+use cutwater::measure::report::{Contents, report};
 
 fn run(dir: &Path, factor: f64) {
     fs::create_dir_all(dir).unwrap();
@@ -55,6 +56,12 @@ fn charts_of_all_that_tables_hold() {
         assert!(page.starts_with("<svg") && !page.contains("NaN"), "{page}");
         assert!(!page.contains("first"), "one run needs no name");
     }
+    let expected = Contents {
+        folders: 2,
+        tables: 2,
+        pictures: 2,
+    };
+    assert_eq!(report(&a).unwrap(), expected, "the drawings are whole");
     // A line for each of dt, iterations, residuals (without the 0), energy and seconds; axes have fewer points.
     assert_eq!(lines(&steps), [20, 20, 19, 20, 20]);
     let files = plot(&[a.clone(), b.clone()], &folder.path().join("both")).unwrap();
@@ -77,16 +84,21 @@ fn what_is_no_run_is_refused() {
     assert_eq!(error.exit_code(), 2);
     assert!(error.to_string().contains("it holds no run"), "{error}");
     let broken = folder.path().join("broken");
-    for text in [
-        "step,t\n0,0.1\n1\n",
-        "step,time\n0,0.1\n",
-        "step,t\n0,soon\n",
+    for (text, told) in [
+        ("step,t\n0,0.1\n1\n", "cannot be read"),
+        ("step,time\n0,0.1\n", "no time t"),
+        ("step,t\n0,soon\n", "no time t"),
+        ("", "it is empty"),
     ] {
         fs::create_dir_all(&broken).unwrap();
         fs::write(broken.join("steps.csv"), text).unwrap();
         let error = plot(std::slice::from_ref(&broken), &out).unwrap_err();
         assert_eq!(error.exit_code(), 2);
-        assert!(error.to_string().contains("steps.csv"), "{error}");
+        let message = error.to_string();
+        assert!(
+            message.contains("steps.csv") && message.contains(told),
+            "{message}"
+        );
     }
     assert!(
         !out.exists(),
