@@ -835,8 +835,7 @@ fn lines_without_room_are_told_at_the_end() {
         command.stdout(full);
         let message = text(&ends(command, 2).stderr);
         assert!(
-            message.contains("error: cannot write standard output: ")
-                && message.contains("cure: "),
+            message.contains("error: cannot write standard output: ") && message.contains("cure: "),
             "{arguments}: {message}"
         );
     }
