@@ -64,7 +64,7 @@ pub(crate) fn write(
     let judged: Vec<&Row> = rows.iter().filter(|row| row.share.is_some()).collect();
     if !judged.is_empty() {
         glance(&folder.join("glance.svg"), &judged)?;
-        page += "Each row with a bound, as the share of its bound that it takes: left of the line is within.\n\n![](glance.svg)\n\n";
+        page += "Each row with a bound, as the share of its bound that it takes: left of the line is within, a cross is not.\n\n![](glance.svg)\n\n";
     }
     for (number, chart) in charts.iter().enumerate() {
         let name = picture(charts, number);
@@ -92,16 +92,17 @@ fn picture(charts: &[Chart], number: usize) -> String {
     format!("{}{nth}.svg", id.replace('/', "-"))
 }
 
-/// A line per case, a dot per row: error over what is allowed, logarithmic.
+/// A line per case, variants on one, a mark per row: error over what is allowed, logarithmic.
 fn glance(path: &Path, rows: &[&Row]) -> Result<(), Box<dyn Error>> {
-    let mut ids: Vec<&str> = rows.iter().map(|row| row.id.as_str()).collect();
-    ids.dedup();
-    let n = ids.len() as u32;
-    let root = SVGBackend::new(path, (1000, 90 + 16 * n)).into_drawing_area();
+    let mut cases: Vec<&str> = rows.iter().map(|row| row.case()).collect();
+    cases.dedup();
+    let n = cases.len() as u32;
+    let root = SVGBackend::new(path, (1000, 120 + 16 * n)).into_drawing_area();
     root.fill(&WHITE)?;
     let mut chart = ChartBuilder::on(&root)
         .caption("Error over what is allowed", ("sans-serif", 18))
         .margin(12)
+        .top_x_label_area_size(30)
         .x_label_area_size(36)
         .y_label_area_size(190)
         .build_cartesian_2d((1e-6..1e2).log_scale(), 0.0..f64::from(n))?;
@@ -114,18 +115,22 @@ fn glance(path: &Path, rows: &[&Row]) -> Result<(), Box<dyn Error>> {
         .draw()?;
     let bound = [(1.0, 0.0), (1.0, f64::from(n))];
     chart.draw_series([PathElement::new(bound, BLACK.stroke_width(2))])?;
-    for (line, id) in ids.iter().enumerate() {
+    for (line, case) in cases.iter().enumerate() {
         let y = f64::from(n) - line as f64 - 0.5;
-        for row in rows.iter().filter(|row| row.id == *id) {
+        for row in rows.iter().filter(|row| row.case() == *case) {
             // What is not a number is at the far end.
             let share = row.share.filter(|share| !share.is_nan());
             let share = share.unwrap_or(80.0).clamp(1.2e-6, 80.0);
-            let colour = if row.passed == Some(true) { GREEN } else { RED };
-            chart.draw_series([Circle::new((share, y), 4, colour.mix(0.6).filled())])?;
+            let at = (share, y);
+            let mark = match row.passed {
+                Some(true) => Circle::new(at, 4, ink(0).mix(0.4).filled()).into_dyn(),
+                _ => Cross::new(at, 5, RED.stroke_width(2)).into_dyn(),
+            };
+            chart.draw_series([mark])?;
         }
         let at = chart.backend_coord(&(1e-6, y));
         let style = ("sans-serif", 12).into_font();
-        root.draw(&Text::new((*id).to_owned(), (14, at.1 - 6), style))?;
+        root.draw(&Text::new((*case).to_owned(), (14, at.1 - 6), style))?;
     }
     root.present()?;
     Ok(())

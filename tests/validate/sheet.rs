@@ -53,7 +53,7 @@ impl Row {
     }
 
     /// The first two parts of the id: what has three is one of many variants.
-    fn case(&self) -> &str {
+    pub(crate) fn case(&self) -> &str {
         let end = self.id.match_indices('/').nth(1);
         &self.id[..end.map_or(self.id.len(), |(at, _)| at)]
     }
