@@ -94,8 +94,12 @@ fn picture(charts: &[Chart], number: usize) -> String {
 
 /// A line per case, variants on one, a mark per row: error over what is allowed, logarithmic.
 fn glance(path: &Path, rows: &[&Row]) -> Result<(), Box<dyn Error>> {
-    let mut cases: Vec<&str> = rows.iter().map(|row| row.case()).collect();
-    cases.dedup();
+    let mut cases: Vec<&str> = Vec::new();
+    for row in rows {
+        if !cases.contains(&row.case()) {
+            cases.push(row.case());
+        }
+    }
     let n = cases.len() as u32;
     let root = SVGBackend::new(path, (1000, 120 + 16 * n)).into_drawing_area();
     root.fill(&WHITE)?;
@@ -123,7 +127,7 @@ fn glance(path: &Path, rows: &[&Row]) -> Result<(), Box<dyn Error>> {
             let share = share.unwrap_or(80.0).clamp(1.2e-6, 80.0);
             let at = (share, y);
             let mark = match row.passed {
-                Some(true) => Circle::new(at, 4, ink(0).mix(0.4).filled()).into_dyn(),
+                Some(true) => Circle::new(at, 4, ink(3).mix(0.4).filled()).into_dyn(),
                 _ => Cross::new(at, 5, RED.stroke_width(2)).into_dyn(),
             };
             chart.draw_series([mark])?;
