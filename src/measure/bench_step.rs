@@ -208,9 +208,7 @@ impl Table {
     fn write(&mut self, out: &Path) -> Result<(), Error> {
         self.growth = growth(&self.rows);
         write_csv(&self.rows, &out.join("step.csv"))?;
-        if !self.growth.is_empty() {
-            write_csv(&self.growth, &out.join("step_growth.csv"))?;
-        }
+        write_csv(&self.growth, &out.join("step_growth.csv"))?;
         write_csv(&self.stages, &out.join("step_stages.csv"))?;
         write_json(self, &out.join("step.json"))?;
         // The right part is for the names of the stages.

@@ -19,7 +19,7 @@ use serde_json::Value;
 use crate::Error;
 use crate::output::write_atomically;
 
-use super::report::records;
+use super::report::{EMPTY, records};
 
 const HEAD: &str = "<!-- table";
 const CLOSE: &str = "-->";
@@ -149,7 +149,7 @@ impl Found {
         if heads.is_empty() {
             return Err(Error::input(
                 path.display().to_string(),
-                "it is empty: not even the names of its columns are there",
+                EMPTY,
                 "run the bench that writes it with options that give it rows, or remove it: then the table is left as it is",
             ));
         }

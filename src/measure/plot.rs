@@ -9,6 +9,7 @@ use plotters::prelude::*;
 use crate::Error;
 
 use super::chart::{Area, Failure, ink};
+use super::report::EMPTY;
 use super::table::write_svg;
 
 /// Pixels of a chart.
@@ -185,9 +186,7 @@ impl Run {
             .map(|head| (head.to_owned(), Vec::new()))
             .collect();
         if columns.is_empty() {
-            return Err(broken(
-                &"it is empty: not even the names of its columns are there",
-            ));
+            return Err(broken(&EMPTY));
         }
         for record in reader.records() {
             let record = record.map_err(|problem| broken(&problem))?;

@@ -163,6 +163,9 @@ pub(super) fn csv_files(dir: &Path) -> Result<Vec<PathBuf>, Error> {
     Ok(folders.into_iter().flat_map(|folder| folder.csv).collect())
 }
 
+/// What is wrong with a table without a head line.
+pub(super) const EMPTY: &str = "it is empty: not even the names of its columns are there";
+
 /// Heads and rows of a table; neither of an empty file.
 ///
 /// # Errors
@@ -303,10 +306,7 @@ fn is_before_first_step(path: &Path) -> bool {
 fn table(path: &Path) -> Result<Markup, Error> {
     let (head, rows) = records(path)?;
     if head.is_empty() && !is_before_first_step(path) {
-        return Err(unreadable(
-            path,
-            &"it is empty: not even the names of its columns are there",
-        ));
+        return Err(unreadable(path, &EMPTY));
     }
     let left_out = rows.len().saturating_sub(MOST_ROWS);
     Ok(html! {

@@ -189,9 +189,7 @@ impl Table {
         write_json(self, &out.join("accuracy.json"))?;
         if !self.rows.is_empty() {
             write_csv(&self.rows, &out.join("accuracy.csv"))?;
-            if !self.best.is_empty() {
-                write_csv(&self.best, &out.join("accuracy_best.csv"))?;
-            }
+            write_csv(&self.best, &out.join("accuracy_best.csv"))?;
             let lines = states::states(&self.rows).len() as u32;
             write_svg(&out.join("accuracy.svg"), (1200, 480 * lines), |page| {
                 picture::draw_states(&self.rows, page)
@@ -199,9 +197,7 @@ impl Table {
         }
         if !self.grids.is_empty() {
             write_csv(&self.grids, &out.join("accuracy_grids.csv"))?;
-            if !self.grids_best.is_empty() {
-                write_csv(&self.grids_best, &out.join("accuracy_grids_best.csv"))?;
-            }
+            write_csv(&self.grids_best, &out.join("accuracy_grids_best.csv"))?;
             write_csv(&self.grids_enough, &out.join("accuracy_grids_enough.csv"))?;
             let lines = grids::problems(&self.grids).len() as u32;
             let file = out.join("accuracy_grids.svg");

@@ -253,12 +253,8 @@ impl Table {
     fn write(&mut self, out: &Path) -> Result<(), Error> {
         self.growth = growth::growth(&self.rows, &self.against);
         write_csv(&self.rows, &out.join("solve.csv"))?;
-        if !self.growth.is_empty() {
-            write_csv(&self.growth, &out.join("solve_growth.csv"))?;
-        }
-        if !self.against.is_empty() {
-            write_csv(&self.against, &out.join("solve_against.csv"))?;
-        }
+        write_csv(&self.growth, &out.join("solve_growth.csv"))?;
+        write_csv(&self.against, &out.join("solve_against.csv"))?;
         write_json(self, &out.join("solve.json"))?;
         write_svg(&out.join("solve.svg"), (900, 640), |page| {
             picture::draw(self, page)

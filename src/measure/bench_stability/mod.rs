@@ -247,9 +247,7 @@ pub fn bench_stability(
 /// Writes the tables and the picture as they are so far.
 fn write(table: &Table, out: &Path) -> Result<(), Error> {
     write_csv(&table.rows, &out.join("stability.csv"))?;
-    if !table.limits.is_empty() {
-        write_csv(&table.limits, &out.join("stability_limit.csv"))?;
-    }
+    write_csv(&table.limits, &out.join("stability_limit.csv"))?;
     write_json(table, &out.join("stability.json"))?;
     let size = picture::size(table);
     write_svg(&out.join("stability.svg"), size, |page| {

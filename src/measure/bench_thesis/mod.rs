@@ -271,22 +271,12 @@ impl Table {
         self.orders = accuracy::orders(&self.rows, &options.tables);
         // First, for rows cannot be resumed from without it.
         write_json(self, &out.join("thesis.json"))?;
-        if !self.scenes.is_empty() {
-            write_csv(&self.scenes, &out.join("thesis_scenes.csv"))?;
-        }
-        if !self.systems.is_empty() {
-            write_csv(&self.systems, &out.join("thesis_systems.csv"))?;
-        }
-        if !self.means.is_empty() {
-            write_csv(&self.means, &out.join("thesis_means.csv"))?;
-        }
-        if !self.growth.is_empty() {
-            write_csv(&self.growth, &out.join("thesis_growth.csv"))?;
-        }
-        if !self.rows.is_empty() {
-            write_csv(&self.rows, &out.join("thesis.csv"))?;
-            write_csv(&self.orders, &out.join("thesis_orders.csv"))?;
-        }
+        write_csv(&self.scenes, &out.join("thesis_scenes.csv"))?;
+        write_csv(&self.systems, &out.join("thesis_systems.csv"))?;
+        write_csv(&self.means, &out.join("thesis_means.csv"))?;
+        write_csv(&self.growth, &out.join("thesis_growth.csv"))?;
+        write_csv(&self.rows, &out.join("thesis.csv"))?;
+        write_csv(&self.orders, &out.join("thesis_orders.csv"))?;
         let charts = picture::charts(self, &options.tables);
         if charts.is_empty() {
             return Ok(());
