@@ -20,7 +20,7 @@ fn hold_nodes(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoca
     let here = freedom[node];
     let walls = gaps[node];
     let held = held_by_walls(walls, here);
-    let by_obstacle = any(here.xyz != vec3<f32>());
+    let by_obstacle = held_by_obstacle(here);
     if !(any(held) || by_obstacle) {
         return;
     }

@@ -238,7 +238,7 @@ pub struct Exchange {
 pub struct ContactReport {
     /// Solves that it took.
     pub solves: u32,
-    /// Contacts that one more solve would have with a node held or let go; 0 where the search came to its end.
+    /// Contacts that the last of them had wrong: nodes that are beyond a surface or pulled to it; 0 where the search came to its end.
     pub unsettled: u32,
 }
 

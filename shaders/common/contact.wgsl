@@ -11,6 +11,9 @@ const NEAR = 1e-4;
 // An obstacle does not hold a node whose free components are further from its normal.
 const LEAST_SHARE = 0.1;
 
+// How often a node is put back before one surface after the other.
+const SWEEPS = 4;
+
 // 1 where the nearer wall is the lower one, else -1: the normals away from it.
 fn outwards(walls: vec4<f32>) -> Real3 {
     return select(Real3(Real(-1.0)), Real3(Real(1.0)), is_free(u32(walls.w) / 8u));
@@ -21,8 +24,34 @@ fn held_by_walls(walls: vec4<f32>, freedom: vec4<f32>) -> vec3<bool> {
     return is_free(u32(walls.w)) & !free_components(freedom);
 }
 
+fn held_by_obstacle(freedom: vec4<f32>) -> bool {
+    return any(freedom.xyz != vec3<f32>());
+}
+
+// Distances from the walls after a sub-step of dt (s) with the velocity v (m/s).
+fn wall_gaps(walls: vec4<f32>, v: Real3, dt: Real) -> Real3 {
+    return Real3(walls.xyz) + dt * outwards(walls) * v;
+}
+
 fn flags_of(components: vec3<bool>) -> u32 {
     return dot(vec3<u32>(components), vec3<u32>(1u, 2u, 4u));
+}
+
+// The velocity v, m/s, behind the walls: a component that would take the node beyond one in a sub-step of dt (s) takes it there.
+fn before_walls(walls: vec4<f32>, v: Real3, dt: Real) -> Real3 {
+    let passed = is_free(u32(walls.w)) & (wall_gaps(walls, v, dt) < Real3());
+    return select(v, -outwards(walls) * Real3(walls.xyz) / dt, passed);
+}
+
+// The same before an obstacle, along what components without a script share of its normal; surface: normal, gap.
+fn before_obstacle(walls: vec4<f32>, surface: vec4<f32>, v: Real3, dt: Real) -> Real3 {
+    let n = Real3(surface.xyz);
+    let gap = Real(surface.w);
+    let direction = Real3(held_along(vec4<f32>(vec3<f32>(), f32(flags_of(is_free(u32(walls.w))))), surface.xyz).xyz);
+    if all(direction == Real3()) || gap + dt * dot(v, n) >= Real() {
+        return v;
+    }
+    return v + direction * ((-gap / dt - dot(v, n)) / dot(direction, n));
 }
 
 // The freedom of a node that only walls hold, as far as its free components share the normal held along it too.

@@ -23,6 +23,7 @@ pub struct Source {
 pub const COMMON: &[Source] = &[
     crate::wgsl!("common/active"),
     crate::wgsl!("common/advect"),
+    crate::wgsl!("common/ask"),
     crate::wgsl!("common/chebyshev"),
     crate::wgsl!("common/classes"),
     crate::wgsl!("common/compact"),
@@ -64,6 +65,7 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/polar"),
     crate::wgsl!("common/pressure_slope"),
     crate::wgsl!("common/probe_point"),
+    crate::wgsl!("common/put_back"),
     crate::wgsl!("common/real_f32"),
     crate::wgsl!("common/real_f64"),
     crate::wgsl!("common/refine"),

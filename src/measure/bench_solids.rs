@@ -315,7 +315,7 @@ impl<'a> Device<'a> {
         fields.write_state(gpu, &state);
         gpu.upload(&fields.step, &[fields.step_of(scene.domain.gravity, dt)]);
         let mut recorder = Recorder::new(gpu);
-        MoveSolid::new(gpu, &fields, None)?.record(&mut recorder);
+        MoveSolid::new(gpu, &fields)?.record(&mut recorder);
         NodeForces::new(gpu, &fields)?.record(&mut recorder);
         recorder.stage(ElementRotations::NAME, |pass| {
             rotations.dispatch(pass);

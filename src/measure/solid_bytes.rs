@@ -58,12 +58,12 @@ impl SolidBytes {
         let (n, m) = (self.nodes, self.elements);
         let [scripts, obstacles] = [scripts, obstacles].map(|there| f64::from(u8::from(there)));
         match stage {
-            // Rest position, flags, displacement in two parts read and written, velocity; once more to look at the distance. Of what turns
-            // rest position, displacement and velocity, both read and written.
+            // Rest position, flags, displacement in two parts read and written, velocity. Of what turns rest position, displacement and
+            // velocity, both read and written.
             "move_solid" => {
                 let still = n * (VEC4 + WORD + 2.0 * VEC4) + self.vectors(1.0);
                 let turning = self.turning * (5.0 * VEC4 + 8.0 * self.real);
-                still + n * 2.0 * VEC4 + obstacles * (still + n * WORD) + turning
+                still + n * 2.0 * VEC4 + turning
             }
             // Flags, velocity read and written.
             "forces" => n * (WORD + scripts * VEC4) + self.vectors(2.0),

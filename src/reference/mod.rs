@@ -65,7 +65,9 @@ pub use refine::EPSILON;
 pub use right_hand_side::{RightHandSide, VolumeSource, right_hand_side, volume_rate};
 pub use sample::gradient;
 pub use slivers::{is_sliver, shown_to_whole};
-pub use solid_contacts::{Contacts, Freedom, Held, LETTING_GO, MOST_SOLVES};
+pub use solid_contacts::{
+    ContactSearch, Contacts, Freedom, Held, MOST_HALVINGS, MOST_SOLVES, Searched, Wrong,
+};
 pub use solid_matrices::{BlockMatrix, BlockPattern, SolidMatrices, solid_matrices};
 pub use solid_right_hand_side::{SolidRightHandSide, solid_right_hand_side};
 pub use solid_system::SolidSystem;

@@ -1,10 +1,15 @@
 //! `right_hand_side`, for solids, second part: the directions in which walls and obstacles hold nodes in a sub-step.
 //!
 //! A node at a gap d (m) from a wall or obstacle with the normal n, away from it, may not be beyond it after the next move,
-//! d + dt v . n >= 0, and what keeps it out pushes only, f >= 0, and only where it is on the surface, f (d + dt v . n) = 0. Which nodes
-//! are held is found by a primal-dual active set (Hintermueller, Ito & Kunisch 2003): solve with some of them held at v . n = -d/dt, hold
-//! also those that are beyond a surface then, let those go that it would have to pull, and solve again while anything changes. On matrices
-//! like S this may go in circles, so late solves let none go: a node may then be pulled for a sub-step, but is beyond no surface.
+//! d + dt v . n >= 0, and what keeps it out pushes only, f >= 0, and only where it is on the surface, f (d + dt v . n) = 0: v is where
+//! phi(v) = v . S v / 2 - F . v is least among the velocities with d + dt v . n >= 0, F being all forces, those of the liquid too. A
+//! primal active-set method finds it (Nocedal & Wright, Numerical Optimization, 2006, section 16.5), that takes many constraints at once
+//! where it can (as projected Newton methods do, Bertsekas 1982). Some velocity v that takes no node beyond a surface is known, and some
+//! nodes are held on theirs, v . n = -d/dt. A solve finds the least phi with these, w. Where w takes a node beyond a surface, v goes towards
+//! w: the whole way with each node put back before its surfaces, or half of it, and so on, if phi does not grow, otherwise straight on until
+//! the first node is on a surface; and what is on a surface then and goes on beyond it at w is held too. Where it does not, v = w, and those
+//! that are pulled to their surfaces are let go. Once none is, w is the answer. Each v on the way is one that could be, and phi does
+//! not grow from one to the next: the search may end after any solve, with a motion that has no energy from nowhere.
 
 use glam::{DMat3, DVec3};
 
@@ -12,15 +17,20 @@ use super::SolidSystem;
 use super::sample::normal;
 use crate::elastic::Solids;
 use crate::grid::Grid;
+use crate::state::ContactReport;
 
-/// Solves of a sub-step in search of what is held, at most. What is beyond a surface after the last is put back by the next move.
-pub const MOST_SOLVES: u32 = 8;
-/// After so many of them no node is let go: the search may go in circles, and each solve then only adds to what is held.
-pub const LETTING_GO: u32 = 5;
+/// Solves of a sub-step in search of what is held, at most.
+pub const MOST_SOLVES: u32 = 20;
+/// Halvings of the way from a velocity to the one that a solve found, at most, before it is straight on to the first surface.
+pub const MOST_HALVINGS: u32 = 3;
+/// How often a node is put back before one surface after the other, as it may be beyond the first again then.
+const SWEEPS: u32 = 4;
 /// A node this near, in cells, is held from the start if it is pressed to the surface.
 const SKIN: f64 = 1e-3;
-/// How far from where it should be, in cells, a node is left.
+/// How far from where it should be, in cells, a node is left, and from a surface on it.
 const NEAR: f64 = 1e-4;
+/// Place of an obstacle among the surfaces of a node, after three walls.
+const OBSTACLE: usize = 3;
 /// An obstacle does not hold a node whose free components are further from its normal: what holds the others does.
 const LEAST_SHARE: f64 = 0.1;
 
@@ -49,6 +59,14 @@ impl Freedom {
         let ones = components.map(|free| if free { 1.0 } else { 0.0 });
         Freedom {
             projector: DMat3::from_diagonal(DVec3::from(ones)) - square(held),
+            ..Freedom::of(prescribed)
+        }
+    }
+
+    /// Of a node that keeps the velocity it has.
+    pub fn none(prescribed: [bool; 3]) -> Freedom {
+        Freedom {
+            projector: DMat3::ZERO,
             ..Freedom::of(prescribed)
         }
     }
@@ -86,7 +104,7 @@ impl Freedom {
 }
 
 /// What holds a node in a sub-step.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Held {
     /// Per component: whether the nearer wall across it does.
     pub walls: [bool; 3],
@@ -158,7 +176,7 @@ impl Contacts {
         dt: f64,
     ) -> Contacts {
         let held = |node: usize, which: usize, _: &Surface, _: &Freedom| match which {
-            3 => held[node].obstacle,
+            OBSTACLE => held[node].obstacle,
             axis => held[node].walls[axis],
         };
         Contacts::with(solids, grid, solid_distance, displacement, dt, held)
@@ -207,6 +225,44 @@ impl Contacts {
         }
     }
 
+    /// No node moves but those of which a velocity (m/s) is prescribed and those that are beyond a surface.
+    pub fn at_rest(&self, velocity: &[[f64; 3]]) -> Vec<[f64; 3]> {
+        let nodes = self.prescribed.iter().zip(velocity);
+        let mut rest: Vec<[f64; 3]> = nodes
+            .map(|(prescribed, v)| {
+                [0, 1, 2].map(|axis| if prescribed[axis] { v[axis] } else { 0.0 })
+            })
+            .collect();
+        self.put_back(&mut rest);
+        rest
+    }
+
+    /// The velocities (m/s) at a share of the way from one to another, put back.
+    pub fn approach(&self, from: &[[f64; 3]], to: &[[f64; 3]], share: f64) -> Vec<[f64; 3]> {
+        let between = |from: f64, to: f64| from + share * (to - from);
+        let pairs = from.iter().zip(to);
+        let mut next: Vec<[f64; 3]> = pairs
+            .map(|(from, to)| std::array::from_fn(|axis| between(from[axis], to[axis])))
+            .collect();
+        self.put_back(&mut next);
+        next
+    }
+
+    /// The share of the way from velocities to others (m/s) at which the first of the nodes that end beyond a surface is on it.
+    pub fn first_stop(&self, from: &[[f64; 3]], to: &[[f64; 3]]) -> f64 {
+        let mut first = 1.0;
+        for node in 0..from.len() {
+            let [before, after] = [from, to].map(|v| self.gaps(node, DVec3::from(v[node])));
+            for (before, after) in before.into_iter().zip(after) {
+                let before = f64::max(before, 0.0);
+                if after < -self.near {
+                    first = f64::min(first, before / (before - after));
+                }
+            }
+        }
+        first
+    }
+
     /// How far, m, a node may be left beyond a surface, or pulled.
     pub fn near(&self) -> f64 {
         self.near
@@ -228,59 +284,249 @@ impl Contacts {
             .collect()
     }
 
-    /// After the solve of a number, counted from 1: holds nodes that are beyond a surface with the velocities v (m/s), and lets those go
-    /// that would have to be pulled. How many of both there were. `system`: the one solved.
-    pub fn update(&mut self, system: &SolidSystem, velocity: &[[f64; 3]], solve: u32) -> u32 {
-        let ways = self.ways(system, velocity);
-        let lets_go = solve <= LETTING_GO;
-        let mut changes = 0;
-        for (surfaces, ways) in self.surfaces.iter_mut().zip(ways) {
-            for (surface, way) in surfaces.iter_mut().zip(ways) {
-                if let (Some(surface), true) = (surface, way < -self.near)
-                    && (lets_go || !surface.held)
-                {
-                    surface.held = !surface.held;
-                    changes += 1;
+    /// What is wrong with the velocities w (m/s) that a solve of a system with all forces found. Less than [`Contacts::near`] beyond or
+    /// pulled is not.
+    pub fn judge(&self, system: &SolidSystem, found: &[[f64; 3]]) -> Wrong {
+        let mut wrong = Wrong::default();
+        for (node, push) in self.pushes(system, found).into_iter().enumerate() {
+            let gaps = self.gaps(node, DVec3::from(found[node]));
+            let held = self.held(node);
+            let shares = self.shares(node, held, push);
+            for which in 0..=OBSTACLE {
+                let far = |length: f64| length < -self.near;
+                match shares[which] {
+                    Some(share) if held[which] => wrong.pulled += u32::from(far(share)),
+                    Some(_) => wrong.beyond += u32::from(far(gaps[which])),
+                    None => {}
                 }
             }
         }
-        changes
+        wrong
     }
 
-    /// How far, m, a node is beyond a surface at most with the velocities v (m/s), or pulled; what is held is left out unless the search
-    /// lets go.
-    pub fn worst(&self, system: &SolidSystem, velocity: &[[f64; 3]], lets_go: bool) -> f64 {
-        let ways = self.ways(system, velocity).into_iter().flatten();
-        let judged = self.surfaces.iter().flatten().zip(ways);
-        let judged = judged.filter(|(surface, _)| lets_go || surface.is_none_or(|s| !s.held));
-        judged.fold(0.0, |worst, (_, way)| f64::max(worst, -way))
-    }
-
-    /// How far the push of what holds a node would move it, or where nothing does, how far from the surface it is after the move, m;
-    /// infinite where there is nothing.
-    fn ways(&self, system: &SolidSystem, velocity: &[[f64; 3]]) -> Vec<[f64; 4]> {
-        let moved = system.multiply(velocity);
-        let way = |node: usize, surface: &Surface, freedom: &mut Freedom| {
-            let Some((direction, _)) = freedom.shared(surface.normal) else {
-                return f64::INFINITY;
-            };
-            if surface.held {
-                let push = moved[node] - DVec3::from(system.forces()[node]);
-                freedom.hold(surface.normal, 0.0, DVec3::ZERO);
-                self.dt * push.dot(direction) / system.mean_diagonal(node)
-            } else {
-                surface.gap + self.dt * DVec3::from(velocity[node]).dot(surface.normal)
+    /// Lets those nodes go that the velocities w (m/s) have pulled to what holds them. `system`: with all forces.
+    pub fn let_go(&mut self, system: &SolidSystem, found: &[[f64; 3]]) {
+        for (node, push) in self.pushes(system, found).into_iter().enumerate() {
+            let shares = self.shares(node, self.held(node), push);
+            for (surface, share) in self.surfaces[node].iter_mut().zip(shares) {
+                if let (Some(surface), Some(share)) = (surface, share) {
+                    surface.held &= share >= -self.near;
+                }
             }
-        };
-        let nodes = self.surfaces.iter().enumerate();
-        nodes
-            .map(|(node, surfaces)| {
-                let mut freedom = Freedom::of(self.prescribed[node]);
-                surfaces.each_ref().map(|surface| match surface {
-                    Some(surface) => way(node, surface, &mut freedom),
-                    None => f64::INFINITY,
+        }
+    }
+
+    /// Holds also what is on a surface with the velocities v and beyond it with w (m/s).
+    pub fn hold_stopped(&mut self, best: &[[f64; 3]], found: &[[f64; 3]]) {
+        self.hold_touching(best, |gap_found, near| gap_found < -near, found);
+    }
+
+    /// Holds also what is on a surface with the velocities v (m/s).
+    pub fn hold_all_touching(&mut self, best: &[[f64; 3]]) {
+        self.hold_touching(best, |_, _| true, best);
+    }
+
+    fn hold_touching(
+        &mut self,
+        best: &[[f64; 3]],
+        also: impl Fn(f64, f64) -> bool,
+        found: &[[f64; 3]],
+    ) {
+        for node in 0..best.len() {
+            let [of_best, of_found] = [best, found].map(|v| self.gaps(node, DVec3::from(v[node])));
+            for which in 0..=OBSTACLE {
+                // What walls leave of an obstacle's normal is asked after these.
+                if self.shares(node, self.held(node), DVec3::ZERO)[which].is_none() {
+                    continue;
+                }
+                if let Some(surface) = &mut self.surfaces[node][which] {
+                    surface.held |= of_best[which] < self.near && also(of_found[which], self.near);
+                }
+            }
+        }
+    }
+
+    /// The velocities (m/s), of each node the nearest that takes it beyond nothing, or nearly so where surfaces meet.
+    fn put_back(&self, velocity: &mut [[f64; 3]]) {
+        let nodes = self.surfaces.iter().zip(&self.prescribed).zip(velocity);
+        for ((surfaces, prescribed), velocity) in nodes {
+            let free = Freedom::of(*prescribed);
+            for _ in 0..SWEEPS {
+                for surface in surfaces.iter().flatten() {
+                    let v = DVec3::from(*velocity);
+                    if surface.gap + self.dt * v.dot(surface.normal) < 0.0 {
+                        let rate = -surface.gap / self.dt;
+                        *velocity = free.clone().hold(surface.normal, rate, v).to_array();
+                    }
+                }
+            }
+        }
+    }
+
+    /// How far, m, a node is beyond a surface at most with the velocities v (m/s).
+    pub fn beyond(&self, velocity: &[[f64; 3]]) -> f64 {
+        (0..velocity.len()).fold(0.0, |worst, node| {
+            let gaps = self.gaps(node, DVec3::from(velocity[node]));
+            let free = self.shares(node, self.held(node), DVec3::ZERO);
+            let gaps = gaps.into_iter().zip(free);
+            gaps.filter(|(_, free)| free.is_some())
+                .fold(worst, |worst, (gap, _)| f64::max(worst, -gap))
+        })
+    }
+
+    /// How far, m, a node is pulled at most to what holds it with the velocities v (m/s). `system`: with all forces.
+    pub fn pulled(&self, system: &SolidSystem, velocity: &[[f64; 3]]) -> f64 {
+        let pushes = self.pushes(system, velocity).into_iter().enumerate();
+        pushes.fold(0.0, |worst, (node, push)| {
+            let held = self.held(node);
+            let shares = self.shares(node, held, push).into_iter().zip(held);
+            shares
+                .filter(|(_, held)| *held)
+                .fold(worst, |worst, (share, _)| {
+                    f64::max(worst, -share.unwrap_or(0.0))
                 })
+        })
+    }
+
+    /// How far the push of what holds each node, S v - F, would move it in a sub-step, alone, m.
+    fn pushes(&self, system: &SolidSystem, velocity: &[[f64; 3]]) -> Vec<DVec3> {
+        let products = system.multiply(velocity).into_iter().enumerate();
+        products
+            .map(|(node, product)| {
+                let push = product - DVec3::from(system.forces()[node]);
+                self.dt * push / system.mean_diagonal(node)
             })
             .collect()
+    }
+
+    /// Distances of a node after a move with the velocity v, m; infinite from what is not there.
+    fn gaps(&self, node: usize, v: DVec3) -> [f64; 4] {
+        let gap = |surface: &Surface| surface.gap + self.dt * v.dot(surface.normal);
+        let surfaces = self.surfaces[node].each_ref();
+        surfaces.map(|surface| surface.as_ref().map_or(f64::INFINITY, gap))
+    }
+
+    fn held(&self, node: usize) -> [bool; 4] {
+        self.surfaces[node].map(|surface| surface.is_some_and(|surface| surface.held))
+    }
+
+    /// Of the push on a node, what each of the surfaces that hold it has along its normal, m, and what any other would have besides.
+    /// `None` where there is no surface, or walls leave an obstacle nothing to hold.
+    fn shares(&self, node: usize, held: [bool; 4], push: DVec3) -> [Option<f64>; 4] {
+        let surfaces = self.surfaces[node];
+        let mut freedom = Freedom::of(self.prescribed[node]);
+        for (surface, held) in surfaces[..OBSTACLE].iter().zip(held) {
+            if let (Some(surface), true) = (surface, held) {
+                freedom.hold(surface.normal, 0.0, DVec3::ZERO);
+            }
+        }
+        let of_obstacle = surfaces[OBSTACLE].and_then(|surface| {
+            let (direction, share) = freedom.shared(surface.normal)?;
+            Some((push.dot(direction) / share, surface.normal))
+        });
+        // Walls have what an obstacle leaves them.
+        let left = match of_obstacle {
+            Some((share, normal)) if held[OBSTACLE] => push - share * normal,
+            _ => push,
+        };
+        let mut shares = surfaces.map(|surface| surface.map(|surface| left.dot(surface.normal)));
+        shares[OBSTACLE] = of_obstacle.map(|(share, _)| share);
+        shares
+    }
+}
+
+/// What is wrong with what a solve found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Wrong {
+    /// Nodes that end beyond a surface.
+    pub beyond: u32,
+    /// Nodes that are pulled to a surface.
+    pub pulled: u32,
+}
+
+/// The search of a sub-step for what walls and obstacles hold, from one solve to the next.
+#[derive(Debug)]
+pub struct ContactSearch<'a> {
+    contacts: &'a mut Contacts,
+    /// The best velocity that takes no node beyond a surface, m/s; none before a solve that found another.
+    best: Option<Vec<[f64; 3]>>,
+    solves: u32,
+}
+
+/// What a solve was to the search.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Searched {
+    /// What it found, if that settles the search, otherwise the best so far, m/s.
+    pub velocity: Vec<[f64; 3]>,
+    /// Whether the search is at its end.
+    pub ended: bool,
+    /// How it stands.
+    pub report: ContactReport,
+}
+
+impl<'a> ContactSearch<'a> {
+    /// Before the first solve. `contacts`: what it is solved with.
+    pub fn new(contacts: &'a mut Contacts) -> ContactSearch<'a> {
+        ContactSearch {
+            contacts,
+            best: None,
+            solves: 0,
+        }
+    }
+
+    /// After a solve that found velocities, m/s: holds what the next one is to hold. `system`: the one solved, with all forces; `last`:
+    /// whether no other solve can follow.
+    pub fn after(&mut self, system: &SolidSystem, found: Vec<[f64; 3]>, last: bool) -> Searched {
+        self.solves += 1;
+        let wrong = self.contacts.judge(system, &found);
+        let report = ContactReport {
+            solves: self.solves,
+            unsettled: wrong.beyond + wrong.pulled,
+        };
+        let ended = last || self.solves == MOST_SOLVES || report.unsettled == 0;
+        let velocity = if wrong.beyond == 0 {
+            self.contacts.let_go(system, &found);
+            found
+        } else {
+            let from = self.best.take();
+            let from = from.unwrap_or_else(|| self.contacts.at_rest(&found));
+            let next = self.towards(system, &from, &found);
+            self.contacts.hold_stopped(&next, &found);
+            next
+        };
+        self.best = Some(velocity.clone());
+        Searched {
+            velocity,
+            ended,
+            report,
+        }
+    }
+
+    /// Goes from velocities to others (m/s) as far as it goes.
+    fn towards(
+        &self,
+        system: &SolidSystem,
+        from: &[[f64; 3]],
+        found: &[[f64; 3]],
+    ) -> Vec<[f64; 3]> {
+        for halvings in 0..=MOST_HALVINGS {
+            let share = 0.5_f64.powi(halvings as i32);
+            let next = self.contacts.approach(from, found, share);
+            if system.gain(from, &next) <= 0.0 {
+                return next;
+            }
+        }
+        let share = self.contacts.first_stop(from, found);
+        self.contacts.approach(from, found, share)
+    }
+
+    /// Holds also what velocities (m/s) leave on a surface.
+    pub fn hold_all_touching(&mut self, velocity: &[[f64; 3]]) {
+        self.contacts.hold_all_touching(velocity);
+    }
+
+    /// How the nodes may move in the next solve; the velocities (m/s) get what they are held at.
+    pub fn hold(&self, velocity: &mut [[f64; 3]]) -> Vec<Freedom> {
+        self.contacts.hold(velocity)
     }
 }

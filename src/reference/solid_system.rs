@@ -211,6 +211,27 @@ impl SolidSystem {
         nodes.map(|node| self.row_times(node, x)).collect()
     }
 
+    /// phi(to) - phi(from), W, with phi(v) = v . S v / 2 - F . v and F all forces, of velocities (m/s) that differ where they are free:
+    /// from their difference, as that of two sums would be rounding.
+    pub fn gain(&self, from: &[[f64; 3]], to: &[[f64; 3]]) -> f64 {
+        let pairs = from.iter().zip(to);
+        let sums: Vec<[f64; 3]> = pairs
+            .map(|(from, to)| [0, 1, 2].map(|axis| from[axis] + to[axis]))
+            .collect();
+        let slopes = self.multiply(&sums).into_iter().zip(&self.forces);
+        let slopes = slopes.map(|(product, forces)| 0.5 * product - DVec3::from(*forces));
+        let ways = from.iter().zip(to);
+        let ways = ways.map(|(from, to)| DVec3::from(*to) - DVec3::from(*from));
+        slopes.zip(ways).map(|(slope, way)| slope.dot(way)).sum()
+    }
+
+    /// Holds all nodes at velocities, m/s.
+    pub fn hold_all(&mut self, velocity: &[[f64; 3]]) {
+        let freedom = self.freedom.iter();
+        let none = freedom.map(|freedom| Freedom::none(freedom.free.map(|free| !free)));
+        self.free(none.collect(), velocity);
+    }
+
     /// S x at a node.
     fn row_times(&self, node: usize, x: &[f64]) -> DVec3 {
         let inertia = self.mass[node] * DVec3::from_slice(&x[3 * node..]);

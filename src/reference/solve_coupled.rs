@@ -6,7 +6,7 @@ use super::coupled_system::{Blocks, CoupledSystem, TwoField};
 use super::multigrid::Multigrid;
 use super::pressure_system::PressureSystem;
 use super::refine::{Correction, Judged, refine_parts};
-use super::solid_contacts::{Contacts, MOST_SOLVES};
+use super::solid_contacts::{ContactSearch, Contacts};
 use super::solid_system::SolidSystem;
 use super::solve::{DIRECT_UNKNOWNS, broken_down, solve};
 use super::solve_solid::{Chebyshev, SolidSolver};
@@ -277,7 +277,7 @@ pub fn solve_coupled(
 }
 
 /// Solves for liquid and solids again while contacts change, which hold what the system of the solids holds; the last system and its
-/// solution. In the formulation that [`Formulation::of`] says.
+/// solution. Where the search for them does not settle, that is one which holds every node that is on a surface. In the formulation that [`Formulation::of`] says.
 ///
 /// # Errors
 /// As those of [`solve_coupled`].
@@ -291,7 +291,7 @@ pub fn solve_coupled_in_contact(
     settings: &Solver,
 ) -> Result<(CoupledSystem, CoupledSolution, ContactReport), Error> {
     let mut iterations = 0;
-    for solves in 1.. {
+    let mut solved = |solid: &SolidSystem| -> Result<_, Error> {
         let system = CoupledSystem::new(pressure.clone(), solid.clone(), coupling);
         let formulation = Formulation::of(&system);
         let mut solution = solve_coupled(&system, formulation, solver, solids, settings)?;
@@ -299,6 +299,11 @@ pub fn solve_coupled_in_contact(
         for report in &mut solution.reports {
             report.iterations = iterations;
         }
+        Ok((system, solution))
+    };
+    let mut search = ContactSearch::new(contacts);
+    loop {
+        let (system, solution) = solved(solid)?;
         // The liquid pushes nodes to walls too.
         let mut pushed = solid.clone();
         let mut force = vec![0.0; pushed.rhs.len()];
@@ -306,14 +311,21 @@ pub fn solve_coupled_in_contact(
             .coupling
             .add_transposed(&solution.pressure, &mut force);
         pushed.push(&force);
-        let unsettled = contacts.update(&pushed, &solution.velocity, solves);
+        let mut searched = search.after(&pushed, solution.velocity.clone(), false);
         let converged = solution.reports[0].status == SolveStatus::Converged;
-        if !converged || solves == MOST_SOLVES || unsettled == 0 {
-            return Ok((system, solution, ContactReport { solves, unsettled }));
+        if !converged || searched.report.unsettled == 0 {
+            return Ok((system, solution, searched.report));
         }
-        solid.free(contacts.hold(&mut solution.velocity), &solution.velocity);
+        if searched.ended {
+            // They do not go with the pressure found; what does and holds all that they touch has no more energy.
+            search.hold_all_touching(&searched.velocity);
+        }
+        solid.free(search.hold(&mut searched.velocity), &searched.velocity);
+        if searched.ended {
+            let (system, solution) = solved(solid)?;
+            return Ok((system, solution, searched.report));
+        }
     }
-    unreachable!("the last solve returns")
 }
 
 /// A correction without iterations.

@@ -7,7 +7,7 @@
 use std::sync::{Arc, OnceLock};
 
 use super::refine::{Correction, Judged, refine};
-use super::solid_contacts::{Contacts, MOST_SOLVES};
+use super::solid_contacts::{ContactSearch, Contacts};
 use super::solid_system::SolidSystem;
 use super::solve::DIRECT_UNKNOWNS;
 use crate::Error;
@@ -53,7 +53,8 @@ impl SolidSolver {
         }
     }
 
-    /// Solves again while contacts change, which hold what the system holds.
+    /// Solves again while contacts change, which hold what the system holds. Where the search for them does not settle, the system holds
+    /// all nodes in the end.
     ///
     /// # Errors
     /// When the factor does not fit into memory.
@@ -65,18 +66,21 @@ impl SolidSolver {
         settings: &Solver,
     ) -> Result<(Vec<[f64; 3]>, SolveReport, ContactReport), Error> {
         let mut iterations = 0;
-        for solves in 1.. {
-            let (mut velocity, mut report) = self.solve(solids, system, settings)?;
+        let mut search = ContactSearch::new(contacts);
+        loop {
+            let (found, mut report) = self.solve(solids, system, settings)?;
             iterations += report.iterations;
             report.iterations = iterations;
-            let unsettled = contacts.update(system, &velocity, solves);
-            let ended = report.status != SolveStatus::Converged || solves == MOST_SOLVES;
-            if ended || unsettled == 0 {
-                return Ok((velocity, report, ContactReport { solves, unsettled }));
+            let last = report.status != SolveStatus::Converged;
+            let mut searched = search.after(system, found, last);
+            if searched.ended {
+                if searched.report.unsettled > 0 {
+                    system.hold_all(&searched.velocity);
+                }
+                return Ok((searched.velocity, report, searched.report));
             }
-            system.free(contacts.hold(&mut velocity), &velocity);
+            system.free(search.hold(&mut searched.velocity), &searched.velocity);
         }
-        unreachable!("the last solve returns")
     }
 
     /// By sparse Cholesky, whatever the size.

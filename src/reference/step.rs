@@ -315,14 +315,7 @@ impl Reference {
             if settings.coupling == CouplingScheme::Weak {
                 moved_with.clone_from(node_velocity);
             }
-            move_solid(
-                solids,
-                grid,
-                &cut.obstacles().solid_distance,
-                dt,
-                displacement,
-                node_velocity,
-            );
+            move_solid(solids, grid, dt, displacement, node_velocity);
             clock.lap("move_solid");
         }
 

@@ -18,7 +18,7 @@ use crate::stages::{
 use crate::state::{ContactReport, CouplingReport, SolveStatus, State};
 
 use super::gpu_liquid::{GpuLiquid, active};
-use super::gpu_solids::{GpuSolids, SolidReadbacks};
+use super::gpu_solids::{GpuSolids, Search, SolidReadbacks};
 
 /// How much room clipping and J have.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -521,7 +521,7 @@ impl GpuCoupling {
         gpu: &Gpu,
         together: &TwoFieldSolver,
         (liquid, solids): (&GpuLiquid, &GpuSolids),
-        SolidReadbacks { changes, .. }: &mut SolidReadbacks,
+        SolidReadbacks { answer, .. }: &mut SolidReadbacks,
         (step, dt): (SolidStep, f64),
         touch: Touch,
     ) -> Result<(Solved, StageTimes), Error> {
@@ -537,7 +537,7 @@ impl GpuCoupling {
             solids.record_other_system(gpu, &mut recorder, undamped, false);
             let polynomial = solids.polynomial_for(|_| [1.0 / dt, dt]);
             let (outcome, contact, mut seconds) =
-                solids.solve_in_contact(gpu, recorder, changes, &polynomial)?;
+                solids.solve_in_contact(gpu, recorder, answer, &polynomial)?;
             times.append(&mut seconds);
             before = Some((outcome.status, contact.solves));
             recorder = Recorder::timed(gpu);
@@ -563,9 +563,13 @@ impl GpuCoupling {
             Ok((outcome, status, times))
         };
         let n_nodes = solids.buffers.plan.n_nodes;
-        let update = |pass: &mut Pass| together.record_update(pass, n_nodes);
+        let search = Search {
+            search: together.search(),
+            push: |pass: &mut Pass| together.record_push(pass, n_nodes),
+            together: true,
+        };
         let (outcome, mut contact, mut seconds) =
-            solids.until_settled(gpu, recorder, changes, solve, update)?;
+            solids.until_settled(gpu, recorder, answer, solve, search)?;
         times.append(&mut seconds);
         let mut parts = outcome.parts(touch.closed_components);
         if let Some((status, solves)) = before {

@@ -4,11 +4,11 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::{Body, Bounds, Solids};
 use crate::geometry::CutCells;
-use crate::gpu::{BufferPlan, Gpu, Pass, Readback, Real, Recorder, StageTimes};
-use crate::reference::{LETTING_GO, MOST_SOLVES};
+use crate::gpu::{Buffer, BufferPlan, Gpu, Pass, Readback, Real, RealBuffer, Recorder, StageTimes};
+use crate::reference::{MOST_HALVINGS, MOST_SOLVES};
 use crate::scene::Scene;
 use crate::solver::{
-    self, ObstacleField, Outcome, Polynomial, SolidRows, SolidSolver, SolidSystem,
+    self, ContactSearch, ObstacleField, Outcome, Polynomial, SolidRows, SolidSolver, SolidSystem,
     SolidSystemBuffers,
 };
 use crate::stages::{
@@ -38,8 +38,45 @@ pub(super) struct GpuSolids {
 #[derive(Debug)]
 pub(super) struct SolidReadbacks {
     pub(super) report: Readback<u32>,
-    /// How many contacts a solve changed.
-    pub(super) changes: Readback<u32>,
+    /// What the search for contacts asks.
+    pub(super) answer: Readback<u32>,
+}
+
+/// What the search for what walls and obstacles hold takes.
+pub(super) struct Search<'s, Push> {
+    pub(super) search: &'s ContactSearch,
+    /// Records what pushes the nodes, once a solve found it.
+    pub(super) push: Push,
+    /// Whether pressures are found with the velocities, and have to fit them.
+    pub(super) together: bool,
+}
+
+/// Asks the device in the middle of a sub-step.
+struct Ask<'s, 'a> {
+    gpu: &'a Gpu,
+    /// The answer, and what the kernels are told.
+    words: &'s Buffer<u32>,
+    readback: &'s mut Readback<u32>,
+    seconds: StageTimes,
+}
+
+impl Ask<'_, '_> {
+    /// Tells kernels of the solve a number, submits them, and waits for what they make of others.
+    fn about(
+        &mut self,
+        of: [u32; 2],
+        told: u32,
+        record: impl FnOnce(&mut Pass),
+    ) -> Result<[u32; 2], Error> {
+        let mut to = Recorder::timed(self.gpu);
+        self.gpu.upload(self.words, &[of[0], of[1], told]);
+        to.stage("solve", record);
+        to.read(self.words, self.readback);
+        let timing = to.submit();
+        let answer = self.readback.wait(self.gpu)?;
+        self.seconds.append(&mut timing.wait()?);
+        Ok([answer[0], answer[1]])
+    }
 }
 
 /// What the host follows of scripted nodes, so that they land on their keyframes without being read back. Empty without scripts.
@@ -125,20 +162,19 @@ impl GpuSolids {
         let system = SolidSystemBuffers::new(gpu, &rows, &scene.solver)?;
         let obstacles = || ObstacleBuffers::new(gpu, &plan.grid, true);
         let obstacles = plan.obstacles.then(obstacles).transpose()?;
-        let obstacles = obstacles.as_ref();
-        if let Some(obstacles) = obstacles {
+        if let Some(obstacles) = &obstacles {
             obstacles.write(gpu, cut);
         }
         let field = buffers
             .level
             .as_ref()
-            .zip(obstacles)
+            .zip(obstacles.as_ref())
             .map(|(level, obstacles)| ObstacleField {
                 level,
                 solid_distance: &obstacles.solid_distance,
             });
         let stages = SolidStages {
-            move_solid: MoveSolid::new(gpu, &buffers, obstacles)?,
+            move_solid: MoveSolid::new(gpu, &buffers)?,
             forces: NodeForces::new(gpu, &buffers)?,
             rotations: ElementRotations::new(gpu, &buffers)?,
             system: SolidSystem::new(gpu, &system, buffers.fields(), field)?,
@@ -162,7 +198,7 @@ impl GpuSolids {
     pub(super) fn readbacks(gpu: &Gpu) -> Result<SolidReadbacks, Error> {
         Ok(SolidReadbacks {
             report: Readback::new(gpu, "solid.report", stages::SolidReport::WORDS)?,
-            changes: Readback::new(gpu, "solid.changes", 2)?,
+            answer: Readback::new(gpu, "solid.answer", 3)?,
         })
     }
 
@@ -171,7 +207,7 @@ impl GpuSolids {
         &self,
         gpu: &'a Gpu,
         recorder: Recorder<'a>,
-        changes: &mut Readback<u32>,
+        answer: &mut Readback<u32>,
         polynomial: &Polynomial,
     ) -> Result<(Outcome, ContactReport, StageTimes), Error> {
         let GpuSolids {
@@ -190,41 +226,113 @@ impl GpuSolids {
             outcome.iterations = iterations;
             Ok((outcome, outcome.status, times))
         };
-        let update = |pass: &mut Pass| stages.system.record_update(pass);
-        self.until_settled(gpu, recorder, changes, solve, update)
+        let search = Search {
+            search: stages.system.search(),
+            push: |_: &mut Pass| (),
+            together: false,
+        };
+        self.until_settled(gpu, recorder, answer, solve, search)
     }
 
-    /// Solves and, while `update` changes contacts, again: the last outcome. `solve` submits a recording with itself at the end, and
-    /// hears how many solves there were.
+    /// Solves and, while the search for contacts changes them, again: the last outcome. `solve` submits a recording with itself at the
+    /// end, and hears how many solves there were.
     pub(super) fn until_settled<'a, Found>(
         &self,
         gpu: &'a Gpu,
         mut recorder: Recorder<'a>,
-        changes: &mut Readback<u32>,
+        answer: &mut Readback<u32>,
         mut solve: impl FnMut(Recorder<'a>, u32) -> Result<(Found, SolveStatus, StageTimes), Error>,
-        update: impl Fn(&mut Pass),
+        Search {
+            search,
+            push,
+            together,
+        }: Search<impl Fn(&mut Pass)>,
     ) -> Result<(Found, ContactReport, StageTimes), Error> {
-        let mut seconds = StageTimes::new();
+        let mut ask = Ask {
+            gpu,
+            words: &self.buffers.answer,
+            readback: answer,
+            seconds: StageTimes::new(),
+        };
         for solves in 1.. {
-            let (found, status, mut times) = solve(recorder, solves - 1)?;
-            seconds.append(&mut times);
-            let mut to = Recorder::timed(gpu);
-            let letting_go = u32::from(solves <= LETTING_GO);
-            gpu.upload(&self.buffers.changes, &[0, letting_go]);
-            to.stage("solve", &update);
-            to.read(&self.buffers.changes, changes);
-            let timing = to.submit();
-            let unsettled = changes.wait(gpu)?[0];
-            seconds.append(&mut timing.wait()?);
-            let ended = solves == MOST_SOLVES || status != SolveStatus::Converged;
-            if ended || unsettled == 0 {
-                let contact = ContactReport { solves, unsettled };
-                return Ok((found, contact, seconds));
+            let (mut found, status, mut times) = solve(recorder, solves - 1)?;
+            ask.seconds.append(&mut times);
+            let [beyond, pulled] = ask.about([0; 2], 0, |pass| {
+                push(pass);
+                search.record_judge(pass);
+            })?;
+            let unsettled = beyond + pulled;
+            let contact = ContactReport { solves, unsettled };
+            let converged = status == SolveStatus::Converged;
+            if unsettled == 0 || (together && !converged) {
+                return Ok((found, contact, ask.seconds));
+            }
+            self.search_on(&mut ask, search, solves == 1, beyond > 0)?;
+            let ended = solves == MOST_SOLVES || !converged;
+            if ended && together {
+                // The pressure found does not go with these velocities; what does and holds all that they touch has no more energy.
+                ask.about([0; 2], 1, |pass| search.record_hold_stopped(pass))?;
             }
             recorder = Recorder::timed(gpu);
             recorder.stage("solve", |pass| self.stages.system.record_hold(pass));
+            if !ended {
+                continue;
+            }
+            if together {
+                (found, _, times) = solve(recorder, solves)?;
+                ask.seconds.append(&mut times);
+            }
+            gpu.upload(&self.buffers.answer, &[unsettled, 0, 0]);
+            return Ok((found, contact, ask.seconds));
         }
         unreachable!("the last solve returns")
+    }
+
+    /// After a solve that found what is wrong: leaves the best velocity so far in the fields, and in the freedom of the nodes what the next
+    /// solve is to hold.
+    fn search_on(
+        &self,
+        ask: &mut Ask,
+        search: &ContactSearch,
+        first: bool,
+        beyond: bool,
+    ) -> Result<(), Error> {
+        let gpu = ask.gpu;
+        let velocity = &self.buffers.velocity;
+        let SolidSystemBuffers { z: next, best, .. } = &self.system;
+        let copy = |from: &RealBuffer, to: &RealBuffer| {
+            let mut recorder = Recorder::new(gpu);
+            recorder.copy(&from.words, &to.words);
+            recorder.submit();
+        };
+        if !beyond {
+            ask.about([0; 2], 1, |pass| search.record_judge(pass))?;
+            copy(velocity, best);
+            return Ok(());
+        }
+        if first {
+            let mut to = Recorder::new(gpu);
+            to.stage("solve", |pass| search.record_rest(pass));
+            to.submit();
+        }
+        let mut grows = true;
+        for halvings in 0..=MOST_HALVINGS {
+            let share = 0.5_f32.powi(halvings as i32).to_bits();
+            let answer = ask.about([0; 2], share, |pass| search.record_approach(pass))?;
+            grows = answer[0] > 0;
+            if !grows {
+                break;
+            }
+        }
+        if grows {
+            let whole = [1_f32.to_bits(), 0];
+            let [share, _] = ask.about(whole, 0, |pass| search.record_first_stop(pass))?;
+            ask.about([0; 2], share, |pass| search.record_approach(pass))?;
+        }
+        copy(next, best);
+        ask.about([0; 2], 0, |pass| search.record_hold_stopped(pass))?;
+        copy(best, velocity);
+        Ok(())
     }
 
     /// Replaces the solids' part of the state.

@@ -437,11 +437,7 @@ fn stages(
         });
     };
     if elastic {
-        let kernels: [(bool, &[_]); 3] = [
-            (turning, &["turn_solids"]),
-            (true, &["move_solid"]),
-            (obstacles, &["push_nodes_out"]),
-        ];
+        let kernels: [(bool, &[_]); 2] = [(turning, &["turn_solids"]), (true, &["move_solid"])];
         stage("move_solid", true, &kernels);
     }
     if effects.clips() {
@@ -544,7 +540,10 @@ fn stages(
     }
     let solid_kernels = solver::solid_kernels(rows);
     solve.push((elastic, &solid_kernels[..]));
-    solve.push((elastic, &["update_contacts"]));
+    let search = ["judge_contacts", "rest_nodes", "approach_nodes"];
+    solve.push((elastic, &search));
+    let search = ["measure_gain", "judge_gain", "first_stop", "hold_stopped"];
+    solve.push((elastic, &search));
     if coupling && scene.solver.coupling == CouplingScheme::DampingOnly {
         // The systems of elasticity alone and of damping alone.
         solve.push((true, &["element_rotations", "solid_blocks"]));

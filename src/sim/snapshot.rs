@@ -52,9 +52,8 @@ pub struct SolidSnapshot {
     pub freedom: Vec<Freedom>,
     /// What holds them.
     pub held: Vec<Held>,
-    /// Whether the last search for that could let nodes go: if not, what holds a node may pull it (see
-    /// [`LETTING_GO`](crate::reference::LETTING_GO)).
-    pub lets_go: bool,
+    /// Whether the search for that came to its end.
+    pub settled: bool,
     /// Scalar type of all these but the displacement.
     pub real: Real,
     /// The numbers of the last `diagnose`.
@@ -273,7 +272,7 @@ impl SolidSnapshot {
             rhs: three(&system.rhs.download(gpu)?[..4 * n]),
             freedom,
             held,
-            lets_go: gpu.download(&buffers.changes)?[1] > 0,
+            settled: gpu.download(&buffers.answer)?[0] == 0,
             real: buffers.plan.real,
             report: SolidReport::from_words(&gpu.download(&buffers.report)?),
         })

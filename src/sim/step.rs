@@ -292,14 +292,18 @@ impl GpuPath {
                 coupling.record_push(&mut to);
             }
         }
-        if let Some((solids, SolidReadbacks { changes, .. })) =
+        if let Some((solids, SolidReadbacks { answer, .. })) =
             solids.zip(readbacks.solids.as_mut()).filter(|_| !together)
         {
             let (outcome, contact, mut seconds) =
-                solids.solve_in_contact(gpu, to, changes, &solids.polynomial(dt))?;
+                solids.solve_in_contact(gpu, to, answer, &solids.polynomial(dt))?;
             elastic = Some((outcome, contact));
             told.seconds.append(&mut seconds);
             to = Recorder::timed(gpu);
+            if contact.unsettled > 0 {
+                // The velocities are those of no system but one that holds all nodes.
+                to.clear(&solids.buffers.freedom);
+            }
         }
         to = watch.after("solve", to)?;
 

@@ -60,7 +60,7 @@ pub use patch_pressure::{OpenFaces, PatchPressure, PressureSlope};
 pub use plan::small_buffers;
 pub use pressure::PressureSolver;
 pub use refine::{OF_OTHER, Outcome, RefineSettings, rounding};
-pub use solid_contacts::ObstacleField;
+pub use solid_contacts::{ContactSearch, ObstacleField};
 pub use solid_solver::{SolidSolver, solid_kernels};
 pub use solid_system::{Rows, SolidFields, SolidRows, SolidSystem, SolidSystemBuffers};
 pub use system::{

@@ -17,7 +17,7 @@ use crate::scene::Solver;
 use super::chebyshev::Polynomial;
 use super::pcg::{Labels, labels};
 use super::plan::outer_loop;
-use super::solid_contacts::{ObstacleField, SolidContacts};
+use super::solid_contacts::{ContactSearch, ObstacleField, SolidContacts};
 use super::solid_host::SolidReadbacks;
 use super::{FOLD_THREADS, Level, variant};
 
@@ -230,6 +230,7 @@ impl SolidRows {
             RealBuffer::plan("solid_solver.q", 4 * n, real),
             RealBuffer::plan("solid_solver.pair", 8 * n, inner),
             RealBuffer::plan("solid_solver.increment", 4 * n, inner),
+            RealBuffer::plan("solid_solver.best", 4 * n, real),
             RealBuffer::plan("solid_solver.partials", 4 * partials, real),
         ];
         if real == Real::F32 {
@@ -280,8 +281,8 @@ pub struct SolidFields<'a> {
     pub gaps: &'a Buffer<[f32; 4]>,
     /// How nodes may move: see `shaders/common/freedom.wgsl`.
     pub freedom: &'a Buffer<[f32; 4]>,
-    /// How many contacts an update changed.
-    pub changes: &'a Buffer<u32>,
+    /// What the search for contacts answers, and is told: see `shaders/common/ask.wgsl`.
+    pub answer: &'a Buffer<u32>,
     /// Nodes of the elements.
     pub elements: &'a Buffer<[u32; 4]>,
     /// `Real4`, three sections of m: rotated gradients, 1/m, with zeta_K V lambda, zeta_K V mu and det F.
@@ -324,11 +325,14 @@ pub struct SolidSystemBuffers {
     pub(super) outer: RealBuffer,
     pub(super) products: RealBuffer,
     pub(super) r: RealBuffer,
-    pub(super) z: RealBuffer,
+    /// Preconditioned residual; between solves the next velocity in search of what is held, m/s.
+    pub z: RealBuffer,
     pub(super) search: RealBuffer,
     pub(super) q: RealBuffer,
     pub(super) pair: RealBuffer,
     pub(super) increment: RealBuffer,
+    /// The best velocity in search of what is held, m/s.
+    pub best: RealBuffer,
     pub(super) partials: RealBuffer,
     /// Where the device rounds the residual.
     pub(super) to_host: Option<Mutex<SolidReadbacks>>,
@@ -388,6 +392,7 @@ impl SolidSystemBuffers {
             q: real("solid_solver.q")?,
             pair: inner("solid_solver.pair")?,
             increment: inner("solid_solver.increment")?,
+            best: real("solid_solver.best")?,
             partials: real("solid_solver.partials")?,
             to_host: (variant.real == Real::F32)
                 .then(|| SolidReadbacks::new(gpu, layout).map(Mutex::new))
@@ -560,8 +565,8 @@ impl SolidSystem {
         pass.dispatch(&self.diagonals, self.n_nodes);
     }
 
-    /// Records, after a solve, who is held in the next one; the changes are added to the number in `fields`.
-    pub fn record_update(&self, pass: &mut Pass) {
-        self.contacts.record_update(pass);
+    /// The search for what walls and obstacles hold.
+    pub fn search(&self) -> &ContactSearch {
+        &self.contacts.search
     }
 }

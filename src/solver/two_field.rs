@@ -39,7 +39,7 @@ use super::refine::{
     NORM_B, NORM_R, NORM_TERMS, Outcome, RefineSettings, SCALE, STATUS_STAGNATED, System,
     host_turns, relative, verdict,
 };
-use super::solid_contacts::Update;
+use super::solid_contacts::ContactSearch;
 use super::solid_solver::Chebyshev;
 use super::solid_system::{SolidFields, SolidRows, SolidSystemBuffers};
 use super::two_field_jacobi::Jacobi;
@@ -138,7 +138,7 @@ pub struct TwoFieldSolver {
     direction: Bound,
     update: Bound,
     push: Bound,
-    contacts: Update,
+    search: ContactSearch,
     /// The other form of the correction, where it serves.
     pub(super) condensed: Option<Condensed>,
     pub(super) polynomial: Buffer<Polynomial>,
@@ -559,7 +559,7 @@ impl TwoFieldSolver {
                     ("pushed", (&coupling.difference).into()),
                 ],
             )?,
-            contacts: Update::new(gpu, solids, fields, &coupling.difference)?,
+            search: ContactSearch::new(gpu, solids, fields, &coupling.difference)?,
             condensed: match solver.formulation {
                 Formulation::TwoField => None,
                 Formulation::Auto | Formulation::Condensed => {
@@ -651,10 +651,14 @@ impl TwoFieldSolver {
         gpu.upload(&self.settings, &[settings]);
     }
 
-    /// Records, after a solve, who is held in the next one; the changes are added to the number in `fields`.
-    pub fn record_update(&self, pass: &mut Pass, n_nodes: usize) {
+    /// Records, after a solve, what pushes the nodes: all that the search for what is held asks of the liquid.
+    pub fn record_push(&self, pass: &mut Pass, n_nodes: usize) {
         pass.dispatch(&self.push, n_nodes);
-        self.contacts.record(pass, n_nodes);
+    }
+
+    /// The search for what walls and obstacles hold.
+    pub fn search(&self) -> &ContactSearch {
+        &self.search
     }
 
     /// A x as conjugate gradients evaluate it; x and the answer: quads of level 0 in the device layout, then four numbers per node. What

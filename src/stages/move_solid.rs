@@ -1,14 +1,13 @@
-//! `move_solid`: x = x* + dt v; nodes beyond a wall or inside an obstacle are put out of it and lose their velocity into it.
+//! `move_solid`: x = x* + dt v; nodes beyond a wall are put on it and lose their velocity into it.
 //!
-//! Bodies that nothing holds, and those on hinges, move on circles where they turn. Walls first, then obstacles; no prescribed
-//! component is stopped by either.
+//! Bodies that nothing holds, and those on hinges, move on circles where they turn. No prescribed component is stopped by walls; what is
+//! inside an obstacle is for the solve.
 
 use crate::Error;
 use crate::gpu::{Bound, Buffer, Gpu, Kernel, Recorder};
-use crate::grid::Layout;
 use crate::wgsl;
 
-use super::{ObstacleBuffers, SolidBuffers};
+use super::SolidBuffers;
 
 /// Threads for a body that turns: `FOLD_SIZE` in `shaders/common/tree.wgsl`.
 const TURNING_THREADS: usize = 256;
@@ -20,53 +19,34 @@ pub struct MoveSolid {
     n_turning: usize,
     turn_solids: Option<Bound>,
     move_solid: Bound,
-    push_nodes_out: Option<Bound>,
 }
 
 impl MoveSolid {
     /// The stage's name.
     pub const NAME: &'static str = "move_solid";
 
-    /// Compiles and binds; `obstacles` where the plan of the solids has them.
+    /// Compiles and binds.
     ///
     /// # Errors
     /// As [`Kernel::new`] and [`Kernel::bind`].
-    ///
-    /// # Panics
-    /// When the plan has obstacles and they are not given.
-    pub fn new(
-        gpu: &Gpu,
-        solids: &SolidBuffers,
-        obstacles: Option<&ObstacleBuffers>,
-    ) -> Result<MoveSolid, Error> {
+    pub fn new(gpu: &Gpu, solids: &SolidBuffers) -> Result<MoveSolid, Error> {
         let kernel = |source| Kernel::new(gpu, &source, solids.plan.real);
         let step = ("step", (&solids.step).into());
         let rest = ("rest", (&solids.rest).into());
         let flags = ("flags", (&solids.flags).into());
         let displacement = ("displacement", (&solids.displacement).into());
         let velocity = ("velocity", (&solids.velocity).into());
-        let push_nodes_out = |level: &Buffer<Layout>| {
-            let level = ("level", level.into());
-            let distance = &obstacles.expect("the plan has obstacles").solid_distance;
-            let distance = ("distances", distance.into());
-            kernel(wgsl!("push_nodes_out"))?.bind(
-                gpu,
-                &[level, step, rest, flags, distance, displacement, velocity],
-            )
-        };
         let turn_solids = |bodies: &Buffer<[u32; 4]>| {
             let bodies = ("bodies", bodies.into());
             kernel(wgsl!("turn_solids"))?
                 .bind(gpu, &[step, bodies, rest, flags, displacement, velocity])
         };
-        let level = solids.level.as_ref();
         Ok(MoveSolid {
             n_nodes: solids.plan.n_nodes,
             n_turning: solids.plan.n_turning,
             turn_solids: solids.turning.as_ref().map(turn_solids).transpose()?,
             move_solid: kernel(wgsl!("move_solid"))?
                 .bind(gpu, &[step, rest, flags, displacement, velocity])?,
-            push_nodes_out: level.map(push_nodes_out).transpose()?,
         })
     }
 
@@ -78,9 +58,6 @@ impl MoveSolid {
                 pass.dispatch(turn_solids, TURNING_THREADS * self.n_turning);
             }
             pass.dispatch(&self.move_solid, self.n_nodes);
-            if let Some(push_nodes_out) = &self.push_nodes_out {
-                pass.dispatch(push_nodes_out, self.n_nodes);
-            }
         });
     }
 }

@@ -66,7 +66,7 @@ impl SolidPlan {
         let mut plans = vec![
             BufferPlan::of::<SolidStep>("solid.step", 1),
             BufferPlan::of::<u32>("solid.report (read-back)", SolidReport::WORDS),
-            BufferPlan::of::<u32>("solid.changes (read-back)", 2),
+            BufferPlan::of::<u32>("solid.answer (read-back)", 3),
         ];
         if self.obstacles {
             plans.push(BufferPlan::of::<Layout>("solid.level", 1));
@@ -86,7 +86,7 @@ impl SolidPlan {
             BufferPlan::of::<u32>("solid.flags", n.next_multiple_of(4)),
             BufferPlan::of::<[f32; 4]>("solid.gaps", surfaces * n),
             BufferPlan::of::<[f32; 4]>("solid.freedom", n),
-            BufferPlan::of::<u32>("solid.changes", 2),
+            BufferPlan::of::<u32>("solid.answer", 3),
             BufferPlan::of::<[u32; 4]>("solid.elements", m),
             RealBuffer::plan("solid.rest_gradients", 12 * m, self.real),
             BufferPlan::of::<[f32; 2]>("solid.damping", m),
@@ -146,8 +146,9 @@ pub struct SolidBuffers {
     pub gaps: Buffer<[f32; 4]>,
     /// Per node: how it may move in this sub-step (see `shaders/common/freedom.wgsl`).
     pub freedom: Buffer<[f32; 4]>,
-    /// How many contacts changed after a solve.
-    pub changes: Buffer<u32>,
+    /// What the search for contacts answers, and is told (see `shaders/common/ask.wgsl`). After a sub-step, first, how many of them are not
+    /// settled.
+    pub answer: Buffer<u32>,
     /// Per element: its nodes.
     pub elements: Buffer<[u32; 4]>,
     /// `Real4`, three sections: rest gradients of the shape functions of corners 1, 2, 3, 1/m (that of corner 0 is minus their
@@ -208,7 +209,7 @@ impl SolidBuffers {
             flags: maker.make("solid.flags")?,
             gaps: maker.make("solid.gaps")?,
             freedom: maker.make("solid.freedom")?,
-            changes: maker.make("solid.changes")?,
+            answer: maker.make("solid.answer")?,
             elements: maker.make("solid.elements")?,
             rest_gradients: maker.make_real("solid.rest_gradients", plan.real)?,
             damping: maker.make("solid.damping")?,
@@ -285,7 +286,7 @@ impl SolidBuffers {
             displacement: &self.displacement,
             gaps: &self.gaps,
             freedom: &self.freedom,
-            changes: &self.changes,
+            answer: &self.answer,
             elements: &self.elements,
             rotated: &self.rotated,
             element_forces: &self.element_forces,

@@ -322,7 +322,7 @@ fn absent_effects_of_solids_take_nothing() {
         (
             "obstacles",
             "obstacles.solid_distance",
-            Some("push_nodes_out"),
+            Some("obstacle_contacts"),
         ),
         ("probes", "solid.displacement (read-back)", None),
     ] {

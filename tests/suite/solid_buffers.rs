@@ -100,7 +100,7 @@ fn all_that_is_allocated_is_planned() {
                 (b.flags.label(), b.flags.bytes()),
                 (b.gaps.label(), b.gaps.bytes()),
                 (b.freedom.label(), b.freedom.bytes()),
-                (b.changes.label(), b.changes.bytes()),
+                (b.answer.label(), b.answer.bytes()),
                 (b.elements.label(), b.elements.bytes()),
                 (
                     b.rest_gradients.words.label(),

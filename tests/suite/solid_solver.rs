@@ -4,9 +4,9 @@ use std::sync::Arc;
 
 use cutwater::elastic::{Bounds, Solids};
 use cutwater::geometry::CutCells;
-use cutwater::gpu::{Gpu, Real, Recorder};
+use cutwater::gpu::{Gpu, Pass, Real, RealBuffer, Recorder};
 use cutwater::linalg::{LinearOperator, dot, norm};
-use cutwater::reference::{self, BlockPattern, Contacts, Freedom, LETTING_GO, SolidSystem as Twin};
+use cutwater::reference::{self, BlockPattern, Contacts, Freedom, SolidSystem as Twin};
 use cutwater::scene::{Precision, Solver};
 use cutwater::solver::{
     ObstacleField, Outcome, Polynomial, SolidRows, SolidSolver, SolidSystem, SolidSystemBuffers,
@@ -132,18 +132,21 @@ impl<'a> Device<'a> {
     }
 
     fn velocity(&self) -> Vec<[f64; 3]> {
-        let words = self.fields.velocity.download(self.gpu).unwrap();
-        words.chunks_exact(4).map(|v| [v[0], v[1], v[2]]).collect()
+        self.nodes(&self.fields.velocity)
     }
 
-    /// How many contacts change after a solve.
-    fn update(&self, may_let_go: bool) -> u32 {
-        self.gpu
-            .upload(&self.fields.changes, &[0, u32::from(may_let_go)]);
+    fn nodes(&self, buffer: &RealBuffer) -> Vec<[f64; 3]> {
+        nodes(&three(&buffer.download(self.gpu).unwrap()))
+    }
+
+    /// What kernels of the search for contacts make of two words when they are told a third.
+    fn ask(&self, of: [u32; 2], told: u32, record: impl FnOnce(&mut Pass)) -> [u32; 2] {
+        self.gpu.upload(&self.fields.answer, &[of[0], of[1], told]);
         let mut recorder = Recorder::new(self.gpu);
-        recorder.stage("solve", |pass| self.system.record_update(pass));
+        recorder.stage("solve", record);
         recorder.submit();
-        self.gpu.download(&self.fields.changes).unwrap()[0]
+        let answer = self.gpu.download(&self.fields.answer).unwrap();
+        [answer[0], answer[1]]
     }
 
     /// The verdict, and the velocities: three numbers per node.
@@ -352,7 +355,7 @@ fn the_velocities_solve_the_system() {
             // Forces of 1e-25 N, whose squares are nothing in f32.
             if case.name != "denormals" || device.fields.velocity.real == Real::F64 {
                 assert_solution(&what, &case, &twin, &device, &solver);
-                assert_update(&what, &case, &twin, contacts, &device);
+                assert_search(&what, &case, &twin, contacts, &device);
             }
             let by_obstacles = usize::from(!case.solid_distance.is_empty());
             let ranks = twin.freedom().iter().map(Freedom::rank).sum::<usize>();
@@ -403,31 +406,104 @@ fn assert_contacts(what: &str, case: &SolidCase, twin: &Twin, device: &Device) -
     contacts
 }
 
-/// After a late solve the same nodes are held, and none is let go; after an early one the same are held and let go.
-fn assert_update(
+/// Between solves the search for contacts does what the twin does, up to rounding, as gaps are f32: where it starts from, what is on the way
+/// from there to what the solve found, whether phi grows on it, where it first stops, what is wrong, and who is held and let go.
+fn assert_search(
     what: &str,
     case: &SolidCase,
     twin: &Twin,
     mut contacts: Contacts,
     device: &Device,
 ) {
-    for may_let_go in [false, true] {
-        let solve = if may_let_go { 1 } else { LETTING_GO + 1 };
-        let before = twin.freedom().iter().map(Freedom::rank);
-        let changes = contacts.update(twin, &device.velocity(), solve);
-        assert_eq!(device.update(may_let_go), changes, "{what}, solve {solve}");
-        let mut velocity = device.velocity();
-        let pairs = contacts.hold(&mut velocity).into_iter();
-        let pairs = pairs.zip(device.freedom(case)).zip(before);
-        for (node, ((twin, found), before)) in pairs.enumerate() {
-            let off = (twin.projector - found.projector)
-                .to_cols_array()
-                .map(f64::abs);
-            let off = off.into_iter().fold(0.0, f64::max);
-            assert!(off < 1e-5, "{what}: node {node}: {found:?} for {twin:?}");
-            assert!(may_let_go || twin.rank() <= before, "{what}: node {node}");
+    let search = device.system.search();
+    let found = device.velocity();
+    let reach = largest_length(&case.displacement) + case.grid.size().length();
+    let gap = 16.0 * eps(Real::F32) * reach;
+    let assert_near = |of: &str, wanted: &[[f64; 3]], found: &[[f64; 3]]| {
+        for (node, (wanted, found)) in wanted.iter().zip(found).enumerate() {
+            let (wanted, found) = (DVec3::from(*wanted), DVec3::from(*found));
+            let bound = 1e-4 * wanted.length() + gap / case.dt;
+            let off = wanted.distance(found);
+            assert!(
+                off <= bound,
+                "{what}, {of}: node {node}: {found} for {wanted} m/s"
+            );
         }
+    };
+    let assert_held = |of: &str, contacts: &Contacts| {
+        let twins = contacts.hold(&mut device.velocity());
+        for (node, (twin, found)) in twins.iter().zip(device.freedom(case)).enumerate() {
+            let off = twin.projector - found.projector;
+            let off = off.to_cols_array().map(f64::abs);
+            let off = off.into_iter().fold(0.0, f64::max);
+            assert!(
+                off < 1e-5,
+                "{what}, {of}: node {node}: {found:?} for {twin:?}"
+            );
+        }
+    };
+    device.ask([0; 2], 0, |pass| search.record_rest(pass));
+    let best = device.nodes(&device.buffers.best);
+    assert_near("rest", &contacts.at_rest(&found), &best);
+    for share in [1.0, 0.5, 0.125, 0.0] {
+        let told = (share as f32).to_bits();
+        let [grows, _] = device.ask([0; 2], told, |pass| search.record_approach(pass));
+        let next = device.nodes(&device.buffers.z);
+        let of = format!("{share} of the way");
+        assert_near(&of, &contacts.approach(&best, &found, share), &next);
+        let gain = twin.gain(&best, &next);
+        let [from, to] = [&best, &next].map(|v| v.as_flattened());
+        let sums: Vec<f64> = from.iter().zip(to).map(|(v, w)| v + w).collect();
+        let forces = twin.forces().as_flattened().iter();
+        let terms = forces.zip(magnitudes(twin, &sums)).zip(from.iter().zip(to));
+        let terms = terms.map(|((f, s), (v, w))| (w - v).abs() * (0.5 * s + f.abs()));
+        let rounding = 64.0 * eps(device.fields.velocity.real) * terms.sum::<f64>();
+        assert!(
+            gain.abs() <= rounding || (grows == 1) == (gain > 0.0),
+            "{what}, {of}: {grows} of {gain:e} W, give or take {rounding:e}"
+        );
     }
+    let one = [1_f32.to_bits(), 0];
+    let [stop, _] = device.ask(one, 0, |pass| search.record_first_stop(pass));
+    let (stop, wanted) = (
+        f64::from(f32::from_bits(stop)),
+        contacts.first_stop(&best, &found),
+    );
+    // Gaps over a way of more than what is taken for beyond.
+    let bound = 1e-5 + 2.0 * gap / contacts.near();
+    assert!(
+        (stop - wanted).abs() <= bound,
+        "{what}: {stop}, {wanted} of the way"
+    );
+    assert_eq!(
+        device.velocity(),
+        found,
+        "{what}: the search changes what was found"
+    );
+
+    for told in [0, 1] {
+        let wrong = contacts.judge(twin, &found);
+        let answer = device.ask([0; 2], told, |pass| search.record_judge(pass));
+        assert_eq!(answer, [wrong.beyond, wrong.pulled], "{what}, told {told}");
+        if told == 1 {
+            contacts.let_go(twin, &found);
+        }
+        assert_held("what is let go", &contacts);
+    }
+    device.ask([0; 2], 0, |pass| search.record_hold_stopped(pass));
+    contacts.hold_stopped(&best, &found);
+    assert_held("what is stopped", &contacts);
+    // Of what the solve found nodes are on their surfaces or far away; the best may be in between, where rounding decides.
+    let all_found = four(found.as_flattened());
+    device.buffers.best.upload(device.gpu, &all_found);
+    device.ask([0; 2], 1, |pass| search.record_hold_stopped(pass));
+    contacts.hold_all_touching(&found);
+    assert_held("all that touch", &contacts);
+}
+
+fn largest_length(vectors: &[[f64; 3]]) -> f64 {
+    let lengths = vectors.iter().map(|v| DVec3::from(*v).length());
+    lengths.fold(0.0, f64::max)
 }
 
 /// Velocities that solve the system, as the reported residual says; those that are prescribed stay to the bit.

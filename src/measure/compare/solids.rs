@@ -13,8 +13,8 @@ use crate::gpu::Real;
 use crate::grid::Grid;
 use crate::linalg::norm;
 use crate::reference::{
-    self, ActiveCells, BlockPattern, Contacts, Formulation, RightHandSide as Inflow, SolidMatrices,
-    SolidRightHandSide, SolidSolver, SolidSystem,
+    self, ActiveCells, BlockPattern, Contacts, Formulation, Held, RightHandSide as Inflow,
+    SolidMatrices, SolidRightHandSide, SolidSolver, SolidSystem,
 };
 use crate::scene::{Scene, Solver};
 use crate::sim::{GpuPath, SolidSnapshot, coupled_system, stored_coupling};
@@ -154,25 +154,16 @@ impl<'a> SolidJudge<'a> {
         self.table.add(row, pairs);
     }
 
-    /// A free node is off by the rounding of the pair, of dt v and of what it turns by. One that is put on a wall or an obstacle is off by the rounding of its
-    /// position, of the distance there (three cells at most, sampled with a position in cells), and of the direction. Rounding decides whether
-    /// one that the solve has brought to the surface is beyond it and loses its velocity into it.
+    /// A free node is off by the rounding of the pair, of dt v and of what it turns by. One that is put on a wall is off by the rounding of its
+    /// position. Rounding decides whether one that the solve has brought to the wall is beyond it and loses its velocity into it.
     fn move_solid(&mut self, after: &SolidSnapshot) {
         let before = self.before.clone();
         let (mut u, mut v) = (before.displacement.clone(), before.velocity.clone());
         reference::turn_solids(&self.solids, self.dt, &mut u, &mut v);
         let (turned, turned_v) = (u.clone(), v.clone());
         (u, v) = (before.displacement.clone(), before.velocity.clone());
-        reference::move_solid(
-            &self.solids,
-            &self.grid,
-            &self.cut.solid_distance,
-            self.dt,
-            &mut u,
-            &mut v,
-        );
+        reference::move_solid(&self.solids, &self.grid, self.dt, &mut u, &mut v);
         let size = self.grid.size().max_element();
-        let cells = self.grid.cells.into_iter().max().unwrap_or(1) as f64;
         let touched: Vec<bool> = (0..u.len())
             .map(|node| {
                 (0..3).any(|axis| {
@@ -182,7 +173,7 @@ impl<'a> SolidJudge<'a> {
                 })
             })
             .collect();
-        let contact = EPS * (8.0 * size + 64.0 * self.grid.dx * cells.max(8.0));
+        let contact = 8.0 * EPS * size;
         let (dt, eps) = (self.dt, unit(after.real));
         // Per node: how far what its body turns by may be off, m and m/s.
         let mut off = vec![[0.0; 2]; u.len()];
@@ -214,19 +205,13 @@ impl<'a> SolidJudge<'a> {
         let arrives: Vec<bool> = (0..u.len())
             .map(|node| {
                 let x = self.solids.rest[node] + DVec3::from(u[node]);
-                let of_walls = x.min(size - x).min_element();
-                let of_obstacles = self.grid.sample_cells(&self.cut.solid_distance, x);
-                of_walls.min(of_obstacles) <= contact
+                x.min(size - x).min_element() <= contact
             })
             .collect();
         let row = [MoveSolid::NAME, "v*", "m/s"];
         self.add_nodes(row, &after.velocity, &v, |node, _| {
             let speed = DVec3::from(before.velocity[node]).length();
-            let of_contact = match (arrives[node], touched[node]) {
-                (true, _) => speed * (1.0 + 64.0 * EPS * cells),
-                (_, true) => 64.0 * EPS * cells * speed,
-                _ => 0.0,
-            };
+            let of_contact = if arrives[node] { speed } else { 0.0 };
             of_contact + off[node][1]
         });
     }
@@ -445,7 +430,7 @@ impl<'a> SolidJudge<'a> {
 
     /// The system is the one stored: rotated gradients and moduli in the scalar type of the outer loop, and what the device holds; in liquid
     /// with J^T p of the pressure found, whose areas are f32. Row `true residual` judges v on it; row `beyond` whether that is what walls and
-    /// obstacles should hold, but for what late solves let none go of; row `v` compares with a direct solve: S >= zeta_M M, so v is off by |r| over the least zeta_M m at most.
+    /// obstacles should hold (where the search for it did not end: whether nodes are behind them, of solids by themselves); row `v` compares with a direct solve: S >= zeta_M M, so v is off by |r| over the least zeta_M m at most.
     fn solve(&mut self, after: &SolidSnapshot, both: Option<&Both>) -> Result<(), Error> {
         let (solids, dt) = (&self.solids, self.dt);
         let Some(matrices) = self.matrices.take() else {
@@ -482,22 +467,30 @@ impl<'a> SolidJudge<'a> {
         );
         let mut distance = self.cut.solid_distance.clone();
         distance.resize(self.grid.n_cells(), 3.0 * self.grid.dx);
+        // Of a search that did not end nothing is held that the system does not hold anyway.
+        let held = match after.settled {
+            true => after.held.clone(),
+            false => vec![Held::default(); after.held.len()],
+        };
         let contacts = Contacts::holding(
             solids,
             &self.grid,
             &distance,
             &after.displacement,
-            &after.held,
+            &held,
             dt,
         );
-        let beyond = contacts.worst(&system, &after.velocity, after.lets_go);
-        // Gaps are f32, of a distance sampled with a position in cells.
-        let size = self.grid.size().max_element();
-        let bound = contacts.near() + 64.0 * EPS * size;
-        self.table.add(
-            ["solve", "beyond walls and obstacles, or pulled", "m"],
-            [(beyond, 0.0, bound, Place::Whole)],
-        );
+        if after.settled || !both.is_some_and(Both::touch) {
+            let beyond = contacts.beyond(&after.velocity);
+            let wrong = beyond.max(contacts.pulled(&system, &after.velocity));
+            // Gaps are f32, of a distance sampled with a position in cells.
+            let size = self.grid.size().max_element();
+            let bound = contacts.near() + 64.0 * EPS * size;
+            self.table.add(
+                ["solve", "beyond walls and obstacles, or pulled", "m"],
+                [(wrong, 0.0, bound, Place::Whole)],
+            );
+        }
         let exact = Solver {
             tolerance: 1e-13,
             ..self.scene.solver

@@ -1,0 +1,16 @@
+// solve, for solids, while the search for contacts goes on: whether phi grows from the best velocity to the next. One workgroup.
+// step. partials: what each node adds, W. answer: see ask; first 1 where it grows, else 0, out.
+#import fold
+#import solid_step
+
+@group(0) @binding(0) var<uniform> step: SolidStep;
+@group(0) @binding(1) var<storage, read> partials: array<Real4>;
+@group(0) @binding(2) var<storage, read_write> answer: array<u32>;
+
+@compute @workgroup_size(FOLD_SIZE)
+fn judge_gain(@builtin(local_invocation_index) lane: u32) {
+    let gain = fold(step.n_nodes, lane).x;
+    if lane == 0u {
+        answer[0] = u32(!(gain <= Real()));
+    }
+}
