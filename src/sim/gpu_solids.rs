@@ -273,13 +273,17 @@ impl GpuSolids {
                 // The pressure found does not go with these velocities; what does and holds all that they touch has no more energy.
                 ask.about([0; 2], 1, |pass| search.record_hold_stopped(pass))?;
             }
-            recorder = Recorder::timed(gpu);
-            recorder.stage("solve", |pass| self.stages.system.record_hold(pass));
+            let hold = || {
+                let mut to = Recorder::timed(gpu);
+                to.stage("solve", |pass| self.stages.system.record_hold(pass));
+                to
+            };
             if !ended {
+                recorder = hold();
                 continue;
             }
             if together {
-                (found, _, times) = solve(recorder, solves)?;
+                (found, _, times) = solve(hold(), solves)?;
                 ask.seconds.append(&mut times);
             }
             gpu.upload(&self.buffers.answer, &[unsettled, 0, 0]);

@@ -272,7 +272,7 @@ impl SolidSnapshot {
             rhs: three(&system.rhs.download(gpu)?[..4 * n]),
             freedom,
             held,
-            settled: gpu.download(&buffers.answer)?[0] == 0,
+            settled: gpu.download(&buffers.answer)?[..2] == [0, 0],
             real: buffers.plan.real,
             report: SolidReport::from_words(&gpu.download(&buffers.report)?),
         })
