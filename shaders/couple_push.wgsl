@@ -1,4 +1,4 @@
-// solve, for liquid and solids, before contacts are updated: F + J^T p, what pushes nodes to walls and obstacles. One thread per node.
+// solve, for liquid and solids, before the search for contacts judges it: F + J^T p, what pushes nodes to walls and obstacles. One thread per node.
 // coupling, words, pairs, flags, p: see coupling_force. rhs: F, N. pushed: N, out.
 #import coupling_force
 #import dispatch

@@ -1,5 +1,5 @@
 // solve, for solids, while the search for contacts goes on: the share of the way from the best velocity to the one that a solve found at
-// which the first of the nodes that end beyond a wall or obstacle is on it. One thread per node.
+// which the first of the nodes that go on beyond a wall or obstacle is on it. One thread per node.
 // step. gaps: see contact. best, velocity: from and to, m/s. answer: see ask; bits of the share, which the host sets to 1: positive numbers
 // are ordered as their bits.
 #import ask
@@ -34,7 +34,8 @@ fn first_stop(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoca
     var first = 1.0;
     let before = wall_gaps(walls, v, dt);
     let after = wall_gaps(walls, w, dt);
-    let passed = is_free(u32(walls.w)) & (after < Real3(-near));
+    let free = is_free(u32(walls.w));
+    let passed = free & (after < Real3(-near)) & (after < before);
     for (var axis = 0; axis < 3; axis++) {
         if passed[axis] {
             first = min(first, stop(before[axis], after[axis]));
@@ -43,9 +44,11 @@ fn first_stop(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoca
     if arrayLength(&gaps) > step.n_nodes {
         let surface = gaps[step.n_nodes + node];
         let n = Real3(surface.xyz);
+        let direction = held_along(vec4<f32>(vec3<f32>(), f32(flags_of(free))), surface.xyz).xyz;
+        let before = Real(surface.w) + dt * dot(v, n);
         let after = Real(surface.w) + dt * dot(w, n);
-        if any(n != Real3()) && after < -near {
-            first = min(first, stop(Real(surface.w) + dt * dot(v, n), after));
+        if any(direction != vec3<f32>()) && after < -near && after < before {
+            first = min(first, stop(before, after));
         }
     }
     if first < 1.0 {

@@ -1,4 +1,4 @@
-// move_solid, first part: u += dt v as the sum of two f32; then a node beyond a wall of the domain is put on it and loses its
+// move_solid, second part: u += dt v as the sum of two f32; then a node beyond a wall of the domain is put on it and loses its
 // velocity into the wall. Prescribed components move, but walls do not stop them. One thread per node.
 // step. rest: m. flags: see node_flags. displacement: larger parts, then smaller, m; velocity: m/s; both in place.
 #import dispatch

@@ -4,8 +4,8 @@ use super::turn_solids;
 use crate::elastic::Solids;
 use crate::grid::Grid;
 
-/// u += dt v, after [`turn_solids`]. Then a node beyond a wall of the domain is put on the wall and loses its velocity into it, which is
-/// rounding: the solve held it there. Prescribed components move, but nothing stops them. Nodes inside obstacles stay, as what they
+/// u += dt v, after [`turn_solids`]. Then a node beyond a wall of the domain is put on the wall and loses its velocity into it: the solve
+/// held it there, up to rounding, to the circles on which bodies turn, and to searches for contacts that did not end. Prescribed components move, but nothing stops them. Nodes inside obstacles stay, as what they
 /// did not foresee, surfaces that curve, is for the next solve: it takes them out with what lies behind, where putting a node on the
 /// surface by itself would squeeze it.
 ///

@@ -8,8 +8,9 @@
 //! nodes are held on theirs, v . n = -d/dt. A solve finds the least phi with these, w. Where w takes a node beyond a surface, v goes towards
 //! w: the whole way with each node put back before its surfaces, or half of it, and so on, if phi does not grow, otherwise straight on until
 //! the first node is on a surface; and what is on a surface then and goes on beyond it at w is held too. Where it does not, v = w, and those
-//! that are pulled to their surfaces are let go. Once none is, w is the answer. Each v on the way is one that could be, and phi does
-//! not grow from one to the next: the search may end after any solve, with a motion that has no energy from nowhere.
+//! that are pulled to their surfaces are let go. Once none is, w is the answer. No v on the way takes a node beyond a surface, and phi, which is
+//! 0 at rest, does not grow from one to the next, but for nodes that were beyond a surface before, and for what the liquid's forces change
+//! between solves: the search may end after any of them.
 
 use glam::{DMat3, DVec3};
 
@@ -19,7 +20,7 @@ use crate::elastic::Solids;
 use crate::grid::Grid;
 use crate::state::ContactReport;
 
-/// Solves of a sub-step in search of what is held, at most.
+/// Solves of a sub-step in search of what is held, at most, with the one for a pressure that goes with velocities the search ended at.
 pub const MOST_SOLVES: u32 = 20;
 /// Halvings of the way from a velocity to the one that a solve found, at most, before it is straight on to the first surface.
 pub const MOST_HALVINGS: u32 = 3;
@@ -209,7 +210,8 @@ impl Contacts {
             let mut freedom = Freedom::of(solids.prescribed[node]);
             for (which, surface) in found.iter_mut().enumerate() {
                 if let Some(surface) = surface {
-                    surface.held = held(node, which, surface, &freedom);
+                    let moves = freedom.shared(surface.normal).is_some();
+                    surface.held = moves && held(node, which, surface, &freedom);
                     if surface.held {
                         freedom.hold(surface.normal, 0.0, DVec3::ZERO);
                     }
@@ -248,14 +250,17 @@ impl Contacts {
         next
     }
 
-    /// The share of the way from velocities to others (m/s) at which the first of the nodes that end beyond a surface is on it.
+    /// The share of the way from velocities to others (m/s) at which the first of the nodes that go on beyond a surface is on it.
     pub fn first_stop(&self, from: &[[f64; 3]], to: &[[f64; 3]]) -> f64 {
         let mut first = 1.0;
         for node in 0..from.len() {
             let [before, after] = [from, to].map(|v| self.gaps(node, DVec3::from(v[node])));
-            for (before, after) in before.into_iter().zip(after) {
-                let before = f64::max(before, 0.0);
-                if after < -self.near {
+            let free = Freedom::of(self.prescribed[node]);
+            for (which, surface) in self.surfaces[node].iter().enumerate() {
+                let moves = surface.is_some_and(|surface| free.shared(surface.normal).is_some());
+                let (before, after) = (before[which], after[which]);
+                if moves && after < -self.near && after < before {
+                    let before = f64::max(before, 0.0);
                     first = f64::min(first, before / (before - after));
                 }
             }
@@ -309,8 +314,8 @@ impl Contacts {
         for (node, push) in self.pushes(system, found).into_iter().enumerate() {
             let shares = self.shares(node, self.held(node), push);
             for (surface, share) in self.surfaces[node].iter_mut().zip(shares) {
-                if let (Some(surface), Some(share)) = (surface, share) {
-                    surface.held &= share >= -self.near;
+                if let Some(surface) = surface {
+                    surface.held &= share.is_some_and(|share| share >= -self.near);
                 }
             }
         }
@@ -336,11 +341,10 @@ impl Contacts {
             let [of_best, of_found] = [best, found].map(|v| self.gaps(node, DVec3::from(v[node])));
             for which in 0..=OBSTACLE {
                 // What walls leave of an obstacle's normal is asked after these.
-                if self.shares(node, self.held(node), DVec3::ZERO)[which].is_none() {
-                    continue;
-                }
+                let shares = self.shares(node, self.held(node), DVec3::ZERO);
                 if let Some(surface) = &mut self.surfaces[node][which] {
                     surface.held |= of_best[which] < self.near && also(of_found[which], self.near);
+                    surface.held &= shares[which].is_some();
                 }
             }
         }
@@ -451,6 +455,7 @@ pub struct ContactSearch<'a> {
     /// The best velocity that takes no node beyond a surface, m/s; none before a solve that found another.
     best: Option<Vec<[f64; 3]>>,
     solves: u32,
+    most: u32,
 }
 
 /// What a solve was to the search.
@@ -465,12 +470,13 @@ pub struct Searched {
 }
 
 impl<'a> ContactSearch<'a> {
-    /// Before the first solve. `contacts`: what it is solved with.
-    pub fn new(contacts: &'a mut Contacts) -> ContactSearch<'a> {
+    /// Before the first solve, of so many at most. `contacts`: what it is solved with.
+    pub fn new(contacts: &'a mut Contacts, most: u32) -> ContactSearch<'a> {
         ContactSearch {
             contacts,
             best: None,
             solves: 0,
+            most,
         }
     }
 
@@ -483,7 +489,7 @@ impl<'a> ContactSearch<'a> {
             solves: self.solves,
             unsettled: wrong.beyond + wrong.pulled,
         };
-        let ended = last || self.solves == MOST_SOLVES || report.unsettled == 0;
+        let ended = last || self.solves == self.most || report.unsettled == 0;
         let velocity = if wrong.beyond == 0 {
             self.contacts.let_go(system, &found);
             found
@@ -509,15 +515,16 @@ impl<'a> ContactSearch<'a> {
         from: &[[f64; 3]],
         found: &[[f64; 3]],
     ) -> Vec<[f64; 3]> {
-        for halvings in 0..=MOST_HALVINGS {
-            let share = 0.5_f64.powi(halvings as i32);
+        let stop = self.contacts.first_stop(from, found);
+        let shares = (0..=MOST_HALVINGS).map(|halvings| 0.5_f64.powi(halvings as i32));
+        // Less than up to the first surface leaves the next solve what this one had.
+        for share in shares.take_while(|share| *share > stop) {
             let next = self.contacts.approach(from, found, share);
             if system.gain(from, &next) <= 0.0 {
                 return next;
             }
         }
-        let share = self.contacts.first_stop(from, found);
-        self.contacts.approach(from, found, share)
+        self.contacts.approach(from, found, stop)
     }
 
     /// Holds also what velocities (m/s) leave on a surface.

@@ -6,7 +6,7 @@ use super::coupled_system::{Blocks, CoupledSystem, TwoField};
 use super::multigrid::Multigrid;
 use super::pressure_system::PressureSystem;
 use super::refine::{Correction, Judged, refine_parts};
-use super::solid_contacts::{ContactSearch, Contacts};
+use super::solid_contacts::{ContactSearch, Contacts, MOST_SOLVES};
 use super::solid_system::SolidSystem;
 use super::solve::{DIRECT_UNKNOWNS, broken_down, solve};
 use super::solve_solid::{Chebyshev, SolidSolver};
@@ -301,7 +301,7 @@ pub fn solve_coupled_in_contact(
         }
         Ok((system, solution))
     };
-    let mut search = ContactSearch::new(contacts);
+    let mut search = ContactSearch::new(contacts, MOST_SOLVES - 1);
     loop {
         let (system, solution) = solved(solid)?;
         // The liquid pushes nodes to walls too.
@@ -317,12 +317,13 @@ pub fn solve_coupled_in_contact(
             return Ok((system, solution, searched.report));
         }
         if searched.ended {
-            // They do not go with the pressure found; what does and holds all that they touch has no more energy.
+            // They do not go with the pressure found: what does, and holds all that they touch.
             search.hold_all_touching(&searched.velocity);
         }
         solid.free(search.hold(&mut searched.velocity), &searched.velocity);
         if searched.ended {
             let (system, solution) = solved(solid)?;
+            searched.report.solves += 1;
             return Ok((system, solution, searched.report));
         }
     }
@@ -606,5 +607,6 @@ pub fn solve_damping_only(
         solution.reports[1].status = report.status;
     }
     contact.solves += before.solves;
+    contact.unsettled += before.unsettled;
     Ok((system, solution, contact))
 }

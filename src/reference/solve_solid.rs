@@ -7,7 +7,7 @@
 use std::sync::{Arc, OnceLock};
 
 use super::refine::{Correction, Judged, refine};
-use super::solid_contacts::{ContactSearch, Contacts};
+use super::solid_contacts::{ContactSearch, Contacts, MOST_SOLVES};
 use super::solid_system::SolidSystem;
 use super::solve::DIRECT_UNKNOWNS;
 use crate::Error;
@@ -66,7 +66,7 @@ impl SolidSolver {
         settings: &Solver,
     ) -> Result<(Vec<[f64; 3]>, SolveReport, ContactReport), Error> {
         let mut iterations = 0;
-        let mut search = ContactSearch::new(contacts);
+        let mut search = ContactSearch::new(contacts, MOST_SOLVES);
         loop {
             let (found, mut report) = self.solve(solids, system, settings)?;
             iterations += report.iterations;

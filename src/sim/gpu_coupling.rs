@@ -539,7 +539,7 @@ impl GpuCoupling {
             let (outcome, contact, mut seconds) =
                 solids.solve_in_contact(gpu, recorder, answer, &polynomial)?;
             times.append(&mut seconds);
-            before = Some((outcome.status, contact.solves));
+            before = Some((outcome.status, contact));
             recorder = Recorder::timed(gpu);
             let inelastic = SolidStep {
                 elastic: 0.0,
@@ -572,8 +572,9 @@ impl GpuCoupling {
             solids.until_settled(gpu, recorder, answer, solve, search)?;
         times.append(&mut seconds);
         let mut parts = outcome.parts(touch.closed_components);
-        if let Some((status, solves)) = before {
-            contact.solves += solves;
+        if let Some((status, before)) = before {
+            contact.solves += before.solves;
+            contact.unsettled += before.unsettled;
             if status != SolveStatus::Converged {
                 parts[1].status = status;
             }

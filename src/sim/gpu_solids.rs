@@ -262,15 +262,16 @@ impl GpuSolids {
                 search.record_judge(pass);
             })?;
             let unsettled = beyond + pulled;
-            let contact = ContactReport { solves, unsettled };
+            let mut contact = ContactReport { solves, unsettled };
             let converged = status == SolveStatus::Converged;
             if unsettled == 0 || (together && !converged) {
                 return Ok((found, contact, ask.seconds));
             }
             self.search_on(&mut ask, search, solves == 1, beyond > 0)?;
-            let ended = solves == MOST_SOLVES || !converged;
+            let most = MOST_SOLVES - u32::from(together);
+            let ended = solves == most || !converged;
             if ended && together {
-                // The pressure found does not go with these velocities; what does and holds all that they touch has no more energy.
+                // The pressure found does not go with these velocities: what does, and holds all that they touch.
                 ask.about([0; 2], 1, |pass| search.record_hold_stopped(pass))?;
             }
             let hold = || {
@@ -284,6 +285,7 @@ impl GpuSolids {
             }
             if together {
                 (found, _, times) = solve(hold(), solves)?;
+                contact.solves += 1;
                 ask.seconds.append(&mut times);
             }
             gpu.upload(&self.buffers.answer, &[unsettled, 0, 0]);
@@ -319,19 +321,17 @@ impl GpuSolids {
             to.stage("solve", |pass| search.record_rest(pass));
             to.submit();
         }
-        let mut grows = true;
-        for halvings in 0..=MOST_HALVINGS {
-            let share = 0.5_f32.powi(halvings as i32).to_bits();
-            let answer = ask.about([0; 2], share, |pass| search.record_approach(pass))?;
-            grows = answer[0] > 0;
-            if !grows {
+        let whole = [1_f32.to_bits(), 0];
+        let [stop, _] = ask.about(whole, 0, |pass| search.record_first_stop(pass))?;
+        let stop = f32::from_bits(stop);
+        let halves = (0..=MOST_HALVINGS).map(|halvings| 0.5_f32.powi(halvings as i32));
+        // Less than up to the first surface leaves the next solve what this one had.
+        for share in halves.take_while(|share| *share > stop).chain([stop]) {
+            let told = share.to_bits();
+            let [grows, _] = ask.about([0; 2], told, |pass| search.record_approach(pass))?;
+            if grows == 0 {
                 break;
             }
-        }
-        if grows {
-            let whole = [1_f32.to_bits(), 0];
-            let [share, _] = ask.about(whole, 0, |pass| search.record_first_stop(pass))?;
-            ask.about([0; 2], share, |pass| search.record_approach(pass))?;
         }
         copy(next, best);
         ask.about([0; 2], 0, |pass| search.record_hold_stopped(pass))?;

@@ -469,7 +469,7 @@ fn stiff_bodies_are_not_thrown() {
     let stiff = ["solid[0].young=1e9", "solid[0].damping.mass=0"].map(str::to_owned);
     let scene = Scene::load(&file, &stiff, 1.0).unwrap();
     let mut reference = start(&scene);
-    let (mut at_first, mut before, mut most) = (None, f64::INFINITY, 0);
+    let (mut at_first, mut least, mut most) = (None, f64::INFINITY, 0);
     for number in 1..=48 {
         let SolidReport {
             contact, diagnosis, ..
@@ -480,13 +480,46 @@ fn stiff_bodies_are_not_thrown() {
         let energy =
             diagnosis.kinetic_energy + diagnosis.elastic_energy + diagnosis.potential_energy;
         assert!(
-            energy - before <= 0.05 * at_first,
-            "step {number}: {before} to {energy} J, {at_first} J at the start"
+            energy - least <= 0.1 * at_first,
+            "step {number}: {least} to {energy} J, {at_first} J at the start"
         );
         assert!(diagnosis.min_det > 0.9, "step {number}: {diagnosis:?}");
-        before = energy;
+        least = f64::min(least, energy);
     }
     assert!(most > 3, "{most} solves at most");
+}
+
+/// A stiff beam that is held inside one obstacle, as far in as its nodes never may be, strikes another with its free end: what lies in the
+/// first stops no search for what the second holds.
+#[test]
+fn nodes_held_in_an_obstacle_stop_no_search() {
+    let mut solid = block([1.0, 0.2, 0.2], [10, 2, 2]);
+    solid.placement.translate = DVec3::splat(2.0);
+    (solid.young, solid.poisson) = (1e8, 0.3);
+    solid.initial.velocity = DVec3::new(0.0, -2.0, 0.0);
+    let inside = region([0.0; 3], [1.61, 4.0, 4.0]);
+    solid.pins = vec![held(inside, [true; 3])];
+    let mut scene = scene_of(vec![solid]);
+    scene.domain.cells = [40; 3];
+    scene.domain.gravity = DVec3::new(0.0, -9.81, 0.0);
+    let stone = |low: [f64; 3], high: [f64; 3]| Obstacle {
+        shape: region(low, high),
+        placement: Placement::default(),
+        inside_out: false,
+        motion: None,
+    };
+    scene.obstacles = vec![
+        stone([1.0, 1.5, 1.5], [1.65, 2.5, 2.5]),
+        stone([2.3, 1.0, 1.5], [2.7, 1.895, 2.5]),
+    ];
+    let mut reference = start(&scene);
+    let mut several = 0;
+    for number in 1..=48 {
+        let contact = step(&mut reference, 1.0 / 96.0).contact;
+        assert_eq!(contact.unsettled, 0, "step {number}: {contact:?}");
+        several += u32::from(contact.solves > 1);
+    }
+    assert!(several > 0, "no step of more than one solve");
 }
 
 /// A beam twisted and stretched by a script: the scripted end lands on its keyframes, the other end is held.
