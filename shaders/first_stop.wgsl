@@ -44,14 +44,13 @@ fn first_stop(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoca
     if arrayLength(&gaps) > step.n_nodes {
         let surface = gaps[step.n_nodes + node];
         let n = Real3(surface.xyz);
-        let direction = held_along(vec4<f32>(vec3<f32>(), f32(flags_of(free))), surface.xyz).xyz;
         let before = Real(surface.w) + dt * dot(v, n);
         let after = Real(surface.w) + dt * dot(w, n);
-        if any(direction != vec3<f32>()) && after < -near && after < before {
+        if any(unprescribed(walls, surface.xyz) != Real3()) && after < -near && after < before {
             first = min(first, stop(before, after));
         }
     }
     if first < 1.0 {
-        atomicMin(&answer[BEYOND], bitcast<u32>(first));
+        atomicMin(&answer[ANSWER], bitcast<u32>(first));
     }
 }

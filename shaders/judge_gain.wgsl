@@ -1,5 +1,6 @@
 // solve, for solids, while the search for contacts goes on: whether phi grows from the best velocity to the next. One workgroup.
 // step. partials: what each node adds, W. answer: see ask; first 1 where it grows, else 0, out.
+#import ask
 #import fold
 #import solid_step
 
@@ -11,6 +12,6 @@
 fn judge_gain(@builtin(local_invocation_index) lane: u32) {
     let gain = fold(step.n_nodes, lane).x;
     if lane == 0u {
-        answer[0] = u32(!(gain <= Real()));
+        answer[ANSWER] = u32(!(gain <= Real()));
     }
 }

@@ -5,9 +5,9 @@ use crate::elastic::Solids;
 use crate::grid::Grid;
 
 /// u += dt v, after [`turn_solids`]. Then a node beyond a wall of the domain is put on the wall and loses its velocity into it: the solve
-/// held it there, up to rounding, to the circles on which bodies turn, and to searches for contacts that did not end. Prescribed components move, but nothing stops them. Nodes inside obstacles stay, as what they
-/// did not foresee, surfaces that curve, is for the next solve: it takes them out with what lies behind, where putting a node on the
-/// surface by itself would squeeze it.
+/// held it there, up to rounding, to the circles on which bodies turn, and to searches for contacts that did not end. Prescribed components
+/// move, but nothing stops them. Nodes inside obstacles stay, as where surfaces curve: the next solve takes them out with what lies behind,
+/// where putting a node on the surface by itself would squeeze it.
 ///
 /// `displacement` (m) and `velocity` (m/s): of all nodes, in place.
 pub fn move_solid(

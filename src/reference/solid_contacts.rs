@@ -323,27 +323,31 @@ impl Contacts {
 
     /// Holds also what is on a surface with the velocities v and beyond it with w (m/s).
     pub fn hold_stopped(&mut self, best: &[[f64; 3]], found: &[[f64; 3]]) {
-        self.hold_touching(best, |gap_found, near| gap_found < -near, found);
+        self.hold_touching(best, Some(found));
     }
 
     /// Holds also what is on a surface with the velocities v (m/s).
     pub fn hold_all_touching(&mut self, best: &[[f64; 3]]) {
-        self.hold_touching(best, |_, _| true, best);
+        self.hold_touching(best, None);
     }
 
-    fn hold_touching(
-        &mut self,
-        best: &[[f64; 3]],
-        also: impl Fn(f64, f64) -> bool,
-        found: &[[f64; 3]],
-    ) {
+    /// Holds also what is on a surface with the velocities v and, where there are others w (m/s), beyond it with these.
+    fn hold_touching(&mut self, best: &[[f64; 3]], found: Option<&[[f64; 3]]>) {
         for node in 0..best.len() {
-            let [of_best, of_found] = [best, found].map(|v| self.gaps(node, DVec3::from(v[node])));
+            let touches = self
+                .gaps(node, best[node].into())
+                .map(|gap| gap < self.near);
+            let goes_on = match found {
+                Some(found) => self
+                    .gaps(node, found[node].into())
+                    .map(|gap| gap < -self.near),
+                None => [true; 4],
+            };
             for which in 0..=OBSTACLE {
                 // What walls leave of an obstacle's normal is asked after these.
                 let shares = self.shares(node, self.held(node), DVec3::ZERO);
                 if let Some(surface) = &mut self.surfaces[node][which] {
-                    surface.held |= of_best[which] < self.near && also(of_found[which], self.near);
+                    surface.held |= touches[which] && goes_on[which];
                     surface.held &= shares[which].is_some();
                 }
             }
@@ -489,7 +493,13 @@ impl<'a> ContactSearch<'a> {
             solves: self.solves,
             unsettled: wrong.beyond + wrong.pulled,
         };
-        let ended = last || self.solves == self.most || report.unsettled == 0;
+        if report.unsettled == 0 {
+            return Searched {
+                velocity: found,
+                ended: true,
+                report,
+            };
+        }
         let velocity = if wrong.beyond == 0 {
             self.contacts.let_go(system, &found);
             found
@@ -503,7 +513,7 @@ impl<'a> ContactSearch<'a> {
         self.best = Some(velocity.clone());
         Searched {
             velocity,
-            ended,
+            ended: last || self.solves == self.most,
             report,
         }
     }
