@@ -133,6 +133,12 @@ impl SolveStatus {
             SolveStatus::Incompatible => "incompatible",
         }
     }
+
+    /// Whether the solve came as near to an answer as there is one in its arithmetic, so that a search for contacts goes on from it.
+    pub fn is_complete(self) -> bool {
+        use SolveStatus::{Converged, Incompatible, Stagnated};
+        matches!(self, Converged | Stagnated | Incompatible)
+    }
 }
 
 /// What a solve did. A zero right-hand side gives a zero answer, residual 0, status converged.

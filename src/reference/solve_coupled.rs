@@ -312,8 +312,8 @@ pub fn solve_coupled_in_contact(
             .add_transposed(&solution.pressure, &mut force);
         pushed.push(&force);
         let mut searched = search.after(&pushed, solution.velocity.clone(), false);
-        let converged = solution.reports[0].status == SolveStatus::Converged;
-        if !converged || searched.report.unsettled == 0 {
+        let complete = solution.reports[0].status.is_complete();
+        if !complete || searched.report.unsettled == 0 {
             return Ok((system, solution, searched.report));
         }
         if searched.ended {

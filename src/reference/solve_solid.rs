@@ -14,7 +14,7 @@ use crate::Error;
 use crate::elastic::{Bounds, Solids};
 use crate::linalg::{CgEnd, Cholesky, Csr, LinearOperator, SymbolicCholesky, conjugate_gradient};
 use crate::scene::Solver;
-use crate::state::{ContactReport, SolveReport, SolveStatus};
+use crate::state::{ContactReport, SolveReport};
 use glam::{DMat3, DVec3};
 
 /// The polynomial acts on eigenvalues from the largest over this times the squared degree.
@@ -71,7 +71,7 @@ impl SolidSolver {
             let (found, mut report) = self.solve(solids, system, settings)?;
             iterations += report.iterations;
             report.iterations = iterations;
-            let last = report.status != SolveStatus::Converged;
+            let last = !report.status.is_complete();
             let mut searched = search.after(system, found, last);
             if searched.ended {
                 if searched.report.unsettled > 0 {

@@ -4,7 +4,7 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::{Body, Bounds, Solids};
 use crate::geometry::CutCells;
-use crate::gpu::{Buffer, BufferPlan, Gpu, Pass, Readback, Real, RealBuffer, Recorder, StageTimes};
+use crate::gpu::{Buffer, BufferPlan, Gpu, Pass, Readback, Real, Recorder, StageTimes};
 use crate::reference::{MOST_HALVINGS, MOST_SOLVES};
 use crate::scene::Scene;
 use crate::solver::{
@@ -76,6 +76,11 @@ impl Ask<'_, '_> {
         let answer = self.readback.wait(self.gpu)?;
         self.seconds.append(&mut timing.wait()?);
         Ok([answer[0], answer[1]])
+    }
+
+    /// Tells kernels of the next submission a number, which nobody hears of.
+    fn tell(&self, told: u32) {
+        self.gpu.upload(self.words, &[0, 0, told]);
     }
 }
 
@@ -263,28 +268,24 @@ impl GpuSolids {
             })?;
             let unsettled = beyond + pulled;
             let mut contact = ContactReport { solves, unsettled };
-            let converged = status == SolveStatus::Converged;
-            if unsettled == 0 || (together && !converged) {
+            if unsettled == 0 || (together && !status.is_complete()) {
                 return Ok((found, contact, ask.seconds));
             }
-            self.search_on(&mut ask, search, solves == 1, beyond > 0)?;
             let most = MOST_SOLVES - u32::from(together);
-            let ended = solves == most || !converged;
-            if ended && together {
-                // The pressure found does not go with these velocities: what does, and holds all that they touch.
-                ask.about([0; 2], 1, |pass| search.record_hold_stopped(pass))?;
-            }
-            let hold = || {
-                let mut to = Recorder::timed(gpu);
-                to.stage("solve", |pass| self.stages.system.record_hold(pass));
-                to
-            };
-            if !ended {
-                recorder = hold();
-                continue;
-            }
-            if together {
-                (found, _, times) = solve(hold(), solves)?;
+            let ended = solves == most || !status.is_complete();
+            // The pressure found does not go with the velocities of a search at its end: what does, and holds all that they touch.
+            let hold_all = ended && together;
+            let mut next = Recorder::timed(gpu);
+            self.search_on(&mut ask, &mut next, search, solves == 1, beyond, hold_all)?;
+            if ended && !together {
+                ask.seconds.append(&mut next.submit().wait()?);
+            } else {
+                next.stage("solve", |pass| self.stages.system.record_hold(pass));
+                if !ended {
+                    recorder = next;
+                    continue;
+                }
+                (found, _, times) = solve(next, solves)?;
                 contact.solves += 1;
                 ask.seconds.append(&mut times);
             }
@@ -294,35 +295,35 @@ impl GpuSolids {
         unreachable!("the last solve returns")
     }
 
-    /// After a solve that found what is wrong: leaves the best velocity so far in the fields, and in the freedom of the nodes what the next
-    /// solve is to hold.
+    /// After a solve that found what is wrong: the recording leaves the best velocity so far in the fields, and in the freedom of the nodes
+    /// what the next solve is to hold, all that this velocity touches where asked to.
     fn search_on(
         &self,
         ask: &mut Ask,
+        to: &mut Recorder,
         search: &ContactSearch,
         first: bool,
-        beyond: bool,
+        beyond: u32,
+        hold_all: bool,
     ) -> Result<(), Error> {
-        let gpu = ask.gpu;
-        let velocity = &self.buffers.velocity;
-        let SolidSystemBuffers { z: next, best, .. } = &self.system;
-        let copy = |from: &RealBuffer, to: &RealBuffer| {
-            let mut recorder = Recorder::new(gpu);
-            recorder.copy(&from.words, &to.words);
-            recorder.submit();
-        };
-        if !beyond {
-            ask.about([0; 2], 1, |pass| search.record_judge(pass))?;
-            copy(velocity, best);
+        let velocity = &self.buffers.velocity.words;
+        let best = &self.system.best.words;
+        if beyond == 0 {
+            to.stage("solve", |pass| search.record_judge(pass));
+            to.copy(velocity, best);
+            if hold_all {
+                to.stage("solve", |pass| search.record_hold_stopped(pass));
+            }
+            ask.tell(1);
             return Ok(());
         }
-        if first {
-            let mut to = Recorder::new(gpu);
-            to.stage("solve", |pass| search.record_rest(pass));
-            to.submit();
-        }
         let whole = [1_f32.to_bits(), 0];
-        let [stop, _] = ask.about(whole, 0, |pass| search.record_first_stop(pass))?;
+        let [stop, _] = ask.about(whole, 0, |pass| {
+            if first {
+                search.record_rest(pass);
+            }
+            search.record_first_stop(pass);
+        })?;
         let stop = f32::from_bits(stop);
         let halves = (0..=MOST_HALVINGS).map(|halvings| 0.5_f32.powi(halvings as i32));
         // Less than up to the first surface leaves the next solve what this one had.
@@ -333,9 +334,10 @@ impl GpuSolids {
                 break;
             }
         }
-        copy(next, best);
-        ask.about([0; 2], 0, |pass| search.record_hold_stopped(pass))?;
-        copy(best, velocity);
+        to.copy(&self.system.z.words, best);
+        to.stage("solve", |pass| search.record_hold_stopped(pass));
+        to.copy(best, velocity);
+        ask.tell(u32::from(hold_all));
         Ok(())
     }
 
