@@ -46,7 +46,7 @@ fn first_stop(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoca
         let n = Real3(surface.xyz);
         let before = Real(surface.w) + dt * dot(v, n);
         let after = Real(surface.w) + dt * dot(w, n);
-        if any(unprescribed(walls, surface.xyz) != Real3()) && after < -near && after < before {
+        if any(shared_direction(walls, surface.xyz) != Real3()) && after < -near && after < before {
             first = min(first, stop(before, after));
         }
     }

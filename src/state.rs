@@ -103,7 +103,7 @@ impl State {
     }
 }
 
-/// How a solve ended. Anything but [`SolveStatus::Converged`] is told to the user.
+/// How a solve ended, of several in search of contacts the last. Anything but [`SolveStatus::Converged`] is told to the user.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SolveStatus {
     /// The true residual passed: ||r|| <= tolerance ||b||, or below what rounding of the right-hand side leaves. Of liquid and solids together a
@@ -134,10 +134,9 @@ impl SolveStatus {
         }
     }
 
-    /// Whether the solve came as near to an answer as there is one in its arithmetic, so that a search for contacts goes on from it.
-    pub fn is_complete(self) -> bool {
-        use SolveStatus::{Converged, Incompatible, Stagnated};
-        matches!(self, Converged | Stagnated | Incompatible)
+    /// Whether more iterations would not have helped: a search for contacts goes on from such a solve, and ends with any other.
+    pub fn found_all_it_can(self) -> bool {
+        matches!(self, SolveStatus::Converged | SolveStatus::Stagnated)
     }
 }
 

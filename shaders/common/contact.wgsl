@@ -37,23 +37,23 @@ fn flags_of(components: vec3<bool>) -> u32 {
     return dot(vec3<u32>(components), vec3<u32>(1u, 2u, 4u));
 }
 
+// The direction nearest to an obstacle's normal among the components without a script; 0 where they share little of it.
+fn shared_direction(walls: vec4<f32>, normal: vec3<f32>) -> Real3 {
+    let flags = flags_of(is_free(u32(walls.w)));
+    return Real3(held_along(vec4<f32>(vec3<f32>(), f32(flags)), normal).xyz);
+}
+
 // The velocity v, m/s, before the walls: a component that would take the node beyond one in a sub-step of dt (s) takes it there.
 fn before_walls(walls: vec4<f32>, v: Real3, dt: Real) -> Real3 {
     let passed = is_free(u32(walls.w)) & (wall_gaps(walls, v, dt) < Real3());
     return select(v, -outwards(walls) * Real3(walls.xyz) / dt, passed);
 }
 
-// The direction nearest to an obstacle's normal among the components without a script; 0 where they share little of it.
-fn unprescribed(walls: vec4<f32>, normal: vec3<f32>) -> Real3 {
-    let flags = flags_of(is_free(u32(walls.w)));
-    return Real3(held_along(vec4<f32>(vec3<f32>(), f32(flags)), normal).xyz);
-}
-
-// The same before an obstacle, along that direction; surface: normal, gap.
+// The same before an obstacle, along the direction that it shares; surface: normal, gap.
 fn before_obstacle(walls: vec4<f32>, surface: vec4<f32>, v: Real3, dt: Real) -> Real3 {
     let n = Real3(surface.xyz);
     let gap = Real(surface.w);
-    let direction = unprescribed(walls, surface.xyz);
+    let direction = shared_direction(walls, surface.xyz);
     if all(direction == Real3()) || gap + dt * dot(v, n) >= Real() {
         return v;
     }

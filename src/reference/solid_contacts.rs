@@ -9,8 +9,8 @@
 //! w: the whole way with each node put back before its surfaces, or half of it, and so on, if phi does not grow, otherwise straight on until
 //! the first node is on a surface; and what is on a surface then and goes on beyond it at w is held too. Where it does not, v = w, and those
 //! that are pulled to their surfaces are let go. Once none is, w is the answer. No v on the way takes a node beyond a surface, and phi, which is
-//! 0 at rest, does not grow from one to the next, but for nodes that were beyond a surface before, and for what the liquid's forces change
-//! between solves: the search may end after any of them.
+//! 0 at rest, does not grow from one to the next, but for nodes that were beyond a surface before, for what the liquid's forces change
+//! between solves, and for what solves that end at their rounding are off: the search may end after any of them.
 
 use glam::{DMat3, DVec3};
 

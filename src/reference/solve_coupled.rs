@@ -312,8 +312,8 @@ pub fn solve_coupled_in_contact(
             .add_transposed(&solution.pressure, &mut force);
         pushed.push(&force);
         let mut searched = search.after(&pushed, solution.velocity.clone(), false);
-        let complete = solution.reports[0].status.is_complete();
-        if !complete || searched.report.unsettled == 0 {
+        let found_all = solution.reports[0].status.found_all_it_can();
+        if !found_all || searched.report.unsettled == 0 {
             return Ok((system, solution, searched.report));
         }
         if searched.ended {

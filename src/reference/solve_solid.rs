@@ -71,7 +71,7 @@ impl SolidSolver {
             let (found, mut report) = self.solve(solids, system, settings)?;
             iterations += report.iterations;
             report.iterations = iterations;
-            let last = !report.status.is_complete();
+            let last = !report.status.found_all_it_can();
             let mut searched = search.after(system, found, last);
             if searched.ended {
                 if searched.report.unsettled > 0 {

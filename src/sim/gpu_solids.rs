@@ -78,7 +78,7 @@ impl Ask<'_, '_> {
         Ok([answer[0], answer[1]])
     }
 
-    /// Tells kernels of the next submission a number, which nobody hears of.
+    /// Tells kernels of the next submission a number; nobody waits for their answer.
     fn tell(&self, told: u32) {
         self.gpu.upload(self.words, &[0, 0, told]);
     }
@@ -268,15 +268,15 @@ impl GpuSolids {
             })?;
             let unsettled = beyond + pulled;
             let mut contact = ContactReport { solves, unsettled };
-            if unsettled == 0 || (together && !status.is_complete()) {
+            if unsettled == 0 || (together && !status.found_all_it_can()) {
                 return Ok((found, contact, ask.seconds));
             }
             let most = MOST_SOLVES - u32::from(together);
-            let ended = solves == most || !status.is_complete();
-            // The pressure found does not go with the velocities of a search at its end: what does, and holds all that they touch.
+            let ended = solves == most || !status.found_all_it_can();
+            // The pressure found does not go with the velocities that a search ends at: one more solve finds one that does, with all held
+            // that they touch.
             let hold_all = ended && together;
-            let mut next = Recorder::timed(gpu);
-            self.search_on(&mut ask, &mut next, search, solves == 1, beyond, hold_all)?;
+            let mut next = self.search_on(&mut ask, search, solves == 1, beyond, hold_all)?;
             if ended && !together {
                 ask.seconds.append(&mut next.submit().wait()?);
             } else {
@@ -295,27 +295,27 @@ impl GpuSolids {
         unreachable!("the last solve returns")
     }
 
-    /// After a solve that found what is wrong: the recording leaves the best velocity so far in the fields, and in the freedom of the nodes
-    /// what the next solve is to hold, all that this velocity touches where asked to.
-    fn search_on(
+    /// After a solve that found what is wrong: a recording that leaves the best velocity so far in the fields, and in the freedom of the
+    /// nodes what the next solve is to hold, all that this velocity touches where asked to.
+    fn search_on<'a>(
         &self,
-        ask: &mut Ask,
-        to: &mut Recorder,
+        ask: &mut Ask<'_, 'a>,
         search: &ContactSearch,
         first: bool,
         beyond: u32,
         hold_all: bool,
-    ) -> Result<(), Error> {
+    ) -> Result<Recorder<'a>, Error> {
         let velocity = &self.buffers.velocity.words;
         let best = &self.system.best.words;
         if beyond == 0 {
+            let mut to = Recorder::timed(ask.gpu);
             to.stage("solve", |pass| search.record_judge(pass));
             to.copy(velocity, best);
             if hold_all {
                 to.stage("solve", |pass| search.record_hold_stopped(pass));
             }
             ask.tell(1);
-            return Ok(());
+            return Ok(to);
         }
         let whole = [1_f32.to_bits(), 0];
         let [stop, _] = ask.about(whole, 0, |pass| {
@@ -334,11 +334,12 @@ impl GpuSolids {
                 break;
             }
         }
+        let mut to = Recorder::timed(ask.gpu);
         to.copy(&self.system.z.words, best);
         to.stage("solve", |pass| search.record_hold_stopped(pass));
         to.copy(best, velocity);
         ask.tell(u32::from(hold_all));
-        Ok(())
+        Ok(to)
     }
 
     /// Replaces the solids' part of the state.

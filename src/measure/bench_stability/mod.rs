@@ -16,6 +16,9 @@ mod picture;
 
 use std::fs;
 use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc;
+use std::thread;
 use std::time::Instant;
 
 use glam::DVec3;
@@ -123,7 +126,7 @@ pub struct Row {
     pub most_iterations: Option<u32>,
     /// Largest way of the end of the thesis's beam over its length; empty elsewhere.
     pub deflection: Option<f64>,
-    /// Wall-clock seconds.
+    /// Wall-clock seconds, on the f64 path with other cases beside it.
     pub seconds: f64,
 }
 
@@ -190,7 +193,8 @@ pub enum Told<'a> {
 }
 
 /// Runs all that is asked for and writes stability.csv, stability_limit.csv, stability.json and stability.svg into `out`, anew after
-/// each row, and the scenes of the matrix, for `cutwater run`, into `out`/scenes; `tell` hears of each row. Cases that fail are rows like others: [`Table::verdict`] is for afterwards.
+/// each row, and the scenes of the matrix, for `cutwater run`, into `out`/scenes; `tell` hears of each row as it comes. Cases that fail are
+/// rows like others: [`Table::verdict`] is for afterwards.
 ///
 /// # Errors
 /// [`Error::Input`] where no case has such a name, [`Error::Adapter`], [`Error::Output`].
@@ -220,21 +224,20 @@ pub fn bench_stability(
             write(&table, out)?;
         }
     }
-    for case in cases(options.steps, options.scale) {
-        if !options.asks_for(&case.name) {
-            continue;
-        }
+    let mut cases = cases(options.steps, options.scale);
+    let names: Vec<String> = cases.iter().map(|case| case.name.clone()).collect();
+    cases.retain(|case| options.asks_for(&case.name));
+    for case in &cases {
         case.write(&scenes)?;
-        let row = case.run(&options.backend)?;
-        tell(Told::Case(&row));
-        table.rows.push(row);
-        write(&table, out)?;
     }
+    let mut rows = vec![None; cases.len()];
+    run_all(&cases, &options.backend, |at, row| {
+        tell(Told::Case(&row));
+        rows[at] = Some(row);
+        table.rows = rows.iter().flatten().cloned().collect();
+        write(&table, out)
+    })?;
     if table.rows.is_empty() && table.limits.is_empty() {
-        let names: Vec<String> = cases(options.steps, options.scale)
-            .into_iter()
-            .map(|case| case.name)
-            .collect();
         return Err(Error::input(
             format!("--cases {}", options.cases.join(",")),
             "no case has that in its name",
@@ -242,6 +245,38 @@ pub fn bench_stability(
         ));
     }
     Ok(table)
+}
+
+/// Runs cases and hands on their rows with their places among them, as they come. The f64 path leaves most of a sub-step to one processor, so
+/// there one runs for each of rayon's threads. An error is told once what runs has ended.
+fn run_all(
+    cases: &[Case],
+    backend: &Backend,
+    mut take: impl FnMut(usize, Row) -> Result<(), Error>,
+) -> Result<(), Error> {
+    let at_a_time = match backend {
+        Backend::Gpu(_) => 1,
+        Backend::Cpu => rayon::current_num_threads().min(cases.len()),
+    };
+    let next = AtomicUsize::new(0);
+    let (to, rows) = mpsc::channel();
+    thread::scope(|scope| {
+        for _ in 0..at_a_time {
+            let (to, next) = (to.clone(), &next);
+            scope.spawn(move || {
+                loop {
+                    let at = next.fetch_add(1, Ordering::Relaxed);
+                    let Some(case) = cases.get(at) else { break };
+                    // Nobody listens any more after an error.
+                    if to.send((at, case.run(backend))).is_err() {
+                        break;
+                    }
+                }
+            });
+        }
+        drop(to);
+        rows.into_iter().try_for_each(|(at, row)| take(at, row?))
+    })
 }
 
 /// Writes the tables and the picture as they are so far.
