@@ -126,7 +126,7 @@ pub struct Row {
     pub most_iterations: Option<u32>,
     /// Largest way of the end of the thesis's beam over its length; empty elsewhere.
     pub deflection: Option<f64>,
-    /// Wall-clock seconds, on the f64 path with other cases beside it.
+    /// Wall-clock seconds, on the f64 path with other cases beside this one.
     pub seconds: f64,
 }
 
