@@ -25,9 +25,17 @@ use cutwater::gpu::AdapterChoice;
 use cutwater::scene::Scene;
 use cutwater::sim::Backend;
 
+/// What `--version` says: version and sources, as captions of tables have them. `-V` says the version alone.
+const BUILD: &str = concat!(
+    env!("CARGO_PKG_VERSION"),
+    " (",
+    env!("CUTWATER_SOURCES"),
+    ")"
+);
+
 /// Two-way coupling between inviscid free-surface liquids and elastic solids, on the GPU, without a window.
 #[derive(Debug, Parser)]
-#[command(version, about)]
+#[command(version, long_version = BUILD, about)]
 struct Cli {
     #[command(subcommand)]
     command: Command,

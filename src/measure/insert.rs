@@ -313,8 +313,10 @@ fn measured(path: &Path) -> Option<String> {
     let cpu = say("cpu").map_or(String::new(), |cpu| format!(" ({cpu})"));
     let load = range("/load", |load: f64| load.to_string());
     let load = load.map_or(String::new(), |load| format!(" at a load of {load}"));
+    // Tables of programs that were built from the same sources belong together.
+    let sources = say("sources").map_or(String::new(), |sources| format!(" ({sources})"));
     Some(format!(
-        "{dates}, cutwater {}{adapter}, {} CPU threads{cpu}{load}.",
+        "{dates}, cutwater {}{sources}{adapter}, {} CPU threads{cpu}{load}.",
         say("cutwater")?,
         number("threads")?,
     ))

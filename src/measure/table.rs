@@ -21,6 +21,8 @@ use super::statistics::Spread;
 pub struct Host {
     /// Version of cutwater.
     pub cutwater: &'static str,
+    /// The sources that it was built from: [`crate::SOURCES`].
+    pub sources: &'static str,
     /// When it began, UTC, as RFC 3339 has it.
     pub measured: String,
     /// Model of the CPU, where the system tells: software drivers and rivals run on it.
@@ -37,6 +39,7 @@ impl Host {
         let load = fs::read_to_string("/proc/loadavg").ok();
         Host {
             cutwater: env!("CARGO_PKG_VERSION"),
+            sources: crate::SOURCES,
             measured: humantime::format_rfc3339_seconds(SystemTime::now()).to_string(),
             cpu: cpu(),
             threads: std::thread::available_parallelism().map_or(1, usize::from),

@@ -129,10 +129,14 @@ fn help_lists_the_commands_of_the_readme() {
         }
     }
     assert!(n > 1, "{help}");
+    let version = concat!("cutwater ", env!("CARGO_PKG_VERSION"));
+    assert_eq!(says(&folder, "-V"), format!("{version}\n"));
+    let sources = cutwater::SOURCES;
     assert_eq!(
         says(&folder, "--version"),
-        concat!("cutwater ", env!("CARGO_PKG_VERSION"), "\n")
+        format!("{version} ({sources})\n")
     );
+    assert_eq!(sources.len(), 12, "{sources}");
 }
 
 #[test]

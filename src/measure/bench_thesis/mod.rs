@@ -125,7 +125,7 @@ pub struct Options {
     /// Where.
     pub adapter: AdapterChoice,
     /// Whether the rows of tables 6.2 to 6.4 that earlier runs have left in the folder stay, and only the others are measured. Those runs must have
-    /// had the version, machine, precisions and repeats of this one; tables, grids and frames may be others.
+    /// had the sources, machine, precisions and repeats of this one; tables, grids and frames may be others.
     pub resume: bool,
 }
 
@@ -198,8 +198,8 @@ pub enum Told<'a> {
 /// thesis.svg. What an earlier run has left of these is removed first, but with `resume`. `tell` hears of each row.
 ///
 /// # Errors
-/// [`Error::Input`] for grids and frames that the problems do not have, scenes that are not there, and rows to resume from that are not of this
-/// version and machine, these precisions and repeats; [`Error::Output`], and what the simulations say.
+/// [`Error::Input`] for grids and frames that the problems do not have, scenes that are not there, and rows to resume from that are not of these
+/// sources and machine, these precisions and repeats; [`Error::Output`], and what the simulations say.
 pub fn bench_thesis(
     options: &Options,
     out: &Path,

@@ -32,8 +32,9 @@ pub(super) const NOT_KEPT: [&str; 4] = [
 ];
 
 /// Keys of thesis.json that runs have in common whose rows stand in one table.
-const IN_COMMON: [&str; 7] = [
+const IN_COMMON: [&str; 8] = [
     "cutwater",
+    "sources",
     "adapter",
     "driver",
     "cpu",
@@ -126,6 +127,7 @@ mod tests {
     fn table() -> Table {
         let host = Host {
             cutwater: "0.1.0",
+            sources: "0123456789ab",
             measured: "2026-11-22T05:00:00Z".to_owned(),
             cpu: Some("a CPU".to_owned()),
             threads: 2,
@@ -175,8 +177,9 @@ mod tests {
             }
         };
         type Change = (&'static str, fn(&mut Table));
-        let changes: [Change; 7] = [
+        let changes: [Change; 8] = [
             ("cutwater", |table| table.machine.host.cutwater = "0.0.9"),
+            ("sources", |table| table.machine.host.sources = ""),
             ("adapter", |table| table.machine.adapter.push('2')),
             ("driver", |table| table.machine.driver.push('2')),
             ("cpu", |table| table.machine.host.cpu = None),
