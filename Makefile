@@ -11,5 +11,5 @@ test: ## all tests on lavapipe, those of the kernels and the solver once more on
 validate: ## the long validation against theory and other programs, and the tables of docs/validation.md anew; CASES="S2 S9" runs a part
 	@bash .ci/validate $(CASES)
 
-measure: ## the benches behind the tables of README.md and docs/bench.md, and these tables anew
-	@bash .ci/measure
+measure: ## the benches behind the tables of README.md and docs/bench.md, and these tables anew; ARGS=--resume goes on after a run that was stopped
+	@bash .ci/measure $(ARGS)

@@ -12,10 +12,10 @@ use super::super::bench_solve::name;
 use super::super::statistics::Spread;
 use super::exact::Exact;
 use super::sub_step::{Done, Mask, reference_step, repeat_shuffled, sub_step};
-use super::{Choice, EXACT, MOST_ITERATIONS, Options, cheapest, ensure_truth};
+use super::{Choice, EXACT, MOST_ITERATIONS, Options, ensure_truth, recommended};
 
 /// Errors that a recommendation is made for.
-const TARGETS: [f64; 8] = [1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 1e-6];
+const TARGETS: [f64; 10] = [1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 1e-5, 1e-6, 1e-8];
 /// An error is that of the grid up to so much of it.
 const OF_THE_GRID: f64 = 1.1;
 
@@ -55,7 +55,7 @@ pub struct GridRow {
 }
 
 /// The cheapest converged row of a problem that is as accurate as a target; of those that time does not tell apart the one of the coarsest
-/// grid, then of fewest bytes a number, then of the loosest tolerance.
+/// grid, then of fewest bytes a number, then of the loosest tolerance. Or that of the next lower target, where it asks no more.
 #[derive(Clone, Debug, Serialize)]
 pub struct GridBest {
     /// As in [`GridRow`].
@@ -290,23 +290,22 @@ pub(super) fn problems(rows: &[GridRow]) -> Vec<&'static str> {
 pub(super) fn recommend(rows: &[GridRow]) -> Vec<GridBest> {
     let mut best = Vec::new();
     for problem in problems(rows) {
-        for target in TARGETS {
-            let meets =
-                |row: &&GridRow| row.problem == problem && row.converged() && row.error() <= target;
-            let cheapest = cheapest(rows.iter().filter(meets), GridRow::choice);
-            best.extend(cheapest.map(|row| GridBest {
-                problem,
-                target,
-                grid: row.grid,
-                precision: row.precision,
-                tolerance: row.tolerance,
-                seconds_median: row.seconds_median,
-                seconds_min: row.seconds_min,
-                seconds_max: row.seconds_max,
-                error_p: row.error_p,
-                error_u: row.error_u,
-            }));
-        }
+        let candidates = rows
+            .iter()
+            .filter(|row| row.problem == problem && row.converged());
+        let found = recommended(candidates, &TARGETS, GridRow::error, GridRow::choice);
+        best.extend(found.into_iter().map(|(target, row)| GridBest {
+            problem,
+            target,
+            grid: row.grid,
+            precision: row.precision,
+            tolerance: row.tolerance,
+            seconds_median: row.seconds_median,
+            seconds_min: row.seconds_min,
+            seconds_max: row.seconds_max,
+            error_p: row.error_p,
+            error_u: row.error_u,
+        }));
     }
     best
 }

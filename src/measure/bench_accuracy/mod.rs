@@ -2,7 +2,7 @@
 //!
 //! On chosen states of chosen scenes ([`Row`]): a scene runs to a frame; the sub-step that follows is then done again and again from the same
 //! state, in every precision, with every preconditioner, in every form of the corrections and to every tolerance, repeats in a shuffled
-//! order. The solve is timed on the host from when the right-hand sides are in place to when the answer is. Its errors are those against two
+//! order. The solve is timed on the host with all that is made for it (`sub_step`). Its errors are those against two
 //! truths: the direct solution in f64 of the system that the device stores in that precision, which is what the solver could do better, and the
 //! same sub-step on the f64 path, which is what the whole path could do better. Systems with liquid of more than 60,000 unknowns have no
 //! direct solution: theirs is by conjugate gradients. All are refined to a residual of 1e-13, or as far as rounding lets them; the bench ends
@@ -190,8 +190,8 @@ impl Table {
         if !self.rows.is_empty() {
             write_csv(&self.rows, &out.join("accuracy.csv"))?;
             write_csv(&self.best, &out.join("accuracy_best.csv"))?;
-            let lines = states::states(&self.rows).len() as u32;
-            write_svg(&out.join("accuracy.svg"), (1200, 480 * lines), |page| {
+            let size = picture::size_of_states(&self.rows);
+            write_svg(&out.join("accuracy.svg"), size, |page| {
                 picture::draw_states(&self.rows, page)
             })?;
         }
@@ -253,16 +253,25 @@ impl Choice {
     /// The better first: fewer cells, since all stages and the memory go with them; then the precision of fewer bytes, which more adapters
     /// have; the looser tolerance; fewer iterations; and only then the time.
     fn compare(&self, other: &Choice) -> Ordering {
-        let width = |choice: &Choice| {
-            let ascending = [Precision::F32, Precision::Mixed, Precision::F64].map(name);
-            ascending.iter().position(|name| *name == choice.precision)
-        };
         self.cells
             .cmp(&other.cells)
-            .then(width(self).cmp(&width(other)))
+            .then(self.width().cmp(&other.width()))
             .then(other.tolerance.total_cmp(&self.tolerance))
             .then(self.iterations.cmp(&other.iterations))
             .then(self.seconds.median.total_cmp(&other.seconds.median))
+    }
+
+    /// Where its precision stands among the ascending ones.
+    fn width(&self) -> Option<usize> {
+        let ascending = [Precision::F32, Precision::Mixed, Precision::F64].map(name);
+        ascending.iter().position(|name| *name == self.precision)
+    }
+
+    /// Whether it takes no more time, cells and bytes a number.
+    fn asks_no_more(&self, other: &Choice) -> bool {
+        self.seconds.median <= other.seconds.median
+            && self.cells <= other.cells
+            && self.width() <= other.width()
     }
 }
 
@@ -282,10 +291,35 @@ fn cheapest<'a, T>(
     equal.min_by(|a, b| choice(a).compare(&choice(b)))
 }
 
+/// For each of the descending targets that any row meets, the cheapest row whose error is not above it, or that of the next lower target where that
+/// one asks no more: to be less accurate should never take longer.
+fn recommended<'a, T>(
+    rows: impl Iterator<Item = &'a T> + Clone,
+    targets: &[f64],
+    error: impl Fn(&T) -> f64,
+    choice: impl Fn(&T) -> Choice,
+) -> Vec<(f64, &'a T)> {
+    let mut found: Vec<(f64, &T)> = Vec::new();
+    for &target in targets.iter().rev() {
+        let meeting = rows.clone().filter(|row| error(row) <= target);
+        let Some(mut best) = cheapest(meeting, &choice) else {
+            continue;
+        };
+        if let Some((_, lower)) = found.last()
+            && choice(lower).asks_no_more(&choice(best))
+        {
+            best = lower;
+        }
+        found.push((target, best));
+    }
+    found.reverse();
+    found
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::statistics::Spread;
-    use super::{Choice, cheapest, ensure_truth};
+    use super::{Choice, cheapest, ensure_truth, recommended};
     use crate::state::{SolveReport, SolveStatus};
 
     fn way(cells: usize, precision: &'static str, tolerance: f64, iterations: u32) -> Choice {
@@ -377,6 +411,31 @@ mod tests {
                 assert!(text.contains(part), "{part}: {text}");
             }
         }
+    }
+
+    #[test]
+    fn to_be_less_accurate_takes_no_longer() {
+        // Rows of descending errors, the tolerances; as fast as the spreads tell, but for the last.
+        let loose = taking([10.0, 14.0, 16.0], way(20, "mixed", 1e-2, 5));
+        let tight = taking([9.0, 12.0, 15.0], way(20, "mixed", 1e-4, 9));
+        let wide = taking([9.0, 11.0, 15.0], way(20, "f64", 1e-6, 9));
+        let slow = taking([90.0, 91.0, 92.0], way(20, "f64", 1e-8, 9));
+        let rows = [loose, tight, wide, slow];
+        let of = |rows: &[Choice], targets: &[f64]| -> Vec<(f64, f64)> {
+            let found = recommended(rows.iter(), targets, |row| row.tolerance, |row| *row);
+            found
+                .iter()
+                .map(|(target, row)| (*target, row.tolerance))
+                .collect()
+        };
+        let targets = [1e-2, 1e-4, 1e-6, 1e-8, 1e-10];
+        assert_eq!(
+            of(&rows, &targets),
+            [(1e-2, 1e-4), (1e-4, 1e-4), (1e-6, 1e-6), (1e-8, 1e-8)],
+            "what asks for more bytes stands for no other, and what no row meets has none"
+        );
+        assert_eq!(of(&[loose], &targets), [(1e-2, 1e-2)]);
+        assert_eq!(of(&[], &targets), []);
     }
 
     #[test]

@@ -20,24 +20,34 @@ fn point(seconds: Spread, error: f64) -> Point {
     }
 }
 
-/// A line of charts per state: of the pressure and of the velocities.
+/// Charts of a state.
+const OF_A_STATE: [Named<Row>; 4] = [
+    ("error of p", |row| row.error_p),
+    ("error of v", |row| row.error_v),
+    ("error of u, against the f64 path", |row| row.step_error_u),
+    ("divergence, 1/s", |row| row.divergence),
+];
+
+/// Pixels of the page of states.
+pub(super) fn size_of_states(rows: &[Row]) -> (u32, u32) {
+    let lines = states(rows).len() * OF_A_STATE.len() / 2;
+    (1200, 480 * lines as u32)
+}
+
+/// Two lines of charts per state: of pressure and velocities against the stored system, and of what the sub-step comes to.
 pub(super) fn draw_states(rows: &[Row], page: SVGBackend) -> Result<(), Failure> {
     let root = page.into_drawing_area();
     root.fill(&WHITE)?;
     let states = states(rows);
-    let charts = root.split_evenly((states.len(), 2));
+    let charts = root.split_evenly((states.len() * OF_A_STATE.len() / 2, 2));
     let label = |row: &Row| {
         format!(
             "{} {} {}",
             row.precision, row.preconditioner, row.formulation
         )
     };
-    let errors: [Named<Row>; 2] = [
-        ("error of p", |row| row.error_p),
-        ("error of v", |row| row.error_v),
-    ];
-    for ((scene, frame), charts) in states.iter().zip(charts.chunks(2)) {
-        for ((name, error), area) in errors.iter().zip(charts) {
+    for ((scene, frame), charts) in states.iter().zip(charts.chunks(OF_A_STATE.len())) {
+        for ((name, error), area) in OF_A_STATE.iter().zip(charts) {
             let here = |row: &&Row| row.scene == *scene && row.frame == *frame;
             let lines = series(rows.iter().filter(here), label, |row| {
                 point(row.seconds(), error(row))

@@ -15,7 +15,7 @@ use super::super::bench_solve::{name, preconditioner_name};
 use super::super::statistics::Spread;
 use super::super::stored;
 use super::sub_step::{Answer, Done, Mask, reference_step, repeat_shuffled, sub_step};
-use super::{Choice, EXACT, MOST_ITERATIONS, Options, cheapest, ensure_truth};
+use super::{Choice, EXACT, MOST_ITERATIONS, Options, ensure_truth, recommended};
 
 /// Errors that a recommendation is made for.
 const TARGETS: [f64; 5] = [1e-2, 1e-4, 1e-6, 1e-8, 1e-10];
@@ -65,14 +65,16 @@ pub struct Row {
     pub step_error_v: f64,
     /// The same of the velocities on the faces of the liquid's cells, after the projection.
     pub step_error_u: f64,
-    /// Largest divergence after the projection, 1/s.
+    /// True relative residual that the solution of the stored system keeps, the larger where solves are apart.
+    pub truth_residual: f64,
+    /// Largest divergence after the projection, 1/s; volume control is off, but sources make some.
     pub divergence: f64,
     /// Largest speed of the liquid over g dt: of a liquid at rest, how well pressure balances gravity.
     pub speed_over_g_dt: f64,
 }
 
 /// The cheapest converged row that is as accurate as a target; of those that time does not tell apart the one of fewest bytes a
-/// number, then of the loosest tolerance, then of fewest iterations.
+/// number, then of the loosest tolerance, then of fewest iterations. Or that of the next lower target, where it asks no more.
 #[derive(Clone, Debug, Serialize)]
 pub struct Best {
     /// Name of the scene.
@@ -101,6 +103,12 @@ pub struct Best {
     pub error_p: f64,
     /// As in [`Row`].
     pub error_v: f64,
+    /// As in [`Row`]: what no tighter tolerance makes smaller.
+    pub step_error_p: f64,
+    /// As in [`Row`].
+    pub step_error_v: f64,
+    /// As in [`Row`].
+    pub step_error_u: f64,
 }
 
 impl Row {
@@ -143,10 +151,17 @@ struct Way {
     path: GpuPath,
     /// The solution of the system that it stores.
     truth: Answer,
+    /// The residual that it keeps.
+    truth_residual: f64,
 }
 
-/// All rows of a state.
+/// All rows of a state. Its sub-steps are without volume control, which asks for divergence: what is left of it is then the solve's.
 pub(super) fn measure(scene: &Scene, state: &State, options: &Options) -> Result<Vec<Row>, Error> {
+    let mut scene = scene.clone();
+    if let Some(liquid) = &mut scene.liquid {
+        liquid.volume_control = false;
+    }
+    let scene = &scene;
     let case = Case::new(scene, state)?;
     let (mut ways, mut refused) = (Vec::new(), None);
     let together = Effects::of(scene).coupling;
@@ -295,6 +310,7 @@ impl<'a> Case<'a> {
             step_error_p: of_cells(&done.answer.pressure, &self.exact.pressure),
             step_error_v: of_nodes(&done.answer.velocity, &self.exact.velocity),
             step_error_u: self.of_faces(&done.faces),
+            truth_residual: way.truth_residual,
             divergence: liquid.map_or(0.0, |(_, diagnosis)| diagnosis.divergence),
             speed_over_g_dt: match gravity > 0.0 {
                 true => {
@@ -345,16 +361,20 @@ impl Way {
                 let (answer, solves) =
                     solution(path, &path.snapshot()?, &inflow, case.density(), dt)?;
                 let of = format!("stored in {}", name(solver.precision));
+                let residuals = solves.iter().map(|solve| solve.residual);
+                let residual = residuals.fold(0.0, larger);
                 case.ensure_truth(&of, solves)?;
-                truth = Some(answer);
+                truth = Some((answer, residual));
             }
             Ok(())
         })?;
+        let (truth, truth_residual) = truth.expect("every sub-step has a solve");
         Ok(Way {
             precision: solver.precision,
             preconditioner: solver.preconditioner,
             path,
-            truth: truth.expect("every sub-step has a solve"),
+            truth,
+            truth_residual,
         })
     }
 }
@@ -418,29 +438,30 @@ pub(super) fn states(rows: &[Row]) -> Vec<(String, u64)> {
 pub(super) fn recommend(rows: &[Row]) -> Vec<Best> {
     let mut best = Vec::new();
     for (scene, frame) in states(rows) {
-        for target in TARGETS {
-            let meets = |row: &&Row| {
-                let error = larger(row.error_p, row.error_v);
-                let converged = row.status == SolveStatus::Converged.name();
-                row.scene == scene && row.frame == frame && converged && error <= target
-            };
-            let cheapest = cheapest(rows.iter().filter(meets), Row::choice);
-            best.extend(cheapest.map(|row| Best {
-                scene: scene.clone(),
-                frame,
-                target,
-                precision: row.precision,
-                preconditioner: row.preconditioner,
-                formulation: row.formulation,
-                tolerance: row.tolerance,
-                iterations: row.iterations,
-                seconds_median: row.seconds_median,
-                seconds_min: row.seconds_min,
-                seconds_max: row.seconds_max,
-                error_p: row.error_p,
-                error_v: row.error_v,
-            }));
-        }
+        let candidates = rows.iter().filter(|row| {
+            let converged = row.status == SolveStatus::Converged.name();
+            row.scene == scene && row.frame == frame && converged
+        });
+        let error = |row: &Row| larger(row.error_p, row.error_v);
+        let found = recommended(candidates, &TARGETS, error, Row::choice);
+        best.extend(found.into_iter().map(|(target, row)| Best {
+            scene: scene.clone(),
+            frame,
+            target,
+            precision: row.precision,
+            preconditioner: row.preconditioner,
+            formulation: row.formulation,
+            tolerance: row.tolerance,
+            iterations: row.iterations,
+            seconds_median: row.seconds_median,
+            seconds_min: row.seconds_min,
+            seconds_max: row.seconds_max,
+            error_p: row.error_p,
+            error_v: row.error_v,
+            step_error_p: row.step_error_p,
+            step_error_v: row.step_error_v,
+            step_error_u: row.step_error_u,
+        }));
     }
     best
 }
@@ -472,6 +493,7 @@ mod tests {
             step_error_p: 0.0,
             step_error_v: 0.0,
             step_error_u: 0.0,
+            truth_residual: 0.0,
             divergence: 0.0,
             speed_over_g_dt: 0.0,
         }

@@ -7,7 +7,7 @@ use crate::Error;
 use crate::grid::Axis;
 use crate::reference::Reference;
 use crate::sim::{GpuPath, Snapshot};
-use crate::stages::{Diagnose, RightHandSide};
+use crate::stages::{Diagnose, Forces, LiquidDistance};
 use crate::state::{State, StepReport};
 
 use super::super::statistics::Spread;
@@ -57,49 +57,43 @@ impl Mask {
     }
 }
 
-/// Does the sub-step after a state once, with liquid of this density (kg/m^3). Its solve is timed from when the right-hand sides are in place.
-pub(crate) fn sub_step(path: &mut GpuPath, state: &State, density: f64) -> Result<Done, Error> {
-    Done::timed_after(RightHandSide::NAME, path, state, density)
-}
+/// Stages after which what a solve needs begins to be made: the second is left out where the surface stays.
+const BEFORE: [&str; 2] = [Forces::NAME, LiquidDistance::NAME];
 
-impl Done {
-    /// The same with the solve timed from the end of another stage, which the scene must have.
-    pub(crate) fn timed_after(
-        before: &'static str,
-        path: &mut GpuPath,
-        state: &State,
-        density: f64,
-    ) -> Result<Done, Error> {
-        path.write_state(state)?;
-        let mut clock = None;
-        let (mut seconds, mut answer, mut faces) = (0.0, None, Default::default());
-        let dt = path.next_time_step().dt;
-        let report = path.step_observed(&mut |stage, path| {
+/// Does the sub-step after a state once, with liquid of this density (kg/m^3). Its solve is timed with all that is made for it: active cells and
+/// the hierarchy of their matrices, turns of the elements, right-hand sides.
+pub(crate) fn sub_step(path: &mut GpuPath, state: &State, density: f64) -> Result<Done, Error> {
+    path.write_state(state)?;
+    let mut clock = None;
+    let (mut seconds, mut answer, mut faces) = (0.0, None, Default::default());
+    let dt = path.next_time_step().dt;
+    let report = path.step_observed(&mut |stage, path| {
+        if BEFORE.contains(&stage) {
             path.gpu().wait("bench")?;
-            if stage == before {
-                clock = Some(Instant::now());
-            } else if stage == "solve" {
-                seconds = clock.map_or(0.0, |clock| clock.elapsed().as_secs_f64());
-                let Snapshot { liquid, solids, .. } = path.snapshot()?;
-                let pressure = |liquid| stored::pressure(path, &liquid, density, dt);
-                answer = Some(Answer {
-                    pressure: liquid.map_or(Vec::new(), pressure),
-                    velocity: solids.map_or(Vec::new(), |solids| solids.velocity),
-                });
-            } else if stage == Diagnose::NAME
-                && let Some(liquid) = path.snapshot()?.liquid
-            {
-                faces = liquid.velocity;
-            }
-            Ok(())
-        })?;
-        Ok(Done {
-            seconds,
-            report,
-            answer: answer.expect("every sub-step has a solve"),
-            faces,
-        })
-    }
+            clock = Some(Instant::now());
+        } else if stage == "solve" {
+            path.gpu().wait("bench")?;
+            let clock: Instant = clock.expect("every sub-step has forces");
+            seconds = clock.elapsed().as_secs_f64();
+            let Snapshot { liquid, solids, .. } = path.snapshot()?;
+            let pressure = |liquid| stored::pressure(path, &liquid, density, dt);
+            answer = Some(Answer {
+                pressure: liquid.map_or(Vec::new(), pressure),
+                velocity: solids.map_or(Vec::new(), |solids| solids.velocity),
+            });
+        } else if stage == Diagnose::NAME
+            && let Some(liquid) = path.snapshot()?.liquid
+        {
+            faces = liquid.velocity;
+        }
+        Ok(())
+    })?;
+    Ok(Done {
+        seconds,
+        report,
+        answer: answer.expect("every sub-step has a solve"),
+        faces,
+    })
 }
 
 /// By number of the way and of the tolerance: the seconds of all repeats, and what the first came to.

@@ -16,7 +16,7 @@ use super::parts::ANEW;
 use super::{MOST_ITERATIONS, Options, PATIENCE, TOLERANCE, ThesisTable};
 use crate::Error;
 use crate::elastic::Solids;
-use crate::measure::bench_accuracy::Done;
+use crate::measure::bench_accuracy::sub_step;
 use crate::measure::bench_solve::{bricks_across, name};
 use crate::measure::statistics::{Spread, exponent};
 use crate::reference::{
@@ -25,7 +25,6 @@ use crate::reference::{
 };
 use crate::scene::{Formulation, Precision, Scene, SolidMesh, Solver};
 use crate::sim::{Backend, GpuPath, Simulation, reference_path, solids_of};
-use crate::stages::LiquidDistance;
 use crate::state::{SolveReport, SolveStatus, State, StepReport};
 
 const SCENE: &str = include_str!("../../../scenes/conditioning_40.toml");
@@ -489,12 +488,9 @@ impl<'a> Case<'a> {
             .liquid
             .as_ref()
             .map_or(0.0, |liquid| liquid.density);
-        // From before the device makes its matrices: the CPU's solves make theirs, too.
-        let sub_step =
-            |path: &mut GpuPath| Done::timed_after(LiquidDistance::NAME, path, self.state, density);
         for (_, path) in &mut devices {
             // The first compiles.
-            sub_step(path)?;
+            sub_step(path, self.state, density)?;
         }
         let settings = settings(Precision::F64, Formulation::Auto);
         let mut path = self.path.clone();
@@ -522,7 +518,7 @@ impl<'a> Case<'a> {
                 if of_device[number].0.iter().sum::<f64>() > PATIENCE {
                     continue;
                 }
-                let done = sub_step(path)?;
+                let done = sub_step(path, self.state, density)?;
                 path.write_state(self.state)?;
                 let whole = path.step_observed(&mut |_, _| Ok(()))?.seconds_total;
                 of_device[number].0.push(done.seconds);
