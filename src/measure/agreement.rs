@@ -27,7 +27,10 @@ const OF_TIMES: [(&str, &[&str]); 5] = [
         &["ratio_median", "ratio_min", "ratio_max"],
     ),
     ("summary.csv", &["seconds"]),
-    ("thesis_means.csv", &["mean", "least", "largest", "ratio"]),
+    (
+        "thesis_means.csv",
+        &["mean", "low", "high", "least", "largest", "ratio"],
+    ),
     (
         "thesis_scenes.csv",
         &[
@@ -188,7 +191,7 @@ fn compare(file: &Path, [(heads, ours), (_, theirs)]: &[Table; 2]) -> Vec<Row> {
         .filter_map(|(&name, &at)| {
             let [least, most] = match name.strip_suffix("_median") {
                 Some(stem) => ["min", "max"].map(|end| format!("{stem}_{end}")),
-                None if name == "mean" => ["least", "largest"].map(str::to_owned),
+                None if name == "mean" => ["low", "high"].map(str::to_owned),
                 None if place.contains_key(format!("{name}_min").as_str()) => {
                     ["min", "max"].map(|end| format!("{name}_{end}"))
                 }

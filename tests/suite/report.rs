@@ -502,12 +502,12 @@ fn only_what_follows_from_times_may_differ() {
         // Rows of times, and of what repeats, whose ends are numbers as others.
         (
             "thesis_means.csv",
-            "quantity,mean,least,largest,ratio",
+            "quantity,mean,low,high,least,largest,ratio",
             [
-                "frame_seconds,1,0.8,1.2,0.5\nnonzeros,100,90,110,0.9",
-                "frame_seconds,1.1,0.9,1.3,0.55\nnonzeros,101,90,111,0.91",
+                "frame_seconds,1,0.8,1.2,0.9,1.1,0.5\nnonzeros,100,100,100,90,110,0.9",
+                "frame_seconds,1.1,0.9,1.3,1.0,1.2,0.55\nnonzeros,101,101,101,90,111,0.91",
             ],
-            "quantity 2 0 0, mean 1 1 0, least 1 0 0, largest 0 1 0, ratio 1 1 0",
+            "quantity 2 0 0, mean 1 1 0, low 0 1 0, high 0 1 0, least 2 0 0, largest 1 1 0, ratio 1 1 0",
         ),
         (
             "thesis_scenes.csv",

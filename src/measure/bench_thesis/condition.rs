@@ -10,7 +10,7 @@
 
 use crate::Error;
 use crate::linalg::{
-    CgEnd, Cholesky, Csr, LinearOperator, Solve, SymbolicCholesky, conjugate_gradient,
+    CgEnd, Cholesky, Csr, LinearOperator, Solve, SymbolicCholesky, conjugate_gradient, eigenvalues,
     inverse_one_norm, largest_magnitude, smallest_magnitude,
 };
 use crate::reference::{Blocks, CoupledSystem, Multigrid};
@@ -18,12 +18,16 @@ use crate::reference::{Blocks, CoupledSystem, Multigrid};
 /// Of the recurrence of a solve.
 const TOLERANCE: f64 = 1e-10;
 const MOST_ITERATIONS: usize = 2000;
+/// Rows of a matrix of which all eigenvalues are computed, too: some seconds.
+const EXACT_UP_TO: usize = 2000;
 
 /// Logarithms to base 10 of the condition numbers of a matrix.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Condition {
     /// For the 2-norm.
     pub two_norm: f64,
+    /// The same from all eigenvalues, of up to 2,000 rows: what the iterations are off by.
+    pub two_norm_exact: Option<f64>,
     /// For the 1-norm, a lower bound.
     pub one_norm: f64,
 }
@@ -71,8 +75,16 @@ pub fn conditions(system: &CoupledSystem, sigma: f64, alpha: f64) -> Result<Cond
         let two_norm = largest_magnitude(&matrix)? / smallest_magnitude(n, solve)?;
         // Of a symmetric matrix rows add up to what columns do.
         let one_norm = matrix.infinity_norm() * inverse_one_norm(n, solve)?;
+        let all = (n <= EXACT_UP_TO)
+            .then(|| eigenvalues(&matrix))
+            .transpose()?;
+        let exact = all.map(|all| {
+            let sizes = all.iter().map(|value| value.abs());
+            sizes.clone().fold(0.0, f64::max) / sizes.fold(f64::INFINITY, f64::min)
+        });
         Ok::<Condition, Error>(Condition {
             two_norm: two_norm.log10(),
+            two_norm_exact: exact.map(f64::log10),
             one_norm: one_norm.log10(),
         })
     };

@@ -106,6 +106,8 @@ pub struct SystemRow {
     pub log10_condest: Option<f64>,
     /// The same for the 2-norm.
     pub log10_condition: Option<f64>,
+    /// That for the 2-norm from all eigenvalues, of matrices so small that these can be had.
+    pub log10_condition_exact: Option<f64>,
     /// That for the 2-norm with alpha = 1: SI units.
     pub log10_condition_unscaled: Option<f64>,
     /// How the solve ended.
@@ -155,13 +157,17 @@ pub struct Mean {
     pub quantity: &'static str,
     /// How many states.
     pub states: usize,
-    /// Mean over them.
+    /// Mean over them, of seconds of the medians of repeats.
     pub mean: f64,
-    /// Least of a state, and of its repeats.
+    /// The same of the least of the repeats: with `high` what running it again changes.
+    pub low: f64,
+    /// Of the largest.
+    pub high: f64,
+    /// Least of the states.
     pub least: f64,
     /// Largest.
     pub largest: f64,
-    /// Printed: of the positive definite form for what the thesis does not have.
+    /// Printed: of the positive definite form for solves that the thesis does not have; empty for MINRES and for 2-norms, for it prints neither.
     pub thesis: Option<f64>,
     /// Over the printed one; of condition numbers, not of their logarithms.
     pub ratio: Option<f64>,
@@ -385,6 +391,7 @@ impl<'a> Case<'a> {
             nonzeros: None,
             log10_condest: None,
             log10_condition: None,
+            log10_condition_exact: None,
             log10_condition_unscaled: None,
             status: None,
             iterations: None,
@@ -430,6 +437,7 @@ impl<'a> Case<'a> {
                     row.nonzeros = Some(of_matrix.0);
                     row.log10_condest = Some(of_matrix.1.one_norm);
                     row.log10_condition = Some(of_matrix.1.two_norm);
+                    row.log10_condition_exact = of_matrix.1.two_norm_exact;
                     row.log10_condition_unscaled = Some(of_matrix.2.two_norm);
                 }
             }
@@ -684,14 +692,21 @@ pub(super) fn means(rows: &[SystemRow]) -> Vec<Mean> {
             if values.is_empty() {
                 continue;
             }
-            let mean = values.iter().map(|[value, ..]| value).sum::<f64>() / values.len() as f64;
+            let mean_of = |at: usize| {
+                let sum: f64 = values.iter().map(|of_state| of_state[at]).sum();
+                sum / values.len() as f64
+            };
+            let mean = mean_of(0);
+            let of_states = values.iter().map(|[value, ..]| *value);
+            let minres = first.solver.starts_with("MINRES") && quantity == "seconds";
             let thesis = printed(
                 first.table,
                 quantity,
                 first.grid,
                 first.nodes,
                 first.formulation,
-            );
+            )
+            .filter(|_| !minres && quantity != "log10_condition");
             means.push(Mean {
                 table: first.table,
                 grid: first.grid,
@@ -704,10 +719,10 @@ pub(super) fn means(rows: &[SystemRow]) -> Vec<Mean> {
                 quantity,
                 states: values.len(),
                 mean,
-                least: values
-                    .iter()
-                    .fold(f64::INFINITY, |least, v| least.min(v[1])),
-                largest: values.iter().fold(0.0, |most, v| f64::max(most, v[2])),
+                low: mean_of(1),
+                high: mean_of(2),
+                least: of_states.clone().fold(f64::INFINITY, f64::min),
+                largest: of_states.fold(0.0, f64::max),
                 thesis,
                 ratio: thesis.map(|thesis| plain(quantity, mean) / plain(quantity, thesis)),
             });
@@ -788,6 +803,7 @@ mod tests {
             nonzeros: None,
             log10_condest: None,
             log10_condition: None,
+            log10_condition_exact: None,
             log10_condition_unscaled: None,
             status: Some("converged"),
             iterations: Some(1),
@@ -813,14 +829,22 @@ mod tests {
         let means = means(&rows);
         let found: Vec<_> = means
             .iter()
-            .map(|mean| (mean.grid, mean.mean, mean.least, mean.largest, mean.thesis))
+            .map(|mean| {
+                let of_repeats = [mean.mean, mean.low, mean.high];
+                (
+                    mean.grid,
+                    of_repeats,
+                    [mean.least, mean.largest],
+                    mean.thesis,
+                )
+            })
             .collect();
         assert_eq!(
             found,
             [
-                (50, 8.0, 2.0, 24.0, Some(14.15)),
-                (100, 64.0, 32.0, 128.0, None),
-                (60, 8.0, 4.0, 16.0, Some(32.02)),
+                (50, [8.0, 4.0, 16.0], [4.0, 12.0], Some(14.15)),
+                (100, [64.0, 32.0, 128.0], [64.0, 64.0], None),
+                (60, [8.0, 4.0, 16.0], [8.0, 8.0], Some(32.02)),
             ]
         );
         assert_eq!(means[0].ratio, Some(8.0 / 14.15));
@@ -829,6 +853,36 @@ mod tests {
         assert!((growth[0].exponent - 3.0).abs() < 1e-12, "{growth:?}");
         assert_eq!((growth[0].nodes, growth[0].thesis), (Some(725), None));
         assert_eq!((means[0].states, growth[0].states), (2, 1));
+    }
+
+    #[test]
+    fn what_the_thesis_does_not_print_stands_beside_no_number() {
+        let of = |solver: &'static str| SystemRow {
+            table: "6.2",
+            solver,
+            nonzeros: Some(157_498),
+            log10_condest: Some(8.347),
+            log10_condition: Some(8.0),
+            ..row(40, 10, "indefinite", 1.635)
+        };
+        let means = means(&[of("BiCGSTAB-ILU(0)"), of("MINRES-IC(0)")]);
+        let printed: Vec<_> = means
+            .iter()
+            .map(|mean| (mean.quantity, mean.thesis.is_some(), mean.ratio.is_some()))
+            .collect();
+        let of_matrix = [
+            ("nonzeros", true, true),
+            ("log10_condest", true, true),
+            ("log10_condition", false, false),
+        ];
+        let [bicgstab, minres] = [true, false].map(|both| ("seconds", both, both));
+        let expected: Vec<_> = of_matrix
+            .into_iter()
+            .chain([bicgstab])
+            .chain(of_matrix)
+            .chain([minres])
+            .collect();
+        assert_eq!(printed, expected);
     }
 
     #[test]
