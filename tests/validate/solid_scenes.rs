@@ -13,8 +13,8 @@
 //!
 //! Three things may add to it. A body that turns is no longer strained by that, as its move is on circles. A part that bends still is, by
 //! theta^2 / 2, theta being its angle against the body: a solve makes at most a quarter of the motion into strain, (w dt / (1 + w^2 dt^2))^2, so
-//! that a part s times as long as thick turns by s sqrt(A / (2 E V)) at most, with A the energy and V the volume, and is strained by
-//! s^4 A^2 / (32 E V). With s = 4 that is below a tenth of A where E V is above 80 A, and softer ones are turned by less in a short step. The
+//! that a part s times as long as thick turns by s sqrt(A / (2 E V)) at most, with A the energy and V the volume, and its strain then holds
+//! s^4 A^2 / (32 E V). With s = 4 that is below a tenth of A where E V is above 80 A; what is softer is held to the same, without a proof. The
 //! third is not allowed for: what turns into an obstacle in a step, past an edge, is pushed out in the next.
 
 use std::collections::{BTreeMap, BTreeSet};
