@@ -206,7 +206,7 @@ impl Film {
         sheet.at_least("least det F at the end", last.min_det(), LEAST_DET);
         let energy = largest(moments.iter().map(|moment| moment.energy));
         let what = "largest energy over that of the first sub-step";
-        sheet.at_most(what, energy / moments[0].energy, MOST_ENERGY);
+        sheet.excess(what, energy / moments[0].energy, 1.0, MOST_ENERGY);
         let dropped = moments.iter().map(|moment| {
             let liquid = moment.report.liquid.expect("the scene has liquid");
             liquid.dropped as f64

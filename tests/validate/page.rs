@@ -61,10 +61,11 @@ pub(crate) fn write(
 ) -> Result<(), Box<dyn Error>> {
     fs::create_dir_all(folder)?;
     let mut page = format!("# Validation\n\n{summary}\n\n");
-    let judged: Vec<&Row> = rows.iter().filter(|row| row.share.is_some()).collect();
+    let judged: Vec<&Row> = rows.iter().filter(|row| row.passed.is_some()).collect();
     if !judged.is_empty() {
         glance(&folder.join("glance.svg"), &judged)?;
-        page += "Each row with a bound, as the share of its bound that it takes: left of the line is within, a cross is not.\n\n![](glance.svg)\n\n";
+        page += "Each row that is judged, as the share of its bound that it takes: left of the line is within, a cross is not. What holds or does \
+                 not is a ring at the left end, or a cross at the right one.\n\n![](glance.svg)\n\n";
     }
     for (number, chart) in charts.iter().enumerate() {
         let name = picture(charts, number);
@@ -92,7 +93,7 @@ fn picture(charts: &[Chart], number: usize) -> String {
     format!("{}{nth}.svg", id.replace('/', "-"))
 }
 
-/// A line per case, variants on one, a mark per row: error over what is allowed, logarithmic.
+/// A line per case, variants on one, a mark per row: error over what is allowed, logarithmic. Rows without such a share are at the ends.
 fn glance(path: &Path, rows: &[&Row]) -> Result<(), Box<dyn Error>> {
     let mut cases: Vec<&str> = Vec::new();
     for row in rows {
@@ -122,13 +123,15 @@ fn glance(path: &Path, rows: &[&Row]) -> Result<(), Box<dyn Error>> {
     for (line, case) in cases.iter().enumerate() {
         let y = f64::from(n) - line as f64 - 0.5;
         for row in rows.iter().filter(|row| row.case() == *case) {
-            // What is not a number is at the far end.
+            let passed = row.passed == Some(true);
+            // What fails without a bound, or is not a number, is at the far end.
             let share = row.share.filter(|share| !share.is_nan());
-            let share = share.unwrap_or(80.0).clamp(1.2e-6, 80.0);
-            let at = (share, y);
-            let mark = match row.passed {
-                Some(true) => Circle::new(at, 4, ink(3).mix(0.4).filled()).into_dyn(),
-                _ => Cross::new(at, 5, RED.stroke_width(2)).into_dyn(),
+            let without = if passed { 0.0 } else { 80.0 };
+            let at = (share.unwrap_or(without).clamp(1.2e-6, 80.0), y);
+            let mark = match (passed, share) {
+                (true, Some(_)) => Circle::new(at, 4, ink(3).mix(0.4).filled()).into_dyn(),
+                (true, None) => Circle::new(at, 6, ink(3).stroke_width(1)).into_dyn(),
+                (false, _) => Cross::new(at, 5, RED.stroke_width(2)).into_dyn(),
             };
             chart.draw_series([mark])?;
         }

@@ -107,6 +107,11 @@ impl Sheet {
         });
     }
 
+    /// A number that is expected to be on one side of a bound.
+    fn bounded(&mut self, what: &str, got: f64, expected: String, passed: bool) {
+        self.row(what, expected, number(got), String::new(), Some(passed));
+    }
+
     /// Of the row that was written last.
     fn share(&mut self, share: f64) {
         if let Some(row) = self.rows.last_mut() {
@@ -152,23 +157,21 @@ impl Sheet {
 
     /// An error that may not be above its bound.
     pub(crate) fn at_most(&mut self, what: &str, got: f64, bound: f64) {
-        let passed = Some(got <= bound);
-        self.row(what, "0".into(), number(got), number(bound), passed);
+        self.bounded(what, got, format!("<= {}", short(bound)), got <= bound);
         if bound > 0.0 {
             self.share(larger(0.0, got) / bound);
         }
     }
 
+    /// A number that would be `baseline` or less without errors, and may not be above its bound: the share is that of what lies between.
+    pub(crate) fn excess(&mut self, what: &str, got: f64, baseline: f64, bound: f64) {
+        self.bounded(what, got, format!("<= {}", short(bound)), got <= bound);
+        self.share(larger(0.0, got - baseline) / (bound - baseline));
+    }
+
     /// A rate of convergence.
     pub(crate) fn at_least(&mut self, what: &str, got: f64, bound: f64) {
-        let passed = Some(got >= bound);
-        self.row(
-            what,
-            format!(">= {}", number(bound)),
-            number(got),
-            String::new(),
-            passed,
-        );
+        self.bounded(what, got, format!(">= {}", short(bound)), got >= bound);
         if bound > 0.0 && got > 0.0 {
             self.share(bound / got);
         }
@@ -224,6 +227,15 @@ fn number(x: f64) -> String {
         }
         0.0 => "0".into(),
         _ => format!("{x:.2e}"),
+    }
+}
+
+/// The same without zeros at the end.
+fn short(x: f64) -> String {
+    let text = number(x);
+    match text.contains('.') && !text.contains('e') {
+        true => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
+        false => text,
     }
 }
 

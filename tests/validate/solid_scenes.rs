@@ -1,9 +1,21 @@
 //! Every scene of solids alone in `scenes/`, with at most so many nodes, in materials, steps and dampings far from those it was made for: no
 //! number that is not finite, a clear verdict of every solve, no energy that grows.
 //!
-//! Kinetic energy stays below what there was at the start, also in contact. Elastic energy may be far above it: rotations are those of a
-//! sub-step's start, so a body that is stiff for its weight is strained by the angle that a long sub-step turns it, until the next solve.
-//! One that is thrown about by walls in such steps gains some motion too: its contacts are those of the strained body.
+//! Energy is what a sub-step begins with: kinetic energy before it, and elastic energy where its move has put the nodes. Were the rotations of
+//! elements those of the sub-step's start, backward Euler could only lose of it, whatever the material and the step: its solve leaves
+//!
+//! ```text
+//! m |v'|^2 / 2 + W(x + dt v') <= m |v|^2 / 2 + W(x),  x' = x + dt v'
+//! ```
+//!
+//! and gravity and contacts that a node reaches from outside do no work beyond what a fall gives. The two energies of one report are of before
+//! and after the solve instead: what it turns from strain into motion they count twice, up to a third of a mode with w dt = sqrt(1/2).
+//!
+//! Three things may add to it. A body that turns is no longer strained by that, as its move is on circles. A part that bends still is, by
+//! theta^2 / 2, theta being its angle against the body: a solve makes at most a quarter of the motion into strain, (w dt / (1 + w^2 dt^2))^2, so
+//! that a part s times as long as thick turns by s sqrt(A / (2 E V)) at most, with A the energy and V the volume, and its strain then holds
+//! s^4 A^2 / (32 E V). With s = 4 that is below a tenth of A where E V is above 80 A; what is softer is held to the same, without a proof. The
+//! third is not allowed for: what turns into an obstacle in a step, past an edge, is pushed out in the next.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
@@ -11,6 +23,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use cutwater::geometry::TetMesh;
+use cutwater::reference::larger;
 use cutwater::scene::{Scene, Solid, SolidMesh};
 use cutwater::state::State;
 
@@ -31,10 +44,12 @@ const YOUNG: [f64; 4] = [1e3, 1e5, 1e7, 1e9];
 const DENSITY: [f64; 3] = [10.0, 300.0, 1e4];
 /// s
 const STEP: [f64; 3] = [1.0 / 1000.0, 1.0 / 120.0, 1.0 / 24.0];
-/// Kinetic energy over what there was at the start that these steps may come to.
-const MOST_KINETIC: [f64; 3] = [1.01, 1.01, 5.0];
-/// Kinetic and elastic energy of the second half of the steps over that of the first, or over what there was at the start.
-const MOST_GROWTH: f64 = 1.05;
+/// Kinetic energy over what there was at the start that these steps may come to: in the long ones with what bending adds.
+const MOST_KINETIC: [f64; 3] = [1.01, 1.01, 1.1];
+/// Kinetic and elastic energy over what there was at the start: a tenth for what bending adds.
+const MOST_ENERGY: f64 = 1.1;
+/// The same in the second half of the steps, in which there is less motion to bend anything.
+const MOST_LATE_ENERGY: f64 = 1.05;
 /// tau_M (1/s), tau_K (s)
 const DAMPING: [[f64; 2]; 2] = [[0.0, 0.0], [1.0, 2e-3]];
 
@@ -172,8 +187,9 @@ fn coarse(scene: &Scene, most: usize, folder: &Path) -> Scene {
     }
 }
 
-/// Energy that may turn into motion and strain, J: that of the start, and that of a fall of all bodies through the domain.
-fn available(scene: &Scene, motion: &Motion) -> f64 {
+/// Kinetic energy at the start, and all that may turn into motion and strain, J: with the elastic one, and that of a fall of all bodies
+/// through the domain.
+fn available(scene: &Scene, motion: &Motion) -> [f64; 2] {
     let state = motion.state();
     let solids = &motion.solids;
     let kinetic: f64 = state
@@ -191,7 +207,8 @@ fn available(scene: &Scene, motion: &Motion) -> f64 {
         .sum();
     let gravity = scene.domain.gravity;
     let fall = (gravity.abs() * scene.domain.size).element_sum();
-    kinetic + elastic + fall * solids.mass.iter().sum::<f64>()
+    let all = kinetic + elastic + fall * solids.mass.iter().sum::<f64>();
+    [kinetic, all]
 }
 
 fn endures(
@@ -213,13 +230,15 @@ fn endures(
     }
     let n = solids_of(&scene).rest.len();
     let mut motion = Motion::as_users_do(lane, &scene, dt);
-    let available = available(&scene, &motion);
+    let [mut kinetic_before, available] = available(&scene, &motion);
     let mut statuses: BTreeMap<&str, usize> = BTreeMap::new();
     let (mut iterations, mut most_iterations) = (0, 0);
     let (mut residual, mut min_det) = (0.0, f64::INFINITY);
     // Largest kinetic and elastic energy in the first half of the steps, and in the second, J.
     let mut energy = [0.0; 2];
     let mut kinetic = 0.0;
+    // With that of height: at the end of the first half, and by how much it is ever above that in the second, J.
+    let (mut halfway, mut rise) = (0.0, f64::NEG_INFINITY);
     // Most solves of a step, steps of more than one, and those after which contact was not settled.
     let (mut most_solves, mut several, mut unsettled) = (0, 0, 0);
     let (mut finite, mut end) = (true, String::new());
@@ -235,14 +254,20 @@ fn endures(
         most_solves = contact.solves.max(most_solves);
         several += usize::from(contact.solves > 1);
         unsettled += usize::from(contact.unsettled > 0);
-        kinetic = f64::max(kinetic, diagnosis.kinetic_energy);
+        kinetic = larger(kinetic, diagnosis.kinetic_energy);
         *statuses.entry(solve.status.name()).or_default() += 1;
         iterations += solve.iterations;
         most_iterations = solve.iterations.max(most_iterations);
         residual = f64::max(residual, solve.residual);
         min_det = f64::min(min_det, diagnosis.min_det);
         let half = &mut energy[usize::from(number > STEPS / 2)];
-        *half = f64::max(*half, diagnosis.kinetic_energy + diagnosis.elastic_energy);
+        let of_step = kinetic_before + diagnosis.elastic_energy;
+        kinetic_before = diagnosis.kinetic_energy;
+        *half = larger(*half, of_step);
+        match number > STEPS / 2 {
+            true => rise = larger(rise, of_step + diagnosis.potential_energy - halfway),
+            false => halfway = of_step + diagnosis.potential_energy,
+        }
         let told = [
             solve.residual,
             diagnosis.kinetic_energy,
@@ -283,18 +308,16 @@ fn endures(
         finite && steps == STEPS,
     );
     let [first, second] = energy.map(|energy| energy / available);
-    sheet.at_most(
-        &format!("{what}: largest energy of the second half, over that of the first or over what there was at the start"),
-        second / first.max(1.0),
-        MOST_GROWTH,
-    );
-    sheet.at_most(
-        &format!("{what}: largest kinetic energy over what there was at the start"),
-        kinetic / available,
-        most_kinetic,
-    );
+    for (of, ratio, most) in [
+        ("energy", larger(first, second), MOST_ENERGY),
+        ("energy of the second half", second, MOST_LATE_ENERGY),
+        ("kinetic energy", kinetic / available, most_kinetic),
+    ] {
+        let what = format!("{what}: largest {of} over what there was at the start");
+        sheet.excess(&what, ratio, 1.0, most);
+    }
     sheet.told(
-        &format!("{what}: largest energy over what there was at the start"),
-        format!("{:.3}", first.max(second)),
+        &format!("{what}: energy with that of height, its rise in the second half over what there was at the start"),
+        format!("{:.2e}", rise / available),
     );
 }
