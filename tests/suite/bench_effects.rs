@@ -7,7 +7,9 @@ use std::path::Path;
 
 use cutwater::effects::Effects;
 use cutwater::gpu::AdapterChoice;
-use cutwater::measure::bench_effects::{ABSENT, EFFECTS, Options, Row, Told, bench_effects};
+use cutwater::measure::bench_effects::{
+    self, ABSENT, COUPLING, EFFECTS, ITSELF, Options, Row, Told, bench_effects,
+};
 use cutwater::measure::output_cost::OutputRow;
 use cutwater::scene::Scene;
 use cutwater::sim::{Backend, Simulation};
@@ -61,6 +63,8 @@ fn effects_add_what_is_theirs() {
         ("dam_break", "corotation", &[], false),
         ("hydrostatic_block", "obstacles", &["slip"], true),
         ("hydrostatic_block", "probes", &["probe_points"], true),
+        ("dam_break", "probe_node", &[], true),
+        ("gate", "probe_height", &[], true),
         (
             "gate",
             "moving_obstacles",
@@ -90,12 +94,59 @@ fn effects_add_what_is_theirs() {
         let added = [row.bytes_added, row.dispatches_added];
         assert_eq!(added, [Some(0); 2], "{row:?}");
     }
-    // Without its liquid there is nothing left of it, and nothing is said of what it costs.
+    // Stages that neither part has, and what both have counted twice.
+    let [both, no_liquid, no_solids] =
+        [COUPLING, "liquid", "solids"].map(|effect| row("dam_break", effect));
+    assert!(both.present && both.pairs == 2, "{both:?}");
+    assert!(
+        both.kernels.split(' ').any(|kernel| kernel == "cut_quads"),
+        "{both:?}"
+    );
+    assert_timed(both);
+    let together = |row: &Row| row.seconds_without.unwrap();
+    // Medians of two pairs are their means, so that of a sum is the sum.
+    let parts = together(no_liquid) + together(no_solids);
+    assert!(
+        (together(both) / parts - 1.0).abs() <= 1e-12,
+        "{both:?} {no_liquid:?} {no_solids:?}"
+    );
+    assert!(!row("gate", COUPLING).present);
+    // Of the kinds of probes each has its row, and those that are there say so.
+    for (scene, kinds) in [
+        ("dam_break", ["probe_front", "probe_node"]),
+        ("hydrostatic_block", ["probe_pressure", "probe_velocity"]),
+        ("gate", ["probe_height", "probe_front"]),
+    ] {
+        for (kind, _) in bench_effects::PROBES {
+            let row = row(scene, kind);
+            assert_eq!(row.present, kinds.contains(&kind), "{row:?}");
+        }
+    }
+    // A path of the same scene takes the same buffers, kernels and dispatches. Of two pairs nothing is told.
+    for scene in ["dam_break", "hydrostatic_block", "gate"] {
+        for effect in [ABSENT, ITSELF] {
+            let row = row(scene, effect);
+            let counts = [
+                row.bytes_added,
+                row.dispatches_added,
+                row.solve_dispatches_added,
+            ];
+            assert_eq!(counts, [Some(0); 3], "{row:?}");
+            assert_eq!(row.dispatches_differ, Some(0), "{row:?}");
+            assert_eq!(row.seconds_told, "too few pairs", "{row:?}");
+            assert_eq!(row.seconds_told_low, None, "{row:?}");
+        }
+    }
+    // Without its liquid there is nothing left of it: its own seconds are known, and nothing of what it costs.
     let all = row("hydrostatic_block", "liquid");
     assert!(all.present && all.pairs == 0, "{all:?}");
+    assert!(all.seconds_with > Some(0.0), "{all:?}");
+    let nothing = [all.seconds_without, all.seconds_added];
+    assert_eq!((nothing, all.bytes_added), ([None; 2], None), "{all:?}");
     let text = fs::read_to_string(folder.path().join("effects.csv")).unwrap();
-    let empty = "\nhydrostatic_block,liquid,true,,,,,,,,,0\n";
-    assert!(text.contains(empty), "{text}");
+    let line = |line: &&str| line.starts_with("hydrostatic_block,liquid,true,");
+    let line = text.lines().find(line).unwrap();
+    assert!(line.ends_with(",,,,,,,,,,,,,0"), "{line}");
     let of_scene = |scene: &str| -> Vec<(&str, bool)> {
         let rows = outputs.rows.iter().filter(|row| row.scene == scene);
         rows.map(|row| (row.output, row.present)).collect()

@@ -1,12 +1,14 @@
-//! The page of `report` as a browser lays it out: the results of real commands, with nothing missing, cut off or fetched from elsewhere.
+//! The page of `report` as a browser lays it out: the results of a run and of every bench, with nothing missing, cut off, written over each
+//! other or fetched from elsewhere. The pictures of the documents, of whole benches, stand among them.
 //!
 //! `CUTWATER_BROWSER` names a headless Chromium (default `chromium-headless-shell`), `REQUIRE_BROWSER=1` makes a missing one a failure.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use serde_json::{Value, json};
+use tempfile::TempDir;
 
 use crate::cli::{DAM, folder, says};
 use crate::common::gpu;
@@ -19,6 +21,17 @@ const PROBE: &str = "<script>addEventListener('load', () => {
   const seen = part => extent(part).width > 20 && extent(part).height > 20;
   const inside = (part, whole) => part.left >= whole.left - 1 && part.right <= whole.right + 1
     && part.top >= whole.top - 1 && part.bottom <= whole.bottom + 1;
+  // Where letters are: lines of text that touch each other can be read. A tick that is drawn twice in one place is one to the reader.
+  const letters = text => {
+    const { left, right, top, bottom, width, height } = extent(text), edge = 0.2 * Math.min(width, height);
+    return { left: left + edge, right: right - edge, top: top + edge, bottom: bottom - edge, says: text.textContent.trim() };
+  };
+  const twice = (a, b) => a.says == b.says && Math.hypot(a.left - b.left, a.top - b.top) < 1;
+  const overlap = (a, b) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom && !twice(a, b);
+  const overlaps = svg => {
+    const texts = all('text', svg).map(letters).filter(text => text.says);
+    return texts.flatMap((a, at) => texts.slice(at + 1).filter(b => overlap(a, b)).map(b => `${a.says} | ${b.says}`));
+  };
   const found = document.createElement('pre');
   found.id = 'found';
   found.textContent = JSON.stringify({
@@ -29,6 +42,8 @@ const PROBE: &str = "<script>addEventListener('load', () => {
     tables: all('table').filter(seen).length,
     ragged: all('tr').filter(row => row.cells.length != row.closest('table').rows[0].cells.length).length,
     tall: all('td').filter(cell => extent(cell).height > 60).length,
+    scripts: document.scripts.length - 1,
+    overlapping: all('figure').flatMap(figure => all('svg', figure).flatMap(overlaps).map(pair => `${figure.lastElementChild.textContent}: ${pair}`)),
     cut: all('figure > svg').flatMap(svg => all('text', svg).filter(text => !inside(extent(text), extent(svg)))).map(text => text.textContent.trim()),
     unwritten: all('svg text').filter(text => text.textContent.trim() && extent(text).width == 0).length,
     fetched: performance.getEntriesByType('resource').map(entry => entry.name).filter(name => !name.startsWith('data:')),
@@ -93,50 +108,105 @@ fn found(browser: &str, page: &Path, width: u32) -> Value {
     .unwrap()
 }
 
+/// Commands that fill a folder each, all on the smallest there is to measure.
+const COMMANDS: [(&str, &str); 9] = [
+    ("run", "run dam.toml --backend cpu --frames 3 --preview"),
+    ("plots", "plot results/run"),
+    (
+        "thesis",
+        "bench thesis --tables 6.5 --grids 5,10 --repeats 1",
+    ),
+    (
+        "solve",
+        "bench solve --formulation pressure --grids 8,10 --repeats 1",
+    ),
+    ("effects", "bench effects dam.toml --frames 1"),
+    (
+        "accuracy",
+        "bench accuracy dam.toml --frames 1 --grids 10 --precision mixed --preconditioner multigrid --tolerance 1e-3,1e-6 --repeats 1",
+    ),
+    ("solids", "bench solids --nodes 64,128 --repeats 1"),
+    (
+        "step",
+        "bench step dam.toml --scale 0.5,1 --frames 1 --repeats 1",
+    ),
+    (
+        "stability",
+        "bench stability --steps 8 --cases droplet_one,start_spun",
+    ),
+];
+/// Folders of pictures of whole benches: the map of stability with all of its cases, and the glance of the validation, among them.
+const PICTURES: [&str; 2] = ["images", "images/validation"];
+
+/// A folder `results` with what all commands leave, and the pictures of the documents.
+fn results() -> TempDir {
+    let folder = folder(DAM);
+    for (name, command) in COMMANDS {
+        says(&folder, &format!("{command} --out results/{name}"));
+    }
+    let documents = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs");
+    for name in PICTURES {
+        let copied = folder.path().join("results").join(name);
+        fs::create_dir(&copied).unwrap();
+        for file in files(&documents.join(name), "svg") {
+            fs::copy(&file, copied.join(file.file_name().unwrap())).unwrap();
+        }
+    }
+    says(&folder, "report results");
+    folder
+}
+
+/// Files of a kind in a folder.
+fn files(folder: &Path, kind: &str) -> Vec<PathBuf> {
+    let entries = fs::read_dir(folder).unwrap();
+    let mut paths: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
+    paths.retain(|path| path.extension() == Some(kind.as_ref()));
+    paths
+}
+
 #[test]
 fn a_report_is_whole_in_a_browser() {
     let (Some(browser), Some(_)) = (browser(), gpu()) else {
         return;
     };
-    let folder = folder(DAM);
-    says(
-        &folder,
-        "run dam.toml --backend cpu --frames 3 --preview --out results/run",
-    );
-    says(&folder, "plot results/run --out results/plots");
-    says(
-        &folder,
-        "bench thesis --tables 6.5 --grids 5,10 --repeats 1 --out results/thesis",
-    );
-    says(
-        &folder,
-        "bench solve --formulation pressure --grids 8,10 --repeats 1 --out results/solve",
-    );
-    says(&folder, "report results");
+    let folder = results();
     let results = folder.path().join("results");
+    let names = COMMANDS.map(|(name, _)| name);
+    let folders = names.iter().chain(&PICTURES);
     let of_kind = |kind: &str| {
-        let paths = ["run", "plots", "thesis", "solve"].map(|inner| results.join(inner));
-        let files = paths.iter().flat_map(|path| fs::read_dir(path).unwrap());
-        files
-            .filter(|file| file.as_ref().unwrap().path().extension() == Some(kind.as_ref()))
-            .count()
+        let counts = folders
+            .clone()
+            .map(|name| files(&results.join(name), kind).len());
+        counts.sum::<usize>()
     };
     let (drawings, tables) = (of_kind("svg"), of_kind("csv"));
-    assert!(
-        drawings >= 4 && tables >= 6,
-        "{drawings} drawings, {tables} tables"
-    );
+    // Each bench has a picture and a table, and the documents have those of whole benches.
+    for name in &names[1..] {
+        let inner = results.join(name);
+        assert!(!files(&inner, "svg").is_empty(), "no picture of {name}");
+        let plots = *name == "plots";
+        assert!(
+            plots || !files(&inner, "csv").is_empty(),
+            "no table of {name}"
+        );
+    }
+    for picture in ["images/stability.svg", "images/validation/glance.svg"] {
+        assert!(results.join(picture).is_file(), "{picture}");
+    }
     for width in [1280, 700] {
         let page = found(&browser, &results.join("report.html"), width);
+        // The preview has a section of its own.
+        let sections = COMMANDS.len() + PICTURES.len() + 1;
         let expected = json!({
-            // The preview has one of its own.
-            "sections": 5,
-            "links": 5,
+            "sections": sections,
+            "links": sections,
             "drawings": drawings,
             "pictures": 3,
             "tables": tables,
             "ragged": 0,
             "tall": 0,
+            "scripts": 0,
+            "overlapping": [],
             "cut": [],
             "unwritten": 0,
             "fetched": [],
