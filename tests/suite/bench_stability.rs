@@ -16,6 +16,8 @@ const STEPS: u64 = 8;
 const STEPS_F64: u64 = 16;
 /// Sub-steps of the thesis's scene, 0.6 s: the front is at the beam after 0.2.
 const THESIS_STEPS: u64 = 60;
+/// With weak coupling on the thesis's own cells, 0.4 s: by then there is more energy than at the start.
+const WEAK_STEPS: u64 = 40;
 
 fn options(names: &[&str]) -> Options {
     Options {
@@ -28,18 +30,27 @@ fn options(names: &[&str]) -> Options {
 
 /// What holds in every hostile case, after so many sub-steps.
 fn assert_sound(row: &Row, steps: u64) {
-    assert_eq!(
-        (row.status.as_str(), row.passed),
-        ("completed", true),
-        "{row:?}"
-    );
+    assert!(row.passed && row.completed(), "{row:?}");
+    let plain = row.missed + row.unsettled == 0;
+    assert_eq!(row.status == "completed", plain, "{row:?}");
     assert_eq!((row.sub_steps, row.non_finite), (steps, 0), "{row:?}");
     // In the end there is no more than at the start and what falling gains: the bound without its tenth. It is measured: no longer 1.
     let most = row.energy_bound - 0.1;
     let measured = row.energy_end > 0.0 && row.energy_end != 1.0;
     assert!(measured && row.energy_end <= most, "{row:?}");
-    // What a fall through the whole box gains in a sub-step of any of these is a fraction of what it has.
-    assert!(most > 1.0 && most < 1.7, "{row:?}");
+    // What a fall through the whole box gains in a sub-step of any of these, of 1/15 s at most, is less than what it has.
+    assert!(most > 1.0 && most < 2.0, "{row:?}");
+    assert!(
+        row.motion > 0.0 && row.motion <= row.motion_bound,
+        "{row:?}"
+    );
+    assert!(
+        row.solid_speed > 0.0 && row.solid_speed <= row.solid_speed_bound,
+        "{row:?}"
+    );
+    assert!(row.liquid_speed <= row.liquid_speed_bound, "{row:?}");
+    // A beam of two cells in an obstacle: the centres of its cells are half a cell deep in both.
+    assert!(row.name != "wall_through" || row.overlap > 0.5, "{row:?}");
     assert_eq!(row.min_det < 0.0, row.name == "start_inverted", "{row:?}");
     assert!(row.nodes > 60 && row.seconds > 0.0, "{row:?}");
 }
@@ -66,7 +77,7 @@ fn hostile_cases_keep_their_energy() {
     for row in &table.rows {
         assert_sound(row, STEPS);
         assert!(
-            row.cells == 4096 && row.most_iterations.is_some(),
+            row.cells == 4096 && row.most_iterations.is_some() && row.backend == "gpu",
             "{row:?}"
         );
     }
@@ -105,6 +116,10 @@ fn a_case_of_each_group_keeps_its_energy_on_the_cpu() {
         ("closed_stiff", 0.005),
         ("inside_half", 0.0),
         ("empty_nothing", 0.0),
+        ("empty_never", 0.0),
+        ("corner_light_soft_15", 0.005),
+        ("corner_heavy_stiff_15", 0.01),
+        ("corner_light_stiff_1000", 0.0),
     ];
     let names = most_lost.map(|(name, _)| name);
     let options = Options {
@@ -128,6 +143,7 @@ fn a_case_of_each_group_keeps_its_energy_on_the_cpu() {
     let read = |file: &str| fs::read_to_string(folder.path().join(file)).unwrap();
     let json: serde_json::Value = serde_json::from_str(&read("stability.json")).unwrap();
     assert_eq!(json["backend"], "cpu");
+    assert_eq!(json["rows"][0]["backend"], "cpu");
     assert_eq!(json["measured"], host.measured.as_str());
     assert_eq!(json["cpu"].as_str(), host.cpu.as_deref());
     assert!(json.get("adapter").is_none() && json.get("place").is_none());
@@ -138,7 +154,7 @@ fn a_case_of_each_group_keeps_its_energy_on_the_cpu() {
 #[test]
 fn strong_coupling_keeps_the_thesis_beam_stiff() {
     let cases = cases(STEPS, 0.4).into_iter();
-    let of_thesis = cases.filter(|case| case.group == "thesis" && case.name != "thesis_weak");
+    let of_thesis = cases.filter(|case| case.group == "thesis" && !case.name.ends_with("weak"));
     let mut rows = of_thesis.map(|mut case| {
         case.steps = THESIS_STEPS;
         case.run(&Backend::Cpu).unwrap()
@@ -148,6 +164,8 @@ fn strong_coupling_keeps_the_thesis_beam_stiff() {
     for row in [&strong, &undamped] {
         assert!(row.passed && row.missed == 0, "{row:?}");
         assert!(row.elastic_ratio < 0.01, "{row:?}");
+        // From a thousandth of all energy, where growth begins to count, to the hundredth that it stays below is 1.33 over four sub-steps.
+        assert!(row.growth.is_none_or(|growth| growth < 1.5), "{row:?}");
     }
     assert_eq!(
         (damping_only.sub_steps, damping_only.non_finite),
@@ -157,6 +175,22 @@ fn strong_coupling_keeps_the_thesis_beam_stiff() {
     assert!(
         damping_only.deflection > strong.deflection && strong.deflection > Some(0.0),
         "{damping_only:?} {strong:?}"
+    );
+    // Buoyancy acts upwards.
+    assert!(damping_only.lift > strong.lift, "{damping_only:?}");
+}
+
+/// Its growth and what it comes to in 0.4 s, not how far it goes, which is chance.
+#[test]
+fn weak_coupling_lets_the_thesis_beam_grow_unstable() {
+    let mut cases = cases(STEPS, 1.0).into_iter();
+    let mut weak = cases.find(|case| case.name == "thesis_weak").unwrap();
+    weak.steps = WEAK_STEPS;
+    let row = weak.run(&Backend::Cpu).unwrap();
+    assert!(row.passed && !row.completed(), "{row:?}");
+    assert!(
+        row.growth >= Some(1.5) && row.elastic_ratio >= 1.0,
+        "{row:?}"
     );
 }
 
@@ -206,7 +240,7 @@ fn weak_coupling_has_its_limit_within_5_percent() {
 #[test]
 fn every_case_is_a_scene_of_its_own_name() {
     let cases = cases(STEPS, 1.0);
-    assert!(cases.len() >= 44, "{}", cases.len());
+    assert!(cases.len() >= 68, "{}", cases.len());
     let mut names: Vec<String> = cases.iter().map(|case| case.name.clone()).collect();
     names.extend(limits().iter().map(|limit| limit.name()));
     let n = names.len();
@@ -223,7 +257,15 @@ fn every_case_is_a_scene_of_its_own_name() {
             case.name
         );
     }
+    // One unknown part is one too many, and nothing has run or is written by then.
     let folder = tempfile::tempdir().unwrap();
-    let error = bench_stability(&options(&["no such"]), folder.path(), &mut |_| {}).unwrap_err();
+    let unknown = options(&["gap", "density_1e-4"]);
+    let error = bench_stability(&unknown, folder.path(), &mut |_| panic!("ran")).unwrap_err();
     assert_eq!(error.exit_code(), 2);
+    let told = error.to_string();
+    assert!(
+        told.contains("`density_1e-4`") && told.contains("density_1e-3"),
+        "{told}"
+    );
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
 }

@@ -691,7 +691,8 @@ fn damping_only(sheet: &mut Sheet) {
     sheet.at_least(what, deflection(&film) / LENGTH, 0.2);
 }
 
-/// What `bench stability` asks of a torn beam: elastic energy over all energy of the start, and way of its end over its length.
+/// What a torn beam comes to on this grid: elastic energy over all energy of the start, and way of its end over its length. `bench stability`
+/// judges its growth too, which is not chance.
 const TORN: [f64; 2] = [10.0, 0.5];
 
 /// "The first method was unstable, with the solid undergoing extreme distortion, and the simulation eventually failing". As

@@ -13,7 +13,7 @@ pub(super) struct Stability {
     /// Sub-steps of each hostile scene
     #[arg(long, default_value_t = 2000, value_parser = clap::value_parser!(u64).range(1..))]
     steps: u64,
-    /// Parts of names: other cases are left out
+    /// Parts of names: other cases are left out; each has to be in one
     #[arg(long, value_delimiter = ',', value_name = "PART,..")]
     cases: Vec<String>,
     /// Multiply the cells of the thesis's scene, rounded
@@ -37,7 +37,7 @@ impl Stability {
         let verdict = |passed: bool| if passed { "ok  " } else { "FAIL" };
         let table = bench_stability(&options, &self.out, &mut |told| match told {
             Told::Case(row) => say!(
-                "{} {:24} sub-steps {:5}, energy {:.3} (to {:.2}; at the end {:.3}, elastic {:.3}), volume {:.3} to {:.3}, lost {:.4}, least det F {:.3}, inverted {}, missed {}, not settled {}, iterations {}, {:.1} s: {}",
+                "{} {:24} sub-steps {:5}, energy {:.3} (to {:.2}; at the end {:.3}, elastic {:.3}), motion {:.3} J (to {:.3}), nodes {:.2} m/s (to {:.2}), liquid {:.2} m/s (to {:.2}), volume {:.3} to {:.3}, lost {:.4}, least det F {:.3}, inverted {}, missed {}, not settled {}, iterations {}, {:.1} s: {}",
                 verdict(row.passed),
                 row.name,
                 row.sub_steps,
@@ -45,6 +45,12 @@ impl Stability {
                 row.energy_bound,
                 row.energy_end,
                 row.elastic_ratio,
+                row.motion,
+                row.motion_bound,
+                row.solid_speed,
+                row.solid_speed_bound,
+                row.liquid_speed,
+                row.liquid_speed_bound,
                 row.volume_least,
                 row.volume_most,
                 row.lost,

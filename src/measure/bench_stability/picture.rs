@@ -1,4 +1,4 @@
-//! The map of the matrix: a line per case, coloured by its verdict, with its energy, its worst element and its volume.
+//! The map of the matrix: a line per case, coloured by its verdict, with its energy, its speeds, its worst element and its volume.
 
 use plotters::prelude::*;
 
@@ -6,9 +6,13 @@ use super::{Place, Row, Table};
 
 const LINE: i32 = 17;
 const HEAD: i32 = 74;
-const WIDTH: u32 = 1180;
-/// Left ends of the columns: verdict, name, energy, worst det F, volume, what happened.
-const COLUMNS: [i32; 6] = [12, 34, 220, 400, 530, 730];
+const WIDTH: u32 = 1500;
+/// Left ends of the columns: verdict, name, energy, energy of motion and strain, speed of nodes, of liquid, worst det F, volume, what happened.
+const COLUMNS: [i32; 9] = [12, 34, 220, 400, 515, 630, 745, 860, 1060];
+const GOOD: RGBColor = RGBColor(46, 139, 87);
+/// Of a case that passes, though sub-steps missed a tolerance or left contacts unsettled.
+const MISSED: RGBColor = RGBColor(230, 160, 20);
+const BAD: RGBColor = RGBColor(200, 40, 40);
 /// Of a bar, pixels.
 const BAR: f64 = 60.0;
 /// From the left end of a bar to the number beside it.
@@ -41,10 +45,19 @@ impl Page<'_> {
         Ok(())
     }
 
-    fn verdict(&self, passed: bool, y: i32) -> Drawn {
+    /// What a value is of its bound.
+    fn share(&self, (x, y): (i32, i32), value: f64, most: f64) -> Drawn {
+        let share = match most > 0.0 {
+            true => value / most,
+            false => 0.0,
+        };
+        self.bar((x, y), share.max(0.02), &colour_of(value <= most))?;
+        self.text(&format!("{share:.3}"), (x + BESIDE, y + DOWN), 12)
+    }
+
+    fn verdict(&self, colour: &RGBColor, y: i32) -> Drawn {
         let [x, ..] = COLUMNS;
         let corners = [(x, y + 1), (x + 16, y + LINE - 3)];
-        let colour = colour_of(passed);
         self.0.draw(&Rectangle::new(corners, colour.filled()))?;
         Ok(())
     }
@@ -52,8 +65,15 @@ impl Page<'_> {
 
 fn colour_of(passed: bool) -> RGBColor {
     match passed {
-        true => RGBColor(46, 139, 87),
-        false => RGBColor(200, 40, 40),
+        true => GOOD,
+        false => BAD,
+    }
+}
+
+fn colour_of_row(row: &Row) -> RGBColor {
+    match row.passed && row.missed + row.unsettled > 0 {
+        true => MISSED,
+        false => colour_of(row.passed),
     }
 }
 
@@ -70,14 +90,25 @@ pub(super) fn draw(table: &Table, page: SVGBackend) -> Drawn {
         Place::Cpu(_) => "the f64 path",
     };
     page.text(
-        &format!("Stability: {} of {all} cases pass, {where_}", all - failed),
+        &format!(
+            "Stability: {} of {all} cases pass, {where_}{}",
+            all - failed,
+            match table.rows.iter().any(|row| colour_of_row(row) == MISSED) {
+                true =>
+                    "; yellow: with sub-steps that missed a tolerance or left contacts unsettled",
+                false => "",
+            }
+        ),
         (COLUMNS[0], 10),
         20,
     )?;
     let heads = [
         "",
         "case",
-        "largest energy, of its bound",
+        "largest energy (its bound)",
+        "motion, of bound",
+        "nodes, of bound",
+        "liquid, of bound",
         "least det F",
         "volume; markers lost",
         "",
@@ -99,7 +130,7 @@ pub(super) fn draw(table: &Table, page: SVGBackend) -> Drawn {
     }
     y += LINE;
     for row in &table.limits {
-        page.verdict(row.passed, y)?;
+        page.verdict(&colour_of(row.passed), y)?;
         page.text(&row.name, (COLUMNS[1], y + DOWN), 12)?;
         let got = format!(
             "weak coupling, m_a/m_s = {:.4}, {:.2} of the limit: grows by {:.4} a sub-step, formula {:.4}",
@@ -113,8 +144,8 @@ pub(super) fn draw(table: &Table, page: SVGBackend) -> Drawn {
 }
 
 fn of_row(page: &Page, row: &Row, y: i32) -> Drawn {
-    let [_, name, energy, det, volume, text] = COLUMNS;
-    page.verdict(row.passed, y)?;
+    let [_, name, energy, motion, nodes, liquid, det, volume, text] = COLUMNS;
+    page.verdict(&colour_of_row(row), y)?;
     page.text(&row.name, (name, y + DOWN), 12)?;
     // From the energy of the start to what it may come to.
     let gained = (row.energy_ratio - 1.0) / (row.energy_bound - 1.0);
@@ -122,6 +153,9 @@ fn of_row(page: &Page, row: &Row, y: i32) -> Drawn {
     page.bar((energy, y), gained.max(0.02), &colour_of(within))?;
     let numbers = format!("{:.3} (to {:.2})", row.energy_ratio, row.energy_bound);
     page.text(&numbers, (energy + BESIDE, y + DOWN), 12)?;
+    page.share((motion, y), row.motion, row.motion_bound)?;
+    page.share((nodes, y), row.solid_speed, row.solid_speed_bound)?;
+    page.share((liquid, y), row.liquid_speed, row.liquid_speed_bound)?;
     page.bar((det, y), row.min_det, &RGBColor(70, 110, 180))?;
     page.text(&format!("{:.3}", row.min_det), (det + BESIDE, y + DOWN), 12)?;
     let mut volumes = format!("{:.3} to {:.3}", row.volume_least, row.volume_most);
@@ -130,7 +164,8 @@ fn of_row(page: &Page, row: &Row, y: i32) -> Drawn {
     }
     page.text(&volumes, (volume, y + DOWN), 12)?;
     let first_line = row.status.lines().next().unwrap_or_default();
-    let happened = match row.passed && row.status == "completed" {
+    let plain = row.completed() && row.missed + row.unsettled == 0;
+    let happened = match row.passed && plain {
         true => row.varies.clone(),
         false => first_line.to_owned(),
     };
