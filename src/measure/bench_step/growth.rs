@@ -8,7 +8,7 @@ use super::Row;
 /// How far scales are rounded, relative.
 const ROUNDED: f64 = 1e-9;
 
-/// A row of step_growth.csv: seconds of a sub-step of a kind ~ size^exponent, through rows of a scene that simulate the same time.
+/// A row of step_growth.csv: seconds of a sub-step of a kind ~ size^exponent, through rows of a scene, over the same frames.
 #[derive(Clone, Debug, Serialize)]
 pub struct Growth {
     /// Name of the scene.
