@@ -292,8 +292,8 @@ mod tests {
             Assembled::Pressure(&pressure),
             Assembled::Both(&both, &scene.solids),
         ];
-        // The loosest, that of the tables, and one that takes rounds of refinement.
-        for tolerance in [1e-3, 1e-8, 1e-10] {
+        // A loose one, that of the tables, and one that takes rounds of refinement.
+        for tolerance in [1e-4, 1e-8, 1e-10] {
             let settings = Solver {
                 tolerance,
                 max_iterations: 10_000,

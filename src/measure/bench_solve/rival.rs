@@ -10,8 +10,10 @@ use crate::reference::{
 use crate::scene::Solver;
 use crate::state::SolveReport;
 
-/// A later round of conjugate gradients goes to this share of the reduction that is left: the residual that it sees is not the one that is
-/// judged.
+/// The first round of conjugate gradients goes at least so far where the residual that it sees is not the one that is judged: pressures have little
+/// part in it.
+const FIRST_ROUND: f64 = 1e-6;
+/// A later round goes to this share of the reduction that is left, for the same reason.
 const LATER_ROUNDS: f64 = 0.01;
 
 /// Another solver, on the CPU.
@@ -145,9 +147,13 @@ impl Definite<'_> {
         let mut later = false;
         self.refined(settings, |x, tolerance, left| {
             let rhs = x.clone();
-            let share = if later { LATER_ROUNDS } else { 1.0 };
+            let asked = match (self, later) {
+                (Definite::Pressure { .. }, _) => tolerance,
+                (Definite::Both { .. }, false) => tolerance.min(FIRST_ROUND),
+                (Definite::Both { .. }, true) => LATER_ROUNDS * tolerance,
+            };
             later = true;
-            let (asked, most) = (share * tolerance, left as usize);
+            let most = left as usize;
             let report = conjugate_gradient(matrix, preconditioner, &rhs, x, asked, most);
             (report.iterations as u32, report.end)
         })
