@@ -42,7 +42,11 @@ const OF_TIMES: [(&str, &[&str]); 5] = [
     ),
 ];
 /// Columns, by table, that say how many repeats there was time for.
-const REPEATS: [(&str, &str); 2] = [("solve.csv", "runs"), ("solve_against.csv", "turns")];
+const REPEATS: [(&str, &str); 3] = [
+    ("solve.csv", "runs"),
+    ("solve_against.csv", "turns"),
+    ("step.csv", "runs"),
+];
 /// Tables whose columns have names that the user chose, of probes and of keys: these tell nothing.
 const NAMED_BY_USERS: [&str; 2] = ["probes.csv", "summary.csv"];
 

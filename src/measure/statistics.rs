@@ -75,9 +75,74 @@ pub fn exponent(points: impl IntoIterator<Item = (f64, f64)>) -> Option<f64> {
     Some(both / square)
 }
 
+/// What exponents of a power law come of points with spreads.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Exponents {
+    /// Through all medians.
+    pub fit: f64,
+    /// Through the medians at the two largest x: what is fixed tells less there.
+    pub last: f64,
+    /// Least fit through values within the spreads.
+    pub low: f64,
+    /// Largest.
+    pub high: f64,
+}
+
+impl Exponents {
+    /// Of x and spreads of y; none where [`exponent`] has none.
+    pub fn of(points: &[(f64, Spread)]) -> Option<Exponents> {
+        let through = |value: &dyn Fn(f64, Spread) -> f64| {
+            exponent(points.iter().map(|&(x, y)| (x, value(x, y))))
+        };
+        let mut sizes: Vec<f64> = points.iter().map(|point| point.0).collect();
+        sizes.sort_by(f64::total_cmp);
+        sizes.dedup();
+        let before = *sizes.get(sizes.len().checked_sub(2)?)?;
+        let last = points.iter().filter(|point| point.0 >= before);
+        // The slope is a sum of the logarithms with weights that have the sign of what x is beyond the middle.
+        let middle = points.iter().map(|point| point.0.ln()).sum::<f64>() / points.len() as f64;
+        Some(Exponents {
+            fit: through(&|_, y| y.median)?,
+            last: exponent(last.map(|&(x, y)| (x, y.median)))?,
+            low: through(&|x, y| if x.ln() > middle { y.min } else { y.max })?,
+            high: through(&|x, y| if x.ln() > middle { y.max } else { y.min })?,
+        })
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::{Spread, exponent};
+    use super::{Exponents, Spread, exponent};
+
+    #[test]
+    fn exponents_have_a_range_and_a_last_pair() {
+        // A launch of 1 s beside a second per unit.
+        let point = |x: f64| {
+            let y = 1.0 + x;
+            let (min, max) = (0.9 * y, 1.2 * y);
+            let spread = Spread {
+                median: y,
+                min,
+                max,
+            };
+            (x, spread)
+        };
+        let points = [10.0, 1.0, 100.0].map(point);
+        let found = Exponents::of(&points).unwrap();
+        assert!((found.last - (101.0_f64 / 11.0).log10()).abs() < 1e-12);
+        assert!(found.low < found.fit && found.fit < found.high && found.fit < found.last);
+        // Of three points a decade apart the slope is half that between the ends; what lies in the middle has no weight.
+        let ends = |low: f64, high: f64| 0.5 * (high * 101.0 / (low * 2.0)).log10();
+        assert!((found.low - ends(1.2, 0.9)).abs() < 1e-12, "{found:?}");
+        assert!((found.high - ends(0.9, 1.2)).abs() < 1e-12, "{found:?}");
+        let exact = Exponents::of(&[(2.0, Spread::exact(3.0)), (4.0, Spread::exact(6.0))]);
+        let exact = exact.unwrap();
+        for exponent in [exact.fit, exact.last, exact.low, exact.high] {
+            assert!((exponent - 1.0).abs() < 1e-12, "{exact:?}");
+        }
+        assert_eq!(Exponents::of(&[point(2.0), point(2.0)]), None);
+        assert_eq!(Exponents::of(&[]), None);
+    }
 
     #[test]
     fn the_exponent_of_a_power_is_found() {

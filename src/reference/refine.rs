@@ -19,7 +19,7 @@ const STAGNATION: f64 = 0.5;
 const OF_OTHER: f64 = 0.01;
 
 /// A system A x = b that is judged on its true residual, as a whole or in parts.
-pub(super) trait Judged {
+pub(crate) trait Judged {
     /// b.
     fn rhs(&self) -> &[f64];
 
@@ -46,7 +46,7 @@ pub(super) trait Judged {
 }
 
 /// What is judged for itself.
-pub(super) struct Part {
+pub(crate) struct Part {
     pub(super) range: Range<usize>,
     pub(super) unknowns: usize,
     pub(super) scale: f64,
@@ -62,10 +62,10 @@ impl Part {
 }
 
 /// An answer to A x = r.
-pub(super) struct Correction {
-    pub(super) x: Vec<f64>,
-    pub(super) iterations: u32,
-    pub(super) end: CgEnd,
+pub(crate) struct Correction {
+    pub(crate) x: Vec<f64>,
+    pub(crate) iterations: u32,
+    pub(crate) end: CgEnd,
 }
 
 /// The norms of the parts of a residual against what they may be.
@@ -123,7 +123,7 @@ pub(super) fn refine(
 }
 
 /// The same, with a report for each part; all tell the iterations and the end of the whole.
-pub(super) fn refine_parts(
+pub(crate) fn refine_parts(
     system: &impl Judged,
     settings: &Solver,
     mut correct: impl FnMut(&[f64], f64, u32) -> Correction,

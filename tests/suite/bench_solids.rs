@@ -4,7 +4,7 @@ use std::fs;
 
 use cutwater::gpu::AdapterChoice;
 use cutwater::measure::bench_solids::{self, Body, Row, bench_solids};
-use cutwater::measure::bench_step::{self, bench_step};
+use cutwater::measure::bench_step::{self, Case, bench_step};
 use cutwater::scene::{Scene, Solver};
 
 use crate::common::gpu;
@@ -105,7 +105,7 @@ fn sub_steps_of_solids_have_bytes_for_every_stage() {
     let file = folder.path().join("swing.toml");
     fs::write(&file, SCENE).unwrap();
     let options = bench_step::Options {
-        scenes: vec![Scene::load(&file, &[], 1.0).unwrap()],
+        scenes: vec![Case::new(Scene::load(&file, &[], 1.0).unwrap(), 1.0).unwrap()],
         frames: 3,
         repeats: 1,
         larger_domain: None,

@@ -25,7 +25,7 @@ fn every_formulation_has_a_row_and_every_rival_its_own() {
     let Some(gpu) = gpu() else { return };
     let folder = tempfile::tempdir().unwrap();
     let options = Options {
-        against: vec![Rival::IncompleteCholesky, Rival::Cholesky],
+        against: vec![Rival::IncompleteCholesky, Rival::Cholesky, Rival::Multigrid],
         repeats: 3,
         ..options(vec![
             Formulation::Pressure,
@@ -52,13 +52,18 @@ fn every_formulation_has_a_row_and_every_rival_its_own() {
         assert!(row.bytes > of_cells && row.seconds_min > 0.0, "{row:?}");
     }
     assert!(pressure.residual_v == 0.0 && both.residual_v > 0.0);
-    assert_eq!((told, table.against.len()), (9, 6));
+    assert_eq!((told, table.against.len()), (12, 9));
     for rival in &table.against {
-        let residual = rival.residual.unwrap();
-        let exact = rival.rival == "cholesky";
-        // The recurrence's residual is not the true one.
-        assert!(residual < if exact { 1e-9 } else { 2e-8 }, "{rival:?}");
+        // The residuals that the device is judged on, with solids those of the indefinite system.
+        let coupled = rival.formulation != "pressure";
+        let residuals = [rival.residual_p, rival.residual_v].map(Option::unwrap);
+        assert_eq!(rival.status, Some("converged"), "{rival:?}");
+        assert!(residuals.iter().all(|&r| r <= 1e-8), "{rival:?}");
+        assert_eq!([residuals[0] > 0.0, residuals[1] > 0.0], [true, coupled]);
+        let [exact, multigrid] = ["cholesky", "multigrid_cg"].map(|name| rival.rival == name);
         assert_eq!(rival.iterations.is_some(), !exact, "{rival:?}");
+        assert_eq!(rival.factor_bytes.is_some(), !multigrid, "{rival:?}");
+        assert!(rival.threads >= 1 && !rival.parallel.is_empty());
         // Of the turns, whichever they were.
         let bounds = [
             rival.seconds_min.unwrap() / rival.device_seconds_max,
@@ -69,14 +74,11 @@ fn every_formulation_has_a_row_and_every_rival_its_own() {
         ];
         assert!(bounds.is_sorted() && bounds[0] > 0.0, "{rival:?}");
         assert_eq!((rival.turns, rival.note.as_str()), (3, ""), "{rival:?}");
-        let coupled = rival.formulation != "pressure";
-        assert_eq!(
-            rival.rows > rival.active_cells as usize,
-            coupled,
-            "{rival:?}"
-        );
+        // Multigrid has pressures alone.
+        let more = rival.rows > rival.active_cells as usize;
+        assert_eq!(more, coupled && !multigrid, "{rival:?}");
     }
-    for (file, lines) in [("solve.csv", 4), ("solve_against.csv", 7)] {
+    for (file, lines) in [("solve.csv", 4), ("solve_against.csv", 10)] {
         let written = fs::read_to_string(folder.path().join(file)).unwrap();
         assert_eq!(written.lines().count(), lines, "{written}");
     }
@@ -141,7 +143,7 @@ fn growth_is_along_what_grows() {
     let left_out = table
         .against
         .iter()
-        .all(|row| row.seconds_median.is_none() && row.turns == 0 && row.factor_bytes > 1.0);
+        .all(|row| row.seconds_median.is_none() && row.turns == 0 && row.factor_bytes > Some(1.0));
     assert!(left_out, "{:?}", table.against);
     let written = fs::read_to_string(folder.path().join("solve_against.csv")).unwrap();
     assert_eq!(written.matches("GiB left out").count(), 6, "{written}");
@@ -166,6 +168,11 @@ fn growth_is_along_what_grows() {
             growth.exponent.is_finite() && growth.from < growth.to,
             "{growth:?}"
         );
+        let within = growth.exponent_low..=growth.exponent_high;
+        assert!(within.contains(&growth.exponent), "{growth:?}");
+        // Of two sizes the last pair is all there is; least squares round.
+        let last = growth.exponent_last - growth.exponent;
+        assert!(last.abs() < 1e-9, "{growth:?}");
     }
 }
 

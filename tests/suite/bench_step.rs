@@ -5,11 +5,16 @@ use std::path::Path;
 
 use cutwater::Error;
 use cutwater::gpu::AdapterChoice;
-use cutwater::measure::bench_step::{Options, bench_step};
+use cutwater::measure::bench_step::{Case, Options, bench_step, largest_scale};
 use cutwater::scene::{Precision, Scene, Solver};
+use cutwater::sim::Plan;
 use serde_json::Value;
 
 use crate::common::gpu;
+
+fn at_scale(file: &Path, scale: f64) -> Case {
+    Case::new(Scene::load(file, &[], scale).unwrap(), 1.0).unwrap()
+}
 
 #[test]
 fn tables_are_complete_and_both_domains_hold_the_same_liquid() {
@@ -17,7 +22,7 @@ fn tables_are_complete_and_both_domains_hold_the_same_liquid() {
     let folder = tempfile::tempdir().unwrap();
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/drop_into_pool.toml");
     let options = Options {
-        scenes: vec![Scene::load(&file, &[], 1.0 / 3.0).unwrap()],
+        scenes: vec![at_scale(&file, 1.0 / 3.0)],
         frames: 3,
         repeats: 2,
         larger_domain: Some([1, 8, 1]),
@@ -33,9 +38,20 @@ fn tables_are_complete_and_both_domains_hold_the_same_liquid() {
         let ordered =
             row.seconds_min <= row.seconds_median && row.seconds_median <= row.seconds_max;
         assert!(
-            ordered && row.seconds_min > 0.0 && row.sub_steps >= 4,
+            ordered && row.seconds_min > 0.0 && row.sub_steps >= 2,
             "{row:?}"
         );
+        assert_eq!((row.runs, row.kind), (2, "apart"));
+        // The mean of a run lies between its sub-steps. Of two runs medians are means, which keep that.
+        let mean = row.seconds_median;
+        let bounds = [row.sub_step_seconds_min, row.sub_step_seconds_max];
+        let slack = 1e-9 * mean;
+        assert!(
+            bounds[0] <= mean + slack && mean <= bounds[1] + slack,
+            "{row:?}"
+        );
+        // Three frames of 1/24 s but for the first sub-step.
+        assert!(row.simulated > 0.0 && row.simulated < 3.0 / 24.0, "{row:?}");
         // An iteration with a V-cycle moves 120 bytes a cell where each quad is uniform, 235 where none is.
         let per_iteration = row.bytes / (row.unknowns * row.iterations);
         assert!((120.0..1000.0).contains(&per_iteration), "{row:?}");
@@ -111,14 +127,12 @@ fn a_solve_for_both_counts_its_own_bytes_and_is_written_before_another_scene_fai
     let out = folder.path().join("out");
     fs::create_dir(&out).unwrap();
     fs::write(out.join("step_growth.csv"), "of another run").unwrap();
-    let scene = Scene::load(&file, &[], 1.0).unwrap();
+    let scene = at_scale(&file, 1.0);
     // The condensed form is not for f32.
-    let refused = Scene {
-        solver: Solver {
-            precision: Precision::F32,
-            ..scene.solver
-        },
-        ..scene.clone()
+    let mut refused = scene.clone();
+    refused.scene.solver = Solver {
+        precision: Precision::F32,
+        ..scene.scene.solver
     };
     let options = Options {
         scenes: vec![scene, refused],
@@ -132,6 +146,7 @@ fn a_solve_for_both_counts_its_own_bytes_and_is_written_before_another_scene_fai
     assert!(matches!(error, Error::Limit { .. }), "{error}");
     let [row] = &told[..] else { panic!("{told:?}") };
     assert_eq!((row.nodes, row.elements), (45, 6 * 16));
+    assert_eq!(row.kind, "touching");
     // An iteration has a V-cycle and an inverse among the wet nodes in f32. A polynomial of degree 64, as a solve for solids by themselves has
     // here, would move 1 MB and more.
     let wet = (3.0 * row.nodes as f64).powi(2);
@@ -160,4 +175,84 @@ fn a_solve_for_both_counts_its_own_bytes_and_is_written_before_another_scene_fai
         let name = stage["stage"].as_str().unwrap();
         assert!(svg.contains(&format!("\n{name}\n")), "{name}");
     }
+}
+
+#[test]
+fn solids_are_refined_beside_the_grid_and_kinds_of_sub_steps_are_told_apart() {
+    if gpu().is_none() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("block.toml");
+    fs::write(&file, BLOCK).unwrap();
+    let case = |scale, solids_scale| {
+        let scene = Scene::load(&file, &[], scale).unwrap();
+        Case::new(scene, solids_scale).unwrap()
+    };
+    let sizes = [[1.0, 0.5], [1.0, 1.0], [2.0, 0.5], [2.0, 1.0]];
+    let scenes = sizes.map(|[scale, solids_scale]| case(scale, solids_scale));
+    let options = Options {
+        scenes: scenes.to_vec(),
+        frames: 3,
+        repeats: 1,
+        larger_domain: None,
+        adapter: AdapterChoice::Best,
+    };
+    let table = bench_step(&options, folder.path(), &mut |_| ()).unwrap();
+    // 1 x 2 x 1 bricks and 2 x 4 x 2.
+    let sizes: Vec<_> = table
+        .rows
+        .iter()
+        .map(|row| (row.cells, row.nodes, row.kind))
+        .collect();
+    let expected = [(512, 12), (512, 45), (4096, 12), (4096, 45)];
+    let expected = expected.map(|(cells, nodes)| (cells, nodes, "touching"));
+    assert_eq!(sizes, expected, "{:?}", table.rows);
+    let along: Vec<_> = table
+        .growth
+        .iter()
+        .map(|growth| (growth.along, growth.fixed, growth.rows))
+        .collect();
+    let expected = [
+        ("cells", Some(12), 2),
+        ("nodes", Some(512), 2),
+        ("both", None, 2),
+        ("cells", Some(45), 2),
+        ("nodes", Some(4096), 2),
+    ];
+    assert_eq!(along, expected, "{:?}", table.growth);
+    // A bar has the stages of its own sub-steps.
+    for row in &table.rows {
+        let stages = table.stages.iter().filter(|stage| {
+            (stage.scale, stage.solids_scale) == (row.scale, row.solids_scale)
+                && stage.kind == row.kind
+        });
+        let names: Vec<_> = stages.map(|stage| stage.stage).collect();
+        assert_eq!(names.iter().filter(|name| **name == "solve").count(), 1);
+    }
+
+    let error = Case::new(case(1.0, 1.0).scene, 0.0).unwrap_err();
+    assert!(error.to_string().contains("--solids-scale 0"), "{error}");
+}
+
+#[test]
+fn the_largest_scale_is_one_that_there_is_room_for() {
+    let Some(gpu) = gpu() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("block.toml");
+    fs::write(&file, BLOCK).unwrap();
+    // A small adapter, so that the search ends soon whatever the machine has.
+    let mut adapter = gpu.report().clone();
+    adapter.storage_binding = adapter.storage_binding.min(1 << 22);
+    let load = |scale| Case::new(Scene::load(&file, &[], scale)?, 1.0);
+    let scale = largest_scale(&load, &adapter).unwrap();
+    // 8 cells along an edge are a unit each, and ten of them a step.
+    let cells = load(scale).unwrap().scene.domain.cells;
+    assert!(cells[0].is_multiple_of(10), "{cells:?}");
+    let fits = |scale: f64| {
+        let plan = Plan::new(&load(scale).unwrap().scene, Some(&adapter)).unwrap();
+        plan.check(&adapter)
+    };
+    fits(scale).unwrap();
+    fits(scale + 10.0 / 8.0).unwrap_err();
 }

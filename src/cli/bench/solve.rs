@@ -109,6 +109,8 @@ enum RivalName {
     Ic0,
     /// A sparse Cholesky factor
     Cholesky,
+    /// The f64 path's conjugate gradients with multigrid, of liquid and solids in the condensed form
+    Multigrid,
 }
 
 /// Bricks across the beam.
@@ -177,6 +179,7 @@ impl Solve {
         let against = self.against.iter().map(|name| match name {
             RivalName::Ic0 => Rival::IncompleteCholesky,
             RivalName::Cholesky => Rival::Cholesky,
+            RivalName::Multigrid => Rival::Multigrid,
         });
         let options = Options {
             formulations: formulations.collect(),
@@ -214,24 +217,28 @@ impl Solve {
             for rival in against {
                 match (rival.seconds_median, rival.ratio_median) {
                     (Some(seconds), Some(ratio)) => say!(
-                        "      {:8} on the CPU: {seconds:.4} s, {ratio:.2} times as long ({:.2}, {:.2}), residual {:.1e}",
+                        "      {:12} on the CPU: {seconds:.4} s, {ratio:.2} times as long ({:.2}, {:.2}), residuals {:.1e} {:.1e}",
                         rival.rival,
                         rival.ratio_min.unwrap_or(ratio),
                         rival.ratio_max.unwrap_or(ratio),
-                        rival.residual.unwrap_or(0.0)
+                        rival.residual_p.unwrap_or(0.0),
+                        rival.residual_v.unwrap_or(0.0)
                     ),
-                    _ => say!("      {:8} on the CPU: {}", rival.rival, rival.note),
+                    _ => say!("      {:12} on the CPU: {}", rival.rival, rival.note),
                 }
             }
         })?;
         for growth in &table.growth {
             say!(
-                "{} {} {}: seconds grow with {} to the power of {:.2} ({} to {})",
+                "{} {} {}: seconds grow with {} to the power of {:.2} ({:.2} to {:.2}), at last {:.2} ({} to {})",
                 growth.formulation,
                 growth.solver,
                 growth.precision,
                 growth.along,
                 growth.exponent,
+                growth.exponent_low,
+                growth.exponent_high,
+                growth.exponent_last,
                 growth.from,
                 growth.to,
             );

@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 use cutwater::Error;
-use cutwater::measure::bench_step;
+use cutwater::gpu::Gpu;
+use cutwater::measure::bench_step::{self, Case};
 use cutwater::scene::Scene;
 
 use super::{at_least_once, tell_machine};
@@ -15,21 +16,30 @@ pub(super) struct Step {
     /// Scene files (TOML)
     #[arg(required = true)]
     scenes: Vec<PathBuf>,
-    /// Multiply domain.cells, rounded; several, to see how seconds grow with the cells
+    /// Multiply domain.cells, rounded; several, to see how seconds grow with the cells; max: by the most that the adapter and this machine have
+    /// room for
     #[arg(
         long,
         value_delimiter = ',',
         value_name = "S,S,..",
         default_value = "1"
     )]
-    scale: Vec<f64>,
+    scale: Vec<ScaleName>,
+    /// Refine the meshes of the solids by so much, each on every grid: bricks of boxes are multiplied, lengths of edges divided; files stay
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "S,S,..",
+        default_value = "1"
+    )]
+    solids_scale: Vec<f64>,
     /// Override a key of every scene; may be repeated
     #[arg(long = "set", value_name = "KEY=VALUE")]
     overrides: Vec<String>,
     /// Frames of each run
     #[arg(long, default_value_t = 6)]
     frames: u64,
-    /// Runs of each scene from its start
+    /// Runs of each scene from its start; no more are begun where they have taken 60 s
     #[arg(long, default_value_t = 3, value_parser = at_least_once())]
     repeats: usize,
     /// Also run each scene in a domain that many times larger along x, y, z, by turns, and give the ratio of the seconds
@@ -42,7 +52,51 @@ pub(super) struct Step {
     adapter: AdapterArgs,
 }
 
+#[derive(Clone, Copy, Debug)]
+enum ScaleName {
+    Scale(f64),
+    Max,
+}
+
+impl std::str::FromStr for ScaleName {
+    type Err = &'static str;
+
+    fn from_str(text: &str) -> Result<ScaleName, Self::Err> {
+        match text {
+            "max" => Ok(ScaleName::Max),
+            _ => text
+                .parse()
+                .map(ScaleName::Scale)
+                .map_err(|_| "give numbers, or max"),
+        }
+    }
+}
+
 impl Step {
+    /// Every scene at every scale, of the grid and of its solids.
+    fn cases(&self) -> Result<Vec<Case>, Error> {
+        let mut cases = Vec::new();
+        for path in &self.scenes {
+            for &scale in &self.scale {
+                for &solids_scale in &self.solids_scale {
+                    let load = |scale: f64| {
+                        let scene = Scene::load(path, &self.overrides, scale)?;
+                        Case::new(scene, solids_scale)
+                    };
+                    let scale = match scale {
+                        ScaleName::Scale(scale) => scale,
+                        ScaleName::Max => {
+                            let adapter = Gpu::find(&self.adapter.choice())?;
+                            bench_step::largest_scale(&load, &adapter)?
+                        }
+                    };
+                    cases.push(load(scale)?);
+                }
+            }
+        }
+        Ok(cases)
+    }
+
     pub(super) fn run(&self) -> Result<(), Error> {
         let larger_domain = match self.larger_domain[..] {
             [] => None,
@@ -55,29 +109,26 @@ impl Step {
                 ));
             }
         };
-        let scenes = self.scenes.iter().flat_map(|path| {
-            let scales = self.scale.iter();
-            scales.map(|&scale| Scene::load(path, &self.overrides, scale))
-        });
         let options = bench_step::Options {
-            scenes: scenes.collect::<Result<_, _>>()?,
+            scenes: self.cases()?,
             frames: self.frames,
             repeats: self.repeats,
             larger_domain,
             adapter: self.adapter.choice(),
         };
         say!(
-            "scene                       cells  unknowns   markers     nodes  sub-steps  ms (least, largest)  cells/s  of copy bandwidth"
+            "scene                       cells  unknowns   markers     nodes  sub-steps           ms (least, largest of the runs)  cells/s  of copy bandwidth"
         );
         let table = bench_step::bench_step(&options, &self.out, &mut |row| {
             say!(
-                "{:24} {:8}  {:8}  {:8}  {:8}  {:9}  {:.2} ({:.2}, {:.2})  {:.1e}  {:.0} %",
+                "{:24} {:8}  {:8.0}  {:8}  {:8}  {:9} {:8}  {:.2} ({:.2}, {:.2})  {:.1e}  {:.0} %",
                 row.scene,
                 row.cells,
                 row.unknowns + row.solid_unknowns,
                 row.markers,
                 row.nodes,
                 row.sub_steps,
+                row.kind,
                 1e3 * row.seconds_median,
                 1e3 * row.seconds_min,
                 1e3 * row.seconds_max,
@@ -87,17 +138,23 @@ impl Step {
         })?;
         for pair in &table.pairs {
             say!(
-                "{}: {:.3} times the seconds in the larger domain ({:.3} for the least)",
+                "{}, {}: {:.3} times the seconds in the larger domain ({:.3} for the least)",
                 pair.scene,
+                pair.kind,
                 pair.ratio,
                 pair.ratio_of_least
             );
         }
         for growth in &table.growth {
             say!(
-                "{}: seconds grow with the cells to the power of {:.2} ({} to {})",
+                "{}, {}: seconds grow with {} to the power of {:.2} ({:.2} to {:.2}), at last {:.2} ({} to {})",
                 growth.scene,
+                growth.kind,
+                growth.along,
                 growth.exponent,
+                growth.exponent_low,
+                growth.exponent_high,
+                growth.exponent_last,
                 growth.from,
                 growth.to,
             );

@@ -5,10 +5,14 @@ use std::time::Instant;
 use serde::Serialize;
 
 use crate::Error;
-use crate::linalg::{CgEnd, CgReport, Csr, Incomplete, SymbolicCholesky, conjugate_gradient, norm};
+use crate::linalg::SymbolicCholesky;
+use crate::scene::Solver;
+use crate::state::SolveStatus;
 
 use super::super::statistics::Spread;
 use super::Row;
+use super::ended::Ended;
+use super::rival::{Assembled, Rival};
 
 /// No more runs of a solver are begun once they have taken so long, s.
 pub(super) const LONG_ENOUGH: f64 = 20.0;
@@ -16,26 +20,8 @@ pub(super) const LONG_ENOUGH: f64 = 20.0;
 /// Bytes.
 pub const GIB: f64 = (1_u64 << 30) as f64;
 
-/// Another solver, on the CPU.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Rival {
-    /// Conjugate gradients with an incomplete Cholesky factor without fill, natural order.
-    IncompleteCholesky,
-    /// A sparse Cholesky factor, in the order of approximate minimum degree, by faer on all cores.
-    Cholesky,
-}
-
-impl Rival {
-    pub(super) fn name(self) -> &'static str {
-        match self {
-            Rival::IncompleteCholesky => "ic0_cg",
-            Rival::Cholesky => "cholesky",
-        }
-    }
-}
-
-/// A row of solve_against.csv. The system is that of the row of solve.csv; of the two-field and condensed ones, the positive definite one of
-/// the thesis, (5.25). What was left out for its size, or did not converge, is empty.
+/// A row of solve_against.csv. The system is that of the row of solve.csv, and judged alike: on its true residuals, with solids those of the
+/// indefinite system, thesis (5.17). What was left out for its size is empty.
 #[derive(Clone, Debug, Serialize)]
 pub struct Against {
     /// As in [`Row`].
@@ -60,27 +46,35 @@ pub struct Against {
     pub device_seconds_min: f64,
     /// Largest.
     pub device_seconds_max: f64,
-    /// `ic0_cg` or `cholesky`.
+    /// `ic0_cg`, `cholesky` or `multigrid_cg`.
     pub rival: &'static str,
-    /// Of the matrix.
+    /// Threads that it may use.
+    pub threads: usize,
+    /// What of its work is spread over them; the rest is done by one.
+    pub parallel: &'static str,
+    /// Unknowns: of its matrix, thesis (5.25) with solids; of multigrid the pressures.
     pub rows: usize,
-    /// Of the matrix.
-    pub entries: usize,
-    /// Of the factor, bytes.
-    pub factor_bytes: f64,
-    /// Of conjugate gradients.
-    pub iterations: Option<usize>,
+    /// Of the matrix; empty for multigrid, which assembles none.
+    pub entries: Option<usize>,
+    /// Of its factor, bytes; empty for multigrid.
+    pub factor_bytes: Option<f64>,
+    /// As in [`Row`]; empty where it was left out.
+    pub status: Option<&'static str>,
+    /// Of conjugate gradients, in all rounds; empty for a factor.
+    pub iterations: Option<u32>,
     /// How often it was solved, each time after the device.
     pub turns: usize,
-    /// Factor and solution, the order found included; the matrix is there.
+    /// From the assembled B and, with solids, S and J to the verdict: its own matrix, order, factor or hierarchy included.
     pub seconds_median: Option<f64>,
     /// Least.
     pub seconds_min: Option<f64>,
     /// Largest.
     pub seconds_max: Option<f64>,
-    /// True relative residual of the rival's own system.
-    pub residual: Option<f64>,
-    /// Seconds over those on the device in the same turn, median of the turns; empty where the device did not converge.
+    /// True relative residual of the pressures' rows, as in [`Row`].
+    pub residual_p: Option<f64>,
+    /// Of the velocities' rows; 0 without solids.
+    pub residual_v: Option<f64>,
+    /// Seconds over those on the device in the same turn, median of the turns; empty where one of the two did not converge.
     pub ratio_median: Option<f64>,
     /// Least.
     pub ratio_min: Option<f64>,
@@ -90,46 +84,63 @@ pub struct Against {
     pub note: String,
 }
 
+impl Against {
+    /// Whether the residuals are within the tolerance. Others are no part of ratios and exponents.
+    pub(super) fn converged(&self) -> bool {
+        self.status == Some(SolveStatus::Converged.name())
+    }
+}
+
 /// A rival at work on a system.
 pub(super) struct Contest<'a> {
     rival: Rival,
-    matrix: &'a Csr,
-    rhs: &'a [f64],
-    tolerance: f64,
-    factor_bytes: f64,
+    system: Assembled<'a>,
+    settings: Solver,
+    rows: usize,
+    entries: Option<usize>,
+    factor_bytes: Option<f64>,
     /// Why it has no turns.
     left_out: Option<String>,
     /// Seconds of the device and of the rival.
     turns: Vec<[f64; 2]>,
-    iterations: Option<usize>,
-    residual: f64,
+    ended: Option<Ended>,
 }
 
 impl<'a> Contest<'a> {
-    /// `largest`: bytes of a factor.
+    /// To the tolerance of `solver`; `largest`: bytes of a factor.
     pub(super) fn new(
         rival: Rival,
-        (matrix, rhs): (&'a Csr, &'a [f64]),
-        tolerance: f64,
+        system: Assembled<'a>,
+        solver: &Solver,
         largest: f64,
     ) -> Result<Contest<'a>, Error> {
-        let entries = match rival {
-            Rival::IncompleteCholesky => matrix.n_entries(),
-            Rival::Cholesky => SymbolicCholesky::new(matrix)?.n_factor_entries(),
-        };
-        let factor_bytes = 8.0 * entries as f64;
-        Ok(Contest {
+        let mut contest = Contest {
             rival,
-            matrix,
-            rhs,
-            tolerance,
-            factor_bytes,
-            left_out: (factor_bytes > largest)
-                .then(|| format!("factor of {:.1} GiB left out", factor_bytes / GIB)),
+            system,
+            settings: *solver,
+            rows: system.n_pressures(),
+            entries: None,
+            factor_bytes: None,
+            left_out: None,
             turns: Vec::new(),
-            iterations: None,
-            residual: 0.0,
-        })
+            ended: None,
+        };
+        if rival != Rival::Multigrid {
+            let matrix = system.definite().matrix()?;
+            let of_factor = match rival {
+                Rival::Cholesky => SymbolicCholesky::new(&matrix)?.n_factor_entries(),
+                _ => matrix.n_entries(),
+            };
+            let bytes = 8.0 * of_factor as f64;
+            contest.rows = matrix.n_rows();
+            contest.entries = Some(matrix.n_entries());
+            contest.factor_bytes = Some(bytes);
+            contest.left_out =
+                (bytes > largest).then(|| format!("factor of {:.1} GiB left out", bytes / GIB));
+        }
+        // The device's limit is its own.
+        contest.settings.max_iterations = (10 * contest.rows) as u32;
+        Ok(contest)
     }
 
     /// Solves once, unless it has taken long enough. `device`: seconds that the device took just before.
@@ -138,48 +149,20 @@ impl<'a> Contest<'a> {
         if self.left_out.is_some() || taken > LONG_ENOUGH {
             return Ok(());
         }
-        let mut x = self.rhs.to_vec();
         let clock = Instant::now();
-        match self.rival {
-            Rival::IncompleteCholesky => {
-                let Some(factor) = Incomplete::new(self.matrix) else {
-                    self.left_out = Some("no incomplete factor without fill".to_owned());
-                    return Ok(());
-                };
-                let most = 10 * self.matrix.n_rows();
-                let (b, tolerance) = (self.rhs, self.tolerance);
-                let report = conjugate_gradient(self.matrix, &factor, b, &mut x, tolerance, most);
-                self.left_out = unsolved(report);
-                if self.left_out.is_some() {
-                    return Ok(());
-                }
-                self.iterations = Some(report.iterations);
-            }
-            Rival::Cholesky => {
-                let symbolic = SymbolicCholesky::new(self.matrix)?;
-                symbolic.factorise_in_parallel(self.matrix)?.solve(&mut x);
-            }
-        }
+        let Some(reports) = self.system.solve(self.rival, &self.settings)? else {
+            self.left_out = Some("no incomplete factor without fill".to_owned());
+            return Ok(());
+        };
         self.turns.push([device, clock.elapsed().as_secs_f64()]);
-        let mut residual = vec![0.0; x.len()];
-        self.matrix.multiply(&x, &mut residual);
-        for (r, b) in residual.iter_mut().zip(self.rhs) {
-            *r = b - *r;
-        }
-        self.residual = norm(&residual) / norm(self.rhs);
+        self.ended = Some(Ended::of_reports(&reports));
         Ok(())
     }
 
     /// Beside the row of the device.
     pub(super) fn row(self, device: &Row) -> Against {
         let seconds = spread(&self.turns, |[_, rival]| rival);
-        let ratio = spread(&self.turns, ratio).filter(|_| device.converged());
-        let note = match self.left_out {
-            Some(note) => note,
-            None if device.converged() => String::new(),
-            None => format!("no ratio: on the device {}", device.status),
-        };
-        Against {
+        let mut row = Against {
             scene: device.scene,
             grid: device.grid,
             active_cells: device.active_cells,
@@ -192,29 +175,39 @@ impl<'a> Contest<'a> {
             device_seconds_min: device.seconds_min,
             device_seconds_max: device.seconds_max,
             rival: self.rival.name(),
-            rows: self.matrix.n_rows(),
-            entries: self.matrix.n_entries(),
+            threads: rayon::current_num_threads(),
+            parallel: self.rival.parallel(),
+            rows: self.rows,
+            entries: self.entries,
             factor_bytes: self.factor_bytes,
-            iterations: self.iterations,
+            status: self.ended.map(|end| end.name(self.settings.tolerance)),
+            iterations: self
+                .ended
+                .filter(|_| self.rival != Rival::Cholesky)
+                .map(Ended::iterations),
             turns: self.turns.len(),
             seconds_median: seconds.map(|seconds| seconds.median),
             seconds_min: seconds.map(|seconds| seconds.min),
             seconds_max: seconds.map(|seconds| seconds.max),
-            residual: seconds.map(|_| self.residual),
-            ratio_median: ratio.map(|ratio| ratio.median),
-            ratio_min: ratio.map(|ratio| ratio.min),
-            ratio_max: ratio.map(|ratio| ratio.max),
-            note,
+            residual_p: self.ended.map(|end| end.residuals()[0]),
+            residual_v: self.ended.map(|end| end.residuals()[1]),
+            ratio_median: None,
+            ratio_min: None,
+            ratio_max: None,
+            note: String::new(),
+        };
+        row.note = match (self.left_out, row.status) {
+            (Some(note), _) => note,
+            (None, Some(status)) if !row.converged() => format!("no ratio: the rival {status}"),
+            _ if !device.converged() => format!("no ratio: on the device {}", device.status),
+            _ => String::new(),
+        };
+        if let Some(ratio) = spread(&self.turns, ratio).filter(|_| row.note.is_empty()) {
+            row.ratio_median = Some(ratio.median);
+            row.ratio_min = Some(ratio.min);
+            row.ratio_max = Some(ratio.max);
         }
-    }
-}
-
-/// Why conjugate gradients have no solution, where they have none.
-fn unsolved(CgReport { iterations, end }: CgReport) -> Option<String> {
-    match end {
-        CgEnd::Converged => None,
-        CgEnd::IterationLimit => Some(format!("not converged in {iterations} iterations")),
-        CgEnd::Breakdown => Some(format!("broke down after {iterations} iterations")),
+        row
     }
 }
 
@@ -231,7 +224,10 @@ fn ratio([device, rival]: [f64; 2]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::super::tests::row;
-    use super::{CgEnd, CgReport, Contest, Csr, Rival, Spread, ratio, spread, unsolved};
+    use super::{Against, Assembled, Contest, Ended, Rival, Solver, Spread, ratio, spread};
+    use crate::reference::base_block::BaseBlock;
+    use crate::reference::base_scene::{BaseBeam, BaseScene};
+    use crate::state::{SolveReport, SolveStatus};
 
     #[test]
     fn ratios_are_of_the_same_turn() {
@@ -250,51 +246,69 @@ mod tests {
 
     #[test]
     fn what_did_not_converge_has_a_note_and_no_ratio() {
-        let end = |end| {
-            unsolved(CgReport {
-                iterations: 70,
-                end,
-            })
+        let system = BaseBlock::new(4).pressure_system();
+        let against = |device, left_out: Option<String>, status| -> Against {
+            let solver = Solver::default();
+            let rival = Rival::IncompleteCholesky;
+            let mut contest =
+                Contest::new(rival, Assembled::Pressure(&system), &solver, 1e9).unwrap();
+            if left_out.is_none() {
+                contest.turns = vec![[2.0, 1.0]];
+                contest.ended = Some(Ended::of_reports(&[SolveReport {
+                    unknowns: 1,
+                    iterations: 70,
+                    residual: 1e-9,
+                    status,
+                }]));
+            }
+            contest.left_out = left_out;
+            contest.row(&row(20, device))
         };
-        assert_eq!(end(CgEnd::Converged), None);
-        let [limit, broken] = [CgEnd::IterationLimit, CgEnd::Breakdown].map(end);
-        assert_eq!(limit.as_deref(), Some("not converged in 70 iterations"));
-        assert_eq!(broken.as_deref(), Some("broke down after 70 iterations"));
-
-        let matrix = Csr::diagonal_of(&[1.0]);
-        let against = |status, left_out: Option<String>| {
-            let turns = match left_out {
-                None => vec![[2.0, 1.0]],
-                Some(_) => Vec::new(),
-            };
-            let contest = Contest {
-                rival: Rival::IncompleteCholesky,
-                matrix: &matrix,
-                rhs: &[1.0],
-                tolerance: 1e-8,
-                factor_bytes: 8.0,
-                left_out,
-                turns,
-                iterations: None,
-                residual: 0.0,
-            };
-            contest.row(&row(20, status))
-        };
-        let fair = against("converged", None);
+        let passed = SolveStatus::Converged;
+        let fair = against("converged", None, passed);
         assert_eq!((fair.ratio_median, fair.note.as_str()), (Some(0.5), ""));
         for status in ["stagnated", "converged_to_rounding"] {
-            let unfair = against(status, None);
-            assert_eq!(
-                (unfair.seconds_median, unfair.ratio_median),
-                (Some(1.0), None)
-            );
+            let unfair = against(status, None, passed);
+            let found = (unfair.seconds_median, unfair.ratio_median);
+            assert_eq!(found, (Some(1.0), None));
             assert!(unfair.note.ends_with(status), "{}", unfair.note);
         }
-        let left_out = against("converged", limit);
-        assert_eq!(
-            (left_out.seconds_median, left_out.ratio_median),
-            (None, None)
-        );
-        assert_eq!(left_out.note, "not converged in 70 iterations");
+        let limited = against("converged", None, SolveStatus::IterationLimit);
+        assert_eq!((limited.ratio_median, limited.converged()), (None, false));
+        assert_eq!(limited.note, "no ratio: the rival iteration_limit");
+        let left_out = against("converged", Some("too large".to_owned()), passed);
+        let found = (left_out.seconds_median, left_out.ratio_median);
+        assert_eq!((found, left_out.status), ((None, None), None));
+        assert_eq!(left_out.note, "too large");
+    }
+
+    /// The systems are as the bench has them, on a small grid.
+    #[test]
+    fn all_rivals_pass_the_residuals_that_the_device_is_judged_on() {
+        let pressure = BaseBlock::new(8).pressure_system();
+        let scene = BaseScene::new(8, &BaseBeam::default()).unwrap();
+        let both = scene.coupled_system();
+        let systems = [
+            Assembled::Pressure(&pressure),
+            Assembled::Both(&both, &scene.solids),
+        ];
+        // A loose one, that of the tables, and one that takes rounds of refinement.
+        for tolerance in [1e-4, 1e-8, 1e-10] {
+            let settings = Solver {
+                tolerance,
+                max_iterations: 10_000,
+                ..Solver::default()
+            };
+            for (system, parts) in systems.into_iter().zip([1, 2]) {
+                for rival in [Rival::IncompleteCholesky, Rival::Cholesky, Rival::Multigrid] {
+                    let reports = system.solve(rival, &settings).unwrap().unwrap();
+                    assert_eq!(reports.len(), parts);
+                    let ended = Ended::of_reports(&reports);
+                    let what = format!("{} to {tolerance}: {ended}", rival.name());
+                    assert_eq!(ended.name(tolerance), "converged", "{what}");
+                    assert_eq!(ended.iterations() == 0, rival == Rival::Cholesky, "{what}");
+                }
+            }
+        }
     }
 }

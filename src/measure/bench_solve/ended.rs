@@ -4,7 +4,7 @@ use std::fmt;
 
 use crate::Error;
 use crate::solver::{CoupledOutcome, Outcome};
-use crate::state::SolveStatus;
+use crate::state::{SolveReport, SolveStatus};
 
 /// How a solve ended. The same solve on the same device repeats it to the bit.
 #[derive(Clone, Copy, Debug)]
@@ -32,6 +32,31 @@ impl Ended {
             iterations: outcome.iterations,
             residuals: outcome.residuals,
         }
+    }
+
+    /// Of what a sub-step or the f64 path reports: of one system, or of liquid and solids. The status is the first other than
+    /// [`SolveStatus::Converged`], the iterations are the most: of a solve for both each report tells those of the whole. Residuals are relative;
+    /// no report is a solve of nothing, which converged. Of more than two reports only the residuals of the first two are judged.
+    pub(in crate::measure) fn of_reports(reports: &[SolveReport]) -> Ended {
+        let mut statuses = reports.iter().map(|report| report.status);
+        let failed = statuses.find(|status| *status != SolveStatus::Converged);
+        let iterations = reports.iter().map(|report| report.iterations).max();
+        let residual = |part: usize| reports.get(part).map_or(0.0, |report| report.residual);
+        Ended {
+            status: failed.unwrap_or(SolveStatus::Converged),
+            iterations: iterations.unwrap_or(0),
+            residuals: [0, 1].map(residual),
+        }
+    }
+
+    /// In all rounds; 0 of a direct solve.
+    pub(super) fn iterations(self) -> u32 {
+        self.iterations
+    }
+
+    /// True relative residuals of the pressures' rows and of the velocities'.
+    pub(super) fn residuals(self) -> [f64; 2] {
+        self.residuals
     }
 
     /// Refuses a repeat that ended otherwise. `what`: was solved.
@@ -77,7 +102,7 @@ impl fmt::Display for Ended {
 #[cfg(test)]
 mod tests {
     use super::Ended;
-    use crate::state::SolveStatus;
+    use crate::state::{SolveReport, SolveStatus};
 
     const CONVERGED: Ended = Ended {
         status: SolveStatus::Converged,
@@ -130,5 +155,27 @@ mod tests {
             ..CONVERGED
         };
         assert_eq!(stagnated.name(1.5e-9), "stagnated");
+    }
+
+    #[test]
+    fn reports_of_both_parts_are_one_end() {
+        let report = |residual, status| SolveReport {
+            unknowns: 10,
+            iterations: 7,
+            residual,
+            status,
+        };
+        let passed = |residual| report(residual, SolveStatus::Converged);
+        let both = Ended::of_reports(&[passed(1e-9), passed(3e-8)]);
+        assert_eq!((both.iterations(), both.residuals()), (7, [1e-9, 3e-8]));
+        // Whichever part is above the tolerance.
+        assert_eq!(both.name(1e-7), "converged");
+        assert_eq!(both.name(1e-8), "converged_to_rounding");
+        let other = Ended::of_reports(&[passed(3e-8), passed(1e-9)]);
+        assert_eq!(other.name(1e-8), "converged_to_rounding");
+        let alone = Ended::of_reports(&[passed(1e-9)]);
+        assert_eq!((alone.name(1e-8), alone.residuals()[1]), ("converged", 0.0));
+        let failed = Ended::of_reports(&[passed(1e-9), report(1.0, SolveStatus::Breakdown)]);
+        assert_eq!(failed.name(1e-8), SolveStatus::Breakdown.name());
     }
 }

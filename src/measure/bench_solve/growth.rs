@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::super::statistics::exponent;
+use super::super::statistics::{Exponents, Spread, exponent};
 use super::{Against, Row};
 
 /// A row of solve_growth.csv: seconds ~ size^exponent through the rows of one solver that converged.
@@ -26,6 +26,12 @@ pub struct Growth {
     pub to: u32,
     /// Of the median seconds.
     pub exponent: f64,
+    /// Of those of the two largest sizes alone, where launches and other fixed costs tell least.
+    pub exponent_last: f64,
+    /// Least exponent through seconds between least and largest of each row.
+    pub exponent_low: f64,
+    /// Largest.
+    pub exponent_high: f64,
     /// Of the iterations; empty for direct solvers.
     pub iterations: Option<f64>,
 }
@@ -38,7 +44,7 @@ struct Sample {
     cells: u32,
     nodes: u32,
     bricks: Option<usize>,
-    seconds: f64,
+    seconds: Spread,
     iterations: Option<f64>,
 }
 
@@ -51,18 +57,27 @@ pub(super) fn growth(rows: &[Row], against: &[Against]) -> Vec<Growth> {
         cells: row.active_cells,
         nodes: row.solid_nodes,
         bricks: row.bricks,
-        seconds: row.seconds_median,
+        seconds: Spread {
+            median: row.seconds_median,
+            min: row.seconds_min,
+            max: row.seconds_max,
+        },
         iterations: Some(f64::from(row.iterations)),
     });
-    let of_rivals = against.iter().filter_map(|row| {
+    let converged = against.iter().filter(|row| row.converged());
+    let of_rivals = converged.filter_map(|row| {
         Some(Sample {
             series: [row.formulation, row.rival, "f64"],
             grid: row.grid,
             cells: row.active_cells,
             nodes: row.solid_nodes,
             bricks: row.bricks,
-            seconds: row.seconds_median?,
-            iterations: row.iterations.map(|iterations| iterations as f64),
+            seconds: Spread {
+                median: row.seconds_median?,
+                min: row.seconds_min?,
+                max: row.seconds_max?,
+            },
+            iterations: row.iterations.map(f64::from),
         })
     });
     let samples: Vec<Sample> = of_device.chain(of_rivals).collect();
@@ -104,13 +119,15 @@ fn fit(members: &[&Sample], along: &'static str, fixed: Option<usize>) -> Option
         "nodes" => sample.nodes,
         _ => sample.cells,
     };
-    let points = |value: &dyn Fn(&Sample) -> Option<f64>| -> Option<Vec<(f64, f64)>> {
-        let points = members.iter();
-        points
-            .map(|sample| Some((f64::from(size(sample)), value(sample)?)))
-            .collect()
-    };
-    let seconds = exponent(points(&|sample| Some(sample.seconds))?)?;
+    let of_size = |sample: &Sample| f64::from(size(sample));
+    let seconds = members
+        .iter()
+        .map(|sample| (of_size(sample), sample.seconds));
+    let seconds = Exponents::of(&seconds.collect::<Vec<_>>())?;
+    let iterations = members
+        .iter()
+        .map(|sample| Some((of_size(sample), sample.iterations?)));
+    let iterations: Option<Vec<(f64, f64)>> = iterations.collect();
     let sizes = members.iter().map(|sample| size(sample));
     let [formulation, solver, precision] = members.first()?.series;
     Some(Growth {
@@ -122,8 +139,11 @@ fn fit(members: &[&Sample], along: &'static str, fixed: Option<usize>) -> Option
         rows: members.len(),
         from: sizes.clone().min()?,
         to: sizes.max()?,
-        exponent: seconds,
-        iterations: points(&|sample| sample.iterations).and_then(exponent),
+        exponent: seconds.fit,
+        exponent_last: seconds.last,
+        exponent_low: seconds.low,
+        exponent_high: seconds.high,
+        iterations: iterations.and_then(exponent),
     })
 }
 
@@ -141,7 +161,15 @@ mod tests {
         };
         assert_eq!((found.rows, found.from, found.to), (2, 8000, 64000));
         // Seconds grow with the cells.
-        assert!((found.exponent - 1.0).abs() < 1e-12, "{found:?}");
+        let exponents = [
+            found.exponent,
+            found.exponent_last,
+            found.exponent_low,
+            found.exponent_high,
+        ];
+        for exponent in exponents {
+            assert!((exponent - 1.0).abs() < 1e-12, "{found:?}");
+        }
         for status in ["iteration_limit", "converged_to_rounding"] {
             rows.push(row(60, status));
         }

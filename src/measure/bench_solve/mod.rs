@@ -9,6 +9,7 @@ mod capacity;
 mod ended;
 mod growth;
 mod picture;
+mod rival;
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -35,13 +36,15 @@ use super::solid_bytes::SolidBytes;
 use super::statistics::Spread;
 use super::table::{Machine, remove_earlier, write_csv, write_json, write_svg};
 
-pub use against::{Against, GIB, Rival};
+pub use against::{Against, GIB};
 use against::{Contest, LONG_ENOUGH};
 pub(super) use bytes::{Corrections, SolveBytes};
 use capacity::Capacity;
 pub use capacity::{LARGEST_GRID, largest_grid};
 pub(super) use ended::Ended;
 pub use growth::Growth;
+use rival::Assembled;
+pub use rival::Rival;
 
 /// What is solved for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -215,15 +218,13 @@ pub fn bench_solve(
             let size = Size { grid, bricks };
             let scene = base_scene(size)?;
             let system = scene.coupled_system();
-            let wanted = options.matrices || !options.against.is_empty();
-            let positive = wanted.then(|| Positive::new(&system)).transpose()?;
-            if let (true, Some(positive)) = (options.matrices, &positive) {
-                write_coupled_matrices(&system, positive, size, out)?;
+            if options.matrices {
+                write_coupled_matrices(&system, size, out)?;
             }
             let formulations = options.formulations.iter();
             for &formulation in formulations.filter(|other| **other != Formulation::Pressure) {
                 for solver in &options.solvers {
-                    let systems = (&scene, &system, positive.as_ref());
+                    let systems = (&scene, &system);
                     let machine = &table.machine;
                     let (row, against) = measure_coupled(
                         gpu,
@@ -313,11 +314,11 @@ fn by_turns<Outcome>(
 fn contests<'a>(
     options: &Options,
     solver: &Solver,
-    system: (&'a Csr, &'a [f64]),
+    system: Assembled<'a>,
 ) -> Result<Vec<Contest<'a>>, Error> {
     let rivals = options.against.iter();
     rivals
-        .map(|&rival| Contest::new(rival, system, solver.tolerance, options.largest_factor))
+        .map(|&rival| Contest::new(rival, system, solver, options.largest_factor))
         .collect()
 }
 
@@ -338,12 +339,8 @@ fn write_matrices(block: &BaseBlock, n: usize, out: &Path) -> Result<(), Error> 
 }
 
 /// The system of liquid and beam in the thesis's forms (5.25) and (5.17).
-fn write_coupled_matrices(
-    system: &CoupledSystem,
-    positive: &Positive,
-    size: Size,
-    out: &Path,
-) -> Result<(), Error> {
+fn write_coupled_matrices(system: &CoupledSystem, size: Size, out: &Path) -> Result<(), Error> {
+    let positive = Positive::new(system)?;
     let indefinite = system.blocks().indefinite();
     let both = positive.both.concat();
     let parts = [
@@ -443,9 +440,6 @@ fn measure(
     buffers
         .rhs
         .upload(gpu, &padded.pad(grid.cells, &in_cells, |value| value));
-    let cells = system_of_block.stencil.active_cells().into_iter();
-    let rhs: Vec<f64> = cells.map(|cell| system_of_block.rhs[cell]).collect();
-    let matrix = system_of_block.to_csr();
     let solve = || -> Result<(f64, Outcome), Error> {
         gpu.wait("bench")?;
         let clock = Instant::now();
@@ -454,7 +448,7 @@ fn measure(
         let (outcome, _) = pressure.solve(gpu, recorder, &buffers)?;
         Ok((clock.elapsed().as_secs_f64(), outcome))
     };
-    let mut rivals = contests(options, solver, (&matrix, &rhs))?;
+    let mut rivals = contests(options, solver, Assembled::Pressure(&system_of_block))?;
     let size = Size {
         grid: grid.cells[0],
         bricks: None,
@@ -503,7 +497,7 @@ fn measure(
 fn measure_coupled(
     gpu: &Gpu,
     (formulation, size): (Formulation, Size),
-    (scene, system, positive): (&BaseScene, &CoupledSystem, Option<&Positive>),
+    (scene, system): (&BaseScene, &CoupledSystem),
     solver: &Solver,
     options: &Options,
     machine: &Machine,
@@ -523,10 +517,8 @@ fn measure_coupled(
         let outcome = device.solve()?;
         Ok((clock.elapsed().as_secs_f64(), outcome))
     };
-    let mut rivals = match positive {
-        Some(positive) => contests(options, solver, (&positive.matrix, &positive.rhs))?,
-        None => Vec::new(),
-    };
+    let assembled = Assembled::Both(system, &scene.solids);
+    let mut rivals = contests(options, solver, assembled)?;
     let what = title(formulation, size, solver);
     let (seconds, runs, outcome) =
         by_turns(options.repeats, solve, &mut rivals, Ended::together, &what)?;

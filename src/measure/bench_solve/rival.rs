@@ -1,0 +1,207 @@
+//! Solvers on the CPU, in double precision, of the systems as the f64 path assembles them, each to the residuals that the device is judged on.
+
+use crate::Error;
+use crate::elastic::Solids;
+use crate::linalg::{CgEnd, Csr, Incomplete, LinearOperator, SymbolicCholesky, conjugate_gradient};
+use crate::reference::{
+    Blocks, Correction, CoupledSystem, Formulation, PressureSystem, SIGMA, SolidSolver, TwoField,
+    refine_parts, solve_coupled, solve_iterative,
+};
+use crate::scene::Solver;
+use crate::state::SolveReport;
+
+/// The first round of conjugate gradients goes at least so far where the residual that it sees is not the one that is judged: pressures have little
+/// part in it.
+const FIRST_ROUND: f64 = 1e-6;
+/// A later round goes to this share of the reduction that is left, for the same reason.
+const LATER_ROUNDS: f64 = 0.01;
+
+/// Another solver, on the CPU.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rival {
+    /// Conjugate gradients with an incomplete Cholesky factor without fill, natural order.
+    IncompleteCholesky,
+    /// A sparse Cholesky factor, in the order of approximate minimum degree, by faer on all cores.
+    Cholesky,
+    /// The f64 path's own: conjugate gradients with a V-cycle for pressures, of liquid and solids in the condensed form.
+    Multigrid,
+}
+
+impl Rival {
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Rival::IncompleteCholesky => "ic0_cg",
+            Rival::Cholesky => "cholesky",
+            Rival::Multigrid => "multigrid_cg",
+        }
+    }
+
+    /// What of its work is spread over all threads; the rest is done by one.
+    pub(super) fn parallel(self) -> &'static str {
+        match self {
+            Rival::IncompleteCholesky => "products",
+            Rival::Cholesky => "factor, products",
+            Rival::Multigrid => "cycles, products",
+        }
+    }
+}
+
+/// A system that rivals solve, assembled: B, and with solids S and J. What a solver makes of them, it makes in its own time.
+#[derive(Clone, Copy)]
+pub(super) enum Assembled<'a> {
+    Pressure(&'a PressureSystem),
+    Both(&'a CoupledSystem, &'a Solids),
+}
+
+impl<'a> Assembled<'a> {
+    /// Unknowns of the pressures alone, which multigrid has.
+    pub(super) fn n_pressures(self) -> usize {
+        match self {
+            Assembled::Pressure(system) => system.n_unknowns(),
+            Assembled::Both(system, _) => system.pressure.n_unknowns(),
+        }
+    }
+
+    pub(super) fn definite(self) -> Definite<'a> {
+        match self {
+            Assembled::Pressure(system) => Definite::Pressure {
+                system,
+                cells: system.stencil.active_cells(),
+            },
+            Assembled::Both(system, _) => Definite::Both {
+                system,
+                blocks: Box::new(system.blocks()),
+                two_field: TwoField::new(system, SIGMA),
+            },
+        }
+    }
+
+    /// What a solver comes to: a report of the pressures' rows and, with solids, of the velocities'; `None` where there is no incomplete factor.
+    ///
+    /// # Errors
+    /// When a factor does not fit into memory, or the matrix has none in f64.
+    pub(super) fn solve(
+        self,
+        rival: Rival,
+        settings: &Solver,
+    ) -> Result<Option<Vec<SolveReport>>, Error> {
+        match (rival, self) {
+            (Rival::Multigrid, Assembled::Pressure(system)) => {
+                Ok(Some(vec![solve_iterative(system, settings).1]))
+            }
+            (Rival::Multigrid, Assembled::Both(system, solids)) => {
+                let (form, solver) = (Formulation::Condensed, SolidSolver::new(solids));
+                let found = solve_coupled(system, form, &solver, solids, settings)?;
+                Ok(Some(found.reports.to_vec()))
+            }
+            (Rival::IncompleteCholesky, _) => {
+                let definite = self.definite();
+                let matrix = definite.matrix()?;
+                let factor = Incomplete::new(&matrix);
+                Ok(factor.map(|factor| definite.iterate(&matrix, &factor, settings)))
+            }
+            (Rival::Cholesky, _) => {
+                let definite = self.definite();
+                let matrix = definite.matrix()?;
+                let symbolic = SymbolicCholesky::new(&matrix)?;
+                let factor = symbolic.factorise_in_parallel(&matrix)?;
+                Ok(Some(definite.refined(settings, |x, _, _| {
+                    factor.solve(x);
+                    (0, CgEnd::Converged)
+                })))
+            }
+        }
+    }
+}
+
+/// A positive definite system that stands for the one which is judged: B itself, or of liquid and solids thesis (5.25) for (5.17).
+pub(super) enum Definite<'a> {
+    Pressure {
+        system: &'a PressureSystem,
+        cells: Vec<usize>,
+    },
+    Both {
+        system: &'a CoupledSystem,
+        blocks: Box<Blocks>,
+        two_field: TwoField<'a>,
+    },
+}
+
+impl Definite<'_> {
+    /// # Errors
+    /// When it does not fit into memory.
+    pub(super) fn matrix(&self) -> Result<Csr, Error> {
+        match self {
+            Definite::Pressure { system, .. } => Ok(system.to_csr()),
+            Definite::Both { blocks, .. } => blocks.two_field(SIGMA),
+        }
+    }
+
+    /// By conjugate gradients.
+    fn iterate(
+        &self,
+        matrix: &Csr,
+        preconditioner: &dyn LinearOperator,
+        settings: &Solver,
+    ) -> Vec<SolveReport> {
+        let mut later = false;
+        self.refined(settings, |x, tolerance, left| {
+            let rhs = x.clone();
+            let asked = match (self, later) {
+                (Definite::Pressure { .. }, _) => tolerance,
+                (Definite::Both { .. }, false) => tolerance.min(FIRST_ROUND),
+                (Definite::Both { .. }, true) => LATER_ROUNDS * tolerance,
+            };
+            later = true;
+            let most = left as usize;
+            let report = conjugate_gradient(matrix, preconditioner, &rhs, x, asked, most);
+            (report.iterations as u32, report.end)
+        })
+    }
+
+    /// Until the true residuals of the system that is judged pass. `solve` replaces a right-hand side of this one by its solution, to a
+    /// relative tolerance within a number of iterations.
+    fn refined(
+        &self,
+        settings: &Solver,
+        mut solve: impl FnMut(&mut Vec<f64>, f64, u32) -> (u32, CgEnd),
+    ) -> Vec<SolveReport> {
+        let correct = |residual: &[f64], tolerance: f64, left: u32| {
+            let mut x = self.rhs(residual);
+            let (iterations, end) = solve(&mut x, tolerance, left);
+            Correction {
+                x: self.scatter(&x, residual.len()),
+                iterations,
+                end,
+            }
+        };
+        match self {
+            Definite::Pressure { system, .. } => refine_parts(*system, settings, correct).1,
+            Definite::Both { system, .. } => refine_parts(*system, settings, correct).1,
+        }
+    }
+
+    /// Of what a residual of the judged system leaves.
+    fn rhs(&self, residual: &[f64]) -> Vec<f64> {
+        match self {
+            Definite::Pressure { cells, .. } => cells.iter().map(|&cell| residual[cell]).collect(),
+            Definite::Both {
+                blocks, two_field, ..
+            } => blocks.gather(&two_field.rhs(residual)),
+        }
+    }
+
+    /// A vector of the judged system, of so many numbers.
+    fn scatter(&self, unknowns: &[f64], len: usize) -> Vec<f64> {
+        match self {
+            Definite::Pressure { cells, .. } => {
+                let mut x = vec![0.0; len];
+                for (&cell, &value) in cells.iter().zip(unknowns) {
+                    x[cell] = value;
+                }
+                x
+            }
+            Definite::Both { blocks, .. } => blocks.scatter(unknowns),
+        }
+    }
+}
