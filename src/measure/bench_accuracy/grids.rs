@@ -6,9 +6,9 @@ use crate::Error;
 use crate::reference::larger;
 use crate::scene::{Precision, Scene, Solver};
 use crate::sim::{GpuPath, reference_path};
-use crate::state::{SolveReport, SolveStatus, State};
+use crate::state::{SolveReport, State};
 
-use super::super::bench_solve::name;
+use super::super::bench_solve::{Ended, is_solved, name};
 use super::super::statistics::Spread;
 use super::exact::Exact;
 use super::sub_step::{Done, Mask, reference_step, repeat_shuffled, sub_step};
@@ -34,7 +34,7 @@ pub struct GridRow {
     pub precision: &'static str,
     /// Relative, of the true residuals.
     pub tolerance: f64,
-    /// `converged`, or how else the solve ended.
+    /// `converged`, or how else the solve ended; `converged_to_rounding` above the tolerance, where rounding lets it no further.
     pub status: &'static str,
     /// Conjugate-gradient iterations.
     pub iterations: u32,
@@ -54,7 +54,7 @@ pub struct GridRow {
     pub grid_error_u: Option<f64>,
 }
 
-/// The cheapest converged row of a problem that is as accurate as a target; of those that time does not tell apart the one of the coarsest
+/// The cheapest solved row of a problem that is as accurate as a target; of those that time does not tell apart the one of the coarsest
 /// grid, then of fewest bytes a number, then of the loosest tolerance. Or that of the next lower target, where it asks no more.
 #[derive(Clone, Debug, Serialize)]
 pub struct GridBest {
@@ -128,13 +128,13 @@ impl GridRow {
         larger(self.error_p, self.error_u.unwrap_or(0.0))
     }
 
-    fn converged(&self) -> bool {
-        self.status == SolveStatus::Converged.name()
+    fn solved(&self) -> bool {
+        is_solved(self.status)
     }
 
     fn is_of_the_grid(&self) -> bool {
         let of_u = self.error_u.zip(self.grid_error_u);
-        self.converged()
+        self.solved()
             && self.error_p <= OF_THE_GRID * self.grid_error_p
             && of_u.is_none_or(|(error, grid)| error <= OF_THE_GRID * grid)
     }
@@ -252,9 +252,6 @@ impl Case {
     fn row(&self, precision: Precision, tolerance: f64, seconds: Spread, done: &Done) -> GridRow {
         let [error_p, error_u] = self.errors_of(done);
         let solves: Vec<SolveReport> = done.report.solves().collect();
-        let failed = solves
-            .iter()
-            .find(|solve| solve.status != SolveStatus::Converged);
         let rests = self.problem.rests();
         GridRow {
             problem: self.problem.name(),
@@ -263,9 +260,7 @@ impl Case {
             solid_unknowns: solves.get(1).map_or(0, |solve| solve.unknowns),
             precision: name(precision),
             tolerance,
-            status: failed
-                .map_or(SolveStatus::Converged, |solve| solve.status)
-                .name(),
+            status: Ended::of_reports(&solves).name(tolerance),
             // Both are solved for together, and each has all of them.
             iterations: solves[0].iterations,
             seconds_median: seconds.median,
@@ -292,7 +287,7 @@ pub(super) fn recommend(rows: &[GridRow]) -> Vec<GridBest> {
     for problem in problems(rows) {
         let candidates = rows
             .iter()
-            .filter(|row| row.problem == problem && row.converged());
+            .filter(|row| row.problem == problem && row.solved());
         let found = recommended(candidates, &TARGETS, GridRow::error, GridRow::choice);
         best.extend(found.into_iter().map(|(target, row)| GridBest {
             problem,

@@ -9,9 +9,9 @@ use crate::reference::{Formulation as Form, SolidSolver, larger, solve, solve_co
 use crate::scene::{Formulation, Precision, Preconditioner, Scene, Solver};
 use crate::sim::{GpuPath, Snapshot, reference_path};
 use crate::stages::RightHandSide;
-use crate::state::{SolveReport, SolveStatus, State};
+use crate::state::{SolveReport, State};
 
-use super::super::bench_solve::{name, preconditioner_name};
+use super::super::bench_solve::{Ended, is_solved, name, preconditioner_name};
 use super::super::statistics::Spread;
 use super::super::stored;
 use super::sub_step::{Answer, Done, Mask, reference_step, repeat_shuffled, sub_step};
@@ -41,7 +41,7 @@ pub struct Row {
     pub formulation: &'static str,
     /// Relative, of the true residuals.
     pub tolerance: f64,
-    /// `converged`, or how else the solve ended.
+    /// `converged`, or how else the solve ended; `converged_to_rounding` above the tolerance, where rounding lets it no further.
     pub status: &'static str,
     /// Conjugate-gradient iterations, summed over rounds and contacts; of both systems where they are solved apart.
     pub iterations: u32,
@@ -73,7 +73,7 @@ pub struct Row {
     pub speed_over_g_dt: f64,
 }
 
-/// The cheapest converged row that is as accurate as a target; of those that time does not tell apart the one of fewest bytes a
+/// The cheapest solved row that is as accurate as a target; of those that time does not tell apart the one of fewest bytes a
 /// number, then of the loosest tolerance, then of fewest iterations. Or that of the next lower target, where it asks no more.
 #[derive(Clone, Debug, Serialize)]
 pub struct Best {
@@ -265,8 +265,7 @@ impl<'a> Case<'a> {
         let solves = [liquid.map(|(solve, _)| solve), solid];
         let touching = report.coupling.is_some_and(|both| both.touching);
         let iterations = solves.map(|solve| solve.map_or(0, |solve| solve.iterations));
-        let mut statuses = solves.into_iter().flatten().map(|solve| solve.status);
-        let failed = statuses.find(|status| *status != SolveStatus::Converged);
+        let reports: Vec<SolveReport> = solves.into_iter().flatten().collect();
         let of_cells = |a: &[f64], b: &[f64]| {
             let pairs = a.iter().zip(b).zip(&self.mask.cells);
             relative(
@@ -294,7 +293,7 @@ impl<'a> Case<'a> {
                 (false, _) => "apart",
             },
             tolerance,
-            status: failed.unwrap_or(SolveStatus::Converged).name(),
+            status: Ended::of_reports(&reports).name(tolerance),
             // Where both are solved together each has all of them.
             iterations: match touching {
                 true => iterations[0],
@@ -438,10 +437,9 @@ pub(super) fn states(rows: &[Row]) -> Vec<(String, u64)> {
 pub(super) fn recommend(rows: &[Row]) -> Vec<Best> {
     let mut best = Vec::new();
     for (scene, frame) in states(rows) {
-        let candidates = rows.iter().filter(|row| {
-            let converged = row.status == SolveStatus::Converged.name();
-            row.scene == scene && row.frame == frame && converged
-        });
+        let candidates = rows
+            .iter()
+            .filter(|row| row.scene == scene && row.frame == frame && is_solved(row.status));
         let error = |row: &Row| larger(row.error_p, row.error_v);
         let found = recommended(candidates, &TARGETS, error, Row::choice);
         best.extend(found.into_iter().map(|(target, row)| Best {

@@ -6,6 +6,13 @@ use crate::Error;
 use crate::solver::{CoupledOutcome, Outcome};
 use crate::state::{SolveReport, SolveStatus};
 
+const TO_ROUNDING: &str = "converged_to_rounding";
+
+/// Whether a solve is one of the system, by the word for tables: to the tolerance, or as far as rounding lets it.
+pub(in crate::measure) fn is_solved(word: &str) -> bool {
+    [SolveStatus::Converged.name(), TO_ROUNDING].contains(&word)
+}
+
 /// How a solve ended. The same solve on the same device repeats it to the bit.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::measure) struct Ended {
@@ -80,9 +87,7 @@ impl Ended {
     /// within the tolerance is said.
     pub(in crate::measure) fn name(self, tolerance: f64) -> &'static str {
         match self.status {
-            SolveStatus::Converged if self.residuals.iter().any(|&r| r > tolerance) => {
-                "converged_to_rounding"
-            }
+            SolveStatus::Converged if self.residuals.iter().any(|&r| r > tolerance) => TO_ROUNDING,
             status => status.name(),
         }
     }
@@ -101,7 +106,7 @@ impl fmt::Display for Ended {
 
 #[cfg(test)]
 mod tests {
-    use super::Ended;
+    use super::{Ended, is_solved};
     use crate::state::{SolveReport, SolveStatus};
 
     const CONVERGED: Ended = Ended {
@@ -177,5 +182,7 @@ mod tests {
         assert_eq!((alone.name(1e-8), alone.residuals()[1]), ("converged", 0.0));
         let failed = Ended::of_reports(&[passed(1e-9), report(1.0, SolveStatus::Breakdown)]);
         assert_eq!(failed.name(1e-8), SolveStatus::Breakdown.name());
+        assert!(is_solved(both.name(1e-7)) && is_solved(both.name(1e-12)));
+        assert!(!is_solved(failed.name(1e-8)));
     }
 }

@@ -41,7 +41,7 @@ use against::{Contest, LONG_ENOUGH};
 pub(super) use bytes::{Corrections, SolveBytes};
 use capacity::Capacity;
 pub use capacity::{LARGEST_GRID, largest_grid};
-pub(super) use ended::Ended;
+pub(super) use ended::{Ended, is_solved};
 pub use growth::Growth;
 use rival::Assembled;
 pub use rival::Rival;

@@ -10,7 +10,7 @@ use super::{MOST_ITERATIONS, Options, PATIENCE, TOLERANCE, ThesisTable};
 use crate::Error;
 use crate::linalg::norm;
 use crate::measure::bench_accuracy::{Done, Mask, reference_step, sub_step};
-use crate::measure::bench_solve::name;
+use crate::measure::bench_solve::{Ended, name};
 use crate::measure::plane_strain::{PlaneStrain, TABLE_6_5, TABLE_6_6};
 use crate::measure::statistics::{Spread, exponent};
 use crate::reference::larger;
@@ -274,8 +274,6 @@ impl Case<'_> {
         let ratio = |of: usize| thesis(of).map(|printed| errors[of] / printed);
         let distance = self.problem.of.distance(grid.dx);
         let solves: Vec<SolveReport> = done.report.solves().collect();
-        let converged = |solve: &&SolveReport| solve.status == SolveStatus::Converged;
-        let failed = solves.iter().find(|solve| !converged(solve));
         Row {
             table: self.problem.table.number(),
             grid: self.grid,
@@ -297,9 +295,7 @@ impl Case<'_> {
             ratio_u: ratio(2),
             distance,
             error_p_over_weight: error_p / (PlaneStrain::WEIGHT * distance),
-            status: failed
-                .map_or(SolveStatus::Converged, |solve| solve.status)
-                .name(),
+            status: Ended::of_reports(&solves).name(TOLERANCE),
             // Both are solved for together, and each has all of them.
             iterations: solves[0].iterations,
             seconds_median: seconds.median,

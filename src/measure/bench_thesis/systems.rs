@@ -17,7 +17,7 @@ use super::{MOST_ITERATIONS, Options, PATIENCE, TOLERANCE, ThesisTable};
 use crate::Error;
 use crate::elastic::Solids;
 use crate::measure::bench_accuracy::sub_step;
-use crate::measure::bench_solve::{bricks_across, name};
+use crate::measure::bench_solve::{Ended, bricks_across, name};
 use crate::measure::statistics::{Spread, exponent};
 use crate::reference::{
     BlockPattern, CoupledSystem, Formulation as Form, Reference, SolidSolver, StepSystem,
@@ -582,9 +582,7 @@ fn other_stages(step: &StepReport) -> f64 {
 
 impl SystemRow {
     fn measured(&mut self, reports: [SolveReport; 2], seconds: Spread, sub_step: Spread) {
-        let mut statuses = reports.iter().map(|report| report.status);
-        let failed = statuses.find(|status| *status != SolveStatus::Converged);
-        self.status = Some(failed.unwrap_or(SolveStatus::Converged).name());
+        self.status = Some(Ended::of_reports(&reports).name(TOLERANCE));
         self.iterations = Some(reports[0].iterations);
         self.residual_p = Some(reports[0].residual);
         self.residual_v = Some(reports[1].residual);
