@@ -128,7 +128,7 @@ const COMMANDS: [(&str, &str); 9] = [
     ("solids", "bench solids --nodes 64,128 --repeats 1"),
     (
         "step",
-        "bench step dam.toml --scale 0.5,1 --frames 1 --repeats 1",
+        "bench step dam.toml --scale 0.5,1 --frames 2 --repeats 1",
     ),
     (
         "stability",
