@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 
 use cutwater::gpu::AdapterChoice;
-use cutwater::measure::bench_accuracy::{GridRow, Options, Row, bench_accuracy};
+use cutwater::measure::bench_accuracy::{Best, GridRow, Options, Row, bench_accuracy};
 use cutwater::reference::larger;
 use cutwater::scene::{Formulation, Precision, Preconditioner, Scene};
 
@@ -104,12 +104,16 @@ fn errors_follow_the_tolerance() {
                 .unwrap();
             let most = fastest.seconds_max.min(1.25 * fastest.seconds_median);
             assert!(best.seconds_min <= most, "{best:?}");
-            // f32 before mixed and loose before tight, where the spread of the fastest does not tell them apart.
+            // f32 before mixed and loose before tight, where the spread of the fastest does not tell them apart; but a row for a lower error that
+            // takes no longer stands for this one, too.
+            let way = |best: &Best| (best.precision, best.formulation, best.tolerance);
+            let mut lower = table.best.iter().filter(|other| other.target < best.target);
+            let stands_for_more = lower.any(|other| way(other) == way(best));
             let equal = |row: &&&Row| row.seconds_min <= most;
             for row in meeting.iter().filter(equal) {
                 let simpler = row.precision == "f32" && best.precision == "mixed";
                 let looser = row.precision == best.precision && row.tolerance > best.tolerance;
-                assert!(!simpler && !looser, "{best:?} {row:?}");
+                assert!(!simpler && (!looser || stands_for_more), "{best:?} {row:?}");
             }
             let ordered =
                 best.seconds_min <= best.seconds_median && best.seconds_median <= best.seconds_max;

@@ -16,6 +16,8 @@ const ROOM: f64 = 0.7;
 const LEAST_ROOM: f64 = 4.0;
 /// Points of the axis along x that are written, at most.
 const MOST_KEYS: usize = 8;
+/// Room between two of them, of the logarithm of the axis: as wide as six digits are.
+const KEYS_APART: f64 = 0.12;
 
 /// A chart.
 pub(super) struct Chart {
@@ -255,5 +257,15 @@ fn keys(points: &[(f64, f64)], range: &std::ops::Range<f64>) -> Vec<f64> {
         let powers = (-9..9).map(|power| 10.0_f64.powi(power));
         keys = powers.filter(|key| range.contains(key)).collect();
     }
+    // Seconds of small grids lie close to each other.
+    let apart = (range.end / range.start).powf(KEYS_APART);
+    let mut last = 0.0;
+    keys.retain(|&key| {
+        let has_room = key >= last * apart;
+        if has_room {
+            last = key;
+        }
+        has_room
+    });
     keys
 }
