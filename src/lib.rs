@@ -89,6 +89,3 @@ pub mod stages;
 pub mod state;
 
 pub use error::Error;
-
-/// A digest of the sources, shaders and scenes that this was built from, 12 hexadecimal digits: the same where these are the same to the byte.
-pub const SOURCES: &str = env!("CUTWATER_SOURCES");

@@ -16,12 +16,15 @@ use crate::output::write_atomically;
 use super::bandwidth::copy_bandwidth;
 use super::statistics::Spread;
 
+/// A digest of the sources, shaders and scenes that this was built from, 12 hexadecimal digits: the same where these are the same to the byte.
+pub const SOURCES: &str = env!("CUTWATER_SOURCES");
+
 /// When a table was measured, and on which CPU: what runs without an adapter says no more.
 #[derive(Clone, Debug, Serialize)]
 pub struct Host {
     /// Version of cutwater.
     pub cutwater: &'static str,
-    /// The sources that it was built from: [`crate::SOURCES`].
+    /// The sources that it was built from: [`SOURCES`].
     pub sources: &'static str,
     /// When it began, UTC, as RFC 3339 has it.
     pub measured: String,
@@ -39,7 +42,7 @@ impl Host {
         let load = fs::read_to_string("/proc/loadavg").ok();
         Host {
             cutwater: env!("CARGO_PKG_VERSION"),
-            sources: crate::SOURCES,
+            sources: SOURCES,
             measured: humantime::format_rfc3339_seconds(SystemTime::now()).to_string(),
             cpu: cpu(),
             threads: std::thread::available_parallelism().map_or(1, usize::from),

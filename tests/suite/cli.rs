@@ -131,7 +131,7 @@ fn help_lists_the_commands_of_the_readme() {
     assert!(n > 1, "{help}");
     let version = concat!("cutwater ", env!("CARGO_PKG_VERSION"));
     assert_eq!(says(&folder, "-V"), format!("{version}\n"));
-    let sources = cutwater::SOURCES;
+    let sources = cutwater::measure::table::SOURCES;
     assert_eq!(
         says(&folder, "--version"),
         format!("{version} ({sources})\n")
