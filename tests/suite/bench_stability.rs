@@ -38,8 +38,9 @@ fn assert_sound(row: &Row, steps: u64) {
     let most = row.energy_bound - 0.1;
     let measured = row.energy_end > 0.0 && row.energy_end != 1.0;
     assert!(measured && row.energy_end <= most, "{row:?}");
-    // What a fall through the whole box gains in a sub-step of any of these, of 1/15 s at most, is less than what it has.
-    assert!(most > 1.0 && most < 2.0, "{row:?}");
+    // What a fall through the whole box gains in a sub-step of any of these is a fraction of what it has; of 1/15 s it is the most.
+    let fraction = if row.name.ends_with("_15") { 1.0 } else { 0.7 };
+    assert!(most > 1.0 && most < 1.0 + fraction, "{row:?}");
     assert!(
         row.motion > 0.0 && row.motion <= row.motion_bound,
         "{row:?}"
