@@ -1,5 +1,6 @@
 //! What the tests share: the device, random numbers, comparisons.
 
+use std::collections::BTreeSet;
 use std::process::Command;
 use std::sync::OnceLock;
 
@@ -21,6 +22,16 @@ pub(crate) fn gpu() -> Option<&'static Gpu> {
         }
     })
     .as_ref()
+}
+
+/// What active cells cover, seen from above, m^2: of a pool, its surface.
+pub(crate) fn area_from_above(grid: &Grid, active: &[bool]) -> f64 {
+    let cells = (0..grid.n_cells()).filter(|&cell| active[cell]);
+    let columns: BTreeSet<[usize; 2]> = cells
+        .map(|cell| grid.cell_at(cell))
+        .map(|[i, _, k]| [i, k])
+        .collect();
+    columns.len() as f64 * grid.dx.powi(2)
 }
 
 /// Distances (m) to a surface that is too far for markers to know of it.

@@ -5,7 +5,7 @@ use cutwater::scene::{Scene, Surface};
 use cutwater::sim::{Backend, Simulation};
 use cutwater::state::{SolveStatus, State};
 
-use crate::common::{digest, gpu, same_with_any_number_of_threads};
+use crate::common::{area_from_above, digest, gpu, same_with_any_number_of_threads};
 use crate::reference_physics::{
     DAM, GRAVITY, dam_release_error, dam_release_scene, flies_on, flights, pool, rest_cases, scene,
 };
@@ -59,7 +59,7 @@ fn markers_at_rest_start_slowly_on_the_gpu() {
         let speed = diagnosis.max_speed;
         assert!(speed < fall, "{name}: {} of g dt", speed / fall);
         let of_fall = 0.5 * 1000.0 * diagnosis.volume * fall.powi(2);
-        let depth = diagnosis.volume / (grid.size().x * grid.size().z);
+        let depth = diagnosis.volume / area_from_above(&grid, &state.active);
         let bound = std::f64::consts::PI * 0.15_f64.powi(2) * grid.dx / depth;
         let share = diagnosis.kinetic_energy / of_fall;
         assert!(

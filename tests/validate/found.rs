@@ -3,6 +3,7 @@
 use std::error::Error;
 use std::fs;
 use std::hash::{DefaultHasher, Hash, Hasher};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use cutwater::measure::table::Machine;
@@ -26,18 +27,36 @@ pub(crate) struct Kept {
 }
 
 impl Kept {
-    /// Below `out`, a folder for this build on this adapter: what others found is not theirs. It begins empty but where a run goes on.
-    pub(crate) fn new(out: &Path, machine: &Machine, resume: bool) -> Result<Kept, Box<dyn Error>> {
-        let cases = out.join("cases");
-        if !resume && cases.exists() {
-            fs::remove_dir_all(&cases)?;
-        }
+    /// Below `out`, a folder for this build and these reference data on this adapter: what others found is not theirs.
+    pub(crate) fn new(out: &Path, machine: &Machine) -> Result<Kept, Box<dyn Error>> {
         let mut hasher = DefaultHasher::new();
         fs::read(std::env::current_exe()?)?.hash(&mut hasher);
+        let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data");
+        let mut data: Vec<PathBuf> = fs::read_dir(data)?
+            .map(|entry| Ok(entry?.path()))
+            .collect::<io::Result<_>>()?;
+        data.sort();
+        for file in data.iter().filter(|path| path.is_file()) {
+            (file, fs::read(file)?).hash(&mut hasher);
+        }
         (&machine.adapter, &machine.driver).hash(&mut hasher);
-        let folder = cases.join(format!("{:016x}", hasher.finish()));
+        let folder = out.join("cases").join(format!("{:016x}", hasher.finish()));
         fs::create_dir_all(&folder)?;
         Ok(Kept { folder })
+    }
+
+    /// Forgets all, also of other builds.
+    pub(crate) fn forget_all(&self) -> io::Result<()> {
+        fs::remove_dir_all(self.folder.parent().expect("it is below `cases`"))?;
+        fs::create_dir_all(&self.folder)
+    }
+
+    /// Forgets a case: it is found again.
+    pub(crate) fn forget(&self, id: &str) -> io::Result<()> {
+        match fs::remove_file(self.file(id)) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+            removed => removed,
+        }
     }
 
     /// What is kept of a case; nothing also where it cannot be read, as of numbers that are not finite: it is found again.

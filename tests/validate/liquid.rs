@@ -11,6 +11,7 @@ use cutwater::sim::{Backend, Simulation};
 use cutwater::state::{SolveStatus, StepReport};
 
 use crate::Case;
+use crate::common::area_from_above;
 use crate::page::{Line, Mark};
 use crate::sheet::Sheet;
 
@@ -95,26 +96,30 @@ const ROUGHNESS: f64 = 0.125;
 
 /// A pool whose surface is made of markers. Without pressure its kinetic energy would be m (g dt)^2 / 2 after the first sub-step; without bumps it
 /// would be 0. Bumps of height d and wave number k are pressures off by rho g d at the level, which give rho k d^2 (g dt)^2 / 2 per area of it, k
-/// being pi/dx at most: over what free fall has, pi d^2 / dx over the depth. Kicks by bumps that are new in every sub-step add up as their energies
-/// do, and none is lost at most: the same share of the sum of m (g dt)^2 / 2, of which free fall has n after n sub-steps.
+/// being pi/dx at most: over what free fall has, pi d^2 / dx over the depth, which is volume over area of the surface. Later, too, bumps give
+/// no more than they have: rho g d^2 / 2 per area.
 fn bumpy_at_rest(scene: &Scene, sheet: &mut Sheet) {
     let mut simulation = simulation(scene, &gpu());
     let density = scene.liquid.as_ref().expect("there is liquid").density;
     let (grid, start) = (scene.grid(), middle(&simulation));
     let reports: Vec<StepReport> = (0..AT_REST).map(|_| step(&mut simulation)).collect();
     let [first, last] = [&reports[0], &reports[AT_REST - 1]];
-    for (n, report) in [(1, first), (AT_REST, last)] {
-        let diagnosis = report.liquid.expect("the scene has liquid").diagnosis;
-        let kicks: f64 = reports[..n]
-            .iter()
-            .map(|it| (GRAVITY * it.dt).powi(2))
-            .sum();
-        let kicks = 0.5 * density * diagnosis.volume * kicks;
-        let depth = diagnosis.volume / (grid.size().x * grid.size().z);
-        let bound = std::f64::consts::PI * ROUGHNESS.powi(2) * grid.dx / depth;
-        let what = format!("markers, {n} sub-steps: kinetic energy over the sum of m (g dt)^2 / 2");
-        sheet.at_most(&what, diagnosis.kinetic_energy / kicks, bound);
-    }
+    let area = area_from_above(&grid, &simulation.state().unwrap().active);
+    let diagnosis = |report: &StepReport| report.liquid.expect("there is liquid").diagnosis;
+    let (volume, bump) = (diagnosis(first).volume, ROUGHNESS * grid.dx);
+    let fall = 0.5 * density * volume * (GRAVITY * first.dt).powi(2);
+    sheet.at_most(
+        "markers, 1 sub-step: kinetic energy over that of free fall",
+        diagnosis(first).kinetic_energy / fall,
+        std::f64::consts::PI * bump.powi(2) * area / (grid.dx * volume),
+    );
+    sheet.at_most(
+        &format!(
+            "markers, {AT_REST} sub-steps: kinetic energy over what bumps of {ROUGHNESS} cells hold"
+        ),
+        diagnosis(last).kinetic_energy / (0.5 * density * GRAVITY * bump.powi(2) * area),
+        1.0,
+    );
     // The level is where the spheres are, which may sink by their bumps, twice these at most; the middle goes half as far.
     let end = middle(&simulation);
     let way = (0..3).map(|axis| ((end[axis] - start[axis]) / grid.dx).powi(2));

@@ -216,7 +216,16 @@ fn main() -> ExitCode {
         machine.adapter
     );
     let start = Instant::now();
-    let kept = match Kept::new(&sheet::folder(), &machine, resume) {
+    // A run of some cases leaves what is kept of the others.
+    let kept = Kept::new(&sheet::folder(), &machine).and_then(|kept| {
+        match (resume, filters.is_empty()) {
+            (true, _) => {}
+            (false, true) => kept.forget_all()?,
+            (false, false) => cases.iter().try_for_each(|case| kept.forget(&case.id))?,
+        }
+        Ok(kept)
+    });
+    let kept = match kept {
         Ok(kept) => kept,
         Err(error) => {
             eprintln!("target/validate: {error}");

@@ -58,12 +58,12 @@ impl Row {
         &self.id[..end.map_or(self.id.len(), |(at, _)| at)]
     }
 
-    /// How bad it is: failures before all, what is told after all.
+    /// How bad it is: failures before all, what holds in words after all that has a number, what is told last.
     fn rank(&self) -> f64 {
         match self.passed {
-            Some(true) => self.share.unwrap_or(0.0),
+            Some(true) => self.share.unwrap_or(-1.0),
             Some(false) => f64::INFINITY,
-            None => -1.0,
+            None => -2.0,
         }
     }
 }
