@@ -38,7 +38,7 @@ fn main() {
     println!("cargo:rustc-env=CUTWATER_SOURCES={first}");
 }
 
-/// A file, or all files below a folder.
+/// A file, or all files below a folder but for hidden ones, which editors leave there.
 fn gather(path: &Path, files: &mut Vec<PathBuf>) {
     if !path.is_dir() {
         files.push(path.to_owned());
@@ -47,6 +47,8 @@ fn gather(path: &Path, files: &mut Vec<PathBuf>) {
     let entries = fs::read_dir(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     for entry in entries {
         let entry = entry.unwrap_or_else(|error| panic!("{}: {error}", path.display()));
-        gather(&entry.path(), files);
+        if !entry.file_name().as_encoded_bytes().starts_with(b".") {
+            gather(&entry.path(), files);
+        }
     }
 }

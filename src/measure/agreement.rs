@@ -47,6 +47,13 @@ const REPEATS: [(&str, &str); 3] = [
     ("solve_against.csv", "turns"),
     ("step.csv", "runs"),
 ];
+/// Columns, by table, with spreads that are none of repeats of one time, from which nothing follows for quotients: of differences, and of
+/// different sub-steps.
+const NO_SLACK: [(&str, &str); 3] = [
+    ("effects.csv", "seconds_added"),
+    ("effects.csv", "seconds_told"),
+    ("step.csv", "sub_step_seconds_median"),
+];
 /// Tables whose columns have names that the user chose, of probes and of keys: these tell nothing.
 const NAMED_BY_USERS: [&str; 2] = ["probes.csv", "summary.csv"];
 
@@ -214,9 +221,11 @@ fn compare(file: &Path, [(heads, ours), (_, theirs)]: &[Table; 2]) -> Vec<Row> {
         .iter()
         .zip(theirs)
         .map(|(ours, theirs)| {
-            let widths = spreads.values().filter_map(|&columns| {
+            let of_repeats = spreads
+                .iter()
+                .filter(|(at, _)| !NO_SLACK.contains(&(&*table, &heads[**at])));
+            let widths = of_repeats.filter_map(|(_, &columns)| {
                 let ([a, b], [c, d]) = (ends(ours, columns)?, ends(theirs, columns)?);
-                // Of differences, which may be below 0, nothing follows for quotients.
                 (a > 0.0 && c > 0.0).then(|| (d / a).max(b / c))
             });
             widths.reduce(f64::max).map(|width| width.max(1.0))

@@ -21,7 +21,8 @@ pub(super) struct Point {
 impl Point {
     /// Whether a logarithmic chart has a place for it.
     fn has_place(&self) -> bool {
-        self.x.min > 0.0 && self.y.min > 0.0
+        let ends = [self.x.min, self.x.max, self.y.min, self.y.max];
+        ends.iter().all(|end| *end > 0.0 && end.is_finite())
     }
 }
 

@@ -123,7 +123,8 @@ fn remove(path: &Path) -> Result<(), Error> {
     }
 }
 
-/// Writes rows with a head line. Where there are none, nothing tells the names of the columns: then there is no file, nor one of an earlier run.
+/// Writes rows with a head line; a number that is not finite is an empty cell, as it is `null` in JSON. Where there are no rows, nothing tells
+/// the names of the columns: then there is no file, nor one of an earlier run.
 ///
 /// # Errors
 /// [`Error::Output`].
@@ -131,15 +132,29 @@ pub(super) fn write_csv<T: Serialize>(rows: &[T], path: &Path) -> Result<(), Err
     if rows.is_empty() {
         return remove(path);
     }
-    let mut csv = csv::Writer::from_writer(Vec::new());
-    for row in rows {
-        csv.serialize(row)
-            .map_err(|error| Error::output(path, error))?;
-    }
-    let bytes = csv
-        .into_inner()
-        .map_err(|error| Error::output(path, error))?;
+    let bytes = csv_bytes(rows).map_err(|error| Error::output(path, error))?;
     write_atomically(path, &bytes)
+}
+
+fn csv_bytes<T: Serialize>(rows: &[T]) -> Result<Vec<u8>, csv::Error> {
+    let mut as_numbers_are = csv::Writer::from_writer(Vec::new());
+    for row in rows {
+        as_numbers_are.serialize(row)?;
+    }
+    let bytes = as_numbers_are.into_inner().map_err(|e| e.into_error())?;
+    let mut written = csv::Writer::from_writer(Vec::new());
+    for record in csv::ReaderBuilder::new()
+        .has_headers(false)
+        .from_reader(&bytes[..])
+        .records()
+    {
+        let record = record?;
+        written.write_record(record.iter().map(|cell| match cell {
+            "NaN" | "inf" | "-inf" => "",
+            _ => cell,
+        }))?;
+    }
+    Ok(written.into_inner().map_err(|e| e.into_error())?)
 }
 
 /// Writes a table with all that belongs to it.
@@ -176,6 +191,19 @@ mod tests {
     use std::fs;
 
     use super::write_csv;
+
+    #[test]
+    fn a_number_that_is_not_finite_is_an_empty_cell() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("table.csv");
+        let rows = [
+            (f64::NAN, -0.5, "a, b"),
+            (f64::INFINITY, f64::NEG_INFINITY, ""),
+        ];
+        write_csv(&rows, &path).unwrap();
+        let expected = ",-0.5,\"a, b\"\n,,\n";
+        assert_eq!(fs::read_to_string(&path).unwrap(), expected);
+    }
 
     #[test]
     fn a_table_without_rows_is_no_file() {

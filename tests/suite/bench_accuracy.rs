@@ -103,12 +103,12 @@ fn errors_follow_the_tolerance() {
                 .min_by(|a, b| a.seconds_median.total_cmp(&b.seconds_median))
                 .unwrap();
             let most = fastest.seconds_max.min(1.25 * fastest.seconds_median);
-            assert!(best.seconds_min <= most, "{best:?}");
             // f32 before mixed and loose before tight, where the spread of the fastest does not tell them apart; but a row for a lower error that
             // takes no longer stands for this one, too.
             let way = |best: &Best| (best.precision, best.formulation, best.tolerance);
             let mut lower = table.best.iter().filter(|other| other.target < best.target);
             let stands_for_more = lower.any(|other| way(other) == way(best));
+            assert!(best.seconds_min <= most || stands_for_more, "{best:?}");
             let equal = |row: &&&Row| row.seconds_min <= most;
             for row in meeting.iter().filter(equal) {
                 let simpler = row.precision == "f32" && best.precision == "mixed";

@@ -419,7 +419,7 @@ fn only_what_follows_from_times_may_differ() {
             ["0.01,12,1,0.8,1.2,0.5", "0.01,13,1,0.8,1.2,0.6"],
             "tolerance 1 0 0, iterations 0 1 0, seconds_median 1 0 0, speed_over_g_dt 0 1 0",
         ),
-        // A row without a spread, as quartiles around 0 are none, takes nothing back.
+        // From spreads of differences nothing follows for times.
         (
             "effects.csv",
             "seconds_with,seconds_without,seconds_added,seconds_added_low,seconds_added_high,pairs",
@@ -427,7 +427,7 @@ fn only_what_follows_from_times_may_differ() {
                 "5,4,1,0.9,1.1,12\n5,4,0,-1,1,12",
                 "50,4.1,1,0.9,1.1,12\n50,4,0,-1,1,11",
             ],
-            "seconds_with 0 1 1, seconds_without 2 0 0, seconds_added 2 0 0, pairs 1 1 0",
+            "seconds_with 0 0 2, seconds_without 1 0 1, seconds_added 2 0 0, pairs 1 1 0",
         ),
         (
             "outputs.csv",
@@ -477,9 +477,11 @@ fn only_what_follows_from_times_may_differ() {
         ),
         (
             "step.csv",
-            "iterations,solid_iterations,seconds_median,seconds_min,seconds_max",
-            ["12,5,1,0.8,1.2", "12.5,5.5,1,0.8,1.2"],
-            "iterations 0 1 0, solid_iterations 0 1 0, seconds_median 1 0 0",
+            // Nor do they from that of different sub-steps.
+            "iterations,seconds_median,seconds_min,seconds_max,\
+             sub_step_seconds_median,sub_step_seconds_min,sub_step_seconds_max,cells_per_second",
+            ["12,1,0.8,1.2,1,0.1,10,7", "12.5,1,0.8,1.2,1.1,0.1,10,14"],
+            "iterations 0 1 0, seconds_median 1 0 0, sub_step_seconds_median 1 0 0, cells_per_second 0 1 0",
         ),
         (
             "steps.csv",

@@ -45,7 +45,7 @@ impl Effects {
             Told::Effect(row) => {
                 if told != "effects" {
                     say!(
-                        "scene            effect            ms with, without  added (quartiles)        MiB     dispatches  kernels of its own"
+                        "scene            effect            ms with, without  added (quartiles)        MiB     dispatches  seconds told                 kernels of its own"
                     );
                 }
                 told = "effects";
@@ -88,7 +88,7 @@ fn say_effect(row: &Row) {
         return;
     };
     say!(
-        "{:16} {:16}  {:7.2}, {:7.2}  {:7.2} ({:.2}, {:.2})  {:8.3}  {dispatches:9}  {}",
+        "{:16} {:16}  {:7.2}, {:7.2}  {:7.2} ({:.2}, {:.2})  {:8.3}  {dispatches:9}  {:27}  {}",
         row.scene,
         row.effect,
         1e3 * with,
@@ -97,6 +97,7 @@ fn say_effect(row: &Row) {
         1e3 * low,
         1e3 * high,
         bytes as f64 / (1u64 << 20) as f64,
+        row.seconds_told,
         row.kernels,
     );
 }

@@ -125,6 +125,13 @@ fn tell_machine(machine: &Machine) {
     );
 }
 
+/// Ends of a range, to stand behind what it is of; nothing where there is none.
+fn range([low, high]: [Option<f64>; 2]) -> String {
+    low.zip(high).map_or(String::new(), |(low, high)| {
+        format!(" ({low:.2} to {high:.2})")
+    })
+}
+
 fn check_tolerance(tolerance: f64) -> Result<(), Error> {
     if tolerance > 0.0 && tolerance < 1.0 {
         return Ok(());

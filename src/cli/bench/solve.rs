@@ -8,7 +8,9 @@ use cutwater::gpu::Gpu;
 use cutwater::measure::bench_solve::{self, Formulation, Options, Rival};
 use cutwater::scene::Solver;
 
-use super::{PrecisionName, PreconditionerName, at_least_once, check_tolerance, tell_machine};
+use super::{
+    PrecisionName, PreconditionerName, at_least_once, check_tolerance, range, tell_machine,
+};
 use crate::cli::AdapterArgs;
 
 #[derive(Debug, Args)]
@@ -230,14 +232,13 @@ impl Solve {
         })?;
         for growth in &table.growth {
             say!(
-                "{} {} {}: seconds grow with {} to the power of {:.2} ({:.2} to {:.2}), at last {:.2} ({} to {})",
+                "{} {} {}: seconds grow with {} to the power of {:.2}{}, at last {:.2} ({} to {})",
                 growth.formulation,
                 growth.solver,
                 growth.precision,
                 growth.along,
                 growth.exponent,
-                growth.exponent_low,
-                growth.exponent_high,
+                range([growth.exponent_low, growth.exponent_high]),
                 growth.exponent_last,
                 growth.from,
                 growth.to,

@@ -8,7 +8,7 @@ use cutwater::gpu::Gpu;
 use cutwater::measure::bench_step::{self, Case};
 use cutwater::scene::Scene;
 
-use super::{at_least_once, tell_machine};
+use super::{at_least_once, range, tell_machine};
 use crate::cli::AdapterArgs;
 
 #[derive(Debug, Args)]
@@ -147,13 +147,12 @@ impl Step {
         }
         for growth in &table.growth {
             say!(
-                "{}, {}: seconds grow with {} to the power of {:.2} ({:.2} to {:.2}), at last {:.2} ({} to {})",
+                "{}, {}: seconds grow with {} to the power of {:.2}{}, at last {:.2} ({} to {})",
                 growth.scene,
                 growth.kind,
                 growth.along,
                 growth.exponent,
-                growth.exponent_low,
-                growth.exponent_high,
+                range([growth.exponent_low, growth.exponent_high]),
                 growth.exponent_last,
                 growth.from,
                 growth.to,

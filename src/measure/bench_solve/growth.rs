@@ -28,10 +28,10 @@ pub struct Growth {
     pub exponent: f64,
     /// Of those of the two largest sizes alone, where launches and other fixed costs tell least.
     pub exponent_last: f64,
-    /// Least exponent through seconds between least and largest of each row.
-    pub exponent_low: f64,
+    /// Least exponent through seconds between least and largest of each row; empty where a row has one run, which tells no spread.
+    pub exponent_low: Option<f64>,
     /// Largest.
-    pub exponent_high: f64,
+    pub exponent_high: Option<f64>,
     /// Of the iterations; empty for direct solvers.
     pub iterations: Option<f64>,
 }
@@ -45,6 +45,7 @@ struct Sample {
     nodes: u32,
     bricks: Option<usize>,
     seconds: Spread,
+    runs: usize,
     iterations: Option<f64>,
 }
 
@@ -62,6 +63,7 @@ pub(super) fn growth(rows: &[Row], against: &[Against]) -> Vec<Growth> {
             min: row.seconds_min,
             max: row.seconds_max,
         },
+        runs: row.runs,
         iterations: Some(f64::from(row.iterations)),
     });
     let converged = against.iter().filter(|row| row.converged());
@@ -77,6 +79,7 @@ pub(super) fn growth(rows: &[Row], against: &[Against]) -> Vec<Growth> {
                 min: row.seconds_min?,
                 max: row.seconds_max?,
             },
+            runs: row.turns,
             iterations: row.iterations.map(f64::from),
         })
     });
@@ -115,6 +118,11 @@ pub(super) fn growth(rows: &[Row], against: &[Against]) -> Vec<Growth> {
 }
 
 fn fit(members: &[&Sample], along: &'static str, fixed: Option<usize>) -> Option<Growth> {
+    let nodes = members.first()?.nodes;
+    // A grid may be refined by less than makes another beam.
+    if along == "both" && members.iter().all(|sample| sample.nodes == nodes) {
+        return None;
+    }
     let size = |sample: &Sample| match along {
         "nodes" => sample.nodes,
         _ => sample.cells,
@@ -129,6 +137,7 @@ fn fit(members: &[&Sample], along: &'static str, fixed: Option<usize>) -> Option
         .map(|sample| Some((of_size(sample), sample.iterations?)));
     let iterations: Option<Vec<(f64, f64)>> = iterations.collect();
     let sizes = members.iter().map(|sample| size(sample));
+    let spread = members.iter().all(|sample| sample.runs > 1);
     let [formulation, solver, precision] = members.first()?.series;
     Some(Growth {
         formulation,
@@ -141,8 +150,8 @@ fn fit(members: &[&Sample], along: &'static str, fixed: Option<usize>) -> Option
         to: sizes.max()?,
         exponent: seconds.fit,
         exponent_last: seconds.last,
-        exponent_low: seconds.low,
-        exponent_high: seconds.high,
+        exponent_low: spread.then_some(seconds.low),
+        exponent_high: spread.then_some(seconds.high),
         iterations: iterations.and_then(exponent),
     })
 }
@@ -150,7 +159,7 @@ fn fit(members: &[&Sample], along: &'static str, fixed: Option<usize>) -> Option
 #[cfg(test)]
 mod tests {
     use super::super::tests::row;
-    use super::growth;
+    use super::{Growth, Row, growth};
 
     #[test]
     fn what_did_not_converge_is_in_no_exponent() {
@@ -161,15 +170,14 @@ mod tests {
         };
         assert_eq!((found.rows, found.from, found.to), (2, 8000, 64000));
         // Seconds grow with the cells.
-        let exponents = [
-            found.exponent,
-            found.exponent_last,
-            found.exponent_low,
-            found.exponent_high,
-        ];
-        for exponent in exponents {
+        for exponent in [found.exponent, found.exponent_last] {
             assert!((exponent - 1.0).abs() < 1e-12, "{found:?}");
         }
+        let range = |found: &Growth| [found.exponent_low, found.exponent_high];
+        assert_eq!(range(found), [None; 2], "rows of one run have no spread");
+        let repeated = rows.clone().into_iter().map(|row| Row { runs: 2, ..row });
+        let repeated = growth(&repeated.collect::<Vec<_>>(), &[]);
+        assert_eq!(range(&repeated[0]), [Some(found.exponent); 2]);
         for status in ["iteration_limit", "converged_to_rounding"] {
             rows.push(row(60, status));
         }

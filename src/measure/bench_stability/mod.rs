@@ -29,6 +29,7 @@ use serde::Serialize;
 use crate::Error;
 use crate::elastic::Solids;
 use crate::gpu::Gpu;
+use crate::output::FolderLock;
 use crate::reference::diagnose_solid;
 use crate::scene::Scene;
 use crate::sim::{Backend, Simulation};
@@ -259,6 +260,7 @@ pub fn bench_stability(
     let of_limits = limits.iter().map(|limit| limit.name());
     let names: Vec<String> = cases.iter().map(|case| case.name.clone()).collect();
     options.check(&of_limits.chain(names).collect::<Vec<_>>())?;
+    let _held = FolderLock::take(out)?;
     let scenes = out.join("scenes");
     fs::create_dir_all(&scenes).map_err(|problem| Error::output(&scenes, problem))?;
     remove_earlier(out, &["stability_limit.csv"])?;

@@ -29,10 +29,10 @@ pub struct Growth {
     pub exponent: f64,
     /// Of those of the two largest sizes alone.
     pub exponent_last: f64,
-    /// Least exponent through seconds between least and largest of each row.
-    pub exponent_low: f64,
+    /// Least exponent through seconds between least and largest of each row; empty where a row has one run, which tells no spread.
+    pub exponent_low: Option<f64>,
     /// Largest.
-    pub exponent_high: f64,
+    pub exponent_high: Option<f64>,
 }
 
 /// Of each scene and kind of sub-steps with two sizes or more.
@@ -80,6 +80,7 @@ fn fit(members: &[&Row], along: &'static str, fixed: Option<usize>) -> Option<Gr
     });
     let exponents = Exponents::of(&points.collect::<Vec<_>>())?;
     let sizes = members.iter().map(|row| size(row));
+    let spread = members.iter().all(|row| row.runs > 1);
     Some(Growth {
         scene: first.scene.clone(),
         kind: first.kind,
@@ -90,8 +91,8 @@ fn fit(members: &[&Row], along: &'static str, fixed: Option<usize>) -> Option<Gr
         to: sizes.max()?,
         exponent: exponents.fit,
         exponent_last: exponents.last,
-        exponent_low: exponents.low,
-        exponent_high: exponents.high,
+        exponent_low: spread.then_some(exponents.low),
+        exponent_high: spread.then_some(exponents.high),
     })
 }
 

@@ -45,8 +45,6 @@ pub(super) struct Run {
     start: (State, Carried),
     /// Of each run from the start, its sub-steps but for the first.
     repeats: Vec<Vec<Sample>>,
-    /// Share of the active quads whose weights are loaded.
-    not_uniform: f64,
     /// What decides the bytes of the solids' stages, and the degree of their preconditioner; `None` without solids.
     solids: Option<(SolidBytes, Bounds)>,
 }
@@ -55,6 +53,8 @@ pub(super) struct Run {
 struct Sample {
     seconds: f64,
     band_cells: usize,
+    /// Share of the active quads whose weights are loaded.
+    not_uniform: f64,
     /// How liquid and solids were solved for together; `None` where each was by itself.
     corrections: Option<Corrections>,
     report: StepReport,
@@ -103,7 +103,6 @@ impl Run {
             start: (simulation.state()?, simulation.carried()?),
             simulation,
             repeats: Vec::new(),
-            not_uniform: 1.0,
         })
     }
 
@@ -131,10 +130,10 @@ impl Run {
         let report = self.simulation.step()?;
         let seconds = clock.elapsed().as_secs_f64();
         if count {
-            self.not_uniform = self.path().share_not_uniform()?;
             let sample = Sample {
                 seconds,
                 band_cells: self.path().band_cells()?,
+                not_uniform: self.path().share_not_uniform()?,
                 corrections: self.corrections(&report)?,
                 report,
             };
@@ -317,7 +316,7 @@ impl Run {
         let [real, inner] = self.scalar_bytes();
         let liquid = SolveBytes {
             unknowns: sample.unknowns(),
-            not_uniform: self.not_uniform,
+            not_uniform: sample.not_uniform,
             iterations: sample.iterations(),
             rounds: rounds(inner),
             widths: [inner, real],

@@ -10,13 +10,13 @@ use super::{MOST_ITERATIONS, Options, PATIENCE, TOLERANCE, ThesisTable};
 use crate::Error;
 use crate::linalg::norm;
 use crate::measure::bench_accuracy::{Done, Mask, reference_step, sub_step};
-use crate::measure::bench_solve::{Ended, name};
+use crate::measure::bench_solve::{Ended, is_solved, name};
 use crate::measure::plane_strain::{PlaneStrain, TABLE_6_5, TABLE_6_6};
 use crate::measure::statistics::{Spread, exponent};
 use crate::reference::larger;
 use crate::scene::{PatchPressure, Precision, Scene, Solver};
 use crate::sim::{GpuPath, reference_path, solids_of};
-use crate::state::{SolveReport, SolveStatus, State};
+use crate::state::{SolveReport, State};
 
 /// Cells along the tank's height that an order is fitted over: cell sizes of 0.1 to 0.0125.
 const FITTED: std::ops::RangeInclusive<usize> = 10..=80;
@@ -116,7 +116,7 @@ pub struct Row {
     pub seconds_max: f64,
 }
 
-/// A row of thesis_orders.csv: orders of convergence over cell sizes of 0.1 to 0.0125, of rows that converged.
+/// A row of thesis_orders.csv: orders of convergence over cell sizes of 0.1 to 0.0125, of rows whose solves passed.
 #[derive(Clone, Debug, Serialize)]
 pub struct Order {
     /// Number of the table.
@@ -356,16 +356,15 @@ fn order(
     })
 }
 
-/// Of all series, as far as they converged, and of the printed errors.
+/// Of all series, where their solves passed, and of the printed errors.
 pub(super) fn orders(rows: &[Row], tables: &[ThesisTable]) -> Vec<Order> {
     let mut orders = Vec::new();
     for problem in tables.iter().filter_map(|&table| Problem::of(table)) {
         let number = problem.table.number();
         orders.extend(order([number, "thesis", "", "cell"], problem.printed));
         for series in series_of(rows, number) {
-            let converged = |row: &&Row| row.status == SolveStatus::Converged.name();
-            let of_series = rows.iter().filter(|row| series.holds(row));
-            let of_series: Vec<&Row> = of_series.filter(converged).collect();
+            let passed = |row: &&Row| series.holds(row) && is_solved(row.status);
+            let of_series: Vec<&Row> = rows.iter().filter(passed).collect();
             let errors = |row: &&Row| (row.grid, [row.error_p, row.error_v, row.error_u]);
             let points: Vec<_> = of_series.iter().map(errors).collect();
             let fitted = of_series.iter().filter(|row| FITTED.contains(&row.grid));

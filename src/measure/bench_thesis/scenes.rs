@@ -6,11 +6,11 @@ use serde::Serialize;
 
 use super::{Options, ThesisTable};
 use crate::Error;
-use crate::measure::bench_solve::name;
+use crate::measure::bench_solve::{Ended, is_solved, name};
 use crate::measure::statistics::Spread;
 use crate::scene::{Precision, Scene};
 use crate::sim::{Backend, Simulation};
-use crate::state::{SolveStatus, StepReport};
+use crate::state::{SolveReport, SolveStatus, StepReport};
 
 /// A line of the thesis's table.
 pub(super) struct Printed {
@@ -185,8 +185,13 @@ impl SceneRow {
         let nodes = [simulation.solids().rest.len(), printed.nodes];
         let elements = [simulation.solids().elements.len(), printed.elements];
         let ratio = |[here, printed]: [usize; 2]| here as f64 / printed as f64;
-        let mut statuses = reports.iter().flat_map(StepReport::solves);
-        let failed = statuses.find(|solve| solve.status != SolveStatus::Converged);
+        let ended = reports.iter().map(|report| {
+            let solves: Vec<SolveReport> = report.solves().collect();
+            Ended::of_reports(&solves).name(scene.solver.tolerance)
+        });
+        // The first that failed, or passed above the tolerance.
+        let converged = SolveStatus::Converged.name();
+        let ended = ended.min_by_key(|&word| (is_solved(word), word == converged));
         let touching = |report: &&StepReport| report.coupling.is_some_and(|both| both.touching);
         let spread = |seconds: &dyn Fn(&StepReport) -> f64| {
             Spread::of(reports.iter().map(seconds).collect())
@@ -223,9 +228,7 @@ impl SceneRow {
             ratio_elements: ratio(elements),
             sub_steps: reports.len(),
             touching: reports.iter().filter(touching).count(),
-            status: failed
-                .map_or(SolveStatus::Converged, |solve| solve.status)
-                .name(),
+            status: ended.unwrap_or(converged),
             seconds_median: seconds.median,
             seconds_min: seconds.min,
             seconds_max: seconds.max,

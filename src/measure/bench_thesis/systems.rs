@@ -17,7 +17,7 @@ use super::{MOST_ITERATIONS, Options, PATIENCE, TOLERANCE, ThesisTable};
 use crate::Error;
 use crate::elastic::Solids;
 use crate::measure::bench_accuracy::sub_step;
-use crate::measure::bench_solve::{Ended, bricks_across, name};
+use crate::measure::bench_solve::{Ended, bricks_across, is_solved, name};
 use crate::measure::statistics::{Spread, exponent};
 use crate::reference::{
     BlockPattern, CoupledSystem, Formulation as Form, Reference, SolidSolver, StepSystem,
@@ -25,7 +25,7 @@ use crate::reference::{
 };
 use crate::scene::{Formulation, Precision, Scene, SolidMesh, Solver};
 use crate::sim::{Backend, GpuPath, Simulation, reference_path, solids_of};
-use crate::state::{SolveReport, SolveStatus, State, StepReport};
+use crate::state::{SolveReport, State, StepReport};
 
 const SCENE: &str = include_str!("../../../scenes/conditioning_40.toml");
 /// The share of the mass in Z1 that the thesis "exclusively used".
@@ -134,7 +134,7 @@ pub struct SystemRow {
     pub frame_seconds_max: Option<f64>,
 }
 
-/// A row of thesis_means.csv: a number of a table, as a mean over the states; seconds over those whose solve converged.
+/// A row of thesis_means.csv: a number of a table, as a mean over the states; seconds over those whose solve passed.
 #[derive(Clone, Debug, Serialize)]
 pub struct Mean {
     /// Number of the table.
@@ -604,14 +604,13 @@ impl SystemRow {
         }
     }
 
-    /// Value, least and largest of a quantity; seconds only of a solve that converged: others end when they end.
+    /// Value, least and largest of a quantity; seconds only of a solve that passed: others end when they end.
     fn values(&self, quantity: &str) -> Option<[f64; 3]> {
-        let converged = self.status == Some(SolveStatus::Converged.name());
         match quantity {
             "nonzeros" => self.nonzeros.map(|n| [n as f64; 3]),
             "log10_condest" => self.log10_condest.map(|c| [c; 3]),
             "log10_condition" => self.log10_condition.map(|c| [c; 3]),
-            _ if !converged => None,
+            _ if !self.status.is_some_and(is_solved) => None,
             "seconds" => Some([self.seconds_median?, self.seconds_min?, self.seconds_max?]),
             _ => {
                 let seconds = self.frame_seconds?;
@@ -686,7 +685,7 @@ pub(super) fn means(rows: &[SystemRow]) -> Vec<Mean> {
         for &quantity in quantities(first.table) {
             let values = of_line.iter().filter_map(|row| row.values(quantity));
             let values: Vec<[f64; 3]> = values.collect();
-            // A quantity that this way does not have, or no solve that converged.
+            // A quantity that this way does not have, or no solve that passed.
             if values.is_empty() {
                 continue;
             }
@@ -884,7 +883,7 @@ mod tests {
     }
 
     #[test]
-    fn seconds_of_solves_that_did_not_converge_enter_no_mean() {
+    fn seconds_of_solves_that_did_not_pass_enter_no_mean() {
         let failed = |grid, frame| SystemRow {
             status: Some("iteration_limit"),
             ..row(grid, frame, "two-field", 100.0)
@@ -892,7 +891,10 @@ mod tests {
         let rows = [
             row(50, 10, "two-field", 1.0),
             failed(50, 40),
-            row(60, 10, "two-field", 2.0),
+            SystemRow {
+                status: Some("converged_to_rounding"),
+                ..row(60, 10, "two-field", 2.0)
+            },
             failed(100, 10),
         ];
         let of_rows = means(&rows);
