@@ -23,22 +23,8 @@ pub(super) struct Report {
 
 impl Report {
     pub(super) fn run(&self) -> Result<(), Error> {
-        for document in &self.into {
-            let Inserted {
-                written,
-                empty,
-                left,
-            } = insert(&self.dir, document)?;
-            say!("{}: {written} tables written", document.display());
-            for file in empty {
-                say!("  without rows: none of {file} is as the table wants it");
-            }
-            for file in left {
-                say!("  left as it was: {file} is not in {}", self.dir.display());
-            }
-        }
         if !self.into.is_empty() {
-            return Ok(());
+            return self.write_tables();
         }
         if let Some(other) = &self.against {
             return self.compare(other);
@@ -50,6 +36,25 @@ impl Report {
         } = report(&self.dir)?;
         say!("{folders} folders, {tables} tables, {pictures} pictures");
         say!("page: {}", self.dir.join(PAGE).display());
+        Ok(())
+    }
+
+    fn write_tables(&self) -> Result<(), Error> {
+        let inserted = insert(&self.dir, &self.into)?;
+        for (document, tables) in self.into.iter().zip(inserted) {
+            let Inserted {
+                written,
+                empty,
+                left,
+            } = tables;
+            say!("{}: {written} tables written", document.display());
+            for file in empty {
+                say!("  without rows: none of {file} is as the table wants it");
+            }
+            for file in left {
+                say!("  left as it was: {file} is not in {}", self.dir.display());
+            }
+        }
         Ok(())
     }
 

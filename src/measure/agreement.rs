@@ -13,6 +13,7 @@ use serde::Serialize;
 
 use crate::Error;
 
+use super::insert;
 use super::report::{csv_files, records};
 use super::statistics::Spread;
 use super::table::write_csv;
@@ -47,13 +48,15 @@ const REPEATS: [(&str, &str); 3] = [
     ("solve_against.csv", "turns"),
     ("step.csv", "runs"),
 ];
-/// Columns, by table, with spreads that are none of repeats of one time, from which nothing follows for quotients: of differences, and of
-/// different sub-steps.
-const NO_SLACK: [(&str, &str); 3] = [
+/// Columns, by table, with spreads of differences, from which nothing follows for quotients.
+const NO_SLACK: [(&str, &str); 2] = [
     ("effects.csv", "seconds_added"),
     ("effects.csv", "seconds_told"),
-    ("step.csv", "sub_step_seconds_median"),
 ];
+/// Columns, by table, whose ends are none of a spread of repeats: of different sub-steps.
+const NO_SPREAD: [(&str, &str); 1] = [("step.csv", "sub_step_seconds_median")];
+/// What is over the copy bandwidth of its run is judged times that bandwidth, which is measured once in each.
+const SHARE: &str = "share_of_copy_bandwidth";
 /// Tables whose columns have names that the user chose, of probes and of keys: these tell nothing.
 const NAMED_BY_USERS: [&str; 2] = ["probes.csv", "summary.csv"];
 
@@ -167,7 +170,13 @@ pub fn agreement(dir: &Path, other: &Path) -> Result<Agreement, Error> {
                 "give folders that the same version wrote with the same options",
             ));
         }
-        columns.extend(compare(name, &tables));
+        let bandwidths = [&file, &beside].map(|file| copy_bandwidth(file));
+        let bandwidths = bandwidths[0].zip(bandwidths[1]);
+        columns.extend(compare(
+            name,
+            &tables,
+            bandwidths.map_or(1.0, |(a, b)| b / a),
+        ));
     }
     write_csv(&columns, &dir.join(TABLE))?;
     Ok(Agreement { columns, missing })
@@ -182,8 +191,14 @@ fn names(folder: &Path) -> Result<BTreeSet<PathBuf>, Error> {
         .collect())
 }
 
-/// A row per column, but for the ends of spreads.
-fn compare(file: &Path, [(heads, ours), (_, theirs)]: &[Table; 2]) -> Vec<Row> {
+/// Bytes per second of a copy in the run that a table is of.
+fn copy_bandwidth(table: &Path) -> Option<f64> {
+    let json = insert::beside(table)?;
+    json.pointer("/copy_bandwidth/median")?.as_f64()
+}
+
+/// A row per column, but for the ends of spreads. `bandwidth`: of copies in the other run over that in this one.
+fn compare(file: &Path, [(heads, ours), (_, theirs)]: &[Table; 2], bandwidth: f64) -> Vec<Row> {
     let table = file.file_name().unwrap_or_default().to_string_lossy();
     let timed: Vec<bool> = heads.iter().map(|name| of_times(&table, name)).collect();
     let place: BTreeMap<&str, usize> = heads
@@ -198,7 +213,7 @@ fn compare(file: &Path, [(heads, ours), (_, theirs)]: &[Table; 2]) -> Vec<Row> {
     // Columns that have a spread, with those of its ends.
     let spreads: BTreeMap<usize, [usize; 2]> = place
         .iter()
-        .filter(|&(_, &at)| timed[at])
+        .filter(|&(&name, &at)| timed[at] && !NO_SPREAD.contains(&(&*table, name)))
         .filter_map(|(&name, &at)| {
             let [least, most] = match name.strip_suffix("_median") {
                 Some(stem) => ["min", "max"].map(|end| format!("{stem}_{end}")),
@@ -259,6 +274,8 @@ fn compare(file: &Path, [(heads, ours), (_, theirs)]: &[Table; 2]) -> Vec<Row> {
                 _ if !timed || cells.contains(&"") => Some(false),
                 (Some(([a, b], [c, d])), _) => Some(a <= d && c <= b),
                 (None, Some(slack)) => {
+                    let divided = if column == SHARE { bandwidth } else { 1.0 };
+                    let ratio = ratio.map(|ratio| ratio * divided);
                     Some(ratio.is_some_and(|ratio| ratio.max(1.0 / ratio) <= slack))
                 }
                 (None, None) => None,

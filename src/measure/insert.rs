@@ -59,12 +59,30 @@ pub struct Inserted {
     pub left: Vec<String>,
 }
 
-/// Writes a document's tables anew from the results below `dir`. Those of benches that did not run are left as they are.
+/// Writes the tables of documents anew from the results below `dir`, and says what became of each document's. Those of benches that did not run are
+/// left as they are.
 ///
 /// # Errors
-/// [`Error::Input`] where the document or a file that it names cannot be read or has no head, it asks for columns that are not there, or none
-/// of its files is; [`Error::Output`].
-pub fn insert(dir: &Path, document: &Path) -> Result<Inserted, Error> {
+/// [`Error::Input`] where a document or a file that it names cannot be read or has no head, it asks for columns that are not there or for no table,
+/// or none of the files that all of them ask for is there; [`Error::Output`].
+pub fn insert(dir: &Path, documents: &[impl AsRef<Path>]) -> Result<Vec<Inserted>, Error> {
+    let inserted = documents.iter();
+    let inserted = inserted.map(|document| insert_into(dir, document.as_ref()));
+    let inserted: Vec<Inserted> = inserted.collect::<Result<_, _>>()?;
+    if inserted.iter().any(|tables| tables.written > 0) {
+        return Ok(inserted);
+    }
+    let names = documents.iter();
+    let names = names.map(|document| document.as_ref().display().to_string());
+    let names: Vec<String> = names.collect();
+    Err(Error::input(
+        dir.display().to_string(),
+        format!("no table is there that {} asks for", names.join(" or ")),
+        "give the folder with the --out folders of the benches in it",
+    ))
+}
+
+fn insert_into(dir: &Path, document: &Path) -> Result<Inserted, Error> {
     let text = fs::read_to_string(document).map_err(|problem| {
         let cure = "give a Markdown file with <!-- table .. --> comments";
         Error::input(document.display().to_string(), problem.to_string(), cure)
@@ -135,9 +153,7 @@ pub fn insert(dir: &Path, document: &Path) -> Result<Inserted, Error> {
         return Err(refused(1, "it asks for no table".to_owned(), cure));
     }
     if tables.written == 0 {
-        let cure = "give the folder with the --out folders of the benches in it";
-        let problem = format!("no table is there that {} asks for", document.display());
-        return Err(Error::input(dir.display().to_string(), problem, cure));
+        return Ok(tables);
     }
     write_atomically(document, out.as_bytes())?;
     Ok(tables)
@@ -276,8 +292,8 @@ fn rounded(cell: &str) -> String {
     }
 }
 
-/// Where and when the tables of a bench were measured, from the JSON file beside them.
-fn measured(path: &Path) -> Option<String> {
+/// The JSON file of a table's bench, beside it.
+pub(super) fn beside(path: &Path) -> Option<Value> {
     let stem = path.file_stem()?.to_str()?;
     let parts: Vec<&str> = stem.split('_').collect();
     // Tables of a bench are called as its JSON file is, and more.
@@ -286,7 +302,12 @@ fn measured(path: &Path) -> Option<String> {
     let text = texts
         .into_iter()
         .find_map(|path| fs::read_to_string(path).ok())?;
-    let json: Value = serde_json::from_str(&text).ok()?;
+    serde_json::from_str(&text).ok()
+}
+
+/// Where and when the tables of a bench were measured, from the JSON file beside them.
+fn measured(path: &Path) -> Option<String> {
+    let json = beside(path)?;
     let say = |key: &str| Some(json.get(key)?.as_str()?.to_owned());
     let number = |key: &str| json.get(key)?.as_f64();
     // Where several runs measured the rows, first to last.

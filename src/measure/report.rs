@@ -279,7 +279,8 @@ fn facts(path: &Path) -> Result<Vec<(String, String)>, Error> {
     Ok(facts)
 }
 
-/// A drawing's text. It becomes a part of the page as it is, where one that does not end would swallow what follows.
+/// A drawing's text. It becomes a part of the page as it is, where one that does not end would swallow what follows, and one that runs scripts or
+/// asks for other files would take from the page that it needs nothing else.
 fn drawing(path: &Path) -> Result<String, Error> {
     let text = read(path)?;
     // Other programs begin theirs with a document type.
@@ -287,13 +288,26 @@ fn drawing(path: &Path) -> Result<String, Error> {
         allow_dtd: true,
         ..ParsingOptions::default()
     };
-    let is_svg = Document::parse_with_options(&text, options)
-        .map(|document| document.root_element().tag_name().name() == "svg");
-    match is_svg {
-        Ok(true) => Ok(text),
-        Ok(false) => Err(unreadable(path, &"its root is no svg element")),
-        Err(problem) => Err(unreadable(path, &problem)),
+    let document = Document::parse_with_options(&text, options);
+    let document = document.map_err(|problem| unreadable(path, &problem))?;
+    if document.root_element().tag_name().name() != "svg" {
+        return Err(unreadable(path, &"its root is no svg element"));
     }
+    let elements = document.descendants().filter(|node| node.is_element());
+    for element in elements {
+        let name = element.tag_name().name();
+        if name == "script" || name == "foreignObject" {
+            return Err(unreadable(path, &format!("it has a {name} element")));
+        }
+        for attribute in element.attributes() {
+            let (name, value) = (attribute.name(), attribute.value().trim_start());
+            let inner = value.starts_with('#') || value.starts_with("data:image/");
+            if name.starts_with("on") || (name == "href" && !inner) {
+                return Err(unreadable(path, &format!("it has {name}={value:?}")));
+            }
+        }
+    }
+    Ok(text)
 }
 
 /// Whether a table is steps.csv of a run without sub-steps: the first of them tells the columns.

@@ -205,13 +205,16 @@ fn weak_coupling_grows_by_the_ratio_of_added_mass_whatever_the_sub_step() {
     let table = bench_stability(&options(&names), folder.path(), &mut |_| {}).unwrap();
     table.verdict().unwrap();
     let growth: Vec<f64> = table.limits.iter().map(|row| row.got).collect();
-    let [a, b, c, d] = growth[..] else {
+    let [a, b, c, d, ..] = growth[..] else {
         panic!("{growth:?}")
     };
     for (got, expected) in [(a, 0.8), (b, 2.0), (c, 0.8), (d, 2.0)] {
         assert!((got / expected - 1.0).abs() <= 5e-3, "{growth:?}");
     }
     assert!(table.limits[0].dt > 3.0 * table.limits[2].dt);
+    // And against each other.
+    let of_both = table.limits[4..].iter().map(|row| (row.expected, row.got));
+    assert_eq!(of_both.collect::<Vec<_>>(), [(a, c), (b, d)]);
 }
 
 /// 5 % below the limit m_a / m_s = 1 + (w dt)^2 / 4 what there is of motion decays, 5 % above it grows.

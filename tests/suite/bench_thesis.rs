@@ -569,7 +569,7 @@ fn captions_tell_of_all_parts() {
         );
         write("thesis.json", &json);
         write("bench.md", &format!("{head}<!-- end of table -->\n"));
-        insert(folder.path(), &document).unwrap();
+        insert(folder.path(), &[&document]).unwrap();
         let expected = format!("{head}| mean |\n|---|\n| 1 |\n\n*{told}*\n<!-- end of table -->\n");
         assert_eq!(fs::read_to_string(&document).unwrap(), expected);
     }

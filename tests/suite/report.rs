@@ -3,8 +3,9 @@
 use std::fs;
 use std::path::Path;
 
+use cutwater::Error;
 use cutwater::measure::agreement::agreement;
-use cutwater::measure::insert::insert;
+use cutwater::measure::insert::{Inserted, insert};
 use cutwater::measure::report::{Contents, PAGE, report};
 use cutwater::output::manifest::{Manifest, RunOptions};
 use cutwater::scene::Scene;
@@ -108,8 +109,9 @@ fn nothing_and_broken_files_are_refused() {
     let mut changed = whole.clone();
     // The last byte of its data, before two checksums and the end.
     changed[whole.len() - 21] ^= 1;
-    let drawing = "<!DOCTYPE svg><svg xmlns=\"http://www.w3.org/2000/svg\"><g></g></svg>";
-    let files: [(&str, &[u8], &str); 13] = [
+    let drawing =
+        "<!DOCTYPE svg><svg xmlns=\"http://www.w3.org/2000/svg\"><g></g><a href=\"#g\"/></svg>";
+    let files: [(&str, &[u8], &str); 18] = [
         ("steps.csv", b"", "it is empty"),
         ("blank.csv", b"\n\n", "it is empty"),
         ("quote.csv", b"a,b\n1,\"2\n3,4\n", "the last quotation mark"),
@@ -123,6 +125,19 @@ fn nothing_and_broken_files_are_refused() {
         ("p.svg", b"<svg", ""),
         ("p.svg", &drawing.as_bytes()[..drawing.len() - 1], ""),
         ("p.svg", b"<html></html>", "its root"),
+        ("p.svg", b"<svg><script>1</script></svg>", "it has a script"),
+        ("p.svg", b"<svg><foreignObject/></svg>", "it has a foreign"),
+        ("p.svg", b"<svg onload=\"a()\"/>", "it has onload"),
+        (
+            "p.svg",
+            b"<svg><a href=\"javascript:a()\"/></svg>",
+            "it has href",
+        ),
+        (
+            "p.svg",
+            b"<svg xmlns:x=\"http://www.w3.org/1999/xlink\"><image x:href=\"//a/b.png\"/></svg>",
+            "it has href",
+        ),
     ];
     for (name, bytes, told) in files {
         fs::write(dir.join(name), bytes).unwrap();
@@ -176,6 +191,10 @@ old
 After it.
 ";
 
+fn insert_into(dir: &Path, document: &Path) -> Result<Inserted, Error> {
+    insert(dir, &[document]).map(|mut tables| tables.remove(0))
+}
+
 #[test]
 fn tables_of_documents_are_written_anew() {
     let folder = tempfile::tempdir().unwrap();
@@ -200,7 +219,7 @@ fn tables_of_documents_are_written_anew() {
     );
     // Once more changes nothing.
     for _ in 0..2 {
-        let tables = insert(&dir, &document).unwrap();
+        let tables = insert_into(&dir, &document).unwrap();
         assert_eq!((tables.written, tables.left.len()), (1, 0));
         assert_eq!(fs::read_to_string(&document).unwrap(), expected);
     }
@@ -218,7 +237,7 @@ fn tables_of_documents_are_written_anew() {
         (json, &expected),
     ] {
         fs::write(dir.join("solve/solve.json"), json).unwrap();
-        insert(&dir, &document).unwrap();
+        insert_into(&dir, &document).unwrap();
         assert_eq!(&fs::read_to_string(&document).unwrap(), expected);
     }
     for (broken, line, told) in [
@@ -252,7 +271,7 @@ fn tables_of_documents_are_written_anew() {
         ("# Nothing\n".to_owned(), 1, "no table"),
     ] {
         fs::write(&document, &broken).unwrap();
-        let error = insert(&dir, &document).unwrap_err();
+        let error = insert_into(&dir, &document).unwrap_err();
         let place = format!("speed.md:{line}: ");
         let text = error.to_string();
         assert!(
@@ -269,7 +288,7 @@ fn tables_of_documents_are_written_anew() {
     // What was not measured this time is left as it is, unless that is all.
     let other = DOCUMENT.replace("solve/solve_", "solve/other_");
     fs::write(&document, format!("{DOCUMENT}{other}")).unwrap();
-    let tables = insert(&dir, &document).unwrap();
+    let tables = insert_into(&dir, &document).unwrap();
     assert_eq!(
         (tables.written, &tables.left[..]),
         (1, &["solve/other_growth.csv".to_owned()][..])
@@ -278,8 +297,17 @@ fn tables_of_documents_are_written_anew() {
         fs::read_to_string(&document).unwrap(),
         format!("{expected}{other}")
     );
+    // Of several documents one may have nothing.
+    let beside = folder.path().join("beside.md");
+    fs::write(&beside, &other).unwrap();
+    let tables = insert(&dir, &[&beside, &document]).unwrap();
+    assert_eq!(
+        [tables[0].written, tables[0].left.len(), tables[1].written],
+        [0, 1, 1]
+    );
+    assert_eq!(fs::read_to_string(&beside).unwrap(), other);
     fs::write(&document, &other).unwrap();
-    let text = insert(&dir, &document).unwrap_err().to_string();
+    let text = insert_into(&dir, &document).unwrap_err().to_string();
     assert!(
         text.contains("results: no table is there") && text.contains("speed.md"),
         "{text}"
@@ -295,7 +323,7 @@ fn tables_without_rows_say_so() {
     let document = folder.path().join("speed.md");
     let refused = |text: &str, told: &str| {
         fs::write(&document, text).unwrap();
-        let error = insert(&dir, &document).unwrap_err();
+        let error = insert_into(&dir, &document).unwrap_err();
         assert_eq!(error.exit_code(), 2, "{error}");
         assert!(error.to_string().contains(told), "{told}: {error}");
         assert_eq!(fs::read_to_string(&document).unwrap(), text);
@@ -304,7 +332,7 @@ fn tables_without_rows_say_so() {
         let heads = "grid,precision,tolerance,median,min,order";
         fs::write(&table, format!("{heads}\n{rows}")).unwrap();
         fs::write(&document, DOCUMENT).unwrap();
-        let tables = insert(&dir, &document).unwrap();
+        let tables = insert_into(&dir, &document).unwrap();
         assert_eq!((tables.written, tables.left.len()), (1, 0));
         assert_eq!(tables.empty, ["solve/solve_growth.csv"]);
         assert_eq!(
@@ -477,11 +505,12 @@ fn only_what_follows_from_times_may_differ() {
         ),
         (
             "step.csv",
-            // Nor do they from that of different sub-steps.
+            // Those of different sub-steps are no spread of repeats.
             "iterations,seconds_median,seconds_min,seconds_max,\
              sub_step_seconds_median,sub_step_seconds_min,sub_step_seconds_max,cells_per_second",
-            ["12,1,0.8,1.2,1,0.1,10,7", "12.5,1,0.8,1.2,1.1,0.1,10,14"],
-            "iterations 0 1 0, seconds_median 1 0 0, sub_step_seconds_median 1 0 0, cells_per_second 0 1 0",
+            ["12,1,0.8,1.2,1,0.1,10,7", "12.5,1,0.8,1.2,1.1,0.1,16,14"],
+            "iterations 0 1 0, seconds_median 1 0 0, sub_step_seconds_median 1 0 0, sub_step_seconds_min 1 0 0, \
+             sub_step_seconds_max 0 1 0, cells_per_second 0 1 0",
         ),
         (
             "steps.csv",
@@ -572,4 +601,32 @@ fn tables_of_one_run_alone_are_no_agreement() {
     assert_eq!(verdict.exit_code(), 1, "{verdict}");
     let told = "columns that differ: 0; tables that only one of the folders has: 2";
     assert!(verdict.to_string().contains(told), "{verdict}");
+}
+
+/// The bandwidth of a copy is measured once in each run, and shares go with it.
+#[test]
+fn shares_are_compared_times_the_bandwidth() {
+    let folder = tempfile::tempdir().unwrap();
+    let [first, second] = ["first", "second"].map(|name| folder.path().join(name));
+    let heads = "seconds_median,seconds_min,seconds_max,share_of_copy_bandwidth";
+    let write = |dir: &Path, share: f64, bandwidth: f64| {
+        fs::create_dir_all(dir).unwrap();
+        let rows = format!("{heads}\n1,0.9,1.1,{share}\n");
+        fs::write(dir.join("step_stages.csv"), rows).unwrap();
+        let json = format!("{{\"copy_bandwidth\": {{\"median\": {bandwidth}}}}}");
+        fs::write(dir.join("step.json"), json).unwrap();
+    };
+    let differ = || {
+        let found = agreement(&first, &second).unwrap();
+        let share = found.columns.last().unwrap();
+        assert_eq!(share.column, "share_of_copy_bandwidth");
+        share.differ
+    };
+    write(&first, 0.8, 5e9);
+    write(&second, 0.42, 1e10);
+    assert_eq!(differ(), 0);
+    for bandwidth in [5e9, 2e10] {
+        write(&second, 0.42, bandwidth);
+        assert_eq!(differ(), 1, "{bandwidth}");
+    }
 }

@@ -14,8 +14,10 @@ use super::Row;
 use super::ended::Ended;
 use super::rival::{Assembled, Rival};
 
-/// No more runs of a solver are begun once they have taken so long, s.
+/// No more runs of a solver are begun once they have taken so long, s,
 pub(super) const LONG_ENOUGH: f64 = 20.0;
+/// but so many are, or none of them would tell a spread.
+pub(super) const FEWEST: usize = 3;
 
 /// Bytes.
 pub const GIB: f64 = (1_u64 << 30) as f64;
@@ -62,7 +64,7 @@ pub struct Against {
     pub status: Option<&'static str>,
     /// Of conjugate gradients, in all rounds; empty for a factor.
     pub iterations: Option<u32>,
-    /// How often it was solved, each time after the device.
+    /// How often it was solved, after the device and before it by turns.
     pub turns: usize,
     /// From the assembled B and, with solids, S and J to the verdict: its own matrix, order, factor or hierarchy included.
     pub seconds_median: Option<f64>,
@@ -102,7 +104,7 @@ pub(super) struct Contest<'a> {
     /// Why it has no turns.
     left_out: Option<String>,
     /// Seconds of the device and of the rival.
-    turns: Vec<[f64; 2]>,
+    pub(super) turns: Vec<[f64; 2]>,
     ended: Option<Ended>,
 }
 
@@ -143,20 +145,20 @@ impl<'a> Contest<'a> {
         Ok(contest)
     }
 
-    /// Solves once, unless it has taken long enough. `device`: seconds that the device took just before.
-    pub(super) fn turn(&mut self, device: f64) -> Result<(), Error> {
+    /// Solves once, unless it has taken long enough: seconds.
+    pub(super) fn solve(&mut self) -> Result<Option<f64>, Error> {
         let taken: f64 = self.turns.iter().map(|[_, rival]| rival).sum();
-        if self.left_out.is_some() || taken > LONG_ENOUGH {
-            return Ok(());
+        let enough = self.turns.len() >= FEWEST && taken > LONG_ENOUGH;
+        if self.left_out.is_some() || enough {
+            return Ok(None);
         }
         let clock = Instant::now();
         let Some(reports) = self.system.solve(self.rival, &self.settings)? else {
             self.left_out = Some("no incomplete factor without fill".to_owned());
-            return Ok(());
+            return Ok(None);
         };
-        self.turns.push([device, clock.elapsed().as_secs_f64()]);
         self.ended = Some(Ended::of_reports(&reports));
-        Ok(())
+        Ok(Some(clock.elapsed().as_secs_f64()))
     }
 
     /// Beside the row of the device.

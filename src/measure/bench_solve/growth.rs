@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::super::statistics::{Exponents, Spread, exponent};
-use super::{Against, Row};
+use super::{Against, CELLS_PER_BRICK, Row, bricks_across};
 
 /// A row of solve_growth.csv: seconds ~ size^exponent through the rows of one solver that converged.
 #[derive(Clone, Debug, Serialize)]
@@ -14,7 +14,7 @@ pub struct Growth {
     pub solver: &'static str,
     /// As in [`Row`]; `f64` of rivals.
     pub precision: &'static str,
-    /// `cells`: active cells grow. `nodes`: those of the solids grow, cells stay. `both`: both grow.
+    /// `cells`: active cells grow, nodes stay. `nodes`: those of the solids grow, cells stay. `both`: both grow, on the grids that the beams go with.
     pub along: &'static str,
     /// What stays: cells along an edge, or nodes.
     pub fixed: Option<usize>,
@@ -87,28 +87,26 @@ pub(super) fn growth(rows: &[Row], against: &[Against]) -> Vec<Growth> {
     let mut all: Vec<Growth> = Vec::new();
     let mut seen = Vec::new();
     for sample in &samples {
-        // A beam of its own size stays while the grid is refined; that which goes with the grid is refined with it.
-        let along_cells = match sample.bricks {
-            Some(_) => ("cells", Some(sample.nodes as usize)),
-            None if sample.nodes == 0 => ("cells", None),
-            None => ("both", None),
-        };
+        // A beam of its own size stays while the grid is refined, and so does one that goes with several grids.
+        let along_cells = (sample.nodes == 0).then_some(("cells", None));
+        let along_cells = along_cells.unwrap_or(("cells", Some(sample.nodes as usize)));
         let along_nodes = sample.bricks.map(|_| ("nodes", Some(sample.grid)));
-        for (along, fixed) in [Some(along_cells), along_nodes].into_iter().flatten() {
-            let key = (sample.series, along, fixed);
+        let along_both = (sample.nodes > 0 && sample.bricks.is_none()).then_some(("both", None));
+        let ways = [along_both, Some(along_cells), along_nodes];
+        for (along, fixed) in ways.into_iter().flatten() {
+            let key = (sample.series, along, fixed, sample.bricks.is_some());
             if seen.contains(&key) {
                 continue;
             }
             seen.push(key);
             let belongs = |other: &&Sample| {
                 let same = match along {
-                    "nodes" => Some(other.grid) == fixed && other.bricks.is_some(),
-                    "cells" if fixed.is_some() => {
-                        Some(other.nodes as usize) == fixed && other.bricks.is_some()
-                    }
-                    _ => other.bricks.is_none(),
+                    "nodes" => Some(other.grid) == fixed,
+                    "cells" => other.nodes == sample.nodes,
+                    _ => goes_with_its_grid(other, &samples),
                 };
-                other.series == sample.series && same
+                let beam = other.bricks.is_some() == sample.bricks.is_some();
+                other.series == sample.series && beam && same
             };
             let members: Vec<&Sample> = samples.iter().filter(belongs).collect();
             all.extend(fit(&members, along, fixed));
@@ -117,12 +115,22 @@ pub(super) fn growth(rows: &[Row], against: &[Against]) -> Vec<Growth> {
     all
 }
 
+/// Whether of all grids with its beam, in its series, this one has most nearly as many cells to a brick as the thesis's have: there, grid and beam are
+/// refined together.
+fn goes_with_its_grid(sample: &Sample, samples: &[Sample]) -> bool {
+    let off = |other: &Sample| {
+        let cells = CELLS_PER_BRICK * bricks_across(other.grid);
+        (other.grid.abs_diff(cells), other.grid)
+    };
+    let shares = |other: &&Sample| {
+        let of = |sample: &Sample| (sample.series, sample.nodes, sample.bricks);
+        of(other) == of(sample)
+    };
+    let nearest = samples.iter().filter(shares).map(off).min();
+    sample.nodes > 0 && nearest == Some(off(sample))
+}
+
 fn fit(members: &[&Sample], along: &'static str, fixed: Option<usize>) -> Option<Growth> {
-    let nodes = members.first()?.nodes;
-    // A grid may be refined by less than makes another beam.
-    if along == "both" && members.iter().all(|sample| sample.nodes == nodes) {
-        return None;
-    }
     let size = |sample: &Sample| match along {
         "nodes" => sample.nodes,
         _ => sample.cells,
@@ -187,5 +195,28 @@ mod tests {
         assert_eq!((again[0].rows, again[0].exponent), (2, found.exponent));
         // One size is no growth.
         assert!(growth(&rows[1..], &[]).is_empty());
+    }
+
+    #[test]
+    fn a_beam_that_stays_is_no_growth_of_both() {
+        // The beams of 20 and 40 cells are one, and those of 80 and 170.
+        let sizes = [(20, 135), (40, 135), (60, 352), (80, 725), (170, 725)];
+        let rows = sizes.map(|(grid, nodes)| Row {
+            solid_nodes: nodes,
+            formulation: "condensed",
+            ..row(grid, "converged")
+        });
+        let found = growth(&rows, &[]);
+        let told = found
+            .iter()
+            .map(|row| (row.along, row.fixed, row.from, row.to));
+        let cubed = |n: u32| n.pow(3);
+        let expected = [
+            ("both", None, cubed(40), cubed(80)),
+            ("cells", Some(135), cubed(20), cubed(40)),
+            ("cells", Some(725), cubed(80), cubed(170)),
+        ];
+        assert_eq!(told.collect::<Vec<_>>(), expected);
+        assert_eq!(found[0].rows, 3);
     }
 }

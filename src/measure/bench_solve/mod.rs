@@ -37,7 +37,7 @@ use super::statistics::Spread;
 use super::table::{Machine, remove_earlier, write_csv, write_json, write_svg};
 
 pub use against::{Against, GIB};
-use against::{Contest, LONG_ENOUGH};
+use against::{Contest, FEWEST, LONG_ENOUGH};
 pub(super) use bytes::{Corrections, SolveBytes};
 use capacity::Capacity;
 pub use capacity::{LARGEST_GRID, largest_grid};
@@ -286,7 +286,7 @@ impl Positive {
     }
 }
 
-/// Runs of the device and of rivals by turns; what the device came to, its seconds and how many runs they are of. `ended`: what of that
+/// Runs of the device and of rivals by turns, every other one begun by the rivals; what the device came to, its seconds and how many runs they are of. `ended`: what of that
 /// repeats. `what`: is solved.
 fn by_turns<Outcome>(
     repeats: usize,
@@ -298,17 +298,34 @@ fn by_turns<Outcome>(
     // The first compiles.
     let (_, outcome) = device()?;
     let mut seconds: Vec<f64> = Vec::new();
-    while seconds.is_empty() || seconds.len() < repeats && seconds.iter().sum::<f64>() < LONG_ENOUGH
-    {
+    let goes_on = |seconds: &[f64]| {
+        let time = seconds.len() < FEWEST || seconds.iter().sum::<f64>() < LONG_ENOUGH;
+        seconds.len() < repeats.max(1) && time
+    };
+    while goes_on(&seconds) {
+        // What drifts falls on both.
+        let device_first = seconds.len().is_multiple_of(2);
+        let mut of_rivals = Vec::new();
+        if !device_first {
+            of_rivals = solve_all(rivals)?;
+        }
         let (elapsed, again) = device()?;
         ended(&outcome).ensure_repeated(ended(&again), what)?;
         seconds.push(elapsed);
-        for rival in &mut *rivals {
-            rival.turn(elapsed)?;
+        if device_first {
+            of_rivals = solve_all(rivals)?;
+        }
+        for (rival, taken) in rivals.iter_mut().zip(of_rivals) {
+            rival.turns.extend(taken.map(|taken| [elapsed, taken]));
         }
     }
     let runs = seconds.len();
     Ok((Spread::of(seconds), runs, outcome))
+}
+
+/// Seconds of each, of those that solve.
+fn solve_all(rivals: &mut [Contest]) -> Result<Vec<Option<f64>>, Error> {
+    rivals.iter_mut().map(Contest::solve).collect()
 }
 
 fn contests<'a>(
@@ -371,6 +388,9 @@ fn write_coupled_matrices(system: &CoupledSystem, size: Size, out: &Path) -> Res
     }
     Ok(())
 }
+
+/// Cells along an edge of the thesis's grids, of 40, 60 and 80, for each brick across its beams.
+const CELLS_PER_BRICK: usize = 20;
 
 /// Bricks across the beam that the thesis has on about so many cells along an edge.
 pub(super) fn bricks_across(grid: usize) -> usize {

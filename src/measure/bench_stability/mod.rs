@@ -282,6 +282,11 @@ pub fn bench_stability(
             write(&table, out)?;
         }
     }
+    for row in limit::of_step_lengths(&table.limits) {
+        tell(Told::Limit(&row));
+        table.limits.push(row);
+    }
+    write(&table, out)?;
     cases.retain(|case| options.asks_for(&case.name));
     for case in &cases {
         case.write(&scenes)?;

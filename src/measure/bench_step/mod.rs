@@ -1,8 +1,8 @@
 //! `bench step`: seconds of a sub-step, all stages, against what a copy of the bytes that each stage must touch would take.
 //!
 //! Sub-steps are timed on the host from the upload of the step's numbers to its report; the stages on the device by timestamps,
-//! where the adapter has them. Scenes run from their start; the first sub-step, which warms caches up, is not counted. Every run of a scene has
-//! the same sub-steps; those in which liquid and solids touch are told apart from the others. With
+//! where the adapter has them. Scenes run from their start, one after the other and then all again; the first sub-step, which warms caches up, is not
+//! counted. Every run of a scene has the same sub-steps; those in which liquid and solids touch are told apart from the others. With
 //! a second domain, every sub-step of the scene is followed by one of the same scene in the larger domain, so that what else
 //! the machine does falls on both.
 
@@ -16,14 +16,14 @@ use std::path::Path;
 use serde::Serialize;
 
 use crate::Error;
-use crate::gpu::AdapterChoice;
+use crate::gpu::{AdapterChoice, Gpu};
 use crate::output::FolderLock;
 use crate::scene::Scene;
 
 use super::table::{Machine, remove_earlier, write_csv, write_json, write_svg};
 
 pub use growth::Growth;
-use run::{Run, interleave};
+use run::Group;
 pub use sizes::{Case, largest_scale};
 
 /// What to measure.
@@ -168,7 +168,7 @@ pub struct Table {
 }
 
 /// Measures all scenes and writes step.csv, step_stages.csv, step_growth.csv where a scene has several sizes, step.json and step.svg into `out`,
-/// anew after each scene; `tell` hears of each row.
+/// anew after each run; `tell` hears of each row when its scene has had its runs.
 ///
 /// # Errors
 /// Before any work [`Error::Output`] where the folder cannot be written and [`Error::Input`] where another process writes into it; then
@@ -180,44 +180,69 @@ pub fn bench_step(
 ) -> Result<Table, Error> {
     let _held = FolderLock::take(out)?;
     remove_earlier(out, &["step_growth.csv"])?;
-    let mut table: Option<Table> = None;
-    for case in &options.scenes {
-        let mut runs = vec![Run::new(case, &options.adapter)?];
-        if let Some(factors) = options.larger_domain {
-            let larger = Case {
-                scene: in_larger_domain(&case.scene, factors),
-                ..*case
-            };
-            runs.push(Run::new(&larger, &options.adapter)?);
-        }
-        let table = match &mut table {
-            Some(table) => table,
-            None => table.insert(empty_table(&runs[0], options.repeats)?),
-        };
-        interleave(&mut runs, options)?;
-        let mut of_domains = Vec::new();
-        for run in &runs {
-            let (rows, stages): (Vec<Row>, Vec<_>) = run.rows(&table.machine).into_iter().unzip();
-            rows.iter().for_each(&mut *tell);
-            table.rows.extend(rows.clone());
-            table.stages.extend(stages.into_iter().flatten());
-            of_domains.push(rows);
-        }
-        if let (Some(larger), [own, other]) = (options.larger_domain, &of_domains[..]) {
-            table.pairs.extend(pairs(larger, own, other));
-        }
-        table.write(out)?;
-    }
-    table.ok_or_else(|| {
-        Error::input(
+    if options.scenes.is_empty() {
+        return Err(Error::input(
             "bench step",
             "no scene to measure",
             "give one scene file or more",
-        )
-    })
+        ));
+    }
+    let mut table = Table {
+        machine: Machine::new(&Gpu::new(&options.adapter)?, options.repeats)?,
+        rows: Vec::new(),
+        stages: Vec::new(),
+        pairs: Vec::new(),
+        growth: Vec::new(),
+    };
+    let groups = options.scenes.iter().map(|case| {
+        let larger = options.larger_domain.map(|factors| Case {
+            scene: in_larger_domain(&case.scene, factors),
+            ..*case
+        });
+        Group::new([case.clone()].into_iter().chain(larger).collect())
+    });
+    let mut groups: Vec<Group> = groups.collect();
+    // Every scene once, then all of them again: what the machine does meanwhile is in the spread of each.
+    for _ in 0..options.repeats.max(1) {
+        for number in 0..groups.len() {
+            let group = &mut groups[number];
+            if group.is_done(options.repeats) {
+                continue;
+            }
+            group.run(options)?;
+            if group.is_done(options.repeats) {
+                let rows = group.records().iter();
+                let rows = rows.flat_map(|record| record.rows(&table.machine));
+                rows.for_each(|(row, _)| tell(&row));
+            }
+            table.gather(&groups, options.larger_domain);
+            table.write(out)?;
+        }
+    }
+    Ok(table)
 }
 
 impl Table {
+    /// Makes all rows again, of what there is so far.
+    fn gather(&mut self, groups: &[Group], larger_domain: Option<[usize; 3]>) {
+        self.rows.clear();
+        self.stages.clear();
+        self.pairs.clear();
+        for group in groups {
+            let mut of_domains = Vec::new();
+            for record in group.records() {
+                let rows = record.rows(&self.machine);
+                let (rows, stages): (Vec<Row>, Vec<_>) = rows.into_iter().unzip();
+                self.rows.extend(rows.clone());
+                self.stages.extend(stages.into_iter().flatten());
+                of_domains.push(rows);
+            }
+            if let (Some(larger), [own, other]) = (larger_domain, &of_domains[..]) {
+                self.pairs.extend(pairs(larger, own, other));
+            }
+        }
+    }
+
     /// Makes again what follows from the rows, and writes what there is.
     fn write(&mut self, out: &Path) -> Result<(), Error> {
         self.growth = growth::growth(&self.rows);
@@ -246,16 +271,6 @@ fn pairs(larger: [usize; 3], own: &[Row], other: &[Row]) -> Vec<Pair> {
         })
     });
     both.collect()
-}
-
-fn empty_table(run: &Run, repeats: usize) -> Result<Table, Error> {
-    Ok(Table {
-        machine: Machine::new(run.path().gpu(), repeats)?,
-        rows: Vec::new(),
-        stages: Vec::new(),
-        pairs: Vec::new(),
-        growth: Vec::new(),
-    })
 }
 
 /// The scene in a domain that many times larger, with cells of the same size and the same regions and obstacles: what filled the

@@ -4,12 +4,11 @@ use std::time::Instant;
 
 use crate::Error;
 use crate::effects::Effects;
-use crate::elastic::Bounds;
-use crate::gpu::AdapterChoice;
+use crate::elastic::{Bounds, Solids};
 use crate::scene::{CouplingScheme, Scene};
 use crate::sim::{Backend, GpuPath, Simulation};
 use crate::stages::{Clip, extrapolation_layers};
-use crate::state::{Carried, LiquidReport, SolidReport, State, StepReport};
+use crate::state::{LiquidReport, SolidReport, StepReport};
 
 use super::super::bench_solve::{Corrections, SolveBytes};
 use super::super::solid_bytes::SolidBytes;
@@ -38,15 +37,24 @@ impl Kind {
     }
 }
 
-/// One scene being timed.
-pub(super) struct Run {
+/// What was measured of a scene.
+pub(super) struct Record {
     case: Case,
-    simulation: Simulation,
-    start: (State, Carried),
+    solids: Solids,
+    /// What decides the bytes of the solids' stages, and the degree of their preconditioner; `None` without solids.
+    of_solids: Option<(SolidBytes, Bounds)>,
+    /// Bytes of a scalar of the solve's unknowns, and of its corrections.
+    widths: [usize; 2],
+    /// Whether the device tells the seconds of its stages.
+    timestamps: bool,
     /// Of each run from the start, its sub-steps but for the first.
     repeats: Vec<Vec<Sample>>,
-    /// What decides the bytes of the solids' stages, and the degree of their preconditioner; `None` without solids.
-    solids: Option<(SolidBytes, Bounds)>,
+}
+
+/// A run from a scene's start.
+pub(super) struct Run<'a> {
+    record: &'a mut Record,
+    simulation: Simulation,
 }
 
 /// One sub-step.
@@ -91,56 +99,55 @@ impl Sample {
     }
 }
 
-impl Run {
-    pub(super) fn new(case: &Case, adapter: &AdapterChoice) -> Result<Run, Error> {
-        let simulation = Simulation::new(&case.scene, &Backend::Gpu(adapter.clone()))?;
-        let path = simulation.gpu_path().expect("benches run on the GPU path");
+impl Run<'_> {
+    fn step(&mut self, count: bool) -> Result<(), Error> {
+        let clock = Instant::now();
+        let report = self.simulation.step()?;
+        let seconds = clock.elapsed().as_secs_f64();
+        if count {
+            let path = path_of(&self.simulation);
+            let sample = Sample {
+                seconds,
+                band_cells: path.band_cells()?,
+                not_uniform: path.share_not_uniform()?,
+                corrections: self.record.corrections(path, &report)?,
+                report,
+            };
+            let repeat = self.record.repeats.last_mut();
+            repeat.expect("a run has begun").push(sample);
+        }
+        Ok(())
+    }
+}
+
+fn path_of(simulation: &Simulation) -> &GpuPath {
+    let path = simulation.gpu_path();
+    path.expect("benches run on the GPU path")
+}
+
+impl Record {
+    /// Of a case that `simulation` is of.
+    fn new(case: &Case, simulation: &Simulation) -> Record {
+        let path = path_of(simulation);
         let widths = path.scalar_bytes();
         let solids = path.solids();
-        Ok(Run {
+        Record {
             case: case.clone(),
-            solids: solids.map(|solids| (SolidBytes::new(solids, widths), Bounds::new(solids))),
-            start: (simulation.state()?, simulation.carried()?),
-            simulation,
+            of_solids: solids.map(|solids| (SolidBytes::new(solids, widths), Bounds::new(solids))),
+            solids: simulation.solids().clone(),
+            widths,
+            timestamps: path.gpu().report().timestamps,
             repeats: Vec::new(),
-        })
-    }
-
-    pub(super) fn path(&self) -> &GpuPath {
-        let path = self.simulation.gpu_path();
-        path.expect("benches run on the GPU path")
+        }
     }
 
     fn scene(&self) -> &Scene {
         &self.case.scene
     }
 
-    /// Goes back to the start, for another run.
-    fn begin(&mut self) -> Result<(), Error> {
-        if !self.repeats.is_empty() {
-            let (state, carried) = &self.start;
-            self.simulation.resume(state, carried)?;
-        }
-        self.repeats.push(Vec::new());
-        Ok(())
-    }
-
-    fn step(&mut self, count: bool) -> Result<(), Error> {
-        let clock = Instant::now();
-        let report = self.simulation.step()?;
-        let seconds = clock.elapsed().as_secs_f64();
-        if count {
-            let sample = Sample {
-                seconds,
-                band_cells: self.path().band_cells()?,
-                not_uniform: self.path().share_not_uniform()?,
-                corrections: self.corrections(&report)?,
-                report,
-            };
-            let repeat = self.repeats.last_mut();
-            repeat.expect("a run has begun").push(sample);
-        }
-        Ok(())
+    /// Whether it has had as many runs as asked, or as there is time for.
+    fn is_done(&self, repeats: usize) -> bool {
+        self.repeats.len() >= repeats.max(1) || self.taken() > LONG_ENOUGH
     }
 
     /// Refuses a run whose sub-steps are not those of the first one: they are compared number by number.
@@ -169,18 +176,22 @@ impl Run {
         samples.map(|sample| sample.seconds).sum()
     }
 
-    /// How liquid and solids were solved for together in the last sub-step, whose report this is.
-    fn corrections(&self, report: &StepReport) -> Result<Option<Corrections>, Error> {
+    /// How liquid and solids were solved for together in the last sub-step of a path, whose report this is.
+    fn corrections(
+        &self,
+        path: &GpuPath,
+        report: &StepReport,
+    ) -> Result<Option<Corrections>, Error> {
         let scheme = self.scene().solver.coupling;
         let touching = report.coupling.filter(|both| both.touching);
-        let Some((both, (_, bounds))) = touching.zip(self.solids.as_ref()) else {
+        let Some((both, (_, bounds))) = touching.zip(self.of_solids.as_ref()) else {
             return Ok(None);
         };
-        let (solids, dt) = (self.simulation.solids(), report.dt);
+        let (solids, dt) = (&self.solids, report.dt);
         Ok(match scheme {
             CouplingScheme::Weak => None,
             _ if both.condensed => Some(Corrections::Condensed {
-                wet_nodes: self.path().wet_nodes()?,
+                wet_nodes: path.wet_nodes()?,
             }),
             CouplingScheme::Strong => Some(Corrections::TwoField {
                 degree: bounds.chebyshev_degree(solids, dt),
@@ -226,8 +237,7 @@ impl Run {
             Spread::of(seconds.collect()).median
         };
         let sub_steps = Spread::of((0..first.len()).map(of_number).collect());
-        let timestamps = self.path().gpu().report().timestamps;
-        let (scene, solids) = (self.scene(), self.simulation.solids());
+        let (scene, solids) = (self.scene(), &self.solids);
         let mut names: Vec<&'static str> = Vec::new();
         for (stage, _) in first.iter().flat_map(|sample| &sample.report.seconds) {
             if !names.contains(stage) {
@@ -248,7 +258,7 @@ impl Run {
                 solids_scale: self.case.solids_scale,
                 kind: kind.name(),
                 stage,
-                place: place(stage, timestamps),
+                place: place(stage, self.timestamps),
                 seconds_median: seconds.median,
                 seconds_min: seconds.min,
                 seconds_max: seconds.max,
@@ -292,7 +302,7 @@ impl Run {
 
     /// Bytes of a scalar of the solve's unknowns, and of its corrections.
     fn scalar_bytes(&self) -> [f64; 2] {
-        self.path().scalar_bytes().map(|bytes| bytes as f64)
+        self.widths.map(|bytes| bytes as f64)
     }
 
     /// Bytes that a stage must move in a sub-step, every array that a kernel needs once, reads and writes.
@@ -304,7 +314,7 @@ impl Run {
         if self.scene().liquid.is_some() {
             bytes += self.liquid_bytes(stage, sample);
         }
-        if let Some((solids, _)) = &self.solids {
+        if let Some((solids, _)) = &self.of_solids {
             let effects = Effects::of(self.scene());
             bytes += solids.of_stage(stage, effects.scripts, effects.obstacles);
         }
@@ -324,13 +334,13 @@ impl Run {
         };
         // The size of the right-hand side.
         let start = liquid.unknowns * real;
-        let Some((solids, bounds)) = &self.solids else {
+        let Some((solids, bounds)) = &self.of_solids else {
             return start + liquid.of_pressure();
         };
         if let Some(corrections) = sample.corrections {
             return start + liquid.of_both(solids, corrections);
         }
-        let degree = bounds.chebyshev_degree(self.simulation.solids(), sample.report.dt) as f64;
+        let degree = bounds.chebyshev_degree(&self.solids, sample.report.dt) as f64;
         // The corrections of solids by themselves are as precise as their residuals.
         let of_solids = solids.of_solve(degree, sample.solid_iterations(), rounds(real));
         start + liquid.of_pressure() + of_solids
@@ -424,36 +434,66 @@ fn over_repeats(repeats: &[Vec<&Sample>], value: &dyn Fn(&Sample) -> f64) -> Spr
     Spread::of(repeats.iter().map(|samples| mean(samples, value)).collect())
 }
 
-/// Sub-steps by turns, until each run has its frames, as often as asked and as there is time for.
-///
-/// # Errors
-/// [`Error::Check`] where a run does not repeat, [`Error::Input`] where there are no sub-steps to count, and what simulations say.
-pub(super) fn interleave(runs: &mut [Run], options: &Options) -> Result<(), Error> {
-    for repeat in 0..options.repeats.max(1) {
-        if repeat > 0 && runs.iter().map(Run::taken).sum::<f64>() > LONG_ENOUGH {
-            break;
+/// What is measured of a scene, and of the same one in a larger domain where that is asked for.
+pub(super) struct Group {
+    cases: Vec<Case>,
+    records: Vec<Record>,
+}
+
+impl Group {
+    pub(super) fn new(cases: Vec<Case>) -> Group {
+        Group {
+            cases,
+            records: Vec::new(),
         }
-        runs.iter_mut().try_for_each(Run::begin)?;
+    }
+
+    pub(super) fn records(&self) -> &[Record] {
+        &self.records
+    }
+
+    /// Whether it has had as many runs as asked, or as there is time for.
+    pub(super) fn is_done(&self, repeats: usize) -> bool {
+        !self.records.is_empty() && self.records.iter().all(|record| record.is_done(repeats))
+    }
+
+    /// Another run of each from its start, sub-steps by turns, until each has its frames. What it was made with is gone after it: all scenes together
+    /// may be more than there is room for.
+    ///
+    /// # Errors
+    /// [`Error::Check`] where a run does not repeat, [`Error::Input`] where there are no sub-steps to count, and what simulations say.
+    pub(super) fn run(&mut self, options: &Options) -> Result<(), Error> {
+        let backend = Backend::Gpu(options.adapter.clone());
+        let simulations = self.cases.iter();
+        let simulations = simulations.map(|case| Simulation::new(&case.scene, &backend));
+        let simulations: Vec<Simulation> = simulations.collect::<Result<_, _>>()?;
+        if self.records.is_empty() {
+            let both = self.cases.iter().zip(&simulations);
+            let records = both.map(|(case, simulation)| Record::new(case, simulation));
+            self.records = records.collect();
+        }
+        let mut runs = Vec::new();
+        for (record, simulation) in self.records.iter_mut().zip(simulations) {
+            record.repeats.push(Vec::new());
+            runs.push(Run { record, simulation });
+        }
+        let goes_on = |run: &Run| run.simulation.clock().frame < options.frames;
         let mut first = true;
-        while runs
-            .iter()
-            .any(|run| run.simulation.clock().frame < options.frames)
-        {
-            for run in &mut *runs {
-                if run.simulation.clock().frame < options.frames {
-                    run.step(!first)?;
-                }
+        while runs.iter().any(goes_on) {
+            for run in runs.iter_mut().filter(|run| goes_on(run)) {
+                run.step(!first)?;
             }
             first = false;
         }
-        runs.iter().try_for_each(Run::ensure_repeated)?;
+        let mut records = self.records.iter();
+        records.clone().try_for_each(Record::ensure_repeated)?;
+        if records.any(|record| record.repeats.iter().all(Vec::is_empty)) {
+            return Err(Error::input(
+                format!("--frames {}", options.frames),
+                "the first sub-step is not counted, and there was no other",
+                "measure more frames",
+            ));
+        }
+        Ok(())
     }
-    if runs.iter().any(|run| run.repeats.iter().all(Vec::is_empty)) {
-        return Err(Error::input(
-            format!("--frames {}", options.frames),
-            "the first sub-step is not counted, and there was no other",
-            "measure more frames",
-        ));
-    }
-    Ok(())
 }

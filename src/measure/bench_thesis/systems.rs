@@ -478,7 +478,7 @@ impl<'a> Case<'a> {
         let mut devices = Vec::new();
         for &precision in &options.precisions {
             let mut formulations = vec![Formulation::Auto];
-            if table == ThesisTable::T6_2 && precision != Precision::F32 {
+            if precision != Precision::F32 {
                 formulations.push(Formulation::TwoField);
             }
             for formulation in formulations {
