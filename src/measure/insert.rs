@@ -66,11 +66,17 @@ pub struct Inserted {
 /// [`Error::Input`] where a document or a file that it names cannot be read or has no head, it asks for columns that are not there or for no table,
 /// or none of the files that all of them ask for is there; [`Error::Output`].
 pub fn insert(dir: &Path, documents: &[impl AsRef<Path>]) -> Result<Vec<Inserted>, Error> {
-    let inserted = documents.iter();
-    let inserted = inserted.map(|document| insert_into(dir, document.as_ref()));
-    let inserted: Vec<Inserted> = inserted.collect::<Result<_, _>>()?;
-    if inserted.iter().any(|tables| tables.written > 0) {
-        return Ok(inserted);
+    let anew = documents.iter();
+    let anew = anew.map(|document| with_tables(dir, document.as_ref()));
+    let anew: Vec<(Inserted, String)> = anew.collect::<Result<_, _>>()?;
+    if anew.iter().any(|(tables, _)| tables.written > 0) {
+        // All can be read and have what they ask for.
+        for (document, (tables, text)) in documents.iter().zip(&anew) {
+            if tables.written > 0 {
+                write_atomically(document.as_ref(), text.as_bytes())?;
+            }
+        }
+        return Ok(anew.into_iter().map(|(tables, _)| tables).collect());
     }
     let names = documents.iter();
     let names = names.map(|document| document.as_ref().display().to_string());
@@ -82,7 +88,8 @@ pub fn insert(dir: &Path, documents: &[impl AsRef<Path>]) -> Result<Vec<Inserted
     ))
 }
 
-fn insert_into(dir: &Path, document: &Path) -> Result<Inserted, Error> {
+/// What became of a document's tables, and its text with them.
+fn with_tables(dir: &Path, document: &Path) -> Result<(Inserted, String), Error> {
     let text = fs::read_to_string(document).map_err(|problem| {
         let cure = "give a Markdown file with <!-- table .. --> comments";
         Error::input(document.display().to_string(), problem.to_string(), cure)
@@ -152,11 +159,7 @@ fn insert_into(dir: &Path, document: &Path) -> Result<Inserted, Error> {
         let cure = "add <!-- table .. --> comments as docs/report.md shows";
         return Err(refused(1, "it asks for no table".to_owned(), cure));
     }
-    if tables.written == 0 {
-        return Ok(tables);
-    }
-    write_atomically(document, out.as_bytes())?;
-    Ok(tables)
+    Ok((tables, out))
 }
 
 impl Found {

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
-use roxmltree::{Document, ParsingOptions};
+use roxmltree::{Document, Node, ParsingOptions};
 
 use crate::Error;
 use crate::output::manifest::Manifest;
@@ -293,21 +293,61 @@ fn drawing(path: &Path) -> Result<String, Error> {
     if document.root_element().tag_name().name() != "svg" {
         return Err(unreadable(path, &"its root is no svg element"));
     }
-    let elements = document.descendants().filter(|node| node.is_element());
-    for element in elements {
-        let name = element.tag_name().name();
-        if name == "script" || name == "foreignObject" {
-            return Err(unreadable(path, &format!("it has a {name} element")));
-        }
-        for attribute in element.attributes() {
-            let (name, value) = (attribute.name(), attribute.value().trim_start());
-            let inner = value.starts_with('#') || value.starts_with("data:image/");
-            if name.starts_with("on") || (name == "href" && !inner) {
-                return Err(unreadable(path, &format!("it has {name}={value:?}")));
-            }
-        }
+    match document.descendants().find_map(active_part) {
+        Some(part) => Err(unreadable(path, &format!("it has {part}"))),
+        None => Ok(text),
     }
-    Ok(text)
+}
+
+/// What of a node of a drawing runs, changes or asks for something. The page is HTML, which does not tell large letters from small ones.
+fn active_part(node: Node) -> Option<String> {
+    if node.is_pi() {
+        return Some("a processing instruction".to_owned());
+    }
+    if node.is_text() {
+        return asks_for_files(node.text()?).then(|| "a style that asks for a file".to_owned());
+    }
+    if !node.is_element() {
+        return None;
+    }
+    let name = node.tag_name().name();
+    let element = name.to_ascii_lowercase();
+    if ACTIVE.contains(&element.as_str()) || element.starts_with("animate") {
+        return Some(format!("a {name} element"));
+    }
+    node.attributes().find_map(|attribute| {
+        let (name, value) = (attribute.name(), attribute.value().trim_start());
+        let inner = value.starts_with('#') || value.starts_with("data:image/");
+        let active = match name.to_ascii_lowercase().as_str() {
+            "href" => !inner,
+            "src" => true,
+            name => name.starts_with("on") || asks_for_files(value),
+        };
+        active.then(|| format!("{name}={value:?}"))
+    })
+}
+
+/// Elements, in small letters, that run, change or ask for something.
+const ACTIVE: [&str; 8] = [
+    "script",
+    "foreignobject",
+    "iframe",
+    "object",
+    "embed",
+    "set",
+    "link",
+    "base",
+];
+
+/// Whether a style does: `@import`, or `url(..)` of anything but a part of the drawing or a picture within it.
+fn asks_for_files(style: &str) -> bool {
+    let style = style.to_ascii_lowercase();
+    let mut urls = style.split("url(").skip(1);
+    let outer = urls.any(|url| {
+        let url = url.trim_start_matches([' ', '"', '\'']);
+        !(url.starts_with('#') || url.starts_with("data:image/"))
+    });
+    outer || style.contains("@import")
 }
 
 /// Whether a table is steps.csv of a run without sub-steps: the first of them tells the columns.

@@ -109,9 +109,8 @@ fn nothing_and_broken_files_are_refused() {
     let mut changed = whole.clone();
     // The last byte of its data, before two checksums and the end.
     changed[whole.len() - 21] ^= 1;
-    let drawing =
-        "<!DOCTYPE svg><svg xmlns=\"http://www.w3.org/2000/svg\"><g></g><a href=\"#g\"/></svg>";
-    let files: [(&str, &[u8], &str); 18] = [
+    let drawing = "<!DOCTYPE svg><svg xmlns=\"http://www.w3.org/2000/svg\"><g fill=\"url(#p)\"></g><a href=\"#g\"/></svg>";
+    let files: [(&str, &[u8], &str); 24] = [
         ("steps.csv", b"", "it is empty"),
         ("blank.csv", b"\n\n", "it is empty"),
         ("quote.csv", b"a,b\n1,\"2\n3,4\n", "the last quotation mark"),
@@ -127,6 +126,24 @@ fn nothing_and_broken_files_are_refused() {
         ("p.svg", b"<html></html>", "its root"),
         ("p.svg", b"<svg><script>1</script></svg>", "it has a script"),
         ("p.svg", b"<svg><foreignObject/></svg>", "it has a foreign"),
+        ("p.svg", b"<svg><SCRIPT>1</SCRIPT></svg>", "it has a SCRIPT"),
+        (
+            "p.svg",
+            b"<svg><?x ><script>1</script>?></svg>",
+            "it has a processing",
+        ),
+        (
+            "p.svg",
+            b"<svg><set attributeName=\"href\"/></svg>",
+            "it has a set",
+        ),
+        (
+            "p.svg",
+            b"<svg><style>@import 'a'</style></svg>",
+            "it has a style",
+        ),
+        ("p.svg", b"<svg fill=\"URL('//a/b')\"/>", "it has fill"),
+        ("p.svg", b"<svg><img src=\"a.png\"/></svg>", "it has src"),
         ("p.svg", b"<svg onload=\"a()\"/>", "it has onload"),
         (
             "p.svg",

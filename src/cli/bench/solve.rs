@@ -26,7 +26,7 @@ pub(super) struct Solve {
     /// Bricks across the beam, for beams of their own sizes instead of that which goes with the grid
     #[arg(long, value_delimiter = ',', value_name = "N,N,..")]
     bricks: Vec<usize>,
-    /// Timed runs per row; no more are begun where they have taken 20 s
+    /// Timed runs per row; from the fourth on no more are begun where they have taken 20 s
     #[arg(long, default_value_t = 5, value_parser = at_least_once())]
     repeats: usize,
     /// Relative tolerance of the true residual

@@ -64,7 +64,7 @@ impl Stability {
                 row.status,
             ),
             Told::Limit(row) => say!(
-                "{} {:32} m_a/m_s = {:.4}: grows by {:.4} a sub-step, formula {:.4}",
+                "{} {:32} m_a/m_s = {:.4}: grows by {:.4} a sub-step, expected {:.4}",
                 verdict(row.passed),
                 row.name,
                 row.ratio,

@@ -133,7 +133,7 @@ pub(super) fn draw(table: &Table, page: SVGBackend) -> Drawn {
         page.verdict(&colour_of(row.passed), y)?;
         page.text(&row.name, (COLUMNS[1], y + DOWN), 12)?;
         let got = format!(
-            "weak coupling, m_a/m_s = {:.4}, {:.2} of the limit: grows by {:.4} a sub-step, formula {:.4}",
+            "weak coupling, m_a/m_s = {:.4}, {:.2} of the limit: grows by {:.4} a sub-step, expected {:.4}",
             row.ratio, row.over_limit, row.got, row.expected
         );
         page.text(&got, (COLUMNS[2], y + DOWN), 12)?;

@@ -1,8 +1,8 @@
 //! `bench step`: seconds of a sub-step, all stages, against what a copy of the bytes that each stage must touch would take.
 //!
 //! Sub-steps are timed on the host from the upload of the step's numbers to its report; the stages on the device by timestamps,
-//! where the adapter has them. Scenes run from their start, one after the other and then all again; the first sub-step, which warms caches up, is not
-//! counted. Every run of a scene has the same sub-steps; those in which liquid and solids touch are told apart from the others. With
+//! where the adapter has them. Scenes run from their start, one after the other and then all again; the first sub-step of each kind, which compiles and
+//! warms caches up, is not counted. Every run of a scene has the same sub-steps; those in which liquid and solids touch are told apart from the others. With
 //! a second domain, every sub-step of the scene is followed by one of the same scene in the larger domain, so that what else
 //! the machine does falls on both.
 

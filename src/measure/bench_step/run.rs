@@ -47,7 +47,7 @@ pub(super) struct Record {
     widths: [usize; 2],
     /// Whether the device tells the seconds of its stages.
     timestamps: bool,
-    /// Of each run from the start, its sub-steps but for the first.
+    /// Of each run from the start, its sub-steps but for the first of each kind.
     repeats: Vec<Vec<Sample>>,
 }
 
@@ -55,6 +55,8 @@ pub(super) struct Record {
 pub(super) struct Run<'a> {
     record: &'a mut Record,
     simulation: Simulation,
+    /// Kinds of sub-steps that it has had.
+    kinds: Vec<Kind>,
 }
 
 /// One sub-step.
@@ -100,22 +102,26 @@ impl Sample {
 }
 
 impl Run<'_> {
-    fn step(&mut self, count: bool) -> Result<(), Error> {
+    /// The first of a kind compiles and is not counted.
+    fn step(&mut self) -> Result<(), Error> {
         let clock = Instant::now();
         let report = self.simulation.step()?;
         let seconds = clock.elapsed().as_secs_f64();
-        if count {
-            let path = path_of(&self.simulation);
-            let sample = Sample {
-                seconds,
-                band_cells: path.band_cells()?,
-                not_uniform: path.share_not_uniform()?,
-                corrections: self.record.corrections(path, &report)?,
-                report,
-            };
-            let repeat = self.record.repeats.last_mut();
-            repeat.expect("a run has begun").push(sample);
+        let path = path_of(&self.simulation);
+        let sample = Sample {
+            seconds,
+            band_cells: path.band_cells()?,
+            not_uniform: path.share_not_uniform()?,
+            corrections: self.record.corrections(path, &report)?,
+            report,
+        };
+        let kind = sample.kind();
+        if !self.kinds.contains(&kind) {
+            self.kinds.push(kind);
+            return Ok(());
         }
+        let repeat = self.record.repeats.last_mut();
+        repeat.expect("a run has begun").push(sample);
         Ok(())
     }
 }
@@ -143,11 +149,6 @@ impl Record {
 
     fn scene(&self) -> &Scene {
         &self.case.scene
-    }
-
-    /// Whether it has had as many runs as asked, or as there is time for.
-    fn is_done(&self, repeats: usize) -> bool {
-        self.repeats.len() >= repeats.max(1) || self.taken() > LONG_ENOUGH
     }
 
     /// Refuses a run whose sub-steps are not those of the first one: they are compared number by number.
@@ -454,7 +455,12 @@ impl Group {
 
     /// Whether it has had as many runs as asked, or as there is time for.
     pub(super) fn is_done(&self, repeats: usize) -> bool {
-        !self.records.is_empty() && self.records.iter().all(|record| record.is_done(repeats))
+        let taken = self.records.iter().map(Record::taken).sum::<f64>();
+        let runs = self
+            .records
+            .first()
+            .map_or(0, |record| record.repeats.len());
+        runs >= repeats.max(1) || taken > LONG_ENOUGH
     }
 
     /// Another run of each from its start, sub-steps by turns, until each has its frames. What it was made with is gone after it: all scenes together
@@ -475,22 +481,24 @@ impl Group {
         let mut runs = Vec::new();
         for (record, simulation) in self.records.iter_mut().zip(simulations) {
             record.repeats.push(Vec::new());
-            runs.push(Run { record, simulation });
+            runs.push(Run {
+                record,
+                simulation,
+                kinds: Vec::new(),
+            });
         }
         let goes_on = |run: &Run| run.simulation.clock().frame < options.frames;
-        let mut first = true;
         while runs.iter().any(goes_on) {
             for run in runs.iter_mut().filter(|run| goes_on(run)) {
-                run.step(!first)?;
+                run.step()?;
             }
-            first = false;
         }
         let mut records = self.records.iter();
         records.clone().try_for_each(Record::ensure_repeated)?;
         if records.any(|record| record.repeats.iter().all(Vec::is_empty)) {
             return Err(Error::input(
                 format!("--frames {}", options.frames),
-                "the first sub-step is not counted, and there was no other",
+                "the first sub-step of a kind is not counted, and there was no other",
                 "measure more frames",
             ));
         }
