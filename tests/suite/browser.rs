@@ -135,8 +135,18 @@ const COMMANDS: [(&str, &str); 9] = [
         "bench stability --steps 8 --cases droplet_one,start_spun",
     ),
 ];
-/// Folders of pictures of whole benches: the map of stability with all of its cases, and the glance of the validation, among them.
-const PICTURES: [&str; 2] = ["images", "images/validation"];
+/// Folders of pictures of whole benches, below `docs`: the map of stability with all of its cases, and the glance of the validation, among them.
+fn measured() -> Vec<String> {
+    let entries = fs::read_dir(documents().join("measured")).unwrap();
+    let folders = entries.map(|entry| entry.unwrap().path());
+    let drawn = folders.filter(|folder| folder.is_dir() && !files(folder, "svg").is_empty());
+    let names = drawn.map(|folder| folder.file_name().unwrap().to_str().unwrap().to_owned());
+    names.map(|name| format!("measured/{name}")).collect()
+}
+
+fn documents() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("docs")
+}
 
 /// A folder `results` with what all commands leave, and the pictures of the documents.
 fn results() -> TempDir {
@@ -144,11 +154,10 @@ fn results() -> TempDir {
     for (name, command) in COMMANDS {
         says(&folder, &format!("{command} --out results/{name}"));
     }
-    let documents = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs");
-    for name in PICTURES {
-        let copied = folder.path().join("results").join(name);
-        fs::create_dir(&copied).unwrap();
-        for file in files(&documents.join(name), "svg") {
+    for name in measured() {
+        let copied = folder.path().join("results").join(&name);
+        fs::create_dir_all(&copied).unwrap();
+        for file in files(&documents().join(&name), "svg") {
             fs::copy(&file, copied.join(file.file_name().unwrap())).unwrap();
         }
     }
@@ -172,7 +181,8 @@ fn a_report_is_whole_in_a_browser() {
     let folder = results();
     let results = folder.path().join("results");
     let names = COMMANDS.map(|(name, _)| name);
-    let folders = names.iter().chain(&PICTURES);
+    let measured = measured();
+    let folders = names.into_iter().chain(measured.iter().map(String::as_str));
     let of_kind = |kind: &str| {
         let counts = folders
             .clone()
@@ -190,13 +200,14 @@ fn a_report_is_whole_in_a_browser() {
             "no table of {name}"
         );
     }
-    for picture in ["images/stability.svg", "images/validation/glance.svg"] {
-        assert!(results.join(picture).is_file(), "{picture}");
+    for picture in ["stability/stability.svg", "validation/glance.svg"] {
+        let picture = results.join("measured").join(picture);
+        assert!(picture.is_file(), "{}", picture.display());
     }
     for width in [1280, 700] {
         let page = found(&browser, &results.join("report.html"), width);
         // The preview has a section of its own.
-        let sections = COMMANDS.len() + PICTURES.len() + 1;
+        let sections = COMMANDS.len() + measured.len() + 1;
         let expected = json!({
             "sections": sections,
             "links": sections,

@@ -1,8 +1,9 @@
-//! The pages tell the truth: links lead somewhere, tests that are named exist, scenes load and are all listed.
+//! The pages tell the truth: links lead somewhere, tests that are named exist, scenes load and are all listed, tables are what was measured.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use cutwater::measure::insert::insert;
 use cutwater::scene::Scene;
 
 fn root() -> &'static Path {
@@ -123,5 +124,38 @@ fn the_scenes_of_the_pages_load() {
             n += 1;
         }
         assert!(n > 0, "{page} has no scene");
+    }
+}
+
+/// Tables whose results are not in docs/measured yet, beside those of docs/validation.md: they say what a run before found.
+const ELSEWHERE: [&str; 7] = [
+    "accuracy_coupled/",
+    "largest/",
+    "stability/",
+    "stability_gpu/",
+    "step_largest/",
+    "thesis_grids/",
+    "validation/",
+];
+
+/// No number in a table is typed by hand: the pages say what docs/measured has, to the letter.
+#[test]
+fn tables_are_those_that_were_measured() {
+    let folder = tempfile::tempdir().unwrap();
+    for page in ["README.md", "docs/bench.md"] {
+        let text = fs::read_to_string(root().join(page)).unwrap();
+        let copy = folder.path().join("page.md");
+        fs::write(&copy, &text).unwrap();
+        let tables = insert(&root().join("docs/measured"), &[&copy]).unwrap();
+        for file in &tables[0].left {
+            let known = ELSEWHERE.iter().any(|name| file.starts_with(name));
+            assert!(known, "{page}: {file} is not in docs/measured");
+        }
+        let anew = fs::read_to_string(&copy).unwrap();
+        let lines = text.lines().zip(anew.lines()).enumerate();
+        for (number, (old, new)) in lines {
+            assert_eq!(old, new, "{page}:{}", number + 1);
+        }
+        assert_eq!(text.len(), anew.len(), "{page}");
     }
 }
