@@ -33,7 +33,7 @@ use crate::stages::{ElementRotations, MoveSolid, NodeForces, SolidBuffers, Solid
 use crate::state::{SolveStatus, State};
 
 use super::bench_solve::{Ended, name};
-use super::chart::ink;
+use super::chart::{Failure, Point, chart, series};
 use super::solid_bytes::SolidBytes;
 use super::statistics::Spread;
 use super::table::{Machine, write_csv, write_json, write_svg};
@@ -467,67 +467,35 @@ fn measure(scene: &Scene, body: Body, options: &Options, machine: &Machine) -> R
 }
 
 /// Seconds against nodes, log-log: on the device with bars from least to largest, and of factorisation and solve.
-fn draw(table: &Table, page: SVGBackend) -> Result<(), Box<dyn std::error::Error>> {
+fn draw(table: &Table, page: SVGBackend) -> Result<(), Failure> {
     let root = page.into_drawing_area();
     root.fill(&WHITE)?;
-    let direct = |row: &Row| Some(row.factor_seconds? + row.substitution_seconds?);
-    let range = |values: Vec<f64>| {
-        let low = values.iter().copied().fold(f64::INFINITY, f64::min);
-        let high = values.iter().copied().fold(0.0, f64::max);
-        (low / 1.5)..(high * 1.5)
+    let nodes = |row: &Row| Spread::exact(row.nodes as f64);
+    let on_device = |row: &Row| Spread {
+        median: row.seconds_median,
+        min: row.seconds_min,
+        max: row.seconds_max,
     };
-    let nodes = |row: &Row| row.nodes as f64;
-    let x = range(table.rows.iter().map(nodes).collect());
-    let seconds = table.rows.iter().flat_map(|row| {
-        let ends = [row.seconds_min, row.seconds_max];
-        ends.into_iter().chain(direct(row))
-    });
-    let y = range(seconds.collect());
-    let mut chart = ChartBuilder::on(&root)
-        .caption(
-            format!("Solve of solids, {}", table.machine.adapter),
-            ("sans-serif", 20),
-        )
-        .margin(12)
-        .x_label_area_size(44)
-        .y_label_area_size(70)
-        .build_cartesian_2d(x.log_scale(), y.log_scale())?;
-    chart
-        .configure_mesh()
-        .x_desc("nodes")
-        .y_desc("seconds")
-        .draw()?;
-    let mut bodies: Vec<&str> = table.rows.iter().map(|row| row.body).collect();
-    bodies.dedup();
-    for (index, body) in bodies.into_iter().enumerate() {
-        let rows: Vec<&Row> = table.rows.iter().filter(|row| row.body == body).collect();
-        let on_device = rows.iter().map(|row| (nodes(row), row.seconds_median));
-        let factorised = rows
-            .iter()
-            .filter_map(|row| Some((nodes(row), direct(row)?)));
-        let series: [(&str, Vec<(f64, f64)>); 2] = [
-            ("this solve", on_device.collect()),
-            ("sparse Cholesky", factorised.collect()),
-        ];
-        for (number, (what, points)) in series.into_iter().enumerate() {
-            let colour = ink(2 * index + number);
-            chart
-                .draw_series(LineSeries::new(points, colour.stroke_width(2)).point_size(3))?
-                .label(format!("{body}, {what}"))
-                .legend(move |(x, y)| PathElement::new([(x, y), (x + 20, y)], colour));
-        }
-        for row in rows {
-            let spread = [(nodes(row), row.seconds_min), (nodes(row), row.seconds_max)];
-            let colour = ink(2 * index);
-            chart.draw_series([PathElement::new(spread, colour)])?;
-        }
-    }
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::UpperLeft)
-        .border_style(BLACK)
-        .background_style(WHITE)
-        .draw()?;
+    let direct = |row: &Row| Some(row.factor_seconds? + row.substitution_seconds?);
+    let mut all = series(
+        &table.rows,
+        |row| format!("{}, this solve", row.body),
+        |row| Point {
+            x: nodes(row),
+            y: on_device(row),
+        },
+    );
+    all.extend(series(
+        table.rows.iter().filter(|row| direct(row).is_some()),
+        |row| format!("{}, sparse Cholesky", row.body),
+        |row| Point {
+            x: nodes(row),
+            y: Spread::exact(direct(row).unwrap_or_default()),
+        },
+    ));
+    let caption = format!("Solve of solids, {}", table.machine.adapter);
+    let key = SeriesLabelPosition::UpperLeft;
+    chart(&root, &caption, ["nodes", "seconds"], key, &all)?;
     root.present()?;
     Ok(())
 }
