@@ -128,9 +128,8 @@ fn the_scenes_of_the_pages_load() {
 }
 
 /// Tables whose results are not in docs/measured yet, beside those of docs/validation.md: they say what a run before found.
-const ELSEWHERE: [&str; 7] = [
+const ELSEWHERE: [&str; 6] = [
     "accuracy_coupled/",
-    "largest/",
     "stability/",
     "stability_gpu/",
     "step_largest/",
