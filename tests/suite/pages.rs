@@ -128,11 +128,10 @@ fn the_scenes_of_the_pages_load() {
 }
 
 /// Tables whose results are not in docs/measured yet, beside those of docs/validation.md: they say what a run before found.
-const ELSEWHERE: [&str; 6] = [
+const ELSEWHERE: [&str; 5] = [
     "accuracy_coupled/",
     "stability/",
     "stability_gpu/",
-    "step_largest/",
     "thesis_grids/",
     "validation/",
 ];
