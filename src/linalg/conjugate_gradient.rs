@@ -7,7 +7,7 @@ use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
 use faer::matrix_free::bicgstab::{self as bicg, BicgParams};
 use faer::matrix_free::conjugate_gradient::{self as cg, CgError, CgParams};
 use faer::matrix_free::{IdentityPrecond, InitialGuessStatus, LinOp, Precond};
-use faer::{MatMut, MatRef, Par};
+use faer::{ColRef, MatMut, MatRef, Par};
 
 /// A symmetric linear map: a matrix, or a preconditioner, which approximates the inverse of one.
 pub trait LinearOperator: Sync {
@@ -80,6 +80,70 @@ pub fn conjugate_gradient(
         Err(_) => CgEnd::Breakdown,
     };
     CgReport::new(iterations, end, x)
+}
+
+/// The same for those who judge x by more than the recurrence's residual: whenever that has come as far as it was asked to, `judge` sees x and
+/// says by which factor to go on, or that it is enough. The directions stay, while a solve that begins anew has to find them again (van der
+/// Sluis and van der Vorst 1986), and faer's conjugate gradients cannot go on.
+pub fn judged_conjugate_gradient(
+    operator: &dyn LinearOperator,
+    preconditioner: &dyn LinearOperator,
+    b: &[f64],
+    x: &mut [f64],
+    tolerance: f64,
+    max_iterations: usize,
+    mut judge: impl FnMut(&[f64]) -> Option<f64>,
+) -> CgReport {
+    let n = operator.size();
+    assert!(
+        preconditioner.size() == n && b.len() == n && x.len() == n,
+        "operator, preconditioner and vectors fit"
+    );
+    x.fill(0.0);
+    let (mut r, mut z, mut q) = (b.to_vec(), vec![0.0; n], vec![0.0; n]);
+    preconditioner.apply(&r, &mut z);
+    let mut p = z.clone();
+    let mut rz = fast_dot(&r, &z);
+    let mut asked = tolerance * fast_dot(b, b).sqrt();
+    for iterations in 0.. {
+        let residual = fast_dot(&r, &r).sqrt();
+        if residual <= asked {
+            match judge(x) {
+                Some(factor) => asked = factor * residual,
+                None => return CgReport::new(iterations, CgEnd::Converged, x),
+            }
+        }
+        if iterations == max_iterations {
+            return CgReport::new(iterations, CgEnd::IterationLimit, x);
+        }
+        operator.apply(&p, &mut q);
+        let pq = fast_dot(&p, &q);
+        if !(rz > 0.0 && pq > 0.0) {
+            return CgReport::new(iterations, CgEnd::Breakdown, x);
+        }
+        let step = rz / pq;
+        add(step, &p, x);
+        add(-step, &q, &mut r);
+        preconditioner.apply(&r, &mut z);
+        let rz_before = std::mem::replace(&mut rz, fast_dot(&r, &z));
+        let turn = rz / rz_before;
+        for (p, z) in p.iter_mut().zip(&z) {
+            *p = z + turn * *p;
+        }
+    }
+    unreachable!("the iterations are limited")
+}
+
+/// Sum of products by faer, in an order that is its own and always the same.
+fn fast_dot(x: &[f64], y: &[f64]) -> f64 {
+    ColRef::from_slice(x).transpose() * ColRef::from_slice(y)
+}
+
+/// y += a x.
+fn add(a: f64, x: &[f64], y: &mut [f64]) {
+    for (y, x) in y.iter_mut().zip(x) {
+        *y += a * x;
+    }
 }
 
 /// Solves A x = b, A symmetric or not, from a zero guess until the recurrence's ||r|| < tolerance ||b||; x is overwritten. An iteration

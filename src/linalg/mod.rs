@@ -11,7 +11,8 @@ mod minimal_residual;
 
 pub use cholesky::{Cholesky, QuasiDefinite, SymbolicCholesky};
 pub use conjugate_gradient::{
-    CgEnd, CgReport, LinearOperator, conjugate_gradient, stabilised_biconjugate_gradient,
+    CgEnd, CgReport, LinearOperator, conjugate_gradient, judged_conjugate_gradient,
+    stabilised_biconjugate_gradient,
 };
 pub use csr::Csr;
 pub use eigenvalues::{

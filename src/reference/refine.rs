@@ -122,7 +122,17 @@ pub(super) fn refine(
     (x, reports[0])
 }
 
-/// The same, with a report for each part; all tell the iterations and the end of the whole.
+/// The part of the reduction that is left where x is all there is, at most 1; `None` where its true residual passes.
+pub(crate) fn left(system: &impl Judged, tolerance: f64, mut x: Vec<f64>) -> Option<f64> {
+    system.project(&mut x);
+    let parts = system.parts(&x);
+    let norm_of = |part: &Part| norm(&system.rhs()[part.range.clone()]);
+    let rhs_norms: Vec<f64> = parts.iter().map(norm_of).collect();
+    let verdict = Verdict::new(&parts, &rhs_norms, tolerance, &system.residual(&x));
+    (!verdict.passes()).then(|| verdict.left())
+}
+
+/// The same as `refine`, with a report for each part; all tell the iterations and the end of the whole.
 pub(crate) fn refine_parts(
     system: &impl Judged,
     settings: &Solver,

@@ -4,8 +4,8 @@ use std::fs;
 
 use cutwater::linalg::{
     CgEnd, Csr, LinearOperator, SymbolicCholesky, Symmetry, conjugate_gradient, eigenvalues,
-    inverse_one_norm, largest_magnitude, matrix_text, minimal_residual, norm, read_matrix,
-    read_vector, smallest_magnitude, vector_text,
+    inverse_one_norm, judged_conjugate_gradient, largest_magnitude, matrix_text, minimal_residual,
+    norm, read_matrix, read_vector, smallest_magnitude, vector_text,
 };
 
 /// The 1D Laplacian with p = 0 beyond both ends; entry (i, j) of its inverse is min(i, j) (n + 1 - max(i, j)) / (n + 1).
@@ -156,6 +156,54 @@ fn conjugate_gradient_ends_within_n_steps_and_tells_how() {
         conjugate_gradient(&negative, &jacobi, &b, &mut x, 1e-12, n).end,
         CgEnd::Breakdown
     );
+}
+
+#[test]
+fn judged_conjugate_gradient_goes_on_from_where_it_is() {
+    let n = 60;
+    let matrix = laplacian(n);
+    let jacobi = Diagonal((0..n).map(|i| 0.5 + 0.4 * (i as f64).sin()).collect());
+    let b: Vec<f64> = (0..n).map(|i| (i as f64).cos()).collect();
+    let (mut whole, mut parts) = (vec![7.0; n], vec![-7.0; n]);
+    let reference = conjugate_gradient(&matrix, &jacobi, &b, &mut whole, 1e-9, 2 * n);
+    let mut judgements = 0;
+    let report = judged_conjugate_gradient(&matrix, &jacobi, &b, &mut parts, 1e-3, 2 * n, |x| {
+        let mut residual = vec![0.0; n];
+        matrix.multiply(x, &mut residual);
+        residual.iter_mut().zip(&b).for_each(|(r, b)| *r -= b);
+        judgements += 1;
+        let left = 1e-9 * norm(&b) / norm(&residual);
+        (left < 1.0).then_some(left)
+    });
+    assert_eq!((report.end, judgements), (CgEnd::Converged, 2));
+    // What was asked twice takes as long as what was asked at once, and both find the same; in the last bits the sums differ.
+    assert!(
+        report.iterations.abs_diff(reference.iterations) <= 1,
+        "{} iterations, {} at once",
+        report.iterations,
+        reference.iterations
+    );
+    let off: Vec<f64> = whole.iter().zip(&parts).map(|(a, b)| a - b).collect();
+    assert!(norm(&off) < 1e-6 * norm(&whole), "off by {}", norm(&off));
+
+    let mut solve = |matrix: &Diagonal, b: &[f64], most, next| {
+        let one = Diagonal(vec![1.0; n]);
+        judged_conjugate_gradient(matrix, &one, b, &mut parts, 1e-3, most, |_| next)
+    };
+    let ugly = Diagonal((1..=n).map(|i| (i * i) as f64).collect());
+    let enough = solve(&ugly, &b, 2 * n, None);
+    assert_eq!(enough.end, CgEnd::Converged);
+    let limited = solve(&ugly, &b, enough.iterations + 2, Some(0.0));
+    assert_eq!(
+        (limited.end, limited.iterations),
+        (CgEnd::IterationLimit, enough.iterations + 2)
+    );
+    let zero = solve(&ugly, &vec![0.0; n], n, None);
+    assert_eq!((zero.end, zero.iterations), (CgEnd::Converged, 0));
+    let negative = Diagonal((0..n).map(|i| if i == 3 { -1.0 } else { 1.0 }).collect());
+    assert_eq!(solve(&negative, &b, n, None).end, CgEnd::Breakdown);
+    let lost = vec![f64::NAN; n];
+    assert_eq!(solve(&ugly, &lost, n, None).end, CgEnd::Breakdown);
 }
 
 /// [A B; B^T -A] with A the Laplacian, B a diagonal of both signs.

@@ -2,19 +2,24 @@
 
 use crate::Error;
 use crate::elastic::Solids;
-use crate::linalg::{CgEnd, Csr, Incomplete, LinearOperator, SymbolicCholesky, conjugate_gradient};
+use crate::linalg::{
+    CgEnd, Csr, Incomplete, LinearOperator, SymbolicCholesky, judged_conjugate_gradient,
+};
 use crate::reference::{
-    Blocks, Correction, CoupledSystem, Formulation, PressureSystem, SIGMA, SolidSolver, TwoField,
-    refine_parts, solve_coupled, solve_iterative,
+    Blocks, Correction, CoupledSystem, Formulation, Judged, PressureSystem, SIGMA, SolidSolver,
+    TwoField, left, refine_parts, solve_coupled, solve_iterative,
 };
 use crate::scene::Solver;
 use crate::state::SolveReport;
 
-/// The first round of conjugate gradients goes at least so far where the residual that it sees is not the one that is judged: pressures have little
-/// part in it.
-const FIRST_ROUND: f64 = 1e-6;
-/// A later round goes to this share of the reduction that is left, for the same reason.
+/// Conjugate gradients on (5.25) go at least so far before the residuals of (5.17) are looked at: pressures have little part in its own, and before
+/// that the one says nothing about the other.
+const FIRST_JUDGEMENT: f64 = 1e-6;
+/// Rounds after the first go to this share of the reduction that is left, for the same reason.
 const LATER_ROUNDS: f64 = 0.01;
+/// A further judgement of conjugate gradients has to find this part at most of what was left, or their recurrence has lost the true residual, and a
+/// round begins anew from that.
+const STAGNATION: f64 = 0.5;
 
 /// Another solver, on the CPU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -137,26 +142,44 @@ impl Definite<'_> {
         }
     }
 
-    /// By conjugate gradients.
+    /// By conjugate gradients, whose first round goes on until the residuals that are judged pass.
     fn iterate(
         &self,
         matrix: &Csr,
         preconditioner: &dyn LinearOperator,
         settings: &Solver,
     ) -> Vec<SolveReport> {
-        let mut later = false;
-        self.refined(settings, |x, tolerance, left| {
+        let mut first = true;
+        self.refined(settings, |x, tolerance, most| {
             let rhs = x.clone();
-            let asked = match (self, later) {
+            let goes_on = std::mem::replace(&mut first, false);
+            let asked = match (self, goes_on) {
                 (Definite::Pressure { .. }, _) => tolerance,
-                (Definite::Both { .. }, false) => tolerance.min(FIRST_ROUND),
-                (Definite::Both { .. }, true) => LATER_ROUNDS * tolerance,
+                (Definite::Both { .. }, true) => tolerance.min(FIRST_JUDGEMENT),
+                (Definite::Both { .. }, false) => LATER_ROUNDS * tolerance,
             };
-            later = true;
-            let most = left as usize;
-            let report = conjugate_gradient(matrix, preconditioner, &rhs, x, asked, most);
+            let mut before = 0.0;
+            let judge = |x: &[f64]| {
+                if !goes_on {
+                    return None;
+                }
+                let left = self.left(x, settings.tolerance)?;
+                (before <= STAGNATION * std::mem::replace(&mut before, left)).then_some(left)
+            };
+            let most = most as usize;
+            let report =
+                judged_conjugate_gradient(matrix, preconditioner, &rhs, x, asked, most, judge);
             (report.iterations as u32, report.end)
         })
+    }
+
+    /// The part of the reduction that a solution leaves in the system that is judged; `None` where that passes.
+    fn left(&self, unknowns: &[f64], tolerance: f64) -> Option<f64> {
+        let x = |rhs: &[f64]| self.scatter(unknowns, rhs.len());
+        match self {
+            Definite::Pressure { system, .. } => left(*system, tolerance, x(system.rhs())),
+            Definite::Both { system, .. } => left(*system, tolerance, x(system.rhs())),
+        }
     }
 
     /// Until the true residuals of the system that is judged pass. `solve` replaces a right-hand side of this one by its solution, to a
