@@ -719,7 +719,8 @@ fn solves(
         };
         let together = match solver::can_condense(rows, solver, f64) {
             true => format!(
-                "condensed, conjugate gradients with {preconditioner} on B, where at most {} nodes are wet, else {two_field}",
+                "condensed, conjugate gradients with {preconditioner} on B, where at most {} nodes are wet (of stiff solids {}), else {two_field}",
+                solver::WORTH_WETTED / 3,
                 solver::MOST_WETTED / 3
             ),
             false => two_field,

@@ -49,4 +49,9 @@ impl Polynomial {
             weights,
         }
     }
+
+    /// Whether the degree is as high as the solids ask for, so that the polynomial acts on all that its matrix has (`Bounds::chebyshev_degree`).
+    pub(super) fn reaches_least(&self) -> bool {
+        (self.degree as usize) < MAX_DEGREE
+    }
 }

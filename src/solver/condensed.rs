@@ -15,6 +15,7 @@ use crate::gpu::{
 use crate::scene::{Formulation, Solver};
 use crate::state::SolveStatus;
 
+use super::chebyshev::Polynomial;
 use super::coupling::{Coupling, LABELS, NODES, WET};
 use super::pcg::{Pcg, State, Unknowns};
 use super::refine::{SCALE, STATUS_STAGNATED, System, host_turns};
@@ -23,8 +24,11 @@ use super::stored_stiffness::{Factor, Stored, StoredStiffness};
 use super::two_field::{CoupledFields, CoupledOutcome, TwoFieldSolver};
 use super::{Control, Level, Sweep, variant};
 
-/// Wetted components, at most: a W of 16 MB, whose making costs about as much as what it saves.
-pub const MOST_WETTED: usize = 2000;
+/// Wetted components, at most: a W of 81 MB, which the smallest bindings that adapters offer, 128 MiB, have room for.
+pub const MOST_WETTED: usize = 4500;
+/// Wetted components above which the making of a W of 16 MB costs about as much as what it saves, as long as two-field corrections take a
+/// few tens of iterations. Those whose polynomial does not reach down to the softest motions of the solids take hundreds, of seconds.
+pub const WORTH_WETTED: usize = 2000;
 /// Components of all solids, at most: a factor of as many takes some hundredths of a second.
 const MOST_COMPONENTS: usize = 30_000;
 /// Iterations that are recorded ahead of an exchange; a round takes about as many.
@@ -298,12 +302,25 @@ impl Condensed {
         }))
     }
 
+    /// Wetted nodes that are worth a W: all that there is room for, or fewer where the two-field form, with this polynomial, is quick.
+    fn most_wetted(&self, polynomial: &Polynomial) -> usize {
+        let room = self.nodes.len();
+        match self.formulation {
+            Formulation::Condensed => room,
+            Formulation::Auto | Formulation::TwoField if polynomial.reaches_least() => {
+                room.min(WORTH_WETTED / 3)
+            }
+            Formulation::Auto | Formulation::TwoField => room,
+        }
+    }
+
     /// Submits the recording, which ends with both systems and J in place, and makes W where the form is the condensed one.
     pub(super) fn ready<'a>(
         &'a self,
         gpu: &Gpu,
         mut recorder: Recorder,
         at: CoupledFields,
+        polynomial: &Polynomial,
         record_args: impl FnOnce(&mut Pass),
     ) -> Result<(Form<'a>, StageTimes), Error> {
         let (solids, coupling) = (at.solids, at.coupling);
@@ -337,7 +354,7 @@ impl Condensed {
         let times = timing.wait()?;
         let nodes = (0..wet.len() as u32).filter(|&node| wet[node as usize] != 0);
         let nodes: Vec<u32> = nodes.collect();
-        if nodes.len() > self.nodes.len() {
+        if nodes.len() > self.most_wetted(polynomial) {
             return Ok((Form::TwoField, times));
         }
         let mass = f64::from(coupling.now.mass);
@@ -398,10 +415,11 @@ impl TwoFieldSolver {
         gpu: &'a Gpu,
         recorder: Recorder<'a>,
         at: CoupledFields,
+        polynomial: &Polynomial,
         again: bool,
     ) -> Result<(Option<CoupledOutcome>, StageTimes), Error> {
         let (form, mut times) =
-            condensed.ready(gpu, recorder, at, |pass| self.record_args(pass))?;
+            condensed.ready(gpu, recorder, at, polynomial, |pass| self.record_args(pass))?;
         let ready = match form {
             Form::Condensed(ready) => Some(ready),
             Form::TwoField => return Ok((None, times)),

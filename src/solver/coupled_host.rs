@@ -220,7 +220,7 @@ impl TwoFieldSolver {
         let (mut condensed, mut without_factor) = (None, false);
         if let Some(kernels) = &self.condensed {
             let (form, mut stages) =
-                kernels.ready(gpu, recorder, at, |pass| self.record_args(pass))?;
+                kernels.ready(gpu, recorder, at, polynomial, |pass| self.record_args(pass))?;
             times.append(&mut stages);
             match form {
                 Form::Condensed(ready) => condensed = Some((kernels, ready)),

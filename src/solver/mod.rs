@@ -53,7 +53,7 @@ mod weak;
 
 pub use chebyshev::Polynomial;
 pub use components::{Components, Seal};
-pub use condensed::{MOST_WETTED, Wetted, can_condense, check_formulation};
+pub use condensed::{MOST_WETTED, WORTH_WETTED, Wetted, can_condense, check_formulation};
 pub use coupling::{Coupling, CouplingBuffers, CouplingSize, Pair, REPORT_WORDS};
 pub use hierarchy::{Hierarchy, Tail, TailStep};
 pub use patch_pressure::{OpenFaces, PatchPressure, PressureSlope};

@@ -604,7 +604,7 @@ impl TwoFieldSolver {
         let mut times = Vec::new();
         if let Some(condensed) = &self.condensed {
             let (outcome, mut stages) =
-                self.solve_condensed(condensed, gpu, recorder, at, again)?;
+                self.solve_condensed(condensed, gpu, recorder, at, polynomial, again)?;
             times.append(&mut stages);
             if let Some(outcome) = outcome {
                 return Ok((outcome, times));

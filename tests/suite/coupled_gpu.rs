@@ -465,6 +465,41 @@ fn without_a_factor_the_form_is_two_field() {
     }
 }
 
+/// A block of which 866 nodes are wet, more than are worth the dense inverse where corrections of both fields are quick: of stiff bodies these
+/// would take more iterations than there are, and the scene may ask for either.
+#[test]
+fn many_wet_nodes_are_condensed_where_the_polynomial_ends_early() {
+    if gpu().is_none() {
+        return;
+    }
+    let block = |young: &str| {
+        format!(
+            "[[solid]]
+name = \"block\"
+mesh = {{ box = {{ size = [0.4, 0.4, 0.4], cells = [12, 12, 12] }} }}
+placement = {{ translate = [0.5, 0.4, 0.5] }}
+density = 300.0
+young = {young}
+poisson = 0.3
+"
+        )
+    };
+    for (young, formulation, condensed) in [
+        ("1e8", "auto", true),
+        ("1e3", "auto", false),
+        ("1e3", "condensed", true),
+    ] {
+        let form = format!("solver.formulation={formulation}");
+        let mut simulation = on_gpu(&scene(&tank(0.8, &block(young)), &[&form]));
+        let report = simulation.step().unwrap();
+        let case = format!("{young} Pa, {formulation}");
+        assert_eq!(report.coupling.unwrap().condensed, condensed, "{case}");
+        for solve in report.solves() {
+            assert_eq!(solve.status, SolveStatus::Converged, "{case}: {solve:?}");
+        }
+    }
+}
+
 /// Buffers, kernels and stages of a coupled scene are those planned.
 fn assert_planned(name: &str, scene: &Scene) {
     let sums = |list: Vec<(String, u64)>| {
