@@ -8,9 +8,10 @@ const DEGREES = 65u;
 
 struct Polynomial {
     degree: u32,
+    // That which the solids ask for, where it is higher: the host's to know.
+    wanted: u32,
     pad_0: u32,
     pad_1: u32,
-    pad_2: u32,
     // Weights of step k: of the last increment, of D^-1 times the residual.
     weights: array<vec4<f32>, DEGREES>,
 }

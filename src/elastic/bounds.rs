@@ -62,13 +62,19 @@ impl Bounds {
 
     /// The same for other zeta_M (1/s) and zeta_K (s).
     pub fn chebyshev_degree_for(&self, solids: &Solids, zeta: impl Fn(&Body) -> [f64; 2]) -> usize {
+        let [least, most] = DEGREES;
+        let wanted = self.wanted_degree_for(solids, zeta);
+        wanted.max(least).min(most).ceil() as usize
+    }
+
+    /// The degree before its limits: sqrt(zeta_K lmax(M^-1 K) / zeta_M), the largest of all solids.
+    pub fn wanted_degree_for(&self, solids: &Solids, zeta: impl Fn(&Body) -> [f64; 2]) -> f64 {
         let wanted = solids.bodies.iter().zip(&self.frequency_squared);
         let wanted = wanted.map(|(body, square)| {
             let [mass, stiffness] = zeta(body);
             (stiffness * square / mass).sqrt()
         });
-        let [least, most] = DEGREES;
-        wanted.fold(least, f64::max).min(most).ceil() as usize
+        wanted.fold(0.0, f64::max)
     }
 }
 

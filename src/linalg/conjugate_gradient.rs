@@ -109,8 +109,9 @@ pub fn judged_conjugate_gradient(
         let residual = fast_dot(&r, &r).sqrt();
         if residual <= asked {
             match judge(x) {
-                Some(factor) => asked = factor * residual,
-                None => return CgReport::new(iterations, CgEnd::Converged, x),
+                // From nothing there is nowhere to go.
+                Some(factor) if residual > 0.0 => asked = factor * residual,
+                _ => return CgReport::new(iterations, CgEnd::Converged, x),
             }
         }
         if iterations == max_iterations {

@@ -113,6 +113,9 @@ impl<'a> DeviceScene<'a> {
         coupling.write(gpu, &pairs, DENSITY * grid.dx.powi(3) / scene.dt)?;
         let bounds = Bounds::new(&scene.solids);
         let degree = bounds.chebyshev_degree(&scene.solids, scene.dt);
+        let wanted = bounds.wanted_degree_for(&scene.solids, |body| {
+            [body.zeta_mass(scene.dt), body.zeta_stiffness(scene.dt)]
+        });
         let two_field = TwoFieldSolver::new(
             gpu,
             CoupledFields {
@@ -131,7 +134,7 @@ impl<'a> DeviceScene<'a> {
             rotations: ElementRotations::new(gpu, &fields)?,
             system: SolidSystem::new(gpu, &solids, fields.fields(), None)?,
             rhs: padded.pad(grid.cells, &rhs, |b| b),
-            polynomial: Polynomial::new(degree, bounds.block_jacobi),
+            polynomial: Polynomial::new(degree, bounds.block_jacobi).wanting(wanted),
             state: State {
                 displacement: scene.displacement.clone(),
                 node_velocity: scene.node_velocity.clone(),

@@ -62,7 +62,7 @@ pub use prepare::prepare;
 pub use pressure_system::{PressureSystem, Stencil, remove_means};
 pub use probe::probe;
 pub use refine::EPSILON;
-pub(crate) use refine::{Correction, Judged, left, refine_parts};
+pub(crate) use refine::{Correction, Judged, part_left, refine_parts};
 pub use right_hand_side::{RightHandSide, VolumeSource, right_hand_side, volume_rate};
 pub use sample::gradient;
 pub use slivers::{is_sliver, shown_to_whole};

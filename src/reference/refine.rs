@@ -123,7 +123,7 @@ pub(super) fn refine(
 }
 
 /// The part of the reduction that is left where x is all there is, at most 1; `None` where its true residual passes.
-pub(crate) fn left(system: &impl Judged, tolerance: f64, mut x: Vec<f64>) -> Option<f64> {
+pub(crate) fn part_left(system: &impl Judged, tolerance: f64, mut x: Vec<f64>) -> Option<f64> {
     system.project(&mut x);
     let parts = system.parts(&x);
     let norm_of = |part: &Part| norm(&system.rhs()[part.range.clone()]);

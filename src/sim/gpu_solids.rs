@@ -421,14 +421,14 @@ impl GpuSolids {
 
     /// The preconditioner's polynomial for a sub-step of dt (s).
     pub(super) fn polynomial(&self, dt: f64) -> Polynomial {
-        let degree = self.bounds.chebyshev_degree(&self.solids, dt);
-        Polynomial::new(degree, self.bounds.block_jacobi)
+        self.polynomial_for(|body| [body.zeta_mass(dt), body.zeta_stiffness(dt)])
     }
 
     /// The same for other zeta_M (1/s) and zeta_K (s) of each body.
     pub(super) fn polynomial_for(&self, zeta: impl Fn(&Body) -> [f64; 2]) -> Polynomial {
-        let degree = self.bounds.chebyshev_degree_for(&self.solids, zeta);
-        Polynomial::new(degree, self.bounds.block_jacobi)
+        let degree = self.bounds.chebyshev_degree_for(&self.solids, &zeta);
+        let wanted = self.bounds.wanted_degree_for(&self.solids, zeta);
+        Polynomial::new(degree, self.bounds.block_jacobi).wanting(wanted)
     }
 
     /// Tells the kernels of another system of this sub-step and records it, and with `again` its right-hand side, from the velocities found;

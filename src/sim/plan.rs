@@ -8,8 +8,8 @@ use crate::gpu::{AdapterReport, BufferPlan, Timer, Variant};
 use crate::grid::Grid;
 use crate::reference::{TimeStep, time_step};
 use crate::scene::{
-    CouplingScheme, ElasticModel, Obstacle, PatchPressure, Precision, Preconditioner, ProbeKind,
-    Scene, Solid, Solver,
+    CouplingScheme, ElasticModel, Formulation, Obstacle, PatchPressure, Precision, Preconditioner,
+    ProbeKind, Scene, Solid, Solver,
 };
 use crate::solver::{self, LevelPlan, SolidRows, SolverBuffers};
 use crate::stages::{EXCHANGE, Probe, extrapolation_layers, tap_buffers};
@@ -192,9 +192,10 @@ impl Plan {
             let mut checked = adapter.check_buffer(plan.label, plan.bytes());
             if let Err(Error::Limit { cure, .. }) = &mut checked {
                 // Labels begin with whose buffer it is.
-                let smaller = match plan.label.starts_with("solid") {
-                    true => "coarser meshes of the solids",
-                    false => "fewer cells (--scale)",
+                let smaller = match plan.label {
+                    label if label.starts_with("solid") => "coarser meshes of the solids",
+                    label if label.starts_with("condensed") => "solver.formulation = \"two_field\"",
+                    _ => "fewer cells (--scale)",
                 };
                 *cure = format!("use {smaller}, another adapter (--adapter), or --backend cpu");
             }
@@ -718,11 +719,18 @@ fn solves(
             }
         };
         let together = match solver::can_condense(rows, solver, f64) {
-            true => format!(
-                "condensed, conjugate gradients with {preconditioner} on B, where at most {} nodes are wet (of stiff solids {}), else {two_field}",
-                solver::WORTH_WETTED / 3,
-                solver::MOST_WETTED / 3
-            ),
+            true => {
+                let (worth, most) = (solver::WORTH_WETTED / 3, solver::MOST_WETTED / 3);
+                let most = match solver.formulation {
+                    Formulation::Condensed => most.to_string(),
+                    Formulation::Auto | Formulation::TwoField => {
+                        format!("{worth} (of stiff solids {most})")
+                    }
+                };
+                format!(
+                    "condensed, conjugate gradients with {preconditioner} on B, where at most {most} nodes are wet, else {two_field}"
+                )
+            }
             false => two_field,
         };
         let together = format!(

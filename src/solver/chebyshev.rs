@@ -3,6 +3,9 @@
 /// Largest degree; `common/chebyshev.wgsl` has room for as many steps and one.
 pub(super) const MAX_DEGREE: usize = 64;
 
+/// What a polynomial may miss of the degree that is wanted, as a factor.
+const SHORT: u32 = 2;
+
 /// The Chebyshev iteration of `shaders/common/chebyshev.wgsl`, whose doppelganger this is: z = p(D^-1 S) D^-1 r with p of this degree, for
 /// eigenvalues of D^-1 S in [`largest` / (0.7 degree^2), `largest`] (design section 5). Those below are positive in p all the same, so z is
 /// symmetric and positive in r, whatever the lower end, as long as none is above.
@@ -11,12 +14,12 @@ pub(super) const MAX_DEGREE: usize = 64;
 pub struct Polynomial {
     /// Products with S.
     pub degree: u32,
+    /// The degree that the solids ask for, where it is higher (`Bounds::wanted_degree_for`).
+    pub wanted: u32,
     /// Nothing.
     pub pad_0: u32,
     /// Nothing.
     pub pad_1: u32,
-    /// Nothing.
-    pub pad_2: u32,
     /// Weights of each step: of the last increment, of D^-1 times the residual.
     pub weights: [[f32; 4]; MAX_DEGREE + 1],
 }
@@ -43,15 +46,25 @@ impl Polynomial {
         }
         Polynomial {
             degree: degree as u32,
+            wanted: degree as u32,
             pad_0: 0,
             pad_1: 0,
-            pad_2: 0,
             weights,
         }
     }
 
-    /// Whether the degree is as high as the solids ask for, so that the polynomial acts on all that its matrix has (`Bounds::chebyshev_degree`).
-    pub(super) fn reaches_least(&self) -> bool {
-        (self.degree as usize) < MAX_DEGREE
+    /// The same, of solids that ask for this degree.
+    pub fn wanting(self, degree: f64) -> Polynomial {
+        Polynomial {
+            // A degree beyond all numbers is the largest one.
+            wanted: degree.ceil() as u32,
+            ..self
+        }
+    }
+
+    /// Whether it stays so far below the degree that the solids ask for that two-field solves, whose iterations grow with the square of what is
+    /// missing, may take more than the hundred which they are good for.
+    pub(super) fn falls_short(&self) -> bool {
+        self.wanted > SHORT * self.degree
     }
 }

@@ -27,7 +27,7 @@ use super::{Control, Level, Sweep, variant};
 /// Wetted components, at most: a W of 81 MB, which the smallest bindings that adapters offer, 128 MiB, have room for.
 pub const MOST_WETTED: usize = 4500;
 /// Wetted components above which the making of a W of 16 MB costs about as much as what it saves, as long as two-field corrections take a
-/// few tens of iterations. Those whose polynomial does not reach down to the softest motions of the solids take hundreds, of seconds.
+/// few tens of iterations. Where the polynomial of the solids falls short they take hundreds.
 pub const WORTH_WETTED: usize = 2000;
 /// Components of all solids, at most: a factor of as many takes some hundredths of a second.
 const MOST_COMPONENTS: usize = 30_000;
@@ -307,10 +307,8 @@ impl Condensed {
         let room = self.nodes.len();
         match self.formulation {
             Formulation::Condensed => room,
-            Formulation::Auto | Formulation::TwoField if polynomial.reaches_least() => {
-                room.min(WORTH_WETTED / 3)
-            }
-            Formulation::Auto | Formulation::TwoField => room,
+            Formulation::Auto | Formulation::TwoField if polynomial.falls_short() => room,
+            Formulation::Auto | Formulation::TwoField => room.min(WORTH_WETTED / 3),
         }
     }
 

@@ -198,8 +198,10 @@ fn judged_conjugate_gradient_goes_on_from_where_it_is() {
         (limited.end, limited.iterations),
         (CgEnd::IterationLimit, enough.iterations + 2)
     );
-    let zero = solve(&ugly, &vec![0.0; n], n, None);
-    assert_eq!((zero.end, zero.iterations), (CgEnd::Converged, 0));
+    for next in [None, Some(0.5)] {
+        let zero = solve(&ugly, &vec![0.0; n], n, next);
+        assert_eq!((zero.end, zero.iterations), (CgEnd::Converged, 0));
+    }
     let negative = Diagonal((0..n).map(|i| if i == 3 { -1.0 } else { 1.0 }).collect());
     assert_eq!(solve(&negative, &b, n, None).end, CgEnd::Breakdown);
     let lost = vec![f64::NAN; n];

@@ -7,7 +7,7 @@ use crate::linalg::{
 };
 use crate::reference::{
     Blocks, Correction, CoupledSystem, Formulation, Judged, PressureSystem, SIGMA, SolidSolver,
-    TwoField, left, refine_parts, solve_coupled, solve_iterative,
+    TwoField, part_left, refine_parts, solve_coupled, solve_iterative,
 };
 use crate::scene::Solver;
 use crate::state::SolveReport;
@@ -152,19 +152,20 @@ impl Definite<'_> {
         let mut first = true;
         self.refined(settings, |x, tolerance, most| {
             let rhs = x.clone();
-            let goes_on = std::mem::replace(&mut first, false);
-            let asked = match (self, goes_on) {
+            let is_first = std::mem::replace(&mut first, false);
+            let asked = match (self, is_first) {
                 (Definite::Pressure { .. }, _) => tolerance,
                 (Definite::Both { .. }, true) => tolerance.min(FIRST_JUDGEMENT),
                 (Definite::Both { .. }, false) => LATER_ROUNDS * tolerance,
             };
             let mut before = 0.0;
             let judge = |x: &[f64]| {
-                if !goes_on {
+                if !is_first {
                     return None;
                 }
-                let left = self.left(x, settings.tolerance)?;
-                (before <= STAGNATION * std::mem::replace(&mut before, left)).then_some(left)
+                let left = self.part_left(x, settings.tolerance)?;
+                let gains = std::mem::replace(&mut before, left) <= STAGNATION * left;
+                gains.then_some(left)
             };
             let most = most as usize;
             let report =
@@ -174,11 +175,11 @@ impl Definite<'_> {
     }
 
     /// The part of the reduction that a solution leaves in the system that is judged; `None` where that passes.
-    fn left(&self, unknowns: &[f64], tolerance: f64) -> Option<f64> {
+    fn part_left(&self, unknowns: &[f64], tolerance: f64) -> Option<f64> {
         let x = |rhs: &[f64]| self.scatter(unknowns, rhs.len());
         match self {
-            Definite::Pressure { system, .. } => left(*system, tolerance, x(system.rhs())),
-            Definite::Both { system, .. } => left(*system, tolerance, x(system.rhs())),
+            Definite::Pressure { system, .. } => part_left(*system, tolerance, x(system.rhs())),
+            Definite::Both { system, .. } => part_left(*system, tolerance, x(system.rhs())),
         }
     }
 

@@ -6,7 +6,7 @@ use super::{Place, Row, Table};
 
 const LINE: i32 = 17;
 const HEAD: i32 = 74;
-const WIDTH: u32 = 1500;
+const WIDTH: u32 = 1620;
 /// Left ends of the columns: verdict, name, energy, energy of motion and strain, speed of nodes, of liquid, worst det F, volume, what happened.
 const COLUMNS: [i32; 9] = [12, 34, 220, 400, 515, 630, 745, 860, 1060];
 const GOOD: RGBColor = RGBColor(46, 139, 87);
