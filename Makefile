@@ -1,12 +1,15 @@
 # Both commands do all the set-up they need: see README.md.
 
-.PHONY: run test validate measure
+.PHONY: run test gpu validate measure
 
 run: ## simulate the dam break and draw its pictures
 	@bash .ci/demo
 
 test: ## all tests on lavapipe, those of the kernels and the solver once more on SwiftShader
 	@bash .ci/test
+
+gpu: ## measure the GPU of this machine in ten minutes, into docs/measured/gpu; builds target/gpu, whose `run` does the same elsewhere; ARGS=--build-only
+	@bash .ci/gpu $(ARGS)
 
 validate: ## the long validation against theory and other programs, and the tables of docs/validation.md anew; CASES="S2 S9" runs a part
 	@bash .ci/validate $(CASES)

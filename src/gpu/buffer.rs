@@ -137,8 +137,9 @@ impl Gpu {
             buffer.len
         );
         if !values.is_empty() {
-            self.queue
-                .write_buffer(&buffer.raw, 0, bytemuck::cast_slice(values));
+            let bytes: &[u8] = bytemuck::cast_slice(values);
+            self.queue.write_buffer(&buffer.raw, 0, bytes);
+            self.meter.uploaded(bytes.len() as u64);
         }
     }
 

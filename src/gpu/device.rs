@@ -5,6 +5,7 @@ use std::fmt::Write as _;
 use std::sync::{Arc, Mutex, OnceLock};
 
 use super::record::Timer;
+use super::traffic::{Meter, Trace, Traffic};
 use super::{Kernel, Source, Surroundings, Variant};
 use crate::Error;
 
@@ -239,8 +240,7 @@ pub struct Gpu {
     faults: Arc<Mutex<Option<String>>>,
     allocated: Mutex<Vec<(String, u64)>>,
     kernels: Mutex<HashMap<(Source, Variant), Kernel>>,
-    /// Stage and kernel of every dispatch submitted, once somebody asked for it.
-    dispatched: Mutex<Option<Vec<(&'static str, &'static str)>>>,
+    pub(super) meter: Meter,
     /// Timers that no recording holds.
     pub(super) timers: Mutex<Vec<Timer>>,
 }
@@ -362,7 +362,7 @@ impl Gpu {
             faults,
             allocated: Mutex::default(),
             kernels: Mutex::default(),
-            dispatched: Mutex::default(),
+            meter: Meter::default(),
             timers: Mutex::default(),
         };
         if gpu.report.timestamps {
@@ -402,6 +402,7 @@ impl Gpu {
     /// [`Error::Gpu`] when the device fails.
     pub fn wait(&self, during: &str) -> Result<(), Error> {
         let polled = self.device.poll(wgpu::PollType::wait_indefinitely());
+        self.meter.waited();
         self.check(during)?;
         polled.map(|_| ()).map_err(|error| Error::Gpu {
             during: during.to_owned(),
@@ -425,24 +426,19 @@ impl Gpu {
             .unwrap_or_default()
     }
 
-    /// Notes the stage and kernel of every dispatch from now on; an earlier list is forgotten.
-    pub fn note_dispatches(&self) {
-        if let Ok(mut list) = self.dispatched.lock() {
-            *list = Some(Vec::new());
-        }
+    /// Traffic since the device was opened.
+    pub fn traffic(&self) -> Traffic {
+        self.meter.traffic()
     }
 
-    /// Stage and kernel of every dispatch submitted since [`Gpu::note_dispatches`], in order; nothing is noted any more.
-    pub fn noted_dispatches(&self) -> Vec<(&'static str, &'static str)> {
-        let noted = self.dispatched.lock().ok().and_then(|mut list| list.take());
-        noted.unwrap_or_default()
+    /// Records every dispatch and wait from now on; an earlier trace is dropped.
+    pub fn start_trace(&self) {
+        self.meter.start_trace();
     }
 
-    pub(super) fn note_submission(&self, dispatches: &[(&'static str, &'static str)]) {
-        if let Ok(mut list) = self.dispatched.lock() {
-            list.iter_mut()
-                .for_each(|list| list.extend_from_slice(dispatches));
-        }
+    /// Dispatches and waits since [`Gpu::start_trace`], which ends here.
+    pub fn take_trace(&self) -> Trace {
+        self.meter.take_trace()
     }
 
     pub(super) fn known_kernel(&self, source: &Source, variant: Variant) -> Option<Kernel> {

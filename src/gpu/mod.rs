@@ -14,6 +14,7 @@ mod record;
 mod shader;
 mod sort;
 mod surroundings;
+mod traffic;
 
 pub use buffer::{Buffer, BufferPlan, Readback, RealBuffer};
 pub use compact::{CompactKernels, Compaction, Range};
@@ -23,6 +24,7 @@ pub use record::{Pass, Recorder, SPLIT, StageTimes, Timer, groups};
 pub use shader::{COMMON, Composed, Real, Source, Variant, WG_SIZE, compose, validate};
 pub use sort::{Entries, Sort, SortKernels, SortPass, TILE};
 pub use surroundings::Surroundings;
+pub use traffic::{StageKernel, Trace, Traffic};
 
 /// The WGSL file `shaders/NAME.wgsl`, embedded.
 #[macro_export]

@@ -3,7 +3,7 @@
 use bytemuck::Pod;
 
 use super::buffer::Arrival;
-use super::{Bound, Buffer, BufferPlan, Gpu, Readback};
+use super::{Bound, Buffer, BufferPlan, Gpu, Readback, StageKernel};
 
 /// Workgroups along x before a dispatch continues along y; `common/dispatch.wgsl` has the same constant. Below the 65,535
 /// that every adapter allows, and a power of two so that folding back is a shift.
@@ -93,7 +93,8 @@ pub struct Recorder<'a> {
     encoder: wgpu::CommandEncoder,
     timer: Option<Timer>,
     stages: Vec<&'static str>,
-    dispatches: Vec<(&'static str, &'static str)>,
+    dispatches: Vec<StageKernel>,
+    bytes_down: u64,
 }
 
 /// One compute pass: the dispatches of a stage, in order. Each sees what the earlier ones wrote.
@@ -101,7 +102,7 @@ pub struct Recorder<'a> {
 pub struct Pass<'a> {
     raw: wgpu::ComputePass<'a>,
     stage: &'static str,
-    dispatches: &'a mut Vec<(&'static str, &'static str)>,
+    dispatches: &'a mut Vec<StageKernel>,
 }
 
 impl<'a> Recorder<'a> {
@@ -118,6 +119,7 @@ impl<'a> Recorder<'a> {
             timer: None,
             stages: Vec::new(),
             dispatches: Vec::new(),
+            bytes_down: 0,
         }
     }
 
@@ -185,6 +187,7 @@ impl<'a> Recorder<'a> {
         let start = (first * size_of::<T>()) as u64;
         let bytes = (to.len.max(1) * size_of::<T>()).next_multiple_of(4) as u64;
         let bytes = bytes.min(from.bytes() - start);
+        self.bytes_down += bytes;
         self.encoder
             .copy_buffer_to_buffer(&from.raw, start, &to.raw, 0, Some(bytes));
     }
@@ -195,6 +198,7 @@ impl<'a> Recorder<'a> {
             let n = 2 * self.stages.len() as u32;
             if n > 0 {
                 let bytes = u64::from(n) * 8;
+                self.bytes_down += bytes;
                 self.encoder
                     .resolve_query_set(&timer.set, 0..n, &timer.resolved, 0);
                 self.encoder.copy_buffer_to_buffer(
@@ -207,7 +211,7 @@ impl<'a> Recorder<'a> {
             }
         }
         self.gpu.queue.submit([self.encoder.finish()]);
-        self.gpu.note_submission(&self.dispatches);
+        self.gpu.meter.submitted(&self.dispatches, self.bytes_down);
         Timing {
             gpu: self.gpu,
             stages: self.stages,

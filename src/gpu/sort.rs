@@ -152,9 +152,4 @@ impl Sort {
             pass.dispatch_indirect(scatter, &self.tile_args, 0);
         }
     }
-
-    /// Bytes that a sort of `n` entries by `bits` must move: in each pass the keys twice and the values once in, both out.
-    pub fn bytes(n: usize, bits: u32) -> f64 {
-        f64::from(2 * bits.div_ceil(8)) * 20.0 * n as f64
-    }
 }

@@ -267,14 +267,14 @@ impl Taken {
         for (label, made) in simulation.gpu().unwrap().allocated() {
             *bytes.entry(label).or_default() += made;
         }
-        simulation.gpu().unwrap().note_dispatches();
+        simulation.gpu().unwrap().start_trace();
         simulation.step().unwrap();
         simulation.probes().unwrap();
         let gpu = simulation.gpu().unwrap();
         Taken {
             bytes,
             kernels: gpu.compiled(),
-            dispatches: gpu.noted_dispatches(),
+            dispatches: gpu.take_trace().dispatches,
         }
     }
 }

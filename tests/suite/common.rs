@@ -1,6 +1,7 @@
 //! What the tests share: the device, random numbers, comparisons.
 
 use std::collections::BTreeSet;
+use std::path::PathBuf;
 use std::process::Command;
 use std::sync::OnceLock;
 
@@ -22,6 +23,12 @@ pub(crate) fn gpu() -> Option<&'static Gpu> {
         }
     })
     .as_ref()
+}
+
+/// The folder with `scenes` and `tests/data`: the repository, or the one in `CUTWATER_ROOT` where this binary was moved to another machine.
+pub(crate) fn root() -> PathBuf {
+    std::env::var_os("CUTWATER_ROOT")
+        .map_or_else(|| env!("CARGO_MANIFEST_DIR").into(), PathBuf::from)
 }
 
 /// What active cells cover, seen from above, m^2: of a pool, its surface.

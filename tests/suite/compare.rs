@@ -1,7 +1,6 @@
 //! `compare`: the five scenes pass it, and a value that is off does not.
 
 use std::fs;
-use std::path::Path;
 
 use cutwater::Error;
 use cutwater::gpu::AdapterChoice;
@@ -10,10 +9,10 @@ use cutwater::reference::Held;
 use cutwater::scene::Scene;
 use cutwater::sim::{Snapshot, SolidSnapshot};
 
-use crate::common::gpu;
+use crate::common::{gpu, root};
 
 fn scene(name: &str, scale: f64, overrides: &[&str]) -> Scene {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("scenes/{name}.toml"));
+    let path = root().join(format!("scenes/{name}.toml"));
     let overrides: Vec<String> = overrides.iter().map(|&text| text.to_owned()).collect();
     Scene::load(&path, &overrides, scale).unwrap()
 }

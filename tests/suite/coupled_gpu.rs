@@ -527,11 +527,11 @@ fn assert_planned(name: &str, scene: &Scene) {
     assert_eq!(kernels, compiled, "{name}: kernels");
     let before = allocated();
     simulation.step().unwrap();
-    simulation.gpu().unwrap().note_dispatches();
+    simulation.gpu().unwrap().start_trace();
     let report = simulation.step().unwrap();
     let gpu = simulation.gpu().unwrap();
     let touching = report.coupling.unwrap().touching;
-    for (stage, kernel) in gpu.noted_dispatches() {
+    for (stage, kernel) in gpu.take_trace().dispatches {
         let planned = plan.stages.iter().find(|planned| planned.name == stage);
         let kernels = planned.map_or(&[][..], |planned| &planned.kernels);
         assert!(kernels.contains(&kernel), "{name}: {kernel} in {stage}");

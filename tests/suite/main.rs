@@ -2,10 +2,10 @@
 
 mod band;
 mod bench_accuracy;
+mod bench_device;
 mod bench_effects;
 mod bench_solids;
 mod bench_solve;
-mod bench_sort;
 mod bench_stability;
 mod bench_step;
 mod bench_thesis;
@@ -63,6 +63,7 @@ mod sweep;
 mod taps;
 mod tet_files;
 mod tet_mesh;
+mod traffic;
 mod twin_advect_markers;
 mod twin_advect_velocity;
 mod twin_clip;

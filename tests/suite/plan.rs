@@ -240,9 +240,9 @@ fn solids_take_what_is_planned_and_nothing_of_the_liquids() {
         }
 
         simulation.step().unwrap();
-        simulation.gpu().unwrap().note_dispatches();
+        simulation.gpu().unwrap().start_trace();
         let report = simulation.step().unwrap();
-        let noted = simulation.gpu().unwrap().noted_dispatches();
+        let noted = simulation.gpu().unwrap().take_trace().dispatches;
         for (stage, kernel) in &noted {
             let stage = plan.stages.iter().find(|planned| planned.name == *stage);
             let stage =
@@ -376,9 +376,9 @@ fn liquid_alone_takes_what_it_always_took() {
             writeln!(taken, "  {label}: {bytes}").unwrap();
         }
         simulation.step().unwrap();
-        simulation.gpu().unwrap().note_dispatches();
+        simulation.gpu().unwrap().start_trace();
         simulation.step().unwrap();
-        let dispatches = simulation.gpu().unwrap().noted_dispatches();
+        let dispatches = simulation.gpu().unwrap().take_trace().dispatches;
         let mut counts: Vec<(_, usize)> = Vec::new();
         let mut order = FNV_START;
         for dispatch in dispatches {

@@ -1,6 +1,5 @@
 //! `solid_matrices`, what the elements make of the displacements, against the twin.
 
-use std::path::Path;
 use std::sync::Arc;
 
 use cutwater::elastic::{self, Deformation};
@@ -10,7 +9,7 @@ use cutwater::scene::ElasticModel;
 use cutwater::stages::{ElementRotations, SolidBuffers};
 use glam::{DMat3, DVec3, DVec4};
 
-use crate::common::{Random, gpu};
+use crate::common::{Random, gpu, root};
 use crate::liquid_case::{assert_close, single};
 use crate::solid_case::{Material, RUBBER, SolidCase, bent_beam, cases, eps, pair, solids};
 
@@ -267,7 +266,7 @@ fn largest(m: DMat3) -> f64 {
 #[test]
 fn rotations_are_the_nearest_proper_ones() {
     let Some(gpu) = gpu() else { return };
-    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/polar_decomposition.csv");
+    let file = root().join("tests/data/polar_decomposition.csv");
     let text = std::fs::read_to_string(file).unwrap();
     let lines = text.lines().filter(|line| !line.starts_with('#')).skip(1);
     let mut names = Vec::new();

@@ -1,10 +1,10 @@
 //! `cutwater bench`
 
 mod accuracy;
+mod device;
 mod effects;
 mod solids;
 mod solve;
-mod sort;
 mod stability;
 mod step;
 mod thesis;
@@ -17,15 +17,15 @@ use cutwater::scene::{Precision, Preconditioner};
 
 use super::{SMALLER_SCENE, without_backend};
 use accuracy::Accuracy;
+use device::Device;
 use effects::Effects;
 use solids::Solids;
 use solve::Solve;
-use sort::Sort;
 use stability::Stability;
 use step::Step;
 use thesis::Thesis;
 
-/// Measure the solves, the whole step, or the sort; or the thesis's tables
+/// Measure the solves, the whole step, or the adapter; or the thesis's tables
 #[derive(Debug, Args)]
 pub(super) struct Bench {
     #[command(subcommand)]
@@ -51,8 +51,8 @@ enum What {
     /// What stays stable: hostile scenes, the thesis's section 6.3, the limit of weak coupling: stability.csv, stability_limit.csv,
     /// stability.json, stability.svg
     Stability(Stability),
-    /// The sort of keys and values on the device, against the length of the list: sort.csv, sort.json
-    Sort(Sort),
+    /// Rates and latencies of the adapter - bandwidth, arithmetic, launches, waits: device.csv, device.json
+    Device(Device),
     /// Tables 6.1 to 6.6 of the thesis beside what they are here: thesis_scenes.csv, thesis_systems.csv, thesis_means.csv, thesis_growth.csv, thesis.csv,
     /// thesis_orders.csv, thesis.json, thesis.svg
     Thesis(Thesis),
@@ -105,7 +105,7 @@ impl Bench {
             What::Step(step) => (step.run(), SMALLER_SCENE),
             // The one that has --backend.
             What::Stability(stability) => return stability.run(),
-            What::Sort(sort) => (sort.run(), "fewer entries (--entries)"),
+            What::Device(device) => (device.run(), "a device with free memory"),
             What::Thesis(thesis) => (thesis.run(), "smaller grids (--grids) and scenes (--scale)"),
         };
         done.map_err(|error| without_backend(error, smaller))

@@ -29,9 +29,14 @@ pub(super) struct Solve {
     /// Timed runs per row; from the fourth on no more are begun where they have taken 20 s
     #[arg(long, default_value_t = 5, value_parser = at_least_once())]
     repeats: usize,
-    /// Relative tolerance of the true residual
-    #[arg(long, default_value_t = 1e-8)]
-    tolerance: f64,
+    /// Relative tolerances of the true residual
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "T,..",
+        default_value = "1e-8"
+    )]
+    tolerance: Vec<f64>,
     /// Precisions to measure
     #[arg(
         long,
@@ -145,7 +150,10 @@ impl Solve {
                 "give a number of GiB above 0",
             ));
         }
-        check_tolerance(self.tolerance)?;
+        self.tolerance
+            .iter()
+            .copied()
+            .try_for_each(check_tolerance)?;
         let blocks = |name: &PreconditionerName| matches!(name, PreconditionerName::BlockJacobi);
         let of_nodes = |name: &FormulationName| matches!(name, FormulationName::TwoField);
         if self.preconditioner.iter().any(blocks) && !self.formulation.iter().all(of_nodes) {
@@ -159,13 +167,13 @@ impl Solve {
         let mut solvers = Vec::new();
         for precision in &self.precision {
             for preconditioner in &self.preconditioner {
-                solvers.push(Solver {
-                    tolerance: self.tolerance,
+                solvers.extend(self.tolerance.iter().map(|&tolerance| Solver {
+                    tolerance,
                     max_iterations: self.max_iterations,
                     precision: precision.precision(),
                     preconditioner: preconditioner.preconditioner(),
                     ..Solver::default()
-                });
+                }));
             }
         }
         let grids = self.grids.iter().map(|grid| match grid {
@@ -197,17 +205,18 @@ impl Solve {
             matrices: self.matrices,
         };
         say!(
-            "grid  cells     nodes  formulation  preconditioner precision  iterations  seconds (least, largest)  residuals"
+            "grid  cells     nodes  formulation  preconditioner precision  tolerance  iterations  seconds (least, largest)  residuals  waits  dispatches  idle ms"
         );
         let table = bench_solve::bench_solve(&gpu, &options, &self.out, &mut |row, against| {
             say!(
-                "{:4}  {:8}  {:5}  {:11}  {:14} {:9}  {:10}  {:.4} ({:.4}, {:.4})  {:.1e} {:.1e} {}",
+                "{:4}  {:8}  {:5}  {:11}  {:14} {:9}  {:9.0e}  {:10}  {:.4} ({:.4}, {:.4})  {:.1e} {:.1e} {}  {:5}  {:10}  {:.2}",
                 row.grid,
                 row.active_cells,
                 row.solid_nodes,
                 row.formulation,
                 row.preconditioner,
                 row.precision,
+                row.tolerance,
                 row.iterations,
                 row.seconds_median,
                 row.seconds_min,
@@ -215,6 +224,9 @@ impl Solve {
                 row.residual_p,
                 row.residual_v,
                 row.status,
+                row.waits,
+                row.dispatches,
+                1e3 * row.idle_seconds,
             );
             for rival in against {
                 match (rival.seconds_median, rival.ratio_median) {

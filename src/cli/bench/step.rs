@@ -117,11 +117,11 @@ impl Step {
             adapter: self.adapter.choice(),
         };
         say!(
-            "scene                       cells  unknowns   markers     nodes  sub-steps           ms (least, largest of the runs)  cells/s  of copy bandwidth"
+            "scene                       cells  unknowns   markers     nodes  sub-steps           ms (least, largest of the runs)  cells/s  of copy bandwidth  waits  dispatches  idle ms"
         );
         let table = bench_step::bench_step(&options, &self.out, &mut |row| {
             say!(
-                "{:24} {:8}  {:8.0}  {:8}  {:8}  {:9} {:8}  {:.2} ({:.2}, {:.2})  {:.1e}  {:.0} %",
+                "{:24} {:8}  {:8.0}  {:8}  {:8}  {:9} {:8}  {:.2} ({:.2}, {:.2})  {:.1e}  {:.0} %  {:.1}  {:.0}  {:.2}",
                 row.scene,
                 row.cells,
                 row.unknowns + row.solid_unknowns,
@@ -134,6 +134,9 @@ impl Step {
                 1e3 * row.seconds_max,
                 row.cells_per_second,
                 100.0 * row.share_of_copy_bandwidth,
+                row.waits,
+                row.dispatches,
+                1e3 * row.idle_seconds,
             );
         })?;
         for pair in &table.pairs {

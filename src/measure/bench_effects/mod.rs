@@ -236,12 +236,12 @@ impl Run {
         let room = self.simulation.gpu_path().and_then(GpuPath::marker_room);
         state.markers.truncate(room.unwrap_or(0));
         self.simulation.reset(&state)?;
-        self.gpu().note_dispatches();
+        self.gpu().start_trace();
         let clock = Instant::now();
         self.simulation.step()?;
         self.simulation.probes()?;
         let seconds = clock.elapsed().as_secs_f64();
-        let noted = self.gpu().noted_dispatches();
+        let noted = self.gpu().take_trace().dispatches;
         let solve = noted.iter().filter(|(stage, _)| *stage == "solve").count();
         Ok(Taken {
             seconds,

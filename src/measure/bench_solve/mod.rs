@@ -18,7 +18,7 @@ use std::time::Instant;
 use serde::Serialize;
 
 use crate::Error;
-use crate::gpu::{Buffer, Gpu, Real, Recorder};
+use crate::gpu::{Buffer, Gpu, Real, Recorder, Traffic};
 use crate::grid::Axis;
 use crate::linalg::{self, Csr};
 use crate::output::{FolderLock, write_atomically};
@@ -136,6 +136,20 @@ pub struct Row {
     pub bytes: f64,
     /// Bytes per second over the copy bandwidth of the same run.
     pub share_of_copy_bandwidth: f64,
+    /// Times that the host waits for the device in a solve.
+    pub waits: u64,
+    /// Submissions in a solve.
+    pub submissions: u64,
+    /// Dispatches in a solve.
+    pub dispatches: u64,
+    /// Bytes that the host writes to buffers in a solve.
+    pub bytes_up: u64,
+    /// Bytes that the host reads back in a solve.
+    pub bytes_down: u64,
+    /// Seconds of a solve in which nothing is queued on the device, median.
+    pub idle_seconds: f64,
+    /// Bytes of all device buffers of the solve.
+    pub device_bytes: u64,
 }
 
 /// The tables and where they were measured.
@@ -286,18 +300,51 @@ impl Positive {
     }
 }
 
-/// Runs of the device and of rivals by turns, every other one begun by the rivals; what the device came to, its seconds and how many runs they are of. `ended`: what of that
-/// repeats. `what`: is solved.
+/// One solve on the device.
+struct Solve<Outcome> {
+    seconds: f64,
+    traffic: Traffic,
+    outcome: Outcome,
+}
+
+/// Times a solve on a device that has nothing else to do.
+fn timed<Outcome>(
+    gpu: &Gpu,
+    solve: impl FnOnce() -> Result<Outcome, Error>,
+) -> Result<Solve<Outcome>, Error> {
+    gpu.wait("bench")?;
+    let before = gpu.traffic();
+    let clock = Instant::now();
+    let outcome = solve()?;
+    Ok(Solve {
+        seconds: clock.elapsed().as_secs_f64(),
+        traffic: gpu.traffic().since(before),
+        outcome,
+    })
+}
+
+/// Repeated solves on the device.
+struct Repeats<Outcome> {
+    seconds: Spread,
+    runs: usize,
+    /// Traffic of a solve; its idle seconds are the median.
+    traffic: Traffic,
+    outcome: Outcome,
+}
+
+/// Alternates solves on the device with those of the rivals, which begin every other time. `ended`: the part of an outcome that
+/// repeats. `what`: the system, for messages.
 fn by_turns<Outcome>(
     repeats: usize,
-    mut device: impl FnMut() -> Result<(f64, Outcome), Error>,
+    mut device: impl FnMut() -> Result<Solve<Outcome>, Error>,
     rivals: &mut [Contest],
     ended: fn(&Outcome) -> Ended,
     what: &str,
-) -> Result<(Spread, usize, Outcome), Error> {
+) -> Result<Repeats<Outcome>, Error> {
     // The first compiles.
-    let (_, outcome) = device()?;
+    let Solve { outcome, .. } = device()?;
     let mut seconds: Vec<f64> = Vec::new();
+    let mut traffic = Vec::new();
     let goes_on = |seconds: &[f64]| {
         let time = seconds.len() < FEWEST || seconds.iter().sum::<f64>() < LONG_ENOUGH;
         seconds.len() < repeats.max(1) && time
@@ -309,9 +356,11 @@ fn by_turns<Outcome>(
         if !device_first {
             of_rivals = solve_all(rivals)?;
         }
-        let (elapsed, again) = device()?;
-        ended(&outcome).ensure_repeated(ended(&again), what)?;
+        let again = device()?;
+        ended(&outcome).ensure_repeated(ended(&again.outcome), what)?;
+        let elapsed = again.seconds;
         seconds.push(elapsed);
+        traffic.push(again.traffic);
         if device_first {
             of_rivals = solve_all(rivals)?;
         }
@@ -319,8 +368,16 @@ fn by_turns<Outcome>(
             rival.turns.extend(taken.map(|taken| [elapsed, taken]));
         }
     }
-    let runs = seconds.len();
-    Ok((Spread::of(seconds), runs, outcome))
+    let idle = traffic.iter().map(|traffic| traffic.idle_seconds);
+    Ok(Repeats {
+        runs: seconds.len(),
+        seconds: Spread::of(seconds),
+        traffic: Traffic {
+            idle_seconds: Spread::of(idle.collect()).median,
+            ..traffic[0]
+        },
+        outcome,
+    })
 }
 
 /// Seconds of each, of those that solve.
@@ -444,6 +501,7 @@ fn measure(
             .collect();
         gpu.buffer_with(label, &values)
     };
+    let allocated = device_bytes(gpu);
     let open = faces("bench.open", &block.open)?;
     let velocity = faces("bench.velocity", &block.velocity)?;
     let distance = padded.pad(grid.cells, &block.liquid_distance, |value| value as f32);
@@ -460,13 +518,13 @@ fn measure(
     buffers
         .rhs
         .upload(gpu, &padded.pad(grid.cells, &in_cells, |value| value));
-    let solve = || -> Result<(f64, Outcome), Error> {
-        gpu.wait("bench")?;
-        let clock = Instant::now();
-        let mut recorder = Recorder::new(gpu);
-        recorder.stage("active_cells", |pass| system.record(pass, &buffers, within));
-        let (outcome, _) = pressure.solve(gpu, recorder, &buffers)?;
-        Ok((clock.elapsed().as_secs_f64(), outcome))
+    let solve = || -> Result<Solve<Outcome>, Error> {
+        timed(gpu, || {
+            let mut recorder = Recorder::new(gpu);
+            recorder.stage("active_cells", |pass| system.record(pass, &buffers, within));
+            let (outcome, _) = pressure.solve(gpu, recorder, &buffers)?;
+            Ok(outcome)
+        })
     };
     let mut rivals = contests(options, solver, Assembled::Pressure(&system_of_block))?;
     let size = Size {
@@ -474,8 +532,12 @@ fn measure(
         bricks: None,
     };
     let what = title(Formulation::Pressure, size, solver);
-    let (seconds, runs, outcome) =
-        by_turns(options.repeats, solve, &mut rivals, Ended::alone, &what)?;
+    let Repeats {
+        seconds,
+        runs,
+        traffic,
+        outcome,
+    } = by_turns(options.repeats, solve, &mut rivals, Ended::alone, &what)?;
     let (unknowns, iterations) = (f64::from(outcome.unknowns), f64::from(outcome.iterations));
     let model = SolveBytes {
         unknowns,
@@ -509,6 +571,13 @@ fn measure(
         cell_iterations_per_second: unknowns * iterations / seconds.median,
         bytes,
         share_of_copy_bandwidth: machine.share_of_copy_bandwidth(bytes, seconds.median),
+        waits: traffic.waits,
+        submissions: traffic.submissions,
+        dispatches: traffic.dispatches,
+        bytes_up: traffic.bytes_up,
+        bytes_down: traffic.bytes_down,
+        idle_seconds: traffic.idle_seconds,
+        device_bytes: device_bytes(gpu) - allocated,
     };
     let rivals = rivals.into_iter().map(|rival| rival.row(&row)).collect();
     Ok((row, rivals))
@@ -529,19 +598,21 @@ fn measure_coupled(
         },
         ..*solver
     };
+    let allocated = device_bytes(gpu);
     let device = DeviceScene::new(gpu, scene, system, solver)?;
-    let solve = || -> Result<(f64, CoupledOutcome), Error> {
+    let solve = || -> Result<Solve<CoupledOutcome>, Error> {
         device.reset();
-        gpu.wait("bench")?;
-        let clock = Instant::now();
-        let outcome = device.solve()?;
-        Ok((clock.elapsed().as_secs_f64(), outcome))
+        timed(gpu, || device.solve())
     };
     let assembled = Assembled::Both(system, &scene.solids);
     let mut rivals = contests(options, solver, assembled)?;
     let what = title(formulation, size, solver);
-    let (seconds, runs, outcome) =
-        by_turns(options.repeats, solve, &mut rivals, Ended::together, &what)?;
+    let Repeats {
+        seconds,
+        runs,
+        traffic,
+        outcome,
+    } = by_turns(options.repeats, solve, &mut rivals, Ended::together, &what)?;
     let n_cells = system.pressure.n_unknowns() as f64;
     let iterations = f64::from(outcome.iterations);
     let model = SolveBytes {
@@ -590,9 +661,21 @@ fn measure_coupled(
         cell_iterations_per_second: n_cells * iterations / seconds.median,
         bytes,
         share_of_copy_bandwidth: machine.share_of_copy_bandwidth(bytes, seconds.median),
+        waits: traffic.waits,
+        submissions: traffic.submissions,
+        dispatches: traffic.dispatches,
+        bytes_up: traffic.bytes_up,
+        bytes_down: traffic.bytes_down,
+        idle_seconds: traffic.idle_seconds,
+        device_bytes: device_bytes(gpu) - allocated,
     };
     let rivals = rivals.into_iter().map(|rival| rival.row(&row)).collect();
     Ok((row, rivals))
+}
+
+/// Bytes of all buffers made so far.
+fn device_bytes(gpu: &Gpu) -> u64 {
+    gpu.allocated().iter().map(|(_, bytes)| bytes).sum()
 }
 
 /// How a preconditioner is spelled in the tables.
@@ -650,6 +733,13 @@ mod tests {
             cell_iterations_per_second: 12e9,
             bytes: 1.0,
             share_of_copy_bandwidth: 1.0,
+            waits: 3,
+            submissions: 3,
+            dispatches: 300,
+            bytes_up: 64,
+            bytes_down: 640,
+            idle_seconds: 0.0,
+            device_bytes: 1 << 20,
         }
     }
 }

@@ -94,6 +94,20 @@ pub struct Row {
     pub bytes: f64,
     /// Bytes per second over the copy bandwidth of the same run.
     pub share_of_copy_bandwidth: f64,
+    /// Times that the host waits for the device in a sub-step.
+    pub waits: f64,
+    /// Submissions in a sub-step.
+    pub submissions: f64,
+    /// Dispatches in a sub-step.
+    pub dispatches: f64,
+    /// Bytes that the host writes to buffers in a sub-step.
+    pub bytes_up: f64,
+    /// Bytes that the host reads back in a sub-step.
+    pub bytes_down: f64,
+    /// Seconds of a sub-step in which nothing is queued on the device, the mean over those of a run: median of the runs.
+    pub idle_seconds: f64,
+    /// Bytes of all device buffers.
+    pub device_bytes: u64,
 }
 
 /// A row of step_stages.csv.
@@ -122,6 +136,10 @@ pub struct StageRow {
     pub bytes: f64,
     /// Bytes per second over the copy bandwidth of the same run; empty where bytes or seconds are 0.
     pub share_of_copy_bandwidth: Option<f64>,
+    /// Dispatches in a sub-step, mean.
+    pub dispatches: f64,
+    /// Waits in a sub-step that follow a submission ending with this stage, mean.
+    pub waits: f64,
 }
 
 impl StageRow {
@@ -319,6 +337,13 @@ mod tests {
             cells_per_second: 1.0,
             bytes: 1.0,
             share_of_copy_bandwidth: 1.0,
+            waits: 1.0,
+            submissions: 1.0,
+            dispatches: 1.0,
+            bytes_up: 1.0,
+            bytes_down: 1.0,
+            idle_seconds: 0.0,
+            device_bytes: 1,
         }
     }
 }

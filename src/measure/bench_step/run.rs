@@ -5,6 +5,7 @@ use std::time::Instant;
 use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::{Bounds, Solids};
+use crate::gpu::{Trace, Traffic};
 use crate::scene::{CouplingScheme, Scene};
 use crate::sim::{Backend, GpuPath, Simulation};
 use crate::stages::{Clip, extrapolation_layers};
@@ -47,6 +48,8 @@ pub(super) struct Record {
     widths: [usize; 2],
     /// Whether the device tells the seconds of its stages.
     timestamps: bool,
+    /// Bytes of all buffers.
+    device_bytes: u64,
     /// Of each run from the start, its sub-steps but for the first of each kind.
     repeats: Vec<Vec<Sample>>,
 }
@@ -68,6 +71,8 @@ struct Sample {
     /// How liquid and solids were solved for together; `None` where each was by itself.
     corrections: Option<Corrections>,
     report: StepReport,
+    traffic: Traffic,
+    trace: Trace,
 }
 
 impl Sample {
@@ -104,16 +109,23 @@ impl Sample {
 impl Run<'_> {
     /// The first of a kind compiles and is not counted.
     fn step(&mut self) -> Result<(), Error> {
+        let gpu = path_of(&self.simulation).gpu();
+        gpu.start_trace();
+        let before = gpu.traffic();
         let clock = Instant::now();
         let report = self.simulation.step()?;
         let seconds = clock.elapsed().as_secs_f64();
         let path = path_of(&self.simulation);
+        let traffic = path.gpu().traffic().since(before);
+        let trace = path.gpu().take_trace();
         let sample = Sample {
             seconds,
             band_cells: path.band_cells()?,
             not_uniform: path.share_not_uniform()?,
             corrections: self.record.corrections(path, &report)?,
             report,
+            traffic,
+            trace,
         };
         let kind = sample.kind();
         if !self.kinds.contains(&kind) {
@@ -143,6 +155,7 @@ impl Record {
             solids: simulation.solids().clone(),
             widths,
             timestamps: path.gpu().report().timestamps,
+            device_bytes: path.gpu().allocated().iter().map(|(_, bytes)| bytes).sum(),
             repeats: Vec::new(),
         }
     }
@@ -252,6 +265,14 @@ impl Record {
                 of_stage.map(|(_, seconds)| seconds).sum()
             });
             let bytes = mean(&|sample| self.bytes(stage, sample));
+            let dispatches = |sample: &Sample| {
+                let of_stage = sample.trace.dispatches.iter();
+                of_stage.filter(|(name, _)| *name == stage).count() as f64
+            };
+            let waits = |sample: &Sample| {
+                let of_stage = sample.trace.waits.iter();
+                of_stage.filter(|name| **name == stage).count() as f64
+            };
             let share = || machine.share_of_copy_bandwidth(bytes, seconds.median);
             StageRow {
                 scene: scene.name.clone(),
@@ -265,6 +286,8 @@ impl Record {
                 seconds_max: seconds.max,
                 bytes,
                 share_of_copy_bandwidth: (bytes > 0.0 && seconds.median > 0.0).then(share),
+                dispatches: mean(&dispatches),
+                waits: mean(&waits),
             }
         };
         let stages = names.into_iter().map(stage_row).collect();
@@ -297,6 +320,13 @@ impl Record {
             cells_per_second: unknowns / seconds.median,
             bytes,
             share_of_copy_bandwidth: machine.share_of_copy_bandwidth(bytes, seconds.median),
+            waits: mean(&|sample| sample.traffic.waits as f64),
+            submissions: mean(&|sample| sample.traffic.submissions as f64),
+            dispatches: mean(&|sample| sample.traffic.dispatches as f64),
+            bytes_up: mean(&|sample| sample.traffic.bytes_up as f64),
+            bytes_down: mean(&|sample| sample.traffic.bytes_down as f64),
+            idle_seconds: over_repeats(repeats, &|sample| sample.traffic.idle_seconds).median,
+            device_bytes: self.device_bytes,
         };
         (row, stages)
     }
