@@ -57,19 +57,12 @@ impl Run {
         let interrupt = Arc::new(AtomicBool::new(false));
         let flag = Arc::clone(&interrupt);
         let first = OnceLock::new();
-        let stop = move || {
+        super::signals::on_end(move |_| {
             // The first signal ends the run where its files are whole, the second at once.
             flag.store(true, Ordering::Relaxed);
             if first.get_or_init(Instant::now).elapsed() > SAME_SIGNAL {
                 std::process::exit(Error::Interrupted.exit_code().into());
             }
-        };
-        ctrlc::set_handler(stop).map_err(|problem| {
-            Error::input(
-                "the interrupt handler",
-                problem.to_string(),
-                "run cutwater once per process",
-            )
         })?;
         if self.preview {
             ensure_pictures(&scene)?;
