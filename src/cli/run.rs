@@ -42,6 +42,9 @@ pub(super) struct Run {
     /// Go on with the run in the folder where it ended; begin it where there is none
     #[arg(long)]
     resume: bool,
+    /// Continue after a solid has collapsed, which otherwise ends the run with exit code 4
+    #[arg(long)]
+    keep_going: bool,
     /// Draw a picture of every frame as soon as it is written, and the animation at the end
     #[arg(long)]
     preview: bool,
@@ -74,6 +77,7 @@ impl Run {
             frames: self.frames,
             overwrite: self.overwrite,
             resume: self.resume,
+            keep_going: self.keep_going,
         };
         let terminal = std::io::stderr().is_terminal();
         let bar = if terminal {
@@ -85,6 +89,9 @@ impl Run {
         let mut listen = |progress: &sim::Progress| {
             bar.set_length(progress.n_frames);
             bar.set_position(progress.frame);
+            for notice in progress.notices {
+                bar.suspend(|| warn!("warning: {notice}"));
+            }
             let report = progress.report;
             let mut line = format!("t = {:.3} s, dt = {:.2e} s", progress.time, report.dt);
             for solve in report.solves() {
@@ -148,9 +155,12 @@ impl Run {
             volume_ratio,
             floored,
             dropped,
+            volume_off,
+            fast,
             min_det,
             inverted,
             overlap,
+            ..
         } = summary.tally;
         let volume = volume_ratio.map_or(String::new(), |[least, largest]| {
             let [least, largest] = [100.0 * least, 100.0 * largest];
@@ -181,7 +191,25 @@ impl Run {
         }
         if dropped > 0 {
             warn!(
-                "warning: {dropped} markers were lost in obstacles or solids; steps.csv says when"
+                "warning: {dropped} markers, {:.2} % of all, were lost in obstacles or solids: walls thinner than two cells and fast solids swallow them; use more cells (--scale) or shorter sub-steps (time.cfl); steps.csv says when",
+                100.0 * summary.tally.lost_share()
+            );
+        }
+        if volume_off > 0 {
+            warn!(
+                "warning: after {volume_off} of {} sub-steps the volume of the liquid was more than 20 % off; steps.csv says after which (volume_ratio)",
+                summary.steps
+            );
+        }
+        if fast > 0 {
+            warn!(
+                "warning: in {fast} of {} sub-steps liquid moved at more than 20 times the speed that gravity, inflow and moving bodies explain; steps.csv says in which (max_speed)",
+                summary.steps
+            );
+        }
+        for (name, step) in &summary.failed_solids {
+            warn!(
+                "warning: solid \"{name}\" collapsed in sub-step {step}; what follows it is not the scene's physics"
             );
         }
         if overlap > scene.grid().dx {

@@ -41,6 +41,9 @@ pub(super) struct SweepCommand {
     /// Draw a picture of every frame of each run as soon as it is written, and the animation at its end
     #[arg(long)]
     preview: bool,
+    /// Continue runs in which a solid has collapsed, which otherwise count as failed
+    #[arg(long)]
+    keep_going: bool,
     /// Runs at a time
     #[arg(long, default_value = "1", value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     jobs: u16,
@@ -221,6 +224,9 @@ impl SweepCommand {
         command.arg(if replaces { "--overwrite" } else { "--resume" });
         if self.preview {
             command.arg("--preview");
+        }
+        if self.keep_going {
+            command.arg("--keep-going");
         }
         const THREADS: &str = "RAYON_NUM_THREADS";
         if self.jobs > 1 && std::env::var_os(THREADS).is_none() {

@@ -33,7 +33,7 @@ const MARKER_RADII: std::ops::RangeInclusive<f64> = 0.5..=1.2;
 /// Densities, kg/m^3; velocities, m/s, and accelerations, m/s^2, along an axis; frames per second. Far beyond all liquids; what
 /// is computed from them stays in single precision.
 const DENSITIES: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
-pub(super) const MAX_VELOCITY: f64 = 1e6;
+pub(crate) const MAX_VELOCITY: f64 = 1e6;
 const MAX_GRAVITY: f64 = 1e6;
 const FRAME_RATES: std::ops::RangeInclusive<f64> = 1e-3..=1e6;
 /// Cells are cubic to this relative difference.

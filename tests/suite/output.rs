@@ -15,7 +15,7 @@ use cutwater::output::frames::{FrameKinds, FrameWriter};
 use cutwater::output::manifest::{AdapterRecord, Manifest, RunOptions, RunStatus};
 use cutwater::output::preview::{PreviewOptions, preview};
 use cutwater::output::tables::{ProbeTable, StepRow, StepTable};
-use cutwater::scene::{self, Probe, ProbeKind, Scene};
+use cutwater::scene::{self, Probe, ProbeKind, Scene, Up};
 use cutwater::state::{Diagnosis, LiquidReport, SolveReport, SolveStatus, State, StepReport};
 use glam::DVec3;
 use serde_json::Value;
@@ -529,7 +529,13 @@ fn tables_read_back_exactly() {
     };
     let point = DVec3::ZERO;
     let probes = [
-        probe("h, left", ProbeKind::Height { x: 0.1, z: 0.2 }),
+        probe(
+            "h, left",
+            ProbeKind::Height {
+                foot: point,
+                up: Up::against(point),
+            },
+        ),
         probe("jet", ProbeKind::Velocity { point }),
         probe("front", ProbeKind::Front { axis: 0 }),
     ];
