@@ -3,7 +3,7 @@
 // fractions between active cells; a face towards air adds open / theta to the diagonal (ghost fluid), one on an open side of the
 // domain open / (1/2). Only quads that hold liquid are written; all arrays are zero elsewhere. One thread per quad that may hold some.
 // level: the level. settings: theta floor, whether sides are open. list, args: those quads. liquid_distance: per cell, m.
-// open: fractions of the minus faces along x, y, z. flags: per quad, active lanes in bits 0-3 and UNIFORM. matrix: see level.
+// open: fractions of the minus faces along x, y, z; closed where not above 0. flags: per quad, active lanes in bits 0-3 and UNIFORM. matrix: see level.
 #import dispatch
 #import level
 #import real

@@ -1,11 +1,11 @@
 // What flows into cells. The importing kernel declares level: Layout, velocity: array<vec4<f32>>, faces, m/s, and
-// open: array<vec4<f32>>, open fractions of the faces.
+// open: array<vec4<f32>>, open fractions of the faces; negative on those that sources hold, which let their flux through all the same.
 #import layout
 #import lanes
 #import real
 
 fn between(area_minus: vec4<f32>, u_minus: vec4<f32>, area_plus: vec4<f32>, u_plus: vec4<f32>) -> Real4 {
-    return Real4(area_minus) * Real4(u_minus) - Real4(area_plus) * Real4(u_plus);
+    return Real4(abs(area_minus)) * Real4(u_minus) - Real4(abs(area_plus)) * Real4(u_plus);
 }
 
 // - sum over faces of s_f open_f u_f of the cells of a quad, m/s.

@@ -266,10 +266,10 @@ impl Taps {
 
     /// Scales the velocity of a source so that it emits a flow rate (m^3/s) through what walls leave.
     fn set_flow_rate(&mut self, number: usize, flow_rate: f64, what: &str) -> Result<(), Error> {
+        // Infinite where walls cover all of it.
         let scale = flow_rate / self.flux(1 << number);
         let tap = &mut self.taps[number];
-        let speed = scale * tap.velocity.length();
-        if !(speed <= MAX_VELOCITY) {
+        if scale * tap.velocity.length() > MAX_VELOCITY {
             return Err(Error::input(
                 what,
                 format!("walls leave too little of it open for {flow_rate} m^3/s"),
@@ -407,7 +407,7 @@ fn met_cells(grid: &Grid, shape: &Shape) -> Result<Vec<Met>, Error> {
             let within = [sample % n, sample / n % n, sample / (n * n)];
             let x = [0, 1, 2].map(|a| at[a] as f64 + (within[a] as f64 + 0.5) / n as f64);
             if solid.distance(grid.dx * DVec3::from(x)) <= 0.0 {
-                let eighth: usize = (0..3).map(|a| within[a] / SAMPLES << a).sum();
+                let eighth: usize = (0..3).map(|a| (within[a] / SAMPLES) << a).sum();
                 shares[eighth] += 1.0 / SAMPLES.pow(3) as f64;
             }
         }

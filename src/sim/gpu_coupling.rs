@@ -253,7 +253,7 @@ fn coupled<'a>(
         fields: solids.buffers.fields(),
         coupling,
         velocity: &liquid.buffers.velocity_next,
-        open: liquid.buffers.flux_open(),
+        open: liquid.buffers.solve_open(),
     }
 }
 

@@ -411,9 +411,7 @@ impl LiquidStages {
         let active_cells = PressureSystem::new(
             gpu,
             solver,
-            sources
-                .as_ref()
-                .map_or(&liquid.open, |sources| &sources.open),
+            liquid.solve_open(),
             &liquid.liquid_distance,
             within(liquid),
             free_surface,
@@ -422,7 +420,7 @@ impl LiquidStages {
             gpu,
             solver,
             &liquid.velocity_next,
-            liquid.flux_open(),
+            liquid.solve_open(),
             &scene.solver,
         )?;
         let probe = || {

@@ -89,7 +89,7 @@ impl LiquidPlan {
             RealBuffer::plan("liquid.partials", 4 * self.n_summing(), self.real),
         ];
         if self.effects.sources {
-            plans.push(BufferPlan::of::<f32>("liquid.flux_open", 3 * padded.len()));
+            plans.push(BufferPlan::of::<f32>("sources.open", 3 * padded.len()));
         }
         if self.effects.moving_obstacles {
             plans.push(BufferPlan::of::<f32>("liquid.obstacle_flux", padded.len()));
@@ -174,8 +174,8 @@ pub struct LiquidBuffers {
     pub report: Buffer<u32>,
     /// The distance to the obstacles, and to solids.
     pub obstacles: ObstacleBuffers,
-    /// With sources: open fractions of the fluxes, which have the apertures of sources on the faces that these hold.
-    flux_open: Option<Buffer<f32>>,
+    /// With sources: see [`LiquidBuffers::solve_open`].
+    sources_open: Option<Buffer<f32>>,
     /// Where obstacles move: what they take up, J v over dx^2 per cell, m/s.
     pub obstacle_flux: Option<Buffer<f32>>,
     /// With markers only.
@@ -225,10 +225,10 @@ impl LiquidBuffers {
             maxima: maker.make("liquid.maxima")?,
             report: maker.make("liquid.report")?,
             obstacles: ObstacleBuffers::new(gpu, &plan.grid, plan.effects.cuts())?,
-            flux_open: plan
+            sources_open: plan
                 .effects
                 .sources
-                .then(|| maker.make("liquid.flux_open"))
+                .then(|| maker.make("sources.open"))
                 .transpose()?,
             obstacle_flux: plan
                 .effects
@@ -251,9 +251,10 @@ impl LiquidBuffers {
 }
 
 impl LiquidBuffers {
-    /// Open fractions of the fluxes: those of all faces, with the apertures of sources on faces that these hold.
-    pub fn flux_open(&self) -> &Buffer<f32> {
-        self.flux_open.as_ref().unwrap_or(&self.open)
+    /// Open fractions of all faces for the solve; on faces that sources hold, which are closed for the pressure, the negative of the
+    /// aperture of their flux.
+    pub fn solve_open(&self) -> &Buffer<f32> {
+        self.sources_open.as_ref().unwrap_or(&self.open)
     }
 }
 

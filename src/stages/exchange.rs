@@ -169,7 +169,6 @@ pub fn tap_buffers(grid: &Grid, taps: &Taps) -> Vec<BufferPlan> {
             BufferPlan::of::<[u32; 4]>("sources.cells", n_cells),
             BufferPlan::of::<u32>("sources.counts", n_cells),
             BufferPlan::of::<DeviceSourceFace>("sources.faces", taps.faces.len()),
-            BufferPlan::of::<f32>("sources.open", 3 * grid.padded().len()),
         ]);
     }
     plans
@@ -249,8 +248,6 @@ pub struct Sources {
     n_markers: usize,
     n_cells: usize,
     n_faces: usize,
-    /// Open fractions for the pressure: those of all faces, 0 where sources hold one.
-    pub open: Buffer<f32>,
     step: Buffer<SourceStep>,
     counts: Buffer<u32>,
     count_in_sources: Bound,
@@ -290,7 +287,6 @@ impl Sources {
         let cells = gpu.buffer_with("sources.cells", &cells.collect::<Vec<[u32; 4]>>())?;
         let counts = gpu.buffer("sources.counts", cells.len())?;
         let faces = gpu.buffer_with("sources.faces", &faces.collect::<Vec<DeviceSourceFace>>())?;
-        let open = gpu.buffer("sources.open", 3 * buffers.padded.len())?;
         let kernel = |source| Kernel::new(gpu, &source, Real::F32);
         let level = ("level", (&buffers.level).into());
         let of_step = ("step", (&buffers.step).into());
@@ -347,8 +343,7 @@ impl Sources {
                     source_step,
                     of_faces,
                     of_open,
-                    ("held_open", (&open).into()),
-                    ("flux_open", buffers.flux_open().into()),
+                    ("solve_open", buffers.solve_open().into()),
                     valid,
                     ("velocity_next", (&buffers.velocity_next).into()),
                 ],
@@ -364,7 +359,6 @@ impl Sources {
                     ("velocity", (&buffers.velocity).into()),
                 ],
             )?,
-            open,
             step,
             counts,
         }))
@@ -392,8 +386,7 @@ impl Sources {
 
     /// Records the faces that sources hold, once all forces have acted.
     pub fn record_hold(&self, recorder: &mut Recorder, buffers: &LiquidBuffers) {
-        recorder.copy(&buffers.open, &self.open);
-        recorder.copy(&buffers.open, buffers.flux_open());
+        recorder.copy(&buffers.open, buffers.solve_open());
         recorder.stage(Forces::NAME, |pass| {
             pass.dispatch(&self.hold_faces, self.n_faces)
         });

@@ -42,7 +42,7 @@ mesh = { file = "body.stl" }
 inside_out = true
 [[probe]]
 name = "h1"
-height = { x = 0.5, z = 0.25 }
+height = { x = 0.5, y = 0.25 }
 [[probe]]
 name = "v1"
 velocity = { point = [0.5, 0.1, 0.25] }
@@ -156,7 +156,7 @@ fn a_scene_says_what_its_file_says() {
     assert_eq!(columns, ["h1", "v1_x", "v1_y", "v1_z", "reach"]);
     assert!(matches!(
         scene.probes[0].kind,
-        ProbeKind::Height { foot, up: Up { axis: 1, falling: false } } if foot == DVec3::new(0.5, 0.0, 0.25)
+        ProbeKind::Height { foot, up: Up { axis: 2, falling: false } } if foot == DVec3::new(0.5, 0.25, 0.0)
     ));
     assert!(matches!(scene.probes[2].kind, ProbeKind::Front { axis: 0 }));
     let solver = Solver {
@@ -251,7 +251,7 @@ const REFUSED: &[Case] = &[
     ("name = \"h1\"", "name = 1", 32, "probe[0].name", &["the number 1", "quotes"]),
     ("precision = \"f32\"", "precision = \"f16\"", 43, "solver.precision", &["f16", "\"mixed\""]),
     ("[[obstacle]]\ncyl", "[obstacle]\ncyl", 28, "TOML", &["duplicate key", "double brackets"]),
-    ("[[probe]]\nname = \"h1\"\nheight = { x = 0.5, z = 0.25 }\n[[probe]]\nname = \"v1\"\nvelocity = { point = [0.5, 0.1, 0.25] }\n[[probe]]", "[probe]", 31, "probe", &["not a list", "[[probe]]"]),
+    ("[[probe]]\nname = \"h1\"\nheight = { x = 0.5, y = 0.25 }\n[[probe]]\nname = \"v1\"\nvelocity = { point = [0.5, 0.1, 0.25] }\n[[probe]]", "[probe]", 31, "probe", &["not a list", "[[probe]]"]),
     ("[solver]", "[[solver]]", 40, "solver", &["is a list", "[solver]"]),
     // Numbers that mean nothing.
     ("density = 800.0", "density = nan", 12, "liquid.density", &["NaN", "finite"]),
@@ -342,7 +342,9 @@ const REFUSED: &[Case] = &[
     ("name = \"h1\"", "name = \"t\"", 32, "probe[0].name", &["the time"]),
     ("name = \"h1\"", "name = \"step\"", 32, "probe[0].name", &["the number of the sub-step"]),
     ("name = \"h1\"", "name = \"h,1\"", 32, "probe[0].name", &["letters"]),
-    ("x = 0.5, z = 0.25", "x = 0.5, z = 0.75", 33, "probe[0].height.z", &["outside the domain", "0 to 0.5 m"]),
+    ("x = 0.5, y = 0.25", "x = 0.5, y = 1.25", 33, "probe[0].height.y", &["outside the domain", "0 to 1 m"]),
+    ("x = 0.5, y = 0.25", "x = 0.5, z = 0.25", 33, "probe[0].height", &["has no `y`", "add y = 0.5"]),
+    ("x = 0.5, y = 0.25", "x = 0.5, y = 0.25, z = 0.1", 33, "probe[0].height.z", &["along gravity", "remove it"]),
     ("point = [0.5, 0.1, 0.25]", "point = [0.5, 1.1, 0.25]", 36, "probe[1].velocity.point", &["outside the domain"]),
     ("axis = \"x\"", "axis = \"w\"", 39, "probe[2].front.axis", &["\"w\"", "\"x\", \"y\", \"z\""]),
     // Camera.

@@ -22,7 +22,7 @@ fn probes(case: &Case, random: &mut Random) -> Vec<ProbeKind> {
         probes.push(ProbeKind::Velocity { point: point() });
         let up = Up {
             axis: probes.len() % 3,
-            falling: probes.len() % 2 == 0,
+            falling: probes.len().is_multiple_of(2),
         };
         probes.push(ProbeKind::Height { foot, up });
         probes.push(ProbeKind::Pressure { point: point() });

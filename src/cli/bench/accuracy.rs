@@ -1,6 +1,7 @@
 //! `cutwater bench accuracy`
 
 use std::path::PathBuf;
+use std::time::{Duration, Instant};
 
 use clap::Args;
 use cutwater::Error;
@@ -9,6 +10,9 @@ use cutwater::scene::{Formulation, Scene};
 
 use super::{PrecisionName, PreconditionerName, at_least_once, check_tolerance, tell_machine};
 use crate::cli::AdapterArgs;
+
+/// Between two lines about progress.
+const PAUSE: Duration = Duration::from_secs(5);
 
 #[derive(Debug, Args)]
 pub(super) struct Accuracy {
@@ -47,7 +51,7 @@ pub(super) struct Accuracy {
         value_enum,
         value_delimiter = ',',
         value_name = "P,..",
-        default_value = "multigrid,jacobi"
+        default_value = "multigrid"
     )]
     preconditioner: Vec<PreconditionerName>,
     /// Relative tolerances of the true residuals
@@ -61,9 +65,12 @@ pub(super) struct Accuracy {
     /// PCG iterations in all rounds
     #[arg(long, default_value_t = 5000)]
     max_iterations: u32,
-    /// Timed runs per row
+    /// Timed runs per row, at most
     #[arg(long, default_value_t = 5, value_parser = at_least_once())]
     repeats: usize,
+    /// Begin no more repeats of a state or a problem once it has been timed for so many seconds
+    #[arg(long, default_value_t = 40.0)]
+    seconds: f64,
     /// Folder of the results
     #[arg(long, default_value = "out/bench_accuracy")]
     out: PathBuf,
@@ -95,6 +102,7 @@ impl Accuracy {
             tolerances: self.tolerance.clone(),
             max_iterations: self.max_iterations,
             repeats: self.repeats,
+            seconds: self.seconds,
             adapter: self.adapter.choice(),
         };
         let head =
@@ -102,7 +110,25 @@ impl Accuracy {
         if !options.scenes.is_empty() {
             say!("scene            frame  {head}  error of p, of v");
         }
+        let mut last = Instant::now();
         let table = bench_accuracy(&options, &self.out, &mut |heard| match heard {
+            Heard::Progress(progress) => {
+                if last.elapsed() >= PAUSE {
+                    last = Instant::now();
+                    warn!(
+                        "{}: {} of {} {}, {:.0} s left",
+                        progress.on,
+                        progress.done,
+                        progress.of,
+                        progress.work,
+                        progress.seconds_left()
+                    );
+                }
+            }
+            Heard::First(row) => {
+                tell_state(row);
+                say!("  the first solve, by itself; the rows follow");
+            }
             Heard::State(row) => tell_state(row),
             Heard::Grid(row) => tell_grid(row),
         })?;

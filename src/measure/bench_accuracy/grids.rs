@@ -12,7 +12,7 @@ use super::super::bench_solve::{Ended, is_solved, name};
 use super::super::statistics::Spread;
 use super::exact::Exact;
 use super::sub_step::{Done, Mask, reference_step, repeat_shuffled, sub_step};
-use super::{Choice, EXACT, MOST_ITERATIONS, Options, ensure_truth, recommended};
+use super::{Choice, EXACT, Heard, MOST_ITERATIONS, Options, ensure_truth, recommended};
 
 /// Errors that a recommendation is made for.
 const TARGETS: [f64; 10] = [1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 1e-5, 1e-6, 1e-8];
@@ -156,6 +156,7 @@ pub(super) fn measure(
     problem: Exact,
     grid: usize,
     options: &Options,
+    tell: &mut dyn FnMut(Heard),
 ) -> Result<Vec<GridRow>, Error> {
     let mut case = Case::new(problem, grid)?;
     let mut paths = Vec::new();
@@ -173,7 +174,8 @@ pub(super) fn measure(
             Err(error) => return Err(error),
         }
     }
-    let found = repeat_shuffled(paths.len(), options, |path, tolerance| {
+    let on = format!("{}, {grid} cells along 1 m", problem.name());
+    let found = repeat_shuffled((on, paths.len()), options, tell, |path, tolerance| {
         let path = &mut paths[path].1;
         path.set_tolerance(tolerance);
         sub_step(path, &case.state, case.density())

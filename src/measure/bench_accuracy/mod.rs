@@ -18,6 +18,7 @@ mod sub_step;
 
 use std::cmp::Ordering;
 use std::path::Path;
+use std::time::Instant;
 
 use serde::Serialize;
 
@@ -76,8 +77,10 @@ pub struct Options {
     pub tolerances: Vec<f64>,
     /// Iterations in all rounds, at most.
     pub max_iterations: u32,
-    /// Timed runs per row.
+    /// Timed runs per row, at most.
     pub repeats: usize,
+    /// Of a state or a problem: once so long has passed since the first timed run (s), each row keeps the runs that it has, one at least.
+    pub seconds: f64,
     /// Where.
     pub adapter: AdapterChoice,
 }
@@ -100,8 +103,70 @@ pub struct Table {
     pub grids_enough: Vec<Enough>,
 }
 
+/// Work on a state or a problem, and how much of it is done.
+#[derive(Clone, Debug)]
+pub struct Progress {
+    /// The scene with its frame, or the problem with its grid.
+    pub on: String,
+    /// What is done, in the plural.
+    pub work: &'static str,
+    /// How much of it.
+    pub done: usize,
+    /// Of how much.
+    pub of: usize,
+    /// Seconds that it took.
+    pub seconds: f64,
+}
+
+impl Progress {
+    /// Seconds that the rest of it takes at the same pace.
+    pub fn seconds_left(&self) -> f64 {
+        self.seconds * (self.of - self.done) as f64 / self.done.max(1) as f64
+    }
+}
+
+/// Counts work and tells of it.
+struct Counter<'a> {
+    clock: Instant,
+    progress: Progress,
+    tell: &'a mut dyn FnMut(Heard),
+}
+
+impl<'a> Counter<'a> {
+    fn new(
+        on: String,
+        work: &'static str,
+        of: usize,
+        tell: &'a mut dyn FnMut(Heard),
+    ) -> Counter<'a> {
+        let progress = Progress {
+            on,
+            work,
+            done: 0,
+            of,
+            seconds: 0.0,
+        };
+        Counter {
+            clock: Instant::now(),
+            progress,
+            tell,
+        }
+    }
+
+    /// One more.
+    fn count(&mut self) {
+        self.progress.done += 1;
+        self.progress.seconds = self.clock.elapsed().as_secs_f64();
+        (self.tell)(Heard::Progress(self.progress.clone()));
+    }
+}
+
 /// Hears of each row when it is there.
 pub enum Heard<'a> {
+    /// Of work that goes on.
+    Progress(Progress),
+    /// Of the first solve of a state, by itself: one repeat to the first tolerance, not among the rows.
+    First(&'a Row),
     /// Of a state.
     State(&'a Row),
     /// Of a problem on a grid.
@@ -159,11 +224,18 @@ pub fn bench_accuracy(
     for scene in &options.scenes {
         let mut simulation = Simulation::new(scene, &Backend::Gpu(options.adapter.clone()))?;
         for &frame in &options.frames {
-            while simulation.clock().frame < frame {
-                simulation.step()?;
+            let on = format!("{}, frame {frame}", scene.name);
+            let before = simulation.clock().frame;
+            let frames = frame.saturating_sub(before) as usize;
+            let mut counter = Counter::new(on, "frames simulated", frames, tell);
+            for next in before + 1..=frame {
+                while simulation.clock().frame < next {
+                    simulation.step()?;
+                }
+                counter.count();
             }
             let state = simulation.state()?;
-            let rows = states::measure(scene, &state, options)?;
+            let rows = states::measure(scene, &state, options, tell)?;
             rows.iter().for_each(|row| tell(Heard::State(row)));
             table.rows.extend(rows);
             table.write(out)?;
@@ -171,7 +243,7 @@ pub fn bench_accuracy(
     }
     for problem in Exact::ALL {
         for &grid in &options.grids {
-            let rows = grids::measure(problem, grid, options)?;
+            let rows = grids::measure(problem, grid, options, tell)?;
             rows.iter().for_each(|row| tell(Heard::Grid(row)));
             table.grids.extend(rows);
             table.write(out)?;

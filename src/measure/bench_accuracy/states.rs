@@ -1,5 +1,7 @@
 //! Work and precision on states of scenes: every precision, preconditioner, form of the corrections and tolerance from the same state.
 
+use std::time::Instant;
+
 use serde::Serialize;
 
 use crate::Error;
@@ -15,7 +17,7 @@ use super::super::bench_solve::{Ended, is_solved, name, preconditioner_name};
 use super::super::statistics::Spread;
 use super::super::stored;
 use super::sub_step::{Answer, Done, Mask, reference_step, repeat_shuffled, sub_step};
-use super::{Choice, EXACT, MOST_ITERATIONS, Options, ensure_truth, recommended};
+use super::{Choice, EXACT, Heard, MOST_ITERATIONS, Options, Progress, ensure_truth, recommended};
 
 /// Errors that a recommendation is made for.
 const TARGETS: [f64; 5] = [1e-2, 1e-4, 1e-6, 1e-8, 1e-10];
@@ -156,14 +158,20 @@ struct Way {
 }
 
 /// All rows of a state. Its sub-steps are without volume control, which asks for divergence: what is left of it is then the solve's.
-pub(super) fn measure(scene: &Scene, state: &State, options: &Options) -> Result<Vec<Row>, Error> {
+pub(super) fn measure(
+    scene: &Scene,
+    state: &State,
+    options: &Options,
+    tell: &mut dyn FnMut(Heard),
+) -> Result<Vec<Row>, Error> {
     let mut scene = scene.clone();
     if let Some(liquid) = &mut scene.liquid {
         liquid.volume_control = false;
     }
     let scene = &scene;
     let case = Case::new(scene, state)?;
-    let (mut ways, mut refused) = (Vec::new(), None);
+    let on = format!("{}, frame {}", scene.name, state.frame);
+    let (mut solvers, mut ways, mut refused) = (Vec::new(), Vec::new(), None);
     let together = Effects::of(scene).coupling;
     for &precision in &options.precisions {
         for &preconditioner in &options.preconditioners {
@@ -176,7 +184,7 @@ pub(super) fn measure(scene: &Scene, state: &State, options: &Options) -> Result
                 if apart || without || condensed && precision == Precision::F32 {
                     continue;
                 }
-                let solver = Solver {
+                solvers.push(Solver {
                     precision,
                     preconditioner,
                     formulation: if together {
@@ -186,15 +194,34 @@ pub(super) fn measure(scene: &Scene, state: &State, options: &Options) -> Result
                     },
                     max_iterations: options.max_iterations,
                     ..scene.solver
-                };
-                match Way::new(&case, solver, &options.adapter) {
-                    Ok(way) => ways.push(way),
-                    // The adapter has no f64, or solids are too large for the form.
-                    Err(error @ Error::Limit { .. }) => refused = Some(error),
-                    Err(error) => return Err(error),
-                }
+                });
             }
         }
+    }
+    let (n, clock) = (solvers.len(), Instant::now());
+    for (number, solver) in solvers.into_iter().enumerate() {
+        match Way::new(&case, solver, &options.adapter) {
+            Ok(mut way) => {
+                if ways.is_empty() {
+                    let tolerance = options.tolerances[0];
+                    way.path.set_tolerance(tolerance);
+                    let done = sub_step(&mut way.path, case.state, case.density())?;
+                    let seconds = Spread::of(vec![done.seconds]);
+                    tell(Heard::First(&case.row(&way, tolerance, seconds, &done)));
+                }
+                ways.push(way);
+            }
+            // The adapter has no f64, or solids are too large for the form.
+            Err(error @ Error::Limit { .. }) => refused = Some(error),
+            Err(error) => return Err(error),
+        }
+        tell(Heard::Progress(Progress {
+            on: on.clone(),
+            work: "solvers made",
+            done: number + 1,
+            of: n,
+            seconds: clock.elapsed().as_secs_f64(),
+        }));
     }
     if ways.is_empty() {
         return Err(refused.unwrap_or_else(|| {
@@ -205,7 +232,7 @@ pub(super) fn measure(scene: &Scene, state: &State, options: &Options) -> Result
             )
         }));
     }
-    let found = repeat_shuffled(ways.len(), options, |way, tolerance| {
+    let found = repeat_shuffled((on, ways.len()), options, tell, |way, tolerance| {
         let path = &mut ways[way].path;
         path.set_tolerance(tolerance);
         sub_step(path, case.state, case.density())

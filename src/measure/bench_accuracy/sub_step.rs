@@ -12,7 +12,7 @@ use crate::state::{State, StepReport};
 
 use super::super::statistics::Spread;
 use super::super::stored;
-use super::{Options, SEED};
+use super::{Counter, Heard, Options, SEED};
 
 /// A pressure per cell, Pa, and velocities of the nodes, m/s.
 pub(crate) struct Answer {
@@ -99,26 +99,36 @@ pub(crate) fn sub_step(path: &mut GpuPath, state: &State, density: f64) -> Resul
 /// By number of the way and of the tolerance: the seconds of all repeats, and what the first came to.
 pub(super) type Repeats = BTreeMap<(usize, usize), (Spread, Done)>;
 
-/// Does the sub-step, by number of a way and to a tolerance, in all ways and to all tolerances as often as asked, in a shuffled order.
+/// Does the sub-step, by number of a way and to a tolerance, in all ways and to all tolerances as often as asked, in a shuffled order each time;
+/// while there are seconds left. `on`: what it is a sub-step of.
 pub(super) fn repeat_shuffled(
-    ways: usize,
+    (on, ways): (String, usize),
     options: &Options,
+    tell: &mut dyn FnMut(Heard),
     mut step: impl FnMut(usize, f64) -> Result<Done, Error>,
 ) -> Result<Repeats, Error> {
-    let mut jobs: Vec<(usize, usize)> = Vec::new();
-    for way in 0..ways {
-        for tolerance in 0..options.tolerances.len() {
-            jobs.extend(vec![(way, tolerance); options.repeats.max(1)]);
-        }
+    let tolerances = 0..options.tolerances.len();
+    let all = (0..ways).flat_map(|way| tolerances.clone().map(move |tolerance| (way, tolerance)));
+    let mut once: Vec<(usize, usize)> = all.collect();
+    let mut random = fastrand::Rng::with_seed(SEED);
+    let mut jobs = Vec::new();
+    for _ in 0..options.repeats.max(1) {
+        random.shuffle(&mut once);
+        jobs.extend_from_slice(&once);
     }
-    fastrand::Rng::with_seed(SEED).shuffle(&mut jobs);
+    let mut counter = Counter::new(on, "timed solves", jobs.len(), tell);
+    let clock = Instant::now();
     let mut found: BTreeMap<(usize, usize), (Vec<f64>, Done)> = BTreeMap::new();
-    for job in jobs {
+    for (number, job) in jobs.into_iter().enumerate() {
+        if number >= once.len() && clock.elapsed().as_secs_f64() > options.seconds {
+            break;
+        }
         let done = step(job.0, options.tolerances[job.1])?;
         found
             .entry(job)
             .and_modify(|(seconds, _)| seconds.push(done.seconds))
             .or_insert_with(|| (vec![done.seconds], done));
+        counter.count();
     }
     let found = found.into_iter();
     Ok(found
