@@ -121,6 +121,7 @@ fn say_counts(mesh: &TetMesh, filled: Option<&Surface>) {
             surface.volume(),
             100.0 * (mesh.volume() / surface.volume() - 1.0)
         );
+        say!("  area of the surface {:.6e} m^2", surface.area());
     }
     let [low, high] = mesh.bounds();
     say!("  from {low} to {high} m");

@@ -11,6 +11,7 @@
 
 mod clip;
 mod coupling;
+mod crossing;
 mod distance;
 mod icosahedron;
 mod inside;
@@ -18,10 +19,14 @@ mod liquid;
 mod mesh_file;
 mod msh;
 mod nearest;
+mod obj;
 mod obstacles;
 mod parts;
+mod ply;
+mod polygon;
 mod solid_clip;
 mod solitary;
+mod stl;
 mod surface;
 mod taps;
 mod tet_fill;

@@ -68,6 +68,12 @@ pub(super) fn read(bytes: &[u8], name: &str) -> Result<RawTets, Problem> {
                 elements_seen = true;
                 read_elements(&mut file, &mut raw, &numbers)?;
             }
+            "MeshFormat" => {
+                return Err(Problem {
+                    cure: "give each mesh a file of its own".into(),
+                    ..file.problem("a second mesh begins here")
+                });
+            }
             _ => file.skip_section(section)?,
         }
         file.end(section)?;

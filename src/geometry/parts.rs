@@ -3,26 +3,35 @@
 //! The sign of a distance is that of the nearest triangle. Where one part lies in another, or their surfaces cross, the nearest
 //! triangle may belong to the inner one, and what is deep inside counts as outside. A hole, with normals into it, is a part too.
 
+use std::collections::{HashMap, HashSet};
+
 use glam::DVec3;
 use parry3d_f64::query::{PointQuery, Ray, RayCast};
 use parry3d_f64::shape::{TriMesh, TriMeshFlags};
 
 use super::surface::{Fault, Surface, edges};
 
-/// A part: its triangles as a surface, and the same for queries.
-struct Part {
-    surface: Surface,
+/// Rays end so far before a corner that two parts share, as a share of their length: far above rounding.
+const SHARED: f64 = 1e-6;
+
+/// Triangles that are connected through edges.
+struct Part<'a> {
+    surface: &'a Surface,
+    /// Vertex numbers of the surface.
+    triangles: Vec<[u32; 3]>,
+    vertices: HashSet<u32>,
     mesh: TriMesh,
     bounds: [DVec3; 2],
     /// Whether its normals point into it: a hole.
     hole: bool,
 }
 
-impl Part {
-    fn new(surface: &Surface, triangles: &[[u32; 3]]) -> Part {
+impl Part<'_> {
+    fn new(surface: &Surface, triangles: Vec<[u32; 3]>) -> Part<'_> {
         let corners = triangles.iter().flatten();
         let part = Surface {
             vertices: corners
+                .clone()
                 .map(|&vertex| surface.vertices[vertex as usize])
                 .collect(),
             triangles: (0..triangles.len() as u32)
@@ -30,17 +39,17 @@ impl Part {
                 .collect(),
         }
         .welded();
-        let mesh = TriMesh::with_flags(
-            part.vertices.clone(),
-            part.triangles.clone(),
-            TriMeshFlags::ORIENTED,
-        )
-        .expect("a part has triangles");
+        let vertices = corners.copied().collect();
+        let (bounds, hole) = (part.bounds(), part.volume() < 0.0);
+        let mesh = TriMesh::with_flags(part.vertices, part.triangles, TriMeshFlags::ORIENTED)
+            .expect("a part has triangles");
         Part {
+            surface,
+            triangles,
+            vertices,
             mesh,
-            bounds: part.bounds(),
-            hole: part.volume() < 0.0,
-            surface: part,
+            bounds,
+            hole,
         }
     }
 
@@ -48,33 +57,54 @@ impl Part {
         self.bounds[0].cmple(high).all() && low.cmple(self.bounds[1]).all()
     }
 
+    /// A point of the surface that no other part shares, m.
+    fn point(&self) -> DVec3 {
+        let corners = self.triangles[0].map(|vertex| self.surface.vertices[vertex as usize]);
+        corners.iter().sum::<DVec3>() / 3.0
+    }
+
     /// Whether a point lies within the surface, whichever way its normals point.
     fn encloses(&self, x: DVec3) -> bool {
         self.may_touch([x, x]) && self.mesh.contains_local_point(x) != self.hole
     }
 
-    /// The ends of an edge that meets another part's surface, if there is one.
+    /// The ends of an edge that meets another part's surface elsewhere than at a shared corner, if there is one.
     fn crossing(&self, other: &Part) -> Option<[DVec3; 2]> {
-        let directed = self.surface.triangles.iter().flat_map(edges);
-        let ends = directed
-            .filter(|[from, to]| from < to)
-            .map(|edge| edge.map(|vertex| self.surface.vertices[vertex as usize]));
-        let mut near = ends.filter(|&[a, b]| other.may_touch([a.min(b), a.max(b)]));
-        near.find(|&[a, b]| {
-            let ray = Ray::new(a, b - a);
-            other.mesh.cast_local_ray(&ray, 1.0, false).is_some()
-        })
+        let at = |vertex: u32| self.surface.vertices[vertex as usize];
+        let hits = |from: DVec3, to: DVec3, length: f64| {
+            let ray = Ray::new(from, to - from);
+            other.mesh.cast_local_ray(&ray, length, false).is_some()
+        };
+        let mut edges = self.triangles.iter().flat_map(edges).filter(|&[from, to]| {
+            from < to && other.may_touch([at(from).min(at(to)), at(from).max(at(to))])
+        });
+        let crossing = edges.find(|&[from, to]| {
+            let shared = [from, to].map(|vertex| other.vertices.contains(&vertex));
+            let [from, to] = [from, to].map(at);
+            match shared {
+                [false, false] => hits(from, to, 1.0),
+                [false, true] => hits(from, to, 1.0 - SHARED),
+                [true, false] => hits(to, from, 1.0 - SHARED),
+                [true, true] => {
+                    let middle = 0.5 * (from + to);
+                    hits(middle, from, 1.0 - SHARED) || hits(middle, to, 1.0 - SHARED)
+                }
+            }
+        });
+        crossing.map(|edge| edge.map(at))
     }
 }
 
 /// The first reason why the parts of a closed surface do not bound a solid together, if there is one.
-pub(super) fn fault(surface: &Surface) -> Option<Fault> {
-    let groups = groups(surface);
+///
+/// `users` are the triangles that use each directed edge.
+pub(super) fn fault(surface: &Surface, users: &HashMap<[u32; 2], usize>) -> Option<Fault> {
+    let groups = groups(surface, users);
     if groups.len() < 2 {
         return None;
     }
     let parts: Vec<Part> = groups
-        .iter()
+        .into_iter()
         .map(|triangles| Part::new(surface, triangles))
         .collect();
     for (number, part) in parts.iter().enumerate() {
@@ -93,13 +123,13 @@ pub(super) fn fault(surface: &Surface) -> Option<Fault> {
                 });
             }
             // Parts that do not cross are wholly inside or outside.
-            if other.encloses(part.surface.vertices[0]) {
+            if other.encloses(part.point()) {
                 around += if other.hole { -1 } else { 1 };
             }
         }
         let wanted = if part.hole { 1 } else { 0 };
         if around != wanted {
-            let at = part.surface.vertices[0];
+            let at = part.point();
             return Some(if part.hole {
                 Fault {
                     problem: format!(
@@ -120,33 +150,31 @@ pub(super) fn fault(surface: &Surface) -> Option<Fault> {
     None
 }
 
-/// The triangles of each connected part, in the order of the surface.
-fn groups(surface: &Surface) -> Vec<Vec<[u32; 3]>> {
-    // A forest over vertices whose roots stand for the parts.
-    let mut above: Vec<u32> = (0..surface.vertices.len() as u32).collect();
-    let root = |above: &mut [u32], mut vertex: u32| {
-        while above[vertex as usize] != vertex {
-            let next = above[above[vertex as usize] as usize];
-            above[vertex as usize] = next;
-            vertex = next;
+/// The triangles of each part, in the order of the surface. Parts that share corners only are apart.
+fn groups(surface: &Surface, users: &HashMap<[u32; 2], usize>) -> Vec<Vec<[u32; 3]>> {
+    let n = surface.triangles.len();
+    let mut numbers = vec![usize::MAX; n];
+    let mut n_groups = 0;
+    for first in 0..n {
+        if numbers[first] != usize::MAX {
+            continue;
         }
-        vertex
-    };
-    for &[a, b, c] in &surface.triangles {
-        let a = root(&mut above, a);
-        for other in [b, c] {
-            let other = root(&mut above, other);
-            above[other as usize] = a;
+        numbers[first] = n_groups;
+        let mut stack = vec![first];
+        while let Some(triangle) = stack.pop() {
+            for [from, to] in edges(&surface.triangles[triangle]) {
+                let other = users[&[to, from]];
+                if numbers[other] == usize::MAX {
+                    numbers[other] = n_groups;
+                    stack.push(other);
+                }
+            }
         }
+        n_groups += 1;
     }
-    let mut numbers = vec![None; surface.vertices.len()];
-    let mut groups: Vec<Vec<[u32; 3]>> = Vec::new();
-    for triangle in &surface.triangles {
-        let number = numbers[root(&mut above, triangle[0]) as usize].get_or_insert_with(|| {
-            groups.push(Vec::new());
-            groups.len() - 1
-        });
-        groups[*number].push(*triangle);
+    let mut groups = vec![Vec::new(); n_groups];
+    for (triangle, number) in surface.triangles.iter().zip(numbers) {
+        groups[number].push(*triangle);
     }
     groups
 }

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use glam::DVec3;
 
-use super::{icosahedron, parts};
+use super::{crossing, icosahedron, parts};
 use crate::scene::Placement;
 
 /// A closed triangle surface with normals out of the solid that it bounds.
@@ -186,8 +186,8 @@ impl Surface {
     }
 
     /// The first reason why the surface does not bound a solid, if there is one: it must be finite, without degenerate
-    /// triangles, closed (each edge used once in each direction), its normals must point outwards, and its parts must
-    /// not overlap.
+    /// triangles, closed (each edge used once in each direction), its normals must point outwards, it must neither fold
+    /// nor cross itself, and its parts must not overlap.
     pub fn fault(&self) -> Option<Fault> {
         let fault = |problem, cure| Some(Fault { problem, cure });
         if self.triangles.is_empty() {
@@ -222,13 +222,21 @@ impl Surface {
             }
             for [from, to] in edges(triangle) {
                 if let Some(first) = used.insert([from, to], number) {
+                    let numbers = format!("triangles {} and {}", first + 1, number + 1);
+                    let sorted = |mut triangle: [u32; 3]| {
+                        triangle.sort_unstable();
+                        triangle
+                    };
+                    if sorted(self.triangles[first]) == sorted(*triangle) {
+                        return fault(
+                            format!("{numbers} lie in one place, with the corners {a}, {b}, {c}"),
+                            "remove doubled faces and parts in a mesh tool",
+                        );
+                    }
                     return fault(
                         format!(
-                            "triangles {} and {} use the edge from {} to {} in the same direction",
-                            first + 1,
-                            number + 1,
-                            self.vertices[from as usize],
-                            self.vertices[to as usize]
+                            "{numbers} use the edge from {} to {} in the same direction",
+                            self.vertices[from as usize], self.vertices[to as usize]
                         ),
                         "make the normals consistent, and separate parts that share an edge, in a mesh tool",
                     );
@@ -262,7 +270,9 @@ impl Surface {
                 "flip the normals in a mesh tool; for a container set inside_out = true and keep normals outwards",
             );
         }
-        parts::fault(self)
+        crossing::fold(self, &used)
+            .or_else(|| parts::fault(self, &used))
+            .or_else(|| crossing::crossing(self))
     }
 }
 

@@ -36,6 +36,9 @@ pub(super) fn read(bytes: &[u8]) -> Result<RawTets, Problem> {
     })?;
     let root = document.root_element();
     let file = File::new(&document, root, appended)?;
+    if !bytes.trim_ascii_end().ends_with(b"</VTKFile>") && !appended.is_empty() {
+        return Err(file.problem(root, "the file does not end with </VTKFile>"));
+    }
     let grid = child(root, "UnstructuredGrid")
         .ok_or_else(|| file.problem(root, "no UnstructuredGrid, so no tetrahedra"))?;
     let mut raw = RawTets {
@@ -253,6 +256,13 @@ impl<'a> File<'a> {
                 }
             }
         }
+        if start != connectivity.len() {
+            let n = connectivity.len() - start;
+            return Err(self.problem(
+                connectivity_node,
+                format!("{n} numbers are left over behind the last cell"),
+            ));
+        }
         Ok(n_cells as u64)
     }
 
@@ -299,7 +309,15 @@ impl<'a> File<'a> {
             Some("binary") => {
                 let mut text = text().into_bytes();
                 text.retain(|byte| !byte.is_ascii_whitespace());
-                self.decode(&text, true)
+                let decoded = self.decode(&text, true);
+                if let Some((_, used)) = decoded
+                    && used < text.len()
+                {
+                    let n = text.len() - used;
+                    let problem = format!("{n} characters are left over behind these data");
+                    return Err(self.problem(node, problem));
+                }
+                decoded
             }
             Some("appended") => {
                 let offset = node
@@ -313,7 +331,7 @@ impl<'a> File<'a> {
                 return Err(self.problem(node, format!("data in the format {other}")));
             }
         };
-        let bytes = bytes
+        let (bytes, _) = bytes
             .ok_or_else(|| self.problem(node, "these data cannot be decoded, or end too early"))?;
         self.numbers(&bytes, kind).ok_or_else(|| {
             self.problem(
@@ -323,8 +341,10 @@ impl<'a> File<'a> {
         })
     }
 
-    /// The bytes of an array that begins at the start of `data`: a header with sizes, then the values, as they are or in blocks.
-    fn decode(&self, data: &[u8], base64: bool) -> Option<Vec<u8>> {
+    /// The bytes of an array that begins at the start of `data`, and the length of its encoding: a header with sizes, then the values, as
+    /// they are or in blocks.
+    fn decode(&self, data: &[u8], base64: bool) -> Option<(Vec<u8>, usize)> {
+        let encoded = |n: usize| if base64 { n.div_ceil(3) * 4 } else { n };
         // Bytes from `start` on, of one piece of base64 that is `end` bytes long.
         let take = |from: &[u8], end: usize| -> Option<Vec<u8>> {
             if base64 {
@@ -338,8 +358,9 @@ impl<'a> File<'a> {
         };
         let first = self.size(&take(data, self.header)?)?;
         if !self.zlib {
-            let all = take(data, self.header.checked_add(first)?)?;
-            return Some(all[self.header..].to_vec());
+            let end = self.header.checked_add(first)?;
+            let all = take(data, end)?;
+            return Some((all[self.header..].to_vec(), encoded(end)));
         }
         // Number of blocks, size of a block, size of the last if it is smaller, compressed sizes.
         let header_bytes = first.checked_add(3)?.checked_mul(self.header)?;
@@ -350,11 +371,7 @@ impl<'a> File<'a> {
             .collect();
         let sizes = sizes?;
         let (&[n_blocks, whole, last], compressed) = sizes.split_first_chunk::<3>()?;
-        let behind = if base64 {
-            header_bytes.div_ceil(3) * 4
-        } else {
-            header_bytes
-        };
+        let behind = encoded(header_bytes);
         let total = compressed
             .iter()
             .try_fold(0_usize, |sum, &size| sum.checked_add(size))?;
@@ -380,7 +397,7 @@ impl<'a> File<'a> {
             }
             start += size;
         }
-        Some(bytes)
+        Some((bytes, behind + encoded(total)))
     }
 
     /// A number of a header.

@@ -808,7 +808,7 @@ fn broken_mesh_files_are_refused_with_the_place_and_the_cure() {
         (
             "stl",
             with(&stl, "vertex 0 0 0", "vertex 0 0"),
-            &["mesh.stl: facet 1:", "export"],
+            &["mesh.stl:5:", "facet 1:", "export"],
         ),
         (
             "stl",
@@ -820,7 +820,7 @@ fn broken_mesh_files_are_refused_with_the_place_and_the_cure() {
         ("ply", with(&ply, "\n1 0 0\n", "\n1 0\n"), &["mesh.ply:12:"]),
         (
             "ply",
-            with(&ply, "property double y", "property int y"),
+            with(&ply, "property double y", "property double w"),
             &["vertex 1:", "`y`"],
         ),
         (

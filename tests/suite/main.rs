@@ -59,6 +59,7 @@ mod solid_physics;
 mod solid_scene;
 mod solid_solver;
 mod solver;
+mod surface_files;
 mod surroundings;
 mod sweep;
 mod taps;

@@ -49,6 +49,7 @@ const HOMES: &[(&str, &str)] = &[
     ("naga", "gpu"),
     ("faer", "linalg"),
     ("parry3d_f64", "geometry"),
+    ("spade", "geometry"),
     ("flate2", "geometry"),
     ("toml", "scene"),
     ("vtkio", "output"),
