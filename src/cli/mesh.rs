@@ -11,7 +11,10 @@ use cutwater::output::write_mesh;
 pub(super) struct Mesh {
     /// Tetrahedra (.msh of Gmsh 4.1, .vtu) or a closed surface (.obj, .stl, .ply)
     file: PathBuf,
-    /// Edges of the tetrahedra that fill a surface, about, m
+    /// Factor of all coordinates of the file: 0.001 for a mesh in mm
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    scale: f64,
+    /// Edges of the tetrahedra that fill a surface, about, m, after --scale
     #[arg(long, value_name = "METRES")]
     cell_size: Option<f64>,
     /// Write the tetrahedra to this .vtu file
@@ -30,10 +33,31 @@ impl Mesh {
                 "give a name that ends in .vtu",
             ));
         }
+        if !(self.scale.is_finite() && self.scale > 0.0) {
+            return Err(Error::input(
+                format!("--scale {}", self.scale),
+                "lengths cannot be multiplied by it",
+                "give a number above zero, such as 0.001 for a mesh in mm",
+            ));
+        }
         let file = self.file.display().to_string();
         let is_surface = match extension(&self.file).as_str() {
             "obj" | "stl" | "ply" => true,
             "msh" | "vtu" => false,
+            _ if self.file.is_dir() => {
+                return Err(Error::input(
+                    file,
+                    "is a folder, not a mesh",
+                    "give the path of a mesh file in it",
+                ));
+            }
+            "toml" => {
+                return Err(Error::input(
+                    file,
+                    "is a scene, not a mesh",
+                    "check it with `cutwater plan`, or give the mesh file that it names",
+                ));
+            }
             _ => {
                 return Err(Error::input(
                     file,
@@ -58,7 +82,7 @@ impl Mesh {
                 ));
             }
             (true, Some(cell_size)) => {
-                let surface = geometry::read_mesh(&self.file)?;
+                let surface = geometry::read_mesh(&self.file)?.map(|x| self.scale * x);
                 let filled = geometry::fill(&surface, cell_size);
                 let mesh =
                     filled.map_err(|fault| Error::input(&file, fault.problem, fault.cure))?;
@@ -69,7 +93,11 @@ impl Mesh {
                 };
                 (tets, Some(surface))
             }
-            (false, None) => (geometry::read_tets(&self.file)?, None),
+            (false, None) => {
+                let mut tets = geometry::read_tets(&self.file)?;
+                tets.mesh = tets.mesh.scaled(self.scale);
+                (tets, None)
+            }
         };
         say!("{file}");
         for note in &tets.notes {

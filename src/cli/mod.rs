@@ -17,7 +17,7 @@ mod schema;
 mod signals;
 mod sweep;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -87,6 +87,45 @@ impl SceneArgs {
     fn load(&self) -> Result<Scene, Error> {
         Scene::load(&self.scene, &self.overrides, self.scale)
     }
+}
+
+/// Refuses what is no folder of a run, and says what it is; `command` is to read it.
+fn ensure_run(path: &Path, command: &str) -> Result<(), Error> {
+    let refuse = |problem: &str, cure: String| {
+        let what = path.display().to_string();
+        Err(Error::input(what, problem, cure))
+    };
+    let is_scene = path.extension().is_some_and(|kind| kind == "toml");
+    if is_scene && path.is_file() {
+        let name = path.file_stem().unwrap_or_default().to_string_lossy();
+        let cure = format!(
+            "run it first: cutwater run {}; then cutwater {command} out/{name}",
+            path.display()
+        );
+        return refuse("is a scene, not the folder of a run", cure);
+    }
+    if path.is_file() {
+        let cure = match path.parent() {
+            Some(run) if run.join("manifest.json").is_file() => {
+                format!("give the folder that it is in: {}", run.display())
+            }
+            _ => "give the folder that `cutwater run --out` wrote".to_owned(),
+        };
+        return refuse("is a file, not the folder of a run", cure);
+    }
+    if path.is_dir() && !path.join("manifest.json").is_file() {
+        let entries = std::fs::read_dir(path).into_iter().flatten().flatten();
+        let folders = entries.map(|entry| entry.path());
+        let mut runs: Vec<_> = folders
+            .filter(|folder| folder.join("manifest.json").is_file())
+            .collect();
+        runs.sort();
+        if let Some(run) = runs.first() {
+            let cure = format!("give the folder of a run, such as {}", run.display());
+            return refuse("holds runs, and is none", cure);
+        }
+    }
+    Ok(())
 }
 
 /// Where to run.

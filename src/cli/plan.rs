@@ -19,7 +19,7 @@ pub(super) struct PlanCommand {
 impl PlanCommand {
     pub(super) fn run(&self) -> Result<(), Error> {
         let scene = self.scene.load()?;
-        super::run::warn_of_blind_spots(&scene)?;
+        super::run::warn_before_run(&scene)?;
         let memory = |on_cpu| HostMemory::new(&scene, &sim::solids_of(&scene)?, on_cpu);
         match self.backend.backend() {
             Backend::Cpu => {

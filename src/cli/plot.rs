@@ -19,6 +19,9 @@ pub(super) struct Plot {
 
 impl Plot {
     pub(super) fn run(&self) -> Result<(), Error> {
+        for run in &self.runs {
+            super::ensure_run(run, "plot")?;
+        }
         let out = match (&self.out, &self.runs[..]) {
             (Some(out), _) => out.clone(),
             (None, [run]) => run.join("plots"),

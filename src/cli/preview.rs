@@ -41,6 +41,7 @@ impl Preview {
             colour,
             ..PreviewOptions::default()
         };
+        super::ensure_run(&self.run, "preview")?;
         draw(
             Pictures::new(&self.run, &options)?,
             &self.run,

@@ -29,6 +29,9 @@ impl Report {
         if let Some(other) = &self.against {
             return self.compare(other);
         }
+        if self.dir.is_file() {
+            super::ensure_run(&self.dir, "report")?;
+        }
         let Contents {
             folders,
             tables,

@@ -9,7 +9,6 @@ use std::time::{Duration, Instant};
 
 use cutwater::Error;
 use cutwater::effects::Effects;
-use cutwater::geometry;
 use cutwater::output::checkpoint::Checkpoint;
 use cutwater::output::frames::FrameKinds;
 use cutwater::output::manifest::Tally;
@@ -70,7 +69,7 @@ impl Run {
         if self.preview {
             ensure_pictures(&scene)?;
         }
-        warn_of_blind_spots(&scene)?;
+        warn_before_run(&scene)?;
         let options = Options {
             backend: self.backend.backend(),
             out: out.clone(),
@@ -290,40 +289,10 @@ fn ensure_pictures(scene: &Scene) -> Result<(), Error> {
     Ok(())
 }
 
-/// Warns of obstacles and, in liquid, of solids that are so thin that the cells do not see them, of obstacles that solids do not see, and of
-/// probes that see no liquid.
-pub(super) fn warn_of_blind_spots(scene: &Scene) -> Result<(), Error> {
-    let grid = scene.grid();
-    let (liquid, solids) = (scene.liquid.is_some(), !scene.solids.is_empty());
-    if solids && scene.obstacles_move() {
-        warn!(
-            "warning: obstacles that move and solids pass through each other; a [[solid.script]] moves nodes of a solid"
-        );
-    }
-    let passes = match (liquid, solids) {
-        (true, true) => "liquid leaks and solids pass through it",
-        (true, false) => "liquid leaks through it",
-        (false, _) => "solids pass through it",
-    };
-    let cure = "use more cells or a thickness of at least one";
-    for (number, thickness) in geometry::thin_obstacles(scene, &grid)? {
-        warn!("warning: obstacle[{number}] is {thickness:.2} cells thick: {passes}; {cure}");
-    }
-    for number in geometry::covered_probes(scene, &grid)? {
-        let name = &scene.probes[number].name;
-        warn!(
-            "warning: probe \"{name}\" lies in an obstacle: what it measures is none of the liquid's"
-        );
-    }
-    if liquid && solids {
-        let solids = sim::solids_of(scene)?;
-        let (displacement, _) = solids.initial_state(scene);
-        for (number, thickness) in geometry::thin_solids(&solids.moved(&displacement), &grid) {
-            let name = &scene.solids[number].name;
-            warn!(
-                "warning: solid \"{name}\" is {thickness:.2} cells thick: liquid leaks through it; {cure}"
-            );
-        }
+/// Prints the warnings before a run.
+pub(super) fn warn_before_run(scene: &Scene) -> Result<(), Error> {
+    for warning in sim::warnings(scene)? {
+        warn!("warning: {warning}");
     }
     Ok(())
 }

@@ -6,7 +6,7 @@ use super::{
     Body, Deformation, Script, Solids, Turning, lame_parameters, rest_shape, stress, von_mises,
 };
 use crate::error::{Error, rounded};
-use crate::geometry::{MovedMesh, TetMesh, inside};
+use crate::geometry::{MovedMesh, TetMesh, deepest_obstacle, inside};
 use crate::scene::{ElasticModel, Keyframe, Load, LoadKind, Pin, Scene, Shape, Solid};
 
 /// Of its length, how far aside of a line nodes may lie that make a hinge.
@@ -396,7 +396,7 @@ impl Solids {
             let what = scene.at(&format!("solid[{number}]"));
             let nodes = body.nodes.clone();
             let free = nodes.filter(|&node| self.prescribed[node] != [true; 3]);
-            let mut deepest = 0.0;
+            let (mut deepest, mut place) = (0.0, DVec3::ZERO);
             for node in free {
                 let x = self.rest[node] + DVec3::from(displacement[node]);
                 if (x - x.clamp(DVec3::ZERO, size)).abs().max_element() > slack {
@@ -405,17 +405,28 @@ impl Solids {
                         format!(
                             "starts outside of the domain: it has a node at {x} m, and the domain ends at {size} m"
                         ),
-                        "move it with placement.translate, or make it smaller: placement.scale = 0.001 for a mesh in mm",
+                        "move it with placement.at, the place of its middle, or make it smaller: units = \"mm\" beside the file of a mesh in mm",
                     ));
                 }
                 if !scene.obstacles.is_empty() {
-                    deepest = f64::min(deepest, grid.sample_cells(solid_distance, x));
+                    let distance = grid.sample_cells(solid_distance, x);
+                    if distance < deepest {
+                        (deepest, place) = (distance, x);
+                    }
                 }
             }
             if deepest < -grid.dx {
+                let obstacle = match deepest_obstacle(scene, &grid, place)? {
+                    Some(number) => format!("obstacle[{number}]"),
+                    None => "an obstacle".to_owned(),
+                };
+                let [x, y, z] = place.to_array().map(rounded);
                 return Err(Error::input(
                     what,
-                    format!("starts {} m deep in an obstacle", rounded(-deepest)),
+                    format!(
+                        "starts {} m deep in {obstacle}, with its node at [{x}, {y}, {z}] m",
+                        rounded(-deepest)
+                    ),
                     "move the solid or the obstacle, or hold the nodes in it with a [[solid.pin]]",
                 ));
             }

@@ -4,12 +4,12 @@ use std::fmt;
 use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
-use parry3d_f64::query::{PointQuery, PointQueryWithLocation, Ray, RayCast};
-use parry3d_f64::shape::{TriMesh, TriMeshFlags, Triangle};
+use parry3d_f64::query::{PointQuery, PointQueryWithLocation};
+use parry3d_f64::shape::{TriMesh, TriMeshFlags};
 use rayon::prelude::*;
 
 use super::Surface;
-use super::mesh_file;
+use super::placing::{ensure_in_domain, read_surface};
 use super::solitary;
 use crate::error::Error;
 use crate::grid::Grid;
@@ -17,9 +17,6 @@ use crate::scene::{Obstacle, Placement, Shape, SolitaryWave};
 
 /// Half the width of the band in which obstacle distances are exact, cells.
 pub(super) const BAND: f64 = 3.0;
-
-/// Most rays that look for the thickness of a mesh.
-const THICKNESS_RAYS: usize = 1024;
 
 /// A shape with its signed distance.
 #[derive(Clone, Debug)]
@@ -101,7 +98,42 @@ impl Solid {
                 phase,
             },
             Shape::Solitary(wave) => Solid::Solitary(wave),
-            Shape::Mesh { ref file } => Solid::mesh(&mesh_file::read(file)?),
+            Shape::Mesh { ref file, unit } => Solid::mesh(&read_surface(file, unit)?),
+        })
+    }
+
+    /// The solid of a shape where its placement puts it; half spaces and waves have none.
+    pub(super) fn placed(shape: &Shape, placement: &Placement) -> Result<Solid, Error> {
+        if placement.is_none() {
+            return Solid::new(shape);
+        }
+        let Placement { rotate, scale, .. } = *placement;
+        Ok(match *shape {
+            Shape::Sphere { centre, radius } => Solid::Sphere {
+                centre: placement.put(centre, centre),
+                radius: scale * radius,
+            },
+            Shape::Cylinder {
+                base,
+                axis,
+                radius,
+                height,
+            } => Solid::Cylinder {
+                point: placement.put(base, base + 0.5 * height * axis),
+                axis: rotate * axis,
+                radius: scale * radius,
+                heights: [0.0, scale * height],
+            },
+            Shape::Box { min, max } => {
+                let surface = Surface::cuboid(min, max);
+                Solid::mesh(&surface.placed(placement, 0.5 * (min + max)))
+            }
+            Shape::Mesh { ref file, unit } => {
+                let surface = read_surface(file, unit)?;
+                let centre = surface.centre();
+                Solid::mesh(&surface.placed(&placement.about(centre), centre))
+            }
+            Shape::HalfSpace { .. } | Shape::Wave { .. } | Shape::Solitary(_) => Solid::new(shape)?,
         })
     }
 
@@ -269,35 +301,39 @@ impl ClosedMesh {
         }
     }
 
-    /// As [`Body::thickness`].
-    fn thickness(&self) -> f64 {
+    /// The triangles that its distance sees; `None` where all lie on walls.
+    pub(super) fn seen(&self) -> Option<&TriMesh> {
         match &self.free {
-            Free::All => thickness(&self.all, self.all.triangles()),
-            Free::Some(mesh) => thickness(mesh, mesh.triangles()),
-            Free::None => f64::INFINITY,
+            Free::All => Some(&self.all),
+            Free::Some(mesh) => Some(mesh),
+            Free::None => None,
         }
     }
 
-    /// The shortest way from the middle of one of these triangles straight through to the other side, m.
-    pub(super) fn thickness_at(&self, triangles: impl ExactSizeIterator<Item = u32>) -> f64 {
-        thickness(
-            &self.all,
-            triangles.map(|triangle| self.all.triangle(triangle)),
-        )
+    /// The place of those triangles that is nearest to a point inside; `None` outside.
+    pub(super) fn nearest_wall(&self, x: DVec3) -> Option<DVec3> {
+        let nearest = |mesh: &TriMesh| mesh.project_local_point_and_get_location(x, false).0;
+        let surface = nearest(&self.all);
+        match &self.free {
+            _ if !surface.is_inside => None,
+            Free::All => Some(surface.point),
+            Free::Some(mesh) => Some(nearest(mesh).point),
+            Free::None => None,
+        }
     }
-}
 
-/// The shortest way through a mesh, m, straight from the middle of these triangles of it, or of about a thousand among them.
-fn thickness(mesh: &TriMesh, triangles: impl ExactSizeIterator<Item = Triangle>) -> f64 {
-    let size = mesh.local_aabb().extents().length();
-    let every = triangles.len().div_ceil(THICKNESS_RAYS).max(1);
-    let ways = triangles.step_by(every).filter_map(|triangle| {
-        let inwards = -triangle.scaled_normal().try_normalize()?;
-        // From just below the triangle, so that it is not hit itself.
-        let start = triangle.center() + 1e-9 * size * inwards;
-        mesh.cast_local_ray(&Ray::new(start, inwards), size, false)
-    });
-    ways.fold(f64::INFINITY, f64::min)
+    /// Depth of a point in it, m; negative outside.
+    pub(super) fn depth(&self, x: DVec3) -> f64 {
+        -self
+            .distance(x, f64::MAX)
+            .expect("every point has a nearest triangle")
+    }
+
+    /// Low and high corner of the bounding box, m.
+    pub(super) fn bounds(&self) -> [DVec3; 2] {
+        let bounds = self.all.local_aabb();
+        [bounds.mins, bounds.maxs]
+    }
 }
 
 /// An obstacle at one moment: its boundary and its signed distance.
@@ -357,8 +393,8 @@ impl Body {
                 radius,
                 height,
             } => Surface::cylinder(base, axis, radius, height, dx),
-            Shape::Mesh { ref file } => {
-                mesh_file::read(file).map_err(|error| error.within(name))?
+            Shape::Mesh { ref file, unit } => {
+                read_surface(file, unit).map_err(|error| error.within(name))?
             }
             Shape::HalfSpace { .. } | Shape::Wave { .. } | Shape::Solitary(_) => {
                 return Err(Error::input(
@@ -368,9 +404,12 @@ impl Body {
                 ));
             }
         };
-        let [low, high] = surface.bounds();
-        let centre = shape.centre().unwrap_or(0.5 * (low + high));
+        let centre = shape.centre().unwrap_or_else(|| surface.centre());
+        let placement = placement.about(centre);
         let surface = surface.placed(&placement, centre);
+        if let Shape::Mesh { .. } = shape {
+            ensure_in_domain(obstacle, &surface, name, grid.size())?;
+        }
         // A mesh is placed as a whole; for the other shapes points are turned back.
         let (solid, centre, placement) = match shape {
             Shape::Mesh { .. } => (Solid::mesh(&surface), DVec3::ZERO, Placement::default()),
@@ -417,21 +456,26 @@ impl Body {
         if self.inside_out { -1.0 } else { 0.0 }
     }
 
-    /// Least thickness, m: of a mesh the shortest way from the middle of a triangle straight through to the other side, at
-    /// about a thousand triangles. Infinite for a container, and where the other side lies on a wall.
-    pub(super) fn thickness(&self) -> f64 {
-        let scale = self.placement.scale;
-        match self.solid {
-            _ if self.inside_out => f64::INFINITY,
-            Solid::Box { min, max } => scale * (max - min).min_element(),
-            Solid::Sphere { radius, .. } => scale * 2.0 * radius,
-            Solid::Cylinder {
-                radius,
-                heights: [low, high],
-                ..
-            } => scale * (high - low).min(2.0 * radius),
-            Solid::HalfSpace { .. } | Solid::Wave { .. } | Solid::Solitary(_) => f64::INFINITY,
-            Solid::Mesh(ref mesh) => mesh.thickness(),
+    /// The shape before its placement.
+    pub(super) fn solid(&self) -> &Solid {
+        &self.solid
+    }
+
+    /// Where the shape is put.
+    pub(super) fn placement(&self) -> &Placement {
+        &self.placement
+    }
+
+    /// Whether all outside the shape is solid.
+    pub(super) fn is_container(&self) -> bool {
+        self.inside_out
+    }
+
+    /// Signed distance at a point, m, negative in the solid.
+    pub(super) fn signed_distance(&self, x: DVec3) -> f64 {
+        match self.inside_out {
+            true => -self.of_shape(x),
+            false => self.of_shape(x),
         }
     }
 
@@ -448,6 +492,7 @@ impl Body {
             translate,
             rotate,
             scale,
+            ..
         } = self.placement;
         let back: DMat3 = rotate.transpose();
         self.centre + back * (x - self.centre - translate) / scale

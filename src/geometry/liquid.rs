@@ -6,6 +6,7 @@ use glam::{DVec3, I64Vec3};
 use rayon::prelude::*;
 
 use super::distance::Solid;
+use super::placing::{outside, reaches};
 use super::{CutCells, MovedMesh, is_wall, solitary};
 use crate::error::{Error, rounded};
 use crate::grid::{Axis, Grid};
@@ -31,12 +32,24 @@ impl Part {
 }
 
 impl Regions {
-    /// The regions of a liquid; reads the files of meshes. Errors begin with where one was written, which `at` tells by its key.
-    pub fn new(liquid: &Liquid, at: impl Fn(&str) -> String) -> Result<Regions, Error> {
+    /// The regions of a liquid in a domain of this size (m); reads the files of meshes. Errors begin with where one was written, which
+    /// `at` tells by its key.
+    pub fn new(
+        liquid: &Liquid,
+        size: DVec3,
+        at: impl Fn(&str) -> String,
+    ) -> Result<Regions, Error> {
         let parts = liquid.regions.iter().enumerate().map(|(number, region)| {
             let place = || at(&format!("liquid.region[{number}]"));
+            let solid = Solid::placed(&region.shape, &region.placement);
+            let solid = solid.map_err(|error| error.within(&place()))?;
+            if let Solid::Mesh(mesh) = &solid
+                && !reaches(mesh.bounds(), size)
+            {
+                return Err(outside(mesh.bounds(), size, &place()));
+            }
             Ok(Part {
-                solid: Solid::new(&region.shape).map_err(|error| error.within(&place()))?,
+                solid,
                 subtract: region.subtract,
                 velocity: region.velocity,
             })
@@ -119,7 +132,7 @@ pub fn liquid_distance(scene: &Scene, grid: &Grid) -> Result<Vec<f64>, Error> {
         return Ok(vec![grid.dx; grid.n_cells()]);
     };
     let fixed = FixedSurface {
-        regions: Regions::new(liquid, |key| scene.at(key))?.beyond_walls(grid),
+        regions: Regions::new(liquid, grid.size(), |key| scene.at(key))?.beyond_walls(grid),
         size: grid.size(),
         dx: grid.dx,
     };
@@ -258,7 +271,7 @@ pub fn seed_markers(
     let bodies = !scene.obstacles.is_empty() || !scene.solids.is_empty();
     let in_solid = |x| bodies && grid.sample_cells(&cut_cells.solid_distance, x) < 0.0;
     let seeding = Seeding {
-        regions: Regions::new(liquid, |key| scene.at(key))?,
+        regions: Regions::new(liquid, grid.size(), |key| scene.at(key))?,
         size: grid.size(),
         dx: grid.dx,
         in_solid,
@@ -284,7 +297,7 @@ pub fn empty_regions(scene: &Scene, markers: &[[f64; 3]]) -> Result<Vec<usize>, 
         return Ok(Vec::new());
     };
     let grid = scene.grid();
-    let parts = Regions::new(liquid, |key| scene.at(key))?.parts;
+    let parts = Regions::new(liquid, grid.size(), |key| scene.at(key))?.parts;
     let adding = parts.iter().enumerate().filter(|(_, part)| !part.subtract);
     let empty = adding.filter(|(_, part)| {
         let holds = |x: DVec3| part.solid.distance(x) < 0.0;
@@ -315,7 +328,7 @@ pub fn estimate_markers(scene: &Scene, grid: &Grid, solids: &MovedMesh) -> Resul
     let bodies = super::bodies(scene, grid).collect::<Result<Vec<_>, _>>()?;
     let solids = solids.closed();
     let seeding = Seeding {
-        regions: Regions::new(liquid, |key| scene.at(key))?,
+        regions: Regions::new(liquid, grid.size(), |key| scene.at(key))?,
         size: grid.size(),
         dx: grid.dx,
         in_solid: |x| {
@@ -453,7 +466,7 @@ pub fn initial_state(scene: &Scene, grid: &Grid, cut_cells: &CutCells) -> Result
     if liquid.regions.iter().all(at_rest) {
         return Ok(state);
     }
-    let regions = Regions::new(liquid, |key| scene.at(key))?;
+    let regions = Regions::new(liquid, grid.size(), |key| scene.at(key))?;
     for (axis, velocity) in Axis::ALL.into_iter().zip(&mut state.velocity) {
         velocity
             .par_iter_mut()

@@ -22,6 +22,7 @@ mod nearest;
 mod obj;
 mod obstacles;
 mod parts;
+mod placing;
 mod ply;
 mod polygon;
 mod solid_clip;
@@ -33,6 +34,7 @@ mod tet_fill;
 mod tet_mesh;
 mod tet_read;
 mod tet_shapes;
+mod thickness;
 mod vtu;
 
 pub use clip::{Clipping, OpenFractions, Patch, clip, open_fractions};
@@ -43,13 +45,15 @@ pub use liquid::{
     seed_markers,
 };
 pub use mesh_file::{parse as parse_mesh, read as read_mesh};
-pub use obstacles::{ObstacleCut, ObstacleSurfaces, obstacle_cut};
+pub use obstacles::{ObstacleCut, ObstacleSurfaces, deepest_obstacle, obstacle_cut};
+pub use placing::{SolidOverlap, large_meshes, liquid_height, solid_overlaps};
 pub use solid_clip::{MovedMesh, Nearest, Overlap, Place, SolidClip};
 pub use surface::{Fault, Surface};
 pub use taps::{Held, PER_CELL, Running, SourceFace, SourceFlow, Taps};
 pub use tet_fill::fill;
 pub use tet_mesh::{ElementShape, TetMesh, solid_meshes};
 pub use tet_read::{TetFile, parse as parse_tets, read as read_tets};
+pub use thickness::{ThinWall, layers_across, thin_obstacles, thin_solids};
 
 use glam::DVec3;
 
@@ -74,19 +78,6 @@ pub fn cut_cells(scene: &Scene, grid: &Grid) -> Result<CutCells, Error> {
     Ok(obstacle_cut(scene, grid)?.cut)
 }
 
-/// The obstacles thinner than a cell, by number, with their thickness in cells. Liquid leaks through them: the distance between
-/// two centres on both sides of a plate is never negative, so markers do not see it. Containers have no thickness.
-pub fn thin_obstacles(scene: &Scene, grid: &Grid) -> Result<Vec<(usize, f64)>, Error> {
-    let mut thin = Vec::new();
-    for (number, body) in bodies(scene, grid).enumerate() {
-        let thickness = body?.thickness() / grid.dx;
-        if thickness < 1.0 - 1e-6 {
-            thin.push((number, thickness));
-        }
-    }
-    Ok(thin)
-}
-
 /// The probes of pressure and velocity whose point lies in an obstacle at the start, by number.
 pub fn covered_probes(scene: &Scene, grid: &Grid) -> Result<Vec<usize>, Error> {
     let probes = scene.probes.iter().enumerate();
@@ -103,18 +94,6 @@ pub fn covered_probes(scene: &Scene, grid: &Grid) -> Result<Vec<usize>, Error> {
         .into_iter()
         .filter(|&(_, point)| grid.sample_cells(&distance, point) < 0.0);
     Ok(covered.map(|(number, _)| number).collect())
-}
-
-/// The solids thinner than a cell, by number, with their thickness in cells: what is true of obstacles is of solids.
-pub fn thin_solids(mesh: &MovedMesh, grid: &Grid) -> Vec<(usize, f64)> {
-    let Some(closed) = mesh.closed() else {
-        return Vec::new();
-    };
-    let bodies = mesh.triangles_of_bodies().into_iter().enumerate();
-    bodies
-        .map(|(number, triangles)| (number, closed.thickness_at(triangles.into_iter()) / grid.dx))
-        .filter(|(_, thickness)| *thickness < 1.0 - 1e-6)
-        .collect()
 }
 
 /// Obstacles where their placements put them.

@@ -140,6 +140,28 @@ pub fn obstacle_cut(scene: &Scene, grid: &Grid) -> Result<ObstacleCut, Error> {
     Ok(all)
 }
 
+/// The obstacle that a point (m) lies deepest in at the start, by number; `None` where it lies in none.
+///
+/// # Errors
+/// [`Error::Input`] when a mesh file cannot be used.
+pub fn deepest_obstacle(scene: &Scene, grid: &Grid, x: DVec3) -> Result<Option<usize>, Error> {
+    let mut deepest = None;
+    let mut least = 0.0;
+    for (number, obstacle) in scene.obstacles.iter().enumerate() {
+        let name = scene.at(&format!("obstacle[{number}]"));
+        let rest = Body::before_walls(obstacle, &name, grid)?;
+        let body = match &obstacle.motion {
+            Some(motion) => MovingBody::new(rest, motion).at(0.0),
+            None => rest,
+        };
+        let distance = body.signed_distance(x);
+        if distance < least {
+            (deepest, least) = (Some(number), distance);
+        }
+    }
+    Ok(deepest)
+}
+
 /// Refuses a surface along a grid line of which the open areas do not end as they start.
 fn ensure_closed(
     name: &str,

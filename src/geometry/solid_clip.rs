@@ -37,19 +37,30 @@ impl MovedMesh<'_> {
         (!triangles.is_empty()).then(|| ClosedMesh::new(self.nodes.clone(), triangles))
     }
 
-    /// The triangles of each solid.
-    pub(super) fn triangles_of_bodies(&self) -> Vec<Vec<u32>> {
+    /// The surface of each solid.
+    pub(super) fn closed_bodies(&self) -> Vec<ClosedMesh> {
         let mut body_of_node = vec![0; self.nodes.len()];
         for (number, body) in self.bodies.iter().enumerate() {
             for &node in self.elements[body.clone()].as_flattened() {
                 body_of_node[node as usize] = number;
             }
         }
-        let mut bodies = vec![Vec::new(); self.bodies.len()];
-        for (triangle, number) in self.triangles.iter().zip(0..) {
-            bodies[body_of_node[triangle[0] as usize]].push(number);
+        let mut bodies = vec![Surface::default(); self.bodies.len()];
+        for &triangle in self.triangles {
+            let body = &mut bodies[body_of_node[triangle[0] as usize]];
+            let first = body.vertices.len() as u32;
+            let corners = triangle.map(|node| self.nodes[node as usize]);
+            body.vertices.extend(corners);
+            body.triangles.push([first, first + 1, first + 2]);
         }
-        bodies
+        let closed = |body: &Surface| {
+            let Surface {
+                vertices,
+                triangles,
+            } = body.welded();
+            ClosedMesh::new(vertices, triangles)
+        };
+        bodies.iter().map(closed).collect()
     }
 }
 

@@ -54,7 +54,7 @@ pub fn fill(surface: &Surface, cell_size: f64) -> Result<TetMesh, Fault> {
             format!(
                 "cell_size {cell_size} m makes {elements:.0} elements in the bounding box, allowed are {MAX_ELEMENTS:.0}"
             ),
-            "give a larger cell_size",
+            "give a larger cell_size; a file in mm takes units = \"mm\" in a scene, --scale 0.001 on the command line",
         );
     }
     let boundary = Boundary::new(surface, cell_size);

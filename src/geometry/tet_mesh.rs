@@ -2,8 +2,9 @@
 
 use glam::DVec3;
 
+use super::placing::{ensure_size, read_surface};
 use super::surface::{Fault, is_near};
-use super::{mesh_file, tet_fill, tet_read, tet_shapes};
+use super::{tet_fill, tet_read, tet_shapes};
 use crate::error::Error;
 use crate::scene::{Scene, Solid, SolidMesh};
 
@@ -44,14 +45,28 @@ pub(super) const MAX_ELEMENTS: f64 = 33_554_432.0;
 pub fn solid_meshes(scene: &Scene) -> Result<Vec<TetMesh>, Error> {
     let solids = scene.solids.iter().enumerate();
     solids
-        .map(|(number, solid)| TetMesh::new(solid, &scene.at(&format!("solid[{number}]"))))
+        .map(|(number, solid)| {
+            let what = scene.at(&format!("solid[{number}]"));
+            TetMesh::within(solid, &what, Some(scene.domain.size))
+        })
         .collect()
 }
 
 impl TetMesh {
     /// The mesh of a solid where its placement puts it: scaled and turned about its own centre (the origin for boxes, balls
-    /// and shells, the middle of the bounding box for files), then moved. `what` names the solid in errors.
+    /// and shells, the middle of the bounding box for files), then moved. The box is that of the file's surface, not of the
+    /// tetrahedra that fill it, so the place does not depend on their size. `what` names the solid in errors.
     pub fn new(solid: &Solid, what: &str) -> Result<TetMesh, Error> {
+        TetMesh::within(solid, what, None)
+    }
+
+    /// The same in a domain of this size (m), which refuses a file that is far too large for it before it is filled.
+    fn within(solid: &Solid, what: &str, domain: Option<DVec3>) -> Result<TetMesh, Error> {
+        let sized = |bounds: [DVec3; 2]| match domain {
+            Some(size) => ensure_size(bounds, &solid.placement, what, size),
+            None => Ok(()),
+        };
+        let mut centre = DVec3::ZERO;
         let error = |fault: Fault| Error::input(what, fault.problem, fault.cure);
         let mut mesh = match solid.mesh {
             SolidMesh::Box { size, cells } => tet_shapes::cuboid(size, cells).map_err(error)?,
@@ -65,32 +80,39 @@ impl TetMesh {
             } => tet_shapes::shell(radius, thickness, cell_size).map_err(error)?,
             SolidMesh::Surface {
                 ref file,
+                unit,
                 cell_size,
             } => {
-                let surface = mesh_file::read(file).map_err(|error| error.within(what))?;
+                let surface = read_surface(file, unit).map_err(|error| error.within(what))?;
+                sized(surface.bounds())?;
+                centre = surface.centre();
                 tet_fill::fill(&surface, cell_size).map_err(error)?
             }
-            SolidMesh::File { ref file } => {
+            SolidMesh::File { ref file, unit } => {
                 let read = tet_read::read(file).map_err(|error| error.within(what))?;
-                read.mesh
-            }
-        };
-        let centre = match solid.mesh {
-            SolidMesh::File { .. } | SolidMesh::Surface { .. } => {
+                let mesh = read.mesh.scaled(unit);
                 let [low, high] = mesh.bounds();
-                0.5 * (low + high)
+                sized([low, high])?;
+                centre = 0.5 * (low + high);
+                mesh
             }
-            _ => DVec3::ZERO,
         };
-        let placement = &solid.placement;
+        let placement = solid.placement.about(centre);
         for x in &mut mesh.nodes {
-            *x =
-                centre + placement.scale * (placement.rotate * (*x - centre)) + placement.translate;
+            *x = placement.put(*x, centre);
         }
         match mesh.fault() {
             Some(fault) => Err(error(fault)),
             None => Ok(mesh),
         }
+    }
+
+    /// The mesh with all coordinates times a factor.
+    pub fn scaled(mut self, factor: f64) -> TetMesh {
+        for x in &mut self.nodes {
+            *x *= factor;
+        }
+        self
     }
 
     /// Six times the signed volume of an element, m^3.

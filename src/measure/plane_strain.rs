@@ -206,6 +206,7 @@ impl PlaneStrain {
                 point: LEVEL * DVec3::Y,
                 normal: DVec3::Y,
             },
+            placement: Placement::default(),
             subtract: false,
             velocity: DVec3::ZERO,
         };

@@ -465,7 +465,7 @@ impl Manifest {
     pub fn with_solids(mut self, scene: &Scene, solids: &Solids) -> Result<Manifest, Error> {
         for (solid, body) in scene.solids.iter().zip(&solids.bodies) {
             let file = match &solid.mesh {
-                SolidMesh::File { file } | SolidMesh::Surface { file, .. } => Some(file),
+                SolidMesh::File { file, .. } | SolidMesh::Surface { file, .. } => Some(file),
                 _ => None,
             };
             self.solids.push(SolidRecord {

@@ -11,6 +11,7 @@ use glam::DVec3;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
+use super::suggestions::{Suggestion, suggestion};
 use crate::error::Error;
 
 /// Where a value was written.
@@ -738,13 +739,18 @@ impl<'a> Place<'a> {
                 .filter(|(distance, valid)| *distance <= (name.len().max(valid.len()) / 3).max(1))
                 .min();
             let list = format!("the keys here are {}", keys.valid.join(", "));
-            return Err(place.fail(
-                "unknown key",
-                match nearest {
-                    Some((_, valid)) => format!("did you mean `{valid}`? {list}"),
-                    None => list,
-                },
-            ));
+            let cure = match (suggestion(name, keys.valid), nearest) {
+                (Some(Suggestion::Absent(reason)), None) => {
+                    let problem = format!("is no key: {reason}");
+                    return Err(place.fail(problem, format!("remove `{name}`")));
+                }
+                (Some(Suggestion::Write(instead)), _) => format!("write {instead}; {list}"),
+                (Some(Suggestion::Key(valid)), _) | (_, Some((_, valid))) => {
+                    format!("did you mean `{valid}`? {list}")
+                }
+                (None, None) => list,
+            };
+            return Err(place.fail("unknown key", cure));
         }
         Ok(Table {
             place: self,

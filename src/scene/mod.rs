@@ -7,6 +7,7 @@ mod read;
 pub mod schema;
 mod shape;
 mod solid;
+mod suggestions;
 mod surface;
 mod tap;
 
@@ -120,6 +121,8 @@ pub enum Surface {
 pub struct Region {
     /// Its shape.
     pub shape: Shape,
+    /// Where the shape is put; boxes, balls, cylinders and meshes only.
+    pub placement: Placement,
     /// Whether it takes liquid away instead.
     pub subtract: bool,
     /// Initial velocity, m/s.
@@ -178,6 +181,8 @@ pub enum Shape {
     Mesh {
         /// Its file, relative to the scene's folder, resolved.
         file: PathBuf,
+        /// Length unit of the file, m.
+        unit: f64,
     },
 }
 
@@ -196,8 +201,8 @@ pub struct SolitaryWave {
     pub gravity: f64,
 }
 
-/// Scale and rotation about the shape's own centre ([`Shape::centre`]), then translation, of an obstacle's shape or a solid's
-/// mesh.
+/// Scale and rotation about the centre of a shape or mesh, then a translation, or the place of that centre. The centre is
+/// [`Shape::centre`], the origin for boxes, balls and shells of solids, and the middle of the bounding box of a file.
 #[derive(Clone, Copy, Debug)]
 pub struct Placement {
     /// m
@@ -206,6 +211,8 @@ pub struct Placement {
     pub rotate: DMat3,
     /// Uniform scale.
     pub scale: f64,
+    /// Place of the centre, m, in place of a translation; only for files, whose centre is known once they are read.
+    pub at: Option<DVec3>,
 }
 
 impl Default for Placement {
@@ -215,11 +222,35 @@ impl Default for Placement {
             translate: DVec3::ZERO,
             rotate: DMat3::IDENTITY,
             scale: 1.0,
+            at: None,
         }
     }
 }
 
 impl Placement {
+    /// The same placement of a shape with this centre (m), with `at` as a translation.
+    pub fn about(self, centre: DVec3) -> Placement {
+        match self.at {
+            Some(at) => Placement {
+                translate: at - centre,
+                at: None,
+                ..self
+            },
+            None => self,
+        }
+    }
+
+    /// Whether it leaves shapes where they are.
+    pub fn is_none(&self) -> bool {
+        let Placement {
+            translate,
+            rotate,
+            scale,
+            at,
+        } = *self;
+        translate == DVec3::ZERO && rotate == DMat3::IDENTITY && scale == 1.0 && at.is_none()
+    }
+
     /// Where a point of a shape with this centre is put, m.
     pub fn put(&self, x: DVec3, centre: DVec3) -> DVec3 {
         centre + self.scale * (self.rotate * (x - centre)) + self.translate
@@ -285,11 +316,15 @@ pub enum SolidMesh {
     File {
         /// The file, resolved.
         file: PathBuf,
+        /// Length unit of the file, m.
+        unit: f64,
     },
     /// The inside of a closed triangle mesh (OBJ, STL, PLY), filled.
     Surface {
         /// The file, resolved.
         file: PathBuf,
+        /// Length unit of the file, m.
+        unit: f64,
         /// Length of an edge, about, m.
         cell_size: f64,
     },

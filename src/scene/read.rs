@@ -87,6 +87,7 @@ const REGION: Keys = Keys {
         "mesh",
         "wave",
         "solitary",
+        "placement",
         "subtract",
         "velocity",
     ],
@@ -146,14 +147,7 @@ impl Scene {
     /// is no TOML and one word is a text. `scale` multiplies the cells, rounded, and nothing else. The first thing found
     /// wrong is returned, with the file and line (or the override), the key and the cure.
     pub fn load(path: &Path, overrides: &[String], scale: f64) -> Result<Scene, Error> {
-        let text = std::fs::read_to_string(path).map_err(|error| {
-            let cure = match error.kind() {
-                std::io::ErrorKind::NotFound => "give the path of a scene file (TOML)",
-                std::io::ErrorKind::InvalidData => "save the file as UTF-8 text",
-                _ => "make it a file that can be read",
-            };
-            Error::input(path.display().to_string(), error.to_string(), cure)
-        })?;
+        let text = read_text(path)?;
         Scene::parse(path, &text, overrides, scale)
     }
 
@@ -232,6 +226,71 @@ impl Scene {
     }
 }
 
+/// The text of a scene file. A folder, a mesh or a file of a run in its place is told by what it is.
+fn read_text(path: &Path) -> Result<String, Error> {
+    let refuse = |problem: String, cure: String| {
+        let what = path.display().to_string();
+        Err(Error::input(what, problem, cure))
+    };
+    let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
+    if path.is_dir() {
+        if path.join("manifest.json").is_file() {
+            return refuse(
+                "is the folder of a run, not a scene".to_owned(),
+                "give the scene file that it was made from; `cutwater preview`, `plot` and `report` take folders of runs"
+                    .to_owned(),
+            );
+        }
+        let entries = std::fs::read_dir(path).into_iter().flatten().flatten();
+        let files = entries.map(|entry| entry.path());
+        let mut scenes: Vec<_> = files
+            .filter(|file| file.extension().is_some_and(|kind| kind == "toml"))
+            .collect();
+        scenes.sort();
+        let cure = match &scenes[..] {
+            [] => "give the path of a scene file (TOML); there is none in this folder".to_owned(),
+            [scene] => format!("give the scene file in it: {}", scene.display()),
+            [first, ..] => format!(
+                "give one of the {} scene files in it, such as {}",
+                scenes.len(),
+                first.display()
+            ),
+        };
+        return refuse("is a folder, not a scene file".to_owned(), cure);
+    }
+    if ["obj", "stl", "ply", "msh", "vtu"]
+        .iter()
+        .any(|kind| extension == *kind)
+    {
+        return refuse(
+            "is a mesh, not a scene".to_owned(),
+            "give a scene file (TOML) that names it: mesh = { file = .. }; `cutwater mesh` checks a mesh by itself"
+                .to_owned(),
+        );
+    }
+    if ["json", "csv", "vtp", "vti", "pvd"]
+        .iter()
+        .any(|kind| extension == *kind)
+    {
+        return refuse(
+            "is a result, not a scene".to_owned(),
+            "give the scene file (TOML) that it was made from".to_owned(),
+        );
+    }
+    let with_extension = path.with_extension("toml");
+    std::fs::read_to_string(path).or_else(|error| {
+        let cure = match error.kind() {
+            std::io::ErrorKind::NotFound if with_extension.is_file() => {
+                format!("did you mean {}?", with_extension.display())
+            }
+            std::io::ErrorKind::NotFound => "give the path of a scene file (TOML)".to_owned(),
+            std::io::ErrorKind::InvalidData => "save the file as UTF-8 text".to_owned(),
+            _ => "make it a file that can be read".to_owned(),
+        };
+        refuse(error.to_string(), cure)
+    })
+}
+
 /// SHA-256 of everything that the scene is made from; lengths keep neighbours apart.
 fn hash(text: &str, overrides: &[String], scale: f64, meshes: &[&Path]) -> Result<String, Error> {
     let mut digest = Sha256::new();
@@ -266,11 +325,11 @@ fn mesh_files<'a>(
     let shapes = regions.map(|region| &region.shape);
     let shapes = shapes.chain(obstacles.iter().map(|obstacle| &obstacle.shape));
     let of_shapes = shapes.filter_map(|shape| match shape {
-        Shape::Mesh { file } => Some(file.as_path()),
+        Shape::Mesh { file, .. } => Some(file.as_path()),
         _ => None,
     });
     let of_solids = solids.iter().filter_map(|solid| match &solid.mesh {
-        SolidMesh::File { file } | SolidMesh::Surface { file, .. } => Some(file.as_path()),
+        SolidMesh::File { file, .. } | SolidMesh::Surface { file, .. } => Some(file.as_path()),
         _ => None,
     });
     of_shapes.chain(of_solids).collect()
@@ -582,8 +641,16 @@ fn region(place: &Place, file: &Path, domain: &Domain) -> Result<Region, Error> 
         "solitary" => solitary(shape_place.clone(), domain.gravity)?,
         _ => shape(kind, shape_place.clone(), file)?,
     };
+    if let Some(place) = table.get("placement") {
+        place.ensure(
+            OBSTACLE_SHAPES.contains(&kind),
+            format!("moves a shape with a centre, and a {kind} has none"),
+            format!("remove it, and write where it is in the keys of {kind}"),
+        )?;
+    }
+    let placement = placement(&table, shape.centre())?;
     shape_place.ensure(
-        shape.reaches(&Placement::default(), domain.size),
+        shape.reaches(&placement, domain.size),
         format!(
             "lies outside the domain, which goes from the origin to {} m",
             list(domain.size.to_array())
@@ -592,6 +659,7 @@ fn region(place: &Place, file: &Path, domain: &Domain) -> Result<Region, Error> 
     )?;
     Ok(Region {
         shape,
+        placement,
         subtract: table
             .get("subtract")
             .map_or(Ok(false), |place| place.boolean())?,
@@ -609,10 +677,7 @@ fn obstacles(root: &Table, file: &Path, domain: &Domain) -> Result<Vec<Obstacle>
         let table = place.table(&OBSTACLE)?;
         let (kind, shape_place) = table.one_of(&OBSTACLE_SHAPES, "shape")?;
         let shape = shape(kind, shape_place.clone(), file)?;
-        let placement = match table.get("placement") {
-            Some(place) => placement(place)?,
-            None => Placement::default(),
-        };
+        let placement = placement(&table, shape.centre())?;
         let inside_out = table
             .get("inside_out")
             .map_or(Ok(false), |place| place.boolean())?;

@@ -9,7 +9,7 @@ use super::{Keyframe, Placement, Shape, SolitaryWave};
 use crate::error::Error;
 
 const PLACEMENT: Keys = Keys {
-    valid: &["translate", "rotate", "scale"],
+    valid: &["at", "translate", "rotate", "scale"],
     absent: &[],
 };
 const ROTATE: Keys = Keys {
@@ -45,9 +45,11 @@ const SOLITARY: Keys = Keys {
     absent: &[],
 };
 const MESH: Keys = Keys {
-    valid: &["file"],
+    valid: &["file", "units"],
     absent: &[],
 };
+/// Length units of mesh files, m.
+const UNITS: [(&str, f64); 4] = [("m", 1.0), ("cm", 0.01), ("mm", 0.001), ("in", 0.0254)];
 
 /// Highest solitary wave, over the depth: beyond, theory of third order is not the wave that stays as it is.
 const HIGHEST_SOLITARY: f64 = 0.6;
@@ -147,6 +149,7 @@ pub(super) fn shape(kind: &str, place: Place, file: &Path) -> Result<Shape, Erro
                     "the name of an OBJ, STL or PLY file",
                     "use a closed triangle mesh as .obj, .stl or .ply",
                 )?,
+                unit: unit(&table)?,
             }
         }
         _ => unreachable!("a shape key that no table lists"),
@@ -235,10 +238,28 @@ pub(super) fn existing_file(
     Ok(resolved)
 }
 
-/// Where the shape of an obstacle or the mesh of a solid is put.
-pub(super) fn placement(place: Place) -> Result<Placement, Error> {
+/// Length unit of the mesh file that a table names, m.
+pub(super) fn unit(table: &Table) -> Result<f64, Error> {
+    table
+        .get("units")
+        .map_or(Ok(1.0), |place| place.choice(&UNITS))
+}
+
+/// Where a shape, or the mesh of a solid, with this centre (m) is put; `None`: a file, whose centre is not known yet.
+pub(super) fn placement(table: &Table, centre: Option<DVec3>) -> Result<Placement, Error> {
+    let Some(place) = table.get("placement") else {
+        return Ok(Placement::default());
+    };
     let table = place.table(&PLACEMENT)?;
     let mut placement = Placement::default();
+    if let Some(place) = table.get("at") {
+        placement.at = Some(place.vector("the place of the centre in m")?);
+        place.ensure(
+            table.get("translate").is_none(),
+            "and `translate` both say where the shape is put",
+            "keep one: `at` is the place of its centre, `translate` moves it from where it is",
+        )?;
+    }
     if let Some(place) = table.get("translate") {
         placement.translate = place.vector("a translation in m")?;
     }
@@ -249,7 +270,10 @@ pub(super) fn placement(place: Place) -> Result<Placement, Error> {
     if let Some(place) = table.get("scale") {
         placement.scale = place.positive("one factor for all axes")?;
     }
-    Ok(placement)
+    Ok(match centre {
+        Some(centre) => placement.about(centre),
+        None => placement,
+    })
 }
 
 /// The axis (a unit vector) and the angle (rad) of a rotation.

@@ -7,7 +7,7 @@ use glam::{DMat3, DVec3};
 
 use super::document::{Keys, Place, Table};
 use super::read::{MAX_VELOCITY, bounded, density as density_of, list};
-use super::shape::{existing_file, keyframes, placement, shape};
+use super::shape::{existing_file, keyframes, placement, shape, unit};
 use super::{Domain, ElasticModel, Initial, Load, LoadKind, Pin, Placement, Solid, SolidMesh};
 use crate::error::Error;
 
@@ -39,7 +39,7 @@ const SOLID: Keys = Keys {
 };
 const MESH_KINDS: [&str; 5] = ["box", "sphere", "shell", "file", "surface"];
 const MESH: Keys = Keys {
-    valid: &MESH_KINDS,
+    valid: &["box", "sphere", "shell", "file", "surface", "units"],
     absent: &[],
 };
 const BOX: Keys = Keys {
@@ -55,7 +55,7 @@ const SHELL: Keys = Keys {
     absent: &[],
 };
 const SURFACE: Keys = Keys {
-    valid: &["file", "cell_size"],
+    valid: &["file", "units", "cell_size"],
     absent: &[],
 };
 const INITIAL: Keys = Keys {
@@ -120,10 +120,8 @@ fn solid(place: &Place, file: &Path, domain: &Domain, earlier: &[Solid]) -> Resu
     let example = "mesh = { box = { size = [1, 0.1, 0.1], cells = [10, 1, 1] } }";
     let mesh_place = table.required("mesh", example)?;
     let mesh = mesh(&mesh_place, file)?;
-    let placement = match table.get("placement") {
-        Some(place) => placement(place)?,
-        None => Placement::default(),
-    };
+    let is_file = matches!(mesh, SolidMesh::File { .. } | SolidMesh::Surface { .. });
+    let placement = placement(&table, (!is_file).then_some(DVec3::ZERO))?;
     let initial = match table.get("initial") {
         Some(place) => initial(place)?,
         None => Initial::default(),
@@ -175,6 +173,15 @@ fn entries<'a>(table: &Table<'a>, key: &str) -> Result<Vec<Place<'a>>, Error> {
 fn mesh(place: &Place, file: &Path) -> Result<SolidMesh, Error> {
     let table = place.clone().table(&MESH)?;
     let (kind, place) = table.one_of(&MESH_KINDS, "mesh")?;
+    if let Some(place) = table.get("units").filter(|_| kind != "file") {
+        let cure = match kind {
+            "surface" => {
+                "write it beside its file: surface = { file = .., units = .., cell_size = .. }"
+            }
+            _ => "remove it: lengths in a scene are in m",
+        };
+        return Err(place.fail(format!("is of a mesh file, and {kind} is none"), cure));
+    }
     Ok(match kind {
         "box" => {
             let table = place.table(&BOX)?;
@@ -221,6 +228,7 @@ fn mesh(place: &Place, file: &Path) -> Result<SolidMesh, Error> {
                 "the name of a Gmsh 4.1 .msh or VTK .vtu file",
                 "use tetrahedra as Gmsh 4.1 .msh or VTK .vtu, or fill a closed surface: surface = { file, cell_size }",
             )?,
+            unit: unit(&table)?,
         },
         _ => {
             let table = place.table(&SURFACE)?;
@@ -233,6 +241,7 @@ fn mesh(place: &Place, file: &Path) -> Result<SolidMesh, Error> {
                     "the name of an OBJ, STL or PLY file",
                     "use a closed triangle mesh as .obj, .stl or .ply",
                 )?,
+                unit: unit(&table)?,
                 cell_size: cell_size(&table)?.1,
             }
         }
@@ -303,7 +312,7 @@ fn stays_inside(
                 "sticks out of the domain: along {name} it goes from {} to {} m, the domain from 0 to {} m",
                 low[axis], high[axis], domain.size[axis]
             );
-            let cure = "move it with placement.translate, which is where its middle is, or make it smaller";
+            let cure = "move it with placement.at, the place of its middle, or make it smaller";
             let place = table.get("placement").or_else(|| table.get("mesh"));
             return Err(place.expect("a solid has a mesh").fail(problem, cure));
         }

@@ -12,6 +12,7 @@ mod run;
 mod snapshot;
 mod squeeze;
 mod step;
+mod warnings;
 
 pub use gpu_path::GpuPath;
 pub use memory::{HostMemory, free_memory};
@@ -21,6 +22,7 @@ pub use snapshot::{
     LiquidSnapshot, Snapshot, SolidSnapshot, StoredPressure, coupled_system, stored_coupling,
 };
 pub use step::Observer;
+pub use warnings::warnings;
 
 use crate::Error;
 use crate::effects::Effects;

@@ -93,14 +93,26 @@ impl Plan {
         let solids = super::solids_of(scene)?;
         let effects = Effects::of(scene);
         let (mut clip, mut taps) = (None, Taps::default());
-        if effects.clips() || effects.sources || effects.sinks {
+        let grid = scene.grid();
+        let mut distance = Vec::new();
+        let bodies_meet = effects.solids && !scene.obstacles.is_empty();
+        if effects.clips() || effects.sources || effects.sinks || bodies_meet {
             HostMemory::new(scene, &solids, false)?.check()?;
-            let grid = scene.grid();
             let obstacles = geometry::obstacle_cut(scene, &grid)?;
             clip = super::first_clip(scene, &solids, &obstacles);
             taps = Taps::new(scene, &grid, obstacles.still())?;
+            distance = obstacles.cut.solid_distance;
         }
-        Plan::with(scene, (&solids, clip.as_ref(), &taps), adapter)
+        solids.ensure_room(scene, &distance, &solids.initial_state(scene).0)?;
+        let plan = Plan::with(scene, (&solids, clip.as_ref(), &taps), adapter)?;
+        let regions = scene.liquid.iter().flat_map(|liquid| &liquid.regions);
+        if regions.count() > 0 && plan.n_markers == 0 {
+            // None are estimated where the surface is fixed, and the estimate may miss a little liquid: a run looks at all cells.
+            HostMemory::new(scene, &solids, false)?.check()?;
+            let obstacles = geometry::obstacle_cut(scene, &grid)?;
+            super::first_state(scene, &solids, &obstacles.cut, clip.as_ref())?;
+        }
+        Ok(plan)
     }
 
     /// Plans a scene whose solids, and sources and sinks, are at hand; `clip`: as solids cut the grid at first, in liquid.

@@ -203,9 +203,9 @@ fn wrong_arguments_are_bad_input() {
 #[test]
 fn mesh_names_all_kinds_of_files_that_it_takes() {
     let folder = folder(DAM);
-    for arguments in ["mesh dam.toml", "mesh dam.toml --cell-size 0.1"] {
+    for arguments in ["mesh dam.xyz", "mesh dam.xyz --cell-size 0.1"] {
         let message = complains(&folder, arguments, 2);
-        let mut parts = vec!["dam.toml: unknown kind of mesh file"];
+        let mut parts = vec!["dam.xyz: unknown kind of mesh file"];
         parts.extend([".msh", ".vtu", ".obj", ".stl", ".ply"]);
         assert!(parts.iter().all(|part| message.contains(part)), "{message}");
     }

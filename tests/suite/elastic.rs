@@ -607,6 +607,7 @@ fn elements_report_their_stress_and_determinant() {
         translate: DVec3::splat(1.0),
         rotate: DMat3::from_rotation_y(0.3),
         scale: 0.5,
+        at: None,
     };
     let solids = alone(solid);
     assert!((solids.volume.iter().sum::<f64>() - 0.125).abs() < 1e-15);

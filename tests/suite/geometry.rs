@@ -8,7 +8,9 @@ use cutwater::error::Error;
 use cutwater::geometry::{self, Clipping, CutCells, Regions, Surface, clip, open_fractions};
 use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference::advect_markers;
-use cutwater::scene::{self, Liquid, Obstacle, Placement, Region, Scene, Shape, SolitaryWave};
+use cutwater::scene::{
+    self, Keyframe, Liquid, Motion, Obstacle, Placement, Region, Scene, Shape, SolitaryWave,
+};
 use cutwater::state::State;
 use glam::{DMat3, DQuat, DVec3};
 
@@ -40,6 +42,7 @@ fn empty_scene(cells: [usize; 3]) -> Scene {
 fn liquid(shapes: &[Shape]) -> Liquid {
     let regions = shapes.iter().map(|shape| Region {
         shape: shape.clone(),
+        placement: Placement::default(),
         subtract: false,
         velocity: DVec3::ZERO,
     });
@@ -538,6 +541,7 @@ fn obstacle_distance_equals_brute_force() {
             translate: point(&mut random, -0.1, 0.1),
             rotate: rotation(&mut random),
             scale: random.uniform(0.7, 1.2),
+            at: None,
         };
         let [min, max] = [DVec3::new(0.3, 0.4, 0.45), DVec3::new(0.6, 0.7, 0.5)];
         let axis = (rotation(&mut random) * DVec3::X).normalize();
@@ -574,7 +578,10 @@ fn obstacle_distance_equals_brute_force() {
                 1e-3 * fine,
             ),
             (
-                Shape::Mesh { file: file.clone() },
+                Shape::Mesh {
+                    file: file.clone(),
+                    unit: 1.0,
+                },
                 l,
                 0.5 * (low + high),
                 0.0,
@@ -635,7 +642,7 @@ fn sides_of_obstacles_on_walls_are_no_way_out() {
         (cuboid(min, max), here),
         (cuboid(min + DVec3::X, max + DVec3::X), moved),
         (cuboid(centre - lying, centre + lying), turned(2.0)),
-        (Shape::Mesh { file }, here),
+        (Shape::Mesh { file, unit: 1.0 }, here),
     ];
     let rods = vec![
         (rod(DVec3::new(1.0, 0.5, 0.5), -DVec3::X, 0.4), here),
@@ -969,10 +976,11 @@ fn a_mesh_cuts_like_the_shape_it_draws() {
         translate: DVec3::new(0.05, -0.03, 0.01),
         rotate: DMat3::from_axis_angle(DVec3::new(1.0, 2.0, 2.0) / 3.0, 0.7),
         scale: 0.9,
+        at: None,
     };
     let mut scene = empty_scene([10; 3]);
     let grid = scene.grid();
-    let [mesh, shape] = [Shape::Mesh { file }, Shape::Box { min, max }].map(|shape| {
+    let [mesh, shape] = [Shape::Mesh { file, unit: 1.0 }, Shape::Box { min, max }].map(|shape| {
         scene.obstacles = vec![Obstacle {
             placement,
             ..obstacle(shape)
@@ -1009,6 +1017,7 @@ fn region_distances_are_exact() {
             radius: 0.2,
             height: 1.0,
         },
+        placement: Placement::default(),
         subtract: true,
         velocity: DVec3::ZERO,
     });
@@ -1033,7 +1042,7 @@ fn region_distances_are_exact() {
         (&half_space, [0.2, 0.5, 0.5], -0.1),
     ];
     for (liquid, x, expected) in cases {
-        let got = Regions::new(liquid, str::to_owned)
+        let got = Regions::new(liquid, DVec3::ONE, str::to_owned)
             .unwrap()
             .distance(DVec3::from_array(x));
         assert!(
@@ -1042,7 +1051,7 @@ fn region_distances_are_exact() {
         );
     }
     // Near its surface the wave's distance is right to second order in the distance.
-    let regions = Regions::new(&wave, str::to_owned).unwrap();
+    let regions = Regions::new(&wave, DVec3::ONE, str::to_owned).unwrap();
     for step in 0..50 {
         let x = step as f64 / 50.0;
         let phase = k * x + 0.3;
@@ -1073,7 +1082,7 @@ fn a_solitary_wave_is_one_to_third_order() {
             direction,
             gravity,
         })]);
-        let regions = Regions::new(&wave, str::to_owned).unwrap();
+        let regions = Regions::new(&wave, DVec3::ONE, str::to_owned).unwrap();
         let at =
             |x: f64, z: f64| DVec3::new(crest[0], 0.0, crest[1]) + depth * (x * way + z * DVec3::Y);
         let velocity = |x: f64, z: f64| {
@@ -1359,10 +1368,11 @@ fn first_state_has_the_velocity_of_the_regions() {
 #[test]
 fn obstacles_thinner_than_a_cell_are_found() {
     let folder = tempfile::tempdir().unwrap();
+    let turn = DMat3::from_axis_angle(DVec3::new(0.6, 0.8, 0.0), 0.7);
     let obstacle = |shape: Shape, inside_out: bool| Obstacle {
         shape,
         placement: Placement {
-            rotate: DMat3::from_axis_angle(DVec3::new(0.6, 0.8, 0.0), 0.7),
+            rotate: turn,
             scale: 0.5,
             ..Placement::default()
         },
@@ -1375,18 +1385,9 @@ fn obstacles_thinner_than_a_cell_are_found() {
     };
     let mesh = |name: &str, thickness: f64| {
         let (min, max) = block(thickness);
-        let surface = Surface::cuboid(min, max);
-        let vertices = surface
-            .vertices
-            .iter()
-            .map(|x| format!("v {} {} {}\n", x.x, x.y, x.z));
-        let faces = surface.triangles.iter().map(|t| {
-            let [a, b, c] = t.map(|vertex| vertex + 1);
-            format!("f {a} {b} {c}\n")
-        });
         let file = folder.path().join(name);
-        fs::write(&file, vertices.chain(faces).collect::<String>()).unwrap();
-        Shape::Mesh { file }
+        fs::write(&file, obj_text(&Surface::cuboid(min, max))).unwrap();
+        Shape::Mesh { file, unit: 1.0 }
     };
     let cuboid = |thickness: f64| {
         let (min, max) = block(thickness);
@@ -1408,26 +1409,172 @@ fn obstacles_thinner_than_a_cell_are_found() {
         inside_out: false,
         motion: None,
     };
-    // 16 cells to the metre, half as large: 0.0375 m are 0.3 cells.
+    // 16 cells to the metre, half as large: 0.0375 m are 0.3 cells, 0.25 m are 2, more than any direction needs.
     let mut scene = crate::reference_physics::scene([16; 3], &crate::reference_physics::pool(0.3));
     scene.obstacles = vec![
         obstacle(cuboid(0.0375), false),
-        obstacle(cuboid(0.15), false),
+        obstacle(cuboid(0.25), false),
         obstacle(mesh("thin.obj", 0.0375), false),
-        obstacle(mesh("thick.obj", 0.15), false),
+        obstacle(mesh("thick.obj", 0.25), false),
         obstacle(disc(0.0375), false),
-        obstacle(disc(0.15), false),
+        obstacle(disc(0.25), false),
         obstacle(cuboid(0.0375), true),
         on_floor(cuboid(0.0375)),
         on_floor(mesh("floor.obj", 0.0375)),
     ];
     let thin = geometry::thin_obstacles(&scene, &scene.grid()).unwrap();
-    let numbers: Vec<usize> = thin.iter().map(|(number, _)| *number).collect();
+    let numbers: Vec<usize> = thin.iter().map(|wall| wall.body).collect();
     assert_eq!(numbers, [0, 2, 4]);
-    for (number, thickness) in thin {
+    for wall in thin {
+        assert!((wall.thickness - 0.3).abs() < 1e-6, "{wall:?}");
+        let [x, y, z] = match wall.body {
+            4 => turn * DVec3::Z,
+            _ => turn * DVec3::Y,
+        }
+        .to_array()
+        .map(f64::abs);
+        assert!((wall.needed - (x + y + z)).abs() < 1e-9, "{wall:?}");
+    }
+
+    // A wall along the axes holds from one cell on; turned by an angle a about one of them, from cos a + sin a on.
+    let plate = |cells: f64, degrees: f64, shape: &dyn Fn(f64) -> Shape, motion: Option<Motion>| {
+        let placement = Placement {
+            rotate: DMat3::from_rotation_z(degrees.to_radians()),
+            ..Placement::default()
+        };
+        Obstacle {
+            shape: shape(cells / 16.0),
+            placement,
+            inside_out: false,
+            motion,
+        }
+    };
+    let tipping = |degrees: f64, start: f64| {
+        let frame = |time: f64, degrees: f64| Keyframe {
+            time,
+            translate: DVec3::ZERO,
+            axis: DVec3::Z,
+            angle: degrees.to_radians(),
+        };
+        Some(Motion {
+            keyframes: vec![
+                frame(start, 0.0),
+                frame(start + 0.5, degrees),
+                frame(start + 1.0, 0.0),
+            ],
+            pivot: None,
+        })
+    };
+    let cases = [
+        (1.0, 0.0, None, None),
+        (0.98, 0.0, None, Some(1.0)),
+        (1.35, 30.0, None, Some(1.366)),
+        (1.38, 30.0, None, None),
+        (1.4, 45.0, None, Some(1.414)),
+        (1.43, 45.0, None, None),
+        (1.0, 0.0, tipping(30.0, 0.0), Some(1.366)),
+        (1.38, 0.0, tipping(30.0, 0.0), None),
+        (1.0, 0.0, tipping(90.0, 0.0), Some(1.414)),
+        // It stands still for as long as the scene lasts.
+        (1.0, 0.0, tipping(30.0, 100.0), None),
+    ];
+    let file = |thickness: f64| mesh(&format!("plate{thickness}.obj"), thickness);
+    for (cells, degrees, motion, needed) in cases {
+        for shape in [&cuboid as &dyn Fn(f64) -> Shape, &file] {
+            scene.obstacles = vec![plate(cells, degrees, shape, motion.clone())];
+            let thin = geometry::thin_obstacles(&scene, &scene.grid()).unwrap();
+            let found = thin.first().map(|wall| wall.needed);
+            match (found, needed) {
+                (None, None) => {}
+                (Some(found), Some(needed)) => assert!(f64::abs(found - needed) < 2e-3, "{thin:?}"),
+                _ => panic!("{cells} cells at {degrees} degrees: {thin:?}"),
+            }
+        }
+    }
+}
+
+/// A tip, an edge, a corner are thin everywhere; a body is thin where no ball fits into it nearby.
+#[test]
+fn tips_and_edges_are_no_thin_walls() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut scene = crate::reference_physics::scene([40; 3], &crate::reference_physics::pool(0.3));
+    // Of a cone or a wedge with this height and half its width, in cells, about the middle of the domain.
+    let cone = |sides: usize, half: f64, height: f64| {
+        let mut surface = Surface::default();
+        let middle = DVec3::splat(0.5);
+        surface.vertices = vec![middle, middle + height / 40.0 * DVec3::Y];
+        for i in 0..sides {
+            let (sin, cos) = (2.0 * PI * (i as f64 + 0.1) / sides as f64).sin_cos();
+            surface
+                .vertices
+                .push(middle + half / 40.0 * DVec3::new(cos, 0.0, sin));
+            let (rim, next) = (2 + i as u32, 2 + ((i + 1) % sides) as u32);
+            surface.triangles.extend([[0, rim, next], [1, next, rim]]);
+        }
+        surface
+    };
+    let mut thin = |name: &str, surface: &Surface| {
+        // Fine triangles, so that some lie at the tip.
+        let mut fine = surface.clone();
+        for _ in 0..4 {
+            fine = quartered(&fine);
+        }
+        let file = folder.path().join(name);
+        fs::write(&file, obj_text(&fine)).unwrap();
+        scene.obstacles = vec![Obstacle {
+            shape: Shape::Mesh { file, unit: 1.0 },
+            placement: Placement::default(),
+            inside_out: false,
+            motion: None,
+        }];
+        geometry::thin_obstacles(&scene, &scene.grid()).unwrap()
+    };
+    for (sides, half, height) in [
+        (24, 8.0, 16.0),
+        (24, 8.0, 8.0),
+        (4, 6.0, 12.0),
+        (3, 8.0, 16.0),
+    ] {
+        let found = thin("cone.obj", &cone(sides, half, height));
         assert!(
-            (thickness - 0.3).abs() < 1e-6,
-            "obstacle {number}: {thickness} cells"
+            found.is_empty(),
+            "{sides} sides, {half}, {height}: {found:?}"
         );
     }
+    let middle = DVec3::splat(0.5);
+    let block = |x: f64, y: f64, z: f64| {
+        let half = 0.5 / 40.0 * DVec3::new(x, y, z);
+        Surface::cuboid(middle - half, middle + half)
+    };
+    assert!(thin("block.obj", &block(5.0, 5.0, 5.0)).is_empty());
+    // What is as thin over more than its neighbourhood is told: a plate, and a cone like a needle.
+    let plate = thin("plate.obj", &block(12.0, 0.5, 12.0));
+    assert!((plate[0].thickness - 0.5).abs() < 1e-6, "{plate:?}");
+    assert!(!thin("needle.obj", &cone(24, 0.8, 16.0)).is_empty());
+}
+
+/// Every triangle cut into four.
+fn quartered(surface: &Surface) -> Surface {
+    let mut fine = Surface::default();
+    for triangle in 0..surface.triangles.len() {
+        let [a, b, c] = surface.corners(triangle);
+        let [d, e, f] = [0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)];
+        for corners in [[a, d, f], [d, b, e], [f, e, c], [d, e, f]] {
+            let first = fine.vertices.len() as u32;
+            fine.vertices.extend(corners);
+            fine.triangles.push([first, first + 1, first + 2]);
+        }
+    }
+    fine.welded()
+}
+
+/// A surface as an OBJ file.
+pub(crate) fn obj_text(surface: &Surface) -> String {
+    let vertices = surface.vertices.iter();
+    let vertices = vertices.map(|x| format!("v {} {} {}\n", x.x, x.y, x.z));
+    let faces = surface.triangles.iter().map(|t| {
+        let [a, b, c] = t.map(|vertex| vertex + 1);
+        format!("f {a} {b} {c}\n")
+    });
+    vertices.chain(faces).collect()
 }

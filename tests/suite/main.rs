@@ -38,6 +38,7 @@ mod output_solids;
 mod output_surface;
 mod pages;
 mod physics;
+mod placing;
 mod plan;
 mod plot;
 mod reference;

@@ -72,7 +72,11 @@ fn shapes(folder: &Path) -> Vec<(Shape, DVec3, bool)> {
             DVec3::new(0.5, 0.4, 0.5),
             false,
         ),
-        (Shape::Mesh { file }, DVec3::new(0.5, 0.45, 0.55), false),
+        (
+            Shape::Mesh { file, unit: 1.0 },
+            DVec3::new(0.5, 0.45, 0.55),
+            false,
+        ),
         (cuboid(0.15, 0.85), centre, true),
     ]
 }
@@ -122,6 +126,7 @@ fn a_moved_obstacle_cuts_as_one_that_is_placed_there() {
                 translate: about + turn * (centre - about) + translate - centre,
                 rotate: turn,
                 scale: 1.0,
+                at: None,
             };
             scene.obstacles[1] = body(placement, None);
             let placed = obstacle_cut(&scene, &grid).unwrap();

@@ -132,6 +132,7 @@ fn a_scene_says_what_its_file_says() {
         translate,
         rotate,
         scale,
+        ..
     } = scene.obstacles[0].placement;
     assert_eq!((translate, scale), (DVec3::new(0.1, 0.0, 0.0), 0.5));
     assert!((rotate * DVec3::X - DVec3::Y).length() < 1e-15);
@@ -142,7 +143,7 @@ fn a_scene_says_what_its_file_says() {
     );
     let middle = scene.obstacles[0].shape.centre().unwrap();
     assert_eq!(middle, DVec3::new(1.0, 0.25, 0.25));
-    let Shape::Mesh { file } = &scene.obstacles[1].shape else {
+    let Shape::Mesh { file, .. } = &scene.obstacles[1].shape else {
         panic!("the second obstacle is a mesh")
     };
     assert_eq!(file.parent(), scene.file.parent());
@@ -239,6 +240,29 @@ const REFUSED: &[Case] = &[
     ("cfl = 2", "cfl = 2\ncfl = 3", 10, "TOML", &["duplicate key"]),
     ("[solver]", "[solver", 40, "TOML", &["cure"]),
     ("seed = 7", "seed = 99999999999999999999", 15, "liquid.seed", &["lies beyond +-2^63"]),
+    // Words of other programs.
+    ("frames_per_second = 20", "fps = 20", 8, "time.fps", &["unknown key", "did you mean `frames_per_second`?"]),
+    ("fixed_step = 0.0125", "dt = 0.0125", 10, "time.dt", &["did you mean `fixed_step`?"]),
+    ("duration = 1.5", "end_time = 1.5", 7, "time.end_time", &["did you mean `duration`?"]),
+    ("cells = [32, 16, 8]", "resolution = [32, 16, 8]", 4, "domain.resolution", &["did you mean `cells`?"]),
+    ("density = 800.0", "viscosity = 1e-6", 12, "liquid.viscosity", &["liquids here are inviscid", "remove `viscosity`"]),
+    ("density = 800.0", "Viscosity = 1e-6", 12, "liquid.Viscosity", &["liquids here are inviscid"]),
+    ("density = 800.0", "nu = 1e-6", 12, "liquid.nu", &["liquids here are inviscid"]),
+    ("density = 800.0", "surface_tension = 0.07", 12, "liquid.surface_tension", &["no surface tension"]),
+    ("density = 800.0", "rho = 800.0", 12, "liquid.rho", &["did you mean `density`?"]),
+    ("inside_out = true", "position = [1, 0, 0]", 30, "obstacle[1].position", &["write placement = { at = [x, y, z] }", "the keys here are"]),
+    ("inside_out = true", "units = \"mm\"", 30, "obstacle[1].units", &["beside the file of the mesh: { file = .., units = \"mm\" }"]),
+    ("inside_out = true", "friction = 0.1", 30, "obstacle[1].friction", &["without friction"]),
+    ("file = \"body.stl\"", "path = \"body.stl\"", 29, "obstacle[1].mesh.path", &["did you mean `file`?"]),
+    ("file = \"body.stl\"", "file = \"body.stl\", unit = \"mm\"", 29, "obstacle[1].mesh.unit", &["did you mean `units`?"]),
+    ("file = \"body.stl\"", "file = \"body.stl\", units = \"km\"", 29, "obstacle[1].mesh.units", &["the text \"km\"", "one of \"m\", \"cm\", \"mm\", \"in\""]),
+    ("translate = [0.1, 0, 0]", "position = [0.1, 0, 0]", 27, "obstacle[0].placement.position", &["did you mean `at`?"]),
+    ("translate = [0.1, 0, 0]", "at = [0.1, 0, 0], translate = [0.1, 0, 0]", 27, "obstacle[0].placement.at", &["and `translate` both say", "keep one"]),
+    ("half_space = { point = [0, 0.1, 0], normal = [0, 2, 0] }", "half_space = { point = [0, 0.1, 0], normal = [0, 2, 0] }\nplacement = { at = [0, 0, 0] }", 25, "liquid.region[2].placement", &["a half_space has none", "remove it"]),
+    ("centre = [0.25, 0.25, 0.25]", "position = [0.25, 0.25, 0.25]", 21, "liquid.region[1].sphere.position", &["did you mean `centre`?"]),
+    ("[domain]\nsize", "gravity = [0, 0, 0]\n[domain]\nsize", 2, "gravity", &["unknown key", "write it in the section [domain]"]),
+    ("[domain]\nsize", "units = \"mm\"\n[domain]\nsize", 2, "units", &["lengths in m", "beside its file"]),
+    ("[camera]", "[fluid]\n[camera]", 51, "fluid", &["did you mean `liquid`?"]),
     // Types.
     ("density = 800.0", "density = \"800\"", 12, "liquid.density", &["the text \"800\"", "without quotes"]),
     ("density = 800.0", "density = true", 12, "liquid.density", &["is true", "kg/m^3"]),
@@ -566,12 +590,12 @@ fn solids_are_what_their_scene_says() {
         (shell.initial.scale, shell.poisson),
         (DVec3::splat(0.5), -0.3)
     );
-    let SolidMesh::File { file } = &dinosaur.mesh else {
+    let SolidMesh::File { file, .. } = &dinosaur.mesh else {
         panic!("the dinosaur is a file")
     };
     assert_eq!(file.parent(), scene.file.parent());
     assert!(
-        matches!(&stone.mesh, SolidMesh::Surface { file, cell_size: 0.1 } if file.ends_with("body.stl"))
+        matches!(&stone.mesh, SolidMesh::Surface { file, cell_size: 0.1, .. } if file.ends_with("body.stl"))
     );
 
     let columns: Vec<_> = scene.probes.iter().flat_map(Probe::columns).collect();
@@ -614,6 +638,15 @@ const REFUSED_SOLIDS: &[Case] = &[
     ("scale = [1, 0.5, -1]", "scale = [1, 0.5]", 11, "solid[0].initial.scale", &["a list of 2", "list of 3"]),
     ("velocity = [0, 1, 0]", "velocity = [0, nan, 0]", 11, "solid[0].initial.velocity[1]", &["NaN", "finite"]),
     ("model = \"linear\"", "model = \"neohookean\"", 15, "solid[0].model", &["neohookean", "\"corotational\""]),
+    // Words of other programs.
+    ("young = 1e6", "E = 1e6", 13, "solid[0].E", &["unknown key", "did you mean `young`?"]),
+    ("young = 1e6", "youngs_modulus = 1e6", 13, "solid[0].youngs_modulus", &["did you mean `young`?"]),
+    ("poisson = 0.49", "nu = 0.49", 14, "solid[0].nu", &["did you mean `poisson`?"]),
+    ("density = 1200.0", "mass = 1200.0", 12, "solid[0].mass", &["write density, in kg/m^3"]),
+    ("young = 1e6", "velocity = [0, 0, 0]", 13, "solid[0].velocity", &["write initial = { velocity"]),
+    ("young = 1e6", "position = [0, 0, 0]", 13, "solid[0].position", &["write placement = { at = [x, y, z] }"]),
+    ("sphere = { radius = 0.1, cell_size = 0.05 }", "sphere = { radius = 0.1, cell_size = 0.05 }, units = \"mm\"", 37, "solid[1].mesh.units", &["is of a mesh file", "lengths in a scene are in m"]),
+    ("cell_size = 0.1 }", "cell_size = 0.1 }, units = \"mm\"", 58, "solid[4].mesh.units", &["beside its file: surface = { file"]),
     // What is missing.
     ("name = \"beam\"\n", "", 7, "solid[0].name", &["is missing"]),
     ("density = 1200.0\n", "", 7, "solid[0].density", &["is missing", "kg/m^3"]),
@@ -639,7 +672,7 @@ const REFUSED_SOLIDS: &[Case] = &[
     ("file = \"body.stl\", cell", "file = \"body.msh\", cell", 58, "solid[4].mesh.surface.file", &["not a kind of mesh", ".obj"]),
     // Placement and start.
     ("placement = { translate = [1.8, 0.5, 0.5] }", "placement = { translate = [1.95, 0.5, 0.5] }", 38, "solid[1].placement", &["sticks out of the domain", "along x", "from 0 to 2 m"]),
-    ("placement = { translate = [1.8, 0.5, 0.5] }\n", "", 37, "solid[1].mesh", &["sticks out of the domain", "placement.translate"]),
+    ("placement = { translate = [1.8, 0.5, 0.5] }\n", "", 37, "solid[1].mesh", &["sticks out of the domain", "placement.at"]),
     ("initial = { scale = 0.5 }", "initial = { scale = -9 }", 45, "solid[2].placement", &["sticks out of the domain"]),
     ("degrees = 90 }, scale = 0.5", "degrees = 90 }, scale = 2.5", 10, "solid[0].placement", &["along y"]),
     ("scale = 0.5 }\ninitial = { scale = [1", "scale = -0.5 }\ninitial = { scale = [1", 10, "solid[0].placement.scale", &["above zero"]),

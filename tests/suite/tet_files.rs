@@ -576,6 +576,7 @@ fn damaged_bytes_and_huge_counts_neither_panic_nor_fill_the_memory() {
 fn files_are_placed_about_the_middle_of_their_box() {
     let file = SolidMesh::File {
         file: data("gmsh_text.msh"),
+        unit: 1.0,
     };
     let plain = TetMesh::new(&body(file.clone()), "test").unwrap();
     let [low, high] = plain.bounds();
@@ -591,6 +592,7 @@ fn files_are_placed_about_the_middle_of_their_box() {
                 random.uniform(-3.0, 3.0),
             ),
             scale: random.uniform(0.1, 4.0),
+            at: None,
         };
         let placed = Solid {
             placement,
@@ -708,12 +710,14 @@ fn surfaces_become_solids_of_a_scene() {
     let surface = |cell_size: f64| {
         let mesh = SolidMesh::Surface {
             file: file.clone(),
+            unit: 1.0,
             cell_size,
         };
         let placement = Placement {
             translate: DVec3::new(0.0, 5.0, 0.0),
             rotate: DMat3::from_rotation_y(0.3),
             scale: 2.0,
+            at: None,
         };
         TetMesh::new(
             &Solid {

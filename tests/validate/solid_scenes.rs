@@ -133,8 +133,13 @@ fn coarser(solid: &Solid, factor: f64, folder: &Path) -> Solid {
             thickness,
             cell_size: factor * cell_size,
         },
-        SolidMesh::Surface { file, cell_size } => SolidMesh::Surface {
+        SolidMesh::Surface {
             file,
+            unit,
+            cell_size,
+        } => SolidMesh::Surface {
+            file,
+            unit,
             cell_size: factor * cell_size,
         },
         SolidMesh::File { .. } => {
@@ -146,7 +151,11 @@ fn coarser(solid: &Solid, factor: f64, folder: &Path) -> Solid {
             let cell_size = factor * (6.0 * mesh.volume() / mesh.elements.len() as f64).cbrt();
             let file = folder.join(format!("{}.obj", solid.name));
             write_surface(&file, &mesh);
-            SolidMesh::Surface { file, cell_size }
+            SolidMesh::Surface {
+                file,
+                unit: 1.0,
+                cell_size,
+            }
         }
     };
     solid

@@ -1,0 +1,171 @@
+//! Suggestions for unknown keys: the words that other programs use, and the key that stands for each here.
+
+/// Words, between spaces, and the key that they stand for where a table has it.
+const KEYS: &[(&str, &str)] = &[
+    // [domain]
+    (
+        "resolution grid grid_size divisions n dx cell_size",
+        "cells",
+    ),
+    ("dimensions extent extents lengths", "size"),
+    ("g", "gravity"),
+    ("outlet outflow boundary boundaries", "open"),
+    // [time]
+    ("fps frame_rate framerate rate", "frames_per_second"),
+    (
+        "end end_time t_end tmax t_max stop total_time length",
+        "duration",
+    ),
+    ("dt time_step timestep step delta_t substep", "fixed_step"),
+    ("courant cfl_number", "cfl"),
+    // Materials
+    ("rho mass_density", "density"),
+    (
+        "e youngs_modulus young_modulus youngs elastic_modulus elasticity modulus stiffness",
+        "young",
+    ),
+    ("nu poisson_ratio poissons_ratio poissons", "poisson"),
+    ("material material_model constitutive_model", "model"),
+    // Sections
+    ("fluid fluids water liquids", "liquid"),
+    ("solids body bodies object elastic", "solid"),
+    ("obstacles collider colliders effector rigid", "obstacle"),
+    ("inflow inlet emitter tap sources", "source"),
+    ("outflow outlet drain sinks", "sink"),
+    ("probes gauge sensor monitor", "probe"),
+    ("regions", "region"),
+    ("pins fixed fix constraint clamp", "pin"),
+    ("loads force forces", "load"),
+    // Places
+    ("position pos location centre center", "at"),
+    ("translation offset move", "translate"),
+    ("rotation orientation angle", "rotate"),
+    ("center position pos location", "centre"),
+    ("position pos location centre at", "point"),
+    ("angle angle_degrees deg", "degrees"),
+    ("time", "t"),
+    ("ball", "sphere"),
+    ("cube cuboid", "box"),
+    ("filename path name", "file"),
+    ("unit length_unit", "units"),
+    ("vel speed v initial_velocity", "velocity"),
+    ("frequency interval output_interval", "every"),
+    ("tol eps epsilon", "tolerance"),
+    ("iterations max_iter maxiter", "max_iterations"),
+];
+
+/// Words, a key that the table has, and the text to write instead.
+const WITHIN: &[(&str, &str, &str)] = &[
+    (
+        "position pos location centre center at origin",
+        "placement",
+        "placement = { at = [x, y, z] }, the place of its middle in m",
+    ),
+    (
+        "translate translation offset",
+        "placement",
+        "placement = { translate = [x, y, z] }, in m",
+    ),
+    (
+        "rotate rotation orientation",
+        "placement",
+        "placement = { rotate = { axis = [0, 1, 0], degrees = 30 } }",
+    ),
+    ("scale", "placement", "placement = { scale = 2 }"),
+    (
+        "units unit",
+        "mesh",
+        "units beside the file of the mesh: { file = .., units = \"mm\" }",
+    ),
+    ("file filename path", "mesh", "mesh = { file = .. }"),
+    (
+        "velocity vel speed",
+        "initial",
+        "initial = { velocity = [x, y, z] }, in m/s",
+    ),
+    ("mass weight", "young", "density, in kg/m^3"),
+    (
+        "mu lambda shear_modulus bulk_modulus",
+        "young",
+        "young and poisson, to which any two moduli of elasticity convert",
+    ),
+    (
+        "gravity size cells resolution",
+        "domain",
+        "it in the section [domain]",
+    ),
+    (
+        "duration fps dt frames_per_second fixed_step cfl",
+        "domain",
+        "it in the section [time]: duration, frames_per_second, fixed_step, cfl",
+    ),
+    (
+        "density rho",
+        "domain",
+        "it in the section [liquid], or of a [[solid]]",
+    ),
+    (
+        "units unit",
+        "domain",
+        "lengths in m; a mesh in another unit has units beside its file: { file = .., units = \"mm\" }",
+    ),
+];
+
+/// Words that no scene has a key for, with the reason.
+const NOWHERE: &[(&str, &str)] = &[
+    (
+        "viscosity kinematic_viscosity dynamic_viscosity mu nu reynolds viscous turbulence",
+        "liquids here are inviscid",
+    ),
+    (
+        "surface_tension tension contact_angle",
+        "liquids here have no surface tension",
+    ),
+    (
+        "friction friction_coefficient",
+        "solids and liquids slide along walls and obstacles without friction",
+    ),
+    (
+        "restitution bounce bounciness",
+        "how high a solid bounces follows from its stiffness and damping",
+    ),
+    (
+        "temperature heat thermal_conductivity specific_heat",
+        "nothing here has a temperature",
+    ),
+    (
+        "speed_of_sound sound_speed compressibility bulk_modulus",
+        "liquids here are incompressible",
+    ),
+    (
+        "plasticity yield_stress fracture toughness",
+        "solids here are elastic",
+    ),
+    (
+        "units unit",
+        "all numbers are in m, kg, s; units are of mesh files only, beside the file",
+    ),
+];
+
+/// Cure of an unknown key.
+pub(super) enum Suggestion {
+    /// A key of the same table.
+    Key(&'static str),
+    /// Text to write instead.
+    Write(&'static str),
+    /// No key, for this reason.
+    Absent(&'static str),
+}
+
+/// Suggestion for an unknown key of a table with the keys `valid`, where it is a word of other programs.
+pub(super) fn suggestion(name: &str, valid: &[&str]) -> Option<Suggestion> {
+    let name = name.to_lowercase().replace('-', "_");
+    let is = |words: &str| words.split(' ').any(|word| word == name);
+    let has = |key: &str| valid.contains(&key);
+    let key = KEYS.iter().find(|(words, key)| is(words) && has(key));
+    let within = WITHIN.iter().find(|(words, key, _)| is(words) && has(key));
+    let nowhere = NOWHERE.iter().find(|(words, _)| is(words));
+    key.map(|&(_, key)| Suggestion::Key(key))
+        .or(within.map(|&(_, _, instead)| Suggestion::Write(instead)))
+        .or(nowhere.map(|&(_, reason)| Suggestion::Absent(reason)))
+}
