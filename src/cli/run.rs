@@ -317,7 +317,8 @@ fn is_utf8_locale(variable: impl Fn(&str) -> Option<String>) -> bool {
     cfg!(windows) || locale.contains("utf-8") || locale.contains("utf8")
 }
 
-#[cfg(all(test, not(windows)))]
+#[cfg(test)]
+#[cfg(not(windows))]
 mod tests {
     use super::is_utf8_locale;
 
