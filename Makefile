@@ -11,8 +11,8 @@ test: ## all tests on lavapipe, those of the kernels and the solver once more on
 gpu: ## measure the GPU of this machine in ten minutes, into docs/measured/gpu; builds target/gpu, whose `run` does the same elsewhere; ARGS=--build-only
 	@bash .ci/gpu $(ARGS)
 
-validate: ## the long validation against theory and other programs, and the tables of docs/validation.md anew; CASES="S2 S9" runs a part
+validate: ## the long validation against theory and other programs, and the tables of docs/measured/validation.md; CASES="S2 S9" runs a part
 	@bash .ci/validate $(CASES)
 
-measure: ## the benches behind the tables of README.md and docs/bench.md, and these tables anew; ARGS=--resume goes on after a run that was stopped
+measure: ## the benches behind docs/measured, and the tables of its pages; ARGS=--resume resumes a run that was stopped
 	@bash .ci/measure $(ARGS)

@@ -87,6 +87,11 @@ need_browser() {
     command -v "${CUTWATER_BROWSER:-chromium-headless-shell}" >/dev/null || apt_install chromium-headless-shell
 }
 
+# Python, for the tables of docs/measured.
+need_python() {
+    command -v python3 >/dev/null || apt_install python3
+}
+
 # The independent readers of the output files, in a virtual environment; sets CUTWATER_PYTHON.
 need_readers() {
     local venv=$PWD/target/readers wanted=tests/readers/requirements.txt

@@ -1,6 +1,5 @@
 //! Measurements: benches, comparisons, reports. Speed is claimed here only, as medians with their spread.
 
-pub mod agreement;
 pub mod bandwidth;
 pub mod base_scene;
 pub mod bench_accuracy;
@@ -15,7 +14,6 @@ pub mod bounds;
 mod chart;
 pub mod compare;
 pub mod export;
-pub mod insert;
 pub mod output_cost;
 pub mod plane_strain;
 pub mod plot;

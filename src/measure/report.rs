@@ -153,24 +153,11 @@ fn gather(dir: &Path, folders: &mut Vec<Folder>) -> Result<(), Error> {
     Ok(())
 }
 
-/// All tables below a folder, in the order of their names.
-///
-/// # Errors
-/// [`Error::Input`] where a folder cannot be read.
-pub(super) fn csv_files(dir: &Path) -> Result<Vec<PathBuf>, Error> {
-    let mut folders = Vec::new();
-    gather(dir, &mut folders)?;
-    Ok(folders.into_iter().flat_map(|folder| folder.csv).collect())
-}
-
 /// What is wrong with a table without a head line.
 pub(super) const EMPTY: &str = "it is empty: not even the names of its columns are there";
 
 /// Heads and rows of a table; neither of an empty file.
-///
-/// # Errors
-/// [`Error::Input`] where it cannot be read.
-pub(super) fn records(path: &Path) -> Result<(csv::StringRecord, Vec<csv::StringRecord>), Error> {
+fn records(path: &Path) -> Result<(csv::StringRecord, Vec<csv::StringRecord>), Error> {
     let text = read(path)?;
     let mut reader = csv::Reader::from_reader(text.as_bytes());
     let heads = reader

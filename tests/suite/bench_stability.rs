@@ -97,7 +97,7 @@ fn hostile_cases_keep_their_energy() {
 }
 
 /// One or two of each group on the f64 path, where every solve is direct, with the share of the markers that may be lost: none where
-/// 2,000 sub-steps lose none (docs/bench.md). The tables name no adapter.
+/// 2,000 sub-steps lose none (docs/measured/stability.md). The tables name no adapter.
 #[test]
 fn a_case_of_each_group_keeps_its_energy_on_the_cpu() {
     let folder = tempfile::tempdir().unwrap();

@@ -10,7 +10,6 @@ use cutwater::linalg::{Csr, SymbolicCholesky, eigenvalues};
 use cutwater::measure::bench_thesis::{
     Options, Order, Row, ThesisTable, Told, bench_thesis, conditions,
 };
-use cutwater::measure::insert::insert;
 use cutwater::measure::plane_strain::{PlaneStrain, TABLE_6_5, TABLE_6_6};
 use cutwater::reference::base_scene::{BaseBeam, BaseScene};
 use cutwater::reference::{BlockPattern, solid_matrices};
@@ -533,46 +532,6 @@ fn systems_of_the_dam_break_are_measured() {
         error.to_string().contains("another ") && error.to_string().contains("--resume"),
         "{error}"
     );
-}
-
-#[test]
-fn captions_tell_of_all_parts() {
-    let folder = tempfile::tempdir().unwrap();
-    let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
-    let part = |day: u32, load: f64, bandwidth: f64| {
-        format!(
-            "\"measured\": \"2026-11-{day}T05:00:00Z\", \"load\": {load}, \"copy_bandwidth\": {{\"median\": {bandwidth}}}"
-        )
-    };
-    let document = folder.path().join("bench.md");
-    let head = "<!-- table\n{\"file\": \"thesis_means.csv\", \"columns\": [[\"mean\", \"{mean}\"]]}\n-->\n";
-    write("thesis_means.csv", "mean\n1\n");
-    let parts = [
-        part(22, 2.83, 4e9),
-        part(23, 0.5, 1.24e9),
-        part(24, 1.0, 2e9),
-    ];
-    for (of_them, told) in [
-        (
-            &parts[..],
-            "2026-11-22 to 2026-11-24, cutwater 0.1.0, an adapter, copy bandwidth 1.2 to 4.0 GB/s, 2 CPU threads at a load of 0.5 to 2.83.",
-        ),
-        (
-            &parts[2..],
-            "2026-11-24, cutwater 0.1.0, an adapter, copy bandwidth 2.0 GB/s, 2 CPU threads at a load of 1.",
-        ),
-    ] {
-        let json = format!(
-            "{{\"cutwater\": \"0.1.0\", \"adapter\": \"an adapter\", \"threads\": 2, {}, \"parts\": [{{{}}}]}}",
-            parts[2],
-            of_them.join("}, {")
-        );
-        write("thesis.json", &json);
-        write("bench.md", &format!("{head}<!-- end of table -->\n"));
-        insert(folder.path(), &[&document]).unwrap();
-        let expected = format!("{head}| mean |\n|---|\n| 1 |\n\n*{told}*\n<!-- end of table -->\n");
-        assert_eq!(fs::read_to_string(&document).unwrap(), expected);
-    }
 }
 
 #[test]
