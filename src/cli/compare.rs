@@ -43,22 +43,28 @@ fn print(comparison: &Comparison) {
         "excused"
     );
     for row in &comparison.rows {
-        let Some(worst) = row.worst else { continue };
+        if row.worst.is_none() && row.excused == 0 {
+            continue;
+        }
         say!(
-            "{:16} {:20} {:9.2e} {:9.2e} {:9.2e} {:9.2e} {:7} {:7}  {}{}",
+            "{:16} {:20} {:9.2e} {:9.2e} {:9.2e} {:9.2e} {:7} {:7}  {}{}{}",
             row.stage,
             row.quantity,
             row.largest,
             row.rms(),
-            worst.bound,
+            row.worst.map_or(0.0, |worst| worst.bound),
             row.ratio(),
             row.unit,
             row.excused,
             if row.breached() { "BREACH " } else { "" },
-            if row.largest == 0.0 {
-                "equal everywhere".to_owned()
-            } else {
-                format!("sub-step {}: {}", worst.step, worst.place)
+            match row.excuses_too_much() {
+                true => format!("({} may be excused) ", row.most_excused()),
+                false => String::new(),
+            },
+            match row.worst {
+                None => "nothing compared".to_owned(),
+                Some(_) if row.largest == 0.0 => "equal everywhere".to_owned(),
+                Some(worst) => format!("sub-step {}: {}", worst.step, worst.place),
             },
         );
     }

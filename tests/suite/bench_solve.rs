@@ -115,13 +115,16 @@ fn a_diagonal_moves_less_than_a_cycle_and_rounding_is_told() {
     let [multigrid, jacobi, single] = &table.rows[..] else {
         panic!("{:?}", table.rows);
     };
-    assert_eq!(jacobi.status, "converged", "{jacobi:?}");
-    assert!(jacobi.iterations > multigrid.iterations, "{jacobi:?}");
+    for row in [multigrid, jacobi] {
+        assert_eq!(row.status, "converged", "{row:?}");
+    }
+    // The most on any grid: `solver::iterations_hardly_grow_with_the_grid`.
+    assert!(multigrid.iterations <= 20, "{multigrid:?}");
     let [cycle, diagonal] = [multigrid, jacobi].map(|row| row.bytes / f64::from(row.iterations));
     assert!(diagonal < 0.6 * cycle, "{diagonal}, {cycle}");
-    // No f32 holds what a residual of 1e-8 asks for.
-    assert!(single.residual_p > single.tolerance, "{single:?}");
-    assert_ne!(single.status, "converged", "{single:?}");
+    // f32 may not hold what a residual of 1e-8 asks for. Whether it does is told as it is.
+    let holds = single.residual_p <= single.tolerance;
+    assert_eq!(single.status == "converged", holds, "{single:?}");
     for file in optional {
         assert!(!file.exists(), "{}", file.display());
     }

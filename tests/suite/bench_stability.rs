@@ -4,11 +4,11 @@ use std::fs;
 
 use cutwater::gpu::AdapterChoice;
 use cutwater::measure::bench_stability::{
-    Options, Place, Row, Told, bench_stability, cases, limits,
+    KNOWN_FAILURES, Options, Place, Row, Told, bench_stability, cases, limits,
 };
 use cutwater::sim::Backend;
 
-use crate::common::gpu;
+use crate::common::{gpu, root};
 
 /// Sub-steps on the GPU path.
 const STEPS: u64 = 8;
@@ -16,8 +16,8 @@ const STEPS: u64 = 8;
 const STEPS_F64: u64 = 16;
 /// Sub-steps of the thesis's scene, 0.6 s: the front is at the beam after 0.2.
 const THESIS_STEPS: u64 = 60;
-/// With weak coupling on the thesis's own cells, 0.4 s: by then there is more energy than at the start.
-const WEAK_STEPS: u64 = 40;
+/// `young_1e3` fails in sub-step 13.
+const YOUNG_STEPS: u64 = 20;
 
 fn options(names: &[&str]) -> Options {
     Options {
@@ -28,8 +28,9 @@ fn options(names: &[&str]) -> Options {
     }
 }
 
-/// What holds in every hostile case, after so many sub-steps.
+/// What holds in every hostile case, after so many sub-steps. Of cases that fail later it would say nothing.
 fn assert_sound(row: &Row, steps: u64) {
+    assert!(!known(&row.name), "{row:?}");
     assert!(row.passed && row.completed(), "{row:?}");
     let plain = row.missed + row.unsettled == 0;
     assert_eq!(row.status == "completed", plain, "{row:?}");
@@ -56,6 +57,76 @@ fn assert_sound(row: &Row, steps: u64) {
     assert!(row.nodes > 60 && row.seconds > 0.0, "{row:?}");
 }
 
+fn known(name: &str) -> bool {
+    KNOWN_FAILURES.iter().any(|(known, _)| *known == name)
+}
+
+/// The rows that fail in the table of all cases, each over its whole run, are those known to; the pages name them all. Whoever mends one, or
+/// breaks another, finds it here.
+#[test]
+fn the_measured_failures_are_the_known_ones() {
+    let read = |file: &str| fs::read_to_string(root().join(file)).unwrap();
+    let table = read("docs/measured/stability/stability.csv");
+    let mut reader = csv::Reader::from_reader(table.as_bytes());
+    let headers = reader.headers().unwrap().clone();
+    let column = |name: &str| headers.iter().position(|header| header == name).unwrap();
+    let [name, passed, expected, steps] = ["name", "passed", "expected", "steps"].map(column);
+    let rows: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
+    let hostile = rows.iter().filter(|row| &row[expected] == "completes");
+    let hostile: Vec<&csv::StringRecord> = hostile.collect();
+    assert!(hostile.len() >= 60, "{}", hostile.len());
+    assert!(hostile.iter().all(|row| &row[steps] == "2000"));
+    let failed = rows.iter().filter(|row| &row[passed] == "false");
+    let failed: Vec<&str> = failed.map(|row| &row[name]).collect();
+    assert_eq!(failed, KNOWN_FAILURES.map(|(name, _)| name));
+    for page in ["README.md", "docs/bench.md"] {
+        let text = read(page);
+        for name in &failed {
+            assert!(text.contains(&format!("| `{name}` |")), "{page}: no {name}");
+        }
+    }
+    let names: Vec<String> = cases(STEPS, 1.0)
+        .into_iter()
+        .map(|case| case.name)
+        .collect();
+    assert!(
+        KNOWN_FAILURES
+            .iter()
+            .all(|(known, _)| names.iter().any(|name| name == known))
+    );
+}
+
+/// A known failure is reported as one, with its cause.
+#[test]
+fn a_known_failure_fails_the_bench() {
+    let folder = tempfile::tempdir().unwrap();
+    let options = Options {
+        steps: YOUNG_STEPS,
+        backend: Backend::Cpu,
+        ..options(&["young_1e3", "young_1e5"])
+    };
+    let table = bench_stability(&options, folder.path(), &mut |_: Told| {}).unwrap();
+    let [soft, stiffer] = &table.rows[..] else {
+        panic!("{:?}", table.rows)
+    };
+    assert!(stiffer.passed && stiffer.completed(), "{stiffer:?}");
+    let mended = "take young_1e3 from KNOWN_FAILURES and measure the table of docs/bench.md anew";
+    assert!(!soft.passed && !soft.completed(), "{mended}: {soft:?}");
+    assert!(soft.motion > soft.motion_bound, "{soft:?}");
+    let error = table.verdict().unwrap_err();
+    let text = error.to_string();
+    assert_eq!(error.exit_code(), 1);
+    for part in [
+        "1 of 2 cases",
+        "young_1e3: step ",
+        "energy of motion",
+        "(known: the pool's pressure",
+    ] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    assert!(!text.contains("young_1e5"), "{text}");
+}
+
 #[test]
 fn hostile_cases_keep_their_energy() {
     if gpu().is_none() {
@@ -66,8 +137,8 @@ fn hostile_cases_keep_their_energy() {
         "start_inverted",
         "start_spun",
         "gap_solids_0.2_light",
-        "droplet_one",
-        "closed_stiff",
+        "droplet_rain",
+        "closed_light",
         "wall_obstacle",
         "empty_nothing",
     ];
@@ -114,7 +185,7 @@ fn a_case_of_each_group_keeps_its_energy_on_the_cpu() {
         ("gap_floor_0.1", 0.0),
         ("wall_through", 0.0),
         ("droplet_rain", 0.0),
-        ("closed_stiff", 0.005),
+        ("closed_heavy", 0.005),
         ("inside_half", 0.0),
         ("empty_nothing", 0.0),
         ("empty_never", 0.0),
@@ -155,44 +226,22 @@ fn a_case_of_each_group_keeps_its_energy_on_the_cpu() {
 #[test]
 fn strong_coupling_keeps_the_thesis_beam_stiff() {
     let cases = cases(STEPS, 0.4).into_iter();
-    let of_thesis = cases.filter(|case| case.group == "thesis" && !case.name.ends_with("weak"));
+    let ours = ["thesis_strong", "thesis_undamped"];
+    let of_thesis = cases.filter(|case| ours.contains(&case.name.as_str()));
     let mut rows = of_thesis.map(|mut case| {
         case.steps = THESIS_STEPS;
         case.run(&Backend::Cpu).unwrap()
     });
-    let [damping_only, strong, undamped] = std::array::from_fn(|_| rows.next().unwrap());
+    let [strong, undamped] = std::array::from_fn(|_| rows.next().unwrap());
     assert!(rows.next().is_none());
     for row in [&strong, &undamped] {
+        // Stiff: its end goes by less than a tenth of its length, and rises by less than a hundredth.
         assert!(row.passed && row.missed == 0, "{row:?}");
+        assert!(row.deflection > Some(0.0), "{row:?}");
         assert!(row.elastic_ratio < 0.01, "{row:?}");
         // From a thousandth of all energy, where growth begins to count, to the hundredth that it stays below is 1.33 over four sub-steps.
         assert!(row.growth.is_none_or(|growth| growth < 1.5), "{row:?}");
     }
-    assert_eq!(
-        (damping_only.sub_steps, damping_only.non_finite),
-        (THESIS_STEPS, 0),
-        "{damping_only:?}"
-    );
-    assert!(
-        damping_only.deflection > strong.deflection && strong.deflection > Some(0.0),
-        "{damping_only:?} {strong:?}"
-    );
-    // Buoyancy acts upwards.
-    assert!(damping_only.lift > strong.lift, "{damping_only:?}");
-}
-
-/// Its growth and what it comes to in 0.4 s, not how far it goes, which is chance.
-#[test]
-fn weak_coupling_lets_the_thesis_beam_grow_unstable() {
-    let mut cases = cases(STEPS, 1.0).into_iter();
-    let mut weak = cases.find(|case| case.name == "thesis_weak").unwrap();
-    weak.steps = WEAK_STEPS;
-    let row = weak.run(&Backend::Cpu).unwrap();
-    assert!(row.passed && !row.completed(), "{row:?}");
-    assert!(
-        row.growth >= Some(1.5) && row.elastic_ratio >= 1.0,
-        "{row:?}"
-    );
 }
 
 #[test]

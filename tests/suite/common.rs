@@ -1,28 +1,55 @@
 //! What the tests share: the device, random numbers, comparisons.
 
 use std::collections::BTreeSet;
+use std::io::Write;
+use std::panic::Location;
 use std::path::PathBuf;
 use std::process::Command;
-use std::sync::OnceLock;
+use std::sync::{Mutex, OnceLock};
 
 use cutwater::gpu::{AdapterChoice, Gpu};
 use cutwater::grid::Grid;
 use cutwater::reference::Surface;
 
-/// The one device of the test process; `None`, with the reason printed, where there is no adapter. `REQUIRE_GPU=1` makes a
-/// missing adapter a failure.
+/// The one device of the test process; `None` without an adapter. The test then counts as skipped: see [`count_skipped`].
+/// `REQUIRE_GPU=1` makes a missing adapter a failure.
+#[track_caller]
 pub(crate) fn gpu() -> Option<&'static Gpu> {
-    static GPU: OnceLock<Option<Gpu>> = OnceLock::new();
-    GPU.get_or_init(|| match Gpu::new(&AdapterChoice::Best) {
+    static GPU: OnceLock<Result<Gpu, String>> = OnceLock::new();
+    let gpu = GPU.get_or_init(|| {
+        Gpu::new(&AdapterChoice::Best).map_err(|error| {
+            eprintln!("{error}");
+            error.to_string()
+        })
+    });
+    match gpu {
         Ok(gpu) => Some(gpu),
         Err(error) => {
             let required = std::env::var("REQUIRE_GPU").is_ok_and(|value| value == "1");
             assert!(!required, "REQUIRE_GPU=1 and {error}");
-            eprintln!("skipped for want of a GPU: {error}");
+            count_skipped(Location::caller());
             None
         }
-    })
-    .as_ref()
+    }
+}
+
+/// Start of the line for a skipped test; its number and the name of the test follow.
+pub(crate) const SKIPPED: &str = "skipped for want of a GPU, ";
+
+/// Writes one numbered line per skipped test. libtest has no count of skipped tests, so the last number is the count. It captures
+/// only what the printing macros write, so the line goes to standard error directly.
+fn count_skipped(caller: &Location) {
+    static TESTS: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+    let thread = std::thread::current();
+    // libtest names threads after tests, but with one thread it runs them on that of the process.
+    let test = match thread.name() {
+        Some("main") | None => caller.to_string(),
+        Some(test) => test.to_owned(),
+    };
+    let mut tests = TESTS.lock().unwrap();
+    if tests.insert(test.clone()) {
+        writeln!(std::io::stderr(), "{SKIPPED}{}: {test}", tests.len()).unwrap();
+    }
 }
 
 /// The folder with `scenes` and `tests/data`: the repository, or the one in `CUTWATER_ROOT` where this binary was moved to another machine.

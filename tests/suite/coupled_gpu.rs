@@ -419,7 +419,9 @@ fn diagonals_serve_whole_steps() {
             report.solid.unwrap().solve.iterations,
         )
     };
-    let (wanted, few) = step(&["solver.formulation=two_field"]);
+    let (wanted, iterations) = step(&["solver.formulation=two_field"]);
+    // The block is soft and the polynomial has its degree: as many as on the base scene (`two_field::iterations_stay_few`).
+    assert!(iterations <= 30, "{iterations}");
     for kind in ["jacobi", "block_jacobi"] {
         let overrides = [
             &format!("solver.preconditioner={kind}")[..],
@@ -431,8 +433,7 @@ fn diagonals_serve_whole_steps() {
         let off = off(found, wanted.node_velocity.as_flattened());
         // What the tolerance leaves.
         assert!(off <= 1e-6, "{kind}: {off:e} m/s");
-        assert!(iterations > 5 * few, "{kind}: {iterations}, not {few}");
-        println!("{kind}: {iterations} iterations, not {few}; {off:e} m/s");
+        println!("{kind}: {iterations} iterations; {off:e} m/s");
     }
 }
 

@@ -6,7 +6,7 @@ use cutwater::gpu::{
     Recorder, SPLIT, Sort, SortKernels, Source, TILE, WG_SIZE, compose, groups, validate,
 };
 
-use crate::common::{Random, gpu};
+use crate::common::{Random, SKIPPED, gpu};
 
 fn compact(gpu: &Gpu, flags: &[u32], first: usize, n: usize) -> (Vec<u32>, Vec<u32>) {
     let kernels = CompactKernels::new(gpu).unwrap();
@@ -255,6 +255,62 @@ fn an_unknown_adapter_is_refused_with_the_cure() {
         }
         other => panic!("{other:?}"),
     }
+}
+
+/// Without an adapter each test that needs one is counted and named, although libtest captures what tests print. With REQUIRE_GPU=1
+/// it fails. Vulkan's loader finds no driver; other systems bring theirs.
+#[cfg(target_os = "linux")]
+#[test]
+fn without_an_adapter_tests_are_counted_as_skipped() {
+    // Both ways to ask for the device, of several modules; and one test that needs none.
+    let needy = [
+        "compare::all_scenes_pass",
+        "coupled_gpu::steps_are_the_twins",
+        "gpu::real_buffers_round_trip",
+    ];
+    let run = |required: Option<&str>| {
+        let mut command = std::process::Command::new(std::env::current_exe().unwrap());
+        command
+            .args(["--exact", "--test-threads=2"])
+            .args(needy)
+            .arg("gpu::an_unknown_adapter_is_refused_with_the_cure")
+            .env("VK_DRIVER_FILES", "nowhere.json")
+            .env_remove("VK_ICD_FILENAMES")
+            .env_remove("REQUIRE_GPU");
+        command.envs(required.map(|value| ("REQUIRE_GPU", value)));
+        let output = command.output().unwrap();
+        let [said, told] = [output.stdout, output.stderr].map(|it| String::from_utf8(it).unwrap());
+        let skipped = told.lines().filter_map(|line| line.strip_prefix(SKIPPED));
+        let skipped = skipped.map(|line| line.split_once(": ").unwrap());
+        let [numbers, mut tests] =
+            skipped.fold([const { Vec::new() }; 2], |[mut numbers, mut tests], it| {
+                numbers.push(it.0.to_owned());
+                tests.push(it.1.to_owned());
+                [numbers, tests]
+            });
+        tests.sort();
+        (output.status.code(), said, numbers, tests)
+    };
+    for required in [None, Some("0")] {
+        let (code, said, numbers, tests) = run(required);
+        assert!(code == Some(0) && said.contains("4 passed"), "{said}");
+        assert_eq!(
+            (&numbers[..], &tests[..]),
+            (
+                &["1", "2", "3"].map(str::to_owned)[..],
+                &needy.map(str::to_owned)[..]
+            )
+        );
+    }
+    let (code, said, _, tests) = run(Some("1"));
+    assert!(
+        code == Some(101) && said.contains("1 passed; 3 failed"),
+        "{said}"
+    );
+    assert!(
+        said.contains("REQUIRE_GPU=1 and ") && tests.is_empty(),
+        "{said}"
+    );
 }
 
 #[test]

@@ -233,8 +233,8 @@ fn tank(volume_control: bool) -> Scene {
 }
 
 /// Torricelli: what leaves flows at sqrt(2 g h) through the slot, h the height above its middle, so A dh/dt = - a C sqrt(2 g h). C is 1 without
-/// contraction; theory has 0.61 for the free jet of a sharp slot, and the corner at the floor has none below. Measured here: 0.91. The first
-/// quarter of a second, in which the flow begins, is left out.
+/// contraction, and pi / (pi + 2) = 0.61 for the free jet below a sharp edge (Kirchhoff): the coefficient lies between, as three cells resolve the
+/// edge badly. The first quarter of a second, in which the flow begins, is left out.
 #[test]
 fn a_tank_runs_dry_as_torricelli_says() {
     if gpu().is_none() {
@@ -262,7 +262,8 @@ fn a_tank_runs_dry_as_torricelli_says() {
         let fall = (start - end) / (start - theory);
         println!("control {control}: level {start:.4} to {end:.4}, theory {theory:.4}: {fall:.3}; held {:.4} to {:.4}, left {:.3}",
             held[0] / whole, held[1] / whole, left / whole);
-        assert!((0.82..=1.0).contains(&fall), "the level fell {fall} of what it should");
+        let contracted = std::f64::consts::PI / (std::f64::consts::PI + 2.0);
+        assert!((contracted..=1.0).contains(&fall), "the level fell {fall} of what it should");
         assert!(state.markers_left > 0 && left > 0.2 * whole, "{left} of {whole} m^3 left");
         if control {
             let held = held.map(|sum| sum / whole);

@@ -250,10 +250,15 @@ fn dam_release_has_the_exact_pressure() {
     let scene = dam_release_scene();
     let mut reference = start(&scene);
     step(&mut reference);
-    // Measured: 0.0005. F3 asks for 0.02.
     let largest = dam_release_error(&scene.grid(), &reference.state().pressure);
-    assert!(largest < 0.002, "largest error {largest} of rho g H");
+    assert!(
+        largest < DAM_RELEASE_ERROR,
+        "largest error {largest} of rho g H"
+    );
 }
+
+/// Of second order on the 32 cells of the dam's height: (dx / H)^2, with derivatives of the pressure of order one; twice that.
+pub(crate) const DAM_RELEASE_ERROR: f64 = 2.0 / (32.0 * 32.0);
 
 /// F3: a dam 32 cells high and wide, free on top and to the right.
 pub(crate) fn dam_release_scene() -> Scene {
@@ -297,7 +302,9 @@ fn a_dam_break_runs_past_a_pillar() {
         let (report, liquid) = step(&mut reference);
         let energy = liquid.diagnosis.kinetic_energy + liquid.diagnosis.potential_energy;
         energies.push(energy);
-        assert!(liquid.diagnosis.max_speed < 8.0, "{report:?}");
+        // Ritter's front, 2 sqrt(g h); where two meet, liquid goes up at twice that at most.
+        let fastest = 4.0 * (GRAVITY * 0.5).sqrt();
+        assert!(liquid.diagnosis.max_speed < fastest, "{report:?}");
         let stages: Vec<_> = report.seconds.iter().map(|(stage, _)| *stage).collect();
         assert!(
             stages.len() == 10 && stages[0] == "advect_markers" && stages[9] == "diagnose",
@@ -328,26 +335,21 @@ fn a_dam_break_runs_past_a_pillar() {
     );
 }
 
-/// Spray fills a union of spheres with more volume than it has. Measured after one second: +12 % without control, +1 % with
-/// it.
+/// Spray fills a union of spheres with more volume than it has, 12 % in a second here without control. Control lets what comes in half a frame
+/// stand, 0.25 %; splash comes in bursts, of which ten times the mean may be.
 #[test]
-fn volume_control_takes_back_most_of_what_the_union_of_spheres_adds() {
-    let gain = |control: bool| {
-        let mut reference = start(&scene(
-            [32, 24, 8],
-            &format!("volume_control = {control}\n{DAM}"),
-        ));
-        let mut volume = 0.0;
-        while reference.state().frame < 24 {
-            volume = step(&mut reference).1.diagnosis.volume;
-        }
-        volume / reference.state().volume_0 - 1.0
-    };
-    let [without, with] = [false, true].map(gain);
-    assert!(
-        with.abs() < 0.03 && with.abs() < 0.3 * without.abs(),
-        "{with} against {without}"
-    );
+fn volume_control_takes_back_what_the_union_of_spheres_adds() {
+    let mut reference = start(&scene(
+        [32, 24, 8],
+        &format!("volume_control = true\n{DAM}"),
+    ));
+    let mut volume = 0.0;
+    while reference.state().frame < 24 {
+        volume = step(&mut reference).1.diagnosis.volume;
+    }
+    let gain = volume / reference.state().volume_0 - 1.0;
+    println!("{gain}");
+    assert!(gain.abs() < 0.025, "{gain}");
 }
 
 #[test]

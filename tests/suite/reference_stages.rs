@@ -200,9 +200,10 @@ fn markers_follow_a_rotation_to_second_order() {
         let (sin, cos) = 1.0_f64.sin_cos();
         DVec3::from(markers[0]).distance(DVec3::new(0.5 + 0.25 * cos, 0.5 + 0.25 * sin, 0.05))
     };
+    // 4 in second order; terms of the next order are a step, 1/8, of it at most.
     let ratio = error(8) / error(16);
     assert!(
-        (3.6..4.4).contains(&ratio),
+        (3.5..4.5).contains(&ratio),
         "halving the step divides the error by {ratio}"
     );
 }

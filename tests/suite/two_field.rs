@@ -207,13 +207,14 @@ fn diagonals_are_those_of_the_matrix() {
     }
 }
 
-/// With the diagonal for a preconditioner, the same answer, after many times as many iterations.
+/// With the diagonal for a preconditioner, the same answer; with multigrid, in as few iterations as of the stiffer beam in
+/// [`iterations_stay_few`].
 #[test]
-fn diagonals_precondition_worse() {
+fn every_preconditioner_has_the_same_answer() {
     let Some(gpu) = gpu().filter(|gpu| gpu.has_f64()) else {
         return;
     };
-    // Iterations grow with its square root.
+    // Soft: with diagonals, iterations grow with the square root of its stiffness.
     let beam = BaseBeam {
         young: 1e5,
         ..BaseBeam::default()
@@ -221,7 +222,6 @@ fn diagonals_precondition_worse() {
     let scene = BaseScene::new(12, &beam).unwrap();
     let system = scene.coupled_system();
     let exact = direct(&scene, &system);
-    let mut counts = Vec::new();
     for preconditioner in [
         Preconditioner::Multigrid,
         Preconditioner::BlockJacobi,
@@ -240,12 +240,9 @@ fn diagonals_precondition_worse() {
         println!("{preconditioner:?}: {outcome:?}, v {of_v:e}");
         assert_eq!(outcome.status, SolveStatus::Converged, "{outcome:?}");
         assert!(of_v <= 1e-5, "{preconditioner:?}: {of_v:e}");
-        counts.push(outcome.iterations);
+        let ours = preconditioner == Preconditioner::Multigrid;
+        assert!(!ours || outcome.iterations <= 30, "{outcome:?}");
     }
-    assert!(
-        counts[1] > 10 * counts[0] && counts[2] > counts[1],
-        "{counts:?}"
-    );
 }
 
 /// Largest difference over the largest value.

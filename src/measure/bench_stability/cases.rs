@@ -29,6 +29,27 @@ const TORN: f64 = 1.0;
 const GROWS: f64 = 1.5;
 const THESIS: &str = include_str!("../../../scenes/stability.toml");
 
+/// Cases that are known to fail over 2,000 sub-steps, and why; docs/bench.md has the experiments. A verdict names them as failures like
+/// any other.
+pub const KNOWN_FAILURES: [(&str, &str); 4] = [
+    (
+        "young_1e3",
+        "the pool's pressure is four times the block's stiffness, and its elements turn inside out",
+    ),
+    (
+        "droplet_one",
+        "one of seven markers is lost below the pad, which is more than a tenth",
+    ),
+    (
+        "closed_soft",
+        "the pressure at the floor is above the block's bulk modulus, and its elements turn inside out",
+    ),
+    (
+        "closed_stiff",
+        "some face of the liquid is faster than a fall makes it",
+    ),
+];
+
 /// What has to happen.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Expected {

@@ -39,7 +39,7 @@ use super::table::{Host, Machine, remove_earlier, write_csv, write_json, write_s
 
 use budget::{Budget, MOST_ENERGY, Moment};
 
-pub use cases::{Case, Expected, cases};
+pub use cases::{Case, Expected, KNOWN_FAILURES, cases};
 pub use limit::{LimitRow, limits};
 
 /// Of the markers that a run may lose.
@@ -215,7 +215,9 @@ impl Table {
         let of_cases = self.rows.iter().filter(|row| !row.passed);
         let of_cases = of_cases.map(|row| {
             let Row { name, expected, .. } = row;
-            format!("\n  {name}: {} where it {expected}", row.status)
+            let known = KNOWN_FAILURES.iter().find(|known| known.0 == name);
+            let known = known.map_or(String::new(), |(_, cause)| format!(" (known: {cause})"));
+            format!("\n  {name}: {} where it {expected}{known}", row.status)
         });
         let of_limits = self.limits.iter().filter(|row| !row.passed);
         let of_limits = of_limits.map(|row| {

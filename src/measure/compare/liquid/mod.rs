@@ -335,7 +335,7 @@ impl<'a> LiquidJudge<'a> {
         let n_excused = pairs.iter().filter(|pair| pair.3).count();
         self.table
             .row(AdvectMarkers::NAME, "positions", "m")
-            .excused += n_excused as u64;
+            .excused += 3 * n_excused as u64;
     }
 
     /// Which markers sink and how many cells of sources lack depends on the cell that a marker is in: those within their rounding of a border
@@ -362,6 +362,8 @@ impl<'a> LiquidJudge<'a> {
             kept.extend(*gpu);
         }
         self.table.add_flags([EXCHANGE, "markers sunk"], pairs);
+        self.table.row(EXCHANGE, "markers sunk", "flag").excused += excused;
+        let mut excused = 0;
         let borders = kept.iter().filter(|&&x| at_border(x)).count();
         let n_kept = kept.len();
         let seeded = reference::seed_markers(
@@ -746,7 +748,9 @@ impl<'a> LiquidJudge<'a> {
                     Slip::Steady(roundings) => means + EPS * speed * roundings,
                     Slip::Unsteady => f64::INFINITY,
                 };
-                if bound.is_infinite() && (gpu - twin).abs() > means {
+                // Along the obstacle or not, it is no longer than a vector of three such components.
+                let possible = gpu.abs() <= 3.0_f64.sqrt() * speed + means;
+                if bound.is_infinite() && possible && (gpu - twin).abs() > means {
                     excused += 1;
                 } else {
                     let bound = if bound.is_finite() { bound } else { means };
