@@ -15,8 +15,8 @@ use cutwater::output::manifest::Tally;
 use cutwater::output::preview::{Pictures, PreviewOptions};
 use cutwater::scene::{MAX_FRAMES, Scene};
 use cutwater::sim::{self, Options};
-use indicatif::{ProgressBar, ProgressStyle};
 
+use super::bar::progress_bar;
 use super::{BackendArgs, SceneArgs};
 
 /// Schedulers signal a sweep and its runs at once, and the sweep passes it on: that is one signal.
@@ -79,11 +79,7 @@ impl Run {
             keep_going: self.keep_going,
         };
         let terminal = std::io::stderr().is_terminal();
-        let bar = if terminal {
-            progress_bar()
-        } else {
-            ProgressBar::hidden()
-        };
+        let bar = progress_bar("{bar:30} frame {pos}/{len} [{elapsed}, {eta} left] {msg}");
         let mut last_frame = 0;
         let mut listen = |progress: &sim::Progress| {
             bar.set_length(progress.n_frames);
@@ -295,48 +291,4 @@ pub(super) fn warn_before_run(scene: &Scene) -> Result<(), Error> {
         warn!("warning: {warning}");
     }
     Ok(())
-}
-
-fn progress_bar() -> ProgressBar {
-    let style =
-        ProgressStyle::with_template("{bar:30} frame {pos}/{len} [{elapsed}, {eta} left] {msg}")
-            .expect("the template is valid");
-    let style = match is_utf8_locale(|name| std::env::var(name).ok()) {
-        true => style,
-        false => style.progress_chars("#>-"),
-    };
-    ProgressBar::new(1).with_style(style)
-}
-
-/// Whether the terminal shows UTF-8: the first of these variables that is set and not empty decides (POSIX, XBD 8.2).
-fn is_utf8_locale(variable: impl Fn(&str) -> Option<String>) -> bool {
-    let mut names = ["LC_ALL", "LC_CTYPE", "LANG"].into_iter();
-    let locale = names.find_map(|name| variable(name).filter(|value| !value.is_empty()));
-    let locale = locale.unwrap_or_default().to_lowercase();
-    // Windows has no such variables, and terminals that show UTF-8.
-    cfg!(windows) || locale.contains("utf-8") || locale.contains("utf8")
-}
-
-#[cfg(test)]
-#[cfg(not(windows))]
-mod tests {
-    use super::is_utf8_locale;
-
-    #[test]
-    fn the_first_variable_that_is_set_decides() {
-        let locale = |pairs: &[(&str, &str)]| {
-            is_utf8_locale(|name| {
-                let found = pairs.iter().find(|(key, _)| *key == name);
-                found.map(|(_, value)| (*value).to_owned())
-            })
-        };
-        assert!(locale(&[("LANG", "de_DE.UTF-8")]));
-        assert!(locale(&[
-            ("LC_ALL", ""),
-            ("LC_CTYPE", "C.utf8"),
-            ("LANG", "C")
-        ]));
-        assert!(!locale(&[("LC_ALL", "C"), ("LANG", "en_US.UTF-8")]));
-        assert!(!locale(&[]));
-    }
 }

@@ -18,7 +18,7 @@
 
 mod atomic;
 pub mod checkpoint;
-mod clean;
+mod closed_mesh;
 pub mod frames;
 pub mod manifest;
 mod mesh;

@@ -1,10 +1,9 @@
 //! The liquid's surface as a closed mesh of triangles, made by splashsurf: a smooth density of the markers, or the distance of
-//! cells, cut by marching cubes at one level, then smoothed and pressed flat against the walls.
+//! cells, cut by marching cubes at one level, then pressed flat against the walls, rid of degenerate triangles and smoothed.
 //!
 //! Within this file lengths are in cells. The density is that of smoothed particles with a cubic spline (Monaghan 1992), each
-//! weighted by the volume that it has among its neighbours, so that drops and dense bodies have the same level. Smoothing takes
-//! Taubin's pairs of steps (1995, "A signal processing approach to fair surface design"): the second undoes the shrinking of
-//! the first. The same markers make the same mesh, bit for bit, whatever the number of threads.
+//! weighted by the volume that it has among its neighbours, so that drops and dense bodies have the same level. The same markers make the
+//! same mesh, bit for bit, whatever the number of threads.
 
 use std::collections::HashMap;
 
@@ -12,18 +11,16 @@ use glam::Vec3;
 use rayon::prelude::*;
 use splashsurf_lib::density_map::DensityMap;
 use splashsurf_lib::marching_cubes::triangulate_density_map;
-use splashsurf_lib::mesh::{Mesh3d, TriMesh3d};
+use splashsurf_lib::mesh::TriMesh3d;
 use splashsurf_lib::nalgebra::Vector3;
-use splashsurf_lib::postprocessing::par_laplacian_smoothing_inplace;
 use splashsurf_lib::{
     GridDecompositionParameters, Parameters, ReconstructionError, SpatialDecomposition,
     UniformGrid, reconstruct_surface,
 };
 
+use super::closed_mesh::ClosedMesh;
 use crate::grid::Grid;
 use crate::scene::SurfaceMesh;
-
-use super::clean::clean;
 
 /// Reach of a marker's spline over the radius of the surface around a marker alone. With the default radius a flat surface of
 /// seeded markers lies where the region's does, to 0.05 cells, and is bumpy by 0.04 before smoothing. A larger reach takes time as
@@ -38,21 +35,6 @@ const CUBE: f32 = 0.5;
 
 /// Half the distance of markers side by side: eight share a cell.
 const HALF_SPACING: f32 = 0.25;
-
-/// Taubin's step forwards. With the step back of [`steps`], waves of ten edges and more stay, those of five lose a twentieth in a pair,
-/// ripples most.
-const FORWARDS: f32 = 0.6307;
-/// Taubin's pass band: 1 / [`FORWARDS`] + 1 / the step back.
-const PASS_BAND: f32 = 0.1;
-/// Long waves may grow by this share in all pairs.
-const GROWTH: f32 = 0.02;
-
-/// Taubin's steps, forwards and back. A pair multiplies waves in the pass band k by up to 1 + (k FORWARDS / 2)^2: many pairs have a narrower
-/// one.
-fn steps(pairs: u32) -> [f32; 2] {
-    let narrow = 2.0 * (GROWTH / pairs.max(1) as f32).sqrt() / FORWARDS;
-    [FORWARDS, 1.0 / (PASS_BAND.min(narrow) - 1.0 / FORWARDS)]
-}
 
 /// Why there is no mesh.
 pub(super) type SurfaceError = ReconstructionError<i64, f32>;
@@ -129,30 +111,27 @@ impl LiquidSurface {
         Ok(LiquidSurface::finish(mesh, grid, 0))
     }
 
-    /// Sorted, smoothed, and within the walls.
+    /// Sorted, within the walls, without degenerate triangles, and smoothed.
     fn finish(mesh: TriMesh3d<f32>, grid: &Grid, smoothing: u32) -> LiquidSurface {
-        let mut mesh = sorted(mesh);
-        if smoothing > 0 {
-            let connectivity = mesh.vertex_vertex_connectivity();
-            let weights = vec![1.0; mesh.vertices.len()];
-            for _ in 0..smoothing {
-                for step in steps(smoothing) {
-                    par_laplacian_smoothing_inplace(&mut mesh, &connectivity, 1, step, &weights);
-                }
-            }
-        }
+        let mesh = sorted(mesh);
         let size = Vec3::from_array(grid.cells.map(|n| n as f32));
-        let mut vertices: Vec<Vec3> = mesh
-            .vertices
-            .iter()
-            .map(|x| Vec3::new(x[0], x[1], x[2]).clamp(Vec3::ZERO, size))
-            .collect();
-        let mut triangles: Vec<[u32; 3]> = mesh
-            .triangles
-            .iter()
-            .map(|corners| corners.map(|corner| corner as u32))
-            .collect();
-        clean(&mut vertices, &mut triangles);
+        let vertices = mesh.vertices.iter().map(|x| Vec3::new(x[0], x[1], x[2]));
+        let triangles = mesh.triangles.iter();
+        let mut mesh = ClosedMesh {
+            vertices: vertices.map(|x| x.clamp(Vec3::ZERO, size)).collect(),
+            triangles: triangles
+                .map(|corners| corners.map(|corner| corner as u32))
+                .collect(),
+        };
+        mesh.remove_degenerate(size);
+        if smoothing > 0 {
+            mesh.smooth(smoothing, size);
+            mesh.remove_degenerate(size);
+        }
+        let ClosedMesh {
+            vertices,
+            triangles,
+        } = mesh;
         LiquidSurface {
             normals: normals(&vertices, &triangles, size),
             vertices: vertices.iter().map(|&x| x * grid.dx as f32).collect(),

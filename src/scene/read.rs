@@ -38,6 +38,10 @@ const MAX_GRAVITY: f64 = 1e6;
 const FRAME_RATES: std::ops::RangeInclusive<f64> = 1e-3..=1e6;
 /// Cells are cubic to this relative difference.
 const CUBIC: f64 = 1e-6;
+/// Longest name that file systems take, bytes.
+const MAX_FILE_NAME: usize = 255;
+/// Longest addition to a scene's name in the name of a file: obstacles of a frame while they are being written.
+const LONGEST_ADDITION: &str = "._obstacles_000000.vtp.partial";
 /// Most frames of a run: file names have six digits.
 pub const MAX_FRAMES: u64 = 999_999;
 /// The fixed step divides the frame time to this relative difference.
@@ -194,7 +198,7 @@ impl Scene {
             false => mesh_files(liquid.as_ref(), &obstacles, &solids),
         };
         let scene = Scene {
-            name: name(path)?,
+            name: scene_name(path)?,
             file: path.to_owned(),
             written: document.written(),
             hash: hash(text, overrides, scale, &meshes)?,
@@ -289,6 +293,46 @@ fn read_text(path: &Path) -> Result<String, Error> {
         };
         refuse(error.to_string(), cure)
     })
+}
+
+/// Name of a scene: that of its file without the ending. It names the folder and the files of a run.
+///
+/// # Errors
+/// [`Error::Input`] for a name of which files or the XML of a series cannot be made.
+fn scene_name(path: &Path) -> Result<String, Error> {
+    let stem = path.file_stem().unwrap_or(path.as_os_str());
+    let name = stem.to_string_lossy().into_owned();
+    // XML 1.0 has no way to write most of these, and lines of messages and tables break at some.
+    let unfit = |c: &char| c.is_control() || "\u{2028}\u{2029}\u{fffe}\u{ffff}".contains(*c);
+    let most = MAX_FILE_NAME - LONGEST_ADDITION.len();
+    let (problem, cure) = if let Some(c) = name.chars().find(unfit) {
+        (
+            format!(
+                "the name of the file has the control character {c:?}, which files of results cannot hold"
+            ),
+            "rename the file, without line breaks and other control characters".to_owned(),
+        )
+    } else if name.len() > most {
+        (
+            format!(
+                "the name of the file has {} bytes before its ending; results are named after it, and the longest of these names would have more than {MAX_FILE_NAME} bytes",
+                name.len()
+            ),
+            format!("rename the file to at most {most} bytes before its ending"),
+        )
+    } else if [".", ".."].contains(&&*name) {
+        (
+            format!("results cannot be named `{name}`, which is a folder"),
+            "rename the file, with a letter or digit before its ending".to_owned(),
+        )
+    } else {
+        return Ok(name);
+    };
+    Err(Error::input(
+        path.display().to_string().escape_debug().to_string(),
+        problem,
+        cure,
+    ))
 }
 
 /// SHA-256 of everything that the scene is made from; lengths keep neighbours apart.
@@ -944,38 +988,4 @@ fn output(root: &Table, has_liquid: bool, has_solids: bool) -> Result<Output, Er
 pub(super) fn list<T: std::fmt::Display, const N: usize>(values: [T; N]) -> String {
     let values: Vec<_> = values.iter().map(T::to_string).collect();
     format!("[{}]", values.join(", "))
-}
-
-/// Longest name of a scene, bytes: most file systems end at 255, and the longest name of a file that is being written is
-/// `.NAME_obstacles_000000.vtp.partial`.
-const LONGEST_NAME: usize = 255 - ".".len() - "_obstacles_000000.vtp".len() - ".partial".len();
-
-/// Name of a scene: its file's, without the ending. The names of all output files begin with it, and `.pvd` files contain them.
-///
-/// # Errors
-/// [`Error::Input`] for a name that no file system or no XML file can have with what comes behind it.
-fn name(path: &Path) -> Result<String, Error> {
-    let stem = path.file_stem().unwrap_or(path.as_os_str());
-    let name = stem.to_string_lossy();
-    let refused =
-        |problem: String, cure: String| Err(Error::input(format!("{name:?}"), problem, cure));
-    let cure = "rename the scene file";
-    if stem.to_str().is_none() {
-        return refused(
-            "the name of the scene file is not UTF-8".to_owned(),
-            cure.to_owned(),
-        );
-    }
-    if name.chars().any(char::is_control) {
-        let problem = "the name of the scene file has a line break or another control character";
-        return refused(problem.to_owned(), cure.to_owned());
-    }
-    if name.len() > LONGEST_NAME {
-        let problem = format!("the name of the scene file has {} bytes", name.len());
-        let cure = format!(
-            "rename it to at most {LONGEST_NAME} bytes: names of output files begin with it"
-        );
-        return refused(problem, cure);
-    }
-    Ok(name.into_owned())
 }

@@ -734,7 +734,7 @@ fn manifest_reads_back() {
         !text.contains("private"),
         "the scene's folder must not be in {text}"
     );
-    let json: Value = serde_json::from_str(&text).unwrap();
+    let json = crate::common::json(&text);
     assert_eq!(json["scene"]["file"], "dam.toml");
     assert_eq!(json["scene"]["sha256"], "0123abcd");
     assert_eq!(json["cutwater"], env!("CARGO_PKG_VERSION"));

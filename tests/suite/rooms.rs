@@ -63,6 +63,7 @@ const HOMES: &[(&str, &str)] = &[
     ("ctrlc", "cli"),
     ("signal_hook", "cli"),
     ("nix", "cli"),
+    ("rustix", "gpu"),
     ("sysinfo", "sim"),
     ("indicatif", "cli"),
 ];

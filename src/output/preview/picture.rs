@@ -232,7 +232,7 @@ impl Picture {
         &self,
         bytes: &'a mut Vec<u8>,
         pictures: usize,
-        (numerator, denominator): (u16, u16),
+        [numerator, denominator]: [u16; 2],
     ) -> Result<png::Writer<&'a mut Vec<u8>>, png::EncodingError> {
         let [width, height] = self.size.map(|n| n as u32);
         let mut encoder = png::Encoder::new(bytes, width, height);
@@ -284,12 +284,14 @@ pub(super) fn animate(path: &Path, pictures: &[(PathBuf, f64)]) -> Result<(), Er
     let mut bytes = Vec::new();
     let mut before = Picture::read(first)?.reduced();
     let mut writer = before
-        .animation(&mut bytes, pictures.len(), delay(*seconds))
+        .animation(&mut bytes, pictures.len(), fraction(*seconds))
         .map_err(failed)?;
     for (picture, seconds) in &pictures[1..] {
         let now = Picture::read(picture)?.reduced();
         let patch = patch(Some(&before), &now);
-        patch.write(&mut writer, delay(*seconds)).map_err(failed)?;
+        patch
+            .write(&mut writer, fraction(*seconds))
+            .map_err(failed)?;
         before = now;
     }
     writer.finish().map_err(failed)?;
@@ -304,30 +306,32 @@ pub(crate) fn ensure_whole_png(bytes: &[u8]) -> Result<(), png::DecodingError> {
     png::Decoder::new(Cursor::new(bytes)).read_info()?.finish()
 }
 
-/// Seconds that a picture is shown for, as a fraction: APNG has no other. From 10 ms, below which browsers take longer, to 10 s.
-fn delay(seconds: f64) -> (u16, u16) {
-    let seconds = seconds.clamp(0.01, 10.0);
-    // Convergents of the continued fraction; the last that fits, or the first that is the number to rounding.
-    let (mut last, mut now) = ([0_u64, 1], [1_u64, 0]);
+/// The nearest fraction of a time, s, whose numerator and denominator have 16 bits, as APNG stores it: the last convergent of the continued
+/// fraction that fits.
+fn fraction(seconds: f64) -> [u16; 2] {
+    let most = f64::from(u16::MAX);
+    if seconds >= most {
+        return [u16::MAX, 1];
+    }
+    let (mut before, mut now) = ([0.0, 1.0], [1.0, 0.0]);
     let mut rest = seconds;
     loop {
         let whole = rest.floor();
-        let next = [0, 1].map(|n| {
-            (whole as u64)
-                .saturating_mul(now[n])
-                .saturating_add(last[n])
-        });
-        let (Ok(numerator), Ok(denominator)) = (u16::try_from(next[0]), u16::try_from(next[1]))
-        else {
-            // Of 0.01 to 10 the first two fit.
-            return (now[0] as u16, now[1] as u16);
-        };
-        (last, now) = (now, next);
-        let off = (f64::from(numerator) / f64::from(denominator) - seconds).abs();
-        if off <= 1e-9 * seconds || rest == whole {
-            return (numerator, denominator);
+        let next = [0, 1].map(|part| whole * now[part] + before[part]);
+        if next.iter().any(|&part| part > most) {
+            break;
+        }
+        (before, now) = (now, next);
+        // Beyond this the digits are those of rounding.
+        if (now[0] / now[1] - seconds).abs() <= 1e-12 * seconds {
+            break;
         }
         rest = 1.0 / (rest - whole);
+    }
+    // A time too short for the format is its shortest.
+    match now.map(|part| part as u16) {
+        [0, _] => [1, u16::MAX],
+        fraction => fraction,
     }
 }
 
@@ -339,11 +343,11 @@ struct Patch {
 }
 
 impl Patch {
-    /// As the next image, which stays for so long.
+    /// As the next image, which stays for this fraction of a second.
     fn write(
         &self,
         writer: &mut png::Writer<&mut Vec<u8>>,
-        (numerator, denominator): (u16, u16),
+        [numerator, denominator]: [u16; 2],
     ) -> Result<(), png::EncodingError> {
         let [x, y] = self.at.map(|n| n as u32);
         let [width, height] = self.size.map(|n| n as u32);
@@ -392,21 +396,26 @@ fn patch(before: Option<&Picture>, now: &Picture) -> Patch {
 
 #[cfg(test)]
 mod tests {
-    use super::delay;
+    use super::fraction;
 
     #[test]
-    fn frames_are_shown_for_their_exact_time() {
-        for rate in [12_u16, 24, 25, 30, 48, 60] {
-            // Times of frames are quotients, and their differences off by rounding.
-            let at = |frame: u16| f64::from(frame) / f64::from(rate);
-            assert_eq!(delay(at(100) - at(99)), (1, rate));
+    fn delays_are_exact_fractions() {
+        for rate in [
+            1.0, 12.0, 24.0, 25.0, 30.0, 50.0, 60.0, 100.0, 384.0, 1000.0,
+        ] {
+            assert_eq!(fraction(1.0 / rate), [1, rate as u16], "{rate} frames/s");
         }
-        assert_eq!(delay(1001.0 / 24000.0), (1001, 24000));
-        assert_eq!((delay(1e-9), delay(1e9)), ((1, 100), (10, 1)));
-        for seconds in [0.012_345_678_9, std::f64::consts::PI, 9.999_999] {
-            let (numerator, denominator) = delay(seconds);
-            let shown = f64::from(numerator) / f64::from(denominator);
-            assert!((shown / seconds - 1.0).abs() < 1e-6, "{seconds}: {shown}");
-        }
+        assert_eq!(fraction(1001.0 / 30_000.0), [1001, 30_000]);
+        assert_eq!(fraction(2.0 / 30.0), [1, 15]);
+        assert_eq!(fraction(1.0 / 12.5), [2, 25]);
+        assert_eq!(fraction(3600.0), [3600, 1]);
+        // The nearest that there is.
+        assert_eq!(fraction(1e9), [u16::MAX, 1]);
+        assert_eq!(fraction(1e-9), [1, u16::MAX]);
+        let [numerator, denominator] = fraction(0.1 * std::f64::consts::PI);
+        let off = f64::from(numerator) / f64::from(denominator) - 0.1 * std::f64::consts::PI;
+        // The next convergent is closer than 1/(this denominator x its own), which does not fit.
+        let bound = 1.0 / (f64::from(denominator) * f64::from(u16::MAX));
+        assert!(off.abs() < bound, "{off} s");
     }
 }
