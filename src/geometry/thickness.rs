@@ -176,9 +176,13 @@ impl ClosedMesh {
         let (u, v) = chord.normal.any_orthonormal_pair();
         let across = [u, v, u + v, u - v].map(DVec3::normalize);
         let widths = across.map(|way| [way, -way].map(|way| self.way_out(start, way, most)));
-        let narrow = widths
-            .iter()
-            .any(|[there, back]| there + back < NARROW * width);
+        let widths = widths.map(|[there, back]| there + back);
+        let [low, high] = self.bounds();
+        if widths.iter().all(|across| *across < width) && (high - low).max_element() > most {
+            // A flap of a rough surface, smaller than a wall's thickness in every direction.
+            return true;
+        }
+        let narrow = widths.iter().any(|across| *across < NARROW * width);
         let reach = if narrow { most } else { EDGE_REACH * width };
         let holds = |place: DVec3| self.climb_holds_ball(place, (start, reach), width);
         if holds(start) {
