@@ -1,5 +1,6 @@
 //! `plot`: probes and the step table of runs as charts over time, several runs over one another.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -7,6 +8,7 @@ use std::path::{Path, PathBuf};
 use plotters::prelude::*;
 
 use crate::Error;
+use crate::output::manifest::Manifest;
 
 use super::chart::{Area, Failure, ink};
 use super::report::EMPTY;
@@ -117,7 +119,9 @@ pub fn plot(runs: &[PathBuf], out: &Path) -> Result<Vec<PathBuf>, Error> {
     let charts: Vec<Chart> = charts.filter(|chart| !chart.columns.is_empty()).collect();
     pages.push(("steps.svg", steps, charts));
     let probes = tables(runs, "probes.csv")?;
-    let charts = of_probes(&probes);
+    let units = runs.iter().filter_map(|run| Manifest::read(run).ok());
+    let units = units.flat_map(|manifest| manifest.probe_units).collect();
+    let charts = of_probes(&probes, &units);
     if !charts.is_empty() {
         pages.push(("probes.svg", probes, charts));
     }
@@ -220,8 +224,8 @@ impl Run {
     }
 }
 
-/// A chart per probe: the components of a vector together.
-fn of_probes(runs: &[Run]) -> Vec<Chart> {
+/// A chart per probe, its unit in the title: the components of a vector together.
+fn of_probes(runs: &[Run], units: &BTreeMap<String, String>) -> Vec<Chart> {
     let mut charts: Vec<Chart> = Vec::new();
     for (head, _) in runs.iter().flat_map(|run| &run.columns) {
         if head == "step" || head == "t" {
@@ -241,7 +245,32 @@ fn of_probes(runs: &[Run]) -> Vec<Chart> {
             }),
         }
     }
+    for chart in &mut charts {
+        if let Some(unit) = units.get(&chart.columns[0]) {
+            chart.title += &format!(", {unit}");
+        }
+    }
     charts
+}
+
+/// How numbers of a range are written at its ticks: with so many digits that neighbours differ; what only rounding keeps from 0 is 0.
+fn ticks(range: &Range<f64>) -> impl Fn(&f64) -> String + use<> {
+    let span = range.end - range.start;
+    let largest = range.start.abs().max(range.end.abs());
+    // About ten ticks: the digit after that of the span tells them apart.
+    let digits = |of: f64| (1.0 + (of / span).log10().ceil()).clamp(0.0, 15.0) as usize;
+    let (decimals, digits) = (digits(1.0) + 1, digits(largest));
+    move |x: &f64| match x.abs() {
+        x if x < 1e-6 * span => "0".to_owned(),
+        _ if (1e-3..1e5).contains(&largest) => {
+            let text = format!("{x:.decimals$}");
+            match text.contains('.') {
+                true => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
+                false => text,
+            }
+        }
+        _ => format!("{x:.digits$e}"),
+    }
 }
 
 /// From the least to the largest with some room, and more on the right of the times, for the key.
@@ -288,23 +317,18 @@ fn draw(area: &Area, chart: &Chart, runs: &[Run]) -> Result<(), Failure> {
         .margin(10)
         .x_label_area_size(36)
         .y_label_area_size(72);
+    let (of_times, of_values) = (ticks(&x), ticks(&y));
+    // Within a decade ticks differ by less than their first digit.
+    let digits = usize::from(y.end - y.start < 1.0);
+    let power = |y: &f64| format!("{:.digits$e}", 10.0_f64.powf(*y));
     let mut chart = builder.build_cartesian_2d(x, y)?;
-    let number = |x: &f64| match x.abs() {
-        0.0 => "0".to_owned(),
-        1e-2..1e5 => {
-            let text = format!("{x:.4}");
-            text.trim_end_matches('0').trim_end_matches('.').to_owned()
-        }
-        _ => format!("{x:.2e}"),
-    };
-    let power = |y: &f64| format!("{:.0e}", 10.0_f64.powf(*y));
     let mut mesh = chart.configure_mesh();
     mesh.x_desc("t, s")
         .max_light_lines(1)
-        .x_label_formatter(&number);
+        .x_label_formatter(&of_times);
     match logarithmic {
         true => mesh.y_label_formatter(&power).draw()?,
-        false => mesh.y_label_formatter(&number).draw()?,
+        false => mesh.y_label_formatter(&of_values).draw()?,
     }
     for (index, (label, points)) in lines.into_iter().enumerate() {
         let colour = ink(index);
@@ -324,4 +348,37 @@ fn draw(area: &Area, chart: &Chart, runs: &[Run]) -> Result<(), Failure> {
         .background_style(WHITE.mix(0.8))
         .draw()?;
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::ticks;
+
+    #[test]
+    fn ticks_differ_and_nought_is_nought() {
+        for (range, x, text) in [
+            (0.0..1.0, 0.25, "0.25"),
+            (0.0..1.0, 1e-17, "0"),
+            (0.0..100.0, 30.0, "30"),
+            (0.0..0.3, 0.15, "0.15"),
+            (0.12..0.1203, 0.1201, "0.1201"),
+            (0.12..0.1203, 0.1202, "0.1202"),
+            (0.0..2e-5, 1.5e-5, "1.5e-5"),
+            (-3e6..3e6, -2e6, "-2.0e6"),
+            (1e6..1.0003e6, 1.0002e6, "1.00020e6"),
+        ] {
+            assert_eq!(ticks(&range)(&x), text, "{range:?}");
+        }
+        for span in [1e-9, 1e-4, 0.7, 3.0, 1e4, 1e9] {
+            for start in [0.0, 1.0, 100.0 * span] {
+                let range = start..start + span;
+                let tick = ticks(&range);
+                let texts: Vec<String> = (0..=10)
+                    .map(|n| tick(&(start + 0.1 * f64::from(n) * span)))
+                    .collect();
+                let differ = texts.windows(2).all(|pair| pair[0] != pair[1]);
+                assert!(differ, "{range:?}: {texts:?}");
+            }
+        }
+    }
 }

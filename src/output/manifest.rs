@@ -12,7 +12,9 @@ use super::frames::FrameKinds;
 use crate::Error;
 use crate::elastic::Solids;
 use crate::geometry::SourceFlow;
-use crate::scene::{Camera, CameraCut, CameraKeyframe, Scene, SolidMesh, Surface, SurfaceMesh};
+use crate::scene::{
+    Camera, CameraCut, CameraKeyframe, Probe, Scene, SolidMesh, Surface, SurfaceMesh,
+};
 
 /// Everything in manifest.json. Written when the run starts and again with each frame and at the end.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -56,6 +58,9 @@ pub struct Manifest {
     /// The solids of the scene; not in the file where there are none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub solids: Vec<SolidRecord>,
+    /// Units of the columns of probes.csv, by their names; not in the file where there are no probes.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub probe_units: BTreeMap<String, String>,
     /// Whether frames have VTU solids; not in the file where they have not.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub solid_frames: bool,
@@ -381,6 +386,7 @@ impl Manifest {
             surface: liquid.map(|_| SurfaceRecord::from(&scene.surface)),
             sources: Vec::new(),
             solids: Vec::new(),
+            probe_units: probe_units(&scene.probes),
             solid_frames,
             frames_per_second: scene.time.frames_per_second,
             camera: CameraRecord::from(&scene.camera),
@@ -500,6 +506,15 @@ impl Manifest {
         serde_json::from_slice(&text)
             .map_err(|problem| Error::input(path.display().to_string(), problem.to_string(), cure))
     }
+}
+
+/// Units of the columns of probes, by their names.
+fn probe_units(probes: &[Probe]) -> BTreeMap<String, String> {
+    let units = |probe: &Probe| {
+        let units = probe.units().iter().map(|&unit| unit.to_owned());
+        probe.columns().into_iter().zip(units).collect::<Vec<_>>()
+    };
+    probes.iter().flat_map(units).collect()
 }
 
 fn file_name(file: &Path) -> String {

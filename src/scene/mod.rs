@@ -498,6 +498,18 @@ impl Probe {
         let name = |ending| format!("{}{ending}", self.name);
         endings.iter().map(name).collect()
     }
+
+    /// The units of its columns.
+    pub fn units(&self) -> &'static [&'static str] {
+        match self.kind {
+            ProbeKind::Height { .. } | ProbeKind::Front { .. } => &["m"],
+            ProbeKind::Pressure { .. } => &["Pa"],
+            ProbeKind::Velocity { .. } => &["m/s"; 3],
+            ProbeKind::Node { .. } => &["m"; 3],
+            ProbeKind::Force { .. } => &["N"; 3],
+            ProbeKind::Solid { .. } => &["m", "m", "m", "over that at rest"],
+        }
+    }
 }
 
 /// The axis against gravity's largest component; y upwards without gravity.
