@@ -401,7 +401,7 @@ fn bodies_that_start_outside_or_in_an_obstacle_are_refused() {
     assert!(
         text.contains("solid[0]")
             && text.contains("outside of the domain")
-            && text.contains("placement.scale"),
+            && text.contains("placement.at"),
         "{text}"
     );
     let stone = Obstacle {
