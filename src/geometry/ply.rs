@@ -260,11 +260,10 @@ fn check(elements: &[Element]) -> Result<(), Problem> {
             .filter(|element| element.name == name.as_bytes());
         named.count()
     };
-    if count("vertex") != 1 {
-        return Err(Problem::new(
-            format!("{} elements `vertex`", count("vertex")),
-            CURE,
-        ));
+    match count("vertex") {
+        0 => return Err(Problem::new("no element `vertex`", CURE)),
+        1 => {}
+        n => return Err(Problem::new(format!("{n} elements `vertex`"), CURE)),
     }
     if count("face") + count("tristrips") == 0 {
         return Err(Problem::new("no element `face`", CURE));

@@ -14,6 +14,9 @@ const FACET: usize = 50;
 
 /// Reads the facets, in the order of the file.
 pub(super) fn read(bytes: &[u8]) -> Result<Surface, Problem> {
+    if header(bytes).is_some_and(|(n, facets)| facets.len() as u64 == n as u64 * FACET as u64) {
+        return binary_solids(bytes);
+    }
     let text = without_mark(bytes)?;
     let begins_as_text = words(text.trim_ascii_start())
         .next()
@@ -140,7 +143,7 @@ fn text_solids(bytes: &[u8]) -> Result<Surface, Problem> {
                     // Single precision, as in binary files.
                     let x: f32 = number(word).map_err(|word| problem(&word))?;
                     coordinates.push(f64::from(x));
-                    if coordinates.len() % 3 == 0 {
+                    if coordinates.len().is_multiple_of(3) {
                         Next::Vertex
                     } else {
                         Next::Coordinate

@@ -146,7 +146,13 @@ fn text_stl_of_many_programs_is_read() {
         format!("facet normal 0 0 0\nouter loop\n{vertices}endloop\nendfacet\n")
     });
     assert_pillar("quads.stl", format!("solid\n{}endsolid\n", quads.concat()));
-    assert_pillar("binary.stl", binary_stl(&pillar(), b"solid of a program"));
+    for header in [
+        &b"solid of a program"[..],
+        b"\xff\xfe",
+        b"\xef\xbb\xbfsolid\n",
+    ] {
+        assert_pillar("binary.stl", binary_stl(&pillar(), header));
+    }
     assert_pillar(
         "binary_newline.stl",
         [binary_stl(&pillar(), b""), b"\r\n".to_vec()].concat(),
