@@ -4,6 +4,7 @@
 mod say;
 
 mod adapters;
+mod bar;
 mod bench;
 mod compare;
 mod export;

@@ -1,13 +1,13 @@
 //! `cutwater preview`
 
-use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
 
 use cutwater::Error;
 use cutwater::output::preview::{self, Pictures, PreviewOptions};
-use indicatif::{ProgressBar, ProgressDrawTarget};
+
+use super::bar::progress_bar;
 
 /// Draw the frames of a run as pictures and an animation
 #[derive(Debug, clap::Args)]
@@ -56,10 +56,7 @@ pub(super) fn draw(
     run: &Path,
     interrupt: &AtomicBool,
 ) -> Result<(), Error> {
-    let bar = ProgressBar::no_length();
-    if !std::io::stderr().is_terminal() {
-        bar.set_draw_target(ProgressDrawTarget::hidden());
-    }
+    let bar = progress_bar("{wide_bar} {pos}/{len}");
     pictures.draw(&mut |done, all| {
         bar.set_length(all as u64);
         bar.set_position(done as u64);

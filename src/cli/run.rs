@@ -16,8 +16,8 @@ use cutwater::output::manifest::Tally;
 use cutwater::output::preview::{Pictures, PreviewOptions};
 use cutwater::scene::{MAX_FRAMES, Scene};
 use cutwater::sim::{self, Options};
-use indicatif::{ProgressBar, ProgressStyle};
 
+use super::bar::progress_bar;
 use super::{BackendArgs, SceneArgs};
 
 /// Schedulers signal a sweep and its runs at once, and the sweep passes it on: that is one signal.
@@ -76,11 +76,7 @@ impl Run {
             resume: self.resume,
         };
         let terminal = std::io::stderr().is_terminal();
-        let bar = if terminal {
-            progress_bar()
-        } else {
-            ProgressBar::hidden()
-        };
+        let bar = progress_bar("{bar:30} frame {pos}/{len} [{elapsed}, {eta} left] {msg}");
         let mut last_frame = 0;
         let mut listen = |progress: &sim::Progress| {
             bar.set_length(progress.n_frames);
@@ -298,11 +294,4 @@ pub(super) fn warn_of_blind_spots(scene: &Scene) -> Result<(), Error> {
         }
     }
     Ok(())
-}
-
-fn progress_bar() -> ProgressBar {
-    let style =
-        ProgressStyle::with_template("{bar:30} frame {pos}/{len} [{elapsed}, {eta} left] {msg}")
-            .expect("the template is valid");
-    ProgressBar::new(1).with_style(style)
 }

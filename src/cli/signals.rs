@@ -48,7 +48,8 @@ pub(super) fn survive_file_size_limit() {
     #[cfg(unix)]
     {
         // A caught signal lets the write return EFBIG. Without a handler the signal ends the program, as before.
-        let _ = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, std::sync::Arc::default());
+        let _ =
+            signal_hook::flag::register(signal_hook::consts::SIGXFSZ, std::sync::Arc::default());
     }
 }
 
@@ -61,7 +62,9 @@ fn ignored_at_start() -> Option<u64> {
 /// The line `SigIgn` of /proc/PID/status.
 #[cfg(unix)]
 fn ignored_in(status: &str) -> Option<u64> {
-    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"))?;
+    let mask = status
+        .lines()
+        .find_map(|line| line.strip_prefix("SigIgn:"))?;
     u64::from_str_radix(mask.trim(), 16).ok()
 }
 
@@ -78,7 +81,9 @@ mod tests {
     fn ignored_signals_are_read_from_the_status() {
         let status = "Name:\tsh\nSigBlk:\t0000000000000000\nSigIgn:\t0000000000001003\nSigCgt:\t0000000000004000\n";
         let mask = ignored_in(status).unwrap();
-        let ignored: Vec<i32> = (1..=64).filter(|&signal| is_ignored(mask, signal)).collect();
+        let ignored: Vec<i32> = (1..=64)
+            .filter(|&signal| is_ignored(mask, signal))
+            .collect();
         // SIGHUP, SIGINT and SIGPIPE.
         assert_eq!(ignored, [1, 2, 13]);
         assert_eq!(ignored_in("Name:\tsh\n"), None);

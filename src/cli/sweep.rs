@@ -164,7 +164,7 @@ impl SweepCommand {
         };
         let run = &sweep.runs[number];
         let path = run.folder.join(LOG);
-        let failed = |problem: std::io::Error| Error::output(&path, problem);
+        let failed = |problem: std::io::Error| Error::unwritten(&path, &problem);
         let mut log = File::options()
             .create(true)
             .append(true)

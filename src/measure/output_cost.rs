@@ -135,7 +135,7 @@ pub(super) fn measure(
     for name in &order {
         let run = folder.join(*name);
         if run.is_dir() {
-            fs::remove_dir_all(&run).map_err(|problem| Error::output(&run, problem))?;
+            fs::remove_dir_all(&run).map_err(|problem| Error::unwritten(&run, &problem))?;
         }
     }
     let rows = order.into_iter().map(|name| {
@@ -234,7 +234,7 @@ fn outputs<'a>(
     };
     let manifest = Manifest::new(scene, options, None).with_solids(scene, simulation.solids())?;
     let run = folder.join("checkpoint");
-    fs::create_dir_all(&run).map_err(|problem| Error::output(&run, problem))?;
+    fs::create_dir_all(&run).map_err(|problem| Error::unwritten(&run, &problem))?;
     outputs.push((
         "checkpoint",
         saves,
@@ -299,7 +299,7 @@ fn bytes_in(folder: &Path) -> Result<u64, Error> {
     };
     let mut bytes = 0;
     for entry in entries {
-        let entry = entry.map_err(|problem| Error::output(folder, problem))?;
+        let entry = entry.map_err(|problem| Error::unwritten(folder, &problem))?;
         let path = entry.path();
         let list = path.extension().is_some_and(|kind| kind == "pvd");
         bytes += match entry.metadata() {

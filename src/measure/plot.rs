@@ -121,7 +121,7 @@ pub fn plot(runs: &[PathBuf], out: &Path) -> Result<Vec<PathBuf>, Error> {
     if !charts.is_empty() {
         pages.push(("probes.svg", probes, charts));
     }
-    fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
+    fs::create_dir_all(out).map_err(|problem| Error::unwritten(out, &problem))?;
     for (name, runs, charts) in pages {
         let path = out.join(name);
         let lines = charts.len().div_ceil(ACROSS);

@@ -432,7 +432,7 @@ impl Sweep {
     /// [`Error::Output`] where the folder cannot be written.
     pub fn take(&self, number: usize) -> Result<Option<File>, Error> {
         let folder = &self.runs[number].folder;
-        let failed = |problem: std::io::Error| Error::output(folder, problem);
+        let failed = |problem: std::io::Error| Error::unwritten(folder, &problem);
         fs::create_dir_all(folder).map_err(failed)?;
         let lock = lock_of(folder).map_err(failed)?;
         let mut tries = 0;
@@ -484,8 +484,8 @@ impl Sweep {
     pub fn write_summary(&self) -> Result<(), Error> {
         let out = &self.options.out;
         let path = out.join("summary.csv");
-        fs::create_dir_all(out).map_err(|problem| Error::output(out, problem))?;
-        let turn = lock_of(out).map_err(|problem| Error::output(out, problem))?;
+        fs::create_dir_all(out).map_err(|problem| Error::unwritten(out, &problem))?;
+        let turn = lock_of(out).map_err(|problem| Error::unwritten(out, &problem))?;
         // Without locks a reader may find the summary of a moment ago; any later invocation mends that.
         let _ = turn.lock();
         let mut table = csv::Writer::from_writer(Vec::new());

@@ -38,6 +38,10 @@ const MAX_GRAVITY: f64 = 1e6;
 const FRAME_RATES: std::ops::RangeInclusive<f64> = 1e-3..=1e6;
 /// Cells are cubic to this relative difference.
 const CUBIC: f64 = 1e-6;
+/// Longest name that file systems take, bytes.
+const MAX_FILE_NAME: usize = 255;
+/// Longest addition to a scene's name in the name of a file: obstacles of a frame while they are being written.
+const LONGEST_ADDITION: &str = "._obstacles_000000.vtp.partial";
 /// Most frames of a run: file names have six digits.
 pub const MAX_FRAMES: u64 = 999_999;
 /// The fixed step divides the frame time to this relative difference.
@@ -200,11 +204,7 @@ impl Scene {
             false => mesh_files(liquid.as_ref(), &obstacles, &solids),
         };
         let scene = Scene {
-            name: path
-                .file_stem()
-                .unwrap_or(path.as_os_str())
-                .to_string_lossy()
-                .into_owned(),
+            name: scene_name(path)?,
             file: path.to_owned(),
             written: document.written(),
             hash: hash(text, overrides, scale, &meshes)?,
@@ -234,6 +234,46 @@ impl Scene {
         };
         Ok(scene)
     }
+}
+
+/// Name of a scene: that of its file without the ending. It names the folder and the files of a run.
+///
+/// # Errors
+/// [`Error::Input`] for a name of which files or the XML of a series cannot be made.
+fn scene_name(path: &Path) -> Result<String, Error> {
+    let stem = path.file_stem().unwrap_or(path.as_os_str());
+    let name = stem.to_string_lossy().into_owned();
+    // XML 1.0 has no way to write most of these, and lines of messages and tables break at some.
+    let unfit = |c: &char| c.is_control() || "\u{2028}\u{2029}\u{fffe}\u{ffff}".contains(*c);
+    let most = MAX_FILE_NAME - LONGEST_ADDITION.len();
+    let (problem, cure) = if let Some(c) = name.chars().find(unfit) {
+        (
+            format!(
+                "the name of the file has the control character {c:?}, which files of results cannot hold"
+            ),
+            "rename the file, without line breaks and other control characters".to_owned(),
+        )
+    } else if name.len() > most {
+        (
+            format!(
+                "the name of the file has {} bytes before its ending; results are named after it, and the longest of these names would have more than {MAX_FILE_NAME} bytes",
+                name.len()
+            ),
+            format!("rename the file to at most {most} bytes before its ending"),
+        )
+    } else if [".", ".."].contains(&&*name) {
+        (
+            format!("results cannot be named `{name}`, which is a folder"),
+            "rename the file, with a letter or digit before its ending".to_owned(),
+        )
+    } else {
+        return Ok(name);
+    };
+    Err(Error::input(
+        path.display().to_string().escape_debug().to_string(),
+        problem,
+        cure,
+    ))
 }
 
 /// SHA-256 of everything that the scene is made from; lengths keep neighbours apart.

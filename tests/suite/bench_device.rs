@@ -39,6 +39,6 @@ fn every_quantity_has_a_row() {
     assert!(csv.starts_with("quantity,unit,median,min,max\n"), "{csv}");
     assert_eq!(csv.lines().count(), 1 + quantities.len());
     let json = fs::read_to_string(folder.path().join("device.json")).unwrap();
-    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let json = crate::common::json(json);
     assert_eq!(json["adapter"], gpu.report().name);
 }

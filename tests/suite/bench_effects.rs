@@ -205,6 +205,9 @@ fn effects_add_what_is_theirs() {
     ] {
         let text = fs::read_to_string(folder.path().join(file)).unwrap();
         assert!(!text.is_empty() && !text.contains("NaN"), "{file}");
+        if file.ends_with(".json") {
+            crate::common::json(text);
+        }
     }
 
     tables.verdict().unwrap();

@@ -71,7 +71,7 @@ fn a_row_per_body_with_the_factorisation_that_fits() {
     let csv = fs::read_to_string(csv).unwrap();
     assert!(csv.starts_with("body,nodes,elements,"), "{csv}");
     let json = fs::read_to_string(folder.path().join("solids.json")).unwrap();
-    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let json = crate::common::json(json);
     assert_eq!(json["adapter"], gpu.report().name);
     assert_eq!(json["rows"][1]["nodes"], 64);
     let svg = fs::read_to_string(folder.path().join("solids.svg")).unwrap();

@@ -142,7 +142,7 @@ fn a_case_of_each_group_keeps_its_energy_on_the_cpu() {
         panic!("{:?}", table.place)
     };
     let read = |file: &str| fs::read_to_string(folder.path().join(file)).unwrap();
-    let json: serde_json::Value = serde_json::from_str(&read("stability.json")).unwrap();
+    let json = crate::common::json(read("stability.json"));
     assert_eq!(json["backend"], "cpu");
     assert_eq!(json["rows"][0]["backend"], "cpu");
     assert_eq!(json["measured"], host.measured.as_str());

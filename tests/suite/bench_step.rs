@@ -157,7 +157,7 @@ fn a_solve_for_both_counts_its_own_bytes_and_is_written_before_another_scene_fai
     assert!(bytes > row.iterations * 120.0 * row.unknowns, "{row:?}");
 
     let text = fs::read_to_string(out.join("step.json")).unwrap();
-    let json: Value = serde_json::from_str(&text).unwrap();
+    let json = crate::common::json(text);
     assert_eq!(json["rows"][0]["bytes"], bytes);
     assert!(!out.join("step_growth.csv").exists());
     let stages = json["stages"].as_array().unwrap();

@@ -99,6 +99,7 @@ fn scenes_have_their_meshes_beside_the_printed_ones() {
     );
     let json = fs::read_to_string(folder.path().join("thesis.json")).unwrap();
     assert!(json.contains("\"Light Dino\""), "{json}");
+    crate::common::json(json);
     assert!(
         !folder.path().join("thesis.svg").exists(),
         "it has no chart"

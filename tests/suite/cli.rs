@@ -7,7 +7,7 @@ use std::process::{Command, Output, Stdio};
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::common::gpu;
+use crate::common::{gpu, json};
 
 pub(crate) const DAM: &str = r#"# A small dam break.
 [domain]
@@ -69,7 +69,7 @@ pub(crate) fn complains(folder: &TempDir, arguments: &str, code: i32) -> String 
 }
 
 pub(crate) fn manifest(run: &Path) -> Value {
-    serde_json::from_str(&fs::read_to_string(run.join("manifest.json")).unwrap()).unwrap()
+    json(fs::read(run.join("manifest.json")).unwrap())
 }
 
 /// Names of the files in a folder, sorted.
@@ -897,4 +897,157 @@ fn an_interrupted_run_keeps_what_it_has() {
     assert!(rows >= written - 1, "{rows} rows");
     // The program that failed says where to look, and the pictures of what is there can be drawn.
     says(&folder, "preview out/dam");
+}
+
+/// nohup, `trap '' HUP` and the background jobs of scripts start programs with signals ignored, and mean it.
+#[cfg(target_os = "linux")]
+#[test]
+fn signals_ignored_at_the_start_stay_ignored() {
+    use std::time::{Duration, Instant};
+
+    use nix::sys::signal::{Signal, kill};
+    use nix::unistd::Pid;
+
+    const LONG: &str = "dam.toml --backend cpu --set time.duration=1000";
+    let run = (format!("run {LONG}"), "out/dam");
+    let sweep = (
+        format!("sweep {LONG} --set time.cfl=1"),
+        "out/dam_sweep/duration=1000_cfl=1",
+    );
+    for (ignored, (arguments, run)) in [
+        (Signal::SIGHUP, &run),
+        (Signal::SIGINT, &run),
+        (Signal::SIGHUP, &sweep),
+        (Signal::SIGINT, &sweep),
+    ] {
+        let case = format!("{ignored}, {arguments}");
+        let folder = folder(DAM);
+        let mut child = Command::new("sh")
+            .args(["-c", "trap '' \"$1\"; shift; exec \"$@\"", "sh"])
+            .arg(&ignored.as_str()[3..])
+            .arg(env!("CARGO_BIN_EXE_cutwater"))
+            .args(arguments.split_whitespace())
+            .current_dir(folder.path())
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let id = Pid::from_raw(child.id() as i32);
+        let run = folder.path().join(run);
+        let clock = Instant::now();
+        let wait_for = |frame: usize| {
+            while !run.join(format!("frames/dam_{frame:06}.vtp")).exists() {
+                assert!(clock.elapsed().as_secs() < 60, "{case}: no frame {frame}");
+                std::thread::sleep(Duration::from_millis(20));
+            }
+        };
+        wait_for(1);
+        let written = list(&run.join("frames")).len();
+        kill(id, ignored).unwrap();
+        // One of the files is the series.
+        wait_for(written + 1);
+        assert_eq!(child.try_wait().unwrap(), None, "{case}");
+        // Other signals end it, and with it the runs of a sweep, which ignore what the sweep ignores.
+        kill(id, Signal::SIGTERM).unwrap();
+        assert_eq!(child.wait().unwrap().code(), Some(130), "{case}");
+        assert_eq!(manifest(&run)["progress"]["status"], "interrupted");
+    }
+}
+
+/// A limit for file sizes is an error with its cure, not a signal that ends the program.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_file_size_limit_is_told() {
+    let folder = folder(DAM);
+    let mut command = Command::new("sh");
+    command
+        .args(["-c", "ulimit -f 8; exec \"$@\"", "sh"])
+        .arg(env!("CARGO_BIN_EXE_cutwater"))
+        .args(["run", "dam.toml", "--backend", "cpu"])
+        .current_dir(folder.path());
+    let message = text(&ends(command, 2).stderr);
+    assert!(
+        message.contains("error: cannot write out/dam/") && message.contains("ulimit -f unlimited"),
+        "{message}"
+    );
+}
+
+/// Names with any character and of any length: either all files are well-formed and the series names what is there, or the name is
+/// refused before anything is written.
+#[test]
+fn names_of_scenes_make_whole_files_or_are_refused() {
+    // One below the limit fits with all that is added to it.
+    let moving = DAM.to_owned()
+        + "[[obstacle]]\nbox = { min = [0.8, 0.2, 0.1], max = [1, 0.6, 0.4] }\nkeyframes = [{ t = 0 }, { t = 1, translate = [0.1, 0, 0] }]\n";
+    let longest = "x".repeat(225);
+    for name in [
+        "a & b",
+        "x<y>",
+        "it's \"it\"",
+        "100%",
+        "sloshing.v2",
+        "Überlauf",
+        "tank #3",
+        "run;rm",
+        "-dash",
+        "日本語",
+        "a%06d",
+        ".hidden",
+        &longest,
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let file = format!("./{name}.toml");
+        fs::write(folder.path().join(&file), &moving).unwrap();
+        let mut command = cutwater(
+            &folder,
+            "run --backend cpu --scale 0.5 --frames 1 --preview",
+        );
+        command.arg(&file);
+        ends(command, 0);
+        let frames = folder.path().join("out").join(name).join("frames");
+        for kind in ["markers", "obstacles"] {
+            let series = fs::read_to_string(frames.join(format!("{name}_{kind}.pvd"))).unwrap();
+            let series = roxmltree::Document::parse(&series).unwrap();
+            let named: Vec<&str> = series
+                .descendants()
+                .filter_map(|node| node.attribute("file"))
+                .collect();
+            assert_eq!(named.len(), 2, "{name}");
+            assert!(
+                named.iter().all(|file| frames.join(file).is_file()),
+                "{named:?}"
+            );
+        }
+    }
+    for (name, cure) in [
+        ("new\nline", "control characters"),
+        ("a\tb", "control characters"),
+        ("bell\u{7}", "control characters"),
+        (&*"x".repeat(226), "at most 225 bytes"),
+        (&*"ü".repeat(113), "at most 225 bytes"),
+        (".", "rename the file"),
+        ("..", "rename the file"),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let file = format!("./{name}.toml");
+        fs::write(folder.path().join(&file), DAM).unwrap();
+        let mut command = cutwater(&folder, "run --backend cpu --frames 0");
+        command.arg(&file);
+        let message = text(&ends(command, 2).stderr);
+        assert!(message.contains(cure), "{name:?}: {message}");
+        assert!(message.lines().count() == 2, "{name:?}: {message}");
+        assert_eq!(list(folder.path()).len(), 1, "{name:?}: {message}");
+    }
+    // A folder of the user's.
+    let folder = folder(DAM);
+    let message = complains(
+        &folder,
+        &format!(
+            "run dam.toml --backend cpu --frames 0 --out {}",
+            "y".repeat(256)
+        ),
+        2,
+    );
+    assert!(message.contains("too long"), "{message}");
 }

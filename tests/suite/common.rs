@@ -1,6 +1,7 @@
 //! What the tests share: the device, random numbers, comparisons.
 
 use std::collections::BTreeSet;
+use std::fmt::{self, Formatter};
 use std::path::PathBuf;
 use std::process::Command;
 use std::sync::OnceLock;
@@ -8,6 +9,8 @@ use std::sync::OnceLock;
 use cutwater::gpu::{AdapterChoice, Gpu};
 use cutwater::grid::Grid;
 use cutwater::reference::Surface;
+use serde::de::{Deserialize, Deserializer, Error as _, MapAccess, SeqAccess, Visitor};
+use serde_json::Value;
 
 /// The one device of the test process; `None`, with the reason printed, where there is no adapter. `REQUIRE_GPU=1` makes a
 /// missing adapter a failure.
@@ -98,4 +101,85 @@ pub(crate) fn digest(values: impl IntoIterator<Item = f64>) -> u64 {
     values
         .into_iter()
         .fold(0, |digest, value| Random(digest ^ value.to_bits()).bits())
+}
+
+/// A JSON text that the program wrote, in which no object has a key twice.
+pub(crate) fn json(text: impl AsRef<[u8]>) -> Value {
+    let Unique(value) = serde_json::from_slice(text.as_ref()).unwrap();
+    value
+}
+
+/// A JSON value; an object with a key twice is an error, where readers keep one of the two in silence.
+struct Unique(Value);
+
+impl<'de> Deserialize<'de> for Unique {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Unique, D::Error> {
+        deserializer.deserialize_any(UniqueKeys).map(Unique)
+    }
+}
+
+struct UniqueKeys;
+
+impl<'de> Visitor<'de> for UniqueKeys {
+    type Value = Value;
+
+    fn expecting(&self, text: &mut Formatter) -> fmt::Result {
+        text.write_str("a JSON value")
+    }
+
+    fn visit_unit<E>(self) -> Result<Value, E> {
+        Ok(Value::Null)
+    }
+
+    fn visit_bool<E>(self, value: bool) -> Result<Value, E> {
+        Ok(value.into())
+    }
+
+    fn visit_i64<E>(self, value: i64) -> Result<Value, E> {
+        Ok(value.into())
+    }
+
+    fn visit_u64<E>(self, value: u64) -> Result<Value, E> {
+        Ok(value.into())
+    }
+
+    fn visit_f64<E>(self, value: f64) -> Result<Value, E> {
+        Ok(value.into())
+    }
+
+    fn visit_str<E>(self, value: &str) -> Result<Value, E> {
+        Ok(value.into())
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Value, A::Error> {
+        let mut values = Vec::new();
+        while let Some(Unique(value)) = list.next_element()? {
+            values.push(value);
+        }
+        Ok(Value::Array(values))
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Value, A::Error> {
+        let mut object = serde_json::Map::new();
+        while let Some((key, Unique(value))) = map.next_entry::<String, Unique>()? {
+            if object.contains_key(&key) {
+                return Err(A::Error::custom(format!("the key `{key}` comes twice")));
+            }
+            object.insert(key, value);
+        }
+        Ok(Value::Object(object))
+    }
+}
+
+#[test]
+fn json_with_a_key_twice_is_refused() {
+    let text = r#"{"a": [1, -2, 0.5, null, true, "x"], "b": {"a": {}}}"#;
+    assert_eq!(json(text), serde_json::from_str::<Value>(text).unwrap());
+    for twice in [
+        r#"{"a": 1, "a": 1}"#,
+        r#"[{"b": {"a": 1, "c": 2, "a": []}}]"#,
+    ] {
+        let error = serde_json::from_str::<Unique>(twice).err().unwrap();
+        assert!(error.to_string().contains("`a` comes twice"), "{error}");
+    }
 }

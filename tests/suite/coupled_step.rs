@@ -428,7 +428,10 @@ fn exported_systems_agree(scene: &Scene) {
     };
     let meta = export::export(scene, &options).unwrap();
     assert!(meta.residual < 1e-8, "{meta:?}");
+    let json = crate::common::json(fs::read(out.join("meta.json")).unwrap());
+    assert_eq!(json["cells"], serde_json::json!(scene.grid().cells));
     let matrix = |name: &str| read_matrix(&out.join(name)).unwrap();
+    assert_eq!(json["active_cells"], matrix("B.mtx").n_rows());
     let vector = |name: &str| read_vector(&out.join(name)).unwrap();
     let solution = vector("solution.mtx");
     let residual = |matrix: &Csr, x: &[f64], rhs: &[f64]| {

@@ -11,7 +11,7 @@ use cutwater::sim::Backend;
 use serde_json::Value;
 
 use crate::cli::list;
-use crate::common::gpu;
+use crate::common::{gpu, json};
 use crate::solid_cases::{held, region};
 use crate::solid_scene::{block, scene_of};
 
@@ -63,7 +63,7 @@ impl Files {
             rhs: read_vector(&out.join("spd_rhs.mtx")).unwrap(),
             pressure: read_vector(&out.join("solution.mtx")).unwrap(),
             cells: lines.enumerate().map(cell).collect(),
-            json: serde_json::from_str(&text("meta.json")).unwrap(),
+            json: json(text("meta.json")),
             meta,
         }
     }
@@ -348,7 +348,7 @@ impl SolidFiles {
             rhs: read_vector(&out.join("spd_rhs.mtx")).unwrap(),
             velocity: read_vector(&out.join("solution.mtx")).unwrap(),
             nodes: text("nodes.csv"),
-            json: serde_json::from_str(&text("meta.json")).unwrap(),
+            json: json(text("meta.json")),
             meta,
         }
     }

@@ -8,9 +8,8 @@ use std::time::{Duration, Instant};
 
 use cutwater::output::checkpoint::Checkpoint;
 use cutwater::output::is_partial;
-use serde_json::Value;
 
-use crate::common::Random;
+use crate::common::{Random, json};
 
 /// A scene in a folder, and how it is run.
 pub(crate) struct Run<'a> {
@@ -124,8 +123,7 @@ pub(crate) fn contents(run: &Path) -> BTreeMap<String, Vec<u8>> {
             let content = match &*name {
                 "steps.csv" => without_seconds(&path),
                 "manifest.json" => {
-                    let mut manifest: Value =
-                        serde_json::from_slice(&fs::read(&path).unwrap()).unwrap();
+                    let mut manifest = json(fs::read(&path).unwrap());
                     manifest["progress"]["seconds"].take();
                     manifest.to_string().into_bytes()
                 }
@@ -197,8 +195,7 @@ fn ensure_whole(run: &Path, wanted: &BTreeMap<String, Vec<u8>>) {
         }
         match &*name {
             "manifest.json" => {
-                let text = fs::read(&path).unwrap();
-                serde_json::from_slice::<Value>(&text).unwrap();
+                json(fs::read(&path).unwrap());
             }
             "checkpoint.npz" => {
                 Checkpoint::read(run).unwrap().unwrap();

@@ -406,8 +406,5 @@ fn schema_and_reader_want_the_same_keys() {
 fn the_command_prints_it() {
     let folder = crate::cli::folder("");
     let said = crate::cli::says(&folder, "schema");
-    assert_eq!(
-        serde_json::from_str::<Value>(&said).unwrap(),
-        schema().unwrap()
-    );
+    assert_eq!(crate::common::json(said), schema().unwrap());
 }

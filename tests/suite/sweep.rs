@@ -9,6 +9,7 @@ use cutwater::measure::sweep::{Axis, Options, Shard, Sweep};
 use tempfile::TempDir;
 
 use crate::cli::{DAM, complains, cutwater, ends, folder, list, manifest, says, text};
+use crate::common::json;
 
 /// Two frames of a small dam break, on the f64 path.
 const SWEEP: &str = "sweep dam.toml --backend cpu --scale 0.5 --frames 1";
@@ -176,6 +177,8 @@ fn a_sweep_goes_on_past_failures_and_makes_what_is_missing() {
         column(&summary, "status"),
         ["finished", "refused", "failed", "refused"]
     );
+    let record = json(fs::read(out.join(names[2]).join("sweep.json")).unwrap());
+    assert_eq!(record["exit_code"], 2);
     assert_eq!(column(&summary, "exit_code"), ["0", "2", "2", "2"]);
     assert_eq!(column(&summary, "frames"), ["1", "", "", ""]);
     assert_eq!(column(&summary, "missed"), ["0", "", "", ""]);

@@ -262,7 +262,7 @@ pub fn bench_stability(
     options.check(&of_limits.chain(names).collect::<Vec<_>>())?;
     let _held = FolderLock::take(out)?;
     let scenes = out.join("scenes");
-    fs::create_dir_all(&scenes).map_err(|problem| Error::output(&scenes, problem))?;
+    fs::create_dir_all(&scenes).map_err(|problem| Error::unwritten(&scenes, &problem))?;
     remove_earlier(out, &["stability_limit.csv"])?;
     let place = match &options.backend {
         Backend::Gpu(choice) => Place::Gpu(Machine::new(&Gpu::new(choice)?, 3)?),

@@ -126,8 +126,8 @@ pub enum Part {
         alpha: f64,
         /// Components of the liquid whose level nothing fixes: one of their cells has twice its diagonal.
         closed_components: usize,
-        /// Rows of the pressure; those of the velocity follow.
-        cells: usize,
+        /// Active cells, which are the rows of the pressure; those of the velocity follow.
+        active_cells: usize,
         /// Nodes of all solids.
         nodes: usize,
         /// Elements of all solids.

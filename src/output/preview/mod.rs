@@ -34,6 +34,9 @@ use triangles::{HalfSpace, Owner, Triangle, Triangles};
 
 pub(crate) use picture::ensure_whole_png;
 
+/// Most pictures per second that browsers show at their speed.
+const FASTEST_ANIMATION: f64 = 50.0;
+
 const DARK: [u8; 3] = [40, 46, 54];
 
 /// What the colours of elastic solids stand for.
@@ -266,9 +269,13 @@ impl Pictures {
         let path = self.run.join("preview").join(format!("{name}.png"));
         let animation = self.options.animation && !self.drawn.is_empty();
         if animation {
-            let numbers: Vec<u64> = self.drawn.keys().copied().collect();
-            let seconds = seconds_shown(&numbers, self.manifest.frames_per_second);
-            let shown: Vec<(PathBuf, f64)> = self.drawn.values().cloned().zip(seconds).collect();
+            let rate = self.manifest.frames_per_second;
+            // Browsers slow down what changes faster than this: some pictures are left out instead.
+            let every = (rate / FASTEST_ANIMATION).ceil().max(1.0) as usize;
+            let (numbers, pictures): (Vec<u64>, Vec<PathBuf>) =
+                self.drawn.clone().into_iter().step_by(every).unzip();
+            let seconds = seconds_shown(&numbers, rate);
+            let shown: Vec<(PathBuf, f64)> = pictures.into_iter().zip(seconds).collect();
             picture::animate(&path, &shown)?;
         }
         let mut missing = Manifest::read(&self.run)?.progress.frames_written;

@@ -232,7 +232,7 @@ impl Picture {
         &self,
         bytes: &'a mut Vec<u8>,
         pictures: usize,
-        milliseconds: u16,
+        [numerator, denominator]: [u16; 2],
     ) -> Result<png::Writer<&'a mut Vec<u8>>, png::EncodingError> {
         let [width, height] = self.size.map(|n| n as u32);
         let mut encoder = png::Encoder::new(bytes, width, height);
@@ -240,7 +240,7 @@ impl Picture {
         encoder.set_depth(png::BitDepth::Eight);
         encoder.set_compression(png::Compression::High);
         encoder.set_animated(pictures as u32, 0)?;
-        encoder.set_frame_delay(milliseconds, 1000)?;
+        encoder.set_frame_delay(numerator, denominator)?;
         encoder.set_blend_op(png::BlendOp::Over)?;
         encoder.set_dispose_op(png::DisposeOp::None)?;
         let mut writer = encoder.write_header()?;
@@ -284,13 +284,13 @@ pub(super) fn animate(path: &Path, pictures: &[(PathBuf, f64)]) -> Result<(), Er
     let mut bytes = Vec::new();
     let mut before = Picture::read(first)?.reduced();
     let mut writer = before
-        .animation(&mut bytes, pictures.len(), milliseconds(*seconds))
+        .animation(&mut bytes, pictures.len(), fraction(*seconds))
         .map_err(failed)?;
     for (picture, seconds) in &pictures[1..] {
         let now = Picture::read(picture)?.reduced();
         let patch = patch(Some(&before), &now);
         patch
-            .write(&mut writer, milliseconds(*seconds))
+            .write(&mut writer, fraction(*seconds))
             .map_err(failed)?;
         before = now;
     }
@@ -306,8 +306,33 @@ pub(crate) fn ensure_whole_png(bytes: &[u8]) -> Result<(), png::DecodingError> {
     png::Decoder::new(Cursor::new(bytes)).read_info()?.finish()
 }
 
-fn milliseconds(seconds: f64) -> u16 {
-    (1000.0 * seconds).round().clamp(10.0, 10_000.0) as u16
+/// The nearest fraction of a time, s, whose numerator and denominator have 16 bits, as APNG stores it: the last convergent of the continued
+/// fraction that fits.
+fn fraction(seconds: f64) -> [u16; 2] {
+    let most = f64::from(u16::MAX);
+    if seconds >= most {
+        return [u16::MAX, 1];
+    }
+    let (mut before, mut now) = ([0.0, 1.0], [1.0, 0.0]);
+    let mut rest = seconds;
+    loop {
+        let whole = rest.floor();
+        let next = [0, 1].map(|part| whole * now[part] + before[part]);
+        if next.iter().any(|&part| part > most) {
+            break;
+        }
+        (before, now) = (now, next);
+        // Beyond this the digits are those of rounding.
+        if (now[0] / now[1] - seconds).abs() <= 1e-12 * seconds {
+            break;
+        }
+        rest = 1.0 / (rest - whole);
+    }
+    // A time too short for the format is its shortest.
+    match now.map(|part| part as u16) {
+        [0, _] => [1, u16::MAX],
+        fraction => fraction,
+    }
 }
 
 /// A rectangle of RGBA bytes with its place.
@@ -318,15 +343,15 @@ struct Patch {
 }
 
 impl Patch {
-    /// As the next image, which stays for so long.
+    /// As the next image, which stays for this fraction of a second.
     fn write(
         &self,
         writer: &mut png::Writer<&mut Vec<u8>>,
-        milliseconds: u16,
+        [numerator, denominator]: [u16; 2],
     ) -> Result<(), png::EncodingError> {
         let [x, y] = self.at.map(|n| n as u32);
         let [width, height] = self.size.map(|n| n as u32);
-        writer.set_frame_delay(milliseconds, 1000)?;
+        writer.set_frame_delay(numerator, denominator)?;
         // Smaller first: a rectangle may never reach beyond the picture.
         writer.set_frame_dimension(1, 1)?;
         writer.set_frame_position(x, y)?;
@@ -366,5 +391,31 @@ fn patch(before: Option<&Picture>, now: &Picture) -> Patch {
         at: low,
         size,
         bytes,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::fraction;
+
+    #[test]
+    fn delays_are_exact_fractions() {
+        for rate in [
+            1.0, 12.0, 24.0, 25.0, 30.0, 50.0, 60.0, 100.0, 384.0, 1000.0,
+        ] {
+            assert_eq!(fraction(1.0 / rate), [1, rate as u16], "{rate} frames/s");
+        }
+        assert_eq!(fraction(1001.0 / 30_000.0), [1001, 30_000]);
+        assert_eq!(fraction(2.0 / 30.0), [1, 15]);
+        assert_eq!(fraction(1.0 / 12.5), [2, 25]);
+        assert_eq!(fraction(3600.0), [3600, 1]);
+        // The nearest that there is.
+        assert_eq!(fraction(1e9), [u16::MAX, 1]);
+        assert_eq!(fraction(1e-9), [1, u16::MAX]);
+        let [numerator, denominator] = fraction(0.1 * std::f64::consts::PI);
+        let off = f64::from(numerator) / f64::from(denominator) - 0.1 * std::f64::consts::PI;
+        // The next convergent is closer than 1/(this denominator x its own), which does not fit.
+        let bound = 1.0 / (f64::from(denominator) * f64::from(u16::MAX));
+        assert!(off.abs() < bound, "{off} s");
     }
 }
