@@ -1,10 +1,9 @@
 //! The liquid's surface as a closed mesh of triangles, made by splashsurf: a smooth density of the markers, or the distance of
-//! cells, cut by marching cubes at one level, then smoothed and pressed flat against the walls.
+//! cells, cut by marching cubes at one level, then pressed flat against the walls, rid of degenerate triangles and smoothed.
 //!
 //! Within this file lengths are in cells. The density is that of smoothed particles with a cubic spline (Monaghan 1992), each
-//! weighted by the volume that it has among its neighbours, so that drops and dense bodies have the same level. Smoothing takes
-//! Taubin's pairs of steps (1995, "A signal processing approach to fair surface design"): the second undoes the shrinking of
-//! the first. The same markers make the same mesh, bit for bit, whatever the number of threads.
+//! weighted by the volume that it has among its neighbours, so that drops and dense bodies have the same level. The same markers make the
+//! same mesh, bit for bit, whatever the number of threads.
 
 use std::collections::HashMap;
 
@@ -12,14 +11,14 @@ use glam::Vec3;
 use rayon::prelude::*;
 use splashsurf_lib::density_map::DensityMap;
 use splashsurf_lib::marching_cubes::triangulate_density_map;
-use splashsurf_lib::mesh::{Mesh3d, TriMesh3d};
+use splashsurf_lib::mesh::TriMesh3d;
 use splashsurf_lib::nalgebra::Vector3;
-use splashsurf_lib::postprocessing::par_laplacian_smoothing_inplace;
 use splashsurf_lib::{
     GridDecompositionParameters, Parameters, ReconstructionError, SpatialDecomposition,
     UniformGrid, reconstruct_surface,
 };
 
+use super::closed_mesh::ClosedMesh;
 use crate::grid::Grid;
 use crate::scene::SurfaceMesh;
 
@@ -36,9 +35,6 @@ const CUBE: f32 = 0.5;
 
 /// Half the distance of markers side by side: eight share a cell.
 const HALF_SPACING: f32 = 0.25;
-
-/// Taubin's steps, forwards and back: waves of ten edges and more stay, those of five lose a twentieth in a pair, ripples most.
-const STEPS: [f32; 2] = [0.6307, -0.6732];
 
 /// Why there is no mesh.
 pub(super) type SurfaceError = ReconstructionError<i64, f32>;
@@ -115,29 +111,27 @@ impl LiquidSurface {
         Ok(LiquidSurface::finish(mesh, grid, 0))
     }
 
-    /// Sorted, smoothed, and within the walls.
+    /// Sorted, within the walls, without degenerate triangles, and smoothed.
     fn finish(mesh: TriMesh3d<f32>, grid: &Grid, smoothing: u32) -> LiquidSurface {
-        let mut mesh = sorted(mesh);
-        if smoothing > 0 {
-            let connectivity = mesh.vertex_vertex_connectivity();
-            let weights = vec![1.0; mesh.vertices.len()];
-            for _ in 0..smoothing {
-                for step in STEPS {
-                    par_laplacian_smoothing_inplace(&mut mesh, &connectivity, 1, step, &weights);
-                }
-            }
-        }
+        let mesh = sorted(mesh);
         let size = Vec3::from_array(grid.cells.map(|n| n as f32));
-        let vertices: Vec<Vec3> = mesh
-            .vertices
-            .iter()
-            .map(|x| Vec3::new(x[0], x[1], x[2]).clamp(Vec3::ZERO, size))
-            .collect();
-        let triangles: Vec<[u32; 3]> = mesh
-            .triangles
-            .iter()
-            .map(|corners| corners.map(|corner| corner as u32))
-            .collect();
+        let vertices = mesh.vertices.iter().map(|x| Vec3::new(x[0], x[1], x[2]));
+        let triangles = mesh.triangles.iter();
+        let mut mesh = ClosedMesh {
+            vertices: vertices.map(|x| x.clamp(Vec3::ZERO, size)).collect(),
+            triangles: triangles
+                .map(|corners| corners.map(|corner| corner as u32))
+                .collect(),
+        };
+        mesh.remove_degenerate(size);
+        if smoothing > 0 {
+            mesh.smooth(smoothing, size);
+            mesh.remove_degenerate(size);
+        }
+        let ClosedMesh {
+            vertices,
+            triangles,
+        } = mesh;
         LiquidSurface {
             normals: normals(&vertices, &triangles, size),
             vertices: vertices.iter().map(|&x| x * grid.dx as f32).collect(),

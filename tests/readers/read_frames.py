@@ -33,7 +33,17 @@ def surface(path):
     vertices = raw["vertex"]["data"]
     columns = lambda *names: numpy.stack([vertices[name].reshape(-1) for name in names], axis=-1).tolist()
     mesh = trimesh.Trimesh(parts["vertices"], parts["faces"], process=False) if len(vertices) else trimesh.Trimesh()
+    # As users load it, and with vertices at one place merged whatever their normals.
+    loaded = trimesh.load(path, force="mesh") if len(vertices) else mesh
+    closed = bool(loaded.is_watertight)
+    loaded.merge_vertices(merge_norm=True)
+    corners = mesh.vertices[mesh.faces].reshape(-1, 3, 3)
+    longest = numpy.linalg.norm(corners - numpy.roll(corners, 1, axis=1), axis=-1).max(axis=-1)
+    heights = 2 * mesh.area_faces / longest if len(vertices) else numpy.zeros(0)
     return {
+        "coincident": len(mesh.vertices) - len(loaded.vertices),
+        "loads_watertight": closed and bool(loaded.is_watertight),
+        "least_height": float(heights.min(initial=numpy.inf)) if len(heights) else 0.0,
         "coordinates": columns("x", "y", "z"),
         "normals": columns("nx", "ny", "nz"),
         "velocity": columns("vx", "vy", "vz"),
