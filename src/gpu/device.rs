@@ -4,6 +4,7 @@ use std::collections::{BTreeSet, HashMap};
 use std::fmt::Write as _;
 use std::sync::{Arc, Mutex, OnceLock};
 
+use super::quiet::quietly;
 use super::record::Timer;
 use super::traffic::{Meter, Trace, Traffic};
 use super::{Kernel, Source, Surroundings, Variant};
@@ -256,12 +257,13 @@ fn instance() -> &'static wgpu::Instance {
         descriptor
             .flags
             .remove(wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL);
-        wgpu::Instance::new(descriptor)
+        quietly(|| wgpu::Instance::new(descriptor))
     })
 }
 
 fn enumerate() -> Vec<wgpu::Adapter> {
-    pollster::block_on(instance().enumerate_adapters(wgpu::Backends::PRIMARY))
+    let instance = instance();
+    quietly(|| pollster::block_on(instance.enumerate_adapters(wgpu::Backends::PRIMARY)))
 }
 
 fn choose(choice: &AdapterChoice) -> Result<wgpu::Adapter, Error> {

@@ -10,6 +10,7 @@ mod buffer;
 mod compact;
 mod device;
 mod kernel;
+mod quiet;
 mod record;
 mod shader;
 mod sort;

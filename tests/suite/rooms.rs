@@ -62,6 +62,7 @@ const HOMES: &[(&str, &str)] = &[
     ("ctrlc", "cli"),
     ("signal_hook", "cli"),
     ("nix", "cli"),
+    ("rustix", "gpu"),
     ("sysinfo", "sim"),
     ("indicatif", "cli"),
 ];
