@@ -10,19 +10,16 @@ pub(super) fn progress_bar(template: &str) -> ProgressBar {
         return ProgressBar::hidden();
     }
     let style = ProgressStyle::with_template(template).expect("the template is valid");
-    let style = match is_utf8(|name| std::env::var(name).ok()) {
+    // Windows has no such variables, and consoles that take Unicode.
+    let style = match cfg!(windows) || is_utf8(|name| std::env::var(name).ok()) {
         true => style,
         false => style.progress_chars("#>-"),
     };
     ProgressBar::no_length().with_style(style)
 }
 
-/// Whether the locale's characters are UTF-8, by the variable that decides it (POSIX: LC_ALL, LC_CTYPE, LANG). Windows has no such variables,
-/// and consoles that take Unicode.
+/// Whether the locale's characters are UTF-8, by the variable that decides it (POSIX: LC_ALL, LC_CTYPE, LANG).
 fn is_utf8(variable: impl Fn(&str) -> Option<String>) -> bool {
-    if cfg!(windows) {
-        return true;
-    }
     let locale = ["LC_ALL", "LC_CTYPE", "LANG"]
         .into_iter()
         .filter_map(variable)
@@ -31,7 +28,7 @@ fn is_utf8(variable: impl Fn(&str) -> Option<String>) -> bool {
     locale.contains("utf-8") || locale.contains("utf8")
 }
 
-#[cfg(all(test, not(windows)))]
+#[cfg(test)]
 mod tests {
     use super::is_utf8;
 

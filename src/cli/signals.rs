@@ -60,7 +60,7 @@ fn ignored_at_start() -> Option<u64> {
 }
 
 /// The line `SigIgn` of /proc/PID/status.
-#[cfg(unix)]
+#[cfg(any(unix, test))]
 fn ignored_in(status: &str) -> Option<u64> {
     let mask = status
         .lines()
@@ -68,13 +68,12 @@ fn ignored_in(status: &str) -> Option<u64> {
     u64::from_str_radix(mask.trim(), 16).ok()
 }
 
-#[cfg(unix)]
+#[cfg(any(unix, test))]
 fn is_ignored(mask: u64, signal: i32) -> bool {
     mask >> (signal - 1) & 1 == 1
 }
 
 #[cfg(test)]
-#[cfg(unix)]
 mod tests {
     use super::{ignored_in, is_ignored};
 
