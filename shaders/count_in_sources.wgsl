@@ -1,6 +1,8 @@
-// exchange, with sources only, first of three: how many markers the cells of sources that run have. One thread per marker.
+// exchange, with sources only, first of three: how many markers the cells of sources that run have, in the eighths to keep full.
+// One thread per marker.
 // level, step. source_step: what the sources do. regions: boxes around them. map: for their cells in these, the number of the cell
-// from 1, else 0. markers: x, y, z (m), w = 1 alive. counts: per cell of a source, added to.
+// from 1, else 0. cells: x, y, z and word (see source_step) of each. markers: x, y, z (m), w = 1 alive. counts: per cell of a source,
+// added to.
 #import dispatch
 #import layout
 #import step
@@ -12,8 +14,9 @@
 @group(0) @binding(2) var<uniform> source_step: SourceStep;
 @group(0) @binding(3) var<storage, read> regions: array<Region>;
 @group(0) @binding(4) var<storage, read> map: array<u32>;
-@group(0) @binding(5) var<storage, read> markers: array<vec4<f32>>;
-@group(0) @binding(6) var<storage, read_write> counts: array<atomic<u32>>;
+@group(0) @binding(5) var<storage, read> cells: array<vec4<u32>>;
+@group(0) @binding(6) var<storage, read> markers: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read_write> counts: array<atomic<u32>>;
 
 @compute @workgroup_size(WG_SIZE)
 fn count_in_sources(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
@@ -25,14 +28,20 @@ fn count_in_sources(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_
     if marker.w == 0.0 {
         return;
     }
-    let cell = cell_of(level, marker.xyz * step.inv_dx);
+    let x = marker.xyz * step.inv_dx;
+    let cell = cell_of(level, x);
+    let upper = vec3<u32>(x - vec3<f32>(cell) >= vec3<f32>(0.5));
+    let eighth = upper.x | upper.y << 1u | upper.z << 2u;
     for (var r = 0u; r < arrayLength(&regions); r++) {
         if !runs(regions[r].number, source_step.running) {
             continue;
         }
         let word = word_of(regions[r], cell);
         if word != NOWHERE && map[word] != 0u {
-            atomicAdd(&counts[map[word] - 1u], 1u);
+            let number = map[word] - 1u;
+            if (eighths_of(cells[number].w) >> eighth & 1u) == 1u {
+                atomicAdd(&counts[number], 1u);
+            }
             return;
         }
     }

@@ -1,7 +1,8 @@
 // forces, with sources only, last: faces of sources that run carry their velocity, and are closed for the pressure. Closed faces
 // stay as they are. One thread per face.
 // level. source_step: what the sources do. faces: see source_face. open: fractions of all faces. held_open: the same, 0 where a face
-// is held; in place. valid: see valid; those are not open in it until write_back. velocity_next: u*, m/s.
+// is held; in place. flux_open: the same, with the aperture of the source where a face is held; in place. valid: see valid; held
+// faces are not open in it until write_back. velocity_next: u*, m/s.
 #import dispatch
 #import layout
 #import source_face
@@ -12,8 +13,9 @@
 @group(0) @binding(2) var<storage, read> faces: array<SourceFace>;
 @group(0) @binding(3) var<storage, read> open: array<f32>;
 @group(0) @binding(4) var<storage, read_write> held_open: array<f32>;
-@group(0) @binding(5) var<storage, read_write> valid: array<atomic<u32>>;
-@group(0) @binding(6) var<storage, read_write> velocity_next: array<f32>;
+@group(0) @binding(5) var<storage, read_write> flux_open: array<f32>;
+@group(0) @binding(6) var<storage, read_write> valid: array<atomic<u32>>;
+@group(0) @binding(7) var<storage, read_write> velocity_next: array<f32>;
 
 @compute @workgroup_size(WG_SIZE)
 fn hold_faces(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
@@ -29,6 +31,7 @@ fn hold_faces(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoca
     let axis = face / (4u * level.quads);
     let at = face - 4u * axis * level.quads;
     held_open[face] = 0.0;
+    flux_open[face] = min(open[face], carried.aperture);
     velocity_next[face] = carried.velocity;
     atomicAnd(&valid[at / 4u], ~(1u << (OPEN + 4u * axis + at % 4u)));
 }

@@ -1,6 +1,6 @@
 // exchange, with sources only, second of three: how many markers each cell of a source gets, and where its new ones begin among all
 // new ones: a sum over the cells in their order. Cells with their centre in a body get none: the twin says why. One workgroup.
-// level. source_step: what the sources do. cells: x, y, z and source of each. solid_distance: m, cell centres; one quad, far from any
+// level. source_step: what the sources do. cells: x, y, z and word (see source_step) of each. solid_distance: m, cell centres; one quad, far from any
 // solid, in a scene without any. chunks: markers that the cells have, in; sums of what those before get, out. report: see report.
 #import layout
 #import scan
@@ -30,8 +30,9 @@ fn plan_seeds(@builtin(local_invocation_index) lane: u32) {
     let end = min(min(lane * share, n) + share, n);
     var filled = 0u;
     for (var c = min(lane * share, n); c < end; c++) {
-        let source = cells[c].w;
-        let lacks = select(0u, PER_CELL - min(chunks[c], PER_CELL), runs(source, source_step.running));
+        let source = source_of(cells[c].w);
+        let full = countOneBits(eighths_of(cells[c].w));
+        let lacks = select(0u, full - min(chunks[c], full), runs(source, source_step.running));
         filled += select(0u, lacks, runs(source, source_step.starting));
         chunks[c] = select(lacks, 0u, covered(cells[c].xyz));
     }

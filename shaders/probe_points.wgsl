@@ -1,4 +1,4 @@
-// probe, at points. Height: where the liquid distance, interpolated to the vertical line, last changes sign going up. Pressure:
+// probe, at points. Height: where the liquid distance, interpolated to a line along an axis, last changes sign going up. Pressure:
 // between cell centres, air counting as 0, liquid that is no unknown (inside obstacles) not at all. Velocity: between faces.
 // One thread per probe. level, step. points: see probe_point. liquid_distance: m. flags: see active. potential: m/s.
 // velocity: faces, m/s. values: m, Pa or m/s along x, y, z, one of four words per probe, after those of the fronts.
@@ -44,9 +44,11 @@ fn corner_weight(corner: Corner, c: u32) -> f32 {
     return w.x * w.y * w.z;
 }
 
-// Liquid distance on the vertical line through at, level with the centres of row j, m.
-fn distance_in_row(at: vec3<f32>, j: u32) -> f32 {
-    let corner = corner(vec3<f32>(at.x, f32(j) + 0.5, at.z));
+// Liquid distance on the line along an axis through at, level with the centres of row j, m.
+fn distance_in_row(at: vec3<f32>, axis: u32, j: u32) -> f32 {
+    var centre = at;
+    centre[axis] = f32(j) + 0.5;
+    let corner = corner(centre);
     var sum = 0.0;
     for (var c = 0u; c < 8u; c++) {
         let weight = corner_weight(corner, c);
@@ -57,12 +59,13 @@ fn distance_in_row(at: vec3<f32>, j: u32) -> f32 {
     return sum;
 }
 
-// m
-fn height(at: vec3<f32>) -> f32 {
-    let n = level.cells.y;
+// m; kind: see probe_point.
+fn height(at: vec3<f32>, kind: u32) -> f32 {
+    let axis = kind >> 2u & 3u;
+    let n = level.cells[axis];
     var above = 0.0;
     for (var j = n; j > 0u; j--) {
-        let phi = distance_in_row(at, j - 1u);
+        let phi = distance_in_row(at, axis, select(j - 1u, n - j, (kind >> 4u & 1u) == 1u));
         if phi < 0.0 {
             let rise = select(ghost_theta(phi, above, 0.0), 0.5, j == n);
             return (f32(j) - 0.5 + rise) * step.dx;
@@ -106,8 +109,8 @@ fn probe_points(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
     let probe = points[index];
     let at = probe.point * step.inv_dx;
     var value = vec3<f32>();
-    switch probe.kind {
-        case HEIGHT: { value.x = height(at); }
+    switch probe.kind & 3u {
+        case HEIGHT: { value.x = height(at, probe.kind); }
         case PRESSURE: { value.x = pressure(at); }
         default: { value = sample_velocity(at); }
     }

@@ -1,6 +1,6 @@
 // exchange, with sources only, last of three: the new markers, behind all others, each at a jittered place in an eighth of its cell;
 // what is left of the slots is empty. The twin has the hash. One thread per slot, 8 per cell of a source.
-// level, step. source_step: what the sources do. cells: x, y, z and source of each. starts: new markers in the cells before.
+// level, step. source_step: what the sources do. cells: x, y, z and word (see source_step) of each. starts: new markers in the cells before.
 // report: their number. markers: x, y, z (m), w = 1 alive, 0 gone.
 #import dispatch
 #import layout
@@ -25,11 +25,20 @@ fn scatter(bits: u32) -> u32 {
     return x ^ (x >> 16u);
 }
 
-// Where a cell that has `count` markers gets its marker with a number, cells.
-fn place(cell: vec3<u32>, count: u32, number: u32) -> vec3<f32> {
+// The eighth of the set with a number among them.
+fn nth(eighths: u32, number: u32) -> u32 {
+    var rest = eighths;
+    for (var n = 0u; n < number; n++) {
+        rest &= rest - 1u;
+    }
+    return firstTrailingBit(rest);
+}
+
+// Where a cell that has `count` markers in its eighths gets its marker with a number, cells.
+fn place(cell: vec3<u32>, eighths: u32, count: u32, number: u32) -> vec3<f32> {
     let index = cell.x + level.cells.x * (cell.y + level.cells.y * cell.z);
     let of_cell = scatter(scatter(scatter(source_step.seed) ^ source_step.number) ^ index);
-    let eighth = (number + of_cell) % PER_CELL;
+    let eighth = nth(eighths, (number + of_cell) % countOneBits(eighths));
     var bits = scatter(of_cell ^ (number - count + 1u));
     var within: vec3<f32>;
     for (var axis = 0u; axis < 3u; axis++) {
@@ -58,8 +67,9 @@ fn seed_markers(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
     }
     let lacks = end - first;
     if turn < lacks {
-        let count = PER_CELL - lacks;
-        let at = place(cells[cell].xyz, count, count + turn);
+        let eighths = eighths_of(cells[cell].w);
+        let count = countOneBits(eighths) - lacks;
+        let at = place(cells[cell].xyz, eighths, count, count + turn);
         markers[source_step.first + first + turn] = vec4<f32>(at * step.dx, 1.0);
     } else {
         // Behind the new ones, in the order of the threads without one: of those before, as many as in `end` have one.

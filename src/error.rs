@@ -141,6 +141,9 @@ impl Error {
                 "remove files of yours from that disk, or choose a folder on another"
             }
             ErrorKind::FileTooLarge => "raise the limit for file sizes (`ulimit -f unlimited`)",
+            ErrorKind::InvalidFilename => {
+                "the name is too long for the file system: give the scene's file or the folder a shorter one"
+            }
             _ => "choose a folder that can be written and has room",
         };
         Error::Output {

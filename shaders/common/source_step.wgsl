@@ -13,8 +13,18 @@ struct SourceStep {
     pad_2: u32,
 }
 
-// Markers that a cell of a source has at least.
+// Markers that a cell within a source has at least, one in each eighth.
 const PER_CELL = 8u;
+
+// A cell of a source in a word: its source in the low byte, the eighths to keep full of markers in the next (bit i + 2 j + 4 k for
+// the upper half along x, y, z).
+fn source_of(word: u32) -> u32 {
+    return word & 255u;
+}
+
+fn eighths_of(word: u32) -> u32 {
+    return word >> 8u & 255u;
+}
 
 fn runs(source: u32, running: u32) -> bool {
     return source < 32u && (running >> source & 1u) == 1u;

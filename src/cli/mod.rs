@@ -14,6 +14,7 @@ mod preview;
 mod report;
 mod run;
 mod schema;
+mod signals;
 mod sweep;
 
 use std::path::PathBuf;
@@ -166,6 +167,8 @@ fn with_negative_numbers(command: clap::Command) -> clap::Command {
 
 /// Parses the arguments, runs the command, prints its error; where it has none, that of a line that could not be printed.
 pub(crate) fn main() -> ExitCode {
+    signals::survive_file_size_limit();
+    say::note_terminal();
     let arguments = with_negative_numbers(Cli::command()).get_matches();
     let cli = Cli::from_arg_matches(&arguments).unwrap_or_else(|problem| problem.exit());
     let done = match &cli.command {

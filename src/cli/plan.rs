@@ -85,6 +85,18 @@ fn say_scene(scene: &Scene, plan: &Plan) {
             plan.n_elements
         );
     }
+    for (number, flow) in plan.sources.iter().enumerate() {
+        let share = 100.0 * flow.flow_rate / flow.unobstructed;
+        let covered = match share < 99.95 {
+            true => format!(", {share:.1} % of its shape's: walls cover the rest"),
+            false => String::new(),
+        };
+        say!(
+            "  source[{number}] emits {:.4e} m^3/s at {:.4} m/s{covered}",
+            flow.flow_rate,
+            flow.velocity.length()
+        );
+    }
     let frame = 1.0 / scene.time.frames_per_second;
     say!(
         "  {} frames of {frame:.4} s; first sub-step {:.2e} s, {:.0} a frame",

@@ -42,6 +42,9 @@ pub(super) struct Run {
     /// Go on with the run in the folder where it ended; begin it where there is none
     #[arg(long)]
     resume: bool,
+    /// Continue after a solid has collapsed, which otherwise ends the run with exit code 4
+    #[arg(long)]
+    keep_going: bool,
     /// Draw a picture of every frame as soon as it is written, and the animation at the end
     #[arg(long)]
     preview: bool,
@@ -57,19 +60,12 @@ impl Run {
         let interrupt = Arc::new(AtomicBool::new(false));
         let flag = Arc::clone(&interrupt);
         let first = OnceLock::new();
-        let stop = move || {
+        super::signals::on_end(move |_| {
             // The first signal ends the run where its files are whole, the second at once.
             flag.store(true, Ordering::Relaxed);
             if first.get_or_init(Instant::now).elapsed() > SAME_SIGNAL {
                 std::process::exit(Error::Interrupted.exit_code().into());
             }
-        };
-        ctrlc::set_handler(stop).map_err(|problem| {
-            Error::input(
-                "the interrupt handler",
-                problem.to_string(),
-                "run cutwater once per process",
-            )
         })?;
         if self.preview {
             ensure_pictures(&scene)?;
@@ -81,6 +77,7 @@ impl Run {
             frames: self.frames,
             overwrite: self.overwrite,
             resume: self.resume,
+            keep_going: self.keep_going,
         };
         let terminal = std::io::stderr().is_terminal();
         let bar = if terminal {
@@ -92,6 +89,9 @@ impl Run {
         let mut listen = |progress: &sim::Progress| {
             bar.set_length(progress.n_frames);
             bar.set_position(progress.frame);
+            for notice in progress.notices {
+                bar.suspend(|| warn!("warning: {notice}"));
+            }
             let report = progress.report;
             let mut line = format!("t = {:.3} s, dt = {:.2e} s", progress.time, report.dt);
             for solve in report.solves() {
@@ -155,9 +155,12 @@ impl Run {
             volume_ratio,
             floored,
             dropped,
+            volume_off,
+            fast,
             min_det,
             inverted,
             overlap,
+            ..
         } = summary.tally;
         let volume = volume_ratio.map_or(String::new(), |[least, largest]| {
             let [least, largest] = [100.0 * least, 100.0 * largest];
@@ -188,7 +191,25 @@ impl Run {
         }
         if dropped > 0 {
             warn!(
-                "warning: {dropped} markers were lost in obstacles or solids; steps.csv says when"
+                "warning: {dropped} markers, {:.2} % of all, were lost in obstacles or solids: walls thinner than two cells and fast solids swallow them; use more cells (--scale) or shorter sub-steps (time.cfl); steps.csv says when",
+                100.0 * summary.tally.lost_share()
+            );
+        }
+        if volume_off > 0 {
+            warn!(
+                "warning: after {volume_off} of {} sub-steps the volume of the liquid was more than 20 % off; steps.csv says after which (volume_ratio)",
+                summary.steps
+            );
+        }
+        if fast > 0 {
+            warn!(
+                "warning: in {fast} of {} sub-steps liquid moved at more than 20 times the speed that gravity, inflow and moving bodies explain; steps.csv says in which (max_speed)",
+                summary.steps
+            );
+        }
+        for (name, step) in &summary.failed_solids {
+            warn!(
+                "warning: solid \"{name}\" collapsed in sub-step {step}; what follows it is not the scene's physics"
             );
         }
         if overlap > scene.grid().dx {
@@ -311,5 +332,41 @@ fn progress_bar() -> ProgressBar {
     let style =
         ProgressStyle::with_template("{bar:30} frame {pos}/{len} [{elapsed}, {eta} left] {msg}")
             .expect("the template is valid");
+    let style = match is_utf8_locale(|name| std::env::var(name).ok()) {
+        true => style,
+        false => style.progress_chars("#>-"),
+    };
     ProgressBar::new(1).with_style(style)
+}
+
+/// Whether the terminal shows UTF-8: the first of these variables that is set and not empty decides (POSIX, XBD 8.2).
+fn is_utf8_locale(variable: impl Fn(&str) -> Option<String>) -> bool {
+    let mut names = ["LC_ALL", "LC_CTYPE", "LANG"].into_iter();
+    let locale = names.find_map(|name| variable(name).filter(|value| !value.is_empty()));
+    let locale = locale.unwrap_or_default().to_lowercase();
+    // Windows has no such variables, and terminals that show UTF-8.
+    cfg!(windows) || locale.contains("utf-8") || locale.contains("utf8")
+}
+
+#[cfg(all(test, not(windows)))]
+mod tests {
+    use super::is_utf8_locale;
+
+    #[test]
+    fn the_first_variable_that_is_set_decides() {
+        let locale = |pairs: &[(&str, &str)]| {
+            is_utf8_locale(|name| {
+                let found = pairs.iter().find(|(key, _)| *key == name);
+                found.map(|(_, value)| (*value).to_owned())
+            })
+        };
+        assert!(locale(&[("LANG", "de_DE.UTF-8")]));
+        assert!(locale(&[
+            ("LC_ALL", ""),
+            ("LC_CTYPE", "C.utf8"),
+            ("LANG", "C")
+        ]));
+        assert!(!locale(&[("LC_ALL", "C"), ("LANG", "en_US.UTF-8")]));
+        assert!(!locale(&[]));
+    }
 }

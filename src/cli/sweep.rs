@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicI32, AtomicUsize, Ordering};
 use std::thread;
 use std::time::Duration;
 
@@ -41,6 +41,9 @@ pub(super) struct SweepCommand {
     /// Draw a picture of every frame of each run as soon as it is written, and the animation at its end
     #[arg(long)]
     preview: bool,
+    /// Continue runs in which a solid has collapsed, which otherwise count as failed
+    #[arg(long)]
+    keep_going: bool,
     /// Runs at a time
     #[arg(long, default_value = "1", value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     jobs: u16,
@@ -99,33 +102,24 @@ impl SweepCommand {
                 "choose another folder with --out, or replace such runs with --overwrite",
             ));
         }
-        let signals = Arc::new(AtomicUsize::new(0));
-        let count = Arc::clone(&signals);
-        ctrlc::set_handler(move || {
-            count.fetch_add(1, Ordering::Relaxed);
-        })
-        .map_err(|problem| {
-            Error::input(
-                "the interrupt handler",
-                problem.to_string(),
-                "run cutwater once per process",
-            )
-        })?;
+        let signals = Arc::new(Signals::default());
+        let noted = Arc::clone(&signals);
+        super::signals::on_end(move |signal| noted.note(signal))?;
         sweep.write_summary()?;
         self.work(&sweep, &mine, &signals)?;
         tell(&sweep, &mine);
         say!("summary: {}", out.join("summary.csv").display());
-        if signals.load(Ordering::Relaxed) > 0 {
+        if signals.count() > 0 {
             return Err(Error::Interrupted);
         }
         verdict(&sweep, &mine)
     }
 
     /// Makes the runs of this process that are not there, `jobs` at a time.
-    fn work(&self, sweep: &Sweep, mine: &[usize], signals: &AtomicUsize) -> Result<(), Error> {
+    fn work(&self, sweep: &Sweep, mine: &[usize], signals: &Signals) -> Result<(), Error> {
         let (next, ended) = (AtomicUsize::new(0), AtomicUsize::new(0));
         let worker = || -> Result<(), Error> {
-            while signals.load(Ordering::Relaxed) == 0
+            while signals.count() == 0
                 && let Some(&number) = mine.get(next.fetch_add(1, Ordering::Relaxed))
             {
                 let before = sweep.row(number).standing;
@@ -166,7 +160,7 @@ impl SweepCommand {
         sweep: &Sweep,
         number: usize,
         replaces: bool,
-        signals: &AtomicUsize,
+        signals: &Signals,
     ) -> Result<(), Error> {
         let Some(lock) = sweep.take(number)? else {
             return Ok(());
@@ -231,6 +225,9 @@ impl SweepCommand {
         if self.preview {
             command.arg("--preview");
         }
+        if self.keep_going {
+            command.arg("--keep-going");
+        }
         const THREADS: &str = "RAYON_NUM_THREADS";
         if self.jobs > 1 && std::env::var_os(THREADS).is_none() {
             let threads = thread::available_parallelism().map_or(1, usize::from);
@@ -246,33 +243,53 @@ impl SweepCommand {
     }
 }
 
+/// Signals that asked the sweep to end.
+#[derive(Debug, Default)]
+struct Signals {
+    count: AtomicUsize,
+    last: AtomicI32,
+}
+
+impl Signals {
+    fn note(&self, signal: i32) {
+        self.last.store(signal, Ordering::Relaxed);
+        // After the signal itself: who sees the count sees the signal.
+        self.count.fetch_add(1, Ordering::Release);
+    }
+
+    fn count(&self) -> usize {
+        self.count.load(Ordering::Acquire)
+    }
+}
+
 /// Waits for a child. Each signal that the sweep gets goes on to it: the first ends it where its files are whole.
-fn attend(child: &mut Child, signals: &AtomicUsize) -> std::io::Result<ExitStatus> {
+fn attend(child: &mut Child, signals: &Signals) -> std::io::Result<ExitStatus> {
     let mut passed_on = 0;
     loop {
         if let Some(status) = child.try_wait()? {
             return Ok(status);
         }
-        if signals.load(Ordering::Relaxed) > passed_on {
+        if signals.count() > passed_on {
             passed_on += 1;
-            interrupt(child)?;
+            pass_on(child, signals.last.load(Ordering::Relaxed))?;
         }
         thread::sleep(PAUSE);
     }
 }
 
+/// Sends a child the signal that the sweep got: any other may be one that both ignore.
 #[cfg(unix)]
-fn interrupt(child: &mut Child) -> std::io::Result<()> {
+fn pass_on(child: &mut Child, signal: i32) -> std::io::Result<()> {
     use nix::sys::signal::{Signal, kill};
     use nix::unistd::Pid;
 
     let id = i32::try_from(child.id()).map_err(std::io::Error::other)?;
     // Not waited for yet, so the id is its own still.
-    Ok(kill(Pid::from_raw(id), Signal::SIGINT)?)
+    Ok(kill(Pid::from_raw(id), Signal::try_from(signal)?)?)
 }
 
 #[cfg(not(unix))]
-fn interrupt(child: &mut Child) -> std::io::Result<()> {
+fn pass_on(child: &mut Child, _: i32) -> std::io::Result<()> {
     child.kill()
 }
 

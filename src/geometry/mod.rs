@@ -41,7 +41,7 @@ pub use mesh_file::{parse as parse_mesh, read as read_mesh};
 pub use obstacles::{ObstacleCut, ObstacleSurfaces, obstacle_cut};
 pub use solid_clip::{MovedMesh, Nearest, Overlap, Place, SolidClip};
 pub use surface::{Fault, Surface};
-pub use taps::{PER_CELL, Running, SourceFace, Taps};
+pub use taps::{Held, PER_CELL, Running, SourceFace, SourceFlow, Taps};
 pub use tet_fill::fill;
 pub use tet_mesh::{ElementShape, TetMesh, solid_meshes};
 pub use tet_read::{TetFile, parse as parse_tets, read as read_tets};

@@ -1,10 +1,13 @@
 //! Kernels: a compute pipeline made from one WGSL file, its bindings found by reflection and bound by name.
 
-use std::sync::Arc;
+use std::borrow::Cow;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, OnceLock};
 
 use bytemuck::Pod;
+use rayon::{ThreadPool, ThreadPoolBuilder};
 
-use super::shader::{Source, Variant, compose, validate};
+use super::shader::{Source, Variant, compose, parse};
 use super::{Buffer, Gpu};
 use crate::Error;
 
@@ -12,7 +15,7 @@ use crate::Error;
 #[derive(Clone, Debug)]
 pub struct Kernel {
     label: &'static str,
-    pipeline: wgpu::ComputePipeline,
+    pipeline: Pipeline,
     layout: wgpu::BindGroupLayout,
     slots: Arc<[Slot]>,
     threads: u32,
@@ -55,13 +58,55 @@ impl<'a> From<&'a super::RealBuffer> for Binding<'a> {
 #[derive(Debug)]
 pub struct Bound {
     pub(super) label: &'static str,
-    pub(super) pipeline: wgpu::ComputePipeline,
+    pub(super) pipeline: Pipeline,
     pub(super) group: wgpu::BindGroup,
     pub(super) threads: u32,
 }
 
+/// A compute pipeline in the making: the driver compiles it on another thread while the host sets up what it works on.
+#[derive(Clone, Debug)]
+pub(super) struct Pipeline(Arc<OnceLock<Option<wgpu::ComputePipeline>>>);
+
+impl Pipeline {
+    /// Threads of their own: those of rayon's global pool may wait for a dispatch, and tasks there would wait for pipelines.
+    fn threads() -> Option<&'static ThreadPool> {
+        static THREADS: OnceLock<Option<ThreadPool>> = OnceLock::new();
+        let build = || {
+            ThreadPoolBuilder::new()
+                .thread_name(|n| format!("compile {n}"))
+                .build()
+                .ok()
+        };
+        THREADS.get_or_init(build).as_ref()
+    }
+
+    /// Starts the compilation. Errors of the device arrive where the next call waits for it.
+    fn compile(compile: impl FnOnce() -> wgpu::ComputePipeline + Send + 'static) -> Pipeline {
+        let pipeline = Pipeline(Arc::default());
+        let slot = Arc::clone(&pipeline.0);
+        let task = move || {
+            let _ = slot.set(catch_unwind(AssertUnwindSafe(compile)).ok());
+        };
+        match Pipeline::threads() {
+            Some(threads) => threads.spawn(task),
+            None => task(),
+        }
+        pipeline
+    }
+
+    /// Waits for the compilation.
+    ///
+    /// # Panics
+    /// When the driver's compiler panicked.
+    pub(super) fn wait(&self) -> &wgpu::ComputePipeline {
+        let ready = self.0.wait();
+        ready.as_ref().expect("the driver's compiler panicked")
+    }
+}
+
 impl Kernel {
-    /// Compiles a WGSL file whose entry point has the file's name, unless the device has it already.
+    /// Compiles a WGSL file whose entry point has the file's name, unless the device has it already. Returns while the driver is
+    /// still at work; the first dispatch waits for it.
     ///
     /// # Errors
     /// [`Error::Shader`] with file and line, [`Error::Limit`] when it binds more storage buffers than the adapter allows.
@@ -71,7 +116,7 @@ impl Kernel {
             return Ok(kernel);
         }
         let composed = compose(source, variant)?;
-        let (module, _) = validate(&composed, variant)?;
+        let module = parse(&composed)?;
         let entry = source.name.rsplit('/').next().unwrap_or(source.name);
         let point = module
             .entry_points
@@ -160,23 +205,21 @@ impl Kernel {
                 bind_group_layouts: &[Some(&layout)],
                 immediate_size: 0,
             });
-        let shader = gpu
-            .device
-            .create_shader_module(wgpu::ShaderModuleDescriptor {
+        let device = gpu.device.clone();
+        let pipeline = Pipeline::compile(move || {
+            let shader = device.create_shader_module(wgpu::ShaderModuleDescriptor {
                 label: Some(label),
-                source: wgpu::ShaderSource::Wgsl(composed.text.as_str().into()),
+                source: wgpu::ShaderSource::Naga(Cow::Owned(module)),
             });
-        let pipeline = gpu
-            .device
-            .create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
                 label: Some(label),
                 layout: Some(&pipeline_layout),
                 module: &shader,
                 entry_point: Some(entry),
                 compilation_options: wgpu::PipelineCompilationOptions::default(),
                 cache: None,
-            });
-        gpu.check(label)?;
+            })
+        });
         let kernel = Kernel {
             label,
             pipeline,

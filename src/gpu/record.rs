@@ -239,7 +239,7 @@ impl Pass<'_> {
 
     fn set(&mut self, bound: &Bound) {
         self.dispatches.push((self.stage, bound.label));
-        self.raw.set_pipeline(&bound.pipeline);
+        self.raw.set_pipeline(bound.pipeline.wait());
         self.raw.set_bind_group(0, &bound.group, &[]);
     }
 }

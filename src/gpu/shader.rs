@@ -229,7 +229,21 @@ fn include(
     Ok(())
 }
 
-/// Parses and validates a composed shader with the capabilities of its variant and no more; needs no device.
+/// Parses a composed shader.
+///
+/// # Errors
+/// [`Error::Shader`] with the file and line of the first fault.
+pub(super) fn parse(composed: &Composed) -> Result<naga::Module, Error> {
+    naga::front::wgsl::parse_str(&composed.text).map_err(|error| {
+        let line = error
+            .location(&composed.text)
+            .map_or(1, |location| location.line_number as usize);
+        composed.error(line, error.to_string())
+    })
+}
+
+/// Parses and validates a composed shader with the capabilities of its variant and no more; needs no device. A device validates again,
+/// but knows neither file nor line.
 ///
 /// # Errors
 /// [`Error::Shader`] with the file and line of the first fault.
@@ -238,12 +252,7 @@ pub fn validate(
     variant: impl Into<Variant>,
 ) -> Result<(naga::Module, ModuleInfo), Error> {
     let variant = variant.into();
-    let module = naga::front::wgsl::parse_str(&composed.text).map_err(|error| {
-        let line = error
-            .location(&composed.text)
-            .map_or(1, |location| location.line_number as usize);
-        composed.error(line, error.to_string())
-    })?;
+    let module = parse(composed)?;
     let mut capabilities = Capabilities::empty();
     if variant.real == Real::F64 || variant.inner == Real::F64 {
         capabilities |= Capabilities::FLOAT64;

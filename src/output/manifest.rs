@@ -11,6 +11,7 @@ use super::atomic::write_atomically;
 use super::frames::FrameKinds;
 use crate::Error;
 use crate::elastic::Solids;
+use crate::geometry::SourceFlow;
 use crate::scene::{Camera, CameraCut, CameraKeyframe, Scene, SolidMesh, Surface, SurfaceMesh};
 
 /// Everything in manifest.json. Written when the run starts and again with each frame and at the end.
@@ -49,6 +50,9 @@ pub struct Manifest {
     /// How the mesh of the surface is made, for pictures too; none without markers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub surface: Option<SurfaceRecord>,
+    /// What the sources of the scene emit; not in the file where there are none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub sources: Vec<SourceRecord>,
     /// The solids of the scene; not in the file where there are none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub solids: Vec<SolidRecord>,
@@ -72,6 +76,30 @@ pub struct SceneRecord {
     pub file: String,
     /// SHA-256 of the file's text and of all overrides, in hexadecimal.
     pub sha256: String,
+}
+
+/// What a source emits.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SourceRecord {
+    /// Velocity of the liquid, m/s.
+    pub velocity: [f64; 3],
+    /// Volume per second while it runs, less what walls cover, m^3/s.
+    pub flow_rate: f64,
+    /// s
+    pub start: f64,
+    /// s; none where it does not end.
+    pub end: Option<f64>,
+}
+
+impl From<SourceFlow> for SourceRecord {
+    fn from(flow: SourceFlow) -> SourceRecord {
+        SourceRecord {
+            velocity: flow.velocity.to_array(),
+            flow_rate: flow.flow_rate,
+            start: flow.start,
+            end: flow.end.is_finite().then_some(flow.end),
+        }
+    }
 }
 
 /// A solid and its mesh.
@@ -245,6 +273,20 @@ pub struct Progress {
     /// What was noticed in all sub-steps done.
     #[serde(default)]
     pub tally: Tally,
+    /// The health of each solid, in the order of the scene; not in the file where there are none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub solids: Vec<SolidHealth>,
+}
+
+/// Whether a solid still is a solid.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct SolidHealth {
+    /// Whether it has had more than half its volume and less than 1 % of its elements inverted.
+    pub sound: bool,
+    /// Sub-steps in a row, up to the last, with more than 5 % of its elements inverted.
+    pub inverted_steps: u32,
+    /// Sub-step in which it failed, from 0; none where it has not.
+    pub failed_at: Option<u64>,
 }
 
 /// What is noticed sub-step by sub-step.
@@ -263,6 +305,15 @@ pub struct Tally {
     pub floored: u64,
     /// Markers lost in obstacles and solids.
     pub dropped: u64,
+    /// Largest number of markers, lost ones included.
+    #[serde(default)]
+    pub markers: u64,
+    /// Sub-steps after which the liquid volume was more than 20 % off the volume to hold.
+    #[serde(default)]
+    pub volume_off: u64,
+    /// Sub-steps with face speeds above 20 times what gravity, inflow and moving bodies explain.
+    #[serde(default)]
+    pub fast: u64,
     /// How deep solids lay in each other and in obstacles at most, m; where there is no liquid, in each other, in frames that are written.
     #[serde(default)]
     pub overlap: f64,
@@ -270,6 +321,13 @@ pub struct Tally {
     pub min_det: Option<f64>,
     /// Elements with a det F of 0 or less after the last sub-step.
     pub inverted: usize,
+}
+
+impl Tally {
+    /// Markers lost, over the largest number of markers.
+    pub fn lost_share(&self) -> f64 {
+        self.dropped as f64 / self.markers.max(1) as f64
+    }
 }
 
 /// How a run stands or ended. A run that was killed keeps `running`.
@@ -321,6 +379,7 @@ impl Manifest {
             fields,
             surfaces: surface.is_some(),
             surface: liquid.map(|_| SurfaceRecord::from(&scene.surface)),
+            sources: Vec::new(),
             solids: Vec::new(),
             solid_frames,
             frames_per_second: scene.time.frames_per_second,
@@ -336,6 +395,7 @@ impl Manifest {
                     volume_ratio: scene.liquid.as_ref().map(|_| [1.0; 2]),
                     ..Tally::default()
                 },
+                solids: vec![SolidHealth::default(); scene.solids.len()],
             },
         }
     }
@@ -388,6 +448,14 @@ impl Manifest {
             format!("the run is {problem}"),
             format!("{cure}, choose another folder with --out, or start again with --overwrite"),
         ))
+    }
+
+    /// With what the sources emit.
+    pub fn with_sources(self, flows: impl IntoIterator<Item = SourceFlow>) -> Manifest {
+        Manifest {
+            sources: flows.into_iter().map(SourceRecord::from).collect(),
+            ..self
+        }
     }
 
     /// With what the meshes of the scene's solids came to.

@@ -18,6 +18,7 @@
 
 mod atomic;
 pub mod checkpoint;
+mod clean;
 pub mod frames;
 pub mod manifest;
 mod mesh;

@@ -23,6 +23,8 @@ use splashsurf_lib::{
 use crate::grid::Grid;
 use crate::scene::SurfaceMesh;
 
+use super::clean::clean;
+
 /// Reach of a marker's spline over the radius of the surface around a marker alone. With the default radius a flat surface of
 /// seeded markers lies where the region's does, to 0.05 cells, and is bumpy by 0.04 before smoothing. A larger reach takes time as
 /// its cube and hides no more.
@@ -37,8 +39,20 @@ const CUBE: f32 = 0.5;
 /// Half the distance of markers side by side: eight share a cell.
 const HALF_SPACING: f32 = 0.25;
 
-/// Taubin's steps, forwards and back: waves of ten edges and more stay, those of five lose a twentieth in a pair, ripples most.
-const STEPS: [f32; 2] = [0.6307, -0.6732];
+/// Taubin's step forwards. With the step back of [`steps`], waves of ten edges and more stay, those of five lose a twentieth in a pair,
+/// ripples most.
+const FORWARDS: f32 = 0.6307;
+/// Taubin's pass band: 1 / [`FORWARDS`] + 1 / the step back.
+const PASS_BAND: f32 = 0.1;
+/// Long waves may grow by this share in all pairs.
+const GROWTH: f32 = 0.02;
+
+/// Taubin's steps, forwards and back. A pair multiplies waves in the pass band k by up to 1 + (k FORWARDS / 2)^2: many pairs have a narrower
+/// one.
+fn steps(pairs: u32) -> [f32; 2] {
+    let narrow = 2.0 * (GROWTH / pairs.max(1) as f32).sqrt() / FORWARDS;
+    [FORWARDS, 1.0 / (PASS_BAND.min(narrow) - 1.0 / FORWARDS)]
+}
 
 /// Why there is no mesh.
 pub(super) type SurfaceError = ReconstructionError<i64, f32>;
@@ -122,22 +136,23 @@ impl LiquidSurface {
             let connectivity = mesh.vertex_vertex_connectivity();
             let weights = vec![1.0; mesh.vertices.len()];
             for _ in 0..smoothing {
-                for step in STEPS {
+                for step in steps(smoothing) {
                     par_laplacian_smoothing_inplace(&mut mesh, &connectivity, 1, step, &weights);
                 }
             }
         }
         let size = Vec3::from_array(grid.cells.map(|n| n as f32));
-        let vertices: Vec<Vec3> = mesh
+        let mut vertices: Vec<Vec3> = mesh
             .vertices
             .iter()
             .map(|x| Vec3::new(x[0], x[1], x[2]).clamp(Vec3::ZERO, size))
             .collect();
-        let triangles: Vec<[u32; 3]> = mesh
+        let mut triangles: Vec<[u32; 3]> = mesh
             .triangles
             .iter()
             .map(|corners| corners.map(|corner| corner as u32))
             .collect();
+        clean(&mut vertices, &mut triangles);
         LiquidSurface {
             normals: normals(&vertices, &triangles, size),
             vertices: vertices.iter().map(|&x| x * grid.dx as f32).collect(),

@@ -40,9 +40,9 @@ pub fn larger(a: f64, b: f64) -> f64 {
 }
 
 /// The largest divergence that a projection left in an active cell, 1/s; not a number where one is not. `velocity`: of the faces, m/s, before
-/// it is extrapolated; `flux`: what solids and obstacles take up of each cell, J v, m^3/s.
+/// it is extrapolated; `open`: fractions of the faces, with the apertures of sources; `flux`: what solids and obstacles take up of each cell, J v, m^3/s.
 pub fn divergence(
-    cut: &CutCells,
+    open: &[Vec<f64>; 3],
     velocity: &[Vec<f64>; 3],
     stencil: &Stencil,
     flux: Option<&[f64]>,
@@ -51,7 +51,7 @@ pub fn divergence(
     let active = (0..grid.n_cells()).filter(|&cell| stencil.active(cell));
     let left = active.map(|cell| {
         let taken = flux.map_or(0.0, |flux| flux[cell]);
-        inflow(grid, &cut.open, velocity, cell).0 - taken
+        inflow(grid, open, velocity, cell).0 - taken
     });
     left.map(f64::abs).fold(0.0, larger) / grid.cell_volume()
 }

@@ -1,6 +1,7 @@
 //! `exchange`: sinks take markers away, sources make some; and what both do in other stages.
 //!
-//! Every cell of a source that runs is filled up to 8 markers in each sub-step, at jittered places of its eighths. The jitter is a function of
+//! Every cell of a source that runs has eighths to keep full ([`Taps::eighths`]): 8 within the source. In each sub-step it is filled up to as many
+//! markers in them, at jittered places. The jitter is a function of
 //! the scene's seed, the sub-step's number, the cell and the marker's number in it, so a run repeats and goes on from a state bit for bit.
 //!
 //! Cells with their centre in a body get none: `advect_markers` would put them out of the body, and the cell would be filled anew in every
@@ -53,32 +54,43 @@ pub fn seed_markers(
             .source_cells
             .binary_search_by_key(&cell, |&(cell, _)| cell)
         {
-            counts[found] += 1;
+            counts[found] += usize::from(taps.eighths[found] >> eighth_of(grid, x) & 1);
         }
     }
     let mut seeded = Seeded::default();
-    for (&(cell, source), &count) in taps.source_cells.iter().zip(&counts) {
-        if sources.running >> source & 1 == 0 || count >= PER_CELL {
+    let cells = taps.source_cells.iter().zip(&taps.eighths);
+    for ((&(cell, source), &eighths), &count) in cells.zip(&counts) {
+        let full = eighths.count_ones() as usize;
+        if sources.running >> source & 1 == 0 || count >= full {
             continue;
         }
-        let lacks = (PER_CELL - count) as u64;
+        let lacks = (full - count) as u64;
         seeded.filled += lacks * u64::from(sources.starting >> source & 1);
         if solid_distance[cell] < 0.0 {
             continue;
         }
-        let places = (count..PER_CELL).map(|number| place(grid, &sources, cell, count, number));
+        let place = |number| place(grid, &sources, (cell, eighths), count, number);
+        let places = (count..full).map(place);
         markers.extend(places.map(|x| x.to_array()));
         seeded.emitted += lacks;
     }
     seeded
 }
 
-/// Where a cell that holds `count` markers gets its marker with a number, m.
-fn place(grid: &Grid, sources: &Running, cell: usize, count: usize, number: usize) -> DVec3 {
+/// Where a cell that holds `count` markers in its eighths gets its marker with a number, m.
+fn place(
+    grid: &Grid,
+    sources: &Running,
+    (cell, eighths): (usize, u8),
+    count: usize,
+    number: usize,
+) -> DVec3 {
     let of_cell = [sources.seed, sources.step, cell as u32]
         .into_iter()
         .fold(0, |bits, part| scatter(bits ^ part));
-    let eighth = (number + of_cell as usize) % PER_CELL;
+    let turn = (number + of_cell as usize) % eighths.count_ones() as usize;
+    let mut full = (0..PER_CELL).filter(|eighth| eighths >> eighth & 1 == 1);
+    let eighth = full.nth(turn).expect("the turn is below the count");
     let mut bits = scatter(of_cell ^ (number - count + 1) as u32);
     let within = DVec3::from([0, 1, 2].map(|axis| {
         bits = scatter(bits);
@@ -104,12 +116,19 @@ fn cell_of(grid: &Grid, x: [f64; 3]) -> usize {
     }))
 }
 
+/// The eighth of its cell that a point lies in.
+fn eighth_of(grid: &Grid, x: [f64; 3]) -> usize {
+    let at = grid.cell_at(cell_of(grid, x));
+    let upper = |a: usize| usize::from(x[a] / grid.dx - at[a] as f64 >= 0.5);
+    (0..3).map(|a| upper(a) << a).sum()
+}
+
 /// In `forces`: u* on the faces of sources (m/s). Closed faces stay as they are.
 pub fn hold_faces(taps: &Taps, open: &[Vec<f64>; 3], running: u32, velocity: &mut [Vec<f64>; 3]) {
     for face in &taps.faces {
         let a = face.axis.index();
         if let Some(held) = face.held(running).filter(|_| open[a][face.face] > 0.0) {
-            velocity[a][face.face] = held;
+            velocity[a][face.face] = held.velocity;
         }
     }
 }

@@ -4,12 +4,12 @@ use glam::DVec3;
 
 use super::active_cells::theta;
 use crate::grid::{Axis, Grid};
-use crate::scene::ProbeKind;
+use crate::scene::{ProbeKind, Up};
 use crate::state::State;
 
 /// What a probe reads: one number, or three for a velocity. SI units.
 ///
-/// - Height: where phi, interpolated to the vertical line, last changes sign going up; the top of the domain if it is
+/// - Height: where phi, interpolated to the line along gravity's axis, last changes sign going up; the top of the domain if it is
 ///   negative up to there, 0 without liquid.
 /// - Pressure: trilinear between cell centres, air counting as 0. Cells of the liquid that are no unknowns (inside
 ///   obstacles) do not count; beyond the outermost centres the pressure of the nearest is taken.
@@ -18,7 +18,7 @@ use crate::state::State;
 /// - Of solids, and of forces on them: nothing here; [`crate::elastic::Solids::probe`] reads them.
 pub fn probe(grid: &Grid, state: &State, kind: &ProbeKind) -> Vec<f64> {
     match *kind {
-        ProbeKind::Height { x, z } => vec![height(grid, &state.liquid_distance, x, z)],
+        ProbeKind::Height { foot, up } => vec![height(grid, &state.liquid_distance, foot, up)],
         ProbeKind::Pressure { point } => vec![pressure(grid, state, point)],
         ProbeKind::Velocity { point } => {
             grid.velocity_at(&state.velocity, point).to_array().to_vec()
@@ -28,10 +28,13 @@ pub fn probe(grid: &Grid, state: &State, kind: &ProbeKind) -> Vec<f64> {
     }
 }
 
-fn height(grid: &Grid, liquid_distance: &[f64], x: f64, z: f64) -> f64 {
-    let n = grid.cells[1];
-    let phi = |j: usize| {
-        let centre = DVec3::new(x, (j as f64 + 0.5) * grid.dx, z);
+fn height(grid: &Grid, liquid_distance: &[f64], foot: DVec3, up: Up) -> f64 {
+    let n = grid.cells[up.axis];
+    // Rows count upwards.
+    let phi = |row: usize| {
+        let j = if up.falling { n - 1 - row } else { row };
+        let mut centre = foot;
+        centre[up.axis] = (j as f64 + 0.5) * grid.dx;
         grid.sample_cells(liquid_distance, centre)
     };
     match (0..n).rev().find(|&j| phi(j) < 0.0) {

@@ -218,6 +218,11 @@ impl Reference {
         Ok(())
     }
 
+    /// Sources and sinks; `None` without liquid.
+    pub fn taps(&self) -> Option<&Taps> {
+        self.liquid.as_ref().map(|part| &part.taps)
+    }
+
     /// The scene.
     pub fn scene(&self) -> &Scene {
         &self.scene
@@ -258,6 +263,12 @@ impl Reference {
         let taps = self.liquid.as_ref().map(|part| &part.taps);
         let sources = taps.map_or(0.0, |taps| taps.speed(state.time, scene.time.cfl));
         let speed = larger(speed, sources);
+        // Later keyframes of scripts are in the velocities of their nodes.
+        let scripts = match (&self.solid, state.step) {
+            (Some(part), 0) => part.solids.max_script_speed(state.time, left),
+            _ => 0.0,
+        };
+        let speed = larger(speed, scripts);
         time_step(&scene.time, grid.dx, speed, fall, left, state.dt_last)
     }
 
@@ -394,6 +405,10 @@ impl Reference {
             .filter(|_| self.effects.sources)
             .map(|part| part.taps.held_open(open, running.running));
         let open_to_pressure = held_open.as_ref().unwrap_or(open);
+        let flux_open = liquid
+            .filter(|_| self.effects.sources)
+            .map(|part| part.taps.flux_open(open, running.running));
+        let open_to_flux = flux_open.as_ref().unwrap_or(open);
         let active = liquid.map(|LiquidPart { liquid, taps, .. }| {
             if self.effects.markers {
                 let radius = liquid.marker_radius * grid.dx;
@@ -433,7 +448,7 @@ impl Reference {
                 Some(_) => Cow::Owned(open_volumes(grid, solid_distance)),
             };
             let source = self.volume_source(&open_volumes, &state, dt);
-            let rhs = right_hand_side(grid, open, &state.velocity, &active, source);
+            let rhs = right_hand_side(grid, open_to_flux, &state.velocity, &active, source);
             let system = PressureSystem::new(active, rhs, dt, part.liquid.density);
             let obstacles = clip.map_or(&[][..], |clip| clip.obstacles().flux());
             let sources = part.taps.taken(grid, Some(open), running.running);
@@ -526,7 +541,8 @@ impl Reference {
                 }
                 flux
             });
-            left = divergence(cut, &state.velocity, &system.stencil, flux.as_deref());
+            let (velocity, stencil) = (&state.velocity, &system.stencil);
+            left = divergence(open_to_flux, velocity, stencil, flux.as_deref());
             clock.lap("write_back");
 
             let walls = clip.map(|clip| MovingWalls {

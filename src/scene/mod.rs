@@ -20,6 +20,7 @@ pub use camera::PICTURE_SIDES;
 use document::Origin;
 pub use document::Written;
 pub use read::MAX_FRAMES;
+pub(crate) use read::MAX_VELOCITY;
 
 /// A checked scene, all in SI units. Lengths and times are finite, counts are positive, regions and obstacles have volume.
 #[derive(Clone, Debug)]
@@ -420,8 +421,10 @@ pub struct Motion {
 pub struct Source {
     /// Its shape.
     pub shape: Shape,
-    /// Velocity of the liquid in it, m/s; not zero.
+    /// Velocity of the liquid in it, m/s; not zero. With a flow rate that without walls.
     pub velocity: DVec3,
+    /// Volume per second to emit whatever walls cover, m^3/s; `None` where the velocity is given.
+    pub flow_rate: Option<f64>,
     /// It runs from this time on, s; default 0.
     pub start: f64,
     /// It runs up to this time, s; default for ever.
@@ -462,15 +465,43 @@ impl Probe {
     }
 }
 
+/// The axis against gravity's largest component; y upwards without gravity.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Up {
+    /// 0, 1, 2 for x, y, z.
+    pub axis: usize,
+    /// Whether coordinates fall on the way up.
+    pub falling: bool,
+}
+
+impl Up {
+    /// Against a gravity.
+    pub fn against(gravity: DVec3) -> Up {
+        match gravity == DVec3::ZERO {
+            true => Up {
+                axis: 1,
+                falling: false,
+            },
+            false => {
+                let axis = gravity.abs().max_position();
+                Up {
+                    axis,
+                    falling: gravity[axis] > 0.0,
+                }
+            }
+        }
+    }
+}
+
 /// What a probe measures.
 #[derive(Clone, Copy, Debug)]
 pub enum ProbeKind {
-    /// Height of the highest liquid surface above the floor at (x, z), m.
+    /// Height of the highest liquid surface, against gravity, above the side of the domain that gravity points to, m.
     Height {
-        /// m
-        x: f64,
-        /// m
-        z: f64,
+        /// A point of the line along which it is measured, m.
+        foot: DVec3,
+        /// The way up.
+        up: Up,
     },
     /// Pressure at a point, Pa.
     Pressure {

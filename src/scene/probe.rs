@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use super::document::{Keys, Place, Table};
 use super::read::list;
-use super::{Domain, Probe, ProbeKind, Solid};
+use super::{Domain, Probe, ProbeKind, Solid, Up};
 use crate::error::Error;
 
 const PROBE: Keys = Keys {
@@ -22,7 +22,7 @@ const MEASUREMENTS: [&str; 7] = [
     "height", "pressure", "velocity", "front", "node", "solid", "force",
 ];
 const HEIGHT: Keys = Keys {
-    valid: &["x", "z"],
+    valid: &["x", "y", "z"],
     absent: &[],
 };
 const POINT: Keys = Keys {
@@ -94,8 +94,23 @@ pub(super) fn probes(
         let kind = match kind {
             "height" => {
                 let table = place.table(&HEIGHT)?;
-                let coordinate = |name: &str, axis: usize| {
-                    let place = table.required(name, &format!("{name} = 0.5, in m"))?;
+                let up = Up::against(domain.gravity);
+                let mut foot = DVec3::ZERO;
+                for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
+                    let Some(place) = table.get(name) else {
+                        let problem = format!("has no `{name}`");
+                        match axis == up.axis {
+                            true => continue,
+                            false => {
+                                return Err(table.fail(problem, format!("add {name} = 0.5, in m")));
+                            }
+                        }
+                    };
+                    place.ensure(
+                        axis != up.axis,
+                        "is along gravity, and the height is measured that way",
+                        "remove it: the two other coordinates say where",
+                    )?;
                     let value = place.number("a coordinate in m")?;
                     let side = domain.size[axis];
                     let problem = format!("{value} m lies outside the domain");
@@ -104,12 +119,9 @@ pub(super) fn probes(
                         problem,
                         format!("use 0 to {side} m"),
                     )?;
-                    Ok::<f64, Error>(value)
-                };
-                ProbeKind::Height {
-                    x: coordinate("x", 0)?,
-                    z: coordinate("z", 2)?,
+                    foot[axis] = value;
                 }
+                ProbeKind::Height { foot, up }
             }
             "pressure" => ProbeKind::Pressure {
                 point: point(place, domain)?,

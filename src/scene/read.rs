@@ -33,7 +33,7 @@ const MARKER_RADII: std::ops::RangeInclusive<f64> = 0.5..=1.2;
 /// Densities, kg/m^3; velocities, m/s, and accelerations, m/s^2, along an axis; frames per second. Far beyond all liquids; what
 /// is computed from them stays in single precision.
 const DENSITIES: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
-pub(super) const MAX_VELOCITY: f64 = 1e6;
+pub(crate) const MAX_VELOCITY: f64 = 1e6;
 const MAX_GRAVITY: f64 = 1e6;
 const FRAME_RATES: std::ops::RangeInclusive<f64> = 1e-3..=1e6;
 /// Cells are cubic to this relative difference.
@@ -200,11 +200,7 @@ impl Scene {
             false => mesh_files(liquid.as_ref(), &obstacles, &solids),
         };
         let scene = Scene {
-            name: path
-                .file_stem()
-                .unwrap_or(path.as_os_str())
-                .to_string_lossy()
-                .into_owned(),
+            name: name(path)?,
             file: path.to_owned(),
             written: document.written(),
             hash: hash(text, overrides, scale, &meshes)?,
@@ -883,4 +879,38 @@ fn output(root: &Table, has_liquid: bool, has_solids: bool) -> Result<Output, Er
 pub(super) fn list<T: std::fmt::Display, const N: usize>(values: [T; N]) -> String {
     let values: Vec<_> = values.iter().map(T::to_string).collect();
     format!("[{}]", values.join(", "))
+}
+
+/// Longest name of a scene, bytes: most file systems end at 255, and the longest name of a file that is being written is
+/// `.NAME_obstacles_000000.vtp.partial`.
+const LONGEST_NAME: usize = 255 - ".".len() - "_obstacles_000000.vtp".len() - ".partial".len();
+
+/// Name of a scene: its file's, without the ending. The names of all output files begin with it, and `.pvd` files contain them.
+///
+/// # Errors
+/// [`Error::Input`] for a name that no file system or no XML file can have with what comes behind it.
+fn name(path: &Path) -> Result<String, Error> {
+    let stem = path.file_stem().unwrap_or(path.as_os_str());
+    let name = stem.to_string_lossy();
+    let refused =
+        |problem: String, cure: String| Err(Error::input(format!("{name:?}"), problem, cure));
+    let cure = "rename the scene file";
+    if stem.to_str().is_none() {
+        return refused(
+            "the name of the scene file is not UTF-8".to_owned(),
+            cure.to_owned(),
+        );
+    }
+    if name.chars().any(char::is_control) {
+        let problem = "the name of the scene file has a line break or another control character";
+        return refused(problem.to_owned(), cure.to_owned());
+    }
+    if name.len() > LONGEST_NAME {
+        let problem = format!("the name of the scene file has {} bytes", name.len());
+        let cure = format!(
+            "rename it to at most {LONGEST_NAME} bytes: names of output files begin with it"
+        );
+        return refused(problem, cure);
+    }
+    Ok(name.into_owned())
 }

@@ -165,7 +165,11 @@ impl Format {
                     .iter()
                     .map(|key| json!({ "required": [key] }))
                     .collect();
-                json!({ "oneOf": each })
+                // A second choice of the same table stands beside the first.
+                match schema.contains_key("oneOf") {
+                    true => json!({ "allOf": [{ "oneOf": each }] }),
+                    false => json!({ "oneOf": each }),
+                }
             }
             Asked::Required(_) => return,
         };

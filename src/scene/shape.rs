@@ -328,6 +328,50 @@ impl Shape {
         }
     }
 
+    /// Area of the shadow that a box, ball or cylinder casts along a unit vector, m^2; 0 of other shapes.
+    pub(crate) fn projected_area(&self, way: DVec3) -> f64 {
+        match *self {
+            Shape::Box { min, max } => {
+                let [x, y, z] = (max - min).to_array();
+                way.abs().dot(DVec3::new(y * z, z * x, x * y))
+            }
+            Shape::Sphere { radius, .. } => std::f64::consts::PI * radius * radius,
+            Shape::Cylinder {
+                axis,
+                radius,
+                height,
+                ..
+            } => {
+                let along = way.dot(axis).abs();
+                let across = way.cross(axis).length();
+                radius * (std::f64::consts::PI * radius * along + 2.0 * height * across)
+            }
+            _ => 0.0,
+        }
+    }
+
+    /// Whether a box, ball or cylinder lies in the box from the origin to `size`, to rounding.
+    pub(crate) fn lies_in(&self, size: DVec3) -> bool {
+        let (centre, half) = match *self {
+            Shape::Box { min, max } => (0.5 * (min + max), 0.5 * (max - min)),
+            Shape::Sphere { centre, radius } => (centre, DVec3::splat(radius)),
+            Shape::Cylinder {
+                base,
+                axis,
+                radius,
+                height,
+            } => {
+                let rim = (DVec3::ONE - axis * axis).max(DVec3::ZERO);
+                let rim = radius * DVec3::new(rim.x.sqrt(), rim.y.sqrt(), rim.z.sqrt());
+                (base + 0.5 * height * axis, 0.5 * height * axis.abs() + rim)
+            }
+            _ => return false,
+        };
+        let slack = 1e-9 * size.max_element();
+        let (low, high) = (centre - half, centre + half - size);
+        low.min_element() >= -slack && high.max_element() <= slack
+    }
+
     /// Whether some of it lies in the box from the origin to `size`, judged by bounding boxes; true for meshes and solitary waves.
     pub(super) fn reaches(&self, placement: &Placement, size: DVec3) -> bool {
         let half_extent = match self {

@@ -8,11 +8,20 @@ use super::document::{Keys, Place, Table};
 use super::read::{MAX_VELOCITY, bounded, list};
 use super::shape::shape;
 use super::{Domain, Liquid, Placement, Shape, Sink, Source, Surface};
-use crate::error::Error;
+use crate::error::{Error, rounded};
 
 const SHAPES: [&str; 3] = ["box", "sphere", "cylinder"];
 const SOURCE: Keys = Keys {
-    valid: &["box", "sphere", "cylinder", "velocity", "start", "end"],
+    valid: &[
+        "box",
+        "sphere",
+        "cylinder",
+        "velocity",
+        "flow_rate",
+        "direction",
+        "start",
+        "end",
+    ],
     absent: &[],
 };
 const SINK: Keys = Keys {
@@ -31,13 +40,7 @@ pub(super) fn sources(
 ) -> Result<Vec<Source>, Error> {
     let source = |place: Place| {
         let (table, shape) = region(&place, &SOURCE, file, domain)?;
-        let velocity_place = table.required("velocity", "velocity = [0.0, -1.0, 0.0], in m/s")?;
-        let velocity = bounded(&velocity_place, "a velocity in m/s", MAX_VELOCITY)?;
-        velocity_place.ensure(
-            velocity != DVec3::ZERO,
-            "is zero, so nothing comes out",
-            "write a velocity in m/s, such as [0.0, -1.0, 0.0]",
-        )?;
+        let (velocity, flow_rate) = flow(&table, &shape)?;
         let start = match table.get("start") {
             Some(place) => {
                 let start = place.number("the time in s from which on it runs")?;
@@ -66,6 +69,7 @@ pub(super) fn sources(
         Ok(Source {
             shape,
             velocity,
+            flow_rate,
             start,
             end,
         })
@@ -74,6 +78,42 @@ pub(super) fn sources(
         .into_iter()
         .map(source)
         .collect()
+}
+
+/// The velocity of a source and, where it is given instead, the flow rate.
+fn flow(table: &Table, shape: &Shape) -> Result<(DVec3, Option<f64>), Error> {
+    let direction = table.get("direction");
+    let (kind, place) = table.one_of(&["velocity", "flow_rate"], "velocity or flow rate")?;
+    if kind == "velocity" {
+        if let Some(direction) = direction {
+            return Err(direction.fail(
+                "belongs to a flow_rate, and the source has a velocity",
+                "remove it, or write flow_rate = 0.001, in m^3/s, instead of the velocity",
+            ));
+        }
+        let velocity = bounded(&place, "a velocity in m/s", MAX_VELOCITY)?;
+        place.ensure(
+            velocity != DVec3::ZERO,
+            "is zero, so nothing comes out",
+            "write a velocity in m/s, such as [0.0, -1.0, 0.0]",
+        )?;
+        return Ok((velocity, None));
+    }
+    let flow_rate = place.positive("the flow rate in m^3/s")?;
+    let way = match (direction, shape) {
+        (Some(direction), _) => direction.direction("the direction of the flow")?,
+        (None, Shape::Cylinder { axis, .. }) => *axis,
+        (None, _) => table
+            .required("direction", "direction = [0, -1, 0], of the flow")?
+            .direction("the direction of the flow")?,
+    };
+    let speed = flow_rate / shape.projected_area(way);
+    place.ensure(
+        speed <= MAX_VELOCITY,
+        format!("makes a speed of {} m/s", rounded(speed)),
+        "write a flow rate in m^3/s (a litre per second is 0.001)",
+    )?;
+    Ok((speed * way, Some(flow_rate)))
 }
 
 /// The sinks of a scene.

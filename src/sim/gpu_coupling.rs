@@ -253,7 +253,7 @@ fn coupled<'a>(
         fields: solids.buffers.fields(),
         coupling,
         velocity: &liquid.buffers.velocity_next,
-        open: &liquid.buffers.open,
+        open: liquid.buffers.flux_open(),
     }
 }
 

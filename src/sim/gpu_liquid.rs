@@ -422,7 +422,7 @@ impl LiquidStages {
             gpu,
             solver,
             &liquid.velocity_next,
-            &liquid.open,
+            liquid.flux_open(),
             &scene.solver,
         )?;
         let probe = || {

@@ -245,6 +245,17 @@ impl GpuPath {
         Ok((values, displacement, forces))
     }
 
+    /// Displacements of all nodes, m; none without solids.
+    pub(super) fn displacement(&self) -> Result<Vec<[f64; 3]>, Error> {
+        let of = |solids: &GpuSolids| solids.displacement(&self.gpu);
+        Ok(self
+            .solids
+            .as_ref()
+            .map(of)
+            .transpose()?
+            .unwrap_or_default())
+    }
+
     /// The length of the next sub-step.
     pub fn next_time_step(&self) -> TimeStep {
         let Scene { time, domain, .. } = &self.scene;
@@ -256,7 +267,11 @@ impl GpuPath {
         let obstacles = obstacles.map(|cut| cut.max_speed(self.head.time, left));
         let sources = self.liquid.iter();
         let sources = sources.map(|liquid| liquid.taps.speed(self.head.time, time.cfl));
-        let max_speed = liquid.chain(solids).chain(obstacles).chain(sources);
+        // Later keyframes of scripts are in the velocities of their nodes.
+        let scripts = self.solids.iter().filter(|_| self.head.step == 0);
+        let scripts = scripts.map(|of| of.solids.max_script_speed(self.head.time, left));
+        let max_speed = liquid.chain(solids).chain(obstacles);
+        let max_speed = max_speed.chain(sources).chain(scripts);
         time_step(
             time,
             self.grid.dx,

@@ -467,6 +467,12 @@ impl GpuSolids {
         }
     }
 
+    /// Displacements of all nodes, m.
+    pub(super) fn displacement(&self, gpu: &Gpu) -> Result<Vec<[f64; 3]>, Error> {
+        let words = gpu.download(&self.buffers.displacement)?;
+        Ok(self.buffers.displacement_of(&words))
+    }
+
     /// Displacements of all nodes, m, for the probes. Nothing without probes of solids.
     pub(super) fn probed(&mut self, gpu: &Gpu) -> Result<Vec<[f64; 3]>, Error> {
         let Some(readback) = &mut self.probed else {

@@ -5,6 +5,7 @@ mod gpu_liquid;
 mod gpu_obstacles;
 mod gpu_path;
 mod gpu_solids;
+mod health;
 mod memory;
 mod plan;
 mod run;
@@ -24,7 +25,7 @@ pub use step::Observer;
 use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::Solids;
-use crate::geometry::{self, CutCells, ObstacleCut, SolidClip};
+use crate::geometry::{self, CutCells, ObstacleCut, SolidClip, SourceFlow};
 use crate::gpu::{AdapterChoice, AdapterReport, Gpu};
 use crate::grid::Axis;
 use crate::reference::{self, Reference};
@@ -179,6 +180,17 @@ impl Simulation {
         Ok(values.collect())
     }
 
+    /// Displacements of all nodes from rest, m; empty without solids.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn displacement(&self) -> Result<Vec<[f64; 3]>, Error> {
+        match &self.path {
+            Path::Gpu(path) => path.displacement(),
+            Path::Cpu(path) => Ok(path.state().displacement.clone()),
+        }
+    }
+
     /// How far the simulation is.
     pub fn clock(&self) -> Clock {
         match &self.path {
@@ -199,6 +211,15 @@ impl Simulation {
         } else {
             1.0
         })
+    }
+
+    /// What the sources emit, in the order of the scene.
+    pub fn source_flows(&self) -> Vec<SourceFlow> {
+        let taps = match &self.path {
+            Path::Gpu(path) => path.taps().map(|(taps, _)| taps),
+            Path::Cpu(path) => path.taps(),
+        };
+        taps.iter().flat_map(|taps| taps.flows()).collect()
     }
 
     /// The elastic solids at rest; none without.

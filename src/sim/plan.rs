@@ -3,7 +3,7 @@
 use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::{Bounds, Solids};
-use crate::geometry::{self, SolidClip, Taps};
+use crate::geometry::{self, SolidClip, SourceFlow, Taps};
 use crate::gpu::{AdapterReport, BufferPlan, Timer, Variant};
 use crate::grid::Grid;
 use crate::reference::{TimeStep, time_step};
@@ -59,6 +59,8 @@ pub struct Plan {
     pub n_nodes: usize,
     /// Elements of all solids.
     pub n_elements: usize,
+    /// What the sources emit, in the order of the scene.
+    pub sources: Vec<SourceFlow>,
     /// The first sub-step.
     pub first_step: TimeStep,
     /// Effects, present and absent.
@@ -121,6 +123,7 @@ impl Plan {
         Ok(Plan {
             padded_cells,
             n_markers,
+            sources: taps.flows().collect(),
             first_step: first_step(scene, &grid, (solids, clip, taps)),
             effects: effect_lines(scene, &effects, n_turning),
             stages: stages(scene, &grid, &rows, (&effects, n_turning > 0), f64),
@@ -228,6 +231,7 @@ fn first_step(
     let obstacle_speed = clip.map_or(0.0, |clip| clip.obstacles().max_speed(0.0, frame));
     let speed = liquid_speed.max(solid_speed);
     let speed = speed.max(obstacle_speed).max(of_sources);
+    let speed = speed.max(solids.max_script_speed(0.0, frame));
     let fall = (scene.domain.gravity.length() * grid.dx).sqrt();
     time_step(&scene.time, grid.dx, speed, fall, frame, 0.0)
 }

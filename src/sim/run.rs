@@ -11,13 +11,14 @@ use crate::gpu::AdapterReport;
 use crate::output::checkpoint::Checkpoint;
 use crate::output::frames::{FrameKinds, FrameWriter};
 use crate::output::manifest::{
-    AdapterRecord, EarlierAdapter, Manifest, RunOptions, RunStatus, Tally,
+    AdapterRecord, EarlierAdapter, Manifest, RunOptions, RunStatus, SolidHealth, Tally,
 };
 use crate::output::tables::{ProbeTable, StepRow, StepTable};
 use crate::output::{FolderLock, is_partial};
 use crate::scene::{MAX_FRAMES, Scene};
 use crate::state::{SolveStatus, State, StepReport};
 
+use super::health::{Health, Now};
 use super::{Backend, Simulation};
 
 /// What a run is told beyond its scene.
@@ -33,6 +34,8 @@ pub struct Options {
     pub overwrite: bool,
     /// Whether the run in the folder is to go on where it ended; where there is none, one begins.
     pub resume: bool,
+    /// Whether the run continues after a solid has collapsed.
+    pub keep_going: bool,
 }
 
 /// What the caller is told after every sub-step.
@@ -46,6 +49,8 @@ pub struct Progress<'a> {
     pub time: f64,
     /// The sub-step.
     pub report: &'a StepReport,
+    /// Signs of a run gone wrong that appeared in this sub-step for the first time, a sentence each.
+    pub notices: &'a [String],
 }
 
 /// What a run came to.
@@ -59,6 +64,8 @@ pub struct Summary {
     pub seconds: f64,
     /// What was noticed in all of them.
     pub tally: Tally,
+    /// Solids that have collapsed, each with its sub-step: only of a run that was told to keep going.
+    pub failed_solids: Vec<(String, u64)>,
     /// Liquid regions, by number, that are too small or too well covered for the cells to hold any of their liquid.
     pub empty_regions: Vec<usize>,
     /// Where the run went on, if it did.
@@ -221,8 +228,9 @@ pub fn run(
         overrides: scene.overrides.clone(),
     };
     let adapter = simulation.adapter().map(adapter_record);
-    let mut manifest =
-        Manifest::new(scene, run_options, adapter).with_solids(scene, simulation.solids())?;
+    let mut manifest = Manifest::new(scene, run_options, adapter)
+        .with_sources(simulation.source_flows())
+        .with_solids(scene, simulation.solids())?;
     let (mut empty_regions, mut resumed) = (Vec::new(), None);
     let from = match start {
         Start::Finished(manifest) => return Ok(Summary::of_finished(&manifest)),
@@ -237,7 +245,8 @@ pub fn run(
             Some(TablesAt::of(&checkpoint))
         }
     };
-    let mut recording = Recording::begin(scene, out, manifest, from)?;
+    let health = Health::new(scene, options.keep_going);
+    let mut recording = Recording::begin(scene, out, manifest, (from, health))?;
     let outcome = match from {
         None => recording.frame(&simulation, n_frames),
         Some(_) => Ok(()),
@@ -283,10 +292,16 @@ fn lasting(scene: &Scene, n_frames: u64) -> Scene {
 impl Summary {
     fn of(
         Manifest {
-            options, progress, ..
+            options,
+            progress,
+            solids,
+            ..
         }: &Manifest,
     ) -> Summary {
+        let health = solids.iter().zip(&progress.solids);
+        let failed = health.filter_map(|(of, health)| Some((of.name.clone(), health.failed_at?)));
         Summary {
+            failed_solids: failed.collect(),
             frames: options.frames,
             steps: progress.steps,
             seconds: progress.seconds,
@@ -315,6 +330,8 @@ fn take_up(manifest: &mut Manifest, checkpoint: &Checkpoint, every: u64) -> Resu
         ..
     } = checkpoint;
     manifest.progress.clone_from(&before.progress);
+    let solids = &mut manifest.progress.solids;
+    solids.resize(manifest.solids.len(), SolidHealth::default());
     let n_frames = manifest.options.frames;
     // The last frame of a shorter run is none of a longer one.
     let written = &mut manifest.progress.frames_written;
@@ -451,6 +468,7 @@ struct Recording<'a> {
     steps: StepTable,
     probes: Option<ProbeTable>,
     manifest: Manifest,
+    health: Health,
     /// The last moment that was read, where there are to be checkpoints, unless its checkpoint is on the disk.
     unsaved: Option<Checkpoint>,
 }
@@ -461,7 +479,7 @@ impl<'a> Recording<'a> {
         scene: &'a Scene,
         out: &'a Path,
         manifest: Manifest,
-        from: Option<TablesAt>,
+        (from, health): (Option<TablesAt>, Health),
     ) -> Result<Recording<'a>, Error> {
         // First what says whose the folder is, wherever it ends; but tables that are not those of the run leave it as it was.
         if from.is_none() {
@@ -496,14 +514,22 @@ impl<'a> Recording<'a> {
             steps,
             probes,
             manifest,
+            health,
             unsaved: None,
             scene,
             out,
         })
     }
 
-    /// Writes the rows of a sub-step.
-    fn sub_step(&mut self, simulation: &mut Simulation, report: &StepReport) -> Result<(), Error> {
+    /// Writes the rows of a sub-step. Returns what is noticed in it for the first time.
+    ///
+    /// # Errors
+    /// Where a solid has failed, with the rows written.
+    fn sub_step(
+        &mut self,
+        simulation: &mut Simulation,
+        report: &StepReport,
+    ) -> Result<Vec<String>, Error> {
         let clock = simulation.clock();
         let volume_ratio = simulation.volume_ratio(report);
         let row = StepRow {
@@ -519,7 +545,21 @@ impl<'a> Recording<'a> {
         let progress = &mut self.manifest.progress;
         (progress.steps, progress.time) = (clock.step, clock.time);
         notice(&mut progress.tally, report, volume_ratio);
-        Ok(())
+        let now = Now {
+            step: clock.step - 1,
+            time: clock.time,
+            report,
+            volume_ratio,
+        };
+        let mut notices = self.health.liquid(&now, &mut progress.tally);
+        notices.extend(self.health.solids(
+            (self.scene, simulation.solids()),
+            &now,
+            &mut progress.solids,
+            || simulation.displacement(),
+            || simulation.state(),
+        )?);
+        Ok(notices)
     }
 
     /// Writes what is due when a frame is done.
@@ -637,7 +677,6 @@ fn notice(tally: &mut Tally, report: &StepReport, volume_ratio: Option<f64>) {
         tally.min_det = Some(least.min(solid.diagnosis.min_det));
         tally.inverted = solid.diagnosis.inverted;
     }
-    tally.dropped += report.liquid.map_or(0, |liquid| liquid.dropped);
     if let Some(coupling) = report.coupling {
         tally.overlap = tally.overlap.max(coupling.overlap_depth);
     }
@@ -654,7 +693,7 @@ fn frames(
     while simulation.clock().frame < n_frames {
         let before = simulation.clock().frame;
         let report = simulation.step()?;
-        recording.sub_step(simulation, &report)?;
+        let notices = recording.sub_step(simulation, &report)?;
         let clock = simulation.clock();
         if clock.frame > before {
             recording.frame(simulation, n_frames)?;
@@ -664,6 +703,7 @@ fn frames(
             n_frames,
             time: clock.time,
             report: &report,
+            notices: &notices,
         });
         // A run whose last frame is written is done.
         if interrupt.load(Ordering::Relaxed) && clock.frame < n_frames {

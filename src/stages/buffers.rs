@@ -88,6 +88,9 @@ impl LiquidPlan {
             BufferPlan::of::<u32>("liquid.report", Report::words(&self.effects)),
             RealBuffer::plan("liquid.partials", 4 * self.n_summing(), self.real),
         ];
+        if self.effects.sources {
+            plans.push(BufferPlan::of::<f32>("liquid.flux_open", 3 * padded.len()));
+        }
         if self.effects.moving_obstacles {
             plans.push(BufferPlan::of::<f32>("liquid.obstacle_flux", padded.len()));
         }
@@ -171,6 +174,8 @@ pub struct LiquidBuffers {
     pub report: Buffer<u32>,
     /// The distance to the obstacles, and to solids.
     pub obstacles: ObstacleBuffers,
+    /// With sources: open fractions of the fluxes, which have the apertures of sources on the faces that these hold.
+    flux_open: Option<Buffer<f32>>,
     /// Where obstacles move: what they take up, J v over dx^2 per cell, m/s.
     pub obstacle_flux: Option<Buffer<f32>>,
     /// With markers only.
@@ -220,6 +225,11 @@ impl LiquidBuffers {
             maxima: maker.make("liquid.maxima")?,
             report: maker.make("liquid.report")?,
             obstacles: ObstacleBuffers::new(gpu, &plan.grid, plan.effects.cuts())?,
+            flux_open: plan
+                .effects
+                .sources
+                .then(|| maker.make("liquid.flux_open"))
+                .transpose()?,
             obstacle_flux: plan
                 .effects
                 .moving_obstacles
@@ -237,6 +247,13 @@ impl LiquidBuffers {
                 })
                 .transpose()?,
         })
+    }
+}
+
+impl LiquidBuffers {
+    /// Open fractions of the fluxes: those of all faces, with the apertures of sources on faces that these hold.
+    pub fn flux_open(&self) -> &Buffer<f32> {
+        self.flux_open.as_ref().unwrap_or(&self.open)
     }
 }
 

@@ -43,7 +43,7 @@ impl Diagnose {
         let maxima = ("maxima", (&buffers.maxima).into());
         let kernel = |source| Kernel::new(gpu, &source, buffers.partials.real);
         let flags = ("flags", active.flags.into());
-        let open = ("open", (&buffers.open).into());
+        let open = ("open", buffers.flux_open().into());
         let mut source = wgsl!("measure_divergence");
         let mut divergence = vec![
             level,

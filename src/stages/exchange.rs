@@ -79,6 +79,14 @@ pub struct DeviceSourceFace {
     pub minus: f32,
     /// Of the second.
     pub plus: f32,
+    /// Share of the face that the first emits through where the second is no source.
+    pub minus_aperture: f32,
+    /// The second where the first is none.
+    pub plus_aperture: f32,
+    /// Nothing.
+    pub pad_0: u32,
+    /// Nothing.
+    pub pad_1: u32,
 }
 
 impl DeviceSourceFace {
@@ -91,6 +99,9 @@ impl DeviceSourceFace {
             sides: minus | plus << 8,
             minus: face.velocity[0] as f32,
             plus: face.velocity[1] as f32,
+            minus_aperture: face.aperture[0] as f32,
+            plus_aperture: face.aperture[1] as f32,
+            ..DeviceSourceFace::default()
         }
     }
 }
@@ -264,9 +275,10 @@ impl Sources {
         };
         let grid = &buffers.plan.grid;
         let (regions, map) = source_boxes(grid, taps);
-        let cells = taps.source_cells.iter().map(|&(cell, source)| {
+        let cells = taps.source_cells.iter().zip(&taps.eighths);
+        let cells = cells.map(|(&(cell, source), &eighths)| {
             let [i, j, k] = grid.cell_at(cell).map(|n| n as u32);
-            [i, j, k, source]
+            [i, j, k, source | u32::from(eighths) << 8]
         });
         let faces = taps
             .faces
@@ -300,6 +312,7 @@ impl Sources {
                     source_step,
                     ("regions", (&regions).into()),
                     ("map", (&map).into()),
+                    ("cells", (&cells).into()),
                     positions,
                     ("counts", (&counts).into()),
                 ],
@@ -335,6 +348,7 @@ impl Sources {
                     of_faces,
                     of_open,
                     ("held_open", (&open).into()),
+                    ("flux_open", buffers.flux_open().into()),
                     valid,
                     ("velocity_next", (&buffers.velocity_next).into()),
                 ],
@@ -379,6 +393,7 @@ impl Sources {
     /// Records the faces that sources hold, once all forces have acted.
     pub fn record_hold(&self, recorder: &mut Recorder, buffers: &LiquidBuffers) {
         recorder.copy(&buffers.open, &self.open);
+        recorder.copy(&buffers.open, buffers.flux_open());
         recorder.stage(Forces::NAME, |pass| {
             pass.dispatch(&self.hold_faces, self.n_faces)
         });

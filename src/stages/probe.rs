@@ -13,7 +13,7 @@ use super::{Active, LiquidBuffers};
 pub struct ProbePoint {
     /// m
     pub point: [f32; 3],
-    /// 0 height, 1 pressure, 2 velocity.
+    /// 0 height, 1 pressure, 2 velocity; of a height also its axis in bits 2 and 3, and bit 4 where coordinates fall on the way up.
     pub kind: u32,
 }
 
@@ -79,7 +79,10 @@ impl Probe {
         let columns = probes
             .into_iter()
             .filter_map(|probe| match *probe {
-                ProbeKind::Height { x, z } => Some(at_point(glam::DVec3::new(x, 0.0, z), 0, 1)),
+                ProbeKind::Height { foot, up } => {
+                    let kind = (up.axis as u32) << 2 | u32::from(up.falling) << 4;
+                    Some(at_point(foot, kind, 1))
+                }
                 ProbeKind::Pressure { point } => Some(at_point(point, 1, 1)),
                 ProbeKind::Velocity { point } => Some(at_point(point, 2, 3)),
                 ProbeKind::Front { axis } => {

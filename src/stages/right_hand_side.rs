@@ -38,7 +38,7 @@ impl RightHandSide {
                 ("list", active.list.into()),
                 ("flags", active.flags.into()),
                 ("velocity", (&buffers.velocity_next).into()),
-                ("open", (&buffers.open).into()),
+                ("open", buffers.flux_open().into()),
                 ("solid_distance", (&buffers.obstacles.solid_distance).into()),
                 ("report", (&buffers.report).into()),
                 ("rhs", rhs.into()),

@@ -529,6 +529,7 @@ fn an_interrupted_run_tells_all_its_sub_steps() {
         out: folder.path().join("out"),
         frames: None,
         overwrite: false,
+        keep_going: false,
         resume: false,
     };
     let interrupt = AtomicBool::new(false);

@@ -898,3 +898,265 @@ fn an_interrupted_run_keeps_what_it_has() {
     // The program that failed says where to look, and the pictures of what is there can be drawn.
     says(&folder, "preview out/dam");
 }
+
+/// Starts a scene that lasts, and waits for its first frame; a shell sets `before` first.
+#[cfg(unix)]
+fn started(folder: &TempDir, before: &str, arguments: &str, frame: &str) -> std::process::Child {
+    let program = env!("CARGO_BIN_EXE_cutwater");
+    let mut child = Command::new("sh")
+        .args(["-c", &format!("{before}; exec {program} {arguments}")])
+        .current_dir(folder.path())
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let clock = std::time::Instant::now();
+    while !folder.path().join(frame).exists() {
+        assert!(
+            child.try_wait().unwrap().is_none(),
+            "{arguments}: ended without {frame}"
+        );
+        assert!(clock.elapsed().as_secs() < 120, "{arguments}: no {frame}");
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    child
+}
+
+#[cfg(unix)]
+fn kill(signal: &str, id: u32) {
+    let status = Command::new("sh")
+        .args(["-c", &format!("kill -{signal} {id}")])
+        .status();
+    assert!(status.unwrap().success(), "kill -{signal}");
+}
+
+/// As nohup(1) starts programs, and shells those of background lists.
+#[cfg(unix)]
+#[test]
+fn a_signal_that_was_ignored_at_the_start_stays_ignored() {
+    let long = DAM.replace("duration = 0.25", "duration = 1.0");
+    for signal in ["HUP", "INT", "TERM"] {
+        let folder = folder(&long);
+        let ignore = format!("trap '' {signal}");
+        let run = started(
+            &folder,
+            &ignore,
+            "run dam.toml --backend cpu",
+            "out/dam/frames/dam_000001.vtp",
+        );
+        kill(signal, run.id());
+        let output = run.wait_with_output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{signal}");
+        let manifest = manifest(&folder.path().join("out/dam"));
+        assert_eq!(manifest["progress"]["status"], "finished", "{signal}");
+    }
+    // One that is not ignored still ends the run.
+    let folder = folder(&long.replace("duration = 1.0", "duration = 1000.0"));
+    let frame = "out/dam/frames/dam_000001.vtp";
+    let run = started(&folder, "trap '' HUP", "run dam.toml --backend cpu", frame);
+    kill("HUP", run.id());
+    kill("TERM", run.id());
+    assert_eq!(run.wait_with_output().unwrap().status.code(), Some(130));
+}
+
+#[cfg(unix)]
+#[test]
+fn a_sweep_and_its_runs_outlive_a_signal_that_was_ignored() {
+    let folder = folder(&DAM.replace("duration = 0.25", "duration = 0.5"));
+    let arguments = "sweep dam.toml --backend cpu --set liquid.density=800,1000 --out out/sweep";
+    let program = env!("CARGO_BIN_EXE_cutwater");
+    let mut sweep = Command::new("sh")
+        .args(["-c", &format!("trap '' HUP; exec {program} {arguments}")])
+        .current_dir(folder.path())
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let clock = std::time::Instant::now();
+    let runs = || {
+        let children = format!("/proc/{0}/task/{0}/children", sweep.id());
+        fs::read_to_string(children).unwrap_or_default()
+    };
+    let mut signalled = 0;
+    while signalled < 3 && clock.elapsed().as_secs() < 60 {
+        for id in runs().split_whitespace() {
+            kill("HUP", id.parse().unwrap());
+            signalled += 1;
+        }
+        kill("HUP", sweep.id());
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+    assert!(signalled >= 3, "no run was seen");
+    assert_eq!(sweep.wait().unwrap().code(), Some(0));
+}
+
+/// The kernel kills a process at the limit unless it handles the signal.
+#[cfg(unix)]
+#[test]
+fn a_file_size_limit_is_an_error() {
+    let folder = folder(DAM);
+    let mut command = Command::new("sh");
+    let program = env!("CARGO_BIN_EXE_cutwater");
+    command
+        .args([
+            "-c",
+            &format!("ulimit -f 16; exec {program} run dam.toml --backend cpu"),
+        ])
+        .current_dir(folder.path());
+    let complaint = text(&ends(command, 2).stderr);
+    assert!(
+        complaint.contains("File too large") && complaint.contains("ulimit -f"),
+        "{complaint}"
+    );
+    let left = list(&folder.path().join("out/dam/frames"));
+    assert!(
+        left.iter().all(|name| !name.ends_with(".partial")),
+        "{left:?}"
+    );
+}
+
+#[test]
+fn names_of_scenes_are_those_of_files_that_can_be_written() {
+    let folder = folder(DAM);
+    let name_and_run = |name: &str, code: i32| {
+        fs::copy(
+            folder.path().join("dam.toml"),
+            folder.path().join(format!("{name}.toml")),
+        )
+        .unwrap();
+        let mut command = cutwater(&folder, "run --backend cpu --frames 1");
+        command.arg(format!("./{name}.toml"));
+        text(&ends(command, code).stderr)
+    };
+    for name in [
+        "a & b",
+        "x<y> \"it's\"",
+        "100% #3",
+        "-dash",
+        "\u{dc}berlauf \u{65e5}\u{672c}",
+    ] {
+        name_and_run(name, 0);
+        let frames = folder.path().join("out").join(name).join("frames");
+        let text = fs::read_to_string(frames.join(format!("{name}_markers.pvd"))).unwrap();
+        let document = roxmltree::Document::parse(&text).unwrap();
+        let files = document
+            .descendants()
+            .filter_map(|node| node.attribute("file"));
+        let files: Vec<&str> = files.collect();
+        assert_eq!(files.len(), 2, "{name}");
+        for file in files {
+            assert!(frames.join(file).exists(), "{file}");
+        }
+    }
+    // The longest one, with what is written behind it.
+    name_and_run(&"x".repeat(225), 0);
+    for (name, told) in [
+        ("new\nline", "control character"),
+        (&"x".repeat(226), "at most 225 bytes"),
+    ] {
+        let complaint = name_and_run(name, 2);
+        assert!(
+            complaint.contains(told) && complaint.contains("cure: rename"),
+            "{complaint}"
+        );
+    }
+}
+
+/// A JSON value of which no object has a key twice; parsers keep the last one and say nothing.
+struct Distinct;
+
+impl<'de> serde::Deserialize<'de> for Distinct {
+    fn deserialize<D: serde::Deserializer<'de>>(from: D) -> Result<Distinct, D::Error> {
+        from.deserialize_any(Distinct)
+    }
+}
+
+impl<'de> serde::de::Visitor<'de> for Distinct {
+    type Value = Distinct;
+
+    fn expecting(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        f.write_str("JSON")
+    }
+
+    fn visit_bool<E>(self, _: bool) -> Result<Distinct, E> {
+        Ok(self)
+    }
+
+    fn visit_i64<E>(self, _: i64) -> Result<Distinct, E> {
+        Ok(self)
+    }
+
+    fn visit_u64<E>(self, _: u64) -> Result<Distinct, E> {
+        Ok(self)
+    }
+
+    fn visit_f64<E>(self, _: f64) -> Result<Distinct, E> {
+        Ok(self)
+    }
+
+    fn visit_str<E>(self, _: &str) -> Result<Distinct, E> {
+        Ok(self)
+    }
+
+    fn visit_unit<E>(self) -> Result<Distinct, E> {
+        Ok(self)
+    }
+
+    fn visit_seq<A: serde::de::SeqAccess<'de>>(self, mut list: A) -> Result<Distinct, A::Error> {
+        while list.next_element::<Distinct>()?.is_some() {}
+        Ok(self)
+    }
+
+    fn visit_map<A: serde::de::MapAccess<'de>>(self, mut map: A) -> Result<Distinct, A::Error> {
+        let mut keys = std::collections::BTreeSet::new();
+        while let Some((key, _)) = map.next_entry::<String, Distinct>()? {
+            if let Some(twice) = keys.replace(key) {
+                return Err(serde::de::Error::custom(format!("the key {twice:?} twice")));
+            }
+        }
+        Ok(self)
+    }
+}
+
+#[test]
+fn no_json_file_has_a_key_twice() {
+    let twice = serde_json::from_str::<Distinct>(r#"{"a": [1, {"b": 1, "b": null}]}"#)
+        .err()
+        .unwrap();
+    assert!(twice.to_string().contains("\"b\" twice"), "{twice}");
+    let folder = folder(&format!(
+        "{DAM}[[solid]]\nname = \"block\"\nmesh = {{ box = {{ size = [0.3, 0.3, 0.3], cells = [2, 2, 2] }} }}\n\
+        placement = {{ translate = [0.25, 0.4, 0.25] }}\ndensity = 900.0\nyoung = 1e6\npoisson = 0.3\n"
+    ));
+    says(&folder, "run dam.toml --backend cpu --frames 1");
+    says(
+        &folder,
+        "sweep dam.toml --backend cpu --frames 1 --set liquid.density=900,1000",
+    );
+    says(
+        &folder,
+        "export dam.toml --backend cpu --step 0 --out export",
+    );
+    fs::write(folder.path().join("schema.json"), says(&folder, "schema")).unwrap();
+    // What the benches wrote.
+    let measured = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/measured");
+    let mut folders = vec![folder.path().to_owned(), measured];
+    let mut n = 0;
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(&folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|end| end == "json") {
+                let text = fs::read_to_string(&path).unwrap();
+                let read = serde_json::from_str::<Distinct>(&text);
+                assert!(read.is_ok(), "{}: {}", path.display(), read.err().unwrap());
+                n += 1;
+            }
+        }
+    }
+    // Of two runs, the export, the schema, and the benches.
+    assert!(n > 10, "{n} files");
+}

@@ -155,7 +155,7 @@ fn taps_match() {
     assert_layout("region", "Region", fields, size_of::<Region>());
     let fields = fields!(SourceStep: running, starting, first, seed, number, pad_0, pad_1, pad_2);
     assert_layout("source_step", "SourceStep", fields, size_of::<SourceStep>());
-    let fields = fields!(DeviceSourceFace: face, sides, minus, plus);
+    let fields = fields!(DeviceSourceFace: face, sides, minus, plus, minus_aperture, plus_aperture, pad_0, pad_1);
     let size = size_of::<DeviceSourceFace>();
     assert_layout("source_face", "SourceFace", fields, size);
 }

@@ -25,6 +25,7 @@ mod export;
 mod fuzz;
 mod geometry;
 mod gpu;
+mod health;
 mod kills;
 mod layout;
 mod linalg;

@@ -8,7 +8,7 @@ use cutwater::reference::{
     open_volumes, probe, right_hand_side, solve, solve_direct, solve_iterative, surface_distance,
     theta, time_step, volume_rate, write_back,
 };
-use cutwater::scene::{ProbeKind, Solver, Time};
+use cutwater::scene::{ProbeKind, Solver, Time, Up};
 use cutwater::state::{SolveStatus, State};
 use glam::DVec3;
 
@@ -641,7 +641,7 @@ fn closed_components_are_found_and_solved_beside_an_open_one() {
 
     // The projected field has no divergence.
     let valid = write_back(&system, &direct, &cut.open, &phi, 0.01, &mut u);
-    let left = divergence(&cut, &u, &system.stencil, None);
+    let left = divergence(&cut.open, &u, &system.stencil, None);
     assert!(left < 1e-10, "divergence {left}");
     assert!(!valid[0][grid.face(Axis::X, [2, 1, 1])] && valid[0][grid.face(Axis::X, [1, 1, 1])]);
     assert!(
@@ -868,7 +868,7 @@ fn diagnosis_of_a_moving_block() {
         &cut,
         &phi,
         &u,
-        divergence(&cut, &u, &stencil, None),
+        divergence(&cut.open, &u, &stencil, None),
         1000.0,
         DVec3::new(0.0, -10.0, 0.0),
     );
@@ -908,10 +908,19 @@ fn probes_read_a_pool() {
     state.velocity = on_faces(&grid, |x| x);
     let read = |kind| probe(&grid, &state, &kind);
     let point = DVec3::new(0.6, 0.7, 0.4);
-    assert!(close(
-        read(ProbeKind::Height { x: 0.6, z: 0.4 })[0],
-        1.3 - 0.12
-    ));
+    let foot = DVec3::new(0.6, 0.0, 0.4);
+    let up = Up::against(DVec3::NEG_Y);
+    assert!(close(read(ProbeKind::Height { foot, up })[0], 1.3 - 0.12));
+    // Upside down the liquid hangs from the other side: its surface is its far end from there.
+    let down = Up::against(DVec3::Y);
+    let size = grid.size();
+    assert!(close(read(ProbeKind::Height { foot, up: down })[0], size.y));
+    // Along x, below the lowest crest, it goes from wall to wall.
+    let along = ProbeKind::Height {
+        foot: DVec3::new(0.0, 0.2, 0.4),
+        up: Up::against(DVec3::NEG_X),
+    };
+    assert!(close(read(along)[0], size.x));
     assert!(close(read(ProbeKind::Pressure { point })[0], 30.0));
     assert!(DVec3::from_slice(&read(ProbeKind::Velocity { point })).distance(point) < 1e-12);
     assert_eq!(
@@ -933,7 +942,7 @@ fn probes_read_a_pool() {
     assert!(close(pressure, 37.5), "{pressure} Pa");
     let nothing = State::at_rest(&grid);
     for kind in [
-        ProbeKind::Height { x: 0.6, z: 0.4 },
+        ProbeKind::Height { foot, up },
         ProbeKind::Front { axis: 2 },
         ProbeKind::Pressure { point },
     ] {

@@ -60,6 +60,7 @@ const HOMES: &[(&str, &str)] = &[
     ("maud", "measure"),
     ("clap", "cli"),
     ("ctrlc", "cli"),
+    ("signal_hook", "cli"),
     ("nix", "cli"),
     ("sysinfo", "sim"),
     ("indicatif", "cli"),

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use cutwater::Error;
 use cutwater::scene::{
     ElasticModel, LoadKind, Placement, Precision, Preconditioner, Probe, ProbeKind, Scene, Shape,
-    SolidMesh, Solver, Surface,
+    SolidMesh, Solver, Surface, Up,
 };
 use glam::DVec3;
 
@@ -156,7 +156,7 @@ fn a_scene_says_what_its_file_says() {
     assert_eq!(columns, ["h1", "v1_x", "v1_y", "v1_z", "reach"]);
     assert!(matches!(
         scene.probes[0].kind,
-        ProbeKind::Height { x: 0.5, z: 0.25 }
+        ProbeKind::Height { foot, up: Up { axis: 1, falling: false } } if foot == DVec3::new(0.5, 0.0, 0.25)
     ));
     assert!(matches!(scene.probes[2].kind, ProbeKind::Front { axis: 0 }));
     let solver = Solver {

@@ -826,6 +826,7 @@ fn a_scene_of_solids_runs_on_the_cpu() {
         out: folder.path().join("out"),
         frames: None,
         overwrite: false,
+        keep_going: false,
         resume: false,
     };
     let summary = cutwater::sim::run(&scene, &options, &mut |_| {}, &false.into()).unwrap();

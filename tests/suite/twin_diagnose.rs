@@ -47,7 +47,7 @@ fn the_liquid_amounts_to_the_twins() {
         let words = run();
         assert_eq!(words, run(), "{}: again", case.name);
         let found = Report::from_words(&words).diagnosis;
-        let left = reference::divergence(&case.cut, &u, &active.cells.stencil, None);
+        let left = reference::divergence(&case.cut.open, &u, &active.cells.stencil, None);
         let twin = reference::diagnose(
             &grid,
             &case.cut,
@@ -156,7 +156,7 @@ fn divergence_beside_solids_is_the_twins() {
                     .map(|pair| pair.value.abs().dot(DVec3::from(v[pair.node]).abs()));
                 gross = f64::max(gross, (pairs.len() as f64 + 4.0) * sizes.sum::<f64>());
             }
-            let twin = reference::divergence(&case.liquid.cut, u, stencil, Some(&flux));
+            let twin = reference::divergence(&case.liquid.cut.open, u, stencil, Some(&flux));
             // Six products and sums of open areas and velocities, a rounding per pair, and two of the result.
             let speed = reference::max_speed(u);
             let bound = EPS * (16.0 * speed / grid.dx + gross / grid.cell_volume() + 2.0 * twin);

@@ -156,7 +156,7 @@ fn markers_come_and_go_as_in_the_twin() {
                     (0..3).map(move |a| (f64::from(gpu[a]), twin[a], bound, [index, a, 0]))
                 }),
         );
-        // Every cell of a source that runs has 8 or more, unless its centre is in a body, and each new one is in such a cell.
+        // The eighths to keep full have one or more, unless the centre of the cell is in a body, and each new one is in such an eighth.
         let covered = |cell: usize| run.case.cut.solid_distance[cell] < 0.0;
         let mut counts = vec![0; run.taps.source_cells.len()];
         for (index, x) in twin.iter().enumerate() {
@@ -168,14 +168,22 @@ fn markers_come_and_go_as_in_the_twin() {
                 .binary_search_by_key(&at, |&(cell, _)| cell);
             assert!(found.is_ok() || index < n_kept, "{x:?} is in no source");
             if let Ok(found) = found {
-                counts[found] += 1;
+                let low = grid.cell_at(at);
+                let upper = |a: usize| usize::from(x[a] / grid.dx - low[a] as f64 >= 0.5);
+                let eighth = upper(0) | upper(1) << 1 | upper(2) << 2;
+                let full = run.taps.eighths[found] >> eighth & 1 == 1;
+                assert!(full || index < n_kept, "{x:?} is beside its source");
+                counts[found] += u32::from(full);
             }
         }
         let mut lack = 0;
-        for (&(cell, source), &count) in run.taps.source_cells.iter().zip(&counts) {
+        let eighths = run.taps.eighths.iter().map(|eighths| eighths.count_ones());
+        for ((&(cell, source), full), &count) in
+            run.taps.source_cells.iter().zip(eighths).zip(&counts)
+        {
             let runs = running.running >> source & 1 == 1;
-            assert!(count >= PER_CELL || !runs || covered(cell));
-            lack += usize::from(count < PER_CELL && runs);
+            assert!(count >= full || !runs || covered(cell));
+            lack += usize::from(count < full && runs);
         }
         assert_eq!(lack > 0, running.running != 0, "the ball is in both");
     }
@@ -203,6 +211,20 @@ fn faces_of_sources_carry_what_they_do_in_the_twin() {
                 .read_faces(gpu, &run.buffers.velocity_next)
                 .unwrap(),
             twin
+        );
+        let flux_open = run.taps.flux_open(&cut.open, running.running);
+        assert_eq!(
+            run.buffers
+                .read_faces(gpu, run.buffers.flux_open())
+                .unwrap(),
+            flux_open
+        );
+        let partly = |(held, open): (&f64, &f64)| *held < *open && *held > 0.0;
+        let x = flux_open[0].iter().zip(&cut.open[0]).any(partly);
+        assert_eq!(
+            x,
+            running.running & 0b10 != 0,
+            "a ball covers faces in part"
         );
         let held = run.taps.held_open(&cut.open, running.running);
         assert_eq!(run.buffers.read_faces(gpu, &sources.open).unwrap(), held);
@@ -257,7 +279,7 @@ fn a_source_emits_its_velocity_times_its_area() {
             .faces
             .iter()
             .find(|of| of.axis == axis && of.face == face);
-        found.unwrap().held(1)
+        found.unwrap().held(1).map(|held| held.velocity)
     };
     assert_eq!(held(Axis::X, [3, 5, 4]), Some(0.0), "behind it is a wall");
     assert_eq!(held(Axis::X, [4, 5, 4]), Some(2.0));

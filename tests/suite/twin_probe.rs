@@ -2,7 +2,7 @@
 
 use cutwater::gpu::{Real, RealBuffer, Recorder};
 use cutwater::reference::{self, liquid_distance};
-use cutwater::scene::ProbeKind;
+use cutwater::scene::{ProbeKind, Up};
 use cutwater::stages::Probe;
 use glam::DVec3;
 
@@ -20,10 +20,11 @@ fn probes(case: &Case, random: &mut Random) -> Vec<ProbeKind> {
     for _ in 0..30 {
         let foot = point();
         probes.push(ProbeKind::Velocity { point: point() });
-        probes.push(ProbeKind::Height {
-            x: foot.x,
-            z: foot.z,
-        });
+        let up = Up {
+            axis: probes.len() % 3,
+            falling: probes.len() % 2 == 0,
+        };
+        probes.push(ProbeKind::Height { foot, up });
         probes.push(ProbeKind::Pressure { point: point() });
     }
     probes
@@ -71,7 +72,7 @@ fn probes_read_what_they_read_in_the_twin() {
         for (index, probe) in probes.iter().enumerate() {
             let scale = match probe {
                 ProbeKind::Front { .. } => grid.size().max_element() + grid.dx,
-                ProbeKind::Height { .. } => 40.0 * grid.dx + grid.size().y,
+                ProbeKind::Height { .. } => 40.0 * grid.dx + grid.size().max_element(),
                 // Weights that are left out can leave little weight.
                 ProbeKind::Pressure { .. } => 10.0 * 0.2 * pascal,
                 ProbeKind::Velocity { .. } => 2.0 * case.speed(),

@@ -51,8 +51,6 @@ pub(super) struct SolidJudge<'a> {
     before: SolidSnapshot,
     /// Of the sub-step's displacements, once `solid_matrices` was judged.
     matrices: Option<SolidMatrices>,
-    /// Right-hand side of the twin, N.
-    rhs: Vec<[f64; 3]>,
 }
 
 impl<'a> SolidJudge<'a> {
@@ -87,7 +85,6 @@ impl<'a> SolidJudge<'a> {
             dt: 0.0,
             before,
             matrices: None,
-            rhs: Vec::new(),
         }))
     }
 
@@ -352,7 +349,6 @@ impl<'a> SolidJudge<'a> {
         }
         let row = [RightHandSide::NAME, "M v*/dt - (K x* - b) + load", "N"];
         self.add_nodes(row, &after.rhs, &twin, |node, axis| bounds[node][axis]);
-        self.rhs = twin;
     }
 
     /// Forces of the pressure's variation within cells on the nodes, N, and the sums of their terms' sizes.
@@ -404,8 +400,9 @@ impl<'a> SolidJudge<'a> {
         let (areas, weight) = stored_coupling(both.clip.coupling(), grid.dx, density, dt);
         let solid = after.system(solids, &self.pattern, dt);
         let stored = solved(of_device, solid, &areas, weight)?;
+        // That of the device, which row `right_hand_side` has judged: its rounding is none of the coefficients'.
         let rhs = SolidRightHandSide {
-            values: self.rhs.clone(),
+            values: after.rhs.clone(),
             scale: 0.0,
         };
         let (stiffness, freedom) = (matrices.stiffness.clone(), after.freedom.clone());

@@ -127,7 +127,7 @@ pub enum Part {
         /// Components of the liquid whose level nothing fixes: one of their cells has twice its diagonal.
         closed_components: usize,
         /// Rows of the pressure; those of the velocity follow.
-        cells: usize,
+        pressure_rows: usize,
         /// Nodes of all solids.
         nodes: usize,
         /// Elements of all solids.

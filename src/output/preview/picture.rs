@@ -232,7 +232,7 @@ impl Picture {
         &self,
         bytes: &'a mut Vec<u8>,
         pictures: usize,
-        milliseconds: u16,
+        (numerator, denominator): (u16, u16),
     ) -> Result<png::Writer<&'a mut Vec<u8>>, png::EncodingError> {
         let [width, height] = self.size.map(|n| n as u32);
         let mut encoder = png::Encoder::new(bytes, width, height);
@@ -240,7 +240,7 @@ impl Picture {
         encoder.set_depth(png::BitDepth::Eight);
         encoder.set_compression(png::Compression::High);
         encoder.set_animated(pictures as u32, 0)?;
-        encoder.set_frame_delay(milliseconds, 1000)?;
+        encoder.set_frame_delay(numerator, denominator)?;
         encoder.set_blend_op(png::BlendOp::Over)?;
         encoder.set_dispose_op(png::DisposeOp::None)?;
         let mut writer = encoder.write_header()?;
@@ -284,14 +284,12 @@ pub(super) fn animate(path: &Path, pictures: &[(PathBuf, f64)]) -> Result<(), Er
     let mut bytes = Vec::new();
     let mut before = Picture::read(first)?.reduced();
     let mut writer = before
-        .animation(&mut bytes, pictures.len(), milliseconds(*seconds))
+        .animation(&mut bytes, pictures.len(), delay(*seconds))
         .map_err(failed)?;
     for (picture, seconds) in &pictures[1..] {
         let now = Picture::read(picture)?.reduced();
         let patch = patch(Some(&before), &now);
-        patch
-            .write(&mut writer, milliseconds(*seconds))
-            .map_err(failed)?;
+        patch.write(&mut writer, delay(*seconds)).map_err(failed)?;
         before = now;
     }
     writer.finish().map_err(failed)?;
@@ -306,8 +304,31 @@ pub(crate) fn ensure_whole_png(bytes: &[u8]) -> Result<(), png::DecodingError> {
     png::Decoder::new(Cursor::new(bytes)).read_info()?.finish()
 }
 
-fn milliseconds(seconds: f64) -> u16 {
-    (1000.0 * seconds).round().clamp(10.0, 10_000.0) as u16
+/// Seconds that a picture is shown for, as a fraction: APNG has no other. From 10 ms, below which browsers take longer, to 10 s.
+fn delay(seconds: f64) -> (u16, u16) {
+    let seconds = seconds.clamp(0.01, 10.0);
+    // Convergents of the continued fraction; the last that fits, or the first that is the number to rounding.
+    let (mut last, mut now) = ([0_u64, 1], [1_u64, 0]);
+    let mut rest = seconds;
+    loop {
+        let whole = rest.floor();
+        let next = [0, 1].map(|n| {
+            (whole as u64)
+                .saturating_mul(now[n])
+                .saturating_add(last[n])
+        });
+        let (Ok(numerator), Ok(denominator)) = (u16::try_from(next[0]), u16::try_from(next[1]))
+        else {
+            // Of 0.01 to 10 the first two fit.
+            return (now[0] as u16, now[1] as u16);
+        };
+        (last, now) = (now, next);
+        let off = (f64::from(numerator) / f64::from(denominator) - seconds).abs();
+        if off <= 1e-9 * seconds || rest == whole {
+            return (numerator, denominator);
+        }
+        rest = 1.0 / (rest - whole);
+    }
 }
 
 /// A rectangle of RGBA bytes with its place.
@@ -322,11 +343,11 @@ impl Patch {
     fn write(
         &self,
         writer: &mut png::Writer<&mut Vec<u8>>,
-        milliseconds: u16,
+        (numerator, denominator): (u16, u16),
     ) -> Result<(), png::EncodingError> {
         let [x, y] = self.at.map(|n| n as u32);
         let [width, height] = self.size.map(|n| n as u32);
-        writer.set_frame_delay(milliseconds, 1000)?;
+        writer.set_frame_delay(numerator, denominator)?;
         // Smaller first: a rectangle may never reach beyond the picture.
         writer.set_frame_dimension(1, 1)?;
         writer.set_frame_position(x, y)?;
@@ -366,5 +387,26 @@ fn patch(before: Option<&Picture>, now: &Picture) -> Patch {
         at: low,
         size,
         bytes,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::delay;
+
+    #[test]
+    fn frames_are_shown_for_their_exact_time() {
+        for rate in [12_u16, 24, 25, 30, 48, 60] {
+            // Times of frames are quotients, and their differences off by rounding.
+            let at = |frame: u16| f64::from(frame) / f64::from(rate);
+            assert_eq!(delay(at(100) - at(99)), (1, rate));
+        }
+        assert_eq!(delay(1001.0 / 24000.0), (1001, 24000));
+        assert_eq!((delay(1e-9), delay(1e9)), ((1, 100), (10, 1)));
+        for seconds in [0.012_345_678_9, std::f64::consts::PI, 9.999_999] {
+            let (numerator, denominator) = delay(seconds);
+            let shown = f64::from(numerator) / f64::from(denominator);
+            assert!((shown / seconds - 1.0).abs() < 1e-6, "{seconds}: {shown}");
+        }
     }
 }

@@ -150,6 +150,11 @@ impl<'a> LiquidJudge<'a> {
         self.taps.held_open(&self.cut.open, self.running.running)
     }
 
+    /// Open fractions of the fluxes: with the apertures of sources on the faces that they hold.
+    fn open_to_flux(&self) -> [Vec<f64>; 3] {
+        self.taps.flux_open(&self.cut.open, self.running.running)
+    }
+
     fn judge_stage(
         &mut self,
         stage: &'static str,
@@ -603,8 +608,8 @@ impl<'a> LiquidJudge<'a> {
             .take()
             .expect("active_cells comes before right_hand_side");
         let velocity = &self.before.velocity_next;
-        let (open, source) = (&self.cut.open, Some(self.source()));
-        let twin = reference::right_hand_side(&grid, open, velocity, &active, source);
+        let (open, source) = (self.open_to_flux(), Some(self.source()));
+        let twin = reference::right_hand_side(&grid, &open, velocity, &active, source);
         let area = grid.dx * grid.dx;
         let speed = active_speed(&grid, &active.stencil, velocity);
         let terms = 12.0 * 6.0 * unit(after.real) * speed;
@@ -810,7 +815,8 @@ impl<'a> LiquidJudge<'a> {
         }
         let twin = {
             let (cut, velocity) = (&self.cut, &after.velocity);
-            let left = reference::divergence(cut, velocity, &stencil, taken.as_deref());
+            let open = self.open_to_flux();
+            let left = reference::divergence(&open, velocity, &stencil, taken.as_deref());
             reference::diagnose(&grid, cut, phi, velocity, left, density, gravity)
         };
         let gpu = after.report.diagnosis;
