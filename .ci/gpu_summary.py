@@ -38,6 +38,8 @@ def milliseconds(seconds):
 def engineering(value):
     """A value with three digits and a prefix."""
     value = float(value)
+    if value == 0:
+        return "0 "
     for factor, prefix in [(1e12, "T"), (1e9, "G"), (1e6, "M"), (1e3, "k"), (1, ""), (1e-3, "m"), (1e-6, "u")]:
         if abs(value) >= factor:
             return f"{value / factor:.3g} {prefix}"
@@ -52,17 +54,21 @@ def device_section(folder):
 
 def checks_section(folder):
     lines = []
+    status = {r["step"]: r["status"] for r in rows(folder / "steps.csv")}
     for log in sorted(folder.glob("compare_*.log")):
         text = log.read_text(errors="replace")
         breaches = [line for line in text.splitlines() if "BREACH" in line]
         error = next((line for line in text.splitlines() if line.startswith("error")), None)
-        lines.append([log.stem, "within bounds" if not breaches and not error else error or f"{len(breaches)} breaches"])
+        ended = status.get(log.stem, "no status")
+        result = f"{len(breaches)} breaches" if breaches else error or ("within bounds" if ended == "done" else ended)
+        lines.append([log.stem, result])
     log = folder / "tests.log"
     if log.exists():
         text = log.read_text(errors="replace")
         passed = len(re.findall(r"^test .* \.\.\. ok$", text, re.M))
         failed = re.findall(r"^test (.*) \.\.\. FAILED$", text, re.M)
-        lines.append(["tests", f"{passed} passed, {len(failed)} failed" + "".join(f"<br>`{name}`" for name in failed)])
+        ended = "" if re.search("^test result:", text, re.M) else f"; {status.get('tests', 'no status')} before the others"
+        lines.append(["tests", f"{passed} passed, {len(failed)} failed{ended}" + "".join(f"<br>`{name}`" for name in failed)])
     return ["## Checks", table(["check", "result"], lines)] if lines else []
 
 

@@ -99,6 +99,13 @@ impl Mesh {
                 (tets, None)
             }
         };
+        let faults = [surface.as_ref().and_then(Surface::fault), tets.mesh.fault()];
+        if self.scale != 1.0
+            && let Some(fault) = faults.into_iter().flatten().next()
+        {
+            let what = format!("{file}, with --scale {}", self.scale);
+            return Err(Error::input(what, fault.problem, fault.cure));
+        }
         say!("{file}");
         for note in &tets.notes {
             say!("  note: {note}");

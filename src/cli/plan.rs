@@ -87,7 +87,7 @@ fn say_scene(scene: &Scene, plan: &Plan) {
     }
     for (number, flow) in plan.sources.iter().enumerate() {
         let share = 100.0 * flow.flow_rate / flow.unobstructed;
-        let covered = match share < 99.95 {
+        let covered = match share < 99.0 {
             true => format!(", {share:.1} % of its shape's: walls cover the rest"),
             false => String::new(),
         };

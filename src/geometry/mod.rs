@@ -49,7 +49,7 @@ pub use obstacles::{ObstacleCut, ObstacleSurfaces, deepest_obstacle, obstacle_cu
 pub use placing::{SolidOverlap, large_meshes, liquid_height, solid_overlaps};
 pub use solid_clip::{MovedMesh, Nearest, Overlap, Place, SolidClip};
 pub use surface::{Fault, Surface};
-pub use taps::{Held, PER_CELL, Running, SourceFace, SourceFlow, Taps};
+pub use taps::{PER_CELL, PrescribedFace, Running, SourceFace, SourceFlow, Taps};
 pub use tet_fill::fill;
 pub use tet_mesh::{ElementShape, TetMesh, solid_meshes};
 pub use tet_read::{TetFile, parse as parse_tets, read as read_tets};

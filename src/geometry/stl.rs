@@ -163,9 +163,12 @@ fn text_solids(bytes: &[u8]) -> Result<Surface, Problem> {
         }
     }
     if next != Next::Solid {
+        let place = match next {
+            Next::Facet => "behind",
+            _ => "in",
+        };
         let problem = format!(
-            "the file ends in or before facet {}, where {} belongs",
-            facet + 1,
+            "the file ends {place} facet {facet}, where {} belongs",
             next.words()
         );
         return Err(Problem::new(problem, CURE));

@@ -30,8 +30,9 @@ use crate::state::State;
 /// Markers that a cell within a source has at least, one in each eighth.
 pub const PER_CELL: usize = 8;
 
-/// Rays along each side of a face, and sample points along each side of an eighth of a cell.
-const RAYS: usize = 16;
+/// Rays along each side of a face: sides of a shape that lie less than a hundredth of a cell off a line of the grid count as on it. And sample
+/// points along each side of an eighth of a cell.
+const RAYS: usize = 48;
 const SAMPLES: usize = 4;
 /// Times that shares of faces are scaled.
 const SCALINGS: usize = 16;
@@ -61,7 +62,7 @@ pub struct SourceFace {
 
 /// What a face of sources carries.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Held {
+pub struct PrescribedFace {
     /// m/s
     pub velocity: f64,
     /// Share of the face that lets it through, before obstacles.
@@ -70,7 +71,7 @@ pub struct Held {
 
 impl SourceFace {
     /// What it carries while the sources of the set `running` run; `None` where neither of its cells belongs to one.
-    pub fn held(&self, running: u32) -> Option<Held> {
+    pub fn held(&self, running: u32) -> Option<PrescribedFace> {
         let [minus, plus] = self.sides.map(|side| runs(side, running));
         let (velocity, aperture) = match (minus, plus) {
             (true, true) => (self.velocity[0], 1.0),
@@ -78,7 +79,7 @@ impl SourceFace {
             (false, true) => (self.velocity[1].min(0.0), self.aperture[1]),
             (false, false) => return None,
         };
-        Some(Held { velocity, aperture })
+        Some(PrescribedFace { velocity, aperture })
     }
 
     /// What comes out of sources through it, m^3/s; `area`: its open area, m^2.

@@ -3,7 +3,9 @@
 //! The distance to a body is known at the centres of cells. A flat wall has a centre inside wherever it is crossed if it is at least
 //! dx (|n_x| + |n_y| + |n_z|) thick, n its normal: that is how far apart along n the planes are that bound a cell. A thinner one leaks.
 
-use glam::{DMat3, DQuat, DVec3};
+use std::f64::consts::PI;
+
+use glam::{DMat3, DQuat, DVec2, DVec3};
 use parry3d_f64::query::{Ray, RayCast};
 use parry3d_f64::shape::TriMesh;
 use rayon::prelude::*;
@@ -174,9 +176,14 @@ impl ClosedMesh {
     fn holds_ball(&self, chord: &Chord, width: f64) -> bool {
         let (start, most) = (chord.middle, TIP_REACH * width);
         let (u, v) = chord.normal.any_orthonormal_pair();
-        let across = [u, v, u + v, u - v].map(DVec3::normalize);
-        let widths = across.map(|way| [way, -way].map(|way| self.way_out(start, way, most)));
-        let widths = widths.map(|[there, back]| there + back);
+        // A rod along the middle between two of them is longer than five times its thickness in both.
+        let across = (0..16).map(|n| DVec2::from_angle(f64::from(n) * PI / 16.0));
+        let across = across.map(|way| way.x * u + way.y * v);
+        let widths = across.map(|way| {
+            let [there, back] = [way, -way].map(|way| self.way_out(start, way, most));
+            there + back
+        });
+        let widths: Vec<f64> = widths.collect();
         let [low, high] = self.bounds();
         if widths.iter().all(|across| *across < width) && (high - low).max_element() > most {
             // A flap of a rough surface, smaller than a wall's thickness in every direction.

@@ -11,6 +11,9 @@ pub(super) fn quietly<T>(work: impl FnOnce() -> T) -> T {
     if std::env::var_os("XDG_RUNTIME_DIR").is_some_and(|folder| !folder.is_empty()) {
         return work();
     }
+    // One filter at a time: a second would save the first one's pipe as standard error.
+    static ONE: std::sync::Mutex<()> = std::sync::Mutex::new(());
+    let _one = ONE.lock();
     // What cannot be filtered is printed as it comes.
     let filter = Filter::new();
     let done = work();

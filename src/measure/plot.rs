@@ -278,7 +278,8 @@ fn range(values: impl Iterator<Item = f64> + Clone, beyond: f64) -> Option<Range
     let least = values.clone().fold(f64::INFINITY, f64::min);
     let most = values.fold(f64::NEG_INFINITY, f64::max);
     let span = match most - least {
-        span if span > 0.0 => span,
+        // What differs by less is the same but for rounding, and ticks would need all its digits.
+        span if span > 1e-9 * most.abs().max(least.abs()) => span,
         _ => most.abs().max(1.0),
     };
     (least <= most).then_some(least - 0.05 * span..most + beyond * span)

@@ -286,8 +286,11 @@ pub struct Progress {
 /// Whether a solid still is a solid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SolidHealth {
-    /// Whether it has had more than half its volume and less than 1 % of its elements inverted.
+    /// Whether it has had more than half its volume and less than 1 % of its elements inverted, for long enough where it starts deformed.
     pub sound: bool,
+    /// Sub-steps in a row, up to the last, in which it had.
+    #[serde(default)]
+    pub sound_steps: u32,
     /// Sub-steps in a row, up to the last, with more than 5 % of its elements inverted.
     pub inverted_steps: u32,
     /// Sub-step in which it failed, from 0; none where it has not.

@@ -269,6 +269,11 @@ pub(super) fn placement(table: &Table, centre: Option<DVec3>) -> Result<Placemen
     }
     if let Some(place) = table.get("scale") {
         placement.scale = place.positive("one factor for all axes")?;
+        place.ensure(
+            (1e-9..=1e9).contains(&placement.scale),
+            "is no factor between units of length",
+            "write a factor from 1e-9 to 1e9",
+        )?;
     }
     Ok(match centre {
         Some(centre) => placement.about(centre),

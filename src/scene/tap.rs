@@ -80,6 +80,9 @@ pub(super) fn sources(
         .collect()
 }
 
+/// Least speed of a source, m/s: below it velocities have no direction in single precision.
+const SLOWEST: f64 = 1e-12;
+
 /// The velocity of a source and, where it is given instead, the flow rate.
 fn flow(table: &Table, shape: &Shape) -> Result<(DVec3, Option<f64>), Error> {
     let direction = table.get("direction");
@@ -93,8 +96,8 @@ fn flow(table: &Table, shape: &Shape) -> Result<(DVec3, Option<f64>), Error> {
         }
         let velocity = bounded(&place, "a velocity in m/s", MAX_VELOCITY)?;
         place.ensure(
-            velocity != DVec3::ZERO,
-            "is zero, so nothing comes out",
+            velocity.length() > SLOWEST,
+            "is zero or next to it, so nothing comes out",
             "write a velocity in m/s, such as [0.0, -1.0, 0.0]",
         )?;
         return Ok((velocity, None));
@@ -109,7 +112,7 @@ fn flow(table: &Table, shape: &Shape) -> Result<(DVec3, Option<f64>), Error> {
     };
     let speed = flow_rate / shape.projected_area(way);
     place.ensure(
-        speed <= MAX_VELOCITY,
+        (SLOWEST..=MAX_VELOCITY).contains(&speed),
         format!("makes a speed of {} m/s", rounded(speed)),
         "write a flow rate in m^3/s (a litre per second is 0.001)",
     )?;

@@ -14,6 +14,9 @@ const SOUND_INVERTED: f64 = 0.01;
 const FAILED_VOLUME: f64 = 0.1;
 const FAILED_INVERTED: f64 = 0.05;
 const FAILED_AFTER: u32 = 10;
+/// A solid that starts squashed, stretched or inverted unfolds in some passages of an elastic wave along its length: it counts as sound only
+/// after so many passages without a break, and as inverted likewise.
+const UNFOLDING: f64 = 20.0;
 
 /// Liquid volume over the volume to hold beyond which a notice is given.
 const VOLUME_RANGE: [f64; 2] = [0.8, 1.2];
@@ -58,10 +61,29 @@ impl Shrinkage {
     }
 }
 
+/// Sub-steps of `dt` (s) after which a body counts as sound, and as inverted. A body that starts as it is at rest is sound at once.
+fn patience(scene: &Scene, solids: &Solids, body: usize, dt: f64) -> [u32; 2] {
+    let solid = &scene.solids[body];
+    if solid.initial.scale == glam::DVec3::ONE {
+        return [1, FAILED_AFTER];
+    }
+    let rest = &solids.rest[solids.bodies[body].nodes.clone()];
+    let low = rest.iter().copied().reduce(glam::DVec3::min);
+    let high = rest.iter().copied().reduce(glam::DVec3::max);
+    let length = low
+        .zip(high)
+        .map_or(0.0, |(low, high)| (high - low).max_element());
+    let time = UNFOLDING * length * (solid.density / solid.young).sqrt();
+    let steps = ((time / dt).ceil() as u32).max(FAILED_AFTER);
+    [steps, steps]
+}
+
 /// Follows the solids through a sub-step, of which `min_det` is the least det F and `inverted` the count of inverted elements. The
-/// displacements (m) are read only where those numbers cannot decide. Returns the bodies that failed in this sub-step.
+/// displacements (m) are read only where those numbers cannot decide. `patience`: of each body, as in [`patience`]. Returns the bodies that
+/// failed in this sub-step.
 fn follow(
     solids: &Solids,
+    patience: impl Fn(usize) -> [u32; 2],
     health: &mut [SolidHealth],
     step: u64,
     [min_det, inverted]: [f64; 2],
@@ -72,8 +94,8 @@ fn follow(
     let settled = |of: &SolidHealth| of.sound || of.failed_at.is_some();
     if upright && (min_det > SOUND_VOLUME || min_det >= FAILED_VOLUME && health.iter().all(settled))
     {
-        for of in health {
-            of.sound |= min_det > SOUND_VOLUME;
+        for (body, of) in health.iter_mut().enumerate() {
+            of.note(min_det > SOUND_VOLUME, patience(body)[0]);
             of.inverted_steps = 0;
         }
         return Ok(Vec::new());
@@ -82,18 +104,30 @@ fn follow(
     let mut failed = Vec::new();
     for (body, of) in health.iter_mut().enumerate() {
         let now = Shrinkage::of(solids, body, &displacement);
-        of.sound |= now.sound();
+        let [sound_after, failed_after] = patience(body);
+        of.note(now.sound(), sound_after);
         of.inverted_steps = match now.inverted > FAILED_INVERTED {
             true => of.inverted_steps + 1,
             false => 0,
         };
-        let fails = now.volume < FAILED_VOLUME || of.inverted_steps >= FAILED_AFTER;
+        let fails = now.volume < FAILED_VOLUME || of.inverted_steps >= failed_after;
         if of.sound && of.failed_at.is_none() && fails {
             of.failed_at = Some(step);
             failed.push((body, now));
         }
     }
     Ok(failed)
+}
+
+impl SolidHealth {
+    /// Counts a sub-step in which the solid is in order, or is not.
+    fn note(&mut self, in_order: bool, sound_after: u32) {
+        self.sound_steps = match in_order {
+            true => self.sound_steps.saturating_add(1),
+            false => 0,
+        };
+        self.sound |= self.sound_steps >= sound_after;
+    }
 }
 
 /// Depth of the liquid along gravity, m.
@@ -278,7 +312,8 @@ impl Health {
             return Ok(Vec::new());
         };
         let worst = [report.diagnosis.min_det, report.diagnosis.inverted as f64];
-        let failed = follow(solids, health, now.step, worst, displacement)?;
+        let patience = |body| patience(scene, solids, body, now.report.dt);
+        let failed = follow(solids, patience, health, now.step, worst, displacement)?;
         let Some(&first) = failed.first() else {
             return Ok(Vec::new());
         };

@@ -7,7 +7,7 @@ use std::process::{Command, Output, Stdio};
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::common::{gpu, json};
+use crate::common::{gpu, json, program};
 
 pub(crate) const DAM: &str = r#"# A small dam break.
 [domain]
@@ -33,7 +33,7 @@ pub(crate) fn folder(scene: &str) -> TempDir {
 
 /// The program in a folder, ready to start; arguments are separated by spaces.
 pub(crate) fn cutwater(folder: &TempDir, arguments: &str) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_cutwater"));
+    let mut command = program();
     command
         .args(arguments.split_whitespace())
         .current_dir(folder.path())

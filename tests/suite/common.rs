@@ -51,7 +51,8 @@ fn count_skipped(caller: &Location) {
     };
     let mut tests = TESTS.lock().unwrap();
     if tests.insert(test.clone()) {
-        writeln!(std::io::stderr(), "{SKIPPED}{}: {test}", tests.len()).unwrap();
+        let line = format!("{SKIPPED}{}: {test}\n", tests.len());
+        std::io::stderr().write_all(line.as_bytes()).unwrap();
     }
 }
 
@@ -59,6 +60,18 @@ fn count_skipped(caller: &Location) {
 pub(crate) fn root() -> PathBuf {
     std::env::var_os("CUTWATER_ROOT")
         .map_or_else(|| env!("CARGO_MANIFEST_DIR").into(), PathBuf::from)
+}
+
+/// The program, with the default action of signals: tests may run under nohup or in the background of a script, where some are ignored, and
+/// the program leaves those alone. Of the same process id, since `env` replaces itself.
+pub(crate) fn program() -> Command {
+    let program = env!("CARGO_BIN_EXE_cutwater");
+    if !cfg!(target_os = "linux") {
+        return Command::new(program);
+    }
+    let mut command = Command::new("env");
+    command.args(["--default-signal=INT,TERM,HUP", program]);
+    command
 }
 
 /// What active cells cover, seen from above, m^2: of a pool, its surface.

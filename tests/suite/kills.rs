@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use cutwater::output::checkpoint::Checkpoint;
 use cutwater::output::is_partial;
 
-use crate::common::{Random, json};
+use crate::common::{Random, json, program};
 
 /// A scene in a folder, and how it is run.
 pub(crate) struct Run<'a> {
@@ -32,7 +32,7 @@ pub(crate) struct Killed {
 impl Run<'_> {
     /// The program with these arguments, and the run's folder among its scene's.
     pub(crate) fn command(&self, out: &str, more: &str) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_cutwater"));
+        let mut command = program();
         command
             .args(self.arguments.split_whitespace())
             .args(["--out", out])

@@ -216,7 +216,7 @@ fn surfaces_have_no_degenerate_triangles() {
         "[[liquid.region]]\nhalf_space = { point = [0.5, 0.25, 0.25], normal = [0.2, 1, 0.1] }";
     let full = "[[liquid.region]]\nbox = { min = [0, 0, 0], max = [1, 0.5, 0.5] }";
     let corner = "[[liquid.region]]\nsphere = { centre = [0, 0, 0], radius = 0.2 }";
-    let thin = "[[liquid.region]]\nbox = { min = [0, 0, 0], max = [1, 0.02, 0.5] }";
+    let thin = "[[liquid.region]]\nbox = { min = [0, 0, 0], max = [1, 0.06, 0.5] }";
     let uniform = |n: u32, axis: u32| (f64::from(n * (axis + 2)) * 0.618_034).fract();
     for (liquid, drops) in [
         (pool, 0),
@@ -257,7 +257,7 @@ fn surfaces_have_no_degenerate_triangles() {
 fn smoothing_keeps_the_volume_and_the_level_at_walls() {
     let Some(python) = python() else { return };
     let dx = 1.0 / 32.0;
-    let mut volumes = Vec::new();
+    let (mut volumes, mut highest_off) = (Vec::new(), Vec::new());
     for smoothing in [0, 20, 1000] {
         let run = tempfile::tempdir().unwrap();
         let keys = format!(
@@ -268,15 +268,12 @@ fn smoothing_keeps_the_volume_and_the_level_at_walls() {
         let mesh = read_both(&python, run.path());
         volumes.push(mesh["volume"].as_f64().unwrap());
         let heights = flat(&mesh["coordinates"]);
-        let heights = heights.chunks_exact(3).map(|x| x[1]).filter(|&y| y > 0.2);
-        let range = heights.fold([f32::MAX, 0.0], |[low, high], y| [low.min(y), high.max(y)]);
-        let off = range.map(|y| (f64::from(y) - 0.25) / dx);
-        // The level is right to 0.05 cells and bumpy by 0.04 before smoothing.
-        assert!(
-            off.iter().all(|off| off.abs() < 0.1),
-            "smoothing {smoothing}: {off:?} cells"
-        );
+        let highest = heights.chunks_exact(3).map(|x| x[1]).fold(0.0, f32::max);
+        highest_off.push((f64::from(highest) - 0.25) / dx);
     }
+    // Smoothing raises no crest, and a thousand rounds leave what the level is off by: 0.05 cells, as much near walls.
+    let falls = highest_off.is_sorted_by(|rough, smooth| smooth <= rough);
+    assert!(falls && highest_off[2] < 0.1, "{highest_off:?} cells");
     for volume in &volumes {
         let off = volume / volumes[0] - 1.0;
         assert!(off.abs() < 1e-5, "{volumes:?}");

@@ -491,7 +491,7 @@ fn elements_that_lock_are_told_before_a_run() {
 /// The surface of the tetrahedra of a cone has small triangles at its tip, and other bodies beside it.
 #[test]
 fn a_filled_cone_is_not_thin() {
-    for cell_size in [0.012] {
+    for cell_size in [0.012, 0.02] {
         let mesh = format!("surface = {{ file = \"metres.obj\", cell_size = {cell_size} }}");
         let cone = solid(&mesh, "at = [0.2, 0.2, 0.2]");
         warns(&(format!("{HEAD}{POOL}") + &cone), &[]);

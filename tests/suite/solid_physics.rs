@@ -418,7 +418,7 @@ fn bodies_that_start_outside_or_in_an_obstacle_are_refused() {
     let text = refused(inside(2.3), vec![stone.clone()]);
     assert!(
         text.contains("solid[0]")
-            && text.contains("deep in an obstacle")
+            && text.contains("deep in obstacle[0]")
             && text.contains("solid.pin"),
         "{text}"
     );
