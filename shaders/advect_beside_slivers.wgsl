@@ -1,6 +1,6 @@
 // advect_velocity, where bodies cut the grid, last: faces carry what slivers show, as advect explains. Slivers mix it with what
 // advect_slivers made, from half of SLIVER on; less open ones keep that. One thread per quad of the band and its 12 minus faces.
-// level, step. args, list: the band. velocity: what faces show, m/s (quads: the same). valid: see valid. open: fractions of the faces.
+// level, step. band_args, band_list: the band. velocity: what faces show, m/s (velocity_quads: the same). valid: see valid. open: fractions of the faces.
 // velocity_next: u*, m/s (of slivers: as advect_slivers left it).
 #import advect
 #import dispatch
@@ -11,10 +11,10 @@
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<uniform> step: Step;
-@group(0) @binding(2) var<storage, read> args: array<u32>;
-@group(0) @binding(3) var<storage, read> list: array<u32>;
+@group(0) @binding(2) var<storage, read> band_args: array<u32>;
+@group(0) @binding(3) var<storage, read> band_list: array<u32>;
 @group(0) @binding(4) var<storage, read> velocity: array<f32>;
-@group(0) @binding(5) var<storage, read> quads: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read> velocity_quads: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read> valid: array<u32>;
 @group(0) @binding(7) var<storage, read> open: array<f32>;
 @group(0) @binding(8) var<storage, read_write> velocity_next: array<vec4<f32>>;
@@ -48,7 +48,7 @@ fn put(axis: u32, quad: u32, made: vec4<bool>, result: vec4<f32>) {
 @compute @workgroup_size(WG_SIZE)
 fn advect_beside_slivers(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let index = linear_index(workgroup, lane);
-    if index < args[3] {
-        advect_quad(list[index]);
+    if index < band_args[3] {
+        advect_quad(band_list[index]);
     }
 }

@@ -1,6 +1,6 @@
 // advect_velocity, where bodies cut the grid, first: slivers carry the velocities of the faces, as advect explains: a film that a body
 // squeezes out goes on as fast as it is. One thread per quad of the band.
-// level, step. args, list: the band. velocity: faces, m/s (quads: the same). valid: see valid. open: fractions of the faces.
+// level, step. band_args, band_list: the band. velocity: faces, m/s (velocity_quads: the same). valid: see valid. open: fractions of the faces.
 // velocity_next: u* of slivers, m/s.
 #import advect
 #import dispatch
@@ -11,10 +11,10 @@
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<uniform> step: Step;
-@group(0) @binding(2) var<storage, read> args: array<u32>;
-@group(0) @binding(3) var<storage, read> list: array<u32>;
+@group(0) @binding(2) var<storage, read> band_args: array<u32>;
+@group(0) @binding(3) var<storage, read> band_list: array<u32>;
 @group(0) @binding(4) var<storage, read> velocity: array<f32>;
-@group(0) @binding(5) var<storage, read> quads: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read> velocity_quads: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read> valid: array<u32>;
 @group(0) @binding(7) var<storage, read> open: array<f32>;
 @group(0) @binding(8) var<storage, read_write> velocity_next: array<vec4<f32>>;
@@ -31,7 +31,7 @@ fn put(axis: u32, quad: u32, made: vec4<bool>, result: vec4<f32>) {
 @compute @workgroup_size(WG_SIZE)
 fn advect_slivers(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let index = linear_index(workgroup, lane);
-    if index < args[3] && slivers_of(list[index]) != 0u {
-        advect_quad(list[index]);
+    if index < band_args[3] && slivers_of(band_list[index]) != 0u {
+        advect_quad(band_list[index]);
     }
 }

@@ -1,12 +1,12 @@
 // extrapolate, after slip: the new values take their places. One thread per quad of the band.
-// level. args, list: the band. slipping: faces with a new value, bit 4 axis + lane. velocity_next: it. velocity: faces, m/s.
+// level. band_args, band_list: the band. slipping: faces with a new value, bit 4 axis + lane. velocity_next: it. velocity: faces, m/s.
 #import dispatch
 #import layout
 #import valid
 
 @group(0) @binding(0) var<uniform> level: Layout;
-@group(0) @binding(1) var<storage, read> args: array<u32>;
-@group(0) @binding(2) var<storage, read> list: array<u32>;
+@group(0) @binding(1) var<storage, read> band_args: array<u32>;
+@group(0) @binding(2) var<storage, read> band_list: array<u32>;
 @group(0) @binding(3) var<storage, read> slipping: array<u32>;
 @group(0) @binding(4) var<storage, read> velocity_next: array<f32>;
 @group(0) @binding(5) var<storage, read_write> velocity: array<f32>;
@@ -14,10 +14,10 @@
 @compute @workgroup_size(WG_SIZE)
 fn apply_slip(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let index = linear_index(workgroup, lane);
-    if index >= args[3] {
+    if index >= band_args[3] {
         return;
     }
-    let quad = list[index];
+    let quad = band_list[index];
     var faces = slipping[quad] & VALID;
     while faces != 0u {
         let bit = firstTrailingBit(faces);

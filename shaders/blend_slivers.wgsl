@@ -1,6 +1,6 @@
 // extrapolate, where bodies cut the grid, before the layers: what valid slivers show to closed faces and air around them, as shown
 // explains; valid faces weigh by their fractions. One thread per quad of the band.
-// level. args, list: the band. valid: see valid. open: fractions of the faces. velocity: faces, m/s.
+// level. band_args, band_list: the band. valid: see valid. open: fractions of the faces. velocity: faces, m/s.
 // velocity_next: at slivers the bits of what they show, or NO_VELOCITY at those that are not valid.
 #import dispatch
 #import layout
@@ -9,8 +9,8 @@
 #import valid
 
 @group(0) @binding(0) var<uniform> level: Layout;
-@group(0) @binding(1) var<storage, read> args: array<u32>;
-@group(0) @binding(2) var<storage, read> list: array<u32>;
+@group(0) @binding(1) var<storage, read> band_args: array<u32>;
+@group(0) @binding(2) var<storage, read> band_list: array<u32>;
 @group(0) @binding(3) var<storage, read> valid: array<u32>;
 @group(0) @binding(4) var<storage, read> open: array<f32>;
 @group(0) @binding(5) var<storage, read> velocity: array<f32>;
@@ -31,10 +31,10 @@ fn trust(sum: f32) -> f32 {
 @compute @workgroup_size(WG_SIZE)
 fn blend_slivers(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let index = linear_index(workgroup, lane);
-    if index >= args[3] {
+    if index >= band_args[3] {
         return;
     }
-    let quad = list[index];
+    let quad = band_list[index];
     var slivers = slivers_of(quad);
     while slivers != 0u {
         let bit = firstTrailingBit(slivers);

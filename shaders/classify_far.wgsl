@@ -1,13 +1,13 @@
 // liquid_distance, second of five: which markers matter to the distance of any cell, and the classes of the cells around a quad
 // in one word for them. The marks of the cells are taken back for the next sub-step. One thread per quad of the band.
-// level. args, list: the band. classes: see classes. occupied: in place.
+// level. band_args, band_list: the band. classes: see classes. occupied: in place.
 #import dispatch
 #import layout
 #import classes
 
 @group(0) @binding(0) var<uniform> level: Layout;
-@group(0) @binding(1) var<storage, read> args: array<u32>;
-@group(0) @binding(2) var<storage, read> list: array<u32>;
+@group(0) @binding(1) var<storage, read> band_args: array<u32>;
+@group(0) @binding(2) var<storage, read> band_list: array<u32>;
 @group(0) @binding(3) var<storage, read> classes: array<u32>;
 @group(0) @binding(4) var<storage, read_write> occupied: array<u32>;
 
@@ -27,10 +27,10 @@ fn row_of(before: u32, here: u32, after: u32, kind: u32) -> u32 {
 @compute @workgroup_size(WG_SIZE)
 fn classify_far(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let index = linear_index(workgroup, lane);
-    if index >= args[3] {
+    if index >= band_args[3] {
         return;
     }
-    let quad = list[index];
+    let quad = band_list[index];
     let word = occupied[quad];
     let marked = lanes_of(word, MARKED);
     var spreading = near_lanes(quad);

@@ -1,6 +1,6 @@
 // liquid_distance, first of five: the class of every cell of the band, and the start of its search for the nearest marker.
 // One thread per quad.
-// level. args, list: the band. occupied: see classes. classes: out. squares: squared distance to the nearest marker, cells^2.
+// level. band_args, band_list: the band. occupied: see classes. classes: out. squares: squared distance to the nearest marker, cells^2.
 #import dispatch
 #import layout
 #import classes
@@ -9,8 +9,8 @@
 const REACH_SQUARED = 4.0;
 
 @group(0) @binding(0) var<uniform> level: Layout;
-@group(0) @binding(1) var<storage, read> args: array<u32>;
-@group(0) @binding(2) var<storage, read> list: array<u32>;
+@group(0) @binding(1) var<storage, read> band_args: array<u32>;
+@group(0) @binding(2) var<storage, read> band_list: array<u32>;
 @group(0) @binding(3) var<storage, read> occupied: array<u32>;
 @group(0) @binding(4) var<storage, read_write> classes: array<u32>;
 @group(0) @binding(5) var<storage, read_write> squares: array<vec4<f32>>;
@@ -27,10 +27,10 @@ fn empty_lanes(quad: u32) -> u32 {
 @compute @workgroup_size(WG_SIZE)
 fn classify_near(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let index = linear_index(workgroup, lane);
-    if index >= args[3] {
+    if index >= band_args[3] {
         return;
     }
-    let quad = list[index];
+    let quad = band_list[index];
     let room = lanes_of(~occupied[quad], NO_ROOM);
     let empty = empty_lanes(quad);
     var near = 15u;

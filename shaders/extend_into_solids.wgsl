@@ -4,7 +4,7 @@
 // of that, weighted with the product of both open fractions, and one pair without a slope. The result stays within the range of the
 // neighbours' values. Three passes, each reading what the one before left.
 // One thread per quad of the band; the band's neighbours count as unknown.
-// level, step. args, list, flags: the band. open: fractions of the minus faces. distance_in, distance_out: m.
+// level, step. band_args, band_list, band_flags: the band. open: fractions of the minus faces. distance_in, distance_out: m.
 #import dispatch
 #import layout
 #import step
@@ -12,9 +12,9 @@
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<uniform> step: Step;
-@group(0) @binding(2) var<storage, read> args: array<u32>;
-@group(0) @binding(3) var<storage, read> list: array<u32>;
-@group(0) @binding(4) var<storage, read> flags: array<u32>;
+@group(0) @binding(2) var<storage, read> band_args: array<u32>;
+@group(0) @binding(3) var<storage, read> band_list: array<u32>;
+@group(0) @binding(4) var<storage, read> band_flags: array<u32>;
 @group(0) @binding(5) var<storage, read> open: array<f32>;
 @group(0) @binding(6) var<storage, read> distance_in: array<f32>;
 @group(0) @binding(7) var<storage, read_write> distance_out: array<f32>;
@@ -46,7 +46,7 @@ fn neighbour(cell: u32, axis: u32, side: u32) -> Neighbour {
     }
     let other = plus - (1u - side) * stride;
     let phi = distance_in[other];
-    let known = flags[other / 4u] != 0u && phi < UNKNOWN && !beyond(other);
+    let known = band_flags[other / 4u] != 0u && phi < UNKNOWN && !beyond(other);
     return Neighbour(other, select(0.0, fraction, known), phi);
 }
 
@@ -91,10 +91,10 @@ fn from_neighbours(cell: u32) -> f32 {
 @compute @workgroup_size(WG_SIZE)
 fn extend_into_solids(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let index = linear_index(workgroup, lane);
-    if index >= args[3] {
+    if index >= band_args[3] {
         return;
     }
-    let first = 4u * list[index];
+    let first = 4u * band_list[index];
     for (var cell = first; cell < first + 4u; cell++) {
         var phi = distance_in[cell];
         if phi >= UNKNOWN {

@@ -1,15 +1,15 @@
 // extrapolate, one layer: a face without a velocity takes the mean over the nearest of its 26 neighbours of the same axis that
 // have one: those beside it, else those across an edge, else those across a corner. Valid faces are never written and others
 // never read, so the order of the threads does not matter. One thread per quad of the band.
-// level. args, list: the band. valid_in, valid_out: see valid. velocity: faces, m/s, in place.
+// level. band_args, band_list: the band. valid_in, valid_out: see valid. velocity: faces, m/s, in place.
 #import dispatch
 #import layout
 #import lanes
 #import valid
 
 @group(0) @binding(0) var<uniform> level: Layout;
-@group(0) @binding(1) var<storage, read> args: array<u32>;
-@group(0) @binding(2) var<storage, read> list: array<u32>;
+@group(0) @binding(1) var<storage, read> band_args: array<u32>;
+@group(0) @binding(2) var<storage, read> band_list: array<u32>;
 @group(0) @binding(3) var<storage, read> valid_in: array<u32>;
 @group(0) @binding(4) var<storage, read_write> valid_out: array<u32>;
 @group(0) @binding(5) var<storage, read_write> velocity: array<f32>;
@@ -47,10 +47,10 @@ fn sum_of(marks: vec4<u32>, bit: u32, faces: vec4<u32>, own: u32) -> vec2<f32> {
 @compute @workgroup_size(WG_SIZE)
 fn extrapolate_layer(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let index = linear_index(workgroup, lane);
-    if index >= args[3] {
+    if index >= band_args[3] {
         return;
     }
-    let quad = list[index];
+    let quad = band_list[index];
     let word = valid_in[quad];
     let here = word & VALID;
     if here == VALID {

@@ -1,13 +1,13 @@
 // extrapolate, after the layers: faces on the sides of the domain that are not open do not let anything through. One thread per quad
-// of the band. level. args, list: the band. valid: which faces are open. velocity: faces, m/s, in place.
+// of the band. level. band_args, band_list: the band. valid: which faces are open. velocity: faces, m/s, in place.
 #import dispatch
 #import layout
 #import lanes
 #import valid
 
 @group(0) @binding(0) var<uniform> level: Layout;
-@group(0) @binding(1) var<storage, read> args: array<u32>;
-@group(0) @binding(2) var<storage, read> list: array<u32>;
+@group(0) @binding(1) var<storage, read> band_args: array<u32>;
+@group(0) @binding(2) var<storage, read> band_list: array<u32>;
 @group(0) @binding(3) var<storage, read> valid: array<u32>;
 @group(0) @binding(4) var<storage, read_write> velocity: array<f32>;
 
@@ -20,10 +20,10 @@ fn close(axis: u32, quad: u32, lane: u32) {
 @compute @workgroup_size(WG_SIZE)
 fn extrapolate_walls(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let index = linear_index(workgroup, lane);
-    if index >= args[3] {
+    if index >= band_args[3] {
         return;
     }
-    let quad = list[index];
+    let quad = band_list[index];
     let cell = quad_cell(level, quad);
     let n = vec3<i32>(level.cells);
     if cell.x == 0 {

@@ -1,7 +1,7 @@
 // band, last of three: the flags of the quads whose tile enters or leaves the band. What a quad that leaves still holds is put back
 // to air: liquid distance + dx, no valid face; its velocity stays until write_back, since the advection may reach it. The marks
 // are taken back for the next sub-step. One thread per slab of a tile, eight rows of two quads.
-// level, step, tiles. dilated: see tiles. marks: per tile. flags: per quad, 0 or 1, in place. liquid_distance: m.
+// level, step, tiles. dilated: see tiles. marks: per tile. band_flags: per quad, 0 or 1, in place. liquid_distance: m.
 // valid, valid_next: see valid.
 #import dispatch
 #import layout
@@ -14,7 +14,7 @@
 @group(0) @binding(2) var<uniform> tiles: Tiles;
 @group(0) @binding(3) var<storage, read> dilated: array<u32>;
 @group(0) @binding(4) var<storage, read_write> marks: array<u32>;
-@group(0) @binding(5) var<storage, read_write> flags: array<vec2<u32>>;
+@group(0) @binding(5) var<storage, read_write> band_flags: array<vec2<u32>>;
 @group(0) @binding(6) var<storage, read_write> liquid_distance: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read_write> valid: array<vec2<u32>>;
 @group(0) @binding(8) var<storage, read_write> valid_next: array<vec2<u32>>;
@@ -38,7 +38,7 @@ fn flag_band(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocat
     let end = min(TILE * tile.y + TILE, level.cells.y + 1u);
     for (var y = TILE * tile.y; y < end; y++) {
         let row = (level.stride_z * (z + 1u) + level.stride_y * y) / 2u + tile.x;
-        flags[row] = vec2<u32>(word & NOW);
+        band_flags[row] = vec2<u32>(word & NOW);
         if word == BEFORE {
             liquid_distance[2u * row] = vec4<f32>(step.dx);
             liquid_distance[2u * row + 1u] = vec4<f32>(step.dx);

@@ -1,6 +1,6 @@
 // diagnose, first: momentum sum of m_c v_c and kinetic energy sum of m_c |v_c|^2 / 2, v_c the means of opposite faces and
 // m_c = rho times the liquid volume of the cell; the largest magnitude of a face velocity. One thread per share of the band;
-// each adds every n-th quad. level, step. args, list: the band. velocity: faces, m/s. liquid_distance, solid_distance: m.
+// each adds every n-th quad. level, step. band_args, band_list: the band. velocity: faces, m/s. liquid_distance, solid_distance: m.
 // partials: momentum (kg m/s), kinetic energy (J). maxima: bits of the largest speed (m/s) first.
 #import dispatch
 #import layout
@@ -10,8 +10,8 @@
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<uniform> step: Step;
-@group(0) @binding(2) var<storage, read> args: array<u32>;
-@group(0) @binding(3) var<storage, read> list: array<u32>;
+@group(0) @binding(2) var<storage, read> band_args: array<u32>;
+@group(0) @binding(3) var<storage, read> band_list: array<u32>;
 @group(0) @binding(4) var<storage, read> velocity: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read> liquid_distance: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read> solid_distance: array<vec4<f32>>;
@@ -28,8 +28,8 @@ fn measure_motion(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_in
     var sums = Real4();
     // As bits: they are ordered like the magnitudes, and not-a-number is above all.
     var fastest = vec4<u32>();
-    for (var index = thread; index < args[3]; index += n_threads) {
-        let quad = list[index];
+    for (var index = thread; index < band_args[3]; index += n_threads) {
+        let quad = band_list[index];
         let y = level.quads + quad;
         let z = 2u * level.quads + quad;
         let u = velocity[quad];

@@ -1,6 +1,6 @@
 // liquid_distance, at its end: liquid volume V = sum of V_c clamp(1/2 - phi/dx, 0, 1), V_c the open volume, and potential energy
 // - sum of m_c g . x_c, m_c = rho times that volume. One thread per share of the band; each adds every n-th quad.
-// level, step. args, list: the band. liquid_distance, solid_distance: m. partials: volume (m^3), potential energy (J), 0, 0.
+// level, step. band_args, band_list: the band. liquid_distance, solid_distance: m. partials: volume (m^3), potential energy (J), 0, 0.
 #import dispatch
 #import layout
 #import lanes
@@ -9,8 +9,8 @@
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<uniform> step: Step;
-@group(0) @binding(2) var<storage, read> args: array<u32>;
-@group(0) @binding(3) var<storage, read> list: array<u32>;
+@group(0) @binding(2) var<storage, read> band_args: array<u32>;
+@group(0) @binding(3) var<storage, read> band_list: array<u32>;
 @group(0) @binding(4) var<storage, read> liquid_distance: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read> solid_distance: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> partials: array<Real4>;
@@ -24,8 +24,8 @@ fn measure_volume(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_in
     }
     var volume = Real();
     var energy = Real();
-    for (var index = thread; index < args[3]; index += n_threads) {
-        let quad = list[index];
+    for (var index = thread; index < band_args[3]; index += n_threads) {
+        let quad = band_list[index];
         let phi = liquid_distance[quad];
         if all(phi >= vec4<f32>(0.5 * step.dx)) {
             continue;

@@ -1,7 +1,7 @@
 // advect_velocity, where bodies cut the grid, between advect_slivers and advect_beside_slivers: slivers put on what they show, see shown.
 // Whole faces weigh, by what they are more open than slivers, so that nothing hangs on the last bit of a fraction; these are not
 // written, so it is done in place. One thread per quad of the band.
-// level. args, list: the band. valid: see valid. open: fractions of the faces. velocity: faces, m/s.
+// level. band_args, band_list: the band. valid: see valid. open: fractions of the faces. velocity: faces, m/s.
 #import dispatch
 #import layout
 #import shown
@@ -9,8 +9,8 @@
 #import valid
 
 @group(0) @binding(0) var<uniform> level: Layout;
-@group(0) @binding(1) var<storage, read> args: array<u32>;
-@group(0) @binding(2) var<storage, read> list: array<u32>;
+@group(0) @binding(1) var<storage, read> band_args: array<u32>;
+@group(0) @binding(2) var<storage, read> band_list: array<u32>;
 @group(0) @binding(3) var<storage, read> valid: array<u32>;
 @group(0) @binding(4) var<storage, read> open: array<f32>;
 @group(0) @binding(5) var<storage, read_write> velocity: array<f32>;
@@ -26,10 +26,10 @@ fn trust(sum: f32) -> f32 {
 @compute @workgroup_size(WG_SIZE)
 fn show_slivers(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let index = linear_index(workgroup, lane);
-    if index >= args[3] {
+    if index >= band_args[3] {
         return;
     }
-    let quad = list[index];
+    let quad = band_list[index];
     var slivers = slivers_of(quad);
     while slivers != 0u {
         let bit = firstTrailingBit(slivers);

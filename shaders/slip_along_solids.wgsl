@@ -1,5 +1,5 @@
 // extrapolate, with solids: free slip along obstacles and along solids, which move, as slide explains. One thread per quad of the band.
-// level, step. args, list: the band. solid_distance: cell centres, m. velocity: faces, m/s. valid: which faces are open.
+// level, step. band_args, band_list: the band. solid_distance: cell centres, m. velocity: faces, m/s. valid: which faces are open.
 // velocity_next: the new value where one is made. slipping: those faces, bit 4 axis + lane.
 // walls: see moving_walls. clipped: where its velocities start.
 #import cut_quad
@@ -11,8 +11,8 @@
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<uniform> step: Step;
-@group(0) @binding(2) var<storage, read> args: array<u32>;
-@group(0) @binding(3) var<storage, read> list: array<u32>;
+@group(0) @binding(2) var<storage, read> band_args: array<u32>;
+@group(0) @binding(3) var<storage, read> band_list: array<u32>;
 @group(0) @binding(4) var<storage, read> solid_distance: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read> velocity: array<f32>;
 @group(0) @binding(6) var<storage, read> valid: array<u32>;
@@ -40,7 +40,7 @@ fn wall_velocity(axis: u32, cell: vec3<i32>) -> vec3<f32> {
 @compute @workgroup_size(WG_SIZE)
 fn slip_along_solids(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let index = linear_index(workgroup, lane);
-    if index < args[3] {
-        slip_quad(list[index]);
+    if index < band_args[3] {
+        slip_quad(band_list[index]);
     }
 }

@@ -3,7 +3,7 @@
 // negative. The largest over the 5 x 5 x 5 cells around, at least -2 dx. Cells with their centre in a solid say nothing, and theirs is
 // made again, too.
 // One thread per quad of the band.
-// level, step. args, list: the band of the last sub-step. occupied: see classes. liquid_distance, surface (signed distance to it): m.
+// level, step. band_args, band_list: the band of the last sub-step. occupied: see classes. liquid_distance, surface (signed distance to it): m.
 #import dispatch
 #import layout
 #import lanes
@@ -12,8 +12,8 @@
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<uniform> step: Step;
-@group(0) @binding(2) var<storage, read> args: array<u32>;
-@group(0) @binding(3) var<storage, read> list: array<u32>;
+@group(0) @binding(2) var<storage, read> band_args: array<u32>;
+@group(0) @binding(3) var<storage, read> band_list: array<u32>;
 @group(0) @binding(4) var<storage, read> occupied: array<u32>;
 @group(0) @binding(5) var<storage, read> liquid_distance: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> surface: array<vec4<f32>>;
@@ -43,10 +43,10 @@ fn told(quad: u32, cell: vec3<i32>, away: f32) -> vec4<f32> {
 @compute @workgroup_size(WG_SIZE)
 fn surface_distance(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let index = linear_index(workgroup, lane);
-    if index >= args[3] {
+    if index >= band_args[3] {
         return;
     }
-    let quad = list[index];
+    let quad = band_list[index];
     let cell = quad_cell(level, quad);
     let own = air(quad, cell);
     if all(own > vec4<f32>()) {

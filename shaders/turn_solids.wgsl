@@ -1,10 +1,10 @@
-// move_solid, first part, with corotational bodies only that nothing holds, or a hinge: what a body that turns needs besides its
+// move_solid, first part, with corotational turning only that nothing holds, or a hinge: what a body that turns needs besides its
 // tangents, so that moving along them does not stretch it. With c, v_c its centroid and that one's velocity, r = x - c, I = sum m (|r|^2 1 - r r^T), L = sum m r x v:
 //     w = I^-1 L;  y + dt/2 (I^-1 y) x y = L,  theta = dt I^-1 y;  k = 1 / (1 + |theta|^2 / 4)
 //     s = (theta - dt w) x r + k (theta x (theta x r) / 2 - |theta|^2 theta x r / 4),  r' = r + dt (v - v_c) + s
 //     dv = (I'^-1 sum m (v - v_c) x s) x r';  u += s - dt dv,  v += dv.
 // About a point that is held c is there and v_c = 0; about a hinge, two of its nodes far apart, I^-1 is e e^T / (e . I e), theta = dt w.
-// One workgroup per body; sums in a tree. step. bodies: first node and the one after the last, nodes of the hinge or FREE. rest: m, kg.
+// One workgroup per body; sums in a tree. step. turning: first node and the one after the last, nodes of the hinge or FREE. rest: m, kg.
 // flags: see node_flags. displacement: larger parts, then smaller, m; velocity: m/s; both in place.
 #import dispatch
 #import node_flags
@@ -14,7 +14,7 @@
 #import tree
 
 @group(0) @binding(0) var<uniform> step: SolidStep;
-@group(0) @binding(1) var<storage, read> bodies: array<vec4<u32>>;
+@group(0) @binding(1) var<storage, read> turning: array<vec4<u32>>;
 @group(0) @binding(2) var<storage, read> rest: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> flags: array<u32>;
 @group(0) @binding(4) var<storage, read_write> displacement: array<vec4<f32>>;
@@ -117,8 +117,8 @@ fn turn_solids(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoc
     let body = group_index(workgroup);
     // No nodes beyond the last body: threads that returned would be missing at the barriers.
     var nodes = vec4<u32>();
-    if body < arrayLength(&bodies) {
-        nodes = bodies[body];
+    if body < arrayLength(&turning) {
+        nodes = turning[body];
     }
     var of_x = Real4();
     var of_v = Real3();
@@ -130,7 +130,7 @@ fn turn_solids(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoc
     of_x = sum_of(of_x, lane);
     of_v = sum_of(Real4(of_v, Real()), lane).xyz;
     var motion = Motion(Real3(), of_x.xyz / of_x.w, of_v / of_x.w, Real3(), Real3());
-    if nodes.z != FREE && body < arrayLength(&bodies) {
+    if nodes.z != FREE && body < arrayLength(&turning) {
         motion.centroid = position(nodes.z);
         motion.velocity = Real3();
         let way = position(nodes.w) - motion.centroid;

@@ -1,6 +1,6 @@
 // liquid_distance, fourth of five: phi = min(2 dx, distance to the nearest marker) - r (Zhu and Bridson 2005), - dx in cells all
 // around which liquid is, + dx beyond the domain, unknown in solids. One thread per quad of the band.
-// step. args, list: the band. occupied, classes: see classes. liquid_distance: squares (cells^2) in, m out.
+// step. band_args, band_list: the band. occupied, classes: see classes. liquid_distance: squares (cells^2) in, m out.
 #import dispatch
 #import step
 #import lanes
@@ -9,8 +9,8 @@
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<uniform> step: Step;
-@group(0) @binding(2) var<storage, read> args: array<u32>;
-@group(0) @binding(3) var<storage, read> list: array<u32>;
+@group(0) @binding(2) var<storage, read> band_args: array<u32>;
+@group(0) @binding(3) var<storage, read> band_list: array<u32>;
 @group(0) @binding(4) var<storage, read> occupied: array<u32>;
 @group(0) @binding(5) var<storage, read> classes: array<u32>;
 @group(0) @binding(6) var<storage, read_write> liquid_distance: array<vec4<f32>>;
@@ -18,10 +18,10 @@
 @compute @workgroup_size(WG_SIZE)
 fn union_of_spheres(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let index = linear_index(workgroup, lane);
-    if index >= args[3] {
+    if index >= band_args[3] {
         return;
     }
-    let quad = list[index];
+    let quad = band_list[index];
     let near = bit_lanes(lanes_of(classes[quad], NEAR));
     var phi = select(vec4<f32>(-step.dx), step.dx * (sqrt(liquid_distance[quad]) - step.marker_radius), near);
     let no_room = lanes_of(occupied[quad], NO_ROOM);

@@ -1,7 +1,7 @@
 // write_back: u = u* - (phi_+ - phi_-) on every open face with an active side (thesis 4.36), phi = p dt / (rho dx). Across the free
 // surface, and on open sides of the domain, the missing phi is 0 and the difference is divided by the theta of the matrix. Other
 // faces are not valid and 0.
-// One thread per quad of the band. level, step. args, list: the band. flags: see active. velocity_next: u*, faces, m/s.
+// One thread per quad of the band. level, step. band_args, band_list: the band. flags: see active. velocity_next: u*, faces, m/s.
 // liquid_distance: m. potential: phi, m/s. velocity: u, m/s. valid: see valid; in place.
 #import dispatch
 #import layout
@@ -13,8 +13,8 @@
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<uniform> step: Step;
-@group(0) @binding(2) var<storage, read> args: array<u32>;
-@group(0) @binding(3) var<storage, read> list: array<u32>;
+@group(0) @binding(2) var<storage, read> band_args: array<u32>;
+@group(0) @binding(3) var<storage, read> band_list: array<u32>;
 @group(0) @binding(4) var<storage, read> flags: array<u32>;
 @group(0) @binding(5) var<storage, read> velocity_next: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read> liquid_distance: array<vec4<f32>>;
@@ -71,10 +71,10 @@ fn update_faces(axis: u32, quad: u32, update: vec4<bool>, minus: Cells, plus: Ce
 @compute @workgroup_size(WG_SIZE)
 fn write_back(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let index = linear_index(workgroup, lane);
-    if index >= args[3] {
+    if index >= band_args[3] {
         return;
     }
-    let quad = list[index];
+    let quad = band_list[index];
     let own = flags[quad] & 15u;
     let sides = vec3<u32>(
         own | (own << 1u & 15u) | (flags[quad - 1u] >> 3u & 1u),

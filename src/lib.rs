@@ -45,29 +45,8 @@
 //!
 //! # One step
 //!
-//! One step of the simulator (Zarifi's thesis, algorithm 4), with the room that holds each line. The GPU stages live in
-//! [`stages`] and [`solver`], their f64 twins under the same names in [`mod@reference`]:
-//!
-//! 1. `time_step`: the largest step that the velocities allow and that lands on the frame times ([`sim`])
-//! 2. `clip`: open face areas and the distance to the obstacles, on the CPU ([`geometry`]); once, and with solids in liquid in
-//!    every sub-step, after they have moved
-//! 3. `move_solid`: nodes of the solids, on circles where their body is free or on a hinge, then out of walls and obstacles
-//! 4. `advect_markers`: midpoint rule through the MAC field, near the surface with the velocity of the surface, then out of the domain
-//!    through open sides, else out of solids and walls; on the GPU `band` then lists the
-//!    quads near the liquid, which all other stages of the liquid work on
-//! 5. `exchange`: sinks take markers away, sources make some, where the scene has any
-//! 6. `advect_velocity`: semi-Lagrangian on the faces, beside almost closed ones with a part of their velocity only
-//! 7. `forces`: gravity on faces and nodes, and what prescribed nodes move with
-//! 8. `liquid_distance`: union of spheres, extended into the solids
-//! 9. `active_cells`: the unknowns, compacted, and the levels of the multigrid hierarchy; `closed_components`: those among
-//!    them that no free surface reaches
-//! 10. `solid_matrices`: rotations of the elements, elastic forces, stiffness
-//! 11. `right_hand_side`: negative divergence and volume control; forces of the solids
-//! 12. `solve`: the pressure and the velocities of the solids ([`solver`])
-//! 13. `write_back`: the divergence-free face velocities
-//! 14. `extrapolate`: velocities beyond the liquid, of faces that are almost closed only what their area is worth
-//! 15. `diagnose`: volume, momentum, energies, the worst element and the solver's report
-//! 16. `probe`: what the scene measures at points, above points and at the front
+//! The rows of [`step::SCHEDULE`] are the stages of a sub-step, in order (Zarifi's thesis, algorithm 4). The GPU stages live in
+//! [`stages`] and [`solver`], their f64 twins under the same names in [`mod@reference`].
 //!
 //! What a scene is: [`scene`]; what it calls for: [`effects`]; where things are on the grid: [`grid`].
 #![deny(clippy::print_stdout)]
@@ -87,5 +66,6 @@ pub mod sim;
 pub mod solver;
 pub mod stages;
 pub mod state;
+pub mod step;
 
 pub use error::Error;

@@ -1,5 +1,5 @@
 // Per face at x, u*(x) = u(x - dt u(x - dt/2 u(x))): semi-Lagrangian along the midpoint rule (Stam 1999), trilinear, for the 12 minus
-// faces of a quad. The importing kernel declares level, step, velocity (faces, m/s), quads (the same as vec4), makes(axis, quad): which
+// faces of a quad. The importing kernel declares level, step, velocity (faces, m/s), velocity_quads (the same as vec4), makes(axis, quad): which
 // lanes it is to make, and put(axis, quad, made, result): what it does with them, u* in m/s.
 #import layout
 #import lanes
@@ -35,20 +35,20 @@ fn advect_quad(quad: u32) {
     let sy = level.stride_y;
     let sz = level.stride_z;
     // Twice the velocity at the cell centres, here and at the cells before along each axis.
-    let u = quads[x];
-    let v = quads[y];
-    let w = quads[z];
-    let cu = u + shift_down(u, quads[x + 1u]);
-    let cv = v + quads[y + sy];
-    let cw = w + quads[z + sz];
-    let cv_x = shift_up(quads[y - 1u] + quads[y + sy - 1u], cv);
-    let cw_x = shift_up(quads[z - 1u] + quads[z + sz - 1u], cw);
-    let u_y = quads[x - sy];
-    let cu_y = u_y + shift_down(u_y, quads[x - sy + 1u]);
-    let cw_y = quads[z - sy] + quads[z - sy + sz];
-    let u_z = quads[x - sz];
-    let cu_z = u_z + shift_down(u_z, quads[x - sz + 1u]);
-    let cv_z = quads[y - sz] + quads[y - sz + sy];
+    let u = velocity_quads[x];
+    let v = velocity_quads[y];
+    let w = velocity_quads[z];
+    let cu = u + shift_down(u, velocity_quads[x + 1u]);
+    let cv = v + velocity_quads[y + sy];
+    let cw = w + velocity_quads[z + sz];
+    let cv_x = shift_up(velocity_quads[y - 1u] + velocity_quads[y + sy - 1u], cv);
+    let cw_x = shift_up(velocity_quads[z - 1u] + velocity_quads[z + sz - 1u], cw);
+    let u_y = velocity_quads[x - sy];
+    let cu_y = u_y + shift_down(u_y, velocity_quads[x - sy + 1u]);
+    let cw_y = velocity_quads[z - sy] + velocity_quads[z - sy + sz];
+    let u_z = velocity_quads[x - sz];
+    let cu_z = u_z + shift_down(u_z, velocity_quads[x - sz + 1u]);
+    let cv_z = velocity_quads[y - sz] + velocity_quads[y - sz + sy];
     // On a wall the one cell at it counts for both.
     let n = vec3<i32>(level.cells);
     let lanes = vec4<i32>(cell.x) + LANES;

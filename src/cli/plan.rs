@@ -196,8 +196,8 @@ fn say_limits(plan: &Plan, adapter: &AdapterReport) -> Result<(), Error> {
     let too_large: Vec<&str> = plan
         .buffers
         .iter()
-        .filter(|buffer| adapter.check_buffer(buffer.label, buffer.bytes()).is_err())
-        .map(|buffer| buffer.label)
+        .filter(|buffer| adapter.check_buffer(&buffer.label, buffer.bytes()).is_err())
+        .map(|buffer| &*buffer.label)
         .collect();
     if !too_large.is_empty() {
         say!("  too large: {}", too_large.join(", "));

@@ -63,7 +63,7 @@ use crate::scene::{ProbeKind, Scene};
 use distance::Body;
 
 /// What obstacles, and solids in liquid, leave of the grid.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct CutCells {
     /// Open fraction of every face per axis (host face layout, 0 to 1): clamped, domain walls closed but for open sides.
     pub open: [Vec<f64>; 3],

@@ -13,7 +13,7 @@ use crate::Error;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BufferPlan {
     /// Label, `group.name`.
-    pub label: &'static str,
+    pub label: String,
     /// Elements.
     pub len: usize,
     /// Bytes of an element.
@@ -22,9 +22,9 @@ pub struct BufferPlan {
 
 impl BufferPlan {
     /// A plan for `len` elements of `T`.
-    pub fn of<T>(label: &'static str, len: usize) -> BufferPlan {
+    pub fn of<T>(label: &str, len: usize) -> BufferPlan {
         BufferPlan {
-            label,
+            label: label.to_owned(),
             len,
             element: size_of::<T>(),
         }
@@ -32,14 +32,15 @@ impl BufferPlan {
 
     /// Bytes in all.
     pub fn bytes(&self) -> u64 {
-        (self.len.max(1) * self.element) as u64
+        ((self.len.max(1) * self.element) as u64).next_multiple_of(4)
     }
 }
 
 /// A device buffer of `len` elements `T`, zero at first.
 #[derive(Debug)]
 pub struct Buffer<T> {
-    pub(super) raw: wgpu::Buffer,
+    /// `None` on a planning device.
+    pub(super) raw: Option<wgpu::Buffer>,
     len: usize,
     label: String,
     element: PhantomData<T>,
@@ -63,7 +64,7 @@ impl<T: Pod> Buffer<T> {
 
     /// Bytes.
     pub fn bytes(&self) -> u64 {
-        self.raw.size()
+        BufferPlan::of::<T>("", self.len).bytes()
     }
 }
 
@@ -110,15 +111,21 @@ impl Gpu {
         len: usize,
         usage: wgpu::BufferUsages,
     ) -> Result<Buffer<T>, Error> {
-        let bytes = (len.max(1) * size_of::<T>()).next_multiple_of(4) as u64;
-        self.report().check_buffer(label, bytes)?;
-        let raw = self.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some(label),
-            size: bytes,
-            usage,
-            mapped_at_creation: false,
-        });
-        self.note_allocation(label, bytes);
+        let plan = BufferPlan::of::<T>(label, len);
+        let size = plan.bytes();
+        let raw = match self.open() {
+            None => None,
+            Some(open) => {
+                self.report().check_buffer(label, size)?;
+                Some(open.device.create_buffer(&wgpu::BufferDescriptor {
+                    label: Some(label),
+                    size,
+                    usage,
+                    mapped_at_creation: false,
+                }))
+            }
+        };
+        self.note_allocation(plan);
         Ok(Buffer {
             raw,
             len,
@@ -136,9 +143,11 @@ impl Gpu {
             values.len(),
             buffer.len
         );
-        if !values.is_empty() {
+        if let Some((open, raw)) = self.open().zip(buffer.raw.as_ref())
+            && !values.is_empty()
+        {
             let bytes: &[u8] = bytemuck::cast_slice(values);
-            self.queue.write_buffer(&buffer.raw, 0, bytes);
+            open.queue.write_buffer(raw, 0, bytes);
             self.meter.uploaded(bytes.len() as u64);
         }
     }
@@ -167,9 +176,9 @@ pub struct RealBuffer {
 
 impl RealBuffer {
     /// A plan for `len` scalars.
-    pub fn plan(label: &'static str, len: usize, real: Real) -> BufferPlan {
+    pub fn plan(label: &str, len: usize, real: Real) -> BufferPlan {
         BufferPlan {
-            label,
+            label: label.to_owned(),
             len,
             element: real.bytes(),
         }
@@ -252,7 +261,8 @@ impl Arrival {
 /// A host-visible copy of (the start of) a buffer, filled by [`Recorder::read`] and fetched after the submission.
 #[derive(Debug)]
 pub struct Readback<T> {
-    pub(super) raw: wgpu::Buffer,
+    /// `None` on a planning device.
+    pub(super) raw: Option<wgpu::Buffer>,
     pub(super) len: usize,
     label: String,
     arrival: Option<Arrival>,
@@ -279,7 +289,7 @@ impl<T: Pod> Readback<T> {
 
     /// Asks for the contents as of the work submitted so far; the host goes on meanwhile.
     pub fn start(&mut self) {
-        self.arrival = Some(Arrival::request(&self.raw));
+        self.arrival = self.raw.as_ref().map(Arrival::request);
     }
 
     /// Waits for the contents; starts the request if [`Readback::start`] was not called.
@@ -287,22 +297,24 @@ impl<T: Pod> Readback<T> {
     /// # Errors
     /// [`Error::Gpu`] when the device fails.
     pub fn wait(&mut self, gpu: &Gpu) -> Result<Vec<T>, Error> {
+        // Mapped memory need not be aligned for f64, so the bytes are copied.
+        let mut values = vec![T::zeroed(); self.len];
         if self.arrival.is_none() {
             self.start();
         }
-        let arrival = self.arrival.take().expect("a request was started above");
+        let Some((arrival, raw)) = self.arrival.take().zip(self.raw.as_ref()) else {
+            return Ok(values);
+        };
         arrival.wait(gpu, &self.label)?;
-        let view = self.raw.get_mapped_range(..).map_err(|error| Error::Gpu {
+        let view = raw.get_mapped_range(..).map_err(|error| Error::Gpu {
             during: self.label.clone(),
             problem: error.to_string(),
         })?;
-        // Mapped memory need not be aligned for f64, so the bytes are copied.
-        let mut values = vec![T::zeroed(); self.len];
         let bytes: &mut [u8] = bytemuck::cast_slice_mut(&mut values);
         let n = bytes.len();
         bytes.copy_from_slice(&view[..n]);
         drop(view);
-        self.raw.unmap();
+        raw.unmap();
         Ok(values)
     }
 }

@@ -4,7 +4,7 @@
 //! Count per chunk, scan the counts in one workgroup, write: three dispatches, no atomics, so the list is a function of the
 //! flags alone.
 
-use super::{Bound, Buffer, BufferPlan, Gpu, Kernel, Pass, Real};
+use super::{Bound, Buffer, Dispatch, Gpu, Kernel, Pass, Real};
 use crate::Error;
 
 /// Flags that one thread of the count and write kernels looks at: four times `CHUNK_GROUPS` in `common/compact.wgsl`.
@@ -56,9 +56,9 @@ pub struct Range {
 }
 
 impl Compaction {
-    /// The scratch buffer that a compaction of `n_flags` flags needs; compactions that run in order may share one.
-    pub fn scratch(label: &'static str, n_flags: usize) -> BufferPlan {
-        BufferPlan::of::<u32>(label, n_flags.div_ceil(CHUNK))
+    /// Words of scratch memory for a compaction of `n_flags` flags; compactions that run in order may share it.
+    pub fn scratch(n_flags: usize) -> usize {
+        n_flags.div_ceil(CHUNK)
     }
 
     /// Compacts `flags[first .. first + n_flags]` (both multiples of 4) into `list[first ..]`; indices are those in `flags`.
@@ -104,6 +104,15 @@ impl Compaction {
                 .write
                 .bind(gpu, &[range, flags, scratch, ("list", list.into())])?,
         })
+    }
+
+    /// The three dispatches.
+    pub fn into_dispatches(self) -> [Dispatch; 3] {
+        [
+            self.count.threads(self.threads),
+            self.scan.threads(1),
+            self.write.threads(self.threads),
+        ]
     }
 
     /// Records the three dispatches.

@@ -6,8 +6,8 @@ use std::sync::{Arc, Mutex, OnceLock};
 
 use super::quiet::quietly;
 use super::record::Timer;
-use super::traffic::{Meter, Trace, Traffic};
-use super::{Kernel, Source, Surroundings, Variant};
+use super::traffic::{Meter, StageKernel, Trace, Traffic};
+use super::{BufferPlan, Kernel, Source, Surroundings, Variant};
 use crate::Error;
 
 /// Which adapter to use.
@@ -76,7 +76,7 @@ pub struct NeededLimit {
     pub available: u32,
 }
 
-/// What is known of an adapter without opening a device.
+/// What is known of an adapter without opening a device. The default is an adapter with all features and without limits.
 #[derive(Clone, Debug)]
 pub struct AdapterReport {
     /// Name.
@@ -101,6 +101,24 @@ pub struct AdapterReport {
     pub threads: u32,
     /// Workgroups per dimension.
     pub workgroups: u32,
+}
+
+impl Default for AdapterReport {
+    fn default() -> AdapterReport {
+        AdapterReport {
+            name: "none".to_owned(),
+            driver: String::new(),
+            backend: String::new(),
+            kind: "other",
+            f64: true,
+            timestamps: true,
+            storage_buffers: u32::MAX,
+            storage_binding: u64::MAX,
+            buffer: u64::MAX,
+            threads: u32::MAX,
+            workgroups: u32::MAX,
+        }
+    }
 }
 
 impl AdapterReport {
@@ -231,19 +249,46 @@ fn no_adapter() -> Error {
     }
 }
 
-/// An open device with its queue.
-#[derive(Debug)]
+/// An open device with its queue, or a planning device without a driver. Clones share it.
+///
+/// A planning device ([`Gpu::planning`]) records which buffers and kernels are made. It allocates, compiles, uploads and runs nothing.
+#[derive(Clone, Debug)]
 pub struct Gpu {
+    shared: Arc<Shared>,
+    /// Stage whose kernels are made: see [`Gpu::at`].
+    stage: &'static str,
+}
+
+/// The state that clones of a [`Gpu`] share.
+#[derive(Debug)]
+pub struct Shared {
+    /// `None` on a planning device.
+    open: Option<Open>,
+    report: AdapterReport,
+    faults: Arc<Mutex<Option<String>>>,
+    allocated: Mutex<Vec<BufferPlan>>,
+    kernels: Mutex<HashMap<(Source, Variant), Kernel>>,
+    /// Stage and name of every kernel made, in order of first use.
+    stage_kernels: Mutex<Vec<StageKernel>>,
+    pub(super) meter: Meter,
+    /// Timers that no recording uses.
+    pub(super) timers: Mutex<Vec<Timer>>,
+}
+
+/// A device of a driver.
+#[derive(Debug)]
+pub(super) struct Open {
     pub(super) device: wgpu::Device,
     pub(super) queue: wgpu::Queue,
     pub(super) limits: wgpu::Limits,
-    report: AdapterReport,
-    faults: Arc<Mutex<Option<String>>>,
-    allocated: Mutex<Vec<(String, u64)>>,
-    kernels: Mutex<HashMap<(Source, Variant), Kernel>>,
-    pub(super) meter: Meter,
-    /// Timers that no recording holds.
-    pub(super) timers: Mutex<Vec<Timer>>,
+}
+
+impl std::ops::Deref for Gpu {
+    type Target = Shared;
+
+    fn deref(&self) -> &Shared {
+        &self.shared
+    }
 }
 
 /// The one instance of a process: drivers were seen to crash when several are torn down side by side.
@@ -356,22 +401,53 @@ impl Gpu {
                 keep_first(&sink, format!("the device was lost: {message}"));
             }
         });
-        let gpu = Gpu {
+        let open = Open {
             device,
             queue,
             limits,
+        };
+        Ok(Gpu::with(Some(open), report, faults))
+    }
+
+    /// A planning device for an adapter.
+    pub fn planning(report: AdapterReport) -> Gpu {
+        Gpu::with(None, report, Arc::default())
+    }
+
+    fn with(open: Option<Open>, report: AdapterReport, faults: Arc<Mutex<Option<String>>>) -> Gpu {
+        let shared = Shared {
+            open,
             report,
             faults,
             allocated: Mutex::default(),
             kernels: Mutex::default(),
+            stage_kernels: Mutex::default(),
             meter: Meter::default(),
             timers: Mutex::default(),
         };
+        let gpu = Gpu {
+            shared: shared.into(),
+            stage: "",
+        };
         if gpu.report.timestamps {
-            let timer = Timer::new(&gpu);
-            gpu.keep_timer(timer);
+            Timer::new(&gpu)
+                .into_iter()
+                .for_each(|timer| gpu.keep_timer(timer));
         }
-        Ok(gpu)
+        gpu
+    }
+
+    /// The same device; kernels made with the returned handle count as the stage's in [`Gpu::stage_kernels`].
+    pub fn at(&self, stage: &'static str) -> Gpu {
+        Gpu {
+            shared: Arc::clone(&self.shared),
+            stage,
+        }
+    }
+
+    /// The driver's device; `None` on a planning device.
+    pub(super) fn open(&self) -> Option<&Open> {
+        self.shared.open.as_ref()
     }
 
     /// What the adapter is.
@@ -403,7 +479,10 @@ impl Gpu {
     /// # Errors
     /// [`Error::Gpu`] when the device fails.
     pub fn wait(&self, during: &str) -> Result<(), Error> {
-        let polled = self.device.poll(wgpu::PollType::wait_indefinitely());
+        let Some(open) = self.open() else {
+            return Ok(());
+        };
+        let polled = open.device.poll(wgpu::PollType::wait_indefinitely());
         self.meter.waited();
         self.check(during)?;
         polled.map(|_| ()).map_err(|error| Error::Gpu {
@@ -414,7 +493,23 @@ impl Gpu {
 
     /// Labels and bytes of every buffer made so far on this device.
     pub fn allocated(&self) -> Vec<(String, u64)> {
+        let plans = self.buffer_plans().into_iter();
+        plans
+            .map(|plan| (plan.label.clone(), plan.bytes()))
+            .collect()
+    }
+
+    /// Every buffer made so far on this device.
+    pub fn buffer_plans(&self) -> Vec<BufferPlan> {
         self.allocated
+            .lock()
+            .map(|list| list.clone())
+            .unwrap_or_default()
+    }
+
+    /// Stages (see [`Gpu::at`]) and their kernels, in order of first use.
+    pub fn stage_kernels(&self) -> Vec<StageKernel> {
+        self.stage_kernels
             .lock()
             .map(|list| list.clone())
             .unwrap_or_default()
@@ -454,9 +549,18 @@ impl Gpu {
         }
     }
 
-    pub(super) fn note_allocation(&self, label: &str, bytes: u64) {
+    pub(super) fn note_allocation(&self, plan: BufferPlan) {
         if let Ok(mut list) = self.allocated.lock() {
-            list.push((label.to_owned(), bytes));
+            list.push(plan);
+        }
+    }
+
+    pub(super) fn note_kernel(&self, kernel: &'static str) {
+        let stage_kernel = (self.stage, kernel);
+        if let Ok(mut list) = self.stage_kernels.lock()
+            && !list.contains(&stage_kernel)
+        {
+            list.push(stage_kernel);
         }
     }
 }

@@ -7,7 +7,8 @@ use std::sync::{Arc, OnceLock};
 use bytemuck::Pod;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-use super::shader::{Source, Variant, compose, parse};
+use super::device::Open;
+use super::shader::{Source, Variant, WG_SIZE, compose, parse};
 use super::{Buffer, Gpu};
 use crate::Error;
 
@@ -15,6 +16,13 @@ use crate::Error;
 #[derive(Clone, Debug)]
 pub struct Kernel {
     label: &'static str,
+    /// `None` on a planning device.
+    program: Option<Program>,
+}
+
+/// A kernel on a driver's device.
+#[derive(Clone, Debug)]
+struct Program {
     pipeline: Pipeline,
     layout: wgpu::BindGroupLayout,
     slots: Arc<[Slot]>,
@@ -35,14 +43,14 @@ struct Slot {
 /// A buffer offered to a kernel.
 #[derive(Clone, Copy, Debug)]
 pub struct Binding<'a> {
-    raw: &'a wgpu::Buffer,
+    raw: Option<&'a wgpu::Buffer>,
     element: usize,
 }
 
 impl<'a, T: Pod> From<&'a Buffer<T>> for Binding<'a> {
     fn from(buffer: &'a Buffer<T>) -> Binding<'a> {
         Binding {
-            raw: &buffer.raw,
+            raw: buffer.raw.as_ref(),
             element: size_of::<T>(),
         }
     }
@@ -54,13 +62,55 @@ impl<'a> From<&'a super::RealBuffer> for Binding<'a> {
     }
 }
 
+/// Device arrays under the names of the WGSL variables that they are bound to.
+pub trait Arrays {
+    /// The array of a name.
+    fn array(&self, name: &str) -> Option<Binding<'_>>;
+}
+
+impl Arrays for [(&str, Binding<'_>)] {
+    fn array(&self, name: &str) -> Option<Binding<'_>> {
+        let mut bindings = self.iter();
+        let (_, binding) = bindings.find(|(known, _)| *known == name)?;
+        Some(*binding)
+    }
+}
+
+/// A list as `dyn Arrays`.
+struct ListedArrays<'a>(&'a [(&'a str, Binding<'a>)]);
+
+impl Arrays for ListedArrays<'_> {
+    fn array(&self, name: &str) -> Option<Binding<'_>> {
+        self.0.array(name)
+    }
+}
+
+impl<const N: usize> Arrays for [(&str, Binding<'_>); N] {
+    fn array(&self, name: &str) -> Option<Binding<'_>> {
+        self.as_slice().array(name)
+    }
+}
+
+impl<A: Arrays> Arrays for Option<&A> {
+    fn array(&self, name: &str) -> Option<Binding<'_>> {
+        self.as_ref()?.array(name)
+    }
+}
+
 /// A kernel with its buffers: what a pass dispatches. Made once.
 #[derive(Debug)]
 pub struct Bound {
     pub(super) label: &'static str,
+    pub(super) threads: u32,
+    /// `None` on a planning device.
+    pub(super) binding: Option<BoundProgram>,
+}
+
+/// A pipeline and its buffers.
+#[derive(Debug)]
+pub(super) struct BoundProgram {
     pub(super) pipeline: Pipeline,
     pub(super) group: wgpu::BindGroup,
-    pub(super) threads: u32,
 }
 
 /// A compute pipeline in the making: the driver compiles it on another thread while the host sets up what it works on.
@@ -112,9 +162,95 @@ impl Kernel {
     /// [`Error::Shader`] with file and line, [`Error::Limit`] when it binds more storage buffers than the adapter allows.
     pub fn new(gpu: &Gpu, source: &Source, variant: impl Into<Variant>) -> Result<Kernel, Error> {
         let variant = variant.into();
+        gpu.note_kernel(source.name);
         if let Some(kernel) = gpu.known_kernel(source, variant) {
             return Ok(kernel);
         }
+        let program = match gpu.open() {
+            Some(open) => Some(Program::new(open, source, variant)?),
+            None => None,
+        };
+        let kernel = Kernel {
+            label: source.name,
+            program,
+        };
+        gpu.keep_kernel(source, variant, &kernel);
+        Ok(kernel)
+    }
+
+    /// Binds each variable of the kernel to the buffer that one of `arrays`, the first that has it, offers under the variable's name.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device refuses.
+    ///
+    /// # Panics
+    /// When a variable has no buffer, or one of another element size.
+    pub fn bind_arrays(&self, gpu: &Gpu, arrays: &[&dyn Arrays]) -> Result<Bound, Error> {
+        let Some((open, program)) = gpu.open().zip(self.program.as_ref()) else {
+            return Ok(Bound {
+                label: self.label,
+                threads: WG_SIZE,
+                binding: None,
+            });
+        };
+        let entry = |slot: &Slot| {
+            let name = &*slot.name;
+            let binding = arrays.iter().find_map(|arrays| arrays.array(name));
+            let binding =
+                binding.unwrap_or_else(|| panic!("{}: nothing bound to {name}", self.label));
+            let (stride, element) = (slot.stride as usize, binding.element);
+            assert!(
+                stride.is_multiple_of(element) || element.is_multiple_of(stride),
+                "{}: {name} has elements of {stride} bytes, its buffer of {element}",
+                self.label
+            );
+            let raw = binding.raw.expect("a buffer of a planning device is bound");
+            wgpu::BindGroupEntry {
+                binding: slot.binding,
+                resource: raw.as_entire_binding(),
+            }
+        };
+        let entries: Vec<_> = program.slots.iter().map(entry).collect();
+        let group = open.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some(self.label),
+            layout: &program.layout,
+            entries: &entries,
+        });
+        gpu.check(self.label)?;
+        Ok(Bound {
+            label: self.label,
+            threads: program.threads,
+            binding: Some(BoundProgram {
+                pipeline: program.pipeline.clone(),
+                group,
+            }),
+        })
+    }
+
+    /// Binds the kernel's variables to a list of buffers by name: for kernels whose variables are not arrays of a table.
+    ///
+    /// # Errors
+    /// As [`Kernel::bind_arrays`].
+    ///
+    /// # Panics
+    /// As [`Kernel::bind_arrays`], and when the kernel has no variable of a name in the list.
+    pub fn bind(&self, gpu: &Gpu, bindings: &[(&str, Binding)]) -> Result<Bound, Error> {
+        if let Some(program) = &self.program {
+            for (name, _) in bindings {
+                assert!(
+                    program.slots.iter().any(|slot| slot.name == *name),
+                    "{}: no variable {name}",
+                    self.label
+                );
+            }
+        }
+        let list: &dyn Arrays = &ListedArrays(bindings);
+        self.bind_arrays(gpu, &[list])
+    }
+}
+
+impl Program {
+    fn new(open: &Open, source: &Source, variant: Variant) -> Result<Program, Error> {
         let composed = compose(source, variant)?;
         let module = parse(&composed)?;
         let entry = source.name.rsplit('/').next().unwrap_or(source.name);
@@ -162,7 +298,7 @@ impl Kernel {
             .collect();
         slots.sort_by_key(|slot| slot.binding);
         let storage = slots.iter().filter(|slot| !slot.uniform).count() as u64;
-        let available = u64::from(gpu.limits.max_storage_buffers_per_shader_stage);
+        let available = u64::from(open.limits.max_storage_buffers_per_shader_stage);
         if storage > available {
             return Err(Error::Limit {
                 what: format!("kernel {}", source.name),
@@ -192,20 +328,20 @@ impl Kernel {
             })
             .collect();
         let label = source.name;
-        let layout = gpu
+        let layout = open
             .device
             .create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
                 label: Some(label),
                 entries: &entries,
             });
-        let pipeline_layout = gpu
+        let pipeline_layout = open
             .device
             .create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
                 label: Some(label),
                 bind_group_layouts: &[Some(&layout)],
                 immediate_size: 0,
             });
-        let device = gpu.device.clone();
+        let device = open.device.clone();
         let pipeline = Pipeline::compile(move || {
             let shader = device.create_shader_module(wgpu::ShaderModuleDescriptor {
                 label: Some(label),
@@ -220,64 +356,11 @@ impl Kernel {
                 cache: None,
             })
         });
-        let kernel = Kernel {
-            label,
+        Ok(Program {
             pipeline,
             layout,
             slots: slots.into(),
             threads,
-        };
-        gpu.keep_kernel(source, variant, &kernel);
-        Ok(kernel)
-    }
-
-    /// Binds buffers to the kernel's variables, by name.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device refuses.
-    ///
-    /// # Panics
-    /// When a variable is missing, unknown, or of another element size: the caller and the shader disagree.
-    pub fn bind(&self, gpu: &Gpu, bindings: &[(&str, Binding)]) -> Result<Bound, Error> {
-        let entries: Vec<_> = self
-            .slots
-            .iter()
-            .map(|slot| {
-                let (_, binding) = bindings
-                    .iter()
-                    .find(|(name, _)| *name == slot.name)
-                    .unwrap_or_else(|| panic!("{}: nothing bound to {}", self.label, slot.name));
-                let (stride, element) = (slot.stride as usize, binding.element);
-                assert!(
-                    stride.is_multiple_of(element) || element.is_multiple_of(stride),
-                    "{}: {} has elements of {stride} bytes, its buffer of {element}",
-                    self.label,
-                    slot.name
-                );
-                wgpu::BindGroupEntry {
-                    binding: slot.binding,
-                    resource: binding.raw.as_entire_binding(),
-                }
-            })
-            .collect();
-        for (name, _) in bindings {
-            assert!(
-                self.slots.iter().any(|slot| slot.name == *name),
-                "{}: no variable {name}",
-                self.label
-            );
-        }
-        let group = gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some(self.label),
-            layout: &self.layout,
-            entries: &entries,
-        });
-        gpu.check(self.label)?;
-        Ok(Bound {
-            label: self.label,
-            pipeline: self.pipeline.clone(),
-            group,
-            threads: self.threads,
         })
     }
 }

@@ -6,6 +6,7 @@
 //! Errors of the device (validation, memory, loss) are collected as they come and returned by the next call that waits:
 //! [`Gpu::check`], [`Readback::wait`], [`Gpu::download`].
 
+mod arrays;
 mod buffer;
 mod compact;
 mod device;
@@ -20,8 +21,8 @@ mod traffic;
 pub use buffer::{Buffer, BufferPlan, Readback, RealBuffer};
 pub use compact::{CompactKernels, Compaction, Range};
 pub use device::{AdapterChoice, AdapterReport, Gpu, NeededLimit};
-pub use kernel::{Binding, Bound, Kernel};
-pub use record::{Pass, Recorder, SPLIT, StageTimes, Timer, groups};
+pub use kernel::{Arrays, Binding, Bound, Kernel};
+pub use record::{Dispatch, Dispatches, Pass, Recorder, SPLIT, StageTimes, Timing, groups};
 pub use shader::{COMMON, Composed, Real, Source, Variant, WG_SIZE, compose, validate};
 pub use sort::{Entries, Sort, SortKernels, SortPass, TILE};
 pub use surroundings::Surroundings;

@@ -28,55 +28,54 @@ const TIMES: u64 = 2 * 8 * TIMED_STAGES as u64;
 
 /// What times a submission; kept by [`Gpu`] from one to the next.
 #[derive(Debug)]
-pub struct Timer {
+pub(super) struct Timer {
     set: wgpu::QuerySet,
     resolved: wgpu::Buffer,
     times: wgpu::Buffer,
 }
 
 impl Timer {
-    /// The buffers of a timer. A device has one; more only when timed submissions overlap.
-    pub fn plan() -> [BufferPlan; 2] {
+    /// `None` on a planning device.
+    pub(super) fn new(gpu: &Gpu) -> Option<Timer> {
         let words = TIMES as usize / 8;
-        [
-            BufferPlan::of::<u64>("gpu.times", words),
-            BufferPlan::of::<u64>("gpu.times (read-back)", words),
-        ]
-    }
-
-    pub(super) fn new(gpu: &Gpu) -> Timer {
-        let [resolved, times] = Timer::plan();
-        let make = |plan: BufferPlan, usage| {
-            gpu.note_allocation(plan.label, plan.bytes());
-            gpu.device.create_buffer(&wgpu::BufferDescriptor {
-                label: Some(plan.label),
-                size: plan.bytes(),
+        let make = |label, usage| {
+            let plan = BufferPlan::of::<u64>(label, words);
+            let size = plan.bytes();
+            gpu.note_allocation(plan);
+            Some(gpu.open()?.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(label),
+                size,
                 usage,
                 mapped_at_creation: false,
-            })
+            }))
         };
-        Timer {
-            set: gpu.device.create_query_set(&wgpu::QuerySetDescriptor {
-                label: Some("gpu.times"),
-                ty: wgpu::QueryType::Timestamp,
-                count: 2 * TIMED_STAGES,
-            }),
-            resolved: make(
-                resolved,
-                wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
-            ),
-            times: make(
-                times,
-                wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
-            ),
-        }
+        let resolved = make(
+            "gpu.times",
+            wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
+        );
+        let times = make(
+            "gpu.times (read-back)",
+            wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
+        );
+        Some(Timer {
+            set: gpu
+                .open()?
+                .device
+                .create_query_set(&wgpu::QuerySetDescriptor {
+                    label: Some("gpu.times"),
+                    ty: wgpu::QueryType::Timestamp,
+                    count: 2 * TIMED_STAGES,
+                }),
+            resolved: resolved?,
+            times: times?,
+        })
     }
 }
 
 impl Gpu {
-    fn take_timer(&self) -> Timer {
+    fn take_timer(&self) -> Option<Timer> {
         let kept = self.timers.lock().ok().and_then(|mut list| list.pop());
-        kept.unwrap_or_else(|| Timer::new(self))
+        kept.or_else(|| Timer::new(self))
     }
 
     pub(super) fn keep_timer(&self, timer: Timer) {
@@ -86,11 +85,11 @@ impl Gpu {
     }
 }
 
-/// Records one submission.
+/// Records one submission; nothing on a planning device.
 #[derive(Debug)]
-pub struct Recorder<'a> {
-    gpu: &'a Gpu,
-    encoder: wgpu::CommandEncoder,
+pub struct Recorder {
+    gpu: Gpu,
+    encoder: Option<wgpu::CommandEncoder>,
     timer: Option<Timer>,
     stages: Vec<&'static str>,
     dispatches: Vec<StageKernel>,
@@ -100,21 +99,21 @@ pub struct Recorder<'a> {
 /// One compute pass: the dispatches of a stage, in order. Each sees what the earlier ones wrote.
 #[derive(Debug)]
 pub struct Pass<'a> {
-    raw: wgpu::ComputePass<'a>,
+    raw: Option<wgpu::ComputePass<'a>>,
     stage: &'static str,
     dispatches: &'a mut Vec<StageKernel>,
 }
 
-impl<'a> Recorder<'a> {
+impl Recorder {
     /// An empty recording.
-    pub fn new(gpu: &'a Gpu) -> Recorder<'a> {
-        let encoder = gpu
-            .device
-            .create_command_encoder(&wgpu::CommandEncoderDescriptor {
-                label: Some("cutwater"),
-            });
+    pub fn new(gpu: &Gpu) -> Recorder {
+        let descriptor = wgpu::CommandEncoderDescriptor {
+            label: Some("cutwater"),
+        };
+        let open = gpu.open();
+        let encoder = open.map(|open| open.device.create_command_encoder(&descriptor));
         Recorder {
-            gpu,
+            gpu: gpu.clone(),
             encoder,
             timer: None,
             stages: Vec::new(),
@@ -124,9 +123,11 @@ impl<'a> Recorder<'a> {
     }
 
     /// An empty recording whose stages are timed, where the adapter can.
-    pub fn timed(gpu: &'a Gpu) -> Recorder<'a> {
+    pub fn timed(gpu: &Gpu) -> Recorder {
         let mut recorder = Recorder::new(gpu);
-        recorder.timer = gpu.report().timestamps.then(|| gpu.take_timer());
+        if gpu.report().timestamps {
+            recorder.timer = gpu.take_timer();
+        }
         recorder
     }
 
@@ -145,12 +146,12 @@ impl<'a> Recorder<'a> {
         if timestamp_writes.is_some() {
             self.stages.push(stage);
         }
-        let raw = self
-            .encoder
-            .begin_compute_pass(&wgpu::ComputePassDescriptor {
-                label: Some(stage),
-                timestamp_writes,
-            });
+        let descriptor = wgpu::ComputePassDescriptor {
+            label: Some(stage),
+            timestamp_writes,
+        };
+        let encoder = self.encoder.as_mut();
+        let raw = encoder.map(|encoder| encoder.begin_compute_pass(&descriptor));
         let mut pass = Pass {
             raw,
             stage,
@@ -161,7 +162,9 @@ impl<'a> Recorder<'a> {
 
     /// Sets a buffer to zero.
     pub fn clear<T: Pod>(&mut self, buffer: &Buffer<T>) {
-        self.encoder.clear_buffer(&buffer.raw, 0, None);
+        if let Some((encoder, raw)) = self.encoder.as_mut().zip(buffer.raw.as_ref()) {
+            encoder.clear_buffer(raw, 0, None);
+        }
     }
 
     /// Copies a buffer to another of the same type and length.
@@ -173,8 +176,18 @@ impl<'a> Recorder<'a> {
             from.label(),
             to.label()
         );
-        self.encoder
-            .copy_buffer_to_buffer(&from.raw, 0, &to.raw, 0, Some(from.bytes()));
+        self.copy_bytes((&from.raw, 0), &to.raw, from.bytes());
+    }
+
+    fn copy_bytes(
+        &mut self,
+        (from, start): (&Option<wgpu::Buffer>, u64),
+        to: &Option<wgpu::Buffer>,
+        bytes: u64,
+    ) {
+        if let (Some(encoder), Some(from), Some(to)) = (&mut self.encoder, from, to) {
+            encoder.copy_buffer_to_buffer(from, start, to, 0, Some(bytes));
+        }
     }
 
     /// Copies the start of a buffer to a read-back of the same type.
@@ -188,29 +201,23 @@ impl<'a> Recorder<'a> {
         let bytes = (to.len.max(1) * size_of::<T>()).next_multiple_of(4) as u64;
         let bytes = bytes.min(from.bytes() - start);
         self.bytes_down += bytes;
-        self.encoder
-            .copy_buffer_to_buffer(&from.raw, start, &to.raw, 0, Some(bytes));
+        self.copy_bytes((&from.raw, start), &to.raw, bytes);
     }
 
     /// Submits the recording. With a timed recording, the times arrive through the returned `Timing`.
-    pub fn submit(mut self) -> Timing<'a> {
-        if let Some(timer) = &self.timer {
+    pub fn submit(mut self) -> Timing {
+        if let Some((timer, encoder)) = self.timer.as_ref().zip(self.encoder.as_mut()) {
             let n = 2 * self.stages.len() as u32;
             if n > 0 {
                 let bytes = u64::from(n) * 8;
                 self.bytes_down += bytes;
-                self.encoder
-                    .resolve_query_set(&timer.set, 0..n, &timer.resolved, 0);
-                self.encoder.copy_buffer_to_buffer(
-                    &timer.resolved,
-                    0,
-                    &timer.times,
-                    0,
-                    Some(bytes),
-                );
+                encoder.resolve_query_set(&timer.set, 0..n, &timer.resolved, 0);
+                encoder.copy_buffer_to_buffer(&timer.resolved, 0, &timer.times, 0, Some(bytes));
             }
         }
-        self.gpu.queue.submit([self.encoder.finish()]);
+        if let Some((open, encoder)) = self.gpu.open().zip(self.encoder) {
+            open.queue.submit([encoder.finish()]);
+        }
         self.gpu.meter.submitted(&self.dispatches, self.bytes_down);
         Timing {
             gpu: self.gpu,
@@ -220,39 +227,122 @@ impl<'a> Recorder<'a> {
     }
 }
 
-impl Pass<'_> {
+/// A kernel with its buffers and the extent that it runs over.
+#[derive(Debug)]
+pub struct Dispatch {
+    bound: Bound,
+    extent: Extent,
+}
+
+#[derive(Debug)]
+enum Extent {
+    Threads(usize),
+    /// Slot of dispatch sizes in a buffer; `None` on a planning device.
+    Indirect(Option<wgpu::Buffer>, usize),
+}
+
+impl Bound {
+    /// At least `threads` threads.
+    pub fn threads(self, threads: usize) -> Dispatch {
+        Dispatch {
+            bound: self,
+            extent: Extent::Threads(threads),
+        }
+    }
+
+    /// The workgroups in `args[4 slot..]`: x, y, z, and the length of the list, which kernels may read.
+    pub fn indirect(self, args: &Buffer<u32>, slot: usize) -> Dispatch {
+        Dispatch {
+            bound: self,
+            extent: Extent::Indirect(args.raw.clone(), slot),
+        }
+    }
+}
+
+/// Dispatches of a stage, in order: one compute pass, labelled with the name of the stage. An empty list records nothing.
+#[derive(Debug)]
+pub struct Dispatches {
+    stage: &'static str,
+    list: Vec<Dispatch>,
+}
+
+impl Dispatches {
+    /// Dispatches of a stage.
+    pub fn new(stage: &'static str, list: impl IntoIterator<Item = Dispatch>) -> Dispatches {
+        Dispatches {
+            stage,
+            list: list.into_iter().collect(),
+        }
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.list.is_empty()
+    }
+
+    /// Records them as a pass.
+    pub fn record(&self, recorder: &mut Recorder) {
+        if !self.list.is_empty() {
+            recorder.stage(self.stage, |pass| pass.run(&self.list));
+        }
+    }
+
+    /// Records them in a pass.
+    pub fn record_in(&self, pass: &mut Pass) {
+        pass.run(&self.list);
+    }
+}
+
+impl<'p> Pass<'p> {
+    /// Runs dispatches in order.
+    pub fn run<'d>(&mut self, dispatches: impl IntoIterator<Item = &'d Dispatch>) {
+        for Dispatch { bound, extent } in dispatches {
+            match extent {
+                Extent::Threads(threads) => self.dispatch(bound, *threads),
+                Extent::Indirect(args, slot) => self.indirect(bound, args.as_ref(), *slot),
+            }
+        }
+    }
+
     /// Runs a kernel on at least `threads` threads.
     pub fn dispatch(&mut self, bound: &Bound, threads: usize) {
         let n = u32::try_from(threads.div_ceil(bound.threads as usize))
             .expect("dispatch sizes are checked with the buffers");
         let [x, y, z] = groups(n);
-        self.set(bound);
-        self.raw.dispatch_workgroups(x, y, z);
+        if let Some(raw) = self.set(bound) {
+            raw.dispatch_workgroups(x, y, z);
+        }
     }
 
     /// Runs a kernel on the workgroups in `args[4 slot..]`: x, y, z, and the list's length, which kernels may read.
     pub fn dispatch_indirect(&mut self, bound: &Bound, args: &Buffer<u32>, slot: usize) {
-        self.set(bound);
-        self.raw
-            .dispatch_workgroups_indirect(&args.raw, 16 * slot as u64);
+        self.indirect(bound, args.raw.as_ref(), slot);
     }
 
-    fn set(&mut self, bound: &Bound) {
+    fn indirect(&mut self, bound: &Bound, args: Option<&wgpu::Buffer>, slot: usize) {
+        if let Some((raw, args)) = self.set(bound).zip(args) {
+            raw.dispatch_workgroups_indirect(args, 16 * slot as u64);
+        }
+    }
+
+    fn set(&mut self, bound: &Bound) -> Option<&mut wgpu::ComputePass<'p>> {
         self.dispatches.push((self.stage, bound.label));
-        self.raw.set_pipeline(bound.pipeline.wait());
-        self.raw.set_bind_group(0, &bound.group, &[]);
+        let (raw, binding) = self.raw.as_mut().zip(bound.binding.as_ref())?;
+        raw.set_pipeline(binding.pipeline.wait());
+        raw.set_bind_group(0, &binding.group, &[]);
+        Some(raw)
     }
 }
 
 /// The stage times of a submission on their way. Its timer goes back to the device in the end.
 #[derive(Debug)]
-pub struct Timing<'a> {
-    gpu: &'a Gpu,
+pub struct Timing {
+    gpu: Gpu,
     stages: Vec<&'static str>,
     timer: Option<Timer>,
 }
 
-impl Timing<'_> {
+impl Timing {
     /// Waits for the times; empty where the adapter has no timestamps.
     ///
     /// # Errors
@@ -262,7 +352,10 @@ impl Timing<'_> {
         let Some(timer) = self.timer.as_ref().filter(|_| !stages.is_empty()) else {
             return Ok(Vec::new());
         };
-        Arrival::request(&timer.times).wait(self.gpu, "stage times")?;
+        let Some(open) = self.gpu.open() else {
+            return Ok(Vec::new());
+        };
+        Arrival::request(&timer.times).wait(&self.gpu, "stage times")?;
         let view = timer
             .times
             .get_mapped_range(..)
@@ -273,7 +366,7 @@ impl Timing<'_> {
         let ticks: Vec<u64> = bytemuck::pod_collect_to_vec(&view);
         drop(view);
         timer.times.unmap();
-        let period = f64::from(self.gpu.queue.get_timestamp_period()) * 1e-9;
+        let period = f64::from(open.queue.get_timestamp_period()) * 1e-9;
         let seconds = |pair: &[u64]| pair[1].saturating_sub(pair[0]) as f64 * period;
         Ok(stages
             .into_iter()
@@ -282,7 +375,7 @@ impl Timing<'_> {
     }
 }
 
-impl Drop for Timing<'_> {
+impl Drop for Timing {
     fn drop(&mut self) {
         if let Some(timer) = self.timer.take() {
             self.gpu.keep_timer(timer);

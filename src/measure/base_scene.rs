@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::Error;
 use crate::elastic::Bounds;
-use crate::gpu::{Buffer, Gpu, Real, Recorder};
+use crate::gpu::{Buffer, Dispatches, Gpu, Real, Recorder};
 use crate::grid::{Axis, Grid};
 use crate::linalg::norm;
 use crate::reference::base_block::{DENSITY, THETA_FLOOR};
@@ -17,8 +17,9 @@ use crate::solver::{
     PressureSystem, SolidRows, SolidSystem, SolidSystemBuffers, SolverBuffers, TwoFieldSolver,
     variant,
 };
-use crate::stages::{ElementRotations, SolidBuffers, SolidPlan};
+use crate::stages::{SolidBuffers, SolidPlan, element_rotations};
 use crate::state::State;
+use crate::step::Stage;
 
 /// The base scene and its two-field solver.
 #[derive(Debug)]
@@ -40,7 +41,7 @@ pub struct DeviceScene<'a> {
     _distance: Buffer<f32>,
     fields: SolidBuffers,
     solids: SolidSystemBuffers,
-    rotations: ElementRotations,
+    rotations: Dispatches,
     system: SolidSystem,
     coupling: CouplingBuffers,
     /// The preconditioner of the solids, for the scene's step.
@@ -131,7 +132,7 @@ impl<'a> DeviceScene<'a> {
         let rhs: Vec<f64> = system.pressure.rhs.iter().map(|b| b / area).collect();
         Ok(DeviceScene {
             solver: two_field,
-            rotations: ElementRotations::new(gpu, &fields)?,
+            rotations: element_rotations(gpu, &fields)?,
             system: SolidSystem::new(gpu, &solids, fields.fields(), None)?,
             rhs: padded.pad(grid.cells, &rhs, |b| b),
             polynomial: Polynomial::new(degree, bounds.block_jacobi).wanting(wanted),
@@ -174,14 +175,14 @@ impl<'a> DeviceScene<'a> {
     }
 
     /// Records the set-up of both systems.
-    pub fn record_systems(&self) -> Recorder<'a> {
+    pub fn record_systems(&self) -> Recorder {
         let mut recorder = Recorder::new(self.gpu);
         recorder.stage("active_cells", |pass| {
             self.pressure
                 .record(pass, &self.liquid, self.everywhere.within())
         });
-        recorder.stage(ElementRotations::NAME, |pass| {
-            self.rotations.dispatch(pass);
+        recorder.stage(Stage::SolidMatrices.name(), |pass| {
+            self.rotations.record_in(pass);
             self.system.record_matrices(pass);
             self.system.record_right_hand_side(pass);
             self.system.record_contacts(pass);

@@ -29,8 +29,9 @@ use crate::sim::{Backend, Simulation};
 use crate::solver::{
     Outcome, Polynomial, SolidRows, SolidSolver, SolidSystem, SolidSystemBuffers, variant,
 };
-use crate::stages::{ElementRotations, MoveSolid, NodeForces, SolidBuffers, SolidPlan};
+use crate::stages::{SolidBuffers, SolidPlan, element_rotations, move_solid, node_forces};
 use crate::state::{SolveStatus, State};
+use crate::step::Stage;
 
 use super::bench_solve::{Ended, name};
 use super::chart::{Failure, Point, chart, series};
@@ -311,14 +312,14 @@ impl<'a> Device<'a> {
         let fields = SolidBuffers::new(gpu, plan, solids)?;
         let buffers = SolidSystemBuffers::new(gpu, &SolidRows::new(solids)?, &scene.solver)?;
         let system = SolidSystem::new(gpu, &buffers, fields.fields(), None)?;
-        let rotations = ElementRotations::new(gpu, &fields)?;
+        let rotations = element_rotations(gpu, &fields)?;
         fields.write_state(gpu, &state);
         gpu.upload(&fields.step, &[fields.step_of(scene.domain.gravity, dt)]);
         let mut recorder = Recorder::new(gpu);
-        MoveSolid::new(gpu, &fields)?.record(&mut recorder);
-        NodeForces::new(gpu, &fields)?.record(&mut recorder);
-        recorder.stage(ElementRotations::NAME, |pass| {
-            rotations.dispatch(pass);
+        move_solid(gpu, &fields)?.record(&mut recorder);
+        node_forces(gpu, &fields)?.record(&mut recorder);
+        recorder.stage(Stage::SolidMatrices.name(), |pass| {
+            rotations.record_in(pass);
             system.record_matrices(pass);
             system.record_right_hand_side(pass);
             system.record_contacts(pass);
@@ -344,7 +345,7 @@ impl<'a> Device<'a> {
         self.gpu.wait("bench")?;
         let clock = Instant::now();
         let mut recorder = Recorder::new(self.gpu);
-        recorder.stage(ElementRotations::NAME, |pass| {
+        recorder.stage(Stage::SolidMatrices.name(), |pass| {
             self.system.record_matrices(pass);
             self.system.record_hold(pass);
         });

@@ -5,19 +5,18 @@ use glam::{DMat3, DVec3};
 use crate::Error;
 use crate::effects::Effects;
 use crate::geometry::SolidClip;
-use crate::gpu::{BufferPlan, Gpu, Pass, Readback, Recorder, StageTimes, Variant};
+use crate::gpu::{Dispatches, Gpu, Pass, Readback, Recorder, StageTimes};
 use crate::grid::Grid;
 use crate::scene::{CouplingScheme, PatchPressure as Slopes, Scene};
 use crate::solver::{
-    CoupledFields, CouplingBuffers, CouplingSize, LevelPlan, OpenFaces, Outcome, Pair,
-    PatchPressure, REPORT_WORDS, Seal, SolidRows, TwoFieldSolver, Weak, WeakBuffers,
+    CoupledFields, CouplingBuffers, CouplingSize, OpenFaces, Outcome, Pair, PatchPressure,
+    REPORT_WORDS, Seal, TwoFieldSolver, Weak, WeakBuffers,
 };
-use crate::stages::{
-    self, Clip, ClipBuffers, ClipSize, Diagnose, DiagnoseCoupling, Extrapolate, SolidStep,
-};
+use crate::stages::{self, ClipBuffers, ClipSize, Diagnose, SolidStep};
 use crate::state::{ContactReport, CouplingReport, SolveStatus, State};
+use crate::step::Stage;
 
-use super::gpu_liquid::{GpuLiquid, active};
+use super::gpu_liquid::GpuLiquid;
 use super::gpu_solids::{GpuSolids, Search, SolidReadbacks};
 
 /// How much room clipping and J have.
@@ -35,13 +34,6 @@ pub(super) enum At {
     /// In a sub-step that ends at a time, of dt, after one of dt_last, all in s; 0 before the first.
     Step { time: f64, dt: f64, dt_last: f64 },
 }
-
-/// Labels of read-backs.
-const MOVED: &str = "coupling.displacement (read-back)";
-const REPORT: &str = "coupling.report (read-back)";
-const PROBED: &str = "coupling.partials (read-back)";
-const PROBED_WITHIN: &str = "patch_pressure.correction (read-back)";
-const COMPONENTS: &str = "coupling.components (read-back)";
 
 /// The coupling on the device.
 #[derive(Debug)]
@@ -88,11 +80,11 @@ pub(super) struct Solved {
 /// The kernels of a step, in its order.
 #[derive(Debug)]
 pub(super) struct CouplingStages {
-    pub(super) clip: Clip,
+    pub(super) clip: Dispatches,
     pub(super) closed_components: Seal,
     pub(super) patch_pressure: Option<PatchPressure>,
     scheme: Scheme,
-    pub(super) diagnose: DiagnoseCoupling,
+    pub(super) diagnose: Dispatches,
 }
 
 /// How pressures and velocities come to know of each other.
@@ -134,49 +126,6 @@ impl Room {
                 pairs: self.coupling.pairs.max(other.coupling.pairs),
             },
         }
-    }
-
-    /// Everything that the coupling allocates.
-    pub(super) fn buffers(
-        &self,
-        scene: &Scene,
-        rows: &SolidRows,
-        variant: Variant,
-    ) -> Vec<BufferPlan> {
-        let grid = scene.grid();
-        let n_nodes = rows.rows.n_nodes as usize;
-        let n_levels = LevelPlan::new(&grid).len();
-        let mut all = self.clip.buffers(&grid);
-        all.extend(self.coupling.buffers(n_nodes, n_levels, variant));
-        let mut n_reports = 1;
-        if Effects::of(scene).patch_correction {
-            all.extend(PatchPressure::buffers(&self.coupling, n_nodes, variant));
-            n_reports += 1;
-        }
-        all.extend([
-            BufferPlan::of::<[u32; 4]>("coupling.first", n_reports),
-            BufferPlan::of::<[f32; 4]>(MOVED, 2 * n_nodes),
-            BufferPlan::of::<u32>(REPORT, REPORT_WORDS),
-            BufferPlan::of::<u32>(COMPONENTS, 1),
-        ]);
-        let of_probes = [PROBED, PROBED_WITHIN]
-            .into_iter()
-            .take(probed(scene).len());
-        // Four numbers per node.
-        let words = variant.real.bytes() * n_nodes;
-        all.extend(of_probes.map(|label| BufferPlan::of::<u32>(label, words)));
-        if scene.solver.coupling == CouplingScheme::Weak {
-            all.extend(WeakBuffers::plan(n_nodes, variant.real));
-            return all;
-        }
-        all.extend(TwoFieldSolver::buffers(
-            &grid,
-            rows,
-            &self.coupling,
-            &scene.solver,
-            variant,
-        ));
-        all
     }
 }
 
@@ -232,10 +181,10 @@ impl CouplingStages {
         let patch_pressure = patch_pressure.transpose()?;
         let correction = patch_pressure.as_ref().map(|patches| &patches.correction);
         Ok(CouplingStages {
-            clip: Clip::new(gpu, &liquid.buffers, on_device)?,
+            clip: stages::clip(gpu, &liquid.buffers, on_device)?,
             closed_components: Seal::new(gpu, &liquid.solver, of_nodes, buffers)?,
             scheme,
-            diagnose: DiagnoseCoupling::new(gpu, &liquid.solver, buffers, correction)?,
+            diagnose: stages::diagnose_coupling(gpu, &liquid.solver, buffers, correction)?,
             patch_pressure,
         })
     }
@@ -317,14 +266,14 @@ impl GpuCoupling {
         let GpuLiquid {
             buffers,
             solver,
-            stages,
+            stages: of_liquid,
             ..
         } = liquid;
         let velocity = &solids.buffers.velocity;
         let walls = Some((&self.on_device, Some(velocity)));
-        stages.extrapolate = Some(Extrapolate::new(gpu, buffers, walls)?);
+        of_liquid.extrapolate = Some(stages::extrapolate(gpu, buffers, walls)?);
         let fluxes = Some((&self.on_device, &self.buffers, velocity));
-        stages.diagnose = Some(Diagnose::new(gpu, buffers, &active(solver), fluxes)?);
+        of_liquid.diagnose = Some(Diagnose::new(gpu, buffers, solver, fluxes)?);
         Ok(())
     }
 
@@ -481,7 +430,7 @@ impl GpuCoupling {
     /// Records, in weak coupling, what the pressure found does to the right-hand side of the solids.
     pub(super) fn record_push(&self, to: &mut Recorder) {
         if let Scheme::Weak(weak) = &self.stages.scheme {
-            to.stage("solve", |pass| weak.record_push(pass));
+            to.stage(Stage::Solve.name(), |pass| weak.record_push(pass));
         }
     }
 
@@ -489,7 +438,7 @@ impl GpuCoupling {
     pub(super) fn record_slopes(&self, to: &mut Recorder) {
         let patches = self.stages.patch_pressure.as_ref();
         if let Some(patches) = patches.filter(|patches| patches.follows_pressure()) {
-            to.stage(Clip::NAME, |pass| patches.record_slopes(pass));
+            to.stage(Stage::Clip.name(), |pass| patches.record_slopes(pass));
         }
     }
 

@@ -2,18 +2,17 @@
 
 use crate::Error;
 use crate::effects::Effects;
-use crate::geometry::{CutCells, Running, Taps};
-use crate::gpu::{CompactKernels, Gpu, Readback, Real, Recorder};
+use crate::geometry::{Running, Taps};
+use crate::gpu::{Dispatches, Gpu, Readback, Real, Recorder};
 use crate::grid::Grid;
 use crate::reference::{self, Seeded};
 use crate::scene::{self, ProbeKind, Scene};
 use crate::solver::{
-    Components, FreeSurface, Outcome, PressureSolver, PressureSystem, SolverBuffers, Within,
+    Components, FreeSurface, Outcome, PressureSolver, PressureSystem, SolverBuffers,
 };
 use crate::stages::{
-    Active, AdvectMarkers, AdvectVelocity, Band, Diagnose, Extrapolate, Forces, LiquidBuffers,
-    LiquidDistance, LiquidPlan, Probe, Report, RightHandSide, Sinks, SourceStep, Sources, Step,
-    Volume, WriteBack,
+    self, Diagnose, LiquidBuffers, LiquidPlan, Probe, Report, Sinks, SourceStages, SourceStep,
+    Sources, Step,
 };
 use crate::state::{LiquidReport, State};
 
@@ -61,45 +60,42 @@ struct Passed {
 }
 
 impl LiquidStages {
-    /// Markers come and go, once all have moved. Whether there is such a stage.
-    pub(super) fn record_exchange(&self, to: &mut Recorder) -> bool {
-        if let Some(sinks) = &self.sinks {
-            sinks.record(to);
+    /// Records the stage `exchange`.
+    pub(super) fn record_exchange(&self, to: &mut Recorder) {
+        if let Some((_, exchange)) = &self.sinks {
+            exchange.record(to);
         }
-        if let Some(sources) = &self.sources {
-            sources.record(to);
+        if let Some((sources, stages)) = &self.sources {
+            sources.record_exchange(to, stages);
         }
-        self.sinks.is_some() || self.sources.is_some()
     }
 }
 
-/// The kernels of a step, in its order. Those of an absent effect are absent.
+/// The stages of a sub-step.
 #[derive(Debug)]
 pub(super) struct LiquidStages {
-    pub(super) advect_markers: Option<AdvectMarkers>,
-    pub(super) sinks: Option<Sinks>,
-    pub(super) sources: Option<Sources>,
-    pub(super) band: Band,
-    pub(super) advect_velocity: AdvectVelocity,
-    pub(super) forces: Forces,
-    pub(super) liquid_distance: Option<LiquidDistance>,
-    /// With a fixed surface, whose volume `liquid_distance` would have measured.
-    pub(super) volume: Option<Volume>,
+    pub(super) advect_markers: Dispatches,
+    pub(super) sinks: Option<(Sinks, Dispatches)>,
+    pub(super) sources: Option<(Sources, SourceStages)>,
+    pub(super) band: Dispatches,
+    pub(super) advect_velocity: Dispatches,
+    pub(super) forces: Dispatches,
+    pub(super) liquid_distance: Dispatches,
     pub(super) active_cells: PressureSystem,
     pub(super) closed_components: Components,
-    pub(super) right_hand_side: RightHandSide,
+    pub(super) right_hand_side: Dispatches,
     pub(super) solve: PressureSolver,
-    pub(super) write_back: WriteBack,
-    /// Where there are solids, made with [`GpuCoupling`](super::gpu_coupling::GpuCoupling), and where obstacles move, with
+    pub(super) write_back: Dispatches,
+    /// With solids made by [`GpuCoupling`](super::gpu_coupling::GpuCoupling), with moving obstacles by
     /// [`GpuObstacles`](super::gpu_obstacles::GpuObstacles); like `diagnose`.
-    pub(super) extrapolate: Option<Extrapolate>,
+    pub(super) extrapolate: Option<Dispatches>,
     pub(super) diagnose: Option<Diagnose>,
     /// With its read-back.
     pub(super) probe: Option<(Probe, Readback<u32>)>,
 }
 
 /// What decides the sizes of all buffers of a scene that starts with so many markers, on an adapter with or without f64.
-pub(super) fn liquid_plan(scene: &Scene, taps: &Taps, n_markers: usize, f64: bool) -> LiquidPlan {
+fn liquid_plan(scene: &Scene, taps: &Taps, n_markers: usize, f64: bool) -> LiquidPlan {
     let grid = scene.grid();
     LiquidPlan {
         n_markers: n_markers + taps.room(scene.time.duration, &grid),
@@ -111,22 +107,20 @@ pub(super) fn liquid_plan(scene: &Scene, taps: &Taps, n_markers: usize, f64: boo
 }
 
 impl GpuLiquid {
-    /// Allocates and compiles; `None` where the scene has no liquid. The state is to be written.
+    /// Allocates and compiles; `None` without liquid. Cut cells and state are to be written.
     pub(super) fn new(
         gpu: &Gpu,
         scene: &Scene,
-        cut: &CutCells,
+        taps: Taps,
         n_markers: usize,
     ) -> Result<Option<GpuLiquid>, Error> {
         let Some(settings) = scene.liquid.clone() else {
             return Ok(None);
         };
-        let taps = Taps::new(scene, &scene.grid(), cut)?;
         let plan = liquid_plan(scene, &taps, n_markers, gpu.has_f64());
         let buffers = LiquidBuffers::new(gpu, plan)?;
         let solver = SolverBuffers::new(gpu, &scene.grid(), scene.solver.precision)?;
         let stages = LiquidStages::new(gpu, scene, &taps, &buffers, &solver)?;
-        buffers.write_cut_cells(gpu, cut);
         Ok(Some(GpuLiquid {
             settings,
             n_markers,
@@ -174,13 +168,11 @@ impl GpuLiquid {
             ..step
         };
         gpu.upload(&self.buffers.step, &[step]);
-        if self.stages.advect_markers.is_none() {
+        if self.stages.advect_markers.is_empty() {
             // The liquid stays where it is, and so do the band and the volume.
             let mut recorder = Recorder::new(gpu);
             self.stages.band.record(&mut recorder);
-            if let Some(volume) = &self.stages.volume {
-                volume.record(&mut recorder);
-            }
+            self.stages.liquid_distance.record(&mut recorder);
             recorder.submit();
         }
     }
@@ -250,7 +242,7 @@ impl GpuLiquid {
             return Ok(Vec::new());
         };
         let mut recorder = Recorder::new(gpu);
-        probe.record(&mut recorder, &active(&self.solver));
+        probe.record(&mut recorder);
         recorder.read(&probe.values, readback);
         recorder.submit();
         Ok(probe.columns(&readback.wait(gpu)?))
@@ -261,7 +253,7 @@ impl GpuLiquid {
         self.make_room(gpu, head.step)?;
         self.running = self.running_after(head);
         self.inflow = dt * self.taps.flux(self.running.running);
-        if let Some(sources) = &self.stages.sources {
+        if let Some((sources, _)) = &self.stages.sources {
             sources.write_step(gpu, SourceStep::new(self.running, self.n_markers));
         }
         Ok(())
@@ -286,10 +278,10 @@ impl GpuLiquid {
             .sources
             .as_ref()
             .zip(self.buffers.markers.as_ref());
-        let Some((sources, markers)) = both else {
+        let Some(((sources, _), markers)) = both else {
             return Ok(());
         };
-        let (capacity, slots) = (markers.positions.len(), sources.slots());
+        let (capacity, slots) = (markers.len(), sources.slots());
         if self.n_markers + slots <= capacity {
             return Ok(());
         }
@@ -302,12 +294,12 @@ impl GpuLiquid {
                 ),
             });
         }
-        let mut positions = gpu.download(&markers.positions)?;
+        let mut positions = gpu.download(markers)?;
         positions.truncate(self.n_markers);
         positions.retain(|marker| marker[3] != 0.0);
         self.n_markers = positions.len();
         positions.resize(capacity, [0.0; 4]);
-        gpu.upload(&markers.positions, &positions);
+        gpu.upload(markers, &positions);
         gpu.upload(&self.buffers.report, &vec![0; self.buffers.report.len()]);
         self.dropped_before = self.passed.dropped;
         Ok(())
@@ -315,7 +307,8 @@ impl GpuLiquid {
 
     /// Slots that kernels look at in a sub-step: those in use, and those kept for new markers.
     pub(super) fn n_slots(&self) -> usize {
-        self.n_markers + self.stages.sources.as_ref().map_or(0, Sources::slots)
+        let slots = |(sources, _): &(Sources, SourceStages)| sources.slots();
+        self.n_markers + self.stages.sources.as_ref().map_or(0, slots)
     }
 
     /// Keeps what the next sub-step needs of the report.
@@ -400,10 +393,9 @@ impl LiquidStages {
         liquid: &LiquidBuffers,
         solver: &SolverBuffers,
     ) -> Result<LiquidStages, Error> {
-        let active = active(solver);
         let effects = &liquid.plan.effects;
+        let sinks = Sinks::new(gpu, liquid, taps)?;
         let sources = Sources::new(gpu, liquid, taps)?;
-        let compact = CompactKernels::new(gpu)?;
         let free_surface = FreeSurface {
             theta_floor: scene.solver.theta_floor,
             open_sides: effects.open_sides,
@@ -413,7 +405,7 @@ impl LiquidStages {
             solver,
             liquid.solve_open(),
             &liquid.liquid_distance,
-            within(liquid),
+            liquid.within(),
             free_surface,
         )?;
         let solve = PressureSolver::new(
@@ -424,57 +416,44 @@ impl LiquidStages {
             &scene.solver,
         )?;
         let probe = || {
-            let kinds = probes(scene);
-            let probe = Probe::new(gpu, liquid, &active, &solver.potential, kinds)?;
+            let probe = Probe::new(gpu, liquid, solver, probes(scene))?;
             let readback = Readback::new(gpu, "probe.values", probe.values.len())?;
             Ok::<_, Error>((probe, readback))
         };
         let alone = !effects.clips();
-        let extrapolate = || Extrapolate::new(gpu, liquid, None);
-        let diagnose = || Diagnose::new(gpu, liquid, &active, None);
         Ok(LiquidStages {
-            advect_markers: effects
-                .markers
-                .then(|| AdvectMarkers::new(gpu, liquid))
-                .transpose()?,
-            sinks: Sinks::new(gpu, liquid, taps)?,
-            sources,
-            band: Band::new(gpu, &compact, liquid)?,
-            advect_velocity: AdvectVelocity::new(gpu, liquid)?,
-            forces: Forces::new(gpu, liquid)?,
-            liquid_distance: effects
-                .markers
-                .then(|| LiquidDistance::new(gpu, liquid))
-                .transpose()?,
-            volume: (!effects.markers)
-                .then(|| Volume::new(gpu, liquid))
-                .transpose()?,
+            advect_markers: stages::advect_markers(gpu, liquid)?,
+            band: stages::band(gpu, liquid)?,
+            advect_velocity: stages::advect_velocity(gpu, liquid)?,
+            forces: stages::forces(gpu, liquid)?,
+            liquid_distance: stages::liquid_distance(gpu, liquid, sinks.as_ref())?,
             active_cells,
             closed_components: Components::new(gpu, solver)?,
-            right_hand_side: RightHandSide::new(gpu, liquid, &active, &solver.rhs)?,
+            right_hand_side: stages::right_hand_side(gpu, liquid, solver)?,
             solve,
-            write_back: WriteBack::new(gpu, liquid, &active, &solver.potential)?,
-            extrapolate: alone.then(extrapolate).transpose()?,
-            diagnose: alone.then(diagnose).transpose()?,
+            write_back: stages::write_back(gpu, liquid, solver)?,
+            extrapolate: alone
+                .then(|| stages::extrapolate(gpu, liquid, None))
+                .transpose()?,
+            diagnose: alone
+                .then(|| Diagnose::new(gpu, liquid, solver, None))
+                .transpose()?,
             probe: has_probes(scene).then(probe).transpose()?,
+            sinks: match sinks {
+                Some(sinks) => {
+                    let exchange = sinks.exchange(gpu, liquid)?;
+                    Some((sinks, exchange))
+                }
+                None => None,
+            },
+            sources: match sources {
+                Some(sources) => {
+                    let stages = sources.stages(gpu, liquid)?;
+                    Some((sources, stages))
+                }
+                None => None,
+            },
         })
-    }
-}
-
-/// Where the solver looks for liquid.
-pub(super) fn within(liquid: &LiquidBuffers) -> Within<'_> {
-    Within {
-        list: &liquid.band_list,
-        args: &liquid.band_args,
-    }
-}
-
-/// The solver's lists as the stages read them.
-pub(super) fn active(solver: &SolverBuffers) -> Active<'_> {
-    Active {
-        flags: &solver.flags,
-        list: &solver.list,
-        args: &solver.args,
     }
 }
 

@@ -3,11 +3,10 @@
 
 use crate::Error;
 use crate::geometry::SolidClip;
-use crate::gpu::{BufferPlan, Gpu};
-use crate::grid::Grid;
-use crate::stages::{Clip, ClipBuffers, ClipSize, Diagnose, Extrapolate};
+use crate::gpu::{Dispatches, Gpu};
+use crate::stages::{ClipBuffers, ClipSize, Diagnose};
 
-use super::gpu_liquid::{GpuLiquid, active};
+use super::gpu_liquid::GpuLiquid;
 
 /// The obstacles on the device.
 #[derive(Debug)]
@@ -15,15 +14,10 @@ pub(super) struct GpuObstacles {
     /// Where they are.
     pub(super) clip: SolidClip,
     on_device: ClipBuffers,
-    pub(super) stage: Clip,
+    pub(super) stage: Dispatches,
 }
 
 impl GpuObstacles {
-    /// Everything that they allocate.
-    pub(super) fn buffers(grid: &Grid, clip: &SolidClip) -> Vec<BufferPlan> {
-        ClipSize::of(grid, clip, 0).ample().buffers(grid)
-    }
-
     /// Allocates and compiles; and with it the stages of the liquid that see them. The state is to be written.
     pub(super) fn new(
         gpu: &Gpu,
@@ -90,14 +84,18 @@ impl GpuObstacles {
 }
 
 /// Makes the stages of the liquid that obstacles take part in, and that which takes them to the device.
-fn bind(gpu: &Gpu, liquid: &mut GpuLiquid, clip: &ClipBuffers) -> Result<Clip, Error> {
+fn bind(gpu: &Gpu, liquid: &mut GpuLiquid, clip: &ClipBuffers) -> Result<Dispatches, Error> {
     let GpuLiquid {
         buffers,
         solver,
         stages,
         ..
     } = liquid;
-    stages.extrapolate = Some(Extrapolate::new(gpu, buffers, Some((clip, None)))?);
-    stages.diagnose = Some(Diagnose::new(gpu, buffers, &active(solver), None)?);
-    Clip::new(gpu, buffers, clip)
+    stages.extrapolate = Some(crate::stages::extrapolate(
+        gpu,
+        buffers,
+        Some((clip, None)),
+    )?);
+    stages.diagnose = Some(Diagnose::new(gpu, buffers, solver, None)?);
+    crate::stages::clip(gpu, buffers, clip)
 }

@@ -12,6 +12,7 @@ use crate::scene::Scene;
 use crate::solver;
 use crate::stages::Step;
 use crate::state::{Carried, State};
+use crate::step::Stage;
 
 use super::gpu_coupling::{At, GpuCoupling};
 use super::gpu_liquid::GpuLiquid;
@@ -37,8 +38,7 @@ pub struct GpuPath {
     pub(super) coupling: Option<GpuCoupling>,
     /// Those that move in liquid, without solids.
     pub(super) obstacles: Option<GpuObstacles>,
-    /// Taken while a step runs.
-    pub(super) readbacks: Option<Readbacks>,
+    pub(super) readbacks: Readbacks,
 }
 
 /// What probes read: those of the liquid, all columns in order; where solids have any, the displacements of the nodes, m; where the liquid's
@@ -77,10 +77,31 @@ impl GpuPath {
         let cut = obstacles.still().clone();
         let cut_now = clip.as_ref().map_or(&cut, SolidClip::cut_cells);
         reference::prepare(scene, &grid, cut_now, walls, &mut state);
-        let mut liquid = GpuLiquid::new(&gpu, scene, &cut, state.markers.len())?;
+        let mut path = GpuPath::allocate(gpu, scene, (solids, clip, taps), state.markers.len())?;
+        if let Some(liquid) = &path.liquid {
+            liquid.buffers.write_cut_cells(&path.gpu, &cut);
+        }
+        if let Some(solids) = &path.solids {
+            solids.write_obstacles(&path.gpu, &cut);
+        }
+        path.cut = cut;
+        path.write_state(&state)?;
+        Ok(path)
+    }
+
+    /// Allocates all arrays and compiles all kernels: on a planning device this is the plan. Obstacles and state are to be written.
+    pub(super) fn allocate(
+        gpu: Gpu,
+        scene: &Scene,
+        (solids, clip, taps): (&Solids, Option<SolidClip>, Taps),
+        n_markers: usize,
+    ) -> Result<GpuPath, Error> {
+        // Stages have handles of their own; all else belongs to the solve.
+        let gpu = gpu.at(Stage::Solve.name());
+        let mut liquid = GpuLiquid::new(&gpu, scene, taps, n_markers)?;
         let solids = match solids.bodies.is_empty() {
             true => None,
-            false => Some(GpuSolids::new(&gpu, scene, solids.clone(), &cut)?),
+            false => Some(GpuSolids::new(&gpu, scene, solids.clone())?),
         };
         let (mut coupling, mut moving) = (None, None);
         if let Some((liquid, clip)) = liquid.as_mut().zip(clip) {
@@ -91,28 +112,29 @@ impl GpuPath {
                 None => moving = Some(GpuObstacles::new(&gpu, clip, liquid)?),
             }
         }
-        let of_solids = || GpuSolids::readbacks(&gpu);
-        let of_both = || GpuCoupling::readbacks(&gpu);
-        let readbacks = Some(Readbacks {
-            solids: solids.as_ref().map(|_| of_solids()).transpose()?,
-            coupling: coupling.as_ref().map(|_| of_both()).transpose()?,
+        let solid_readbacks = || GpuSolids::readbacks(&gpu);
+        let coupling_readbacks = || GpuCoupling::readbacks(&gpu);
+        let readbacks = Readbacks {
+            solids: solids.as_ref().map(|_| solid_readbacks()).transpose()?,
+            coupling: coupling
+                .as_ref()
+                .map(|_| coupling_readbacks())
+                .transpose()?,
             liquid: GpuLiquid::readback(&gpu, scene)?,
             squeeze: SqueezeReadbacks::at_start(&gpu, scene, solids.as_ref())?,
-        });
-        let mut path = GpuPath {
+        };
+        Ok(GpuPath {
             gpu,
             scene: scene.clone(),
-            grid,
-            cut,
-            head: State::at_rest(&grid),
+            grid: scene.grid(),
+            cut: CutCells::default(),
+            head: State::default(),
             liquid,
             solids,
             coupling,
             obstacles: moving,
             readbacks,
-        };
-        path.write_state(&state)?;
-        Ok(path)
+        })
     }
 
     /// Replaces the state.
@@ -315,7 +337,7 @@ impl GpuPath {
     /// How many markers there is room for; `None` without any.
     pub fn marker_room(&self) -> Option<usize> {
         let markers = self.liquid.as_ref()?.buffers.markers.as_ref()?;
-        Some(markers.positions.len())
+        Some(markers.len())
     }
 
     /// What obstacles, and solids in liquid, leave of the grid.

@@ -4,17 +4,14 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::{Body, Bounds, Solids};
 use crate::geometry::CutCells;
-use crate::gpu::{Buffer, BufferPlan, Gpu, Pass, Readback, Real, Recorder, StageTimes};
+use crate::gpu::{Buffer, Dispatches, Gpu, Pass, Readback, Real, Recorder, StageTimes};
 use crate::reference::{MOST_HALVINGS, MOST_SOLVES};
 use crate::scene::Scene;
 use crate::solver::{
     self, ContactSearch, ObstacleField, Outcome, Polynomial, SolidRows, SolidSolver, SolidSystem,
     SolidSystemBuffers,
 };
-use crate::stages::{
-    self, DiagnoseSolid, ElementRotations, MoveSolid, NodeForces, ObstacleBuffers, SolidBuffers,
-    SolidPlan, SolidStep,
-};
+use crate::stages::{self, DiagnoseSolid, ObstacleBuffers, SolidBuffers, SolidPlan, SolidStep};
 use crate::state::{Carried, ContactReport, SolidReport, SolveStatus, State};
 
 use super::step::solve_report;
@@ -24,6 +21,8 @@ use super::step::solve_report;
 pub(super) struct GpuSolids {
     pub(super) solids: Solids,
     bounds: Bounds,
+    /// Distance to the obstacles, where there are any.
+    obstacles: Option<ObstacleBuffers>,
     /// m/s
     pub(super) max_speed: f64,
     pub(super) buffers: SolidBuffers,
@@ -96,9 +95,9 @@ struct Scripted {
 /// The kernels of a step, in its order.
 #[derive(Debug)]
 pub(super) struct SolidStages {
-    pub(super) move_solid: MoveSolid,
-    pub(super) forces: NodeForces,
-    pub(super) rotations: ElementRotations,
+    pub(super) move_solid: Dispatches,
+    pub(super) forces: Dispatches,
+    pub(super) rotations: Dispatches,
     pub(super) system: SolidSystem,
     pub(super) solve: SolidSolver,
     pub(super) diagnose: DiagnoseSolid,
@@ -118,28 +117,6 @@ fn solid_plan(scene: &Scene, solids: &Solids, f64: bool) -> SolidPlan {
     }
 }
 
-/// Everything that solids allocate on an adapter with or without f64.
-pub(super) fn buffers(
-    scene: &Scene,
-    solids: &Solids,
-    rows: &SolidRows,
-    f64: bool,
-) -> Vec<BufferPlan> {
-    let plan = solid_plan(scene, solids, f64);
-    let variant = solver::variant(f64, scene.solver.precision);
-    let mut all = plan.buffers();
-    all.extend(rows.buffers(variant));
-    if plan.obstacles {
-        all.push(ObstacleBuffers::plan(&plan.grid, true));
-    }
-    all.extend(plan.small_buffers());
-    all.extend(rows.small_buffers(&scene.solver, variant));
-    if has_probes(scene) {
-        all.push(BufferPlan::of::<[f32; 4]>(PROBED, 2 * plan.n_nodes));
-    }
-    all
-}
-
 /// To what the device holds in f32.
 fn round_to_f32(velocity: &mut [[f64; 3]]) {
     for v in velocity.iter_mut().flatten() {
@@ -147,29 +124,19 @@ fn round_to_f32(velocity: &mut [[f64; 3]]) {
     }
 }
 
-const PROBED: &str = "solid.displacement (read-back)";
-
 fn has_probes(scene: &Scene) -> bool {
     scene.probes.iter().any(|probe| probe.kind.of_solid())
 }
 
 impl GpuSolids {
-    /// Allocates and compiles. The state is to be written. `cut`: what obstacles leave of the grid.
-    pub(super) fn new(
-        gpu: &Gpu,
-        scene: &Scene,
-        solids: Solids,
-        cut: &CutCells,
-    ) -> Result<GpuSolids, Error> {
+    /// Allocates and compiles. Obstacles and state are to be written.
+    pub(super) fn new(gpu: &Gpu, scene: &Scene, solids: Solids) -> Result<GpuSolids, Error> {
         let plan = solid_plan(scene, &solids, gpu.has_f64());
         let rows = SolidRows::new(&solids)?;
         let buffers = SolidBuffers::new(gpu, plan, &solids)?;
         let system = SolidSystemBuffers::new(gpu, &rows, &scene.solver)?;
         let obstacles = || ObstacleBuffers::new(gpu, &plan.grid, true);
         let obstacles = plan.obstacles.then(obstacles).transpose()?;
-        if let Some(obstacles) = &obstacles {
-            obstacles.write(gpu, cut);
-        }
         let field = buffers
             .level
             .as_ref()
@@ -179,15 +146,16 @@ impl GpuSolids {
                 solid_distance: &obstacles.solid_distance,
             });
         let stages = SolidStages {
-            move_solid: MoveSolid::new(gpu, &buffers)?,
-            forces: NodeForces::new(gpu, &buffers)?,
-            rotations: ElementRotations::new(gpu, &buffers)?,
+            move_solid: stages::move_solid(gpu, &buffers)?,
+            forces: stages::node_forces(gpu, &buffers)?,
+            rotations: stages::element_rotations(gpu, &buffers)?,
             system: SolidSystem::new(gpu, &system, buffers.fields(), field)?,
             solve: SolidSolver::new(gpu, &system, buffers.fields(), &scene.solver)?,
             diagnose: DiagnoseSolid::new(gpu, &buffers)?,
         };
         let probed = || Readback::new(gpu, "solid.displacement", 2 * plan.n_nodes);
         Ok(GpuSolids {
+            obstacles,
             bounds: Bounds::new(&solids),
             max_speed: 0.0,
             buffers,
@@ -199,7 +167,14 @@ impl GpuSolids {
         })
     }
 
-    /// Where a sub-step is told of.
+    /// Writes the distance to the obstacles.
+    pub(super) fn write_obstacles(&self, gpu: &Gpu, cut: &CutCells) {
+        if let Some(obstacles) = &self.obstacles {
+            obstacles.write(gpu, cut);
+        }
+    }
+
+    /// Readbacks of a sub-step.
     pub(super) fn readbacks(gpu: &Gpu) -> Result<SolidReadbacks, Error> {
         Ok(SolidReadbacks {
             report: Readback::new(gpu, "solid.report", stages::SolidReport::WORDS)?,
@@ -211,7 +186,7 @@ impl GpuSolids {
     pub(super) fn solve_in_contact<'a>(
         &self,
         gpu: &'a Gpu,
-        recorder: Recorder<'a>,
+        recorder: Recorder,
         answer: &mut Readback<u32>,
         polynomial: &Polynomial,
     ) -> Result<(Outcome, ContactReport, StageTimes), Error> {
@@ -244,9 +219,9 @@ impl GpuSolids {
     pub(super) fn until_settled<'a, Found>(
         &self,
         gpu: &'a Gpu,
-        mut recorder: Recorder<'a>,
+        mut recorder: Recorder,
         answer: &mut Readback<u32>,
-        mut solve: impl FnMut(Recorder<'a>, u32) -> Result<(Found, SolveStatus, StageTimes), Error>,
+        mut solve: impl FnMut(Recorder, u32) -> Result<(Found, SolveStatus, StageTimes), Error>,
         Search {
             search,
             push,
@@ -304,7 +279,7 @@ impl GpuSolids {
         first: bool,
         beyond: u32,
         hold_all: bool,
-    ) -> Result<Recorder<'a>, Error> {
+    ) -> Result<Recorder, Error> {
         let velocity = &self.buffers.velocity.words;
         let best = &self.system.best.words;
         if beyond == 0 {
@@ -443,7 +418,7 @@ impl GpuSolids {
         gpu.upload(&self.buffers.step, &[step]);
         let stages = &self.stages;
         to.stage("solve", |pass| {
-            stages.rotations.dispatch(pass);
+            stages.rotations.record_in(pass);
             stages.system.record_matrices(pass);
             if again {
                 stages.system.record_right_hand_side(pass);

@@ -4,22 +4,18 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::{Bounds, Solids};
 use crate::geometry::{self, SolidClip, SourceFlow, Taps};
-use crate::gpu::{AdapterReport, BufferPlan, Timer, Variant};
+use crate::gpu::{AdapterReport, BufferPlan, Gpu, Variant};
 use crate::grid::Grid;
 use crate::reference::{TimeStep, time_step};
 use crate::scene::{
     CouplingScheme, ElasticModel, Formulation, Obstacle, PatchPressure, Precision, Preconditioner,
-    ProbeKind, Scene, Solid, Solver,
+    Scene, Solid, Solver,
 };
-use crate::solver::{self, LevelPlan, SolidRows, SolverBuffers};
-use crate::stages::{EXCHANGE, Probe, extrapolation_layers, tap_buffers};
+use crate::solver::{self, SolidRows};
+use crate::step::{SCHEDULE, Stage, When};
 
-use super::gpu_coupling::Room;
-use super::gpu_liquid::{self, liquid_plan};
-use super::gpu_obstacles::GpuObstacles;
-use super::gpu_solids;
+use super::GpuPath;
 use super::memory::HostMemory;
-use super::squeeze::SqueezeReadbacks;
 
 /// Labels of the buffers that grow with the markers and not with the grid.
 const PER_MARKER: [&str; 1] = ["liquid.markers"];
@@ -124,7 +120,6 @@ impl Plan {
         let grid = scene.grid();
         let effects = Effects::of(scene);
         let f64 = adapter.is_none_or(|adapter| adapter.f64);
-        let timestamps = adapter.is_none_or(|adapter| adapter.timestamps);
         let (displacement, _) = solids.initial_state(scene);
         let n_markers = geometry::estimate_markers(scene, &grid, &solids.moved(&displacement))?;
         let mixed = scene.solver.precision == Precision::Mixed;
@@ -132,20 +127,17 @@ impl Plan {
         let padded_cells = grid.padded().len();
         let rows = SolidRows::new(solids)?;
         let n_turning = solids.turning().count();
+        let gpu = Gpu::planning(adapter.cloned().unwrap_or_default());
+        let parts = (solids, clip.cloned(), taps.clone());
+        GpuPath::allocate(gpu.clone(), scene, parts, n_markers)?;
         Ok(Plan {
             padded_cells,
             n_markers,
             sources: taps.flows().collect(),
             first_step: first_step(scene, &grid, (solids, clip, taps)),
             effects: effect_lines(scene, &effects, n_turning),
-            stages: stages(scene, &grid, &rows, (&effects, n_turning > 0), f64),
-            buffers: buffers(
-                scene,
-                (n_markers, taps),
-                (solids, &rows, clip),
-                f64,
-                timestamps,
-            ),
+            stages: stages(&effects, scene, &gpu),
+            buffers: buffers(&gpu),
             n_nodes: solids.rest.len(),
             n_elements: solids.elements.len(),
             solves: solves(scene, (solids, clip, taps), &rows, f64),
@@ -178,7 +170,7 @@ impl Plan {
         let of_markers = self
             .buffers
             .iter()
-            .filter(|plan| PER_MARKER.contains(&plan.label));
+            .filter(|plan| PER_MARKER.contains(&&*plan.label));
         of_markers.map(BufferPlan::bytes).sum()
     }
 
@@ -204,10 +196,10 @@ impl Plan {
         let mut largest_first: Vec<&BufferPlan> = self.buffers.iter().collect();
         largest_first.sort_by_key(|plan| std::cmp::Reverse(plan.bytes()));
         largest_first.into_iter().try_for_each(|plan| {
-            let mut checked = adapter.check_buffer(plan.label, plan.bytes());
+            let mut checked = adapter.check_buffer(&plan.label, plan.bytes());
             if let Err(Error::Limit { cure, .. }) = &mut checked {
                 // Labels begin with whose buffer it is.
-                let smaller = match plan.label {
+                let smaller = match &*plan.label {
                     label if label.starts_with("solid") => "coarser meshes of the solids",
                     label if label.starts_with("condensed") => "solver.formulation = \"two_field\"",
                     _ => "fewer cells (--scale)",
@@ -421,280 +413,37 @@ fn effect_lines(scene: &Scene, effects: &Effects, n_turning: usize) -> Vec<Effec
     .into()
 }
 
-/// The stages in the order of [`GpuPath`](super::GpuPath)'s step.
-fn stages(
-    scene: &Scene,
-    grid: &Grid,
-    rows: &SolidRows,
-    (effects, turning): (&Effects, bool),
-    f64: bool,
-) -> Vec<StagePlan> {
-    const COMPACTION: [&str; 3] = ["compact_count", "compact_scan", "compact_write"];
-    let Effects {
-        liquid,
-        markers,
-        solids: elastic,
-        obstacles,
-        coupling,
-        patch_correction,
-        moving_obstacles: moving,
-        ..
-    } = *effects;
-    let cuts = effects.cuts();
-    let gradient = scene.solver.pressure_on_patches == PatchPressure::Gradient;
-    let weak = coupling && scene.solver.coupling == CouplingScheme::Weak;
-    let levels = LevelPlan::new(grid);
-    let mut plans = Vec::new();
-    let mut stage = |name, every_step, groups: &[(bool, &[&'static str])]| {
-        let present = groups.iter().filter(|(present, _)| *present);
-        plans.push(StagePlan {
-            name,
-            every_step,
-            kernels: present.flat_map(|(_, kernels)| *kernels).copied().collect(),
-        });
+/// The stages that the scene calls for, with the kernels that a planning device has recorded.
+fn stages(effects: &Effects, scene: &Scene, gpu: &Gpu) -> Vec<StagePlan> {
+    let made = gpu.stage_kernels();
+    let kernels_of = |stage: Stage| {
+        let own = made.iter().filter(move |(name, _)| *name == stage.name());
+        own.map(|(_, kernel)| *kernel)
     };
-    if elastic {
-        let kernels: [(bool, &[_]); 2] = [(turning, &["turn_solids"]), (true, &["move_solid"])];
-        stage("move_solid", true, &kernels);
-    }
-    if effects.clips() {
-        let kernels: [(bool, &[_]); 4] = [
-            (true, &["cut_quads"]),
-            (markers, &["cut_room"]),
-            (moving, &["obstacle_flux"]),
-            (coupling && gradient, &["pressure_slopes"]),
-        ];
-        stage("clip", true, &kernels);
-    }
-    if markers {
-        let kernels: [(bool, &[_]); 2] = [
-            (true, &["surface_distance", "advect_markers"]),
-            (cuts, &["push_out"]),
-        ];
-        stage("advect_markers", true, &kernels);
-    }
-    let Effects { sources, sinks, .. } = *effects;
-    if sources || sinks {
-        let seeding = ["count_in_sources", "plan_seeds", "seed_markers"];
-        let kernels: [(bool, &[_]); 2] = [(sinks, &["sink_markers"]), (sources, &seeding)];
-        stage(EXCHANGE, true, &kernels);
-    }
-    if liquid {
-        let band: [(bool, &[_]); 3] = [
-            (markers, &["occupy"]),
-            (true, &["dilate_tiles", "flag_band"]),
-            (true, &COMPACTION),
-        ];
-        stage("band", markers, &band);
-        let beside_bodies = ["advect_slivers", "show_slivers", "advect_beside_slivers"];
-        let advection: [(bool, &[_]); 2] = [(!cuts, &["advect_velocity"]), (cuts, &beside_bodies)];
-        stage("advect_velocity", true, &advection);
-    }
-    let forces: [(bool, &[_]); 3] = [
-        (liquid, &["forces"]),
-        (sources, &["hold_faces"]),
-        (elastic, &["node_forces"]),
-    ];
-    stage("forces", true, &forces);
-    if liquid {
-        let distance: [(bool, &[_]); 5] = [
-            (markers, &["classify_near", "classify_far"]),
-            (markers, &["spread_markers", "union_of_spheres"]),
-            (markers && cuts, &["extend_into_solids", "finish_extension"]),
-            (sinks, &["empty_sinks"]),
-            (true, &["measure_volume", "volume_rate"]),
-        ];
-        stage("liquid_distance", markers || effects.clips(), &distance);
-        let active: [(bool, &[_]); 2] = [
-            (true, &["clear_system", "active_cells", "coarsen"]),
-            (true, &COMPACTION),
-        ];
-        stage("active_cells", true, &active);
-        let components: [(bool, &[_]); 6] = [
-            (
-                true,
-                &["components_init", "components_merge", "components_open"],
-            ),
-            (coupling, &["components_seal"]),
-            (true, &["components_gate", "components_flag"]),
-            (coupling, &["couple_close"]),
-            (weak, &["couple_keep", "couple_residual"]),
-            (
-                true,
-                &[
-                    "components_largest",
-                    "components_sum",
-                    "components_subtract",
-                ],
-            ),
-        ];
-        stage("closed_components", true, &components);
-    }
-    if elastic {
-        let kernels = ["element_rotations", "solid_blocks"];
-        stage("solid_matrices", true, &[(true, &kernels)]);
-    }
-    let right_hand_side: [(bool, &[_]); 7] = [
-        (liquid, &["right_hand_side"]),
-        (moving, &["take_up"]),
-        (elastic, &["solid_right_hand_side"]),
-        (patch_correction, &["patch_pressure"]),
-        (elastic, &["solid_contacts"]),
-        (elastic && obstacles, &["obstacle_contacts"]),
-        (elastic, &["hold_nodes", "solid_diagonals"]),
-    ];
-    stage("right_hand_side", true, &right_hand_side);
-    let mut solve = Vec::new();
-    if weak {
-        solve.push((true, &["weak_push"][..]));
-    } else if coupling {
-        let condensed = solver::can_condense(rows, &scene.solver, f64);
-        let factored = scene.solver.preconditioner == Preconditioner::Multigrid;
-        solve.extend(coupled_kernels(condensed, factored));
-    }
-    if liquid {
-        solve.extend(solve_kernels(scene, &levels));
-    }
-    let solid_kernels = solver::solid_kernels(rows);
-    solve.push((elastic, &solid_kernels[..]));
-    let search = ["judge_contacts", "rest_nodes", "approach_nodes"];
-    solve.push((elastic, &search));
-    let search = ["measure_gain", "judge_gain", "first_stop", "hold_stopped"];
-    solve.push((elastic, &search));
-    if coupling && scene.solver.coupling == CouplingScheme::DampingOnly {
-        // The systems of elasticity alone and of damping alone.
-        solve.push((true, &["element_rotations", "solid_blocks"]));
-        let of_nodes = &["solid_right_hand_side", "hold_nodes", "solid_diagonals"];
-        solve.push((true, of_nodes));
-    }
-    stage("solve", true, &solve);
-    if liquid {
-        let write_back: [(bool, &[_]); 2] = [
-            (true, &["still_air", "write_back"]),
-            (sources, &["carry_faces"]),
-        ];
-        stage("write_back", true, &write_back);
-        let extrapolate: [(bool, &[_]); 8] = [
-            (cuts, &["blend_slivers", "swap_slivers"]),
-            (
-                extrapolation_layers(scene.time.cfl) > 0,
-                &["extrapolate_layer"],
-            ),
-            (true, &["extrapolate_walls"]),
-            (coupling, &["wall_velocities"]),
-            (moving && !coupling, &["obstacle_velocities"]),
-            (effects.clips(), &["slip_along_solids"]),
-            (cuts && !effects.clips(), &["slip"]),
-            (cuts, &["apply_slip"]),
-        ];
-        stage("extrapolate", true, &extrapolate);
-    }
-    let diagnose: [(bool, &[_]); 6] = [
-        (liquid, &["measure_motion"]),
-        (liquid && !coupling, &["measure_divergence"]),
-        (
-            coupling,
-            &["measure_uncut_divergence", "measure_cut_divergence"],
-        ),
-        (liquid, &["report_motion"]),
-        (elastic, &["measure_solid", "report_solid"]),
-        (coupling, &["measure_coupling", "report_coupling"]),
-    ];
-    stage("diagnose", true, &diagnose);
-    let of_liquid: Vec<&ProbeKind> = gpu_liquid::probes(scene).collect();
-    if !of_liquid.is_empty() {
-        let front = |kind: &&ProbeKind| matches!(kind, ProbeKind::Front { .. });
-        let kernels: [(bool, &[_]); 2] = [
-            (!of_liquid.iter().all(front), &["probe_points"]),
-            (of_liquid.iter().any(front), &["probe_fronts"]),
-        ];
-        stage("probe", true, &kernels);
+    let mut plans = Vec::new();
+    for row in &SCHEDULE {
+        let when = (row.when)(effects);
+        let mut kernels: Vec<_> = kernels_of(row.stage).collect();
+        if row.stage == Stage::Solve && scene.solver.coupling == CouplingScheme::DampingOnly {
+            // The systems of elasticity alone and of damping alone.
+            kernels.extend(kernels_of(Stage::SolidMatrices));
+            kernels.extend(["solid_right_hand_side", "hold_nodes", "solid_diagonals"]);
+        }
+        if when != When::Never && !kernels.is_empty() {
+            plans.push(StagePlan {
+                name: row.name,
+                every_step: when == When::EverySubStep,
+                kernels,
+            });
+        }
     }
     plans
 }
 
-/// The kernels of the solve for liquid and solids together, besides those of each for itself.
-fn coupled_kernels(condensed: bool, factored: bool) -> Vec<(bool, &'static [&'static str])> {
-    vec![
-        (condensed, &["condensed_wet", "condensed_begin"]),
-        (condensed, &["condensed_apply", "condensed_force"]),
-        (true, &["coupled_args", "couple_keep", "coupled_turn"]),
-        (true, &["two_field_correct", "couple_residual"]),
-        (true, &["coupled_residual", "coupled_sums"]),
-        (true, &["two_field_begin", "two_field_rhs", "couple_begin"]),
-        (true, &["two_field_weight", "couple_beta"]),
-        (factored, &["couple_right", "couple_restore"]),
-        (factored, &["couple_nodes", "two_field_z"]),
-        (!factored, &["two_field_diagonal", "couple_jacobi"]),
-        (!factored, &["two_field_jacobi"]),
-        (true, &["two_field_direction", "couple_force"]),
-        (true, &["two_field_half", "two_field_apply", "couple_apply"]),
-        (true, &["couple_alpha", "two_field_update", "couple_push"]),
-    ]
-}
-
-/// The kernels of the solve, and whether it has them.
-fn solve_kernels(scene: &Scene, levels: &LevelPlan) -> Vec<(bool, &'static [&'static str])> {
-    let multigrid = scene.solver.preconditioner == Preconditioner::Multigrid;
-    let above_tail = multigrid && levels.tail > 0;
-    vec![
-        (true, &["refine_measure"]),
-        (levels.long_sums(), &["fold_partials"]),
-        (true, &["refine_start", "refine_correct", "refine_residual"]),
-        (true, &["refine_turn", "pcg_begin", "pcg_gate"]),
-        (above_tail, &["vcycle_smooth", "vcycle_restrict"]),
-        (multigrid, &["vcycle_tail"]),
-        (above_tail, &["vcycle_prolong"]),
-        (!multigrid, &["pcg_jacobi"]),
-        (
-            true,
-            &[
-                "pcg_beta",
-                "pcg_direction",
-                "pcg_apply",
-                "pcg_alpha",
-                "pcg_update",
-            ],
-        ),
-    ]
-}
-fn buffers(
-    scene: &Scene,
-    (n_markers, taps): (usize, &Taps),
-    (solids, rows, clip): (&Solids, &SolidRows, Option<&SolidClip>),
-    f64: bool,
-    timestamps: bool,
-) -> Vec<BufferPlan> {
-    let grid = scene.grid();
-    let variant = solver::variant(f64, scene.solver.precision);
-    let mut all = Vec::new();
-    if scene.liquid.is_some() {
-        let liquid = liquid_plan(scene, taps, n_markers, f64);
-        all.extend(liquid.buffers());
-        all.extend(SolverBuffers::plan(&grid, variant));
-        all.extend(liquid.small_buffers());
-        all.extend(tap_buffers(&grid, taps));
-        all.extend(solver::small_buffers(&grid, &scene.solver, variant));
-        let n_nodes = rows.rows.n_nodes as usize;
-        all.extend(SqueezeReadbacks::buffers(scene, n_nodes, variant.real));
-        if gpu_liquid::has_probes(scene) {
-            all.extend(Probe::plan(gpu_liquid::probes(scene)));
-        }
-    }
-    if !solids.bodies.is_empty() {
-        all.extend(gpu_solids::buffers(scene, solids, rows, f64));
-    }
-    if let Some(clip) = clip.filter(|_| solids.bodies.is_empty()) {
-        all.extend(GpuObstacles::buffers(&grid, clip));
-    } else if let Some(clip) = clip {
-        let room = Room::for_clip(&grid, clip, 0);
-        all.extend(room.buffers(scene, rows, variant));
-    }
-    if timestamps {
-        all.extend(Timer::plan());
-    }
+/// Everything that a planning device has recorded, the buffers of a label as one.
+fn buffers(gpu: &Gpu) -> Vec<BufferPlan> {
     let mut merged: Vec<BufferPlan> = Vec::new();
-    for plan in all {
+    for plan in gpu.buffer_plans() {
         match merged.iter_mut().find(|other| other.label == plan.label) {
             Some(other) => other.len += plan.len,
             None => merged.push(plan),

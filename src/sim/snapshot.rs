@@ -300,7 +300,7 @@ impl GpuLiquid {
         let stored = StoredPressure::read(gpu, grid, solver)?;
         let markers = match &liquid.markers {
             None => Vec::new(),
-            Some(markers) => gpu.download(&markers.positions)?[..self.n_slots()]
+            Some(markers) => gpu.download(markers)?[..self.n_slots()]
                 .iter()
                 .map(|&[x, y, z, alive]| (alive != 0.0).then(|| [x, y, z].map(f64::from)))
                 .collect(),

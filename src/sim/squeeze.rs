@@ -8,7 +8,7 @@ use glam::DVec3;
 use crate::Error;
 use crate::effects::Effects;
 use crate::geometry::{CellNode, SolidClip};
-use crate::gpu::{BufferPlan, Gpu, Readback, Real, Recorder};
+use crate::gpu::{Gpu, Readback, Recorder};
 use crate::grid::Grid;
 use crate::scene::{CouplingScheme, Scene};
 
@@ -38,21 +38,6 @@ pub(super) fn can_squeeze(scene: &Scene) -> bool {
 }
 
 impl SqueezeReadbacks {
-    /// Everything that they allocate at the start.
-    pub(super) fn buffers(scene: &Scene, n_nodes: usize, real: Real) -> Vec<BufferPlan> {
-        if !by_nodes(scene) {
-            return Vec::new();
-        }
-        let padded = scene.grid().padded();
-        // Four numbers per node.
-        let words = real.bytes() * n_nodes;
-        vec![
-            BufferPlan::of::<u32>("squeeze.flags (read-back)", padded.quads),
-            BufferPlan::of::<u32>("squeeze.labels (read-back)", padded.len()),
-            BufferPlan::of::<u32>("squeeze.velocity (read-back)", words),
-        ]
-    }
-
     /// Those of the start; `None` where no nodes are moved.
     ///
     /// # Errors

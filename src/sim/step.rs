@@ -1,27 +1,26 @@
-//! One step on the GPU, in the lines of the crate's list (thesis, algorithm 4); its twin is `reference/step.rs`.
+//! A sub-step on the GPU: its [`Backend`] for the schedule of [`crate::step`]. The twin is `reference/step.rs`.
 
 use std::time::Instant;
 
 use crate::Error;
-use crate::gpu::{Readback, Recorder, StageTimes};
+use crate::effects::Effects;
+use crate::gpu::{Gpu, Readback, Recorder, StageTimes};
 use crate::reference::{SQUEEZE, TimeStep};
-use crate::solver::{Components, Outcome};
-use crate::stages::{
-    AdvectMarkers, AdvectVelocity, Band, Clip, Diagnose, EXCHANGE, ElementRotations, Extrapolate,
-    Forces, LiquidDistance, MoveSolid, Report, RightHandSide, SolidReport, WriteBack,
-};
+use crate::solver::Outcome;
+use crate::stages::{Report, SolidReport};
 use crate::state::{ContactReport, CouplingReport, SolveReport, SolveStatus, StepReport};
+use crate::step::{self, Backend, Stage};
 
 use super::gpu_coupling::{At, CouplingReadbacks};
-use super::gpu_liquid::{GpuLiquid, active, within};
+use super::gpu_liquid::GpuLiquid;
 use super::gpu_path::GpuPath;
-use super::gpu_solids::{GpuSolids, SolidReadbacks};
+use super::gpu_solids::SolidReadbacks;
 use super::squeeze::{SqueezeReadbacks, can_squeeze, squeezed};
 
-/// Hears of every stage once its results are on the device.
-pub type Observer<'a> = &'a mut dyn FnMut(&'static str, &GpuPath) -> Result<(), Error>;
+/// Stage callback: called after each stage, once its results are on the device.
+pub type Observer<'a> = &'a mut dyn FnMut(Stage, &GpuPath) -> Result<(), Error>;
 
-/// Where the reports of a sub-step arrive. Taken from the path while it runs.
+/// Readbacks of the reports of a sub-step.
 #[derive(Debug)]
 pub(super) struct Readbacks {
     pub(super) liquid: Option<Readback<u32>>,
@@ -30,71 +29,206 @@ pub(super) struct Readbacks {
     pub(super) squeeze: Option<SqueezeReadbacks>,
 }
 
-/// What the device tells of a sub-step.
+/// Results of a sub-step on the host.
 #[derive(Default)]
-struct Told {
-    liquid: Option<(Outcome, Report)>,
-    solids: Option<((Outcome, ContactReport), SolidReport)>,
+struct StepReadback {
+    pressure: Option<Outcome>,
+    velocity: Option<(Outcome, ContactReport)>,
+    /// Whether one solve was for liquid and solids together, and whether in the Schur-complement form.
+    together: bool,
+    condensed: bool,
+    liquid: Option<Report>,
+    solids: Option<SolidReport>,
     coupling: Option<CouplingReport>,
     seconds: StageTimes,
 }
 
+/// A sub-step in progress. Waits: one for the verdict of the solve and one for the reports; with liquid and solids one for the positions
+/// of the nodes and one for whether they touch.
+struct SubStep<'p, 'o> {
+    path: &'p mut GpuPath,
+    dt: f64,
+    /// Recorded and not yet submitted.
+    recorder: Option<Recorder>,
+    /// Displacements after `move_solid`, m, with liquid and solids.
+    moved: Vec<[f64; 3]>,
+    readback: StepReadback,
+    observer: Option<Observer<'o>>,
+}
+
 impl GpuPath {
-    /// Does one sub-step, each stage submitted by itself and told of.
+    /// Does one sub-step with a stage callback. Each stage is submitted by itself.
     ///
     /// # Errors
-    /// [`Error::Gpu`] when the device fails, and what the observer ends with. A solve that does not converge is told in the report.
+    /// [`Error::Gpu`] when the device fails, and errors of the callback. A solve that does not converge is a status in the report.
     pub fn step_observed(&mut self, observer: Observer) -> Result<StepReport, Error> {
         self.step(self.next_time_step(), Some(observer))
     }
 
-    /// Does one sub-step. With an observer each stage is submitted by itself and told of.
+    /// Does one sub-step.
     pub(super) fn step(
         &mut self,
         time_step: TimeStep,
-        mut observer: Option<Observer>,
+        observer: Option<Observer>,
     ) -> Result<StepReport, Error> {
         let clock = Instant::now();
         self.write_step(time_step.dt)?;
-        let mut readbacks = self
-            .readbacks
-            .take()
-            .expect("the read-backs come back after every step");
-        let told = self
-            .move_and_clip(time_step.dt, &mut observer)
-            .and_then(|told| self.stages_of(time_step.dt, &mut readbacks, observer, told));
-        self.readbacks = Some(readbacks);
-        let mut report = self.finish(time_step, told?);
+        let effects = Effects::of(&self.scene);
+        let mut sub_step = SubStep {
+            path: self,
+            dt: time_step.dt,
+            recorder: None,
+            moved: Vec::new(),
+            readback: StepReadback::default(),
+            observer,
+        };
+        step::run(&mut sub_step, &effects, true)?;
+        let readback = sub_step.readback;
+        let mut report = self.finish(time_step, readback);
         report.seconds_total = clock.elapsed().as_secs_f64();
         Ok(report)
     }
 
-    /// With liquid and solids, the stages up to the host's part of `clip`, which waits for where the nodes are. Other scenes wait for
-    /// nothing here.
-    fn move_and_clip(&mut self, dt: f64, observer: &mut Option<Observer>) -> Result<Told, Error> {
-        let mut told = Told::default();
-        let time = self.head.time + dt;
-        if let Some((obstacles, liquid)) = self.obstacles.as_mut().zip(self.liquid.as_mut()) {
-            let clock = Instant::now();
-            obstacles.follow(&self.gpu, liquid, time, dt)?;
-            told.seconds
-                .push((Clip::NAME, clock.elapsed().as_secs_f64()));
+    /// Advances the clock and makes the row of steps.csv.
+    fn finish(&mut self, TimeStep { dt, floored }: TimeStep, readback: StepReadback) -> StepReport {
+        if let Some(liquid) = &self.liquid {
+            self.head.sources_running = liquid.running_after(&self.head).running.into();
         }
-        let both = self.liquid.as_ref().zip(self.solids.as_ref());
-        let Some((coupling, (_, solids))) = self.coupling.as_mut().zip(both) else {
-            return Ok(told);
+        self.head
+            .advance_clock(dt, self.scene.time.frames_per_second);
+        let liquid = self.liquid.as_mut();
+        let liquid = liquid.zip(readback.pressure.zip(readback.liquid));
+        let solids = self.solids.as_mut();
+        let solids = solids.zip(readback.velocity.zip(readback.solids));
+        StepReport {
+            dt,
+            dt_floored: floored,
+            liquid: liquid.map(|(liquid, (outcome, report))| liquid.finish(&outcome, report)),
+            solid: solids.map(|(solids, ((outcome, contact), report))| {
+                solids.finish(&outcome, contact, report)
+            }),
+            coupling: readback.coupling,
+            seconds: by_stage(&readback.seconds),
+            seconds_total: 0.0,
+        }
+    }
+}
+
+/// The recording in progress, or a new one.
+fn recording<'r>(recorder: &'r mut Option<Recorder>, gpu: &Gpu) -> &'r mut Recorder {
+    recorder.get_or_insert_with(|| Recorder::timed(gpu))
+}
+
+impl Backend for SubStep<'_, '_> {
+    fn run(&mut self, stage: Stage) -> Result<(), Error> {
+        match stage {
+            Stage::MoveSolid => self.move_solid(),
+            Stage::Clip => self.clip(),
+            Stage::RightHandSide => self.right_hand_side(),
+            Stage::Solve => self.solve(),
+            Stage::Diagnose => self.diagnose(),
+            _ => self.record(stage),
+        }
+    }
+
+    fn after(&mut self, stage: Stage) -> Result<(), Error> {
+        let Some(observer) = &mut self.observer else {
+            return Ok(());
         };
-        let mut to = Recorder::timed(&self.gpu);
-        coupling.record_before(&mut to, solids);
-        solids.stages.move_solid.record(&mut to);
-        to.read(&solids.buffers.displacement, &mut coupling.moved);
-        let timing = to.submit();
-        let moved = coupling.moved.wait(&self.gpu)?;
-        told.seconds.append(&mut timing.wait()?);
-        let displacement = solids.buffers.displacement_of(&moved);
-        if let Some(observer) = observer {
-            observer(MoveSolid::NAME, self)?;
+        if let Some(recorder) = self.recorder.take() {
+            recorder.submit();
         }
+        observer(stage, self.path)
+    }
+}
+
+impl SubStep<'_, '_> {
+    /// Stages that only record dispatches.
+    fn record(&mut self, stage: Stage) -> Result<(), Error> {
+        let to = recording(&mut self.recorder, &self.path.gpu);
+        let (coupling, solids) = (self.path.coupling.as_ref(), self.path.solids.as_ref());
+        let liquid = self.path.liquid.as_ref();
+        if let Some(GpuLiquid {
+            buffers,
+            solver,
+            stages,
+            ..
+        }) = liquid
+        {
+            match stage {
+                Stage::AdvectMarkers => stages.advect_markers.record(to),
+                Stage::Exchange => stages.record_exchange(to),
+                Stage::Band => stages.band.record(to),
+                Stage::AdvectVelocity => stages.advect_velocity.record(to),
+                Stage::Forces => {
+                    stages.forces.record(to);
+                    if let Some((sources, stages)) = &stages.sources {
+                        sources.record_forces(to, stages, buffers);
+                    }
+                }
+                Stage::LiquidDistance => stages.liquid_distance.record(to),
+                Stage::ActiveCells => {
+                    if let Some(coupling) = coupling {
+                        coupling.record_clear(to);
+                    }
+                    to.stage(stage.name(), |pass| {
+                        stages.active_cells.record(pass, solver, buffers.within());
+                    });
+                }
+                Stage::ClosedComponents => to.stage(stage.name(), |pass| {
+                    let seal = coupling.map(|coupling| &coupling.stages.closed_components);
+                    stages.closed_components.label(pass, solver, seal);
+                }),
+                Stage::WriteBack => {
+                    stages.write_back.record(to);
+                    if let Some((_, sources)) = &stages.sources {
+                        sources.write_back.record(to);
+                    }
+                }
+                Stage::Extrapolate => {
+                    if let Some(extrapolate) = &stages.extrapolate {
+                        extrapolate.record(to);
+                    }
+                }
+                _ => {}
+            }
+        }
+        if let Some(solids) = solids {
+            match stage {
+                Stage::Forces => solids.stages.forces.record(to),
+                Stage::SolidMatrices => to.stage(stage.name(), |pass| {
+                    solids.stages.rotations.record_in(pass);
+                    solids.stages.system.record_matrices(pass);
+                }),
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// With liquid it reads back the displacements, which the clipping needs.
+    fn move_solid(&mut self) -> Result<(), Error> {
+        let to = recording(&mut self.recorder, &self.path.gpu);
+        let Some(solids) = &self.path.solids else {
+            return Ok(());
+        };
+        let Some(coupling) = &mut self.path.coupling else {
+            solids.stages.move_solid.record(to);
+            return Ok(());
+        };
+        coupling.record_before(to, solids);
+        solids.stages.move_solid.record(to);
+        to.read(&solids.buffers.displacement, &mut coupling.moved);
+        if let Some(timing) = self.recorder.take().map(Recorder::submit) {
+            let moved = coupling.moved.wait(&self.path.gpu)?;
+            self.readback.seconds.append(&mut timing.wait()?);
+            self.moved = solids.buffers.displacement_of(&moved);
+        }
+        Ok(())
+    }
+
+    /// The host clips, the device scatters the cut quads.
+    fn clip(&mut self) -> Result<(), Error> {
         let clock = Instant::now();
         let GpuPath {
             gpu,
@@ -103,311 +237,243 @@ impl GpuPath {
             liquid,
             solids,
             coupling,
+            obstacles,
             ..
-        } = self;
-        let both = liquid.as_mut().zip(solids.as_ref());
-        if let Some((coupling, both)) = coupling.as_mut().zip(both) {
+        } = &mut *self.path;
+        let (time, dt) = (head.time + self.dt, self.dt);
+        let Some(liquid) = liquid else {
+            return Ok(());
+        };
+        if let Some(obstacles) = obstacles {
+            obstacles.follow(gpu, liquid, time, dt)?;
+        }
+        if let Some((coupling, solids)) = coupling.as_mut().zip(solids.as_ref()) {
             let dt_last = head.dt_last;
             let at = At::Step { time, dt, dt_last };
-            coupling.follow(gpu, scene, both, &displacement, at)?;
+            coupling.follow(gpu, scene, (liquid, solids), &self.moved, at)?;
         }
-        told.seconds
-            .push((Clip::NAME, clock.elapsed().as_secs_f64()));
-        Ok(told)
+        let seconds = (Stage::Clip.name(), clock.elapsed().as_secs_f64());
+        self.readback.seconds.push(seconds);
+        let to = recording(&mut self.recorder, gpu);
+        if let Some(coupling) = coupling {
+            coupling.stages.clip.record(to);
+            coupling.record_slopes(to);
+        }
+        if let Some(obstacles) = obstacles {
+            obstacles.stage.record(to);
+        }
+        Ok(())
     }
 
-    /// The other stages, or all of them. Two waits: for the verdict of the solve, and for the reports; with liquid and solids one more, for
-    /// whether they touch.
-    fn stages_of(
-        &self,
-        dt: f64,
-        readbacks: &mut Readbacks,
-        observer: Option<Observer>,
-        mut told: Told,
-    ) -> Result<Told, Error> {
+    fn right_hand_side(&mut self) -> Result<(), Error> {
+        let to = recording(&mut self.recorder, &self.path.gpu);
+        let coupling = self.path.coupling.as_ref();
+        if let Some(GpuLiquid { stages, .. }) = &self.path.liquid {
+            stages.right_hand_side.record(to);
+            to.stage(Stage::ClosedComponents.name(), |pass| {
+                if let Some(coupling) = coupling {
+                    coupling.record_close(pass);
+                }
+                stages.closed_components.remove_means(pass);
+            });
+        }
+        if let Some(solids) = &self.path.solids {
+            let system = &solids.stages.system;
+            to.stage(Stage::RightHandSide.name(), |pass| {
+                system.record_right_hand_side(pass);
+                if let Some(patches) = coupling.and_then(|c| c.stages.patch_pressure.as_ref()) {
+                    patches.record(pass);
+                }
+                system.record_contacts(pass);
+            });
+        }
+        Ok(())
+    }
+
+    /// One solve for liquid and solids where they touch, else one for each.
+    fn solve(&mut self) -> Result<(), Error> {
+        self.solve_together()?;
+        if !self.readback.together {
+            self.solve_pressure()?;
+        }
+        self.check_squeeze()?;
+        let to = recording(&mut self.recorder, &self.path.gpu);
+        if let Some(GpuLiquid { stages, .. }) = &self.path.liquid {
+            to.stage(Stage::ClosedComponents.name(), |pass| {
+                stages.closed_components.centre_potential(pass);
+            });
+            if let Some(coupling) = &self.path.coupling {
+                coupling.record_push(to);
+            }
+        }
+        if !self.readback.together {
+            self.solve_velocity()?;
+        }
+        Ok(())
+    }
+
+    fn solve_together(&mut self) -> Result<(), Error> {
+        let GpuPath {
+            gpu,
+            scene,
+            liquid,
+            solids,
+            coupling,
+            readbacks,
+            ..
+        } = &mut *self.path;
+        let both = liquid.as_ref().zip(solids.as_ref());
+        let Some((coupling, (liquid, solids))) = coupling.as_ref().zip(both) else {
+            return Ok(());
+        };
+        let of_both = readbacks.coupling.as_mut().zip(readbacks.solids.as_mut());
+        let Some((solver, (coupling_readbacks, solid_readbacks))) =
+            coupling.together().zip(of_both)
+        else {
+            return Ok(());
+        };
+        let recorder = self.recorder.take().unwrap_or_else(|| Recorder::timed(gpu));
+        let (touch, mut seconds) = coupling.touch(gpu, liquid, recorder, coupling_readbacks)?;
+        self.readback.seconds.append(&mut seconds);
+        self.readback.together = touch.touching;
+        if !touch.touching {
+            return Ok(());
+        }
+        let step = solids.buffers.step_of(scene.domain.gravity, self.dt);
+        let (solved, mut seconds) = coupling.solve_in_contact(
+            gpu,
+            solver,
+            (liquid, solids),
+            solid_readbacks,
+            (step, self.dt),
+            touch,
+        )?;
+        self.readback.seconds.append(&mut seconds);
+        let [pressure, velocity] = solved.parts;
+        self.readback.condensed = solved.condensed;
+        self.readback.pressure = Some(pressure);
+        self.readback.velocity = Some((velocity, solved.contact));
+        Ok(())
+    }
+
+    fn solve_pressure(&mut self) -> Result<(), Error> {
+        let gpu = &self.path.gpu;
+        if let Some(GpuLiquid { solver, stages, .. }) = &self.path.liquid {
+            let recorder = self.recorder.take();
+            let recorder = recorder.unwrap_or_else(|| Recorder::timed(gpu));
+            let (outcome, mut seconds) = stages.solve.solve(gpu, recorder, solver)?;
+            self.readback.pressure = Some(outcome);
+            self.readback.seconds.append(&mut seconds);
+        }
+        Ok(())
+    }
+
+    /// Prescribed motion that would change the volume of an enclosed liquid component makes the solve incompatible.
+    fn check_squeeze(&mut self) -> Result<(), Error> {
+        let GpuPath {
+            gpu,
+            scene,
+            liquid,
+            solids,
+            coupling,
+            obstacles,
+            readbacks,
+            ..
+        } = &mut *self.path;
+        let Some((liquid, outcome)) = liquid.as_ref().zip(self.readback.pressure.as_mut()) else {
+            return Ok(());
+        };
+        if outcome.status != SolveStatus::Converged
+            || outcome.closed_components == 0
+            || !can_squeeze(scene)
+        {
+            return Ok(());
+        }
+        let clip = coupling.as_ref().map(|coupling| &coupling.clip);
+        let clip = clip.or(obstacles.as_ref().map(|obstacles| &obstacles.clip));
+        let fluxes = clip.map_or(&[][..], |clip| clip.obstacles().flux());
+        let sources = liquid.taken_by_sources(clip.map(|clip| &clip.cut_cells().open));
+        let taken = fluxes.iter().copied().chain(sources);
+        let together = self.readback.together;
+        let nodes = solids.as_ref().zip(clip).filter(|_| together);
+        if squeezed(gpu, &mut readbacks.squeeze, liquid, nodes, taken)? > SQUEEZE {
+            outcome.status = SolveStatus::Incompatible;
+            if let Some((velocity, _)) = &mut self.readback.velocity
+                && velocity.status == SolveStatus::Converged
+            {
+                velocity.status = SolveStatus::Incompatible;
+            }
+        }
+        Ok(())
+    }
+
+    fn solve_velocity(&mut self) -> Result<(), Error> {
+        let GpuPath {
+            gpu,
+            solids,
+            readbacks,
+            ..
+        } = &mut *self.path;
+        let Some((solids, readbacks)) = solids.as_ref().zip(readbacks.solids.as_mut()) else {
+            return Ok(());
+        };
+        let recorder = self.recorder.take();
+        let recorder = recorder.unwrap_or_else(|| Recorder::timed(gpu));
+        let polynomial = solids.polynomial(self.dt);
+        let (outcome, contact, mut seconds) =
+            solids.solve_in_contact(gpu, recorder, &mut readbacks.answer, &polynomial)?;
+        self.readback.velocity = Some((outcome, contact));
+        self.readback.seconds.append(&mut seconds);
+        if contact.unsettled > 0 {
+            // The velocities solve no system but the one that constrains all nodes.
+            recording(&mut self.recorder, gpu).clear(&solids.buffers.freedom);
+        }
+        Ok(())
+    }
+
+    fn diagnose(&mut self) -> Result<(), Error> {
         let GpuPath {
             gpu,
             liquid,
             solids,
             coupling,
+            readbacks,
             ..
-        } = self;
-        let (liquid, solids) = (liquid.as_ref(), solids.as_ref());
-        let coupling = coupling.as_ref();
-        let mut watch = Watch {
-            path: self,
-            observer,
-        };
-
-        let mut to = Recorder::timed(gpu);
-        if let Some(coupling) = coupling {
-            coupling.stages.clip.record(&mut to);
-            coupling.record_slopes(&mut to);
-            to = watch.after(Clip::NAME, to)?;
-        } else if let Some(GpuSolids { stages, .. }) = solids {
-            stages.move_solid.record(&mut to);
-            to = watch.after(MoveSolid::NAME, to)?;
-        }
-        if let Some(obstacles) = &self.obstacles {
-            obstacles.stage.record(&mut to);
-            to = watch.after(Clip::NAME, to)?;
-        }
-        if let Some(GpuLiquid {
-            buffers, stages, ..
-        }) = liquid
-        {
-            if let Some(advect_markers) = &stages.advect_markers {
-                advect_markers.record(&mut to, buffers);
-                to = watch.after(AdvectMarkers::NAME, to)?;
-                if stages.record_exchange(&mut to) {
-                    to = watch.after(EXCHANGE, to)?;
-                }
-                stages.band.record(&mut to);
-                to = watch.after(Band::NAME, to)?;
+        } = &mut *self.path;
+        let mut to = self.recorder.take().unwrap_or_else(|| Recorder::timed(gpu));
+        let mut liquid = liquid.as_ref().zip(readbacks.liquid.as_mut());
+        if let Some((liquid, readback)) = &mut liquid {
+            if let Some(diagnose) = &liquid.stages.diagnose {
+                diagnose.record(&mut to, &liquid.buffers);
             }
-            stages.advect_velocity.record(&mut to, buffers);
-            to = watch.after(AdvectVelocity::NAME, to)?;
+            to.read(&liquid.buffers.report, readback);
         }
-        if let Some(GpuLiquid {
-            buffers, stages, ..
-        }) = liquid
-        {
-            stages.forces.record(&mut to, buffers);
-            if let Some(sources) = &stages.sources {
-                sources.record_hold(&mut to, buffers);
-            }
+        let mut solids = solids.as_ref().zip(readbacks.solids.as_mut());
+        if let Some((solids, readbacks)) = &mut solids {
+            solids.stages.diagnose.record(&mut to, &solids.buffers);
+            to.read(&solids.buffers.report, &mut readbacks.report);
         }
-        if let Some(GpuSolids { stages, .. }) = solids {
-            stages.forces.record(&mut to);
-        }
-        to = watch.after(Forces::NAME, to)?;
-        if let Some(GpuLiquid {
-            buffers,
-            solver,
-            stages,
-            ..
-        }) = liquid
-        {
-            if let Some(liquid_distance) = &stages.liquid_distance {
-                liquid_distance.record_with(&mut to, buffers, stages.sinks.as_ref());
-                to = watch.after(LiquidDistance::NAME, to)?;
-            } else if let Some(volume) = stages.volume.as_ref().filter(|_| self.clip().is_some()) {
-                // The surface stays, and solids or obstacles move through it.
-                volume.record(&mut to);
-            }
-            if let Some(coupling) = coupling {
-                coupling.record_clear(&mut to);
-            }
-            to.stage("active_cells", |pass| {
-                stages.active_cells.record(pass, solver, within(buffers))
-            });
-            to.stage(Components::NAME, |pass| {
-                let seal = coupling.map(|coupling| &coupling.stages.closed_components);
-                stages.closed_components.label(pass, solver, seal)
-            });
-            to = watch.after("active_cells", to)?;
-        }
-        if let Some(GpuSolids { stages, .. }) = solids {
-            to.stage(ElementRotations::NAME, |pass| {
-                stages.rotations.dispatch(pass);
-                stages.system.record_matrices(pass);
-            });
-            to = watch.after(ElementRotations::NAME, to)?;
-        }
-        if let Some(GpuLiquid { solver, stages, .. }) = liquid {
-            stages.right_hand_side.record(&mut to, &active(solver));
-            to.stage(Components::NAME, |pass| {
-                if let Some(coupling) = coupling {
-                    coupling.record_close(pass);
-                }
-                stages.closed_components.remove_means(pass)
-            });
-        }
-        if let Some(GpuSolids { stages, .. }) = solids {
-            to.stage(RightHandSide::NAME, |pass| {
-                stages.system.record_right_hand_side(pass);
-                if let Some(patch_pressure) =
-                    coupling.and_then(|c| c.stages.patch_pressure.as_ref())
-                {
-                    patch_pressure.record(pass);
-                }
-                stages.system.record_contacts(pass);
-            });
-        }
-        to = watch.after(RightHandSide::NAME, to)?;
-        let mut pressure = None;
-        let mut elastic: Option<(Outcome, ContactReport)> = None;
-        let (mut together, mut condensed) = (false, false);
-        let one_solve = coupling.and_then(|coupling| Some((coupling, coupling.together()?)));
-        if let (Some((coupling, solver)), Some(both), Some(of_coupling), Some(of_solids)) = (
-            one_solve,
-            liquid.zip(solids),
-            readbacks.coupling.as_mut(),
-            readbacks.solids.as_mut(),
-        ) {
-            let (touch, mut seconds) = coupling.touch(gpu, both.0, to, of_coupling)?;
-            told.seconds.append(&mut seconds);
-            together = touch.touching;
-            if together {
-                let step = both.1.buffers.step_of(self.scene.domain.gravity, dt);
-                let (solved, mut seconds) =
-                    coupling.solve_in_contact(gpu, solver, both, of_solids, (step, dt), touch)?;
-                told.seconds.append(&mut seconds);
-                let [of_liquid, of_solids] = solved.parts;
-                condensed = solved.condensed;
-                (pressure, elastic) = (Some(of_liquid), Some((of_solids, solved.contact)));
-            }
-            to = Recorder::timed(gpu);
-        }
-        if let Some(part @ GpuLiquid { solver, stages, .. }) = liquid {
-            if !together {
-                let (outcome, mut seconds) = stages.solve.solve(gpu, to, solver)?;
-                pressure = Some(outcome);
-                told.seconds.append(&mut seconds);
-                to = Recorder::timed(gpu);
-            }
-            if let Some(outcome) = &mut pressure
-                && outcome.status == SolveStatus::Converged
-                && outcome.closed_components > 0
-                && can_squeeze(&self.scene)
-            {
-                let clip = self.clip();
-                let obstacles = clip.map_or(&[][..], |clip| clip.obstacles().flux());
-                let sources = part.taken_by_sources(clip.map(|clip| &clip.cut_cells().open));
-                let taken = obstacles.iter().copied().chain(sources);
-                let nodes = solids.zip(clip).filter(|_| together);
-                if squeezed(gpu, &mut readbacks.squeeze, part, nodes, taken)? > SQUEEZE {
-                    outcome.status = SolveStatus::Incompatible;
-                    if let Some((of_solids, _)) = &mut elastic
-                        && of_solids.status == SolveStatus::Converged
-                    {
-                        of_solids.status = SolveStatus::Incompatible;
-                    }
-                }
-            }
-            to.stage(Components::NAME, |pass| {
-                stages.closed_components.centre_potential(pass)
-            });
-            if let Some(coupling) = coupling {
-                coupling.record_push(&mut to);
-            }
-        }
-        if let Some((solids, SolidReadbacks { answer, .. })) =
-            solids.zip(readbacks.solids.as_mut()).filter(|_| !together)
-        {
-            let (outcome, contact, mut seconds) =
-                solids.solve_in_contact(gpu, to, answer, &solids.polynomial(dt))?;
-            elastic = Some((outcome, contact));
-            told.seconds.append(&mut seconds);
-            to = Recorder::timed(gpu);
-            if contact.unsettled > 0 {
-                // The velocities are those of no system but one that holds all nodes.
-                to.clear(&solids.buffers.freedom);
-            }
-        }
-        to = watch.after("solve", to)?;
-
-        if let Some(GpuLiquid {
-            buffers, stages, ..
-        }) = liquid
-        {
-            stages.write_back.record(&mut to, buffers);
-            if let Some(sources) = &stages.sources {
-                sources.record_carry(&mut to);
-            }
-            to = watch.after(WriteBack::NAME, to)?;
-            if let Some(extrapolate) = &stages.extrapolate {
-                extrapolate.record(&mut to, buffers);
-            }
-            to = watch.after(Extrapolate::NAME, to)?;
-        }
-        if let Some((liquid, readback)) = liquid.zip(readbacks.liquid.as_mut()) {
-            let GpuLiquid {
-                buffers,
-                solver,
-                stages,
-                ..
-            } = liquid;
-            if let Some(diagnose) = &stages.diagnose {
-                diagnose.record(&mut to, buffers, &active(solver));
-            }
-            to.read(&buffers.report, readback);
-        }
-        if let Some((solids, SolidReadbacks { report, .. })) = solids.zip(readbacks.solids.as_mut())
-        {
-            let GpuSolids {
-                buffers, stages, ..
-            } = solids;
-            stages.diagnose.record(&mut to, buffers);
-            to.read(&buffers.report, report);
-        }
-        if let Some((coupling, readbacks)) = coupling.zip(readbacks.coupling.as_mut()) {
+        let mut coupling = coupling.as_ref().zip(readbacks.coupling.as_mut());
+        if let Some((coupling, readbacks)) = &mut coupling {
             coupling.record_report(&mut to, readbacks);
         }
         let timing = to.submit();
-        if let Some((outcome, readback)) = pressure.zip(readbacks.liquid.as_mut()) {
-            told.liquid = Some((outcome, Report::from_words(&readback.wait(gpu)?)));
+        if let Some((_, readback)) = liquid {
+            self.readback.liquid = Some(Report::from_words(&readback.wait(gpu)?));
         }
-        if let Some((outcome, SolidReadbacks { report, .. })) =
-            elastic.zip(readbacks.solids.as_mut())
-        {
-            told.solids = Some((outcome, SolidReport::from_words(&report.wait(gpu)?)));
+        if let Some((_, readbacks)) = solids {
+            self.readback.solids = Some(SolidReport::from_words(&readbacks.report.wait(gpu)?));
         }
-        if let Some((coupling, readbacks)) = coupling.zip(readbacks.coupling.as_mut()) {
-            told.coupling = Some(coupling.report(gpu, readbacks, condensed)?);
+        if let Some((coupling, readbacks)) = coupling {
+            let condensed = self.readback.condensed;
+            self.readback.coupling = Some(coupling.report(gpu, readbacks, condensed)?);
         }
-        told.seconds.extend(timing.wait()?);
-        watch.after(Diagnose::NAME, Recorder::new(gpu))?;
-        Ok(told)
+        self.readback.seconds.extend(timing.wait()?);
+        Ok(())
     }
 }
 
-/// Submits after each stage where somebody listens.
-struct Watch<'a, 'b> {
-    path: &'a GpuPath,
-    observer: Option<Observer<'b>>,
-}
-
-impl<'a> Watch<'a, '_> {
-    fn after(
-        &mut self,
-        stage: &'static str,
-        recorder: Recorder<'a>,
-    ) -> Result<Recorder<'a>, Error> {
-        let Some(observer) = &mut self.observer else {
-            return Ok(recorder);
-        };
-        recorder.submit();
-        observer(stage, self.path)?;
-        Ok(Recorder::timed(&self.path.gpu))
-    }
-}
-
-impl GpuPath {
-    /// Moves the clock on and puts the row of steps.csv together.
-    fn finish(&mut self, TimeStep { dt, floored }: TimeStep, told: Told) -> StepReport {
-        if let Some(liquid) = &self.liquid {
-            self.head.sources_running = liquid.running_after(&self.head).running.into();
-        }
-        self.head
-            .advance_clock(dt, self.scene.time.frames_per_second);
-        let liquid = self.liquid.as_mut().zip(told.liquid);
-        let solids = self.solids.as_mut().zip(told.solids);
-        StepReport {
-            dt,
-            dt_floored: floored,
-            liquid: liquid.map(|(liquid, (outcome, report))| liquid.finish(&outcome, report)),
-            solid: solids.map(|(solids, ((outcome, contact), report))| {
-                solids.finish(&outcome, contact, report)
-            }),
-            coupling: told.coupling,
-            seconds: by_stage(&told.seconds),
-            seconds_total: 0.0,
-        }
-    }
-}
-
-/// What a solve did.
+/// The part of a report about a solve.
 pub(super) fn solve_report(outcome: &Outcome) -> SolveReport {
     SolveReport {
         unknowns: outcome.unknowns as usize,
@@ -417,7 +483,7 @@ pub(super) fn solve_report(outcome: &Outcome) -> SolveReport {
     }
 }
 
-/// Sums the times of a stage that took several passes, in the order of first appearance.
+/// Sums the times of a stage of several passes, in the order of first appearance.
 fn by_stage(times: &StageTimes) -> StageTimes {
     let mut sums: StageTimes = Vec::new();
     for &(stage, seconds) in times {

@@ -9,14 +9,13 @@ use std::sync::{Mutex, PoisonError};
 
 use crate::Error;
 use crate::gpu::{
-    Bound, Buffer, BufferPlan, Gpu, Kernel, Pass, Readback, Real, RealBuffer, Recorder, StageTimes,
-    Variant,
+    Bound, Buffer, Gpu, Kernel, Pass, Readback, Real, RealBuffer, Recorder, StageTimes, Variant,
 };
 use crate::scene::{Formulation, Solver};
 use crate::state::SolveStatus;
 
 use super::chebyshev::Polynomial;
-use super::coupling::{Coupling, LABELS, NODES, WET};
+use super::coupling::{Coupling, NODES, WET};
 use super::pcg::{Pcg, State, Unknowns};
 use super::refine::{SCALE, STATUS_STAGNATED, System, host_turns};
 use super::solid_system::SolidRows;
@@ -150,31 +149,6 @@ pub fn check_formulation(n_nodes: usize, solver: &Solver, variant: Variant) -> R
 }
 
 impl Condensed {
-    /// What [`Condensed::new`] allocates besides the folds of conjugate gradients.
-    pub(super) fn buffers(rows: &SolidRows, solver: &Solver, variant: Variant) -> Vec<BufferPlan> {
-        let (n, m) = (rows.rows.n_nodes as usize, rows.rows.n_elements as usize);
-        let (room, real) = (room(rows, solver, variant), variant.real);
-        if room == 0 {
-            return Vec::new();
-        }
-        let words = real.bytes() / 4;
-        vec![
-            BufferPlan::of::<u32>("condensed.wet", n),
-            BufferPlan::of::<Wetted>("condensed.wetted", 1),
-            BufferPlan::of::<u32>("condensed.nodes", room),
-            BufferPlan::of::<f32>("condensed.inverse", 9 * room * room),
-            RealBuffer::plan("condensed.y", 4 * n, real),
-            BufferPlan::of::<Coupling>("condensed.quads", 1),
-            BufferPlan::of::<u32>("condensed.wet (read-back)", n),
-            BufferPlan::of::<[f32; 4]>("condensed.freedom (read-back)", n),
-            BufferPlan::of::<u32>("condensed.rotated (read-back)", 12 * words * m),
-            BufferPlan::of::<u32>("condensed.masses (read-back)", words * n),
-            BufferPlan::of::<u32>("condensed.nodes (read-back)", 4 * words * n),
-            BufferPlan::of::<Level>(LABELS.level, 2),
-            BufferPlan::of::<Level>(LABELS.totals, 2),
-        ]
-    }
-
     /// Compiles and binds; `None` where it does not serve.
     pub(super) fn new(
         gpu: &Gpu,
@@ -411,7 +385,7 @@ impl TwoFieldSolver {
         &self,
         condensed: &Condensed,
         gpu: &'a Gpu,
-        recorder: Recorder<'a>,
+        recorder: Recorder,
         at: CoupledFields,
         polynomial: &Polynomial,
         again: bool,

@@ -211,7 +211,7 @@ impl TwoFieldSolver {
     pub(super) fn solve_with_host_turns<'a>(
         &self,
         gpu: &'a Gpu,
-        mut recorder: Recorder<'a>,
+        mut recorder: Recorder,
         at: CoupledFields,
         polynomial: &Polynomial,
         again: bool,
@@ -450,7 +450,7 @@ impl TwoFieldSolver {
     fn iterate<'a>(
         &self,
         gpu: &'a Gpu,
-        mut recorder: Recorder<'a>,
+        mut recorder: Recorder,
         times: &mut StageTimes,
         record: impl Fn(&mut Pass),
     ) -> Result<Control, Error> {

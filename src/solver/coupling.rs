@@ -1,7 +1,7 @@
 //! J between liquid and solids on the device, in the units of the pressure's system, and what a coupled solve computes with.
 
 use crate::Error;
-use crate::gpu::{Buffer, BufferPlan, Gpu, RealBuffer, Variant, WG_SIZE, groups};
+use crate::gpu::{Arrays, Binding, Buffer, Gpu, RealBuffer, WG_SIZE, groups};
 
 use super::pcg::{Labels, labels};
 use super::solid_system::SolidSystemBuffers;
@@ -66,32 +66,6 @@ pub struct CouplingSize {
     pub pairs: usize,
 }
 
-impl CouplingSize {
-    /// What [`CouplingBuffers::new`] allocates for solids of `n` nodes and a liquid of so many levels.
-    pub fn buffers(
-        &self,
-        n: usize,
-        n_levels: usize,
-        Variant { real, inner, .. }: Variant,
-    ) -> Vec<BufferPlan> {
-        let real = |label, len| RealBuffer::plan(label, len, real);
-        vec![
-            BufferPlan::of::<Coupling>("coupling.coupling", 1),
-            BufferPlan::of::<u32>("coupling.sizes", 4 * (N_LISTS + 1)),
-            BufferPlan::of::<u32>("coupling.args", 4 * (n_levels + N_LISTS + 1)),
-            BufferPlan::of::<u32>("coupling.words", 2 * self.quads + n + 2),
-            BufferPlan::of::<[u32; 4]>("coupling.quad_pairs", self.pairs),
-            BufferPlan::of::<[u32; 4]>("coupling.node_pairs", self.pairs),
-            real("coupling.partials", 4 * (self.quads + n)),
-            RealBuffer::plan("coupling.kept", 4 * self.quads, inner),
-            real("coupling.base", 4 * self.quads),
-            real("coupling.t", 4 * n),
-            real("coupling.difference", 4 * n),
-            BufferPlan::of::<u32>("coupling.report", REPORT_WORDS),
-        ]
-    }
-}
-
 /// J, and the vectors of a coupled solve over nodes and wet quads.
 #[derive(Debug)]
 pub struct CouplingBuffers {
@@ -128,6 +102,20 @@ pub struct CouplingBuffers {
     pub report: Buffer<u32>,
 }
 
+impl Arrays for CouplingBuffers {
+    fn array(&self, name: &str) -> Option<Binding<'_>> {
+        Some(match name {
+            "coupling" => (&self.coupling).into(),
+            "words" => (&self.words).into(),
+            "quad_pairs" => (&self.quad_pairs).into(),
+            "node_pairs" => (&self.node_pairs).into(),
+            "partials" => (&self.partials).into(),
+            "report" => (&self.report).into(),
+            _ => return None,
+        })
+    }
+}
+
 impl CouplingBuffers {
     /// Allocates for the systems of a liquid and of solids. Nothing is coupled until [`CouplingBuffers::write`].
     ///
@@ -141,16 +129,11 @@ impl CouplingBuffers {
     ) -> Result<CouplingBuffers, Error> {
         let (n, n_levels) = (solids.sizes.n_nodes as usize, liquid.plan.len());
         let variant = liquid.variant;
-        let plans = size.buffers(n, n_levels, variant);
-        let len = |label: &str| {
-            let plan = plans.iter().find(|plan| plan.label == label);
-            plan.map_or(0, |plan| plan.len)
-        };
-        let real = |label: &str| RealBuffer::new(gpu, label, len(label), variant.real);
-        let words = |label: &str| gpu.buffer(label, len(label));
-        let pairs = |label: &str| gpu.buffer(label, len(label));
+        let real = |label: &str, len| RealBuffer::new(gpu, label, len, variant.real);
+        let words = |label: &str, len| gpu.buffer(label, len);
         let coupling = gpu.uniform("coupling.coupling", &Coupling::default())?;
-        let (sizes, args) = (words("coupling.sizes")?, words("coupling.args")?);
+        let sizes = words("coupling.sizes", 4 * (N_LISTS + 1))?;
+        let args = words("coupling.args", 4 * (n_levels + N_LISTS + 1))?;
         Ok(CouplingBuffers {
             size,
             now: Coupling::default(),
@@ -159,17 +142,17 @@ impl CouplingBuffers {
             n_bodies: solids.sizes.n_bodies as usize,
             n_levels,
             coupling,
-            words: words("coupling.words")?,
-            quad_pairs: pairs("coupling.quad_pairs")?,
-            node_pairs: pairs("coupling.node_pairs")?,
+            words: words("coupling.words", 2 * size.quads + n + 2)?,
+            quad_pairs: gpu.buffer("coupling.quad_pairs", size.pairs)?,
+            node_pairs: gpu.buffer("coupling.node_pairs", size.pairs)?,
             sizes,
             args,
-            partials: real("coupling.partials")?,
-            kept: RealBuffer::new(gpu, "coupling.kept", len("coupling.kept"), variant.inner)?,
-            base: real("coupling.base")?,
-            t: real("coupling.t")?,
-            difference: real("coupling.difference")?,
-            report: words("coupling.report")?,
+            partials: real("coupling.partials", 4 * (size.quads + n))?,
+            kept: RealBuffer::new(gpu, "coupling.kept", 4 * size.quads, variant.inner)?,
+            base: real("coupling.base", 4 * size.quads)?,
+            t: real("coupling.t", 4 * n)?,
+            difference: real("coupling.difference", 4 * n)?,
+            report: words("coupling.report", REPORT_WORDS)?,
         })
     }
 

@@ -6,7 +6,7 @@ use std::sync::PoisonError;
 use rayon::prelude::*;
 
 use crate::Error;
-use crate::gpu::{BufferPlan, Gpu, Readback, Recorder};
+use crate::gpu::{Gpu, Readback, Recorder};
 use crate::grid::Padded;
 
 use super::SolverBuffers;
@@ -23,16 +23,6 @@ pub(super) struct PressureReadbacks {
 }
 
 impl PressureReadbacks {
-    /// What will be allocated.
-    pub(super) fn plan(quads: usize) -> [BufferPlan; 4] {
-        [
-            BufferPlan::of::<u32>("solver.matrix (read-back)", 4 * 4 * quads),
-            BufferPlan::of::<u32>("solver.flags (read-back)", quads),
-            BufferPlan::of::<u32>("solver.rhs (read-back)", 4 * quads),
-            BufferPlan::of::<u32>("solver.labels (read-back)", 4 * quads),
-        ]
-    }
-
     pub(super) fn new(gpu: &Gpu, quads: usize) -> Result<PressureReadbacks, Error> {
         let section = || Readback::new(gpu, "solver.matrix", 4 * quads);
         Ok(PressureReadbacks {

@@ -38,7 +38,6 @@ mod hierarchy;
 mod host_residual;
 mod patch_pressure;
 mod pcg;
-mod plan;
 mod pressure;
 mod refine;
 mod solid_contacts;
@@ -57,7 +56,6 @@ pub use condensed::{MOST_WETTED, WORTH_WETTED, Wetted, can_condense, check_formu
 pub use coupling::{Coupling, CouplingBuffers, CouplingSize, Pair, REPORT_WORDS};
 pub use hierarchy::{Hierarchy, Tail, TailStep};
 pub use patch_pressure::{OpenFaces, PatchPressure, PressureSlope};
-pub use plan::small_buffers;
 pub use pressure::PressureSolver;
 pub use refine::{OF_OTHER, Outcome, RefineSettings, rounding};
 pub use solid_contacts::{ContactSearch, ObstacleField};

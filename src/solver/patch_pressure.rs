@@ -4,11 +4,12 @@
 use glam::{DMat3, DVec3};
 
 use crate::Error;
-use crate::gpu::{Bound, Buffer, BufferPlan, Gpu, Kernel, Pass, RealBuffer, Variant};
+use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, RealBuffer};
 use crate::grid::Layout;
+use crate::step::Stage;
 
 use super::SolverBuffers;
-use super::coupling::{CouplingBuffers, CouplingSize, Pair};
+use super::coupling::{CouplingBuffers, Pair};
 use super::solid_system::{SolidFields, SolidSystemBuffers};
 
 /// The doppelganger of `PressureSlope` in `shaders/common/pressure_slope.wgsl`.
@@ -48,16 +49,6 @@ pub struct PatchPressure {
 }
 
 impl PatchPressure {
-    /// What [`PatchPressure::new`] allocates for solids of `n` nodes.
-    pub fn buffers(size: &CouplingSize, n: usize, variant: Variant) -> Vec<BufferPlan> {
-        vec![
-            BufferPlan::of::<PressureSlope>("patch_pressure.slope", 1),
-            BufferPlan::of::<[u32; 4]>("patch_pressure.moments", 3 * size.pairs),
-            BufferPlan::of::<[f32; 4]>("patch_pressure.slopes", 4 * size.quads),
-            RealBuffer::plan("patch_pressure.correction", 4 * n, variant.real),
-        ]
-    }
-
     /// Compiles and binds. `at_rest`: gradient of the pressure of liquid at rest, Pa/m, taken everywhere unless `faces` are given.
     ///
     /// # Errors
@@ -72,28 +63,26 @@ impl PatchPressure {
     ) -> Result<PatchPressure, Error> {
         let (size, n) = (coupling.size, coupling.n_nodes);
         let variant = liquid.variant;
-        let [slope, moments, slopes, correction] = PatchPressure::buffers(&size, n, variant)
-            .try_into()
-            .expect("there are four");
         let at_rest = at_rest.as_vec3();
-        let everywhere = vec![at_rest.extend(0.0).to_array(); slopes.len];
+        let everywhere = vec![at_rest.extend(0.0).to_array(); 4 * size.quads];
         let at_rest = at_rest.to_array();
         let slope = gpu.uniform(
-            slope.label,
+            "patch_pressure.slope",
             &PressureSlope {
                 at_rest,
                 scale: 0.0,
             },
         )?;
-        let moments = gpu.buffer(moments.label, moments.len)?;
-        let slopes = gpu.buffer_with(slopes.label, &everywhere)?;
-        let correction = RealBuffer::new(gpu, correction.label, correction.len, variant.real)?;
-        let kernel = |source| Kernel::new(gpu, source, variant.real);
+        let moments = gpu.buffer("patch_pressure.moments", 3 * size.pairs)?;
+        let slopes = gpu.buffer_with("patch_pressure.slopes", &everywhere)?;
+        let correction = RealBuffer::new(gpu, "patch_pressure.correction", 4 * n, variant.real)?;
+        let kernel =
+            |stage: Stage, source| Kernel::new(&gpu.at(stage.name()), source, variant.real);
         let joint = ("coupling", (&coupling.coupling).into());
         let words = ("words", (&coupling.words).into());
         let flags = ("flags", (&liquid.flags).into());
         let measure = |faces: OpenFaces| {
-            kernel(&crate::wgsl!("pressure_slopes"))?.bind(
+            kernel(Stage::Clip, &crate::wgsl!("pressure_slopes"))?.bind(
                 gpu,
                 &[
                     ("level", faces.level.into()),
@@ -112,7 +101,7 @@ impl PatchPressure {
             n_quads: size.quads,
             at_rest,
             measure: faces.map(measure).transpose()?,
-            apply: kernel(&crate::wgsl!("patch_pressure"))?.bind(
+            apply: kernel(Stage::RightHandSide, &crate::wgsl!("patch_pressure"))?.bind(
                 gpu,
                 &[
                     joint,

@@ -19,23 +19,18 @@ const BEGIN: usize = 2;
 #[derive(Debug)]
 pub(super) struct Labels {
     pub(super) control: &'static str,
-    pub(super) control_back: &'static str,
     pub(super) scalars: &'static str,
     pub(super) gated: &'static str,
     pub(super) gate: &'static str,
     pub(super) folded: &'static str,
     pub(super) outer_folded: &'static str,
     pub(super) norms: &'static str,
-    pub(super) norms_back: &'static str,
     pub(super) level: &'static str,
     pub(super) totals: &'static str,
     pub(super) refine_settings: &'static str,
     pub(super) x: &'static str,
-    pub(super) x_back: &'static str,
     pub(super) args: &'static str,
-    pub(super) args_back: &'static str,
     pub(super) correction: &'static str,
-    pub(super) correction_back: &'static str,
 }
 
 /// The labels of a group of buffers.
@@ -43,23 +38,18 @@ macro_rules! labels {
     ($group:literal) => {
         $crate::solver::pcg::Labels {
             control: concat!($group, ".control"),
-            control_back: concat!($group, ".control (read-back)"),
             scalars: concat!($group, ".scalars"),
             gated: concat!($group, ".gated"),
             gate: concat!($group, ".gate"),
             folded: concat!($group, ".folded"),
             outer_folded: concat!($group, ".outer_folded"),
             norms: concat!($group, ".norms"),
-            norms_back: concat!($group, ".norms (read-back)"),
             level: concat!($group, ".level"),
             totals: concat!($group, ".totals"),
             refine_settings: concat!($group, ".refine_settings"),
             x: concat!($group, ".x"),
-            x_back: concat!($group, ".x (read-back)"),
             args: concat!($group, ".args"),
-            args_back: concat!($group, ".args (read-back)"),
             correction: concat!($group, ".correction"),
-            correction_back: concat!($group, ".correction (read-back)"),
         }
     };
 }

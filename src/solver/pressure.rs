@@ -42,7 +42,7 @@ impl PressureSolver {
     pub fn solve<'a>(
         &self,
         gpu: &'a Gpu,
-        recorder: Recorder<'a>,
+        recorder: Recorder,
         buffers: &SolverBuffers,
     ) -> Result<(Outcome, StageTimes), Error> {
         self.0.solve(gpu, recorder, buffers)

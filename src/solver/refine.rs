@@ -318,7 +318,7 @@ impl<S: System> OuterLoop<S> {
     pub(super) fn solve<'a>(
         &self,
         gpu: &'a Gpu,
-        mut recorder: Recorder<'a>,
+        mut recorder: Recorder,
         buffers: S::Buffers<'_>,
     ) -> Result<(Outcome, StageTimes), Error> {
         recorder.stage("solve", |pass| {

@@ -5,6 +5,7 @@
 use crate::Error;
 use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, RealBuffer};
 use crate::grid::Layout;
+use crate::step::Stage;
 
 use super::solid_system::{SolidFields, SolidSystemBuffers};
 
@@ -126,7 +127,8 @@ impl SolidContacts {
         fields: SolidFields,
         obstacles: Option<ObstacleField>,
     ) -> Result<SolidContacts, Error> {
-        let kernel = |source| Kernel::new(gpu, source, buffers.variant);
+        let gpu_at = &gpu.at(Stage::RightHandSide.name());
+        let kernel = |source| Kernel::new(gpu_at, source, buffers.variant);
         let step = ("step", fields.step);
         let rest = ("rest", fields.rest.into());
         let displacement = ("displacement", fields.displacement.into());

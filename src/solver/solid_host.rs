@@ -5,7 +5,7 @@ use std::sync::{Arc, PoisonError};
 use glam::{DMat3, DVec3};
 
 use crate::Error;
-use crate::gpu::{BufferPlan, Gpu, Readback, Recorder};
+use crate::gpu::{Gpu, Readback, Recorder};
 
 use super::refine::{HostResidual, HostSystem};
 use super::solid_system::{SolidFields, SolidRows, SolidSystemBuffers};
@@ -23,18 +23,6 @@ pub(super) struct SolidReadbacks {
 }
 
 impl SolidReadbacks {
-    /// What will be allocated for n nodes and m elements.
-    pub(super) fn plan(n: usize, m: usize) -> [BufferPlan; 6] {
-        [
-            BufferPlan::of::<[f32; 4]>("solid.freedom (read-back)", n),
-            BufferPlan::of::<u32>("solid.rotated (read-back)", 12 * m),
-            BufferPlan::of::<u32>("solid_solver.masses (read-back)", 2 * n),
-            BufferPlan::of::<u32>("solid_solver.rhs (read-back)", 4 * n),
-            BufferPlan::of::<u32>("solid.velocity (read-back)", 4 * n),
-            BufferPlan::of::<u32>("solid_solver.guess (read-back)", 4 * n),
-        ]
-    }
-
     pub(super) fn new(gpu: &Gpu, rows: &SolidRows) -> Result<SolidReadbacks, Error> {
         let (n, m) = (rows.rows.n_nodes as usize, rows.rows.n_elements as usize);
         Ok(SolidReadbacks {

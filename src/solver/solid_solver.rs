@@ -2,9 +2,7 @@
 //! D^-1 S, in the outer loop.
 
 use crate::Error;
-use crate::gpu::{
-    Bound, Buffer, BufferPlan, Gpu, Kernel, Pass, RealBuffer, Recorder, SPLIT, StageTimes,
-};
+use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, RealBuffer, Recorder, SPLIT, StageTimes};
 use crate::scene::Solver;
 
 use super::chebyshev::{MAX_DEGREE, Polynomial};
@@ -60,15 +58,6 @@ pub fn solid_kernels(rows: &SolidRows) -> Vec<&'static str> {
     kernels
 }
 
-/// The uniforms of the steps of the polynomial, where each is a dispatch.
-pub(super) fn sweeps(rows: &SolidRows) -> Vec<BufferPlan> {
-    if in_workgroups(rows.largest_body(), rows.rows.n_bodies as usize) {
-        return Vec::new();
-    }
-    let plan = BufferPlan::of::<[u32; 4]>("solid_solver.sweep", MAX_DEGREE + 1);
-    vec![plan]
-}
-
 /// The solve of a step: everything between right-hand side and velocity.
 #[derive(Debug)]
 pub struct SolidSolver {
@@ -107,7 +96,7 @@ impl SolidSolver {
     pub fn solve<'a>(
         &self,
         gpu: &'a Gpu,
-        recorder: Recorder<'a>,
+        recorder: Recorder,
         buffers: &SolidSystemBuffers,
         fields: SolidFields,
         polynomial: &Polynomial,

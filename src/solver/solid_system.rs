@@ -9,14 +9,12 @@ use std::sync::{Arc, Mutex};
 use crate::Error;
 use crate::elastic::{Incidence, Solids};
 use crate::gpu::{
-    Binding, Bound, Buffer, BufferPlan, Gpu, Kernel, Pass, Real, RealBuffer, Variant, WG_SIZE,
-    groups,
+    Binding, Bound, Buffer, Gpu, Kernel, Pass, Real, RealBuffer, Variant, WG_SIZE, groups,
 };
 use crate::scene::Solver;
+use crate::step::Stage;
 
-use super::chebyshev::Polynomial;
 use super::pcg::{Labels, labels};
-use super::plan::outer_loop;
 use super::solid_contacts::{ContactSearch, ObstacleField, SolidContacts};
 use super::solid_host::SolidReadbacks;
 use super::{FOLD_THREADS, Level, variant};
@@ -207,55 +205,6 @@ impl SolidRows {
     pub(super) fn long_sums(&self) -> bool {
         self.rows.n_nodes as usize > 4 * FOLD_THREADS
     }
-
-    /// What [`SolidSystemBuffers::new`] allocates, uniforms aside.
-    pub fn buffers(&self, Variant { real, inner, .. }: Variant) -> Vec<BufferPlan> {
-        let (n, m) = (self.rows.n_nodes as usize, self.rows.n_elements as usize);
-        let partials = n.max(FOLD_THREADS);
-        let mut plans = vec![
-            BufferPlan::of::<u32>("solid_solver.list", self.list.len()),
-            BufferPlan::of::<u32>("solid_solver.args", 4 * (N_LISTS + 1)),
-            BufferPlan::of::<u32>("solid_solver.incidence", self.incidence.len()),
-            BufferPlan::of::<u32>("solid_solver.joints", self.joints.len()),
-            BufferPlan::of::<u32>("solid_solver.neighbours", self.neighbours.len()),
-            RealBuffer::plan("solid_solver.blocks", 12 * self.neighbours.len(), inner),
-            RealBuffer::plan("solid_solver.inverse", 12 * n, inner),
-            RealBuffer::plan("solid_solver.masses", 2 * n, real),
-            RealBuffer::plan("solid_solver.rhs", 4 * n, real),
-            RealBuffer::plan("solid_solver.outer", 4 * n, real),
-            RealBuffer::plan("solid_solver.products", 12 * m, real),
-            RealBuffer::plan("solid_solver.r", 4 * n, real),
-            RealBuffer::plan("solid_solver.z", 4 * n, real),
-            RealBuffer::plan("solid_solver.search", 8 * n, real),
-            RealBuffer::plan("solid_solver.q", 4 * n, real),
-            RealBuffer::plan("solid_solver.pair", 8 * n, inner),
-            RealBuffer::plan("solid_solver.increment", 4 * n, inner),
-            RealBuffer::plan("solid_solver.best", 4 * n, real),
-            RealBuffer::plan("solid_solver.partials", 4 * partials, real),
-        ];
-        if real == Real::F32 {
-            plans.extend(SolidReadbacks::plan(n, m));
-        }
-        plans
-    }
-
-    /// The uniforms of [`SolidSystemBuffers`] and [`SolidSolver`](super::SolidSolver), and what its outer loop keeps.
-    pub fn small_buffers(&self, solver: &Solver, variant: Variant) -> Vec<BufferPlan> {
-        let n_scalars = 4 * self.rows.n_nodes as usize;
-        let mut plans = outer_loop(
-            &LABELS,
-            [N_LISTS, n_scalars],
-            self.long_sums(),
-            solver,
-            rounds(variant),
-        );
-        plans.extend([
-            BufferPlan::of::<Rows>("solid_solver.rows", 1),
-            BufferPlan::of::<Polynomial>("solid_solver.polynomial", 1),
-        ]);
-        plans.extend(super::solid_solver::sweeps(self));
-        plans
-    }
 }
 
 /// Scalar types of outer loop and rounds: conjugate gradients are as precise as the residual, and only their preconditioner is not.
@@ -350,16 +299,14 @@ impl SolidSystemBuffers {
     ) -> Result<SolidSystemBuffers, Error> {
         super::system::check_precision(gpu, solver.precision)?;
         let variant = variant(gpu.has_f64(), solver.precision);
-        let plans = layout.buffers(variant);
-        for plan in &plans {
-            gpu.report().check_buffer(plan.label, plan.bytes())?;
-        }
-        let len = |label: &str| {
-            let plan = plans.iter().find(|plan| plan.label == label);
-            plan.map_or(0, |plan| plan.len)
-        };
-        let real = |label: &str| RealBuffer::new(gpu, label, len(label), variant.real);
-        let inner = |label: &str| RealBuffer::new(gpu, label, len(label), variant.inner);
+        let (n, m) = (
+            layout.rows.n_nodes as usize,
+            layout.rows.n_elements as usize,
+        );
+        let partials = n.max(FOLD_THREADS);
+        let n_neighbours = layout.neighbours.len();
+        let real = |label: &str, len| RealBuffer::new(gpu, label, len, variant.real);
+        let inner = |label: &str, len| RealBuffer::new(gpu, label, len, variant.inner);
         let sizes = layout.rows;
         let mut args = Vec::new();
         for n in [sizes.n_nodes.div_ceil(WG_SIZE), sizes.n_bodies] {
@@ -380,20 +327,20 @@ impl SolidSystemBuffers {
             incidence: gpu.buffer_with("solid_solver.incidence", &layout.incidence)?,
             joints: gpu.buffer_with("solid_solver.joints", &layout.joints)?,
             neighbours: gpu.buffer_with("solid_solver.neighbours", &layout.neighbours)?,
-            blocks: inner("solid_solver.blocks")?,
-            inverse: inner("solid_solver.inverse")?,
-            masses: real("solid_solver.masses")?,
-            rhs: real("solid_solver.rhs")?,
-            outer: real("solid_solver.outer")?,
-            products: real("solid_solver.products")?,
-            r: real("solid_solver.r")?,
-            z: real("solid_solver.z")?,
-            search: real("solid_solver.search")?,
-            q: real("solid_solver.q")?,
-            pair: inner("solid_solver.pair")?,
-            increment: inner("solid_solver.increment")?,
-            best: real("solid_solver.best")?,
-            partials: real("solid_solver.partials")?,
+            blocks: inner("solid_solver.blocks", 12 * n_neighbours)?,
+            inverse: inner("solid_solver.inverse", 12 * n)?,
+            masses: real("solid_solver.masses", 2 * n)?,
+            rhs: real("solid_solver.rhs", 4 * n)?,
+            outer: real("solid_solver.outer", 4 * n)?,
+            products: real("solid_solver.products", 12 * m)?,
+            r: real("solid_solver.r", 4 * n)?,
+            z: real("solid_solver.z", 4 * n)?,
+            search: real("solid_solver.search", 8 * n)?,
+            q: real("solid_solver.q", 4 * n)?,
+            pair: inner("solid_solver.pair", 8 * n)?,
+            increment: inner("solid_solver.increment", 4 * n)?,
+            best: real("solid_solver.best", 4 * n)?,
+            partials: real("solid_solver.partials", 4 * partials)?,
             to_host: (variant.real == Real::F32)
                 .then(|| SolidReadbacks::new(gpu, layout).map(Mutex::new))
                 .transpose()?,
@@ -490,7 +437,10 @@ impl SolidSystem {
         fields: SolidFields,
         obstacles: Option<ObstacleField>,
     ) -> Result<SolidSystem, Error> {
-        let kernel = |source| Kernel::new(gpu, source, buffers.variant);
+        let at_right_hand_side = &gpu.at(Stage::RightHandSide.name());
+        let kernel = |source| Kernel::new(at_right_hand_side, source, buffers.variant);
+        let at_matrices = gpu.at(Stage::SolidMatrices.name());
+        let blocks = Kernel::new(&at_matrices, &crate::wgsl!("solid_blocks"), buffers.variant)?;
         let rows = ("rows", (&buffers.rows).into());
         let step = ("step", fields.step);
         let flags = ("flags", fields.flags.into());
@@ -499,7 +449,7 @@ impl SolidSystem {
         let rotated = ("rotated", fields.rotated.into());
         let incidence = ("incidence", (&buffers.incidence).into());
         Ok(SolidSystem {
-            blocks: kernel(&crate::wgsl!("solid_blocks"))?.bind(
+            blocks: blocks.bind(
                 gpu,
                 &[
                     rows,

@@ -4,11 +4,12 @@ use std::sync::Mutex;
 
 use crate::Error;
 use crate::gpu::{
-    Bound, Buffer, BufferPlan, CompactKernels, Compaction, Gpu, Kernel, Pass, Real, RealBuffer,
-    Variant, WG_SIZE, groups,
+    Arrays, Binding, Bound, Buffer, CompactKernels, Compaction, Gpu, Kernel, Pass, Real,
+    RealBuffer, Variant, WG_SIZE, groups,
 };
 use crate::grid::{Grid, Padded};
 use crate::scene::Precision;
+use crate::step::Stage;
 
 use super::components::STATE_WORDS;
 use super::host_residual::PressureReadbacks;
@@ -142,37 +143,6 @@ pub struct SolverBuffers {
 }
 
 impl SolverBuffers {
-    /// What will be allocated.
-    pub fn plan(grid: &Grid, variant: Variant) -> Vec<BufferPlan> {
-        let plan = LevelPlan::new(grid);
-        let (cells, total) = (plan.levels[0].len(), 4 * plan.total);
-        let Variant { real, inner, .. } = variant;
-        let partials = cells.max(4 * FOLD_THREADS);
-        let mut plans = vec![
-            BufferPlan::of::<u32>("solver.flags", plan.total),
-            BufferPlan::of::<u32>("solver.list", plan.total),
-            BufferPlan::of::<u32>("solver.args", 4 * (plan.len() + 1)),
-            RealBuffer::plan("solver.matrix", 5 * total, inner),
-            RealBuffer::plan("solver.rhs", cells, real),
-            RealBuffer::plan("solver.potential", cells, real),
-            BufferPlan::of::<u32>("solver.labels", cells),
-            BufferPlan::of::<u32>("solver.components", STATE_WORDS),
-            RealBuffer::plan("solver.outer", cells, real),
-            RealBuffer::plan("solver.r", total, inner),
-            RealBuffer::plan("solver.z", total, inner),
-            RealBuffer::plan("solver.z_next", total, inner),
-            RealBuffer::plan("solver.search", 2 * cells, inner),
-            RealBuffer::plan("solver.q", cells, inner),
-            RealBuffer::plan("solver.partials", partials, inner),
-            RealBuffer::plan("solver.outer_partials", partials, real),
-            Compaction::scratch("solver.scratch", plan.levels[0].quads),
-        ];
-        if real == Real::F32 {
-            plans.extend(PressureReadbacks::plan(plan.levels[0].quads));
-        }
-        plans
-    }
-
     /// Allocates for a grid.
     ///
     /// # Errors
@@ -181,42 +151,52 @@ impl SolverBuffers {
         check_precision(gpu, precision)?;
         let plan = LevelPlan::new(grid);
         let variant = variant(gpu.has_f64(), precision);
-        let sizes = SolverBuffers::plan(grid, variant);
-        let len = |label: &str| {
-            sizes
-                .iter()
-                .find(|size| size.label == label)
-                .map_or(0, |size| size.len)
-        };
-        let words = |label: &str| gpu.buffer(label, len(label));
-        let inner = |label: &str| RealBuffer::new(gpu, label, len(label), variant.inner);
-        let real = |label: &str| RealBuffer::new(gpu, label, len(label), variant.real);
+        let (cells, total) = (plan.levels[0].len(), 4 * plan.total);
+        let partials = cells.max(4 * FOLD_THREADS);
+        let words = |label: &str, len| gpu.buffer(label, len);
+        let inner = |label: &str, len| RealBuffer::new(gpu, label, len, variant.inner);
+        let real = |label: &str, len| RealBuffer::new(gpu, label, len, variant.real);
         // Empty lists; sums of two levels end with a fixed number of partials, which the last entry holds.
-        let mut args = vec![0; len("solver.args")];
+        let mut args = vec![0; 4 * (plan.len() + 1)];
         args[4 * plan.len() + 3] = FOLD_THREADS as u32;
         Ok(SolverBuffers {
-            flags: words("solver.flags")?,
-            list: words("solver.list")?,
+            flags: words("solver.flags", plan.total)?,
+            list: words("solver.list", plan.total)?,
             args: gpu.buffer_with("solver.args", &args)?,
-            matrix: inner("solver.matrix")?,
-            rhs: real("solver.rhs")?,
-            potential: real("solver.potential")?,
-            labels: words("solver.labels")?,
-            components: words("solver.components")?,
-            outer: real("solver.outer")?,
-            r: inner("solver.r")?,
-            z: inner("solver.z")?,
-            z_next: inner("solver.z_next")?,
-            search: inner("solver.search")?,
-            q: inner("solver.q")?,
-            partials: inner("solver.partials")?,
-            outer_partials: real("solver.outer_partials")?,
-            scratch: words("solver.scratch")?,
+            matrix: inner("solver.matrix", 5 * total)?,
+            rhs: real("solver.rhs", cells)?,
+            potential: real("solver.potential", cells)?,
+            labels: words("solver.labels", cells)?,
+            components: words("solver.components", STATE_WORDS)?,
+            outer: real("solver.outer", cells)?,
+            r: inner("solver.r", total)?,
+            z: inner("solver.z", total)?,
+            z_next: inner("solver.z_next", total)?,
+            search: inner("solver.search", 2 * cells)?,
+            q: inner("solver.q", cells)?,
+            partials: inner("solver.partials", partials)?,
+            outer_partials: real("solver.outer_partials", partials)?,
+            scratch: words("solver.scratch", Compaction::scratch(plan.levels[0].quads))?,
             to_host: (variant.real == Real::F32)
                 .then(|| PressureReadbacks::new(gpu, plan.levels[0].quads).map(Mutex::new))
                 .transpose()?,
             plan,
             variant,
+        })
+    }
+}
+
+impl Arrays for SolverBuffers {
+    fn array(&self, name: &str) -> Option<Binding<'_>> {
+        Some(match name {
+            "flags" => (&self.flags).into(),
+            "list" => (&self.list).into(),
+            "args" => (&self.args).into(),
+            "matrix" => (&self.matrix).into(),
+            "rhs" => (&self.rhs).into(),
+            "potential" => (&self.potential).into(),
+            "labels" => (&self.labels).into(),
+            _ => return None,
         })
     }
 }
@@ -335,6 +315,7 @@ impl PressureSystem {
         within: Within,
         free_surface: impl Into<FreeSurface>,
     ) -> Result<PressureSystem, Error> {
+        let gpu = &gpu.at(Stage::ActiveCells.name());
         let FreeSurface {
             theta_floor,
             open_sides,

@@ -20,19 +20,15 @@ use std::sync::{Mutex, PoisonError};
 
 use crate::Error;
 use crate::gpu::{
-    Bound, Buffer, BufferPlan, Gpu, Kernel, Pass, Readback, Real, RealBuffer, Recorder, StageTimes,
-    Variant,
+    Bound, Buffer, Gpu, Kernel, Pass, Readback, Real, RealBuffer, Recorder, StageTimes, Variant,
 };
-use crate::grid::Grid;
 use crate::scene::{Formulation, Preconditioner, Solver};
 use crate::state::SolveStatus;
 
 use super::chebyshev::Polynomial;
 use super::condensed::{Condensed, check_formulation};
 use super::coupled_host::CoupledReadbacks;
-use super::coupling::{
-    BODIES, CouplingBuffers, CouplingSize, LABELS, N_LISTS, NODES, PARTIALS, WET,
-};
+use super::coupling::{BODIES, CouplingBuffers, LABELS, N_LISTS, NODES, PARTIALS, WET};
 use super::pcg::{Fold, Pcg, State, Unknowns};
 use super::pressure::{FIRST_SWEEP, Pressure};
 use super::refine::{
@@ -41,9 +37,9 @@ use super::refine::{
 };
 use super::solid_contacts::ContactSearch;
 use super::solid_solver::Chebyshev;
-use super::solid_system::{SolidFields, SolidRows, SolidSystemBuffers};
+use super::solid_system::{SolidFields, SolidSystemBuffers};
 use super::two_field_jacobi::Jacobi;
-use super::{Control, SolverBuffers, plan};
+use super::{Control, SolverBuffers};
 
 /// Slots of the norms: `shaders/common/refine.wgsl` names them, also those that other systems lack.
 pub(super) const N_NORMS: usize = 15;
@@ -195,17 +191,6 @@ pub(super) struct Operator {
 }
 
 impl TwoFieldSolver {
-    /// What [`TwoFieldSolver::new`] allocates.
-    pub fn buffers(
-        grid: &Grid,
-        rows: &SolidRows,
-        size: &CouplingSize,
-        solver: &Solver,
-        variant: Variant,
-    ) -> Vec<BufferPlan> {
-        plan::two_field(grid, rows, size, solver, variant)
-    }
-
     /// Compiles and binds.
     ///
     /// # Errors
@@ -593,7 +578,7 @@ impl TwoFieldSolver {
     pub fn solve<'a>(
         &self,
         gpu: &'a Gpu,
-        mut recorder: Recorder<'a>,
+        mut recorder: Recorder,
         at: CoupledFields,
         polynomial: &Polynomial,
         again: bool,

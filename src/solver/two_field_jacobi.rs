@@ -2,13 +2,12 @@
 //! diag(B) + diag(J Z1^-1 J^T), of those of the solids diag(Z2 + Z2 Z1^-1 Z2), or the 3x3 blocks of the nodes.
 
 use crate::Error;
-use crate::gpu::{Bound, Buffer, BufferPlan, Gpu, Kernel, Pass, RealBuffer, Variant};
+use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, RealBuffer};
 use crate::scene::Preconditioner;
 
 use super::Level;
 use super::chebyshev::Polynomial;
 use super::solid_solver::Chebyshev;
-use super::solid_system::SolidRows;
 use super::two_field::CoupledFields;
 
 /// Its kernels.
@@ -26,15 +25,6 @@ const DIAGONAL: &str = "coupled_solver.diagonal";
 const KIND: &str = "coupled_solver.diagonal_kind";
 
 impl Jacobi {
-    /// What [`Jacobi::new`] allocates besides the polynomial.
-    pub(super) fn buffers(rows: &SolidRows, variant: Variant) -> [BufferPlan; 2] {
-        let n = rows.rows.n_nodes as usize;
-        [
-            RealBuffer::plan(DIAGONAL, 8 * n, variant.real),
-            BufferPlan::of::<[u32; 4]>(KIND, 1),
-        ]
-    }
-
     /// Compiles and binds.
     ///
     /// # Errors

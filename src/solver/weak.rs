@@ -2,7 +2,8 @@
 //! system is solved by itself; what joins them stands here.
 
 use crate::Error;
-use crate::gpu::{Bound, Buffer, BufferPlan, Gpu, Kernel, Pass, Real, RealBuffer, Recorder};
+use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, RealBuffer, Recorder};
+use crate::step::Stage;
 
 use super::coupling::CouplingBuffers;
 use super::solid_system::{SolidFields, SolidSystemBuffers};
@@ -18,14 +19,6 @@ pub struct WeakBuffers {
 }
 
 impl WeakBuffers {
-    /// What [`WeakBuffers::new`] allocates for n nodes.
-    pub fn plan(n: usize, real: Real) -> [BufferPlan; 2] {
-        [
-            RealBuffer::plan("weak.before", 4 * n, real),
-            BufferPlan::of::<u32>("weak.held", n.next_multiple_of(4)),
-        ]
-    }
-
     /// Allocates.
     ///
     /// # Errors
@@ -71,11 +64,13 @@ impl Weak {
         let flags = ("flags", (&liquid.flags).into());
         let base = ("base", (&coupling.base).into());
         let rhs = ("rhs", (&liquid.rhs).into());
-        let kernel = |source| Kernel::new(gpu, source, liquid.variant.real);
+        let kernel =
+            |stage: Stage, source| Kernel::new(&gpu.at(stage.name()), source, liquid.variant.real);
         Ok(Weak {
             against: [
-                kernel(&crate::wgsl!("couple_keep"))?.bind(gpu, &[joint, words, rhs, base])?,
-                kernel(&crate::wgsl!("couple_residual"))?.bind(
+                kernel(Stage::ClosedComponents, &crate::wgsl!("couple_keep"))?
+                    .bind(gpu, &[joint, words, rhs, base])?,
+                kernel(Stage::ClosedComponents, &crate::wgsl!("couple_residual"))?.bind(
                     gpu,
                     &[
                         joint,
@@ -88,7 +83,7 @@ impl Weak {
                     ],
                 )?,
             ],
-            push: kernel(&crate::wgsl!("weak_push"))?.bind(
+            push: kernel(Stage::Solve, &crate::wgsl!("weak_push"))?.bind(
                 gpu,
                 &[
                     joint,

@@ -2,84 +2,38 @@
 //! walls, then out of obstacles and solids.
 
 use crate::Error;
-use crate::gpu::{Bound, Gpu, Kernel, Real, Recorder};
+use crate::gpu::{Dispatches, Gpu, Kernel, Real};
+use crate::step::Stage;
 use crate::wgsl;
 
-use super::{LiquidBuffers, over_band};
+use super::LiquidBuffers;
 
-/// The stage. Moves the markers by the velocity of the last sub-step; counts those that leave through open sides and those that it
-/// drops in the report.
-#[derive(Debug)]
-pub struct AdvectMarkers {
-    n_markers: usize,
-    surface_distance: Bound,
-    advect_markers: Bound,
-    push_out: Option<Bound>,
-}
-
-impl AdvectMarkers {
-    /// The stage's name.
-    pub const NAME: &'static str = "advect_markers";
-
-    /// Compiles and binds.
-    ///
-    /// # Errors
-    /// As [`Kernel::new`] and [`Kernel::bind`].
-    ///
-    /// # Panics
-    /// When the buffers have no markers.
-    pub fn new(gpu: &Gpu, buffers: &LiquidBuffers) -> Result<AdvectMarkers, Error> {
-        let markers = buffers.markers.as_ref().expect("the scene has markers");
-        let level = ("level", (&buffers.level).into());
-        let step = ("step", (&buffers.step).into());
-        let positions = ("markers", (&markers.positions).into());
-        let velocity = ("velocity", (&buffers.velocity).into());
-        // Free until advection writes it.
-        let surface = &buffers.velocity_next;
-        let [_, args, list] = over_band(buffers);
-        let report = ("report", (&buffers.report).into());
-        let push_out = || {
-            let distance = ("distances", (&buffers.obstacles.solid_distance).into());
-            Kernel::new(gpu, &wgsl!("push_out"), Real::F32)?
-                .bind(gpu, &[level, step, distance, positions, report])
-        };
-        Ok(AdvectMarkers {
-            n_markers: markers.positions.len(),
-            surface_distance: Kernel::new(gpu, &wgsl!("surface_distance"), Real::F32)?.bind(
-                gpu,
-                &[
-                    level,
-                    step,
-                    args,
-                    list,
-                    ("occupied", (&markers.occupied).into()),
-                    ("liquid_distance", (&buffers.liquid_distance).into()),
-                    ("surface", surface.into()),
-                ],
-            )?,
-            advect_markers: Kernel::new(gpu, &wgsl!("advect_markers"), Real::F32)?.bind(
-                gpu,
-                &[
-                    level,
-                    step,
-                    velocity,
-                    ("distances", surface.into()),
-                    positions,
-                    report,
-                ],
-            )?,
-            push_out: buffers.plan.effects.cuts().then(push_out).transpose()?,
-        })
+/// The stage: `markers` in place by the velocity of the last sub-step. Counts those that leave through open sides and those that it
+/// deletes in `report`. Empty without markers.
+///
+/// # Errors
+/// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+pub fn advect_markers(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatches, Error> {
+    let gpu = &gpu.at(Stage::AdvectMarkers.name());
+    let n_markers = liquid.n_markers();
+    if n_markers == 0 {
+        return Ok(Dispatches::new(Stage::AdvectMarkers.name(), []));
     }
-
-    /// Records it.
-    pub fn record(&self, recorder: &mut Recorder, buffers: &LiquidBuffers) {
-        recorder.stage(AdvectMarkers::NAME, |pass| {
-            pass.dispatch_indirect(&self.surface_distance, &buffers.band_args, 0);
-            pass.dispatch(&self.advect_markers, self.n_markers);
-            if let Some(push_out) = &self.push_out {
-                pass.dispatch(push_out, self.n_markers);
-            }
-        });
+    let kernel = |source| Kernel::new(gpu, &source, Real::F32);
+    // `common/sample_distance` samples `distances`: first those to the surface, then those to obstacles and solids.
+    let to_surface = [("distances", (&liquid.velocity_next).into())];
+    let to_solids = [("distances", (&liquid.obstacles.solid_distance).into())];
+    let mut list = vec![
+        kernel(wgsl!("surface_distance"))?
+            .bind_arrays(gpu, &[liquid])?
+            .indirect(&liquid.band_args, 0),
+        kernel(wgsl!("advect_markers"))?
+            .bind_arrays(gpu, &[&to_surface, liquid])?
+            .threads(n_markers),
+    ];
+    if liquid.plan.effects.cuts() {
+        let push_out = kernel(wgsl!("push_out"))?.bind_arrays(gpu, &[&to_solids, liquid])?;
+        list.push(push_out.threads(n_markers));
     }
+    Ok(Dispatches::new(Stage::AdvectMarkers.name(), list))
 }

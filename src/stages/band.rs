@@ -4,7 +4,8 @@
 //! dilated tile is in the band. The list is row-major, so neighbours in it are neighbours in memory.
 
 use crate::Error;
-use crate::gpu::{Bound, CompactKernels, Compaction, Gpu, Kernel, Real, Recorder};
+use crate::gpu::{CompactKernels, Compaction, Dispatches, Gpu, Kernel, Real};
+use crate::step::Stage;
 use crate::wgsl;
 
 use super::{LiquidBuffers, extrapolation_layers};
@@ -50,82 +51,30 @@ impl Tiles {
     }
 }
 
-/// The stage.
-#[derive(Debug)]
-pub struct Band {
-    occupy: Option<(Bound, usize)>,
-    n_tiles: usize,
-    dilate_tiles: Bound,
-    flag_band: Bound,
-    compaction: Compaction,
-}
-
-impl Band {
-    /// The stage's name.
-    pub const NAME: &'static str = "band";
-
-    /// Compiles and binds.
-    ///
-    /// # Errors
-    /// As [`Kernel::new`] and [`Kernel::bind`].
-    pub fn new(
-        gpu: &Gpu,
-        compact: &CompactKernels,
-        buffers: &LiquidBuffers,
-    ) -> Result<Band, Error> {
-        let level = ("level", (&buffers.level).into());
-        let step = ("step", (&buffers.step).into());
-        let tiles = ("tiles", (&buffers.tiles).into());
-        let marks = ("marks", (&buffers.marks).into());
-        let dilated = ("dilated", (&buffers.dilated).into());
-        let kernel = |source| Kernel::new(gpu, &source, Real::F32);
-        let mark = |markers: &super::MarkerBuffers| {
-            let positions = ("markers", (&markers.positions).into());
-            let occupied = ("occupied", (&markers.occupied).into());
-            let occupy = kernel(wgsl!("occupy"))?
-                .bind(gpu, &[level, step, tiles, positions, occupied, marks])?;
-            Ok::<_, Error>((occupy, markers.positions.len()))
-        };
-        Ok(Band {
-            occupy: buffers.markers.as_ref().map(mark).transpose()?,
-            n_tiles: buffers.plan.tiles().len(),
-            dilate_tiles: kernel(wgsl!("dilate_tiles"))?.bind(gpu, &[tiles, marks, dilated])?,
-            flag_band: kernel(wgsl!("flag_band"))?.bind(
-                gpu,
-                &[
-                    level,
-                    step,
-                    tiles,
-                    dilated,
-                    marks,
-                    ("flags", (&buffers.band_flags).into()),
-                    ("liquid_distance", (&buffers.liquid_distance).into()),
-                    ("valid", (&buffers.valid).into()),
-                    ("valid_next", (&buffers.valid_next).into()),
-                ],
-            )?,
-            compaction: Compaction::new(
-                gpu,
-                compact,
-                &buffers.band_flags,
-                &buffers.band_list,
-                &buffers.band_args,
-                &buffers.band_scratch,
-                [0, buffers.band_flags.len()],
-                0,
-            )?,
-        })
+/// The stage. With `surface = "fixed"` it runs once, after the state was written; with markers in every sub-step.
+///
+/// # Errors
+/// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+pub fn band(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatches, Error> {
+    let gpu = &gpu.at(Stage::Band.name());
+    let bound = |source| Kernel::new(gpu, &source, Real::F32)?.bind_arrays(gpu, &[liquid]);
+    let n_tiles = liquid.plan.tiles().len();
+    let mut list = Vec::new();
+    if let Some(markers) = &liquid.markers {
+        list.push(bound(wgsl!("occupy"))?.threads(markers.len()));
     }
-
-    /// Records it. With `surface = "fixed"` once, after the state was written; with markers in every sub-step.
-    pub fn record(&self, recorder: &mut Recorder) {
-        recorder.stage(Band::NAME, |pass| {
-            if let Some((occupy, n_markers)) = &self.occupy {
-                pass.dispatch(occupy, *n_markers);
-            }
-            pass.dispatch(&self.dilate_tiles, self.n_tiles);
-            pass.dispatch(&self.flag_band, TILE * self.n_tiles);
-            self.compaction.record(pass);
-        });
-    }
+    list.push(bound(wgsl!("dilate_tiles"))?.threads(n_tiles));
+    list.push(bound(wgsl!("flag_band"))?.threads(TILE * n_tiles));
+    let compaction = Compaction::new(
+        gpu,
+        &CompactKernels::new(gpu)?,
+        &liquid.band_flags,
+        &liquid.band_list,
+        &liquid.band_args,
+        &liquid.band_scratch,
+        [0, liquid.band_flags.len()],
+        0,
+    )?;
+    list.extend(compaction.into_dispatches());
+    Ok(Dispatches::new(Stage::Band.name(), list))
 }

@@ -1,10 +1,12 @@
 //! The fields of the liquid on the device.
 
 use crate::Error;
+use crate::arrays;
 use crate::effects::Effects;
 use crate::geometry::CutCells;
-use crate::gpu::{Buffer, BufferPlan, Compaction, Gpu, Range, Real, RealBuffer, WG_SIZE, groups};
+use crate::gpu::{Buffer, Compaction, Gpu, Real, WG_SIZE, groups};
 use crate::grid::{Axis, Grid, Layout, Padded};
+use crate::solver::Within;
 use crate::state::State;
 
 use super::{Report, Tiles};
@@ -55,55 +57,6 @@ pub struct LiquidPlan {
 }
 
 impl LiquidPlan {
-    /// The uniforms that [`LiquidBuffers::new`] and the stages allocate, and the read-back of the report: `len` of each.
-    pub fn small_buffers(&self) -> Vec<BufferPlan> {
-        vec![
-            BufferPlan::of::<Layout>("liquid.level", 1),
-            BufferPlan::of::<Step>("liquid.step", 1),
-            BufferPlan::of::<Tiles>("liquid.tiles", 1),
-            BufferPlan::of::<Range>("compact.range", 1),
-            BufferPlan::of::<u32>("liquid.report (read-back)", Report::words(&self.effects)),
-        ]
-    }
-
-    /// All buffers that [`LiquidBuffers::new`] allocates, uniforms aside.
-    pub fn buffers(&self) -> Vec<BufferPlan> {
-        let padded = self.grid.padded();
-        let tiles = self.tiles();
-        let mut plans = vec![
-            BufferPlan::of::<f32>("liquid.velocity", 3 * padded.len()),
-            BufferPlan::of::<f32>("liquid.velocity_next", 3 * padded.len()),
-            BufferPlan::of::<f32>("liquid.open", 3 * padded.len()),
-            BufferPlan::of::<f32>("liquid.liquid_distance", padded.len()),
-            ObstacleBuffers::plan(&self.grid, self.effects.cuts()),
-            BufferPlan::of::<u32>("liquid.valid", padded.quads),
-            BufferPlan::of::<u32>("liquid.valid_next", padded.quads),
-            BufferPlan::of::<u32>("liquid.marks", tiles.len()),
-            BufferPlan::of::<u32>("liquid.dilated", tiles.len()),
-            BufferPlan::of::<u32>("liquid.band_flags", padded.quads),
-            BufferPlan::of::<u32>("liquid.band_list", padded.quads),
-            BufferPlan::of::<u32>("liquid.band_args", 4),
-            Compaction::scratch("liquid.band_scratch", padded.quads),
-            BufferPlan::of::<u32>("liquid.maxima", 2),
-            BufferPlan::of::<u32>("liquid.report", Report::words(&self.effects)),
-            RealBuffer::plan("liquid.partials", 4 * self.n_summing(), self.real),
-        ];
-        if self.effects.sources {
-            plans.push(BufferPlan::of::<f32>("sources.open", 3 * padded.len()));
-        }
-        if self.effects.moving_obstacles {
-            plans.push(BufferPlan::of::<f32>("liquid.obstacle_flux", padded.len()));
-        }
-        if self.effects.markers {
-            plans.extend([
-                BufferPlan::of::<[f32; 4]>("liquid.markers", self.n_markers),
-                BufferPlan::of::<u32>("liquid.occupied", padded.quads),
-                BufferPlan::of::<u32>("liquid.classes", padded.quads),
-            ]);
-        }
-        plans
-    }
-
     /// Threads of a reduction, each with its own share of the band: as many as fill a large device, fewer on small grids.
     pub fn n_summing(&self) -> usize {
         (self.grid.padded().quads / 8)
@@ -126,166 +79,134 @@ const SLIVER: f32 = 0.2;
 /// Threads of a reduction, at most.
 const LARGEST_SUMMING: usize = 16384;
 
-/// The fields of the liquid, device layout ([`Padded`]). Made once per grid; owns no kernels.
-#[derive(Debug)]
-pub struct LiquidBuffers {
-    /// What they were made for.
-    pub plan: LiquidPlan,
-    /// The layout of every field.
-    pub padded: Padded,
-    /// The same, for kernels.
-    pub level: Buffer<Layout>,
-    /// The sub-step's numbers.
-    pub step: Buffer<Step>,
-    /// The tiles, for kernels.
-    pub tiles: Buffer<Tiles>,
-    /// Face velocities after the last projection and extrapolation: x, y, z faces one after another, m/s; 0 outside the band.
-    /// From `advect_velocity`, which leaves there what slivers show, to `write_back` its contents are not needed, and `liquid_distance`
-    /// computes in it with obstacles.
-    pub velocity: Buffer<f32>,
-    /// u*: face velocities before the projection, m/s; defined on the band only. In `advect_markers` its first third is how far the surface is,
-    /// m.
-    pub velocity_next: Buffer<f32>,
-    /// Open fractions of the faces.
-    pub open: Buffer<f32>,
-    /// Liquid distance at cell centres, m; + dx outside the band.
-    pub liquid_distance: Buffer<f32>,
-    /// Per quad, what is known of its faces: which have a velocity, which are open (`common/valid.wgsl`).
-    pub valid: Buffer<u32>,
-    /// The same before or after a layer of the extrapolation.
-    pub valid_next: Buffer<u32>,
-    /// Per tile: holds liquid. With markers zero between two runs of the stage `band`.
-    pub marks: Buffer<u32>,
-    /// Per tile: within reach of liquid now, and before (`common/tiles.wgsl`).
-    pub dilated: Buffer<u32>,
-    /// Per quad: in the band.
-    pub band_flags: Buffer<u32>,
-    /// Quads of the band, ascending.
-    pub band_list: Buffer<u32>,
-    /// Workgroups x, y, z and length of the list.
-    pub band_args: Buffer<u32>,
-    /// Scratch of the compaction.
-    pub band_scratch: Buffer<u32>,
-    /// What each thread of a reduction found, four values each.
-    pub partials: RealBuffer,
-    /// Largest speed and divergence, as bits of f32.
-    pub maxima: Buffer<u32>,
-    /// What the host reads once per step: see [`Report`].
-    pub report: Buffer<u32>,
-    /// The distance to the obstacles, and to solids.
-    pub obstacles: ObstacleBuffers,
-    /// With sources: see [`LiquidBuffers::solve_open`].
-    sources_open: Option<Buffer<f32>>,
-    /// Where obstacles move: what they take up, J v over dx^2 per cell, m/s.
-    pub obstacle_flux: Option<Buffer<f32>>,
-    /// With markers only.
-    pub markers: Option<MarkerBuffers>,
-}
-
-/// What the markers add.
-#[derive(Debug)]
-pub struct MarkerBuffers {
-    /// x, y, z in m, and 1 for alive or 0 for gone: dropped, or out of the domain.
-    pub positions: Buffer<[f32; 4]>,
-    /// Per quad: lanes without room for liquid, lanes that hold a marker (`common/classes.wgsl`).
-    pub occupied: Buffer<u32>,
-    /// Per quad: what the liquid distance does with its cells (`common/classes.wgsl`).
-    pub classes: Buffer<u32>,
+arrays! {
+    /// The arrays of the liquid, device layout ([`Padded`]). Made once per grid; owns no kernels.
+    pub struct LiquidBuffers in "liquid" {
+        fields {
+            /// Sizes and effects.
+            pub plan: LiquidPlan,
+            /// Layout of every array.
+            pub padded: Padded,
+            /// Distance to obstacles, and to solids in liquid.
+            pub obstacles: ObstacleBuffers,
+        }
+        arrays {
+            /// The layout, for kernels.
+            pub uniform level: Layout [padded.layout()],
+            /// Parameters of the sub-step.
+            pub uniform step: Step [bytemuck::Zeroable::zeroed()],
+            /// The tiles, for kernels.
+            pub uniform tiles: Tiles [plan.tiles()],
+            /// Face velocities after the last projection and extrapolation: x, y, z faces one after another, m/s; 0 outside the band.
+            /// `advect_velocity` leaves blended velocities of small-aperture faces there. Free until `write_back`.
+            pub array velocity: f32 [3 * padded.len()],
+            /// u*: face velocities before the projection, m/s; defined on the band only. Free until `advect_velocity`.
+            pub array velocity_next: f32 [3 * padded.len()],
+            /// Face apertures.
+            pub array open: f32 [3 * padded.len()],
+            /// Liquid distance at cell centres, m; + dx outside the band.
+            pub array liquid_distance: f32 [padded.len()],
+            /// Per quad, flags of its faces: which have a velocity, which are open (`common/valid.wgsl`).
+            pub array valid: u32 [padded.quads],
+            /// The same before or after a layer of the extrapolation.
+            pub array valid_next: u32 [padded.quads],
+            /// Per tile: whether it contains liquid. With markers zero between two runs of the stage `band`.
+            pub array marks: u32 [plan.tiles().len()],
+            /// Per tile: within reach of liquid now, and before (`common/tiles.wgsl`).
+            pub array dilated: u32 [plan.tiles().len()],
+            /// Per quad: in the band.
+            pub array band_flags: u32 [padded.quads],
+            /// Quads of the band, ascending.
+            pub array band_list: u32 [padded.quads],
+            /// Workgroups x, y, z and length of the list.
+            pub array band_args: u32 [4],
+            /// Scratch memory of the compaction.
+            pub array band_scratch: u32 [Compaction::scratch(padded.quads)],
+            /// Largest speed and divergence, as bits of f32.
+            pub array maxima: u32 [2],
+            /// Sums that the host reads once per step: see [`Report`].
+            pub array report: u32 [Report::words(&plan.effects)],
+            /// Partial sums of a reduction, four per thread.
+            pub real partials: (plan.real) [4 * plan.n_summing()],
+            /// Apertures for the solve: see [`LiquidBuffers::solve_open`].
+            array solve_open: f32 [3 * padded.len()] as "sources.open" if plan.effects.sources,
+            /// Prescribed boundary flux of moving obstacles, J v over dx^2 per cell, m/s.
+            pub array obstacle_flux: f32 [padded.len()] if plan.effects.moving_obstacles,
+            /// Markers: x, y, z in m, and 1 for alive or 0 for deleted.
+            pub array markers: [f32; 4] [plan.n_markers] if plan.effects.markers,
+            /// Per quad: lanes without room for liquid, lanes that contain a marker (`common/classes.wgsl`).
+            pub array occupied: u32 [padded.quads] if plan.effects.markers,
+            /// Per quad: classes of its cells in the stage `liquid_distance` (`common/classes.wgsl`).
+            pub array classes: u32 [padded.quads] if plan.effects.markers,
+        }
+        views {
+            // The same velocities, four per quad.
+            velocity_quads = velocity,
+            // Distance to the surface, m, in `advect_markers`.
+            surface = velocity_next,
+            // Squared distance to the nearest marker, cells^2, in `liquid_distance`.
+            squares = liquid_distance,
+            // In the kernel of the same name.
+            flux = obstacle_flux,
+        }
+        parts { obstacles }
+    }
 }
 
 impl LiquidBuffers {
-    /// Allocates everything that `plan` lists.
+    /// Allocates everything.
     ///
     /// # Errors
     /// [`Error::Limit`] when the adapter does not allow a size.
     pub fn new(gpu: &Gpu, plan: LiquidPlan) -> Result<LiquidBuffers, Error> {
-        let plans = plan.buffers();
-        let maker = Maker { gpu, plans: &plans };
-        let padded = plan.grid.padded();
-        let zero: Step = bytemuck::Zeroable::zeroed();
-        Ok(LiquidBuffers {
-            plan,
-            padded,
-            level: gpu.uniform("liquid.level", &padded.layout())?,
-            step: gpu.uniform("liquid.step", &zero)?,
-            tiles: gpu.uniform("liquid.tiles", &plan.tiles())?,
-            velocity: maker.make("liquid.velocity")?,
-            velocity_next: maker.make("liquid.velocity_next")?,
-            open: maker.make("liquid.open")?,
-            liquid_distance: maker.make("liquid.liquid_distance")?,
-            valid: maker.make("liquid.valid")?,
-            valid_next: maker.make("liquid.valid_next")?,
-            marks: maker.make("liquid.marks")?,
-            dilated: maker.make("liquid.dilated")?,
-            band_flags: maker.make("liquid.band_flags")?,
-            band_list: maker.make("liquid.band_list")?,
-            band_args: maker.make("liquid.band_args")?,
-            band_scratch: maker.make("liquid.band_scratch")?,
-            partials: maker.make_real("liquid.partials", plan.real)?,
-            maxima: maker.make("liquid.maxima")?,
-            report: maker.make("liquid.report")?,
-            obstacles: ObstacleBuffers::new(gpu, &plan.grid, plan.effects.cuts())?,
-            sources_open: plan
-                .effects
-                .sources
-                .then(|| maker.make("sources.open"))
-                .transpose()?,
-            obstacle_flux: plan
-                .effects
-                .moving_obstacles
-                .then(|| maker.make("liquid.obstacle_flux"))
-                .transpose()?,
-            markers: plan
-                .effects
-                .markers
-                .then(|| {
-                    Ok::<_, Error>(MarkerBuffers {
-                        positions: maker.make("liquid.markers")?,
-                        occupied: maker.make("liquid.occupied")?,
-                        classes: maker.make("liquid.classes")?,
-                    })
-                })
-                .transpose()?,
-        })
+        let obstacles = ObstacleBuffers::new(gpu, &plan.grid, plan.effects.cuts())?;
+        LiquidBuffers::allocate(gpu, plan, plan.grid.padded(), obstacles)
     }
-}
 
-impl LiquidBuffers {
-    /// Open fractions of all faces for the solve; on faces that sources hold, which are closed for the pressure, the negative of the
-    /// aperture of their flux.
+    /// Apertures of all faces for the solve. Faces of sources are closed for the pressure; there the value is minus the aperture of
+    /// their flux.
     pub fn solve_open(&self) -> &Buffer<f32> {
-        self.sources_open.as_ref().unwrap_or(&self.open)
+        self.solve_open.as_ref().unwrap_or(&self.open)
+    }
+
+    /// The band, to which the solver's search for liquid is limited.
+    pub fn within(&self) -> Within<'_> {
+        Within {
+            list: &self.band_list,
+            args: &self.band_args,
+        }
+    }
+
+    /// Room for markers.
+    pub fn n_markers(&self) -> usize {
+        self.markers.as_ref().map_or(0, Buffer::len)
     }
 }
 
-/// Where obstacles are: for solids; for liquid, where solids are too.
-#[derive(Debug)]
-pub struct ObstacleBuffers {
-    grid: Grid,
-    present: bool,
-    /// Signed distance of cell centres to the obstacles, m; negative inside, device layout. Without obstacles one quad, far from
-    /// any.
-    pub solid_distance: Buffer<f32>,
+arrays! {
+    /// Distance to the obstacles, and in liquid to the solids.
+    pub struct ObstacleBuffers in "obstacles" {
+        fields {
+            grid: Grid,
+            present: bool,
+        }
+        arrays {
+            /// Signed distance of cell centres to the obstacles, m; negative inside, device layout. Without obstacles one quad, far from
+            /// any.
+            pub array solid_distance: f32 [if present { grid.padded().len() } else { 4 }],
+        }
+        views {}
+        parts {}
+    }
 }
 
 impl ObstacleBuffers {
-    /// What [`ObstacleBuffers::new`] allocates. `present`: whether there are obstacles.
-    pub fn plan(grid: &Grid, present: bool) -> BufferPlan {
-        let len = if present { grid.padded().len() } else { 4 };
-        BufferPlan::of::<f32>("obstacles.solid_distance", len)
-    }
-
-    /// Allocates.
+    /// Allocates. `present`: whether there are obstacles.
     ///
     /// # Errors
     /// [`Error::Limit`] when the adapter does not allow the size.
     pub fn new(gpu: &Gpu, grid: &Grid, present: bool) -> Result<ObstacleBuffers, Error> {
-        let plan = ObstacleBuffers::plan(grid, present);
-        Ok(ObstacleBuffers {
-            grid: *grid,
-            present,
-            solid_distance: gpu.buffer(plan.label, plan.len)?,
-        })
+        ObstacleBuffers::allocate(gpu, *grid, present)
     }
 
     /// Writes the distance, before all work submitted later. Also due without obstacles.
@@ -299,32 +220,6 @@ impl ObstacleBuffers {
             false => vec![3.0 * dx as f32; 4],
         };
         gpu.upload(&self.solid_distance, &distance);
-    }
-}
-
-/// Makes buffers with the sizes of the plan.
-pub(super) struct Maker<'a> {
-    pub(super) gpu: &'a Gpu,
-    pub(super) plans: &'a [BufferPlan],
-}
-
-impl Maker<'_> {
-    fn plan(&self, label: &str, element: usize) -> &BufferPlan {
-        let plan = self
-            .plans
-            .iter()
-            .find(|plan| plan.label == label)
-            .unwrap_or_else(|| panic!("{label} is not planned"));
-        assert_eq!(plan.element, element, "{label}: element size");
-        plan
-    }
-
-    pub(super) fn make<T: bytemuck::Pod>(&self, label: &str) -> Result<Buffer<T>, Error> {
-        self.gpu.buffer(label, self.plan(label, size_of::<T>()).len)
-    }
-
-    pub(super) fn make_real(&self, label: &str, real: Real) -> Result<RealBuffer, Error> {
-        RealBuffer::new(self.gpu, label, self.plan(label, real.bytes()).len, real)
     }
 }
 
@@ -346,7 +241,7 @@ impl LiquidBuffers {
         gpu.upload(&self.valid, &valid);
         self.obstacles.write(gpu, cut);
         let grid = &self.plan.grid;
-        if let Some(markers) = &self.markers {
+        if let Some(occupied) = &self.occupied {
             // A lane has room where its cell exists and its centre is outside every solid.
             let room = self
                 .padded
@@ -354,8 +249,8 @@ impl LiquidBuffers {
             let no_room = |lanes: &[bool]| {
                 (0..4).fold(0, |bits, lane| bits | u32::from(!lanes[lane]) << lane)
             };
-            let occupied: Vec<u32> = room.chunks_exact(4).map(no_room).collect();
-            gpu.upload(&markers.occupied, &occupied);
+            let words: Vec<u32> = room.chunks_exact(4).map(no_room).collect();
+            gpu.upload(occupied, &words);
         }
     }
 
@@ -389,8 +284,8 @@ impl LiquidBuffers {
                 .iter()
                 .map(|x| [x[0] as f32, x[1] as f32, x[2] as f32, 1.0]);
             let mut positions: Vec<[f32; 4]> = alive.collect();
-            positions.resize(positions.len().max(markers.positions.len()), [0.0; 4]);
-            gpu.upload(&markers.positions, &positions);
+            positions.resize(positions.len().max(markers.len()), [0.0; 4]);
+            gpu.upload(markers, &positions);
         } else {
             // The liquid stays where it is, so the tiles that hold it are known.
             let tiles = self.plan.tiles();
@@ -420,7 +315,7 @@ impl LiquidBuffers {
             f64::from,
         );
         if let Some(markers) = &self.markers {
-            let positions = gpu.download(&markers.positions)?;
+            let positions = gpu.download(markers)?;
             state.markers = positions[..n_markers]
                 .iter()
                 .filter(|marker| marker[3] != 0.0)

@@ -3,9 +3,10 @@
 
 use crate::Error;
 use crate::geometry::{Place, SolidClip};
-use crate::gpu::{Bound, Buffer, BufferPlan, Gpu, Kernel, Real, Recorder};
+use crate::gpu::{Dispatches, Gpu, Kernel, Real};
 use crate::grid::{Axis, Grid, Padded};
-use crate::wgsl;
+use crate::step::Stage;
+use crate::{arrays, wgsl};
 
 use super::LiquidBuffers;
 
@@ -88,40 +89,33 @@ impl ClipSize {
             ..self
         }
     }
-
-    /// What [`ClipBuffers::new`] allocates.
-    pub fn buffers(&self, grid: &Grid) -> Vec<BufferPlan> {
-        let mut plans = vec![
-            BufferPlan::of::<CutQuad>("clip.quads", self.quads),
-            BufferPlan::of::<[u32; 4]>("clip.places", 2 * self.places),
-            BufferPlan::of::<u32>("clip.walls", grid.padded().quads + 3 * self.places),
-            BufferPlan::of::<Clipped>("clip.clipped", 1),
-        ];
-        if self.moving_obstacles {
-            plans.push(BufferPlan::of::<[f32; 4]>("clip.fluxes", self.quads));
-        }
-        plans
-    }
 }
 
-/// What solids cut, on its way to the fields, and their surfaces as walls that move.
-#[derive(Debug)]
-pub struct ClipBuffers {
-    /// Room.
-    pub size: ClipSize,
-    grid: Grid,
-    padded: Padded,
-    /// Numbers of what follows.
-    pub clipped: Buffer<Clipped>,
-    quads: Buffer<CutQuad>,
-    /// Of the quads, what obstacles take up that move: J v over dx^2, m/s.
-    fluxes: Option<Buffer<[f32; 4]>>,
-    /// Per cell near a solid or moving obstacle: nodes of the nearest triangle, then bits of their weights at the nearest place of it.
-    pub places: Buffer<[u32; 4]>,
-    /// Per quad: which lanes have a place, and which; then the velocities of the places, m/s (`shaders/common/moving_walls.wgsl`).
-    pub walls: Buffer<u32>,
-    /// Quads that differ on the device.
-    differing: Vec<u32>,
+arrays! {
+    /// Cut quads on their way to the arrays of the liquid, and surfaces as moving walls.
+    pub struct ClipBuffers in "clip" {
+        fields {
+            /// Room.
+            pub size: ClipSize,
+            grid: Grid,
+            padded: Padded,
+            /// Quads that differ on the device.
+            differing: Vec<u32>,
+        }
+        arrays {
+            /// Counts of the lists below.
+            pub uniform clipped: Clipped [Clipped::default()],
+            array entries: CutQuad [size.quads] as "clip.quads",
+            /// Per entry: prescribed boundary flux of moving obstacles, J v over dx^2, m/s.
+            array fluxes: [f32; 4] [size.quads] if size.moving_obstacles,
+            /// Per cell near a solid or moving obstacle: nodes of the nearest triangle, then bits of their weights at its nearest place.
+            pub array places: [u32; 4] [2 * size.places],
+            /// Per quad: which lanes have a place, and which; then the velocities of the places, m/s (`shaders/common/moving_walls.wgsl`).
+            pub array walls: u32 [padded.quads + 3 * size.places],
+        }
+        views {}
+        parts {}
+    }
 }
 
 impl ClipBuffers {
@@ -130,23 +124,7 @@ impl ClipBuffers {
     /// # Errors
     /// [`Error::Limit`] where the adapter is too small.
     pub fn new(gpu: &Gpu, grid: &Grid, size: ClipSize) -> Result<ClipBuffers, Error> {
-        let plans = size.buffers(grid);
-        let [quads, places, walls, _] = &plans[..4] else {
-            unreachable!("there are at least four");
-        };
-        let fluxes = plans.get(4);
-        let fluxes = fluxes.map(|plan| gpu.buffer(plan.label, plan.len));
-        Ok(ClipBuffers {
-            size,
-            grid: *grid,
-            padded: grid.padded(),
-            clipped: gpu.uniform("clip.clipped", &Clipped::default())?,
-            quads: gpu.buffer(quads.label, quads.len)?,
-            fluxes: fluxes.transpose()?,
-            places: gpu.buffer(places.label, places.len)?,
-            walls: gpu.buffer(walls.label, walls.len)?,
-            differing: Vec::new(),
-        })
+        ClipBuffers::allocate(gpu, size, *grid, grid.padded(), Vec::new())
     }
 
     /// The same with other room, and what differs on the device as it was.
@@ -230,7 +208,7 @@ impl ClipBuffers {
             pad: 0,
         };
         gpu.upload(&self.clipped, &[clipped]);
-        gpu.upload(&self.quads, &entries);
+        gpu.upload(&self.entries, &entries);
         gpu.upload(&self.places, &places);
         if let Some(fluxes) = &self.fluxes {
             let mut of_quads = vec![[0.0; 4]; listed.len()];
@@ -283,72 +261,23 @@ fn cut_quads(padded: &Padded, grid: &Grid, clip: &SolidClip) -> Vec<u32> {
     quads
 }
 
-/// The stage: a clipping to `open`, `obstacles.solid_distance`, `valid` and, with markers, `occupied`; where obstacles move to
-/// `obstacle_flux`.
-#[derive(Debug)]
-pub struct Clip {
-    n_quads: usize,
-    cut_quads: Bound,
-    cut_room: Option<Bound>,
-    obstacle_flux: Option<Bound>,
-}
-
-impl Clip {
-    /// The stage's name.
-    pub const NAME: &'static str = "clip";
-
-    /// Compiles and binds.
-    ///
-    /// # Errors
-    /// As [`Kernel::new`] and [`Kernel::bind`].
-    pub fn new(gpu: &Gpu, buffers: &LiquidBuffers, clip: &ClipBuffers) -> Result<Clip, Error> {
-        let level = ("level", (&buffers.level).into());
-        let clipped = ("clipped", (&clip.clipped).into());
-        let entries = ("entries", (&clip.quads).into());
-        let kernel = |source| Kernel::new(gpu, &source, Real::F32);
-        let cut_room = |markers: &super::MarkerBuffers| {
-            let occupied = ("occupied", (&markers.occupied).into());
-            kernel(wgsl!("cut_room"))?.bind(gpu, &[level, clipped, entries, occupied])
-        };
-        let obstacle_flux = |(fluxes, flux): (&Buffer<[f32; 4]>, &Buffer<f32>)| {
-            let bindings = [
-                clipped,
-                entries,
-                ("fluxes", fluxes.into()),
-                ("flux", flux.into()),
-            ];
-            kernel(wgsl!("obstacle_flux"))?.bind(gpu, &bindings)
-        };
-        let fluxes = clip.fluxes.as_ref().zip(buffers.obstacle_flux.as_ref());
-        Ok(Clip {
-            n_quads: clip.size.quads,
-            obstacle_flux: fluxes.map(obstacle_flux).transpose()?,
-            cut_quads: kernel(wgsl!("cut_quads"))?.bind(
-                gpu,
-                &[
-                    level,
-                    clipped,
-                    entries,
-                    ("open", (&buffers.open).into()),
-                    ("solid_distance", (&buffers.obstacles.solid_distance).into()),
-                    ("valid", (&buffers.valid).into()),
-                    ("walls", (&clip.walls).into()),
-                ],
-            )?,
-            cut_room: buffers.markers.as_ref().map(cut_room).transpose()?,
-        })
+/// The stage: the clipping that [`ClipBuffers::write`] wrote to the arrays of the liquid.
+///
+/// # Errors
+/// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+pub fn clip(gpu: &Gpu, liquid: &LiquidBuffers, clip: &ClipBuffers) -> Result<Dispatches, Error> {
+    let gpu = &gpu.at(Stage::Clip.name());
+    let mut sources = vec![wgsl!("cut_quads")];
+    if liquid.markers.is_some() {
+        sources.push(wgsl!("cut_room"));
     }
-
-    /// Records it, after [`ClipBuffers::write`].
-    pub fn record(&self, recorder: &mut Recorder) {
-        recorder.stage(Clip::NAME, |pass| {
-            pass.dispatch(&self.cut_quads, self.n_quads);
-            if let Some(cut_room) = &self.cut_room {
-                pass.dispatch(cut_room, self.n_quads);
-            }
-            if let Some(obstacle_flux) = &self.obstacle_flux {
-                pass.dispatch(obstacle_flux, self.n_quads);
-            }
-        });
+    if clip.fluxes.is_some() {
+        sources.push(wgsl!("obstacle_flux"));
     }
+    let over_entries = |source| {
+        let bound = Kernel::new(gpu, source, Real::F32)?.bind_arrays(gpu, &[clip, liquid])?;
+        Ok(bound.threads(clip.size.quads))
+    };
+    let kernels: Result<Vec<_>, Error> = sources.iter().map(over_entries).collect();
+    Ok(Dispatches::new(Stage::Clip.name(), kernels?))
 }

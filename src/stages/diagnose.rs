@@ -1,122 +1,125 @@
-//! `diagnose`: momentum, kinetic energy, largest speed and divergence of the liquid. Volume and potential energy were measured
-//! with the liquid distance.
+//! `diagnose`: of the liquid momentum, kinetic energy, largest speed and divergence; of the solids sums and extremes over nodes and
+//! elements; the forces of the liquid on the solids. Volume and potential energy are measured with the liquid distance.
 //!
 //! A fixed number of threads adds fixed shares of the band, one workgroup adds their sums in a tree: the order is a function of
 //! the grid and the band, so the sums repeat bit for bit.
 
 use crate::Error;
-use crate::gpu::{Binding, Bound, Gpu, Kernel, RealBuffer, Recorder, Variant};
-use crate::solver::CouplingBuffers;
+use crate::gpu::{Dispatches, Gpu, Kernel, RealBuffer, Recorder, Variant};
+use crate::solver::{CouplingBuffers, SolverBuffers};
+use crate::step::Stage;
 use crate::wgsl;
 
-use super::{Active, ClipBuffers, LiquidBuffers, over_band};
+use super::{ClipBuffers, CouplingReport, LiquidBuffers, SolidBuffers};
 
-/// The stage: fields to the report.
+/// The stage for the liquid: arrays to `report`.
 #[derive(Debug)]
-pub struct Diagnose {
-    n_threads: usize,
-    measure_motion: Bound,
-    measure_divergence: Bound,
-    /// With solids: in quads with patches, how many at most.
-    measure_cut_divergence: Option<(Bound, usize)>,
-    report_motion: Bound,
-}
+pub struct Diagnose(Dispatches);
 
 impl Diagnose {
-    /// The stage's name.
-    pub const NAME: &'static str = "diagnose";
-
-    /// Compiles and binds. `solids`, where there are any in liquid: the clipping, J, and `Real4` per node, m/s.
+    /// Compiles and binds. `solids`, with solids in liquid: the clipping, J, and `Real4` per node, m/s.
     ///
     /// # Errors
-    /// As [`Kernel::new`] and [`Kernel::bind`].
+    /// As [`Kernel::new`] and [`Kernel::bind_arrays`].
     pub fn new(
         gpu: &Gpu,
-        buffers: &LiquidBuffers,
-        active: &Active,
+        liquid: &LiquidBuffers,
+        solver: &SolverBuffers,
         solids: Option<(&ClipBuffers, &CouplingBuffers, &RealBuffer)>,
     ) -> Result<Diagnose, Error> {
-        let [level, args, list] = over_band(buffers);
-        let step = ("step", (&buffers.step).into());
-        let velocity = ("velocity", (&buffers.velocity).into());
-        let partials = ("partials", (&buffers.partials).into());
-        let maxima = ("maxima", (&buffers.maxima).into());
-        let kernel = |source| Kernel::new(gpu, &source, buffers.partials.real);
-        let flags = ("flags", active.flags.into());
-        let open = ("open", buffers.solve_open().into());
-        let mut source = wgsl!("measure_divergence");
-        let mut divergence = vec![
-            level,
-            step,
-            ("args", active.args.into()),
-            ("list", active.list.into()),
-            flags,
-            velocity,
-            open,
-            maxima,
-        ];
-        // Of obstacles that move.
-        let flux = buffers.obstacle_flux.as_ref();
-        let flux = flux.map(|flux| ("obstacle_flux", Binding::from(flux)));
-        divergence.extend(flux);
-        let beside = |real| Variant::from(real).beside_obstacles(flux.is_some());
-        let mut measure_cut_divergence = None;
-        if let Some((clip, coupling, x)) = solids {
-            source = wgsl!("measure_uncut_divergence");
-            divergence.push(("walls", (&clip.walls).into()));
-            let mut bindings = vec![
-                level,
-                step,
-                ("coupling", (&coupling.coupling).into()),
-                ("words", (&coupling.words).into()),
-                ("pairs", (&coupling.quad_pairs).into()),
-                flags,
+        let gpu = &gpu.at(Stage::Diagnose.name());
+        let real = liquid.plan.real;
+        let open = [("open", liquid.solve_open().into())];
+        let with_flux = |real| Variant::from(real).beside_obstacles(liquid.obstacle_flux.is_some());
+        let measure_motion =
+            Kernel::new(gpu, &wgsl!("measure_motion"), real)?.bind_arrays(gpu, &[liquid])?;
+        let mut list = vec![measure_motion.threads(liquid.plan.n_summing())];
+        let clip = solids.map(|(clip, ..)| clip);
+        let divergence = match solids {
+            Some(_) => wgsl!("measure_uncut_divergence"),
+            None => wgsl!("measure_divergence"),
+        };
+        let bound = Kernel::new(gpu, &divergence, with_flux(real))?
+            .bind_arrays(gpu, &[&open, &clip, solver, liquid])?;
+        list.push(bound.indirect(&solver.args, 0));
+        if let Some((_, coupling, x)) = solids {
+            let own = [
                 ("x", x.into()),
-                velocity,
-                open,
-                maxima,
+                ("pairs", (&coupling.quad_pairs).into()),
+                ("open", liquid.solve_open().into()),
             ];
-            bindings.extend(flux);
-            let kernel = Kernel::new(gpu, &wgsl!("measure_cut_divergence"), beside(x.real))?;
-            let bound = kernel.bind(gpu, &bindings)?;
-            measure_cut_divergence = Some((bound, coupling.size.quads));
+            let kernel = Kernel::new(gpu, &wgsl!("measure_cut_divergence"), with_flux(x.real))?;
+            let bound = kernel.bind_arrays(gpu, &[&own, liquid, solver, coupling])?;
+            list.push(bound.threads(coupling.size.quads));
         }
-        Ok(Diagnose {
-            n_threads: buffers.plan.n_summing(),
-            measure_motion: kernel(wgsl!("measure_motion"))?.bind(
-                gpu,
-                &[
-                    level,
-                    step,
-                    args,
-                    list,
-                    velocity,
-                    ("liquid_distance", (&buffers.liquid_distance).into()),
-                    ("solid_distance", (&buffers.obstacles.solid_distance).into()),
-                    partials,
-                    maxima,
-                ],
-            )?,
-            measure_divergence: Kernel::new(gpu, &source, beside(buffers.partials.real))?
-                .bind(gpu, &divergence)?,
-            measure_cut_divergence,
-            report_motion: kernel(wgsl!("report_motion"))?.bind(
-                gpu,
-                &[partials, maxima, ("report", (&buffers.report).into())],
-            )?,
-        })
+        let report_motion =
+            Kernel::new(gpu, &wgsl!("report_motion"), real)?.bind_arrays(gpu, &[liquid])?;
+        list.push(report_motion.threads(1));
+        Ok(Diagnose(Dispatches::new(Stage::Diagnose.name(), list)))
     }
 
     /// Records it.
-    pub fn record(&self, recorder: &mut Recorder, buffers: &LiquidBuffers, active: &Active) {
-        recorder.clear(&buffers.maxima);
-        recorder.stage(Diagnose::NAME, |pass| {
-            pass.dispatch(&self.measure_motion, self.n_threads);
-            pass.dispatch_indirect(&self.measure_divergence, active.args, 0);
-            if let Some((measure_cut_divergence, n_quads)) = &self.measure_cut_divergence {
-                pass.dispatch(measure_cut_divergence, *n_quads);
-            }
-            pass.dispatch(&self.report_motion, 1);
-        });
+    pub fn record(&self, recorder: &mut Recorder, liquid: &LiquidBuffers) {
+        recorder.clear(&liquid.maxima);
+        self.0.record(recorder);
     }
+}
+
+/// The stage for the solids: arrays to `report`.
+#[derive(Debug)]
+pub struct DiagnoseSolid(Dispatches);
+
+impl DiagnoseSolid {
+    /// Compiles and binds.
+    ///
+    /// # Errors
+    /// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+    pub fn new(gpu: &Gpu, solids: &SolidBuffers) -> Result<DiagnoseSolid, Error> {
+        let gpu = &gpu.at(Stage::Diagnose.name());
+        let bound =
+            |source| Kernel::new(gpu, &source, solids.plan.real)?.bind_arrays(gpu, &[solids]);
+        Ok(DiagnoseSolid(Dispatches::new(
+            Stage::Diagnose.name(),
+            [
+                bound(wgsl!("measure_solid"))?.threads(solids.plan.n_summing()),
+                bound(wgsl!("report_solid"))?.threads(1),
+            ],
+        )))
+    }
+
+    /// Records it.
+    pub fn record(&self, recorder: &mut Recorder, solids: &SolidBuffers) {
+        recorder.clear(&solids.extremes);
+        self.0.record(recorder);
+    }
+}
+
+/// The stage for liquid and solids together: sums over the nodes of J^T p and of `correction` (forces of the pressure's variation within
+/// cells, N, `Real4` per node) to `report`.
+///
+/// # Errors
+/// As [`Kernel::new`] and [`Gpu::buffer`](crate::gpu::Gpu::buffer).
+pub fn diagnose_coupling(
+    gpu: &Gpu,
+    solver: &SolverBuffers,
+    coupling: &CouplingBuffers,
+    correction: Option<&RealBuffer>,
+) -> Result<Dispatches, Error> {
+    let gpu = &gpu.at(Stage::Diagnose.name());
+    let own = [
+        ("pairs", (&coupling.node_pairs).into()),
+        ("p", (&solver.potential).into()),
+    ];
+    let measure = Kernel::new(gpu, &wgsl!("measure_coupling"), coupling.partials.real)?
+        .bind_arrays(gpu, &[&own, coupling, solver])?;
+    let mut list = vec![measure.threads(coupling.n_nodes)];
+    let forces = [(&coupling.partials, CouplingReport::FORCE)].into_iter();
+    let corrections = correction.map(|correction| (correction, CouplingReport::CORRECTION));
+    for (forces, word) in forces.chain(corrections) {
+        let first = gpu.uniform("coupling.first", &[word, 0, 0, 0])?;
+        let own = [("first", (&first).into()), ("partials", forces.into())];
+        let kernel = Kernel::new(gpu, &wgsl!("report_coupling"), forces.real)?;
+        list.push(kernel.bind_arrays(gpu, &[&own, coupling])?.threads(1));
+    }
+    Ok(Dispatches::new(Stage::Diagnose.name(), list))
 }

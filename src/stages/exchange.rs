@@ -2,14 +2,12 @@
 
 use crate::Error;
 use crate::geometry::{PER_CELL, Running, SourceFace, Taps};
-use crate::gpu::{Bound, Buffer, BufferPlan, Gpu, Kernel, Real, Recorder};
+use crate::gpu::{Dispatch, Dispatches, Gpu, Kernel, Real, Recorder};
 use crate::grid::Grid;
-use crate::wgsl;
+use crate::step::Stage;
+use crate::{arrays, wgsl};
 
-use super::{Forces, LiquidBuffers, WriteBack};
-
-/// The stage's name, of [`Sinks`] and of [`Sources`].
-pub const EXCHANGE: &str = "exchange";
+use super::LiquidBuffers;
 
 /// A box of cells around a source or a sink: the doppelganger of `Region` in `shaders/common/region.wgsl`.
 #[repr(C)]
@@ -148,130 +146,120 @@ fn source_boxes(grid: &Grid, taps: &Taps) -> (Vec<Region>, Vec<u32>) {
     boxes(grid, &sets)
 }
 
-/// What [`Sinks::new`] and [`Sources::new`] allocate for a scene with these.
-pub fn tap_buffers(grid: &Grid, taps: &Taps) -> Vec<BufferPlan> {
-    let mut plans = Vec::new();
-    if !taps.sink_cells.is_empty() {
-        let (regions, map) = sink_boxes(grid, taps);
-        plans.extend([
-            BufferPlan::of::<Region>("sinks.regions", regions.len()),
-            BufferPlan::of::<u32>("sinks.map", map.len()),
-            BufferPlan::of::<u32>("sinks.cells", taps.sink_cells.len()),
-        ]);
+arrays! {
+    /// Sinks: their cells are air, and markers in them are deleted.
+    pub struct Sinks in "sinks" {
+        fields {
+            boxes: (Vec<Region>, Vec<u32>),
+            cells_of_sinks: Vec<u32>,
+        }
+        arrays {
+            /// Boxes around the sinks.
+            array regions: Region [boxes.0.len()],
+            /// Per cell of the boxes: 1 in a sink.
+            array map: u32 [boxes.1.len()],
+            /// Cells of the sinks, padded indices.
+            array cells: u32 [cells_of_sinks.len()],
+        }
+        views {}
+        parts {}
     }
-    if !taps.source_cells.is_empty() {
-        let (regions, map) = source_boxes(grid, taps);
-        let n_cells = taps.source_cells.len();
-        plans.extend([
-            BufferPlan::of::<SourceStep>("sources.step", 1),
-            BufferPlan::of::<Region>("sources.regions", regions.len()),
-            BufferPlan::of::<u32>("sources.map", map.len()),
-            BufferPlan::of::<[u32; 4]>("sources.cells", n_cells),
-            BufferPlan::of::<u32>("sources.counts", n_cells),
-            BufferPlan::of::<DeviceSourceFace>("sources.faces", taps.faces.len()),
-        ]);
-    }
-    plans
-}
-
-/// Sinks: markers in their cells are gone, and the cells are air.
-#[derive(Debug)]
-pub struct Sinks {
-    n_markers: usize,
-    n_cells: usize,
-    sink_markers: Bound,
-    empty_sinks: Bound,
 }
 
 impl Sinks {
-    /// Allocates, compiles and binds; `None` without sinks.
+    /// Allocates and writes the cells; `None` without sinks.
     ///
     /// # Errors
-    /// [`Error::Limit`] when the adapter is too small; as [`Kernel::new`] and [`Kernel::bind`].
-    pub fn new(gpu: &Gpu, buffers: &LiquidBuffers, taps: &Taps) -> Result<Option<Sinks>, Error> {
-        let Some(markers) = buffers
-            .markers
-            .as_ref()
-            .filter(|_| !taps.sink_cells.is_empty())
-        else {
+    /// [`Error::Limit`] when the adapter is too small.
+    pub fn new(gpu: &Gpu, liquid: &LiquidBuffers, taps: &Taps) -> Result<Option<Sinks>, Error> {
+        if liquid.markers.is_none() || taps.sink_cells.is_empty() {
             return Ok(None);
-        };
-        let grid = &buffers.plan.grid;
-        let (regions, map) = sink_boxes(grid, taps);
-        let index = |&cell: &usize| buffers.padded.index(grid.cell_at(cell)) as u32;
-        let cells: Vec<u32> = taps.sink_cells.iter().map(index).collect();
-        let regions = gpu.buffer_with("sinks.regions", &regions)?;
-        let map = gpu.buffer_with("sinks.map", &map)?;
-        let cells = gpu.buffer_with("sinks.cells", &cells)?;
-        let step = ("step", (&buffers.step).into());
-        Ok(Some(Sinks {
-            n_markers: markers.positions.len(),
-            n_cells: cells.len(),
-            sink_markers: Kernel::new(gpu, &wgsl!("sink_markers"), Real::F32)?.bind(
-                gpu,
-                &[
-                    ("level", (&buffers.level).into()),
-                    step,
-                    ("regions", (&regions).into()),
-                    ("map", (&map).into()),
-                    ("markers", (&markers.positions).into()),
-                    ("report", (&buffers.report).into()),
-                ],
-            )?,
-            empty_sinks: Kernel::new(gpu, &wgsl!("empty_sinks"), Real::F32)?.bind(
-                gpu,
-                &[
-                    step,
-                    ("cells", (&cells).into()),
-                    ("liquid_distance", (&buffers.liquid_distance).into()),
-                ],
-            )?,
-        }))
+        }
+        let grid = &liquid.plan.grid;
+        let index = |&cell: &usize| liquid.padded.index(grid.cell_at(cell)) as u32;
+        let cells = taps.sink_cells.iter().map(index).collect();
+        let sinks = Sinks::allocate(gpu, sink_boxes(grid, taps), cells)?;
+        gpu.upload(&sinks.regions, &sinks.boxes.0);
+        gpu.upload(&sinks.map, &sinks.boxes.1);
+        gpu.upload(&sinks.cells, &sinks.cells_of_sinks);
+        Ok(Some(sinks))
     }
 
-    /// Records what it does to markers, after they have moved.
-    pub fn record(&self, recorder: &mut Recorder) {
-        recorder.stage(EXCHANGE, |pass| {
-            pass.dispatch(&self.sink_markers, self.n_markers)
-        });
+    /// The part of `exchange` for sinks, after all markers have moved.
+    ///
+    /// # Errors
+    /// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+    pub fn exchange(&self, gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatches, Error> {
+        let gpu = &gpu.at(Stage::Exchange.name());
+        let kernel = Kernel::new(gpu, &wgsl!("sink_markers"), Real::F32)?;
+        let sink_markers = kernel.bind_arrays(gpu, &[self, liquid])?;
+        Ok(Dispatches::new(
+            Stage::Exchange.name(),
+            [sink_markers.threads(liquid.n_markers())],
+        ))
     }
 
-    /// Within `liquid_distance`, before the volume is measured.
-    pub(super) fn empty(&self, pass: &mut crate::gpu::Pass) {
-        pass.dispatch(&self.empty_sinks, self.n_cells);
+    /// The part of `liquid_distance`, before the volume is measured.
+    pub(super) fn empty(&self, gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatch, Error> {
+        let kernel = Kernel::new(gpu, &wgsl!("empty_sinks"), Real::F32)?;
+        let empty_sinks = kernel.bind_arrays(gpu, &[self, liquid])?;
+        Ok(empty_sinks.threads(self.cells.len()))
     }
 }
 
-/// Sources: their cells are full of liquid that moves as they say.
+arrays! {
+    /// Sources: their cells are full of liquid that moves with the prescribed velocity.
+    pub struct Sources in "sources" {
+        fields {
+            boxes: (Vec<Region>, Vec<u32>),
+            n_cells: usize,
+            n_faces: usize,
+        }
+        arrays {
+            /// Parameters of the sub-step.
+            uniform source_step: SourceStep [SourceStep::default()] as "sources.step",
+            /// Boxes around the sources.
+            array regions: Region [boxes.0.len()],
+            /// Per cell of the boxes: number of the source's cell from 1, 0 outside.
+            array map: u32 [boxes.1.len()],
+            /// Cells of the sources: i, j, k, and the source with the eighths to seed.
+            array cells: [u32; 4] [n_cells],
+            /// Markers per cell of the sources, then the first new slot of each.
+            array counts: u32 [n_cells],
+            /// Faces with prescribed flux.
+            array faces: DeviceSourceFace [n_faces],
+        }
+        views {
+            // In the scan.
+            chunks = counts,
+            // After it.
+            starts = counts,
+        }
+        parts {}
+    }
+}
+
+/// Dispatches of the sources, by stage.
 #[derive(Debug)]
-pub struct Sources {
-    n_markers: usize,
-    n_cells: usize,
-    n_faces: usize,
-    step: Buffer<SourceStep>,
-    counts: Buffer<u32>,
-    count_in_sources: Bound,
-    plan_seeds: Bound,
-    seed_markers: Bound,
-    hold_faces: Bound,
-    carry_faces: Bound,
+pub struct SourceStages {
+    /// New markers, after all others have moved or are deleted. `counts` is zero before.
+    pub exchange: Dispatches,
+    /// Prescribed fluxes, after all forces have acted.
+    pub forces: Dispatches,
+    /// Velocities of the same faces, after `write_back`.
+    pub write_back: Dispatches,
 }
 
 impl Sources {
-    /// Allocates, compiles and binds; `None` without sources.
+    /// Allocates and writes cells and faces; `None` without sources.
     ///
     /// # Errors
-    /// [`Error::Limit`] when the adapter is too small; as [`Kernel::new`] and [`Kernel::bind`].
-    pub fn new(gpu: &Gpu, buffers: &LiquidBuffers, taps: &Taps) -> Result<Option<Sources>, Error> {
-        let with_sources = buffers
-            .markers
-            .as_ref()
-            .filter(|_| !taps.source_cells.is_empty());
-        let Some(markers) = with_sources else {
+    /// [`Error::Limit`] when the adapter is too small.
+    pub fn new(gpu: &Gpu, liquid: &LiquidBuffers, taps: &Taps) -> Result<Option<Sources>, Error> {
+        if liquid.markers.is_none() || taps.source_cells.is_empty() {
             return Ok(None);
-        };
-        let grid = &buffers.plan.grid;
-        let (regions, map) = source_boxes(grid, taps);
+        }
+        let grid = &liquid.plan.grid;
         let cells = taps.source_cells.iter().zip(&taps.eighths);
         let cells = cells.map(|(&(cell, source), &eighths)| {
             let [i, j, k] = grid.cell_at(cell).map(|n| n as u32);
@@ -281,121 +269,62 @@ impl Sources {
             .faces
             .iter()
             .map(|face| DeviceSourceFace::new(grid, face));
-        let step = gpu.uniform("sources.step", &SourceStep::default())?;
-        let regions = gpu.buffer_with("sources.regions", &regions)?;
-        let map = gpu.buffer_with("sources.map", &map)?;
-        let cells = gpu.buffer_with("sources.cells", &cells.collect::<Vec<[u32; 4]>>())?;
-        let counts = gpu.buffer("sources.counts", cells.len())?;
-        let faces = gpu.buffer_with("sources.faces", &faces.collect::<Vec<DeviceSourceFace>>())?;
-        let kernel = |source| Kernel::new(gpu, &source, Real::F32);
-        let level = ("level", (&buffers.level).into());
-        let of_step = ("step", (&buffers.step).into());
-        let source_step = ("source_step", (&step).into());
-        let positions = ("markers", (&markers.positions).into());
-        let report = ("report", (&buffers.report).into());
-        let of_faces = ("faces", (&faces).into());
-        let of_open = ("open", (&buffers.open).into());
-        let valid = ("valid", (&buffers.valid).into());
-        Ok(Some(Sources {
-            n_markers: markers.positions.len(),
-            n_cells: cells.len(),
-            n_faces: faces.len(),
-            count_in_sources: kernel(wgsl!("count_in_sources"))?.bind(
-                gpu,
-                &[
-                    level,
-                    of_step,
-                    source_step,
-                    ("regions", (&regions).into()),
-                    ("map", (&map).into()),
-                    ("cells", (&cells).into()),
-                    positions,
-                    ("counts", (&counts).into()),
-                ],
-            )?,
-            plan_seeds: kernel(wgsl!("plan_seeds"))?.bind(
-                gpu,
-                &[
-                    level,
-                    source_step,
-                    ("cells", (&cells).into()),
-                    ("solid_distance", (&buffers.obstacles.solid_distance).into()),
-                    ("chunks", (&counts).into()),
-                    report,
-                ],
-            )?,
-            seed_markers: kernel(wgsl!("seed_markers"))?.bind(
-                gpu,
-                &[
-                    level,
-                    of_step,
-                    source_step,
-                    ("cells", (&cells).into()),
-                    ("starts", (&counts).into()),
-                    report,
-                    positions,
-                ],
-            )?,
-            hold_faces: kernel(wgsl!("hold_faces"))?.bind(
-                gpu,
-                &[
-                    level,
-                    source_step,
-                    of_faces,
-                    of_open,
-                    ("solve_open", buffers.solve_open().into()),
-                    valid,
-                    ("velocity_next", (&buffers.velocity_next).into()),
-                ],
-            )?,
-            carry_faces: kernel(wgsl!("carry_faces"))?.bind(
-                gpu,
-                &[
-                    level,
-                    source_step,
-                    of_faces,
-                    of_open,
-                    valid,
-                    ("velocity", (&buffers.velocity).into()),
-                ],
-            )?,
-            step,
-            counts,
-        }))
+        let boxes = source_boxes(grid, taps);
+        let sources = Sources::allocate(gpu, boxes, taps.source_cells.len(), taps.faces.len())?;
+        gpu.upload(&sources.regions, &sources.boxes.0);
+        gpu.upload(&sources.map, &sources.boxes.1);
+        gpu.upload(&sources.cells, &cells.collect::<Vec<_>>());
+        gpu.upload(&sources.faces, &faces.collect::<Vec<_>>());
+        Ok(Some(sources))
     }
 
-    /// Slots that a sub-step keeps for new markers.
+    /// Compiles and binds.
+    ///
+    /// # Errors
+    /// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+    pub fn stages(&self, gpu: &Gpu, liquid: &LiquidBuffers) -> Result<SourceStages, Error> {
+        let bound = |stage: Stage, source| {
+            let gpu = &gpu.at(stage.name());
+            Kernel::new(gpu, &source, Real::F32)?.bind_arrays(gpu, &[self, liquid])
+        };
+        let exchange = [
+            bound(Stage::Exchange, wgsl!("count_in_sources"))?.threads(liquid.n_markers()),
+            bound(Stage::Exchange, wgsl!("plan_seeds"))?.threads(1),
+            bound(Stage::Exchange, wgsl!("seed_markers"))?.threads(self.slots()),
+        ];
+        let hold_faces = bound(Stage::Forces, wgsl!("hold_faces"))?.threads(self.n_faces);
+        let carry_faces = bound(Stage::WriteBack, wgsl!("carry_faces"))?.threads(self.n_faces);
+        Ok(SourceStages {
+            exchange: Dispatches::new(Stage::Exchange.name(), exchange),
+            forces: Dispatches::new(Stage::Forces.name(), [hold_faces]),
+            write_back: Dispatches::new(Stage::WriteBack.name(), [carry_faces]),
+        })
+    }
+
+    /// Slots that a sub-step reserves for new markers.
     pub fn slots(&self) -> usize {
         PER_CELL * self.n_cells
     }
 
-    /// Tells the kernels what the sources do in a sub-step.
+    /// Writes the parameters of a sub-step.
     pub fn write_step(&self, gpu: &Gpu, step: SourceStep) {
-        gpu.upload(&self.step, &[step]);
+        gpu.upload(&self.source_step, &[step]);
     }
 
-    /// Records the new markers, once all others have moved or are gone.
-    pub fn record(&self, recorder: &mut Recorder) {
+    /// Records the part of `exchange`.
+    pub fn record_exchange(&self, recorder: &mut Recorder, stages: &SourceStages) {
         recorder.clear(&self.counts);
-        recorder.stage(EXCHANGE, |pass| {
-            pass.dispatch(&self.count_in_sources, self.n_markers);
-            pass.dispatch(&self.plan_seeds, 1);
-            pass.dispatch(&self.seed_markers, PER_CELL * self.n_cells);
-        });
+        stages.exchange.record(recorder);
     }
 
-    /// Records the faces that sources hold, once all forces have acted.
-    pub fn record_hold(&self, recorder: &mut Recorder, buffers: &LiquidBuffers) {
-        recorder.copy(&buffers.open, buffers.solve_open());
-        recorder.stage(Forces::NAME, |pass| {
-            pass.dispatch(&self.hold_faces, self.n_faces)
-        });
-    }
-
-    /// Records the velocities of those faces, after `write_back`.
-    pub fn record_carry(&self, recorder: &mut Recorder) {
-        recorder.stage(WriteBack::NAME, |pass| {
-            pass.dispatch(&self.carry_faces, self.n_faces)
-        });
+    /// Records the part of `forces`.
+    pub fn record_forces(
+        &self,
+        recorder: &mut Recorder,
+        stages: &SourceStages,
+        liquid: &LiquidBuffers,
+    ) {
+        recorder.copy(&liquid.open, liquid.solve_open());
+        stages.forces.record(recorder);
     }
 }

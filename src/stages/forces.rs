@@ -1,44 +1,36 @@
-//! `forces`: u* += dt g on the faces.
+//! `forces`: u* += dt g on the faces of the liquid; v* += dt g on free components of the nodes of solids, and prescribed components
+//! become the prescribed velocity.
 
 use crate::Error;
-use crate::gpu::{Bound, Gpu, Kernel, Real, Recorder};
+use crate::gpu::{Dispatches, Gpu, Kernel, Real};
+use crate::step::Stage;
 use crate::wgsl;
 
-use super::{LiquidBuffers, over_band};
+use super::{LiquidBuffers, SolidBuffers};
 
-/// The stage: `velocity_next` in place on the band.
-#[derive(Debug)]
-pub struct Forces {
-    forces: Bound,
+/// Forces on the liquid: `velocity_next` in place on the band.
+///
+/// # Errors
+/// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+pub fn forces(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatches, Error> {
+    let gpu = &gpu.at(Stage::Forces.name());
+    let forces = Kernel::new(gpu, &wgsl!("forces"), Real::F32)?.bind_arrays(gpu, &[liquid])?;
+    Ok(Dispatches::new(
+        Stage::Forces.name(),
+        [forces.indirect(&liquid.band_args, 0)],
+    ))
 }
 
-impl Forces {
-    /// The stage's name.
-    pub const NAME: &'static str = "forces";
-
-    /// Compiles and binds.
-    ///
-    /// # Errors
-    /// As [`Kernel::new`] and [`Kernel::bind`].
-    pub fn new(gpu: &Gpu, buffers: &LiquidBuffers) -> Result<Forces, Error> {
-        let [level, args, list] = over_band(buffers);
-        let forces = Kernel::new(gpu, &wgsl!("forces"), Real::F32)?.bind(
-            gpu,
-            &[
-                level,
-                args,
-                list,
-                ("step", (&buffers.step).into()),
-                ("velocity_next", (&buffers.velocity_next).into()),
-            ],
-        )?;
-        Ok(Forces { forces })
-    }
-
-    /// Records it.
-    pub fn record(&self, recorder: &mut Recorder, buffers: &LiquidBuffers) {
-        recorder.stage(Forces::NAME, |pass| {
-            pass.dispatch_indirect(&self.forces, &buffers.band_args, 0);
-        });
-    }
+/// Forces on the nodes of solids: `velocity` in place.
+///
+/// # Errors
+/// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+pub fn node_forces(gpu: &Gpu, solids: &SolidBuffers) -> Result<Dispatches, Error> {
+    let gpu = &gpu.at(Stage::Forces.name());
+    let kernel = Kernel::new(gpu, &wgsl!("node_forces"), solids.plan.real)?;
+    let node_forces = kernel.bind_arrays(gpu, &[solids])?;
+    Ok(Dispatches::new(
+        Stage::Forces.name(),
+        [node_forces.threads(solids.plan.n_nodes)],
+    ))
 }

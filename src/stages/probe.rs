@@ -1,11 +1,13 @@
 //! `probe`: the scene's measurements of the liquid, a few numbers instead of all fields. [`crate::reference::probe`] defines them.
 
 use crate::Error;
-use crate::gpu::{Bound, Buffer, BufferPlan, Gpu, Kernel, Real, RealBuffer, Recorder};
+use crate::gpu::{Buffer, Dispatches, Gpu, Kernel, Real, Recorder};
 use crate::scene::ProbeKind;
+use crate::solver::SolverBuffers;
+use crate::step::Stage;
 use crate::wgsl;
 
-use super::{Active, LiquidBuffers};
+use super::LiquidBuffers;
 
 /// A probe at a point: the doppelganger of `ProbePoint` in `shaders/common/probe_point.wgsl`.
 #[repr(C)]
@@ -33,41 +35,21 @@ pub struct Probe {
     columns: Vec<Columns>,
     /// What [`Probe::columns`] makes the columns from, as bits of f32.
     pub values: Buffer<u32>,
-    points: Option<(Bound, usize)>,
-    fronts: Option<Bound>,
+    dispatches: Dispatches,
 }
 
 impl Probe {
-    /// The stage's name.
-    pub const NAME: &'static str = "probe";
-
-    /// The buffers it makes, the read-back of its values included.
-    pub fn plan<'a>(probes: impl IntoIterator<Item = &'a ProbeKind>) -> Vec<BufferPlan> {
-        let at_point =
-            |kind: &&ProbeKind| kind.of_liquid() && !matches!(kind, ProbeKind::Front { .. });
-        let n_points = probes.into_iter().filter(at_point).count();
-        let n_values = WORDS * (n_points + 1);
-        let mut plans = vec![
-            BufferPlan::of::<u32>("probe.values", n_values),
-            BufferPlan::of::<u32>("probe.values (read-back)", n_values),
-        ];
-        if n_points > 0 {
-            plans.push(BufferPlan::of::<ProbePoint>("probe.points", n_points));
-        }
-        plans
-    }
-
-    /// Compiles and binds. `potential`: p dt / (rho dx), m/s, as many as padded cells; only active lanes are read.
+    /// Compiles and binds.
     ///
     /// # Errors
-    /// As [`Kernel::new`] and [`Kernel::bind`].
+    /// As [`Kernel::new`] and [`Kernel::bind_arrays`].
     pub fn new<'a>(
         gpu: &Gpu,
-        buffers: &LiquidBuffers,
-        active: &Active,
-        potential: &RealBuffer,
+        liquid: &LiquidBuffers,
+        solver: &SolverBuffers,
         probes: impl IntoIterator<Item = &'a ProbeKind>,
     ) -> Result<Probe, Error> {
+        let gpu = &gpu.at(Stage::Probe.name());
         let mut points = Vec::new();
         let mut at_point = |point: glam::DVec3, kind, n| {
             let point = point.as_vec3().to_array();
@@ -97,50 +79,30 @@ impl Probe {
         let points = (n_points > 0)
             .then(|| gpu.buffer_with("probe.points", &points))
             .transpose()?;
-        let level = ("level", (&buffers.level).into());
-        let step = ("step", (&buffers.step).into());
-        let flags = ("flags", active.flags.into());
-        let distance = ("liquid_distance", (&buffers.liquid_distance).into());
-        let output = ("values", (&values).into());
-        let bind_points = |points: &Buffer<ProbePoint>| {
-            let kernel = Kernel::new(gpu, &wgsl!("probe_points"), potential.real)?;
-            let bindings = [
-                level,
-                step,
-                ("points", points.into()),
-                distance,
-                flags,
-                ("potential", potential.into()),
-                ("velocity", (&buffers.velocity).into()),
-                output,
-            ];
-            Ok::<_, Error>((kernel.bind(gpu, &bindings)?, n_points))
-        };
-        let bind_fronts = || {
+        let mut list = Vec::new();
+        if let Some(points) = &points {
+            let own = [("points", points.into()), ("values", (&values).into())];
+            let kernel = Kernel::new(gpu, &wgsl!("probe_points"), solver.variant.real)?;
+            let bound = kernel.bind_arrays(gpu, &[&own, liquid, solver])?;
+            list.push(bound.threads(n_points));
+        }
+        if fronts {
+            let own = [("values", (&values).into())];
             let kernel = Kernel::new(gpu, &wgsl!("probe_fronts"), Real::F32)?;
-            let args = ("args", active.args.into());
-            let list = ("list", active.list.into());
-            kernel.bind(gpu, &[level, step, args, list, flags, distance, output])
-        };
+            let bound = kernel.bind_arrays(gpu, &[&own, liquid, solver])?;
+            list.push(bound.indirect(&solver.args, 0));
+        }
         Ok(Probe {
             columns,
-            points: points.as_ref().map(bind_points).transpose()?,
-            fronts: fronts.then(bind_fronts).transpose()?,
             values,
+            dispatches: Dispatches::new(Stage::Probe.name(), list),
         })
     }
 
     /// Records it, after a sub-step.
-    pub fn record(&self, recorder: &mut Recorder, active: &Active) {
+    pub fn record(&self, recorder: &mut Recorder) {
         recorder.clear(&self.values);
-        recorder.stage(Probe::NAME, |pass| {
-            if let Some((points, n)) = &self.points {
-                pass.dispatch(points, *n);
-            }
-            if let Some(fronts) = &self.fronts {
-                pass.dispatch_indirect(fronts, active.args, 0);
-            }
-        });
+        self.dispatches.record(recorder);
     }
 
     /// The columns of all probes of liquid in order, from the words of `values`. SI units.

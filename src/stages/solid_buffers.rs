@@ -1,15 +1,15 @@
 //! The nodes and elements of all solids on the device.
 
 use crate::Error;
+use crate::arrays;
 use crate::elastic::{Solids, Turning};
-use crate::gpu::{Buffer, BufferPlan, Gpu, Real, RealBuffer, WG_SIZE};
+use crate::gpu::{Gpu, Real, WG_SIZE};
 use crate::grid::{Grid, Layout};
 use crate::scene::ElasticModel;
 use crate::solver::SolidFields;
 use crate::state::State;
 
 use super::SolidReport;
-use super::buffers::Maker;
 
 /// What a sub-step knows of the solids: the doppelganger of `SolidStep` in `shaders/common/solid_step.wgsl`.
 #[repr(C)]
@@ -61,49 +61,6 @@ pub struct SolidPlan {
 }
 
 impl SolidPlan {
-    /// The uniforms that [`SolidBuffers::new`] allocates, and the read-back of the report.
-    pub fn small_buffers(&self) -> Vec<BufferPlan> {
-        let mut plans = vec![
-            BufferPlan::of::<SolidStep>("solid.step", 1),
-            BufferPlan::of::<u32>("solid.report (read-back)", SolidReport::WORDS),
-            BufferPlan::of::<u32>("solid.answer (read-back)", 3),
-        ];
-        if self.obstacles {
-            plans.push(BufferPlan::of::<Layout>("solid.level", 1));
-        }
-        plans
-    }
-
-    /// All buffers that [`SolidBuffers::new`] allocates, uniforms aside.
-    pub fn buffers(&self) -> Vec<BufferPlan> {
-        let (n, m) = (self.n_nodes, self.n_elements);
-        let prescribed = if self.scripts { n } else { 1 };
-        let surfaces = if self.obstacles { 2 } else { 1 };
-        let mut plans = vec![
-            BufferPlan::of::<[f32; 4]>("solid.rest", n),
-            BufferPlan::of::<[f32; 4]>("solid.displacement", 2 * n),
-            RealBuffer::plan("solid.velocity", 4 * n, self.real),
-            BufferPlan::of::<u32>("solid.flags", n.next_multiple_of(4)),
-            BufferPlan::of::<[f32; 4]>("solid.gaps", surfaces * n),
-            BufferPlan::of::<[f32; 4]>("solid.freedom", n),
-            BufferPlan::of::<u32>("solid.answer", 3),
-            BufferPlan::of::<[u32; 4]>("solid.elements", m),
-            RealBuffer::plan("solid.rest_gradients", 12 * m, self.real),
-            BufferPlan::of::<[f32; 2]>("solid.damping", m),
-            RealBuffer::plan("solid.rotated", 12 * m, self.real),
-            RealBuffer::plan("solid.element_forces", 12 * m, self.real),
-            RealBuffer::plan("solid.load", 4 * n, self.real),
-            BufferPlan::of::<[f32; 4]>("solid.prescribed", prescribed),
-            RealBuffer::plan("solid.partials", 12 * self.n_summing(), self.real),
-            BufferPlan::of::<u32>("solid.extremes", EXTREMES),
-            BufferPlan::of::<u32>("solid.report", SolidReport::WORDS),
-        ];
-        if self.n_turning > 0 {
-            plans.push(BufferPlan::of::<[u32; 4]>("solid.turning", self.n_turning));
-        }
-        plans
-    }
-
     /// Threads of a reduction, each with its own share of the nodes and elements: as many as fill a large device, fewer for
     /// small solids.
     pub fn n_summing(&self) -> usize {
@@ -120,58 +77,65 @@ const LARGEST_SUMMING: usize = 16384;
 /// Words of [`SolidBuffers::extremes`].
 const EXTREMES: usize = 3;
 
-/// The nodes and elements of all solids, owns no kernels. n nodes, m elements; arrays of several sections hold one section of
-/// all nodes or elements after another. `Real4` is four f64 where [`SolidPlan::real`] is f64, else four f32.
-#[derive(Debug)]
-pub struct SolidBuffers {
-    /// What they were made for.
-    pub plan: SolidPlan,
-    /// The sub-step's numbers.
-    pub step: Buffer<SolidStep>,
-    /// The layout of the obstacles' distance; only with obstacles.
-    pub level: Option<Buffer<Layout>>,
-    /// Per body that moves on circles where it turns: its first node and the one after its last, and two nodes of its hinge or
-    /// all bits set; only with such bodies.
-    pub turning: Option<Buffer<[u32; 4]>>,
-    /// Per node: rest position, m, and lumped mass, kg.
-    pub rest: Buffer<[f32; 4]>,
-    /// Displacement from rest, m, as the sum of two f32: the larger part of all nodes, then the smaller.
-    pub displacement: Buffer<[f32; 4]>,
-    /// `Real4` per node: velocity, m/s; v* before the solve, v after it.
-    pub velocity: RealBuffer,
-    /// Per node: bits 0, 1, 2 are set where x, y, z is free. Zeros fill up to a multiple of four.
-    pub flags: Buffer<u32>,
-    /// Per node: distances from the nearer walls, m, and which they are; with obstacles a second section, unit normals and distances (see
-    /// `shaders/common/contact.wgsl`).
-    pub gaps: Buffer<[f32; 4]>,
-    /// Per node: how it may move in this sub-step (see `shaders/common/freedom.wgsl`).
-    pub freedom: Buffer<[f32; 4]>,
-    /// What the search for contacts answers, and is told (see `shaders/common/ask.wgsl`). After a sub-step, first, how many of them are not
-    /// settled.
-    pub answer: Buffer<u32>,
-    /// Per element: its nodes.
-    pub elements: Buffer<[u32; 4]>,
-    /// `Real4`, three sections: rest gradients of the shape functions of corners 1, 2, 3, 1/m (that of corner 0 is minus their
-    /// sum), with the rest volume (m^3), lambda and mu (Pa) as fourth numbers.
-    pub rest_gradients: RealBuffer,
-    /// Per element: tau_K, s, and 1 for the linear model, else 0.
-    pub damping: Buffer<[f32; 2]>,
-    /// `Real4`, three sections: the same gradients, rotated; fourth numbers zeta_K V lambda, zeta_K V mu (s Pa m^3), and the
-    /// determinant of the deformation gradient.
-    pub rotated: RealBuffer,
-    /// `Real4`, three sections: K x* - b of the element at corners 1, 2, 3, N (that at corner 0 is minus their sum); the fourth
-    /// number of the first section is the element's elastic energy, J, the others are zero.
-    pub element_forces: RealBuffer,
-    /// `Real4` per node: constant force, N, and tau_M, 1/s.
-    pub load: RealBuffer,
-    /// Per node: what prescribed components move with in this sub-step, m/s. Without scripts one element, zero.
-    pub prescribed: Buffer<[f32; 4]>,
-    /// What each thread of a reduction found: three sections of `Real4`.
-    pub partials: RealBuffer,
-    /// Largest speed, least determinant, inverted elements, as `shaders/measure_solid.wgsl` orders them.
-    pub extremes: Buffer<u32>,
-    /// What the host reads once per step: see [`SolidReport`].
-    pub report: Buffer<u32>,
+arrays! {
+    /// The nodes and elements of all solids. n nodes, m elements; arrays of several sections have one section of all nodes or
+    /// elements after another. `Real4` is four f64 where [`SolidPlan::real`] is f64, else four f32.
+    pub struct SolidBuffers in "solid" {
+        fields {
+            /// Sizes.
+            pub plan: SolidPlan,
+        }
+        arrays {
+            /// Parameters of the sub-step.
+            pub uniform step: SolidStep [bytemuck::Zeroable::zeroed()],
+            /// Layout of the distance to obstacles.
+            pub uniform level: Layout [plan.grid.padded().layout()] if plan.obstacles,
+            /// Per node: rest position, m, and lumped mass, kg.
+            pub array rest: [f32; 4] [plan.n_nodes],
+            /// Displacement from rest, m, as the sum of two f32: the larger part of all nodes, then the smaller.
+            pub array displacement: [f32; 4] [2 * plan.n_nodes],
+            /// `Real4` per node: velocity, m/s; v* before the solve, v after it.
+            pub real velocity: (plan.real) [4 * plan.n_nodes],
+            /// Per node: bits 0, 1, 2 are set where x, y, z is free. Zeros fill up to a multiple of four.
+            pub array flags: u32 [plan.n_nodes.next_multiple_of(4)],
+            /// Per node: distances from the nearer walls, m, and which they are; with obstacles a second section, unit normals and
+            /// distances (see `shaders/common/contact.wgsl`).
+            pub array gaps: [f32; 4] [(1 + usize::from(plan.obstacles)) * plan.n_nodes],
+            /// Per node: constraint projector of this sub-step (see `shaders/common/freedom.wgsl`).
+            pub array freedom: [f32; 4] [plan.n_nodes],
+            /// Query of the active-set search and its result (see `shaders/common/ask.wgsl`). After a sub-step, first, the number of
+            /// contacts that would change.
+            pub array answer: u32 [3],
+            /// Per element: its nodes.
+            pub array elements: [u32; 4] [plan.n_elements],
+            /// `Real4`, three sections: rest gradients of the shape functions of corners 1, 2, 3, 1/m (that of corner 0 is minus their
+            /// sum), with the rest volume (m^3), lambda and mu (Pa) as fourth numbers.
+            pub real rest_gradients: (plan.real) [12 * plan.n_elements],
+            /// Per element: tau_K, s, and 1 for the linear model, else 0.
+            pub array damping: [f32; 2] [plan.n_elements],
+            /// `Real4`, three sections: the same gradients, rotated; fourth numbers zeta_K V lambda, zeta_K V mu (s Pa m^3), and the
+            /// determinant of the deformation gradient.
+            pub real rotated: (plan.real) [12 * plan.n_elements],
+            /// `Real4`, three sections: K x* - b of the element at corners 1, 2, 3, N (that at corner 0 is minus their sum); the
+            /// fourth number of the first section is the element's elastic energy, J, the others are zero.
+            pub real element_forces: (plan.real) [12 * plan.n_elements],
+            /// `Real4` per node: constant force, N, and tau_M, 1/s.
+            pub real load: (plan.real) [4 * plan.n_nodes],
+            /// Per node: velocity of prescribed components in this sub-step, m/s. Without scripts one element, zero.
+            pub array prescribed: [f32; 4] [if plan.scripts { plan.n_nodes } else { 1 }],
+            /// Partial sums of a reduction: three sections of `Real4`.
+            pub real partials: (plan.real) [12 * plan.n_summing()],
+            /// Largest speed, least determinant, inverted elements, as `shaders/measure_solid.wgsl` orders them.
+            pub array extremes: u32 [EXTREMES],
+            /// Sums that the host reads once per step: see [`SolidReport`].
+            pub array report: u32 [SolidReport::WORDS],
+            /// Per body that moves on circles where it turns: its first node and the one after its last, and two nodes of its hinge or
+            /// all bits set.
+            pub array turning: [u32; 4] [plan.n_turning] if plan.n_turning > 0,
+        }
+        views {}
+        parts {}
+    }
 }
 
 impl SolidBuffers {
@@ -192,35 +156,7 @@ impl SolidBuffers {
             (plan.n_nodes, plan.n_elements, plan.n_turning),
             "nodes, elements and turning bodies of the plan"
         );
-        let plans = plan.buffers();
-        let maker = Maker { gpu, plans: &plans };
-        let padded = plan.grid.padded();
-        let level = || gpu.uniform("solid.level", &padded.layout());
-        let turning = || maker.make("solid.turning");
-        let zero: SolidStep = bytemuck::Zeroable::zeroed();
-        let buffers = SolidBuffers {
-            plan,
-            step: gpu.uniform("solid.step", &zero)?,
-            level: plan.obstacles.then(level).transpose()?,
-            turning: (plan.n_turning > 0).then(turning).transpose()?,
-            rest: maker.make("solid.rest")?,
-            displacement: maker.make("solid.displacement")?,
-            velocity: maker.make_real("solid.velocity", plan.real)?,
-            flags: maker.make("solid.flags")?,
-            gaps: maker.make("solid.gaps")?,
-            freedom: maker.make("solid.freedom")?,
-            answer: maker.make("solid.answer")?,
-            elements: maker.make("solid.elements")?,
-            rest_gradients: maker.make_real("solid.rest_gradients", plan.real)?,
-            damping: maker.make("solid.damping")?,
-            rotated: maker.make_real("solid.rotated", plan.real)?,
-            element_forces: maker.make_real("solid.element_forces", plan.real)?,
-            load: maker.make_real("solid.load", plan.real)?,
-            prescribed: maker.make("solid.prescribed")?,
-            partials: maker.make_real("solid.partials", plan.real)?,
-            extremes: maker.make("solid.extremes")?,
-            report: maker.make("solid.report")?,
-        };
+        let buffers = SolidBuffers::allocate(gpu, plan)?;
         buffers.write_nodes(gpu, solids);
         buffers.write_elements(gpu, solids);
         Ok(buffers)

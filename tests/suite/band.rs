@@ -1,7 +1,7 @@
 //! The band: tiles around the liquid, the list, and what leaves it.
 
-use cutwater::gpu::{CompactKernels, Recorder};
-use cutwater::stages::{Band, Tiles};
+use cutwater::gpu::Recorder;
+use cutwater::stages::{Tiles, band};
 
 use crate::common::gpu;
 use crate::liquid_case::{Case, cases};
@@ -58,8 +58,7 @@ fn what_leaves_the_band_is_put_back_to_air() {
         .find(|case| case.name == "far corner")
         .unwrap();
     let buffers = case.upload(gpu);
-    let compact = CompactKernels::new(gpu).unwrap();
-    let band = Band::new(gpu, &compact, &buffers).unwrap();
+    let band = band(gpu, &buffers).unwrap();
     let record = || {
         let mut recorder = Recorder::new(gpu);
         band.record(&mut recorder);
@@ -78,10 +77,11 @@ fn what_leaves_the_band_is_put_back_to_air() {
     let end = case.grid.size() - 0.5 * case.grid.dx;
     case.state.markers = vec![end.to_array()];
     let [x, y, z] = end.to_array().map(|x| x as f32);
-    gpu.upload(&markers.positions, &[[x, y, z, 1.0]]);
-    let occupied = gpu.download(&markers.occupied).unwrap();
-    let unmarked: Vec<u32> = occupied.iter().map(|word| word & 15).collect();
-    gpu.upload(&markers.occupied, &unmarked);
+    gpu.upload(markers, &[[x, y, z, 1.0]]);
+    let occupied = buffers.occupied.as_ref().unwrap();
+    let words = gpu.download(occupied).unwrap();
+    let unmarked: Vec<u32> = words.iter().map(|word| word & 15).collect();
+    gpu.upload(occupied, &unmarked);
     record();
     let after = gpu.download(&buffers.band_flags).unwrap();
     let phi = gpu.download(&buffers.liquid_distance).unwrap();

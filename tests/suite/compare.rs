@@ -8,6 +8,7 @@ use cutwater::measure::compare::{Comparison, compare};
 use cutwater::reference::Held;
 use cutwater::scene::Scene;
 use cutwater::sim::{Snapshot, SolidSnapshot};
+use cutwater::step::Stage;
 
 use crate::common::{gpu, root};
 
@@ -161,7 +162,8 @@ fn what_is_off_is_found_and_nothing_else() {
     }
     let scene = scene("sphere_half_full", 0.5, &[]);
     let mut spoilt = Vec::new();
-    let mut listen = |stage: &'static str, snapshot: &mut Snapshot| {
+    let mut listen = |stage: Stage, snapshot: &mut Snapshot| {
+        let stage = stage.name();
         spoilt.extend(
             spoil(stage, snapshot)
                 .iter()
@@ -192,8 +194,8 @@ fn compared(text: &str, frames: u64, mut held: impl FnMut(&SolidSnapshot)) -> St
     let path = folder.path().join("test.toml");
     fs::write(&path, text).unwrap();
     let scene = Scene::load(&path, &[], 1.0).unwrap();
-    let mut listen = |stage: &'static str, snapshot: &mut Snapshot| {
-        if stage == "solve" {
+    let mut listen = |stage: Stage, snapshot: &mut Snapshot| {
+        if stage == Stage::Solve {
             held(snapshot.solids.as_ref().unwrap());
         }
     };

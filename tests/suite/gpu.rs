@@ -13,9 +13,7 @@ fn compact(gpu: &Gpu, flags: &[u32], first: usize, n: usize) -> (Vec<u32>, Vec<u
     let flags = gpu.buffer_with("test.flags", flags).unwrap();
     let list: Buffer<u32> = gpu.buffer("test.list", flags.len()).unwrap();
     let args: Buffer<u32> = gpu.buffer("test.args", 8).unwrap();
-    let scratch: Buffer<u32> = gpu
-        .buffer("test.scratch", Compaction::scratch("test.scratch", n).len)
-        .unwrap();
+    let scratch: Buffer<u32> = gpu.buffer("test.scratch", Compaction::scratch(n)).unwrap();
     let compaction =
         Compaction::new(gpu, &kernels, &flags, &list, &args, &scratch, [first, n], 1).unwrap();
     let mut recorder = Recorder::new(gpu);
@@ -97,7 +95,7 @@ fn sort(gpu: &Gpu, keys: &[u32], length: usize, bits: u32) -> (Vec<u32>, Vec<u32
     let args = [9, 9, 9, 9, 0, 0, 0, length as u32];
     let args = gpu.buffer_with("test.args", &args).unwrap();
     let scratch = Sort::scratch("test.scratch", n);
-    let scratch = gpu.buffer(scratch.label, scratch.len).unwrap();
+    let scratch = gpu.buffer(&scratch.label, scratch.len).unwrap();
     let kernels = SortKernels::new(gpu).unwrap();
     let entries = Entries { keys, values };
     let spare = Entries {

@@ -2,10 +2,12 @@
 
 use cutwater::effects::Effects;
 use cutwater::geometry::CutCells;
-use cutwater::gpu::{Buffer, CompactKernels, Gpu, Real, Recorder};
+use cutwater::gpu::{Gpu, Real, Recorder};
 use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference::{ActiveCells, active_cells};
-use cutwater::stages::{Active, Band, LiquidBuffers, LiquidPlan, Step};
+use cutwater::scene::Precision;
+use cutwater::solver::SolverBuffers;
+use cutwater::stages::{LiquidBuffers, LiquidPlan, Step, band};
 use cutwater::state::State;
 use glam::{DMat3, DVec3};
 
@@ -225,8 +227,7 @@ impl Case {
 
     /// Records the band around the markers.
     pub(crate) fn band(&self, gpu: &Gpu, buffers: &LiquidBuffers) {
-        let compact = CompactKernels::new(gpu).unwrap();
-        let band = Band::new(gpu, &compact, buffers).unwrap();
+        let band = band(gpu, buffers).unwrap();
         let mut recorder = Recorder::new(gpu);
         band.record(&mut recorder);
         recorder.submit();
@@ -256,21 +257,22 @@ impl Case {
 
 /// The unknowns on the device, as the solver would leave them.
 pub(crate) struct ActiveBuffers {
-    flags: Buffer<u32>,
-    list: Buffer<u32>,
-    args: Buffer<u32>,
+    grid: Grid,
+    flags: Vec<u32>,
+    list: Vec<u32>,
+    args: [u32; 4],
     pub(crate) cells: ActiveCells,
 }
 
 impl ActiveBuffers {
     /// Those that a liquid distance (m) makes.
-    pub(crate) fn new(gpu: &Gpu, case: &Case, phi: &[f64]) -> ActiveBuffers {
+    pub(crate) fn new(case: &Case, phi: &[f64]) -> ActiveBuffers {
         let cells = active_cells(&case.grid, &case.cut.open, phi, single(THETA_FLOOR));
-        ActiveBuffers::of(gpu, case, cells)
+        ActiveBuffers::of(case, cells)
     }
 
     /// These.
-    pub(crate) fn of(gpu: &Gpu, case: &Case, cells: ActiveCells) -> ActiveBuffers {
+    pub(crate) fn of(case: &Case, cells: ActiveCells) -> ActiveBuffers {
         let grid = &case.grid;
         let padded = grid.padded();
         let mut flags = vec![0u32; padded.quads];
@@ -295,20 +297,25 @@ impl ActiveBuffers {
         let [x, y, z] = cutwater::gpu::groups((list.len() as u32).div_ceil(64));
         let args = [x, y, z, list.len() as u32];
         ActiveBuffers {
-            flags: gpu.buffer_with("test.flags", &flags).unwrap(),
-            list: gpu.buffer_with("test.list", &list).unwrap(),
-            args: gpu.buffer_with("test.args", &args).unwrap(),
+            grid: *grid,
+            flags,
+            list,
+            args,
             cells,
         }
     }
 
-    /// As the stages take them.
-    pub(crate) fn active(&self) -> Active<'_> {
-        Active {
-            flags: &self.flags,
-            list: &self.list,
-            args: &self.args,
-        }
+    /// Arrays of the solver with these unknowns.
+    pub(crate) fn solver(&self, gpu: &Gpu, real: Real) -> SolverBuffers {
+        let precision = match real {
+            Real::F32 => Precision::F32,
+            Real::F64 => Precision::F64,
+        };
+        let solver = SolverBuffers::new(gpu, &self.grid, precision).unwrap();
+        gpu.upload(&solver.flags, &self.flags);
+        gpu.upload(&solver.list, &self.list);
+        gpu.upload(&solver.args, &self.args);
+        solver
     }
 }
 

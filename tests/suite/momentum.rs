@@ -20,6 +20,7 @@ use cutwater::reference::{Stencil, StepSystem, TimeStep, advect_velocity, forces
 use cutwater::scene::Scene;
 use cutwater::sim::{GpuPath, reference_path};
 use cutwater::state::{SolveStatus, StepReport};
+use cutwater::step::Stage;
 use glam::DVec3;
 
 use crate::common::gpu;
@@ -429,8 +430,8 @@ fn on_the_device_it_is_that_too() {
         let solids = path.solids().unwrap().clone();
         for _ in 0..STEPS {
             let mut seen = Vec::new();
-            let observer = &mut |stage: &'static str, path: &GpuPath| {
-                if ["forces", "solve", "write_back"].contains(&stage) {
+            let observer = &mut |stage: Stage, path: &GpuPath| {
+                if [Stage::Forces, Stage::Solve, Stage::WriteBack].contains(&stage) {
                     let snapshot = path.snapshot()?;
                     seen.push((snapshot.liquid.unwrap(), snapshot.solids.unwrap()));
                 }

@@ -388,8 +388,8 @@ fn open_sides_allocate_and_compile_nothing() {
             0
         };
         assert_eq!(
-            (without.label, without.bytes() + more),
-            (with.label, with.bytes())
+            (&without.label, without.bytes() + more),
+            (&with.label, with.bytes())
         );
     }
     assert_eq!(closed.buffers.len(), open.buffers.len());

@@ -59,7 +59,7 @@ fn assert_buffers(what: &str, plan: &Plan, simulation: &Simulation) {
     let mut planned = by_label(
         plan.buffers
             .iter()
-            .map(|buffer| (buffer.label, buffer.bytes())),
+            .map(|buffer| (&*buffer.label, buffer.bytes())),
     );
     let total = |list: &BTreeMap<String, u64>| list.values().sum::<u64>() as f64;
     let ratio = total(&planned) / total(&made);
@@ -220,7 +220,7 @@ fn solids_take_what_is_planned_and_nothing_of_the_liquids() {
         let what = format!("without {absent:?}, {overrides:?}");
         let scene = solids_with(&absent, overrides);
         let (mut simulation, plan) = made(&scene);
-        let planned = by_label(plan.buffers.iter().map(|plan| (plan.label, plan.bytes())));
+        let planned = by_label(plan.buffers.iter().map(|plan| (&*plan.label, plan.bytes())));
         let before = allocated(&simulation);
         let there = by_label(before.iter().map(|(label, bytes)| (&**label, *bytes)));
         assert_eq!(planned, there, "{what}: buffers");

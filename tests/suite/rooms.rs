@@ -7,6 +7,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use cutwater::step::{Runner, SCHEDULE, Stage};
 use proc_macro2::{Delimiter, TokenStream, TokenTree};
 
 /// Lower ones first. A room may use the rooms of all tiers below its own, and what [`PEERS`] adds.
@@ -15,7 +16,7 @@ const TIERS: &[&[&str]] = &[
     &["grid"],
     &["scene", "state"],
     &["effects"],
-    &["gpu", "geometry", "elastic", "linalg"],
+    &["gpu", "geometry", "elastic", "linalg", "step"],
     &["output", "stages", "solver", "reference"],
     &["sim"],
     &["measure"],
@@ -38,7 +39,7 @@ const ONLY: &[(&str, &[&str])] = &[
     (
         "reference",
         &[
-            "error", "grid", "scene", "state", "effects", "geometry", "elastic", "linalg",
+            "error", "grid", "scene", "state", "effects", "geometry", "elastic", "linalg", "step",
         ],
     ),
 ];
@@ -69,7 +70,7 @@ const HOMES: &[(&str, &str)] = &[
 ];
 
 /// What `crate::NAME` means where NAME is not a room.
-const ROOT_NAMES: &[(&str, &str)] = &[("Error", "error"), ("wgsl", "gpu")];
+const ROOT_NAMES: &[(&str, &str)] = &[("Error", "error"), ("arrays", "gpu"), ("wgsl", "gpu")];
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -326,45 +327,26 @@ fn the_root_has_no_logic() {
     }
 }
 
-/// The nouns of a numbered list of stages.
-fn nouns(page: &str) -> Vec<String> {
-    let text = fs::read_to_string(root().join(page)).unwrap();
-    let lines = text.lines().map(|line| line.trim_start_matches("//! "));
-    let noun = |line: &str| {
-        let (number, rest) = line.split_once(". `")?;
-        let _: u32 = number.parse().ok()?;
-        rest.split_once('`').map(|(noun, _)| noun.to_owned())
-    };
-    lines.filter_map(noun).collect()
-}
-
 #[test]
 fn stages_share_their_nouns() {
-    let stages = nouns("src/lib.rs");
-    assert!(stages.len() > 10, "{stages:?}");
-    let page = "ARCHITECTURE.md";
-    assert_eq!(stages, nouns(page), "src/lib.rs and {page}");
-    for noun in stages.iter().filter(|noun| *noun != "clip") {
-        let twin = format!("src/reference/{noun}.rs");
-        assert!(root().join(&twin).exists(), "no {twin}");
+    for row in &SCHEDULE {
+        // `clip` is geometry's, of both.
+        if row.runner != Runner::Gpu && row.stage != Stage::Clip {
+            let twin = format!("src/reference/{}.rs", row.name);
+            assert!(root().join(&twin).exists(), "no {twin}");
+        }
     }
     // What several stages use.
     let shared = ["mod", "band", "buffers", "report", "solid_buffers"];
-    // Parts of a stage that are kernels of solids alone.
-    let parts = [
-        ("node_forces", "forces"),
-        ("element_rotations", "solid_matrices"),
-        ("diagnose_solid", "diagnose"),
-        ("diagnose_coupling", "diagnose"),
-    ];
+    let parts = [("element_rotations", "solid_matrices")];
     for file in files("src/stages", &["rs"]) {
         let stem = file.file_stem().unwrap().to_str().unwrap();
         if !shared.contains(&stem) {
             let part = parts.iter().find(|(part, _)| *part == stem);
             let stage = part.map_or(stem, |(_, stage)| stage);
             assert!(
-                stages.iter().any(|noun| noun == stage),
-                "src/lib.rs lists no stage {stage}"
+                SCHEDULE.iter().any(|row| row.name == stage),
+                "the schedule has no stage {stage}"
             );
             let test = format!("tests/suite/twin_{stem}.rs");
             assert!(root().join(&test).exists(), "no {test}");

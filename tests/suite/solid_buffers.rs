@@ -1,6 +1,5 @@
 //! The buffers of the solids hold what they were given.
 
-use cutwater::gpu::BufferPlan;
 use cutwater::scene::ElasticModel;
 
 use crate::common::{Random, gpu};
@@ -71,61 +70,6 @@ fn constants_are_where_kernels_look() {
                 let expected = [body.stiffness_damping as f32, f32::from(u8::from(linear))];
                 assert_eq!(damping[element], expected);
             }
-        }
-    }
-}
-
-#[test]
-fn all_that_is_allocated_is_planned() {
-    let Some(gpu) = gpu() else { return };
-    for case in cases() {
-        for real in SolidCase::reals(gpu) {
-            // Other tests use the same device: buffers are compared one by one instead of all that was allocated.
-            let b = case.upload(gpu, real);
-            let bytes = |label: &str| {
-                let all = [b.plan.buffers(), b.plan.small_buffers()].concat();
-                let found: Vec<u64> = all
-                    .iter()
-                    .filter(|plan| plan.label == label)
-                    .map(BufferPlan::bytes)
-                    .collect();
-                assert_eq!(found.len(), 1, "{label}");
-                found[0]
-            };
-            let mut made = vec![
-                (b.step.label(), b.step.bytes()),
-                (b.rest.label(), b.rest.bytes()),
-                (b.displacement.label(), b.displacement.bytes()),
-                (b.velocity.words.label(), b.velocity.words.bytes()),
-                (b.flags.label(), b.flags.bytes()),
-                (b.gaps.label(), b.gaps.bytes()),
-                (b.freedom.label(), b.freedom.bytes()),
-                (b.answer.label(), b.answer.bytes()),
-                (b.elements.label(), b.elements.bytes()),
-                (
-                    b.rest_gradients.words.label(),
-                    b.rest_gradients.words.bytes(),
-                ),
-                (b.damping.label(), b.damping.bytes()),
-                (b.rotated.words.label(), b.rotated.words.bytes()),
-                (
-                    b.element_forces.words.label(),
-                    b.element_forces.words.bytes(),
-                ),
-                (b.load.words.label(), b.load.words.bytes()),
-                (b.prescribed.label(), b.prescribed.bytes()),
-                (b.partials.words.label(), b.partials.words.bytes()),
-                (b.extremes.label(), b.extremes.bytes()),
-                (b.report.label(), b.report.bytes()),
-            ];
-            let turning = b.turning.as_ref();
-            made.extend(turning.map(|turning| (turning.label(), turning.bytes())));
-            assert_eq!(made.len(), b.plan.buffers().len() + 1);
-            for (label, found) in made {
-                assert_eq!(bytes(label), found, "{}: {label}", case.name);
-            }
-            assert_eq!(b.level.is_some(), b.plan.obstacles);
-            assert_eq!(b.turning.is_some(), b.plan.n_turning > 0);
         }
     }
 }

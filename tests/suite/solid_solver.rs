@@ -108,7 +108,7 @@ impl<'a> Device<'a> {
         device
     }
 
-    fn prepare(&self) -> Recorder<'a> {
+    fn prepare(&self) -> Recorder {
         let mut recorder = Recorder::new(self.gpu);
         recorder.stage("solid_matrices", |pass| self.system.record_matrices(pass));
         recorder.stage("right_hand_side", |pass| {

@@ -188,12 +188,12 @@ impl<'a> Device<'a> {
     }
 
     /// Everything up to the solve.
-    pub(crate) fn prepare(&self) -> Recorder<'a> {
+    pub(crate) fn prepare(&self) -> Recorder {
         self.prepare_sealed(None)
     }
 
     /// The same with solids, which seal components.
-    pub(crate) fn prepare_sealed(&self, seal: Option<&Seal>) -> Recorder<'a> {
+    pub(crate) fn prepare_sealed(&self, seal: Option<&Seal>) -> Recorder {
         let Device { buffers, .. } = self;
         buffers.rhs.upload(self.gpu, &self.rhs);
         let mut recorder = Recorder::timed(self.gpu);

@@ -1,9 +1,9 @@
 //! `advect_markers` against its twin.
 
-use cutwater::gpu::{Gpu, Recorder};
+use cutwater::gpu::{Dispatches, Gpu, Recorder};
 use cutwater::measure::bounds::MarkerError;
 use cutwater::reference::{self, Lost, Surface};
-use cutwater::stages::{AdvectMarkers, LiquidBuffers, Report};
+use cutwater::stages::{LiquidBuffers, Report, advect_markers};
 
 use crate::common::{Random, gpu};
 use crate::liquid_case::{Case, EPS, RADIUS, assert_close, cases, single};
@@ -13,15 +13,13 @@ fn advected(
     gpu: &Gpu,
     case: &Case,
     buffers: &LiquidBuffers,
-    stage: &AdvectMarkers,
+    stage: &Dispatches,
 ) -> (Vec<[f32; 4]>, Lost) {
     case.write(gpu, buffers);
     let mut recorder = Recorder::new(gpu);
-    stage.record(&mut recorder, buffers);
+    stage.record(&mut recorder);
     recorder.submit();
-    let markers = gpu
-        .download(&buffers.markers.as_ref().unwrap().positions)
-        .unwrap();
+    let markers = gpu.download(buffers.markers.as_ref().unwrap()).unwrap();
     let report = gpu.download(&buffers.report).unwrap();
     let dropped = report[Report::DROPPED].into();
     let left = report.get(Report::LEAVING).copied().unwrap_or(0).into();
@@ -82,7 +80,7 @@ fn markers_move_as_in_the_twin() {
         let distance = surface_distance(&case);
         let surface = surface(&case, &distance);
         let buffers = case.upload(gpu);
-        let stage = AdvectMarkers::new(gpu, &buffers).unwrap();
+        let stage = advect_markers(gpu, &buffers).unwrap();
         let (markers, lost) = advected(gpu, &case, &buffers, &stage);
         let error = MarkerError::new(&case.grid, &case.state.velocity, surface, case.dt);
         let mut pairs = Vec::new();
@@ -148,7 +146,7 @@ fn the_surface_is_where_the_twin_has_it() {
     let Some(gpu) = gpu() else { return };
     for case in filled_cases() {
         let buffers = case.upload(gpu);
-        let stage = AdvectMarkers::new(gpu, &buffers).unwrap();
+        let stage = advect_markers(gpu, &buffers).unwrap();
         let (grid, padded) = (case.grid, buffers.padded);
         // A difference of numbers up to 4 dx, one of which is a product with a root that may be off by four roundings.
         let bound = 6.0 * EPS * 4.0 * grid.dx;
@@ -181,10 +179,10 @@ fn dropped_markers_stay_dropped() {
         .find(|case| case.name == "all solid")
         .unwrap();
     let buffers = case.upload(gpu);
-    let stage = AdvectMarkers::new(gpu, &buffers).unwrap();
+    let stage = advect_markers(gpu, &buffers).unwrap();
     let mut recorder = Recorder::new(gpu);
-    stage.record(&mut recorder, &buffers);
-    stage.record(&mut recorder, &buffers);
+    stage.record(&mut recorder);
+    stage.record(&mut recorder);
     recorder.submit();
     let n = case.state.markers.len();
     assert_eq!(

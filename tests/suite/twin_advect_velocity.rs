@@ -4,7 +4,7 @@ use cutwater::gpu::Recorder;
 use cutwater::grid::Axis;
 use cutwater::measure::bounds::{advection_error, open_to_advection};
 use cutwater::reference;
-use cutwater::stages::AdvectVelocity;
+use cutwater::stages::advect_velocity;
 
 use crate::common::gpu;
 use crate::liquid_case::{assert_close, cases};
@@ -21,13 +21,13 @@ fn faces_carry_what_they_carry_in_the_twin() {
             }
         }
         let buffers = case.upload(gpu);
-        let stage = AdvectVelocity::new(gpu, &buffers).unwrap();
+        let stage = advect_velocity(gpu, &buffers).unwrap();
         let run = || {
             // Slivers put on what they show.
             case.write(gpu, &buffers);
             case.band(gpu, &buffers);
             let mut recorder = Recorder::new(gpu);
-            stage.record(&mut recorder, &buffers);
+            stage.record(&mut recorder);
             recorder.submit();
             let in_band = case.in_band(gpu, &buffers);
             (
@@ -62,9 +62,9 @@ fn still_air_keeps_its_bits() {
     let buffers = case.upload(gpu);
     case.band(gpu, &buffers);
     gpu.upload(&buffers.velocity_next, &vec![1.0; 3 * buffers.padded.len()]);
-    let stage = AdvectVelocity::new(gpu, &buffers).unwrap();
+    let stage = advect_velocity(gpu, &buffers).unwrap();
     let mut recorder = Recorder::new(gpu);
-    stage.record(&mut recorder, &buffers);
+    stage.record(&mut recorder);
     recorder.submit();
     let flags = gpu.download(&buffers.band_flags).unwrap();
     let faces = gpu.download(&buffers.velocity_next).unwrap();

@@ -4,7 +4,7 @@ use cutwater::effects::Effects;
 use cutwater::geometry::{SolidClip, obstacle_cut};
 use cutwater::gpu::{Gpu, Real, RealBuffer, Recorder};
 use cutwater::sim::solids_of;
-use cutwater::stages::{Clip, ClipBuffers, ClipSize, Extrapolate, LiquidBuffers, LiquidPlan};
+use cutwater::stages::{self, ClipBuffers, ClipSize, LiquidBuffers, LiquidPlan};
 use glam::DVec3;
 
 use crate::common::{Random, gpu};
@@ -15,7 +15,7 @@ use crate::liquid_case::EPS;
 type Fields = (Vec<f32>, Vec<f32>, Vec<u32>, Vec<u32>);
 
 fn fields(gpu: &Gpu, buffers: &LiquidBuffers) -> Fields {
-    let occupied = buffers.markers.as_ref().map(|markers| &markers.occupied);
+    let occupied = buffers.occupied.as_ref();
     (
         gpu.download(&buffers.open).unwrap(),
         gpu.download(&buffers.obstacles.solid_distance).unwrap(),
@@ -65,21 +65,22 @@ fn fields_are_those_of_the_clipping() {
         let buffers = LiquidBuffers::new(gpu, plan).unwrap();
         buffers.write_cut_cells(gpu, &obstacles.cut);
         let mut on_device = ClipBuffers::new(gpu, &grid, room).unwrap();
-        let stage = Clip::new(gpu, &buffers, &on_device).unwrap();
+        let stage = stages::clip(gpu, &buffers, &on_device).unwrap();
         let mut random = Random(5);
         let speeds: Vec<f64> = (0..4 * solids.rest.len())
             .map(|_| f64::from(random.uniform(-2.0, 2.0) as f32))
             .collect();
         let velocity = RealBuffer::new(gpu, "test.velocity", speeds.len(), Real::F32).unwrap();
         velocity.upload(gpu, &speeds);
-        let walls = Extrapolate::new(gpu, &buffers, Some((&on_device, Some(&velocity)))).unwrap();
+        let walls =
+            stages::extrapolate(gpu, &buffers, Some((&on_device, Some(&velocity)))).unwrap();
         for (number, clip) in clips.iter().enumerate() {
             assert!(on_device.fits(clip));
             on_device.write(gpu, clip, &solids.triangles, false);
             let mut recorder = Recorder::new(gpu);
             stage.record(&mut recorder);
             // The band is empty: only the velocities of the walls are made.
-            walls.record(&mut recorder, &buffers);
+            walls.record(&mut recorder);
             recorder.submit();
             let expected = LiquidBuffers::new(gpu, plan).unwrap();
             expected.write_cut_cells(gpu, clip.cut_cells());

@@ -3,7 +3,7 @@
 use cutwater::gpu::{Real, Recorder};
 use cutwater::grid::Axis;
 use cutwater::reference::{self, liquid_distance};
-use cutwater::stages::{Clip, Diagnose, Report, Volume};
+use cutwater::stages::{self, Diagnose, Report};
 use glam::DVec3;
 
 use crate::common::{Random, gpu};
@@ -23,7 +23,7 @@ fn the_liquid_amounts_to_the_twins() {
             .map(single)
             .collect();
         case.state.liquid_distance.clone_from(&phi);
-        let active = ActiveBuffers::new(gpu, &case, &phi);
+        let active = ActiveBuffers::new(&case, &phi);
         let buffers = case.upload(gpu);
         case.band(gpu, &buffers);
         // Outside the band there is nothing.
@@ -35,12 +35,12 @@ fn the_liquid_amounts_to_the_twins() {
             }
         }
         gpu.upload(&buffers.velocity, &buffers.pad_faces(&u));
-        let volume = Volume::new(gpu, &buffers).unwrap();
-        let diagnose = Diagnose::new(gpu, &buffers, &active.active(), None).unwrap();
+        let volume = stages::liquid_distance(gpu, &buffers, None).unwrap();
+        let diagnose = Diagnose::new(gpu, &buffers, &active.solver(gpu, Real::F32), None).unwrap();
         let run = || {
             let mut recorder = Recorder::new(gpu);
             volume.record(&mut recorder);
-            diagnose.record(&mut recorder, &buffers, &active.active());
+            diagnose.record(&mut recorder, &buffers);
             recorder.submit();
             gpu.download(&buffers.report).unwrap()
         };
@@ -104,10 +104,10 @@ fn not_a_number_is_seen() {
     case.state.velocity[1][40] = f64::NAN;
     let buffers = case.upload(gpu);
     case.band(gpu, &buffers);
-    let active = ActiveBuffers::new(gpu, &case, &case.state.liquid_distance);
-    let diagnose = Diagnose::new(gpu, &buffers, &active.active(), None).unwrap();
+    let active = ActiveBuffers::new(&case, &case.state.liquid_distance);
+    let diagnose = Diagnose::new(gpu, &buffers, &active.solver(gpu, Real::F32), None).unwrap();
     let mut recorder = Recorder::new(gpu);
-    diagnose.record(&mut recorder, &buffers, &active.active());
+    diagnose.record(&mut recorder, &buffers);
     recorder.submit();
     let report = Report::from_words(&gpu.download(&buffers.report).unwrap());
     assert!(
@@ -127,12 +127,13 @@ fn divergence_beside_solids_is_the_twins() {
         let grid = case.liquid.grid;
         let (radius, markers) = (RADIUS * grid.dx, &case.liquid.state.markers);
         let phi = liquid_distance(&grid, &case.liquid.cut, markers, radius);
-        let active = ActiveBuffers::new(gpu, &case.liquid, &phi);
+        let active = ActiveBuffers::new(&case.liquid, &phi);
         let (buffers, clip, velocity) = case.upload(gpu);
-        let cut = Clip::new(gpu, &buffers, &clip).unwrap();
+        let cut = stages::clip(gpu, &buffers, &clip).unwrap();
         let joint = case.joint(gpu);
         let solids = Some((&clip, &joint, &velocity));
-        let diagnose = Diagnose::new(gpu, &buffers, &active.active(), solids).unwrap();
+        let diagnose =
+            Diagnose::new(gpu, &buffers, &active.solver(gpu, Real::F32), solids).unwrap();
         let mut recorder = Recorder::new(gpu);
         cut.record(&mut recorder);
         recorder.submit();
@@ -143,7 +144,7 @@ fn divergence_beside_solids_is_the_twins() {
             gpu.upload(&buffers.velocity, &buffers.pad_faces(u));
             velocity.upload(gpu, &quads(v));
             let mut recorder = Recorder::new(gpu);
-            diagnose.record(&mut recorder, &buffers, &active.active());
+            diagnose.record(&mut recorder, &buffers);
             recorder.submit();
             let words = gpu.download(&buffers.report).unwrap();
             let found = Report::from_words(&words).diagnosis.divergence;

@@ -1,10 +1,10 @@
 //! `diagnose`: the force of the liquid on solids against its twin.
 
-use cutwater::gpu::{Real, RealBuffer, Recorder};
+use cutwater::gpu::{Dispatches, Real, RealBuffer, Recorder};
 use cutwater::measure::base_scene::DeviceScene;
 use cutwater::reference::base_scene::{BaseBeam, BaseScene};
 use cutwater::scene::{Precision, Solver};
-use cutwater::stages::{CouplingReport, DiagnoseCoupling};
+use cutwater::stages::{CouplingReport, diagnose_coupling};
 use glam::DVec3;
 
 use crate::common::{Random, gpu};
@@ -39,10 +39,9 @@ fn forces_add_up_as_the_twins() {
         .collect();
     let correction = RealBuffer::new(gpu, "test.correction", 4 * n, Real::F32).unwrap();
     correction.upload(gpu, &forces);
-    let stage = |correction| {
-        DiagnoseCoupling::new(gpu, fields.liquid, fields.coupling, correction).unwrap()
-    };
-    let run = |stage: &DiagnoseCoupling| {
+    let stage =
+        |correction| diagnose_coupling(gpu, fields.liquid, fields.coupling, correction).unwrap();
+    let run = |stage: &Dispatches| {
         let mut recorder = Recorder::new(gpu);
         stage.record(&mut recorder);
         recorder.submit();

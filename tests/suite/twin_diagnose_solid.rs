@@ -3,7 +3,7 @@
 use cutwater::elastic::Deformation;
 use cutwater::gpu::{Gpu, Real, Recorder};
 use cutwater::reference;
-use cutwater::stages::{DiagnoseSolid, ElementRotations, SolidBuffers, SolidReport};
+use cutwater::stages::{DiagnoseSolid, SolidBuffers, SolidReport, element_rotations};
 use cutwater::state::SolidDiagnosis;
 use glam::DVec3;
 
@@ -12,10 +12,10 @@ use crate::liquid_case::{GRAVITY, assert_close};
 use crate::solid_case::{SolidCase, cases, eps};
 
 fn words(gpu: &Gpu, buffers: &SolidBuffers) -> Vec<u32> {
-    let rotations = ElementRotations::new(gpu, buffers).unwrap();
+    let rotations = element_rotations(gpu, buffers).unwrap();
     let diagnose = DiagnoseSolid::new(gpu, buffers).unwrap();
     let mut recorder = Recorder::new(gpu);
-    recorder.stage(ElementRotations::NAME, |pass| rotations.dispatch(pass));
+    rotations.record(&mut recorder);
     diagnose.record(&mut recorder, buffers);
     recorder.submit();
     gpu.download(&buffers.report).unwrap()

@@ -6,7 +6,7 @@ use cutwater::elastic::{self, Deformation};
 use cutwater::gpu::{Gpu, Real, Recorder};
 use cutwater::reference::{self, BlockPattern};
 use cutwater::scene::ElasticModel;
-use cutwater::stages::{ElementRotations, SolidBuffers};
+use cutwater::stages::{SolidBuffers, element_rotations};
 use glam::{DMat3, DVec3, DVec4};
 
 use crate::common::{Random, gpu, root};
@@ -26,9 +26,9 @@ struct Found {
 }
 
 fn elements(gpu: &Gpu, buffers: &SolidBuffers) -> Vec<Found> {
-    let stage = ElementRotations::new(gpu, buffers).unwrap();
+    let stage = element_rotations(gpu, buffers).unwrap();
     let mut recorder = Recorder::new(gpu);
-    recorder.stage(ElementRotations::NAME, |pass| stage.dispatch(pass));
+    stage.record(&mut recorder);
     recorder.submit();
     let rotated = buffers.rotated.download(gpu).unwrap();
     let forces = buffers.element_forces.download(gpu).unwrap();

@@ -1,10 +1,10 @@
 //! `extrapolate` against its twin, over the whole domain: nothing that it reaches lies outside the band.
 
 use cutwater::geometry::CutCells;
-use cutwater::gpu::{Gpu, Recorder};
+use cutwater::gpu::{Dispatches, Gpu, Recorder};
 use cutwater::grid::{Axis, Grid};
 use cutwater::reference::{self, MovingWalls, liquid_distance, n_layers};
-use cutwater::stages::{Clip, Extrapolate, LiquidBuffers};
+use cutwater::stages::{self, LiquidBuffers};
 use glam::DVec3;
 
 use crate::common::gpu;
@@ -16,7 +16,7 @@ fn the_layers_are_the_twins() {
     let Some(gpu) = gpu() else { return };
     for case in cases() {
         let buffers = case.upload(gpu);
-        let stage = Extrapolate::new(gpu, &buffers, None).unwrap();
+        let stage = stages::extrapolate(gpu, &buffers, None).unwrap();
         assert_layers(gpu, &case, &buffers, &stage, None);
     }
 }
@@ -27,8 +27,8 @@ fn slip_along_solids_is_the_twins() {
     let Some(gpu) = gpu() else { return };
     for case in coupled_case::cases() {
         let (buffers, clip, velocity) = case.upload(gpu);
-        let stage = Extrapolate::new(gpu, &buffers, Some((&clip, Some(&velocity)))).unwrap();
-        let cut = Clip::new(gpu, &buffers, &clip).unwrap();
+        let stage = stages::extrapolate(gpu, &buffers, Some((&clip, Some(&velocity)))).unwrap();
+        let cut = stages::clip(gpu, &buffers, &clip).unwrap();
         let mut recorder = Recorder::new(gpu);
         cut.record(&mut recorder);
         recorder.submit();
@@ -48,7 +48,7 @@ fn assert_layers(
     gpu: &Gpu,
     case: &Case,
     buffers: &LiquidBuffers,
-    stage: &Extrapolate,
+    stage: &Dispatches,
     walls: Option<MovingWalls>,
 ) -> usize {
     let grid = &case.grid;
@@ -84,7 +84,7 @@ fn assert_layers(
         }
         gpu.upload(&buffers.valid, &words);
         let mut recorder = Recorder::new(gpu);
-        stage.record(&mut recorder, buffers);
+        stage.record(&mut recorder);
         recorder.submit();
         buffers.read_faces(gpu, &buffers.velocity).unwrap()
     };

@@ -3,7 +3,7 @@
 use cutwater::gpu::Recorder;
 use cutwater::grid::Axis;
 use cutwater::reference;
-use cutwater::stages::Forces;
+use cutwater::stages::forces;
 use glam::DVec3;
 
 use crate::common::gpu;
@@ -19,9 +19,9 @@ fn gravity_is_added_as_in_the_twin() {
             &buffers.velocity_next,
             &buffers.pad_faces(&case.state.velocity),
         );
-        let stage = Forces::new(gpu, &buffers).unwrap();
+        let stage = forces(gpu, &buffers).unwrap();
         let mut recorder = Recorder::new(gpu);
-        stage.record(&mut recorder, &buffers);
+        stage.record(&mut recorder);
         recorder.submit();
         let in_band = case.in_band(gpu, &buffers);
         let faces = buffers.read_faces(gpu, &buffers.velocity_next).unwrap();

@@ -1,8 +1,8 @@
 //! `liquid_distance` against its twin, and the volume that it encloses.
 
-use cutwater::gpu::{CompactKernels, Gpu, Real, Recorder};
+use cutwater::gpu::{Dispatches, Gpu, Real, Recorder};
 use cutwater::reference;
-use cutwater::stages::{Band, LiquidBuffers, LiquidDistance, Report, Step};
+use cutwater::stages::{self, LiquidBuffers, Report, Step};
 
 use crate::common::gpu;
 use crate::liquid_case::{Case, DENSITY, EPS, GRAVITY, RADIUS, assert_close, cases, single};
@@ -13,20 +13,19 @@ struct Run<'a> {
     case: &'a Case,
     volume_0: f64,
     buffers: LiquidBuffers,
-    band: Band,
-    stage: LiquidDistance,
+    band: Dispatches,
+    stage: Dispatches,
 }
 
 impl Run<'_> {
     fn new<'a>(gpu: &'a Gpu, case: &'a Case) -> Run<'a> {
         let buffers = case.upload(gpu);
-        let compact = CompactKernels::new(gpu).unwrap();
         Run {
             gpu,
             case,
             volume_0: single(0.7 * case.grid.size().element_product()),
-            band: Band::new(gpu, &compact, &buffers).unwrap(),
-            stage: LiquidDistance::new(gpu, &buffers).unwrap(),
+            band: stages::band(gpu, &buffers).unwrap(),
+            stage: stages::liquid_distance(gpu, &buffers, None).unwrap(),
             buffers,
         }
     }
@@ -45,7 +44,7 @@ impl Run<'_> {
     fn record(&self) -> Vec<u32> {
         let mut recorder = Recorder::new(self.gpu);
         self.band.record(&mut recorder);
-        self.stage.record(&mut recorder, &self.buffers);
+        self.stage.record(&mut recorder);
         recorder.submit();
         let phi = self.gpu.download(&self.buffers.liquid_distance).unwrap();
         let report = self.gpu.download(&self.buffers.report).unwrap();

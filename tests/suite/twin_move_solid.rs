@@ -2,7 +2,7 @@
 
 use cutwater::gpu::{Gpu, Real, Recorder};
 use cutwater::reference;
-use cutwater::stages::MoveSolid;
+use cutwater::stages::move_solid;
 use cutwater::state::State;
 use glam::{DMat3, DVec3};
 
@@ -13,7 +13,7 @@ use crate::solid_case::{RUBBER, SolidCase, cases, eps, lattice, solids};
 /// Runs the stage some times.
 fn moved(gpu: &Gpu, case: &SolidCase, real: Real, times: usize) -> State {
     let buffers = case.upload(gpu, real);
-    let stage = MoveSolid::new(gpu, &buffers).unwrap();
+    let stage = move_solid(gpu, &buffers).unwrap();
     let mut recorder = Recorder::new(gpu);
     for _ in 0..times {
         stage.record(&mut recorder);

@@ -9,7 +9,7 @@ use cutwater::gpu::{AdapterChoice, Real, Recorder};
 use cutwater::measure::compare::compare;
 use cutwater::scene::Scene;
 use cutwater::sim::{Backend, Simulation, solids_of};
-use cutwater::stages::{Clip, ClipBuffers, ClipSize, Extrapolate, LiquidBuffers, LiquidPlan};
+use cutwater::stages::{self, ClipBuffers, ClipSize, LiquidBuffers, LiquidPlan};
 use cutwater::state::SolveStatus;
 
 use crate::common::gpu;
@@ -62,8 +62,8 @@ fn fields_are_those_of_the_clipping() {
         let buffers = LiquidBuffers::new(gpu, plan).unwrap();
         buffers.write_cut_cells(gpu, &obstacles.cut);
         let mut on_device = ClipBuffers::new(gpu, &grid, size).unwrap();
-        let stage = Clip::new(gpu, &buffers, &on_device).unwrap();
-        let walls = Extrapolate::new(gpu, &buffers, Some((&on_device, None))).unwrap();
+        let stage = stages::clip(gpu, &buffers, &on_device).unwrap();
+        let walls = stages::extrapolate(gpu, &buffers, Some((&on_device, None))).unwrap();
         on_device.write(gpu, &clips[0], &solids.triangles, true);
         for (number, clip) in clips.iter().enumerate() {
             let what = format!("{} solids, clipping {number}", solids.bodies.len());
@@ -72,7 +72,7 @@ fn fields_are_those_of_the_clipping() {
             let mut recorder = Recorder::new(gpu);
             stage.record(&mut recorder);
             // The band is empty: only the velocities of the walls are made.
-            walls.record(&mut recorder, &buffers);
+            walls.record(&mut recorder);
             recorder.submit();
             let expected = LiquidBuffers::new(gpu, plan).unwrap();
             expected.write_cut_cells(gpu, clip.cut_cells());

@@ -2,7 +2,7 @@
 
 use cutwater::gpu::Recorder;
 use cutwater::reference;
-use cutwater::stages::NodeForces;
+use cutwater::stages::node_forces;
 use glam::DVec3;
 
 use crate::common::gpu;
@@ -15,7 +15,7 @@ fn free_nodes_fall_and_prescribed_ones_obey() {
     for case in cases() {
         for real in SolidCase::reals(gpu) {
             let buffers = case.upload(gpu, real);
-            let stage = NodeForces::new(gpu, &buffers).unwrap();
+            let stage = node_forces(gpu, &buffers).unwrap();
             let mut recorder = Recorder::new(gpu);
             stage.record(&mut recorder);
             recorder.submit();

@@ -1,6 +1,6 @@
 //! `probe` against its twin.
 
-use cutwater::gpu::{Real, RealBuffer, Recorder};
+use cutwater::gpu::{Real, Recorder};
 use cutwater::reference::{self, liquid_distance};
 use cutwater::scene::{ProbeKind, Up};
 use cutwater::stages::Probe;
@@ -41,7 +41,7 @@ fn probes_read_what_they_read_in_the_twin() {
             .into_iter()
             .map(single)
             .collect();
-        let active = ActiveBuffers::new(gpu, &case, &case.state.liquid_distance);
+        let active = ActiveBuffers::new(&case, &case.state.liquid_distance);
         case.state.active = active.cells.stencil.active_mask();
         let mut random = Random(11);
         let potential: Vec<f64> = (0..grid.n_cells())
@@ -53,12 +53,14 @@ fn probes_read_what_they_read_in_the_twin() {
             .collect();
         let probes = probes(&case, &mut random);
         let buffers = case.upload(gpu);
-        let values = RealBuffer::new(gpu, "test.phi", buffers.padded.len(), real).unwrap();
-        values.upload(gpu, &buffers.padded.pad(grid.cells, &potential, |phi| phi));
-        let stage = Probe::new(gpu, &buffers, &active.active(), &values, &probes).unwrap();
+        let solver = active.solver(gpu, real);
+        solver
+            .potential
+            .upload(gpu, &buffers.padded.pad(grid.cells, &potential, |phi| phi));
+        let stage = Probe::new(gpu, &buffers, &solver, &probes).unwrap();
         let run = || {
             let mut recorder = Recorder::new(gpu);
-            stage.record(&mut recorder, &active.active());
+            stage.record(&mut recorder);
             recorder.submit();
             stage.columns(&gpu.download(&stage.values).unwrap())
         };

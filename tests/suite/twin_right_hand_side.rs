@@ -1,8 +1,8 @@
 //! `right_hand_side` against its twin.
 
-use cutwater::gpu::{Real, RealBuffer, Recorder};
+use cutwater::gpu::{Real, Recorder};
 use cutwater::reference::{self, VolumeSource, liquid_distance};
-use cutwater::stages::RightHandSide;
+use cutwater::stages::right_hand_side;
 
 use crate::common::gpu;
 use crate::liquid_case::{ActiveBuffers, EPS, RADIUS, assert_close, cases};
@@ -23,19 +23,19 @@ fn the_divergence_is_the_twins() {
         let grid = &case.grid;
         let (radius, markers) = (RADIUS * grid.dx, &case.state.markers);
         let phi = liquid_distance(grid, &case.cut, markers, radius);
-        let mut active = ActiveBuffers::new(gpu, case, &phi);
+        let mut active = ActiveBuffers::new(case, &phi);
         without_surface += active.cells.closed.len();
         if sealed {
             // As solids that give way would.
             let mut cells = active.cells;
             cells.sealed = std::mem::take(&mut cells.closed);
-            active = ActiveBuffers::of(gpu, case, cells);
+            active = ActiveBuffers::of(case, cells);
         }
         let open_volumes = reference::open_volumes(grid, &case.cut.solid_distance);
         for (&real, rate) in reals.iter().zip([0.0_f32, -0.17]).chain([(&reals[0], 0.2)]) {
             let buffers = case.upload(gpu);
-            let rhs = RealBuffer::new(gpu, "test.rhs", buffers.padded.len(), real).unwrap();
-            let stage = RightHandSide::new(gpu, &buffers, &active.active(), &rhs).unwrap();
+            let solver = active.solver(gpu, real);
+            let stage = right_hand_side(gpu, &buffers, &solver).unwrap();
             let run = || {
                 gpu.upload(
                     &buffers.velocity_next,
@@ -43,9 +43,9 @@ fn the_divergence_is_the_twins() {
                 );
                 gpu.upload(&buffers.report, &[0, rate.to_bits()]);
                 let mut recorder = Recorder::new(gpu);
-                stage.record(&mut recorder, &active.active());
+                stage.record(&mut recorder);
                 recorder.submit();
-                let device = rhs.download(gpu).unwrap();
+                let device = solver.rhs.download(gpu).unwrap();
                 buffers.padded.unpad(grid.cells, &device, |b| b)
             };
             let first = run();

@@ -1,9 +1,9 @@
 //! `write_back` against its twin.
 
-use cutwater::gpu::{Real, RealBuffer, Recorder};
+use cutwater::gpu::{Real, Recorder};
 use cutwater::grid::Axis;
 use cutwater::reference::{self, PressureSystem, liquid_distance, right_hand_side};
-use cutwater::stages::WriteBack;
+use cutwater::stages::write_back;
 
 use crate::common::{Random, gpu};
 use crate::liquid_case::{
@@ -25,7 +25,7 @@ fn the_projected_velocity_is_the_twins() {
             .into_iter()
             .map(single)
             .collect();
-        let active = ActiveBuffers::new(gpu, &case, &phi);
+        let active = ActiveBuffers::new(&case, &phi);
         let mut random = Random(3);
         // Also in inactive cells, where it must not count.
         let potential: Vec<f64> = (0..grid.n_cells())
@@ -46,17 +46,19 @@ fn the_projected_velocity_is_the_twins() {
         let valid = reference::write_back(&system, &pressure, open, &phi, floor, &mut twin);
         for &real in reals {
             let buffers = case.upload(gpu);
-            let values = RealBuffer::new(gpu, "test.phi", buffers.padded.len(), real).unwrap();
-            let stage = WriteBack::new(gpu, &buffers, &active.active(), &values).unwrap();
+            let solver = active.solver(gpu, real);
+            let stage = write_back(gpu, &buffers, &solver).unwrap();
             let run = || {
                 case.write(gpu, &buffers);
                 case.band(gpu, &buffers);
                 gpu.upload(&buffers.velocity_next, &buffers.pad_faces(u));
                 let distance = buffers.padded.pad(grid.cells, &phi, |phi| phi as f32);
                 gpu.upload(&buffers.liquid_distance, &distance);
-                values.upload(gpu, &buffers.padded.pad(grid.cells, &potential, |phi| phi));
+                solver
+                    .potential
+                    .upload(gpu, &buffers.padded.pad(grid.cells, &potential, |phi| phi));
                 let mut recorder = Recorder::new(gpu);
-                stage.record(&mut recorder, &buffers);
+                stage.record(&mut recorder);
                 recorder.submit();
                 let words = gpu.download(&buffers.valid).unwrap();
                 (buffers.read_faces(gpu, &buffers.velocity).unwrap(), words)

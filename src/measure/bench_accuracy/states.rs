@@ -10,7 +10,8 @@ use crate::gpu::AdapterChoice;
 use crate::reference::{Formulation as Form, SolidSolver, larger, solve, solve_coupled};
 use crate::scene::{Formulation, Precision, Preconditioner, Scene, Solver};
 use crate::sim::{GpuPath, Snapshot, reference_path};
-use crate::stages::RightHandSide;
+use crate::step::Stage;
+
 use crate::state::{SolveReport, State};
 
 use super::super::bench_solve::{Ended, is_solved, name, preconditioner_name};
@@ -378,12 +379,12 @@ impl Way {
         let dt = path.next_time_step().dt;
         let (mut inflow, mut truth) = (Vec::new(), None);
         path.step_observed(&mut |stage, path| {
-            if stage == RightHandSide::NAME {
+            if stage == Stage::RightHandSide {
                 inflow = path
                     .snapshot()?
                     .liquid
                     .map_or(Vec::new(), |liquid| liquid.rhs);
-            } else if stage == "solve" {
+            } else if stage == Stage::Solve {
                 let (answer, solves) =
                     solution(path, &path.snapshot()?, &inflow, case.density(), dt)?;
                 let of = format!("stored in {}", name(solver.precision));

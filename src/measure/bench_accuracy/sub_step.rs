@@ -7,7 +7,8 @@ use crate::Error;
 use crate::grid::Axis;
 use crate::reference::Reference;
 use crate::sim::{GpuPath, Snapshot};
-use crate::stages::{Diagnose, Forces, LiquidDistance};
+use crate::step::Stage;
+
 use crate::state::{State, StepReport};
 
 use super::super::statistics::Spread;
@@ -58,7 +59,7 @@ impl Mask {
 }
 
 /// Stages after which what a solve needs begins to be made: the second is left out where the surface stays.
-const BEFORE: [&str; 2] = [Forces::NAME, LiquidDistance::NAME];
+const BEFORE: [Stage; 2] = [Stage::Forces, Stage::LiquidDistance];
 
 /// Does the sub-step after a state once, with liquid of this density (kg/m^3). Its solve is timed with all that is made for it: active cells and
 /// the hierarchy of their matrices, turns of the elements, right-hand sides.
@@ -71,7 +72,7 @@ pub(crate) fn sub_step(path: &mut GpuPath, state: &State, density: f64) -> Resul
         if BEFORE.contains(&stage) {
             path.gpu().wait("bench")?;
             clock = Some(Instant::now());
-        } else if stage == "solve" {
+        } else if stage == Stage::Solve {
             path.gpu().wait("bench")?;
             let clock: Instant = clock.expect("every sub-step has forces");
             seconds = clock.elapsed().as_secs_f64();
@@ -81,7 +82,7 @@ pub(crate) fn sub_step(path: &mut GpuPath, state: &State, density: f64) -> Resul
                 pressure: liquid.map_or(Vec::new(), pressure),
                 velocity: solids.map_or(Vec::new(), |solids| solids.velocity),
             });
-        } else if stage == Diagnose::NAME
+        } else if stage == Stage::Diagnose
             && let Some(liquid) = path.snapshot()?.liquid
         {
             faces = liquid.velocity;
@@ -140,7 +141,10 @@ pub(super) fn repeat_shuffled(
 pub(crate) fn reference_step(path: &mut Reference, state: &State) -> Result<Done, Error> {
     path.reset(state.clone())?;
     let report = path.step(path.next_time_step())?;
-    let solve = report.seconds.iter().find(|(stage, _)| *stage == "solve");
+    let solve = report
+        .seconds
+        .iter()
+        .find(|(stage, _)| *stage == Stage::Solve.name());
     let seconds = solve.map_or(0.0, |(_, seconds)| *seconds);
     let State {
         pressure,

@@ -1,11 +1,11 @@
 //! Which grids an adapter and this machine have room for, before anything of their size is made.
 
 use crate::Error;
-use crate::gpu::{AdapterReport, BufferPlan};
+use crate::gpu::{AdapterReport, BufferPlan, Gpu};
 use crate::grid::Grid;
 use crate::scene::Solver;
 use crate::sim::{HostMemory, free_memory};
-use crate::solver::{SolverBuffers, small_buffers, variant};
+use crate::solver::{Components, PressureSolver, PressureSystem, SolverBuffers, Within};
 
 /// Cells along an edge of the base block: 2^30 in all at most, as of a scene.
 pub const LARGEST_GRID: usize = 1024;
@@ -66,9 +66,9 @@ impl<'a> Capacity<'a> {
 
     fn fits(self, grid: usize, solvers: &[Solver]) -> Result<(), Error> {
         solvers.iter().try_for_each(|solver| {
-            let plans = buffers(grid, solver, self.adapter.f64);
+            let plans = buffers(grid, solver, self.adapter)?;
             for plan in &plans {
-                self.adapter.check_buffer(plan.label, plan.bytes())?;
+                self.adapter.check_buffer(&plan.label, plan.bytes())?;
             }
             let memory = HostMemory {
                 needed: PER_CELL * (grid as u64).pow(3),
@@ -80,22 +80,33 @@ impl<'a> Capacity<'a> {
     }
 }
 
-/// What grows with the grid on an adapter with or without f64.
-fn buffers(grid: usize, solver: &Solver, f64: bool) -> Vec<BufferPlan> {
+/// Everything that a bench of the pressure allocates on an adapter.
+fn buffers(
+    grid: usize,
+    solver: &Solver,
+    adapter: &AdapterReport,
+) -> Result<Vec<BufferPlan>, Error> {
     let grid = Grid {
         cells: [grid; 3],
         dx: 1.0 / grid as f64,
     };
-    let variant = variant(f64, solver.precision);
+    let gpu = Gpu::planning(adapter.clone());
     let n = grid.padded().len();
-    let mut plans = vec![
-        BufferPlan::of::<[f32; 3]>("bench.open", n),
-        BufferPlan::of::<[f32; 3]>("bench.velocity", n),
-        BufferPlan::of::<f32>("bench.liquid_distance", n),
-    ];
-    plans.extend(SolverBuffers::plan(&grid, variant));
-    plans.extend(small_buffers(&grid, solver, variant));
-    plans
+    let (open, velocity) = (
+        gpu.buffer("bench.open", 3 * n)?,
+        gpu.buffer("bench.velocity", 3 * n)?,
+    );
+    let distance = gpu.buffer("bench.liquid_distance", n)?;
+    let buffers = SolverBuffers::new(&gpu, &grid, solver.precision)?;
+    let (list, args) = (gpu.buffer("bench.list", 0)?, gpu.buffer("bench.args", 4)?);
+    let within = Within {
+        list: &list,
+        args: &args,
+    };
+    PressureSystem::new(&gpu, &buffers, &open, &distance, within, solver.theta_floor)?;
+    Components::new(&gpu, &buffers)?;
+    PressureSolver::new(&gpu, &buffers, &velocity, &open, solver)?;
+    Ok(gpu.buffer_plans())
 }
 
 #[cfg(test)]

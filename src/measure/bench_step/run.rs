@@ -8,8 +8,9 @@ use crate::elastic::{Bounds, Solids};
 use crate::gpu::{Trace, Traffic};
 use crate::scene::{CouplingScheme, Scene};
 use crate::sim::{Backend, GpuPath, Simulation};
-use crate::stages::{Clip, extrapolation_layers};
+use crate::stages::extrapolation_layers;
 use crate::state::{LiquidReport, SolidReport, StepReport};
+use crate::step::Stage;
 
 use super::super::bench_solve::{Corrections, SolveBytes};
 use super::super::solid_bytes::SolidBytes;
@@ -338,7 +339,7 @@ impl Record {
 
     /// Bytes that a stage must move in a sub-step, every array that a kernel needs once, reads and writes.
     fn bytes(&self, stage: &str, sample: &Sample) -> f64 {
-        if stage == "solve" {
+        if stage == Stage::Solve.name() {
             return self.solve_bytes(sample);
         }
         let mut bytes = 0.0;
@@ -430,7 +431,7 @@ fn rounds(of_corrections: f64) -> f64 {
 
 /// Where the seconds of a stage are spent, on a device that tells its own or does not.
 fn place(stage: &str, timestamps: bool) -> &'static str {
-    match (stage == Clip::NAME, timestamps) {
+    match (stage == Stage::Clip.name(), timestamps) {
         (false, _) => "device",
         (true, true) => "host and device",
         (true, false) => "host",

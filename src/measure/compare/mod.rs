@@ -25,7 +25,8 @@ use crate::gpu::{AdapterChoice, Real};
 use crate::reference::pressure_gradient;
 use crate::scene::{CouplingScheme, PatchPressure, Scene};
 use crate::sim::{GpuPath, LiquidSnapshot, Snapshot, SolidSnapshot};
-use crate::stages::{Clip, CouplingReport};
+use crate::stages::CouplingReport;
+use crate::step::Stage;
 use glam::DVec3;
 use liquid::LiquidJudge;
 use solids::SolidJudge;
@@ -103,7 +104,7 @@ pub fn compare(
     scene: &Scene,
     frames: u64,
     adapter: &AdapterChoice,
-    listen: &mut dyn FnMut(&'static str, &mut Snapshot),
+    listen: &mut dyn FnMut(Stage, &mut Snapshot),
 ) -> Result<Comparison, Error> {
     if Effects::of(scene).coupling && scene.solver.coupling != CouplingScheme::Strong {
         return Err(Error::input(
@@ -129,14 +130,20 @@ pub fn compare(
             judge.begin(&path, dt);
         }
         path.step_observed(&mut |stage, path| {
+            // The f64 path finds enclosed components with the active cells.
+            let stage = match stage {
+                Stage::ActiveCells => return Ok(()),
+                Stage::ClosedComponents => Stage::ActiveCells,
+                stage => stage,
+            };
             let held = path.snapshot()?;
             let mut after = held.clone();
             listen(stage, &mut after);
-            if let (Clip::NAME, Some(clip)) = (stage, &mut clip) {
+            if let (Stage::Clip, Some(clip)) = (stage, &mut clip) {
                 clip.move_obstacles(end, dt);
             }
             if let (
-                Clip::NAME,
+                Stage::Clip,
                 Some(clip),
                 Some(solids),
                 Snapshot {
@@ -162,7 +169,7 @@ pub fn compare(
             let density = scene.liquid.as_ref().map_or(0.0, |liquid| liquid.density);
             let together = both
                 .as_ref()
-                .filter(|both| stage == "solve" && both.touch());
+                .filter(|both| stage == Stage::Solve && both.touch());
             if let (Some(both), Some(of_liquid), Some(judge)) = (together, &liquid, &mut solids)
                 && let Some(parts) = of_liquid.systems(both.liquid, both)
             {

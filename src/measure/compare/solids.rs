@@ -19,7 +19,8 @@ use crate::reference::{
 use crate::scene::{Scene, Solver};
 use crate::sim::{GpuPath, SolidSnapshot, coupled_system, stored_coupling};
 use crate::solver::{OF_OTHER, rounding};
-use crate::stages::{DiagnoseSolid, ElementRotations, MoveSolid, NodeForces, RightHandSide};
+use crate::step::Stage;
+
 use crate::state::SolidDiagnosis;
 
 /// Relative error of the sum of two f32 that a displacement is held as, and of what is added to it.
@@ -111,18 +112,18 @@ impl<'a> SolidJudge<'a> {
     /// Judges what a stage left; `held` is what the device really holds.
     pub(super) fn judge(
         &mut self,
-        stage: &'static str,
+        stage: Stage,
         after: &SolidSnapshot,
         held: Option<SolidSnapshot>,
         both: Option<&Both>,
     ) -> Result<(), Error> {
         match stage {
-            MoveSolid::NAME => self.move_solid(after),
-            NodeForces::NAME => self.forces(after),
-            ElementRotations::NAME => self.solid_matrices(after),
-            RightHandSide::NAME => self.right_hand_side(after, both),
-            "solve" => self.solve(after, both)?,
-            DiagnoseSolid::NAME => self.diagnose(after),
+            Stage::MoveSolid => self.move_solid(after),
+            Stage::Forces => self.forces(after),
+            Stage::SolidMatrices => self.solid_matrices(after),
+            Stage::RightHandSide => self.right_hand_side(after, both),
+            Stage::Solve => self.solve(after, both)?,
+            Stage::Diagnose => self.diagnose(after),
             _ => {}
         }
         self.before = held.unwrap_or_else(|| after.clone());
@@ -190,7 +191,7 @@ impl<'a> SolidJudge<'a> {
             .map(|change| TURNED * eps * change);
             off[body.nodes.clone()].fill([way, rate]);
         }
-        let row = [MoveSolid::NAME, "displacement", "m"];
+        let row = [Stage::MoveSolid.name(), "displacement", "m"];
         self.add_nodes(row, &after.displacement, &u, |node, axis| {
             let way = dt * before.velocity[node][axis].abs();
             match touched[node] {
@@ -205,7 +206,7 @@ impl<'a> SolidJudge<'a> {
                 x.min(size - x).min_element() <= contact
             })
             .collect();
-        let row = [MoveSolid::NAME, "v*", "m/s"];
+        let row = [Stage::MoveSolid.name(), "v*", "m/s"];
         self.add_nodes(row, &after.velocity, &v, |node, _| {
             let speed = DVec3::from(before.velocity[node]).length();
             let of_contact = if arrives[node] { speed } else { 0.0 };
@@ -220,7 +221,7 @@ impl<'a> SolidJudge<'a> {
         let prescribed = &after.prescribed;
         reference::node_forces(&self.solids, prescribed, gravity, self.dt, &mut twin);
         let (eps, dt) = (unit(after.real), self.dt);
-        let row = [NodeForces::NAME, "v*", "m/s"];
+        let row = [Stage::Forces.name(), "v*", "m/s"];
         self.add_nodes(row, &after.velocity, &twin.clone(), |node, axis| {
             eps * (2.0 * dt * gravity[axis].abs() + twin[node][axis].abs())
         });
@@ -300,7 +301,7 @@ impl<'a> SolidJudge<'a> {
                 }
             }
         }
-        let stage = ElementRotations::NAME;
+        let stage = Stage::SolidMatrices.name();
         self.table
             .add([stage, "|F - R| where R is ambiguous", ""], ambiguous);
         self.table
@@ -346,7 +347,11 @@ impl<'a> SolidJudge<'a> {
                 bounds[node][axis] = eps * terms[axis];
             }
         }
-        let row = [RightHandSide::NAME, "M v*/dt - (K x* - b) + load", "N"];
+        let row = [
+            Stage::RightHandSide.name(),
+            "M v*/dt - (K x* - b) + load",
+            "N",
+        ];
         self.add_nodes(row, &after.rhs, &twin, |node, axis| bounds[node][axis]);
     }
 
@@ -575,7 +580,7 @@ impl<'a> SolidJudge<'a> {
             bound,
         ));
         for (quantity, unit, gpu, twin, bound) in rows {
-            let row = [DiagnoseSolid::NAME, quantity, unit];
+            let row = [Stage::Diagnose.name(), quantity, unit];
             self.table.add(row, [(gpu, twin, bound, Place::Whole)]);
         }
     }

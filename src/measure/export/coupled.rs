@@ -13,7 +13,7 @@ use crate::reference::{
 };
 use crate::scene::{CouplingScheme, Scene};
 use crate::sim::{Backend, solids_of};
-use crate::stages::RightHandSide;
+use crate::step::Stage;
 
 /// What is exported of a sub-step.
 struct Taken {
@@ -202,14 +202,14 @@ fn assembled(scene: &Scene, step: u64, all: &Solids) -> Result<Taken, Error> {
 fn stored(scene: &Scene, choice: &AdapterChoice, step: u64, density: f64) -> Result<Taken, Error> {
     let mut inflow = Vec::new();
     let (taken, ran) = on_gpu(scene, choice, step, |stage, path, dt| {
-        if !["solve", RightHandSide::NAME].contains(&stage) {
+        if ![Stage::Solve, Stage::RightHandSide].contains(&stage) {
             return Ok(None);
         }
         let snapshot = path.snapshot()?;
         let (Some(liquid), Some(solids)) = (&snapshot.liquid, &snapshot.solids) else {
             unreachable!("the scene has liquid and solids");
         };
-        if stage == RightHandSide::NAME {
+        if stage == Stage::RightHandSide {
             // The solve takes from it what the solids take up.
             inflow.clone_from(&liquid.rhs);
             return Ok(None);

@@ -32,6 +32,7 @@ use crate::reference::{Reference, StepSystem};
 use crate::scene::Scene;
 use crate::sim::{Backend, GpuPath, reference_path};
 use crate::state::{SolveReport, SolveStatus, StepReport};
+use crate::step::Stage;
 
 pub use solids::SolidMeta;
 
@@ -291,7 +292,7 @@ fn on_gpu<T>(
     scene: &Scene,
     choice: &AdapterChoice,
     step: u64,
-    mut take: impl FnMut(&'static str, &GpuPath, f64) -> Result<Option<T>, Error>,
+    mut take: impl FnMut(Stage, &GpuPath, f64) -> Result<Option<T>, Error>,
 ) -> Result<(T, Ran), Error> {
     let mut path = GpuPath::open(scene, choice)?;
     loop {

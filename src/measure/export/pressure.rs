@@ -7,6 +7,7 @@ use crate::grid::Grid;
 use crate::reference::{PressureSystem, StepSystem};
 use crate::scene::Scene;
 use crate::sim::{Backend, GpuPath};
+use crate::step::Stage;
 
 /// B p = E u*.
 pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), Error> {
@@ -14,7 +15,7 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
     let ((system, pressure), ran) = match &options.backend {
         Backend::Gpu(choice) => on_gpu(scene, choice, options.step, |stage, path, dt| {
             let solved = || stored(path, density, dt);
-            (stage == "solve").then(solved).transpose()
+            (stage == Stage::Solve).then(solved).transpose()
         })?,
         Backend::Cpu => {
             let (taken, ran, _) = on_cpu(scene, options.step, |of_step| match of_step {

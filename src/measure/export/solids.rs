@@ -10,6 +10,7 @@ use crate::linalg::{Csr, Symmetry, matrix_text};
 use crate::reference::{SolidSystem, StepSystem};
 use crate::scene::Scene;
 use crate::sim::{Backend, GpuPath, solids_of};
+use crate::step::Stage;
 
 /// What meta.json tells of a solid.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -37,7 +38,9 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
     let solids = solids_of(scene)?;
     let ((system, velocity), ran) = match &options.backend {
         Backend::Gpu(choice) => on_gpu(scene, choice, options.step, |stage, path, dt| {
-            (stage == "solve").then(|| stored(path, dt)).transpose()
+            (stage == Stage::Solve)
+                .then(|| stored(path, dt))
+                .transpose()
         })?,
         Backend::Cpu => {
             let (taken, ran, _) = on_cpu(scene, options.step, |of_step| match of_step {

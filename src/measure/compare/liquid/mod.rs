@@ -18,11 +18,9 @@ use crate::reference::{
 };
 use crate::scene::{ProbeKind, Scene};
 use crate::sim::{GpuPath, LiquidSnapshot};
-use crate::stages::{
-    AdvectMarkers, AdvectVelocity, Clip, Diagnose, EXCHANGE, Extrapolate, Forces, LiquidDistance,
-    RightHandSide, Step, WriteBack,
-};
+use crate::stages::Step;
 use crate::state::State;
+use crate::step::Stage;
 
 /// The twins of a scene, fed with what the device holds.
 pub(super) struct LiquidJudge<'a> {
@@ -134,7 +132,7 @@ impl<'a> LiquidJudge<'a> {
     /// Judges what a stage left; `held` is what the device really holds, `clip` as the twin clips what moves.
     pub(super) fn judge(
         &mut self,
-        stage: &'static str,
+        stage: Stage,
         after: &LiquidSnapshot,
         held: Option<LiquidSnapshot>,
         clip: Option<&SolidClip>,
@@ -157,28 +155,28 @@ impl<'a> LiquidJudge<'a> {
 
     fn judge_stage(
         &mut self,
-        stage: &'static str,
+        stage: Stage,
         after: &LiquidSnapshot,
         clip: Option<&SolidClip>,
         both: Option<&Both>,
     ) -> Result<(), Error> {
         match stage {
-            Clip::NAME => {
+            Stage::Clip => {
                 if let Some(clip) = clip {
                     self.clip(after, clip);
                 }
             }
-            AdvectMarkers::NAME => self.advect_markers(after),
-            EXCHANGE => self.exchange(after),
-            AdvectVelocity::NAME => self.advect_velocity(after),
-            Forces::NAME => self.forces(after),
-            LiquidDistance::NAME => self.liquid_distance(after),
-            "active_cells" => self.active_cells(after, both),
-            RightHandSide::NAME => self.right_hand_side(after, clip, both),
-            "solve" => self.solve(after, both)?,
-            WriteBack::NAME => self.write_back(after),
-            Extrapolate::NAME => self.extrapolate(after, clip, both),
-            Diagnose::NAME => {
+            Stage::AdvectMarkers => self.advect_markers(after),
+            Stage::Exchange => self.exchange(after),
+            Stage::AdvectVelocity => self.advect_velocity(after),
+            Stage::Forces => self.forces(after),
+            Stage::LiquidDistance => self.liquid_distance(after),
+            Stage::ActiveCells => self.active_cells(after, both),
+            Stage::RightHandSide => self.right_hand_side(after, clip, both),
+            Stage::Solve => self.solve(after, both)?,
+            Stage::WriteBack => self.write_back(after),
+            Stage::Extrapolate => self.extrapolate(after, clip, both),
+            Stage::Diagnose => {
                 self.diagnose(after, clip, both);
                 self.probes(after);
             }
@@ -219,7 +217,7 @@ impl<'a> LiquidJudge<'a> {
             let a = axis.index();
             let pairs = device.open[a].iter().zip(&cut.open[a]).enumerate();
             self.table.add(
-                [Clip::NAME, "open fractions", ""],
+                [Stage::Clip.name(), "open fractions", ""],
                 pairs.map(|(face, (&gpu, &twin))| {
                     (gpu, twin, EPS * twin, Place::face(&grid, axis, face))
                 }),
@@ -227,7 +225,7 @@ impl<'a> LiquidJudge<'a> {
         }
         let pairs = device.solid_distance.iter().zip(&cut.solid_distance);
         self.table.add(
-            [Clip::NAME, "distance", "m"],
+            [Stage::Clip.name(), "distance", "m"],
             pairs.enumerate().map(|(cell, (&gpu, &twin))| {
                 (gpu, twin, EPS * twin.abs(), Place::cell(&grid, cell))
             }),
@@ -318,12 +316,12 @@ impl<'a> LiquidJudge<'a> {
         };
         let judged = || pairs.iter().enumerate().filter(|(_, pair)| !pair.3);
         self.table.add_flags(
-            [AdvectMarkers::NAME, "markers gone"],
+            [Stage::AdvectMarkers.name(), "markers gone"],
             judged()
                 .map(|(index, (_, gpu, twin, _))| (gpu.is_none(), twin.is_none(), place(index))),
         );
         self.table.add(
-            [AdvectMarkers::NAME, "positions", "m"],
+            [Stage::AdvectMarkers.name(), "positions", "m"],
             judged().flat_map(|(index, &(bound, gpu, twin, _))| {
                 let both = gpu.zip(twin).into_iter();
                 both.flat_map(move |(gpu, twin)| {
@@ -334,7 +332,7 @@ impl<'a> LiquidJudge<'a> {
         );
         let n_excused = pairs.iter().filter(|pair| pair.3).count();
         self.table
-            .row(AdvectMarkers::NAME, "positions", "m")
+            .row(Stage::AdvectMarkers.name(), "positions", "m")
             .excused += 3 * n_excused as u64;
     }
 
@@ -361,8 +359,11 @@ impl<'a> LiquidJudge<'a> {
             }
             kept.extend(*gpu);
         }
-        self.table.add_flags([EXCHANGE, "markers sunk"], pairs);
-        self.table.row(EXCHANGE, "markers sunk", "flag").excused += excused;
+        self.table
+            .add_flags([Stage::Exchange.name(), "markers sunk"], pairs);
+        self.table
+            .row(Stage::Exchange.name(), "markers sunk", "flag")
+            .excused += excused;
         let mut excused = 0;
         let borders = kept.iter().filter(|&&x| at_border(x)).count();
         let n_kept = kept.len();
@@ -382,18 +383,21 @@ impl<'a> LiquidJudge<'a> {
             let counts = [gpu.len(), twin.len()].map(|n| n as f64);
             let filled = [after.report.filled.into(), seeded.filled as f64];
             let numbers = [counts, filled].map(|[gpu, twin]| (gpu, twin, 0.0, Place::Whole));
-            self.table.add([EXCHANGE, "markers emitted", ""], numbers);
+            self.table
+                .add([Stage::Exchange.name(), "markers emitted", ""], numbers);
             let bound = EPS * grid.dx * 8.0 * self.extent();
             let places = gpu.iter().zip(twin).enumerate();
             self.table.add(
-                [EXCHANGE, "new positions", "m"],
+                [Stage::Exchange.name(), "new positions", "m"],
                 places.flat_map(|(index, (gpu, twin))| {
                     let place = move || Place::Marker(n_before + index, (*twin).into());
                     (0..3).map(move |a| (gpu[a], twin[a], bound, place()))
                 }),
             );
         }
-        self.table.row(EXCHANGE, "new positions", "m").excused += excused;
+        self.table
+            .row(Stage::Exchange.name(), "new positions", "m")
+            .excused += excused;
     }
 
     /// As [`advection_error`] says.
@@ -403,7 +407,7 @@ impl<'a> LiquidJudge<'a> {
         let open = &open_to_advection(&self.cut.open, in_band);
         let bound = advection_error(&self.grid, open, velocity, dt);
         let twin = reference::advect_velocity(&self.grid, open, velocity, dt);
-        self.add_band_faces([AdvectVelocity::NAME, "u*"], after, &twin, bound);
+        self.add_band_faces([Stage::AdvectVelocity.name(), "u*"], after, &twin, bound);
     }
 
     /// One product and one sum.
@@ -413,7 +417,7 @@ impl<'a> LiquidJudge<'a> {
         let bound = EPS * (2.0 * dt * gravity.abs().max_element() + reference::max_speed(&twin));
         reference::forces(&mut twin, gravity, dt);
         reference::hold_faces(&self.taps, &self.cut.open, self.running.running, &mut twin);
-        self.add_band_faces([Forces::NAME, "u*"], after, &twin, bound);
+        self.add_band_faces([Stage::Forces.name(), "u*"], after, &twin, bound);
     }
 
     /// u* on the faces of the band against the twin's.
@@ -481,14 +485,15 @@ impl<'a> LiquidJudge<'a> {
         };
         let judged = (0..grid.n_cells()).filter(|&cell| !excused[cell]);
         self.table.add(
-            [LiquidDistance::NAME, "phi", "m"],
+            [Stage::LiquidDistance.name(), "phi", "m"],
             judged.map(|cell| {
                 let place = Place::cell(&grid, cell);
                 (number(gpu, cell), number(&twin, cell), bounds[cell], place)
             }),
         );
-        self.table.row(LiquidDistance::NAME, "phi", "m").excused +=
-            excused.iter().filter(|&&excused| excused).count() as u64;
+        self.table
+            .row(Stage::LiquidDistance.name(), "phi", "m")
+            .excused += excused.iter().filter(|&&excused| excused).count() as u64;
         self.volume_rate(after);
         self.twin.liquid_distance = twin;
         self.twin.distance_bounds = bounds;
@@ -529,7 +534,7 @@ impl<'a> LiquidJudge<'a> {
             (0.0, 0.0)
         };
         self.table.add(
-            [LiquidDistance::NAME, "volume rate", "1/s"],
+            [Stage::LiquidDistance.name(), "volume rate", "1/s"],
             [(after.report.volume_rate, twin, bound, Place::Whole)],
         );
     }
@@ -627,7 +632,7 @@ impl<'a> LiquidJudge<'a> {
             .for_each(|&cell| closed[cell] = true);
         let cells = || 0..grid.n_cells();
         self.table.add_flags(
-            [RightHandSide::NAME, "closed components"],
+            [Stage::RightHandSide.name(), "closed components"],
             cells().map(|cell| (after.closed[cell], closed[cell], Place::cell(&grid, cell))),
         );
         self.twin.rhs = twin.values.iter().map(|b| b / area).collect();
@@ -649,7 +654,7 @@ impl<'a> LiquidJudge<'a> {
         }
         let rhs = &self.twin.rhs;
         self.table.add(
-            [RightHandSide::NAME, "E u* / dx^2", "m/s"],
+            [Stage::RightHandSide.name(), "E u* / dx^2", "m/s"],
             cells()
                 .filter(|&cell| active.stencil.active(cell))
                 .map(|cell| (gpu[cell], rhs[cell], bound, Place::cell(&grid, cell))),
@@ -688,14 +693,14 @@ impl<'a> LiquidJudge<'a> {
         for axis in Axis::ALL {
             let a = axis.index();
             self.table.add_flags(
-                [WriteBack::NAME, "valid faces"],
+                [Stage::WriteBack.name(), "valid faces"],
                 (0..valid[a].len()).map(|face| {
                     let place = Place::face(&grid, axis, face);
                     (after.valid[a][face], valid[a][face], place)
                 }),
             );
             self.table.add(
-                [WriteBack::NAME, "u", "m/s"],
+                [Stage::WriteBack.name(), "u", "m/s"],
                 (0..valid[a].len()).map(|face| {
                     let twin = if valid[a][face] { twin[a][face] } else { 0.0 };
                     let change = (twin - u_star[a][face]).abs();
@@ -757,13 +762,16 @@ impl<'a> LiquidJudge<'a> {
                     pairs.push((gpu, twin, bound, Place::face(&grid, axis, face)));
                 }
             }
-            self.table.add([Extrapolate::NAME, "u", "m/s"], pairs);
-            self.table.row(Extrapolate::NAME, "u", "m/s").excused += excused;
+            self.table
+                .add([Stage::Extrapolate.name(), "u", "m/s"], pairs);
+            self.table
+                .row(Stage::Extrapolate.name(), "u", "m/s")
+                .excused += excused;
         }
         self.twin.velocity = twin;
         self.twin.velocity_bound = self
             .table
-            .row(Extrapolate::NAME, "u", "m/s")
+            .row(Stage::Extrapolate.name(), "u", "m/s")
             .worst
             .map_or(means, |worst| means.max(worst.bound));
     }
@@ -882,7 +890,7 @@ impl<'a> LiquidJudge<'a> {
         ];
         for (quantity, unit, gpu, twin, bound) in rows {
             self.table.add(
-                [Diagnose::NAME, quantity, unit],
+                [Stage::Diagnose.name(), quantity, unit],
                 [(gpu, twin, bound, Place::Whole)],
             );
         }
@@ -899,11 +907,11 @@ impl<'a> LiquidJudge<'a> {
         let (twin, gross) = (sums(&force), sums(&gross));
         let bound = (4.0 * EPS + 64.0 * unit(after.real)) * gross.length();
         self.table.add(
-            [Diagnose::NAME, "J^T p", "N"],
+            [Stage::Diagnose.name(), "J^T p", "N"],
             (0..3).map(|axis| (told.force[axis], twin[axis], bound, Place::Whole)),
         );
         self.table.add_flags(
-            [Diagnose::NAME, "touching"],
+            [Stage::Diagnose.name(), "touching"],
             [(told.touching, both.touch(), Place::Whole)],
         );
     }

@@ -1,0 +1,306 @@
+//! The schedule of a sub-step (Zarifi's thesis, algorithm 4) and the driver that runs it.
+//!
+//! [`SCHEDULE`] is the only place that knows the order. Both backends implement [`Backend`]; [`run`] calls their stages row by row.
+//! `plan`, `compare`, `bench step`, the stage columns of `steps.csv` and the lists in the documentation come from the table.
+
+use crate::Error;
+use crate::effects::Effects;
+
+/// A stage of a sub-step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Stage {
+    /// See [`SCHEDULE`] for every stage.
+    TimeStep,
+    /// Motion of the nodes.
+    MoveSolid,
+    /// Cut cells.
+    Clip,
+    /// Motion of the markers.
+    AdvectMarkers,
+    /// Sources and sinks.
+    Exchange,
+    /// Narrow band.
+    Band,
+    /// Advection of face velocities.
+    AdvectVelocity,
+    /// Body forces.
+    Forces,
+    /// Surface of the liquid.
+    LiquidDistance,
+    /// Unknowns of the pressure.
+    ActiveCells,
+    /// Components without a free surface.
+    ClosedComponents,
+    /// Matrices of the solids.
+    SolidMatrices,
+    /// Right-hand sides.
+    RightHandSide,
+    /// Solution of the systems.
+    Solve,
+    /// Projection of the velocity.
+    WriteBack,
+    /// Velocities beyond the liquid.
+    Extrapolate,
+    /// Sums and extremes.
+    Diagnose,
+    /// Measurements.
+    Probe,
+}
+
+/// When a stage runs in a scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum When {
+    /// The scene does not call for it.
+    Never,
+    /// Once, when a state is put in place.
+    Once,
+    /// In every sub-step.
+    EverySubStep,
+}
+
+/// Who runs a stage.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Runner {
+    /// Both backends, within the sub-step.
+    Both,
+    /// The GPU alone, within the sub-step: lists that save work. The f64 path finds the same by itself.
+    Gpu,
+    /// The run loop, before or after the sub-step.
+    RunLoop,
+}
+
+/// A row of the schedule.
+#[derive(Clone, Copy, Debug)]
+pub struct Row {
+    /// The stage.
+    pub stage: Stage,
+    /// Its name in labels, tables and messages.
+    pub name: &'static str,
+    /// One sentence, with its source.
+    pub sentence: &'static str,
+    /// Who runs it.
+    pub runner: Runner,
+    /// When it runs.
+    pub when: fn(&Effects) -> When,
+}
+
+fn every(present: bool) -> When {
+    match present {
+        true => When::EverySubStep,
+        false => When::Never,
+    }
+}
+
+fn every_or_once(every_sub_step: bool, present: bool) -> When {
+    match (present, every_sub_step) {
+        (false, _) => When::Never,
+        (true, true) => When::EverySubStep,
+        (true, false) => When::Once,
+    }
+}
+
+/// The stages in order.
+pub const SCHEDULE: [Row; 18] = [
+    Row {
+        stage: Stage::TimeStep,
+        name: "time_step",
+        sentence: "The largest sub-step that the velocities allow and that ends on the frame times.",
+        runner: Runner::RunLoop,
+        when: |_| When::EverySubStep,
+    },
+    Row {
+        stage: Stage::MoveSolid,
+        name: "move_solid",
+        sentence: "Moves the nodes of the solids: on circles for bodies that are free or hinged, then out of walls.",
+        runner: Runner::Both,
+        when: |effects| every(effects.solids),
+    },
+    Row {
+        stage: Stage::Clip,
+        name: "clip",
+        sentence: "Clips obstacles and solids against the grid: face apertures, distances, coupling matrix J (thesis, chapter 5).",
+        runner: Runner::Both,
+        when: |effects| every(effects.clips()),
+    },
+    Row {
+        stage: Stage::AdvectMarkers,
+        name: "advect_markers",
+        sentence: "Moves the markers by the midpoint rule, near the surface with the velocity of the surface.",
+        runner: Runner::Both,
+        when: |effects| every(effects.markers),
+    },
+    Row {
+        stage: Stage::Exchange,
+        name: "exchange",
+        sentence: "Deletes markers in sinks and emits those of sources.",
+        runner: Runner::Both,
+        when: |effects| every(effects.sources || effects.sinks),
+    },
+    Row {
+        stage: Stage::Band,
+        name: "band",
+        sentence: "Lists the quads of the narrow band around the liquid.",
+        runner: Runner::Gpu,
+        when: |effects| every_or_once(effects.markers, effects.liquid),
+    },
+    Row {
+        stage: Stage::AdvectVelocity,
+        name: "advect_velocity",
+        sentence: "Advects the face velocities, semi-Lagrangian with the midpoint rule (Stam 1999).",
+        runner: Runner::Both,
+        when: |effects| every(effects.liquid),
+    },
+    Row {
+        stage: Stage::Forces,
+        name: "forces",
+        sentence: "Adds gravity to faces and nodes and sets the velocities of prescribed nodes and source faces.",
+        runner: Runner::Both,
+        when: |_| When::EverySubStep,
+    },
+    Row {
+        stage: Stage::LiquidDistance,
+        name: "liquid_distance",
+        sentence: "Computes the liquid distance, a union of spheres around the markers (Zhu and Bridson 2005), extends it into solids and \
+                   measures the volume.",
+        runner: Runner::Both,
+        when: |effects| every_or_once(effects.markers || effects.clips(), effects.liquid),
+    },
+    Row {
+        stage: Stage::ActiveCells,
+        name: "active_cells",
+        sentence: "Compacts the unknowns of the pressure and coarsens them for the multigrid hierarchy (thesis 4.38).",
+        runner: Runner::Both,
+        when: |effects| every(effects.liquid),
+    },
+    Row {
+        stage: Stage::ClosedComponents,
+        name: "closed_components",
+        sentence: "Labels enclosed liquid components, which have no free surface.",
+        runner: Runner::Gpu,
+        when: |effects| every(effects.liquid),
+    },
+    Row {
+        stage: Stage::SolidMatrices,
+        name: "solid_matrices",
+        sentence: "Computes rotations and elastic forces of the elements and assembles the stiffness.",
+        runner: Runner::Both,
+        when: |effects| every(effects.solids),
+    },
+    Row {
+        stage: Stage::RightHandSide,
+        name: "right_hand_side",
+        sentence: "Computes the negative divergence with volume control, the momentum of the solids, and their contacts.",
+        runner: Runner::Both,
+        when: |_| When::EverySubStep,
+    },
+    Row {
+        stage: Stage::Solve,
+        name: "solve",
+        sentence: "Solves for the pressure and the velocities of the nodes, together where liquid and solids touch (thesis 5.25).",
+        runner: Runner::Both,
+        when: |_| When::EverySubStep,
+    },
+    Row {
+        stage: Stage::WriteBack,
+        name: "write_back",
+        sentence: "Subtracts the pressure gradient from the face velocities (thesis 4.36).",
+        runner: Runner::Both,
+        when: |effects| every(effects.liquid),
+    },
+    Row {
+        stage: Stage::Extrapolate,
+        name: "extrapolate",
+        sentence: "Extrapolates velocities beyond the liquid, with free slip along obstacles and solids.",
+        runner: Runner::Both,
+        when: |effects| every(effects.liquid),
+    },
+    Row {
+        stage: Stage::Diagnose,
+        name: "diagnose",
+        sentence: "Measures momentum, energies, largest speed, divergence, the worst element and the forces on solids.",
+        runner: Runner::Both,
+        when: |_| When::EverySubStep,
+    },
+    Row {
+        stage: Stage::Probe,
+        name: "probe",
+        sentence: "Measures what the scene's probes ask for.",
+        runner: Runner::RunLoop,
+        when: |effects| every(effects.probes),
+    },
+];
+
+impl Stage {
+    /// Its row.
+    pub const fn row(self) -> &'static Row {
+        &SCHEDULE[self as usize]
+    }
+
+    /// Its name in labels, tables and messages.
+    pub const fn name(self) -> &'static str {
+        self.row().name
+    }
+}
+
+/// Stages of a sub-step of a backend.
+pub trait Backend {
+    /// Runs a stage.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails; [`Error::Stage`] where the stage fails.
+    fn run(&mut self, stage: Stage) -> Result<(), Error>;
+
+    /// Called after every stage.
+    ///
+    /// # Errors
+    /// Errors of a stage callback.
+    fn after(&mut self, stage: Stage) -> Result<(), Error>;
+}
+
+/// Runs the stages of a sub-step that the effects call for, in order; `gpu`: with the stages of the GPU alone.
+///
+/// # Errors
+/// The first error of a stage.
+pub fn run(backend: &mut impl Backend, effects: &Effects, gpu: bool) -> Result<(), Error> {
+    let within = |row: &&Row| match row.runner {
+        Runner::Both => true,
+        Runner::Gpu => gpu,
+        Runner::RunLoop => false,
+    };
+    for row in SCHEDULE.iter().filter(within) {
+        if (row.when)(effects) == When::EverySubStep {
+            backend.run(row.stage)?;
+            backend.after(row.stage)?;
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{SCHEDULE, Stage};
+
+    /// ARCHITECTURE.md lists the schedule.
+    #[test]
+    fn the_page_lists_the_schedule() {
+        let page = include_str!("../ARCHITECTURE.md");
+        let lines = SCHEDULE.iter().zip(1..).map(|(row, number)| {
+            let super::Row { name, sentence, .. } = row;
+            format!("{number}. `{name}`: {sentence}\n")
+        });
+        let list: String = lines.collect();
+        assert!(
+            page.contains(&list),
+            "ARCHITECTURE.md should contain\n{list}"
+        );
+    }
+
+    #[test]
+    fn rows_are_in_the_order_of_the_stages() {
+        for (index, row) in SCHEDULE.iter().enumerate() {
+            assert_eq!(row.stage as usize, index);
+            assert_eq!(row.stage.name(), row.name);
+        }
+        assert_eq!(SCHEDULE.len(), Stage::Probe as usize + 1);
+    }
+}
