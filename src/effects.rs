@@ -1,102 +1,213 @@
-//! What a scene calls for, computed in one place. Kernels, buffers and CPU work ask [`Effects`] and nothing else, so an
-//! effect that a scene does not have costs no compile time, no bytes and no dispatch.
+//! The active effects of a scene, decided in one place. Kernels, arrays and CPU work query [`Effects`] and nothing else, so an effect that
+//! a scene does not have costs no compile time, no bytes and no dispatch.
 
 use crate::scene::{ElasticModel, PatchPressure, Scene, Solid, Surface};
 
-/// The effects of a scene (design: each adds its kernels, buffers and CPU work; an absent one adds none).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Effects {
-    /// There is liquid: all stages from `advect_velocity` on.
-    pub liquid: bool,
-    /// The surface moves with markers: `advect_markers`, union of spheres.
-    pub markers: bool,
-    /// The liquid's volume is held.
-    pub volume_control: bool,
-    /// Liquid leaves through sides of the domain: markers beyond them are removed, and the volume to hold with them.
-    pub open_sides: bool,
-    /// Sources emit liquid: markers, held faces, and more volume to hold.
-    pub sources: bool,
-    /// Sinks take liquid away.
-    pub sinks: bool,
-    /// There are elastic solids: `move_solid`, `solid_matrices` and their solve.
-    pub solids: bool,
-    /// A solid measures strain in the frame that turns with each element: rotations of elements.
-    pub corotation: bool,
-    /// A solid is damped by its mass or by its stiffness.
-    pub damping: bool,
-    /// Nodes are held.
-    pub pins: bool,
-    /// Nodes are moved: their velocities are uploaded in every step.
-    pub scripts: bool,
-    /// Constant forces act on nodes.
-    pub loads: bool,
-    /// There are obstacles. With liquid: open areas from clipping, push-out, extension of the liquid distance, slip inside them;
-    /// with solids: push-out of nodes.
-    pub obstacles: bool,
-    /// Obstacles move, in liquid: `clip` in every sub-step, their J v in the right-hand side, slip relative to them.
-    pub moving_obstacles: bool,
-    /// There are liquid and solids: `clip` in every sub-step, J, and one solve for both where they touch.
-    pub coupling: bool,
-    /// The pressure on the solids' patches varies within cells: forces on their nodes.
-    pub patch_correction: bool,
-    /// There are probes: the `probe` stage and its few numbers read back.
-    pub probes: bool,
-    /// The liquid's surface is written as a mesh, which the host makes of every frame that is written.
-    pub surface: bool,
+/// An effect, and the reason why it is active or not.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Effect {
+    /// Name, as in [`Effects`].
+    pub name: &'static str,
+    /// Whether the scene has it.
+    pub active: bool,
+    /// Why.
+    pub reason: String,
+}
+
+/// Declares the table of effects: for each its condition and its reason, given the scene and the effects of the rows above.
+macro_rules! effects {
+    ($( $(#[$meta:meta])* $name:ident: $active:expr, $reason:expr; )*) => {
+        /// The active effects of a scene.
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+        pub struct Effects {
+            $( $(#[$meta])* pub $name: bool, )*
+        }
+
+        impl Effects {
+            /// The effects of a scene.
+            pub fn of(scene: &Scene) -> Effects {
+                let mut effects = Effects::default();
+                $(
+                    let active: fn(&Scene, &Effects) -> bool = $active;
+                    effects.$name = active(scene, &effects);
+                )*
+                effects
+            }
+
+            /// All effects, active or not, with their reasons. `self`: those of the scene.
+            pub fn explained(&self, scene: &Scene) -> Vec<Effect> {
+                vec![$({
+                    let reason: fn(&Scene, &Effects) -> String = $reason;
+                    Effect {
+                        name: stringify!($name),
+                        active: self.$name,
+                        reason: reason(scene, self),
+                    }
+                }),*]
+            }
+        }
+    };
+}
+
+effects! {
+    /// Liquid: all stages from `advect_velocity` on.
+    liquid: |scene, _| scene.liquid.is_some(),
+        |scene, _| count(scene.liquid.as_ref().map_or(0, |liquid| liquid.regions.len()), "[[liquid.region]]");
+    /// A surface that moves with markers: `advect_markers`, union of spheres.
+    markers: |scene, _| scene.liquid.as_ref().is_some_and(|liquid| liquid.surface == Surface::Markers),
+        |_, effects| match (effects.liquid, effects.markers) {
+            (false, _) => NO_LIQUID,
+            (_, false) => "liquid.surface = \"fixed\"",
+            (_, true) => "liquid.surface = \"markers\"",
+        }
+        .to_owned();
+    /// Volume control: a source in the right-hand side that keeps the volume of the liquid.
+    volume_control: |scene, effects| {
+            effects.markers && scene.liquid.as_ref().is_some_and(|liquid| liquid.volume_control)
+        },
+        |_, effects| match (effects.liquid, effects.markers, effects.volume_control) {
+            (false, ..) => NO_LIQUID,
+            (_, false, _) => "a fixed surface holds its volume",
+            (_, _, true) => "on by default with markers",
+            (_, _, false) => "liquid.volume_control = false",
+        }
+        .to_owned();
+    /// Open sides of the domain: markers beyond them are deleted, and their volume is no longer controlled.
+    open_sides: |scene, _| scene.liquid.is_some() && scene.domain.open.any(),
+        |scene, _| match scene.domain.open.any() {
+            true => format!("domain.open: {}", scene.domain.open.names().collect::<Vec<_>>().join(", ")),
+            false => "no sides in domain.open".to_owned(),
+        };
+    /// Sources: markers, faces with prescribed flux, and more volume to control.
+    sources: |scene, _| !scene.sources.is_empty(),
+        |scene, _| count(scene.sources.len(), "[[source]]");
+    /// Sinks: cells that stay empty.
+    sinks: |scene, _| !scene.sinks.is_empty(),
+        |scene, _| count(scene.sinks.len(), "[[sink]]");
+    /// Elastic solids: `move_solid`, `solid_matrices` and their solve.
+    solids: |scene, _| !scene.solids.is_empty(),
+        |scene, _| count(scene.solids.len(), "[[solid]]");
+    /// Corotational strain: rotations of elements.
+    corotation: |scene, _| any_solid(scene, corotational),
+        |scene, _| count_solids(scene, corotational, "corotational", "model = \"linear\"");
+    /// Damping of a solid, by its mass or by its stiffness.
+    damping: |scene, _| any_solid(scene, damped),
+        |scene, _| count_solids(scene, damped, "with damping", "no damping above zero");
+    /// Constrained nodes.
+    pins: |scene, _| any_solid(scene, pins),
+        |scene, _| count_solids(scene, pins, "[[solid.pin]]", "no [[solid.pin]]");
+    /// Nodes with prescribed motion, whose velocities are uploaded in every step.
+    scripts: |scene, _| any_solid(scene, scripts),
+        |scene, _| count_solids(scene, scripts, "[[solid.script]]", "no [[solid.script]]");
+    /// Constant forces on nodes.
+    loads: |scene, _| any_solid(scene, loads),
+        |scene, _| count_solids(scene, loads, "[[solid.load]]", "no [[solid.load]]");
+    /// Obstacles. With liquid: apertures from clipping, push-out, extension of the liquid distance, slip inside them; with solids:
+    /// push-out of nodes.
+    obstacles: |scene, _| !scene.obstacles.is_empty(),
+        |scene, _| count(scene.obstacles.len(), "[[obstacle]]");
+    /// Obstacles that move, in liquid: `clip` in every sub-step, their J v in the right-hand side, slip relative to them.
+    moving_obstacles: |scene, _| scene.liquid.is_some() && scene.obstacles_move(),
+        |scene, effects| {
+            let moving = scene.obstacles.iter().filter(|obstacle| obstacle.motion.is_some());
+            match (moving.count(), effects.liquid) {
+                (_, false) => NO_LIQUID.to_owned(),
+                (0, _) => "no [[obstacle]] with keyframes".to_owned(),
+                (n, _) => format!("{n} [[obstacle]] with keyframes"),
+            }
+        };
+    /// Liquid and solids: `clip` in every sub-step, J, and one solve for both where they touch.
+    coupling: |scene, effects| scene.liquid.is_some() && effects.solids,
+        |_, effects| coupling(effects).to_owned();
+    /// Pressure on the solids' patches that varies within cells: forces on their nodes.
+    patch_correction: |scene, effects| {
+            effects.coupling && scene.solver.pressure_on_patches != PatchPressure::Cell
+        },
+        |scene, effects| match scene.solver.pressure_on_patches {
+            _ if !effects.coupling => coupling(effects),
+            PatchPressure::Cell => "solver.pressure_on_patches = \"cell\"",
+            PatchPressure::Hydrostatic => {
+                "solver.pressure_on_patches = \"hydrostatic\": assumes that pressure grows with depth as at rest"
+            }
+            PatchPressure::Gradient => "solver.pressure_on_patches = \"gradient\"",
+        }
+        .to_owned();
+    /// Probes: the stage `probe` and its few numbers read back.
+    probes: |scene, _| !scene.probes.is_empty(),
+        |scene, _| count(scene.probes.len(), "[[probe]]");
+    /// The surface of the liquid as a mesh, which the host makes of every frame that is written.
+    surface: |scene, _| scene.liquid.is_some() && scene.output.surface,
+        |_, effects| match (effects.liquid, effects.surface) {
+            (false, _) => NO_LIQUID,
+            (_, false) => "output.surface is off",
+            (_, true) => "output.surface = true: a mesh of each frame, made by the host",
+        }
+        .to_owned();
+}
+
+const NO_LIQUID: &str = "there is no liquid";
+
+fn count(n: usize, of: &str) -> String {
+    match n {
+        0 => format!("no {of} in the scene"),
+        n => format!("{n} {of}"),
+    }
+}
+
+fn any_solid(scene: &Scene, property: fn(&Solid) -> usize) -> bool {
+    scene.solids.iter().any(|solid| property(solid) > 0)
+}
+
+fn count_solids(scene: &Scene, property: fn(&Solid) -> usize, some: &str, none: &str) -> String {
+    match scene.solids.iter().map(property).sum() {
+        _ if scene.solids.is_empty() => "there are no solids".to_owned(),
+        0 => none.to_owned(),
+        sum => format!("{sum} {some}"),
+    }
+}
+
+fn corotational(solid: &Solid) -> usize {
+    usize::from(solid.model == ElasticModel::Corotational)
+}
+
+fn damped(solid: &Solid) -> usize {
+    usize::from(solid.mass_damping > 0.0 || solid.stiffness_damping > 0.0)
+}
+
+fn pins(solid: &Solid) -> usize {
+    solid.pins.len() - scripts(solid)
+}
+
+fn scripts(solid: &Solid) -> usize {
+    let pins = solid.pins.iter();
+    pins.filter(|pin| !pin.keyframes.is_empty()).count()
+}
+
+fn loads(solid: &Solid) -> usize {
+    solid.loads.len()
+}
+
+fn coupling(effects: &Effects) -> &'static str {
+    match (effects.liquid, effects.solids) {
+        (true, true) => "[liquid] and [[solid]]",
+        (false, _) => NO_LIQUID,
+        (true, false) => "there are no solids",
+    }
 }
 
 impl Effects {
-    /// Whether obstacles or solids take room from the liquid.
+    /// Whether obstacles or solids cut the grid of the liquid.
     pub fn cuts(&self) -> bool {
         self.liquid && (self.obstacles || self.coupling)
     }
 
-    /// Whether liquid comes in or goes out.
+    /// Whether liquid enters or leaves the domain.
     pub fn exchange(&self) -> bool {
         self.open_sides || self.sources || self.sinks
     }
 
-    /// Whether what takes room from it moves: `clip` in every sub-step.
+    /// Whether the cuts move: `clip` in every sub-step.
     pub fn clips(&self) -> bool {
         self.coupling || self.moving_obstacles
-    }
-
-    /// The effects of a scene.
-    pub fn of(scene: &Scene) -> Effects {
-        let markers = scene
-            .liquid
-            .as_ref()
-            .is_some_and(|liquid| liquid.surface == Surface::Markers);
-        let any = |has: fn(&Solid) -> bool| scene.solids.iter().any(has);
-        let pin = |scripted: bool| {
-            let mut pins = scene.solids.iter().flat_map(|solid| &solid.pins);
-            pins.any(|pin| pin.keyframes.is_empty() != scripted)
-        };
-        Effects {
-            liquid: scene.liquid.is_some(),
-            markers,
-            volume_control: markers
-                && scene
-                    .liquid
-                    .as_ref()
-                    .is_some_and(|liquid| liquid.volume_control),
-            open_sides: scene.liquid.is_some() && scene.domain.open.any(),
-            sources: !scene.sources.is_empty(),
-            sinks: !scene.sinks.is_empty(),
-            solids: !scene.solids.is_empty(),
-            corotation: any(|solid| solid.model == ElasticModel::Corotational),
-            damping: any(|solid| solid.mass_damping > 0.0 || solid.stiffness_damping > 0.0),
-            pins: pin(false),
-            scripts: pin(true),
-            loads: any(|solid| !solid.loads.is_empty()),
-            obstacles: !scene.obstacles.is_empty(),
-            moving_obstacles: scene.liquid.is_some() && scene.obstacles_move(),
-            coupling: scene.liquid.is_some() && !scene.solids.is_empty(),
-            patch_correction: scene.liquid.is_some()
-                && !scene.solids.is_empty()
-                && scene.solver.pressure_on_patches != PatchPressure::Cell,
-            probes: !scene.probes.is_empty(),
-            surface: scene.liquid.is_some() && scene.output.surface,
-        }
     }
 }

@@ -109,7 +109,7 @@ fn say_scene(scene: &Scene, plan: &Plan) {
 fn say_effects(plan: &Plan) {
     say!("\neffects");
     for effect in &plan.effects {
-        let present = if effect.present { "yes" } else { "no" };
+        let present = if effect.active { "yes" } else { "no" };
         say!("  {:15} {present:4} {}", effect.name, effect.reason);
     }
 }

@@ -162,7 +162,11 @@ impl Recorder {
 
     /// Sets a buffer to zero.
     pub fn clear<T: Pod>(&mut self, buffer: &Buffer<T>) {
-        if let Some((encoder, raw)) = self.encoder.as_mut().zip(buffer.raw.as_ref()) {
+        self.clear_raw(&buffer.raw);
+    }
+
+    fn clear_raw(&mut self, buffer: &Option<wgpu::Buffer>) {
+        if let Some((encoder, raw)) = self.encoder.as_mut().zip(buffer.as_ref()) {
             encoder.clear_buffer(raw, 0, None);
         }
     }
@@ -259,11 +263,19 @@ impl Bound {
     }
 }
 
-/// Dispatches of a stage, in order: one compute pass, labelled with the name of the stage. An empty list records nothing.
+/// Commands of a stage: transfers, then dispatches in order as one compute pass, labelled with the name of the stage.
 #[derive(Debug)]
 pub struct Dispatches {
     stage: &'static str,
+    transfers: Vec<Transfer>,
     list: Vec<Dispatch>,
+}
+
+/// A transfer on the device; buffers are `None` on a planning device.
+#[derive(Debug)]
+enum Transfer {
+    Clear(Option<wgpu::Buffer>),
+    Copy(Option<wgpu::Buffer>, Option<wgpu::Buffer>, u64),
 }
 
 impl Dispatches {
@@ -271,23 +283,44 @@ impl Dispatches {
     pub fn new(stage: &'static str, list: impl IntoIterator<Item = Dispatch>) -> Dispatches {
         Dispatches {
             stage,
+            transfers: Vec::new(),
             list: list.into_iter().collect(),
         }
     }
 
-    /// Whether there are none.
-    pub fn is_empty(&self) -> bool {
-        self.list.is_empty()
+    /// With a buffer set to zero before.
+    pub fn clearing<T: Pod>(mut self, buffer: &Buffer<T>) -> Dispatches {
+        self.transfers.push(Transfer::Clear(buffer.raw.clone()));
+        self
     }
 
-    /// Records them as a pass.
+    /// With a buffer copied before to another of the same type and length.
+    pub fn copying<T: Pod>(mut self, from: &Buffer<T>, to: &Buffer<T>) -> Dispatches {
+        assert_eq!(from.len(), to.len(), "{}", from.label());
+        let copy = Transfer::Copy(from.raw.clone(), to.raw.clone(), from.bytes());
+        self.transfers.push(copy);
+        self
+    }
+
+    /// Name of the stage.
+    pub fn stage(&self) -> &'static str {
+        self.stage
+    }
+
+    /// Records them.
     pub fn record(&self, recorder: &mut Recorder) {
+        for transfer in &self.transfers {
+            match transfer {
+                Transfer::Clear(buffer) => recorder.clear_raw(buffer),
+                Transfer::Copy(from, to, bytes) => recorder.copy_bytes((from, 0), to, *bytes),
+            }
+        }
         if !self.list.is_empty() {
             recorder.stage(self.stage, |pass| pass.run(&self.list));
         }
     }
 
-    /// Records them in a pass.
+    /// Records the dispatches in a pass.
     pub fn record_in(&self, pass: &mut Pass) {
         pass.run(&self.list);
     }

@@ -12,7 +12,7 @@ use crate::solver::{
     CoupledFields, CouplingBuffers, CouplingSize, OpenFaces, Outcome, Pair, PatchPressure,
     REPORT_WORDS, Seal, TwoFieldSolver, Weak, WeakBuffers,
 };
-use crate::stages::{self, ClipBuffers, ClipSize, Diagnose, SolidStep};
+use crate::stages::{self, ClipBuffers, ClipSize, SolidStep};
 use crate::state::{ContactReport, CouplingReport, SolveStatus, State};
 use crate::step::Stage;
 
@@ -271,9 +271,11 @@ impl GpuCoupling {
         } = liquid;
         let velocity = &solids.buffers.velocity;
         let walls = Some((&self.on_device, Some(velocity)));
-        of_liquid.extrapolate = Some(stages::extrapolate(gpu, buffers, walls)?);
         let fluxes = Some((&self.on_device, &self.buffers, velocity));
-        of_liquid.diagnose = Some(Diagnose::new(gpu, buffers, solver, fluxes)?);
+        of_liquid.beside_bodies = vec![
+            stages::extrapolate(gpu, buffers, walls)?,
+            stages::diagnose(gpu, buffers, solver, fluxes)?,
+        ];
         Ok(())
     }
 

@@ -11,10 +11,10 @@ use crate::solver::{
     Components, FreeSurface, Outcome, PressureSolver, PressureSystem, SolverBuffers,
 };
 use crate::stages::{
-    self, Diagnose, LiquidBuffers, LiquidPlan, Probe, Report, Sinks, SourceStages, SourceStep,
-    Sources, Step,
+    self, LiquidBuffers, LiquidPlan, Probe, Report, Sinks, SourceStep, Sources, Step,
 };
 use crate::state::{LiquidReport, State};
+use crate::step::Stage;
 
 use super::step::solve_report;
 
@@ -43,6 +43,7 @@ pub(super) struct GpuLiquid {
     pub(super) volume_0: f64,
     pub(super) buffers: LiquidBuffers,
     pub(super) solver: SolverBuffers,
+    sources: Option<Sources>,
     pub(super) stages: LiquidStages,
 }
 
@@ -59,39 +60,29 @@ struct Passed {
     emitted: u64,
 }
 
-impl LiquidStages {
-    /// Records the stage `exchange`.
-    pub(super) fn record_exchange(&self, to: &mut Recorder) {
-        if let Some((_, exchange)) = &self.sinks {
-            exchange.record(to);
-        }
-        if let Some((sources, stages)) = &self.sources {
-            sources.record_exchange(to, stages);
-        }
-    }
-}
-
 /// The stages of a sub-step.
 #[derive(Debug)]
 pub(super) struct LiquidStages {
-    pub(super) advect_markers: Dispatches,
-    pub(super) sinks: Option<(Sinks, Dispatches)>,
-    pub(super) sources: Option<(Sources, SourceStages)>,
-    pub(super) band: Dispatches,
-    pub(super) advect_velocity: Dispatches,
-    pub(super) forces: Dispatches,
-    pub(super) liquid_distance: Dispatches,
+    /// See [`stages::liquid_stages`].
+    own: Vec<Dispatches>,
+    /// `extrapolate` and `diagnose`. With solids made by [`GpuCoupling`](super::gpu_coupling::GpuCoupling), with moving obstacles by
+    /// [`GpuObstacles`](super::gpu_obstacles::GpuObstacles).
+    pub(super) beside_bodies: Vec<Dispatches>,
     pub(super) active_cells: PressureSystem,
     pub(super) closed_components: Components,
-    pub(super) right_hand_side: Dispatches,
     pub(super) solve: PressureSolver,
-    pub(super) write_back: Dispatches,
-    /// With solids made by [`GpuCoupling`](super::gpu_coupling::GpuCoupling), with moving obstacles by
-    /// [`GpuObstacles`](super::gpu_obstacles::GpuObstacles); like `diagnose`.
-    pub(super) extrapolate: Option<Dispatches>,
-    pub(super) diagnose: Option<Diagnose>,
     /// With its read-back.
     pub(super) probe: Option<(Probe, Readback<u32>)>,
+}
+
+impl LiquidStages {
+    /// Records the dispatches of a stage.
+    pub(super) fn record(&self, stage: Stage, to: &mut Recorder) {
+        let all = self.own.iter().chain(&self.beside_bodies);
+        for dispatches in all.filter(|dispatches| dispatches.stage() == stage.name()) {
+            dispatches.record(to);
+        }
+    }
 }
 
 /// What decides the sizes of all buffers of a scene that starts with so many markers, on an adapter with or without f64.
@@ -120,7 +111,12 @@ impl GpuLiquid {
         let plan = liquid_plan(scene, &taps, n_markers, gpu.has_f64());
         let buffers = LiquidBuffers::new(gpu, plan)?;
         let solver = SolverBuffers::new(gpu, &scene.grid(), scene.solver.precision)?;
-        let stages = LiquidStages::new(gpu, scene, &taps, &buffers, &solver)?;
+        let (sources, sinks) = (
+            Sources::new(gpu, &buffers, &taps)?,
+            Sinks::new(gpu, &buffers, &taps)?,
+        );
+        let of_taps = (sources.as_ref(), sinks.as_ref());
+        let stages = LiquidStages::new(gpu, scene, &buffers, &solver, of_taps)?;
         Ok(Some(GpuLiquid {
             settings,
             n_markers,
@@ -135,6 +131,7 @@ impl GpuLiquid {
             volume_0: 0.0,
             buffers,
             solver,
+            sources,
             stages,
         }))
     }
@@ -168,11 +165,11 @@ impl GpuLiquid {
             ..step
         };
         gpu.upload(&self.buffers.step, &[step]);
-        if self.stages.advect_markers.is_empty() {
+        if self.buffers.markers.is_none() {
             // The liquid stays where it is, and so do the band and the volume.
             let mut recorder = Recorder::new(gpu);
-            self.stages.band.record(&mut recorder);
-            self.stages.liquid_distance.record(&mut recorder);
+            self.stages.record(Stage::Band, &mut recorder);
+            self.stages.record(Stage::LiquidDistance, &mut recorder);
             recorder.submit();
         }
     }
@@ -253,7 +250,7 @@ impl GpuLiquid {
         self.make_room(gpu, head.step)?;
         self.running = self.running_after(head);
         self.inflow = dt * self.taps.flux(self.running.running);
-        if let Some((sources, _)) = &self.stages.sources {
+        if let Some(sources) = &self.sources {
             sources.write_step(gpu, SourceStep::new(self.running, self.n_markers));
         }
         Ok(())
@@ -273,12 +270,8 @@ impl GpuLiquid {
     /// Takes the markers that are gone out of the buffer where sources need their slots. The others keep their order, so it does not
     /// matter when this happens.
     fn make_room(&mut self, gpu: &Gpu, step: u64) -> Result<(), Error> {
-        let both = self
-            .stages
-            .sources
-            .as_ref()
-            .zip(self.buffers.markers.as_ref());
-        let Some(((sources, _), markers)) = both else {
+        let both = self.sources.as_ref().zip(self.buffers.markers.as_ref());
+        let Some((sources, markers)) = both else {
             return Ok(());
         };
         let (capacity, slots) = (markers.len(), sources.slots());
@@ -307,8 +300,7 @@ impl GpuLiquid {
 
     /// Slots that kernels look at in a sub-step: those in use, and those kept for new markers.
     pub(super) fn n_slots(&self) -> usize {
-        let slots = |(sources, _): &(Sources, SourceStages)| sources.slots();
-        self.n_markers + self.stages.sources.as_ref().map_or(0, slots)
+        self.n_markers + self.sources.as_ref().map_or(0, Sources::slots)
     }
 
     /// Keeps what the next sub-step needs of the report.
@@ -389,13 +381,11 @@ impl LiquidStages {
     fn new(
         gpu: &Gpu,
         scene: &Scene,
-        taps: &Taps,
         liquid: &LiquidBuffers,
         solver: &SolverBuffers,
+        taps: (Option<&Sources>, Option<&Sinks>),
     ) -> Result<LiquidStages, Error> {
         let effects = &liquid.plan.effects;
-        let sinks = Sinks::new(gpu, liquid, taps)?;
-        let sources = Sources::new(gpu, liquid, taps)?;
         let free_surface = FreeSurface {
             theta_floor: scene.solver.theta_floor,
             open_sides: effects.open_sides,
@@ -420,39 +410,19 @@ impl LiquidStages {
             let readback = Readback::new(gpu, "probe.values", probe.values.len())?;
             Ok::<_, Error>((probe, readback))
         };
-        let alone = !effects.clips();
         Ok(LiquidStages {
-            advect_markers: stages::advect_markers(gpu, liquid)?,
-            band: stages::band(gpu, liquid)?,
-            advect_velocity: stages::advect_velocity(gpu, liquid)?,
-            forces: stages::forces(gpu, liquid)?,
-            liquid_distance: stages::liquid_distance(gpu, liquid, sinks.as_ref())?,
+            own: stages::liquid_stages(gpu, liquid, solver, taps)?,
+            beside_bodies: match effects.clips() {
+                true => Vec::new(),
+                false => vec![
+                    stages::extrapolate(gpu, liquid, None)?,
+                    stages::diagnose(gpu, liquid, solver, None)?,
+                ],
+            },
             active_cells,
             closed_components: Components::new(gpu, solver)?,
-            right_hand_side: stages::right_hand_side(gpu, liquid, solver)?,
             solve,
-            write_back: stages::write_back(gpu, liquid, solver)?,
-            extrapolate: alone
-                .then(|| stages::extrapolate(gpu, liquid, None))
-                .transpose()?,
-            diagnose: alone
-                .then(|| Diagnose::new(gpu, liquid, solver, None))
-                .transpose()?,
             probe: has_probes(scene).then(probe).transpose()?,
-            sinks: match sinks {
-                Some(sinks) => {
-                    let exchange = sinks.exchange(gpu, liquid)?;
-                    Some((sinks, exchange))
-                }
-                None => None,
-            },
-            sources: match sources {
-                Some(sources) => {
-                    let stages = sources.stages(gpu, liquid)?;
-                    Some((sources, stages))
-                }
-                None => None,
-            },
         })
     }
 }

@@ -4,7 +4,7 @@
 use crate::Error;
 use crate::geometry::SolidClip;
 use crate::gpu::{Dispatches, Gpu};
-use crate::stages::{ClipBuffers, ClipSize, Diagnose};
+use crate::stages::{ClipBuffers, ClipSize};
 
 use super::gpu_liquid::GpuLiquid;
 
@@ -91,11 +91,9 @@ fn bind(gpu: &Gpu, liquid: &mut GpuLiquid, clip: &ClipBuffers) -> Result<Dispatc
         stages,
         ..
     } = liquid;
-    stages.extrapolate = Some(crate::stages::extrapolate(
-        gpu,
-        buffers,
-        Some((clip, None)),
-    )?);
-    stages.diagnose = Some(Diagnose::new(gpu, buffers, solver, None)?);
+    stages.beside_bodies = vec![
+        crate::stages::extrapolate(gpu, buffers, Some((clip, None)))?,
+        crate::stages::diagnose(gpu, buffers, solver, None)?,
+    ];
     crate::stages::clip(gpu, buffers, clip)
 }

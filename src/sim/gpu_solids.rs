@@ -11,7 +11,7 @@ use crate::solver::{
     self, ContactSearch, ObstacleField, Outcome, Polynomial, SolidRows, SolidSolver, SolidSystem,
     SolidSystemBuffers,
 };
-use crate::stages::{self, DiagnoseSolid, ObstacleBuffers, SolidBuffers, SolidPlan, SolidStep};
+use crate::stages::{self, ObstacleBuffers, SolidBuffers, SolidPlan, SolidStep};
 use crate::state::{Carried, ContactReport, SolidReport, SolveStatus, State};
 
 use super::step::solve_report;
@@ -100,7 +100,7 @@ pub(super) struct SolidStages {
     pub(super) rotations: Dispatches,
     pub(super) system: SolidSystem,
     pub(super) solve: SolidSolver,
-    pub(super) diagnose: DiagnoseSolid,
+    pub(super) diagnose: Dispatches,
 }
 
 /// What decides the sizes of [`SolidBuffers`] on an adapter with or without f64.
@@ -151,7 +151,7 @@ impl GpuSolids {
             rotations: stages::element_rotations(gpu, &buffers)?,
             system: SolidSystem::new(gpu, &system, buffers.fields(), field)?,
             solve: SolidSolver::new(gpu, &system, buffers.fields(), &scene.solver)?,
-            diagnose: DiagnoseSolid::new(gpu, &buffers)?,
+            diagnose: stages::diagnose_solid(gpu, &buffers)?,
         };
         let probed = || Readback::new(gpu, "solid.displacement", 2 * plan.n_nodes);
         Ok(GpuSolids {

@@ -16,7 +16,7 @@ mod warnings;
 
 pub use gpu_path::GpuPath;
 pub use memory::{HostMemory, free_memory};
-pub use plan::{EffectLine, Plan, StagePlan};
+pub use plan::{Plan, StagePlan};
 pub use run::{Options, Progress, Resumed, Summary, run};
 pub use snapshot::{
     LiquidSnapshot, Snapshot, SolidSnapshot, StoredPressure, coupled_system, stored_coupling,

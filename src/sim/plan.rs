@@ -1,16 +1,13 @@
 //! What a scene will take, before anything is seeded or allocated: effects, stages with their kernels, buffers, limits.
 
 use crate::Error;
-use crate::effects::Effects;
+use crate::effects::{Effect, Effects};
 use crate::elastic::{Bounds, Solids};
 use crate::geometry::{self, SolidClip, SourceFlow, Taps};
 use crate::gpu::{AdapterReport, BufferPlan, Gpu, Variant};
 use crate::grid::Grid;
 use crate::reference::{TimeStep, time_step};
-use crate::scene::{
-    CouplingScheme, ElasticModel, Formulation, Obstacle, PatchPressure, Precision, Preconditioner,
-    Scene, Solid, Solver,
-};
+use crate::scene::{CouplingScheme, Formulation, Precision, Preconditioner, Scene, Solver};
 use crate::solver::{self, SolidRows};
 use crate::step::{SCHEDULE, Stage, When};
 
@@ -19,17 +16,6 @@ use super::memory::HostMemory;
 
 /// Labels of the buffers that grow with the markers and not with the grid.
 const PER_MARKER: [&str; 1] = ["liquid.markers"];
-
-/// An effect, and why it is there or not.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct EffectLine {
-    /// Name, as in [`Effects`].
-    pub name: &'static str,
-    /// Whether the scene has it.
-    pub present: bool,
-    /// Why.
-    pub reason: String,
-}
 
 /// A stage of the step.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -60,7 +46,7 @@ pub struct Plan {
     /// The first sub-step.
     pub first_step: TimeStep,
     /// Effects, present and absent.
-    pub effects: Vec<EffectLine>,
+    pub effects: Vec<Effect>,
     /// Stages of a step, in order.
     pub stages: Vec<StagePlan>,
     /// Everything allocated on the device for as long as the simulation lives. Buffers made several times under one label are one
@@ -135,7 +121,7 @@ impl Plan {
             n_markers,
             sources: taps.flows().collect(),
             first_step: first_step(scene, &grid, (solids, clip, taps)),
-            effects: effect_lines(scene, &effects, n_turning),
+            effects: explained(scene, &effects, n_turning),
             stages: stages(&effects, scene, &gpu),
             buffers: buffers(&gpu),
             n_nodes: solids.rest.len(),
@@ -240,177 +226,23 @@ fn first_step(
     time_step(&scene.time, grid.dx, speed, fall, frame, 0.0)
 }
 
-fn effect_lines(scene: &Scene, effects: &Effects, n_turning: usize) -> Vec<EffectLine> {
-    let count = |n: usize, what: &str| match n {
-        0 => format!("no {what} in the scene"),
-        n => format!("{n} {what}"),
-    };
-    let n_regions = scene.liquid.as_ref().map_or(0, |l| l.regions.len());
-    let (surface, control) = match (effects.liquid, effects.markers) {
-        (false, _) => ("there is no liquid", "there is no liquid"),
-        (_, false) => (
-            "liquid.surface = \"fixed\"",
-            "a fixed surface holds its volume",
-        ),
-        _ if effects.volume_control => {
-            ("liquid.surface = \"markers\"", "on by default with markers")
-        }
-        _ => (
-            "liquid.surface = \"markers\"",
-            "liquid.volume_control = false",
-        ),
-    };
-    let coupling = match (effects.liquid, effects.solids) {
-        (true, true) => "[liquid] and [[solid]]",
-        (false, _) => "there is no liquid",
-        (true, false) => "there are no solids",
-    };
-    let moves = |obstacle: &&Obstacle| obstacle.motion.is_some();
-    let n_moving = scene.obstacles.iter().filter(moves).count();
-    // Of solids: how many, by what each of them has.
-    let of_solids = |what: &dyn Fn(&Solid) -> usize, n: &str, none: &str| match scene
-        .solids
-        .iter()
-        .map(what)
-        .sum()
-    {
-        _ if !effects.solids => "there are no solids".to_owned(),
-        0 => none.to_owned(),
-        sum => format!("{sum} {n}"),
-    };
-    let pins = |solid: &Solid, scripted: bool| {
-        let pins = solid.pins.iter();
-        pins.filter(|pin| pin.keyframes.is_empty() != scripted)
-            .count()
-    };
-    let turns = |solid: &Solid| usize::from(solid.model == ElasticModel::Corotational);
-    let damped =
-        |solid: &Solid| usize::from(solid.mass_damping > 0.0 || solid.stiffness_damping > 0.0);
-    [
-        (
-            "liquid",
-            effects.liquid,
-            count(n_regions, "[[liquid.region]]"),
-        ),
-        ("markers", effects.markers, surface.to_owned()),
-        ("volume_control", effects.volume_control, control.to_owned()),
-        (
-            "open_sides",
-            effects.open_sides,
-            match scene.domain.open.any() {
-                true => format!(
-                    "domain.open: {}",
-                    scene.domain.open.names().collect::<Vec<_>>().join(", ")
-                ),
-                false => "no sides in domain.open".to_owned(),
-            },
-        ),
-        (
-            "sources",
-            effects.sources,
-            count(scene.sources.len(), "[[source]]"),
-        ),
-        ("sinks", effects.sinks, count(scene.sinks.len(), "[[sink]]")),
-        (
-            "solids",
-            effects.solids,
-            count(scene.solids.len(), "[[solid]]"),
-        ),
-        (
-            "corotation",
-            effects.corotation,
-            of_solids(&turns, "corotational", "model = \"linear\""),
-        ),
-        (
-            "turning",
-            n_turning > 0,
-            match n_turning {
-                _ if !effects.solids => "there are no solids".to_owned(),
-                0 => "none that is corotational and held nowhere, in a point or along a line".to_owned(),
-                n => format!("{n} corotational, held nowhere, in a point or along a line"),
-            },
-        ),
-        (
-            "damping",
-            effects.damping,
-            of_solids(&damped, "with damping", "no damping above zero"),
-        ),
-        (
-            "pins",
-            effects.pins,
-            of_solids(
-                &|solid| pins(solid, false),
-                "[[solid.pin]]",
-                "no [[solid.pin]]",
-            ),
-        ),
-        (
-            "scripts",
-            effects.scripts,
-            of_solids(
-                &|solid| pins(solid, true),
-                "[[solid.script]]",
-                "no [[solid.script]]",
-            ),
-        ),
-        (
-            "loads",
-            effects.loads,
-            of_solids(
-                &|solid| solid.loads.len(),
-                "[[solid.load]]",
-                "no [[solid.load]]",
-            ),
-        ),
-        (
-            "obstacles",
-            effects.obstacles,
-            count(scene.obstacles.len(), "[[obstacle]]"),
-        ),
-        (
-            "moving_obstacles",
-            effects.moving_obstacles,
-            match (n_moving, effects.liquid) {
-                (_, false) => "there is no liquid".to_owned(),
-                (0, _) => "no [[obstacle]] with keyframes".to_owned(),
-                (n, _) => format!("{n} [[obstacle]] with keyframes"),
-            },
-        ),
-        ("coupling", effects.coupling, coupling.to_owned()),
-        (
-            "patch_correction",
-            effects.patch_correction,
-            match scene.solver.pressure_on_patches {
-                _ if !effects.coupling => coupling,
-                PatchPressure::Cell => "solver.pressure_on_patches = \"cell\"",
-                PatchPressure::Hydrostatic => {
-                    "solver.pressure_on_patches = \"hydrostatic\": assumes that pressure grows with depth as at rest"
-                }
-                PatchPressure::Gradient => "solver.pressure_on_patches = \"gradient\"",
+/// The effects of the scene, and of its meshes: bodies that turn.
+fn explained(scene: &Scene, effects: &Effects, n_turning: usize) -> Vec<Effect> {
+    let mut lines = effects.explained(scene);
+    let after = lines.iter().position(|line| line.name == "corotation");
+    let turning = Effect {
+        name: "turning",
+        active: n_turning > 0,
+        reason: match n_turning {
+            _ if !effects.solids => "there are no solids".to_owned(),
+            0 => {
+                "none that is corotational and held nowhere, in a point or along a line".to_owned()
             }
-            .to_owned(),
-        ),
-        (
-            "probes",
-            effects.probes,
-            count(scene.probes.len(), "[[probe]]"),
-        ),
-        (
-            "surface",
-            effects.surface,
-            match (effects.liquid, effects.surface) {
-                (false, _) => "there is no liquid".to_owned(),
-                (_, false) => "output.surface is off".to_owned(),
-                (_, true) => "output.surface = true: a mesh of each frame, made by the host".to_owned(),
-            },
-        ),
-    ]
-    .map(|(name, present, reason)| EffectLine {
-        name,
-        present,
-        reason,
-    })
-    .into()
+            n => format!("{n} corotational, held nowhere, in a point or along a line"),
+        },
+    };
+    lines.insert(after.map_or(lines.len(), |index| index + 1), turning);
+    lines
 }
 
 /// The stages that the scene calls for, with the kernels that a planning device has recorded.

@@ -155,18 +155,8 @@ impl SubStep<'_, '_> {
             ..
         }) = liquid
         {
+            stages.record(stage, to);
             match stage {
-                Stage::AdvectMarkers => stages.advect_markers.record(to),
-                Stage::Exchange => stages.record_exchange(to),
-                Stage::Band => stages.band.record(to),
-                Stage::AdvectVelocity => stages.advect_velocity.record(to),
-                Stage::Forces => {
-                    stages.forces.record(to);
-                    if let Some((sources, stages)) = &stages.sources {
-                        sources.record_forces(to, stages, buffers);
-                    }
-                }
-                Stage::LiquidDistance => stages.liquid_distance.record(to),
                 Stage::ActiveCells => {
                     if let Some(coupling) = coupling {
                         coupling.record_clear(to);
@@ -179,17 +169,6 @@ impl SubStep<'_, '_> {
                     let seal = coupling.map(|coupling| &coupling.stages.closed_components);
                     stages.closed_components.label(pass, solver, seal);
                 }),
-                Stage::WriteBack => {
-                    stages.write_back.record(to);
-                    if let Some((_, sources)) = &stages.sources {
-                        sources.write_back.record(to);
-                    }
-                }
-                Stage::Extrapolate => {
-                    if let Some(extrapolate) = &stages.extrapolate {
-                        extrapolate.record(to);
-                    }
-                }
                 _ => {}
             }
         }
@@ -269,7 +248,7 @@ impl SubStep<'_, '_> {
         let to = recording(&mut self.recorder, &self.path.gpu);
         let coupling = self.path.coupling.as_ref();
         if let Some(GpuLiquid { stages, .. }) = &self.path.liquid {
-            stages.right_hand_side.record(to);
+            stages.record(Stage::RightHandSide, to);
             to.stage(Stage::ClosedComponents.name(), |pass| {
                 if let Some(coupling) = coupling {
                     coupling.record_close(pass);
@@ -443,14 +422,12 @@ impl SubStep<'_, '_> {
         let mut to = self.recorder.take().unwrap_or_else(|| Recorder::timed(gpu));
         let mut liquid = liquid.as_ref().zip(readbacks.liquid.as_mut());
         if let Some((liquid, readback)) = &mut liquid {
-            if let Some(diagnose) = &liquid.stages.diagnose {
-                diagnose.record(&mut to, &liquid.buffers);
-            }
+            liquid.stages.record(Stage::Diagnose, &mut to);
             to.read(&liquid.buffers.report, readback);
         }
         let mut solids = solids.as_ref().zip(readbacks.solids.as_mut());
         if let Some((solids, readbacks)) = &mut solids {
-            solids.stages.diagnose.record(&mut to, &solids.buffers);
+            solids.stages.diagnose.record(&mut to);
             to.read(&solids.buffers.report, &mut readbacks.report);
         }
         let mut coupling = coupling.as_ref().zip(readbacks.coupling.as_mut());

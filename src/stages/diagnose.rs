@@ -5,93 +5,59 @@
 //! the grid and the band, so the sums repeat bit for bit.
 
 use crate::Error;
-use crate::gpu::{Dispatches, Gpu, Kernel, RealBuffer, Recorder, Variant};
+use crate::gpu::{Dispatches, Gpu, Kernel, RealBuffer, Variant};
 use crate::solver::{CouplingBuffers, SolverBuffers};
 use crate::step::Stage;
 use crate::wgsl;
 
 use super::{ClipBuffers, CouplingReport, LiquidBuffers, SolidBuffers};
 
-/// The stage for the liquid: arrays to `report`.
-#[derive(Debug)]
-pub struct Diagnose(Dispatches);
-
-impl Diagnose {
-    /// Compiles and binds. `solids`, with solids in liquid: the clipping, J, and `Real4` per node, m/s.
-    ///
-    /// # Errors
-    /// As [`Kernel::new`] and [`Kernel::bind_arrays`].
-    pub fn new(
-        gpu: &Gpu,
-        liquid: &LiquidBuffers,
-        solver: &SolverBuffers,
-        solids: Option<(&ClipBuffers, &CouplingBuffers, &RealBuffer)>,
-    ) -> Result<Diagnose, Error> {
-        let gpu = &gpu.at(Stage::Diagnose.name());
-        let real = liquid.plan.real;
-        let open = [("open", liquid.solve_open().into())];
-        let with_flux = |real| Variant::from(real).beside_obstacles(liquid.obstacle_flux.is_some());
-        let measure_motion =
-            Kernel::new(gpu, &wgsl!("measure_motion"), real)?.bind_arrays(gpu, &[liquid])?;
-        let mut list = vec![measure_motion.threads(liquid.plan.n_summing())];
-        let clip = solids.map(|(clip, ..)| clip);
-        let divergence = match solids {
-            Some(_) => wgsl!("measure_uncut_divergence"),
-            None => wgsl!("measure_divergence"),
-        };
-        let bound = Kernel::new(gpu, &divergence, with_flux(real))?
-            .bind_arrays(gpu, &[&open, &clip, solver, liquid])?;
-        list.push(bound.indirect(&solver.args, 0));
-        if let Some((_, coupling, x)) = solids {
-            let own = [
-                ("x", x.into()),
-                ("pairs", (&coupling.quad_pairs).into()),
-                ("open", liquid.solve_open().into()),
-            ];
-            let kernel = Kernel::new(gpu, &wgsl!("measure_cut_divergence"), with_flux(x.real))?;
-            let bound = kernel.bind_arrays(gpu, &[&own, liquid, solver, coupling])?;
-            list.push(bound.threads(coupling.size.quads));
-        }
-        let report_motion =
-            Kernel::new(gpu, &wgsl!("report_motion"), real)?.bind_arrays(gpu, &[liquid])?;
-        list.push(report_motion.threads(1));
-        Ok(Diagnose(Dispatches::new(Stage::Diagnose.name(), list)))
+/// The stage for the liquid: arrays to `report`. `solids`, with solids in liquid: the clipping, J, and `Real4` per node, m/s.
+///
+/// # Errors
+/// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+pub fn diagnose(
+    gpu: &Gpu,
+    liquid: &LiquidBuffers,
+    solver: &SolverBuffers,
+    solids: Option<(&ClipBuffers, &CouplingBuffers, &RealBuffer)>,
+) -> Result<Dispatches, Error> {
+    let gpu = &gpu.at(Stage::Diagnose.name());
+    let real = liquid.plan.real;
+    let open = [("open", liquid.solve_open().into())];
+    let with_flux = |real| Variant::from(real).beside_obstacles(liquid.obstacle_flux.is_some());
+    let bound = |source| Kernel::new(gpu, &source, real)?.bind_arrays(gpu, &[liquid]);
+    let mut list = vec![bound(wgsl!("measure_motion"))?.threads(liquid.plan.n_summing())];
+    let clip = solids.map(|(clip, ..)| clip);
+    let divergence = match solids {
+        Some(_) => wgsl!("measure_uncut_divergence"),
+        None => wgsl!("measure_divergence"),
+    };
+    let divergence = Kernel::new(gpu, &divergence, with_flux(real))?
+        .bind_arrays(gpu, &[&open, &clip, solver, liquid])?;
+    list.push(divergence.indirect(&solver.args, 0));
+    if let Some((_, coupling, x)) = solids {
+        let own = [("x", x.into()), ("pairs", (&coupling.quad_pairs).into())];
+        let kernel = Kernel::new(gpu, &wgsl!("measure_cut_divergence"), with_flux(x.real))?;
+        let bound = kernel.bind_arrays(gpu, &[&own, &open, liquid, solver, coupling])?;
+        list.push(bound.threads(coupling.size.quads));
     }
-
-    /// Records it.
-    pub fn record(&self, recorder: &mut Recorder, liquid: &LiquidBuffers) {
-        recorder.clear(&liquid.maxima);
-        self.0.record(recorder);
-    }
+    list.push(bound(wgsl!("report_motion"))?.threads(1));
+    Ok(Dispatches::new(Stage::Diagnose.name(), list).clearing(&liquid.maxima))
 }
 
 /// The stage for the solids: arrays to `report`.
-#[derive(Debug)]
-pub struct DiagnoseSolid(Dispatches);
-
-impl DiagnoseSolid {
-    /// Compiles and binds.
-    ///
-    /// # Errors
-    /// As [`Kernel::new`] and [`Kernel::bind_arrays`].
-    pub fn new(gpu: &Gpu, solids: &SolidBuffers) -> Result<DiagnoseSolid, Error> {
-        let gpu = &gpu.at(Stage::Diagnose.name());
-        let bound =
-            |source| Kernel::new(gpu, &source, solids.plan.real)?.bind_arrays(gpu, &[solids]);
-        Ok(DiagnoseSolid(Dispatches::new(
-            Stage::Diagnose.name(),
-            [
-                bound(wgsl!("measure_solid"))?.threads(solids.plan.n_summing()),
-                bound(wgsl!("report_solid"))?.threads(1),
-            ],
-        )))
-    }
-
-    /// Records it.
-    pub fn record(&self, recorder: &mut Recorder, solids: &SolidBuffers) {
-        recorder.clear(&solids.extremes);
-        self.0.record(recorder);
-    }
+///
+/// # Errors
+/// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+pub fn diagnose_solid(gpu: &Gpu, solids: &SolidBuffers) -> Result<Dispatches, Error> {
+    let gpu = &gpu.at(Stage::Diagnose.name());
+    let bound = |source| Kernel::new(gpu, &source, solids.plan.real)?.bind_arrays(gpu, &[solids]);
+    let list = [
+        bound(wgsl!("measure_solid"))?.threads(solids.plan.n_summing()),
+        bound(wgsl!("report_solid"))?.threads(1),
+    ];
+    Ok(Dispatches::new(Stage::Diagnose.name(), list).clearing(&solids.extremes))
 }
 
 /// The stage for liquid and solids together: sums over the nodes of J^T p and of `correction` (forces of the pressure's variation within

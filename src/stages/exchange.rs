@@ -2,7 +2,7 @@
 
 use crate::Error;
 use crate::geometry::{PER_CELL, Running, SourceFace, Taps};
-use crate::gpu::{Dispatch, Dispatches, Gpu, Kernel, Real, Recorder};
+use crate::gpu::{Dispatch, Dispatches, Gpu, Kernel, Real};
 use crate::grid::Grid;
 use crate::step::Stage;
 use crate::{arrays, wgsl};
@@ -239,17 +239,6 @@ arrays! {
     }
 }
 
-/// Dispatches of the sources, by stage.
-#[derive(Debug)]
-pub struct SourceStages {
-    /// New markers, after all others have moved or are deleted. `counts` is zero before.
-    pub exchange: Dispatches,
-    /// Prescribed fluxes, after all forces have acted.
-    pub forces: Dispatches,
-    /// Velocities of the same faces, after `write_back`.
-    pub write_back: Dispatches,
-}
-
 impl Sources {
     /// Allocates and writes cells and faces; `None` without sources.
     ///
@@ -278,11 +267,12 @@ impl Sources {
         Ok(Some(sources))
     }
 
-    /// Compiles and binds.
+    /// Their parts of three stages: in `exchange` new markers, after all others have moved or are deleted; in `forces` prescribed fluxes,
+    /// after all forces have acted; in `write_back` the velocities of the same faces.
     ///
     /// # Errors
     /// As [`Kernel::new`] and [`Kernel::bind_arrays`].
-    pub fn stages(&self, gpu: &Gpu, liquid: &LiquidBuffers) -> Result<SourceStages, Error> {
+    pub fn stages(&self, gpu: &Gpu, liquid: &LiquidBuffers) -> Result<[Dispatches; 3], Error> {
         let bound = |stage: Stage, source| {
             let gpu = &gpu.at(stage.name());
             Kernel::new(gpu, &source, Real::F32)?.bind_arrays(gpu, &[self, liquid])
@@ -294,11 +284,12 @@ impl Sources {
         ];
         let hold_faces = bound(Stage::Forces, wgsl!("hold_faces"))?.threads(self.n_faces);
         let carry_faces = bound(Stage::WriteBack, wgsl!("carry_faces"))?.threads(self.n_faces);
-        Ok(SourceStages {
-            exchange: Dispatches::new(Stage::Exchange.name(), exchange),
-            forces: Dispatches::new(Stage::Forces.name(), [hold_faces]),
-            write_back: Dispatches::new(Stage::WriteBack.name(), [carry_faces]),
-        })
+        Ok([
+            Dispatches::new(Stage::Exchange.name(), exchange).clearing(&self.counts),
+            Dispatches::new(Stage::Forces.name(), [hold_faces])
+                .copying(&liquid.open, liquid.solve_open()),
+            Dispatches::new(Stage::WriteBack.name(), [carry_faces]),
+        ])
     }
 
     /// Slots that a sub-step reserves for new markers.
@@ -309,22 +300,5 @@ impl Sources {
     /// Writes the parameters of a sub-step.
     pub fn write_step(&self, gpu: &Gpu, step: SourceStep) {
         gpu.upload(&self.source_step, &[step]);
-    }
-
-    /// Records the part of `exchange`.
-    pub fn record_exchange(&self, recorder: &mut Recorder, stages: &SourceStages) {
-        recorder.clear(&self.counts);
-        stages.exchange.record(recorder);
-    }
-
-    /// Records the part of `forces`.
-    pub fn record_forces(
-        &self,
-        recorder: &mut Recorder,
-        stages: &SourceStages,
-        liquid: &LiquidBuffers,
-    ) {
-        recorder.copy(&liquid.open, liquid.solve_open());
-        stages.forces.record(recorder);
     }
 }

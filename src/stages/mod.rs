@@ -32,9 +32,9 @@ pub use advect_velocity::advect_velocity;
 pub use band::{Tiles, band};
 pub use buffers::{LiquidBuffers, LiquidPlan, ObstacleBuffers, Step};
 pub use clip::{ClipBuffers, ClipSize, Clipped, CutQuad, clip};
-pub use diagnose::{Diagnose, DiagnoseSolid, diagnose_coupling};
+pub use diagnose::{diagnose, diagnose_coupling, diagnose_solid};
 pub use element_rotations::element_rotations;
-pub use exchange::{DeviceSourceFace, Region, Sinks, SourceStages, SourceStep, Sources};
+pub use exchange::{DeviceSourceFace, Region, Sinks, SourceStep, Sources};
 pub use extrapolate::extrapolate;
 pub use forces::{forces, node_forces};
 pub use liquid_distance::liquid_distance;
@@ -45,8 +45,41 @@ pub use right_hand_side::right_hand_side;
 pub use solid_buffers::{SolidBuffers, SolidPlan, SolidStep};
 pub use write_back::write_back;
 
+use crate::Error;
+use crate::gpu::{Dispatches, Gpu};
+use crate::solver::SolverBuffers;
+
 /// Faces count as reached from the liquid within this many layers, each a cell wide along axes and diagonals: one cell beyond
 /// what a point crosses along each axis in a sub-step, of which markers near the surface take half, and one for the trilinear sample.
 pub fn extrapolation_layers(cfl: f64) -> usize {
     cfl.ceil() as usize + 2
+}
+
+/// The stages of the liquid that are dispatches alone, but for those that change with the clipping: `extrapolate` and `diagnose`. Stages
+/// that the scene does not call for are empty.
+///
+/// # Errors
+/// As [`Kernel::new`](crate::gpu::Kernel::new) and [`Kernel::bind_arrays`](crate::gpu::Kernel::bind_arrays).
+pub fn liquid_stages(
+    gpu: &Gpu,
+    liquid: &LiquidBuffers,
+    solver: &SolverBuffers,
+    (sources, sinks): (Option<&Sources>, Option<&Sinks>),
+) -> Result<Vec<Dispatches>, Error> {
+    let mut stages = vec![
+        advect_markers(gpu, liquid)?,
+        band(gpu, liquid)?,
+        advect_velocity(gpu, liquid)?,
+        forces(gpu, liquid)?,
+        liquid_distance(gpu, liquid, sinks)?,
+        right_hand_side(gpu, liquid, solver)?,
+        write_back(gpu, liquid, solver)?,
+    ];
+    if let Some(sinks) = sinks {
+        stages.push(sinks.exchange(gpu, liquid)?);
+    }
+    if let Some(sources) = sources {
+        stages.extend(sources.stages(gpu, liquid)?);
+    }
+    Ok(stages)
 }

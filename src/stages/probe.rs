@@ -94,14 +94,13 @@ impl Probe {
         }
         Ok(Probe {
             columns,
+            dispatches: Dispatches::new(Stage::Probe.name(), list).clearing(&values),
             values,
-            dispatches: Dispatches::new(Stage::Probe.name(), list),
         })
     }
 
     /// Records it, after a sub-step.
     pub fn record(&self, recorder: &mut Recorder) {
-        recorder.clear(&self.values);
         self.dispatches.record(recorder);
     }
 

@@ -396,7 +396,7 @@ fn open_sides_allocate_and_compile_nothing() {
     for (plan, present) in [(closed, false), (open, true)] {
         let mut lines = plan.effects.iter();
         let line = lines.find(|line| line.name == "open_sides").unwrap();
-        assert_eq!(line.present, present, "{}", line.reason);
+        assert_eq!(line.active, present, "{}", line.reason);
     }
 }
 

@@ -236,7 +236,7 @@ fn solids_take_what_is_planned_and_nothing_of_the_liquids() {
                 .iter()
                 .find(|line| line.name == effect)
                 .unwrap();
-            assert_eq!(line.present, !absent.contains(&effect), "{what}: {line:?}");
+            assert_eq!(line.active, !absent.contains(&effect), "{what}: {line:?}");
         }
 
         simulation.step().unwrap();
@@ -455,7 +455,7 @@ fn absent_effects_take_nothing() {
             );
         }
         let line = plan.effects.iter().find(|line| line.name == "obstacles");
-        assert!(!line.unwrap().present, "obstacles, markers {markers}");
+        assert!(!line.unwrap().active, "obstacles, markers {markers}");
     }
     for obstacles in [true, false] {
         let (fixed, plan) = with(obstacles, false);

@@ -3,7 +3,7 @@
 use cutwater::gpu::{Real, Recorder};
 use cutwater::grid::Axis;
 use cutwater::reference::{self, liquid_distance};
-use cutwater::stages::{self, Diagnose, Report};
+use cutwater::stages::{self, Report};
 use glam::DVec3;
 
 use crate::common::{Random, gpu};
@@ -36,11 +36,12 @@ fn the_liquid_amounts_to_the_twins() {
         }
         gpu.upload(&buffers.velocity, &buffers.pad_faces(&u));
         let volume = stages::liquid_distance(gpu, &buffers, None).unwrap();
-        let diagnose = Diagnose::new(gpu, &buffers, &active.solver(gpu, Real::F32), None).unwrap();
+        let diagnose =
+            stages::diagnose(gpu, &buffers, &active.solver(gpu, Real::F32), None).unwrap();
         let run = || {
             let mut recorder = Recorder::new(gpu);
             volume.record(&mut recorder);
-            diagnose.record(&mut recorder, &buffers);
+            diagnose.record(&mut recorder);
             recorder.submit();
             gpu.download(&buffers.report).unwrap()
         };
@@ -105,9 +106,9 @@ fn not_a_number_is_seen() {
     let buffers = case.upload(gpu);
     case.band(gpu, &buffers);
     let active = ActiveBuffers::new(&case, &case.state.liquid_distance);
-    let diagnose = Diagnose::new(gpu, &buffers, &active.solver(gpu, Real::F32), None).unwrap();
+    let diagnose = stages::diagnose(gpu, &buffers, &active.solver(gpu, Real::F32), None).unwrap();
     let mut recorder = Recorder::new(gpu);
-    diagnose.record(&mut recorder, &buffers);
+    diagnose.record(&mut recorder);
     recorder.submit();
     let report = Report::from_words(&gpu.download(&buffers.report).unwrap());
     assert!(
@@ -133,7 +134,7 @@ fn divergence_beside_solids_is_the_twins() {
         let joint = case.joint(gpu);
         let solids = Some((&clip, &joint, &velocity));
         let diagnose =
-            Diagnose::new(gpu, &buffers, &active.solver(gpu, Real::F32), solids).unwrap();
+            stages::diagnose(gpu, &buffers, &active.solver(gpu, Real::F32), solids).unwrap();
         let mut recorder = Recorder::new(gpu);
         cut.record(&mut recorder);
         recorder.submit();
@@ -144,7 +145,7 @@ fn divergence_beside_solids_is_the_twins() {
             gpu.upload(&buffers.velocity, &buffers.pad_faces(u));
             velocity.upload(gpu, &quads(v));
             let mut recorder = Recorder::new(gpu);
-            diagnose.record(&mut recorder, &buffers);
+            diagnose.record(&mut recorder);
             recorder.submit();
             let words = gpu.download(&buffers.report).unwrap();
             let found = Report::from_words(&words).diagnosis.divergence;

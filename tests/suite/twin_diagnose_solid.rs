@@ -3,7 +3,7 @@
 use cutwater::elastic::Deformation;
 use cutwater::gpu::{Gpu, Real, Recorder};
 use cutwater::reference;
-use cutwater::stages::{DiagnoseSolid, SolidBuffers, SolidReport, element_rotations};
+use cutwater::stages::{SolidBuffers, SolidReport, diagnose_solid, element_rotations};
 use cutwater::state::SolidDiagnosis;
 use glam::DVec3;
 
@@ -13,10 +13,10 @@ use crate::solid_case::{SolidCase, cases, eps};
 
 fn words(gpu: &Gpu, buffers: &SolidBuffers) -> Vec<u32> {
     let rotations = element_rotations(gpu, buffers).unwrap();
-    let diagnose = DiagnoseSolid::new(gpu, buffers).unwrap();
+    let diagnose = diagnose_solid(gpu, buffers).unwrap();
     let mut recorder = Recorder::new(gpu);
     rotations.record(&mut recorder);
-    diagnose.record(&mut recorder, buffers);
+    diagnose.record(&mut recorder);
     recorder.submit();
     gpu.download(&buffers.report).unwrap()
 }

@@ -108,7 +108,7 @@ fn markers_come_and_go_as_in_the_twin() {
     let grid = &run.case.grid;
     for running in runs() {
         let sources = Sources::new(gpu, &run.buffers, &run.taps).unwrap().unwrap();
-        let stages = sources.stages(gpu, &run.buffers).unwrap();
+        let [seeding, ..] = sources.stages(gpu, &run.buffers).unwrap();
         let sinks = Sinks::new(gpu, &run.buffers, &run.taps).unwrap().unwrap();
         let exchange = sinks.exchange(gpu, &run.buffers).unwrap();
         let go = || {
@@ -116,7 +116,7 @@ fn markers_come_and_go_as_in_the_twin() {
             sources.write_step(gpu, SourceStep::new(running, n));
             let mut recorder = Recorder::new(gpu);
             exchange.record(&mut recorder);
-            sources.record_exchange(&mut recorder, &stages);
+            seeding.record(&mut recorder);
             recorder.submit();
             let positions = run.buffers.markers.as_ref().unwrap();
             (
@@ -197,14 +197,14 @@ fn faces_of_sources_carry_what_they_do_in_the_twin() {
     let run = Run::new(gpu);
     let (grid, cut) = (&run.case.grid, &run.case.cut);
     let sources = Sources::new(gpu, &run.buffers, &run.taps).unwrap().unwrap();
-    let stages = sources.stages(gpu, &run.buffers).unwrap();
+    let [_, forces, write_back] = sources.stages(gpu, &run.buffers).unwrap();
     for running in runs() {
         let n = run.write(gpu);
         sources.write_step(gpu, SourceStep::new(running, n));
         let u = &run.case.state.velocity;
         gpu.upload(&run.buffers.velocity_next, &run.buffers.pad_faces(u));
         let mut recorder = Recorder::new(gpu);
-        sources.record_forces(&mut recorder, &stages, &run.buffers);
+        forces.record(&mut recorder);
         recorder.submit();
         let words = gpu.download(&run.buffers.valid).unwrap();
         let mut twin = u.clone();
@@ -246,7 +246,7 @@ fn faces_of_sources_carry_what_they_do_in_the_twin() {
             }
         }
         let mut recorder = Recorder::new(gpu);
-        stages.write_back.record(&mut recorder);
+        write_back.record(&mut recorder);
         recorder.submit();
         let words = gpu.download(&run.buffers.valid).unwrap();
         let mut valid = Axis::ALL.map(|axis| vec![false; grid.n_faces(axis)]);
