@@ -1,5 +1,5 @@
 // diagnose, with solids in liquid, last: the sum over the nodes of a force goes to the report. One workgroup.
-// coupling. first: word of the report, in x. partials: forces of the nodes, N. report: see stages::CouplingReport.
+// coupling. first: word of the report, in x. partials: forces of the nodes, N. report: see fields::CouplingReport.
 #import coupling
 #import fold
 #import report_sum

@@ -54,6 +54,7 @@
 pub mod effects;
 pub mod elastic;
 pub mod error;
+pub mod fields;
 pub mod geometry;
 pub mod gpu;
 pub mod grid;

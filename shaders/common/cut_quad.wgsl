@@ -1,7 +1,7 @@
 // In place of the nodes of a place that is of an obstacle: what follows are bits of its velocity, m/s.
 const NO_NODE = 0xffffffffu;
 
-// What the host clipped in this sub-step: stages::Clipped and stages::CutQuad are the same structs there.
+// What the host clipped in this sub-step: fields::Clipped and fields::CutQuad are the same structs there.
 struct Clipped {
     // quads whose cells bodies cut that move, or cut in the last sub-step
     n_quads: u32,

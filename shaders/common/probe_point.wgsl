@@ -1,4 +1,4 @@
-// A probe at a point: stages::ProbePoint is the same struct on the host.
+// A probe at a point: fields::ProbePoint is the same struct on the host.
 struct ProbePoint {
     // m
     point: vec3<f32>,

@@ -1,4 +1,4 @@
-// A box of cells around a source or a sink: stages::Region is the same struct on the host.
+// A box of cells around a source or a sink: fields::Region is the same struct on the host.
 struct Region {
     low: vec3<u32>,
     // First word of the box in map, x fastest.

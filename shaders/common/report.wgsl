@@ -1,4 +1,4 @@
-// Words of the report: stages::Report reads them.
+// Words of the report: fields::Report reads them.
 const DROPPED = 0u;
 const RATE = 1u;
 const MAX_SPEED = 2u;

@@ -1,4 +1,4 @@
-// Words of the report of the solids: stages::SolidReport reads them.
+// Words of the report of the solids: fields::SolidReport reads them.
 const MAX_SPEED = 0u;
 const MIN_DET = 1u;
 const INVERTED = 2u;

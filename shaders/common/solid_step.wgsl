@@ -1,4 +1,4 @@
-// What a sub-step knows of the solids: stages::SolidStep fills it on the host.
+// What a sub-step knows of the solids: fields::SolidStep fills it on the host.
 struct SolidStep {
     // m/s^2
     gravity: vec3<f32>,

@@ -1,4 +1,4 @@
-// A face of a cell of a source: stages::DeviceSourceFace is the same struct on the host.
+// A face of a cell of a source: fields::DeviceSourceFace is the same struct on the host.
 #import source_step
 
 struct SourceFace {

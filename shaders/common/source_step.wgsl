@@ -1,4 +1,4 @@
-// What the sources do in a sub-step: stages::SourceStep is the same struct on the host.
+// What the sources do in a sub-step: fields::SourceStep is the same struct on the host.
 struct SourceStep {
     // Sets of sources, a bit for each: those that run, and those of them that did not in the sub-step before.
     running: u32,

@@ -1,4 +1,4 @@
-// What a sub-step knows beyond the layout: stages::Step fills it on the host.
+// What a sub-step knows beyond the layout: fields::Step fills it on the host.
 struct Step {
     // m/s^2
     gravity: vec3<f32>,

@@ -6,7 +6,6 @@
 //! Errors of the device (validation, memory, loss) are collected as they come and returned by the next call that waits:
 //! [`Gpu::check`], [`Readback::wait`], [`Gpu::download`].
 
-mod arrays;
 mod buffer;
 mod compact;
 mod device;

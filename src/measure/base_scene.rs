@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use crate::Error;
 use crate::elastic::Bounds;
+use crate::fields::{SolidBuffers, SolidPlan};
 use crate::gpu::{Buffer, Dispatches, Gpu, Real, Recorder};
 use crate::grid::{Axis, Grid};
 use crate::linalg::norm;
@@ -17,7 +18,7 @@ use crate::solver::{
     PressureSystem, SolidRows, SolidSystem, SolidSystemBuffers, SolverBuffers, TwoFieldSolver,
     variant,
 };
-use crate::stages::{SolidBuffers, SolidPlan, element_rotations};
+use crate::stages::element_rotations;
 use crate::state::State;
 use crate::step::Stage;
 

@@ -16,6 +16,7 @@ use serde::Serialize;
 
 use crate::Error;
 use crate::elastic::{Bounds, Solids};
+use crate::fields::{SolidBuffers, SolidPlan};
 use crate::gpu::{AdapterChoice, Gpu, Recorder};
 use crate::grid::Sides;
 use crate::linalg::{SymbolicCholesky, norm};
@@ -29,7 +30,7 @@ use crate::sim::{Backend, Simulation};
 use crate::solver::{
     Outcome, Polynomial, SolidRows, SolidSolver, SolidSystem, SolidSystemBuffers, variant,
 };
-use crate::stages::{SolidBuffers, SolidPlan, element_rotations, move_solid, node_forces};
+use crate::stages::{element_rotations, move_solid, node_forces};
 use crate::state::{SolveStatus, State};
 use crate::step::Stage;
 

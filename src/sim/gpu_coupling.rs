@@ -4,6 +4,8 @@ use glam::{DMat3, DVec3};
 
 use crate::Error;
 use crate::effects::Effects;
+use crate::fields;
+use crate::fields::{ClipBuffers, ClipSize, SolidStep};
 use crate::geometry::SolidClip;
 use crate::gpu::{Dispatches, Gpu, Pass, Readback, Recorder, StageTimes};
 use crate::grid::Grid;
@@ -12,7 +14,7 @@ use crate::solver::{
     CoupledFields, CouplingBuffers, CouplingSize, OpenFaces, Outcome, Pair, PatchPressure,
     REPORT_WORDS, Seal, TwoFieldSolver, Weak, WeakBuffers,
 };
-use crate::stages::{self, ClipBuffers, ClipSize, SolidStep};
+use crate::stages;
 use crate::state::{ContactReport, CouplingReport, SolveStatus, State};
 use crate::step::Stage;
 
@@ -456,7 +458,7 @@ impl GpuCoupling {
         to.read(&self.buffers.report, &mut readbacks.report);
         to.read(&liquid.solver.components, &mut readbacks.components);
         let timing = to.submit();
-        let report = stages::CouplingReport::from_words(&readbacks.report.wait(gpu)?);
+        let report = fields::CouplingReport::from_words(&readbacks.report.wait(gpu)?);
         let closed_components = readbacks.components.wait(gpu)?[0];
         let touch = Touch {
             touching: report.touching,
@@ -559,9 +561,9 @@ impl GpuCoupling {
     }
 
     /// Waits for all submitted work and reads the report.
-    pub(super) fn told(&self, gpu: &Gpu) -> Result<stages::CouplingReport, Error> {
+    pub(super) fn told(&self, gpu: &Gpu) -> Result<fields::CouplingReport, Error> {
         let words = gpu.download(&self.buffers.report)?;
-        Ok(stages::CouplingReport::from_words(&words))
+        Ok(fields::CouplingReport::from_words(&words))
     }
 
     /// Sets the words of the report to zero.
@@ -576,7 +578,7 @@ impl GpuCoupling {
         readbacks: &mut CouplingReadbacks,
         condensed: bool,
     ) -> Result<CouplingReport, Error> {
-        let told = stages::CouplingReport::from_words(&readbacks.report.wait(gpu)?);
+        let told = fields::CouplingReport::from_words(&readbacks.report.wait(gpu)?);
         let overlap = self.clip.overlap();
         Ok(CouplingReport {
             touching: told.touching,

@@ -2,6 +2,7 @@
 
 use crate::Error;
 use crate::effects::Effects;
+use crate::fields::{LiquidBuffers, LiquidPlan, Report, Sinks, SourceStep, Sources, Step};
 use crate::geometry::{Running, Taps};
 use crate::gpu::{Dispatches, Gpu, Readback, Real, Recorder};
 use crate::grid::Grid;
@@ -10,9 +11,7 @@ use crate::scene::{self, ProbeKind, Scene};
 use crate::solver::{
     Components, FreeSurface, Outcome, PressureSolver, PressureSystem, SolverBuffers,
 };
-use crate::stages::{
-    self, LiquidBuffers, LiquidPlan, Probe, Report, Sinks, SourceStep, Sources, Step,
-};
+use crate::stages::{self, Probe};
 use crate::state::{LiquidReport, State};
 use crate::step::Stage;
 

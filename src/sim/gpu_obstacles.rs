@@ -2,9 +2,9 @@
 //! With solids [`GpuCoupling`](super::gpu_coupling::GpuCoupling) does both.
 
 use crate::Error;
+use crate::fields::{ClipBuffers, ClipSize};
 use crate::geometry::SolidClip;
 use crate::gpu::{Dispatches, Gpu};
-use crate::stages::{ClipBuffers, ClipSize};
 
 use super::gpu_liquid::GpuLiquid;
 

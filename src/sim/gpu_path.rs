@@ -4,13 +4,13 @@ use std::collections::BTreeSet;
 
 use crate::Error;
 use crate::elastic::Solids;
+use crate::fields::Step;
 use crate::geometry::{self, CutCells, Running, SolidClip, Taps};
 use crate::gpu::{AdapterChoice, Gpu, Real};
 use crate::grid::Grid;
 use crate::reference::{self, TimeStep, time_step};
 use crate::scene::Scene;
 use crate::solver;
-use crate::stages::Step;
 use crate::state::{Carried, State};
 use crate::step::Stage;
 

@@ -3,6 +3,8 @@
 use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::{Body, Bounds, Solids};
+use crate::fields;
+use crate::fields::{ObstacleBuffers, SolidBuffers, SolidPlan, SolidStep};
 use crate::geometry::CutCells;
 use crate::gpu::{Buffer, Dispatches, Gpu, Pass, Readback, Real, Recorder, StageTimes};
 use crate::reference::{MOST_HALVINGS, MOST_SOLVES};
@@ -11,7 +13,7 @@ use crate::solver::{
     self, ContactSearch, ObstacleField, Outcome, Polynomial, SolidRows, SolidSolver, SolidSystem,
     SolidSystemBuffers,
 };
-use crate::stages::{self, ObstacleBuffers, SolidBuffers, SolidPlan, SolidStep};
+use crate::stages;
 use crate::state::{Carried, ContactReport, SolidReport, SolveStatus, State};
 
 use super::step::solve_report;
@@ -177,7 +179,7 @@ impl GpuSolids {
     /// Readbacks of a sub-step.
     pub(super) fn readbacks(gpu: &Gpu) -> Result<SolidReadbacks, Error> {
         Ok(SolidReadbacks {
-            report: Readback::new(gpu, "solid.report", stages::SolidReport::WORDS)?,
+            report: Readback::new(gpu, "solid.report", fields::SolidReport::WORDS)?,
             answer: Readback::new(gpu, "solid.answer", 3)?,
         })
     }
@@ -432,7 +434,7 @@ impl GpuSolids {
         &mut self,
         outcome: &Outcome,
         contact: ContactReport,
-        report: stages::SolidReport,
+        report: fields::SolidReport,
     ) -> SolidReport {
         self.max_speed = report.diagnosis.max_speed;
         SolidReport {

@@ -6,6 +6,7 @@ use glam::{DMat3, DVec3};
 
 use crate::Error;
 use crate::elastic::{Deformation, Solids, stiffness_block};
+use crate::fields::{CouplingReport, Report, SolidBuffers, SolidReport};
 use crate::geometry::{Coupling, CutCells};
 use crate::gpu::{Gpu, Real};
 use crate::grid::{Axis, Grid, Padded};
@@ -14,7 +15,6 @@ use crate::reference::{
     RightHandSide, SolidRightHandSide, SolidSystem, Stencil,
 };
 use crate::solver::{SolidSystemBuffers, SolverBuffers};
-use crate::stages::{CouplingReport, Report, SolidBuffers, SolidReport};
 use crate::state::State;
 
 use super::GpuPath;

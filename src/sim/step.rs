@@ -4,10 +4,10 @@ use std::time::Instant;
 
 use crate::Error;
 use crate::effects::Effects;
+use crate::fields::{Report, SolidReport};
 use crate::gpu::{Gpu, Readback, Recorder, StageTimes};
 use crate::reference::{SQUEEZE, TimeStep};
 use crate::solver::Outcome;
-use crate::stages::{Report, SolidReport};
 use crate::state::{ContactReport, CouplingReport, SolveReport, SolveStatus, StepReport};
 use crate::step::{self, Backend, Stage};
 

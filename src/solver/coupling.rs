@@ -98,7 +98,7 @@ pub struct CouplingBuffers {
     pub(super) base: RealBuffer,
     pub(super) t: RealBuffer,
     pub(super) difference: RealBuffer,
-    /// What the host reads once per step: `stages::CouplingReport`.
+    /// What the host reads once per step: `fields::CouplingReport`.
     pub report: Buffer<u32>,
 }
 

@@ -8,6 +8,7 @@ use std::sync::{Arc, Mutex};
 
 use crate::Error;
 use crate::elastic::{Incidence, Solids};
+use crate::fields::SolidBuffers;
 use crate::gpu::{
     Binding, Bound, Buffer, Gpu, Kernel, Pass, Real, RealBuffer, Variant, WG_SIZE, groups,
 };
@@ -240,6 +241,26 @@ pub struct SolidFields<'a> {
     pub element_forces: &'a RealBuffer,
     /// `Real4` per node: constant force, N, and tau_M, 1/s.
     pub load: &'a RealBuffer,
+}
+
+impl SolidBuffers {
+    /// What the solver reads of them, and the velocity, which it solves for.
+    pub fn fields(&self) -> SolidFields<'_> {
+        SolidFields {
+            step: (&self.step).into(),
+            rest: &self.rest,
+            velocity: &self.velocity,
+            flags: &self.flags,
+            displacement: &self.displacement,
+            gaps: &self.gaps,
+            freedom: &self.freedom,
+            answer: &self.answer,
+            elements: &self.elements,
+            rotated: &self.rotated,
+            element_forces: &self.element_forces,
+            load: &self.load,
+        }
+    }
 }
 
 /// The solver's data on the device. A node is a quad x, y, z, 0.

@@ -3,6 +3,7 @@
 use std::sync::Mutex;
 
 use crate::Error;
+use crate::fields::LiquidBuffers;
 use crate::gpu::{
     Arrays, Binding, Bound, Buffer, CompactKernels, Compaction, Gpu, Kernel, Pass, Real,
     RealBuffer, Variant, WG_SIZE, groups,
@@ -219,6 +220,16 @@ pub struct Within<'a> {
     pub list: &'a Buffer<u32>,
     /// Workgroups and length of the list.
     pub args: &'a Buffer<u32>,
+}
+
+impl LiquidBuffers {
+    /// The band, to which the search for active cells is limited.
+    pub fn within(&self) -> Within<'_> {
+        Within {
+            list: &self.band_list,
+            args: &self.band_args,
+        }
+    }
 }
 
 /// All quads with cells, and the workgroups and length of their list.

@@ -2,11 +2,10 @@
 //! walls, then out of obstacles and solids.
 
 use crate::Error;
+use crate::fields::LiquidBuffers;
 use crate::gpu::{Dispatches, Gpu, Kernel, Real};
 use crate::step::Stage;
 use crate::wgsl;
-
-use super::LiquidBuffers;
 
 /// The stage: `markers` in place by the velocity of the last sub-step. Counts those that leave through open sides and those that it
 /// deletes in `report`. Empty without markers.

@@ -2,11 +2,10 @@
 //! Small-aperture faces contribute in proportion to their aperture.
 
 use crate::Error;
+use crate::fields::LiquidBuffers;
 use crate::gpu::{Dispatches, Gpu, Kernel, Real};
 use crate::step::Stage;
 use crate::wgsl;
-
-use super::LiquidBuffers;
 
 /// The stage: `velocity` to `velocity_next` on the band. Afterwards `velocity` has blended velocities on small-aperture faces.
 ///

@@ -5,12 +5,11 @@
 //! the grid and the band, so the sums repeat bit for bit.
 
 use crate::Error;
+use crate::fields::{ClipBuffers, CouplingReport, LiquidBuffers, SolidBuffers};
 use crate::gpu::{Dispatches, Gpu, Kernel, RealBuffer, Variant};
 use crate::solver::{CouplingBuffers, SolverBuffers};
 use crate::step::Stage;
 use crate::wgsl;
-
-use super::{ClipBuffers, CouplingReport, LiquidBuffers, SolidBuffers};
 
 /// The stage for the liquid: arrays to `report`. `solids`, with solids in liquid: the clipping, J, and `Real4` per node, m/s.
 ///

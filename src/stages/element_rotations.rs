@@ -2,11 +2,10 @@
 //! gathered from them in [`crate::solver`].
 
 use crate::Error;
+use crate::fields::SolidBuffers;
 use crate::gpu::{Dispatches, Gpu, Kernel};
 use crate::step::Stage;
 use crate::wgsl;
-
-use super::SolidBuffers;
 
 /// The part: `displacement` to `rotated` and `element_forces`.
 ///

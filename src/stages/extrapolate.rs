@@ -2,11 +2,10 @@
 //! obstacles, and along solids as they move. Small-aperture faces contribute in proportion to their aperture.
 
 use crate::Error;
+use crate::fields::{ClipBuffers, LiquidBuffers, extrapolation_layers};
 use crate::gpu::{Arrays, Dispatches, Gpu, Kernel, Real, RealBuffer, Source};
 use crate::step::Stage;
 use crate::wgsl;
-
-use super::{ClipBuffers, LiquidBuffers, extrapolation_layers};
 
 /// The stage: `velocity` in place, from the `valid` faces outwards. `moving`, where solids or obstacles move: the clipping, and with
 /// solids `Real4` per node, m/s.

@@ -2,11 +2,10 @@
 //! become the prescribed velocity.
 
 use crate::Error;
+use crate::fields::{LiquidBuffers, SolidBuffers};
 use crate::gpu::{Dispatches, Gpu, Kernel, Real};
 use crate::step::Stage;
 use crate::wgsl;
-
-use super::{LiquidBuffers, SolidBuffers};
 
 /// Forces on the liquid: `velocity_next` in place on the band.
 ///

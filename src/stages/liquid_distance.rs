@@ -5,11 +5,10 @@
 //! an empty one scatter, and only to cells that are not deep inside: work follows the surface.
 
 use crate::Error;
+use crate::fields::{LiquidBuffers, Sinks};
 use crate::gpu::{Bound, Dispatch, Dispatches, Gpu, Kernel, Real, Source};
 use crate::step::Stage;
 use crate::wgsl;
-
-use super::{LiquidBuffers, Sinks};
 
 /// Depth of the extension into solids, cells. Odd, so that the last pass leaves the distance in `velocity`, its other array.
 const PASSES: usize = 3;
@@ -50,6 +49,7 @@ pub fn liquid_distance(
 
 /// Passes of the extension into solids between `liquid_distance` and `velocity`, which is free from `advect_velocity` to `write_back`.
 fn extension(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Vec<Dispatch>, Error> {
+    // `extended_distance` of the table.
     let ends = [&liquid.liquid_distance, &liquid.velocity];
     let between = |source: Source, from: usize| {
         let ends = [

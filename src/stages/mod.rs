@@ -1,18 +1,16 @@
 //! The stages of the liquid step on the GPU, one file each, named as in the list in [`crate`]; the pressure system and its
 //! solve are in [`crate::solver`]. Every kernel has an f64 twin in [`crate::reference`].
 //!
-//! A stage is a list of dispatches, recorded as one compute pass under the stage's name. [`LiquidBuffers`], [`SolidBuffers`] and their
-//! like are tables of arrays; kernels bind them by the names of their variables. [`Step`] is written before a submission, [`Report`]
-//! read after it.
+//! A stage is a list of dispatches, recorded as one compute pass under the stage's name. Its kernels bind the
+//! arrays of [`crate::fields`] by the names of their variables.
 //!
-//! Work follows the liquid: fields live on the [`Band`], the quads (4 cells along x) in and around the liquid. Outside it
+//! Work follows the liquid: fields live on the [`band`](band()), the quads (4 cells along x) in and around the liquid. Outside it
 //! velocities are zero and the liquid distance says air; what leaves it is put back to that, tile by tile. All that goes through the
 //! whole domain are the tiles, and the flags per quad when they are counted into lists.
 
 mod advect_markers;
 mod advect_velocity;
 mod band;
-mod buffers;
 mod clip;
 mod diagnose;
 mod element_rotations;
@@ -22,38 +20,27 @@ mod forces;
 mod liquid_distance;
 mod move_solid;
 mod probe;
-mod report;
 mod right_hand_side;
-mod solid_buffers;
 mod write_back;
 
 pub use advect_markers::advect_markers;
 pub use advect_velocity::advect_velocity;
-pub use band::{Tiles, band};
-pub use buffers::{LiquidBuffers, LiquidPlan, ObstacleBuffers, Step};
-pub use clip::{ClipBuffers, ClipSize, Clipped, CutQuad, clip};
+pub use band::band;
+pub use clip::clip;
 pub use diagnose::{diagnose, diagnose_coupling, diagnose_solid};
 pub use element_rotations::element_rotations;
-pub use exchange::{DeviceSourceFace, Region, Sinks, SourceStep, Sources};
 pub use extrapolate::extrapolate;
 pub use forces::{forces, node_forces};
 pub use liquid_distance::liquid_distance;
 pub use move_solid::move_solid;
 pub use probe::{Probe, ProbePoint};
-pub use report::{CouplingReport, Report, SolidReport};
 pub use right_hand_side::right_hand_side;
-pub use solid_buffers::{SolidBuffers, SolidPlan, SolidStep};
 pub use write_back::write_back;
 
 use crate::Error;
+use crate::fields::{LiquidBuffers, Sinks, Sources};
 use crate::gpu::{Dispatches, Gpu};
 use crate::solver::SolverBuffers;
-
-/// Faces count as reached from the liquid within this many layers, each a cell wide along axes and diagonals: one cell beyond
-/// what a point crosses along each axis in a sub-step, of which markers near the surface take half, and one for the trilinear sample.
-pub fn extrapolation_layers(cfl: f64) -> usize {
-    cfl.ceil() as usize + 2
-}
 
 /// The stages of the liquid that are dispatches alone, but for those that change with the clipping: `extrapolate` and `diagnose`. Stages
 /// that the scene does not call for are empty.

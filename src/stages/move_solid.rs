@@ -4,11 +4,10 @@
 //! are left to the solve.
 
 use crate::Error;
+use crate::fields::SolidBuffers;
 use crate::gpu::{Dispatches, Gpu, Kernel};
 use crate::step::Stage;
 use crate::wgsl;
-
-use super::SolidBuffers;
 
 /// Threads per body that turns: `FOLD_SIZE` in `shaders/common/tree.wgsl`.
 const TURNING_THREADS: usize = 256;

@@ -1,13 +1,12 @@
 //! `probe`: the scene's measurements of the liquid, a few numbers instead of all fields. [`crate::reference::probe`] defines them.
 
 use crate::Error;
+use crate::fields::LiquidBuffers;
 use crate::gpu::{Buffer, Dispatches, Gpu, Kernel, Real, Recorder};
 use crate::scene::ProbeKind;
 use crate::solver::SolverBuffers;
 use crate::step::Stage;
 use crate::wgsl;
-
-use super::LiquidBuffers;
 
 /// A probe at a point: the doppelganger of `ProbePoint` in `shaders/common/probe_point.wgsl`.
 #[repr(C)]

@@ -2,12 +2,11 @@
 //! components with a free surface, less the flux of moving obstacles.
 
 use crate::Error;
+use crate::fields::LiquidBuffers;
 use crate::gpu::{Dispatches, Gpu, Kernel};
 use crate::solver::SolverBuffers;
 use crate::step::Stage;
 use crate::wgsl;
-
-use super::LiquidBuffers;
 
 /// The stage: `velocity_next` to the solver's `rhs`, m/s, over the active quads. Means over components without a free surface are
 /// still in it.

@@ -1,12 +1,11 @@
 //! `write_back`: u = u* - dt/(rho dx) (p_+ - p_-) on every open face with an active side (thesis 4.36).
 
 use crate::Error;
+use crate::fields::LiquidBuffers;
 use crate::gpu::{Dispatches, Gpu, Kernel, Real};
 use crate::solver::SolverBuffers;
 use crate::step::Stage;
 use crate::wgsl;
-
-use super::LiquidBuffers;
 
 /// The stage: `velocity_next` and the potential p dt / (rho dx), m/s, to `velocity`, and to the flags in `valid`. Other faces become 0.
 ///

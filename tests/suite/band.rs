@@ -1,7 +1,8 @@
 //! The band: tiles around the liquid, the list, and what leaves it.
 
+use cutwater::fields::Tiles;
 use cutwater::gpu::Recorder;
-use cutwater::stages::{Tiles, band};
+use cutwater::stages::band;
 
 use crate::common::gpu;
 use crate::liquid_case::{Case, cases};

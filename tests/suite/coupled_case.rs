@@ -2,6 +2,7 @@
 
 use cutwater::effects::Effects;
 use cutwater::elastic::Solids;
+use cutwater::fields::{ClipBuffers, ClipSize, LiquidBuffers};
 use cutwater::geometry::{Coupling, SolidClip, obstacle_cut};
 use cutwater::gpu::{Gpu, Real, RealBuffer};
 use cutwater::grid::{Axis, Grid};
@@ -10,7 +11,6 @@ use cutwater::sim::solids_of;
 use cutwater::solver::{
     CouplingBuffers, CouplingSize, Pair, SolidRows, SolidSystemBuffers, SolverBuffers,
 };
-use cutwater::stages::{ClipBuffers, ClipSize, LiquidBuffers};
 use glam::DVec3;
 
 use crate::common::Random;

@@ -4,9 +4,10 @@ use std::fs;
 use std::mem::offset_of;
 use std::path::Path;
 
+use cutwater::fields::{SolidStep, Step, Tiles};
 use cutwater::gpu::{Range, Real, SortPass, Source, compose, validate};
 use cutwater::grid::Layout;
-use cutwater::stages::{ProbePoint, SolidStep, Step, Tiles};
+use cutwater::stages::ProbePoint;
 
 fn text_of(file: &str) -> Option<String> {
     fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(file)).ok()
@@ -150,7 +151,7 @@ fn settings_match() {
 
 #[test]
 fn taps_match() {
-    use cutwater::stages::{DeviceSourceFace, Region, SourceStep};
+    use cutwater::fields::{DeviceSourceFace, Region, SourceStep};
     let fields = fields!(Region: low, first, n, number);
     assert_layout("region", "Region", fields, size_of::<Region>());
     let fields = fields!(SourceStep: running, starting, first, seed, number, pad_0, pad_1, pad_2);
@@ -294,8 +295,8 @@ fn derived_constants_match() {
 
 #[test]
 fn coupled_structs_match() {
+    use cutwater::fields::{Clipped, CutQuad};
     use cutwater::solver::{PressureSlope, Wetted};
-    use cutwater::stages::{Clipped, CutQuad};
     let fields = fields!(Clipped: n_quads, n_places, first, pad);
     assert_layout("cut_quad", "Clipped", fields, size_of::<Clipped>());
     let fields = fields!(CutQuad: open, distance, quad, walls, pad_0, pad_1);

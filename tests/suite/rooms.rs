@@ -17,6 +17,7 @@ const TIERS: &[&[&str]] = &[
     &["scene", "state"],
     &["effects"],
     &["gpu", "geometry", "elastic", "linalg", "step"],
+    &["fields"],
     &["output", "stages", "solver", "reference"],
     &["sim"],
     &["measure"],
@@ -70,7 +71,7 @@ const HOMES: &[(&str, &str)] = &[
 ];
 
 /// What `crate::NAME` means where NAME is not a room.
-const ROOT_NAMES: &[(&str, &str)] = &[("Error", "error"), ("arrays", "gpu"), ("wgsl", "gpu")];
+const ROOT_NAMES: &[(&str, &str)] = &[("Error", "error"), ("arrays", "fields"), ("wgsl", "gpu")];
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -337,7 +338,7 @@ fn stages_share_their_nouns() {
         }
     }
     // What several stages use.
-    let shared = ["mod", "band", "buffers", "report", "solid_buffers"];
+    let shared = ["mod", "band"];
     let parts = [("element_rotations", "solid_matrices")];
     for file in files("src/stages", &["rs"]) {
         let stem = file.file_stem().unwrap().to_str().unwrap();

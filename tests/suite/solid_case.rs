@@ -2,11 +2,11 @@
 //! same numbers.
 
 use cutwater::elastic::{Body, Solids, lame_parameters, rest_shape};
+use cutwater::fields::{SolidBuffers, SolidPlan};
 use cutwater::geometry::TetMesh;
 use cutwater::gpu::{Gpu, Real};
 use cutwater::grid::Grid;
 use cutwater::scene::ElasticModel;
-use cutwater::stages::{SolidBuffers, SolidPlan};
 use cutwater::state::State;
 use glam::{DMat3, DVec3};
 

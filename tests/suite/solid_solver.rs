@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use cutwater::elastic::{Bounds, Solids};
+use cutwater::fields::{ObstacleBuffers, SolidBuffers};
 use cutwater::geometry::CutCells;
 use cutwater::gpu::{Gpu, Pass, Real, RealBuffer, Recorder};
 use cutwater::linalg::{LinearOperator, dot, norm};
@@ -12,7 +13,6 @@ use cutwater::solver::{
     ObstacleField, Outcome, Polynomial, SolidRows, SolidSolver, SolidSystem, SolidSystemBuffers,
     rounding, variant,
 };
-use cutwater::stages::{ObstacleBuffers, SolidBuffers};
 use cutwater::state::{SolveStatus, State};
 use glam::DVec3;
 

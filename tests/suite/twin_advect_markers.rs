@@ -1,9 +1,10 @@
 //! `advect_markers` against its twin.
 
+use cutwater::fields::{LiquidBuffers, Report};
 use cutwater::gpu::{Dispatches, Gpu, Recorder};
 use cutwater::measure::bounds::MarkerError;
 use cutwater::reference::{self, Lost, Surface};
-use cutwater::stages::{LiquidBuffers, Report, advect_markers};
+use cutwater::stages::advect_markers;
 
 use crate::common::{Random, gpu};
 use crate::liquid_case::{Case, EPS, RADIUS, assert_close, cases, single};

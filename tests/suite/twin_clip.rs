@@ -1,10 +1,11 @@
 //! `clip`: what the host clipped arrives on the device as it is, wherever the solids go, and beside it how fast their surfaces move.
 
 use cutwater::effects::Effects;
+use cutwater::fields::{ClipBuffers, ClipSize, LiquidBuffers, LiquidPlan};
 use cutwater::geometry::{SolidClip, obstacle_cut};
 use cutwater::gpu::{Gpu, Real, RealBuffer, Recorder};
 use cutwater::sim::solids_of;
-use cutwater::stages::{self, ClipBuffers, ClipSize, LiquidBuffers, LiquidPlan};
+use cutwater::stages;
 use glam::DVec3;
 
 use crate::common::{Random, gpu};

@@ -5,6 +5,7 @@
 //! take no part, along an axis, in air, and none at all.
 
 use cutwater::elastic::Solids;
+use cutwater::fields::{CouplingReport, SolidBuffers, SolidPlan};
 use cutwater::geometry::{Coupling, Patch};
 use cutwater::gpu::{Gpu, Real, Recorder};
 use cutwater::reference::{ActiveCells, patch_pressure, pressure_gradient};
@@ -13,7 +14,6 @@ use cutwater::solver::{
     CouplingBuffers, CouplingSize, OpenFaces, Pair, PatchPressure, Seal, SolidRows,
     SolidSystemBuffers,
 };
-use cutwater::stages::{CouplingReport, SolidBuffers, SolidPlan};
 use glam::{DMat3, DVec3};
 
 use crate::common::{Random, gpu};

@@ -1,9 +1,10 @@
 //! `diagnose` against its twin.
 
+use cutwater::fields::Report;
 use cutwater::gpu::{Real, Recorder};
 use cutwater::grid::Axis;
 use cutwater::reference::{self, liquid_distance};
-use cutwater::stages::{self, Report};
+use cutwater::stages;
 use glam::DVec3;
 
 use crate::common::{Random, gpu};

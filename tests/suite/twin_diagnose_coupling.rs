@@ -1,10 +1,11 @@
 //! `diagnose`: the force of the liquid on solids against its twin.
 
+use cutwater::fields::CouplingReport;
 use cutwater::gpu::{Dispatches, Real, RealBuffer, Recorder};
 use cutwater::measure::base_scene::DeviceScene;
 use cutwater::reference::base_scene::{BaseBeam, BaseScene};
 use cutwater::scene::{Precision, Solver};
-use cutwater::stages::{CouplingReport, diagnose_coupling};
+use cutwater::stages::diagnose_coupling;
 use glam::DVec3;
 
 use crate::common::{Random, gpu};

@@ -1,9 +1,10 @@
 //! `diagnose` of the solids against its twin.
 
 use cutwater::elastic::Deformation;
+use cutwater::fields::{SolidBuffers, SolidReport};
 use cutwater::gpu::{Gpu, Real, Recorder};
 use cutwater::reference;
-use cutwater::stages::{SolidBuffers, SolidReport, diagnose_solid, element_rotations};
+use cutwater::stages::{diagnose_solid, element_rotations};
 use cutwater::state::SolidDiagnosis;
 use glam::DVec3;
 

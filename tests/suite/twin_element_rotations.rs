@@ -3,10 +3,11 @@
 use std::sync::Arc;
 
 use cutwater::elastic::{self, Deformation};
+use cutwater::fields::SolidBuffers;
 use cutwater::gpu::{Gpu, Real, Recorder};
 use cutwater::reference::{self, BlockPattern};
 use cutwater::scene::ElasticModel;
-use cutwater::stages::{SolidBuffers, element_rotations};
+use cutwater::stages::element_rotations;
 use glam::{DMat3, DVec3, DVec4};
 
 use crate::common::{Random, gpu, root};

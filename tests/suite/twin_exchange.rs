@@ -1,11 +1,11 @@
 //! `exchange` against its twin: what sinks remove and sources make, and what sources do to faces.
 
+use cutwater::fields::{LiquidBuffers, LiquidPlan, Report, Sinks, SourceStep, Sources};
 use cutwater::geometry::{PER_CELL, Running, Taps, obstacle_cut};
 use cutwater::gpu::{Gpu, Recorder};
 use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference;
 use cutwater::scene::Scene;
-use cutwater::stages::{LiquidBuffers, LiquidPlan, Report, Sinks, SourceStep, Sources};
 use glam::DVec3;
 
 use crate::common::{Random, far_below, gpu, surface};
@@ -81,7 +81,7 @@ impl Run {
         self.case.write(gpu, &self.buffers);
         let n = self.case.state.markers.len();
         let slots = PER_CELL * self.taps.source_cells.len();
-        let step = cutwater::stages::Step {
+        let step = cutwater::fields::Step {
             n_markers: (n + slots) as u32,
             ..self.case.step()
         };

@@ -1,10 +1,11 @@
 //! `extrapolate` against its twin, over the whole domain: nothing that it reaches lies outside the band.
 
+use cutwater::fields::LiquidBuffers;
 use cutwater::geometry::CutCells;
 use cutwater::gpu::{Dispatches, Gpu, Recorder};
 use cutwater::grid::{Axis, Grid};
 use cutwater::reference::{self, MovingWalls, liquid_distance, n_layers};
-use cutwater::stages::{self, LiquidBuffers};
+use cutwater::stages;
 use glam::DVec3;
 
 use crate::common::gpu;

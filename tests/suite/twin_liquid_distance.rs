@@ -1,8 +1,9 @@
 //! `liquid_distance` against its twin, and the volume that it encloses.
 
+use cutwater::fields::{LiquidBuffers, Report, Step};
 use cutwater::gpu::{Dispatches, Gpu, Real, Recorder};
 use cutwater::reference;
-use cutwater::stages::{self, LiquidBuffers, Report, Step};
+use cutwater::stages;
 
 use crate::common::gpu;
 use crate::liquid_case::{Case, DENSITY, EPS, GRAVITY, RADIUS, assert_close, cases, single};

@@ -4,12 +4,13 @@
 use std::fs;
 
 use cutwater::effects::Effects;
+use cutwater::fields::{ClipBuffers, ClipSize, LiquidBuffers, LiquidPlan};
 use cutwater::geometry::{Place, SolidClip, obstacle_cut};
 use cutwater::gpu::{AdapterChoice, Real, Recorder};
 use cutwater::measure::compare::compare;
 use cutwater::scene::Scene;
 use cutwater::sim::{Backend, Simulation, solids_of};
-use cutwater::stages::{self, ClipBuffers, ClipSize, LiquidBuffers, LiquidPlan};
+use cutwater::stages;
 use cutwater::state::SolveStatus;
 
 use crate::common::gpu;

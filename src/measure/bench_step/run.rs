@@ -5,10 +5,10 @@ use std::time::Instant;
 use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::{Bounds, Solids};
+use crate::fields::extrapolation_layers;
 use crate::gpu::{Trace, Traffic};
 use crate::scene::{CouplingScheme, Scene};
 use crate::sim::{Backend, GpuPath, Simulation};
-use crate::stages::extrapolation_layers;
 use crate::state::{LiquidReport, SolidReport, StepReport};
 use crate::step::Stage;
 

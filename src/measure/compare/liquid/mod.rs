@@ -9,6 +9,7 @@ use super::table::{Place, Table};
 use super::{Both, EPS, unit};
 use crate::Error;
 use crate::effects::Effects;
+use crate::fields::Step;
 use crate::geometry::{CutCells, Running, SolidClip, Taps};
 use crate::gpu::Real;
 use crate::grid::{Axis, Grid};
@@ -18,7 +19,6 @@ use crate::reference::{
 };
 use crate::scene::{ProbeKind, Scene};
 use crate::sim::{GpuPath, LiquidSnapshot};
-use crate::stages::Step;
 use crate::state::State;
 use crate::step::Stage;
 

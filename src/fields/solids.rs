@@ -6,7 +6,6 @@ use crate::elastic::{Solids, Turning};
 use crate::gpu::{Gpu, Real, WG_SIZE};
 use crate::grid::{Grid, Layout};
 use crate::scene::ElasticModel;
-use crate::solver::SolidFields;
 use crate::state::State;
 
 use super::SolidReport;
@@ -210,24 +209,6 @@ impl SolidBuffers {
         }
         self.rest_gradients.upload(gpu, &gradients);
         gpu.upload(&self.damping, &damping);
-    }
-
-    /// What the solver reads of them, and the velocity, which it solves for.
-    pub fn fields(&self) -> SolidFields<'_> {
-        SolidFields {
-            step: (&self.step).into(),
-            rest: &self.rest,
-            velocity: &self.velocity,
-            flags: &self.flags,
-            displacement: &self.displacement,
-            gaps: &self.gaps,
-            freedom: &self.freedom,
-            answer: &self.answer,
-            elements: &self.elements,
-            rotated: &self.rotated,
-            element_forces: &self.element_forces,
-            load: &self.load,
-        }
     }
 
     /// The uniform of a sub-step of dt (s) under gravity (m/s^2).

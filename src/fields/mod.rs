@@ -1,13 +1,44 @@
-//! Tables of device arrays: each row is an array's name in WGSL, its element and its length. The table allocates the arrays and offers
-//! them to kernels.
+//! The vocabulary of device arrays: tables that give each array the name of its WGSL variables, its element, length, unit and centring.
+//!
+//! A table allocates its arrays and offers them to kernels by name. No other list of arrays exists: `plan` and the limits come from a
+//! planning device that runs the same allocations. Arrays of the solver are in [`crate::solver`].
+
+mod clip;
+mod liquid;
+mod report;
+mod solids;
+mod taps;
+
+pub use clip::{ClipBuffers, ClipSize, Clipped, CutQuad};
+pub(crate) use liquid::TILE;
+pub use liquid::{LiquidBuffers, LiquidPlan, ObstacleBuffers, Step, Tiles, extrapolation_layers};
+pub use report::{CouplingReport, Report, SolidReport};
+pub use solids::{SolidBuffers, SolidPlan, SolidStep};
+pub use taps::{DeviceSourceFace, Region, Sinks, SourceStep, Sources};
+
+use crate::step::Stage;
+
+/// Memory that two arrays share.
+#[derive(Clone, Copy, Debug)]
+pub struct Shared {
+    /// Name of the scratch array.
+    pub view: &'static str,
+    /// Name of the array whose memory it uses.
+    pub array: &'static str,
+    /// First and last stage that use the scratch array.
+    pub used: [Stage; 2],
+    /// First and last stage of those in which the array's own contents are not needed.
+    pub free: [Stage; 2],
+}
 
 /// Declares a struct of device arrays.
 ///
 /// - `fields`: what sizes depend on, in scope of every row.
 /// - `arrays`: `array NAME: T [LENGTH]` is a [`Buffer`](super::Buffer) of `T`, `real NAME: REAL [LENGTH]` a
 ///   [`RealBuffer`](super::RealBuffer), `uniform NAME: T [VALUE]` a uniform buffer. With `if CONDITION` the array is an `Option`.
-/// - `views`: another name under which kernels bind an array: with another element type, or as scratch memory of a stage in which its
-///   own contents are not needed.
+/// - `views`: another name under which kernels bind an array. Without stages it is the same contents with another element type. With
+///   `while FIRST..=LAST, free FROM..=TO` it is scratch memory in these stages, and the array's own contents are not needed from
+///   FROM to TO; a test checks the one against the other.
 /// - `parts`: fields that are tables themselves, whose arrays kernels bind too.
 ///
 /// Labels are `GROUP.NAME`, or the label in `as "..."`.
@@ -21,7 +52,7 @@ macro_rules! arrays {
                 $(#[$ameta:meta])*
                 $avis:vis $kind:ident $name:ident : $t:tt [ $len:expr ] $(as $label:literal)? $(if $when:expr)?
             ),* $(,)? }
-            views { $( $view:ident = $of:ident ),* $(,)? }
+            views { $( $view:ident = $of:ident $(while $first:ident ..= $last:ident, free $from:ident ..= $to:ident)? ),* $(,)? }
             parts { $( $part:ident ),* $(,)? }
         }
     ) => {
@@ -43,6 +74,18 @@ macro_rules! arrays {
                 ); )*
                 Ok($Name { $($field,)* $($name,)* })
             }
+        }
+
+        impl $Name {
+            /// Views that are scratch memory.
+            pub const SHARED: &[$crate::fields::Shared] = &[
+                $( $($crate::fields::Shared {
+                    view: stringify!($view),
+                    array: stringify!($of),
+                    used: [$crate::step::Stage::$first, $crate::step::Stage::$last],
+                    free: [$crate::step::Stage::$from, $crate::step::Stage::$to],
+                },)? )*
+            ];
         }
 
         impl $crate::gpu::Arrays for $Name {
@@ -72,4 +115,23 @@ macro_rules! arrays {
     (@new $gpu:ident real $t:tt [$len:expr] $label:expr) => { $crate::gpu::RealBuffer::new($gpu, $label, $len, $t)? };
     (@binding $self:ident $name:ident if $when:expr) => { $self.$name.as_ref().map(Into::into) };
     (@binding $self:ident $name:ident) => { Some((&$self.$name).into()) };
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{LiquidBuffers, SolidBuffers};
+
+    #[test]
+    fn shared_memory_is_never_needed_twice() {
+        assert!(!LiquidBuffers::SHARED.is_empty());
+        for shared in LiquidBuffers::SHARED.iter().chain(SolidBuffers::SHARED) {
+            let ([first, last], [from, to]) = (shared.used, shared.free);
+            // Where the free stages reach beyond the end of a sub-step, they are those before `to` and after `from`.
+            let within = match from <= to {
+                true => from <= first && last <= to,
+                false => last <= to || from <= first,
+            };
+            assert!(within && first <= last, "{shared:?}");
+        }
+    }
 }

@@ -6,10 +6,9 @@ use crate::effects::Effects;
 use crate::geometry::CutCells;
 use crate::gpu::{Buffer, Compaction, Gpu, Real, WG_SIZE, groups};
 use crate::grid::{Axis, Grid, Layout, Padded};
-use crate::solver::Within;
 use crate::state::State;
 
-use super::{Report, Tiles};
+use super::Report;
 
 /// What a sub-step knows beyond the layout: the doppelganger of `Step` in `shaders/common/step.wgsl`.
 #[repr(C)]
@@ -79,6 +78,53 @@ const SLIVER: f32 = 0.2;
 /// Threads of a reduction, at most.
 const LARGEST_SUMMING: usize = 16384;
 
+/// Cells along the edge of a tile, two quads; `shaders/common/tiles.wgsl` has it too.
+pub(crate) const TILE: usize = 8;
+
+/// Tiles that cover every cell and every face: the doppelganger of `Tiles` in `shaders/common/tiles.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct Tiles {
+    /// Tiles along x, y, z.
+    pub n: [u32; 3],
+    /// Tiles that the band reaches beyond those with liquid.
+    pub reach: u32,
+}
+
+impl Tiles {
+    /// The tiles of a grid. A marker makes cells active within one cell of its own, their plus faces are one further, and the
+    /// extrapolation adds its layers; in what cuts the grid the extension of the liquid distance adds one more active cell.
+    pub fn new(cells: [usize; 3], cfl: f64, cuts: bool) -> Tiles {
+        let reach = extrapolation_layers(cfl) + 2 + usize::from(cuts);
+        Tiles {
+            n: cells.map(|n| (n / TILE + 1) as u32),
+            reach: reach.div_ceil(TILE) as u32,
+        }
+    }
+
+    /// Number of tiles.
+    pub fn len(&self) -> usize {
+        self.n.iter().map(|&n| n as usize).product()
+    }
+
+    /// Whether there are none; never, kept for the pair with [`Tiles::len`].
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// The tile of a cell.
+    pub fn of(&self, [i, j, k]: [usize; 3]) -> usize {
+        let [nx, ny, _] = self.n.map(|n| n as usize);
+        i / TILE + nx * (j / TILE + ny * (k / TILE))
+    }
+}
+
+/// Faces count as reached from the liquid within this many layers, each a cell wide along axes and diagonals: one cell beyond
+/// what a point crosses along each axis in a sub-step, of which markers near the surface take half, and one for the trilinear sample.
+pub fn extrapolation_layers(cfl: f64) -> usize {
+    cfl.ceil() as usize + 2
+}
+
 arrays! {
     /// The arrays of the liquid, device layout ([`Padded`]). Made once per grid; owns no kernels.
     pub struct LiquidBuffers in "liquid" {
@@ -142,10 +188,12 @@ arrays! {
         views {
             // The same velocities, four per quad.
             velocity_quads = velocity,
-            // Distance to the surface, m, in `advect_markers`.
-            surface = velocity_next,
-            // Squared distance to the nearest marker, cells^2, in `liquid_distance`.
-            squares = liquid_distance,
+            // Distance to the surface, m.
+            surface = velocity_next while AdvectMarkers..=AdvectMarkers, free Extrapolate..=AdvectMarkers,
+            // Squared distance to the nearest marker, cells^2.
+            squares = liquid_distance while LiquidDistance..=LiquidDistance, free AdvectVelocity..=LiquidDistance,
+            // Distance during its extension into solids, m.
+            extended_distance = velocity while LiquidDistance..=LiquidDistance, free Forces..=Solve,
             // In the kernel of the same name.
             flux = obstacle_flux,
         }
@@ -167,14 +215,6 @@ impl LiquidBuffers {
     /// their flux.
     pub fn solve_open(&self) -> &Buffer<f32> {
         self.solve_open.as_ref().unwrap_or(&self.open)
-    }
-
-    /// The band, to which the solver's search for liquid is limited.
-    pub fn within(&self) -> Within<'_> {
-        Within {
-            list: &self.band_list,
-            args: &self.band_args,
-        }
     }
 
     /// Room for markers.
