@@ -36,6 +36,12 @@ impl BufferPlan {
     }
 }
 
+/// Usage of a buffer that kernels, copies and indirect dispatches can use.
+const STORAGE: wgpu::BufferUsages = wgpu::BufferUsages::STORAGE
+    .union(wgpu::BufferUsages::COPY_SRC)
+    .union(wgpu::BufferUsages::COPY_DST)
+    .union(wgpu::BufferUsages::INDIRECT);
+
 /// A device buffer of `len` elements `T`, zero at first.
 #[derive(Debug)]
 pub struct Buffer<T> {
@@ -74,11 +80,7 @@ impl Gpu {
     /// # Errors
     /// [`Error::Limit`] when the adapter does not allow the size.
     pub fn buffer<T: Pod>(&self, label: &str, len: usize) -> Result<Buffer<T>, Error> {
-        let usage = wgpu::BufferUsages::STORAGE
-            | wgpu::BufferUsages::COPY_SRC
-            | wgpu::BufferUsages::COPY_DST
-            | wgpu::BufferUsages::INDIRECT;
-        self.make(label, len, usage)
+        self.make(BufferPlan::of::<T>(label, len), STORAGE)
     }
 
     /// A storage buffer with contents.
@@ -96,40 +98,36 @@ impl Gpu {
     /// # Errors
     /// As [`Gpu::buffer`].
     pub fn uniform<T: Pod>(&self, label: &str, value: &T) -> Result<Buffer<T>, Error> {
-        let buffer = self.make(
-            label,
-            1,
-            wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-        )?;
+        let usage = wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST;
+        let buffer = self.make(BufferPlan::of::<T>(label, 1), usage)?;
         self.upload(&buffer, std::slice::from_ref(value));
         Ok(buffer)
     }
 
     fn make<T: Pod>(
         &self,
-        label: &str,
-        len: usize,
+        plan: BufferPlan,
         usage: wgpu::BufferUsages,
     ) -> Result<Buffer<T>, Error> {
-        let plan = BufferPlan::of::<T>(label, len);
         let size = plan.bytes();
         let raw = match self.open() {
             None => None,
             Some(open) => {
-                self.report().check_buffer(label, size)?;
+                self.report().check_buffer(&plan.label, size)?;
                 Some(open.device.create_buffer(&wgpu::BufferDescriptor {
-                    label: Some(label),
+                    label: Some(&plan.label),
                     size,
                     usage,
                     mapped_at_creation: false,
                 }))
             }
         };
+        let (label, len) = (plan.label.clone(), plan.len * plan.element / size_of::<T>());
         self.note_allocation(plan);
         Ok(Buffer {
             raw,
             len,
-            label: label.to_owned(),
+            label,
             element: PhantomData,
         })
     }
@@ -175,22 +173,18 @@ pub struct RealBuffer {
 }
 
 impl RealBuffer {
-    /// A plan for `len` scalars.
-    pub fn plan(label: &str, len: usize, real: Real) -> BufferPlan {
-        BufferPlan {
-            label: label.to_owned(),
-            len,
-            element: real.bytes(),
-        }
-    }
-
     /// `len` scalars, zero at first.
     ///
     /// # Errors
     /// As [`Gpu::buffer`].
     pub fn new(gpu: &Gpu, label: &str, len: usize, real: Real) -> Result<RealBuffer, Error> {
+        let plan = BufferPlan {
+            label: label.to_owned(),
+            len,
+            element: real.bytes(),
+        };
         Ok(RealBuffer {
-            words: gpu.buffer(label, len * real.bytes() / 4)?,
+            words: gpu.make(plan, STORAGE)?,
             real,
         })
     }
@@ -277,7 +271,7 @@ impl<T: Pod> Readback<T> {
     pub fn new(gpu: &Gpu, label: &str, len: usize) -> Result<Readback<T>, Error> {
         let label = format!("{label} (read-back)");
         let usage = wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST;
-        let Buffer { raw, len, .. } = gpu.make::<T>(&label, len, usage)?;
+        let Buffer { raw, len, .. } = gpu.make::<T>(BufferPlan::of::<T>(&label, len), usage)?;
         Ok(Readback {
             raw,
             len,

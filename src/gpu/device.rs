@@ -445,6 +445,11 @@ impl Gpu {
         }
     }
 
+    /// Whether this is a planning device.
+    pub fn is_planning(&self) -> bool {
+        self.open().is_none()
+    }
+
     /// The driver's device; `None` on a planning device.
     pub(super) fn open(&self) -> Option<&Open> {
         self.shared.open.as_ref()

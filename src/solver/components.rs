@@ -65,6 +65,7 @@ impl Components {
         let (list, args) = (("list", list.into()), ("args", args.into()));
         let (flags, matrix) = (("flags", flags.into()), ("matrix", matrix.into()));
         let (labels, state) = (("labels", labels.into()), ("state", components.into()));
+        let gpu = &gpu.at(Components::NAME);
         let kernel = |source| Kernel::new(gpu, source, variant.inner);
         Ok(Components {
             init: kernel(&crate::wgsl!("components_init"))?
@@ -134,7 +135,7 @@ impl Seal {
         ];
         let with = |source, other: &[(&str, Binding)]| {
             let all = [&joint[..], other].concat();
-            Kernel::new(gpu, source, buffers.variant.real)?.bind(gpu, &all)
+            Kernel::new(&gpu.at(Components::NAME), source, buffers.variant.real)?.bind(gpu, &all)
         };
         Ok(Seal {
             seal: with(
@@ -188,7 +189,9 @@ impl Means {
             ("low", (&buffers.partials).into()),
             ("count", (&buffers.q).into()),
         ];
-        let bind = |source| Kernel::new(gpu, source, field.real)?.bind(gpu, &bindings);
+        let bind = |source| {
+            Kernel::new(&gpu.at(Components::NAME), source, field.real)?.bind(gpu, &bindings)
+        };
         Ok(Means {
             largest: bind(&crate::wgsl!("components_largest"))?,
             sum: bind(&crate::wgsl!("components_sum"))?,

@@ -103,7 +103,9 @@ pub fn variant(f64: bool, precision: Precision) -> Variant {
 
 /// Refuses a precision that the adapter has not.
 pub(super) fn check_precision(gpu: &Gpu, precision: Precision) -> Result<(), Error> {
-    gpu.report().check_precision(precision == Precision::F64)
+    // A plan is checked as a whole.
+    gpu.report()
+        .check_precision(precision == Precision::F64 && !gpu.is_planning())
 }
 
 /// The solver's data on the device; all levels one after another unless said otherwise.

@@ -204,7 +204,9 @@ impl TwoFieldSolver {
             ..
         } = at;
         let variant = liquid.variant;
-        check_formulation(solids.layout.rows.n_nodes as usize, solver, variant)?;
+        if !gpu.is_planning() {
+            check_formulation(solids.layout.rows.n_nodes as usize, solver, variant)?;
+        }
         let unknowns = unknowns(at);
         let state = State::new(gpu, &unknowns)?;
         let norms = RealBuffer::new(gpu, LABELS.norms, N_NORMS, variant.real)?;

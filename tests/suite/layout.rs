@@ -195,8 +195,8 @@ const SHARED: &[(&str, &str, &[&str])] = &[
     ("src/gpu/record.rs", "common/dispatch", &["SPLIT"]),
     ("src/gpu/shader.rs", "common/dispatch", &["WG_SIZE"]),
     ("src/gpu/sort.rs", "common/sort", &["TILE", "DIGIT_BITS"]),
-    ("src/stages/band.rs", "common/tiles", &["TILE"]),
-    ("src/stages/report.rs", "common/report", &["DROPPED"]),
+    ("src/fields/liquid.rs", "common/tiles", &["TILE"]),
+    ("src/fields/report.rs", "common/report", &["DROPPED"]),
     (
         "src/solver/mod.rs",
         "vcycle_tail",

@@ -170,7 +170,10 @@ impl<'a> LiquidJudge<'a> {
             Stage::Exchange => self.exchange(after),
             Stage::AdvectVelocity => self.advect_velocity(after),
             Stage::Forces => self.forces(after),
-            Stage::LiquidDistance => self.liquid_distance(after),
+            // A fixed surface stays.
+            Stage::LiquidDistance if Effects::of(self.scene).markers => {
+                self.liquid_distance(after);
+            }
             Stage::ActiveCells => self.active_cells(after, both),
             Stage::RightHandSide => self.right_hand_side(after, clip, both),
             Stage::Solve => self.solve(after, both)?,
