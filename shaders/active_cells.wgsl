@@ -1,9 +1,12 @@
-// Stage active_cells, level 0: which cells are unknowns, and the matrix of the projection.
-// A cell is active when its liquid distance is negative and one of its faces is open. Off-diagonal weights are the open
-// fractions between active cells; a face towards air adds open / theta to the diagonal (ghost fluid), one on an open side of the
-// domain open / (1/2). Only quads that hold liquid are written; all arrays are zero elsewhere. One thread per quad that may hold some.
-// level: the level. settings: theta floor, whether sides are open. list, args: those quads. liquid_distance: per cell, m.
-// open: fractions of the minus faces along x, y, z; closed where not above 0. flags: per quad, active lanes in bits 0-3 and UNIFORM. matrix: see level.
+// Stage active_cells, level 0: active cells and the matrix of the projection (ghost fluid, Gibou et al. 2002; thesis
+// 4.43).
+// A cell is active when its liquid distance is negative and one of its faces is open. The weight between active cells
+// is the face aperture. The diagonal also includes aperture / theta towards air, and aperture / (1/2) on open sides
+// of the domain.
+// Only quads with liquid are written; all arrays are zero elsewhere. One thread per quad that may contain liquid.
+// level: the level. settings: theta floor, whether sides are open. list, args: those quads. liquid_distance: per
+// cell, m. open: apertures of the minus faces along x, y, z; closed where not above 0. flags: per quad, active lanes
+// in bits 0-3 and UNIFORM. matrix: see level.
 #import dispatch
 #import level
 #import real
@@ -26,7 +29,7 @@ struct ActiveSettings {
 @group(0) @binding(6) var<storage, read_write> flags: array<u32>;
 @group(0) @binding(7) var<storage, read_write> matrix: array<Real4>;
 
-// The liquid distance across the faces of a quad, m.
+// The liquid distance in the neighbour cells of a quad, m.
 struct Around {
     xm: vec4<f32>,
     xp: vec4<f32>,
@@ -36,7 +39,8 @@ struct Around {
     zp: vec4<f32>,
 }
 
-// Across the sides of the domain the mirror image: the surface that the ghost fluid method sees is the plane of the side.
+// Beyond the sides of the domain the mirror image, so that the ghost fluid method places the surface in the plane of
+// the side.
 fn beyond_sides(around: Around, phi: vec4<f32>, cell: vec3<i32>) -> Around {
     let n = vec3<i32>(level.shape.cells);
     let lanes = vec4<i32>(cell.x) + vec4<i32>(0, 1, 2, 3);
@@ -48,7 +52,7 @@ fn beyond_sides(around: Around, phi: vec4<f32>, cell: vec3<i32>) -> Around {
         select(around.zm, -phi, vec4<bool>(low.z)), select(around.zp, -phi, vec4<bool>(high.z)));
 }
 
-// Weight between two cells and free-surface term of the first, for one face of each lane.
+// Weight between two cells and free-surface term of the first, for one face per lane.
 struct Face {
     weight: Real4,
     dirichlet: Real4,

@@ -1,7 +1,8 @@
-// advect_velocity, where bodies cut the grid, last: faces carry what slivers show, as advect explains. Slivers mix it with what
-// advect_slivers made, from half of SLIVER on; less open ones keep that. One thread per quad of the band and its 12 minus faces.
-// level, step. band_args, band_list: the band. velocity: what faces show, m/s (velocity_quads: the same). valid: see valid. open: fractions of the faces.
-// velocity_next: u*, m/s (of slivers: as advect_slivers left it).
+// advect_velocity with cut cells, last: advects full-aperture faces through blended velocities (see advect).
+// Small-aperture faces from half of SLIVER on mix this with the result of advect_slivers; smaller ones are unchanged.
+// One thread per quad of the band and its 12 minus faces.
+// level, step. band_args, band_list: the band. velocity: blended face velocities, m/s (velocity_quads: the same).
+// valid: see valid. open: face apertures. velocity_next: u*, m/s (at small-aperture faces: from advect_slivers).
 #import advect
 #import dispatch
 #import lanes
@@ -19,7 +20,7 @@
 @group(0) @binding(7) var<storage, read> open: array<f32>;
 @group(0) @binding(8) var<storage, read_write> velocity_next: array<vec4<f32>>;
 
-// Which part of what the faces of an axis carry is made from what slivers show.
+// Weight of blended velocities at the faces of an axis.
 fn wholeness(axis: u32, quad: u32) -> vec4<f32> {
     if (valid[quad] & SLIVERS) == 0u {
         return vec4<f32>(1.0);

@@ -1,10 +1,11 @@
-// advect_markers, second of three: x1 = x + dt v(x + dt/2 v(x)) (explicit midpoint), kept 0.01 dx off the walls. v is the velocity of
-// the MAC field and, near the surface, what that is ahead up there: by h / dx of the difference over one cell along the normal, where
-// the surface stands h = r - 0.2 dx above the outermost markers, r the radius of their spheres; less and less from one to two cells
-// below it; half a cell per sub-step at most.
-// What ends beyond an open side is gone, and counted. One thread per marker; markers that are gone (w = 0) stay.
-// level, step. velocity: faces, m/s. distances: signed, to the surface, cell centres, m. markers: x, y, z (m), w = 1 alive, 0 gone; in
-// place. report: see report.
+// advect_markers, second of three: x1 = x + dt v(x + dt/2 v(x)) (explicit midpoint), clamped to 0.01 dx from walls.
+// v is the velocity of the MAC field. Near the surface it is extrapolated to the surface: plus h / dx of its
+// difference over one cell along the normal. h = r - 0.2 dx is the height of the surface above the outermost markers,
+// r the radius of their spheres. The addition decreases from one to two cells below the surface and is
+// limited to half a cell per sub-step.
+// Markers beyond an open side are deleted and counted. One thread per marker; deleted markers (w = 0) are unchanged.
+// level, step. velocity: faces, m/s. distances: signed distance to the surface, cell centres, m. markers: x, y, z
+// (m), w = 1 alive, 0 deleted; in place. report: see report.
 #import dispatch
 #import layout
 #import step
@@ -20,16 +21,17 @@
 @group(0) @binding(4) var<storage, read_write> markers: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read_write> report: array<atomic<u32>>;
 
-// The same numbers as in reference/advect_markers.rs.
-// By how much less than the radius of their spheres the surface stands above the outermost markers, in cells.
+// The constants of reference/advect_markers.rs.
+// Mean difference between the radius of the spheres and the height of the surface above the outermost markers, cells.
 const SPHERE_GAP = 0.2;
-// How deep below it markers know of it, in cells; all that it does they do from one cell less on.
+// Depth below which markers move with their own velocity, cells; up to one cell less they move with that of the
+// surface.
 const DEEPEST = 2.0;
-// How much further than others they move in a sub-step at most, in cells.
+// Largest additional displacement per sub-step, cells.
 const MOST_AHEAD = 0.5;
 
-// Of a marker at a position (cells), m/s. up: a cell out of the liquid at most, cells. ahead: by which share of the difference over that way
-// the surface is.
+// Velocity of the surface above a marker at a position (cells), m/s. up: vector out of the liquid, at most one cell
+// long, cells. ahead: factor of the velocity difference over it.
 fn velocity_below_surface(at: vec3<f32>, up: vec3<f32>, ahead: f32) -> vec3<f32> {
     let here = sample_velocity(at);
     if ahead == 0.0 {

@@ -1,7 +1,8 @@
-// advect_velocity, where bodies cut the grid, first: slivers carry the velocities of the faces, as advect explains: a film that a body
-// squeezes out goes on as fast as it is. One thread per quad of the band.
-// level, step. band_args, band_list: the band. velocity: faces, m/s (velocity_quads: the same). valid: see valid. open: fractions of the faces.
-// velocity_next: u* of slivers, m/s.
+// advect_velocity with cut cells, first: advects small-aperture faces through the unblended velocities (see advect),
+// so that a squeezed film keeps its speed.
+// One thread per quad of the band.
+// level, step. band_args, band_list: the band. velocity: faces, m/s (velocity_quads: the same). valid: see valid.
+// open: face apertures. velocity_next: u* of small-aperture faces, m/s.
 #import advect
 #import dispatch
 #import lanes

@@ -1,5 +1,7 @@
-// advect_velocity: the faces carry their velocities, as advect explains. One thread per quad of the band and its 12 minus faces.
-// level, step. band_args, band_list: the band. velocity: faces, m/s (velocity_quads: the same). velocity_next: u*, m/s.
+// advect_velocity: semi-Lagrangian advection of the face velocities (see advect).
+// One thread per quad of the band and its 12 minus faces.
+// level, step. band_args, band_list: the band. velocity: faces, m/s (velocity_quads: the same). velocity_next: u*,
+// m/s.
 #import advect
 #import dispatch
 #import layout

@@ -1,5 +1,6 @@
-// extrapolate, after slip: the new values take their places. One thread per quad of the band.
-// level. band_args, band_list: the band. slipping: faces with a new value, bit 4 axis + lane. velocity_next: it. velocity: faces, m/s.
+// extrapolate, after slip: copies the new velocities to the faces. One thread per quad of the band.
+// level. band_args, band_list: the band. slipping: faces with a new velocity, bit 4 axis + lane. velocity_next: new
+// velocities, m/s. velocity: faces, m/s.
 #import dispatch
 #import layout
 #import valid

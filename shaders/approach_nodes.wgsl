@@ -1,7 +1,8 @@
-// solve, for solids, while the search for contacts goes on: a share of the way from the best velocity to the one that a solve found, with each
-// node put back before walls and obstacles. One thread per node.
-// step. gaps: see contact. answer: see ask; told the bits of the share. best, velocity: from and to, m/s. next: m/s, out. sums: best + next,
-// m/s, out.
+// solve, for solids, active-set search: a fraction of the step from the best velocity to the minimiser, with each
+// node projected to feasibility.
+// One thread per node.
+// step. gaps: see contact. answer: see ask; parameter: bits of the fraction. best, velocity: from and to, m/s. next:
+// m/s, out. sums: best + next, m/s, out.
 #import ask
 #import dispatch
 #import put_back

@@ -1,7 +1,8 @@
-// extrapolate, where bodies cut the grid, before the layers: what valid slivers show to closed faces and air around them, as shown
-// explains; valid faces weigh by their fractions. One thread per quad of the band.
-// level. band_args, band_list: the band. valid: see valid. open: fractions of the faces. velocity: faces, m/s.
-// velocity_next: at slivers the bits of what they show, or NO_VELOCITY at those that are not valid.
+// extrapolate with cut cells, before the layers: blended velocities of valid small-aperture faces for closed faces
+// and air around them (see shown). Valid faces have their aperture as weight.
+// One thread per quad of the band.
+// level. band_args, band_list: the band. valid: see valid. open: face apertures. velocity: faces, m/s. velocity_next:
+// at small-aperture faces the bits of the blended velocity, or NO_VELOCITY if the face is not valid.
 #import dispatch
 #import layout
 #import shown

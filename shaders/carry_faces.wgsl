@@ -1,6 +1,6 @@
-// write_back, with sources only, last: faces of sources that run have their velocity, and are open again. One thread per face.
-// level. source_step: what the sources do. faces: see source_face. open: fractions of all faces. valid: see valid; in place.
-// velocity: u, m/s.
+// write_back with sources, last: restores velocity and aperture of the faces of running sources. One thread per face.
+// level. source_step: state of the sources. faces: see source_face. open: apertures of all faces. valid: see valid;
+// in place. velocity: u, m/s.
 #import dispatch
 #import layout
 #import source_face

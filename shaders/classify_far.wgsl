@@ -1,5 +1,6 @@
-// liquid_distance, second of five: which markers matter to the distance of any cell, and the classes of the cells around a quad
-// in one word for them. The marks of the cells are taken back for the next sub-step. One thread per quad of the band.
+// liquid_distance, second of five: flags the markers near empty cells, and packs the classes of the cells around a
+// quad into one word.
+// Clears the markers' flags for the next sub-step. One thread per quad of the band.
 // level. band_args, band_list: the band. classes: see classes. occupied: in place.
 #import dispatch
 #import layout
@@ -12,7 +13,7 @@
 @group(0) @binding(4) var<storage, read_write> occupied: array<u32>;
 
 fn near_lanes(quad: u32) -> u32 {
-    // The row before the first one, diagonally, lies before the array; spare cells need no marker.
+    // The diagonal row before the first one is before the array; spare cells need no marker.
     if quad >= level.quads {
         return 0u;
     }

@@ -1,11 +1,13 @@
-// liquid_distance, first of five: the class of every cell of the band, and the start of its search for the nearest marker.
+// liquid_distance, first of five: the class of every cell of the band, and the initial squared distance to the
+// nearest marker.
 // One thread per quad.
-// level. band_args, band_list: the band. occupied: see classes. classes: out. squares: squared distance to the nearest marker, cells^2.
+// level. band_args, band_list: the band. occupied: see classes. classes: out. squares: squared distance to the
+// nearest marker, cells^2.
 #import dispatch
 #import layout
 #import classes
 
-// Markers further away than 2 cells do not count.
+// Square of the largest distance of a marker that counts, 2 cells.
 const REACH_SQUARED = 4.0;
 
 @group(0) @binding(0) var<uniform> level: Layout;
@@ -16,7 +18,7 @@ const REACH_SQUARED = 4.0;
 @group(0) @binding(5) var<storage, read_write> squares: array<vec4<f32>>;
 
 fn empty_lanes(quad: u32) -> u32 {
-    // The row before the first one, diagonally, lies before the array; spare cells are not empty.
+    // The diagonal row before the first one is before the array; spare cells are not empty.
     if quad >= level.quads {
         return 0u;
     }

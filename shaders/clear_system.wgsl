@@ -1,5 +1,5 @@
-// Stage active_cells, first: what the last sub-step left in the flags and the matrix of a level goes back to zero, over the list
-// of that sub-step. Both are zero in all other quads.
+// Stage active_cells, first: clears the flags and the matrix of a level over the active quads of the last sub-step.
+// Both are zero in all other quads.
 // level: the level. list, args: its active quads in the last sub-step. flags: per quad. matrix: see level.
 #import dispatch
 #import level

@@ -1,8 +1,9 @@
-// Stage active_cells, levels 1 and up: piecewise-constant aggregation of 2x2x2 cells. A coarse face weight is half the sum of
-// the 4 fine ones, the free-surface term half the sum of the 8: the half is the over-correction 2 of constant prolongation
-// (Braess 1995; Shao et al. 2022), here in the operator. One thread per active fine quad; the first of those under a coarse quad
-// does it.
-// fine, coarse: the levels. list, args: active quads of the fine level. flags, matrix: all levels; the coarse one is written.
+// Stage active_cells, levels 1 and up: piecewise constant aggregation of 2x2x2 cells.
+// A coarse face weight is half the sum of the 4 fine ones, the free-surface term half the sum of the 8. The half is
+// the over-correction by 2 of constant prolongation (Braess 1995; Shao et al. 2022), applied to the operator.
+// One thread per active fine quad; the first of those under a coarse quad writes it.
+// fine, coarse: the levels. list, args: active quads of the fine level. flags, matrix: all levels; the coarse one is
+// written.
 #import dispatch
 #import level
 #import real
@@ -16,7 +17,7 @@
 
 const NONE = 0xffffffffu;
 
-// First of the two fine quads under a coarse quad, in the fine row (j, k), from the start of the arrays.
+// First of the two fine quads under a coarse quad in the fine row (j, k), from the start of the arrays.
 fn fine_quad(cell: vec3<u32>, j: u32, k: u32) -> u32 {
     let s = fine.shape;
     return s.first + s.stride_z * (2u * cell.z + k + 1u) + s.stride_y * (2u * cell.y + j) + cell.x / 2u;
@@ -38,9 +39,9 @@ fn coarsen(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocatio
     }
     let own = list[fine.shape.first + ix] & ~UNIFORM;
     let fine_cell = vec3<u32>(quad_cell(fine.shape, own - fine.shape.first));
-    // Of the first lane of the coarse quad, which covers two fine ones along each axis.
+    // Cell of the first lane of the coarse quad, which covers two fine ones along each axis.
     let cell = vec3<u32>(4u * (fine_cell.x / 8u), fine_cell.yz / 2u);
-    // A fine row past the domain is the spare one, which holds zeros.
+    // A fine row beyond the domain is the spare one, which contains zeros.
     var mask = 0u;
     var first = NONE;
     for (var k = 0u; k < 2u; k++) {

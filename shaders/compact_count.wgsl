@@ -1,5 +1,5 @@
 // Compaction, first of three: the number of non-zero flags in each chunk of 16.
-// range: where to look. flags: groups of four flags. chunks: counts.
+// range: range of flags. flags: groups of four flags. chunks: counts.
 #import dispatch
 #import compact
 

@@ -1,6 +1,6 @@
-// Compaction, second of three, one workgroup: chunk counts become the index of each chunk's first entry; the dispatch size
-// and the length of the list go to args.
-// range: where to look. chunks: counts in, offsets out. args: workgroups x, y, z, length.
+// Compaction, second of three, one workgroup: exclusive scan of the chunk counts; writes the dispatch size and the
+// length of the list.
+// range: range of flags. chunks: counts in, offsets out. args: workgroups x, y, z, length.
 #import dispatch
 #import compact
 #import scan

@@ -1,5 +1,6 @@
-// Compaction, last of three: the indices of the non-zero flags, each tagged with the highest bit of its flag.
-// range: where to look. flags: groups of four flags. chunks: index of each chunk's first entry. list: indices, from range.first.
+// Compaction, last of three: the indices of the non-zero flags, each with the highest bit of its flag.
+// range: range of flags. flags: groups of four flags. chunks: index of each chunk's first entry. list: indices, from
+// range.first.
 #import dispatch
 #import compact
 
@@ -16,7 +17,7 @@ fn compact_write(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_inv
     if chunk >= range.n_chunks {
         return;
     }
-    // Where few flags are set, most chunks have none.
+    // Most chunks are empty when few flags are set.
     if chunk + 1u < range.n_chunks && chunks[chunk + 1u] == chunks[chunk] {
         return;
     }

@@ -1,4 +1,4 @@
-// Bench: what a plain copy reaches, which the bytes of other kernels are measured against.
+// Bench: bandwidth of a plain copy, the reference for the bandwidth of other kernels.
 // source: in. target_out: out.
 #import dispatch
 

@@ -1,8 +1,8 @@
-// exchange, with sources only, first of three: how many markers the cells of sources that run have, in the eighths to keep full.
+// exchange with sources, first of three: counts the markers in the eighths to fill of the running sources' cells.
 // One thread per marker.
-// level, step. source_step: what the sources do. regions: boxes around them. map: for their cells in these, the number of the cell
-// from 1, else 0. cells: x, y, z and word (see source_step) of each. markers: x, y, z (m), w = 1 alive. counts: per cell of a source,
-// added to.
+// level, step. source_step: state of the sources. regions: boxes around the sources. map: per cell of the boxes, its
+// index among source cells from 1, else 0. cells: x, y, z and word (see source_step) of each. markers: x, y, z (m), w
+// = 1 alive. counts: per source cell, incremented.
 #import dispatch
 #import layout
 #import step

@@ -1,6 +1,8 @@
-// clip, first of two: what solids leave of the quads that they cut, and what obstacles leave of those that they cut no more.
-// One thread per quad. clipped, entries: see cut_quad. open: fractions of the minus faces. solid_distance: m.
-// valid: which faces are open (see valid), in place. walls: see moving_walls.
+// clip, first of two: scatters apertures, distances and open faces of the cut quads, and those of static obstacles to
+// quads no longer cut.
+// One thread per quad.
+// clipped, entries: see cut_quad. open: apertures of the minus faces. solid_distance: m. valid: open faces (see
+// valid), in place. walls: see moving_walls.
 #import cut_quad
 #import dispatch
 #import lanes

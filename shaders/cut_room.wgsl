@@ -1,4 +1,4 @@
-// clip, second of two, with markers only: in which lanes of those quads a marker has room. One thread per quad.
+// clip with markers, second of two: the lanes of those quads with room for markers. One thread per quad.
 // clipped, entries: see cut_quad. occupied: see classes, in place.
 #import classes
 #import cut_quad

@@ -1,4 +1,4 @@
-// band, second of three: the tiles within `reach` tiles of a marked one. One thread per tile.
+// band, second of three: dilates the marked tiles by `reach` tiles. One thread per tile.
 // tiles. marks: per tile, 0 or 1. dilated: see tiles; in place.
 #import dispatch
 #import tiles

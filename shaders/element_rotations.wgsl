@@ -1,9 +1,10 @@
-// solid_matrices, first part: per element the rotation R of its deformation gradient F = I + H, the rotated gradients, and the
-// elastic forces K x* - b from differences of displacements,
+// solid_matrices, first part: per element the rotation R of the deformation gradient F = I + H, the rotated
+// gradients, and the elastic forces K x* - b from differences of displacements,
 //     H = sum over corners a = 1, 2, 3 of (u_a - u_0) g_a^T,  eps = sym(R^T F) - I,  P = 2 mu eps + lambda tr(eps) I,
 //     (K x* - b)_a = V R P g_a,  energy = V (mu eps : eps + lambda/2 tr(eps)^2).
-// One thread per element. step. elements: nodes. displacement: larger parts, then smaller, m. rest_gradients: g_1, g_2, g_3 (1/m)
-// with V (m^3), lambda, mu (Pa). damping: tau_K (s), 1 for the linear model (R = I) or 0. rotated: R g_1, R g_2, R g_3 with
+// One thread per element.
+// step. elements: nodes. displacement: larger parts, then smaller, m. rest_gradients: g_1, g_2, g_3 (1/m) with V
+// (m^3), lambda, mu (Pa). damping: tau_K (s), 1 for the linear model (R = I) or 0. rotated: R g_1, R g_2, R g_3 with
 // zeta_K V lambda, zeta_K V mu, det F. element_forces: at corners 1, 2, 3, N, with the energy (J), 0, 0.
 #import dispatch
 #import pair
@@ -53,8 +54,8 @@ fn element_rotations(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local
     if material.y == 0.0 {
         rotation = nearest_rotation(f);
     }
-    // sym(R^T F) - I without a difference of numbers near 1: with Z = R - I it is sym(R^T (H - Z)) + (R^T R - I) / 2. The second
-    // term is zero but for the rounding of R, whose effect on the first it takes back.
+    // sym(R^T F) - I without a difference of numbers near 1: with Z = R - I it is sym(R^T (H - Z)) + (R^T R - I) / 2.
+    // The second term compensates the rounding of R in the first.
     let z = rotation - one;
     let turned_back = transpose(rotation) * (h - z);
     let defect = (z + transpose(z)) + transpose(z) * z;

@@ -1,4 +1,4 @@
-// liquid_distance, with sinks only, before the volume: cells of sinks are air, + dx. One thread per cell of a sink.
+// liquid_distance with sinks, before the volume: sets the cells of sinks to air, + dx. One thread per cell of a sink.
 // step. cells: their indices. liquid_distance: m, in place.
 #import dispatch
 #import step

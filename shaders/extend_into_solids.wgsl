@@ -1,10 +1,12 @@
-// liquid_distance, last of five, with obstacles only: a cell without a distance takes the mean of what its known neighbours say
-// of it, weighted with the open fractions of the faces between: the twin has the equation. A neighbour says its own value less the
-// slope on the way there. The slope along an axis is the mean over the pairs along it of a neighbour and a known cell across a face
-// of that, weighted with the product of both open fractions, and one pair without a slope. The result stays within the range of the
-// neighbours' values. Three passes, each reading what the one before left.
-// One thread per quad of the band; the band's neighbours count as unknown.
-// level, step. band_args, band_list, band_flags: the band. open: fractions of the minus faces. distance_in, distance_out: m.
+// liquid_distance with obstacles, last of five: extends the distance into cells without one, as a mean over known
+// neighbours weighted by face apertures (equation in the twin, reference/liquid_distance.rs).
+// A neighbour contributes its value minus the slope times the offset. The slope along an axis is a mean over pairs of
+// a neighbour and a known cell behind it, and one pair of slope 0. The weight of a pair is the product of both
+// apertures. The result is limited to the range of the neighbours' values.
+// Three passes, each reading the result of the last. One thread per quad of the band; cells outside the band are
+// unknown.
+// level, step. band_args, band_list, band_flags: the band. open: apertures of the minus faces. distance_in,
+// distance_out: m.
 #import dispatch
 #import layout
 #import step
@@ -19,15 +21,15 @@
 @group(0) @binding(6) var<storage, read> distance_in: array<f32>;
 @group(0) @binding(7) var<storage, read_write> distance_out: array<f32>;
 
-// What lies across a face of a cell.
+// The neighbour across a face of a cell.
 struct Neighbour {
     cell: u32,
-    // Open fraction, 0 where the neighbour is unknown.
+    // Aperture, 0 for an unknown neighbour.
     open: f32,
     phi: f32,
 }
 
-// Whether there is no such cell: across an open side of the domain.
+// Whether the index is outside the domain, across an open side.
 fn beyond(cell: u32) -> bool {
     if step.open_sides == 0u {
         return false;
@@ -36,7 +38,7 @@ fn beyond(cell: u32) -> bool {
     return any(at < vec3<i32>()) || any(at >= vec3<i32>(level.cells));
 }
 
-// On a side (0 minus, 1 plus) along an axis.
+// Neighbour on a side (0 minus, 1 plus) along an axis.
 fn neighbour(cell: u32, axis: u32, side: u32) -> Neighbour {
     let stride = select(select(4u * level.stride_z, 4u * level.stride_y, axis == 1u), 1u, axis == 0u);
     let plus = cell + side * stride;

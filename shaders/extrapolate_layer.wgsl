@@ -1,6 +1,7 @@
-// extrapolate, one layer: a face without a velocity takes the mean over the nearest of its 26 neighbours of the same axis that
-// have one: those beside it, else those across an edge, else those across a corner. Valid faces are never written and others
-// never read, so the order of the threads does not matter. One thread per quad of the band.
+// extrapolate, one layer: a face without a velocity receives the mean over its nearest valid neighbours of the same
+// axis. These are beside it, else across an edge, else across a corner.
+// Valid faces are never written and others never read, so the order of the threads does not matter. One thread per
+// quad of the band.
 // level. band_args, band_list: the band. valid_in, valid_out: see valid. velocity: faces, m/s, in place.
 #import dispatch
 #import layout
@@ -18,7 +19,7 @@
 const FIRST = 0x111u;
 const LAST = 0x888u;
 
-// The marks one face before and after each lane, given those of the quads and of the quads before or after them.
+// The marks one face before and after each lane, from those of the quads and of the quads before or after them.
 fn before(here: vec4<u32>, previous: vec4<u32>) -> vec4<u32> {
     return (here << vec4<u32>(1u) & vec4<u32>(~FIRST)) | (previous >> vec4<u32>(3u) & vec4<u32>(FIRST));
 }
@@ -35,7 +36,7 @@ fn any_of(marks: vec4<u32>) -> u32 {
     return marks.x | marks.y | marks.z | marks.w;
 }
 
-// Sum and number of those of four faces whose mark is set. In the place of the others `own` is read, which nobody else writes.
+// Sum and number of the marked ones of four faces. The others read `own`, which no other thread writes.
 fn sum_of(marks: vec4<u32>, bit: u32, faces: vec4<u32>, own: u32) -> vec2<f32> {
     let on = (marks >> vec4<u32>(bit) & vec4<u32>(1u)) != vec4<u32>();
     let at = select(vec4<u32>(own), faces, on);
@@ -59,7 +60,7 @@ fn extrapolate_layer(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local
     }
     let cell = quad_cell(level, quad);
     let n = vec3<i32>(level.cells);
-    // Faces that exist; rows and slabs of spare cells lead to other rows and slabs.
+    // Faces that exist; rows and slabs of spare cells would lead to other rows and slabs.
     let exist = lane_bits(lanes_inside(cell, face_extents(level, 0u)))
         | lane_bits(lanes_inside(cell, face_extents(level, 1u))) << 4u
         | lane_bits(lanes_inside(cell, face_extents(level, 2u))) << 8u;
@@ -68,7 +69,7 @@ fn extrapolate_layer(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local
     let has_after = cell.x + 4 <= n.x;
     let below = cell.y > 0;
     let above = cell.y < n.y;
-    // Rows beside this one: along y, along z. Those across an edge: along both.
+    // Rows beside this one along y and along z; across an edge: along both.
     let y = level.stride_y;
     let z = level.stride_z;
     let beside_exist = vec4<bool>(below, above, true, true);

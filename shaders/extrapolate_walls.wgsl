@@ -1,5 +1,6 @@
-// extrapolate, after the layers: faces on the sides of the domain that are not open do not let anything through. One thread per quad
-// of the band. level. band_args, band_list: the band. valid: which faces are open. velocity: faces, m/s, in place.
+// extrapolate, after the layers: sets the velocity of faces on closed sides of the domain to zero. One thread per
+// quad of the band.
+// level. band_args, band_list: the band. valid: open faces. velocity: faces, m/s, in place.
 #import dispatch
 #import layout
 #import lanes

@@ -1,5 +1,6 @@
-// liquid_distance, with obstacles only, after the extension: what no pass reached is air.
-// One thread per quad of the band. step. band_args, band_list: the band. distance_in, distance_out: m.
+// liquid_distance with obstacles, after the extension: sets cells that no pass reached to air. One thread per quad of
+// the band.
+// step. band_args, band_list: the band. distance_in, distance_out: m.
 #import dispatch
 #import step
 #import unknown

@@ -1,7 +1,8 @@
-// solve, for solids, while the search for contacts goes on: the share of the way from the best velocity to the one that a solve found at
-// which the first of the nodes that go on beyond a wall or obstacle is on it. One thread per node.
-// step. gaps: see contact. best, velocity: from and to, m/s. answer: see ask; bits of the share, which the host sets to 1: positive numbers
-// are ordered as their bits.
+// solve, for solids, active-set search: the fraction of the step from the best velocity to the minimiser at which the
+// first penetrating node reaches its surface.
+// One thread per node.
+// step. gaps: see contact. best, velocity: from and to, m/s. answer: see ask; bits of the fraction, initially 1: the
+// bits of positive floats are ordered like the floats.
 #import ask
 #import contact
 #import dispatch
@@ -14,7 +15,7 @@
 @group(0) @binding(3) var<storage, read> velocity: array<Real4>;
 @group(0) @binding(4) var<storage, read_write> answer: array<atomic<u32>>;
 
-// Where the way ends at a surface.
+// Fraction of a step at which a gap closes.
 fn stop(before: Real, after: Real) -> f32 {
     let start = max(before, Real());
     return f32(start / (start - after));

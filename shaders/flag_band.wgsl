@@ -1,8 +1,9 @@
-// band, last of three: the flags of the quads whose tile enters or leaves the band. What a quad that leaves still holds is put back
-// to air: liquid distance + dx, no valid face; its velocity stays until write_back, since the advection may reach it. The marks
-// are taken back for the next sub-step. One thread per slab of a tile, eight rows of two quads.
-// level, step, tiles. dilated: see tiles. marks: per tile. band_flags: per quad, 0 or 1, in place. liquid_distance: m.
-// valid, valid_next: see valid.
+// band, last of three: flags of the quads whose tile enters or leaves the band.
+// Quads that leave are reset to air: liquid distance + dx, no valid face. Their velocity remains until write_back,
+// since advection may read it. Clears the marks for the next sub-step. One thread per slab of a tile, eight rows of
+// two quads.
+// level, step, tiles. dilated: see tiles. marks: per tile. band_flags: per quad, 0 or 1, in place. liquid_distance:
+// m. valid, valid_next: see valid.
 #import dispatch
 #import layout
 #import step

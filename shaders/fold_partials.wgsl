@@ -1,10 +1,11 @@
-// First of two levels of a long sum: thread t of FOLD_THREADS adds partials t, t + FOLD_THREADS, ... in order.
-// level: whose list length is the number of partials. args: list lengths. partials: in. folded: out, FOLD_THREADS long.
+// First of two levels of a long sum: thread t of FOLD_THREADS sums partials t, t + FOLD_THREADS, ... in order.
+// level: whose list length is the number of partials. args: list lengths. partials: in. folded: out, FOLD_THREADS
+// long.
 #import dispatch
 #import level
 #import real
 
-// Must be solver::FOLD_THREADS.
+// Also solver::FOLD_THREADS.
 const FOLD_THREADS = 4096u;
 
 @group(0) @binding(0) var<uniform> level: Level;

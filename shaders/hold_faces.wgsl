@@ -1,8 +1,9 @@
-// forces, with sources only, last: faces of sources that run carry their velocity, and are closed for the pressure. Closed faces
-// stay as they are. One thread per face.
-// level. source_step: what the sources do. faces: see source_face. open: fractions of all faces. solve_open: the same; where a face is
-// held the negative of what the source's aperture leaves of it; in place. valid: see valid; held faces are not open in it until
-// write_back. velocity_next: u*, m/s.
+// forces with sources, last: sets the velocities of the running sources' faces, and closes these faces for the
+// pressure. Closed faces are unchanged.
+// One thread per face.
+// level. source_step: state of the sources. faces: see source_face. open: apertures of all faces. solve_open: the
+// same, but minus the aperture of the source's flux on its faces; in place. valid: see valid; faces of sources are
+// not open in it until write_back. velocity_next: u*, m/s.
 #import dispatch
 #import layout
 #import source_face

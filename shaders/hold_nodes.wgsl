@@ -1,5 +1,6 @@
-// right_hand_side, for solids, fourth part: nodes that walls and obstacles hold get the velocity that takes them to the surface,
-// v . n = -gap / dt. One thread per node.
+// right_hand_side, for solids, fourth part: velocity of constrained nodes along the normal, v . n = -gap / dt, which
+// closes the gap.
+// One thread per node.
 // step. gaps: see contact. freedom: see freedom. velocity: m/s, in place.
 #import contact
 #import dispatch

@@ -1,6 +1,8 @@
-// solve, for solids, while the search for contacts goes on: holds nodes that are on a wall or obstacle with the best velocity and beyond it
-// with the one that a solve found; or all that are on one with the best. One thread per node.
-// step. gaps: see contact. best, velocity: m/s. freedom: see freedom, in place. answer: see ask; told 1 to hold all that touch.
+// solve, for solids, active-set search: constrains nodes on surfaces touched at the best velocity and penetrated at
+// the minimiser, or all touched ones.
+// One thread per node.
+// step. gaps: see contact. best, velocity: m/s. freedom: see freedom, in place. answer: see ask; parameter: 1 to
+// constrain all touched surfaces.
 #import ask
 #import contact
 #import dispatch

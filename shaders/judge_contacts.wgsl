@@ -1,9 +1,9 @@
-// solve, for solids, after a solve: how many nodes are beyond a wall or obstacle after a move with the velocities found, or pulled to what
-// holds them; and lets the pulled go. The push of what holds a node is S v - F; over the mean of the diagonal of S, times dt, it is a length.
-// One thread per node.
-// step. gaps: see contact. incidence, products: see gather, zeta_K K v. masses: zeta_M m, then the mean of the diagonal of D, kg/s.
-// rhs: F, in liquid F + J^T p, N. velocity: v, m/s. freedom: see freedom, in place. answer: see ask; nodes beyond and pulled, added; told 1 to
-// let go.
+// solve, for solids, after a solve: counts penetrating nodes and adhering contacts at the velocities v, and with the
+// parameter 1 releases the adhering ones.
+// The contact force is S v - F; over the mean diagonal of S, times dt, it is a length. One thread per node.
+// step. gaps: see contact. incidence, products: see gather, zeta_K K v. masses: zeta_M m, then the mean of the
+// diagonal of D, kg/s. rhs: F, in liquid F + J^T p, N. velocity: v, m/s. freedom: see freedom, in place. answer: see
+// ask; both counts, incremented.
 #import ask
 #import contact
 #import dispatch
@@ -35,7 +35,7 @@ fn judge_contacts(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_in
     let push = (dt / masses[step.n_nodes + node]) * ((masses[node] * v + gather(node, step.n_elements)) - rhs[node].xyz);
     let with_obstacles = arrayLength(&gaps) > step.n_nodes;
 
-    // What walls have of the push: what an obstacle leaves.
+    // The walls' share of the contact force: the remainder of the obstacle's.
     var left = push;
     var beyond = 0u;
     var pulled = 0u;

@@ -1,5 +1,5 @@
-// solve, for solids, while the search for contacts goes on: whether phi grows from the best velocity to the next. One workgroup.
-// step. partials: what each node adds, W. answer: see ask; first 1 where it grows, else 0, out.
+// solve, for solids, active-set search: whether phi grows from the best velocity to the next. One workgroup.
+// step. partials: change of phi per node, W. answer: see ask; 1 if it grows, else 0, out.
 #import ask
 #import fold
 #import solid_step

@@ -1,4 +1,5 @@
-// diagnose, with solids in liquid: the force of the pressure at the centres of cells on each node, J^T p, N. One thread per node.
+// diagnose with solids in liquid: the force J^T p on each node, p the pressure at cell centres, N. One thread per
+// node.
 // coupling, words, pairs, flags, p: see coupling_force. partials: out.
 #import coupling_force
 #import dispatch

@@ -1,5 +1,7 @@
-// diagnose, with solids, third of four: the largest |E u - J v| / dx^3 of an active cell in quads with patches, 1/s. One thread per such quad.
-// level, step. coupling, words, pairs, flags, x: see coupling_flux. velocity: faces, m/s. open: fractions. maxima: bits, second.
+// diagnose with solids, third of four: the largest |E u - J v| / dx^3 of an active cell in quads with patches, 1/s.
+// One thread per such quad.
+// level, step. coupling, words, pairs, flags, x: see coupling_flux. velocity: faces, m/s. open: apertures. maxima:
+// bits, second.
 #import coupling_flux
 #import dispatch
 #import divergence

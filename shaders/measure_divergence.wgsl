@@ -1,5 +1,6 @@
 // diagnose, second: the largest |E u| / dx^3 of an active cell, 1/s. One thread per active quad.
-// level, step. args, list: active quads. flags: see active. velocity: faces, m/s. open: fractions. maxima: bits, second.
+// level, step. args, list: active quads. flags: see active. velocity: faces, m/s. open: apertures. maxima: bits,
+// second.
 #import active
 #import dispatch
 #import divergence

@@ -1,7 +1,8 @@
-// solve, for solids, while the search for contacts goes on: what each node adds to phi(next) - phi(best), phi(v) = v . S v / 2 - F . v,
-// which is (next - best) . (S (best + next) / 2 - F). One thread per node.
-// step. incidence, products: see gather, zeta_K K (best + next). masses: zeta_M m, kg/s. rhs: F, in liquid F + J^T p, N. best, next: m/s.
-// partials: the share in W, and three zeros, out.
+// solve, for solids, active-set search: contribution of a node to phi(next) - phi(best), phi(v) = v . S v / 2 - F .
+// v. It is evaluated as (next - best) . (S (best + next) / 2 - F), which does not cancel.
+// One thread per node.
+// step. incidence, products: see gather, zeta_K K (best + next). masses: zeta_M m, kg/s. rhs: F, in liquid F + J^T p,
+// N. best, next: m/s. partials: the change in W, and three zeros, out.
 #import dispatch
 #import gather
 #import real

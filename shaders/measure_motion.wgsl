@@ -1,7 +1,8 @@
-// diagnose, first: momentum sum of m_c v_c and kinetic energy sum of m_c |v_c|^2 / 2, v_c the means of opposite faces and
-// m_c = rho times the liquid volume of the cell; the largest magnitude of a face velocity. One thread per share of the band;
-// each adds every n-th quad. level, step. band_args, band_list: the band. velocity: faces, m/s. liquid_distance, solid_distance: m.
-// partials: momentum (kg m/s), kinetic energy (J). maxima: bits of the largest speed (m/s) first.
+// diagnose, first: momentum sum of m_c v_c, kinetic energy sum of m_c |v_c|^2 / 2, and the largest magnitude of a
+// face velocity. v_c: mean of opposite faces; m_c: rho times the liquid volume of the cell.
+// One thread per share of the band; each sums every n-th quad.
+// level, step. band_args, band_list: the band. velocity: faces, m/s. liquid_distance, solid_distance: m. partials:
+// momentum (kg m/s), kinetic energy (J). maxima: bits of the largest speed (m/s) first.
 #import dispatch
 #import layout
 #import lanes
@@ -26,7 +27,7 @@ fn measure_motion(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_in
         return;
     }
     var sums = Real4();
-    // As bits: they are ordered like the magnitudes, and not-a-number is above all.
+    // As bits: they are ordered like the magnitudes, with NaN above all.
     var fastest = vec4<u32>();
     for (var index = thread; index < band_args[3]; index += n_threads) {
         let quad = band_list[index];

@@ -1,8 +1,9 @@
-// diagnose, for solids, first of two: momentum sum of m v, angular momentum sum of m x cross v about the origin of the domain,
-// kinetic energy sum of m |v|^2 / 2 and potential energy - sum of m g . x of the nodes; elastic energy and determinants of the
-// elements, as solid_matrices left them. One thread per share of both; each adds every n-th node, then every n-th element.
-// step. rest: m, kg. displacement: larger parts, then smaller, m. velocity: m/s. rotated: determinants in the third section.
-// element_forces: energies (J) in the first. partials: three sections of sums. extremes: see extremes.
+// diagnose, for solids, first of two: sums over nodes of momentum m v, angular momentum m x cross v about the origin,
+// kinetic energy m |v|^2 / 2 and potential energy - m g . x. Elastic energy and determinants of the elements come
+// from solid_matrices.
+// One thread per share of both; each sums every n-th node, then every n-th element.
+// step. rest: m, kg. displacement: larger parts, then smaller, m. velocity: m/s. rotated: determinants in the third
+// section. element_forces: energies (J) in the first. partials: three sections of sums. extremes: see extremes.
 #import dispatch
 #import extremes
 #import pair
@@ -29,7 +30,7 @@ fn measure_solid(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_inv
     var motion = Real4();
     var turning = Real4();
     var potential = Real();
-    // As bits: they are ordered like the magnitudes, and not-a-number is above all.
+    // As bits: they are ordered like the magnitudes, with NaN above all.
     var fastest = vec3<u32>();
     for (var node = thread; node < step.n_nodes; node += n_threads) {
         let here = rest[node];

@@ -1,6 +1,6 @@
-// diagnose, with solids, second of four: as measure_divergence, in quads without patches. One thread per active quad.
-// level, step. args, list: active quads. flags: see active. velocity: faces, m/s. open: fractions. maxima: bits, second.
-// walls: see moving_walls.
+// diagnose with solids, second of four: as measure_divergence, in quads without patches. One thread per active quad.
+// level, step. args, list: active quads. flags: see active. velocity: faces, m/s. open: apertures. maxima: bits,
+// second. walls: see moving_walls.
 #import active
 #import dispatch
 #import divergence

@@ -1,6 +1,8 @@
-// liquid_distance, at its end: liquid volume V = sum of V_c clamp(1/2 - phi/dx, 0, 1), V_c the open volume, and potential energy
-// - sum of m_c g . x_c, m_c = rho times that volume. One thread per share of the band; each adds every n-th quad.
-// level, step. band_args, band_list: the band. liquid_distance, solid_distance: m. partials: volume (m^3), potential energy (J), 0, 0.
+// liquid_distance, at its end: liquid volume V = sum of V_c clamp(1/2 - phi/dx, 0, 1) with V_c the open volume, and
+// potential energy - sum of m_c g . x_c with m_c = rho times that volume.
+// One thread per share of the band; each sums every n-th quad.
+// level, step. band_args, band_list: the band. liquid_distance, solid_distance: m. partials: volume (m^3), potential
+// energy (J), 0, 0.
 #import dispatch
 #import layout
 #import lanes

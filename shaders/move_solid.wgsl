@@ -1,5 +1,6 @@
-// move_solid, second part: u += dt v as the sum of two f32; then a node beyond a wall of the domain is put on it and loses its
-// velocity into the wall. Prescribed components move, but walls do not stop them. One thread per node.
+// move_solid, second part: u += dt v as the sum of two f32, then projection of nodes beyond a domain wall onto it,
+// with the velocity into it removed.
+// Walls do not stop prescribed components. One thread per node.
 // step. rest: m. flags: see node_flags. displacement: larger parts, then smaller, m; velocity: m/s; both in place.
 #import dispatch
 #import domain_walls

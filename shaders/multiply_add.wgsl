@@ -1,5 +1,5 @@
-// Bench: the rate of arithmetic. Eight independent chains of ROUNDS fused multiply-adds a thread.
-// target_out: inout, so that neither the factors are known nor the chains dead when the kernel is compiled.
+// Bench: rate of arithmetic. Eight independent chains of ROUNDS fused multiply-adds per thread.
+// target_out: in and out, so that the compiler can neither fold the factors nor remove the chains.
 #import real
 #import dispatch
 

@@ -1,6 +1,7 @@
-// forces, for solids: v* += dt g on free components; prescribed components get what is prescribed. One thread per node.
-// step. flags: see node_flags. prescribed: m/s, a single zero for all nodes where no prescribed node moves.
-// velocity: m/s, in place.
+// forces, for solids: v* += dt g in free components; prescribed components are set to the prescribed velocity. One
+// thread per node.
+// step. flags: see node_flags. prescribed: m/s, a single zero for all nodes if no prescribed node moves. velocity:
+// m/s, in place.
 #import dispatch
 #import node_flags
 #import real

@@ -1,7 +1,8 @@
-// right_hand_side, for solids, third part, with obstacles only: the normal and the gap at each node, and whether the obstacle holds it
-// from the start. One thread per node.
-// level, step. rest: m. displacement: larger parts, then smaller, m. distances: to obstacles, cell centres, m. rhs: forces, N. gaps: see
-// contact, second section, out. freedom: see freedom, in place.
+// right_hand_side, for solids, third part, with obstacles: normal and gap at each node, and whether the obstacle
+// initially constrains it.
+// One thread per node.
+// level, step. rest: m. displacement: larger parts, then smaller, m. distances: to obstacles, cell centres, m. rhs:
+// forces, N. gaps: see contact, second section, out. freedom: see freedom, in place.
 #import contact
 #import dispatch
 #import layout
@@ -19,7 +20,7 @@
 @group(0) @binding(6) var<storage, read_write> gaps: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read_write> freedom: array<vec4<f32>>;
 
-// Below this gradient (per unit length) there is no direction to go: far from the obstacle, or its middle.
+// Gradient (dimensionless) below which there is no normal: far from the obstacle, or in its middle.
 const SMALLEST_GRADIENT = 1e-6;
 
 @compute @workgroup_size(WG_SIZE)

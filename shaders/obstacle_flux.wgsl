@@ -1,5 +1,6 @@
-// clip, last, where obstacles move: what they take up of the quads that they cut, and nothing of those that they cut no more.
-// One thread per quad. clipped, entries: see cut_quad. fluxes: of the entries. flux: J v over dx^2 per quad, m/s.
+// clip, last, with moving obstacles: scatters the prescribed boundary flux of the cut quads, and zero to quads no
+// longer cut. One thread per quad.
+// clipped, entries: see cut_quad. fluxes: of the entries. flux: J v over dx^2 per quad, m/s.
 #import cut_quad
 #import dispatch
 

@@ -1,4 +1,5 @@
-// extrapolate, before slip, where obstacles move and there are no solids: the velocities of the obstacles beside cells. One thread per place.
+// extrapolate, before slip, with moving obstacles and without solids: the velocities of the obstacles beside cells.
+// One thread per closest point.
 // clipped: see cut_quad. places: NO_NODE, then bits of a velocity, m/s. walls: see moving_walls.
 #import cut_quad
 #import dispatch

@@ -1,4 +1,4 @@
-// band, first of three: which cells hold a marker, and which tiles. One thread per marker.
+// band, first of three: marks cells and tiles with markers. One thread per marker.
 // level, step, tiles. markers: x, y, z (m), w = 1 alive. occupied: see classes. marks: per tile, 0 or 1.
 #import dispatch
 #import layout

@@ -1,7 +1,9 @@
-// exchange, with sources only, second of three: how many markers each cell of a source gets, and where its new ones begin among all
-// new ones: a sum over the cells in their order. Cells with their centre in a body get none: the twin says why. One workgroup.
-// level. source_step: what the sources do. cells: x, y, z and word (see source_step) of each. solid_distance: m, cell centres; one quad, far from any
-// solid, in a scene without any. chunks: markers that the cells have, in; sums of what those before get, out. report: see report.
+// exchange with sources, second of three: number of new markers per source cell, and an exclusive scan over the cells
+// in order. Cells with their centre in a body receive none (reason in the twin, reference/exchange.rs).
+// One workgroup.
+// level. source_step: state of the sources. cells: x, y, z and word (see source_step) of each. solid_distance: m,
+// cell centres; one quad, far outside, in a scene without solids. chunks: present markers per cell in; new markers in
+// earlier cells out. report: see report.
 #import layout
 #import scan
 #import report

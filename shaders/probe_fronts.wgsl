@@ -1,6 +1,8 @@
-// probe, fronts: the largest coordinate of the liquid along each axis, over active cells: the surface between an active cell and
-// air, the far face of the cell where the liquid goes on or a wall ends it, m. One thread per active quad.
-// level, step. args, list: active quads. flags: see active. liquid_distance: m. values: bits of the three coordinates first.
+// probe, fronts: the largest coordinate of the liquid along each axis over active cells, m. It is the surface between
+// an active cell and air, or the far face of a cell at a wall or beside other liquid.
+// One thread per active quad.
+// level, step. args, list: active quads. flags: see active. liquid_distance: m. values: bits of the three coordinates
+// first.
 #import dispatch
 #import layout
 #import lanes
@@ -16,7 +18,7 @@
 @group(0) @binding(5) var<storage, read> liquid_distance: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> values: array<atomic<u32>>;
 
-// Raises the front along an axis, given the quad of cells, its distances and those one cell further.
+// Raises the front along an axis from the distances of a quad of cells and those one cell further.
 fn raise(axis: u32, cell: vec3<i32>, lanes: vec4<bool>, phi: vec4<f32>, next: vec4<f32>) {
     var front = 0.0;
     for (var l = 0; l < 4; l++) {

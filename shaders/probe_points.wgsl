@@ -1,7 +1,9 @@
-// probe, at points. Height: where the liquid distance, interpolated to a line along an axis, last changes sign going up. Pressure:
-// between cell centres, air counting as 0, liquid that is no unknown (inside obstacles) not at all. Velocity: between faces.
-// One thread per probe. level, step. points: see probe_point. liquid_distance: m. flags: see active. potential: m/s.
-// velocity: faces, m/s. values: m, Pa or m/s along x, y, z, one of four words per probe, after those of the fronts.
+// probe, at points. Height: last sign change, going up, of the liquid distance interpolated to a line along an axis.
+// Pressure: between cell centres, 0 in air, without inactive cells of liquid (inside obstacles). Velocity: between
+// faces.
+// One thread per probe.
+// level, step. points: see probe_point. liquid_distance: m. flags: see active. potential: m/s. velocity: faces, m/s.
+// values: m, Pa or m/s along x, y, z, four words per probe, after those of the fronts.
 #import dispatch
 #import layout
 #import step
@@ -19,7 +21,7 @@
 @group(0) @binding(6) var<storage, read> velocity: array<f32>;
 @group(0) @binding(7) var<storage, read_write> values: array<vec4<f32>>;
 
-// The cells around a position: the lowest, and where between it and its upper neighbours.
+// The cells around a position: the lowest one, and the fractions towards its upper neighbours.
 struct Corner {
     low: u32,
     f: vec3<f32>,
@@ -34,7 +36,7 @@ fn corner(at: vec3<f32>) -> Corner {
     return Corner(4u * (level.stride_z * (cell.z + 1u) + level.stride_y * cell.y) + cell.x, index - low);
 }
 
-// Index and weight of one of the eight.
+// Index and weight of one of the eight cells.
 fn corner_cell(corner: Corner, c: u32) -> u32 {
     return corner.low + (c & 1u) + 4u * (level.stride_y * (c >> 1u & 1u) + level.stride_z * (c >> 2u));
 }
@@ -44,7 +46,7 @@ fn corner_weight(corner: Corner, c: u32) -> f32 {
     return w.x * w.y * w.z;
 }
 
-// Liquid distance on the line along an axis through at, level with the centres of row j, m.
+// Liquid distance on the line through at along an axis, at the centres of row j, m.
 fn distance_in_row(at: vec3<f32>, axis: u32, j: u32) -> f32 {
     var centre = at;
     centre[axis] = f32(j) + 0.5;
@@ -59,7 +61,7 @@ fn distance_in_row(at: vec3<f32>, axis: u32, j: u32) -> f32 {
     return sum;
 }
 
-// m; kind: see probe_point.
+// Height, m; kind: see probe_point.
 fn height(at: vec3<f32>, kind: u32) -> f32 {
     let axis = kind >> 2u & 3u;
     let n = level.cells[axis];
@@ -75,7 +77,7 @@ fn height(at: vec3<f32>, kind: u32) -> f32 {
     return 0.0;
 }
 
-// Pa
+// Pressure, Pa.
 fn pressure(at: vec3<f32>) -> f32 {
     if step.dt <= 0.0 {
         return 0.0;

@@ -1,5 +1,5 @@
-// advect_markers, last of three, with obstacles only: markers inside a solid move to its surface + 0.1 dx along the gradient of
-// the interpolated distance, twice at most; what is still inside is dropped and counted.
+// advect_markers with obstacles, last of three: moves markers inside a solid to 0.1 dx outside its surface, along the
+// gradient of the interpolated distance, at most twice. Markers still inside are dropped and counted.
 // One thread per marker.
 // level, step. distances: to obstacles, cell centres, m. markers: x, y, z (m), w = 1 alive, 0 dropped; in place.
 // report: see report.
@@ -17,9 +17,9 @@
 @group(0) @binding(4) var<storage, read_write> report: array<atomic<u32>>;
 
 const TRIES = 2;
-// Where a marker is put, cells outside the surface.
+// Distance of a pushed marker from the surface, cells.
 const CLEARANCE = 0.1;
-// Below this gradient (per unit length) there is no direction to go: the middle of a solid.
+// Gradient (dimensionless) below which there is no direction: the middle of a solid.
 const SMALLEST_GRADIENT = 1e-6;
 
 @compute @workgroup_size(WG_SIZE)

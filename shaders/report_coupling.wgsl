@@ -1,4 +1,4 @@
-// diagnose, with solids in liquid, last: the sum over the nodes of a force goes to the report. One workgroup.
+// diagnose with solids in liquid, last: writes the sum of a force over the nodes to the report. One workgroup.
 // coupling. first: word of the report, in x. partials: forces of the nodes, N. report: see fields::CouplingReport.
 #import coupling
 #import fold

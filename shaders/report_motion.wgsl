@@ -1,4 +1,4 @@
-// diagnose, last of the liquid's: momentum, kinetic energy and maxima go to the report. One workgroup.
+// diagnose, last for the liquid: writes momentum, kinetic energy and maxima to the report. One workgroup.
 // partials: momentum along x, y, z, kinetic energy. maxima: speed, divergence. report: see report.
 #import fold
 #import report

@@ -1,4 +1,4 @@
-// diagnose, for solids, second of two: sums and extremes go to the report. One workgroup.
+// diagnose, for solids, second of two: writes sums and extremes to the report. One workgroup.
 // partials: three sections of sums. extremes: see extremes. report: see solid_report.
 #import extremes
 #import fold
@@ -15,7 +15,7 @@ fn report_solid(@builtin(local_invocation_index) lane: u32) {
     let n = arrayLength(&partials) / 3u;
     for (var section = 0u; section < 3u; section++) {
         let sums = fold_from(section * n, n, lane);
-        // All have read the sum before the next one is formed in its place.
+        // All threads must read the sum before the next one overwrites it.
         workgroupBarrier();
         if lane == 0u {
             for (var s = 0u; s < 4u && 4u * section + s < N_SUMS; s++) {

@@ -1,6 +1,7 @@
-// solve, for solids, before the search for contacts goes on from its first solve: a velocity to start from, that takes no node beyond a
-// wall or obstacle. Rest, but for what is prescribed and for nodes that are beyond a surface. One thread per node.
-// step. gaps: see contact. velocity: with what is prescribed, m/s. best: m/s, out.
+// solve, for solids, before the first iteration of the active-set search: a feasible initial velocity, zero except
+// for prescribed components and penetrating nodes.
+// One thread per node.
+// step. gaps: see contact. velocity: with prescribed components, m/s. best: m/s, out.
 #import dispatch
 #import put_back
 #import real

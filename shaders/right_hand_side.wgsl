@@ -1,6 +1,7 @@
-// right_hand_side: b = - sum over faces of s_f open_f u*_f (thesis 4.38 over dx^2; E is the negative divergence), plus what
-// volume control adds, V_c c / dx^2, in components with a free surface; m/s. One thread per active quad.
-// level, step. args, list: active quads. flags: see active. velocity: u*, faces, m/s. open: fractions of the faces.
+// right_hand_side: b = - sum over faces of s_f open_f u*_f, m/s (thesis 4.38 over dx^2; E is the negative
+// divergence), plus the source V_c c / dx^2 of volume control in components with a free surface.
+// One thread per active quad.
+// level, step. args, list: active quads. flags: see active. velocity: u*, faces, m/s. open: face apertures.
 // solid_distance: m. report: rate c. rhs: b.
 #import dispatch
 #import layout

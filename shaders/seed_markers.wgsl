@@ -1,7 +1,8 @@
-// exchange, with sources only, last of three: the new markers, behind all others, each at a jittered place in an eighth of its cell;
-// what is left of the slots is empty. The twin has the hash. One thread per slot, 8 per cell of a source.
-// level, step. source_step: what the sources do. cells: x, y, z and word (see source_step) of each. starts: new markers in the cells before.
-// report: their number. markers: x, y, z (m), w = 1 alive, 0 gone.
+// exchange with sources, last of three: appends the new markers, each at a jittered position in an eighth of its cell
+// (hash in the twin, reference/exchange.rs). Unused slots are cleared.
+// One thread per slot, 8 per source cell.
+// level, step. source_step: state of the sources. cells: x, y, z and word (see source_step) of each. starts: new
+// markers in earlier cells. report: their number. markers: x, y, z (m), w = 1 alive, 0 deleted.
 #import dispatch
 #import layout
 #import step
@@ -16,7 +17,7 @@
 @group(0) @binding(5) var<storage, read> report: array<u32>;
 @group(0) @binding(6) var<storage, read_write> markers: array<vec4<f32>>;
 
-// Share of an eighth of a cell, on each side, that jitter leaves free.
+// Margin without jitter on each side, as a fraction of an eighth's edge.
 const MARGIN = 0.02;
 
 fn scatter(bits: u32) -> u32 {
@@ -25,7 +26,7 @@ fn scatter(bits: u32) -> u32 {
     return x ^ (x >> 16u);
 }
 
-// The eighth of the set with a number among them.
+// The eighth with an index among those of the set.
 fn nth(eighths: u32, number: u32) -> u32 {
     var rest = eighths;
     for (var n = 0u; n < number; n++) {
@@ -34,7 +35,7 @@ fn nth(eighths: u32, number: u32) -> u32 {
     return firstTrailingBit(rest);
 }
 
-// Where a cell that has `count` markers in its eighths gets its marker with a number, cells.
+// Position of marker `number` in a cell with `count` markers in its eighths, cells.
 fn place(cell: vec3<u32>, eighths: u32, count: u32, number: u32) -> vec3<f32> {
     let index = cell.x + level.cells.x * (cell.y + level.cells.y * cell.z);
     let of_cell = scatter(scatter(scatter(source_step.seed) ^ source_step.number) ^ index);
@@ -43,7 +44,7 @@ fn place(cell: vec3<u32>, eighths: u32, count: u32, number: u32) -> vec3<f32> {
     var within: vec3<f32>;
     for (var axis = 0u; axis < 3u; axis++) {
         bits = scatter(bits);
-        // The upper 24 bits, as a number in [0, 1).
+        // The upper 24 bits, scaled to [0, 1).
         let jitter = f32(bits >> 8u) / 16777216.0;
         within[axis] = 0.5 * (f32(eighth >> axis & 1u) + MARGIN + (1.0 - 2.0 * MARGIN) * jitter);
     }
@@ -72,7 +73,8 @@ fn seed_markers(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
         let at = place(cells[cell].xyz, eighths, count, count + turn);
         markers[source_step.first + first + turn] = vec4<f32>(at * step.dx, 1.0);
     } else {
-        // Behind the new ones, in the order of the threads without one: of those before, as many as in `end` have one.
+        // Threads without a marker clear the slots behind the new ones, in order: `end` of the threads before this
+        // one have a marker.
         markers[source_step.first + total + index - end] = vec4<f32>();
     }
 }

@@ -1,7 +1,8 @@
-// advect_velocity, where bodies cut the grid, between advect_slivers and advect_beside_slivers: slivers put on what they show, see shown.
-// Whole faces weigh, by what they are more open than slivers, so that nothing hangs on the last bit of a fraction; these are not
-// written, so it is done in place. One thread per quad of the band.
-// level. band_args, band_list: the band. valid: see valid. open: fractions of the faces. velocity: faces, m/s.
+// advect_velocity with cut cells, between advect_slivers and advect_beside_slivers: replaces the velocity of
+// small-aperture faces by the blended one (see shown).
+// Only full-aperture faces have weight, by their aperture minus SLIVER, so the result is continuous in the apertures.
+// They are not written, so the kernel works in place. One thread per quad of the band.
+// level. band_args, band_list: the band. valid: see valid. open: face apertures. velocity: faces, m/s.
 #import dispatch
 #import layout
 #import shown

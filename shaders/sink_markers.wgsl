@@ -1,6 +1,6 @@
-// exchange, with sinks only, first: markers in cells of sinks are gone, and counted. One thread per marker.
-// level, step. regions: boxes around the sinks. map: 1 for their cells in these, else 0.
-// markers: x, y, z (m), w = 1 alive, 0 gone; in place. report: see report.
+// exchange with sinks, first: deletes and counts markers in cells of sinks. One thread per marker.
+// level, step. regions: boxes around the sinks. map: per cell of the boxes, 1 in a sink, else 0. markers: x, y, z
+// (m), w = 1 alive, 0 deleted; in place. report: see report.
 #import dispatch
 #import layout
 #import step

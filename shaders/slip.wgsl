@@ -1,6 +1,6 @@
-// extrapolate, with obstacles only: free slip along them, as slide explains. One thread per quad of the band.
-// level, step. band_args, band_list: the band. solid_distance: cell centres, m. velocity: faces, m/s. valid: which faces are open.
-// velocity_next: the new value where one is made. slipping: those faces, bit 4 axis + lane.
+// extrapolate with obstacles: free slip along them (see slide). One thread per quad of the band.
+// level, step. band_args, band_list: the band. solid_distance: cell centres, m. velocity: faces, m/s. valid: open
+// faces. velocity_next: new velocities of slipping faces, m/s. slipping: those faces, bit 4 axis + lane.
 #import dispatch
 #import layout
 #import slide
@@ -16,7 +16,7 @@
 @group(0) @binding(7) var<storage, read_write> velocity_next: array<f32>;
 @group(0) @binding(8) var<storage, read_write> slipping: array<u32>;
 
-// Obstacles stand still.
+// Static obstacles.
 fn wall_velocity(axis: u32, cell: vec3<i32>) -> vec3<f32> {
     return vec3<f32>();
 }

@@ -1,7 +1,8 @@
-// extrapolate, with solids: free slip along obstacles and along solids, which move, as slide explains. One thread per quad of the band.
-// level, step. band_args, band_list: the band. solid_distance: cell centres, m. velocity: faces, m/s. valid: which faces are open.
-// velocity_next: the new value where one is made. slipping: those faces, bit 4 axis + lane.
-// walls: see moving_walls. clipped: where its velocities start.
+// extrapolate with solids: free slip along obstacles and solids, relative to their velocity (see slide). One thread
+// per quad of the band.
+// level, step. band_args, band_list: the band. solid_distance: cell centres, m. velocity: faces, m/s. valid: open
+// faces. velocity_next: new velocities of slipping faces, m/s. slipping: those faces, bit 4 axis + lane. walls: see
+// moving_walls. clipped: index of the first velocity.
 #import cut_quad
 #import dispatch
 #import layout
@@ -21,7 +22,7 @@
 @group(0) @binding(9) var<uniform> clipped: Clipped;
 @group(0) @binding(10) var<storage, read> walls: array<u32>;
 
-// The mean over the cells at both sides of a face that have a place on a solid nearby.
+// Mean over the two cells of a face that have a closest point.
 fn wall_velocity(axis: u32, cell: vec3<i32>) -> vec3<f32> {
     var sum = vec3<f32>();
     var n = 0.0;

@@ -1,5 +1,5 @@
-// sort, before its passes, one thread: how many workgroups the tiles of the list take.
-// radix: which list. args: its arguments. tile_args: workgroups x, y, z.
+// sort, before its passes, one thread: number of workgroups for the tiles of the list.
+// radix: parameters. args: arguments of the list. tile_args: workgroups x, y, z.
 #import sort
 
 @group(0) @binding(0) var<uniform> radix: SortPass;

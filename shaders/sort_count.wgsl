@@ -1,5 +1,5 @@
-// sort, first of three in a pass: how often each digit stands in each tile. One workgroup per tile; the sums of integers do not
-// depend on the order of their atomics.
+// sort, first of three in a pass: counts each digit in each tile.
+// One workgroup per tile; sums of integers do not depend on the order of atomics.
 // radix: digit and list. args: length. keys: in. chunks: counts, digit by digit, tile by tile within a digit.
 #import sort
 

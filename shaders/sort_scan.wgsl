@@ -1,5 +1,6 @@
-// sort, second of three in a pass, one workgroup: counts become the place of each tile's first entry with each digit.
-// radix: which list. args: length. chunks: counts in, places out.
+// sort, second of three in a pass, one workgroup: exclusive scan of the counts to the position of each tile's first
+// entry per digit.
+// radix: parameters. args: length. chunks: counts in, positions out.
 #import sort
 #import scan
 

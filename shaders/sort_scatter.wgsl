@@ -1,7 +1,8 @@
-// sort, last of three in a pass: every entry goes to its place, entries with one digit in the order that they had. One
-// workgroup per tile; a thread has RUN consecutive entries, so that the order of threads and of their entries is that of the list.
-// radix: digit and list. args: length. chunks: places of each tile's first entries, see sort_count.
-// keys, values: in. keys_out, values_out: out.
+// sort, last of three in a pass: scatters every entry to its position, stable within a digit.
+// One workgroup per tile; a thread has RUN consecutive entries, so that threads and entries are in the order of the
+// list.
+// radix: digit and list. args: length. chunks: positions of each tile's first entries, see sort_count. keys, values:
+// in. keys_out, values_out: out.
 #import sort
 
 @group(0) @binding(0) var<uniform> radix: SortPass;
@@ -12,11 +13,11 @@
 @group(0) @binding(5) var<storage, read_write> keys_out: array<u32>;
 @group(0) @binding(6) var<storage, read_write> values_out: array<u32>;
 
-// Threads that add the counts of one digit, and counts that each of them adds.
+// Threads that sum the counts of one digit, and counts per thread.
 const SHARES = WG_SIZE / DIGITS;
 const SHARE = WG_SIZE / SHARES;
 
-// Per digit and thread: the count of its entries, then the place of its next one.
+// Per digit and thread: the count of its entries, then the position of its next one.
 var<workgroup> sh_places: array<u32, DIGITS * WG_SIZE>;
 var<workgroup> sh_sums: array<u32, WG_SIZE>;
 

@@ -1,6 +1,7 @@
-// liquid_distance, third of five: every marker near an empty cell lowers the squared distance of the cells within reach that
-// want one. The bits of positive floats are ordered like the floats, and a minimum has no order, so an atomic minimum of integers
-// repeats bit for bit. One thread per marker.
+// liquid_distance, third of five: every marker near an empty cell lowers the squared distance of the wanting cells
+// within reach.
+// An atomic minimum of the bits, which are ordered like positive floats, is independent of the order and repeats bit
+// for bit. One thread per marker.
 // level, step. markers: x, y, z (m), w = 1 alive. occupied: see classes. squares: cells^2, as bits; in place.
 #import dispatch
 #import layout
@@ -13,10 +14,10 @@
 @group(0) @binding(3) var<storage, read> occupied: array<u32>;
 @group(0) @binding(4) var<storage, read_write> squares: array<atomic<u32>>;
 
-// Cells that markers reach, and its square.
+// Reach of a marker, cells, and its square.
 const REACH = 2.0;
 const REACH_SQUARED = 4.0;
-// A cell that holds a marker has one within half its diagonal, sqrt(3)/2: those further away cannot be its nearest.
+// A cell with a marker has one within half its diagonal, sqrt(3)/2, so markers further away cannot be the nearest.
 const REACH_OCCUPIED_SQUARED = 0.76;
 
 @compute @workgroup_size(WG_SIZE)
@@ -35,10 +36,10 @@ fn spread_markers(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_in
     if (lanes_of(occupied[own], SPREADING) >> (cell.x % 4u) & 1u) == 0u {
         return;
     }
-    // Along each axis at most the centres of four cells lie within reach.
+    // Along each axis at most four cell centres are within reach.
     let low = vec3<u32>(max(ceil(at - 0.5 - REACH), vec3<f32>()));
     let high = min(vec3<u32>(at - 0.5 + REACH), level.cells - 1u);
-    // Where they begin among the eight cells that the word of a quad tells of, and how many they are.
+    // Index of the first of these among the eight cells in the quad's word, and their number.
     let start = low.x + 2u - 4u * (cell.x / 4u);
     let n = high.x - low.x + 1u;
     for (var z = low.z; z <= high.z; z++) {

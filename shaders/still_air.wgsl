@@ -1,5 +1,5 @@
-// write_back, first: where the liquid has left a tile and what it reaches, nothing moves any more. One thread per tile, of which few
-// leave the band in a sub-step.
+// write_back, first: sets velocities to zero in tiles that have left the band. One thread per tile; few tiles leave
+// per sub-step.
 // level, tiles. dilated: see tiles; in place. velocity: faces, m/s.
 #import dispatch
 #import layout

@@ -1,9 +1,10 @@
-// advect_markers, first of three: how far the surface is at the centres of cells. In air that is the liquid distance; in the liquid it
-// is made again from the air: no liquid is within phi of a centre of air, so a cell at a distance d of it is phi - d from the surface,
-// negative. The largest over the 5 x 5 x 5 cells around, at least -2 dx. Cells with their centre in a solid say nothing, and theirs is
-// made again, too.
+// advect_markers, first of three: signed distance to the surface at cell centres.
+// In air it is the liquid distance phi. In liquid it is recomputed from the air. No liquid is within phi of an air
+// centre, so a cell at a distance d from it is at phi - d < 0. The result is the largest over the 5 x 5 x 5 cells
+// around, at least -2 dx. Cells with their centre in a solid are excluded as sources and recomputed too.
 // One thread per quad of the band.
-// level, step. band_args, band_list: the band of the last sub-step. occupied: see classes. liquid_distance, surface (signed distance to it): m.
+// level, step. band_args, band_list: the band of the last sub-step. occupied: see classes. liquid_distance, surface
+// (signed distance to it): m.
 #import dispatch
 #import layout
 #import lanes
@@ -18,18 +19,18 @@
 @group(0) @binding(5) var<storage, read> liquid_distance: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> surface: array<vec4<f32>>;
 
-// Cells that are looked at each way, and how deep the distance is known.
+// Neighbour cells per direction, and largest known depth, cells.
 const REACH = 2;
 
-// phi where there is air, else the deepest distance.
+// phi in air, else the largest depth.
 fn air(quad: u32, cell: vec3<i32>) -> vec4<f32> {
     let phi = liquid_distance[quad];
     let room = lanes_inside(cell, vec3<i32>(level.cells)) & !bit_lanes(lanes_of(occupied[quad], NO_ROOM));
     return select(vec4<f32>(-f32(REACH) * step.dx), phi, room & (phi > vec4<f32>()));
 }
 
-// What the cells of a row say of four lanes; where there is no air, the deepest distance or less. quad, cell: where their own lie moved to
-// the row, which is in the domain. away: how far that is, squared, cells^2.
+// Largest contribution of a row of cells to four lanes; without air the largest depth or less. quad, cell: position
+// of the lanes shifted to the row, which is in the domain. away: square of the shift, cells^2.
 fn told(quad: u32, cell: vec3<i32>, away: f32) -> vec4<f32> {
     let before = air(quad - 1u, cell - vec3<i32>(4, 0, 0));
     let own = air(quad, cell);

@@ -1,7 +1,8 @@
-// extrapolate, where bodies cut the grid: before the layers valid slivers put on what blend_slivers made and lay their own velocity
-// aside; after slip, when the marks in valid are others, the same kernel gives it back. One thread per quad of the band.
-// level. band_args, band_list: the band. valid: see valid. open: fractions of the faces. velocity: faces, m/s. velocity_next: as blend_slivers
-// left it.
+// extrapolate with cut cells: exchanges velocities and blended velocities of valid small-aperture faces before the
+// layers. A second call after slip, with other marks in valid, restores them.
+// One thread per quad of the band.
+// level. band_args, band_list: the band. valid: see valid. open: face apertures. velocity: faces, m/s. velocity_next:
+// from blend_slivers.
 #import dispatch
 #import layout
 #import slivers

@@ -1,4 +1,5 @@
-// right_hand_side, second, where obstacles move: b loses what they take up of its cells. One thread per active quad.
+// right_hand_side, second, with moving obstacles: subtracts their prescribed boundary flux from b. One thread per
+// active quad.
 // args, list: active quads. flags: see active. obstacle_flux: J v over dx^2, m/s. rhs: b, m/s; in place.
 #import dispatch
 #import lanes

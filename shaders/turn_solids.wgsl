@@ -1,11 +1,14 @@
-// move_solid, first part, with corotational turning only that nothing holds, or a hinge: what a body that turns needs besides its
-// tangents, so that moving along them does not stretch it. With c, v_c its centroid and that one's velocity, r = x - c, I = sum m (|r|^2 1 - r r^T), L = sum m r x v:
+// move_solid, first part, for free and hinged corotational bodies: rotation correction, which moves nodes on circles
+// instead of tangents (twin: reference/turn_solids.rs). With c, v_c the centroid and its velocity, r = x - c, I = sum
+// m (|r|^2 1 - r r^T), L = sum m r x v:
 //     w = I^-1 L;  y + dt/2 (I^-1 y) x y = L,  theta = dt I^-1 y;  k = 1 / (1 + |theta|^2 / 4)
 //     s = (theta - dt w) x r + k (theta x (theta x r) / 2 - |theta|^2 theta x r / 4),  r' = r + dt (v - v_c) + s
 //     dv = (I'^-1 sum m (v - v_c) x s) x r';  u += s - dt dv,  v += dv.
-// About a point that is held c is there and v_c = 0; about a hinge, two of its nodes far apart, I^-1 is e e^T / (e . I e), theta = dt w.
-// One workgroup per body; sums in a tree. step. turning: first node and the one after the last, nodes of the hinge or FREE. rest: m, kg.
-// flags: see node_flags. displacement: larger parts, then smaller, m; velocity: m/s; both in place.
+// For a body constrained at a point, c is the point and v_c = 0. For a hinge, two of its nodes far apart, I^-1 is e
+// e^T / (e . I e) and theta = dt w.
+// One workgroup per body; sums in a tree.
+// step. turning: first node and the one after the last, nodes of the hinge or FREE. rest: m, kg. flags: see
+// node_flags. displacement: larger parts, then smaller, m; velocity: m/s; both in place.
 #import dispatch
 #import node_flags
 #import pair
@@ -20,25 +23,25 @@
 @group(0) @binding(4) var<storage, read_write> displacement: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read_write> velocity: array<Real4>;
 
-// In the place of nodes of a hinge: nothing holds the body. stages::solid_buffers has it too.
+// Replaces the nodes of a hinge for a free body. Also in fields/solids.rs.
 const FREE = 0xffffffffu;
 
-// Of the cube of its trace, the determinant that a tensor of inertia has to exceed, and of its trace the moment about a hinge: the twin has
-// the reason.
+// Smallest determinant of an inertia tensor over the cube of its trace, and smallest moment about a hinge over the
+// trace (reason in the twin).
 const LEAST_INERTIA = 1e-5;
-// Of Newton's method, and the squared share of L that it may leave.
+// Iterations of Newton's method, and the squared relative residual of L that it allows.
 const ROUNDS = 5;
 const LEFT = 1e-6;
 
 struct Tensor {
     inverse: Real3x3,
-    // Whether it is one.
+    // Whether the inverse exists.
     regular: bool,
 }
 
-// How a body moves, and what of its motion is rigid.
+// Rigid part of a body's motion.
 struct Motion {
-    // Direction of its hinge; 0 where it may turn about all axes.
+    // Direction of the hinge; 0 for a free body.
     hinge: Real3,
     centroid: Real3,
     velocity: Real3,
@@ -55,12 +58,12 @@ fn position(node: u32) -> Real3 {
 }
 
 fn sum_of(part: Real4, lane: u32) -> Real4 {
-    // All have read the sum before.
+    // All threads must read the last sum before it is overwritten.
     workgroupBarrier();
     return tree(part, lane);
 }
 
-// Of the sums of m (|r|^2 - r r) and m (yz, zx, xy).
+// Inertia tensor from the sums of m (|r|^2 - r r) and m (yz, zx, xy).
 fn tensor(hinge: Real3, diagonal: Real3, products: Real3) -> Tensor {
     let a = Real3(diagonal.x, -products.z, -products.y);
     let b = Real3(-products.z, diagonal.y, -products.x);
@@ -82,7 +85,7 @@ fn diagonal_of(r: Real3) -> Real3 {
     return Real3(dot(r, r)) - r * r;
 }
 
-// The angular velocity of the implicit midpoint.
+// Angular velocity of the implicit midpoint rule.
 fn midway(inverse: Real3x3, momentum: Real3) -> Real3 {
     let half = Real(0.5) * Real(step.dt);
     var y = momentum;
@@ -115,7 +118,7 @@ fn shift(motion: Motion, r: Real3) -> Real3 {
 @compute @workgroup_size(FOLD_SIZE)
 fn turn_solids(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let body = group_index(workgroup);
-    // No nodes beyond the last body: threads that returned would be missing at the barriers.
+    // Workgroups beyond the last body have no nodes, but must not return before the barriers.
     var nodes = vec4<u32>();
     if body < arrayLength(&turning) {
         nodes = turning[body];

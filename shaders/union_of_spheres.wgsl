@@ -1,5 +1,6 @@
-// liquid_distance, fourth of five: phi = min(2 dx, distance to the nearest marker) - r (Zhu and Bridson 2005), - dx in cells all
-// around which liquid is, + dx beyond the domain, unknown in solids. One thread per quad of the band.
+// liquid_distance, fourth of five: phi = min(2 dx, distance to the nearest marker) - r (Zhu and Bridson 2005), - dx
+// in cells surrounded by liquid, + dx outside the domain, unknown in solids.
+// One thread per quad of the band.
 // step. band_args, band_list: the band. occupied, classes: see classes. liquid_distance: squares (cells^2) in, m out.
 #import dispatch
 #import step

@@ -1,15 +1,16 @@
-// liquid_distance, after measure_volume: the volume, and the relative rate at which volume control lets the liquid grow,
-// (V_0/V - 1) over half a frame or one and a half sub-steps, at most 10 % in a frame, 1/s. Markers that leave or sink in this
-// sub-step take their share of V_0 along, and join those that are gone. One workgroup.
-// step: volume_0 before, 0 for no control. partials: volume, potential energy. report: see report.
+// liquid_distance, after measure_volume: volume and growth rate of volume control, (V_0/V - 1) over half a frame or
+// one and a half sub-steps, at most 10 % per frame, 1/s.
+// Markers that leave or are deleted in this sub-step reduce V_0 by their share and are added to the total. One
+// workgroup.
+// step: volume_0 before, 0 without control. partials: volume, potential energy. report: see report.
 #import step
 #import report
 #import report_sum
 #import fold
 #import real
 
-// Frames and sub-steps over which the correction is spread at least, and the largest relative change of volume in a frame: the
-// twin has the reasons.
+// Smallest numbers of frames and sub-steps over which the correction is spread, and the largest relative change of
+// volume per frame (reasons in the twin, reference/right_hand_side.rs).
 const FRAMES = 0.5;
 const STEPS = 1.5;
 const LARGEST_CHANGE = 0.1;

@@ -1,6 +1,7 @@
-// extrapolate, with solids only, before slip: the velocities of the places on the surfaces that are nearest to cells. One thread per place.
-// clipped: see cut_quad. places: nodes of a triangle, then bits of their weights; or of an obstacle. velocity: of the nodes, m/s.
-// walls: see moving_walls.
+// extrapolate with solids, before slip: the velocities of the closest surface points beside cells. One thread per
+// closest point.
+// clipped: see cut_quad. places: nodes of a triangle, then bits of their weights; or of an obstacle. velocity: of the
+// nodes, m/s. walls: see moving_walls.
 #import cut_quad
 #import dispatch
 #import real

@@ -1,8 +1,8 @@
-// write_back: u = u* - (phi_+ - phi_-) on every open face with an active side (thesis 4.36), phi = p dt / (rho dx). Across the free
-// surface, and on open sides of the domain, the missing phi is 0 and the difference is divided by the theta of the matrix. Other
-// faces are not valid and 0.
-// One thread per quad of the band. level, step. band_args, band_list: the band. flags: see active. velocity_next: u*, faces, m/s.
-// liquid_distance: m. potential: phi, m/s. velocity: u, m/s. valid: see valid; in place.
+// write_back: u = u* - (phi_+ - phi_-) on every open face with an active side (thesis 4.36), phi = p dt / (rho dx).
+// Across the free surface, and on open sides of the domain, the missing phi is 0 and the difference is divided by the
+// matrix's theta. Other faces are 0 and not valid. One thread per quad of the band.
+// level, step. band_args, band_list: the band. flags: see active. velocity_next: u*, faces, m/s. liquid_distance: m.
+// potential: phi, m/s. velocity: u, m/s. valid: see valid; in place.
 #import dispatch
 #import layout
 #import lanes
@@ -22,7 +22,7 @@
 @group(0) @binding(8) var<storage, read_write> velocity: array<vec4<f32>>;
 @group(0) @binding(9) var<storage, read_write> valid: array<u32>;
 
-// A quad of cells: what the projection knows of them.
+// Projection data of a quad of cells.
 struct Cells {
     inside: vec4<bool>,
     phi: vec4<f32>,
@@ -33,7 +33,7 @@ fn cells(quad: u32) -> Cells {
     return Cells(bit_lanes(flags[quad]), liquid_distance[quad], potential[quad]);
 }
 
-// Lanes whose minus face along an axis lies on a side of the domain that is open.
+// Lanes whose minus face along an axis is on an open side of the domain.
 fn on_open_side(axis: u32, quad: u32) -> vec4<bool> {
     if step.open_sides == 0u {
         return vec4<bool>(false);
@@ -43,7 +43,7 @@ fn on_open_side(axis: u32, quad: u32) -> vec4<bool> {
     return along == vec4<i32>() | along == vec4<i32>(i32(level.cells[axis]));
 }
 
-// phi_+ - phi_- across the faces between two quads of cells, m/s. What is across a side of the domain is the mirror image.
+// phi_+ - phi_- across the faces between two quads of cells, m/s. Beyond a side of the domain the mirror image.
 fn differences(minus: Cells, plus: Cells, update: vec4<bool>, on_side: vec4<bool>) -> Real4 {
     let one = vec4<f32>(1.0);
     var theta = one;

@@ -1,20 +1,21 @@
-//! The active effects of a scene, decided in one place. Kernels, arrays and CPU work query [`Effects`] and nothing else, so an effect that
-//! a scene does not have costs no compile time, no bytes and no dispatch.
+//! The active effects of a scene, decided in one place. Kernels, arrays and CPU work query [`Effects`] alone. An
+//! inactive effect costs no compile time, no memory and no dispatch.
 
 use crate::scene::{ElasticModel, PatchPressure, Scene, Solid, Surface};
 
-/// An effect, and the reason why it is active or not.
+/// An effect and why it is active or inactive.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Effect {
     /// Name, as in [`Effects`].
     pub name: &'static str,
-    /// Whether the scene has it.
+    /// Whether the effect is active.
     pub active: bool,
-    /// Why.
+    /// Reason for `active`.
     pub reason: String,
 }
 
-/// Declares the table of effects: for each its condition and its reason, given the scene and the effects of the rows above.
+/// Declares the table of effects. A row contains a condition and a reason, both functions of the scene and of the
+/// effects in earlier rows.
 macro_rules! effects {
     ($( $(#[$meta:meta])* $name:ident: $active:expr, $reason:expr; )*) => {
         /// The active effects of a scene.
@@ -34,7 +35,7 @@ macro_rules! effects {
                 effects
             }
 
-            /// All effects, active or not, with their reasons. `self`: those of the scene.
+            /// All effects with their reasons, active or not. `self` must be the effects of `scene`.
             pub fn explained(&self, scene: &Scene) -> Vec<Effect> {
                 vec![$({
                     let reason: fn(&Scene, &Effects) -> String = $reason;
@@ -61,24 +62,24 @@ effects! {
             (_, true) => "liquid.surface = \"markers\"",
         }
         .to_owned();
-    /// Volume control: a source in the right-hand side that keeps the volume of the liquid.
+    /// Volume control: a source term in the right-hand side that restores the liquid volume.
     volume_control: |scene, effects| {
             effects.markers && scene.liquid.as_ref().is_some_and(|liquid| liquid.volume_control)
         },
         |_, effects| match (effects.liquid, effects.markers, effects.volume_control) {
             (false, ..) => NO_LIQUID,
-            (_, false, _) => "a fixed surface holds its volume",
+            (_, false, _) => "a fixed surface has a constant volume",
             (_, _, true) => "on by default with markers",
             (_, _, false) => "liquid.volume_control = false",
         }
         .to_owned();
-    /// Open sides of the domain: markers beyond them are deleted, and their volume is no longer controlled.
+    /// Open sides of the domain: markers beyond them are deleted, and the controlled volume decreases with them.
     open_sides: |scene, _| scene.liquid.is_some() && scene.domain.open.any(),
         |scene, _| match scene.domain.open.any() {
             true => format!("domain.open: {}", scene.domain.open.names().collect::<Vec<_>>().join(", ")),
             false => "no sides in domain.open".to_owned(),
         };
-    /// Sources: markers, faces with prescribed flux, and more volume to control.
+    /// Sources: emitted markers, faces with prescribed flux, and an increase of the controlled volume.
     sources: |scene, _| !scene.sources.is_empty(),
         |scene, _| count(scene.sources.len(), "[[source]]");
     /// Sinks: cells that stay empty.
@@ -102,11 +103,12 @@ effects! {
     /// Constant forces on nodes.
     loads: |scene, _| any_solid(scene, loads),
         |scene, _| count_solids(scene, loads, "[[solid.load]]", "no [[solid.load]]");
-    /// Obstacles. With liquid: apertures from clipping, push-out, extension of the liquid distance, slip inside them; with solids:
-    /// push-out of nodes.
+    /// Obstacles. With liquid: apertures from clipping, push-out, extension of the liquid distance, free slip. With
+    /// solids: push-out of nodes.
     obstacles: |scene, _| !scene.obstacles.is_empty(),
         |scene, _| count(scene.obstacles.len(), "[[obstacle]]");
-    /// Obstacles that move, in liquid: `clip` in every sub-step, their J v in the right-hand side, slip relative to them.
+    /// Moving obstacles in liquid: `clip` in every sub-step, their flux J v in the right-hand side, slip relative to
+    /// their velocity.
     moving_obstacles: |scene, _| scene.liquid.is_some() && scene.obstacles_move(),
         |scene, effects| {
             let moving = scene.obstacles.iter().filter(|obstacle| obstacle.motion.is_some());
@@ -116,10 +118,10 @@ effects! {
                 (n, _) => format!("{n} [[obstacle]] with keyframes"),
             }
         };
-    /// Liquid and solids: `clip` in every sub-step, J, and one solve for both where they touch.
+    /// Liquid and solids: `clip` in every sub-step, coupling matrix J, and one solve for both while they touch.
     coupling: |scene, effects| scene.liquid.is_some() && effects.solids,
         |_, effects| coupling(effects).to_owned();
-    /// Pressure on the solids' patches that varies within cells: forces on their nodes.
+    /// Variation of the pressure within cells, as forces on the nodes of the solids' patches.
     patch_correction: |scene, effects| {
             effects.coupling && scene.solver.pressure_on_patches != PatchPressure::Cell
         },
@@ -132,10 +134,10 @@ effects! {
             PatchPressure::Gradient => "solver.pressure_on_patches = \"gradient\"",
         }
         .to_owned();
-    /// Probes: the stage `probe` and its few numbers read back.
+    /// Probes: stage `probe` and a short readback.
     probes: |scene, _| !scene.probes.is_empty(),
         |scene, _| count(scene.probes.len(), "[[probe]]");
-    /// The surface of the liquid as a mesh, which the host makes of every frame that is written.
+    /// Surface mesh of the liquid, which the host computes for every written frame.
     surface: |scene, _| scene.liquid.is_some() && scene.output.surface,
         |_, effects| match (effects.liquid, effects.surface) {
             (false, _) => NO_LIQUID,

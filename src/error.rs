@@ -1,34 +1,34 @@
-//! The one error type. Every variant names what a user needs to find the cause: file, line, key, stage, buffer or limit.
+//! The error type. Every variant identifies the cause: file, line, key, stage, buffer or limit.
 
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
-/// What can go wrong. [`Error::exit_code`] gives the exit code of the command line.
+/// Errors of the library, with the exit code of the command line ([`Error::exit_code`]).
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A scene file says something that cannot be simulated.
+    /// An invalid value in a scene file.
     #[error("{}:{line}: {key}: {problem}\n  cure: {cure}", file.display())]
     Scene {
         /// The scene file.
         file: PathBuf,
-        /// Line in the file, from 1; where a key is missing, the line of its table, or the last.
+        /// Line in the file, from 1. For a missing key: the line of its table, or the last line.
         line: usize,
         /// Dotted key, such as `liquid.region[1].box.min`.
         key: String,
-        /// What is wrong.
+        /// Problem.
         problem: String,
-        /// What would be right.
+        /// Cure.
         cure: String,
     },
-    /// A file or an argument that the user gave cannot be used.
+    /// An unusable file or argument.
     #[error("{what}: {problem}\n  cure: {cure}")]
     Input {
-        /// The file, with its line where known, or the argument.
+        /// The file, with its line if known, or the argument.
         what: String,
-        /// What is wrong.
+        /// Problem.
         problem: String,
-        /// What would be right.
+        /// Cure.
         cure: String,
     },
     /// A result cannot be written.
@@ -36,78 +36,78 @@ pub enum Error {
     Output {
         /// The file or folder, or `standard output`.
         path: PathBuf,
-        /// What the system said.
+        /// Message of the system.
         problem: String,
-        /// What the user can do.
+        /// Cure.
         cure: &'static str,
     },
-    /// No adapter fits.
+    /// No suitable adapter.
     #[error("no suitable GPU adapter: {problem}\n  cure: {cure}")]
     Adapter {
-        /// What was looked for and found.
+        /// Requested and present adapters.
         problem: String,
-        /// What to install or choose.
+        /// Cure.
         cure: String,
     },
-    /// The adapter is too small for the scene.
+    /// A limit of the adapter is too small for the scene.
     #[error("{what} needs {needed} {unit}, the adapter allows {available}\n  cure: {cure}")]
     Limit {
         /// The buffer or kernel.
         what: String,
-        /// What is needed.
+        /// Required value.
         needed: u64,
-        /// What the adapter allows.
+        /// Limit of the adapter.
         available: u64,
         /// Unit of both, with the limit's name.
         unit: &'static str,
-        /// What the user can do.
+        /// Cure.
         cure: String,
     },
-    /// The machine is too small for the scene.
+    /// Too little free memory for the scene.
     #[error(
-        "this scene takes at least {:.1} GiB of the machine's memory, of which {:.1} GiB are free\n  cure: {cure}",
+        "this scene needs at least {:.1} GiB of the machine's memory, of which {:.1} GiB are free\n  cure: {cure}",
         gibibytes(*needed), gibibytes(*available)
     )]
     Memory {
-        /// Bytes that are needed.
+        /// Required bytes.
         needed: u64,
-        /// Bytes that are free.
+        /// Free bytes.
         available: u64,
-        /// What the user can do.
+        /// Cure.
         cure: String,
     },
-    /// A shader does not compile.
+    /// A shader that does not compile.
     #[error("{file}:{line}: {problem}")]
     Shader {
         /// The WGSL file.
         file: String,
         /// Line in that file, from 1.
         line: usize,
-        /// What naga said.
+        /// Message of naga.
         problem: String,
     },
-    /// The device reported an error: validation, memory, or the device is lost.
+    /// An error of the device: validation, memory, or a lost device.
     #[error("GPU error in {during}: {problem}")]
     Gpu {
-        /// The buffer, kernel or stage at work.
+        /// The current buffer, kernel or stage.
         during: String,
-        /// What the device said.
+        /// Message of the device.
         problem: String,
     },
-    /// A stage of the step failed; frames and rows written before stay valid.
+    /// A failed stage of a sub-step; frames and rows written before remain valid.
     #[error("step {step}, stage {stage}: {problem}")]
     Stage {
         /// The stage, by its canonical noun.
         stage: &'static str,
         /// The sub-step, from 0.
         step: u64,
-        /// What happened.
+        /// Problem.
         problem: String,
     },
-    /// A check of the simulator against itself found a breach.
+    /// A failed check of the simulator against itself.
     #[error("check failed: {0}")]
     Check(String),
-    /// The user interrupted; frames and rows written before stay valid.
+    /// An interruption by the user; frames and rows written before remain valid.
     #[error("interrupted")]
     Interrupted,
 }
@@ -129,11 +129,11 @@ impl Error {
         Error::Output {
             path: path.to_owned(),
             problem: problem.to_string(),
-            cure: "choose a folder that can be written and has room",
+            cure: WRITABLE_FOLDER,
         }
     }
 
-    /// An [`Error::Output`] from what the system said of it.
+    /// An [`Error::Output`] from an error of the system.
     pub fn unwritten(path: &Path, problem: &io::Error) -> Error {
         let cure = match problem.kind() {
             ErrorKind::StorageFull => "make room on that disk, or choose a folder on another",
@@ -142,9 +142,9 @@ impl Error {
             }
             ErrorKind::FileTooLarge => "raise the limit for file sizes (`ulimit -f unlimited`)",
             ErrorKind::InvalidFilename => {
-                "the name is too long for the file system: give the scene's file or the folder a shorter one"
+                "use a shorter name for the scene file or the folder: the file system limits names"
             }
-            _ => "choose a folder that can be written and has room",
+            _ => WRITABLE_FOLDER,
         };
         Error::Output {
             path: path.to_owned(),
@@ -153,7 +153,7 @@ impl Error {
         }
     }
 
-    /// The error; of a file that cannot be used, with the place that names the file before it.
+    /// Prefixes an [`Error::Input`] with the place that names the file.
     pub fn within(self, place: &str) -> Error {
         match self {
             Error::Input {
@@ -179,7 +179,9 @@ impl Error {
     }
 }
 
-/// A number that was computed, as messages show it: six digits of it.
+const WRITABLE_FOLDER: &str = "choose a writable folder with enough space";
+
+/// A computed number, rounded to six digits for messages.
 pub(crate) fn rounded(x: f64) -> f64 {
     format!("{x:.5e}").parse().unwrap_or(x)
 }

@@ -1,7 +1,7 @@
-//! The staggered (MAC) grid: where every quantity lives, and how it lies in memory on the host and on the device.
+//! The staggered (MAC) grid: centring of all quantities, and their memory layout on the host and on the device.
 //!
-//! One cell, its centre `c`, and the six faces around it (Harlow and Welch 1965). Velocity components live on the faces they
-//! are normal to, pressure and liquid distance at the centre. The *minus* face of an axis carries the index of the cell:
+//! One cell with centre `c` and six faces (Harlow and Welch 1965). Velocity components are stored on the faces they are normal to,
+//! pressure and liquid distance at the centre. The *minus* face of an axis has the index of the cell:
 //!
 //! ```text
 //!            +-----v[i,j+1,k]-----+          y
@@ -15,13 +15,13 @@
 //!         +-----v[i,j,k]-------+
 //! ```
 //!
-//! The origin is the low corner of the domain; the centre of cell (i, j, k) is (i + 1/2, j + 1/2, k + 1/2) dx, its minus x
-//! face lies at (i, j + 1/2, k + 1/2) dx. x is fastest in memory everywhere.
+//! The origin is the low corner of the domain. The centre of cell (i, j, k) is (i + 1/2, j + 1/2, k + 1/2) dx. Its minus x face
+//! has the centre (i, j + 1/2, k + 1/2) dx. x is fastest in memory everywhere.
 //!
 //! **Host arrays** are dense and unpadded: `nx ny nz` cells, `(nx + 1) ny nz` x faces, and so on.
 //!
-//! **Device arrays** are padded ([`Padded`]) so that a kernel reaches all neighbours by constant strides, reads 4 cells along
-//! x (a *quad*) at once, and never tests a border: cells and the minus faces of all three axes share one layout.
+//! **Device arrays** are padded ([`Padded`]): neighbours are constant strides apart, four cells along x (a *quad*) are read at once, and
+//! kernels test no borders. Cells and the minus faces of all axes share one layout.
 
 use glam::DVec3;
 
@@ -37,7 +37,7 @@ pub enum Axis {
 }
 
 impl Axis {
-    /// All three, in order.
+    /// All axes in order.
     pub const ALL: [Axis; 3] = [Axis::X, Axis::Y, Axis::Z];
 
     /// 0, 1 or 2.
@@ -46,36 +46,36 @@ impl Axis {
     }
 }
 
-/// Sides of the domain: a set of the six walls, written as in scene files, `-x` to `+z`.
+/// A set of sides of the domain, named as in scene files, `-x` to `+z`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Sides(u32);
 
 impl Sides {
-    /// Of all six, -x, +x, -y, +y, -z, +z.
+    /// Names of all six sides.
     pub const NAMES: [&'static str; 6] = ["-x", "+x", "-y", "+y", "-z", "+z"];
 
-    /// These and one more: the minus (0) or the plus side (1) of an axis.
+    /// Adds the minus (0) or the plus side (1) of an axis.
     pub fn with(self, axis: Axis, side: usize) -> Sides {
         Sides(self.0 | 1 << (2 * axis.index() + side))
     }
 
-    /// Whether the minus (0) or the plus side (1) of an axis is among them.
+    /// Whether the set contains the minus (0) or the plus side (1) of an axis.
     #[inline]
     pub fn has(self, axis: Axis, side: usize) -> bool {
         self.0 >> (2 * axis.index() + side) & 1 == 1
     }
 
-    /// Whether there is any.
+    /// Whether the set is not empty.
     pub fn any(self) -> bool {
         self.0 != 0
     }
 
-    /// Bits in the order of the names, the first lowest: what kernels read (`shaders/common/walls.wgsl`).
+    /// Bits for kernels (`shaders/common/walls.wgsl`), in the order of the names from the lowest.
     pub fn bits(self) -> u32 {
         self.0
     }
 
-    /// The names of those in it, in order.
+    /// Names of the sides in the set.
     pub fn names(self) -> impl Iterator<Item = &'static str> {
         let names = Sides::NAMES.into_iter().enumerate();
         names
@@ -175,7 +175,7 @@ impl Grid {
         Corner::new(self.faces(axis), x / self.dx - offset).interpolate(field)
     }
 
-    /// The eight cell centres around `x` (m).
+    /// Stencil of the eight cell centres around `x` (m).
     #[inline]
     pub fn centres_around(&self, x: DVec3) -> Corner {
         Corner::new(self.cells, x / self.dx - 0.5)
@@ -205,7 +205,7 @@ impl Grid {
         [minus, (ijk[a] < self.cells[a]).then(|| self.cell(ijk))]
     }
 
-    /// Which walls a face lies on: 0 for the minus, 1 for the plus side of its axis; `None` for a face between two cells.
+    /// The wall of a face: 0 for the minus, 1 for the plus side of its axis; `None` for inner faces.
     #[inline]
     pub fn wall(&self, axis: Axis, ijk: [usize; 3]) -> Option<usize> {
         match ijk[axis.index()] {
@@ -221,19 +221,19 @@ impl Grid {
     }
 }
 
-/// The eight points around a position in an array of extents `n`, for trilinear interpolation.
+/// Stencil of eight points around a position in an array of extents `n`, for trilinear interpolation.
 #[derive(Clone, Copy, Debug)]
 pub struct Corner {
-    /// Index of the lowest of them.
+    /// Index of the lowest point.
     low: usize,
-    /// How far it is to the upper neighbour along each axis; 0 where the array is one point thick.
+    /// Stride to the upper neighbour along each axis; 0 in an array one point thick.
     up: [usize; 3],
-    /// The position between them, 0 to 1.
+    /// Fractional position between the points, 0 to 1.
     pub between: [f64; 3],
 }
 
 impl Corner {
-    /// Around the continuous index `at`, which is clamped to the array.
+    /// Stencil around the continuous index `at`, which is clamped to the array.
     #[inline]
     pub fn new(n: [usize; 3], at: DVec3) -> Corner {
         let stride = [1, n[0], n[0] * n[1]];
@@ -264,13 +264,13 @@ impl Corner {
         })
     }
 
-    /// The field at the position.
+    /// Interpolated value.
     #[inline]
     pub fn interpolate(&self, field: &[f64]) -> f64 {
         Corner::mix(&self.values(field), self.between)
     }
 
-    /// Between eight values, x fastest, then y, then z.
+    /// Trilinear interpolation of eight values, x fastest, then y, then z.
     #[inline]
     pub fn mix(v: &[f64; 8], [x, y, z]: [f64; 3]) -> f64 {
         let mix = |low: f64, high: f64, f: f64| low + (high - low) * f;
@@ -297,26 +297,27 @@ impl Corner {
     }
 }
 
-/// The device layout of one level: rows of quads (4 cells along x), at least one spare cell at the end of each row, one
-/// spare row at the end of each slab, one spare slab in front and two behind. A spare cell serves as the neighbour beyond
-/// the end of its row and before the start of the next. Spare cells hold zeros (inactive, closed).
+/// Device layout of one level: rows of quads (runs of four cells along x).
 ///
-/// The number of quads is a multiple of 4, so that flags per quad can be read in fours.
-/// Rows are a multiple of 8 cells long, so the 8 fine cells under a coarse quad are always two quads of one row.
+/// Each row ends with a spare cell, each slab with a spare row; one spare slab precedes the level and two follow. A spare cell
+/// is the neighbour beyond the end of its row and before the start of the next. Spare cells are zero (inactive, closed).
+///
+/// The number of quads is a multiple of 4, so that kernels read flags of four quads at once. Rows are a multiple of 8 cells
+/// long, so that the 8 fine cells of a coarse quad are two quads of one row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Padded {
     /// Cells along x, y, z.
     pub cells: [usize; 3],
-    /// Quads in a row: the stride along y, in quads.
+    /// Quads per row, the stride along y.
     pub stride_y: usize,
-    /// Quads in a slab: the stride along z, in quads.
+    /// Quads per slab, the stride along z.
     pub stride_z: usize,
-    /// Quads in all.
+    /// Total number of quads.
     pub quads: usize,
 }
 
 impl Padded {
-    /// The layout for a level of `cells`.
+    /// Layout for a level of `cells`.
     pub fn new(cells: [usize; 3]) -> Padded {
         let stride_y = 2 * (cells[0] / 8 + 1);
         let stride_z = stride_y * (cells[1] + 1);
@@ -333,17 +334,17 @@ impl Padded {
         4 * self.quads
     }
 
-    /// Whether there is nothing; never, kept for the pair with [`Padded::len`].
+    /// Always false; clippy requires it beside [`Padded::len`].
     pub fn is_empty(&self) -> bool {
         self.quads == 0
     }
 
-    /// The uniform that kernels read, for arrays that hold this level alone.
+    /// Kernel uniform for arrays of this level alone.
     pub fn layout(&self) -> Layout {
         self.layout_at(0, self.quads)
     }
 
-    /// The uniform for arrays of `total` quads in which this level begins at quad `first`.
+    /// Kernel uniform for arrays of `total` quads with this level from quad `first` on.
     pub fn layout_at(&self, first: usize, total: usize) -> Layout {
         Layout {
             cells: self.cells.map(|n| n as u32),
@@ -361,14 +362,14 @@ impl Padded {
         4 * (self.stride_z * (k + 1) + self.stride_y * j) + i
     }
 
-    /// Cell of the first lane of a quad, which lies in a row of the domain.
+    /// First cell of a quad, which lies in a row of the domain.
     pub fn cell_of(&self, quad: usize) -> [usize; 3] {
         let (slab, in_slab) = (quad / self.stride_z, quad % self.stride_z);
         let (row, in_row) = (in_slab / self.stride_y, in_slab % self.stride_y);
         [4 * in_row, row, slab - 1]
     }
 
-    /// A host array of extents `n` (cells or faces), padded with zeros.
+    /// Pads a host array of extents `n` (cells or faces) with zeros.
     pub fn pad<T: Copy, U: Copy + Default>(
         &self,
         n: [usize; 3],
@@ -385,7 +386,7 @@ impl Padded {
         device
     }
 
-    /// The host array of extents `n` inside a device array.
+    /// Extracts the host array of extents `n` from a device array.
     pub fn unpad<T: Copy, U>(
         &self,
         n: [usize; 3],
@@ -407,7 +408,7 @@ impl Padded {
     }
 }
 
-/// [`Padded`] as kernels see it: the doppelganger of `Layout` in `shaders/common/layout.wgsl`.
+/// Kernel uniform of a [`Padded`] level.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Layout {
@@ -421,6 +422,6 @@ pub struct Layout {
     pub quads: u32,
     /// First quad of the level in arrays of several levels.
     pub first: u32,
-    /// Quads of such arrays.
+    /// Quads of these arrays.
     pub total: u32,
 }

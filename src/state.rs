@@ -1,8 +1,8 @@
-//! Host copy of one moment of a simulation: what the two paths exchange, what is written, and what a run resumes from.
+//! Host copy of the simulation state, for comparison, output and checkpoints.
 
 use crate::grid::{Axis, Grid};
 
-/// Everything the next step reads, in f64 on the host; of the GPU path to rounding, and with [`Carried`] to the bit.
+/// Input of the next sub-step in f64. A GPU run resumes from it to rounding, and with [`Carried`] bitwise identically.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct State {
     /// Simulated time, s.
@@ -13,19 +13,19 @@ pub struct State {
     pub frame: u64,
     /// Length of the last sub-step, s; 0 before the first.
     pub dt_last: f64,
-    /// Face velocities per axis, host layout of the faces, m/s; 0 beyond the extrapolated layers.
+    /// Face velocities per axis (host face layout), m/s; 0 beyond the extrapolated layers.
     pub velocity: [Vec<f64>; 3],
     /// Marker positions in order, m. Empty with `surface = "fixed"`.
     pub markers: Vec<[f64; 3]>,
-    /// Markers dropped so far because they could not be moved out of a solid.
+    /// Total number of markers dropped because they could not be moved out of a solid.
     pub markers_dropped: u64,
-    /// Markers that have left so far through open sides of the domain.
+    /// Total number of markers that left through open sides.
     pub markers_left: u64,
-    /// Markers that sinks have removed so far.
+    /// Total number of markers removed by sinks.
     pub markers_sunk: u64,
-    /// Markers that sources have made so far.
+    /// Total number of markers emitted by sources.
     pub markers_emitted: u64,
-    /// The set of sources that ran in the last sub-step, a bit for each.
+    /// Bit set of the sources that ran in the last sub-step.
     pub sources_running: u64,
     /// Pressure of the last projection at cell centres, Pa; 0 in inactive cells.
     pub pressure: Vec<f64>,
@@ -33,35 +33,34 @@ pub struct State {
     pub liquid_distance: Vec<f64>,
     /// Whether each cell was an unknown of the last projection.
     pub active: Vec<bool>,
-    /// Liquid volume to hold, m^3: with what came in and without what went out.
+    /// Target liquid volume, m^3, including inflow and outflow.
     pub volume_0: f64,
-    /// Displacement of the nodes of all solids from rest, m; held on the device as the sum of two f32.
+    /// Displacement of the nodes of all solids from rest, m; on the device a sum of two f32.
     pub displacement: Vec<[f64; 3]>,
     /// Velocity of the nodes of all solids, m/s.
     pub node_velocity: Vec<[f64; 3]>,
 }
 
-/// What the GPU path has beyond a [`State`] from one sub-step to the next: with both it goes on to the bit. A state alone goes on to
-/// rounding. The f64 path has nothing beyond: there all lists are empty.
+/// State of the GPU backend beyond [`State`] for bitwise identical resuming. All lists are empty on the f64 backend.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Carried {
-    /// Largest speeds of the liquid and of the solids, m/s, from which the length of the next sub-step follows.
+    /// Largest speeds of the liquid and of the solids, m/s, which limit the next sub-step.
     pub max_speed: [f64; 2],
-    /// The potential of the last projection at cell centres, m/s, of which the pressure of the state is a multiple; 0 in inactive
-    /// cells. Only where patches ask for its gradient.
+    /// Potential of the last projection at cell centres, m/s, proportional to the pressure; 0 in inactive cells. Only with
+    /// `pressure_on_patches = "gradient"`.
     pub potential: Vec<f64>,
-    /// The larger parts of the displacements of all nodes, m, f32.
+    /// High parts of the displacements of all nodes, m, f32.
     pub displacement_high: Vec<[f64; 3]>,
-    /// The smaller parts. Their sum with the larger may have more digits than an f64.
+    /// Low parts. Their sum with the high parts may exceed the precision of f64.
     pub displacement_low: Vec<[f64; 3]>,
-    /// Displacements of all nodes, m, as the host follows those of scripted ones; only with scripts.
+    /// Host copy of the displacements of all nodes, m; only with scripts.
     pub scripted_displacement: Vec<[f64; 3]>,
-    /// And their velocities, m/s.
+    /// Host copy of the velocities of all nodes, m/s; only with scripts.
     pub scripted_velocity: Vec<[f64; 3]>,
 }
 
 impl State {
-    /// An empty state at rest.
+    /// A state at rest without liquid.
     pub fn at_rest(grid: &Grid) -> State {
         State {
             time: 0.0,
@@ -84,13 +83,13 @@ impl State {
         }
     }
 
-    /// Time left to the next frame, s.
+    /// Time to the next frame, s.
     pub fn time_left(&self, frames_per_second: f64) -> f64 {
         (self.frame + 1) as f64 / frames_per_second - self.time
     }
 
-    /// Moves the clock on by a sub-step of dt (s). One that ends within a billionth of a frame of the next frame's time ends
-    /// on it, so that times do not drift.
+    /// Advances the clock by a sub-step of dt (s). A sub-step that ends within a billionth of a frame of the next frame
+    /// time ends exactly there, so that times do not drift.
     pub fn advance_clock(&mut self, dt: f64, frames_per_second: f64) {
         self.step += 1;
         self.dt_last = dt;
@@ -103,26 +102,27 @@ impl State {
     }
 }
 
-/// How a solve ended, of several in search of contacts the last. Anything but [`SolveStatus::Converged`] is told to the user.
+/// Status of a solve; with active-set iterations, of the last one. All but [`SolveStatus::Converged`] are reported to the user.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SolveStatus {
-    /// The true residual passed: ||r|| <= tolerance ||b||, or below what rounding of the right-hand side leaves. Of liquid and solids together a
-    /// hundredth of what the other part puts on the rows stands for b where that is more.
+    /// The true residual passed: ||r|| <= tolerance ||b||, or below the rounding of the right-hand side. In a coupled solve
+    /// b is at least 1 % of the coupling terms of the same rows.
     Converged,
-    /// All iterations were used; the iterate with the least true residual was kept.
+    /// Iteration limit; the iterate with the least true residual is returned.
     IterationLimit,
-    /// Further rounds no longer reduce the true residual.
+    /// Further refinement steps no longer reduce the true residual.
     Stagnated,
-    /// A direction without positive energy appeared.
+    /// A search direction without positive energy.
     Breakdown,
-    /// The right-hand side or the iterate is not finite.
+    /// A nonfinite right-hand side or iterate.
     NonFinite,
-    /// Prescribed motion or a source asks a liquid without a free surface to change its volume: the nearest that keeps it was solved for.
+    /// Prescribed motion or a source would change the volume of an enclosed liquid component. The nearest compatible
+    /// problem was solved.
     Incompatible,
 }
 
 impl SolveStatus {
-    /// Word for tables and messages.
+    /// Name in tables and messages.
     pub fn name(self) -> &'static str {
         match self {
             SolveStatus::Converged => "converged",
@@ -134,69 +134,69 @@ impl SolveStatus {
         }
     }
 
-    /// Whether more iterations would not have helped: a search for contacts goes on from such a solve, and ends with any other.
-    pub fn found_all_it_can(self) -> bool {
+    /// Whether more iterations would not help. The active-set iteration continues after such a solve and ends after any
+    /// other.
+    pub fn is_best_attainable(self) -> bool {
         matches!(self, SolveStatus::Converged | SolveStatus::Stagnated)
     }
 }
 
-/// What a solve did. A zero right-hand side gives a zero answer, residual 0, status converged.
+/// Result of a solve. A zero right-hand side has solution and residual 0 and converges.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SolveReport {
-    /// Active cells of the pressure solve, free components of node velocities of the solids'.
+    /// Active cells of the pressure solve, or unconstrained velocity components of the solids.
     pub unknowns: usize,
-    /// PCG iterations, summed over all rounds; 0 for a direct solve.
+    /// PCG iterations of all refinement steps; 0 for a direct solve.
     pub iterations: u32,
-    /// True residual over the right-hand side, evaluated in f64: ||b - B p|| / ||b||, or ||b - S v|| / ||b||, with b as in
-    /// [`SolveStatus::Converged`].
+    /// True relative residual in f64: ||b - B p|| / ||b|| or ||b - S v|| / ||b||, with b as in [`SolveStatus::Converged`].
     pub residual: f64,
-    /// How it ended.
+    /// Status.
     pub status: SolveStatus,
 }
 
-/// What the solids amount to at one moment.
+/// Diagnostics of the solids at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SolidDiagnosis {
     /// kg m/s
     pub momentum: [f64; 3],
-    /// About the origin of the domain, kg m^2/s.
+    /// Angular momentum about the origin of the domain, kg m^2/s.
     pub angular_momentum: [f64; 3],
     /// J
     pub kinetic_energy: f64,
     /// J
     pub elastic_energy: f64,
-    /// J, from the origin of the domain: zero where g . x is.
+    /// Potential energy relative to g . x = 0, with x from the origin of the domain, J.
     pub potential_energy: f64,
-    /// Largest magnitude of a component of a node's velocity, m/s.
+    /// Largest magnitude of a velocity component of a node, m/s.
     pub max_speed: f64,
-    /// Least determinant of an element's deformation gradient; 1 at rest, negative where inverted.
+    /// Least determinant of a deformation gradient; 1 at rest, negative for inverted elements.
     pub min_det: f64,
-    /// Elements with a determinant of 0 or less.
+    /// Elements with det F <= 0.
     pub inverted: usize,
 }
 
-/// What one sub-step did: a row of steps.csv.
+/// Diagnostics of one sub-step: a row of steps.csv.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepReport {
     /// Length of the sub-step, s.
     pub dt: f64,
-    /// Whether it was longer than the CFL condition allows: held at the floor of the step length, or fixed.
+    /// Whether the sub-step exceeds the CFL condition, because of the least step length or a fixed step.
     pub dt_floored: bool,
-    /// The liquid's part, where the scene has liquid.
+    /// Diagnostics of the liquid.
     pub liquid: Option<LiquidReport>,
-    /// The solids' part, where the scene has solids.
+    /// Diagnostics of the solids.
     pub solid: Option<SolidReport>,
-    /// What they do to each other, where the scene has both.
+    /// Diagnostics of the coupling of liquid and solids.
     pub coupling: Option<CouplingReport>,
-    /// Seconds of each stage, by its canonical noun, in order: on the device, where it can tell them, or of wall clock on the f64
-    /// path.
+    /// Seconds of each stage, by its canonical noun, in order: device time with timestamps, or wall-clock time on the f64
+    /// backend.
     pub seconds: Vec<(&'static str, f64)>,
-    /// Wall-clock seconds of the whole sub-step, waits included.
+    /// Wall-clock seconds of the whole sub-step, including waits.
     pub seconds_total: f64,
 }
 
 impl StepReport {
-    /// The solves of the sub-step: the pressure's, then the solids'.
+    /// The pressure solve and the velocity solve of the solids.
     pub fn solves(&self) -> impl Iterator<Item = SolveReport> {
         let liquid = self.liquid.map(|liquid| liquid.solve);
         let solid = self.solid.map(|solid| solid.solve);
@@ -204,7 +204,7 @@ impl StepReport {
     }
 }
 
-/// What one sub-step did to the liquid.
+/// Diagnostics of the liquid in one sub-step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LiquidReport {
     /// The pressure solve.
@@ -217,65 +217,65 @@ pub struct LiquidReport {
     pub markers: usize,
     /// Markers dropped in this sub-step because they could not be moved out of a solid.
     pub dropped: u64,
-    /// What came in and what went out, where the scene has ways in or out.
+    /// Inflow and outflow, in scenes with open sides, sources or sinks.
     pub exchange: Option<Exchange>,
 }
 
-/// What came into the domain and what went out in one sub-step.
+/// Inflow and outflow of one sub-step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Exchange {
     /// Markers that left through open sides.
     pub left: u64,
     /// Markers that sinks removed.
     pub sunk: u64,
-    /// Markers that sources made.
+    /// Markers emitted by sources.
     pub emitted: u64,
-    /// The volume of those that left, m^3.
+    /// Volume of markers that left, m^3.
     pub volume_left: f64,
-    /// Of those that sank.
+    /// Volume of markers removed by sinks, m^3.
     pub volume_sunk: f64,
-    /// What sources emitted, with what they filled themselves with at their start, m^3.
+    /// Volume emitted by sources, m^3, including their initial filling.
     pub volume_emitted: f64,
 }
 
-/// How the search for what walls and obstacles hold of the solids ended.
+/// Result of the active-set iteration for contacts of solids with walls and obstacles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ContactReport {
-    /// Solves that it took.
+    /// Active-set iterations.
     pub solves: u32,
-    /// Contacts that the last of them had wrong: nodes that are beyond a surface or pulled to it; 0 where the search came to its end.
+    /// Misclassified contacts of the last solve: penetrating or adhering nodes; 0 if the active set is unchanged.
     pub unsettled: u32,
 }
 
-/// What one sub-step did to the solids.
+/// Diagnostics of the solids in one sub-step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SolidReport {
-    /// The solve for the velocities of the nodes; the last one, with the iterations of all.
+    /// The last velocity solve, with the PCG iterations of all active-set iterations.
     pub solve: SolveReport,
-    /// What became of contact.
+    /// Contacts.
     pub contact: ContactReport,
     /// Momentum, energies and the worst element after the sub-step.
     pub diagnosis: SolidDiagnosis,
 }
 
-/// What liquid and solids did to each other in one sub-step.
+/// Diagnostics of the coupling in one sub-step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CouplingReport {
-    /// Whether they touch: otherwise each was solved for itself.
+    /// Whether liquid and solids touch; otherwise their solves are separate.
     pub touching: bool,
-    /// Whether they were solved for in the condensed form, pressures alone.
+    /// Whether the coupled solve used the Schur-complement (pressure-only) form.
     pub condensed: bool,
-    /// Sum of the liquid's forces on the solids by the pressure at the centres of cells, J^T p, N.
+    /// Total force of the liquid on the solids by cell-centred pressures, J^T p, N.
     pub force: [f64; 3],
-    /// Sum of what pressure adds that varies within cells, N. It acts on the solids alone.
+    /// Total force of the pressure's variation within cells, N. It acts on the solids alone.
     pub correction: [f64; 3],
-    /// Cells whose centre lies in two solids, or in a solid and an obstacle.
+    /// Cells with a centre in two solids, or in a solid and an obstacle.
     pub overlap_cells: usize,
     /// Thickness of that overlap, m.
     pub overlap_depth: f64,
 }
 
-/// What the liquid amounts to at one moment.
+/// Diagnostics of the liquid at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Diagnosis {
     /// Liquid volume, m^3.
@@ -284,7 +284,7 @@ pub struct Diagnosis {
     pub momentum: [f64; 3],
     /// J
     pub kinetic_energy: f64,
-    /// J, from the origin of the domain: zero where g . x is.
+    /// Potential energy relative to g . x = 0, with x from the origin of the domain, J.
     pub potential_energy: f64,
     /// Largest magnitude of a face velocity component, m/s.
     pub max_speed: f64,

@@ -1,7 +1,8 @@
 //! The schedule of a sub-step (Zarifi's thesis, algorithm 4) and the driver that runs it.
 //!
-//! [`SCHEDULE`] is the only place that knows the order. Both backends implement [`Backend`]; [`run`] calls their stages row by row.
-//! `plan`, `compare`, `bench step`, the stage columns of `steps.csv` and the lists in the documentation come from the table.
+//! [`SCHEDULE`] alone defines the order. Both backends implement [`Backend`]; [`run`] calls their stages row by row.
+//! `plan`, `compare`, `bench step`, the stage columns of `steps.csv` and the lists in the documentation derive from
+//! the table.
 
 use crate::Error;
 use crate::effects::Effects;
@@ -50,9 +51,9 @@ pub enum Stage {
 /// When a stage runs in a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum When {
-    /// The scene does not call for it.
+    /// Not active in the scene.
     Never,
-    /// Once, when a state is put in place.
+    /// Once, after a state is written.
     Once,
     /// In every sub-step.
     EverySubStep,
@@ -63,7 +64,8 @@ pub enum When {
 pub enum Runner {
     /// Both backends, within the sub-step.
     Both,
-    /// The GPU alone, within the sub-step: lists that save work. The f64 path finds the same by itself.
+    /// Only the GPU, within the sub-step. These stages build lists that save work; the f64 path computes the same
+    /// cells without them.
     Gpu,
     /// The run loop, before or after the sub-step.
     RunLoop,
@@ -76,7 +78,7 @@ pub struct Row {
     pub stage: Stage,
     /// Its name in labels, tables and messages.
     pub name: &'static str,
-    /// One sentence, with its source.
+    /// One sentence, with the source.
     pub sentence: &'static str,
     /// Who runs it.
     pub runner: Runner,
@@ -224,14 +226,14 @@ pub const SCHEDULE: [Row; 18] = [
     Row {
         stage: Stage::Probe,
         name: "probe",
-        sentence: "Measures what the scene's probes ask for.",
+        sentence: "Evaluates the scene's probes.",
         runner: Runner::RunLoop,
         when: |effects| every(effects.probes),
     },
 ];
 
 impl Stage {
-    /// Its row.
+    /// Row of the stage.
     pub const fn row(self) -> &'static Row {
         &SCHEDULE[self as usize]
     }
@@ -251,16 +253,11 @@ pub trait Backend {
     fn run(&mut self, stage: Stage) -> Result<(), Error>;
 
     /// Called after every stage.
-    ///
-    /// # Errors
-    /// Errors of a stage callback.
     fn after(&mut self, stage: Stage) -> Result<(), Error>;
 }
 
-/// Runs the stages of a sub-step that the effects call for, in order; `gpu`: with the stages of the GPU alone.
-///
-/// # Errors
-/// The first error of a stage.
+/// Runs the stages of the active effects in order. `gpu` includes the stages that only the GPU has. Stops at the
+/// first error.
 pub fn run(backend: &mut impl Backend, effects: &Effects, gpu: bool) -> Result<(), Error> {
     let within = |row: &&Row| match row.runner {
         Runner::Both => true,

@@ -1,16 +1,17 @@
-// Per face at x, u*(x) = u(x - dt u(x - dt/2 u(x))): semi-Lagrangian along the midpoint rule (Stam 1999), trilinear, for the 12 minus
-// faces of a quad. The importing kernel declares level, step, velocity (faces, m/s), velocity_quads (the same as vec4), makes(axis, quad): which
-// lanes it is to make, and put(axis, quad, made, result): what it does with them, u* in m/s.
+// Per face at x, u*(x) = u(x - dt u(x - dt/2 u(x))): semi-Lagrangian with the midpoint rule (Stam 1999), trilinear,
+// for the 12 minus faces of a quad.
+// The importing kernel declares level, step, velocity (faces, m/s), velocity_quads (the same as vec4), makes(axis,
+// quad): the lanes to compute, and put(axis, quad, made, result): storage of u*, m/s.
 #import layout
 #import lanes
 #import step
 #import sample_velocity
 
-// Faces of an axis: own component here, the other two as means of the cells on both sides, m/s.
+// Faces of an axis: own component u, the other two as means over the cells on both sides, m/s.
 fn advect(axis: u32, quad: u32, cell: vec3<i32>, u: vec4<f32>, v: vec4<f32>, w: vec4<f32>) {
     let made = makes(axis, quad);
     let exists = made & lanes_inside(cell, face_extents(level, axis));
-    // Where nothing moves the face keeps its value; most of the band is air at rest.
+    // Without motion the face is unchanged; most of the band is air at rest.
     let moves = exists & ((u != vec4<f32>()) | (v != vec4<f32>()) | (w != vec4<f32>()));
     var result = vec4<f32>();
     if any(moves) {
@@ -34,7 +35,7 @@ fn advect_quad(quad: u32) {
     let z = 2u * level.quads + quad;
     let sy = level.stride_y;
     let sz = level.stride_z;
-    // Twice the velocity at the cell centres, here and at the cells before along each axis.
+    // Twice the velocity at the cell centres, here and one cell before along each axis.
     let u = velocity_quads[x];
     let v = velocity_quads[y];
     let w = velocity_quads[z];
@@ -49,7 +50,7 @@ fn advect_quad(quad: u32) {
     let u_z = velocity_quads[x - sz];
     let cu_z = u_z + shift_down(u_z, velocity_quads[x - sz + 1u]);
     let cv_z = velocity_quads[y - sz] + velocity_quads[y - sz + sy];
-    // On a wall the one cell at it counts for both.
+    // On a wall the single adjacent cell counts twice.
     let n = vec3<i32>(level.cells);
     let lanes = vec4<i32>(cell.x) + LANES;
     let low = lanes == vec4<i32>();

@@ -1,4 +1,4 @@
-// Where a compaction looks: gpu::Range is the same struct on the host.
+// Range of a compaction: gpu::Range on the host.
 struct Range {
     first: u32,
     n_flags: u32,

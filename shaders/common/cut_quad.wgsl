@@ -1,24 +1,24 @@
-// In place of the nodes of a place that is of an obstacle: what follows are bits of its velocity, m/s.
+// Replaces the first node of a closest point on an obstacle; the next words contain the bits of its velocity, m/s.
 const NO_NODE = 0xffffffffu;
 
-// What the host clipped in this sub-step: fields::Clipped and fields::CutQuad are the same structs there.
+// Clipping of this sub-step: fields::Clipped and fields::CutQuad on the host.
 struct Clipped {
-    // quads whose cells bodies cut that move, or cut in the last sub-step
+    // quads that moving bodies cut in this sub-step or in the last
     n_quads: u32,
-    // cells near them, with what is nearest
+    // cells near moving bodies, with their closest points
     n_places: u32,
-    // first word of the places' velocities in walls
+    // index of the first velocity in walls
     first: u32,
     pad: u32,
 }
 
 struct CutQuad {
-    // of the minus faces across x, y, z
+    // apertures of the minus faces across x, y, z
     open: array<vec4<f32>, 3>,
-    // of the centres from obstacles and solids, m
+    // distance of the centres from obstacles and solids, m
     distance: vec4<f32>,
     quad: u32,
-    // its word of walls: see moving_walls
+    // word of the quad in walls: see moving_walls
     walls: u32,
     pad_0: u32,
     pad_1: u32,

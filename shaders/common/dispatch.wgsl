@@ -1,5 +1,5 @@
 // Threads of list kernels: a linear index over a dispatch that is split in two dimensions above SPLIT workgroups.
-// gpu::SPLIT and gpu::WG_SIZE are the same numbers on the host.
+// Also gpu::SPLIT and gpu::WG_SIZE.
 const WG_SIZE = 64u;
 const SPLIT = 32768u;
 
@@ -11,7 +11,7 @@ fn linear_index(workgroup: vec3<u32>, lane: u32) -> u32 {
     return group_index(workgroup) * WG_SIZE + lane;
 }
 
-// Workgroup counts for n threads, as dispatch_workgroups_indirect reads them.
+// Workgroup counts for n threads, in the layout of dispatch_workgroups_indirect.
 fn workgroups_for(n: u32) -> vec3<u32> {
     let groups = (n + WG_SIZE - 1u) / WG_SIZE;
     if groups <= SPLIT {

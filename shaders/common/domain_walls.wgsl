@@ -1,7 +1,7 @@
 #import pair
 #import real
 
-// A free node beyond a wall of the domain is put on it and loses its velocity into it.
+// Projects a free node beyond a domain wall onto it and removes its velocity into it.
 struct Stopped {
     displacement: Pair,
     velocity: Real3,

@@ -1,4 +1,4 @@
-// Where faces are in a field of the x, y and z faces, one after another. The importing kernel declares level.
+// Index of faces in a field with sections of x, y and z faces. The importing kernel declares level.
 #import layout
 
 // The unit vector of an axis.

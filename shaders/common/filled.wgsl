@@ -1,5 +1,5 @@
-// How much liquid cells hold. The importing kernel declares step: Step and solid_distance: array<vec4<f32>>, m, cell centres; a
-// scene without obstacles has one quad of it, far from any solid.
+// Liquid volume of cells. The importing kernel declares step: Step and solid_distance: array<vec4<f32>>, m, cell
+// centres; one quad far outside in a scene without obstacles.
 #import step
 #import real
 
@@ -9,7 +9,7 @@ fn open_volume(quad: u32) -> Real4 {
     return clamp(Real4(Real(0.5)) + Real4(distance) / Real(step.dx), Real4(), Real4(Real(1.0)));
 }
 
-// Liquid volume, fraction of dx^3, given the liquid distance, m.
+// Liquid volume, fraction of dx^3, from the liquid distance, m.
 fn liquid_volume(quad: u32, phi: vec4<f32>) -> Real4 {
     return open_volume(quad) * clamp(Real4(Real(0.5)) - Real4(phi) / Real(step.dx), Real4(), Real4(Real(1.0)));
 }

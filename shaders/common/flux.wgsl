@@ -1,5 +1,5 @@
-// What flows into cells. The importing kernel declares level: Layout, velocity: array<vec4<f32>>, faces, m/s, and
-// open: array<vec4<f32>>, open fractions of the faces; negative on those that sources hold, which let their flux through all the same.
+// Inflow of cells. The importing kernel declares level: Layout, velocity: array<vec4<f32>>, faces, m/s, and open:
+// array<vec4<f32>>, face apertures, negative on faces of sources, whose flux counts all the same.
 #import layout
 #import lanes
 #import real
@@ -8,7 +8,7 @@ fn between(area_minus: vec4<f32>, u_minus: vec4<f32>, area_plus: vec4<f32>, u_pl
     return Real4(abs(area_minus)) * Real4(u_minus) - Real4(abs(area_plus)) * Real4(u_plus);
 }
 
-// - sum over faces of s_f open_f u_f of the cells of a quad, m/s.
+// - sum over faces of s_f open_f u_f for the cells of a quad, m/s.
 fn net_inflow(quad: u32) -> Real4 {
     let y = level.quads + quad;
     let z = 2u * level.quads + quad;

@@ -1,9 +1,9 @@
 #import real
 
 // Sums over the elements of a node, in ascending order.
-// incidence: where the corners of each node start, one more than there are nodes, then the corners, 4 element + corner.
-// products: per element, a vector at corners 1, 2, 3, three sections; that at corner 0 is minus their sum. The including file declares
-// them.
+// incidence: index of the first corner of each node, and the total; then the corners, 4 element + corner. products:
+// per element, a vector at corners 1, 2, 3 in three sections; corner 0 is minus their sum. The importing kernel
+// declares them.
 fn gather(node: u32, n_elements: u32) -> Real3 {
     var sum = Real3();
     let last = incidence[node + 1u];

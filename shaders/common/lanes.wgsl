@@ -1,9 +1,9 @@
-// The four lanes of a quad: neighbours along x, and which of them exist.
+// The four lanes of a quad: neighbours along x, and lanes inside the domain.
 #import layout
 
 const LANES = vec4<i32>(0, 1, 2, 3);
 
-// Values one cell before / after each lane, given the quad before / after.
+// Values one cell before / after each lane, from the quad before / after.
 fn shift_up(before: vec4<f32>, here: vec4<f32>) -> vec4<f32> {
     return vec4<f32>(before.w, here.xyz);
 }
@@ -11,7 +11,7 @@ fn shift_down(here: vec4<f32>, after: vec4<f32>) -> vec4<f32> {
     return vec4<f32>(here.yzw, after.x);
 }
 
-// Lanes whose cell lies in a box of n cells at the origin.
+// Lanes whose cell is in a box of n cells at the origin.
 fn lanes_inside(cell: vec3<i32>, n: vec3<i32>) -> vec4<bool> {
     let row = all(cell.yz >= vec2<i32>()) && all(cell.yz < n.yz);
     let x = vec4<i32>(cell.x) + LANES;
@@ -23,7 +23,7 @@ fn face_extents(level: Layout, axis: u32) -> vec3<i32> {
     return vec3<i32>(level.cells) + vec3<i32>(vec3<u32>(axis) == vec3<u32>(0u, 1u, 2u));
 }
 
-// The same as bits, lane 0 lowest.
+// The lanes as bits, lane 0 lowest.
 fn lane_bits(lanes: vec4<bool>) -> u32 {
     return dot(vec4<u32>(lanes), vec4<u32>(1u, 2u, 4u, 8u));
 }

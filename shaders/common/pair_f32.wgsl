@@ -1,7 +1,7 @@
-// A displacement as the sum of two f32, in the variant without f64: sums and differences keep 46 digits.
+// A displacement as the sum of two f32, in the variant without f64: sums and differences are keep 46 digits.
 //
-// The errors of sums below are zero in real numbers, and compilers may take them for zero. What passes through kept() they
-// cannot look through: zero is 0 in every step, which only the host knows.
+// The rounding errors of the sums below are zero in exact arithmetic, and compilers may simplify them to zero. kept()
+// prevents that: zero is 0 in every step, which only the host knows.
 
 struct Pair {
     hi: vec3<f32>,
@@ -20,7 +20,8 @@ fn pair_difference(a: Pair, b: Pair, zero: u32) -> vec3<f32> {
     return kept(a.hi - b.hi, zero) + (a.lo - b.lo);
 }
 
-// What of the larger part's digits, 22 below its first, is the first that a sum drops: so that hi + lo is an f64.
+// Relative size of the first digit of the larger part that a sum drops, 22 below its first, so that hi + lo is an
+// f64.
 const DROPPED = 2.3841858e-7;
 
 fn pair_plus(a: Pair, b: vec3<f32>, zero: u32) -> Pair {

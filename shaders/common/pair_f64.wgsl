@@ -1,5 +1,4 @@
-// A displacement as the sum of two f32, in the variant with f64: the sum is formed there, and is an f64. zero: for the variant
-// without f64.
+// A displacement as the sum of two f32, in the variant with f64, which forms the sum in f64. zero: unused here.
 
 struct Pair {
     hi: vec3<f32>,

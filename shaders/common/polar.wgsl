@@ -1,14 +1,14 @@
-// The proper rotation (determinant +1) nearest to a matrix in the Frobenius norm: U V^T of the singular value decomposition
-// U S V^T with the direction of the smallest singular value turned round where the determinant is negative.
+// The proper rotation (determinant +1) nearest to a matrix in the Frobenius norm: U V^T of the singular value
+// decomposition U S V^T, with the direction of the smallest singular value reversed if the determinant is negative.
 //
-// The columns are rotated against each other until they are orthogonal (one-sided Jacobi, Hestenes 1958): the matrix times its
-// transpose, which has the square of its condition, is not formed. The third directions of U and V complete right-handed
-// frames, so the answer is proper whatever the matrix. Its error is a few EPSILON (1 + s1 / (s2 +- s3)), - where inverted.
+// One-sided Jacobi (Hestenes 1958) rotates the columns until they are orthogonal. It avoids the matrix times its
+// transpose, whose condition number is squared. The third directions of U and V complete right-handed frames, so the
+// result is proper for any matrix. Its error is a few EPSILON (1 + s1 / (s2 +- s3)), - where inverted.
 #import real
 
-// Four to six do.
+// Four to six are sufficient.
 const SWEEPS = 8;
-// A matrix below it is taken for zero, which has no nearest rotation: identity.
+// A smaller matrix counts as zero and yields the identity.
 const SMALLEST_MATRIX = Real(1e-30);
 // Second singular values below this part of the first, in EPSILON, have no direction.
 const NO_DIRECTION = Real(16.0);
@@ -23,12 +23,12 @@ fn unit(a: Real3) -> Real3 {
     return a / sqrt(dot(a, a));
 }
 
-// Part of a normal to a unit vector.
+// Component of a orthogonal to a unit vector.
 fn without(a: Real3, direction: Real3) -> Real3 {
     return a - dot(a, direction) * direction;
 }
 
-// Makes columns a and b orthogonal, unless they are, and does the same to p and q. The angle is the smaller of two.
+// Rotates columns a and b, and p and q with them, until a and b are orthogonal. The smaller of the two angles.
 fn orthogonalise(a: ptr<function, Real3>, b: ptr<function, Real3>, p: ptr<function, Real3>, q: ptr<function, Real3>) -> bool {
     let aa = dot(*a, *a);
     let bb = dot(*b, *b);
@@ -50,7 +50,7 @@ fn orthogonalise(a: ptr<function, Real3>, b: ptr<function, Real3>, p: ptr<functi
     return true;
 }
 
-// Puts the longer of two columns first by a quarter turn, with those of the frame.
+// Moves the longer of two columns to the front by a quarter turn, with those of the frame.
 fn order(a: ptr<function, Real3>, b: ptr<function, Real3>, p: ptr<function, Real3>, q: ptr<function, Real3>) {
     if dot(*a, *a) < dot(*b, *b) {
         let longer = *b;
@@ -93,7 +93,7 @@ fn nearest_rotation(f: Real3x3) -> Real3x3 {
     var second = without(b, u1);
     let least = NO_DIRECTION * EPSILON;
     if !(dot(second, second) > least * least * dot(a, a)) {
-        // All turns about u1 are as near: one that leaves the other directions about where they are.
+        // All rotations about u1 are equally near; this one changes the other directions least.
         second = without(v2, u1);
         if abs(dot(v2, u1)) > abs(dot(v3, u1)) {
             second = cross(v3, u1);
@@ -101,7 +101,7 @@ fn nearest_rotation(f: Real3x3) -> Real3x3 {
     }
     let u2 = unit(second);
     let rotation = Real3x3(u1, u2, cross(u1, u2)) * transpose(Real3x3(v1, v2, v3));
-    // Rounding left it a little off orthogonal: one step of Newton and Schulz.
+    // Rounding leaves it slightly non-orthogonal: one Newton-Schulz step.
     let defect = one - transpose(rotation) * rotation;
     return rotation + rotation * (Real(0.5) * defect);
 }

@@ -1,8 +1,9 @@
-// A probe at a point: fields::ProbePoint is the same struct on the host.
+// A probe at a point: stages::ProbePoint on the host.
 struct ProbePoint {
-    // m
+    // position, m
     point: vec3<f32>,
-    // What it measures in bits 0 and 1; of a height its axis in bits 2 and 3, and bit 4 where coordinates fall on the way up.
+    // Quantity in bits 0 and 1. For a height, bits 2 and 3 contain its axis, and bit 4 is set where coordinates
+    // decrease upwards.
     kind: u32,
 }
 const HEIGHT = 0u;

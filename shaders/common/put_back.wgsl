@@ -1,7 +1,7 @@
 #import contact
 
-// A velocity v, m/s, that takes a node beyond nothing in a sub-step of dt (s), near another: before one surface after the other, again
-// and again, as the next may put it beyond the last. gaps: see contact; the including file declares them.
+// A feasible velocity near v, m/s: the node penetrates no surface in a sub-step of dt (s). Sweeps over the surfaces,
+// as each limit may violate an earlier one. gaps: see contact; the importing kernel declares them.
 fn put_back(node: u32, n_nodes: u32, v: Real3, dt: Real) -> Real3 {
     let walls = gaps[node];
     var back = before_walls(walls, v, dt);

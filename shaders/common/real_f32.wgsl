@@ -1,4 +1,4 @@
-// The scalar type of this variant.
+// Scalar type of this variant.
 alias Real = f32;
 alias Real3 = vec3<f32>;
 alias Real4 = vec4<f32>;

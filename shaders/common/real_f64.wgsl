@@ -1,4 +1,4 @@
-// The scalar type of this variant.
+// Scalar type of this variant.
 alias Real = f64;
 alias Real3 = vec3<f64>;
 alias Real4 = vec4<f64>;

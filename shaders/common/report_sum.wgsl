@@ -1,4 +1,4 @@
-// Puts a sum into the report: an f32 and what is left of it. The importing kernel declares report: array<u32>.
+// Writes a sum to the report: an f32 and its remainder. The importing kernel declares report: array<u32>.
 #import real
 
 fn report_sum(word: u32, sum: Real) {

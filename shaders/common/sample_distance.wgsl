@@ -1,8 +1,8 @@
-// Trilinear interpolation of a cell-centred distance and the exact gradient of the interpolant, clamped to the range of the
-// cells. The importing kernel declares level: Layout and distances: array<f32>, m.
+// Trilinear interpolation of a cell-centred distance and the exact gradient of the interpolant, clamped to the range
+// of the cells. The importing kernel declares level: Layout and distances: array<f32>, m.
 #import layout
 
-// at: position in cells, that is x / dx. Returns the distance, m, and its gradient per cell, m.
+// at: position in cells, x / dx. Returns the distance, m, and its gradient per cell, m.
 fn sample_distance(at: vec3<f32>) -> vec4<f32> {
     let top = vec3<f32>(level.cells) - 1.0;
     let index = clamp(at - 0.5, vec3<f32>(), top);
@@ -13,7 +13,7 @@ fn sample_distance(at: vec3<f32>) -> vec4<f32> {
     let slab = 4u * level.stride_z;
     let i = slab * (base.z + 1u) + row * base.y + base.x;
     let k = i + slab;
-    // A grid one cell thick has no second cell: the gradient across it is zero.
+    // The gradient across a grid one cell thick is zero.
     let thick = vec3<f32>(level.cells > vec3<u32>(1u));
     let a = vec4<f32>(distances[i], distances[i + row], distances[k], distances[k + row]);
     let b = vec4<f32>(distances[i + 1u], distances[i + row + 1u], distances[k + 1u], distances[k + row + 1u]);

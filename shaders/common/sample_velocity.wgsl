@@ -1,8 +1,8 @@
-// Trilinear samples of the face velocities, clamped to the range of the faces of each axis. The importing kernel declares
-// level: Layout and velocity: array<f32>, the x, y and z faces one after another, m/s.
+// Trilinear samples of the face velocities, clamped to the range of the faces of each axis. The importing kernel
+// declares level: Layout and velocity: array<f32>, the x, y and z faces one after another, m/s.
 #import layout
 
-// at: position in cells, that is x / dx.
+// at: position in cells, x / dx.
 fn sample_face(axis: u32, at: vec3<f32>) -> f32 {
     let shift = select(vec3<f32>(0.5), vec3<f32>(), vec3<u32>(axis) == vec3<u32>(0u, 1u, 2u));
     let top = vec3<f32>(level.cells) - 2.0 * shift;

@@ -1,5 +1,5 @@
-// Exclusive scan of chunks[0 .. n] in place by one workgroup of SCAN_SIZE threads; each of them gets the sum. The including file
-// declares chunks. All threads must call it.
+// Exclusive scan of chunks[0 .. n] in place by one workgroup of SCAN_SIZE threads; returns the sum to each. The
+// importing kernel declares chunks. All threads must call it.
 const SCAN_SIZE = 256u;
 var<workgroup> sh_sums: array<u32, SCAN_SIZE>;
 

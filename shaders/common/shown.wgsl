@@ -1,13 +1,15 @@
-// What slivers show of their velocity u to what is made from it (extrapolate, advect_velocity; why: see the twin, slivers):
-// u + (1 - a / SLIVER) trust(W) (m - u), m = sum_n w_n u_n / W, W = sum_n w_n,
-// a the open fraction, n the 26 neighbours of the same axis. The importing kernel declares level, open, velocity, weight(axis, face): w of
-// a face, by its index, and trust(sum): what part of 1 a sum of weights is good for.
+// Blended velocity of small-aperture faces for extrapolate and advect_velocity (reason in reference/slivers.rs), u +
+// (1 - a / SLIVER) trust(W) (m - u), m = sum_n w_n u_n / W, W = sum_n w_n, with aperture a and n the 26 neighbours of
+// the same axis.
+// The importing kernel declares level, open, velocity, weight(axis, face): w of a face by its index, and trust(sum):
+// t of the sum of weights.
 #import face_index
 #import lanes
 #import layout
 #import valid
 
-// Of a sliver of a quad, bit 4 axis + lane, m/s. Without neighbours that weigh it shows its own.
+// Blended velocity of a small-aperture face of a quad, bit 4 axis + lane, m/s. Its own velocity if no neighbour has a
+// weight.
 fn shown(quad: u32, bit: u32) -> f32 {
     let axis = bit / 4u;
     let cell = quad_cell(level, quad) + vec3<i32>(i32(bit % 4u), 0, 0);

@@ -1,27 +1,28 @@
-// Free slip along solids: closed faces in and just outside them, off the walls, lose the part of their velocity, relative to the wall,
-// that points into or out of the solid: u_a - ((v - w) . n) n_a, n the direction of the interpolated distance by central differences
-// over dx. The importing kernel declares level, step, solid_distance (vec4 per quad), velocity, valid, velocity_next, slipping (see slip),
-// and wall_velocity(axis, cell): w at the minus face of a cell, m/s.
+// Free slip along solids: closed faces in and just outside them, except domain walls, lose the normal part of their
+// velocity relative to the wall: u_a - ((v - w) . n) n_a. n is the direction of the interpolated distance by central
+// differences over dx.
+// The importing kernel declares level, step, solid_distance (vec4 per quad), velocity, valid, velocity_next, slipping
+// (see slip), and wall_velocity(axis, cell): w at the minus face of a cell, m/s.
 #import face_index
 #import layout
 #import lanes
 #import step
 #import valid
 
-// Faces closer to a surface than this slip along it, cells.
+// Distance from a surface below which faces slip along it, cells.
 const SLIP_REACH = 0.5;
-// A cell further out has no such face: the distance changes by one cell from cell to cell.
+// Distance of a cell beyond which none of its faces slips, as the distance changes by at most one cell per cell.
 const FAR = 2.0;
-// Below this length (per unit length) a gradient has no direction.
+// Gradient (dimensionless) below which there is no direction.
 const SMALLEST_GRADIENT = 1e-6;
 
-// Distance of a cell, its position clamped to the domain, m.
+// Distance at a cell, clamped to the domain, m.
 fn distance_of(cell: vec3<i32>) -> f32 {
     let c = vec3<u32>(clamp(cell, vec3<i32>(), vec3<i32>(level.cells) - 1));
     return solid_distance[level.stride_z * (c.z + 1u) + level.stride_y * c.y + c.x / 4u][c.x % 4u];
 }
 
-// The new velocity of a face between two cells.
+// New velocity of a face between two cells.
 fn slide(axis: u32, cell: vec3<i32>) -> f32 {
     let minus = cell - along(axis);
     var v = vec3<f32>();
@@ -32,7 +33,7 @@ fn slide(axis: u32, cell: vec3<i32>) -> f32 {
                 + (velocity[face_index(b, minus)] + velocity[face_index(b, minus + along(b))]));
         }
     }
-    // Of the wall or, without one, most of the inside of a solid.
+    // The velocity is relative to the wall; without a wall velocity deep inside a solid.
     let relative = v - wall_velocity(axis, cell);
     if all(relative == vec3<f32>()) {
         return v[axis];
@@ -54,19 +55,19 @@ fn slide(axis: u32, cell: vec3<i32>) -> f32 {
     return v[axis] - dot(relative, n) * n[axis];
 }
 
-// Lanes whose face has a cell on both sides and lies near a surface.
+// Lanes whose face has a cell on both sides and is near a surface.
 fn near_lanes(here: vec4<f32>, minus: vec4<f32>, cell: vec3<i32>, axis: u32) -> u32 {
     let n = vec3<i32>(level.cells);
     let near = 0.5 * (here + minus) < vec4<f32>(SLIP_REACH * step.dx);
     return lane_bits(near & lanes_inside(cell, n) & lanes_inside(cell - along(axis), n));
 }
 
-// Finds the faces of a quad that slip, and their new velocities.
+// Computes the slipping faces of a quad, and their new velocities.
 fn slip_quad(quad: u32) {
     let cell = quad_cell(level, quad);
     let word = valid[quad];
     let here = solid_distance[quad];
-    // So far outside no face between this quad and its neighbours is near a surface.
+    // At this distance no face between this quad and its neighbours is near a surface.
     if all(here >= vec4<f32>(FAR * step.dx)) {
         slipping[quad] = word & ~VALID;
         return;

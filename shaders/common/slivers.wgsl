@@ -1,9 +1,9 @@
-// Slivers: open faces that are open by less than SLIVER of their area. The importing kernel declares level, valid and open (fractions of the
-// faces).
+// Small-aperture faces (slivers): open faces with an aperture below SLIVER. The importing kernel declares level,
+// valid and open (face apertures).
 #import layout
 #import valid
 
-// Those of the 12 minus faces of a quad, bit 4 axis + lane.
+// Small-aperture faces among the 12 minus faces of a quad, bit 4 axis + lane.
 fn slivers_of(quad: u32) -> u32 {
     let word = valid[quad];
     if (word & SLIVERS) == 0u {

@@ -1,7 +1,7 @@
 #import dispatch
 
-// One pass of a sort: gpu::SortPass is the same struct on the host. shift: lowest bit of its digit. args: first word of the
-// list's arguments, whose fourth is its length.
+// One pass of a sort: gpu::SortPass on the host. shift: lowest bit of its digit. args: index of the first of the
+// list's four arguments; the fourth is its length.
 struct SortPass {
     shift: u32,
     args: u32,
@@ -9,7 +9,7 @@ struct SortPass {
 
 const DIGIT_BITS = 4u;
 const DIGITS = 16u;
-// Consecutive entries of a thread, and of a workgroup: gpu::TILE is the same number on the host.
+// Consecutive entries of a thread, and of a workgroup: also gpu::TILE.
 const RUN = 16u;
 const TILE = 1024u;
 

@@ -1,4 +1,4 @@
-// A face of a cell of a source: fields::DeviceSourceFace is the same struct on the host.
+// A face of a source cell: fields::DeviceSourceFace on the host.
 #import source_step
 
 struct SourceFace {
@@ -6,24 +6,24 @@ struct SourceFace {
     face: u32,
     // Sources of the cells on the minus side (low byte) and on the plus side; 255 for none.
     sides: u32,
-    // Their velocities along the axis, m/s.
+    // Velocities of both along the axis, m/s.
     minus: f32,
     plus: f32,
-    // Shares of the face that they emit through where the other side is no source.
+    // Apertures of their flux where the other side is no source.
     minus_aperture: f32,
     plus_aperture: f32,
     pad_0: u32,
     pad_1: u32,
 }
 
-// The velocity that a face carries, m/s, if it does, and the share of the face that lets it through.
+// Prescribed velocity of a face, m/s, if any, and the aperture of its flux.
 struct Held {
     is: bool,
     velocity: f32,
     aperture: f32,
 }
 
-// Between cells of sources their velocity, else that out of the source; into it nothing flows.
+// Between cells of sources their velocity, else the velocity out of the source; no inflow.
 fn held(face: SourceFace, running: u32) -> Held {
     let minus = runs(face.sides & 255u, running);
     let plus = runs(face.sides >> 8u, running);

@@ -1,10 +1,10 @@
-// What a sub-step knows beyond the layout: fields::Step fills it on the host.
+// Parameters of a sub-step for the liquid: fields::Step on the host.
 struct Step {
     // m/s^2
     gravity: vec3<f32>,
     // s
     dt: f32,
-    // Domain, m.
+    // Size of the domain, m.
     size: vec3<f32>,
     // m
     dx: f32,
@@ -12,7 +12,7 @@ struct Step {
     inv_dx: f32,
     // Length of a frame, s.
     frame: f32,
-    // Liquid volume to hold, m^3.
+    // Controlled liquid volume, m^3.
     volume_0: f32,
     // kg/m^3
     density: f32,
@@ -20,6 +20,6 @@ struct Step {
     marker_radius: f32,
     theta_floor: f32,
     n_markers: u32,
-    // Sides of the domain that are open, see walls.
+    // Open sides of the domain, see walls.
     open_sides: u32,
 }

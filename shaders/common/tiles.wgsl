@@ -1,14 +1,14 @@
-// Tiles of 8 x 8 x 8 cells that cover every cell and every face: fields::Tiles is the same struct on the host.
+// Tiles of 8 x 8 x 8 cells that cover every cell and every face: fields::Tiles on the host.
 struct Tiles {
     n: vec3<u32>,
-    // By how many tiles the band reaches beyond the liquid.
+    // Tiles by which the band extends beyond tiles with liquid.
     reach: u32,
 }
 
 // Cells along the edge of a tile: two quads.
 const TILE = 8u;
 
-// Of the word per tile: whether it is in the band, and whether it was before.
+// Bits of the word per tile: in the band now, and in the last sub-step.
 const NOW = 1u;
 const BEFORE = 2u;
 

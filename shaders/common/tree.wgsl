@@ -1,6 +1,6 @@
 #import real
 
-// Sum of what FOLD_SIZE threads of a workgroup have, in a tree. All threads must call it, and a barrier must stand between two calls.
+// Sum over FOLD_SIZE threads of a workgroup, in a tree. All threads must call it, with a barrier between two calls.
 const FOLD_SIZE = 256u;
 var<workgroup> sh_sums: array<Real4, FOLD_SIZE>;
 

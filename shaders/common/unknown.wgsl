@@ -1,2 +1,2 @@
-// Liquid distance of a cell that has none yet; real ones are at most a few cells.
+// Liquid distance of a cell that has none yet; other values are at most a few cells.
 const UNKNOWN = 3e38;

@@ -1,7 +1,7 @@
 // The sides of the domain, for markers.
 #import step
 
-// Distance that markers keep from walls, cells: keeps the cell of a marker inside the domain whatever the rounding.
+// Smallest distance of markers from walls, cells, so that rounding cannot move them out of the domain.
 const WALL_GAP = 0.01;
 
 fn inside_walls(x: vec3<f32>, step: Step) -> vec3<f32> {

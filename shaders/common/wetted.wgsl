@@ -1,4 +1,4 @@
-// What the condensed form has of the wetted nodes: solver::Wetted is the same struct on the host.
+// Wet nodes of the Schur-complement form: solver::Wetted on the host.
 struct Wetted {
     // wetted nodes
     n: u32,

@@ -6,7 +6,7 @@ use cutwater::gpu::{Gpu, Surroundings};
 /// List the GPU adapters
 #[derive(Debug, clap::Args)]
 pub(super) struct Adapters {
-    /// Also say what was found of loader, drivers and devices
+    /// Also list the Vulkan loader, drivers and devices
     #[arg(long)]
     explain: bool,
 }
@@ -31,7 +31,7 @@ impl Adapters {
                 adapter.buffer >> 20,
             );
         }
-        // Other systems bring what they need.
+        // Other systems include drivers.
         if cfg!(target_os = "linux") {
             let surroundings = Surroundings::of_system();
             if self.explain || adapters.is_empty() {
@@ -44,7 +44,7 @@ impl Adapters {
             }
         }
         match adapters.is_empty() {
-            // Opening one gives the message with the cure.
+            // The error has the cure.
             true => Gpu::new(&Default::default()).map(|_| ()),
             false => Ok(()),
         }

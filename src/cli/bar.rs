@@ -1,16 +1,16 @@
-//! Progress bars on standard error, where that is a terminal.
+//! Progress bars on standard error.
 
 use std::io::IsTerminal;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-/// A bar, hidden where standard error is no terminal. It is drawn in ASCII where the locale is not UTF-8.
+/// A bar, hidden unless standard error is a terminal, and in ASCII unless the locale is UTF-8.
 pub(super) fn progress_bar(template: &str) -> ProgressBar {
     if !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }
     let style = ProgressStyle::with_template(template).expect("the template is valid");
-    // Windows has no such variables, and consoles that take Unicode.
+    // Windows has no such variables, and its consoles support Unicode.
     let style = match cfg!(windows) || is_utf8(|name| std::env::var(name).ok()) {
         true => style,
         false => style.progress_chars("#>-"),
@@ -18,7 +18,7 @@ pub(super) fn progress_bar(template: &str) -> ProgressBar {
     ProgressBar::no_length().with_style(style)
 }
 
-/// Whether the locale's characters are UTF-8, by the variable that decides it (POSIX: LC_ALL, LC_CTYPE, LANG).
+/// Whether the locale is UTF-8, by the first variable that is set (POSIX: LC_ALL, LC_CTYPE, LANG).
 fn is_utf8(variable: impl Fn(&str) -> Option<String>) -> bool {
     let locale = ["LC_ALL", "LC_CTYPE", "LANG"]
         .into_iter()
@@ -36,8 +36,8 @@ mod tests {
     fn the_locale_decides() {
         let with = |variables: &[(&str, &str)]| {
             is_utf8(|name| {
-                let mut found = variables.iter().filter(|(known, _)| *known == name);
-                found.next().map(|(_, value)| (*value).to_owned())
+                let mut matches = variables.iter().filter(|(known, _)| *known == name);
+                matches.next().map(|(_, value)| (*value).to_owned())
             })
         };
         assert!(with(&[("LANG", "de_DE.UTF-8")]));

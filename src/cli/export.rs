@@ -14,7 +14,7 @@ pub(super) struct Export {
     scene: SceneArgs,
     #[command(flatten)]
     backend: BackendArgs,
-    /// Sub-step whose system it is, from 0 as in steps.csv
+    /// Sub-step to export, from 0 as in steps.csv
     #[arg(long)]
     step: u64,
     /// Folder of the files; an earlier export in it is replaced

@@ -14,7 +14,7 @@ pub(super) struct Mesh {
     /// Factor of all coordinates of the file: 0.001 for a mesh in mm
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     scale: f64,
-    /// Edges of the tetrahedra that fill a surface, about, m, after --scale
+    /// Approximate edge of the tetrahedra that fill a surface, m, after --scale
     #[arg(long, value_name = "METRES")]
     cell_size: Option<f64>,
     /// Write the tetrahedra to this .vtu file
@@ -36,10 +36,34 @@ impl Mesh {
         if !(self.scale.is_finite() && self.scale > 0.0) {
             return Err(Error::input(
                 format!("--scale {}", self.scale),
-                "lengths cannot be multiplied by it",
+                "is no factor of lengths",
                 "give a number above zero, such as 0.001 for a mesh in mm",
             ));
         }
+        let (tets, surface) = self.read()?;
+        let file = self.file.display();
+        let faults = [surface.as_ref().and_then(Surface::fault), tets.mesh.fault()];
+        if self.scale != 1.0
+            && let Some(fault) = faults.into_iter().flatten().next()
+        {
+            let what = format!("{file}, with --scale {}", self.scale);
+            return Err(Error::input(what, fault.problem, fault.cure));
+        }
+        say!("{file}");
+        for note in &tets.notes {
+            say!("  note: {note}");
+        }
+        say_counts(&tets.mesh, surface.as_ref());
+        say_shapes(&tets);
+        if let Some(out) = &self.out {
+            write_mesh(out, &tets.mesh)?;
+            say!("written: {}", out.display());
+        }
+        Ok(())
+    }
+
+    /// The scaled tetrahedra of the file, and the surface that they fill.
+    fn read(&self) -> Result<(TetFile, Option<Surface>), Error> {
         let file = self.file.display().to_string();
         let is_surface = match extension(&self.file).as_str() {
             "obj" | "stl" | "ply" => true,
@@ -66,21 +90,17 @@ impl Mesh {
                 ));
             }
         };
-        let (tets, surface) = match (is_surface, self.cell_size) {
-            (true, None) => {
-                return Err(Error::input(
-                    file,
-                    "a surface, and no --cell-size",
-                    "say how long the edges of the tetrahedra are, m: at most a third of the thinnest part",
-                ));
-            }
-            (false, Some(_)) => {
-                return Err(Error::input(
-                    format!("{file}: --cell-size"),
-                    "only surfaces (.obj, .stl, .ply) are filled",
-                    "leave it out",
-                ));
-            }
+        match (is_surface, self.cell_size) {
+            (true, None) => Err(Error::input(
+                file,
+                "a surface, and no --cell-size",
+                "give the edge of the tetrahedra in m: at most a third of the thinnest part",
+            )),
+            (false, Some(_)) => Err(Error::input(
+                format!("{file}: --cell-size"),
+                "only surfaces (.obj, .stl, .ply) are filled",
+                "remove it",
+            )),
             (true, Some(cell_size)) => {
                 let surface = geometry::read_mesh(&self.file)?.map(|x| self.scale * x);
                 let filled = geometry::fill(&surface, cell_size);
@@ -91,32 +111,14 @@ impl Mesh {
                     mesh,
                     notes: Vec::new(),
                 };
-                (tets, Some(surface))
+                Ok((tets, Some(surface)))
             }
             (false, None) => {
                 let mut tets = geometry::read_tets(&self.file)?;
                 tets.mesh = tets.mesh.scaled(self.scale);
-                (tets, None)
+                Ok((tets, None))
             }
-        };
-        let faults = [surface.as_ref().and_then(Surface::fault), tets.mesh.fault()];
-        if self.scale != 1.0
-            && let Some(fault) = faults.into_iter().flatten().next()
-        {
-            let what = format!("{file}, with --scale {}", self.scale);
-            return Err(Error::input(what, fault.problem, fault.cure));
         }
-        say!("{file}");
-        for note in &tets.notes {
-            say!("  note: {note}");
-        }
-        say_counts(&tets.mesh, surface.as_ref());
-        say_shapes(&tets);
-        if let Some(out) = &self.out {
-            write_mesh(out, &tets.mesh)?;
-            say!("written: {}", out.display());
-        }
-        Ok(())
     }
 }
 
@@ -152,7 +154,7 @@ fn say_counts(mesh: &TetMesh, filled: Option<&Surface>) {
     say!("  volume {:.6e} m^3", mesh.volume());
     if let Some(surface) = filled {
         say!(
-            "  volume of the surface {:.6e} m^3: the mesh is {:+.2} % off",
+            "  volume of the surface {:.6e} m^3: the mesh differs by {:+.2} %",
             surface.volume(),
             100.0 * (mesh.volume() / surface.volume() - 1.0)
         );

@@ -1,4 +1,4 @@
-//! Arguments to one function per command; errors to exit codes.
+//! Command line: arguments, one function per command, exit codes.
 
 #[macro_use]
 mod say;
@@ -27,7 +27,7 @@ use cutwater::gpu::AdapterChoice;
 use cutwater::scene::Scene;
 use cutwater::sim::Backend;
 
-/// What `--version` says: version and sources, as captions of tables have them. `-V` says the version alone.
+/// Output of `--version`: version and sources, as in captions of tables. `-V` prints the version alone.
 const BUILD: &str = concat!(
     env!("CARGO_PKG_VERSION"),
     " (",
@@ -47,15 +47,15 @@ struct Cli {
 enum Command {
     /// Simulate a scene and write its frames and tables
     Run(run::Run),
-    /// Run a scene with every combination of some settings, a folder each, and tell how all of them went
+    /// Run a scene with every combination of some settings, in a folder each, and summarise the runs
     Sweep(sweep::SweepCommand),
-    /// Say what a scene takes: effects, stages, kernels, buffers, and whether the adapter has room
+    /// List the effects, stages, kernels and buffers of a scene, and check the limits of the adapter
     Plan(plan::PlanCommand),
     /// List the GPU adapters
     Adapters(adapters::Adapters),
-    /// Print the JSON schema of scene files, from which editors complete and check
+    /// Print the JSON schema of scene files, for completion and checks in editors
     Schema(schema::Schema),
-    /// Measure solves, whole steps, what accuracy and effects cost
+    /// Measure solves, sub-steps, and the costs of accuracy and effects
     Bench(bench::Bench),
     /// Check every stage of the GPU path against the f64 path
     Compare(compare::Compare),
@@ -67,11 +67,11 @@ enum Command {
     Preview(preview::Preview),
     /// Draw the probes and the step table of runs as charts
     Plot(plot::Plot),
-    /// Gather what benches and runs wrote into one HTML page
+    /// Collect the results of benches and runs in one HTML page
     Report(report::Report),
 }
 
-/// A scene and how it is changed.
+/// A scene with its overrides.
 #[derive(Debug, Args)]
 struct SceneArgs {
     /// Scene file (TOML)
@@ -90,7 +90,7 @@ impl SceneArgs {
     }
 }
 
-/// Refuses what is no folder of a run, and says what it is; `command` is to read it.
+/// Refuses a path that is not the folder of a run; `command` is the command that reads it.
 fn ensure_run(path: &Path, command: &str) -> Result<(), Error> {
     let refuse = |problem: &str, cure: String| {
         let what = path.display().to_string();
@@ -108,7 +108,7 @@ fn ensure_run(path: &Path, command: &str) -> Result<(), Error> {
     if path.is_file() {
         let cure = match path.parent() {
             Some(run) if run.join("manifest.json").is_file() => {
-                format!("give the folder that it is in: {}", run.display())
+                format!("give its folder: {}", run.display())
             }
             _ => "give the folder that `cutwater run --out` wrote".to_owned(),
         };
@@ -123,13 +123,12 @@ fn ensure_run(path: &Path, command: &str) -> Result<(), Error> {
         runs.sort();
         if let Some(run) = runs.first() {
             let cure = format!("give the folder of a run, such as {}", run.display());
-            return refuse("holds runs, and is none", cure);
+            return refuse("contains runs, but is not one itself", cure);
         }
     }
     Ok(())
 }
 
-/// Where to run.
 #[derive(Debug, Args)]
 struct BackendArgs {
     /// gpu, or cpu for the f64 path
@@ -139,7 +138,6 @@ struct BackendArgs {
     adapter: AdapterArgs,
 }
 
-/// Which adapter.
 #[derive(Debug, Args)]
 struct AdapterArgs {
     /// Adapter by index, kind (discrete, integrated, virtual, software) or part of its name; the best by default
@@ -156,11 +154,10 @@ impl AdapterArgs {
     }
 }
 
-/// What takes less of an adapter, of commands that simulate a scene.
+/// Cure for a scene beyond the limits of an adapter.
 const SMALLER_SCENE: &str = "fewer cells (--scale) or coarser meshes of the solids";
 
-/// The error of a command that has no `--backend`: a cure that names it gives way to one that the command has; `smaller`: what takes less
-/// of the adapter.
+/// Replaces a cure that names `--backend`, for commands without that option; `smaller` is the cure for too large a problem.
 fn without_backend(mut error: Error, smaller: &str) -> Error {
     if let Error::Limit {
         available, cure, ..
@@ -168,7 +165,7 @@ fn without_backend(mut error: Error, smaller: &str) -> Error {
         && cure.ends_with(", or --backend cpu")
     {
         let other = match *available {
-            // What is missing altogether is a feature: 64-bit floats.
+            // A limit of zero is a missing feature: f64.
             0 => "precision mixed, which reaches the same tolerance",
             _ => smaller,
         };
@@ -192,7 +189,7 @@ impl BackendArgs {
     }
 }
 
-/// Takes `-1` after an option for its value and not for another option, so that what is wrong with the number is told.
+/// Parses `-1` after an option as its value, so that the error names the number rather than an unknown option.
 fn with_negative_numbers(command: clap::Command) -> clap::Command {
     command
         .mut_args(|arg| {
@@ -205,10 +202,10 @@ fn with_negative_numbers(command: clap::Command) -> clap::Command {
         .mut_subcommands(with_negative_numbers)
 }
 
-/// Parses the arguments, runs the command, prints its error; where it has none, that of a line that could not be printed.
+/// Parses the arguments, runs the command and prints its error, or that of an unprintable line.
 pub(crate) fn main() -> ExitCode {
     signals::survive_file_size_limit();
-    say::note_terminal();
+    say::record_terminal();
     let arguments = with_negative_numbers(Cli::command()).get_matches();
     let cli = Cli::from_arg_matches(&arguments).unwrap_or_else(|problem| problem.exit());
     let done = match &cli.command {
@@ -225,7 +222,7 @@ pub(crate) fn main() -> ExitCode {
         Command::Plot(command) => command.run(),
         Command::Report(command) => command.run(),
     };
-    match done.and_then(|()| say::ensure_said()) {
+    match done.and_then(|()| say::ensure_printed()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             warn!("error: {error}");

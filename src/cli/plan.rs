@@ -7,7 +7,7 @@ use cutwater::sim::{self, Backend, HostMemory, Plan};
 
 use super::{BackendArgs, SceneArgs};
 
-/// Say what a scene takes: effects, stages, kernels, buffers, and whether the adapter has room
+/// List the effects, stages, kernels and buffers of a scene, and check the limits of the adapter
 #[derive(Debug, clap::Args)]
 pub(super) struct PlanCommand {
     #[command(flatten)]
@@ -34,7 +34,7 @@ impl PlanCommand {
                 say_memory(memory(true)?)
             }
             Backend::Gpu(choice) => {
-                // A named adapter must exist; without a name the plan can do without one.
+                // A named adapter must exist; otherwise a plan needs none.
                 let adapter = match Gpu::find(&choice) {
                     Ok(adapter) => Some(adapter),
                     Err(_) if choice == Default::default() => None,
@@ -50,11 +50,11 @@ impl PlanCommand {
                     Some(adapter) => {
                         say_limits(&plan, &adapter)?;
                         say_memory(memory(false)?.beside(plan.bytes(), &adapter))?;
-                        say!("the scene fits; the adapter does not tell how much memory is free");
+                        say!("the scene fits; the free memory of the adapter is unknown");
                     }
                     None => {
                         say!(
-                            "\nno adapter was checked: none was found. The plan is for one with f64."
+                            "\nno adapter was checked: none is present. The plan is for one with f64."
                         );
                         plan.check_formulation()?;
                         say_memory(memory(false)?)?;
@@ -88,7 +88,7 @@ fn say_scene(scene: &Scene, plan: &Plan) {
     for (number, flow) in plan.sources.iter().enumerate() {
         let share = 100.0 * flow.flow_rate / flow.unobstructed;
         let covered = match share < 99.0 {
-            true => format!(", {share:.1} % of its shape's: walls cover the rest"),
+            true => format!(", {share:.1} % of its unobstructed flow: walls cover the rest"),
             false => String::new(),
         };
         say!(
@@ -133,7 +133,7 @@ fn say_solves(plan: &Plan) {
     }
     if plan.host_turns {
         say!(
-            "  the adapter has no f64: the host turns from round to round and moves {} each time",
+            "  the adapter has no f64: the host evaluates residuals and transfers {} per refinement step",
             mebibytes(plan.bytes_per_turn)
         );
     }
@@ -165,8 +165,7 @@ fn say_buffers(plan: &Plan) {
     }
 }
 
-/// # Errors
-/// What does not fit.
+/// Prints the limits of the adapter; a limit that is too small is an error.
 fn say_limits(plan: &Plan, adapter: &AdapterReport) -> Result<(), Error> {
     say!("\nadapter {} ({})", adapter.name, adapter.kind);
     let largest = plan
@@ -174,7 +173,7 @@ fn say_limits(plan: &Plan, adapter: &AdapterReport) -> Result<(), Error> {
         .iter()
         .max_by_key(|buffer| buffer.bytes())
         .map_or(0, BufferPlan::bytes);
-    let of_buffers = [
+    let buffer_limits = [
         (
             "max_storage_buffer_binding_size",
             largest,
@@ -182,10 +181,10 @@ fn say_limits(plan: &Plan, adapter: &AdapterReport) -> Result<(), Error> {
         ),
         ("max_buffer_size", largest, adapter.buffer),
     ];
-    let of_kernels = adapter
+    let kernel_limits = adapter
         .needed_limits()
         .map(|limit| (limit.name, limit.needed.into(), limit.available.into()));
-    for (limit, needed, allowed) in of_buffers.into_iter().chain(of_kernels) {
+    for (limit, needed, allowed) in buffer_limits.into_iter().chain(kernel_limits) {
         let verdict = if needed <= allowed {
             "fits"
         } else {

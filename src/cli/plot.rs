@@ -29,7 +29,7 @@ impl Plot {
                 let cure = "add --out FOLDER";
                 return Err(Error::input(
                     "plot",
-                    "several runs, and no folder for their charts",
+                    "several runs need a folder for their charts",
                     cure,
                 ));
             }

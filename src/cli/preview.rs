@@ -14,7 +14,7 @@ use super::bar::progress_bar;
 pub(super) struct Preview {
     /// Folder of the run
     run: PathBuf,
-    /// What the colours of elastic solids stand for
+    /// Quantity that colours elastic solids
     #[arg(long, value_enum, default_value_t = Colour::Solid)]
     colour: Colour,
 }
@@ -50,8 +50,8 @@ impl Preview {
     }
 }
 
-/// Draws the pictures that a run lacks and the animation, behind a progress bar on a terminal, and says where they are. A true
-/// `interrupt` ends it after the picture at work.
+/// Draws missing pictures and the animation with a progress bar, and prints their paths. A true `interrupt` ends it after the current
+/// picture.
 pub(super) fn draw(
     mut pictures: Pictures,
     run: &Path,
@@ -75,24 +75,24 @@ pub(super) fn draw(
     }
     if let [first, ..] = report.missing[..] {
         warn!(
-            "warning: files of {} frames are gone or not whole, frame {first} the first: they have no picture",
+            "warning: {} frames have no picture, frame {first} first: their files are missing or incomplete",
             report.missing.len()
         );
     }
     Ok(())
 }
 
-/// Draws the pictures of a run while it goes on, each time it is told that a frame may have been written, until nothing more is to
-/// come or, after the picture at work, `stop` is true. Nothing was drawn where it was told nothing.
+/// Draws the pictures of a running simulation at each message in `frames`, until the sender is dropped. A true `stop` ends it
+/// after the current picture. `None` without a message.
 pub(super) fn follow(
     run: &Path,
-    told: &Receiver<()>,
+    frames: &Receiver<()>,
     stop: &AtomicBool,
 ) -> Result<Option<Pictures>, Error> {
     let mut pictures: Option<Pictures> = None;
-    while told.recv().is_ok() {
-        // What was told meanwhile is drawn with this.
-        while told.try_recv().is_ok() {}
+    while frames.recv().is_ok() {
+        // Draws all frames written so far.
+        while frames.try_recv().is_ok() {}
         let pictures = match &mut pictures {
             Some(pictures) => pictures,
             None => pictures.insert(Pictures::new(run, &PreviewOptions::default())?),

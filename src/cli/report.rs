@@ -6,10 +6,10 @@ use clap::Args;
 use cutwater::Error;
 use cutwater::measure::report::{Contents, PAGE, report};
 
-/// Gather what benches and runs wrote into one HTML page
+/// Collect the results of benches and runs in one HTML page
 #[derive(Debug, Args)]
 pub(super) struct Report {
-    /// Folder of a run or a bench, or one that holds such folders
+    /// Folder of a run or a bench, or one that contains such folders
     dir: PathBuf,
 }
 

@@ -2,7 +2,7 @@
 
 use std::io::IsTerminal;
 use std::panic::resume_unwind;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock, mpsc};
 use std::time::{Duration, Instant};
@@ -14,12 +14,13 @@ use cutwater::output::frames::FrameKinds;
 use cutwater::output::manifest::Tally;
 use cutwater::output::preview::{Pictures, PreviewOptions};
 use cutwater::scene::{MAX_FRAMES, Scene};
-use cutwater::sim::{self, Options};
+use cutwater::sim::{self, Options, Summary};
+use indicatif::ProgressBar;
 
 use super::bar::progress_bar;
 use super::{BackendArgs, SceneArgs};
 
-/// Schedulers signal a sweep and its runs at once, and the sweep passes it on: that is one signal.
+/// Schedulers signal a sweep and its runs at once, and the sweep forwards the signal: within this time they are one.
 const SAME_SIGNAL: Duration = Duration::from_millis(500);
 
 /// Simulate a scene and write its frames and tables
@@ -38,7 +39,7 @@ pub(super) struct Run {
     /// Replace an earlier run in the folder
     #[arg(long, conflicts_with = "resume")]
     overwrite: bool,
-    /// Go on with the run in the folder where it ended; begin it where there is none
+    /// Resume the run in the folder where it ended, or start it if there is none
     #[arg(long)]
     resume: bool,
     /// Continue after a solid has collapsed, which otherwise ends the run with exit code 4
@@ -60,7 +61,7 @@ impl Run {
         let flag = Arc::clone(&interrupt);
         let first = OnceLock::new();
         super::signals::on_end(move |_| {
-            // The first signal ends the run where its files are whole, the second at once.
+            // The first signal ends the run between frames, the second at once.
             flag.store(true, Ordering::Relaxed);
             if first.get_or_init(Instant::now).elapsed() > SAME_SIGNAL {
                 std::process::exit(Error::Interrupted.exit_code().into());
@@ -78,168 +79,11 @@ impl Run {
             resume: self.resume,
             keep_going: self.keep_going,
         };
-        let terminal = std::io::stderr().is_terminal();
-        let bar = progress_bar("{bar:30} frame {pos}/{len} [{elapsed}, {eta} left] {msg}");
-        let mut last_frame = 0;
-        let mut listen = |progress: &sim::Progress| {
-            bar.set_length(progress.n_frames);
-            bar.set_position(progress.frame);
-            for notice in progress.notices {
-                bar.suspend(|| warn!("warning: {notice}"));
-            }
-            let report = progress.report;
-            let mut line = format!("t = {:.3} s, dt = {:.2e} s", progress.time, report.dt);
-            for solve in report.solves() {
-                line += &format!(
-                    ", {} unknowns, {} iterations, residual {:.0e}",
-                    solve.unknowns, solve.iterations, solve.residual
-                );
-            }
-            if !terminal && progress.frame > last_frame {
-                say!("frame {} of {}: {line}", progress.frame, progress.n_frames);
-                last_frame = progress.frame;
-            }
-            bar.set_message(line);
-        };
-        let stop = AtomicBool::new(false);
-        let (outcome, pictures) = std::thread::scope(|scope| {
-            let (told, frames) = mpsc::channel();
-            let (out, stop) = (&out, &stop);
-            let painter = self
-                .preview
-                .then(|| scope.spawn(move || super::preview::follow(out, &frames, stop)));
-            let mut seen = None;
-            let mut listen = |progress: &sim::Progress| {
-                listen(progress);
-                // The files of a frame are whole before its sub-step is told of.
-                if seen < Some(progress.frame) {
-                    seen = Some(progress.frame);
-                    // Where nobody hears it, the painter failed, and says so at the end.
-                    let _ = told.send(());
-                }
-            };
-            let outcome = sim::run(&scene, &options, &mut listen, &interrupt);
-            stop.store(true, Ordering::Relaxed);
-            drop(told);
-            bar.finish_and_clear();
-            let joined = painter.map(|painter| painter.join());
-            let pictures = joined.map(|joined| joined.unwrap_or_else(|panic| resume_unwind(panic)));
-            (outcome, pictures)
-        });
-        let summary = outcome.inspect_err(|error| {
-            // Not where the run was refused: what is in the folder then is another's.
-            let stopped = matches!(error.exit_code(), 4 | 130) || matches!(error, Error::Output { .. });
-            if stopped && Checkpoint::path(&out).exists() {
-                let out = out.display();
-                warn!("what was written so far is in {out}; the same command with --resume goes on from there");
-            } else if stopped && out.join("frames").exists() {
-                warn!("what was written so far is in {}", out.display());
-            }
-        })?;
-        match &summary.resumed {
-            Some(resumed) if resumed.frames == summary.frames => {
-                say!("the run was finished");
-            }
-            Some(resumed) => say!("went on from frame {}", resumed.frames),
-            None => {}
-        }
-        let Tally {
-            missed,
-            squeezed,
-            worst_residual,
-            volume_ratio,
-            floored,
-            dropped,
-            volume_off,
-            fast,
-            min_det,
-            inverted,
-            overlap,
-            ..
-        } = summary.tally;
-        let volume = volume_ratio.map_or(String::new(), |[least, largest]| {
-            let [least, largest] = [100.0 * least, 100.0 * largest];
-            let held = match Effects::of(&scene).exchange() {
-                true => "what it should be",
-                false => "the start",
-            };
-            format!("; volume {least:.1} % to {largest:.1} % of {held}")
-        });
-        let det = min_det.map_or(String::new(), |det| format!("; least det F {det:.3}"));
-        say!(
-            "{} frames in {} sub-steps, {:.1} s; worst residual {worst_residual:.1e}{volume}{det}",
-            summary.frames,
-            summary.steps,
-            summary.seconds,
-        );
-        if missed > 0 {
-            warn!(
-                "warning: {missed} of {} sub-steps missed the tolerance of {:.0e}; steps.csv says which",
-                summary.steps, scene.solver.tolerance
-            );
-        }
-        if squeezed > 0 {
-            warn!(
-                "warning: in {squeezed} of {} sub-steps liquid without a free surface had nowhere to go: what moves into it, or a source, would have to compress it, and its volume is not kept; leave it room (domain.open, a sink, air); steps.csv says in which (incompatible)",
-                summary.steps
-            );
-        }
-        if dropped > 0 {
-            warn!(
-                "warning: {dropped} markers, {:.2} % of all, were lost in obstacles or solids: walls thinner than two cells and fast solids swallow them; use more cells (--scale) or shorter sub-steps (time.cfl); steps.csv says when",
-                100.0 * summary.tally.lost_share()
-            );
-        }
-        if volume_off > 0 {
-            warn!(
-                "warning: after {volume_off} of {} sub-steps the volume of the liquid was more than 20 % off; steps.csv says after which (volume_ratio)",
-                summary.steps
-            );
-        }
-        if fast > 0 {
-            warn!(
-                "warning: in {fast} of {} sub-steps liquid moved at more than 20 times the speed that gravity, inflow and moving bodies explain; steps.csv says in which (max_speed)",
-                summary.steps
-            );
-        }
-        for (name, step) in &summary.failed_solids {
-            warn!(
-                "warning: solid \"{name}\" collapsed in sub-step {step}; what follows it is not the scene's physics"
-            );
-        }
-        if overlap > scene.grid().dx {
-            let when = match scene.liquid {
-                Some(_) => "steps.csv says when (overlap_depth)",
-                None => "the frames show when",
-            };
-            warn!(
-                "warning: solids lay up to {overlap:.3} m deep in each other or in obstacles; they do not touch each other, nor obstacles that move: place them apart; {when}"
-            );
-        }
-        if inverted > 0 {
-            warn!(
-                "warning: {inverted} elements of solids are flat or inside out at the end; shorter sub-steps (time.fixed_step) or a coarser mesh may help"
-            );
-        }
-        if let Some(earlier) = summary.resumed.and_then(|resumed| resumed.other_adapter) {
-            warn!(
-                "warning: the run began on {earlier}: what follows differs by rounding from what it would have been there; manifest.json says from where on"
-            );
-        }
-        for region in summary.empty_regions {
-            warn!(
-                "warning: liquid.region[{region}] is too small for the cells, or covered: it has no liquid"
-            );
-        }
-        if floored > 0 {
-            let cause = match scene.time.fixed_step {
-                Some(_) => "time.fixed_step is too long for these velocities",
-                None => "a frame has at most 256",
-            };
-            warn!(
-                "warning: in {floored} of {} sub-steps something crossed more than {} cells: {cause}; steps.csv says in which",
-                summary.steps, scene.time.cfl
-            );
+        let (outcome, pictures) = self.simulate(&scene, &options, &interrupt);
+        let summary = outcome.inspect_err(|error| print_partial_results(error, &out))?;
+        print_summary(&scene, &summary);
+        for warning in warnings(&scene, &summary) {
+            warn!("warning: {warning}");
         }
         say!("frames: {}", out.join("frames").display());
         if let Some(pictures) = pictures {
@@ -251,9 +95,205 @@ impl Run {
         }
         Ok(())
     }
+
+    /// Runs the simulation, and with `--preview` a thread that draws each frame. Returns the results of both.
+    fn simulate(
+        &self,
+        scene: &Scene,
+        options: &Options,
+        interrupt: &AtomicBool,
+    ) -> (Result<Summary, Error>, Option<DrawnPictures>) {
+        let bar = progress_bar("{bar:30} frame {pos}/{len} [{elapsed}, {eta} left] {msg}");
+        let terminal = std::io::stderr().is_terminal();
+        let stop = AtomicBool::new(false);
+        std::thread::scope(|scope| {
+            let (sender, frames) = mpsc::channel();
+            let (out, stop) = (&options.out, &stop);
+            let painter = self
+                .preview
+                .then(|| scope.spawn(move || super::preview::follow(out, &frames, stop)));
+            let (mut last_frame, mut last_sent) = (0, None);
+            let mut show = |progress: &sim::Progress| {
+                let line = show_progress(&bar, progress);
+                if !terminal && progress.frame > last_frame {
+                    say!("frame {} of {}: {line}", progress.frame, progress.n_frames);
+                    last_frame = progress.frame;
+                }
+                // The files of a frame are complete before its progress is reported.
+                if last_sent < Some(progress.frame) {
+                    last_sent = Some(progress.frame);
+                    // A painter that failed receives nothing and reports its error at the end.
+                    let _ = sender.send(());
+                }
+            };
+            let outcome = sim::run(scene, options, &mut show, interrupt);
+            stop.store(true, Ordering::Relaxed);
+            drop(sender);
+            bar.finish_and_clear();
+            let joined = painter.map(|painter| painter.join());
+            let pictures = joined.map(|joined| joined.unwrap_or_else(|panic| resume_unwind(panic)));
+            (outcome, pictures)
+        })
+    }
 }
 
-/// Refuses a scene of which `--preview` would find no frames, before it runs; warns of what pictures will not show.
+/// Result of the thread that draws; `None` without a frame.
+type DrawnPictures = Result<Option<Pictures>, Error>;
+
+/// Updates the progress bar and prints notices. Returns the line of the sub-step.
+fn show_progress(bar: &ProgressBar, progress: &sim::Progress) -> String {
+    bar.set_length(progress.n_frames);
+    bar.set_position(progress.frame);
+    for notice in progress.notices {
+        bar.suspend(|| warn!("warning: {notice}"));
+    }
+    let report = progress.report;
+    let mut line = format!("t = {:.3} s, dt = {:.2e} s", progress.time, report.dt);
+    for solve in report.solves() {
+        line += &format!(
+            ", {} unknowns, {} iterations, residual {:.0e}",
+            solve.unknowns, solve.iterations, solve.residual
+        );
+    }
+    bar.set_message(line.clone());
+    line
+}
+
+/// After a failed run, prints where its files are. A refused run has not written the files in the folder.
+fn print_partial_results(error: &Error, out: &Path) {
+    let stopped = matches!(error.exit_code(), 4 | 130) || matches!(error, Error::Output { .. });
+    if stopped && Checkpoint::path(out).exists() {
+        let out = out.display();
+        warn!("partial results are in {out}; the same command with --resume continues the run");
+    } else if stopped && out.join("frames").exists() {
+        warn!("partial results are in {}", out.display());
+    }
+}
+
+fn print_summary(scene: &Scene, summary: &Summary) {
+    match &summary.resumed {
+        Some(resumed) if resumed.frames == summary.frames => {
+            say!("the run was already finished");
+        }
+        Some(resumed) => say!("resumed from frame {}", resumed.frames),
+        None => {}
+    }
+    let Tally {
+        worst_residual,
+        volume_ratio,
+        min_det,
+        ..
+    } = summary.tally;
+    let volume = volume_ratio.map_or(String::new(), |[least, largest]| {
+        let [least, largest] = [100.0 * least, 100.0 * largest];
+        let target = match Effects::of(scene).exchange() {
+            true => "the target",
+            false => "the start",
+        };
+        format!("; volume {least:.1} % to {largest:.1} % of {target}")
+    });
+    let det = min_det.map_or(String::new(), |det| format!("; least det F {det:.3}"));
+    say!(
+        "{} frames in {} sub-steps, {:.1} s; worst residual {worst_residual:.1e}{volume}{det}",
+        summary.frames,
+        summary.steps,
+        summary.seconds,
+    );
+}
+
+/// Warnings after a run, each with its cause, cure and place in the files.
+fn warnings(scene: &Scene, summary: &Summary) -> Vec<String> {
+    let steps = summary.steps;
+    let tally = &summary.tally;
+    let mut warnings = Vec::new();
+    let mut warn_if = |present: bool, warning: &dyn Fn() -> String| {
+        if present {
+            warnings.push(warning());
+        }
+    };
+    warn_if(tally.missed > 0, &|| {
+        format!(
+            "{} of {steps} sub-steps missed the tolerance of {:.0e}; steps.csv lists them",
+            tally.missed, scene.solver.tolerance
+        )
+    });
+    warn_if(tally.squeezed > 0, &|| {
+        format!(
+            "in {} of {steps} sub-steps prescribed motion or a source would have compressed enclosed liquid, so its volume was not preserved; give it an outlet (domain.open, a sink, air); steps.csv lists the sub-steps (incompatible)",
+            tally.squeezed
+        )
+    });
+    warn_if(tally.dropped > 0, &|| {
+        format!(
+            "{} markers, {:.2} % of all, were lost in obstacles or solids: walls are thinner than two cells, or solids too fast; use more cells (--scale) or shorter sub-steps (time.cfl); steps.csv lists the sub-steps",
+            tally.dropped,
+            100.0 * tally.lost_share()
+        )
+    });
+    warn_if(tally.volume_off > 0, &|| {
+        format!(
+            "after {} of {steps} sub-steps the volume of the liquid was more than 20 % off; steps.csv lists them (volume_ratio)",
+            tally.volume_off
+        )
+    });
+    warn_if(tally.fast > 0, &|| {
+        format!(
+            "in {} of {steps} sub-steps liquid exceeded 20 times the speed that gravity, inflow and moving bodies explain; steps.csv lists them (max_speed)",
+            tally.fast
+        )
+    });
+    for (name, step) in &summary.failed_solids {
+        warn_if(true, &|| {
+            format!(
+                "solid \"{name}\" collapsed in sub-step {step}; later results are not the scene's physics"
+            )
+        });
+    }
+    warn_if(tally.overlap > scene.grid().dx, &|| {
+        let place = match scene.liquid {
+            Some(_) => "steps.csv lists the sub-steps (overlap_depth)",
+            None => "the frames show it",
+        };
+        format!(
+            "solids overlapped by up to {:.3} m with each other or with obstacles: contact between solids, and with moving obstacles, is not simulated; move them apart; {place}",
+            tally.overlap
+        )
+    });
+    warn_if(tally.inverted > 0, &|| {
+        format!(
+            "{} elements of solids are flat or inverted at the end; shorter sub-steps (time.fixed_step) or a coarser mesh may help",
+            tally.inverted
+        )
+    });
+    let other_adapter = summary.resumed.as_ref();
+    if let Some(earlier) = other_adapter.and_then(|resumed| resumed.other_adapter.as_ref()) {
+        warn_if(true, &|| {
+            format!(
+                "the run began on {earlier}: results differ by rounding from a run on one adapter; manifest.json has the first sub-step on this one"
+            )
+        });
+    }
+    for region in &summary.empty_regions {
+        warn_if(true, &|| {
+            format!(
+                "liquid.region[{region}] has no liquid: it is too small for the cells, or covered"
+            )
+        });
+    }
+    warn_if(tally.floored > 0, &|| {
+        let cause = match scene.time.fixed_step {
+            Some(_) => "time.fixed_step is too long for these velocities",
+            None => "a frame has at most 256",
+        };
+        format!(
+            "in {} of {steps} sub-steps the fastest point crossed more than {} cells: {cause}; steps.csv lists them",
+            tally.floored, scene.time.cfl
+        )
+    });
+    warnings
+}
+
+/// Refuses a scene without frames for `--preview` before it runs; warns of bodies that pictures will lack.
 fn ensure_pictures(scene: &Scene) -> Result<(), Error> {
     let FrameKinds {
         markers,
@@ -262,25 +302,25 @@ fn ensure_pictures(scene: &Scene) -> Result<(), Error> {
         surface,
         ..
     } = FrameKinds::of(scene);
-    let of_liquid = (
+    let liquid = (
         "liquid",
         "output.particles, output.fields or output.surface",
         scene.liquid.is_some(),
         markers || fields || surface.is_some(),
     );
-    let of_solids = ("solids", "output.solids", !scene.solids.is_empty(), solids);
-    let missing = [of_liquid, of_solids]
+    let bodies = ("solids", "output.solids", !scene.solids.is_empty(), solids);
+    let missing = [liquid, bodies]
         .into_iter()
         .filter(|(_, _, present, drawn)| *present && !drawn);
     for (what, keys, _, _) in missing {
-        if !(of_liquid.3 || solids) {
+        if !(liquid.3 || solids) {
             return Err(Error::input(
                 "--preview",
                 "the scene writes no frames to draw",
                 format!("turn {keys} on, or run without --preview"),
             ));
         }
-        warn!("warning: the pictures will not show the {what}: {keys} would have to be on");
+        warn!("warning: the pictures lack the {what}: turn {keys} on");
     }
     Ok(())
 }

@@ -1,5 +1,5 @@
-//! Lines to standard output and standard error. A reader that has had enough (`cutwater run .. | head`) ends no command, as the
-//! macros of the standard library would. Nor does a full disk: what could not be written is told once the work is done.
+//! Lines to standard output and standard error. Unlike the macros of the standard library, a closed pipe (`cutwater run .. | head`) or a
+//! full disk ends no command; unwritten lines are an error at its end.
 
 use std::fmt::Arguments;
 use std::io::{self, ErrorKind, IsTerminal, Write};
@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 
 use cutwater::Error;
 
-/// Why standard output did not take a line, the first time.
+/// First error of standard output.
 static REFUSED: OnceLock<io::Error> = OnceLock::new();
 
 /// Whether standard output was a terminal when the program started.
@@ -24,39 +24,38 @@ macro_rules! warn {
 }
 
 pub(super) fn to_stdout(line: Arguments) {
-    keep(writeln!(io::stdout(), "{line}"));
+    record(writeln!(io::stdout(), "{line}"));
 }
 
 pub(super) fn to_stderr(line: Arguments) {
-    // There is nowhere else to tell of it.
+    // An error cannot be reported anywhere else.
     let _ = writeln!(io::stderr(), "{line}");
 }
 
-/// Notes where standard output goes to: of a terminal that was closed since, the system cannot tell.
-pub(super) fn note_terminal() {
+/// Stores whether standard output is a terminal: the system does not recognise a closed one.
+pub(super) fn record_terminal() {
     let _ = TERMINAL.set(io::stdout().is_terminal());
 }
 
-/// Whether nobody reads any more: a pipe without a reader, or a terminal that was closed.
-fn has_left(problem: &io::Error) -> bool {
+/// Whether the reader is gone: a closed pipe or terminal.
+fn is_closed(problem: &io::Error) -> bool {
     const EIO: i32 = 5;
     let closed = cfg!(unix) && problem.raw_os_error() == Some(EIO) && TERMINAL.get() == Some(&true);
     problem.kind() == ErrorKind::BrokenPipe || closed
 }
 
-fn keep(written: io::Result<()>) {
+fn record(written: io::Result<()>) {
     if let Err(problem) = written
-        && !has_left(&problem)
+        && !is_closed(&problem)
     {
-        // Where there is one, it is the first.
+        // Fails, as it should, if an earlier error is stored.
         let _ = REFUSED.set(problem);
     }
 }
 
-/// # Errors
-/// [`Error::Output`] where standard output did not take all lines, though its reader had not left.
-pub(super) fn ensure_said() -> Result<(), Error> {
-    keep(io::stdout().flush());
+/// An error if standard output has not accepted all lines, and is not closed.
+pub(super) fn ensure_printed() -> Result<(), Error> {
+    record(io::stdout().flush());
     match REFUSED.get() {
         None => Ok(()),
         Some(problem) => Err(Error::Output {
@@ -64,9 +63,9 @@ pub(super) fn ensure_said() -> Result<(), Error> {
             problem: problem.to_string(),
             cure: match problem.kind() {
                 ErrorKind::FileTooLarge => {
-                    "raise the limit for file sizes (`ulimit -f unlimited`); files of the command are whole"
+                    "raise the limit for file sizes (`ulimit -f unlimited`); files of the command are complete"
                 }
-                _ => "redirect it to where there is room; files of the command are whole",
+                _ => "redirect it to a disk with free space; files of the command are complete",
             },
         }),
     }

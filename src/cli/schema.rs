@@ -3,7 +3,7 @@
 use cutwater::Error;
 use cutwater::scene::schema;
 
-/// Print the JSON schema of scene files, from which editors complete and check
+/// Print the JSON schema of scene files, for completion and checks in editors
 #[derive(Debug, clap::Args)]
 pub(super) struct Schema {}
 

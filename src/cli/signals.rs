@@ -1,13 +1,10 @@
-//! Signals that end a command where its files are whole. A signal that was ignored when the program started stays ignored, as `nohup` and
-//! the background jobs of scripts need it.
+//! Signals that end a command with complete files. A signal ignored at the start remains ignored, as `nohup` and background jobs of
+//! scripts require.
 
 use cutwater::Error;
 
-/// Calls `received` with the number of each signal that asks the program to end, in a thread of its own: SIGINT, SIGTERM and SIGHUP, but
-/// for those that were ignored at the start. Once per process.
-///
-/// # Errors
-/// [`Error::Input`] where the system refuses a handler.
+/// Calls `received` in a thread of its own with the number of each SIGINT, SIGTERM and SIGHUP, except those ignored at the start. Once
+/// per process.
 #[cfg(unix)]
 pub(super) fn on_end(received: impl Fn(i32) + Send + 'static) -> Result<(), Error> {
     use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
@@ -18,7 +15,7 @@ pub(super) fn on_end(received: impl Fn(i32) + Send + 'static) -> Result<(), Erro
             .into_iter()
             .filter(|&signal| !is_ignored(ignored, signal))
             .collect(),
-        // SIGHUP keeps its action, which is right both for a command under nohup and for one that is not.
+        // The default action of SIGHUP is right with and without nohup.
         None => vec![SIGINT, SIGTERM],
     };
     let mut signals = Signals::new(caught).map_err(|problem| refused(&problem))?;
@@ -29,7 +26,7 @@ pub(super) fn on_end(received: impl Fn(i32) + Send + 'static) -> Result<(), Erro
     Ok(())
 }
 
-/// The same of Ctrl-C alone.
+/// Only Ctrl-C elsewhere.
 #[cfg(not(unix))]
 pub(super) fn on_end(received: impl Fn(i32) + Send + 'static) -> Result<(), Error> {
     ctrlc::set_handler(move || received(2)).map_err(|problem| refused(&problem))
@@ -43,17 +40,17 @@ fn refused(problem: &dyn std::fmt::Display) -> Error {
     )
 }
 
-/// Makes a write beyond the limit for file sizes (`ulimit -f`) fail with an error, where SIGXFSZ would end the program without a word.
+/// Turns SIGXFSZ, which would end the program silently, into errors of writes beyond the limit for file sizes (`ulimit -f`).
 pub(super) fn survive_file_size_limit() {
     #[cfg(unix)]
     {
-        // A caught signal lets the write return EFBIG. Without a handler the signal ends the program, as before.
+        // With a handler the write returns EFBIG; an error here leaves the default action.
         let _ =
             signal_hook::flag::register(signal_hook::consts::SIGXFSZ, std::sync::Arc::default());
     }
 }
 
-/// Bit mask of the signals that this process ignores, bit 0 for signal 1; `None` where the system has no /proc.
+/// Bit mask of the ignored signals, bit 0 for signal 1; `None` on systems without /proc.
 #[cfg(unix)]
 fn ignored_at_start() -> Option<u64> {
     ignored_in(&std::fs::read_to_string("/proc/self/status").ok()?)

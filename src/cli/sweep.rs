@@ -16,10 +16,10 @@ use cutwater::scene::MAX_FRAMES;
 
 use super::BackendArgs;
 
-/// How often a run that goes on is looked at.
-const PAUSE: Duration = Duration::from_millis(20);
+/// Polling interval of runs.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// Run a scene with every combination of some settings, a folder each, and tell how all of them went
+/// Run a scene with every combination of some settings, in a folder each, and summarise the runs
 #[derive(Debug, clap::Args)]
 pub(super) struct SweepCommand {
     /// Scene file (TOML)
@@ -47,7 +47,7 @@ pub(super) struct SweepCommand {
     /// Runs at a time
     #[arg(long, default_value = "1", value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     jobs: u16,
-    /// Make only every N-th run, from the I-th on, I from 1 to N: for the jobs of an array
+    /// Run only every N-th combination, from the I-th on, I from 1 to N: for job arrays
     #[arg(
         long,
         value_name = "I/N",
@@ -55,10 +55,10 @@ pub(super) struct SweepCommand {
         hide_default_value = true
     )]
     shard: Shard,
-    /// Replace runs of another text of the scene, other options or another version, which are refused otherwise
+    /// Replace runs of another scene text, other options or another version, which are refused otherwise
     #[arg(long)]
     overwrite: bool,
-    /// Say how each run stands, bring the summary up to date, and run nothing
+    /// List the status of each run, update the summary, and run nothing
     #[arg(long)]
     list: bool,
 }
@@ -78,9 +78,9 @@ impl SweepCommand {
             out: out.clone(),
         };
         let sweep = Sweep::new(axes.collect::<Result<_, _>>()?, options)?;
-        let mine = sweep.of_shard(self.shard);
+        let shard = sweep.of_shard(self.shard);
         if self.list {
-            for &number in &mine {
+            for &number in &shard {
                 say!(
                     "{:10} {}",
                     sweep.row(number).standing.name(),
@@ -92,13 +92,13 @@ impl SweepCommand {
                 false => Ok(()),
             };
         }
-        let outdated = mine
+        let outdated = shard
             .iter()
             .find(|&&number| sweep.row(number).standing == Standing::Outdated);
         if let (Some(&number), false) = (outdated, self.overwrite) {
             return Err(Error::input(
                 sweep.runs[number].folder.display().to_string(),
-                "the folder holds a run of another text of the scene, of other options (--frames and the backend among them), or of another version of cutwater",
+                "the folder contains a run of another scene text, of other options (including --frames and the backend), or of another version of cutwater",
                 "choose another folder with --out, or replace such runs with --overwrite",
             ));
         }
@@ -106,43 +106,43 @@ impl SweepCommand {
         let noted = Arc::clone(&signals);
         super::signals::on_end(move |signal| noted.note(signal))?;
         sweep.write_summary()?;
-        self.work(&sweep, &mine, &signals)?;
-        tell(&sweep, &mine);
+        self.run_all(&sweep, &shard, &signals)?;
+        print_table(&sweep, &shard);
         say!("summary: {}", out.join("summary.csv").display());
         if signals.count() > 0 {
             return Err(Error::Interrupted);
         }
-        verdict(&sweep, &mine)
+        ensure_finished(&sweep, &shard)
     }
 
-    /// Makes the runs of this process that are not there, `jobs` at a time.
-    fn work(&self, sweep: &Sweep, mine: &[usize], signals: &Signals) -> Result<(), Error> {
+    /// Starts the missing runs of the shard, `jobs` at a time.
+    fn run_all(&self, sweep: &Sweep, shard: &[usize], signals: &Signals) -> Result<(), Error> {
         let (next, ended) = (AtomicUsize::new(0), AtomicUsize::new(0));
         let worker = || -> Result<(), Error> {
             while signals.count() == 0
-                && let Some(&number) = mine.get(next.fetch_add(1, Ordering::Relaxed))
+                && let Some(&number) = shard.get(next.fetch_add(1, Ordering::Relaxed))
             {
                 let before = sweep.row(number).standing;
-                let end = match before {
-                    Standing::Finished => ending(sweep, number) + ", was there",
-                    Standing::Refused => ending(sweep, number),
-                    _ => match self.make(sweep, number, before == Standing::Outdated, signals) {
-                        Ok(()) => ending(sweep, number),
+                let result = match before {
+                    Standing::Finished => describe(sweep, number) + ", from an earlier sweep",
+                    Standing::Refused => describe(sweep, number),
+                    _ => match self.run_one(sweep, number, before == Standing::Outdated, signals) {
+                        Ok(()) => describe(sweep, number),
                         Err(error) => error.to_string(),
                     },
                 };
                 sweep.write_summary()?;
                 let nth = ended.fetch_add(1, Ordering::Relaxed) + 1;
                 say!(
-                    "{nth} of {}: {}: {end}",
-                    mine.len(),
+                    "{nth} of {}: {}: {result}",
+                    shard.len(),
                     sweep.runs[number].name
                 );
             }
             Ok(())
         };
         thread::scope(|scope| {
-            let jobs = usize::from(self.jobs).min(mine.len());
+            let jobs = usize::from(self.jobs).min(shard.len());
             let workers: Vec<_> = (0..jobs).map(|_| scope.spawn(worker)).collect();
             let ends = workers.into_iter().map(|worker| {
                 worker.join().unwrap_or_else(|_| {
@@ -153,9 +153,9 @@ impl SweepCommand {
         })
     }
 
-    /// Makes a run in a process of its own: what breaks it, be it a lost device, costs no other. Nothing where another process is
-    /// at it.
-    fn make(
+    /// Starts a run in a process of its own, so that its failure, such as a lost device, affects no other run. Skips a run that another
+    /// process has locked.
+    fn run_one(
         &self,
         sweep: &Sweep,
         number: usize,
@@ -179,14 +179,14 @@ impl SweepCommand {
         let copy = log.try_clone().map_err(failed)?;
         let (exit_code, mut problem) = match command.stdin(lock).stdout(copy).stderr(log).spawn() {
             Ok(mut child) => {
-                let status = attend(&mut child, signals).map_err(failed)?;
+                let status = wait_for(&mut child, signals).map_err(failed)?;
                 (status.code(), signal_name(status))
             }
             Err(problem) => (None, Some(format!("cannot be started: {problem}"))),
         };
         drop(command);
         if exit_code != Some(0) {
-            problem = complaint(&path, start).or(problem);
+            problem = last_error(&path, start).or(problem);
             sweep.note(number, exit_code, problem)?;
         }
         Ok(())
@@ -220,7 +220,7 @@ impl SweepCommand {
         if let Some(frames) = self.frames {
             command.args(["--frames", &frames.to_string()]);
         }
-        // What is there of this run goes on.
+        // Resumes a partial run.
         command.arg(if replaces { "--overwrite" } else { "--resume" });
         if self.preview {
             command.arg("--preview");
@@ -236,14 +236,14 @@ impl SweepCommand {
                 (threads / usize::from(self.jobs)).max(1).to_string(),
             );
         }
-        // Ctrl-C on a terminal goes to a whole group: there a run would get it twice, and end at once.
+        // Ctrl-C on a terminal signals the whole process group: a run in it would receive two signals and end at once.
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
         Ok(command)
     }
 }
 
-/// Signals that asked the sweep to end.
+/// Received signals.
 #[derive(Debug, Default)]
 struct Signals {
     count: AtomicUsize,
@@ -253,7 +253,7 @@ struct Signals {
 impl Signals {
     fn note(&self, signal: i32) {
         self.last.store(signal, Ordering::Relaxed);
-        // After the signal itself: who sees the count sees the signal.
+        // Released after the signal, so that readers of the count see it.
         self.count.fetch_add(1, Ordering::Release);
     }
 
@@ -262,34 +262,34 @@ impl Signals {
     }
 }
 
-/// Waits for a child. Each signal that the sweep gets goes on to it: the first ends it where its files are whole.
-fn attend(child: &mut Child, signals: &Signals) -> std::io::Result<ExitStatus> {
-    let mut passed_on = 0;
+/// Waits for a child and forwards each signal of the sweep to it.
+fn wait_for(child: &mut Child, signals: &Signals) -> std::io::Result<ExitStatus> {
+    let mut forwarded = 0;
     loop {
         if let Some(status) = child.try_wait()? {
             return Ok(status);
         }
-        if signals.count() > passed_on {
-            passed_on += 1;
-            pass_on(child, signals.last.load(Ordering::Relaxed))?;
+        if signals.count() > forwarded {
+            forwarded += 1;
+            forward(child, signals.last.load(Ordering::Relaxed))?;
         }
-        thread::sleep(PAUSE);
+        thread::sleep(POLL_INTERVAL);
     }
 }
 
-/// Sends a child the signal that the sweep got: any other may be one that both ignore.
+/// Sends the received signal to a child; it may ignore any other.
 #[cfg(unix)]
-fn pass_on(child: &mut Child, signal: i32) -> std::io::Result<()> {
+fn forward(child: &mut Child, signal: i32) -> std::io::Result<()> {
     use nix::sys::signal::{Signal, kill};
     use nix::unistd::Pid;
 
     let id = i32::try_from(child.id()).map_err(std::io::Error::other)?;
-    // Not waited for yet, so the id is its own still.
+    // The id is still valid: the child has not been waited for.
     Ok(kill(Pid::from_raw(id), Signal::try_from(signal)?)?)
 }
 
 #[cfg(not(unix))]
-fn pass_on(child: &mut Child, _: i32) -> std::io::Result<()> {
+fn forward(child: &mut Child, _: i32) -> std::io::Result<()> {
     child.kill()
 }
 
@@ -309,8 +309,8 @@ fn signal_name(_: ExitStatus) -> Option<String> {
     None
 }
 
-/// The last error in what a run printed, in one line; the log is read from `start` on.
-fn complaint(log: &Path, start: u64) -> Option<String> {
+/// The last error in the log from byte `start` on, in one line.
+fn last_error(log: &Path, start: u64) -> Option<String> {
     let bytes = fs::read(log).ok()?;
     let text = String::from_utf8_lossy(bytes.get(usize::try_from(start).ok()?..)?).into_owned();
     let error = text.rsplit_once("error: ").map(|(_, error)| error);
@@ -324,8 +324,8 @@ fn complaint(log: &Path, start: u64) -> Option<String> {
     Some(lines.join("; "))
 }
 
-/// How a run stands, in words.
-fn ending(sweep: &Sweep, number: usize) -> String {
+/// Result or status of a run.
+fn describe(sweep: &Sweep, number: usize) -> String {
     let row = sweep.row(number);
     match row.standing {
         Standing::Finished => {
@@ -342,7 +342,7 @@ fn ending(sweep: &Sweep, number: usize) -> String {
             };
             let squeezed = match row.squeezed {
                 None | Some(0) => String::new(),
-                Some(squeezed) => format!(", in {squeezed} liquid had nowhere to go"),
+                Some(squeezed) => format!(", {squeezed} were incompatible"),
             };
             format!(
                 "finished, {} frames in {} sub-steps, {:.1} s, worst residual {:.1e}{volume}{missed}{squeezed}",
@@ -352,7 +352,7 @@ fn ending(sweep: &Sweep, number: usize) -> String {
                 row.worst_residual.unwrap_or_default()
             )
         }
-        Standing::Running => "another process is at it".to_owned(),
+        Standing::Running => "running in another process".to_owned(),
         standing => {
             let code = row
                 .exit_code
@@ -365,9 +365,9 @@ fn ending(sweep: &Sweep, number: usize) -> String {
     }
 }
 
-/// The table of the runs of this process.
-fn tell(sweep: &Sweep, mine: &[usize]) {
-    let width = mine
+/// Prints the table of the shard's runs.
+fn print_table(sweep: &Sweep, shard: &[usize]) {
+    let width = shard
         .iter()
         .map(|&number| sweep.runs[number].name.len())
         .max()
@@ -387,7 +387,7 @@ fn tell(sweep: &Sweep, mine: &[usize]) {
     fn or_dash<T>(value: Option<T>, text: impl Fn(T) -> String) -> String {
         value.map_or("-".to_owned(), text)
     }
-    for &number in mine {
+    for &number in shard {
         let Row {
             standing,
             exit_code,
@@ -418,10 +418,9 @@ fn tell(sweep: &Sweep, mine: &[usize]) {
     }
 }
 
-/// # Errors
-/// [`Error::Check`] with the runs that are not finished.
-fn verdict(sweep: &Sweep, mine: &[usize]) -> Result<(), Error> {
-    let unfinished: Vec<String> = mine
+/// An error that lists unfinished runs.
+fn ensure_finished(sweep: &Sweep, shard: &[usize]) -> Result<(), Error> {
+    let unfinished: Vec<String> = shard
         .iter()
         .filter_map(|&number| {
             let row = sweep.row(number);
@@ -434,7 +433,7 @@ fn verdict(sweep: &Sweep, mine: &[usize]) -> Result<(), Error> {
         _ => Err(Error::Check(format!(
             "{} of {} runs did not finish: {}",
             unfinished.len(),
-            mine.len(),
+            shard.len(),
             unfinished.join(", ")
         ))),
     }

@@ -1,33 +1,33 @@
-//! Bounds of the eigenvalues of assembled matrices from those of the elements: x^T S x is the sum over elements of
-//! x_e^T S_e x_e, so an inequality that holds in every element holds for the sum (Fried 1972). Rotation, pins and time steps
-//! change none of them: they are computed once.
+//! Eigenvalue bounds of assembled matrices from those of the elements: x^T S x is the sum of x_e^T S_e x_e, so an inequality of
+//! all elements holds for the sum (Fried 1972). Rotations, constraints and time steps do not change them: they are computed
+//! once.
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 use super::{Body, Solids, stiffness_block};
 
-/// Squarings of the matrix whose trace bounds its largest eigenvalue: from above by at most 6^(1/1024) - 1 = 0.18 %.
+/// Squarings of the matrix in the trace bound, which exceeds the largest eigenvalue by at most 6^(1/1024) - 1 = 0.18 %.
 const SQUARINGS: u32 = 10;
 
-/// Rounding of all this, generously.
+/// Margin for rounding.
 const ROUNDING: f64 = 1.0 + 1e-9;
 
-/// Chebyshev polynomials have at least and at most this degree.
+/// Degree limits of Chebyshev polynomials.
 const DEGREES: [f64; 2] = [8.0, 64.0];
 
-/// Bounds from above.
+/// Upper bounds of eigenvalues.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Bounds {
-    /// Of the eigenvalues of D^-1 S, where S = zeta_M M + zeta_K K for any positive zeta_M, zeta_K and any rotations, and D are
-    /// the 3x3 blocks on its diagonal; also with prescribed components left out.
+    /// Bound for D^-1 S with S = zeta_M M + zeta_K K, for all positive zeta_M and zeta_K and all rotations. D is the 3x3
+    /// block diagonal. The bound also holds with constrained components.
     pub block_jacobi: f64,
-    /// Of the eigenvalues of M^-1 K of each body, 1/s^2: squares of the angular frequencies of its lumped mesh.
+    /// Bound for M^-1 K of each body, 1/s^2: the squared angular frequency of its lumped mesh.
     pub frequency_squared: Vec<f64>,
 }
 
 impl Bounds {
-    /// The bounds of all solids.
+    /// Bounds of all solids.
     pub fn new(solids: &Solids) -> Bounds {
         let of_body = |body: &Body| -> [f64; 2] {
             let elements = body.elements.clone().into_par_iter();
@@ -37,7 +37,7 @@ impl Bounds {
                     largest_eigenvalue(body, gradients, |g| {
                         stiffness_block(g, g, body.lambda, body.mu).inverse()
                     }),
-                    // A quarter of the element's mass, over its volume.
+                    // A quarter of the element's mass over its volume.
                     largest_eigenvalue(body, gradients, |_| {
                         DMat3::from_diagonal(DVec3::splat(4.0 / body.density))
                     }),
@@ -48,41 +48,42 @@ impl Bounds {
         let bounds: Vec<[f64; 2]> = solids.bodies.iter().map(of_body).collect();
         let largest = bounds.iter().map(|[block_jacobi, _]| *block_jacobi);
         Bounds {
-            // Mass alone has 1.
+            // M alone has eigenvalue 1.
             block_jacobi: largest.fold(1.0, f64::max),
             frequency_squared: bounds.into_iter().map(|[_, square]| square).collect(),
         }
     }
 
-    /// Degree of the Chebyshev polynomial in D^-1 S for a step of dt (s): ceil(sqrt(zeta_K lmax(M^-1 K) / zeta_M)), within 8
-    /// and 64.
+    /// Degree of the Chebyshev polynomial in D^-1 S for a step of dt (s): ceil(sqrt(zeta_K lmax(M^-1 K) / zeta_M)), limited
+    /// to 8..64.
     pub fn chebyshev_degree(&self, solids: &Solids, dt: f64) -> usize {
         self.chebyshev_degree_for(solids, |body| [body.zeta_mass(dt), body.zeta_stiffness(dt)])
     }
 
-    /// The same for other zeta_M (1/s) and zeta_K (s).
+    /// The degree for given zeta_M (1/s) and zeta_K (s).
     pub fn chebyshev_degree_for(&self, solids: &Solids, zeta: impl Fn(&Body) -> [f64; 2]) -> usize {
         let [least, most] = DEGREES;
-        let wanted = self.wanted_degree_for(solids, zeta);
-        wanted.max(least).min(most).ceil() as usize
+        let degree = self.unlimited_degree(solids, zeta);
+        degree.max(least).min(most).ceil() as usize
     }
 
-    /// The degree before its limits: sqrt(zeta_K lmax(M^-1 K) / zeta_M), the largest of all solids.
-    pub fn wanted_degree_for(&self, solids: &Solids, zeta: impl Fn(&Body) -> [f64; 2]) -> f64 {
-        let wanted = solids.bodies.iter().zip(&self.frequency_squared);
-        let wanted = wanted.map(|(body, square)| {
+    /// The degree without limits: sqrt(zeta_K lmax(M^-1 K) / zeta_M), the maximum over all solids.
+    pub fn unlimited_degree(&self, solids: &Solids, zeta: impl Fn(&Body) -> [f64; 2]) -> f64 {
+        let degrees = solids.bodies.iter().zip(&self.frequency_squared);
+        let degrees = degrees.map(|(body, square)| {
             let [mass, stiffness] = zeta(body);
             (stiffness * square / mass).sqrt()
         });
-        wanted.fold(0.0, f64::max)
+        degrees.fold(0.0, f64::max)
     }
 }
 
-/// Largest eigenvalue of D^-1 K_e / V, from above; D is diagonal in blocks, and `inverse` gives those of D^-1 from the gradients.
+/// Upper bound of the largest eigenvalue of D^-1 K_e / V. D is block diagonal; `inverse` computes a block of D^-1 from a
+/// gradient.
 ///
-/// With an orthonormal basis s_k of the symmetric tensors, K_e / V = G^T C G, where G_k(a, .) = s_k g_a and C = 2 mu I +
-/// lambda tr tr^T. D^-1 G^T C G has the same eigenvalues but zeros as the 6x6 matrix A = C (G D^-1 G^T), all of them real and
-/// positive, so lmax <= (tr A^n)^(1/n).
+/// With an orthonormal basis s_k of the symmetric tensors, K_e / V = G^T C G, where G_k(a, .) = s_k g_a and C = 2 mu I + lambda
+/// tr tr^T. The nonzero eigenvalues of D^-1 G^T C G are those of the 6x6 matrix A = C (G D^-1 G^T), all real and positive, so
+/// lmax <= (tr A^n)^(1/n).
 fn largest_eigenvalue(
     body: &Body,
     gradients: &[DVec3; 4],
@@ -120,7 +121,7 @@ fn largest_eigenvalue(
             *entry = 2.0 * body.mu * *entry + if k < 3 { body.lambda * sum } else { 0.0 };
         }
     }
-    // The logarithm of what the matrix was divided by, per factor of the product.
+    // Logarithm of the divisors, per factor of the product.
     let mut logarithm = 0.0;
     let mut share = 1.0;
     for _ in 0..SQUARINGS {

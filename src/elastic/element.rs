@@ -1,4 +1,4 @@
-//! One linear tetrahedron: its shape at rest, its deformation, stress, forces and stiffness.
+//! One linear tetrahedron: rest shape, deformation, stress, forces and stiffness.
 //!
 //! ```text
 //! H = sum_{a=1..3} (u_a - u_0) g_a^T,  F = I + H,  R = rotation(F), or I in the linear model
@@ -6,12 +6,13 @@
 //! (K x* - b)_a = V R P g_a,  K_ab = V (lambda h_a h_b^T + mu h_b h_a^T + mu (h_a . h_b) I) with h_a = R g_a
 //! ```
 //!
-//! The force is the exact gradient of the energy: R is the nearest rotation, so that its own change does no work. K leaves that
-//! change out, and so is positive semi-definite whatever the deformation.
+//! The force is the exact gradient of the energy: R is the nearest rotation, so its variation does no work. K omits this
+//! variation, and so is positive semi-definite for every deformation.
 
 use glam::{DMat3, DVec3};
 
 use super::rotation;
+use crate::geometry::outer;
 use crate::scene::ElasticModel;
 
 /// Gradients of the shape functions (1/m) and volume (m^3) of a tetrahedron with these corners (m).
@@ -34,7 +35,7 @@ pub fn lame_parameters(young: f64, poisson: f64) -> [f64; 2] {
     [lambda, young / (2.0 * (1.0 + poisson))]
 }
 
-/// What displacements make of an element.
+/// Deformation of an element.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Deformation {
     /// H = F - I, the gradient of the displacement.
@@ -46,7 +47,7 @@ pub struct Deformation {
 }
 
 impl Deformation {
-    /// Of an element with these gradients of the shape functions at rest (1/m) and displacements of its corners (m).
+    /// `gradients`: of the shape functions at rest, 1/m. `u`: displacements of the corners, m.
     pub fn new(gradients: &[DVec3; 4], u: [DVec3; 4], model: ElasticModel) -> Deformation {
         let gradient = (1..4)
             .map(|a| outer(u[a] - u[0], gradients[a]))
@@ -55,7 +56,7 @@ impl Deformation {
             ElasticModel::Corotational => rotation(DMat3::IDENTITY + gradient),
             ElasticModel::Linear => DMat3::IDENTITY,
         };
-        // sym(R^T F) - I without the difference of numbers near 1.
+        // sym(R^T F) - I without cancellation.
         let turned_back = rotation.transpose() * (gradient + (DMat3::IDENTITY - rotation));
         Deformation {
             gradient,
@@ -64,7 +65,7 @@ impl Deformation {
         }
     }
 
-    /// det F: 1 at rest, 0 where the element is flat, negative where it is inverted.
+    /// det F: 1 at rest, 0 for a flat element, negative for an inverted one.
     pub fn determinant(&self) -> f64 {
         (DMat3::IDENTITY + self.gradient).determinant()
     }
@@ -86,7 +87,7 @@ pub fn von_mises(stress: DMat3) -> f64 {
     (1.5 * contraction(deviator, deviator)).sqrt()
 }
 
-/// (K x* - b) at the corners, N: minus the forces that the element pulls them with. They sum to 0.
+/// (K x* - b) at the corners, N: minus the elastic forces on the nodes. They sum to 0.
 pub fn forces(
     gradients: &[DVec3; 4],
     volume: f64,
@@ -99,14 +100,9 @@ pub fn forces(
     [-(f1 + f2 + f3), f1, f2, f3]
 }
 
-/// K_ab / V of turned gradients h_a and h_b: rows belong to corner a, columns to corner b.
+/// K_ab / V of rotated gradients h_a and h_b; rows belong to corner a, columns to corner b.
 pub fn stiffness_block(a: DVec3, b: DVec3, lambda: f64, mu: f64) -> DMat3 {
     lambda * outer(a, b) + mu * outer(b, a) + DMat3::from_diagonal(DVec3::splat(mu * a.dot(b)))
-}
-
-/// a b^T
-fn outer(a: DVec3, b: DVec3) -> DMat3 {
-    DMat3::from_cols(a * b.x, a * b.y, a * b.z)
 }
 
 fn trace(m: DMat3) -> f64 {

@@ -1,4 +1,4 @@
-//! What meets what in a mesh: the elements of each node, its neighbours, and the elements that join two nodes. Topology alone.
+//! Topology of a tetrahedral mesh: elements of each node, neighbours, and elements common to two nodes.
 
 use std::ops::Range;
 
@@ -9,38 +9,36 @@ use rayon::prelude::*;
 pub struct Corner {
     /// Element.
     pub element: u32,
-    /// Which of its four corners the node is.
+    /// Corner of the element that is the node.
     pub corner: u8,
 }
 
-/// An element that joins two nodes.
+/// An element common to two nodes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Joint {
     /// Element.
     pub element: u32,
-    /// The corners that the nodes are: of the row, of the column.
+    /// Corners that are the row's and the column's node.
     pub corners: [u8; 2],
 }
 
-/// The incidence of a mesh, everything in ascending order, so that sums over it repeat bit for bit.
+/// Incidence of a mesh, all lists ascending, so that sums are bitwise reproducible.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Incidence {
-    /// Where the corners of each node start; one more than there are nodes.
+    /// Start of each node's corners; one more than there are nodes.
     corner_start: Vec<usize>,
     corners: Vec<Corner>,
-    /// Where the neighbours of each node start; one more than there are nodes.
+    /// Start of each node's neighbours; one more than there are nodes.
     row_start: Vec<usize>,
     neighbours: Vec<u32>,
-    /// Where the joints with each neighbour start; one more than there are neighbours in all.
+    /// Start of each neighbour's joints; one more than there are neighbours in all rows.
     joint_start: Vec<usize>,
     joints: Vec<Joint>,
 }
 
 impl Incidence {
-    /// The incidence of `n_nodes` nodes in these elements.
-    ///
     /// # Panics
-    /// When an element names a node that is not there.
+    /// If an element has a node beyond `n_nodes`.
     pub fn new(n_nodes: usize, elements: &[[u32; 4]]) -> Incidence {
         let mut incidence = Incidence::default();
         incidence.set_corners(n_nodes, elements);
@@ -88,7 +86,7 @@ impl Incidence {
         self.corner_start = start;
     }
 
-    /// The other nodes of a node's elements with the joints, ascending.
+    /// Neighbours of a node with their joints, ascending.
     fn row(&self, node: usize, elements: &[[u32; 4]]) -> Vec<(u32, Joint)> {
         let corners = self.corners(node).iter();
         let mut row: Vec<(u32, Joint)> = corners
@@ -115,12 +113,12 @@ impl Incidence {
         &self.corners[self.corner_start[node]..self.corner_start[node + 1]]
     }
 
-    /// The nodes that share an element with a node, itself left out.
+    /// The other nodes of a node's elements.
     pub fn neighbours(&self, node: usize) -> &[u32] {
         &self.neighbours[self.blocks(node)]
     }
 
-    /// The numbers of the off-diagonal blocks in a node's row, one per neighbour.
+    /// Numbers of the off-diagonal blocks in a node's row, one per neighbour.
     pub fn blocks(&self, node: usize) -> Range<usize> {
         self.row_start[node]..self.row_start[node + 1]
     }
@@ -130,7 +128,7 @@ impl Incidence {
         self.neighbours.len()
     }
 
-    /// The elements that join the two nodes of a block.
+    /// Elements common to the two nodes of a block.
     pub fn joints(&self, block: usize) -> &[Joint] {
         &self.joints[self.joint_start[block]..self.joint_start[block + 1]]
     }

@@ -1,8 +1,7 @@
-//! Elastic solids in f64: linear tetrahedra, lumped masses, isotropic linear elasticity in the frame that turns with each element
-//! (thesis, chapter 3).
+//! Elastic solids in f64: linear tetrahedra, lumped masses, isotropic corotational linear elasticity (thesis, chapter 3).
 //!
-//! All solids of a scene are one mesh, [`Solids`]: their nodes, elements and surface triangles stand one after another, and a
-//! [`Body`] says which are whose. State is kept as the displacement from rest (m) and the velocity (m/s) per node.
+//! All solids of a scene are one mesh, [`Solids`], with consecutive nodes, elements and surface triangles per [`Body`]. The
+//! state is the displacement from rest (m) and the velocity (m/s) per node.
 
 mod bounds;
 mod element;
@@ -26,10 +25,10 @@ use glam::DVec3;
 
 use crate::scene::{ElasticModel, Keyframe};
 
-/// All solids of a scene at rest. Indices of nodes run over all solids.
+/// All solids of a scene at rest, with a common numbering of nodes.
 #[derive(Clone, Debug, Default)]
 pub struct Solids {
-    /// The solids in the order of the scene.
+    /// Solids in the order of the scene.
     pub bodies: Vec<Body>,
     /// Rest positions, m.
     pub rest: Vec<DVec3>,
@@ -43,24 +42,24 @@ pub struct Solids {
     pub volume: Vec<f64>,
     /// Surface triangles, node numbers, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
-    /// Which components of a node's velocity are prescribed.
+    /// Constrained or scripted components of each node.
     pub prescribed: Vec<[bool; 3]>,
-    /// Motions of prescribed nodes that are not held still.
+    /// Motions of scripted nodes.
     pub scripts: Vec<Script>,
-    /// Constant forces on the nodes, N. Gravity is not among them.
+    /// Constant forces on the nodes, N, without gravity.
     pub load: Vec<DVec3>,
 }
 
-/// One solid among all.
+/// One of the solids.
 #[derive(Clone, Debug)]
 pub struct Body {
-    /// Its name.
+    /// Name.
     pub name: String,
-    /// Its nodes.
+    /// Nodes.
     pub nodes: Range<usize>,
-    /// Its elements.
+    /// Elements.
     pub elements: Range<usize>,
-    /// Its surface triangles.
+    /// Surface triangles.
     pub triangles: Range<usize>,
     /// kg/m^3
     pub density: f64,
@@ -68,7 +67,7 @@ pub struct Body {
     pub lambda: f64,
     /// Shear modulus, Pa.
     pub mu: f64,
-    /// How strain is measured.
+    /// Strain measure.
     pub model: ElasticModel,
     /// tau_M, 1/s.
     pub mass_damping: f64,
@@ -76,24 +75,24 @@ pub struct Body {
     pub stiffness_damping: f64,
 }
 
-/// A body that moves on circles where it turns.
+/// A body whose nodes move along circles when it rotates.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Turning {
-    /// Its nodes.
+pub struct RotatingBody {
+    /// Nodes.
     pub nodes: Range<usize>,
-    /// Two nodes of the hinge that it turns about; twice the same where it is a point. None where nothing holds it.
+    /// Two nodes of its hinge, or twice the node of a point hinge; `None` for a free body.
     pub about: Option<[usize; 2]>,
 }
 
-/// The motion of some prescribed nodes.
+/// Prescribed motion of some nodes.
 #[derive(Clone, Debug)]
 pub struct Script {
-    /// The nodes, ascending.
+    /// Nodes, ascending.
     pub nodes: Vec<u32>,
     /// Prescribed components.
     pub components: [bool; 3],
-    /// What turns turn about, m.
+    /// Centre of rotation, m.
     pub centre: DVec3,
-    /// Times and placements, ascending in time; at least one.
+    /// Keyframes, ascending in time; at least one.
     pub keyframes: Vec<Keyframe>,
 }

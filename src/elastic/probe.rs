@@ -1,4 +1,4 @@
-//! Measurements of solids. Both paths give their displacements to it, and the forces of the liquid.
+//! Probes of solids, for both backends.
 
 use glam::DVec3;
 
@@ -6,12 +6,12 @@ use super::Solids;
 use crate::scene::ProbeKind;
 
 impl Solids {
-    /// What a probe of a solid reads, its columns in order, from the displacement of all nodes (m) and the forces of the liquid on them (N);
-    /// nothing for probes of liquid.
+    /// Columns of a probe of a solid, from the displacements (m) and the liquid's forces (N) of all nodes; empty for probes
+    /// of liquid.
     ///
-    /// - Node: displacement of the node nearest to the point at rest, m.
-    /// - Solid: centre of mass, m; then sum of V det F over sum of V, where an inverted element counts against.
-    /// - Force: sum over its nodes, N.
+    /// - Node: displacement of the node nearest to the rest point, m.
+    /// - Solid: centre of mass, m; sum of V det F over sum of V, negative for inverted elements.
+    /// - Force: sum over the nodes, N.
     pub fn probe(
         &self,
         displacement: &[[f64; 3]],
@@ -52,7 +52,7 @@ impl Solids {
         }
     }
 
-    /// The node of a solid that is nearest to a point at rest (m), the first of several.
+    /// The solid's node nearest to a rest point (m), the first of equals.
     pub fn nearest_node(&self, solid: usize, rest_point: DVec3) -> usize {
         let nodes = self.bodies[solid].nodes.clone();
         let distance = |node: &usize| self.rest[*node].distance_squared(rest_point);

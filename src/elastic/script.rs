@@ -1,4 +1,4 @@
-//! Motions of prescribed nodes.
+//! Motion of scripted nodes.
 
 use glam::{DQuat, DVec3};
 
@@ -6,20 +6,21 @@ use super::{Script, Solids};
 use crate::scene::Keyframe;
 
 impl Solids {
-    /// The speed that no scripted node is above from a time on for so long (both s), m/s.
+    /// Upper bound of the speed of scripted nodes between a time and `span` (both s) later, m/s.
     pub fn max_script_speed(&self, time: f64, span: f64) -> f64 {
         let speed = |script: &Script| {
             let nodes = script.nodes.iter();
             let arms = nodes.map(|&node| self.rest[node as usize].distance(script.centre));
-            script.max_speed(arms.fold(0.0, f64::max), time, span)
+            let radius = arms.fold(0.0, f64::max);
+            Keyframe::max_speed(&script.keyframes, radius, time, span)
         };
         self.scripts.iter().map(speed).fold(0.0, f64::max)
     }
 }
 
 impl Script {
-    /// Displacement of a node that rests at `rest` (m) at a time (s), m: turned about the centre, then moved. Translation and
-    /// turn (axis times angle) are linear between keyframes; before the first and after the last, nothing moves.
+    /// Displacement (m) at a time (s) of a node with rest position `rest` (m): rotation about the centre, then translation.
+    /// Both are linear between keyframes and constant outside.
     pub fn displacement(&self, rest: DVec3, time: f64) -> DVec3 {
         let (turn, translate) = Keyframe::pose(&self.keyframes, time);
         let arm = rest - self.centre;
@@ -27,21 +28,7 @@ impl Script {
         (turned - arm) + translate
     }
 
-    /// The speed that no component of its nodes is above from a time on for so long (both s), m/s; `radius`: of the farthest node from
-    /// the centre, m.
-    fn max_speed(&self, radius: f64, time: f64, span: f64) -> f64 {
-        let frames = self.keyframes.windows(2);
-        let met = frames.filter(|pair| pair[1].time > time && pair[0].time < time + span);
-        let speeds = met.map(|pair| {
-            let turn = |frame: &Keyframe| frame.angle * frame.axis;
-            let way = pair[1].translate.distance(pair[0].translate)
-                + turn(&pair[1]).distance(turn(&pair[0])) * radius;
-            way / (pair[1].time - pair[0].time)
-        });
-        speeds.fold(0.0, f64::max)
-    }
-
-    /// Velocity at a time before the first step, m/s, over a millionth of the way to the next keyframe.
+    /// Initial velocity, m/s: difference quotient over a millionth of the time to the next keyframe.
     pub(super) fn velocity(&self, rest: DVec3, time: f64) -> DVec3 {
         let next = Keyframe::next_time(&self.keyframes, time);
         next.map_or(DVec3::ZERO, |next| {

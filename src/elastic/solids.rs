@@ -1,32 +1,29 @@
-//! The solids of a scene put together from their meshes: masses, prescribed nodes, loads, the state at the start.
+//! Assembles the solids of a scene from their meshes: masses, constraints, loads, initial state.
 
 use glam::DVec3;
 
 use super::{
-    Body, Deformation, Script, Solids, Turning, lame_parameters, rest_shape, stress, von_mises,
+    Body, Deformation, RotatingBody, Script, Solids, lame_parameters, rest_shape, stress, von_mises,
 };
 use crate::error::{Error, rounded};
-use crate::geometry::{MovedMesh, TetMesh, deepest_obstacle, inside};
+use crate::geometry::{MovedMesh, TetMesh, bounds, deepest_obstacle, inside};
 use crate::scene::{ElasticModel, Keyframe, Load, LoadKind, Pin, Scene, Shape, Solid};
 
-/// Of its length, how far aside of a line nodes may lie that make a hinge.
+/// Distance of nodes from a straight hinge, relative to its length.
 const STRAIGHT: f64 = 1e-6;
 
 impl Solids {
-    /// The solids of a scene on their meshes (one each, as placed).
+    /// The solids of a scene with their placed meshes.
     ///
     /// # Errors
-    /// [`Error::Input`] that names the scene file and the key: pins and loads that hold nothing, pins of the same component of a
-    /// node that move differently, turns about the centre of a shape that has none, meshes of pins that cannot be read.
+    /// [`Error::Input`] with file and key: pins and loads without nodes, conflicting pins of one component, rotations about
+    /// a shape without centre.
     pub fn new(scene: &Scene, meshes: &[TetMesh]) -> Result<Solids, Error> {
-        Solids::of(&scene.solids, meshes, &|key| scene.at(key))
+        Solids::from_solids(&scene.solids, meshes, &|key| scene.at(key))
     }
 
-    /// The same for solids of no scene; `at` says for errors where a key was written.
-    ///
-    /// # Errors
-    /// As those of [`Solids::new`].
-    pub fn of(
+    /// Solids without a scene; `at` returns the origin of a key for errors.
+    pub fn from_solids(
         solids: &[Solid],
         meshes: &[TetMesh],
         at: &dyn Fn(&str) -> String,
@@ -38,7 +35,7 @@ impl Solids {
         Ok(all)
     }
 
-    /// `at`: where a key of the solid was written.
+    /// `at`: origin of a key of the solid.
     fn push(
         &mut self,
         solid: &Solid,
@@ -79,9 +76,9 @@ impl Solids {
             mass_damping: solid.mass_damping,
             stiffness_damping: solid.stiffness_damping,
         };
-        let mut held_by = vec![[None; 3]; mesh.nodes.len()];
+        let mut owners = vec![[None; 3]; mesh.nodes.len()];
         for (number, pin) in solid.pins.iter().enumerate() {
-            self.pin(&body, pin, number, at, &mut held_by, &solid.pins)?;
+            self.pin(&body, pin, number, at, &mut owners, &solid.pins)?;
         }
         for (number, load) in solid.loads.iter().enumerate() {
             self.load(&body, load, &at(&format!("load[{number}]")))?;
@@ -90,50 +87,50 @@ impl Solids {
         Ok(())
     }
 
-    /// Prescribes what a pin holds. `held_by`: the pin that holds each component of the body's nodes so far.
+    /// Constrains the nodes of a pin. `owners`: the pin of each constrained component of the body's nodes.
     fn pin(
         &mut self,
         body: &Body,
         pin: &Pin,
         number: usize,
         at: &dyn Fn(&str) -> String,
-        held_by: &mut [[Option<usize>; 3]],
+        owners: &mut [[Option<usize>; 3]],
         pins: &[Pin],
     ) -> Result<(), Error> {
         let name = at(&key(pins, number));
         let nodes = self.nodes_in(body, &pin.region, &name)?;
         for &node in &nodes {
             for axis in (0..3).filter(|&axis| pin.components[axis]) {
-                let holder = &mut held_by[node as usize - body.nodes.start][axis];
+                let owner = &mut owners[node as usize - body.nodes.start][axis];
                 let still = |pin: &Pin| pin.keyframes.is_empty();
-                if let Some(other) = *holder
+                if let Some(other) = *owner
                     && !(still(pin) && still(&pins[other]))
                 {
                     let component = ["x", "y", "z"][axis];
                     let problem = format!(
-                        "prescribes {component} of the node at {}, and so does {}",
+                        "constrains {component} of the node at {}, and so does {}",
                         self.rest[node as usize],
                         key(pins, other)
                     );
-                    let cure = "let the regions or the components of scripts not overlap those of other scripts and pins";
+                    let cure = "separate the regions or the components of scripts from those of other scripts and pins";
                     return Err(Error::input(name, problem, cure));
                 }
-                *holder = Some(number);
+                *owner = Some(number);
                 self.prescribed[node as usize][axis] = true;
             }
         }
         if pin.keyframes.is_empty() {
             return Ok(());
         }
-        let turns = |frame: &Keyframe| frame.angle != 0.0;
+        let rotates = |frame: &Keyframe| frame.angle != 0.0;
         let centre = match pin.region.centre() {
             Some(centre) => centre,
-            None if !pin.keyframes.iter().any(turns) => DVec3::ZERO,
+            None if !pin.keyframes.iter().any(rotates) => DVec3::ZERO,
             None => {
                 return Err(Error::input(
                     name,
-                    "turns its nodes about the centre of its region, which has none",
-                    "use a box, sphere or cylinder, or leave the turn out",
+                    "rotates its nodes about the centre of its region, which has none",
+                    "use a box, sphere or cylinder, or remove the rotation",
                 ));
             }
         };
@@ -156,16 +153,16 @@ impl Solids {
                 }
             }
             LoadKind::Traction(traction) => {
-                let held = |node: &u32| nodes.binary_search(node).is_ok();
+                let in_region = |node: &u32| nodes.binary_search(node).is_ok();
                 let mut any = false;
                 for triangle in &self.triangles[body.triangles.clone()] {
-                    if !triangle.iter().all(held) {
+                    if !triangle.iter().all(in_region) {
                         continue;
                     }
                     any = true;
                     let [a, b, c] = triangle.map(|node| self.rest[node as usize]);
                     let area = 0.5 * (b - a).cross(c - a).length();
-                    // The integral of a linear shape function over its triangle is a third of the area.
+                    // Each node has a third of the area, the integral of its shape function.
                     for node in triangle {
                         self.load[*node as usize] += area / 3.0 * traction;
                     }
@@ -174,7 +171,7 @@ impl Solids {
                     return Err(Error::input(
                         name,
                         "no surface triangle has all three nodes in the region",
-                        "enlarge the region until it holds the part of the surface that the traction acts on",
+                        "enlarge the region to contain the loaded part of the surface",
                     ));
                 }
             }
@@ -182,20 +179,17 @@ impl Solids {
         Ok(())
     }
 
-    /// The nodes of a body that rest inside a shape or on it, ascending; none is an error.
+    /// Nodes of a body that rest inside a shape or on it, ascending. An empty list is an error.
     fn nodes_in(&self, body: &Body, shape: &Shape, name: &str) -> Result<Vec<u32>, Error> {
         let rest = &self.rest[body.nodes.clone()];
-        let held = inside(shape, rest)?;
-        let nodes = body.nodes.clone().zip(held);
+        let inside = inside(shape, rest)?;
+        let nodes = body.nodes.clone().zip(inside);
         let nodes: Vec<u32> = nodes
-            .filter(|(_, held)| *held)
+            .filter(|(_, inside)| *inside)
             .map(|(node, _)| node as u32)
             .collect();
         if nodes.is_empty() {
-            let none = [DVec3::INFINITY, DVec3::NEG_INFINITY];
-            let [low, high] = rest
-                .iter()
-                .fold(none, |[low, high], &x| [low.min(x), high.max(x)]);
+            let [low, high] = bounds(rest.iter().copied());
             let [low, high] = [low, high].map(|x| DVec3::from(x.to_array().map(rounded)));
             let problem = format!("no node of \"{}\" rests in the region", body.name);
             let cure =
@@ -205,9 +199,10 @@ impl Solids {
         Ok(nodes)
     }
 
-    /// Displacement (m) and velocity (m/s) of all nodes at the start: stretched about the centroid of the rest shape, moving and
-    /// spinning with what is so stretched. Prescribed components stay where that puts them; those of scripts are where
-    /// their scripts put them, and move with them.
+    /// Initial displacement (m) and velocity (m/s) of all nodes.
+    ///
+    /// The body is stretched about the centroid of its rest shape, with the given velocity and spin. Constrained components
+    /// have no velocity. Scripted components have the position and velocity of their script.
     pub fn initial_state(&self, scene: &Scene) -> (Vec<[f64; 3]>, Vec<[f64; 3]>) {
         let n = self.rest.len();
         let (mut displacement, mut velocity) = (vec![[0.0; 3]; n], vec![[0.0; 3]; n]);
@@ -247,12 +242,12 @@ impl Solids {
         moment / mass
     }
 
-    /// Velocities (m/s) that take scripted components from where they are at a time (s) to where their scripts want them dt (s)
-    /// later; 0 in all others. Nothing without scripts.
+    /// Velocities (m/s) of scripted components from their displacements at a time (s) to those of their scripts dt (s)
+    /// later; 0 elsewhere, empty without scripts.
     ///
-    /// A step asks for them after its nodes have moved, and the next step moves on with them: nodes land on their scripts exactly
-    /// where both steps are of one length, and lag behind by what a change of length makes of an acceleration otherwise. The first step
-    /// moves with those of [`Solids::start_scripts`].
+    /// A step computes them after moving its nodes, and the next step moves with them. Nodes are exactly on their scripts
+    /// for equal step lengths, else they lag by acceleration times the change of length. The first step uses
+    /// [`Solids::start_scripts`].
     pub fn prescribed_velocity(
         &self,
         displacement: &[[f64; 3]],
@@ -275,8 +270,8 @@ impl Solids {
         velocity
     }
 
-    /// Before the first step, of dt (s), of a scene: lets the velocities (m/s) of scripted components, which are along the tangents of
-    /// their scripts, take them to where the scripts want them at its end. A tangent leads past keyframes that come sooner.
+    /// Sets the velocities (m/s) of scripted components for the first step of dt (s), so that it ends on the scripts.
+    /// Initial velocities are tangents, which overshoot keyframes within the step.
     pub fn start_scripts(&self, displacement: &[[f64; 3]], velocity: &mut [[f64; 3]], dt: f64) {
         let start = self.prescribed_velocity(displacement, 0.0, dt);
         for script in &self.scripts {
@@ -288,7 +283,7 @@ impl Solids {
         }
     }
 
-    /// The mesh under displacements (m, of all nodes).
+    /// The deformed mesh for displacements of all nodes, m.
     pub fn moved(&self, displacement: &[[f64; 3]]) -> MovedMesh<'_> {
         let nodes = self.rest.iter().zip(displacement);
         MovedMesh {
@@ -303,15 +298,14 @@ impl Solids {
         }
     }
 
-    /// The bodies that move on circles where they turn: corotational ones that nothing holds, or that are held still in a point or along a
-    /// line.
-    pub fn turning(&self) -> impl Iterator<Item = Turning> {
+    /// Corotational bodies that are free, or constrained in a point or along a line.
+    pub fn rotating_bodies(&self) -> impl Iterator<Item = RotatingBody> {
         let corotational = |body: &&Body| body.model == ElasticModel::Corotational;
         let turning = |body: &Body| {
             let nodes = body.nodes.clone();
-            match self.held(body).as_slice() {
-                [] => Some(Turning { nodes, about: None }),
-                held => self.hinge(held).map(|hinge| Turning {
+            match self.constrained_nodes(body).as_slice() {
+                [] => Some(RotatingBody { nodes, about: None }),
+                constrained => self.hinge(constrained).map(|hinge| RotatingBody {
                     nodes,
                     about: Some(hinge),
                 }),
@@ -320,33 +314,33 @@ impl Solids {
         self.bodies.iter().filter(corotational).filter_map(turning)
     }
 
-    /// The nodes of a body of which some component is prescribed.
-    fn held(&self, body: &Body) -> Vec<usize> {
-        let held = |node: &usize| self.prescribed[*node] != [false; 3];
-        body.nodes.clone().filter(held).collect()
+    /// Nodes of a body with constrained components.
+    fn constrained_nodes(&self, body: &Body) -> Vec<usize> {
+        let constrained = |node: &usize| self.prescribed[*node] != [false; 3];
+        body.nodes.clone().filter(constrained).collect()
     }
 
-    /// Two of the nodes, as far apart as any, or twice the same, where they are held still in all components and lie on a line.
-    fn hinge(&self, held: &[usize]) -> Option<[usize; 2]> {
+    /// The two ends of a hinge: all nodes are fully constrained, not scripted, and lie on a line or in a point.
+    fn hinge(&self, constrained: &[usize]) -> Option<[usize; 2]> {
         let scripted = |node: &usize| {
             let mut scripts = self.scripts.iter();
             scripts.any(|script| script.nodes.binary_search(&(*node as u32)).is_ok())
         };
-        let all_of = |node: &usize| self.prescribed[*node] == [true; 3];
-        if !held.iter().all(all_of) || held.iter().any(scripted) {
+        let fully = |node: &usize| self.prescribed[*node] == [true; 3];
+        if !constrained.iter().all(fully) || constrained.iter().any(scripted) {
             return None;
         }
         let farthest = |from: usize| {
             let away = |node: usize| self.rest[node].distance_squared(self.rest[from]);
             let farther = |a: &&usize, b: &&usize| away(**a).total_cmp(&away(**b));
-            held.iter().max_by(farther).copied()
+            constrained.iter().max_by(farther).copied()
         };
-        let first = farthest(held[0])?;
+        let first = farthest(constrained[0])?;
         let last = farthest(first)?;
-        let way = self.rest[last] - self.rest[first];
-        let aside = |node: &usize| (self.rest[*node] - self.rest[first]).cross(way).length();
-        let straight = |node: &usize| aside(node) <= STRAIGHT * way.length_squared();
-        held.iter().all(straight).then_some([first, last])
+        let line = self.rest[last] - self.rest[first];
+        let aside = |node: &usize| (self.rest[*node] - self.rest[first]).cross(line).length();
+        let straight = |node: &usize| aside(node) <= STRAIGHT * line.length_squared();
+        constrained.iter().all(straight).then_some([first, last])
     }
 
     /// The body of an element.
@@ -361,16 +355,17 @@ impl Solids {
         &self.bodies[self.bodies.partition_point(|body| body.nodes.end <= node)]
     }
 
-    /// What displacements (m, of all nodes) make of an element.
+    /// Deformation of an element for displacements of all nodes, m.
     pub fn deformation(&self, element: usize, displacement: &[[f64; 3]]) -> Deformation {
         let u = self.elements[element].map(|node| DVec3::from(displacement[node as usize]));
         let model = self.body_of_element(element).model;
         Deformation::new(&self.gradients[element], u, model)
     }
 
-    /// Von Mises stress (Pa) and det F of an element. The stress is P, the law's own, which turned by R is the Cauchy stress for
-    /// small strains; turning does not change its von Mises stress. Unlike the Cauchy stress R P F^T / det F it is finite in
-    /// flat elements too.
+    /// Von Mises stress (Pa) and det F of an element.
+    ///
+    /// The stress is P of the constitutive law, which for small strains is the Cauchy stress rotated by R^T, with the same
+    /// von Mises stress. Unlike R P F^T / det F it is finite in flat elements.
     pub fn stress_and_determinant(&self, element: usize, displacement: &[[f64; 3]]) -> [f64; 2] {
         let body = self.body_of_element(element);
         let deformation = self.deformation(element, displacement);
@@ -378,12 +373,9 @@ impl Solids {
         [von_mises(stress), deformation.determinant()]
     }
 
-    /// Refuses bodies of which a free node starts beyond a wall or more than a cell deep in an obstacle: both would push it out with
-    /// force. `displacement` (m): of all nodes at the start; `solid_distance`: per cell, m.
-    ///
-    /// # Errors
-    /// [`Error::Input`] naming the solid.
-    pub fn ensure_room(
+    /// Refuses bodies with a free node beyond a wall or more than a cell deep in an obstacle, which would accelerate it
+    /// outwards. `displacement` (m) is the initial one of all nodes, `solid_distance` (m) is per cell.
+    pub fn ensure_clearance(
         &self,
         scene: &Scene,
         solid_distance: &[f64],
@@ -391,7 +383,7 @@ impl Solids {
     ) -> Result<(), Error> {
         let grid = scene.grid();
         let size = grid.size();
-        let slack = STICKS_OUT * size.max_element();
+        let slack = WALL_TOLERANCE * size.max_element();
         for (number, body) in self.bodies.iter().enumerate() {
             let what = scene.at(&format!("solid[{number}]"));
             let nodes = body.nodes.clone();
@@ -403,9 +395,9 @@ impl Solids {
                     return Err(Error::input(
                         what,
                         format!(
-                            "starts outside of the domain: it has a node at {x} m, and the domain ends at {size} m"
+                            "starts outside the domain: it has a node at {x} m, and the domain ends at {size} m"
                         ),
-                        "move it with placement.at, the place of its middle, or make it smaller: units = \"mm\" beside the file of a mesh in mm",
+                        "move it with placement.at, the position of its centre, or shrink it: units = \"mm\" beside the file of a mesh in mm",
                     ));
                 }
                 if !scene.obstacles.is_empty() {
@@ -427,7 +419,7 @@ impl Solids {
                         "starts {} m deep in {obstacle}, with its node at [{x}, {y}, {z}] m",
                         rounded(-deepest)
                     ),
-                    "move the solid or the obstacle, or hold the nodes in it with a [[solid.pin]]",
+                    "move the solid or the obstacle, or constrain the nodes in it with a [[solid.pin]]",
                 ));
             }
         }
@@ -435,10 +427,10 @@ impl Solids {
     }
 }
 
-/// Part of the domain's longest side that rounding may put a node beyond a wall.
-const STICKS_OUT: f64 = 1e-6;
+/// Rounding of a node's distance beyond a wall, relative to the domain's longest side.
+const WALL_TOLERANCE: f64 = 1e-6;
 
-/// What the scene file calls a pin: those with keyframes are scripts, and each kind is counted by itself.
+/// Key of a pin in the scene file: pins with keyframes are scripts, counted separately.
 fn key(pins: &[Pin], number: usize) -> String {
     let still = pins[number].keyframes.is_empty();
     let before = pins[..number].iter();

@@ -2,72 +2,73 @@
 
 use crate::Error;
 use crate::arrays;
-use crate::geometry::{Place, SolidClip};
+use crate::geometry::{MovingWall, SolidClip};
 use crate::gpu::Gpu;
 use crate::grid::{Axis, Grid, Padded};
 
-/// Bit of a word of [`ClipBuffers::walls`]: patches lie in the quad. `shaders/common/moving_walls.wgsl` has it too.
+/// Bit of a word of [`ClipBuffers::walls`]: the quad contains patches. Also in `shaders/common/moving_walls.wgsl`.
 const WET: u32 = 16;
-/// In place of the nodes of a place that is not on a solid: what follows are bits of its velocity. `wall_velocities.wgsl` has it too.
+/// Replaces the first node of a closest point on an obstacle. The next words contain the bits of its velocity. Also
+/// in `wall_velocities.wgsl`.
 const NO_NODE: u32 = u32::MAX;
-/// First bit of the number of the quad's first place, likewise.
+/// First bit of the index of the quad's first closest point. Also in `shaders/common/moving_walls.wgsl`.
 const FIRST_PLACE: u32 = 5;
 
-/// How much of it there is: the doppelganger of `Clipped` in `shaders/common/cut_quad.wgsl`.
+/// Lengths of the lists of a clipping.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Clipped {
-    /// Quads whose cells solids cut, or cut in the last sub-step.
+    /// Quads that solids cut in this sub-step or in the last.
     pub n_quads: u32,
-    /// Cells near solids, with the nearest place on a surface.
+    /// Cells near solids, each with the closest point on a surface.
     pub n_places: u32,
-    /// First word of the places' velocities in [`ClipBuffers::walls`].
+    /// Index of the first velocity in [`ClipBuffers::walls`].
     pub first: u32,
-    /// Nothing.
+    /// Padding.
     pub pad: u32,
 }
 
-/// A quad as it is cut: the doppelganger of `CutQuad` in `shaders/common/cut_quad.wgsl`.
+/// Apertures and distances of a cut quad.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct CutQuad {
-    /// Open fractions of the minus faces across x, y, z.
+    /// Face apertures of the minus faces across x, y, z.
     pub open: [[f32; 4]; 3],
-    /// Distance of the centres from obstacles and solids, m.
+    /// Signed distance of the cell centres from obstacles and solids, m.
     pub distance: [f32; 4],
-    /// The quad.
+    /// Index of the quad.
     pub quad: u32,
-    /// Its word of [`ClipBuffers::walls`].
+    /// Word of the quad in [`ClipBuffers::walls`].
     pub walls: u32,
-    /// Nothing.
+    /// Padding.
     pub pad_0: u32,
-    /// Nothing.
+    /// Padding.
     pub pad_1: u32,
 }
 
-/// How much room there is.
+/// Capacity of [`ClipBuffers`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ClipSize {
-    /// Quads that differ from what those obstacles leave that stand still, in this sub-step or in the last.
+    /// Quads that moving geometry cuts in this sub-step or cut in the last.
     pub quads: usize,
-    /// Cells near what moves.
+    /// Cells near moving geometry.
     pub places: usize,
     /// Whether obstacles move.
     pub moving_obstacles: bool,
 }
 
 impl ClipSize {
-    /// What a clipping needs when it is written after one with so many quads, or with as many as its own.
+    /// The capacity for a clipping that is written after one with `differing` cut quads, or with as many as its own.
     pub fn of(grid: &Grid, clip: &SolidClip, differing: usize) -> ClipSize {
         let now = cut_quads(&grid.padded(), grid, clip).len();
         ClipSize {
             quads: now + differing.max(now),
-            places: clip.places().len(),
-            moving_obstacles: clip.obstacles().move_at_all(),
+            places: clip.moving_walls().len(),
+            moving_obstacles: clip.obstacles().has_moving(),
         }
     }
 
-    /// Half as much again: bodies cut other cells as they go.
+    /// 1.5 times the capacity, because moving bodies cut other cells in later sub-steps.
     pub fn ample(self) -> ClipSize {
         let ample = |n: usize| n + n / 2 + 64;
         ClipSize {
@@ -77,7 +78,7 @@ impl ClipSize {
         }
     }
 
-    /// Enough for both.
+    /// The larger of both, per list.
     pub fn joined(self, other: ClipSize) -> ClipSize {
         ClipSize {
             quads: self.quads.max(other.quads),
@@ -88,25 +89,27 @@ impl ClipSize {
 }
 
 arrays! {
-    /// Cut quads on their way to the arrays of the liquid, and surfaces as moving walls.
+    /// Cut quads before their copy to the arrays of the liquid, and surfaces as moving walls.
     pub struct ClipBuffers in "clip" {
         fields {
-            /// Room.
+            /// Capacity.
             pub size: ClipSize,
             grid: Grid,
             padded: Padded,
-            /// Quads that differ on the device.
+            /// Quads whose values on the device differ from those of the static obstacles.
             differing: Vec<u32>,
         }
         arrays {
-            /// Counts of the lists below.
+            /// Lengths of the lists below.
             pub uniform clipped: Clipped [Clipped::default()],
             array entries: CutQuad [size.quads] as "clip.quads",
             /// Per entry: prescribed boundary flux of moving obstacles, J v over dx^2, m/s.
             pub(crate) array fluxes: [f32; 4] [size.quads] if size.moving_obstacles,
-            /// Per cell near a solid or moving obstacle: nodes of the nearest triangle, then bits of their weights at its nearest place.
+            /// Per cell near a solid or moving obstacle: nodes of the closest triangle, then bits of their weights at
+            /// the closest point.
             pub array places: [u32; 4] [2 * size.places],
-            /// Per quad: which lanes have a place, and which; then the velocities of the places, m/s (`shaders/common/moving_walls.wgsl`).
+            /// Per quad: bits of the lanes that have a closest point, and the index of the first. Then the velocities
+            /// of the closest points, m/s (`shaders/common/moving_walls.wgsl`).
             pub array walls: u32 [padded.quads + 3 * size.places],
         }
         views {}
@@ -116,17 +119,11 @@ arrays! {
 
 impl ClipBuffers {
     /// Allocates.
-    ///
-    /// # Errors
-    /// [`Error::Limit`] where the adapter is too small.
     pub fn new(gpu: &Gpu, grid: &Grid, size: ClipSize) -> Result<ClipBuffers, Error> {
         ClipBuffers::allocate(gpu, size, *grid, grid.padded(), Vec::new())
     }
 
-    /// The same with other room, and what differs on the device as it was.
-    ///
-    /// # Errors
-    /// As [`ClipBuffers::new`].
+    /// Allocates another capacity and preserves the record of differing quads.
     pub fn resized(&self, gpu: &Gpu, size: ClipSize) -> Result<ClipBuffers, Error> {
         Ok(ClipBuffers {
             differing: self.differing.clone(),
@@ -134,22 +131,23 @@ impl ClipBuffers {
         })
     }
 
-    /// Quads that differ on the device from what the obstacles leave.
+    /// Number of quads whose values on the device differ from those of the static obstacles.
     pub fn n_differing(&self) -> usize {
         self.differing.len()
     }
 
-    /// Whether a clipping fits after the one that is on the device.
+    /// Whether the capacity suffices for a clipping, written after the one on the device.
     pub fn fits(&self, clip: &SolidClip) -> bool {
         let now = cut_quads(&self.padded, &self.grid, clip).len();
-        now + self.differing.len() <= self.size.quads && clip.places().len() <= self.size.places
+        now + self.differing.len() <= self.size.quads
+            && clip.moving_walls().len() <= self.size.places
     }
 
-    /// Writes a clipping, before all work submitted later; `triangles`: nodes of the surface triangles. With `anew` the fields were just
-    /// written as the obstacles leave them.
+    /// Writes a clipping, before all work submitted later. `triangles` contains the nodes of the surface triangles.
+    /// `anew`: the liquid's arrays now contain the values of the static obstacles.
     ///
     /// # Panics
-    /// When it does not fit.
+    /// When the capacity is too small.
     pub fn write(&mut self, gpu: &Gpu, clip: &SolidClip, triangles: &[[u32; 3]], anew: bool) {
         if anew {
             gpu.upload(&self.walls, &vec![0; self.padded.quads]);
@@ -160,14 +158,14 @@ impl ClipBuffers {
         listed.sort_unstable();
         listed.dedup();
         let mut words = vec![0; listed.len()];
-        // Which of them, and the lane.
+        // Entry of the quad, and the lane.
         let at = |cell: usize| {
             let index = self.padded.index(self.grid.cell_at(cell));
-            let found = listed.binary_search(&((index / 4) as u32));
-            let found = found.expect("cells near solids are among the changed ones");
-            (found, index % 4)
+            let entry = listed.binary_search(&((index / 4) as u32));
+            let entry = entry.expect("cells near solids are among the changed ones");
+            (entry, index % 4)
         };
-        let near = clip.places();
+        let near = clip.moving_walls();
         for (place, nearest) in near.iter().enumerate() {
             let (quad, lane) = at(nearest.cell());
             if words[quad] == 0 {
@@ -186,12 +184,12 @@ impl ClipBuffers {
         let places: Vec<[u32; 4]> = near
             .iter()
             .flat_map(|place| match place {
-                Place::Solid(nearest) => {
+                MovingWall::Solid(nearest) => {
                     let [a, b, c] = triangles[nearest.triangle];
                     let [u, v, w] = nearest.weights.map(|weight| (weight as f32).to_bits());
                     [[a, b, c, 0], [u, v, w, 0]]
                 }
-                Place::Obstacle { velocity, .. } => {
+                MovingWall::Obstacle { velocity, .. } => {
                     let [u, v, w] = velocity.as_vec3().to_array().map(f32::to_bits);
                     [[NO_NODE; 4], [u, v, w, 0]]
                 }
@@ -207,12 +205,12 @@ impl ClipBuffers {
         gpu.upload(&self.entries, &entries);
         gpu.upload(&self.places, &places);
         if let Some(fluxes) = &self.fluxes {
-            let mut of_quads = vec![[0.0; 4]; listed.len()];
+            let mut quad_fluxes = vec![[0.0; 4]; listed.len()];
             for &(cell, flux) in clip.obstacles().flux() {
                 let (quad, lane) = at(cell);
-                of_quads[quad][lane] = (flux / self.grid.dx.powi(2)) as f32;
+                quad_fluxes[quad][lane] = (flux / self.grid.dx.powi(2)) as f32;
             }
-            gpu.upload(fluxes, &of_quads);
+            gpu.upload(fluxes, &quad_fluxes);
         }
         self.differing = now;
     }
@@ -241,15 +239,17 @@ impl ClipBuffers {
     }
 }
 
-/// Quads with cells or faces that need not be as the obstacles leave them, ascending.
+/// Quads whose cells or faces can differ from those of the static obstacles, ascending.
 fn cut_quads(padded: &Padded, grid: &Grid, clip: &SolidClip) -> Vec<u32> {
     let (faces, cells) = clip.changed();
     let cells = cells.iter().map(|&cell| grid.cell_at(cell));
     let faces = Axis::ALL.into_iter().zip(&faces);
     let faces = faces.flat_map(|(axis, faces)| faces.iter().map(move |&f| grid.face_at(axis, f)));
-    let of_solids = clip.coupling().cells().map(|(cell, _)| cell);
-    let of_obstacles = clip.obstacles().flux().iter().map(|&(cell, _)| cell);
-    let patches = of_solids.chain(of_obstacles).map(|cell| grid.cell_at(cell));
+    let solid_cells = clip.coupling().cells().map(|(cell, _)| cell);
+    let obstacle_cells = clip.obstacles().flux().iter().map(|&(cell, _)| cell);
+    let patches = solid_cells
+        .chain(obstacle_cells)
+        .map(|cell| grid.cell_at(cell));
     let all = cells.chain(faces).chain(patches);
     let mut quads: Vec<u32> = all.map(|at| (padded.index(at) / 4) as u32).collect();
     quads.sort_unstable();

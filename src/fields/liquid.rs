@@ -10,53 +10,53 @@ use crate::state::State;
 
 use super::Report;
 
-/// What a sub-step knows beyond the layout: the doppelganger of `Step` in `shaders/common/step.wgsl`.
+/// Parameters of a sub-step.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Step {
-    /// m/s^2
+    /// Gravity, m/s^2.
     pub gravity: [f32; 3],
-    /// s
+    /// Length of the sub-step, s.
     pub dt: f32,
     /// Size of the domain, m.
     pub size: [f32; 3],
-    /// m
+    /// Cell width, m.
     pub dx: f32,
-    /// 1/m
+    /// Inverse of the cell width, 1/m.
     pub inv_dx: f32,
     /// Length of a frame, s.
     pub frame: f32,
-    /// Liquid volume to hold, m^3.
+    /// Controlled liquid volume, m^3.
     pub volume_0: f32,
-    /// kg/m^3
+    /// Density, kg/m^3.
     pub density: f32,
     /// Radius of the spheres around markers, cells.
     pub marker_radius: f32,
     /// Smallest theta of the ghost fluid method.
     pub theta_floor: f32,
-    /// Markers in the buffer, those that are gone included.
+    /// Markers in the buffer, including deleted ones.
     pub n_markers: u32,
-    /// Sides of the domain that are open, [`Sides::bits`](crate::grid::Sides::bits).
+    /// Open sides of the domain, as [`Sides::bits`](crate::grid::Sides::bits).
     pub open_sides: u32,
 }
 
-/// What decides the sizes of [`LiquidBuffers`].
+/// Sizes of [`LiquidBuffers`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LiquidPlan {
     /// The grid.
     pub grid: Grid,
-    /// What the scene calls for.
+    /// Active effects.
     pub effects: Effects,
-    /// Markers that there is room for.
+    /// Capacity for markers.
     pub n_markers: usize,
-    /// Cells that the fastest point crosses in a sub-step.
+    /// CFL number: cells that the fastest point crosses in a sub-step.
     pub cfl: f64,
-    /// The scalar type of sums and reports.
+    /// Scalar type of sums and reports.
     pub real: Real,
 }
 
 impl LiquidPlan {
-    /// Threads of a reduction, each with its own share of the band: as many as fill a large device, fewer on small grids.
+    /// Threads of a reduction: enough for a large device, fewer on small grids. Each sums its own share of the band.
     pub fn n_summing(&self) -> usize {
         (self.grid.padded().quads / 8)
             .next_multiple_of(WG_SIZE as usize)
@@ -69,31 +69,32 @@ impl LiquidPlan {
     }
 }
 
-/// First bit of the open faces in `valid`; `common/valid.wgsl` has it too.
+/// First bit of the open faces in `valid`. Also in `common/valid.wgsl`.
 const OPEN: usize = 16;
-/// There: slivers are in the quad, faces that are open but by less than [`SLIVER`].
+/// Bit of `valid`: the quad has small-aperture faces, open by less than [`SLIVER`].
 const SLIVERS: u32 = 1 << 31;
-/// Open fraction below which a face is one; likewise.
+/// Aperture below which an open face is a small-aperture face. Also in `common/valid.wgsl`.
 const SLIVER: f32 = 0.2;
-/// Threads of a reduction, at most.
+/// Largest number of threads of a reduction.
 const LARGEST_SUMMING: usize = 16384;
 
-/// Cells along the edge of a tile, two quads; `shaders/common/tiles.wgsl` has it too.
+/// Cells along the edge of a tile, two quads. Also in `shaders/common/tiles.wgsl`.
 pub(crate) const TILE: usize = 8;
 
-/// Tiles that cover every cell and every face: the doppelganger of `Tiles` in `shaders/common/tiles.wgsl`.
+/// Tiles that cover every cell and every face.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Tiles {
     /// Tiles along x, y, z.
     pub n: [u32; 3],
-    /// Tiles that the band reaches beyond those with liquid.
+    /// Tiles by which the band extends beyond tiles with liquid.
     pub reach: u32,
 }
 
 impl Tiles {
-    /// The tiles of a grid. A marker makes cells active within one cell of its own, their plus faces are one further, and the
-    /// extrapolation adds its layers; in what cuts the grid the extension of the liquid distance adds one more active cell.
+    /// The tiles of a grid. A marker activates cells within one cell of its own; their plus faces are one further,
+    /// and extrapolation adds its layers. In a cut grid the extension of the liquid distance adds one more active
+    /// cell.
     pub fn new(cells: [usize; 3], cfl: f64, cuts: bool) -> Tiles {
         let reach = extrapolation_layers(cfl) + 2 + usize::from(cuts);
         Tiles {
@@ -107,7 +108,7 @@ impl Tiles {
         self.n.iter().map(|&n| n as usize).product()
     }
 
-    /// Whether there are none; never, kept for the pair with [`Tiles::len`].
+    /// Always false; the pair of [`Tiles::len`].
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -119,21 +120,21 @@ impl Tiles {
     }
 }
 
-/// Faces count as reached from the liquid within this many layers, each a cell wide along axes and diagonals: one cell beyond
-/// what a point crosses along each axis in a sub-step, of which markers near the surface take half, and one for the trilinear sample.
+/// Layers of the extrapolation, each one cell wide along axes and diagonals. The count is one cell more than the CFL
+/// number along each axis. Markers near the surface use half a cell of it, and trilinear sampling one.
 pub fn extrapolation_layers(cfl: f64) -> usize {
     cfl.ceil() as usize + 2
 }
 
 arrays! {
-    /// The arrays of the liquid, device layout ([`Padded`]). Made once per grid; owns no kernels.
+    /// Arrays of the liquid in the device layout ([`Padded`]), allocated once per grid.
     pub struct LiquidBuffers in "liquid" {
         fields {
             /// Sizes and effects.
             pub plan: LiquidPlan,
-            /// Layout of every array.
+            /// Layout of all arrays.
             pub padded: Padded,
-            /// Distance to obstacles, and to solids in liquid.
+            /// Signed distance to obstacles and, in liquid, to solids.
             pub obstacles: ObstacleBuffers,
         }
         arrays {
@@ -143,24 +144,25 @@ arrays! {
             pub uniform step: Step [bytemuck::Zeroable::zeroed()],
             /// The tiles, for kernels.
             pub uniform tiles: Tiles [plan.tiles()],
-            /// Face velocities after the last projection and extrapolation: x, y, z faces one after another, m/s; 0 outside the band.
-            /// `advect_velocity` leaves blended velocities of small-aperture faces there. Free until `write_back`.
+            /// Face velocities after the last projection and extrapolation: sections of x, y, z faces, m/s; 0 outside
+            /// the band. `advect_velocity` writes blended velocities of small-aperture faces. Free until
+            /// `write_back`.
             pub array velocity: f32 [3 * padded.len()],
-            /// u*: face velocities before the projection, m/s; defined on the band only. Free until `advect_velocity`.
+            /// u*: face velocities before the projection, m/s; defined on the band. Free until `advect_velocity`.
             pub array velocity_next: f32 [3 * padded.len()],
             /// Face apertures.
             pub array open: f32 [3 * padded.len()],
             /// Liquid distance at cell centres, m; + dx outside the band.
             pub array liquid_distance: f32 [padded.len()],
-            /// Per quad, flags of its faces: which have a velocity, which are open (`common/valid.wgsl`).
+            /// Per quad: flags of faces with a velocity, and of open faces (`common/valid.wgsl`).
             pub array valid: u32 [padded.quads],
-            /// The same before or after a layer of the extrapolation.
+            /// `valid` before or after a layer of the extrapolation.
             pub array valid_next: u32 [padded.quads],
-            /// Per tile: whether it contains liquid. With markers zero between two runs of the stage `band`.
+            /// Per tile: whether it contains liquid. With markers it is zero outside the stage `band`.
             pub array marks: u32 [plan.tiles().len()],
-            /// Per tile: within reach of liquid now, and before (`common/tiles.wgsl`).
+            /// Per tile: in the band now, and in the last sub-step (`common/tiles.wgsl`).
             pub array dilated: u32 [plan.tiles().len()],
-            /// Per quad: in the band.
+            /// Per quad: 1 in the band.
             pub array band_flags: u32 [padded.quads],
             /// Quads of the band, ascending.
             pub array band_list: u32 [padded.quads],
@@ -168,9 +170,9 @@ arrays! {
             pub array band_args: u32 [4],
             /// Scratch memory of the compaction.
             pub array band_scratch: u32 [Compaction::scratch(padded.quads)],
-            /// Largest speed and divergence, as bits of f32.
+            /// Largest speed, m/s, and divergence, 1/s, as bits of f32.
             pub array maxima: u32 [2],
-            /// Sums that the host reads once per step: see [`Report`].
+            /// Diagnostics that the host reads back once per step: see [`Report`].
             pub array report: u32 [Report::words(&plan.effects)],
             /// Partial sums of a reduction, four per thread.
             pub real partials: (plan.real) [4 * plan.n_summing()],
@@ -186,7 +188,7 @@ arrays! {
             pub array classes: u32 [padded.quads] if plan.effects.markers,
         }
         views {
-            // The same velocities, four per quad.
+            // The velocities, four per quad.
             velocity_quads = velocity,
             // Distance to the surface, m.
             surface = velocity_next while AdvectMarkers..=AdvectMarkers, free Extrapolate..=AdvectMarkers,
@@ -194,7 +196,7 @@ arrays! {
             squares = liquid_distance while LiquidDistance..=LiquidDistance, free AdvectVelocity..=LiquidDistance,
             // Distance during its extension into solids, m.
             extended_distance = velocity while LiquidDistance..=LiquidDistance, free Forces..=Solve,
-            // In the kernel of the same name.
+            // In `right_hand_side`.
             flux = obstacle_flux,
         }
         parts { obstacles }
@@ -202,22 +204,19 @@ arrays! {
 }
 
 impl LiquidBuffers {
-    /// Allocates everything.
-    ///
-    /// # Errors
-    /// [`Error::Limit`] when the adapter does not allow a size.
+    /// Allocates all arrays.
     pub fn new(gpu: &Gpu, plan: LiquidPlan) -> Result<LiquidBuffers, Error> {
         let obstacles = ObstacleBuffers::new(gpu, &plan.grid, plan.effects.cuts())?;
         LiquidBuffers::allocate(gpu, plan, plan.grid.padded(), obstacles)
     }
 
-    /// Apertures of all faces for the solve. Faces of sources are closed for the pressure; there the value is minus the aperture of
-    /// their flux.
+    /// Face apertures for the solve. Faces of sources are closed for the pressure: the array stores minus the
+    /// aperture of their flux.
     pub fn solve_open(&self) -> &Buffer<f32> {
         self.solve_open.as_ref().unwrap_or(&self.open)
     }
 
-    /// Room for markers.
+    /// Capacity for markers.
     pub fn n_markers(&self) -> usize {
         self.markers.as_ref().map_or(0, Buffer::len)
     }
@@ -231,8 +230,8 @@ arrays! {
             present: bool,
         }
         arrays {
-            /// Signed distance of cell centres to the obstacles, m; negative inside, device layout. Without obstacles one quad, far from
-            /// any.
+            /// Signed distance of cell centres to the obstacles, m; negative inside; device layout. Without obstacles
+            /// the array is one quad far outside.
             pub array solid_distance: f32 [if present { grid.padded().len() } else { 4 }],
         }
         views {}
@@ -242,14 +241,11 @@ arrays! {
 
 impl ObstacleBuffers {
     /// Allocates. `present`: whether there are obstacles.
-    ///
-    /// # Errors
-    /// [`Error::Limit`] when the adapter does not allow the size.
     pub fn new(gpu: &Gpu, grid: &Grid, present: bool) -> Result<ObstacleBuffers, Error> {
         ObstacleBuffers::allocate(gpu, *grid, present)
     }
 
-    /// Writes the distance, before all work submitted later. Also due without obstacles.
+    /// Writes the distance, before all work submitted later. Required without obstacles too.
     pub fn write(&self, gpu: &Gpu, cut: &CutCells) {
         let Grid { cells, dx } = self.grid;
         let distance = match self.present {
@@ -264,7 +260,8 @@ impl ObstacleBuffers {
 }
 
 impl LiquidBuffers {
-    /// Writes what obstacles and solids leave of the grid, before all work submitted later. Also due without any.
+    /// Writes face apertures and distances of the cut cells, before all work submitted later. Required without
+    /// obstacles too.
     pub fn write_cut_cells(&self, gpu: &Gpu, cut: &CutCells) {
         let open = self.pad_faces(&cut.open);
         gpu.upload(&self.open, &open);
@@ -282,7 +279,7 @@ impl LiquidBuffers {
         self.obstacles.write(gpu, cut);
         let grid = &self.plan.grid;
         if let Some(occupied) = &self.occupied {
-            // A lane has room where its cell exists and its centre is outside every solid.
+            // A lane has room where its cell exists and its centre is outside all solids.
             let room = self
                 .padded
                 .pad(grid.cells, &cut.solid_distance, |d| d >= 0.0);
@@ -297,7 +294,7 @@ impl LiquidBuffers {
     /// Writes velocities, markers and liquid distance of a state, before all work submitted later.
     ///
     /// # Panics
-    /// When the state holds more markers than were planned.
+    /// When the state contains more markers than the capacity.
     pub fn write_state(&self, gpu: &Gpu, state: &State) {
         let grid = &self.plan.grid;
         gpu.upload(&self.velocity, &self.pad_faces(&state.velocity));
@@ -306,7 +303,7 @@ impl LiquidBuffers {
             distance[self.padded.index(grid.cell_at(cell))] = phi as f32;
         }
         gpu.upload(&self.liquid_distance, &distance);
-        // As if all tiles had been in the band: what is not in the next one is put back to air.
+        // Mark all tiles as in the band, so that the next band resets every tile outside it to air.
         gpu.upload(&self.dilated, &vec![1; self.dilated.len()]);
         let slab = self.padded.stride_z;
         let mut flags = vec![0; self.padded.quads];
@@ -327,7 +324,7 @@ impl LiquidBuffers {
             positions.resize(positions.len().max(markers.len()), [0.0; 4]);
             gpu.upload(markers, &positions);
         } else {
-            // The liquid stays where it is, so the tiles that hold it are known.
+            // A fixed surface does not move: the tiles with liquid are known.
             let tiles = self.plan.tiles();
             let mut marks = vec![0; tiles.len()];
             for (cell, _) in state
@@ -343,10 +340,7 @@ impl LiquidBuffers {
         gpu.upload(&self.report, &vec![0; self.report.len()]);
     }
 
-    /// Waits for all submitted work and reads velocities, markers (those that are gone left out) and liquid distance into a state.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
+    /// Waits for all submitted work and reads velocities, live markers and liquid distance into a state.
     pub fn read_state(&self, gpu: &Gpu, n_markers: usize, state: &mut State) -> Result<(), Error> {
         state.velocity = self.read_faces(gpu, &self.velocity)?;
         state.liquid_distance = self.padded.unpad(
@@ -366,9 +360,6 @@ impl LiquidBuffers {
     }
 
     /// Waits for all submitted work and reads a face field as host arrays per axis.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
     pub fn read_faces(&self, gpu: &Gpu, faces: &Buffer<f32>) -> Result<[Vec<f64>; 3], Error> {
         let device = gpu.download(faces)?;
         let len = self.padded.len();

@@ -1,7 +1,7 @@
-//! The vocabulary of device arrays: tables that give each array the name of its WGSL variables, its element, length, unit and centring.
+//! The vocabulary of device arrays. Tables list the WGSL name, element, length, unit and centring of each array.
 //!
-//! A table allocates its arrays and offers them to kernels by name. No other list of arrays exists: `plan` and the limits come from a
-//! planning device that runs the same allocations. Arrays of the solver are in [`crate::solver`].
+//! A table allocates its arrays and binds them to kernels by name. `plan` and the limits derive from the same
+//! allocations on a planning device. Arrays of the solver are in [`crate::solver`].
 
 mod clip;
 mod liquid;
@@ -25,21 +25,23 @@ pub struct Shared {
     pub view: &'static str,
     /// Name of the array whose memory it uses.
     pub array: &'static str,
-    /// First and last stage that use the scratch array.
+    /// First and last stage that use the scratch contents.
     pub used: [Stage; 2],
-    /// First and last stage of those in which the array's own contents are not needed.
+    /// First and last stage in which the array's own contents are free.
     pub free: [Stage; 2],
 }
 
 /// Declares a struct of device arrays.
 ///
-/// - `fields`: what sizes depend on, in scope of every row.
+/// - `fields`: sizes and options, in scope of every row.
+/// - `sizes`: further sizes in scope of every row, not stored.
 /// - `arrays`: `array NAME: T [LENGTH]` is a [`Buffer`](super::Buffer) of `T`, `real NAME: REAL [LENGTH]` a
-///   [`RealBuffer`](super::RealBuffer), `uniform NAME: T [VALUE]` a uniform buffer. With `if CONDITION` the array is an `Option`.
-/// - `views`: another name under which kernels bind an array. Without stages it is the same contents with another element type. With
-///   `while FIRST..=LAST, free FROM..=TO` it is scratch memory in these stages, and the array's own contents are not needed from
-///   FROM to TO; a test checks the one against the other.
-/// - `parts`: fields that are tables themselves, whose arrays kernels bind too.
+///   [`RealBuffer`](super::RealBuffer), `uniform NAME: T [VALUE]` a uniform buffer. With `if CONDITION` the array is
+///   an `Option`.
+/// - `views`: another WGSL name of an array. Without stages it is the same contents with another element type. With
+///   `while FIRST..=LAST, free FROM..=TO` it is scratch memory in FIRST to LAST. The array's own contents are free in
+///   FROM to TO; a test checks both ranges.
+/// - `parts`: fields that are tables themselves; kernels bind their arrays too.
 ///
 /// Labels are `GROUP.NAME`, or the label in `as "..."`.
 #[macro_export]
@@ -48,6 +50,7 @@ macro_rules! arrays {
         $(#[$meta:meta])*
         $vis:vis struct $Name:ident in $group:literal {
             fields { $( $(#[$fmeta:meta])* $fvis:vis $field:ident : $ftype:ty ),* $(,)? }
+            $(sizes { $( $size:ident : $stype:ty ),* $(,)? })?
             arrays { $(
                 $(#[$ameta:meta])*
                 $avis:vis $kind:ident $name:ident : $t:tt [ $len:expr ] $(as $label:literal)? $(if $when:expr)?
@@ -65,10 +68,7 @@ macro_rules! arrays {
 
         impl $Name {
             /// Allocates all rows of the table.
-            ///
-            /// # Errors
-            /// [`Error::Limit`](crate::Error::Limit) when the adapter does not allow a size.
-            pub(crate) fn allocate(gpu: &$crate::gpu::Gpu $(, $field: $ftype)*) -> Result<$Name, $crate::Error> {
+            pub(crate) fn allocate(gpu: &$crate::gpu::Gpu $(, $field: $ftype)* $($(, $size: $stype)*)?) -> Result<$Name, $crate::Error> {
                 $( let $name = $crate::arrays!(
                     @optional { $crate::arrays!(@new gpu $kind $t [$len] $crate::arrays!(@label $group $name $($label)?)) } $(if $when)?
                 ); )*
@@ -126,7 +126,7 @@ mod tests {
         assert!(!LiquidBuffers::SHARED.is_empty());
         for shared in LiquidBuffers::SHARED.iter().chain(SolidBuffers::SHARED) {
             let ([first, last], [from, to]) = (shared.used, shared.free);
-            // Where the free stages reach beyond the end of a sub-step, they are those before `to` and after `from`.
+            // Free stages that wrap around the end of a sub-step are those before `to` and after `from`.
             let within = match from <= to {
                 true => from <= first && last <= to,
                 false => last <= to || from <= first,

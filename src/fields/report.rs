@@ -1,39 +1,40 @@
-//! What a sub-step tells the host, read back once.
+//! Diagnostics of a sub-step, read back once.
 
 use crate::effects::Effects;
 use crate::state::{Diagnosis, SolidDiagnosis};
 
-/// The numbers of a sub-step, from the words of the report buffer; `shaders/common/report.wgsl` names the same words.
+/// Diagnostics of the liquid, from the words of the report buffer (`shaders/common/report.wgsl`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Report {
-    /// Markers dropped since the state was put in place.
+    /// Markers dropped since the state was written.
     pub markers_dropped: u32,
-    /// Markers that left through open sides in this sub-step.
+    /// Markers that crossed open sides in this sub-step.
     pub left: u32,
-    /// Markers that sank.
+    /// Markers deleted in sinks.
     pub sunk: u32,
-    /// Markers that sources made.
+    /// Markers emitted by sources.
     pub emitted: u32,
-    /// Those that sources that start lacked, also where a body covers them.
+    /// Markers missing in sources at their start, including those that a body covers.
     pub filled: u32,
-    /// Relative rate at which volume control lets the liquid grow, 1/s.
+    /// Growth rate of the volume by volume control, relative, 1/s.
     pub volume_rate: f64,
     /// Volume, momentum, energies, speed, divergence.
     pub diagnosis: Diagnosis,
 }
 
 impl Report {
-    /// Words of the report buffer; more where liquid comes in or goes out.
+    /// Words of the report buffer; more with sources, sinks or open sides.
     pub fn words(effects: &Effects) -> usize {
         if effects.exchange() { 24 } else { 16 }
     }
 
-    /// Word that counts the markers dropped since the state was put in place.
+    /// Index of the number of markers dropped since the state was written.
     pub const DROPPED: usize = 0;
-    /// Word that counts those that leave until `liquid_distance` has taken them into account.
+    /// Index of the number of deleted markers that `liquid_distance` has not yet subtracted from the controlled
+    /// volume.
     pub const LEAVING: usize = 17;
 
-    /// The report in the words of the report buffer.
+    /// Decodes the words of the report buffer.
     pub fn from_words(words: &[u32]) -> Report {
         let single = |word: usize| single(words, word);
         let sum = |word: usize| sum(words, word);
@@ -57,8 +58,7 @@ impl Report {
     }
 }
 
-/// What the solids tell the host of a sub-step, from the words of their report buffer; `shaders/common/solid_report.wgsl` names
-/// the same words.
+/// Diagnostics of the solids, from the words of their report buffer (`shaders/common/solid_report.wgsl`).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SolidReport {
     /// Momenta, energies, speed, worst element.
@@ -69,7 +69,7 @@ impl SolidReport {
     /// Words of the report buffer.
     pub const WORDS: usize = 22;
 
-    /// The report in the words of the report buffer.
+    /// Decodes the words of the report buffer.
     pub fn from_words(words: &[u32]) -> SolidReport {
         let sum = |word: usize| sum(words, word);
         SolidReport {
@@ -87,24 +87,24 @@ impl SolidReport {
     }
 }
 
-/// What liquid and solids tell the host of a sub-step, from the words of their report buffer.
+/// Diagnostics of the coupling, from the words of its report buffer.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CouplingReport {
-    /// Whether a patch lies in a cell that is an unknown.
+    /// Whether a patch lies in an active cell.
     pub touching: bool,
     /// Sum of J^T p, N.
     pub force: [f64; 3],
-    /// Sum of the forces of the pressure's variation within cells, N.
+    /// Sum of the forces due to pressure variation within cells, N.
     pub correction: [f64; 3],
 }
 
 impl CouplingReport {
-    /// Word of the sum of J^T p.
+    /// Index of the sum of J^T p.
     pub const FORCE: u32 = 2;
-    /// Word of the other sum.
+    /// Index of the sum of the correction.
     pub const CORRECTION: u32 = 8;
 
-    /// The report in the words of the report buffer.
+    /// Decodes the words of the report buffer.
     pub fn from_words(words: &[u32]) -> CouplingReport {
         let vector = |first: u32| [0, 2, 4].map(|at| sum(words, first as usize + at));
         CouplingReport {

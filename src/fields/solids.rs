@@ -1,8 +1,8 @@
-//! The nodes and elements of all solids on the device.
+//! Nodes and elements of all solids on the device.
 
 use crate::Error;
 use crate::arrays;
-use crate::elastic::{Solids, Turning};
+use crate::elastic::{RotatingBody, Solids};
 use crate::gpu::{Gpu, Real, WG_SIZE};
 use crate::grid::{Grid, Layout};
 use crate::scene::ElasticModel;
@@ -10,48 +10,49 @@ use crate::state::State;
 
 use super::SolidReport;
 
-/// What a sub-step knows of the solids: the doppelganger of `SolidStep` in `shaders/common/solid_step.wgsl`.
+/// Parameters of a sub-step.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct SolidStep {
-    /// m/s^2
+    /// Gravity, m/s^2.
     pub gravity: [f32; 3],
-    /// s
+    /// Length of the sub-step, s.
     pub dt: f32,
     /// Size of the domain, m.
     pub size: [f32; 3],
-    /// m
+    /// Cell width, m.
     pub dx: f32,
-    /// 1/m
+    /// Inverse of the cell width, 1/m.
     pub inv_dx: f32,
-    /// Nodes.
+    /// Number of nodes.
     pub n_nodes: u32,
-    /// Elements.
+    /// Number of elements.
     pub n_elements: u32,
-    /// Zero, which no compiler of shaders knows: `shaders/common/pair_f32.wgsl` keeps roundings with it.
+    /// Zero at run time, so that the shader compiler cannot reassociate the double-f32 arithmetic of
+    /// `shaders/common/pair_f32.wgsl`.
     pub zero: u32,
-    /// 1, or 0 in a system without elasticity and loads: share of dt in zeta_K, and of all forces but inertia.
+    /// 1, or 0 in a system without elasticity and loads. Factor of dt in zeta_K and of all forces but inertia.
     pub elastic: f32,
-    /// 1, or 0 in a system without damping: share of tau_M in zeta_M and of tau_K in zeta_K.
+    /// 1, or 0 in a system without damping. Factor of tau_M in zeta_M and of tau_K in zeta_K.
     pub damped: f32,
-    /// Nothing.
+    /// Padding.
     pub pad_0: u32,
-    /// Nothing.
+    /// Padding.
     pub pad_1: u32,
 }
 
-/// What decides the sizes of [`SolidBuffers`].
+/// Sizes of [`SolidBuffers`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SolidPlan {
-    /// The grid: its walls and the layout of the obstacles' distance.
+    /// The grid: domain walls, and layout of the distance to obstacles.
     pub grid: Grid,
     /// Nodes of all solids.
     pub n_nodes: usize,
-    /// Their elements.
+    /// Elements of all solids.
     pub n_elements: usize,
-    /// Bodies that move on circles where they turn.
+    /// Free and hinged bodies, whose nodes move on circles.
     pub n_turning: usize,
-    /// Whether prescribed nodes move.
+    /// Whether any prescribed node moves.
     pub scripts: bool,
     /// Whether there are obstacles.
     pub obstacles: bool,
@@ -60,8 +61,8 @@ pub struct SolidPlan {
 }
 
 impl SolidPlan {
-    /// Threads of a reduction, each with its own share of the nodes and elements: as many as fill a large device, fewer for
-    /// small solids.
+    /// Threads of a reduction: enough for a large device, fewer for small solids. Each sums its own share of nodes
+    /// and elements.
     pub fn n_summing(&self) -> usize {
         ((self.n_nodes + self.n_elements) / 8)
             .next_multiple_of(WG_SIZE as usize)
@@ -69,16 +70,16 @@ impl SolidPlan {
     }
 }
 
-/// In the place of nodes of a hinge: nothing holds the body. `turn_solids.wgsl` has it too.
+/// Replaces the nodes of a hinge for a free body. Also in `turn_solids.wgsl`.
 const FREE: u32 = u32::MAX;
-/// Threads of a reduction, at most.
+/// Largest number of threads of a reduction.
 const LARGEST_SUMMING: usize = 16384;
 /// Words of [`SolidBuffers::extremes`].
 const EXTREMES: usize = 3;
 
 arrays! {
-    /// The nodes and elements of all solids. n nodes, m elements; arrays of several sections have one section of all nodes or
-    /// elements after another. `Real4` is four f64 where [`SolidPlan::real`] is f64, else four f32.
+    /// Nodes and elements of all solids: n nodes, m elements. An array of several sections stores one section of all
+    /// nodes or elements after another. `Real4` is four numbers of type [`SolidPlan::real`].
     pub struct SolidBuffers in "solid" {
         fields {
             /// Sizes.
@@ -95,41 +96,41 @@ arrays! {
             pub array displacement: [f32; 4] [2 * plan.n_nodes],
             /// `Real4` per node: velocity, m/s; v* before the solve, v after it.
             pub real velocity: (plan.real) [4 * plan.n_nodes],
-            /// Per node: bits 0, 1, 2 are set where x, y, z is free. Zeros fill up to a multiple of four.
+            /// Per node: bits 0, 1, 2 are set where x, y, z is free. Padded with zeros to a multiple of four.
             pub array flags: u32 [plan.n_nodes.next_multiple_of(4)],
-            /// Per node: distances from the nearer walls, m, and which they are; with obstacles a second section, unit normals and
-            /// distances (see `shaders/common/contact.wgsl`).
+            /// Per node: distances from the nearer walls, m, and bits that name these walls. With obstacles a second
+            /// section contains unit normals and distances (`shaders/common/contact.wgsl`).
             pub array gaps: [f32; 4] [(1 + usize::from(plan.obstacles)) * plan.n_nodes],
-            /// Per node: constraint projector of this sub-step (see `shaders/common/freedom.wgsl`).
+            /// Per node: constraint projector of this sub-step (`shaders/common/freedom.wgsl`).
             pub array freedom: [f32; 4] [plan.n_nodes],
-            /// Query of the active-set search and its result (see `shaders/common/ask.wgsl`). After a sub-step, first, the number of
-            /// contacts that would change.
+            /// Query of the active-set search and its result (`shaders/common/ask.wgsl`). After a sub-step the first
+            /// word is the number of contacts whose state would change.
             pub array answer: u32 [3],
             /// Per element: its nodes.
             pub array elements: [u32; 4] [plan.n_elements],
-            /// `Real4`, three sections: rest gradients of the shape functions of corners 1, 2, 3, 1/m (that of corner 0 is minus their
-            /// sum), with the rest volume (m^3), lambda and mu (Pa) as fourth numbers.
+            /// `Real4`, three sections: rest gradients of the shape functions of corners 1, 2, 3, 1/m. The fourth
+            /// numbers are the rest volume (m^3), lambda and mu (Pa). The gradient of corner 0 is minus the sum.
             pub real rest_gradients: (plan.real) [12 * plan.n_elements],
             /// Per element: tau_K, s, and 1 for the linear model, else 0.
             pub array damping: [f32; 2] [plan.n_elements],
-            /// `Real4`, three sections: the same gradients, rotated; fourth numbers zeta_K V lambda, zeta_K V mu (s Pa m^3), and the
-            /// determinant of the deformation gradient.
+            /// `Real4`, three sections: the rotated gradients, 1/m. The fourth numbers are zeta_K V lambda, zeta_K V
+            /// mu (s Pa m^3), and the determinant of the deformation gradient.
             pub real rotated: (plan.real) [12 * plan.n_elements],
-            /// `Real4`, three sections: K x* - b of the element at corners 1, 2, 3, N (that at corner 0 is minus their sum); the
-            /// fourth number of the first section is the element's elastic energy, J, the others are zero.
+            /// `Real4`, three sections: K x* - b of the element at corners 1, 2, 3, N; corner 0 is minus the sum. The
+            /// fourth number of the first section is the elastic energy, J; the others are zero.
             pub real element_forces: (plan.real) [12 * plan.n_elements],
             /// `Real4` per node: constant force, N, and tau_M, 1/s.
             pub real load: (plan.real) [4 * plan.n_nodes],
-            /// Per node: velocity of prescribed components in this sub-step, m/s. Without scripts one element, zero.
+            /// Per node: velocity of prescribed components in this sub-step, m/s. Without scripts a single zero
+            /// element.
             pub array prescribed: [f32; 4] [if plan.scripts { plan.n_nodes } else { 1 }],
             /// Partial sums of a reduction: three sections of `Real4`.
             pub real partials: (plan.real) [12 * plan.n_summing()],
-            /// Largest speed, least determinant, inverted elements, as `shaders/measure_solid.wgsl` orders them.
+            /// Largest speed, least determinant, number of inverted elements (`shaders/measure_solid.wgsl`).
             pub array extremes: u32 [EXTREMES],
-            /// Sums that the host reads once per step: see [`SolidReport`].
+            /// Diagnostics that the host reads back once per step: see [`SolidReport`].
             pub array report: u32 [SolidReport::WORDS],
-            /// Per body that moves on circles where it turns: its first node and the one after its last, and two nodes of its hinge or
-            /// all bits set.
+            /// Per free or hinged body: its range of nodes, and two nodes of its hinge or all bits set.
             pub array turning: [u32; 4] [plan.n_turning] if plan.n_turning > 0,
         }
         views {}
@@ -138,19 +139,16 @@ arrays! {
 }
 
 impl SolidBuffers {
-    /// Allocates everything that `plan` lists and writes all that never changes.
-    ///
-    /// # Errors
-    /// [`Error::Limit`] when the adapter does not allow a size.
+    /// Allocates all arrays and writes those that never change.
     ///
     /// # Panics
-    /// When the solids are not those planned.
+    /// When the solids differ from `plan`.
     pub fn new(gpu: &Gpu, plan: SolidPlan, solids: &Solids) -> Result<SolidBuffers, Error> {
         assert_eq!(
             (
                 solids.rest.len(),
                 solids.elements.len(),
-                solids.turning().count()
+                solids.rotating_bodies().count()
             ),
             (plan.n_nodes, plan.n_elements, plan.n_turning),
             "nodes, elements and turning bodies of the plan"
@@ -170,8 +168,8 @@ impl SolidBuffers {
             .collect();
         gpu.upload(&self.rest, &rest);
         if let Some(turning) = &self.turning {
-            let bodies = solids.turning();
-            let bodies = bodies.map(|Turning { nodes, about }| {
+            let bodies = solids.rotating_bodies();
+            let bodies = bodies.map(|RotatingBody { nodes, about }| {
                 let [a, b] = about.map_or([FREE; 2], |hinge| hinge.map(|node| node as u32));
                 [nodes.start as u32, nodes.end as u32, a, b]
             });
@@ -211,7 +209,7 @@ impl SolidBuffers {
         gpu.upload(&self.damping, &damping);
     }
 
-    /// The uniform of a sub-step of dt (s) under gravity (m/s^2).
+    /// Parameters of a sub-step of dt (s) under gravity (m/s^2).
     pub fn step_of(&self, gravity: glam::DVec3, dt: f64) -> SolidStep {
         let grid = &self.plan.grid;
         SolidStep {
@@ -230,11 +228,11 @@ impl SolidBuffers {
         }
     }
 
-    /// Writes the velocities (m/s) of prescribed components for the next sub-step, one entry per node; those of free components
-    /// are not looked at. Without scripts there is nothing to write.
+    /// Writes the velocities (m/s) of prescribed components for the next sub-step, one entry per node. Entries of
+    /// free components are ignored. Does nothing without scripts.
     ///
     /// # Panics
-    /// When there are scripts and another number of nodes.
+    /// When there are scripts and the number of nodes differs.
     pub fn write_prescribed(&self, gpu: &Gpu, velocities: &[[f64; 3]]) {
         if self.plan.scripts {
             assert_eq!(velocities.len(), self.plan.n_nodes, "prescribed velocities");
@@ -246,9 +244,9 @@ impl SolidBuffers {
         }
     }
 
-    /// Writes displacements and velocities of a state, before all work submitted later. What [`SolidBuffers::read_state`] read
-    /// is written back exactly, but for digits of the smaller parts that no f64 holds beside the larger:
-    /// [`Carried`](crate::state::Carried) has those.
+    /// Writes displacements and velocities of a state, before all work submitted later. A state from
+    /// [`SolidBuffers::read_state`] is restored exactly, except for digits of the smaller parts beyond the precision
+    /// of f64. [`Carried`](crate::state::Carried) stores those.
     ///
     /// # Panics
     /// When the state has another number of nodes.
@@ -278,11 +276,8 @@ impl SolidBuffers {
         self.velocity.upload(gpu, &words);
     }
 
-    /// Waits for all submitted work and reads displacements and velocities into a state: displacements to the digits of an f64,
-    /// velocities exactly.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
+    /// Waits for all submitted work and reads displacements and velocities into a state. Displacements are rounded to
+    /// f64; velocities are exact.
     pub fn read_state(&self, gpu: &Gpu, state: &mut State) -> Result<(), Error> {
         let displacement = gpu.download(&self.displacement)?;
         state.displacement = self.displacement_of(&displacement);
@@ -294,7 +289,7 @@ impl SolidBuffers {
         Ok(())
     }
 
-    /// Displacements (m) from the contents of `displacement`.
+    /// Displacements, m, from the contents of `displacement`.
     pub fn displacement_of(&self, displacement: &[[f32; 4]]) -> Vec<[f64; 3]> {
         let (high, low) = displacement.split_at(self.plan.n_nodes);
         let nodes = high.iter().zip(low);

@@ -2,19 +2,19 @@
 
 use crate::Error;
 use crate::arrays;
-use crate::geometry::{PER_CELL, Running, SourceFace, Taps};
+use crate::geometry::{MARKERS_PER_CELL, Running, SourceFace, SourcesAndSinks};
 use crate::gpu::Gpu;
 use crate::grid::Grid;
 
 use super::LiquidBuffers;
 
-/// A box of cells around a source or a sink: the doppelganger of `Region` in `shaders/common/region.wgsl`.
+/// A box of cells around a source or a sink.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Region {
-    /// Its low corner.
+    /// Low corner, cells.
     pub low: [u32; 3],
-    /// Its first word.
+    /// Index of the box's first word.
     pub first: u32,
     /// Cells along x, y, z.
     pub n: [u32; 3],
@@ -22,37 +22,37 @@ pub struct Region {
     pub number: u32,
 }
 
-/// What the sources do in a sub-step: the doppelganger of `SourceStep` in `shaders/common/source_step.wgsl`.
+/// State of the sources in a sub-step.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct SourceStep {
-    /// Those that run.
+    /// Bits of the running sources.
     pub running: u32,
-    /// Those of them that did not in the sub-step before.
+    /// Bits of the running sources that did not run in the last sub-step.
     pub starting: u32,
     /// First slot for new markers.
     pub first: u32,
-    /// Of the jitter.
+    /// Seed of the jitter.
     pub seed: u32,
-    /// Of the sub-step.
+    /// Number of the sub-step.
     pub number: u32,
-    /// Nothing.
+    /// Padding.
     pub pad_0: u32,
-    /// Nothing.
+    /// Padding.
     pub pad_1: u32,
-    /// Nothing.
+    /// Padding.
     pub pad_2: u32,
 }
 
 impl SourceStep {
-    /// With new markers from a slot on.
-    pub fn new(of: Running, first: usize) -> SourceStep {
+    /// The state of running sources; their new markers start at slot `first`.
+    pub fn new(sources: Running, first: usize) -> SourceStep {
         let Running {
             running,
             starting,
             seed,
             step,
-        } = of;
+        } = sources;
         SourceStep {
             running,
             starting,
@@ -64,25 +64,25 @@ impl SourceStep {
     }
 }
 
-/// A face of a cell of a source: the doppelganger of `SourceFace` in `shaders/common/source_face.wgsl`.
+/// A face of a source cell.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct DeviceSourceFace {
     /// Index among the faces of all axes, device layout.
     pub face: u32,
-    /// Sources of the cells on its minus side (low byte) and on its plus side; 255 for none.
+    /// Sources of the cells on the minus side (low byte) and on the plus side; 255 for none.
     pub sides: u32,
-    /// Velocity of the first along the axis, m/s.
+    /// Velocity of the minus-side source along the axis, m/s.
     pub minus: f32,
-    /// Of the second.
+    /// Velocity of the plus-side source along the axis, m/s.
     pub plus: f32,
-    /// Share of the face that the first emits through where the second is no source.
+    /// Aperture through which the minus-side source emits where the plus side is no source.
     pub minus_aperture: f32,
-    /// The second where the first is none.
+    /// Aperture through which the plus-side source emits where the minus side is no source.
     pub plus_aperture: f32,
-    /// Nothing.
+    /// Padding.
     pub pad_0: u32,
-    /// Nothing.
+    /// Padding.
     pub pad_1: u32,
 }
 
@@ -103,7 +103,7 @@ impl DeviceSourceFace {
     }
 }
 
-/// Boxes around sets of cells, and a word for each of their cells: the value of those in the set, else 0.
+/// Boxes around sets of cells. Each cell of a box has a word: the value of a cell in the set, else 0.
 fn boxes(grid: &Grid, sets: &[(u32, Vec<(usize, u32)>)]) -> (Vec<Region>, Vec<u32>) {
     let (mut regions, mut map) = (Vec::new(), Vec::new());
     for (number, cells) in sets.iter().filter(|(_, cells)| !cells.is_empty()) {
@@ -126,17 +126,17 @@ fn boxes(grid: &Grid, sets: &[(u32, Vec<(usize, u32)>)]) -> (Vec<Region>, Vec<u3
     (regions, map)
 }
 
-/// The cells of sinks in one box.
-fn sink_boxes(grid: &Grid, taps: &Taps) -> (Vec<Region>, Vec<u32>) {
+/// One box around the cells of all sinks.
+fn sink_boxes(grid: &Grid, taps: &SourcesAndSinks) -> (Vec<Region>, Vec<u32>) {
     let cells = taps.sink_cells.iter().map(|&cell| (cell, 1));
     boxes(grid, &[(0, cells.collect())])
 }
 
-/// The cells of each source in a box, with their numbers from 1.
-fn source_boxes(grid: &Grid, taps: &Taps) -> (Vec<Region>, Vec<u32>) {
+/// One box per source. The words number its cells from 1.
+fn source_boxes(grid: &Grid, taps: &SourcesAndSinks) -> (Vec<Region>, Vec<u32>) {
     let mut sets: Vec<(u32, Vec<(usize, u32)>)> = Vec::new();
     for (&(cell, source), number) in taps.source_cells.iter().zip(1..) {
-        match sets.iter_mut().find(|(of, _)| *of == source) {
+        match sets.iter_mut().find(|(number, _)| *number == source) {
             Some((_, cells)) => cells.push((cell, number)),
             None => sets.push((source, vec![(cell, number)])),
         }
@@ -148,17 +148,19 @@ fn source_boxes(grid: &Grid, taps: &Taps) -> (Vec<Region>, Vec<u32>) {
 arrays! {
     /// Sinks: their cells are air, and markers in them are deleted.
     pub struct Sinks in "sinks" {
-        fields {
-            boxes: (Vec<Region>, Vec<u32>),
-            cells_of_sinks: Vec<u32>,
+        fields {}
+        sizes {
+            n_regions: usize,
+            n_words: usize,
+            n_cells: usize,
         }
         arrays {
-            /// Boxes around the sinks.
-            array regions: Region [boxes.0.len()],
+            /// Box around the sinks.
+            array regions: Region [n_regions],
             /// Per cell of the boxes: 1 in a sink.
-            array map: u32 [boxes.1.len()],
+            array map: u32 [n_words],
             /// Cells of the sinks, padded indices.
-            pub(crate) array cells: u32 [cells_of_sinks.len()],
+            pub(crate) array cells: u32 [n_cells],
         }
         views {}
         parts {}
@@ -166,51 +168,56 @@ arrays! {
 }
 
 impl Sinks {
-    /// Allocates and writes the cells; `None` without sinks.
-    ///
-    /// # Errors
-    /// [`Error::Limit`] when the adapter is too small.
-    pub fn new(gpu: &Gpu, liquid: &LiquidBuffers, taps: &Taps) -> Result<Option<Sinks>, Error> {
+    /// Allocates and writes the cells. Returns `None` without sinks.
+    pub fn new(
+        gpu: &Gpu,
+        liquid: &LiquidBuffers,
+        taps: &SourcesAndSinks,
+    ) -> Result<Option<Sinks>, Error> {
         if liquid.markers.is_none() || taps.sink_cells.is_empty() {
             return Ok(None);
         }
         let grid = &liquid.plan.grid;
         let index = |&cell: &usize| liquid.padded.index(grid.cell_at(cell)) as u32;
-        let cells = taps.sink_cells.iter().map(index).collect();
-        let sinks = Sinks::allocate(gpu, sink_boxes(grid, taps), cells)?;
-        gpu.upload(&sinks.regions, &sinks.boxes.0);
-        gpu.upload(&sinks.map, &sinks.boxes.1);
-        gpu.upload(&sinks.cells, &sinks.cells_of_sinks);
+        let cells: Vec<u32> = taps.sink_cells.iter().map(index).collect();
+        let (regions, map) = sink_boxes(grid, taps);
+        let sinks = Sinks::allocate(gpu, regions.len(), map.len(), cells.len())?;
+        gpu.upload(&sinks.regions, &regions);
+        gpu.upload(&sinks.map, &map);
+        gpu.upload(&sinks.cells, &cells);
         Ok(Some(sinks))
     }
 }
 
 arrays! {
-    /// Sources: their cells are full of liquid that moves with the prescribed velocity.
+    /// Sources: their cells are full of liquid at the prescribed velocity.
     pub struct Sources in "sources" {
         fields {
-            boxes: (Vec<Region>, Vec<u32>),
             n_cells: usize,
             pub(crate) n_faces: usize,
+        }
+        sizes {
+            n_regions: usize,
+            n_words: usize,
         }
         arrays {
             /// Parameters of the sub-step.
             uniform source_step: SourceStep [SourceStep::default()] as "sources.step",
             /// Boxes around the sources.
-            array regions: Region [boxes.0.len()],
-            /// Per cell of the boxes: number of the source's cell from 1, 0 outside.
-            array map: u32 [boxes.1.len()],
-            /// Cells of the sources: i, j, k, and the source with the eighths to seed.
+            array regions: Region [n_regions],
+            /// Per cell of the boxes: index of the source cell from 1, 0 outside.
+            array map: u32 [n_words],
+            /// Source cells: i, j, k, and the source with bits of the eighths to seed.
             array cells: [u32; 4] [n_cells],
-            /// Markers per cell of the sources, then the first new slot of each.
+            /// Markers per source cell, then the first new slot of each.
             pub(crate) array counts: u32 [n_cells],
             /// Faces with prescribed flux.
             array faces: DeviceSourceFace [n_faces],
         }
         views {
-            // In the scan.
+            // During the scan.
             chunks = counts,
-            // After it.
+            // After the scan.
             starts = counts,
         }
         parts {}
@@ -218,11 +225,12 @@ arrays! {
 }
 
 impl Sources {
-    /// Allocates and writes cells and faces; `None` without sources.
-    ///
-    /// # Errors
-    /// [`Error::Limit`] when the adapter is too small.
-    pub fn new(gpu: &Gpu, liquid: &LiquidBuffers, taps: &Taps) -> Result<Option<Sources>, Error> {
+    /// Allocates and writes cells and faces. Returns `None` without sources.
+    pub fn new(
+        gpu: &Gpu,
+        liquid: &LiquidBuffers,
+        taps: &SourcesAndSinks,
+    ) -> Result<Option<Sources>, Error> {
         if liquid.markers.is_none() || taps.source_cells.is_empty() {
             return Ok(None);
         }
@@ -236,10 +244,11 @@ impl Sources {
             .faces
             .iter()
             .map(|face| DeviceSourceFace::new(grid, face));
-        let boxes = source_boxes(grid, taps);
-        let sources = Sources::allocate(gpu, boxes, taps.source_cells.len(), taps.faces.len())?;
-        gpu.upload(&sources.regions, &sources.boxes.0);
-        gpu.upload(&sources.map, &sources.boxes.1);
+        let (regions, map) = source_boxes(grid, taps);
+        let (n_cells, n_faces) = (taps.source_cells.len(), taps.faces.len());
+        let sources = Sources::allocate(gpu, n_cells, n_faces, regions.len(), map.len())?;
+        gpu.upload(&sources.regions, &regions);
+        gpu.upload(&sources.map, &map);
         gpu.upload(&sources.cells, &cells.collect::<Vec<_>>());
         gpu.upload(&sources.faces, &faces.collect::<Vec<_>>());
         Ok(Some(sources))
@@ -247,7 +256,7 @@ impl Sources {
 
     /// Slots that a sub-step reserves for new markers.
     pub fn slots(&self) -> usize {
-        PER_CELL * self.n_cells
+        MARKERS_PER_CELL * self.n_cells
     }
 
     /// Writes the parameters of a sub-step.

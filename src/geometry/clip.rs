@@ -1,26 +1,26 @@
-//! Clipping of closed surfaces by the cells of the grid, and the open areas that follow.
+//! Clips closed surfaces by the cells of the grid and computes face apertures from the patches.
 //!
-//! Each triangle is cut into slabs along z, rows along y and cells along x by parry's half-space clip, as its clip of a
-//! polygon by a box does, so the work follows the cells that a triangle meets. What lies in a cell is a [`Patch`]. Open
-//! face areas come from the same patches: by the divergence theorem, along every grid line (here along x),
+//! parry's half-space clip cuts each triangle into slabs along z, rows along y and cells along x. The work is proportional to
+//! the cells that it meets. The part in one cell is a [`Patch`]. The divergence theorem gives the apertures along every grid
+//! line (here along x), with n into the solid:
 //!
 //! ```text
 //! open(i + 1/2) = open(i - 1/2) - sum over the patches of cell i of (a n)_x / dx^2
 //! ```
 //!
-//! with n into the solid. The sum starts outside everything, so every cut cell closes (its open faces and patches add up to
-//! the zero vector) to rounding; open areas interpolated from nodal distances miss it by up to 0.8 of a face.
+//! The sum starts outside all bodies, so every cut cell closes to rounding: its open faces and patches sum to the zero vector.
+//! Areas interpolated from nodal distances miss closure by up to 0.8 of a face.
 //!
-//! The grid is padded by one ghost cell on each side, unbounded outwards, which takes everything beyond the domain. A polygon
-//! that lies on a grid plane belongs to the cell on the liquid side; vertices within 1e-9 dx of a plane are moved onto it
-//! first, so that this rule is exact and neighbouring triangles agree. Vertices within 1e-4 dx of a wall of the domain are moved onto the
-//! wall: that near the nodes of solids come to rest there, and whether liquid is below a body on the floor must not hang on rounding.
+//! One layer of unbounded ghost cells contains everything beyond the domain. A polygon on a grid plane belongs to the cell on
+//! the liquid side. Vertices within 1e-9 dx of a plane are snapped to it first, so that this rule is exact and neighbouring
+//! triangles agree. Vertices within 1e-4 dx of a wall are snapped to the wall: nodes of solids come to rest that close, and
+//! liquid below a body on the floor must not depend on rounding.
 
 use glam::{DMat3, DVec3};
 use parry3d_f64::query::details::clip_halfspace_polygon;
 use rayon::prelude::*;
 
-use super::Surface;
+use super::{Surface, outer};
 use crate::grid::{Axis, Grid};
 
 /// The part of a triangle in one cell.
@@ -28,7 +28,7 @@ use crate::grid::{Axis, Grid};
 pub struct Patch {
     /// Host index of the cell.
     pub cell: usize,
-    /// Triangle of the surface.
+    /// Triangle number in the surface.
     pub triangle: usize,
     /// m^2
     pub area: f64,
@@ -38,23 +38,23 @@ pub struct Patch {
     pub centroid: DVec3,
     /// Weights of the triangle's corners at the centroid.
     pub barycentric: [f64; 3],
-    /// Integrals over the patch of each corner's weight times the way from the centroid, m^3. They sum to zero.
+    /// Integrals over the patch of each corner's weight times the offset from the centroid, m^3. They sum to zero.
     pub moments: [DVec3; 3],
 }
 
-/// A surface cut up by the grid.
+/// Patches of a surface in the cells of the grid.
 #[derive(Clone, Debug)]
 pub struct Clipping {
     /// Patches in the cells of the domain, in the order of the triangles.
     pub patches: Vec<Patch>,
-    /// What lies in ghost cells beside the domain.
+    /// Patches in ghost cells beside the domain.
     pub(super) ghosts: Vec<Ghost>,
 }
 
-/// Area beyond the domain, met by grid lines along one axis.
+/// Area beyond the domain on grid lines along one axis.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Ghost {
-    /// The axis of those lines.
+    /// Axis of the grid lines.
     pub(super) axis: Axis,
     /// Position in the padded grid: -1 or n along `axis`, inside along the others.
     pub(super) cell: [isize; 3],
@@ -62,19 +62,19 @@ pub(super) struct Ghost {
     pub(super) flux: f64,
 }
 
-/// Distance from a grid plane within which a vertex lies on it, cells.
+/// Distance within which a vertex is snapped to a grid plane, cells.
 const ON_PLANE: f64 = 1e-9;
 
-/// The same of a wall of the domain.
+/// Distance within which a vertex is snapped to a wall, cells.
 const ON_WALL: f64 = 1e-4;
 
-/// Polygons up to this area (cells^2) are rounding of those that touch a cell from outside.
+/// Largest area of polygons that touch a cell from outside, by rounding, cells^2.
 const NO_AREA: f64 = 1e-17;
 
-/// Triangles per task: their order, and with it every sum, does not depend on the threads.
+/// Triangles per task. Fixed, so that the order of sums does not depend on the number of threads.
 const TRIANGLES_PER_TASK: usize = 256;
 
-/// Cuts a closed surface, with normals out of the solid, into patches of grid cells.
+/// Clips a closed surface, with normals out of the solid.
 pub fn clip(surface: &Surface, grid: &Grid) -> Clipping {
     let vertices: Vec<DVec3> = surface
         .vertices
@@ -108,7 +108,7 @@ pub fn clip(surface: &Surface, grid: &Grid) -> Clipping {
     all
 }
 
-/// A coordinate in cells, moved onto a grid plane that it almost lies on, where there are n cells between the walls.
+/// A coordinate in cells, snapped to a close grid plane; `n` cells lie between the walls.
 fn snap(x: f64, n: usize) -> f64 {
     let plane = x.round();
     let wall = plane == 0.0 || plane == n as f64;
@@ -119,11 +119,11 @@ fn snap(x: f64, n: usize) -> f64 {
     }
 }
 
-/// Cuts triangles, all in units of cells, into the patches of a grid.
+/// Clips triangles; lengths are in cells.
 struct Clipper<'a> {
     grid: &'a Grid,
     clipping: Clipping,
-    /// The part in a slab, in a row, in a cell, and scratch.
+    /// The polygon in a slab, in a row and in a cell.
     polygons: [Vec<DVec3>; 3],
     scratch: Vec<DVec3>,
 }
@@ -148,7 +148,7 @@ impl<'a> Clipper<'a> {
         for k in self.span(Axis::Z, &corners, into_solid) {
             self.slice(Axis::Z, k, &corners, &mut slab);
             for j in self.span(Axis::Y, &slab, into_solid) {
-                // A cell beyond the domain along two axes is met by no grid line of the domain.
+                // No grid line of the domain meets a cell beyond the domain along two axes.
                 let beyond = [(Axis::Y, j), (Axis::Z, k)].map(|(axis, at)| self.beyond(axis, at));
                 if beyond == [true, true] {
                     continue;
@@ -184,7 +184,7 @@ impl<'a> Clipper<'a> {
             return 1..=0;
         }
         let (first, last) = if low == high && low == low.floor() {
-            // On a grid plane: to the cell behind the normal into the solid.
+            // On a grid plane: the cell on the liquid side.
             let cell = if into_solid[a] > 0.0 { low - 1.0 } else { low };
             (cell, cell)
         } else {
@@ -243,7 +243,7 @@ impl<'a> Clipper<'a> {
             });
             return;
         }
-        // The fan's parts of a convex polygon all point its way but for rounding.
+        // All parts of the fan have the orientation of the polygon, to rounding.
         let centroid: DVec3 = fan()
             .map(|(pair, part)| (first + pair[0] + pair[1]) / 3.0 * (-part.dot(normal) / area))
             .sum();
@@ -252,14 +252,14 @@ impl<'a> Clipper<'a> {
         let weight = |p: DVec3, q: DVec3| {
             (p - centroid).cross(q - centroid).dot(whole) / whole.length_squared()
         };
-        // The second moment of a triangle about a point, from its corners y: area / 12 (sum y (sum y)^T + sum y y^T).
+        // Second moment of a triangle about a point, with corners y: area / 12 (sum y (sum y)^T + sum y y^T).
         let spread = fan().fold(DMat3::ZERO, |sum, (pair, part)| {
-            let ways = [first, pair[0], pair[1]].map(|x| x - centroid);
-            let whole: DVec3 = ways.into_iter().sum();
-            let squares = ways.map(|y| outer(y, y)).into_iter().sum::<DMat3>();
+            let offsets = [first, pair[0], pair[1]].map(|x| x - centroid);
+            let whole: DVec3 = offsets.into_iter().sum();
+            let squares = offsets.map(|y| outer(y, y)).into_iter().sum::<DMat3>();
             sum + -part.dot(normal) / 12.0 * (outer(whole, whole) + squares)
         });
-        // The weight of the corner opposite to an edge grows across that edge, in the plane of the triangle.
+        // In the plane of the triangle, normal to the opposite edge.
         let gradient = |p: DVec3, q: DVec3| whole.cross(q - p) / whole.length_squared();
         let gradients = [gradient(b, c), gradient(c, a), gradient(a, b)];
         let dx = self.grid.dx;
@@ -275,22 +275,17 @@ impl<'a> Clipper<'a> {
     }
 }
 
-/// a b^T
-fn outer(a: DVec3, b: DVec3) -> DMat3 {
-    DMat3::from_cols(a * b.x, a * b.y, a * b.z)
-}
-
-/// Open fractions as they come out of the sums along grid lines.
+/// Raw apertures from the sums along grid lines.
 #[derive(Clone, Debug)]
 pub struct OpenFractions {
-    /// Open fraction of every face per axis (host face layout); outside \[0, 1\] where bodies overlap.
+    /// Aperture of every face per axis (host face layout), outside \[0, 1\] in overlapping bodies.
     pub faces: [Vec<f64>; 3],
-    /// Largest difference between the start and the end of a line: rounding, unless a surface is not closed.
+    /// Largest difference between the start and the end of a line: rounding for closed surfaces.
     pub closure_defect: f64,
 }
 
-/// Open fractions of all faces, from the clippings of all bodies. `start` is the value far outside: 1 less the number of
-/// bodies that are inside out. Neither clamped nor closed at the walls.
+/// Apertures of all faces from the clippings of all bodies, neither clamped nor closed at the walls. `start` is the value far
+/// outside: 1 less the number of containers.
 pub fn open_fractions(grid: &Grid, start: f64, clippings: &[Clipping]) -> OpenFractions {
     let mut defects = [0.0; 3];
     let mut faces = Axis::ALL.map(|_| Vec::new());
@@ -306,13 +301,13 @@ pub fn open_fractions(grid: &Grid, start: f64, clippings: &[Clipping]) -> OpenFr
     }
 }
 
-/// The sums along one axis, and the largest difference between the start and the end of a line.
+/// Sums along the lines of one axis and their largest closure defect.
 fn line_sums(grid: &Grid, axis: Axis, start: f64, clippings: &[Clipping]) -> (Vec<f64>, f64) {
     let a = axis.index();
     let [nx, ny, _] = grid.faces(axis);
     let stride = [1, nx, nx * ny][a];
     let mut open = vec![0.0; grid.n_faces(axis)];
-    // What the outer ghost cells hold, behind the last face of each line.
+    // Contents of the outer ghost cells, behind the last face of each line.
     let mut beyond = vec![0.0; open.len() / (grid.cells[a] + 1)];
     let per_area = 1.0 / (grid.dx * grid.dx);
     for clipping in clippings {

@@ -1,4 +1,4 @@
-//! What patches of solids give to the cells and nodes they belong to, as lists that both sides gather from.
+//! Sparse sums of patch values by cell and node, stored by cell and by node.
 
 use std::ops::AddAssign;
 
@@ -6,9 +6,9 @@ use glam::DVec3;
 
 use super::Patch;
 
-/// A vector per pair of a cell and a node that a patch joins.
+/// One vector per pair of a cell and a node with a common patch.
 ///
-/// With area times normal shared out by the weights at the centroid, it is J of design section 2 (N^T C of thesis 5.10, 5.14):
+/// With area times normal, weighted by the barycentric coordinates of the centroid, it is J (N^T C of thesis 5.10, 5.14):
 ///
 /// ```text
 /// (J v)_c = sum over the nodes of c of value . v_node        (J^T p)_node = sum over the cells of node of value p_c
@@ -17,35 +17,35 @@ use super::Patch;
 pub struct Coupling {
     /// Cells with patches, ascending.
     cells: Vec<usize>,
-    /// Where the nodes of each cell start; one more than there are cells.
+    /// Start of each cell's pairs; one more than there are cells.
     cell_start: Vec<usize>,
     by_cell: Vec<CellNode>,
-    /// Where the cells of each node start; one more than there are nodes.
+    /// Start of each node's pairs; one more than there are nodes.
     node_start: Vec<usize>,
     by_node: Vec<CellNode>,
 }
 
-/// One pair.
+/// A pair of a cell and a node.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CellNode {
-    /// Host index.
+    /// Host index of the cell.
     pub cell: usize,
-    /// Among the nodes of all solids.
+    /// Node number among all solids.
     pub node: usize,
-    /// What the patches of this pair add up to.
+    /// Sum over the common patches.
     pub value: DVec3,
 }
 
 impl Coupling {
-    /// J, m^2. `triangles`: nodes of the triangles that patches name; `n_nodes`: of all solids.
+    /// J, m^2. `triangles` has the nodes of each surface triangle, `n_nodes` counts those of all solids.
     pub fn new(patches: &[Patch], triangles: &[[u32; 3]], n_nodes: usize) -> Coupling {
-        Coupling::of(patches, triangles, n_nodes, |patch, corner| {
+        Coupling::from_patches(patches, triangles, n_nodes, |patch, corner| {
             patch.area * patch.barycentric[corner] * patch.normal
         })
     }
 
-    /// Adds up `value` of the patches and their corners, in the order of the patches.
-    pub fn of(
+    /// Sums `value` over patches and corners, in the order of the patches.
+    pub fn from_patches(
         patches: &[Patch],
         triangles: &[[u32; 3]],
         n_nodes: usize,
@@ -61,7 +61,7 @@ impl Coupling {
             })
         };
         let mut pairs: Vec<CellNode> = patches.iter().flat_map(corners).collect();
-        // Stable: values of one pair are added in the order of their patches.
+        // Stable, so that sums are in the order of the patches.
         pairs.sort_by_key(|pair| (pair.cell, pair.node));
         pairs.dedup_by(|next, kept| {
             let same = (next.cell, next.node) == (kept.cell, kept.node);
@@ -73,7 +73,7 @@ impl Coupling {
         Coupling::sorted(pairs, n_nodes)
     }
 
-    /// What patches and their corners give to each pair, added to zero in the order of the patches; the pairs as in [`Coupling::pairs`].
+    /// Sums of `value` for each of the [`Coupling::pairs`], starting from zero, in the order of the patches.
     pub fn sums<T: Copy + AddAssign>(
         &self,
         zero: T,
@@ -97,7 +97,7 @@ impl Coupling {
         sums
     }
 
-    /// From pairs by cell, then by node.
+    /// `by_cell` is sorted by cell, then by node.
     fn sorted(by_cell: Vec<CellNode>, n_nodes: usize) -> Coupling {
         let (mut cells, mut cell_start) = (Vec::new(), Vec::new());
         for (at, pair) in by_cell.iter().enumerate() {
@@ -125,7 +125,7 @@ impl Coupling {
         }
     }
 
-    /// The pairs of the cells that `keep` holds.
+    /// The pairs of the cells for which `keep` is true.
     pub fn restricted(&self, keep: impl Fn(usize) -> bool) -> Coupling {
         let pairs = self.by_cell.iter().filter(|pair| keep(pair.cell));
         Coupling::sorted(pairs.copied().collect(), self.n_nodes())
@@ -150,7 +150,7 @@ impl Coupling {
         &self.by_cell
     }
 
-    /// The cells that hold patches, ascending, with their pairs, nodes ascending.
+    /// Cells with patches, ascending, with their pairs.
     pub fn cells(&self) -> impl Iterator<Item = (usize, &[CellNode])> {
         let ranges = self.cell_start.windows(2);
         let cells = self.cells.iter().zip(ranges);
@@ -158,7 +158,7 @@ impl Coupling {
     }
 
     /// The pairs of a cell, nodes ascending.
-    pub fn of_cell(&self, cell: usize) -> &[CellNode] {
+    pub fn cell_pairs(&self, cell: usize) -> &[CellNode] {
         match self.cells.binary_search(&cell) {
             Ok(row) => &self.by_cell[self.cell_start[row]..self.cell_start[row + 1]],
             Err(_) => &[],
@@ -166,11 +166,11 @@ impl Coupling {
     }
 
     /// The pairs of a node, cells ascending.
-    pub fn of_node(&self, node: usize) -> &[CellNode] {
+    pub fn node_pairs(&self, node: usize) -> &[CellNode] {
         &self.by_node[self.node_start[node]..self.node_start[node + 1]]
     }
 
-    /// out += J v: `v` three numbers per node, `out` one per cell.
+    /// out += J v, with three numbers per node in `v` and one per cell in `out`.
     pub fn add_product(&self, v: &[f64], out: &mut [f64]) {
         for (cell, pairs) in self.cells() {
             let terms = pairs
@@ -180,10 +180,10 @@ impl Coupling {
         }
     }
 
-    /// out += J^T p: `p` one number per cell, `out` three per node.
+    /// out += J^T p, with one number per cell in `p` and three per node in `out`.
     pub fn add_transposed(&self, p: &[f64], out: &mut [f64]) {
         for (node, out) in out.chunks_exact_mut(3).enumerate() {
-            let terms = self.of_node(node).iter();
+            let terms = self.node_pairs(node).iter();
             let sum: DVec3 = terms.map(|pair| pair.value * p[pair.cell]).sum();
             for (out, sum) in out.iter_mut().zip(sum.to_array()) {
                 *out += sum;

@@ -1,7 +1,8 @@
-//! Checks that a closed surface neither folds nor crosses itself: every side of it that faces outwards must face the outside.
+//! Checks that a closed surface neither folds over nor crosses itself.
 //!
-//! The winding number of the surface is 0 outside and 1 inside a solid. Elsewhere the surface encloses something twice, or inside out; volumes
-//! by the divergence theorem then differ from those by sampling. Folds have no volume, but the sign of a distance fails at them.
+//! The winding number of the surface is 0 outside and 1 inside a solid. Other values mean doubly enclosed or inverted regions,
+//! in which volumes by the divergence theorem differ from sampled ones. Folds have no volume, but they break the sign of the
+//! distance.
 
 use std::collections::HashMap;
 
@@ -11,19 +12,19 @@ use parry3d_f64::shape::TriMesh;
 
 use super::surface::{Fault, Surface, edges};
 
-/// Neighbours whose normals are opposite within this angle (radians) fold. Blades of solids are blunter by far; single precision tilts
-/// triangles of one plane by less, down to a hundredth of the extent.
+/// Angle (rad) within which the normals of folded neighbours are opposite. Blades of solids are far blunter, and single
+/// precision tilts coplanar triangles by less, down to a hundredth of the extent.
 const FOLD: f64 = 1e-5;
 
-/// Least height of a triangle that folds, and least depth of a crossing, relative to the extent of the surface. Meshers and single
-/// precision leave smaller ones where surfaces touch or bend; they hardly change areas and distances.
+/// Least height of a folded triangle and least depth of a crossing, relative to the extent. Meshers and single precision leave
+/// smaller ones, which hardly change areas and distances.
 const DEPTH: f64 = 1e-4;
 
-/// Points at which the winding number is evaluated: so many spread over the area, and the middles of about so many triangles.
+/// Number of area-distributed sample points, and approximate number of sampled triangle centres, for the winding number.
 const SAMPLES: usize = 2048;
 
-/// The first two neighbouring triangles that lie on each other with opposite normals. `users` are the triangles that use each directed
-/// edge of a closed surface.
+/// The first two folded neighbours: triangles on each other with opposite normals. `users` are the triangles of each directed
+/// edge.
 pub(super) fn fold(surface: &Surface, users: &HashMap<[u32; 2], usize>) -> Option<Fault> {
     let [low, high] = surface.bounds();
     let least_height = DEPTH * low.distance(high);
@@ -52,7 +53,7 @@ pub(super) fn fold(surface: &Surface, users: &HashMap<[u32; 2], usize>) -> Optio
     None
 }
 
-/// The first of some sampled points of the surface whose outer side does not face the outside, if there is one.
+/// The first sample point whose outer side does not face the outside.
 pub(super) fn crossing(surface: &Surface) -> Option<Fault> {
     let mesh = TriMesh::new(surface.vertices.clone(), surface.triangles.clone());
     let mesh = mesh.expect("a closed surface has triangles");
@@ -77,7 +78,7 @@ pub(super) fn crossing(surface: &Surface) -> Option<Fault> {
     })
 }
 
-/// Triangles with points in them.
+/// Sample points and their triangles.
 fn samples(surface: &Surface) -> Vec<(usize, DVec3)> {
     let n = surface.triangles.len();
     let middle = |triangle: usize| {
@@ -92,7 +93,7 @@ fn samples(surface: &Surface) -> Vec<(usize, DVec3)> {
         area += surface.area_vector(triangle).length();
         while samples.len() < SAMPLES * 2 && area > step {
             area -= step;
-            // A low-discrepancy sequence in the square, folded into the triangle (Roberts 2018).
+            // Low-discrepancy sequence in the square, folded into the triangle (Roberts 2018).
             let k = samples.len() as f64;
             let [u, v] =
                 [0.754_877_666_246_692_8, 0.569_840_290_998_053_2].map(|ratio| (k * ratio).fract());
@@ -107,11 +108,11 @@ fn samples(surface: &Surface) -> Vec<(usize, DVec3)> {
     samples
 }
 
-/// All other triangles that meet the line through a point of a triangle: how far along its normal, roughly, and 1 where the line leaves
-/// the solid, -1 where it enters.
+/// Other triangles on the line through a point of a triangle: approximate signed distance along its normal, and 1 for an exit,
+/// -1 for an entry.
 fn hits(mesh: &TriMesh, surface: &Surface, triangle: usize, x: DVec3) -> Vec<(f64, i32)> {
     let normal = surface.area_vector(triangle).normalize();
-    // Oblique, so that lines of regular meshes hit no edges; and others where one does.
+    // Oblique, so that lines miss the edges of regular meshes; the next tilt if one hits an edge.
     let tilts = [
         [0.131, 0.223],
         [-0.197, 0.103],
@@ -126,8 +127,8 @@ fn hits(mesh: &TriMesh, surface: &Surface, triangle: usize, x: DVec3) -> Vec<(f6
     hits.unwrap_or_default()
 }
 
-/// The same along a unit direction; None where the line meets an edge. The areas that decide are the same for both triangles at an edge
-/// but for their sign (Woop, Benthin and Wald 2013), so no line slips between two triangles.
+/// Hits along a unit direction; `None` if the line meets an edge. The deciding areas are equal and opposite for both triangles
+/// at an edge (Woop, Benthin and Wald 2013), so no line slips between them.
 fn line_hits(
     mesh: &TriMesh,
     surface: &Surface,
@@ -168,7 +169,7 @@ fn line_hits(
     Some(hits)
 }
 
-/// Whether a line through the origin meets a box, made larger by more than rounding.
+/// Whether a line through the origin meets a box, with a margin above rounding.
 fn meets(low: DVec3, high: DVec3, direction: DVec3) -> bool {
     let (middle, half) = (0.5 * (low + high), 0.5 * (high - low));
     let half = half + 1e-12 * (low.abs().max(high.abs())).max_element();

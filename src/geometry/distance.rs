@@ -1,4 +1,4 @@
-//! Signed distances of the shapes of a scene: exact, negative inside.
+//! Exact signed distances of the shapes of a scene, negative inside.
 
 use std::fmt;
 use std::sync::Arc;
@@ -15,39 +15,40 @@ use crate::error::Error;
 use crate::grid::Grid;
 use crate::scene::{Obstacle, Placement, Shape, SolitaryWave};
 
-/// Half the width of the band in which obstacle distances are exact, cells.
+/// Half width of the narrow band of exact obstacle distances, cells.
 pub(super) const BAND: f64 = 3.0;
 
-/// A shape with its signed distance.
+/// A shape prepared for distance queries.
 #[derive(Clone, Debug)]
 pub(super) enum Solid {
-    /// Axis-aligned; a side at infinity is no side.
+    /// An axis-aligned box; infinite coordinates stand for removed sides.
     Box { min: DVec3, max: DVec3 },
     /// A ball.
     Sphere { centre: DVec3, radius: f64 },
-    /// A right circular cylinder along a unit axis, between two heights above a point; a height at infinity is no side.
+    /// A right circular cylinder along a unit axis, between two heights above a point; infinite heights stand for removed
+    /// ends.
     Cylinder {
         point: DVec3,
         axis: DVec3,
         radius: f64,
         heights: [f64; 2],
     },
-    /// Behind a plane.
+    /// Half space behind a plane.
     HalfSpace { point: DVec3, normal: DVec3 },
-    /// Below a wave.
+    /// Region below a wave.
     Wave {
         level: f64,
         amplitude: f64,
         wave_number: [f64; 2],
         phase: f64,
     },
-    /// Below a solitary wave.
+    /// Region below a solitary wave.
     Solitary(SolitaryWave),
-    /// Inside a closed mesh.
+    /// Inside of a closed mesh.
     Mesh(Box<ClosedMesh>),
 }
 
-/// A closed mesh, and which of its triangles its distance sees.
+/// A closed mesh, and its triangles off the walls, to which depths are measured.
 #[derive(Clone)]
 pub(super) struct ClosedMesh {
     all: Arc<TriMesh>,
@@ -60,7 +61,7 @@ impl fmt::Debug for ClosedMesh {
     }
 }
 
-/// The triangles that do not lie on walls of the domain.
+/// Triangles that do not lie on walls of the domain.
 #[derive(Clone)]
 enum Free {
     All,
@@ -69,7 +70,7 @@ enum Free {
 }
 
 impl Solid {
-    /// The solid of a shape; reads the file of a mesh.
+    /// A shape without placement.
     pub(super) fn new(shape: &Shape) -> Result<Solid, Error> {
         Ok(match *shape {
             Shape::Box { min, max } => Solid::Box { min, max },
@@ -102,7 +103,7 @@ impl Solid {
         })
     }
 
-    /// The solid of a shape where its placement puts it; half spaces and waves have none.
+    /// A placed shape; half spaces and waves have no placement.
     pub(super) fn placed(shape: &Shape, placement: &Placement) -> Result<Solid, Error> {
         if placement.is_none() {
             return Solid::new(shape);
@@ -146,8 +147,8 @@ impl Solid {
         Solid::Mesh(Box::new(ClosedMesh::new(vertices, triangles)))
     }
 
-    /// Signed distance at a point, m. Exact but for waves: their value over the length of its gradient, which is right to
-    /// first order near the surface and has the right sign everywhere.
+    /// Signed distance at a point, m. Exact except for waves: height difference over the length of its gradient, accurate
+    /// to first order near the surface.
     pub(super) fn distance(&self, x: DVec3) -> f64 {
         match *self {
             Solid::Box { min, max } => {
@@ -184,7 +185,7 @@ impl Solid {
         }
     }
 
-    /// Velocity that the shape itself gives to liquid at a point in it, m/s: that of a solitary wave; none of other shapes.
+    /// Velocity field of a solitary wave, m/s; 0 for other shapes.
     pub(super) fn velocity(&self, x: DVec3) -> DVec3 {
         match self {
             Solid::Solitary(wave) => solitary::velocity(wave, x),
@@ -192,8 +193,8 @@ impl Solid {
         }
     }
 
-    /// The solid without its flat sides that lie on or beyond a wall of the domain once it is placed around `centre` (m): its distance
-    /// does not see them. Nothing gets out of it there.
+    /// The solid without flat sides on or beyond a wall of the domain, once placed around `centre` (m). Distances ignore
+    /// those sides: nothing leaves the solid there.
     pub(super) fn beyond_walls(self, grid: &Grid, placement: &Placement, centre: DVec3) -> Solid {
         let on_wall = |x, out| on_wall(grid, placement.put(x, centre), placement.rotate * out);
         match self {
@@ -233,9 +234,9 @@ impl Solid {
     }
 }
 
-/// Whether a flat side through a point (m), with this unit way out of its solid, lies on or beyond the wall in that direction.
+/// Whether a flat side through a point (m), with this unit outward normal, lies on or beyond the wall in that direction.
 fn on_wall(grid: &Grid, x: DVec3, out: DVec3) -> bool {
-    // Far above the rounding of a scene's numbers and far below anything that a cell can tell.
+    // Far above the rounding of scene values, far below the resolution of a cell.
     let near = 1e-6 * grid.dx;
     let size = grid.size();
     (0..3).any(|a| {
@@ -243,13 +244,13 @@ fn on_wall(grid: &Grid, x: DVec3, out: DVec3) -> bool {
     })
 }
 
-/// The distance of a convex solid from the largest of the distances to its sides and, outside, the length of those above 0.
+/// Distance of a convex solid: the largest distance to its sides, or outside the length of the positive ones.
 fn from_sides(largest: f64, outside: f64) -> f64 {
     if largest > 0.0 { outside } else { largest }
 }
 
 impl ClosedMesh {
-    /// Of at least one triangle, counter-clockwise seen from outside.
+    /// At least one triangle, counter-clockwise seen from outside.
     pub(super) fn new(vertices: Vec<DVec3>, triangles: Vec<[u32; 3]>) -> ClosedMesh {
         let all = TriMesh::with_flags(vertices, triangles, TriMeshFlags::ORIENTED);
         ClosedMesh {
@@ -259,35 +260,35 @@ impl ClosedMesh {
     }
 
     /// Whether a point (m) lies inside.
-    pub(super) fn holds(&self, x: DVec3) -> bool {
+    pub(super) fn contains(&self, x: DVec3) -> bool {
         self.all.contains_local_point(x)
     }
 
-    /// The mesh whose distance does not see the triangles through these points with these ways out.
+    /// The mesh without triangles on walls, selected by a corner and the unit normal.
     fn beyond_walls(self, on_wall: impl Fn(DVec3, DVec3) -> bool) -> ClosedMesh {
         let all = self.all;
-        let seen = |triangle: &&[u32; 3]| {
+        let is_free = |triangle: &&[u32; 3]| {
             let [a, b, c] = triangle.map(|vertex| all.vertices()[vertex as usize]);
             !on_wall(a, (b - a).cross(c - a).normalize_or_zero())
         };
-        let seen: Vec<[u32; 3]> = all.indices().iter().filter(seen).copied().collect();
-        let free = if seen.len() == all.indices().len() {
+        let free: Vec<[u32; 3]> = all.indices().iter().filter(is_free).copied().collect();
+        let free = if free.len() == all.indices().len() {
             Free::All
-        } else if seen.is_empty() {
+        } else if free.is_empty() {
             Free::None
         } else {
-            let mesh = TriMesh::new(all.vertices().to_vec(), seen);
+            let mesh = TriMesh::new(all.vertices().to_vec(), free);
             Free::Some(Arc::new(mesh.expect("there are triangles")))
         };
         ClosedMesh { all, free }
     }
 
-    /// Signed distance if it is at most `reach`; the sign by angle-weighted pseudo-normals (Baerentzen and Aanaes 2005). A point of the
-    /// domain outside the mesh is nowhere nearer to a wall's triangle than to another.
+    /// Signed distance if it is at most `reach`, with the sign by angle-weighted pseudo-normals (Baerentzen and Aanaes
+    /// 2005). Outside the mesh, a point of the domain is never nearest to a triangle on a wall only.
     fn distance(&self, x: DVec3, reach: f64) -> Option<f64> {
         let nearest = |mesh: &TriMesh| {
-            let found = mesh.project_local_point_and_get_location_with_max_dist(x, false, reach);
-            found.map(|(nearest, _)| nearest)
+            let nearest = mesh.project_local_point_and_get_location_with_max_dist(x, false, reach);
+            nearest.map(|(nearest, _)| nearest)
         };
         let surface = nearest(&self.all)?;
         let length = (x - surface.point).length();
@@ -301,8 +302,8 @@ impl ClosedMesh {
         }
     }
 
-    /// The triangles that its distance sees; `None` where all lie on walls.
-    pub(super) fn seen(&self) -> Option<&TriMesh> {
+    /// Triangles off the walls; `None` without any.
+    pub(super) fn free_triangles(&self) -> Option<&TriMesh> {
         match &self.free {
             Free::All => Some(&self.all),
             Free::Some(mesh) => Some(mesh),
@@ -310,7 +311,7 @@ impl ClosedMesh {
         }
     }
 
-    /// The place of those triangles that is nearest to a point inside; `None` outside.
+    /// Nearest point of these triangles to a point inside; `None` outside.
     pub(super) fn nearest_wall(&self, x: DVec3) -> Option<DVec3> {
         let nearest = |mesh: &TriMesh| mesh.project_local_point_and_get_location(x, false).0;
         let surface = nearest(&self.all);
@@ -322,7 +323,7 @@ impl ClosedMesh {
         }
     }
 
-    /// Depth of a point in it, m; negative outside.
+    /// Depth of a point, m; negative outside.
     pub(super) fn depth(&self, x: DVec3) -> f64 {
         -self
             .distance(x, f64::MAX)
@@ -336,41 +337,41 @@ impl ClosedMesh {
     }
 }
 
-/// An obstacle at one moment: its boundary and its signed distance.
+/// An obstacle at one time: boundary and signed distance.
 #[derive(Clone, Debug)]
 pub(super) struct Body {
-    /// Its boundary, normals out of the solid.
+    /// Boundary with normals out of the solid.
     pub(super) surface: Surface,
     solid: Solid,
-    /// What `placement` turns and scales about, m.
+    /// Centre of rotation and scaling of `placement`, m.
     centre: DVec3,
-    /// Where `solid` is put.
+    /// Placement of `solid`.
     placement: Placement,
     inside_out: bool,
 }
 
-/// A rigid displacement: x = pivot + turn (X - pivot) + translate.
+/// A rigid displacement: x = pivot + rotation (X - pivot) + translate.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Rigid {
+pub(super) struct RigidDisplacement {
     pub(super) pivot: DVec3,
-    pub(super) turn: DMat3,
+    pub(super) rotation: DMat3,
     pub(super) translate: DVec3,
 }
 
-impl Rigid {
-    /// Where a point goes, m.
-    pub(super) fn put(&self, x: DVec3) -> DVec3 {
-        self.pivot + self.turn * (x - self.pivot) + self.translate
+impl RigidDisplacement {
+    /// Displaced point, m.
+    fn put(&self, x: DVec3) -> DVec3 {
+        self.pivot + self.rotation * (x - self.pivot) + self.translate
     }
 }
 
 impl Body {
-    /// The body of an obstacle where it starts, tessellated for the cells of the grid; `name` is for errors.
+    /// The placed body of an obstacle, tessellated for the cells of the grid; `name` is for errors.
     pub(super) fn new(obstacle: &Obstacle, name: &str, grid: &Grid) -> Result<Body, Error> {
         Ok(Body::before_walls(obstacle, name, grid)?.beyond_walls(grid))
     }
 
-    /// The same, whose distance still sees the sides on walls.
+    /// The body including its sides on walls.
     pub(super) fn before_walls(
         obstacle: &Obstacle,
         name: &str,
@@ -382,7 +383,7 @@ impl Body {
             inside_out,
             ..
         } = *obstacle;
-        // The tessellation is scaled with the placement.
+        // The placement scales the tessellation.
         let dx = grid.dx / placement.scale;
         let surface = match *shape {
             Shape::Box { min, max } => Surface::cuboid(min, max),
@@ -410,7 +411,7 @@ impl Body {
         if let Shape::Mesh { .. } = shape {
             ensure_in_domain(obstacle, &surface, name, grid.size())?;
         }
-        // A mesh is placed as a whole; for the other shapes points are turned back.
+        // A mesh is placed as a whole; for other shapes query points are transformed back.
         let (solid, centre, placement) = match shape {
             Shape::Mesh { .. } => (Solid::mesh(&surface), DVec3::ZERO, Placement::default()),
             _ => (Solid::new(shape)?, centre, placement),
@@ -428,14 +429,14 @@ impl Body {
         })
     }
 
-    /// The body whose distance does not see its sides on walls.
+    /// The body without its sides on walls.
     pub(super) fn beyond_walls(self, grid: &Grid) -> Body {
         let solid = self.solid.beyond_walls(grid, &self.placement, self.centre);
         Body { solid, ..self }
     }
 
-    /// The body elsewhere.
-    pub(super) fn moved(&self, rigid: &Rigid) -> Body {
+    /// The displaced body.
+    pub(super) fn moved(&self, rigid: &RigidDisplacement) -> Body {
         let Placement {
             translate, rotate, ..
         } = self.placement;
@@ -444,14 +445,14 @@ impl Body {
             solid: self.solid.clone(),
             placement: Placement {
                 translate: rigid.put(self.centre + translate) - self.centre,
-                rotate: rigid.turn * rotate,
+                rotate: rigid.rotation * rotate,
                 ..self.placement
             },
             ..*self
         }
     }
 
-    /// What the body adds to the open fraction far outside everything: -1 where it fills the outside.
+    /// Contribution to the aperture far outside: -1 for a container.
     pub(super) fn at_infinity(&self) -> f64 {
         if self.inside_out { -1.0 } else { 0.0 }
     }
@@ -461,12 +462,12 @@ impl Body {
         &self.solid
     }
 
-    /// Where the shape is put.
+    /// Placement of the shape.
     pub(super) fn placement(&self) -> &Placement {
         &self.placement
     }
 
-    /// Whether all outside the shape is solid.
+    /// Whether everything outside the shape is solid.
     pub(super) fn is_container(&self) -> bool {
         self.inside_out
     }
@@ -474,19 +475,19 @@ impl Body {
     /// Signed distance at a point, m, negative in the solid.
     pub(super) fn signed_distance(&self, x: DVec3) -> f64 {
         match self.inside_out {
-            true => -self.of_shape(x),
-            false => self.of_shape(x),
+            true => -self.shape_distance(x),
+            false => self.shape_distance(x),
         }
     }
 
-    /// Signed distance at a point, m, of the shape as placed, the right way out. Exact, but for sides on walls: the way out does not
-    /// lead through these.
-    fn of_shape(&self, x: DVec3) -> f64 {
+    /// Signed distance of the placed shape at a point, m; for a container its outside is not yet solid. Exact except beside
+    /// removed sides on walls.
+    fn shape_distance(&self, x: DVec3) -> f64 {
         let scale = self.placement.scale;
         scale * self.solid.distance(self.back(x))
     }
 
-    /// The point of the shape that is put at x, m.
+    /// The point x (m) in the coordinates of the shape.
     fn back(&self, x: DVec3) -> DVec3 {
         let Placement {
             translate,
@@ -499,8 +500,8 @@ impl Body {
     }
 
     /// Whether a point lies in the solid.
-    pub(super) fn holds(&self, x: DVec3) -> bool {
-        (self.of_shape(x) < 0.0) != self.inside_out
+    pub(super) fn contains(&self, x: DVec3) -> bool {
+        (self.shape_distance(x) < 0.0) != self.inside_out
     }
 
     /// Signed distance at all cell centres, m, clipped to [`BAND`] cells.
@@ -512,7 +513,7 @@ impl Body {
         field
     }
 
-    /// The same along a row of cells from `first` on.
+    /// Clipped signed distances along a row of cells that starts at [i, j, k].
     fn row(&self, grid: &Grid, [i, j, k]: [usize; 3], values: &mut [f64]) {
         let band = BAND * grid.dx;
         let centres = (i..i + values.len()).map(|i| grid.cell_centre([i, j, k]));
@@ -520,7 +521,7 @@ impl Body {
             Solid::Mesh(ref mesh) => mesh_row(mesh, band, centres.map(|x| self.back(x)), values),
             _ => {
                 for (value, x) in values.iter_mut().zip(centres) {
-                    *value = self.of_shape(x);
+                    *value = self.shape_distance(x);
                 }
             }
         }
@@ -530,7 +531,7 @@ impl Body {
         }
     }
 
-    /// The cells whose distance is not that of the far outside, with their distances, in the order of cells.
+    /// Cells within [`BAND`] cells or inside, with their distances, in the order of cells.
     pub(super) fn near(&self, grid: &Grid) -> Vec<(usize, f64)> {
         let [low, high] = self.surface.bounds();
         let reach = BAND + 1.0;
@@ -544,25 +545,24 @@ impl Body {
             }
         };
         let [is, js, ks] = [range(0), range(1), range(2)];
-        let of_slab = |k: usize| {
-            let mut found = Vec::new();
+        let slab_cells = |k: usize| {
+            let mut near = Vec::new();
             let mut row = vec![0.0; is.len()];
             for j in js.clone() {
                 self.row(grid, [is.start, j, k], &mut row);
                 let cells = is.clone().map(|i| grid.cell([i, j, k]));
                 let here = cells.zip(row.iter().copied());
-                found.extend(here.filter(|(_, distance)| *distance < BAND * grid.dx));
+                near.extend(here.filter(|(_, distance)| *distance < BAND * grid.dx));
             }
-            found
+            near
         };
-        let slabs: Vec<Vec<(usize, f64)>> = ks.into_par_iter().map(of_slab).collect();
+        let slabs: Vec<Vec<(usize, f64)>> = ks.into_par_iter().map(slab_cells).collect();
         slabs.concat()
     }
 }
 
-/// Distance to a mesh along a row of cell centres: exact within the band, beyond it +-band. Between two neighbouring centres
-/// of which one is further from the surface than the band, and the band is wider than a cell, there is no surface: the sign
-/// stays.
+/// Signed distances to a mesh along a row of cell centres, exact within the band and +-band beyond. The band is wider than a
+/// cell, so no surface lies between two centres of which one is outside the band: the sign persists.
 fn mesh_row(
     mesh: &ClosedMesh,
     band: f64,

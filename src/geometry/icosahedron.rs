@@ -1,4 +1,4 @@
-//! Subdivided icosahedra: round surfaces, and balls of tetrahedra, of almost equal edges.
+//! Subdivided icosahedra, for spheres and balls with almost equal edges.
 
 use std::collections::HashMap;
 
@@ -6,19 +6,20 @@ use glam::DVec3;
 
 use super::Surface;
 
-/// Edges of a face's subdivision times the radius of the sphere around it, over the length of an edge whose equilateral
-/// triangle is the mean of the sphere's: sqrt(16 pi / (20 sqrt 3)).
+/// Number of segments of an icosahedron's edge times the edge length over the sphere's radius. The equilateral triangle of that
+/// edge has the mean area of the sphere's triangles: sqrt(16 pi / (20 sqrt 3)).
 pub(super) const EDGE: f64 = 1.204_591_005_855_254_7;
 
-/// Points of the planes that cut the icosahedron's twenty tetrahedra (its centre and a face each) parallel to the faces:
-/// plane `k` at k times the face's distance, with k + 1 points along an edge. Faces share the points on their edges.
+/// Lattice points of the icosahedron's twenty tetrahedra, each between its centre and a face.
+///
+/// Plane `k` lies at k times the face's distance and has k + 1 points along an edge. Faces share the points of their edges.
 #[derive(Debug)]
 pub(super) struct Lattice {
     corners: [DVec3; 12],
     numbers: HashMap<Vec<(usize, usize)>, u32>,
-    /// Points in the order in which they were asked for. The corners of plane 1 have length 1.
+    /// Points in the order of first use. The corners of plane 1 have length 1.
     pub(super) points: Vec<DVec3>,
-    /// Their planes.
+    /// Plane of each point.
     pub(super) planes: Vec<usize>,
 }
 
@@ -32,7 +33,7 @@ impl Lattice {
         }
     }
 
-    /// Number of the point with these whole weights on the corners of a face; their sum is its plane.
+    /// Number of the point with these integer weights of the corners of a face; their sum is its plane.
     pub(super) fn number(&mut self, face: [usize; 3], weights: [usize; 3]) -> u32 {
         let mut key: Vec<_> = face
             .into_iter()
@@ -75,7 +76,7 @@ pub(super) fn unit_sphere(n: usize) -> Surface {
     }
 }
 
-/// Radius of the vertices of a [`unit_sphere`] that encloses as much as the ball of radius 1.
+/// Vertex radius of a [`unit_sphere`] with the volume of the unit ball.
 pub(super) fn equal_volume(unit_sphere: &Surface) -> f64 {
     let ball = 4.0 / 3.0 * std::f64::consts::PI;
     (ball / unit_sphere.volume()).cbrt()

@@ -1,4 +1,4 @@
-//! The liquid at the start: the distance to its regions, its markers, its velocity.
+//! Initial liquid: distance to its regions, markers, velocity.
 
 use std::sync::LazyLock;
 
@@ -6,14 +6,14 @@ use glam::{DVec3, I64Vec3};
 use rayon::prelude::*;
 
 use super::distance::Solid;
-use super::placing::{outside, reaches};
+use super::placing::outside;
 use super::{CutCells, MovedMesh, is_wall, solitary};
 use crate::error::{Error, rounded};
 use crate::grid::{Axis, Grid};
-use crate::scene::{Liquid, Placement, Region, Scene, Shape, Surface};
+use crate::scene::{Liquid, Placement, Region, Scene, Shape, Surface, box_reaches};
 use crate::state::State;
 
-/// The regions of a liquid with their shapes ready for distances.
+/// The regions of a liquid, prepared for distance queries.
 pub struct Regions {
     parts: Vec<Part>,
 }
@@ -25,15 +25,14 @@ struct Part {
 }
 
 impl Part {
-    /// Velocity of its liquid at a point, m/s: the region's and, of a solitary wave, its own.
+    /// Velocity of the liquid at a point, m/s: that of the region plus that of a solitary wave.
     fn velocity_at(&self, x: DVec3) -> DVec3 {
         self.velocity + self.solid.velocity(x)
     }
 }
 
 impl Regions {
-    /// The regions of a liquid in a domain of this size (m); reads the files of meshes. Errors begin with where one was written, which
-    /// `at` tells by its key.
+    /// The regions of a liquid in a domain of this size (m). `at` returns the origin of a key for errors.
     pub fn new(
         liquid: &Liquid,
         size: DVec3,
@@ -44,7 +43,7 @@ impl Regions {
             let solid = Solid::placed(&region.shape, &region.placement);
             let solid = solid.map_err(|error| error.within(&place()))?;
             if let Solid::Mesh(mesh) = &solid
-                && !reaches(mesh.bounds(), size)
+                && !box_reaches(mesh.bounds(), size)
             {
                 return Err(outside(mesh.bounds(), size, &place()));
             }
@@ -59,7 +58,7 @@ impl Regions {
         })
     }
 
-    /// The regions without the flat sides that lie on or beyond walls of the domain, which are no free surface.
+    /// The regions without flat sides on or beyond walls of the domain, which are no free surface.
     pub fn beyond_walls(self, grid: &Grid) -> Regions {
         let parts = self.parts.into_iter().map(|part| Part {
             solid: part
@@ -72,9 +71,10 @@ impl Regions {
         }
     }
 
-    /// Signed distance at a point, m, negative in the liquid: the least over the regions, in order; a region that subtracts
-    /// limits it from below by its negative. Exact outside a union and inside a single region (waves: to first order);
-    /// where regions overlap or touch, the depth inside is at least what it says.
+    /// Signed distance at a point, m, negative in the liquid: the union, in order, less the regions that subtract.
+    ///
+    /// Exact outside a union and inside a single region (waves: to first order). Inside overlapping or touching regions it
+    /// is a lower bound of the depth.
     pub fn distance(&self, x: DVec3) -> f64 {
         self.parts.iter().fold(f64::INFINITY, |distance, part| {
             let own = part.solid.distance(x);
@@ -86,7 +86,7 @@ impl Regions {
         })
     }
 
-    /// Initial velocity at a point of the liquid, m/s: that of the last region that holds it. `None` outside.
+    /// Initial velocity at a point, m/s: that of the last region that contains it. `None` outside.
     pub fn velocity(&self, x: DVec3) -> Option<DVec3> {
         self.parts.iter().fold(None, |velocity, part| {
             if part.solid.distance(x) >= 0.0 {
@@ -97,7 +97,7 @@ impl Regions {
         })
     }
 
-    /// Velocity of the nearest region that adds liquid, m/s, if it is within `reach` (m); of the last among several.
+    /// Velocity of the nearest region that adds liquid within `reach` (m), m/s; of equals the last.
     fn nearest_velocity(&self, x: DVec3, reach: f64) -> Option<DVec3> {
         let adding = self.parts.iter().rev().filter(|part| !part.subtract);
         let distances = adding.map(|part| (part.solid.distance(x), part));
@@ -108,7 +108,7 @@ impl Regions {
     }
 }
 
-/// Largest component of a velocity that the regions give their liquid, m/s.
+/// Largest component of the initial velocity, m/s.
 pub fn initial_speed(liquid: &Liquid) -> f64 {
     let speed = |region: &Region| {
         let own = match &region.shape {
@@ -120,13 +120,14 @@ pub fn initial_speed(liquid: &Liquid) -> f64 {
     liquid.regions.iter().map(speed).fold(0.0, f64::max)
 }
 
-/// How far outside the regions faces start with the velocity of the nearest, cells: the surface that markers make is bumpy, and
-/// every face beside a cell in it is taken for one with a velocity.
+/// Distance from the regions up to which faces have an initial velocity, cells. The marker surface is bumpy, and all faces of
+/// its cells need velocities.
 const VELOCITY_REACH: f64 = 2.0;
 
-/// The regions' distance at all cell centres, m: the liquid of `surface = "fixed"`. Sides on walls, and those where regions
-/// touch or overlap, are no free surface. At most the sum of the domain's sides either way: a domain that is full has no
-/// surface at all. Positive everywhere without a liquid.
+/// Distance of `surface = "fixed"` at all cell centres, m.
+///
+/// Sides on walls and between touching or overlapping regions are no free surface. The distance is clamped to the sum of the
+/// domain's sides, for domains full of liquid. Positive everywhere without a liquid.
 pub fn liquid_distance(scene: &Scene, grid: &Grid) -> Result<Vec<f64>, Error> {
     let Some(liquid) = &scene.liquid else {
         return Ok(vec![grid.dx; grid.n_cells()]);
@@ -146,7 +147,7 @@ pub fn liquid_distance(scene: &Scene, grid: &Grid) -> Result<Vec<f64>, Error> {
         .collect())
 }
 
-/// The regions of `surface = "fixed"`, for the distance to the free part of their surface.
+/// Distance to the free part of the surface of `surface = "fixed"`.
 struct FixedSurface {
     regions: Regions,
     size: DVec3,
@@ -154,17 +155,17 @@ struct FixedSurface {
 }
 
 impl FixedSurface {
-    /// Two sides closer than this to a point, in cells, are one: far above the rounding of a scene's numbers and far below
-    /// anything that a cell can tell.
+    /// Coincidence tolerance of sides, cells: far above the rounding of scene values, far below the resolution of a cell.
     const NEAR: f64 = 1e-6;
-    /// Depth up to which the free part is looked for, cells: what theta and the liquid's volume read is nearer.
+    /// Depth of the search for the free surface, cells: theta and the liquid's volume depend on smaller depths only.
     const DEPTH: f64 = 2.0;
-    /// Depths looked at on the way there.
+    /// Number of depths in that search.
     const SHELLS: usize = 8;
 
-    /// Signed distance at a point, m. The regions' own where one region alone makes the surface, or the nearest point of
-    /// their surface has air behind it; the depth below sides that have none is looked for in [`DIRECTIONS`], which meets
-    /// surfaces along the axes exactly and others to about 2 %.
+    /// Signed distance at a point, m.
+    ///
+    /// The regions' own distance for a single region, or with air behind the nearest point of the surface. Otherwise the
+    /// depth below the free surface along [`DIRECTIONS`], exact for axis-aligned surfaces and to about 2 % for others.
     fn distance(&self, x: DVec3) -> f64 {
         let own = self.regions.distance(x);
         let parts = &self.regions.parts;
@@ -173,7 +174,7 @@ impl FixedSurface {
             return own;
         }
         let depth = self.depth(x);
-        // On the free surface itself: air, as beside the seam.
+        // A point on the free surface itself is air.
         if depth > 2.0 * Self::NEAR * self.dx {
             -depth
         } else {
@@ -181,14 +182,16 @@ impl FixedSurface {
         }
     }
 
-    /// Whether there is no air at a point: beyond the walls, in the liquid, or on a side that has liquid in front and behind.
+    /// Whether a point is beyond the walls, in the liquid, or on a side between two regions.
     fn no_air(&self, x: DVec3) -> bool {
         let near = Self::NEAR * self.dx;
         if x.cmple(DVec3::ZERO).any() || x.cmpge(self.size).any() {
             return true;
         }
         let wet = |x: DVec3| self.regions.distance(x) < 0.0;
-        let between = |&way: &DVec3| wet(x + 10.0 * near * way) && wet(x - 10.0 * near * way);
+        let between = |&direction: &DVec3| {
+            wet(x + 10.0 * near * direction) && wet(x - 10.0 * near * direction)
+        };
         let distance = self.regions.distance(x);
         distance < 0.0 || (distance <= near && DIRECTIONS.iter().any(between))
     }
@@ -208,25 +211,25 @@ impl FixedSurface {
         let shell = Self::DEPTH / Self::SHELLS as f64 * self.dx;
         for number in 1..=Self::SHELLS {
             let mut depth = number as f64 * shell;
-            let air = |way: &DVec3, depth: f64| !self.no_air(x + depth * *way);
-            let mut found = false;
-            for way in DIRECTIONS.iter() {
-                if !air(way, depth) {
+            let air = |direction: &DVec3, depth: f64| !self.no_air(x + depth * *direction);
+            let mut reached = false;
+            for direction in DIRECTIONS.iter() {
+                if !air(direction, depth) {
                     continue;
                 }
-                found = true;
+                reached = true;
                 let mut low = shell * (number - 1) as f64;
-                // Halves the shell down to the rounding of its depth.
+                // Bisection down to rounding.
                 for _ in 0..50 {
                     let middle = 0.5 * (low + depth);
-                    if air(way, middle) {
+                    if air(direction, middle) {
                         depth = middle;
                     } else {
                         low = middle;
                     }
                 }
             }
-            if found {
+            if reached {
                 return depth;
             }
         }
@@ -234,19 +237,17 @@ impl FixedSurface {
     }
 }
 
-/// Depth below the free part of a region's surface from which on there are markers, cells. Marker spheres of the default
-/// radius 0.87 dx around them reach up to the surface on average.
+/// Least depth of markers below the free surface, cells: spheres of the default radius 0.87 dx then reach the surface on
+/// average.
 const DEPTH: f64 = 0.67;
 
 /// Markers along each edge of a cell.
 const PER_EDGE: usize = 2;
 
-/// Share of a sub-cell, on each side, that jitter leaves free: with it no marker starts nearer than 0.01 dx to a wall, where
-/// the advection would move it.
+/// Margin of the jitter on each side of a sub-cell. No marker starts within 0.01 dx of a wall, where advection would move it.
 const MARGIN: f64 = 0.02;
 
-/// Directions in which a marker looks for the free surface, besides straight out of the liquid: those between points of a 5^3
-/// lattice, all axes among them.
+/// Search directions for the free surface, besides the gradient: those between points of a 5^3 lattice, including all axes.
 static DIRECTIONS: LazyLock<Vec<DVec3>> = LazyLock::new(|| {
     let steps = || -2..=2_i64;
     let lattice = steps()
@@ -257,9 +258,10 @@ static DIRECTIONS: LazyLock<Vec<DVec3>> = LazyLock::new(|| {
         .collect()
 });
 
-/// Markers of the regions, m: 2 x 2 x 2 per cell, each at a random place in its eighth of the cell, kept where it is in the
-/// liquid, outside solids, and deeper than 0.67 dx below the free part of the surface. The free part has air behind it: not
-/// a wall, an obstacle or another region. Coordinates are f32 numbers; the order is that of the cells.
+/// Markers of the regions, m, 2 x 2 x 2 jittered per cell, in the order of the cells; coordinates are f32 numbers.
+///
+/// Markers lie in the liquid, outside solids, and at least 0.67 dx below the free surface. The free surface has air behind it,
+/// not a wall, an obstacle or another region.
 pub fn seed_markers(
     scene: &Scene,
     grid: &Grid,
@@ -282,7 +284,7 @@ pub fn seed_markers(
         .map(|row| {
             (row..row + grid.cells[0])
                 .flat_map(|cell| candidates(grid, liquid.seed, cell))
-                .filter(|&x| seeding.keeps(x))
+                .filter(|&x| seeding.accepts(x))
                 .map(|x| x.to_array())
                 .collect()
         })
@@ -290,8 +292,7 @@ pub fn seed_markers(
     Ok(rows.concat())
 }
 
-/// The regions, by number, that add liquid of which the cells hold nothing: no marker of the first state or, where the surface is
-/// fixed, no centre of a cell lies in them.
+/// Numbers of regions that add liquid but contain no initial marker, or with a fixed surface no cell centre.
 pub fn empty_regions(scene: &Scene, markers: &[[f64; 3]]) -> Result<Vec<usize>, Error> {
     let Some(liquid) = &scene.liquid else {
         return Ok(Vec::new());
@@ -311,12 +312,13 @@ pub fn empty_regions(scene: &Scene, markers: &[[f64; 3]]) -> Result<Vec<usize>, 
     Ok(empty.map(|(number, _)| number).collect())
 }
 
-/// Cells that [`estimate_markers`] looks at, about.
+/// Approximate number of cells that [`estimate_markers`] samples.
 const SAMPLED_CELLS: usize = 1 << 15;
 
-/// How many markers [`seed_markers`] will make beside these solids, to about a percent: those of every so many cells, one in each run of
-/// cells at a random place. Exact on small grids but for markers within the rounding of an obstacle's surface, or so near to a solid's
-/// that the distances at the centres of cells decide.
+/// Estimate of the number of markers beside these solids, to about a percent.
+///
+/// Samples one random cell in each run of cells. On small grids it is exact, except for markers within rounding of an obstacle
+/// or near a solid's surface.
 pub fn estimate_markers(scene: &Scene, grid: &Grid, solids: &MovedMesh) -> Result<usize, Error> {
     let Some(liquid) = scene
         .liquid
@@ -332,8 +334,8 @@ pub fn estimate_markers(scene: &Scene, grid: &Grid, solids: &MovedMesh) -> Resul
         size: grid.size(),
         dx: grid.dx,
         in_solid: |x| {
-            bodies.iter().any(|body| body.holds(x))
-                || solids.as_ref().is_some_and(|solids| solids.holds(x))
+            bodies.iter().any(|body| body.contains(x))
+                || solids.as_ref().is_some_and(|solids| solids.contains(x))
         },
     };
     let run = grid.n_cells().div_ceil(SAMPLED_CELLS);
@@ -347,19 +349,19 @@ pub fn estimate_markers(scene: &Scene, grid: &Grid, solids: &MovedMesh) -> Resul
             places
                 .into_iter()
                 .flatten()
-                .filter(|&x| seeding.keeps(x))
+                .filter(|&x| seeding.accepts(x))
                 .count()
         })
         .sum();
     Ok(markers * run)
 }
 
-/// Decides which candidates become markers.
+/// Selects markers among the candidates.
 struct Seeding<S> {
     regions: Regions,
     size: DVec3,
     dx: f64,
-    /// Whether a point lies in an obstacle.
+    /// Whether a point lies in an obstacle or solid.
     in_solid: S,
 }
 
@@ -371,7 +373,7 @@ impl<S: Fn(DVec3) -> bool> Seeding<S> {
             || (self.in_solid)(x)
     }
 
-    /// Straight out of the liquid, between the directions of the lattice: central differences over a cell.
+    /// Outward direction by central differences over a cell.
     fn out(&self, x: DVec3) -> DVec3 {
         let gradient = DVec3::from_array(DVec3::AXES.map(|axis| {
             let step = 0.5 * self.dx * axis;
@@ -380,10 +382,10 @@ impl<S: Fn(DVec3) -> bool> Seeding<S> {
         gradient.normalize_or_zero()
     }
 
-    fn keeps(&self, x: DVec3) -> bool {
+    fn accepts(&self, x: DVec3) -> bool {
         let depth = DEPTH * self.dx;
         let distance = self.regions.distance(x);
-        let under_air = |way: DVec3| !self.no_air(x + depth * way);
+        let under_air = |direction: DVec3| !self.no_air(x + depth * direction);
         distance < 0.0
             && !(self.in_solid)(x)
             && (distance <= -depth
@@ -391,7 +393,7 @@ impl<S: Fn(DVec3) -> bool> Seeding<S> {
     }
 }
 
-/// The jittered places of a cell's markers.
+/// Jittered candidates of a cell.
 fn candidates(grid: &Grid, seed: u64, cell: usize) -> impl Iterator<Item = DVec3> {
     let [i, j, k] = grid.cell_at(cell);
     let corner = DVec3::new(i as f64, j as f64, k as f64);
@@ -407,7 +409,7 @@ fn candidates(grid: &Grid, seed: u64, cell: usize) -> impl Iterator<Item = DVec3
         ];
         let place = DVec3::from_array(place.map(|part| {
             bits = scramble(bits);
-            // The upper 53 bits, as a number in [0, 1).
+            // The upper 53 bits as a number in [0, 1).
             let jitter = (bits >> 11) as f64 / (1_u64 << 53) as f64;
             (part as f64 + MARGIN + (1.0 - 2.0 * MARGIN) * jitter) / PER_EDGE as f64
         }));
@@ -423,10 +425,11 @@ fn scramble(x: u64) -> u64 {
     x ^ (x >> 31)
 }
 
-/// The state before the first step: markers or the fixed distance, and on every face the velocity of the region that holds
-/// its centre or the centre of a cell beside it, else that of the nearest region within two cells; 0 on walls and elsewhere.
-/// Volumes are left to the first diagnosis, and solids to [`crate::elastic::Solids::initial_state`]. Without liquid in the scene, nothing;
-/// regions in which no cell finds liquid, all of them, are an error.
+/// State before the first sub-step: markers or the fixed distance, and face velocities.
+///
+/// A face has the velocity of the region that contains its centre or a neighbouring cell centre. Other faces have that of the
+/// nearest region within two cells, or 0. Volumes follow with the first diagnosis, solids with
+/// [`crate::elastic::Solids::initial_state`]. A scene in which no cell has liquid is an error.
 pub fn initial_state(scene: &Scene, grid: &Grid, cut_cells: &CutCells) -> Result<State, Error> {
     let Some(liquid) = &scene.liquid else {
         return Ok(State::default());

@@ -1,4 +1,4 @@
-//! Closed surfaces from mesh files, and the lines, words and numbers of text files.
+//! Closed surfaces from mesh files; lines, words and numbers of text files.
 
 use std::borrow::Cow;
 use std::fs;
@@ -8,7 +8,7 @@ use std::str::FromStr;
 use super::{Fault, Surface, obj, ply, stl};
 use crate::error::Error;
 
-/// What is wrong in a file, with the line where it is known, and what would be right.
+/// An error in a file, with its line if known.
 pub(super) struct Problem {
     pub(super) line: Option<usize>,
     pub(super) problem: String,
@@ -16,8 +16,8 @@ pub(super) struct Problem {
 }
 
 impl Problem {
-    /// A problem of a line, which is quoted.
-    pub(super) fn of_line(
+    /// An error in a line, which is quoted.
+    pub(super) fn at_line(
         (line, text): (usize, &[u8]),
         problem: impl AsRef<str>,
         cure: impl Into<Cow<'static, str>>,
@@ -36,15 +36,14 @@ impl Problem {
         }
     }
 
-    /// The error that names the file.
-    pub(super) fn of(self, file: &Path) -> Error {
+    pub(super) fn in_file(self, file: &Path) -> Error {
         let line = self.line.map(|line| format!(":{line}"));
         let what = format!("{}{}", file.display(), line.unwrap_or_default());
         Error::input(what, self.problem, self.cure)
     }
 }
 
-/// The start of a text as errors quote it; control characters are replaced.
+/// Beginning of a text for errors, with control characters replaced.
 pub(super) fn quoted(text: &[u8]) -> String {
     const LONGEST: usize = 60;
     let text = String::from_utf8_lossy(text);
@@ -61,10 +60,7 @@ pub(super) fn quoted(text: &[u8]) -> String {
     format!("`{shown}{more}`")
 }
 
-/// The text without a byte order mark. Bytes need not be UTF-8: names and comments may be in any encoding that contains ASCII.
-///
-/// # Errors
-/// A text in UTF-16.
+/// The text without a byte order mark. It need not be UTF-8: names and comments may have any encoding that extends ASCII.
 pub(super) fn without_mark(bytes: &[u8]) -> Result<&[u8], Problem> {
     if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
         return Err(Problem::new(
@@ -75,7 +71,7 @@ pub(super) fn without_mark(bytes: &[u8]) -> Result<&[u8], Problem> {
     Ok(bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes))
 }
 
-/// The first line and the bytes behind it; it ends in LF, CR LF or CR.
+/// The first line, which ends in LF, CR LF or CR, and the bytes behind it.
 pub(super) fn split_line(bytes: &[u8]) -> (&[u8], &[u8]) {
     let end = bytes.iter().position(|byte| b"\r\n".contains(byte));
     let (line, behind) = bytes.split_at(end.unwrap_or(bytes.len()));
@@ -83,7 +79,7 @@ pub(super) fn split_line(bytes: &[u8]) -> (&[u8], &[u8]) {
     (line, behind.get(newline..).unwrap_or_default())
 }
 
-/// The lines of a text with their numbers from 1.
+/// Lines with their numbers from 1.
 pub(super) fn lines(mut bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
     let lines = std::iter::from_fn(move || {
         let (line, behind) = (!bytes.is_empty()).then(|| split_line(bytes))?;
@@ -93,16 +89,13 @@ pub(super) fn lines(mut bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
     (1..).zip(lines)
 }
 
-/// The words of a line, between white space.
+/// Words between white space.
 pub(super) fn words(line: &[u8]) -> impl Iterator<Item = &[u8]> + Clone {
     line.split(u8::is_ascii_whitespace)
         .filter(|word| !word.is_empty())
 }
 
-/// A number in a text file.
-///
-/// # Errors
-/// What the word is instead.
+/// Parses a number; the error describes the word.
 pub(super) fn number<T: FromStr>(word: &[u8]) -> Result<T, String> {
     let text = str::from_utf8(word).ok();
     text.and_then(|text| text.parse().ok()).ok_or_else(|| {
@@ -115,32 +108,39 @@ pub(super) fn number<T: FromStr>(word: &[u8]) -> Result<T, String> {
     })
 }
 
+/// The little-endian bytes of a number.
+pub(super) fn little_endian<const N: usize>(mut bytes: [u8; N], big_endian: bool) -> [u8; N] {
+    if big_endian {
+        bytes.reverse();
+    }
+    bytes
+}
+
 impl From<Fault> for Problem {
     fn from(fault: Fault) -> Problem {
         Problem::new(fault.problem, fault.cure)
     }
 }
 
-/// All bytes of a mesh file.
 pub(super) fn load(file: &Path) -> Result<Vec<u8>, Error> {
     fs::read(file).map_err(|problem| {
         let cure = "give the path of a readable mesh file, relative to the scene file";
-        Problem::new(problem.to_string(), cure).of(file)
+        Problem::new(problem.to_string(), cure).in_file(file)
     })
 }
 
-/// The end of a file's name, in small letters.
+/// Extension in lower case.
 pub(super) fn extension(file: &Path) -> String {
     let extension = file.extension().unwrap_or_default();
     extension.to_string_lossy().to_lowercase()
 }
 
-/// Reads a surface, merges vertices at equal positions (STL has no others) and refuses what does not bound a solid.
+/// Reads a surface and merges vertices at equal positions, which STL repeats. A surface that bounds no solid is an error.
 pub fn read(file: &Path) -> Result<Surface, Error> {
     parse(load(file)?, file)
 }
 
-/// The same from the contents of a file; its name says what they are, and stands in errors.
+/// Parses the contents of a file; the extension of its name is the format.
 pub fn parse(bytes: Vec<u8>, file: &Path) -> Result<Surface, Error> {
     let extension = extension(file);
     let surface = match extension.as_str() {
@@ -156,10 +156,10 @@ pub fn parse(bytes: Vec<u8>, file: &Path) -> Result<Surface, Error> {
             "use .obj, .stl or .ply",
         )),
     }
-    .map_err(|problem| problem.of(file))?
+    .map_err(|problem| problem.in_file(file))?
     .welded();
     match surface.fault() {
-        Some(fault) => Err(Problem::from(fault).of(file)),
+        Some(fault) => Err(Problem::from(fault).in_file(file)),
         None => Ok(surface),
     }
 }

@@ -1,17 +1,18 @@
-//! Shapes, clipping, open face areas and the distance to obstacles, on the CPU in f64. parry lives here only.
+//! Shapes, clipping, face apertures and distances to obstacles, on the CPU in f64. The only room that uses parry.
 //!
 //! - [`Surface`]: closed triangle surfaces, from shapes and from mesh files ([`read_mesh`])
-//! - [`clip`] and [`open_fractions`]: patches of a surface in the cells, and the open areas that close every cut cell
-//! - [`cut_cells`]: what the obstacles of a scene leave of the grid
-//! - [`ObstacleCut`]: the same with obstacles that move, in every sub-step
-//! - [`SolidClip`]: what deforming solids leave of that, and [`Coupling`], their patches as lists to gather from
-//! - [`TetMesh`], [`solid_meshes`]: the tetrahedra of solids, from shapes, files and closed surfaces
-//! - [`Taps`]: sources and sinks as cells and faces of the grid
-//! - [`Regions`], [`liquid_distance`], [`seed_markers`], [`initial_state`]: the liquid at the start
+//! - [`clip`] and [`open_fractions`]: patches of a surface in the cells, and apertures that close every cut cell
+//! - [`cut_cells`]: apertures and distances of the obstacles of a scene
+//! - [`ObstacleCut`]: the same with moving obstacles, in every sub-step
+//! - [`SolidClip`]: the same with deforming solids, and [`Coupling`], their patches as sparse lists by cell and by node
+//! - [`TetMesh`], [`solid_meshes`]: tetrahedra of solids, from shapes, files and closed surfaces
+//! - [`SourcesAndSinks`]: sources and sinks as cells and faces of the grid
+//! - [`Regions`], [`liquid_distance`], [`seed_markers`], [`initial_state`]: the initial liquid
 
 mod clip;
 mod coupling;
 mod crossing;
+mod disjoint_sets;
 mod distance;
 mod icosahedron;
 mod inside;
@@ -27,9 +28,10 @@ mod ply;
 mod polygon;
 mod solid_clip;
 mod solitary;
+mod sources_sinks;
 mod stl;
 mod surface;
-mod taps;
+
 mod tet_fill;
 mod tet_mesh;
 mod tet_read;
@@ -47,15 +49,20 @@ pub use liquid::{
 pub use mesh_file::{parse as parse_mesh, read as read_mesh};
 pub use obstacles::{ObstacleCut, ObstacleSurfaces, deepest_obstacle, obstacle_cut};
 pub use placing::{SolidOverlap, large_meshes, liquid_height, solid_overlaps};
-pub use solid_clip::{MovedMesh, Nearest, Overlap, Place, SolidClip};
+pub use solid_clip::{MovedMesh, MovingWall, Nearest, Overlap, SolidClip};
+pub use sources_sinks::{
+    MARKERS_PER_CELL, PrescribedFace, Running, SourceFace, SourceFlow, SourcesAndSinks,
+};
 pub use surface::{Fault, Surface};
-pub use taps::{PER_CELL, PrescribedFace, Running, SourceFace, SourceFlow, Taps};
 pub use tet_fill::fill;
 pub use tet_mesh::{ElementShape, TetMesh, solid_meshes};
 pub use tet_read::{TetFile, parse as parse_tets, read as read_tets};
 pub use thickness::{ThinWall, layers_across, thin_obstacles, thin_solids};
 
-use glam::DVec3;
+pub(crate) use disjoint_sets::DisjointSets;
+pub(crate) use surface::bounds;
+
+use glam::{DMat3, DVec3};
 
 use crate::error::Error;
 use crate::grid::{Axis, Grid, Sides};
@@ -65,20 +72,18 @@ use distance::Body;
 /// What obstacles, and solids in liquid, leave of the grid.
 #[derive(Clone, Debug, Default)]
 pub struct CutCells {
-    /// Open fraction of every face per axis (host face layout, 0 to 1): clamped, domain walls closed but for open sides.
+    /// Face apertures per axis (host face layout, 0 to 1), clamped; 0 on the walls of the domain.
     pub open: [Vec<f64>; 3],
-    /// Signed distance of every cell centre to the obstacles, m; negative inside, exact within 3 cells of a surface and
-    /// clipped to +-3 dx beyond. 3 dx everywhere without obstacles.
+    /// Signed distance of every cell centre to the bodies, m, negative inside: exact within 3 cells of a surface, elsewhere +-3 dx.
     pub solid_distance: Vec<f64>,
 }
 
-/// Open areas and distances of all obstacles of a scene. Their contributions to the open fractions add; the distance is that
-/// of their union.
+/// Apertures and distances of the obstacles at the start.
 pub fn cut_cells(scene: &Scene, grid: &Grid) -> Result<CutCells, Error> {
     Ok(obstacle_cut(scene, grid)?.cut)
 }
 
-/// The probes of pressure and velocity whose point lies in an obstacle at the start, by number.
+/// Numbers of the probes of pressure and velocity with a point in an obstacle at the start.
 pub fn covered_probes(scene: &Scene, grid: &Grid) -> Result<Vec<usize>, Error> {
     let probes = scene.probes.iter().enumerate();
     let points = probes.filter_map(|(number, probe)| match probe.kind {
@@ -96,7 +101,7 @@ pub fn covered_probes(scene: &Scene, grid: &Grid) -> Result<Vec<usize>, Error> {
     Ok(covered.map(|(number, _)| number).collect())
 }
 
-/// Obstacles where their placements put them.
+/// The obstacles as placed, before their motion.
 fn bodies(scene: &Scene, grid: &Grid) -> impl Iterator<Item = Result<Body, Error>> {
     let obstacles = scene.obstacles.iter().enumerate();
     obstacles.map(move |(number, obstacle)| {
@@ -104,12 +109,17 @@ fn bodies(scene: &Scene, grid: &Grid) -> impl Iterator<Item = Result<Body, Error
     })
 }
 
-/// Share of a cell's volume that obstacles leave open, 0 to 1, from the obstacle distance at its centre (m).
+/// a b^T
+pub(crate) fn outer(a: DVec3, b: DVec3) -> DMat3 {
+    DMat3::from_cols(a * b.x, a * b.y, a * b.z)
+}
+
+/// Open volume fraction of a cell, 0 to 1, from the obstacle distance at its centre (m).
 pub fn open_volume(solid_distance: f64, dx: f64) -> f64 {
     (0.5 + solid_distance / dx).clamp(0.0, 1.0)
 }
 
-/// An open fraction in \[0, 1\]: 0 below `area_clamp`, 1 above 1 - `area_clamp`.
+/// An aperture in \[0, 1\]: 0 below `area_clamp`, 1 above 1 - `area_clamp`.
 fn clamp_open(open: f64, area_clamp: f64) -> f64 {
     if open < area_clamp {
         0.0
@@ -120,7 +130,7 @@ fn clamp_open(open: f64, area_clamp: f64) -> f64 {
     }
 }
 
-/// Closes the faces on the walls of the domain. Those of open sides stay as bodies leave them.
+/// Closes the faces on the walls of the domain; faces on open sides remain.
 fn close_walls(grid: &Grid, open_sides: Sides, open: &mut [Vec<f64>; 3]) {
     for (axis, open) in Axis::ALL.into_iter().zip(open) {
         for (face, open) in open.iter_mut().enumerate() {
@@ -131,7 +141,7 @@ fn close_walls(grid: &Grid, open_sides: Sides, open: &mut [Vec<f64>; 3]) {
     }
 }
 
-/// Whether a face lies on a side of the domain that is a wall.
+/// Whether a face lies on a wall of the domain.
 fn is_wall(grid: &Grid, open_sides: Sides, axis: Axis, face: [usize; 3]) -> bool {
     grid.wall(axis, face)
         .is_some_and(|side| !open_sides.has(axis, side))

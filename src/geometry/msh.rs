@@ -1,25 +1,25 @@
 //! Tetrahedra from Gmsh's MSH files, format 4.1, text and binary (Gmsh's manual, "MSH file format").
 //!
-//! The mshio crate (0.4.2) is not used: where node numbers have no gaps it forgets them and takes the order of the file, which the
-//! format does not promise, and it panics on counts that only a damaged file holds.
+//! The mshio crate (0.4.2) is not used. It replaces node numbers without gaps by the order of the file, which the format does
+//! not promise. It also panics on the counts of damaged files.
 
 use std::collections::HashMap;
 
 use glam::DVec3;
 
-use super::mesh_file::Problem;
+use super::mesh_file::{Problem, little_endian};
 use super::tet_read::RawTets;
 
-/// What Gmsh's element types are to the mesh of a solid.
+/// Element kinds, as the mesh of a solid uses them.
 enum Kind {
     Tetrahedron,
-    /// A point, line, triangle or quadrilateral of some order, with so many nodes.
+    /// A point, line, triangle or quadrilateral with this number of nodes.
     Lower(usize),
-    /// A volume that is refused, in words.
+    /// An unsupported volume element, in words.
     Other(String),
 }
 
-/// The kind of an element type (Gmsh's manual, "Node ordering" and the table of "MSH file format version 1").
+/// Kind of an element type (Gmsh's manual, "Node ordering" and the table of "MSH file format version 1").
 fn kind(element_type: i64) -> Kind {
     match element_type {
         4 => Kind::Tetrahedron,
@@ -46,7 +46,7 @@ fn kind(element_type: i64) -> Kind {
     }
 }
 
-/// Reads the nodes and tetrahedra; elements of fewer dimensions are counted only. `name` is the file's, for cures.
+/// Reads nodes and tetrahedra, and counts elements of lower dimension. `name` is the file's, for cures.
 pub(super) fn read(bytes: &[u8], name: &str) -> Result<RawTets, Problem> {
     let mut file = Reader::new(bytes, name)?;
     let mut raw = RawTets {
@@ -62,7 +62,7 @@ pub(super) fn read(bytes: &[u8], name: &str) -> Result<RawTets, Problem> {
                 read_nodes(&mut file, &mut raw, &mut numbers)?;
             }
             "Elements" if !nodes_seen => {
-                return Err(file.problem("$Elements comes before $Nodes"));
+                return Err(file.problem("$Elements precedes $Nodes"));
             }
             "Elements" => {
                 elements_seen = true;
@@ -90,7 +90,7 @@ fn read_nodes(
     numbers: &mut HashMap<u64, u32>,
 ) -> Result<(), Problem> {
     let n_blocks = file.size()?;
-    // Numbers of nodes, smallest and largest tag: said again by the blocks.
+    // Number of nodes, smallest and largest tag, which the blocks repeat.
     for _ in 0..3 {
         file.size()?;
     }
@@ -179,18 +179,18 @@ fn read_elements(
     Ok(())
 }
 
-/// How numbers stand in a binary file.
+/// Encoding of numbers in a binary file.
 struct Binary {
     /// Bytes of a size, 4 or 8.
     size: usize,
     big_endian: bool,
 }
 
-/// Takes numbers and section marks from a file.
+/// Cursor over a file.
 struct Reader<'a> {
     bytes: &'a [u8],
     at: usize,
-    /// None: text.
+    /// `None` for text.
     binary: Option<Binary>,
     name: &'a str,
 }
@@ -232,7 +232,7 @@ impl<'a> Reader<'a> {
                 let big_endian = match (i32::from_be_bytes(one), i32::from_le_bytes(one)) {
                     (1, _) => true,
                     (_, 1) => false,
-                    _ => return Err(file.problem("the byte order cannot be told")),
+                    _ => return Err(file.problem("the byte order is unknown")),
                 };
                 file.binary = Some(Binary { size, big_endian });
             }
@@ -246,7 +246,7 @@ impl<'a> Reader<'a> {
         Ok(file)
     }
 
-    /// A problem at the place read last: its line in a text file, its byte in a binary one.
+    /// An error at the current line of a text file or byte of a binary one.
     fn problem(&self, problem: impl Into<String>) -> Problem {
         let cure = "write the file again with Gmsh: it is damaged or incomplete";
         match self.binary {
@@ -268,14 +268,14 @@ impl<'a> Reader<'a> {
         self.at += space.unwrap_or(rest.len());
     }
 
-    /// Goes behind the end of a line.
+    /// Skips the rest of the line.
     fn line_end(&mut self) {
         let rest = &self.bytes[self.at..];
         let newline = rest.iter().position(|&byte| byte == b'\n');
         self.at += newline.map_or(rest.len(), |newline| newline + 1);
     }
 
-    /// What stands up to the next white space.
+    /// The next word.
     fn token(&mut self) -> Result<&'a str, Problem> {
         self.skip_space();
         let rest = &self.bytes[self.at..];
@@ -289,7 +289,7 @@ impl<'a> Reader<'a> {
         Ok(token)
     }
 
-    /// Name of the section that begins here; None at the end of the file. What stands before it is no part of the format.
+    /// Name of the section that begins here; `None` at the end of the file.
     fn section(&mut self) -> Result<Option<&'a str>, Problem> {
         self.skip_space();
         if self.at == self.bytes.len() {
@@ -304,7 +304,7 @@ impl<'a> Reader<'a> {
         Ok(Some(name))
     }
 
-    /// Goes to the end of a section that is not read.
+    /// Skips to the end mark of a section.
     fn skip_section(&mut self, section: &str) -> Result<(), Problem> {
         let end = format!("$End{section}");
         let rest = &self.bytes[self.at..];
@@ -315,7 +315,7 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
-    /// Goes behind the end of a section that was read.
+    /// Reads the end mark of a section.
     fn end(&mut self, section: &str) -> Result<(), Problem> {
         let token = self.token()?;
         if token.strip_prefix("$End") == Some(section) {
@@ -324,15 +324,16 @@ impl<'a> Reader<'a> {
         Err(self.problem(format!("{token:?} where $End{section} belongs")))
     }
 
+    /// The little-endian bytes of the next number.
     fn array<const N: usize>(&mut self) -> Result<[u8; N], Problem> {
         let Some(&bytes) = self.bytes[self.at..].first_chunk::<N>() else {
             return Err(self.problem("the file ends too early"));
         };
         self.at += N;
-        Ok(bytes)
+        let big_endian = self.binary.as_ref().is_some_and(|binary| binary.big_endian);
+        Ok(little_endian(bytes, big_endian))
     }
 
-    /// A number in text.
     fn parsed<T: std::str::FromStr>(&mut self, what: &str) -> Result<T, Problem> {
         let token = self.token()?;
         token
@@ -343,53 +344,22 @@ impl<'a> Reader<'a> {
     fn int(&mut self) -> Result<i64, Problem> {
         match self.binary {
             None => self.parsed("a whole number"),
-            Some(Binary { big_endian, .. }) => {
-                let bytes = self.array()?;
-                Ok(i64::from(if big_endian {
-                    i32::from_be_bytes(bytes)
-                } else {
-                    i32::from_le_bytes(bytes)
-                }))
-            }
+            Some(_) => Ok(i32::from_le_bytes(self.array()?).into()),
         }
     }
 
     fn size(&mut self) -> Result<u64, Problem> {
         match self.binary {
             None => self.parsed("a whole number"),
-            Some(Binary {
-                size: 4,
-                big_endian,
-            }) => {
-                let bytes = self.array()?;
-                Ok(u64::from(if big_endian {
-                    u32::from_be_bytes(bytes)
-                } else {
-                    u32::from_le_bytes(bytes)
-                }))
-            }
-            Some(Binary { big_endian, .. }) => {
-                let bytes = self.array()?;
-                Ok(if big_endian {
-                    u64::from_be_bytes(bytes)
-                } else {
-                    u64::from_le_bytes(bytes)
-                })
-            }
+            Some(Binary { size: 4, .. }) => Ok(u32::from_le_bytes(self.array()?).into()),
+            Some(_) => Ok(u64::from_le_bytes(self.array()?)),
         }
     }
 
     fn double(&mut self) -> Result<f64, Problem> {
         match self.binary {
             None => self.parsed("a number"),
-            Some(Binary { big_endian, .. }) => {
-                let bytes = self.array()?;
-                Ok(if big_endian {
-                    f64::from_be_bytes(bytes)
-                } else {
-                    f64::from_le_bytes(bytes)
-                })
-            }
+            Some(_) => Ok(f64::from_le_bytes(self.array()?)),
         }
     }
 }

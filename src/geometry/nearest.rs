@@ -1,4 +1,4 @@
-//! Points of a lattice near triangles that move: the nearest triangle of each, and which points lie inside tetrahedra.
+//! Lattice points near moving triangles: nearest triangles, and points inside tetrahedra.
 
 use glam::{DMat3, DVec3};
 use parry3d_f64::query::PointQueryWithLocation;
@@ -31,10 +31,10 @@ impl Lattice {
         (DVec3::from(ijk.map(|i| i as f64)) + self.offset) * self.dx
     }
 
-    /// Indices along an axis of the points from `low` to `high` (m); the end is not among them.
+    /// Index range along an axis of the points from `low` to `high` (m).
     fn range(&self, axis: usize, low: f64, high: f64) -> std::ops::Range<usize> {
         let n = self.n[axis] as f64;
-        // A point on an end that rounding puts beyond it would be missed.
+        // With a margin, so that rounding excludes no end point.
         let first = (low / self.dx - self.offset - ROUNDING)
             .ceil()
             .clamp(0.0, n);
@@ -45,16 +45,16 @@ impl Lattice {
     }
 }
 
-/// Rounding of positions, cells; and of weights of corners.
+/// Rounding of positions, cells, and of barycentric coordinates.
 const ROUNDING: f64 = 1e-9;
 
-/// Stands for no triangle.
+/// Marks the absence of a triangle.
 const NONE: u32 = u32::MAX;
 
-/// Slabs of this many points along z are worked on at once; what comes out does not depend on it.
+/// Points along z per task; results do not depend on it.
 const SLAB: usize = 4;
 
-/// The triangle nearest to each point of a lattice, up to a distance; of several the first.
+/// Nearest triangle of each lattice point within a distance; of equals the first.
 #[derive(Clone, Debug)]
 pub(super) struct NearestTriangles {
     pub(super) lattice: Lattice,
@@ -63,12 +63,12 @@ pub(super) struct NearestTriangles {
     triangle: Vec<u32>,
     /// Squared distance, m^2.
     square: Vec<f64>,
-    /// Points that have a triangle, ascending.
+    /// Points with a triangle, ascending.
     pub(super) near: Vec<usize>,
 }
 
 impl NearestTriangles {
-    /// Of no triangles.
+    /// Starts without triangles.
     pub(super) fn new(lattice: Lattice, reach: f64) -> NearestTriangles {
         NearestTriangles {
             lattice,
@@ -79,12 +79,12 @@ impl NearestTriangles {
         }
     }
 
-    /// Distance of a point to its nearest triangle, m, without sign; infinite where there is none within reach.
+    /// Unsigned distance of a point to its nearest triangle, m; infinite beyond reach.
     pub(super) fn distance(&self, point: usize) -> f64 {
         self.square[point].sqrt()
     }
 
-    /// The nearest triangle of a point, and the weights of its corners at the nearest place.
+    /// Nearest triangle of a point, and barycentric coordinates of the nearest point.
     pub(super) fn nearest(
         &self,
         point: usize,
@@ -101,16 +101,16 @@ impl NearestTriangles {
         Some((triangle as usize, weights))
     }
 
-    /// Finds them anew.
-    pub(super) fn find(&mut self, corners: &[[DVec3; 3]]) {
+    /// Recomputes the nearest triangles.
+    pub(super) fn update(&mut self, corners: &[[DVec3; 3]]) {
         for &point in &self.near {
             self.triangle[point] = NONE;
             self.square[point] = f64::INFINITY;
         }
         let (lattice, reach) = (self.lattice, self.reach);
-        let boxed: Vec<Boxed> = corners
+        let triangles: Vec<BoundedTriangle> = corners
             .par_iter()
-            .map(|&corners| Boxed::new(&lattice, reach, corners))
+            .map(|&corners| BoundedTriangle::new(&lattice, reach, corners))
             .collect();
         let [nx, ny, _] = lattice.n;
         let slab = nx * ny * SLAB;
@@ -120,20 +120,20 @@ impl NearestTriangles {
             .zip(self.square.par_chunks_mut(slab));
         let near: Vec<Vec<usize>> = slabs
             .enumerate()
-            .map(|(number, (triangles, squares))| {
+            .map(|(number, (nearest, squares))| {
                 let start = number * SLAB;
-                let planes = start..start + triangles.len() / (nx * ny);
-                for (triangle, boxed) in (0..).zip(&boxed) {
-                    boxed.visit(&lattice, reach, &planes, |point, square| {
+                let planes = start..start + nearest.len() / (nx * ny);
+                for (triangle, nearby) in (0..).zip(&triangles) {
+                    nearby.each_near_point(&lattice, reach, &planes, |point, square| {
                         let at = point - start * nx * ny;
                         if square < squares[at] {
                             squares[at] = square;
-                            triangles[at] = triangle;
+                            nearest[at] = triangle;
                         }
                         squares[at]
                     });
                 }
-                let points = triangles.iter().enumerate();
+                let points = nearest.iter().enumerate();
                 let near = points.filter(|(_, triangle)| **triangle != NONE);
                 near.map(|(at, _)| at + start * nx * ny).collect()
             })
@@ -142,21 +142,21 @@ impl NearestTriangles {
     }
 }
 
-/// A triangle with the points that it may be near to.
-struct Boxed {
+/// A triangle with the lattice points in its enlarged bounding box.
+struct BoundedTriangle {
     triangle: Triangle,
     /// Unit normal.
     normal: DVec3,
-    /// Of points, per axis.
+    /// Index ranges per axis.
     ranges: [std::ops::Range<usize>; 3],
 }
 
-impl Boxed {
-    fn new(lattice: &Lattice, reach: f64, [a, b, c]: [DVec3; 3]) -> Boxed {
+impl BoundedTriangle {
+    fn new(lattice: &Lattice, reach: f64, [a, b, c]: [DVec3; 3]) -> BoundedTriangle {
         let (low, high) = (a.min(b).min(c) - reach, a.max(b).max(c) + reach);
-        // Without area it is near to what its neighbours are near to.
+        // A triangle without area is covered by its neighbours.
         let normal = (b - a).cross(c - a).try_normalize();
-        Boxed {
+        BoundedTriangle {
             triangle: Triangle::new(a, b, c),
             normal: normal.unwrap_or(DVec3::ZERO),
             ranges: [0, 1, 2].map(|axis| match normal {
@@ -166,14 +166,14 @@ impl Boxed {
         }
     }
 
-    /// Tells of the points within reach in some planes along z, with their squared distances. `tell` returns the square above
-    /// which a further distance of the same point is not wanted.
-    fn visit(
+    /// Calls `visit` with the points within reach in some planes along z and their squared distances. `visit` returns the
+    /// square above which further distances of the point are irrelevant.
+    fn each_near_point(
         &self,
         lattice: &Lattice,
         reach: f64,
         planes: &std::ops::Range<usize>,
-        mut tell: impl FnMut(usize, f64) -> f64,
+        mut visit: impl FnMut(usize, f64) -> f64,
     ) {
         let [is, js, ks] = self.ranges.clone();
         let [nx, ny, _] = lattice.n;
@@ -182,14 +182,14 @@ impl Boxed {
                 for i in is.clone() {
                     let (x, point) = (lattice.at([i, j, k]), i + nx * (j + ny * k));
                     let height = (x - self.triangle.a).dot(self.normal);
-                    let most = tell(point, f64::INFINITY).min(reach * reach);
+                    let most = visit(point, f64::INFINITY).min(reach * reach);
                     if height * height >= most {
                         continue;
                     }
                     let (nearest, _) = self.triangle.project_local_point_and_get_location(x, true);
                     let square = x.distance_squared(nearest.point);
                     if square < most {
-                        tell(point, square);
+                        visit(point, square);
                     }
                 }
             }
@@ -197,24 +197,24 @@ impl Boxed {
     }
 }
 
-/// The points of a lattice in tetrahedra, with the number of the body of each tetrahedron: ascending, every pair once. A point on
-/// a side, within rounding, is inside. Inverted tetrahedra hold points as others do; flat ones hold none.
+/// Lattice points in tetrahedra with the body of each tetrahedron, ascending, without repetitions. Points on a side, to
+/// rounding, are inside. Inverted tetrahedra count like others, flat ones contain no points.
 pub(super) fn inside_tetrahedra(
     lattice: &Lattice,
     elements: &[[u32; 4]],
     body_of: impl Fn(usize) -> u32 + Sync,
     nodes: &[DVec3],
 ) -> Vec<(usize, u32)> {
-    let of_element = |(number, corners): (usize, &[u32; 4])| {
+    let element_points = |(number, corners): (usize, &[u32; 4])| {
         let [a, b, c, d] = corners.map(|node| nodes[node as usize]);
         let (low, high) = (a.min(b).min(c).min(d), a.max(b).max(c).max(d));
         let [is, js, ks] = [0, 1, 2].map(|axis| lattice.range(axis, low[axis], high[axis]));
         let edges = DMat3::from_cols(b - a, c - a, d - a);
         let inverse = edges.inverse();
         let body = body_of(number);
-        let mut held = Vec::new();
+        let mut inside = Vec::new();
         if !inverse.is_finite() {
-            return held;
+            return inside;
         }
         for k in ks {
             for j in js.clone() {
@@ -222,19 +222,19 @@ pub(super) fn inside_tetrahedra(
                     let weights = inverse * (lattice.at([i, j, k]) - a);
                     let first = 1.0 - weights.element_sum();
                     if weights.min_element().min(first) >= -ROUNDING {
-                        held.push((i + lattice.n[0] * (j + lattice.n[1] * k), body));
+                        inside.push((i + lattice.n[0] * (j + lattice.n[1] * k), body));
                     }
                 }
             }
         }
-        held
+        inside
     };
-    let mut held: Vec<(usize, u32)> = elements
+    let mut inside: Vec<(usize, u32)> = elements
         .par_iter()
         .enumerate()
-        .flat_map_iter(of_element)
+        .flat_map_iter(element_points)
         .collect();
-    held.par_sort_unstable();
-    held.dedup();
-    held
+    inside.par_sort_unstable();
+    inside.dedup();
+    inside
 }

@@ -1,28 +1,30 @@
-//! Surfaces from OBJ files: vertices and polygons. Texture coordinates, normals, lines, points and curves bound nothing.
+//! Surfaces from OBJ files: vertices and polygons. Texture coordinates, normals, lines, points and curves are ignored.
+
+use std::iter::Peekable;
 
 use glam::DVec3;
 
 use super::Surface;
 use super::mesh_file::{Problem, lines, number, without_mark, words};
-use super::polygon::triangulate;
+use super::polygon::{Defect, Polygons};
 
 const CURE: &str =
     "write v lines with three coordinates and f lines with the numbers of existing vertices";
 
-/// Meaning of a statement for a surface of polygons.
+/// Kinds of statements.
 #[derive(Clone, Copy, PartialEq)]
 enum Statement {
     Vertex,
     Face,
     /// A comment, or names of groups, materials and files.
     Name,
-    /// Numbers that bound nothing.
+    /// Numbers irrelevant for a surface.
     Ignored,
-    /// Geometry that is no polygon.
+    /// Geometry other than polygons.
     Unsupported,
 }
 
-/// The statement that a keyword begins; keywords are written in capitals, too.
+/// The statement of a keyword, in any case.
 fn statement(keyword: &[u8]) -> Option<Statement> {
     if keyword.starts_with(b"#") {
         return Some(Statement::Name);
@@ -41,61 +43,69 @@ fn statement(keyword: &[u8]) -> Option<Statement> {
     })
 }
 
-/// Reads the polygons, in the order of the file, as triangles.
+type Line<'a> = (usize, &'a [u8]);
+
+/// The statement of a line and the lines that continue it.
+fn join_lines<'a>(
+    here: Line,
+    kind: Statement,
+    lines: &mut Peekable<impl Iterator<Item = Line<'a>>>,
+) -> Result<Vec<u8>, Problem> {
+    let (_, text) = here;
+    let mut joined = text.trim_ascii_end().to_vec();
+    // A backslash joins lines, but at the end of a comment or name it may belong to a Windows path.
+    let is_name = kind == Statement::Name || text.contains(&b'#');
+    while joined.ends_with(b"\\") {
+        joined.pop();
+        let Some(&(_, next)) = lines.peek() else {
+            break;
+        };
+        if is_name
+            && words(next)
+                .next()
+                .is_none_or(|word| statement(word).is_some())
+        {
+            break;
+        }
+        let next = next.trim_ascii_end();
+        let is_digit = |byte: Option<&u8>| byte.is_some_and(|byte| !byte.is_ascii_whitespace());
+        if !is_name && next != b"\\" && is_digit(joined.last()) && is_digit(next.first()) {
+            return Err(Problem::at_line(
+                here,
+                "the backslash that joins two lines may cut a number in two",
+                "write a space before the backslash",
+            ));
+        }
+        joined.extend(next);
+        lines.next();
+    }
+    Ok(joined)
+}
+
+/// Reads the polygons as triangles, in the order of the file.
 pub(super) fn read(bytes: &[u8]) -> Result<Surface, Problem> {
     let mut surface = Surface::default();
-    // Corners of all faces, and for each face its line and the end of its corners. Faces may come before their vertices.
-    let mut corners: Vec<u32> = Vec::new();
-    let mut faces: Vec<((usize, &[u8]), usize)> = Vec::new();
-    let mut joined = Vec::new();
+    let mut polygons: Polygons<Line> = Polygons::new();
     let mut lines = lines(without_mark(bytes)?).peekable();
-    while let Some((line, text)) = lines.next() {
-        let here = (line, text);
-        let problem = |problem: &str| Problem::of_line(here, problem, CURE);
-        let Some(keyword) = words(text).next() else {
+    while let Some(here) = lines.next() {
+        let problem = |problem: &str| Problem::at_line(here, problem, CURE);
+        let Some(keyword) = words(here.1).next() else {
             continue;
         };
         let kind = statement(keyword).ok_or_else(|| {
             let problem = "no statement of an OBJ file";
-            Problem::of_line(here, problem, "remove the line, or begin it with #")
+            Problem::at_line(here, problem, "remove the line, or begin it with #")
         })?;
-        joined.clear();
-        joined.extend(text.trim_ascii_end());
-        // A backslash joins lines. At the end of a comment or a name, it may as well be a path of Windows.
-        let is_name = kind == Statement::Name || text.contains(&b'#');
-        while joined.ends_with(b"\\") {
-            joined.pop();
-            let Some(&(_, next)) = lines.peek() else {
-                break;
-            };
-            if is_name
-                && words(next)
-                    .next()
-                    .is_none_or(|word| statement(word).is_some())
-            {
-                break;
-            }
-            let next = next.trim_ascii_end();
-            let is_digit = |byte: Option<&u8>| byte.is_some_and(|byte| !byte.is_ascii_whitespace());
-            if !is_name && next != b"\\" && is_digit(joined.last()) && is_digit(next.first()) {
-                return Err(Problem::of_line(
-                    here,
-                    "the backslash that joins two lines may cut a number in two",
-                    "write a space before the backslash",
-                ));
-            }
-            joined.extend(next);
-            lines.next();
-        }
+        let joined = join_lines(here, kind, &mut lines)?;
         let mut rest = words(&joined)
             .skip(1)
             .take_while(|word| !word.starts_with(b"#"));
         match kind {
             Statement::Name | Statement::Ignored => {}
             Statement::Unsupported => {
-                return Err(Problem::of_line(
+                return Err(Problem::at_line(
                     here,
-                    "free-form surfaces and other files are not read",
+                    "free-form surfaces and other files are not supported",
                     "export the surface as a mesh of polygons",
                 ));
             }
@@ -125,30 +135,23 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, Problem> {
                         Some(vertex - 1)
                     };
                     let known = known.and_then(|number| u32::try_from(number).ok());
-                    corners.push(known.ok_or_else(|| problem(&out_of_bounds(vertex, n)))?);
+                    polygons.push_corner(known.ok_or_else(|| problem(&out_of_bounds(vertex, n)))?);
                 }
-                faces.push((here, corners.len()));
+                polygons.end(here);
             }
         }
     }
-    let n = surface.vertices.len();
-    let mut start = 0;
-    for (here, end) in faces {
-        let polygon = &corners[start..end];
-        start = end;
-        if let Some(&vertex) = polygon.iter().find(|&&vertex| vertex as usize >= n) {
-            let problem = out_of_bounds(i64::from(vertex) + 1, n as i64);
-            return Err(Problem::of_line(here, problem, CURE));
+    let n = surface.vertices.len() as i64;
+    surface.triangles = polygons.triangles(&surface.vertices, |here, defect| match defect {
+        Defect::NoVertex(vertex) => {
+            Problem::at_line(here, out_of_bounds(i64::from(vertex) + 1, n), CURE)
         }
-        let triangles = triangulate(&surface.vertices, polygon).map_err(|why| {
-            Problem::of_line(
-                here,
-                format!("the polygon {why}"),
-                "repair the polygon in a mesh tool, or cut it into triangles",
-            )
-        })?;
-        surface.triangles.extend(triangles);
-    }
+        Defect::Shape(reason) => Problem::at_line(
+            here,
+            format!("the polygon {reason}"),
+            "repair the polygon in a mesh tool, or cut it into triangles",
+        ),
+    })?;
     Ok(surface)
 }
 

@@ -1,61 +1,58 @@
-//! `clip`, for obstacles: what they leave of the grid, once for those that stand still and in every sub-step for those that move.
+//! `clip` for obstacles: apertures and distances, once for static obstacles and in every sub-step for moving ones.
 //!
-//! Obstacles that move are cut out of what those that stand still leave, so a sub-step does the grid lines and the cells near those that
-//! move. What comes out depends on the time alone.
+//! Moving obstacles are clipped on top of the static ones, so a sub-step updates only the grid lines and cells near moving
+//! obstacles. The result depends on the time alone.
 
 use glam::{DMat3, DQuat, DVec3};
 
 use super::clip::{Clipping, OpenFractions, clip, open_fractions};
-use super::distance::{BAND, Body, Rigid};
+use super::distance::{BAND, Body, RigidDisplacement};
 use super::solid_clip::line_sums;
 use super::{CutCells, Surface, clamp_open, close_walls, is_wall};
 use crate::error::Error;
 use crate::grid::{Axis, Grid, Sides};
 use crate::scene::{Keyframe, Motion, Obstacle, Scene};
 
-/// What the obstacles leave of the grid, and what of it other bodies add to.
+/// Apertures and distances of the obstacles, and the raw apertures to which solids add.
 #[derive(Clone, Debug)]
 pub struct ObstacleCut {
-    /// Open fraction of every face per axis, neither clamped nor closed at the walls.
+    /// Face apertures per axis, neither clamped nor closed at the walls.
     pub(super) raw: [Vec<f64>; 3],
-    /// Sides of the domain that are no walls.
     pub(super) open_sides: Sides,
-    /// The same, clamped and closed, with the distance.
+    /// Clamped and closed apertures, and distances.
     pub cut: CutCells,
     moving: Option<Box<MovingObstacles>>,
 }
 
-/// The obstacles that move.
 #[derive(Clone, Debug)]
 struct MovingObstacles {
     grid: Grid,
     area_clamp: f64,
     bodies: Vec<MovingBody>,
-    /// What those leave that stand still.
-    still: CutCells,
-    still_raw: [Vec<f64>; 3],
-    /// Faces and cells in which it is not what all leave.
+    /// Apertures and distances of the static obstacles.
+    static_cut: CutCells,
+    static_raw: [Vec<f64>; 3],
+    /// Faces and cells that differ from those of the static obstacles.
     changed_faces: [Vec<usize>; 3],
     changed_cells: Vec<usize>,
     flux: Vec<(usize, f64)>,
     walls: Vec<(usize, DVec3)>,
 }
 
-/// One of them.
 #[derive(Clone, Debug)]
 struct MovingBody {
-    /// Where its placement puts it.
+    /// Placed, before the motion.
     rest: Body,
     motion: Motion,
-    /// m
+    /// Centre of rotation, m.
     pivot: DVec3,
-    /// Furthest vertex from the pivot, m.
+    /// Greatest distance of a vertex from the pivot, m.
     radius: f64,
 }
 
-/// How a rigid body moves at one moment: v(x) = velocity + spin x (x - centre). Nothing flows through its closed surface in sum.
+/// Rigid velocity field v(x) = velocity + spin x (x - centre). Its net flux through a closed surface is zero.
 #[derive(Clone, Copy, Debug)]
-struct Twist {
+struct RigidVelocity {
     /// m/s
     velocity: DVec3,
     /// rad/s
@@ -64,23 +61,19 @@ struct Twist {
     centre: DVec3,
 }
 
-impl Twist {
+impl RigidVelocity {
     fn at(&self, x: DVec3) -> DVec3 {
         self.velocity + self.spin.cross(x - self.centre)
     }
 }
 
-/// Part of the way to the next keyframe over which the velocity of a moment is taken.
-const MOMENT: f64 = 1e-6;
+/// Step of the difference quotient of a velocity, relative to the time to the next keyframe.
+const DIFFERENCE_STEP: f64 = 1e-6;
 
-/// Largest difference between the start and the end of a line of open fractions that rounding explains.
+/// Closure defect of a grid line of apertures that rounding explains.
 const CLOSURE_TOLERANCE: f64 = 1e-12;
 
-/// Open areas and distances of all obstacles of a scene, those that move where they start. Their contributions to the open fractions add;
-/// the distance is that of their union.
-///
-/// # Errors
-/// [`Error::Input`] when a mesh file cannot be used, or is not closed.
+/// Apertures and distances of all obstacles at the start. Aperture changes add up; the distance is that of the union.
 pub fn obstacle_cut(scene: &Scene, grid: &Grid) -> Result<ObstacleCut, Error> {
     let mut solid_distance = vec![BAND * grid.dx; grid.n_cells()];
     let mut clippings = Vec::new();
@@ -90,7 +83,7 @@ pub fn obstacle_cut(scene: &Scene, grid: &Grid) -> Result<ObstacleCut, Error> {
         let name = scene.at(&format!("obstacle[{number}]"));
         if let Some(motion) = &obstacle.motion {
             let body = MovingBody::new(Body::before_walls(obstacle, &name, grid)?, motion);
-            // Where it starts: what moves stays closed.
+            // Tested at the start alone: a moving surface remains closed.
             body.ensure_closed(&name, grid)?;
             start += body.rest.at_infinity();
             bodies.push(body);
@@ -128,8 +121,8 @@ pub fn obstacle_cut(scene: &Scene, grid: &Grid) -> Result<ObstacleCut, Error> {
             grid: *grid,
             area_clamp,
             bodies,
-            still: cut,
-            still_raw: raw,
+            static_cut: cut,
+            static_raw: raw,
             changed_faces: Default::default(),
             changed_cells: Vec::new(),
             flux: Vec::new(),
@@ -140,10 +133,7 @@ pub fn obstacle_cut(scene: &Scene, grid: &Grid) -> Result<ObstacleCut, Error> {
     Ok(all)
 }
 
-/// The obstacle that a point (m) lies deepest in at the start, by number; `None` where it lies in none.
-///
-/// # Errors
-/// [`Error::Input`] when a mesh file cannot be used.
+/// Number of the obstacle in which a point (m) lies deepest at the start, if any.
 pub fn deepest_obstacle(scene: &Scene, grid: &Grid, x: DVec3) -> Result<Option<usize>, Error> {
     let mut deepest = None;
     let mut least = 0.0;
@@ -162,7 +152,7 @@ pub fn deepest_obstacle(scene: &Scene, grid: &Grid, x: DVec3) -> Result<Option<u
     Ok(deepest)
 }
 
-/// Refuses a surface along a grid line of which the open areas do not end as they start.
+/// Refuses a surface that is not closed: the apertures along a grid line end at another value than they start.
 fn ensure_closed(
     name: &str,
     surface: &Surface,
@@ -173,7 +163,7 @@ fn ensure_closed(
         .map(|axis| line_sums(grid, axis, clipping).1)
         .into_iter()
         .fold(0.0, f64::max);
-    // Positions carry their rounding into areas: 1e-12 is for bodies within 200 cells of the origin.
+    // Rounding of positions enters areas: 1e-12 holds for bodies within 200 cells of the origin.
     let [low, high] = surface.bounds();
     let reach = low.abs().max(high.abs()).max_element() / (200.0 * grid.dx);
     let tolerance = CLOSURE_TOLERANCE * reach.max(1.0);
@@ -183,14 +173,14 @@ fn ensure_closed(
     Err(Error::input(
         name,
         format!(
-            "along a grid line the open areas end {defect:e} from where they start, allowed {tolerance:e}: a surface is not closed"
+            "a surface is not closed: the apertures along a grid line differ by {defect:e} between start and end, allowed is {tolerance:e}"
         ),
         "repair the surfaces of mesh obstacles, and keep bodies near the domain",
     ))
 }
 
 impl ObstacleCut {
-    /// What no obstacles leave in a closed domain: everything but the walls.
+    /// A closed domain without obstacles.
     pub fn none(grid: &Grid) -> ObstacleCut {
         let raw = Axis::ALL.map(|axis| vec![1.0; grid.n_faces(axis)]);
         let mut open = raw.clone();
@@ -209,19 +199,19 @@ impl ObstacleCut {
         }
     }
 
-    /// What those leave that stand still.
-    pub fn still(&self) -> &CutCells {
+    /// Apertures and distances of the static obstacles.
+    pub fn static_cut(&self) -> &CutCells {
         self.moving
             .as_ref()
-            .map_or(&self.cut, |moving| &moving.still)
+            .map_or(&self.cut, |moving| &moving.static_cut)
     }
 
-    /// Whether some move.
-    pub fn move_at_all(&self) -> bool {
+    /// Whether the scene has moving obstacles.
+    pub fn has_moving(&self) -> bool {
         self.moving.is_some()
     }
 
-    /// Faces per axis, and cells, that need not be as those leave them that stand still.
+    /// Faces per axis, and cells, that differ from those of the static obstacles.
     pub(super) fn changed(&self) -> ([&[usize]; 3], &[usize]) {
         match &self.moving {
             Some(moving) => (
@@ -232,42 +222,44 @@ impl ObstacleCut {
         }
     }
 
-    /// J v of those that move: per cell with patches, ascending, the volume that they take from it in a second, m^3/s.
+    /// J v of the moving obstacles: per cell with patches, ascending, the volume flux out of the cell, m^3/s.
     pub fn flux(&self) -> &[(usize, f64)] {
         self.moving.as_ref().map_or(&[], |moving| &moving.flux)
     }
 
-    /// The cells within three cells of an obstacle that moves, and nearer to it than to those that stand still, ascending; each with the
-    /// velocity that the obstacle would have at its centre, m/s. Along the way to the surface that is the surface's own.
-    pub fn walls(&self) -> &[(usize, DVec3)] {
+    /// Cells within three cells of a moving obstacle, and nearer to it than to static ones, ascending; with the velocity of
+    /// its rigid motion at the cell centre, m/s. Along the normal that is the velocity of the surface.
+    pub fn wall_velocities(&self) -> &[(usize, DVec3)] {
         self.moving.as_ref().map_or(&[], |moving| &moving.walls)
     }
 
-    /// That of a cell, where it has one.
-    pub fn wall(&self, cell: usize) -> Option<DVec3> {
-        let walls = self.walls();
-        let found = walls.binary_search_by_key(&cell, |(cell, _)| *cell);
-        found.ok().map(|at| walls[at].1)
+    /// The wall velocity of a cell, if it has one.
+    pub fn wall_velocity(&self, cell: usize) -> Option<DVec3> {
+        let walls = self.wall_velocities();
+        let at = walls.binary_search_by_key(&cell, |(cell, _)| *cell);
+        at.ok().map(|at| walls[at].1)
     }
 
-    /// The speed that no obstacle is above from a time on for so long (both s), m/s.
+    /// Upper bound of the speed of all obstacles between a time and `span` (both s) later, m/s.
     pub fn max_speed(&self, time: f64, span: f64) -> f64 {
         let bodies = self.moving.iter().flat_map(|moving| &moving.bodies);
-        bodies.fold(0.0, |speed, body| speed.max(body.max_speed(time, span)))
+        let speeds =
+            bodies.map(|body| Keyframe::max_speed(&body.motion.keyframes, body.radius, time, span));
+        speeds.fold(0.0, f64::max)
     }
 
-    /// Puts the obstacles that move where they are at a time (s), with the velocities that take them to where they are dt (s) later;
-    /// with those of the moment where dt is 0.
+    /// Moves the obstacles to a time (s). Their velocities lead to their poses dt (s) later; with dt = 0 they are
+    /// instantaneous.
     pub fn move_to(&mut self, time: f64, dt: f64) {
         let Some(moving) = &mut self.moving else {
             return;
         };
         moving.restore(&mut self.raw, &mut self.cut);
         let (grid, area_clamp) = (moving.grid, moving.area_clamp);
-        let now: Vec<(Body, Twist)> = moving
+        let now: Vec<(Body, RigidVelocity)> = moving
             .bodies
             .iter()
-            .map(|body| (body.at(time).beyond_walls(&grid), body.twist(time, dt)))
+            .map(|body| (body.at(time).beyond_walls(&grid), body.velocity(time, dt)))
             .collect();
         let (surface, body_of) = joined(now.iter().map(|(body, _)| &body.surface));
         let clipping = clip(&surface, &grid);
@@ -275,7 +267,7 @@ impl ObstacleCut {
         for axis in Axis::ALL {
             let a = axis.index();
             for (face, change) in line_sums(&grid, axis, &clipping).0 {
-                self.raw[a][face] = moving.still_raw[a][face] + change;
+                self.raw[a][face] = moving.static_raw[a][face] + change;
                 if !is_wall(&grid, self.open_sides, axis, grid.face_at(axis, face)) {
                     self.cut.open[a][face] = clamp_open(self.raw[a][face], area_clamp);
                 }
@@ -284,8 +276,8 @@ impl ObstacleCut {
         }
 
         let mut walls: Vec<(usize, DVec3)> = Vec::new();
-        for (body, twist) in &now {
-            let velocity = |cell| twist.at(grid.cell_centre(grid.cell_at(cell)));
+        for (body, velocity) in &now {
+            let velocity = |cell| velocity.at(grid.cell_centre(grid.cell_at(cell)));
             for (cell, distance) in body.near(&grid) {
                 let nearest = &mut self.cut.solid_distance[cell];
                 if distance < *nearest {
@@ -299,7 +291,7 @@ impl ObstacleCut {
         }
         moving.changed_cells.sort_unstable();
         moving.changed_cells.dedup();
-        // Of several that come near a cell the last was the nearest; the order of bodies is kept among equals.
+        // Keeps the last entry of each cell: the nearest body, and of equals the first.
         walls.sort_by_key(|&(cell, _)| cell);
         walls.reverse();
         walls.dedup_by_key(|(cell, _)| *cell);
@@ -311,8 +303,8 @@ impl ObstacleCut {
         patches.sort_by_key(|patch| patch.cell);
         for patches in patches.chunk_by(|a, b| a.cell == b.cell) {
             let parts = patches.iter().map(|patch| {
-                let (_, twist) = &now[body_of[patch.triangle]];
-                patch.area * patch.normal.dot(twist.at(patch.centroid))
+                let (_, velocity) = &now[body_of[patch.triangle]];
+                patch.area * patch.normal.dot(velocity.at(patch.centroid))
             });
             flux.push((patches[0].cell, parts.sum()));
         }
@@ -321,16 +313,16 @@ impl ObstacleCut {
 }
 
 impl MovingObstacles {
-    /// Puts back what those leave that stand still.
+    /// Restores the static apertures and distances.
     fn restore(&mut self, raw: &mut [Vec<f64>; 3], cut: &mut CutCells) {
         for (a, faces) in self.changed_faces.iter_mut().enumerate() {
             for face in faces.drain(..) {
-                raw[a][face] = self.still_raw[a][face];
-                cut.open[a][face] = self.still.open[a][face];
+                raw[a][face] = self.static_raw[a][face];
+                cut.open[a][face] = self.static_cut.open[a][face];
             }
         }
         for cell in self.changed_cells.drain(..) {
-            cut.solid_distance[cell] = self.still.solid_distance[cell];
+            cut.solid_distance[cell] = self.static_cut.solid_distance[cell];
         }
     }
 }
@@ -339,8 +331,8 @@ impl MovingBody {
     fn new(rest: Body, motion: &Motion) -> MovingBody {
         let [low, high] = rest.surface.bounds();
         let pivot = motion.pivot.unwrap_or(0.5 * (low + high));
-        let ways = rest.surface.vertices.iter().map(|x| x.distance(pivot));
-        let radius = ways.fold(0.0, f64::max);
+        let distances = rest.surface.vertices.iter().map(|x| x.distance(pivot));
+        let radius = distances.fold(0.0, f64::max);
         MovingBody {
             rest,
             motion: motion.clone(),
@@ -355,50 +347,37 @@ impl MovingBody {
     }
 
     fn pose(&self, time: f64) -> (DQuat, DVec3) {
-        let (turn, translate) = Keyframe::pose(&self.motion.keyframes, time);
-        (DQuat::from_scaled_axis(turn), translate)
+        let (rotation, translate) = Keyframe::pose(&self.motion.keyframes, time);
+        (DQuat::from_scaled_axis(rotation), translate)
     }
 
-    /// Where it is, its sides on walls not yet left out.
+    /// The body at a time (s), including its sides on walls.
     fn at(&self, time: f64) -> Body {
-        let (turn, translate) = self.pose(time);
-        self.rest.moved(&Rigid {
+        let (rotation, translate) = self.pose(time);
+        self.rest.moved(&RigidDisplacement {
             pivot: self.pivot,
-            turn: DMat3::from_quat(turn),
+            rotation: DMat3::from_quat(rotation),
             translate,
         })
     }
 
-    /// How it moves from a time on for dt (s), or at that moment where dt is 0.
-    fn twist(&self, time: f64, dt: f64) -> Twist {
+    /// Mean velocity over dt (s) from a time on; instantaneous with dt = 0.
+    fn velocity(&self, time: f64, dt: f64) -> RigidVelocity {
         let span = match Keyframe::next_time(&self.motion.keyframes, time) {
             _ if dt > 0.0 => dt,
-            Some(next) => MOMENT * (next - time),
+            Some(next) => DIFFERENCE_STEP * (next - time),
             None => 1.0,
         };
         let [(from, here), (to, there)] = [self.pose(time), self.pose(time + span)];
-        Twist {
+        RigidVelocity {
             velocity: (there - here) / span,
             spin: (to * from.inverse()).to_scaled_axis() / span,
             centre: self.pivot + here,
         }
     }
-
-    /// As [`ObstacleCut::max_speed`].
-    fn max_speed(&self, time: f64, span: f64) -> f64 {
-        let frames = self.motion.keyframes.windows(2);
-        let met = frames.filter(|pair| pair[1].time > time && pair[0].time < time + span);
-        let speeds = met.map(|pair| {
-            let turn = |frame: &Keyframe| frame.angle * frame.axis;
-            let way = (pair[1].translate - pair[0].translate).length()
-                + (turn(&pair[1]) - turn(&pair[0])).length() * self.radius;
-            way / (pair[1].time - pair[0].time)
-        });
-        speeds.fold(0.0, f64::max)
-    }
 }
 
-/// Several surfaces as one, and which of them each triangle is of.
+/// The union of surfaces, and the surface of each triangle.
 fn joined<'a>(surfaces: impl Iterator<Item = &'a Surface>) -> (Surface, Vec<usize>) {
     let (mut all, mut body_of) = (Surface::default(), Vec::new());
     for (number, surface) in surfaces.enumerate() {
@@ -412,17 +391,14 @@ fn joined<'a>(surfaces: impl Iterator<Item = &'a Surface>) -> (Surface, Vec<usiz
     (all, body_of)
 }
 
-/// The surfaces of all obstacles, for pictures. Normals point to the liquid.
+/// Surfaces of all obstacles for pictures, normals towards the liquid.
 #[derive(Clone, Debug)]
 pub struct ObstacleSurfaces {
     bodies: Vec<(Surface, Option<MovingBody>)>,
 }
 
 impl ObstacleSurfaces {
-    /// Reads mesh files once: a run does not need them any more.
-    ///
-    /// # Errors
-    /// [`Error::Input`] when a mesh file cannot be used.
+    /// The surfaces before their motion.
     pub fn new(scene: &Scene, grid: &Grid) -> Result<ObstacleSurfaces, Error> {
         let body = |(number, obstacle): (usize, &Obstacle)| {
             let name = scene.at(&format!("obstacle[{number}]"));
@@ -437,7 +413,7 @@ impl ObstacleSurfaces {
         })
     }
 
-    /// Where they are at a time, s.
+    /// The surfaces at a time, s.
     pub fn at(&self, time: f64) -> Vec<Surface> {
         let bodies = self.bodies.iter();
         bodies

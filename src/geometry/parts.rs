@@ -1,7 +1,7 @@
-//! Connected parts of a closed surface: whether they bound one solid together.
+//! Checks that the connected parts of a closed surface bound one solid together.
 //!
-//! The sign of a distance is that of the nearest triangle. Where one part lies in another, or their surfaces cross, the nearest
-//! triangle may belong to the inner one, and what is deep inside counts as outside. A hole, with normals into it, is a part too.
+//! The sign of a distance is that of the nearest triangle. With nested or crossing parts that triangle may belong to an inner
+//! part, and points deep inside would count as outside. A hole, with normals into it, is a part too.
 
 use std::collections::{HashMap, HashSet};
 
@@ -9,12 +9,13 @@ use glam::DVec3;
 use parry3d_f64::query::{PointQuery, Ray, RayCast};
 use parry3d_f64::shape::{TriMesh, TriMeshFlags};
 
+use super::disjoint_sets::DisjointSets;
 use super::surface::{Fault, Surface, edges};
 
-/// Rays end so far before a corner that two parts share, as a share of their length: far above rounding.
+/// Distance by which rays end before a shared corner, relative to their length: far above rounding.
 const SHARED: f64 = 1e-6;
 
-/// Triangles that are connected through edges.
+/// Triangles connected by edges.
 struct Part<'a> {
     surface: &'a Surface,
     /// Vertex numbers of the surface.
@@ -22,7 +23,7 @@ struct Part<'a> {
     vertices: HashSet<u32>,
     mesh: TriMesh,
     bounds: [DVec3; 2],
-    /// Whether its normals point into it: a hole.
+    /// Whether the normals point into it.
     hole: bool,
 }
 
@@ -63,12 +64,12 @@ impl Part<'_> {
         corners.iter().sum::<DVec3>() / 3.0
     }
 
-    /// Whether a point lies within the surface, whichever way its normals point.
+    /// Whether a point lies within the surface, for either direction of the normals.
     fn encloses(&self, x: DVec3) -> bool {
         self.may_touch([x, x]) && self.mesh.contains_local_point(x) != self.hole
     }
 
-    /// The ends of an edge that meets another part's surface elsewhere than at a shared corner, if there is one.
+    /// The first edge that meets another part's surface elsewhere than at a shared corner.
     fn crossing(&self, other: &Part) -> Option<[DVec3; 2]> {
         let at = |vertex: u32| self.surface.vertices[vertex as usize];
         let hits = |from: DVec3, to: DVec3, length: f64| {
@@ -95,9 +96,7 @@ impl Part<'_> {
     }
 }
 
-/// The first reason why the parts of a closed surface do not bound a solid together, if there is one.
-///
-/// `users` are the triangles that use each directed edge.
+/// The first reason why the parts do not bound one solid. `users` are the triangles of each directed edge.
 pub(super) fn fault(surface: &Surface, users: &HashMap<[u32; 2], usize>) -> Option<Fault> {
     let groups = groups(surface, users);
     if groups.len() < 2 {
@@ -127,8 +126,8 @@ pub(super) fn fault(surface: &Surface, users: &HashMap<[u32; 2], usize>) -> Opti
                 around += if other.hole { -1 } else { 1 };
             }
         }
-        let wanted = if part.hole { 1 } else { 0 };
-        if around != wanted {
+        let expected = if part.hole { 1 } else { 0 };
+        if around != expected {
             let at = part.point();
             return Some(if part.hole {
                 Fault {
@@ -150,31 +149,18 @@ pub(super) fn fault(surface: &Surface, users: &HashMap<[u32; 2], usize>) -> Opti
     None
 }
 
-/// The triangles of each part, in the order of the surface. Parts that share corners only are apart.
+/// Triangles of each part, in the order of the surface. Parts with common corners but no common edge are separate.
 fn groups(surface: &Surface, users: &HashMap<[u32; 2], usize>) -> Vec<Vec<[u32; 3]>> {
-    let n = surface.triangles.len();
-    let mut numbers = vec![usize::MAX; n];
-    let mut n_groups = 0;
-    for first in 0..n {
-        if numbers[first] != usize::MAX {
-            continue;
+    let mut parts = DisjointSets::new(surface.triangles.len());
+    for (number, triangle) in (0..).zip(&surface.triangles) {
+        for [from, to] in edges(triangle) {
+            parts.merge(number, users[&[to, from]] as u32);
         }
-        numbers[first] = n_groups;
-        let mut stack = vec![first];
-        while let Some(triangle) = stack.pop() {
-            for [from, to] in edges(&surface.triangles[triangle]) {
-                let other = users[&[to, from]];
-                if numbers[other] == usize::MAX {
-                    numbers[other] = n_groups;
-                    stack.push(other);
-                }
-            }
-        }
-        n_groups += 1;
     }
-    let mut groups = vec![Vec::new(); n_groups];
-    for (triangle, number) in surface.triangles.iter().zip(numbers) {
-        groups[number].push(*triangle);
+    let (labels, n) = parts.labels();
+    let mut groups = vec![Vec::new(); n];
+    for (triangle, label) in surface.triangles.iter().zip(labels) {
+        groups[label as usize].push(*triangle);
     }
     groups
 }

@@ -1,7 +1,4 @@
-//! Places and sizes of bodies before the first sub-step: whether a mesh reaches the domain, whether it is in another unit than m,
-//! and which solids lie in each other.
-
-use std::path::Path;
+//! Checks of bodies before the first sub-step: positions in the domain, units of mesh files, overlaps of solids.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -10,48 +7,37 @@ use super::liquid::Regions;
 use super::{MovedMesh, Surface, mesh_file};
 use crate::error::{Error, rounded};
 use crate::grid::Grid;
-use crate::scene::{Obstacle, Placement, Scene, Shape};
+use crate::scene::{MeshFile, Obstacle, Placement, Scene, Shape, box_reaches};
 
-/// A mesh so many times as long as the domain is likely in another unit: 1 m of a domain is 39 in, 100 cm or 1000 mm.
+/// A mesh longer than this many domains is probably in another unit: 1 m is 39 in, 100 cm or 1000 mm.
 const OTHER_UNIT: f64 = 20.0;
 
-/// The question after the unit, for a mesh that is far too large.
-const UNIT_CURE: &str = "is it in mm? then write units = \"mm\" beside its file (\"cm\" and \"in\" are units too), else make it \
-                         smaller with placement.scale";
+const UNIT_CURE: &str = "is it in mm? then write units = \"mm\" beside its file (\"cm\" and \"in\" are units too), else \
+                         shrink it with placement.scale";
 
-/// Reads a closed surface whose coordinates are in a unit (m).
-pub(super) fn read_surface(file: &Path, unit: f64) -> Result<Surface, Error> {
-    Ok(mesh_file::read(file)?.map(|x| unit * x))
+/// The closed surface of a file (m) with coordinates in `unit` (m).
+pub(super) fn read_surface(file: &MeshFile, unit: f64) -> Result<Surface, Error> {
+    let surface = file.contents(mesh_file::read)?;
+    Ok(Surface::clone(&surface).map(|x| unit * x))
 }
 
-impl Surface {
-    /// Middle of the bounding box, m.
-    pub(super) fn centre(&self) -> DVec3 {
-        let [low, high] = self.bounds();
-        0.5 * (low + high)
-    }
-}
-
-/// A point as it stands in a message.
+/// A point with the digits of a message.
 fn point(x: DVec3) -> DVec3 {
     DVec3::from(x.to_array().map(rounded))
 }
 
-/// Whether a box (m) and the domain have a point inside both.
-pub(super) fn reaches([low, high]: [DVec3; 2], size: DVec3) -> bool {
-    high.cmpgt(DVec3::ZERO).all() && low.cmplt(size).all()
-}
-
-/// The error of a mesh with these bounds (m) that lies outside the domain.
+/// The error of a mesh with these bounds (m) outside the domain.
 pub(super) fn outside([low, high]: [DVec3; 2], size: DVec3, name: &str) -> Error {
     let cure = match (high - low).max_element() > OTHER_UNIT * size.max_element() {
         true => UNIT_CURE,
-        false => "move it with placement.at, the place of its middle, so that a part lies inside",
+        false => {
+            "move it with placement.at, the position of its centre, so that a part lies inside"
+        }
     };
     Error::input(
         name,
         format!(
-            "lies outside the domain: its mesh goes from {} to {} m, the domain from the origin to {size} m",
+            "lies outside the domain: its mesh extends from {} to {} m, the domain from the origin to {size} m",
             point(low),
             point(high)
         ),
@@ -59,26 +45,23 @@ pub(super) fn outside([low, high]: [DVec3; 2], size: DVec3, name: &str) -> Error
     )
 }
 
-/// Refuses a mesh obstacle that lies outside the domain, and does not come in. `surface`: where its placement puts it.
+/// Refuses a mesh obstacle that never reaches the domain; `surface` is placed, before the motion.
 pub(super) fn ensure_in_domain(
     obstacle: &Obstacle,
     surface: &Surface,
     name: &str,
     size: DVec3,
 ) -> Result<(), Error> {
-    let [low, high] = surface.bounds();
-    let frames = obstacle.motion.iter().flat_map(|motion| &motion.keyframes);
-    // A turn may take it in from anywhere.
-    let comes_in = frames.into_iter().any(|frame| {
-        frame.angle != 0.0 || reaches([low + frame.translate, high + frame.translate], size)
-    });
-    match comes_in || reaches([low, high], size) {
+    let bounds = surface.bounds();
+    let motion = obstacle.motion.as_ref();
+    let moves_in = motion.is_some_and(|motion| motion.may_reach(bounds, size));
+    match moves_in || box_reaches(bounds, size) {
         true => Ok(()),
-        false => Err(outside([low, high], size, name)),
+        false => Err(outside(bounds, size, name)),
     }
 }
 
-/// Refuses the file of a solid whose bounding box (m) is far larger than the domain.
+/// Refuses the file of a solid with a bounding box (m) far larger than the domain.
 pub(super) fn ensure_size(
     [low, high]: [DVec3; 2],
     placement: &Placement,
@@ -97,10 +80,7 @@ pub(super) fn ensure_size(
     Err(Error::input(name, problem, UNIT_CURE))
 }
 
-/// The meshes of obstacles and of regions that are far larger than the domain: their key and length, m.
-///
-/// # Errors
-/// [`Error::Input`] when a mesh file cannot be used.
+/// Keys and lengths (m) of the meshes of obstacles and regions that are far larger than the domain.
 pub fn large_meshes(scene: &Scene) -> Result<Vec<(String, f64)>, Error> {
     let obstacles = scene.obstacles.iter().enumerate();
     let obstacles = obstacles.map(|(number, obstacle)| {
@@ -127,13 +107,10 @@ pub fn large_meshes(scene: &Scene) -> Result<Vec<(String, f64)>, Error> {
     Ok(large)
 }
 
-/// Cells that [`liquid_height`] looks at, about.
+/// Approximate number of cells that [`liquid_height`] samples.
 const HEIGHT_SAMPLES: usize = 1 << 18;
 
-/// Height of the liquid at the start along gravity, m: from its deepest to its highest cell. 0 without gravity or liquid.
-///
-/// # Errors
-/// [`Error::Input`] when a mesh file cannot be used.
+/// Initial height of the liquid along gravity, m, from its lowest to its highest cell. 0 without gravity or liquid.
 pub fn liquid_height(scene: &Scene, grid: &Grid) -> Result<f64, Error> {
     let (Some(liquid), Some(down)) = (&scene.liquid, scene.domain.gravity.try_normalize()) else {
         return Ok(0.0);
@@ -153,22 +130,21 @@ pub fn liquid_height(scene: &Scene, grid: &Grid) -> Result<f64, Error> {
     })
 }
 
-/// Two solids that lie in each other.
+/// Two solids that overlap.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SolidOverlap {
     /// Numbers of the solids.
     pub solids: [usize; 2],
-    /// Greatest depth found of a point of one in the other, m.
+    /// Greatest depth of a sample point of one solid in the other, m.
     pub depth: f64,
     /// That point, m.
     pub at: DVec3,
 }
 
-/// Depth of an overlap that counts, as a part of the longest side of the smaller body: bodies that touch are off by rounding, and round
-/// ones by their chords.
+/// Least depth of an overlap, relative to the longest side of the smaller body. Touching bodies overlap by rounding and by chords.
 const OVERLAP: f64 = 1e-3;
 
-/// The pairs of solids that lie in each other, found by their nodes and the middles of their elements.
+/// Pairs of overlapping solids. Samples are the nodes and the centres of the elements.
 pub fn solid_overlaps(mesh: &MovedMesh) -> Vec<SolidOverlap> {
     let closed = mesh.closed_bodies();
     let bounds: Vec<[DVec3; 2]> = closed.iter().map(|body| body.bounds()).collect();
@@ -189,9 +165,9 @@ pub fn solid_overlaps(mesh: &MovedMesh) -> Vec<SolidOverlap> {
         }
         let side = |body: usize| (bounds[body][1] - bounds[body][0]).max_element();
         let least = OVERLAP * side(a).min(side(b));
-        let depths = [(a, b), (b, a)].into_iter().flat_map(|(of, within)| {
-            let near = points(of).filter(|x| x.cmpge(low).all() && x.cmple(high).all());
-            near.map(|x| (closed[within].depth(x), x))
+        let depths = [(a, b), (b, a)].into_iter().flat_map(|(body, other)| {
+            let near = points(body).filter(|x| x.cmpge(low).all() && x.cmple(high).all());
+            near.map(|x| (closed[other].depth(x), x))
                 .collect::<Vec<_>>()
         });
         let (depth, at) = depths.max_by(|a, b| a.0.total_cmp(&b.0))?;

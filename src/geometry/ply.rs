@@ -3,12 +3,12 @@
 use glam::DVec3;
 
 use super::Surface;
-use super::mesh_file::{Problem, number, quoted, split_line, without_mark, words};
-use super::polygon::triangulate;
+use super::mesh_file::{Problem, little_endian, number, quoted, split_line, without_mark, words};
+use super::polygon::{Defect, Polygons};
 
 const CURE: &str = "give elements `vertex` with x, y, z and `face` with the list vertex_indices";
 
-/// A type of numbers.
+/// Scalar types.
 #[derive(Clone, Copy)]
 enum Type {
     I8,
@@ -43,7 +43,7 @@ impl Type {
 
 struct Property {
     name: Vec<u8>,
-    /// The type of a list's count.
+    /// Type of a list's count.
     count: Option<Type>,
     kind: Type,
 }
@@ -57,7 +57,7 @@ struct Element {
 impl Element {
     fn index(&self, name: &str) -> Option<usize> {
         let mut names = self.properties.iter().map(|property| &property.name);
-        names.position(|found| found == name.as_bytes())
+        names.position(|known| known == name.as_bytes())
     }
 }
 
@@ -68,7 +68,7 @@ enum Format {
     BigEndian,
 }
 
-/// The values of one element. Every number of a PLY file is an f64.
+/// Values of one element. An f64 represents every PLY number.
 #[derive(Default)]
 struct Row {
     values: Vec<f64>,
@@ -85,13 +85,11 @@ impl Row {
     }
 }
 
-/// Reads the surface; faces and strips in the order of the file.
+/// Reads faces and strips in the order of the file.
 pub(super) fn read(bytes: &[u8]) -> Result<Surface, Problem> {
     let (format, elements, mut data) = header(without_mark(bytes)?)?;
     let mut surface = Surface::default();
-    // Vertex numbers of polygons, one after the other, and their ends: faces may come before vertices.
-    let mut corners: Vec<u32> = Vec::new();
-    let mut faces = Vec::new();
+    let mut polygons: Polygons<(&str, u64)> = Polygons::new();
     let mut row = Row::default();
     for element in &elements {
         let name = String::from_utf8_lossy(&element.name);
@@ -100,11 +98,11 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, Problem> {
             .iter()
             .find_map(|name| element.index(name));
         let coordinates = ["x", "y", "z"].map(|name| element.index(name).ok_or(name));
-        for number in 1..=if element.properties.is_empty() {
-            0
-        } else {
-            element.n
-        } {
+        let n = match element.properties.is_empty() {
+            true => 0,
+            false => element.n,
+        };
+        for number in 1..=n {
             let problem =
                 |problem: String| Problem::new(format!("{name} {number}: {problem}"), CURE);
             data.read(format, element, number, &mut row)?;
@@ -127,19 +125,19 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, Problem> {
             let numbers = row.values(list);
             let mut polygon = |vertices: &[f64]| {
                 for &vertex in vertices {
-                    // Above all counts of vertices, so that no number is lost.
+                    // Above any vertex count, so that the conversion is exact.
                     let known =
                         vertex >= 0.0 && vertex < f64::from(u32::MAX) && vertex.fract() == 0.0;
                     if !known {
                         return Err(problem(format!("{vertex} is no number of a vertex")));
                     }
-                    corners.push(vertex as u32);
+                    polygons.push_corner(vertex as u32);
                 }
-                faces.push((is_strip, number, corners.len()));
+                polygons.end((if is_strip { "strip" } else { "face" }, number));
                 Ok(())
             };
             if is_strip {
-                // Strips are apart by -1; every other triangle has its corners the other way round.
+                // A strip ends with -1; every other triangle has the opposite orientation.
                 for strip in numbers.split(|&vertex| vertex == -1.0) {
                     for (number, triangle) in strip.windows(3).enumerate() {
                         let (a, b, c) = (triangle[0], triangle[1], triangle[2]);
@@ -159,29 +157,21 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, Problem> {
     }
     data.end()?;
     let n = surface.vertices.len();
-    let mut start = 0;
-    for (is_strip, number, end) in faces {
-        let polygon = &corners[start..end];
-        start = end;
-        let problem = |problem: String| {
-            let name = if is_strip { "strip" } else { "face" };
-            Problem::new(format!("{name} {number}: {problem}"), CURE)
+    surface.triangles = polygons.triangles(&surface.vertices, |(name, number), defect| {
+        let problem = match defect {
+            Defect::NoVertex(vertex) => {
+                format!("vertex {vertex}, but there are {n}, counted from 0")
+            }
+            Defect::Shape(reason) => format!("it {reason}"),
         };
-        if let Some(vertex) = polygon.iter().find(|&&vertex| vertex as usize >= n) {
-            return Err(problem(format!(
-                "vertex {vertex}, but there are {n}, counted from 0"
-            )));
-        }
-        let triangles =
-            triangulate(&surface.vertices, polygon).map_err(|why| problem(format!("it {why}")))?;
-        surface.triangles.extend(triangles);
-    }
+        Problem::new(format!("{name} {number}: {problem}"), CURE)
+    })?;
     Ok(surface)
 }
 
-/// The format, the elements and the data of a file.
+/// Format, elements and data of a file.
 fn header(bytes: &[u8]) -> Result<(Format, Vec<Element>, Data<'_>), Problem> {
-    // The newline of the first line is that of the whole header: a byte behind `end_header` may be one by chance.
+    // The newline of the first line applies to the whole header: the byte behind `end_header` may be data.
     let newline = bytes.iter().position(|byte| b"\r\n".contains(byte));
     let cr_alone =
         newline.is_some_and(|at| bytes[at] == b'\r' && bytes.get(at + 1) != Some(&b'\n'));
@@ -192,7 +182,7 @@ fn header(bytes: &[u8]) -> Result<(Format, Vec<Element>, Data<'_>), Problem> {
     for (number, text) in bytes.split(|&byte| byte == newline).enumerate() {
         at += text.len() + 1;
         let here = (number + 1, text);
-        let problem = || Problem::of_line(here, "does not belong there in the header", CURE);
+        let problem = || Problem::at_line(here, "does not belong there in the header", CURE);
         let words: Vec<&[u8]> = words(text).collect();
         match words.as_slice() {
             [b"ply"] if number == 0 => {}
@@ -212,7 +202,7 @@ fn header(bytes: &[u8]) -> Result<(Format, Vec<Element>, Data<'_>), Problem> {
                 });
             }
             [b"element", name, n] => {
-                let n = self::number(n).map_err(|why| Problem::of_line(here, why, CURE))?;
+                let n = self::number(n).map_err(|why| Problem::at_line(here, why, CURE))?;
                 elements.push(Element {
                     name: name.to_vec(),
                     n,
@@ -252,7 +242,7 @@ fn header(bytes: &[u8]) -> Result<(Format, Vec<Element>, Data<'_>), Problem> {
     Err(Problem::new("the header has no end: no `end_header`", CURE))
 }
 
-/// Refuses elements without what a surface needs, and those that bound something and are not read.
+/// Refuses elements without vertices or lists, and unsupported elements with vertices.
 fn check(elements: &[Element]) -> Result<(), Problem> {
     let count = |name: &str| {
         let named = elements
@@ -300,10 +290,10 @@ fn check(elements: &[Element]) -> Result<(), Problem> {
     Ok(())
 }
 
-/// The bytes behind the header that are not read yet.
+/// Unread bytes behind the header.
 struct Data<'a> {
     rest: &'a [u8],
-    /// Lines before them, in a text.
+    /// Number of the last line read.
     line: usize,
 }
 
@@ -339,7 +329,7 @@ impl<'a> Data<'a> {
                 None => 1.0,
                 Some(kind) => self.binary(kind, big_endian).ok_or_else(early)?,
             };
-            // A count below 0 has no values, and one above all bytes ends the file early.
+            // A negative count has no values; one beyond the file ends it early.
             for _ in 0..n as u64 {
                 row.values
                     .push(self.binary(property.kind, big_endian).ok_or_else(early)?);
@@ -349,7 +339,7 @@ impl<'a> Data<'a> {
         Ok(())
     }
 
-    /// The next line that is not blank.
+    /// The next nonblank line.
     fn line(&mut self) -> Option<(usize, &'a [u8])> {
         loop {
             let (text, behind) = (!self.rest.is_empty()).then(|| split_line(self.rest))?;
@@ -366,12 +356,7 @@ impl<'a> Data<'a> {
             ($kind:ty) => {{
                 let (bytes, rest) = self.rest.split_first_chunk()?;
                 self.rest = rest;
-                let number = if big_endian {
-                    <$kind>::from_be_bytes(*bytes)
-                } else {
-                    <$kind>::from_le_bytes(*bytes)
-                };
-                f64::from(number)
+                f64::from(<$kind>::from_le_bytes(little_endian(*bytes, big_endian)))
             }};
         }
         Some(match kind {
@@ -386,8 +371,7 @@ impl<'a> Data<'a> {
         })
     }
 
-    /// # Errors
-    /// Something behind the last element.
+    /// Refuses bytes behind the last element.
     fn end(&self) -> Result<(), Problem> {
         let n = self.rest.trim_ascii().len();
         if n == 0 {
@@ -401,14 +385,14 @@ impl<'a> Data<'a> {
 }
 
 fn text_row(here: (usize, &[u8]), element: &Element, row: &mut Row) -> Result<(), Problem> {
-    let problem = |problem: &str| Problem::of_line(here, problem, CURE);
+    let problem = |problem: &str| Problem::at_line(here, problem, CURE);
     let mut words = words(here.1);
     for property in &element.properties {
         let mut value = |kind: Type| {
             let word = words
                 .next()
                 .ok_or_else(|| problem("fewer values than the header asks for"))?;
-            // Single precision is rounded once, as a binary file's is.
+            // Rounds single precision once, as binary files do.
             let value: f64 = match kind {
                 Type::F32 => number::<f32>(word).map(f64::from),
                 _ => number(word),

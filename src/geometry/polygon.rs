@@ -1,19 +1,18 @@
-//! Triangulation of planar polygons, convex or concave: the same triangles whichever corner comes first.
+//! Triangulation of planar polygons, convex or concave, independent of the first corner.
 //!
-//! Polygons with more than four corners are triangulated by a constrained Delaunay triangulation with exact predicates. It keeps corners in
-//! the middle of straight edges, which ear clippers drop: the polygons beside such an edge need them.
+//! Polygons with more than four corners have a constrained Delaunay triangulation with exact predicates. Unlike ear clipping it
+//! preserves corners in the middle of straight edges, which neighbouring polygons need.
 
 use std::collections::HashMap;
 
 use glam::DVec3;
 use spade::{ConstrainedDelaunayTriangulation, Point2, Triangulation, mitigate_underflow};
 
+use super::mesh_file::Problem;
 use super::surface::is_near;
 
-/// Splits a polygon into triangles of the same orientation. Corners repeated one after the other count once.
-///
-/// # Errors
-/// The reason why the polygon has no triangulation, as the end of a sentence about it.
+/// Splits a polygon into triangles of the same orientation. Repeated successive corners count once. The error is the end of a
+/// sentence about the polygon.
 pub(super) fn triangulate(
     vertices: &[DVec3],
     polygon: &[u32],
@@ -32,12 +31,12 @@ pub(super) fn triangulate(
     if n < 3 {
         return Err("has fewer than three different corners");
     }
-    // The check of the surface refuses coordinates that are not finite; any triangles name them.
+    // Any triangles do for coordinates that are not finite: the check of the surface refuses them.
     if n == 3 || !corners.iter().all(|&vertex| is_near(at(vertex))) {
         let fan = corners[1..].windows(2);
         return Ok(fan.map(|pair| [corners[0], pair[0], pair[1]]).collect());
     }
-    // The lowest corner first, so that rounding is the same for every first corner of the file.
+    // From the lowest corner, so that rounding does not depend on the first corner of the file.
     let key = |corner: usize| {
         [corner, corner + 1, corner + n - 1].map(|corner| at(corners[corner % n]).to_array())
     };
@@ -60,7 +59,7 @@ pub(super) fn triangulate(
     }
 }
 
-/// The two triangles beside the diagonal whose smaller triangle is larger, both areas measured along the normal.
+/// The diagonal with the larger smaller triangle, areas projected along the normal.
 fn quadrilateral(
     vertices: &[DVec3],
     [a, b, c, d]: [u32; 4],
@@ -79,9 +78,65 @@ fn quadrilateral(
     Ok(best.to_vec())
 }
 
+/// Polygons of a file, which may precede their vertices. `T` identifies a polygon in errors.
+pub(super) struct Polygons<T> {
+    corners: Vec<u32>,
+    /// Last corner of each polygon.
+    ends: Vec<(T, usize)>,
+}
+
+/// Reason why a polygon has no triangulation.
+pub(super) enum Defect {
+    /// A corner beyond the last vertex.
+    NoVertex(u32),
+    /// The end of a sentence about the polygon.
+    Shape(&'static str),
+}
+
+impl<T> Polygons<T> {
+    pub(super) fn new() -> Polygons<T> {
+        Polygons {
+            corners: Vec::new(),
+            ends: Vec::new(),
+        }
+    }
+
+    pub(super) fn push_corner(&mut self, vertex: u32) {
+        self.corners.push(vertex);
+    }
+
+    /// Ends a polygon after the corners pushed since the previous one.
+    pub(super) fn end(&mut self, id: T) {
+        self.ends.push((id, self.corners.len()));
+    }
+
+    /// The triangles of all polygons, in order.
+    pub(super) fn triangles(
+        self,
+        vertices: &[DVec3],
+        problem: impl Fn(T, Defect) -> Problem,
+    ) -> Result<Vec<[u32; 3]>, Problem> {
+        let mut triangles = Vec::new();
+        let mut start = 0;
+        for (id, end) in self.ends {
+            let polygon = &self.corners[start..end];
+            start = end;
+            let mut corners = polygon.iter().copied();
+            if let Some(vertex) = corners.find(|&vertex| vertex as usize >= vertices.len()) {
+                return Err(problem(id, Defect::NoVertex(vertex)));
+            }
+            match triangulate(vertices, polygon) {
+                Ok(parts) => triangles.extend(parts),
+                Err(reason) => return Err(problem(id, Defect::Shape(reason))),
+            }
+        }
+        Ok(triangles)
+    }
+}
+
 const CROSSES: &str = "crosses or touches itself, seen along its normal";
 
-/// Triangulates the projection along the dominant axis of the normal, which rounds nothing.
+/// Triangulates the projection along the dominant axis of the normal, which is free of rounding.
 fn constrained_delaunay(
     vertices: &[DVec3],
     corners: &[u32],
@@ -89,7 +144,7 @@ fn constrained_delaunay(
 ) -> Result<Vec<[u32; 3]>, &'static str> {
     let axis = normal.abs().max_position();
     let mut plane = ConstrainedDelaunayTriangulation::<Point2<f64>>::new();
-    // Corners by the number of their vertex in the plane. Bridges to holes pass one point twice.
+    // Corners by their vertex in the plane. Bridges to holes visit a point twice.
     let mut numbers = HashMap::new();
     let mut points = Vec::with_capacity(corners.len());
     for &corner in corners {
@@ -100,7 +155,7 @@ fn constrained_delaunay(
         numbers.entry(point).or_insert(corner);
         points.push(point);
     }
-    // Edges by how often the polygon passes them: a bridge to a hole twice.
+    // Number of passes of each edge; two for a bridge to a hole.
     let mut passes: HashMap<_, u32> = HashMap::new();
     for (number, &from) in points.iter().enumerate() {
         let to = points[(number + 1) % points.len()];
@@ -108,11 +163,11 @@ fn constrained_delaunay(
             return Err(CROSSES);
         }
         plane.add_constraint(from, to);
-        // A corner in the middle of another edge splits it.
+        // Absent if another corner splits the edge.
         let edge = (plane.get_edge_from_neighbors(from, to)).ok_or(CROSSES)?;
         *passes.entry(edge.fix().as_undirected()).or_default() += 1;
     }
-    // From outside inwards: each edge that the polygon passes an odd number of times changes sides.
+    // Flood fill from outside: an edge with an odd number of passes separates inside and outside.
     let mut inside: Vec<Option<bool>> = vec![None; plane.num_all_faces()];
     inside[plane.outer_face().fix().index()] = Some(false);
     let mut stack: Vec<_> = (plane.convex_hull())

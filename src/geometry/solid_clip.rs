@@ -1,8 +1,8 @@
-//! `clip`: what deforming solids cut out of the grid, sub-step after sub-step, on top of what obstacles cut out of it.
+//! `clip` for deforming solids, on top of the obstacles, in every sub-step.
 //!
-//! Contributions of all bodies to the open fractions add up before they are clamped. Those of the obstacles are kept, so a sub-step
-//! does the grid lines and the cells that solids meet, and no others; those they met before get back what the obstacles left.
-//! What comes out depends on the positions alone, not on what was clipped before.
+//! Aperture changes of all bodies add up before clamping. The obstacles' apertures are stored, so a sub-step updates only the
+//! grid lines and cells that solids meet, and restores those of the previous sub-step. The result depends on the positions
+//! alone.
 
 use std::ops::Range;
 
@@ -17,7 +17,7 @@ use super::{CutCells, ObstacleCut, Surface, clamp_open, is_wall};
 use crate::grid::{Axis, Grid};
 use crate::scene::{FaceAreas, Solver};
 
-/// The mesh of all solids at one moment.
+/// The deformed mesh of all solids.
 #[derive(Clone, Debug)]
 pub struct MovedMesh<'a> {
     /// Positions, m.
@@ -31,13 +31,13 @@ pub struct MovedMesh<'a> {
 }
 
 impl MovedMesh<'_> {
-    /// The surface of all solids, for distances; `None` without any.
+    /// Surface of all solids for distance queries; `None` without any.
     pub(super) fn closed(&self) -> Option<ClosedMesh> {
         let triangles = self.triangles.to_vec();
         (!triangles.is_empty()).then(|| ClosedMesh::new(self.nodes.clone(), triangles))
     }
 
-    /// The surface of each solid.
+    /// Surface of each solid.
     pub(super) fn closed_bodies(&self) -> Vec<ClosedMesh> {
         let mut body_of_node = vec![0; self.nodes.len()];
         for (number, body) in self.bodies.iter().enumerate() {
@@ -64,59 +64,59 @@ impl MovedMesh<'_> {
     }
 }
 
-/// The place on the surface of the solids that is nearest to a cell centre.
+/// Nearest surface point of the solids to a cell centre.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Nearest {
     /// Host index.
     pub cell: usize,
     /// Surface triangle.
     pub triangle: usize,
-    /// Weights of its corners.
+    /// Barycentric coordinates.
     pub weights: [f64; 3],
 }
 
-/// What moves beside a cell.
+/// Moving surface beside a cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Place {
-    /// A place on a solid.
+pub enum MovingWall {
+    /// A point on a solid.
     Solid(Nearest),
     /// An obstacle.
     Obstacle {
         /// Host index.
         cell: usize,
-        /// Of the obstacle, m/s.
+        /// Velocity of the obstacle, m/s.
         velocity: DVec3,
     },
 }
 
-impl Place {
+impl MovingWall {
     /// Host index of the cell.
     pub fn cell(&self) -> usize {
         match self {
-            Place::Solid(nearest) => nearest.cell,
-            Place::Obstacle { cell, .. } => *cell,
+            MovingWall::Solid(nearest) => nearest.cell,
+            MovingWall::Obstacle { cell, .. } => *cell,
         }
     }
 }
 
-/// Solids that lie in each other or in obstacles.
+/// Overlap of solids with each other or with obstacles.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Overlap {
-    /// Cells whose centre lies in two solids, or in a solid and an obstacle.
+    /// Cells with a centre in two solids, or in a solid and an obstacle.
     pub cells: usize,
     /// Thickness of the overlap, m: twice the largest distance of such a centre to the nearest surface.
     pub depth: f64,
 }
 
 impl Overlap {
-    /// Of solids in each other, where nothing clips them: without liquid.
-    pub fn of_solids(grid: &Grid, mesh: &MovedMesh) -> Overlap {
+    /// Overlap of solids with each other, in a scene without liquid, which clips nothing.
+    pub fn between_solids(grid: &Grid, mesh: &MovedMesh) -> Overlap {
         let lattice = centres(grid);
-        let held = inside_tetrahedra(&lattice, mesh.elements, body_of(mesh), &mesh.nodes);
-        let cells = held.chunk_by(|a, b| a.0 == b.0);
+        let inside = inside_tetrahedra(&lattice, mesh.elements, body_of(mesh), &mesh.nodes);
+        let cells = inside.chunk_by(|a, b| a.0 == b.0);
         let shared: Vec<usize> = cells
-            .filter(|held| held.len() > 1)
-            .map(|held| held[0].0)
+            .filter(|bodies| bodies.len() > 1)
+            .map(|bodies| bodies[0].0)
             .collect();
         let mut overlap = Overlap::default();
         if shared.is_empty() {
@@ -126,14 +126,14 @@ impl Overlap {
         let corners = triangles.map(|triangle| triangle.map(|node| mesh.nodes[node as usize]));
         let reach = BAND * grid.dx;
         let mut near = NearestTriangles::new(lattice, reach);
-        near.find(&corners.collect::<Vec<_>>());
+        near.update(&corners.collect::<Vec<_>>());
         for cell in shared {
             overlap.add(near.distance(cell).min(reach), grid.dx);
         }
         overlap
     }
 
-    /// Counts a cell whose centre lies so deep (m) in what overlaps there.
+    /// Counts a cell with its centre at a depth (m) in the overlap.
     fn add(&mut self, depth: f64, dx: f64) {
         if depth > TOUCHES * dx {
             self.cells += 1;
@@ -142,7 +142,6 @@ impl Overlap {
     }
 }
 
-/// The centres of cells.
 fn centres(grid: &Grid) -> Lattice {
     Lattice {
         n: grid.cells,
@@ -158,11 +157,11 @@ pub struct SolidClip {
     area_clamp: f64,
     obstacles: ObstacleCut,
     cut: CutCells,
-    /// Faces and cells in which `cut` differs from what the obstacles leave.
+    /// Faces and cells that differ from those of the obstacles.
     changed_faces: [Vec<usize>; 3],
     changed_cells: Vec<usize>,
     near_centres: NearestTriangles,
-    /// For nodal face areas.
+    /// Present with nodal face areas.
     near_corners: Option<NearestTriangles>,
     patches: Vec<Patch>,
     coupling: Coupling,
@@ -171,14 +170,14 @@ pub struct SolidClip {
     closure_defect: f64,
 }
 
-/// Half the width of the band around solids in which corners of cells need distances for nodal face areas, cells.
+/// Half width of the narrow band of corner distances for nodal face areas, cells.
 const CORNER_BAND: f64 = 2.0;
 
-/// A centre this near to a surface, in cells, touches it.
+/// Depth of touching surfaces, cells.
 const TOUCHES: f64 = 1e-6;
 
 impl SolidClip {
-    /// Before any solid is clipped: what the obstacles leave.
+    /// Starts with the obstacles alone.
     pub fn new(grid: &Grid, obstacles: ObstacleCut, settings: &Solver) -> SolidClip {
         let corners = || {
             let lattice = Lattice {
@@ -205,7 +204,7 @@ impl SolidClip {
         }
     }
 
-    /// Before the solids are clipped: moves the obstacles as [`ObstacleCut::move_to`] does.
+    /// Moves the obstacles as [`ObstacleCut::move_to`] does; precedes [`SolidClip::clip`].
     pub fn move_obstacles(&mut self, time: f64, dt: f64) {
         self.restore();
         let SolidClip { cut, obstacles, .. } = self;
@@ -227,7 +226,7 @@ impl SolidClip {
         }
     }
 
-    /// Clips the solids where they are now.
+    /// Clips the solids at their positions.
     pub fn clip(&mut self, mesh: &MovedMesh) {
         self.restore();
         let (clipping, (coupling, corners)) = self.patches_and_corners(mesh);
@@ -239,7 +238,7 @@ impl SolidClip {
         let open = match &mut self.near_corners {
             None => sums.map(|(open, _)| open),
             Some(near) => {
-                near.find(&corners);
+                near.update(&corners);
                 nodal_areas(&self.grid, near, mesh)
             }
         };
@@ -256,7 +255,7 @@ impl SolidClip {
         }
     }
 
-    /// Puts back what the obstacles leave.
+    /// Restores the values of the obstacles.
     fn restore(&mut self) {
         let left = &self.obstacles.cut;
         for (a, faces) in self.changed_faces.iter_mut().enumerate() {
@@ -269,7 +268,7 @@ impl SolidClip {
         }
     }
 
-    /// The patches with J, and the corners of the triangles.
+    /// Patches with J, and corners of the triangles.
     fn patches_and_corners(&self, mesh: &MovedMesh) -> (Clipping, (Coupling, Vec<[DVec3; 3]>)) {
         let surface = Surface {
             vertices: mesh.nodes.clone(),
@@ -282,8 +281,7 @@ impl SolidClip {
         (clipping, (coupling, corners.collect()))
     }
 
-    /// What solids add to the open fractions per axis, (face, change) where they add anything, and the largest difference between the
-    /// start and the end of a line.
+    /// Aperture changes per axis as (face, change), and the largest closure defect of a line.
     fn line_sums(&self, clipping: &Clipping) -> [(Vec<(usize, f64)>, f64); 3] {
         let mut sums = Axis::ALL.map(|_| (Vec::new(), 0.0));
         let axes = Axis::ALL.into_par_iter().zip(&mut sums);
@@ -291,21 +289,21 @@ impl SolidClip {
         sums
     }
 
-    /// The distance at cell centres, the band, and overlaps.
+    /// Distances at cell centres, narrow band and overlaps.
     fn distances(&mut self, mesh: &MovedMesh, corners: &[[DVec3; 3]]) {
         let near = &mut self.near_centres;
-        let held = inside_tetrahedra(&near.lattice, mesh.elements, body_of(mesh), &mesh.nodes);
-        near.find(corners);
+        let points = inside_tetrahedra(&near.lattice, mesh.elements, body_of(mesh), &mesh.nodes);
+        near.update(corners);
         let reach = BAND * self.grid.dx;
         let left = &self.obstacles.cut.solid_distance;
-        let inside = |cell: usize| held.binary_search_by_key(&cell, |held| held.0).is_ok();
+        let inside = |cell: usize| points.binary_search_by_key(&cell, |point| point.0).is_ok();
         let signed = |cell: usize| {
             let distance = near.distance(cell).min(reach);
             if inside(cell) { -distance } else { distance }
         };
-        let of_near = near.near.par_iter().map(|&cell| {
+        let near_cells = near.near.par_iter().map(|&cell| {
             let distance = signed(cell);
-            // Where an obstacle is nearer, it decides.
+            // A nearer obstacle takes precedence.
             let nearest = (distance < left[cell])
                 .then(|| near.nearest(cell, |triangle| corners[triangle]))
                 .flatten();
@@ -316,18 +314,18 @@ impl SolidClip {
             });
             ((cell, distance), nearest)
         });
-        let (distances, band): (Vec<(usize, f64)>, Vec<Option<Nearest>>) = of_near.unzip();
+        let (distances, band): (Vec<(usize, f64)>, Vec<Option<Nearest>>) = near_cells.unzip();
         self.band = band.into_iter().flatten().collect();
         self.overlap = Overlap::default();
-        for same in held.chunk_by(|a, b| a.0 == b.0) {
-            let cell = same[0].0;
+        for bodies in points.chunk_by(|a, b| a.0 == b.0) {
+            let cell = bodies[0].0;
             let distance = signed(cell);
-            let shared = match same.len() {
+            let shared = match bodies.len() {
                 1 => distance.max(left[cell]),
                 _ => distance,
             };
             self.overlap.add(-shared, self.grid.dx);
-            // Deeper than the band reaches.
+            // Deeper than the band.
             if distance == -reach {
                 self.cut.solid_distance[cell] = -reach;
                 self.changed_cells.push(cell);
@@ -344,29 +342,28 @@ impl SolidClip {
         &self.cut
     }
 
-    /// The obstacles, where they are now.
+    /// The obstacles at their positions.
     pub fn obstacles(&self) -> &ObstacleCut {
         &self.obstacles
     }
 
-    /// Faces per axis, and cells, that need not be as those obstacles leave them that stand still; in no order, some twice.
+    /// Faces per axis, and cells, that differ from those of the static obstacles; unsorted, with repetitions.
     pub fn changed(&self) -> ([Vec<usize>; 3], Vec<usize>) {
         let (faces, cells) = self.obstacles.changed();
-        let all = |of_obstacles: &[usize], of_solids: &[usize]| [of_obstacles, of_solids].concat();
-        let of_faces = [0, 1, 2].map(|a| all(faces[a], &self.changed_faces[a]));
-        (of_faces, all(cells, &self.changed_cells))
+        let all_faces = [0, 1, 2].map(|a| [faces[a], &self.changed_faces[a]].concat());
+        (all_faces, [cells, &self.changed_cells].concat())
     }
 
-    /// The cells beside something that moves, ascending, and what.
-    pub fn places(&self) -> Vec<Place> {
-        let of_solids = self.band.iter().copied().map(Place::Solid);
-        let of_obstacles = self.obstacles.walls().iter();
-        let of_obstacles = of_obstacles
+    /// Cells beside a moving surface, ascending.
+    pub fn moving_walls(&self) -> Vec<MovingWall> {
+        let solids = self.band.iter().copied().map(MovingWall::Solid);
+        let obstacles = self.obstacles.wall_velocities().iter();
+        let obstacles = obstacles
             .filter(|(cell, _)| self.nearest(*cell).is_none())
-            .map(|&(cell, velocity)| Place::Obstacle { cell, velocity });
-        let mut places: Vec<Place> = of_solids.chain(of_obstacles).collect();
-        places.sort_by_key(Place::cell);
-        places
+            .map(|&(cell, velocity)| MovingWall::Obstacle { cell, velocity });
+        let mut walls: Vec<MovingWall> = solids.chain(obstacles).collect();
+        walls.sort_by_key(MovingWall::cell);
+        walls
     }
 
     /// The patches of the solids in the cells of the domain, in the order of the triangles.
@@ -374,62 +371,60 @@ impl SolidClip {
         &self.patches
     }
 
-    /// J on all cells with patches.
+    /// J over all cells with patches.
     pub fn coupling(&self) -> &Coupling {
         &self.coupling
     }
 
-    /// The nearest places on solids of the centres within three cells of them and nearer to them than to obstacles; cells
-    /// ascending.
+    /// Nearest surface points of the solids for cell centres within three cells of them and nearer to them than to
+    /// obstacles; cells ascending.
     pub fn band(&self) -> &[Nearest] {
         &self.band
     }
 
-    /// The nearest place on solids of a centre in the band.
+    /// The nearest surface point for a cell of the band.
     pub fn nearest(&self, cell: usize) -> Option<&Nearest> {
-        let found = self
+        let at = self
             .band
             .binary_search_by_key(&cell, |nearest| nearest.cell);
-        found.ok().map(|at| &self.band[at])
+        at.ok().map(|at| &self.band[at])
     }
 
-    /// Solids in each other and in obstacles.
+    /// Overlap of solids with each other and with obstacles.
     pub fn overlap(&self) -> Overlap {
         self.overlap
     }
 
-    /// Largest difference between the start and the end of a grid line of open fractions: rounding.
+    /// Largest closure defect of a grid line: rounding.
     pub fn closure_defect(&self) -> f64 {
         self.closure_defect
     }
 }
 
-/// The body of an element.
 fn body_of(mesh: &MovedMesh) -> impl Fn(usize) -> u32 + Sync {
     |element| mesh.bodies.partition_point(|body| body.end <= element) as u32
 }
 
-/// The area vectors' sums along the lines of an axis that meet a surface: (face, change of the open fraction), and the largest
-/// difference between the start and the end of a line.
+/// Aperture changes (face, change) along the grid lines of an axis that meet a surface, and their largest closure defect.
 pub(super) fn line_sums(grid: &Grid, axis: Axis, clipping: &Clipping) -> (Vec<(usize, f64)>, f64) {
     let a = axis.index();
     let per_area = 1.0 / (grid.dx * grid.dx);
-    // A line is named by its first face.
+    // The first face identifies a line.
     let line = |mut cell: [usize; 3]| {
         cell[a] = 0;
         grid.face(axis, cell)
     };
-    let of_patches = clipping.patches.iter().map(|patch| {
+    let patches = clipping.patches.iter().map(|patch| {
         let cell = grid.cell_at(patch.cell);
         let flux = patch.area * patch.normal[a] * per_area;
         (line(cell), cell[a] as isize, flux)
     });
-    let of_ghosts = clipping.ghosts.iter().filter(|ghost| ghost.axis == axis);
-    let of_ghosts = of_ghosts.map(|ghost| {
+    let ghosts = clipping.ghosts.iter().filter(|ghost| ghost.axis == axis);
+    let ghosts = ghosts.map(|ghost| {
         let cell = ghost.cell.map(|at| at.max(0) as usize);
         (line(cell), ghost.cell[a], ghost.flux)
     });
-    let mut crossings: Vec<(usize, isize, f64)> = of_patches.chain(of_ghosts).collect();
+    let mut crossings: Vec<(usize, isize, f64)> = patches.chain(ghosts).collect();
     crossings.sort_by_key(|&(line, at, _)| (line, at));
     let [nx, ny, _] = grid.faces(axis);
     let stride = [1, nx, nx * ny][a];
@@ -448,12 +443,12 @@ pub(super) fn line_sums(grid: &Grid, axis: Axis, clipping: &Clipping) -> (Vec<(u
     (changes, defect)
 }
 
-/// The same from the distance at the corners of cells (thesis, figure 5.2): less the solid part of each face, between distances
-/// that are linear along its sides.
+/// Aperture changes from the distance at the corners of cells (thesis, figure 5.2): minus the solid part of each face, with
+/// distances linear along its sides.
 fn nodal_areas(grid: &Grid, near: &NearestTriangles, mesh: &MovedMesh) -> [Vec<(usize, f64)>; 3] {
     let lattice = near.lattice;
-    let held = inside_tetrahedra(&lattice, mesh.elements, body_of(mesh), &mesh.nodes);
-    let mut inside: Vec<usize> = held.into_iter().map(|(corner, _)| corner).collect();
+    let points = inside_tetrahedra(&lattice, mesh.elements, body_of(mesh), &mesh.nodes);
+    let mut inside: Vec<usize> = points.into_iter().map(|(corner, _)| corner).collect();
     inside.dedup();
     let [nx, ny, _] = lattice.n;
     let strides = [1, nx, nx * ny];
@@ -495,12 +490,12 @@ fn nodal_areas(grid: &Grid, near: &NearestTriangles, mesh: &MovedMesh) -> [Vec<(
     })
 }
 
-/// Part of a square on which a distance given at its corners, one after another around it, is negative.
+/// Area fraction of a square with a negative distance; `corners` are in cyclic order.
 fn negative_part(corners: [f64; 4]) -> f64 {
     let negative = corners.map(|distance| distance < 0.0);
-    // Part of a side, from one end, that has the sign of that end.
+    // Fraction of a side, from one end, with the sign of that end.
     let reach = |from: usize, to: usize| corners[from] / (corners[from] - corners[to]);
-    // The triangle at a corner whose neighbours have the other sign.
+    // Triangle at a corner whose neighbours have the other sign.
     let tip =
         |corner: usize| 0.5 * reach(corner, (corner + 1) % 4) * reach(corner, (corner + 3) % 4);
     let alone = |sign: bool| (0..4).filter(move |&corner| negative[corner] == sign);
@@ -511,7 +506,7 @@ fn negative_part(corners: [f64; 4]) -> f64 {
         4 => 1.0,
         _ if negative[0] == negative[2] => alone(true).map(tip).sum(),
         _ => {
-            // Two neighbours: a trapezium.
+            // A trapezium between two neighbouring corners.
             let first = (0..4).find(|&at| negative[at] && negative[(at + 1) % 4]);
             let first = first.expect("two neighbours are negative");
             let second = (first + 1) % 4;

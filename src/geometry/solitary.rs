@@ -1,20 +1,19 @@
-//! The solitary wave of third order in its height over the depth: surface and velocity.
+//! Solitary wave to third order in e = height / depth: surface and velocity.
 //!
-//! Source: R. Grimshaw, *The solitary wave in water of variable depth, part 2*, Journal of Fluid Mechanics 46, 1971, as written out by
-//! J. Fenton, *A ninth-order solution for the solitary wave*, Journal of Fluid Mechanics 53, 1972. With e the height over the depth, X the
-//! way from the crest along the wave's direction and z the height above the floor, both over the depth, a = sech^2(k X),
-//! k = sqrt(3 e / 4) (1 - 5/8 e + 71/128 e^2), and velocities in units of sqrt(g depth). What is left of divergence, of curl and of
-//! the conditions at the surface is of order e^4.
+//! Source: R. Grimshaw, *The solitary wave in water of variable depth, part 2*, Journal of Fluid Mechanics 46, 1971, as given
+//! by J. Fenton, *A ninth-order solution for the solitary wave*, Journal of Fluid Mechanics 53, 1972. Lengths are in depths and
+//! velocities in sqrt(g depth): X is the distance from the crest along the wave's direction, z the height above the floor, a =
+//! sech^2(k X), k = sqrt(3 e / 4) (1 - 5/8 e + 71/128 e^2). Divergence, curl and surface conditions are satisfied to order e^4.
 
 use glam::DVec3;
 
 use crate::scene::SolitaryWave;
 
-/// Where a point is in the wave.
+/// Local coordinates of a point.
 struct Local {
-    /// Height over depth.
+    /// height / depth
     e: f64,
-    /// 1 / depth
+    /// Wave number times depth.
     k: f64,
     /// sech^2(k X)
     a: f64,
@@ -26,9 +25,9 @@ impl Local {
     fn new(wave: &SolitaryWave, x: DVec3) -> Local {
         let e = wave.height / wave.depth;
         let k = (0.75 * e).sqrt() * (1.0 - 0.625 * e + 71.0 / 128.0 * e * e);
-        let way =
+        let along =
             (x.x - wave.crest[0]) * wave.direction[0] + (x.z - wave.crest[1]) * wave.direction[1];
-        let t = (k * way / wave.depth).tanh();
+        let t = (k * along / wave.depth).tanh();
         Local {
             e,
             k,
@@ -38,8 +37,8 @@ impl Local {
     }
 }
 
-/// Signed distance of a point to the surface, m, negative below: the height above it over the length of its gradient, which is right to first
-/// order near it and has the right sign everywhere.
+/// Signed distance to the surface, m, negative below: the height difference over the length of its gradient. It is accurate to
+/// first order near the surface and has the correct sign everywhere.
 pub(super) fn distance(wave: &SolitaryWave, x: DVec3) -> f64 {
     let Local { e, k, a, t } = Local::new(wave, x);
     let above =
@@ -50,7 +49,7 @@ pub(super) fn distance(wave: &SolitaryWave, x: DVec3) -> f64 {
     (x.y - wave.depth * (1.0 + above)) / 1.0_f64.hypot(slope)
 }
 
-/// Largest speed of its liquid, m/s: on the crest, about.
+/// Approximate largest speed of the liquid, m/s: at the crest.
 pub(super) fn fastest(wave: &SolitaryWave) -> f64 {
     let [x, z] = wave.crest;
     velocity(wave, DVec3::new(x, wave.depth + wave.height, z)).length()

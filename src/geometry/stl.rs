@@ -1,4 +1,5 @@
-//! Surfaces from STL files, text and binary: the facets of all their solids. Normals are ignored: the order of corners says the same.
+//! Surfaces from STL files, text and binary: facets of all solids. Normals are ignored, since the order of corners defines
+//! them.
 
 use glam::{DVec3, Vec3};
 
@@ -8,11 +9,11 @@ use super::polygon::triangulate;
 
 const CURE: &str = "export the surface again, as binary or text STL";
 
-/// Bytes of a binary solid before its facets, and of a facet.
+/// Bytes before the facets of a binary solid.
 const HEADER: usize = 84;
 const FACET: usize = 50;
 
-/// Reads the facets, in the order of the file.
+/// Reads the facets in the order of the file.
 pub(super) fn read(bytes: &[u8]) -> Result<Surface, Problem> {
     if header(bytes).is_some_and(|(n, facets)| facets.len() as u64 == n as u64 * FACET as u64) {
         return binary_solids(bytes);
@@ -21,7 +22,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, Problem> {
     let begins_as_text = words(text.trim_ascii_start())
         .next()
         .is_some_and(|word| word.eq_ignore_ascii_case(b"solid"));
-    // Some programs begin the free header of a binary file with the word that begins a text, but no text has zeros.
+    // Free headers of binary files may begin with `solid`, but a text contains no zeros.
     match bytes.contains(&0) {
         true => binary_solids(bytes),
         false if begins_as_text => text_solids(text),
@@ -32,13 +33,13 @@ pub(super) fn read(bytes: &[u8]) -> Result<Surface, Problem> {
     }
 }
 
-/// The number of facets of a binary solid and their bytes on.
+/// Number of facets of a binary solid, and its bytes from the facets on.
 fn header(bytes: &[u8]) -> Option<(usize, &[u8])> {
     let count = bytes.get(HEADER - 4..)?.first_chunk::<4>()?;
     Some((u32::from_le_bytes(*count) as usize, &bytes[HEADER..]))
 }
 
-/// One solid, or several one after the other.
+/// One or several solids.
 fn binary_solids(bytes: &[u8]) -> Result<Surface, Problem> {
     let mut surface = Surface::default();
     let mut rest = bytes;
@@ -51,7 +52,7 @@ fn binary_solids(bytes: &[u8]) -> Result<Surface, Problem> {
             };
             return Err(Problem::new(problem, CURE));
         };
-        // As u64, the bytes of 2^32 facets are no overflow anywhere.
+        // In u64 the bytes of 2^32 facets do not overflow.
         if (facets.len() as u64) < n as u64 * FACET as u64 {
             let problem = match begin {
                 0 => format!(
@@ -78,7 +79,7 @@ fn binary_solids(bytes: &[u8]) -> Result<Surface, Problem> {
     Ok(surface)
 }
 
-/// Place in the grammar of a text, by the word that comes next.
+/// Grammar state of a text: the expected word.
 #[derive(Clone, Copy, PartialEq)]
 enum Next {
     Solid,
@@ -107,18 +108,18 @@ impl Next {
     }
 }
 
-/// One solid, or several one after the other. Words are in any case, names in any encoding.
+/// One or several solids; words in any case, names in any encoding.
 fn text_solids(bytes: &[u8]) -> Result<Surface, Problem> {
     let mut surface = Surface::default();
     let mut next = Next::Solid;
     let mut facet = 0;
-    // Coordinates and number of corners of the facet so far.
+    // Coordinates of the current facet.
     let mut coordinates: Vec<f64> = Vec::new();
     for here in lines(bytes) {
         let mut rest = words(here.1);
         while let Some(word) = rest.next() {
             let problem =
-                |problem: &str| Problem::of_line(here, format!("facet {facet}: {problem}"), CURE);
+                |problem: &str| Problem::at_line(here, format!("facet {facet}: {problem}"), CURE);
             let before = next;
             next = match (before, word.to_ascii_lowercase().as_slice()) {
                 (Next::Solid, b"solid") => skip_name(&mut rest, Next::Facet),
@@ -150,13 +151,13 @@ fn text_solids(bytes: &[u8]) -> Result<Surface, Problem> {
                     }
                 }
                 (Next::EndFacet, b"endfacet") => Next::Facet,
-                (wanted, _) => {
+                (expected, _) => {
                     let problem = format!(
                         "facet {facet}: {} where {} belongs",
                         quoted(word),
-                        wanted.words()
+                        expected.words()
                     );
-                    return Err(Problem::of_line(here, problem, CURE));
+                    return Err(Problem::at_line(here, problem, CURE));
                 }
             };
             facet += usize::from(next == Next::Outer && before != Next::Outer);
@@ -176,7 +177,7 @@ fn text_solids(bytes: &[u8]) -> Result<Surface, Problem> {
     Ok(surface)
 }
 
-/// Skips a name, which ends with its line or where a facet begins.
+/// Skips a name, which ends at the end of the line or at a facet.
 fn skip_name<'a>(rest: &mut (impl Iterator<Item = &'a [u8]> + Clone), behind: Next) -> Next {
     while let Some(word) = rest.next() {
         let begins = rest
@@ -190,7 +191,7 @@ fn skip_name<'a>(rest: &mut (impl Iterator<Item = &'a [u8]> + Clone), behind: Ne
     behind
 }
 
-/// Adds a facet, which has three corners in the format and sometimes more.
+/// Adds a facet, which may have more than three corners.
 fn polygon(coordinates: &[f64], surface: &mut Surface) -> Result<(), &'static str> {
     let (corners, _) = coordinates.as_chunks::<3>();
     let first = surface.vertices.len() as u32;

@@ -1,4 +1,4 @@
-//! Closed triangle surfaces: of the shapes of a scene, and of anything else that is clipped against the grid.
+//! Closed triangle surfaces of shapes and mesh files.
 
 use std::collections::HashMap;
 
@@ -16,21 +16,21 @@ pub struct Surface {
     pub triangles: Vec<[u32; 3]>,
 }
 
-/// What makes a surface useless as the boundary of a solid.
+/// Reason why a surface bounds no solid.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fault {
-    /// What is wrong, naming the triangle or the edge.
+    /// Problem, with the triangle or the edge.
     pub problem: String,
-    /// What would be right.
+    /// Cure.
     pub cure: &'static str,
 }
 
-/// Largest distance between a sphere or a cylinder and its tessellation, in cells: as fine as the area clamp, so that
-/// open fractions do not see it.
+/// Largest distance between a sphere or cylinder and its tessellation, cells: the size of the area clamp, so that apertures are
+/// unaffected.
 const CHORD_ERROR: f64 = 1e-3;
 
-/// Most segments along an edge of the icosahedron (20 n^2 triangles): beyond it, at radii above 86 cells, the chord error
-/// grows.
+/// Most segments along an edge of the icosahedron (20 n^2 triangles), reached at radii above 86 cells, from which on the chord
+/// error grows.
 const MAX_SPHERE_SEGMENTS: usize = 128;
 
 /// Most sides of a cylinder; reached at radii above 1275 cells.
@@ -68,7 +68,7 @@ impl Surface {
 
     /// A sphere as a subdivided icosahedron of the same volume, within 1e-3 dx of the sphere.
     pub fn sphere(centre: DVec3, radius: f64, dx: f64) -> Surface {
-        // Middles of triangles lie below vertices by up to 0.29 radius / n^2. Equal volumes lift the vertices above the
+        // Centres of triangles lie below vertices by up to 0.29 radius / n^2. Equal volumes lift the vertices above the
         // sphere by the mean depth, at most 0.19 radius / n^2.
         let depth = 0.19 * radius / (CHORD_ERROR * dx);
         let n = (depth.sqrt().ceil() as usize).clamp(4, MAX_SPHERE_SEGMENTS);
@@ -79,8 +79,8 @@ impl Surface {
 
     /// A right circular cylinder (unit `axis`, centre of its `base`) as a prism of the same volume, within 1e-3 dx of it.
     pub fn cylinder(base: DVec3, axis: DVec3, radius: f64, height: f64, dx: f64) -> Surface {
-        // The middle of a chord of n lies about radius pi^2 / (2 n^2) below the circle. Equal areas lift its ends above the
-        // circle by two thirds of that.
+        // The centre of one of n chords lies about radius pi^2 / (2 n^2) below the circle. Equal areas lift its ends by
+        // two thirds of that.
         let n = std::f64::consts::PI * (radius / (3.0 * CHORD_ERROR * dx)).sqrt();
         let n = (n.ceil() as usize).clamp(16, MAX_CYLINDER_SIDES);
         let angle = std::f64::consts::TAU / n as f64;
@@ -114,12 +114,12 @@ impl Surface {
         self
     }
 
-    /// The surface put where an obstacle's placement says, turned about `centre`.
+    /// The placed surface, with `centre` the centre of rotation and scaling.
     pub fn placed(self, placement: &Placement, centre: DVec3) -> Surface {
         self.map(|x| placement.put(x, centre))
     }
 
-    /// The boundary of everything outside: the same triangles, turned round.
+    /// The boundary of the outside: the same triangles with opposite orientation.
     pub fn inside_out(mut self) -> Surface {
         for triangle in &mut self.triangles {
             triangle.swap(1, 2);
@@ -140,7 +140,7 @@ impl Surface {
 
     /// Enclosed volume, m^3; negative when the normals point inwards.
     pub fn volume(&self) -> f64 {
-        // About a point of the surface, so that a far away body loses no digits.
+        // Relative to a point of the surface, so that a distant body loses no digits.
         let Some(&origin) = self.vertices.first() else {
             return 0.0;
         };
@@ -159,21 +159,23 @@ impl Surface {
 
     /// Low and high corner of the bounding box, m.
     pub fn bounds(&self) -> [DVec3; 2] {
-        self.vertices
-            .iter()
-            .fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[low, high], &x| {
-                [low.min(x), high.max(x)]
-            })
+        bounds(self.vertices.iter().copied())
     }
 
-    /// One vertex for all that have the same position, numbered in order of first use; unused vertices are dropped.
+    /// Centre of the bounding box, m.
+    pub(super) fn centre(&self) -> DVec3 {
+        let [low, high] = self.bounds();
+        0.5 * (low + high)
+    }
+
+    /// Merges vertices at equal positions and drops unused ones. Vertices are numbered by first use.
     pub fn welded(&self) -> Surface {
         let mut surface = Surface::default();
         let mut numbers = HashMap::new();
         for triangle in &self.triangles {
             surface.triangles.push(triangle.map(|vertex| {
                 let x = self.vertices[vertex as usize];
-                // Adding zero makes one key of the two zeros.
+                // Adding zero unites the two zeros.
                 *numbers
                     .entry(x.to_array().map(|c| (c + 0.0).to_bits()))
                     .or_insert_with(|| {
@@ -185,9 +187,10 @@ impl Surface {
         surface
     }
 
-    /// The first reason why the surface does not bound a solid, if there is one: it must be finite, without degenerate
-    /// triangles, closed (each edge used once in each direction), its normals must point outwards, it must neither fold
-    /// nor cross itself, and its parts must not overlap.
+    /// The first reason why the surface bounds no solid.
+    ///
+    /// The surface must be finite, without degenerate triangles, and closed, with each edge used once in each direction.
+    /// Its normals must point outwards, it must neither fold over nor cross itself, and its parts must not overlap.
     pub fn fault(&self) -> Option<Fault> {
         let fault = |problem, cure| Some(Fault { problem, cure });
         if self.triangles.is_empty() {
@@ -196,68 +199,15 @@ impl Surface {
                 "give a closed surface of triangles or polygons",
             );
         }
-        let mut used = HashMap::new();
-        for (number, triangle) in self.triangles.iter().enumerate() {
-            let corners = self.corners(number);
-            if let Some(bad) = corners.iter().find(|&&x| !is_near(x)) {
-                return fault(
-                    format!("triangle {} has the corner {bad}", number + 1),
-                    "coordinates must be finite numbers, of at most 1e60 m",
-                );
-            }
-            // Twice the area of a triangle is its longest edge times its height: below rounding the height is noise.
-            let [a, b, c] = corners;
-            let longest = [b - a, c - b, a - c]
-                .map(|edge| edge.length_squared())
-                .into_iter()
-                .fold(0.0, f64::max);
-            if self.area_vector(number).length() <= 1e-14 * longest {
-                return fault(
-                    format!(
-                        "triangle {} with the corners {a}, {b}, {c} has no area",
-                        number + 1
-                    ),
-                    "remove degenerate triangles and merge vertices by distance in a mesh tool",
-                );
-            }
-            for [from, to] in edges(triangle) {
-                if let Some(first) = used.insert([from, to], number) {
-                    let numbers = format!("triangles {} and {}", first + 1, number + 1);
-                    let sorted = |mut triangle: [u32; 3]| {
-                        triangle.sort_unstable();
-                        triangle
-                    };
-                    if sorted(self.triangles[first]) == sorted(*triangle) {
-                        return fault(
-                            format!("{numbers} lie in one place, with the corners {a}, {b}, {c}"),
-                            "remove doubled faces and parts in a mesh tool",
-                        );
-                    }
-                    return fault(
-                        format!(
-                            "{numbers} use the edge from {} to {} in the same direction",
-                            self.vertices[from as usize], self.vertices[to as usize]
-                        ),
-                        "make the normals consistent, and separate parts that share an edge, in a mesh tool",
-                    );
-                }
+        for number in 0..self.triangles.len() {
+            if let Some(fault) = self.triangle_fault(number) {
+                return Some(fault);
             }
         }
-        for (number, triangle) in self.triangles.iter().enumerate() {
-            for [from, to] in edges(triangle) {
-                if !used.contains_key(&[to, from]) {
-                    return fault(
-                        format!(
-                            "not closed: the edge from {} to {} belongs to triangle {} alone",
-                            self.vertices[from as usize],
-                            self.vertices[to as usize],
-                            number + 1
-                        ),
-                        "fill the holes and merge vertices by distance in a mesh tool",
-                    );
-                }
-            }
-        }
+        let users = match self.edge_users() {
+            Ok(users) => users,
+            Err(fault) => return Some(fault),
+        };
         let volume = self.volume();
         if volume <= 0.0 {
             return fault(
@@ -270,10 +220,94 @@ impl Surface {
                 "flip the normals in a mesh tool; for a container set inside_out = true and keep normals outwards",
             );
         }
-        crossing::fold(self, &used)
-            .or_else(|| parts::fault(self, &used))
+        crossing::fold(self, &users)
+            .or_else(|| parts::fault(self, &users))
             .or_else(|| crossing::crossing(self))
     }
+
+    /// Refuses a nonfinite or degenerate triangle.
+    fn triangle_fault(&self, number: usize) -> Option<Fault> {
+        let fault = |problem, cure| Some(Fault { problem, cure });
+        let corners = self.corners(number);
+        if let Some(bad) = corners.iter().find(|&&x| !is_near(x)) {
+            return fault(
+                format!("triangle {} has the corner {bad}", number + 1),
+                "coordinates must be finite numbers, of at most 1e60 m",
+            );
+        }
+        // Twice the area is the longest edge times the height, which below this limit is rounding.
+        let [a, b, c] = corners;
+        let longest = [b - a, c - b, a - c]
+            .map(|edge| edge.length_squared())
+            .into_iter()
+            .fold(0.0, f64::max);
+        if self.area_vector(number).length() <= 1e-14 * longest {
+            return fault(
+                format!(
+                    "triangle {} with the corners {a}, {b}, {c} has no area",
+                    number + 1
+                ),
+                "remove degenerate triangles and merge vertices by distance in a mesh tool",
+            );
+        }
+        None
+    }
+
+    /// The triangle of each directed edge. Each edge must occur once in each direction.
+    fn edge_users(&self) -> Result<HashMap<[u32; 2], usize>, Fault> {
+        let fault = |problem, cure| Err(Fault { problem, cure });
+        let at = |vertex: u32| self.vertices[vertex as usize];
+        let mut users = HashMap::new();
+        for (number, triangle) in self.triangles.iter().enumerate() {
+            for [from, to] in edges(triangle) {
+                let Some(first) = users.insert([from, to], number) else {
+                    continue;
+                };
+                let numbers = format!("triangles {} and {}", first + 1, number + 1);
+                let sorted = |mut triangle: [u32; 3]| {
+                    triangle.sort_unstable();
+                    triangle
+                };
+                if sorted(self.triangles[first]) == sorted(*triangle) {
+                    let [a, b, c] = self.corners(number);
+                    return fault(
+                        format!("{numbers} lie in one place, with the corners {a}, {b}, {c}"),
+                        "remove doubled faces and parts in a mesh tool",
+                    );
+                }
+                return fault(
+                    format!(
+                        "{numbers} use the edge from {} to {} in the same direction",
+                        at(from),
+                        at(to)
+                    ),
+                    "make the normals consistent, and separate parts that share an edge, in a mesh tool",
+                );
+            }
+        }
+        for (number, triangle) in self.triangles.iter().enumerate() {
+            for [from, to] in edges(triangle) {
+                if !users.contains_key(&[to, from]) {
+                    return fault(
+                        format!(
+                            "not closed: the edge from {} to {} belongs to triangle {} alone",
+                            at(from),
+                            at(to),
+                            number + 1
+                        ),
+                        "fill the holes and merge vertices by distance in a mesh tool",
+                    );
+                }
+            }
+        }
+        Ok(users)
+    }
+}
+
+/// Low and high corner of the bounding box of points.
+pub(crate) fn bounds(points: impl Iterator<Item = DVec3>) -> [DVec3; 2] {
+    let empty = [DVec3::INFINITY, DVec3::NEG_INFINITY];
+    points.fold(empty, |[low, high], x| [low.min(x), high.max(x)])
 }
 
 /// The three directed edges of a triangle.
@@ -281,7 +315,7 @@ pub(super) fn edges(&[a, b, c]: &[u32; 3]) -> [[u32; 2]; 3] {
     [[a, b], [b, c], [c, a]]
 }
 
-/// Whether the cube of what is so far out is still a number.
+/// Whether the cube of the coordinates is finite.
 pub(super) fn is_near(x: DVec3) -> bool {
     x.is_finite() && x.abs().max_element() <= 1e60
 }

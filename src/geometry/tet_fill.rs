@@ -1,5 +1,5 @@
-//! The inside of a closed surface, filled with tetrahedra: parry's `volume_mesh` gives the elements of a body-centred cubic lattice
-//! that the solid reaches, smoothed; then their outer nodes are moved onto the surface.
+//! Fills a closed surface with tetrahedra. parry's `volume_mesh` returns the smoothed elements of a body-centred cubic lattice
+//! that cover the solid; their outer nodes are then moved onto the surface.
 
 use glam::{DMat3, DVec3};
 use parry3d_f64::query::PointQueryWithLocation;
@@ -10,33 +10,35 @@ use super::Surface;
 use super::surface::Fault;
 use super::tet_mesh::{MAX_ELEMENTS, TetMesh};
 
-/// Rounds of parry's smoothing. Without any the lattice stands out by half a cell; after 16 hardly a node still moves.
+/// Iterations of parry's smoothing. Without it the lattice protrudes by half a cell; after 16 nodes hardly move.
 const SMOOTHING: u32 = 16;
 
-/// How near to the surface parry pulls nodes, in cells; nearer, 16 rounds do not arrive.
+/// Distance to the surface to which parry pulls nodes, cells; a smaller one is not reached in 16 iterations.
 const GUARD: f64 = 0.05;
 
-/// How the lattice is turned against the surface, in radians, if one before did not cover it. Where faces lie in planes of the
-/// lattice, rounding decides which elements they touch, and parry then takes the inside for the outside, or the reverse: of a plate
-/// 16 by 3.2 by 16 cells only a skin was left. Faces that are turned even slightly cross the lattice.
+/// Rotations of the lattice against the surface, rad, tried until the elements cover the solid.
+///
+/// With faces in planes of the lattice, rounding decides which elements they touch, and parry confuses inside and outside: of a
+/// plate of 16 by 3.2 by 16 cells only a skin remained. Slightly rotated faces cross the lattice.
 const TURNS: [f64; 4] = [0.0, 0.003, 0.02, 0.1];
 
-/// Farthest that an outer node of a cover may lie from the surface, in cells: an element that the surface reaches is no longer
-/// than one cell.
+/// Greatest distance of an outer node of a cover from the surface, cells: elements that the surface reaches are at most one
+/// cell long.
 const COVER: f64 = 1.5;
 
-/// Rounds of moving nodes onto the surface; in later ones hardly a node still moves.
+/// Fitting iterations; later ones hardly move a node.
 const ROUNDS: usize = 10;
 
-/// Moving an outer node onto the surface must leave its elements this mean ratio, or the one they have.
+/// Least mean ratio of elements after moving an outer node, unless it was lower before.
 const FLOOR: f64 = 0.3;
 
-/// Nodes whose elements are worse than this also slide along the surface, or inside the mesh, to where they are better.
+/// Mean ratio below which nodes are also smoothed along the surface or inside the mesh.
 const GOOD: f64 = 0.5;
 
-/// Fills a surface without fault ([`Surface::fault`]) with tetrahedra whose edges are about `cell_size` (m) long, their outer nodes on
-/// the surface as far as elements stay good. Chords round its edges off: the volume is smaller where it is convex, by an amount that
-/// falls with the square of the cell size. What is thinner than a cell is meshed with one layer of elements.
+/// Fills a surface without fault ([`Surface::fault`]) with tetrahedra of edges of about `cell_size` (m).
+///
+/// Outer nodes lie on the surface as far as element quality allows. Chords cut convex edges off, so the volume is smaller by an
+/// amount proportional to the square of the cell size. Parts thinner than a cell have one layer of elements.
 pub fn fill(surface: &Surface, cell_size: f64) -> Result<TetMesh, Fault> {
     let [low, high] = surface.bounds();
     let size = high - low;
@@ -47,14 +49,14 @@ pub fn fill(surface: &Surface, cell_size: f64) -> Result<TetMesh, Fault> {
             "a positive cell_size, at most the longest extent",
         );
     }
-    // Twelve elements per cell of the bounding box with a cell around it.
+    // Twelve elements per cell of the bounding box, which is enlarged by a cell on each side.
     let elements = 12.0 * (size / cell_size + 2.0).element_product();
     if elements > MAX_ELEMENTS {
         return fault(
             format!(
-                "cell_size {cell_size} m makes {elements:.0} elements in the bounding box, allowed are {MAX_ELEMENTS:.0}"
+                "cell_size {cell_size} m results in {elements:.0} elements in the bounding box, allowed are {MAX_ELEMENTS:.0}"
             ),
-            "give a larger cell_size; a file in mm takes units = \"mm\" in a scene, --scale 0.001 on the command line",
+            "give a larger cell_size; a file in mm needs units = \"mm\" in a scene, --scale 0.001 on the command line",
         );
     }
     let boundary = Boundary::new(surface, cell_size);
@@ -70,12 +72,11 @@ pub fn fill(surface: &Surface, cell_size: f64) -> Result<TetMesh, Fault> {
     }
 }
 
-/// The surface that is filled.
 struct Boundary {
     triangles: TriMesh,
     /// m
     cell_size: f64,
-    /// Middle of its box, m.
+    /// Centre of the bounding box, m.
     centre: DVec3,
     /// Longest extent, m.
     extent: f64,
@@ -105,8 +106,8 @@ impl Boundary {
         (nearest.point, nearest.is_inside)
     }
 
-    /// Lattice elements that contain the solid, made in axes that are turned by an angle (radians) about (1, 2, 3); None where they
-    /// do not contain it.
+    /// Lattice elements that cover the solid, in axes rotated by an angle (rad) about (1, 2, 3); `None` if they do not
+    /// cover it.
     fn cover(&self, surface: &Surface, turn: f64) -> Option<TetMesh> {
         let axis = DVec3::new(1.0, 2.0, 3.0).normalize();
         let rotation = DMat3::from_axis_angle(axis, turn);
@@ -144,8 +145,7 @@ impl Boundary {
         covers.then_some(mesh)
     }
 
-    /// Moves outer nodes onto the surface, and nodes of bad elements to where these are better. In the order of the nodes, each from
-    /// where the last ones have gone.
+    /// Moves outer nodes onto the surface, and smooths nodes of bad elements: Gauss-Seidel in the order of the nodes.
     fn fit(&self, mesh: &mut TetMesh) {
         let n = mesh.nodes.len();
         let mut elements_of = vec![Vec::new(); n];
@@ -186,7 +186,7 @@ impl Boundary {
     }
 }
 
-/// Moves a node to a point, or half or a quarter of the way, where it is allowed; else it stays.
+/// Moves a node to a point, or half or a quarter of the way; the first allowed position wins.
 fn step(mesh: &mut TetMesh, node: usize, to: DVec3, allowed: impl Fn(&TetMesh) -> bool) {
     let from = mesh.nodes[node];
     for share in [1.0, 0.5, 0.25] {
@@ -198,7 +198,7 @@ fn step(mesh: &mut TetMesh, node: usize, to: DVec3, allowed: impl Fn(&TetMesh) -
     mesh.nodes[node] = from;
 }
 
-/// The nodes that share a simplex with each of `n` nodes, ascending.
+/// Nodes that share a simplex with each of `n` nodes, ascending.
 fn neighbours<const CORNERS: usize>(n: usize, simplices: &[[u32; CORNERS]]) -> Vec<Vec<u32>> {
     let mut lists = vec![Vec::new(); n];
     for simplex in simplices {

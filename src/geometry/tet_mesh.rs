@@ -1,14 +1,15 @@
-//! Tetrahedral meshes of solids: made, placed, checked; their surface and the shape of their elements.
+//! Tetrahedral meshes of solids: generation, placement, checks, surface and element quality.
 
 use glam::DVec3;
 
+use super::disjoint_sets::DisjointSets;
 use super::placing::{ensure_size, read_surface};
-use super::surface::{Fault, is_near};
+use super::surface::{Fault, bounds, is_near};
 use super::{tet_fill, tet_read, tet_shapes};
 use crate::error::Error;
 use crate::scene::{Scene, Solid, SolidMesh};
 
-/// Linear tetrahedra. All are positively oriented: det \[x1 - x0, x2 - x0, x3 - x0\] > 0; every node belongs to one at least.
+/// Linear tetrahedra with det \[x1 - x0, x2 - x0, x3 - x0\] > 0. Every node belongs to an element.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TetMesh {
     /// Positions, m.
@@ -35,13 +36,13 @@ pub struct ElementShape {
 /// Faces of an element by the opposite corner, counter-clockwise seen from outside.
 const FACES: [[usize; 3]; 4] = [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]];
 
-/// Volumes below this times the cube of the longest edge are rounding of positions: such an element has no stiffness to speak of.
+/// Least volume relative to the cube of the longest edge: smaller ones are rounding of positions.
 const FLAT: f64 = 1e-12;
 
-/// Most elements of a mesh that is made here: 2^25, some 5 GB of solver.
+/// Most elements of a generated mesh: 2^25, with a solver of some 5 GB.
 pub(super) const MAX_ELEMENTS: f64 = 33_554_432.0;
 
-/// The rest meshes of all solids of a scene, in its order.
+/// Rest meshes of all solids of a scene.
 pub fn solid_meshes(scene: &Scene) -> Result<Vec<TetMesh>, Error> {
     let solids = scene.solids.iter().enumerate();
     solids
@@ -53,14 +54,16 @@ pub fn solid_meshes(scene: &Scene) -> Result<Vec<TetMesh>, Error> {
 }
 
 impl TetMesh {
-    /// The mesh of a solid where its placement puts it: scaled and turned about its own centre (the origin for boxes, balls
-    /// and shells, the middle of the bounding box for files), then moved. The box is that of the file's surface, not of the
-    /// tetrahedra that fill it, so the place does not depend on their size. `what` names the solid in errors.
+    /// The placed mesh of a solid.
+    ///
+    /// Scale and rotation are about its centre: the origin for boxes, balls and shells, the centre of the bounding box for
+    /// files. For a filled surface that is the box of the file, so the position does not depend on the cell size. `what`
+    /// names the solid in errors.
     pub fn new(solid: &Solid, what: &str) -> Result<TetMesh, Error> {
         TetMesh::within(solid, what, None)
     }
 
-    /// The same in a domain of this size (m), which refuses a file that is far too large for it before it is filled.
+    /// The mesh in a domain of this size (m). Refuses a file far larger than the domain before filling it.
     fn within(solid: &Solid, what: &str, domain: Option<DVec3>) -> Result<TetMesh, Error> {
         let sized = |bounds: [DVec3; 2]| match domain {
             Some(size) => ensure_size(bounds, &solid.placement, what, size),
@@ -89,8 +92,9 @@ impl TetMesh {
                 tet_fill::fill(&surface, cell_size).map_err(error)?
             }
             SolidMesh::File { ref file, unit } => {
-                let read = tet_read::read(file).map_err(|error| error.within(what))?;
-                let mesh = read.mesh.scaled(unit);
+                let read = file.contents(tet_read::read);
+                let read = read.map_err(|error| error.within(what))?;
+                let mesh = read.mesh.clone().scaled(unit);
                 let [low, high] = mesh.bounds();
                 sized([low, high])?;
                 centre = 0.5 * (low + high);
@@ -132,15 +136,11 @@ impl TetMesh {
 
     /// Low and high corner of the bounding box, m.
     pub fn bounds(&self) -> [DVec3; 2] {
-        self.nodes
-            .iter()
-            .fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[low, high], &x| {
-                [low.min(x), high.max(x)]
-            })
+        bounds(self.nodes.iter().copied())
     }
 
-    /// The faces that belong to one element only, as node numbers, counter-clockwise seen from outside; in the order of their
-    /// elements, those of one element in the order of the opposite corners.
+    /// Faces of one element only, counter-clockwise seen from outside, in the order of the elements and of the opposite
+    /// corners.
     pub fn surface(&self) -> Vec<[u32; 3]> {
         let sides = self.sides();
         let groups = sides.chunk_by(|a, b| a.nodes == b.nodes);
@@ -154,7 +154,7 @@ impl TetMesh {
         single.into_iter().map(|place| self.face(place)).collect()
     }
 
-    /// Number of edges that more than two surface triangles share: there the surface touches itself.
+    /// Number of edges that more than two surface triangles share, along which the surface touches itself.
     pub fn pinched_edges(&self) -> usize {
         let triangles = self.surface();
         let ends = triangles
@@ -168,20 +168,15 @@ impl TetMesh {
             .count()
     }
 
-    /// Number of parts that share no node.
+    /// Number of parts without common nodes.
     pub fn components(&self) -> usize {
-        let mut parent: Vec<u32> = (0..self.nodes.len() as u32).collect();
-        let mut n = parent.len();
+        let mut parts = DisjointSets::new(self.nodes.len());
         for &[first, ref rest @ ..] in &self.elements {
             for &node in rest {
-                let (a, b) = (root(&mut parent, first), root(&mut parent, node));
-                if a != b {
-                    parent[a.max(b) as usize] = a.min(b);
-                    n -= 1;
-                }
+                parts.merge(first, node);
             }
         }
-        n
+        parts.labels().1
     }
 
     /// [`ElementShape::mean_ratio`] of an element.
@@ -219,7 +214,7 @@ impl TetMesh {
         }
     }
 
-    /// The element of the smallest mean ratio, the first of several; `None` without elements.
+    /// The element with the smallest mean ratio, the first of equals.
     pub fn worst_element(&self) -> Option<(usize, ElementShape)> {
         let shapes = self.elements.iter().map(|&element| self.shape(element));
         let smaller = |a: (usize, ElementShape), b: (usize, ElementShape)| {
@@ -232,14 +227,14 @@ impl TetMesh {
         shapes.enumerate().reduce(smaller)
     }
 
-    /// The first reason why this is not the mesh of a solid, if there is one. Elements and nodes are counted from 0.
+    /// The first reason why this is no mesh of a solid. Elements and nodes are counted from 0.
     pub fn fault(&self) -> Option<Fault> {
         self.fault_named(&|element| format!("element {element}"), &|node| {
             format!("node {node}")
         })
     }
 
-    /// The same, with the names that a file gives its elements and nodes.
+    /// As [`TetMesh::fault`], with the file's names of elements and nodes.
     pub(super) fn fault_named(
         &self,
         element_name: &dyn Fn(usize) -> String,
@@ -316,7 +311,7 @@ impl TetMesh {
         None
     }
 
-    /// Drops the nodes that no element uses; the others keep their order. Returns the old numbers of those that stay.
+    /// Drops the nodes that no element uses. Returns the old numbers of the others, in order.
     pub(super) fn drop_unused_nodes(&mut self) -> Vec<usize> {
         let mut used = vec![false; self.nodes.len()];
         for &node in self.elements.iter().flatten() {
@@ -334,20 +329,20 @@ impl TetMesh {
         kept
     }
 
-    /// Corners of a face, given as 4 * element + opposite corner.
+    /// Corners of a face with the index 4 * element + opposite corner.
     fn face(&self, place: u32) -> [u32; 3] {
         let element = self.elements[place as usize / 4];
         FACES[place as usize % 4].map(|corner| element[corner])
     }
 
-    /// All faces of all elements, those with the same nodes beside each other.
+    /// All faces of all elements, sorted by their nodes.
     fn sides(&self) -> Vec<Side> {
         let mut sides: Vec<Side> = (0..4 * self.elements.len() as u32)
             .map(|place| {
                 let [a, b, c] = self.face(place);
                 let mut nodes = [a, b, c];
                 nodes.sort_unstable();
-                // Turning a triangle keeps its sense; so what stands after the smallest node decides.
+                // Rotating a triangle preserves its orientation, so the corner after the smallest node decides.
                 let next = match nodes[0] {
                     first if first == a => b,
                     first if first == b => c,
@@ -374,13 +369,4 @@ struct Side {
     place: u32,
     /// Whether the ascending order is counter-clockwise seen from outside the element.
     even: bool,
-}
-
-/// The representative of a node's part; shortens the way for the next search.
-fn root(parent: &mut [u32], mut node: u32) -> u32 {
-    while parent[node as usize] != node {
-        parent[node as usize] = parent[parent[node as usize] as usize];
-        node = parent[node as usize];
-    }
-    node
 }

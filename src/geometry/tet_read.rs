@@ -1,4 +1,4 @@
-//! Files of tetrahedra: Gmsh's .msh and VTK's .vtu, made into meshes of solids.
+//! Meshes of solids from files of tetrahedra: Gmsh's .msh and VTK's .vtu.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -10,18 +10,18 @@ use super::tet_mesh::{MAX_ELEMENTS, TetMesh};
 use super::{msh, vtu};
 use crate::error::Error;
 
-/// A mesh from a file, and what was done to it.
+/// A mesh from a file and the changes to it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TetFile {
     /// The mesh, m.
     pub mesh: TetMesh,
-    /// The numbers that the file gives its elements: tags in .msh files, numbers of cells from 0 in .vtu files.
+    /// The file's element numbers: tags in .msh files, cell numbers from 0 in .vtu files.
     pub numbers: Vec<u64>,
-    /// What was ignored, dropped or turned; empty for a file that is a mesh of a solid as it stands.
+    /// Ignored, dropped or reoriented entities.
     pub notes: Vec<String>,
 }
 
-/// What a file holds, before it is checked. Corners of elements are nodes that exist.
+/// Unchecked contents of a file. Corners of elements are existing nodes.
 #[derive(Debug, Default)]
 pub(super) struct RawTets {
     /// m
@@ -31,22 +31,24 @@ pub(super) struct RawTets {
     pub(super) node_names: Vec<u64>,
     /// Numbers of the elements in the file.
     pub(super) element_names: Vec<u64>,
-    /// What the format calls elements and nodes.
+    /// The format's terms for elements and nodes.
     pub(super) words: [&'static str; 2],
-    /// Elements of fewer than three dimensions.
+    /// Number of elements of lower dimension.
     pub(super) ignored: usize,
 }
 
-/// Nodes nearer to each other than this times the extent of the mesh were one node once.
+/// Distance of coincident nodes, relative to the extent of the mesh.
 const COINCIDENT: f64 = 1e-10;
 
-/// Reads a .msh (Gmsh 4.1) or .vtu file of tetrahedra with 4 nodes. Elements of fewer dimensions are ignored, unused nodes dropped,
-/// and a mesh of which all elements are inverted is turned; other cells, and whatever makes no solid, are errors with the cure.
+/// Reads 4-node tetrahedra from a .msh (Gmsh 4.1) or .vtu file.
+///
+/// Ignores elements of lower dimension, drops unused nodes, and reorients a mesh of inverted elements only. Other volume
+/// elements, and meshes of no solid, are errors.
 pub fn read(file: &Path) -> Result<TetFile, Error> {
     parse(&mesh_file::load(file)?, file)
 }
 
-/// The same from the contents of a file; its name says what they are, and stands in errors.
+/// Parses the contents of a file; the extension of its name is the format.
 pub fn parse(bytes: &[u8], file: &Path) -> Result<TetFile, Error> {
     let extension = mesh_file::extension(file);
     let raw = match extension.as_str() {
@@ -61,7 +63,7 @@ pub fn parse(bytes: &[u8], file: &Path) -> Result<TetFile, Error> {
             "use .msh (Gmsh 4.1) or .vtu",
         )),
     };
-    raw.and_then(check).map_err(|problem| problem.of(file))
+    raw.and_then(check).map_err(|problem| problem.in_file(file))
 }
 
 fn check(raw: RawTets) -> Result<TetFile, Problem> {
@@ -145,11 +147,11 @@ fn check(raw: RawTets) -> Result<TetFile, Problem> {
     })
 }
 
-/// Two nodes at the same place, if there are any.
+/// Two nodes at the same position, if there are any.
 fn coincident(mesh: &TetMesh) -> Option<[usize; 2]> {
     let [low, high] = mesh.bounds();
     let near = COINCIDENT * (high - low).max_element();
-    // Boxes far wider than the distance, so that most nodes lie in one alone; those near a side look into both.
+    // Buckets are far wider than the distance, so that most nodes query only one.
     let cell = |x: DVec3| ((x - low) / (1e4 * near)).floor().as_i64vec3();
     let mut seen: HashMap<_, Vec<usize>> = HashMap::new();
     for (node, &x) in mesh.nodes.iter().enumerate() {

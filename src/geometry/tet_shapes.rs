@@ -1,4 +1,4 @@
-//! Tetrahedral meshes of boxes, balls and hollow balls, centred at the origin.
+//! Tetrahedral meshes of boxes, balls and shells, centred at the origin.
 
 use glam::DVec3;
 
@@ -6,7 +6,7 @@ use super::icosahedron::{self, EDGE, Lattice};
 use super::surface::Fault;
 use super::tet_mesh::{MAX_ELEMENTS, TetMesh};
 
-/// Nodes of a shape's mesh are numbered, and its elements counted, in u32.
+/// Nodes and elements are counted in u32.
 fn check_count(elements: f64, cure: &'static str) -> Result<(), Fault> {
     if elements <= MAX_ELEMENTS {
         return Ok(());
@@ -15,8 +15,8 @@ fn check_count(elements: f64, cure: &'static str) -> Result<(), Fault> {
     Err(Fault { problem, cure })
 }
 
-/// A box of bricks, each cut into the six tetrahedra around its diagonal from the low to the high corner (Kuhn 1960): neighbours
-/// agree on the diagonals of their faces. Nodes and bricks are numbered with z fastest.
+/// A box of bricks, each cut into six tetrahedra around its diagonal from the low to the high corner (Kuhn 1960). Neighbours
+/// share face diagonals. Nodes and bricks are numbered with z fastest.
 pub(super) fn cuboid(size: DVec3, cells: [usize; 3]) -> Result<TetMesh, Fault> {
     if !(size.is_finite() && size.min_element() > 0.0 && cells.iter().all(|&n| n > 0)) {
         return Err(Fault {
@@ -33,7 +33,7 @@ pub(super) fn cuboid(size: DVec3, cells: [usize; 3]) -> Result<TetMesh, Fault> {
     for i in 0..=nx {
         for j in 0..=ny {
             for k in 0..=nz {
-                // Opposite nodes have opposite coordinates to the bit.
+                // Bitwise symmetric about the origin.
                 let share = |at: usize, n: usize| (2.0 * at as f64 - n as f64) / (2.0 * n as f64);
                 let shares = DVec3::new(share(i, nx), share(j, ny), share(k, nz));
                 mesh.nodes.push(shares * size);
@@ -41,7 +41,7 @@ pub(super) fn cuboid(size: DVec3, cells: [usize; 3]) -> Result<TetMesh, Fault> {
         }
     }
     let step = [(ny + 1) * (nz + 1), nz + 1, 1].map(|step| step as u32);
-    // Even orders of the axes first corner to last give a positive volume, odd ones with the middle corners exchanged.
+    // Even permutations of the axes have a positive volume; odd ones need their middle corners exchanged.
     const ORDERS: [([usize; 3], bool); 6] = [
         ([0, 1, 2], true),
         ([1, 2, 0], true),
@@ -70,16 +70,16 @@ pub(super) fn cuboid(size: DVec3, cells: [usize; 3]) -> Result<TetMesh, Fault> {
     Ok(mesh)
 }
 
-/// A ball in the twenty tetrahedra between its centre and the faces of an icosahedron, each cut like [`lattice`]; its volume is
-/// exact, so surface nodes lie slightly outside of the sphere. Edges are about `cell_size` long everywhere.
+/// A ball of exact volume, so surface nodes lie slightly outside the sphere: twenty tetrahedra between the centre and the faces
+/// of an icosahedron, each cut like [`lattice`]. Edges are about `cell_size` long everywhere.
 pub(super) fn ball(radius: f64, cell_size: f64) -> Result<TetMesh, Fault> {
     let n = segments(radius, cell_size)?;
     let unit = radius * icosahedron::equal_volume(&icosahedron::unit_sphere(n)) / n as f64;
     Ok(lattice([0, n], |layer| unit * layer as f64))
 }
 
-/// A hollow ball; its volume and its cavity's are exact. Its layers are planes of [`lattice`], or, where the thickness is less
-/// than 0.415 cell sizes, one layer of prisms of three tetrahedra each.
+/// A shell with exact outer and inner volume. Its layers are planes of [`lattice`], or below a thickness of 0.415 cell sizes
+/// one layer of prisms of three tetrahedra each.
 pub(super) fn shell(radius: f64, thickness: f64, cell_size: f64) -> Result<TetMesh, Fault> {
     if !(thickness > 0.0 && thickness < radius) {
         return Err(Fault {
@@ -117,8 +117,8 @@ fn segments(radius: f64, cell_size: f64) -> Result<usize, Fault> {
     Ok(n as usize)
 }
 
-/// The planes `layers` of the icosahedron's [`Lattice`] and what they enclose, blown up to spheres: tetrahedra, and octahedra cut
-/// into four around the diagonal that makes the worst of the four best. `radius` is that of a layer's nodes, m.
+/// Cells between planes `first` and `last` of the icosahedron's [`Lattice`], projected to spheres: tetrahedra, and octahedra
+/// cut into four along the diagonal with the best worst element. `radius` is that of a layer's nodes, m.
 fn lattice([first, last]: [usize; 2], radius: impl Fn(usize) -> f64) -> TetMesh {
     let mut lattice = Lattice::new();
     let mut blocks = Vec::new();
@@ -136,7 +136,6 @@ fn lattice([first, last]: [usize; 2], radius: impl Fn(usize) -> f64) -> TetMesh 
                         blocks.push(Block::Tetrahedron([0, 1, 2, 4].map(&mut corner)));
                     }
                     if low + 1 >= first && low + 2 <= last {
-                        // Opposite corners stand three apart.
                         blocks.push(Block::Octahedron([1, 2, 4, 6, 5, 3].map(&mut corner)));
                     }
                     if low + 2 >= first && low + 3 <= last {
@@ -146,9 +145,9 @@ fn lattice([first, last]: [usize; 2], radius: impl Fn(usize) -> f64) -> TetMesh 
             }
         }
     }
-    let places = lattice.points.iter().zip(&lattice.planes);
+    let points = lattice.points.iter().zip(&lattice.planes);
     let mut mesh = TetMesh {
-        nodes: places
+        nodes: points
             .map(|(x, &plane)| x.normalize_or_zero() * radius(plane))
             .collect(),
         elements: Vec::new(),
@@ -160,12 +159,12 @@ fn lattice([first, last]: [usize; 2], radius: impl Fn(usize) -> f64) -> TetMesh 
                 let cuts = [0, 1, 2].map(|diagonal| cut_octahedron(corners, diagonal));
                 let worst = |cut: &[[u32; 4]; 4]| {
                     let shapes = cut.iter().map(|&element| mesh.shape(element));
-                    // Orientation comes later.
+                    // Elements are oriented later.
                     shapes
                         .map(|s| s.mean_ratio.abs())
                         .fold(f64::INFINITY, f64::min)
                 };
-                // Of diagonals that symmetry makes equal, rounding must not choose.
+                // With a margin, so that rounding does not choose among symmetric diagonals.
                 let mut best = 0;
                 for next in [1, 2] {
                     if worst(&cuts[next]) > (1.0 + 1e-9) * worst(&cuts[best]) {
@@ -181,10 +180,10 @@ fn lattice([first, last]: [usize; 2], radius: impl Fn(usize) -> f64) -> TetMesh 
     mesh
 }
 
-/// What a plane lattice is made of.
+/// Cells of a plane lattice.
 enum Block {
     Tetrahedron([u32; 4]),
-    /// Opposite corners stand three apart.
+    /// Opposite corners have indices three apart.
     Octahedron([u32; 6]),
 }
 
@@ -195,8 +194,8 @@ fn cut_octahedron(corners: [u32; 6], diagonal: usize) -> [[u32; 4]; 4] {
     [0, 1, 2, 3].map(|at| [low, high, ring[at], ring[(at + 1) % 4]])
 }
 
-/// One layer of prisms between two spheres; neighbours cut their common side from the inner node of the smaller number to the
-/// outer one of the larger.
+/// One layer of prisms between two spheres. Neighbours cut their common side from the inner node of the smaller number to the
+/// outer node of the larger.
 fn prisms(n: usize, inner: f64, outer: f64) -> TetMesh {
     let unit = icosahedron::unit_sphere(n);
     let above = unit.vertices.len() as u32;
@@ -219,7 +218,7 @@ fn prisms(n: usize, inner: f64, outer: f64) -> TetMesh {
 }
 
 impl TetMesh {
-    /// Adds an element with its last corners exchanged if it would be inverted.
+    /// Adds an element, reoriented if inverted.
     fn push_oriented(&mut self, [a, b, c, d]: [u32; 4]) {
         let inverted = self.determinant([a, b, c, d]) < 0.0;
         self.elements

@@ -1,7 +1,7 @@
-//! Walls that are too thin for the grid.
+//! Detection of walls too thin for the grid.
 //!
-//! The distance to a body is known at the centres of cells. A flat wall has a centre inside wherever it is crossed if it is at least
-//! dx (|n_x| + |n_y| + |n_z|) thick, n its normal: that is how far apart along n the planes are that bound a cell. A thinner one leaks.
+//! Distances to bodies are known at cell centres. The extent of a cell along a unit vector n is dx (|n_x| + |n_y| + |n_z|). A
+//! flat wall with normal n and at least this thickness contains a centre wherever a grid line crosses it. Thinner walls leak.
 
 use std::f64::consts::PI;
 
@@ -16,64 +16,62 @@ use crate::error::Error;
 use crate::grid::Grid;
 use crate::scene::{Keyframe, Obstacle, Scene};
 
-/// A body with a wall that is thinner than the grid needs.
+/// A body with a wall too thin for the grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ThinWall {
     /// Number of the body.
     pub body: usize,
     /// Thickness of the wall, cells.
     pub thickness: f64,
-    /// Thickness from which on such a wall holds, cells: 1 along an axis, 1.73 along the diagonal of a cell.
+    /// Least thickness without leaks, cells: 1 along an axis, 1.73 along the diagonal of a cell.
     pub needed: f64,
 }
 
-/// Most triangles at which the thickness of a mesh is measured.
+/// Most triangles of a mesh that are sampled.
 const SAMPLES: usize = 8192;
 
-/// Rounding of a thickness, as a part of it.
+/// Relative rounding of a thickness.
 const ROUNDING: f64 = 1e-6;
 
-/// Widths within which a ball as wide as needed makes a thin place an edge, and no wall.
+/// Distance from a thin place, in required widths, within which a ball of the required width identifies an edge rather than a
+/// wall.
 const EDGE_REACH: f64 = 2.0;
 
-/// The same of a tip, which is narrow in all directions across: nothing leaks through it, and the few triangles of a coarse mesh make
-/// it slender.
+/// The same distance for tips, which are narrow in all directions: nothing leaks through them, and the few triangles of coarse
+/// meshes make them slender.
 const TIP_REACH: f64 = 5.0;
 
-/// Widths across below which a thin place is narrow.
+/// Width, in required widths, below which a thin place is narrow.
 const NARROW: f64 = 2.0;
 
-/// Places on the way out at which the search for such a ball starts again, as parts of the way. Rough surfaces end a climb early.
+/// Starting points of the ball search along a ray to the surface, as fractions of its length. Rough surfaces end a climb early.
 const STARTS: [f64; 3] = [0.25, 0.5, 0.75];
 
-/// Largest turn between two poses at which a moving wall is looked at, rad.
-const TURN: f64 = 0.05;
+/// Largest rotation between two tested poses of a moving wall, rad.
+const MAX_ROTATION: f64 = 0.05;
 
 /// Most poses between two keyframes.
 const MAX_POSES: usize = 256;
 
-/// A thickness and the one that is needed, m.
+/// Thickness and required thickness, m.
 type Wall = [f64; 2];
 
 fn ratio([thickness, needed]: &Wall) -> f64 {
     thickness / needed
 }
 
-/// The obstacles with walls that leak, in the order of the scene. Containers have no thickness.
-///
-/// # Errors
-/// [`Error::Input`] when a mesh file cannot be used.
+/// Obstacles with leaking walls, in the order of the scene. Containers have no thickness.
 pub fn thin_obstacles(scene: &Scene, grid: &Grid) -> Result<Vec<ThinWall>, Error> {
     let mut thin = Vec::new();
     for (number, body) in bodies(scene, grid).enumerate() {
-        let turns = turns(&scene.obstacles[number], scene.time.duration);
-        let wall = thinnest_of(&body?, &turns, grid.dx);
+        let rotations = rotations(&scene.obstacles[number], scene.time.duration);
+        let wall = thinnest_of(&body?, &rotations, grid.dx);
         thin.extend(thin_wall(number, wall, grid.dx));
     }
     Ok(thin)
 }
 
-/// The solids with walls that leak, as they lie at the start.
+/// Solids with leaking walls in their initial positions.
 pub fn thin_solids(mesh: &MovedMesh, grid: &Grid) -> Vec<ThinWall> {
     let needed = |normal: DVec3| grid.dx * one_norm(normal);
     let closed = mesh.closed_bodies().into_iter().enumerate();
@@ -96,32 +94,33 @@ fn one_norm(x: DVec3) -> f64 {
     x.abs().element_sum()
 }
 
-/// The turns of an obstacle on its way, up to a time (s); one without a motion.
-fn turns(obstacle: &Obstacle, end: f64) -> Vec<DMat3> {
-    let mut turns = vec![DMat3::IDENTITY];
+/// Rotations of an obstacle up to a time (s).
+fn rotations(obstacle: &Obstacle, end: f64) -> Vec<DMat3> {
+    let mut rotations = vec![DMat3::IDENTITY];
     let Some(motion) = &obstacle.motion else {
-        return turns;
+        return rotations;
     };
-    let turn = |time: f64| Keyframe::pose(&motion.keyframes, time).0;
+    let rotation = |time: f64| Keyframe::pose(&motion.keyframes, time).0;
     for pair in motion.keyframes.windows(2) {
         let [from, to] = [pair[0].time.min(end), pair[1].time.min(end)];
-        let angle = (turn(to) - turn(from)).length();
-        let n = ((angle / TURN).ceil() as usize).min(MAX_POSES);
+        let angle = (rotation(to) - rotation(from)).length();
+        let n = ((angle / MAX_ROTATION).ceil() as usize).min(MAX_POSES);
         let times = (0..=n).map(|i| from + (to - from) * i as f64 / n.max(1) as f64);
-        turns.extend(times.map(|time| DMat3::from_quat(DQuat::from_scaled_axis(turn(time)))));
+        rotations
+            .extend(times.map(|time| DMat3::from_quat(DQuat::from_scaled_axis(rotation(time)))));
     }
-    turns
+    rotations
 }
 
-/// The wall of a body, turned in each of these ways, that has the smallest part of the thickness that it needs.
-fn thinnest_of(body: &Body, turns: &[DMat3], dx: f64) -> Option<Wall> {
+/// The wall of a body with the smallest ratio of thickness to required thickness, over all rotations.
+fn thinnest_of(body: &Body, rotations: &[DMat3], dx: f64) -> Option<Wall> {
     let placement = body.placement();
-    let most = |value: &dyn Fn(&DMat3) -> f64| turns.iter().map(value).fold(0.0, f64::max);
-    let flat = |normal: DVec3| dx * most(&|turn| one_norm(*turn * normal));
-    // The largest |n|_1 of the unit vectors n across an axis: that of the projection of a vector of signs.
+    let most = |value: &dyn Fn(&DMat3) -> f64| rotations.iter().map(value).fold(0.0, f64::max);
+    let flat = |normal: DVec3| dx * most(&|rotation| one_norm(*rotation * normal));
+    // Largest |n|_1 of unit vectors n normal to an axis: that of the projection of a vector of signs.
     let round = |axis: DVec3| {
-        let widest = |turn: &DMat3| {
-            let axis = *turn * axis;
+        let widest = |rotation: &DMat3| {
+            let axis = *rotation * axis;
             let signs = [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]];
             let across = signs.map(|[y, z]| DVec3::new(1.0, y, z).reject_from_normalized(axis));
             across.into_iter().map(DVec3::length).fold(0.0, f64::max)
@@ -157,61 +156,65 @@ fn thinnest_of(body: &Body, turns: &[DMat3], dx: f64) -> Option<Wall> {
 }
 
 impl ClosedMesh {
-    /// The wall with the smallest part of the thickness (m) that its normal needs, among those with less than that. The thickness is the
-    /// way from the middle of a triangle straight through. Tips, edges and corners are no walls: a ball as wide as needed lies near.
+    /// The wall with the smallest ratio of thickness (m) to required thickness, if that is below 1.
+    ///
+    /// The thickness is the length of the chord along the normal from the centre of a triangle. Tips, edges and corners are
+    /// no walls: a ball of the required width lies near them.
     fn thinnest_wall(&self, needed: impl Fn(DVec3) -> f64 + Sync) -> Option<Wall> {
-        let mesh = self.seen()?;
+        let mesh = self.free_triangles()?;
         let mut chords: Vec<(Wall, Chord)> = chords(mesh)
             .into_par_iter()
             .map(|chord| ([chord.length, needed(chord.normal)], chord))
             .filter(|(wall, _)| ratio(wall) < 1.0 - ROUNDING)
             .collect();
         chords.sort_by(|(a, _), (b, _)| ratio(a).total_cmp(&ratio(b)));
-        let wall = |(wall, chord): &(Wall, Chord)| !self.holds_ball(chord, wall[1]);
+        let wall = |(wall, chord): &(Wall, Chord)| !self.contains_ball(chord, wall[1]);
         chords.into_iter().find(wall).map(|(wall, _)| wall)
     }
 
-    /// Whether a ball of this width (m) lies in the mesh near the middle of a chord: at the end of a climb from there or from a place
-    /// that is seen from there.
-    fn holds_ball(&self, chord: &Chord, width: f64) -> bool {
+    /// Whether the mesh contains a ball of this width (m) near the centre of a chord: at the end of a climb from there, or
+    /// from a point visible from there.
+    fn contains_ball(&self, chord: &Chord, width: f64) -> bool {
         let (start, most) = (chord.middle, TIP_REACH * width);
         let (u, v) = chord.normal.any_orthonormal_pair();
-        // A rod along the middle between two of them is longer than five times its thickness in both.
+        // A rod between two of these directions is longer than five times its thickness in both.
         let across = (0..16).map(|n| DVec2::from_angle(f64::from(n) * PI / 16.0));
-        let across = across.map(|way| way.x * u + way.y * v);
-        let widths = across.map(|way| {
-            let [there, back] = [way, -way].map(|way| self.way_out(start, way, most));
+        let across = across.map(|direction| direction.x * u + direction.y * v);
+        let widths = across.map(|direction| {
+            let rays = [direction, -direction];
+            let [there, back] = rays.map(|direction| self.ray_length(start, direction, most));
             there + back
         });
         let widths: Vec<f64> = widths.collect();
         let [low, high] = self.bounds();
         if widths.iter().all(|across| *across < width) && (high - low).max_element() > most {
-            // A flap of a rough surface, smaller than a wall's thickness in every direction.
+            // A flap of a rough surface, smaller than the wall's thickness in every direction.
             return true;
         }
         let narrow = widths.iter().any(|across| *across < NARROW * width);
         let reach = if narrow { most } else { EDGE_REACH * width };
-        let holds = |place: DVec3| self.climb_holds_ball(place, (start, reach), width);
-        if holds(start) {
+        let reaches_ball = |x: DVec3| self.climb_reaches_ball(x, (start, reach), width);
+        if reaches_ball(start) {
             return true;
         }
         let steps = || [-1.0, 0.0, 1.0].into_iter();
-        let ways = steps()
+        let steps = steps()
             .flat_map(|z| steps().flat_map(move |y| steps().map(move |x| DVec3::new(x, y, z))));
-        let places = ways.filter_map(DVec3::try_normalize).flat_map(|way| {
-            let free = self.way_out(start, way, reach);
-            STARTS.map(|part| start + part * free * way)
+        let directions = steps.filter_map(DVec3::try_normalize);
+        let starts = directions.flat_map(|direction| {
+            let free = self.ray_length(start, direction, reach);
+            STARTS.map(|part| start + part * free * direction)
         });
-        let places: Vec<DVec3> = places.collect();
-        places.into_par_iter().any(holds)
+        let starts: Vec<DVec3> = starts.collect();
+        starts.into_par_iter().any(reaches_ball)
     }
 
-    /// Whether a ball of this width (m) is met on the way from a place of the mesh away from the nearest place of its surface, within
-    /// a reach (m) of `start`.
-    fn climb_holds_ball(&self, place: DVec3, (start, reach): (DVec3, f64), width: f64) -> bool {
+    /// Whether a climb away from the nearest surface point meets a ball of this width (m), within a distance (m) of
+    /// `start`.
+    fn climb_reaches_ball(&self, mut x: DVec3, (start, reach): (DVec3, f64), width: f64) -> bool {
         let radius = 0.5 * width;
-        let (mut x, mut best, mut last) = (place, 0.0, 0.0);
-        for round in 1..=256 {
+        let (mut best, mut last) = (0.0, 0.0);
+        for iteration in 1..=256 {
             let Some(nearest) = self.nearest_wall(x) else {
                 return false;
             };
@@ -220,8 +223,8 @@ impl ClosedMesh {
                 return true;
             }
             best = f64::max(best, depth);
-            // Between parallel walls it gains nothing; towards the thick end of a wedge it gains all the way.
-            if round % 16 == 0 {
+            // Between parallel walls the depth stagnates; towards the thick end of a wedge it grows all the way.
+            if iteration % 16 == 0 {
                 if best < 1.05 * last {
                     return false;
                 }
@@ -236,23 +239,23 @@ impl ClosedMesh {
         false
     }
 
-    /// Length of the way (m) from a point inside to the surface, at most `most`.
-    fn way_out(&self, start: DVec3, way: DVec3, most: f64) -> f64 {
-        let ray = Ray::new(start, way);
+    /// Distance from an inner point to the surface along a direction, m, at most `most`.
+    fn ray_length(&self, start: DVec3, direction: DVec3, most: f64) -> f64 {
+        let ray = Ray::new(start, direction);
         let hit = self
-            .seen()
+            .free_triangles()
             .and_then(|mesh| mesh.cast_local_ray(&ray, most, false));
         hit.unwrap_or(most)
     }
 }
 
-/// A way straight through a mesh from the middle of a triangle.
+/// A chord of a mesh along the normal from the centre of a triangle.
 struct Chord {
     /// m
     length: f64,
-    /// Of the triangle, out of the mesh.
+    /// Outward normal of the triangle.
     normal: DVec3,
-    /// m
+    /// Centre of the chord, m.
     middle: DVec3,
 }
 
@@ -264,7 +267,7 @@ fn chords(mesh: &TriMesh) -> Vec<Chord> {
     let chord = |triangle: u32| {
         let triangle = mesh.triangle(triangle);
         let normal = triangle.scaled_normal().try_normalize()?;
-        // From just below the triangle, so that it is not hit itself.
+        // From just below the triangle, so that the ray does not hit it.
         let start = triangle.center() - 1e-9 * size * normal;
         let length = mesh.cast_local_ray(&Ray::new(start, -normal), size, false)?;
         let middle = start - 0.5 * length * normal;
@@ -277,11 +280,14 @@ fn chords(mesh: &TriMesh) -> Vec<Chord> {
     triangles.filter_map(chord).collect()
 }
 
-/// Typical thickness (m) of a body, and how many layers of elements it has: the median way through, by the edge of the regular
-/// tetrahedron with the mean volume of the elements.
+/// Typical thickness of a body, m, and its number of element layers: the median chord, divided by the edge of the regular
+/// tetrahedron with the mean element volume.
 pub fn layers_across(mesh: &TetMesh) -> Option<[f64; 2]> {
     let surface = ClosedMesh::new(mesh.nodes.clone(), mesh.surface());
-    let mut lengths: Vec<f64> = chords(surface.seen()?).iter().map(|c| c.length).collect();
+    let mut lengths: Vec<f64> = chords(surface.free_triangles()?)
+        .iter()
+        .map(|c| c.length)
+        .collect();
     lengths.sort_by(f64::total_cmp);
     let thickness = *lengths.get(lengths.len() / 2)?;
     let volume = mesh.volume() / mesh.elements.len() as f64;

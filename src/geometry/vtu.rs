@@ -1,7 +1,7 @@
-//! Tetrahedra from VTK's XML files of unstructured grids (.vtu): text, base64 and raw appended data, plain or with zlib (VTK's manual,
-//! "XML file formats").
+//! Tetrahedra from VTK's XML files of unstructured grids (.vtu): text, base64 and raw appended data, plain or with zlib (VTK's
+//! manual, "XML file formats").
 //!
-//! vtkio, which writes such files here, does not read raw appended data, ParaView's default, and panics on data that end too early.
+//! vtkio, which writes these files here, cannot read raw appended data, ParaView's default, and panics on truncated data.
 
 use std::io::Read;
 
@@ -11,7 +11,7 @@ use flate2::read::ZlibDecoder;
 use glam::DVec3;
 use roxmltree::{Document, Node};
 
-use super::mesh_file::Problem;
+use super::mesh_file::{Problem, little_endian};
 use super::tet_read::RawTets;
 
 /// VTK's number of the linear tetrahedron.
@@ -24,7 +24,7 @@ const LOWER: [i64; 25] = [
 
 const TETRAHEDRALIZE: &str = "in ParaView apply the filter Tetrahedralize (for cells of higher order before it Linearize), and save the result as .vtu";
 
-/// Reads the points and tetrahedra of all pieces; cells of fewer dimensions are counted only.
+/// Reads the points and tetrahedra of all pieces, and counts cells of lower dimension.
 pub(super) fn read(bytes: &[u8]) -> Result<RawTets, Problem> {
     let (head, appended) = split(bytes);
     let document = Document::parse(&head).map_err(|problem| Problem {
@@ -53,14 +53,14 @@ pub(super) fn read(bytes: &[u8]) -> Result<RawTets, Problem> {
     Ok(raw)
 }
 
-/// The XML without the contents of its AppendedData, and those from behind their underscore on: raw bytes are no XML.
+/// The XML without its AppendedData, and those data from behind their underscore on: raw bytes are no XML.
 fn split(bytes: &[u8]) -> (String, &[u8]) {
     let text = |bytes| String::from_utf8_lossy(bytes).into_owned();
     let find = |from: usize, what: &[u8]| {
-        let found = bytes[from..]
+        let at = bytes[from..]
             .windows(what.len())
             .position(|part| part == what);
-        found.map(|at| from + at)
+        at.map(|at| from + at)
     };
     let cut = || {
         let tag = find(0, b"<AppendedData")?;
@@ -77,21 +77,31 @@ fn split(bytes: &[u8]) -> (String, &[u8]) {
     }
 }
 
+/// Name of an unsupported cell type.
+fn cell_name(kind: i64) -> String {
+    match kind {
+        24 | 71 | 78 => "a tetrahedron of higher order".to_owned(),
+        11 | 12 => "a hexahedron".to_owned(),
+        13 => "a prism".to_owned(),
+        14 => "a pyramid".to_owned(),
+        other => format!("of type {other}"),
+    }
+}
+
 fn child<'a>(node: Node<'a, 'a>, name: &str) -> Option<Node<'a, 'a>> {
     node.children().find(|child| child.has_tag_name(name))
 }
 
-/// The values of a data array.
 enum Values {
     Whole(Vec<i64>),
     Real(Vec<f64>),
 }
 
-/// What the whole file agrees on.
+/// Encoding of the whole file.
 struct File<'a> {
     document: &'a Document<'a>,
     big_endian: bool,
-    /// Bytes of the numbers in headers.
+    /// Bytes of a header number.
     header: usize,
     zlib: bool,
     appended: &'a [u8],
@@ -138,7 +148,7 @@ impl<'a> File<'a> {
         Ok(file)
     }
 
-    /// A problem at the line of a node.
+    /// An error at the line of a node.
     fn problem(&self, node: Node, problem: impl Into<String>) -> Problem {
         let line = self.document.text_pos_at(node.range().start).row;
         Problem {
@@ -164,32 +174,11 @@ impl<'a> File<'a> {
             count.ok_or_else(|| self.problem(piece, format!("no {name} of this piece")))
         });
         let (n_points, n_cells): (usize, usize) = (n_points?, n_cells?);
-        let part = |name: &str| {
-            child(piece, name)
-                .ok_or_else(|| self.problem(piece, format!("no {name} in this piece")))
-        };
-        let points = part("Points")?;
-        let points = child(points, "DataArray")
-            .ok_or_else(|| self.problem(points, "no DataArray of points"))?;
-        let cells = part("Cells")?;
-        let array = |name: &str| {
-            let mut arrays = cells
-                .children()
-                .filter(|node| node.has_tag_name("DataArray"));
-            let found = arrays.find(|node| node.attribute("Name") == Some(name));
-            let node = found
-                .ok_or_else(|| self.problem(cells, format!("no array {name} of the cells")))?;
-            Ok::<_, Problem>((node, self.whole(node)?))
-        };
-        let coordinates = self.real(points)?;
-        let (positions, rest) = coordinates.as_chunks::<3>();
-        if positions.len() != n_points || !rest.is_empty() {
-            let n = coordinates.len();
-            return Err(self.problem(points, format!("{n} coordinates of {n_points} points")));
-        }
-        let (connectivity_node, connectivity) = array("connectivity")?;
-        let (offsets_node, offsets) = array("offsets")?;
-        let (types_node, types) = array("types")?;
+        let points = self.points(piece, n_points)?;
+        let cells = self.part(piece, "Cells")?;
+        let (connectivity_node, connectivity) = self.cell_array(cells, "connectivity")?;
+        let (offsets_node, offsets) = self.cell_array(cells, "offsets")?;
+        let (types_node, types) = self.cell_array(cells, "types")?;
         for (node, array) in [(offsets_node, &offsets), (types_node, &types)] {
             if array.len() != n_cells {
                 let n = array.len();
@@ -197,8 +186,7 @@ impl<'a> File<'a> {
             }
         }
         let first = raw.nodes.len();
-        raw.nodes
-            .extend(positions.iter().map(|&x| DVec3::from_array(x)));
+        raw.nodes.extend(points);
         let mut start = 0;
         for (number, (&end, &kind)) in (n_cells_before..).zip(offsets.iter().zip(&types)) {
             let corners = usize::try_from(end).ok().and_then(|end| {
@@ -219,10 +207,10 @@ impl<'a> File<'a> {
                         let known = usize::try_from(corner).ok().filter(|&at| at < n_points);
                         let known = known.and_then(|at| u32::try_from(first + at).ok());
                         *node = known.ok_or_else(|| {
-                            self.problem(
-                                connectivity_node,
-                                format!("cell {number} has point {corner}, but there are {n_points}, counted from 0"),
-                            )
+                            let problem = format!(
+                                "cell {number} has point {corner}, but there are {n_points}, counted from 0"
+                            );
+                            self.problem(connectivity_node, problem)
                         })?;
                     }
                     raw.elements.push(element);
@@ -237,21 +225,11 @@ impl<'a> File<'a> {
                 }
                 (kind, _) if LOWER.contains(&kind) => raw.ignored += 1,
                 (kind, _) => {
-                    let what = match kind {
-                        24 | 71 | 78 => "a tetrahedron of higher order".to_owned(),
-                        11 | 12 => "a hexahedron".to_owned(),
-                        13 => "a prism".to_owned(),
-                        14 => "a pyramid".to_owned(),
-                        other => format!("of type {other}"),
-                    };
+                    let cell = format!("cell {number} is {}", cell_name(kind));
+                    let problem = format!("{cell}; only tetrahedra of 4 points are used");
                     return Err(Problem {
                         cure: TETRAHEDRALIZE.into(),
-                        ..self.problem(
-                            types_node,
-                            format!(
-                                "cell {number} is {what}; only tetrahedra of 4 points are used"
-                            ),
-                        )
+                        ..self.problem(types_node, problem)
                     });
                 }
             }
@@ -264,6 +242,38 @@ impl<'a> File<'a> {
             ));
         }
         Ok(n_cells as u64)
+    }
+
+    fn part(&self, piece: Node<'a, 'a>, name: &str) -> Result<Node<'a, 'a>, Problem> {
+        child(piece, name).ok_or_else(|| self.problem(piece, format!("no {name} in this piece")))
+    }
+
+    fn points(&self, piece: Node<'a, 'a>, n: usize) -> Result<Vec<DVec3>, Problem> {
+        let points = self.part(piece, "Points")?;
+        let points = child(points, "DataArray")
+            .ok_or_else(|| self.problem(points, "no DataArray of points"))?;
+        let coordinates = self.real(points)?;
+        let (positions, rest) = coordinates.as_chunks::<3>();
+        if positions.len() != n || !rest.is_empty() {
+            let problem = format!("{} coordinates of {n} points", coordinates.len());
+            return Err(self.problem(points, problem));
+        }
+        Ok(positions.iter().map(|&x| DVec3::from_array(x)).collect())
+    }
+
+    /// An integer array of the cells, with its node.
+    fn cell_array(
+        &self,
+        cells: Node<'a, 'a>,
+        name: &str,
+    ) -> Result<(Node<'a, 'a>, Vec<i64>), Problem> {
+        let mut arrays = cells
+            .children()
+            .filter(|node| node.has_tag_name("DataArray"));
+        let node = arrays.find(|node| node.attribute("Name") == Some(name));
+        let node =
+            node.ok_or_else(|| self.problem(cells, format!("no array {name} of the cells")))?;
+        Ok((node, self.whole(node)?))
     }
 
     fn whole(&self, node: Node<'a, 'a>) -> Result<Vec<i64>, Problem> {
@@ -341,11 +351,11 @@ impl<'a> File<'a> {
         })
     }
 
-    /// The bytes of an array that begins at the start of `data`, and the length of its encoding: a header with sizes, then the values, as
-    /// they are or in blocks.
+    /// Bytes of the array at the start of `data`, and the length of its encoding: a header with sizes, then the values,
+    /// plain or in blocks.
     fn decode(&self, data: &[u8], base64: bool) -> Option<(Vec<u8>, usize)> {
         let encoded = |n: usize| if base64 { n.div_ceil(3) * 4 } else { n };
-        // Bytes from `start` on, of one piece of base64 that is `end` bytes long.
+        // The first `end` bytes, which are one piece of base64.
         let take = |from: &[u8], end: usize| -> Option<Vec<u8>> {
             if base64 {
                 let encoded = from.get(..end.div_ceil(3).checked_mul(4)?)?;
@@ -362,7 +372,7 @@ impl<'a> File<'a> {
             let all = take(data, end)?;
             return Some((all[self.header..].to_vec(), encoded(end)));
         }
-        // Number of blocks, size of a block, size of the last if it is smaller, compressed sizes.
+        // Number of blocks, size of a block, size of a smaller last block, compressed sizes.
         let header_bytes = first.checked_add(3)?.checked_mul(self.header)?;
         let header = take(data, header_bytes)?;
         let sizes: Option<Vec<usize>> = header
@@ -386,7 +396,7 @@ impl<'a> File<'a> {
             };
             let before = bytes.len();
             let packed = &packed[start..start + size];
-            // Damaged sizes must not fill the memory.
+            // Damaged sizes must not exhaust the memory.
             let limit = (expected as u64).saturating_add(1);
             ZlibDecoder::new(packed)
                 .take(limit)
@@ -400,37 +410,23 @@ impl<'a> File<'a> {
         Some((bytes, behind + encoded(total)))
     }
 
-    /// A number of a header.
     fn size(&self, bytes: &[u8]) -> Option<usize> {
         let size = if let Ok(bytes) = <[u8; 4]>::try_from(bytes) {
-            u64::from(if self.big_endian {
-                u32::from_be_bytes(bytes)
-            } else {
-                u32::from_le_bytes(bytes)
-            })
+            u32::from_le_bytes(little_endian(bytes, self.big_endian)).into()
         } else {
             let bytes = <[u8; 8]>::try_from(bytes).ok()?;
-            if self.big_endian {
-                u64::from_be_bytes(bytes)
-            } else {
-                u64::from_le_bytes(bytes)
-            }
+            u64::from_le_bytes(little_endian(bytes, self.big_endian))
         };
         usize::try_from(size).ok()
     }
 
-    /// Numbers of a VTK type; None where the bytes do not come out even or the type is unknown.
+    /// Numbers of a VTK type; `None` for a remainder or an unknown type.
     fn numbers(&self, bytes: &[u8], kind: &str) -> Option<Values> {
         macro_rules! numbers {
             ($kind:ty, $values:expr, $into:ty) => {{
                 let (numbers, rest) = bytes.as_chunks::<{ size_of::<$kind>() }>();
-                let numbers = numbers.iter().map(|&number| {
-                    let number = if self.big_endian {
-                        <$kind>::from_be_bytes(number)
-                    } else {
-                        <$kind>::from_le_bytes(number)
-                    };
-                    number as $into
+                let numbers = numbers.iter().map(|&bytes| {
+                    <$kind>::from_le_bytes(little_endian(bytes, self.big_endian)) as $into
                 });
                 rest.is_empty().then(|| $values(numbers.collect()))
             }};

@@ -1,16 +1,16 @@
-//! Deterministic stream compaction: the indices of all non-zero flags, ascending, with the dispatch size for them. An entry carries the
-//! highest bit of its flag, so that a kernel over the list need not load the flag for one common question.
+//! Deterministic stream compaction: the indices of all non-zero flags, ascending, and the dispatch size for them. An
+//! entry includes the highest bit of its flag, which saves kernels over the list a load.
 //!
-//! Count per chunk, scan the counts in one workgroup, write: three dispatches, no atomics, so the list is a function of the
-//! flags alone.
+//! Three dispatches without atomics: counts per chunk, a scan of the counts in one workgroup, and the write. The list
+//! is a function of the flags alone.
 
 use super::{Bound, Buffer, Dispatch, Gpu, Kernel, Pass, Real};
 use crate::Error;
 
-/// Flags that one thread of the count and write kernels looks at: four times `CHUNK_GROUPS` in `common/compact.wgsl`.
+/// Flags per thread of the count and write kernels: four times `CHUNK_GROUPS` in `common/compact.wgsl`.
 const CHUNK: usize = 16;
 
-/// The kernels; one set serves any number of [`Compaction`]s.
+/// The kernels, shared by all [`Compaction`]s.
 #[derive(Debug)]
 pub struct CompactKernels {
     count: Kernel,
@@ -19,10 +19,7 @@ pub struct CompactKernels {
 }
 
 impl CompactKernels {
-    /// Compiles them.
-    ///
-    /// # Errors
-    /// As [`Kernel::new`].
+    /// Compiles the kernels.
     pub fn new(gpu: &Gpu) -> Result<CompactKernels, Error> {
         Ok(CompactKernels {
             count: Kernel::new(gpu, &crate::wgsl!("compact_count"), Real::F32)?,
@@ -32,7 +29,7 @@ impl CompactKernels {
     }
 }
 
-/// A list made from flags. `args` holds, at the slot given, workgroups x, y, z for the list and its length.
+/// A compaction of flags to a list. The slot of `args` receives workgroups x, y, z for the list and its length.
 #[derive(Debug)]
 pub struct Compaction {
     threads: usize,
@@ -41,30 +38,28 @@ pub struct Compaction {
     write: Bound,
 }
 
-/// What [`Compaction::new`] puts into a uniform: `Range` in `common/compact.wgsl`.
+/// Uniform of a compaction: `Range` in `common/compact.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Range {
-    /// First flag.
+    /// Index of the first flag.
     pub first: u32,
     /// Number of flags.
     pub n_flags: u32,
-    /// First word of the arguments in `args`.
+    /// Index of the first word of the arguments in `args`.
     pub args: u32,
     /// Number of chunks.
     pub n_chunks: u32,
 }
 
 impl Compaction {
-    /// Words of scratch memory for a compaction of `n_flags` flags; compactions that run in order may share it.
+    /// Words of scratch memory for a compaction of `n_flags` flags. Compactions in sequence may share it.
     pub fn scratch(n_flags: usize) -> usize {
         n_flags.div_ceil(CHUNK)
     }
 
-    /// Compacts `flags[first .. first + n_flags]` (both multiples of 4) into `list[first ..]`; indices are those in `flags`.
-    ///
-    /// # Errors
-    /// [`Error::Limit`] or [`Error::Gpu`].
+    /// Compacts `flags[first .. first + n_flags]` (both multiples of 4) into `list[first ..]`. The list contains
+    /// indices into `flags`.
     #[expect(
         clippy::too_many_arguments,
         reason = "four buffers and where to look in them, each named at the call"

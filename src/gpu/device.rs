@@ -1,4 +1,4 @@
-//! Adapter choice, device, limits, and the collection of device errors.
+//! Adapter choice, device, limits, and collected device errors.
 
 use std::collections::{BTreeSet, HashMap};
 use std::fmt::Write as _;
@@ -10,17 +10,17 @@ use super::traffic::{Meter, StageKernel, Trace, Traffic};
 use super::{BufferPlan, Kernel, Source, Surroundings, Variant};
 use crate::Error;
 
-/// Which adapter to use.
+/// Choice of the adapter.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
 pub enum AdapterChoice {
-    /// The best: discrete, then integrated, then virtual, then software.
+    /// Discrete first, then integrated, virtual, software.
     #[default]
     Best,
-    /// The one with this index in [`Gpu::adapters`].
+    /// Index in [`Gpu::adapters`].
     Index(usize),
-    /// The first of a kind: `discrete`, `integrated`, `virtual`, `software`.
+    /// First adapter of a kind: `discrete`, `integrated`, `virtual`, `software`.
     Kind(wgpu::DeviceType),
-    /// The first whose name contains this, ignoring case.
+    /// First adapter whose name contains the text, ignoring case.
     Name(String),
 }
 
@@ -41,7 +41,7 @@ impl std::str::FromStr for AdapterChoice {
     }
 }
 
-/// As `--adapter` takes it.
+/// Name of a kind, as in `--adapter`.
 fn kind_name(kind: wgpu::DeviceType) -> &'static str {
     match kind {
         wgpu::DeviceType::DiscreteGpu => "discrete",
@@ -63,41 +63,41 @@ impl std::fmt::Display for AdapterChoice {
     }
 }
 
-/// A limit of an adapter that every scene needs.
+/// A limit that every scene requires of an adapter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct NeededLimit {
-    /// As wgpu calls it.
+    /// Name in wgpu.
     pub name: &'static str,
-    /// What needs it.
+    /// Purpose.
     pub what: &'static str,
-    /// What it must be at the least.
+    /// Smallest sufficient value.
     pub needed: u32,
-    /// What the adapter allows.
+    /// Value of the adapter.
     pub available: u32,
 }
 
-/// What is known of an adapter without opening a device. The default is an adapter with all features and without limits.
+/// Properties of an adapter, queried without opening a device. The default has all features and no limits.
 #[derive(Clone, Debug)]
 pub struct AdapterReport {
     /// Name.
     pub name: String,
-    /// Driver and its version.
+    /// Driver and version.
     pub driver: String,
-    /// API, such as `vulkan`.
+    /// Graphics API, such as `vulkan`.
     pub backend: String,
     /// `discrete`, `integrated`, `virtual`, `software` or `other`.
     pub kind: &'static str,
-    /// Whether WGSL f64 works, which precision `f64` needs and `mixed` uses.
+    /// Whether WGSL f64 works: required by precision `f64` and used by `mixed`.
     pub f64: bool,
-    /// Whether stages can be timed on the device.
+    /// Whether the device supports timestamps for stages.
     pub timestamps: bool,
-    /// Storage buffers that one kernel may bind.
+    /// Largest number of storage buffers per kernel.
     pub storage_buffers: u32,
     /// Largest storage binding, bytes.
     pub storage_binding: u64,
     /// Largest buffer, bytes.
     pub buffer: u64,
-    /// Threads in a workgroup.
+    /// Threads per workgroup.
     pub threads: u32,
     /// Workgroups per dimension.
     pub workgroups: u32,
@@ -143,7 +143,7 @@ impl AdapterReport {
         }
     }
 
-    /// The limits that every scene needs, whatever its size.
+    /// The limits that every scene requires, independent of its size.
     pub fn needed_limits(&self) -> [NeededLimit; 3] {
         [
             NeededLimit {
@@ -167,10 +167,7 @@ impl AdapterReport {
         ]
     }
 
-    /// Refuses an adapter that is too small for any scene.
-    ///
-    /// # Errors
-    /// [`Error::Limit`] with the first limit that is too low, and what to do.
+    /// Checks the limits that every scene requires.
     pub fn check_limits(&self) -> Result<(), Error> {
         let mut limits = self.needed_limits().into_iter();
         match limits.find(|limit| limit.available < limit.needed) {
@@ -185,10 +182,7 @@ impl AdapterReport {
         }
     }
 
-    /// Refuses 64-bit floats in all kernels, where they are `wanted` and the adapter has none.
-    ///
-    /// # Errors
-    /// [`Error::Limit`] with the feature and what to do.
+    /// Checks that the adapter supports f64 in all kernels if `wanted`.
     pub fn check_precision(&self, wanted: bool) -> Result<(), Error> {
         if self.f64 || !wanted {
             return Ok(());
@@ -203,10 +197,7 @@ impl AdapterReport {
         })
     }
 
-    /// Whether the adapter allows a storage buffer of this size.
-    ///
-    /// # Errors
-    /// [`Error::Limit`] with the buffer and the limit.
+    /// Checks the size of a storage buffer against the limits.
     pub fn check_buffer(&self, label: &str, bytes: u64) -> Result<(), Error> {
         let (available, unit) = if self.storage_binding <= self.buffer {
             (
@@ -229,37 +220,37 @@ impl AdapterReport {
     }
 }
 
-/// Threads per workgroup that every adapter must have: what the shaders are written for.
+/// Threads per workgroup that the shaders assume.
 const NEEDED_THREADS: u32 = 256;
-/// Storage buffers that a kernel binds at most, and that every adapter must allow.
+/// Largest number of storage buffers that a kernel binds.
 const STORAGE_BUFFERS: u32 = 8;
 
-/// Where nothing at all was found.
+/// Error for a system without any adapter.
 fn no_adapter() -> Error {
     let surroundings = cfg!(target_os = "linux").then(Surroundings::of_system);
-    let mut cures = surroundings.map_or(Vec::new(), |found| found.cures(false));
+    let mut cures = surroundings.map_or(Vec::new(), |diagnostics| diagnostics.cures(false));
     cures.push(
-        "install a Vulkan driver (Debian: apt-get install mesa-vulkan-drivers brings those of AMD and Intel GPUs, and the software \
+        "install a Vulkan driver (Debian: apt-get install mesa-vulkan-drivers installs those of AMD and Intel GPUs, and the software \
          adapter llvmpipe), point VK_DRIVER_FILES at a driver's JSON file, or run with --backend cpu"
             .to_owned(),
     );
     Error::Adapter {
-        problem: "none found; `cutwater adapters` tells what there is".to_owned(),
+        problem: "none found; `cutwater adapters` lists the diagnostics".to_owned(),
         cure: cures.join("; else "),
     }
 }
 
 /// An open device with its queue, or a planning device without a driver. Clones share it.
 ///
-/// A planning device ([`Gpu::planning`]) records which buffers and kernels are made. It allocates, compiles, uploads and runs nothing.
+/// A planning device ([`Gpu::planning`]) records buffers and kernels. It does not allocate, compile, upload or run.
 #[derive(Clone, Debug)]
 pub struct Gpu {
     shared: Arc<Shared>,
-    /// Stage whose kernels are made: see [`Gpu::at`].
+    /// Stage of the kernels that are compiled next: see [`Gpu::at`].
     stage: &'static str,
 }
 
-/// The state that clones of a [`Gpu`] share.
+/// State shared by the clones of a [`Gpu`].
 #[derive(Debug)]
 pub struct Shared {
     /// `None` on a planning device.
@@ -268,14 +259,14 @@ pub struct Shared {
     faults: Arc<Mutex<Option<String>>>,
     allocated: Mutex<Vec<BufferPlan>>,
     kernels: Mutex<HashMap<(Source, Variant), Kernel>>,
-    /// Stage and name of every kernel made, in order of first use.
+    /// Stage and name of every compiled kernel, in order of first use.
     stage_kernels: Mutex<Vec<StageKernel>>,
     pub(super) meter: Meter,
-    /// Timers that no recording uses.
+    /// Idle timers.
     pub(super) timers: Mutex<Vec<Timer>>,
 }
 
-/// A device of a driver.
+/// An open device of a driver.
 #[derive(Debug)]
 pub(super) struct Open {
     pub(super) device: wgpu::Device,
@@ -291,14 +282,14 @@ impl std::ops::Deref for Gpu {
     }
 }
 
-/// The one instance of a process: drivers were seen to crash when several are torn down side by side.
+/// The only instance of the process: drivers crash when several instances are destroyed concurrently.
 fn instance() -> &'static wgpu::Instance {
     static INSTANCE: OnceLock<wgpu::Instance> = OnceLock::new();
     INSTANCE.get_or_init(|| {
         let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle_from_env();
         descriptor.backends = wgpu::Backends::PRIMARY;
-        // wgpu would put a validating dispatch before every indirect one (18.7 us against 1.3 on llvmpipe); the sizes come
-        // from our own kernels, which stay below the limits.
+        // Indirect sizes come from our own kernels, which respect the limits. wgpu's validating dispatch would cost
+        // 18.7 us instead of 1.3 us on llvmpipe.
         descriptor
             .flags
             .remove(wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL);
@@ -357,27 +348,21 @@ impl Gpu {
         enumerate().iter().map(AdapterReport::new).collect()
     }
 
-    /// The adapter of a choice; opens no device.
-    ///
-    /// # Errors
-    /// [`Error::Adapter`] when none matches.
+    /// The adapter of a choice, without opening a device.
     pub fn find(choice: &AdapterChoice) -> Result<AdapterReport, Error> {
         choose(choice).map(|adapter| AdapterReport::new(&adapter))
     }
 
     /// Opens a device with all limits of its adapter.
-    ///
-    /// # Errors
-    /// [`Error::Adapter`] when none matches or the device does not open, [`Error::Limit`] when it is too small for any scene.
     pub fn new(choice: &AdapterChoice) -> Result<Gpu, Error> {
         let adapter = choose(choice)?;
         let report = AdapterReport::new(&adapter);
         let limits = adapter.limits();
         report.check_limits()?;
-        let wanted = wgpu::Features::SHADER_F64 | wgpu::Features::TIMESTAMP_QUERY;
+        let features = wgpu::Features::SHADER_F64 | wgpu::Features::TIMESTAMP_QUERY;
         let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
             label: Some("cutwater"),
-            required_features: adapter.features() & wanted,
+            required_features: adapter.features() & features,
             required_limits: limits.clone(),
             ..Default::default()
         }))
@@ -409,7 +394,7 @@ impl Gpu {
         Ok(Gpu::with(Some(open), report, faults))
     }
 
-    /// A planning device for an adapter.
+    /// A planning device with the properties of an adapter.
     pub fn planning(report: AdapterReport) -> Gpu {
         Gpu::with(None, report, Arc::default())
     }
@@ -437,7 +422,7 @@ impl Gpu {
         gpu
     }
 
-    /// The same device; kernels made with the returned handle count as the stage's in [`Gpu::stage_kernels`].
+    /// A handle to the same device. [`Gpu::stage_kernels`] assigns its kernels to the stage.
     pub fn at(&self, stage: &'static str) -> Gpu {
         Gpu {
             shared: Arc::clone(&self.shared),
@@ -455,7 +440,7 @@ impl Gpu {
         self.shared.open.as_ref()
     }
 
-    /// What the adapter is.
+    /// Properties of the adapter.
     pub fn report(&self) -> &AdapterReport {
         &self.report
     }
@@ -465,10 +450,7 @@ impl Gpu {
         self.report.f64
     }
 
-    /// The first error the device reported since the last call, if any.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] with what was `during`.
+    /// Returns the first device error since the last call, if any, with the operation `during` which it occurred.
     pub fn check(&self, during: &str) -> Result<(), Error> {
         match self.faults.lock().ok().and_then(|mut slot| slot.take()) {
             Some(problem) => Err(Error::Gpu {
@@ -480,9 +462,6 @@ impl Gpu {
     }
 
     /// Waits until all submitted work is done.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
     pub fn wait(&self, during: &str) -> Result<(), Error> {
         let Some(open) = self.open() else {
             return Ok(());
@@ -496,7 +475,7 @@ impl Gpu {
         })
     }
 
-    /// Labels and bytes of every buffer made so far on this device.
+    /// Labels and bytes of all buffers so far.
     pub fn allocated(&self) -> Vec<(String, u64)> {
         let plans = self.buffer_plans().into_iter();
         plans
@@ -504,7 +483,7 @@ impl Gpu {
             .collect()
     }
 
-    /// Every buffer made so far on this device.
+    /// All buffers so far.
     pub fn buffer_plans(&self) -> Vec<BufferPlan> {
         self.allocated
             .lock()
@@ -520,7 +499,7 @@ impl Gpu {
             .unwrap_or_default()
     }
 
-    /// Names of all kernels compiled so far on this device, sorted.
+    /// Names of all kernels compiled so far, sorted.
     pub fn compiled(&self) -> BTreeSet<&'static str> {
         self.kernels
             .lock()
@@ -533,12 +512,12 @@ impl Gpu {
         self.meter.traffic()
     }
 
-    /// Records every dispatch and wait from now on; an earlier trace is dropped.
+    /// Starts a new trace of dispatches and waits and discards the last.
     pub fn start_trace(&self) {
         self.meter.start_trace();
     }
 
-    /// Dispatches and waits since [`Gpu::start_trace`], which ends here.
+    /// Ends the trace and returns the dispatches and waits since [`Gpu::start_trace`].
     pub fn take_trace(&self) -> Trace {
         self.meter.take_trace()
     }

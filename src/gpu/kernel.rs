@@ -1,4 +1,4 @@
-//! Kernels: a compute pipeline made from one WGSL file, its bindings found by reflection and bound by name.
+//! Kernels: compute pipelines, one per WGSL file. Reflection lists their variables, which bind by name.
 
 use std::borrow::Cow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -12,7 +12,7 @@ use super::shader::{Source, Variant, WG_SIZE, compose, parse};
 use super::{Buffer, Gpu};
 use crate::Error;
 
-/// A compute pipeline. Lives as long as the device, which compiles each one once; owns no data.
+/// A compute pipeline. It contains no data and lives as long as the device, which compiles each kernel once.
 #[derive(Clone, Debug)]
 pub struct Kernel {
     label: &'static str,
@@ -34,13 +34,13 @@ struct Program {
 struct Slot {
     name: String,
     binding: u32,
-    /// Bytes of an array element, or of the whole struct or scalar.
+    /// Bytes per array element, or of the whole struct or scalar.
     stride: u32,
     uniform: bool,
     read_only: bool,
 }
 
-/// A buffer offered to a kernel.
+/// A buffer that can be bound to a variable.
 #[derive(Clone, Copy, Debug)]
 pub struct Binding<'a> {
     raw: Option<&'a wgpu::Buffer>,
@@ -62,9 +62,9 @@ impl<'a> From<&'a super::RealBuffer> for Binding<'a> {
     }
 }
 
-/// Device arrays under the names of the WGSL variables that they are bound to.
+/// Device arrays by the names of the WGSL variables.
 pub trait Arrays {
-    /// The array of a name.
+    /// The array with a name.
     fn array(&self, name: &str) -> Option<Binding<'_>>;
 }
 
@@ -76,7 +76,7 @@ impl Arrays for [(&str, Binding<'_>)] {
     }
 }
 
-/// A list as `dyn Arrays`.
+/// A list of arrays.
 struct ListedArrays<'a>(&'a [(&'a str, Binding<'a>)]);
 
 impl Arrays for ListedArrays<'_> {
@@ -97,7 +97,7 @@ impl<A: Arrays> Arrays for Option<&A> {
     }
 }
 
-/// A kernel with its buffers: what a pass dispatches. Made once.
+/// A kernel with its bound buffers, ready to dispatch.
 #[derive(Debug)]
 pub struct Bound {
     pub(super) label: &'static str,
@@ -113,12 +113,13 @@ pub(super) struct BoundProgram {
     pub(super) group: wgpu::BindGroup,
 }
 
-/// A compute pipeline in the making: the driver compiles it on another thread while the host sets up what it works on.
+/// A compute pipeline that the driver compiles on another thread.
 #[derive(Clone, Debug)]
 pub(super) struct Pipeline(Arc<OnceLock<Option<wgpu::ComputePipeline>>>);
 
 impl Pipeline {
-    /// Threads of their own: those of rayon's global pool may wait for a dispatch, and tasks there would wait for pipelines.
+    /// A separate thread pool. Threads of rayon's global pool may wait for a dispatch, and would then deadlock on a
+    /// pipeline.
     fn threads() -> Option<&'static ThreadPool> {
         static THREADS: OnceLock<Option<ThreadPool>> = OnceLock::new();
         let build = || {
@@ -130,7 +131,7 @@ impl Pipeline {
         THREADS.get_or_init(build).as_ref()
     }
 
-    /// Starts the compilation. Errors of the device arrive where the next call waits for it.
+    /// Starts the compilation. Device errors are returned by the next call that waits for the device.
     fn compile(compile: impl FnOnce() -> wgpu::ComputePipeline + Send + 'static) -> Pipeline {
         let pipeline = Pipeline(Arc::default());
         let slot = Arc::clone(&pipeline.0);
@@ -149,17 +150,18 @@ impl Pipeline {
     /// # Panics
     /// When the driver's compiler panicked.
     pub(super) fn wait(&self) -> &wgpu::ComputePipeline {
-        let ready = self.0.wait();
-        ready.as_ref().expect("the driver's compiler panicked")
+        let pipeline = self.0.wait();
+        pipeline.as_ref().expect("the driver's compiler panicked")
     }
 }
 
 impl Kernel {
-    /// Compiles a WGSL file whose entry point has the file's name, unless the device has it already. Returns while the driver is
-    /// still at work; the first dispatch waits for it.
+    /// Compiles a WGSL file, whose entry point has the file's name, unless the device has compiled it. Returns before
+    /// the driver has finished; the first dispatch waits.
     ///
     /// # Errors
-    /// [`Error::Shader`] with file and line, [`Error::Limit`] when it binds more storage buffers than the adapter allows.
+    /// [`Error::Shader`] with file and line; [`Error::Limit`] when the kernel has more storage buffers than the
+    /// adapter allows.
     pub fn new(gpu: &Gpu, source: &Source, variant: impl Into<Variant>) -> Result<Kernel, Error> {
         let variant = variant.into();
         gpu.note_kernel(source.name);
@@ -178,13 +180,10 @@ impl Kernel {
         Ok(kernel)
     }
 
-    /// Binds each variable of the kernel to the buffer that one of `arrays`, the first that has it, offers under the variable's name.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device refuses.
+    /// Binds each variable of the kernel to the array of its name in the first of `arrays` that contains one.
     ///
     /// # Panics
-    /// When a variable has no buffer, or one of another element size.
+    /// When a variable has no array, or one of another element size.
     pub fn bind_arrays(&self, gpu: &Gpu, arrays: &[&dyn Arrays]) -> Result<Bound, Error> {
         let Some((open, program)) = gpu.open().zip(self.program.as_ref()) else {
             return Ok(Bound {
@@ -227,10 +226,7 @@ impl Kernel {
         })
     }
 
-    /// Binds the kernel's variables to a list of buffers by name: for kernels whose variables are not arrays of a table.
-    ///
-    /// # Errors
-    /// As [`Kernel::bind_arrays`].
+    /// Binds the kernel's variables by name to buffers that are not in a table.
     ///
     /// # Panics
     /// As [`Kernel::bind_arrays`], and when the kernel has no variable of a name in the list.

@@ -1,10 +1,10 @@
 //! The GPU layer: device, limits, typed buffers, kernels, shader composition, recording, read-back and timing.
 //!
-//! It knows nothing of physics. Four lifetimes, one type each: [`Kernel`] lives as long as the device, [`Buffer`] as long as
-//! a grid, a uniform buffer as long as its values, a [`Readback`] from one submission to the next.
+//! It contains no physics. Lifetimes: a [`Kernel`] lives as long as the device, a [`Buffer`] as long as a grid, a
+//! [`Readback`] from one submission to the next.
 //!
-//! Errors of the device (validation, memory, loss) are collected as they come and returned by the next call that waits:
-//! [`Gpu::check`], [`Readback::wait`], [`Gpu::download`].
+//! Device errors (validation, memory, loss) are collected. The next call that waits returns them: [`Gpu::check`],
+//! [`Readback::wait`], [`Gpu::download`].
 
 mod buffer;
 mod compact;

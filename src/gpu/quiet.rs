@@ -1,33 +1,34 @@
-//! Standard error without the lines that drivers print there of no harm.
+//! Filters harmless driver messages from standard error.
 
-/// Start of what libwayland prints for want of XDG_RUNTIME_DIR: a layer of Mesa looks for a Wayland display, which nothing here needs.
+/// Start of a message of libwayland without XDG_RUNTIME_DIR: a layer of Mesa looks for a Wayland display, which is
+/// not needed here.
 #[cfg(any(target_os = "linux", test))]
 const HARMLESS: &[u8] = b"error: XDG_RUNTIME_DIR is ";
 
-/// Does the work; harmless lines that the process prints to standard error meanwhile are left out.
+/// Runs `work` and drops harmless lines from the process's standard error meanwhile.
 #[cfg(target_os = "linux")]
 pub(super) fn quietly<T>(work: impl FnOnce() -> T) -> T {
-    // Where it is set, nothing is printed.
+    // With the variable set there is no message.
     if std::env::var_os("XDG_RUNTIME_DIR").is_some_and(|folder| !folder.is_empty()) {
         return work();
     }
     // One filter at a time: a second would save the first one's pipe as standard error.
     static ONE: std::sync::Mutex<()> = std::sync::Mutex::new(());
     let _one = ONE.lock();
-    // What cannot be filtered is printed as it comes.
+    // Without a filter all lines are printed.
     let filter = Filter::new();
     let done = work();
     drop(filter);
     done
 }
 
-/// Elsewhere there are no such lines.
+/// Other systems print no such lines.
 #[cfg(not(target_os = "linux"))]
 pub(super) fn quietly<T>(work: impl FnOnce() -> T) -> T {
     work()
 }
 
-/// Standard error goes through a pipe, whose other end forwards it, until this is dropped.
+/// Redirects standard error through a pipe until it is dropped; a thread forwards the other end.
 #[cfg(target_os = "linux")]
 struct Filter {
     stderr: std::os::fd::OwnedFd,
@@ -46,7 +47,7 @@ impl Filter {
         std::thread::Builder::new()
             .name("stderr".to_owned())
             .spawn(move || {
-                // There is nowhere else to tell of a failure.
+                // Standard error itself failed: the error cannot be reported.
                 let _ = forward(std::io::BufReader::new(reader), to);
                 let _ = done.send(());
             })?;
@@ -58,7 +59,7 @@ impl Filter {
 #[cfg(target_os = "linux")]
 impl Drop for Filter {
     fn drop(&mut self) {
-        // This closes the pipe's last writer, unless a driver has started a process that holds it too.
+        // Closes the pipe's last writer, unless a driver has started a process that inherited it.
         let _ = rustix::stdio::dup2_stderr(&self.stderr);
         let _ = self
             .forwarded
@@ -66,7 +67,7 @@ impl Drop for Filter {
     }
 }
 
-/// Copies lines but for harmless ones.
+/// Copies all lines but the harmless ones.
 #[cfg(any(target_os = "linux", test))]
 fn forward(mut from: impl std::io::BufRead, mut to: impl std::io::Write) -> std::io::Result<()> {
     let mut line = Vec::new();

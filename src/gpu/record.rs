@@ -1,12 +1,12 @@
-//! Recording: one compute pass per stage, labelled and timed; dispatches split in two dimensions above the limit.
+//! Recording: one labelled and timed compute pass per stage. Dispatches above the limit are split in two dimensions.
 
 use bytemuck::Pod;
 
 use super::buffer::Arrival;
 use super::{Bound, Buffer, BufferPlan, Gpu, Readback, StageKernel};
 
-/// Workgroups along x before a dispatch continues along y; `common/dispatch.wgsl` has the same constant. Below the 65,535
-/// that every adapter allows, and a power of two so that folding back is a shift.
+/// Workgroups along x before a dispatch continues along y; also in `common/dispatch.wgsl`. Below the 65,535 of every
+/// adapter, and a power of two so that the kernel can use a shift.
 pub const SPLIT: u32 = 32768;
 
 /// Workgroup counts of a dispatch of `n` workgroups.
@@ -18,15 +18,15 @@ pub fn groups(n: u32) -> [u32; 3] {
     }
 }
 
-/// Seconds of each stage of a submission, by label, in order.
+/// Seconds per stage of a submission, by label, in order.
 pub type StageTimes = Vec<(&'static str, f64)>;
 
-/// Stages that one submission can time; later ones run untimed.
+/// Largest number of timed stages per submission; later ones run untimed.
 const TIMED_STAGES: u32 = 64;
-/// Bytes of their timestamps.
+/// Bytes of the timestamps.
 const TIMES: u64 = 2 * 8 * TIMED_STAGES as u64;
 
-/// What times a submission; kept by [`Gpu`] from one to the next.
+/// Query set and buffers that time a submission; [`Gpu`] reuses them.
 #[derive(Debug)]
 pub(super) struct Timer {
     set: wgpu::QuerySet,
@@ -85,7 +85,7 @@ impl Gpu {
     }
 }
 
-/// Records one submission; nothing on a planning device.
+/// Records one submission. Does nothing on a planning device.
 #[derive(Debug)]
 pub struct Recorder {
     gpu: Gpu,
@@ -96,7 +96,7 @@ pub struct Recorder {
     bytes_down: u64,
 }
 
-/// One compute pass: the dispatches of a stage, in order. Each sees what the earlier ones wrote.
+/// One compute pass: the dispatches of a stage in order. Each reads the results of the earlier ones.
 #[derive(Debug)]
 pub struct Pass<'a> {
     raw: Option<wgpu::ComputePass<'a>>,
@@ -122,7 +122,7 @@ impl Recorder {
         }
     }
 
-    /// An empty recording whose stages are timed, where the adapter can.
+    /// An empty recording with timed stages, if the adapter supports timestamps.
     pub fn timed(gpu: &Gpu) -> Recorder {
         let mut recorder = Recorder::new(gpu);
         if gpu.report().timestamps {
@@ -194,12 +194,12 @@ impl Recorder {
         }
     }
 
-    /// Copies the start of a buffer to a read-back of the same type.
+    /// Copies the first elements of a buffer to a readback of the same type.
     pub fn read<T: Pod>(&mut self, from: &Buffer<T>, to: &mut Readback<T>) {
         self.read_part(from, 0, to);
     }
 
-    /// Copies a part of a buffer to a read-back of the same type, from element `first` on. Both ends lie on whole words.
+    /// Copies elements from `first` on to a readback of the same type. Offset and length must be whole words.
     pub fn read_part<T: Pod>(&mut self, from: &Buffer<T>, first: usize, to: &mut Readback<T>) {
         let start = (first * size_of::<T>()) as u64;
         let bytes = (to.len.max(1) * size_of::<T>()).next_multiple_of(4) as u64;
@@ -208,7 +208,7 @@ impl Recorder {
         self.copy_bytes((&from.raw, start), &to.raw, bytes);
     }
 
-    /// Submits the recording. With a timed recording, the times arrive through the returned `Timing`.
+    /// Submits the recording. The returned `Timing` yields the times of a timed recording.
     pub fn submit(mut self) -> Timing {
         if let Some((timer, encoder)) = self.timer.as_ref().zip(self.encoder.as_mut()) {
             let n = 2 * self.stages.len() as u32;
@@ -231,7 +231,7 @@ impl Recorder {
     }
 }
 
-/// A kernel with its buffers and the extent that it runs over.
+/// A kernel with its buffers and the extent of its dispatch.
 #[derive(Debug)]
 pub struct Dispatch {
     bound: Bound,
@@ -254,7 +254,7 @@ impl Bound {
         }
     }
 
-    /// The workgroups in `args[4 slot..]`: x, y, z, and the length of the list, which kernels may read.
+    /// The workgroups in `args[4 slot..]`: x, y, z, then the list's length, which kernels can read.
     pub fn indirect(self, args: &Buffer<u32>, slot: usize) -> Dispatch {
         Dispatch {
             bound: self,
@@ -263,7 +263,7 @@ impl Bound {
     }
 }
 
-/// Commands of a stage: transfers, then dispatches in order as one compute pass, labelled with the name of the stage.
+/// Commands of a stage: transfers, then dispatches in order, as one compute pass labelled with the stage.
 #[derive(Debug)]
 pub struct Dispatches {
     stage: &'static str,
@@ -288,13 +288,13 @@ impl Dispatches {
         }
     }
 
-    /// With a buffer set to zero before.
+    /// Sets a buffer to zero before the dispatches.
     pub fn clearing<T: Pod>(mut self, buffer: &Buffer<T>) -> Dispatches {
         self.transfers.push(Transfer::Clear(buffer.raw.clone()));
         self
     }
 
-    /// With a buffer copied before to another of the same type and length.
+    /// Copies a buffer to another of the same type and length before the dispatches.
     pub fn copying<T: Pod>(mut self, from: &Buffer<T>, to: &Buffer<T>) -> Dispatches {
         assert_eq!(from.len(), to.len(), "{}", from.label());
         let copy = Transfer::Copy(from.raw.clone(), to.raw.clone(), from.bytes());
@@ -307,7 +307,7 @@ impl Dispatches {
         self.stage
     }
 
-    /// Records them.
+    /// Records transfers and dispatches.
     pub fn record(&self, recorder: &mut Recorder) {
         for transfer in &self.transfers {
             match transfer {
@@ -322,6 +322,11 @@ impl Dispatches {
 
     /// Records the dispatches in a pass.
     pub fn record_in(&self, pass: &mut Pass) {
+        debug_assert!(
+            self.transfers.is_empty(),
+            "{}: a pass has no transfers",
+            self.stage
+        );
         pass.run(&self.list);
     }
 }
@@ -347,7 +352,7 @@ impl<'p> Pass<'p> {
         }
     }
 
-    /// Runs a kernel on the workgroups in `args[4 slot..]`: x, y, z, and the list's length, which kernels may read.
+    /// Runs a kernel on the workgroups in `args[4 slot..]`: x, y, z, then the list's length, which kernels can read.
     pub fn dispatch_indirect(&mut self, bound: &Bound, args: &Buffer<u32>, slot: usize) {
         self.indirect(bound, args.raw.as_ref(), slot);
     }
@@ -367,7 +372,7 @@ impl<'p> Pass<'p> {
     }
 }
 
-/// The stage times of a submission on their way. Its timer goes back to the device in the end.
+/// Pending stage times of a submission. The timer returns to the device when the value is dropped.
 #[derive(Debug)]
 pub struct Timing {
     gpu: Gpu,
@@ -376,10 +381,7 @@ pub struct Timing {
 }
 
 impl Timing {
-    /// Waits for the times; empty where the adapter has no timestamps.
-    ///
-    /// # Errors
-    /// [`crate::Error::Gpu`] when the device fails.
+    /// Waits for the times. Returns an empty list when the adapter has no timestamps.
     pub fn wait(mut self) -> Result<StageTimes, crate::Error> {
         let stages = std::mem::take(&mut self.stages);
         let Some(timer) = self.timer.as_ref().filter(|_| !stages.is_empty()) else {

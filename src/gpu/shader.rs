@@ -1,25 +1,25 @@
-//! Shader composition: `#import name` lines, each module once, with a line map, so that an error names file and line.
+//! Shader composition: `#import name` inserts each module once. A line map lets errors name file and line.
 //!
-//! Own code because naga_oil renames identifiers. `#import real` picks the scalar type `Real` (f32 or f64) of the variant,
-//! `#import pair` what depends on it, and `#import obstacles` whether these move.
+//! naga_oil is not used because it renames identifiers. `#import real` selects the scalar type `Real` (f32 or f64) of
+//! the variant, `#import pair` its double arithmetic, and `#import obstacles` moving or static obstacles.
 
 use naga::valid::{Capabilities, ModuleInfo, ValidationFlags, Validator};
 
 use crate::Error;
 
-/// Threads in a workgroup of every kernel that works on a list; `common/dispatch.wgsl` has the same constant.
+/// Threads per workgroup of every kernel over a list; also in `common/dispatch.wgsl`.
 pub const WG_SIZE: u32 = 64;
 
 /// A WGSL file below `shaders/`, without `.wgsl`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Source {
-    /// File stem, also the entry point and the kernel's label.
+    /// File stem, entry point and label of the kernel.
     pub name: &'static str,
-    /// Text.
+    /// WGSL text.
     pub text: &'static str,
 }
 
-/// The modules that `#import` knows.
+/// The modules available to `#import`.
 pub const COMMON: &[Source] = &[
     crate::wgsl!("common/active"),
     crate::wgsl!("common/advect"),
@@ -96,17 +96,17 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/wetted"),
 ];
 
-/// The scalar type that `alias Real` stands for.
+/// The scalar type of `alias Real`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Real {
     /// 32 bit.
     F32,
-    /// 64 bit; needs the adapter's `SHADER_F64`.
+    /// 64 bit; requires the adapter's `SHADER_F64`.
     F64,
 }
 
 impl Real {
-    /// Bytes.
+    /// Bytes per scalar.
     pub fn bytes(self) -> usize {
         match self {
             Real::F32 => 4,
@@ -122,12 +122,12 @@ impl Real {
     }
 }
 
-/// One text from many files.
+/// A shader text composed from several files.
 #[derive(Clone, Debug)]
 pub struct Composed {
     /// The text for the compiler.
     pub text: String,
-    /// File and line of every line of the text.
+    /// File and line of each line of the text.
     lines: Vec<(&'static str, usize)>,
 }
 
@@ -148,15 +148,15 @@ impl Composed {
     }
 }
 
-/// The scalar types of a kernel: `#import real` gives `Real`, `#import inner` gives `Inner`. Most kernels use one; the solver's
-/// outer loop works in `Real` on corrections in `Inner`.
+/// The scalar types of a kernel: `#import real` defines `Real`, `#import inner` defines `Inner`. Most kernels use
+/// one. The solver's outer loop computes residuals in `Real` and corrections in `Inner`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Variant {
     /// `Real`.
     pub real: Real,
     /// `Inner`.
     pub inner: Real,
-    /// Whether obstacles move: `#import obstacles` gives what they take up of the liquid, or nothing.
+    /// Whether obstacles move: `#import obstacles` defines their prescribed boundary flux, or none.
     pub moving_obstacles: bool,
 }
 
@@ -171,7 +171,7 @@ impl From<Real> for Variant {
 }
 
 impl Variant {
-    /// The same where obstacles move, or do not.
+    /// The same variant for moving or static obstacles.
     pub fn beside_obstacles(self, moving_obstacles: bool) -> Variant {
         Variant {
             moving_obstacles,
@@ -180,7 +180,7 @@ impl Variant {
     }
 }
 
-/// Replaces the `#import` lines of a source by the modules they name, each once, in order of first use.
+/// Replaces the `#import` lines by their modules, each once, in order of first use.
 ///
 /// # Errors
 /// [`Error::Shader`] for an unknown module.
@@ -201,7 +201,7 @@ fn include(
 ) -> Result<(), Error> {
     for (index, line) in source.text.lines().enumerate() {
         if let Some(name) = line.strip_prefix("#import ") {
-            let wanted = match name.trim() {
+            let module_name = match name.trim() {
                 name @ ("real" | "pair") => format!("common/{name}_{}", variant.real.name()),
                 "inner" => format!("common/inner_{}", variant.inner.name()),
                 "obstacles" if variant.moving_obstacles => "common/obstacles_moving".to_owned(),
@@ -210,11 +210,11 @@ fn include(
             };
             let module = COMMON
                 .iter()
-                .find(|module| module.name == wanted)
+                .find(|module| module.name == module_name)
                 .ok_or_else(|| Error::Shader {
                     file: format!("shaders/{}.wgsl", source.name),
                     line: index + 1,
-                    problem: format!("no module shaders/{wanted}.wgsl"),
+                    problem: format!("no module shaders/{module_name}.wgsl"),
                 })?;
             if !done.contains(&module.name) {
                 done.push(module.name);
@@ -229,10 +229,7 @@ fn include(
     Ok(())
 }
 
-/// Parses a composed shader.
-///
-/// # Errors
-/// [`Error::Shader`] with the file and line of the first fault.
+/// Parses a composed shader. Errors name file and line.
 pub(super) fn parse(composed: &Composed) -> Result<naga::Module, Error> {
     naga::front::wgsl::parse_str(&composed.text).map_err(|error| {
         let line = error
@@ -242,11 +239,8 @@ pub(super) fn parse(composed: &Composed) -> Result<naga::Module, Error> {
     })
 }
 
-/// Parses and validates a composed shader with the capabilities of its variant and no more; needs no device. A device validates again,
-/// but knows neither file nor line.
-///
-/// # Errors
-/// [`Error::Shader`] with the file and line of the first fault.
+/// Parses and validates a composed shader with the capabilities of its variant, without a device. Errors name file
+/// and line, which device errors do not.
 pub fn validate(
     composed: &Composed,
     variant: impl Into<Variant>,

@@ -1,19 +1,19 @@
-//! Deterministic, stable sort of u32 keys, each with a u32 value: least significant digit first, four bits a pass. The length
-//! of the list is read on the device.
+//! Deterministic, stable radix sort of u32 keys with u32 values, least significant digit first, four bits a pass. The
+//! device reads the length of the list.
 //!
-//! A pass counts the digits of each tile of [`TILE`] entries, scans the counts in one workgroup and scatters. Only integers are
-//! added by atomics, so the result is a function of the list alone.
+//! A pass counts the digits of each tile of [`TILE`] entries, scans the counts in one workgroup and scatters. Atomics
+//! add integers only, so the result is a function of the list alone.
 
 use super::{Bound, Buffer, BufferPlan, Gpu, Kernel, Pass, Real};
 use crate::Error;
 
-/// Entries that one workgroup handles; `common/sort.wgsl` has the same constant.
+/// Entries per workgroup; also in `common/sort.wgsl`.
 pub const TILE: usize = 1024;
-/// Bits of a digit, and the values that it can have: likewise.
+/// Bits per digit, and number of values of a digit; also in `common/sort.wgsl`.
 const DIGIT_BITS: u32 = 4;
 const DIGITS: usize = 1 << DIGIT_BITS;
 
-/// The kernels; one set serves any number of [`Sort`]s.
+/// The kernels, shared by all [`Sort`]s.
 #[derive(Debug)]
 pub struct SortKernels {
     begin: Kernel,
@@ -23,10 +23,7 @@ pub struct SortKernels {
 }
 
 impl SortKernels {
-    /// Compiles them.
-    ///
-    /// # Errors
-    /// As [`Kernel::new`].
+    /// Compiles the kernels.
     pub fn new(gpu: &Gpu) -> Result<SortKernels, Error> {
         Ok(SortKernels {
             begin: Kernel::new(gpu, &crate::wgsl!("sort_begin"), Real::F32)?,
@@ -37,26 +34,26 @@ impl SortKernels {
     }
 }
 
-/// What a pass is told: `SortPass` in `common/sort.wgsl`.
+/// Uniform of a pass: `SortPass` in `common/sort.wgsl`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct SortPass {
-    /// Lowest bit of its digit.
+    /// Lowest bit of the pass's digit.
     pub shift: u32,
-    /// First word of the list's arguments, whose fourth is its length.
+    /// Index of the first of the list's four arguments; the fourth is its length.
     pub args: u32,
 }
 
-/// Keys and values of a list, `entries` long at most.
+/// Keys and values of a list of at most `entries` entries.
 #[derive(Clone, Copy, Debug)]
 pub struct Entries<'a> {
-    /// What is sorted by.
+    /// Sort keys.
     pub keys: &'a Buffer<u32>,
-    /// What goes with the keys.
+    /// Values permuted with the keys.
     pub values: &'a Buffer<u32>,
 }
 
-/// A list to be sorted in place.
+/// A sort in place.
 #[derive(Debug)]
 pub struct Sort {
     tile_args: Buffer<u32>,
@@ -65,21 +62,18 @@ pub struct Sort {
 }
 
 impl Sort {
-    /// The scratch buffer that a sort of at most `n` entries needs beside room for a second list; sorts that run in order may
-    /// share both.
+    /// The scratch buffer of a sort of at most `n` entries, in addition to a second list. Sorts in sequence may share
+    /// both.
     pub fn scratch(label: &'static str, n: usize) -> BufferPlan {
         BufferPlan::of::<u32>(label, DIGITS * n.div_ceil(TILE))
     }
 
-    /// Binds a sort of the list in `entries` by the lowest `bits` of its keys, rounded up to whole bytes. Its length stands in
-    /// `args`, the fourth word of the slot given, and is at most that of the four buffers. `spare`: room for a second list,
-    /// overwritten.
-    ///
-    /// # Errors
-    /// [`Error::Limit`] or [`Error::Gpu`].
+    /// Binds a sort of the list in `entries` by the lowest `bits` of its keys, rounded up to whole bytes. The fourth
+    /// word of the slot in `args` contains the list's length, at most that of the four buffers. `spare` is
+    /// overwritten scratch memory for a second list.
     ///
     /// # Panics
-    /// When the buffers' lengths differ, or there are more than 32 bits.
+    /// When the buffers' lengths differ or `bits` exceeds 32.
     pub fn new(
         gpu: &Gpu,
         kernels: &SortKernels,
@@ -96,7 +90,7 @@ impl Sort {
         let tile_args = gpu.buffer("sort.tile_args", 4)?;
         let lists = ("args", args.into());
         let chunks = ("chunks", scratch.into());
-        // There and back again: two digits, a byte.
+        // Two passes per byte, so the result ends in the first list.
         let passes = (0..2 * bits.div_ceil(8)).map(|pass| {
             let radix = SortPass {
                 shift: DIGIT_BITS * pass,
@@ -143,7 +137,7 @@ impl Sort {
         })
     }
 
-    /// Records its dispatches.
+    /// Records the dispatches.
     pub fn record(&self, pass: &mut Pass) {
         pass.dispatch(&self.begin, 1);
         for [count, scan, scatter] in &self.passes {

@@ -1,12 +1,12 @@
-//! What a Linux system has of that which Vulkan needs, and what to do where something is missing: a loader, a driver's manifest, the
-//! driver itself, and the right to open the device.
+//! Vulkan diagnostics on Linux: the loader, the driver's manifest, the driver, and access to the device, with cures
+//! for missing parts.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Where a driver's manifest may lie, below `vulkan/icd.d`.
+/// Folders of driver manifests, each containing `vulkan/icd.d`.
 const MANIFEST_FOLDERS: [&str; 5] = [
     "etc",
     "usr/share",
@@ -14,7 +14,7 @@ const MANIFEST_FOLDERS: [&str; 5] = [
     "usr/local/etc",
     "run/opengl-driver/share",
 ];
-/// Where libraries lie, with all folders in them that are named for a kind of machine.
+/// Library folders; their folders per machine type are searched too.
 const LIBRARY_FOLDERS: [&str; 8] = [
     "lib",
     "lib64",
@@ -26,37 +26,38 @@ const LIBRARY_FOLDERS: [&str; 8] = [
     "run/opengl-driver/lib",
 ];
 const LOADER: &str = "libvulkan.so.1";
-/// What NVIDIA's driver loads, though nothing is shown.
-const OF_NVIDIA: [(&str, &str); 2] = [("libX11.so.6", "libx11-6"), ("libXext.so.6", "libxext6")];
+/// Libraries that NVIDIA's driver loads even without a display.
+const NVIDIA_LIBRARIES: [(&str, &str); 2] =
+    [("libX11.so.6", "libx11-6"), ("libXext.so.6", "libxext6")];
 
 /// A driver's manifest.
 #[derive(Clone, Debug)]
 struct Manifest {
     path: PathBuf,
-    /// The library that it names, where it can be read.
+    /// The library in the manifest, if it is readable.
     library: Option<String>,
 }
 
-/// What was found. Made by [`Surroundings::look`].
+/// Vulkan diagnostics of a system, from [`Surroundings::look`].
 #[derive(Clone, Debug)]
 pub struct Surroundings {
     root: PathBuf,
     loader: bool,
     manifests: Vec<Manifest>,
-    /// The variable that names the manifests, with its value, where one is set.
+    /// The environment variable that selects the manifests, with its value, if set.
     chosen_by: Option<(&'static str, String)>,
-    /// Libraries by their file names, in the folders where the loader looks.
+    /// File names of the libraries in the loader's folders.
     libraries: BTreeSet<String>,
-    /// Files of GPUs: name and whether they can be opened.
+    /// GPU device files: name, and whether they can be opened.
     devices: Vec<(String, bool)>,
-    /// A word for the container that this is.
+    /// Kind of container, if any.
     container: Option<&'static str>,
-    /// `NVIDIA_DRIVER_CAPABILITIES`, where set.
+    /// `NVIDIA_DRIVER_CAPABILITIES`, if set.
     capabilities: Option<String>,
 }
 
 impl Surroundings {
-    /// Of this system.
+    /// Diagnostics of this system.
     pub fn of_system() -> Surroundings {
         let open = |path: &Path| {
             File::options()
@@ -68,7 +69,7 @@ impl Surroundings {
         Surroundings::look(Path::new("/"), &|name| std::env::var(name).ok(), &open)
     }
 
-    /// Of a system whose root is a folder, with these variables; `open` tries a device.
+    /// Diagnostics of a system with a root folder and environment variables. `open` tries to open a device file.
     pub fn look(
         root: &Path,
         variable: &dyn Fn(&str) -> Option<String>,
@@ -88,9 +89,9 @@ impl Surroundings {
                 let home = |name: &str, below: &str| {
                     variable(name).map(|home| PathBuf::from(home).join(below))
                 };
-                let of_user = [home("XDG_DATA_HOME", ""), home("HOME", ".local/share")];
-                let of_system = MANIFEST_FOLDERS.iter().map(|folder| root.join(folder));
-                for folder in of_system.chain(of_user.into_iter().flatten()) {
+                let user_folders = [home("XDG_DATA_HOME", ""), home("HOME", ".local/share")];
+                let system_folders = MANIFEST_FOLDERS.iter().map(|folder| root.join(folder));
+                for folder in system_folders.chain(user_folders.into_iter().flatten()) {
                     paths.extend(entries(&folder.join("vulkan/icd.d")));
                 }
                 paths.retain(|path| path.extension().is_some_and(|end| end == "json"));
@@ -137,14 +138,14 @@ impl Surroundings {
         }
     }
 
-    /// What is there, a line each.
+    /// The findings, one per line.
     pub fn facts(&self) -> Vec<String> {
         let mut facts = vec![match self.loader {
             true => format!("{LOADER}, the loader of Vulkan: found"),
             false => format!("{LOADER}, the loader of Vulkan: not found"),
         }];
         if let Some((name, value)) = &self.chosen_by {
-            facts.push(format!("{name}={value}: no other drivers are looked for"));
+            facts.push(format!("{name}={value}: other drivers are ignored"));
         }
         if self.manifests.is_empty() {
             facts.push("drivers' manifests: none found".to_owned());
@@ -152,8 +153,8 @@ impl Surroundings {
         for manifest in &self.manifests {
             let library = match &manifest.library {
                 None => "cannot be read".to_owned(),
-                Some(library) if self.has(manifest, library) => format!("of {library}"),
-                Some(library) => format!("of {library}, which is not found"),
+                Some(library) if self.has(manifest, library) => format!("library {library}"),
+                Some(library) => format!("library {library}, not found"),
             };
             facts.push(format!(
                 "driver's manifest {}: {library}",
@@ -182,7 +183,7 @@ impl Surroundings {
         facts
     }
 
-    /// What to do so that more adapters are found, the likeliest first; `hardware`: whether one that is not software was found.
+    /// Cures for missing adapters, the likeliest first. `hardware`: whether a non-software adapter was found.
     pub fn cures(&self, hardware: bool) -> Vec<String> {
         let mut cures = Vec::new();
         if !self.loader {
@@ -225,7 +226,7 @@ impl Surroundings {
         cures
     }
 
-    /// Of GPUs that are there, and not found.
+    /// Adds cures for GPUs that exist but have no adapter.
     fn cures_of_devices(&self, cures: &mut Vec<String>) {
         let has = |start: &str| self.devices.iter().any(|(name, _)| name.starts_with(start));
         let closed: Vec<&str> = self
@@ -235,24 +236,21 @@ impl Surroundings {
             .map(|(name, _)| name.as_str())
             .collect();
         if !closed.is_empty() {
-            let of_group = match closed.iter().any(|name| name.starts_with("/dev/dri")) {
+            let cure = match closed.iter().any(|name| name.starts_with("/dev/dri")) {
                 true => {
                     "add yourself to its group (usermod -aG render,video USER, then log in again)"
                 }
-                false => "ask for the right to read and write it",
+                false => "request read and write access to it",
             };
-            cures.push(format!(
-                "{} cannot be opened: {of_group}",
-                closed.join(", ")
-            ));
+            cures.push(format!("{} cannot be opened: {cure}", closed.join(", ")));
         }
-        let of_nvidia = |manifest: &Manifest| {
+        let is_nvidia = |manifest: &Manifest| {
             manifest
                 .library
                 .as_deref()
                 .is_some_and(|library| library.contains("nvidia"))
         };
-        let nvidia = self.manifests.iter().find(|manifest| of_nvidia(manifest));
+        let nvidia = self.manifests.iter().find(|manifest| is_nvidia(manifest));
         if has("/dev/nvidia") && self.chosen_by.is_none() {
             let driver = nvidia.and_then(|manifest| Some((manifest, manifest.library.as_deref()?)));
             let whole = driver.is_some_and(|(manifest, library)| self.has(manifest, library));
@@ -262,7 +260,7 @@ impl Surroundings {
             };
             match (self.container, &self.capabilities) {
                 (Some("apptainer"), _) if !whole => cures.push(
-                    "an NVIDIA GPU is there without its Vulkan driver: start the container with --nv, and bind the host's \
+                    "the NVIDIA GPU has no Vulkan driver: start the container with --nv, and bind the host's \
                      /usr/share/vulkan/icd.d/nvidia_icd.json (or /etc/vulkan/icd.d)"
                         .to_owned(),
                 ),
@@ -272,24 +270,24 @@ impl Surroundings {
                         _ => String::new(),
                     };
                     cures.push(format!(
-                        "an NVIDIA GPU is there without its Vulkan driver: start the container with --gpus all and \
-                         NVIDIA_DRIVER_CAPABILITIES=compute,utility,graphics{given}: without graphics the toolkit leaves Vulkan out"
+                        "the NVIDIA GPU has no Vulkan driver: start the container with --gpus all and \
+                         NVIDIA_DRIVER_CAPABILITIES=compute,utility,graphics{given}: without graphics the toolkit omits Vulkan"
                     ));
                 }
                 _ if !whole => cures.push(
-                    "an NVIDIA GPU is there without its Vulkan driver: install the part with libGLX_nvidia.so.0 of the driver's \
-                     version (Debian: nvidia-vulkan-icd; Ubuntu: libnvidia-gl-VERSION); drivers for computing alone lack it"
+                    "the NVIDIA GPU has no Vulkan driver: install the part with libGLX_nvidia.so.0 of the driver's \
+                     version (Debian: nvidia-vulkan-icd; Ubuntu: libnvidia-gl-VERSION); compute-only drivers lack it"
                         .to_owned(),
                 ),
                 _ => {}
             }
-            let missing = OF_NVIDIA
+            let missing = NVIDIA_LIBRARIES
                 .into_iter()
                 .filter(|(library, _)| !self.libraries.contains(*library));
             let packages: Vec<&str> = missing.map(|(_, package)| package).collect();
             if whole && !packages.is_empty() {
                 cures.push(format!(
-                    "NVIDIA's driver needs libraries of X11, though nothing is shown (Debian: apt-get install {})",
+                    "NVIDIA's driver needs X11 libraries even without a display (Debian: apt-get install {})",
                     packages.join(" ")
                 ));
             }
@@ -299,7 +297,7 @@ impl Surroundings {
             && self.manifests.is_empty()
             && self.chosen_by.is_none()
         {
-            cures.push("a GPU is there without its Vulkan driver (Debian, AMD and Intel: apt-get install mesa-vulkan-drivers)".to_owned());
+            cures.push("the GPU has no Vulkan driver (Debian, AMD and Intel: apt-get install mesa-vulkan-drivers)".to_owned());
         }
         if self.devices.is_empty() && self.container.is_some() {
             cures.push(
@@ -331,7 +329,7 @@ impl Manifest {
     }
 }
 
-/// A manifest, or those of a folder.
+/// A manifest, or the manifests in a folder.
 fn manifests(path: &Path) -> Vec<PathBuf> {
     match path.is_dir() {
         true => entries(path)
@@ -342,15 +340,15 @@ fn manifests(path: &Path) -> Vec<PathBuf> {
     }
 }
 
-/// Names of all libraries in the folders where the loader of programs looks, about.
+/// Names of the libraries in the usual folders of the dynamic loader.
 fn libraries(root: &Path, more: Option<&str>) -> BTreeSet<String> {
     let mut folders: Vec<PathBuf> = LIBRARY_FOLDERS
         .iter()
         .map(|folder| root.join(folder))
         .collect();
     for folder in folders.clone() {
-        let of_machine = |path: &PathBuf| file_name(path).contains("-linux-") && path.is_dir();
-        folders.extend(entries(&folder).into_iter().filter(of_machine));
+        let per_machine = |path: &PathBuf| file_name(path).contains("-linux-") && path.is_dir();
+        folders.extend(entries(&folder).into_iter().filter(per_machine));
     }
     folders.extend(
         more.into_iter()
@@ -372,7 +370,7 @@ fn libraries(root: &Path, more: Option<&str>) -> BTreeSet<String> {
         .collect()
 }
 
-/// What is in a folder, sorted; nothing where it cannot be read.
+/// Entries of a folder, sorted; none if it is unreadable.
 fn entries(folder: &Path) -> Vec<PathBuf> {
     let entries = fs::read_dir(folder).into_iter().flatten();
     let mut paths: Vec<PathBuf> = entries

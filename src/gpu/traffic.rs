@@ -1,27 +1,27 @@
-//! Traffic between host and device: submissions, dispatches, waits, bytes, and the time in which the device had nothing to do.
+//! Traffic between host and device: submissions, dispatches, waits, bytes, and the device's idle time.
 
 use std::sync::Mutex;
 use std::time::Instant;
 
-/// Counts since the device was opened. The difference of two readings is the traffic of the work between them.
+/// Counts since the device was opened. The difference of two readings is the traffic between them.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Traffic {
-    /// Times that the host waited for submitted work. A read-back that has already arrived is no wait.
+    /// Number of times that the host waited for submitted work. A readback that is already mapped does not count.
     pub waits: u64,
     /// Command buffers submitted to the queue.
     pub submissions: u64,
-    /// Dispatches in them, indirect ones with zero workgroups included.
+    /// Dispatches, including indirect ones with zero workgroups.
     pub dispatches: u64,
-    /// Bytes written to buffers by the host.
+    /// Bytes written by the host.
     pub bytes_up: u64,
-    /// Bytes copied to host-visible buffers, time stamps included.
+    /// Bytes copied to host-visible buffers, including timestamps.
     pub bytes_down: u64,
-    /// Seconds from the end of a wait to the next submission: nothing was queued on the device.
+    /// Seconds between the end of a wait and the next submission, when the queue is empty.
     pub idle_seconds: f64,
 }
 
 impl Traffic {
-    /// Traffic after an earlier reading.
+    /// Traffic since an earlier reading.
     pub fn since(self, earlier: Traffic) -> Traffic {
         Traffic {
             waits: self.waits - earlier.waits,
@@ -53,7 +53,7 @@ pub(super) struct Meter(Mutex<Counters>);
 #[derive(Debug, Default)]
 struct Counters {
     traffic: Traffic,
-    /// End of the last wait, while nothing has been submitted since.
+    /// End of the last wait, until the next submission.
     idle_since: Option<Instant>,
     /// Last stage submitted.
     stage: &'static str,
@@ -71,7 +71,7 @@ impl Counters {
 }
 
 impl Meter {
-    /// Applies an update. A poisoned lock is a panic elsewhere, and counts no longer matter then.
+    /// Applies an update. After a panic elsewhere (poisoned lock) the counts no longer matter.
     fn with<R: Default>(&self, update: impl FnOnce(&mut Counters) -> R) -> R {
         self.0
             .lock()
@@ -114,7 +114,7 @@ impl Meter {
         });
     }
 
-    /// The queue is empty: the host has waited for all submitted work.
+    /// Records that the queue is empty after a wait.
     pub(super) fn waited(&self) {
         self.with(|counters| {
             if counters.idle_since.is_some() {
@@ -143,7 +143,7 @@ mod tests {
     #[test]
     fn only_a_wait_for_new_work_counts() {
         let meter = Meter::default();
-        // Nothing was submitted yet.
+        // Nothing submitted yet.
         meter.waited();
         meter.uploaded(12);
         meter.start_trace();
@@ -172,7 +172,7 @@ mod tests {
         let meter = Meter::default();
         let pause = Duration::from_millis(20);
         meter.submitted(&[], 0);
-        // Work is queued.
+        // The queue is not empty.
         sleep(pause);
         assert_eq!(meter.traffic().idle_seconds, 0.0);
         meter.waited();

@@ -1,4 +1,4 @@
-//! Sparse Cholesky factorisations A = L L^T and A = L D L^T with an approximate minimum degree ordering, by faer.
+//! Sparse Cholesky factorisations A = L L^T and A = L D L^T with approximate minimum degree ordering, by faer.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::ldlt::factor::LdltRegularization;
@@ -10,10 +10,10 @@ use faer::{Conj, MatMut, Par, Side};
 use super::Csr;
 use crate::Error;
 
-/// faer works on one thread but where it is told otherwise, so that a factor does not depend on how many there are.
+/// One thread by default, so that factors do not depend on the number of threads.
 const PAR: Par = Par::Seq;
 
-/// The ordering and the pattern of a factor: reusable for every matrix with the same stored places.
+/// Ordering and sparsity pattern of a factor, reusable for matrices with the same pattern.
 #[derive(Debug)]
 pub struct SymbolicCholesky {
     factor: cholesky::SymbolicCholesky<usize>,
@@ -21,9 +21,9 @@ pub struct SymbolicCholesky {
 }
 
 impl SymbolicCholesky {
-    /// Orders a symmetric matrix and finds the pattern of its factor. Values are not read.
+    /// Orders a symmetric matrix and computes the pattern of its factor. Only the pattern of the matrix matters.
     pub fn new(matrix: &Csr) -> Result<SymbolicCholesky, Error> {
-        // A symmetric matrix by rows is the same matrix by columns, and its lower triangle by rows the upper by columns.
+        // By symmetry rows are columns, and the lower triangle by rows is the upper one by columns.
         let factor = cholesky::factorize_symbolic_cholesky(
             view(matrix).symbolic(),
             Side::Upper,
@@ -42,18 +42,18 @@ impl SymbolicCholesky {
         self.factor.len_val()
     }
 
-    /// Factorises a symmetric positive definite matrix of the pattern given to [`SymbolicCholesky::new`].
+    /// Factorises a symmetric positive definite matrix with the pattern given to [`SymbolicCholesky::new`].
     pub fn factorise(&self, matrix: &Csr) -> Result<Cholesky<'_>, Error> {
         self.factorise_on(matrix, PAR)
     }
 
-    /// The same on all cores: the last bits of the factor depend on how many there are.
+    /// Factorises on all cores; the last bits depend on their number.
     pub fn factorise_in_parallel(&self, matrix: &Csr) -> Result<Cholesky<'_>, Error> {
         self.factorise_on(matrix, Par::rayon(0))
     }
 
-    /// Factorises a quasi-definite matrix [A B; B^T -C], A and C positive definite, as L D L^T: it has such a factor in every
-    /// order, without pivoting (Vanderbei 1995).
+    /// Factorises a quasi-definite matrix [A B; B^T -C], A and C positive definite, as L D L^T, which exists without
+    /// pivoting for every ordering (Vanderbei 1995).
     pub fn factorise_quasi_definite(&self, matrix: &Csr) -> Result<QuasiDefinite<'_>, Error> {
         self.ensure_pattern(matrix);
         let mut values = vec![0.0; self.factor.len_val()];
@@ -109,7 +109,7 @@ impl SymbolicCholesky {
     }
 }
 
-/// A factor.
+/// A numeric factor L.
 #[derive(Debug)]
 pub struct Cholesky<'a> {
     symbolic: &'a SymbolicCholesky,
@@ -117,12 +117,12 @@ pub struct Cholesky<'a> {
 }
 
 impl Cholesky<'_> {
-    /// Solves A x = b in place: b in, x out.
+    /// Solves A x = b in place.
     pub fn solve(&self, x: &mut [f64]) {
         self.solve_columns(x, 1);
     }
 
-    /// The same for several right-hand sides, one after another.
+    /// Solves for several right-hand sides, stored by columns.
     pub fn solve_columns(&self, x: &mut [f64], n_columns: usize) {
         let factor = &self.symbolic.factor;
         let scratch = factor.solve_in_place_scratch::<f64>(n_columns, PAR);
@@ -136,7 +136,7 @@ impl Cholesky<'_> {
     }
 }
 
-/// A factor of a quasi-definite matrix.
+/// A numeric factor of a quasi-definite matrix.
 #[derive(Debug)]
 pub struct QuasiDefinite<'a> {
     symbolic: &'a SymbolicCholesky,
@@ -144,7 +144,7 @@ pub struct QuasiDefinite<'a> {
 }
 
 impl QuasiDefinite<'_> {
-    /// Solves A x = b in place: b in, x out.
+    /// Solves A x = b in place.
     pub fn solve(&self, x: &mut [f64]) {
         let factor = &self.symbolic.factor;
         let scratch = factor.solve_in_place_scratch::<f64>(1, PAR);
@@ -162,7 +162,7 @@ fn view(matrix: &Csr) -> SparseColMatRef<'_, usize, f64> {
     assert_eq!(
         matrix.n_rows(),
         matrix.n_columns(),
-        "Cholesky takes a square matrix"
+        "a Cholesky factorisation needs a square matrix"
     );
     matrix.transposed_view()
 }

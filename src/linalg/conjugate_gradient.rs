@@ -1,5 +1,5 @@
-//! Preconditioned conjugate gradients (Hestenes and Stiefel 1952) and stabilised biconjugate gradients (van der Vorst 1992) by faer,
-//! for operators without a matrix.
+//! Matrix-free preconditioned conjugate gradients (Hestenes and Stiefel 1952) and stabilised biconjugate gradients (van der
+//! Vorst 1992), by faer.
 
 use std::fmt;
 
@@ -9,7 +9,7 @@ use faer::matrix_free::conjugate_gradient::{self as cg, CgError, CgParams};
 use faer::matrix_free::{IdentityPrecond, InitialGuessStatus, LinOp, Precond};
 use faer::{ColRef, MatMut, MatRef, Par};
 
-/// A symmetric linear map: a matrix, or a preconditioner, which approximates the inverse of one.
+/// A symmetric linear map: a matrix or a preconditioner.
 pub trait LinearOperator: Sync {
     /// Number of unknowns.
     fn size(&self) -> usize;
@@ -18,7 +18,7 @@ pub trait LinearOperator: Sync {
     fn apply(&self, x: &[f64], y: &mut [f64]);
 }
 
-/// How the iteration ended.
+/// Reason for the end of an iteration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CgEnd {
     /// The recurrence's residual fell below the tolerance.
@@ -29,7 +29,7 @@ pub enum CgEnd {
     Breakdown,
 }
 
-/// What the iteration did. The residual is the caller's to evaluate: the recurrence's own does not prove anything.
+/// Result of an iteration. Callers evaluate the true residual: that of the recurrence proves nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CgReport {
     /// Products with the operator.
@@ -38,7 +38,7 @@ pub struct CgReport {
     pub end: CgEnd,
 }
 
-/// Solves A x = b from a zero guess until the recurrence's ||r|| < tolerance ||b||; x is overwritten.
+/// Solves A x = b from a zero guess until ||r|| < tolerance ||b|| for the residual of the recurrence; x is overwritten.
 pub fn conjugate_gradient(
     operator: &dyn LinearOperator,
     preconditioner: &dyn LinearOperator,
@@ -47,15 +47,10 @@ pub fn conjugate_gradient(
     tolerance: f64,
     max_iterations: usize,
 ) -> CgReport {
-    let n = operator.size();
-    assert!(
-        preconditioner.size() == n && b.len() == n && x.len() == n,
-        "operator, preconditioner and vectors fit"
-    );
-    x.fill(0.0);
+    let n = prepare(operator, preconditioner, b, x);
     let mut iterations = 0;
     let params = CgParams {
-        // faer 0.24.4 leaves its residual uninitialised with `Zero`; `Zero` saves one product once that is mended there.
+        // faer 0.24.4 leaves its residual uninitialised with `Zero`, which would save one product.
         initial_guess: InitialGuessStatus::MaybeNonZero,
         rel_tolerance: tolerance,
         max_iters: max_iterations,
@@ -70,7 +65,7 @@ pub fn conjugate_gradient(
         MatRef::from_column_major_slice(b, n, 1),
         params,
         |_| iterations += 1,
-        // One thread for faer's own vectors: its sums must not depend on how many there are. Operators may use more.
+        // One thread, so that sums do not depend on the number of threads. Operators may use more.
         Par::Seq,
         MemStack::new(&mut MemBuffer::new(scratch)),
     );
@@ -82,35 +77,32 @@ pub fn conjugate_gradient(
     CgReport::new(iterations, end, x)
 }
 
-/// The same for those who judge x by more than the recurrence's residual: whenever that has come as far as it was asked to, `judge` sees x and
-/// says by which factor to go on, or that it is enough. The directions stay, while a solve that begins anew has to find them again (van der
-/// Sluis and van der Vorst 1986), and faer's conjugate gradients cannot go on.
-pub fn judged_conjugate_gradient(
+/// Conjugate gradients with a stopping test by the caller.
+///
+/// Whenever the residual of the recurrence reaches the tolerance, `test` returns a factor by which to reduce it further, or
+/// `None` to stop. The search directions continue; a restart would have to rebuild them (van der Sluis and van der Vorst 1986).
+/// faer's conjugate gradients cannot resume.
+pub fn conjugate_gradient_with_test(
     operator: &dyn LinearOperator,
     preconditioner: &dyn LinearOperator,
     b: &[f64],
     x: &mut [f64],
     tolerance: f64,
     max_iterations: usize,
-    mut judge: impl FnMut(&[f64]) -> Option<f64>,
+    mut test: impl FnMut(&[f64]) -> Option<f64>,
 ) -> CgReport {
-    let n = operator.size();
-    assert!(
-        preconditioner.size() == n && b.len() == n && x.len() == n,
-        "operator, preconditioner and vectors fit"
-    );
-    x.fill(0.0);
+    let n = prepare(operator, preconditioner, b, x);
     let (mut r, mut z, mut q) = (b.to_vec(), vec![0.0; n], vec![0.0; n]);
     preconditioner.apply(&r, &mut z);
     let mut p = z.clone();
     let mut rz = fast_dot(&r, &z);
-    let mut asked = tolerance * fast_dot(b, b).sqrt();
+    let mut target = tolerance * fast_dot(b, b).sqrt();
     for iterations in 0.. {
         let residual = fast_dot(&r, &r).sqrt();
-        if residual <= asked {
-            match judge(x) {
-                // From nothing there is nowhere to go.
-                Some(factor) if residual > 0.0 => asked = factor * residual,
+        if residual <= target {
+            match test(x) {
+                // A zero residual cannot be reduced.
+                Some(factor) if residual > 0.0 => target = factor * residual,
                 _ => return CgReport::new(iterations, CgEnd::Converged, x),
             }
         }
@@ -122,20 +114,36 @@ pub fn judged_conjugate_gradient(
         if !(rz > 0.0 && pq > 0.0) {
             return CgReport::new(iterations, CgEnd::Breakdown, x);
         }
-        let step = rz / pq;
-        add(step, &p, x);
-        add(-step, &q, &mut r);
+        let alpha = rz / pq;
+        add(alpha, &p, x);
+        add(-alpha, &q, &mut r);
         preconditioner.apply(&r, &mut z);
         let rz_before = std::mem::replace(&mut rz, fast_dot(&r, &z));
-        let turn = rz / rz_before;
+        let beta = rz / rz_before;
         for (p, z) in p.iter_mut().zip(&z) {
-            *p = z + turn * *p;
+            *p = z + beta * *p;
         }
     }
     unreachable!("the iterations are limited")
 }
 
-/// Sum of products by faer, in an order that is its own and always the same.
+/// Checks the sizes and clears x; returns the number of unknowns.
+pub(super) fn prepare(
+    operator: &dyn LinearOperator,
+    preconditioner: &dyn LinearOperator,
+    b: &[f64],
+    x: &mut [f64],
+) -> usize {
+    let n = operator.size();
+    assert!(
+        preconditioner.size() == n && b.len() == n && x.len() == n,
+        "operator, preconditioner and vectors have one size"
+    );
+    x.fill(0.0);
+    n
+}
+
+/// faer's dot product, in a fixed order of its own.
 fn fast_dot(x: &[f64], y: &[f64]) -> f64 {
     ColRef::from_slice(x).transpose() * ColRef::from_slice(y)
 }
@@ -147,8 +155,8 @@ fn add(a: f64, x: &[f64], y: &mut [f64]) {
     }
 }
 
-/// Solves A x = b, A symmetric or not, from a zero guess until the recurrence's ||r|| < tolerance ||b||; x is overwritten. An iteration
-/// takes two products.
+/// Solves A x = b, A symmetric or not, from a zero guess until ||r|| < tolerance ||b|| for the residual of the recurrence; x is
+/// overwritten. An iteration needs two products.
 pub fn stabilised_biconjugate_gradient(
     operator: &dyn LinearOperator,
     preconditioner: &dyn LinearOperator,
@@ -157,12 +165,7 @@ pub fn stabilised_biconjugate_gradient(
     tolerance: f64,
     max_iterations: usize,
 ) -> CgReport {
-    let n = operator.size();
-    assert!(
-        preconditioner.size() == n && b.len() == n && x.len() == n,
-        "operator, preconditioner and vectors fit"
-    );
-    x.fill(0.0);
+    let n = prepare(operator, preconditioner, b, x);
     let mut iterations = 0;
     let params = BicgParams {
         initial_guess: InitialGuessStatus::MaybeNonZero,
@@ -204,7 +207,7 @@ impl CgReport {
     }
 }
 
-/// faer's view of an operator.
+/// Adapter of an operator for faer.
 pub(super) struct Wrapped<'a>(pub(super) &'a dyn LinearOperator);
 
 impl fmt::Debug for Wrapped<'_> {

@@ -1,4 +1,4 @@
-//! Sparse matrices by rows.
+//! Sparse matrices in compressed rows.
 
 use faer::Par;
 use faer::sparse::linalg::matmul::sparse_sparse_matmul;
@@ -8,18 +8,18 @@ use rayon::prelude::*;
 use super::LinearOperator;
 use crate::Error;
 
-/// A sparse matrix in compressed rows: the columns of a row ascend, an entry is stored once.
+/// A sparse matrix in compressed rows, columns ascending, each entry stored once.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Csr {
     n_columns: usize,
-    /// Where each row starts in `columns` and `values`; one more than there are rows.
+    /// Start of each row in `columns` and `values`; one more than there are rows.
     row_start: Vec<usize>,
     columns: Vec<usize>,
     values: Vec<f64>,
 }
 
 impl Csr {
-    /// Builds a matrix from (row, column, value); repeated places are added in the order given. Places outside are an
+    /// Builds a matrix from (row, column, value). Repeated entries are added in the given order; entries outside are an
     /// error.
     pub fn from_triplets(
         n_rows: usize,
@@ -37,7 +37,7 @@ impl Csr {
                 "give rows and columns from 0 to one less than the size",
             ));
         }
-        // Stable, so equal places keep their order and the sums repeat bit for bit.
+        // Stable, so that sums are bitwise reproducible.
         sorted.sort_by_key(|&(row, column, _)| (row, column));
         let mut matrix = Csr {
             n_columns,
@@ -64,7 +64,7 @@ impl Csr {
         Ok(matrix)
     }
 
-    /// Builds a matrix row by row; `fill` pushes the row's entries with ascending columns.
+    /// Builds a matrix by rows; `fill` pushes the entries of a row with ascending columns.
     pub fn from_rows(
         n_rows: usize,
         n_columns: usize,
@@ -124,11 +124,11 @@ impl Csr {
         })
     }
 
-    /// The entry at a place; 0 where nothing is stored.
+    /// The entry at a position; 0 if it is not stored.
     pub fn get(&self, row: usize, column: usize) -> f64 {
         let start = self.row_start[row];
         match self.columns[start..self.row_start[row + 1]].binary_search(&column) {
-            Ok(found) => self.values[start + found],
+            Ok(at) => self.values[start + at],
             Err(_) => 0.0,
         }
     }
@@ -159,12 +159,9 @@ impl Csr {
             .expect("places of a matrix lie inside its transpose")
     }
 
-    /// The product A B.
-    ///
-    /// # Errors
-    /// When it does not fit into memory.
+    /// The product A B; an error if it does not fit into memory.
     pub fn product(&self, other: &Csr) -> Result<Csr, Error> {
-        // By columns each stands for its transpose, and (A B)^T = B^T A^T.
+        // By columns each array is the transpose, and (A B)^T = B^T A^T.
         let (left, right) = (other.transposed_view(), self.transposed_view());
         let product = sparse_sparse_matmul(left, right, 1.0, Par::Seq).map_err(|problem| {
             let what = format!("the product of sparse matrices with {} rows", self.n_rows());
@@ -240,7 +237,7 @@ impl Csr {
         })
     }
 
-    /// Square root of the sum of squares of all entries.
+    /// Square root of the sum of squared entries.
     pub fn frobenius_norm(&self) -> f64 {
         super::norm(&self.values)
     }
@@ -264,7 +261,7 @@ impl Csr {
             .fold(0.0, f64::max)
     }
 
-    /// The transpose by columns, as faer wants it: the same arrays.
+    /// The transpose by columns, for faer: the same arrays.
     pub(super) fn transposed_view(&self) -> SparseColMatRef<'_, usize, f64> {
         let (n_rows, n_columns) = (self.n_columns, self.n_rows());
         SparseColMatRef::new(

@@ -1,5 +1,6 @@
-//! Extreme eigenvalues of symmetric matrices: the largest magnitude by Lanczos's method with restarts, by faer, the smallest by inverse
-//! iteration. And what 1-norms of inverses are at least.
+//! Extreme eigenvalues of symmetric matrices, and lower bounds of 1-norms of inverses.
+//!
+//! The largest magnitude is by restarted Lanczos iteration (faer), the smallest by inverse iteration.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::matrix_free::eigen::{self, PartialEigenParams};
@@ -9,56 +10,50 @@ use super::conjugate_gradient::Wrapped;
 use super::{Csr, dot, norm};
 use crate::Error;
 
-/// Up to so many rows all eigenvalues are computed, since faer's subspace has to be smaller than the matrix.
+/// Most rows for the dense solver: faer's subspace must be smaller than the matrix.
 const DENSE: usize = 128;
-/// Of the eigenvalue.
+/// Relative tolerance of an eigenvalue.
 const TOLERANCE: f64 = 1e-4;
-const MOST_RESTARTS: usize = 100;
-const MOST_SOLVES: usize = 200;
-/// Of the estimate of a 1-norm.
-const MOST_CLIMBS: usize = 5;
-/// Of the vectors that both methods start from.
+const MAX_RESTARTS: usize = 100;
+const MAX_SOLVES: usize = 200;
+/// Most iterations of the 1-norm estimate.
+const MAX_CLIMBS: usize = 5;
+/// Seed of the start vectors.
 const SEED: u64 = 62;
 
-/// x = A^-1 b from b.
+/// Solves A x = b: returns x for b.
 pub type Solve<'a> = &'a mut dyn FnMut(&[f64]) -> Result<Vec<f64>, Error>;
 
-/// All eigenvalues of a symmetric matrix, ascending, without making use of its zeros.
-///
-/// # Errors
-/// When the iteration does not converge.
+/// All eigenvalues of a symmetric matrix, ascending, by a dense solver.
 pub fn eigenvalues(matrix: &Csr) -> Result<Vec<f64>, Error> {
     let n = matrix.n_rows();
     let mut dense = Mat::zeros(n, n);
     for (row, column, value) in matrix.triplets() {
         dense[(row, column)] = value;
     }
-    let found = dense.self_adjoint_eigenvalues(Side::Lower);
-    found.map_err(|problem| failed(matrix, format!("{problem:?}")))
+    let result = dense.self_adjoint_eigenvalues(Side::Lower);
+    result.map_err(|problem| failed(matrix, format!("{problem:?}")))
 }
 
-/// The largest magnitude of the eigenvalues of a symmetric matrix, to some 1e-4 of it.
-///
-/// # Errors
-/// When the iteration does not converge.
+/// Largest magnitude of the eigenvalues of a symmetric matrix, to about 1e-4 of it.
 pub fn largest_magnitude(matrix: &Csr) -> Result<f64, Error> {
     let n = matrix.n_rows();
     if n <= DENSE {
         let all = eigenvalues(matrix)?.into_iter();
         return Ok(all.fold(0.0, |most, value| f64::max(most, value.abs())));
     }
-    // faer's tolerance is of the residual itself: no eigenvalue is larger than this norm.
+    // faer's tolerance is absolute; this norm bounds all eigenvalues.
     let scale = matrix.infinity_norm();
     let scaled = matrix.clone().scaled(&vec![1.0 / scale; n], &vec![1.0; n]);
     let params = PartialEigenParams {
-        max_restarts: MOST_RESTARTS,
+        max_restarts: MAX_RESTARTS,
         ..PartialEigenParams::default()
     };
     let operator = Wrapped(&scaled);
     let scratch = eigen::partial_self_adjoint_eigen_scratch(&operator, 1, Par::Seq, params);
     let mut vector = Mat::zeros(n, 1);
     let mut value = [0.0];
-    let found = eigen::partial_self_adjoint_eigen(
+    let result = eigen::partial_self_adjoint_eigen(
         vector.as_mut(),
         &mut value,
         &operator,
@@ -68,23 +63,21 @@ pub fn largest_magnitude(matrix: &Csr) -> Result<f64, Error> {
         MemStack::new(&mut MemBuffer::new(scratch)),
         params,
     );
-    match found.n_converged_eigen {
-        0 => Err(failed(matrix, format!("{MOST_RESTARTS} restarts"))),
+    match result.n_converged_eigen {
+        0 => Err(failed(matrix, format!("{MAX_RESTARTS} restarts"))),
         _ => Ok(scale * value[0].abs()),
     }
 }
 
-/// The smallest magnitude of the eigenvalues of a symmetric matrix of n rows, from `solve`, which solves with it: 1 / |A^-1 x| for the x
-/// that inverse iteration comes to, which is from above, until it changes by no more than 1e-4 of itself from one solve to the next.
+/// Smallest magnitude of the eigenvalues of a symmetric matrix of n rows, by inverse iteration with `solve`.
 ///
-/// # Errors
-/// As `solve`, and when the iteration does not converge.
+/// Iterates until 1 / |A^-1 x|, an upper bound, changes by at most a relative 1e-4.
 pub fn smallest_magnitude(n: usize, solve: Solve) -> Result<f64, Error> {
     let mut x = start(n);
     let size = norm(&x);
     x.iter_mut().for_each(|x| *x /= size);
     let mut before = 0.0;
-    for _ in 0..MOST_SOLVES {
+    for _ in 0..MAX_SOLVES {
         x = solve(&x)?;
         let size = norm(&x);
         x.iter_mut().for_each(|x| *x /= size);
@@ -96,25 +89,22 @@ pub fn smallest_magnitude(n: usize, solve: Solve) -> Result<f64, Error> {
         }
         before = size;
     }
-    let problem = format!("inverse iteration took {MOST_SOLVES} solves or broke down");
+    let problem = format!("inverse iteration took {MAX_SOLVES} solves or broke down");
     Err(not_found(n, problem))
 }
 
-/// A lower bound of the 1-norm of the inverse of a symmetric matrix of n rows, mostly the norm itself, from `solve`, which solves with it
-/// (Hager 1984, Higham 1988: what MATLAB's `condest` does for one vector).
-///
-/// # Errors
-/// As `solve`.
+/// Lower bound of the 1-norm of the inverse of a symmetric matrix of n rows, mostly the norm itself (Hager 1984, Higham 1988;
+/// MATLAB's `condest` with one vector).
 pub fn inverse_one_norm(n: usize, solve: Solve) -> Result<f64, Error> {
     let size = |x: &[f64]| x.iter().map(|x| x.abs()).sum::<f64>();
     let mut x = vec![1.0 / n as f64; n];
-    let mut found: f64 = 0.0;
-    for _ in 0..MOST_CLIMBS {
+    let mut bound: f64 = 0.0;
+    for _ in 0..MAX_CLIMBS {
         let y = solve(&x)?;
-        if size(&y) <= found {
+        if size(&y) <= bound {
             break;
         }
-        found = size(&y);
+        bound = size(&y);
         let signs: Vec<f64> = y.iter().map(|y| y.signum()).collect();
         let slope = solve(&signs)?;
         let steepest = (0..n).max_by(|&a, &b| slope[a].abs().total_cmp(&slope[b].abs()));
@@ -125,13 +115,13 @@ pub fn inverse_one_norm(n: usize, solve: Solve) -> Result<f64, Error> {
         x.fill(0.0);
         x[steepest] = 1.0;
     }
-    // What the climb may miss.
+    // A second estimate for matrices on which the climb fails.
     let alternating = (0..n).map(|row| {
         let sign = if row % 2 == 0 { 1.0 } else { -1.0 };
         sign * (1.0 + row as f64 / (n - 1).max(1) as f64)
     });
     let other = solve(&alternating.collect::<Vec<f64>>())?;
-    Ok(found.max(2.0 * size(&other) / (3 * n) as f64))
+    Ok(bound.max(2.0 * size(&other) / (3 * n) as f64))
 }
 
 fn start(n: usize) -> Vec<f64> {

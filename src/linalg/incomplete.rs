@@ -1,32 +1,33 @@
-//! Incomplete factorisations without fill: preconditioners that need no more memory than the matrix (Meijerink and van der Vorst
-//! 1977; Saad, Iterative Methods for Sparse Linear Systems, algorithm 10.4).
+//! Incomplete factorisations without fill, preconditioners with the memory of the matrix (Meijerink and van der Vorst 1977;
+//! Saad, Iterative Methods for Sparse Linear Systems, algorithm 10.4).
 
 use super::{Csr, LinearOperator};
 
-/// The first shift that is tried where a factorisation breaks down; then twice as much, and so on.
+/// First diagonal shift after a breakdown, doubled until the factorisation succeeds.
 const FIRST_SHIFT: f64 = 1e-3;
 
-/// A pivot below this part of its diagonal entry is a breakdown.
+/// Least pivot relative to its diagonal entry.
 const LEAST_PIVOT: f64 = 1e-3;
 
-/// Shifts that are tried: the last is as large as the diagonal itself.
+/// Number of shifts; the last is about the diagonal itself.
 const SHIFTS: i32 = 11;
 
-/// A ~ L U with the pattern of A; U = D L^T where A is symmetric, so that this is IC(0) too.
+/// A ~ L U with the pattern of A. For symmetric A, U = D L^T: this is IC(0) too.
 #[derive(Clone, Debug)]
 pub struct Incomplete {
-    /// L below the diagonal, its own diagonal being 1, and U on and above it.
+    /// L below its unit diagonal; U on and above it.
     factor: Csr,
     /// Inverse of the diagonal of U.
     inverse: Vec<f64>,
-    /// What was added to the diagonal of A, relative to it, for all pivots to keep their sign.
+    /// Relative diagonal shift of A with which all pivots have the sign of their entry.
     pub shift: f64,
 }
 
 impl Incomplete {
-    /// Factorises a square matrix whose whole diagonal is stored. Every pivot must keep the sign of its entry on the diagonal and a
-    /// thousandth of its size; where one does not, the diagonal is raised by a share of itself. `None` where doubling it does not
-    /// help, or a diagonal entry is 0.
+    /// Factorises a square matrix with a fully stored diagonal.
+    ///
+    /// Every pivot must have the sign of its diagonal entry and a thousandth of its magnitude; else the diagonal is
+    /// shifted. `None` if even a shift by the diagonal itself fails, or for a zero on the diagonal.
     pub fn new(matrix: &Csr) -> Option<Incomplete> {
         let raised = (0..SHIFTS).map(|n| FIRST_SHIFT * 2.0_f64.powi(n));
         let mut shifts = std::iter::once(0.0).chain(raised);
@@ -37,7 +38,7 @@ impl Incomplete {
         let n = matrix.n_rows();
         let mut rows: Vec<Vec<(usize, f64)>> = Vec::with_capacity(n);
         let mut inverse = Vec::with_capacity(n);
-        // Where the entry of a column is in the present row, plus one.
+        // Index of each column's entry in the current row, plus one.
         let mut place = vec![0; n];
         for at in 0..n {
             let mut row: Vec<(usize, f64)> = matrix.row(at).collect();

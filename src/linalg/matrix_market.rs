@@ -1,5 +1,5 @@
-//! Matrix Market files (Boisvert, Pozo and Remington 1996): `coordinate real general` and `symmetric` matrices, `array
-//! real general` vectors. Values are written with 17 digits and come back bit for bit.
+//! Matrix Market files (Boisvert, Pozo and Remington 1996): `coordinate real general` and `symmetric` matrices, `array real
+//! general` vectors. Values have 17 digits, which preserve every bit.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -8,7 +8,7 @@ use std::path::Path;
 use super::Csr;
 use crate::Error;
 
-/// What of a matrix is stored.
+/// Stored part of a matrix.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Symmetry {
     /// All entries.
@@ -17,7 +17,7 @@ pub enum Symmetry {
     Symmetric,
 }
 
-/// The text of a file that holds a matrix; `comment` lines follow the banner.
+/// File contents of a matrix; `comment` lines follow the banner.
 pub fn matrix_text(matrix: &Csr, symmetry: Symmetry, comment: &str) -> String {
     let (name, lower) = match symmetry {
         Symmetry::General => ("general", false),
@@ -43,7 +43,7 @@ pub fn matrix_text(matrix: &Csr, symmetry: Symmetry, comment: &str) -> String {
     text
 }
 
-/// The text of a file that holds a vector, as a one-column array.
+/// File contents of a vector, a one-column array.
 pub fn vector_text(vector: &[f64], comment: &str) -> String {
     let mut text = String::from("%%MatrixMarket matrix array real general\n");
     push_comment(&mut text, comment);
@@ -54,7 +54,7 @@ pub fn vector_text(vector: &[f64], comment: &str) -> String {
     text
 }
 
-/// Reads a coordinate matrix; a symmetric one comes back with both triangles.
+/// Reads a coordinate matrix; a symmetric one is returned with both triangles.
 pub fn read_matrix(path: &Path) -> Result<Csr, Error> {
     let text = read(path)?;
     let mut file = Reader::new(path, &text, "coordinate")?;
@@ -140,7 +140,7 @@ fn push_comment(text: &mut String, comment: &str) {
     }
 }
 
-/// The lines of a file that are not comments, with their numbers.
+/// Noncomment lines with their numbers.
 struct Reader<'a> {
     path: &'a Path,
     lines: std::iter::Enumerate<std::str::Lines<'a>>,
@@ -163,7 +163,7 @@ impl<'a> Reader<'a> {
             .next()
             .map_or(String::new(), |(_, line)| line.to_ascii_lowercase());
         match banner.split_whitespace().collect::<Vec<_>>()[..] {
-            ["%%matrixmarket", "matrix", found, "real", symmetry] if found == format => {
+            ["%%matrixmarket", "matrix", kind, "real", symmetry] if kind == format => {
                 file.symmetry = symmetry.to_string();
                 Ok(file)
             }
@@ -182,7 +182,7 @@ impl<'a> Reader<'a> {
         )
     }
 
-    /// The next line that holds something.
+    /// The next line that is neither blank nor a comment.
     fn next(&mut self) -> Option<&'a str> {
         let (index, line) = self
             .lines
@@ -230,7 +230,7 @@ impl<'a> Reader<'a> {
         match self.next() {
             None => Ok(()),
             Some(line) => Err(self.error(
-                &format!("`{line}` follows after the last entry"),
+                &format!("`{line}` follows the last entry"),
                 "correct the entry count",
             )),
         }

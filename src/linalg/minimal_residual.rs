@@ -1,13 +1,12 @@
-//! Preconditioned minimal residuals, MINRES (Paige and Saunders 1975; Elman, Silvester and Wathen 2014, algorithm 4.1), for symmetric
-//! matrices that are not definite: faer has none.
+//! Preconditioned MINRES (Paige and Saunders 1975; Elman, Silvester and Wathen 2014, algorithm 4.1) for indefinite symmetric
+//! matrices, which faer lacks.
 
+use super::conjugate_gradient::prepare;
 use super::{CgEnd, CgReport, LinearOperator, dot};
 
-/// Solves A x = b, A symmetric, from a zero guess until the recurrence's residual, in the norm of the preconditioner, which has to be
-/// positive definite, has fallen by `tolerance`; x is overwritten.
+/// Solves A x = b, A symmetric, from a zero guess; x is overwritten.
 ///
-/// # Panics
-/// When operator, preconditioner and vectors differ in size.
+/// Stops when the residual of the recurrence, in the norm of the positive definite preconditioner, has fallen by `tolerance`.
 pub fn minimal_residual(
     operator: &dyn LinearOperator,
     preconditioner: &dyn LinearOperator,
@@ -16,13 +15,8 @@ pub fn minimal_residual(
     tolerance: f64,
     max_iterations: usize,
 ) -> CgReport {
-    let n = operator.size();
-    assert!(
-        preconditioner.size() == n && b.len() == n && x.len() == n,
-        "operator, preconditioner and vectors fit"
-    );
-    x.fill(0.0);
-    // Lanczos vectors v of the preconditioned operator, last and present, z = H v, and gamma their norms in H.
+    let n = prepare(operator, preconditioner, b, x);
+    // Lanczos vectors v of the preconditioned operator, previous and current; z = H v; gamma are their norms in H.
     let (mut v_last, mut v) = (vec![0.0; n], b.to_vec());
     let mut z = vec![0.0; n];
     preconditioner.apply(&v, &mut z);
@@ -33,7 +27,7 @@ pub fn minimal_residual(
     let (mut gamma_last, mut gamma) = (1.0, squared.sqrt());
     let target = tolerance * gamma;
     let mut eta = gamma;
-    // Cosines and sines of the rotations that keep what Lanczos makes triangular.
+    // Cosines and sines of the Givens rotations of the tridiagonal matrix.
     let ([mut c_last, mut c], [mut s_last, mut s]) = ([1.0; 2], [0.0; 2]);
     let (mut w_last, mut w) = (vec![0.0; n], vec![0.0; n]);
     let mut product = vec![0.0; n];
@@ -49,7 +43,7 @@ pub fn minimal_residual(
         let z_now = z.clone();
         preconditioner.apply(&v, &mut z);
         let squared = dot(&z, &v);
-        // Not positive definite, or not a number.
+        // The preconditioner is not positive definite, or a value is not finite.
         if squared.is_nan() || squared < 0.0 {
             return CgReport::new(iterations, CgEnd::Breakdown, x);
         }

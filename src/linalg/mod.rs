@@ -1,5 +1,5 @@
-//! Sparse linear algebra in f64 on the CPU: matrices, Cholesky, incomplete factors, conjugate gradients,
-//! minimal residuals, extreme eigenvalues, Matrix Market. faer lives here only.
+//! Sparse linear algebra in f64 on the CPU: matrices, Cholesky, incomplete factors, Krylov methods, extreme eigenvalues, Matrix
+//! Market. The only room that uses faer.
 
 mod cholesky;
 mod conjugate_gradient;
@@ -11,7 +11,7 @@ mod minimal_residual;
 
 pub use cholesky::{Cholesky, QuasiDefinite, SymbolicCholesky};
 pub use conjugate_gradient::{
-    CgEnd, CgReport, LinearOperator, conjugate_gradient, judged_conjugate_gradient,
+    CgEnd, CgReport, LinearOperator, conjugate_gradient, conjugate_gradient_with_test,
     stabilised_biconjugate_gradient,
 };
 pub use csr::Csr;
@@ -22,12 +22,12 @@ pub use incomplete::Incomplete;
 pub use matrix_market::{Symmetry, matrix_text, read_matrix, read_vector, vector_text};
 pub use minimal_residual::minimal_residual;
 
-/// Euclidean norm, summed in order, so that it does not depend on the number of threads.
+/// Euclidean norm, summed in order, independent of the number of threads.
 pub fn norm(x: &[f64]) -> f64 {
     x.iter().map(|v| v * v).sum::<f64>().sqrt()
 }
 
-/// Sum of products, in order.
+/// Scalar product, summed in order.
 pub fn dot(x: &[f64], y: &[f64]) -> f64 {
     assert_eq!(
         x.len(),

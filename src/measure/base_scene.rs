@@ -87,7 +87,7 @@ impl<'a> DeviceScene<'a> {
             grid,
             n_nodes: scene.solids.rest.len(),
             n_elements: scene.solids.elements.len(),
-            n_turning: scene.solids.turning().count(),
+            n_turning: scene.solids.rotating_bodies().count(),
             scripts: false,
             obstacles: false,
             real: variant(gpu.has_f64(), solver.precision).real,
@@ -115,7 +115,7 @@ impl<'a> DeviceScene<'a> {
         coupling.write(gpu, &pairs, DENSITY * grid.dx.powi(3) / scene.dt)?;
         let bounds = Bounds::new(&scene.solids);
         let degree = bounds.chebyshev_degree(&scene.solids, scene.dt);
-        let wanted = bounds.wanted_degree_for(&scene.solids, |body| {
+        let wanted = bounds.unlimited_degree(&scene.solids, |body| {
             [body.zeta_mass(scene.dt), body.zeta_stiffness(scene.dt)]
         });
         let two_field = TwoFieldSolver::new(

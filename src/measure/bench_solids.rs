@@ -23,8 +23,8 @@ use crate::linalg::{SymbolicCholesky, norm};
 use crate::output::FolderLock;
 use crate::reference::{self, BlockPattern};
 use crate::scene::{
-    Camera, Domain, ElasticModel, Initial, Output, Pin, Placement, Scene, Shape, Solid, SolidMesh,
-    Solver, SurfaceMesh, Time, Written,
+    Camera, Domain, ElasticModel, Initial, Origins, Output, Pin, Placement, Scene, Shape, Solid,
+    SolidMesh, Solver, SurfaceMesh, Time,
 };
 use crate::sim::{Backend, Simulation};
 use crate::solver::{
@@ -249,7 +249,7 @@ fn scene(body: Body, nodes: usize, options: &Options) -> Scene {
     Scene {
         name: body.name().to_owned(),
         file: "bench solids".into(),
-        written: Written::default(),
+        origins: Origins::default(),
         hash: String::new(),
         scale: 1.0,
         overrides: Vec::new(),
@@ -305,7 +305,7 @@ impl<'a> Device<'a> {
             grid: scene.grid(),
             n_nodes: solids.rest.len(),
             n_elements: solids.elements.len(),
-            n_turning: solids.turning().count(),
+            n_turning: solids.rotating_bodies().count(),
             scripts: false,
             obstacles: false,
             real: variant(gpu.has_f64(), scene.solver.precision).real,

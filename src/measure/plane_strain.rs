@@ -24,8 +24,8 @@ use crate::elastic::Solids;
 use crate::geometry::TetMesh;
 use crate::grid::Sides;
 use crate::scene::{
-    Camera, Domain, ElasticModel, Initial, Liquid, Load, LoadKind, Output, Pin, Placement, Region,
-    Scene, Shape, Solid, SolidMesh, Solver, Surface, SurfaceMesh, Time, Written,
+    Camera, Domain, ElasticModel, Initial, Liquid, Load, LoadKind, Origins, Output, Pin, Placement,
+    Region, Scene, Shape, Solid, SolidMesh, Solver, Surface, SurfaceMesh, Time,
 };
 use crate::state::State;
 
@@ -213,7 +213,7 @@ impl PlaneStrain {
         Ok(Scene {
             name: format!("section_6_4_{cells}"),
             file: "section 6.4".into(),
-            written: Written::default(),
+            origins: Origins::default(),
             hash: String::new(),
             scale: 1.0,
             overrides: Vec::new(),

@@ -31,7 +31,10 @@ impl SolidBytes {
         SolidBytes {
             nodes: solids.rest.len() as f64,
             elements: solids.elements.len() as f64,
-            turning: solids.turning().map(|body| body.nodes.len() as f64).sum(),
+            turning: solids
+                .rotating_bodies()
+                .map(|body| body.nodes.len() as f64)
+                .sum(),
             blocks: topology.n_blocks() as f64,
             real: real as f64,
             inner: inner as f64,

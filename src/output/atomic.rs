@@ -1,4 +1,4 @@
-//! Files that are either whole or absent.
+//! Atomic file writes and folder locks.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Write};
@@ -6,16 +6,16 @@ use std::path::{Path, PathBuf};
 
 use crate::Error;
 
-/// Ends the name of a file that is being written.
+/// Suffix of partially written files.
 const PARTIAL: &str = ".partial";
 
-/// Writes `bytes` to a temporary name in the same folder, waits until the disk has them, and renames: a reader sees the old
-/// file or the new one, never a part.
+/// Writes to a temporary name in the same folder, syncs to disk and renames. A reader sees the old file or the new one, never a
+/// part.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     write_atomically_with(path, |file| file.write_all(bytes))
 }
 
-/// The same of what `write` writes.
+/// Writes atomically with `write`.
 pub(super) fn write_atomically_with(
     path: &Path,
     write: impl FnOnce(&mut File) -> io::Result<()>,
@@ -32,43 +32,42 @@ pub(super) fn write_atomically_with(
         fs::rename(&partial, path)
     };
     write().map_err(|problem| {
-        // The first error is the one to report; a leftover that cannot be removed either is harmless.
+        // Reports the first error; a leftover file is harmless.
         let _ = fs::remove_file(&partial);
         Error::unwritten(path, &problem)
     })
 }
 
-/// Whether a file name is that of a file whose writing did not end.
+/// Whether a file name is that of a partially written file.
 pub fn is_partial(name: &str) -> bool {
     name.starts_with('.') && name.ends_with(PARTIAL)
 }
 
-/// Waits until the disk has the names of a folder's files, as far as the system can tell.
+/// Syncs the names of a folder's files to disk.
 pub(super) fn sync_folder(path: &Path) {
-    // Some file systems know no such thing, and then nothing is lost but certainty in a power failure.
+    // Some file systems cannot sync folders: only a power failure then loses names.
     if cfg!(unix) {
         let _ = File::open(path).and_then(|folder| folder.sync_all());
     }
 }
 
-/// Creates a folder and those above it.
 pub(super) fn create_folder(path: &Path) -> Result<(), Error> {
     fs::create_dir_all(path).map_err(|problem| Error::unwritten(path, &problem))
 }
 
-/// Holds a folder against other processes that would write into it, until it is dropped or the process ends, however it ends.
+/// Lock of a folder against other processes, until it is dropped or the process ends.
 #[derive(Debug)]
 pub struct FolderLock {
     path: PathBuf,
-    /// The system lets go when this is closed.
+    /// Closing the file releases the lock.
     _file: File,
 }
 
 impl FolderLock {
-    /// Takes the folder, which is made if absent.
+    /// Locks a folder, creating it if absent.
     ///
     /// # Errors
-    /// [`Error::Input`] where another process holds it, [`Error::Output`] where it cannot be written.
+    /// [`Error::Input`] if another process has the lock, [`Error::Output`] for a folder that is not writable.
     pub fn take(folder: &Path) -> Result<FolderLock, Error> {
         create_folder(folder)?;
         let path = folder.join(".lock");
@@ -87,10 +86,10 @@ impl FolderLock {
                         "wait for its end, or choose another folder with --out",
                     ));
                 }
-                // A file system without locks: the folder is not guarded there.
+                // Without locks in the file system the folder is unguarded.
                 Err(TryLockError::Error(_)) | Ok(()) => {}
             }
-            // Another process may have ended, and removed its file, since this one was opened.
+            // The previous owner may have removed its file after this one was opened.
             if is_at(&file, &path) {
                 return Ok(FolderLock { path, _file: file });
             }
@@ -100,12 +99,12 @@ impl FolderLock {
 
 impl Drop for FolderLock {
     fn drop(&mut self) {
-        // While it is still held: whoever has opened it finds out in `take`.
+        // Before the lock is released: others that have opened the file notice it in `take`.
         let _ = fs::remove_file(&self.path);
     }
 }
 
-/// Whether an open file is the one that has the name now.
+/// Whether an open file is the one with this name now.
 #[cfg(unix)]
 fn is_at(file: &File, path: &Path) -> bool {
     use std::os::unix::fs::MetadataExt;
@@ -113,7 +112,7 @@ fn is_at(file: &File, path: &Path) -> bool {
     number(file.metadata()) == number(fs::metadata(path))
 }
 
-/// Elsewhere a file that is open keeps its name.
+/// Other systems do not rename open files.
 #[cfg(not(unix))]
 fn is_at(_: &File, _: &Path) -> bool {
     true

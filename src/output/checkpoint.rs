@@ -1,7 +1,7 @@
-//! checkpoint.npz: all that a run goes on from. numpy opens it: `numpy.load("DIR/checkpoint.npz")`.
+//! checkpoint.npz, from which a run resumes. numpy opens it: `numpy.load("DIR/checkpoint.npz")`.
 //!
-//! Arrays of numbers are f32 where that holds every number exactly, as it does for most that come from a device, else f64. Fields have the
-//! index order `[z, y, x]`. What a state gains is one line in `arrays`, for writing and for reading.
+//! Floating-point arrays are f32 if that represents every value exactly, as for most device arrays, else f64. Fields have the
+//! index order `[z, y, x]`. A new member of the state is one line in `arrays`, for writing and for reading.
 
 use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
@@ -18,21 +18,21 @@ use crate::Error;
 use crate::grid::{Axis, Grid};
 use crate::state::{Carried, State};
 
-/// Of the names and meanings of the arrays.
+/// Version of the names and meanings of the arrays.
 const FORMAT: u64 = 1;
 
-/// A moment of a run.
+/// State of a run at one time.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Checkpoint {
-    /// What the next sub-step reads.
+    /// Input of the next sub-step.
     pub state: State,
-    /// And what the GPU path has beyond.
+    /// State of the GPU backend beyond `state`.
     pub carried: Carried,
     /// Length of steps.csv, bytes.
     pub steps_bytes: u64,
     /// Length of probes.csv, bytes; 0 without.
     pub probes_bytes: u64,
-    /// As it was at that moment.
+    /// Manifest at that time.
     pub manifest: Manifest,
 }
 
@@ -42,15 +42,12 @@ impl Checkpoint {
         run.join("checkpoint.npz")
     }
 
-    /// Writes `run/checkpoint.npz`, whole or not at all; what was there before stays until the new one is on the disk.
-    ///
-    /// # Errors
-    /// [`Error::Output`].
+    /// Writes `run/checkpoint.npz` atomically.
     pub fn write(&mut self, run: &Path) -> Result<(), Error> {
         let path = Checkpoint::path(run);
         let manifest =
             serde_json::to_vec(&self.manifest).map_err(|problem| Error::output(&path, problem))?;
-        // The names of what the checkpoint counts on come first.
+        // The files that the checkpoint depends on must be on disk first.
         sync_folder(&run.join("frames"));
         write_atomically_with(&path, |file| {
             let zip = ZipWriter::new(Quiet::new(BufWriter::new(file)));
@@ -65,10 +62,10 @@ impl Checkpoint {
         Ok(())
     }
 
-    /// Reads `run/checkpoint.npz`; `None` where there is none.
+    /// Reads `run/checkpoint.npz`, if there is one.
     ///
     /// # Errors
-    /// [`Error::Input`] where it cannot be read, is damaged, or is of another version of cutwater.
+    /// [`Error::Input`] for an unreadable or damaged file, or one of another version of cutwater.
     pub fn read(run: &Path) -> Result<Option<Checkpoint>, Error> {
         let path = Checkpoint::path(run);
         let refused = |problem: String, cure: &str| {
@@ -77,12 +74,12 @@ impl Checkpoint {
         let file = match File::open(&path) {
             Ok(file) => file,
             Err(problem) if problem.kind() == io::ErrorKind::NotFound => return Ok(None),
-            Err(problem) => return refused(problem.to_string(), "make it a file that can be read"),
+            Err(problem) => return refused(problem.to_string(), "make it readable"),
         };
-        let damaged = "put a whole copy in its place, or start the run again with --overwrite";
+        let damaged = "restore an intact copy, or start the run again with --overwrite";
         let mut from = match ZipArchive::new(BufReader::new(file)) {
             Ok(zip) => Reading { zip },
-            Err(problem) => return refused(format!("is no whole .npz: {problem}"), damaged),
+            Err(problem) => return refused(format!("is no intact .npz: {problem}"), damaged),
         };
         let versions = from
             .text("format")
@@ -97,7 +94,7 @@ impl Checkpoint {
                     "was written by cutwater {version} (format {format}), and this is {} (format {FORMAT})",
                     env!("CARGO_PKG_VERSION")
                 ),
-                "go on with that version, or start the run again with --overwrite",
+                "resume with that version, or start the run again with --overwrite",
             );
         }
         match from.checkpoint() {
@@ -107,15 +104,15 @@ impl Checkpoint {
     }
 }
 
-/// Every array but `manifest`, `format` and `cutwater`, in order. `None` in a shape: any length.
-fn arrays<A: Arrays>(of: &mut Checkpoint, with: &mut A) -> Result<(), A::Error> {
+/// Visits every array but `manifest`, `format` and `cutwater`, in order. `None` in a shape is any length.
+fn arrays<A: Arrays>(checkpoint: &mut Checkpoint, with: &mut A) -> Result<(), A::Error> {
     let Checkpoint {
         state,
         carried,
         steps_bytes,
         probes_bytes,
         manifest,
-    } = of;
+    } = checkpoint;
     let grid = Grid {
         cells: manifest.cells,
         dx: manifest.dx,
@@ -148,9 +145,9 @@ fn arrays<A: Arrays>(of: &mut Checkpoint, with: &mut A) -> Result<(), A::Error> 
     with.vectors("displacement", nodes, &mut state.displacement)?;
     with.vectors("node_velocity", nodes, &mut state.node_velocity)?;
 
-    let [of_liquid, of_solids] = &mut carried.max_speed;
-    with.number("max_speed_liquid", of_liquid)?;
-    with.number("max_speed_solids", of_solids)?;
+    let [liquid, solids] = &mut carried.max_speed;
+    with.number("max_speed_liquid", liquid)?;
+    with.number("max_speed_solids", solids)?;
     with.numbers("potential", &cells, &mut carried.potential)?;
     with.vectors("displacement_high", nodes, &mut carried.displacement_high)?;
     with.vectors("displacement_low", nodes, &mut carried.displacement_low)?;
@@ -165,7 +162,7 @@ fn arrays<A: Arrays>(of: &mut Checkpoint, with: &mut A) -> Result<(), A::Error> 
     with.count("probes_bytes", probes_bytes)
 }
 
-/// Where arrays go to, or come from. A list that is empty is an array of length 0, whatever its shape would be.
+/// Destination or source of arrays. An empty list has the shape [0].
 trait Arrays {
     type Error;
 
@@ -187,7 +184,6 @@ trait Arrays {
         values: &mut Vec<bool>,
     ) -> Result<(), Self::Error>;
 
-    /// Three numbers each.
     fn vectors(
         &mut self,
         name: &str,
@@ -196,12 +192,12 @@ trait Arrays {
     ) -> Result<(), Self::Error>;
 }
 
-/// A file that keeps what went wrong first to itself until the end, and from then on takes everything and writes nothing. A
-/// ZipWriter that hears of an error tries to finish the archive when it is dropped, and prints that it cannot.
+/// A file that stores its first error until the end and ignores all later writes. A ZipWriter that sees an error would print a
+/// message when dropped.
 struct Quiet<W: Write + Seek> {
     file: W,
     problem: Option<io::Error>,
-    /// Where the next byte goes, and where the last one ends.
+    /// Position and end of the file.
     at: u64,
     end: u64,
 }
@@ -216,7 +212,7 @@ impl<W: Write + Seek> Quiet<W> {
         }
     }
 
-    /// Does something to the file, if nothing has gone wrong.
+    /// Acts on the file unless an error has occurred.
     fn try_to<T>(&mut self, act: impl FnOnce(&mut W) -> io::Result<T>) {
         if self.problem.is_none() {
             self.problem = act(&mut self.file).err();
@@ -300,7 +296,7 @@ impl<W: Write + Seek> Writing<W> {
     }
 }
 
-/// The shape of a list of so many values, of which the first length may be open.
+/// Shape of `n` values; the first length may be open.
 fn shape_of(shape: &[Option<usize>], n: usize) -> Vec<usize> {
     if n == 0 {
         return vec![0];
@@ -357,11 +353,11 @@ struct Reading {
     zip: ZipArchive<BufReader<File>>,
 }
 
-/// What is wrong with a file.
+/// Problem in a file.
 struct Flaw(String);
 
 impl Reading {
-    /// The bytes of an array's file. Reading to the end compares the checksum.
+    /// Bytes of an array's file; reading to its end verifies the checksum.
     fn bytes(&mut self, name: &str) -> Result<Vec<u8>, Flaw> {
         let damaged = |problem: String| Flaw(format!("array \"{name}\": {problem}"));
         let mut file = match self.zip.by_name(&format!("{name}.npy")) {
@@ -375,7 +371,7 @@ impl Reading {
         Ok(bytes)
     }
 
-    /// Gives an array with its shape to `convert`, which tells what it should have been.
+    /// Converts an array; the outer error of `convert` is the expected type and shape.
     fn array<T>(
         &mut self,
         name: &str,
@@ -384,11 +380,11 @@ impl Reading {
         let bytes = self.bytes(name)?;
         let damaged = |problem: String| Flaw(format!("array \"{name}\": {problem}"));
         let array = NpyFile::new(&bytes[..]).map_err(|problem| damaged(problem.to_string()))?;
-        let found = format!("{} of shape {:?}", array.dtype().descr(), array.shape());
+        let present = format!("{} of shape {:?}", array.dtype().descr(), array.shape());
         match convert(array) {
             Ok(Ok(values)) => Ok(values),
             Ok(Err(problem)) => Err(damaged(problem.to_string())),
-            Err(wanted) => Err(damaged(format!("is {found} instead of {wanted}"))),
+            Err(expected) => Err(damaged(format!("is {present} instead of {expected}"))),
         }
     }
 
@@ -415,17 +411,17 @@ impl Reading {
     }
 }
 
-/// Whether an array has a shape, in the order of numpy's default.
+/// Whether an array has a shape and C order.
 fn fits(array: &NpyFile<&[u8]>, shape: &[Option<usize>]) -> bool {
-    let found = array.shape();
-    let same = |(found, wanted): (&u64, &Option<usize>)| {
-        wanted.is_none_or(|wanted| *found == wanted as u64)
+    let present = array.shape();
+    let same = |(present, expected): (&u64, &Option<usize>)| {
+        expected.is_none_or(|expected| *present == expected as u64)
     };
-    let fits = found.len() == shape.len() && found.iter().zip(shape).all(same);
-    (fits || found == [0]) && (array.order() == Order::C || found.len() < 2)
+    let fits = present.len() == shape.len() && present.iter().zip(shape).all(same);
+    (fits || present == [0]) && (array.order() == Order::C || present.len() < 2)
 }
 
-/// As numpy would write it.
+/// The shape in numpy's notation.
 fn name_of(shape: &[Option<usize>]) -> String {
     let lengths = shape
         .iter()
@@ -439,10 +435,10 @@ impl Arrays for Reading {
     fn number(&mut self, name: &str, value: &mut f64) -> Result<(), Flaw> {
         let mut values = Vec::new();
         self.numbers(name, &[], &mut values)?;
-        let [found] = values[..] else {
+        let [present] = values[..] else {
             return Err(Flaw(format!("array \"{name}\": is no number")));
         };
-        *value = found;
+        *value = present;
         Ok(())
     }
 
@@ -463,24 +459,24 @@ impl Arrays for Reading {
         shape: &[Option<usize>],
         values: &mut Vec<f64>,
     ) -> Result<(), Flaw> {
-        let found = self.array::<f64>(name, |array| {
-            let wanted = || format!("numbers (<f4 or <f8) of {}", name_of(shape));
+        let present = self.array::<f64>(name, |array| {
+            let expected = || format!("numbers (<f4 or <f8) of {}", name_of(shape));
             if !fits(&array, shape) {
-                return Err(wanted());
+                return Err(expected());
             }
             match array.try_data::<f64>() {
                 Ok(data) => Ok(data.collect()),
                 Err(array) => match array.try_data::<f32>() {
                     Ok(data) => Ok(data.map(|value| value.map(f64::from)).collect()),
-                    Err(_) => Err(wanted()),
+                    Err(_) => Err(expected()),
                 },
             }
         })?;
-        if let Some(at) = found.iter().position(|value| !value.is_finite()) {
-            let problem = format!("array \"{name}\": number {at} is {:?}", found[at]);
+        if let Some(at) = present.iter().position(|value| !value.is_finite()) {
+            let problem = format!("array \"{name}\": number {at} is {:?}", present[at]);
             return Err(Flaw(problem));
         }
-        *values = found;
+        *values = present;
         Ok(())
     }
 

@@ -1,40 +1,49 @@
-//! Closed triangle meshes within the walls of a box: degenerate triangles and coincident vertices are removed, and the free part is
-//! smoothed at constant volume. Lengths are in cells.
+//! Closed triangle meshes within the walls of a box: removal of degenerate triangles and coincident vertices, and smoothing of
+//! the free part at constant volume. Lengths are in cells.
 //!
-//! Degenerate triangles go by edge collapses under the link condition (Dey et al. 1999, "Topology preserving edge contraction") and by
-//! edge flips, so that every edge keeps exactly two triangles. Smoothing takes a step of the umbrella operator forwards and the same step
-//! back (Taubin 1995, "A signal processing approach to fair surface design", with lambda = -mu): a wave with eigenvalue k is multiplied by
-//! 1 - (lambda k)^2, so that no wave grows. Walls are mirrors. The volume that this changes comes back by an offset of each component.
+//! Degenerate triangles are removed by edge collapses under the link condition (Dey et al. 1999, "Topology preserving edge
+//! contraction") and by edge flips, so that every edge has exactly two triangles. A smoothing iteration is a forward and a
+//! backward step of the umbrella operator. It multiplies a wave of eigenvalue k by 1 - (lambda k)^2, so that no wave grows
+//! (Taubin 1995, "A signal processing approach to fair surface design", with lambda = -mu). Walls are mirrors. An offset of
+//! each component restores its volume.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashSet;
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-/// Edges that are shorter are collapsed; so are, or are flipped, triangles that are less high. Coordinates of 512 cells are 1/30 of this apart.
+use crate::geometry::DisjointSets;
+
+/// Least length of an edge and least height of a triangle. Coordinates of 512 cells are 1/30 of this apart.
 const SHORT: f32 = 1e-3;
-/// Cosine of the largest angle by which a collapse or a flip may turn a triangle.
+/// Cosine of the largest rotation of a triangle by a collapse or a flip.
 const LEAST_COSINE: f32 = 0.7;
-/// Most passes over all triangles, and most times that they begin anew; most meshes need three passes.
+/// Most passes over all triangles, and most restarts; most meshes need three passes.
 const PASSES: usize = 10;
-/// Components with less volume are what walls pressed flat: a single marker has 2.
+/// Least volume of a component; smaller ones were flattened by walls. An isolated marker has 2.
 const LEAST_VOLUME: f64 = 1e-3;
-/// Smoothing step. Waves of ten edges lose a hundredth in a pair of steps, those of five a twentieth, ripples most.
+/// Smoothing step. An iteration reduces waves of ten edges by a hundredth, those of five by a twentieth, ripples most.
 const STEP: f32 = 0.65;
-/// Largest offset in one iteration of the volume correction: Newton's method would overshoot in a small drop.
+/// Largest offset per iteration of the volume correction: Newton's method would overshoot in small drops.
 const MOST_OFFSET: f64 = 0.25;
 const OFFSET_ITERATIONS: usize = 12;
 
-/// Vertices within the walls, and triangles: every edge belongs to two of them, with opposite directions.
+/// Vertices within the walls. Every edge belongs to two triangles, in opposite directions.
 pub(super) struct ClosedMesh {
     pub(super) vertices: Vec<Vec3>,
     pub(super) triangles: Vec<[u32; 3]>,
 }
 
-/// Walls that a point lies in: bits 0 to 2 of the lower ones, 3 to 5 of the upper ones.
+/// Walls through a point: bits 0 to 2 for lower, 3 to 5 for upper ones.
 fn walls(x: Vec3, size: Vec3) -> u8 {
     let bits = |equal: glam::BVec3| equal.bitmask() as u8;
     bits(x.cmpeq(Vec3::ZERO)) | bits(x.cmpeq(size)) << 3
+}
+
+/// Walls through all corners of a triangle.
+fn common_walls(walls: &[u8], triangle: [u32; 3]) -> u8 {
+    let corners = triangle.iter();
+    corners.fold(!0, |all, &corner| all & walls[corner as usize])
 }
 
 /// Twice the area, along the normal.
@@ -42,7 +51,7 @@ fn area_vector([a, b, c]: [Vec3; 3]) -> Vec3 {
     (b - a).cross(c - a)
 }
 
-/// Least height of a triangle, and the index of the first corner of its longest edge.
+/// Least height of a triangle, and index of the first corner of its longest edge.
 fn height([a, b, c]: [Vec3; 3]) -> (f32, usize) {
     let lengths = [a.distance(b), b.distance(c), c.distance(a)];
     let longest = [2, 1, 0]
@@ -61,33 +70,17 @@ impl ClosedMesh {
         triangle.map(|corner| self.vertices[corner as usize])
     }
 
-    /// A number for each vertex, the same in a connected component, and how many there are.
+    /// Connected component of each vertex, and their number.
     fn components(&self) -> (Vec<u32>, usize) {
-        fn root(parents: &mut [u32], mut vertex: u32) -> u32 {
-            while parents[vertex as usize] != vertex {
-                let parent = parents[vertex as usize];
-                parents[vertex as usize] = parents[parent as usize];
-                vertex = parent;
-            }
-            vertex
-        }
-        let mut parents: Vec<u32> = (0..self.vertices.len() as u32).collect();
+        let mut components = DisjointSets::new(self.vertices.len());
         for &[a, b, c] in &self.triangles {
-            for other in [b, c] {
-                let (one, two) = (root(&mut parents, a), root(&mut parents, other));
-                parents[one.max(two) as usize] = one.min(two);
-            }
+            components.merge(a, b);
+            components.merge(a, c);
         }
-        let mut numbers = HashMap::new();
-        let mut component = Vec::with_capacity(parents.len());
-        for vertex in 0..parents.len() as u32 {
-            let next = numbers.len() as u32;
-            component.push(*numbers.entry(root(&mut parents, vertex)).or_insert(next));
-        }
-        (component, numbers.len())
+        components.labels()
     }
 
-    /// Volume of each component, by the divergence theorem; negative of a cavity.
+    /// Volume of each component by the divergence theorem; negative for cavities.
     fn volumes(&self, component: &[u32], n: usize) -> Vec<f64> {
         let mut volumes = vec![0.0; n];
         for &triangle in &self.triangles {
@@ -97,7 +90,7 @@ impl ClosedMesh {
         volumes
     }
 
-    /// Removes components without volume, triangles without area and vertices that coincide.
+    /// Removes components without volume, triangles without area and coincident vertices.
     pub(super) fn remove_degenerate(&mut self, size: Vec3) {
         let (component, n) = self.components();
         let volumes = self.volumes(&component, n);
@@ -117,7 +110,7 @@ impl ClosedMesh {
         }
     }
 
-    /// Leaves out vertices of no triangle, and triangles that were marked as removed.
+    /// Drops unused vertices and triangles marked as removed.
     fn compact(&mut self) {
         self.triangles.retain(|[a, b, _]| a != b);
         let mut numbers = vec![u32::MAX; self.vertices.len()];
@@ -137,8 +130,8 @@ impl ClosedMesh {
         }
     }
 
-    /// Moves vertices that still coincide, and the middle of triangles that are still flat, a little into the liquid, each its own way:
-    /// sheets that touch without being joined have such. Whether there were any.
+    /// Moves coincident vertices and apices of flat triangles slightly into the liquid, each by a different amount; sheets
+    /// that touch without a common vertex have them. Returns whether there were any.
     fn separate(&mut self, size: Vec3) -> bool {
         let mut places: HashSet<[i32; 3]> = HashSet::with_capacity(self.vertices.len());
         let mut moved: Vec<u32> = Vec::new();
@@ -171,15 +164,15 @@ impl ClosedMesh {
             let from_walls = Vec3::select(x.cmpeq(Vec3::ZERO), Vec3::ONE, Vec3::ZERO)
                 - Vec3::select(x.cmpeq(size), Vec3::ONE, Vec3::ZERO);
             let inwards = from_walls - normals[vertex as usize].normalize_or_zero();
-            // The additive recurrence of the golden ratio: neighbours differ most.
-            let way =
+            // Additive recurrence of the golden ratio: neighbours differ most.
+            let share =
                 Vec3::from([1, 2, 3].map(|axis| (0.618_034 * (vertex * axis) as f32).fract()));
-            *x = (*x + 2.0 * SHORT * inwards * (way + 0.5)).clamp(Vec3::ZERO, size);
+            *x = (*x + 2.0 * SHORT * inwards * (share + 0.5)).clamp(Vec3::ZERO, size);
         }
         true
     }
 
-    /// Smooths what lies in no wall, so many times, and keeps the volume of each component.
+    /// Smooths the free part and preserves the volume of each component.
     pub(super) fn smooth(&mut self, rounds: u32, size: Vec3) {
         if rounds == 0 || self.triangles.is_empty() {
             return;
@@ -204,23 +197,19 @@ impl ClosedMesh {
         self.restore(&volumes, &component, &walls, size);
     }
 
-    /// Moves the free surface of each component along its normals until the component has its volume.
-    fn restore(&mut self, wanted: &[f64], component: &[u32], walls: &[u8], size: Vec3) {
+    /// Offsets the free surface of each component along its normals to its target volume.
+    fn restore(&mut self, targets: &[f64], component: &[u32], walls: &[u8], size: Vec3) {
         for _ in 0..OFFSET_ITERATIONS {
-            let volumes = self.volumes(component, wanted.len());
+            let volumes = self.volumes(component, targets.len());
             let close =
-                |(wanted, volume): (&f64, &f64)| (wanted - volume).abs() < 1e-6 * wanted.abs();
-            if wanted.iter().zip(&volumes).all(close) {
+                |(target, volume): (&f64, &f64)| (target - volume).abs() < 1e-6 * target.abs();
+            if targets.iter().zip(&volumes).all(close) {
                 break;
             }
-            let mut areas = vec![0.0; wanted.len()];
+            let mut areas = vec![0.0; targets.len()];
             let mut normals = vec![DVec3::ZERO; self.vertices.len()];
             for &triangle in &self.triangles {
-                if triangle
-                    .iter()
-                    .fold(!0, |all, &corner| all & walls[corner as usize])
-                    != 0
-                {
+                if common_walls(walls, triangle) != 0 {
                     continue;
                 }
                 let area = 0.5 * area_vector(self.corners(triangle)).as_dvec3();
@@ -230,13 +219,13 @@ impl ClosedMesh {
                 }
             }
             for (vertex, x) in self.vertices.iter_mut().enumerate() {
-                let of = component[vertex] as usize;
+                let label = component[vertex] as usize;
                 let Some(normal) = normals[vertex].try_normalize() else {
                     continue;
                 };
-                let offset = (wanted[of] - volumes[of]) / areas[of];
+                let offset = (targets[label] - volumes[label]) / areas[label];
                 let offset = offset.clamp(-MOST_OFFSET, MOST_OFFSET);
-                // Along a wall the surface goes further than across itself.
+                // Beside a wall the offset is longer along the wall than along the normal.
                 let along = normal * free_axes(walls[vertex]).as_dvec3();
                 let direction = along / along.length_squared().max(0.25);
                 *x = (*x + (offset * direction).as_vec3()).clamp(Vec3::ZERO, size);
@@ -245,16 +234,16 @@ impl ClosedMesh {
     }
 }
 
-/// 1 along the axes that a vertex in these walls may move, else 0.
+/// 1 along the axes free of these walls, else 0.
 fn free_axes(walls: u8) -> Vec3 {
     let fixed = walls | walls >> 3;
     Vec3::from([0, 1, 2].map(|axis| f32::from(1 - (fixed >> axis & 1))))
 }
 
-/// The vertices around each, with weights.
+/// Weighted neighbours of each vertex.
 struct Neighbours {
     starts: Vec<usize>,
-    /// Vertex, and its share in the mean.
+    /// Neighbour and its weight in the mean.
     shares: Vec<(u32, f32)>,
     free: Vec<Vec3>,
 }
@@ -262,13 +251,8 @@ struct Neighbours {
 impl Neighbours {
     fn new(mesh: &ClosedMesh, walls: &[u8]) -> Neighbours {
         let n = mesh.vertices.len();
-        // A vertex where the free surface meets a wall has its neighbours in the free surface alone.
-        let in_wall = |triangle: &[u32; 3]| {
-            triangle
-                .iter()
-                .fold(!0, |all, &corner| all & walls[corner as usize])
-                != 0
-        };
+        // At the contact line the neighbours are those in the free surface.
+        let in_wall = |triangle: &[u32; 3]| common_walls(walls, *triangle) != 0;
         let mut on_free = vec![false; n];
         for triangle in mesh.triangles.iter().filter(|triangle| !in_wall(triangle)) {
             for corner in triangle {
@@ -296,7 +280,7 @@ impl Neighbours {
         for vertex in 0..n {
             starts[vertex + 1] += starts[vertex];
         }
-        // As often as the walls of the vertex mirror the neighbour.
+        // Number of mirror images of the neighbour in the walls of the vertex.
         let weight = |&(vertex, other): &(u32, u32)| -> f32 {
             let mirrors = walls[vertex as usize] & !walls[other as usize];
             (1u32 << mirrors.count_ones()) as f32
@@ -315,7 +299,7 @@ impl Neighbours {
         }
     }
 
-    /// Mean of the neighbours less the vertex, along the axes on which it may move.
+    /// Mean of the neighbours minus the vertex, along its free axes.
     fn umbrella(&self, vertex: usize, x: Vec3, vertices: &[Vec3]) -> Vec3 {
         let around = &self.shares[self.starts[vertex]..self.starts[vertex + 1]];
         let mean = around
@@ -330,7 +314,7 @@ impl Neighbours {
 struct Cleaner<'a> {
     mesh: &'a mut ClosedMesh,
     walls: Vec<u8>,
-    /// Triangles around each vertex.
+    /// Triangles of each vertex.
     around: Vec<Vec<u32>>,
 }
 
@@ -354,7 +338,7 @@ impl<'a> Cleaner<'a> {
         self.mesh.triangles[number as usize]
     }
 
-    /// Goes over all triangles once; whether any was changed.
+    /// Visits all triangles once; returns whether any changed.
     fn pass(&mut self) -> bool {
         let mut changed = false;
         for number in 0..self.mesh.triangles.len() as u32 {
@@ -382,7 +366,7 @@ impl<'a> Cleaner<'a> {
         changed
     }
 
-    /// Neighbours of a vertex, sorted.
+    /// Neighbours of a vertex, ascending.
     fn ring(&self, vertex: u32) -> Vec<u32> {
         let mut ring: Vec<u32> = self.around[vertex as usize]
             .iter()
@@ -394,7 +378,7 @@ impl<'a> Cleaner<'a> {
         ring
     }
 
-    /// Whether a triangle may become another one: it keeps its side, and is not flattened.
+    /// Whether a triangle may become another: it is not reversed and not flattened.
     fn allowed(&self, old: [Vec3; 3], new: [Vec3; 3]) -> bool {
         let (before, _) = height(old);
         let (after, _) = height(new);
@@ -405,7 +389,7 @@ impl<'a> Cleaner<'a> {
         after >= SHORT && old.dot(new) >= LEAST_COSINE
     }
 
-    /// Moves a vertex into a neighbour that lies in all of its walls; whether that can be.
+    /// Collapses an edge into a vertex that lies in all walls of the other; returns whether that is possible.
     fn collapse(&mut self, from: u32, to: u32) -> bool {
         if self.walls[from as usize] & !self.walls[to as usize] != 0 {
             return false;
@@ -414,7 +398,7 @@ impl<'a> Cleaner<'a> {
         let common = ring
             .iter()
             .filter(|vertex| other.binary_search(vertex).is_ok());
-        // The link condition; with four vertices in all nothing would be left.
+        // Link condition; a tetrahedron would vanish.
         if common.count() != 2 || (ring.len() == 3 && other.len() == 3) {
             return false;
         }
@@ -448,7 +432,7 @@ impl<'a> Cleaner<'a> {
         true
     }
 
-    /// Replaces the longest edge of a flat triangle by the other diagonal of the two triangles at it; whether that can be.
+    /// Flips the longest edge of a flat triangle; returns whether that is possible.
     fn flip(&mut self, number: u32, longest: usize) -> bool {
         let triangle = self.triangle(number);
         let [p, q, r] = [0, 1, 2].map(|corner| triangle[(longest + corner) % 3]);
@@ -470,10 +454,8 @@ impl<'a> Cleaner<'a> {
             && flipped
                 .iter()
                 .all(|&new| self.allowed(old, self.mesh.corners(new)));
-        // What lies in a wall stays in it.
-        let kept = neighbour
-            .iter()
-            .fold(!0, |all, &corner| all & self.walls[corner as usize]);
+        // Triangles in walls remain in them.
+        let kept = common_walls(&self.walls, neighbour);
         if !fits || self.walls[r as usize] & kept != kept {
             return false;
         }

@@ -1,8 +1,8 @@
-//! Frame files in VTK's XML formats: VTP markers, VTI cell fields, VTU solids, VTP surfaces of the liquid, VTP obstacles, and a
-//! `.pvd` series per kind. The liquid's surface comes as PLY too.
+//! Frame files in VTK's XML formats with a `.pvd` series per kind: VTP markers, VTI cell fields, VTU solids, VTP obstacles and
+//! VTP liquid surfaces, which are written as PLY too.
 //!
-//! Data are f32, inline base64, little endian. vtkio's compressed arrays are not used here: 0.7.0-rc2 announces one block too
-//! many for an array whose bytes are a multiple of 32768 (every 32^3 field), which VTK refuses.
+//! Data are f32, inline base64, little endian, uncompressed: vtkio 0.7.0-rc2 announces one block too many for a compressed
+//! array of a multiple of 32768 bytes (every 32^3 field), which VTK refuses.
 
 use std::path::{Path, PathBuf};
 
@@ -24,7 +24,7 @@ use crate::grid::{Axis, Grid};
 use crate::scene::{Scene, Surface, SurfaceMesh};
 use crate::state::State;
 
-/// Which frame files a run writes.
+/// Kinds of frame files of a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FrameKinds {
     /// `NAME_%06d.vtp`
@@ -33,23 +33,23 @@ pub struct FrameKinds {
     pub fields: bool,
     /// `NAME_%06d.vtu`
     pub solids: bool,
-    /// `NAME_obstacles_%06d.vtp`, where some move
+    /// `NAME_obstacles_%06d.vtp`, for moving obstacles
     pub moving_obstacles: bool,
     /// `NAME_%06d.ply` and `NAME_surface_%06d.vtp`
     pub surface: Option<SurfaceSource>,
 }
 
-/// What the mesh of the liquid's surface is made from.
+/// Source of the liquid's surface mesh.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum SurfaceSource {
     /// The markers.
     Markers(SurfaceMesh),
-    /// The distance at cell centres, where the surface is fixed.
+    /// The distance at cell centres of a fixed surface.
     Distance,
 }
 
 impl FrameKinds {
-    /// What the scene asks for; fields also where the surface is fixed, since its pictures are made from them.
+    /// The kinds that a scene requests. A fixed surface always has fields, the source of its pictures.
     pub fn of(scene: &Scene) -> FrameKinds {
         let surface = scene.liquid.as_ref().map(|liquid| liquid.surface);
         FrameKinds {
@@ -67,7 +67,7 @@ impl FrameKinds {
     }
 }
 
-/// Writes the frames of one run.
+/// Writer of the frames of one run.
 #[derive(Debug)]
 pub struct FrameWriter {
     folder: PathBuf,
@@ -81,7 +81,7 @@ pub struct FrameWriter {
 }
 
 impl FrameWriter {
-    /// A writer into `run/frames`, created if absent. `name` is the scene's.
+    /// Creates `run/frames` if absent. `name` is the scene's.
     pub fn create(
         run: &Path,
         name: &str,
@@ -90,8 +90,8 @@ impl FrameWriter {
     ) -> Result<FrameWriter, Error> {
         let folder = run.join("frames");
         create_folder(&folder)?;
-        let series = |wanted: bool, kind: &str| {
-            wanted.then(|| Series::new(folder.join(format!("{name}_{kind}.pvd"))))
+        let series = |enabled: bool, kind: &str| {
+            enabled.then(|| Series::new(folder.join(format!("{name}_{kind}.pvd"))))
         };
         let markers = series(kinds.markers, "markers");
         let fields = series(kinds.fields, "fields");
@@ -110,8 +110,8 @@ impl FrameWriter {
         })
     }
 
-    /// Writes the surfaces of the obstacles, once; nothing without any. Normals point to the liquid. Cell data: `obstacle`
-    /// (index).
+    /// Writes the surfaces of the obstacles with normals towards the liquid; no file without obstacles. Cell data:
+    /// `obstacle` (index).
     pub fn write_obstacles(&self, obstacles: &[geometry::Surface]) -> Result<(), Error> {
         if obstacles.is_empty() {
             return Ok(());
@@ -120,7 +120,7 @@ impl FrameWriter {
         write_vtk(&path, obstacles_file(obstacles))
     }
 
-    /// Writes them where they are in one frame, under the state's frame number, then the series with its time; nothing where none moves.
+    /// Writes the moving obstacles of the state's frame, and their series.
     pub fn write_moved_obstacles(
         &mut self,
         state: &State,
@@ -135,11 +135,8 @@ impl FrameWriter {
         series.write()
     }
 
-    /// Goes on after frames that were written before, so many per second; the series list these and no others.
-    ///
-    /// # Errors
-    /// [`Error::Output`].
-    pub fn go_on(&mut self, frames: &[u64], frames_per_second: f64) -> Result<(), Error> {
+    /// Resumes after frames that were written before; the series then contain exactly these frames.
+    pub fn resume(&mut self, frames: &[u64], frames_per_second: f64) -> Result<(), Error> {
         let surface = self.surface.as_mut().map(|(series, _)| series);
         let series = [
             (self.markers.as_mut(), "", "vtp"),
@@ -165,9 +162,9 @@ impl FrameWriter {
         series.write()
     }
 
-    /// Writes one frame under the state's frame number, then the series with its time.
+    /// Writes the state's frame, and the series.
     ///
-    /// A number that is not finite in f32 is an error that names the field and the place; no file is written then.
+    /// A value that is not finite in f32 is an error with field and position; no file is written then.
     pub fn write(&mut self, state: &State, cut: &CutCells, bodies: &Solids) -> Result<(), Error> {
         let FrameWriter {
             folder,
@@ -219,7 +216,7 @@ impl FrameWriter {
     }
 }
 
-/// The file of the obstacles in a frame of a scene, where they move.
+/// File name of the moving obstacles in a frame.
 pub(super) fn moved_obstacles_file(name: &str, frame: u64) -> String {
     format!("{name}_obstacles_{frame:06}.vtp")
 }
@@ -247,10 +244,10 @@ fn obstacles_file(obstacles: &[geometry::Surface]) -> DataSet {
     })
 }
 
-/// The liquid's surface as it is written.
+/// Surface of the liquid with velocities.
 pub(super) struct MovingSurface {
     pub(super) mesh: LiquidSurface,
-    /// Of each vertex, m/s: trilinear from the faces.
+    /// Velocity of each vertex, m/s, trilinear from the faces.
     pub(super) velocity: Vec<Vec3>,
 }
 
@@ -266,14 +263,14 @@ fn surface_of(grid: &Grid, state: &State, source: &SurfaceSource) -> Result<Movi
                 }
                 markers.push(x);
             }
-            LiquidSurface::of_markers(&markers, grid, settings)
+            LiquidSurface::from_markers(&markers, grid, settings)
         }
         SurfaceSource::Distance => {
             let cells = state.liquid_distance.iter().enumerate();
             let distance = cells.map(|(cell, &phi)| {
                 finite(state, "liquid_distance", phi, || cell_name(grid, cell))
             });
-            LiquidSurface::of_distance(&distance.collect::<Result<Vec<f32>, Error>>()?, grid)
+            LiquidSurface::from_distance(&distance.collect::<Result<Vec<f32>, Error>>()?, grid)
         }
     };
     let mesh = mesh.map_err(|problem| Error::Stage {
@@ -284,10 +281,10 @@ fn surface_of(grid: &Grid, state: &State, source: &SurfaceSource) -> Result<Movi
     let mut velocity = Vec::with_capacity(mesh.vertices.len());
     for (vertex, x) in mesh.vertices.iter().enumerate() {
         let place = || format!("vertex {vertex} of the surface");
-        let of_faces = grid.velocity_at(&state.velocity, x.as_dvec3());
+        let sampled = grid.velocity_at(&state.velocity, x.as_dvec3());
         let mut u = Vec3::ZERO;
         for axis in 0..3 {
-            u[axis] = finite(state, "velocity", of_faces[axis], place)?;
+            u[axis] = finite(state, "velocity", sampled[axis], place)?;
         }
         velocity.push(u);
     }
@@ -328,7 +325,7 @@ fn polygons(triangles: &[[u32; 3]]) -> VertexNumbers {
     }
 }
 
-/// Marker positions (m) as points with a vertex each; point data `velocity` (m/s, trilinear from the faces) and `speed`.
+/// Marker positions (m) as points, with point data `velocity` (m/s, trilinear from the faces) and `speed`.
 fn markers_file(grid: &Grid, state: &State) -> Result<DataSet, Error> {
     let n = state.markers.len();
     let mut points = Vec::with_capacity(3 * n);
@@ -337,7 +334,7 @@ fn markers_file(grid: &Grid, state: &State) -> Result<DataSet, Error> {
     for (marker, &position) in state.markers.iter().enumerate() {
         let place = || format!("marker {marker}");
         let x = DVec3::from_array(position);
-        // First: a velocity there would not be finite either.
+        // Before the velocity, which a nonfinite position would spoil.
         for x in position {
             points.push(finite(state, "position", x, place)?);
         }
@@ -410,15 +407,17 @@ fn fields_file(grid: &Grid, state: &State, cut: &CutCells) -> Result<DataSet, Er
     Ok(DataSet::ImageData {
         extent,
         origin: [0.0; 3],
-        // vtkio holds spacings in f32; over 512 cells that shifts a corner by at most 3e-5 of a cell.
+        // vtkio's spacings are f32, which shifts a corner of 512 cells by at most 3e-5 of a cell.
         spacing: [grid.dx as f32; 3],
         meta: None,
         pieces: vec![Piece::Inline(Box::new(piece))],
     })
 }
 
-/// Where the nodes of all solids are (m), and their tetrahedra. Point data: `displacement` from rest (m) and `velocity` (m/s);
-/// cell data: `von_mises` stress (Pa), `det_f`, and `solid`, the index of the body.
+/// Positions of all nodes (m) and tetrahedra.
+///
+/// Point data: `displacement` from rest (m), `velocity` (m/s). Cell data: `von_mises` stress (Pa), `det_f`, `solid` (index of
+/// the body).
 fn solids_file(solids: &Solids, state: &State) -> Result<DataSet, Error> {
     let vectors_of = |field: &str, value: &dyn Fn(usize) -> DVec3| -> Result<Vec<f32>, Error> {
         let mut written = Vec::with_capacity(3 * solids.rest.len());
@@ -437,12 +436,12 @@ fn solids_file(solids: &Solids, state: &State) -> Result<DataSet, Error> {
         vectors("velocity", vectors_of("velocity", &velocity)?),
     ];
     let n = solids.elements.len();
-    let of_elements: Vec<[f64; 2]> = (0..n)
+    let stresses: Vec<[f64; 2]> = (0..n)
         .into_par_iter()
         .map(|element| solids.stress_and_determinant(element, &state.displacement))
         .collect();
     let cells = |field: &str, which: usize| -> Result<IOBuffer, Error> {
-        let values = of_elements.iter().enumerate();
+        let values = stresses.iter().enumerate();
         let values = values.map(|(element, values)| {
             finite(state, field, values[which], || format!("element {element}"))
         });
@@ -460,7 +459,7 @@ fn solids_file(solids: &Solids, state: &State) -> Result<DataSet, Error> {
     Ok(tetrahedra(points.into(), &solids.elements, data, cell_data))
 }
 
-/// An unstructured grid of tetrahedra. `points` are 3 numbers a node.
+/// An unstructured grid of tetrahedra; `points` has 3 numbers per node.
 pub(super) fn tetrahedra(
     points: IOBuffer,
     elements: &[[u32; 4]],
@@ -494,7 +493,7 @@ fn cell_name(grid: &Grid, cell: usize) -> String {
     format!("cell ({i}, {j}, {k})")
 }
 
-/// The value as it is written, or the error that names it. Values beyond the range of f32 are refused too.
+/// The value in f32; an error if that is not finite.
 fn finite(
     state: &State,
     field: &str,
@@ -542,8 +541,7 @@ fn write_vtk(path: &Path, data: DataSet) -> Result<(), Error> {
     write_compressed(path, data, Compressor::None)
 }
 
-/// Serialises in memory first: vtkio's own export drops its buffer without looking at the error, so a full disk would
-/// leave half a file and report success.
+/// Serialises in memory first: vtkio's own export ignores errors of its last flush, so a full disk would leave half a file.
 pub(super) fn write_compressed(
     path: &Path,
     data: DataSet,
@@ -556,11 +554,11 @@ pub(super) fn write_compressed(
         data,
         file_path: None,
     };
-    // Level 9, the smallest: what is compressed is kept.
+    // Level 9, the smallest.
     let file = vtk
         .try_into_xml_format(compressor, 9)
         .map_err(|problem| Error::output(path, problem))?;
-    // vtkio leaves out NumberOfPoints = 0, which readers demand of every piece without an extent.
+    // vtkio omits NumberOfPoints = 0, which readers require of every piece without an extent.
     let mut bytes = Vec::new();
     file.write(&mut bytes)
         .map_err(|problem| Error::output(path, problem))?;
@@ -569,7 +567,7 @@ pub(super) fn write_compressed(
     write_atomically(path, text.as_bytes())
 }
 
-/// A ParaView collection: which file belongs to which time. vtkio has no such data set.
+/// A ParaView collection of files and their times, which vtkio lacks.
 #[derive(Debug)]
 struct Series {
     path: PathBuf,
@@ -584,7 +582,7 @@ impl Series {
         }
     }
 
-    /// Adds a file of the same folder.
+    /// `file` is in the folder of the collection.
     fn add(&mut self, time: f64, file: &str) {
         let file = file
             .replace('&', "&amp;")
@@ -595,7 +593,6 @@ impl Series {
         );
     }
 
-    /// Rewrites the collection.
     fn write(&self) -> Result<(), Error> {
         let text = format!(
             "<?xml version=\"1.0\"?>\n<VTKFile type=\"Collection\" version=\"1.0\" byte_order=\"LittleEndian\">\n  \

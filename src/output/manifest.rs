@@ -1,4 +1,4 @@
-//! manifest.json: what ran, on what, with which options, and how far it came. `preview` starts from it.
+//! manifest.json: scene, options, adapter and progress of a run. `preview` starts from it.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -12,11 +12,10 @@ use super::frames::FrameKinds;
 use crate::Error;
 use crate::elastic::Solids;
 use crate::geometry::SourceFlow;
-use crate::scene::{
-    Camera, CameraCut, CameraKeyframe, Probe, Scene, SolidMesh, Surface, SurfaceMesh,
-};
+use crate::scene::{Camera, CameraCut, CameraKeyframe, Probe, Scene, Surface, SurfaceMesh};
 
-/// Everything in manifest.json. Written when the run starts and again with each frame and at the end.
+/// Contents of manifest.json, written at the start, with each frame and at the end. Optional members are absent rather than
+/// empty.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
     /// Version of cutwater.
@@ -25,9 +24,9 @@ pub struct Manifest {
     pub scene: SceneRecord,
     /// Options of the run.
     pub options: RunOptions,
-    /// The GPU; none with the CPU backend.
+    /// The GPU; `None` with the CPU backend.
     pub adapter: Option<AdapterRecord>,
-    /// Those that earlier sub-steps ran on, where the run went on on another; not in the file where there are none.
+    /// Adapters of earlier sub-steps, if the run resumed on another one.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub earlier_adapters: Vec<EarlierAdapter>,
     /// Cells along x, y, z.
@@ -38,7 +37,7 @@ pub struct Manifest {
     pub size: [f64; 3],
     /// Gravity, m/s^2.
     pub gravity: [f64; 3],
-    /// Radius of the marker spheres, m; none with a fixed surface or without liquid.
+    /// Radius of the marker spheres, m; `None` without markers.
     pub marker_radius: Option<f64>,
     /// Whether `frames/` has the surfaces of obstacles.
     pub obstacles: bool,
@@ -46,33 +45,33 @@ pub struct Manifest {
     pub markers: bool,
     /// Whether frames have VTI fields.
     pub fields: bool,
-    /// Whether frames have surfaces; not in the file where they have not.
+    /// Whether frames have surfaces.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub surfaces: bool,
-    /// How the mesh of the surface is made, for pictures too; none without markers.
+    /// Settings of the surface mesh, for pictures too; `None` without markers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub surface: Option<SurfaceRecord>,
-    /// What the sources of the scene emit; not in the file where there are none.
+    /// Flows of the sources.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sources: Vec<SourceRecord>,
-    /// The solids of the scene; not in the file where there are none.
+    /// The solids of the scene.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub solids: Vec<SolidRecord>,
-    /// Units of the columns of probes.csv, by their names; not in the file where there are no probes.
+    /// Units of the columns of probes.csv by column.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub probe_units: BTreeMap<String, String>,
-    /// Whether frames have VTU solids; not in the file where they have not.
+    /// Whether frames have VTU solids.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub solid_frames: bool,
     /// 1/s
     pub frames_per_second: f64,
-    /// Where `preview` looks from.
+    /// Camera of `preview`.
     pub camera: CameraRecord,
-    /// Where the run stands.
+    /// Progress of the run.
     pub progress: Progress,
 }
 
-/// Which scene.
+/// Identity of the scene.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SceneRecord {
     /// File stem: the NAME of all frame files.
@@ -83,16 +82,16 @@ pub struct SceneRecord {
     pub sha256: String,
 }
 
-/// What a source emits.
+/// Flow of a source.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SourceRecord {
     /// Velocity of the liquid, m/s.
     pub velocity: [f64; 3],
-    /// Volume per second while it runs, less what walls cover, m^3/s.
+    /// Flow rate through the open part of its faces, m^3/s.
     pub flow_rate: f64,
     /// s
     pub start: f64,
-    /// s; none where it does not end.
+    /// s; `None` without end.
     pub end: Option<f64>,
 }
 
@@ -110,17 +109,17 @@ impl From<SourceFlow> for SourceRecord {
 /// A solid and its mesh.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SolidRecord {
-    /// Its name.
+    /// Name.
     pub name: String,
     /// Nodes.
     pub nodes: usize,
     /// Tetrahedra.
     pub elements: usize,
-    /// At rest, m^3.
+    /// Volume at rest, m^3.
     pub volume: f64,
     /// kg
     pub mass: f64,
-    /// Name of its mesh file, without folders; none where the mesh is made.
+    /// Name of its mesh file, without folders; `None` for generated meshes.
     pub file: Option<String>,
     /// SHA-256 of that file, in hexadecimal.
     pub sha256: Option<String>,
@@ -142,7 +141,7 @@ pub struct RunOptions {
 /// The GPU of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AdapterRecord {
-    /// Its name.
+    /// Name.
     pub name: String,
     /// Driver and its version.
     pub driver: String,
@@ -150,16 +149,16 @@ pub struct AdapterRecord {
     pub backend: String,
     /// Whether it computes on the CPU.
     pub software: bool,
-    /// The limits that decide what fits, by name.
+    /// Relevant limits by name.
     pub limits: BTreeMap<String, u64>,
 }
 
-/// A GPU that a run began on.
+/// An adapter of earlier sub-steps.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EarlierAdapter {
     /// The GPU.
     pub adapter: Option<AdapterRecord>,
-    /// Sub-steps done when the run went on on another.
+    /// Sub-steps done before the run resumed on another one.
     pub steps: u64,
 }
 
@@ -172,14 +171,14 @@ pub struct CameraRecord {
     pub target: [f64; 3],
     /// Up.
     pub up: [f64; 3],
-    /// Vertical opening, degrees.
+    /// Vertical field of view, degrees.
     pub fov: f64,
     /// Picture size, pixels.
     pub size: [usize; 2],
-    /// Its path; not in the file where it rests.
+    /// Path of a moving camera.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub keyframes: Vec<CameraKeyframeRecord>,
-    /// Where solids are cut open, the number of the axis and the place in m; not in the file where they are whole.
+    /// Axis and position (m) of the plane that cuts solids.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cut: Option<(usize, f64)>,
 }
@@ -193,7 +192,7 @@ pub struct CameraKeyframeRecord {
     pub eye: [f64; 3],
     /// Point in the middle of the picture, m.
     pub target: [f64; 3],
-    /// Vertical opening, degrees.
+    /// Vertical field of view, degrees.
     pub fov: f64,
 }
 
@@ -236,7 +235,7 @@ impl From<&CameraRecord> for Camera {
                     fov: keyframe.fov,
                 })
                 .collect(),
-            // An axis that there is not cuts nothing.
+            // Ignores an invalid axis.
             cut: record
                 .cut
                 .filter(|(axis, _)| *axis < 3)
@@ -248,9 +247,9 @@ impl From<&CameraRecord> for Camera {
 /// [`SurfaceMesh`] in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SurfaceRecord {
-    /// Distance of the surface from a marker alone, cells.
+    /// Distance of the surface from an isolated marker, cells.
     pub radius: f64,
-    /// Rounds of smoothing.
+    /// Smoothing iterations.
     pub smoothing: u32,
 }
 
@@ -260,12 +259,12 @@ impl From<&SurfaceMesh> for SurfaceRecord {
     }
 }
 
-/// Where a run stands.
+/// Progress of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Progress {
-    /// How it stands or ended.
+    /// Status.
     pub status: RunStatus,
-    /// What went wrong.
+    /// Error that ended the run.
     pub error: Option<String>,
     /// Numbers of the frames whose files are complete, in order.
     pub frames_written: Vec<u64>,
@@ -273,87 +272,89 @@ pub struct Progress {
     pub steps: u64,
     /// Simulated time, s.
     pub time: f64,
-    /// Wall-clock time, s; of all parts of a run that was interrupted.
+    /// Wall-clock time, s, including all parts of a resumed run.
     pub seconds: f64,
-    /// What was noticed in all sub-steps done.
+    /// Counts of all sub-steps done.
     #[serde(default)]
     pub tally: Tally,
-    /// The health of each solid, in the order of the scene; not in the file where there are none.
+    /// Health of each solid, in the order of the scene.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub solids: Vec<SolidHealth>,
 }
 
-/// Whether a solid still is a solid.
+/// Health of a solid: whether its elements remain valid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SolidHealth {
-    /// Whether it has had more than half its volume and less than 1 % of its elements inverted, for long enough where it starts deformed.
+    /// Whether it has been sound: more than half its volume and less than 1 % inverted elements, for long enough if it
+    /// starts deformed.
     pub sound: bool,
-    /// Sub-steps in a row, up to the last, in which it had.
+    /// Number of last successive sound sub-steps.
     #[serde(default)]
     pub sound_steps: u32,
-    /// Sub-steps in a row, up to the last, with more than 5 % of its elements inverted.
+    /// Number of last successive sub-steps with more than 5 % inverted elements.
     pub inverted_steps: u32,
-    /// Sub-step in which it failed, from 0; none where it has not.
+    /// Sub-step in which it failed, from 0.
     pub failed_at: Option<u64>,
 }
 
-/// What is noticed sub-step by sub-step.
+/// Counts and extremes over the sub-steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Tally {
     /// Sub-steps with a solve that missed its tolerance.
     pub missed: u64,
-    /// Sub-steps in which liquid had nowhere to go ([`crate::state::SolveStatus::Incompatible`]).
+    /// Sub-steps with an incompatible boundary flux ([`crate::state::SolveStatus::Incompatible`]).
     #[serde(default)]
     pub squeezed: u64,
     /// Largest true relative residual of all solves.
     pub worst_residual: f64,
-    /// Least and largest liquid volume over the volume to hold, where there is liquid.
+    /// Least and largest ratio of liquid volume to target volume.
     pub volume_ratio: Option<[f64; 2]>,
     /// Sub-steps longer than the CFL condition allows.
     pub floored: u64,
     /// Markers lost in obstacles and solids.
     pub dropped: u64,
-    /// Largest number of markers, lost ones included.
+    /// Largest number of markers, including lost ones.
     #[serde(default)]
     pub markers: u64,
-    /// Sub-steps after which the liquid volume was more than 20 % off the volume to hold.
+    /// Sub-steps with a liquid volume more than 20 % off the target.
     #[serde(default)]
     pub volume_off: u64,
-    /// Sub-steps with face speeds above 20 times what gravity, inflow and moving bodies explain.
+    /// Sub-steps with face speeds above 20 times those that gravity, inflow and moving bodies explain.
     #[serde(default)]
     pub fast: u64,
-    /// How deep solids lay in each other and in obstacles at most, m; where there is no liquid, in each other, in frames that are written.
+    /// Largest overlap of solids with each other and with obstacles, m. Without liquid: of solids with each other, in
+    /// written frames.
     #[serde(default)]
     pub overlap: f64,
-    /// Least det F of the elements of solids in all sub-steps, where there are any.
+    /// Least det F of all sub-steps, in scenes with solids.
     pub min_det: Option<f64>,
-    /// Elements with a det F of 0 or less after the last sub-step.
+    /// Elements with det F <= 0 after the last sub-step.
     pub inverted: usize,
 }
 
 impl Tally {
-    /// Markers lost, over the largest number of markers.
+    /// Lost markers over the largest number of markers.
     pub fn lost_share(&self) -> f64 {
         self.dropped as f64 / self.markers.max(1) as f64
     }
 }
 
-/// How a run stands or ended. A run that was killed keeps `running`.
+/// Status of a run. A killed run remains `running`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RunStatus {
     /// Started, not ended.
     Running,
-    /// All frames are there.
+    /// All frames are written.
     Finished,
     /// Ended with [`Progress::error`].
     Failed,
-    /// The user interrupted.
+    /// Interrupted by the user.
     Interrupted,
 }
 
 impl Manifest {
-    /// The manifest of a run that starts now.
+    /// Manifest of a new run.
     pub fn new(scene: &Scene, options: RunOptions, adapter: Option<AdapterRecord>) -> Manifest {
         let grid = scene.grid();
         let FrameKinds {
@@ -409,11 +410,7 @@ impl Manifest {
         }
     }
 
-    /// Refuses to go on with this run as one of another scene, or with other options. `file`: where it was read. Frames and adapter are not
-    /// looked at.
-    ///
-    /// # Errors
-    /// [`Error::Input`] that names what differs.
+    /// Refuses to resume this run with another scene or other options. `file` is its source. Frames and adapter may differ.
     pub fn ensure_same_run(&self, scene: &Scene, backend: &str, file: &Path) -> Result<(), Error> {
         let sets = |overrides: &[String]| match overrides {
             [] => "no --set".to_owned(),
@@ -424,30 +421,33 @@ impl Manifest {
         let version = env!("CARGO_PKG_VERSION");
         let (problem, cure) = if self.cutwater != version {
             let problem = format!("of cutwater {}, and this is {version}", self.cutwater);
-            (problem, "go on with that version".to_owned())
+            (problem, "resume with that version".to_owned())
         } else if options.backend != backend {
             let problem = format!("on the backend {}, and this is {backend}", options.backend);
-            (problem, format!("go on with --backend {}", options.backend))
+            (
+                problem,
+                format!("resume with --backend {}", options.backend),
+            )
         } else if options.scale != scene.scale {
             let problem = format!(
                 "with --scale {}, and this is {}",
                 options.scale, scene.scale
             );
-            (problem, format!("go on with --scale {}", options.scale))
+            (problem, format!("resume with --scale {}", options.scale))
         } else if options.overrides != scene.overrides {
             let [then, now] = [&options.overrides, &scene.overrides].map(|all| sets(all));
             (
                 format!("with {then}, and this is with {now}"),
-                format!("go on with {then}"),
+                format!("resume with {then}"),
             )
         } else if name != now {
             let problem = format!("of a scene file {name}.toml, and this is {now}.toml");
-            (problem, "give the scene its name back".to_owned())
+            (problem, "restore the name of the scene".to_owned())
         } else if self.scene.sha256 != scene.hash {
             let problem = "of another scene: the file, or a mesh that it names, has changed";
             (
                 problem.to_owned(),
-                "go on with the scene as it was".to_owned(),
+                "resume with the unchanged scene".to_owned(),
             )
         } else {
             return Ok(());
@@ -459,7 +459,7 @@ impl Manifest {
         ))
     }
 
-    /// With what the sources emit.
+    /// Adds the flows of the sources.
     pub fn with_sources(self, flows: impl IntoIterator<Item = SourceFlow>) -> Manifest {
         Manifest {
             sources: flows.into_iter().map(SourceRecord::from).collect(),
@@ -467,16 +467,10 @@ impl Manifest {
         }
     }
 
-    /// With what the meshes of the scene's solids came to.
-    ///
-    /// # Errors
-    /// [`Error::Input`] where a mesh file cannot be read a second time, for its hash.
+    /// Adds the meshes of the solids; hashes their mesh files.
     pub fn with_solids(mut self, scene: &Scene, solids: &Solids) -> Result<Manifest, Error> {
         for (solid, body) in scene.solids.iter().zip(&solids.bodies) {
-            let file = match &solid.mesh {
-                SolidMesh::File { file, .. } | SolidMesh::Surface { file, .. } => Some(file),
-                _ => None,
-            };
+            let file = solid.mesh.file();
             self.solids.push(SolidRecord {
                 name: body.name.clone(),
                 nodes: body.nodes.len(),
@@ -490,7 +484,7 @@ impl Manifest {
         Ok(self)
     }
 
-    /// Writes `run/manifest.json`, whole or not at all.
+    /// Writes `run/manifest.json` atomically.
     pub fn write(&self, run: &Path) -> Result<(), Error> {
         let path = run.join("manifest.json");
         let mut text =
@@ -528,7 +522,7 @@ fn file_name(file: &Path) -> String {
 /// SHA-256 of a file, in hexadecimal.
 fn hash(file: &Path) -> Result<String, Error> {
     let bytes = fs::read(file).map_err(|problem| {
-        let cure = "leave the mesh file where the scene says while the run starts";
+        let cure = "do not move or remove mesh files of the scene while the run starts";
         Error::input(file.display().to_string(), problem.to_string(), cure)
     })?;
     let digest = Sha256::digest(bytes);

@@ -1,5 +1,5 @@
-//! Tetrahedral meshes as files: VTK's XML format of unstructured grids (.vtu), which [`crate::geometry::read_tets`] reads back to the
-//! bit and ParaView shows with the shape of its elements.
+//! Tetrahedral meshes in VTK's XML format of unstructured grids (.vtu), which [`crate::geometry::read_tets`] reads back exactly
+//! and ParaView shows with the quality of the elements.
 
 use std::path::Path;
 
@@ -9,12 +9,12 @@ use super::frames::{scalars, tetrahedra, write_compressed};
 use crate::Error;
 use crate::geometry::TetMesh;
 
-/// Bytes that vtkio compresses at once. It writes arrays of whole such blocks wrongly ([`super::frames`]), so a file with one is left
-/// uncompressed.
+/// Block size of vtkio's compression. It writes arrays of whole blocks incorrectly ([`super::frames`]), so a file with one is
+/// not compressed.
 const BLOCK: usize = 32768;
 
-/// Writes a mesh: points in f64 (m), cells in the order of the elements, with cell data `mean_ratio` and `min_dihedral` (degrees), f32.
-/// The same mesh makes the same file.
+/// Writes points in f64 (m) and cells in the order of the elements, with cell data `mean_ratio` and `min_dihedral` (degrees) in
+/// f32. Equal meshes result in equal files.
 pub fn write_mesh(path: &Path, mesh: &TetMesh) -> Result<(), Error> {
     let (n, m) = (mesh.nodes.len(), mesh.elements.len());
     let shapes = mesh.elements.iter().map(|&element| mesh.shape(element));

@@ -1,4 +1,4 @@
-//! The liquid's surface as a PLY file, binary and little endian.
+//! The liquid's surface as a binary little-endian PLY file.
 
 use std::path::Path;
 
@@ -11,9 +11,9 @@ use super::atomic::write_atomically;
 use super::frames::MovingSurface;
 use crate::Error;
 
-/// Place (m), normal, velocity (m/s), by the names that Blender, MeshLab and trimesh look for.
-const OF_VERTEX: [&str; 9] = ["x", "y", "z", "nx", "ny", "nz", "vx", "vy", "vz"];
-const OF_FACE: &str = "vertex_indices";
+/// Position (m), normal, velocity (m/s), with the names of Blender, MeshLab and trimesh.
+const VERTEX_PROPERTIES: [&str; 9] = ["x", "y", "z", "nx", "ny", "nz", "vx", "vy", "vz"];
+const FACE_PROPERTY: &str = "vertex_indices";
 
 enum Element {
     Vertex([f32; 9]),
@@ -26,7 +26,7 @@ impl PropertyAccess for Element {
     }
 
     fn get_float(&self, name: &str) -> Option<f32> {
-        let place = OF_VERTEX.iter().position(|known| *known == name)?;
+        let place = VERTEX_PROPERTIES.iter().position(|known| *known == name)?;
         match self {
             Element::Vertex(values) => Some(values[place]),
             Element::Face(_) => None,
@@ -35,17 +35,17 @@ impl PropertyAccess for Element {
 
     fn get_list_int(&self, name: &str) -> Option<&[i32]> {
         match self {
-            Element::Face(corners) if name == OF_FACE => Some(corners),
+            Element::Face(corners) if name == FACE_PROPERTY => Some(corners),
             _ => None,
         }
     }
 }
 
-/// Writes the file, whole or not at all.
+/// Writes the file atomically.
 pub(super) fn write(path: &Path, surface: &MovingSurface) -> Result<(), Error> {
     let mesh = &surface.mesh;
     let mut vertex = ElementDef::new("vertex".to_owned());
-    for name in OF_VERTEX {
+    for name in VERTEX_PROPERTIES {
         let kind = PropertyType::Scalar(ScalarType::Float);
         vertex
             .properties
@@ -54,13 +54,13 @@ pub(super) fn write(path: &Path, surface: &MovingSurface) -> Result<(), Error> {
     let mut face = ElementDef::new("face".to_owned());
     let kind = PropertyType::List(ScalarType::UChar, ScalarType::Int);
     face.properties
-        .add(PropertyDef::new(OF_FACE.to_owned(), kind));
-    let of_vertices = mesh
+        .add(PropertyDef::new(FACE_PROPERTY.to_owned(), kind));
+    let vertices = mesh
         .vertices
         .iter()
         .zip(&mesh.normals)
         .zip(&surface.velocity);
-    let vertices = of_vertices.map(|((x, normal), velocity)| {
+    let vertices = vertices.map(|((x, normal), velocity)| {
         let mut values = [0.0; 9];
         for (part, vector) in values.chunks_exact_mut(3).zip([x, normal, velocity]) {
             part.copy_from_slice(&vector.to_array());

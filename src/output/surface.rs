@@ -1,9 +1,11 @@
-//! The liquid's surface as a closed mesh of triangles, made by splashsurf: a smooth density of the markers, or the distance of
-//! cells, cut by marching cubes at one level, then pressed flat against the walls, rid of degenerate triangles and smoothed.
+//! Closed triangle meshes of the liquid's surface, by splashsurf.
 //!
-//! Within this file lengths are in cells. The density is that of smoothed particles with a cubic spline (Monaghan 1992), each
-//! weighted by the volume that it has among its neighbours, so that drops and dense bodies have the same level. The same markers make the
-//! same mesh, bit for bit, whatever the number of threads.
+//! Marching cubes extract one level of a smooth marker density or of the cells' distance. The mesh is then clamped to the
+//! walls, freed of degenerate triangles and smoothed.
+//!
+//! Lengths are in cells. The density is that of smoothed particles with a cubic spline (Monaghan 1992). Each particle is
+//! weighted by its volume among its neighbours, so that drops and dense liquid have the same level. Equal markers result in
+//! bitwise identical meshes for any number of threads.
 
 use std::collections::HashMap;
 
@@ -22,37 +24,36 @@ use super::closed_mesh::ClosedMesh;
 use crate::grid::Grid;
 use crate::scene::SurfaceMesh;
 
-/// Reach of a marker's spline over the radius of the surface around a marker alone. With the default radius a flat surface of
-/// seeded markers lies where the region's does, to 0.05 cells, and is bumpy by 0.04 before smoothing. A larger reach takes time as
-/// its cube and hides no more.
+/// Support radius of a marker's spline relative to the surface radius of an isolated marker. With the default radius a flat
+/// surface of seeded markers lies within 0.05 cells of the region's and is bumpy by 0.04 before smoothing. A larger support
+/// costs time with its cube and reduces no bumps.
 const REACH: f32 = 1.5;
 
-/// The level: the spline at the radius over the spline at 0, 2 (1 - 1/REACH)^3.
+/// Level: the spline at the radius relative to its centre, 2 (1 - 1/REACH)^3.
 const LEVEL: f32 = 2.0 / 27.0;
 
 /// Edge of the marching cubes.
 const CUBE: f32 = 0.5;
 
-/// Half the distance of markers side by side: eight share a cell.
+/// Half the spacing of markers, eight per cell.
 const HALF_SPACING: f32 = 0.25;
 
-/// Why there is no mesh.
 pub(super) type SurfaceError = ReconstructionError<i64, f32>;
 
 /// A closed mesh of the liquid's surface, empty without liquid.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct LiquidSurface {
-    /// m, within the domain.
+    /// Positions within the domain, m.
     pub(super) vertices: Vec<Vec3>,
-    /// Unit normals of the vertices, out of the liquid: of the free surface where it meets a wall.
+    /// Unit vertex normals out of the liquid; at the contact line those of the free surface.
     pub(super) normals: Vec<Vec3>,
     /// Corners, counter-clockwise seen from outside the liquid.
     pub(super) triangles: Vec<[u32; 3]>,
 }
 
 impl LiquidSurface {
-    /// Around markers (m, finite).
-    pub(super) fn of_markers(
+    /// Surface around markers (m, finite).
+    pub(super) fn from_markers(
         markers: &[Vec3],
         grid: &Grid,
         settings: &SurfaceMesh,
@@ -67,7 +68,7 @@ impl LiquidSurface {
             .collect();
         let parameters = Parameters {
             iso_surface_threshold: LEVEL,
-            // The other way sums in an order that depends on the threads.
+            // The other decomposition sums in an order that depends on the threads.
             spatial_decomposition: SpatialDecomposition::UniformGrid(GridDecompositionParameters {
                 auto_disable: false,
                 ..GridDecompositionParameters::default()
@@ -78,12 +79,13 @@ impl LiquidSurface {
         Ok(LiquidSurface::finish(mesh, grid, settings.smoothing))
     }
 
-    /// Where the distance at cell centres (m, x fastest, negative in liquid) is 0; unchanged from the outermost centres to the walls.
-    pub(super) fn of_distance(
+    /// Zero level of the distance at cell centres (m, x fastest, negative in liquid), constant from the outermost centres
+    /// to the walls.
+    pub(super) fn from_distance(
         distance: &[f32],
         grid: &Grid,
     ) -> Result<LiquidSurface, SurfaceError> {
-        // A layer of copies around the cells, and a layer of air around those, which closes the mesh beyond the walls.
+        // A layer of copies around the cells and a layer of air around those, which closes the mesh beyond the walls.
         const LAYERS: usize = 2;
         let n = grid.cells.map(|n| n + 2 * LAYERS);
         let samples = UniformGrid::<i64, f32>::new(
@@ -111,7 +113,7 @@ impl LiquidSurface {
         Ok(LiquidSurface::finish(mesh, grid, 0))
     }
 
-    /// Sorted, within the walls, without degenerate triangles, and smoothed.
+    /// Sorts, clamps to the walls, removes degenerate triangles and smooths.
     fn finish(mesh: TriMesh3d<f32>, grid: &Grid, smoothing: u32) -> LiquidSurface {
         let mesh = sorted(mesh);
         let size = Vec3::from_array(grid.cells.map(|n| n as f32));
@@ -140,13 +142,13 @@ impl LiquidSurface {
     }
 }
 
-/// Whether a triangle lies in a wall of a domain.
+/// Whether a triangle lies in a wall of the domain.
 pub(super) fn in_wall([a, b, c]: [Vec3; 3], size: Vec3) -> bool {
     let flat = |wall: Vec3| a.cmpeq(wall) & b.cmpeq(wall) & c.cmpeq(wall);
     (flat(Vec3::ZERO) | flat(size)).any()
 }
 
-/// Area-weighted normals, of the triangles that lie in no wall where a vertex has any.
+/// Area-weighted vertex normals, of the triangles off the walls if the vertex has any.
 fn normals(vertices: &[Vec3], triangles: &[[u32; 3]], size: Vec3) -> Vec<Vec3> {
     let mut sums = vec![[Vec3::ZERO; 2]; vertices.len()];
     for corners in triangles {
@@ -165,10 +167,9 @@ fn normals(vertices: &[Vec3], triangles: &[[u32; 3]], size: Vec3) -> Vec<Vec3> {
     sums.into_iter().map(unit).collect()
 }
 
-/// The mesh with its vertices and triangles in an order that their places decide alone: which part of the mesh splashsurf puts
-/// first depends on the threads.
+/// Sorts vertices and triangles by their positions: splashsurf's order of mesh parts depends on the threads.
 fn sorted(mesh: TriMesh3d<f32>) -> TriMesh3d<f32> {
-    /// Places of the corners from the least on, and the corners.
+    /// Keys of the corners, rotated to the least first, and the corners.
     type Placed = ([[u32; 3]; 3], [usize; 3]);
     let place = |corner: usize| mesh.vertices[corner].data.0[0].map(ordered);
     let mut placed: Vec<Placed> = mesh
@@ -182,7 +183,7 @@ fn sorted(mesh: TriMesh3d<f32>) -> TriMesh3d<f32> {
         })
         .collect();
     placed.par_sort_unstable();
-    // Corners of triangles without extent do not tell their order; others have them too.
+    // Corners of degenerate triangles are ambiguous; other triangles number them first.
     let mut numbers = HashMap::with_capacity(mesh.vertices.len());
     let mut vertices = Vec::with_capacity(mesh.vertices.len());
     for extended in [true, false] {
@@ -214,7 +215,7 @@ fn sorted(mesh: TriMesh3d<f32>) -> TriMesh3d<f32> {
     }
 }
 
-/// A number whose order among others is that of the floating-point number.
+/// An integer with the order of the floating-point number.
 fn ordered(x: f32) -> u32 {
     let bits = x.to_bits();
     match bits >> 31 {

@@ -1,4 +1,4 @@
-//! steps.csv and probes.csv: a row per sub-step, every number with all digits it needs to be read back exactly.
+//! steps.csv and probes.csv: a row per sub-step, with all digits of every number.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom};
@@ -8,7 +8,7 @@ use crate::Error;
 use crate::scene::Probe;
 use crate::state::{CouplingReport, Exchange, LiquidReport, SolidReport, StepReport};
 
-/// A CSV file that grows by rows and is flushed once per frame.
+/// A CSV file of rows, flushed once per frame.
 #[derive(Debug)]
 struct Table {
     path: PathBuf,
@@ -24,10 +24,10 @@ impl Table {
         })
     }
 
-    /// Opens a table to go on after its first `bytes`; what follows them is cut off. Its columns; none where it has no line.
-    fn go_on(path: PathBuf, bytes: u64) -> Result<(Table, Option<Vec<String>>), Error> {
+    /// Opens a table and truncates it to its first `bytes`. Also returns its columns, if it has any.
+    fn resume(path: PathBuf, bytes: u64) -> Result<(Table, Option<Vec<String>>), Error> {
         let unreadable = |problem: String| {
-            let cure = "put back the table of the run, or start again with --overwrite";
+            let cure = "restore the table of the run, or start again with --overwrite";
             Error::input(path.display().to_string(), problem, cure)
         };
         let mut file = OpenOptions::new()
@@ -41,9 +41,7 @@ impl Table {
             file.seek(SeekFrom::Start(bytes - 1))
                 .and_then(|_| file.read_exact(&mut last))
                 .and_then(|()| file.rewind())
-                .map_err(|_| {
-                    unreadable(format!("is shorter than the {bytes} bytes that it had"))
-                })?;
+                .map_err(|_| unreadable(format!("is shorter than its former {bytes} bytes")))?;
             if last != *b"\n" {
                 return Err(unreadable(format!("has no row that ends at byte {bytes}")));
             }
@@ -70,13 +68,13 @@ impl Table {
     }
 
     fn flush(&mut self) -> Result<(), Error> {
-        self.tell(|writer| writer.flush())
+        self.with_writer(|writer| writer.flush())
     }
 
-    /// Brings all rows to the file, and the file to the disk if `sync`: its length, bytes.
+    /// Flushes all rows, with `sync` to disk. Returns the length of the file, bytes.
     fn bytes(&mut self, sync: bool) -> Result<u64, Error> {
         self.flush()?;
-        self.tell(|writer| {
+        self.with_writer(|writer| {
             if sync {
                 writer.get_ref().sync_data()?;
             }
@@ -84,15 +82,15 @@ impl Table {
         })
     }
 
-    fn tell<T>(
+    fn with_writer<T>(
         &mut self,
-        ask: impl FnOnce(&mut csv::Writer<File>) -> io::Result<T>,
+        act: impl FnOnce(&mut csv::Writer<File>) -> io::Result<T>,
     ) -> Result<T, Error> {
-        ask(&mut self.writer).map_err(|problem| Error::unwritten(&self.path, &problem))
+        act(&mut self.writer).map_err(|problem| Error::unwritten(&self.path, &problem))
     }
 }
 
-/// The shortest text that reads back as the same f64, or the error that names the column.
+/// The shortest text that reads back as the same f64; an error if it is not finite.
 fn number(column: &str, step: u64, value: f64) -> Result<String, Error> {
     if value.is_finite() {
         Ok(format!("{value:?}"))
@@ -110,11 +108,11 @@ fn number(column: &str, step: u64, value: f64) -> Result<String, Error> {
 pub struct StepRow<'a> {
     /// Number of the sub-step, from 0.
     pub step: u64,
-    /// Time at its end, s.
+    /// Time at the end of the sub-step, s.
     pub time: f64,
-    /// What it did.
+    /// Diagnostics.
     pub report: &'a StepReport,
-    /// Liquid volume over the volume to hold; where there is liquid, and only there.
+    /// Liquid volume over target volume, in scenes with liquid.
     pub volume_ratio: Option<f64>,
 }
 
@@ -125,10 +123,11 @@ pub struct StepTable {
     head: Option<Vec<String>>,
 }
 
-/// Columns of every row, before those of the parts and after.
+/// First columns of every row.
 const FIRST: [&str; 3] = ["step", "t", "dt"];
+/// Columns of every row before those of the stages.
 const LAST: [&str; 2] = ["dt_floored", "seconds_total"];
-/// What the columns of stages begin with.
+/// Prefix of the columns of stages.
 const SECONDS: &str = "seconds_";
 /// Columns of the liquid.
 const LIQUID: [&str; 16] = [
@@ -149,7 +148,7 @@ const LIQUID: [&str; 16] = [
     "markers_dropped",
     "closed_components",
 ];
-/// Columns of what comes in and goes out.
+/// Columns of inflow and outflow.
 const EXCHANGE: [&str; 6] = [
     "markers_left",
     "volume_left",
@@ -180,7 +179,7 @@ const SOLIDS: [&str; 18] = [
     "inverted",
 ];
 
-/// Columns of what both do to each other.
+/// Columns of the coupling.
 const COUPLING: [&str; 10] = [
     "touching",
     "condensed",
@@ -195,25 +194,30 @@ const COUPLING: [&str; 10] = [
 ];
 
 impl StepTable {
-    /// The columns of a scene with or without liquid, ways for it in or out, and solids. Units: s, relative residual (f64, true), 1/s, m^3, kg m/s,
-    /// kg m^2/s (about the origin), J, m/s, N (forces of the liquid on the solids), m; `markers_dropped`, and markers and
-    /// volumes (m^3) that left through open sides, sank or were emitted, in this sub-step;
-    /// `dt_floored`, `touching` and `condensed` are 0 or 1; a `status` is `converged` or what went wrong; `inverted` counts elements.
+    /// The columns of a scene with or without liquid, inflow or outflow, and solids.
+    ///
+    /// Units: s, relative true residual (f64), 1/s, m^3, kg m/s, kg m^2/s (about the origin), J, m/s, N (forces of the
+    /// liquid on the solids), m. `markers_dropped`, and the markers and volumes (m^3) that left, sank or were emitted, are
+    /// counts of this sub-step. `dt_floored`, `touching` and `condensed` are 0 or 1. A `status` is `converged` or the
+    /// failure. `inverted` counts elements.
     pub fn columns(
         liquid: bool,
         exchange: bool,
         solids: bool,
     ) -> impl Iterator<Item = &'static str> {
-        let of_liquid = LIQUID.into_iter().filter(move |_| liquid);
-        let exchange = EXCHANGE.into_iter().filter(move |_| exchange);
-        let of_liquid = of_liquid.chain(exchange);
-        let coupling = COUPLING.into_iter().filter(move |_| liquid && solids);
-        let solids = SOLIDS.into_iter().filter(move |_| solids);
-        let parts = of_liquid.chain(solids).chain(coupling);
-        FIRST.into_iter().chain(parts).chain(LAST)
+        let parts: [(bool, &[&str]); 6] = [
+            (true, &FIRST),
+            (liquid, &LIQUID),
+            (exchange, &EXCHANGE),
+            (solids, &SOLIDS),
+            (liquid && solids, &COUPLING),
+            (true, &LAST),
+        ];
+        let present = parts.into_iter().filter(|(present, _)| *present);
+        present.flat_map(|(_, columns)| columns.iter().copied())
     }
 
-    /// A new steps.csv in `run`; the head line comes with the first row, which tells the parts and the stages.
+    /// Creates steps.csv in `run`; the first row determines the header.
     pub fn create(run: &Path) -> Result<StepTable, Error> {
         Ok(StepTable {
             table: Table::create(run.join("steps.csv"))?,
@@ -221,17 +225,16 @@ impl StepTable {
         })
     }
 
-    /// The steps.csv of an earlier part of the run, cut off after its first `bytes`.
-    ///
-    /// # Errors
-    /// [`Error::Input`] where it has fewer, or no row ends there.
-    pub fn go_on(run: &Path, bytes: u64) -> Result<StepTable, Error> {
-        let (table, head) = Table::go_on(run.join("steps.csv"), bytes)?;
+    /// Resumes steps.csv, truncated to its first `bytes`; an error if no row ends there.
+    pub fn resume(run: &Path, bytes: u64) -> Result<StepTable, Error> {
+        let (table, head) = Table::resume(run.join("steps.csv"), bytes)?;
         Ok(StepTable { table, head })
     }
 
-    /// Appends a row. Every row must have the same parts; a number that is not finite is an error. Stages may differ, since a run may go on on
-    /// an adapter that times others: one that the head lacks is left out, and the cell of one that the row lacks is empty.
+    /// Appends a row; nonfinite numbers are errors.
+    ///
+    /// All rows have the same parts. Stages may differ, since a run may resume on another adapter: stages missing in the
+    /// header are omitted, and stages missing in the row have an empty cell.
     pub fn push(&mut self, row: &StepRow) -> Result<(), Error> {
         let StepRow {
             step,
@@ -287,18 +290,18 @@ impl StepTable {
         self.table.record(fields)
     }
 
-    /// Brings all rows to the file; once per frame.
+    /// Flushes all rows; once per frame.
     pub fn flush(&mut self) -> Result<(), Error> {
         self.table.flush()
     }
 
-    /// Brings all rows to the file, and the file to the disk if `sync`: its length, bytes.
+    /// Flushes all rows, with `sync` to disk. Returns the length of the file, bytes.
     pub fn bytes(&mut self, sync: bool) -> Result<u64, Error> {
         self.table.bytes(sync)
     }
 }
 
-/// The values of [`LIQUID`], and of [`EXCHANGE`] where there is any.
+/// Values of [`LIQUID`] and [`EXCHANGE`].
 fn liquid_fields(
     step: u64,
     liquid: &LiquidReport,
@@ -347,7 +350,7 @@ fn liquid_fields(
     Ok(fields)
 }
 
-/// The values of [`SOLIDS`].
+/// Values of [`SOLIDS`].
 fn solid_fields(step: u64, solid: &SolidReport) -> Result<Vec<String>, Error> {
     let SolidReport {
         solve,
@@ -377,7 +380,7 @@ fn solid_fields(step: u64, solid: &SolidReport) -> Result<Vec<String>, Error> {
     ])
 }
 
-/// The values of [`COUPLING`].
+/// Values of [`COUPLING`].
 fn coupling_fields(step: u64, coupling: &CouplingReport) -> Result<Vec<String>, Error> {
     let CouplingReport {
         touching,
@@ -399,7 +402,7 @@ fn coupling_fields(step: u64, coupling: &CouplingReport) -> Result<Vec<String>, 
     Ok(fields)
 }
 
-/// probes.csv. Columns: `step` and `t` (s) as in steps.csv, then the [`Probe::columns`] of each probe.
+/// probes.csv with the columns `step`, `t` (s) and the [`Probe::columns`] of each probe.
 #[derive(Debug)]
 pub struct ProbeTable {
     table: Table,
@@ -407,7 +410,7 @@ pub struct ProbeTable {
 }
 
 impl ProbeTable {
-    /// A new probes.csv in `run` with its head line.
+    /// Creates probes.csv in `run` with its header.
     pub fn create(run: &Path, probes: &[Probe]) -> Result<ProbeTable, Error> {
         let columns: Vec<String> = probes.iter().flat_map(Probe::columns).collect();
         let mut table = Table::create(run.join("probes.csv"))?;
@@ -416,19 +419,16 @@ impl ProbeTable {
         Ok(ProbeTable { table, columns })
     }
 
-    /// The probes.csv of an earlier part of the run, cut off after its first `bytes`.
-    ///
-    /// # Errors
-    /// [`Error::Input`] where it has fewer, or no row ends there, or it is not of these probes.
-    pub fn go_on(run: &Path, probes: &[Probe], bytes: u64) -> Result<ProbeTable, Error> {
+    /// Resumes probes.csv, truncated to its first `bytes`; an error if no row ends there or the columns differ.
+    pub fn resume(run: &Path, probes: &[Probe], bytes: u64) -> Result<ProbeTable, Error> {
         let columns: Vec<String> = probes.iter().flat_map(Probe::columns).collect();
-        let (table, head) = Table::go_on(run.join("probes.csv"), bytes)?;
-        let found = head.as_ref().and_then(|head| head.get(2..));
-        if found != Some(&columns[..]) {
+        let (table, head) = Table::resume(run.join("probes.csv"), bytes)?;
+        let present = head.as_ref().and_then(|head| head.get(2..));
+        if present != Some(&columns[..]) {
             return Err(Error::input(
                 table.path.display().to_string(),
                 "does not have the columns of the scene's probes",
-                "put back the table of the run, or start again with --overwrite",
+                "restore the table of the run, or start again with --overwrite",
             ));
         }
         Ok(ProbeTable { table, columns })
@@ -448,12 +448,12 @@ impl ProbeTable {
         self.table.record(fields)
     }
 
-    /// Brings all rows to the file; once per frame.
+    /// Flushes all rows; once per frame.
     pub fn flush(&mut self) -> Result<(), Error> {
         self.table.flush()
     }
 
-    /// Brings all rows to the file, and the file to the disk if `sync`: its length, bytes.
+    /// Flushes all rows, with `sync` to disk. Returns the length of the file, bytes.
     pub fn bytes(&mut self, sync: bool) -> Result<u64, Error> {
         self.table.bytes(sync)
     }

@@ -1,27 +1,27 @@
-//! `active_cells`: the unknowns of the projection, the weights of their faces, and the components without a free surface.
+//! `active_cells`: unknowns of the projection, weights of their faces, and enclosed components.
 //!
-//! A cell is active where the liquid distance phi is negative and one of its faces is open. Between active cells a face
-//! weighs its open fraction. Where an open face separates an active cell c from phi_nb >= 0 the ghost fluid method (Gibou et
-//! al. 2002; thesis 4.43) puts p = 0 at the surface between the centres: open / theta goes to the Dirichlet part. On an open
-//! side of the domain p = 0 on the wall's plane, half a cell from the centre: open / (1/2).
+//! A cell is active where the liquid distance phi is negative and a face is open. The weight of a face between active
+//! cells is its aperture. On an open face towards a cell with phi_nb >= 0, the ghost fluid method (Gibou et al. 2002;
+//! thesis 4.43) sets p = 0 at the surface. The face adds aperture / theta to the Dirichlet term. On an open side of
+//! the domain p = 0 in the plane of the side, half a cell from the centre: aperture / (1/2).
 
 use super::pressure_system::Stencil;
 use crate::geometry::Coupling;
 use crate::grid::{Axis, Grid};
 
-/// The unknowns of one projection.
+/// The unknowns of a projection.
 #[derive(Clone, Debug)]
 pub struct ActiveCells {
     /// The operator over them.
     pub stencil: Stencil,
-    /// The cells of every connected component without a free-surface face, ascending. Nothing fixes the level of their pressure.
+    /// Cells of each enclosed liquid component, ascending. The level of their pressure is undetermined.
     pub closed: Vec<Vec<usize>>,
-    /// Those of them whose level a solid fixes that gives way; none without solids.
+    /// Cells of each enclosed component whose pressure level the motion of solids determines; none without solids.
     pub sealed: Vec<Vec<usize>>,
 }
 
 impl ActiveCells {
-    /// Those of an operator, whose closed components are looked for.
+    /// The active cells of an operator, and its enclosed components.
     pub fn new(stencil: Stencil) -> ActiveCells {
         let closed = closed_components(&stencil);
         ActiveCells {
@@ -31,11 +31,11 @@ impl ActiveCells {
         }
     }
 
-    /// Moves the closed components that a patch joins to a node that is not prescribed to the sealed ones. `prescribed`: components of
+    /// Moves enclosed components with a patch on a free node from `closed` to `sealed`. `prescribed`: components of
     /// the nodes.
     pub fn seal(&mut self, coupling: &Coupling, prescribed: &[[bool; 3]]) {
         let gives_way = |component: &[usize]| {
-            let mut pairs = component.iter().flat_map(|&cell| coupling.of_cell(cell));
+            let mut pairs = component.iter().flat_map(|&cell| coupling.cell_pairs(cell));
             pairs.any(|pair| {
                 (0..3).any(|axis| !prescribed[pair.node][axis] && pair.value[axis] != 0.0)
             })
@@ -46,17 +46,17 @@ impl ActiveCells {
     }
 }
 
-/// Part of the way from an inside centre (`inside` < 0) to an outside one (`outside` >= 0) where the surface lies, at least
-/// `floor`. The matrix and the velocity update share it.
+/// Distance of the surface from an inside centre (`inside` < 0), as a fraction of that to an outside one (`outside`
+/// >= 0), at least `floor`. The matrix and the velocity update share it.
 #[inline]
 pub fn theta(inside: f64, outside: f64, floor: f64) -> f64 {
     (inside / (inside - outside)).max(floor)
 }
 
-/// The same where the plane of an open side is instead of the surface.
+/// Theta on an open side of the domain.
 pub(super) const THETA_OF_SIDES: f64 = 0.5;
 
-/// Finds the active cells. `open`: open fraction per face, 0 on walls; `liquid_distance`: phi per cell, m.
+/// Computes the active cells. `open`: face apertures, 0 on walls; `liquid_distance`: phi per cell, m.
 pub fn active_cells(
     grid: &Grid,
     open: &[Vec<f64>; 3],
@@ -92,7 +92,7 @@ pub fn active_cells(
     ActiveCells::new(Stencil::new(*grid, weight, dirichlet))
 }
 
-/// Flood fill over faces with weight: the components without a Dirichlet part.
+/// Components without a Dirichlet term, by flood fill over faces with weight.
 pub(super) fn closed_components(stencil: &Stencil) -> Vec<Vec<usize>> {
     let mut seen = vec![false; stencil.grid.n_cells()];
     let mut closed = Vec::new();

@@ -1,14 +1,16 @@
-//! `advect_velocity`: semi-Lagrangian with a midpoint trace-back (Stam 1999), per face: u(x_f) := u at where x_f came from.
+//! `advect_velocity`: semi-Lagrangian with a midpoint trace-back (Stam 1999). Each face receives u at the departure
+//! point.
 //!
-//! For whole faces u is what slivers show ([`shown_to_whole`]), for slivers, as far as they are closed, the velocity of the faces: a film
-//! that a body squeezes out goes on as fast as it is, and what is beside it does not.
+//! Faces of full aperture sample blended velocities ([`shown_to_whole`]). Small-aperture faces sample the unblended
+//! ones in proportion to their closed part. A film that a body squeezes out so keeps its speed without transferring
+//! it to the neighbouring faces.
 
 use rayon::prelude::*;
 
 use super::slivers::{shown_to_whole, wholeness};
 use crate::grid::{Axis, Grid};
 
-/// The face velocities (m/s) carried along by themselves for dt (s). `open`: fractions of the faces.
+/// The face velocities (m/s) advected by themselves for dt (s). `open`: face apertures.
 pub fn advect_velocity(
     grid: &Grid,
     open: &[Vec<f64>; 3],

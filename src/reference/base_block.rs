@@ -16,20 +16,20 @@ use super::pressure_system::PressureSystem;
 use super::right_hand_side::right_hand_side;
 use crate::grid::{Axis, Grid};
 
-/// s
+/// Length of the step, s.
 pub const DT: f64 = 1.0 / 120.0;
-/// kg/m^3
+/// Density of the liquid, kg/m^3.
 pub const DENSITY: f64 = 1000.0;
-/// m/s^2, along z
+/// Gravity along z, m/s^2.
 pub const GRAVITY: f64 = -9.81;
 /// Floor of theta.
 pub const THETA_FLOOR: f64 = 1e-2;
 
-/// Grid, open fractions, liquid distance and face velocities of the block at n^3 cells.
+/// Grid, face apertures, liquid distance and face velocities of the block at n^3 cells.
 pub struct BaseBlock {
     /// n^3 cells of 1/n m.
     pub grid: Grid,
-    /// Open fractions per axis: 1, walls 0.
+    /// Face apertures per axis: 1, walls 0.
     pub open: [Vec<f64>; 3],
     /// Liquid distance at cell centres, m.
     pub liquid_distance: Vec<f64>,
@@ -43,7 +43,7 @@ impl BaseBlock {
         BaseBlock::with_step(n, DT)
     }
 
-    /// The same with the velocities of a step of dt (s).
+    /// The block with the velocities of a step of dt (s).
     pub(super) fn with_step(n: usize, dt: f64) -> BaseBlock {
         let grid = Grid {
             cells: [n; 3],
@@ -76,7 +76,7 @@ impl BaseBlock {
         }
     }
 
-    /// Its pressure system.
+    /// Pressure system of the block.
     pub fn pressure_system(&self) -> PressureSystem {
         let active = active_cells(&self.grid, &self.open, &self.liquid_distance, THETA_FLOOR);
         let rhs = right_hand_side(&self.grid, &self.open, &self.velocity, &active, None);

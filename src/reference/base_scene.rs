@@ -1,6 +1,7 @@
 //! The base scene: the base block with a beam that hangs into its liquid, on which coupled solvers are compared.
 //!
-//! The beam is \[0.43, 0.51\] x \[0.47, 0.55\] x \[0.24, 0.80\] m at rest, held at its top and bent by half a radian: with
+//! The beam is \[0.43, 0.51\] x \[0.47, 0.55\] x \[0.24, 0.80\] m at rest, fixed at its top and bent by half a
+//! radian: with
 //! s = 0.8 - Z, th = 0.5 s / 0.56, k = 0.5 / 0.56, xi = X - 0.47,
 //!
 //! ```text
@@ -31,11 +32,12 @@ use crate::scene::{ElasticModel, Initial, Pin, Placement, Shape, Solid, SolidMes
 /// The beam and the step. The default is the base scene's own, with the coarsest beam.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BaseBeam {
-    /// Bricks across, across and along: \[2, 2, 14\], \[3, 3, 21\] and \[4, 4, 28\] make the thesis's 135, 352 and 725 nodes.
+    /// Bricks across, across and along. \[2, 2, 14\], \[3, 3, 21\] and \[4, 4, 28\] result in the thesis's 135, 352
+    /// and 725 nodes.
     pub bricks: [usize; 3],
-    /// kg/m^3
+    /// Density, kg/m^3.
     pub density: f64,
-    /// Pa
+    /// Young's modulus, Pa.
     pub young: f64,
     /// Poisson's ratio.
     pub poisson: f64,
@@ -43,7 +45,7 @@ pub struct BaseBeam {
     pub mass_damping: f64,
     /// tau_K, s.
     pub stiffness_damping: f64,
-    /// s
+    /// Length of the step, s.
     pub dt: f64,
 }
 
@@ -67,19 +69,19 @@ pub struct BaseScene {
     pub block: BaseBlock,
     /// The beam.
     pub solids: Solids,
-    /// From rest, m.
+    /// Displacement from rest, m.
     pub displacement: Vec<[f64; 3]>,
-    /// v*, m/s; 0 where it is held.
+    /// v*, m/s; 0 at prescribed nodes.
     pub node_velocity: Vec<[f64; 3]>,
-    /// s
+    /// Length of the step, s.
     pub dt: f64,
 }
 
 impl BaseScene {
-    /// With this beam.
+    /// The scene with a beam.
     ///
     /// # Errors
-    /// When there are no such bricks or no such material.
+    /// When the number of bricks or the material is invalid.
     pub fn new(n: usize, beam: &BaseBeam) -> Result<BaseScene, Error> {
         let (low, high) = (DVec3::new(0.43, 0.47, 0.24), DVec3::new(0.51, 0.55, 0.80));
         let solid = Solid {
@@ -110,7 +112,7 @@ impl BaseScene {
             loads: Vec::new(),
         };
         let mesh = TetMesh::new(&solid, "base scene")?;
-        let solids = Solids::of(&[solid], &[mesh], &|key| format!("base scene: {key}"))?;
+        let solids = Solids::from_solids(&[solid], &[mesh], &|key| format!("base scene: {key}"))?;
         let bent = solids.rest.iter().map(|&rest| bent(rest));
         let displacement = bent
             .zip(&solids.rest)
@@ -138,7 +140,7 @@ impl BaseScene {
         })
     }
 
-    /// The beam's cut cells.
+    /// Clipping of the beam.
     pub fn clip(&self) -> SolidClip {
         let grid = &self.block.grid;
         let mut clip = SolidClip::new(grid, ObstacleCut::none(grid), &Solver::default());
@@ -146,7 +148,7 @@ impl BaseScene {
         clip
     }
 
-    /// The beam's elements.
+    /// Element matrices of the beam.
     pub fn matrices(&self) -> SolidMatrices {
         let pattern = Arc::new(BlockPattern::new(&self.solids));
         solid_matrices(&self.solids, &pattern, &self.displacement)
@@ -169,7 +171,7 @@ impl BaseScene {
         SolidSystem::new(solids, stiffness, &rhs, velocity, freedom, self.dt)
     }
 
-    /// Both.
+    /// The coupled system.
     pub fn coupled_system(&self) -> CoupledSystem {
         let clip = self.clip();
         let solid = self.solid_system(&self.matrices());
@@ -177,7 +179,7 @@ impl BaseScene {
     }
 }
 
-/// Where the bent beam has a point of its rest shape.
+/// Position of a rest point in the bent beam.
 fn bent(rest: DVec3) -> DVec3 {
     let s = 0.8 - rest.z;
     let (angle, curvature, across) = (0.5 * s / 0.56, 0.5 / 0.56, rest.x - 0.47);

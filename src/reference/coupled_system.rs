@@ -1,41 +1,42 @@
-//! The system of liquid and solids of one step (design section 2, thesis 5.17): B p + J v = E u*, S v - J^T p = -w.
+//! The coupled system of one step (design section 2, thesis 5.17): B p + J v = E u*, S v - J^T p = -w.
 
 use glam::DVec3;
 
 use super::pressure_system::{PressureSystem, remove_means};
-use super::refine::{Judged, Part};
+use super::refine::{LinearSystem, Part};
 use super::solid_system::SolidSystem;
 use crate::geometry::{CellNode, Coupling};
 use crate::linalg::{Csr, LinearOperator, norm};
 
-/// A prescribed motion may squeeze a liquid without a surface by this share of what it moves: rounding, and what the area clamp hides.
+/// Largest allowed incompatible boundary flux, relative to the prescribed flux: rounding, and the effect of the area
+/// clamp.
 pub const SQUEEZE: f64 = 1e-2;
-/// What is left of a direction that an obstacle holds where its normal is rounded, on devices to f32.
+/// Remainder of a constrained direction when the normal is rounded to f32.
 const ROUNDED: f64 = 1e-6;
 
-/// The two systems and J between them. A vector of it holds a pressure per cell of the grid (0 in inactive ones), then three
-/// velocities per node of the solids (0 in prescribed components).
+/// The pressure system, the solid system, and J. A vector contains a pressure per grid cell (0 in inactive ones),
+/// then three velocities per node (0 in prescribed components).
 #[derive(Clone, Debug)]
 pub struct CoupledSystem {
-    /// B, and E u* less J times the prescribed components.
+    /// B, and E u* less J times the prescribed velocities.
     pub pressure: PressureSystem,
-    /// S, and -w less S times the prescribed components.
+    /// S, and -w less S times the prescribed velocities.
     pub solid: SolidSystem,
     /// J on the active cells.
     pub coupling: Coupling,
-    /// The cells of liquid without a free surface beside nodes that all are held by walls and obstacles, or slide along them: nothing
-    /// fixes the level of their pressure either.
-    held: Vec<Vec<usize>>,
+    /// Enclosed components beside nodes that are all constrained, or slide along walls and obstacles: their pressure
+    /// level is undetermined too.
+    constrained: Vec<Vec<usize>>,
     /// Components that are not prescribed, ascending.
     components: Vec<usize>,
     /// Both right-hand sides.
     rhs: Vec<f64>,
-    /// [`PressureSystem::squeezed`], of the components whose level nothing fixes, by prescribed components of the nodes too.
+    /// [`PressureSystem::squeezed`] over the components with undetermined pressure level, including prescribed nodes.
     pub squeezed: f64,
 }
 
 impl CoupledSystem {
-    /// Puts the systems together; `coupling`: of all cells.
+    /// Assembles the system. `coupling` covers all cells.
     pub fn new(
         mut pressure: PressureSystem,
         solid: SolidSystem,
@@ -51,25 +52,25 @@ impl CoupledSystem {
         }
         pressure.rhs_scale += norm(&flux);
         let freedom = solid.freedom();
-        let gives_way = |pair: &CellNode| {
+        let moves = |pair: &CellNode| {
             let free = freedom[pair.node].projector * pair.value;
             free.length() > ROUNDED * pair.value.length()
         };
-        let gives_way = |&cell: &usize| coupling.of_cell(cell).iter().any(gives_way);
-        let held = pressure.sealed.iter();
-        let held = held.filter(|cells| !cells.iter().any(gives_way));
-        let held: Vec<Vec<usize>> = held.cloned().collect();
-        // What contacts close of a gap in a sub-step is no motion that anybody asked for.
+        let moves = |&cell: &usize| coupling.cell_pairs(cell).iter().any(moves);
+        let constrained = pressure.sealed.iter();
+        let constrained = constrained.filter(|cells| !cells.iter().any(moves));
+        let constrained: Vec<Vec<usize>> = constrained.cloned().collect();
+        // Gaps that contacts close in a sub-step are not prescribed motion.
         let squeezed = pressure
             .squeezed(&pressure.closed, Some(&flux))
-            .max(pressure.squeezed(&held, None));
+            .max(pressure.squeezed(&constrained, None));
         let mut rhs = std::mem::take(&mut pressure.rhs);
         pressure.remove_closed_means(&mut rhs);
-        remove_means(&held, &mut rhs);
+        remove_means(&constrained, &mut rhs);
         pressure.rhs.clone_from(&rhs);
         rhs.extend(&solid.rhs);
         CoupledSystem {
-            held,
+            constrained,
             components: solid.components(),
             pressure,
             solid,
@@ -79,12 +80,12 @@ impl CoupledSystem {
         }
     }
 
-    /// The cells of every component of the liquid whose level of pressure nothing fixes.
+    /// Cells of each liquid component with undetermined pressure level.
     pub fn level_free(&self) -> impl Iterator<Item = &Vec<usize>> {
-        self.pressure.closed.iter().chain(&self.held)
+        self.pressure.closed.iter().chain(&self.constrained)
     }
 
-    /// Number of cells of the grid: where velocities start in a vector.
+    /// Number of cells of the grid: index of the first velocity in a vector.
     pub fn n_cells(&self) -> usize {
         self.pressure.rhs.len()
     }
@@ -96,21 +97,21 @@ impl CoupledSystem {
         flux
     }
 
-    /// J^T p on what is free, N, three numbers per node.
+    /// J^T p in the free directions, N, three numbers per node.
     pub fn force(&self, pressure: &[f64]) -> Vec<f64> {
         let mut all = vec![0.0; self.solid.rhs.len()];
         self.coupling.add_transposed(pressure, &mut all);
         self.solid.free_part(all.as_chunks().0)
     }
 
-    /// Pressure (Pa) and velocities (m/s), prescribed ones included, of a vector.
+    /// Pressure (Pa) and velocities (m/s), including prescribed ones, of a vector.
     pub fn split(&self, mut x: Vec<f64>) -> (Vec<f64>, Vec<[f64; 3]>) {
         let velocity = self.solid.velocity(&x[self.n_cells()..]);
         x.truncate(self.n_cells());
         (x, velocity)
     }
 
-    /// The blocks as matrices.
+    /// The blocks as sparse matrices.
     pub fn blocks(&self) -> Blocks {
         let cells = self.pressure.stencil.active_cells();
         let mut row = vec![usize::MAX; self.n_cells()];
@@ -122,7 +123,7 @@ impl CoupledSystem {
             column[component] = Some(number);
         }
         let j = Csr::from_rows(cells.len(), self.components.len(), |row, entries| {
-            for pair in self.coupling.of_cell(cells[row]) {
+            for pair in self.coupling.cell_pairs(cells[row]) {
                 let free = self.solid.freedom()[pair.node].projector * pair.value;
                 let values = free.to_array().into_iter().enumerate();
                 entries.extend(values.filter_map(|(axis, value)| {
@@ -146,16 +147,16 @@ impl CoupledSystem {
     }
 }
 
-/// The blocks of a coupled system in the numbering of other solvers: active cells and free components in order.
+/// The blocks of a coupled system with only active cells and free components as unknowns, in order.
 #[derive(Clone, Debug)]
 pub struct Blocks {
-    /// B, m^3/s per Pa; the diagonal of one cell of each component whose level nothing fixes is doubled.
+    /// B, m^3/s per Pa. The diagonal of one cell is doubled in each component with undetermined pressure level.
     pub b: Csr,
-    /// J P, m^2, where P takes out what walls and obstacles hold.
+    /// J P, m^2, with P the constraint projector.
     pub j: Csr,
-    /// P S P, kg/s, and the mean of a node's diagonal in what is held.
+    /// P S P, kg/s, with the mean of a node's diagonal in constrained directions.
     pub s: Csr,
-    /// P: rows as all components, columns as those of S.
+    /// P. Rows: all components; columns: those of S.
     pub free: Csr,
     /// zeta_M M, kg/s.
     pub mass: Vec<f64>,
@@ -168,7 +169,7 @@ pub struct Blocks {
 }
 
 impl Blocks {
-    /// The unknowns of a vector.
+    /// Selects the unknowns of a vector.
     pub fn gather(&self, x: &[f64]) -> Vec<f64> {
         let pressure = self.cells.iter().map(|&cell| x[cell]);
         let velocity = self.components.iter();
@@ -176,7 +177,7 @@ impl Blocks {
         pressure.chain(velocity).collect()
     }
 
-    /// The vector of unknowns.
+    /// Inserts the unknowns into a vector.
     pub fn scatter(&self, unknowns: &[f64]) -> Vec<f64> {
         let mut x = vec![0.0; self.n_cells + self.n_components];
         let places = self.cells.iter().copied();
@@ -189,7 +190,7 @@ impl Blocks {
     }
 }
 
-impl Judged for CoupledSystem {
+impl LinearSystem for CoupledSystem {
     fn rhs(&self) -> &[f64] {
         &self.rhs
     }
@@ -209,36 +210,32 @@ impl Judged for CoupledSystem {
         for (residual, flux) in residual.iter_mut().zip(self.flux(velocity)) {
             *residual -= flux;
         }
-        let of_solid = self.solid.residual(velocity).into_iter();
-        residual.extend(
-            of_solid
-                .zip(self.force(pressure))
-                .map(|(r, force)| r + force),
-        );
+        let solid = self.solid.residual(velocity).into_iter();
+        residual.extend(solid.zip(self.force(pressure)).map(|(r, force)| r + force));
         residual
     }
 
     fn project(&self, x: &mut [f64]) {
         let n_cells = self.n_cells();
         self.pressure.remove_closed_means(&mut x[..n_cells]);
-        remove_means(&self.held, &mut x[..n_cells]);
+        remove_means(&self.constrained, &mut x[..n_cells]);
     }
 
-    /// Rounding of the terms that couple counts too: where nothing else acts, they are all there is.
+    /// The scale includes rounding of the coupling terms, which may be the only ones.
     fn parts(&self, x: &[f64]) -> Vec<Part> {
         let (pressure, velocity) = x.split_at(self.n_cells());
-        let of_pair = |pair: &CellNode| {
+        let flux_scale = |pair: &CellNode| {
             let velocity = DVec3::from_slice(&velocity[3 * pair.node..]);
             pair.value.abs().dot(velocity.abs())
         };
         let rows = self.coupling.cells();
         let fluxes: Vec<f64> = rows
-            .map(|(_, pairs)| pairs.iter().map(of_pair).sum())
+            .map(|(_, pairs)| pairs.iter().map(flux_scale).sum())
             .collect();
-        let of_pair = |pair: &CellNode| pair.value.length() * pressure[pair.cell].abs();
+        let force_scale = |pair: &CellNode| pair.value.length() * pressure[pair.cell].abs();
         let nodes = 0..self.coupling.n_nodes();
         let forces: Vec<f64> = nodes
-            .map(|node| self.coupling.of_node(node).iter().map(of_pair).sum())
+            .map(|node| self.coupling.node_pairs(node).iter().map(force_scale).sum())
             .collect();
         let n_cells = self.n_cells();
         vec![
@@ -258,8 +255,8 @@ impl Judged for CoupledSystem {
     }
 }
 
-/// The two-field operator A of thesis (5.25) in the factored form, which keeps single precision: t = Z1^-1 (J^T p - Z2 v), then
-/// B p + J t and Z2 (v - t); Z1 = sigma zeta_M M, Z2 = S - Z1.
+/// The monolithic two-field operator A of thesis (5.25), factored for accuracy in single precision: t = Z1^-1 (J^T p
+/// - Z2 v), then B p + J t and Z2 (v - t). Z1 = sigma zeta_M M, Z2 = S - Z1.
 pub struct TwoField<'a> {
     system: &'a CoupledSystem,
     /// Z1 per component, kg/s.
@@ -267,7 +264,7 @@ pub struct TwoField<'a> {
 }
 
 impl<'a> TwoField<'a> {
-    /// With the share sigma of the mass in Z1, between 0 and 1.
+    /// `sigma`: fraction of the mass in Z1, between 0 and 1.
     pub fn new(system: &'a CoupledSystem, sigma: f64) -> TwoField<'a> {
         let mass = system.solid.mass_term();
         TwoField {
@@ -297,9 +294,9 @@ impl<'a> TwoField<'a> {
 
     /// [r_p + J Z1^-1 r_v; -Z2 Z1^-1 r_v] of a residual [r_p; -r_v] of the coupled system.
     pub fn rhs(&self, residual: &[f64]) -> Vec<f64> {
-        let (of_p, of_v) = residual.split_at(self.system.n_cells());
-        let t = self.over_z1(of_v);
-        let mut rhs = of_p.to_vec();
+        let (pressure_rows, velocity_rows) = residual.split_at(self.system.n_cells());
+        let t = self.over_z1(velocity_rows);
+        let mut rhs = pressure_rows.to_vec();
         for (rhs, flux) in rhs.iter_mut().zip(self.system.flux(&t)) {
             *rhs -= flux;
         }
@@ -315,17 +312,17 @@ impl LinearOperator for TwoField<'_> {
 
     fn apply(&self, x: &[f64], y: &mut [f64]) {
         let (pressure, velocity) = x.split_at(self.system.n_cells());
-        let (of_p, of_v) = y.split_at_mut(self.system.n_cells());
+        let (pressure_rows, velocity_rows) = y.split_at_mut(self.system.n_cells());
         let mut t = self.system.force(pressure);
         for (t, pull) in t.iter_mut().zip(self.z2(velocity)) {
             *t -= pull;
         }
         let t = self.over_z1(&t);
-        self.system.pressure.stencil.apply(pressure, of_p);
-        for (y, flux) in of_p.iter_mut().zip(self.system.flux(&t)) {
+        self.system.pressure.stencil.apply(pressure, pressure_rows);
+        for (y, flux) in pressure_rows.iter_mut().zip(self.system.flux(&t)) {
             *y = self.system.pressure.scale * *y + flux;
         }
         let difference: Vec<f64> = velocity.iter().zip(&t).map(|(v, t)| v - t).collect();
-        of_v.copy_from_slice(&self.z2(&difference));
+        velocity_rows.copy_from_slice(&self.z2(&difference));
     }
 }

@@ -1,7 +1,7 @@
 //! `diagnose`: volume, momentum, energies, speed and divergence.
 //!
-//! A cell holds m_c = rho V_c clamp(1/2 - phi/dx, 0, 1), V_c its open volume, at its centre, and moves with the means v_c of
-//! its opposite faces:
+//! The mass of a cell is m_c = rho V_c clamp(1/2 - phi/dx, 0, 1) at its centre, with V_c its open volume. Its
+//! velocity v_c is the mean of opposite faces:
 //!
 //! ```text
 //! momentum = sum m_c v_c,  kinetic energy = sum m_c |v_c|^2 / 2,  potential energy = - sum m_c g . x_c
@@ -29,18 +29,19 @@ pub fn liquid_volume(grid: &Grid, open_volume: &[f64], liquid_distance: &[f64]) 
     open_volume.iter().zip(liquid_distance).map(filled).sum()
 }
 
-/// Largest magnitude of a face velocity component, m/s; not a number where one is not.
+/// Largest magnitude of a face velocity component, m/s; NaN if any is NaN.
 pub fn max_speed(velocity: &[Vec<f64>; 3]) -> f64 {
     velocity.iter().flatten().map(|u| u.abs()).fold(0.0, larger)
 }
 
-/// The larger of two numbers; not a number where one is not.
+/// The larger of two numbers; NaN if either is NaN.
 pub fn larger(a: f64, b: f64) -> f64 {
     if a >= b || a.is_nan() { a } else { b }
 }
 
-/// The largest divergence that a projection left in an active cell, 1/s; not a number where one is not. `velocity`: of the faces, m/s, before
-/// it is extrapolated; `open`: fractions of the faces, with the apertures of sources; `flux`: what solids and obstacles take up of each cell, J v, m^3/s.
+/// Largest divergence in an active cell after the projection, 1/s; NaN if any is NaN. `velocity`: face velocities
+/// before extrapolation, m/s. `open`: face apertures, including those of sources. `flux`: prescribed boundary flux J
+/// v of solids and obstacles per cell, m^3/s.
 pub fn divergence(
     open: &[Vec<f64>; 3],
     velocity: &[Vec<f64>; 3],
@@ -56,7 +57,7 @@ pub fn divergence(
     left.map(f64::abs).fold(0.0, larger) / grid.cell_volume()
 }
 
-/// What the liquid amounts to. `divergence`: of [`divergence`]; `density` in kg/m^3, `gravity` in m/s^2, the rest as in
+/// Diagnostics of the liquid. `divergence` from [`divergence`]; `density` in kg/m^3, `gravity` in m/s^2, others as in
 /// [`crate::state::State`].
 pub fn diagnose(
     grid: &Grid,

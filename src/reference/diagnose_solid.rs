@@ -6,11 +6,11 @@ use super::diagnose::larger;
 use crate::elastic::{Deformation, Solids, energy_density};
 use crate::state::SolidDiagnosis;
 
-/// What the solids amount to: sums over nodes of mass m at x = X + u with velocity v, and over elements of volume V.
+/// Diagnostics of the solids: sums over nodes of mass m at x = X + u with velocity v, and over elements of volume V.
 ///
 /// ```text
-/// momentum = sum m v,  angular momentum = sum m x cross v,  kinetic energy = sum m |v|^2 / 2,  potential energy = - sum m g . x
-/// elastic energy = sum V (mu eps : eps + lambda/2 tr(eps)^2)
+/// momentum = sum m v,  angular momentum = sum m x cross v,  kinetic energy = sum m |v|^2 / 2
+/// potential energy = - sum m g . x,  elastic energy = sum V (mu eps : eps + lambda/2 tr(eps)^2)
 /// ```
 ///
 /// `deformations`: of all elements under `displacement` (m); `velocity` in m/s, of all nodes; `gravity` in m/s^2.

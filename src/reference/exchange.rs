@@ -1,33 +1,38 @@
-//! `exchange`: sinks take markers away, sources make some; and what both do in other stages.
+//! `exchange`: sinks delete markers and sources emit them. Also the effects of both in other stages.
 //!
-//! Every cell of a source that runs has eighths to keep full ([`Taps::eighths`]): 8 within the source. In each sub-step it is filled up to as many
-//! markers in them, at jittered places. The jitter is a function of
-//! the scene's seed, the sub-step's number, the cell and the marker's number in it, so a run repeats and goes on from a state bit for bit.
+//! Each cell of a source has eighths to fill ([`SourcesAndSinks::eighths`]): all 8 inside the source. While the source runs,
+//! every sub-step adds markers at jittered positions until each of these eighths has one. The jitter is a hash of the
+//! scene's seed, the number of the sub-step, the cell and the marker's number. Runs therefore repeat and resume bit
+//! for bit.
 //!
-//! Cells with their centre in a body get none: `advect_markers` would put them out of the body, and the cell would be filled anew in every
-//! sub-step. Where a body covers less of a cell, almost all that is put out of it stays in the cell.
+//! Cells with their centre in a body receive none: `advect_markers` would push them out and the cell would refill in
+//! every sub-step. In cells that a body covers less, almost all markers pushed out stay in the cell.
 
 use glam::DVec3;
 
 use super::advect_markers::volume_without;
-use crate::geometry::{PER_CELL, Running, Taps};
+use crate::geometry::{MARKERS_PER_CELL, Running, SourcesAndSinks};
 use crate::grid::Grid;
 use crate::state::Exchange;
 
-/// Share of an eighth of a cell, on each side, that jitter leaves free.
+/// Margin without jitter on each side, as a fraction of an eighth's edge.
 const MARGIN: f64 = 0.02;
 
-/// Markers that sources made.
+/// Numbers of emitted markers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Seeded {
-    /// All.
+    /// Total.
     pub emitted: u64,
-    /// Those that the cells of sources that start lacked, whether a body covers them or not.
+    /// Markers missing in cells of starting sources, including those that a body covers.
     pub filled: u64,
 }
 
-/// Removes the markers (m) in cells of sinks; the others in order, and the number removed.
-pub fn sink_markers(grid: &Grid, taps: &Taps, markers: Vec<[f64; 3]>) -> (Vec<[f64; 3]>, u64) {
+/// Removes the markers (m) in cells of sinks. Returns the others in order, and the number removed.
+pub fn sink_markers(
+    grid: &Grid,
+    taps: &SourcesAndSinks,
+    markers: Vec<[f64; 3]>,
+) -> (Vec<[f64; 3]>, u64) {
     if taps.sink_cells.is_empty() {
         return (markers, 0);
     }
@@ -38,11 +43,11 @@ pub fn sink_markers(grid: &Grid, taps: &Taps, markers: Vec<[f64; 3]>) -> (Vec<[f
     (kept, sunk)
 }
 
-/// Adds markers (m) behind the others until every cell of the sources that run has 8, but for those with their centre in a body.
-/// `solid_distance`: per cell, m.
+/// Appends markers (m) until every cell of the running sources has 8, except cells with their centre in a body.
+/// `solid_distance` per cell, m.
 pub fn seed_markers(
     grid: &Grid,
-    taps: &Taps,
+    taps: &SourcesAndSinks,
     sources: Running,
     solid_distance: &[f64],
     markers: &mut Vec<[f64; 3]>,
@@ -77,7 +82,7 @@ pub fn seed_markers(
     seeded
 }
 
-/// Where a cell that holds `count` markers in its eighths gets its marker with a number, m.
+/// Position of marker `number` in a cell with `count` markers in its eighths, m.
 fn place(
     grid: &Grid,
     sources: &Running,
@@ -85,16 +90,16 @@ fn place(
     count: usize,
     number: usize,
 ) -> DVec3 {
-    let of_cell = [sources.seed, sources.step, cell as u32]
+    let cell_hash = [sources.seed, sources.step, cell as u32]
         .into_iter()
         .fold(0, |bits, part| scatter(bits ^ part));
-    let turn = (number + of_cell as usize) % eighths.count_ones() as usize;
-    let mut full = (0..PER_CELL).filter(|eighth| eighths >> eighth & 1 == 1);
+    let turn = (number + cell_hash as usize) % eighths.count_ones() as usize;
+    let mut full = (0..MARKERS_PER_CELL).filter(|eighth| eighths >> eighth & 1 == 1);
     let eighth = full.nth(turn).expect("the turn is below the count");
-    let mut bits = scatter(of_cell ^ (number - count + 1) as u32);
+    let mut bits = scatter(cell_hash ^ (number - count + 1) as u32);
     let within = DVec3::from([0, 1, 2].map(|axis| {
         bits = scatter(bits);
-        // The upper 24 bits, as a number in [0, 1).
+        // The upper 24 bits, scaled to [0, 1).
         let jitter = f64::from(bits >> 8) / f64::from(1 << 24);
         let part = (eighth >> axis & 1) as f64;
         0.5 * (part + MARGIN + (1.0 - 2.0 * MARGIN) * jitter)
@@ -103,7 +108,7 @@ fn place(
     (corner + within) * grid.dx
 }
 
-/// A bijection of 32-bit integers that scatters neighbours (Wellons 2018, lowbias32).
+/// A bijective hash of 32-bit integers (Wellons 2018, lowbias32).
 fn scatter(x: u32) -> u32 {
     let x = (x ^ (x >> 16)).wrapping_mul(0x7feb_352d);
     let x = (x ^ (x >> 15)).wrapping_mul(0x846c_a68b);
@@ -116,26 +121,35 @@ fn cell_of(grid: &Grid, x: [f64; 3]) -> usize {
     }))
 }
 
-/// The eighth of its cell that a point lies in.
+/// The eighth of its cell that contains a point.
 fn eighth_of(grid: &Grid, x: [f64; 3]) -> usize {
     let at = grid.cell_at(cell_of(grid, x));
     let upper = |a: usize| usize::from(x[a] / grid.dx - at[a] as f64 >= 0.5);
     (0..3).map(|a| upper(a) << a).sum()
 }
 
-/// In `forces`: u* on the faces of sources (m/s). Closed faces stay as they are.
-pub fn hold_faces(taps: &Taps, open: &[Vec<f64>; 3], running: u32, velocity: &mut [Vec<f64>; 3]) {
+/// In `forces`: sets u* (m/s) on the faces of running sources. Closed faces are unchanged.
+pub fn hold_faces(
+    taps: &SourcesAndSinks,
+    open: &[Vec<f64>; 3],
+    running: u32,
+    velocity: &mut [Vec<f64>; 3],
+) {
     for face in &taps.faces {
         let a = face.axis.index();
-        if let Some(held) = face.held(running).filter(|_| open[a][face.face] > 0.0) {
-            velocity[a][face.face] = held.velocity;
+        if let Some(source) = face
+            .prescribed(running)
+            .filter(|_| open[a][face.face] > 0.0)
+        {
+            velocity[a][face.face] = source.velocity;
         }
     }
 }
 
-/// In `write_back`: the same once more, for faces that the pressure has passed over, which have a velocity now.
+/// In `write_back`: sets the same velocities again, since the projection excludes these faces, and flags them as
+/// valid.
 pub fn carry_faces(
-    taps: &Taps,
+    taps: &SourcesAndSinks,
     open: &[Vec<f64>; 3],
     running: u32,
     velocity: &mut [Vec<f64>; 3],
@@ -144,34 +158,35 @@ pub fn carry_faces(
     hold_faces(taps, open, running, velocity);
     for face in &taps.faces {
         let a = face.axis.index();
-        valid[a][face.face] |= face.held(running).is_some() && open[a][face.face] > 0.0;
+        valid[a][face.face] |= face.prescribed(running).is_some() && open[a][face.face] > 0.0;
     }
 }
 
-/// In `liquid_distance`: cells of sinks are air (m).
-pub fn empty_sinks(taps: &Taps, dx: f64, liquid_distance: &mut [f64]) {
+/// In `liquid_distance`: sets the cells of sinks to air (m).
+pub fn empty_sinks(taps: &SourcesAndSinks, dx: f64, liquid_distance: &mut [f64]) {
     for &cell in &taps.sink_cells {
         liquid_distance[cell] = dx;
     }
 }
 
-/// Markers that came and went in a sub-step, and those that were there before and still are.
+/// Numbers of markers removed and added in a sub-step, and of those that remain.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Passed {
-    /// Through open sides.
+    /// Left through open sides.
     pub left: u64,
-    /// In sinks.
+    /// Deleted in sinks.
     pub sunk: u64,
-    /// Of sources.
+    /// Emitted by sources.
     pub seeded: Seeded,
-    /// Neither of these, nor dropped.
+    /// Remaining: neither removed, added nor dropped.
     pub kept: usize,
 }
 
-/// The volumes to hold in a sub-step and after it, m^3, and what it tells of them. `inflow`: what sources emitted beyond filling themselves, m^3.
+/// Controlled volumes in a sub-step and after it, m^3, and the report of the sub-step. `inflow`: volume that sources
+/// emitted beyond their own cells, m^3.
 ///
-/// What left or sank takes its share of the volume along, as [`volume_without`] says. What fills a source that starts adds an eighth of a
-/// cell per marker, after the sub-step.
+/// Markers that left or were deleted reduce the volume as in [`volume_without`]. Each marker that fills a starting
+/// source adds an eighth of a cell after the sub-step.
 pub fn exchanged_volume(
     grid: &Grid,
     volume_0: f64,
@@ -184,10 +199,10 @@ pub fn exchanged_volume(
         seeded,
         kept,
     } = passed;
-    let held = volume_without(volume_0 + inflow, left + sunk, kept);
-    let gone = volume_0 + inflow - held;
-    let filled = seeded.filled as f64 * grid.cell_volume() / PER_CELL as f64;
-    let share = |n: u64| gone * n as f64 / (left + sunk).max(1) as f64;
+    let controlled = volume_without(volume_0 + inflow, left + sunk, kept);
+    let removed = volume_0 + inflow - controlled;
+    let filled = seeded.filled as f64 * grid.cell_volume() / MARKERS_PER_CELL as f64;
+    let share = |n: u64| removed * n as f64 / (left + sunk).max(1) as f64;
     let exchange = Exchange {
         left,
         sunk,
@@ -196,5 +211,5 @@ pub fn exchanged_volume(
         volume_sunk: share(sunk),
         volume_emitted: inflow + filled,
     };
-    ([held, held + filled], exchange)
+    ([controlled, controlled + filled], exchange)
 }

@@ -1,14 +1,14 @@
-//! `extrapolate`: velocities beyond the liquid, for the next advection, and free slip along obstacles.
+//! `extrapolate`: velocities beyond the liquid for the next advection, and free slip along obstacles.
 //!
-//! Layer by layer a face without a valid velocity takes the mean over the nearest of its 26 neighbours of the same axis that
-//! have one: those beside it, else those across an edge, else those across a corner. A layer so reaches one cell along every
-//! diagonal too: a sub-step goes up to cfl cells along each axis at once, and through neighbours beside a face alone liquid
-//! that moves along a diagonal ran into faces that no layer had reached. What no layer reaches is 0, and so are domain walls, but not
+//! In each layer, a face without a valid velocity receives the mean over its nearest valid neighbours of the same
+//! axis. These are beside it, else across an edge, else across a corner. A layer so extends by one cell along every
+//! diagonal too. A sub-step may cross cfl cells along each axis at once; with neighbours beside the face alone,
+//! diagonal motion reached faces without a velocity. Faces beyond all layers are 0, and so are domain walls except
 //! open sides.
 //!
-//! Slivers show a part of their velocity only to what is extended from them ([`super::slivers`]), and have their own again afterwards.
+//! Small-aperture faces contribute blended velocities ([`super::slivers`]) and recover their own afterwards.
 //!
-//! Closed faces in and just outside obstacles and solids get the normal velocity of these: 0 where they stand still.
+//! Closed faces in and just outside obstacles and solids receive the normal velocity of these, 0 for static ones.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -17,22 +17,22 @@ use super::slivers;
 use crate::geometry::{CutCells, SolidClip};
 use crate::grid::{Axis, Grid};
 
-/// Layers beyond those that a step of `cfl` cells crosses.
+/// Layers beyond those that a sub-step of `cfl` cells crosses.
 const SPARE_LAYERS: usize = 2;
-/// Below it a gradient of the distance has no direction.
+/// Norm below which the gradient of the distance has no direction.
 const SMALLEST_GRADIENT: f64 = 1e-6;
-/// Faces closer than this to an obstacle, or in it, slip along it; in cells.
+/// Distance from an obstacle below which faces slip along it, cells.
 const SLIP_REACH: f64 = 0.5;
 
-/// How many layers a step at most `cfl` cells long needs.
+/// Number of layers for a sub-step of at most `cfl` cells.
 pub fn n_layers(cfl: f64) -> usize {
     cfl.ceil() as usize + SPARE_LAYERS
 }
 
-/// Solids and obstacles as walls that move.
+/// Solids and obstacles as moving walls.
 #[derive(Clone, Copy, Debug)]
 pub struct MovingWalls<'a> {
-    /// Where they are.
+    /// Clipping of both.
     pub clip: &'a SolidClip,
     /// Nodes of the solids' surface triangles.
     pub triangles: &'a [[u32; 3]],
@@ -41,10 +41,10 @@ pub struct MovingWalls<'a> {
 }
 
 impl MovingWalls<'_> {
-    /// Velocity of what moves beside a cell, m/s: of the nearest place on a solid or of an obstacle, whichever is nearer.
+    /// Velocity of the closest point on a solid or obstacle beside a cell, m/s.
     fn at_cell(&self, cell: usize) -> Option<DVec3> {
         let Some(nearest) = self.clip.nearest(cell) else {
-            return self.clip.obstacles().wall(cell);
+            return self.clip.obstacles().wall_velocity(cell);
         };
         let corners = self.triangles[nearest.triangle].iter().zip(nearest.weights);
         let parts =
@@ -52,7 +52,7 @@ impl MovingWalls<'_> {
         Some(parts.sum::<DVec3>())
     }
 
-    /// The same beside a face: the mean over the cells at both sides that have one.
+    /// Mean over the two cells of a face that have a closest point, m/s.
     fn at_face(&self, grid: &Grid, axis: Axis, face: [usize; 3]) -> DVec3 {
         let sides = grid.face_sides(axis, face).into_iter().flatten();
         let velocities = sides.filter_map(|cell| self.at_cell(cell));
@@ -61,7 +61,7 @@ impl MovingWalls<'_> {
     }
 }
 
-/// Extends `faces` (m/s) by `layers` from where they are `valid`, and constrains them.
+/// Extends `faces` (m/s) by `layers` from the `valid` ones and applies free slip.
 pub fn extrapolate(
     grid: &Grid,
     cut: &CutCells,
@@ -126,7 +126,7 @@ fn extend(grid: &Grid, axis: Axis, mut valid: Vec<bool>, layers: usize, values: 
         .for_each(|(value, _)| *value = 0.0);
 }
 
-/// Of the faces on the sides of the domain, those that are open keep their velocities.
+/// Sets faces on closed sides of the domain to zero.
 fn close_walls(grid: &Grid, open: &[Vec<f64>; 3], faces: &mut [Vec<f64>; 3]) {
     for axis in Axis::ALL {
         let a = axis.index();
@@ -138,8 +138,8 @@ fn close_walls(grid: &Grid, open: &[Vec<f64>; 3], faces: &mut [Vec<f64>; 3]) {
     }
 }
 
-/// Direction of the gradient of the interpolated distance at a face, by central differences over dx: on grid planes, where the
-/// exact gradient jumps, it does not depend on rounding. `None` where the gradient is shorter than 1e-6.
+/// Direction of the interpolated distance's gradient at a face, by central differences over dx. On grid planes the
+/// exact gradient jumps, so it would depend on rounding. `None` if the gradient is shorter than 1e-6.
 fn direction(grid: &Grid, solid_distance: &[f64], x: DVec3) -> Option<DVec3> {
     let slope = |b: usize| {
         let half = DVec3::AXES[b] * (0.5 * grid.dx);
@@ -164,8 +164,8 @@ fn slip(grid: &Grid, cut: &CutCells, walls: Option<MovingWalls>, faces: &mut [Ve
                 return None;
             }
             let n = direction(grid, &cut.solid_distance, x)?;
-            let of_wall = walls.map_or(DVec3::ZERO, |walls| walls.at_face(grid, axis, ijk));
-            let into = (grid.velocity_at(faces, x) - of_wall).dot(n);
+            let wall_velocity = walls.map_or(DVec3::ZERO, |walls| walls.at_face(grid, axis, ijk));
+            let into = (grid.velocity_at(faces, x) - wall_velocity).dot(n);
             Some((face, faces[a][face] - into * n[a]))
         };
         (0..grid.n_faces(axis))

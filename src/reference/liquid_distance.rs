@@ -1,19 +1,20 @@
 //! `liquid_distance`: the union of spheres around the markers (Zhu and Bridson 2005), extended into the obstacles.
 //!
-//! phi = min(2 dx, distance to the nearest marker) - r at cell centres. Deep inside, where all 27 cells around hold a marker, are
-//! beyond the domain or have their centre in an obstacle, phi = -dx. The values inside obstacles say nothing about the
-//! liquid, yet ghost-fluid faces in cut cells need them: they are discarded and made again from the liquid's side, from the known
-//! neighbours n of a cell across faces that are open by w_n, o_n cells away, and theirs across w_nm:
+//! phi = min(2 dx, distance to the nearest marker) - r at cell centres. phi = -dx deep inside: where each of the 27
+//! cells around contains a marker, is outside the domain or has its centre in an obstacle. Values inside obstacles
+//! are undefined, but ghost-fluid faces in cut cells need them. They are recomputed from known neighbours n at offset
+//! o_n across faces of aperture w_n, and from their neighbours across w_nm:
 //!
 //! ```text
 //! phi = sum_n w_n (phi_n - g . o_n) / sum_n w_n    within the range of the phi_n
 //! g = sum_nm w_n w_nm o_nm (phi_m - phi_n) / (1 + sum_nm w_n w_nm)    per axis, over the pairs along it
 //! ```
 //!
-//! The mean alone puts the surface too high where more is open below a centre than above: films of a tenth of a cell then stood
-//! up to half a cell above the level, and fell. Slopes put it right; the 1 is worth one open pair that knows of no slope, since few
-//! pairs tell more of the bumps of spheres than of the surface. Without the range, what is made of noise grows from pass to pass.
-//! Deciding by whether a cell holds a marker, or pushing values down with a minimum, moved water at rest by up to 76 g dt.
+//! A mean without slopes places the surface too high where more is open below a centre than above. Films of a tenth
+//! of a cell then stood up to half a cell above the level, and fell. The 1 in the denominator is one open pair of
+//! slope 0: a few pairs alone measure the bumps of the spheres, not the surface. The limitation to the range
+//! prevents growth of noise from pass to pass. Two alternatives moved water at rest by up to 76 g dt: a decision by
+//! markers in the cell, and a minimum over neighbours.
 
 use glam::{DVec3, IVec3};
 use rayon::prelude::*;
@@ -21,19 +22,19 @@ use rayon::prelude::*;
 use crate::geometry::CutCells;
 use crate::grid::{Axis, Grid};
 
-/// Markers further away than this do not count, in cells.
+/// Largest distance of a marker that counts, cells.
 const REACH: f64 = 2.0;
-/// How many cells deep the distance is extended into obstacles.
+/// Depth of the extension into obstacles, cells.
 const EXTENSION_PASSES: usize = 3;
 
-/// phi per cell from markers (m), with `radius` in m, extended into the obstacles.
+/// phi per cell (m) from markers (m) with spheres of `radius` (m), extended into the obstacles.
 pub fn liquid_distance(grid: &Grid, cut: &CutCells, markers: &[[f64; 3]], radius: f64) -> Vec<f64> {
     let mut phi = union_of_spheres(grid, &cut.solid_distance, markers, radius);
     extend(grid, cut, &mut phi);
     phi
 }
 
-/// phi per cell, not yet extended.
+/// phi per cell before the extension.
 fn union_of_spheres(
     grid: &Grid,
     solid_distance: &[f64],
@@ -53,7 +54,7 @@ fn union_of_spheres(
             return -grid.dx;
         }
         let centre = grid.cell_centre(grid.cell_at(cell));
-        // What is within two cells of the centre lies in the 5 x 5 x 5 cells around it.
+        // All points within two cells of the centre are in the 5 x 5 x 5 cells around it.
         let near = block(REACH.ceil() as i32).filter_map(|offset| inside(grid, ijk + offset));
         let distances = near
             .flat_map(|cell| bins.markers(cell))
@@ -63,7 +64,7 @@ fn union_of_spheres(
     phi.collect()
 }
 
-/// Discards phi where the centre lies in an obstacle and makes it again from the neighbours; air where none is reached.
+/// Recomputes phi in cells with their centre in an obstacle; air if no pass reaches them.
 fn extend(grid: &Grid, cut: &CutCells, phi: &mut [f64]) {
     let outside = |distance: &f64| *distance >= 0.0;
     let mut known: Vec<bool> = cut.solid_distance.iter().map(outside).collect();
@@ -88,7 +89,7 @@ fn extend(grid: &Grid, cut: &CutCells, phi: &mut [f64]) {
 struct Neighbour {
     cell: usize,
     axis: usize,
-    /// The way there along the axis, cells.
+    /// Signed offset along the axis, cells.
     way: f64,
     open: f64,
 }
@@ -117,7 +118,7 @@ fn neighbours<'a>(
     })
 }
 
-/// phi at a centre in an obstacle, from the known neighbours; none where there is none.
+/// phi at a centre in an obstacle from the known neighbours; `None` without any.
 fn from_neighbours(
     grid: &Grid,
     cut: &CutCells,
@@ -146,20 +147,20 @@ fn from_neighbours(
     (open > 0.0).then(|| (sum / open).clamp(low, high))
 }
 
-/// Offsets of the cells up to `n` away along every axis.
+/// Offsets of the cells up to `n` along every axis.
 fn block(n: i32) -> impl Iterator<Item = IVec3> {
     (-n..=n)
         .flat_map(move |z| (-n..=n).flat_map(move |y| (-n..=n).map(move |x| IVec3::new(x, y, z))))
 }
 
-/// The cell, unless it is beyond the domain.
+/// Index of a cell; `None` outside the domain.
 fn inside(grid: &Grid, ijk: IVec3) -> Option<usize> {
     let n = IVec3::from(grid.cells.map(|n| n as i32));
     (ijk.cmpge(IVec3::ZERO).all() && ijk.cmplt(n).all())
         .then(|| grid.cell(ijk.to_array().map(|n| n as usize)))
 }
 
-/// Markers sorted by cell, in their order within one.
+/// Markers sorted by cell, in order within each.
 struct Bins {
     start: Vec<usize>,
     order: Vec<usize>,

@@ -8,6 +8,7 @@ mod advect_markers;
 mod advect_velocity;
 pub mod base_block;
 pub mod base_scene;
+mod boundary;
 mod coupled_system;
 mod diagnose;
 mod diagnose_solid;
@@ -19,6 +20,7 @@ mod move_solid;
 mod multigrid;
 mod node_forces;
 mod patch_pressure;
+mod path;
 mod prepare;
 mod pressure_system;
 mod probe;
@@ -58,16 +60,18 @@ pub use move_solid::move_solid;
 pub use multigrid::Multigrid;
 pub use node_forces::node_forces;
 pub use patch_pressure::{patch_pressure, pressure_gradient};
+pub use path::Reference;
 pub use prepare::prepare;
 pub use pressure_system::{PressureSystem, Stencil, remove_means};
 pub use probe::probe;
 pub use refine::EPSILON;
-pub(crate) use refine::{Correction, Judged, part_left, refine_parts};
+pub(crate) use refine::{Correction, LinearSystem, part_left, refine_parts};
 pub use right_hand_side::{RightHandSide, VolumeSource, right_hand_side, volume_rate};
 pub use sample::gradient;
 pub use slivers::{is_sliver, shown_to_whole};
 pub use solid_contacts::{
-    ContactSearch, Contacts, Freedom, Held, MOST_HALVINGS, MOST_SOLVES, Searched, Wrong,
+    ActiveSurfaces, ContactSearch, Contacts, Freedom, MAX_SOLVES, MOST_HALVINGS, SearchStep,
+    Violations,
 };
 pub use solid_matrices::{BlockMatrix, BlockPattern, SolidMatrices, solid_matrices};
 pub use solid_right_hand_side::{SolidRightHandSide, solid_right_hand_side};
@@ -78,7 +82,7 @@ pub use solve_coupled::{
     solve_damping_only, solve_weak,
 };
 pub use solve_solid::{Chebyshev, SolidSolver};
-pub use step::{Reference, StepSystem};
+pub use step::StepSystem;
 pub use stress_variables::{StressSystem, StressVariables};
 pub use surface_distance::surface_distance;
 pub use time_step::{TimeStep, time_step};

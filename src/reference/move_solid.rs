@@ -1,15 +1,15 @@
-//! `move_solid`: nodes move with their velocities, then out of walls.
+//! `move_solid`: moves the nodes and projects them out of walls.
 
 use super::turn_solids;
 use crate::elastic::Solids;
 use crate::grid::Grid;
 
-/// u += dt v, after [`turn_solids`]. Then a node beyond a wall of the domain is put on the wall and loses its velocity into it: the solve
-/// held it there, up to rounding, to the circles on which bodies turn, and to searches for contacts that did not end. Prescribed components
-/// move, but nothing stops them. Nodes inside obstacles stay, as where surfaces curve: the next solve takes them out with what lies behind,
-/// where putting a node on the surface by itself would squeeze it.
+/// u += dt v, after [`turn_solids`]. A node beyond a domain wall is projected onto it and loses its velocity into it.
+/// The solve constrains such nodes; the remainder is rounding, rotation on circles, or an unfinished active-set
+/// search. Prescribed components move freely. Nodes inside obstacles, for example near curved surfaces, remain. The
+/// next solve pushes them out with the elements behind; a projection of the node alone would compress these.
 ///
-/// `displacement` (m) and `velocity` (m/s): of all nodes, in place.
+/// `displacement` (m) and `velocity` (m/s) of all nodes are updated in place.
 pub fn move_solid(
     solids: &Solids,
     grid: &Grid,

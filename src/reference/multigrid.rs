@@ -1,10 +1,11 @@
 //! One symmetric V-cycle of aggregation multigrid: H ~ A^-1, the preconditioner of the pressure solve in f64.
 //!
-//! A cell of the next level is 2 x 2 x 2 cells of this one. Its face weight is the sum of the four fine ones, its Dirichlet
-//! part the sum of the eight, and both are halved: piecewise constant corrections of a smooth error are too small by about
-//! a factor of two in three dimensions (over-correction; Stueben 2001, Shao et al. 2022). Restriction sums over an aggregate, prolongation
-//! copies into it. Two Jacobi sweeps with scheduled weights (Yang and Mittal 2014) go before the correction, the same in
-//! reversed order after it, which makes the cycle symmetric: needed by conjugate gradients.
+//! A coarse cell aggregates 2 x 2 x 2 cells. Its face weight is half the sum of the four fine ones, its Dirichlet
+//! term half the sum of the eight. The half is over-correction: piecewise constant corrections of a smooth error are
+//! too small by about two in three dimensions (Stueben 2001, Shao et al. 2022). Restriction sums over an aggregate,
+//! prolongation injects into it. Two Jacobi sweeps with scheduled weights (Yang and Mittal 2014) precede the
+//! correction. The same sweeps in reversed order follow it, so that the cycle is symmetric, as conjugate gradients
+//! require.
 
 use rayon::prelude::*;
 
@@ -12,10 +13,10 @@ use super::pressure_system::Stencil;
 use crate::grid::{Axis, Grid};
 use crate::linalg::LinearOperator;
 
-/// Weights of the sweeps before the coarse correction; after it in reversed order. Together they damp errors of the upper
+/// Weights of the sweeps before the coarse correction, reversed after it. Together they damp errors of the upper
 /// spectrum of D^-1 A in (0, 2] below 0.35.
 const SWEEPS: [f64; 2] = [1.7319, 0.5695];
-/// How many times the pair of sweeps is done on the coarsest level, which has one cell. From a zero guess any sequence of
+/// Repetitions of the pair of sweeps on the coarsest level, which has one cell. From a zero guess any sequence of
 /// sweeps is symmetric.
 const COARSEST_PAIRS: usize = 4;
 
@@ -26,7 +27,7 @@ pub struct Multigrid {
 }
 
 impl Multigrid {
-    /// Builds the hierarchy: halves the cells until one is left.
+    /// Builds the hierarchy down to one cell.
     pub fn new(finest: &Stencil) -> Multigrid {
         let mut levels = vec![finest.clone()];
         while levels[levels.len() - 1].grid.cells != [1; 3] {
@@ -40,7 +41,7 @@ impl Multigrid {
         &self.levels
     }
 
-    /// Solves A x = b roughly on a level, from a zero guess.
+    /// Approximates the solution of A x = b on a level from a zero guess.
     fn cycle(&self, level: usize, b: &[f64]) -> Vec<f64> {
         let stencil = &self.levels[level];
         let mut x = vec![0.0; b.len()];
@@ -89,7 +90,7 @@ fn coarsen(fine: &Stencil) -> Stencil {
         let mut coarse = vec![0.0; grid.n_faces(axis)];
         for (face, value) in fine.weight[axis.index()].iter().enumerate() {
             let ijk = fine.grid.face_at(axis, face);
-            // Faces inside an aggregate drop out; those between two aggregates lie at even indices.
+            // Faces inside an aggregate vanish; those between two aggregates have even indices.
             if ijk[axis.index()].is_multiple_of(2) {
                 coarse[grid.face(axis, ijk.map(|n| n / 2))] += 0.5 * value;
             }
@@ -99,7 +100,7 @@ fn coarsen(fine: &Stencil) -> Stencil {
     Stencil::new(grid, weight, dirichlet)
 }
 
-/// The coarse cell that a fine cell belongs to.
+/// The coarse cell of a fine cell.
 fn aggregate(fine: &Grid, coarse: &Grid, cell: usize) -> usize {
     coarse.cell(fine.cell_at(cell).map(|n| n / 2))
 }
@@ -121,7 +122,7 @@ fn restrict(fine: &Stencil, coarse: &Grid, b: &[f64], x: &[f64]) -> Vec<f64> {
     sums
 }
 
-/// Adds the aggregates' corrections to their active cells.
+/// Adds the coarse corrections to their active cells.
 fn prolong(fine: &Stencil, coarse: &Grid, correction: &[f64], x: &mut [f64]) {
     x.par_iter_mut()
         .with_min_len(4096)

@@ -1,10 +1,11 @@
-//! `forces`, for solids: gravity on the nodes, and the velocities that are prescribed.
+//! `forces`, for solids: gravity on the nodes, and prescribed velocities.
 
 use glam::DVec3;
 
 use crate::elastic::Solids;
 
-/// v* += dt g on free components; prescribed ones get what is prescribed, 0 where `prescribed` is empty. Velocities of all nodes, m/s.
+/// v* += dt g in free components; prescribed components are set to `prescribed`, or to 0 if it is empty. Velocities
+/// of all nodes, m/s.
 pub fn node_forces(
     solids: &Solids,
     prescribed: &[[f64; 3]],

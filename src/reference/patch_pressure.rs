@@ -1,13 +1,13 @@
-//! `right_hand_side`, for solids in liquid: what pressure does beyond its value at the centre of a cell.
+//! `right_hand_side`, for solids in liquid: forces of the pressure's variation within cells.
 //!
-//! J^T p takes the pressure as constant over a cell. That is off by its gradient times the way from the centre to the patch, which adds
-//! to the force on the nodes
+//! J^T p assumes a constant pressure per cell. The first-order error is the gradient times the vector from the centre
+//! to the patch, so the force on the nodes increases by
 //!
 //! ```text
 //! f_i = sum over the patches of active cells of the integral of N_i (grad p . (x - x_cell)) n dA
 //! ```
 //!
-//! with n into the solid. N_i is linear on a patch, so the integrals are exact. The matrix and the liquid stay as they are.
+//! with n into the solid. N_i is linear on a patch, so the integrals are exact. Matrix and liquid are unchanged.
 
 use glam::DVec3;
 
@@ -15,7 +15,7 @@ use super::pressure_system::Stencil;
 use crate::geometry::Patch;
 use crate::grid::{Axis, Grid};
 
-/// The forces on all nodes, N. `triangles`: nodes of the triangles that patches name; `gradient`: grad p of a cell, Pa/m.
+/// Forces on all nodes, N. `triangles`: nodes of the triangles with patches; `gradient`: grad p of a cell, Pa/m.
 pub fn patch_pressure(
     stencil: &Stencil,
     patches: &[Patch],
@@ -37,8 +37,8 @@ pub fn patch_pressure(
     forces
 }
 
-/// Gradient of the pressure of a sub-step at a cell's centre, Pa/m, from the open neighbours that were unknowns of it; along an axis
-/// without such a neighbour, and where the cell itself was none, `at_rest`.
+/// Gradient of a sub-step's pressure at a cell's centre, Pa/m, from active neighbours across open faces. Along an
+/// axis without one, and in inactive cells, `at_rest`.
 pub fn pressure_gradient(
     grid: &Grid,
     open: &[Vec<f64>; 3],

@@ -1,4 +1,4 @@
-//! `prepare`: what the first step reads beyond the initial markers and velocities.
+//! `prepare`: data of the first step beyond initial markers and velocities.
 
 use super::diagnose::{liquid_volume, open_volumes};
 use super::extrapolate::{MovingWalls, extrapolate, n_layers};
@@ -8,9 +8,9 @@ use crate::grid::{Axis, Grid};
 use crate::scene::{Scene, Surface};
 use crate::state::State;
 
-/// Completes an initial state: the liquid distance that the markers make, the volume to hold, and velocities beyond the
-/// liquid, so that markers at the border of a moving region move with it. `solids`: where they are, with the nodes of their surface
-/// triangles. Doing it twice changes nothing.
+/// Completes an initial state: the liquid distance from the markers, the controlled volume, and velocities beyond the
+/// liquid. Markers at the border of a moving region then move with it. `solids`: positions, with the nodes of their
+/// surface triangles. A second call changes nothing.
 pub fn prepare(
     scene: &Scene,
     grid: &Grid,

@@ -16,18 +16,18 @@ use crate::linalg::{Csr, LinearOperator, norm};
 /// Symmetric and positive semi-definite. An inactive cell has neither weights nor a Dirichlet part; its diagonal is 0.
 #[derive(Clone, Debug)]
 pub struct Stencil {
-    /// Where the cells are.
+    /// The grid.
     pub grid: Grid,
-    /// Weight of every face per axis, host face layout: the open fraction where both sides are active, else 0.
+    /// Weight of every face per axis, host layout: the aperture between active cells, else 0.
     pub weight: [Vec<f64>; 3],
-    /// Per cell: sum of open fraction / theta over the free-surface faces.
+    /// Per cell: sum of aperture / theta over the free-surface faces.
     pub dirichlet: Vec<f64>,
-    /// Per cell: sum of the weights of its faces, plus its Dirichlet part. Positive exactly in active cells.
+    /// Per cell: sum of its face weights and its Dirichlet term. Positive exactly in active cells.
     pub diagonal: Vec<f64>,
 }
 
 impl Stencil {
-    /// Puts a stencil together from its weights.
+    /// Assembles a stencil from its weights.
     pub fn new(grid: Grid, weight: [Vec<f64>; 3], dirichlet: Vec<f64>) -> Stencil {
         assert_eq!(
             dirichlet.len(),
@@ -61,8 +61,8 @@ impl Stencil {
         stencil
     }
 
-    /// Index and face weight of the six neighbours in ascending order of their index: -z, -y, -x, +x, +y, +z. A neighbour
-    /// beyond the domain has weight 0 and the cell's own index.
+    /// Index and face weight of the six neighbours in ascending order of their index: -z, -y, -x, +x, +y, +z. A
+    /// neighbour outside the domain has weight 0 and the cell's own index.
     #[inline]
     pub fn neighbours(&self, cell: usize) -> [(usize, f64); 6] {
         let [nx, ny, nz] = self.grid.cells;
@@ -86,7 +86,7 @@ impl Stencil {
         ]
     }
 
-    /// Whether a cell is an unknown.
+    /// Whether a cell is active.
     #[inline]
     pub fn active(&self, cell: usize) -> bool {
         self.diagonal[cell] > 0.0
@@ -99,7 +99,7 @@ impl Stencil {
             .collect()
     }
 
-    /// Whether each cell is an unknown.
+    /// Whether each cell is active.
     pub fn active_mask(&self) -> Vec<bool> {
         self.diagonal
             .iter()
@@ -107,7 +107,7 @@ impl Stencil {
             .collect()
     }
 
-    /// (A x) of one cell, from differences: pressures are large, what drives the velocity is small.
+    /// (A x) of one cell, from differences: these are small compared with the pressures.
     #[inline]
     pub(super) fn product(&self, x: &[f64], cell: usize) -> f64 {
         let centre = x[cell];
@@ -146,20 +146,20 @@ pub struct PressureSystem {
     pub stencil: Stencil,
     /// dt dx / rho, m^4 s/kg: B = scale * stencil.
     pub scale: f64,
-    /// E u* with volume control and without the mean over closed components, m^3/s, per cell; 0 in inactive cells.
+    /// E u* with volume control and without the mean over enclosed components, m^3/s, per cell; 0 in inactive cells.
     pub rhs: Vec<f64>,
-    /// s_p = || |E| |u*| ||, m^3/s: what the rounding of the right-hand side is measured against.
+    /// s_p = || |E| |u*| ||, m^3/s: scale of the rounding error of the right-hand side.
     pub rhs_scale: f64,
-    /// The cells of every component without a free surface, each in ascending order. Their pressure has mean zero.
+    /// Cells of each enclosed liquid component, ascending. Their pressure has mean zero.
     pub closed: Vec<Vec<usize>>,
-    /// The same of those without a free surface whose level solids fix, as far as these give way.
+    /// Cells of each component without a free surface whose pressure level moving solids determine.
     pub sealed: Vec<Vec<usize>>,
-    /// What obstacles and sources take of cells, or give where it is negative, m^3/s.
+    /// Prescribed boundary flux of obstacles and sources per cell, m^3/s.
     pub taken: Vec<(usize, f64)>,
 }
 
 impl PressureSystem {
-    /// Puts the system of a step together; `density` in kg/m^3.
+    /// Assembles the system of a step; `density` in kg/m^3.
     pub fn new(active: ActiveCells, rhs: RightHandSide, dt: f64, density: f64) -> PressureSystem {
         let scale = dt * active.stencil.grid.dx / density;
         PressureSystem {
@@ -173,7 +173,7 @@ impl PressureSystem {
         }
     }
 
-    /// The system with obstacles that move: they take J v (m^3/s) of cells, or give where it is negative.
+    /// Adds the prescribed boundary flux J v of moving obstacles, m^3/s.
     pub fn beside_obstacles(mut self, flux: &[(usize, f64)]) -> PressureSystem {
         let mut taken = vec![0.0; self.rhs.len()];
         let cells = flux.iter().filter(|(cell, _)| self.stencil.active(*cell));
@@ -186,24 +186,24 @@ impl PressureSystem {
         self
     }
 
-    /// The system with what obstacles and sources take of cells, m^3/s.
+    /// Adds the prescribed boundary flux of obstacles and sources, m^3/s.
     pub fn with_taken(mut self, taken: impl IntoIterator<Item = (usize, f64)>) -> PressureSystem {
         self.taken.extend(taken);
         self
     }
 
-    /// The largest share of what is taken of its cells, by `taken` and by solids (m^3/s per cell), by which one of the components would have
-    /// to change its volume: 0 but for rounding where it is kept, up to 1 where it is not.
+    /// Largest incompatible boundary flux of a component, relative to the flux of `taken` and of solids (m^3/s per
+    /// cell) over its cells. Rounding if the volume is constant, up to 1 if not.
     pub fn squeezed(&self, components: &[Vec<usize>], by_solids: Option<&[f64]>) -> f64 {
         if components.is_empty() {
             return 0.0;
         }
-        let mut of_cells = by_solids.map_or_else(|| vec![0.0; self.rhs.len()], <[f64]>::to_vec);
+        let mut cell_flux = by_solids.map_or_else(|| vec![0.0; self.rhs.len()], <[f64]>::to_vec);
         for &(cell, taken) in &self.taken {
-            of_cells[cell] += taken;
+            cell_flux[cell] += taken;
         }
         let shares = components.iter().map(|component| {
-            let taken = component.iter().map(|&cell| of_cells[cell]);
+            let taken = component.iter().map(|&cell| cell_flux[cell]);
             let [net, gross] = taken.fold([0.0, 0.0], |[net, gross], taken: f64| {
                 [net + taken, gross + taken.abs()]
             });
@@ -231,7 +231,7 @@ impl PressureSystem {
         residual
     }
 
-    /// B in the numbering of [`Stencil::active_cells`], m^3/s per Pa. Singular where a component is closed.
+    /// B in the numbering of [`Stencil::active_cells`], m^3/s per Pa. Singular with enclosed components.
     pub fn to_csr(&self) -> Csr {
         self.numbered(self.scale, &[])
     }
@@ -260,13 +260,13 @@ impl PressureSystem {
         })
     }
 
-    /// Takes the mean over every closed component out of a field.
+    /// Subtracts the mean over every enclosed component from a field.
     pub fn remove_closed_means(&self, field: &mut [f64]) {
         remove_means(&self.closed, field);
     }
 }
 
-/// Takes the mean over each list of cells out of a field.
+/// Subtracts the mean over each list of cells from a field.
 pub fn remove_means(components: &[Vec<usize>], field: &mut [f64]) {
     for component in components {
         let mean = component.iter().map(|&cell| field[cell]).sum::<f64>() / component.len() as f64;

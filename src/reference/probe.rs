@@ -1,4 +1,4 @@
-//! `probe`: measurements of a state. Both paths give their states to it.
+//! `probe`: measurements of a state, for both backends.
 
 use glam::DVec3;
 
@@ -7,15 +7,15 @@ use crate::grid::{Axis, Grid};
 use crate::scene::{ProbeKind, Up};
 use crate::state::State;
 
-/// What a probe reads: one number, or three for a velocity. SI units.
+/// Value of a probe, one number or three for a velocity, in SI units.
 ///
-/// - Height: where phi, interpolated to the line along gravity's axis, last changes sign going up; the top of the domain if it is
-///   negative up to there, 0 without liquid.
-/// - Pressure: trilinear between cell centres, air counting as 0. Cells of the liquid that are no unknowns (inside
-///   obstacles) do not count; beyond the outermost centres the pressure of the nearest is taken.
+/// - Height: last sign change, going up, of phi interpolated to the line along gravity's axis. The top of the domain
+///   if phi is negative up to it, 0 without liquid.
+/// - Pressure: trilinear between cell centres, 0 in air. Inactive cells of the liquid (inside obstacles) do not
+///   count; beyond the outermost centres the nearest pressure.
 /// - Velocity: trilinear between faces.
 /// - Front: largest coordinate of the liquid along the axis, over active cells; 0 without liquid.
-/// - Of solids, and of forces on them: nothing here; [`crate::elastic::Solids::probe`] reads them.
+/// - Probes of solids and of forces on them: none here; see [`crate::elastic::Solids::probe`].
 pub fn probe(grid: &Grid, state: &State, kind: &ProbeKind) -> Vec<f64> {
     match *kind {
         ProbeKind::Height { foot, up } => vec![height(grid, &state.liquid_distance, foot, up)],
@@ -69,7 +69,7 @@ fn front(grid: &Grid, state: &State, axis: Axis) -> f64 {
             state.liquid_distance[cell],
             state.liquid_distance[grid.cell(ijk)],
         ];
-        // Where the liquid goes on, the next cell reaches further, or an obstacle ends it at the face.
+        // If the liquid continues, the next cell reaches further, or an obstacle ends it at the face.
         index
             + 0.5
             + if phi[1] >= 0.0 {

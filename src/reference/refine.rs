@@ -1,4 +1,5 @@
-//! The outer loop of every solve: corrections are added until the true residual passes (design section 5).
+//! Iterative refinement, the outer loop of every solve: corrections are added until the true residual is small enough
+//! (design section 5).
 
 use std::ops::Range;
 
@@ -7,23 +8,23 @@ use crate::linalg::{CgEnd, norm};
 use crate::scene::Solver;
 use crate::state::{SolveReport, SolveStatus};
 
-/// A residual below this part of the scale of the right-hand side is rounding of the right-hand side itself and passes.
+/// Residuals below this fraction of the right-hand side's scale are rounding of the right-hand side, and pass.
 pub const EPSILON: f64 = 1e-14;
-/// A round asks the recurrence for this part of the reduction that is left, because its residual drifts from the true one.
+/// Safety factor of the inner tolerance, because the recurrence residual drifts from the true one.
 const MARGIN: f64 = 0.9;
-/// The recurrence of one round is not asked for more than this; the next round starts from the true residual.
+/// Smallest inner tolerance of one refinement step; the next step starts from the true residual.
 const ROUND_TOLERANCE: f64 = 1e-10;
-/// A round that does not reduce the true residual by at least this factor is the last.
+/// A refinement step that does not reduce the true residual by this factor is the last.
 const STAGNATION: f64 = 0.5;
-/// The share of what another part puts on a part's rows that counts as their right-hand side, where they have less of their own.
-const OF_OTHER: f64 = 0.01;
+/// Fraction of the coupling terms that counts as a part's right-hand side if its own is smaller.
+const COUPLING_SHARE: f64 = 0.01;
 
-/// A system A x = b that is judged on its true residual, as a whole or in parts.
-pub(crate) trait Judged {
+/// A system A x = b with a stopping criterion on the true residual, for the whole or for each part.
+pub(crate) trait LinearSystem {
     /// b.
     fn rhs(&self) -> &[f64];
 
-    /// What rounding of b is a part of.
+    /// Scale of the rounding error of b.
     fn rhs_scale(&self) -> f64;
 
     fn n_unknowns(&self) -> usize;
@@ -31,10 +32,10 @@ pub(crate) trait Judged {
     /// b - A x.
     fn residual(&self, x: &[f64]) -> Vec<f64>;
 
-    /// Takes out of x what A does not see.
+    /// Projects x out of the null space of A.
     fn project(&self, _x: &mut [f64]) {}
 
-    /// The parts of the vectors that have to pass each for itself, with their unknowns and what their rounding is a part of.
+    /// The parts that must each pass, with their unknowns and the scale of their rounding error.
     fn parts(&self, _x: &[f64]) -> Vec<Part> {
         vec![Part {
             range: 0..self.rhs().len(),
@@ -45,30 +46,30 @@ pub(crate) trait Judged {
     }
 }
 
-/// What is judged for itself.
+/// A part with its own stopping criterion.
 pub(crate) struct Part {
     pub(super) range: Range<usize>,
     pub(super) unknowns: usize,
     pub(super) scale: f64,
-    /// Norm of what another part puts on its rows.
+    /// Norm of the coupling terms in its rows.
     pub(super) acts: f64,
 }
 
 impl Part {
-    /// What its residual is relative to.
+    /// Reference norm of its relative residual.
     fn acting(&self, rhs_norm: f64) -> f64 {
-        rhs_norm.max(OF_OTHER * self.acts)
+        rhs_norm.max(COUPLING_SHARE * self.acts)
     }
 }
 
-/// An answer to A x = r.
+/// Approximate solution of A x = r.
 pub(crate) struct Correction {
     pub(crate) x: Vec<f64>,
     pub(crate) iterations: u32,
     pub(crate) end: CgEnd,
 }
 
-/// The norms of the parts of a residual against what they may be.
+/// Norms of the parts of a residual, and their allowed values.
 struct Verdict {
     norms: Vec<f64>,
     targets: Vec<f64>,
@@ -98,23 +99,23 @@ impl Verdict {
         self.pairs().all(|(norm, target)| norm <= target)
     }
 
-    /// The part of the reduction that is left, at most 1.
+    /// The reduction still required, at most 1.
     fn left(&self) -> f64 {
         let parts = self.pairs().filter(|(norm, target)| norm > target);
         parts.fold(1.0, |left, (norm, target)| left.min(MARGIN * target / norm))
     }
 
-    /// How many times larger than allowed the worst part is; not a number where a residual is not finite.
+    /// Largest ratio of a norm to its allowed value; NaN if a residual is not finite.
     fn excess(&self) -> f64 {
         let parts = self.pairs().filter(|(norm, _)| *norm != 0.0);
         parts.fold(0.0, |worst, (norm, target)| larger(worst, norm / target))
     }
 }
 
-/// Adds corrections until the true residual passes; the iterate with the least is kept. `correct` solves A x = r to a relative tolerance
-/// within a number of iterations.
+/// Adds corrections until the true residual passes; returns the iterate with the smallest. `correct` solves A x = r
+/// to a relative tolerance within a number of iterations.
 pub(super) fn refine(
-    system: &impl Judged,
+    system: &impl LinearSystem,
     settings: &Solver,
     correct: impl FnMut(&[f64], f64, u32) -> Correction,
 ) -> (Vec<f64>, SolveReport) {
@@ -122,8 +123,12 @@ pub(super) fn refine(
     (x, reports[0])
 }
 
-/// The part of the reduction that is left where x is all there is, at most 1; `None` where its true residual passes.
-pub(crate) fn part_left(system: &impl Judged, tolerance: f64, mut x: Vec<f64>) -> Option<f64> {
+/// The reduction still required from x, at most 1; `None` if its true residual passes.
+pub(crate) fn part_left(
+    system: &impl LinearSystem,
+    tolerance: f64,
+    mut x: Vec<f64>,
+) -> Option<f64> {
     system.project(&mut x);
     let parts = system.parts(&x);
     let norm_of = |part: &Part| norm(&system.rhs()[part.range.clone()]);
@@ -132,16 +137,16 @@ pub(crate) fn part_left(system: &impl Judged, tolerance: f64, mut x: Vec<f64>) -
     (!verdict.passes()).then(|| verdict.left())
 }
 
-/// The same as `refine`, with a report for each part; all tell the iterations and the end of the whole.
+/// As `refine`, with a report per part; iterations and status are those of the whole.
 pub(crate) fn refine_parts(
-    system: &impl Judged,
+    system: &impl LinearSystem,
     settings: &Solver,
     mut correct: impl FnMut(&[f64], f64, u32) -> Correction,
 ) -> (Vec<f64>, Vec<SolveReport>) {
     let mut x = vec![0.0; system.rhs().len()];
     let parts = system.parts(&x);
-    let of_parts = parts.iter().map(|part| part.range.clone());
-    let rhs_norms: Vec<f64> = of_parts.map(|range| norm(&system.rhs()[range])).collect();
+    let ranges = parts.iter().map(|part| part.range.clone());
+    let rhs_norms: Vec<f64> = ranges.map(|range| norm(&system.rhs()[range])).collect();
     let (mut iterations, mut status) = (0, SolveStatus::Converged);
     let mut residual = system.rhs().to_vec();
     let mut verdict = Verdict::new(&parts, &rhs_norms, settings.tolerance, &residual);
@@ -183,7 +188,7 @@ pub(crate) fn refine_parts(
     (x, reports)
 }
 
-/// What is told of each part.
+/// Report of each part.
 fn reports(
     parts: &[Part],
     rhs_norms: &[f64],

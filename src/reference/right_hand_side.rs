@@ -1,21 +1,21 @@
-//! `right_hand_side`: (E u*)_c = - sum over faces of s_f A_f u*_f (thesis 4.38; E is the negative divergence), with volume
-//! control, and without its mean over components that have no free surface.
+//! `right_hand_side`: (E u*)_c = - sum over faces of s_f A_f u*_f (thesis 4.38; E is the negative divergence), with
+//! volume control, and without its mean over enclosed components.
 
 use super::active_cells::ActiveCells;
 use super::pressure_system::remove_means;
 use crate::grid::{Axis, Grid};
 use crate::linalg::norm;
 
-/// Frames over which volume control spreads the correction. Spray fills a union of spheres with up to 40 % more volume than it
-/// has, faster than a correction over several frames takes back: over 4 frames and at most 1 % a frame a dam break of 64x32x32
-/// cells reached 1.15 of its volume, over half a frame 1.012.
+/// Frames over which volume control spreads the correction. Spray fills up to 40 % more volume as a union of spheres,
+/// faster than a slow control corrects. A dam break of 64x32x32 cells reached 1.15 of its volume with 4 frames and at
+/// most 1 % a frame, 1.012 with half a frame.
 const FRAMES: f64 = 0.5;
-/// Sub-steps over which it is spread at least, or the correction would overshoot.
+/// Smallest number of sub-steps over which the correction is spread; fewer would overshoot.
 const STEPS: f64 = 1.5;
-/// Largest relative change of volume in a frame that it asks for.
+/// Largest relative change of volume per frame by volume control.
 const LARGEST_CHANGE: f64 = 0.1;
 
-/// The right-hand side and what its rounding is measured against.
+/// The right-hand side and the scale of its rounding error.
 #[derive(Clone, Debug)]
 pub struct RightHandSide {
     /// E u* per cell, m^3/s; 0 in inactive cells.
@@ -24,7 +24,7 @@ pub struct RightHandSide {
     pub scale: f64,
 }
 
-/// What volume control adds.
+/// Source term of volume control.
 #[derive(Clone, Copy, Debug)]
 pub struct VolumeSource<'a> {
     /// Relative rate from [`volume_rate`], 1/s.
@@ -33,9 +33,8 @@ pub struct VolumeSource<'a> {
     pub open_volumes: &'a [f64],
 }
 
-/// The rate at which the liquid should grow to come back from `volume` to `volume_0` (m^3), 1/s: the deficit over half a frame
-/// (of `frame` seconds) or one and a half sub-steps (of `dt` seconds), at most 10 % in a frame;
-/// 0 without any.
+/// Growth rate that restores `volume` to `volume_0` (m^3), 1/s. The deficit is spread over half a frame (of `frame`
+/// seconds) or one and a half sub-steps (of `dt` seconds), at most 10 % per frame; 0 without liquid.
 pub fn volume_rate(volume_0: f64, volume: f64, frame: f64, dt: f64) -> f64 {
     if volume <= 0.0 || volume_0 <= 0.0 {
         return 0.0;
@@ -44,7 +43,7 @@ pub fn volume_rate(volume_0: f64, volume: f64, frame: f64, dt: f64) -> f64 {
         .clamp(-LARGEST_CHANGE / frame, LARGEST_CHANGE / frame)
 }
 
-/// Forms the right-hand side from u* (m/s, per face) and the open fractions of all faces.
+/// Computes the right-hand side from u* (m/s, per face) and the apertures of all faces.
 pub fn right_hand_side(
     grid: &Grid,
     open: &[Vec<f64>; 3],
@@ -74,7 +73,7 @@ pub fn right_hand_side(
     }
 }
 
-/// (E u)_c, and the same with all terms made positive, m^3/s.
+/// (E u)_c, and the sum of its absolute terms, m^3/s.
 pub(super) fn inflow(
     grid: &Grid,
     open: &[Vec<f64>; 3],

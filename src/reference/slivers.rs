@@ -1,33 +1,34 @@
-//! Slivers: faces that are less than a fifth open, and what they show of their velocity u to what is made from it. The rest is that of
-//! the 26 neighbours of the same axis:
+//! Small-aperture faces: their velocity u contributes to other faces in proportion to their aperture. The rest is the
+//! mean over their 26 neighbours of the same axis:
 //!
 //! ```text
 //! u + (1 - a / 0.2) t (m - u),    m = sum_n w_n u_n / W,    W = sum_n w_n
 //! ```
 //!
-//! a the open fraction. To air and closed faces the valid neighbours weigh by their fraction, w = a, and t = 1. To whole faces whole
-//! ones weigh by what they are more open, w = max(a - 0.2, 0), and t = min(W / 0.2, 1): nothing hangs on the last bit of a fraction.
+//! with aperture a. For extrapolation to air and closed faces, valid neighbours have weight w = a, and t = 1. For
+//! advection of full-aperture faces, w = max(a - 0.2, 0) and t = min(W / 0.2, 1): the result is continuous in the
+//! apertures.
 //!
-//! A body that comes near another, or a wall, drives what is between them out through faces of almost no area, at any speed. Given to
-//! whole faces, that is momentum out of nothing, whether `extrapolate` gives it to air and closed faces (2,000 sub-steps of a block in a tank,
-//! `bench stability`, density_0.1 and young_1e7, reached 2.1 and 5.6 times the energy of the start) or `advect_velocity` to open
-//! ones (inside_both: speeds doubled from sub-step to sub-step, up to 2,000 m/s). They keep it for themselves, since films that are squeezed
-//! resist with it.
+//! A body near another or a wall squeezes liquid through faces of almost no area, at any speed. Used at full-aperture
+//! faces, that speed is spurious momentum. With unblended velocities in `extrapolate`, a block in a tank reached 2.1
+//! and 5.6 times its initial energy (2,000 sub-steps, `bench stability`, density_0.1 and young_1e7). With unblended
+//! velocities in `advect_velocity`, speeds doubled per sub-step up to 2,000 m/s (inside_both). The faces keep their
+//! own velocity, since squeezed films resist through it.
 
 use rayon::prelude::*;
 
 use crate::grid::{Axis, Grid};
 
-/// Open fraction below which a face is one.
+/// Aperture below which a face is a small-aperture face.
 const SLIVER: f64 = 0.2;
 
-/// Whether a face with an open fraction is one.
+/// Whether an aperture is that of a small-aperture face.
 pub fn is_sliver(open: f64) -> bool {
     0.0 < open && open < SLIVER
 }
 
-/// Which part of what a face carries is made from what faces show to whole ones, the rest being made from the velocities as they are: 0 up to
-/// a tenth open, 1 from a fifth on, and where it is closed.
+/// Weight of blended velocities in the advection of a face, the rest being unblended ones. 0 up to an aperture of
+/// 0.1, 1 from 0.2 on and for closed faces.
 pub(super) fn wholeness(open: f64) -> f64 {
     match is_sliver(open) {
         true => (2.0 / SLIVER * open - 1.0).max(0.0),
@@ -35,7 +36,7 @@ pub(super) fn wholeness(open: f64) -> f64 {
     }
 }
 
-/// What faces show to whole ones that carry their velocities, m/s. Fractions of the faces are `open`.
+/// Blended velocities of the faces for the advection of full-aperture faces, m/s. `open`: face apertures.
 pub fn shown_to_whole(grid: &Grid, open: &[Vec<f64>; 3], faces: &[Vec<f64>; 3]) -> [Vec<f64>; 3] {
     Axis::ALL.map(|axis| {
         let (open, faces) = (&open[axis.index()], &faces[axis.index()]);
@@ -51,7 +52,7 @@ pub fn shown_to_whole(grid: &Grid, open: &[Vec<f64>; 3], faces: &[Vec<f64>; 3]) 
     })
 }
 
-/// The slivers among the `valid` faces of an axis, and what they show to what is extrapolated from them, m/s.
+/// The small-aperture faces among the `valid` faces of an axis, and their blended velocities for extrapolation, m/s.
 pub(super) fn shown_to_air(
     grid: &Grid,
     axis: Axis,
@@ -66,7 +67,8 @@ pub(super) fn shown_to_air(
     slivers.map(|face| (face, shows(face))).collect()
 }
 
-/// What a sliver shows, m/s, given w of a face, and t of W; its own velocity where no neighbour weighs.
+/// Blended velocity of a small-aperture face, m/s, with weights w per face and t(W). The face's own velocity if no
+/// neighbour has a weight.
 fn blended(
     grid: &Grid,
     axis: Axis,
@@ -86,7 +88,7 @@ fn blended(
     own + (1.0 - open[face] / SLIVER) * trust(weights) * (mean - own)
 }
 
-/// The neighbours of a face among those of its axis, across sides, edges and corners.
+/// Neighbours of a face on the same axis, across sides, edges and corners.
 fn around(grid: &Grid, axis: Axis, face: usize) -> impl Iterator<Item = usize> + use<'_> {
     let n = grid.faces(axis);
     let ranges: [_; 3] = std::array::from_fn(|b| {
@@ -99,7 +101,7 @@ fn around(grid: &Grid, axis: Axis, face: usize) -> impl Iterator<Item = usize> +
     all.filter(move |&neighbour| neighbour != face)
 }
 
-/// Lays the velocities of the slivers aside for what they show; once more, and they have them again.
+/// Exchanges velocities and blended velocities of the small-aperture faces. A second call restores them.
 pub(super) fn swap(slivers: &mut [(usize, f64)], values: &mut [f64]) {
     for (face, value) in slivers {
         std::mem::swap(value, &mut values[*face]);

@@ -1,16 +1,21 @@
-//! `right_hand_side`, for solids, second part: the directions in which walls and obstacles hold nodes in a sub-step.
+//! `right_hand_side`, for solids, second part: contact of nodes with walls and obstacles in a sub-step.
 //!
-//! A node at a gap d (m) from a wall or obstacle with the normal n, away from it, may not be beyond it after the next move,
-//! d + dt v . n >= 0, and what keeps it out pushes only, f >= 0, and only where it is on the surface, f (d + dt v . n) = 0: v is where
-//! phi(v) = v . S v / 2 - F . v is least among the velocities with d + dt v . n >= 0, F being all forces, those of the liquid too. A
-//! primal active-set method finds it (Nocedal & Wright, Numerical Optimization, 2006, section 16.5), that takes many constraints at once
-//! where it can (as projected Newton methods do, Bertsekas 1982). Some velocity v that takes no node beyond a surface is known, and some
-//! nodes are held on theirs, v . n = -d/dt. A solve finds the least phi with these, w. Where w takes a node beyond a surface, v goes towards
-//! w: the whole way with each node put back before its surfaces, or half of it, and so on, if phi does not grow, otherwise straight on until
-//! the first node is on a surface; and what is on a surface then and goes on beyond it at w is held too. Where it does not, v = w, and those
-//! that are pulled to their surfaces are let go. Once none is, w is the answer. No v on the way takes a node beyond a surface, and phi, which is
-//! 0 at rest, does not grow from one to the next, but for nodes that were beyond a surface before, for what the liquid's forces change
-//! between solves, and for what solves that end at their rounding are off: the search may end after any of them.
+//! A node at a gap d (m) with outward normal n must satisfy d + dt v . n >= 0 after the next move. The contact force
+//! f >= 0 acts only at contact: f (d + dt v . n) = 0. So v minimises phi(v) = v . S v / 2 - F . v subject to d + dt v
+//! . n >= 0. F contains all forces, including those of the liquid.
+//!
+//! A primal active-set method solves it (Nocedal & Wright, Numerical Optimization, 2006, section 16.5). It adds many
+//! constraints at once if possible, as projected Newton methods do (Bertsekas 1982). Each iteration starts from a
+//! feasible velocity v and a set of active constraints, v . n = -d/dt. A solve minimises phi under these; w is the
+//! minimiser.
+//!
+//! - w is infeasible: v moves towards w. Steps of 1, 1/2, 1/4, ... with each node projected back to feasibility are
+//!   tried until phi does not grow. Otherwise v moves straight to the first surface. Surfaces touched at v and
+//!   penetrated at w become active.
+//! - w is feasible: v = w, and adhering constraints (f < 0) are released. Without any, w is the solution.
+//!
+//! Every v is feasible and phi, which is 0 at rest, never grows. Exceptions are nodes that penetrated before, changes
+//! of the liquid's forces between solves, and rounding of the solves. The search may stop after any iteration.
 
 use glam::{DMat3, DVec3};
 
@@ -20,32 +25,34 @@ use crate::elastic::Solids;
 use crate::grid::Grid;
 use crate::state::ContactReport;
 
-/// Solves of a sub-step in search of what is held, at most, with the one for a pressure that goes with velocities the search ended at.
-pub const MOST_SOLVES: u32 = 20;
-/// Halvings of the way from a velocity to the one that a solve found, at most, before it is straight on to the first surface.
+/// Largest number of active-set iterations per sub-step, including the solve for a pressure that matches the final
+/// velocities.
+pub const MAX_SOLVES: u32 = 20;
+/// Largest number of halvings of a step from the feasible velocity towards the minimiser.
 pub const MOST_HALVINGS: u32 = 3;
-/// How often a node is put back before one surface after the other, as it may be beyond the first again then.
+/// Sweeps over the surfaces of a node in the projection to feasibility; each may violate an earlier one.
 const SWEEPS: u32 = 4;
-/// A node this near, in cells, is held from the start if it is pressed to the surface.
+/// Gap below which a node is initially constrained if it is pressed to the surface, cells.
 const SKIN: f64 = 1e-3;
-/// How far from where it should be, in cells, a node is left, and from a surface on it.
+/// Tolerance of gaps and contact, cells.
 const NEAR: f64 = 1e-4;
-/// Place of an obstacle among the surfaces of a node, after three walls.
+/// Index of the obstacle among the surfaces of a node, after three walls.
 const OBSTACLE: usize = 3;
-/// An obstacle does not hold a node whose free components are further from its normal: what holds the others does.
+/// Smallest cosine between an obstacle's normal and the node's free components; below it the obstacle does not
+/// constrain the node.
 const LEAST_SHARE: f64 = 0.1;
 
-/// How a node may move in a sub-step: x in the range of a projector.
+/// Constraint projector of a node in a sub-step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Freedom {
     /// Components that are not prescribed.
     pub free: [bool; 3],
-    /// On the directions among these that nothing holds; symmetric.
+    /// Projector onto the unconstrained directions among these; symmetric.
     pub projector: DMat3,
 }
 
 impl Freedom {
-    /// Of a node that touches nothing.
+    /// Projector of a node without contact.
     pub fn of(prescribed: [bool; 3]) -> Freedom {
         let free = prescribed.map(|prescribed| !prescribed);
         let ones = free.map(|free| if free { 1.0 } else { 0.0 });
@@ -55,16 +62,17 @@ impl Freedom {
         }
     }
 
-    /// Of a node that walls leave components, and of which an obstacle holds a direction: a unit vector of these components, or 0.
-    pub fn left(prescribed: [bool; 3], components: [bool; 3], held: DVec3) -> Freedom {
+    /// Projector of a node whose walls leave `components`, minus an obstacle's direction: a unit vector in these
+    /// components, or 0.
+    pub fn left(prescribed: [bool; 3], components: [bool; 3], normal: DVec3) -> Freedom {
         let ones = components.map(|free| if free { 1.0 } else { 0.0 });
         Freedom {
-            projector: DMat3::from_diagonal(DVec3::from(ones)) - square(held),
+            projector: DMat3::from_diagonal(DVec3::from(ones)) - square(normal),
             ..Freedom::of(prescribed)
         }
     }
 
-    /// Of a node that keeps the velocity it has.
+    /// Projector of a node whose velocity is fixed.
     pub fn none(prescribed: [bool; 3]) -> Freedom {
         Freedom {
             projector: DMat3::ZERO,
@@ -72,7 +80,7 @@ impl Freedom {
         }
     }
 
-    /// Of all nodes, where none touches anything.
+    /// Projectors of all nodes, without contact.
     pub fn all(solids: &Solids) -> Vec<Freedom> {
         let prescribed = solids.prescribed.iter();
         prescribed
@@ -80,14 +88,14 @@ impl Freedom {
             .collect()
     }
 
-    /// Directions that are free: 0 to 3.
+    /// Number of free directions: 0 to 3.
     pub fn rank(&self) -> usize {
         let diagonal = [0, 1, 2].map(|axis| self.projector.col(axis)[axis]);
         diagonal.iter().sum::<f64>().round() as usize
     }
 
-    /// Takes from the free directions what they share with n, and returns the velocity with the rate that v . n is to have. Nothing where
-    /// they share little.
+    /// Removes the common direction with n. Returns the velocity with the normal velocity `rate`, v . n. No change if
+    /// the common part of n is small.
     fn hold(&mut self, n: DVec3, rate: f64, v: DVec3) -> DVec3 {
         let Some((direction, share)) = self.shared(n) else {
             return v;
@@ -96,7 +104,7 @@ impl Freedom {
         v + (rate - v.dot(n)) / share * direction
     }
 
-    /// The free direction nearest to n, and its cosine with n.
+    /// The free direction closest to n, and its cosine with n.
     fn shared(&self, n: DVec3) -> Option<(DVec3, f64)> {
         let free = self.projector * n;
         let share = free.length();
@@ -104,12 +112,12 @@ impl Freedom {
     }
 }
 
-/// What holds a node in a sub-step.
+/// The surfaces that constrain a node.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Held {
-    /// Per component: whether the nearer wall across it does.
+pub struct ActiveSurfaces {
+    /// Per component: whether the nearer wall across it constrains the node.
     pub walls: [bool; 3],
-    /// Whether an obstacle does.
+    /// Whether an obstacle constrains the node.
     pub obstacle: bool,
 }
 
@@ -122,35 +130,39 @@ fn square(n: DVec3) -> DMat3 {
 /// A wall or obstacle near a node.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Surface {
-    /// Unit normal, away from it.
+    /// Unit outward normal.
     normal: DVec3,
-    /// Distance of the node from it, m.
+    /// Gap of the node, m.
     gap: f64,
-    held: bool,
+    active: bool,
 }
 
 impl Surface {
     fn new(normal: DVec3, gap: f64) -> Surface {
-        let held = false;
-        Surface { normal, gap, held }
+        let active = false;
+        Surface {
+            normal,
+            gap,
+            active,
+        }
     }
 }
 
-/// The walls and obstacles that nodes may meet in a sub-step, and which of them hold nodes.
+/// The walls and obstacles near nodes, and the active set.
 #[derive(Clone, Debug)]
 pub struct Contacts {
-    /// Per node: the nearer walls across x, y, z, in the components that are not prescribed, then the obstacles.
+    /// Per node: the nearer walls across x, y, z in components that are not prescribed, then the obstacle.
     surfaces: Vec<[Option<Surface>; 4]>,
     prescribed: Vec<[bool; 3]>,
-    /// s
+    /// Length of the sub-step, s.
     dt: f64,
-    /// m
+    /// Tolerance, m.
     near: f64,
 }
 
 impl Contacts {
-    /// Before the first solve of a sub-step of dt (s): nodes that touch something are held where their forces M v*/dt - (K x* - b) + load
-    /// press them to it. `solid_distance`: per cell, m; `displacement`: m; `forces`: N.
+    /// Initial active set of a sub-step of dt (s): nodes in contact whose forces M v*/dt - (K x* - b) + load press
+    /// them to the surface. `solid_distance` per cell, m; `displacement` in m; `forces` in N.
     pub fn new(
         solids: &Solids,
         grid: &Grid,
@@ -167,30 +179,32 @@ impl Contacts {
         Contacts::with(solids, grid, solid_distance, displacement, dt, pressed)
     }
 
-    /// Where nodes are held as `held` says of each: how one may move does not tell by what, as an obstacle's face may lie along a wall.
+    /// Contacts with an active set. The projectors do not determine it, as an obstacle's face may lie along a
+    /// wall.
     pub fn holding(
         solids: &Solids,
         grid: &Grid,
         solid_distance: &[f64],
         displacement: &[[f64; 3]],
-        held: &[Held],
+        active: &[ActiveSurfaces],
         dt: f64,
     ) -> Contacts {
-        let held = |node: usize, which: usize, _: &Surface, _: &Freedom| match which {
-            OBSTACLE => held[node].obstacle,
-            axis => held[node].walls[axis],
+        let active = |node: usize, which: usize, _: &Surface, _: &Freedom| match which {
+            OBSTACLE => active[node].obstacle,
+            axis => active[node].walls[axis],
         };
-        Contacts::with(solids, grid, solid_distance, displacement, dt, held)
+        Contacts::with(solids, grid, solid_distance, displacement, dt, active)
     }
 
-    /// With the surfaces that `held` says: of a node, which of the four, and what those before it leave free.
+    /// Contacts with the surfaces for which `active` is true. Its arguments: node, index of the surface, and the
+    /// directions that earlier surfaces leave free.
     fn with(
         solids: &Solids,
         grid: &Grid,
         solid_distance: &[f64],
         displacement: &[[f64; 3]],
         dt: f64,
-        held: impl Fn(usize, usize, &Surface, &Freedom) -> bool,
+        active: impl Fn(usize, usize, &Surface, &Freedom) -> bool,
     ) -> Contacts {
         let surfaces = (0..solids.rest.len()).map(|node| {
             let x = solids.rest[node] + DVec3::from(displacement[node]);
@@ -206,18 +220,18 @@ impl Contacts {
             };
             let obstacle = normal(grid, solid_distance, x)
                 .map(|normal| Surface::new(normal, grid.sample_cells(solid_distance, x)));
-            let mut found = [wall(0), wall(1), wall(2), obstacle];
+            let mut surfaces = [wall(0), wall(1), wall(2), obstacle];
             let mut freedom = Freedom::of(solids.prescribed[node]);
-            for (which, surface) in found.iter_mut().enumerate() {
+            for (which, surface) in surfaces.iter_mut().enumerate() {
                 if let Some(surface) = surface {
                     let moves = freedom.shared(surface.normal).is_some();
-                    surface.held = moves && held(node, which, surface, &freedom);
-                    if surface.held {
+                    surface.active = moves && active(node, which, surface, &freedom);
+                    if surface.active {
                         freedom.hold(surface.normal, 0.0, DVec3::ZERO);
                     }
                 }
             }
-            found
+            surfaces
         });
         Contacts {
             surfaces: surfaces.collect(),
@@ -227,7 +241,7 @@ impl Contacts {
         }
     }
 
-    /// No node moves but those of which a velocity (m/s) is prescribed and those that are beyond a surface.
+    /// A feasible initial velocity, m/s: zero except for prescribed components and penetrating nodes.
     pub fn at_rest(&self, velocity: &[[f64; 3]]) -> Vec<[f64; 3]> {
         let nodes = self.prescribed.iter().zip(velocity);
         let mut rest: Vec<[f64; 3]> = nodes
@@ -239,7 +253,7 @@ impl Contacts {
         rest
     }
 
-    /// The velocities (m/s) at a share of the way from one to another, put back.
+    /// The velocities (m/s) at a fraction of the step from one to another, projected to feasibility.
     pub fn approach(&self, from: &[[f64; 3]], to: &[[f64; 3]], share: f64) -> Vec<[f64; 3]> {
         let between = |from: f64, to: f64| from + share * (to - from);
         let pairs = from.iter().zip(to);
@@ -250,7 +264,7 @@ impl Contacts {
         next
     }
 
-    /// The share of the way from velocities to others (m/s) at which the first of the nodes that go on beyond a surface is on it.
+    /// The fraction of the step between velocities (m/s) at which the first penetrating node reaches its surface.
     pub fn first_stop(&self, from: &[[f64; 3]], to: &[[f64; 3]]) -> f64 {
         let mut first = 1.0;
         for node in 0..from.len() {
@@ -268,19 +282,19 @@ impl Contacts {
         first
     }
 
-    /// How far, m, a node may be left beyond a surface, or pulled.
+    /// Tolerance of penetration and adhesion, m.
     pub fn near(&self) -> f64 {
         self.near
     }
 
-    /// How the nodes may move; the velocities (m/s) get what they are held at.
+    /// Projectors of all nodes; sets the velocities (m/s) in constrained directions.
     pub fn hold(&self, velocity: &mut [[f64; 3]]) -> Vec<Freedom> {
         let nodes = self.surfaces.iter().zip(&self.prescribed).zip(velocity);
         nodes
             .map(|((surfaces, prescribed), velocity)| {
                 let mut freedom = Freedom::of(*prescribed);
                 let mut v = DVec3::from(*velocity);
-                for surface in surfaces.iter().flatten().filter(|surface| surface.held) {
+                for surface in surfaces.iter().flatten().filter(|surface| surface.active) {
                     v = freedom.hold(surface.normal, -surface.gap / self.dt, v);
                 }
                 *velocity = v.to_array();
@@ -289,72 +303,72 @@ impl Contacts {
             .collect()
     }
 
-    /// What is wrong with the velocities w (m/s) that a solve of a system with all forces found. Less than [`Contacts::near`] beyond or
-    /// pulled is not.
-    pub fn judge(&self, system: &SolidSystem, found: &[[f64; 3]]) -> Wrong {
-        let mut wrong = Wrong::default();
-        for (node, push) in self.pushes(system, found).into_iter().enumerate() {
-            let gaps = self.gaps(node, DVec3::from(found[node]));
-            let held = self.held(node);
-            let shares = self.shares(node, held, push);
+    /// Classifies the contacts for the minimiser w (m/s) of a system with all forces. Penetration and adhesion below
+    /// [`Contacts::near`] do not count.
+    pub fn judge(&self, system: &SolidSystem, minimiser: &[[f64; 3]]) -> Violations {
+        let mut violations = Violations::default();
+        for (node, push) in self.pushes(system, minimiser).into_iter().enumerate() {
+            let gaps = self.gaps(node, DVec3::from(minimiser[node]));
+            let active = self.active(node);
+            let shares = self.shares(node, active, push);
             for which in 0..=OBSTACLE {
                 let far = |length: f64| length < -self.near;
                 match shares[which] {
-                    Some(share) if held[which] => wrong.pulled += u32::from(far(share)),
-                    Some(_) => wrong.beyond += u32::from(far(gaps[which])),
+                    Some(share) if active[which] => violations.pulled += u32::from(far(share)),
+                    Some(_) => violations.beyond += u32::from(far(gaps[which])),
                     None => {}
                 }
             }
         }
-        wrong
+        violations
     }
 
-    /// Lets those nodes go that the velocities w (m/s) have pulled to what holds them. `system`: with all forces.
-    pub fn let_go(&mut self, system: &SolidSystem, found: &[[f64; 3]]) {
-        for (node, push) in self.pushes(system, found).into_iter().enumerate() {
-            let shares = self.shares(node, self.held(node), push);
+    /// Releases constraints that adhere at the velocities w (m/s). `system` with all forces.
+    pub fn let_go(&mut self, system: &SolidSystem, minimiser: &[[f64; 3]]) {
+        for (node, push) in self.pushes(system, minimiser).into_iter().enumerate() {
+            let shares = self.shares(node, self.active(node), push);
             for (surface, share) in self.surfaces[node].iter_mut().zip(shares) {
                 if let Some(surface) = surface {
-                    surface.held &= share.is_some_and(|share| share >= -self.near);
+                    surface.active &= share.is_some_and(|share| share >= -self.near);
                 }
             }
         }
     }
 
-    /// Holds also what is on a surface with the velocities v and beyond it with w (m/s).
-    pub fn hold_stopped(&mut self, best: &[[f64; 3]], found: &[[f64; 3]]) {
-        self.hold_touching(best, Some(found));
+    /// Constrains surfaces touched at the velocities v and penetrated at w (m/s).
+    pub fn hold_stopped(&mut self, best: &[[f64; 3]], minimiser: &[[f64; 3]]) {
+        self.hold_touching(best, Some(minimiser));
     }
 
-    /// Holds also what is on a surface with the velocities v (m/s).
+    /// Constrains surfaces touched at the velocities v (m/s).
     pub fn hold_all_touching(&mut self, best: &[[f64; 3]]) {
         self.hold_touching(best, None);
     }
 
-    /// Holds also what is on a surface with the velocities v and, where there are others w (m/s), beyond it with these.
-    fn hold_touching(&mut self, best: &[[f64; 3]], found: Option<&[[f64; 3]]>) {
+    /// Constrains surfaces touched at v and, if w (m/s) is given, penetrated at w.
+    fn hold_touching(&mut self, best: &[[f64; 3]], minimiser: Option<&[[f64; 3]]>) {
         for node in 0..best.len() {
             let touches = self
                 .gaps(node, best[node].into())
                 .map(|gap| gap < self.near);
-            let goes_on = match found {
-                Some(found) => self
-                    .gaps(node, found[node].into())
+            let penetrates = match minimiser {
+                Some(minimiser) => self
+                    .gaps(node, minimiser[node].into())
                     .map(|gap| gap < -self.near),
                 None => [true; 4],
             };
             for which in 0..=OBSTACLE {
-                // What walls leave of an obstacle's normal is asked after these.
-                let shares = self.shares(node, self.held(node), DVec3::ZERO);
+                // The obstacle's share depends on the walls that constrain the node.
+                let shares = self.shares(node, self.active(node), DVec3::ZERO);
                 if let Some(surface) = &mut self.surfaces[node][which] {
-                    surface.held |= touches[which] && goes_on[which];
-                    surface.held &= shares[which].is_some();
+                    surface.active |= touches[which] && penetrates[which];
+                    surface.active &= shares[which].is_some();
                 }
             }
         }
     }
 
-    /// The velocities (m/s), of each node the nearest that takes it beyond nothing, or nearly so where surfaces meet.
+    /// Projects each node's velocity (m/s) to feasibility: exact for one surface, approximate where surfaces meet.
     fn put_back(&self, velocity: &mut [[f64; 3]]) {
         let nodes = self.surfaces.iter().zip(&self.prescribed).zip(velocity);
         for ((surfaces, prescribed), velocity) in nodes {
@@ -371,32 +385,32 @@ impl Contacts {
         }
     }
 
-    /// How far, m, a node is beyond a surface at most with the velocities v (m/s).
+    /// Largest penetration of a node with the velocities v, m.
     pub fn beyond(&self, velocity: &[[f64; 3]]) -> f64 {
         (0..velocity.len()).fold(0.0, |worst, node| {
             let gaps = self.gaps(node, DVec3::from(velocity[node]));
-            let free = self.shares(node, self.held(node), DVec3::ZERO);
+            let free = self.shares(node, self.active(node), DVec3::ZERO);
             let gaps = gaps.into_iter().zip(free);
             gaps.filter(|(_, free)| free.is_some())
                 .fold(worst, |worst, (gap, _)| f64::max(worst, -gap))
         })
     }
 
-    /// How far, m, a node is pulled at most to what holds it with the velocities v (m/s). `system`: with all forces.
+    /// Largest adhesion of a node at its constraints with the velocities v, m. `system` with all forces.
     pub fn pulled(&self, system: &SolidSystem, velocity: &[[f64; 3]]) -> f64 {
         let pushes = self.pushes(system, velocity).into_iter().enumerate();
         pushes.fold(0.0, |worst, (node, push)| {
-            let held = self.held(node);
-            let shares = self.shares(node, held, push).into_iter().zip(held);
+            let active = self.active(node);
+            let shares = self.shares(node, active, push).into_iter().zip(active);
             shares
-                .filter(|(_, held)| *held)
+                .filter(|(_, active)| *active)
                 .fold(worst, |worst, (share, _)| {
                     f64::max(worst, -share.unwrap_or(0.0))
                 })
         })
     }
 
-    /// How far the push of what holds each node, S v - F, would move it in a sub-step, alone, m.
+    /// Contact force S v - F of each node, as the displacement that it alone would cause in a sub-step, m.
     fn pushes(&self, system: &SolidSystem, velocity: &[[f64; 3]]) -> Vec<DVec3> {
         let products = system.multiply(velocity).into_iter().enumerate();
         products
@@ -407,74 +421,74 @@ impl Contacts {
             .collect()
     }
 
-    /// Distances of a node after a move with the velocity v, m; infinite from what is not there.
+    /// Gaps of a node after a move with the velocity v, m; infinite for absent surfaces.
     fn gaps(&self, node: usize, v: DVec3) -> [f64; 4] {
         let gap = |surface: &Surface| surface.gap + self.dt * v.dot(surface.normal);
         let surfaces = self.surfaces[node].each_ref();
         surfaces.map(|surface| surface.as_ref().map_or(f64::INFINITY, gap))
     }
 
-    fn held(&self, node: usize) -> [bool; 4] {
-        self.surfaces[node].map(|surface| surface.is_some_and(|surface| surface.held))
+    fn active(&self, node: usize) -> [bool; 4] {
+        self.surfaces[node].map(|surface| surface.is_some_and(|surface| surface.active))
     }
 
-    /// Of the push on a node, what each of the surfaces that hold it has along its normal, m, and what any other would have besides.
-    /// `None` where there is no surface, or walls leave an obstacle nothing to hold.
-    fn shares(&self, node: usize, held: [bool; 4], push: DVec3) -> [Option<f64>; 4] {
+    /// Normal component of a contact force per surface, m: for active surfaces their share, for others the share that
+    /// they would add. `None` for absent surfaces, and for an obstacle without a free direction.
+    fn shares(&self, node: usize, active: [bool; 4], push: DVec3) -> [Option<f64>; 4] {
         let surfaces = self.surfaces[node];
         let mut freedom = Freedom::of(self.prescribed[node]);
-        for (surface, held) in surfaces[..OBSTACLE].iter().zip(held) {
-            if let (Some(surface), true) = (surface, held) {
+        for (surface, active) in surfaces[..OBSTACLE].iter().zip(active) {
+            if let (Some(surface), true) = (surface, active) {
                 freedom.hold(surface.normal, 0.0, DVec3::ZERO);
             }
         }
-        let of_obstacle = surfaces[OBSTACLE].and_then(|surface| {
+        let obstacle_share = surfaces[OBSTACLE].and_then(|surface| {
             let (direction, share) = freedom.shared(surface.normal)?;
             Some((push.dot(direction) / share, surface.normal))
         });
-        // Walls have what an obstacle leaves them.
-        let left = match of_obstacle {
-            Some((share, normal)) if held[OBSTACLE] => push - share * normal,
+        // Walls receive the remainder of the obstacle's share.
+        let left = match obstacle_share {
+            Some((share, normal)) if active[OBSTACLE] => push - share * normal,
             _ => push,
         };
         let mut shares = surfaces.map(|surface| surface.map(|surface| left.dot(surface.normal)));
-        shares[OBSTACLE] = of_obstacle.map(|(share, _)| share);
+        shares[OBSTACLE] = obstacle_share.map(|(share, _)| share);
         shares
     }
 }
 
-/// What is wrong with what a solve found.
+/// Contacts that violate the optimality conditions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Wrong {
-    /// Nodes that end beyond a surface.
+pub struct Violations {
+    /// Penetrating nodes.
     pub beyond: u32,
-    /// Nodes that are pulled to a surface.
+    /// Adhering nodes.
     pub pulled: u32,
 }
 
-/// The search of a sub-step for what walls and obstacles hold, from one solve to the next.
+/// The active-set search of a sub-step.
 #[derive(Debug)]
 pub struct ContactSearch<'a> {
     contacts: &'a mut Contacts,
-    /// The best velocity that takes no node beyond a surface, m/s; none before a solve that found another.
+    /// The best feasible velocity, m/s; `None` before the first infeasible solve.
     best: Option<Vec<[f64; 3]>>,
     solves: u32,
     most: u32,
 }
 
-/// What a solve was to the search.
+/// Result of an active-set iteration.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Searched {
-    /// What it found, if that settles the search, otherwise the best so far, m/s.
+pub struct SearchStep {
+    /// The minimiser if the search has converged, otherwise the best feasible velocity, m/s.
     pub velocity: Vec<[f64; 3]>,
-    /// Whether the search is at its end.
+    /// Whether the search has stopped.
     pub ended: bool,
-    /// How it stands.
+    /// Solves so far, and contacts with a wrong state.
     pub report: ContactReport,
 }
 
 impl<'a> ContactSearch<'a> {
-    /// Before the first solve, of so many at most. `contacts`: what it is solved with.
+    /// Starts a search with at most `most` solves. `contacts`: the initial active set.
     pub fn new(contacts: &'a mut Contacts, most: u32) -> ContactSearch<'a> {
         ContactSearch {
             contacts,
@@ -484,65 +498,70 @@ impl<'a> ContactSearch<'a> {
         }
     }
 
-    /// After a solve that found velocities, m/s: holds what the next one is to hold. `system`: the one solved, with all forces; `last`:
-    /// whether no other solve can follow.
-    pub fn after(&mut self, system: &SolidSystem, found: Vec<[f64; 3]>, last: bool) -> Searched {
+    /// Updates the active set after a solve with the result `minimiser`, m/s. `system`: the solved one, with all
+    /// forces; `last`: whether no other solve can follow.
+    pub fn after(
+        &mut self,
+        system: &SolidSystem,
+        minimiser: Vec<[f64; 3]>,
+        last: bool,
+    ) -> SearchStep {
         self.solves += 1;
-        let wrong = self.contacts.judge(system, &found);
+        let violations = self.contacts.judge(system, &minimiser);
         let report = ContactReport {
             solves: self.solves,
-            unsettled: wrong.beyond + wrong.pulled,
+            unsettled: violations.beyond + violations.pulled,
         };
         if report.unsettled == 0 {
-            return Searched {
-                velocity: found,
+            return SearchStep {
+                velocity: minimiser,
                 ended: true,
                 report,
             };
         }
-        let velocity = if wrong.beyond == 0 {
-            self.contacts.let_go(system, &found);
-            found
+        let velocity = if violations.beyond == 0 {
+            self.contacts.let_go(system, &minimiser);
+            minimiser
         } else {
             let from = self.best.take();
-            let from = from.unwrap_or_else(|| self.contacts.at_rest(&found));
-            let next = self.towards(system, &from, &found);
-            self.contacts.hold_stopped(&next, &found);
+            let from = from.unwrap_or_else(|| self.contacts.at_rest(&minimiser));
+            let next = self.towards(system, &from, &minimiser);
+            self.contacts.hold_stopped(&next, &minimiser);
             next
         };
         self.best = Some(velocity.clone());
-        Searched {
+        SearchStep {
             velocity,
             ended: last || self.solves == self.most,
             report,
         }
     }
 
-    /// Goes from velocities to others (m/s) as far as it goes.
+    /// Steps from velocities towards others (m/s) as far as phi does not grow.
     fn towards(
         &self,
         system: &SolidSystem,
         from: &[[f64; 3]],
-        found: &[[f64; 3]],
+        minimiser: &[[f64; 3]],
     ) -> Vec<[f64; 3]> {
-        let stop = self.contacts.first_stop(from, found);
+        let stop = self.contacts.first_stop(from, minimiser);
         let shares = (0..=MOST_HALVINGS).map(|halvings| 0.5_f64.powi(halvings as i32));
-        // Less than up to the first surface leaves the next solve what this one had.
+        // A step shorter than the one to the first surface would leave the active set unchanged.
         for share in shares.take_while(|share| *share > stop) {
-            let next = self.contacts.approach(from, found, share);
+            let next = self.contacts.approach(from, minimiser, share);
             if system.gain(from, &next) <= 0.0 {
                 return next;
             }
         }
-        self.contacts.approach(from, found, stop)
+        self.contacts.approach(from, minimiser, stop)
     }
 
-    /// Holds also what velocities (m/s) leave on a surface.
+    /// Constrains all surfaces that velocities (m/s) touch.
     pub fn hold_all_touching(&mut self, velocity: &[[f64; 3]]) {
         self.contacts.hold_all_touching(velocity);
     }
 
-    /// How the nodes may move in the next solve; the velocities (m/s) get what they are held at.
+    /// Projectors of the next solve; sets the velocities (m/s) in constrained directions.
     pub fn hold(&self, velocity: &mut [[f64; 3]]) -> Vec<Freedom> {
         self.contacts.hold(velocity)
     }

@@ -8,12 +8,12 @@ use rayon::prelude::*;
 use crate::elastic::{Deformation, Solids, forces, stiffness_block};
 use crate::linalg::Csr;
 
-/// The blocks that the stiffness matrix of a mesh has: where, by rows.
+/// Block sparsity pattern of the stiffness matrix, by rows.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BlockPattern {
-    /// Where the blocks of each node start; one more than there are nodes.
+    /// Index of the first block of each node, and the total.
     start: Vec<usize>,
-    /// Nodes of the columns, ascending in each row; the node itself is among them.
+    /// Columns (nodes), ascending in each row, including the diagonal.
     columns: Vec<u32>,
 }
 
@@ -42,7 +42,7 @@ impl BlockPattern {
         }
     }
 
-    /// Number of the block of two nodes of one element.
+    /// Index of the block of two nodes of an element.
     fn place(&self, row: u32, column: u32) -> usize {
         let range = self.start[row as usize]..self.start[row as usize + 1];
         let found = self.columns[range.clone()].binary_search(&column);
@@ -58,7 +58,7 @@ pub struct BlockMatrix {
 }
 
 impl BlockMatrix {
-    /// Adds up the blocks of an element and two of its corners, elements in ascending order.
+    /// Sums the blocks of elements and pairs of corners, elements in ascending order.
     pub fn assemble(
         solids: &Solids,
         pattern: &Arc<BlockPattern>,
@@ -83,7 +83,7 @@ impl BlockMatrix {
         self.pattern.start.len() - 1
     }
 
-    /// The blocks of a node's row with their nodes, ascending.
+    /// Nodes and blocks of a node's row, ascending.
     pub fn row(&self, node: usize) -> impl Iterator<Item = (usize, DMat3)> + '_ {
         let range = self.pattern.start[node]..self.pattern.start[node + 1];
         let columns = self.pattern.columns[range.clone()].iter();
@@ -92,12 +92,12 @@ impl BlockMatrix {
             .zip(self.blocks[range].iter().copied())
     }
 
-    /// The block on the diagonal.
+    /// The diagonal block.
     pub fn diagonal(&self, node: usize) -> DMat3 {
         self.blocks[self.pattern.place(node as u32, node as u32)]
     }
 
-    /// K x at a node, from differences: a translation gives 0 without rounding. `x`: three numbers per node.
+    /// K x at a node, from differences: a translation yields exactly 0. `x`: three numbers per node.
     pub fn product(&self, node: usize, x: &[f64]) -> DVec3 {
         let at = |node: usize| DVec3::from_slice(&x[3 * node..]);
         let here = at(node);
@@ -118,10 +118,10 @@ impl BlockMatrix {
     }
 }
 
-/// What displacements make of the elements.
+/// Element matrices of a displacement.
 #[derive(Clone, Debug)]
 pub struct SolidMatrices {
-    /// Of each element.
+    /// Deformation of each element.
     pub deformations: Vec<Deformation>,
     /// (K x* - b) at the corners of each element, N.
     pub element_forces: Vec<[DVec3; 4]>,
@@ -129,7 +129,7 @@ pub struct SolidMatrices {
     pub stiffness: BlockMatrix,
 }
 
-/// Deformations, forces and stiffness under displacements of all nodes (m). Elements are added in ascending order.
+/// Deformations, forces and stiffness for displacements of all nodes (m). Elements are added in ascending order.
 pub fn solid_matrices(
     solids: &Solids,
     pattern: &Arc<BlockPattern>,

@@ -1,4 +1,4 @@
-//! `right_hand_side`, for solids: what S v must be.
+//! `right_hand_side`, for solids: the right-hand side of S v.
 
 use glam::DVec3;
 
@@ -10,12 +10,12 @@ use crate::elastic::Solids;
 pub struct SolidRightHandSide {
     /// M v*/dt - (K x* - b) + load per node; 0 in prescribed components.
     pub values: Vec<[f64; 3]>,
-    /// ||M v*/dt|| + ||K x* - b|| + ||load|| over the free components: rounding of the right-hand side is a part of it.
+    /// ||M v*/dt|| + ||K x* - b|| + ||load|| over the free components: scale of the rounding error.
     pub scale: f64,
 }
 
 impl SolidRightHandSide {
-    /// Adds forces on all nodes, N, but for prescribed components.
+    /// Adds forces on all nodes, N, except in prescribed components.
     pub fn add(&mut self, solids: &Solids, forces: &[DVec3]) {
         let mut squares = 0.0;
         let nodes = self.values.iter_mut().zip(forces).zip(&solids.prescribed);

@@ -1,6 +1,7 @@
-//! The system S v = rhs of one step of the solids (design section 2): S = zeta_M M + zeta_K K on what of v is free.
+//! The system S v = rhs of one step of the solids (design section 2): S = zeta_M M + zeta_K K in the free directions.
 //!
-//! With P the projector on the free directions of the nodes ([`Freedom`]), v = P x + held, and x solves P S P x = P (rhs - S held).
+//! With the constraint projector P ([`Freedom`]), v = P x + c with the constrained part c.
+//! The unknown x solves P S P x = P (rhs - S c).
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
@@ -9,7 +10,7 @@ use super::{BlockMatrix, Freedom, SolidRightHandSide};
 use crate::elastic::{Body, Solids};
 use crate::linalg::{Csr, LinearOperator, norm};
 
-/// S, what S v must be, and the prescribed components of v. Vectors have three numbers per node.
+/// S, the right-hand side, and the constrained part of v. Vectors have three numbers per node.
 #[derive(Clone, Debug)]
 pub struct SolidSystem {
     stiffness: BlockMatrix,
@@ -19,24 +20,25 @@ pub struct SolidSystem {
     mass: Vec<f64>,
     /// zeta_K per node, s.
     zeta_stiffness: Vec<f64>,
-    /// How each node may move.
+    /// Constraint projector per node.
     freedom: Vec<Freedom>,
     /// M v*/dt - (K x* - b) + load, N.
     forces: Vec<[f64; 3]>,
-    /// What rounding of these is a part of, N.
+    /// Scale of the rounding error of `forces`, N.
     forces_scale: f64,
     /// (I - P) v*, m/s.
-    held: Vec<f64>,
-    /// P (rhs - S held), N.
+    constrained: Vec<f64>,
+    /// P (rhs - S c), N.
     pub rhs: Vec<f64>,
-    /// What rounding of the right-hand side is a part of, N.
+    /// Scale of the rounding error of the right-hand side, N.
     pub rhs_scale: f64,
-    /// s
+    /// Length of the step, s.
     dt: f64,
 }
 
 impl SolidSystem {
-    /// The system of a step of dt (s). `velocity`: v* of all nodes, m/s; what of it is not free is that of the answer.
+    /// The system of a step of dt (s). `velocity`: v* of all nodes, m/s; its constrained part is that of the
+    /// solution.
     pub fn new(
         solids: &Solids,
         stiffness: BlockMatrix,
@@ -58,7 +60,7 @@ impl SolidSystem {
             freedom: Vec::new(),
             forces: rhs.values.clone(),
             forces_scale: rhs.scale,
-            held: Vec::new(),
+            constrained: Vec::new(),
             rhs: Vec::new(),
             rhs_scale: 0.0,
             dt,
@@ -67,21 +69,23 @@ impl SolidSystem {
         system
     }
 
-    /// Frees other directions; what of the velocities (m/s) is not free is that of the answer.
+    /// Replaces the constraint projectors. The constrained part of the velocities (m/s) is that of the solution.
     pub fn free(&mut self, freedom: Vec<Freedom>, velocity: &[[f64; 3]]) {
         self.freedom = freedom;
         let all = velocity.as_flattened().iter();
-        let held = all.zip(self.free_part(velocity)).map(|(v, free)| v - free);
-        self.held = held.collect();
-        // S times what is held is on the other side.
-        let pull = self.product(&self.held);
+        let constrained = all.zip(self.free_part(velocity)).map(|(v, free)| v - free);
+        self.constrained = constrained.collect();
+        // Moves the constrained part of S v to the right-hand side.
+        let constrained_product = self.product(&self.constrained);
         let values = self.free_part(&self.forces);
-        let pairs = values.iter().zip(&pull);
-        self.rhs = pairs.map(|(value, pull)| value - pull).collect();
-        self.rhs_scale = self.forces_scale + norm(&pull);
+        let pairs = values.iter().zip(&constrained_product);
+        self.rhs = pairs
+            .map(|(value, constrained_product)| value - constrained_product)
+            .collect();
+        self.rhs_scale = self.forces_scale + norm(&constrained_product);
     }
 
-    /// The system of the same step with other zeta_M (1/s) and zeta_K (s) of each body, and what S v must be.
+    /// The system of the same step with other zeta_M (1/s) and zeta_K (s) per body, and another right-hand side.
     pub fn changed(
         &self,
         solids: &Solids,
@@ -96,12 +100,12 @@ impl SolidSystem {
         }
         system.forces.clone_from(&rhs.values);
         system.forces_scale = rhs.scale;
-        let held: Vec<[f64; 3]> = self.held.as_chunks().0.to_vec();
-        system.free(self.freedom.clone(), &held);
+        let constrained: Vec<[f64; 3]> = self.constrained.as_chunks().0.to_vec();
+        system.free(self.freedom.clone(), &constrained);
         system
     }
 
-    /// What S v must be, all directions free.
+    /// The right-hand side with all directions free.
     pub fn right_hand_side(&self) -> SolidRightHandSide {
         SolidRightHandSide {
             values: self.forces.clone(),
@@ -109,7 +113,7 @@ impl SolidSystem {
         }
     }
 
-    /// M v / dt on what is not prescribed, N; `velocity`: m/s.
+    /// M v / dt in components that are not prescribed, N; `velocity` in m/s.
     pub fn inertia(&self, velocity: &[[f64; 3]]) -> SolidRightHandSide {
         let nodes = self.lumped.iter().zip(velocity).zip(&self.freedom);
         let values = nodes.map(|((mass, v), freedom)| {
@@ -141,12 +145,12 @@ impl SolidSystem {
         self.forces_scale += norm(&free);
     }
 
-    /// M v*/dt - (K x* - b) + load of the nodes, N, 0 in prescribed components.
+    /// M v*/dt - (K x* - b) + load per node, N; 0 in prescribed components.
     pub fn forces(&self) -> &[[f64; 3]] {
         &self.forces
     }
 
-    /// P y: what of the vectors of the nodes is free.
+    /// P y: the free part of node vectors.
     pub fn free_part(&self, y: &[[f64; 3]]) -> Vec<f64> {
         let nodes = self.freedom.iter().zip(y);
         nodes
@@ -154,12 +158,12 @@ impl SolidSystem {
             .collect()
     }
 
-    /// How each node may move.
+    /// Constraint projector per node.
     pub fn freedom(&self) -> &[Freedom] {
         &self.freedom
     }
 
-    /// Free directions of all nodes: the unknowns.
+    /// Number of unknowns: free directions of all nodes.
     pub fn n_unknowns(&self) -> usize {
         self.freedom.iter().map(Freedom::rank).sum()
     }
@@ -193,26 +197,26 @@ impl SolidSystem {
     /// Velocities of all nodes from the unknowns, m/s.
     pub fn velocity(&self, x: &[f64]) -> Vec<[f64; 3]> {
         let (nodes, _) = x.as_chunks::<3>();
-        let (held, _) = self.held.as_chunks::<3>();
-        let sums = nodes.iter().zip(held);
-        sums.map(|(x, held)| std::array::from_fn(|axis| x[axis] + held[axis]))
+        let (constrained, _) = self.constrained.as_chunks::<3>();
+        let sums = nodes.iter().zip(constrained);
+        sums.map(|(x, constrained)| std::array::from_fn(|axis| x[axis] + constrained[axis]))
             .collect()
     }
 
-    /// zeta_M m per node, kg/s: what of S is mass.
+    /// zeta_M m per node, kg/s: the mass term of S.
     pub fn mass_term(&self) -> &[f64] {
         &self.mass
     }
 
-    /// S v at all nodes, whatever is free, N; `velocity`: m/s.
+    /// S v at all nodes without constraints, N; `velocity` in m/s.
     pub fn multiply(&self, velocity: &[[f64; 3]]) -> Vec<DVec3> {
         let x = velocity.as_flattened();
         let nodes = (0..velocity.len()).into_par_iter();
         nodes.map(|node| self.row_times(node, x)).collect()
     }
 
-    /// phi(to) - phi(from), W, with phi(v) = v . S v / 2 - F . v and F all forces, of velocities (m/s) that differ where they are free:
-    /// from their difference, as that of two sums would be rounding.
+    /// phi(to) - phi(from), W, with phi(v) = v . S v / 2 - F . v and F all forces. The velocities (m/s) differ in
+    /// free directions only. Computed from their difference, because a difference of two sums would cancel.
     pub fn gain(&self, from: &[[f64; 3]], to: &[[f64; 3]]) -> f64 {
         let pairs = from.iter().zip(to);
         let sums: Vec<[f64; 3]> = pairs
@@ -225,7 +229,7 @@ impl SolidSystem {
         slopes.zip(ways).map(|(slope, way)| slope.dot(way)).sum()
     }
 
-    /// Holds all nodes at velocities, m/s.
+    /// Constrains all nodes to velocities, m/s.
     pub fn hold_all(&mut self, velocity: &[[f64; 3]]) {
         let freedom = self.freedom.iter();
         let none = freedom.map(|freedom| Freedom::none(freedom.free.map(|free| !free)));
@@ -245,7 +249,7 @@ impl SolidSystem {
         self.mass[node] + self.zeta_stiffness[node] * trace / 3.0
     }
 
-    /// S with all components, also the prescribed ones.
+    /// S with all components, including prescribed ones.
     pub fn to_csr(&self) -> Csr {
         let n = 3 * self.freedom.len();
         Csr::from_rows(n, n, |row, entries| {
@@ -274,7 +278,7 @@ impl SolidSystem {
         })
     }
 
-    /// The place of each component among those that are not prescribed.
+    /// Index of each component among those that are not prescribed.
     fn numbers(&self) -> Vec<Option<usize>> {
         let mut number = vec![None; 3 * self.freedom.len()];
         for (n, &component) in self.components().iter().enumerate() {
@@ -295,8 +299,8 @@ impl SolidSystem {
         })
     }
 
-    /// P S P + mu (I - P) on the components that are not prescribed, numbered in order, where mu is the mean of the diagonal at a node:
-    /// what is held has x = 0, and the pattern is that of S whatever is held.
+    /// P S P + mu (I - P) on components that are not prescribed, numbered in order; mu is the mean diagonal at a
+    /// node. Constrained directions have x = 0, and the pattern is that of S for any active set.
     pub fn free_to_csr(&self) -> Csr {
         let (components, number) = (self.components(), self.numbers());
         let n = components.len();

@@ -1,20 +1,21 @@
-//! `solve`: the pressure of one step, judged on its true residual (design section 5).
+//! `solve`: the pressure of one step, with a stopping criterion on the true residual (design section 5).
 //!
-//! Sparse Cholesky up to [`DIRECT_UNKNOWNS`] unknowns, above them conjugate gradients preconditioned with [`Multigrid`].
-//! Either is repeated on what its true residual leaves until that passes.
+//! Sparse Cholesky up to [`DIRECT_UNKNOWNS`] unknowns, above them conjugate gradients with [`Multigrid`]. Iterative
+//! refinement repeats either until the true residual passes.
 
 use super::multigrid::Multigrid;
 use super::pressure_system::PressureSystem;
-use super::refine::{Correction, Judged, refine};
+use super::refine::{Correction, LinearSystem, refine};
 use crate::Error;
 use crate::linalg::{CgEnd, SymbolicCholesky, conjugate_gradient};
 use crate::scene::Solver;
 use crate::state::{SolveReport, SolveStatus};
 
-/// Largest system that is factorised: beyond it the factor of a three-dimensional system outgrows memory and time.
+/// Largest system that is factorised; larger factors of three-dimensional systems exceed memory and time.
 pub const DIRECT_UNKNOWNS: usize = 60_000;
 
-/// Solves B p = rhs: pressure per cell (Pa, 0 in inactive cells, mean zero over every closed component) and the report.
+/// Solves B p = rhs. Returns the pressure per cell (Pa; 0 in inactive cells, mean zero over every enclosed component)
+/// and the report.
 ///
 /// # Errors
 /// When the factor does not fit into memory.
@@ -26,7 +27,7 @@ pub fn solve(system: &PressureSystem, settings: &Solver) -> Result<(Vec<f64>, So
     }
 }
 
-/// By sparse Cholesky, whatever the size.
+/// Solves by sparse Cholesky, independent of the size.
 ///
 /// # Errors
 /// When the factor does not fit into memory.
@@ -44,8 +45,8 @@ pub fn solve_direct(
         };
         return Ok((vec![0.0; system.rhs.len()], nothing));
     }
-    // A closed component fixes its pressure up to a constant. Its right-hand side has no mean, so holding one cell
-    // by a doubled diagonal gives that cell exactly 0 and changes no difference.
+    // The pressure of an enclosed component is determined up to a constant. Its right-hand side has mean zero, so a
+    // doubled diagonal sets the pressure of one cell to exactly 0 and changes no difference.
     let pinned: Vec<usize> = system.closed.iter().map(|component| component[0]).collect();
     let matrix = system.numbered(1.0, &pinned);
     let symbolic = SymbolicCholesky::new(&matrix)?;
@@ -67,7 +68,7 @@ pub fn solve_direct(
     }))
 }
 
-/// The correction by a matrix without a factor in f64: none, and a breakdown of the solve, not of the program.
+/// The correction of a matrix without a factor in f64: a breakdown of the solve.
 pub(super) fn broken_down(residual: &[f64], _: f64, _: u32) -> Correction {
     Correction {
         x: vec![0.0; residual.len()],
@@ -76,7 +77,7 @@ pub(super) fn broken_down(residual: &[f64], _: f64, _: u32) -> Correction {
     }
 }
 
-/// By conjugate gradients with one V-cycle as the preconditioner, whatever the size.
+/// Solves by conjugate gradients with one V-cycle as the preconditioner, independent of the size.
 pub fn solve_iterative(system: &PressureSystem, settings: &Solver) -> (Vec<f64>, SolveReport) {
     let multigrid = Multigrid::new(&system.stencil);
     refine(system, settings, |rhs, tolerance, iterations_left| {
@@ -98,7 +99,7 @@ pub fn solve_iterative(system: &PressureSystem, settings: &Solver) -> (Vec<f64>,
     })
 }
 
-impl Judged for PressureSystem {
+impl LinearSystem for PressureSystem {
     fn rhs(&self) -> &[f64] {
         &self.rhs
     }

@@ -1,12 +1,12 @@
-//! `solve`, for liquid and solids together: one function per formulation of design section 2. All are judged on the residual of the
-//! indefinite system, and repeated on what it leaves until both its parts pass.
+//! `solve`, for liquid and solids together: one function per formulation of design section 2. The stopping criterion
+//! uses the residual of the indefinite system. Iterative refinement continues until both parts pass.
 
 use super::active_cells::closed_components;
 use super::coupled_system::{Blocks, CoupledSystem, TwoField};
 use super::multigrid::Multigrid;
 use super::pressure_system::PressureSystem;
-use super::refine::{Correction, Judged, refine_parts};
-use super::solid_contacts::{ContactSearch, Contacts, MOST_SOLVES};
+use super::refine::{Correction, LinearSystem, refine_parts};
+use super::solid_contacts::{ContactSearch, Contacts, MAX_SOLVES};
 use super::solid_system::SolidSystem;
 use super::solve::{DIRECT_UNKNOWNS, broken_down, solve};
 use super::solve_solid::{Chebyshev, SolidSolver};
@@ -21,34 +21,35 @@ use crate::linalg::{
 use crate::scene::Solver;
 use crate::state::{ContactReport, SolveReport, SolveStatus};
 
-/// Share of the mass in Z1. Between exact inverses, 0.5 makes the fewest iterations.
+/// Fraction of the mass in Z1. With exact inverses 0.5 minimises the iterations.
 pub const SIGMA: f64 = 0.5;
 
-/// Other iterative solves of transformed systems go at least this far in a round: their residual is not the one that is judged.
+/// Largest inner tolerance of other iterative solves of transformed systems, whose residual differs from the tested
+/// one.
 const TRANSFORMED_TOLERANCE: f64 = 1e-8;
 
-/// The factored two-field solve takes rounds, each to this, or to this share of what is left: more of the transformed residual says little
-/// of the one that is judged.
+/// Inner tolerance of the factored two-field solve per refinement step, relative to the reduction still required: a
+/// smaller transformed residual says little about the tested one.
 const ROUND_TOLERANCE: f64 = 1e-4;
 const ROUND_SHARE: f64 = 0.3;
 
-/// Relative residual of the solves with S inside an iteration, where S has no factor.
+/// Relative tolerance of inner solves with S if S has no factor.
 const INNER_TOLERANCE: f64 = 1e-13;
-/// Their iterations.
+/// Largest number of their iterations.
 const INNER_ITERATIONS: usize = 10_000;
 
-/// What a coupled solve found.
+/// Solution of a coupled system.
 #[derive(Clone, Debug)]
 pub struct CoupledSolution {
-    /// Per cell, Pa; 0 in inactive ones.
+    /// Pressure per cell, Pa; 0 in inactive ones.
     pub pressure: Vec<f64>,
-    /// Of all nodes, m/s.
+    /// Velocity of all nodes, m/s.
     pub velocity: Vec<[f64; 3]>,
-    /// Of E u* - B p - J v and of w - (J^T p - S v).
+    /// Reports of E u* - B p - J v and of w - (J^T p - S v).
     pub reports: [SolveReport; 2],
 }
 
-/// Operator, preconditioner, b, x, tolerance, iterations at most.
+/// Operator, preconditioner, b, x, tolerance, largest number of iterations.
 type Iterate =
     fn(&dyn LinearOperator, &dyn LinearOperator, &[f64], &mut [f64], f64, usize) -> CgReport;
 
@@ -57,26 +58,26 @@ type Iterate =
 pub enum Formulation<'a> {
     /// \[B J; J^T -S\] (thesis 5.17) by sparse L D L^T.
     Indefinite,
-    /// The same by stabilised biconjugate gradients with an incomplete LU factor.
+    /// As `Indefinite`, by BiCGSTAB with an incomplete LU factor.
     IndefiniteIterative,
-    /// The same by minimal residuals with incomplete factors of B and of S, as the thesis tried.
+    /// As `Indefinite`, by MINRES with incomplete factors of B and of S, as tried in the thesis.
     IndefiniteMinimalResidual,
-    /// A of thesis (5.25), assembled, by sparse Cholesky; the share sigma of the mass in Z1.
+    /// A of thesis (5.25), assembled, by sparse Cholesky; `sigma` is the fraction of the mass in Z1.
     TwoField(f64),
-    /// The same by conjugate gradients with an incomplete Cholesky factor, as the thesis does.
+    /// A by conjugate gradients with an incomplete Cholesky factor, as in the thesis.
     TwoFieldIncomplete(f64),
-    /// A in factored form by conjugate gradients with multigrid on B and a polynomial in S.
+    /// A in factored form by conjugate gradients with multigrid on B and a Chebyshev polynomial in S.
     TwoFieldIterative(f64),
     /// Pressures and stresses (thesis 5.3) by sparse Cholesky.
     Stress(&'a StressVariables),
-    /// The same by conjugate gradients with an incomplete Cholesky factor.
+    /// As `Stress`, by conjugate gradients with an incomplete Cholesky factor.
     StressIncomplete(&'a StressVariables),
-    /// (B + J S^-1 J^T) p = E u* + J S^-1 w by conjugate gradients with multigrid on B.
+    /// Schur-complement form (B + J S^-1 J^T) p = E u* + J S^-1 w by conjugate gradients with multigrid on B.
     Condensed,
 }
 
 impl Formulation<'_> {
-    /// Its name, and how it is solved.
+    /// Name and solver.
     pub fn name(&self) -> &'static str {
         match self {
             Formulation::Indefinite => "indefinite, LDL^T",
@@ -91,7 +92,7 @@ impl Formulation<'_> {
         }
     }
 
-    /// The one for a system of its size.
+    /// The formulation for a system of this size.
     pub fn of(system: &CoupledSystem) -> Formulation<'static> {
         if system.n_unknowns() <= DIRECT_UNKNOWNS {
             Formulation::Indefinite
@@ -101,8 +102,8 @@ impl Formulation<'_> {
     }
 }
 
-/// Solves a coupled system; `solver` and `solids`: of its solids. In the forms of [`Formulation::of`] a matrix without a factor in f64 is a
-/// breakdown.
+/// Solves a coupled system; `solver` and `solids` belong to its solids. In the forms of [`Formulation::of`] a matrix
+/// without a factor in f64 is a breakdown.
 ///
 /// # Errors
 /// When a factor does not fit into memory, or the matrix of another form has none in f64.
@@ -218,10 +219,10 @@ pub fn solve_coupled(
             let symbolic = SymbolicCholesky::new(&matrix)?;
             let factor = symbolic.factorise(&matrix)?;
             corrected(&mut |residual, _, _| {
-                let of_unknowns = blocks.gather(residual);
-                let mut x = factored.rhs(&of_unknowns);
+                let reduced = blocks.gather(residual);
+                let mut x = factored.rhs(&reduced);
                 factor.solve(&mut x);
-                direct(blocks.scatter(&factored.unknowns(&x, &of_unknowns)))
+                direct(blocks.scatter(&factored.unknowns(&x, &reduced)))
             })
         }
         Formulation::StressIncomplete(stress) => {
@@ -229,8 +230,8 @@ pub fn solve_coupled(
             let (factored, matrix) = stress.system(&blocks)?;
             let incomplete = incomplete(&matrix)?;
             corrected(&mut |residual, tolerance, left| {
-                let of_unknowns = blocks.gather(residual);
-                let rhs = factored.rhs(&of_unknowns);
+                let reduced = blocks.gather(residual);
+                let rhs = factored.rhs(&reduced);
                 let mut x = vec![0.0; rhs.len()];
                 let report = conjugate_gradient(
                     &matrix,
@@ -240,7 +241,7 @@ pub fn solve_coupled(
                     tolerance.min(TRANSFORMED_TOLERANCE),
                     left as usize,
                 );
-                let unknowns = factored.unknowns(&x, &of_unknowns);
+                let unknowns = factored.unknowns(&x, &reduced);
                 iterated(blocks.scatter(&unknowns), report)
             })
         }
@@ -254,10 +255,10 @@ pub fn solve_coupled(
             };
             let multigrid = Multigrid::new(&system.pressure.stencil);
             corrected(&mut |residual, tolerance, left| {
-                let (of_p, of_v) = residual.split_at(system.n_cells());
-                // r_p + J S^-1 r_v, over the scale of B; what is left of S v - J^T p = -w is -r_v.
-                let free = inverse.apply(of_v);
-                let pairs = of_p.iter().zip(system.flux(&free));
+                let (pressure_rows, velocity_rows) = residual.split_at(system.n_cells());
+                // r_p + J S^-1 r_v over the scale of B; the residual of S v - J^T p = -w is -r_v.
+                let free = inverse.apply(velocity_rows);
+                let pairs = pressure_rows.iter().zip(system.flux(&free));
                 let rhs: Vec<f64> = pairs
                     .map(|(r, flux)| (r - flux) / system.pressure.scale)
                     .collect();
@@ -266,7 +267,7 @@ pub fn solve_coupled(
                 let report =
                     conjugate_gradient(&condensed, &multigrid, &rhs, &mut x, tolerance, most);
                 let mut force = system.force(&x);
-                for (force, r) in force.iter_mut().zip(of_v) {
+                for (force, r) in force.iter_mut().zip(velocity_rows) {
                     *force += r;
                 }
                 x.extend(inverse.apply(&force));
@@ -276,11 +277,12 @@ pub fn solve_coupled(
     }
 }
 
-/// Solves for liquid and solids again while contacts change, which hold what the system of the solids holds; the last system and its
-/// solution. Where the search for them does not settle, that is one which holds every node that is on a surface. In the formulation that [`Formulation::of`] says.
+/// Repeats the coupled solve until the active set of contacts is unchanged, in the formulation of
+/// [`Formulation::of`]. Returns the last system and its solution. If the search does not converge, the last system
+/// constrains every touched surface.
 ///
 /// # Errors
-/// As those of [`solve_coupled`].
+/// As [`solve_coupled`].
 pub fn solve_coupled_in_contact(
     pressure: &PressureSystem,
     solid: &mut SolidSystem,
@@ -301,30 +303,30 @@ pub fn solve_coupled_in_contact(
         }
         Ok((system, solution))
     };
-    let mut search = ContactSearch::new(contacts, MOST_SOLVES - 1);
+    let mut search = ContactSearch::new(contacts, MAX_SOLVES - 1);
     loop {
         let (system, solution) = solved(solid)?;
-        // The liquid pushes nodes to walls too.
+        // Liquid forces press nodes to walls too.
         let mut pushed = solid.clone();
         let mut force = vec![0.0; pushed.rhs.len()];
         system
             .coupling
             .add_transposed(&solution.pressure, &mut force);
         pushed.push(&force);
-        let mut searched = search.after(&pushed, solution.velocity.clone(), false);
-        let found_all = solution.reports[0].status.found_all_it_can();
-        if !found_all || searched.report.unsettled == 0 {
-            return Ok((system, solution, searched.report));
+        let mut iterate = search.after(&pushed, solution.velocity.clone(), false);
+        let found_all = solution.reports[0].status.is_best_attainable();
+        if !found_all || iterate.report.unsettled == 0 {
+            return Ok((system, solution, iterate.report));
         }
-        if searched.ended {
-            // They do not go with the pressure found: what does, and holds all that they touch.
-            search.hold_all_touching(&searched.velocity);
+        if iterate.ended {
+            // The final velocities do not match the pressure. Solve once more with all touched surfaces constrained.
+            search.hold_all_touching(&iterate.velocity);
         }
-        solid.free(search.hold(&mut searched.velocity), &searched.velocity);
-        if searched.ended {
+        solid.free(search.hold(&mut iterate.velocity), &iterate.velocity);
+        if iterate.ended {
             let (system, solution) = solved(solid)?;
-            searched.report.solves += 1;
-            return Ok((system, solution, searched.report));
+            iterate.report.solves += 1;
+            return Ok((system, solution, iterate.report));
         }
     }
 }
@@ -357,7 +359,7 @@ fn incomplete(matrix: &Csr) -> Result<Incomplete, Error> {
     })
 }
 
-/// B^-1 and S^-1, each roughly.
+/// Preconditioner of B and of S.
 struct Both {
     liquid: Incomplete,
     solids: Incomplete,
@@ -369,10 +371,10 @@ impl LinearOperator for Both {
     }
 
     fn apply(&self, x: &[f64], y: &mut [f64]) {
-        let (of_p, of_v) = x.split_at(self.liquid.size());
+        let (pressure_rows, velocity_rows) = x.split_at(self.liquid.size());
         let (p, v) = y.split_at_mut(self.liquid.size());
-        self.liquid.apply(of_p, p);
-        self.solids.apply(of_v, v);
+        self.liquid.apply(pressure_rows, p);
+        self.solids.apply(velocity_rows, v);
     }
 }
 
@@ -382,14 +384,14 @@ impl Blocks {
         Csr::bordered(&self.b, &self.j, -1.0, &self.s)
     }
 
-    /// Its right-hand side from a residual, whose second part has the other sign.
+    /// Right-hand side from a residual, whose second part has the opposite sign.
     fn indefinite_rhs(&self, residual: &[f64]) -> Vec<f64> {
         let mut rhs = self.gather(residual);
         rhs[self.cells.len()..].iter_mut().for_each(|r| *r = -*r);
         rhs
     }
 
-    /// Z1 = sigma zeta_M M on the free components, kg/s.
+    /// Z1 = sigma zeta_M M in free components, kg/s.
     pub fn z1(&self, sigma: f64) -> Vec<f64> {
         self.mass.iter().map(|mass| sigma * mass).collect()
     }
@@ -419,7 +421,7 @@ impl Blocks {
         Ok(Csr::bordered(&a11, &a12, 1.0, &a22))
     }
 
-    /// Its right-hand side from E u* and w of the unknowns.
+    /// Right-hand side of A from E u* and w of the unknowns.
     pub fn two_field_rhs(&self, sigma: f64, e: &[f64], w: &[f64]) -> Vec<f64> {
         let over: Vec<f64> = w.iter().zip(self.z1(sigma)).map(|(w, z1)| w / z1).collect();
         let mut rhs = vec![0.0; e.len()];
@@ -432,9 +434,9 @@ impl Blocks {
     }
 }
 
-/// S^-1 on the free components.
+/// S^-1 in free components.
 enum Inverse<'a> {
-    /// All of them are prescribed.
+    /// All components are prescribed.
     Nothing,
     Factor {
         factor: Cholesky<'a>,
@@ -447,7 +449,7 @@ enum Inverse<'a> {
 }
 
 impl<'a> Inverse<'a> {
-    /// `None` where S has no factor in f64.
+    /// Factorises S. `None` if S has no factor in f64.
     ///
     /// # Errors
     /// When the factor does not fit into memory.
@@ -489,7 +491,7 @@ impl<'a> Inverse<'a> {
     }
 }
 
-/// (B + J S^-1 J^T) / scale of B, as [`Multigrid`] stands for the inverse of B / scale.
+/// (B + J S^-1 J^T) / scale of B, matching [`Multigrid`] as the inverse of B / scale.
 struct CondensedOperator<'a> {
     system: &'a CoupledSystem,
     inverse: &'a Inverse<'a>,
@@ -509,8 +511,8 @@ impl LinearOperator for CondensedOperator<'_> {
     }
 }
 
-/// What stands for A^-1: t = Sh g_v, z_p = H (g_p + J t), z_v = Sh (J^T z_p + Z1 t), with H ~ B^-1 a V-cycle and Sh ~ S^-1 a
-/// polynomial. Symmetric and positive definite because both are.
+/// Preconditioner of A: t = Sh g_v, z_p = H (g_p + J t), z_v = Sh (J^T z_p + Z1 t). H ~ B^-1 is a V-cycle and Sh ~
+/// S^-1 a polynomial. Symmetric positive definite because both are.
 struct Factored<'a> {
     system: &'a CoupledSystem,
     two_field: &'a TwoField<'a>,
@@ -524,11 +526,11 @@ impl LinearOperator for Factored<'_> {
     }
 
     fn apply(&self, g: &[f64], z: &mut [f64]) {
-        let (of_p, of_v) = g.split_at(self.system.n_cells());
+        let (pressure_rows, velocity_rows) = g.split_at(self.system.n_cells());
         let (z_p, z_v) = z.split_at_mut(self.system.n_cells());
-        let mut t = vec![0.0; of_v.len()];
-        self.polynomial.apply(of_v, &mut t);
-        let pairs = of_p.iter().zip(self.system.flux(&t));
+        let mut t = vec![0.0; velocity_rows.len()];
+        self.polynomial.apply(velocity_rows, &mut t);
+        let pairs = pressure_rows.iter().zip(self.system.flux(&t));
         let scale = self.system.pressure.scale;
         let rhs: Vec<f64> = pairs.map(|(g, flux)| (g + flux) / scale).collect();
         self.multigrid.apply(&rhs, z_p);
@@ -540,11 +542,11 @@ impl LinearOperator for Factored<'_> {
     }
 }
 
-/// Weak coupling: B p = E u* - J v of the velocities `before` the step (m/s), without what forces add to them; then S v = -w + J^T p,
-/// which `solve_solid` solves. Both systems become those solved.
+/// Weak coupling: B p = E u* - J v with the velocities `before` the step (m/s), without the forces' increment; then S
+/// v = -w + J^T p by `solve_solid`. Both systems are updated to the solved ones.
 ///
 /// # Errors
-/// As those of both solves.
+/// As both solves.
 pub fn solve_weak(
     pressure: &mut PressureSystem,
     solid: &mut SolidSystem,
@@ -559,30 +561,31 @@ pub fn solve_weak(
     for (rhs, flux) in pressure.rhs.iter_mut().zip(&flux) {
         *rhs -= flux;
     }
-    // The solids give way too late to fix the level.
+    // The solids move too late to determine the pressure level.
     let level_free = closed_components(&pressure.stencil);
     pressure.closed = level_free;
     let mut rhs = std::mem::take(&mut pressure.rhs);
     pressure.remove_closed_means(&mut rhs);
     pressure.rhs = rhs;
     pressure.rhs_scale += norm(&flux);
-    let (found, of_pressure) = solve(pressure, settings)?;
+    let (field, pressure_report) = solve(pressure, settings)?;
     let mut force = vec![0.0; solid.rhs.len()];
-    coupling.add_transposed(&found, &mut force);
+    coupling.add_transposed(&field, &mut force);
     solid.push(&force);
-    let (velocity, of_solid) = solve_solid(solid)?;
+    let (velocity, solid_report) = solve_solid(solid)?;
     Ok(CoupledSolution {
-        pressure: found,
+        pressure: field,
         velocity,
-        reports: [of_pressure, of_solid],
+        reports: [pressure_report, solid_report],
     })
 }
 
-/// Damping-only coupling: (M/dt + dt K) v' = -w of the solids by themselves, then the coupled system with M/dt + D in place of S
-/// and w = -M v'/dt. As [`solve_coupled_in_contact`] otherwise; the iterations are those of the second solve, the solves in search of contacts those of both.
+/// Damping-only coupling: first (M/dt + dt K) v' = -w for the solids alone. Then the coupled system with S replaced
+/// by M/dt + D, and w = -M v'/dt. Otherwise as [`solve_coupled_in_contact`]. Iterations are those of the second
+/// solve, active-set iterations those of both.
 ///
 /// # Errors
-/// As those of both solves.
+/// As both solves.
 pub fn solve_damping_only(
     pressure: &PressureSystem,
     solid: &mut SolidSystem,

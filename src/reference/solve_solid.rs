@@ -1,13 +1,14 @@
-//! `solve`, for solids: the velocities of the nodes of one step, judged on their true residual (design section 5).
+//! `solve`, for solids: the velocities of the nodes of one step, with a stopping criterion on the true residual
+//! (design section 5).
 //!
-//! Sparse Cholesky up to [`DIRECT_UNKNOWNS`](super::DIRECT_UNKNOWNS) unknowns, above them conjugate gradients preconditioned with a
-//! Chebyshev polynomial in D^-1 S, where D are the 3x3 blocks on the diagonal of S. Either is repeated on what its true
-//! residual leaves until that passes.
+//! Sparse Cholesky up to [`DIRECT_UNKNOWNS`](super::DIRECT_UNKNOWNS) unknowns, above them conjugate gradients with a
+//! Chebyshev polynomial in D^-1 S, where D is the 3x3 block diagonal of S. Iterative refinement repeats either until
+//! the true residual passes.
 
 use std::sync::{Arc, OnceLock};
 
-use super::refine::{Correction, Judged, refine};
-use super::solid_contacts::{ContactSearch, Contacts, MOST_SOLVES};
+use super::refine::{Correction, LinearSystem, refine};
+use super::solid_contacts::{ContactSearch, Contacts, MAX_SOLVES};
 use super::solid_system::SolidSystem;
 use super::solve::DIRECT_UNKNOWNS;
 use crate::Error;
@@ -17,10 +18,10 @@ use crate::scene::Solver;
 use crate::state::{ContactReport, SolveReport};
 use glam::{DMat3, DVec3};
 
-/// The polynomial acts on eigenvalues from the largest over this times the squared degree.
+/// The polynomial acts on eigenvalues above the largest one over (this times the squared degree).
 const REACH: f64 = 0.7;
 
-/// What the solves of all steps of some solids share.
+/// Data shared by the solves of all steps of some solids.
 #[derive(Clone, Debug)]
 pub struct SolidSolver {
     bounds: Bounds,
@@ -28,7 +29,7 @@ pub struct SolidSolver {
 }
 
 impl SolidSolver {
-    /// For all steps of these solids.
+    /// The solver of all steps of these solids.
     pub fn new(solids: &Solids) -> SolidSolver {
         SolidSolver {
             bounds: Bounds::new(solids),
@@ -53,8 +54,8 @@ impl SolidSolver {
         }
     }
 
-    /// Solves again while contacts change, which hold what the system holds. Where the search for them does not settle, the system holds
-    /// all nodes in the end.
+    /// Repeats the solve until the active set of contacts is unchanged. If the search does not converge, the system
+    /// finally constrains all nodes.
     ///
     /// # Errors
     /// When the factor does not fit into memory.
@@ -66,24 +67,24 @@ impl SolidSolver {
         settings: &Solver,
     ) -> Result<(Vec<[f64; 3]>, SolveReport, ContactReport), Error> {
         let mut iterations = 0;
-        let mut search = ContactSearch::new(contacts, MOST_SOLVES);
+        let mut search = ContactSearch::new(contacts, MAX_SOLVES);
         loop {
             let (found, mut report) = self.solve(solids, system, settings)?;
             iterations += report.iterations;
             report.iterations = iterations;
-            let last = !report.status.found_all_it_can();
-            let mut searched = search.after(system, found, last);
-            if searched.ended {
-                if searched.report.unsettled > 0 {
-                    system.hold_all(&searched.velocity);
+            let last = !report.status.is_best_attainable();
+            let mut iterate = search.after(system, found, last);
+            if iterate.ended {
+                if iterate.report.unsettled > 0 {
+                    system.hold_all(&iterate.velocity);
                 }
-                return Ok((searched.velocity, report, searched.report));
+                return Ok((iterate.velocity, report, iterate.report));
             }
-            system.free(search.hold(&mut searched.velocity), &searched.velocity);
+            system.free(search.hold(&mut iterate.velocity), &iterate.velocity);
         }
     }
 
-    /// By sparse Cholesky, whatever the size.
+    /// Solves by sparse Cholesky, independent of the size.
     ///
     /// # Errors
     /// When the factor does not fit into memory.
@@ -93,7 +94,7 @@ impl SolidSolver {
         settings: &Solver,
     ) -> Result<(Vec<[f64; 3]>, SolveReport), Error> {
         let components = system.components();
-        // A matrix that is not positive definite in f64 is a breakdown of the solve, not of the program.
+        // A matrix that is not positive definite in f64 is a breakdown of the solve.
         let factor = if system.rhs.iter().any(|&b| b != 0.0) {
             self.factorise(system)?
         } else {
@@ -121,7 +122,7 @@ impl SolidSolver {
         Ok((system.velocity(&x), report))
     }
 
-    /// The factor of S on the free components; `None` where S is not positive definite in f64.
+    /// The factor of S in free components; `None` if S is not positive definite in f64.
     ///
     /// # Errors
     /// When the factor does not fit into memory.
@@ -130,13 +131,13 @@ impl SolidSolver {
         Ok(self.symbolic(&matrix)?.factorise(&matrix).ok())
     }
 
-    /// The polynomial that stands for S^-1.
+    /// The Chebyshev preconditioner of S.
     pub(super) fn polynomial<'a>(&self, solids: &Solids, system: &'a SolidSystem) -> Chebyshev<'a> {
         let degree = self.bounds.chebyshev_degree(solids, system.dt());
         Chebyshev::new(system, self.bounds.block_jacobi, degree)
     }
 
-    /// The order of elimination, found in the first solve.
+    /// The elimination order, computed in the first solve.
     fn symbolic(&self, matrix: &Csr) -> Result<&SymbolicCholesky, Error> {
         if let Some(symbolic) = self.symbolic.get() {
             return Ok(symbolic);
@@ -145,7 +146,7 @@ impl SolidSolver {
         Ok(self.symbolic.get_or_init(|| symbolic))
     }
 
-    /// By conjugate gradients with a Chebyshev polynomial as the preconditioner, whatever the size.
+    /// Solves by conjugate gradients with a Chebyshev preconditioner, independent of the size.
     pub fn solve_iterative(
         &self,
         solids: &Solids,
@@ -167,7 +168,7 @@ impl SolidSolver {
     }
 }
 
-impl Judged for SolidSystem {
+impl LinearSystem for SolidSystem {
     fn rhs(&self) -> &[f64] {
         &self.rhs
     }
@@ -185,8 +186,9 @@ impl Judged for SolidSystem {
     }
 }
 
-/// z = p(D^-1 S) D^-1 r, where 1 - t p(t) is the Chebyshev polynomial that is least on an interval up to the largest eigenvalue of
-/// D^-1 S, and 1 at 0: symmetric, and positive where the bound of that eigenvalue is one.
+/// Chebyshev preconditioner z = p(D^-1 S) D^-1 r. 1 - t p(t) is the Chebyshev polynomial of an interval up to the
+/// largest eigenvalue of D^-1 S, scaled to 1 at 0. Symmetric, and positive definite if the bound of that eigenvalue
+/// holds.
 pub struct Chebyshev<'a> {
     system: &'a SolidSystem,
     inverse_diagonal: Vec<DMat3>,
@@ -196,7 +198,7 @@ pub struct Chebyshev<'a> {
 }
 
 impl<'a> Chebyshev<'a> {
-    /// With `degree` products by S, on eigenvalues of D^-1 S from lmax/(0.7 degree^2) to `lmax`.
+    /// A polynomial with `degree` products by S, for eigenvalues of D^-1 S from lmax/(0.7 degree^2) to `lmax`.
     pub fn new(system: &'a SolidSystem, lmax: f64, degree: usize) -> Chebyshev<'a> {
         let lmin = lmax / (REACH * (degree * degree) as f64);
         let nodes = 0..system.size() / 3;
@@ -223,7 +225,8 @@ impl LinearOperator for Chebyshev<'_> {
         self.system.size()
     }
 
-    /// The Chebyshev iteration for S z = r from zero (Saad, Iterative Methods for Sparse Linear Systems, algorithm 12.1).
+    /// The Chebyshev iteration for S z = r from zero (Saad, Iterative Methods for Sparse Linear Systems, algorithm
+    /// 12.1).
     fn apply(&self, r: &[f64], z: &mut [f64]) {
         let ratio = self.middle / self.half_width;
         let mut rho = 1.0 / ratio;
@@ -237,10 +240,10 @@ impl LinearOperator for Chebyshev<'_> {
                 *defect = r - *defect;
             }
             let next = 1.0 / (2.0 * ratio - rho);
-            let (of_step, of_defect) = (next * rho, 2.0 * next / self.half_width);
+            let (step_factor, residual_factor) = (next * rho, 2.0 * next / self.half_width);
             rho = next;
             for ((step, scaled), z) in step.iter_mut().zip(self.scaled(&defect)).zip(z.iter_mut()) {
-                *step = of_step * *step + of_defect * scaled;
+                *step = step_factor * *step + residual_factor * scaled;
                 *z += *step;
             }
         }

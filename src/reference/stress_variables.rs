@@ -6,8 +6,8 @@
 //! [B + J D^-1 J^T, -J D^-1 G^T; ., I + G D^-1 G^T] [p; z] = [E u* + J D^-1 w; -G D^-1 w],   v = D^-1 (J^T p - G^T z - w)
 //! ```
 //!
-//! G has six rows per element: the root of its volume times L times its strain in its own frame. The thesis leaves out the volume and
-//! the frame in (5.37), and the last block of L in (5.38) is 2 sqrt(mu) I.
+//! G has six rows per element: the root of its volume times L times its strain in its own frame. The thesis leaves
+//! out the volume and the frame in (5.37), and the last block of L in (5.38) is 2 sqrt(mu) I.
 
 use glam::DVec3;
 
@@ -23,7 +23,7 @@ pub struct StressVariables {
 }
 
 impl StressVariables {
-    /// From elements so deformed, with the zeta_K (s) of each body.
+    /// G of deformed elements, with the zeta_K (s) of each body.
     pub fn new(
         solids: &Solids,
         deformations: &[Deformation],
@@ -47,7 +47,7 @@ impl StressVariables {
         &self.matrix
     }
 
-    /// G P, P on the free directions, and the matrix over pressures and stresses.
+    /// G P, with P the projector on the free directions, and the matrix over pressures and stresses.
     ///
     /// # Errors
     /// When it does not fit into memory.
@@ -77,7 +77,7 @@ impl StressVariables {
     }
 }
 
-/// What goes from pressures and velocities to pressures and stresses, and back.
+/// Transformation between pressures and velocities, and pressures and stresses.
 #[derive(Clone, Debug)]
 pub struct StressSystem {
     j_over_d: Csr,
@@ -86,26 +86,29 @@ pub struct StressSystem {
 }
 
 impl StressSystem {
-    /// The right-hand side from that of B p + J v = e, S v - J^T p = -w, given as \[e; -w\].
+    /// Right-hand side from that of B p + J v = e, S v - J^T p = -w, given as \[e; -w\].
     pub fn rhs(&self, rhs: &[f64]) -> Vec<f64> {
         let (e, minus_w) = rhs.split_at(self.j_over_d.n_rows());
         let mut flux = vec![0.0; e.len()];
         self.j_over_d.multiply(minus_w, &mut flux);
         let mut stress = vec![0.0; self.g_over_d.n_rows()];
         self.g_over_d.multiply(minus_w, &mut stress);
-        let of_p = e.iter().zip(flux).map(|(e, flux)| e - flux);
-        of_p.chain(stress).collect()
+        let pressure_part = e.iter().zip(flux).map(|(e, flux)| e - flux);
+        pressure_part.chain(stress).collect()
     }
 
     /// Pressures and velocities from pressures and stresses.
     pub fn unknowns(&self, x: &[f64], rhs: &[f64]) -> Vec<f64> {
         let (pressure, stress) = x.split_at(self.j_over_d.n_rows());
-        let (mut of_p, mut of_z) = (vec![0.0; self.inverse.len()], vec![0.0; self.inverse.len()]);
-        self.j_over_d.transpose().multiply(pressure, &mut of_p);
-        self.g_over_d.transpose().multiply(stress, &mut of_z);
+        let (mut pressure_part, mut stress_part) =
+            (vec![0.0; self.inverse.len()], vec![0.0; self.inverse.len()]);
+        self.j_over_d
+            .transpose()
+            .multiply(pressure, &mut pressure_part);
+        self.g_over_d.transpose().multiply(stress, &mut stress_part);
         let minus_w = &rhs[pressure.len()..];
-        let velocity =
-            (0..of_p.len()).map(|at| of_p[at] - of_z[at] + minus_w[at] * self.inverse[at]);
+        let velocity = (0..pressure_part.len())
+            .map(|at| pressure_part[at] - stress_part[at] + minus_w[at] * self.inverse[at]);
         pressure.iter().copied().chain(velocity).collect()
     }
 }
@@ -142,7 +145,7 @@ fn element_rows(
     corners.sort_by_key(|corner| corner.0);
     for (node, gradient) in corners {
         for axis in 0..3 {
-            // A unit velocity along an axis, seen in the frame of the element.
+            // A unit velocity along an axis, in the frame of the element.
             let turned = deformation.rotation.transpose() * DVec3::AXES[axis];
             let straight = turned * gradient;
             let shear =

@@ -1,26 +1,26 @@
-//! `surface_distance`: how far the surface is, for the markers below it.
+//! `surface_distance`: signed distance to the surface, for the markers below it.
 //!
-//! The liquid distance phi says in cells of air how far the spheres of the markers are. In cells of liquid it says no more than that:
-//! it is - r at a marker and - dx wherever no empty cell is near. There the distance is made again from the air: around the centre
-//! of a cell n of air, no liquid is within phi_n, so that of a cell c of liquid is
+//! The liquid distance phi measures the distance to the markers' spheres in air only. In liquid it is - r at a marker
+//! and - dx far from empty cells. So the distance in liquid is recomputed from the air. No liquid is within phi_n of
+//! the centre of an air cell n, hence for a liquid cell c
 //!
 //! ```text
 //! d_c = max(- 2 dx, max_n (phi_n - |x_c - x_n|))    over the cells of air in the 5 x 5 x 5 around it
 //! ```
 //!
-//! Cells whose centre is in an obstacle or a solid say nothing: far inside, phi takes them for air. Theirs is made again, too, so that
-//! no surface is seen where liquid ends at a wall.
+//! Cells with their centre in an obstacle or solid are excluded as sources, since phi far inside is that of air.
+//! Their distance is recomputed too, so that liquid has no surface at a wall.
 
 use glam::IVec3;
 use rayon::prelude::*;
 
 use crate::grid::Grid;
 
-/// How deep it is known, in cells.
+/// Largest known depth, cells.
 const REACH: i32 = 2;
 
-/// Signed distance to the surface at cell centres, m, negative in the liquid, where it is at least -2 dx; in air that of
-/// `liquid_distance` (m). `solid_distance`: to obstacles and solids, m.
+/// Signed distance to the surface at cell centres, m: negative in the liquid, at least -2 dx; `liquid_distance` (m)
+/// in air. `solid_distance` to obstacles and solids, m.
 pub fn surface_distance(grid: &Grid, solid_distance: &[f64], liquid_distance: &[f64]) -> Vec<f64> {
     let n = IVec3::from(grid.cells.map(|n| n as i32));
     let inside = |ijk: IVec3| ijk.cmpge(IVec3::ZERO).all() && ijk.cmplt(n).all();
@@ -34,13 +34,13 @@ pub fn surface_distance(grid: &Grid, solid_distance: &[f64], liquid_distance: &[
         let here = IVec3::from(grid.cell_at(cell).map(|n| n as i32));
         let offsets = around()
             .flat_map(|z| around().flat_map(move |y| around().map(move |x| IVec3::new(x, y, z))));
-        let told = offsets.filter_map(|offset| {
+        let recomputed = offsets.filter_map(|offset| {
             let there = inside(here + offset)
                 .then(|| grid.cell((here + offset).to_array().map(|n| n as usize)))
                 .filter(|&there| air(there))?;
             Some(liquid_distance[there] - grid.dx * offset.as_dvec3().length())
         });
-        told.fold(-f64::from(REACH) * grid.dx, f64::max)
+        recomputed.fold(-f64::from(REACH) * grid.dx, f64::max)
     });
     distances.collect()
 }

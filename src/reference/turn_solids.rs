@@ -1,47 +1,55 @@
-//! `move_solid`, first part: what a body that turns needs besides its tangents, so that moving along them does not stretch it.
+//! `move_solid`, first part: rotation correction. Nodes of rotating bodies move on circles instead of tangents, so
+//! that the body is not stretched.
 
 use glam::{DMat3, DVec3};
 
-use crate::elastic::{Solids, Turning};
+use crate::elastic::{RotatingBody, Solids};
 
-/// Of the cube of its trace, the determinant that a tensor of inertia has to exceed, and of its trace the moment about a hinge: bodies on a
-/// line turn about it as fast as they like.
+/// Smallest determinant of an inertia tensor over the cube of its trace, and smallest moment about a hinge over the
+/// trace. Bodies on a line have no inertia about it.
 const LEAST_INERTIA: f64 = 1e-5;
 
-/// Of Newton's method for the angular velocity midway, and the squared share of the angular momentum that it may leave.
+/// Iterations of Newton's method for the midpoint angular velocity, and the squared relative residual of the angular
+/// momentum that it allows.
 const ROUNDS: usize = 5;
 const LEFT: f64 = 1e-6;
 
-/// Nodes move by dt v, along tangents. A body that turns by an angle theta in a sub-step is longer by theta^2 / 2 afterwards: two hundredths
-/// at a fifth of a radian, which is more elastic energy than motion in all but soft bodies. For each body that nothing holds
-/// ([`Solids::turning`]) this puts its part that moves as a rigid body on circles. With r = x - c from the centroid c, which moves with v_c,
-/// the inertia I = sum m (|r|^2 1 - r r^T), the angular momentum L = sum m r x (v - v_c) and w = I^-1 L:
+/// Nodes move by dt v along tangents. A body that rotates by theta in a sub-step becomes longer by theta^2 / 2: two
+/// hundredths at a fifth of a radian. In all but soft bodies that is more elastic than kinetic energy. For each free
+/// or hinged body ([`Solids::turning`]) the rigid part of the motion therefore follows circles.
+///
+/// Let c be the centroid, which moves with v_c, and r = x - c. With inertia I = sum m (|r|^2 1 - r r^T), angular
+/// momentum L = sum m r x (v - v_c) and w = I^-1 L:
 ///
 /// ```text
 /// y + dt/2 (I^-1 y) x y = L,  theta = dt I^-1 y,  k = 1 / (1 + |theta|^2 / 4)
 /// u += s,  s = (theta - dt w) x r + k (theta x (theta x r) / 2 - |theta|^2 theta x r / 4)
 /// ```
 ///
-/// so that r + dt w x r + s is r turned, by the Cayley transform of theta, by 2 atan(|theta| / 2), about the axis of the implicit midpoint. That
-/// keeps the energy of a rigid body that tumbles (Austin, Krishnaprasad & Wang 1993), where w itself turned bars ever faster, about their
-/// length in the end. The velocity stays as it is, which is what stretches a body that spins, but for the angular momentum that nodes on
-/// smaller arms lose:
+/// Then r + dt w x r + s is r rotated by the Cayley transform of theta. The angle is 2 atan(|theta| / 2), the axis
+/// that of the implicit midpoint rule. That conserves the energy of a tumbling rigid body (Austin, Krishnaprasad &
+/// Wang 1993). With w itself bars rotated ever faster, finally about their length.
+///
+/// The velocity is unchanged, which stretches a rotating body, except for the angular momentum lost by nodes on
+/// shorter arms:
 ///
 /// ```text
 /// v += dw x r',  dw = (sum m (|r'|^2 1 - r' r'^T))^-1 sum m (v - v_c) x s,  r' = r + dt (v - v_c) + s
 /// ```
 ///
-/// Momentum, angular momentum about any point, and the way of the centroid are those without it; a body at rest stays where it is to the
-/// last bit. Both corrections vanish with the square of the angle. What is held in a point turns about it, with c there and v_c = 0. What is
-/// held along a line, a hinge of direction e, has e e^T / (e . I e) in the place of I^-1, and theta = dt w: the hinge takes up the rest of L.
-/// Held nodes stay. `displacement` (m) and `velocity` (m/s): of all nodes, in place.
+/// Momentum, angular momentum about any point and the path of the centroid are unchanged. A body at rest is bitwise
+/// unchanged. Both corrections are of second order in the angle. A body constrained at a point rotates about it: c is
+/// the point and v_c = 0. A body constrained along a line of direction e, a hinge, has e e^T / (e . I e) in place of
+/// I^-1, and theta = dt w; the hinge supports the rest of L. Prescribed nodes do not move.
+///
+/// `displacement` (m) and `velocity` (m/s) of all nodes are updated in place.
 pub fn turn_solids(
     solids: &Solids,
     dt: f64,
     displacement: &mut [[f64; 3]],
     velocity: &mut [[f64; 3]],
 ) {
-    for Turning { nodes, about } in solids.turning() {
+    for RotatingBody { nodes, about } in solids.rotating_bodies() {
         let nodes = || nodes.clone();
         let mean = |of: &dyn Fn(usize) -> DVec3| {
             let sum = nodes().map(|node| solids.mass[node] * of(node));
@@ -94,15 +102,15 @@ pub fn turn_solids(
         let moving = |(node, _): &(usize, _)| solids.prescribed[*node] == [false; 3];
         for (node, (r, s, _)) in nodes().zip(after).filter(moving) {
             let dv = dw.cross(r);
-            // The move that follows adds dt dv too.
+            // The following move adds dt dv too.
             displacement[node] = (DVec3::from(displacement[node]) + s - dt * dv).to_array();
             velocity[node] = (DVec3::from(velocity[node]) + dv).to_array();
         }
     }
 }
 
-/// The angular velocity of the implicit midpoint: w = I^-1 y, y + dt/2 w x y = L, with I the inertia at the start; by Newton's method, and
-/// I^-1 L where that does not find it.
+/// Angular velocity of the implicit midpoint rule: w = I^-1 y, y + dt/2 w x y = L, with I the initial inertia.
+/// Newton's method; I^-1 L if it does not converge.
 fn midway(inverse: DMat3, momentum: DVec3, dt: f64) -> DVec3 {
     let turns =
         |w: DVec3| DMat3::from_cols(w.cross(DVec3::X), w.cross(DVec3::Y), w.cross(DVec3::Z));
@@ -113,12 +121,12 @@ fn midway(inverse: DMat3, momentum: DVec3, dt: f64) -> DVec3 {
         let slope = DMat3::IDENTITY + 0.5 * dt * (turns(w) - turns(y) * inverse);
         y -= slope.inverse() * left(y);
     }
-    let found = left(y).length_squared() <= LEFT * momentum.length_squared();
-    inverse * if found { y } else { momentum }
+    let converged = left(y).length_squared() <= LEFT * momentum.length_squared();
+    inverse * if converged { y } else { momentum }
 }
 
-/// The inverse of sum m (|r|^2 I - r r^T), about a hinge alone where there is one; none for what lies on a line or in a point, or along
-/// the hinge, and for numbers that are not finite.
+/// Inverse of sum m (|r|^2 I - r r^T), about the hinge alone if there is one. `None` for bodies on a line or in a
+/// point, or along the hinge, and for non-finite numbers.
 fn inverse_inertia<'a>(
     hinge: Option<DVec3>,
     of: impl Iterator<Item = (&'a f64, DVec3)>,

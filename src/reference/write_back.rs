@@ -1,12 +1,13 @@
-//! `write_back`: u = u* - dt/(rho dx) (p_+ - p_-) on every open face with an active side (thesis 4.36). Across the free
-//! surface, and on open sides of the domain, the missing pressure is 0 and the difference is divided by the theta of the matrix.
+//! `write_back`: u = u* - dt/(rho dx) (p_+ - p_-) on every open face with an active side (thesis 4.36). Across the
+//! free surface, and on open sides of the domain, the missing pressure is 0 and the difference is divided by the
+//! matrix's theta.
 
 use super::active_cells::{THETA_OF_SIDES, theta};
 use super::pressure_system::PressureSystem;
 use crate::grid::Axis;
 
-/// Updates u* (m/s) in place and returns, per face, whether its velocity is valid. `pressure` solves the system, Pa; `open`,
-/// phi (`liquid_distance`, m) and the floor of theta are those the system was made from.
+/// Updates u* (m/s) in place and returns, per face, whether its velocity is valid. `pressure` solves the system, Pa.
+/// `open`, phi (`liquid_distance`, m) and the floor of theta are those of the matrix.
 pub fn write_back(
     system: &PressureSystem,
     pressure: &[f64],

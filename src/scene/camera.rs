@@ -1,4 +1,4 @@
-//! The camera, its path, and where it stands when the scene does not say.
+//! The camera, its path, and its default position.
 
 use glam::DVec3;
 
@@ -10,52 +10,36 @@ use crate::error::Error;
 /// Sides of pictures, pixels.
 pub const PICTURE_SIDES: std::ops::RangeInclusive<usize> = 16..=8192;
 
-const CAMERA: Keys = Keys {
-    valid: &["eye", "target", "up", "fov", "size", "keyframes", "cut"],
-    absent: &[],
-};
-const CUT: Keys = Keys {
-    valid: &["axis", "at"],
-    absent: &[],
-};
-const KEYFRAME: Keys = Keys {
-    valid: &["t", "eye", "target", "fov"],
-    absent: &[],
-};
+const CAMERA: Keys = Keys::new(&["eye", "target", "up", "fov", "size", "keyframes", "cut"]);
+const CUT: Keys = Keys::new(&["axis", "at"]);
+const KEYFRAME: Keys = Keys::new(&["t", "eye", "target", "fov"]);
 
-/// The camera of a scene.
 pub(super) fn camera(root: &Table, domain: &Domain, time: &Time) -> Result<Camera, Error> {
     let mut camera = Camera::looking_at(domain);
     let Some(place) = root.get("camera") else {
         return Ok(camera);
     };
     let table = place.table(&CAMERA)?;
-    if let Some(place) = table.get("up") {
-        camera.up = place.direction("the direction that is up in the picture")?;
-    }
-    if let Some(place) = table.get("fov") {
-        camera.fov = opening(&place)?;
-    }
-    if let Some(place) = table.get("size") {
-        camera.size = place.counts(
+    camera.up = table.optional("up", camera.up, |place| {
+        place.direction("the direction that is up in the picture")
+    })?;
+    camera.fov = table.optional("fov", camera.fov, field_of_view)?;
+    camera.size = table.optional("size", camera.size, |place| {
+        place.counts(
             "the width and height of the picture in pixels",
             *PICTURE_SIDES.start() as u64,
             *PICTURE_SIDES.end() as u64,
-        )?;
-    }
-    if let Some(place) = table.get("target") {
-        camera.target = place.vector(TARGET)?;
-    }
-    if let Some(place) = table.get("cut") {
-        camera.cut = Some(cut(&place, domain)?);
-    }
+        )
+    })?;
+    camera.target = table.optional("target", camera.target, |place| place.vector(TARGET))?;
+    camera.cut = table.optional("cut", None, |place| cut(&place, domain).map(Some))?;
     let keyframes = table.get("keyframes");
     match table.get("eye") {
         Some(place) => {
             place.ensure(
                 keyframes.is_none(),
-                "stands beside keyframes, which say where the camera is",
-                "remove one of both",
+                "conflicts with keyframes, which set the position too",
+                "remove one of the two",
             )?;
             camera.eye = place.vector(EYE)?;
             ensure_view(&place, &camera.pose(0.0), camera.up, "")?;
@@ -85,7 +69,7 @@ fn cut(place: &Place, domain: &Domain) -> Result<CameraCut, Error> {
     let axis = table.required("axis", "axis = \"z\"")?;
     let axis = axis.choice(&[("x", 0), ("y", 1), ("z", 2)])?;
     let at_place = table.required("at", "at = 0.5, in m")?;
-    let at = at_place.number("where the plane crosses the axis in m")?;
+    let at = at_place.number("the coordinate of the plane in m")?;
     let end = domain.size[axis];
     at_place.ensure(
         at > 0.0 && at < end,
@@ -95,18 +79,12 @@ fn cut(place: &Place, domain: &Domain) -> Result<CameraCut, Error> {
     Ok(CameraCut { axis, at })
 }
 
-fn opening(place: &Place) -> Result<f64, Error> {
-    let fov = place.positive("the vertical opening in degrees")?;
-    place.within(
-        fov,
-        ..=150.0,
-        format!("is {fov}"),
-        "use at most 150 degrees; 35 is usual",
-    )?;
-    Ok(fov)
+fn field_of_view(place: Place) -> Result<f64, Error> {
+    let what = "the vertical field of view in degrees";
+    place.positive_within(what, ..=150.0, "use at most 150 degrees; 35 is usual")
 }
 
-/// That a camera looks somewhere, and not along its up; `when` ends the sentence.
+/// Refuses a camera at its target, or one that looks along its up vector; `when` ends the sentence.
 fn ensure_view(place: &Place, pose: &CameraKeyframe, up: DVec3, when: &str) -> Result<(), Error> {
     let ahead = (pose.target - pose.eye).try_normalize();
     place.ensure(
@@ -121,7 +99,7 @@ fn ensure_view(place: &Place, pose: &CameraKeyframe, up: DVec3, when: &str) -> R
     )
 }
 
-/// Reads the keyframes into the camera, and says where each was written.
+/// Reads the keyframes into the camera and returns their places.
 fn path<'a>(place: &Place<'a>, camera: &mut Camera) -> Result<Vec<Place<'a>>, Error> {
     let places = place.list()?;
     place.ensure(
@@ -136,31 +114,26 @@ fn path<'a>(place: &Place<'a>, camera: &mut Camera) -> Result<Vec<Place<'a>>, Er
         let before = camera.keyframes.last().map(|keyframe| keyframe.time);
         time_place.ensure(
             before.is_none_or(|before| time > before),
-            format!("{time} s does not come after the time before it"),
-            "write the keyframes in the order of their times, each time once",
+            format!("{time} s is not later than the keyframe before"),
+            "write the keyframes in ascending order of time",
         )?;
         camera.keyframes.push(CameraKeyframe {
             time,
             eye: table
                 .required("eye", "eye = [3, 2, 4], in m")?
                 .vector(EYE)?,
-            target: match table.get("target") {
-                Some(place) => place.vector(TARGET)?,
-                None => camera.target,
-            },
-            fov: match table.get("fov") {
-                Some(place) => opening(&place)?,
-                None => camera.fov,
-            },
+            target: table.optional("target", camera.target, |place| place.vector(TARGET))?,
+            fov: table.optional("fov", camera.fov, field_of_view)?,
         });
     }
     Ok(places)
 }
 
 impl Camera {
-    /// Where it is at a time (s), and where it looks: of the keyframes, by cubic Hermite polynomials between neighbours whose
-    /// slopes are those from the keyframe before to the one after (Catmull and Rom 1974), of the first and the last to their
-    /// neighbour; before and after, it rests. The opening stays between the least and the largest.
+    /// Position, target and field of view at a time (s).
+    ///
+    /// Between keyframes: cubic Hermite polynomials with the slope from the previous to the next keyframe (Catmull and Rom 1974),
+    /// one-sided at both ends. The field of view is clamped to the range of the keyframes.
     pub fn pose(&self, time: f64) -> CameraKeyframe {
         let resting = CameraKeyframe {
             time,
@@ -206,8 +179,8 @@ impl Camera {
         }
     }
 
-    /// Three-quarter view of the whole domain from slightly above. Up is the axis against gravity's largest component,
-    /// +y without gravity.
+    /// Three-quarter view of the whole domain from slightly above. Up is the axis against gravity's largest component, or +y
+    /// without gravity.
     pub fn looking_at(domain: &Domain) -> Camera {
         let gravity = domain.gravity;
         let largest = gravity.abs().max_position();
@@ -230,9 +203,9 @@ impl Camera {
         camera
     }
 
-    /// Puts the eye so far from the target that the domain's eight corners are in the picture, with 5 % to spare.
+    /// Moves the eye back until all corners of the domain are in the picture, with a margin of 5 %.
     fn step_back(&mut self, domain: &Domain) {
-        // The picture's depth axis when seen from the front: y up looks along -z with x to the right, z up along y.
+        // From the front: with y up the camera looks along -z, with z up along y.
         let front = if self.up.z.abs() > 0.5 {
             -DVec3::Y
         } else {

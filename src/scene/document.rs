@@ -1,6 +1,7 @@
-//! A scene file as a tree of values that know where they were written, with `--set` laid over it, and typed access to it.
-//! Every refusal names the file and line, or the `--set`, and the dotted key. What the reader asks of the values can be listened to:
-//! the JSON schema is made of that.
+//! A scene file as a tree of values with their origins, overlaid with `--set`, and typed queries of it.
+//!
+//! Every error names the file and line, or the `--set`, and the dotted key. The document records all queries: the JSON schema is
+//! derived from them.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -11,26 +12,25 @@ use glam::DVec3;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
+use super::MeshFile;
 use super::suggestions::{Suggestion, suggestion};
 use crate::error::Error;
 
-/// Where a value was written.
+/// Origin of a value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Origin {
-    /// On this line of the file, from 1.
+    /// Line of the file, from 1.
     Line(usize),
-    /// By the override with this index.
+    /// Index of the override.
     Set(usize),
 }
 
-/// A value and where it was written.
 #[derive(Debug)]
 struct Node {
     origin: Origin,
     content: Content,
 }
 
-/// A value.
 #[derive(Debug)]
 enum Content {
     Text(String),
@@ -43,7 +43,6 @@ enum Content {
 }
 
 impl Content {
-    /// What it is, for a message that says what it should have been.
     fn describe(&self) -> String {
         match self {
             Content::Text(text) => format!("the text \"{text}\""),
@@ -58,18 +57,18 @@ impl Content {
 }
 
 impl Node {
-    /// Tells of it and of all that is in it.
-    fn written(&self, key: &str, tell: &mut dyn FnMut(&str, Origin)) {
-        tell(key, self.origin);
+    /// Adds the origins of the node and of its descendants.
+    fn collect_origins(&self, key: &str, origins: &mut BTreeMap<String, Origin>) {
+        origins.insert(key.to_owned(), self.origin);
         match &self.content {
             Content::Array(items) => {
                 for (i, item) in items.iter().enumerate() {
-                    item.written(&format!("{key}[{i}]"), tell);
+                    item.collect_origins(&format!("{key}[{i}]"), origins);
                 }
             }
             Content::Table(entries) => {
                 for (name, node) in entries {
-                    node.written(&join(key, name), tell);
+                    node.collect_origins(&join(key, name), origins);
                 }
             }
             _ => {}
@@ -77,49 +76,94 @@ impl Node {
     }
 }
 
-/// Where the values of a scene file were written, for what is found wrong only when the scene is built.
-#[derive(Clone, Debug, Default)]
-pub struct Written(BTreeMap<String, Origin>);
+impl Node {
+    /// The entry of a table or list one step below this node, which has the key `key`. Creates a missing table.
+    ///
+    /// # Errors
+    /// Problem and cure.
+    fn entry(
+        &mut self,
+        key: &mut String,
+        step: Step,
+        origin: Origin,
+    ) -> Result<&mut Node, [String; 2]> {
+        let described = self.content.describe();
+        match (step, &mut self.content) {
+            (Step::Key(name), Content::Table(entries)) => {
+                *key = join(key, &name);
+                let table = || Node {
+                    origin,
+                    content: Content::Table(BTreeMap::new()),
+                };
+                Ok(entries.entry(name).or_insert_with(table))
+            }
+            (Step::Key(name), Content::Array(items)) => Err([
+                format!("`{key}` is a list of {}", items.len()),
+                format!("select an entry: {key}[0].{name}"),
+            ]),
+            (Step::Index(i), Content::Array(items)) => {
+                let n = items.len();
+                *key = format!("{key}[{i}]");
+                let cure = match n {
+                    0 => "add the entry to the scene file".to_owned(),
+                    _ => format!("use an index from 0 to {}", n - 1),
+                };
+                let problem = format!("there is no `{key}`: the list has {n} entries");
+                items.get_mut(i).ok_or([problem, cure])
+            }
+            (Step::Index(_), Content::Table(entries)) if entries.is_empty() => Err([
+                format!("there is no list `{key}`"),
+                "add the entry to the scene file, or set the whole list".to_owned(),
+            ]),
+            (Step::Index(i), _) => Err([
+                format!("`{key}` is {described}, not a list"),
+                format!("remove the [{i}]"),
+            ]),
+            (Step::Key(name), _) => Err([
+                format!("`{key}` is {described} and has no key `{name}`"),
+                format!("set `{key}`"),
+            ]),
+        }
+    }
+}
 
-impl Written {
-    /// Where a value was written, by its dotted key; where it is left out, that of its table.
-    pub(super) fn at(&self, key: &str) -> Option<Origin> {
+/// Origins of the values of a scene file by dotted key, for errors that appear after the file was read.
+#[derive(Clone, Debug, Default)]
+pub struct Origins(BTreeMap<String, Origin>);
+
+impl Origins {
+    /// Origin of a value; for an absent key that of its table.
+    pub(super) fn get(&self, key: &str) -> Option<Origin> {
         let ends = key.rmatch_indices(['.', '[']).map(|(end, _)| end);
         let mut keys = std::iter::once(key.len()).chain(ends).chain([0]);
         keys.find_map(|end| self.0.get(&key[..end]).copied())
     }
 }
 
-/// What the reader asked of a value.
+/// One query of a value: its required type and range. Strings are descriptions with the unit.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) enum Asked {
-    /// A finite number; `what`, with its unit.
+pub(super) enum Query {
     Number(String),
-    /// That it is above zero.
     Positive,
-    /// That it lies from the first to the second; and whether these are allowed themselves.
+    /// Ends of the range, and whether it includes them.
     Within([f64; 2], [bool; 2]),
-    /// A list of so many numbers.
+    /// Length of the list.
     Numbers(usize, String),
-    /// Three numbers, or one for all.
     NumberOrVector(String),
-    /// A whole number from the first to the second.
+    /// Least and largest value.
     Count(u64, u64, String),
-    /// A list of so many of these.
+    /// Length of the list, least and largest value.
     Counts(usize, u64, u64, String),
-    /// `true` or `false`.
     Boolean,
-    /// A text.
     Text(String),
-    /// One of these words.
+    /// Allowed words.
     Choice(Vec<String>),
-    /// A table with these keys.
+    /// Allowed keys.
     Table(Vec<String>),
-    /// A list.
     List,
-    /// Of a table: that it has this key.
+    /// A required key of the table.
     Required(String),
-    /// Of a table: that it has exactly one of these keys.
+    /// Keys of which the table has exactly one.
     OneOf(Vec<String>),
 }
 
@@ -129,14 +173,15 @@ pub(super) struct Document {
     file: PathBuf,
     overrides: Vec<String>,
     root: Node,
-    /// Whether it only shows the format: the mesh files that it names do not exist.
+    /// Whether this is an example of the format, whose mesh files do not exist.
     exemplar: bool,
-    /// Keys in the order in which they were asked for.
-    asked: RefCell<Vec<(String, Asked)>>,
+    /// Keys and their queries, in order.
+    queries: RefCell<Vec<(String, Query)>>,
+    mesh_files: RefCell<BTreeMap<PathBuf, MeshFile>>,
 }
 
 impl Document {
-    /// Parses the text of `file` and lays the overrides over it.
+    /// Parses the text of `file` and applies the overrides.
     pub(super) fn parse(file: &Path, text: &str, overrides: &[String]) -> Result<Document, Error> {
         let line_of = |offset: usize| {
             1 + text.as_bytes()[..offset.min(text.len())]
@@ -164,17 +209,18 @@ impl Document {
                 content: Content::Table(BTreeMap::new()),
             },
             exemplar: false,
-            asked: RefCell::default(),
+            queries: RefCell::default(),
+            mesh_files: RefCell::default(),
         };
         document.root.content =
             document.table(root.into_inner(), "", &|span| Origin::Line(line_of(span)))?;
         for index in 0..overrides.len() {
-            document.lay_over(index)?;
+            document.apply_override(index)?;
         }
         Ok(document)
     }
 
-    /// Parses a text that shows the format.
+    /// Parses an example of the format.
     pub(super) fn exemplar(text: &str) -> Result<Document, Error> {
         Ok(Document {
             exemplar: true,
@@ -182,30 +228,21 @@ impl Document {
         })
     }
 
-    /// Whether the mesh files that it names do not exist.
     pub(super) fn is_exemplar(&self) -> bool {
         self.exemplar
     }
 
-    /// Where its values were written.
-    pub(super) fn written(&self) -> Written {
+    pub(super) fn origins(&self) -> Origins {
         let mut origins = BTreeMap::new();
-        self.root.written("", &mut |key, origin| {
-            origins.insert(key.to_owned(), origin);
-        });
-        Written(origins)
+        self.root.collect_origins("", &mut origins);
+        Origins(origins)
     }
 
-    /// Keys, with their indices, and what the reader asked of their values.
-    pub(super) fn into_asked(self) -> Vec<(String, Asked)> {
-        self.asked.into_inner()
+    /// All queries, by key with indices.
+    pub(super) fn into_queries(self) -> Vec<(String, Query)> {
+        self.queries.into_inner()
     }
 
-    fn ask(&self, key: &str, asked: Asked) {
-        self.asked.borrow_mut().push((key.to_owned(), asked));
-    }
-
-    /// The root table.
     pub(super) fn root(&self) -> Place<'_> {
         Place {
             document: self,
@@ -276,8 +313,8 @@ impl Document {
         })
     }
 
-    /// Puts the value of one `--set KEY=VALUE` into the tree; tables on the way are made where there are none.
-    fn lay_over(&mut self, index: usize) -> Result<(), Error> {
+    /// Stores the value of one `--set KEY=VALUE` in the tree; creates missing tables.
+    fn apply_override(&mut self, index: usize) -> Result<(), Error> {
         let origin = Origin::Set(index);
         let setting = self.overrides[index].clone();
         let refuse = |problem: String, cure: String| {
@@ -300,7 +337,7 @@ impl Document {
         let text = text.trim();
         let value = match DeValue::parse(text) {
             Ok(value) => self.node(value, path.trim(), &|_| origin)?,
-            // Shells eat quotes, so a bare word stands for a text.
+            // Shells strip quotes, so a bare word is a text.
             Err(_)
                 if !text.is_empty()
                     && !text.contains(|c: char| c.is_whitespace() || "[]{}\"'=,#".contains(c)) =>
@@ -324,53 +361,9 @@ impl Document {
         let mut node = &mut self.root;
         let mut key = String::new();
         for step in steps {
-            let described = node.content.describe();
-            node = match (step, &mut node.content) {
-                (Step::Key(name), Content::Table(entries)) => {
-                    key = join(&key, &name);
-                    let table = || Node {
-                        origin,
-                        content: Content::Table(BTreeMap::new()),
-                    };
-                    entries.entry(name).or_insert_with(table)
-                }
-                (Step::Key(name), Content::Array(items)) => {
-                    let problem = format!("`{key}` is a list of {}", items.len());
-                    return refuse(problem, format!("say which one: {key}[0].{name}"));
-                }
-                (Step::Index(i), Content::Array(items)) => {
-                    let n = items.len();
-                    key = format!("{key}[{i}]");
-                    match items.get_mut(i) {
-                        Some(item) => item,
-                        None => {
-                            let cure = match n {
-                                0 => "add the entry to the scene file".to_owned(),
-                                _ => format!("use an index from 0 to {}", n - 1),
-                            };
-                            return refuse(
-                                format!("there is no `{key}`: the list has {n} entries"),
-                                cure,
-                            );
-                        }
-                    }
-                }
-                (Step::Index(_), Content::Table(entries)) if entries.is_empty() => {
-                    let cure = "add the entry to the scene file, or set the whole list";
-                    return refuse(format!("there is no list `{key}`"), cure.into());
-                }
-                (Step::Index(i), _) => {
-                    return refuse(
-                        format!("`{key}` is {described}, not a list"),
-                        format!("leave out the [{i}]"),
-                    );
-                }
-                (Step::Key(name), _) => {
-                    return refuse(
-                        format!("`{key}` is {described} and has no key `{name}`"),
-                        format!("set `{key}`"),
-                    );
-                }
+            node = match node.entry(&mut key, step, origin) {
+                Ok(node) => node,
+                Err([problem, cure]) => return refuse(problem, cure),
             };
         }
         *node = value;
@@ -402,13 +395,12 @@ impl Document {
     }
 }
 
-/// A step of a dotted path.
 enum Step {
     Key(String),
     Index(usize),
 }
 
-/// The steps of `liquid.region[0].box.min[1]`; `None` where it is no path.
+/// Steps of a path such as `liquid.region[0].box.min[1]`.
 fn parse_path(path: &str) -> Option<Vec<Step>> {
     let mut steps = Vec::new();
     for part in path.split('.') {
@@ -433,11 +425,20 @@ fn parse_path(path: &str) -> Option<Vec<Step>> {
     Some(steps)
 }
 
-fn join(key: &str, name: &str) -> String {
+/// Dotted key of an entry of a table.
+pub(super) fn join(key: &str, name: &str) -> String {
     if key.is_empty() {
         name.to_owned()
     } else {
         format!("{key}.{name}")
+    }
+}
+
+/// A number without a row of zeros.
+fn short(value: f64) -> String {
+    match value != 0.0 && !(1e-4..1e7).contains(&value.abs()) {
+        true => format!("{value:e}"),
+        false => format!("{value}"),
     }
 }
 
@@ -451,13 +452,18 @@ fn one_line(message: &str) -> String {
 
 /// The keys of a table.
 pub(super) struct Keys {
-    /// Those that mean something.
     pub(super) valid: &'static [&'static str],
-    /// Those that one might look for and that are none, with the reason.
+    /// Keys of other programs that do not exist here, with the reason.
     pub(super) absent: &'static [(&'static str, &'static str)],
 }
 
-/// A value in the tree.
+impl Keys {
+    pub(super) const fn new(valid: &'static [&'static str]) -> Keys {
+        Keys { valid, absent: &[] }
+    }
+}
+
+/// A value with its key and document.
 #[derive(Clone, Debug)]
 pub(super) struct Place<'a> {
     document: &'a Document,
@@ -466,7 +472,6 @@ pub(super) struct Place<'a> {
 }
 
 impl<'a> Place<'a> {
-    /// An error at this value.
     pub(super) fn fail(&self, problem: impl Into<String>, cure: impl Into<String>) -> Error {
         self.document
             .fail(self.node.origin, &self.key, problem, cure)
@@ -486,16 +491,25 @@ impl<'a> Place<'a> {
         }
     }
 
-    /// Whether the mesh files of the scene do not exist.
     pub(super) fn is_exemplar(&self) -> bool {
         self.document.exemplar
     }
 
-    fn ask(&self, asked: Asked) {
-        self.document.ask(&self.key, asked);
+    /// The mesh file with this path: one per scene, so that it is parsed once.
+    pub(super) fn mesh_file(&self, path: PathBuf) -> MeshFile {
+        let mut files = self.document.mesh_files.borrow_mut();
+        let file = files
+            .entry(path)
+            .or_insert_with_key(|path| path.clone().into());
+        file.clone()
     }
 
-    /// A number that [`Place::number`] or [`Place::positive`] gave, which must lie in a range; `problem` and `cure` say so.
+    fn record(&self, query: Query) {
+        let mut queries = self.document.queries.borrow_mut();
+        queries.push((self.key.clone(), query));
+    }
+
+    /// An error unless the value, which [`Place::number`] or [`Place::positive`] returned, lies in a range.
     pub(super) fn within(
         &self,
         value: f64,
@@ -510,25 +524,24 @@ impl<'a> Place<'a> {
         };
         let (least, with_least) = end(range.start_bound(), f64::NEG_INFINITY);
         let (most, with_most) = end(range.end_bound(), f64::INFINITY);
-        self.ask(Asked::Within([least, most], [with_least, with_most]));
+        self.record(Query::Within([least, most], [with_least, with_most]));
         self.ensure(range.contains(&value), problem, cure)
     }
 
-    /// Whether an override wrote it.
     pub(super) fn is_override(&self) -> bool {
         matches!(self.node.origin, Origin::Set(_))
     }
 
-    pub(super) fn wrong_type(&self, wanted: &str) -> Error {
+    pub(super) fn wrong_type(&self, expected: &str) -> Error {
         self.fail(
             format!("is {}", self.node.content.describe()),
-            format!("write {wanted}"),
+            format!("write {expected}"),
         )
     }
 
-    /// A finite number. `what` names it with its unit, such as `a density in kg/m^3`.
+    /// A finite number. `what` is its name with the unit, such as `a density in kg/m^3`.
     pub(super) fn number(&self, what: &str) -> Result<f64, Error> {
-        self.ask(Asked::Number(what.to_owned()));
+        self.record(Query::Number(what.to_owned()));
         let value = match &self.node.content {
             Content::Integer(value) => *value as f64,
             Content::Float(value) => *value,
@@ -550,13 +563,37 @@ impl<'a> Place<'a> {
 
     /// A finite number above zero.
     pub(super) fn positive(&self, what: &str) -> Result<f64, Error> {
-        self.ask(Asked::Positive);
+        self.record(Query::Positive);
         let value = self.number(what)?;
         self.ensure(
             value > 0.0,
             format!("is {value}"),
             format!("write {what} above zero"),
         )?;
+        Ok(value)
+    }
+
+    /// A finite number in a range; `cure` names the range.
+    pub(super) fn number_within(
+        &self,
+        what: &str,
+        range: impl RangeBounds<f64>,
+        cure: impl Into<String>,
+    ) -> Result<f64, Error> {
+        let value = self.number(what)?;
+        self.within(value, range, format!("is {}", short(value)), cure)?;
+        Ok(value)
+    }
+
+    /// A number above zero in a range; `cure` names the range.
+    pub(super) fn positive_within(
+        &self,
+        what: &str,
+        range: impl RangeBounds<f64>,
+        cure: impl Into<String>,
+    ) -> Result<f64, Error> {
+        let value = self.positive(what)?;
+        self.within(value, range, format!("is {}", short(value)), cure)?;
         Ok(value)
     }
 
@@ -589,7 +626,7 @@ impl<'a> Place<'a> {
 
     /// A list of `N` finite numbers.
     pub(super) fn numbers<const N: usize>(&self, what: &str) -> Result<[f64; N], Error> {
-        self.ask(Asked::Numbers(N, what.to_owned()));
+        self.record(Query::Numbers(N, what.to_owned()));
         let mut values = [0.0; N];
         for (value, place) in values.iter_mut().zip(self.items::<N>(what)?) {
             *value = place.number(what)?;
@@ -602,16 +639,16 @@ impl<'a> Place<'a> {
         Ok(DVec3::from_array(self.numbers::<3>(what)?))
     }
 
-    /// Three finite numbers, or one that stands for all three.
+    /// Three finite numbers, or one for all three.
     pub(super) fn number_or_vector(&self, what: &str) -> Result<DVec3, Error> {
-        self.ask(Asked::NumberOrVector(what.to_owned()));
+        self.record(Query::NumberOrVector(what.to_owned()));
         match self.node.content {
             Content::Integer(_) | Content::Float(_) => self.number(what).map(DVec3::splat),
             _ => self.vector(what),
         }
     }
 
-    /// A direction of any length but zero, as a unit vector.
+    /// A direction of any nonzero length, as a unit vector.
     pub(super) fn direction(&self, what: &str) -> Result<DVec3, Error> {
         let vector = self.vector(what)?;
         vector.try_normalize().ok_or_else(|| {
@@ -625,7 +662,7 @@ impl<'a> Place<'a> {
 
     /// A whole number from `min` to `max`.
     pub(super) fn count(&self, what: &str, min: u64, max: u64) -> Result<u64, Error> {
-        self.ask(Asked::Count(min, max, what.to_owned()));
+        self.record(Query::Count(min, max, what.to_owned()));
         let cure = format!("write {what} as a whole number from {min} to {max}");
         match &self.node.content {
             Content::Integer(value) => match u64::try_from(*value) {
@@ -643,7 +680,7 @@ impl<'a> Place<'a> {
         min: u64,
         max: u64,
     ) -> Result<[usize; N], Error> {
-        self.ask(Asked::Counts(N, min, max, what.to_owned()));
+        self.record(Query::Counts(N, min, max, what.to_owned()));
         let mut values = [0; N];
         for (value, place) in values.iter_mut().zip(self.items::<N>(what)?) {
             *value = place.count(what, min, max)? as usize;
@@ -653,7 +690,7 @@ impl<'a> Place<'a> {
 
     /// `true` or `false`.
     pub(super) fn boolean(&self) -> Result<bool, Error> {
-        self.ask(Asked::Boolean);
+        self.record(Query::Boolean);
         match self.node.content {
             Content::Boolean(value) => Ok(value),
             _ => Err(self.wrong_type("true or false, without quotes")),
@@ -662,7 +699,7 @@ impl<'a> Place<'a> {
 
     /// A text that is not empty.
     pub(super) fn text(&self, what: &str) -> Result<&'a str, Error> {
-        self.ask(Asked::Text(what.to_owned()));
+        self.record(Query::Text(what.to_owned()));
         match &self.node.content {
             Content::Text(text) if text.is_empty() => {
                 Err(self.fail("is empty", format!("write {what}")))
@@ -675,13 +712,13 @@ impl<'a> Place<'a> {
     /// One of some words of the format.
     pub(super) fn choice<T: Copy>(&self, choices: &[(&str, T)]) -> Result<T, Error> {
         let words = choices.iter().map(|(word, _)| (*word).to_owned());
-        self.ask(Asked::Choice(words.collect()));
+        self.record(Query::Choice(words.collect()));
         self.one_word(choices)
     }
 
-    /// One of the names that this scene gives; `what` is named so.
+    /// One of the names of this scene.
     pub(super) fn named<T: Copy>(&self, what: &str, names: &[(&str, T)]) -> Result<T, Error> {
-        self.ask(Asked::Text(what.to_owned()));
+        self.record(Query::Text(what.to_owned()));
         self.one_word(names)
     }
 
@@ -690,20 +727,20 @@ impl<'a> Place<'a> {
             .iter()
             .map(|(word, _)| format!("\"{word}\""))
             .collect();
-        let wanted = format!("one of {}", words.join(", "));
+        let expected = format!("one of {}", words.join(", "));
         match &self.node.content {
             Content::Text(text) => match choices.iter().find(|(word, _)| word == text) {
                 Some(&(_, value)) => Ok(value),
-                None => Err(self.wrong_type(&wanted)),
+                None => Err(self.wrong_type(&expected)),
             },
-            _ => Err(self.wrong_type(&wanted)),
+            _ => Err(self.wrong_type(&expected)),
         }
     }
 
-    /// A table that has none but the keys given.
+    /// A table without unknown keys.
     pub(super) fn table(self, keys: &Keys) -> Result<Table<'a>, Error> {
         let valid = keys.valid.iter().map(|&key| key.to_owned());
-        self.ask(Asked::Table(valid.collect()));
+        self.record(Query::Table(valid.collect()));
         let Content::Table(entries) = &self.node.content else {
             return Err(match &self.node.content {
                 Content::Array(_) => self.fail(
@@ -729,28 +766,7 @@ impl<'a> Place<'a> {
                 key: join(&self.key, name),
                 node,
             };
-            if let Some((_, reason)) = keys.absent.iter().find(|(absent, _)| absent == name) {
-                return Err(place.fail(format!("is no key: {reason}"), format!("remove `{name}`")));
-            }
-            let nearest = keys
-                .valid
-                .iter()
-                .map(|valid| (strsim::damerau_levenshtein(name, valid), *valid))
-                .filter(|(distance, valid)| *distance <= (name.len().max(valid.len()) / 3).max(1))
-                .min();
-            let list = format!("the keys here are {}", keys.valid.join(", "));
-            let cure = match (suggestion(name, keys.valid), nearest) {
-                (Some(Suggestion::Absent(reason)), None) => {
-                    let problem = format!("is no key: {reason}");
-                    return Err(place.fail(problem, format!("remove `{name}`")));
-                }
-                (Some(Suggestion::Write(instead)), _) => format!("write {instead}; {list}"),
-                (Some(Suggestion::Key(valid)), _) | (_, Some((_, valid))) => {
-                    format!("did you mean `{valid}`? {list}")
-                }
-                (None, None) => list,
-            };
-            return Err(place.fail("unknown key", cure));
+            return Err(place.unknown_key(name, keys));
         }
         Ok(Table {
             place: self,
@@ -758,9 +774,37 @@ impl<'a> Place<'a> {
         })
     }
 
+    fn unknown_key(&self, name: &str, keys: &Keys) -> Error {
+        let absent = keys.absent.iter().find(|(absent, _)| *absent == name);
+        let nearest = keys
+            .valid
+            .iter()
+            .map(|valid| (strsim::damerau_levenshtein(name, valid), *valid))
+            .filter(|(distance, valid)| *distance <= (name.len().max(valid.len()) / 3).max(1))
+            .min();
+        let list = format!("the keys here are {}", keys.valid.join(", "));
+        let suggestion = match absent {
+            Some((_, reason)) => Some(Suggestion::Absent(reason)),
+            None => suggestion(name, keys.valid),
+        };
+        let cure = match (suggestion, nearest) {
+            (Some(Suggestion::Absent(reason)), nearest)
+                if absent.is_some() || nearest.is_none() =>
+            {
+                return self.fail(format!("is no key: {reason}"), format!("remove `{name}`"));
+            }
+            (Some(Suggestion::Write(instead)), _) => format!("write {instead}; {list}"),
+            (Some(Suggestion::Key(valid)), _) | (_, Some((_, valid))) => {
+                format!("did you mean `{valid}`? {list}")
+            }
+            (_, None) => list,
+        };
+        self.fail("unknown key", cure)
+    }
+
     /// The entries of a list of tables.
     pub(super) fn list(&self) -> Result<Vec<Place<'a>>, Error> {
-        self.ask(Asked::List);
+        self.record(Query::List);
         match &self.node.content {
             Content::Array(items) => Ok(items
                 .iter()
@@ -776,7 +820,7 @@ impl<'a> Place<'a> {
     }
 }
 
-/// A table whose keys are all known.
+/// A table without unknown keys.
 #[derive(Clone, Debug)]
 pub(super) struct Table<'a> {
     place: Place<'a>,
@@ -784,7 +828,6 @@ pub(super) struct Table<'a> {
 }
 
 impl<'a> Table<'a> {
-    /// The value of a key, where it is given.
     pub(super) fn get(&self, name: &str) -> Option<Place<'a>> {
         let node = self.entries.get(name)?;
         Some(Place {
@@ -794,9 +837,19 @@ impl<'a> Table<'a> {
         })
     }
 
-    /// The value of a key that must be given. `example` is the line that would be right.
+    /// The value that `read` returns for a key, or `default` for an absent key.
+    pub(super) fn optional<T>(
+        &self,
+        name: &str,
+        default: T,
+        read: impl FnOnce(Place<'a>) -> Result<T, Error>,
+    ) -> Result<T, Error> {
+        self.get(name).map_or(Ok(default), read)
+    }
+
+    /// The value of a required key. `example` is a correct line.
     pub(super) fn required(&self, name: &str, example: &str) -> Result<Place<'a>, Error> {
-        self.place.ask(Asked::Required(name.to_owned()));
+        self.place.record(Query::Required(name.to_owned()));
         self.get(name).ok_or_else(|| {
             let key = join(&self.place.key, name);
             self.place.document.fail(
@@ -808,18 +861,18 @@ impl<'a> Table<'a> {
         })
     }
 
-    /// The one of several keys that is given, with its value.
+    /// The present one of several alternative keys, with its value.
     pub(super) fn one_of<'k>(
         &self,
         names: &[&'k str],
         what: &str,
     ) -> Result<(&'k str, Place<'a>), Error> {
         let all = names.iter().map(|&name| name.to_owned());
-        self.place.ask(Asked::OneOf(all.collect()));
-        let mut given = names
+        self.place.record(Query::OneOf(all.collect()));
+        let mut present = names
             .iter()
             .filter_map(|&name| Some((name, self.get(name)?)));
-        match (given.next(), given.next()) {
+        match (present.next(), present.next()) {
             (Some(one), None) => Ok(one),
             (None, _) => Err(self.fail(
                 format!("has no {what}"),
@@ -832,7 +885,6 @@ impl<'a> Table<'a> {
         }
     }
 
-    /// An error at the table.
     pub(super) fn fail(&self, problem: impl Into<String>, cure: impl Into<String>) -> Error {
         self.place.fail(problem, cure)
     }

@@ -1,15 +1,16 @@
-//! Scenes: a TOML file, checked and turned into a description in SI units. [`Scene::load`] reads one.
+//! Scenes: TOML files, checked and converted to descriptions in SI units by [`Scene::load`].
 
 mod camera;
 mod document;
+mod mesh_file;
 mod probe;
 mod read;
 pub mod schema;
 mod shape;
 mod solid;
+mod sources_sinks;
 mod suggestions;
 mod surface;
-mod tap;
 
 use std::path::PathBuf;
 
@@ -19,19 +20,21 @@ use crate::grid::{Grid, Sides};
 
 pub use camera::PICTURE_SIDES;
 use document::Origin;
-pub use document::Written;
+pub use document::Origins;
+pub use mesh_file::MeshFile;
 pub use read::MAX_FRAMES;
 pub(crate) use read::MAX_VELOCITY;
+pub(crate) use shape::box_reaches;
 
 /// A checked scene, all in SI units. Lengths and times are finite, counts are positive, regions and obstacles have volume.
 #[derive(Clone, Debug)]
 pub struct Scene {
     /// File stem.
     pub name: String,
-    /// The file it came from.
+    /// Path of the scene file.
     pub file: PathBuf,
-    /// Where in it its values are: see [`Scene::at`].
-    pub written: Written,
+    /// Origins of its values, for [`Scene::at`].
+    pub origins: Origins,
     /// SHA-256 of the file's text, all overrides and the scale, in hexadecimal.
     pub hash: String,
     /// `--scale`, already applied to [`Domain::cells`].
@@ -42,29 +45,29 @@ pub struct Scene {
     pub domain: Domain,
     /// Duration and time steps.
     pub time: Time,
-    /// The liquid, where the scene has one.
+    /// The liquid, if the scene has one.
     pub liquid: Option<Liquid>,
     /// Elastic bodies.
     pub solids: Vec<Solid>,
-    /// Static obstacles and containers.
+    /// Rigid obstacles and containers.
     pub obstacles: Vec<Obstacle>,
-    /// Where liquid comes in.
+    /// Regions that emit liquid.
     pub sources: Vec<Source>,
-    /// Where it is taken away.
+    /// Regions that remove liquid.
     pub sinks: Vec<Sink>,
     /// Measurements written to probes.csv.
     pub probes: Vec<Probe>,
-    /// How the systems of a sub-step are made and solved.
+    /// Solver settings of a sub-step.
     pub solver: Solver,
-    /// What is written.
+    /// Files of a run.
     pub output: Output,
-    /// How the mesh of the liquid's surface is made.
+    /// Settings of the liquid's surface mesh.
     pub surface: SurfaceMesh,
-    /// Where `preview` looks from.
+    /// Camera of `preview`.
     pub camera: Camera,
 }
 
-/// The box, walls on all sides but the open ones.
+/// The domain: a box with walls on all sides except the open ones.
 #[derive(Clone, Debug)]
 pub struct Domain {
     /// Extents, m.
@@ -73,7 +76,7 @@ pub struct Domain {
     pub cells: [usize; 3],
     /// Gravity, m/s^2.
     pub gravity: DVec3,
-    /// Sides through which liquid leaves: there the pressure is 0.
+    /// Sides through which liquid leaves, with pressure 0.
     pub open: Sides,
 }
 
@@ -95,35 +98,35 @@ pub struct Time {
 pub struct Liquid {
     /// kg/m^3; default 1000.
     pub density: f64,
-    /// Where it is at first: the union of the regions less those that subtract, in order.
+    /// Initial liquid: the union of the regions, less those that subtract, in order.
     pub regions: Vec<Region>,
-    /// How its surface is followed.
+    /// Representation of the surface.
     pub surface: Surface,
     /// Marker radius in cells; default 0.87.
     pub marker_radius: f64,
     /// Seed of the marker jitter; default 0.
     pub seed: u64,
-    /// Whether the volume is held; on by default with markers, always off with `fixed`.
+    /// Whether volume control is active; default on with markers, always off with `fixed`.
     pub volume_control: bool,
 }
 
-/// How the liquid's surface is followed.
+/// Representation of the liquid's surface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Surface {
-    /// By markers and a union of spheres.
+    /// Union of spheres around markers.
     Markers,
-    /// Not at all: the regions' exact distance, kept all run.
+    /// The exact distance to the regions during the whole run.
     Fixed,
 }
 
-/// A piece of liquid.
+/// A region of initial liquid.
 #[derive(Clone, Debug)]
 pub struct Region {
-    /// Its shape.
+    /// Shape before its placement.
     pub shape: Shape,
-    /// Where the shape is put; boxes, balls, cylinders and meshes only.
+    /// Placement of a box, ball, cylinder or mesh.
     pub placement: Placement,
-    /// Whether it takes liquid away instead.
+    /// Whether it subtracts liquid.
     pub subtract: bool,
     /// Initial velocity, m/s.
     pub velocity: DVec3,
@@ -175,34 +178,36 @@ pub enum Shape {
         /// rad
         phase: f64,
     },
-    /// All points below a solitary wave. Regions only; it brings a velocity of its own.
+    /// All points below a solitary wave, with its own velocity field. Regions only.
     Solitary(SolitaryWave),
     /// A closed triangle mesh (OBJ, STL, PLY).
     Mesh {
-        /// Its file, relative to the scene's folder, resolved.
-        file: PathBuf,
+        /// OBJ, STL or PLY.
+        file: MeshFile,
         /// Length unit of the file, m.
         unit: f64,
     },
 }
 
-/// A solitary wave over the floor y = 0, at the start.
+/// Initial solitary wave over the floor y = 0.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SolitaryWave {
-    /// Of the water at rest, m.
+    /// Depth of the water at rest, m.
     pub depth: f64,
-    /// Of the crest above the water at rest, m.
+    /// Height of the crest above the water at rest, m.
     pub height: f64,
-    /// x and z of a point of the crest, m.
+    /// Coordinates x and z of a point of the crest, m.
     pub crest: [f64; 2],
-    /// Where it goes: the unit vector along x and z.
+    /// Unit vector of propagation along x and z.
     pub direction: [f64; 2],
-    /// Downwards, m/s^2: its speed depends on it.
+    /// Magnitude of gravity, m/s^2, which determines the speed.
     pub gravity: f64,
 }
 
-/// Scale and rotation about the centre of a shape or mesh, then a translation, or the place of that centre. The centre is
-/// [`Shape::centre`], the origin for boxes, balls and shells of solids, and the middle of the bounding box of a file.
+/// Scale and rotation about the centre of a shape or mesh, then a translation.
+///
+/// The centre is [`Shape::centre`], the origin for boxes, balls and shells of solids, and the centre of the bounding box for
+/// files.
 #[derive(Clone, Copy, Debug)]
 pub struct Placement {
     /// m
@@ -211,12 +216,12 @@ pub struct Placement {
     pub rotate: DMat3,
     /// Uniform scale.
     pub scale: f64,
-    /// Place of the centre, m, in place of a translation; only for files, whose centre is known once they are read.
+    /// Position of the centre, m, instead of a translation. Only for files, whose centre is unknown before they are parsed.
     pub at: Option<DVec3>,
 }
 
 impl Default for Placement {
-    /// Where the shape is.
+    /// The identity.
     fn default() -> Placement {
         Placement {
             translate: DVec3::ZERO,
@@ -228,7 +233,7 @@ impl Default for Placement {
 }
 
 impl Placement {
-    /// The same placement of a shape with this centre (m), with `at` as a translation.
+    /// The same placement of a shape with this centre (m), with `at` converted to a translation.
     pub fn about(self, centre: DVec3) -> Placement {
         match self.at {
             Some(at) => Placement {
@@ -240,7 +245,7 @@ impl Placement {
         }
     }
 
-    /// Whether it leaves shapes where they are.
+    /// Whether it is the identity.
     pub fn is_none(&self) -> bool {
         let Placement {
             translate,
@@ -251,7 +256,7 @@ impl Placement {
         translate == DVec3::ZERO && rotate == DMat3::IDENTITY && scale == 1.0 && at.is_none()
     }
 
-    /// Where a point of a shape with this centre is put, m.
+    /// Placed position of a point of a shape with this centre, m.
     pub fn put(&self, x: DVec3, centre: DVec3) -> DVec3 {
         centre + self.scale * (self.rotate * (x - centre)) + self.translate
     }
@@ -262,11 +267,11 @@ impl Placement {
 pub struct Solid {
     /// Name, unique in the scene.
     pub name: String,
-    /// Where its tetrahedra come from.
+    /// Source of its tetrahedra.
     pub mesh: SolidMesh,
-    /// Where the mesh is put. What comes out is the rest shape: it carries no stress.
+    /// Placement of the mesh. The placed mesh is the stress-free rest shape.
     pub placement: Placement,
-    /// How the state at the start differs from rest.
+    /// Difference of the initial state from rest.
     pub initial: Initial,
     /// kg/m^3
     pub density: f64,
@@ -274,19 +279,19 @@ pub struct Solid {
     pub young: f64,
     /// Poisson's ratio, in (-1, 0.5).
     pub poisson: f64,
-    /// How strain is measured; default corotational.
+    /// Strain measure; default corotational.
     pub model: ElasticModel,
     /// Rayleigh damping: coefficient of the mass, 1/s; default 0.
     pub mass_damping: f64,
     /// Rayleigh damping: coefficient of the stiffness, s; default 0.
     pub stiffness_damping: f64,
-    /// Nodes held or moved in some or all components.
+    /// Constrained or scripted nodes.
     pub pins: Vec<Pin>,
     /// Constant forces.
     pub loads: Vec<Load>,
 }
 
-/// Where the tetrahedra of a solid come from, in coordinates before the placement (m).
+/// Source of the tetrahedra of a solid, in coordinates before the placement (m).
 #[derive(Clone, Debug)]
 pub enum SolidMesh {
     /// A box of cubes or bricks, each cut into six tetrahedra around one diagonal (Kuhn), centred at the origin.
@@ -300,7 +305,7 @@ pub enum SolidMesh {
     Sphere {
         /// Radius, m.
         radius: f64,
-        /// Length of an edge, about, m.
+        /// Approximate length of an edge, m.
         cell_size: f64,
     },
     /// A hollow ball about the origin.
@@ -309,31 +314,41 @@ pub enum SolidMesh {
         radius: f64,
         /// m
         thickness: f64,
-        /// Length of an edge, about, m.
+        /// Approximate length of an edge, m.
         cell_size: f64,
     },
     /// Tetrahedra of a Gmsh 4.1 .msh or a VTK .vtu file.
     File {
-        /// The file, resolved.
-        file: PathBuf,
+        /// .msh or .vtu.
+        file: MeshFile,
         /// Length unit of the file, m.
         unit: f64,
     },
     /// The inside of a closed triangle mesh (OBJ, STL, PLY), filled.
     Surface {
-        /// The file, resolved.
-        file: PathBuf,
+        /// OBJ, STL or PLY.
+        file: MeshFile,
         /// Length unit of the file, m.
         unit: f64,
-        /// Length of an edge, about, m.
+        /// Approximate length of an edge, m.
         cell_size: f64,
     },
 }
 
-/// How the state of a solid at the start differs from rest.
+impl SolidMesh {
+    /// The mesh file, if there is one.
+    pub fn file(&self) -> Option<&MeshFile> {
+        match self {
+            SolidMesh::File { file, .. } | SolidMesh::Surface { file, .. } => Some(file),
+            _ => None,
+        }
+    }
+}
+
+/// Difference of a solid's initial state from rest.
 #[derive(Clone, Copy, Debug)]
 pub struct Initial {
-    /// Stretch along the domain's axes about the centroid of the rest shape; default 1. Negative numbers turn the body inside out.
+    /// Stretch along the domain's axes about the centroid of the rest shape; default 1. Negative factors invert the body.
     pub scale: DVec3,
     /// Velocity, m/s; default 0.
     pub velocity: DVec3,
@@ -352,10 +367,10 @@ impl Default for Initial {
     }
 }
 
-/// How strain is measured.
+/// Strain measure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ElasticModel {
-    /// In the frame that turns with each element.
+    /// In the corotational frame of each element.
     Corotational,
     /// In the frame of the rest shape: for small rotations only.
     Linear,
@@ -364,44 +379,58 @@ pub enum ElasticModel {
 /// Nodes whose motion is prescribed in some components.
 #[derive(Clone, Debug)]
 pub struct Pin {
-    /// Holds nodes whose rest position is inside or on it.
+    /// Selects nodes with a rest position inside or on it.
     pub region: Shape,
     /// Prescribed components: x, y, z.
     pub components: [bool; 3],
-    /// Times and placements of the nodes' rest positions, ascending in time; empty: the nodes stay where they start.
+    /// Keyframes of the nodes, ascending in time; empty for constrained nodes, which remain at rest.
     pub keyframes: Vec<Keyframe>,
 }
 
-/// Where a script puts its nodes, or a motion its obstacle, at one time; between two, linear. Before the first and after the last,
-/// nothing moves.
+/// Displacement of scripted nodes, or of an obstacle, at one time. Linear between keyframes, constant before the first and
+/// after the last.
 #[derive(Clone, Copy, Debug)]
 pub struct Keyframe {
     /// s
     pub time: f64,
     /// From the rest position, m.
     pub translate: DVec3,
-    /// Axis of the turn, a unit vector: about the centre of the pin's region ([`Shape::centre`]), or the obstacle's [`Motion::pivot`].
+    /// Rotation axis, a unit vector through the centre of the pin's region ([`Shape::centre`]) or the obstacle's
+    /// [`Motion::pivot`].
     pub axis: DVec3,
-    /// Angle of the turn, rad.
+    /// Rotation angle, rad.
     pub angle: f64,
 }
 
 impl Keyframe {
-    /// The turn (axis times angle, rad) and the translation (m) at a time (s), given at least one keyframe.
+    /// Rotation vector (axis times angle, rad) and translation (m) at a time (s) of at least one keyframe.
     pub fn pose(keyframes: &[Keyframe], time: f64) -> (DVec3, DVec3) {
         let after = keyframes.partition_point(|frame| frame.time <= time);
         let last = keyframes.len() - 1;
         let [a, b] = [after.saturating_sub(1), after.min(last)].map(|frame| &keyframes[frame]);
-        let turn = |frame: &Keyframe| frame.angle * frame.axis;
+        let rotation = |frame: &Keyframe| frame.angle * frame.axis;
         let share = if b.time > a.time {
             (time - a.time) / (b.time - a.time)
         } else {
             0.0
         };
         (
-            turn(a).lerp(turn(b), share),
+            rotation(a).lerp(rotation(b), share),
             a.translate.lerp(b.translate, share),
         )
+    }
+
+    /// Largest speed between a time and `span` (both s) later, m/s, of points within `radius` (m) of the centre of rotation.
+    pub fn max_speed(keyframes: &[Keyframe], radius: f64, time: f64, span: f64) -> f64 {
+        let pairs = keyframes.windows(2);
+        let active = pairs.filter(|pair| pair[1].time > time && pair[0].time < time + span);
+        let speeds = active.map(|pair| {
+            let rotation = |frame: &Keyframe| frame.angle * frame.axis;
+            let path = pair[1].translate.distance(pair[0].translate)
+                + rotation(&pair[1]).distance(rotation(&pair[0])) * radius;
+            path / (pair[1].time - pair[0].time)
+        });
+        speeds.fold(0.0, f64::max)
     }
 
     /// The time of the next keyframe after a time, s.
@@ -414,40 +443,40 @@ impl Keyframe {
 /// A constant force on a solid.
 #[derive(Clone, Debug)]
 pub struct Load {
-    /// Acts on nodes whose rest position is inside or on it.
+    /// Selects nodes with a rest position inside or on it.
     pub region: Shape,
-    /// How it acts.
+    /// Kind of load.
     pub kind: LoadKind,
 }
 
-/// How a load acts.
+/// Kind of load.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum LoadKind {
-    /// A force shared out in equal parts among the nodes, N.
+    /// Total force, distributed equally among the nodes, N.
     Force(DVec3),
-    /// A traction on the surface triangles with all nodes in the region, Pa of rest area.
+    /// Traction on the surface triangles with all nodes in the region, Pa of rest area.
     Traction(DVec3),
 }
 
-/// A rigid body that stands still, or moves as its keyframes say.
+/// A rigid body, at rest or with a prescribed motion.
 #[derive(Clone, Debug)]
 pub struct Obstacle {
-    /// Its shape.
+    /// Shape before its placement.
     pub shape: Shape,
-    /// Where the shape is put: x = centre + scale rotate (X - centre) + translate.
+    /// Initial position: x = centre + scale rotate (X - centre) + translate.
     pub placement: Placement,
-    /// A container: solid is everything outside the shape.
+    /// Whether it is a container: everything outside the shape is solid.
     pub inside_out: bool,
-    /// How it moves; `None` where it stands still.
+    /// Prescribed motion; `None` at rest.
     pub motion: Option<Motion>,
 }
 
-/// How an obstacle moves: x = pivot + turn (X - pivot) + translate, X where its placement puts it.
+/// Prescribed motion of an obstacle: x = pivot + rotation (X - pivot) + translate, X as placed.
 #[derive(Clone, Debug)]
 pub struct Motion {
-    /// Times, turns and translations, ascending in time; at least one.
+    /// Keyframes, ascending in time; at least one.
     pub keyframes: Vec<Keyframe>,
-    /// What it turns about, m; by default the centre of the shape, or of the box around a mesh, where its placement puts it.
+    /// Centre of rotation, m; default the centre of the placed shape, or of the bounding box of a mesh.
     pub pivot: Option<DVec3>,
 }
 
@@ -456,35 +485,34 @@ pub struct Motion {
 pub struct Source {
     /// Its shape.
     pub shape: Shape,
-    /// Velocity of the liquid in it, m/s; not zero. With a flow rate that without walls.
+    /// Velocity of the emitted liquid, m/s; not zero. With a flow rate: the velocity without walls.
     pub velocity: DVec3,
-    /// Volume per second to emit whatever walls cover, m^3/s; `None` where the velocity is given.
+    /// Flow rate, m^3/s, whatever part of the source is covered by walls; `None` with a given velocity.
     pub flow_rate: Option<f64>,
-    /// It runs from this time on, s; default 0.
+    /// Start time, s; default 0.
     pub start: f64,
-    /// It runs up to this time, s; default for ever.
+    /// End time, s; default infinity.
     pub end: f64,
 }
 
-/// A region that takes liquid away.
+/// A region that removes liquid.
 #[derive(Clone, Debug)]
 pub struct Sink {
     /// Its shape.
     pub shape: Shape,
 }
 
-/// A measurement, taken after every sub-step.
+/// A measurement after every sub-step.
 #[derive(Clone, Debug)]
 pub struct Probe {
-    /// Name, unique in the scene; names its [`Probe::columns`].
+    /// Name, unique in the scene, and prefix of the [`Probe::columns`].
     pub name: String,
-    /// What is measured.
+    /// Measured quantity.
     pub kind: ProbeKind,
 }
 
 impl Probe {
-    /// Its columns in probes.csv: the name; `_x`, `_y`, `_z` after it for a velocity, a displacement, a centre or a force; and
-    /// `_volume` for a solid.
+    /// Columns in probes.csv: the name, with `_x`, `_y`, `_z` for vectors and `_volume` for a solid.
     pub fn columns(&self) -> Vec<String> {
         let endings: &[&str] = match self.kind {
             ProbeKind::Height { .. } | ProbeKind::Pressure { .. } | ProbeKind::Front { .. } => {
@@ -499,7 +527,7 @@ impl Probe {
         endings.iter().map(name).collect()
     }
 
-    /// The units of its columns.
+    /// Units of the columns.
     pub fn units(&self) -> &'static [&'static str] {
         match self.kind {
             ProbeKind::Height { .. } | ProbeKind::Front { .. } => &["m"],
@@ -512,17 +540,17 @@ impl Probe {
     }
 }
 
-/// The axis against gravity's largest component; y upwards without gravity.
+/// The axis against gravity's largest component; +y without gravity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Up {
     /// 0, 1, 2 for x, y, z.
     pub axis: usize,
-    /// Whether coordinates fall on the way up.
+    /// Whether the upward direction is negative.
     pub falling: bool,
 }
 
 impl Up {
-    /// Against a gravity.
+    /// The upward direction for a gravity.
     pub fn against(gravity: DVec3) -> Up {
         match gravity == DVec3::ZERO {
             true => Up {
@@ -540,14 +568,14 @@ impl Up {
     }
 }
 
-/// What a probe measures.
+/// Measured quantity of a probe.
 #[derive(Clone, Copy, Debug)]
 pub enum ProbeKind {
-    /// Height of the highest liquid surface, against gravity, above the side of the domain that gravity points to, m.
+    /// Height of the highest liquid surface above the lowest side of the domain, along gravity, m.
     Height {
-        /// A point of the line along which it is measured, m.
+        /// A point of the vertical line, m.
         foot: DVec3,
-        /// The way up.
+        /// Upward direction.
         up: Up,
     },
     /// Pressure at a point, Pa.
@@ -560,24 +588,24 @@ pub enum ProbeKind {
         /// m
         point: DVec3,
     },
-    /// Largest coordinate along an axis that the liquid reaches, m.
+    /// Largest coordinate of the liquid along an axis, m.
     Front {
         /// 0, 1, 2 for x, y, z.
         axis: usize,
     },
-    /// Displacement from rest of the node of a solid that is nearest to a point at rest, the first of several, m; three columns.
+    /// Displacement of the solid's node nearest to a rest point, the first of several, m; three columns.
     Node {
         /// Index of the solid.
         solid: usize,
-        /// m, where the node is at rest.
+        /// Position at rest, m.
         rest_point: DVec3,
     },
-    /// Centre of mass of a solid, m, and its volume over that at rest (signed: an inverted element counts against); four columns.
+    /// Centre of mass of a solid, m, and its signed volume relative to rest; four columns.
     Solid {
         /// Index of the solid.
         solid: usize,
     },
-    /// Force of the liquid on a solid, N: J^T p and what pressure does that varies within cells, summed over its nodes.
+    /// Force of the liquid on a solid, N: J^T p plus the correction for pressure that varies within cells.
     Force {
         /// Index of the solid.
         solid: usize,
@@ -586,27 +614,27 @@ pub enum ProbeKind {
 
 impl ProbeKind {
     /// Whether it measures the liquid alone.
-    pub fn of_liquid(&self) -> bool {
-        !self.of_solid() && !self.of_force()
+    pub fn measures_liquid(&self) -> bool {
+        !self.measures_solid() && !self.measures_force()
     }
 
-    /// Whether it measures where a solid is.
-    pub fn of_solid(&self) -> bool {
+    /// Whether it measures the position of a solid.
+    pub fn measures_solid(&self) -> bool {
         matches!(self, ProbeKind::Node { .. } | ProbeKind::Solid { .. })
     }
 
-    /// Whether it measures what the liquid does to a solid.
-    pub fn of_force(&self) -> bool {
+    /// Whether it measures the force of the liquid on a solid.
+    pub fn measures_force(&self) -> bool {
         matches!(self, ProbeKind::Force { .. })
     }
 }
 
-/// How the systems of a sub-step are made and solved.
+/// Solver settings of a sub-step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Solver {
     /// Relative tolerance of the true residual; default 1e-8, with `f32` 1e-5.
     pub tolerance: f64,
-    /// PCG iterations in all rounds; default 200.
+    /// PCG iterations in all refinement steps; default 200.
     pub max_iterations: u32,
     /// Default `mixed`.
     pub precision: Precision,
@@ -614,15 +642,15 @@ pub struct Solver {
     pub preconditioner: Preconditioner,
     /// Smallest theta of the ghost fluid method; default 1e-2, with markers 0.15.
     pub theta_floor: f64,
-    /// Open fractions below it close and above one minus it open; default 1e-3, with nodal face areas 1e-2.
+    /// Apertures below it close, and above one minus it open; default 1e-3, with nodal face areas 1e-2.
     pub area_clamp: f64,
-    /// Where the open areas beside elastic solids come from; default `clipped`.
+    /// Source of the apertures beside elastic solids; default `clipped`.
     pub face_areas: FaceAreas,
-    /// How liquid and elastic solids are solved for where they touch; default `strong`.
+    /// Coupling scheme of liquid and solids; default `strong`.
     pub coupling: CouplingScheme,
-    /// How pressure varies over a cell where it acts on a solid; default `hydrostatic`.
+    /// Variation of the pressure within a cell, for the force on solids; default `hydrostatic`.
     pub pressure_on_patches: PatchPressure,
-    /// What the corrections of a coupled solve on a GPU are made of; default `auto`.
+    /// Unknowns of a coupled solve on a GPU; default `auto`.
     pub formulation: Formulation,
 }
 
@@ -643,19 +671,19 @@ impl Default for Solver {
     }
 }
 
-/// What the unknowns and the residual are held in.
+/// Floating-point precision of the solve.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Precision {
     /// All in f32.
     F32,
     /// Unknowns and residual in f64, corrections in f32.
     Mixed,
-    /// All in f64; the adapter must have it.
+    /// All in f64; needs an adapter with f64.
     F64,
 }
 
 impl Precision {
-    /// The tolerance of a scene that gives none.
+    /// Default of [`Solver::tolerance`].
     pub fn default_tolerance(self) -> f64 {
         match self {
             Precision::F32 => 1e-5,
@@ -664,60 +692,60 @@ impl Precision {
     }
 }
 
-/// Where the open areas beside elastic solids come from.
+/// Source of the apertures beside elastic solids.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FaceAreas {
-    /// From the patches of the solids' surfaces, so that every cut cell closes.
+    /// Patches of the solids' surfaces: every cut cell closes to rounding.
     Clipped,
-    /// From the distance at the corners of the cells (thesis, figure 5.2); cut cells close to some percent.
+    /// Distance at the corners of the cells (thesis, figure 5.2): cut cells close to a few percent.
     Nodal,
 }
 
-/// How liquid and elastic solids are solved for where they touch. The last two are what chapter 6 of the thesis compares with.
+/// Coupling scheme of liquid and elastic solids. The last two are the baselines of the thesis's chapter 6.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CouplingScheme {
     /// Pressures and velocities in one solve.
     Strong,
-    /// The pressure against the solids' velocities before the sub-step, then the solids under that pressure.
+    /// The pressure with the old velocities of the solids, then the solids under that pressure.
     Weak,
-    /// The solids' elasticity by itself first, then pressures and velocities in one solve that knows of mass and damping alone.
+    /// The elasticity of the solids first, then pressures and velocities in one solve without stiffness.
     DampingOnly,
 }
 
-/// What the corrections of a coupled solve on a GPU are made of. The answer is the same.
+/// Unknowns of a coupled solve on a GPU. All choices have the same solution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Formulation {
-    /// Condensed where the liquid wets few nodes, else two-field.
+    /// Condensed with few wet nodes, else two-field.
     Auto,
-    /// Pressures and velocities (thesis 5.25), all on the device.
+    /// Pressures and velocities (thesis 5.25), on the device.
     TwoField,
-    /// Pressures alone, with the inverse of the solids' matrix among the wet nodes, made on the CPU.
+    /// Pressures alone: the Schur complement, with the wet compliance computed on the CPU.
     Condensed,
 }
 
-/// How pressure varies over a cell where it acts on the patches of a solid.
+/// Variation of the pressure within a cell, for the force on the patches of a solid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PatchPressure {
-    /// Not at all, as in the thesis: off by the weight of the liquid between a patch and the centre.
+    /// Constant, as in the thesis. The error is the weight of the liquid between a patch and the centre.
     Cell,
-    /// As in a liquid at rest: with gradient rho g.
+    /// Gradient rho g, as in a liquid at rest.
     Hydrostatic,
-    /// With the gradient that the sub-step before left.
+    /// Gradient of the previous sub-step.
     Gradient,
 }
 
-/// What preconditions the conjugate gradients.
+/// Preconditioner of the conjugate gradients.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Preconditioner {
     /// One V-cycle of aggregation multigrid.
     Multigrid,
     /// The diagonal, for comparison.
     Jacobi,
-    /// The same with the 3x3 blocks of the nodes of solids, where one solve is for both.
+    /// The diagonal, with 3x3 blocks for the nodes of solids in a coupled solve.
     BlockJacobi,
 }
 
-/// What a run writes.
+/// Files of a run.
 #[derive(Clone, Copy, Debug)]
 pub struct Output {
     /// VTP markers; default on with liquid.
@@ -728,42 +756,41 @@ pub struct Output {
     pub solids: bool,
     /// The liquid's surface as PLY and VTP; default off.
     pub surface: bool,
-    /// Every how many frames; default 1.
+    /// Interval of written frames; default 1.
     pub every: u64,
-    /// Frames from one checkpoint to the next; 0: only where the run is interrupted. Default 10.
+    /// Interval of checkpoints in frames, default 10; 0 for interruptions only.
     pub checkpoint_every: u64,
 }
 
-/// How the mesh of the liquid's surface is made from markers, for files and for pictures.
+/// Settings of the surface mesh around markers, for files and pictures.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SurfaceMesh {
-    /// Distance of the surface from a marker alone, cells; default 0.95. A flat surface lies 0.7 of it beyond its
-    /// outermost markers.
+    /// Distance of the surface from an isolated marker, cells; default 0.95. A flat surface lies 0.7 of it beyond its markers.
     pub radius: f64,
-    /// Rounds of smoothing, which keep the volume; default 20.
+    /// Smoothing iterations at constant volume; default 20.
     pub smoothing: u32,
 }
 
 /// A pinhole camera.
 #[derive(Clone, Debug)]
 pub struct Camera {
-    /// Position, m; default from the domain. With keyframes, that of the first.
+    /// Position, m; default from the domain. With keyframes that of the first one.
     pub eye: DVec3,
     /// Point in the middle of the picture, m.
     pub target: DVec3,
     /// Up.
     pub up: DVec3,
-    /// Vertical opening, degrees.
+    /// Vertical field of view, degrees.
     pub fov: f64,
     /// Picture size, pixels.
     pub size: [usize; 2],
-    /// Its path, ascending in time; empty: it rests.
+    /// Path, ascending in time; empty for a fixed camera.
     pub keyframes: Vec<CameraKeyframe>,
-    /// Where pictures show elastic solids cut open, so that one sees what is in them.
+    /// Plane that cuts elastic solids open.
     pub cut: Option<CameraCut>,
 }
 
-/// A plane across an axis: what lies on the camera's side of it is not drawn.
+/// A plane normal to an axis. Solids on the camera's side of it are not drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraCut {
     /// 0, 1 or 2.
@@ -772,7 +799,7 @@ pub struct CameraCut {
     pub at: f64,
 }
 
-/// Where a camera is at one time.
+/// Pose of a camera at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraKeyframe {
     /// s
@@ -781,15 +808,15 @@ pub struct CameraKeyframe {
     pub eye: DVec3,
     /// Point in the middle of the picture, m.
     pub target: DVec3,
-    /// Vertical opening, degrees.
+    /// Vertical field of view, degrees.
     pub fov: f64,
 }
 
 impl Scene {
-    /// Where a value was written, for errors, by its dotted key: file, line and key, or the `--set`. Where it is left out, its table's line.
+    /// Origin of a dotted key for errors: file, line and key, or the `--set`. An absent key has the line of its table.
     pub fn at(&self, key: &str) -> String {
         let file = self.file.display();
-        match self.written.at(key) {
+        match self.origins.get(key) {
             Some(Origin::Line(line)) => format!("{file}:{line}: {key}"),
             Some(Origin::Set(index)) => format!("--set {}: {key}", self.overrides[index]),
             None => format!("{file}: {key}"),
@@ -811,7 +838,7 @@ impl Scene {
             .any(|obstacle| obstacle.motion.is_some())
     }
 
-    /// Frames of the whole run; frame 0 is the initial state and not counted.
+    /// Number of frames, without frame 0, the initial state.
     pub fn n_frames(&self) -> u64 {
         (self.time.duration * self.time.frames_per_second)
             .round()

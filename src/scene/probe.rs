@@ -1,52 +1,28 @@
-//! Probes: how they are written, and which columns they make.
+//! Probes and their columns in probes.csv.
 
 use std::collections::BTreeMap;
 
 use glam::DVec3;
 
 use super::document::{Keys, Place, Table};
-use super::read::list;
+use super::read::{list, unique_name};
 use super::{Domain, Probe, ProbeKind, Solid, Up};
 use crate::error::Error;
 
-const PROBE: Keys = Keys {
-    valid: &[
-        "name", "height", "pressure", "velocity", "front", "node", "solid", "force",
-    ],
-    absent: &[],
-};
-/// What measures liquid.
-const OF_LIQUID: [&str; 4] = ["height", "pressure", "velocity", "front"];
-/// All measurements: those of liquid first.
+const PROBE: Keys = Keys::new(&[
+    "name", "height", "pressure", "velocity", "front", "node", "solid", "force",
+]);
+const LIQUID_MEASUREMENTS: [&str; 4] = ["height", "pressure", "velocity", "front"];
 const MEASUREMENTS: [&str; 7] = [
     "height", "pressure", "velocity", "front", "node", "solid", "force",
 ];
-const HEIGHT: Keys = Keys {
-    valid: &["x", "y", "z"],
-    absent: &[],
-};
-const POINT: Keys = Keys {
-    valid: &["point"],
-    absent: &[],
-};
-const FRONT: Keys = Keys {
-    valid: &["axis"],
-    absent: &[],
-};
-const NODE: Keys = Keys {
-    valid: &["solid", "rest_point"],
-    absent: &[],
-};
-const SOLID: Keys = Keys {
-    valid: &["name"],
-    absent: &[],
-};
-const FORCE: Keys = Keys {
-    valid: &["solid"],
-    absent: &[],
-};
+const HEIGHT: Keys = Keys::new(&["x", "y", "z"]);
+const POINT: Keys = Keys::new(&["point"]);
+const FRONT: Keys = Keys::new(&["axis"]);
+const NODE: Keys = Keys::new(&["solid", "rest_point"]);
+const SOLID: Keys = Keys::new(&["name"]);
+const FORCE: Keys = Keys::new(&["solid"]);
 
-/// All probes of a scene, in order.
 pub(super) fn probes(
     root: &Table,
     domain: &Domain,
@@ -57,118 +33,115 @@ pub(super) fn probes(
         return Ok(Vec::new());
     };
     let mut probes: Vec<Probe> = Vec::new();
-    let mut taken = BTreeMap::from(
+    let mut owners = BTreeMap::from(
         [("step", "the number of the sub-step"), ("t", "the time")]
-            .map(|(name, what)| (name.to_owned(), what.to_owned())),
+            .map(|(column, owner)| (column.to_owned(), owner.to_owned())),
     );
     for place in places.list()? {
         let table = place.table(&PROBE)?;
         let name_place = table.required("name", "name = \"h1\", the column of probes.csv")?;
         let name = name_place.text("the name of a column in probes.csv")?;
-        let plain = name
-            .chars()
-            .all(|c| c.is_ascii_alphanumeric() || "_-.".contains(c));
-        let problem = format!("\"{name}\" cannot name a column");
-        name_place.ensure(plain, problem, "use letters, digits, _, - and . only")?;
-        let named = probes.iter().any(|probe| probe.name == name);
-        let problem = format!("a probe before it is named \"{name}\" too");
-        name_place.ensure(!named, problem, "choose another name")?;
-
-        let (kind, place) = table.one_of(&MEASUREMENTS, "measurement")?;
-        if OF_LIQUID.contains(&kind) {
-            let cure = "measure a solid: node = { solid, rest_point } or solid = { name }";
-            place.ensure(
-                has_liquid,
-                "measures liquid, of which the scene has none",
-                cure,
-            )?;
-        } else {
-            let cure = "measure the liquid: height, pressure, velocity or front";
-            let problem = "measures a solid, and the scene has no [[solid]]";
-            place.ensure(!solids.is_empty(), problem, cure)?;
-        }
-        if kind == "force" {
-            let problem = "measures the force of liquid, of which the scene has none";
-            place.ensure(has_liquid, problem, "add a [liquid] section with a region")?;
-        }
-        let kind = match kind {
-            "height" => {
-                let table = place.table(&HEIGHT)?;
-                let up = Up::against(domain.gravity);
-                let mut foot = DVec3::ZERO;
-                for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
-                    let Some(place) = table.get(name) else {
-                        let problem = format!("has no `{name}`");
-                        match axis == up.axis {
-                            true => continue,
-                            false => {
-                                return Err(table.fail(problem, format!("add {name} = 0.5, in m")));
-                            }
-                        }
-                    };
-                    place.ensure(
-                        axis != up.axis,
-                        "is along gravity, and the height is measured that way",
-                        "remove it: the two other coordinates say where",
-                    )?;
-                    let value = place.number("a coordinate in m")?;
-                    let side = domain.size[axis];
-                    let problem = format!("{value} m lies outside the domain");
-                    place.ensure(
-                        (0.0..=side).contains(&value),
-                        problem,
-                        format!("use 0 to {side} m"),
-                    )?;
-                    foot[axis] = value;
-                }
-                ProbeKind::Height { foot, up }
-            }
-            "pressure" => ProbeKind::Pressure {
-                point: point(place, domain)?,
-            },
-            "velocity" => ProbeKind::Velocity {
-                point: point(place, domain)?,
-            },
-            "front" => {
-                let table = place.table(&FRONT)?;
-                let axis = table.required("axis", "axis = \"x\"")?;
-                ProbeKind::Front {
-                    axis: axis.choice(&[("x", 0), ("y", 1), ("z", 2)])?,
-                }
-            }
-            "node" => {
-                let table = place.table(&NODE)?;
-                let point = table.required("rest_point", "rest_point = [0.5, 0.1, 0.5], in m")?;
-                ProbeKind::Node {
-                    solid: solid_named(&table, "solid", solids)?,
-                    rest_point: point.vector("a point of the solid at rest in m")?,
-                }
-            }
-            "force" => ProbeKind::Force {
-                solid: solid_named(&place.table(&FORCE)?, "solid", solids)?,
-            },
-            _ => ProbeKind::Solid {
-                solid: solid_named(&place.table(&SOLID)?, "name", solids)?,
-            },
-        };
+        let earlier = probes.iter().map(|probe| probe.name.as_str());
+        unique_name(&name_place, name, "probe", earlier)?;
         let probe = Probe {
             name: name.to_owned(),
-            kind,
+            kind: measurement(&table, domain, has_liquid, solids)?,
         };
         for column in probe.columns() {
-            if let Some(owner) = taken.get(&column) {
+            if let Some(owner) = owners.get(&column) {
                 let problem =
-                    format!("makes column \"{column}\" of probes.csv, which {owner} has already");
+                    format!("needs column \"{column}\" of probes.csv, the column of {owner}");
                 return Err(name_place.fail(problem, "choose another name"));
             }
-            taken.insert(column, format!("probe \"{name}\""));
+            owners.insert(column, format!("probe \"{name}\""));
         }
         probes.push(probe);
     }
     Ok(probes)
 }
 
-/// The index of the solid whose name stands under a key.
+fn measurement(
+    table: &Table,
+    domain: &Domain,
+    has_liquid: bool,
+    solids: &[Solid],
+) -> Result<ProbeKind, Error> {
+    let (kind, place) = table.one_of(&MEASUREMENTS, "measurement")?;
+    if LIQUID_MEASUREMENTS.contains(&kind) {
+        let cure = "measure a solid: node = { solid, rest_point } or solid = { name }";
+        place.ensure(has_liquid, "measures liquid, and the scene has none", cure)?;
+    } else {
+        let cure = "measure the liquid: height, pressure, velocity or front";
+        let problem = "measures a solid, and the scene has no [[solid]]";
+        place.ensure(!solids.is_empty(), problem, cure)?;
+    }
+    if kind == "force" {
+        let problem = "measures the force of liquid, and the scene has none";
+        place.ensure(has_liquid, problem, "add a [liquid] section with a region")?;
+    }
+    Ok(match kind {
+        "height" => height(place, domain)?,
+        "pressure" => ProbeKind::Pressure {
+            point: point(place, domain)?,
+        },
+        "velocity" => ProbeKind::Velocity {
+            point: point(place, domain)?,
+        },
+        "front" => {
+            let table = place.table(&FRONT)?;
+            let axis = table.required("axis", "axis = \"x\"")?;
+            ProbeKind::Front {
+                axis: axis.choice(&[("x", 0), ("y", 1), ("z", 2)])?,
+            }
+        }
+        "node" => {
+            let table = place.table(&NODE)?;
+            let point = table.required("rest_point", "rest_point = [0.5, 0.1, 0.5], in m")?;
+            ProbeKind::Node {
+                solid: solid_named(&table, "solid", solids)?,
+                rest_point: point.vector("a point of the solid at rest in m")?,
+            }
+        }
+        "force" => ProbeKind::Force {
+            solid: solid_named(&place.table(&FORCE)?, "solid", solids)?,
+        },
+        _ => ProbeKind::Solid {
+            solid: solid_named(&place.table(&SOLID)?, "name", solids)?,
+        },
+    })
+}
+
+/// Height along a vertical line; the two horizontal coordinates select it.
+fn height(place: Place, domain: &Domain) -> Result<ProbeKind, Error> {
+    let table = place.table(&HEIGHT)?;
+    let up = Up::against(domain.gravity);
+    let mut foot = DVec3::ZERO;
+    for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
+        let Some(place) = table.get(name) else {
+            if axis == up.axis {
+                continue;
+            }
+            let problem = format!("has no `{name}`");
+            return Err(table.fail(problem, format!("add {name} = 0.5, in m")));
+        };
+        place.ensure(
+            axis != up.axis,
+            "is along gravity, the direction of the height",
+            "remove it: the two other coordinates select the line",
+        )?;
+        let value = place.number("a coordinate in m")?;
+        let side = domain.size[axis];
+        place.ensure(
+            (0.0..=side).contains(&value),
+            format!("{value} m lies outside the domain"),
+            format!("use 0 to {side} m"),
+        )?;
+        foot[axis] = value;
+    }
+    Ok(ProbeKind::Height { foot, up })
+}
+
+/// Index of the solid that a key names.
 fn solid_named(table: &Table, key: &str, solids: &[Solid]) -> Result<usize, Error> {
     let place = table.required(
         key,

@@ -1,4 +1,4 @@
-//! From the tree of a scene file to a checked [`Scene`].
+//! Converts the tree of a scene file to a checked [`Scene`].
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -9,14 +9,13 @@ use sha2::{Digest, Sha256};
 use super::camera::camera;
 use super::document::{Document, Keys, Place, Table};
 use super::probe::probes;
-use super::shape::{keyframes, placement, shape, solitary};
+use super::shape::{ensure_in_domain, keyframes, placement, shape, solitary};
 use super::solid::solids;
+use super::sources_sinks::{sinks, sources};
 use super::surface::surface;
-use super::tap::{sinks, sources};
 use super::{
     CouplingScheme, Domain, FaceAreas, Formulation, Liquid, Motion, Obstacle, Output,
-    PatchPressure, Placement, Precision, Preconditioner, Region, Scene, Shape, Solid, SolidMesh,
-    Solver, Surface, Time,
+    PatchPressure, Precision, Preconditioner, Region, Scene, Shape, Solid, Solver, Surface, Time,
 };
 use crate::error::Error;
 use crate::grid::{Axis, Sides};
@@ -25,54 +24,44 @@ use crate::grid::{Axis, Sides};
 const MAX_CELLS: f64 = (1u64 << 30) as f64;
 /// Most cells along an axis.
 const MAX_CELLS_PER_AXIS: u64 = 1 << 16;
-/// Sides of a domain, m: beyond, squares and cubes of cell sizes leave single precision.
+/// Sides of a domain, m. Squares and cubes of cell sizes must be representable in single precision.
 const SIDES: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
-/// Radii of marker spheres, cells. Markers tell the liquid distance up to two cells away, and air that is nearer than half a
-/// cell to a sphere counts as partly full: from 1.5 on all air would.
+/// Radii of marker spheres, cells. The liquid distance extends two cells beyond markers, and air within half a cell of a sphere counts
+/// as partly full. From a radius of 1.5 on, all air would.
 const MARKER_RADII: std::ops::RangeInclusive<f64> = 0.5..=1.2;
-/// Densities, kg/m^3; velocities, m/s, and accelerations, m/s^2, along an axis; frames per second. Far beyond all liquids; what
-/// is computed from them stays in single precision.
+/// Densities, kg/m^3. This limit and the next three bound derived quantities to the range of single precision.
 const DENSITIES: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
+/// Velocities along an axis, m/s.
 pub(crate) const MAX_VELOCITY: f64 = 1e6;
+/// Accelerations along an axis, m/s^2.
 const MAX_GRAVITY: f64 = 1e6;
+/// Frames per second.
 const FRAME_RATES: std::ops::RangeInclusive<f64> = 1e-3..=1e6;
-/// Cells are cubic to this relative difference.
+/// Relative tolerance of cubic cells.
 const CUBIC: f64 = 1e-6;
-/// Longest name that file systems take, bytes.
+/// Length limit of file names in file systems, bytes.
 const MAX_FILE_NAME: usize = 255;
-/// Longest addition to a scene's name in the name of a file: obstacles of a frame while they are being written.
+/// Longest suffix and prefix of a scene's name in a file name: moving obstacles of a frame, partially written.
 const LONGEST_ADDITION: &str = "._obstacles_000000.vtp.partial";
 /// Most frames of a run: file names have six digits.
 pub const MAX_FRAMES: u64 = 999_999;
-/// The fixed step divides the frame time to this relative difference.
+/// Relative tolerance of a frame time that is a multiple of the fixed step.
 const WHOLE_STEPS: f64 = 1e-6;
 
-const ROOT: Keys = Keys {
-    valid: &[
-        "domain", "time", "liquid", "solid", "obstacle", "source", "sink", "probe", "solver",
-        "output", "camera", "surface",
-    ],
-    absent: &[],
-};
-const DOMAIN: Keys = Keys {
-    valid: &["size", "cells", "gravity", "open"],
-    absent: &[],
-};
-const TIME: Keys = Keys {
-    valid: &["duration", "frames_per_second", "cfl", "fixed_step"],
-    absent: &[],
-};
-const LIQUID: Keys = Keys {
-    valid: &[
-        "density",
-        "surface",
-        "marker_radius",
-        "seed",
-        "volume_control",
-        "region",
-    ],
-    absent: &[],
-};
+const ROOT: Keys = Keys::new(&[
+    "domain", "time", "liquid", "solid", "obstacle", "source", "sink", "probe", "solver", "output",
+    "camera", "surface",
+]);
+const DOMAIN: Keys = Keys::new(&["size", "cells", "gravity", "open"]);
+const TIME: Keys = Keys::new(&["duration", "frames_per_second", "cfl", "fixed_step"]);
+const LIQUID: Keys = Keys::new(&[
+    "density",
+    "surface",
+    "marker_radius",
+    "seed",
+    "volume_control",
+    "region",
+]);
 const REGION_SHAPES: [&str; 7] = [
     "box",
     "sphere",
@@ -82,35 +71,29 @@ const REGION_SHAPES: [&str; 7] = [
     "wave",
     "solitary",
 ];
-const REGION: Keys = Keys {
-    valid: &[
-        "box",
-        "sphere",
-        "cylinder",
-        "half_space",
-        "mesh",
-        "wave",
-        "solitary",
-        "placement",
-        "subtract",
-        "velocity",
-    ],
-    absent: &[],
-};
+const REGION: Keys = Keys::new(&[
+    "box",
+    "sphere",
+    "cylinder",
+    "half_space",
+    "mesh",
+    "wave",
+    "solitary",
+    "placement",
+    "subtract",
+    "velocity",
+]);
 const OBSTACLE_SHAPES: [&str; 4] = ["box", "sphere", "cylinder", "mesh"];
-const OBSTACLE: Keys = Keys {
-    valid: &[
-        "box",
-        "sphere",
-        "cylinder",
-        "mesh",
-        "placement",
-        "inside_out",
-        "keyframes",
-        "pivot",
-    ],
-    absent: &[],
-};
+const OBSTACLE: Keys = Keys::new(&[
+    "box",
+    "sphere",
+    "cylinder",
+    "mesh",
+    "placement",
+    "inside_out",
+    "keyframes",
+    "pivot",
+]);
 const SOLVER: Keys = Keys {
     valid: &[
         "tolerance",
@@ -125,40 +108,33 @@ const SOLVER: Keys = Keys {
         "formulation",
     ],
     absent: &[
-        ("sigma", "the form with two fields halves the masses"),
+        ("sigma", "the two-field form halves the masses"),
         (
             "alpha",
-            "residuals of pressures and of velocities are judged apart, without a weight",
+            "residuals of pressures and of velocities are tested separately, without a weight",
         ),
     ],
 };
-const OUTPUT: Keys = Keys {
-    valid: &[
-        "particles",
-        "fields",
-        "solids",
-        "surface",
-        "every",
-        "checkpoint_every",
-    ],
-    absent: &[],
-};
+const OUTPUT: Keys = Keys::new(&[
+    "particles",
+    "fields",
+    "solids",
+    "surface",
+    "every",
+    "checkpoint_every",
+]);
 
 impl Scene {
     /// Reads and checks a scene file.
     ///
-    /// `overrides` are `KEY=VALUE` with dotted keys and indices from 0 (`liquid.region[0].velocity=[1, 0, 0]`); a value that
-    /// is no TOML and one word is a text. `scale` multiplies the cells, rounded, and nothing else. The first thing found
-    /// wrong is returned, with the file and line (or the override), the key and the cure.
+    /// `overrides` are `KEY=VALUE` with dotted keys and indices from 0, such as `liquid.region[0].velocity=[1, 0, 0]`. A single word that
+    /// is no TOML value is a text. `scale` multiplies the numbers of cells, rounded, and nothing else.
     pub fn load(path: &Path, overrides: &[String], scale: f64) -> Result<Scene, Error> {
         let text = read_text(path)?;
         Scene::parse(path, &text, overrides, scale)
     }
 
-    /// The same of the text of a scene file; `path` names it in errors, and files that it names are beside it.
-    ///
-    /// # Errors
-    /// As [`Scene::load`].
+    /// Reads and checks the text of a scene file; its mesh files are relative to the folder of `path`.
     pub fn parse(
         path: &Path,
         text: &str,
@@ -168,16 +144,16 @@ impl Scene {
         if !(scale.is_finite() && scale > 0.0) {
             return Err(Error::input(
                 format!("--scale {scale}"),
-                "cells cannot be multiplied by it",
+                "is no factor for numbers of cells",
                 "use a number above zero",
             ));
         }
         let document = Document::parse(path, text, overrides)?;
-        Scene::of_document(&document, path, text, overrides, scale)
+        Scene::from_document(&document, path, text, overrides, scale)
     }
 
-    /// What a document says; `text` is what it was parsed from.
-    pub(super) fn of_document(
+    /// `text` is the source of the document.
+    pub(super) fn from_document(
         document: &Document,
         path: &Path,
         text: &str,
@@ -200,7 +176,7 @@ impl Scene {
         let scene = Scene {
             name: scene_name(path)?,
             file: path.to_owned(),
-            written: document.written(),
+            origins: document.origins(),
             hash: hash(text, overrides, scale, &meshes)?,
             scale,
             overrides: overrides.to_vec(),
@@ -230,56 +206,29 @@ impl Scene {
     }
 }
 
-/// The text of a scene file. A folder, a mesh or a file of a run in its place is told by what it is.
+/// The text of a scene file. Errors recognise folders, meshes and results of runs.
 fn read_text(path: &Path) -> Result<String, Error> {
-    let refuse = |problem: String, cure: String| {
+    let refuse = |problem: &str, cure: String| {
         let what = path.display().to_string();
         Err(Error::input(what, problem, cure))
     };
     let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
+    let is_kind = |kinds: &[&str]| kinds.iter().any(|kind| extension == *kind);
     if path.is_dir() {
-        if path.join("manifest.json").is_file() {
-            return refuse(
-                "is the folder of a run, not a scene".to_owned(),
-                "give the scene file that it was made from; `cutwater preview`, `plot` and `report` take folders of runs"
-                    .to_owned(),
-            );
-        }
-        let entries = std::fs::read_dir(path).into_iter().flatten().flatten();
-        let files = entries.map(|entry| entry.path());
-        let mut scenes: Vec<_> = files
-            .filter(|file| file.extension().is_some_and(|kind| kind == "toml"))
-            .collect();
-        scenes.sort();
-        let cure = match &scenes[..] {
-            [] => "give the path of a scene file (TOML); there is none in this folder".to_owned(),
-            [scene] => format!("give the scene file in it: {}", scene.display()),
-            [first, ..] => format!(
-                "give one of the {} scene files in it, such as {}",
-                scenes.len(),
-                first.display()
-            ),
+        return if path.join("manifest.json").is_file() {
+            let cure = "give the scene file of the run; `cutwater preview`, `plot` and `report` read folders of runs";
+            refuse("is the folder of a run, not a scene", cure.to_owned())
+        } else {
+            refuse("is a folder, not a scene file", scenes_in(path))
         };
-        return refuse("is a folder, not a scene file".to_owned(), cure);
     }
-    if ["obj", "stl", "ply", "msh", "vtu"]
-        .iter()
-        .any(|kind| extension == *kind)
-    {
-        return refuse(
-            "is a mesh, not a scene".to_owned(),
-            "give a scene file (TOML) that names it: mesh = { file = .. }; `cutwater mesh` checks a mesh by itself"
-                .to_owned(),
-        );
+    if is_kind(&["obj", "stl", "ply", "msh", "vtu"]) {
+        let cure = "give a scene file (TOML) that names it: mesh = { file = .. }; `cutwater mesh` checks a mesh by itself";
+        return refuse("is a mesh, not a scene", cure.to_owned());
     }
-    if ["json", "csv", "vtp", "vti", "pvd"]
-        .iter()
-        .any(|kind| extension == *kind)
-    {
-        return refuse(
-            "is a result, not a scene".to_owned(),
-            "give the scene file (TOML) that it was made from".to_owned(),
-        );
+    if is_kind(&["json", "csv", "vtp", "vti", "pvd"]) {
+        let cure = "give the scene file (TOML) of the run";
+        return refuse("is a result, not a scene", cure.to_owned());
     }
     let with_extension = path.with_extension("toml");
     std::fs::read_to_string(path).or_else(|error| {
@@ -289,26 +238,42 @@ fn read_text(path: &Path) -> Result<String, Error> {
             }
             std::io::ErrorKind::NotFound => "give the path of a scene file (TOML)".to_owned(),
             std::io::ErrorKind::InvalidData => "save the file as UTF-8 text".to_owned(),
-            _ => "make it a file that can be read".to_owned(),
+            _ => "give a readable file".to_owned(),
         };
-        refuse(error.to_string(), cure)
+        refuse(&error.to_string(), cure)
     })
 }
 
-/// Name of a scene: that of its file without the ending. It names the folder and the files of a run.
-///
-/// # Errors
-/// [`Error::Input`] for a name of which files or the XML of a series cannot be made.
+/// Cure that names the scene files in a folder.
+fn scenes_in(folder: &Path) -> String {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let files = entries.map(|entry| entry.path());
+    let mut scenes: Vec<_> = files
+        .filter(|file| file.extension().is_some_and(|kind| kind == "toml"))
+        .collect();
+    scenes.sort();
+    match &scenes[..] {
+        [] => "give the path of a scene file (TOML); this folder has none".to_owned(),
+        [scene] => format!("give the scene file in it: {}", scene.display()),
+        [first, ..] => format!(
+            "give one of the {} scene files in it, such as {}",
+            scenes.len(),
+            first.display()
+        ),
+    }
+}
+
+/// Name of a scene: its file stem, which names the folder and the files of a run.
 fn scene_name(path: &Path) -> Result<String, Error> {
     let stem = path.file_stem().unwrap_or(path.as_os_str());
     let name = stem.to_string_lossy().into_owned();
-    // XML 1.0 has no way to write most of these, and lines of messages and tables break at some.
+    // XML 1.0 cannot represent most of these, and some break lines of messages and tables.
     let unfit = |c: &char| c.is_control() || "\u{2028}\u{2029}\u{fffe}\u{ffff}".contains(*c);
     let most = MAX_FILE_NAME - LONGEST_ADDITION.len();
     let (problem, cure) = if let Some(c) = name.chars().find(unfit) {
         (
             format!(
-                "the name of the file has the control character {c:?}, which files of results cannot hold"
+                "the name of the file has the control character {c:?}, which files of results cannot represent"
             ),
             "rename the file, without line breaks and other control characters".to_owned(),
         )
@@ -335,7 +300,7 @@ fn scene_name(path: &Path) -> Result<String, Error> {
     ))
 }
 
-/// SHA-256 of everything that the scene is made from; lengths keep neighbours apart.
+/// SHA-256 of all inputs of the scene. Each part is preceded by its length, so that parts cannot run together.
 fn hash(text: &str, overrides: &[String], scale: f64, meshes: &[&Path]) -> Result<String, Error> {
     let mut digest = Sha256::new();
     let mut add = |part: &[u8]| {
@@ -346,7 +311,7 @@ fn hash(text: &str, overrides: &[String], scale: f64, meshes: &[&Path]) -> Resul
     overrides.iter().for_each(|part| add(part.as_bytes()));
     for mesh in meshes {
         let bytes = std::fs::read(mesh).map_err(|problem| {
-            let cure = "make it a mesh file that can be read";
+            let cure = "give a readable mesh file";
             Error::input(mesh.display().to_string(), problem.to_string(), cure)
         })?;
         add(&bytes);
@@ -368,15 +333,14 @@ fn mesh_files<'a>(
     let regions = liquid.into_iter().flat_map(|liquid| &liquid.regions);
     let shapes = regions.map(|region| &region.shape);
     let shapes = shapes.chain(obstacles.iter().map(|obstacle| &obstacle.shape));
-    let of_shapes = shapes.filter_map(|shape| match shape {
-        Shape::Mesh { file, .. } => Some(file.as_path()),
+    let shape_files = shapes.filter_map(|shape| match shape {
+        Shape::Mesh { file, .. } => Some(&**file),
         _ => None,
     });
-    let of_solids = solids.iter().filter_map(|solid| match &solid.mesh {
-        SolidMesh::File { file, .. } | SolidMesh::Surface { file, .. } => Some(file.as_path()),
-        _ => None,
-    });
-    of_shapes.chain(of_solids).collect()
+    let solid_files = solids
+        .iter()
+        .filter_map(|solid| Some(&**solid.mesh.file()?));
+    shape_files.chain(solid_files).collect()
 }
 
 fn domain(root: &Table, scale: f64) -> Result<Domain, Error> {
@@ -389,11 +353,11 @@ fn domain(root: &Table, scale: f64) -> Result<Domain, Error> {
     size_place.ensure(sound, problem, "write sides from 1e-6 to 1e6 m")?;
 
     let cells_place = table.required("cells", "cells = [32, 32, 32]")?;
-    let given = cells_place.counts("the cells along x, y, z", 1, MAX_CELLS_PER_AXIS)?;
-    if !cubic(size, given) {
-        let edges = DVec3::from_array(given.map(|n| n as f64));
+    let unscaled = cells_place.counts("the cells along x, y, z", 1, MAX_CELLS_PER_AXIS)?;
+    if !cubic(size, unscaled) {
+        let edges = DVec3::from_array(unscaled.map(|n| n as f64));
         let [x, y, z] = (size / edges).to_array();
-        let cure = match cubic_cells(size, given) {
+        let cure = match cubic_cells(size, unscaled) {
             Some(cells) => format!("use cells = {}", list(cells)),
             None => {
                 let dx = size.x / edges.x;
@@ -408,10 +372,10 @@ fn domain(root: &Table, scale: f64) -> Result<Domain, Error> {
         return Err(place.fail(format!("cells of {x} x {y} x {z} m are not cubic"), cure));
     }
 
-    let cells = given.map(|n| (n as f64 * scale).round().max(1.0));
+    let cells = unscaled.map(|n| (n as f64 * scale).round().max(1.0));
     let count: f64 = cells.iter().product();
     if count > MAX_CELLS || cells.iter().any(|&n| n > MAX_CELLS_PER_AXIS as f64) {
-        let problem = format!("{} makes {count} cells, more than {MAX_CELLS}", list(cells));
+        let problem = format!("{} are {count} cells, more than {MAX_CELLS}", list(cells));
         return Err(if scale == 1.0 {
             cells_place.fail(problem, "use fewer cells")
         } else {
@@ -423,17 +387,13 @@ fn domain(root: &Table, scale: f64) -> Result<Domain, Error> {
         return Err(Error::input(
             format!("--scale {scale}"),
             format!("domain.cells would be {}, which are not cubic", list(cells)),
-            format!("use --scale {}", working_scale(given, scale)),
+            format!("use --scale {}", working_scale(unscaled, scale)),
         ));
     }
-    let gravity = match table.get("gravity") {
-        Some(place) => bounded(&place, "gravity in m/s^2", MAX_GRAVITY)?,
-        None => DVec3::new(0.0, -9.81, 0.0),
-    };
-    let open = match table.get("open") {
-        Some(place) => open_sides(&place, root)?,
-        None => Sides::default(),
-    };
+    let gravity = table.optional("gravity", DVec3::new(0.0, -9.81, 0.0), |place| {
+        bounded(&place, "gravity in m/s^2", MAX_GRAVITY)
+    })?;
+    let open = table.optional("open", Sides::default(), |place| open_sides(&place, root))?;
     Ok(Domain {
         size,
         cells,
@@ -442,16 +402,16 @@ fn domain(root: &Table, scale: f64) -> Result<Domain, Error> {
     })
 }
 
-/// The sides through which liquid leaves.
+/// Open sides of the domain.
 fn open_sides(place: &Place, root: &Table) -> Result<Sides, Error> {
     let axes = Axis::ALL.into_iter();
     let sides = axes.flat_map(|axis| [0, 1].map(|side| (axis, side)));
     let choices: Vec<_> = Sides::NAMES.into_iter().zip(sides).collect();
-    let wanted = format!(
+    let expected = format!(
         "a list, such as [\"+x\"], of any of {}",
         Sides::NAMES.join(", ")
     );
-    let entries = place.list().map_err(|_| place.wrong_type(&wanted))?;
+    let entries = place.list().map_err(|_| place.wrong_type(&expected))?;
     let mut open = Sides::default();
     for entry in entries {
         let (axis, side) = entry.choice(&choices)?;
@@ -461,25 +421,39 @@ fn open_sides(place: &Place, root: &Table) -> Result<Sides, Error> {
     }
     place.ensure(
         !open.any() || root.get("liquid").is_some(),
-        "lets liquid out, and the scene has none",
+        "opens sides for liquid, and the scene has none",
         "remove `open`, or add a [liquid] section with a region",
     )?;
     Ok(open)
 }
 
-/// A density whose numbers stay in single precision; `usual`: what is.
+/// A density; `usual` is an example.
 pub(super) fn density(place: &Place, usual: &str) -> Result<f64, Error> {
-    let density = place.positive("a density in kg/m^3")?;
-    place.within(
-        density,
-        DENSITIES,
-        format!("is {density:?}"),
-        format!("use 1e-6 to 1e6 kg/m^3; {usual}"),
-    )?;
-    Ok(density)
+    let cure = format!("use 1e-6 to 1e6 kg/m^3; {usual}");
+    place.positive_within("a density in kg/m^3", DENSITIES, cure)
 }
 
-/// Three numbers of a magnitude of at most `most`.
+/// An error unless a name consists of letters, digits, _, - and ., and no `earlier` entry has it.
+pub(super) fn unique_name<'a>(
+    place: &Place,
+    name: &str,
+    kind: &str,
+    mut earlier: impl Iterator<Item = &'a str>,
+) -> Result<(), Error> {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "_-.".contains(c);
+    place.ensure(
+        name.chars().all(plain),
+        format!("\"{name}\" is no name of a {kind}"),
+        "use letters, digits, _, - and . only",
+    )?;
+    place.ensure(
+        earlier.all(|other| other != name),
+        format!("an earlier {kind} has the name \"{name}\" too"),
+        "choose another name",
+    )
+}
+
+/// Three numbers from -`most` to `most`.
 pub(super) fn bounded(place: &Place, what: &str, most: f64) -> Result<DVec3, Error> {
     let vector = place.vector(what)?;
     place.ensure(
@@ -498,12 +472,11 @@ fn cubic(size: DVec3, cells: [usize; 3]) -> bool {
     (edges / edges.x - 1.0).abs().max_element() <= CUBIC
 }
 
-/// The counts of cubic cells whose number along x is nearest to what was meant, up to a factor of 4 away. Counts that a domain
-/// may have, if there are any.
+/// Allowed numbers of cubic cells that are nearest to `cells`, within a factor of 4.
 fn cubic_cells(size: DVec3, cells: [usize; 3]) -> Option<[usize; 3]> {
     let edges = size / DVec3::from_array(cells.map(|n| n as f64));
-    let wanted = size.x / edges.element_product().cbrt();
-    let most = (4.0 * wanted).ceil().min(MAX_CELLS_PER_AXIS as f64) as usize;
+    let target = size.x / edges.element_product().cbrt();
+    let most = (4.0 * target).ceil().min(MAX_CELLS_PER_AXIS as f64) as usize;
     let candidates = (1..=most).filter_map(|nx| {
         let counts = size
             .to_array()
@@ -514,13 +487,13 @@ fn cubic_cells(size: DVec3, cells: [usize; 3]) -> Option<[usize; 3]> {
         (allowed && cubic(size, counts)).then_some(counts)
     });
     candidates.min_by(|a, b| {
-        let distance = |counts: &[usize; 3]| (counts[0] as f64 / wanted).ln().abs();
+        let distance = |counts: &[usize; 3]| (counts[0] as f64 / target).ln().abs();
         distance(a).total_cmp(&distance(b))
     })
 }
 
-/// The scale nearest to `scale` that keeps `cells` cubic: cells = g (a, b, c) with g their greatest common divisor stay
-/// cubic exactly when they become m (a, b, c), m whole.
+/// The scale nearest to `scale` with cubic cells. With g the greatest common divisor, cells g (a, b, c) remain cubic exactly when
+/// they become m (a, b, c), m whole.
 fn working_scale(cells: [usize; 3], scale: f64) -> f64 {
     let divisor = |mut a: usize, mut b: usize| {
         while b != 0 {
@@ -538,52 +511,31 @@ fn time(root: &Table) -> Result<Time, Error> {
         .table(&TIME)?;
     let duration_place = table.required("duration", "duration = 2.0, in s")?;
     let duration = duration_place.positive("a duration in s")?;
-    let frames_per_second = match table.get("frames_per_second") {
-        Some(place) => {
-            let rate = place.positive("frames per second")?;
-            place.within(
-                rate,
-                FRAME_RATES,
-                format!("is {rate:?}"),
-                "use 1e-3 to 1e6; 24 is usual",
-            )?;
-            rate
-        }
-        None => 24.0,
-    };
+    let frames_per_second = table.optional("frames_per_second", 24.0, |place| {
+        let cure = "use 1e-3 to 1e6; 24 is usual";
+        place.positive_within("frames per second", FRAME_RATES, cure)
+    })?;
     let frames = duration * frames_per_second;
     duration_place.ensure(
         frames <= MAX_FRAMES as f64,
         format!("{duration} s at {frames_per_second} frames per second are {frames:.0} frames, more than {MAX_FRAMES}"),
         "shorten the duration or use fewer frames per second",
     )?;
-    let cfl = match table.get("cfl") {
-        Some(place) => {
-            let cfl = place.positive("the cells that the fastest point crosses in a sub-step")?;
-            place.within(
-                cfl,
-                ..=32.0,
-                format!("is {cfl}"),
-                "use at most 32; 1 to 5 is usual",
-            )?;
-            cfl
-        }
-        None => 3.0,
-    };
-    let fixed_step = match table.get("fixed_step") {
-        Some(place) => {
-            let step = place.positive("a constant sub-step in s")?;
-            let ratio = 1.0 / (frames_per_second * step);
-            let whole = ratio.round().max(1.0);
-            place.ensure(
-                (ratio - whole).abs() <= WHOLE_STEPS * whole,
-                format!("{step} s does not divide the frame time, 1/{frames_per_second} s: {ratio} steps in a frame"),
-                format!("use {}, {whole} in a frame", 1.0 / (frames_per_second * whole)),
-            )?;
-            Some(step)
-        }
-        None => None,
-    };
+    let cfl = table.optional("cfl", 3.0, |place| {
+        let what = "the cells that the fastest point crosses in a sub-step";
+        place.positive_within(what, ..=32.0, "use at most 32; 1 to 5 is usual")
+    })?;
+    let fixed_step = table.optional("fixed_step", None, |place| {
+        let step = place.positive("a constant sub-step in s")?;
+        let ratio = 1.0 / (frames_per_second * step);
+        let whole = ratio.round().max(1.0);
+        place.ensure(
+            (ratio - whole).abs() <= WHOLE_STEPS * whole,
+            format!("{step} s does not divide the frame time, 1/{frames_per_second} s: {ratio} steps in a frame"),
+            format!("use {}, {whole} in a frame", 1.0 / (frames_per_second * whole)),
+        )?;
+        Ok(Some(step))
+    })?;
     Ok(Time {
         duration,
         frames_per_second,
@@ -596,50 +548,31 @@ fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
     let example = "[liquid] and [[liquid.region]] with a shape, such as box = { min = [0, 0, 0], max = [1, 0.5, 1] }";
     let or_solids = format!("{example}, or [[solid]] with name, mesh, density, young and poisson");
     let table = root.required("liquid", &or_solids)?.table(&LIQUID)?;
-    let density = match table.get("density") {
-        Some(place) => density(&place, "water has 1000")?,
-        None => 1000.0,
-    };
-    let surface = match table.get("surface") {
-        Some(place) => {
-            let surface =
-                place.choice(&[("markers", Surface::Markers), ("fixed", Surface::Fixed)])?;
-            place.ensure(
-                surface == Surface::Markers || !domain.open.any(),
-                "stays where it is, and through open sides (domain.open) liquid leaves",
-                "use surface = \"markers\", or close all sides",
-            )?;
-            surface
-        }
-        None => Surface::Markers,
-    };
-    let marker_radius = match table.get("marker_radius") {
-        Some(place) => {
-            let radius = place.number("the marker radius in cells")?;
-            let cure =
-                "use 0.5 to 1.2; half a cell's diagonal, 0.87, covers a cell with one marker";
-            place.within(radius, MARKER_RADII, format!("is {radius}"), cure)?;
-            radius
-        }
-        None => 0.87,
-    };
-    let seed = match table.get("seed") {
-        Some(place) => place.count("a seed", 0, i64::MAX as u64)?,
-        None => 0,
-    };
-    let volume_control = match table.get("volume_control") {
-        Some(place) => {
-            let on = place.boolean()?;
-            let cure = "remove it, or use surface = \"markers\"";
-            place.ensure(
-                !on || surface == Surface::Markers,
-                "a fixed surface has no volume control",
-                cure,
-            )?;
-            on
-        }
-        None => surface == Surface::Markers,
-    };
+    let density = table.optional("density", 1000.0, |place| density(&place, "water has 1000"))?;
+    let surface = table.optional("surface", Surface::Markers, |place| {
+        let surface = place.choice(&[("markers", Surface::Markers), ("fixed", Surface::Fixed)])?;
+        place.ensure(
+            surface == Surface::Markers || !domain.open.any(),
+            "fixes the surface, and liquid leaves through open sides (domain.open)",
+            "use surface = \"markers\", or close all sides",
+        )?;
+        Ok(surface)
+    })?;
+    let marker_radius = table.optional("marker_radius", 0.87, |place| {
+        let cure = "use 0.5 to 1.2; half a cell's diagonal, 0.87, covers a cell with one marker";
+        place.number_within("the marker radius in cells", MARKER_RADII, cure)
+    })?;
+    let seed = table.optional("seed", 0, |place| place.count("a seed", 0, i64::MAX as u64))?;
+    let has_markers = surface == Surface::Markers;
+    let volume_control = table.optional("volume_control", has_markers, |place| {
+        let on = place.boolean()?;
+        place.ensure(
+            !on || has_markers,
+            "a fixed surface has no volume control",
+            "remove it, or use surface = \"markers\"",
+        )?;
+        Ok(on)
+    })?;
     // Sources may fill an empty domain.
     let sources = root.get("source").is_some();
     let places = match (table.get("region"), sources) {
@@ -660,11 +593,10 @@ fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
     for place in places {
         let region = region(&place, file, domain)?;
         let adds = regions.iter().any(|earlier| !earlier.subtract);
-        let problem = "takes liquid away where there is none: no region before it adds any";
         place.ensure(
             adds || !region.subtract,
-            problem,
-            "put a region without subtract first",
+            "subtracts from nothing: no region before it adds liquid",
+            "write a region without subtract first",
         )?;
         regions.push(region);
     }
@@ -688,26 +620,21 @@ fn region(place: &Place, file: &Path, domain: &Domain) -> Result<Region, Error> 
     if let Some(place) = table.get("placement") {
         place.ensure(
             OBSTACLE_SHAPES.contains(&kind),
-            format!("moves a shape with a centre, and a {kind} has none"),
-            format!("remove it, and write where it is in the keys of {kind}"),
+            format!("needs a shape with a centre, and a {kind} has none"),
+            format!("remove it, and position the shape with the keys of {kind}"),
         )?;
     }
     let placement = placement(&table, shape.centre())?;
-    shape_place.ensure(
+    ensure_in_domain(
+        &shape_place,
         shape.reaches(&placement, domain.size),
-        format!(
-            "lies outside the domain, which goes from the origin to {} m",
-            list(domain.size.to_array())
-        ),
-        "move it so that a part lies inside",
+        domain.size,
     )?;
     Ok(Region {
         shape,
         placement,
-        subtract: table
-            .get("subtract")
-            .map_or(Ok(false), |place| place.boolean())?,
-        velocity: table.get("velocity").map_or(Ok(DVec3::ZERO), |place| {
+        subtract: table.optional("subtract", false, |place| place.boolean())?,
+        velocity: table.optional("velocity", DVec3::ZERO, |place| {
             bounded(&place, "a velocity in m/s", MAX_VELOCITY)
         })?,
     })
@@ -722,41 +649,23 @@ fn obstacles(root: &Table, file: &Path, domain: &Domain) -> Result<Vec<Obstacle>
         let (kind, shape_place) = table.one_of(&OBSTACLE_SHAPES, "shape")?;
         let shape = shape(kind, shape_place.clone(), file)?;
         let placement = placement(&table, shape.centre())?;
-        let inside_out = table
-            .get("inside_out")
-            .map_or(Ok(false), |place| place.boolean())?;
+        let inside_out = table.optional("inside_out", false, |place| place.boolean())?;
         let motion = motion(&table)?;
-        let moved = |motion: &Motion| {
-            let poses = motion.keyframes.iter().map(|frame| Placement {
-                translate: placement.translate + frame.translate,
-                ..placement
-            });
-            // A turn may take it in from anywhere.
-            let turns = motion.keyframes.iter().any(|frame| frame.angle != 0.0);
-            turns
-                || poses
-                    .into_iter()
-                    .any(|pose| shape.reaches(&pose, domain.size))
-        };
-        shape_place.ensure(
-            shape.reaches(&placement, domain.size) || motion.as_ref().is_some_and(moved),
-            format!(
-                "lies outside the domain, which goes from the origin to {} m",
-                list(domain.size.to_array())
-            ),
-            "move it so that a part lies inside",
-        )?;
-        if shape.holds_box(&placement, domain.size) {
-            return Err(if inside_out {
-                shape_place.fail(
-                    "surrounds the whole domain, so the container holds nothing back",
-                    "make it smaller",
-                )
-            } else {
-                shape_place.fail(
+        let moves_in = motion.as_ref().zip(shape.bounds(&placement));
+        let moves_in =
+            moves_in.is_some_and(|(motion, bounds)| motion.may_reach(bounds, domain.size));
+        let inside = shape.reaches(&placement, domain.size) || moves_in;
+        ensure_in_domain(&shape_place, inside, domain.size)?;
+        if shape.contains_box(&placement, domain.size) {
+            return Err(match inside_out {
+                true => shape_place.fail(
+                    "contains the whole domain, so the container has no effect",
+                    "shrink it",
+                ),
+                false => shape_place.fail(
                     "fills the whole domain",
-                    "make it smaller, or a container with inside_out = true",
-                )
+                    "shrink it, or use a container: inside_out = true",
+                ),
             });
         }
         Ok(Obstacle {
@@ -769,14 +678,14 @@ fn obstacles(root: &Table, file: &Path, domain: &Domain) -> Result<Vec<Obstacle>
     places.list()?.into_iter().map(obstacle).collect()
 }
 
-/// How an obstacle moves; `None` where it has no keyframes.
+/// Motion of an obstacle; `None` without keyframes.
 fn motion(table: &Table) -> Result<Option<Motion>, Error> {
     let pivot = table.get("pivot");
     if table.get("keyframes").is_none() {
         return match pivot {
             None => Ok(None),
             Some(place) => Err(place.fail(
-                "is what keyframes turn about, and the obstacle has none",
+                "is the centre of rotation of keyframes, and the obstacle has none",
                 "remove it, or add keyframes",
             )),
         };
@@ -794,28 +703,29 @@ fn motion(table: &Table) -> Result<Option<Motion>, Error> {
         let speed = (frame.translate - before.translate).length() / (frame.time - before.time);
         place.ensure(
             speed <= MAX_VELOCITY,
-            format!("asks for {speed:.3e} m/s"),
-            format!("leave more time, or go less far: at most {MAX_VELOCITY:e} m/s"),
+            format!("implies a speed of {speed:.3e} m/s"),
+            format!("use a longer time or a shorter distance: at most {MAX_VELOCITY:e} m/s"),
         )?;
     }
     Ok(Some(Motion {
         keyframes,
         pivot: pivot
-            .map(|place| place.vector("the point that it turns about in m"))
+            .map(|place| place.vector("the centre of rotation in m"))
             .transpose()?,
     }))
 }
 
-/// Floor of theta with markers. Their surface is bumpy by about a tenth of a cell, so a smaller theta is no more true; it only
-/// multiplies the velocity of slivers. Of 72 pools at rest, half of them with a body, the worst started at 1.14 g dt with 0.1
-/// and at 1.04 g dt with this; a half-full sphere at 1.34 g dt with 1e-2. The period of the standing wave does not tell 0.01
-/// from 0.2.
+/// Floor of theta for marker surfaces, which are bumpy by a tenth of a cell: a smaller theta only amplifies the velocity of small-aperture
+/// faces.
+///
+/// In 72 pools at rest, half of them with a body, the worst initial speed was 1.14 g dt with 0.1. With 0.15 it was 1.04 g dt.
+/// The period of a standing wave is the same from 0.01 to 0.2.
 const MARKER_THETA_FLOOR: f64 = 0.15;
 
 /// The thesis's clamp, for its face areas.
 const NODAL_AREA_CLAMP: f64 = 1e-2;
 
-/// `surface` is the liquid's; none without liquid.
+/// `surface` is that of the liquid; `None` without liquid.
 fn solver(root: &Table, surface: Option<Surface>, has_solids: bool) -> Result<Solver, Error> {
     let mut solver = Solver {
         theta_floor: match surface {
@@ -829,119 +739,110 @@ fn solver(root: &Table, surface: Option<Surface>, has_solids: bool) -> Result<So
     };
     let table = place.table(&SOLVER)?;
     if let Some(place) = table.get("precision") {
-        let choices = [
+        solver.precision = place.choice(&[
             ("f32", Precision::F32),
             ("mixed", Precision::Mixed),
             ("f64", Precision::F64),
-        ];
-        solver.precision = place.choice(&choices)?;
+        ])?;
         solver.tolerance = solver.precision.default_tolerance();
     }
-    if let Some(place) = table.get("tolerance") {
-        solver.tolerance = place.positive("a relative tolerance")?;
-        let problem = format!("is {}", solver.tolerance);
-        place.within(
-            solver.tolerance,
-            1e-14..1.0,
-            problem,
-            "use 1e-14 to below 1; 1e-8 is usual",
-        )?;
-    }
-    if let Some(place) = table.get("max_iterations") {
-        solver.max_iterations = place.count("the iterations of all rounds", 1, 100_000)? as u32;
-    }
-    let ensure_coupled = |place: &Place| {
-        place.ensure(
-            surface.is_some() && has_solids,
-            "is about elastic solids in liquid, and the scene does not have both",
-            "remove it",
-        )
-    };
+    solver.tolerance = table.optional("tolerance", solver.tolerance, |place| {
+        let cure = "use 1e-14 to below 1; 1e-8 is usual";
+        place.positive_within("a relative tolerance", 1e-14..1.0, cure)
+    })?;
+    solver.max_iterations = table.optional("max_iterations", solver.max_iterations, |place| {
+        Ok(place.count("the iterations of all refinement steps", 1, 100_000)? as u32)
+    })?;
     if let Some(place) = table.get("preconditioner") {
-        let choices = [
+        place.ensure(
+            surface.is_some(),
+            "sets the pressure solve, and the scene has no liquid",
+            "remove it: the solve of solids has its own preconditioner",
+        )?;
+        solver.preconditioner = place.choice(&[
             ("multigrid", Preconditioner::Multigrid),
             ("jacobi", Preconditioner::Jacobi),
             ("block_jacobi", Preconditioner::BlockJacobi),
-        ];
-        place.ensure(
-            surface.is_some(),
-            "is of the pressure's solve, and the scene has no liquid",
-            "remove it: the solve of solids has a preconditioner of its own",
-        )?;
-        solver.preconditioner = place.choice(&choices)?;
+        ])?;
         if solver.preconditioner == Preconditioner::BlockJacobi {
-            ensure_coupled(&place)?;
+            ensure_coupled(&place, surface.is_some() && has_solids)?;
         }
     }
-    if let Some(place) = table.get("theta_floor") {
-        solver.theta_floor = place.positive("the smallest distance to the surface in cells")?;
-        let problem = format!("is {}", solver.theta_floor);
-        place.within(
-            solver.theta_floor,
+    solver.theta_floor = table.optional("theta_floor", solver.theta_floor, |place| {
+        place.positive_within(
+            "the smallest distance to the surface in cells",
             1e-6..=0.5,
-            problem,
             "use 1e-6 to 0.5; 1e-2 is usual with a fixed surface, 0.15 with markers",
-        )?;
-    }
+        )
+    })?;
+    coupled_solver(&table, surface.is_some() && has_solids, &mut solver)?;
+    solver.area_clamp = table.optional("area_clamp", solver.area_clamp, |place| {
+        place.number_within(
+            "the smallest aperture of a face",
+            // Sums over patches are off by up to 1e-12: such apertures are rounding.
+            1e-6..0.5,
+            "use 1e-6 to less than 0.5; 1e-3 is usual",
+        )
+    })?;
+    Ok(solver)
+}
+
+fn ensure_coupled(place: &Place, coupled: bool) -> Result<(), Error> {
+    place.ensure(
+        coupled,
+        "needs liquid and elastic solids, and the scene does not have both",
+        "remove it",
+    )
+}
+
+/// The keys of scenes with liquid and solids.
+fn coupled_solver(table: &Table, coupled: bool, solver: &mut Solver) -> Result<(), Error> {
     if let Some(place) = table.get("coupling") {
-        ensure_coupled(&place)?;
-        let choices = [
+        ensure_coupled(&place, coupled)?;
+        solver.coupling = place.choice(&[
             ("strong", CouplingScheme::Strong),
             ("weak", CouplingScheme::Weak),
             ("damping_only", CouplingScheme::DampingOnly),
-        ];
-        solver.coupling = place.choice(&choices)?;
+        ])?;
     }
     if let Some(place) = table.get("pressure_on_patches") {
-        ensure_coupled(&place)?;
-        let choices = [
+        ensure_coupled(&place, coupled)?;
+        solver.pressure_on_patches = place.choice(&[
             ("cell", PatchPressure::Cell),
             ("hydrostatic", PatchPressure::Hydrostatic),
             ("gradient", PatchPressure::Gradient),
-        ];
-        solver.pressure_on_patches = place.choice(&choices)?;
+        ])?;
     }
     if let Some(place) = table.get("formulation") {
-        ensure_coupled(&place)?;
-        let choices = [
+        ensure_coupled(&place, coupled)?;
+        solver.formulation = place.choice(&[
             ("auto", Formulation::Auto),
             ("two_field", Formulation::TwoField),
             ("condensed", Formulation::Condensed),
-        ];
-        solver.formulation = place.choice(&choices)?;
+        ])?;
         place.ensure(
             solver.formulation != Formulation::Condensed
                 || solver.preconditioner != Preconditioner::BlockJacobi,
-            "knows of pressures alone, and preconditioner \"block_jacobi\" of nodes",
-            "use formulation \"two_field\", or preconditioner \"jacobi\", which is of B then",
+            "has pressures as its only unknowns, and preconditioner \"block_jacobi\" needs nodes",
+            "use formulation \"two_field\", or preconditioner \"jacobi\", the diagonal of B",
         )?;
     }
-    let together = surface.is_some() && has_solids;
-    let factored = solver.preconditioner == Preconditioner::Multigrid;
-    if together && solver.formulation == Formulation::Auto && !factored {
-        // The diagonal that is asked for is that of the two-field system.
+    if coupled
+        && solver.formulation == Formulation::Auto
+        && solver.preconditioner != Preconditioner::Multigrid
+    {
+        // Both diagonals are those of the two-field system.
         solver.formulation = Formulation::TwoField;
     }
     if let Some(place) = table.get("face_areas") {
-        ensure_coupled(&place)?;
-        let choices = [("clipped", FaceAreas::Clipped), ("nodal", FaceAreas::Nodal)];
-        solver.face_areas = place.choice(&choices)?;
+        ensure_coupled(&place, coupled)?;
+        solver.face_areas =
+            place.choice(&[("clipped", FaceAreas::Clipped), ("nodal", FaceAreas::Nodal)])?;
         if solver.face_areas == FaceAreas::Nodal {
             solver.area_clamp = NODAL_AREA_CLAMP;
         }
     }
-    if let Some(place) = table.get("area_clamp") {
-        solver.area_clamp = place.number("the smallest open fraction of a face")?;
-        let problem = format!("is {}", solver.area_clamp);
-        place.within(
-            solver.area_clamp,
-            // Open fractions come from sums over patches and are off by up to 1e-12: those slivers are no faces.
-            1e-6..0.5,
-            problem,
-            "use 1e-6 to less than 0.5; 1e-3 is usual",
-        )?;
-    }
-    Ok(solver)
+    Ok(())
 }
 
 fn output(root: &Table, has_liquid: bool, has_solids: bool) -> Result<Output, Error> {
@@ -959,29 +860,25 @@ fn output(root: &Table, has_liquid: bool, has_solids: bool) -> Result<Output, Er
     let table = place.table(&OUTPUT)?;
     let liquid = (has_liquid, "the scene has no liquid");
     let solids = (has_solids, "the scene has no [[solid]]");
-    for (key, wanted, (present, problem)) in [
+    for (key, enabled, (present, problem)) in [
         ("particles", &mut output.particles, liquid),
         ("fields", &mut output.fields, liquid),
         ("solids", &mut output.solids, solids),
         ("surface", &mut output.surface, liquid),
     ] {
         if let Some(place) = table.get(key) {
-            *wanted = place.boolean()?;
+            *enabled = place.boolean()?;
             let cure = format!("remove `{key}`, or write {key} = false");
-            place.ensure(present || !*wanted, problem, cure)?;
+            place.ensure(present || !*enabled, problem, cure)?;
         }
     }
-    if let Some(place) = table.get("every") {
-        output.every = place.count(
-            "the frames from one that is written to the next",
-            1,
-            MAX_FRAMES,
-        )?;
-    }
-    if let Some(place) = table.get("checkpoint_every") {
-        output.checkpoint_every =
-            place.count("the frames from one checkpoint to the next", 0, MAX_FRAMES)?;
-    }
+    output.every = table.optional("every", output.every, |place| {
+        place.count("the interval of written frames", 1, MAX_FRAMES)
+    })?;
+    output.checkpoint_every =
+        table.optional("checkpoint_every", output.checkpoint_every, |place| {
+            place.count("the interval of checkpoints in frames", 0, MAX_FRAMES)
+        })?;
     Ok(output)
 }
 

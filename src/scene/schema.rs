@@ -1,5 +1,6 @@
-//! The JSON schema of scene files. It is what the reader asks of scenes that have every key of the format, so that the two cannot
-//! disagree; units, defaults and meanings are those of docs/scene.md.
+//! The JSON schema of scene files, derived from the reader's queries of scenes with every key of the format.
+//!
+//! Reader and schema therefore agree. Units, defaults and meanings are those of docs/scene.md.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -7,25 +8,20 @@ use std::path::Path;
 use serde_json::{Map, Value, json};
 
 use super::Scene;
-use super::document::{Asked, Document};
+use super::document::{Document, Query, join};
 use crate::error::Error;
 
-/// Scenes that have every key of the format between them; what is required is required in all of them. The mesh files that they name
-/// do not exist.
+/// Scenes that together have every key of the format. A required key is required in all of them. Their mesh files do not exist.
 pub const EXEMPLARS: [&str; 3] = [
     include_str!("exemplars/both.toml"),
     include_str!("exemplars/liquid.toml"),
     include_str!("exemplars/solids.toml"),
 ];
-/// The page that describes the format.
 const PAGE: &str = include_str!("../../docs/scene.md");
-/// Tables that hold shapes; [`PAGE`] describes these in one place.
+/// Tables that contain shapes. [`PAGE`] describes shapes in one place.
 const SHAPE_HOLDERS: [&str; 4] = ["region", "obstacle", "source", "sink"];
 
-/// The schema (draft 2020-12) of the TOML files that [`Scene::load`] reads. What depends on several keys at once only the reader checks.
-///
-/// # Errors
-/// Those of the exemplars, which have none.
+/// The schema (draft 2020-12) of the TOML files that [`Scene::load`] reads. Only the reader checks conditions on several keys.
 pub fn schema() -> Result<Value, Error> {
     let mut format = Format {
         page: page(),
@@ -33,9 +29,9 @@ pub fn schema() -> Result<Value, Error> {
     };
     for (number, text) in EXEMPLARS.into_iter().enumerate() {
         let document = Document::exemplar(text)?;
-        Scene::of_document(&document, Path::new("exemplar.toml"), text, &[], 1.0)?;
-        for (key, asked) in document.into_asked() {
-            format.note(number, &key, asked);
+        Scene::from_document(&document, Path::new("exemplar.toml"), text, &[], 1.0)?;
+        for (key, query) in document.into_queries() {
+            format.add_query(number, &key, query);
         }
     }
     let mut schema = format.schema("");
@@ -50,86 +46,87 @@ pub fn schema() -> Result<Value, Error> {
     Ok(schema)
 }
 
-/// What the page says of a key.
+/// Documentation of a key.
 #[derive(Clone, Debug, Default)]
-struct Words {
+struct KeyDocs {
     unit: String,
     default: String,
     meaning: String,
 }
 
-/// What the reader asked, by key; indices of lists are left out: `solid[].pin[].region`.
+/// Queries by path, a key without list indices: `solid[].pin[].region`.
 #[derive(Debug, Default)]
 struct Format {
-    asked: BTreeMap<String, Vec<Asked>>,
-    /// Of each table: what was asked of it in each place where it stands.
-    tables: BTreeMap<String, BTreeMap<String, BTreeSet<String>>>,
-    page: BTreeMap<String, Words>,
+    queries: BTreeMap<String, Vec<Query>>,
+    /// Required keys of each occurrence of each table.
+    required: BTreeMap<String, BTreeMap<String, BTreeSet<String>>>,
+    page: BTreeMap<String, KeyDocs>,
 }
 
 impl Format {
-    fn note(&mut self, exemplar: usize, key: &str, asked: Asked) {
+    fn add_query(&mut self, exemplar: usize, key: &str, query: Query) {
         let path = without_indices(key);
-        let places = self.tables.entry(path.clone()).or_default();
-        let place = format!("{exemplar} {key}");
-        match &asked {
-            Asked::Table(_) => {
-                places.entry(place).or_default();
+        let occurrences = self.required.entry(path.clone()).or_default();
+        let occurrence = format!("{exemplar} {key}");
+        match &query {
+            Query::Table(_) => {
+                occurrences.entry(occurrence).or_default();
             }
-            Asked::Required(name) => {
-                places.entry(place).or_default().insert(name.clone());
+            Query::Required(name) => {
+                let keys = occurrences.entry(occurrence).or_default();
+                keys.insert(name.clone());
             }
             _ => {}
         }
-        let all = self.asked.entry(path).or_default();
-        if !all.contains(&asked) {
-            all.push(asked);
+        let all = self.queries.entry(path).or_default();
+        if !all.contains(&query) {
+            all.push(query);
         }
     }
 
     /// The schema of the value with this path.
     fn schema(&self, path: &str) -> Value {
         let mut schema = Map::new();
-        let asked = self.asked.get(path).map_or(&[][..], |asked| asked);
-        let either = asked
+        let queries = self.queries.get(path).map_or(&[][..], |queries| queries);
+        let either = queries
             .iter()
-            .find(|asked| matches!(asked, Asked::NumberOrVector(_)));
-        // Of one that may be either, the reader then asked for that which the exemplar has.
-        for one in either.map_or(asked, std::slice::from_ref) {
-            self.add(&mut schema, path, one);
+            .find(|query| matches!(query, Query::NumberOrVector(_)));
+        // `NumberOrVector` is followed by a query of the exemplar's own type, which would narrow the schema.
+        for query in either.map_or(queries, std::slice::from_ref) {
+            self.add(&mut schema, path, query);
         }
-        let what = asked.iter().find_map(|asked| match asked {
-            Asked::Number(what)
-            | Asked::Numbers(_, what)
-            | Asked::NumberOrVector(what)
-            | Asked::Count(_, _, what)
-            | Asked::Counts(_, _, _, what)
-            | Asked::Text(what) => Some(what.clone()),
+        let what = queries.iter().find_map(|query| match query {
+            Query::Number(what)
+            | Query::Numbers(_, what)
+            | Query::NumberOrVector(what)
+            | Query::Count(_, _, what)
+            | Query::Counts(_, _, _, what)
+            | Query::Text(what) => Some(what.clone()),
             _ => None,
         });
-        let words = self.words(path);
-        let described = words
+        let docs = self.docs(path);
+        let described = docs
             .as_ref()
-            .map(Words::sentence)
+            .map(KeyDocs::sentence)
             .filter(|sentence| !sentence.is_empty());
         if let Some(description) = described.or(what) {
             schema.insert("description".to_owned(), description.into());
         }
-        if let Some(default) = words.and_then(|words| words.default_value()) {
+        if let Some(default) = docs.and_then(|docs| docs.default_value()) {
             schema.insert("default".to_owned(), default);
         }
         Value::Object(schema)
     }
 
-    fn add(&self, schema: &mut Map<String, Value>, path: &str, asked: &Asked) {
+    fn add(&self, schema: &mut Map<String, Value>, path: &str, query: &Query) {
         let number = || json!({ "type": "number" });
         let list = |n: usize, items: Value| json!({ "type": "array", "items": items, "minItems": n, "maxItems": n });
         let count =
             |min: u64, max: u64| json!({ "type": "integer", "minimum": min, "maximum": max });
-        let added = match asked {
-            Asked::Number(_) => number(),
-            Asked::Positive => json!({ "type": "number", "exclusiveMinimum": 0 }),
-            Asked::Within(ends, with) => {
+        let added = match query {
+            Query::Number(_) => number(),
+            Query::Positive => json!({ "type": "number", "exclusiveMinimum": 0 }),
+            Query::Within(ends, with) => {
                 let mut range = Map::new();
                 let names = [
                     ["exclusiveMinimum", "minimum"],
@@ -142,14 +139,14 @@ impl Format {
                 }
                 Value::Object(range)
             }
-            Asked::Numbers(n, _) => list(*n, number()),
-            Asked::NumberOrVector(_) => json!({ "anyOf": [number(), list(3, number())] }),
-            Asked::Count(min, max, _) => count(*min, *max),
-            Asked::Counts(n, min, max, _) => list(*n, count(*min, *max)),
-            Asked::Boolean => json!({ "type": "boolean" }),
-            Asked::Text(_) => json!({ "type": "string", "minLength": 1 }),
-            Asked::Choice(words) => json!({ "type": "string", "enum": words }),
-            Asked::Table(keys) => {
+            Query::Numbers(n, _) => list(*n, number()),
+            Query::NumberOrVector(_) => json!({ "anyOf": [number(), list(3, number())] }),
+            Query::Count(min, max, _) => count(*min, *max),
+            Query::Counts(n, min, max, _) => list(*n, count(*min, *max)),
+            Query::Boolean => json!({ "type": "boolean" }),
+            Query::Text(_) => json!({ "type": "string", "minLength": 1 }),
+            Query::Choice(words) => json!({ "type": "string", "enum": words }),
+            Query::Table(keys) => {
                 let property = |key: &String| (key.clone(), self.schema(&join(path, key)));
                 let properties: Map<String, Value> = keys.iter().map(property).collect();
                 let mut table = json!({ "type": "object", "properties": properties, "additionalProperties": false });
@@ -159,37 +156,38 @@ impl Format {
                 }
                 table
             }
-            Asked::List => json!({ "type": "array", "items": self.schema(&format!("{path}[]")) }),
-            Asked::OneOf(keys) => {
+            Query::List => json!({ "type": "array", "items": self.schema(&format!("{path}[]")) }),
+            Query::OneOf(keys) => {
                 let each: Vec<Value> = keys
                     .iter()
                     .map(|key| json!({ "required": [key] }))
                     .collect();
-                // A second choice of the same table stands beside the first.
+                // A table may have two such choices.
                 match schema.contains_key("oneOf") {
                     true => json!({ "allOf": [{ "oneOf": each }] }),
                     false => json!({ "oneOf": each }),
                 }
             }
-            Asked::Required(_) => return,
+            Query::Required(_) => return,
         };
         if let Value::Object(added) = added {
             schema.extend(added);
         }
     }
 
-    /// The keys that a table must have wherever it stands.
+    /// The keys that all occurrences of a table require.
     fn required(&self, path: &str) -> BTreeSet<String> {
-        let places = self.tables.get(path).into_iter().flat_map(BTreeMap::values);
-        places
+        let occurrences = self.required.get(path).into_iter();
+        occurrences
+            .flat_map(BTreeMap::values)
             .cloned()
             .reduce(|all, here| &all & &here)
             .unwrap_or_default()
     }
 
-    fn words(&self, path: &str) -> Option<Words> {
+    fn docs(&self, path: &str) -> Option<KeyDocs> {
         let plain = path.replace("[]", "");
-        let of_shape = || {
+        let shape_docs = || {
             let (holder, shape) = plain.rsplit_once('.')?;
             let holder = holder.rsplit('.').next()?;
             let is_shape = SHAPE_HOLDERS.contains(&holder);
@@ -197,13 +195,13 @@ impl Format {
                 .get(&format!("shapes.{shape}"))
                 .filter(|_| is_shape)
         };
-        // An entry of a list has the words of the list.
-        let words = self.page.get(&plain).or_else(of_shape);
-        words.filter(|_| !path.ends_with("[]")).cloned()
+        let docs = self.page.get(&plain).or_else(shape_docs);
+        // The list itself has the description, its entries have none.
+        docs.filter(|_| !path.ends_with("[]")).cloned()
     }
 }
 
-impl Words {
+impl KeyDocs {
     fn sentence(&self) -> String {
         let default = match self.default.as_str() {
             "" | "required" => self.default.clone(),
@@ -218,7 +216,7 @@ impl Words {
         parts.join("; ")
     }
 
-    /// The default, where it is a value and not words.
+    /// The default if it is a value rather than prose.
     fn default_value(&self) -> Option<Value> {
         let text = self.default.trim_matches('`');
         serde_json::from_str(text).ok()
@@ -236,15 +234,8 @@ fn without_indices(key: &str) -> String {
     path
 }
 
-fn join(path: &str, key: &str) -> String {
-    match path {
-        "" => key.to_owned(),
-        _ => format!("{path}.{key}"),
-    }
-}
-
-/// The rows of the page's tables, by the key that each is about: `solid.pin.region`, `shapes.box`.
-fn page() -> BTreeMap<String, Words> {
+/// Rows of the page's tables by key: `solid.pin.region`, `shapes.box`.
+fn page() -> BTreeMap<String, KeyDocs> {
     let mut rows = BTreeMap::new();
     let (mut section, mut columns) = (String::new(), Vec::new());
     for line in PAGE.lines() {
@@ -274,20 +265,20 @@ fn page() -> BTreeMap<String, Words> {
                 .position(|column| names.contains(&column.as_str()));
             at.and_then(|at| cells.get(at)).cloned().unwrap_or_default()
         };
-        let words = Words {
+        let docs = KeyDocs {
             unit: cell(&["unit", "keys"]),
             default: cell(&["default"]),
             meaning: cell(&["meaning"]),
         };
-        // A row may be about several keys.
+        // A row may describe several keys.
         for key in cells[0].split(", ") {
-            rows.insert(join(&section, key.trim_matches('`')), words.clone());
+            rows.insert(join(&section, key.trim_matches('`')), docs.clone());
         }
     }
     rows
 }
 
-/// A text without the addresses of its links.
+/// Markdown without the addresses of its links.
 fn plain(text: &str) -> String {
     let mut plain = String::new();
     let mut rest = text;

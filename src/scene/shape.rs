@@ -1,86 +1,37 @@
-//! Shapes, placements and keyframes: how they are written, and what can be told of them without a mesh file.
+//! Shapes, placements and keyframes: their keys, and checks that need no mesh file.
 
 use std::path::{Path, PathBuf};
 
 use glam::{DMat3, DVec3};
 
 use super::document::{Keys, Place, Table};
-use super::{Keyframe, Placement, Shape, SolitaryWave};
+use super::read::list;
+use super::{Keyframe, MeshFile, Motion, Placement, Shape, SolitaryWave};
 use crate::error::Error;
 
-const PLACEMENT: Keys = Keys {
-    valid: &["at", "translate", "rotate", "scale"],
-    absent: &[],
-};
-const ROTATE: Keys = Keys {
-    valid: &["axis", "degrees"],
-    absent: &[],
-};
-const KEYFRAME: Keys = Keys {
-    valid: &["t", "translate", "rotate"],
-    absent: &[],
-};
-const BOX: Keys = Keys {
-    valid: &["min", "max"],
-    absent: &[],
-};
-const SPHERE: Keys = Keys {
-    valid: &["centre", "radius"],
-    absent: &[],
-};
-const CYLINDER: Keys = Keys {
-    valid: &["base", "axis", "radius", "height"],
-    absent: &[],
-};
-const HALF_SPACE: Keys = Keys {
-    valid: &["point", "normal"],
-    absent: &[],
-};
-const WAVE: Keys = Keys {
-    valid: &["level", "amplitude", "wave_number", "phase"],
-    absent: &[],
-};
-const SOLITARY: Keys = Keys {
-    valid: &["depth", "height", "crest", "direction"],
-    absent: &[],
-};
-const MESH: Keys = Keys {
-    valid: &["file", "units"],
-    absent: &[],
-};
+const PLACEMENT: Keys = Keys::new(&["at", "translate", "rotate", "scale"]);
+const ROTATE: Keys = Keys::new(&["axis", "degrees"]);
+const KEYFRAME: Keys = Keys::new(&["t", "translate", "rotate"]);
+const BOX: Keys = Keys::new(&["min", "max"]);
+const SPHERE: Keys = Keys::new(&["centre", "radius"]);
+const CYLINDER: Keys = Keys::new(&["base", "axis", "radius", "height"]);
+const HALF_SPACE: Keys = Keys::new(&["point", "normal"]);
+const WAVE: Keys = Keys::new(&["level", "amplitude", "wave_number", "phase"]);
+const SOLITARY: Keys = Keys::new(&["depth", "height", "crest", "direction"]);
+const MESH: Keys = Keys::new(&["file", "units"]);
 /// Length units of mesh files, m.
 const UNITS: [(&str, f64); 4] = [("m", 1.0), ("cm", 0.01), ("mm", 0.001), ("in", 0.0254)];
 
-/// Highest solitary wave, over the depth: beyond, theory of third order is not the wave that stays as it is.
-const HIGHEST_SOLITARY: f64 = 0.6;
+/// Greatest height of a solitary wave over its depth. Higher waves of third-order theory change their shape.
+const MAX_SOLITARY: f64 = 0.6;
 
-/// Of a solitary wave, m: its speed grows with it.
+/// Greatest depth of a solitary wave, m. Its speed grows with the depth.
 const MAX_DEPTH: f64 = 1e6;
 
 /// The shape under the key `kind`; mesh files are relative to the folder of the scene's `file`.
 pub(super) fn shape(kind: &str, place: Place, file: &Path) -> Result<Shape, Error> {
     Ok(match kind {
-        "box" => {
-            let table = place.clone().table(&BOX)?;
-            let min_place = table.required("min", "min = [0, 0, 0], the low corner in m")?;
-            let min = min_place.vector("the low corner in m")?;
-            let max_place = table.required("max", "max = [1, 1, 1], the high corner in m")?;
-            let max = max_place.vector("the high corner in m")?;
-            // A corner that an override moved is at fault.
-            let mut corners = [&min_place, &max_place].into_iter();
-            let moved = corners.find(|corner| corner.is_override());
-            for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
-                moved.unwrap_or(&place).ensure(
-                    max[axis] > min[axis],
-                    format!(
-                        "the box has no volume: along {name} it goes from {} to {}",
-                        min[axis], max[axis]
-                    ),
-                    "make every number of max larger than that of min",
-                )?;
-            }
-            Shape::Box { min, max }
-        }
+        "box" => cuboid(place)?,
         "sphere" => {
             let table = place.table(&SPHERE)?;
             Shape::Sphere {
@@ -138,64 +89,95 @@ pub(super) fn shape(kind: &str, place: Place, file: &Path) -> Result<Shape, Erro
             }
         }
         "mesh" => {
-            let table = place.table(&MESH)?;
-            let name_place =
-                table.required("file", "file = \"body.obj\", relative to the scene")?;
-            Shape::Mesh {
-                file: existing_file(
-                    &name_place,
-                    file,
-                    &["obj", "stl", "ply"],
-                    "the name of an OBJ, STL or PLY file",
-                    "use a closed triangle mesh as .obj, .stl or .ply",
-                )?,
-                unit: unit(&table)?,
-            }
+            let (file, unit) = surface_file(&place.table(&MESH)?, file)?;
+            Shape::Mesh { file, unit }
         }
         _ => unreachable!("a shape key that no table lists"),
     })
+}
+
+fn cuboid(place: Place) -> Result<Shape, Error> {
+    let table = place.clone().table(&BOX)?;
+    let min_place = table.required("min", "min = [0, 0, 0], the low corner in m")?;
+    let min = min_place.vector("the low corner in m")?;
+    let max_place = table.required("max", "max = [1, 1, 1], the high corner in m")?;
+    let max = max_place.vector("the high corner in m")?;
+    // Blames a corner that an override has changed.
+    let mut corners = [&min_place, &max_place].into_iter();
+    let moved = corners.find(|corner| corner.is_override());
+    for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
+        moved.unwrap_or(&place).ensure(
+            max[axis] > min[axis],
+            format!(
+                "the box has no volume: along {name} it extends from {} to {}",
+                min[axis], max[axis]
+            ),
+            "make every number of max larger than that of min",
+        )?;
+    }
+    Ok(Shape::Box { min, max })
+}
+
+/// The closed surface that a table names: its file and length unit, m.
+pub(super) fn surface_file(table: &Table, scene: &Path) -> Result<(MeshFile, f64), Error> {
+    let place = table.required("file", "file = \"body.obj\", relative to the scene")?;
+    let kinds = ["obj", "stl", "ply"];
+    let what = "the name of an OBJ, STL or PLY file";
+    let cure = "use a closed triangle mesh as .obj, .stl or .ply";
+    let file = mesh_file(&place, scene, &kinds, what, cure)?;
+    Ok((file, unit(table)?))
+}
+
+/// An error unless a shape is `inside` the domain, at least in part.
+pub(super) fn ensure_in_domain(place: &Place, inside: bool, size: DVec3) -> Result<(), Error> {
+    place.ensure(
+        inside,
+        format!(
+            "lies outside the domain, which extends from the origin to {} m",
+            list(size.to_array())
+        ),
+        "move it so that a part lies inside",
+    )
 }
 
 /// A solitary wave under this gravity, m/s^2.
 pub(super) fn solitary(place: Place, gravity: DVec3) -> Result<Shape, Error> {
     let table = place.clone().table(&SOLITARY)?;
     let depth_place = table.required("depth", "depth = 0.3, of the water at rest in m")?;
-    let depth = depth_place.positive("the depth of the water at rest in m")?;
-    depth_place.within(
-        depth,
+    let depth = depth_place.positive_within(
+        "the depth of the water at rest in m",
         ..=MAX_DEPTH,
-        format!("is {depth:e}"),
-        format!("write at most {MAX_DEPTH:e} m, as large as a domain may be"),
+        format!("write at most {MAX_DEPTH:e} m, the limit of a domain"),
     )?;
     let height_place = table.required("height", "height = 0.06, of the crest in m")?;
     let height = height_place.positive("the height of the crest above the water at rest in m")?;
     height_place.ensure(
-        height <= HIGHEST_SOLITARY * depth,
+        height <= MAX_SOLITARY * depth,
         format!("is {height}, {:.2} of the depth", height / depth),
         format!(
-            "write at most {HIGHEST_SOLITARY} of the depth, {} m: higher ones are not known well, and break from 0.83 on",
-            HIGHEST_SOLITARY * depth
+            "write at most {MAX_SOLITARY} of the depth, {} m: the theory of higher waves is inaccurate, and they break from 0.83 on",
+            MAX_SOLITARY * depth
         ),
     )?;
     let crest = table.required(
         "crest",
         "crest = [1, 0], x and z of a point of the crest in m",
     )?;
-    let way = table.required(
+    let direction = table.required(
         "direction",
-        "direction = [1, 0], where it goes along x and z",
+        "direction = [1, 0], of propagation along x and z",
     )?;
-    let [x, z] = way.numbers("where it goes along x and z")?;
+    let [x, z] = direction.numbers("the direction of propagation along x and z")?;
     let length = f64::hypot(x, z);
-    way.ensure(
+    direction.ensure(
         length.is_normal(),
         format!("is [{x}, {z}], which has no direction"),
-        "write where it goes along x and z, such as [1, 0]",
+        "write the direction of propagation along x and z, such as [1, 0]",
     )?;
     place.ensure(
         gravity.y < 0.0 && gravity.x == 0.0 && gravity.z == 0.0,
         format!(
-            "runs over a level floor, and gravity is [{}, {}, {}]",
+            "needs a level floor, and gravity is [{}, {}, {}]",
             gravity.x, gravity.y, gravity.z
         ),
         "let domain.gravity point along -y, such as [0, -9.81, 0]",
@@ -209,23 +191,22 @@ pub(super) fn solitary(place: Place, gravity: DVec3) -> Result<Shape, Error> {
     }))
 }
 
-/// The file with the name at `place`, resolved against the folder of the scene's `file`. `what` names it; its extension must be
-/// among `kinds`, else `cure` says what would be right.
-pub(super) fn existing_file(
+/// The existing file with the name at `place`, relative to the folder of the `scene` file, with an extension among `kinds`.
+pub(super) fn mesh_file(
     place: &Place,
-    file: &Path,
+    scene: &Path,
     kinds: &[&str],
     what: &str,
     cure: &str,
-) -> Result<PathBuf, Error> {
+) -> Result<MeshFile, Error> {
     let name = place.text(what)?;
     let kind = Path::new(name)
         .extension()
         .map(|kind| kind.to_ascii_lowercase());
     let known = kind.is_some_and(|kind| kinds.iter().any(|known| kind == *known));
-    let problem = format!("`{name}` is not a kind of mesh that is read");
+    let problem = format!("`{name}` is not a supported mesh format");
     place.ensure(known, problem, cure)?;
-    let resolved = file.parent().unwrap_or(Path::new("")).join(name);
+    let resolved: PathBuf = scene.parent().unwrap_or(Path::new("")).join(name);
     let problem = match resolved.is_dir() {
         true => format!("{} is a folder", resolved.display()),
         false => format!("there is no file {}", resolved.display()),
@@ -235,17 +216,15 @@ pub(super) fn existing_file(
         problem,
         "give the path of the mesh relative to the scene's folder",
     )?;
-    Ok(resolved)
+    Ok(place.mesh_file(resolved))
 }
 
 /// Length unit of the mesh file that a table names, m.
 pub(super) fn unit(table: &Table) -> Result<f64, Error> {
-    table
-        .get("units")
-        .map_or(Ok(1.0), |place| place.choice(&UNITS))
+    table.optional("units", 1.0, |place| place.choice(&UNITS))
 }
 
-/// Where a shape, or the mesh of a solid, with this centre (m) is put; `None`: a file, whose centre is not known yet.
+/// Placement of a shape with this centre (m); `None` for a mesh file, whose centre is unknown before it is parsed.
 pub(super) fn placement(table: &Table, centre: Option<DVec3>) -> Result<Placement, Error> {
     let Some(place) = table.get("placement") else {
         return Ok(Placement::default());
@@ -253,25 +232,25 @@ pub(super) fn placement(table: &Table, centre: Option<DVec3>) -> Result<Placemen
     let table = place.table(&PLACEMENT)?;
     let mut placement = Placement::default();
     if let Some(place) = table.get("at") {
-        placement.at = Some(place.vector("the place of the centre in m")?);
+        placement.at = Some(place.vector("the position of the centre in m")?);
         place.ensure(
             table.get("translate").is_none(),
-            "and `translate` both say where the shape is put",
-            "keep one: `at` is the place of its centre, `translate` moves it from where it is",
+            "conflicts with `translate`: both position the shape",
+            "keep one: `at` is the position of its centre, `translate` a displacement",
         )?;
     }
     if let Some(place) = table.get("translate") {
         placement.translate = place.vector("a translation in m")?;
     }
     if let Some(place) = table.get("rotate") {
-        let (axis, angle) = turn(place)?;
+        let (axis, angle) = rotation(place)?;
         placement.rotate = DMat3::from_axis_angle(axis, angle);
     }
     if let Some(place) = table.get("scale") {
         placement.scale = place.positive("one factor for all axes")?;
         place.ensure(
             (1e-9..=1e9).contains(&placement.scale),
-            "is no factor between units of length",
+            "is no ratio of length units",
             "write a factor from 1e-9 to 1e9",
         )?;
     }
@@ -282,7 +261,7 @@ pub(super) fn placement(table: &Table, centre: Option<DVec3>) -> Result<Placemen
 }
 
 /// The axis (a unit vector) and the angle (rad) of a rotation.
-pub(super) fn turn(place: Place) -> Result<(DVec3, f64), Error> {
+fn rotation(place: Place) -> Result<(DVec3, f64), Error> {
     let table = place.table(&ROTATE)?;
     let axis = table
         .required("axis", "axis = [0, 0, 1]")?
@@ -305,26 +284,22 @@ pub(super) fn keyframes(table: &Table) -> Result<Vec<Keyframe>, Error> {
         time_place.ensure(
             time >= 0.0,
             format!("is {time}, before the start"),
-            "write a time from 0 on",
+            "write a time of 0 s or later",
         )?;
         if let Some(last) = keyframes.last() {
             time_place.ensure(
                 time > last.time,
                 format!(
-                    "{time} s does not come after {} s, the time before it",
+                    "{time} s is not later than the keyframe before, {} s",
                     last.time
                 ),
-                "write the keyframes in the order of their times, each time once",
+                "write the keyframes in ascending order of time",
             )?;
         }
-        let translate = match table.get("translate") {
-            Some(place) => place.vector("a translation from rest in m")?,
-            None => DVec3::ZERO,
-        };
-        let (axis, angle) = match table.get("rotate") {
-            Some(place) => turn(place)?,
-            None => (DVec3::Y, 0.0),
-        };
+        let translate = table.optional("translate", DVec3::ZERO, |place| {
+            place.vector("a translation from rest in m")
+        })?;
+        let (axis, angle) = table.optional("rotate", (DVec3::Y, 0.0), rotation)?;
         keyframes.push(Keyframe {
             time,
             translate,
@@ -340,9 +315,30 @@ pub(super) fn keyframes(table: &Table) -> Result<Vec<Keyframe>, Error> {
     Ok(keyframes)
 }
 
+/// Whether a box (m) and the domain have an interior point in common.
+pub(crate) fn box_reaches([low, high]: [DVec3; 2], size: DVec3) -> bool {
+    high.cmpgt(DVec3::ZERO).all() && low.cmplt(size).all()
+}
+
+impl Motion {
+    /// Whether a body may reach the domain; `low` and `high` (m) are the corners of its bounding box before the motion.
+    ///
+    /// Tests the union box of each two successive poses: between keyframes the translation is linear. A rotating body may come from
+    /// anywhere.
+    pub(crate) fn may_reach(&self, [low, high]: [DVec3; 2], size: DVec3) -> bool {
+        let frames = &self.keyframes;
+        let next = frames.iter().skip(1).chain(frames.last());
+        frames.iter().zip(next).any(|(frame, next)| {
+            let [from, to] = [frame.translate, next.translate];
+            let union = [low + from.min(to), high + from.max(to)];
+            frame.angle != 0.0 || box_reaches(union, size)
+        })
+    }
+}
+
 impl Shape {
-    /// What it is turned and scaled about: the middle of a box, ball or cylinder. `None` for a mesh, whose centre is that
-    /// of its bounding box and known only to the reader of its file, and for half spaces and waves of both kinds, which are not placed.
+    /// Centre of rotation and scaling: the middle of a box, ball or cylinder. `None` for a mesh, whose centre follows from its file,
+    /// and for half spaces and waves, which have no placement.
     pub fn centre(&self) -> Option<DVec3> {
         match self {
             Shape::Box { min, max } => Some(0.5 * (min + max)),
@@ -357,12 +353,12 @@ impl Shape {
         }
     }
 
-    /// Area of the shadow that a box, ball or cylinder casts along a unit vector, m^2; 0 of other shapes.
-    pub(crate) fn projected_area(&self, way: DVec3) -> f64 {
+    /// Area of a box, ball or cylinder projected along a unit vector, m^2; 0 for other shapes.
+    pub(crate) fn projected_area(&self, direction: DVec3) -> f64 {
         match *self {
             Shape::Box { min, max } => {
                 let [x, y, z] = (max - min).to_array();
-                way.abs().dot(DVec3::new(y * z, z * x, x * y))
+                direction.abs().dot(DVec3::new(y * z, z * x, x * y))
             }
             Shape::Sphere { radius, .. } => std::f64::consts::PI * radius * radius,
             Shape::Cylinder {
@@ -371,50 +367,22 @@ impl Shape {
                 height,
                 ..
             } => {
-                let along = way.dot(axis).abs();
-                let across = way.cross(axis).length();
+                let along = direction.dot(axis).abs();
+                let across = direction.cross(axis).length();
                 radius * (std::f64::consts::PI * radius * along + 2.0 * height * across)
             }
             _ => 0.0,
         }
     }
 
-    /// Whether a box, ball or cylinder lies in the box from the origin to `size`, to rounding.
-    pub(crate) fn lies_in(&self, size: DVec3) -> bool {
-        let (centre, half) = match *self {
-            Shape::Box { min, max } => (0.5 * (min + max), 0.5 * (max - min)),
-            Shape::Sphere { centre, radius } => (centre, DVec3::splat(radius)),
-            Shape::Cylinder {
-                base,
-                axis,
-                radius,
-                height,
-            } => {
-                let rim = (DVec3::ONE - axis * axis).max(DVec3::ZERO);
-                let rim = radius * DVec3::new(rim.x.sqrt(), rim.y.sqrt(), rim.z.sqrt());
-                (base + 0.5 * height * axis, 0.5 * height * axis.abs() + rim)
-            }
-            _ => return false,
-        };
-        let slack = 1e-9 * size.max_element();
-        let (low, high) = (centre - half, centre + half - size);
-        low.min_element() >= -slack && high.max_element() <= slack
-    }
-
-    /// Whether some of it lies in the box from the origin to `size`, judged by bounding boxes; true for meshes and solitary waves.
-    pub(super) fn reaches(&self, placement: &Placement, size: DVec3) -> bool {
-        let half_extent = match self {
+    /// Low and high corner of the bounding box of a placed box, ball or cylinder, m; `None` for other shapes.
+    pub(crate) fn bounds(&self, placement: &Placement) -> Option<[DVec3; 2]> {
+        let half = match *self {
             Shape::Box { min, max } => {
-                let half = 0.5 * (max - min);
-                let turned =
-                    DMat3::from_cols_array(&placement.rotate.to_cols_array().map(f64::abs));
-                turned * half
+                let columns = placement.rotate.to_cols_array();
+                DMat3::from_cols_array(&columns.map(f64::abs)) * (0.5 * (max - min))
             }
-            Shape::Sphere { centre, radius } => {
-                let centre = centre + placement.translate;
-                let nearest = centre.clamp(DVec3::ZERO, size);
-                return nearest.distance(centre) < radius * placement.scale;
-            }
+            Shape::Sphere { radius, .. } => DVec3::splat(radius),
             Shape::Cylinder {
                 axis,
                 radius,
@@ -423,33 +391,55 @@ impl Shape {
             } => {
                 let axis = placement.rotate * axis;
                 let rim = (DVec3::ONE - axis * axis).max(DVec3::ZERO);
-                0.5 * height * axis.abs()
-                    + *radius * DVec3::new(rim.x.sqrt(), rim.y.sqrt(), rim.z.sqrt())
+                let rim = radius * DVec3::new(rim.x.sqrt(), rim.y.sqrt(), rim.z.sqrt());
+                0.5 * height * axis.abs() + rim
+            }
+            _ => return None,
+        };
+        let centre = self.centre()? + placement.translate;
+        let half = half * placement.scale;
+        Some([centre - half, centre + half])
+    }
+
+    /// Whether a box, ball or cylinder lies in the box from the origin to `size`, to rounding.
+    pub(crate) fn lies_in(&self, size: DVec3) -> bool {
+        let slack = 1e-9 * size.max_element();
+        self.bounds(&Placement::default())
+            .is_some_and(|[low, high]| {
+                low.min_element() >= -slack && (high - size).max_element() <= slack
+            })
+    }
+
+    /// Whether a part lies in the box from the origin to `size`, by bounding boxes; always true for meshes and solitary waves.
+    pub(super) fn reaches(&self, placement: &Placement, size: DVec3) -> bool {
+        match *self {
+            Shape::Box { .. } | Shape::Cylinder { .. } => {
+                let bounds = self.bounds(placement);
+                bounds.is_some_and(|bounds| box_reaches(bounds, size))
+            }
+            Shape::Sphere { centre, radius } => {
+                let centre = centre + placement.translate;
+                let nearest = centre.clamp(DVec3::ZERO, size);
+                nearest.distance(centre) < radius * placement.scale
             }
             Shape::HalfSpace { point, normal } => {
-                return corners(size)
-                    .iter()
-                    .any(|corner| (corner - point).dot(*normal) < 0.0);
+                let mut corners = corners(size).into_iter();
+                corners.any(|corner| (corner - point).dot(normal) < 0.0)
             }
             Shape::Wave {
                 level, amplitude, ..
-            } => return level + amplitude.abs() > 0.0,
-            Shape::Solitary(_) | Shape::Mesh { .. } => return true,
-        };
-        let centre =
-            self.centre().expect("boxes and cylinders have a centre") + placement.translate;
-        let half_extent = half_extent * placement.scale;
-        (centre + half_extent).cmpgt(DVec3::ZERO).all() && (centre - half_extent).cmplt(size).all()
+            } => level + amplitude.abs() > 0.0,
+            Shape::Solitary(_) | Shape::Mesh { .. } => true,
+        }
     }
 
-    /// Whether the whole box from the origin to `size` lies in it. Box, ball and cylinder are convex, so the corners tell;
-    /// false for meshes.
-    pub(super) fn holds_box(&self, placement: &Placement, size: DVec3) -> bool {
+    /// Whether the shape contains the box from the origin to `size`. It is convex, so its corners decide; false for meshes.
+    pub(super) fn contains_box(&self, placement: &Placement, size: DVec3) -> bool {
         let Some(centre) = self.centre() else {
             return false;
         };
         corners(size).into_iter().all(|corner| {
-            // From the middle of the shape, in its own directions and size.
+            // Relative to the centre, in the coordinates of the shape before its placement.
             let x = placement.rotate.transpose() * (corner - placement.translate - centre)
                 / placement.scale;
             match self {

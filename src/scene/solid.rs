@@ -1,4 +1,4 @@
-//! Elastic bodies: how they are written, and what can be told of them before their mesh is made.
+//! Elastic bodies: their keys, and checks that need no mesh.
 
 use std::ops::Bound;
 use std::path::Path;
@@ -6,92 +6,52 @@ use std::path::Path;
 use glam::{DMat3, DVec3};
 
 use super::document::{Keys, Place, Table};
-use super::read::{MAX_VELOCITY, bounded, density as density_of, list};
-use super::shape::{existing_file, keyframes, placement, shape, unit};
+use super::read::{MAX_VELOCITY, bounded, density, list, unique_name};
+use super::shape::{keyframes, mesh_file, placement, shape, surface_file, unit};
 use super::{Domain, ElasticModel, Initial, Load, LoadKind, Pin, Placement, Solid, SolidMesh};
 use crate::error::Error;
 
-/// Most bricks of a box, and most cells of the given size in the cube around a ball: six tetrahedra in each still have 32-bit
-/// numbers.
+/// Most bricks of a box, and most cells in the cube around a ball: six tetrahedra in each can be numbered with 32 bits.
 const MAX_CELLS: f64 = (1u64 << 22) as f64;
-/// Moduli and tractions, Pa, and forces, N; damping, 1/s and s. Far beyond all bodies; their squares stay in single precision.
+/// Limit of moduli and tractions, Pa, and forces, N. Their squares are representable in single precision.
 const MAX_STRESS: f64 = 1e13;
+/// Limit of damping coefficients, 1/s and s.
 const MAX_DAMPING: f64 = 1e6;
-/// A body may stick out of the domain by this part of the domain's longest side: rounding.
-const STICKS_OUT: f64 = 1e-9;
+/// Rounding of the walls' positions, relative to the domain's longest side.
+const WALL_TOLERANCE: f64 = 1e-9;
 
-const SOLID: Keys = Keys {
-    valid: &[
-        "name",
-        "mesh",
-        "placement",
-        "initial",
-        "density",
-        "young",
-        "poisson",
-        "model",
-        "damping",
-        "pin",
-        "script",
-        "load",
-    ],
-    absent: &[],
-};
+const SOLID: Keys = Keys::new(&[
+    "name",
+    "mesh",
+    "placement",
+    "initial",
+    "density",
+    "young",
+    "poisson",
+    "model",
+    "damping",
+    "pin",
+    "script",
+    "load",
+]);
 const MESH_KINDS: [&str; 5] = ["box", "sphere", "shell", "file", "surface"];
-const MESH: Keys = Keys {
-    valid: &["box", "sphere", "shell", "file", "surface", "units"],
-    absent: &[],
-};
-const BOX: Keys = Keys {
-    valid: &["size", "cells"],
-    absent: &[],
-};
-const SPHERE: Keys = Keys {
-    valid: &["radius", "cell_size"],
-    absent: &[],
-};
-const SHELL: Keys = Keys {
-    valid: &["radius", "thickness", "cell_size"],
-    absent: &[],
-};
-const SURFACE: Keys = Keys {
-    valid: &["file", "units", "cell_size"],
-    absent: &[],
-};
-const INITIAL: Keys = Keys {
-    valid: &["scale", "velocity", "spin"],
-    absent: &[],
-};
-const DAMPING: Keys = Keys {
-    valid: &["mass", "stiffness"],
-    absent: &[],
-};
-const PIN: Keys = Keys {
-    valid: &["region", "components"],
-    absent: &[],
-};
-const SCRIPT: Keys = Keys {
-    valid: &["region", "components", "keyframes"],
-    absent: &[],
-};
-const LOAD: Keys = Keys {
-    valid: &["region", "force", "traction"],
-    absent: &[],
-};
-/// Shapes that choose nodes.
+const MESH: Keys = Keys::new(&["box", "sphere", "shell", "file", "surface", "units"]);
+const BOX: Keys = Keys::new(&["size", "cells"]);
+const SPHERE: Keys = Keys::new(&["radius", "cell_size"]);
+const SHELL: Keys = Keys::new(&["radius", "thickness", "cell_size"]);
+const SURFACE: Keys = Keys::new(&["file", "units", "cell_size"]);
+const INITIAL: Keys = Keys::new(&["scale", "velocity", "spin"]);
+const DAMPING: Keys = Keys::new(&["mass", "stiffness"]);
+const PIN: Keys = Keys::new(&["region", "components"]);
+const SCRIPT: Keys = Keys::new(&["region", "components", "keyframes"]);
+const LOAD: Keys = Keys::new(&["region", "force", "traction"]);
+/// Shapes that select nodes.
 const REGION_SHAPES: [&str; 4] = ["box", "sphere", "cylinder", "half_space"];
-const REGION: Keys = Keys {
-    valid: &REGION_SHAPES,
-    absent: &[],
-};
-/// Those of them that have a middle to turn about.
+const REGION: Keys = Keys::new(&REGION_SHAPES);
+/// Shapes with a centre of rotation.
 const SCRIPT_SHAPES: [&str; 3] = ["box", "sphere", "cylinder"];
-const SCRIPT_REGION: Keys = Keys {
-    valid: &SCRIPT_SHAPES,
-    absent: &[],
-};
+const SCRIPT_REGION: Keys = Keys::new(&SCRIPT_SHAPES);
 
-/// All solids of a scene, in order; none where it has no `[[solid]]`.
 pub(super) fn solids(root: &Table, file: &Path, domain: &Domain) -> Result<Vec<Solid>, Error> {
     let Some(places) = root.get("solid") else {
         return Ok(Vec::new());
@@ -108,31 +68,19 @@ fn solid(place: &Place, file: &Path, domain: &Domain, earlier: &[Solid]) -> Resu
     let table = place.clone().table(&SOLID)?;
     let name_place = table.required("name", "name = \"beam\", unique in the scene")?;
     let name = name_place.text("a name for the solid")?;
-    let plain = name
-        .chars()
-        .all(|c| c.is_ascii_alphanumeric() || "_-.".contains(c));
-    let problem = format!("\"{name}\" cannot name a solid");
-    name_place.ensure(plain, problem, "use letters, digits, _, - and . only")?;
-    let unique = earlier.iter().all(|solid| solid.name != name);
-    let problem = format!("a solid before it is named \"{name}\" too");
-    name_place.ensure(unique, problem, "choose another name")?;
+    let earlier = earlier.iter().map(|solid| solid.name.as_str());
+    unique_name(&name_place, name, "solid", earlier)?;
 
     let example = "mesh = { box = { size = [1, 0.1, 0.1], cells = [10, 1, 1] } }";
     let mesh_place = table.required("mesh", example)?;
     let mesh = mesh(&mesh_place, file)?;
     let is_file = matches!(mesh, SolidMesh::File { .. } | SolidMesh::Surface { .. });
     let placement = placement(&table, (!is_file).then_some(DVec3::ZERO))?;
-    let initial = match table.get("initial") {
-        Some(place) => initial(place)?,
-        None => Initial::default(),
-    };
-    stays_inside(&table, &mesh, &placement, &initial, domain)?;
-    let density = table.required("density", "density = 1000, in kg/m^3")?;
-    let young = table.required("young", "young = 1e6, Young's modulus in Pa")?;
-    let (mass_damping, stiffness_damping) = match table.get("damping") {
-        Some(place) => damping(place)?,
-        None => (0.0, 0.0),
-    };
+    let initial = table.optional("initial", Initial::default(), initial)?;
+    ensure_inside(&table, &mesh, &placement, &initial, domain)?;
+    let density_place = table.required("density", "density = 1000, in kg/m^3")?;
+    let young_place = table.required("young", "young = 1e6, Young's modulus in Pa")?;
+    let (mass_damping, stiffness_damping) = table.optional("damping", (0.0, 0.0), damping)?;
     let mut pins = Vec::new();
     for place in entries(&table, "pin")? {
         pins.push(pin(place, file)?);
@@ -146,16 +94,19 @@ fn solid(place: &Place, file: &Path, domain: &Domain, earlier: &[Solid]) -> Resu
         mesh,
         placement,
         initial,
-        density: density_of(&density, "rubber has 1100")?,
-        young: stiffness(&young)?,
+        density: density(&density_place, "rubber has 1100")?,
+        young: young_place.positive_within(
+            "Young's modulus in Pa",
+            1e-3..=MAX_STRESS,
+            format!("use 1e-3 to {MAX_STRESS:e} Pa; rubber has 1e6, steel 2e11"),
+        )?,
         poisson: poisson(&table)?,
-        model: match table.get("model") {
-            Some(place) => place.choice(&[
+        model: table.optional("model", ElasticModel::Corotational, |place| {
+            place.choice(&[
                 ("corotational", ElasticModel::Corotational),
                 ("linear", ElasticModel::Linear),
-            ])?,
-            None => ElasticModel::Corotational,
-        },
+            ])
+        })?,
         mass_damping,
         stiffness_damping,
         pins,
@@ -165,9 +116,9 @@ fn solid(place: &Place, file: &Path, domain: &Domain, earlier: &[Solid]) -> Resu
     })
 }
 
-/// The entries of `[[solid.KEY]]`; none where it is not given.
+/// The entries of `[[solid.KEY]]`.
 fn entries<'a>(table: &Table<'a>, key: &str) -> Result<Vec<Place<'a>>, Error> {
-    table.get(key).map_or(Ok(Vec::new()), |place| place.list())
+    table.optional(key, Vec::new(), |place| place.list())
 }
 
 fn mesh(place: &Place, file: &Path) -> Result<SolidMesh, Error> {
@@ -180,7 +131,7 @@ fn mesh(place: &Place, file: &Path) -> Result<SolidMesh, Error> {
             }
             _ => "remove it: lengths in a scene are in m",
         };
-        return Err(place.fail(format!("is of a mesh file, and {kind} is none"), cure));
+        return Err(place.fail(format!("needs a mesh file, and {kind} is none"), cure));
     }
     Ok(match kind {
         "box" => {
@@ -192,7 +143,7 @@ fn mesh(place: &Place, file: &Path) -> Result<SolidMesh, Error> {
             let cells_place = table.required("cells", "cells = [10, 1, 1], along x, y, z")?;
             let cells = cells_place.counts("the bricks along x, y, z", 1, MAX_CELLS as u64)?;
             let count: f64 = cells.iter().map(|&n| n as f64).product();
-            let problem = format!("makes {count} bricks, more than {MAX_CELLS}");
+            let problem = format!("results in {count} bricks, more than {MAX_CELLS}");
             cells_place.ensure(count <= MAX_CELLS, problem, "use fewer cells")?;
             SolidMesh::Box { size, cells }
         }
@@ -212,7 +163,7 @@ fn mesh(place: &Place, file: &Path) -> Result<SolidMesh, Error> {
             place.ensure(
                 thickness < radius,
                 format!("a shell of {thickness} m leaves no hollow in a radius of {radius} m"),
-                "make it thinner than the radius, or use a sphere",
+                "use a thickness below the radius, or a sphere",
             )?;
             SolidMesh::Shell {
                 radius,
@@ -221,7 +172,7 @@ fn mesh(place: &Place, file: &Path) -> Result<SolidMesh, Error> {
             }
         }
         "file" => SolidMesh::File {
-            file: existing_file(
+            file: mesh_file(
                 &place,
                 file,
                 &["msh", "vtu"],
@@ -232,16 +183,10 @@ fn mesh(place: &Place, file: &Path) -> Result<SolidMesh, Error> {
         },
         _ => {
             let table = place.table(&SURFACE)?;
-            let name = table.required("file", "file = \"body.obj\", relative to the scene")?;
+            let (file, unit) = surface_file(&table, file)?;
             SolidMesh::Surface {
-                file: existing_file(
-                    &name,
-                    file,
-                    &["obj", "stl", "ply"],
-                    "the name of an OBJ, STL or PLY file",
-                    "use a closed triangle mesh as .obj, .stl or .ply",
-                )?,
-                unit: unit(&table)?,
+                file,
+                unit,
                 cell_size: cell_size(&table)?.1,
             }
         }
@@ -260,7 +205,7 @@ fn cell_size<'a>(table: &Table<'a>) -> Result<(Place<'a>, f64), Error> {
     Ok((place, cell_size))
 }
 
-/// The cell size of a ball or shell: at most the radius, and not so small that its nodes cannot be numbered.
+/// Cell size of a ball or shell, m. It is at most the radius, and so large that 32 bits can number the nodes.
 fn ball_cell_size(table: &Table, radius: f64) -> Result<f64, Error> {
     let (place, cell_size) = cell_size(table)?;
     let smallest = 2.0 * radius / MAX_CELLS.cbrt();
@@ -274,21 +219,22 @@ fn ball_cell_size(table: &Table, radius: f64) -> Result<f64, Error> {
 
 fn initial(place: Place) -> Result<Initial, Error> {
     let table = place.table(&INITIAL)?;
-    let mut initial = Initial::default();
-    if let Some(place) = table.get("scale") {
-        initial.scale = place.number_or_vector("the stretch, one number or one for each axis")?;
-    }
-    if let Some(place) = table.get("velocity") {
-        initial.velocity = bounded(&place, "a velocity in m/s", MAX_VELOCITY)?;
-    }
-    if let Some(place) = table.get("spin") {
-        initial.spin = bounded(&place, "an angular velocity in rad/s", MAX_VELOCITY)?;
-    }
-    Ok(initial)
+    let bounded = |key: &str, what: &str| {
+        table.optional(key, DVec3::ZERO, |place| {
+            bounded(&place, what, MAX_VELOCITY)
+        })
+    };
+    Ok(Initial {
+        scale: table.optional("scale", DVec3::ONE, |place| {
+            place.number_or_vector("the stretch, one number or one for each axis")
+        })?,
+        velocity: bounded("velocity", "a velocity in m/s")?,
+        spin: bounded("spin", "an angular velocity in rad/s")?,
+    })
 }
 
-/// Refuses a box, ball or shell that sticks out of the domain at the start: walls would push its nodes in with force.
-fn stays_inside(
+/// Refuses a box, ball or shell that starts partly outside the domain: the walls would accelerate its nodes inwards.
+fn ensure_inside(
     table: &Table,
     mesh: &SolidMesh,
     placement: &Placement,
@@ -305,31 +251,19 @@ fn stays_inside(
     };
     let half = half * placement.scale * initial.scale.abs();
     let (low, high) = (placement.translate - half, placement.translate + half);
-    let slack = STICKS_OUT * domain.size.max_element();
+    let slack = WALL_TOLERANCE * domain.size.max_element();
     for (axis, name) in ["x", "y", "z"].into_iter().enumerate() {
         if low[axis] < -slack || high[axis] > domain.size[axis] + slack {
             let problem = format!(
-                "sticks out of the domain: along {name} it goes from {} to {} m, the domain from 0 to {} m",
+                "sticks out of the domain: along {name} it extends from {} to {} m, the domain from 0 to {} m",
                 low[axis], high[axis], domain.size[axis]
             );
-            let cure = "move it with placement.at, the place of its middle, or make it smaller";
+            let cure = "move it with placement.at, the position of its centre, or shrink it";
             let place = table.get("placement").or_else(|| table.get("mesh"));
             return Err(place.expect("a solid has a mesh").fail(problem, cure));
         }
     }
     Ok(())
-}
-
-/// Young's modulus, Pa.
-fn stiffness(place: &Place) -> Result<f64, Error> {
-    let young = place.positive("Young's modulus in Pa")?;
-    place.within(
-        young,
-        1e-3..=MAX_STRESS,
-        format!("is {young:?}"),
-        format!("use 1e-3 to {MAX_STRESS:e} Pa; rubber has 1e6, steel 2e11"),
-    )?;
-    Ok(young)
 }
 
 fn poisson(table: &Table) -> Result<f64, Error> {
@@ -352,17 +286,14 @@ fn poisson(table: &Table) -> Result<f64, Error> {
     Ok(poisson)
 }
 
-/// Coefficients of the mass (1/s) and of the stiffness (s).
+/// Rayleigh coefficients of the mass (1/s) and of the stiffness (s).
 fn damping(place: Place) -> Result<(f64, f64), Error> {
     let table = place.table(&DAMPING)?;
     let coefficient = |name: &str, what: &str| {
-        let Some(place) = table.get(name) else {
-            return Ok(0.0);
-        };
-        let value = place.number(what)?;
-        let cure = format!("write {what}, zero or above, at most {MAX_DAMPING:e}");
-        place.within(value, 0.0..=MAX_DAMPING, format!("is {value:?}"), cure)?;
-        Ok::<f64, Error>(value)
+        table.optional(name, 0.0, |place| {
+            let cure = format!("write {what}, zero or above, at most {MAX_DAMPING:e}");
+            place.number_within(what, 0.0..=MAX_DAMPING, cure)
+        })
     };
     Ok((
         coefficient("mass", "the damping by mass in 1/s")?,
@@ -378,24 +309,24 @@ fn region(table: &Table, shapes: &[&str], keys: &Keys, file: &Path) -> Result<su
     shape(kind, place, file)
 }
 
-/// Some of x, y and z; all by default.
+/// The constrained components among x, y and z; all by default.
 fn components(table: &Table) -> Result<[bool; 3], Error> {
     let Some(place) = table.get("components") else {
         return Ok([true; 3]);
     };
-    let what = "the components that are held, such as \"xyz\" or \"y\"";
+    let what = "the constrained components, such as \"xyz\" or \"y\"";
     let text = place.text(what)?;
-    let mut held = [false; 3];
+    let mut constrained = [false; 3];
     for letter in text.chars() {
-        let axis = "xyz".find(letter).filter(|&axis| !held[axis]);
+        let axis = "xyz".find(letter).filter(|&axis| !constrained[axis]);
         let Some(axis) = axis else {
             let problem = format!("is \"{text}\"");
             let cure = format!("write {what}: the letters x, y, z, each once at most");
             return Err(place.fail(problem, cure));
         };
-        held[axis] = true;
+        constrained[axis] = true;
     }
-    Ok(held)
+    Ok(constrained)
 }
 
 fn pin(place: Place, file: &Path) -> Result<Pin, Error> {

@@ -1,6 +1,6 @@
-//! Suggestions for unknown keys: the words that other programs use, and the key that stands for each here.
+//! Suggestions for unknown keys: terms of other programs, and the corresponding key here.
 
-/// Words, between spaces, and the key that they stand for where a table has it.
+/// Terms, separated by spaces, and the corresponding key of the same table.
 const KEYS: &[(&str, &str)] = &[
     // [domain]
     (
@@ -54,12 +54,12 @@ const KEYS: &[(&str, &str)] = &[
     ("iterations max_iter maxiter", "max_iterations"),
 ];
 
-/// Words, a key that the table has, and the text to write instead.
+/// Terms, a key that identifies the table, and the replacement.
 const WITHIN: &[(&str, &str, &str)] = &[
     (
         "position pos location centre center at origin",
         "placement",
-        "placement = { at = [x, y, z] }, the place of its middle in m",
+        "placement = { at = [x, y, z] }, the position of its centre in m",
     ),
     (
         "translate translation offset",
@@ -92,17 +92,17 @@ const WITHIN: &[(&str, &str, &str)] = &[
     (
         "gravity size cells resolution",
         "domain",
-        "it in the section [domain]",
+        "the key in the section [domain]",
     ),
     (
         "duration fps dt frames_per_second fixed_step cfl",
         "domain",
-        "it in the section [time]: duration, frames_per_second, fixed_step, cfl",
+        "the key in the section [time]: duration, frames_per_second, fixed_step, cfl",
     ),
     (
         "density rho",
         "domain",
-        "it in the section [liquid], or of a [[solid]]",
+        "the key in the section [liquid] or in a [[solid]]",
     ),
     (
         "units unit",
@@ -111,7 +111,7 @@ const WITHIN: &[(&str, &str, &str)] = &[
     ),
 ];
 
-/// Words that no scene has a key for, with the reason.
+/// Terms without a key in any table, with the reason.
 const NOWHERE: &[(&str, &str)] = &[
     (
         "viscosity kinematic_viscosity dynamic_viscosity mu nu reynolds viscous turbulence",
@@ -127,11 +127,11 @@ const NOWHERE: &[(&str, &str)] = &[
     ),
     (
         "restitution bounce bounciness",
-        "how high a solid bounces follows from its stiffness and damping",
+        "the rebound of a solid follows from its stiffness and damping",
     ),
     (
         "temperature heat thermal_conductivity specific_heat",
-        "nothing here has a temperature",
+        "temperature is not simulated",
     ),
     (
         "speed_of_sound sound_speed compressibility bulk_modulus",
@@ -143,7 +143,7 @@ const NOWHERE: &[(&str, &str)] = &[
     ),
     (
         "units unit",
-        "all numbers are in m, kg, s; units are of mesh files only, beside the file",
+        "all numbers are in m, kg, s; only mesh files have units, beside the file",
     ),
 ];
 
@@ -157,7 +157,7 @@ pub(super) enum Suggestion {
     Absent(&'static str),
 }
 
-/// Suggestion for an unknown key of a table with the keys `valid`, where it is a word of other programs.
+/// Suggestion for an unknown key of a table with the keys `valid`.
 pub(super) fn suggestion(name: &str, valid: &[&str]) -> Option<Suggestion> {
     let name = name.to_lowercase().replace('-', "_");
     let is = |words: &str| words.split(' ').any(|word| word == name);

@@ -1,15 +1,12 @@
-//! How the mesh of the liquid's surface is made.
+//! Settings of the liquid's surface mesh.
 
 use super::SurfaceMesh;
 use super::document::{Keys, Table};
 use crate::error::Error;
 
-const SURFACE: Keys = Keys {
-    valid: &["radius", "smoothing"],
-    absent: &[],
-};
+const SURFACE: Keys = Keys::new(&["radius", "smoothing"]);
 
-/// Radii, cells: below, a dense body has holes, since markers are half a cell apart; above, a drop is as large as a wave.
+/// Radii, cells. Below, dense liquid has holes, since markers are half a cell apart. Above, a drop is as large as a wave.
 const RADII: std::ops::RangeInclusive<f64> = 0.6..=3.0;
 
 impl Default for SurfaceMesh {
@@ -21,29 +18,27 @@ impl Default for SurfaceMesh {
     }
 }
 
-/// The mesh of a scene's surface; `from_markers`: whether there is one to make from markers.
-pub(super) fn surface(root: &Table, from_markers: bool) -> Result<SurfaceMesh, Error> {
-    let mut surface = SurfaceMesh::default();
+pub(super) fn surface(root: &Table, has_markers: bool) -> Result<SurfaceMesh, Error> {
+    let default = SurfaceMesh::default();
     let Some(place) = root.get("surface") else {
-        return Ok(surface);
+        return Ok(default);
     };
     place.ensure(
-        from_markers,
-        "is about the mesh around markers, and the scene has none",
+        has_markers,
+        "sets the mesh around markers, and the scene has none",
         "remove it",
     )?;
     let table = place.table(&SURFACE)?;
-    if let Some(place) = table.get("radius") {
-        surface.radius = place.positive("the surface's distance from a marker alone in cells")?;
-        place.within(
-            surface.radius,
-            RADII,
-            format!("is {}", surface.radius),
-            "use 0.6 to 3 cells; 0.95 is where the simulated surface is",
-        )?;
-    }
-    if let Some(place) = table.get("smoothing") {
-        surface.smoothing = place.count("the rounds of smoothing", 0, 1000)? as u32;
-    }
-    Ok(surface)
+    Ok(SurfaceMesh {
+        radius: table.optional("radius", default.radius, |place| {
+            place.positive_within(
+                "the surface's distance from a marker alone in cells",
+                RADII,
+                "use 0.6 to 3 cells; 0.95 matches the simulated surface",
+            )
+        })?,
+        smoothing: table.optional("smoothing", default.smoothing, |place| {
+            Ok(place.count("the smoothing iterations", 0, 1000)? as u32)
+        })?,
+    })
 }

@@ -1,4 +1,4 @@
-//! Liquid and solids of a scene together on a device: the solids' clipping, which the host does, J, and the solve for both.
+//! Coupling of liquid and solids on a device: clipping on the host, the coupling matrix J, and the solve for both.
 
 use glam::{DMat3, DVec3};
 
@@ -21,65 +21,66 @@ use crate::step::Stage;
 use super::gpu_liquid::GpuLiquid;
 use super::gpu_solids::{GpuSolids, Search, SolidReadbacks};
 
-/// How much room clipping and J have.
+/// Capacity for clipping and J.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Room {
+pub(super) struct Capacity {
     clip: ClipSize,
     coupling: CouplingSize,
 }
 
-/// When solids are clipped.
+/// Occasion of a clipping.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum At {
-    /// With a state, of a time in s, that takes the place of another: the fields of the liquid are written as well.
-    Anew { time: f64 },
-    /// In a sub-step that ends at a time, of dt, after one of dt_last, all in s; 0 before the first.
-    Step { time: f64, dt: f64, dt_last: f64 },
+pub(super) enum ClipTime {
+    /// A new state at a time, s: the arrays of the liquid have just been written.
+    State { time: f64 },
+    /// A sub-step of length dt that ends at a time, after one of length dt_last (0 before the first); all in s.
+    SubStep { time: f64, dt: f64, dt_last: f64 },
 }
 
 /// The coupling on the device.
 #[derive(Debug)]
 pub(super) struct GpuCoupling {
-    /// The solids where they are now.
+    /// Clipping of the present solids and obstacles.
     pub(super) clip: SolidClip,
-    room: Room,
+    capacity: Capacity,
     on_device: ClipBuffers,
     buffers: CouplingBuffers,
     weak: Option<WeakBuffers>,
     damping_only: bool,
     pub(super) stages: CouplingStages,
-    /// Where displacements arrive for the next clipping.
+    /// Displacements for the next clipping.
     pub(super) moved: Readback<[f32; 4]>,
-    /// Where forces on the nodes arrive for the probes: J^T p, and what pressure does within cells. None where nobody asks.
+    /// Forces on the nodes for the probes: J^T p, then the correction for pressure variation within cells. Empty
+    /// without force probes.
     probed: Vec<Readback<u32>>,
 }
 
-/// Where what the device tells of a sub-step arrives.
+/// Readbacks of a sub-step.
 #[derive(Debug)]
 pub(super) struct CouplingReadbacks {
     report: Readback<u32>,
     components: Readback<u32>,
 }
 
-/// What is known of both before they are solved for.
+/// Whether liquid and solids touch, read back before the solve.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Touch {
-    /// Whether a patch lies in a cell that is an unknown.
+pub(super) struct ContactState {
+    /// Whether a patch lies in an active cell.
     pub(super) touching: bool,
     closed_components: u32,
 }
 
-/// What the solve for both found.
+/// Result of the coupled solve.
 #[derive(Debug)]
 pub(super) struct Solved {
-    /// Of the liquid, of the solids.
+    /// Outcome of the liquid rows, then of the solid rows.
     pub(super) parts: [Outcome; 2],
-    /// Whether in the condensed form.
+    /// Whether the solve used the Schur-complement form.
     pub(super) condensed: bool,
     pub(super) contact: ContactReport,
 }
 
-/// The kernels of a step, in its order.
+/// The kernels of a sub-step, in order.
 #[derive(Debug)]
 pub(super) struct CouplingStages {
     pub(super) clip: Dispatches,
@@ -89,29 +90,29 @@ pub(super) struct CouplingStages {
     pub(super) diagnose: Dispatches,
 }
 
-/// How pressures and velocities come to know of each other.
+/// Coupling scheme.
 #[derive(Debug)]
 enum Scheme {
-    /// In one solve, of all forces or of damping alone.
+    /// One solve, with all forces or with damping only.
     Together(Box<TwoFieldSolver>),
-    /// In one solve after the other.
+    /// One solve after the other.
     Weak(Weak),
 }
 
-impl Room {
-    /// Half as much again as a clipping takes: solids bend, and cut other cells as they go.
-    /// `differing`: quads that the clipping before it cut.
-    pub(super) fn for_clip(grid: &Grid, clip: &SolidClip, differing: usize) -> Room {
+impl Capacity {
+    /// 1.5 times the size of a clipping, because deforming solids cut other cells later. `differing`: quads that the
+    /// last clipping cut.
+    pub(super) fn for_clip(grid: &Grid, clip: &SolidClip, differing: usize) -> Capacity {
         let ample = |n: usize| n + n / 2 + 64;
-        let taken = ClipSize::of(grid, clip, differing);
+        let size = ClipSize::of(grid, clip, differing);
         let pairs = clip.coupling().pairs();
         let padded = grid.padded();
         let quad = |cell: usize| padded.index(grid.cell_at(cell)) / 4;
         let cells = clip.coupling().cells().map(|(cell, _)| quad(cell));
         let mut quads: Vec<usize> = cells.collect();
         quads.dedup();
-        Room {
-            clip: taken.ample(),
+        Capacity {
+            clip: size.ample(),
             coupling: CouplingSize {
                 quads: ample(quads.len()),
                 pairs: ample(pairs.len()),
@@ -119,9 +120,9 @@ impl Room {
         }
     }
 
-    /// Enough for both.
-    fn joined(self, other: Room) -> Room {
-        Room {
+    /// The larger of both, per list.
+    fn joined(self, other: Capacity) -> Capacity {
+        Capacity {
             clip: self.clip.joined(other.clip),
             coupling: CouplingSize {
                 quads: self.coupling.quads.max(other.coupling.quads),
@@ -131,16 +132,16 @@ impl Room {
     }
 }
 
-/// What probes read of the forces on the nodes: J^T p and, where there is any, what pressure does within cells.
+/// Buffers that force probes read: J^T p and, if active, the correction for pressure variation within cells.
 fn probed(scene: &Scene) -> Vec<&'static str> {
-    let asked = scene.probes.iter().any(|probe| probe.kind.of_force());
+    let force_probes = scene.probes.iter().any(|probe| probe.kind.measures_force());
     let within = Effects::of(scene).patch_correction;
     let buffers = ["coupling.partials", "patch_pressure.correction"].into_iter();
-    let n = usize::from(asked) * (1 + usize::from(within));
+    let n = usize::from(force_probes) * (1 + usize::from(within));
     buffers.take(n).collect()
 }
 
-/// What decides the pressure on patches: the gradient at rest, Pa/m, and where the last one is asked.
+/// Pressure gradient on patches: the hydrostatic one, Pa/m, and the face apertures when the last pressure is used.
 fn slopes<'a>(scene: &Scene, liquid: &'a GpuLiquid) -> (DVec3, Option<OpenFaces<'a>>) {
     let faces = OpenFaces {
         level: &liquid.buffers.level,
@@ -161,7 +162,7 @@ impl CouplingStages {
         weak: Option<&WeakBuffers>,
     ) -> Result<CouplingStages, Error> {
         let fields = solids.buffers.fields();
-        let of_nodes = match weak {
+        let nodes = match weak {
             Some(weak) => (&weak.held, &weak.before),
             None => (fields.flags, fields.velocity),
         };
@@ -184,7 +185,7 @@ impl CouplingStages {
         let correction = patch_pressure.as_ref().map(|patches| &patches.correction);
         Ok(CouplingStages {
             clip: stages::clip(gpu, &liquid.buffers, on_device)?,
-            closed_components: Seal::new(gpu, &liquid.solver, of_nodes, buffers)?,
+            closed_components: Seal::new(gpu, &liquid.solver, nodes, buffers)?,
             scheme,
             diagnose: stages::diagnose_coupling(gpu, &liquid.solver, buffers, correction)?,
             patch_pressure,
@@ -192,7 +193,7 @@ impl CouplingStages {
     }
 }
 
-/// What the solve for both works on.
+/// Fields of the coupled solve.
 fn coupled<'a>(
     liquid: &'a GpuLiquid,
     solids: &'a GpuSolids,
@@ -209,7 +210,8 @@ fn coupled<'a>(
 }
 
 impl GpuCoupling {
-    /// Allocates and compiles; and with it the stages of the liquid that see solids. The state is to be written.
+    /// Allocates and compiles, including the liquid stages that depend on the clipping. The state must be written
+    /// afterwards.
     pub(super) fn new(
         gpu: &Gpu,
         scene: &Scene,
@@ -218,10 +220,10 @@ impl GpuCoupling {
         solids: &GpuSolids,
     ) -> Result<GpuCoupling, Error> {
         let grid = scene.grid();
-        let room = Room::for_clip(&grid, &clip, 0);
-        let on_device = ClipBuffers::new(gpu, &grid, room.clip)?;
+        let capacity = Capacity::for_clip(&grid, &clip, 0);
+        let on_device = ClipBuffers::new(gpu, &grid, capacity.clip)?;
         let (liquid_system, solid_system) = (&liquid.solver, &solids.system);
-        let buffers = CouplingBuffers::new(gpu, liquid_system, solid_system, room.coupling)?;
+        let buffers = CouplingBuffers::new(gpu, liquid_system, solid_system, capacity.coupling)?;
         let weak = scene.solver.coupling == CouplingScheme::Weak;
         let weak = weak.then(|| WeakBuffers::new(gpu, solid_system));
         let weak = weak.transpose()?;
@@ -239,7 +241,7 @@ impl GpuCoupling {
                 2 * solids.buffers.plan.n_nodes,
             )?,
             clip,
-            room,
+            capacity,
             on_device,
             buffers,
             weak,
@@ -250,7 +252,7 @@ impl GpuCoupling {
         Ok(coupling)
     }
 
-    /// Where a sub-step is told of.
+    /// Allocates the readbacks of a sub-step.
     pub(super) fn readbacks(gpu: &Gpu) -> Result<CouplingReadbacks, Error> {
         Ok(CouplingReadbacks {
             report: Readback::new(gpu, "coupling.report", REPORT_WORDS)?,
@@ -258,7 +260,7 @@ impl GpuCoupling {
         })
     }
 
-    /// Makes the stages of the liquid that solids take part in.
+    /// Binds the liquid stages that depend on the clipping.
     fn bind_liquid(
         &self,
         gpu: &Gpu,
@@ -268,24 +270,26 @@ impl GpuCoupling {
         let GpuLiquid {
             buffers,
             solver,
-            stages: of_liquid,
+            stages: liquid_stages,
             ..
         } = liquid;
         let velocity = &solids.buffers.velocity;
         let walls = Some((&self.on_device, Some(velocity)));
         let fluxes = Some((&self.on_device, &self.buffers, velocity));
-        of_liquid.beside_bodies = vec![
+        liquid_stages.beside_bodies = vec![
             stages::extrapolate(gpu, buffers, walls)?,
             stages::diagnose(gpu, buffers, solver, fluxes)?,
         ];
         Ok(())
     }
 
-    /// Forces of the liquid on the nodes in the last sub-step, N. Nothing where no probe asks.
+    /// Forces of the liquid on the nodes in the last sub-step, N. Empty without force probes.
     pub(super) fn probed(&mut self, gpu: &Gpu) -> Result<Vec<[f64; 3]>, Error> {
-        let of_cells = &self.buffers.partials;
+        let cell_forces = &self.buffers.partials;
         let within = self.stages.patch_pressure.as_ref();
-        let buffers = [of_cells].into_iter().chain(within.map(|p| &p.correction));
+        let buffers = [cell_forces]
+            .into_iter()
+            .chain(within.map(|p| &p.correction));
         let mut to = Recorder::new(gpu);
         for (buffer, readback) in buffers.zip(&mut self.probed) {
             to.read_part(&buffer.words, 0, readback);
@@ -293,7 +297,7 @@ impl GpuCoupling {
         to.submit();
         let mut sums = Vec::new();
         for readback in &mut self.probed {
-            let forces = of_cells.widen(&readback.wait(gpu)?);
+            let forces = cell_forces.widen(&readback.wait(gpu)?);
             let (nodes, _) = forces.as_chunks::<4>();
             sums.resize(nodes.len(), [0.0; 3]);
             for (sum, force) in sums.iter_mut().zip(nodes) {
@@ -303,39 +307,41 @@ impl GpuCoupling {
         Ok(sums)
     }
 
-    /// Clips the solids where they are and writes what follows, before all work submitted later. `displacement`: of all nodes, m.
+    /// Clips the present solids and writes the clipping and J, before all work submitted later. `displacement` of all
+    /// nodes in m.
     ///
     /// # Errors
-    /// [`Error::Limit`] where more room is needed than the adapter has.
-    pub(super) fn follow(
+    /// [`Error::Limit`] when a larger capacity exceeds the adapter's limits.
+    pub(super) fn update_clip(
         &mut self,
         gpu: &Gpu,
         scene: &Scene,
         (liquid, solids): (&mut GpuLiquid, &GpuSolids),
         displacement: &[[f64; 3]],
-        at: At,
+        at: ClipTime,
     ) -> Result<(), Error> {
         let grid = scene.grid();
         let (time, span) = match at {
-            At::Anew { time } => (time, 0.0),
-            At::Step { time, dt, .. } => (time, dt),
+            ClipTime::State { time } => (time, 0.0),
+            ClipTime::SubStep { time, dt, .. } => (time, dt),
         };
         self.clip.move_obstacles(time, span);
         self.clip.clip(&solids.solids.moved(displacement));
         let pairs = self.pairs(&grid);
         if !(self.on_device.fits(&self.clip) && self.buffers.fits(&pairs)) {
-            let room = Room::for_clip(&grid, &self.clip, self.on_device.n_differing());
-            self.room = self.room.joined(room);
-            let (of_liquid, of_solids) = (&liquid.solver, &solids.system);
-            self.on_device = self.on_device.resized(gpu, self.room.clip)?;
-            self.buffers = CouplingBuffers::new(gpu, of_liquid, of_solids, self.room.coupling)?;
+            let capacity = Capacity::for_clip(&grid, &self.clip, self.on_device.n_differing());
+            self.capacity = self.capacity.joined(capacity);
+            let (liquid_system, solid_system) = (&liquid.solver, &solids.system);
+            self.on_device = self.on_device.resized(gpu, self.capacity.clip)?;
+            self.buffers =
+                CouplingBuffers::new(gpu, liquid_system, solid_system, self.capacity.coupling)?;
             let with = (&self.on_device, &self.buffers);
             let weak = self.weak.as_ref();
             self.stages = CouplingStages::new(gpu, scene, liquid, solids, with, weak)?;
             self.bind_liquid(gpu, liquid, solids)?;
         }
         let triangles = &solids.solids.triangles;
-        let At::Step { dt, dt_last, .. } = at else {
+        let ClipTime::SubStep { dt, dt_last, .. } = at else {
             liquid.buffers.write_cut_cells(gpu, self.clip.cut_cells());
             self.on_device.write(gpu, &self.clip, triangles, true);
             return Ok(());
@@ -356,13 +362,13 @@ impl GpuCoupling {
         Ok(())
     }
 
-    /// Whether patches ask for the last pressure.
+    /// Whether patches use the last pressure.
     pub(super) fn follows_pressure(&self) -> bool {
         let patches = self.stages.patch_pressure.as_ref();
         patches.is_some_and(|patches| patches.follows_pressure())
     }
 
-    /// Where patches ask for the last pressure: gives the device that of a state.
+    /// Writes the pressure of a state, if patches use the last pressure.
     pub(super) fn write_pressure(
         &self,
         gpu: &Gpu,
@@ -391,7 +397,7 @@ impl GpuCoupling {
         liquid.solver.potential.upload(gpu, &potential);
     }
 
-    /// J in the units of the device.
+    /// J in device units.
     fn pairs(&self, grid: &Grid) -> Vec<Pair> {
         let (padded, area) = (grid.padded(), grid.dx * grid.dx);
         let pairs = self.clip.coupling().pairs().iter();
@@ -409,21 +415,21 @@ impl GpuCoupling {
         let patches = self.clip.patches();
         let coupling = self.clip.coupling();
         coupling.sums(DMat3::ZERO, patches, triangles, |patch, corner| {
-            let way = patch.centroid - grid.cell_centre(grid.cell_at(patch.cell));
-            let weighted = patch.barycentric[corner] * patch.area * way + patch.moments[corner];
+            let offset = patch.centroid - grid.cell_centre(grid.cell_at(patch.cell));
+            let weighted = patch.barycentric[corner] * patch.area * offset + patch.moments[corner];
             let column = |axis: usize| weighted[axis] * patch.normal;
             DMat3::from_cols(column(0), column(1), column(2))
         })
     }
 
-    /// Records, before anything moves, what weak coupling solves for the pressure against.
+    /// Records the copy of the velocities before the sub-step, for weak coupling.
     pub(super) fn record_before(&self, to: &mut Recorder, solids: &GpuSolids) {
         if let Some(weak) = &self.weak {
             weak.record(to, solids.buffers.fields());
         }
     }
 
-    /// Records what the right-hand side of the pressure gets from solids before the solve: in strong coupling from what is prescribed beside closed components.
+    /// Records the flux of prescribed nodes into enclosed components, or of all nodes in weak coupling.
     pub(super) fn record_close(&self, pass: &mut Pass) {
         if let Scheme::Weak(weak) = &self.stages.scheme {
             weak.record_against(pass);
@@ -431,14 +437,14 @@ impl GpuCoupling {
         self.stages.closed_components.record_close(pass);
     }
 
-    /// Records, in weak coupling, what the pressure found does to the right-hand side of the solids.
+    /// Records, in weak coupling, the pressure forces on the right-hand side of the solids.
     pub(super) fn record_push(&self, to: &mut Recorder) {
         if let Scheme::Weak(weak) = &self.stages.scheme {
             to.stage(Stage::Solve.name(), |pass| weak.record_push(pass));
         }
     }
 
-    /// Records the gradients of the last pressure, where patches ask for them.
+    /// Records the gradients of the last pressure, if patches use it.
     pub(super) fn record_slopes(&self, to: &mut Recorder) {
         let patches = self.stages.patch_pressure.as_ref();
         if let Some(patches) = patches.filter(|patches| patches.follows_pressure()) {
@@ -446,29 +452,29 @@ impl GpuCoupling {
         }
     }
 
-    /// Submits the recording, which ends with both systems in place, and waits for what is known of both: the solve for both where they
-    /// touch, not in weak coupling.
+    /// Submits the recording, which ends with both systems assembled, and reads back the contact of liquid and
+    /// solids. Not for weak coupling.
     pub(super) fn touch(
         &self,
         gpu: &Gpu,
         liquid: &GpuLiquid,
         mut to: Recorder,
         readbacks: &mut CouplingReadbacks,
-    ) -> Result<(Touch, StageTimes), Error> {
+    ) -> Result<(ContactState, StageTimes), Error> {
         to.read(&self.buffers.report, &mut readbacks.report);
         to.read(&liquid.solver.components, &mut readbacks.components);
         let timing = to.submit();
         let report = fields::CouplingReport::from_words(&readbacks.report.wait(gpu)?);
         let closed_components = readbacks.components.wait(gpu)?[0];
-        let touch = Touch {
+        let touch = ContactState {
             touching: report.touching,
             closed_components,
         };
         Ok((touch, timing.wait()?))
     }
 
-    /// Solves for liquid and solids in a sub-step of dt (s), and again while contacts change. In damping-only coupling the solids by
-    /// themselves first, without damping: then both, without elasticity.
+    /// Solves for liquid and solids in a sub-step of dt (s) until the active set of contacts is unchanged.
+    /// Damping-only coupling first solves for the solids without damping, then for both without elasticity.
     pub(super) fn solve_in_contact(
         &self,
         gpu: &Gpu,
@@ -476,7 +482,7 @@ impl GpuCoupling {
         (liquid, solids): (&GpuLiquid, &GpuSolids),
         SolidReadbacks { answer, .. }: &mut SolidReadbacks,
         (step, dt): (SolidStep, f64),
-        touch: Touch,
+        touch: ContactState,
     ) -> Result<(Solved, StageTimes), Error> {
         let at = coupled(liquid, solids, &self.buffers);
         let mut recorder = Recorder::timed(gpu);
@@ -522,7 +528,7 @@ impl GpuCoupling {
             together: true,
         };
         let (outcome, mut contact, mut seconds) =
-            solids.until_settled(gpu, recorder, answer, solve, search)?;
+            solids.iterate_active_set(gpu, recorder, answer, solve, search)?;
         times.append(&mut seconds);
         let mut parts = outcome.parts(touch.closed_components);
         if let Some((status, before)) = before {
@@ -546,7 +552,7 @@ impl GpuCoupling {
         }
     }
 
-    /// The solver for both; `None` in weak coupling.
+    /// The coupled solver; `None` in weak coupling.
     pub(super) fn together(&self) -> Option<&TwoFieldSolver> {
         match &self.stages.scheme {
             Scheme::Together(solver) => Some(solver),
@@ -554,37 +560,37 @@ impl GpuCoupling {
         }
     }
 
-    /// Records what the host reads at the end of a sub-step.
+    /// Records the readbacks at the end of a sub-step.
     pub(super) fn record_report(&self, to: &mut Recorder, readbacks: &mut CouplingReadbacks) {
         self.stages.diagnose.record(to);
         to.read(&self.buffers.report, &mut readbacks.report);
     }
 
     /// Waits for all submitted work and reads the report.
-    pub(super) fn told(&self, gpu: &Gpu) -> Result<fields::CouplingReport, Error> {
+    pub(super) fn read_report(&self, gpu: &Gpu) -> Result<fields::CouplingReport, Error> {
         let words = gpu.download(&self.buffers.report)?;
         Ok(fields::CouplingReport::from_words(&words))
     }
 
-    /// Sets the words of the report to zero.
+    /// Clears the report.
     pub(super) fn record_clear(&self, to: &mut Recorder) {
         to.clear(&self.buffers.report);
     }
 
-    /// The report of a sub-step.
+    /// Decodes the report of a sub-step.
     pub(super) fn report(
         &self,
         gpu: &Gpu,
         readbacks: &mut CouplingReadbacks,
         condensed: bool,
     ) -> Result<CouplingReport, Error> {
-        let told = fields::CouplingReport::from_words(&readbacks.report.wait(gpu)?);
+        let report = fields::CouplingReport::from_words(&readbacks.report.wait(gpu)?);
         let overlap = self.clip.overlap();
         Ok(CouplingReport {
-            touching: told.touching,
+            touching: report.touching,
             condensed,
-            force: told.force,
-            correction: told.correction,
+            force: report.force,
+            correction: report.correction,
             overlap_cells: overlap.cells,
             overlap_depth: overlap.depth,
         })

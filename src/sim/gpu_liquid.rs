@@ -1,9 +1,9 @@
-//! The liquid of a scene on a device: its buffers, its stages and its pressure solver, and what the host keeps of its state.
+//! The liquid of a scene on a device: buffers, stages, pressure solver, and the host's share of the state.
 
 use crate::Error;
 use crate::effects::Effects;
 use crate::fields::{LiquidBuffers, LiquidPlan, Report, Sinks, SourceStep, Sources, Step};
-use crate::geometry::{Running, Taps};
+use crate::geometry::{Running, SourcesAndSinks};
 use crate::gpu::{Dispatches, Gpu, Readback, Real, Recorder};
 use crate::grid::Grid;
 use crate::reference::{self, Seeded};
@@ -21,24 +21,25 @@ use super::step::solve_report;
 #[derive(Debug)]
 pub(super) struct GpuLiquid {
     pub(super) settings: scene::Liquid,
-    /// Slots of the marker buffer in use: markers, and what those left that are gone.
+    /// Used slots of the marker buffer, including deleted markers.
     pub(super) n_markers: usize,
-    /// Markers alive.
+    /// Live markers.
     alive: usize,
-    /// Markers that came and went so far.
+    /// Markers removed and added so far.
     passed: Passed,
-    /// Of those dropped, what the report no longer counts.
+    /// Dropped markers that the device's count no longer includes.
     dropped_before: u64,
     /// Sources and sinks.
-    pub(super) taps: Taps,
-    /// What the sources do in the sub-step, and what they emit in it beyond filling themselves, m^3.
+    pub(super) taps: SourcesAndSinks,
+    /// Running sources of the sub-step, and the volume that they emit beyond their own cells, m^3.
     running: Running,
     inflow: f64,
-    /// Pressure and active cells of the state that was put in place: until the next solve the device has those of the last.
+    /// Pressure and active cells of the state that was written. Until the next solve the device still has the last
+    /// ones.
     solved_before: Option<(Vec<f64>, Vec<bool>)>,
-    /// m/s
+    /// Largest face speed, m/s.
     pub(super) max_speed: f64,
-    /// m^3
+    /// Controlled liquid volume, m^3.
     pub(super) volume_0: f64,
     pub(super) buffers: LiquidBuffers,
     pub(super) solver: SolverBuffers,
@@ -46,31 +47,31 @@ pub(super) struct GpuLiquid {
     pub(super) stages: LiquidStages,
 }
 
-/// Markers that came and went since the start of the simulation.
+/// Markers removed and added since the start of the simulation.
 #[derive(Clone, Copy, Debug, Default)]
 struct Passed {
-    /// Lost in solids.
+    /// Dropped inside solids.
     dropped: u64,
-    /// Through open sides.
+    /// Deleted beyond open sides.
     left: u64,
-    /// In sinks.
+    /// Deleted in sinks.
     sunk: u64,
-    /// Of sources.
+    /// Emitted by sources.
     emitted: u64,
 }
 
-/// The stages of a sub-step.
+/// The kernels of a sub-step.
 #[derive(Debug)]
 pub(super) struct LiquidStages {
     /// See [`stages::liquid_stages`].
     own: Vec<Dispatches>,
-    /// `extrapolate` and `diagnose`. With solids made by [`GpuCoupling`](super::gpu_coupling::GpuCoupling), with moving obstacles by
-    /// [`GpuObstacles`](super::gpu_obstacles::GpuObstacles).
+    /// `extrapolate` and `diagnose`. [`GpuCoupling`](super::gpu_coupling::GpuCoupling) binds them with solids,
+    /// [`GpuObstacles`](super::gpu_obstacles::GpuObstacles) with moving obstacles.
     pub(super) beside_bodies: Vec<Dispatches>,
     pub(super) active_cells: PressureSystem,
     pub(super) closed_components: Components,
     pub(super) solve: PressureSolver,
-    /// With its read-back.
+    /// The stage and its readback.
     pub(super) probe: Option<(Probe, Readback<u32>)>,
 }
 
@@ -84,11 +85,11 @@ impl LiquidStages {
     }
 }
 
-/// What decides the sizes of all buffers of a scene that starts with so many markers, on an adapter with or without f64.
-fn liquid_plan(scene: &Scene, taps: &Taps, n_markers: usize, f64: bool) -> LiquidPlan {
+/// Buffer sizes of a scene with an initial number of markers, on an adapter with or without f64.
+fn liquid_plan(scene: &Scene, taps: &SourcesAndSinks, n_markers: usize, f64: bool) -> LiquidPlan {
     let grid = scene.grid();
     LiquidPlan {
-        n_markers: n_markers + taps.room(scene.time.duration, &grid),
+        n_markers: n_markers + taps.max_markers(scene.time.duration, &grid),
         grid,
         effects: Effects::of(scene),
         cfl: scene.time.cfl,
@@ -97,11 +98,11 @@ fn liquid_plan(scene: &Scene, taps: &Taps, n_markers: usize, f64: bool) -> Liqui
 }
 
 impl GpuLiquid {
-    /// Allocates and compiles; `None` without liquid. Cut cells and state are to be written.
+    /// Allocates and compiles. Returns `None` without liquid. Cut cells and state must be written afterwards.
     pub(super) fn new(
         gpu: &Gpu,
         scene: &Scene,
-        taps: Taps,
+        taps: SourcesAndSinks,
         n_markers: usize,
     ) -> Result<Option<GpuLiquid>, Error> {
         let Some(settings) = scene.liquid.clone() else {
@@ -114,8 +115,8 @@ impl GpuLiquid {
             Sources::new(gpu, &buffers, &taps)?,
             Sinks::new(gpu, &buffers, &taps)?,
         );
-        let of_taps = (sources.as_ref(), sinks.as_ref());
-        let stages = LiquidStages::new(gpu, scene, &buffers, &solver, of_taps)?;
+        let taps_on_device = (sources.as_ref(), sinks.as_ref());
+        let stages = LiquidStages::new(gpu, scene, &buffers, &solver, taps_on_device)?;
         Ok(Some(GpuLiquid {
             settings,
             n_markers,
@@ -135,14 +136,14 @@ impl GpuLiquid {
         }))
     }
 
-    /// Where the report of a sub-step arrives.
+    /// Allocates the readback of the report.
     pub(super) fn readback(gpu: &Gpu, scene: &Scene) -> Result<Option<Readback<u32>>, Error> {
         let words = Report::words(&Effects::of(scene));
         let readback = || Readback::new(gpu, "liquid.report", words);
         scene.liquid.as_ref().map(|_| readback()).transpose()
     }
 
-    /// Replaces the liquid's part of the state.
+    /// Writes the liquid's part of a state.
     pub(super) fn write_state(&mut self, gpu: &Gpu, state: &State, step: Step) {
         self.n_markers = state.markers.len();
         self.alive = self.n_markers;
@@ -165,7 +166,7 @@ impl GpuLiquid {
         };
         gpu.upload(&self.buffers.step, &[step]);
         if self.buffers.markers.is_none() {
-            // The liquid stays where it is, and so do the band and the volume.
+            // A fixed surface does not move, so band and volume are constant.
             let mut recorder = Recorder::new(gpu);
             self.stages.record(Stage::Band, &mut recorder);
             self.stages.record(Stage::LiquidDistance, &mut recorder);
@@ -215,7 +216,7 @@ impl GpuLiquid {
         Ok(())
     }
 
-    /// Markers that it can hold.
+    /// Capacity for markers.
     pub(super) fn room(&self) -> usize {
         self.buffers.plan.n_markers
     }
@@ -232,7 +233,7 @@ impl GpuLiquid {
         Ok(grid.padded().unpad(grid.cells, &potential, |p| p))
     }
 
-    /// The values of the liquid's probes, all columns in order.
+    /// Values of the liquid probes, all columns in order.
     pub(super) fn probes(&mut self, gpu: &Gpu) -> Result<Vec<f64>, Error> {
         let Some((probe, readback)) = &mut self.stages.probe else {
             return Ok(Vec::new());
@@ -244,7 +245,7 @@ impl GpuLiquid {
         Ok(probe.columns(&readback.wait(gpu)?))
     }
 
-    /// Before a sub-step of dt (s) from the state at the head: what the sources will do in it, and room for their markers.
+    /// Starts a sub-step of dt (s) after the state `head`: sets the running sources and makes room for their markers.
     pub(super) fn begin(&mut self, gpu: &Gpu, head: &State, dt: f64) -> Result<(), Error> {
         self.make_room(gpu, head.step)?;
         self.running = self.running_after(head);
@@ -255,19 +256,19 @@ impl GpuLiquid {
         Ok(())
     }
 
-    /// What the sources do in the sub-step after the state at the head.
+    /// The running sources of the sub-step after the state `head`.
     pub(super) fn running_after(&self, head: &State) -> Running {
         self.taps.running(head, self.settings.seed)
     }
 
-    /// What the sources take of cells in the sub-step, m^3/s; `open`: see [`Taps::taken`].
+    /// Prescribed boundary flux of the sources per cell in the sub-step, m^3/s; `open`: see [`SourcesAndSinks::taken`].
     pub(super) fn taken_by_sources(&self, open: Option<&[Vec<f64>; 3]>) -> Vec<(usize, f64)> {
         let grid = &self.buffers.plan.grid;
-        self.taps.taken(grid, open, self.running.running)
+        self.taps.boundary_flux(grid, open, self.running.running)
     }
 
-    /// Takes the markers that are gone out of the buffer where sources need their slots. The others keep their order, so it does not
-    /// matter when this happens.
+    /// Deletes dead markers from the buffer when sources need their slots. The others keep their order, so the time
+    /// of deletion does not affect results.
     fn make_room(&mut self, gpu: &Gpu, step: u64) -> Result<(), Error> {
         let both = self.sources.as_ref().zip(self.buffers.markers.as_ref());
         let Some((sources, markers)) = both else {
@@ -282,7 +283,7 @@ impl GpuLiquid {
                 stage: "exchange",
                 step,
                 problem: format!(
-                    "all {capacity} markers that there is room for are in use: those of the start, and a quarter more than sources emit until the end of the run\n  cure: give the liquid a way out (domain.open, a sink), and begin anew"
+                    "all {capacity} markers are in use: the initial ones, and 1.25 times those that sources emit until the end of the run\n  cure: add an outlet (domain.open or a sink) and restart the run"
                 ),
             });
         }
@@ -297,12 +298,12 @@ impl GpuLiquid {
         Ok(())
     }
 
-    /// Slots that kernels look at in a sub-step: those in use, and those kept for new markers.
+    /// Slots that kernels process in a sub-step: used ones and those reserved for new markers.
     pub(super) fn n_slots(&self) -> usize {
         self.n_markers + self.sources.as_ref().map_or(0, Sources::slots)
     }
 
-    /// Keeps what the next sub-step needs of the report.
+    /// Stores the numbers of the report that the next sub-step needs.
     pub(super) fn finish(&mut self, outcome: &Outcome, report: Report) -> LiquidReport {
         let dropped_so_far = self.dropped_before + u64::from(report.markers_dropped);
         let dropped = dropped_so_far - self.passed.dropped;
@@ -345,7 +346,7 @@ impl GpuLiquid {
         }
     }
 
-    /// What the kernels know of the sub-step of dt (s) after the state at the head.
+    /// Parameters of the sub-step of dt (s) after the state `head`.
     pub(super) fn step_numbers(&self, scene: &Scene, head: &State, dt: f64) -> Step {
         let inflow = dt * self.taps.flux(self.running_after(head).running);
         let Scene {
@@ -426,13 +427,13 @@ impl LiquidStages {
     }
 }
 
-/// What a scene measures of its liquid.
+/// The probes of the liquid.
 pub(super) fn probes(scene: &Scene) -> impl Iterator<Item = &ProbeKind> + Clone {
     let kinds = scene.probes.iter().map(|probe| &probe.kind);
-    kinds.filter(|kind| kind.of_liquid())
+    kinds.filter(|kind| kind.measures_liquid())
 }
 
-/// Whether there is any.
+/// Whether the scene has probes of the liquid.
 pub(super) fn has_probes(scene: &Scene) -> bool {
     probes(scene).next().is_some()
 }

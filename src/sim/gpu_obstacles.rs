@@ -1,5 +1,5 @@
-//! Obstacles that move in the liquid of a scene without solids: the host moves and clips them, and the device takes over what differs.
-//! With solids [`GpuCoupling`](super::gpu_coupling::GpuCoupling) does both.
+//! Moving obstacles in the liquid of a scene without solids: the host moves and clips them, the device receives the
+//! cut quads. With solids [`GpuCoupling`](super::gpu_coupling::GpuCoupling) does both.
 
 use crate::Error;
 use crate::fields::{ClipBuffers, ClipSize};
@@ -11,14 +11,15 @@ use super::gpu_liquid::GpuLiquid;
 /// The obstacles on the device.
 #[derive(Debug)]
 pub(super) struct GpuObstacles {
-    /// Where they are.
+    /// Clipping of the present obstacles.
     pub(super) clip: SolidClip,
     on_device: ClipBuffers,
     pub(super) stage: Dispatches,
 }
 
 impl GpuObstacles {
-    /// Allocates and compiles; and with it the stages of the liquid that see them. The state is to be written.
+    /// Allocates and compiles, including the liquid stages that depend on the clipping. The state must be written
+    /// afterwards.
     pub(super) fn new(
         gpu: &Gpu,
         clip: SolidClip,
@@ -35,7 +36,7 @@ impl GpuObstacles {
         })
     }
 
-    /// Takes the place of what the device has: a state at a time (s).
+    /// Writes the clipping of a state at a time, s.
     pub(super) fn write(
         &mut self,
         gpu: &Gpu,
@@ -48,11 +49,12 @@ impl GpuObstacles {
         Ok(())
     }
 
-    /// Moves them to a time, with the velocities of the dt (both s) that follow, and writes what follows, before all work submitted later.
+    /// Moves the obstacles to a time, with their velocities over the following dt (both s), and writes the clipping
+    /// before all work submitted later.
     ///
     /// # Errors
-    /// [`Error::Limit`] where more room is needed than the adapter has.
-    pub(super) fn follow(
+    /// [`Error::Limit`] when a larger capacity exceeds the adapter's limits.
+    pub(super) fn update_clip(
         &mut self,
         gpu: &Gpu,
         liquid: &mut GpuLiquid,
@@ -83,7 +85,7 @@ impl GpuObstacles {
     }
 }
 
-/// Makes the stages of the liquid that obstacles take part in, and that which takes them to the device.
+/// Binds the liquid stages that depend on the clipping, and returns the stage `clip`.
 fn bind(gpu: &Gpu, liquid: &mut GpuLiquid, clip: &ClipBuffers) -> Result<Dispatches, Error> {
     let GpuLiquid {
         buffers,

@@ -1,11 +1,11 @@
-//! The GPU path of a simulation: one scene on one device, and what the host keeps of its state.
+//! The GPU path of a simulation: one scene on one device, and the host's share of its state.
 
 use std::collections::BTreeSet;
 
 use crate::Error;
 use crate::elastic::Solids;
 use crate::fields::Step;
-use crate::geometry::{self, CutCells, Running, SolidClip, Taps};
+use crate::geometry::{self, CutCells, Running, SolidClip, SourcesAndSinks};
 use crate::gpu::{AdapterChoice, Gpu, Real};
 use crate::grid::Grid;
 use crate::reference::{self, TimeStep, time_step};
@@ -14,7 +14,7 @@ use crate::solver;
 use crate::state::{Carried, State};
 use crate::step::Stage;
 
-use super::gpu_coupling::{At, GpuCoupling};
+use super::gpu_coupling::{ClipTime, GpuCoupling};
 use super::gpu_liquid::GpuLiquid;
 use super::gpu_obstacles::GpuObstacles;
 use super::gpu_solids::GpuSolids;
@@ -28,33 +28,33 @@ pub struct GpuPath {
     pub(super) gpu: Gpu,
     pub(super) scene: Scene,
     pub(super) grid: Grid,
-    /// What obstacles leave of it that stand still.
+    /// Cut cells of the static obstacles.
     cut: CutCells,
-    /// The clock of the state; its fields are on the device.
+    /// The clock of the state, whose fields are on the device.
     pub(super) head: State,
     pub(super) liquid: Option<GpuLiquid>,
     pub(super) solids: Option<GpuSolids>,
-    /// With both.
+    /// With liquid and solids.
     pub(super) coupling: Option<GpuCoupling>,
-    /// Those that move in liquid, without solids.
+    /// Moving obstacles in liquid, without solids.
     pub(super) obstacles: Option<GpuObstacles>,
     pub(super) readbacks: Readbacks,
 }
 
-/// What probes read: those of the liquid, all columns in order; where solids have any, the displacements of the nodes, m; where the liquid's
-/// forces are asked for, those on the nodes, N.
+/// Readbacks for the probes: liquid columns in order; displacements of the nodes, m, with solid probes; forces of the
+/// liquid on the nodes, N, with force probes.
 pub(super) type Probed = (Vec<f64>, Vec<[f64; 3]>, Vec<[f64; 3]>);
 
 impl GpuPath {
-    /// Opens the device, clips the obstacles, seeds the liquid, and uploads it.
+    /// Opens the device, clips the obstacles, seeds the liquid, and uploads the state.
     ///
     /// # Errors
-    /// [`Error::Limit`] where the adapter is too small for the scene, and whatever geometry and device say.
+    /// [`Error::Limit`] when the scene exceeds the adapter's limits, and errors of geometry and device.
     pub fn open(scene: &Scene, choice: &AdapterChoice) -> Result<GpuPath, Error> {
         GpuPath::with(scene, &super::solids_of(scene)?, choice)
     }
 
-    /// Opens the device for a scene whose solids are at hand.
+    /// Opens the device for a scene with its solids.
     pub(super) fn with(
         scene: &Scene,
         solids: &Solids,
@@ -66,15 +66,15 @@ impl GpuPath {
         memory.check()?;
         let obstacles = geometry::obstacle_cut(scene, &grid)?;
         let clip = super::first_clip(scene, solids, &obstacles);
-        // Before the liquid is seeded, which may take long.
-        let taps = Taps::new(scene, &grid, obstacles.still())?;
+        // Checks the sources and sinks before the liquid is seeded, which may take long.
+        let taps = SourcesAndSinks::new(scene, &grid, obstacles.static_cut())?;
         let parts = (solids, clip.as_ref(), &taps);
         let plan = Plan::with(scene, parts, Some(gpu.report()))?;
         plan.check(gpu.report())?;
         memory.beside(plan.bytes(), gpu.report()).check()?;
         let mut state = super::first_state(scene, solids, &obstacles.cut, clip.as_ref())?;
         let walls = clip.as_ref().map(|clip| (clip, &solids.triangles[..]));
-        let cut = obstacles.still().clone();
+        let cut = obstacles.static_cut().clone();
         let cut_now = clip.as_ref().map_or(&cut, SolidClip::cut_cells);
         reference::prepare(scene, &grid, cut_now, walls, &mut state);
         let mut path = GpuPath::allocate(gpu, scene, (solids, clip, taps), state.markers.len())?;
@@ -89,14 +89,15 @@ impl GpuPath {
         Ok(path)
     }
 
-    /// Allocates all arrays and compiles all kernels: on a planning device this is the plan. Obstacles and state are to be written.
+    /// Allocates all arrays and compiles all kernels; on a planning device this is the plan. Obstacles and state must
+    /// be written afterwards.
     pub(super) fn allocate(
         gpu: Gpu,
         scene: &Scene,
-        (solids, clip, taps): (&Solids, Option<SolidClip>, Taps),
+        (solids, clip, taps): (&Solids, Option<SolidClip>, SourcesAndSinks),
         n_markers: usize,
     ) -> Result<GpuPath, Error> {
-        // Stages have handles of their own; all else belongs to the solve.
+        // Stages use handles of their own; all other kernels belong to the solve.
         let gpu = gpu.at(Stage::Solve.name());
         let mut liquid = GpuLiquid::new(&gpu, scene, taps, n_markers)?;
         let solids = match solids.bodies.is_empty() {
@@ -137,10 +138,10 @@ impl GpuPath {
         })
     }
 
-    /// Replaces the state.
+    /// Writes a state.
     ///
     /// # Errors
-    /// [`Error::Input`] for more markers than there is room for; [`Error::Gpu`] when the device fails.
+    /// [`Error::Input`] when its markers exceed the capacity.
     pub fn write_state(&mut self, state: &State) -> Result<(), Error> {
         if let Some(room) = self
             .marker_room()
@@ -149,10 +150,10 @@ impl GpuPath {
             return Err(Error::input(
                 self.scene.file.display().to_string(),
                 format!(
-                    "the state has {} markers, and there is room for {room}",
+                    "the state has {} markers, more than the capacity of {room}",
                     state.markers.len()
                 ),
-                "resume with the scene that the state was made with",
+                "resume with the original scene",
             ));
         }
         self.head = State {
@@ -166,8 +167,8 @@ impl GpuPath {
         if let Some(coupling) = &mut self.coupling {
             let both = self.liquid.as_mut().zip(self.solids.as_ref());
             let both = both.expect("coupling has liquid and solids");
-            let anew = At::Anew { time: state.time };
-            coupling.follow(&self.gpu, &self.scene, both, &state.displacement, anew)?;
+            let time = ClipTime::State { time: state.time };
+            coupling.update_clip(&self.gpu, &self.scene, both, &state.displacement, time)?;
             coupling.write_pressure(&self.gpu, &self.scene, state, self.liquid.as_ref());
         }
         if let Some((obstacles, liquid)) = self.obstacles.as_mut().zip(self.liquid.as_mut()) {
@@ -183,7 +184,7 @@ impl GpuPath {
         self.gpu.wait("the initial state")
     }
 
-    /// A host copy of the present moment.
+    /// Reads back the state.
     pub(super) fn state(&self) -> Result<State, Error> {
         let mut state = self.head.clone();
         if let Some(liquid) = &self.liquid {
@@ -195,7 +196,7 @@ impl GpuPath {
         Ok(state)
     }
 
-    /// What the device and the host know of the present moment beyond [`GpuPath::state`].
+    /// Data of the device and the host beyond [`GpuPath::state`], needed to resume.
     pub(super) fn carried(&self) -> Result<Carried, Error> {
         let mut carried = Carried::default();
         if let Some(liquid) = &self.liquid {
@@ -215,10 +216,10 @@ impl GpuPath {
         coupling.is_some_and(GpuCoupling::follows_pressure)
     }
 
-    /// Replaces the state by one with which the next sub-steps are those that followed it, to the bit.
+    /// Writes a state and its carried data; the next sub-steps are bitwise identical to those after the original.
     ///
     /// # Errors
-    /// [`Error::Input`] where it is not of this scene; [`Error::Gpu`] when the device fails.
+    /// [`Error::Input`] when the state does not fit the scene.
     pub(super) fn resume(&mut self, state: &State, carried: &Carried) -> Result<(), Error> {
         let n_cells = self.grid.n_cells();
         let n_markers = self.liquid.as_ref().map_or(0, |liquid| liquid.room());
@@ -245,12 +246,12 @@ impl GpuPath {
             }
         }
         if let Some(solids) = &mut self.solids {
-            solids.take_up(&self.gpu, carried);
+            solids.resume(&self.gpu, carried);
         }
         Ok(())
     }
 
-    /// Waits for what probes read after a sub-step.
+    /// Reads back the input of the probes after a sub-step.
     pub(super) fn probed(&mut self) -> Result<Probed, Error> {
         let values = match &mut self.liquid {
             Some(liquid) => liquid.probes(&self.gpu)?,
@@ -267,7 +268,7 @@ impl GpuPath {
         Ok((values, displacement, forces))
     }
 
-    /// Displacements of all nodes, m; none without solids.
+    /// Displacements of all nodes, m; empty without solids.
     pub(super) fn displacement(&self) -> Result<Vec<[f64; 3]>, Error> {
         let of = |solids: &GpuSolids| solids.displacement(&self.gpu);
         Ok(self
@@ -289,7 +290,7 @@ impl GpuPath {
         let obstacles = obstacles.map(|cut| cut.max_speed(self.head.time, left));
         let sources = self.liquid.iter();
         let sources = sources.map(|liquid| liquid.taps.speed(self.head.time, time.cfl));
-        // Later keyframes of scripts are in the velocities of their nodes.
+        // Later keyframes of scripts are included in the velocities of their nodes.
         let scripts = self.solids.iter().filter(|_| self.head.step == 0);
         let scripts = scripts.map(|of| of.solids.max_script_speed(self.head.time, left));
         let max_speed = liquid.chain(solids).chain(obstacles);
@@ -304,7 +305,7 @@ impl GpuPath {
         )
     }
 
-    /// Tells the kernels the length of the sub-step.
+    /// Writes the parameters of a sub-step of dt (s).
     pub(super) fn write_step(&mut self, dt: f64) -> Result<(), Error> {
         if let Some(liquid) = &mut self.liquid {
             liquid.begin(&self.gpu, &self.head, dt)?;
@@ -317,55 +318,52 @@ impl GpuPath {
         Ok(())
     }
 
-    /// What the kernels of the liquid know of a sub-step of dt (s); `None` without liquid.
+    /// Parameters of the liquid for a sub-step of dt (s); `None` without liquid.
     pub fn step_numbers(&self, dt: f64) -> Option<Step> {
         let liquid = self.liquid.as_ref()?;
         Some(liquid.step_numbers(&self.scene, &self.head, dt))
     }
 
-    /// The solids at rest; `None` where the scene has none.
+    /// The solids at rest; `None` without solids.
     pub fn solids(&self) -> Option<&Solids> {
         self.solids.as_ref().map(|solids| &solids.solids)
     }
 
-    /// Sources and sinks, and what the sources do in the next sub-step.
-    pub fn taps(&self) -> Option<(&Taps, Running)> {
+    /// Sources and sinks, and the running sources of the next sub-step.
+    pub fn taps(&self) -> Option<(&SourcesAndSinks, Running)> {
         let liquid = self.liquid.as_ref()?;
         Some((&liquid.taps, liquid.running_after(&self.head)))
     }
 
-    /// How many markers there is room for; `None` without any.
+    /// Capacity for markers; `None` without markers.
     pub fn marker_room(&self) -> Option<usize> {
         let markers = self.liquid.as_ref()?.buffers.markers.as_ref()?;
         Some(markers.len())
     }
 
-    /// What obstacles, and solids in liquid, leave of the grid.
+    /// Cut cells of obstacles, and of solids in liquid.
     pub fn cut_cells(&self) -> &CutCells {
         self.clip().map_or(&self.cut, SolidClip::cut_cells)
     }
 
-    /// What obstacles alone leave of it that stand still.
+    /// Cut cells of the static obstacles alone.
     pub fn obstacles(&self) -> &CutCells {
         &self.cut
     }
 
-    /// Solids in liquid and obstacles that move, as they cut the grid.
+    /// Clipping of solids in liquid and of moving obstacles.
     pub fn clip(&self) -> Option<&SolidClip> {
         let obstacles = self.obstacles.as_ref().map(|obstacles| &obstacles.clip);
         let coupling = self.coupling.as_ref().map(|coupling| &coupling.clip);
         coupling.or(obstacles)
     }
 
-    /// How far the simulation is.
+    /// Time, sub-step and frame.
     pub fn clock(&self) -> Clock {
         Clock::of(&self.head)
     }
 
-    /// Cells of the band of the last sub-step.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
+    /// Number of cells in the narrow band of the last sub-step.
     pub fn band_cells(&self) -> Result<usize, Error> {
         let Some(liquid) = &self.liquid else {
             return Ok(0);
@@ -374,10 +372,7 @@ impl GpuPath {
         Ok(4 * args[3] as usize)
     }
 
-    /// Share of the active quads that are not tagged uniform: those whose matrix the solve must load.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
+    /// Fraction of active quads that are not tagged uniform, so that the solve loads their matrix.
     pub fn share_not_uniform(&self) -> Result<f64, Error> {
         let Some(liquid) = &self.liquid else {
             return Ok(0.0);
@@ -394,10 +389,7 @@ impl GpuPath {
         Ok(1.0 - f64::from(n_uniform) / f64::from(n_active.max(1)))
     }
 
-    /// Nodes of the solids on which the last pressures act: those with patches in its active cells.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
+    /// Number of wet nodes: nodes with patches in active cells of the last sub-step.
     pub fn wet_nodes(&self) -> Result<usize, Error> {
         let Some((liquid, coupling)) = self.liquid.as_ref().zip(self.coupling.as_ref()) else {
             return Ok(0);
@@ -414,18 +406,18 @@ impl GpuPath {
         Ok(wet.len())
     }
 
-    /// Bytes of a scalar of the solve's unknowns, and of its corrections.
+    /// Bytes per scalar of the solve's unknowns and of its corrections.
     pub fn scalar_bytes(&self) -> [usize; 2] {
         let variant = solver::variant(self.gpu.has_f64(), self.scene.solver.precision);
         [variant.real, variant.inner].map(Real::bytes)
     }
 
-    /// The cells.
+    /// The grid.
     pub fn grid(&self) -> &Grid {
         &self.grid
     }
 
-    /// From the next solve on, another tolerance of the true residuals.
+    /// Sets the tolerance of the true residuals from the next solve on.
     pub fn set_tolerance(&mut self, tolerance: f64) {
         self.scene.solver.tolerance = tolerance;
         if let Some(liquid) = &mut self.liquid {

@@ -1,4 +1,4 @@
-//! The solids of a scene on a device: their buffers, their stages and their solver, and what the host keeps of their state.
+//! The solids of a scene on a device: buffers, stages, solver, and the host's share of their state.
 
 use crate::Error;
 use crate::effects::Effects;
@@ -7,7 +7,7 @@ use crate::fields;
 use crate::fields::{ObstacleBuffers, SolidBuffers, SolidPlan, SolidStep};
 use crate::geometry::CutCells;
 use crate::gpu::{Buffer, Dispatches, Gpu, Pass, Readback, Real, Recorder, StageTimes};
-use crate::reference::{MOST_HALVINGS, MOST_SOLVES};
+use crate::reference::{MAX_SOLVES, MOST_HALVINGS};
 use crate::scene::Scene;
 use crate::solver::{
     self, ContactSearch, ObstacleField, Outcome, Polynomial, SolidRows, SolidSolver, SolidSystem,
@@ -23,54 +23,55 @@ use super::step::solve_report;
 pub(super) struct GpuSolids {
     pub(super) solids: Solids,
     bounds: Bounds,
-    /// Distance to the obstacles, where there are any.
+    /// Distance to the obstacles, if any.
     obstacles: Option<ObstacleBuffers>,
-    /// m/s
+    /// Largest node speed, m/s.
     pub(super) max_speed: f64,
     pub(super) buffers: SolidBuffers,
     pub(super) system: SolidSystemBuffers,
     pub(super) stages: SolidStages,
     scripted: Scripted,
-    /// Where displacements arrive for the probes, where there are any.
+    /// Displacements for the probes, if any.
     probed: Option<Readback<[f32; 4]>>,
 }
 
-/// Where what the device tells of a sub-step arrives.
+/// Readbacks of a sub-step.
 #[derive(Debug)]
 pub(super) struct SolidReadbacks {
     pub(super) report: Readback<u32>,
-    /// What the search for contacts asks.
+    /// Result of a query of the active-set search.
     pub(super) answer: Readback<u32>,
 }
 
-/// What the search for what walls and obstacles hold takes.
+/// Input of the active-set search.
 pub(super) struct Search<'s, Push> {
     pub(super) search: &'s ContactSearch,
-    /// Records what pushes the nodes, once a solve found it.
+    /// Records the pressure forces on the nodes after a solve.
     pub(super) push: Push,
-    /// Whether pressures are found with the velocities, and have to fit them.
+    /// Whether the solve includes pressures, which must match the velocities.
     pub(super) together: bool,
 }
 
-/// Asks the device in the middle of a sub-step.
-struct Ask<'s, 'a> {
+/// Queries the device during the active-set search.
+struct ContactQuery<'s, 'a> {
     gpu: &'a Gpu,
-    /// The answer, and what the kernels are told.
+    /// Parameters and result of a query (`shaders/common/ask.wgsl`).
     words: &'s Buffer<u32>,
     readback: &'s mut Readback<u32>,
     seconds: StageTimes,
 }
 
-impl Ask<'_, '_> {
-    /// Tells kernels of the solve a number, submits them, and waits for what they make of others.
-    fn about(
+impl ContactQuery<'_, '_> {
+    /// Runs kernels with a parameter and initial counters. Waits for the counters and returns them.
+    fn run(
         &mut self,
-        of: [u32; 2],
-        told: u32,
+        counters: [u32; 2],
+        parameter: u32,
         record: impl FnOnce(&mut Pass),
     ) -> Result<[u32; 2], Error> {
         let mut to = Recorder::timed(self.gpu);
-        self.gpu.upload(self.words, &[of[0], of[1], told]);
+        self.gpu
+            .upload(self.words, &[counters[0], counters[1], parameter]);
         to.stage("solve", record);
         to.read(self.words, self.readback);
         let timing = to.submit();
@@ -79,22 +80,23 @@ impl Ask<'_, '_> {
         Ok([answer[0], answer[1]])
     }
 
-    /// Tells kernels of the next submission a number; nobody waits for their answer.
-    fn tell(&self, told: u32) {
-        self.gpu.upload(self.words, &[0, 0, told]);
+    /// Writes a parameter for the next submission, without a readback.
+    fn set_parameter(&self, parameter: u32) {
+        self.gpu.upload(self.words, &[0, 0, parameter]);
     }
 }
 
-/// What the host follows of scripted nodes, so that they land on their keyframes without being read back. Empty without scripts.
+/// Host copy of the prescribed motion, so that scripted nodes reach their keyframes without a readback. Empty without
+/// scripts.
 #[derive(Debug, Default)]
 struct Scripted {
-    /// Displacement of all nodes from rest, m; right for prescribed components only.
+    /// Displacement of all nodes from rest, m; valid for prescribed components only.
     displacement: Vec<[f64; 3]>,
-    /// Velocities that the device has for the prescribed components, m/s.
+    /// Velocities of the prescribed components on the device, m/s.
     velocity: Vec<[f64; 3]>,
 }
 
-/// The kernels of a step, in its order.
+/// The kernels of a sub-step, in order.
 #[derive(Debug)]
 pub(super) struct SolidStages {
     pub(super) move_solid: Dispatches,
@@ -105,21 +107,21 @@ pub(super) struct SolidStages {
     pub(super) diagnose: Dispatches,
 }
 
-/// What decides the sizes of [`SolidBuffers`] on an adapter with or without f64.
+/// Sizes of [`SolidBuffers`] on an adapter with or without f64.
 fn solid_plan(scene: &Scene, solids: &Solids, f64: bool) -> SolidPlan {
     let effects = Effects::of(scene);
     SolidPlan {
         grid: scene.grid(),
         n_nodes: solids.rest.len(),
         n_elements: solids.elements.len(),
-        n_turning: solids.turning().count(),
+        n_turning: solids.rotating_bodies().count(),
         scripts: effects.scripts,
         obstacles: effects.obstacles,
         real: solver::variant(f64, scene.solver.precision).real,
     }
 }
 
-/// To what the device holds in f32.
+/// Rounds to the f32 values on the device.
 fn round_to_f32(velocity: &mut [[f64; 3]]) {
     for v in velocity.iter_mut().flatten() {
         *v = f64::from(*v as f32);
@@ -127,11 +129,11 @@ fn round_to_f32(velocity: &mut [[f64; 3]]) {
 }
 
 fn has_probes(scene: &Scene) -> bool {
-    scene.probes.iter().any(|probe| probe.kind.of_solid())
+    scene.probes.iter().any(|probe| probe.kind.measures_solid())
 }
 
 impl GpuSolids {
-    /// Allocates and compiles. Obstacles and state are to be written.
+    /// Allocates and compiles. Obstacles and state must be written afterwards.
     pub(super) fn new(gpu: &Gpu, scene: &Scene, solids: Solids) -> Result<GpuSolids, Error> {
         let plan = solid_plan(scene, &solids, gpu.has_f64());
         let rows = SolidRows::new(&solids)?;
@@ -176,7 +178,7 @@ impl GpuSolids {
         }
     }
 
-    /// Readbacks of a sub-step.
+    /// Allocates the readbacks of a sub-step.
     pub(super) fn readbacks(gpu: &Gpu) -> Result<SolidReadbacks, Error> {
         Ok(SolidReadbacks {
             report: Readback::new(gpu, "solid.report", fields::SolidReport::WORDS)?,
@@ -184,7 +186,8 @@ impl GpuSolids {
         })
     }
 
-    /// Submits the recording with the solve of a sub-step at its end, and solves again while contacts change.
+    /// Submits the recording, which ends with the solve of a sub-step, and repeats the solve until the active set of
+    /// contacts is unchanged.
     pub(super) fn solve_in_contact<'a>(
         &self,
         gpu: &'a Gpu,
@@ -213,89 +216,96 @@ impl GpuSolids {
             push: |_: &mut Pass| (),
             together: false,
         };
-        self.until_settled(gpu, recorder, answer, solve, search)
+        self.iterate_active_set(gpu, recorder, answer, solve, search)
     }
 
-    /// Solves and, while the search for contacts changes them, again: the last outcome. `solve` submits a recording with itself at the
-    /// end, and hears how many solves there were.
-    pub(super) fn until_settled<'a, Found>(
+    /// Repeats a solve until the active set of contacts is unchanged. Returns the last result. `solve` appends itself
+    /// to a recording and submits it; its argument is the number of earlier solves.
+    pub(super) fn iterate_active_set<'a, Solution>(
         &self,
         gpu: &'a Gpu,
         mut recorder: Recorder,
         answer: &mut Readback<u32>,
-        mut solve: impl FnMut(Recorder, u32) -> Result<(Found, SolveStatus, StageTimes), Error>,
+        mut solve: impl FnMut(Recorder, u32) -> Result<(Solution, SolveStatus, StageTimes), Error>,
         Search {
             search,
             push,
             together,
         }: Search<impl Fn(&mut Pass)>,
-    ) -> Result<(Found, ContactReport, StageTimes), Error> {
-        let mut ask = Ask {
+    ) -> Result<(Solution, ContactReport, StageTimes), Error> {
+        let mut query = ContactQuery {
             gpu,
             words: &self.buffers.answer,
             readback: answer,
             seconds: StageTimes::new(),
         };
         for solves in 1.. {
-            let (mut found, status, mut times) = solve(recorder, solves - 1)?;
-            ask.seconds.append(&mut times);
-            let [beyond, pulled] = ask.about([0; 2], 0, |pass| {
+            let (mut solution, status, mut times) = solve(recorder, solves - 1)?;
+            query.seconds.append(&mut times);
+            let [penetrating, adhering] = query.run([0; 2], 0, |pass| {
                 push(pass);
                 search.record_judge(pass);
             })?;
-            let unsettled = beyond + pulled;
+            let unsettled = penetrating + adhering;
             let mut contact = ContactReport { solves, unsettled };
-            if unsettled == 0 || (together && !status.found_all_it_can()) {
-                return Ok((found, contact, ask.seconds));
+            if unsettled == 0 || (together && !status.is_best_attainable()) {
+                return Ok((solution, contact, query.seconds));
             }
-            let most = MOST_SOLVES - u32::from(together);
-            let ended = solves == most || !status.found_all_it_can();
-            // The pressure found does not go with the velocities that a search ends at: one more solve finds one that does, with all held
-            // that they touch.
-            let hold_all = ended && together;
-            let mut next = self.search_on(&mut ask, search, solves == 1, beyond, hold_all)?;
+            let most = MAX_SOLVES - u32::from(together);
+            let ended = solves == most || !status.is_best_attainable();
+            // The pressure does not match the velocities at which a search stops. One more solve, with all touched
+            // surfaces constrained, computes one that does.
+            let constrain_touching = ended && together;
+            let mut next = self.next_active_set(
+                &mut query,
+                search,
+                solves == 1,
+                penetrating,
+                constrain_touching,
+            )?;
             if ended && !together {
-                ask.seconds.append(&mut next.submit().wait()?);
+                query.seconds.append(&mut next.submit().wait()?);
             } else {
                 next.stage("solve", |pass| self.stages.system.record_hold(pass));
                 if !ended {
                     recorder = next;
                     continue;
                 }
-                (found, _, times) = solve(next, solves)?;
+                (solution, _, times) = solve(next, solves)?;
                 contact.solves += 1;
-                ask.seconds.append(&mut times);
+                query.seconds.append(&mut times);
             }
             gpu.upload(&self.buffers.answer, &[unsettled, 0, 0]);
-            return Ok((found, contact, ask.seconds));
+            return Ok((solution, contact, query.seconds));
         }
         unreachable!("the last solve returns")
     }
 
-    /// After a solve that found what is wrong: a recording that leaves the best velocity so far in the fields, and in the freedom of the
-    /// nodes what the next solve is to hold, all that this velocity touches where asked to.
-    fn search_on<'a>(
+    /// Continues the search after a solve that violates constraints. The recording writes the best velocity so far to
+    /// the fields and the next constraints to the nodes' projectors. `constrain_touching` adds all surfaces that this
+    /// velocity touches.
+    fn next_active_set<'a>(
         &self,
-        ask: &mut Ask<'_, 'a>,
+        query: &mut ContactQuery<'_, 'a>,
         search: &ContactSearch,
         first: bool,
-        beyond: u32,
-        hold_all: bool,
+        penetrating: u32,
+        constrain_touching: bool,
     ) -> Result<Recorder, Error> {
         let velocity = &self.buffers.velocity.words;
         let best = &self.system.best.words;
-        if beyond == 0 {
-            let mut to = Recorder::timed(ask.gpu);
+        if penetrating == 0 {
+            let mut to = Recorder::timed(query.gpu);
             to.stage("solve", |pass| search.record_judge(pass));
             to.copy(velocity, best);
-            if hold_all {
+            if constrain_touching {
                 to.stage("solve", |pass| search.record_hold_stopped(pass));
             }
-            ask.tell(1);
+            query.set_parameter(1);
             return Ok(to);
         }
         let whole = [1_f32.to_bits(), 0];
-        let [stop, _] = ask.about(whole, 0, |pass| {
+        let [stop, _] = query.run(whole, 0, |pass| {
             if first {
                 search.record_rest(pass);
             }
@@ -303,23 +313,23 @@ impl GpuSolids {
         })?;
         let stop = f32::from_bits(stop);
         let halves = (0..=MOST_HALVINGS).map(|halvings| 0.5_f32.powi(halvings as i32));
-        // Less than up to the first surface leaves the next solve what this one had.
+        // A step shorter than the one to the first surface would leave the active set unchanged.
         for share in halves.take_while(|share| *share > stop).chain([stop]) {
-            let told = share.to_bits();
-            let [grows, _] = ask.about([0; 2], told, |pass| search.record_approach(pass))?;
+            let parameter = share.to_bits();
+            let [grows, _] = query.run([0; 2], parameter, |pass| search.record_approach(pass))?;
             if grows == 0 {
                 break;
             }
         }
-        let mut to = Recorder::timed(ask.gpu);
+        let mut to = Recorder::timed(query.gpu);
         to.copy(&self.system.z.words, best);
         to.stage("solve", |pass| search.record_hold_stopped(pass));
         to.copy(best, velocity);
-        ask.tell(u32::from(hold_all));
+        query.set_parameter(u32::from(constrain_touching));
         Ok(to)
     }
 
-    /// Replaces the solids' part of the state.
+    /// Writes the solids' part of a state.
     pub(super) fn write_state(&mut self, gpu: &Gpu, state: &State) {
         let speeds = state.node_velocity.iter().flatten().map(|v| v.abs());
         self.max_speed = speeds.fold(0.0, f64::max);
@@ -332,7 +342,7 @@ impl GpuSolids {
         }
     }
 
-    /// What of them a state does not hold.
+    /// Reads the data of the solids beyond a state, needed to resume.
     pub(super) fn carry(&self, gpu: &Gpu, carried: &mut Carried) -> Result<(), Error> {
         carried.max_speed[1] = self.max_speed;
         let parts = gpu.download(&self.buffers.displacement)?;
@@ -349,8 +359,8 @@ impl GpuSolids {
         Ok(())
     }
 
-    /// Takes that up, after the state.
-    pub(super) fn take_up(&mut self, gpu: &Gpu, carried: &Carried) {
+    /// Writes that data, after the state.
+    pub(super) fn resume(&mut self, gpu: &Gpu, carried: &Carried) {
         self.max_speed = carried.max_speed[1];
         let parts = [&carried.displacement_high, &carried.displacement_low];
         let words = parts.into_iter().flatten();
@@ -364,7 +374,7 @@ impl GpuSolids {
         };
     }
 
-    /// Tells the kernels of a sub-step of dt (s) that begins at the time of a clock.
+    /// Writes the parameters of a sub-step of dt (s) that starts at the time of the clock.
     pub(super) fn write_step(&mut self, gpu: &Gpu, scene: &Scene, clock: &State, dt: f64) {
         let step = self.buffers.step_of(scene.domain.gravity, dt);
         gpu.upload(&self.buffers.step, &[step]);
@@ -383,7 +393,7 @@ impl GpuSolids {
             }
             self.buffers.write_velocity(gpu, velocity);
         }
-        // As `move_solid` will move them.
+        // Same update as in `move_solid`.
         for (u, v) in displacement.iter_mut().zip(velocity.iter()) {
             for (u, v) in u.iter_mut().zip(v) {
                 *u += f64::from(step.dt) * v;
@@ -396,20 +406,20 @@ impl GpuSolids {
         self.buffers.write_prescribed(gpu, velocity);
     }
 
-    /// The preconditioner's polynomial for a sub-step of dt (s).
+    /// The Chebyshev preconditioner of a sub-step of dt (s).
     pub(super) fn polynomial(&self, dt: f64) -> Polynomial {
         self.polynomial_for(|body| [body.zeta_mass(dt), body.zeta_stiffness(dt)])
     }
 
-    /// The same for other zeta_M (1/s) and zeta_K (s) of each body.
+    /// The Chebyshev preconditioner for other zeta_M (1/s) and zeta_K (s) per body.
     pub(super) fn polynomial_for(&self, zeta: impl Fn(&Body) -> [f64; 2]) -> Polynomial {
         let degree = self.bounds.chebyshev_degree_for(&self.solids, &zeta);
-        let wanted = self.bounds.wanted_degree_for(&self.solids, zeta);
+        let wanted = self.bounds.unlimited_degree(&self.solids, zeta);
         Polynomial::new(degree, self.bounds.block_jacobi).wanting(wanted)
     }
 
-    /// Tells the kernels of another system of this sub-step and records it, and with `again` its right-hand side, from the velocities found;
-    /// what is held stays held.
+    /// Records the assembly of another system of this sub-step, and with `again` its right-hand side from the present
+    /// velocities. The constraints are unchanged.
     pub(super) fn record_other_system(
         &self,
         gpu: &Gpu,
@@ -429,7 +439,7 @@ impl GpuSolids {
         });
     }
 
-    /// Keeps what the next sub-step needs of the report.
+    /// Stores the numbers of the report that the next sub-step needs.
     pub(super) fn finish(
         &mut self,
         outcome: &Outcome,
@@ -450,7 +460,7 @@ impl GpuSolids {
         Ok(self.buffers.displacement_of(&words))
     }
 
-    /// Displacements of all nodes, m, for the probes. Nothing without probes of solids.
+    /// Displacements of all nodes for the probes, m. Empty without solid probes.
     pub(super) fn probed(&mut self, gpu: &Gpu) -> Result<Vec<[f64; 3]>, Error> {
         let Some(readback) = &mut self.probed else {
             return Ok(Vec::new());

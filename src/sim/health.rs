@@ -1,5 +1,5 @@
-//! Signs that a run no longer computes what its scene describes: solids that collapse, and liquid that is too fast, lost or of the wrong
-//! volume. A collapsed solid is an error; the others are notices, each given once while the run goes on.
+//! Checks that a run still computes what its scene describes. A collapsed solid is an error. Liquid that is too fast,
+//! lost or of the wrong volume causes one notice each per run.
 
 use crate::Error;
 use crate::elastic::Solids;
@@ -7,25 +7,26 @@ use crate::output::manifest::{SolidHealth, Tally};
 use crate::scene::{Keyframe, LoadKind, Scene, Shape};
 use crate::state::{State, StepReport};
 
-/// A solid is sound above this volume, over that at rest, with at most this share of its elements inverted.
+/// A solid is sound above this fraction of its rest volume, with at most this fraction of its elements inverted.
 const SOUND_VOLUME: f64 = 0.5;
 const SOUND_INVERTED: f64 = 0.01;
-/// A solid that was sound has failed below this volume, or with more than this share of its elements inverted for so many sub-steps.
+/// A sound solid fails below this fraction of its rest volume, or after this many sub-steps with a larger fraction of
+/// inverted elements.
 const FAILED_VOLUME: f64 = 0.1;
 const FAILED_INVERTED: f64 = 0.05;
 const FAILED_AFTER: u32 = 10;
-/// A solid that starts squashed, stretched or inverted unfolds in some passages of an elastic wave along its length: it counts as sound only
-/// after so many passages without a break, and as inverted likewise.
+/// Passages of an elastic wave along a solid after which it counts as sound, or as inverted, if it starts deformed.
+/// Such a solid unfolds within some of them.
 const UNFOLDING: f64 = 20.0;
 
-/// Liquid volume over the volume to hold beyond which a notice is given.
+/// Range of the liquid volume over the controlled volume without a notice.
 const VOLUME_RANGE: [f64; 2] = [0.8, 1.2];
-/// Face speed over [`expected_speed`] beyond which a notice is given: real jets and gaps reach a few times that speed.
+/// Face speed over [`expected_speed`] above which a notice is given. Jets and gaps reach a few times that speed.
 const FAST: f64 = 20.0;
-/// Share of lost markers from which on a notice is given.
+/// Fraction of lost markers that causes a notice.
 const LOST: f64 = 0.01;
 
-/// The state of one solid: volume over that at rest, share of inverted elements, and its worst element with det F.
+/// State of a solid: volume over rest volume, fraction of inverted elements, and the worst element with its det F.
 #[derive(Clone, Copy, Debug)]
 struct Shrinkage {
     volume: f64,
@@ -34,7 +35,7 @@ struct Shrinkage {
 }
 
 impl Shrinkage {
-    /// Of a body under `displacement` (m, of all nodes).
+    /// Evaluates a body; `displacement` of all nodes in m.
     fn of(solids: &Solids, body: usize, displacement: &[[f64; 3]]) -> Shrinkage {
         let elements = solids.bodies[body].elements.clone();
         let n = elements.len() as f64;
@@ -61,7 +62,8 @@ impl Shrinkage {
     }
 }
 
-/// Sub-steps of `dt` (s) after which a body counts as sound, and as inverted. A body that starts as it is at rest is sound at once.
+/// Sub-steps of `dt` (s) until a body counts as sound, and as inverted. A body that starts undeformed is sound at
+/// once.
 fn patience(scene: &Scene, solids: &Solids, body: usize, dt: f64) -> [u32; 2] {
     let solid = &scene.solids[body];
     if solid.initial.scale == glam::DVec3::ONE {
@@ -78,10 +80,10 @@ fn patience(scene: &Scene, solids: &Solids, body: usize, dt: f64) -> [u32; 2] {
     [steps, steps]
 }
 
-/// Follows the solids through a sub-step, of which `min_det` is the least det F and `inverted` the count of inverted elements. The
-/// displacements (m) are read only where those numbers cannot decide. `patience`: of each body, as in [`patience`]. Returns the bodies that
-/// failed in this sub-step.
-fn follow(
+/// Updates the state of the solids after a sub-step with the least det F `min_det` and the number of `inverted`
+/// elements. Reads displacements (m) only where these numbers do not decide. `patience` is that of each body. Returns
+/// the bodies that failed in this sub-step.
+fn update(
     solids: &Solids,
     patience: impl Fn(usize) -> [u32; 2],
     health: &mut [SolidHealth],
@@ -89,7 +91,7 @@ fn follow(
     [min_det, inverted]: [f64; 2],
     displacement: impl FnOnce() -> Result<Vec<[f64; 3]>, Error>,
 ) -> Result<Vec<(usize, Shrinkage)>, Error> {
-    // The volume ratio is a mean of det F.
+    // The volume ratio is the mean of det F.
     let upright = inverted == 0.0;
     let settled = |of: &SolidHealth| of.sound || of.failed_at.is_some();
     if upright && (min_det > SOUND_VOLUME || min_det >= FAILED_VOLUME && health.iter().all(settled))
@@ -120,7 +122,7 @@ fn follow(
 }
 
 impl SolidHealth {
-    /// Counts a sub-step in which the solid is in order, or is not.
+    /// Counts a sub-step in which the solid is in order, or not.
     fn note(&mut self, in_order: bool, sound_after: u32) {
         self.sound_steps = match in_order {
             true => self.sound_steps.saturating_add(1),
@@ -146,7 +148,7 @@ fn depth(scene: &Scene, state: &State) -> f64 {
     }
 }
 
-/// The error that a failed solid ends a run with.
+/// The error of a run with a failed solid.
 fn failure(
     scene: &Scene,
     solids: &Solids,
@@ -166,15 +168,15 @@ fn failure(
     });
     let stiffer = match pressure > scene.solids[number].young {
         true => format!(
-            "raise solid[{number}].young above {pressure:.0} Pa: liquid this deep crushes softer solids"
+            "raise solid[{number}].young above {pressure:.0} Pa, twice the pressure at this depth"
         ),
-        false => format!("raise solid[{number}].young, or make what acts on it weaker or slower"),
+        false => format!("raise solid[{number}].young, or reduce loads and speeds"),
     };
     Error::Stage {
         stage: "diagnose",
         step,
         problem: format!(
-            "solid \"{}\" has collapsed: it has {:.0} % of its volume at rest and {:.0} % of its elements are inverted, the worst is element {} at ({:.4}, {:.4}, {:.4}) m with det F = {det:.2}\n  cure: {stiffer}; `cutwater run --keep-going` continues such a run",
+            "solid \"{}\" has collapsed: {:.0} % of its rest volume, {:.0} % of its elements inverted, the worst is element {} at ({:.4}, {:.4}, {:.4}) m with det F = {det:.2}\n  cure: {stiffer}; `cutwater run --keep-going` continues anyway",
             body.name,
             100.0 * now.volume,
             100.0 * now.inverted,
@@ -186,8 +188,8 @@ fn failure(
     }
 }
 
-/// The fastest that gravity, initial velocities, prescribed motion, sources and elastic energy can make the liquid of a scene, m/s; `None`
-/// where nothing moves it.
+/// Upper estimate of the liquid's speed from gravity, initial velocities, prescribed motion, sources and elastic
+/// energy, m/s. `None` if nothing moves it.
 fn expected_speed(scene: &Scene) -> Option<f64> {
     let size = scene.grid().size();
     let gravity = scene.domain.gravity;
@@ -216,7 +218,7 @@ fn expected_speed(scene: &Scene) -> Option<f64> {
     let solids = most(&mut scene.solids.iter().map(|solid| {
         let initial = &solid.initial;
         let scripts = most(&mut solid.pins.iter().map(|pin| path(&pin.keyframes)));
-        // A stretched or loaded body can move its own sound speed times its strain; loads are bounded by the strain of order one.
+        // A deformed or loaded body can move at its sound speed times its strain; a strain of order one bounds loads.
         let loaded = solid.loads.iter().any(|load| match load.kind {
             LoadKind::Force(force) | LoadKind::Traction(force) => force != glam::DVec3::ZERO,
         });
@@ -230,7 +232,7 @@ fn expected_speed(scene: &Scene) -> Option<f64> {
     (speed > 0.0).then_some(speed)
 }
 
-/// Follows a run.
+/// Health checks of a run.
 #[derive(Debug)]
 pub(super) struct Health {
     keep_going: bool,
@@ -255,7 +257,7 @@ impl Health {
         }
     }
 
-    /// Counts what is wrong with the liquid; a line for each sign seen for the first time.
+    /// Counts signs of failure in the liquid. Returns a line for each sign that occurs for the first time.
     pub(super) fn liquid(&self, now: &Now, tally: &mut Tally) -> Vec<String> {
         let Some(liquid) = now.report.liquid else {
             return Vec::new();
@@ -271,7 +273,7 @@ impl Health {
             && first(&mut tally.volume_off)
         {
             notices.push(format!(
-                "at {time:.4} s the liquid has {:.0} % of the volume that it should have (steps.csv, volume_ratio): thin sheets, drops and jets below two cells measure too large, and solids or walls that swallow markers make it too small; use more cells (--scale)",
+                "at {time:.4} s the liquid has {:.0} % of its expected volume (steps.csv, volume_ratio): sheets, drops and jets below two cells measure too large, and markers lost in solids or walls reduce it. Use more cells (--scale)",
                 100.0 * ratio
             ));
         }
@@ -280,7 +282,7 @@ impl Health {
             && first(&mut tally.fast)
         {
             notices.push(format!(
-                "at {time:.4} s liquid moves at {:.0} m/s, and gravity, inflow and moving bodies explain about {expected:.1} m/s (steps.csv, max_speed): it is squeezed between bodies or out of a collapsing solid; keep bodies apart, make solids stiffer (young), or use more cells (--scale)",
+                "at {time:.4} s the liquid's speed is {:.0} m/s, while gravity, inflow and moving bodies explain about {expected:.1} m/s (steps.csv, max_speed): bodies or a collapsing solid squeeze it. Keep bodies apart, use stiffer solids (young), or use more cells (--scale)",
                 liquid.diagnosis.max_speed
             ));
         }
@@ -289,17 +291,18 @@ impl Health {
         tally.markers = tally.markers.max(liquid.markers as u64 + tally.dropped);
         if before < LOST && tally.lost_share() >= LOST {
             notices.push(format!(
-                "at {time:.4} s {:.1} % of all markers are lost in obstacles and solids (steps.csv, markers_dropped): walls thinner than two cells and fast or collapsing solids swallow them; use more cells (--scale) or shorter sub-steps (time.cfl)",
+                "at {time:.4} s {:.1} % of all markers are lost in obstacles and solids (steps.csv, markers_dropped): they enter walls thinner than two cells and fast or collapsing solids. Use more cells (--scale) or shorter sub-steps (time.cfl)",
                 100.0 * tally.lost_share()
             ));
         }
         notices
     }
 
-    /// Follows the solids of a scene. `state` reads the state where the report does not decide.
+    /// Checks the solids. `state` reads the state if the report does not decide.
     ///
     /// # Errors
-    /// [`Error::Stage`] where one has failed and the run is not to keep going; what `displacement` and `state` end with.
+    /// [`Error::Stage`] when a solid has failed and the run does not keep going; errors of `displacement` and
+    /// `state`.
     pub(super) fn solids(
         &self,
         (scene, solids): (&Scene, &Solids),
@@ -313,7 +316,7 @@ impl Health {
         };
         let worst = [report.diagnosis.min_det, report.diagnosis.inverted as f64];
         let patience = |body| patience(scene, solids, body, now.report.dt);
-        let failed = follow(solids, patience, health, now.step, worst, displacement)?;
+        let failed = update(solids, patience, health, now.step, worst, displacement)?;
         let Some(&first) = failed.first() else {
             return Ok(Vec::new());
         };
@@ -322,7 +325,7 @@ impl Health {
         }
         let names = failed.iter().map(|(body, of)| {
             format!(
-                "at {:.4} s solid \"{}\" has collapsed: it has {:.0} % of its volume at rest and {:.0} % of its elements are inverted; the run keeps going, and what follows is not the scene's physics",
+                "at {:.4} s solid \"{}\" has collapsed: {:.0} % of its rest volume, {:.0} % of its elements inverted. The run continues, but later results are not physical",
                 now.time,
                 solids.bodies[*body].name,
                 100.0 * of.volume,

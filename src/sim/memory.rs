@@ -1,4 +1,4 @@
-//! Whether this machine has room for a scene, before anything of the grid's size is allocated.
+//! Checks host memory before any allocation of the grid's size.
 
 use crate::Error;
 use crate::elastic::Solids;
@@ -6,26 +6,23 @@ use crate::geometry;
 use crate::gpu::AdapterReport;
 use crate::scene::Scene;
 
-/// Bytes per cell of the grid that the host holds while a simulation is set up, at the least: measured as the largest resident set
-/// at 128^3 and 192^3 cells, 117 and 119 with `--backend cpu`, 40 to 55 on a device; and per marker, 54.
+/// Lower bounds of host memory during set-up, bytes per cell and per marker. Largest resident sets at 128^3 and 192^3
+/// cells were 117 and 119 with `--backend cpu`, 40 to 55 on a device, and 54 per marker.
 const PER_CELL_CPU: u64 = 110;
 const PER_CELL_GPU: u64 = 35;
 const PER_MARKER: u64 = 48;
 
-/// What a scene takes of this machine's memory at the least, and what there is.
+/// Host memory of a scene, and free memory of this machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HostMemory {
-    /// Bytes that the scene takes.
+    /// Lower bound of the scene's memory, bytes.
     pub needed: u64,
-    /// What there is: [`free_memory`].
+    /// Free memory, bytes: [`free_memory`].
     pub available: u64,
 }
 
 impl HostMemory {
-    /// Of a scene on the CPU, or on a device with memory of its own.
-    ///
-    /// # Errors
-    /// [`Error::Input`] where a mesh file cannot be used.
+    /// Memory of a scene on the CPU, or on a device with its own memory.
     pub fn new(scene: &Scene, solids: &Solids, on_cpu: bool) -> Result<HostMemory, Error> {
         let grid = scene.grid();
         let (displacement, _) = solids.initial_state(scene);
@@ -38,7 +35,7 @@ impl HostMemory {
         })
     }
 
-    /// With the buffers of an adapter that has no memory of its own, bytes.
+    /// Adds the buffers of an adapter without its own memory, bytes.
     pub fn beside(self, buffers: u64, adapter: &AdapterReport) -> HostMemory {
         match adapter.kind {
             "software" => HostMemory {
@@ -49,8 +46,7 @@ impl HostMemory {
         }
     }
 
-    /// # Errors
-    /// [`Error::Memory`] where there is less than the scene takes.
+    /// Returns an error when the scene needs more than the free memory.
     pub fn check(self) -> Result<(), Error> {
         if self.needed <= self.available {
             return Ok(());
@@ -63,7 +59,7 @@ impl HostMemory {
     }
 }
 
-/// Bytes that this machine, or the container, has left; swap counts.
+/// Free memory of this machine or its container, including swap, bytes.
 pub fn free_memory() -> u64 {
     let mut system = sysinfo::System::new();
     system.refresh_memory();

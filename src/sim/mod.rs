@@ -1,4 +1,4 @@
-//! The simulation: a scene on the GPU or on the f64 CPU path, one sub-step after another, and the run loop.
+//! The simulation: a scene on the GPU or on the f64 CPU path, its sub-steps, and the run loop.
 
 mod gpu_coupling;
 mod gpu_liquid;
@@ -34,17 +34,17 @@ use crate::reference::{self, Reference};
 use crate::scene::Scene;
 use crate::state::{Carried, SolveReport, SolveStatus, State, StepReport};
 
-/// Where a simulation runs.
+/// Backend of a simulation.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Backend {
-    /// On an adapter, in the scene's precision.
+    /// An adapter, in the scene's precision.
     Gpu(AdapterChoice),
-    /// On the CPU in f64.
+    /// The CPU, in f64.
     Cpu,
 }
 
 impl Backend {
-    /// `gpu` or `cpu`.
+    /// Name: `gpu` or `cpu`.
     pub fn name(&self) -> &'static str {
         match self {
             Backend::Gpu(_) => "gpu",
@@ -53,14 +53,14 @@ impl Backend {
     }
 }
 
-/// How far a simulation is.
+/// Progress of a simulation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Clock {
-    /// s
+    /// Simulated time, s.
     pub time: f64,
-    /// Sub-steps done.
+    /// Completed sub-steps.
     pub step: u64,
-    /// Frames done.
+    /// Completed frames.
     pub frame: u64,
 }
 
@@ -74,7 +74,7 @@ impl Clock {
     }
 }
 
-/// A scene being simulated.
+/// A simulation of a scene.
 #[derive(Debug)]
 pub struct Simulation {
     scene: Scene,
@@ -90,9 +90,6 @@ enum Path {
 
 impl Simulation {
     /// Clips the obstacles, seeds the liquid, and opens the backend.
-    ///
-    /// # Errors
-    /// Whatever geometry and device say.
     pub fn new(scene: &Scene, backend: &Backend) -> Result<Simulation, Error> {
         let solids = solids_of(scene)?;
         let path = match backend {
@@ -106,7 +103,7 @@ impl Simulation {
         })
     }
 
-    /// Does one sub-step of the length that velocities and frame times allow.
+    /// Computes one sub-step of the length that velocities and frame times allow.
     ///
     /// # Errors
     /// [`Error::Stage`] when the solve breaks down or a value is not finite, [`Error::Gpu`] when the device fails.
@@ -132,7 +129,7 @@ impl Simulation {
             {
                 let status = status.name();
                 let problem = format!(
-                    "the {name} solve ended with {status} at a relative residual of {residual:.1e}\n  cure: shorter sub-steps (time.fixed_step), solver.precision = \"f64\", or loads and stiffnesses nearer to each other"
+                    "the {name} solve ended with {status} at a relative residual of {residual:.1e}\n  cure: shorter sub-steps (time.fixed_step), solver.precision = \"f64\", or smaller ratios between loads and between stiffnesses"
                 );
                 return Err(Error::Stage {
                     stage: "solve",
@@ -144,10 +141,7 @@ impl Simulation {
         Ok(report)
     }
 
-    /// A host copy of the present moment.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
+    /// Reads back the state.
     pub fn state(&self) -> Result<State, Error> {
         match &self.path {
             Path::Gpu(path) => path.state(),
@@ -155,17 +149,14 @@ impl Simulation {
         }
     }
 
-    /// The values of the scene's probes, all columns in order.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
+    /// Values of the scene's probes, all columns in order.
     pub fn probes(&mut self) -> Result<Vec<f64>, Error> {
         let probes = &self.scene.probes;
         let (liquid, displacement, forces) = match &mut self.path {
             Path::Gpu(path) => path.probed()?,
             Path::Cpu(path) => {
                 let (grid, state) = (self.scene.grid(), path.state());
-                let of_liquid = probes.iter().filter(|probe| probe.kind.of_liquid());
+                let of_liquid = probes.iter().filter(|probe| probe.kind.measures_liquid());
                 let values =
                     of_liquid.flat_map(|probe| reference::probe(&grid, state, &probe.kind));
                 let forces = path.node_forces().to_vec();
@@ -175,7 +166,7 @@ impl Simulation {
         let mut liquid = liquid.into_iter();
         let values = probes
             .iter()
-            .flat_map(|probe| match probe.kind.of_liquid() {
+            .flat_map(|probe| match probe.kind.measures_liquid() {
                 true => liquid.by_ref().take(probe.columns().len()).collect(),
                 false => self.solids.probe(&displacement, &forces, &probe.kind),
             });
@@ -183,9 +174,6 @@ impl Simulation {
     }
 
     /// Displacements of all nodes from rest, m; empty without solids.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
     pub fn displacement(&self) -> Result<Vec<[f64; 3]>, Error> {
         match &self.path {
             Path::Gpu(path) => path.displacement(),
@@ -193,7 +181,7 @@ impl Simulation {
         }
     }
 
-    /// How far the simulation is.
+    /// Time, sub-step and frame.
     pub fn clock(&self) -> Clock {
         match &self.path {
             Path::Gpu(path) => path.clock(),
@@ -201,7 +189,7 @@ impl Simulation {
         }
     }
 
-    /// Liquid volume of a sub-step over the volume to hold, that at the start less what has left; 1 where there was none. Nothing without liquid.
+    /// Liquid volume after a sub-step over the controlled volume; 1 if that is zero. `None` without liquid.
     pub fn volume_ratio(&self, report: &StepReport) -> Option<f64> {
         let liquid = report.liquid?;
         let volume_0 = match &self.path {
@@ -215,7 +203,7 @@ impl Simulation {
         })
     }
 
-    /// What the sources emit, in the order of the scene.
+    /// Flow rates of the sources, in the order of the scene.
     pub fn source_flows(&self) -> Vec<SourceFlow> {
         let taps = match &self.path {
             Path::Gpu(path) => path.taps().map(|(taps, _)| taps),
@@ -224,12 +212,12 @@ impl Simulation {
         taps.iter().flat_map(|taps| taps.flows()).collect()
     }
 
-    /// The elastic solids at rest; none without.
+    /// The elastic solids at rest; empty without solids.
     pub fn solids(&self) -> &Solids {
         &self.solids
     }
 
-    /// What obstacles, and solids in liquid, leave of the grid.
+    /// Cut cells of obstacles, and of solids in liquid.
     pub fn cut_cells(&self) -> &CutCells {
         match &self.path {
             Path::Gpu(path) => path.cut_cells(),
@@ -237,10 +225,7 @@ impl Simulation {
         }
     }
 
-    /// Puts a state of the same scene in place of the present one.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails; whatever the CPU path says of the state.
+    /// Replaces the state by another of the same scene.
     pub fn reset(&mut self, state: &State) -> Result<(), Error> {
         match &mut self.path {
             Path::Gpu(path) => path.write_state(state),
@@ -248,10 +233,7 @@ impl Simulation {
         }
     }
 
-    /// What a path has beyond [`Simulation::state`] at the present moment.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
+    /// Data of the backend beyond [`Simulation::state`], needed to resume.
     pub fn carried(&self) -> Result<Carried, Error> {
         match &self.path {
             Path::Gpu(path) => path.carried(),
@@ -259,10 +241,10 @@ impl Simulation {
         }
     }
 
-    /// Goes on from a moment of the same scene on the same backend, as if it had come there: to the bit on the same device.
+    /// Resumes from a state of the same scene and backend. Results are bitwise identical on the same device.
     ///
     /// # Errors
-    /// [`Error::Input`] where the moment is not one of the scene; [`Error::Gpu`] when the device fails.
+    /// [`Error::Input`] when the state does not fit the scene; [`Error::Gpu`] when the device fails.
     pub fn resume(&mut self, state: &State, carried: &Carried) -> Result<(), Error> {
         let (grid, frames) = (self.scene.grid(), self.scene.time.frames_per_second);
         let n_cells = if self.scene.liquid.is_some() {
@@ -310,27 +292,24 @@ impl Simulation {
     }
 }
 
-/// That a moment is not one of a scene.
+/// Error for a state that does not fit the scene.
 fn unfit(scene: &Scene) -> Error {
     Error::input(
         scene.file.display().to_string(),
-        "the checkpoint is not of this scene: its lists do not have the lengths that they should, or its time is not within its frame",
-        "go on with the scene and the backend that it was made with, or start again with --overwrite",
+        "the checkpoint does not fit this scene: the lengths of its arrays differ, or its time is outside its frame",
+        "resume with the original scene and backend, or restart with --overwrite",
     )
 }
 
-/// The solids of a scene at rest; empty where it has none.
+/// The solids of a scene at rest; empty without solids.
 ///
 /// # Errors
-/// [`Error::Input`] when a mesh cannot be used, or a pin or load holds no node.
+/// [`Error::Input`] when a mesh is unusable, or a pin or load matches no node.
 pub fn solids_of(scene: &Scene) -> Result<Solids, Error> {
     Solids::new(scene, &geometry::solid_meshes(scene)?)
 }
 
 /// The f64 path of a scene, before its first step.
-///
-/// # Errors
-/// Whatever geometry says.
 pub fn reference_path(scene: &Scene) -> Result<Reference, Error> {
     reference_with(scene, &solids_of(scene)?)
 }
@@ -343,7 +322,7 @@ fn reference_with(scene: &Scene, solids: &Solids) -> Result<Reference, Error> {
     Reference::new(scene, obstacles, solids.clone(), state)
 }
 
-/// Solids in liquid and obstacles that move as they cut the grid at first; `None` where nothing moves that could.
+/// Initial clipping of solids in liquid and of moving obstacles; `None` when nothing that cuts the grid can move.
 fn first_clip(scene: &Scene, solids: &Solids, obstacles: &ObstacleCut) -> Option<SolidClip> {
     Effects::of(scene).clips().then(|| {
         let mut clip = SolidClip::new(&scene.grid(), obstacles.clone(), &scene.solver);
@@ -352,7 +331,7 @@ fn first_clip(scene: &Scene, solids: &Solids, obstacles: &ObstacleCut) -> Option
     })
 }
 
-/// The initial state, which [`reference::prepare`] is to complete: liquid starts beside the solids.
+/// The initial state for [`reference::prepare`]. Liquid is seeded outside the solids.
 fn first_state(
     scene: &Scene,
     solids: &Solids,
@@ -361,7 +340,7 @@ fn first_state(
 ) -> Result<State, Error> {
     let cut = clip.map_or(obstacles, SolidClip::cut_cells);
     let (displacement, velocity) = solids.initial_state(scene);
-    solids.ensure_room(scene, &obstacles.solid_distance, &displacement)?;
+    solids.ensure_clearance(scene, &obstacles.solid_distance, &displacement)?;
     let mut state = geometry::initial_state(scene, &scene.grid(), cut)?;
     (state.displacement, state.node_velocity) = (displacement, velocity);
     Ok(state)

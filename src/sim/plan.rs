@@ -1,9 +1,9 @@
-//! What a scene will take, before anything is seeded or allocated: effects, stages with their kernels, buffers, limits.
+//! The plan of a scene: effects, stages with their kernels, buffers and limits. Nothing is seeded or allocated.
 
 use crate::Error;
 use crate::effects::{Effect, Effects};
 use crate::elastic::{Bounds, Solids};
-use crate::geometry::{self, SolidClip, SourceFlow, Taps};
+use crate::geometry::{self, SolidClip, SourceFlow, SourcesAndSinks};
 use crate::gpu::{AdapterReport, BufferPlan, Gpu, Variant};
 use crate::grid::Grid;
 use crate::reference::{TimeStep, time_step};
@@ -14,67 +14,68 @@ use crate::step::{SCHEDULE, Stage, When};
 use super::GpuPath;
 use super::memory::HostMemory;
 
-/// Labels of the buffers that grow with the markers and not with the grid.
+/// Labels of buffers that scale with the markers instead of the grid.
 const PER_MARKER: [&str; 1] = ["liquid.markers"];
 
-/// A stage of the step.
+/// A stage of a sub-step.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StagePlan {
-    /// Its canonical noun.
+    /// Name in the schedule.
     pub name: &'static str,
-    /// Whether it runs in every sub-step; otherwise once, before the first.
+    /// Whether the stage runs in every sub-step; otherwise once, before the first.
     pub every_step: bool,
-    /// Its kernels, in the order of their first dispatch.
+    /// Kernels, in the order of their first dispatch.
     pub kernels: Vec<&'static str>,
 }
 
-/// What a scene takes on an adapter with or without f64.
+/// The plan of a scene on an adapter with or without f64.
 #[derive(Clone, Debug)]
 pub struct Plan {
     /// The grid.
     pub grid: Grid,
-    /// Cells of the padded layout that the fields have on the device.
+    /// Cells of the device's padded layout.
     pub padded_cells: usize,
-    /// Markers, estimated to about a percent.
+    /// Number of markers, estimated to about 1 %.
     pub n_markers: usize,
     /// Nodes of all solids.
     pub n_nodes: usize,
     /// Elements of all solids.
     pub n_elements: usize,
-    /// What the sources emit, in the order of the scene.
+    /// Flow rates of the sources, in the order of the scene.
     pub sources: Vec<SourceFlow>,
     /// The first sub-step.
     pub first_step: TimeStep,
-    /// Effects, present and absent.
+    /// All effects, active or not.
     pub effects: Vec<Effect>,
-    /// Stages of a step, in order.
+    /// Stages of a sub-step, in order.
     pub stages: Vec<StagePlan>,
-    /// Everything allocated on the device for as long as the simulation lives. Buffers made several times under one label are one
-    /// entry with the elements of all.
+    /// All device buffers of the simulation. Buffers with the same label are one entry with the sum of their
+    /// elements.
     pub buffers: Vec<BufferPlan>,
-    /// How each system of a sub-step is solved.
+    /// Solver of each system of a sub-step.
     pub solves: Vec<String>,
-    /// Whether the outer loop of the solve runs on the host, one exchange per round.
+    /// Whether the host computes the residuals of the outer loop, with one exchange per refinement step.
     pub host_turns: bool,
-    /// Bytes that a round of such a loop copies to and from the device.
+    /// Bytes that such a refinement step copies to and from the device.
     pub bytes_per_turn: u64,
-    /// What the scene asks of the solves.
+    /// Solver settings of the scene.
     solver: Solver,
-    /// The scalar types that they have.
+    /// Scalar types of the solves.
     variant: Variant,
-    /// Whether one solve is for liquid and solids together.
+    /// Whether liquid and solids are solved together.
     together: bool,
 }
 
 impl Plan {
-    /// Plans a scene for an adapter; without one, for an adapter with f64.
+    /// Plans a scene for an adapter, or without one for an adapter with f64.
     ///
     /// # Errors
-    /// [`Error::Input`] when a mesh file cannot be used, [`Error::Memory`] where solids cannot be clipped for want of memory.
+    /// [`Error::Input`] when a mesh file is unusable, [`Error::Memory`] when clipping of the solids exceeds the free
+    /// memory.
     pub fn new(scene: &Scene, adapter: Option<&AdapterReport>) -> Result<Plan, Error> {
         let solids = super::solids_of(scene)?;
         let effects = Effects::of(scene);
-        let (mut clip, mut taps) = (None, Taps::default());
+        let (mut clip, mut taps) = (None, SourcesAndSinks::default());
         let grid = scene.grid();
         let mut distance = Vec::new();
         let bodies_meet = effects.solids && !scene.obstacles.is_empty();
@@ -82,14 +83,15 @@ impl Plan {
             HostMemory::new(scene, &solids, false)?.check()?;
             let obstacles = geometry::obstacle_cut(scene, &grid)?;
             clip = super::first_clip(scene, &solids, &obstacles);
-            taps = Taps::new(scene, &grid, obstacles.still())?;
+            taps = SourcesAndSinks::new(scene, &grid, obstacles.static_cut())?;
             distance = obstacles.cut.solid_distance;
         }
-        solids.ensure_room(scene, &distance, &solids.initial_state(scene).0)?;
+        solids.ensure_clearance(scene, &distance, &solids.initial_state(scene).0)?;
         let plan = Plan::with(scene, (&solids, clip.as_ref(), &taps), adapter)?;
         let regions = scene.liquid.iter().flat_map(|liquid| &liquid.regions);
         if regions.count() > 0 && plan.n_markers == 0 {
-            // None are estimated where the surface is fixed, and the estimate may miss a little liquid: a run looks at all cells.
+            // With a fixed surface there are no markers, and an estimate of zero may be wrong: a run checks all
+            // cells.
             HostMemory::new(scene, &solids, false)?.check()?;
             let obstacles = geometry::obstacle_cut(scene, &grid)?;
             super::first_state(scene, &solids, &obstacles.cut, clip.as_ref())?;
@@ -97,10 +99,10 @@ impl Plan {
         Ok(plan)
     }
 
-    /// Plans a scene whose solids, and sources and sinks, are at hand; `clip`: as solids cut the grid at first, in liquid.
+    /// Plans a scene with its solids, sources and sinks. `clip`: initial clipping in liquid.
     pub(super) fn with(
         scene: &Scene,
-        (solids, clip, taps): (&Solids, Option<&SolidClip>, &Taps),
+        (solids, clip, taps): (&Solids, Option<&SolidClip>, &SourcesAndSinks),
         adapter: Option<&AdapterReport>,
     ) -> Result<Plan, Error> {
         let grid = scene.grid();
@@ -112,7 +114,7 @@ impl Plan {
         let host_turns = mixed && !f64;
         let padded_cells = grid.padded().len();
         let rows = SolidRows::new(solids)?;
-        let n_turning = solids.turning().count();
+        let n_turning = solids.rotating_bodies().count();
         let gpu = Gpu::planning(adapter.cloned().unwrap_or_default());
         let parts = (solids, clip.cloned(), taps.clone());
         GpuPath::allocate(gpu.clone(), scene, parts, n_markers)?;
@@ -136,34 +138,31 @@ impl Plan {
         })
     }
 
-    /// Bytes of all buffers.
+    /// Total bytes of all buffers.
     pub fn bytes(&self) -> u64 {
         self.buffers.iter().map(BufferPlan::bytes).sum()
     }
 
-    /// Bytes of what grows with the grid, per cell of the padded layout.
+    /// Bytes of the buffers that scale with the grid, per cell of the padded layout.
     pub fn bytes_per_cell(&self) -> f64 {
         let markers = self.marker_bytes();
         (self.bytes() - markers) as f64 / self.padded_cells as f64
     }
 
-    /// Bytes of what grows with the markers, per marker; 0 without markers.
+    /// Bytes of the buffers that scale with the markers, per marker; 0 without markers.
     pub fn bytes_per_marker(&self) -> f64 {
         self.marker_bytes() as f64 / self.n_markers.max(1) as f64
     }
 
     fn marker_bytes(&self) -> u64 {
-        let of_markers = self
+        let marker_buffers = self
             .buffers
             .iter()
             .filter(|plan| PER_MARKER.contains(&&*plan.label));
-        of_markers.map(BufferPlan::bytes).sum()
+        marker_buffers.map(BufferPlan::bytes).sum()
     }
 
-    /// Checks that the form that the scene asks for serves the coupled solve: a part of [`Plan::check`] that needs no adapter.
-    ///
-    /// # Errors
-    /// [`Error::Limit`] with what the form needs.
+    /// Checks that the scene's formulation suits the coupled solve. This part of [`Plan::check`] needs no adapter.
     pub fn check_formulation(&self) -> Result<(), Error> {
         match self.together {
             true => solver::check_formulation(self.n_nodes, &self.solver, self.variant),
@@ -171,10 +170,7 @@ impl Plan {
         }
     }
 
-    /// Checks limits, precision, the form of the coupled solve and every buffer against what an adapter has.
-    ///
-    /// # Errors
-    /// [`Error::Limit`] naming what is missing, or the largest buffer that does not fit and what would make it smaller.
+    /// Checks limits, precision, formulation and every buffer against an adapter.
     pub fn check(&self, adapter: &AdapterReport) -> Result<(), Error> {
         adapter.check_limits()?;
         adapter.check_precision(self.solver.precision == Precision::F64)?;
@@ -184,7 +180,7 @@ impl Plan {
         largest_first.into_iter().try_for_each(|plan| {
             let mut checked = adapter.check_buffer(&plan.label, plan.bytes());
             if let Err(Error::Limit { cure, .. }) = &mut checked {
-                // Labels begin with whose buffer it is.
+                // The group in a label names the owner of the buffer.
                 let smaller = match &*plan.label {
                     label if label.starts_with("solid") => "coarser meshes of the solids",
                     label if label.starts_with("condensed") => "solver.formulation = \"two_field\"",
@@ -197,7 +193,8 @@ impl Plan {
     }
 }
 
-/// The scaled residual up and the correction down, both in f32: per cell of the pressure, with the solver's words, and in quads of nodes.
+/// Scaled residual to the device, and correction back, both f32: one word per cell of the pressure, the solver's
+/// words, and one quad per node.
 fn bytes_per_turn(effects: &Effects, padded_cells: usize, n_nodes: usize) -> u64 {
     let cells = if effects.liquid {
         4 * 3 * padded_cells
@@ -210,23 +207,23 @@ fn bytes_per_turn(effects: &Effects, padded_cells: usize, n_nodes: usize) -> u64
 fn first_step(
     scene: &Scene,
     grid: &Grid,
-    (solids, clip, taps): (&Solids, Option<&SolidClip>, &Taps),
+    (solids, clip, taps): (&Solids, Option<&SolidClip>, &SourcesAndSinks),
 ) -> TimeStep {
     let liquid_speed = scene.liquid.as_ref().map_or(0.0, geometry::initial_speed);
     let (_, velocity) = solids.initial_state(scene);
     let nodes = velocity.as_flattened().iter();
     let solid_speed = nodes.fold(0.0, |speed, v| f64::max(speed, v.abs()));
-    let of_sources = taps.speed(0.0, scene.time.cfl);
+    let source_speed = taps.speed(0.0, scene.time.cfl);
     let frame = 1.0 / scene.time.frames_per_second;
     let obstacle_speed = clip.map_or(0.0, |clip| clip.obstacles().max_speed(0.0, frame));
     let speed = liquid_speed.max(solid_speed);
-    let speed = speed.max(obstacle_speed).max(of_sources);
+    let speed = speed.max(obstacle_speed).max(source_speed);
     let speed = speed.max(solids.max_script_speed(0.0, frame));
     let fall = (scene.domain.gravity.length() * grid.dx).sqrt();
     time_step(&scene.time, grid.dx, speed, fall, frame, 0.0)
 }
 
-/// The effects of the scene, and of its meshes: bodies that turn.
+/// Effects of the scene and of its meshes, such as bodies that turn.
 fn explained(scene: &Scene, effects: &Effects, n_turning: usize) -> Vec<Effect> {
     let mut lines = effects.explained(scene);
     let after = lines.iter().position(|line| line.name == "corotation");
@@ -235,21 +232,22 @@ fn explained(scene: &Scene, effects: &Effects, n_turning: usize) -> Vec<Effect> 
         active: n_turning > 0,
         reason: match n_turning {
             _ if !effects.solids => "there are no solids".to_owned(),
-            0 => {
-                "none that is corotational and held nowhere, in a point or along a line".to_owned()
-            }
-            n => format!("{n} corotational, held nowhere, in a point or along a line"),
+            0 => "no corotational body that is free, or constrained at a point or along a line"
+                .to_owned(),
+            n => format!("{n} corotational bodies, free or constrained at a point or along a line"),
         },
     };
     lines.insert(after.map_or(lines.len(), |index| index + 1), turning);
     lines
 }
 
-/// The stages that the scene calls for, with the kernels that a planning device has recorded.
+/// Active stages with the kernels recorded by a planning device.
 fn stages(effects: &Effects, scene: &Scene, gpu: &Gpu) -> Vec<StagePlan> {
-    let made = gpu.stage_kernels();
+    let kernels_by_stage = gpu.stage_kernels();
     let kernels_of = |stage: Stage| {
-        let own = made.iter().filter(move |(name, _)| *name == stage.name());
+        let own = kernels_by_stage
+            .iter()
+            .filter(move |(name, _)| *name == stage.name());
         own.map(|(_, kernel)| *kernel)
     };
     let mut plans = Vec::new();
@@ -257,7 +255,7 @@ fn stages(effects: &Effects, scene: &Scene, gpu: &Gpu) -> Vec<StagePlan> {
         let when = (row.when)(effects);
         let mut kernels: Vec<_> = kernels_of(row.stage).collect();
         if row.stage == Stage::Solve && scene.solver.coupling == CouplingScheme::DampingOnly {
-            // The systems of elasticity alone and of damping alone.
+            // The systems with elasticity only and with damping only.
             kernels.extend(kernels_of(Stage::SolidMatrices));
             kernels.extend(["solid_right_hand_side", "hold_nodes", "solid_diagonals"]);
         }
@@ -272,7 +270,7 @@ fn stages(effects: &Effects, scene: &Scene, gpu: &Gpu) -> Vec<StagePlan> {
     plans
 }
 
-/// Everything that a planning device has recorded, the buffers of a label as one.
+/// Buffers recorded by a planning device, one entry per label.
 fn buffers(gpu: &Gpu) -> Vec<BufferPlan> {
     let mut merged: Vec<BufferPlan> = Vec::new();
     for plan in gpu.buffer_plans() {
@@ -284,10 +282,10 @@ fn buffers(gpu: &Gpu) -> Vec<BufferPlan> {
     merged
 }
 
-/// Of the pressure, then of the solids.
+/// Solver of the pressure, then of the solids.
 fn solves(
     scene: &Scene,
-    (solids, clip, taps): (&Solids, Option<&SolidClip>, &Taps),
+    (solids, clip, taps): (&Solids, Option<&SolidClip>, &SourcesAndSinks),
     rows: &SolidRows,
     f64: bool,
 ) -> Vec<String> {

@@ -1,4 +1,5 @@
-//! The run loop: frames, tables, checkpoints and the manifest of one simulation, from its beginning or from where an earlier part ended.
+//! The run loop: frames, tables, checkpoints and the manifest of a simulation, from its beginning or from a
+//! checkpoint.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -21,78 +22,78 @@ use crate::state::{SolveStatus, State, StepReport};
 use super::health::{Health, Now};
 use super::{Backend, Simulation};
 
-/// What a run is told beyond its scene.
+/// Options of a run beyond its scene.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Where the simulation runs.
+    /// Backend of the simulation.
     pub backend: Backend,
-    /// The run's folder; made if absent.
+    /// Output folder, created if absent.
     pub out: PathBuf,
-    /// Frames to compute instead of the scene's duration.
+    /// Number of frames; `None` for the scene's duration.
     pub frames: Option<u64>,
-    /// Whether an earlier run in the folder may be replaced.
+    /// Whether to replace an earlier run in the folder.
     pub overwrite: bool,
-    /// Whether the run in the folder is to go on where it ended; where there is none, one begins.
+    /// Whether to resume the run in the folder; without one, a new run starts.
     pub resume: bool,
-    /// Whether the run continues after a solid has collapsed.
+    /// Whether to continue after a solid has collapsed.
     pub keep_going: bool,
 }
 
-/// What the caller is told after every sub-step.
+/// Progress after a sub-step.
 #[derive(Debug)]
 pub struct Progress<'a> {
-    /// Frames done.
+    /// Completed frames.
     pub frame: u64,
-    /// Frames in all.
+    /// Number of frames of the run.
     pub n_frames: u64,
     /// Simulated time, s.
     pub time: f64,
     /// The sub-step.
     pub report: &'a StepReport,
-    /// Signs of a run gone wrong that appeared in this sub-step for the first time, a sentence each.
+    /// Notices that occur for the first time, one sentence each.
     pub notices: &'a [String],
 }
 
-/// What a run came to.
+/// Result of a run.
 #[derive(Clone, Debug)]
 pub struct Summary {
-    /// Frames done, those of earlier parts among them, frame 0 not counted.
+    /// Completed frames, including earlier parts, without frame 0.
     pub frames: u64,
-    /// Sub-steps, likewise.
+    /// Completed sub-steps, including earlier parts.
     pub steps: u64,
-    /// Wall-clock seconds, likewise.
+    /// Wall-clock time, including earlier parts, s.
     pub seconds: f64,
-    /// What was noticed in all of them.
+    /// Counts of all notices.
     pub tally: Tally,
-    /// Solids that have collapsed, each with its sub-step: only of a run that was told to keep going.
+    /// Collapsed solids with the sub-step of collapse, if the run kept going.
     pub failed_solids: Vec<(String, u64)>,
-    /// Liquid regions, by number, that are too small or too well covered for the cells to hold any of their liquid.
+    /// Indices of liquid regions without markers: too small for the cells, or covered.
     pub empty_regions: Vec<usize>,
-    /// Where the run went on, if it did.
+    /// Resumption, if any.
     pub resumed: Option<Resumed>,
 }
 
-/// How a run went on.
+/// Resumption of a run.
 #[derive(Clone, Debug)]
 pub struct Resumed {
-    /// Frames that were done before.
+    /// Frames completed before.
     pub frames: u64,
-    /// The adapter of those, where it is not that of the others: what followed differs from what it would have been by rounding.
+    /// The adapter of the earlier part if it differs. Later results then differ by rounding.
     pub other_adapter: Option<String>,
 }
 
-/// How a run starts.
+/// Start of a run.
 enum Start {
-    /// At its first frame, in place of another.
+    /// At the first frame, replacing an earlier run.
     Anew(Option<Box<Manifest>>),
     /// At a checkpoint.
     From(Box<Checkpoint>),
-    /// It has ended.
+    /// The run is complete.
     Finished(Box<Manifest>),
 }
 
 impl Start {
-    /// What the folder and the options ask for.
+    /// Determines the start from the folder and the options.
     fn find(scene: &Scene, options: &Options, n_frames: u64) -> Result<Start, Error> {
         let out = &options.out;
         let refused =
@@ -100,13 +101,13 @@ impl Start {
         let manifest_path = out.join("manifest.json");
         let (manifest, checkpoint) = (manifest_path.exists(), Checkpoint::path(out).exists());
         if !(manifest || checkpoint) {
-            // Nobody knows whose these are: a run would write over them.
+            // Without a manifest these files have no known owner and must not be overwritten.
             let names = ["steps.csv", "probes.csv", "frames", "preview"];
             return match names.iter().find(|name| out.join(name).exists()) {
                 Some(name) => Err(Error::input(
                     out.join(name).display().to_string(),
-                    "it is in the folder of the run, and there is no manifest.json that says of which run it is",
-                    "choose another folder with --out, or remove this one by hand",
+                    "it is in the output folder, but without a manifest.json its run is unknown",
+                    "choose another folder with --out, or delete this one",
                 )),
                 None => Ok(Start::Anew(None)),
             };
@@ -117,26 +118,26 @@ impl Start {
         match (Manifest::read(out), options.overwrite) {
             (Ok(manifest), true) => Ok(Start::Anew(Some(Box::new(manifest)))),
             (Ok(_), false) => refused(
-                "the folder holds an earlier run",
-                "choose another folder with --out, go on with the run with --resume, or replace it with --overwrite",
+                "the folder contains an earlier run",
+                "choose another folder with --out, resume the run with --resume, or replace it with --overwrite",
             ),
-            // Only the manifest tells which files are the run's.
+            // Only the manifest lists the files of a run.
             (Err(error), _) => refused(
                 &format!(
-                    "the folder holds an earlier run that this version cannot replace: {}",
+                    "the folder contains an earlier run that this version cannot replace: {}",
                     error.to_string().lines().next().unwrap_or_default()
                 ),
                 match checkpoint {
                     true => {
-                        "choose another folder with --out, go on with the run with --resume, or remove this one by hand"
+                        "choose another folder with --out, resume the run with --resume, or delete this one"
                     }
-                    false => "choose another folder with --out, or remove this one by hand",
+                    false => "choose another folder with --out, or delete this one",
                 },
             ),
         }
     }
 
-    /// Of a folder with a manifest or a checkpoint.
+    /// Resumes in a folder with a manifest or a checkpoint.
     fn resume(scene: &Scene, options: &Options, n_frames: u64) -> Result<Start, Error> {
         let out = &options.out;
         let (manifest_path, path) = (out.join("manifest.json"), Checkpoint::path(out));
@@ -148,7 +149,7 @@ impl Start {
         if let Some(Checkpoint { manifest, .. }) = &checkpoint {
             manifest.ensure_same_run(scene, backend, &path)?;
         }
-        // That of the checkpoint has all that counts, should this one have been lost.
+        // If the manifest is lost, the checkpoint's copy suffices.
         let manifest = match Manifest::read(out) {
             Ok(manifest) => Some(manifest),
             Err(_) if checkpoint.is_some() => None,
@@ -157,14 +158,13 @@ impl Start {
         if let Some(manifest) = &manifest {
             manifest.ensure_same_run(scene, backend, &manifest_path)?;
         }
-        let finished = manifest.filter(|of| of.progress.status == RunStatus::Finished);
+        let finished = manifest.filter(|manifest| manifest.progress.status == RunStatus::Finished);
         let checkpointed = checkpoint.as_ref().map(|checkpoint| checkpoint.state.frame);
         let done = finished.as_ref().map(|manifest| manifest.options.frames);
         let most = done.max(checkpointed).unwrap_or(0);
         if most > n_frames {
-            let problem =
-                format!("the run has {most} frames, more than the {n_frames} that are asked for");
-            return refused(out, problem, "ask for at least as many with --frames");
+            let problem = format!("the run has {most} frames, more than the requested {n_frames}");
+            return refused(out, problem, "request at least as many with --frames");
         }
         match (finished, checkpoint) {
             (Some(manifest), _) if done == Some(n_frames) => {
@@ -174,22 +174,22 @@ impl Start {
             (Some(_), None) => refused(
                 out,
                 format!(
-                    "the run ended with frame {most}, and there is no checkpoint.npz to go on from"
+                    "the run ended with frame {most}, and it has no checkpoint.npz to resume from"
                 ),
-                "start it again with --overwrite and `output.checkpoint_every` above 0",
+                "restart it with --overwrite and `output.checkpoint_every` above 0",
             ),
-            // It ended before its first checkpoint: it begins again.
+            // The run stopped before its first checkpoint and starts again.
             (None, None) => Ok(Start::Anew(Some(Box::new(Manifest::read(out)?)))),
         }
     }
 }
 
-/// Runs a scene into a folder. `progress` hears of every sub-step; a true `interrupt` ends the run after the sub-step.
+/// Runs a scene into a folder. `progress` is called after every sub-step. `interrupt` stops the run after a sub-step.
 ///
 /// # Errors
-/// [`Error::Input`] when the folder holds an earlier run, or something that is none and is to be overwritten, or one that is to go on and
-/// is of another scene or broken, or when another process writes into it;
-/// [`Error::Interrupted`], and whatever the simulation ends with; the manifest then says so and all frames written stay valid.
+/// [`Error::Input`] when the folder contains an earlier run, a run of another scene, a broken run or foreign files,
+/// or when another process writes to it. [`Error::Interrupted`] and errors of the simulation end the run; the
+/// manifest records it, and all written frames are valid.
 pub fn run(
     scene: &Scene,
     options: &Options,
@@ -199,24 +199,24 @@ pub fn run(
     let out = &options.out;
     let n_frames = options.frames.unwrap_or_else(|| scene.n_frames());
     ensure_frames(n_frames)?;
-    // What sources emit until then has to fit.
+    // The memory must suffice for markers that sources emit until the end.
     let longer = lasting(scene, n_frames);
     let scene = &longer;
-    let held = out.exists().then(|| FolderLock::take(out)).transpose()?;
+    let lock = out.exists().then(|| FolderLock::take(out)).transpose()?;
     let mut start = Start::find(scene, options, n_frames)?;
     if let Start::Finished(manifest) = &start {
-        return Ok(Summary::of_finished(manifest));
+        return Ok(Summary::finished(manifest));
     }
     let mut simulation = Simulation::new(scene, &options.backend)?;
     if interrupt.load(Ordering::Relaxed) {
         return Err(Error::Interrupted);
     }
-    // Only now: a scene that does not fit the adapter must not cost the earlier run, nor leave a folder.
-    let _lock = match held {
+    // Only now: a scene that exceeds the adapter must neither delete the earlier run nor create a folder.
+    let _lock = match lock {
         Some(lock) => lock,
         None => {
             let lock = FolderLock::take(out)?;
-            // Another process may have been here.
+            // Another process may have changed the folder meanwhile.
             start = Start::find(scene, options, n_frames)?;
             lock
         }
@@ -233,7 +233,7 @@ pub fn run(
         .with_solids(scene, simulation.solids())?;
     let (mut empty_regions, mut resumed) = (Vec::new(), None);
     let from = match start {
-        Start::Finished(manifest) => return Ok(Summary::of_finished(&manifest)),
+        Start::Finished(manifest) => return Ok(Summary::finished(&manifest)),
         Start::Anew(earlier) => {
             prepare_folder(out, earlier.map(|earlier| *earlier))?;
             empty_regions = geometry::empty_regions(scene, &simulation.state()?.markers)?;
@@ -241,7 +241,11 @@ pub fn run(
         }
         Start::From(checkpoint) => {
             simulation.resume(&checkpoint.state, &checkpoint.carried)?;
-            resumed = Some(take_up(&mut manifest, &checkpoint, scene.output.every));
+            resumed = Some(update_manifest(
+                &mut manifest,
+                &checkpoint,
+                scene.output.every,
+            ));
             Some(TablesAt::of(&checkpoint))
         }
     };
@@ -268,24 +272,24 @@ pub fn run(
     })
 }
 
-/// Refuses more frames than file names have digits for.
+/// Checks that file names have enough digits for the frames.
 fn ensure_frames(n_frames: u64) -> Result<(), Error> {
     if n_frames <= MAX_FRAMES {
         return Ok(());
     }
-    let problem = format!("file names have room for {MAX_FRAMES} frames");
+    let problem = format!("file names allow {MAX_FRAMES} frames");
     Err(Error::input(
         format!("--frames {n_frames}"),
         problem,
-        "ask for fewer frames",
+        "request fewer frames",
     ))
 }
 
-/// The scene, with a duration of at least so many frames.
+/// The scene with a duration of at least so many frames.
 fn lasting(scene: &Scene, n_frames: u64) -> Scene {
     let mut scene = scene.clone();
-    let asked = n_frames as f64 / scene.time.frames_per_second;
-    scene.time.duration = scene.time.duration.max(asked);
+    let seconds = n_frames as f64 / scene.time.frames_per_second;
+    scene.time.duration = scene.time.duration.max(seconds);
     scene
 }
 
@@ -299,7 +303,8 @@ impl Summary {
         }: &Manifest,
     ) -> Summary {
         let health = solids.iter().zip(&progress.solids);
-        let failed = health.filter_map(|(of, health)| Some((of.name.clone(), health.failed_at?)));
+        let failed =
+            health.filter_map(|(solid, health)| Some((solid.name.clone(), health.failed_at?)));
         Summary {
             failed_solids: failed.collect(),
             frames: options.frames,
@@ -311,7 +316,7 @@ impl Summary {
         }
     }
 
-    fn of_finished(manifest: &Manifest) -> Summary {
+    fn finished(manifest: &Manifest) -> Summary {
         Summary {
             resumed: Some(Resumed {
                 frames: manifest.options.frames,
@@ -322,8 +327,8 @@ impl Summary {
     }
 }
 
-/// Goes on in a manifest with the run of a checkpoint. `every`: frames from one that is written to the next.
-fn take_up(manifest: &mut Manifest, checkpoint: &Checkpoint, every: u64) -> Resumed {
+/// Updates a manifest for the run of a checkpoint. `every`: interval between written frames.
+fn update_manifest(manifest: &mut Manifest, checkpoint: &Checkpoint, every: u64) -> Resumed {
     let Checkpoint {
         state,
         manifest: before,
@@ -333,7 +338,7 @@ fn take_up(manifest: &mut Manifest, checkpoint: &Checkpoint, every: u64) -> Resu
     let solids = &mut manifest.progress.solids;
     solids.resize(manifest.solids.len(), SolidHealth::default());
     let n_frames = manifest.options.frames;
-    // The last frame of a shorter run is none of a longer one.
+    // The last frame of a shorter run may not be due in a longer one.
     let written = &mut manifest.progress.frames_written;
     written.retain(|&frame| has_place(frame, every, n_frames));
     manifest
@@ -354,12 +359,12 @@ fn take_up(manifest: &mut Manifest, checkpoint: &Checkpoint, every: u64) -> Resu
     }
 }
 
-/// Whether a frame is one that a run of so many writes.
+/// Whether a run of `n_frames` writes a frame.
 fn has_place(frame: u64, every: u64, n_frames: u64) -> bool {
     frame == n_frames || frame < n_frames && frame.is_multiple_of(every)
 }
 
-/// The frame of which a file is, by its name.
+/// Frame number in a file name.
 fn frame_of(file: &str, scene: &str) -> Option<u64> {
     let (number, _) = file
         .strip_prefix(scene)?
@@ -373,7 +378,7 @@ fn frame_of(file: &str, scene: &str) -> Option<u64> {
     number.parse().ok()
 }
 
-/// Removes the files and pictures of frames that a longer or a shorter part of the run has written and this one will not.
+/// Deletes files and pictures of frames that an earlier part of the run has written and this part will not write.
 fn remove_frames_without_place(out: &Path, scene: &Scene, n_frames: u64) -> Result<(), Error> {
     remove_partial(out)?;
     let without_place = |name: &str| {
@@ -386,32 +391,32 @@ fn remove_frames_without_place(out: &Path, scene: &Scene, n_frames: u64) -> Resu
     Ok(())
 }
 
-/// Makes the folder, and takes the earlier run out of it: its frames would mix with the new ones.
+/// Creates the folder and deletes the earlier run, whose frames would mix with the new ones.
 fn prepare_folder(out: &Path, earlier_run: Option<Manifest>) -> Result<(), Error> {
     remove_partial(out)?;
     if let Some(mut earlier) = earlier_run {
-        // Whoever finds the folder half cleared must not take the run for whole, and needs its name to clear the rest.
+        // If deletion is interrupted, the manifest must not claim a complete run but still list its files.
         let progress = &mut earlier.progress;
         progress.status = RunStatus::Interrupted;
         progress.error = Some("is being replaced".to_owned());
         progress.frames_written.clear();
         earlier.write(out)?;
-        let of_run = |name: &str| ["checkpoint.npz", "steps.csv", "probes.csv"].contains(&name);
-        remove(out, &of_run)?;
-        let of_run = |name: &str| {
+        let belongs = |name: &str| ["checkpoint.npz", "steps.csv", "probes.csv"].contains(&name);
+        remove(out, &belongs)?;
+        let belongs = |name: &str| {
             let kind = Path::new(name).extension().and_then(|kind| kind.to_str());
             let rest = name.strip_prefix(&earlier.scene.name);
             rest.is_some_and(|rest| rest.starts_with(['_', '.']))
                 && matches!(kind, Some("vtp" | "vti" | "vtu" | "ply" | "pvd" | "png"))
         };
         for folder in ["frames", "preview"] {
-            remove(&out.join(folder), &of_run)?;
+            remove(&out.join(folder), &belongs)?;
         }
     }
     Ok(())
 }
 
-/// Removes what a run that was killed left of files that it was writing.
+/// Deletes partial files that a killed run left.
 fn remove_partial(out: &Path) -> Result<(), Error> {
     for folder in [out, &out.join("frames"), &out.join("preview")] {
         remove(folder, &is_partial)?;
@@ -419,7 +424,7 @@ fn remove_partial(out: &Path) -> Result<(), Error> {
     Ok(())
 }
 
-/// Removes the files of a folder, if there is one, whose names are meant, and the folder where nothing is left of it.
+/// Deletes files by name from a folder, if it exists, then the folder if it is empty.
 fn remove(folder: &Path, meant: &dyn Fn(&str) -> bool) -> Result<(), Error> {
     let Ok(entries) = fs::read_dir(folder) else {
         return Ok(());
@@ -440,7 +445,7 @@ fn remove(folder: &Path, meant: &dyn Fn(&str) -> bool) -> Result<(), Error> {
     fs::remove_dir(folder).map_err(|problem| Error::unwritten(folder, &problem))
 }
 
-/// How long the tables are, bytes.
+/// Lengths of the tables, bytes.
 #[derive(Clone, Copy, Debug)]
 struct TablesAt {
     steps: u64,
@@ -456,12 +461,12 @@ impl TablesAt {
     }
 }
 
-/// What a run writes as it goes.
+/// Output of a run in progress.
 struct Recording<'a> {
     scene: &'a Scene,
     out: &'a Path,
     clock: Instant,
-    /// Seconds of earlier parts.
+    /// Wall-clock time of earlier parts, s.
     seconds_before: f64,
     writer: FrameWriter,
     obstacles: ObstacleSurfaces,
@@ -469,30 +474,31 @@ struct Recording<'a> {
     probes: Option<ProbeTable>,
     manifest: Manifest,
     health: Health,
-    /// The last moment that was read, where there are to be checkpoints, unless its checkpoint is on the disk.
+    /// The last state for a checkpoint that is not yet on disk.
     unsaved: Option<Checkpoint>,
 }
 
 impl<'a> Recording<'a> {
-    /// New files, or those of the run after so many bytes of its tables.
+    /// Creates the files, or opens those of the run and truncates its tables to lengths in bytes.
     fn begin(
         scene: &'a Scene,
         out: &'a Path,
         manifest: Manifest,
         (from, health): (Option<TablesAt>, Health),
     ) -> Result<Recording<'a>, Error> {
-        // First what says whose the folder is, wherever it ends; but tables that are not those of the run leave it as it was.
+        // First the manifest, which marks the owner of the folder. Tables that do not belong to the run must stay
+        // untouched.
         if from.is_none() {
             manifest.write(out)?;
         }
         let steps = match from {
             None => StepTable::create(out)?,
-            Some(at) => StepTable::go_on(out, at.steps)?,
+            Some(at) => StepTable::resume(out, at.steps)?,
         };
         let probes = match from {
             _ if scene.probes.is_empty() => None,
             None => Some(ProbeTable::create(out, &scene.probes)?),
-            Some(at) => Some(ProbeTable::go_on(out, &scene.probes, at.probes)?),
+            Some(at) => Some(ProbeTable::resume(out, &scene.probes, at.probes)?),
         };
         if from.is_some() {
             remove_frames_without_place(out, scene, manifest.options.frames)?;
@@ -504,7 +510,7 @@ impl<'a> Recording<'a> {
         writer.write_obstacles(&obstacles.at(0.0))?;
         if from.is_some() {
             let frames = &manifest.progress.frames_written;
-            writer.go_on(frames, scene.time.frames_per_second)?;
+            writer.resume(frames, scene.time.frames_per_second)?;
         }
         Ok(Recording {
             clock: Instant::now(),
@@ -521,10 +527,10 @@ impl<'a> Recording<'a> {
         })
     }
 
-    /// Writes the rows of a sub-step. Returns what is noticed in it for the first time.
+    /// Writes the rows of a sub-step. Returns new notices.
     ///
     /// # Errors
-    /// Where a solid has failed, with the rows written.
+    /// Fails after a solid has collapsed; the rows are written before.
     fn sub_step(
         &mut self,
         simulation: &mut Simulation,
@@ -562,7 +568,7 @@ impl<'a> Recording<'a> {
         Ok(notices)
     }
 
-    /// Writes what is due when a frame is done.
+    /// Writes the output due after a frame.
     fn frame(&mut self, simulation: &Simulation, n_frames: u64) -> Result<(), Error> {
         let frame = simulation.clock().frame;
         let output = &self.scene.output;
@@ -587,7 +593,7 @@ impl<'a> Recording<'a> {
             let at = &mut self.manifest.progress;
             if self.scene.liquid.is_none() && solids.bodies.len() > 1 {
                 let mesh = solids.moved(&state.displacement);
-                let overlap = Overlap::of_solids(&self.scene.grid(), &mesh);
+                let overlap = Overlap::between_solids(&self.scene.grid(), &mesh);
                 at.tally.overlap = at.tally.overlap.max(overlap.depth);
             }
             at.frames_written.push(state.frame);
@@ -599,7 +605,7 @@ impl<'a> Recording<'a> {
         if save { self.save() } else { Ok(()) }
     }
 
-    /// Keeps the present moment for a checkpoint; to be written, if `sync`, after the tables.
+    /// Stores the state for a checkpoint. With `sync` the tables are flushed to disk first.
     fn keep(&mut self, simulation: &Simulation, state: State, sync: bool) -> Result<(), Error> {
         self.manifest.progress.seconds = self.seconds();
         let probes = self.probes.as_mut().map(|table| table.bytes(sync));
@@ -625,7 +631,7 @@ impl<'a> Recording<'a> {
         self.seconds_before + self.clock.elapsed().as_secs_f64()
     }
 
-    /// Saves what is left to save, and says in the manifest how the run ended.
+    /// Writes the last checkpoint, and the end of the run to the manifest.
     fn end(
         mut self,
         simulation: &Simulation,
@@ -637,7 +643,7 @@ impl<'a> Recording<'a> {
                 .state()
                 .and_then(|state| self.keep(simulation, state, true))
                 .and_then(|()| self.save()),
-            // The last whole frame. Where that cannot be written either, the first error is the one to tell.
+            // The last complete frame. If that fails too, the first error is reported.
             Err(_) => self.save(),
         };
         let seconds = self.seconds();
@@ -682,7 +688,7 @@ fn notice(tally: &mut Tally, report: &StepReport, volume_ratio: Option<f64>) {
     }
 }
 
-/// Does the frames that are left.
+/// Computes the remaining frames.
 fn frames(
     n_frames: u64,
     simulation: &mut Simulation,
@@ -705,7 +711,7 @@ fn frames(
             report: &report,
             notices: &notices,
         });
-        // A run whose last frame is written is done.
+        // A run whose last frame is written is complete.
         if interrupt.load(Ordering::Relaxed) && clock.frame < n_frames {
             return Err(Error::Interrupted);
         }

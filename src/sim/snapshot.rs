@@ -1,4 +1,4 @@
-//! What the device holds between two stages: for comparisons with the f64 path, and for export.
+//! Snapshots of the device between two stages, for comparison with the f64 path and for export.
 
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use crate::geometry::{Coupling, CutCells};
 use crate::gpu::{Gpu, Real};
 use crate::grid::{Axis, Grid, Padded};
 use crate::reference::{
-    ActiveCells, BlockMatrix, BlockPattern, CoupledSystem, Freedom, Held, PressureSystem,
+    ActiveCells, ActiveSurfaces, BlockMatrix, BlockPattern, CoupledSystem, Freedom, PressureSystem,
     RightHandSide, SolidRightHandSide, SolidSystem, Stencil,
 };
 use crate::solver::{SolidSystemBuffers, SolverBuffers};
@@ -20,27 +20,28 @@ use crate::state::State;
 use super::GpuPath;
 use super::gpu_liquid::GpuLiquid;
 
-/// All that stages hand to each other, widened to f64.
+/// All fields that stages exchange, widened to f64.
 #[derive(Clone, Debug)]
 pub struct Snapshot {
-    /// Of the liquid, where the scene has one.
+    /// Fields of the liquid, if any.
     pub liquid: Option<LiquidSnapshot>,
-    /// Of the solids, where the scene has any.
+    /// Fields of the solids, if any.
     pub solids: Option<SolidSnapshot>,
-    /// The numbers of the last `diagnose` on both, where the scene has both.
+    /// Diagnostics of the coupling from the last `diagnose`, with liquid and solids.
     pub coupling: Option<CouplingReport>,
 }
 
-/// What the stages of the solids hand to each other: entries of all nodes or of all elements.
+/// Fields that the stages of the solids exchange; one entry per node or element.
 #[derive(Clone, Debug)]
 pub struct SolidSnapshot {
     /// Displacement from rest, m.
     pub displacement: Vec<[f64; 3]>,
     /// v* before the solve, v after it, m/s.
     pub velocity: Vec<[f64; 3]>,
-    /// Velocities of prescribed components for the sub-step, m/s; 0 elsewhere.
+    /// Prescribed velocities of the sub-step, m/s; 0 in free components.
     pub prescribed: Vec<[f64; 3]>,
-    /// Rotated gradients of the shape functions of corners 1, 2, 3, 1/m; fourth zeta_K V lambda, zeta_K V mu, det F.
+    /// Rotated gradients of the shape functions of corners 1, 2, 3, 1/m. The fourth numbers are zeta_K V lambda,
+    /// zeta_K V mu and det F.
     pub rotated: [Vec<[f64; 4]>; 3],
     /// K x* - b at corners 1, 2, 3 of the elements, N.
     pub element_forces: [Vec<[f64; 3]>; 3],
@@ -48,46 +49,46 @@ pub struct SolidSnapshot {
     pub masses: Vec<f64>,
     /// Right-hand side of the components that are not prescribed, N.
     pub rhs: Vec<[f64; 3]>,
-    /// How the nodes may move.
+    /// Constraint projector per node.
     pub freedom: Vec<Freedom>,
-    /// What holds them.
-    pub held: Vec<Held>,
-    /// Whether the search for that came to its end.
+    /// Constraining surfaces per node.
+    pub held: Vec<ActiveSurfaces>,
+    /// Whether the active-set search has converged.
     pub settled: bool,
-    /// Scalar type of all these but the displacement.
+    /// Scalar type of all fields but the displacement.
     pub real: Real,
-    /// The numbers of the last `diagnose`.
+    /// Diagnostics of the last `diagnose`.
     pub report: SolidReport,
 }
 
-/// What the stages of the liquid hand to each other, host layout.
+/// Fields that the stages of the liquid exchange, host layout.
 #[derive(Clone, Debug)]
 pub struct LiquidSnapshot {
-    /// Open fractions of the faces and distances of the centres (m), where solids cut the grid in every sub-step.
+    /// Face apertures and distances of the centres (m), if solids cut the grid in every sub-step.
     pub cut: Option<CutCells>,
-    /// Marker positions, m; `None` for one that is gone and for slots kept for new ones.
+    /// Marker positions, m; `None` for deleted markers and reserved slots.
     pub markers: Vec<Option<[f64; 3]>>,
     /// Face velocities, m/s.
     pub velocity: [Vec<f64>; 3],
     /// u*, m/s; defined on the band.
     pub velocity_next: [Vec<f64>; 3],
-    /// Faces that `write_back` gave a velocity.
+    /// Faces whose velocity `write_back` computed.
     pub valid: [Vec<bool>; 3],
     /// Liquid distance, m.
     pub liquid_distance: Vec<f64>,
-    /// Cells of the band.
+    /// Cells of the narrow band.
     pub band: Vec<bool>,
-    /// Faces of the band.
+    /// Faces of the narrow band.
     pub face_band: [Vec<bool>; 3],
-    /// Unknowns.
+    /// Active cells.
     pub active: Vec<bool>,
-    /// Unknowns in components without a free surface; known from the stage after `active_cells` on.
+    /// Active cells of enclosed components, defined after `closed_components`.
     pub closed: Vec<bool>,
     /// Weights of the stored matrix, dimensionless.
     pub weight: [Vec<f64>; 3],
-    /// Its free-surface terms, dimensionless.
+    /// Free-surface terms of the matrix, dimensionless.
     pub dirichlet: Vec<f64>,
-    /// Reciprocals of its diagonal; 0 in inactive cells.
+    /// Reciprocal of the diagonal; 0 in inactive cells.
     pub inverse_diagonal: Vec<f64>,
     /// Right-hand side, m/s; 0 in inactive cells.
     pub rhs: Vec<f64>,
@@ -95,15 +96,12 @@ pub struct LiquidSnapshot {
     pub potential: Vec<f64>,
     /// Scalar type of the stored right-hand side and potential.
     pub real: Real,
-    /// The numbers of the sub-step so far.
+    /// Diagnostics of the sub-step so far.
     pub report: Report,
 }
 
 impl GpuPath {
-    /// Waits for all submitted work and reads everything.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
+    /// Waits for all submitted work and reads all fields.
     pub fn snapshot(&self) -> Result<Snapshot, Error> {
         let liquid = self.liquid.as_ref();
         let liquid = liquid.map(|liquid| liquid.snapshot(&self.gpu, &self.grid));
@@ -116,14 +114,14 @@ impl GpuPath {
             liquid: liquid.transpose()?,
             solids: solids.transpose()?,
             coupling: match &self.coupling {
-                Some(coupling) => Some(coupling.told(&self.gpu)?),
+                Some(coupling) => Some(coupling.read_report(&self.gpu)?),
                 None => None,
             },
         })
     }
 }
 
-/// Bits of the lanes of all quads, four from `first` on.
+/// Per cell: the bit of its lane in the quad's word, starting at bit `first`.
 fn bits(padded: &Padded, words: &[u32], first: usize) -> Vec<bool> {
     let lanes = 0..padded.len();
     lanes
@@ -131,12 +129,12 @@ fn bits(padded: &Padded, words: &[u32], first: usize) -> Vec<bool> {
         .collect()
 }
 
-/// The system of the pressure as a device stores it, host layout; the fields of the same names of a [`LiquidSnapshot`].
+/// The pressure system as stored on the device, host layout. See the fields of the same names in [`LiquidSnapshot`].
 #[derive(Clone, Debug)]
 pub struct StoredPressure {
-    /// Unknowns.
+    /// Active cells.
     pub active: Vec<bool>,
-    /// Those in components without a free surface.
+    /// Active cells of enclosed components.
     pub closed: Vec<bool>,
     /// Dimensionless.
     pub weight: [Vec<f64>; 3],
@@ -144,17 +142,14 @@ pub struct StoredPressure {
     pub dirichlet: Vec<f64>,
     /// Dimensionless.
     pub inverse_diagonal: Vec<f64>,
-    /// m/s
+    /// m/s.
     pub rhs: Vec<f64>,
-    /// m/s
+    /// m/s.
     pub potential: Vec<f64>,
 }
 
 impl StoredPressure {
-    /// Waits for all submitted work and reads it.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
+    /// Waits for all submitted work and reads the system.
     pub fn read(gpu: &Gpu, grid: &Grid, solver: &SolverBuffers) -> Result<StoredPressure, Error> {
         let padded = grid.padded();
         let cells = |values: &[f64]| padded.unpad(grid.cells, values, |value| value);
@@ -165,7 +160,7 @@ impl StoredPressure {
         });
         let matrix = solver.matrix.download(gpu)?;
         let section = |s: usize| &matrix[4 * solver.plan.total * s..][..padded.len()];
-        // Nobody clears what is left of other sub-steps in quads that hold no liquid now.
+        // Quads without liquid may contain values of earlier sub-steps.
         let masked = |values: Vec<f64>| {
             let mut values = cells(&values);
             for (value, active) in values.iter_mut().zip(&active) {
@@ -186,8 +181,8 @@ impl StoredPressure {
     }
 }
 
-/// J as a device holds it in a sub-step of dt (s), whose areas over dx^2 are f32, and the density (kg/m^3) with which its pressures are Pa:
-/// a potential pushes with the mass of a cell over dt, an f32. Systems of it have a dt that is an f32 too.
+/// J as stored on a device, and its effective density (kg/m^3), for a sub-step of dt (s). Areas over dx^2 and the
+/// mass of a cell over dt are f32 on the device. The dt of such systems must be an f32 too.
 pub fn stored_coupling(coupling: &Coupling, dx: f64, density: f64, dt: f64) -> (Coupling, f64) {
     let area = dx * dx;
     let stored = coupling.mapped(|value| area * (value / area).as_vec3().as_dvec3());
@@ -195,8 +190,7 @@ pub fn stored_coupling(coupling: &Coupling, dx: f64, density: f64, dt: f64) -> (
     (stored, mass * f64::from(dt as f32) / dx.powi(3))
 }
 
-/// The system of liquid and solids from its parts. `rhs`: E u*, m^3/s, from which what prescribed nodes take up of closed components is
-/// taken already.
+/// Assembles the coupled system. `rhs`: E u*, m^3/s, less the flux of prescribed nodes into enclosed components.
 pub fn coupled_system(
     active: ActiveCells,
     rhs: RightHandSide,
@@ -212,19 +206,19 @@ pub fn coupled_system(
 }
 
 impl SolidSnapshot {
-    /// Walls leave components, obstacles a direction.
+    /// Walls constrain components, obstacles one direction.
     fn freedom(
         gpu: &Gpu,
         buffers: &SolidBuffers,
         prescribed: &[[bool; 3]],
-    ) -> Result<(Vec<Freedom>, Vec<Held>), Error> {
+    ) -> Result<(Vec<Freedom>, Vec<ActiveSurfaces>), Error> {
         let words = gpu.download(&buffers.freedom)?;
         let nodes = prescribed.iter().zip(words);
         Ok(nodes
             .map(|(&prescribed, [x, y, z, flags])| {
                 let components = [0, 1, 2].map(|axis| flags as u32 >> axis & 1 == 1);
                 let direction = DVec3::new(x.into(), y.into(), z.into()).normalize_or_zero();
-                let held = Held {
+                let held = ActiveSurfaces {
                     walls: [0, 1, 2].map(|axis| !prescribed[axis] && !components[axis]),
                     obstacle: direction != DVec3::ZERO,
                 };
@@ -233,10 +227,7 @@ impl SolidSnapshot {
             .collect())
     }
 
-    /// Waits for all submitted work and reads everything. `prescribed`: components of the nodes.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
+    /// Waits for all submitted work and reads all fields. `prescribed`: components of the nodes.
     pub fn read(
         gpu: &Gpu,
         buffers: &SolidBuffers,
@@ -336,7 +327,7 @@ impl GpuLiquid {
 }
 
 impl SolidSnapshot {
-    /// The solids with the numbers that the device has: rest positions and masses in f32, the others in its scalar type.
+    /// The solids as stored on the device: rest positions and masses in f32, other numbers in its scalar type.
     pub fn on_device(&self, solids: &Solids) -> Solids {
         let single = |x: f64| f64::from(x as f32);
         let round = |x: f64| match self.real {
@@ -369,7 +360,7 @@ impl SolidSnapshot {
         device
     }
 
-    /// A deformation with the rotation that turned the element's gradients as the device has them. `solids`: those
+    /// A deformation with the device's rotation of the element's gradients. `solids` from
     /// [`on_device`](Self::on_device).
     pub fn turned(&self, solids: &Solids, element: usize, gradient: DMat3) -> Deformation {
         let [_, a, b, c] = solids.gradients[element];
@@ -387,8 +378,8 @@ impl SolidSnapshot {
         }
     }
 
-    /// The stored system of a sub-step of dt (s, an f32): rotated gradients, moduli and right-hand side in the device's scalar type.
-    /// `solids`: those [`on_device`](Self::on_device).
+    /// The stored system of a sub-step of dt (s, an f32): rotated gradients, moduli and right-hand side in the
+    /// device's scalar type. `solids` from [`on_device`](Self::on_device).
     pub fn system(&self, solids: &Solids, pattern: &Arc<BlockPattern>, dt: f64) -> SolidSystem {
         let stiffness = BlockMatrix::assemble(solids, pattern, |element, a, b| {
             let turned = |corner: usize| -> DVec3 {
@@ -415,7 +406,7 @@ impl SolidSnapshot {
 }
 
 impl LiquidSnapshot {
-    /// The stored matrix, and its components without a free surface as the f64 path finds them.
+    /// The stored matrix, with the enclosed components that the f64 path computes from it.
     pub fn active_cells(&self, grid: &Grid) -> ActiveCells {
         ActiveCells::new(Stencil::new(
             *grid,

@@ -1,5 +1,5 @@
-//! How far solids that are moved, obstacles and sources squeeze liquid without a free surface; its twin is
-//! [`PressureSystem::squeezed`](crate::reference::PressureSystem::squeezed).
+//! Incompatible boundary flux: prescribed motion that would change the volume of an enclosed liquid component. The
+//! f64 twin is [`PressureSystem::squeezed`](crate::reference::PressureSystem::squeezed).
 
 use std::collections::BTreeMap;
 
@@ -15,40 +15,37 @@ use crate::scene::{CouplingScheme, Scene};
 use super::gpu_liquid::GpuLiquid;
 use super::gpu_solids::GpuSolids;
 
-/// Where what tells of it arrives: made at the start where nodes are moved, else where it is first asked for, since most liquid into which
-/// obstacles or sources move has a surface.
+/// Readbacks of the check. Allocated at the start for prescribed nodes, otherwise on first use, because most liquid
+/// has a free surface.
 #[derive(Debug)]
 pub(super) struct SqueezeReadbacks {
     flags: Readback<u32>,
     labels: Readback<u32>,
-    /// Of the nodes, where some are moved.
+    /// Velocities of the nodes, with prescribed nodes.
     velocity: Option<Readback<u32>>,
 }
 
-/// Whether nodes are moved that may squeeze liquid. In weak coupling they do not wait for it.
-fn by_nodes(scene: &Scene) -> bool {
+/// Whether prescribed nodes can cause an incompatible flux. Weak coupling does not constrain it.
+fn nodes_prescribed(scene: &Scene) -> bool {
     let effects = Effects::of(scene);
     effects.coupling && effects.scripts && scene.solver.coupling != CouplingScheme::Weak
 }
 
-/// Whether anything in the scene can squeeze liquid.
+/// Whether any prescribed motion can cause an incompatible flux.
 pub(super) fn can_squeeze(scene: &Scene) -> bool {
     let effects = Effects::of(scene);
-    by_nodes(scene) || effects.moving_obstacles || effects.sources
+    nodes_prescribed(scene) || effects.moving_obstacles || effects.sources
 }
 
 impl SqueezeReadbacks {
-    /// Those of the start; `None` where no nodes are moved.
-    ///
-    /// # Errors
-    /// [`Error::Limit`] when the adapter does not allow a size.
+    /// Readbacks allocated at the start; `None` without prescribed nodes.
     pub(super) fn at_start(
         gpu: &Gpu,
         scene: &Scene,
         solids: Option<&GpuSolids>,
     ) -> Result<Option<SqueezeReadbacks>, Error> {
-        let moved = solids.filter(|_| by_nodes(scene));
-        let of_nodes = |solids: &GpuSolids| {
+        let moved = solids.filter(|_| nodes_prescribed(scene));
+        let allocate = |solids: &GpuSolids| {
             let len = solids.buffers.velocity.words.len();
             let velocity = Some(Readback::new(gpu, "squeeze.velocity", len)?);
             Ok(SqueezeReadbacks {
@@ -56,10 +53,10 @@ impl SqueezeReadbacks {
                 ..SqueezeReadbacks::new(gpu, &scene.grid())?
             })
         };
-        moved.map(of_nodes).transpose()
+        moved.map(allocate).transpose()
     }
 
-    /// Without nodes.
+    /// Readbacks without node velocities.
     fn new(gpu: &Gpu, grid: &Grid) -> Result<SqueezeReadbacks, Error> {
         let padded = grid.padded();
         Ok(SqueezeReadbacks {
@@ -70,23 +67,23 @@ impl SqueezeReadbacks {
     }
 }
 
-/// The largest share of what is taken of its cells (m^3/s) by which a component of the liquid without a free surface would have to change
-/// its volume: `taken` by obstacles and sources, J v by the nodes of `solids`, if some are moved: beside such a component all are. Waits
-/// for all submitted work.
+/// Largest relative volume change that prescribed flux requires of an enclosed component. `prescribed`: flux of
+/// obstacles and sources, m^3/s. `solids` adds J v of their nodes, which are all prescribed beside such a component.
+/// Waits for all submitted work.
 pub(super) fn squeezed(
     gpu: &Gpu,
     readbacks: &mut Option<SqueezeReadbacks>,
     liquid: &GpuLiquid,
     solids: Option<(&GpuSolids, &SolidClip)>,
-    taken: impl IntoIterator<Item = (usize, f64)>,
+    prescribed: impl IntoIterator<Item = (usize, f64)>,
 ) -> Result<f64, Error> {
-    let mut of_cells = BTreeMap::<usize, f64>::new();
-    for (cell, flux) in taken {
-        *of_cells.entry(cell).or_default() += flux;
+    let mut cell_flux = BTreeMap::<usize, f64>::new();
+    for (cell, flux) in prescribed {
+        *cell_flux.entry(cell).or_default() += flux;
     }
-    let of_nodes = |readbacks: &SqueezeReadbacks| readbacks.velocity.is_some();
-    let solids = solids.filter(|_| readbacks.as_ref().is_some_and(of_nodes));
-    if solids.is_none() && of_cells.is_empty() {
+    let has_nodes = |readbacks: &SqueezeReadbacks| readbacks.velocity.is_some();
+    let solids = solids.filter(|_| readbacks.as_ref().is_some_and(has_nodes));
+    if solids.is_none() && cell_flux.is_empty() {
         return Ok(0.0);
     }
     let grid = &liquid.buffers.plan.grid;
@@ -99,16 +96,16 @@ pub(super) fn squeezed(
     to.read(&liquid.solver.flags, &mut readbacks.flags);
     to.read(&liquid.solver.labels, &mut readbacks.labels);
     if let Some(((solids, clip), velocity)) = moved {
-        let of_nodes = &solids.buffers.velocity;
-        to.read(&of_nodes.words, velocity);
+        let node_velocity = &solids.buffers.velocity;
+        to.read(&node_velocity.words, velocity);
         to.submit();
-        let velocity = of_nodes.widen(&velocity.wait(gpu)?);
+        let velocity = node_velocity.widen(&velocity.wait(gpu)?);
         for (cell, pairs) in clip.coupling().cells() {
             let flux = |pair: &CellNode| {
                 pair.value
                     .dot(DVec3::from_slice(&velocity[4 * pair.node..]))
             };
-            *of_cells.entry(cell).or_default() += pairs.iter().map(flux).sum::<f64>();
+            *cell_flux.entry(cell).or_default() += pairs.iter().map(flux).sum::<f64>();
         }
     } else {
         to.submit();
@@ -116,7 +113,7 @@ pub(super) fn squeezed(
     let (flags, labels) = (readbacks.flags.wait(gpu)?, readbacks.labels.wait(gpu)?);
     let padded = grid.padded();
     let mut sums = BTreeMap::<u32, [f64; 2]>::new();
-    for (cell, flux) in of_cells {
+    for (cell, flux) in cell_flux {
         let index = padded.index(grid.cell_at(cell));
         // Bits 4 to 7: see `shaders/common/active.wgsl`.
         if flags[index / 4] >> (4 + index % 4) & 1 == 1 {

@@ -11,7 +11,7 @@ use crate::solver::Outcome;
 use crate::state::{ContactReport, CouplingReport, SolveReport, SolveStatus, StepReport};
 use crate::step::{self, Backend, Stage};
 
-use super::gpu_coupling::{At, CouplingReadbacks};
+use super::gpu_coupling::{ClipTime, CouplingReadbacks};
 use super::gpu_liquid::GpuLiquid;
 use super::gpu_path::GpuPath;
 use super::gpu_solids::SolidReadbacks;
@@ -34,7 +34,7 @@ pub(super) struct Readbacks {
 struct StepReadback {
     pressure: Option<Outcome>,
     velocity: Option<(Outcome, ContactReport)>,
-    /// Whether one solve was for liquid and solids together, and whether in the Schur-complement form.
+    /// Whether one solve was for liquid and solids together, and whether it used the Schur-complement form.
     together: bool,
     condensed: bool,
     liquid: Option<Report>,
@@ -43,12 +43,12 @@ struct StepReadback {
     seconds: StageTimes,
 }
 
-/// A sub-step in progress. Waits: one for the verdict of the solve and one for the reports; with liquid and solids one for the positions
-/// of the nodes and one for whether they touch.
+/// A sub-step in progress. It waits for the outcome of the solve and for the reports. Coupling adds waits for the
+/// node positions and for contact of liquid and solids.
 struct SubStep<'p, 'o> {
     path: &'p mut GpuPath,
     dt: f64,
-    /// Recorded and not yet submitted.
+    /// Recorded commands, not yet submitted.
     recorder: Option<Recorder>,
     /// Displacements after `move_solid`, m, with liquid and solids.
     moved: Vec<[f64; 3]>,
@@ -57,15 +57,16 @@ struct SubStep<'p, 'o> {
 }
 
 impl GpuPath {
-    /// Does one sub-step with a stage callback. Each stage is submitted by itself.
+    /// Computes one sub-step with a stage callback. Each stage is a submission of its own.
     ///
     /// # Errors
-    /// [`Error::Gpu`] when the device fails, and errors of the callback. A solve that does not converge is a status in the report.
+    /// [`Error::Gpu`] when the device fails, and errors of the callback. A solve that does not converge is a status
+    /// in the report.
     pub fn step_observed(&mut self, observer: Observer) -> Result<StepReport, Error> {
         self.step(self.next_time_step(), Some(observer))
     }
 
-    /// Does one sub-step.
+    /// Computes one sub-step.
     pub(super) fn step(
         &mut self,
         time_step: TimeStep,
@@ -89,7 +90,7 @@ impl GpuPath {
         Ok(report)
     }
 
-    /// Advances the clock and makes the row of steps.csv.
+    /// Advances the clock and returns the report of the sub-step.
     fn finish(&mut self, TimeStep { dt, floored }: TimeStep, readback: StepReadback) -> StepReport {
         if let Some(liquid) = &self.liquid {
             self.head.sources_running = liquid.running_after(&self.head).running.into();
@@ -185,7 +186,7 @@ impl SubStep<'_, '_> {
         Ok(())
     }
 
-    /// With liquid it reads back the displacements, which the clipping needs.
+    /// With liquid it also reads back the displacements for the clipping.
     fn move_solid(&mut self) -> Result<(), Error> {
         let to = recording(&mut self.recorder, &self.path.gpu);
         let Some(solids) = &self.path.solids else {
@@ -224,12 +225,12 @@ impl SubStep<'_, '_> {
             return Ok(());
         };
         if let Some(obstacles) = obstacles {
-            obstacles.follow(gpu, liquid, time, dt)?;
+            obstacles.update_clip(gpu, liquid, time, dt)?;
         }
         if let Some((coupling, solids)) = coupling.as_mut().zip(solids.as_ref()) {
             let dt_last = head.dt_last;
-            let at = At::Step { time, dt, dt_last };
-            coupling.follow(gpu, scene, (liquid, solids), &self.moved, at)?;
+            let at = ClipTime::SubStep { time, dt, dt_last };
+            coupling.update_clip(gpu, scene, (liquid, solids), &self.moved, at)?;
         }
         let seconds = (Stage::Clip.name(), clock.elapsed().as_secs_f64());
         self.readback.seconds.push(seconds);
@@ -269,7 +270,7 @@ impl SubStep<'_, '_> {
         Ok(())
     }
 
-    /// One solve for liquid and solids where they touch, else one for each.
+    /// One solve for liquid and solids if they touch, else one for each.
     fn solve(&mut self) -> Result<(), Error> {
         self.solve_together()?;
         if !self.readback.together {
@@ -305,9 +306,9 @@ impl SubStep<'_, '_> {
         let Some((coupling, (liquid, solids))) = coupling.as_ref().zip(both) else {
             return Ok(());
         };
-        let of_both = readbacks.coupling.as_mut().zip(readbacks.solids.as_mut());
+        let both_readbacks = readbacks.coupling.as_mut().zip(readbacks.solids.as_mut());
         let Some((solver, (coupling_readbacks, solid_readbacks))) =
-            coupling.together().zip(of_both)
+            coupling.together().zip(both_readbacks)
         else {
             return Ok(());
         };
@@ -372,10 +373,10 @@ impl SubStep<'_, '_> {
         let clip = clip.or(obstacles.as_ref().map(|obstacles| &obstacles.clip));
         let fluxes = clip.map_or(&[][..], |clip| clip.obstacles().flux());
         let sources = liquid.taken_by_sources(clip.map(|clip| &clip.cut_cells().open));
-        let taken = fluxes.iter().copied().chain(sources);
+        let prescribed = fluxes.iter().copied().chain(sources);
         let together = self.readback.together;
         let nodes = solids.as_ref().zip(clip).filter(|_| together);
-        if squeezed(gpu, &mut readbacks.squeeze, liquid, nodes, taken)? > SQUEEZE {
+        if squeezed(gpu, &mut readbacks.squeeze, liquid, nodes, prescribed)? > SQUEEZE {
             outcome.status = SolveStatus::Incompatible;
             if let Some((velocity, _)) = &mut self.readback.velocity
                 && velocity.status == SolveStatus::Converged
@@ -404,7 +405,7 @@ impl SubStep<'_, '_> {
         self.readback.velocity = Some((outcome, contact));
         self.readback.seconds.append(&mut seconds);
         if contact.unsettled > 0 {
-            // The velocities solve no system but the one that constrains all nodes.
+            // The velocities solve a system only if all nodes are constrained.
             recording(&mut self.recorder, gpu).clear(&solids.buffers.freedom);
         }
         Ok(())
@@ -450,7 +451,7 @@ impl SubStep<'_, '_> {
     }
 }
 
-/// The part of a report about a solve.
+/// The report of a solve.
 pub(super) fn solve_report(outcome: &Outcome) -> SolveReport {
     SolveReport {
         unknowns: outcome.unknowns as usize,
@@ -460,7 +461,7 @@ pub(super) fn solve_report(outcome: &Outcome) -> SolveReport {
     }
 }
 
-/// Sums the times of a stage of several passes, in the order of first appearance.
+/// Sums the times of stages with several passes, in the order of first appearance.
 fn by_stage(times: &StageTimes) -> StageTimes {
     let mut sums: StageTimes = Vec::new();
     for &(stage, seconds) in times {

@@ -1,4 +1,5 @@
-//! Warnings before a run: bodies that the cells do not resolve, and materials at which the methods are known to fail.
+//! Warnings before a run: bodies that the grid or mesh does not resolve, and materials for which the methods are
+//! known to fail.
 
 use glam::DVec3;
 
@@ -10,30 +11,31 @@ use crate::geometry::{self, TetMesh, ThinWall};
 use crate::grid::Grid;
 use crate::scene::{Scene, Solid, SolidMesh};
 
-/// Poisson's ratios above which linear tetrahedra lock in bending, and the elements across that a bending body needs at least. Of the
-/// cantilever of docs/scene.md two layers leave 32 % of the deflection at 0.45, and four leave 30 % at 0.49.
+/// Poisson's ratios above which linear tetrahedra lock in bending, with the elements across the thickness that
+/// bending then needs. In the cantilever of docs/scene.md two layers leave 32 % of the deflection at 0.45, and four
+/// leave 30 % at 0.49.
 const LOCKS: [(f64, f64); 2] = [(0.47, 8.0), (0.4, 4.0)];
-/// A body bends that is so many times as long as it is thick.
+/// Length over thickness above which a body counts as bending.
 const SLENDER: f64 = 4.0;
-/// A body collapses whose Young's modulus is below so many times the pressure of the liquid around it.
+/// Young's modulus over the surrounding pressure below which a body collapses.
 const SOFT: f64 = 2.0;
 
-/// The warnings of a scene, each one line.
+/// The warnings of a scene, one line each.
 ///
 /// # Errors
-/// [`Error::Input`] when a mesh cannot be used, or a pin or load holds no node.
+/// [`Error::Input`] when a mesh is unusable, or a pin or load matches no node.
 pub fn warnings(scene: &Scene) -> Result<Vec<String>, Error> {
     let grid = scene.grid();
     let mut warnings = Vec::new();
     if !scene.solids.is_empty() && scene.obstacles_move() {
         warnings.push(
-            "obstacles that move and solids pass through each other; a [[solid.script]] moves nodes of a solid"
+            "moving obstacles have no contact with solids and pass through them. Use a [[solid.script]] to move nodes of a solid"
                 .to_owned(),
         );
     }
     for (key, length) in geometry::large_meshes(scene)? {
         warnings.push(format!(
-            "{key} is {} m long, the domain {} m: is it in mm? then write units = \"mm\" beside its file",
+            "{key} is {} m long, the domain {} m: is it in mm? Then write units = \"mm\" beside its file",
             rounded(length),
             scene.domain.size.max_element()
         ));
@@ -49,7 +51,7 @@ pub fn warnings(scene: &Scene) -> Result<Vec<String>, Error> {
 
 fn thin(what: &str, wall: &ThinWall, passes: &str) -> String {
     format!(
-        "{what} is {:.2} cells thick: {passes} through it; a wall in this direction holds from {:.2} cells on: use more cells, or make it thicker",
+        "{what} is {:.2} cells thick: {passes} through it, since a wall in this direction is tight from {:.2} cells on. Use more cells, or make it thicker",
         wall.thickness, wall.needed
     )
 }
@@ -66,7 +68,7 @@ fn obstacle_warnings(scene: &Scene, grid: &Grid, warnings: &mut Vec<String>) -> 
     for number in geometry::covered_probes(scene, grid)? {
         let name = &scene.probes[number].name;
         warnings.push(format!(
-            "probe \"{name}\" lies in an obstacle: what it measures is none of the liquid's"
+            "probe \"{name}\" lies in an obstacle and cannot measure the liquid. Move it"
         ));
     }
     Ok(())
@@ -87,7 +89,7 @@ fn place_warnings(scene: &Scene, solids: &Solids, grid: &Grid, warnings: &mut Ve
         let [a, b] = overlap.solids;
         let [x, y, z] = overlap.at.to_array().map(rounded);
         warnings.push(format!(
-            "solids \"{}\" and \"{}\" lie {} m deep in each other at [{x}, {y}, {z}]: nothing pushes them apart; place them apart",
+            "solids \"{}\" and \"{}\" overlap by {} m at [{x}, {y}, {z}], and no contact force separates them. Place them apart",
             name(a),
             name(b),
             rounded(overlap.depth)
@@ -112,24 +114,26 @@ fn place_warnings(scene: &Scene, solids: &Solids, grid: &Grid, warnings: &mut Ve
             n => format!(", {n} more pairs too"),
         };
         warnings.push(format!(
-            "solids \"{}\" and \"{}\" may meet{more}: solids pass through each other, there is no contact between them",
+            "solids \"{}\" and \"{}\" may meet{more}: solids pass through each other, since there is no contact between them",
             name(a),
             name(b)
         ));
     }
 }
 
-/// The box (m) that a solid may reach: where it is when all of it is held still, around that by its own length when some of it is, else
-/// the domain.
+/// The box (m) that a solid may reach: its own box if the solid is prescribed, enlarged by its length if only part
+/// is. Without prescribed nodes it is the domain.
 fn reach(scene: &Scene, solids: &Solids, number: usize, nodes: &[DVec3]) -> [DVec3; 2] {
     let body = &solids.bodies[number];
     let [low, high] = bounds(&nodes[body.nodes.clone()]);
     let pins = &scene.solids[number].pins;
-    let held = &solids.prescribed[body.nodes.clone()];
-    if pins.iter().any(|pin| !pin.keyframes.is_empty()) || held.iter().all(|h| *h == [false; 3]) {
+    let prescribed = &solids.prescribed[body.nodes.clone()];
+    if pins.iter().any(|pin| !pin.keyframes.is_empty())
+        || prescribed.iter().all(|h| *h == [false; 3])
+    {
         return [DVec3::ZERO, scene.domain.size];
     }
-    let swing = match held.iter().all(|h| *h == [true; 3]) {
+    let swing = match prescribed.iter().all(|h| *h == [true; 3]) {
         true => 0.0,
         false => (high - low).max_element(),
     };
@@ -156,7 +160,7 @@ fn material_warnings(
         let name = &solid.name;
         if solid.young < least {
             warnings.push(format!(
-                "solid \"{name}\" has young = {:?} Pa, and twice the pressure under {} m of the liquid is {} Pa: it may collapse or turn inside out; use a stiffer one, or less depth",
+                "solid \"{name}\" has young = {:?} Pa, below twice the pressure under {} m of liquid, {} Pa: it may collapse or invert. Use a stiffer solid, or less depth",
                 solid.young,
                 rounded(height),
                 rounded(least)
@@ -172,7 +176,7 @@ fn material_warnings(
                 n => format!("{n} linear elements"),
             };
             warnings.push(format!(
-                "solid \"{name}\" has poisson = {:?} and about {layers} across its thin side: it bends to a half or less of what is right; where bending counts use at least {least:.0}, and a smaller poisson",
+                "solid \"{name}\" has poisson = {:?} and about {layers} across its thin side: its deflection is half the correct one or less. If bending matters, use at least {least:.0}, or a smaller poisson",
                 solid.poisson
             ));
         }

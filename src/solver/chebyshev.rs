@@ -14,7 +14,7 @@ const SHORT: u32 = 2;
 pub struct Polynomial {
     /// Products with S.
     pub degree: u32,
-    /// The degree that the solids ask for, where it is higher (`Bounds::wanted_degree_for`).
+    /// The degree that the solids ask for, where it is higher (`Bounds::unlimited_degree`).
     pub wanted: u32,
     /// Nothing.
     pub pad_0: u32,

@@ -1,5 +1,5 @@
-//! `advect_markers`: x1 = x + dt v(x + dt/2 v(x)), v the velocity or, near the surface, that of the surface above, kept off the
-//! walls, then out of obstacles and solids.
+//! `advect_markers`: x1 = x + dt v(x + dt/2 v(x)). Near the surface v is the velocity of the surface above. Markers
+//! are then pushed out of walls, obstacles and solids.
 
 use crate::Error;
 use crate::fields::LiquidBuffers;
@@ -7,19 +7,16 @@ use crate::gpu::{Dispatches, Gpu, Kernel, Real};
 use crate::step::Stage;
 use crate::wgsl;
 
-/// The stage: `markers` in place by the velocity of the last sub-step. Counts those that leave through open sides and those that it
-/// deletes in `report`. Empty without markers.
-///
-/// # Errors
-/// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+/// The stage: moves `markers` by the velocity of the last sub-step. Counts markers that cross open sides, and deleted
+/// ones, in `report`. Empty without markers.
 pub fn advect_markers(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::AdvectMarkers.name());
     let n_markers = liquid.n_markers();
-    if n_markers == 0 {
+    if liquid.markers.is_none() {
         return Ok(Dispatches::new(Stage::AdvectMarkers.name(), []));
     }
     let kernel = |source| Kernel::new(gpu, &source, Real::F32);
-    // `common/sample_distance` samples `distances`: first those to the surface, then those to obstacles and solids.
+    // `common/sample_distance` samples `distances`: the surface first, then obstacles and solids.
     let to_surface = [("distances", (&liquid.velocity_next).into())];
     let to_solids = [("distances", (&liquid.obstacles.solid_distance).into())];
     let mut list = vec![

@@ -7,10 +7,8 @@ use crate::gpu::{Dispatches, Gpu, Kernel, Real};
 use crate::step::Stage;
 use crate::wgsl;
 
-/// The stage: `velocity` to `velocity_next` on the band. Afterwards `velocity` has blended velocities on small-aperture faces.
-///
-/// # Errors
-/// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+/// The stage: `velocity` to `velocity_next` on the band. Afterwards `velocity` contains blended velocities on
+/// small-aperture faces.
 pub fn advect_velocity(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::AdvectVelocity.name());
     let kernels = match liquid.plan.effects.cuts() {

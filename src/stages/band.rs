@@ -1,7 +1,7 @@
-//! `band`: the quads that the other stages work on.
+//! `band`: the narrow band, as a list of quads.
 //!
-//! Tiles of 8 x 8 x 8 cells that hold liquid, dilated by what extrapolation and advection reach in a sub-step; every quad of a
-//! dilated tile is in the band. The list is row-major, so neighbours in it are neighbours in memory.
+//! Tiles of 8 x 8 x 8 cells with liquid are dilated by the reach of extrapolation and advection in a sub-step. All
+//! quads of a dilated tile are in the band. The list is row-major, for coalesced access.
 
 use crate::Error;
 use crate::gpu::{CompactKernels, Compaction, Dispatches, Gpu, Kernel, Real};
@@ -10,10 +10,7 @@ use crate::wgsl;
 
 use crate::fields::{LiquidBuffers, TILE};
 
-/// The stage. With `surface = "fixed"` it runs once, after the state was written; with markers in every sub-step.
-///
-/// # Errors
-/// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+/// The stage. Runs in every sub-step with markers, and once after the state is written with `surface = "fixed"`.
 pub fn band(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::Band.name());
     let bound = |source| Kernel::new(gpu, &source, Real::F32)?.bind_arrays(gpu, &[liquid]);

@@ -1,5 +1,5 @@
-//! `clip`: what deforming solids and moving obstacles leave of the grid in a sub-step. The host clips them ([`SolidClip`]); this stage
-//! takes the quads that differ to the device, so the rest of the grid costs nothing.
+//! `clip`: cut cells of deforming solids and moving obstacles. The host clips ([`SolidClip`]); this stage copies the
+//! quads that differ to the device, so uncut cells cost nothing.
 
 use crate::Error;
 use crate::fields::{ClipBuffers, LiquidBuffers};
@@ -7,10 +7,7 @@ use crate::gpu::{Dispatches, Gpu, Kernel, Real};
 use crate::step::Stage;
 use crate::wgsl;
 
-/// The stage: the clipping that [`ClipBuffers::write`] wrote to the arrays of the liquid.
-///
-/// # Errors
-/// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+/// The stage: copies the clipping of [`ClipBuffers::write`] to the arrays of the liquid.
 pub fn clip(gpu: &Gpu, liquid: &LiquidBuffers, clip: &ClipBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::Clip.name());
     let mut sources = vec![wgsl!("cut_quads")];

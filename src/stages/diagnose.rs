@@ -1,8 +1,8 @@
-//! `diagnose`: of the liquid momentum, kinetic energy, largest speed and divergence; of the solids sums and extremes over nodes and
-//! elements; the forces of the liquid on the solids. Volume and potential energy are measured with the liquid distance.
+//! `diagnose`: sums and extremes of liquid and solids, and the forces of the liquid on the solids. `liquid_distance`
+//! measures volume and potential energy.
 //!
-//! A fixed number of threads adds fixed shares of the band, one workgroup adds their sums in a tree: the order is a function of
-//! the grid and the band, so the sums repeat bit for bit.
+//! A fixed number of threads sums fixed shares of the band, then one workgroup sums these in a tree. The order
+//! depends on grid and band only, so results repeat bit for bit.
 
 use crate::Error;
 use crate::fields::{ClipBuffers, CouplingReport, LiquidBuffers, SolidBuffers};
@@ -11,10 +11,8 @@ use crate::solver::{CouplingBuffers, SolverBuffers};
 use crate::step::Stage;
 use crate::wgsl;
 
-/// The stage for the liquid: arrays to `report`. `solids`, with solids in liquid: the clipping, J, and `Real4` per node, m/s.
-///
-/// # Errors
-/// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+/// The stage for the liquid: arrays to `report`. With solids in liquid, `solids` contains the clipping, J, and the
+/// node velocities (`Real4`, m/s).
 pub fn diagnose(
     gpu: &Gpu,
     liquid: &LiquidBuffers,
@@ -46,9 +44,6 @@ pub fn diagnose(
 }
 
 /// The stage for the solids: arrays to `report`.
-///
-/// # Errors
-/// As [`Kernel::new`] and [`Kernel::bind_arrays`].
 pub fn diagnose_solid(gpu: &Gpu, solids: &SolidBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::Diagnose.name());
     let bound = |source| Kernel::new(gpu, &source, solids.plan.real)?.bind_arrays(gpu, &[solids]);
@@ -59,11 +54,8 @@ pub fn diagnose_solid(gpu: &Gpu, solids: &SolidBuffers) -> Result<Dispatches, Er
     Ok(Dispatches::new(Stage::Diagnose.name(), list).clearing(&solids.extremes))
 }
 
-/// The stage for liquid and solids together: sums over the nodes of J^T p and of `correction` (forces of the pressure's variation within
-/// cells, N, `Real4` per node) to `report`.
-///
-/// # Errors
-/// As [`Kernel::new`] and [`Gpu::buffer`](crate::gpu::Gpu::buffer).
+/// The stage for the coupling: sums of J^T p and of `correction` over the nodes, to `report`. `correction`: forces
+/// due to pressure variation within cells, `Real4` per node, N.
 pub fn diagnose_coupling(
     gpu: &Gpu,
     solver: &SolverBuffers,

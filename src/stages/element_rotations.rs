@@ -1,5 +1,5 @@
-//! `solid_matrices`, first part: rotations of the elements, rotated gradients, elastic forces and energies. The rows of the system are
-//! gathered from them in [`crate::solver`].
+//! `solid_matrices`, first part: rotations of the elements, rotated gradients, elastic forces and energies.
+//! [`crate::solver`] assembles the rows of the system from them.
 
 use crate::Error;
 use crate::fields::SolidBuffers;
@@ -8,9 +8,6 @@ use crate::step::Stage;
 use crate::wgsl;
 
 /// The part: `displacement` to `rotated` and `element_forces`.
-///
-/// # Errors
-/// As [`Kernel::new`] and [`Kernel::bind_arrays`].
 pub fn element_rotations(gpu: &Gpu, solids: &SolidBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::SolidMatrices.name());
     let kernel = Kernel::new(gpu, &wgsl!("element_rotations"), solids.plan.real)?;

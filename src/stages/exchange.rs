@@ -1,4 +1,4 @@
-//! `exchange`: sinks delete markers, sources emit some; and the parts of both in other stages.
+//! `exchange`: sinks delete markers and sources emit them. Also the kernels of sinks and sources in other stages.
 
 use crate::Error;
 use crate::fields::{LiquidBuffers, Sinks, Sources};
@@ -7,10 +7,7 @@ use crate::step::Stage;
 use crate::wgsl;
 
 impl Sinks {
-    /// The part of `exchange` for sinks, after all markers have moved.
-    ///
-    /// # Errors
-    /// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+    /// The sinks' part of `exchange`, after all markers have moved.
     pub fn exchange(&self, gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatches, Error> {
         let gpu = &gpu.at(Stage::Exchange.name());
         let kernel = Kernel::new(gpu, &wgsl!("sink_markers"), Real::F32)?;
@@ -21,7 +18,7 @@ impl Sinks {
         ))
     }
 
-    /// The part of `liquid_distance`, before the volume is measured.
+    /// The sinks' part of `liquid_distance`, before the volume is measured.
     pub(super) fn empty(&self, gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatch, Error> {
         let kernel = Kernel::new(gpu, &wgsl!("empty_sinks"), Real::F32)?;
         let empty_sinks = kernel.bind_arrays(gpu, &[self, liquid])?;
@@ -30,11 +27,8 @@ impl Sinks {
 }
 
 impl Sources {
-    /// Their parts of three stages: in `exchange` new markers, after all others have moved or are deleted; in `forces` prescribed fluxes,
-    /// after all forces have acted; in `write_back` the velocities of the same faces.
-    ///
-    /// # Errors
-    /// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+    /// The sources' parts of three stages. `exchange`: new markers after advection and deletion. `forces`: prescribed
+    /// fluxes after all forces. `write_back`: the velocities of the same faces.
     pub fn stages(&self, gpu: &Gpu, liquid: &LiquidBuffers) -> Result<[Dispatches; 3], Error> {
         let bound = |stage: Stage, source| {
             let gpu = &gpu.at(stage.name());

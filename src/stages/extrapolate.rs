@@ -1,5 +1,6 @@
-//! `extrapolate`: velocities beyond the liquid, layer by layer, for the next advection; nothing through walls, free slip along
-//! obstacles, and along solids as they move. Small-aperture faces contribute in proportion to their aperture.
+//! `extrapolate`: velocities beyond the liquid, layer by layer, for the next advection. Domain walls are impermeable;
+//! obstacles and solids have free slip relative to their velocity. Small-aperture faces contribute in proportion to
+//! their aperture.
 
 use crate::Error;
 use crate::fields::{ClipBuffers, LiquidBuffers, extrapolation_layers};
@@ -7,11 +8,8 @@ use crate::gpu::{Arrays, Dispatches, Gpu, Kernel, Real, RealBuffer, Source};
 use crate::step::Stage;
 use crate::wgsl;
 
-/// The stage: `velocity` in place, from the `valid` faces outwards. `moving`, where solids or obstacles move: the clipping, and with
-/// solids `Real4` per node, m/s.
-///
-/// # Errors
-/// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+/// The stage: extends `velocity` outwards from the `valid` faces. `moving` (with moving solids or obstacles): the
+/// clipping, and with solids the node velocities, `Real4`, m/s.
 pub fn extrapolate(
     gpu: &Gpu,
     liquid: &LiquidBuffers,
@@ -32,7 +30,7 @@ pub fn extrapolate(
         list.push(over_band(wgsl!("blend_slivers"), &none)?);
         list.push(over_band(wgsl!("swap_slivers"), &none)?);
     }
-    // The layers by turns: flags from `valid` to `valid_next`, and back.
+    // The layers alternate between `valid` and `valid_next`.
     let flags = [&liquid.valid, &liquid.valid_next];
     let n_layers = extrapolation_layers(liquid.plan.cfl);
     for n in 0..n_layers {
@@ -55,7 +53,7 @@ pub fn extrapolate(
         list.push(bound.threads(clip.size.places));
     }
     if cuts {
-        // u* and the flags of the last layer but one are free.
+        // u* and the flags of the second-last layer are free.
         let last = [
             ("valid", flags[n_layers % 2].into()),
             ("slipping", flags[1 - n_layers % 2].into()),

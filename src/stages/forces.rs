@@ -1,5 +1,5 @@
-//! `forces`: u* += dt g on the faces of the liquid; v* += dt g on free components of the nodes of solids, and prescribed components
-//! become the prescribed velocity.
+//! `forces`: u* += dt g on the faces of the liquid and v* += dt g on free components of the nodes. Prescribed
+//! components are set to the prescribed velocity.
 
 use crate::Error;
 use crate::fields::{LiquidBuffers, SolidBuffers};
@@ -8,9 +8,6 @@ use crate::step::Stage;
 use crate::wgsl;
 
 /// Forces on the liquid: `velocity_next` in place on the band.
-///
-/// # Errors
-/// As [`Kernel::new`] and [`Kernel::bind_arrays`].
 pub fn forces(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::Forces.name());
     let forces = Kernel::new(gpu, &wgsl!("forces"), Real::F32)?.bind_arrays(gpu, &[liquid])?;
@@ -21,9 +18,6 @@ pub fn forces(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatches, Error> {
 }
 
 /// Forces on the nodes of solids: `velocity` in place.
-///
-/// # Errors
-/// As [`Kernel::new`] and [`Kernel::bind_arrays`].
 pub fn node_forces(gpu: &Gpu, solids: &SolidBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::Forces.name());
     let kernel = Kernel::new(gpu, &wgsl!("node_forces"), solids.plan.real)?;

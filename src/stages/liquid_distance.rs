@@ -1,8 +1,10 @@
-//! `liquid_distance`: phi = min(2 dx, distance to the nearest marker) - r at cell centres, the union of spheres around the markers
-//! (Zhu and Bridson 2005), - dx deep inside, extended into solids as a mean over known neighbours; and the volume that it encloses.
+//! `liquid_distance`: phi = min(2 dx, distance to the nearest marker) - r at cell centres (Zhu and Bridson 2005), -
+//! dx deep inside. The stage extends phi into solids as a mean over known neighbours and measures the enclosed
+//! volume.
 //!
-//! The minimum is formed by scattering with integer atomics, so it does not depend on any order. Only markers within two cells of
-//! an empty one scatter, and only to cells that are not deep inside: work follows the surface.
+//! The minimum uses integer atomics on scattered values, so it is independent of the order. Only markers within two
+//! cells of an empty cell scatter, and only to cells that are not deep inside: the work is proportional to the
+//! surface.
 
 use crate::Error;
 use crate::fields::{LiquidBuffers, Sinks};
@@ -10,14 +12,11 @@ use crate::gpu::{Bound, Dispatch, Dispatches, Gpu, Kernel, Real, Source};
 use crate::step::Stage;
 use crate::wgsl;
 
-/// Depth of the extension into solids, cells. Odd, so that the last pass leaves the distance in `velocity`, its other array.
+/// Depth of the extension into solids, cells. An odd number, so that the last pass writes to `velocity`.
 const PASSES: usize = 3;
 
-/// The stage: `liquid_distance`, and the volume in `report`. Cells of `sinks` are emptied. With a fixed surface it measures the volume
-/// only.
-///
-/// # Errors
-/// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+/// The stage: writes `liquid_distance`, and the volume to `report`. Cells of `sinks` are emptied. With a fixed
+/// surface it measures the volume only.
 pub fn liquid_distance(
     gpu: &Gpu,
     liquid: &LiquidBuffers,
@@ -40,16 +39,36 @@ pub fn liquid_distance(
             list.push(sinks.empty(gpu, liquid)?);
         }
     }
-    let real = liquid.plan.real;
-    let bound = |source: Source| Kernel::new(gpu, &source, real)?.bind_arrays(gpu, &[liquid]);
-    list.push(bound(wgsl!("measure_volume"))?.threads(liquid.plan.n_summing()));
-    list.push(bound(wgsl!("volume_rate"))?.threads(1));
+    list.extend(volume(gpu, liquid)?);
     Ok(Dispatches::new(Stage::LiquidDistance.name(), list))
 }
 
-/// Passes of the extension into solids between `liquid_distance` and `velocity`, which is free from `advect_velocity` to `write_back`.
+/// Volume and potential energy of the liquid, and the rate of volume control.
+fn volume(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<[Dispatch; 2], Error> {
+    let real = liquid.plan.real;
+    let bound = |source: Source| Kernel::new(gpu, &source, real)?.bind_arrays(gpu, &[liquid]);
+    Ok([
+        bound(wgsl!("measure_volume"))?.threads(liquid.plan.n_summing()),
+        bound(wgsl!("volume_rate"))?.threads(1),
+    ])
+}
+
+/// The part that measures the volume of a liquid distance.
+///
+/// # Errors
+/// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+pub fn measure_volume(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatches, Error> {
+    let gpu = &gpu.at(Stage::LiquidDistance.name());
+    Ok(Dispatches::new(
+        Stage::LiquidDistance.name(),
+        volume(gpu, liquid)?,
+    ))
+}
+
+/// Passes of the extension into solids, alternating between `liquid_distance` and `velocity`, which is free from
+/// `advect_velocity` to `write_back`.
 fn extension(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Vec<Dispatch>, Error> {
-    // `extended_distance` of the table.
+    // `velocity` is `extended_distance` of the table.
     let ends = [&liquid.liquid_distance, &liquid.velocity];
     let between = |source: Source, from: usize| {
         let ends = [

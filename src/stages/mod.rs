@@ -1,12 +1,12 @@
-//! The stages of the liquid step on the GPU, one file each, named as in the list in [`crate`]; the pressure system and its
+//! The stages of the liquid on the GPU, one file each, named as in the list in [`crate`]; the pressure system and its
 //! solve are in [`crate::solver`]. Every kernel has an f64 twin in [`crate::reference`].
 //!
-//! A stage is a list of dispatches, recorded as one compute pass under the stage's name. Its kernels bind the
-//! arrays of [`crate::fields`] by the names of their variables.
+//! A stage is a list of dispatches, recorded as one compute pass under the stage's name. Its kernels bind the arrays
+//! of [`crate::fields`] by the names of their variables.
 //!
-//! Work follows the liquid: fields live on the [`band`](band()), the quads (4 cells along x) in and around the liquid. Outside it
-//! velocities are zero and the liquid distance says air; what leaves it is put back to that, tile by tile. All that goes through the
-//! whole domain are the tiles, and the flags per quad when they are counted into lists.
+//! Fields live on the narrow [`band`](band()) of quads (runs of four cells along x) around the liquid. Outside the
+//! band velocities are zero and the liquid distance is that of air; tiles that leave the band are reset. Only the
+//! tiles, and flags per quad during compaction, cover the whole domain.
 
 mod advect_markers;
 mod advect_velocity;
@@ -31,7 +31,7 @@ pub use diagnose::{diagnose, diagnose_coupling, diagnose_solid};
 pub use element_rotations::element_rotations;
 pub use extrapolate::extrapolate;
 pub use forces::{forces, node_forces};
-pub use liquid_distance::liquid_distance;
+pub use liquid_distance::{liquid_distance, measure_volume};
 pub use move_solid::move_solid;
 pub use probe::{Probe, ProbePoint};
 pub use right_hand_side::right_hand_side;
@@ -42,11 +42,8 @@ use crate::fields::{LiquidBuffers, Sinks, Sources};
 use crate::gpu::{Dispatches, Gpu};
 use crate::solver::SolverBuffers;
 
-/// The stages of the liquid that are dispatches alone, but for those that change with the clipping: `extrapolate` and `diagnose`. Stages
-/// that the scene does not call for are empty.
-///
-/// # Errors
-/// As [`Kernel::new`](crate::gpu::Kernel::new) and [`Kernel::bind_arrays`](crate::gpu::Kernel::bind_arrays).
+/// The stages of the liquid that do not depend on the clipping, so all but `extrapolate` and `diagnose`. Stages
+/// without an active effect are empty.
 pub fn liquid_stages(
     gpu: &Gpu,
     liquid: &LiquidBuffers,

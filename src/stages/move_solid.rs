@@ -1,7 +1,7 @@
-//! `move_solid`: x = x* + dt v; nodes beyond a wall are put on it and lose their velocity into it.
+//! `move_solid`: x = x* + dt v. Nodes beyond a wall are projected onto it and lose their velocity into it.
 //!
-//! Free bodies, and those on hinges, move on circles where they turn. Walls do not stop prescribed components. Nodes inside an obstacle
-//! are left to the solve.
+//! Nodes of free and hinged bodies move on circles. Walls do not stop prescribed components. The solve pushes nodes
+//! out of obstacles.
 
 use crate::Error;
 use crate::fields::SolidBuffers;
@@ -9,19 +9,16 @@ use crate::gpu::{Dispatches, Gpu, Kernel};
 use crate::step::Stage;
 use crate::wgsl;
 
-/// Threads per body that turns: `FOLD_SIZE` in `shaders/common/tree.wgsl`.
+/// Threads per free or hinged body: `FOLD_SIZE` in `shaders/common/tree.wgsl`.
 const TURNING_THREADS: usize = 256;
 
-/// The stage: `displacement` and `velocity` in place, by the velocity of the last sub-step.
-///
-/// # Errors
-/// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+/// The stage: updates `displacement` and `velocity` by the velocity of the last sub-step.
 pub fn move_solid(gpu: &Gpu, solids: &SolidBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::MoveSolid.name());
     let bound = |source| Kernel::new(gpu, &source, solids.plan.real)?.bind_arrays(gpu, &[solids]);
     let mut list = Vec::new();
     if solids.plan.n_turning > 0 {
-        // A workgroup each.
+        // One workgroup per body.
         list.push(bound(wgsl!("turn_solids"))?.threads(TURNING_THREADS * solids.plan.n_turning));
     }
     list.push(bound(wgsl!("move_solid"))?.threads(solids.plan.n_nodes));

@@ -1,4 +1,5 @@
-//! `probe`: the scene's measurements of the liquid, a few numbers instead of all fields. [`crate::reference::probe`] defines them.
+//! `probe`: the scene's measurements of the liquid, computed on the device and defined in
+//! [`crate::reference::probe`].
 
 use crate::Error;
 use crate::fields::LiquidBuffers;
@@ -8,40 +9,38 @@ use crate::solver::SolverBuffers;
 use crate::step::Stage;
 use crate::wgsl;
 
-/// A probe at a point: the doppelganger of `ProbePoint` in `shaders/common/probe_point.wgsl`.
+/// A probe at a point.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct ProbePoint {
-    /// m
+    /// Position, m.
     pub point: [f32; 3],
-    /// 0 height, 1 pressure, 2 velocity; of a height also its axis in bits 2 and 3, and bit 4 where coordinates fall on the way up.
+    /// 0 height, 1 pressure, 2 velocity. For a height, bits 2 and 3 contain its axis, and bit 4 is set where
+    /// coordinates decrease upwards.
     pub kind: u32,
 }
 
-/// Where a probe's columns stand among the values.
+/// Position of a probe's columns among the values.
 #[derive(Clone, Copy, Debug)]
 struct Columns {
     first: usize,
     n: usize,
 }
 
-/// Words of a probe at a point among the values; the fronts along the three axes take the first four words together.
+/// Words per point probe. The fronts along the three axes share the first four words.
 const WORDS: usize = 4;
 
-/// The stage: fields to `values`.
+/// The stage: evaluates the probes into `values`.
 #[derive(Debug)]
 pub struct Probe {
     columns: Vec<Columns>,
-    /// What [`Probe::columns`] makes the columns from, as bits of f32.
+    /// Input of [`Probe::columns`], as bits of f32.
     pub values: Buffer<u32>,
     dispatches: Dispatches,
 }
 
 impl Probe {
-    /// Compiles and binds.
-    ///
-    /// # Errors
-    /// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+    /// Compiles the kernels and binds their arrays.
     pub fn new<'a>(
         gpu: &Gpu,
         liquid: &LiquidBuffers,
@@ -98,12 +97,12 @@ impl Probe {
         })
     }
 
-    /// Records it, after a sub-step.
+    /// Records the stage, after a sub-step.
     pub fn record(&self, recorder: &mut Recorder) {
         self.dispatches.record(recorder);
     }
 
-    /// The columns of all probes of liquid in order, from the words of `values`. SI units.
+    /// The columns of all liquid probes in order, from the words of `values`. SI units.
     pub fn columns(&self, values: &[u32]) -> Vec<f64> {
         self.columns
             .iter()

@@ -1,5 +1,5 @@
-//! `right_hand_side`: b = - sum over faces of s_f open_f u*_f, m/s (thesis 4.38 over dx^2), plus the source of volume control in
-//! components with a free surface, less the flux of moving obstacles.
+//! `right_hand_side`: b = - sum over faces of s_f open_f u*_f, m/s (thesis 4.38 over dx^2). Volume control adds a
+//! source in components with a free surface; the flux of moving obstacles is subtracted.
 
 use crate::Error;
 use crate::fields::LiquidBuffers;
@@ -8,11 +8,8 @@ use crate::solver::SolverBuffers;
 use crate::step::Stage;
 use crate::wgsl;
 
-/// The stage: `velocity_next` to the solver's `rhs`, m/s, over the active quads. Means over components without a free surface are
-/// still in it.
-///
-/// # Errors
-/// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+/// The stage: `velocity_next` to the solver's `rhs`, m/s, over the active quads. The mean over each enclosed liquid
+/// component is not yet subtracted.
 pub fn right_hand_side(
     gpu: &Gpu,
     liquid: &LiquidBuffers,
@@ -23,7 +20,7 @@ pub fn right_hand_side(
     if liquid.obstacle_flux.is_some() {
         sources.push(wgsl!("take_up"));
     }
-    // The flux is that of u*, through apertures of the solve.
+    // The flux of u* through the apertures of the solve.
     let predicted = [
         ("velocity", (&liquid.velocity_next).into()),
         ("open", liquid.solve_open().into()),

@@ -7,10 +7,8 @@ use crate::solver::SolverBuffers;
 use crate::step::Stage;
 use crate::wgsl;
 
-/// The stage: `velocity_next` and the potential p dt / (rho dx), m/s, to `velocity`, and to the flags in `valid`. Other faces become 0.
-///
-/// # Errors
-/// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+/// The stage: computes `velocity` from `velocity_next` and the potential p dt / (rho dx), m/s, and flags the faces in
+/// `valid`. Other faces become 0.
 pub fn write_back(
     gpu: &Gpu,
     liquid: &LiquidBuffers,

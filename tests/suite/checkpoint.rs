@@ -319,7 +319,10 @@ fn checkpoints_of_other_numbers_are_refused() {
     let mut simulation = Simulation::new(&scene, &Backend::Cpu).unwrap();
     let mut refused = |state: State| {
         let error = simulation.resume(&state, &Carried::default()).unwrap_err();
-        assert!(error.to_string().contains("not of this scene"), "{error}");
+        assert!(
+            error.to_string().contains("does not fit this scene"),
+            "{error}"
+        );
     };
     let good = || checkpoint.state.clone();
     refused(State {
@@ -569,7 +572,7 @@ fn a_run_is_extended() {
         .unwrap();
     let said = String::from_utf8(output.stdout).unwrap();
     assert!(
-        output.status.success() && said.contains("was finished"),
+        output.status.success() && said.contains("already finished"),
         "{said}"
     );
     assert_same(&contents(&part), &before);
@@ -673,7 +676,7 @@ fn what_is_not_the_run_is_not_gone_on_with() {
     refused(
         &run,
         "--resume --frames 4",
-        &["checkpoint.npz: is no whole .npz"],
+        &["checkpoint.npz: is no intact .npz"],
     );
     fs::write(&checkpoint, &whole).unwrap();
     for (table, expected) in [("steps.csv", "shorter"), ("probes.csv", "shorter")] {

@@ -5,7 +5,7 @@ use std::fs;
 use cutwater::Error;
 use cutwater::gpu::AdapterChoice;
 use cutwater::measure::compare::{Comparison, compare};
-use cutwater::reference::Held;
+use cutwater::reference::ActiveSurfaces;
 use cutwater::scene::Scene;
 use cutwater::sim::{Snapshot, SolidSnapshot};
 use cutwater::step::Stage;
@@ -269,7 +269,7 @@ sphere = { centre = [0.5, 0.13, 0.47], radius = 0.25 }
 ",
         1,
         |solids| {
-            let both = |held: &&Held| held.obstacle && held.walls.contains(&true);
+            let both = |held: &&ActiveSurfaces| held.obstacle && held.walls.contains(&true);
             by_both += solids.held.iter().filter(both).count();
         },
     );

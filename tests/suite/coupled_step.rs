@@ -630,7 +630,7 @@ fn diagonals_are_of_a_form() {
     let path = folder.path().join("test.toml");
     fs::write(&path, with(&format!("{condensed}\"block_jacobi\""))).unwrap();
     let error = Scene::load(&path, &[], 1.0).unwrap_err().to_string();
-    for part in ["solver.formulation", "pressures alone", "\"two_field\""] {
+    for part in ["solver.formulation", "only unknowns", "\"two_field\""] {
         assert!(error.contains(part), "{error}");
     }
 }

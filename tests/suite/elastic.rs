@@ -499,7 +499,7 @@ fn pins_and_loads_that_cannot_be_are_refused() {
     ];
     let text = refused(solid);
     assert!(
-        text.contains("pin[0]: prescribes x of the node at") && text.contains("so does script[0]"),
+        text.contains("pin[0]: constrains x of the node at") && text.contains("so does script[0]"),
         "{text}"
     );
 }

@@ -579,7 +579,7 @@ fn obstacle_distance_equals_brute_force() {
             ),
             (
                 Shape::Mesh {
-                    file: file.clone(),
+                    file: file.clone().into(),
                     unit: 1.0,
                 },
                 l,
@@ -642,7 +642,13 @@ fn sides_of_obstacles_on_walls_are_no_way_out() {
         (cuboid(min, max), here),
         (cuboid(min + DVec3::X, max + DVec3::X), moved),
         (cuboid(centre - lying, centre + lying), turned(2.0)),
-        (Shape::Mesh { file, unit: 1.0 }, here),
+        (
+            Shape::Mesh {
+                file: file.into(),
+                unit: 1.0,
+            },
+            here,
+        ),
     ];
     let rods = vec![
         (rod(DVec3::new(1.0, 0.5, 0.5), -DVec3::X, 0.4), here),
@@ -980,7 +986,14 @@ fn a_mesh_cuts_like_the_shape_it_draws() {
     };
     let mut scene = empty_scene([10; 3]);
     let grid = scene.grid();
-    let [mesh, shape] = [Shape::Mesh { file, unit: 1.0 }, Shape::Box { min, max }].map(|shape| {
+    let [mesh, shape] = [
+        Shape::Mesh {
+            file: file.into(),
+            unit: 1.0,
+        },
+        Shape::Box { min, max },
+    ]
+    .map(|shape| {
         scene.obstacles = vec![Obstacle {
             placement,
             ..obstacle(shape)
@@ -1387,7 +1400,10 @@ fn obstacles_thinner_than_a_cell_are_found() {
         let (min, max) = block(thickness);
         let file = folder.path().join(name);
         fs::write(&file, obj_text(&Surface::cuboid(min, max))).unwrap();
-        Shape::Mesh { file, unit: 1.0 }
+        Shape::Mesh {
+            file: file.into(),
+            unit: 1.0,
+        }
     };
     let cuboid = |thickness: f64| {
         let (min, max) = block(thickness);
@@ -1522,7 +1538,10 @@ fn tips_and_edges_are_no_thin_walls() {
         let file = folder.path().join(name);
         fs::write(&file, obj_text(&fine)).unwrap();
         scene.obstacles = vec![Obstacle {
-            shape: Shape::Mesh { file, unit: 1.0 },
+            shape: Shape::Mesh {
+                file: file.into(),
+                unit: 1.0,
+            },
             placement: Placement::default(),
             inside_out: false,
             motion: None,

@@ -89,8 +89,11 @@ fn a_solid_that_collapses_ends_the_run() {
     let says = |what: &str| kept.notices.iter().filter(|of| of.contains(what)).count();
     assert_eq!(says("has collapsed"), 1, "{:?}", kept.notices);
     assert_eq!(says("markers are lost"), 1, "{:?}", kept.notices);
-    assert!(says("of the volume that it should have") <= 1);
-    assert_eq!(summary.tally.volume_off > 0, says("of the volume") == 1);
+    assert!(says("of its expected volume") <= 1);
+    assert_eq!(
+        summary.tally.volume_off > 0,
+        says("of its expected volume") == 1
+    );
     assert!(summary.tally.lost_share() > 0.01);
 }
 
@@ -156,7 +159,7 @@ fn liquid_of_the_wrong_volume_is_told_once() {
     let told = run
         .notices
         .iter()
-        .filter(|of| of.contains("% of the volume"));
+        .filter(|of| of.contains("% of its expected volume"));
     assert_eq!(told.count(), usize::from(off));
     assert_eq!(summary.tally.volume_off > 0, off);
 }

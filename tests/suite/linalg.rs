@@ -3,9 +3,9 @@
 use std::fs;
 
 use cutwater::linalg::{
-    CgEnd, Csr, LinearOperator, SymbolicCholesky, Symmetry, conjugate_gradient, eigenvalues,
-    inverse_one_norm, judged_conjugate_gradient, largest_magnitude, matrix_text, minimal_residual,
-    norm, read_matrix, read_vector, smallest_magnitude, vector_text,
+    CgEnd, Csr, LinearOperator, SymbolicCholesky, Symmetry, conjugate_gradient,
+    conjugate_gradient_with_test, eigenvalues, inverse_one_norm, largest_magnitude, matrix_text,
+    minimal_residual, norm, read_matrix, read_vector, smallest_magnitude, vector_text,
 };
 
 /// The 1D Laplacian with p = 0 beyond both ends; entry (i, j) of its inverse is min(i, j) (n + 1 - max(i, j)) / (n + 1).
@@ -167,7 +167,7 @@ fn judged_conjugate_gradient_goes_on_from_where_it_is() {
     let (mut whole, mut parts) = (vec![7.0; n], vec![-7.0; n]);
     let reference = conjugate_gradient(&matrix, &jacobi, &b, &mut whole, 1e-9, 2 * n);
     let mut judgements = 0;
-    let report = judged_conjugate_gradient(&matrix, &jacobi, &b, &mut parts, 1e-3, 2 * n, |x| {
+    let report = conjugate_gradient_with_test(&matrix, &jacobi, &b, &mut parts, 1e-3, 2 * n, |x| {
         let mut residual = vec![0.0; n];
         matrix.multiply(x, &mut residual);
         residual.iter_mut().zip(&b).for_each(|(r, b)| *r -= b);
@@ -188,7 +188,7 @@ fn judged_conjugate_gradient_goes_on_from_where_it_is() {
 
     let mut solve = |matrix: &Diagonal, b: &[f64], most, next| {
         let one = Diagonal(vec![1.0; n]);
-        judged_conjugate_gradient(matrix, &one, b, &mut parts, 1e-3, most, |_| next)
+        conjugate_gradient_with_test(matrix, &one, b, &mut parts, 1e-3, most, |_| next)
     };
     let ugly = Diagonal((1..=n).map(|i| (i * i) as f64).collect());
     let enough = solve(&ugly, &b, 2 * n, None);

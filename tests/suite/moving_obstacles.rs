@@ -73,7 +73,10 @@ fn shapes(folder: &Path) -> Vec<(Shape, DVec3, bool)> {
             false,
         ),
         (
-            Shape::Mesh { file, unit: 1.0 },
+            Shape::Mesh {
+                file: file.into(),
+                unit: 1.0,
+            },
             DVec3::new(0.5, 0.45, 0.55),
             false,
         ),
@@ -159,7 +162,7 @@ fn where_it_was_before_leaves_no_trace() {
         })
         .collect();
     let fields = |cut: &ObstacleCut| {
-        let walls = cut.walls().to_vec();
+        let walls = cut.wall_velocities().to_vec();
         (
             cut.cut.open.clone(),
             cut.cut.solid_distance.clone(),
@@ -399,7 +402,7 @@ fn bad_motions_are_refused() {
         ),
         (
             format!("{ball}\nkeyframes = [{{ t = 1 }}, {{ t = 0.5 }}]"),
-            ["bad.toml:12", "obstacle[0].keyframes[1].t", "order of their times"],
+            ["bad.toml:12", "obstacle[0].keyframes[1].t", "ascending order of time"],
         ),
         (format!("{ball}\nkeyframes = []"), ["bad.toml:12", "obstacle[0].keyframes", "no entry"]),
         (

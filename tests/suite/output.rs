@@ -586,7 +586,7 @@ fn a_table_goes_on_with_other_stages() {
         for (step, stages) in (0..).zip([first, second]) {
             let mut table = match bytes {
                 None => StepTable::create(run.path()),
-                Some(bytes) => StepTable::go_on(run.path(), bytes),
+                Some(bytes) => StepTable::resume(run.path(), bytes),
             }
             .unwrap();
             let report = StepReport {
@@ -655,7 +655,7 @@ fn scene() -> Scene {
     Scene {
         name: "dam".into(),
         file: "/somewhere/private/dam.toml".into(),
-        written: scene::Written::default(),
+        origins: scene::Origins::default(),
         hash: "0123abcd".into(),
         scale: 0.5,
         overrides: vec!["time.duration=2".into()],

@@ -238,11 +238,11 @@ fn plans_refuse_places_as_runs_do() {
     let cases: [(String, &[&str]); 10] = [
         (
             cone(&fill(mm), "at = [0.38, 0.2, 0.2]"),
-            &["solid[0]", "starts outside of the domain", "placement.at"],
+            &["solid[0]", "starts outside the domain", "placement.at"],
         ),
         (
             solid(&fill(mm), "at = [0.38, 0.2, 0.2]"),
-            &["solid[0]", "starts outside of the domain"],
+            &["solid[0]", "starts outside the domain"],
         ),
         (
             cone(&fill(wrong), "at = [0.2, 0.2, 0.2]"),
@@ -364,9 +364,9 @@ fn solids_that_overlap_or_may_meet_are_told_before_a_run() {
     warns(
         &(head.clone() + &one + &same),
         &[
-            "solids \"one\" and \"two\" lie 0.056",
+            "solids \"one\" and \"two\" overlap by 0.056",
             "at [0.2, 0.25, 0.2]",
-            "place them apart",
+            "Place them apart",
         ],
     );
     // One brick: all its nodes lie on the surface of the other.
@@ -378,7 +378,7 @@ fn solids_that_overlap_or_may_meet_are_told_before_a_run() {
     };
     warns(
         &(head.clone() + &brick("a") + &brick("b")),
-        &["\"a\" and \"b\" lie", "deep in each other"],
+        &["\"a\" and \"b\" overlap by"],
     );
     // Sides that touch are no overlap, but the bodies may meet.
     let beside = brick("b").replace("[0.2, 0.25, 0.2]", "[0.3, 0.25, 0.2]");
@@ -423,8 +423,8 @@ fn bodies_too_soft_for_the_depth_are_told_before_a_run() {
         &soft("1.9e3"),
         &[
             "solid \"jelly\" has young = 1900.0 Pa",
-            "under 0.1 m of the liquid is 1962 Pa",
-            "inside out",
+            "under 0.1 m of liquid, 1962 Pa",
+            "invert",
         ],
     );
     warns(&soft("2.1e3"), &[]);
@@ -522,10 +522,7 @@ fn what_is_given_in_the_wrong_place_is_told_by_what_it_is() {
                 "give the scene file in it: ./dam.toml",
             ] as &[&str],
         ),
-        (
-            "plan none",
-            &["is a folder", "there is none in this folder"],
-        ),
+        ("plan none", &["is a folder", "this folder has none"]),
         (
             "plan out/dam",
             &["is the folder of a run, not a scene", "cutwater preview"],
@@ -570,18 +567,75 @@ fn what_is_given_in_the_wrong_place_is_told_by_what_it_is() {
             "preview out/dam/manifest.json",
             &[
                 "is a file, not the folder of a run",
-                "give the folder that it is in: out/dam",
+                "give its folder: out/dam",
             ],
         ),
         (
             "preview out",
-            &["holds runs, and is none", "such as out/dam"],
+            &["contains runs, but is not one itself", "such as out/dam"],
         ),
-        ("plot out", &["holds runs, and is none", "such as out/dam"]),
+        (
+            "plot out",
+            &["contains runs, but is not one itself", "such as out/dam"],
+        ),
     ] {
         let told = complains(&folder, arguments, 2);
         for part in parts {
             assert!(told.contains(part), "{arguments}: {told}\nhas no {part}");
         }
     }
+}
+
+/// An obstacle that is outside the domain at all keyframes may cross it between two of them; one that passes beside it is refused.
+#[test]
+fn obstacles_may_cross_the_domain_between_keyframes() {
+    let keyframes = |end: &str| {
+        format!("keyframes = [{{ t = 0.0 }}, {{ t = 0.02 }}, {{ t = 0.1, translate = {end} }}]\n")
+    };
+    let bodies = [
+        "sphere = { centre = [-0.4, 0.3, 0.2], radius = 0.05 }",
+        "box = { min = [-0.45, 0.25, 0.15], max = [-0.35, 0.35, 0.25] }",
+        "mesh = { file = \"metres.obj\" }\nplacement = { at = [-0.4, 0.3, 0.2] }",
+    ];
+    for body in bodies {
+        let scene = |end: &str| {
+            let text = format!("{HEAD}{POOL}[[obstacle]]\n{body}\n{}", keyframes(end));
+            let folder = with_cone(&text);
+            load(&folder).and_then(|scene| geometry::obstacle_cut(&scene, &scene.grid()))
+        };
+        let mut cut = scene("[1.2, 0, 0]").unwrap();
+        assert!(cut.wall_velocities().is_empty(), "{body}: starts outside");
+        cut.move_to(0.06, 0.0);
+        assert!(!cut.wall_velocities().is_empty(), "{body}: crosses");
+        let beside = scene("[0, 1.2, 0]").unwrap_err().to_string();
+        assert!(
+            beside.contains("obstacle[0]") && beside.contains("lies outside the domain"),
+            "{beside}"
+        );
+    }
+}
+
+/// All parts of a scene share the parsed contents of a mesh file: once one of them has read it, the others need no file.
+#[test]
+fn a_mesh_file_is_parsed_once_per_scene() {
+    let cone = "file = \"metres.obj\"";
+    let text = format!(
+        "{HEAD}{POOL}[[liquid.region]]\nmesh = {{ {cone} }}\nplacement = {{ at = [0.1, 0.2, 0.1] }}\n\
+         [[obstacle]]\nmesh = {{ {cone} }}\nplacement = {{ at = [0.3, 0.2, 0.1] }}\n{}",
+        solid(
+            &format!("surface = {{ {cone}, cell_size = 0.03 }}"),
+            "at = [0.2, 0.2, 0.3]"
+        )
+    );
+    let folder = with_cone(&text);
+    let scene = load(&folder).unwrap();
+    let grid = scene.grid();
+    let cut = geometry::cut_cells(&scene, &grid).unwrap();
+    fs::remove_file(folder.path().join("metres.obj")).unwrap();
+    assert!(geometry::large_meshes(&scene).unwrap().is_empty());
+    assert!(geometry::liquid_height(&scene, &grid).unwrap() > 0.1);
+    assert_eq!(geometry::solid_meshes(&scene).unwrap().len(), 1);
+    let again = geometry::cut_cells(&scene.clone(), &grid).unwrap();
+    assert_eq!(cut.solid_distance, again.solid_distance);
+    assert!(load(&folder).is_err(), "the file is gone");
 }

@@ -178,7 +178,10 @@ pub(crate) fn rest_cases() -> Vec<(String, Scene)> {
     );
     let file = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("pool_at_rest.obj");
     fs::write(&file, block_obj(DVec3::new(1.0, 0.5875, 1.0))).unwrap();
-    on_walls.liquid.as_mut().unwrap().regions[0].shape = Shape::Mesh { file, unit: 1.0 };
+    on_walls.liquid.as_mut().unwrap().regions[0].shape = Shape::Mesh {
+        file: file.into(),
+        unit: 1.0,
+    };
     cases.push(("mesh on walls".to_string(), on_walls));
     cases
 }

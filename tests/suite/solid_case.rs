@@ -190,7 +190,7 @@ impl SolidCase {
             grid: self.grid,
             n_nodes: self.solids.rest.len(),
             n_elements: self.solids.elements.len(),
-            n_turning: self.solids.turning().count(),
+            n_turning: self.solids.rotating_bodies().count(),
             scripts: !self.scripted.is_empty(),
             obstacles: !self.solid_distance.is_empty(),
             real,

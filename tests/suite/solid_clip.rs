@@ -224,7 +224,9 @@ fn j_and_its_transpose_are_adjoint_and_j_takes_barycentric_velocities() {
                 .windows(2)
                 .all(|two| (two[0].cell, two[0].node) < (two[1].cell, two[1].node))
         );
-        let of_nodes: usize = (0..n).map(|node| clip.coupling().of_node(node).len()).sum();
+        let of_nodes: usize = (0..n)
+            .map(|node| clip.coupling().node_pairs(node).len())
+            .sum();
         assert_eq!(of_nodes, pairs.len());
         let half = clip.coupling().restricted(|cell| cell % 2 == 0);
         assert!(half.pairs().iter().all(|pair| pair.cell % 2 == 0));
@@ -492,5 +494,5 @@ fn nothing_couples_nothing() {
     nothing.add_transposed(&[1.0; 4], &mut out);
     assert_eq!(out, [0.0; 9]);
     assert!(nothing.pairs().is_empty() && nothing.cells().next().is_none());
-    assert!(nothing.of_cell(3).is_empty());
+    assert!(nothing.cell_pairs(3).is_empty());
 }

@@ -182,7 +182,7 @@ fn facts_say_what_there_is() {
     let facts = found.facts().join("\n");
     for fact in [
         "libvulkan.so.1, the loader of Vulkan: found",
-        "etc/vulkan/icd.d/nvidia_icd.json: of libGLX_nvidia.so.0, which is not found",
+        "etc/vulkan/icd.d/nvidia_icd.json: library libGLX_nvidia.so.0, not found",
         "device /dev/nvidia0: cannot be opened",
         "device /dev/nvidiactl: can be opened",
         "container: docker",

@@ -208,7 +208,7 @@ fn a_sweep_goes_on_past_failures_and_makes_what_is_missing() {
         .modified()
         .unwrap();
     let said = text(&ends(cutwater(&folder, &sweep), 1).stdout);
-    assert!(said.contains(", was there"), "{said}");
+    assert!(said.contains(", from an earlier sweep"), "{said}");
     assert_eq!(
         fs::metadata(run.join("manifest.json"))
             .unwrap()
@@ -332,7 +332,7 @@ fn two_sweeps_at_once_do_not_meet() {
     let done = ends(cutwater(&folder, &format!("{SWEEP} --set time.cfl=3,4")), 1);
     let (said, told) = (text(&done.stdout), text(&done.stderr));
     assert!(
-        said.contains("cfl=3: another process is at it") && said.contains("cfl=4: finished"),
+        said.contains("cfl=3: running in another process") && said.contains("cfl=4: finished"),
         "{said}"
     );
     assert!(

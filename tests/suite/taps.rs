@@ -97,7 +97,7 @@ fn what_is_no_source_or_sink_is_refused() {
             source("velocity = [0, 0, 0]"),
             11,
             "source[0].velocity",
-            "nothing comes out",
+            "emits nothing",
         ),
         (
             source("velocity = [0, 1e7, 0]"),

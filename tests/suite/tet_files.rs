@@ -575,7 +575,7 @@ fn damaged_bytes_and_huge_counts_neither_panic_nor_fill_the_memory() {
 #[test]
 fn files_are_placed_about_the_middle_of_their_box() {
     let file = SolidMesh::File {
-        file: data("gmsh_text.msh"),
+        file: data("gmsh_text.msh").into(),
         unit: 1.0,
     };
     let plain = TetMesh::new(&body(file.clone()), "test").unwrap();
@@ -709,7 +709,7 @@ fn surfaces_become_solids_of_a_scene() {
     fs::write(&file, vertices.chain(faces).collect::<String>()).unwrap();
     let surface = |cell_size: f64| {
         let mesh = SolidMesh::Surface {
-            file: file.clone(),
+            file: file.clone().into(),
             unit: 1.0,
             cell_size,
         };

@@ -209,7 +209,7 @@ impl<'a> OnDevice<'a> {
             grid,
             n_nodes: joint.solids.rest.len(),
             n_elements: joint.solids.elements.len(),
-            n_turning: joint.solids.turning().count(),
+            n_turning: joint.solids.rotating_bodies().count(),
             scripts: false,
             obstacles: false,
             real: liquid.buffers.variant.real,
@@ -311,7 +311,7 @@ fn what_prescribed_nodes_take_up_is_the_twins() {
             let (mut twin, mut bound) = (b.clone(), vec![0.0; b.len()]);
             let coupling = joint.coupling();
             for &cell in joint.active().closed.iter().flatten() {
-                let pairs = coupling.of_cell(cell);
+                let pairs = coupling.cell_pairs(cell);
                 let of_node = |node: usize| DVec3::from_slice(&v[4 * node..]);
                 let values = || {
                     pairs
@@ -383,7 +383,7 @@ fn what_pushes_nodes_is_the_twins() {
             assert_close(
                 &name,
                 of_nodes.flat_map(|(node, (force, found))| {
-                    let pairs = coupling.of_node(node).iter();
+                    let pairs = coupling.node_pairs(node).iter();
                     let pairs = pairs.filter(|pair| stencil.active(pair.cell));
                     let terms = pairs.map(|pair| pascal * potential[pair.cell] * pair.value);
                     let terms: Vec<DVec3> = terms.collect();

@@ -36,7 +36,7 @@ fn the_liquid_amounts_to_the_twins() {
             }
         }
         gpu.upload(&buffers.velocity, &buffers.pad_faces(&u));
-        let volume = stages::liquid_distance(gpu, &buffers, None).unwrap();
+        let volume = stages::measure_volume(gpu, &buffers).unwrap();
         let diagnose =
             stages::diagnose(gpu, &buffers, &active.solver(gpu, Real::F32), None).unwrap();
         let run = || {

@@ -1,7 +1,7 @@
 //! `exchange` against its twin: what sinks remove and sources make, and what sources do to faces.
 
 use cutwater::fields::{LiquidBuffers, LiquidPlan, Report, Sinks, SourceStep, Sources};
-use cutwater::geometry::{PER_CELL, Running, Taps, obstacle_cut};
+use cutwater::geometry::{MARKERS_PER_CELL, Running, SourcesAndSinks, obstacle_cut};
 use cutwater::gpu::{Gpu, Recorder};
 use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference;
@@ -25,7 +25,7 @@ fn scene() -> Scene {
 
 struct Run {
     case: Case,
-    taps: Taps,
+    taps: SourcesAndSinks,
     buffers: LiquidBuffers,
 }
 
@@ -41,7 +41,7 @@ impl Run {
         for values in cut.open.iter_mut().chain([&mut cut.solid_distance]) {
             values.iter_mut().for_each(|value| *value = single(*value));
         }
-        let taps = Taps::new(&scene, &scene.grid(), &cut).unwrap();
+        let taps = SourcesAndSinks::new(&scene, &scene.grid(), &cut).unwrap();
         // A ball that came in later, a centre on a surface, and one that is as little inside as can be.
         let centre = DVec3::new(0.9, 0.6, 0.5);
         for (cell, distance) in cut.solid_distance.iter_mut().enumerate() {
@@ -54,7 +54,7 @@ impl Run {
         }
         let effects = cutwater::effects::Effects::of(&scene);
         let filled = |[i, _, _]: [usize; 3], random: &mut Random| {
-            let most = if i < 8 { 13 } else { PER_CELL as u64 };
+            let most = if i < 8 { 13 } else { MARKERS_PER_CELL as u64 };
             (random.bits() % most) as usize
         };
         let case = Case::around("taps", (grid, effects, cut), 3.0, filled);
@@ -63,7 +63,7 @@ impl Run {
             LiquidPlan {
                 grid,
                 effects,
-                n_markers: case.state.markers.len() + PER_CELL * taps.source_cells.len(),
+                n_markers: case.state.markers.len() + MARKERS_PER_CELL * taps.source_cells.len(),
                 cfl: case.cfl,
                 real: cutwater::gpu::Real::F32,
             },
@@ -80,7 +80,7 @@ impl Run {
     fn write(&self, gpu: &Gpu) -> usize {
         self.case.write(gpu, &self.buffers);
         let n = self.case.state.markers.len();
-        let slots = PER_CELL * self.taps.source_cells.len();
+        let slots = MARKERS_PER_CELL * self.taps.source_cells.len();
         let step = cutwater::fields::Step {
             n_markers: (n + slots) as u32,
             ..self.case.step()
@@ -215,7 +215,7 @@ fn faces_of_sources_carry_what_they_do_in_the_twin() {
                 .unwrap(),
             twin
         );
-        let flux_open = run.taps.flux_open(&cut.open, running.running);
+        let flux_open = run.taps.flux_apertures(&cut.open, running.running);
         let solve_open = run
             .buffers
             .read_faces(gpu, run.buffers.solve_open())
@@ -233,7 +233,7 @@ fn faces_of_sources_carry_what_they_do_in_the_twin() {
             running.running & 0b10 != 0,
             "a ball covers faces in part"
         );
-        let held = run.taps.held_open(&cut.open, running.running);
+        let held = run.taps.pressure_apertures(&cut.open, running.running);
         let closed: [Vec<f64>; 3] = fractions(|open| open.max(0.0));
         assert_eq!(closed, held);
         let bit = |words: &[u32], axis: Axis, face: usize, first: usize| {
@@ -276,7 +276,7 @@ fn a_source_emits_its_velocity_times_its_area() {
     let scene = Scene::parse(std::path::Path::new("flux.toml"), text, &[], 1.0).unwrap();
     let grid = scene.grid();
     let cut = obstacle_cut(&scene, &grid).unwrap().cut;
-    let taps = Taps::new(&scene, &grid, &cut).unwrap();
+    let taps = SourcesAndSinks::new(&scene, &grid, &cut).unwrap();
     assert_eq!(taps.source_cells.len(), 3 * 2 * 5 + 2);
     assert!((taps.flux(1) - (2.0 * 0.2 * 0.5 + 1.0 * 0.3 * 0.2)).abs() < 1e-12);
     // The floor closes the only face that the second could emit through.
@@ -287,7 +287,7 @@ fn a_source_emits_its_velocity_times_its_area() {
             .faces
             .iter()
             .find(|of| of.axis == axis && of.face == face);
-        found.unwrap().held(1).map(|held| held.velocity)
+        found.unwrap().prescribed(1).map(|held| held.velocity)
     };
     assert_eq!(held(Axis::X, [3, 5, 4]), Some(0.0), "behind it is a wall");
     assert_eq!(held(Axis::X, [4, 5, 4]), Some(2.0));
@@ -314,7 +314,7 @@ fn no_cell_of_a_source_is_filled_for_ever() {
     let scene = Scene::parse(std::path::Path::new("covered.toml"), text, &[], 1.0).unwrap();
     let grid = scene.grid();
     let cut = obstacle_cut(&scene, &grid).unwrap().cut;
-    let taps = Taps::new(&scene, &grid, &cut).unwrap();
+    let taps = SourcesAndSinks::new(&scene, &grid, &cut).unwrap();
     let at_rest = Axis::ALL.map(|axis| vec![0.0; grid.n_faces(axis)]);
     let far = far_below(&grid);
     let normals = [

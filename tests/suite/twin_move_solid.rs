@@ -70,7 +70,7 @@ fn turning_slack(case: &SolidCase, exact: &[[DVec3; 2]], eps: f64) -> Vec<[f64; 
     let mut slack = vec![[0.0_f64; 2]; exact.len()];
     for seed in 1..=6 {
         let noisy = turning(case, eps, seed);
-        for body in case.solids.turning() {
+        for body in case.solids.rotating_bodies() {
             let nodes = body.nodes;
             let off = [0, 1].map(|which| {
                 let off = |node: usize| (noisy[node][which] - exact[node][which]).length();

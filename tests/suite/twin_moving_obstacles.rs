@@ -5,7 +5,7 @@ use std::fs;
 
 use cutwater::effects::Effects;
 use cutwater::fields::{ClipBuffers, ClipSize, LiquidBuffers, LiquidPlan};
-use cutwater::geometry::{Place, SolidClip, obstacle_cut};
+use cutwater::geometry::{MovingWall, SolidClip, obstacle_cut};
 use cutwater::gpu::{AdapterChoice, Real, Recorder};
 use cutwater::measure::compare::compare;
 use cutwater::scene::Scene;
@@ -96,11 +96,11 @@ fn fields_are_those_of_the_clipping() {
 
             let words = gpu.download(&on_device.walls).unwrap();
             let mut beside = 0;
-            for place in clip.places() {
+            for place in clip.moving_walls() {
                 let index = padded.index(grid.cell_at(place.cell()));
                 let (word, lane) = (words[index / 4], index % 4);
                 assert_eq!(word >> lane & 1, 1, "{what}, cell {}", place.cell());
-                let Place::Obstacle { velocity, .. } = place else {
+                let MovingWall::Obstacle { velocity, .. } = place else {
                     continue;
                 };
                 let before = (word & ((1 << lane) - 1)).count_ones();

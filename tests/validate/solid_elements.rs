@@ -43,7 +43,10 @@ fn scene_of_meshes(meshes: &[TetMesh]) -> (Scene, tempfile::TempDir) {
         write_mesh(&file, mesh).unwrap();
         Solid {
             name: format!("solid_{number}"),
-            mesh: SolidMesh::File { file, unit: 1.0 },
+            mesh: SolidMesh::File {
+                file: file.into(),
+                unit: 1.0,
+            },
             young: 1000.0,
             placement: Default::default(),
             ..block([1.0; 3], [1; 3])

@@ -152,7 +152,7 @@ fn coarser(solid: &Solid, factor: f64, folder: &Path) -> Solid {
             let file = folder.join(format!("{}.obj", solid.name));
             write_surface(&file, &mesh);
             SolidMesh::Surface {
-                file,
+                file: file.into(),
                 unit: 1.0,
                 cell_size,
             }

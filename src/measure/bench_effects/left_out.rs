@@ -23,7 +23,7 @@ pub const EFFECTS: [Effect; 16] = [
         without: |scene| {
             scene.liquid = None;
             close(scene);
-            scene.probes.retain(|probe| probe.kind.of_solid());
+            scene.probes.retain(|probe| probe.kind.measures_solid());
         },
     },
     Effect {
@@ -59,7 +59,7 @@ pub const EFFECTS: [Effect; 16] = [
         present: |effects| effects.solids,
         without: |scene| {
             scene.solids.clear();
-            scene.probes.retain(|probe| probe.kind.of_liquid());
+            scene.probes.retain(|probe| probe.kind.measures_liquid());
         },
     },
     Effect {

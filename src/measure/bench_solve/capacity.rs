@@ -14,7 +14,7 @@ const STEP: usize = 10;
 
 /// Bytes per cell that the host holds at the least while the device is set up, in f64: 7 numbers of the block (open fractions, velocities,
 /// distance), twice with a beam, 11 of what the beam leaves of the faces, 7 of stencil and right-hand sides, 5 of the state, 2 of what is uploaded.
-const PER_CELL: u64 = 8 * (14 + 11 + 7 + 5 + 2);
+const MARKERS_PER_CELL: u64 = 8 * (14 + 11 + 7 + 5 + 2);
 
 /// Cells along an edge of the largest base block that the adapter and this machine have room for, whichever of these solvers solves it: a
 /// multiple of 10. Solvers on the CPU come on top.
@@ -71,7 +71,7 @@ impl<'a> Capacity<'a> {
                 self.adapter.check_buffer(&plan.label, plan.bytes())?;
             }
             let memory = HostMemory {
-                needed: PER_CELL * (grid as u64).pow(3),
+                needed: MARKERS_PER_CELL * (grid as u64).pow(3),
                 available: self.memory,
             };
             let bytes = plans.iter().map(BufferPlan::bytes).sum();
@@ -111,7 +111,7 @@ fn buffers(
 
 #[cfg(test)]
 mod tests {
-    use super::{Capacity, PER_CELL};
+    use super::{Capacity, MARKERS_PER_CELL};
     use crate::Error;
     use crate::gpu::AdapterReport;
     use crate::scene::{Precision, Solver};
@@ -163,7 +163,7 @@ mod tests {
     #[test]
     fn free_memory_decides_and_software_adapters_share_it() {
         let solvers = [solver(Precision::Mixed)];
-        let memory = PER_CELL * 50_u64.pow(3);
+        let memory = MARKERS_PER_CELL * 50_u64.pow(3);
         let largest = |kind, memory| {
             let adapter = &adapter(kind, 1 << 32);
             Capacity { adapter, memory }.largest(&solvers)

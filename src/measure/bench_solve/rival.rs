@@ -3,11 +3,11 @@
 use crate::Error;
 use crate::elastic::Solids;
 use crate::linalg::{
-    CgEnd, Csr, Incomplete, LinearOperator, SymbolicCholesky, judged_conjugate_gradient,
+    CgEnd, Csr, Incomplete, LinearOperator, SymbolicCholesky, conjugate_gradient_with_test,
 };
 use crate::reference::{
-    Blocks, Correction, CoupledSystem, Formulation, Judged, PressureSystem, SIGMA, SolidSolver,
-    TwoField, part_left, refine_parts, solve_coupled, solve_iterative,
+    Blocks, Correction, CoupledSystem, Formulation, LinearSystem, PressureSystem, SIGMA,
+    SolidSolver, TwoField, part_left, refine_parts, solve_coupled, solve_iterative,
 };
 use crate::scene::Solver;
 use crate::state::SolveReport;
@@ -169,7 +169,7 @@ impl Definite<'_> {
             };
             let most = most as usize;
             let report =
-                judged_conjugate_gradient(matrix, preconditioner, &rhs, x, asked, most, judge);
+                conjugate_gradient_with_test(matrix, preconditioner, &rhs, x, asked, most, judge);
             (report.iterations as u32, report.end)
         })
     }

@@ -13,8 +13,8 @@ use crate::gpu::Real;
 use crate::grid::Grid;
 use crate::linalg::norm;
 use crate::reference::{
-    self, ActiveCells, BlockPattern, Contacts, Formulation, Held, RightHandSide as Inflow,
-    SolidMatrices, SolidRightHandSide, SolidSolver, SolidSystem,
+    self, ActiveCells, ActiveSurfaces, BlockPattern, Contacts, Formulation,
+    RightHandSide as Inflow, SolidMatrices, SolidRightHandSide, SolidSolver, SolidSystem,
 };
 use crate::scene::{Scene, Solver};
 use crate::sim::{GpuPath, SolidSnapshot, coupled_system, stored_coupling};
@@ -175,7 +175,7 @@ impl<'a> SolidJudge<'a> {
         let (dt, eps) = (self.dt, unit(after.real));
         // Per node: how far what its body turns by may be off, m and m/s.
         let mut off = vec![[0.0; 2]; u.len()];
-        for body in self.solids.turning() {
+        for body in self.solids.rotating_bodies() {
             let largest = |of: &dyn Fn(usize) -> DVec3| {
                 let nodes = body.nodes.clone();
                 nodes.fold(0.0, |largest, node| of(node).length().max(largest))
@@ -471,7 +471,7 @@ impl<'a> SolidJudge<'a> {
         // Of a search that did not end nothing is held that the system does not hold anyway.
         let held = match after.settled {
             true => after.held.clone(),
-            false => vec![Held::default(); after.held.len()],
+            false => vec![ActiveSurfaces::default(); after.held.len()],
         };
         let contacts = Contacts::holding(
             solids,

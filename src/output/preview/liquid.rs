@@ -1,4 +1,4 @@
-//! The liquid of a picture: rays through the mesh of its surface.
+//! The liquid of a picture: ray intersections with its surface mesh.
 
 use glam::Vec3;
 
@@ -12,7 +12,7 @@ pub(super) struct Liquid {
     normals: Vec<[Vec3; 3]>,
 }
 
-/// Where a ray comes into the liquid.
+/// First entry of a ray into the liquid.
 pub(super) struct Entry {
     /// Distance along the ray, m.
     pub(super) t: f32,
@@ -21,7 +21,7 @@ pub(super) struct Entry {
 }
 
 impl Liquid {
-    /// Of a surface in a domain of a size (m); none without triangles.
+    /// The liquid with this surface in a domain of this size (m); `None` without triangles.
     pub(super) fn new(surface: &LiquidSurface, size: Vec3) -> Option<Liquid> {
         let corners = |corners: &[u32; 3]| corners.map(|corner| surface.vertices[corner as usize]);
         let triangles = (0..).zip(&surface.triangles);
@@ -45,7 +45,7 @@ impl Liquid {
         })
     }
 
-    /// Where a ray first comes into the liquid before `limit`, from air.
+    /// The first entry of a ray from air before `limit`.
     pub(super) fn entry(&self, origin: Vec3, direction: Vec3, limit: f32) -> Option<Entry> {
         let hit = self.triangles.hit(origin, direction, limit)?;
         let Owner::Liquid(number) = hit.owner else {
@@ -54,7 +54,7 @@ impl Liquid {
         let [a, b, c] = self.normals[number];
         let [wa, wb, wc] = hit.weights;
         let normal = (a * wa + b * wb + c * wc).normalize_or(hit.normal);
-        // Between corners the surface may turn from the ray before its triangle does.
+        // The interpolated normal may turn away from the ray before its triangle does.
         let normal = match normal.dot(direction) < -1e-3 {
             true => normal,
             false => hit.normal,
@@ -63,12 +63,12 @@ impl Liquid {
     }
 
     /// Whether a point is in the liquid.
-    pub(super) fn holds(&self, x: Vec3) -> bool {
+    pub(super) fn contains(&self, x: Vec3) -> bool {
         let crossings = self.triangles.crossings(x, Vec3::new(0.0123, 1.0, 0.0321));
         crossings.first().is_some_and(|&(_, entering)| !entering)
     }
 
-    /// Length of liquid on a ray before `limit`, m.
+    /// Length of the ray in liquid before `limit`, m.
     pub(super) fn length(&self, origin: Vec3, direction: Vec3, limit: f32) -> f32 {
         let crossings = self.triangles.crossings(origin, direction);
         let begins_inside = crossings.first().is_some_and(|&(_, entering)| !entering);
@@ -77,7 +77,7 @@ impl Liquid {
             if t >= limit {
                 break;
             }
-            // Entered twice or left twice: the ray passes where triangles meet.
+            // A ray through a common edge enters or leaves twice.
             if !entering {
                 length += since.take().map_or(0.0, |since| t - since);
             } else if since.is_none() {

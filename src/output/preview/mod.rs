@@ -1,9 +1,8 @@
-//! Shaded pictures of a run, from its files alone: `manifest.json` and `frames/`.
+//! Shaded pictures of a run from its files: `manifest.json` and `frames/`.
 //!
-//! Rays are traced on the CPU in f32: the mesh of the liquid's surface, as it was written or made from markers or cell fields,
-//! with refraction, Fresnel reflection and colour by depth; elastic solids, in colours of their own or of their stress or change
-//! of volume; obstacles; shadows with soft edges; the floor with lines and numbers at round distances; the domain's edges. Every
-//! pixel is computed by itself, so pictures do not depend on the number of threads.
+//! A ray tracer on the CPU in f32. It draws the liquid's surface with refraction, Fresnel reflection and absorption; elastic
+//! solids by body, stress or change of volume; obstacles, soft shadows, the floor with a labelled grid, and the edges of the
+//! domain. Pixels are independent, so pictures do not depend on the number of threads.
 
 mod liquid;
 mod picture;
@@ -28,18 +27,18 @@ use crate::grid::Grid;
 use crate::scene::{Camera, CameraCut, PICTURE_SIDES, SurfaceMesh};
 use liquid::Liquid;
 use picture::Picture;
-use shade::{Stage, View};
-use solids::{Scale, Skin, SolidFrame};
+use shade::{PictureScene, View};
+use solids::{Scale, SolidFrame, SolidSurface};
 use triangles::{HalfSpace, Owner, Triangle, Triangles};
 
 pub(crate) use picture::ensure_whole_png;
 
-/// Most pictures per second that browsers show at their speed.
+/// Highest frame rate that browsers play at its speed, 1/s.
 const FASTEST_ANIMATION: f64 = 50.0;
 
 const DARK: [u8; 3] = [40, 46, 54];
 
-/// What the colours of elastic solids stand for.
+/// Quantity that colours elastic solids.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Colour {
     /// The body.
@@ -52,7 +51,7 @@ pub enum Colour {
 }
 
 impl Colour {
-    /// The cell data that it is made from.
+    /// Cell data of the quantity.
     fn field(self) -> Option<&'static str> {
         match self {
             Colour::Solid => None,
@@ -62,16 +61,16 @@ impl Colour {
     }
 }
 
-/// What `preview` makes.
+/// Options of `preview`.
 #[derive(Clone, Copy, Debug)]
 pub struct PreviewOptions {
-    /// Picture size, pixels; else the scene's.
+    /// Picture size, pixels; default the scene's.
     pub size: Option<[usize; 2]>,
-    /// Every how many of the written frames; at least 1.
+    /// Interval of drawn frames; at least 1.
     pub every: usize,
-    /// Whether to make the animation too.
+    /// Whether to write the animation too.
     pub animation: bool,
-    /// What the colours of elastic solids stand for.
+    /// Quantity that colours elastic solids.
     pub colour: Colour,
 }
 
@@ -86,21 +85,22 @@ impl Default for PreviewOptions {
     }
 }
 
-/// What `preview` made.
+/// Result of `preview`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PreviewReport {
     /// `DIR/preview/NAME_%06d.png`, in order.
     pub pictures: Vec<PathBuf>,
     /// `DIR/preview/NAME.png`, an APNG: browsers play it.
     pub animation: Option<PathBuf>,
-    /// Frames that the run has written and whose files are gone or not whole.
+    /// Written frames with missing or incomplete files.
     pub missing: Vec<u64>,
 }
 
-/// Renders the frames of a run directory. `progress` is told how many pictures are done, of how many, and says whether to go on.
+/// Draws the frames of a run. `progress` is called with the number of finished and of all pictures, and returns whether to
+/// continue.
 ///
 /// # Errors
-/// [`Error::Interrupted`] when `progress` said no; [`Error::Input`] and [`Error::Output`] for files.
+/// [`Error::Interrupted`] after `progress` returned false; [`Error::Input`] and [`Error::Output`] for files.
 pub fn preview(
     run: &Path,
     options: &PreviewOptions,
@@ -111,23 +111,20 @@ pub fn preview(
     pictures.finish()
 }
 
-/// Draws the pictures of a run, also while its frames are still being written.
+/// Draws the pictures of a finished or running run.
 pub struct Pictures {
     run: PathBuf,
     options: PreviewOptions,
     manifest: Manifest,
     camera: Camera,
-    stage: Stage,
-    skin: Skin,
-    /// Frames drawn, with their pictures.
+    scene: PictureScene,
+    surface: SolidSurface,
+    /// Drawn frames and their pictures.
     drawn: BTreeMap<u64, PathBuf>,
 }
 
 impl Pictures {
-    /// Reads what all pictures share.
-    ///
-    /// # Errors
-    /// [`Error::Input`] where the run is none, or writes nothing that could be drawn.
+    /// Reads the data common to all pictures. A folder without drawable frames is an error.
     pub fn new(run: &Path, options: &PreviewOptions) -> Result<Pictures, Error> {
         let manifest = Manifest::read(run)?;
         let frames = run.join("frames");
@@ -135,7 +132,7 @@ impl Pictures {
         if options.colour != Colour::Solid && !manifest.solid_frames {
             return Err(Error::input(
                 run.display().to_string(),
-                "no frame has elastic solids that could be coloured",
+                "no frame has elastic solids to colour",
                 "draw it without --colour",
             ));
         }
@@ -162,35 +159,35 @@ impl Pictures {
         let view = View::new(&camera.pose(0.0), camera.up, size);
         let domain = vector(manifest.size);
         let up = upwards(vector(manifest.gravity), camera.up.as_vec3());
-        let stage = Stage {
+        let scene = PictureScene {
             liquid: None,
             obstacles,
             solids: Triangles::none(),
-            looks: Vec::new(),
+            appearances: Vec::new(),
             scale,
             pixel: view.pixel(),
             domain,
             up,
             floor_lines: round_length(0.12 * domain.max_element()),
-            // One for all pictures: light that followed a moving camera would make everything flicker.
-            sun: Stage::sun_for(&view, up),
+            // One sun for all pictures: light that followed the camera would flicker.
+            sun: PictureScene::sun_for(&view, up),
         };
         Ok(Pictures {
             run: run.to_owned(),
             options: *options,
             manifest,
             camera,
-            stage,
-            skin: Skin::none(),
+            scene,
+            surface: SolidSurface::none(),
             drawn: BTreeMap::new(),
         })
     }
 
-    /// Draws all complete frames that have not been drawn. `progress` is told how many pictures are done, of how many, and says whether
-    /// to go on.
+    /// Draws all complete frames that are not drawn yet. `progress` is called with the number of finished and of all
+    /// pictures, and returns whether to continue.
     ///
     /// # Errors
-    /// [`Error::Interrupted`] when `progress` said no; [`Error::Input`] and [`Error::Output`] for files.
+    /// [`Error::Interrupted`] after `progress` returned false; [`Error::Input`] and [`Error::Output`] for files.
     pub fn draw(&mut self, progress: &mut dyn FnMut(usize, usize) -> bool) -> Result<(), Error> {
         let files = frame_files(&self.run.join("frames"), &self.manifest)?;
         let files: Vec<(u64, FrameFiles)> = files
@@ -217,8 +214,8 @@ impl Pictures {
             options,
             manifest,
             camera,
-            stage,
-            skin,
+            scene,
+            surface,
             ..
         } = self;
         let time = frame as f64 / manifest.frames_per_second;
@@ -227,32 +224,33 @@ impl Pictures {
             camera.up,
             options.size.unwrap_or(camera.size),
         );
-        stage.pixel = view.pixel();
+        scene.pixel = view.pixel();
         let walls = Vec3::from_array(manifest.cells.map(|n| n as f32)) * manifest.dx as f32;
         if let Some(file) = &files.liquid {
-            stage.liquid = Liquid::new(&read_surface(file, manifest)?, walls);
+            scene.liquid = Liquid::new(&read_surface(file, manifest)?, walls);
         }
-        // One a frame where they move.
+        // Moving obstacles have a file per frame.
         let obstacles = moved_obstacles_file(&manifest.scene.name, frame);
         let obstacles = self.run.join("frames").join(obstacles);
         if manifest.obstacles && obstacles.is_file() {
-            stage.obstacles = Triangles::new(read_obstacles(&obstacles)?);
+            scene.obstacles = Triangles::new(read_obstacles(&obstacles)?);
         }
         if let Some(file) = &files.solids {
             let frame = SolidFrame::read(file, options.colour)?;
-            let (solids, looks) = skin.dress(&frame, options.colour);
-            (stage.solids, stage.looks) = (solids.without(before(camera.cut, view.eye)), looks);
+            let (solids, appearances) = surface.coloured(&frame, options.colour);
+            (scene.solids, scene.appearances) =
+                (solids.without(before(camera.cut, view.eye)), appearances);
         }
-        let (mut picture, depths) = stage.render(&view);
-        draw_domain(&mut picture, &depths, &view, stage.domain);
-        label_floor(&mut picture, &depths, &view, stage);
-        let [_, line] = picture.letters().extent(1);
+        let (mut picture, depths) = scene.render(&view);
+        draw_domain(&mut picture, &depths, &view, scene.domain);
+        label_floor(&mut picture, &depths, &view, scene);
+        let [_, line] = picture.font().extent(1);
         let corner = (line / 2) as i64;
-        // So many that each frame has its own.
+        // Enough decimals to distinguish frames.
         let decimals = 1 + manifest.frames_per_second.log10().ceil().max(2.0) as usize;
         let time = format!("{time:.decimals$} s");
         picture.text(corner, corner, &time, DARK, |_, _| true);
-        stage.scale.draw(&mut picture);
+        scene.scale.draw(&mut picture);
         let folder = self.run.join("preview");
         create_folder(&folder)?;
         let path = folder.join(format!("{}_{frame:06}.png", manifest.scene.name));
@@ -260,17 +258,14 @@ impl Pictures {
         Ok(path)
     }
 
-    /// Makes the animation of what was drawn.
-    ///
-    /// # Errors
-    /// [`Error::Input`] and [`Error::Output`] for files.
+    /// Writes the animation of the drawn frames.
     pub fn finish(self) -> Result<PreviewReport, Error> {
         let name = &self.manifest.scene.name;
         let path = self.run.join("preview").join(format!("{name}.png"));
         let animation = self.options.animation && !self.drawn.is_empty();
         if animation {
             let rate = self.manifest.frames_per_second;
-            // Browsers slow down what changes faster than this: some pictures are left out instead.
+            // Browsers slow down faster animations, so frames are skipped instead.
             let every = (rate / FASTEST_ANIMATION).ceil().max(1.0) as usize;
             let (numbers, pictures): (Vec<u64>, Vec<PathBuf>) =
                 self.drawn.clone().into_iter().step_by(every).unzip();
@@ -288,14 +283,14 @@ impl Pictures {
     }
 }
 
-/// What a picture is made from.
+/// Files of a frame.
 #[derive(Default)]
 struct FrameFiles {
     liquid: Option<PathBuf>,
     solids: Option<PathBuf>,
 }
 
-/// How long each picture stays, s: until the time of the next frame that was written; the last as long as the one before it.
+/// Duration of each picture, s: until the next drawn frame, and for the last one as for the one before.
 fn seconds_shown(numbers: &[u64], frames_per_second: f64) -> Vec<f64> {
     let mut frames: Vec<u64> = numbers.windows(2).map(|pair| pair[1] - pair[0]).collect();
     frames.push(frames.last().copied().unwrap_or(1));
@@ -305,11 +300,11 @@ fn seconds_shown(numbers: &[u64], frames_per_second: f64) -> Vec<f64> {
         .collect()
 }
 
-/// The frames in the folder by number, those with all their files: of the liquid markers where there are any, else fields.
+/// Complete frames in the folder by number. The liquid's file is its surface, markers or fields.
 fn frame_files(folder: &Path, manifest: &Manifest) -> Result<BTreeMap<u64, FrameFiles>, Error> {
     let name = &manifest.scene.name;
     let solids = manifest.solid_frames.then(|| (format!("{name}_"), "vtu"));
-    // What the number follows, and what it is followed by.
+    // File name before and after the number.
     let liquid = match manifest {
         Manifest { surfaces: true, .. } => Some((format!("{name}_surface_"), "vtp")),
         Manifest { markers: true, .. } => Some((format!("{name}_"), "vtp")),
@@ -324,10 +319,10 @@ fn frame_files(folder: &Path, manifest: &Manifest) -> Result<BTreeMap<u64, Frame
         let problem = "the run writes no frames";
         return Err(Error::input(folder.display().to_string(), problem, cure));
     };
-    let mut found: BTreeMap<u64, FrameFiles> = BTreeMap::new();
+    let mut frames: BTreeMap<u64, FrameFiles> = BTreeMap::new();
     for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
         let path = entry.path();
-        let of_kind = |kind: &Option<(String, &str)>| -> Option<u64> {
+        let number = |kind: &Option<(String, &str)>| -> Option<u64> {
             let (prefix, extension) = kind.as_ref()?;
             let number = path.file_name()?.to_str()?.strip_prefix(prefix.as_str())?;
             number
@@ -336,24 +331,24 @@ fn frame_files(folder: &Path, manifest: &Manifest) -> Result<BTreeMap<u64, Frame
                 .parse()
                 .ok()
         };
-        if let Some(number) = of_kind(&liquid) {
-            found.entry(number).or_default().liquid = Some(path);
-        } else if let Some(number) = of_kind(&solids) {
-            found.entry(number).or_default().solids = Some(path);
+        if let Some(number) = number(&liquid) {
+            frames.entry(number).or_default().liquid = Some(path);
+        } else if let Some(number) = number(&solids) {
+            frames.entry(number).or_default().solids = Some(path);
         }
     }
-    found.retain(|_, files| {
+    frames.retain(|_, files| {
         files.liquid.is_some() == liquid.is_some() && files.solids.is_some() == solids.is_some()
     });
-    if found.is_empty() {
+    if frames.is_empty() {
         let problem = format!("no frame {first}000000.{extension} or later");
         let cure = "let `cutwater run` write a frame first";
         return Err(Error::input(folder.display().to_string(), problem, cure));
     }
-    Ok(found)
+    Ok(frames)
 }
 
-/// What lies before a cut, seen from the eye.
+/// Half space in front of the cutting plane, as seen from the eye.
 fn before(cut: Option<CameraCut>, eye: Vec3) -> Option<HalfSpace> {
     let CameraCut { axis, at } = cut?;
     let at = at as f32;
@@ -364,7 +359,7 @@ fn before(cut: Option<CameraCut>, eye: Vec3) -> Option<HalfSpace> {
     })
 }
 
-/// Against gravity along the nearest axis; without gravity the camera's up.
+/// Axis nearest to the direction against gravity, or without gravity to the camera's up vector.
 fn upwards(gravity: Vec3, camera: Vec3) -> Vec3 {
     let up = if gravity == Vec3::ZERO {
         camera
@@ -377,7 +372,7 @@ fn upwards(gravity: Vec3, camera: Vec3) -> Vec3 {
     axis
 }
 
-/// 1, 2 or 5 times a power of ten, near a length.
+/// 1, 2 or 5 times a power of ten near a length.
 fn round_length(length: f32) -> f32 {
     let power = 10f32.powf(length.log10().floor());
     let rest = length / power;
@@ -407,7 +402,6 @@ fn read_vtk(path: &Path) -> Result<DataSet, Error> {
         .map_err(|problem| unreadable(path, problem))
 }
 
-/// Triples of a buffer of f32.
 fn points(buffer: IOBuffer) -> Option<Vec<Vec3>> {
     let numbers: Vec<f32> = buffer.into_vec()?;
     Some(numbers.chunks_exact(3).map(Vec3::from_slice).collect())
@@ -420,7 +414,7 @@ fn array(attributes: &[Attribute], name: &str) -> Option<IOBuffer> {
     })
 }
 
-/// The liquid's surface in a frame file, or made from its markers or fields.
+/// The liquid's surface of a frame file: stored, or reconstructed from markers or fields.
 fn read_surface(path: &Path, manifest: &Manifest) -> Result<LiquidSurface, Error> {
     let missing = |what: &str| unreadable(path, format!("no {what}"));
     let grid = Grid {
@@ -443,7 +437,7 @@ fn read_surface(path: &Path, manifest: &Manifest) -> Result<LiquidSurface, Error
                     radius: record.radius,
                     smoothing: record.smoothing,
                 });
-            LiquidSurface::of_markers(&points, &grid, &settings)
+            LiquidSurface::from_markers(&points, &grid, &settings)
         }
         DataSet::ImageData { pieces, .. } => {
             let Some(Piece::Inline(piece)) = pieces.into_iter().next() else {
@@ -453,14 +447,14 @@ fn read_surface(path: &Path, manifest: &Manifest) -> Result<LiquidSurface, Error
                 array(&piece.data.cell, "liquid_distance").and_then(IOBuffer::into_vec::<f32>);
             let phi = phi.filter(|phi| phi.len() == grid.n_cells());
             let phi = phi.ok_or_else(|| missing("liquid_distance for every cell"))?;
-            LiquidSurface::of_distance(&phi, &grid)
+            LiquidSurface::from_distance(&phi, &grid)
         }
         _ => return Err(missing("markers or fields")),
     };
     surface.map_err(|problem| unreadable(path, format!("no surface: {problem}")))
 }
 
-/// The mesh of a file whose parts fit together.
+/// The stored mesh, if it is consistent.
 fn surface_mesh(
     vertices: Vec<Vec3>,
     polygons: Option<VertexNumbers>,
@@ -481,7 +475,7 @@ fn surface_mesh(
     })
 }
 
-/// The triangles of all obstacles; those of a container have a negative volume together.
+/// Triangles of all obstacles. The surface of a container has a negative volume.
 fn read_obstacles(path: &Path) -> Result<Vec<Triangle>, Error> {
     let missing = |what: &str| unreadable(path, format!("no {what}"));
     let DataSet::PolyData { pieces, .. } = read_vtk(path)? else {
@@ -524,7 +518,7 @@ fn read_obstacles(path: &Path) -> Result<Vec<Triangle>, Error> {
     Ok(all)
 }
 
-/// The twelve edges of the domain, fainter behind what the picture shows.
+/// The twelve edges of the domain, fainter when hidden.
 fn draw_domain(picture: &mut Picture, depths: &[f32], view: &View, domain: Vec3) {
     let width = view.size[0];
     for edge in 0..12 {
@@ -548,16 +542,16 @@ fn draw_domain(picture: &mut Picture, depths: &[f32], view: &View, domain: Vec3)
     }
 }
 
-/// Lengths (m) beside the two edges of the domain's floor that are nearest to the eye, at its lines; behind what stands before them.
-fn label_floor(picture: &mut Picture, depths: &[f32], view: &View, stage: &Stage) {
-    let Stage {
+/// Labels (m) of the floor grid along the two edges nearest to the eye.
+fn label_floor(picture: &mut Picture, depths: &[f32], view: &View, scene: &PictureScene) {
+    let PictureScene {
         domain,
         up,
         floor_lines,
         ..
-    } = *stage;
+    } = *scene;
     let floor = domain.dot(up).min(0.0) * up;
-    let [letter, line] = picture.letters().extent(1).map(|pixels| pixels as f32);
+    let [letter, line] = picture.font().extent(1).map(|pixels| pixels as f32);
     let [width, height] = view.size.map(|n| n as f32);
     let axes = [0, 1, 2].into_iter().filter(|&axis| up[axis] == 0.0);
     let axes: Vec<usize> = axes.collect();
@@ -574,7 +568,7 @@ fn label_floor(picture: &mut Picture, depths: &[f32], view: &View, stage: &Stage
             let (x, y, depth) = view.project(at)?;
             Some((Vec2::new(x, y), depth))
         };
-        // So many lines from one number to the next that no number reaches into another.
+        // Interval of labels without overlaps.
         let steps = (domain[axis] / floor_lines * (1.0 + 1e-5)) as usize;
         let texts = |step: usize| solids::label(step as f32 * floor_lines);
         let fits = |every: usize| {
@@ -600,9 +594,9 @@ fn label_floor(picture: &mut Picture, depths: &[f32], view: &View, stage: &Stage
             let Some((at, depth)) = place(step as f32 * floor_lines) else {
                 continue;
             };
-            // Numbers stand upright: the floor below their middle is nearer than they are, and hides nothing of them.
+            // Labels are upright: the floor below their centre is nearer, but does not hide them.
             let seen = |x: usize, y: usize| {
-                let depth = depth.min(stage.floor_depth(view, x, y));
+                let depth = depth.min(scene.floor_depth(view, x, y));
                 depth < 1.004 * depths[x + view.size[0] * y]
             };
             let wide = letter * texts(step).len() as f32;

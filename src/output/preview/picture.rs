@@ -1,4 +1,4 @@
-//! 8-bit sRGB pictures: lines and letters on them, PNG files, and the animation (APNG).
+//! 8-bit sRGB pictures: lines and text, PNG files, and the animation (APNG).
 
 use std::fs::File;
 use std::io::{BufReader, Cursor};
@@ -13,7 +13,7 @@ use crate::output::write_atomically;
 /// Largest width of the animation, pixels.
 const ANIMATION_WIDTH: usize = 640;
 
-/// A linear colour, 1 is white, as sRGB bytes.
+/// Converts a linear colour, white at 1, to sRGB bytes.
 pub(super) fn srgb(colour: Vec3) -> [u8; 3] {
     let byte = |x: f32| {
         let x = x.clamp(0.0, 1.0);
@@ -27,18 +27,18 @@ pub(super) fn srgb(colour: Vec3) -> [u8; 3] {
     colour.to_array().map(byte)
 }
 
-/// Letters of Noto Sans Mono, each pixel `scale` wide.
+/// Font size: Noto Sans Mono, each pixel `scale` wide.
 #[derive(Clone, Copy)]
-pub(super) struct Letters {
+pub(super) struct Font {
     height: RasterHeight,
     scale: usize,
 }
 
-impl Letters {
-    /// Width and height of a text of so many letters, pixels.
-    pub(super) fn extent(self, letters: usize) -> [usize; 2] {
+impl Font {
+    /// Width and height of a text of `n` characters, pixels.
+    pub(super) fn extent(self, n: usize) -> [usize; 2] {
         let width = get_raster_width(FontWeight::Regular, self.height);
-        [letters * width, self.height.val()].map(|pixels| pixels * self.scale)
+        [n * width, self.height.val()].map(|pixels| pixels * self.scale)
     }
 }
 
@@ -50,7 +50,7 @@ pub(super) struct Picture {
 }
 
 impl Picture {
-    /// From linear colours, 1 is white.
+    /// From linear colours, white at 1.
     pub(super) fn from_linear(size: [usize; 2], colours: &[Vec3]) -> Picture {
         let bytes = colours.iter().flat_map(|&colour| srgb(colour)).collect();
         Picture { size, bytes }
@@ -61,7 +61,7 @@ impl Picture {
         [0, 1, 2].map(|channel| i16::from(self.bytes[start + channel]))
     }
 
-    /// Largest difference of a channel to the four neighbours.
+    /// Largest channel difference to the four neighbours.
     pub(super) fn contrast(&self, x: usize, y: usize) -> i16 {
         let here = self.at(x, y);
         let [width, height] = self.size;
@@ -80,7 +80,7 @@ impl Picture {
         neighbours.into_iter().map(to).max().unwrap_or(0)
     }
 
-    /// Mixes a colour into a pixel; nothing outside.
+    /// Blends a colour into a pixel, if that is inside.
     fn mix(&mut self, x: i64, y: i64, colour: [u8; 3], alpha: f32) {
         let [width, height] = self.size;
         if (0..width as i64).contains(&x) && (0..height as i64).contains(&y) {
@@ -92,7 +92,7 @@ impl Picture {
         }
     }
 
-    /// A line one pixel wide, smooth; `alpha` tells its strength at a fraction of its length and a pixel.
+    /// An antialiased line one pixel wide; `alpha` is its opacity at a fraction of its length and a pixel.
     pub(super) fn line(
         &mut self,
         a: [f32; 2],
@@ -131,7 +131,7 @@ impl Picture {
         }
     }
 
-    /// A filled rectangle, its upper left corner and its size given.
+    /// Fills a rectangle from its upper left corner.
     pub(super) fn fill(
         &mut self,
         [x, y]: [usize; 2],
@@ -144,20 +144,20 @@ impl Picture {
         }
     }
 
-    /// Letters that suit the picture's size.
-    pub(super) fn letters(&self) -> Letters {
+    /// Font for the picture's size.
+    pub(super) fn font(&self) -> Font {
         let height = match self.size[1] {
             0..450 => RasterHeight::Size16,
             450..900 => RasterHeight::Size24,
             _ => RasterHeight::Size32,
         };
-        Letters {
+        Font {
             height,
             scale: (self.size[1] / 1440).max(1),
         }
     }
 
-    /// A caption, its upper left corner given, where its pixels are `seen`. Letters other than those of ASCII are blanks.
+    /// Draws a text from its upper left corner, where `seen` is true. Characters outside ASCII are blanks.
     pub(super) fn text(
         &mut self,
         x: i64,
@@ -166,15 +166,15 @@ impl Picture {
         colour: [u8; 3],
         seen: impl Fn(usize, usize) -> bool,
     ) {
-        let letters = self.letters();
-        let [width, _] = letters.extent(1);
+        let font = self.font();
+        let [width, _] = font.extent(1);
         for (place, letter) in (0_i64..).zip(text.chars()) {
-            let Some(letter) = get_raster(letter, FontWeight::Regular, letters.height) else {
+            let Some(letter) = get_raster(letter, FontWeight::Regular, font.height) else {
                 continue;
             };
             for (row, strengths) in (0_i64..).zip(letter.rows()) {
                 for (column, &strength) in (0_i64..).zip(strengths.iter()) {
-                    let scale = letters.scale as i64;
+                    let scale = font.scale as i64;
                     for pixel in 0..scale * scale {
                         let px = x + place * width as i64 + column * scale + pixel % scale;
                         let py = y + row * scale + pixel / scale;
@@ -189,7 +189,6 @@ impl Picture {
         }
     }
 
-    /// Writes a PNG file.
     pub(super) fn write(&self, path: &Path) -> Result<(), Error> {
         let mut bytes = Vec::new();
         let mut encode = || -> Result<(), png::EncodingError> {
@@ -206,7 +205,7 @@ impl Picture {
         write_atomically(path, &bytes)
     }
 
-    /// Reads a file that [`Picture::write`] wrote.
+    /// Reads a picture written by [`Picture::write`].
     fn read(path: &Path) -> Result<Picture, Error> {
         let failed = |problem: String| {
             let cure = "remove it, and run `cutwater preview` again";
@@ -227,7 +226,7 @@ impl Picture {
         Ok(Picture { size, bytes })
     }
 
-    /// An animation of so many pictures, of which this is the first.
+    /// Starts an animation with this as its first frame.
     fn animation<'a>(
         &self,
         bytes: &'a mut Vec<u8>,
@@ -248,7 +247,7 @@ impl Picture {
         Ok(writer)
     }
 
-    /// Averaged over squares so that it is at most [`ANIMATION_WIDTH`] wide.
+    /// Box-filtered to a width of at most [`ANIMATION_WIDTH`].
     fn reduced(&self) -> Picture {
         let factor = self.size[0].div_ceil(ANIMATION_WIDTH);
         let size = self.size.map(|n| (n / factor).max(1));
@@ -274,8 +273,8 @@ impl Picture {
     }
 }
 
-/// Writes an animated PNG of pictures, each shown for its `seconds`, for ever; kept small: reduced pictures, of which only the changed
-/// pixels are stored. The pictures are read one by one.
+/// Writes an endless animated PNG of pictures with their durations in s. Pictures are reduced and store changed pixels only;
+/// they are read one by one.
 pub(super) fn animate(path: &Path, pictures: &[(PathBuf, f64)]) -> Result<(), Error> {
     let Some((first, seconds)) = pictures.first() else {
         return Ok(());
@@ -298,16 +297,13 @@ pub(super) fn animate(path: &Path, pictures: &[(PathBuf, f64)]) -> Result<(), Er
     write_atomically(path, &bytes)
 }
 
-/// Reads a PNG file to its end, comparing checksums.
-///
-/// # Errors
-/// Where it is none, ends too early or was changed.
+/// Reads a PNG file to its end and verifies its checksums.
 pub(crate) fn ensure_whole_png(bytes: &[u8]) -> Result<(), png::DecodingError> {
     png::Decoder::new(Cursor::new(bytes)).read_info()?.finish()
 }
 
-/// The nearest fraction of a time, s, whose numerator and denominator have 16 bits, as APNG stores it: the last convergent of the continued
-/// fraction that fits.
+/// Nearest fraction with 16-bit numerator and denominator to a time, s, as APNG stores it: the last fitting convergent of the
+/// continued fraction.
 fn fraction(seconds: f64) -> [u16; 2] {
     let most = f64::from(u16::MAX);
     if seconds >= most {
@@ -322,20 +318,20 @@ fn fraction(seconds: f64) -> [u16; 2] {
             break;
         }
         (before, now) = (now, next);
-        // Beyond this the digits are those of rounding.
+        // Further digits are rounding.
         if (now[0] / now[1] - seconds).abs() <= 1e-12 * seconds {
             break;
         }
         rest = 1.0 / (rest - whole);
     }
-    // A time too short for the format is its shortest.
+    // The shortest representable time.
     match now.map(|part| part as u16) {
         [0, _] => [1, u16::MAX],
         fraction => fraction,
     }
 }
 
-/// A rectangle of RGBA bytes with its place.
+/// A rectangle of RGBA bytes with its position.
 struct Patch {
     at: [usize; 2],
     size: [usize; 2],
@@ -343,7 +339,7 @@ struct Patch {
 }
 
 impl Patch {
-    /// As the next image, which stays for this fraction of a second.
+    /// Writes the patch as the next frame of this duration, s.
     fn write(
         &self,
         writer: &mut png::Writer<&mut Vec<u8>>,
@@ -352,7 +348,7 @@ impl Patch {
         let [x, y] = self.at.map(|n| n as u32);
         let [width, height] = self.size.map(|n| n as u32);
         writer.set_frame_delay(numerator, denominator)?;
-        // Smaller first: a rectangle may never reach beyond the picture.
+        // Shrinks first: a rectangle must never exceed the picture.
         writer.set_frame_dimension(1, 1)?;
         writer.set_frame_position(x, y)?;
         writer.set_frame_dimension(width, height)?;
@@ -360,7 +356,7 @@ impl Patch {
     }
 }
 
-/// The rectangle of changed pixels; unchanged ones in it are transparent. At least one pixel.
+/// The bounding rectangle of changed pixels, at least one; unchanged ones are transparent.
 fn patch(before: Option<&Picture>, now: &Picture) -> Patch {
     let [width, height] = now.size;
     let changed = |x: usize, y: usize| before.is_none_or(|before| before.at(x, y) != now.at(x, y));
@@ -409,7 +405,7 @@ mod tests {
         assert_eq!(fraction(2.0 / 30.0), [1, 15]);
         assert_eq!(fraction(1.0 / 12.5), [2, 25]);
         assert_eq!(fraction(3600.0), [3600, 1]);
-        // The nearest that there is.
+        // The nearest fraction.
         assert_eq!(fraction(1e9), [u16::MAX, 1]);
         assert_eq!(fraction(1e-9), [1, u16::MAX]);
         let [numerator, denominator] = fraction(0.1 * std::f64::consts::PI);

@@ -1,30 +1,29 @@
-//! The picture of one frame: rays from the camera to floor, obstacles, solids and liquid.
+//! Renders one frame: rays from the camera to floor, obstacles, solids and liquid.
 //!
-//! Lengths in the look (depth of colour, floor lines, fade) follow the size of the domain, so a beaker and a lake look alike.
+//! Lengths of the appearance (absorption, floor grid, fade) scale with the domain, so a beaker and a lake look alike.
 
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
 use super::liquid::{Entry, Liquid};
 use super::picture::Picture;
-use super::solids::{Look, Scale};
+use super::solids::{Appearance, Scale};
 use super::triangles::{Hit, Owner, Triangles};
 use crate::scene::CameraKeyframe;
 
-/// Refractive index of the picture's liquid. Water's 1.33 would show a sunken body once through the surface and once more,
-/// elsewhere, through each wall; this bends enough to look wet and leaves things where they are.
+/// Refractive index. Water's 1.33 shows a sunken body twice, through the surface and through each wall; this value appearances wet
+/// and moves nothing.
 const REFRACTION: f32 = 1.08;
 
-/// What liquid takes from red, green and blue light over one depth of the domain, nepers.
+/// Absorption of red, green and blue light per depth of the domain, nepers.
 const ABSORPTION: Vec3 = Vec3::new(10.0, 3.6, 1.8);
 
-/// What it gives back of it: the colour of deep liquid.
+/// Colour of scattered light in deep liquid.
 const DEEP: Vec3 = Vec3::new(0.010, 0.165, 0.29);
 
-/// Share of the light that even the thinnest liquid takes, so that its edges are seen.
+/// Least absorbed share of light, which makes the edges of thin liquid visible.
 const VEIL: f32 = 0.30;
 
-/// Linear colours of the rest.
 const FLOOR: Vec3 = Vec3::new(0.62, 0.62, 0.60);
 const OBSTACLE: Vec3 = Vec3::new(0.66, 0.34, 0.13);
 const CONTAINER: Vec3 = Vec3::new(0.62, 0.60, 0.57);
@@ -34,11 +33,11 @@ const SUN: Vec3 = Vec3::new(0.78, 0.74, 0.68);
 const SHADOW: Vec3 = Vec3::new(0.16, 0.34, 0.48);
 const AMBIENT: Vec3 = Vec3::new(0.42, 0.46, 0.52);
 
-/// Half the angle of the sun, rad: far larger than it is, for shadows with soft edges.
+/// Angular radius of the sun, rad: far larger than the real one, for soft shadows.
 const SUN_RADIUS: f32 = 0.04;
 
-/// Where on the sun's disc rays go: a spiral.
-const ON_SUN: [(f32, f32); 8] = [
+/// Sample points on the sun's disc: a spiral.
+const SUN_SAMPLES: [(f32, f32); 8] = [
     (0.25, 0.0),
     (-0.319, 0.292),
     (0.049, -0.557),
@@ -49,12 +48,12 @@ const ON_SUN: [(f32, f32); 8] = [
     (-0.446, -0.861),
 ];
 
-/// How far bodies keep the sky's light from what is beside them, in depths of the domain, and how much of it at most.
-const SKY_REACH: f32 = 0.12;
-const SKY_TAKEN: f32 = 0.75;
+/// Range of ambient occlusion in depths of the domain, and its largest share.
+const OCCLUSION_RANGE: f32 = 0.12;
+const MAX_OCCLUSION: f32 = 0.75;
 
-/// Where the sky's light comes from around a normal, which is z.
-const SKY: [Vec3; 9] = [
+/// Sample directions of the sky around a normal, which is z.
+const SKY_SAMPLES: [Vec3; 9] = [
     Vec3::new(0.0, 0.0, 1.0),
     Vec3::new(0.55, 0.15, 0.82),
     Vec3::new(-0.15, 0.55, 0.82),
@@ -66,16 +65,16 @@ const SKY: [Vec3; 9] = [
     Vec3::new(0.66, -0.66, 0.36),
 ];
 
-/// Share of light from which a reflection shows bodies; below it shows the sky alone.
+/// Reflectance from which reflections show bodies rather than the sky alone.
 const MIRROR: f32 = 0.05;
 
-/// Surfaces that are nearer to each other than this, in depths of the domain, are one: far above rounding, far below a cell.
+/// Distance of coincident surfaces, in depths of the domain: far above rounding, far below a cell.
 const SAME_PLANE: f32 = 1e-5;
 
-/// Colour difference between neighbours, of 255, from which a pixel gets more rays.
+/// Channel difference between neighbours, of 255, from which a pixel is supersampled.
 const EDGE: i16 = 10;
 
-/// Where a pixel with an edge gets its rays: a rotated 2x2 grid.
+/// Supersampling positions: a rotated 2x2 grid.
 const OFFSETS: [(f32, f32); 4] = [
     (-0.125, -0.375),
     (0.375, -0.125),
@@ -83,13 +82,13 @@ const OFFSETS: [(f32, f32); 4] = [
     (-0.375, 0.125),
 ];
 
-/// A pinhole camera, ready to make rays.
+/// A pinhole camera.
 pub(super) struct View {
     pub(super) eye: Vec3,
     forward: Vec3,
     right: Vec3,
     up: Vec3,
-    /// Half the picture's height at distance 1.
+    /// Half the height of the picture at distance 1.
     scale: f32,
     pub(super) size: [usize; 2],
 }
@@ -123,7 +122,7 @@ impl View {
         let unit = 2.0 * self.scale / height;
         let direction = self.forward + self.right * ((x - 0.5 * width) * unit)
             - self.up * ((y - 0.5 * height) * unit);
-        // No component is exactly 0, so that its reciprocal is a number.
+        // Avoids zero components, whose reciprocals are infinite.
         let direction = direction.normalize();
         Vec3::select(
             direction.abs().cmplt(Vec3::splat(1e-12)),
@@ -132,7 +131,7 @@ impl View {
         )
     }
 
-    /// Pixel and distance along the view of a point, if in front of the eye.
+    /// Pixel and depth of a point in front of the eye.
     pub(super) fn project(&self, x: Vec3) -> Option<(f32, f32, f32)> {
         let offset = x - self.eye;
         let depth = offset.dot(self.forward);
@@ -147,59 +146,59 @@ impl View {
         })
     }
 
-    /// Distance along the view of a point on a ray.
+    /// Depth of a point on a ray.
     fn depth(&self, direction: Vec3, t: f32) -> f32 {
         t * direction.dot(self.forward)
     }
 }
 
 /// Everything in the picture.
-pub(super) struct Stage {
+pub(super) struct PictureScene {
     pub(super) liquid: Option<Liquid>,
     pub(super) obstacles: Triangles,
-    /// Surfaces of elastic solids; each triangle has its look.
+    /// Surfaces of elastic solids, with an appearance per triangle.
     pub(super) solids: Triangles,
-    pub(super) looks: Vec<Look>,
-    /// What the colours of solids stand for.
+    pub(super) appearances: Vec<Appearance>,
+    /// Colour scale of the solids.
     pub(super) scale: Scale,
     /// Width of a pixel at distance 1.
     pub(super) pixel: f32,
     /// Extents of the domain, m.
     pub(super) domain: Vec3,
-    /// Against gravity: an axis.
+    /// Axis against gravity.
     pub(super) up: Vec3,
-    /// Distance between the lines of the floor, m.
+    /// Spacing of the floor grid, m.
     pub(super) floor_lines: f32,
     /// Unit direction to the sun.
     pub(super) sun: Vec3,
 }
 
-/// What a ray meets that it cannot pass.
-struct Meeting {
+/// First opaque intersection of a ray.
+struct Intersection {
     /// Distance along the ray, m.
     t: f32,
-    surface: Seen,
+    target: Target,
 }
 
-enum Seen {
+enum Target {
     Floor,
     Body(Hit),
 }
 
-impl Stage {
-    /// Unit direction to the sun for a view: high, from the left, over the shoulder.
+impl PictureScene {
+    /// Direction to the sun for a view: high, from behind and to the left of the camera.
     pub(super) fn sun_for(view: &View, up: Vec3) -> Vec3 {
         let flat = |v: Vec3| (v - up * v.dot(up)).normalize_or(up.any_orthonormal_vector());
         (up * 1.5 - flat(view.right) * 0.8 - flat(view.forward) * 0.25).normalize()
     }
 
-    /// The picture, and the distance along the view of what each pixel shows.
+    /// The picture and the depth of each pixel.
     pub(super) fn render(&self, view: &View) -> (Picture, Vec<f32>) {
         let [width, height] = view.size;
         let submerged = self
             .liquid
             .as_ref()
-            .is_some_and(|liquid| liquid.holds(view.eye));
+            .is_some_and(|liquid| liquid.contains(view.eye));
         let mut depths = vec![f32::INFINITY; width * height];
         let mut colours = vec![Vec3::ZERO; width * height];
         let rows = colours
@@ -230,12 +229,13 @@ impl Stage {
         (Picture::from_linear(view.size, &colours), depths)
     }
 
-    /// Colour and distance along the view of what is seen at a point of the picture; `submerged`: whether the eye is in liquid.
+    /// Colour and depth at a point of the picture; `submerged` is whether the eye is in liquid.
     fn trace(&self, view: &View, submerged: bool, x: f32, y: f32) -> (Vec3, f32) {
         let direction = view.direction(x, y);
-        let meets = self.meets(view.eye, direction);
-        let limit = meets.as_ref().map_or(f32::INFINITY, |meets| meets.t);
-        // Where a body's side lies in a wall the liquid's mesh, which reaches a little into the body, lies in it too: the body is seen.
+        let nearest = self.nearest(view.eye, direction);
+        let limit = nearest.as_ref().map_or(f32::INFINITY, |nearest| nearest.t);
+        // The liquid's mesh reaches slightly into bodies. With a body's side in a wall both surfaces coincide, and the
+        // body is visible.
         let before = limit - SAME_PLANE * self.domain.length();
         let entry = self.liquid.as_ref().and_then(|liquid| {
             let entry = match submerged {
@@ -249,7 +249,7 @@ impl Stage {
         });
         let Some((liquid, entry)) = entry else {
             return (
-                self.colour(view.eye, direction, meets),
+                self.colour(view.eye, direction, nearest),
                 view.depth(direction, limit),
             );
         };
@@ -258,14 +258,14 @@ impl Stage {
         let normal = entry.normal;
         let cosine = -normal.dot(direction);
         let bent = refract(direction, normal, cosine);
-        let meets = self.meets(at, bent);
-        let limit = meets.as_ref().map_or(f32::INFINITY, |meets| meets.t);
+        let nearest = self.nearest(at, bent);
+        let limit = nearest.as_ref().map_or(f32::INFINITY, |nearest| nearest.t);
         let depth_unit = self.domain.length();
         let length = liquid.length(at, bent, limit);
         let through = transmittance(length / depth_unit) * (1.0 - VEIL);
-        let behind = self.colour(at, bent, meets);
+        let behind = self.colour(at, bent, nearest);
 
-        // Light scattered on the way: the sun's part has come through the liquid above, the sky's from all sides.
+        // Scattered light: sunlight through the liquid above, and skylight from all sides.
         let inside = at + bent * (0.25 * length).min(0.04 * depth_unit);
         let above = liquid.length(inside, self.sun, f32::INFINITY);
         let facing = 0.35 + 0.65 * normal.dot(self.sun).max(0.0);
@@ -287,62 +287,66 @@ impl Stage {
         (colour + SUN * glint * 0.25, view.depth(direction, seen))
     }
 
-    /// Distance along the view of the floor at a pixel; infinite beside it.
+    /// Depth of the floor at a pixel; infinite beside it.
     pub(super) fn floor_depth(&self, view: &View, x: usize, y: usize) -> f32 {
         let direction = view.direction(x as f32 + 0.5, y as f32 + 0.5);
         let distance = self.floor_distance(view.eye, direction);
         view.depth(direction, distance.unwrap_or(f32::INFINITY))
     }
 
-    /// The nearest of obstacles, solids and floor on a ray.
-    fn meets(&self, origin: Vec3, direction: Vec3) -> Option<Meeting> {
-        let floor = self.floor_distance(origin, direction).map(|t| Meeting {
-            t,
-            surface: Seen::Floor,
-        });
+    /// First intersection with obstacles, solids or floor.
+    fn nearest(&self, origin: Vec3, direction: Vec3) -> Option<Intersection> {
+        let floor = self
+            .floor_distance(origin, direction)
+            .map(|t| Intersection {
+                t,
+                target: Target::Floor,
+            });
         let limit = floor.as_ref().map_or(f32::INFINITY, |floor| floor.t);
         let hit = self.body(origin, direction, limit);
-        hit.map(|hit| Meeting {
+        hit.map(|hit| Intersection {
             t: hit.t,
-            surface: Seen::Body(hit),
+            target: Target::Body(hit),
         })
         .or(floor)
     }
 
-    /// The nearest of obstacles and solids on a ray before `limit`.
+    /// First intersection with obstacles or solids before `limit`.
     fn body(&self, origin: Vec3, direction: Vec3, limit: f32) -> Option<Hit> {
         let obstacle = self.obstacles.hit(origin, direction, limit);
         let limit = obstacle.as_ref().map_or(limit, |hit| hit.t);
         self.solids.hit(origin, direction, limit).or(obstacle)
     }
 
-    /// Colour of what a ray meets.
-    fn colour(&self, origin: Vec3, direction: Vec3, meets: Option<Meeting>) -> Vec3 {
-        let Some(Meeting { t, surface }) = meets else {
+    /// Colour of an intersection.
+    fn colour(&self, origin: Vec3, direction: Vec3, nearest: Option<Intersection>) -> Vec3 {
+        let Some(Intersection { t, target }) = nearest else {
             return self.sky(direction);
         };
         let at = origin + direction * t;
-        match surface {
-            Seen::Floor => self.floor(at, direction, t),
-            Seen::Body(hit) => self.matt(at, &hit),
+        match target {
+            Target::Floor => self.floor(at, direction, t),
+            Target::Body(hit) => self.matt(at, &hit),
         }
     }
 
-    /// Colour of a body.
+    /// Colour of a body, diffuse.
     fn matt(&self, at: Vec3, hit: &Hit) -> Vec3 {
         let base = match hit.owner {
-            // Light comes in through its walls.
+            // Containers are translucent.
             Owner::Container => {
                 let facing = hit.normal.dot(self.sun);
                 return CONTAINER * (AMBIENT + SUN * (0.35 + 0.25 * facing));
             }
-            Owner::Solid(number) => self.looks[number].colour(&self.scale, hit, self.pixel * hit.t),
+            Owner::Solid(number) => {
+                self.appearances[number].colour(&self.scale, hit, self.pixel * hit.t)
+            }
             Owner::Obstacle | Owner::Liquid(_) => OBSTACLE,
         };
         base * self.light(at, hit.normal)
     }
 
-    /// Distance along a ray to the plane of the floor, the domain's face that gravity points to; only from above.
+    /// Distance to the floor, the domain's lowest side, from above.
     fn floor_distance(&self, origin: Vec3, direction: Vec3) -> Option<f32> {
         let down = direction.dot(self.up);
         let height = self.domain.dot(self.up).min(0.0);
@@ -350,14 +354,14 @@ impl Stage {
         (down < 0.0 && t > 0.0).then_some(t)
     }
 
-    /// The floor with its lines, fading into the horizon.
+    /// The floor with its grid, fading into the horizon.
     fn floor(&self, at: Vec3, direction: Vec3, t: f32) -> Vec3 {
         let centre = 0.5 * self.domain;
         let away = (at - centre) - self.up * (at - centre).dot(self.up);
         let extent = self.domain.length();
         let fade = smooth(0.9 * extent, 3.2 * extent, away.length());
         let mut base = FLOOR;
-        // Lines as wide as a pixel or so, lighter where they are closer than that.
+        // Lines about a pixel wide, fainter where they are dense.
         let width = (t * 1.2e-3 / direction.dot(self.up).abs().max(0.05).sqrt()).max(4e-4 * extent);
         for axis in 0..3 {
             if self.up[axis] == 0.0 {
@@ -374,7 +378,7 @@ impl Stage {
         (base * light).lerp(self.sky(direction), fade)
     }
 
-    /// Light on a matt surface: of the sun, as far as bodies leave it in sight, and of the sky, less near bodies.
+    /// Light on a diffuse surface: unshadowed sunlight and unoccluded skylight.
     fn light(&self, at: Vec3, normal: Vec3) -> Vec3 {
         let extent = self.domain.length();
         let start = at + normal * (1e-4 * extent);
@@ -388,27 +392,27 @@ impl Stage {
         if seen > 0.0 {
             let liquid = self.liquid.as_ref();
             let length = liquid.map_or(0.0, |liquid| liquid.length(start, self.sun, f32::INFINITY));
-            // Light goes round a liquid too, through its surface and off the floor: its shadow is blue and never black.
+            // Light also passes around liquid, so its shadow is blue and never black.
             let through = transmittance(0.8 * length / extent);
             sun = SUN * (seen * facing) * (SHADOW + (Vec3::ONE - SHADOW) * through);
         }
         sun + AMBIENT * ((0.75 + 0.25 * normal.dot(self.up)) * self.sky_seen(start, normal))
     }
 
-    /// Whether a body is on a ray before `limit`.
+    /// Whether a body intersects a ray before `limit`.
     fn shaded(&self, start: Vec3, direction: Vec3, limit: f32) -> bool {
         self.obstacles.shades(start, direction, limit)
             || self.solids.shades(start, direction, limit)
     }
 
-    /// Whether the ball around obstacles or that around solids, centre and radius, is where it may take light away.
+    /// Whether a bounding ball (centre, radius) of the obstacles or of the solids passes a test.
     fn bodies_near(&self, may: impl Fn(Vec3, f32) -> bool) -> bool {
         let bounds = [&self.obstacles, &self.solids].map(Triangles::bounds);
         let mut balls = bounds.into_iter().flatten();
         balls.any(|[low, high]| may(0.5 * (low + high), 0.5 * low.distance(high)))
     }
 
-    /// Share of the sun that bodies leave in sight.
+    /// Visible share of the sun.
     fn sun_seen(&self, start: Vec3) -> f32 {
         if !self.bodies_near(|centre, radius| {
             let along = (centre - start).dot(self.sun);
@@ -418,25 +422,25 @@ impl Stage {
             return 1.0;
         }
         let (right, up) = self.sun.any_orthonormal_pair();
-        let seen = ON_SUN.iter().filter(|(x, y)| {
+        let seen = SUN_SAMPLES.iter().filter(|(x, y)| {
             let direction = self.sun + (right * *x + up * *y) * SUN_RADIUS;
             !self.shaded(start, direction, f32::INFINITY)
         });
-        seen.count() as f32 / ON_SUN.len() as f32
+        seen.count() as f32 / SUN_SAMPLES.len() as f32
     }
 
-    /// Share of the sky's light that bodies nearby leave.
+    /// Visible share of the sky, by ambient occlusion.
     fn sky_seen(&self, start: Vec3, normal: Vec3) -> f32 {
-        let reach = SKY_REACH * self.domain.length();
+        let reach = OCCLUSION_RANGE * self.domain.length();
         if !self.bodies_near(|centre, radius| centre.distance(start) < radius + reach) {
             return 1.0;
         }
         let (right, up) = normal.any_orthonormal_pair();
-        let taken = SKY.iter().filter(|local| {
+        let occluded = SKY_SAMPLES.iter().filter(|local| {
             let direction = right * local.x + up * local.y + normal * local.z;
             self.shaded(start, direction, reach)
         });
-        1.0 - SKY_TAKEN * taken.count() as f32 / SKY.len() as f32
+        1.0 - MAX_OCCLUSION * occluded.count() as f32 / SKY_SAMPLES.len() as f32
     }
 
     fn sky(&self, direction: Vec3) -> Vec3 {
@@ -445,12 +449,12 @@ impl Stage {
     }
 }
 
-/// What is left of light after a length in depths of the domain.
+/// Transmittance of a length in depths of the domain.
 fn transmittance(length: f32) -> Vec3 {
     (ABSORPTION * -length).exp()
 }
 
-/// Direction in the liquid of light that comes in from air.
+/// Direction of refracted light from air into liquid.
 fn refract(direction: Vec3, normal: Vec3, cosine: f32) -> Vec3 {
     let ratio = 1.0 / REFRACTION;
     let inner = (1.0 - ratio * ratio * (1.0 - cosine * cosine))
@@ -469,7 +473,7 @@ fn smooth(low: f32, high: f32, x: f32) -> f32 {
     t * t * (3.0 - 2.0 * t)
 }
 
-/// Highlights count as white when rays are averaged; else one glint fills a pixel.
+/// Clamps highlights before averaging; else one glint fills a pixel.
 fn clip(colour: Vec3) -> Vec3 {
     colour.min(Vec3::ONE)
 }

@@ -1,4 +1,4 @@
-//! Elastic solids of a frame: their surface with its mesh, coloured by body, by stress or by change of volume.
+//! Elastic solids of a frame: surface and mesh edges, coloured by body, stress or change of volume.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -12,41 +12,41 @@ use super::{Colour, DARK, array, points, read_vtk, unreadable};
 use crate::Error;
 use crate::geometry::TetMesh;
 
-/// Colours of bodies, sRGB, in the order of the scene; then again.
+/// Colours of bodies, sRGB, in the order of the scene, repeated.
 const BODIES: [u32; 8] = [
     0x2fa58b, 0xd9534f, 0xe8b73a, 0x7f6bc7, 0x5aa5d6, 0x9bbf4b, 0xd17fb0, 0x9a8478,
 ];
-/// Stress from 0 to its largest: viridis, sRGB.
+/// Colours of stress from 0 to the largest: viridis, sRGB.
 const STRESS: [u32; 10] = [
     0x440154, 0x482878, 0x3e4989, 0x31688e, 0x26828e, 0x1f9e89, 0x35b779, 0x6ece58, 0xb5de2b,
     0xfde725,
 ];
-/// det F from below 1, pressed together, to above 1, pulled apart, sRGB.
+/// Colours of det F from compressed (below 1) to expanded (above 1), sRGB.
 const VOLUME: [u32; 5] = [0x2166ac, 0x92c5de, 0xf2f2f2, 0xf4a582, 0xb2182b];
-/// det F of 0 or less: turned inside out.
+/// Colour of inverted elements, det F <= 0.
 const INVERTED: u32 = 0xd000d0;
 
-/// Share of all values that the colours tell apart; the rest has the last colour. An impact lasts a frame and would take them all.
-const TOLD_APART: f64 = 0.99;
+/// Quantile of values at the end of the scale: the peak of a short impact would compress the rest.
+const SCALE_QUANTILE: f64 = 0.99;
 
-/// Pixels that the least height of a triangle has where its sides begin to be drawn, and where they are as dark as they get.
+/// Height of a triangle, pixels, from which on its sides are drawn, and at which they are darkest.
 const SIDES: [f32; 2] = [4.0, 12.0];
-/// What drawn sides take away from the light.
+/// Share of light that drawn sides absorb.
 const SIDE_DARKNESS: f32 = 0.35;
 
 /// The solids of a frame file.
 pub(super) struct SolidFrame {
-    /// Where the nodes are, m.
+    /// Positions of the nodes, m.
     nodes: Vec<Vec3>,
     elements: Vec<[u32; 4]>,
-    /// Of each element: the index of its body.
+    /// Body of each element.
     body: Vec<i32>,
-    /// Of each element: what colours stand for; empty where they stand for bodies.
+    /// Coloured quantity of each element; empty for colours by body.
     values: Vec<f32>,
 }
 
 impl SolidFrame {
-    /// Reads a .vtu file with what a colour needs.
+    /// Reads a .vtu file with the data of a colour.
     pub(super) fn read(path: &Path, colour: Colour) -> Result<SolidFrame, Error> {
         let missing = |what: &str| unreadable(path, format!("no {what}"));
         let DataSet::UnstructuredGrid { pieces, .. } = read_vtk(path)? else {
@@ -90,48 +90,51 @@ impl SolidFrame {
     }
 }
 
-/// The surface of the solids, which is the same in all frames.
-pub(super) struct Skin {
+/// Surface of the solids, the same in all frames.
+pub(super) struct SolidSurface {
     elements: Vec<[u32; 4]>,
     triangles: Vec<[u32; 3]>,
     /// The element behind each triangle.
     behind: Vec<usize>,
 }
 
-/// How a triangle of the surface looks.
-pub(super) struct Look {
+/// Appearance of a surface triangle.
+pub(super) struct Appearance {
     /// Linear colour of its body.
     body: Vec3,
-    /// What colours stand for, at the corners.
+    /// Coloured quantity at the corners.
     values: [f32; 3],
 }
 
-impl Skin {
-    /// None yet.
-    pub(super) fn none() -> Skin {
-        Skin {
+impl SolidSurface {
+    pub(super) fn none() -> SolidSurface {
+        SolidSurface {
             elements: Vec::new(),
             triangles: Vec::new(),
             behind: Vec::new(),
         }
     }
 
-    /// The surface of a frame in its colours.
-    pub(super) fn dress(&mut self, frame: &SolidFrame, colour: Colour) -> (Triangles, Vec<Look>) {
+    /// Coloured surface of a frame.
+    pub(super) fn coloured(
+        &mut self,
+        frame: &SolidFrame,
+        colour: Colour,
+    ) -> (Triangles, Vec<Appearance>) {
         if self.elements != frame.elements {
-            *self = Skin::new(frame);
+            *self = SolidSurface::new(frame);
         }
         let at_nodes = match colour {
             Colour::Stress => means(frame),
             Colour::Solid | Colour::DetF => Vec::new(),
         };
-        let looks = self.triangles.iter().zip(&self.behind);
-        let looks = looks.map(|(corners, &element)| Look {
+        let appearances = self.triangles.iter().zip(&self.behind);
+        let appearances = appearances.map(|(corners, &element)| Appearance {
             body: linear(BODIES[frame.body[element].unsigned_abs() as usize % BODIES.len()]),
             values: match colour {
                 Colour::Solid => [0.0; 3],
                 Colour::Stress => corners.map(|node| at_nodes[node as usize]),
-                // A mean would hide an inverted element among sound ones.
+                // A mean would hide an inverted element.
                 Colour::DetF => [frame.values[element]; 3],
             },
         });
@@ -140,10 +143,10 @@ impl Skin {
             corners: corners.map(|node| frame.nodes[node as usize]),
             owner: Owner::Solid(number),
         });
-        (Triangles::new(triangles.collect()), looks.collect())
+        (Triangles::new(triangles.collect()), appearances.collect())
     }
 
-    fn new(frame: &SolidFrame) -> Skin {
+    fn new(frame: &SolidFrame) -> SolidSurface {
         let mesh = TetMesh {
             nodes: frame.nodes.iter().map(|x| x.as_dvec3()).collect(),
             elements: frame.elements.clone(),
@@ -164,7 +167,7 @@ impl Skin {
                 }
             }
         }
-        Skin {
+        SolidSurface {
             elements: mesh.elements,
             triangles,
             behind,
@@ -172,7 +175,7 @@ impl Skin {
     }
 }
 
-/// Of each node: the mean over its elements.
+/// Mean of each node over its elements.
 fn means(frame: &SolidFrame) -> Vec<f32> {
     let mut sums = vec![(0.0_f32, 0.0_f32); frame.nodes.len()];
     for (corners, value) in frame.elements.iter().zip(&frame.values) {
@@ -185,9 +188,9 @@ fn means(frame: &SolidFrame) -> Vec<f32> {
     sums.into_iter().map(|(sum, n)| sum / n.max(1.0)).collect()
 }
 
-/// What colours stand for.
+/// Colour scale.
 pub(super) enum Scale {
-    /// Bodies.
+    /// By body.
     Bodies,
     /// Stress from 0 to this, Pa.
     Stress(f32),
@@ -196,7 +199,7 @@ pub(super) enum Scale {
 }
 
 impl Scale {
-    /// For all frames that are drawn, so that a colour means the same in each.
+    /// The scale of all drawn frames, so that colours are comparable.
     pub(super) fn over<'a>(
         colour: Colour,
         files: impl Iterator<Item = &'a Path>,
@@ -213,7 +216,7 @@ impl Scale {
             }));
         }
         let last = values.len().saturating_sub(1);
-        let place = (TOLD_APART * last as f64) as usize;
+        let place = (SCALE_QUANTILE * last as f64) as usize;
         let high = match values.is_empty() {
             true => 0.0,
             false => *values.select_nth_unstable_by(place, f32::total_cmp).1,
@@ -235,7 +238,7 @@ impl Scale {
         }
     }
 
-    /// Draws what colours mean into the upper right corner.
+    /// Draws the legend into the upper right corner.
     pub(super) fn draw(&self, picture: &mut Picture) {
         let (title, low, high) = match *self {
             Scale::Bodies => return,
@@ -243,7 +246,7 @@ impl Scale {
             Scale::Volume(reach) => ("det F", 1.0 - reach, 1.0 + reach),
         };
         let [width, height] = picture.size;
-        let [letter, line] = picture.letters().extent(1);
+        let [letter, line] = picture.font().extent(1);
         let margin = line / 2;
         let right = |length: usize| width.saturating_sub(margin + length);
         let at = |x: usize, y: usize| (x as i64, y as i64);
@@ -265,8 +268,8 @@ impl Scale {
     }
 }
 
-impl Look {
-    /// Linear colour where a ray hits, `pixel` m wide there.
+impl Appearance {
+    /// Linear colour at a ray intersection; a pixel is `pixel` m wide there.
     pub(super) fn colour(&self, scale: &Scale, hit: &Hit, pixel: f32) -> Vec3 {
         let base = match scale {
             Scale::Bodies => self.body,
@@ -301,14 +304,14 @@ fn linear(code: u32) -> Vec3 {
     Vec3::new(channel(16), channel(8), channel(0))
 }
 
-/// Linear colour at a share of a list of colours.
+/// Interpolated linear colour at a fraction of a list.
 fn between(codes: &[u32], share: f32) -> Vec3 {
     let at = share.clamp(0.0, 1.0) * (codes.len() - 1) as f32;
     let low = (at as usize).min(codes.len() - 2);
     linear(codes[low]).lerp(linear(codes[low + 1]), at - low as f32)
 }
 
-/// 1, 2 or 5 times a power of ten, not below a number.
+/// Least number of 1, 2 or 5 times a power of ten that is not below a value.
 fn round_up(value: f32) -> f32 {
     let power = 10f32.powf(value.log10().floor());
     let steps = [1.0, 2.0, 5.0].map(|step| step * power);
@@ -316,9 +319,9 @@ fn round_up(value: f32) -> f32 {
     step.unwrap_or(10.0 * power)
 }
 
-/// A number with the digits that it has.
+/// A number with up to three digits.
 pub(super) fn label(value: f32) -> String {
-    // Through three digits: what is 1 - 0.2 in binary has more.
+    // Rounds off binary digits such as those of 1 - 0.2.
     let value: f64 = format!("{value:.2e}").parse().unwrap_or_default();
     if value == 0.0 || (1e-2..1e4).contains(&value.abs()) {
         format!("{value}")

@@ -1,22 +1,22 @@
-//! Rays against triangles: a bounding volume hierarchy split at the median, and the Moeller-Trumbore test (1997).
+//! Ray intersections with triangles: a bounding volume hierarchy with median splits, and the Moeller-Trumbore test (1997).
 //!
-//! Which of two triangles at one distance counts is the order of a hierarchy that the triangles alone decide.
+//! Of equally distant triangles the order of the hierarchy decides, which depends on the triangles alone.
 
 use glam::Vec3;
 
 /// Most triangles of a leaf.
 const LEAF: usize = 4;
 
-/// What a triangle belongs to.
+/// Body of a triangle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Owner {
-    /// An obstacle: seen from outside.
+    /// An obstacle, visible from outside.
     Obstacle,
-    /// A container: seen from inside only, and light comes through.
+    /// A container, visible from inside and translucent.
     Container,
-    /// An elastic solid, with the number of the triangle on its surface: seen from both sides, since it may be inside out.
+    /// An elastic solid with its triangle number, visible from both sides, since it may be inverted.
     Solid(usize),
-    /// The liquid, with the number of the triangle: seen from outside.
+    /// The liquid with its triangle number, visible from outside.
     Liquid(usize),
 }
 
@@ -28,19 +28,19 @@ pub(super) struct Triangle {
     pub(super) owner: Owner,
 }
 
-/// Where a ray meets a triangle.
+/// A ray intersection.
 pub(super) struct Hit {
     /// Distance along the ray, m.
     pub(super) t: f32,
-    /// Unit normal, against the ray.
+    /// Unit normal towards the origin of the ray.
     pub(super) normal: Vec3,
     pub(super) owner: Owner,
     pub(super) corners: [Vec3; 3],
-    /// Weights of the corners in the point.
+    /// Barycentric coordinates.
     pub(super) weights: [f32; 3],
 }
 
-/// Half of space: the points with normal . x > offset.
+/// The half space normal . x > offset.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct HalfSpace {
     /// Unit vector.
@@ -50,17 +50,17 @@ pub(super) struct HalfSpace {
 }
 
 impl HalfSpace {
-    fn holds(&self, x: Vec3) -> bool {
+    fn contains(&self, x: Vec3) -> bool {
         self.normal.dot(x) > self.offset
     }
 }
 
-/// Triangles of a scene.
+/// Triangles in a bounding volume hierarchy.
 pub(super) struct Triangles {
-    /// What is in it is not seen and gives no shade.
+    /// Invisible part of space, without shadows.
     cut: Option<HalfSpace>,
     triangles: Vec<Triangle>,
-    /// In the order of a depth-first walk: the left child follows its parent.
+    /// In depth-first order: the left child follows its parent.
     nodes: Vec<Node>,
 }
 
@@ -69,19 +69,17 @@ struct Node {
     high: Vec3,
     /// Right child, or first triangle of a leaf.
     next: usize,
-    /// Triangles of a leaf, else 0.
+    /// Number of triangles of a leaf, else 0.
     count: usize,
-    /// Along which the left child comes first.
+    /// Split axis; the left child has the lower coordinates.
     axis: usize,
 }
 
 impl Triangles {
-    /// None.
     pub(super) fn none() -> Triangles {
         Triangles::new(Vec::new())
     }
 
-    /// Sorts the triangles into a hierarchy.
     pub(super) fn new(mut triangles: Vec<Triangle>) -> Triangles {
         let mut nodes = Vec::new();
         if !triangles.is_empty() {
@@ -94,12 +92,12 @@ impl Triangles {
         }
     }
 
-    /// The same without what is in a part of space.
+    /// Cuts a half space away.
     pub(super) fn without(self, cut: Option<HalfSpace>) -> Triangles {
         Triangles { cut, ..self }
     }
 
-    /// The nearest triangle before `limit` that shows a side that can be seen, or where a body is cut, its inside.
+    /// First visible intersection before `limit`, possibly with the cut face of a body.
     pub(super) fn hit(&self, origin: Vec3, direction: Vec3, limit: f32) -> Option<Hit> {
         let face = self
             .cut
@@ -108,8 +106,8 @@ impl Triangles {
         self.surface(self.cut, origin, direction, limit).or(face)
     }
 
-    /// Where a ray that comes out of what is cut away comes into a body: it next meets that body's surface from inside. Its look is that
-    /// of the triangle there, in the middle of it.
+    /// Intersection with the cut face of a body: beyond the cutting plane the ray next meets the body's surface from
+    /// inside. The face has the appearance of that triangle's centre.
     fn cut_face(&self, cut: &HalfSpace, origin: Vec3, direction: Vec3, limit: f32) -> Option<Hit> {
         let speed = cut.normal.dot(direction);
         let t = (cut.offset - cut.normal.dot(origin)) / speed;
@@ -127,7 +125,7 @@ impl Triangles {
         })
     }
 
-    /// The nearest triangle before `limit` that shows a side that can be seen, of what is not cut away.
+    /// First visible intersection before `limit` outside the cut half space.
     fn surface(
         &self,
         cut: Option<HalfSpace>,
@@ -135,7 +133,7 @@ impl Triangles {
         direction: Vec3,
         limit: f32,
     ) -> Option<Hit> {
-        let gone = |t: f32| cut.is_some_and(|cut| cut.holds(origin + direction * t));
+        let gone = |t: f32| cut.is_some_and(|cut| cut.contains(origin + direction * t));
         let mut nearest: Option<Hit> = None;
         self.walk(origin, direction, limit, |triangle, limit| {
             let [a, b, c] = triangle.corners;
@@ -162,32 +160,32 @@ impl Triangles {
         nearest
     }
 
-    /// Every triangle on a ray, the nearest first: the distance, and whether the ray meets its outer side.
+    /// All intersections of a ray in order: distance, and whether the ray enters.
     pub(super) fn crossings(&self, origin: Vec3, direction: Vec3) -> Vec<(f32, bool)> {
-        let mut found = Vec::new();
+        let mut crossings = Vec::new();
         self.walk(origin, direction, f32::INFINITY, |triangle, limit| {
             if let Some((t, _)) = intersect(triangle, origin, direction, limit) {
                 let [a, b, c] = triangle.corners;
-                found.push((t, (b - a).cross(c - a).dot(direction) < 0.0));
+                crossings.push((t, (b - a).cross(c - a).dot(direction) < 0.0));
             }
             limit
         });
-        found.sort_unstable_by(|(a, entering_a), (b, entering_b)| {
+        crossings.sort_unstable_by(|(a, entering_a), (b, entering_b)| {
             a.total_cmp(b).then(entering_a.cmp(entering_b))
         });
-        found
+        crossings
     }
 
-    /// Corners of the box of all triangles, m; none without any.
+    /// Bounding box, m; `None` without triangles.
     pub(super) fn bounds(&self) -> Option<[Vec3; 2]> {
         self.nodes.first().map(|root| [root.low, root.high])
     }
 
-    /// Whether a body, but not a container, is between a point and the light, no further than `limit`.
+    /// Whether a body other than a container shadows a point from the light before `limit`.
     pub(super) fn shades(&self, origin: Vec3, direction: Vec3, limit: f32) -> bool {
         let gone = |t: f32| {
             let cut = self.cut.as_ref();
-            cut.is_some_and(|cut| cut.holds(origin + direction * t))
+            cut.is_some_and(|cut| cut.contains(origin + direction * t))
         };
         let mut shaded = false;
         self.walk(origin, direction, limit, |triangle, limit| {
@@ -203,7 +201,7 @@ impl Triangles {
         shaded
     }
 
-    /// Calls `visit` for the triangles near a ray; it returns the limit from there on.
+    /// Calls `visit` for the triangles near a ray; it returns the new limit.
     fn walk<'a>(
         &'a self,
         origin: Vec3,
@@ -212,7 +210,7 @@ impl Triangles {
         mut visit: impl FnMut(&'a Triangle, f32) -> f32,
     ) {
         let inverse = direction.recip();
-        // Halves of halves: no deeper than the bits of their number.
+        // The depth of a median split is at most the number of bits.
         let mut stack = [0; usize::BITS as usize + 1];
         let mut waiting = usize::from(!self.nodes.is_empty());
         while waiting > 0 {
@@ -228,7 +226,7 @@ impl Triangles {
                 continue;
             }
             if node.count == 0 {
-                // The nearer child is looked at first: what it hides, the other need not show.
+                // Visits the nearer child first, to shorten the ray early.
                 let children = [node.next, index + 1];
                 let first = usize::from(direction[node.axis] < 0.0);
                 stack[waiting] = children[first];
@@ -280,7 +278,7 @@ fn build(triangles: &mut [Triangle], first: usize, nodes: &mut Vec<Node>) {
     build(right, first + middle, nodes);
 }
 
-/// Distance along a ray, and the weights of the corners.
+/// Distance along a ray and barycentric coordinates.
 fn intersect(
     triangle: &Triangle,
     origin: Vec3,
@@ -291,7 +289,7 @@ fn intersect(
     let (ab, ac) = (b - a, c - a);
     let across = direction.cross(ac);
     let determinant = ab.dot(across);
-    // Seen edge-on, or without area.
+    // Edge-on or degenerate.
     if determinant.abs() < 1e-20 {
         return None;
     }

@@ -10,7 +10,7 @@ use super::{Both, EPS, unit};
 use crate::Error;
 use crate::effects::Effects;
 use crate::fields::Step;
-use crate::geometry::{CutCells, Running, SolidClip, Taps};
+use crate::geometry::{CutCells, Running, SolidClip, SourcesAndSinks};
 use crate::gpu::Real;
 use crate::grid::{Axis, Grid};
 use crate::measure::bounds::{MarkerError, advection_error, open_to_advection};
@@ -30,7 +30,7 @@ pub(super) struct LiquidJudge<'a> {
     /// As the device has them.
     cut: CutCells,
     open_volumes: Vec<f64>,
-    taps: Taps,
+    taps: SourcesAndSinks,
     /// What the sources do in the sub-step.
     running: Running,
     step: Step,
@@ -87,7 +87,7 @@ impl<'a> LiquidJudge<'a> {
             cut,
             taps: path
                 .taps()
-                .map_or_else(Taps::default, |(taps, _)| taps.clone()),
+                .map_or_else(SourcesAndSinks::default, |(taps, _)| taps.clone()),
             running: Running::default(),
             step,
             table: Table::default(),
@@ -145,12 +145,14 @@ impl<'a> LiquidJudge<'a> {
 
     /// Open fractions for the pressure: without the faces that sources hold.
     fn open_to_pressure(&self) -> [Vec<f64>; 3] {
-        self.taps.held_open(&self.cut.open, self.running.running)
+        self.taps
+            .pressure_apertures(&self.cut.open, self.running.running)
     }
 
     /// Open fractions of the fluxes: with the apertures of sources on the faces that they hold.
     fn open_to_flux(&self) -> [Vec<f64>; 3] {
-        self.taps.flux_open(&self.cut.open, self.running.running)
+        self.taps
+            .flux_apertures(&self.cut.open, self.running.running)
     }
 
     fn judge_stage(
@@ -732,7 +734,9 @@ impl<'a> LiquidJudge<'a> {
         });
         let of_nodes = walls.map_or(&[][..], |walls| walls.velocity.as_flattened());
         let of_nodes = of_nodes.iter().fold(0.0, |m, v| f64::max(m, v.abs()));
-        let of_obstacles = clip.map_or(&[][..], |clip| clip.obstacles().walls()).iter();
+        let of_obstacles = clip
+            .map_or(&[][..], |clip| clip.obstacles().wall_velocities())
+            .iter();
         let of_walls = of_obstacles.fold(of_nodes, |m, (_, v)| m.max(v.abs().max_element()));
         let speed = 3.0 * of_walls + reference::max_speed(&self.before.velocity);
         let mut twin = self.before.velocity.clone();

@@ -1,21 +1,22 @@
 //! Sources and sinks as cells and faces of the grid.
 //!
-//! A source owns all cells that its shape meets and that obstacles at rest leave open. While it runs they are no unknowns: their faces carry
-//! the source's velocity v and are closed for the pressure. Faces that v enters the source through are walls: a source never takes liquid in.
-//! Every other outer face has a prescribed boundary flux. Its aperture is the share of the face within the stream tube
+//! A source owns the cells that its shape meets and that static obstacles leave open. While it runs these cells are no
+//! unknowns: their faces have the source's velocity v and are closed to the pressure. Outer faces that v enters through are
+//! walls. Every other outer face has a prescribed boundary flux. Its aperture is the area fraction within the stream tube, at
+//! most the aperture beside obstacles:
 //!
 //! ```text
 //! T = { x + t v : x in the shape and in the domain, t >= 0 }
 //! ```
 //!
-//! and at most what obstacles leave open. The sum of these fluxes is |v| times the area of the shape projected along v, less what walls cover,
-//! whatever the cells and the direction; liquid leaves with the speed |v|. Shares are counted by rays, and those between 0 and 1
-//! are scaled so that the sum is exact for a shape within the domain.
+//! The sum of these fluxes is |v| times the projected area of the shape along v, less the part that walls cover. It does not
+//! depend on the cells or the direction. Fractions are sampled with rays. Those between 0 and 1 are scaled so that the sum is
+//! exact for a shape within the domain.
 //!
-//! Of each cell, the eighths that lie in the shape are kept full of markers: as many eighths in all as the shape has volume.
+//! The octants of source cells that lie in the shape are refilled with markers; their number equals the volume of the shape.
 //!
-//! A sink is all cells whose centre lies in its shape and in no obstacle at rest. Bodies that move do not change which cells and
-//! apertures these are. `exchange` makes no markers in the cells that they cover.
+//! A sink consists of the cells with a centre in its shape and outside static obstacles. Moving bodies change neither cells nor
+//! apertures; `exchange` emits no markers in the cells that they cover.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -27,32 +28,31 @@ use crate::grid::{Axis, Grid};
 use crate::scene::{MAX_VELOCITY, Scene, Shape, Source};
 use crate::state::State;
 
-/// Markers that a cell within a source has at least, one in each eighth.
-pub const PER_CELL: usize = 8;
+/// Least number of markers in a source cell: one per octant.
+pub const MARKERS_PER_CELL: usize = 8;
 
-/// Rays along each side of a face: sides of a shape that lie less than a hundredth of a cell off a line of the grid count as on it. And sample
-/// points along each side of an eighth of a cell.
+/// Rays along each side of a face: sides of a shape within a hundredth of a cell of a grid line coincide with it.
 const RAYS: usize = 48;
 const SAMPLES: usize = 4;
-/// Times that shares of faces are scaled.
+/// Scaling iterations of the area fractions.
 const SCALINGS: usize = 16;
-/// Least mean thickness of a source along its velocity, cells, and least volume, cells: a thinner one would emit with gaps.
-const THINNEST: f64 = 0.5;
-/// Share of a velocity below which a component is none.
+/// Least mean thickness of a source along its velocity, cells, and least volume, cells. Thinner sources emit with gaps.
+const MIN_THICKNESS: f64 = 0.5;
+/// Relative magnitude below which a component of a velocity is zero.
 const NO_COMPONENT: f64 = 1e-12;
 
-/// A face between a cell of a source and another cell.
+/// A face of a source cell.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SourceFace {
-    /// What it is normal to.
+    /// Axis of the normal.
     pub axis: Axis,
     /// Host index among the faces of the axis.
     pub face: usize,
-    /// The sources of the cells on its minus and plus side.
+    /// Sources of the cells on the minus and plus side.
     pub sides: [Option<u32>; 2],
-    /// Their velocities along the axis, m/s; 0 on sides of the domain.
+    /// Velocities of these sources along the axis, m/s; 0 on sides of the domain.
     pub velocity: [f64; 2],
-    /// Shares of the face that they emit through where the other side is no source.
+    /// Apertures of these sources towards a cell of no source.
     pub aperture: [f64; 2],
     /// Open area, m^2.
     pub area: f64,
@@ -60,18 +60,19 @@ pub struct SourceFace {
     whole: f64,
 }
 
-/// What a face of sources carries.
+/// Prescribed velocity and aperture of a face.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PrescribedFace {
     /// m/s
     pub velocity: f64,
-    /// Share of the face that lets it through, before obstacles.
+    /// Aperture without obstacles.
     pub aperture: f64,
 }
 
 impl SourceFace {
-    /// What it carries while the sources of the set `running` run; `None` where neither of its cells belongs to one.
-    pub fn held(&self, running: u32) -> Option<PrescribedFace> {
+    /// Prescribed velocity and aperture while the sources in the bit set `running` run; `None` if neither cell belongs to
+    /// one.
+    pub fn prescribed(&self, running: u32) -> Option<PrescribedFace> {
         let [minus, plus] = self.sides.map(|side| runs(side, running));
         let (velocity, aperture) = match (minus, plus) {
             (true, true) => (self.velocity[0], 1.0),
@@ -82,24 +83,26 @@ impl SourceFace {
         Some(PrescribedFace { velocity, aperture })
     }
 
-    /// What comes out of sources through it, m^3/s; `area`: its open area, m^2.
+    /// Volume flux out of sources, m^3/s, through the open area `area` (m^2).
     fn flux(&self, area: f64, running: u32) -> f64 {
         let inner = self.sides.iter().all(|&side| runs(side, running));
-        match self.held(running) {
-            Some(held) if !inner => area.min(held.aperture * self.whole) * held.velocity.abs(),
+        match self.prescribed(running) {
+            Some(prescribed) if !inner => {
+                area.min(prescribed.aperture * self.whole) * prescribed.velocity.abs()
+            }
             _ => 0.0,
         }
     }
 }
 
-/// What the sources of a scene do in one sub-step.
+/// Activity of the sources in one sub-step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Running {
-    /// The set of those that run, a bit for each.
+    /// Bit set of the running sources.
     pub running: u32,
-    /// Those of them that did not in the sub-step before.
+    /// Running sources that did not run in the previous sub-step.
     pub starting: u32,
-    /// Of the jitter.
+    /// Seed of the jitter.
     pub seed: u32,
     /// Number of the sub-step.
     pub step: u32,
@@ -111,7 +114,7 @@ fn runs(source: Option<u32>, running: u32) -> bool {
 
 /// A source without its cells.
 #[derive(Clone, Copy, Debug)]
-struct Tap {
+struct SourceState {
     /// m/s
     velocity: DVec3,
     /// s
@@ -120,18 +123,18 @@ struct Tap {
     end: f64,
     /// Mean number of cells along the axis of the largest velocity.
     depth: f64,
-    /// Speed times projected area, m^3/s.
+    /// Flow rate without walls: speed times projected area, m^3/s.
     unobstructed: f64,
 }
 
-/// What a source emits on the grid.
+/// Flow of a source on the grid.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SourceFlow {
     /// Velocity of the liquid, m/s.
     pub velocity: DVec3,
-    /// Volume per second, m^3/s, while no other source runs.
+    /// Flow rate while no other source runs, m^3/s.
     pub flow_rate: f64,
-    /// The same without walls: speed times the projected area of the shape, m^3/s.
+    /// Flow rate without walls: speed times projected area, m^3/s.
     pub unobstructed: f64,
     /// s
     pub start: f64,
@@ -141,27 +144,24 @@ pub struct SourceFlow {
 
 /// The sources and sinks of a scene on its grid.
 #[derive(Clone, Debug, Default)]
-pub struct Taps {
-    taps: Vec<Tap>,
-    /// Cells of sources with the number of theirs, ascending. Where sources overlap, the first has the cell.
+pub struct SourcesAndSinks {
+    sources: Vec<SourceState>,
+    /// Cells of sources with the number of their source, ascending. Overlapping cells belong to the first source.
     pub source_cells: Vec<(usize, u32)>,
-    /// Of each of them, the eighths to keep full of markers: bit i + 2 j + 4 k for the upper half along x, y, z.
+    /// Octants of each of these cells to refill with markers: bit i + 2 j + 4 k for the upper half along x, y, z.
     pub eighths: Vec<u8>,
-    /// Faces of those cells, by axis and index.
+    /// Faces of these cells, by axis and index.
     pub faces: Vec<SourceFace>,
-    /// Cells of sinks that are not of sources, ascending, each once.
+    /// Cells of sinks outside sources, ascending.
     pub sink_cells: Vec<usize>,
 }
 
-impl Taps {
-    /// Those of a scene; `cut`: what obstacles leave that stand still.
-    ///
-    /// # Errors
-    /// [`Error::Input`] for one in which no free cell has its centre.
-    pub fn new(scene: &Scene, grid: &Grid, cut: &CutCells) -> Result<Taps, Error> {
+impl SourcesAndSinks {
+    /// `cut` has the static obstacles. A source or sink without a free cell is an error.
+    pub fn new(scene: &Scene, grid: &Grid, cut: &CutCells) -> Result<SourcesAndSinks, Error> {
         const NONE: u32 = u32::MAX;
         if scene.sources.is_empty() && scene.sinks.is_empty() {
-            return Ok(Taps::default());
+            return Ok(SourcesAndSinks::default());
         }
         let mut owner = vec![NONE; grid.n_cells()];
         let mut eighths = vec![0; grid.n_cells()];
@@ -177,14 +177,8 @@ impl Taps {
             ensure_thick(scene, grid, cut, &own, number)?;
         }
         let mut sink_cells = Vec::new();
-        for (number, sink) in scene.sinks.iter().enumerate() {
-            sink_cells.extend(cells(
-                scene,
-                grid,
-                cut,
-                &sink.shape,
-                &format!("sink[{number}]"),
-            )?);
+        for number in 0..scene.sinks.len() {
+            sink_cells.extend(cells_of_sink(scene, grid, cut, number)?);
         }
         sink_cells.retain(|&cell| owner[cell] == NONE);
         sink_cells.sort_unstable();
@@ -198,60 +192,51 @@ impl Taps {
             .iter()
             .map(|&(cell, _)| eighths[cell])
             .collect();
-        let mut faces = Vec::new();
-        for axis in Axis::ALL {
+        let face = |axis: Axis, face: usize| {
             let a = axis.index();
-            let mut of_axis: Vec<usize> = source_cells
-                .iter()
-                .flat_map(|&(cell, _)| {
-                    let minus = grid.cell_at(cell);
-                    let mut plus = minus;
-                    plus[a] += 1;
-                    [minus, plus].map(|at| grid.face(axis, at))
-                })
-                .collect();
-            of_axis.sort_unstable();
-            of_axis.dedup();
-            faces.extend(of_axis.into_iter().map(|face| {
-                let cells = grid.face_sides(axis, grid.face_at(axis, face));
-                let on_side = cells.contains(&None);
-                let sides = cells.map(|cell| cell.map(|cell| owner[cell]).filter(|&o| o != NONE));
-                let velocity = sides.map(|side| match side {
-                    Some(source) if !on_side => scene.sources[source as usize].velocity[a],
-                    _ => 0.0,
-                });
-                // Of the sources whose velocity leaves through the face.
-                let aperture = [0, 1].map(|side| match sides[side] {
-                    Some(source) if velocity[side] * [1.0, -1.0][side] > 0.0 => {
-                        outlets[source as usize].aperture(grid, axis, face)
-                    }
-                    _ => 0.0,
-                });
-                let whole = grid.dx * grid.dx;
-                SourceFace {
-                    axis,
-                    face,
-                    sides,
-                    velocity,
-                    aperture,
-                    area: whole * cut.open[a][face],
-                    whole,
+            let cells = grid.face_sides(axis, grid.face_at(axis, face));
+            let on_side = cells.contains(&None);
+            let sides = cells.map(|cell| cell.map(|cell| owner[cell]).filter(|&o| o != NONE));
+            let velocity = sides.map(|side| match side {
+                Some(source) if !on_side => scene.sources[source as usize].velocity[a],
+                _ => 0.0,
+            });
+            // Apertures of sources with an outward velocity.
+            let aperture = [0, 1].map(|side| match sides[side] {
+                Some(source) if velocity[side] * [1.0, -1.0][side] > 0.0 => {
+                    outlets[source as usize].aperture(grid, axis, face)
                 }
-            }));
-        }
-        let taps = scene
+                _ => 0.0,
+            });
+            let whole = grid.dx * grid.dx;
+            SourceFace {
+                axis,
+                face,
+                sides,
+                velocity,
+                aperture,
+                area: whole * cut.open[a][face],
+                whole,
+            }
+        };
+        let faces = Axis::ALL.into_iter().flat_map(|axis| {
+            let faces = faces_of_cells(grid, axis, &source_cells).into_iter();
+            faces.map(move |number| (axis, number))
+        });
+        let faces = faces.map(|(axis, number)| face(axis, number)).collect();
+        let sources = scene
             .sources
             .iter()
             .zip(&outlets)
-            .map(|(source, outlet)| Tap {
+            .map(|(source, outlet)| SourceState {
                 velocity: source.velocity,
                 start: source.start,
                 end: source.end,
                 depth: outlet.depth,
                 unobstructed: outlet.area * source.velocity.length(),
             });
-        let mut all = Taps {
-            taps: taps.collect(),
+        let mut all = SourcesAndSinks {
+            sources: sources.collect(),
             source_cells,
             eighths,
             faces,
@@ -265,20 +250,20 @@ impl Taps {
         Ok(all)
     }
 
-    /// Scales the velocity of a source so that it emits a flow rate (m^3/s) through what walls leave.
+    /// Scales the velocity of a source to a flow rate (m^3/s) through the open part of its faces.
     fn set_flow_rate(&mut self, number: usize, flow_rate: f64, what: &str) -> Result<(), Error> {
-        // Infinite where walls cover all of it.
+        // Infinite for a covered source.
         let scale = flow_rate / self.flux(1 << number);
-        let tap = &mut self.taps[number];
-        if scale * tap.velocity.length() > MAX_VELOCITY {
+        let source = &mut self.sources[number];
+        if scale * source.velocity.length() > MAX_VELOCITY {
             return Err(Error::input(
                 what,
                 format!("walls leave too little of it open for {flow_rate} m^3/s"),
                 "move it out of obstacles and off walls, or turn it so that liquid can leave it",
             ));
         }
-        tap.velocity *= scale;
-        tap.unobstructed *= scale;
+        source.velocity *= scale;
+        source.unobstructed *= scale;
         for face in &mut self.faces {
             for (velocity, side) in face.velocity.iter_mut().zip(face.sides) {
                 if side == Some(number as u32) {
@@ -289,26 +274,27 @@ impl Taps {
         Ok(())
     }
 
-    /// What each source emits.
+    /// Flow of each source.
     pub fn flows(&self) -> impl Iterator<Item = SourceFlow> {
-        self.taps
+        self.sources
             .iter()
             .enumerate()
-            .map(|(number, tap)| SourceFlow {
-                velocity: tap.velocity,
+            .map(|(number, source)| SourceFlow {
+                velocity: source.velocity,
                 flow_rate: self.flux(1 << number),
-                unobstructed: tap.unobstructed,
-                start: tap.start,
-                end: tap.end,
+                unobstructed: source.unobstructed,
+                start: source.start,
+                end: source.end,
             })
     }
 
-    /// What they do in the sub-step after a state; `seed`: that of the scene's markers.
+    /// Activity in the sub-step after a state; `seed` is that of the scene's markers.
     pub fn running(&self, state: &State, seed: u64) -> Running {
-        let taps = self.taps.iter().enumerate();
-        let runs = taps.filter(|(_, tap)| tap.start <= state.time && state.time < tap.end);
+        let sources = self.sources.iter().enumerate();
+        let runs =
+            sources.filter(|(_, source)| source.start <= state.time && state.time < source.end);
         let running = runs.fold(0, |set, (number, _)| set | 1 << number);
-        // 64 bits in 32.
+        // Folds 64 bits into 32.
         let fold = |x: u64| (x ^ (x >> 32)) as u32;
         Running {
             running,
@@ -318,15 +304,15 @@ impl Taps {
         }
     }
 
-    /// What comes out of the sources of a set, m^3/s.
+    /// Volume flux out of a set of sources, m^3/s.
     pub fn flux(&self, running: u32) -> f64 {
         let faces = self.faces.iter();
         faces.map(|face| face.flux(face.area, running)).sum()
     }
 
-    /// What sources of a set take of cells beside them, m^3/s: negative, for they give. `open`: fractions of faces, as bodies that move leave
-    /// them.
-    pub fn taken(
+    /// Prescribed boundary flux out of the cells beside a set of sources, m^3/s; negative, an inflow. `open`: apertures
+    /// with moving bodies.
+    pub fn boundary_flux(
         &self,
         grid: &Grid,
         open: Option<&[Vec<f64>; 3]>,
@@ -344,57 +330,60 @@ impl Taps {
         faces.collect()
     }
 
-    /// The speed that limits sub-steps in which something may cross `cfl` cells, for sources that run at a time (s) or later, m/s:
-    /// theirs or, where one is thinner than that, as much more as keeps a sub-step from emptying it: what it emits would have gaps.
+    /// Speed limit of the CFL condition with `cfl` cells for sources that run at a time (s) or later, m/s.
+    ///
+    /// A source thinner than `cfl` cells has a proportionally larger speed: a sub-step must not empty it, else the emitted
+    /// liquid has gaps.
     pub fn speed(&self, time: f64, cfl: f64) -> f64 {
-        let taps = self.taps.iter().filter(|tap| time < tap.end);
-        taps.map(|tap| tap.velocity.abs().max_element() * (cfl / tap.depth).max(1.0))
+        let sources = self.sources.iter().filter(|source| time < source.end);
+        sources
+            .map(|source| source.velocity.abs().max_element() * (cfl / source.depth).max(1.0))
             .fold(0.0, f64::max)
     }
 
-    /// Markers that the sources emit up to a time (s), at most: they fill their cells, and a quarter more than their flux.
-    pub fn room(&self, duration: f64, grid: &Grid) -> usize {
-        let flux = (0..self.taps.len()).map(|number| {
-            let Tap { start, end, .. } = self.taps[number];
+    /// Upper bound of the markers emitted up to a time (s): the initial filling and 1.25 times the flux.
+    pub fn max_markers(&self, duration: f64, grid: &Grid) -> usize {
+        let flux = (0..self.sources.len()).map(|number| {
+            let SourceState { start, end, .. } = self.sources[number];
             self.flux(1 << number) * (end.min(duration) - start).max(0.0)
         });
         let flowed = 1.25 * flux.sum::<f64>() / grid.cell_volume();
-        PER_CELL * (2 * self.source_cells.len() + flowed.ceil() as usize)
+        MARKERS_PER_CELL * (2 * self.source_cells.len() + flowed.ceil() as usize)
     }
 
-    /// Open fractions with the faces closed that carry the velocity of sources: those for the pressure.
-    pub fn held_open(&self, open: &[Vec<f64>; 3], running: u32) -> [Vec<f64>; 3] {
+    /// Apertures for the pressure: faces with a prescribed velocity are closed.
+    pub fn pressure_apertures(&self, open: &[Vec<f64>; 3], running: u32) -> [Vec<f64>; 3] {
         let mut open = open.clone();
         for face in self
             .faces
             .iter()
-            .filter(|face| face.held(running).is_some())
+            .filter(|face| face.prescribed(running).is_some())
         {
             open[face.axis.index()][face.face] = 0.0;
         }
         open
     }
 
-    /// Open fractions with the apertures of the faces that carry the velocity of sources: those of the fluxes.
-    pub fn flux_open(&self, open: &[Vec<f64>; 3], running: u32) -> [Vec<f64>; 3] {
+    /// Apertures for fluxes: faces with a prescribed velocity have its aperture.
+    pub fn flux_apertures(&self, open: &[Vec<f64>; 3], running: u32) -> [Vec<f64>; 3] {
         let mut open = open.clone();
         for face in &self.faces {
-            if let Some(held) = face.held(running) {
+            if let Some(prescribed) = face.prescribed(running) {
                 let open = &mut open[face.axis.index()][face.face];
-                *open = open.min(held.aperture);
+                *open = open.min(prescribed.aperture);
             }
         }
         open
     }
 }
 
-/// A cell that a shape meets, with the share of each of its eighths that lies in the shape.
+/// A cell that a shape meets, with the volume fraction of each octant in the shape.
 type Met = (usize, [f64; 8]);
 
 /// The cells that a shape meets, ascending.
 fn met_cells(grid: &Grid, shape: &Shape) -> Result<Vec<Met>, Error> {
     let solid = Solid::new(shape)?;
-    // From the centre to a corner.
+    // Distance from the centre to a corner.
     let reach = 0.75_f64.sqrt() * grid.dx;
     let n = 2 * SAMPLES;
     let shares = |cell: usize| {
@@ -420,7 +409,7 @@ fn met_cells(grid: &Grid, shape: &Shape) -> Result<Vec<Met>, Error> {
         .collect())
 }
 
-/// Whether obstacles leave some of a cell's faces open.
+/// Whether obstacles leave a face of a cell open.
 fn opens(grid: &Grid, cut: &CutCells, cell: usize) -> bool {
     let minus = grid.cell_at(cell);
     Axis::ALL.into_iter().any(|axis| {
@@ -433,15 +422,15 @@ fn opens(grid: &Grid, cut: &CutCells, cell: usize) -> bool {
     })
 }
 
-/// The eighths of a source's cells to keep full of markers: none where the centre of a cell is in an obstacle; elsewhere those with the largest
-/// shares, as many as all shares add up to. Among equals a hash decides, so that no side is preferred.
+/// Octants of source cells to refill, none in cells with a centre in an obstacle: those with the largest fractions, as many as
+/// the sum of all fractions. A hash orders equal fractions, so that no side is preferred.
 fn full_eighths(cut: &CutCells, cells: &[Met]) -> Vec<u8> {
     let free = |cell: usize| cut.solid_distance[cell] >= 0.0;
     let mut shares: Vec<(f64, u64, usize, usize)> = Vec::new();
-    for (index, &(cell, of_eighths)) in cells.iter().enumerate() {
+    for (index, &(cell, fractions)) in cells.iter().enumerate() {
         if free(cell) {
             let hash = |eighth: usize| (8 * cell + eighth) as u64 * 0x9e37_79b9_7f4a_7c15;
-            let eighths = of_eighths.into_iter().enumerate();
+            let eighths = fractions.into_iter().enumerate();
             let some = eighths.filter(|(_, share)| *share > 0.0);
             shares.extend(some.map(|(e, share)| (share, hash(e).rotate_left(32), index, e)));
         }
@@ -469,7 +458,7 @@ fn ensure_thick(
         .filter(|(cell, _)| cut.solid_distance[*cell] >= 0.0);
     let volume: f64 = free.flat_map(|(_, shares)| shares).sum::<f64>() / 8.0;
     let area = source.shape.projected_area(source.velocity.normalize()) / grid.dx.powi(2);
-    if volume >= THINNEST * area.min(1.0) && volume > 0.0 {
+    if volume >= MIN_THICKNESS * area.min(1.0) && volume > 0.0 {
         return Ok(());
     }
     Err(Error::input(
@@ -482,15 +471,15 @@ fn ensure_thick(
     ))
 }
 
-/// How a source emits.
+/// Stream tube of a source.
 struct Outlet<'a> {
     shape: &'a Shape,
-    /// Against its velocity, a unit vector.
+    /// Unit vector against the velocity.
     back: DVec3,
     size: DVec3,
-    /// Of the shape, projected along the velocity, m^2.
+    /// Projected area of the shape, m^2.
     area: f64,
-    /// By how much shares between 0 and 1 are scaled.
+    /// Scale of area fractions between 0 and 1.
     scale: f64,
     /// Mean number of cells along the axis of the largest velocity.
     depth: f64,
@@ -498,29 +487,29 @@ struct Outlet<'a> {
 
 impl<'a> Outlet<'a> {
     fn new(grid: &Grid, source: &'a Source, met: &[Met]) -> Outlet<'a> {
-        let way = source.velocity.normalize();
+        let direction = source.velocity.normalize();
         let mut outlet = Outlet {
             shape: &source.shape,
-            back: -way,
+            back: -direction,
             size: grid.size(),
-            area: source.shape.projected_area(way),
+            area: source.shape.projected_area(direction),
             scale: 1.0,
             depth: 1.0,
         };
         let inner = |cell: usize| met.binary_search_by_key(&cell, |met| met.0).is_ok();
-        let largest = way.abs().max_position();
-        // Shares of the outer faces that the velocity leaves through, times its part normal to them.
+        let largest = direction.abs().max_position();
+        // Area fractions of the outer faces with an outward velocity, times its normal component.
         let (mut whole, mut parts, mut front) = (0.0, Vec::new(), 0.0);
         for &(cell, _) in met {
             for axis in Axis::ALL {
                 let a = axis.index();
-                if way[a].abs() <= NO_COMPONENT {
+                if direction[a].abs() <= NO_COMPONENT {
                     continue;
                 }
                 let mut at = grid.cell_at(cell);
-                at[a] += usize::from(way[a] > 0.0);
+                at[a] += usize::from(direction[a] > 0.0);
                 let sides = grid.face_sides(axis, at);
-                let next = sides[usize::from(way[a] > 0.0)];
+                let next = sides[usize::from(direction[a] > 0.0)];
                 if next.is_some_and(inner) {
                     continue;
                 }
@@ -529,8 +518,8 @@ impl<'a> Outlet<'a> {
                     front += share;
                 }
                 match share == 1.0 {
-                    true => whole += way[a].abs(),
-                    false => parts.push((share, way[a].abs())),
+                    true => whole += direction[a].abs(),
+                    false => parts.push((share, direction[a].abs())),
                 }
             }
         }
@@ -538,7 +527,7 @@ impl<'a> Outlet<'a> {
         outlet.depth = volume / front.max(f64::MIN_POSITIVE);
         if outlet.shape.lies_in(grid.size()) {
             let rest = outlet.area / grid.dx.powi(2) - whole;
-            // Shares that reach 1 on the way stay there.
+            // Fractions that reach 1 remain there.
             for _ in 0..SCALINGS {
                 let scaled = parts
                     .iter()
@@ -554,7 +543,7 @@ impl<'a> Outlet<'a> {
         outlet
     }
 
-    /// The share of a face within the stream tube.
+    /// Area fraction of a face within the stream tube.
     fn share(&self, grid: &Grid, axis: Axis, at: [usize; 3]) -> f64 {
         let a = axis.index();
         let [b, c] = [(a + 1) % 3, (a + 2) % 3];
@@ -579,7 +568,7 @@ impl<'a> Outlet<'a> {
         (0..n).filter(|&ray| inside(ray)).count() as f64 / n as f64
     }
 
-    /// The share of a face that it emits through, a number of single precision, as on the device.
+    /// Aperture of a face, in single precision as on the device.
     fn aperture(&self, grid: &Grid, axis: Axis, face: usize) -> f64 {
         let share = self.share(grid, axis, grid.face_at(axis, face));
         match share == 1.0 {
@@ -589,9 +578,9 @@ impl<'a> Outlet<'a> {
     }
 }
 
-/// Where a line from x along a unit vector enters and leaves a box, ball or cylinder, m; `None` where it misses it.
-fn chord(shape: &Shape, x: DVec3, way: DVec3) -> Option<[f64; 2]> {
-    // Between two planes at these heights.
+/// Entry and exit of a line from x along a unit vector through a box, ball or cylinder, m.
+fn chord(shape: &Shape, x: DVec3, direction: DVec3) -> Option<[f64; 2]> {
+    // Intersection with a slab.
     let between = |height: f64, slope: f64, [low, high]: [f64; 2]| match slope == 0.0 {
         true => {
             let inside = low < height && height < high;
@@ -602,9 +591,9 @@ fn chord(shape: &Shape, x: DVec3, way: DVec3) -> Option<[f64; 2]> {
             Some([a.min(b), a.max(b)])
         }
     };
-    // Nearer than the radius to a point or an axis.
-    let round = |x: DVec3, way: DVec3, radius: f64| {
-        let (square, product) = (way.length_squared(), x.dot(way));
+    // Intersection with a ball or an infinite cylinder.
+    let round = |x: DVec3, direction: DVec3, radius: f64| {
+        let (square, product) = (direction.length_squared(), x.dot(direction));
         let rest = x.length_squared() - radius * radius;
         if square < NO_COMPONENT {
             return (rest < 0.0).then_some([f64::NEG_INFINITY, f64::INFINITY]);
@@ -613,50 +602,63 @@ fn chord(shape: &Shape, x: DVec3, way: DVec3) -> Option<[f64; 2]> {
         let root = (root > 0.0).then(|| root.sqrt())?;
         Some([(-product - root) / square, (-product + root) / square])
     };
-    let both = |a: Option<[f64; 2]>, b: Option<[f64; 2]>| {
+    let intersection = |a: Option<[f64; 2]>, b: Option<[f64; 2]>| {
         let ([a, b], [c, d]) = (a?, b?);
         let [from, to] = [a.max(c), b.min(d)];
         (from < to).then_some([from, to])
     };
     match *shape {
         Shape::Box { min, max } => [0, 1, 2]
-            .map(|a| between(x[a], way[a], [min[a], max[a]]))
+            .map(|a| between(x[a], direction[a], [min[a], max[a]]))
             .into_iter()
-            .reduce(both)
+            .reduce(intersection)
             .flatten(),
-        Shape::Sphere { centre, radius } => round(x - centre, way, radius),
+        Shape::Sphere { centre, radius } => round(x - centre, direction, radius),
         Shape::Cylinder {
             base,
             axis,
             radius,
             height,
         } => {
-            let [over, along] = [(x - base).dot(axis), way.dot(axis)];
+            let [over, along] = [(x - base).dot(axis), direction.dot(axis)];
             let flat = between(over, along, [0.0, height]);
-            let across = round(x - base - over * axis, way - along * axis, radius);
-            both(flat, across)
+            let across = round(x - base - over * axis, direction - along * axis, radius);
+            intersection(flat, across)
         }
         _ => None,
     }
 }
 
-/// The cells with their centres in a shape and in no obstacle.
-fn cells(
+/// Faces of source cells normal to an axis, ascending.
+fn faces_of_cells(grid: &Grid, axis: Axis, cells: &[(usize, u32)]) -> Vec<usize> {
+    let faces = cells.iter().flat_map(|&(cell, _)| {
+        let minus = grid.cell_at(cell);
+        let mut plus = minus;
+        plus[axis.index()] += 1;
+        [minus, plus].map(|at| grid.face(axis, at))
+    });
+    let mut faces: Vec<usize> = faces.collect();
+    faces.sort_unstable();
+    faces.dedup();
+    faces
+}
+
+/// Cells with a centre in a sink and in no obstacle.
+fn cells_of_sink(
     scene: &Scene,
     grid: &Grid,
     cut: &CutCells,
-    shape: &Shape,
-    what: &str,
+    number: usize,
 ) -> Result<Vec<usize>, Error> {
-    let solid = Solid::new(shape)?;
-    let holds = |cell: usize| {
+    let solid = Solid::new(&scene.sinks[number].shape)?;
+    let inside = |&cell: &usize| {
         let free = cut.solid_distance[cell] >= 0.0;
         free && solid.distance(grid.cell_centre(grid.cell_at(cell))) <= 0.0
     };
-    let cells: Vec<usize> = (0..grid.n_cells()).filter(|&cell| holds(cell)).collect();
+    let cells: Vec<usize> = (0..grid.n_cells()).filter(inside).collect();
     if cells.is_empty() {
         return Err(Error::input(
-            scene.at(what),
+            scene.at(&format!("sink[{number}]")),
             format!(
                 "no cell of {} m outside obstacles has its centre in it",
                 rounded(grid.dx)

@@ -1,37 +1,30 @@
-//! Sources and sinks: where liquid comes in and where it is taken away.
+//! Sources and sinks of liquid.
 
 use std::path::Path;
 
 use glam::DVec3;
 
 use super::document::{Keys, Place, Table};
-use super::read::{MAX_VELOCITY, bounded, list};
-use super::shape::shape;
+use super::read::{MAX_VELOCITY, bounded};
+use super::shape::{ensure_in_domain, shape};
 use super::{Domain, Liquid, Placement, Shape, Sink, Source, Surface};
 use crate::error::{Error, rounded};
 
 const SHAPES: [&str; 3] = ["box", "sphere", "cylinder"];
-const SOURCE: Keys = Keys {
-    valid: &[
-        "box",
-        "sphere",
-        "cylinder",
-        "velocity",
-        "flow_rate",
-        "direction",
-        "start",
-        "end",
-    ],
-    absent: &[],
-};
-const SINK: Keys = Keys {
-    valid: &["box", "sphere", "cylinder"],
-    absent: &[],
-};
-/// Most sources, and most sinks: which of them run are bits of a word.
-const MOST: usize = 32;
+const SOURCE: Keys = Keys::new(&[
+    "box",
+    "sphere",
+    "cylinder",
+    "velocity",
+    "flow_rate",
+    "direction",
+    "start",
+    "end",
+]);
+const SINK: Keys = Keys::new(&["box", "sphere", "cylinder"]);
+/// Most sources, and most sinks: a 32-bit word stores which of them run.
+const MAX_ENTRIES: usize = 32;
 
-/// The sources of a scene.
 pub(super) fn sources(
     root: &Table,
     file: &Path,
@@ -41,31 +34,18 @@ pub(super) fn sources(
     let source = |place: Place| {
         let (table, shape) = region(&place, &SOURCE, file, domain)?;
         let (velocity, flow_rate) = flow(&table, &shape)?;
-        let start = match table.get("start") {
-            Some(place) => {
-                let start = place.number("the time in s from which on it runs")?;
-                place.within(
-                    start,
-                    0.0..,
-                    format!("is {start}"),
-                    "write a time of 0 s or later",
-                )?;
-                start
-            }
-            None => 0.0,
-        };
-        let end = match table.get("end") {
-            Some(place) => {
-                let end = place.number("the time in s at which it ends")?;
-                place.ensure(
-                    end > start,
-                    format!("is {end}, and it starts at {start} s"),
-                    "write a time after the start",
-                )?;
-                end
-            }
-            None => f64::INFINITY,
-        };
+        let start = table.optional("start", 0.0, |place| {
+            place.number_within("the start time in s", 0.0.., "write a time of 0 s or later")
+        })?;
+        let end = table.optional("end", f64::INFINITY, |place| {
+            let end = place.number("the end time in s")?;
+            place.ensure(
+                end > start,
+                format!("is {end}, and the source starts at {start} s"),
+                "write a time after the start",
+            )?;
+            Ok(end)
+        })?;
         Ok(Source {
             shape,
             velocity,
@@ -80,46 +60,45 @@ pub(super) fn sources(
         .collect()
 }
 
-/// Least speed of a source, m/s: below it velocities have no direction in single precision.
-const SLOWEST: f64 = 1e-12;
+/// Least speed of a source, m/s: a slower velocity has no direction in single precision.
+const MIN_SPEED: f64 = 1e-12;
 
-/// The velocity of a source and, where it is given instead, the flow rate.
+/// The velocity of a source and, if the scene specifies it, the flow rate.
 fn flow(table: &Table, shape: &Shape) -> Result<(DVec3, Option<f64>), Error> {
     let direction = table.get("direction");
     let (kind, place) = table.one_of(&["velocity", "flow_rate"], "velocity or flow rate")?;
     if kind == "velocity" {
         if let Some(direction) = direction {
             return Err(direction.fail(
-                "belongs to a flow_rate, and the source has a velocity",
-                "remove it, or write flow_rate = 0.001, in m^3/s, instead of the velocity",
+                "needs a flow_rate, and the source has a velocity",
+                "remove it, or replace the velocity by flow_rate = 0.001, in m^3/s",
             ));
         }
         let velocity = bounded(&place, "a velocity in m/s", MAX_VELOCITY)?;
         place.ensure(
-            velocity.length() > SLOWEST,
-            "is zero or next to it, so nothing comes out",
+            velocity.length() > MIN_SPEED,
+            "is zero or almost zero, so the source emits nothing",
             "write a velocity in m/s, such as [0.0, -1.0, 0.0]",
         )?;
         return Ok((velocity, None));
     }
     let flow_rate = place.positive("the flow rate in m^3/s")?;
-    let way = match (direction, shape) {
+    let direction = match (direction, shape) {
         (Some(direction), _) => direction.direction("the direction of the flow")?,
         (None, Shape::Cylinder { axis, .. }) => *axis,
         (None, _) => table
             .required("direction", "direction = [0, -1, 0], of the flow")?
             .direction("the direction of the flow")?,
     };
-    let speed = flow_rate / shape.projected_area(way);
+    let speed = flow_rate / shape.projected_area(direction);
     place.ensure(
-        (SLOWEST..=MAX_VELOCITY).contains(&speed),
-        format!("makes a speed of {} m/s", rounded(speed)),
+        (MIN_SPEED..=MAX_VELOCITY).contains(&speed),
+        format!("results in a speed of {} m/s", rounded(speed)),
         "write a flow rate in m^3/s (a litre per second is 0.001)",
     )?;
-    Ok((speed * way, Some(flow_rate)))
+    Ok((speed * direction, Some(flow_rate)))
 }
 
-/// The sinks of a scene.
 pub(super) fn sinks(
     root: &Table,
     file: &Path,
@@ -136,7 +115,7 @@ pub(super) fn sinks(
         .collect()
 }
 
-/// The entries of a list that only a liquid with markers has.
+/// Entries of a list that needs a liquid with markers.
 fn entries<'a>(
     root: &Table<'a>,
     key: &str,
@@ -148,19 +127,19 @@ fn entries<'a>(
     let entries = place.list()?;
     place.ensure(
         entries.is_empty() || liquid.is_some(),
-        "is of liquid, and the scene has none",
+        "needs liquid, and the scene has none",
         format!("remove [[{key}]], or add a [liquid] section"),
     )?;
     let fixed = liquid.is_some_and(|liquid| liquid.surface == Surface::Fixed);
     place.ensure(
         entries.is_empty() || !fixed,
-        "changes how much liquid there is, and a fixed surface stays where it is",
+        "changes the volume of the liquid, and the surface is fixed",
         "use liquid.surface = \"markers\"",
     )?;
     place.ensure(
-        entries.len() <= MOST,
+        entries.len() <= MAX_ENTRIES,
         format!("has {} entries", entries.len()),
-        format!("use at most {MOST}"),
+        format!("use at most {MAX_ENTRIES}"),
     )?;
     Ok(entries)
 }
@@ -175,13 +154,7 @@ fn region<'a>(
     let table = place.clone().table(keys)?;
     let (kind, shape_place) = table.one_of(&SHAPES, "shape")?;
     let shape = shape(kind, shape_place.clone(), file)?;
-    shape_place.ensure(
-        shape.reaches(&Placement::default(), domain.size),
-        format!(
-            "lies outside the domain, which goes from the origin to {} m",
-            list(domain.size.to_array())
-        ),
-        "move it so that a part lies inside",
-    )?;
+    let inside = shape.reaches(&Placement::default(), domain.size);
+    ensure_in_domain(&shape_place, inside, domain.size)?;
     Ok((table, shape))
 }

@@ -1,0 +1,138 @@
+//! `solve`: the pressure and the velocities of the nodes, together where liquid and solids touch.
+
+use glam::DVec3;
+
+use super::SubStep;
+use crate::Error;
+use crate::reference::path::SolidModel;
+use crate::reference::{
+    CoupledSystem, Formulation, PressureSystem, SQUEEZE, SolidSystem, solve,
+    solve_coupled_in_contact, solve_damping_only, solve_weak,
+};
+use crate::scene::CouplingScheme;
+use crate::state::{SolveReport, SolveStatus};
+use crate::step::Stage;
+
+/// A system of a sub-step and its solution.
+#[derive(Clone, Copy, Debug)]
+pub enum StepSystem<'a> {
+    /// The pressure per cell, Pa.
+    Pressure(&'a PressureSystem, &'a [f64]),
+    /// The velocities of the nodes, m/s.
+    Solid(&'a SolidSystem, &'a [[f64; 3]]),
+    /// Both, where liquid and solids touch.
+    Coupled(&'a CoupledSystem, &'a [f64], &'a [[f64; 3]]),
+}
+
+impl SubStep<'_> {
+    pub(super) fn solve(&mut self) -> Result<(), Error> {
+        let liquid = self.boundary.clip().zip(self.results.pressure.as_ref());
+        self.results.coupling.touching = liquid.is_some_and(|(clip, pressure)| {
+            let mut cells = clip.coupling().cells();
+            cells.any(|(cell, _)| pressure.stencil.active(cell))
+        });
+        match self.results.coupling.touching {
+            true => self.solve_together()?,
+            false => self.solve_separately()?,
+        }
+        let finite = |solve: &SolveReport| solve.status != SolveStatus::NonFinite;
+        let finite = self.results.solves.iter().flatten().all(finite);
+        self.ensure_finite(Stage::Solve, finite)?;
+        if let Some(clip) = self.boundary.clip() {
+            let mut forces = vec![[0.0; 3]; self.results.node_forces.len()];
+            let pressure = &self.after.pressure;
+            clip.coupling()
+                .add_transposed(pressure, forces.as_flattened_mut());
+            let sum: DVec3 = forces.iter().copied().map(DVec3::from).sum();
+            self.results.coupling.force = sum.to_array();
+            let sums = self.results.node_forces.as_flattened_mut().iter_mut();
+            sums.zip(forces.as_flattened())
+                .for_each(|(sum, force)| *sum += force);
+        }
+        Ok(())
+    }
+
+    fn solve_separately(&mut self) -> Result<(), Error> {
+        let settings = &self.model.scene.solver;
+        if let Some(system) = &self.results.pressure {
+            let (pressure, report) = solve(system, settings)?;
+            self.after.pressure = pressure;
+            let share = system.squeezed(&system.closed, None);
+            self.results.solves[0] = Some(or_incompatible(report, share));
+        }
+        if let Some(((system, contacts), part)) =
+            self.results.solid.as_mut().zip(self.model.solid.as_ref())
+        {
+            let SolidModel { solids, solver, .. } = part;
+            let (velocity, report, contact) =
+                solver.solve_in_contact(solids, system, contacts, settings)?;
+            self.after.node_velocity = velocity;
+            (self.results.solves[1], self.results.contact) = (Some(report), contact);
+        }
+        Ok(())
+    }
+
+    fn solve_together(&mut self) -> Result<(), Error> {
+        let settings = &self.model.scene.solver;
+        let liquid = self.boundary.clip().zip(self.results.pressure.as_mut());
+        let solid = self.results.solid.as_mut().zip(self.model.solid.as_ref());
+        let Some(((clip, pressure), ((solid, contacts), part))) = liquid.zip(solid) else {
+            return Ok(());
+        };
+        let SolidModel { solids, solver, .. } = part;
+        let coupling = clip.coupling();
+        let solution = if settings.coupling == CouplingScheme::Weak {
+            let solve_solid = |solid: &mut SolidSystem| {
+                let (velocity, report, contact) =
+                    solver.solve_in_contact(solids, solid, contacts, settings)?;
+                self.results.contact = contact;
+                Ok((velocity, report))
+            };
+            let before = &self.results.velocity_before;
+            let mut solution =
+                solve_weak(pressure, solid, coupling, before, settings, solve_solid)?;
+            let share = pressure.squeezed(&pressure.closed, None);
+            solution.reports[0] = or_incompatible(solution.reports[0], share);
+            solution
+        } else {
+            let solve = match settings.coupling {
+                CouplingScheme::DampingOnly => solve_damping_only,
+                _ => solve_coupled_in_contact,
+            };
+            let (system, mut solution, contact) = solve(
+                pressure, solid, coupling, contacts, solver, solids, settings,
+            )?;
+            let flagged = |report| or_incompatible(report, system.squeezed);
+            solution.reports = solution.reports.map(flagged);
+            self.results.coupling.condensed = Formulation::of(&system) == Formulation::Condensed;
+            (self.results.coupled, self.results.contact) = (Some(system), contact);
+            solution
+        };
+        (self.after.pressure, self.after.node_velocity) = (solution.pressure, solution.velocity);
+        self.results.solves = solution.reports.map(Some);
+        Ok(())
+    }
+
+    /// Calls the observer with the systems as solved at last.
+    pub(super) fn observe_systems(&mut self) {
+        let (pressure, velocity) = (&self.after.pressure, &self.after.node_velocity);
+        if let Some(system) = &self.results.coupled {
+            return (self.observer)(StepSystem::Coupled(system, pressure, velocity));
+        }
+        if let Some(system) = &self.results.pressure {
+            (self.observer)(StepSystem::Pressure(system, pressure));
+        }
+        if let Some((system, _)) = &self.results.solid {
+            (self.observer)(StepSystem::Solid(system, velocity));
+        }
+    }
+}
+
+/// The report, with the status `Incompatible` where the incompatible share of the prescribed boundary flux is too large.
+fn or_incompatible(report: SolveReport, share: f64) -> SolveReport {
+    let status = match report.status {
+        SolveStatus::Converged if share > SQUEEZE => SolveStatus::Incompatible,
+        status => status,
+    };
+    SolveReport { status, ..report }
+}
