@@ -11,8 +11,8 @@ test: ## all tests on lavapipe, those of the kernels and the solver once more on
 gpu: ## measure the GPU of this machine in ten minutes, into docs/measured/gpu; builds target/gpu, whose `run` does the same elsewhere; ARGS=--build-only
 	@bash .ci/gpu $(ARGS)
 
-validate: ## the long validation against theory and other programs, and the tables of docs/measured/validation.md; CASES="S2 S9" runs a part
-	@bash .ci/validate $(CASES)
+validate: ## compare with theory, experiments and other programs, at most an hour; ARGS=--quick: 5 minutes, ARGS=--full: all; CASES="S2 S9" runs a part
+	@bash .ci/validate $(ARGS) $(CASES)
 
 measure: ## the benches behind docs/measured, and the tables of its pages; ARGS=--resume resumes a run that was stopped
 	@bash .ci/measure $(ARGS)

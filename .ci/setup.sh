@@ -11,6 +11,14 @@ export XDG_RUNTIME_DIR=${XDG_RUNTIME_DIR:-$PWD/target}
 
 say() { printf '\n== %s\n' "$*"; }
 
+# timed COMMAND...: prints how long it took.
+timed() {
+    say "$*"
+    local start=$SECONDS
+    "$@"
+    printf '   %s s\n' "$((SECONDS - start))"
+}
+
 fail() {
     printf 'error: %s\n' "$*" >&2
     exit 1

@@ -325,7 +325,6 @@ fn ensure_pictures(scene: &Scene) -> Result<(), Error> {
     Ok(())
 }
 
-/// Prints the warnings before a run.
 pub(super) fn warn_before_run(scene: &Scene) -> Result<(), Error> {
     for warning in sim::warnings(scene)? {
         warn!("warning: {warning}");

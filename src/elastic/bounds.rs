@@ -10,10 +10,8 @@ use super::{Body, Solids, stiffness_block};
 /// Squarings of the matrix in the trace bound, which exceeds the largest eigenvalue by at most 6^(1/1024) - 1 = 0.18 %.
 const SQUARINGS: u32 = 10;
 
-/// Margin for rounding.
 const ROUNDING: f64 = 1.0 + 1e-9;
 
-/// Degree limits of Chebyshev polynomials.
 const DEGREES: [f64; 2] = [8.0, 64.0];
 
 /// Upper bounds of eigenvalues.

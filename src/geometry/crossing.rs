@@ -78,7 +78,6 @@ pub(super) fn crossing(surface: &Surface) -> Option<Fault> {
     })
 }
 
-/// Sample points and their triangles.
 fn samples(surface: &Surface) -> Vec<(usize, DVec3)> {
     let n = surface.triangles.len();
     let middle = |triangle: usize| {

@@ -23,7 +23,6 @@ impl DisjointSets {
         number
     }
 
-    /// Merges the sets of two numbers.
     pub(crate) fn merge(&mut self, a: u32, b: u32) {
         let (a, b) = (self.root(a), self.root(b));
         self.parents[a.max(b) as usize] = a.min(b);

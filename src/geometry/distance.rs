@@ -22,9 +22,14 @@ pub(super) const BAND: f64 = 3.0;
 #[derive(Clone, Debug)]
 pub(super) enum Solid {
     /// An axis-aligned box; infinite coordinates stand for removed sides.
-    Box { min: DVec3, max: DVec3 },
-    /// A ball.
-    Sphere { centre: DVec3, radius: f64 },
+    Box {
+        min: DVec3,
+        max: DVec3,
+    },
+    Sphere {
+        centre: DVec3,
+        radius: f64,
+    },
     /// A right circular cylinder along a unit axis, between two heights above a point; infinite heights stand for removed
     /// ends.
     Cylinder {
@@ -34,7 +39,10 @@ pub(super) enum Solid {
         heights: [f64; 2],
     },
     /// Half space behind a plane.
-    HalfSpace { point: DVec3, normal: DVec3 },
+    HalfSpace {
+        point: DVec3,
+        normal: DVec3,
+    },
     /// Region below a wave.
     Wave {
         level: f64,
@@ -259,7 +267,6 @@ impl ClosedMesh {
         }
     }
 
-    /// Whether a point (m) lies inside.
     pub(super) fn contains(&self, x: DVec3) -> bool {
         self.all.contains_local_point(x)
     }
@@ -345,7 +352,6 @@ pub(super) struct Body {
     solid: Solid,
     /// Centre of rotation and scaling of `placement`, m.
     centre: DVec3,
-    /// Placement of `solid`.
     placement: Placement,
     inside_out: bool,
 }
@@ -435,7 +441,6 @@ impl Body {
         Body { solid, ..self }
     }
 
-    /// The displaced body.
     pub(super) fn moved(&self, rigid: &RigidDisplacement) -> Body {
         let Placement {
             translate, rotate, ..
@@ -457,12 +462,10 @@ impl Body {
         if self.inside_out { -1.0 } else { 0.0 }
     }
 
-    /// The shape before its placement.
     pub(super) fn solid(&self) -> &Solid {
         &self.solid
     }
 
-    /// Placement of the shape.
     pub(super) fn placement(&self) -> &Placement {
         &self.placement
     }

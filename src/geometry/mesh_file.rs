@@ -89,7 +89,6 @@ pub(super) fn lines(mut bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
     (1..).zip(lines)
 }
 
-/// Words between white space.
 pub(super) fn words(line: &[u8]) -> impl Iterator<Item = &[u8]> + Clone {
     line.split(u8::is_ascii_whitespace)
         .filter(|word| !word.is_empty())
@@ -129,7 +128,6 @@ pub(super) fn load(file: &Path) -> Result<Vec<u8>, Error> {
     })
 }
 
-/// Extension in lower case.
 pub(super) fn extension(file: &Path) -> String {
     let extension = file.extension().unwrap_or_default();
     extension.to_string_lossy().to_lowercase()

@@ -196,7 +196,6 @@ struct Reader<'a> {
 }
 
 impl<'a> Reader<'a> {
-    /// Reads `$MeshFormat`.
     fn new(bytes: &'a [u8], name: &'a str) -> Result<Reader<'a>, Problem> {
         let mut file = Reader {
             bytes,
@@ -268,14 +267,12 @@ impl<'a> Reader<'a> {
         self.at += space.unwrap_or(rest.len());
     }
 
-    /// Skips the rest of the line.
     fn line_end(&mut self) {
         let rest = &self.bytes[self.at..];
         let newline = rest.iter().position(|&byte| byte == b'\n');
         self.at += newline.map_or(rest.len(), |newline| newline + 1);
     }
 
-    /// The next word.
     fn token(&mut self) -> Result<&'a str, Problem> {
         self.skip_space();
         let rest = &self.bytes[self.at..];

@@ -21,7 +21,6 @@ impl Lattice {
         self.n.iter().product()
     }
 
-    /// A point, m.
     pub(super) fn point(&self, index: usize) -> DVec3 {
         let [nx, ny, _] = self.n;
         self.at([index % nx, index / nx % ny, index / (nx * ny)])
@@ -68,7 +67,6 @@ pub(super) struct NearestTriangles {
 }
 
 impl NearestTriangles {
-    /// Starts without triangles.
     pub(super) fn new(lattice: Lattice, reach: f64) -> NearestTriangles {
         NearestTriangles {
             lattice,
@@ -101,7 +99,6 @@ impl NearestTriangles {
         Some((triangle as usize, weights))
     }
 
-    /// Recomputes the nearest triangles.
     pub(super) fn update(&mut self, corners: &[[DVec3; 3]]) {
         for &point in &self.near {
             self.triangle[point] = NONE;
@@ -145,7 +142,6 @@ impl NearestTriangles {
 /// A triangle with the lattice points in its enlarged bounding box.
 struct BoundedTriangle {
     triangle: Triangle,
-    /// Unit normal.
     normal: DVec3,
     /// Index ranges per axis.
     ranges: [std::ops::Range<usize>; 3],

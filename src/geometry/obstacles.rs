@@ -313,7 +313,6 @@ impl ObstacleCut {
 }
 
 impl MovingObstacles {
-    /// Restores the static apertures and distances.
     fn restore(&mut self, raw: &mut [Vec<f64>; 3], cut: &mut CutCells) {
         for (a, faces) in self.changed_faces.iter_mut().enumerate() {
             for face in faces.drain(..) {

@@ -23,7 +23,6 @@ struct Part<'a> {
     vertices: HashSet<u32>,
     mesh: TriMesh,
     bounds: [DVec3; 2],
-    /// Whether the normals point into it.
     hole: bool,
 }
 

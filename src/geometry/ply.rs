@@ -298,7 +298,6 @@ struct Data<'a> {
 }
 
 impl<'a> Data<'a> {
-    /// Reads one element.
     fn read(
         &mut self,
         format: Format,
@@ -391,7 +390,7 @@ fn text_row(here: (usize, &[u8]), element: &Element, row: &mut Row) -> Result<()
         let mut value = |kind: Type| {
             let word = words
                 .next()
-                .ok_or_else(|| problem("fewer values than the header asks for"))?;
+                .ok_or_else(|| problem("fewer values than the header declares"))?;
             // Rounds single precision once, as binary files do.
             let value: f64 = match kind {
                 Type::F32 => number::<f32>(word).map(f64::from),
@@ -410,7 +409,7 @@ fn text_row(here: (usize, &[u8]), element: &Element, row: &mut Row) -> Result<()
         row.ends.push(row.values.len());
     }
     if words.next().is_some() {
-        return Err(problem("more values than the header asks for"));
+        return Err(problem("more values than the header declares"));
     }
     Ok(())
 }

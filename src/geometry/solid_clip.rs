@@ -255,7 +255,6 @@ impl SolidClip {
         }
     }
 
-    /// Restores the values of the obstacles.
     fn restore(&mut self) {
         let left = &self.obstacles.cut;
         for (a, faces) in self.changed_faces.iter_mut().enumerate() {

@@ -34,7 +34,6 @@ pub const MARKERS_PER_CELL: usize = 8;
 /// Rays along each side of a face: sides of a shape within a hundredth of a cell of a grid line coincide with it.
 const RAYS: usize = 48;
 const SAMPLES: usize = 4;
-/// Scaling iterations of the area fractions.
 const SCALINGS: usize = 16;
 /// Least mean thickness of a source along its velocity, cells, and least volume, cells. Thinner sources emit with gaps.
 const MIN_THICKNESS: f64 = 0.5;

@@ -179,7 +179,6 @@ impl TetMesh {
         parts.labels().1
     }
 
-    /// [`ElementShape::mean_ratio`] of an element.
     pub(super) fn mean_ratio(&self, element: [u32; 4]) -> f64 {
         let x = element.map(|node| self.nodes[node as usize]);
         let edges = (0..4).flat_map(|i| (0..i).map(move |j| (i, j)));

@@ -14,7 +14,6 @@ use roxmltree::{Document, Node};
 use super::mesh_file::{Problem, little_endian};
 use super::tet_read::RawTets;
 
-/// VTK's number of the linear tetrahedron.
 const TETRAHEDRON: i64 = 10;
 
 /// Cells of fewer than three dimensions: vertices, lines, triangles, quadrilaterals and so on, also of higher order.
@@ -77,7 +76,6 @@ fn split(bytes: &[u8]) -> (String, &[u8]) {
     }
 }
 
-/// Name of an unsupported cell type.
 fn cell_name(kind: i64) -> String {
     match kind {
         24 | 71 | 78 => "a tetrahedron of higher order".to_owned(),

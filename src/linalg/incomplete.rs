@@ -17,7 +17,6 @@ const SHIFTS: i32 = 11;
 pub struct Incomplete {
     /// L below its unit diagonal; U on and above it.
     factor: Csr,
-    /// Inverse of the diagonal of U.
     inverse: Vec<f64>,
     /// Relative diagonal shift of A with which all pivots have the sign of their entry.
     pub shift: f64,

@@ -150,7 +150,6 @@ struct Reader<'a> {
 }
 
 impl<'a> Reader<'a> {
-    /// Reads the banner.
     fn new(path: &'a Path, text: &'a str, format: &str) -> Result<Reader<'a>, Error> {
         let mut file = Reader {
             path,

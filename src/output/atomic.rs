@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 
 use crate::Error;
 
-/// Suffix of partially written files.
 const PARTIAL: &str = ".partial";
 
 /// Writes to a temporary name in the same folder, syncs to disk and renames. A reader sees the old file or the new one, never a
@@ -15,7 +14,6 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), Error> {
     write_atomically_with(path, |file| file.write_all(bytes))
 }
 
-/// Writes atomically with `write`.
 pub(super) fn write_atomically_with(
     path: &Path,
     write: impl FnOnce(&mut File) -> io::Result<()>,

@@ -353,7 +353,6 @@ struct Reading {
     zip: ZipArchive<BufReader<File>>,
 }
 
-/// Problem in a file.
 struct Flaw(String);
 
 impl Reading {

@@ -240,7 +240,6 @@ fn free_axes(walls: u8) -> Vec3 {
     Vec3::from([0, 1, 2].map(|axis| f32::from(1 - (fixed >> axis & 1))))
 }
 
-/// Weighted neighbours of each vertex.
 struct Neighbours {
     starts: Vec<usize>,
     /// Neighbour and its weight in the mean.
@@ -310,7 +309,6 @@ impl Neighbours {
     }
 }
 
-/// Collapses and flips edges.
 struct Cleaner<'a> {
     mesh: &'a mut ClosedMesh,
     walls: Vec<u8>,

@@ -41,7 +41,6 @@ impl PropertyAccess for Element {
     }
 }
 
-/// Writes the file atomically.
 pub(super) fn write(path: &Path, surface: &MovingSurface) -> Result<(), Error> {
     let mesh = &surface.mesh;
     let mut vertex = ElementDef::new("vertex".to_owned());

@@ -32,7 +32,6 @@ const REACH: f32 = 1.5;
 /// Level: the spline at the radius relative to its centre, 2 (1 - 1/REACH)^3.
 const LEVEL: f32 = 2.0 / 27.0;
 
-/// Edge of the marching cubes.
 const CUBE: f32 = 0.5;
 
 /// Half the spacing of markers, eight per cell.

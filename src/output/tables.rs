@@ -123,13 +123,11 @@ pub struct StepTable {
     head: Option<Vec<String>>,
 }
 
-/// First columns of every row.
 const FIRST: [&str; 3] = ["step", "t", "dt"];
 /// Columns of every row before those of the stages.
 const LAST: [&str; 2] = ["dt_floored", "seconds_total"];
 /// Prefix of the columns of stages.
 const SECONDS: &str = "seconds_";
-/// Columns of the liquid.
 const LIQUID: [&str; 16] = [
     "iterations",
     "residual_p",
@@ -157,7 +155,6 @@ const EXCHANGE: [&str; 6] = [
     "markers_emitted",
     "volume_emitted",
 ];
-/// Columns of the solids.
 const SOLIDS: [&str; 18] = [
     "solid_solves",
     "unsettled_contacts",
@@ -179,7 +176,6 @@ const SOLIDS: [&str; 18] = [
     "inverted",
 ];
 
-/// Columns of the coupling.
 const COUPLING: [&str; 10] = [
     "touching",
     "condensed",
@@ -301,7 +297,6 @@ impl StepTable {
     }
 }
 
-/// Values of [`LIQUID`] and [`EXCHANGE`].
 fn liquid_fields(
     step: u64,
     liquid: &LiquidReport,
@@ -350,7 +345,6 @@ fn liquid_fields(
     Ok(fields)
 }
 
-/// Values of [`SOLIDS`].
 fn solid_fields(step: u64, solid: &SolidReport) -> Result<Vec<String>, Error> {
     let SolidReport {
         solve,
@@ -380,7 +374,6 @@ fn solid_fields(step: u64, solid: &SolidReport) -> Result<Vec<String>, Error> {
     ])
 }
 
-/// Values of [`COUPLING`].
 fn coupling_fields(step: u64, coupling: &CouplingReport) -> Result<Vec<String>, Error> {
     let CouplingReport {
         touching,

@@ -220,7 +220,6 @@ impl Document {
         Ok(document)
     }
 
-    /// Parses an example of the format.
     pub(super) fn exemplar(text: &str) -> Result<Document, Error> {
         Ok(Document {
             exemplar: true,
@@ -450,7 +449,6 @@ fn one_line(message: &str) -> String {
         .join(", ")
 }
 
-/// The keys of a table.
 pub(super) struct Keys {
     pub(super) valid: &'static [&'static str],
     /// Keys of other programs that do not exist here, with the reason.
@@ -561,7 +559,6 @@ impl<'a> Place<'a> {
         Ok(value)
     }
 
-    /// A finite number above zero.
     pub(super) fn positive(&self, what: &str) -> Result<f64, Error> {
         self.record(Query::Positive);
         let value = self.number(what)?;
@@ -597,7 +594,6 @@ impl<'a> Place<'a> {
         Ok(value)
     }
 
-    /// A list of exactly `N` values.
     fn items<const N: usize>(&self, what: &str) -> Result<[Place<'a>; N], Error> {
         let Content::Array(items) = &self.node.content else {
             return Err(self.wrong_type(&format!("{what} as a list of {N} numbers")));
@@ -624,7 +620,6 @@ impl<'a> Place<'a> {
         }
     }
 
-    /// A list of `N` finite numbers.
     pub(super) fn numbers<const N: usize>(&self, what: &str) -> Result<[f64; N], Error> {
         self.record(Query::Numbers(N, what.to_owned()));
         let mut values = [0.0; N];
@@ -634,7 +629,6 @@ impl<'a> Place<'a> {
         Ok(values)
     }
 
-    /// Three finite numbers.
     pub(super) fn vector(&self, what: &str) -> Result<DVec3, Error> {
         Ok(DVec3::from_array(self.numbers::<3>(what)?))
     }
@@ -688,7 +682,6 @@ impl<'a> Place<'a> {
         Ok(values)
     }
 
-    /// `true` or `false`.
     pub(super) fn boolean(&self) -> Result<bool, Error> {
         self.record(Query::Boolean);
         match self.node.content {
@@ -697,7 +690,6 @@ impl<'a> Place<'a> {
         }
     }
 
-    /// A text that is not empty.
     pub(super) fn text(&self, what: &str) -> Result<&'a str, Error> {
         self.record(Query::Text(what.to_owned()));
         match &self.node.content {

@@ -22,7 +22,6 @@ use crate::grid::{Axis, Sides};
 
 /// Most cells of a domain: marker and cell indices on the device have 32 bits.
 const MAX_CELLS: f64 = (1u64 << 30) as f64;
-/// Most cells along an axis.
 const MAX_CELLS_PER_AXIS: u64 = 1 << 16;
 /// Sides of a domain, m. Squares and cubes of cell sizes must be representable in single precision.
 const SIDES: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
@@ -35,7 +34,6 @@ const DENSITIES: std::ops::RangeInclusive<f64> = 1e-6..=1e6;
 pub(crate) const MAX_VELOCITY: f64 = 1e6;
 /// Accelerations along an axis, m/s^2.
 const MAX_GRAVITY: f64 = 1e6;
-/// Frames per second.
 const FRAME_RATES: std::ops::RangeInclusive<f64> = 1e-3..=1e6;
 /// Relative tolerance of cubic cells.
 const CUBIC: f64 = 1e-6;
@@ -402,7 +400,6 @@ fn domain(root: &Table, scale: f64) -> Result<Domain, Error> {
     })
 }
 
-/// Open sides of the domain.
 fn open_sides(place: &Place, root: &Table) -> Result<Sides, Error> {
     let axes = Axis::ALL.into_iter();
     let sides = axes.flat_map(|axis| [0, 1].map(|side| (axis, side)));

@@ -388,12 +388,20 @@ poisson = 0.3
 /// Buffers, kernels and stages of coupled scenes are those planned, and a sub-step of solids that are dry runs none of the solve for both.
 #[test]
 fn both_take_what_is_planned() {
-    if gpu().is_none() {
-        return;
-    }
+    let Some(gpu) = gpu() else { return };
+    // Drivers without f64 are slow, and differ in the form and the precision of the solve.
+    let of_solve = [
+        "two balls in a pool",
+        "the two-field form",
+        "in single precision",
+        "a block that is carried through a full tank",
+    ];
     // The others differ in numbers only.
-    let of_kernels =
-        |(name, _): &(&str, Scene)| !name.starts_with("a ball") && !name.contains("from");
+    let of_kernels = |(name, _): &(&str, Scene)| {
+        !name.starts_with("a ball")
+            && !name.contains("from")
+            && (gpu.has_f64() || of_solve.contains(name))
+    };
     for (name, scene) in cases().into_iter().filter(of_kernels) {
         assert_planned(name, &scene);
     }

@@ -372,7 +372,7 @@ fn meshes_that_make_no_solid_are_refused_where_a_scene_names_them() {
         ("a.stl", stl(&inverted), &["inverted", "flip the normals"]),
         ("a.stl", stl(&SIDES).replace("vertex 1 0 0", "vertex 1 0 x"), &["facet 1: ", "export the surface again"]),
         ("a.ply", String::new(), &["the file is empty: no triangles"]),
-        ("a.ply", cut(&ply(&SIDES), 0.9), &["a.ply:15: `3 0`: fewer values than the header asks for", "vertex_indices"]),
+        ("a.ply", cut(&ply(&SIDES), 0.9), &["a.ply:15: `3 0`: fewer values than the header declares", "vertex_indices"]),
         ("a.ply", ply(&SIDES).replace("ply\n", "plx\n"), &["not a PLY file: its first line is not `ply`"]),
         ("a.ply", ply(&SIDES).replace("element face", "elements face"), &["a.ply:7: `elements face 4`: does not belong there in the header", "vertex_indices"]),
         ("a.ply", ply(&SIDES).replace("element vertex 4\n", ""), &["a.ply:3: `property float x`: does not belong there"]),

@@ -400,7 +400,7 @@ fn bodies_that_start_outside_or_in_an_obstacle_are_refused() {
     let text = refused(outside, Vec::new());
     assert!(
         text.contains("solid[0]")
-            && text.contains("outside of the domain")
+            && text.contains("outside the domain")
             && text.contains("placement.at"),
         "{text}"
     );

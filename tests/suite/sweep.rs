@@ -253,7 +253,7 @@ fn runs_of_another_scene_are_kept_until_told() {
     .unwrap();
     let told = complains(&folder, &sweep, 2);
     let parts = [
-        "cfl=3: the folder holds a run of another text",
+        "cfl=3: the folder contains a run of another scene text",
         "--out",
         "--overwrite",
     ];

@@ -828,7 +828,7 @@ fn the_mesh_command_tells_and_writes() {
     let (code, said) = run(&["tet.obj", "--cell-size", "0.2"]);
     assert_eq!(code, Some(0), "{said}");
     assert!(
-        said.contains("volume of the surface 1.666667e-1 m^3: the mesh is "),
+        said.contains("volume of the surface 1.666667e-1 m^3: the mesh differs by "),
         "{said}"
     );
     for (arguments, part) in [

@@ -23,22 +23,13 @@ use crate::sheet::Sheet;
 use crate::solid_scene::solids_of;
 
 pub(crate) fn cases() -> Vec<Case> {
-    let beams = [
-        (20, [2, 2, 14]),
-        (40, [2, 2, 14]),
-        (60, [3, 3, 21]),
-        (80, [4, 4, 28]),
-        (100, [4, 4, 28]),
+    let mut cases = vec![
+        Case::new("C1", formulations),
+        Case::new("C2", iterations),
+        Case::new("C3", parameters),
+        Case::new("C3/device", stored),
+        Case::alone("C4", seconds_of_clip),
     ];
-    let mut cases = vec![Case::new("C1", formulations)];
-    for (n, bricks) in beams {
-        cases.push(Case::new(format!("C2/{n}"), move |sheet| {
-            iterations(n, bricks, sheet)
-        }));
-    }
-    cases.push(Case::new("C3", parameters));
-    cases.push(Case::new("C3/device", stored));
-    cases.push(Case::alone("C4", seconds_of_clip));
     for lane in Lane::PRECISE {
         cases.push(Case::new(format!("C5/{}", lane.name()), move |sheet| {
             neutral_block(lane, sheet)
@@ -98,7 +89,8 @@ fn differences(a: &CoupledSolution, b: &CoupledSolution) -> [f64; 2] {
     ]
 }
 
-/// Direct solves of all forms at 40^3, one correction each: the same answer.
+/// All forms at 40^3 have the same answer. Direct solves with one correction: rounding, times condition numbers of at most 1e7 (two fields) and 1e5
+/// (stress). Iterative ones to a residual of 1e-10: errors are at most 1000 times that, the square root of the condition number.
 fn formulations(sheet: &mut Sheet) {
     let base = Base::new(40, &BaseBeam::default());
     let exact = base.solve(Formulation::Indefinite, 1e-12);
@@ -132,7 +124,7 @@ fn formulations(sheet: &mut Sheet) {
         );
         sheet.at_most(&format!("{name}: v"), v, bound);
         let iterations = solution.reports[0].iterations;
-        sheet.told(
+        sheet.info(
             &format!("{name}: iterations"),
             format!("{iterations} in {seconds:.2} s"),
         );
@@ -152,69 +144,94 @@ fn formulations(sheet: &mut Sheet) {
     );
 }
 
-/// Conjugate gradients to 1e-8 of both residuals.
-fn iterations(n: usize, bricks: [usize; 3], sheet: &mut Sheet) {
-    let base = Base::new(
-        n,
-        &BaseBeam {
-            bricks,
-            ..BaseBeam::default()
-        },
-    );
-    for (formulation, bound) in [
-        (Formulation::Condensed, 20.0),
-        (Formulation::TwoFieldIterative(SIGMA), 42.0),
-    ] {
-        let start = Instant::now();
-        let iterations = base.solve(formulation, 1e-8).reports[0].iterations;
+/// Conjugate gradients to 1e-8 of both residuals, from 20^3 to 100^3. Iterations grow more slowly than the square root of the cells along an edge, with
+/// which those of modified incomplete Cholesky grow (Gustafsson 1978).
+fn iterations(sheet: &mut Sheet) {
+    let beams = [
+        (20, [2, 2, 14]),
+        (40, [2, 2, 14]),
+        (60, [3, 3, 21]),
+        (80, [4, 4, 28]),
+        (100, [4, 4, 28]),
+    ];
+    let mut found = [Vec::new(), Vec::new()];
+    let forms = [
+        Formulation::Condensed,
+        Formulation::TwoFieldIterative(SIGMA),
+    ];
+    for (n, bricks) in beams {
+        let base = Base::new(
+            n,
+            &BaseBeam {
+                bricks,
+                ..BaseBeam::default()
+            },
+        );
+        for (formulation, found) in forms.into_iter().zip(&mut found) {
+            let start = Instant::now();
+            let iterations = base.solve(formulation, 1e-8).reports[0].iterations;
+            found.push((n, iterations, start.elapsed().as_secs_f64()));
+        }
+    }
+    for (formulation, found) in forms.into_iter().zip(found) {
         let name = formulation.name();
-        sheet.at_most(&format!("{name}: iterations"), f64::from(iterations), bound);
-        sheet.told(
-            &format!("{name}: seconds"),
-            format!("{:.2}", start.elapsed().as_secs_f64()),
+        let [(first, few, _), .., (last, many, _)] = found[..] else {
+            panic!("{found:?}")
+        };
+        let order = (f64::from(many) / f64::from(few)).ln() / (last as f64 / first as f64).ln();
+        let what = format!("{name}: order in 1/dx of the iterations, {first}³ to {last}³");
+        sheet.at_most(&what, order, 0.5);
+        let each = found
+            .iter()
+            .map(|(n, iterations, seconds)| format!("{n}³ {iterations} in {seconds:.2} s"));
+        sheet.info(
+            &format!("{name}: iterations and seconds"),
+            each.collect::<Vec<_>>().join(", "),
         );
     }
 }
 
-/// The condensed form with one parameter changed, and with the worst two.
+/// The condensed form with one parameter of the base scene changed by up to a factor of 1e3, which may double the iterations, and with two.
 fn parameters(sheet: &mut Sheet) {
     let base = BaseBeam::default();
+    let iterations = |beam: &BaseBeam| {
+        let solution = Base::new(40, beam).solve(Formulation::Condensed, 1e-8);
+        f64::from(solution.reports[0].iterations)
+    };
+    let of_base = iterations(&base);
     let mut beams = Vec::new();
     for young in [1e4, 1e5, 1e7, 1e8, 1e9] {
-        beams.push((
-            format!("E = {young:e} Pa"),
-            26.0,
-            BaseBeam { young, ..base },
-        ));
+        beams.push((format!("E = {young:e} Pa"), 2.0, BaseBeam { young, ..base }));
     }
     for density in [20.0, 100.0, 500.0, 5000.0, 20_000.0] {
         beams.push((
             format!("density {density}"),
-            26.0,
+            2.0,
             BaseBeam { density, ..base },
         ));
     }
-    beams.push((
-        "E = 1e4 Pa, density 20".into(),
-        50.0,
-        BaseBeam {
-            young: 1e4,
-            density: 20.0,
-            ..base
-        },
-    ));
+    let (young, density) = (1e4, 20.0);
+    let both = BaseBeam {
+        young,
+        density,
+        ..base
+    };
+    beams.push(("E = 1e4 Pa, density 20".into(), 4.0, both));
+    sheet.info("condensed, base scene: iterations", of_base.to_string());
     for (name, bound, beam) in beams {
-        let solution = Base::new(40, &beam).solve(Formulation::Condensed, 1e-8);
-        let iterations = f64::from(solution.reports[0].iterations);
-        sheet.at_most(&format!("condensed, {name}: iterations"), iterations, bound);
+        let what = format!("condensed, {name}: iterations over those of the base scene");
+        sheet.at_most(&what, iterations(&beam) / of_base, bound);
     }
 }
 
-/// What a device answers against the direct solve of the system that it stored, and that against the one assembled in f64, over stiffness,
+/// Solution of a device against the direct solve of the system that it stored, and that against the one assembled in f64, over stiffness,
 /// step, density and Poisson's ratio. `mixed` to a tolerance of 1e-10, which it has to reach; `f32` until rounding stops it.
+///
+/// Errors may be 100 times the tolerance (mixed), and 500 times the rounding unit of f32 (6e-8). The assembly stores coefficients in f32: twice the
+/// tolerance of such a solve.
 fn stored(sheet: &mut Sheet) {
     let gpu = Gpu::new(&AdapterChoice::Best).expect("there is an adapter");
-    sheet.told("adapter", gpu.report().name.clone());
+    sheet.info("adapter", gpu.report().name.clone());
     let base = BaseBeam::default();
     let mut beams = vec![("base".to_owned(), base)];
     for young in [1e4, 1e5, 1e7, 1e8, 1e9] {
@@ -287,7 +304,7 @@ fn stored(sheet: &mut Sheet) {
                     let converged = status == SolveStatus::Converged;
                     sheet.holds(&what_ended, "converged", ended, converged);
                 } else {
-                    sheet.told(&what_ended, ended);
+                    sheet.info(&what_ended, ended);
                 }
                 // Conjugate gradients in f32 end before a beam as stiff as this is solved for, and say so.
                 if status == SolveStatus::Converged || beam.young < 1e9 || bounds[0] < 1e-5 {
@@ -340,7 +357,7 @@ poisson = 0.3
         let triangles = solids.triangles.len();
         let what = format!("clip of a {what} of {triangles} triangles: median seconds of 11");
         sheet.at_most(&what, seconds[5], 0.3);
-        sheet.told(
+        sheet.info(
             "patches; least and most seconds",
             format!(
                 "{}; {:.3}, {:.3}",
@@ -352,9 +369,12 @@ poisson = 0.3
     }
 }
 
-/// A turned block as heavy as the liquid around it, one step from rest: its accelerations, in g.
+/// A turned block as heavy as the liquid around it, one step from rest: its accelerations, in g. Its nodes move by its compression alone, at most
+/// rho g H (1 - 2 nu) / E times its diagonal, and its middle by at most half of that.
 fn neutral_block(lane: Lane, sheet: &mut Sheet) {
     const DT: f64 = 1.0 / 120.0;
+    let diagonal = DVec3::new(0.3, 0.24, 0.2).length();
+    let compression = 1000.0 * 0.81 * (1.0 - 2.0 * 0.3) / 1e10 * diagonal / (DT * DT);
     for (n, pressure) in [
         (20, "hydrostatic"),
         (30, "hydrostatic"),
@@ -401,10 +421,14 @@ pressure_on_patches = \"{pressure}\"
         let [mean, largest] = [momentum.length() / mass, largest].map(|v| v / (9.81 * DT));
         let what = format!("{n}³, \"{pressure}\": acceleration of the block");
         if pressure == "hydrostatic" {
-            sheet.at_most(&format!("{what}, mean, g"), mean, 1e-4);
-            sheet.at_most(&format!("{what}, largest of a node, g"), largest, 1e-3);
+            sheet.at_most(&format!("{what}, mean, g"), mean, 0.5 * compression);
+            sheet.at_most(
+                &format!("{what}, largest of a node, g"),
+                largest,
+                compression,
+            );
         } else {
-            sheet.told(
+            sheet.info(
                 &what,
                 format!("mean {mean:.1e} g, largest of a node {largest:.1e} g"),
             );

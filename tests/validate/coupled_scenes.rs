@@ -1,7 +1,7 @@
-//! The thesis's experiments, scenes of liquid and solids together: what its chapter 6 says of each in words, as properties of a run with
-//! `--scale 0.32`; and two frames of each at the thesis's resolution.
+//! The thesis's scenes of liquid and solids: statements of its chapter 6 as properties of a run with `--scale 0.32`, and two frames of each scene at
+//! full resolution.
 //!
-//! Bounds are taken from the words and from the scene's own lengths, not from what comes out. Where a word has a formula (Archimedes for
+//! Bounds follow from the words and from the scene's lengths, not from results. Where a word has a formula (Archimedes for
 //! "floats"), the formula is the bound.
 
 use cutwater::elastic::Solids;
@@ -17,7 +17,7 @@ use crate::Case;
 use crate::liquid::shipped;
 use crate::sheet::Sheet;
 
-/// Of the behaviour. 100^3 cells become 32^3.
+/// Scale of the runs: 100^3 cells become 32^3.
 const SCALE: f64 = 0.32;
 
 /// Energy over that of the start that a run may come to. A falling liquid gains g v dt / 2 per kg, since its markers move with the
@@ -113,7 +113,7 @@ struct Film {
     moments: Vec<Moment>,
     /// At the start.
     markers: usize,
-    /// What ended it before its time.
+    /// Error that ended the run early.
     failure: Option<String>,
 }
 
@@ -179,7 +179,7 @@ impl Film {
         }
     }
 
-    /// What holds of every run: it comes to its end, all solves converge, nothing inverts, gains energy or is lost.
+    /// Properties of every run: it ends, all solves converge, no element inverts, no energy is gained, no marker is lost.
     fn sound(&self, sheet: &mut Sheet) {
         let moments = &self.moments;
         let converged = |moment: &&Moment| {
@@ -216,7 +216,7 @@ impl Film {
         let volumes = || moments.iter().map(|moment| moment.volume);
         let seconds = moments.iter().map(|moment| moment.report.seconds_total);
         let det = moments.iter().map(Moment::min_det);
-        sheet.told(
+        sheet.info(
             "least and largest volume; least det F; sub-steps, seconds of one",
             format!(
                 "{:.3}, {:.3}; {:.2}; {}, {:.2}",
@@ -343,14 +343,14 @@ fn dam_break(sheet: &mut Sheet) {
     sheet.at_least("it still sways, m", sway, 0.001);
 }
 
-/// Of the ball of the three scenes, m, and the pool.
+/// Radius of the ball and level of the pool of the three scenes, m.
 const RADIUS: f64 = 0.08;
 const LEVEL: f64 = 0.7;
 
 /// Height of the middle of a ball of a share of the liquid's density that floats in the pool, m.
 fn floating_ball(density: f64) -> f64 {
     let volume = 4.0 / 3.0 * std::f64::consts::PI * RADIUS.powi(3);
-    // Of the cap under water: pi d^2 (3 r - d) / 3 is its volume; bisection.
+    // Bisection for the depth d of the cap under water, whose volume is pi d^2 (3 r - d) / 3.
     let (mut low, mut high) = (0.0, 2.0 * RADIUS);
     for _ in 0..60 {
         let draught = 0.5 * (low + high);
@@ -567,7 +567,7 @@ fn platform(sheet: &mut Sheet) {
     sheet.at_most("kinetic energy at the end over the most", end / most, 0.05);
 }
 
-/// Of the hollow spheres, m.
+/// Radius of the hollow spheres, m.
 const SHELL: f64 = 0.27;
 
 /// Share of the markers that are no longer in the hollow sphere, however it is deformed.
@@ -688,7 +688,7 @@ fn damping_only(sheet: &mut Sheet) {
         film.failure.is_none(),
     );
     let what = "the stiff beam is pushed away: largest way of its end over its length";
-    sheet.told(what, format!("{:.3}", deflection(&film) / LENGTH));
+    sheet.info(what, format!("{:.3}", deflection(&film) / LENGTH));
 }
 
 /// "The first method was unstable, with the solid undergoing extreme distortion, and the simulation eventually failing". As
@@ -706,12 +706,12 @@ fn weak(sheet: &mut Sheet) {
     let [row] = &table.rows[..] else {
         panic!("{table:?}")
     };
-    sheet.told("how it ends", row.status.clone());
+    sheet.info("how it ends", row.status.clone());
     let what = "extreme distortion: largest elastic energy over all energy of the start";
-    sheet.told(what, format!("{:.1}", row.elastic_ratio));
+    sheet.info(what, format!("{:.1}", row.elastic_ratio));
     let what = "the stiff beam is bent: largest way of its end over its length";
-    sheet.told(what, format!("{:.3}", row.deflection.unwrap_or(0.0)));
-    sheet.told(
+    sheet.info(what, format!("{:.3}", row.deflection.unwrap_or(0.0)));
+    sheet.info(
         "largest energy over that of the start; least det F",
         format!("{:.1}; {:.2}", row.energy_ratio, row.min_det),
     );

@@ -45,7 +45,7 @@ pub(crate) fn cases() -> Vec<Case> {
     cases
 }
 
-/// Of added mass, relative.
+/// Of added mass, relative: a tenth of a cell in the radius of a body ten cells in radius changes C, which goes as the cube, by so much.
 const OF_ADDED_MASS: f64 = 0.03;
 
 /// A1: no cell knows of a surface, and the level of the pressure is what keeps the ball's volume.
@@ -76,7 +76,7 @@ fn ball_in_a_vessel(lane: Lane, sheet: &mut Sheet) {
     });
     let order = (errors[0] / errors[2]).ln() / 2.0_f64.ln();
     sheet.at_least("order of the error of C from a/dx = 7 to 14", order, 1.0);
-    sheet.told(
+    sheet.info(
         "error of C with a/dx = 7, 10, 14",
         format!("{:.4}, {:.4}, {:.4}", errors[0], errors[1], errors[2]),
     );
@@ -257,7 +257,7 @@ fn piston(lane: Lane, sheet: &mut Sheet) {
             patches,
         };
         let ([frequency, _], _) = swings(lane, &piston, 24);
-        sheet.told(
+        sheet.info(
             &format!("piston a quarter of a cell off the middle of one, \"{patches}\", m_a/m_s = 10: frequency off by"),
             format!("{:+.1e}", frequency / piston.frequency() - 1.0),
         );
@@ -483,7 +483,7 @@ fn mean_over(simulation: &Simulation, part: impl Fn(DVec3) -> bool) -> DVec3 {
     sum / area
 }
 
-/// W1: where bodies float at last.
+/// W1: where bodies float at last. A level that is rounded to whole cells is off by a quarter of a cell in the mean.
 fn floating_bodies(lane: Lane, sheet: &mut Sheet) {
     const DX: f64 = 0.025;
     const LEVEL: f64 = 0.37;
@@ -540,7 +540,7 @@ solid = {{ name = \"body\" }}
             let what = format!("floating {name}, s = {}: draft off by, cells", row[0]);
             sheet.at_most(&what, (got - draft).abs() / DX, 0.25);
             drafts[usize::from(name == "ball")].push([row[0], got / half]);
-            sheet.told(
+            sheet.info(
                 &format!("floating {name}, s = {}", row[0]),
                 format!("draft {got:.5} m for {draft:.5} m, still {speed:.1e} m/s"),
             );
@@ -788,6 +788,7 @@ solid = {{ name = \"ball\" }}
             motion.push((simulation.clock().time, speed, probes));
         }
         let what = format!("{name} ball in a full tank, {} sub-steps", motion.len());
+        // The device stores velocities of 1 m/s in f32: 6e-8 of that for each of six faces, over the cell's 0.05 m.
         let bound = lane.choose(1e-9, 1e-5, 1e-5);
         sheet.at_most(&format!("{what}: divergence, 1/s"), divergence, bound);
         // Pressure at this depth, measured from a free surface, would squeeze it by 6 %.
@@ -801,7 +802,7 @@ solid = {{ name = \"ball\" }}
             let what = format!("{what}: acceleration from the third on, g");
             sheet.at_most(&what, mean.abs(), 1e-4);
         } else {
-            sheet.told(
+            sheet.info(
                 &format!("{what}: speed upwards, m/s; way, m"),
                 format!("{:.4}; {:.4}", last.1, last.2[1] - 0.5),
             );

@@ -19,13 +19,13 @@ pub(crate) fn cases() -> Vec<Case> {
     Lane::PRECISE.map(case).into()
 }
 
-/// Of the plate, m, in the plane z = 0 about the corner of a box that is a quarter of all.
+/// Radius of the plate, m. Its centre is the corner of a box that holds a quarter of it.
 const RADIUS: f64 = 0.12;
 const DX: f64 = RADIUS / 6.0;
 const THICKNESS: f64 = 1.2 * DX;
-/// Of the quarter, m.
+/// Width of the box, m.
 const WIDTH: f64 = 4.0 * RADIUS;
-/// Of the plate's upper side: the middle of a cell, where the liquid of that cell begins.
+/// Height of the plate's upper side, m: the middle of a cell, where the liquid of that cell begins.
 const TOP: f64 = 3.5 * DX;
 /// kg/m^3
 const DENSITY: f64 = 1000.0;
@@ -48,13 +48,13 @@ fn plate_in_a_wall(lane: Lane, sheet: &mut Sheet) {
     let wet = frequency(lane, 0.25 / (thin * expected), true);
     let what = "plate in a wall, water on one side: frequency over that when dry";
     sheet.relative(what, expected, wet / dry, 0.05);
-    sheet.told(
+    sheet.info(
         "the same: frequency when dry over that of a thin plate",
         format!("{:.3}", dry / thin),
     );
 }
 
-/// Of the first mode, 1/s, in steps of dt (s): a plate that is pushed swings in it alone once backward Euler has damped the others.
+/// Frequency of the first mode, 1/s, with steps of dt (s). Backward Euler damps the higher modes of the pushed plate first.
 fn frequency(lane: Lane, dt: f64, wet: bool) -> f64 {
     // Walls L = 2 WIDTH apart drag along more than water without end, p = 0 at a distance less. They offset each other at
     // -4 zeta(1/2) beta(1/2) L / (2 pi): what the sum over the box's modes lacks of the integral over all.

@@ -7,12 +7,13 @@ use cutwater::reference::larger;
 use cutwater::scene::{Precision, Scene};
 use cutwater::sim::{Backend, GpuPath, Simulation};
 use cutwater::state::{SolidReport, SolveStatus, State};
+use cutwater::step::Stage;
 use glam::{DMat3, DVec3};
 
 use crate::solid_modes::{sized, weights};
 use crate::solid_scene::solids_of;
 
-/// What solves in f32 are asked for.
+/// Tolerance of solves in f32.
 const F32_TOLERANCE: f64 = 1e-6;
 
 /// Where and how precisely a case is computed.
@@ -187,7 +188,7 @@ pub(crate) fn largest(x: &[[f64; 3]]) -> f64 {
     components.fold(0.0, |largest, x| larger(largest, x.abs()))
 }
 
-/// What a lane makes of the elements of a scene in some state.
+/// Elements of a scene in a state.
 pub(crate) struct Elements {
     /// R g_a of corners 1, 2, 3, 1/m.
     pub(crate) rotated: Vec<[DVec3; 3]>,
@@ -245,8 +246,8 @@ impl Probe {
             })
             .unwrap();
         let mut seen = None;
-        let observer = &mut |stage: &'static str, path: &GpuPath| {
-            if stage == "solid_matrices" {
+        let observer = &mut |stage: Stage, path: &GpuPath| {
+            if stage == Stage::SolidMatrices {
                 seen = path.snapshot()?.solids;
             }
             Ok(())

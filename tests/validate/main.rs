@@ -1,16 +1,18 @@
 //! The long validation: cases with answers known from theory or from other programs, on the f64 path and on the device.
 //!
 //! ```text
-//! make validate                     # all cases
-//! make validate CASES="S2 S9/f64"   # those whose id holds one of these
-//! make validate CASES=--resume      # goes on after a run that was stopped
+//! make validate                     # all cases of the classes quick and default
+//! make validate ARGS=--quick        # those of the class quick
+//! make validate ARGS=--full         # all cases
+//! make validate CASES="S2 S9/f64"   # cases of any class whose id contains one of these
+//! make validate ARGS=--resume       # resumes a stopped run
 //! ```
 //!
-//! A case is a function that fills a [`Sheet`] with rows: what was expected, what came, what is allowed. Each topic has a file that
-//! lists its cases; the list of topics is [`cases`]. The table is printed; a page with charts of what came over what
-//! was expected, and the table as CSV, are written to `target/validate`. Exit code 1: a row failed.
+//! A case is a function that fills a [`Sheet`] with rows: quantity, expected and computed value, bound. Each topic has a file that
+//! lists its cases; [`cases`] lists the topics and cost.rs the cost class of each case. The run prints the rows and writes a page with charts to
+//! `target/validate`. With `--publish` it also merges rows and charts into docs/measured/validation. Exit code 1: a row failed.
 
-// What the suite shares; it uses more of it.
+// Shared with the suite.
 #[allow(dead_code, reason = "the suite uses the rest")]
 #[path = "../suite/common.rs"]
 mod common;
@@ -27,14 +29,16 @@ mod solid_modes;
 mod solid_scene;
 
 mod benches;
+mod cost;
 mod coupled;
 mod coupled_scenes;
 mod coupled_truths;
-mod found;
 mod lamb;
 mod lane;
 mod liquid;
 mod page;
+mod published;
+mod results;
 mod resume;
 mod sheet;
 mod solid_balances;
@@ -45,6 +49,8 @@ mod solid_scenes;
 mod solid_statics;
 mod waves;
 
+use std::collections::BTreeMap;
+use std::error::Error;
 use std::panic::{self, AssertUnwindSafe};
 use std::process::ExitCode;
 use std::sync::Mutex;
@@ -54,12 +60,14 @@ use std::time::Instant;
 use cutwater::gpu::{AdapterChoice, Gpu};
 use cutwater::measure::table::Machine;
 
-use found::{Found, Kept};
+use cost::{Class, Sum};
+use published::Published;
+use results::{ResultStore, Results};
 use sheet::{Row, Sheet};
 
-/// Something to find out.
+/// A comparison with a reference.
 pub(crate) struct Case {
-    /// What it is about: a section of docs/validation.md.
+    /// A section of docs/validation.md.
     topic: &'static str,
     /// Names it on the command line and in the table.
     id: String,
@@ -86,8 +94,8 @@ impl Case {
         }
     }
 
-    /// Its rows and charts. What panics fails.
-    fn find(&self) -> Found {
+    /// Rows and charts. A panic is a failed row.
+    fn evaluate(&self) -> Results {
         let mut sheet = Sheet::default();
         let start = Instant::now();
         let outcome = panic::catch_unwind(AssertUnwindSafe(|| (self.run)(&mut sheet)));
@@ -98,7 +106,7 @@ impl Case {
             sheet.failed(&text.unwrap_or_else(|| "a panic".into()));
         }
         let (rows, charts) = sheet.finish(self.topic, &self.id, seconds);
-        Found { rows, charts }
+        Results { rows, charts }
     }
 }
 
@@ -126,113 +134,183 @@ fn cases() -> Vec<Case> {
     .collect()
 }
 
-/// Runs the cases, `jobs` at a time, and at last those that run alone; rows and charts in the order of the cases. What is kept of a case is
-/// not found again.
-fn run(cases: &[Case], jobs: usize, kept: &Kept) -> Found {
-    let done: Vec<Mutex<Found>> = cases.iter().map(|_| Mutex::default()).collect();
-    let find = |number: usize| {
+/// Runs the cases, `jobs` at a time and those that took longest first, then those that run alone. Rows and charts are in the order of the cases.
+/// Cases with stored results do not run again.
+fn run(cases: &[&Case], jobs: usize, store: &ResultStore, published: &Published) -> Results {
+    let done: Vec<Mutex<Results>> = cases.iter().map(|_| Mutex::default()).collect();
+    let evaluate = |number: usize| {
         let case = &cases[number];
-        let found = kept.of(case.topic, &case.id).unwrap_or_else(|| {
-            let found = case.find();
-            kept.keep(&case.id, &found);
-            found
+        let results = store.load(case.topic, &case.id).unwrap_or_else(|| {
+            let results = case.evaluate();
+            store.store(&case.id, &results);
+            results
         });
-        print!("{}", sheet::lines(&found.rows));
-        *done[number].lock().expect("no other thread has this case") = found;
+        print!("{}", sheet::lines(&results.rows));
+        *done[number].lock().expect("no other thread has this case") = results;
     };
-    let (alone, beside): (Vec<usize>, Vec<usize>) =
+    let (alone, mut beside): (Vec<usize>, Vec<usize>) =
         (0..cases.len()).partition(|&number| cases[number].alone);
+    let seconds = |number: usize| {
+        published
+            .seconds(&cases[number].id)
+            .unwrap_or(f64::INFINITY)
+    };
+    beside.sort_by(|&a, &b| seconds(b).total_cmp(&seconds(a)));
     let next = AtomicUsize::new(0);
     std::thread::scope(|scope| {
         for _ in 0..jobs {
             scope.spawn(|| {
                 while let Some(&number) = beside.get(next.fetch_add(1, Ordering::Relaxed)) {
-                    find(number);
+                    evaluate(number);
                 }
             });
         }
     });
-    alone.into_iter().for_each(find);
-    let found = done.into_iter().map(|found| found.into_inner());
-    let mut all = Found::default();
-    for found in found {
-        let Found { rows, charts } = found.expect("no thread is left");
+    alone.into_iter().for_each(evaluate);
+    let mut all = Results::default();
+    for results in done {
+        let Results { rows, charts } = results.into_inner().expect("no thread is left");
         all.rows.extend(rows);
         all.charts.extend(charts);
     }
     all
 }
 
-fn main() -> ExitCode {
-    let mut filters = Vec::new();
-    let (mut list, mut resume, mut jobs) = (
-        false,
-        false,
-        std::thread::available_parallelism().map_or(1, usize::from),
-    );
-    let mut arguments = std::env::args().skip(1);
-    while let Some(argument) = arguments.next() {
-        match argument.as_str() {
-            "--list" => list = true,
-            "--resume" => resume = true,
-            "--jobs" => match arguments.next().map(|jobs| jobs.parse()) {
-                Some(Ok(number)) if number > 0 => jobs = number,
-                _ => {
-                    eprintln!("--jobs takes a number of cases to run at once");
-                    return ExitCode::from(2);
+/// The command line.
+struct Options {
+    list: bool,
+    resume: bool,
+    publish: bool,
+    jobs: usize,
+    /// The most expensive class that runs.
+    class: Class,
+    /// Parts of ids.
+    filters: Vec<String>,
+}
+
+impl Options {
+    fn parse(mut arguments: impl Iterator<Item = String>) -> Result<Options, String> {
+        let mut options = Options {
+            list: false,
+            resume: false,
+            publish: false,
+            jobs: std::thread::available_parallelism().map_or(1, usize::from),
+            class: Class::Default,
+            filters: Vec::new(),
+        };
+        let mut class = None;
+        while let Some(argument) = arguments.next() {
+            match argument.as_str() {
+                "--list" => options.list = true,
+                "--resume" => options.resume = true,
+                "--publish" => options.publish = true,
+                "--quick" => class = Some(Class::Quick),
+                "--full" => class = Some(Class::Full),
+                "--jobs" => match arguments.next().map(|jobs| jobs.parse()) {
+                    Some(Ok(number)) if number > 0 => options.jobs = number,
+                    _ => return Err("--jobs needs a number of cases to run at once".into()),
+                },
+                option if option.starts_with('-') => {
+                    return Err(format!(
+                        "no option {option}: use --quick, --full, --list, --resume, --publish, --jobs N, then parts of ids"
+                    ));
                 }
-            },
-            option if option.starts_with('-') => {
-                eprintln!(
-                    "no option {option}: there are --list, --resume and --jobs N, then parts of ids"
-                );
-                return ExitCode::from(2);
+                _ => options.filters.push(argument),
             }
-            _ => filters.push(argument),
+        }
+        // A case that is named runs whatever it costs.
+        let of_names = match options.filters.is_empty() {
+            true => Class::Default,
+            false => Class::Full,
+        };
+        options.class = class.unwrap_or(of_names);
+        Ok(options)
+    }
+
+    fn selects(&self, id: &str) -> bool {
+        let named = || self.filters.iter().any(|part| id.contains(part));
+        cost::class_of(id) <= self.class && (self.filters.is_empty() || named())
+    }
+}
+
+/// A line per class that has cases: how many, and their seconds, one after the other.
+fn classes(sums: [Sum; 3]) -> String {
+    let mut text = String::new();
+    for (class, Sum { cases, seconds }) in Class::ALL.into_iter().zip(sums) {
+        if cases > 0 {
+            text += &format!("{:<8} {cases:>4} cases {seconds:>7.0} s\n", class.name());
         }
     }
-    let mut cases = cases();
-    cases.retain(|case| filters.is_empty() || filters.iter().any(|part| case.id.contains(part)));
-    if cases.is_empty() {
-        eprintln!("no case has an id with {}", filters.join(" or "));
-        return ExitCode::from(2);
+    text
+}
+
+fn main() -> ExitCode {
+    let options = match Options::parse(std::env::args().skip(1)) {
+        Ok(options) => options,
+        Err(problem) => {
+            eprintln!("{problem}");
+            return ExitCode::from(2);
+        }
+    };
+    match validate(&options) {
+        Ok(code) => code,
+        Err(error) => {
+            eprintln!("{error}");
+            ExitCode::FAILURE
+        }
     }
-    if list {
-        cases.iter().for_each(|case| println!("{}", case.id));
-        return ExitCode::SUCCESS;
+}
+
+fn validate(options: &Options) -> Result<ExitCode, Box<dyn Error>> {
+    let all = cases();
+    cost::check(all.iter().map(|case| case.id.as_str()));
+    let cases: Vec<&Case> = all
+        .iter()
+        .filter(|case| options.selects(&case.id))
+        .collect();
+    if cases.is_empty() {
+        eprintln!("no case has an id with {}", options.filters.join(" or "));
+        return Ok(ExitCode::from(2));
+    }
+    let published = Published::read()?;
+    if options.list {
+        for case in &cases {
+            let seconds = published.seconds(&case.id);
+            let seconds = seconds.map_or("-".to_owned(), |seconds| format!("{seconds:.0} s"));
+            println!(
+                "{:<40} {:<8} {seconds:>6}",
+                case.id,
+                cost::class_of(&case.id).name()
+            );
+        }
+        return Ok(ExitCode::SUCCESS);
     }
     let machine = match Gpu::new(&AdapterChoice::Best).and_then(|gpu| Machine::new(&gpu, 3)) {
         Ok(machine) => machine,
         Err(error) => {
             eprintln!("{error}");
-            return ExitCode::from(3);
+            return Ok(ExitCode::from(3));
         }
     };
-    // The table tells the rest.
+    // The table has the messages.
     panic::set_hook(Box::new(|panic| eprintln!("{panic}")));
+    let before = |case: &Case| published.seconds(&case.id).unwrap_or(0.0);
     println!(
-        "{} cases on {}, {jobs} at a time\n",
+        "{} cases on {}, {} at a time. As published:\n{}",
         cases.len(),
-        machine.adapter
+        machine.adapter,
+        options.jobs,
+        classes(cost::sums(
+            cases.iter().map(|case| (case.id.as_str(), before(case)))
+        ))
     );
     let start = Instant::now();
-    // A run of some cases leaves what is kept of the others.
-    let kept = Kept::new(&sheet::folder(), &machine).and_then(|kept| {
-        match (resume, filters.is_empty()) {
-            (true, _) => {}
-            (false, true) => kept.forget_all()?,
-            (false, false) => cases.iter().try_for_each(|case| kept.forget(&case.id))?,
-        }
-        Ok(kept)
-    });
-    let kept = match kept {
-        Ok(kept) => kept,
-        Err(error) => {
-            eprintln!("target/validate: {error}");
-            return ExitCode::FAILURE;
-        }
-    };
-    let Found { rows, charts } = run(&cases, jobs, &kept);
+    let store = ResultStore::new(&sheet::folder(), &machine)?;
+    if !options.resume {
+        store.remove_others()?;
+        cases.iter().try_for_each(|case| store.remove(&case.id))?;
+    }
+    let Results { rows, charts } = run(&cases, options.jobs, &store, &published);
     let failed: Vec<&Row> = rows
         .iter()
         .filter(|row| row.passed == Some(false))
@@ -245,16 +323,18 @@ fn main() -> ExitCode {
         machine.adapter,
         failed.len()
     );
-    if let Err(error) = sheet::write(&rows, &charts, &summary, machine) {
-        eprintln!("target/validate: {error}");
-        return ExitCode::FAILURE;
+    sheet::write(&rows, &charts, &summary)?;
+    if options.publish {
+        published.merge(&all, &rows, &charts, &machine)?;
     }
-    println!("\n{summary}");
+    let mut seconds: BTreeMap<&str, f64> = BTreeMap::new();
+    seconds.extend(rows.iter().map(|row| (row.id.as_str(), row.seconds)));
+    println!("\n{}\n{summary}", classes(cost::sums(seconds.into_iter())));
     for row in &failed {
         print!("{}", sheet::lines(std::slice::from_ref(row)));
     }
-    match failed.is_empty() {
+    Ok(match failed.is_empty() {
         true => ExitCode::SUCCESS,
         false => ExitCode::FAILURE,
-    }
+    })
 }

@@ -1,7 +1,9 @@
-//! The page of the validation: a summary, how much of what is allowed each row takes, curves over their references, the table.
+//! The page of the validation: summary, fraction of the allowed error of each row, charts with their references, table.
 
+use std::collections::BTreeSet;
 use std::error::Error;
 use std::fs;
+use std::io;
 use std::path::Path;
 
 use cutwater::measure::ink;
@@ -13,9 +15,9 @@ use crate::sheet::{COLUMNS, Row};
 /// How a line of a chart is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) enum Mark {
-    /// What is computed here, as a line.
+    /// Computed, as a line.
     Line,
-    /// What is computed here, as points.
+    /// Computed, as points.
     Points,
     /// A theory, as a line.
     Theory,
@@ -42,7 +44,7 @@ impl Line {
     }
 }
 
-/// What came, drawn over what was expected.
+/// Computed and expected values.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Chart {
     /// Case.
@@ -59,17 +61,14 @@ pub(crate) fn write(
     charts: &[Chart],
     summary: &str,
 ) -> Result<(), Box<dyn Error>> {
-    fs::create_dir_all(folder)?;
     let mut page = format!("# Validation\n\n{summary}\n\n");
-    let judged: Vec<&Row> = rows.iter().filter(|row| row.passed.is_some()).collect();
-    if !judged.is_empty() {
-        glance(&folder.join("glance.svg"), &judged)?;
-        page += "Each row that is judged, as the share of its bound that it takes: left of the line is within, a cross is not. What holds or does \
-                 not is a ring at the left end, or a cross at the right one.\n\n![](glance.svg)\n\n";
+    if rows.iter().any(|row| row.passed.is_some()) {
+        page += "Error over the allowed error, a mark per row. Marks right of the line are failures and drawn as crosses. A ring is a property in words: \
+                 at the left end it holds.\n\n![](glance.svg)\n\n";
     }
+    write_pictures(folder, rows, charts)?;
     for (number, chart) in charts.iter().enumerate() {
         let name = picture(charts, number);
-        draw(&folder.join(&name), chart)?;
         page += &format!("![{}: {}]({name})\n\n", chart.id, chart.title);
     }
     page += &format!("| {} |\n", COLUMNS.join(" | "));
@@ -82,6 +81,56 @@ pub(crate) fn write(
     Ok(())
 }
 
+/// glance.svg of all judged rows, and a file per chart.
+pub(crate) fn write_pictures(
+    folder: &Path,
+    rows: &[Row],
+    charts: &[Chart],
+) -> Result<(), Box<dyn Error>> {
+    let judged: Vec<&Row> = rows.iter().filter(|row| row.passed.is_some()).collect();
+    if !judged.is_empty() {
+        glance(&folder.join("glance.svg"), &judged)?;
+    }
+    for (number, chart) in charts.iter().enumerate() {
+        draw(&folder.join(picture(charts, number)), chart)?;
+    }
+    Ok(())
+}
+
+/// Removes the charts of the cases in `old`, and those of no case in `ids`.
+pub(crate) fn remove_charts(
+    folder: &Path,
+    old: &BTreeSet<&str>,
+    ids: &BTreeSet<&str>,
+) -> io::Result<()> {
+    let files =
+        |ids: &BTreeSet<&str>| -> BTreeSet<String> { ids.iter().map(|id| file_stem(id)).collect() };
+    let (old, ids) = (files(old), files(ids));
+    for entry in fs::read_dir(folder)? {
+        let path = entry?.path();
+        let name = path.file_stem().unwrap_or_default().to_string_lossy();
+        if path.extension().is_none_or(|end| end != "svg") || name == "glance" {
+            continue;
+        }
+        // The second chart of F11 is F11-2.
+        let first = name
+            .rsplit_once('-')
+            .filter(|(_, nth)| nth.parse::<usize>().is_ok());
+        let case = match ids.contains(&*name) {
+            true => &*name,
+            false => first.map_or(&*name, |(case, _)| case),
+        };
+        if old.contains(case) || !ids.contains(case) {
+            fs::remove_file(path)?;
+        }
+    }
+    Ok(())
+}
+
+fn file_stem(id: &str) -> String {
+    id.replace('/', "-")
+}
+
 /// File of a chart: F11.svg, the second of a case F11-2.svg, and A1-mixed.svg of A1/mixed.
 fn picture(charts: &[Chart], number: usize) -> String {
     let id = &charts[number].id;
@@ -90,7 +139,7 @@ fn picture(charts: &[Chart], number: usize) -> String {
         0 => String::new(),
         n => format!("-{}", n + 1),
     };
-    format!("{}{nth}.svg", id.replace('/', "-"))
+    format!("{}{nth}.svg", file_stem(id))
 }
 
 /// A line per case, variants on one, a mark per row: error over what is allowed, logarithmic. Rows without such a share are at the ends.
@@ -124,7 +173,7 @@ fn glance(path: &Path, rows: &[&Row]) -> Result<(), Box<dyn Error>> {
         let y = f64::from(n) - line as f64 - 0.5;
         for row in rows.iter().filter(|row| row.case() == *case) {
             let passed = row.passed == Some(true);
-            // What fails without a bound, or is not a number, is at the far end.
+            // Failures without a bound, and NaN, are at the right end.
             let share = row.share.filter(|share| !share.is_nan());
             let without = if passed { 0.0 } else { 80.0 };
             let at = (share.unwrap_or(without).clamp(1.2e-6, 80.0), y);

@@ -86,10 +86,10 @@ fn kills(sheet: &mut Sheet, backend: &str, scene: &str) {
     let what = format!("{backend}: kills of which nothing is to be seen in the end");
     sheet.holds(&what, &KILLS.to_string(), kills.to_string(), kills == KILLS);
     let what = format!("{backend}: kills that left a checkpoint, runs that came to their end");
-    sheet.told(&what, format!("{from_checkpoint}, {runs}"));
+    sheet.info(&what, format!("{from_checkpoint}, {runs}"));
     let whole = Manifest::read(&folder.path().join("whole")).expect("the run nobody disturbed");
     let seconds = whole.progress.seconds;
-    sheet.told(
+    sheet.info(
         &format!("{backend}: seconds of a run that nobody disturbs"),
         format!("{seconds:.1}"),
     );

@@ -6,16 +6,15 @@ use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use cutwater::measure::table::{Machine, Table};
 use cutwater::reference::larger;
 use serde::{Deserialize, Serialize};
 
 use crate::page::{self, Chart, Line};
 
-/// One thing found out.
+/// A quantity, its expected value and its verdict.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Row {
-    /// What the case is about: a section of docs/validation.md.
+    /// A section of docs/validation.md.
     #[serde(skip)]
     pub(crate) topic: &'static str,
     pub(crate) id: String,
@@ -23,20 +22,23 @@ pub(crate) struct Row {
     pub(crate) expected: String,
     pub(crate) got: String,
     pub(crate) tolerance: String,
-    /// Nothing where the number is told but not judged.
+    /// None where the number is informational.
     pub(crate) passed: Option<bool>,
-    /// Error over what is allowed, where there is a bound.
+    /// Error over the allowed error, where there is a bound.
     pub(crate) share: Option<f64>,
-    /// Of the whole case, s.
+    /// Seconds of the whole case.
     pub(crate) seconds: f64,
 }
 
+/// Verdict of a number that is not judged.
+pub(crate) const INFORMATIONAL: &str = "informational";
+
 impl Row {
-    fn verdict(&self) -> &'static str {
+    pub(crate) fn verdict(&self) -> &'static str {
         match self.passed {
             Some(true) => "pass",
             Some(false) => "FAIL",
-            None => "told",
+            None => INFORMATIONAL,
         }
     }
 
@@ -58,7 +60,7 @@ impl Row {
         &self.id[..end.map_or(self.id.len(), |(at, _)| at)]
     }
 
-    /// How bad it is: failures before all, what holds in words after all that has a number, what is told last.
+    /// Order by closeness to the bound: failures first, rows without a number after those with one, informational rows last.
     fn rank(&self) -> f64 {
         match self.passed {
             Some(true) => self.share.unwrap_or(-1.0),
@@ -112,14 +114,14 @@ impl Sheet {
         self.row(what, expected, number(got), String::new(), Some(passed));
     }
 
-    /// Of the row that was written last.
+    /// Sets the share of the last row.
     fn share(&mut self, share: f64) {
         if let Some(row) = self.rows.last_mut() {
             row.share = Some(share);
         }
     }
 
-    /// What came, drawn over what was expected.
+    /// Adds a chart of computed and expected values.
     pub(crate) fn chart(&mut self, title: &str, axes: [&str; 2], lines: Vec<Line>) {
         self.charts.push(Chart {
             id: String::new(),
@@ -140,19 +142,6 @@ impl Sheet {
             Some(error <= tolerance),
         );
         self.share(error / tolerance);
-    }
-
-    /// expected / factor <= got <= expected factor.
-    pub(crate) fn within(&mut self, what: &str, expected: f64, got: f64, factor: f64) {
-        let share = (got / expected).ln().abs() / factor.ln();
-        self.row(
-            what,
-            number(expected),
-            format!("{} (times {:.3})", number(got), got / expected),
-            format!("a factor of {factor}"),
-            Some(share <= 1.0),
-        );
-        self.share(share);
     }
 
     /// An error that may not be above its bound.
@@ -177,13 +166,13 @@ impl Sheet {
         }
     }
 
-    /// Something that holds or does not, in words.
+    /// A property that holds or does not, in words.
     pub(crate) fn holds(&mut self, what: &str, expected: &str, got: String, passed: bool) {
         self.row(what, expected.into(), got, String::new(), Some(passed));
     }
 
-    /// Something to know that no theory predicts.
-    pub(crate) fn told(&mut self, what: &str, got: String) {
+    /// An informational row: a number that no theory predicts.
+    pub(crate) fn info(&mut self, what: &str, got: String) {
         self.row(what, String::new(), got, String::new(), None);
     }
 
@@ -206,7 +195,7 @@ impl Sheet {
         seconds: f64,
     ) -> (Vec<Row>, Vec<Chart>) {
         if self.rows.is_empty() {
-            self.failed("the case found nothing out");
+            self.failed("the case has no rows");
         }
         for row in &mut self.rows {
             (row.topic, row.id, row.seconds) = (topic, id.to_owned(), seconds);
@@ -261,8 +250,8 @@ pub(crate) fn lines(rows: &[Row]) -> String {
     text
 }
 
-/// Numbers of the row of each case that takes most of its bound; of several that fail, the first.
-fn worst(rows: &[Row]) -> BTreeSet<usize> {
+/// Indices of the row of each case that is closest to its bound; of several that fail, the first.
+pub(crate) fn worst(rows: &[Row]) -> BTreeSet<usize> {
     let mut found: BTreeMap<&str, usize> = BTreeMap::new();
     for (number, row) in rows.iter().enumerate() {
         let worst = found.entry(row.case()).or_insert(number);
@@ -275,20 +264,20 @@ fn worst(rows: &[Row]) -> BTreeSet<usize> {
 
 /// A row of validation_topics.csv.
 #[derive(Debug, Default, Serialize)]
-struct Topic {
+pub(crate) struct Topic {
     topic: &'static str,
     cases: usize,
     /// Rows with a verdict.
     judged: usize,
     failed: usize,
     /// Rows without.
-    told: usize,
+    informational: usize,
     /// Of all cases, s.
     seconds: f64,
 }
 
-/// Of rows in the order of the cases.
-fn topics(rows: &[Row]) -> Vec<Topic> {
+/// Sums per topic, of rows in the order of the cases.
+pub(crate) fn topics(rows: &[Row]) -> Vec<Topic> {
     let mut topics: Vec<Topic> = Vec::new();
     let mut id = "";
     for row in rows {
@@ -306,25 +295,20 @@ fn topics(rows: &[Row]) -> Vec<Topic> {
         }
         topic.judged += usize::from(row.passed.is_some());
         topic.failed += usize::from(row.passed == Some(false));
-        topic.told += usize::from(row.passed.is_none());
+        topic.informational += usize::from(row.passed.is_none());
     }
     topics
 }
 
-/// Where all is written, `target/validate`.
+/// Where a run writes, `target/validate`.
 pub(crate) fn folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("target/validate")
 }
 
-/// Writes page, pictures and tables to [`folder`]: validation.csv with a row for each found out, validation_topics.csv, and
-/// validation.json with the latter and where all was computed.
-pub(crate) fn write(
-    rows: &[Row],
-    charts: &[Chart],
-    summary: &str,
-    machine: Machine,
-) -> Result<(), Box<dyn Error>> {
+/// Writes page and pictures of a run to [`folder`].
+pub(crate) fn write(rows: &[Row], charts: &[Chart], summary: &str) -> Result<(), Box<dyn Error>> {
     let folder = folder();
+    fs::create_dir_all(&folder)?;
     // A run of more cases may have left some.
     for entry in fs::read_dir(&folder)? {
         let file = entry?.path();
@@ -332,25 +316,5 @@ pub(crate) fn write(
             fs::remove_file(file)?;
         }
     }
-    page::write(&folder, rows, charts, summary)?;
-    let mut table = csv::Writer::from_path(folder.join("validation.csv"))?;
-    table.write_record(["topic"].iter().chain(&COLUMNS).chain(&["share", "worst"]))?;
-    let worst = worst(rows);
-    for (number, row) in rows.iter().enumerate() {
-        let share = row
-            .share
-            .map_or(String::new(), |share| format!("{share:e}"));
-        let first = [row.topic.to_owned()].into_iter().chain(row.cells());
-        table.write_record(first.chain([share, worst.contains(&number).to_string()]))?;
-    }
-    table.flush()?;
-    let rows = topics(rows);
-    let mut table = csv::Writer::from_path(folder.join("validation_topics.csv"))?;
-    for topic in &rows {
-        table.serialize(topic)?;
-    }
-    table.flush()?;
-    let table = serde_json::to_vec_pretty(&Table { machine, rows })?;
-    fs::write(folder.join("validation.json"), table)?;
-    Ok(())
+    page::write(&folder, rows, charts, summary)
 }

@@ -62,7 +62,7 @@ fn free_fall(lane: Lane, sheet: &mut Sheet) {
     }
 }
 
-/// What a free body that spins and swings keeps, and loses, in 0.25 s.
+/// Balances of a free body that spins and swings, over 0.25 s.
 struct Kept {
     /// Largest change of the momentum, over the sum of the nodes' momenta without their directions.
     momentum: f64,
@@ -98,7 +98,7 @@ fn free_flight(lane: Lane, young: f64, dt: f64) -> Kept {
 
 /// Momentum is kept whatever the step. The forces of the new positions are taken with the rotations and the stiffness of the old ones,
 /// which turns a strained body by a moment of the order of dt: angular momentum is kept to the first order, as long as steps are short
-/// enough for the strain not to be damped away first (w^2 dt times the time below 1). Of a stiff body it is told.
+/// enough for the strain not to be damped away first (w^2 dt times the time below 1). For a stiff body it is informational.
 fn free_body(lane: Lane, sheet: &mut Sheet) {
     let mut changes = Vec::new();
     for (young, dts) in [(1e4, &[240.0, 480.0, 960.0][..]), (1e6, &[240.0])] {
@@ -110,7 +110,7 @@ fn free_body(lane: Lane, sheet: &mut Sheet) {
                 kept.momentum,
                 bound(lane),
             );
-            sheet.told(
+            sheet.info(
                 &format!("{what}: change of angular momentum; part of the energy left"),
                 format!("{:.1e}; {:.3}", kept.spin, kept.energy),
             );
@@ -134,7 +134,7 @@ fn spinning() -> Scene {
 }
 
 /// A rigid rotation. Nodes move along the tangent and are pulled back by forces through the axis, so that next to nothing is lost: the
-/// loss is told, and is below the square of the angle of a step.
+/// loss is below the square of the angle of a step.
 fn spinning_block(lane: Lane, sheet: &mut Sheet) {
     let time = 0.25;
     for steps in [60.0, 120.0, 240.0] {
@@ -155,7 +155,7 @@ fn spinning_block(lane: Lane, sheet: &mut Sheet) {
             angle * angle,
         );
         let most = energies.iter().copied().fold(0.0, larger);
-        sheet.told(
+        sheet.info(
             &format!("{angle:.4} rad a step: largest and last energy over the first"),
             format!(
                 "{:.6}, {:.6}",

@@ -18,6 +18,9 @@ pub(crate) fn cases() -> Vec<Case> {
         .collect()
 }
 
+/// The beam's own weight strains it by rho g L / E = 0.6 % at its top, and by some times that in the corners of the fixed end.
+const LEAST_DET: f64 = 0.95;
+
 fn recovery(lane: Lane, sheet: &mut Sheet) {
     let scene = hung_beam();
     for throw in THROWS {
@@ -43,9 +46,9 @@ fn recovery(lane: Lane, sheet: &mut Sheet) {
         sheet.at_least(
             &format!("{before} inverted: least det F at the end"),
             worst,
-            0.8,
+            LEAST_DET,
         );
-        sheet.told(
+        sheet.info(
             &format!("{before} inverted: largest displacement at the end, m"),
             format!("{:.4}", largest(&u)),
         );

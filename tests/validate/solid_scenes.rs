@@ -11,7 +11,7 @@
 //! and contacts that a node reaches from outside do no work. The energies of one report are of before and after the solve instead: what it turns
 //! from strain into motion they count twice, up to a third of a mode with w dt = sqrt(1/2).
 //!
-//! Its rise is told over the energy in play: what there was of motion and strain at the start, and what bodies gave by their deepest fall.
+//! Its rise is relative to the energy in play: kinetic and elastic energy at the start, plus the energy of height that bodies lose at their lowest.
 //!
 //! Three things may add to it. A body that turns is no longer strained by that, as its move is on circles. A part that bends still is, by
 //! theta^2 / 2, theta being its angle against the body: a solve makes at most a quarter of the motion into strain, (w dt / (1 + w^2 dt^2))^2, so
@@ -51,7 +51,7 @@ const STEP: [f64; 3] = [1.0 / 1000.0, 1.0 / 120.0, 1.0 / 24.0];
 const MOST_RISE: [f64; 3] = [0.01, 0.01, 0.1];
 /// The same in the second half of the steps above that of the first one's end: by then there is less motion to bend anything.
 const MOST_LATE_RISE: f64 = 0.05;
-/// Of the energy of a fall through the whole domain: what rounds in energies of height that are kept in f32, summed over the nodes, is below it.
+/// Rounding of energies of height in f32, summed over the nodes, relative to the energy of a fall through the whole domain.
 const ROUNDING: f64 = 1e-5;
 /// tau_M (1/s), tau_K (s)
 const DAMPING: [[f64; 2]; 2] = [[0.0, 0.0], [1.0, 2e-3]];
@@ -199,7 +199,7 @@ fn coarse(scene: &Scene, most: usize, folder: &Path) -> Scene {
     }
 }
 
-/// What the solids amount to before any step.
+/// Diagnostics of the initial state.
 fn diagnosis(scene: &Scene, motion: &Motion) -> SolidDiagnosis {
     let (state, solids) = (motion.state(), &motion.solids);
     let u = &state.displacement;
@@ -271,7 +271,7 @@ fn endures(
             true => most_late = larger(most_late, energy),
             false => halfway = energy,
         }
-        let told = [
+        let values = [
             solve.residual,
             diagnosis.kinetic_energy,
             diagnosis.elastic_energy,
@@ -279,7 +279,7 @@ fn endures(
             diagnosis.max_speed,
             diagnosis.min_det,
         ];
-        finite &= told.iter().all(|x| x.is_finite());
+        finite &= values.iter().all(|x| x.is_finite());
         if number % LOOK == 0 {
             let State {
                 displacement,

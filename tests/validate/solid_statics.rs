@@ -52,7 +52,7 @@ fn convergence(lane: Lane, sheet: &mut Sheet) {
         let found = tip(&motion.solids, &u);
         let what = format!("tip of the cantilever with {layers} layers, m (scikit-fem)");
         sheet.relative(&what, row.tip, found, 1e-4);
-        sheet.told(
+        sheet.info(
             &format!("{layers} layers, part of Timoshenko's deflection"),
             format!("{:.4}", found / TIMOSHENKO),
         );

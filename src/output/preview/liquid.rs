@@ -5,7 +5,6 @@ use glam::Vec3;
 use super::triangles::{Owner, Triangle, Triangles};
 use crate::output::surface::{LiquidSurface, in_wall};
 
-/// The liquid of a frame.
 pub(super) struct Liquid {
     triangles: Triangles,
     /// Normals at the corners of each triangle, out of the liquid.

@@ -51,7 +51,6 @@ pub enum Colour {
 }
 
 impl Colour {
-    /// Cell data of the quantity.
     fn field(self) -> Option<&'static str> {
         match self {
             Colour::Solid => None,
@@ -119,7 +118,6 @@ pub struct Pictures {
     camera: Camera,
     scene: PictureScene,
     surface: SolidSurface,
-    /// Drawn frames and their pictures.
     drawn: BTreeMap<u64, PathBuf>,
 }
 

@@ -144,7 +144,6 @@ impl Picture {
         }
     }
 
-    /// Font for the picture's size.
     pub(super) fn font(&self) -> Font {
         let height = match self.size[1] {
             0..450 => RasterHeight::Size16,
@@ -205,7 +204,6 @@ impl Picture {
         write_atomically(path, &bytes)
     }
 
-    /// Reads a picture written by [`Picture::write`].
     fn read(path: &Path) -> Result<Picture, Error> {
         let failed = |problem: String| {
             let cure = "remove it, and run `cutwater preview` again";

@@ -82,7 +82,6 @@ const OFFSETS: [(f32, f32); 4] = [
     (-0.375, 0.125),
 ];
 
-/// A pinhole camera.
 pub(super) struct View {
     pub(super) eye: Vec3,
     forward: Vec3,
@@ -152,14 +151,12 @@ impl View {
     }
 }
 
-/// Everything in the picture.
 pub(super) struct PictureScene {
     pub(super) liquid: Option<Liquid>,
     pub(super) obstacles: Triangles,
     /// Surfaces of elastic solids, with an appearance per triangle.
     pub(super) solids: Triangles,
     pub(super) appearances: Vec<Appearance>,
-    /// Colour scale of the solids.
     pub(super) scale: Scale,
     /// Width of a pixel at distance 1.
     pub(super) pixel: f32,
@@ -318,7 +315,6 @@ impl PictureScene {
         self.solids.hit(origin, direction, limit).or(obstacle)
     }
 
-    /// Colour of an intersection.
     fn colour(&self, origin: Vec3, direction: Vec3, nearest: Option<Intersection>) -> Vec3 {
         let Some(Intersection { t, target }) = nearest else {
             return self.sky(direction);

@@ -34,7 +34,6 @@ const SIDES: [f32; 2] = [4.0, 12.0];
 /// Share of light that drawn sides absorb.
 const SIDE_DARKNESS: f32 = 0.35;
 
-/// The solids of a frame file.
 pub(super) struct SolidFrame {
     /// Positions of the nodes, m.
     nodes: Vec<Vec3>,
@@ -98,7 +97,6 @@ pub(super) struct SolidSurface {
     behind: Vec<usize>,
 }
 
-/// Appearance of a surface triangle.
 pub(super) struct Appearance {
     /// Linear colour of its body.
     body: Vec3,
@@ -115,7 +113,6 @@ impl SolidSurface {
         }
     }
 
-    /// Coloured surface of a frame.
     pub(super) fn coloured(
         &mut self,
         frame: &SolidFrame,
@@ -188,9 +185,7 @@ fn means(frame: &SolidFrame) -> Vec<f32> {
     sums.into_iter().map(|(sum, n)| sum / n.max(1.0)).collect()
 }
 
-/// Colour scale.
 pub(super) enum Scale {
-    /// By body.
     Bodies,
     /// Stress from 0 to this, Pa.
     Stress(f32),
@@ -228,7 +223,6 @@ impl Scale {
         })
     }
 
-    /// Linear colour of a value.
     fn colour(&self, value: f32) -> Vec3 {
         match *self {
             Scale::Bodies => Vec3::ONE,

@@ -4,7 +4,6 @@
 
 use glam::Vec3;
 
-/// Most triangles of a leaf.
 const LEAF: usize = 4;
 
 /// Body of a triangle.
@@ -28,7 +27,6 @@ pub(super) struct Triangle {
     pub(super) owner: Owner,
 }
 
-/// A ray intersection.
 pub(super) struct Hit {
     /// Distance along the ray, m.
     pub(super) t: f32,
@@ -36,14 +34,12 @@ pub(super) struct Hit {
     pub(super) normal: Vec3,
     pub(super) owner: Owner,
     pub(super) corners: [Vec3; 3],
-    /// Barycentric coordinates.
     pub(super) weights: [f32; 3],
 }
 
 /// The half space normal . x > offset.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct HalfSpace {
-    /// Unit vector.
     pub(super) normal: Vec3,
     /// m
     pub(super) offset: f32,
@@ -92,7 +88,6 @@ impl Triangles {
         }
     }
 
-    /// Cuts a half space away.
     pub(super) fn without(self, cut: Option<HalfSpace>) -> Triangles {
         Triangles { cut, ..self }
     }

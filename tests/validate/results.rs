@@ -1,4 +1,4 @@
-//! What was found out of each case, kept in a file as soon as it is there: a run that is stopped goes on from these.
+//! Results of each case, stored in a file at once: `--resume` continues from these.
 
 use std::error::Error;
 use std::fs;
@@ -15,20 +15,20 @@ use crate::sheet::Row;
 
 /// Rows and charts of a case, or of several.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
-pub(crate) struct Found {
+pub(crate) struct Results {
     pub(crate) rows: Vec<Row>,
     pub(crate) charts: Vec<Chart>,
 }
 
-/// The folder of these files.
+/// A folder with a file of results per case.
 #[derive(Debug)]
-pub(crate) struct Kept {
+pub(crate) struct ResultStore {
     folder: PathBuf,
 }
 
-impl Kept {
-    /// Below `out`, a folder for this build and these reference data on this adapter: what others found is not theirs.
-    pub(crate) fn new(out: &Path, machine: &Machine) -> Result<Kept, Box<dyn Error>> {
+impl ResultStore {
+    /// Below `out`, a folder for this build, these reference data and this adapter.
+    pub(crate) fn new(out: &Path, machine: &Machine) -> Result<ResultStore, Box<dyn Error>> {
         let mut hasher = DefaultHasher::new();
         fs::read(std::env::current_exe()?)?.hash(&mut hasher);
         let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data");
@@ -42,34 +42,40 @@ impl Kept {
         (&machine.adapter, &machine.driver).hash(&mut hasher);
         let folder = out.join("cases").join(format!("{:016x}", hasher.finish()));
         fs::create_dir_all(&folder)?;
-        Ok(Kept { folder })
+        Ok(ResultStore { folder })
     }
 
-    /// Forgets all, also of other builds.
-    pub(crate) fn forget_all(&self) -> io::Result<()> {
-        fs::remove_dir_all(self.folder.parent().expect("it is below `cases`"))?;
-        fs::create_dir_all(&self.folder)
+    /// Removes the results of other builds and adapters.
+    pub(crate) fn remove_others(&self) -> io::Result<()> {
+        let all = self.folder.parent().expect("it is below `cases`");
+        for entry in fs::read_dir(all)? {
+            let folder = entry?.path();
+            if folder != self.folder {
+                fs::remove_dir_all(folder)?;
+            }
+        }
+        Ok(())
     }
 
-    /// Forgets a case: it is found again.
-    pub(crate) fn forget(&self, id: &str) -> io::Result<()> {
+    /// Removes the results of a case.
+    pub(crate) fn remove(&self, id: &str) -> io::Result<()> {
         match fs::remove_file(self.file(id)) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
             removed => removed,
         }
     }
 
-    /// What is kept of a case; nothing also where it cannot be read, as of numbers that are not finite: it is found again.
-    pub(crate) fn of(&self, topic: &'static str, id: &str) -> Option<Found> {
+    /// Stored results of a case. None also where the file cannot be read, as with numbers that are not finite.
+    pub(crate) fn load(&self, topic: &'static str, id: &str) -> Option<Results> {
         let text = fs::read(self.file(id)).ok()?;
-        let mut found: Found = serde_json::from_slice(&text).ok()?;
-        found.rows.iter_mut().for_each(|row| row.topic = topic);
-        Some(found)
+        let mut results: Results = serde_json::from_slice(&text).ok()?;
+        results.rows.iter_mut().for_each(|row| row.topic = topic);
+        Some(results)
     }
 
-    /// Keeps it; a folder that cannot be written is told at the end, when all else is.
-    pub(crate) fn keep(&self, id: &str, found: &Found) {
-        if let Ok(text) = serde_json::to_vec(found) {
+    /// Stores the results. A folder that cannot be written is reported when the tables are written.
+    pub(crate) fn store(&self, id: &str, results: &Results) {
+        if let Ok(text) = serde_json::to_vec(results) {
             let _ = write_atomically(&self.file(id), &text);
         }
     }
