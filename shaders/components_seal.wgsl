@@ -1,6 +1,6 @@
 // Stage closed_components, with solids only, before the roots are counted for good: marks the root of every component that a patch joins
 // to a node that gives way, which fixes the level of its pressure, and notes whether any patch touches the liquid. One thread per wet quad.
-// coupling, words, pairs: see coupling_flux. node_flags: see node_flags. flags: active lanes. labels, state: see components.
+// coupling, words, quad_pairs: see coupling_flux. node_flags: see node_flags. flags: active lanes. labels, state: see components.
 // report: touching, 0 or 1, in its first word.
 #import components
 #import coupling
@@ -10,7 +10,7 @@
 
 @group(0) @binding(0) var<uniform> coupling: Coupling;
 @group(0) @binding(1) var<storage, read> words: array<u32>;
-@group(0) @binding(2) var<storage, read> pairs: array<vec4<u32>>;
+@group(0) @binding(2) var<storage, read> quad_pairs: array<vec4<u32>>;
 @group(0) @binding(3) var<storage, read> node_flags: array<u32>;
 @group(0) @binding(4) var<storage, read> flags: array<u32>;
 @group(0) @binding(5) var<storage, read_write> labels: array<atomic<u32>>;
@@ -29,7 +29,7 @@ fn components_seal(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_i
     var gives_way = 0u;
     let last = words[coupling.quad_starts + wet + 1u];
     for (var at = words[coupling.quad_starts + wet]; at < last; at++) {
-        let pair = pairs[at];
+        let pair = quad_pairs[at];
         let of_lane = 1u << (pair.w % 4u);
         if (is_active & of_lane) == 0u {
             continue;

@@ -1,6 +1,6 @@
 // Condensed PCG, start of a round, in the wet quads: g_p = r_p - J y / |r| with y = S^-1 r_v, and per thread what that adds to |g_p|^2; the
 // first sweep of the first V-cycle is done again.
-// coupling, words, pairs, flags: see coupling_flux. level: level 0. sweep: first omega. x: y / |r|. matrix: see level.
+// coupling, words, quad_pairs, flags: see coupling_flux. level: level 0. sweep: first omega. x: y / |r|. matrix: see level.
 // r: r_p in, g_p out. z: first sweep, out. partials: those of the wet quads.
 #import coupling_flux
 #import dispatch
@@ -13,7 +13,7 @@
 @group(0) @binding(1) var<uniform> level: Level;
 @group(0) @binding(2) var<uniform> sweep: Sweep;
 @group(0) @binding(3) var<storage, read> words: array<u32>;
-@group(0) @binding(4) var<storage, read> pairs: array<vec4<u32>>;
+@group(0) @binding(4) var<storage, read> quad_pairs: array<vec4<u32>>;
 @group(0) @binding(5) var<storage, read> flags: array<u32>;
 @group(0) @binding(6) var<storage, read> x: array<Real4>;
 @group(0) @binding(7) var<storage, read> matrix: array<Inner4>;

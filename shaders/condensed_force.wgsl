@@ -1,5 +1,5 @@
 // Condensed solve, end of a round, for nodes: J^T of the correction of the potential.
-// coupling, words, pairs: see coupling_force. flags: active lanes. level: level 0. search: direction, then correction. force: out.
+// coupling, words, node_pairs: see coupling_force. flags: active lanes. level: level 0. search: direction, then correction. force: out.
 #import coupling
 #import dispatch
 #import inner
@@ -9,7 +9,7 @@
 @group(0) @binding(0) var<uniform> coupling: Coupling;
 @group(0) @binding(1) var<uniform> level: Level;
 @group(0) @binding(2) var<storage, read> words: array<u32>;
-@group(0) @binding(3) var<storage, read> pairs: array<vec4<u32>>;
+@group(0) @binding(3) var<storage, read> node_pairs: array<vec4<u32>>;
 @group(0) @binding(4) var<storage, read> flags: array<u32>;
 @group(0) @binding(5) var<storage, read> search: array<Inner4>;
 @group(0) @binding(6) var<storage, read_write> force: array<Real4>;
@@ -23,7 +23,7 @@ fn condensed_force(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_i
     var sum = Real3();
     let last = words[coupling.node_starts + node + 1u];
     for (var at = words[coupling.node_starts + node]; at < last; at++) {
-        let pair = pairs[at];
+        let pair = node_pairs[at];
         let quad = pair.w / 4u;
         let lane = pair.w % 4u;
         if (flags[quad] >> lane & 1u) == 1u {

@@ -1,11 +1,11 @@
 // Condensed solve, once the active cells are known, for nodes: which of them pressure acts on, 0 or 1.
-// coupling, words, pairs: see coupling_force. flags: active lanes. wet: out.
+// coupling, words, node_pairs: see coupling_force. flags: active lanes. wet: out.
 #import coupling
 #import dispatch
 
 @group(0) @binding(0) var<uniform> coupling: Coupling;
 @group(0) @binding(1) var<storage, read> words: array<u32>;
-@group(0) @binding(2) var<storage, read> pairs: array<vec4<u32>>;
+@group(0) @binding(2) var<storage, read> node_pairs: array<vec4<u32>>;
 @group(0) @binding(3) var<storage, read> flags: array<u32>;
 @group(0) @binding(4) var<storage, read_write> wet: array<u32>;
 
@@ -18,7 +18,7 @@ fn condensed_wet(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_inv
     var found = 0u;
     let last = words[coupling.node_starts + node + 1u];
     for (var at = words[coupling.node_starts + node]; at < last; at++) {
-        let cell = pairs[at].w;
+        let cell = node_pairs[at].w;
         found |= flags[cell / 4u] >> (cell % 4u) & 1u;
     }
     wet[node] = found;

@@ -1,5 +1,5 @@
 // Two-field operator, in the wet quads: q = q + J t, and per thread what that adds to s . q, r . q and q . q.
-// coupling, words, pairs, flags: see coupling_flux. x: t, m/s. search: direction s. r: residual. q: in place. partials: those of the wet
+// coupling, words, quad_pairs, flags: see coupling_flux. x: t, m/s. search: direction s. r: residual. q: in place. partials: those of the wet
 // quads, then of the nodes.
 #import coupling_flux
 #import dispatch
@@ -8,7 +8,7 @@
 
 @group(0) @binding(0) var<uniform> coupling: Coupling;
 @group(0) @binding(1) var<storage, read> words: array<u32>;
-@group(0) @binding(2) var<storage, read> pairs: array<vec4<u32>>;
+@group(0) @binding(2) var<storage, read> quad_pairs: array<vec4<u32>>;
 @group(0) @binding(3) var<storage, read> flags: array<u32>;
 @group(0) @binding(4) var<storage, read> x: array<Real4>;
 @group(0) @binding(5) var<storage, read> search: array<Inner4>;

@@ -1,5 +1,5 @@
 // Two-field PCG, start of a round, third, in the wet quads: g_p = r_p + J t with t = -Z1^-1 r_v, and per thread what that adds to |g_p|^2.
-// coupling, words, pairs, flags: see coupling_flux. x: t, m/s. r: r_p in, g_p out. partials: those of the wet quads, then of the nodes.
+// coupling, words, quad_pairs, flags: see coupling_flux. x: t, m/s. r: r_p in, g_p out. partials: those of the wet quads, then of the nodes.
 #import coupling_flux
 #import dispatch
 #import inner
@@ -7,7 +7,7 @@
 
 @group(0) @binding(0) var<uniform> coupling: Coupling;
 @group(0) @binding(1) var<storage, read> words: array<u32>;
-@group(0) @binding(2) var<storage, read> pairs: array<vec4<u32>>;
+@group(0) @binding(2) var<storage, read> quad_pairs: array<vec4<u32>>;
 @group(0) @binding(3) var<storage, read> flags: array<u32>;
 @group(0) @binding(4) var<storage, read> x: array<Real4>;
 @group(0) @binding(5) var<storage, read_write> r: array<Inner4>;

@@ -1,5 +1,5 @@
 // Two-field PCG, for nodes: J^T p.
-// coupling, words, pairs, flags: see coupling_force. p: direction of the pressure, m/s. t: out.
+// coupling, words, node_pairs, flags: see coupling_force. p: direction of the pressure, m/s. t: out.
 #import coupling_force
 #import dispatch
 #import inner
@@ -7,7 +7,7 @@
 
 @group(0) @binding(0) var<uniform> coupling: Coupling;
 @group(0) @binding(1) var<storage, read> words: array<u32>;
-@group(0) @binding(2) var<storage, read> pairs: array<vec4<u32>>;
+@group(0) @binding(2) var<storage, read> node_pairs: array<vec4<u32>>;
 @group(0) @binding(3) var<storage, read> flags: array<u32>;
 @group(0) @binding(4) var<storage, read> p: array<Inner4>;
 @group(0) @binding(5) var<storage, read_write> t: array<Real4>;

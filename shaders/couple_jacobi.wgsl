@@ -1,6 +1,6 @@
 // Jacobi preconditioner of the two-field system, in the wet quads, after pcg_jacobi: the diagonal of J Z1^-1 J^T joins that of B, and r . z is
 // corrected by what it had instead.
-// coupling, words, pairs: see coupling_flux. level: level 0. freedom: see freedom. masses: zeta_M m, kg/s. matrix: see level; 0 in inactive
+// coupling, words, quad_pairs: see coupling_flux. level: level 0. freedom: see freedom. masses: zeta_M m, kg/s. matrix: see level; 0 in inactive
 // lanes. r: in. z: in place. partials: those of the wet quads, then of the nodes.
 #import coupling
 #import dispatch
@@ -12,7 +12,7 @@
 @group(0) @binding(0) var<uniform> coupling: Coupling;
 @group(0) @binding(1) var<uniform> level: Level;
 @group(0) @binding(2) var<storage, read> words: array<u32>;
-@group(0) @binding(3) var<storage, read> pairs: array<vec4<u32>>;
+@group(0) @binding(3) var<storage, read> quad_pairs: array<vec4<u32>>;
 @group(0) @binding(4) var<storage, read> freedom: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read> masses: array<Real>;
 @group(0) @binding(6) var<storage, read> matrix: array<Inner4>;
@@ -30,7 +30,7 @@ fn couple_jacobi(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_inv
     var added = Real4();
     let last = words[coupling.quad_starts + wet + 1u];
     for (var at = words[coupling.quad_starts + wet]; at < last; at++) {
-        let pair = pairs[at];
+        let pair = quad_pairs[at];
         let node = pair.w / 4u;
         let value = Real3(bitcast<vec3<f32>>(pair.xyz));
         added[pair.w % 4u] += dot(value, free_part(freedom[node], value)) / masses[node];

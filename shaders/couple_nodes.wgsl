@@ -1,5 +1,5 @@
 // Two-field preconditioner, for nodes: y = J^T z_p + Z1 t with t = Sh g_v, of which Sh y is z_v.
-// coupling, words, pairs, flags: see coupling_force. freedom: see freedom. p: z_p, m/s. masses: zeta_M m, kg/s. t: over the mass rate of
+// coupling, words, node_pairs, flags: see coupling_force. freedom: see freedom. p: z_p, m/s. masses: zeta_M m, kg/s. t: over the mass rate of
 // a cell. y: out.
 #import coupling_force
 #import dispatch
@@ -9,7 +9,7 @@
 
 @group(0) @binding(0) var<uniform> coupling: Coupling;
 @group(0) @binding(1) var<storage, read> words: array<u32>;
-@group(0) @binding(2) var<storage, read> pairs: array<vec4<u32>>;
+@group(0) @binding(2) var<storage, read> node_pairs: array<vec4<u32>>;
 @group(0) @binding(3) var<storage, read> flags: array<u32>;
 @group(0) @binding(4) var<storage, read> freedom: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read> p: array<Inner4>;

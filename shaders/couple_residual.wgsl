@@ -1,6 +1,6 @@
 // Outer loop of the coupled solve, in the wet quads: the right-hand side of B phi = b - J v. A residual that took J v off afterwards would
 // be the difference of squares that are equal in all digits. Closed components have it already (see couple_close).
-// coupling, words, pairs, flags: see coupling_flux. x: v, m/s. base: b, m/s. rhs: b - J v, out.
+// coupling, words, quad_pairs, flags: see coupling_flux. x: v, m/s. base: b, m/s. rhs: b - J v, out.
 #import active
 #import coupling_flux
 #import dispatch
@@ -9,7 +9,7 @@
 
 @group(0) @binding(0) var<uniform> coupling: Coupling;
 @group(0) @binding(1) var<storage, read> words: array<u32>;
-@group(0) @binding(2) var<storage, read> pairs: array<vec4<u32>>;
+@group(0) @binding(2) var<storage, read> quad_pairs: array<vec4<u32>>;
 @group(0) @binding(3) var<storage, read> flags: array<u32>;
 @group(0) @binding(4) var<storage, read> x: array<Real4>;
 @group(0) @binding(5) var<storage, read> base: array<Real4>;

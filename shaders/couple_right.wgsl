@@ -1,6 +1,6 @@
 // Two-field preconditioner, in the wet quads: the right-hand side of the V-cycle is g_p + J t with t = Sh g_v; the first sweep is done
 // again. g_p is kept.
-// coupling, words, pairs, flags: see coupling_flux. level: level 0. sweep: first omega. x: t, times the mass rate of a cell. matrix: see
+// coupling, words, quad_pairs, flags: see coupling_flux. level: level 0. sweep: first omega. x: t, times the mass rate of a cell. matrix: see
 // level. r: g_p in, the right-hand side out. z: first sweep, out. kept: g_p, out.
 #import coupling_flux
 #import dispatch
@@ -13,7 +13,7 @@
 @group(0) @binding(1) var<uniform> level: Level;
 @group(0) @binding(2) var<uniform> sweep: Sweep;
 @group(0) @binding(3) var<storage, read> words: array<u32>;
-@group(0) @binding(4) var<storage, read> pairs: array<vec4<u32>>;
+@group(0) @binding(4) var<storage, read> quad_pairs: array<vec4<u32>>;
 @group(0) @binding(5) var<storage, read> flags: array<u32>;
 @group(0) @binding(6) var<storage, read> x: array<Real4>;
 @group(0) @binding(7) var<storage, read> matrix: array<Inner4>;

@@ -1,6 +1,6 @@
 // Outer loop of the coupled solve, for nodes: r = P (rhs - S v + J^T p), over the mass rate of a cell, and per thread |r|^2, the squared
 // norm of the terms of rhs with |P J^T p|^2, free directions and |D v|^2.
-// coupling, words, pairs, flags: see coupling_force. freedom: see freedom. sums: partials of solid_residual. p: potential, m/s.
+// coupling, words, node_pairs, flags: see coupling_force. freedom: see freedom. sums: partials of solid_residual. p: potential, m/s.
 // outer: P (rhs - S v), N, in; r, m/s, out. partials: those of the wet quads, then of the nodes.
 #import coupling_force
 #import dispatch
@@ -9,7 +9,7 @@
 
 @group(0) @binding(0) var<uniform> coupling: Coupling;
 @group(0) @binding(1) var<storage, read> words: array<u32>;
-@group(0) @binding(2) var<storage, read> pairs: array<vec4<u32>>;
+@group(0) @binding(2) var<storage, read> node_pairs: array<vec4<u32>>;
 @group(0) @binding(3) var<storage, read> flags: array<u32>;
 @group(0) @binding(4) var<storage, read> freedom: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read> sums: array<Real4>;

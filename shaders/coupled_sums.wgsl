@@ -12,9 +12,10 @@
 fn coupled_sums(@builtin(local_invocation_index) lane: u32) {
     let of_nodes = fold_from(coupling.n_wet, coupling.n_nodes, lane);
     if lane == 0u {
-        norms[NORM_R_V] = of_nodes.x;
-        norms[NORM_PUSHED_V] = of_nodes.y;
-        norms[UNKNOWNS_V] = of_nodes.z;
-        norms[NORM_D_V] = of_nodes.w;
+        let at = evaluation_slot(1u, 2u);
+        norms[at] = of_nodes.x;
+        norms[at + 1u] = of_nodes.y;
+        norms[at + 2u] = of_nodes.z;
+        norms[at + 3u] = of_nodes.w;
     }
 }

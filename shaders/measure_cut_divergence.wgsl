@@ -1,6 +1,6 @@
 // diagnose with solids, third of four: the largest |E u - J v| / dx^3 of an active cell in quads with patches, 1/s.
 // One thread per such quad.
-// level, step. coupling, words, pairs, flags, x: see coupling_flux. velocity: faces, m/s. open: apertures. maxima:
+// level, step. coupling, words, quad_pairs, flags, x: see coupling_flux. velocity: faces, m/s. open: apertures. maxima:
 // bits, second.
 #import coupling_flux
 #import dispatch
@@ -13,7 +13,7 @@
 @group(0) @binding(1) var<uniform> step: Step;
 @group(0) @binding(2) var<uniform> coupling: Coupling;
 @group(0) @binding(3) var<storage, read> words: array<u32>;
-@group(0) @binding(4) var<storage, read> pairs: array<vec4<u32>>;
+@group(0) @binding(4) var<storage, read> quad_pairs: array<vec4<u32>>;
 @group(0) @binding(5) var<storage, read> flags: array<u32>;
 @group(0) @binding(6) var<storage, read> x: array<Real4>;
 @group(0) @binding(7) var<storage, read> velocity: array<vec4<f32>>;

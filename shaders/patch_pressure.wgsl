@@ -1,6 +1,6 @@
 // right_hand_side, for solids in liquid, second part: what pressure does beyond its value at the centres of cells, with a constant gradient
 // in each: twin reference/patch_pressure.rs. Its forces add to those on free components. One thread per node.
-// coupling, words, pairs, flags: see coupling_force. moments: per pair of a node, bits of the rows of the integral of n N_i (x - x_cell)^T,
+// coupling, words, node_pairs, flags: see coupling_force. moments: per pair of a node, bits of the rows of the integral of n N_i (x - x_cell)^T,
 // m^3; fourth of the first row, which of the slopes. slopes: gradients in the wet cells, Pa/m. node_flags: see node_flags.
 // rhs: N, in place; fourth number the squared norm of the magnitudes that it sums. correction: the forces, N, out.
 #import coupling
@@ -10,7 +10,7 @@
 
 @group(0) @binding(0) var<uniform> coupling: Coupling;
 @group(0) @binding(1) var<storage, read> words: array<u32>;
-@group(0) @binding(2) var<storage, read> pairs: array<vec4<u32>>;
+@group(0) @binding(2) var<storage, read> node_pairs: array<vec4<u32>>;
 @group(0) @binding(3) var<storage, read> flags: array<u32>;
 @group(0) @binding(4) var<storage, read> moments: array<vec4<u32>>;
 @group(0) @binding(5) var<storage, read> slopes: array<vec4<f32>>;
@@ -31,7 +31,7 @@ fn patch_pressure(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_in
     var sum = Real3();
     let last = words[coupling.node_starts + node + 1u];
     for (var at = words[coupling.node_starts + node]; at < last; at++) {
-        let cell = pairs[at].w;
+        let cell = node_pairs[at].w;
         if (flags[cell / 4u] >> (cell % 4u) & 1u) == 1u {
             let slope = Real3(slopes[moments[3u * at].w].xyz);
             sum += Real3(dot(row(3u * at), slope), dot(row(3u * at + 1u), slope), dot(row(3u * at + 2u), slope));

@@ -1,4 +1,4 @@
-// Outer loop, one workgroup, before the first round: the norms of the right-hand side, the number of unknowns, the state.
+// Outer loop, one workgroup, before the first refinement step: the norms of the right-hand side, the number of unknowns, the state.
 // totals: where the number of partials stands. settings: whether there is a guess. args, gated: see control.
 // partials: |b|^2, terms^2, unknowns.
 #import level
@@ -20,12 +20,12 @@ fn refine_start(@builtin(local_invocation_index) lane: u32) {
     if lane != 0u {
         return;
     }
-    norms[NORM_B] = sums.x;
-    norms[NORM_TERMS] = sums.y;
-    norms[NORM_R] = sums.x;
-    // A guess must be better than none; without one there is no correction yet, and any residual will do.
-    norms[NORM_LAST] = select(Real(3e38), sums.x, settings.guess == 1.0);
+    norms[norm_slot(0u, RHS)] = sums.x;
+    norms[norm_slot(0u, TERMS)] = sums.y;
+    norms[norm_slot(0u, RESIDUAL)] = sums.x;
+    norms[NORM_LAST] = Real(3e38);
     norms[SCALE] = Real(settings.guess);
+    norms[STRICTNESS] = Real(1.0);
     control.unknowns = u32(sums.z);
     control.running = 0u;
     control.status = STATUS_RUNNING;

@@ -1,7 +1,10 @@
-// Outer loop, one workgroup, between rounds: judges the true residual and opens the next round or ends the solve.
-// A correction that made the residual worse is taken back: the best iterate is kept. So is a guess that is worse than none.
-// totals: where the number of partials stands. settings: tolerances. args, gated: see control.
-// partials: |r|^2 in x; in w |D x|^2 or 0.
+// Outer loop, one workgroup, after a residual evaluation: accepts or rejects the correction, and begins the next refinement step or ends
+// the solve. solver/acceptance.rs is the same rule on the host.
+// A block passes where its |r|^2 is at most its allowed error; all must. Corrections are compared by the largest |r|^2 over the allowed error.
+// A rejected correction, or a guess that is worse than zero, is subtracted before the next evaluation.
+// totals: where the number of partials stands. settings: see refine. args, gated: see control.
+// partials: evaluation of the first block; second sum: squared right-hand side with the coupling.
+// norms: see refine, with the evaluations of the other blocks; second sum: squared terms with those of the coupling.
 #import level
 #import refine
 #import pcg_slots
@@ -18,56 +21,108 @@
 @group(0) @binding(6) var<storage, read_write> control: Control;
 @group(0) @binding(7) var<storage, read_write> gated: array<u32>;
 
-// A round aims below what is left, so that rounding does not make it miss by a hair.
-const ROUND_MARGIN = 0.5;
-
-// Storing x rounds each of its values by half an EPSILON at most, which changes a row of A x by EPSILON times its part of D x if
-// neighbours round apart, all as far as they can; by a third of that where they round at random.
+// Rounding of a stored unknown in units of EPSILON: a row of A x changes by EPSILON times its part of D x where neighbours round apart, by
+// a third of that where they round at random.
 const ROUNDING_OF_X = 0.5;
+// Square of the share of the coupling terms that residuals are relative to where it is more than the right-hand side: a body that moves
+// in a liquid at rest is all that acts on the liquid.
+const COUPLING_SHARE = 1e-4;
+// Inner tolerance relative to the allowed error, for one block and for more: the norm of conjugate gradients is not that of their residuals.
+const MARGIN = 0.5;
+const MARGIN_COUPLED = 0.3;
+// Factor of the inner tolerance after a rejected correction of several blocks; one block is not corrected again.
+const RETRY_COUPLED = 0.03;
+// Least strictness.
+const STRICTEST = 1e-5;
+// Above every error.
+const NONE = 3e38;
+const MAX_BLOCKS = 2u;
+
+// Of a block: squared residual, reference, allowed error.
+fn judge(block: u32, sums: Real4) -> Real3 {
+    var of_block = sums;
+    if block > 0u {
+        let at = evaluation_slot(block, settings.n_blocks);
+        of_block = Real4(norms[at], norms[at + 1u], norms[at + 2u], norms[at + 3u]);
+    }
+    let coupled = settings.n_blocks > 1u;
+    if coupled && control.rounds == 0u {
+        // The iterate is zero.
+        norms[norm_slot(block, RHS)] = of_block.x;
+        if block > 0u {
+            norms[norm_slot(block, TERMS)] = of_block.y;
+            control.unknowns += u32(of_block.z);
+        }
+    }
+    let terms = norms[norm_slot(block, TERMS)];
+    var reference = norms[norm_slot(block, RHS)];
+    if coupled {
+        let coupling = select(of_block.y, max(of_block.y - terms, Real(0.0)), block > 0u);
+        reference = max(reference, Real(COUPLING_SHARE) * coupling);
+    }
+    let tolerance = Real(settings.tolerance);
+    let rounding = Real(settings.rounding);
+    let of_x = Real(ROUNDING_OF_X) * EPSILON;
+    let of_terms = max(rounding * rounding * terms, of_x * of_x * of_block.w);
+    return Real3(of_block.x, reference, max(max(tolerance * tolerance * reference, of_terms), SMALLEST));
+}
 
 @compute @workgroup_size(FOLD_SIZE)
 fn refine_turn(@builtin(local_invocation_index) lane: u32) {
     let sums = fold(args[totals.args + 3u], lane);
-    let rr = sums.x;
     if lane != 0u || control.running == 1u {
         return;
     }
     if control.status == STATUS_CONVERGED || control.status == STATUS_STAGNATED
         || control.status == STATUS_MAX_ITERATIONS {
-        // Also after a correction was taken back.
+        // Also after a correction was subtracted.
         gate_extra(TURN, false);
         return;
     }
-    // The first round broke down in its first step: it has corrected nothing, so that there is nothing to take back. Later rounds may, where
-    // what is left is rounding; that is stagnation.
+    let coupled = settings.n_blocks > 1u;
+    var judged: array<Real3, MAX_BLOCKS>;
+    var worst = Real(0.0);
+    var rr = Real(0.0);
+    for (var block = 0u; block < settings.n_blocks; block++) {
+        judged[block] = judge(block, sums);
+        worst = max(worst, judged[block].x / judged[block].z);
+        rr += judged[block].x;
+    }
+    // A first step that breaks down corrects nothing: nothing to reject. Later ones may where the rest is rounding: stagnation.
     let broke_down = control.status == STATUS_BREAKDOWN && control.rounds == 1u;
-    let worse = rr >= norms[NORM_LAST] && !broke_down;
-    if worse {
+    var last = norms[NORM_LAST];
+    let guessed = control.rounds == 0u && norms[SCALE] > Real(0.0);
+    if guessed {
+        last = norms[norm_slot(0u, RHS)] / judged[0].z;
+    }
+    if (guessed || control.rounds > 0u) && worst >= last && !broke_down {
         norms[SCALE] = -norms[SCALE];
-        if control.rounds == 0u && norms[SCALE] < Real(0.0) {
-            // Back to the start, which is judged next.
-            norms[NORM_LAST] = Real(3e38);
+        norms[NORM_LAST] = Real(NONE);
+        if guessed {
             return;
         }
-        control.status = STATUS_STAGNATED;
+        norms[STRICTNESS] *= select(Real(0.0), Real(RETRY_COUPLED), coupled);
+        if norms[STRICTNESS] < Real(STRICTEST) || control.status == STATUS_BREAKDOWN
+            || control.iterations >= control.max_iterations {
+            control.status = STATUS_STAGNATED;
+        }
         return;
     }
-    norms[NORM_R] = rr;
-    let tolerance = Real(settings.tolerance);
-    let rounding = Real(settings.rounding);
-    let of_x = Real(ROUNDING_OF_X) * EPSILON;
-    let of_terms = max(rounding * rounding * norms[NORM_TERMS], of_x * of_x * sums.w);
-    let goal = max(tolerance * tolerance * norms[NORM_B], of_terms);
-    if rr <= goal {
+    for (var block = 0u; block < settings.n_blocks; block++) {
+        norms[norm_slot(block, RESIDUAL)] = judged[block].x;
+        norms[norm_slot(block, REFERENCE)] = judged[block].y;
+    }
+    if worst <= Real(1.0) {
         control.status = STATUS_CONVERGED;
     } else if control.iterations >= control.max_iterations {
         control.status = STATUS_MAX_ITERATIONS;
     } else if control.status != STATUS_BREAKDOWN {
-        norms[NORM_LAST] = rr;
+        norms[NORM_LAST] = worst;
         norms[SCALE] = sqrt(rr);
-        let margin = Real(ROUND_MARGIN);
-        let floor = Real(settings.round_floor);
-        scalars[GOAL] = Inner(max(margin * margin * goal / rr, floor * floor));
+        let margin = select(Real(MARGIN), Real(MARGIN_COUPLED), coupled);
+        let floor = Real(settings.floor);
+        let strictness = norms[STRICTNESS];
+        scalars[GOAL] = Inner(strictness * strictness * max(margin * margin / worst, floor * floor));
         control.running = 1u;
         control.first = 1u;
         control.rounds++;

@@ -15,7 +15,7 @@
 @group(0) @binding(3) var<storage, read> control: Control;
 @group(0) @binding(4) var<storage, read_write> scalars: array<Inner>;
 
-const SMALLEST = 1e-30;
+const NEGLIGIBLE = 1e-30;
 
 @compute @workgroup_size(FOLD_SIZE)
 fn two_field_weight(@builtin(local_invocation_index) lane: u32) {
@@ -25,11 +25,11 @@ fn two_field_weight(@builtin(local_invocation_index) lane: u32) {
         return;
     }
     let scale = norms[SCALE];
-    let gg_p = max(norms[NORM_R] / (scale * scale) + of_quads.x, Real(0.0));
-    let rr_v = norms[NORM_BEST_V] / (scale * scale);
+    let gg_p = max(norms[norm_slot(0u, RESIDUAL)] / (scale * scale) + of_quads.x, Real(0.0));
+    let rr_v = norms[norm_slot(1u, RESIDUAL)] / (scale * scale);
     // Where one of them is nothing the other decides.
     var weight = Real(1.0);
-    if gg_p > Real(SMALLEST) && rr_v > Real(SMALLEST) {
+    if gg_p > Real(NEGLIGIBLE) && rr_v > Real(NEGLIGIBLE) {
         weight = gg_p / rr_v;
     }
     scalars[WEIGHT] = Inner(weight);

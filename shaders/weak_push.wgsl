@@ -1,5 +1,5 @@
 // solve, weak coupling, between the two solves: the right-hand side of the solids gets J^T p of the pressure found. One thread per node.
-// coupling, words, pairs, flags, p: see coupling_force. node_flags: see node_flags. rhs: N, with the squared norm of the terms that it
+// coupling, words, node_pairs, flags, p: see coupling_force. node_flags: see node_flags. rhs: N, with the squared norm of the terms that it
 // sums, in place.
 #import coupling_force
 #import dispatch
@@ -8,7 +8,7 @@
 
 @group(0) @binding(0) var<uniform> coupling: Coupling;
 @group(0) @binding(1) var<storage, read> words: array<u32>;
-@group(0) @binding(2) var<storage, read> pairs: array<vec4<u32>>;
+@group(0) @binding(2) var<storage, read> node_pairs: array<vec4<u32>>;
 @group(0) @binding(3) var<storage, read> flags: array<u32>;
 @group(0) @binding(4) var<storage, read> p: array<Real4>;
 @group(0) @binding(5) var<storage, read> node_flags: array<u32>;

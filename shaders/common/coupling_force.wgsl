@@ -7,7 +7,7 @@ fn force(node: u32) -> Real3 {
     var sum = Real3();
     let last = words[coupling.node_starts + node + 1u];
     for (var at = words[coupling.node_starts + node]; at < last; at++) {
-        let pair = pairs[at];
+        let pair = node_pairs[at];
         let quad = pair.w / 4u;
         let lane = pair.w % 4u;
         if (flags[quad] >> lane & 1u) == 1u {

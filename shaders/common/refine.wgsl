@@ -1,30 +1,39 @@
-// Slots of norms, in the scalar type of the outer loop.
-const NORM_R = 0u;      // |b - A x|^2 of the last evaluation
-const NORM_B = 1u;      // |b|^2
-const NORM_TERMS = 2u;  // squared norm of the terms that b sums: of | |E| |u*| | for the pressure
-const NORM_LAST = 3u;   // |r|^2 before the last correction
-const SCALE = 4u;       // |r| by which the round's right-hand side was divided; negative to take a correction back
-// Of coupled systems, whose first four are the pressure's.
-const NORM_R_V = 5u;        // |r|^2 of the solids' rows, of the last evaluation
-const NORM_B_V = 6u;        // of their right-hand side
-const NORM_TERMS_V = 7u;    // squared norm of the terms that it sums
-const NORM_D_V = 8u;        // |D v|^2, D the diagonal
-const UNKNOWNS_V = 9u;     // free directions of the nodes
-const STRICTNESS = 11u;       // by what a round aims below its goal
-const NORM_BEST_V = 10u;    // |r|^2 of the solids' rows, of the iterate that is kept
-const NORM_PUSHED_V = 12u;  // of the terms that the solids' right-hand side sums, and what the liquid adds to it: NORM_TERMS_V + |J^T p|^2
-// What the residuals of the iterate that is kept are relative to: see coupled_turn.
-const NORM_ACTS = 13u;
-const NORM_ACTS_V = 14u;
+// Norms of the outer loop, in its scalar type: three of the state, four of each block, then those of the last evaluation of each block
+// but the first. Blocks: pressures or velocities alone, or pressures, then velocities.
+const NORM_LAST = 0u;   // error over the allowed error before the last correction, of the worst block
+const SCALE = 1u;       // |r| by which the right-hand side of the correction was divided; negative to subtract the correction
+const STRICTNESS = 2u;  // factor of the inner tolerance
 
-// What the outer loop is to reach: solver::RefineSettings is the same struct on the host.
+// Squared norms of a block, of the iterate that is kept.
+const RESIDUAL = 0u;    // residual
+const RHS = 1u;         // right-hand side
+const TERMS = 2u;       // terms that the right-hand side sums: of | |E| |u*| | for pressures
+const REFERENCE = 3u;   // reference of the relative residual
+
+const NORMS_OF_STATE = 3u;
+const NORMS_OF_BLOCK = 4u;
+
+fn norm_slot(block: u32, norm: u32) -> u32 {
+    return NORMS_OF_STATE + NORMS_OF_BLOCK * block + norm;
+}
+
+// First of four slots: squared residual, squared terms with those of the coupling, unknowns, |D x|^2 with D the diagonal.
+fn evaluation_slot(block: u32, n_blocks: u32) -> u32 {
+    return norm_slot(n_blocks + block - 1u, 0u);
+}
+
+// Settings of the outer loop: solver::RefineSettings is the same struct on the host.
 struct RefineSettings {
-    // relative tolerance of |r| / |b|
+    // of |r| relative to the right-hand side
     tolerance: f32,
-    // of |r| over the norm of the terms that b sums: what rounding leaves
+    // of |r| relative to the terms of the right-hand side: rounding error
     rounding: f32,
-    // least reduction of a round, above what the corrections' precision can reach
-    round_floor: f32,
-    // 1 where the correction holds a guess before the first round, on trial, else 0
+    // least reduction by a correction, above what its precision can reach
+    floor: f32,
+    // 1 where the correction holds a guess before the first refinement step, on trial, else 0
     guess: f32,
+    n_blocks: u32,
+    pad_0: u32,
+    pad_1: u32,
+    pad_2: u32,
 }

@@ -3,7 +3,8 @@
 use cutwater::Error;
 use cutwater::gpu::{AdapterReport, BufferPlan, Gpu};
 use cutwater::scene::Scene;
-use cutwater::sim::{self, Backend, HostMemory, Plan};
+use cutwater::sim::{self, Backend, HostMemory, Plan, StagePlan};
+use cutwater::step::Runner;
 
 use super::{BackendArgs, SceneArgs};
 
@@ -27,7 +28,8 @@ impl PlanCommand {
                 say_scene(&scene, &plan);
                 say_effects(&plan);
                 say!("\nstages of a sub-step, each in f64 on the CPU");
-                for stage in &plan.stages {
+                let shared = |stage: &&StagePlan| stage.runner != Runner::Gpu;
+                for stage in plan.stages.iter().filter(shared) {
                     say!("  {}", stage.name);
                 }
                 say!("\nno kernels, no buffers on a device, no adapter");

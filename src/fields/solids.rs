@@ -154,8 +154,10 @@ impl SolidBuffers {
             "nodes, elements and turning bodies of the plan"
         );
         let buffers = SolidBuffers::allocate(gpu, plan)?;
-        buffers.write_nodes(gpu, solids);
-        buffers.write_elements(gpu, solids);
+        if !gpu.is_planning() {
+            buffers.write_nodes(gpu, solids);
+            buffers.write_elements(gpu, solids);
+        }
         Ok(buffers)
     }
 

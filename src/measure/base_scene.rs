@@ -14,9 +14,8 @@ use crate::reference::{ActiveCells, BlockPattern, CoupledSystem, RightHandSide, 
 use crate::scene::Solver;
 use crate::sim::{SolidSnapshot, StoredPressure, coupled_system, stored_coupling};
 use crate::solver::{
-    CoupledFields, CoupledOutcome, CouplingBuffers, CouplingSize, Everywhere, Pair, Polynomial,
-    PressureSystem, SolidRows, SolidSystem, SolidSystemBuffers, SolverBuffers, TwoFieldSolver,
-    variant,
+    CoupledFields, CoupledOutcome, CoupledSolver, CouplingBuffers, CouplingSize, Everywhere, Pair,
+    Polynomial, PressureSystem, SolidRows, SolidSystem, SolidSystemBuffers, SolverBuffers, variant,
 };
 use crate::stages::element_rotations;
 use crate::state::State;
@@ -49,7 +48,7 @@ pub struct DeviceScene<'a> {
     pub polynomial: Polynomial,
     state: State,
     /// The solver.
-    pub solver: TwoFieldSolver,
+    pub solver: CoupledSolver,
 }
 
 impl<'a> DeviceScene<'a> {
@@ -118,12 +117,12 @@ impl<'a> DeviceScene<'a> {
         let wanted = bounds.unlimited_degree(&scene.solids, |body| {
             [body.zeta_mass(scene.dt), body.zeta_stiffness(scene.dt)]
         });
-        let two_field = TwoFieldSolver::new(
+        let two_field = CoupledSolver::new(
             gpu,
             CoupledFields {
                 liquid: &liquid,
                 solids: &solids,
-                fields: fields.fields(),
+                fields: &fields,
                 coupling: &coupling,
                 velocity: &velocity,
                 open: &open,
@@ -134,7 +133,7 @@ impl<'a> DeviceScene<'a> {
         Ok(DeviceScene {
             solver: two_field,
             rotations: element_rotations(gpu, &fields)?,
-            system: SolidSystem::new(gpu, &solids, fields.fields(), None)?,
+            system: SolidSystem::new(gpu, &solids, &fields, None)?,
             rhs: padded.pad(grid.cells, &rhs, |b| b),
             polynomial: Polynomial::new(degree, bounds.block_jacobi).wanting(wanted),
             state: State {
@@ -162,7 +161,7 @@ impl<'a> DeviceScene<'a> {
         CoupledFields {
             liquid: &self.liquid,
             solids: &self.solids,
-            fields: self.fields.fields(),
+            fields: &self.fields,
             coupling: &self.coupling,
             velocity: &self.velocity,
             open: &self.open,

@@ -312,7 +312,7 @@ impl<'a> Device<'a> {
         };
         let fields = SolidBuffers::new(gpu, plan, solids)?;
         let buffers = SolidSystemBuffers::new(gpu, &SolidRows::new(solids)?, &scene.solver)?;
-        let system = SolidSystem::new(gpu, &buffers, fields.fields(), None)?;
+        let system = SolidSystem::new(gpu, &buffers, &fields, None)?;
         let rotations = element_rotations(gpu, &fields)?;
         fields.write_state(gpu, &state);
         gpu.upload(&fields.step, &[fields.step_of(scene.domain.gravity, dt)]);
@@ -331,7 +331,7 @@ impl<'a> Device<'a> {
         let degree = bounds.chebyshev_degree(solids, dt);
         Ok(Device {
             gpu,
-            solver: SolidSolver::new(gpu, &buffers, fields.fields(), &scene.solver)?,
+            solver: SolidSolver::new(gpu, &buffers, &fields, &scene.solver)?,
             polynomial: Polynomial::new(degree, bounds.block_jacobi),
             system,
             fields,
@@ -354,7 +354,7 @@ impl<'a> Device<'a> {
             self.gpu,
             recorder,
             &self.buffers,
-            self.fields.fields(),
+            &self.fields,
             &self.polynomial,
         )?;
         Ok((clock.elapsed().as_secs_f64(), outcome))
@@ -433,7 +433,7 @@ fn measure(scene: &Scene, body: Body, options: &Options, machine: &Machine) -> R
     let model = SolidBytes::new(solids, path.scalar_bytes());
     let degree = device.polynomial.degree;
     let [of_degree, iterations, rounds] =
-        [degree, outcome.iterations, outcome.rounds].map(f64::from);
+        [degree, outcome.iterations, outcome.refinements].map(f64::from);
     let bytes = model.of_rows() + model.of_solve(of_degree, iterations, rounds);
     let status = ended.name(scene.solver.tolerance);
     let whole = median(|direct| direct.factor + direct.substitution)
@@ -450,7 +450,7 @@ fn measure(scene: &Scene, body: Body, options: &Options, machine: &Machine) -> R
         tolerance: scene.solver.tolerance,
         status,
         iterations: outcome.iterations,
-        rounds: outcome.rounds,
+        rounds: outcome.refinements,
         degree,
         products: outcome.iterations * (degree + 1),
         residual: outcome.residual,

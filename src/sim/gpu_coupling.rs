@@ -11,8 +11,8 @@ use crate::gpu::{Dispatches, Gpu, Pass, Readback, Recorder, StageTimes};
 use crate::grid::Grid;
 use crate::scene::{CouplingScheme, PatchPressure as Slopes, Scene};
 use crate::solver::{
-    CoupledFields, CouplingBuffers, CouplingSize, OpenFaces, Outcome, Pair, PatchPressure,
-    REPORT_WORDS, Seal, TwoFieldSolver, Weak, WeakBuffers,
+    CoupledFields, CoupledSolver, CouplingBuffers, CouplingSize, OpenFaces, Outcome, Pair,
+    PatchPressure, REPORT_WORDS, Seal, Weak, WeakBuffers,
 };
 use crate::stages;
 use crate::state::{ContactReport, CouplingReport, SolveStatus, State};
@@ -94,7 +94,7 @@ pub(super) struct CouplingStages {
 #[derive(Debug)]
 enum Scheme {
     /// One solve, with all forces or with damping only.
-    Together(Box<TwoFieldSolver>),
+    Together(Box<CoupledSolver>),
     /// One solve after the other.
     Weak(Weak),
 }
@@ -161,10 +161,10 @@ impl CouplingStages {
         (on_device, buffers): (&ClipBuffers, &CouplingBuffers),
         weak: Option<&WeakBuffers>,
     ) -> Result<CouplingStages, Error> {
-        let fields = solids.buffers.fields();
+        let fields = &solids.buffers;
         let nodes = match weak {
             Some(weak) => (&weak.held, &weak.before),
-            None => (fields.flags, fields.velocity),
+            None => (&fields.flags, &fields.velocity),
         };
         let scheme = match weak {
             Some(weak) => {
@@ -173,7 +173,7 @@ impl CouplingStages {
             }
             None => {
                 let at = coupled(liquid, solids, buffers);
-                Scheme::Together(TwoFieldSolver::new(gpu, at, &scene.solver)?.into())
+                Scheme::Together(CoupledSolver::new(gpu, at, &scene.solver)?.into())
             }
         };
         let patch_pressure = || {
@@ -202,7 +202,7 @@ fn coupled<'a>(
     CoupledFields {
         liquid: &liquid.solver,
         solids: &solids.system,
-        fields: solids.buffers.fields(),
+        fields: &solids.buffers,
         coupling,
         velocity: &liquid.buffers.velocity_next,
         open: liquid.buffers.solve_open(),
@@ -425,7 +425,7 @@ impl GpuCoupling {
     /// Records the copy of the velocities before the sub-step, for weak coupling.
     pub(super) fn record_before(&self, to: &mut Recorder, solids: &GpuSolids) {
         if let Some(weak) = &self.weak {
-            weak.record(to, solids.buffers.fields());
+            weak.record(to, &solids.buffers);
         }
     }
 
@@ -478,7 +478,7 @@ impl GpuCoupling {
     pub(super) fn solve_in_contact(
         &self,
         gpu: &Gpu,
-        together: &TwoFieldSolver,
+        together: &CoupledSolver,
         (liquid, solids): (&GpuLiquid, &GpuSolids),
         SolidReadbacks { answer, .. }: &mut SolidReadbacks,
         (step, dt): (SolidStep, f64),
@@ -553,7 +553,7 @@ impl GpuCoupling {
     }
 
     /// The coupled solver; `None` in weak coupling.
-    pub(super) fn together(&self) -> Option<&TwoFieldSolver> {
+    pub(super) fn together(&self) -> Option<&CoupledSolver> {
         match &self.stages.scheme {
             Scheme::Together(solver) => Some(solver),
             Scheme::Weak(_) => None,

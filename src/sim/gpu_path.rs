@@ -65,11 +65,10 @@ impl GpuPath {
         let memory = HostMemory::new(scene, solids, false)?;
         memory.check()?;
         let obstacles = geometry::obstacle_cut(scene, &grid)?;
-        let clip = super::first_clip(scene, solids, &obstacles);
+        let mut clip = super::first_clip(scene, solids, &obstacles);
         // Checks the sources and sinks before the liquid is seeded, which may take long.
-        let taps = SourcesAndSinks::new(scene, &grid, obstacles.static_cut())?;
-        let parts = (solids, clip.as_ref(), &taps);
-        let plan = Plan::with(scene, parts, Some(gpu.report()))?;
+        let mut taps = SourcesAndSinks::new(scene, &grid, obstacles.static_cut())?;
+        let plan = Plan::with(scene, solids, (&mut clip, &mut taps), Some(gpu.report()))?;
         plan.check(gpu.report())?;
         memory.beside(plan.bytes(), gpu.report()).check()?;
         let mut state = super::first_state(scene, solids, &obstacles.cut, clip.as_ref())?;
@@ -87,6 +86,14 @@ impl GpuPath {
         path.cut = cut;
         path.write_state(&state)?;
         Ok(path)
+    }
+
+    /// The geometry that [`GpuPath::allocate`] was given.
+    pub(super) fn into_geometry(self) -> (Option<SolidClip>, SourcesAndSinks) {
+        let coupling = self.coupling.map(|coupling| coupling.clip);
+        let clip = coupling.or(self.obstacles.map(|obstacles| obstacles.clip));
+        let taps = self.liquid.map(|liquid| liquid.taps);
+        (clip, taps.unwrap_or_default())
     }
 
     /// Allocates all arrays and compiles all kernels; on a planning device this is the plan. Obstacles and state must

@@ -153,8 +153,8 @@ impl GpuSolids {
             move_solid: stages::move_solid(gpu, &buffers)?,
             forces: stages::node_forces(gpu, &buffers)?,
             rotations: stages::element_rotations(gpu, &buffers)?,
-            system: SolidSystem::new(gpu, &system, buffers.fields(), field)?,
-            solve: SolidSolver::new(gpu, &system, buffers.fields(), &scene.solver)?,
+            system: SolidSystem::new(gpu, &system, &buffers, field)?,
+            solve: SolidSolver::new(gpu, &system, &buffers, &scene.solver)?,
             diagnose: stages::diagnose_solid(gpu, &buffers)?,
         };
         let probed = || Readback::new(gpu, "solid.displacement", 2 * plan.n_nodes);
@@ -203,7 +203,7 @@ impl GpuSolids {
         } = self;
         let mut iterations = 0;
         let solve = |recorder, _| {
-            let fields = buffers.fields();
+            let fields = buffers;
             let (mut outcome, times) = stages
                 .solve
                 .solve(gpu, recorder, system, fields, polynomial)?;

@@ -9,7 +9,7 @@ use crate::grid::Grid;
 use crate::reference::{TimeStep, time_step};
 use crate::scene::{CouplingScheme, Formulation, Precision, Preconditioner, Scene, Solver};
 use crate::solver::{self, SolidRows};
-use crate::step::{SCHEDULE, Stage, When};
+use crate::step::{Runner, SCHEDULE, Stage, When};
 
 use super::GpuPath;
 use super::memory::HostMemory;
@@ -24,7 +24,9 @@ pub struct StagePlan {
     pub name: &'static str,
     /// Whether the stage runs in every sub-step; otherwise once, before the first.
     pub every_step: bool,
-    /// Kernels, in the order of their first dispatch.
+    /// Backends that run it.
+    pub runner: Runner,
+    /// Kernels, in the order in which they are compiled.
     pub kernels: Vec<&'static str>,
 }
 
@@ -87,7 +89,7 @@ impl Plan {
             distance = obstacles.cut.solid_distance;
         }
         solids.ensure_clearance(scene, &distance, &solids.initial_state(scene).0)?;
-        let plan = Plan::with(scene, (&solids, clip.as_ref(), &taps), adapter)?;
+        let plan = Plan::with(scene, &solids, (&mut clip, &mut taps), adapter)?;
         let regions = scene.liquid.iter().flat_map(|liquid| &liquid.regions);
         if regions.count() > 0 && plan.n_markers == 0 {
             // With a fixed surface there are no markers, and an estimate of zero may be wrong: a run checks all
@@ -99,10 +101,11 @@ impl Plan {
         Ok(plan)
     }
 
-    /// Plans a scene with its solids, sources and sinks. `clip`: initial clipping in liquid.
+    /// Plans a scene with its solids, sources and sinks. `clip`: initial clipping in liquid. Both are lent to the planning device.
     pub(super) fn with(
         scene: &Scene,
-        (solids, clip, taps): (&Solids, Option<&SolidClip>, &SourcesAndSinks),
+        solids: &Solids,
+        (clip, taps): (&mut Option<SolidClip>, &mut SourcesAndSinks),
         adapter: Option<&AdapterReport>,
     ) -> Result<Plan, Error> {
         let grid = scene.grid();
@@ -116,8 +119,10 @@ impl Plan {
         let rows = SolidRows::new(solids)?;
         let n_turning = solids.rotating_bodies().count();
         let gpu = Gpu::planning(adapter.cloned().unwrap_or_default());
-        let parts = (solids, clip.cloned(), taps.clone());
-        GpuPath::allocate(gpu.clone(), scene, parts, n_markers)?;
+        let parts = (solids, clip.take(), std::mem::take(taps));
+        let path = GpuPath::allocate(gpu.clone(), scene, parts, n_markers)?;
+        (*clip, *taps) = path.into_geometry();
+        let (clip, taps) = (clip.as_ref(), &*taps);
         Ok(Plan {
             padded_cells,
             n_markers,
@@ -263,6 +268,7 @@ fn stages(effects: &Effects, scene: &Scene, gpu: &Gpu) -> Vec<StagePlan> {
             plans.push(StagePlan {
                 name: row.name,
                 every_step: when == When::EverySubStep,
+                runner: row.runner,
                 kernels,
             });
         }

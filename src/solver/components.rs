@@ -9,8 +9,10 @@
 //! borrow buffers of the solve, which has not begun or is over when they are needed.
 
 use crate::Error;
-use crate::gpu::{Binding, Bound, Buffer, Gpu, Kernel, Pass, RealBuffer};
+use crate::gpu::{Bound, Buffer, Gpu, Pass, RealBuffer};
+use crate::wgsl;
 
+use super::bind;
 use super::coupling::CouplingBuffers;
 use super::system::SolverBuffers;
 
@@ -42,44 +44,20 @@ impl Components {
     pub const NAME: &'static str = "closed_components";
 
     /// Compiles and binds. All fields are in [`SolverBuffers`].
-    ///
-    /// # Errors
-    /// As [`Kernel::new`] and [`Gpu::buffer`].
     pub fn new(gpu: &Gpu, buffers: &SolverBuffers) -> Result<Components, Error> {
-        let SolverBuffers {
-            plan,
-            variant,
-            flags,
-            list,
-            args,
-            matrix,
-            rhs,
-            potential,
-            labels,
-            components,
-            ..
-        } = buffers;
-        let level = gpu.uniform("solver.level", &plan.level(0))?;
+        let level = gpu.uniform("solver.level", &buffers.plan.level(0))?;
         let sizes = gpu.buffer("solver.closed_sizes", 8)?;
-        let level = ("level", (&level).into());
-        let (list, args) = (("list", list.into()), ("args", args.into()));
-        let (flags, matrix) = (("flags", flags.into()), ("matrix", matrix.into()));
-        let (labels, state) = (("labels", labels.into()), ("state", components.into()));
+        let own = [("level", (&level).into()), ("sizes", (&sizes).into())];
         let gpu = &gpu.at(Components::NAME);
-        let kernel = |source| Kernel::new(gpu, source, variant.inner);
+        let bound = |source| bind(gpu, &source, buffers.variant.inner, own, &[buffers]);
         Ok(Components {
-            init: kernel(&crate::wgsl!("components_init"))?
-                .bind(gpu, &[level, list, args, flags, matrix, labels])?,
-            merge: kernel(&crate::wgsl!("components_merge"))?
-                .bind(gpu, &[level, list, args, flags, matrix, labels])?,
-            open: kernel(&crate::wgsl!("components_open"))?
-                .bind(gpu, &[level, list, args, matrix, labels, state])?,
-            gate: kernel(&crate::wgsl!("components_gate"))?
-                .bind(gpu, &[args, state, ("sizes", (&sizes).into())])?,
-            flag: kernel(&crate::wgsl!("components_flag"))?
-                .bind(gpu, &[list, state, labels, flags])?,
-            rhs: Means::new(gpu, buffers, rhs, LARGEST[0])?,
-            potential: Means::new(gpu, buffers, potential, LARGEST[1])?,
+            init: bound(wgsl!("components_init"))?,
+            merge: bound(wgsl!("components_merge"))?,
+            open: bound(wgsl!("components_open"))?,
+            gate: bound(wgsl!("components_gate"))?,
+            flag: bound(wgsl!("components_flag"))?,
+            rhs: Means::new(gpu, buffers, &buffers.rhs, LARGEST[0])?,
+            potential: Means::new(gpu, buffers, &buffers.potential, LARGEST[1])?,
             sizes,
         })
     }
@@ -118,39 +96,21 @@ pub struct Seal {
 
 impl Seal {
     /// Compiles and binds. `node_flags`: which components of the nodes give way; `velocity`: what nodes move with, m/s.
-    ///
-    /// # Errors
-    /// As [`Kernel::new`] and [`Kernel::bind`].
     pub fn new(
         gpu: &Gpu,
         buffers: &SolverBuffers,
         (node_flags, velocity): (&Buffer<u32>, &RealBuffer),
         coupling: &CouplingBuffers,
     ) -> Result<Seal, Error> {
-        let joint = [
-            ("coupling", (&coupling.coupling).into()),
-            ("words", (&coupling.words).into()),
-            ("pairs", (&coupling.quad_pairs).into()),
-            ("flags", (&buffers.flags).into()),
-        ];
-        let with = |source, other: &[(&str, Binding)]| {
-            let all = [&joint[..], other].concat();
-            Kernel::new(&gpu.at(Components::NAME), source, buffers.variant.real)?.bind(gpu, &all)
+        let own = [("node_flags", node_flags.into()), ("x", velocity.into())];
+        let gpu = &gpu.at(Components::NAME);
+        let bound = |source| {
+            let real = buffers.variant.real;
+            bind(gpu, &source, real, own, &[coupling, buffers])
         };
         Ok(Seal {
-            seal: with(
-                &crate::wgsl!("components_seal"),
-                &[
-                    ("node_flags", node_flags.into()),
-                    ("labels", (&buffers.labels).into()),
-                    ("state", (&buffers.components).into()),
-                    ("report", (&coupling.report).into()),
-                ],
-            )?,
-            close: with(
-                &crate::wgsl!("couple_close"),
-                &[("x", velocity.into()), ("rhs", (&buffers.rhs).into())],
-            )?,
+            seal: bound(wgsl!("components_seal"))?,
+            close: bound(wgsl!("couple_close"))?,
             n_quads: coupling.size.quads,
         })
     }
@@ -177,25 +137,21 @@ impl Means {
         largest: u32,
     ) -> Result<Means, Error> {
         let settings = gpu.uniform("solver.closed_settings", &[largest, 0, 0, 0])?;
-        let bindings = [
+        let own = [
             ("settings", (&settings).into()),
-            ("list", (&buffers.list).into()),
-            ("labels", (&buffers.labels).into()),
             ("field", field.into()),
-            ("state", (&buffers.components).into()),
             // A word per cell of each, which only their own threads read in the solve, after writing it.
             ("high", (&buffers.outer).into()),
             ("middle", (&buffers.outer_partials).into()),
             ("low", (&buffers.partials).into()),
             ("count", (&buffers.q).into()),
         ];
-        let bind = |source| {
-            Kernel::new(&gpu.at(Components::NAME), source, field.real)?.bind(gpu, &bindings)
-        };
+        let gpu = &gpu.at(Components::NAME);
+        let bound = |source| bind(gpu, &source, field.real, own, &[buffers]);
         Ok(Means {
-            largest: bind(&crate::wgsl!("components_largest"))?,
-            sum: bind(&crate::wgsl!("components_sum"))?,
-            subtract: bind(&crate::wgsl!("components_subtract"))?,
+            largest: bound(wgsl!("components_largest"))?,
+            sum: bound(wgsl!("components_sum"))?,
+            subtract: bound(wgsl!("components_subtract"))?,
         })
     }
 

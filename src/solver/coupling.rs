@@ -1,13 +1,11 @@
 //! J between liquid and solids on the device, in the units of the pressure's system, and what a coupled solve computes with.
 
 use crate::Error;
-use crate::gpu::{Arrays, Binding, Buffer, Gpu, RealBuffer, WG_SIZE, groups};
+use crate::arrays;
+use crate::gpu::{Gpu, Variant, WG_SIZE, groups};
 
-use super::pcg::{Labels, labels};
 use super::solid_system::SolidSystemBuffers;
 use super::{FOLD_THREADS, SolverBuffers};
-
-pub(super) const LABELS: Labels = labels!("coupled_solver");
 
 /// Lists of a coupled system after those of the levels, in the order of `shaders/coupled_args.wgsl`: nodes, solids, wet quads, and a
 /// slot for the length of the partials.
@@ -66,94 +64,73 @@ pub struct CouplingSize {
     pub pairs: usize,
 }
 
-/// J, and the vectors of a coupled solve over nodes and wet quads.
-#[derive(Debug)]
-pub struct CouplingBuffers {
-    /// Room.
-    pub size: CouplingSize,
-    /// Nodes of all solids.
-    pub n_nodes: usize,
-    n_bodies: usize,
-    n_levels: usize,
-    /// What was written last.
-    pub(super) now: Coupling,
+/// J as last written.
+#[derive(Debug, Default)]
+pub(crate) struct Written {
+    pub(super) sizes: Coupling,
     pub(super) pairs: Vec<Pair>,
-    /// Sizes and units.
-    pub coupling: Buffer<Coupling>,
-    /// Wet quads, where their pairs start, where those of the nodes start.
-    pub words: Buffer<u32>,
-    /// By wet quad: bits of the value, 4 node + lane.
-    pub quad_pairs: Buffer<[u32; 4]>,
-    /// By node: bits of the value, padded index of the cell.
-    pub node_pairs: Buffer<[u32; 4]>,
-    /// Dispatch size and length of the lists of a coupled system.
-    pub(super) sizes: Buffer<u32>,
-    /// Dispatch size and length of all lists; after them the length of folded partials.
-    pub(super) args: Buffer<u32>,
-    /// Of the wet quads, then of the nodes; `Real4`.
-    pub partials: RealBuffer,
-    /// g_p of the wet quads while the V-cycle has another right-hand side.
-    pub(super) kept: RealBuffer,
-    /// Right-hand side of the wet quads before anything flows through solids.
-    pub(super) base: RealBuffer,
-    pub(super) t: RealBuffer,
-    pub(super) difference: RealBuffer,
-    /// What the host reads once per step: `fields::CouplingReport`.
-    pub report: Buffer<u32>,
 }
 
-impl Arrays for CouplingBuffers {
-    fn array(&self, name: &str) -> Option<Binding<'_>> {
-        Some(match name {
-            "coupling" => (&self.coupling).into(),
-            "words" => (&self.words).into(),
-            "quad_pairs" => (&self.quad_pairs).into(),
-            "node_pairs" => (&self.node_pairs).into(),
-            "partials" => (&self.partials).into(),
-            "report" => (&self.report).into(),
-            _ => return None,
-        })
+arrays! {
+    /// J, and the vectors of a coupled solve over nodes and wet quads.
+    pub struct CouplingBuffers in "coupling" {
+        fields {
+            /// Room.
+            pub size: CouplingSize,
+            /// Nodes of all solids.
+            pub n_nodes: usize,
+            n_bodies: usize,
+            n_levels: usize,
+            pub(super) variant: Variant,
+            pub(super) written: Written,
+        }
+        arrays {
+            /// Sizes and units.
+            pub uniform coupling: Coupling [Coupling::default()],
+            /// Dispatch size and length of the lists of a coupled system.
+            pub(super) array sizes: u32 [4 * (N_LISTS + 1)],
+            /// Dispatch size and length of all lists; after them the length of folded partials.
+            pub(super) array args: u32 [4 * (n_levels + N_LISTS + 1)],
+            /// Wet quads, where their pairs start, where those of the nodes start.
+            pub array words: u32 [2 * size.quads + n_nodes + 2],
+            /// By wet quad: bits of the value, 4 node + lane.
+            pub array quad_pairs: [u32; 4] [size.pairs],
+            /// By node: bits of the value, padded index of the cell.
+            pub array node_pairs: [u32; 4] [size.pairs],
+            /// Of the wet quads, then of the nodes; `Real4`.
+            pub real partials: (variant.real) [4 * (size.quads + n_nodes)],
+            /// g_p of the wet quads while the V-cycle has another right-hand side.
+            pub(super) real kept: (variant.inner) [4 * size.quads],
+            /// Right-hand side of the wet quads before anything flows through solids.
+            pub(super) real base: (variant.real) [4 * size.quads],
+            /// Half step of the two-field operator and its difference to the velocities; forces and velocities of the Schur operator.
+            pub(super) real t: (variant.real) [4 * n_nodes],
+            pub(super) real difference: (variant.real) [4 * n_nodes],
+            /// Sums that the host reads once per step: `fields::CouplingReport`.
+            pub array report: u32 [REPORT_WORDS],
+        }
+        views {}
+        parts {}
     }
 }
 
 impl CouplingBuffers {
     /// Allocates for the systems of a liquid and of solids. Nothing is coupled until [`CouplingBuffers::write`].
-    ///
-    /// # Errors
-    /// [`Error::Limit`] where the adapter is too small.
     pub fn new(
         gpu: &Gpu,
         liquid: &SolverBuffers,
         solids: &SolidSystemBuffers,
         size: CouplingSize,
     ) -> Result<CouplingBuffers, Error> {
-        let (n, n_levels) = (solids.sizes.n_nodes as usize, liquid.plan.len());
-        let variant = liquid.variant;
-        let real = |label: &str, len| RealBuffer::new(gpu, label, len, variant.real);
-        let words = |label: &str, len| gpu.buffer(label, len);
-        let coupling = gpu.uniform("coupling.coupling", &Coupling::default())?;
-        let sizes = words("coupling.sizes", 4 * (N_LISTS + 1))?;
-        let args = words("coupling.args", 4 * (n_levels + N_LISTS + 1))?;
-        Ok(CouplingBuffers {
+        CouplingBuffers::allocate(
+            gpu,
             size,
-            now: Coupling::default(),
-            pairs: Vec::new(),
-            n_nodes: n,
-            n_bodies: solids.sizes.n_bodies as usize,
-            n_levels,
-            coupling,
-            words: words("coupling.words", 2 * size.quads + n + 2)?,
-            quad_pairs: gpu.buffer("coupling.quad_pairs", size.pairs)?,
-            node_pairs: gpu.buffer("coupling.node_pairs", size.pairs)?,
-            sizes,
-            args,
-            partials: real("coupling.partials", 4 * (size.quads + n))?,
-            kept: RealBuffer::new(gpu, "coupling.kept", 4 * size.quads, variant.inner)?,
-            base: real("coupling.base", 4 * size.quads)?,
-            t: real("coupling.t", 4 * n)?,
-            difference: real("coupling.difference", 4 * n)?,
-            report: words("coupling.report", REPORT_WORDS)?,
-        })
+            solids.sizes.n_nodes as usize,
+            solids.sizes.n_bodies as usize,
+            liquid.plan.len(),
+            liquid.variant,
+            Written::default(),
+        )
     }
 
     /// Whether there is room for J.
@@ -240,9 +217,9 @@ impl CouplingBuffers {
         }
         sizes.extend([0; 4]);
         sizes.extend([0, 0, 0, FOLD_THREADS as u32]);
-        self.now = coupling;
-        self.pairs.clear();
-        self.pairs.extend_from_slice(pairs);
+        self.written.sizes = coupling;
+        self.written.pairs.clear();
+        self.written.pairs.extend_from_slice(pairs);
         gpu.upload(&self.coupling, &[coupling]);
         gpu.upload(&self.words, &all);
         gpu.upload(&self.quad_pairs, &by_quad);

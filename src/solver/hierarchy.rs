@@ -1,10 +1,11 @@
 //! The preconditioner: one symmetric V-cycle of aggregation multigrid, z_next = H r.
 
 use crate::Error;
-use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass};
+use crate::gpu::{Bound, Buffer, Gpu, Pass};
+use crate::wgsl;
 
 use super::system::SolverBuffers;
-use super::{Level, OMEGA, Sweep, TAIL_LEVELS, TAIL_STEPS};
+use super::{Level, OMEGA, Sweep, TAIL_LEVELS, TAIL_STEPS, bind};
 
 /// Double sweeps on the last level; with a few cells left this solves it well below what the cycle needs.
 const SOLVE_SWEEPS: u32 = 4;
@@ -85,21 +86,12 @@ pub struct Hierarchy {
 
 impl Hierarchy {
     /// Compiles and binds.
-    ///
-    /// # Errors
-    /// As [`Kernel::new`].
     pub fn new(gpu: &Gpu, buffers: &SolverBuffers) -> Result<Hierarchy, Error> {
         let SolverBuffers {
             plan,
             variant,
-            flags,
-            list,
-            args,
-            matrix,
-            r,
             z,
             z_next,
-            partials,
             ..
         } = buffers;
         let inner = variant.inner;
@@ -122,55 +114,29 @@ impl Hierarchy {
             sweep(OMEGA[1], false)?,
             sweep(OMEGA[0], true)?,
         ];
-        let smooth = Kernel::new(gpu, &crate::wgsl!("vcycle_smooth"), inner)?;
-        let restrict = Kernel::new(gpu, &crate::wgsl!("vcycle_restrict"), inner)?;
-        let prolong = Kernel::new(gpu, &crate::wgsl!("vcycle_prolong"), inner)?;
         let smooth_level = |level: usize, sweep: &Buffer<Sweep>, to_next: bool| {
             let (x, x_out) = if to_next { (z, z_next) } else { (z_next, z) };
-            smooth.bind(
-                gpu,
-                &[
-                    ("level", (&levels[level]).into()),
-                    ("sweep", sweep.into()),
-                    ("list", list.into()),
-                    ("args", args.into()),
-                    ("matrix", matrix.into()),
-                    ("x", x.into()),
-                    ("r", r.into()),
-                    ("x_out", x_out.into()),
-                    ("partials", partials.into()),
-                ],
-            )
+            let own = [
+                ("level", (&levels[level]).into()),
+                ("sweep", sweep.into()),
+                ("x", x.into()),
+                ("x_out", x_out.into()),
+            ];
+            bind(gpu, &wgsl!("vcycle_smooth"), inner, own, &[buffers])
         };
         let mut down = Vec::new();
         let mut up = Vec::new();
         for level in 0..plan.tail {
-            let restrict = restrict.bind(
-                gpu,
-                &[
-                    ("level", (&levels[level]).into()),
-                    ("coarse", (&levels[level + 1]).into()),
-                    ("sweep", (&sweeps[0]).into()),
-                    ("list", list.into()),
-                    ("args", args.into()),
-                    ("matrix", matrix.into()),
-                    ("x", z_next.into()),
-                    ("r", r.into()),
-                    ("x_out", z.into()),
-                    ("flags", flags.into()),
-                ],
-            )?;
+            let own = [
+                ("level", (&levels[level]).into()),
+                ("coarse", (&levels[level + 1]).into()),
+                ("sweep", (&sweeps[0]).into()),
+                ("x", z_next.into()),
+                ("x_out", z.into()),
+            ];
+            let restrict = bind(gpu, &wgsl!("vcycle_restrict"), inner, own, &[buffers])?;
+            let prolong = bind(gpu, &wgsl!("vcycle_prolong"), inner, own, &[buffers])?;
             down.push([smooth_level(level, &sweeps[1], true)?, restrict]);
-            let prolong = prolong.bind(
-                gpu,
-                &[
-                    ("level", (&levels[level]).into()),
-                    ("coarse", (&levels[level + 1]).into()),
-                    ("list", list.into()),
-                    ("args", args.into()),
-                    ("x", z_next.into()),
-                ],
-            )?;
             let last = if level == 0 { &sweeps[2] } else { &sweeps[0] };
             up.push([
                 prolong,
@@ -186,17 +152,12 @@ impl Hierarchy {
         tail.steps[..steps.len()].copy_from_slice(&steps);
         tail.n_steps = steps.len() as u32;
         let tail = gpu.uniform("solver.tail", &tail)?;
-        let tail = Kernel::new(gpu, &crate::wgsl!("vcycle_tail"), inner)?.bind(
-            gpu,
-            &[
-                ("tail", (&tail).into()),
-                ("flags", flags.into()),
-                ("matrix", matrix.into()),
-                ("r", r.into()),
-                ("x_in", z.into()),
-                ("x", z_next.into()),
-            ],
-        )?;
+        let own = [
+            ("tail", (&tail).into()),
+            ("x_in", z.into()),
+            ("x", z_next.into()),
+        ];
+        let tail = bind(gpu, &wgsl!("vcycle_tail"), inner, own, &[buffers])?;
         Ok(Hierarchy { down, tail, up })
     }
 

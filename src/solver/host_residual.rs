@@ -14,7 +14,7 @@ use super::refine::{HostResidual, HostSystem};
 
 /// Where level 0 of the stored system, in f32, arrives.
 #[derive(Debug)]
-pub(super) struct PressureReadbacks {
+pub(crate) struct PressureReadbacks {
     /// Weights of the minus faces along x, y, z, and the free-surface term.
     matrix: [Readback<u32>; 4],
     flags: Readback<u32>,
@@ -117,7 +117,7 @@ impl HostPressure {
         }
     }
 
-    /// rhs - B x, summed slab by slab.
+    /// rhs - B x, summed slab by slab; the coupling terms include rhs.
     pub(super) fn residual_of(&self, rhs: &[f64], x: &[f64]) -> HostResidual {
         let strides = [1, 4 * self.level.stride_y, 4 * self.level.stride_z];
         let mut r = vec![0.0; x.len()];
@@ -126,7 +126,7 @@ impl HostPressure {
             .par_chunks_mut(slab)
             .enumerate()
             .map(|(k, r)| {
-                let (mut rr, mut acts, mut dd) = (0.0, 0.0, 0.0);
+                let (mut rr, mut coupling, mut dd) = (0.0, 0.0, 0.0);
                 for (at, r) in r.iter_mut().enumerate() {
                     let c = k * slab + at;
                     if self.active[c] {
@@ -139,29 +139,39 @@ impl HostPressure {
                         }
                         *r = rhs[c] - bx;
                         rr += *r * *r;
-                        acts += rhs[c] * rhs[c];
+                        coupling += rhs[c] * rhs[c];
                         dd += (diagonal * x[c]).powi(2);
                     }
                 }
-                [rr, acts, dd]
+                [rr, coupling, dd]
             })
             .collect();
-        let [rr, acts, dd] = [0, 1, 2].map(|part: usize| sums.iter().map(|sums| sums[part]).sum());
-        HostResidual { r, rr, acts, dd }
+        let [rr, coupling, dd] =
+            [0, 1, 2].map(|part: usize| sums.iter().map(|sums| sums[part]).sum());
+        HostResidual {
+            r,
+            rr,
+            coupling,
+            dd,
+        }
     }
 }
 
 impl HostSystem for HostPressure {
-    fn start(&self) -> Vec<f64> {
-        vec![0.0; self.rhs.len()]
+    fn start(&self) -> Vec<Vec<f64>> {
+        vec![vec![0.0; self.rhs.len()]]
     }
 
-    fn residual(&self, x: &[f64]) -> HostResidual {
-        self.residual_of(&self.rhs, x)
+    fn residuals(&self, x: &[Vec<f64>]) -> Vec<HostResidual> {
+        let alone = HostResidual {
+            coupling: 0.0,
+            ..self.residual_of(&self.rhs, &x[0])
+        };
+        vec![alone]
     }
 
-    fn mask(&self, x: &mut [f64]) {
-        for (x, &active) in x.iter_mut().zip(&self.active) {
+    fn finish(&self, _: &Gpu, x: &mut [Vec<f64>]) {
+        for (x, &active) in x[0].iter_mut().zip(&self.active) {
             if !active {
                 *x = 0.0;
             }

@@ -23,15 +23,16 @@
 //! alpha, so that a finished round does not start another V-cycle. State machine and outer loop are the same for every system of
 //! quads, whatever their four scalars stand for.
 //!
-//! **Liquid and solids together** ([`TwoFieldSolver`]): one outer loop on the residual of the indefinite system (thesis 5.17), two
+//! **Liquid and solids together** ([`CoupledSolver`]): one outer loop on the residual of the indefinite system (thesis 5.17), two
 //! forms of the corrections: pressures and velocities, all on the device; or pressures alone, with S^-1 among the wet nodes as a dense
 //! matrix that the host makes from a sparse Cholesky factor.
 //!
 //! Letters: x correction, r residual, z preconditioned residual, s search direction, q = B s.
 
+mod acceptance;
 mod chebyshev;
 mod components;
-mod condensed;
+mod coupled;
 mod coupled_host;
 mod coupling;
 mod hierarchy;
@@ -40,6 +41,7 @@ mod patch_pressure;
 mod pcg;
 mod pressure;
 mod refine;
+mod schur;
 mod solid_contacts;
 mod solid_host;
 mod solid_solver;
@@ -50,25 +52,40 @@ mod two_field;
 mod two_field_jacobi;
 mod weak;
 
+pub use acceptance::{COUPLING_SHARE, RefineSettings, rounding};
 pub use chebyshev::Polynomial;
 pub use components::{Components, Seal};
-pub use condensed::{MOST_WETTED, WORTH_WETTED, Wetted, can_condense, check_formulation};
+pub use coupled::{CoupledFields, CoupledOutcome, CoupledSolver};
 pub use coupling::{Coupling, CouplingBuffers, CouplingSize, Pair, REPORT_WORDS};
 pub use hierarchy::{Hierarchy, Tail, TailStep};
 pub use patch_pressure::{OpenFaces, PatchPressure, PressureSlope};
 pub use pressure::PressureSolver;
-pub use refine::{OF_OTHER, Outcome, RefineSettings, rounding};
+pub use refine::Outcome;
+pub use schur::{MOST_WETTED, WORTH_WETTED, Wetted, can_condense, check_formulation};
 pub use solid_contacts::{ContactSearch, ObstacleField};
-pub use solid_solver::{SolidSolver, solid_kernels};
-pub use solid_system::{Rows, SolidFields, SolidRows, SolidSystem, SolidSystemBuffers};
+pub use solid_solver::SolidSolver;
+pub use solid_system::{Rows, SolidRows, SolidSystem, SolidSystemBuffers};
 pub use system::{
     ActiveSettings, Everywhere, FreeSurface, LevelPlan, PressureSystem, SolverBuffers, Within,
     variant,
 };
-pub use two_field::{CoupledFields, CoupledOutcome, TwoFieldSolver};
 pub use weak::{Weak, WeakBuffers};
 
+use crate::Error;
+use crate::gpu::{Arrays, Binding, Bound, Gpu, Kernel, Source, Variant};
 use crate::grid::Layout;
+
+/// Binds a kernel: the variables in `own` to these arrays, every other to the array of its name in the first table that has one.
+fn bind<const N: usize>(
+    gpu: &Gpu,
+    source: &Source,
+    variant: impl Into<Variant>,
+    own: [(&str, Binding); N],
+    tables: &[&dyn Arrays],
+) -> Result<Bound, Error> {
+    let own: &dyn Arrays = &own;
+    Kernel::new(gpu, source, variant)?.bind_arrays(gpu, &[&[own], tables].concat())
+}
 
 /// Largest number of quads, spare ones counted, of the levels that one workgroup handles; `vcycle_tail.wgsl` has it too.
 pub const TAIL_QUADS: usize = 256;
@@ -76,6 +93,8 @@ pub const TAIL_QUADS: usize = 256;
 pub const TAIL_LEVELS: usize = 8;
 /// Room for the steps of the tail: 5 per level and the sweeps that solve the last.
 pub const TAIL_STEPS: usize = 48;
+/// Iterations between two gates of the one-workgroup kernels.
+const BLOCK: usize = 4;
 /// Threads of the first level of a long sum; `fold_partials.wgsl` has it too.
 pub const FOLD_THREADS: usize = 4096;
 

@@ -4,13 +4,15 @@
 use glam::{DMat3, DVec3};
 
 use crate::Error;
-use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, RealBuffer};
+use crate::fields::SolidBuffers;
+use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, RealBuffer};
 use crate::grid::Layout;
 use crate::step::Stage;
+use crate::wgsl;
 
-use super::SolverBuffers;
 use super::coupling::{CouplingBuffers, Pair};
-use super::solid_system::{SolidFields, SolidSystemBuffers};
+use super::solid_system::SolidSystemBuffers;
+use super::{SolverBuffers, bind};
 
 /// The doppelganger of `PressureSlope` in `shaders/common/pressure_slope.wgsl`.
 #[repr(C)]
@@ -50,14 +52,11 @@ pub struct PatchPressure {
 
 impl PatchPressure {
     /// Compiles and binds. `at_rest`: gradient of the pressure of liquid at rest, Pa/m, taken everywhere unless `faces` are given.
-    ///
-    /// # Errors
-    /// As [`Kernel::new`] and [`Gpu::buffer`].
     pub fn new(
         gpu: &Gpu,
         liquid: &SolverBuffers,
         solids: &SolidSystemBuffers,
-        fields: SolidFields,
+        fields: &SolidBuffers,
         coupling: &CouplingBuffers,
         (at_rest, faces): (DVec3, Option<OpenFaces>),
     ) -> Result<PatchPressure, Error> {
@@ -76,45 +75,44 @@ impl PatchPressure {
         let moments = gpu.buffer("patch_pressure.moments", 3 * size.pairs)?;
         let slopes = gpu.buffer_with("patch_pressure.slopes", &everywhere)?;
         let correction = RealBuffer::new(gpu, "patch_pressure.correction", 4 * n, variant.real)?;
-        let kernel =
-            |stage: Stage, source| Kernel::new(&gpu.at(stage.name()), source, variant.real);
-        let joint = ("coupling", (&coupling.coupling).into());
-        let words = ("words", (&coupling.words).into());
-        let flags = ("flags", (&liquid.flags).into());
+        let real = variant.real;
+        let at_clip = gpu.at(Stage::Clip.name());
         let measure = |faces: OpenFaces| {
-            kernel(Stage::Clip, &crate::wgsl!("pressure_slopes"))?.bind(
-                gpu,
-                &[
-                    ("level", faces.level.into()),
-                    ("slope", (&slope).into()),
-                    joint,
-                    words,
-                    flags,
-                    ("potential", (&liquid.potential).into()),
-                    ("open", faces.open.into()),
-                    ("slopes", (&slopes).into()),
-                ],
+            let own = [
+                ("level", faces.level.into()),
+                ("slope", (&slope).into()),
+                ("open", faces.open.into()),
+                ("slopes", (&slopes).into()),
+            ];
+            bind(
+                &at_clip,
+                &wgsl!("pressure_slopes"),
+                real,
+                own,
+                &[coupling, liquid],
             )
         };
+        let own = [
+            ("moments", (&moments).into()),
+            ("slopes", (&slopes).into()),
+            ("node_flags", (&fields.flags).into()),
+            ("correction", (&correction).into()),
+        ];
+        let at_right_hand_side = gpu.at(Stage::RightHandSide.name());
+        let tables: [&dyn Arrays; 3] = [coupling, solids, liquid];
+        let apply = bind(
+            &at_right_hand_side,
+            &wgsl!("patch_pressure"),
+            real,
+            own,
+            &tables,
+        )?;
         Ok(PatchPressure {
             n_nodes: n,
             n_quads: size.quads,
             at_rest,
             measure: faces.map(measure).transpose()?,
-            apply: kernel(Stage::RightHandSide, &crate::wgsl!("patch_pressure"))?.bind(
-                gpu,
-                &[
-                    joint,
-                    words,
-                    ("pairs", (&coupling.node_pairs).into()),
-                    flags,
-                    ("moments", (&moments).into()),
-                    ("slopes", (&slopes).into()),
-                    ("node_flags", fields.flags.into()),
-                    ("rhs", (&solids.rhs).into()),
-                    ("correction", (&correction).into()),
-                ],
-            )?,
+            apply,
             slope,
             moments,
             slopes,

@@ -1,11 +1,12 @@
-//! Preconditioned conjugate gradients for the correction of a round (Hestenes and Stiefel 1952), scalars on the device. What is the same
-//! for every system: a quad is four scalars, whatever they stand for.
+//! Preconditioned conjugate gradients for the correction of a refinement step (Hestenes and Stiefel 1952), scalars on the device; one
+//! driver for all systems.
 
 use crate::Error;
-use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, RealBuffer, Variant};
+use crate::gpu::{Arrays, Binding, Bound, Buffer, Gpu, Pass, RealBuffer, Source, Variant};
+use crate::wgsl;
 
-use super::refine::System;
-use super::{Control, FOLD_THREADS, Level};
+use super::refine::{Pace, System};
+use super::{Control, FOLD_THREADS, Level, bind};
 
 /// Scalars on the device: `shaders/common/pcg_slots.wgsl` names the slots.
 pub(super) const N_SCALARS: usize = 8;
@@ -15,90 +16,53 @@ const UPDATE: usize = 0;
 const TURN: usize = 1;
 const BEGIN: usize = 2;
 
-/// Labels of what the state machine allocates.
-#[derive(Debug)]
-pub(super) struct Labels {
-    pub(super) control: &'static str,
-    pub(super) scalars: &'static str,
-    pub(super) gated: &'static str,
-    pub(super) gate: &'static str,
-    pub(super) folded: &'static str,
-    pub(super) outer_folded: &'static str,
-    pub(super) norms: &'static str,
-    pub(super) level: &'static str,
-    pub(super) totals: &'static str,
-    pub(super) refine_settings: &'static str,
-    pub(super) x: &'static str,
-    pub(super) args: &'static str,
-    pub(super) correction: &'static str,
-}
-
-/// The labels of a group of buffers.
-macro_rules! labels {
-    ($group:literal) => {
-        $crate::solver::pcg::Labels {
-            control: concat!($group, ".control"),
-            scalars: concat!($group, ".scalars"),
-            gated: concat!($group, ".gated"),
-            gate: concat!($group, ".gate"),
-            folded: concat!($group, ".folded"),
-            outer_folded: concat!($group, ".outer_folded"),
-            norms: concat!($group, ".norms"),
-            level: concat!($group, ".level"),
-            totals: concat!($group, ".totals"),
-            refine_settings: concat!($group, ".refine_settings"),
-            x: concat!($group, ".x"),
-            args: concat!($group, ".args"),
-            correction: concat!($group, ".correction"),
-        }
-    };
-}
-pub(super) use labels;
-
-/// The quads of a system, and the vectors over them that the state machine works on.
+/// Blocks of unknowns of a system: quads of four scalars, whatever they stand for.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Unknowns<'a> {
-    pub(super) labels: &'static Labels,
-    /// Where the quads lie; its `args` is the first list.
+pub(super) struct Block<'a> {
+    /// Layout of the quads; its `args` is their list.
     pub(super) level: Level,
-    /// Lists whose dispatch sizes open while a round runs; the first is that of the quads.
-    pub(super) n_lists: usize,
-    /// First word of the length of the partials of a round in `args`.
-    pub(super) sums: u32,
-    /// Whether sums take two levels: one workgroup alone would be slow on a wide device.
-    pub(super) long_sums: bool,
-    /// Scalar types of the outer loop (`real`) and of the rounds (`inner`).
+    /// Scalar types of the unknowns (`real`) and of the correction (`inner`).
     pub(super) variant: Variant,
-    /// Per quad, bits 0-3: which lanes are unknowns.
+    /// Per quad, bits 0-3: lanes with unknowns.
     pub(super) flags: &'a Buffer<u32>,
     pub(super) list: &'a Buffer<u32>,
     /// Dispatch size and length of each list; after them the length of folded partials.
     pub(super) args: &'a Buffer<u32>,
-    /// The unknowns.
     pub(super) x: &'a RealBuffer,
-    /// The true residual.
+    /// True residual.
     pub(super) outer: &'a RealBuffer,
-    /// Preconditioned residual, as the search direction takes it.
-    pub(super) z: &'a RealBuffer,
     /// Search direction, then correction.
     pub(super) search: &'a RealBuffer,
+}
+
+/// The blocks of a system, and the vectors over the first that conjugate gradients work on.
+#[derive(Clone, Debug)]
+pub(super) struct Unknowns<'a> {
+    /// Group of the labels.
+    pub(super) group: &'static str,
+    pub(super) blocks: Vec<Block<'a>>,
+    /// Lists whose dispatch sizes open during a refinement step; the first is that of the first block.
+    pub(super) n_lists: usize,
+    /// First words of the length of the partials in `args`: for beta, for alpha.
+    pub(super) sums: [u32; 2],
+    /// Whether sums take two levels: one workgroup alone would be slow on a wide device.
+    pub(super) long_sums: bool,
+    /// Scalar types of the outer loop (`real`) and of conjugate gradients (`inner`).
+    pub(super) variant: Variant,
+    /// Preconditioned residual.
+    pub(super) z: &'a RealBuffer,
     pub(super) partials: &'a RealBuffer,
     pub(super) outer_partials: &'a RealBuffer,
-    /// State of the stage that looked for closed components, where there is one.
+    /// State of the stage that looked for enclosed components, where there is one.
     pub(super) components: Option<&'a Buffer<u32>>,
 }
 
-/// Entries of `folded`.
-pub(super) fn folded_len(long_sums: bool) -> usize {
-    if long_sums { 4 * FOLD_THREADS } else { 4 }
-}
-
-/// What the state machine on the device keeps.
+/// State machine on the device.
 #[derive(Debug)]
 pub(super) struct State {
     pub(super) control: Buffer<Control>,
     pub(super) scalars: RealBuffer,
-    /// Dispatch sizes of the lists while a round runs, then of the update, the turn and the start of a round.
+    /// Dispatch sizes of the lists during a refinement step, then of the update, the evaluation and the start of a step.
     pub(super) gated: Buffer<u32>,
     /// Dispatch size of the one-workgroup kernels.
     pub(super) gate: Buffer<u32>,
@@ -107,47 +71,60 @@ pub(super) struct State {
     n_lists: usize,
 }
 
+impl Arrays for State {
+    fn array(&self, name: &str) -> Option<Binding<'_>> {
+        Some(match name {
+            "control" => (&self.control).into(),
+            "scalars" => (&self.scalars).into(),
+            "gated" => (&self.gated).into(),
+            "gate" => (&self.gate).into(),
+            _ => return None,
+        })
+    }
+}
+
 impl State {
     pub(super) fn new(gpu: &Gpu, unknowns: &Unknowns) -> Result<State, Error> {
-        let Unknowns {
-            labels,
-            n_lists,
-            variant,
-            ..
-        } = *unknowns;
-        let folded = folded_len(unknowns.long_sums);
+        let Variant { real, inner, .. } = unknowns.variant;
+        let n_lists = unknowns.n_lists;
+        let folded = if unknowns.long_sums {
+            4 * FOLD_THREADS
+        } else {
+            4
+        };
+        let label = |name: &str| format!("{}.{name}", unknowns.group);
         Ok(State {
-            control: gpu.buffer(labels.control, 1)?,
-            scalars: RealBuffer::new(gpu, labels.scalars, N_SCALARS, variant.inner)?,
-            gated: gpu.buffer(labels.gated, 4 * (n_lists + EXTRA_SIZES))?,
-            gate: gpu.buffer(labels.gate, 8)?,
-            folded: RealBuffer::new(gpu, labels.folded, folded, variant.inner)?,
-            outer_folded: RealBuffer::new(gpu, labels.outer_folded, folded, variant.real)?,
+            control: gpu.buffer(&label("control"), 1)?,
+            scalars: RealBuffer::new(gpu, &label("scalars"), N_SCALARS, inner)?,
+            gated: gpu.buffer(&label("gated"), 4 * (n_lists + EXTRA_SIZES))?,
+            gate: gpu.buffer(&label("gate"), 8)?,
+            folded: RealBuffer::new(gpu, &label("folded"), folded, inner)?,
+            outer_folded: RealBuffer::new(gpu, &label("outer_folded"), folded, real)?,
             n_lists,
         })
     }
 
-    /// Records a kernel on a list while a round runs.
-    pub(super) fn in_round(&self, pass: &mut Pass, bound: &Bound, list: usize) {
+    /// Records a kernel on a list during a refinement step.
+    pub(super) fn in_refinement(&self, pass: &mut Pass, bound: &Bound, list: usize) {
         pass.dispatch_indirect(bound, &self.gated, list);
     }
 
-    /// Records the update of correction and residual, which outlives the round by one kernel.
+    /// Records the update of correction and residual, which outlives the refinement step by one kernel.
     pub(super) fn in_update(&self, pass: &mut Pass, bound: &Bound) {
         pass.dispatch_indirect(bound, &self.gated, self.n_lists + UPDATE);
     }
 
-    /// Records a kernel of the turn from one round to the next.
-    pub(super) fn in_turn(&self, pass: &mut Pass, bound: &Bound) {
+    /// Records a kernel of a residual evaluation.
+    pub(super) fn in_evaluation(&self, pass: &mut Pass, bound: &Bound) {
         pass.dispatch_indirect(bound, &self.gated, self.n_lists + TURN);
     }
 
-    /// Records a kernel of the start of a round.
+    /// Records a kernel of the start of a refinement step.
     pub(super) fn in_begin(&self, pass: &mut Pass, bound: &Bound) {
         pass.dispatch_indirect(bound, &self.gated, self.n_lists + BEGIN);
     }
 
-    /// Opens the sizes of a round from the host, as `refine_turn` does on the device.
+    /// Opens the dispatch sizes of a refinement step from the host, as `refine_turn` does on the device.
     pub(super) fn open(&self, gpu: &Gpu, args: &[u32]) {
         let mut gated = args[..4 * self.n_lists].to_vec();
         for extra in 0..EXTRA_SIZES {
@@ -165,46 +142,42 @@ pub(super) struct Fold {
 }
 
 impl Fold {
-    /// Binds a one-workgroup kernel that sums `partials`, whose length stands after word `sums` of the arguments, and goes on from there
-    /// with the `other` bindings.
+    /// Binds a one-workgroup kernel that sums `partials`, whose length is in the third word after word `sums` of the arguments.
     pub(super) fn new(
         gpu: &Gpu,
         unknowns: &Unknowns,
-        kernel: &Kernel,
+        source: &Source,
+        variant: Variant,
         ([partials, folded], sums): ([&RealBuffer; 2], u32),
-        other: &[(&str, crate::gpu::Binding)],
+        tables: &[&dyn Arrays],
     ) -> Result<Fold, Error> {
-        let mut total = unknowns.level;
+        let block = &unknowns.blocks[0];
+        let mut total = block.level;
         total.args = sums;
-        let level = gpu.uniform(unknowns.labels.level, &total)?;
-        let args = ("args", unknowns.args.into());
+        let level = gpu.uniform(&format!("{}.level", unknowns.group), &total)?;
+        let args = ("args", block.args.into());
         let mut summed = partials;
         let mut first = None;
         if unknowns.long_sums {
-            first = Some(
-                Kernel::new(gpu, &crate::wgsl!("fold_partials"), partials.real)?.bind(
-                    gpu,
-                    &[
-                        ("level", (&level).into()),
-                        args,
-                        ("partials", partials.into()),
-                        ("folded", folded.into()),
-                    ],
-                )?,
-            );
+            let own = [
+                ("level", (&level).into()),
+                args,
+                ("partials", partials.into()),
+                ("folded", folded.into()),
+            ];
+            first = Some(bind(gpu, &wgsl!("fold_partials"), partials.real, own, &[])?);
             summed = folded;
             total.args = 4 * unknowns.n_lists as u32;
         }
-        let totals = gpu.uniform(unknowns.labels.totals, &total)?;
-        let mut bindings = vec![
+        let totals = gpu.uniform(&format!("{}.totals", unknowns.group), &total)?;
+        let own = [
             ("totals", (&totals).into()),
             args,
             ("partials", summed.into()),
         ];
-        bindings.extend_from_slice(other);
         Ok(Fold {
             first,
-            last: kernel.bind(gpu, &bindings)?,
+            last: bind(gpu, source, variant, own, tables)?,
         })
     }
 
@@ -229,9 +202,9 @@ impl Fold {
 #[derive(Debug)]
 pub(super) struct Pcg {
     open: Bound,
-    pub(super) beta: Fold,
-    pub(super) direction: Bound,
-    pub(super) alpha: Fold,
+    beta: Fold,
+    direction: Bound,
+    alpha: Fold,
 }
 
 impl Pcg {
@@ -242,54 +215,49 @@ impl Pcg {
         level: &Buffer<Level>,
         state: &State,
     ) -> Result<Pcg, Error> {
-        let kernel = |source| Kernel::new(gpu, source, unknowns.variant.inner);
-        let scalars = ("scalars", (&state.scalars).into());
-        let control = ("control", (&state.control).into());
-        let args = ("args", unknowns.args.into());
-        let gated = ("gated", (&state.gated).into());
-        let fold = |kernel: &Kernel| {
-            let other = [scalars, control, gated];
-            let sums = ([unknowns.partials, &state.folded], unknowns.sums);
-            Fold::new(gpu, unknowns, kernel, sums, &other)
+        let block = &unknowns.blocks[0];
+        let inner = unknowns.variant.inner;
+        let own = [
+            ("level", level.into()),
+            ("list", block.list.into()),
+            ("args", block.args.into()),
+            ("z", unknowns.z.into()),
+            ("search", block.search.into()),
+        ];
+        let fold = |source, sums| {
+            let sums = ([unknowns.partials, &state.folded], sums);
+            Fold::new(gpu, unknowns, &source, inner.into(), sums, &[state])
         };
-        let open = kernel(&crate::wgsl!("pcg_gate"))?
-            .bind(gpu, &[control, args, gated, ("gate", (&state.gate).into())])?;
-        let direction = kernel(&crate::wgsl!("pcg_direction"))?.bind(
-            gpu,
-            &[
-                ("level", level.into()),
-                ("list", unknowns.list.into()),
-                args,
-                scalars,
-                ("z", unknowns.z.into()),
-                ("search", unknowns.search.into()),
-            ],
-        )?;
         Ok(Pcg {
-            open,
-            beta: fold(&kernel(&crate::wgsl!("pcg_beta"))?)?,
-            direction,
-            alpha: fold(&kernel(&crate::wgsl!("pcg_alpha"))?)?,
+            open: bind(gpu, &wgsl!("pcg_gate"), inner, own, &[state])?,
+            beta: fold(wgsl!("pcg_beta"), unknowns.sums[0])?,
+            direction: bind(gpu, &wgsl!("pcg_direction"), inner, own, &[state])?,
+            alpha: fold(wgsl!("pcg_alpha"), unknowns.sums[1])?,
         })
     }
 
-    /// Records iterations; those after the end of the round do nothing.
+    /// Records iterations; those after the last of a refinement step do nothing.
     pub(super) fn record<S: System>(
         &self,
         pass: &mut Pass,
         state: &State,
         system: &S,
-        buffers: S::Buffers<'_>,
-        iterations: usize,
+        case: S::Case<'_>,
     ) {
-        self.record_gate(pass);
-        for _ in 0..iterations {
-            system.record_preconditioner(pass, state, buffers);
+        let Pace {
+            gates, iterations, ..
+        } = system.pace(case);
+        for iteration in 0..gates * iterations {
+            if iteration % iterations == 0 {
+                self.record_gate(pass);
+            }
+            system.record_preconditioner(pass, state, case);
             self.beta.record_gated(pass, &state.gate);
-            state.in_round(pass, &self.direction, 0);
-            system.record_operator(pass, &state.gated);
+            state.in_refinement(pass, &self.direction, 0);
+            system.record_direction(pass, state, case);
+            system.record_operator(pass, state, &state.gated, case);
             self.alpha.record_gated(pass, &state.gate);
-            system.record_update(pass, state);
+            system.record_update(pass, state, case);
         }
     }
 

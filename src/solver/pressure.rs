@@ -1,17 +1,16 @@
 //! The pressure solve: the system B phi = b in the outer loop, and what it asks of the kernels.
 
 use crate::Error;
-use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, RealBuffer, Recorder, StageTimes};
+use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, Recorder, StageTimes};
 use crate::scene::{Preconditioner, Solver};
+use crate::wgsl;
 
 use super::hierarchy::Hierarchy;
 use super::host_residual::HostPressure;
-use super::pcg::{Labels, State, Unknowns, labels};
-use super::refine::{Outcome, OuterLoop, Pace, System};
+use super::pcg::{Pcg, State, Unknowns};
+use super::refine::{Outcome, OuterLoop, Pace, Shared, System};
 use super::system::SolverBuffers;
-use super::{OMEGA, Sweep};
-
-pub(super) const LABELS: Labels = labels!("solver");
+use super::{BLOCK, OMEGA, Sweep, bind};
 
 /// The solve of a step: everything between a right-hand side and its potential.
 #[derive(Debug)]
@@ -19,9 +18,6 @@ pub struct PressureSolver(OuterLoop<Pressure>);
 
 impl PressureSolver {
     /// Compiles and binds. `velocity` holds u*, `open` the open fractions of the faces.
-    ///
-    /// # Errors
-    /// As [`Kernel::new`] and [`Gpu::buffer`].
     pub fn new(
         gpu: &Gpu,
         buffers: &SolverBuffers,
@@ -29,23 +25,22 @@ impl PressureSolver {
         open: &Buffer<f32>,
         solver: &Solver,
     ) -> Result<PressureSolver, Error> {
-        OuterLoop::new(gpu, buffers, solver, |state, norms| {
-            Pressure::new(gpu, buffers, state, norms, velocity, open, solver)
+        OuterLoop::new(gpu, buffers, solver, |shared| {
+            Pressure::new(gpu, buffers, shared, velocity, open, solver)
         })
         .map(PressureSolver)
     }
 
     /// Submits the recording with the solve at its end and waits for the verdict, with a residual in f64: of the host where the device rounds it.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails. A solve that does not converge is an [`Outcome`], not an error.
-    pub fn solve<'a>(
+    /// A solve that does not converge is an [`Outcome`].
+    pub fn solve(
         &self,
-        gpu: &'a Gpu,
+        gpu: &Gpu,
         recorder: Recorder,
         buffers: &SolverBuffers,
     ) -> Result<(Outcome, StageTimes), Error> {
-        self.0.solve(gpu, recorder, buffers)
+        let (outcomes, times) = self.0.solve(gpu, recorder, buffers)?;
+        Ok((outcomes[0], times))
     }
 
     /// From the next solve on, another tolerance of the true residual.
@@ -55,19 +50,13 @@ impl PressureSolver {
 
     /// B x of the system in `buffers`, in the precision of the corrections, as PCG evaluates it. `x` and the answer are in the
     /// device layout; inactive cells of the answer mean nothing. Overwrites what a solve computes with.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
     pub fn apply(&self, gpu: &Gpu, buffers: &SolverBuffers, x: &[f64]) -> Result<Vec<f64>, Error> {
-        self.0.apply(gpu, buffers, x)?;
+        self.0.apply(gpu, buffers, &[x])?;
         buffers.q.download(gpu)
     }
 
     /// z = H r, the preconditioner on the system in `buffers`, as PCG evaluates it. `r`, 0 in inactive cells, and the answer are in
     /// the device layout; inactive cells of the answer mean nothing. Overwrites what a solve computes with.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
     pub fn precondition(
         &self,
         gpu: &Gpu,
@@ -75,7 +64,9 @@ impl PressureSolver {
         r: &[f64],
     ) -> Result<Vec<f64>, Error> {
         buffers.outer.upload(gpu, r);
-        self.0.precondition(gpu, buffers)?;
+        self.0.precondition(gpu, buffers, |pressure, pass, state| {
+            pressure.begin(pass, state);
+        })?;
         let mut z = buffers.z_next.download(gpu)?;
         z.truncate(r.len());
         Ok(z)
@@ -111,219 +102,123 @@ impl Pressure {
     pub(super) fn new(
         gpu: &Gpu,
         buffers: &SolverBuffers,
-        state: &State,
-        norms: &RealBuffer,
+        shared: &Shared,
         velocity: &Buffer<f32>,
         open: &Buffer<f32>,
         solver: &Solver,
     ) -> Result<Pressure, Error> {
-        let SolverBuffers {
-            plan,
-            variant,
-            flags,
-            list,
-            args,
-            matrix,
-            rhs,
-            potential,
-            outer,
-            r,
-            z,
-            z_next,
-            search,
-            q,
-            partials,
+        let variant = buffers.variant;
+        let level = gpu.uniform("solver.level", &buffers.plan.level(0))?;
+        let [begin_sweep, update_sweep] = [
+            gpu.uniform("solver.sweep", &FIRST_SWEEP)?,
+            gpu.uniform("solver.sweep", &FIRST_SWEEP)?,
+        ];
+        let level = [("level", (&level).into())];
+        let tables: &[&dyn Arrays] = &[&level, buffers, shared];
+        let x = ("x", (&buffers.potential).into());
+        let outer_partials = ("partials", (&buffers.outer_partials).into());
+        let direction = ("x", (&buffers.search).into());
+        let measured = [
+            ("velocity", velocity.into()),
+            ("open", open.into()),
+            x,
             outer_partials,
-            ..
-        } = buffers;
-        let level = gpu.uniform("solver.level", &plan.level(0))?;
-        let level = ("level", (&level).into());
-        let (list, args, flags) = (
-            ("list", list.into()),
-            ("args", args.into()),
-            ("flags", flags.into()),
-        );
-        let matrix = ("matrix", matrix.into());
-        let scalars = ("scalars", (&state.scalars).into());
-        let sweeps = [(), ()].map(|()| gpu.uniform("solver.sweep", &FIRST_SWEEP));
-        let [begin_sweep, update_sweep] = sweeps;
-        let outer_kernel = |source| Kernel::new(gpu, source, *variant);
-        let kernel = |source| Kernel::new(gpu, source, variant.inner);
+        ];
+        let begin_sweep = [("sweep", (&begin_sweep).into())];
+        let update_sweep = [("sweep", (&update_sweep).into())];
+        let residual = [x, outer_partials];
+        let inner = variant.inner;
         Ok(Pressure {
-            measure: outer_kernel(&crate::wgsl!("refine_measure"))?.bind(
-                gpu,
-                &[
-                    level,
-                    list,
-                    args,
-                    flags,
-                    ("rhs", rhs.into()),
-                    ("velocity", velocity.into()),
-                    ("open", open.into()),
-                    ("x", potential.into()),
-                    ("partials", outer_partials.into()),
-                ],
-            )?,
-            begin: outer_kernel(&crate::wgsl!("pcg_begin"))?.bind(
-                gpu,
-                &[
-                    level,
-                    ("sweep", (&begin_sweep?).into()),
-                    list,
-                    args,
-                    ("norms", norms.into()),
-                    ("outer", outer.into()),
-                    matrix,
-                    ("r", r.into()),
-                    ("search", search.into()),
-                    ("z", z.into()),
-                ],
-            )?,
-            residual: outer_kernel(&crate::wgsl!("refine_residual"))?.bind(
-                gpu,
-                &[
-                    level,
-                    list,
-                    args,
-                    flags,
-                    matrix,
-                    ("x", potential.into()),
-                    ("rhs", rhs.into()),
-                    ("outer", outer.into()),
-                    ("partials", outer_partials.into()),
-                ],
-            )?,
+            measure: bind(gpu, &wgsl!("refine_measure"), variant, measured, tables)?,
+            begin: bind(gpu, &wgsl!("pcg_begin"), variant, begin_sweep, tables)?,
+            residual: bind(gpu, &wgsl!("refine_residual"), variant, residual, tables)?,
             preconditioner: match solver.preconditioner {
                 Preconditioner::Multigrid => Precondition::Multigrid(Hierarchy::new(gpu, buffers)?),
                 Preconditioner::Jacobi | Preconditioner::BlockJacobi => {
-                    Precondition::Jacobi(kernel(&crate::wgsl!("pcg_jacobi"))?.bind(
-                        gpu,
-                        &[
-                            level,
-                            list,
-                            args,
-                            matrix,
-                            ("r", r.into()),
-                            ("z", z_next.into()),
-                            ("partials", partials.into()),
-                        ],
-                    )?)
+                    let z = [("z", (&buffers.z_next).into())];
+                    Precondition::Jacobi(bind(gpu, &wgsl!("pcg_jacobi"), inner, z, tables)?)
                 }
             },
-            apply: kernel(&crate::wgsl!("pcg_apply"))?.bind(
-                gpu,
-                &[
-                    level,
-                    list,
-                    args,
-                    matrix,
-                    ("x", search.into()),
-                    ("r", r.into()),
-                    ("q_out", q.into()),
-                    ("partials", partials.into()),
-                ],
-            )?,
-            update: kernel(&crate::wgsl!("pcg_update"))?.bind(
-                gpu,
-                &[
-                    level,
-                    ("sweep", (&update_sweep?).into()),
-                    list,
-                    args,
-                    scalars,
-                    matrix,
-                    ("search", search.into()),
-                    ("q_in", q.into()),
-                    ("r", r.into()),
-                    ("z", z.into()),
-                ],
-            )?,
+            apply: bind(gpu, &wgsl!("pcg_apply"), inner, [direction], tables)?,
+            update: bind(gpu, &wgsl!("pcg_update"), inner, update_sweep, tables)?,
         })
     }
 }
 
+impl Pressure {
+    /// Records the scaled residual, and the first sweep of a V-cycle on it.
+    pub(super) fn begin(&self, pass: &mut Pass, state: &State) {
+        state.in_begin(pass, &self.begin);
+    }
+}
+
 impl System for Pressure {
-    type Buffers<'a> = &'a SolverBuffers;
-    type Host = HostPressure;
+    type Case<'a> = &'a SolverBuffers;
+    type Host<'a> = HostPressure;
 
-    const GUESSES: bool = false;
-
-    fn unknowns<'a>(buffers: Self::Buffers<'a>) -> Unknowns<'a> {
-        let SolverBuffers {
-            plan,
-            variant,
-            flags,
-            list,
-            args,
-            potential,
-            outer,
-            z_next,
-            search,
-            partials,
-            outer_partials,
-            components,
-            ..
-        } = buffers;
+    fn unknowns<'a>(buffers: Self::Case<'a>) -> Unknowns<'a> {
+        let plan = &buffers.plan;
         Unknowns {
-            labels: &LABELS,
-            level: plan.level(0),
+            group: "solver",
+            blocks: vec![buffers.block()],
             n_lists: plan.len(),
-            sums: plan.level(0).args,
+            sums: [plan.level(0).args; 2],
             long_sums: plan.long_sums(),
-            variant: *variant,
-            flags,
-            list,
-            args,
-            x: potential,
-            outer,
-            z: z_next,
-            search,
-            partials,
-            outer_partials,
-            components: Some(components),
+            variant: buffers.variant,
+            z: &buffers.z_next,
+            partials: &buffers.partials,
+            outer_partials: &buffers.outer_partials,
+            components: Some(&buffers.components),
         }
     }
 
     fn pace(&self, _: &SolverBuffers) -> Pace {
+        // About what a refinement step needs.
+        let iterations = match self.preconditioner {
+            Precondition::Multigrid(_) => 8,
+            Precondition::Jacobi(_) => 64,
+        };
         Pace {
-            // About what a round needs.
-            chunk: match self.preconditioner {
-                Precondition::Multigrid(_) => 8,
-                Precondition::Jacobi(_) => 64,
-            },
-            turns: 4,
+            iterations: BLOCK,
+            gates: iterations / BLOCK,
+            steps: 4,
         }
     }
 
-    fn record_measure(&self, pass: &mut Pass, buffers: &SolverBuffers) {
+    fn record_start(&self, pass: &mut Pass, buffers: &SolverBuffers) {
         pass.dispatch_indirect(&self.measure, &buffers.args, 0);
     }
 
     fn record_residual(&self, pass: &mut Pass, state: &State) {
-        state.in_turn(pass, &self.residual);
+        state.in_evaluation(pass, &self.residual);
     }
 
-    fn record_begin(&self, pass: &mut Pass, state: &State) {
-        state.in_begin(pass, &self.begin);
+    fn record_begin(&self, pass: &mut Pass, state: &State, _: &Pcg, _: &SolverBuffers) {
+        self.begin(pass, state);
     }
 
     /// Its first sweep is done.
     fn record_preconditioner(&self, pass: &mut Pass, state: &State, _: &SolverBuffers) {
         match &self.preconditioner {
             Precondition::Multigrid(hierarchy) => hierarchy.record(pass, &state.gated, &state.gate),
-            Precondition::Jacobi(bound) => state.in_round(pass, bound, 0),
+            Precondition::Jacobi(bound) => state.in_refinement(pass, bound, 0),
         }
     }
 
-    fn record_operator(&self, pass: &mut Pass, sizes: &Buffer<u32>) {
+    fn record_operator(&self, pass: &mut Pass, _: &State, sizes: &Buffer<u32>, _: &SolverBuffers) {
         pass.dispatch_indirect(&self.apply, sizes, 0);
     }
 
-    fn record_update(&self, pass: &mut Pass, state: &State) {
+    fn record_update(&self, pass: &mut Pass, state: &State, _: &SolverBuffers) {
         state.in_update(pass, &self.update);
     }
 
-    fn on_host(gpu: &Gpu, buffers: &SolverBuffers, closed: u32) -> Result<HostPressure, Error> {
+    fn on_host<'a>(
+        &self,
+        gpu: &Gpu,
+        buffers: Self::Case<'a>,
+        closed: u32,
+    ) -> Result<Self::Host<'a>, Error> {
         HostPressure::download(gpu, buffers, closed, |_| {})
     }
 }

@@ -1,53 +1,49 @@
-//! The outer loop: rounds of conjugate gradients on the true residual r = b - A x, and the verdict. The same for every [`System`].
+//! Outer loop: iterative refinement on the true residual r = b - A x, the same for every [`System`].
+//!
+//! A refinement step solves A dx = r / |r| by conjugate gradients; a residual evaluation accepts or rejects x + |r| dx
+//! ([`acceptance`](super::acceptance)) and begins the next step or ends the solve. Both are recorded ahead and dispatched by sizes that kernels write.
+//! Adapters without f64 evaluate residuals on the host, one exchange per step.
 
 use std::fmt::Debug;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use crate::Error;
 use crate::gpu::{
-    Bound, Buffer, Gpu, Kernel, Pass, Readback, Real, RealBuffer, Recorder, StageTimes, Variant,
+    Arrays, Binding, Bound, Buffer, Gpu, Pass, Readback, Real, RealBuffer, Recorder, StageTimes,
+    Variant,
 };
 use crate::scene::{Precision, Solver};
 use crate::state::SolveStatus;
+use crate::wgsl;
 
+use super::acceptance::{
+    Acceptance, REFERENCE, RESIDUAL, RHS, RefineSettings, SCALE, TERMS, evaluation_slot, n_norms,
+    norm_slot, reference, relative,
+};
 use super::components::{N_CLOSED, STATE_WORDS};
 use super::pcg::{Fold, N_SCALARS, Pcg, State, Unknowns};
-use super::{Control, Level};
+use super::schur::Elimination;
+use super::{Control, Level, bind};
 
-/// Slots of the norms: `shaders/common/refine.wgsl` names them.
-pub(super) const N_NORMS: usize = 8;
-pub(super) const NORM_R: usize = 0;
-pub(super) const NORM_B: usize = 1;
-pub(super) const NORM_TERMS: usize = 2;
-pub(super) const SCALE: usize = 4;
 /// Slot of the scalars: `shaders/common/pcg_slots.wgsl`.
-pub(super) const GOAL: usize = 3;
-/// Status in [`Control`] of a round whose first direction has no positive energy: `shaders/common/control_state.wgsl`.
-pub(super) const STATUS_BREAKDOWN: u32 = 3;
-/// That of a round that made it worse.
-pub(super) const STATUS_STAGNATED: u32 = 4;
+const GOAL: usize = 3;
+/// Status in [`Control`] where the first direction of a refinement step has no positive energy: `shaders/common/control_state.wgsl`.
+const STATUS_BREAKDOWN: u32 = 3;
+/// Where the last correction was rejected.
+const STATUS_STAGNATED: u32 = 4;
 
-/// Iterations between two looks at whether the one-workgroup kernels still have work.
-pub(super) const BLOCK: usize = 4;
-/// Least reduction of a round in f32: recurrences go on falling where the true residual of a correction stays (4e-5 at 80^3).
-const ROUND_FLOOR_F32: f32 = 5e-5;
-/// Share of its last place that storing an unknown may cost it.
-const ROUNDING_OF_X: f64 = 0.5;
-/// Share of what is left that a round aims for.
-const ROUND_MARGIN: f64 = 0.5;
-
-/// What is known after a solve.
-#[derive(Clone, Copy, Debug)]
+/// Result of a solve, of one block.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outcome {
-    /// How it ended.
+    /// Status.
     pub status: SolveStatus,
-    /// PCG iterations in all rounds.
+    /// Iterations of conjugate gradients in all refinement steps.
     pub iterations: u32,
-    /// Rounds.
-    pub rounds: u32,
-    /// Active cells, or free components of nodes.
+    /// Refinement steps.
+    pub refinements: u32,
+    /// Active cells, or free directions of nodes.
     pub unknowns: u32,
-    /// Components without a free surface, if [`Components`](super::Components) looked for them.
+    /// Enclosed components, if [`Components`](super::Components) looked for them.
     pub closed_components: u32,
     /// |b - A x| / |b|; 0 for b = 0.
     pub residual: f64,
@@ -57,355 +53,465 @@ pub struct Outcome {
     pub verified: bool,
 }
 
-/// What the host reads of the device's state.
+/// State of the device, as read back.
 #[derive(Debug)]
 struct Reading {
     control: Control,
     norms: Vec<f64>,
     closed: u32,
+    /// Four numbers per node for the form that eliminates them.
+    nodes: Vec<f64>,
 }
 
-/// Where it arrives.
+/// Read-backs.
 #[derive(Debug)]
 struct Readbacks {
     control: Readback<Control>,
     norms: Readback<u32>,
     components: Option<Readback<u32>>,
-    /// The unknowns, where verdicts in f64 are the host's.
-    x: Option<Readback<u32>>,
-    /// Dispatch sizes and the correction of a round, where the outer loop is the host's.
+    /// Unknowns or correction of each block, where residuals are evaluated on the host.
+    blocks: Vec<Readback<u32>>,
+    /// Dispatch sizes, where the outer loop is the host's.
     args: Option<Readback<u32>>,
-    correction: Option<Readback<u32>>,
 }
 
-/// The doppelganger of `RefineSettings` in `shaders/common/refine.wgsl`.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
-pub struct RefineSettings {
-    /// Relative tolerance of |r| / |b|.
-    pub tolerance: f32,
-    /// Of |r| over the norm of the terms that b sums: what rounding leaves.
-    pub rounding: f32,
-    /// Least reduction of a round.
-    pub round_floor: f32,
-    /// 1 where the correction holds a guess before the first round, else 0.
-    pub guess: f32,
-}
-
-impl RefineSettings {
-    pub(super) fn new(solver: &Solver, variant: Variant, guesses: bool) -> RefineSettings {
-        RefineSettings {
-            tolerance: solver.tolerance as f32,
-            rounding: rounding(solver) as f32,
-            round_floor: round_floor(variant.inner),
-            guess: if guesses { 1.0 } else { 0.0 },
-        }
-    }
-}
-
-/// Relative to the terms that the right-hand side sums, what rounding leaves of the residual (design section 5).
-pub fn rounding(solver: &Solver) -> f64 {
-    match solver.precision {
-        Precision::F32 => 1e-7,
-        Precision::Mixed | Precision::F64 => 1e-14,
-    }
-}
-
-/// The share of what liquid puts on solids, or these on it, that counts as a part's right-hand side where it has less of its own:
-/// `shaders/coupled_turn.wgsl`.
-pub const OF_OTHER: f64 = 0.01;
-
-/// How many dispatches are recorded ahead.
+/// Dispatches recorded ahead.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pace {
-    /// Iterations between two chances to turn from a round to the next.
-    pub(super) chunk: usize,
-    /// Chances to turn in a submission.
-    pub(super) turns: usize,
+    /// Iterations between two gates of the one-workgroup kernels.
+    pub(super) iterations: usize,
+    /// Gates in a refinement step.
+    pub(super) gates: usize,
+    /// Refinement steps in a submission.
+    pub(super) steps: usize,
 }
 
-/// A system A x = b that the outer loop solves: what it adds to the state machine.
+/// Form of the corrections.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Form<'a> {
+    /// Conjugate gradients in all blocks.
+    Monolithic,
+    /// In the first alone; the second is eliminated on the host.
+    Schur(Elimination<'a>),
+    /// The block to be eliminated has no factor.
+    Singular,
+}
+
+/// A linear system of one or more blocks, symmetric and positive definite after elimination: what it adds to the outer loop.
 pub(super) trait System: Debug {
-    /// Where it lies, and what is known of it.
-    type Buffers<'a>: Copy;
-    /// The same on the host.
-    type Host: HostSystem;
+    /// Buffers, and choices of a solve.
+    type Case<'a>: Copy;
+    /// The system on the host.
+    type Host<'a>: HostSystem;
 
-    /// Whether [`System::record_measure`] leaves a guess in the correction, to be kept if it is better than none.
-    const GUESSES: bool;
+    /// Whether [`System::record_start`] leaves a guess in the correction, to be kept where it is better than zero.
+    const GUESSES: bool = false;
 
-    /// The quads of the unknowns and the vectors over them.
-    fn unknowns<'a>(buffers: Self::Buffers<'a>) -> Unknowns<'a>;
+    fn unknowns<'a>(case: Self::Case<'a>) -> Unknowns<'a>;
 
-    /// How much is recorded ahead.
-    fn pace(&self, buffers: Self::Buffers<'_>) -> Pace;
+    fn form<'a>(_: Self::Case<'a>) -> Form<'a> {
+        Form::Monolithic
+    }
 
-    /// Records, before the first round: the unknowns take their start; partials of |b|^2, of the squared norm of the terms that b sums,
-    /// and of the number of unknowns.
-    fn record_measure(&self, pass: &mut Pass, buffers: Self::Buffers<'_>);
+    fn pace(&self, case: Self::Case<'_>) -> Pace;
 
-    /// Records the true residual, in a turn, with the partials of its squared norm.
+    /// Driver of conjugate gradients for the form, given that of the monolithic one.
+    fn pcg<'a>(&'a self, monolithic: &'a Pcg, _: Self::Case<'_>) -> &'a Pcg {
+        monolithic
+    }
+
+    /// Before everything: dispatch sizes and set-up of the preconditioner.
+    fn record_set_up(&self, _: &mut Pass, _: Self::Case<'_>) {}
+
+    /// Unknowns at the start; partials of |b|^2, of the squared norm of its terms and of the number of unknowns, of the first block.
+    fn record_start(&self, pass: &mut Pass, case: Self::Case<'_>);
+
+    /// True residual, partials of its evaluation for the first block, norms of the other blocks.
     fn record_residual(&self, pass: &mut Pass, state: &State);
 
-    /// Records the start of a round: the scaled residual, a correction of zero.
-    fn record_begin(&self, pass: &mut Pass, state: &State);
+    /// Scaled residual as conjugate gradients start from it; correction of zero.
+    fn record_begin(&self, pass: &mut Pass, state: &State, pcg: &Pcg, case: Self::Case<'_>);
 
-    /// Records z = H r, with the partials of r . z.
-    fn record_preconditioner(&self, pass: &mut Pass, state: &State, buffers: Self::Buffers<'_>);
+    /// z = H r, with the partials of r . z.
+    fn record_preconditioner(&self, pass: &mut Pass, state: &State, case: Self::Case<'_>);
 
-    /// Records q = A s on the lists whose dispatch sizes stand in `sizes`, with the partials that give alpha.
-    fn record_operator(&self, pass: &mut Pass, sizes: &Buffer<u32>);
+    /// Search directions of the blocks but the first.
+    fn record_direction(&self, _: &mut Pass, _: &State, _: Self::Case<'_>) {}
 
-    /// Records x = x + alpha s, r = r - alpha q.
-    fn record_update(&self, pass: &mut Pass, state: &State);
+    /// q = A s on the lists whose dispatch sizes stand in `sizes`, with the partials that give alpha.
+    fn record_operator(
+        &self,
+        pass: &mut Pass,
+        state: &State,
+        sizes: &Buffer<u32>,
+        case: Self::Case<'_>,
+    );
 
-    /// Reads the system back. `closed`: components whose right-hand side still has a mean.
-    fn on_host(gpu: &Gpu, buffers: Self::Buffers<'_>, closed: u32) -> Result<Self::Host, Error>;
+    /// x = x + alpha s, r = r - alpha q.
+    fn record_update(&self, pass: &mut Pass, state: &State, case: Self::Case<'_>);
+
+    /// Reads the system back. `closed`: enclosed components whose right-hand side still has a mean.
+    fn on_host<'a>(
+        &self,
+        gpu: &Gpu,
+        case: Self::Case<'a>,
+        closed: u32,
+    ) -> Result<Self::Host<'a>, Error>;
 }
 
-/// A system in f64 on the host, for adapters without f64 and for verdicts on f32 solves. Vectors are in the device layout.
+/// A system in f64 on the host. Vectors by block, in the device layout.
 pub(super) trait HostSystem {
-    /// What the unknowns start from.
-    fn start(&self) -> Vec<f64>;
+    fn start(&self) -> Vec<Vec<f64>>;
 
     /// r = b - A x, 0 where there is no unknown.
-    fn residual(&self, x: &[f64]) -> HostResidual;
+    fn residuals(&self, x: &[Vec<f64>]) -> Vec<HostResidual>;
 
-    /// Puts what is no unknown right.
-    fn mask(&self, _x: &mut [f64]) {}
+    /// Completes norms and number of unknowns, given the residuals of the start.
+    fn complete(&self, _start: &[HostResidual], _norms: &mut [f64], _control: &mut Control) {}
+
+    /// Coupling terms of the second block, of a correction of the first.
+    fn coupling(&self, _first: &[f64]) -> Vec<f64> {
+        Vec::new()
+    }
+
+    /// Before the unknowns are uploaded: what else evaluations on the device leave behind.
+    fn finish(&self, _: &Gpu, _x: &mut [Vec<f64>]) {}
 }
 
-/// A residual on the host.
+/// Residual of a block on the host.
 #[derive(Debug)]
 pub(super) struct HostResidual {
     pub(super) r: Vec<f64>,
     /// |r|^2
     pub(super) rr: f64,
-    /// Squared norm of what the other part of a coupled system puts on the rows; of pressures with b, where that is known together only.
-    pub(super) acts: f64,
+    /// Squared norm of the coupling terms; for pressures it includes b.
+    pub(super) coupling: f64,
     /// |D x|^2, D the diagonal of A.
     pub(super) dd: f64,
-}
-
-/// |r|^2 that is enough, as on the device: `shaders/refine_turn.wgsl`.
-pub(super) fn goal(solver: &Solver, [bb, terms]: [f64; 2], dd: f64) -> f64 {
-    let of_x = ROUNDING_OF_X * f64::EPSILON;
-    let of_terms = (rounding(solver).powi(2) * terms).max(of_x.powi(2) * dd);
-    (solver.tolerance.powi(2) * bb).max(of_terms)
 }
 
 /// The solve of a system.
 #[derive(Debug)]
 pub(super) struct OuterLoop<S> {
     solver: Solver,
-    system: S,
+    pub(super) system: S,
     state: State,
     pcg: Pcg,
     norms: RealBuffer,
     settings: Buffer<RefineSettings>,
+    n_blocks: usize,
     readbacks: Mutex<Readbacks>,
     start: Fold,
-    correct: Bound,
-    turn: Fold,
+    /// x = x + scale dx of each block.
+    correct: Vec<Bound>,
+    accept: Fold,
     /// Scalar types: `real` of the residuals on the device.
     variant: Variant,
-    host_turns: bool,
+    on_host: bool,
+}
+
+/// State machine and norms, before the system is bound to them.
+#[derive(Debug)]
+pub(super) struct Shared<'a> {
+    pub(super) state: &'a State,
+    pub(super) norms: &'a RealBuffer,
+    /// Layout of the first block.
+    pub(super) level: &'a Buffer<Level>,
+    pub(super) unknowns: &'a Unknowns<'a>,
+}
+
+impl Arrays for Shared<'_> {
+    fn array(&self, name: &str) -> Option<Binding<'_>> {
+        match name {
+            "norms" => Some(self.norms.into()),
+            _ => self.state.array(name),
+        }
+    }
 }
 
 impl<S: System> OuterLoop<S> {
-    /// Compiles and binds; `system` makes what the system adds, given the state and the norms.
+    /// Compiles and binds; `system` binds what the system adds.
     pub(super) fn new(
         gpu: &Gpu,
-        buffers: S::Buffers<'_>,
+        case: S::Case<'_>,
         solver: &Solver,
-        system: impl FnOnce(&State, &RealBuffer) -> Result<S, Error>,
+        system: impl FnOnce(&Shared) -> Result<S, Error>,
     ) -> Result<OuterLoop<S>, Error> {
-        let unknowns = S::unknowns(buffers);
+        let unknowns = S::unknowns(case);
         let Unknowns {
-            labels, variant, ..
-        } = unknowns;
+            group,
+            blocks,
+            variant,
+            ..
+        } = &unknowns;
+        let (variant, n_blocks) = (*variant, blocks.len());
+        let label = |name: &str| format!("{group}.{name}");
         let state = State::new(gpu, &unknowns)?;
-        let norms = RealBuffer::new(gpu, labels.norms, N_NORMS, variant.real)?;
-        let system = system(&state, &norms)?;
-        let level: Buffer<Level> = gpu.uniform(labels.level, &unknowns.level)?;
-        let kernel = |source| Kernel::new(gpu, source, variant);
-        let correct = kernel(&crate::wgsl!("refine_correct"))?.bind(
-            gpu,
-            &[
-                ("level", (&level).into()),
-                ("list", unknowns.list.into()),
-                ("args", unknowns.args.into()),
-                ("flags", unknowns.flags.into()),
+        let norms = RealBuffer::new(gpu, &label("norms"), n_norms(n_blocks), variant.real)?;
+        let levels = blocks
+            .iter()
+            .map(|block| gpu.uniform(&label("level"), &block.level))
+            .collect::<Result<Vec<_>, _>>()?;
+        let correct = blocks.iter().zip(&levels).map(|(block, level)| {
+            let own = [
+                ("level", level.into()),
+                ("list", block.list.into()),
+                ("args", block.args.into()),
+                ("flags", block.flags.into()),
                 ("norms", (&norms).into()),
-                ("search", unknowns.search.into()),
-                ("x", unknowns.x.into()),
-            ],
-        )?;
-        let settings = RefineSettings::new(solver, variant, S::GUESSES);
-        let settings = gpu.uniform(labels.refine_settings, &settings)?;
-        let shared = [
-            ("norms", (&norms).into()),
-            ("control", (&state.control).into()),
-            ("gated", (&state.gated).into()),
-            ("settings", (&settings).into()),
-        ];
-        let sum = |kernel: Kernel, other: &[_]| {
-            let sums = [unknowns.outer_partials, &state.outer_folded];
-            Fold::new(gpu, &unknowns, &kernel, (sums, unknowns.level.args), other)
+                ("search", block.search.into()),
+                ("x", block.x.into()),
+            ];
+            bind(gpu, &wgsl!("refine_correct"), block.variant, own, &[])
+        });
+        let correct = correct.collect::<Result<_, _>>()?;
+        let settings = RefineSettings::new(solver, variant, S::GUESSES, n_blocks);
+        let settings = gpu.uniform(&label("refine_settings"), &settings)?;
+        let shared = Shared {
+            state: &state,
+            norms: &norms,
+            level: &levels[0],
+            unknowns: &unknowns,
         };
-        let start = sum(kernel(&crate::wgsl!("refine_start"))?, &shared)?;
-        let mut turn = shared.to_vec();
-        turn.push(("scalars", (&state.scalars).into()));
-        let turn = sum(kernel(&crate::wgsl!("refine_turn"))?, &turn)?;
+        let own = [("settings", (&settings).into())];
+        let sum = |source| {
+            let sums = [unknowns.outer_partials, &state.outer_folded];
+            let sums = (sums, blocks[0].level.args);
+            Fold::new(gpu, &unknowns, &source, variant, sums, &[&own, &shared])
+        };
+        let system = system(&shared)?;
+        let start = sum(wgsl!("refine_start"))?;
+        let accept = sum(wgsl!("refine_turn"))?;
         let control = Control {
             max_iterations: solver.max_iterations,
             n_lists: unknowns.n_lists as u32,
             ..Control::default()
         };
         gpu.upload(&state.control, &[control]);
-        let host_turns = host_turns(solver, variant);
+        let on_host = on_host(solver, variant);
         let components = unknowns
             .components
             .map(|components| Readback::new(gpu, components.label(), STATE_WORDS));
-        let kept =
-            |needed: bool, label, len| needed.then(|| Readback::new(gpu, label, len)).transpose();
-        let n_words = unknowns.x.words.len();
+        let of_blocks = blocks.iter().filter(|_| variant.real == Real::F32);
+        let of_blocks =
+            of_blocks.map(|block| Readback::new(gpu, block.x.words.label(), block.x.words.len()));
+        let args = || Readback::new(gpu, &label("args"), blocks[0].args.len());
         let readbacks = Mutex::new(Readbacks {
-            control: Readback::new(gpu, labels.control, 1)?,
-            norms: Readback::new(gpu, labels.norms, norms.words.len())?,
+            control: Readback::new(gpu, &label("control"), 1)?,
+            norms: Readback::new(gpu, &label("norms"), norms.words.len())?,
             components: components.transpose()?,
-            x: kept(variant.real == Real::F32, labels.x, n_words)?,
-            args: kept(host_turns, labels.args, unknowns.args.len())?,
-            correction: kept(host_turns, labels.correction, n_words)?,
+            blocks: of_blocks.collect::<Result<_, _>>()?,
+            args: on_host.then(args).transpose()?,
         });
         Ok(OuterLoop {
             solver: *solver,
-            pcg: Pcg::new(gpu, &unknowns, &level, &state)?,
+            pcg: Pcg::new(gpu, &unknowns, &levels[0], &state)?,
             system,
             state,
             norms,
             settings,
+            n_blocks,
             readbacks,
             start,
             correct,
-            turn,
+            accept,
             variant,
-            host_turns,
+            on_host,
         })
     }
 
     pub(super) fn set_tolerance(&mut self, gpu: &Gpu, tolerance: f64) {
         self.solver.tolerance = tolerance;
-        let settings = RefineSettings::new(&self.solver, self.variant, S::GUESSES);
-        gpu.upload(&self.settings, &[settings]);
+        gpu.upload(&self.settings, &[self.settings()]);
     }
 
-    /// From a round to the next, where the round is over: correction, true residual, verdict.
-    fn record_turn(&self, pass: &mut Pass) {
-        self.state.in_turn(pass, &self.correct);
-        self.system.record_residual(pass, &self.state);
-        self.turn.record(pass);
+    fn settings(&self) -> RefineSettings {
+        RefineSettings::new(&self.solver, self.variant, S::GUESSES, self.n_blocks)
     }
 
-    fn record_iterations(&self, pass: &mut Pass, buffers: S::Buffers<'_>) {
-        for _ in 0..self.system.pace(buffers).chunk / BLOCK {
-            self.pcg
-                .record(pass, &self.state, &self.system, buffers, BLOCK);
+    /// Correction, true residuals and acceptance, where a refinement step is over.
+    fn record_evaluation(&self, pass: &mut Pass) {
+        for bound in &self.correct {
+            self.state.in_evaluation(pass, bound);
         }
+        self.system.record_residual(pass, &self.state);
+        self.accept.record(pass);
     }
 
-    /// Submits the recording with the solve at its end and waits for the verdict, with a residual in f64: of the host where the device rounds it.
-    pub(super) fn solve<'a>(
+    fn record_begin(&self, pass: &mut Pass, case: S::Case<'_>) {
+        let pcg = self.system.pcg(&self.pcg, case);
+        self.system.record_begin(pass, &self.state, pcg, case);
+    }
+
+    fn record_iterations(&self, pass: &mut Pass, case: S::Case<'_>) {
+        let pcg = self.system.pcg(&self.pcg, case);
+        pcg.record(pass, &self.state, &self.system, case);
+    }
+
+    /// Submits the recording with the solve at its end and waits for the outcome of each block, with residuals in f64: of the host where
+    /// the device rounds them.
+    pub(super) fn solve(
         &self,
-        gpu: &'a Gpu,
+        gpu: &Gpu,
         mut recorder: Recorder,
-        buffers: S::Buffers<'_>,
-    ) -> Result<(Outcome, StageTimes), Error> {
+        case: S::Case<'_>,
+    ) -> Result<(Vec<Outcome>, StageTimes), Error> {
+        let mut times = StageTimes::new();
+        let form = S::form(case);
+        let monolithic = matches!(form, Form::Monolithic);
         recorder.stage("solve", |pass| {
-            self.system.record_measure(pass, buffers);
+            self.system.record_start(pass, case);
             self.start.record(pass);
-            if S::GUESSES && !self.host_turns {
-                self.record_turn(pass);
+            if !self.on_host && (S::GUESSES || !monolithic) {
+                self.record_evaluation(pass);
             }
         });
-        if self.host_turns {
-            let mut times = recorder.submit().wait()?;
-            let outcome = self.solve_with_host_turns(gpu, buffers, &mut times)?;
-            return Ok((outcome, times));
+        if self.on_host {
+            let outcomes = self.solve_on_host(gpu, recorder, case, &mut times)?;
+            return Ok((outcomes, times));
         }
-        let mut times = Vec::new();
         loop {
-            recorder.stage("solve", |pass| {
-                for _ in 0..self.system.pace(buffers).turns {
-                    self.record_turn(pass);
-                    self.system.record_begin(pass, &self.state);
-                    self.record_iterations(pass, buffers);
-                }
-                self.record_turn(pass);
-            });
-            let (reading, mut stages) = self.submit(gpu, recorder, buffers)?;
-            times.append(&mut stages);
-            let norms = &reading.norms;
-            let mut outcome = self.outcome(&reading);
-            if let Some(outcome) = &mut outcome {
+            if monolithic {
+                recorder.stage("solve", |pass| {
+                    for _ in 0..self.system.pace(case).steps {
+                        self.record_evaluation(pass);
+                        self.record_begin(pass, case);
+                        self.record_iterations(pass, case);
+                    }
+                    self.record_evaluation(pass);
+                });
+            }
+            let residual = match form {
+                Form::Schur(_) => S::unknowns(case).blocks.get(1).map(|block| block.outer),
+                Form::Monolithic | Form::Singular => None,
+            };
+            let reading = self.submit(gpu, recorder, case, residual, &mut times)?;
+            if let Some(status) = status(&reading, self.n_blocks) {
                 if reading.control.status == STATUS_STAGNATED {
-                    // One more turn, so that a correction on trial is taken back.
+                    // One more evaluation, which subtracts the rejected correction.
                     recorder = Recorder::new(gpu);
-                    recorder.stage("solve", |pass| self.record_turn(pass));
+                    recorder.stage("solve", |pass| self.record_evaluation(pass));
                     recorder.submit();
                 }
-                if !outcome.verified {
-                    let x = S::unknowns(buffers).x;
-                    let words = self.to_host(gpu, &x.words, 0, |kept| &mut kept.x)?;
-                    let HostResidual { rr, .. } =
-                        S::on_host(gpu, buffers, 0)?.residual(&x.widen(&words));
-                    outcome.residual = relative(rr, norms[NORM_B]);
-                    outcome.residual_terms = relative(rr, norms[NORM_TERMS]);
-                    outcome.verified = true;
-                }
-                return Ok((*outcome, times));
+                return Ok((self.verified(gpu, case, status, reading)?, times));
             }
-            recorder = Recorder::timed(gpu);
+            recorder = match form {
+                Form::Monolithic => Recorder::timed(gpu),
+                Form::Schur(elimination) => {
+                    self.refine_schur(gpu, case, elimination, reading, &mut times)?
+                }
+                Form::Singular => {
+                    let outcomes = self.verified(gpu, case, SolveStatus::Breakdown, reading)?;
+                    return Ok((outcomes, times));
+                }
+            };
         }
     }
 
-    /// q = A x in the precision of the corrections, as PCG evaluates it. Overwrites what a solve computes with.
-    pub(super) fn apply(&self, gpu: &Gpu, buffers: S::Buffers<'_>, x: &[f64]) -> Result<(), Error> {
-        let Unknowns { search, args, .. } = S::unknowns(buffers);
-        search.upload(gpu, x);
-        let mut recorder = Recorder::new(gpu);
-        recorder.stage("solve", |pass| self.system.record_operator(pass, args));
-        recorder.submit();
-        gpu.check("solve")
+    /// A refinement step in the first block, with the second eliminated before and recovered after, and the next evaluation recorded.
+    fn refine_schur(
+        &self,
+        gpu: &Gpu,
+        case: S::Case<'_>,
+        elimination: Elimination,
+        reading: Reading,
+        times: &mut StageTimes,
+    ) -> Result<Recorder, Error> {
+        // Else a rejected correction is to be subtracted first.
+        if reading.control.running == 1 {
+            let size = reading.norms[SCALE];
+            elimination.eliminate(gpu, &reading.nodes, size);
+            let mut recorder = Recorder::timed(gpu);
+            recorder.stage("solve", |pass| self.record_begin(pass, case));
+            let force = loop {
+                recorder.stage("solve", |pass| {
+                    self.record_iterations(pass, case);
+                    elimination.record_force(pass);
+                });
+                let force = Some(elimination.force);
+                let reading = self.submit(gpu, recorder, case, force, times)?;
+                if reading.control.running == 0 {
+                    break reading.nodes;
+                }
+                recorder = Recorder::timed(gpu);
+            };
+            let forces = reading.nodes.iter().zip(&force);
+            let forces: Vec<f64> = forces.map(|(r, force)| r + size * force).collect();
+            let mut search = vec![0.0; forces.len()];
+            search.extend(elimination.inverse.velocity(&forces, size));
+            S::unknowns(case).blocks[1].search.upload(gpu, &search);
+        }
+        let mut recorder = Recorder::timed(gpu);
+        recorder.stage("solve", |pass| self.record_evaluation(pass));
+        Ok(recorder)
     }
 
-    /// z = H r as PCG evaluates it, for r where the residual of the outer loop stands. Overwrites what a solve computes with.
-    pub(super) fn precondition(&self, gpu: &Gpu, buffers: S::Buffers<'_>) -> Result<(), Error> {
-        let (mut reading, _) = self.submit(gpu, Recorder::new(gpu), buffers)?;
-        let args = gpu.download(S::unknowns(buffers).args)?;
-        self.open_round(gpu, &mut reading.control, &mut reading.norms, &args, 1.0);
+    /// Before a solve in the Schur-complement form: nothing is left of a monolithic one.
+    pub(super) fn clear(&self, gpu: &Gpu, case: S::Case<'_>) {
+        if !self.on_host {
+            self.state.scalars.upload(gpu, &[0.0; N_SCALARS]);
+            for block in &S::unknowns(case).blocks[1..] {
+                let n = 4 * block.search.words.len() / block.search.real.bytes();
+                block.search.upload(gpu, &vec![0.0; n]);
+            }
+        }
+    }
+
+    /// q = A x in the precision of the corrections, as conjugate gradients evaluate it; x by block. Overwrites work arrays of the solve.
+    pub(super) fn apply(&self, gpu: &Gpu, case: S::Case<'_>, x: &[&[f64]]) -> Result<(), Error> {
+        let blocks = S::unknowns(case).blocks;
+        for (block, x) in blocks.iter().zip(x) {
+            block.search.upload(gpu, x);
+        }
         let mut recorder = Recorder::new(gpu);
         recorder.stage("solve", |pass| {
-            self.system.record_begin(pass, &self.state);
-            self.pcg.record_gate(pass);
-            self.system
-                .record_preconditioner(pass, &self.state, buffers);
+            self.system.record_set_up(pass, case);
+            let sizes = blocks[0].args;
+            self.system.record_operator(pass, &self.state, sizes, case);
         });
         recorder.submit();
         gpu.check("solve")
     }
 
+    /// z = H r as conjugate gradients evaluate it, with r written by `begin`. Overwrites work arrays of the solve.
+    pub(super) fn precondition(
+        &self,
+        gpu: &Gpu,
+        case: S::Case<'_>,
+        begin: impl FnOnce(&S, &mut Pass, &State),
+    ) -> Result<(), Error> {
+        let mut recorder = Recorder::new(gpu);
+        recorder.stage("solve", |pass| self.system.record_set_up(pass, case));
+        let mut reading = self.submit(gpu, recorder, case, None, &mut StageTimes::new())?;
+        let args = gpu.download(S::unknowns(case).blocks[0].args)?;
+        self.open(gpu, &mut reading, &args, 1.0);
+        let mut recorder = Recorder::new(gpu);
+        recorder.stage("solve", |pass| {
+            begin(&self.system, pass, &self.state);
+            self.pcg.record_gate(pass);
+            self.system.record_preconditioner(pass, &self.state, case);
+        });
+        recorder.submit();
+        gpu.check("solve")
+    }
+
+    fn readbacks(&self) -> MutexGuard<'_, Readbacks> {
+        // A panic in another solve leaves nothing half done here: every use begins with new copies.
+        self.readbacks
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Submits and reads the state back, with four numbers per node of a form that eliminates them.
     fn submit(
         &self,
         gpu: &Gpu,
         mut recorder: Recorder,
-        buffers: S::Buffers<'_>,
-    ) -> Result<(Reading, StageTimes), Error> {
-        // A panic in another solve leaves nothing half done here: every use begins with new copies.
-        let mut readbacks = self
-            .readbacks
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
+        case: S::Case<'_>,
+        nodes: Option<&RealBuffer>,
+        times: &mut StageTimes,
+    ) -> Result<Reading, Error> {
+        let mut readbacks = self.readbacks();
         let Readbacks {
             control,
             norms,
@@ -414,202 +520,275 @@ impl<S: System> OuterLoop<S> {
         } = &mut *readbacks;
         recorder.read(&self.state.control, control);
         recorder.read(&self.norms.words, norms);
-        if let (Some(words), Some(back)) = (S::unknowns(buffers).components, components.as_mut()) {
+        if let (Some(words), Some(back)) = (S::unknowns(case).components, components.as_mut()) {
             recorder.read(words, back);
         }
-        let times = recorder.submit().wait()?;
-        let reading = Reading {
+        let form = S::form(case);
+        let of_nodes = match &form {
+            Form::Schur(elimination) => nodes.zip(Some(elimination.readback)),
+            Form::Monolithic | Form::Singular => None,
+        };
+        let mut of_nodes = of_nodes.map(|(nodes, readback)| {
+            let readback = readback.lock().unwrap_or_else(PoisonError::into_inner);
+            (nodes, readback)
+        });
+        if let Some((nodes, readback)) = &mut of_nodes {
+            recorder.read(&nodes.words, readback);
+        }
+        times.append(&mut recorder.submit().wait()?);
+        Ok(Reading {
             control: control.wait(gpu)?[0],
             norms: self.norms.widen(&norms.wait(gpu)?),
             closed: match components {
                 Some(components) => components.wait(gpu)?[N_CLOSED],
                 None => 0,
             },
-        };
-        Ok((reading, times))
-    }
-
-    /// Reads a part of a buffer, from word `first` on, into one of the kept read-backs.
-    fn to_host(
-        &self,
-        gpu: &Gpu,
-        from: &Buffer<u32>,
-        first: usize,
-        kept: impl FnOnce(&mut Readbacks) -> &mut Option<Readback<u32>>,
-    ) -> Result<Vec<u32>, Error> {
-        let mut readbacks = self
-            .readbacks
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        let readback = kept(&mut readbacks).as_mut();
-        let readback = readback.expect("made with the solver where the host has a part in it");
-        let mut recorder = Recorder::new(gpu);
-        recorder.read_part(from, first, readback);
-        recorder.submit();
-        readback.wait(gpu)
-    }
-
-    /// The verdict, or `None` while there is more to do.
-    fn outcome(&self, reading: &Reading) -> Option<Outcome> {
-        let Reading {
-            control,
-            norms,
-            closed,
-        } = reading;
-        let finite = norms[NORM_R].is_finite() && norms[NORM_B].is_finite();
-        let status = verdict(control, finite)?;
-        Some(Outcome {
-            status,
-            iterations: control.iterations,
-            rounds: control.rounds,
-            unknowns: control.unknowns,
-            closed_components: *closed,
-            residual: relative(norms[NORM_R], norms[NORM_B]),
-            residual_terms: relative(norms[NORM_R], norms[NORM_TERMS]),
-            verified: self.variant.real == Real::F64,
+            nodes: match &mut of_nodes {
+                Some((nodes, readback)) => nodes.widen(&readback.wait(gpu)?),
+                None => Vec::new(),
+            },
         })
     }
 
-    /// The outer loop for adapters without f64: the rounds run on the device, the unknowns and the residual are held in f64 on
-    /// the host, one exchange per round.
-    fn solve_with_host_turns(
+    /// Reads unknowns back, or corrections: of the first blocks as many as there are buffers.
+    fn read_blocks(
         &self,
         gpu: &Gpu,
-        buffers: S::Buffers<'_>,
+        from: &[&RealBuffer],
+        correction: bool,
+    ) -> Result<Vec<Vec<f64>>, Error> {
+        let mut readbacks = self.readbacks();
+        let mut recorder = Recorder::new(gpu);
+        for (from, back) in from.iter().zip(&mut readbacks.blocks) {
+            // The correction is the second half of the search direction.
+            let first = if correction { from.words.len() / 2 } else { 0 };
+            recorder.read_part(&from.words, first, back);
+        }
+        recorder.submit();
+        let blocks = from.iter().zip(&mut readbacks.blocks);
+        let blocks = blocks.map(|(from, back)| Ok(from.widen(&back.wait(gpu)?)));
+        blocks.collect()
+    }
+
+    /// Outcomes by block, with residuals evaluated on the host where the device rounded them.
+    fn verified(
+        &self,
+        gpu: &Gpu,
+        case: S::Case<'_>,
+        status: SolveStatus,
+        mut reading: Reading,
+    ) -> Result<Vec<Outcome>, Error> {
+        if self.variant.real == Real::F32 {
+            let blocks = S::unknowns(case).blocks;
+            let x: Vec<&RealBuffer> = blocks.iter().map(|block| block.x).collect();
+            let x = self.read_blocks(gpu, &x, false)?;
+            let residuals = self.system.on_host(gpu, case, 0)?.residuals(&x);
+            set_norms(&mut reading.norms, &residuals);
+        }
+        Ok(self.outcomes(status, &reading))
+    }
+
+    fn outcomes(&self, status: SolveStatus, reading: &Reading) -> Vec<Outcome> {
+        let Reading { control, norms, .. } = reading;
+        let of_others = (1..self.n_blocks).map(|block| unknowns(norms, block, self.n_blocks));
+        let of_others: Vec<u32> = of_others.collect();
+        let outcome = |block: usize| {
+            let norm = |norm| norms[norm_slot(block, norm)];
+            Outcome {
+                status,
+                iterations: control.iterations,
+                refinements: control.rounds,
+                unknowns: match block {
+                    0 => control.unknowns - of_others.iter().sum::<u32>(),
+                    other => of_others[other - 1],
+                },
+                closed_components: reading.closed,
+                residual: relative(norm(RESIDUAL), norm(REFERENCE)),
+                residual_terms: relative(norm(RESIDUAL), norm(TERMS)),
+                verified: true,
+            }
+        };
+        (0..self.n_blocks).map(outcome).collect()
+    }
+
+    /// The outer loop on the host: corrections on the device, unknowns and residuals in f64 here.
+    fn solve_on_host(
+        &self,
+        gpu: &Gpu,
+        recorder: Recorder,
+        case: S::Case<'_>,
         times: &mut StageTimes,
-    ) -> Result<Outcome, Error> {
-        let (reading, _) = self.submit(gpu, Recorder::new(gpu), buffers)?;
-        let Reading {
-            mut control,
-            mut norms,
-            closed,
-        } = reading;
-        let system = S::on_host(gpu, buffers, closed)?;
-        let unknowns = S::unknowns(buffers);
-        let args = self.to_host(gpu, unknowns.args, 0, |kept| &mut kept.args)?;
+    ) -> Result<Vec<Outcome>, Error> {
+        let mut reading = self.submit(gpu, recorder, case, None, times)?;
+        let form = S::form(case);
+        if let Form::Singular = form {
+            reading.control.status = STATUS_BREAKDOWN;
+        }
+        let args = {
+            let mut readbacks = self.readbacks();
+            let args = readbacks.args.as_mut();
+            let args = args.expect("made with every solver whose outer loop is the host's");
+            let mut recorder = Recorder::new(gpu);
+            recorder.read(S::unknowns(case).blocks[0].args, args);
+            recorder.submit();
+            args.wait(gpu)?
+        };
+        let system = self.system.on_host(gpu, case, reading.closed)?;
         let mut x = system.start();
-        let HostResidual {
-            mut r,
-            mut rr,
-            mut dd,
-            ..
-        } = system.residual(&x);
+        let mut residuals = system.residuals(&x);
+        let Reading { norms, control, .. } = &mut reading;
+        system.complete(&residuals, norms, control);
+        let mut acceptance = Acceptance::new(&self.solver, &self.settings());
+        let mut worst = acceptance.worst(&residuals, &reading.norms);
         let status = loop {
-            let goal = goal(&self.solver, [norms[NORM_B], norms[NORM_TERMS]], dd);
-            if !rr.is_finite() {
+            if !worst.is_finite() {
                 break SolveStatus::NonFinite;
             }
-            if rr <= goal {
+            if worst <= 1.0 {
                 break SolveStatus::Converged;
             }
-            if control.iterations >= control.max_iterations {
+            if reading.control.iterations >= reading.control.max_iterations {
                 break SolveStatus::IterationLimit;
             }
-            if control.status == STATUS_BREAKDOWN {
+            if reading.control.status == STATUS_BREAKDOWN {
                 break SolveStatus::Breakdown;
             }
-            let scale = rr.sqrt();
-            let scaled: Vec<f64> = r.iter().map(|value| value / scale).collect();
-            unknowns.outer.upload(gpu, &scaled);
-            self.open_round(gpu, &mut control, &mut norms, &args, goal / rr);
-            let mut recorder = Recorder::timed(gpu);
-            recorder.stage("solve", |pass| self.system.record_begin(pass, &self.state));
-            loop {
-                recorder.stage("solve", |pass| self.record_iterations(pass, buffers));
-                let (reading, mut stages) = self.submit(gpu, recorder, buffers)?;
-                times.append(&mut stages);
-                control = reading.control;
-                if control.running == 0 {
-                    break;
-                }
-                recorder = Recorder::timed(gpu);
+            let size = residuals.iter().map(|block| block.rr).sum::<f64>().sqrt();
+            let scaled = residuals.iter();
+            let scaled = scaled.map(|block| block.r.iter().map(|r| r / size).collect());
+            let scaled: Vec<Vec<f64>> = scaled.collect();
+            for (block, residual) in residuals.iter().enumerate() {
+                reading.norms[norm_slot(block, RESIDUAL)] = residual.rr / (size * size);
             }
-            let search = &unknowns.search;
-            let words = self.to_host(gpu, &search.words, x.len(), |kept| &mut kept.correction)?;
-            let correction = search.widen(&words);
-            let better: Vec<f64> = x
+            let goal = acceptance.inner_tolerance(worst);
+            let blocks = S::unknowns(case).blocks;
+            match form {
+                Form::Schur(elimination) => {
+                    elimination.eliminate(gpu, &scaled[1], 1.0);
+                    blocks[0].outer.upload(gpu, &scaled[0]);
+                }
+                Form::Monolithic | Form::Singular => {
+                    for (block, scaled) in blocks.iter().zip(&scaled) {
+                        block.outer.upload(gpu, scaled);
+                    }
+                }
+            }
+            reading.control.rounds += 1;
+            self.open(gpu, &mut reading, &args, goal);
+            reading.control = self.iterate(gpu, case, times)?;
+            let correction = self.correction(gpu, case, &system, &scaled)?;
+            let better: Vec<Vec<f64>> = x
                 .iter()
                 .zip(&correction)
-                .map(|(x, correction)| x + scale * correction)
+                .map(|(x, dx)| x.iter().zip(dx).map(|(x, dx)| x + size * dx).collect())
                 .collect();
-            let residual = system.residual(&better);
-            // As in `refine_turn`: of the first round alone a breakdown is told.
-            let broke_down = control.status == STATUS_BREAKDOWN && control.rounds == 1;
-            let worse = residual.rr.is_finite() && residual.rr >= rr;
-            if worse && !broke_down {
-                break match control.iterations >= control.max_iterations {
+            let after = system.residuals(&better);
+            let worst_after = acceptance.worst(&after, &reading.norms);
+            let Control { status, rounds, .. } = reading.control;
+            let broke_down = status == STATUS_BREAKDOWN;
+            if worst_after >= worst && !(broke_down && rounds == 1) {
+                if acceptance.retry() && !broke_down {
+                    continue;
+                }
+                break match reading.control.iterations >= reading.control.max_iterations {
                     true => SolveStatus::IterationLimit,
                     false => SolveStatus::Stagnated,
                 };
             }
-            (x, r, rr, dd) = (better, residual.r, residual.rr, residual.dd);
+            (x, residuals, worst) = (better, after, worst_after);
         };
-        system.mask(&mut x);
-        unknowns.x.upload(gpu, &x);
-        Ok(Outcome {
-            status,
-            iterations: control.iterations,
-            rounds: control.rounds,
-            unknowns: control.unknowns,
-            closed_components: closed,
-            residual: relative(rr, norms[NORM_B]),
-            residual_terms: relative(rr, norms[NORM_TERMS]),
-            verified: true,
-        })
+        set_norms(&mut reading.norms, &residuals);
+        system.finish(gpu, &mut x);
+        for (block, x) in S::unknowns(case).blocks.iter().zip(&x) {
+            block.x.upload(gpu, x);
+        }
+        Ok(self.outcomes(status, &reading))
     }
 
-    /// What `refine_turn` does on the device to open a round.
-    fn open_round(
-        &self,
-        gpu: &Gpu,
-        control: &mut Control,
-        norms: &mut [f64],
-        args: &[u32],
-        left: f64,
-    ) {
-        control.running = 1;
-        control.first = 1;
-        control.rounds += 1;
-        gpu.upload(&self.state.control, &[*control]);
-        norms[SCALE] = 1.0;
-        self.norms.upload(gpu, norms);
+    /// Begins a refinement step from the host, as `refine_turn` does on the device; the residual is scaled already.
+    fn open(&self, gpu: &Gpu, reading: &mut Reading, args: &[u32], goal: f64) {
+        reading.control.running = 1;
+        reading.control.first = 1;
+        gpu.upload(&self.state.control, &[reading.control]);
+        reading.norms[SCALE] = 1.0;
+        self.norms.upload(gpu, &reading.norms);
         let mut scalars = vec![0.0; N_SCALARS];
-        let floor = f64::from(round_floor(self.variant.inner));
-        scalars[GOAL] = (ROUND_MARGIN.powi(2) * left).max(floor.powi(2));
+        scalars[GOAL] = goal;
         self.state.scalars.upload(gpu, &scalars);
         self.state.open(gpu, args);
+    }
+
+    /// Submits iterations until the refinement step is over.
+    fn iterate(
+        &self,
+        gpu: &Gpu,
+        case: S::Case<'_>,
+        times: &mut StageTimes,
+    ) -> Result<Control, Error> {
+        let mut recorder = Recorder::timed(gpu);
+        recorder.stage("solve", |pass| self.record_begin(pass, case));
+        loop {
+            recorder.stage("solve", |pass| self.record_iterations(pass, case));
+            let reading = self.submit(gpu, recorder, case, None, times)?;
+            if reading.control.running == 0 {
+                return Ok(reading.control);
+            }
+            recorder = Recorder::timed(gpu);
+        }
+    }
+
+    /// Reads the correction of a refinement step back; an eliminated block follows from the first and its scaled residual.
+    fn correction(
+        &self,
+        gpu: &Gpu,
+        case: S::Case<'_>,
+        system: &S::Host<'_>,
+        scaled: &[Vec<f64>],
+    ) -> Result<Vec<Vec<f64>>, Error> {
+        let blocks = S::unknowns(case).blocks;
+        let search: Vec<&RealBuffer> = blocks.iter().map(|block| block.search).collect();
+        let Form::Schur(elimination) = S::form(case) else {
+            return self.read_blocks(gpu, &search, true);
+        };
+        let mut correction = self.read_blocks(gpu, &search[..1], true)?;
+        let force = system.coupling(&correction[0]);
+        let forces: Vec<f64> = force.iter().zip(&scaled[1]).map(|(f, r)| f + r).collect();
+        correction.push(elimination.inverse.velocity(&forces, 1.0));
+        Ok(correction)
     }
 }
 
 /// Whether the outer loop runs on the host: `mixed` where the device has no f64 to refine in.
-pub(super) fn host_turns(solver: &Solver, variant: Variant) -> bool {
+pub(super) fn on_host(solver: &Solver, variant: Variant) -> bool {
     solver.precision == Precision::Mixed && variant.real == Real::F32
 }
 
-/// Rounds in f32 end early; those as precise as the residual take one to do it all.
-pub(super) fn round_floor(inner: Real) -> f32 {
-    match inner {
-        Real::F32 => ROUND_FLOOR_F32,
-        Real::F64 => 0.0,
+/// Unknowns of a block other than the first.
+fn unknowns(norms: &[f64], block: usize, n_blocks: usize) -> u32 {
+    norms[evaluation_slot(block, n_blocks) + 2] as u32
+}
+
+/// Writes the norms of an evaluation on the host.
+fn set_norms(norms: &mut [f64], residuals: &[HostResidual]) {
+    for (block, residual) in residuals.iter().enumerate() {
+        norms[norm_slot(block, REFERENCE)] = reference(block, residual, norms);
+        norms[norm_slot(block, RESIDUAL)] = residual.rr;
     }
 }
 
-/// How a solve ended, or `None` while there is more to do.
-pub(super) fn verdict(control: &Control, finite: bool) -> Option<SolveStatus> {
+/// Status of a solve that is over.
+fn status(reading: &Reading, n_blocks: usize) -> Option<SolveStatus> {
+    let Reading { control, norms, .. } = reading;
+    let finite = |norm| (0..n_blocks).all(|block| norms[norm_slot(block, norm)].is_finite());
     Some(match control.status {
-        _ if !finite => SolveStatus::NonFinite,
+        _ if !finite(RESIDUAL) || !finite(RHS) => SolveStatus::NonFinite,
         0 => return None,
         1 => SolveStatus::Converged,
         2 => SolveStatus::IterationLimit,
         STATUS_BREAKDOWN if control.running == 1 => return None,
         STATUS_BREAKDOWN => SolveStatus::Breakdown,
-        // The last correction made it worse and is taken back, but the limit is what ended the solve.
+        // The last correction was rejected, but the limit is what ended the solve.
         _ if control.iterations >= control.max_iterations => SolveStatus::IterationLimit,
         _ => SolveStatus::Stagnated,
     })
-}
-
-/// sqrt(rr / bb), and 0 where b is nothing: its squares may be below what f32 can tell from 0, and then the unknowns that are 0 solve it.
-pub(super) fn relative(rr: f64, bb: f64) -> f64 {
-    if bb == 0.0 { 0.0 } else { (rr / bb).sqrt() }
 }

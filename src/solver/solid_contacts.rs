@@ -3,11 +3,14 @@
 //! The rules, and the active set that they make, stand with the twin, `reference/solid_contacts.rs`.
 
 use crate::Error;
-use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, RealBuffer};
+use crate::fields::SolidBuffers;
+use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, RealBuffer};
 use crate::grid::Layout;
 use crate::step::Stage;
+use crate::wgsl;
 
-use super::solid_system::{SolidFields, SolidSystemBuffers};
+use super::bind;
+use super::solid_system::SolidSystemBuffers;
 
 /// The distance to the obstacles.
 #[derive(Clone, Copy, Debug)]
@@ -48,43 +51,27 @@ impl ContactSearch {
     pub(super) fn new(
         gpu: &Gpu,
         buffers: &SolidSystemBuffers,
-        fields: SolidFields,
+        fields: &SolidBuffers,
         pushes: &RealBuffer,
     ) -> Result<ContactSearch, Error> {
-        let kernel = |source| Kernel::new(gpu, source, buffers.variant);
-        let step = ("step", fields.step);
-        let gaps = ("gaps", fields.gaps.into());
-        let incidence = ("incidence", (&buffers.incidence).into());
-        let products = ("products", (&buffers.products).into());
-        let masses = ("masses", (&buffers.masses).into());
-        let rhs = ("rhs", pushes.into());
-        let velocity = ("velocity", fields.velocity.into());
-        let answer = ("answer", fields.answer.into());
-        let best = ("best", (&buffers.best).into());
-        let next = ("next", (&buffers.z).into());
-        let sums = ("sums", (&buffers.search).into());
-        let partials = ("partials", (&buffers.partials).into());
-        let freedom = ("freedom", fields.freedom.into());
-        let of_judge = [
-            step, gaps, incidence, products, masses, rhs, velocity, freedom, answer,
+        let own = [
+            ("rhs", pushes.into()),
+            ("next", (&buffers.z).into()),
+            ("sums", (&buffers.search).into()),
         ];
-        let of_gain = [step, incidence, products, masses, rhs, best, next, partials];
-        let of_stopped = [step, gaps, best, velocity, freedom, answer];
+        let bound = |source| bind(gpu, &source, buffers.variant, own, &[buffers, fields]);
         Ok(ContactSearch {
-            products: buffers.bind_products(gpu, fields, fields.velocity)?,
-            judge: kernel(&crate::wgsl!("judge_contacts"))?.bind(gpu, &of_judge)?,
-            rest: kernel(&crate::wgsl!("rest_nodes"))?.bind(gpu, &[step, gaps, velocity, best])?,
+            products: buffers.bind_products(gpu, fields, &fields.velocity)?,
+            judge: bound(wgsl!("judge_contacts"))?,
+            rest: bound(wgsl!("rest_nodes"))?,
             approach: [
-                kernel(&crate::wgsl!("approach_nodes"))?
-                    .bind(gpu, &[step, gaps, answer, best, velocity, next, sums])?,
+                bound(wgsl!("approach_nodes"))?,
                 buffers.bind_products(gpu, fields, &buffers.search)?,
-                kernel(&crate::wgsl!("measure_gain"))?.bind(gpu, &of_gain)?,
+                bound(wgsl!("measure_gain"))?,
             ],
-            judge_gain: kernel(&crate::wgsl!("judge_gain"))?
-                .bind(gpu, &[step, partials, answer])?,
-            first_stop: kernel(&crate::wgsl!("first_stop"))?
-                .bind(gpu, &[step, gaps, best, velocity, answer])?,
-            hold_stopped: kernel(&crate::wgsl!("hold_stopped"))?.bind(gpu, &of_stopped)?,
+            judge_gain: bound(wgsl!("judge_gain"))?,
+            first_stop: bound(wgsl!("first_stop"))?,
+            hold_stopped: bound(wgsl!("hold_stopped"))?,
             n_nodes: buffers.sizes.n_nodes as usize,
         })
     }
@@ -124,42 +111,30 @@ impl SolidContacts {
     pub(super) fn new(
         gpu: &Gpu,
         buffers: &SolidSystemBuffers,
-        fields: SolidFields,
+        fields: &SolidBuffers,
         obstacles: Option<ObstacleField>,
     ) -> Result<SolidContacts, Error> {
         let gpu_at = &gpu.at(Stage::RightHandSide.name());
-        let kernel = |source| Kernel::new(gpu_at, source, buffers.variant);
-        let step = ("step", fields.step);
-        let rest = ("rest", fields.rest.into());
-        let displacement = ("displacement", fields.displacement.into());
-        let gaps = ("gaps", fields.gaps.into());
-        let freedom = ("freedom", fields.freedom.into());
-        let rhs = ("rhs", (&buffers.rhs).into());
-        let velocity = ("velocity", fields.velocity.into());
-        let flags = ("flags", fields.flags.into());
-        let mut touch = vec![
-            kernel(&crate::wgsl!("solid_contacts"))?
-                .bind(gpu, &[step, rest, flags, displacement, rhs, gaps, freedom])?,
-        ];
+        let variant = buffers.variant;
+        let bound = |source| bind(gpu_at, &source, variant, [], &[buffers, fields]);
+        let mut touch = vec![bound(wgsl!("solid_contacts"))?];
         if let Some(obstacles) = obstacles {
-            let level = ("level", obstacles.level.into());
-            let distance = ("distances", obstacles.solid_distance.into());
-            let bindings = [
-                level,
-                step,
-                rest,
-                displacement,
-                distance,
-                rhs,
-                gaps,
-                freedom,
+            let own = [
+                ("level", obstacles.level.into()),
+                ("distances", obstacles.solid_distance.into()),
             ];
-            touch.push(kernel(&crate::wgsl!("obstacle_contacts"))?.bind(gpu, &bindings)?);
+            let tables: [&dyn Arrays; 2] = [buffers, fields];
+            touch.push(bind(
+                gpu_at,
+                &wgsl!("obstacle_contacts"),
+                variant,
+                own,
+                &tables,
+            )?);
         }
         Ok(SolidContacts {
             touch,
-            hold: kernel(&crate::wgsl!("hold_nodes"))?
-                .bind(gpu, &[step, gaps, freedom, velocity])?,
+            hold: bound(wgsl!("hold_nodes"))?,
             search: ContactSearch::new(gpu, buffers, fields, &buffers.rhs)?,
             n_nodes: buffers.sizes.n_nodes as usize,
         })

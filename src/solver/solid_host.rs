@@ -5,14 +5,15 @@ use std::sync::{Arc, PoisonError};
 use glam::{DMat3, DVec3};
 
 use crate::Error;
+use crate::fields::SolidBuffers;
 use crate::gpu::{Gpu, Readback, Recorder};
 
 use super::refine::{HostResidual, HostSystem};
-use super::solid_system::{SolidFields, SolidRows, SolidSystemBuffers};
+use super::solid_system::{SolidRows, SolidSystemBuffers};
 
 /// Where the stored system, in f32, arrives, and what of it never changes.
 #[derive(Debug)]
-pub(super) struct SolidReadbacks {
+pub(crate) struct SolidReadbacks {
     elements: Arc<Vec<[u32; 4]>>,
     freedom: Readback<[f32; 4]>,
     rotated: Readback<u32>,
@@ -90,7 +91,7 @@ impl HostElastic {
     pub(super) fn download(
         gpu: &Gpu,
         buffers: &SolidSystemBuffers,
-        fields: SolidFields,
+        fields: &SolidBuffers,
     ) -> Result<HostElastic, Error> {
         let readbacks = buffers.to_host.as_ref();
         let readbacks = readbacks
@@ -107,7 +108,7 @@ impl HostElastic {
             guess,
         } = &mut *readbacks;
         let mut recorder = Recorder::new(gpu);
-        recorder.read(fields.freedom, freedom);
+        recorder.read(&fields.freedom, freedom);
         recorder.read(&fields.rotated.words, rotated);
         recorder.read(&buffers.masses.words, masses);
         recorder.read(&buffers.rhs.words, rhs);
@@ -181,7 +182,7 @@ impl HostElastic {
             }
         }
         let mut r = vec![0.0; x.len()];
-        let (mut rr, mut acts, mut dd) = (0.0, 0.0, 0.0);
+        let (mut rr, mut coupling, mut dd) = (0.0, 0.0, 0.0);
         let (masses, diagonals) = self.masses.split_at(self.freedom.len());
         for (node, product) in product.into_iter().enumerate() {
             let at = |all: &[f64]| DVec3::from_slice(&all[4 * node..]);
@@ -192,27 +193,32 @@ impl HostElastic {
             let free = here.part(rhs - (masses[node] * x + product));
             r[4 * node..4 * node + 3].copy_from_slice(&free.to_array());
             rr += free.length_squared();
-            acts += here.part(added).length_squared();
+            coupling += here.part(added).length_squared();
             dd += here.part(diagonals[node] * x).length_squared();
         }
-        HostResidual { r, rr, acts, dd }
+        HostResidual {
+            r,
+            rr,
+            coupling,
+            dd,
+        }
     }
 }
 
 impl HostSystem for HostElastic {
     /// v*, unless zero leaves less of the right-hand side.
-    fn start(&self) -> Vec<f64> {
+    fn start(&self) -> Vec<Vec<f64>> {
         let pairs = self.held.iter().zip(&self.guess);
         let guess: Vec<f64> = pairs.map(|(held, guess)| held + guess).collect();
-        let [with, without] = [&guess, &self.held].map(|x| self.residual(x).rr);
-        if with < without {
+        let [with, without] = [&guess, &self.held].map(|x| self.residual_with(None, x).rr);
+        vec![if with < without {
             guess
         } else {
             self.held.clone()
-        }
+        }]
     }
 
-    fn residual(&self, x: &[f64]) -> HostResidual {
-        self.residual_with(None, x)
+    fn residuals(&self, x: &[Vec<f64>]) -> Vec<HostResidual> {
+        vec![self.residual_with(None, &x[0])]
     }
 }

@@ -2,16 +2,17 @@
 //! D^-1 S, in the outer loop.
 
 use crate::Error;
-use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, RealBuffer, Recorder, SPLIT, StageTimes};
+use crate::fields::SolidBuffers;
+use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, RealBuffer, Recorder, SPLIT, StageTimes};
 use crate::scene::Solver;
+use crate::wgsl;
 
 use super::chebyshev::{MAX_DEGREE, Polynomial};
-use super::pcg::{State, Unknowns};
-use super::refine::{Outcome, OuterLoop, Pace, System};
+use super::pcg::{Pcg, State, Unknowns};
+use super::refine::{Outcome, OuterLoop, Pace, Shared, System};
 use super::solid_host::HostElastic;
-use super::solid_system::{
-    BODIES, LABELS, N_LISTS, NODES, SolidFields, SolidRows, SolidSystemBuffers, rounds,
-};
+use super::solid_system::{BODIES, N_LISTS, NODES, SolidSystemBuffers, corrections};
+use super::{BLOCK, bind};
 
 /// Largest solid, in nodes, whose polynomial one workgroup evaluates in one dispatch: a row for each of its threads, so that a step takes
 /// about as long as a dispatch of its own and saves its start. With more rows than threads the rest of the device is missed: on llvmpipe
@@ -22,40 +23,12 @@ const DISPATCHES: usize = 6;
 /// Dispatches that are recorded ahead of a chance to turn, and the iterations they may make, at most.
 const AHEAD: usize = 256;
 const CHUNK: usize = 32;
-/// Chances to turn in a submission: most solves take one round.
-const TURNS: usize = 2;
+/// Refinement steps in a submission: most solves take one.
+const STEPS: usize = 2;
 
 /// Whether each solid is small enough for a workgroup.
 fn in_workgroups(largest_body: usize, n_bodies: usize) -> bool {
     largest_body <= BODY_NODES && n_bodies <= SPLIT as usize
-}
-
-/// The kernels of [`SolidSolver::solve`].
-pub fn solid_kernels(rows: &SolidRows) -> Vec<&'static str> {
-    let mut kernels = vec![
-        "solid_guess",
-        "solid_products",
-        "solid_residual",
-        "refine_start",
-        "refine_correct",
-        "refine_turn",
-        "solid_begin",
-        "pcg_gate",
-        "pcg_beta",
-        "pcg_direction",
-        "solid_apply",
-        "pcg_alpha",
-        "solid_update",
-    ];
-    if rows.long_sums() {
-        kernels.push("fold_partials");
-    }
-    let one_by_one = !in_workgroups(rows.largest_body(), rows.rows.n_bodies as usize);
-    kernels.push(match one_by_one {
-        true => "chebyshev_sweep",
-        false => "chebyshev_polynomial",
-    });
-    kernels
 }
 
 /// The solve of a step: everything between right-hand side and velocity.
@@ -67,13 +40,10 @@ pub struct SolidSolver {
 
 impl SolidSolver {
     /// Compiles and binds.
-    ///
-    /// # Errors
-    /// As [`Kernel::new`] and [`Gpu::buffer`].
     pub fn new(
         gpu: &Gpu,
         buffers: &SolidSystemBuffers,
-        fields: SolidFields,
+        fields: &SolidBuffers,
         solver: &Solver,
     ) -> Result<SolidSolver, Error> {
         let polynomial = gpu.uniform("solid_solver.polynomial", &Polynomial::new(0, 1.0))?;
@@ -82,27 +52,26 @@ impl SolidSolver {
             fields,
             degree: 0,
         };
-        let outer = OuterLoop::new(gpu, case, solver, |state, norms| {
-            Elastic::new(gpu, case, state, norms, &polynomial)
+        let outer = OuterLoop::new(gpu, case, solver, |shared| {
+            Elastic::new(gpu, case, shared, &polynomial)
         })?;
         Ok(SolidSolver { outer, polynomial })
     }
 
     /// Submits the recording with the solve at its end and waits for the verdict, with a residual in f64: of the host where the device rounds it.
     /// The velocity in `fields` is v* before and v after it. `polynomial`: the preconditioner's, for this step's S.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails. A solve that does not converge is an [`Outcome`], not an error.
-    pub fn solve<'a>(
+    /// A solve that does not converge is an [`Outcome`].
+    pub fn solve(
         &self,
-        gpu: &'a Gpu,
+        gpu: &Gpu,
         recorder: Recorder,
         buffers: &SolidSystemBuffers,
-        fields: SolidFields,
+        fields: &SolidBuffers,
         polynomial: &Polynomial,
     ) -> Result<(Outcome, StageTimes), Error> {
         let case = self.case(gpu, buffers, fields, polynomial);
-        self.outer.solve(gpu, recorder, case)
+        let (outcomes, times) = self.outer.solve(gpu, recorder, case)?;
+        Ok((outcomes[0], times))
     }
 
     /// From the next solve on, another tolerance of the true residual.
@@ -112,14 +81,11 @@ impl SolidSolver {
 
     /// S x as conjugate gradients evaluate it, 0 for prescribed components; x and the answer hold four numbers per node, the fourth 0.
     /// Overwrites what a solve computes with.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
     pub fn apply(
         &self,
         gpu: &Gpu,
         buffers: &SolidSystemBuffers,
-        fields: SolidFields,
+        fields: &SolidBuffers,
         x: &[f64],
     ) -> Result<Vec<f64>, Error> {
         let case = Case {
@@ -127,26 +93,25 @@ impl SolidSolver {
             fields,
             degree: 0,
         };
-        self.outer.apply(gpu, case, x)?;
+        self.outer.apply(gpu, case, &[x])?;
         buffers.q.download(gpu)
     }
 
     /// p(D^-1 S) D^-1 r, the preconditioner as conjugate gradients evaluate it; r, 0 for prescribed components, and the answer hold four
     /// numbers per node, the fourth 0. Overwrites what a solve computes with.
-    ///
-    /// # Errors
-    /// [`Error::Gpu`] when the device fails.
     pub fn precondition(
         &self,
         gpu: &Gpu,
         buffers: &SolidSystemBuffers,
-        fields: SolidFields,
+        fields: &SolidBuffers,
         polynomial: &Polynomial,
         r: &[f64],
     ) -> Result<Vec<f64>, Error> {
         let case = self.case(gpu, buffers, fields, polynomial);
         buffers.outer.upload(gpu, r);
-        self.outer.precondition(gpu, case)?;
+        self.outer.precondition(gpu, case, |elastic, pass, state| {
+            state.in_begin(pass, &elastic.begin);
+        })?;
         buffers.z.download(gpu)
     }
 
@@ -154,7 +119,7 @@ impl SolidSolver {
         &self,
         gpu: &Gpu,
         buffers: &'a SolidSystemBuffers,
-        fields: SolidFields<'a>,
+        fields: &'a SolidBuffers,
         polynomial: &Polynomial,
     ) -> Case<'a> {
         gpu.upload(&self.polynomial, &[*polynomial]);
@@ -170,7 +135,7 @@ impl SolidSolver {
 #[derive(Clone, Copy, Debug)]
 struct Case<'a> {
     buffers: &'a SolidSystemBuffers,
-    fields: SolidFields<'a>,
+    fields: &'a SolidBuffers,
     degree: usize,
 }
 
@@ -201,52 +166,24 @@ impl Elastic {
         Case {
             buffers, fields, ..
         }: Case,
-        state: &State,
-        norms: &RealBuffer,
+        shared: &Shared,
         polynomial: &Buffer<Polynomial>,
     ) -> Result<Elastic, Error> {
-        let kernel = |source| Kernel::new(gpu, source, buffers.variant);
-        let rows = ("rows", (&buffers.rows).into());
-        let freedom = ("freedom", fields.freedom.into());
-        let incidence = ("incidence", (&buffers.incidence).into());
-        let products = ("products", (&buffers.products).into());
-        let masses = ("masses", (&buffers.masses).into());
-        let outer = ("outer", (&buffers.outer).into());
-        let r = ("r", (&buffers.r).into());
-        let search = ("search", (&buffers.search).into());
-        let partials = ("partials", (&buffers.partials).into());
-        let product_of = |x| buffers.bind_products(gpu, fields, x);
+        let variant = buffers.variant;
+        let direction = [("x", (&buffers.search).into())];
+        let tables: [&dyn Arrays; 3] = [buffers, fields, shared];
+        let velocity = &fields.velocity;
         Ok(Elastic {
             guess: buffers.bind_guess(gpu, fields)?,
-            products: [product_of(fields.velocity)?, product_of(&buffers.search)?],
+            products: [
+                buffers.bind_products(gpu, fields, velocity)?,
+                buffers.bind_products(gpu, fields, &buffers.search)?,
+            ],
             residual: buffers.bind_residual(gpu, fields)?,
-            begin: kernel(&crate::wgsl!("solid_begin"))?
-                .bind(gpu, &[rows, ("norms", norms.into()), outer, r, search])?,
+            begin: bind(gpu, &wgsl!("solid_begin"), variant, [], &tables)?,
             preconditioner: Chebyshev::new(gpu, buffers, polynomial, &buffers.r, &buffers.z)?,
-            apply: kernel(&crate::wgsl!("solid_apply"))?.bind(
-                gpu,
-                &[
-                    rows,
-                    freedom,
-                    incidence,
-                    products,
-                    masses,
-                    ("x", (&buffers.search).into()),
-                    r,
-                    ("q_out", (&buffers.q).into()),
-                    partials,
-                ],
-            )?,
-            update: kernel(&crate::wgsl!("solid_update"))?.bind(
-                gpu,
-                &[
-                    rows,
-                    ("scalars", (&state.scalars).into()),
-                    search,
-                    ("q_in", (&buffers.q).into()),
-                    r,
-                ],
-            )?,
+            apply: bind(gpu, &wgsl!("solid_apply"), variant, direction, &tables)?,
+            update: bind(gpu, &wgsl!("solid_update"), variant, [], &tables)?,
         })
     }
 }
@@ -260,29 +197,35 @@ impl Chebyshev {
         r: &RealBuffer,
         z: &RealBuffer,
     ) -> Result<Chebyshev, Error> {
-        let kernel = |source| Kernel::new(gpu, source, buffers.variant);
-        let bindings = [
-            ("rows", (&buffers.rows).into()),
+        let variant = buffers.variant;
+        let own = [
             ("polynomial", polynomial.into()),
-            ("list", (&buffers.list).into()),
-            ("blocks", (&buffers.blocks).into()),
-            ("inverse", (&buffers.inverse).into()),
             ("r", r.into()),
-            ("pair", (&buffers.pair).into()),
-            ("increment", (&buffers.increment).into()),
             ("z", z.into()),
-            ("partials", (&buffers.partials).into()),
         ];
-        if in_workgroups(buffers.largest_body, buffers.sizes.n_bodies as usize) {
-            let bound = kernel(&crate::wgsl!("chebyshev_polynomial"))?.bind(gpu, &bindings)?;
+        if in_workgroups(
+            buffers.layout.largest_body(),
+            buffers.sizes.n_bodies as usize,
+        ) {
+            let bound = bind(
+                gpu,
+                &wgsl!("chebyshev_polynomial"),
+                variant,
+                own,
+                &[buffers],
+            )?;
             return Ok(Chebyshev::Workgroups(bound));
         }
-        let kernel = kernel(&crate::wgsl!("chebyshev_sweep"))?;
         let sweeps = (0..=MAX_DEGREE as u32).map(|k| {
             let sweep = gpu.uniform("solid_solver.sweep", &[k, 0, 0, 0])?;
-            let mut bindings = bindings.to_vec();
-            bindings.push(("sweep", (&sweep).into()));
-            kernel.bind(gpu, &bindings)
+            let step = [("sweep", (&sweep).into())];
+            bind(
+                gpu,
+                &wgsl!("chebyshev_sweep"),
+                variant,
+                own,
+                &[&step, buffers],
+            )
         });
         Ok(Chebyshev::Sweeps(sweeps.collect::<Result<_, _>>()?))
     }
@@ -315,58 +258,52 @@ impl Chebyshev {
 }
 
 impl System for Elastic {
-    type Buffers<'a> = Case<'a>;
-    type Host = HostElastic;
+    type Case<'a> = Case<'a>;
+    type Host<'a> = HostElastic;
 
     const GUESSES: bool = true;
 
-    fn unknowns<'a>(case: Self::Buffers<'a>) -> Unknowns<'a> {
+    fn unknowns<'a>(case: Self::Case<'a>) -> Unknowns<'a> {
         let Case {
             buffers, fields, ..
         } = case;
         Unknowns {
-            labels: &LABELS,
-            level: buffers.level(),
+            group: "solid_solver",
+            blocks: vec![buffers.block(fields)],
             n_lists: N_LISTS,
-            sums: buffers.level().args,
-            long_sums: buffers.long_sums,
-            variant: rounds(buffers.variant),
-            flags: fields.flags,
-            list: &buffers.list,
-            args: &buffers.args,
-            x: fields.velocity,
-            outer: &buffers.outer,
+            sums: [buffers.level().args; 2],
+            long_sums: buffers.layout.long_sums(),
+            variant: corrections(buffers.variant),
             z: &buffers.z,
-            search: &buffers.search,
             partials: &buffers.partials,
-            // Rounds and turns take turns with it.
+            // Never in use at the same time.
             outer_partials: &buffers.partials,
             components: None,
         }
     }
 
     fn pace(&self, case: Case<'_>) -> Pace {
-        let steps = self.preconditioner.dispatches(case.degree);
+        let dispatches = DISPATCHES + self.preconditioner.dispatches(case.degree);
+        let iterations = (AHEAD / dispatches).next_multiple_of(BLOCK).min(CHUNK);
         Pace {
-            chunk: (AHEAD / (DISPATCHES + steps))
-                .next_multiple_of(super::refine::BLOCK)
-                .min(CHUNK),
-            turns: TURNS,
+            iterations: BLOCK,
+            gates: iterations / BLOCK,
+            steps: STEPS,
         }
     }
 
-    fn record_measure(&self, pass: &mut Pass, case: Case<'_>) {
+    fn record_start(&self, pass: &mut Pass, case: Case<'_>) {
         for bound in [&self.guess, &self.products[0], &self.residual] {
             pass.dispatch_indirect(bound, &case.buffers.args, NODES);
         }
     }
 
     fn record_residual(&self, pass: &mut Pass, state: &State) {
-        state.in_turn(pass, &self.products[0]);
-        state.in_turn(pass, &self.residual);
+        state.in_evaluation(pass, &self.products[0]);
+        state.in_evaluation(pass, &self.residual);
     }
 
-    fn record_begin(&self, pass: &mut Pass, state: &State) {
+    fn record_begin(&self, pass: &mut Pass, state: &State, _: &Pcg, _: Case<'_>) {
         state.in_begin(pass, &self.begin);
     }
 
@@ -375,16 +312,21 @@ impl System for Elastic {
             .record(pass, &state.gated, [NODES, BODIES], case.degree);
     }
 
-    fn record_operator(&self, pass: &mut Pass, sizes: &Buffer<u32>) {
+    fn record_operator(&self, pass: &mut Pass, _: &State, sizes: &Buffer<u32>, _: Case<'_>) {
         pass.dispatch_indirect(&self.products[1], sizes, NODES);
         pass.dispatch_indirect(&self.apply, sizes, NODES);
     }
 
-    fn record_update(&self, pass: &mut Pass, state: &State) {
+    fn record_update(&self, pass: &mut Pass, state: &State, _: Case<'_>) {
         state.in_update(pass, &self.update);
     }
 
-    fn on_host(gpu: &Gpu, case: Case<'_>, _: u32) -> Result<HostElastic, Error> {
+    fn on_host<'a>(
+        &self,
+        gpu: &Gpu,
+        case: Self::Case<'a>,
+        _: u32,
+    ) -> Result<Self::Host<'a>, Error> {
         HostElastic::download(gpu, case.buffers, case.fields)
     }
 }

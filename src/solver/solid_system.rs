@@ -9,18 +9,15 @@ use std::sync::{Arc, Mutex};
 use crate::Error;
 use crate::elastic::{Incidence, Solids};
 use crate::fields::SolidBuffers;
-use crate::gpu::{
-    Binding, Bound, Buffer, Gpu, Kernel, Pass, Real, RealBuffer, Variant, WG_SIZE, groups,
-};
+use crate::gpu::{Arrays, Bound, Gpu, Pass, Real, RealBuffer, Variant, WG_SIZE, groups};
 use crate::scene::Solver;
 use crate::step::Stage;
+use crate::{arrays, wgsl};
 
-use super::pcg::{Labels, labels};
+use super::pcg::Block;
 use super::solid_contacts::{ContactSearch, ObstacleField, SolidContacts};
 use super::solid_host::SolidReadbacks;
-use super::{FOLD_THREADS, Level, variant};
-
-pub(super) const LABELS: Labels = labels!("solid_solver");
+use super::{FOLD_THREADS, Level, bind, variant};
 
 /// Rows in a slice; `common/rows.wgsl` has it too. As many as threads in a workgroup.
 const SLICE: usize = WG_SIZE as usize;
@@ -202,110 +199,75 @@ impl SolidRows {
         self.largest_body
     }
 
+    /// Nodes of all solids.
+    fn n_nodes(&self) -> usize {
+        self.rows.n_nodes as usize
+    }
+
     /// Whether sums take two levels.
     pub(super) fn long_sums(&self) -> bool {
         self.rows.n_nodes as usize > 4 * FOLD_THREADS
     }
 }
 
-/// Scalar types of outer loop and rounds: conjugate gradients are as precise as the residual, and only their preconditioner is not.
-pub(super) fn rounds(variant: Variant) -> Variant {
+/// Scalar types of outer loop and corrections: conjugate gradients are as precise as the residual, and only their preconditioner is not.
+pub(super) fn corrections(variant: Variant) -> Variant {
     variant.real.into()
 }
 
-/// What the solver reads of the solids, and their velocity, which it solves for. n nodes, m elements; `Real4` is four scalars
-/// of the outer loop's type.
-#[derive(Clone, Copy, Debug)]
-pub struct SolidFields<'a> {
-    /// Uniform `SolidStep`.
-    pub step: Binding<'a>,
-    /// Per node: position and lumped mass, kg.
-    pub rest: &'a Buffer<[f32; 4]>,
-    /// `Real4` per node: velocity, m/s.
-    pub velocity: &'a RealBuffer,
-    /// Per node: bits 0, 1, 2 for free components.
-    pub flags: &'a Buffer<u32>,
-    /// Per node: displacement from rest, m, larger parts, then smaller.
-    pub displacement: &'a Buffer<[f32; 4]>,
-    /// Distances from walls and obstacles: see `shaders/common/contact.wgsl`.
-    pub gaps: &'a Buffer<[f32; 4]>,
-    /// How nodes may move: see `shaders/common/freedom.wgsl`.
-    pub freedom: &'a Buffer<[f32; 4]>,
-    /// What the search for contacts answers, and is told: see `shaders/common/ask.wgsl`.
-    pub answer: &'a Buffer<u32>,
-    /// Nodes of the elements.
-    pub elements: &'a Buffer<[u32; 4]>,
-    /// `Real4`, three sections of m: rotated gradients, 1/m, with zeta_K V lambda, zeta_K V mu and det F.
-    pub rotated: &'a RealBuffer,
-    /// `Real4`, three sections of m: K x* - b at corners 1, 2, 3, N.
-    pub element_forces: &'a RealBuffer,
-    /// `Real4` per node: constant force, N, and tau_M, 1/s.
-    pub load: &'a RealBuffer,
-}
-
-impl SolidBuffers {
-    /// What the solver reads of them, and the velocity, which it solves for.
-    pub fn fields(&self) -> SolidFields<'_> {
-        SolidFields {
-            step: (&self.step).into(),
-            rest: &self.rest,
-            velocity: &self.velocity,
-            flags: &self.flags,
-            displacement: &self.displacement,
-            gaps: &self.gaps,
-            freedom: &self.freedom,
-            answer: &self.answer,
-            elements: &self.elements,
-            rotated: &self.rotated,
-            element_forces: &self.element_forces,
-            load: &self.load,
+arrays! {
+    /// The system of the solids on the device. A node is a quad x, y, z, 0.
+    pub struct SolidSystemBuffers in "solid_solver" {
+        fields {
+            /// Scalar types: `real` of outer loop and conjugate gradients, `inner` of the preconditioner.
+            pub variant: Variant,
+            pub(super) sizes: Rows,
+            pub(super) layout: SolidRows,
+            /// The system on the host, where the device rounds the residual.
+            pub(super) to_host: Option<Mutex<SolidReadbacks>>,
         }
+        arrays {
+            /// The rows.
+            pub uniform rows: Rows [sizes],
+            /// Node in each slot of the rows, then where the slices and the solids start.
+            pub array list: u32 [layout.list.len()],
+            /// Dispatch size and number of nodes and of solids; after them the length of folded partials.
+            pub(super) array args: u32 [4 * (N_LISTS + 1)],
+            /// Corners of the nodes: see `common/gather.wgsl`.
+            pub array incidence: u32 [layout.incidence.len()],
+            array joints: u32 [layout.joints.len()],
+            array neighbours: u32 [layout.neighbours.len()],
+            /// Blocks zeta_K K_ij off the diagonal, kg/s: see `common/rows.wgsl`.
+            pub real blocks: (variant.inner) [12 * layout.neighbours.len()],
+            /// Inverse blocks of the diagonal, s/kg: xx, yy, zz, zeta_M m of all nodes, then xy, xz, yz, 0, then unit vectors along
+            /// which obstacles constrain the nodes.
+            pub real inverse: (variant.inner) [12 * layout.n_nodes()],
+            /// zeta_M m per node, then the mean of the diagonal of its block of S, kg/s.
+            pub real masses: (variant.real) [2 * layout.n_nodes()],
+            /// Right-hand side of the components that are not prescribed, N, and the squared norm of the terms that it sums.
+            pub real rhs: (variant.real) [4 * layout.n_nodes()],
+            /// True residual.
+            pub(super) real outer: (variant.real) [4 * layout.n_nodes()],
+            /// Products of the elements with a velocity.
+            pub(super) real products: (variant.real) [12 * layout.rows.n_elements as usize],
+            /// Residual of conjugate gradients.
+            pub(super) real r: (variant.real) [4 * layout.n_nodes()],
+            /// Preconditioned residual; between solves the next velocity of the active-set search, m/s.
+            pub real z: (variant.real) [4 * layout.n_nodes()],
+            /// Search direction, then correction.
+            pub(super) real search: (variant.real) [8 * layout.n_nodes()],
+            /// S s.
+            pub(super) real q: (variant.real) [4 * layout.n_nodes()],
+            /// Two iterates of the polynomial, and the last increment.
+            pub(super) real pair: (variant.inner) [8 * layout.n_nodes()],
+            pub(super) real increment: (variant.inner) [4 * layout.n_nodes()],
+            /// Best velocity of the active-set search, m/s.
+            pub real best: (variant.real) [4 * layout.n_nodes()],
+            pub(super) real partials: (variant.real) [4 * layout.n_nodes().max(FOLD_THREADS)],
+        }
+        views { q_in = q, q_out = q }
+        parts {}
     }
-}
-
-/// The solver's data on the device. A node is a quad x, y, z, 0.
-#[derive(Debug)]
-pub struct SolidSystemBuffers {
-    /// Scalar types: `real` of outer loop and conjugate gradients, `inner` of the preconditioner.
-    pub variant: Variant,
-    /// The rows.
-    pub rows: Buffer<Rows>,
-    pub(super) sizes: Rows,
-    /// What it was made for.
-    pub(super) layout: SolidRows,
-    pub(super) long_sums: bool,
-    pub(super) largest_body: usize,
-    /// Node in each slot of the rows, then where the slices and the solids start.
-    pub list: Buffer<u32>,
-    /// Dispatch size and number of nodes and of solids; after them the length of folded partials.
-    pub(super) args: Buffer<u32>,
-    /// Corners of the nodes: see `common/gather.wgsl`.
-    pub incidence: Buffer<u32>,
-    joints: Buffer<u32>,
-    neighbours: Buffer<u32>,
-    /// Blocks zeta_K K_ij off the diagonal, kg/s: see `common/rows.wgsl`.
-    pub blocks: RealBuffer,
-    /// Inverse blocks of the diagonal, s/kg: xx, yy, zz, zeta_M m of all nodes, then xy, xz, yz, 0, then unit vectors along which
-    /// obstacles hold the nodes.
-    pub inverse: RealBuffer,
-    /// zeta_M m per node, then the mean of the diagonal of its block of S, kg/s.
-    pub masses: RealBuffer,
-    /// Right-hand side of the components that are not prescribed, N, and the squared norm of the terms that it sums.
-    pub rhs: RealBuffer,
-    pub(super) outer: RealBuffer,
-    pub(super) products: RealBuffer,
-    pub(super) r: RealBuffer,
-    /// Preconditioned residual; between solves the next velocity in search of what is held, m/s.
-    pub z: RealBuffer,
-    pub(super) search: RealBuffer,
-    pub(super) q: RealBuffer,
-    pub(super) pair: RealBuffer,
-    pub(super) increment: RealBuffer,
-    /// The best velocity in search of what is held, m/s.
-    pub best: RealBuffer,
-    pub(super) partials: RealBuffer,
-    /// Where the device rounds the residual.
-    pub(super) to_host: Option<Mutex<SolidReadbacks>>,
 }
 
 impl SolidSystemBuffers {
@@ -320,15 +282,11 @@ impl SolidSystemBuffers {
     ) -> Result<SolidSystemBuffers, Error> {
         super::system::check_precision(gpu, solver.precision)?;
         let variant = variant(gpu.has_f64(), solver.precision);
-        let (n, m) = (
-            layout.rows.n_nodes as usize,
-            layout.rows.n_elements as usize,
-        );
-        let partials = n.max(FOLD_THREADS);
-        let n_neighbours = layout.neighbours.len();
-        let real = |label: &str, len| RealBuffer::new(gpu, label, len, variant.real);
-        let inner = |label: &str, len| RealBuffer::new(gpu, label, len, variant.inner);
         let sizes = layout.rows;
+        let to_host = (variant.real == Real::F32)
+            .then(|| SolidReadbacks::new(gpu, layout).map(Mutex::new))
+            .transpose()?;
+        let buffers = SolidSystemBuffers::allocate(gpu, variant, sizes, layout.clone(), to_host)?;
         let mut args = Vec::new();
         for n in [sizes.n_nodes.div_ceil(WG_SIZE), sizes.n_bodies] {
             args.extend(groups(n));
@@ -336,86 +294,70 @@ impl SolidSystemBuffers {
         }
         args[3] = sizes.n_nodes;
         args.extend([0, 0, 0, FOLD_THREADS as u32]);
-        Ok(SolidSystemBuffers {
-            variant,
-            rows: gpu.uniform("solid_solver.rows", &sizes)?,
-            sizes,
-            layout: layout.clone(),
-            long_sums: layout.long_sums(),
-            largest_body: layout.largest_body,
-            list: gpu.buffer_with("solid_solver.list", &layout.list)?,
-            args: gpu.buffer_with("solid_solver.args", &args)?,
-            incidence: gpu.buffer_with("solid_solver.incidence", &layout.incidence)?,
-            joints: gpu.buffer_with("solid_solver.joints", &layout.joints)?,
-            neighbours: gpu.buffer_with("solid_solver.neighbours", &layout.neighbours)?,
-            blocks: inner("solid_solver.blocks", 12 * n_neighbours)?,
-            inverse: inner("solid_solver.inverse", 12 * n)?,
-            masses: real("solid_solver.masses", 2 * n)?,
-            rhs: real("solid_solver.rhs", 4 * n)?,
-            outer: real("solid_solver.outer", 4 * n)?,
-            products: real("solid_solver.products", 12 * m)?,
-            r: real("solid_solver.r", 4 * n)?,
-            z: real("solid_solver.z", 4 * n)?,
-            search: real("solid_solver.search", 8 * n)?,
-            q: real("solid_solver.q", 4 * n)?,
-            pair: inner("solid_solver.pair", 8 * n)?,
-            increment: inner("solid_solver.increment", 4 * n)?,
-            best: real("solid_solver.best", 4 * n)?,
-            partials: real("solid_solver.partials", 4 * partials)?,
-            to_host: (variant.real == Real::F32)
-                .then(|| SolidReadbacks::new(gpu, layout).map(Mutex::new))
-                .transpose()?,
-        })
+        for (array, words) in [
+            (&buffers.list, &layout.list),
+            (&buffers.args, &args),
+            (&buffers.incidence, &layout.incidence),
+            (&buffers.joints, &layout.joints),
+            (&buffers.neighbours, &layout.neighbours),
+        ] {
+            gpu.upload(array, words);
+        }
+        Ok(buffers)
     }
 
     /// Binds the products of the elements with a velocity.
     pub(super) fn bind_products(
         &self,
         gpu: &Gpu,
-        fields: SolidFields,
+        fields: &SolidBuffers,
         x: &RealBuffer,
     ) -> Result<Bound, Error> {
-        Kernel::new(gpu, &crate::wgsl!("solid_products"), self.variant)?.bind(
+        let x = [("x", x.into())];
+        bind(
             gpu,
-            &[
-                ("rows", (&self.rows).into()),
-                ("elements", fields.elements.into()),
-                ("rotated", fields.rotated.into()),
-                ("x", x.into()),
-                ("products", (&self.products).into()),
-            ],
+            &wgsl!("solid_products"),
+            self.variant,
+            x,
+            &[self, fields],
         )
     }
 
     /// Binds P (rhs - S v), given the products with v.
-    pub(super) fn bind_residual(&self, gpu: &Gpu, fields: SolidFields) -> Result<Bound, Error> {
-        Kernel::new(gpu, &crate::wgsl!("solid_residual"), self.variant)?.bind(
+    pub(super) fn bind_residual(&self, gpu: &Gpu, fields: &SolidBuffers) -> Result<Bound, Error> {
+        let x = [("x", (&fields.velocity).into())];
+        bind(
             gpu,
-            &[
-                ("rows", (&self.rows).into()),
-                ("freedom", fields.freedom.into()),
-                ("incidence", (&self.incidence).into()),
-                ("products", (&self.products).into()),
-                ("masses", (&self.masses).into()),
-                ("x", fields.velocity.into()),
-                ("rhs", (&self.rhs).into()),
-                ("outer", (&self.outer).into()),
-                ("partials", (&self.partials).into()),
-            ],
+            &wgsl!("solid_residual"),
+            self.variant,
+            x,
+            &[self, fields],
         )
     }
 
     /// Binds the start of the unknowns, with what is free of v* as a correction on trial.
-    pub(super) fn bind_guess(&self, gpu: &Gpu, fields: SolidFields) -> Result<Bound, Error> {
-        Kernel::new(gpu, &crate::wgsl!("solid_guess"), self.variant)?.bind(
+    pub(super) fn bind_guess(&self, gpu: &Gpu, fields: &SolidBuffers) -> Result<Bound, Error> {
+        bind(
             gpu,
-            &[
-                ("rows", (&self.rows).into()),
-                ("freedom", fields.freedom.into()),
-                ("velocity", fields.velocity.into()),
-                ("search", (&self.search).into()),
-            ],
+            &wgsl!("solid_guess"),
+            self.variant,
+            [],
+            &[self, fields],
         )
+    }
+
+    /// Velocities as a block of unknowns.
+    pub(super) fn block<'a>(&'a self, fields: &'a SolidBuffers) -> Block<'a> {
+        Block {
+            level: self.level(),
+            variant: corrections(self.variant),
+            flags: &fields.flags,
+            list: &self.list,
+            args: &self.args,
+            x: &fields.velocity,
+            outer: &self.outer,
+            search: &self.search,
+        }
     }
 
     /// The uniform of the quads.
@@ -449,64 +391,33 @@ pub struct SolidSystem {
 
 impl SolidSystem {
     /// Compiles and binds; `obstacles` where there are any.
-    ///
-    /// # Errors
-    /// As [`Kernel::new`] and [`Kernel::bind`].
     pub fn new(
         gpu: &Gpu,
         buffers: &SolidSystemBuffers,
-        fields: SolidFields,
+        fields: &SolidBuffers,
         obstacles: Option<ObstacleField>,
     ) -> Result<SolidSystem, Error> {
-        let at_right_hand_side = &gpu.at(Stage::RightHandSide.name());
-        let kernel = |source| Kernel::new(at_right_hand_side, source, buffers.variant);
         let at_matrices = gpu.at(Stage::SolidMatrices.name());
-        let blocks = Kernel::new(&at_matrices, &crate::wgsl!("solid_blocks"), buffers.variant)?;
-        let rows = ("rows", (&buffers.rows).into());
-        let step = ("step", fields.step);
-        let flags = ("flags", fields.flags.into());
-        let rest = ("rest", fields.rest.into());
-        let load = ("load", fields.load.into());
-        let rotated = ("rotated", fields.rotated.into());
-        let incidence = ("incidence", (&buffers.incidence).into());
+        let at_right_hand_side = &gpu.at(Stage::RightHandSide.name());
+        let variant = buffers.variant;
+        let tables: [&dyn Arrays; 2] = [buffers, fields];
+        let forces = [("products", (&fields.element_forces).into())];
+        let right_hand_side = wgsl!("solid_right_hand_side");
         Ok(SolidSystem {
-            blocks: blocks.bind(
-                gpu,
-                &[
-                    rows,
-                    rotated,
-                    ("joints", (&buffers.joints).into()),
-                    ("neighbours", (&buffers.neighbours).into()),
-                    ("blocks", (&buffers.blocks).into()),
-                ],
+            blocks: bind(&at_matrices, &wgsl!("solid_blocks"), variant, [], &tables)?,
+            diagonals: bind(
+                at_right_hand_side,
+                &wgsl!("solid_diagonals"),
+                variant,
+                [],
+                &tables,
             )?,
-            diagonals: kernel(&crate::wgsl!("solid_diagonals"))?.bind(
-                gpu,
-                &[
-                    step,
-                    rows,
-                    ("freedom", fields.freedom.into()),
-                    rest,
-                    load,
-                    rotated,
-                    incidence,
-                    ("masses", (&buffers.masses).into()),
-                    ("inverse", (&buffers.inverse).into()),
-                ],
-            )?,
-            right_hand_side: kernel(&crate::wgsl!("solid_right_hand_side"))?.bind(
-                gpu,
-                &[
-                    step,
-                    rows,
-                    flags,
-                    rest,
-                    ("velocity", fields.velocity.into()),
-                    load,
-                    incidence,
-                    ("products", fields.element_forces.into()),
-                    ("rhs", (&buffers.rhs).into()),
-                ],
+            right_hand_side: bind(
+                at_right_hand_side,
+                &right_hand_side,
+                variant,
+                forces,
+                &tables,
             )?,
             contacts: SolidContacts::new(gpu, buffers, fields, obstacles)?,
             n_entries: buffers.sizes.n_entries as usize,

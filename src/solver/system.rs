@@ -5,16 +5,17 @@ use std::sync::Mutex;
 use crate::Error;
 use crate::fields::LiquidBuffers;
 use crate::gpu::{
-    Arrays, Binding, Bound, Buffer, CompactKernels, Compaction, Gpu, Kernel, Pass, Real,
-    RealBuffer, Variant, WG_SIZE, groups,
+    Bound, Buffer, CompactKernels, Compaction, Gpu, Pass, Real, Variant, WG_SIZE, groups,
 };
 use crate::grid::{Grid, Padded};
 use crate::scene::Precision;
 use crate::step::Stage;
+use crate::{arrays, wgsl};
 
 use super::components::STATE_WORDS;
 use super::host_residual::PressureReadbacks;
-use super::{FOLD_THREADS, Level, TAIL_LEVELS, TAIL_QUADS};
+use super::pcg::Block;
+use super::{FOLD_THREADS, Level, TAIL_LEVELS, TAIL_QUADS, bind};
 
 /// The levels of the hierarchy and where they lie: a function of the grid alone.
 #[derive(Clone, Debug)]
@@ -58,6 +59,11 @@ impl LevelPlan {
             total,
             tail,
         }
+    }
+
+    /// Padded cells of the finest level.
+    pub(super) fn cells(&self) -> usize {
+        self.levels[0].len()
     }
 
     /// The uniform of a level.
@@ -108,41 +114,53 @@ pub(super) fn check_precision(gpu: &Gpu, precision: Precision) -> Result<(), Err
         .check_precision(precision == Precision::F64 && !gpu.is_planning())
 }
 
-/// The solver's data on the device; all levels one after another unless said otherwise.
-#[derive(Debug)]
-pub struct SolverBuffers {
-    /// The levels.
-    pub plan: LevelPlan,
-    /// Scalar types.
-    pub variant: Variant,
-    /// Per quad: active lanes (bits 0-3), those in closed components (bits 4-7), and the uniform tag.
-    pub flags: Buffer<u32>,
-    /// Active quads per level, tagged.
-    pub list: Buffer<u32>,
-    /// Dispatch size and length of each level's list; after them the length of folded partials.
-    pub args: Buffer<u32>,
-    /// Weights of the minus faces along x, y, z; free-surface term; reciprocal diagonal: five sections, dimensionless.
-    pub matrix: RealBuffer,
-    /// Right-hand side b, level 0, m/s.
-    pub rhs: RealBuffer,
-    /// Potential phi, level 0, m/s. What inactive quads hold means nothing.
-    pub potential: RealBuffer,
-    /// Per padded cell, where [`Components`](super::Components) found closed ones: the scalar index of the smallest cell of
-    /// its component, with the highest bit set unless the component is closed. What inactive quads hold means nothing.
-    pub labels: Buffer<u32>,
-    /// State of that stage; its first word is the number of closed components.
-    pub components: Buffer<u32>,
-    pub(super) outer: RealBuffer,
-    pub(super) r: RealBuffer,
-    pub(super) z: RealBuffer,
-    pub(super) z_next: RealBuffer,
-    pub(super) search: RealBuffer,
-    pub(super) q: RealBuffer,
-    pub(super) partials: RealBuffer,
-    pub(super) outer_partials: RealBuffer,
-    scratch: Buffer<u32>,
-    /// Where the system arrives on the host, if residuals are not evaluated in f64 on the device.
-    pub(super) to_host: Option<Mutex<PressureReadbacks>>,
+arrays! {
+    /// The pressure's system on the device; all levels one after another unless said otherwise.
+    pub struct SolverBuffers in "solver" {
+        fields {
+            /// The levels.
+            pub plan: LevelPlan,
+            /// Scalar types.
+            pub variant: Variant,
+            /// Level 0 on the host, where the device rounds the residual.
+            pub(super) to_host: Option<Mutex<PressureReadbacks>>,
+        }
+        arrays {
+            /// Per quad: active lanes (bits 0-3), those in enclosed components (bits 4-7), and the uniform tag.
+            pub array flags: u32 [plan.total],
+            /// Active quads per level, tagged.
+            pub array list: u32 [plan.total],
+            /// Dispatch size and length of each level's list; after them the length of folded partials.
+            pub array args: u32 [4 * (plan.len() + 1)],
+            /// Weights of the minus faces along x, y, z; free-surface term; reciprocal diagonal: five sections, dimensionless.
+            pub real matrix: (variant.inner) [5 * 4 * plan.total],
+            /// Right-hand side b, level 0, m/s.
+            pub real rhs: (variant.real) [plan.cells()],
+            /// Potential phi, level 0, m/s; undefined in inactive quads.
+            pub real potential: (variant.real) [plan.cells()],
+            /// Per padded cell, where [`Components`](super::Components) found enclosed ones: the scalar index of the smallest cell of
+            /// its component, with the highest bit set unless the component is enclosed. Undefined in inactive quads.
+            pub array labels: u32 [plan.cells()],
+            /// State of that stage; its first word is the number of enclosed components.
+            pub array components: u32 [STATE_WORDS],
+            /// True residual, level 0, m/s.
+            pub(super) real outer: (variant.real) [plan.cells()],
+            /// Residual of conjugate gradients.
+            pub(super) real r: (variant.inner) [4 * plan.total],
+            /// Iterate of the V-cycle, and the next.
+            pub(super) real z: (variant.inner) [4 * plan.total],
+            pub(super) real z_next: (variant.inner) [4 * plan.total],
+            /// Search direction, then correction, level 0.
+            pub(super) real search: (variant.inner) [2 * plan.cells()],
+            /// B s, level 0.
+            pub(super) real q: (variant.inner) [plan.cells()],
+            pub(super) real partials: (variant.inner) [plan.cells().max(4 * FOLD_THREADS)],
+            pub(super) real outer_partials: (variant.real) [plan.cells().max(4 * FOLD_THREADS)],
+            array scratch: u32 [Compaction::scratch(plan.levels[0].quads)],
+        }
+        views { q_in = q, q_out = q, state = components }
+        parts {}
+    }
 }
 
 impl SolverBuffers {
@@ -154,57 +172,31 @@ impl SolverBuffers {
         check_precision(gpu, precision)?;
         let plan = LevelPlan::new(grid);
         let variant = variant(gpu.has_f64(), precision);
-        let (cells, total) = (plan.levels[0].len(), 4 * plan.total);
-        let partials = cells.max(4 * FOLD_THREADS);
-        let words = |label: &str, len| gpu.buffer(label, len);
-        let inner = |label: &str, len| RealBuffer::new(gpu, label, len, variant.inner);
-        let real = |label: &str, len| RealBuffer::new(gpu, label, len, variant.real);
-        // Empty lists; sums of two levels end with a fixed number of partials, which the last entry holds.
+        let to_host = (variant.real == Real::F32)
+            .then(|| PressureReadbacks::new(gpu, plan.levels[0].quads).map(Mutex::new))
+            .transpose()?;
+        // Empty lists; sums of two levels end with a fixed number of partials, which the last entry contains.
         let mut args = vec![0; 4 * (plan.len() + 1)];
         args[4 * plan.len() + 3] = FOLD_THREADS as u32;
-        Ok(SolverBuffers {
-            flags: words("solver.flags", plan.total)?,
-            list: words("solver.list", plan.total)?,
-            args: gpu.buffer_with("solver.args", &args)?,
-            matrix: inner("solver.matrix", 5 * total)?,
-            rhs: real("solver.rhs", cells)?,
-            potential: real("solver.potential", cells)?,
-            labels: words("solver.labels", cells)?,
-            components: words("solver.components", STATE_WORDS)?,
-            outer: real("solver.outer", cells)?,
-            r: inner("solver.r", total)?,
-            z: inner("solver.z", total)?,
-            z_next: inner("solver.z_next", total)?,
-            search: inner("solver.search", 2 * cells)?,
-            q: inner("solver.q", cells)?,
-            partials: inner("solver.partials", partials)?,
-            outer_partials: real("solver.outer_partials", partials)?,
-            scratch: words("solver.scratch", Compaction::scratch(plan.levels[0].quads))?,
-            to_host: (variant.real == Real::F32)
-                .then(|| PressureReadbacks::new(gpu, plan.levels[0].quads).map(Mutex::new))
-                .transpose()?,
-            plan,
-            variant,
-        })
+        let buffers = SolverBuffers::allocate(gpu, plan, variant, to_host)?;
+        gpu.upload(&buffers.args, &args);
+        Ok(buffers)
     }
-}
 
-impl Arrays for SolverBuffers {
-    fn array(&self, name: &str) -> Option<Binding<'_>> {
-        Some(match name {
-            "flags" => (&self.flags).into(),
-            "list" => (&self.list).into(),
-            "args" => (&self.args).into(),
-            "matrix" => (&self.matrix).into(),
-            "rhs" => (&self.rhs).into(),
-            "potential" => (&self.potential).into(),
-            "labels" => (&self.labels).into(),
-            _ => return None,
-        })
+    /// Potentials as a block of unknowns.
+    pub(super) fn block(&self) -> Block<'_> {
+        Block {
+            level: self.plan.level(0),
+            variant: self.variant,
+            flags: &self.flags,
+            list: &self.list,
+            args: &self.args,
+            x: &self.potential,
+            outer: &self.outer,
+            search: &self.search,
+        }
     }
-}
 
-impl SolverBuffers {
     /// Writes which lanes of the quads of the finest level were active in the last sub-step, before all work submitted later. The
     /// next one puts all quads back to zero, whatever else they hold.
     pub fn write_active(&self, gpu: &Gpu, grid: &Grid, flags: &[u32]) {
@@ -252,9 +244,6 @@ pub struct Everywhere {
 
 impl Everywhere {
     /// Lists them.
-    ///
-    /// # Errors
-    /// As [`Gpu::buffer`].
     pub fn new(gpu: &Gpu, grid: &Grid) -> Result<Everywhere, Error> {
         let (list, args) = everywhere(grid);
         Ok(Everywhere {
@@ -317,9 +306,6 @@ pub struct ActiveSettings {
 
 impl PressureSystem {
     /// Compiles and binds.
-    ///
-    /// # Errors
-    /// As [`Kernel::new`].
     pub fn new(
         gpu: &Gpu,
         buffers: &SolverBuffers,
@@ -339,7 +325,6 @@ impl PressureSystem {
             flags,
             list,
             args,
-            matrix,
             scratch,
             ..
         } = buffers;
@@ -354,52 +339,25 @@ impl PressureSystem {
             pad_1: 0.0,
         };
         let settings = gpu.uniform("solver.active_settings", &settings)?;
-        let kernel = Kernel::new(gpu, &crate::wgsl!("clear_system"), inner)?;
-        let clear_system = levels
-            .iter()
-            .map(|level| {
-                kernel.bind(
-                    gpu,
-                    &[
-                        ("level", level.into()),
-                        ("list", list.into()),
-                        ("args", args.into()),
-                        ("flags", flags.into()),
-                        ("matrix", matrix.into()),
-                    ],
-                )
-            })
-            .collect::<Result<Vec<_>, _>>()?;
-        let active_cells = Kernel::new(gpu, &crate::wgsl!("active_cells"), inner)?.bind(
-            gpu,
-            &[
-                ("level", (&levels[0]).into()),
-                ("settings", (&settings).into()),
-                ("list", within.list.into()),
-                ("args", within.args.into()),
-                ("liquid_distance", liquid_distance.into()),
-                ("open", open.into()),
-                ("flags", flags.into()),
-                ("matrix", matrix.into()),
-            ],
-        )?;
-        let kernel = Kernel::new(gpu, &crate::wgsl!("coarsen"), inner)?;
-        let coarsen = levels
-            .windows(2)
-            .map(|pair| {
-                kernel.bind(
-                    gpu,
-                    &[
-                        ("fine", (&pair[0]).into()),
-                        ("coarse", (&pair[1]).into()),
-                        ("list", list.into()),
-                        ("args", args.into()),
-                        ("flags", flags.into()),
-                        ("matrix", matrix.into()),
-                    ],
-                )
-            })
-            .collect::<Result<Vec<_>, _>>()?;
+        let clear_system = levels.iter().map(|level| {
+            let own = [("level", level.into())];
+            bind(gpu, &wgsl!("clear_system"), inner, own, &[buffers])
+        });
+        let clear_system = clear_system.collect::<Result<Vec<_>, _>>()?;
+        let own = [
+            ("level", (&levels[0]).into()),
+            ("settings", (&settings).into()),
+            ("list", within.list.into()),
+            ("args", within.args.into()),
+            ("liquid_distance", liquid_distance.into()),
+            ("open", open.into()),
+        ];
+        let active_cells = bind(gpu, &wgsl!("active_cells"), inner, own, &[buffers])?;
+        let coarsen = levels.windows(2).map(|pair| {
+            let own = [("fine", (&pair[0]).into()), ("coarse", (&pair[1]).into())];
+            bind(gpu, &wgsl!("coarsen"), inner, own, &[buffers])
+        });
+        let coarsen = coarsen.collect::<Result<Vec<_>, _>>()?;
         let kernels = CompactKernels::new(gpu)?;
         let compact = (0..plan.len())
             .map(|level| {

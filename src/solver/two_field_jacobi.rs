@@ -2,13 +2,14 @@
 //! diag(B) + diag(J Z1^-1 J^T), of those of the solids diag(Z2 + Z2 Z1^-1 Z2), or the 3x3 blocks of the nodes.
 
 use crate::Error;
-use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, RealBuffer};
+use crate::gpu::{Bound, Buffer, Gpu, Pass, RealBuffer};
 use crate::scene::Preconditioner;
+use crate::wgsl;
 
-use super::Level;
 use super::chebyshev::Polynomial;
+use super::coupled::CoupledFields;
 use super::solid_solver::Chebyshev;
-use super::two_field::CoupledFields;
+use super::{Level, bind};
 
 /// Its kernels.
 #[derive(Debug)]
@@ -26,9 +27,6 @@ const KIND: &str = "coupled_solver.diagonal_kind";
 
 impl Jacobi {
     /// Compiles and binds.
-    ///
-    /// # Errors
-    /// As [`Kernel::new`] and [`Gpu::buffer`].
     pub(super) fn new(
         gpu: &Gpu,
         at: CoupledFields,
@@ -39,7 +37,6 @@ impl Jacobi {
         let CoupledFields {
             liquid,
             solids,
-            fields,
             coupling,
             ..
         } = at;
@@ -47,55 +44,25 @@ impl Jacobi {
         let diagonal = RealBuffer::new(gpu, DIAGONAL, 8 * n_nodes, liquid.variant.real)?;
         let blocks = u32::from(kind == Preconditioner::BlockJacobi);
         let kind = gpu.uniform(KIND, &[blocks, 0, 0, 0])?;
-        let kernel = |source| Kernel::new(gpu, source, liquid.variant);
-        let joint = ("coupling", (&coupling.coupling).into());
-        let freedom = ("freedom", fields.freedom.into());
-        let masses = ("masses", (&solids.masses).into());
-        let partials = ("partials", (&coupling.partials).into());
+        let variant = liquid.variant;
+        let own = [("kind", (&kind).into()), ("diagonal", (&diagonal).into())];
+        let quads = [("level", level.into()), ("z", (&liquid.z_next).into())];
         Ok(Jacobi {
             n_nodes,
-            set_up: kernel(&crate::wgsl!("two_field_diagonal"))?.bind(
+            set_up: bind(
                 gpu,
-                &[
-                    joint,
-                    ("rows", (&solids.rows).into()),
-                    ("kind", (&kind).into()),
-                    ("list", (&solids.list).into()),
-                    ("blocks", (&solids.blocks).into()),
-                    freedom,
-                    masses,
-                    ("rotated", fields.rotated.into()),
-                    ("incidence", (&solids.incidence).into()),
-                    ("diagonal", (&diagonal).into()),
-                ],
+                &wgsl!("two_field_diagonal"),
+                variant,
+                own,
+                &at.by_node(),
             )?,
-            quads: kernel(&crate::wgsl!("couple_jacobi"))?.bind(
+            quads: bind(gpu, &wgsl!("couple_jacobi"), variant, quads, &at.by_quad())?,
+            nodes: bind(
                 gpu,
-                &[
-                    joint,
-                    ("level", level.into()),
-                    ("words", (&coupling.words).into()),
-                    ("pairs", (&coupling.quad_pairs).into()),
-                    freedom,
-                    masses,
-                    ("matrix", (&liquid.matrix).into()),
-                    ("r", (&liquid.r).into()),
-                    ("z", (&liquid.z_next).into()),
-                    partials,
-                ],
-            )?,
-            nodes: Kernel::new(gpu, &crate::wgsl!("two_field_jacobi"), liquid.variant.real)?.bind(
-                gpu,
-                &[
-                    joint,
-                    ("r", (&solids.r).into()),
-                    ("diagonal", (&diagonal).into()),
-                    freedom,
-                    masses,
-                    ("t", (&coupling.t).into()),
-                    ("z", (&solids.z).into()),
-                    partials,
-                ],
+                &wgsl!("two_field_jacobi"),
+                variant.real,
+                own,
+                &at.by_node(),
             )?,
             polynomial: Chebyshev::new(gpu, solids, polynomial, &solids.r, &coupling.t)?,
         })

@@ -2,11 +2,14 @@
 //! system is solved by itself; what joins them stands here.
 
 use crate::Error;
-use crate::gpu::{Bound, Buffer, Gpu, Kernel, Pass, RealBuffer, Recorder};
+use crate::fields::SolidBuffers;
+use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, RealBuffer, Recorder};
 use crate::step::Stage;
+use crate::wgsl;
 
+use super::bind;
 use super::coupling::CouplingBuffers;
-use super::solid_system::{SolidFields, SolidSystemBuffers};
+use super::solid_system::SolidSystemBuffers;
 use super::system::SolverBuffers;
 
 /// What weak coupling keeps.
@@ -20,9 +23,6 @@ pub struct WeakBuffers {
 
 impl WeakBuffers {
     /// Allocates.
-    ///
-    /// # Errors
-    /// [`Error::Limit`] where the adapter is too small.
     pub fn new(gpu: &Gpu, solids: &SolidSystemBuffers) -> Result<WeakBuffers, Error> {
         let n = solids.sizes.n_nodes as usize;
         Ok(WeakBuffers {
@@ -32,7 +32,7 @@ impl WeakBuffers {
     }
 
     /// Records, before anything moves, what the pressure will be solved against.
-    pub fn record(&self, to: &mut Recorder, fields: SolidFields) {
+    pub fn record(&self, to: &mut Recorder, fields: &SolidBuffers) {
         to.copy(&fields.velocity.words, &self.before.words);
     }
 }
@@ -49,52 +49,29 @@ pub struct Weak {
 
 impl Weak {
     /// Compiles and binds.
-    ///
-    /// # Errors
-    /// As [`Kernel::new`] and [`Kernel::bind`].
     pub fn new(
         gpu: &Gpu,
         (liquid, solids): (&SolverBuffers, &SolidSystemBuffers),
-        fields: SolidFields,
+        fields: &SolidBuffers,
         coupling: &CouplingBuffers,
         buffers: &WeakBuffers,
     ) -> Result<Weak, Error> {
-        let joint = ("coupling", (&coupling.coupling).into());
-        let words = ("words", (&coupling.words).into());
-        let flags = ("flags", (&liquid.flags).into());
-        let base = ("base", (&coupling.base).into());
-        let rhs = ("rhs", (&liquid.rhs).into());
-        let kernel =
-            |stage: Stage, source| Kernel::new(&gpu.at(stage.name()), source, liquid.variant.real);
+        let real = liquid.variant.real;
+        let before = [("x", (&buffers.before).into())];
+        let pushed = [
+            ("p", (&liquid.potential).into()),
+            ("node_flags", (&fields.flags).into()),
+        ];
+        let at_components = gpu.at(Stage::ClosedComponents.name());
+        let against = |source, own| bind(&at_components, &source, real, own, &[coupling, liquid]);
+        let at_solve = gpu.at(Stage::Solve.name());
+        let tables: [&dyn Arrays; 3] = [coupling, solids, liquid];
         Ok(Weak {
             against: [
-                kernel(Stage::ClosedComponents, &crate::wgsl!("couple_keep"))?
-                    .bind(gpu, &[joint, words, rhs, base])?,
-                kernel(Stage::ClosedComponents, &crate::wgsl!("couple_residual"))?.bind(
-                    gpu,
-                    &[
-                        joint,
-                        words,
-                        ("pairs", (&coupling.quad_pairs).into()),
-                        flags,
-                        ("x", (&buffers.before).into()),
-                        base,
-                        rhs,
-                    ],
-                )?,
+                against(wgsl!("couple_keep"), before)?,
+                against(wgsl!("couple_residual"), before)?,
             ],
-            push: kernel(Stage::Solve, &crate::wgsl!("weak_push"))?.bind(
-                gpu,
-                &[
-                    joint,
-                    words,
-                    ("pairs", (&coupling.node_pairs).into()),
-                    flags,
-                    ("p", (&liquid.potential).into()),
-                    ("node_flags", fields.flags.into()),
-                    ("rhs", (&solids.rhs).into()),
-                ],
-            )?,
+            push: bind(&at_solve, &wgsl!("weak_push"), real, pushed, &tables)?,
             n_quads: coupling.size.quads,
             n_nodes: coupling.n_nodes,
         })

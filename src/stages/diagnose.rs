@@ -34,7 +34,7 @@ pub fn diagnose(
         .bind_arrays(gpu, &[&open, &clip, solver, liquid])?;
     list.push(divergence.indirect(&solver.args, 0));
     if let Some((_, coupling, x)) = solids {
-        let own = [("x", x.into()), ("pairs", (&coupling.quad_pairs).into())];
+        let own = [("x", x.into())];
         let kernel = Kernel::new(gpu, &wgsl!("measure_cut_divergence"), with_flux(x.real))?;
         let bound = kernel.bind_arrays(gpu, &[&own, &open, liquid, solver, coupling])?;
         list.push(bound.threads(coupling.size.quads));
@@ -63,10 +63,7 @@ pub fn diagnose_coupling(
     correction: Option<&RealBuffer>,
 ) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::Diagnose.name());
-    let own = [
-        ("pairs", (&coupling.node_pairs).into()),
-        ("p", (&solver.potential).into()),
-    ];
+    let own = [("p", (&solver.potential).into())];
     let measure = Kernel::new(gpu, &wgsl!("measure_coupling"), coupling.partials.real)?
         .bind_arrays(gpu, &[&own, coupling, solver])?;
     let mut list = vec![measure.threads(coupling.n_nodes)];

@@ -544,7 +544,7 @@ fn assert_planned(name: &str, scene: &Scene) {
         let planned = plan.stages.iter().find(|planned| planned.name == stage);
         let kernels = planned.map_or(&[][..], |planned| &planned.kernels);
         assert!(kernels.contains(&kernel), "{name}: {kernel} in {stage}");
-        let of_both = kernel.starts_with("two_field") || kernel == "coupled_turn";
+        let of_both = kernel.starts_with("two_field");
         assert!(touching || !of_both, "{name}: {kernel}");
     }
     assert_eq!(gpu.allocated(), before, "{name}: a sub-step allocates");

@@ -144,7 +144,8 @@ fn settings_match() {
     let fields = fields!(ActiveSettings: theta_floor, open_sides, pad_0, pad_1);
     let size = size_of::<ActiveSettings>();
     assert_layout("active_cells", "ActiveSettings", fields, size);
-    let fields = fields!(RefineSettings: tolerance, rounding, round_floor, guess);
+    let fields =
+        fields!(RefineSettings: tolerance, rounding, floor, guess, n_blocks, pad_0, pad_1, pad_2);
     let size = size_of::<RefineSettings>();
     assert_layout("refine", "RefineSettings", fields, size);
 }
@@ -219,9 +220,17 @@ const SHARED: &[(&str, &str, &[&str])] = &[
         &["UPDATE", "TURN", "BEGIN"],
     ),
     (
-        "src/solver/refine.rs",
+        "src/solver/acceptance.rs",
         "common/refine",
-        &["NORM_R", "NORM_B", "NORM_TERMS", "SCALE"],
+        &[
+            "SCALE",
+            "RESIDUAL",
+            "RHS",
+            "TERMS",
+            "REFERENCE",
+            "NORMS_OF_STATE",
+            "NORMS_OF_BLOCK",
+        ],
     ),
     (
         "src/solver/refine.rs",
@@ -230,21 +239,21 @@ const SHARED: &[(&str, &str, &[&str])] = &[
     ),
     ("src/solver/refine.rs", "common/pcg_slots", &["GOAL"]),
     (
-        "src/solver/refine.rs",
+        "src/solver/acceptance.rs",
         "refine_turn",
-        &["ROUND_MARGIN", "ROUNDING_OF_X"],
+        &[
+            "MARGIN",
+            "MARGIN_COUPLED",
+            "RETRY_COUPLED",
+            "ROUNDING_OF_X",
+            "STRICTEST",
+        ],
     ),
     (
         "src/solver/components.rs",
         "common/components",
         &["N_CLOSED"],
     ),
-    (
-        "src/solver/coupled_host.rs",
-        "coupled_turn",
-        &["ROUND_MARGIN", "SMALLEST", "STRICTER", "STRICTEST"],
-    ),
-    ("src/solver/refine.rs", "coupled_turn", &["ROUNDING_OF_X"]),
 ];
 
 #[test]
@@ -287,6 +296,10 @@ fn derived_constants_match() {
     let fold_groups =
         of_shader("pcg_gate", "FOLD_GROUPS") * of_shader("common/dispatch", "WG_SIZE");
     assert_eq!(constant("src/solver/mod.rs", "FOLD_THREADS"), fold_groups);
+    assert_eq!(
+        constant("src/solver/acceptance.rs", "COUPLING_SHARE").powi(2),
+        of_shader("refine_turn", "COUPLING_SHARE")
+    );
     // Its workgroups must be allowed everywhere.
     for (shader, name) in [("common/tree", "FOLD_SIZE"), ("common/scan", "SCAN_SIZE")] {
         assert_eq!(of_shader(shader, name), 256.0, "{name}");

@@ -95,8 +95,8 @@ impl<'a> Device<'a> {
         });
         let device = Device {
             gpu,
-            system: SolidSystem::new(gpu, &buffers, fields.fields(), field).unwrap(),
-            solver: SolidSolver::new(gpu, &buffers, fields.fields(), solver).unwrap(),
+            system: SolidSystem::new(gpu, &buffers, &fields, field).unwrap(),
+            solver: SolidSolver::new(gpu, &buffers, &fields, solver).unwrap(),
             polynomial: Polynomial::new(degree, bounds.block_jacobi),
             fields,
             buffers,
@@ -151,7 +151,7 @@ impl<'a> Device<'a> {
 
     /// The verdict, and the velocities: three numbers per node.
     fn solve(&self) -> (Outcome, Vec<f64>) {
-        let (gpu, fields) = (self.gpu, self.fields.fields());
+        let (gpu, fields) = (self.gpu, &self.fields);
         self.fields.write_state(gpu, &self.state);
         let to = self.prepare();
         let solve = self
@@ -163,13 +163,13 @@ impl<'a> Device<'a> {
     }
 
     fn apply(&self, x: &[f64]) -> Vec<f64> {
-        let fields = self.fields.fields();
+        let fields = &self.fields;
         let answer = self.solver.apply(self.gpu, &self.buffers, fields, &four(x));
         three(&answer.unwrap()[..4 * self.n_nodes])
     }
 
     fn precondition(&self, r: &[f64]) -> Vec<f64> {
-        let (gpu, fields) = (self.gpu, self.fields.fields());
+        let (gpu, fields) = (self.gpu, &self.fields);
         let answer =
             self.solver
                 .precondition(gpu, &self.buffers, fields, &self.polynomial, &four(r));

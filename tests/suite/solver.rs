@@ -821,7 +821,7 @@ fn a_limit_of_iterations_leaves_the_iterate_of_the_twin() {
                 let solved = Device::holding(gpu, &case, &solver).solve();
                 let what = format!("{precision:?} {preconditioner:?} {limit}");
                 assert_eq!(solved.outcome.iterations, limit, "{what}: iterations");
-                assert_eq!(solved.outcome.rounds, 1, "{what}: rounds");
+                assert_eq!(solved.outcome.refinements, 1, "{what}: rounds");
                 let mut x = vec![0.0; case.rhs.len()];
                 conjugate_gradient(
                     &system.stencil,
@@ -878,7 +878,7 @@ fn a_breakdown_is_told() {
             let solve = device.pressure().solve(gpu, recorder, &device.buffers);
             let (outcome, _) = solve.unwrap();
             assert_eq!(
-                (outcome.status, outcome.iterations, outcome.rounds),
+                (outcome.status, outcome.iterations, outcome.refinements),
                 (SolveStatus::Breakdown, iterations, 1),
                 "{precision:?} {preconditioner:?}: {outcome:?}"
             );

@@ -428,7 +428,7 @@ fn within_cells(device: &OnDevice, joint: &Joint, name: &str, at_rest: DVec3, fo
         level: &level,
         open,
     });
-    let fields = device.fields.fields();
+    let fields = &device.fields;
     let stage = PatchPressure::new(
         gpu,
         buffers,

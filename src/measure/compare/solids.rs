@@ -18,7 +18,7 @@ use crate::reference::{
 };
 use crate::scene::{Scene, Solver};
 use crate::sim::{GpuPath, SolidSnapshot, coupled_system, stored_coupling};
-use crate::solver::{OF_OTHER, rounding};
+use crate::solver::{COUPLING_SHARE, rounding};
 use crate::step::Stage;
 
 use crate::state::SolidDiagnosis;
@@ -443,7 +443,7 @@ impl<'a> SolidJudge<'a> {
         if let (Some(both), Some(liquid)) = (both.filter(|both| both.touch()), &self.scene.liquid) {
             let [force, gross] = both.force(liquid.density * self.grid.dx / dt);
             let pushed = system.free_part(force.as_chunks().0);
-            size = size.max(OF_OTHER * norm(&pushed));
+            size = size.max(COUPLING_SHARE * norm(&pushed));
             system.push(&force);
             of_areas = 4.0 * EPS * norm(&gross);
         }

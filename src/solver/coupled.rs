@@ -1,0 +1,534 @@
+//! Liquid and solids as one system of two blocks, potentials and velocities, refined on the residual of the indefinite system (thesis 5.17):
+//!
+//! ```text
+//!   [B  J; J^T -S] [phi; v] = [E u*; -rhs]         r_p = E u* - B phi - J v,   r_v = P (rhs - S v + J^T phi)
+//! ```
+//!
+//! in the units of the pressure's system: phi is a potential, m/s, rows of the liquid are divided by dx^2 and those of the solids by
+//! rho dx^3/dt, the mass rate of a cell, so that J is the same in both.
+//!
+//! Corrections have one of two forms: [`two_field`](super::two_field), both blocks by conjugate gradients on the device, or
+//! [`schur`](super::schur), pressures alone.
+
+use std::sync::{Mutex, PoisonError};
+
+use crate::Error;
+use crate::fields::SolidBuffers;
+use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, Readback, Real, Recorder, StageTimes};
+use crate::scene::{Formulation, Solver};
+use crate::state::SolveStatus;
+use crate::wgsl;
+
+use super::chebyshev::Polynomial;
+use super::coupled_host::HostCoupled;
+use super::coupling::{CouplingBuffers, N_LISTS, NODES, PARTIALS, WET};
+use super::pcg::{Block, Pcg, State, Unknowns};
+use super::pressure::Pressure;
+use super::refine::{Form, Outcome, OuterLoop, Pace, Shared, System};
+use super::schur::{self, Prepared, Schur, check_formulation};
+use super::solid_contacts::ContactSearch;
+use super::solid_system::SolidSystemBuffers;
+use super::two_field::Monolithic;
+use super::{SolverBuffers, bind};
+
+/// Refinement steps in a submission.
+const STEPS: usize = 2;
+
+/// Result of a coupled solve.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CoupledOutcome {
+    /// Status.
+    pub status: SolveStatus,
+    /// Iterations of conjugate gradients in all refinement steps.
+    pub iterations: u32,
+    /// Refinement steps.
+    pub refinements: u32,
+    /// Active cells, and free directions of nodes.
+    pub unknowns: [u32; 2],
+    /// |r| over |b| of the rows of the liquid and of those of the solids; 0 for b = 0.
+    pub residuals: [f64; 2],
+    /// |r| over the norm of the terms that b sums, likewise.
+    pub residual_terms: [f64; 2],
+    /// Whether these were evaluated in f64.
+    pub verified: bool,
+    /// Whether corrections had the Schur-complement form.
+    pub condensed: bool,
+}
+
+impl CoupledOutcome {
+    fn new(blocks: &[Outcome], condensed: bool) -> CoupledOutcome {
+        let [p, v] = [blocks[0], blocks[1]];
+        CoupledOutcome {
+            status: p.status,
+            iterations: p.iterations,
+            refinements: p.refinements,
+            unknowns: [p.unknowns, v.unknowns],
+            residuals: [p.residual, v.residual],
+            residual_terms: [p.residual_terms, v.residual_terms],
+            verified: p.verified,
+            condensed,
+        }
+    }
+
+    /// Results of liquid, with this number of enclosed components, and of solids. Both have all iterations.
+    pub fn parts(&self, closed_components: u32) -> [Outcome; 2] {
+        [(0, closed_components), (1, 0)].map(|(part, closed_components)| Outcome {
+            status: self.status,
+            iterations: self.iterations,
+            refinements: self.refinements,
+            unknowns: self.unknowns[part],
+            closed_components,
+            residual: self.residuals[part],
+            residual_terms: self.residual_terms[part],
+            verified: self.verified,
+        })
+    }
+}
+
+/// Arrays of both systems and of the coupling.
+#[derive(Clone, Copy, Debug)]
+pub struct CoupledFields<'a> {
+    /// The system of the liquid.
+    pub liquid: &'a SolverBuffers,
+    /// The system of the solids.
+    pub solids: &'a SolidSystemBuffers,
+    /// State of the solids.
+    pub fields: &'a SolidBuffers,
+    /// J.
+    pub coupling: &'a CouplingBuffers,
+    /// u* on the faces.
+    pub velocity: &'a Buffer<f32>,
+    /// Open fractions of the faces.
+    pub open: &'a Buffer<f32>,
+}
+
+impl<'a> CoupledFields<'a> {
+    /// Tables for kernels over the wet quads: with names that both systems have, those of the liquid.
+    pub(super) fn by_quad(&self) -> [&'a dyn Arrays; 4] {
+        [self.coupling, self.liquid, self.solids, self.fields]
+    }
+
+    /// Tables for kernels over the nodes: with names that both systems have, those of the solids. `flags`: of the quads.
+    pub(super) fn by_node(&self) -> [&'a dyn Arrays; 4] {
+        [self.coupling, self.solids, self.liquid, self.fields]
+    }
+}
+
+/// Solver of the coupled system.
+#[derive(Debug)]
+pub struct CoupledSolver {
+    outer: OuterLoop<Coupled>,
+    polynomial: Buffer<Polynomial>,
+    push: Bound,
+    search: ContactSearch,
+}
+
+/// Arrays and choices of a solve.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Case<'a> {
+    at: CoupledFields<'a>,
+    degree: usize,
+    form: Form<'a>,
+    /// Whether the dispatch sizes are in place.
+    sized: bool,
+    /// Whether the right-hand side is that of the last solve.
+    again: bool,
+}
+
+impl<'a> Case<'a> {
+    fn new(at: CoupledFields<'a>, degree: usize) -> Case<'a> {
+        Case {
+            at,
+            degree,
+            form: Form::Monolithic,
+            sized: false,
+            again: false,
+        }
+    }
+}
+
+/// Kernels of both forms, and those of the residual.
+#[derive(Debug)]
+struct Coupled {
+    pressure: Pressure,
+    args: Bound,
+    guess: Bound,
+    keep: Bound,
+    residual: Residual,
+    /// Weight of the velocities in the norm of conjugate gradients.
+    weight: Bound,
+    /// J^T of a search direction of the pressure.
+    force: Bound,
+    monolithic: Monolithic,
+    schur: Option<Schur>,
+    /// For the right-hand side of the wet quads, where residuals are evaluated on the host.
+    base: Option<Mutex<Readback<u32>>>,
+}
+
+#[derive(Debug)]
+struct Residual {
+    /// b - J v in the wet quads; products of the elements with v; P (rhs - S v); the same with J^T phi; sums.
+    quads: Bound,
+    products: Bound,
+    solid: Bound,
+    nodes: Bound,
+    sums: Bound,
+}
+
+impl CoupledSolver {
+    /// Compiles and binds.
+    ///
+    /// # Errors
+    /// [`Error::Limit`] where the adapter is too small, or the Schur-complement form is required and does not serve.
+    pub fn new(gpu: &Gpu, at: CoupledFields, solver: &Solver) -> Result<CoupledSolver, Error> {
+        let CoupledFields {
+            liquid,
+            solids,
+            fields,
+            coupling,
+            ..
+        } = at;
+        let n_nodes = solids.layout.rows.n_nodes as usize;
+        if !gpu.is_planning() {
+            check_formulation(n_nodes, solver, liquid.variant)?;
+        }
+        let polynomial = gpu.uniform("coupled_solver.polynomial", &Polynomial::new(0, 1.0))?;
+        let outer = OuterLoop::new(gpu, Case::new(at, 0), solver, |shared| {
+            Coupled::new(gpu, at, shared, &polynomial, solver)
+        })?;
+        let own = [
+            ("p", (&liquid.potential).into()),
+            ("pushed", (&coupling.difference).into()),
+        ];
+        let real = liquid.variant.real;
+        let push = bind(gpu, &wgsl!("couple_push"), real, own, &at.by_node())?;
+        Ok(CoupledSolver {
+            outer,
+            polynomial,
+            push,
+            search: ContactSearch::new(gpu, solids, fields, &coupling.difference)?,
+        })
+    }
+
+    /// Submits the recording, which ends with both systems and J in place, with the solve at its end, and waits for the outcome. Potential
+    /// and velocity are the result. `polynomial`: of the solids' preconditioner, for this step's S. `again`: the same right-hand side as
+    /// in the last solve, with other constraints.
+    /// A solve that does not converge is an outcome.
+    pub fn solve(
+        &self,
+        gpu: &Gpu,
+        mut recorder: Recorder,
+        at: CoupledFields,
+        polynomial: &Polynomial,
+        again: bool,
+    ) -> Result<(CoupledOutcome, StageTimes), Error> {
+        let system = &self.outer.system;
+        let mut times = StageTimes::new();
+        let mut case = Case {
+            again,
+            ..Case::new(at, polynomial.degree as usize)
+        };
+        let prepared;
+        if let Some(schur) = &system.schur {
+            let mut stages;
+            (prepared, stages) = schur.prepare(gpu, recorder, at, polynomial, |pass| {
+                pass.dispatch(&system.args, 1);
+            })?;
+            times.append(&mut stages);
+            recorder = Recorder::timed(gpu);
+            case.sized = true;
+            case.form = match &prepared {
+                Prepared::Schur(inverse) => Form::Schur(schur.elimination(at, inverse)),
+                Prepared::Monolithic => Form::Monolithic,
+                Prepared::Singular => Form::Singular,
+            };
+        }
+        let monolithic = matches!(case.form, Form::Monolithic);
+        if monolithic {
+            gpu.upload(&self.polynomial, &[*polynomial]);
+        } else {
+            self.outer.clear(gpu, case);
+        }
+        let (outcomes, mut stages) = self.outer.solve(gpu, recorder, case)?;
+        times.append(&mut stages);
+        Ok((CoupledOutcome::new(&outcomes, !monolithic), times))
+    }
+
+    /// From the next solve on, another tolerance of both residuals.
+    pub fn set_tolerance(&mut self, gpu: &Gpu, tolerance: f64) {
+        self.outer.set_tolerance(gpu, tolerance);
+    }
+
+    /// Records, after a solve, the forces on the nodes, liquid included.
+    pub fn record_push(&self, pass: &mut Pass, n_nodes: usize) {
+        pass.dispatch(&self.push, n_nodes);
+    }
+
+    /// The search for the active set of contacts.
+    pub fn search(&self) -> &ContactSearch {
+        &self.search
+    }
+
+    /// A x as conjugate gradients evaluate it; x and A x: quads of level 0 in the device layout, then four numbers per node. Inactive
+    /// cells of A x are undefined. Overwrites work arrays of the solve.
+    pub fn apply(&self, gpu: &Gpu, at: CoupledFields, x: &[f64]) -> Result<Vec<f64>, Error> {
+        let (p, v) = x.split_at(4 * at.liquid.plan.levels[0].quads);
+        self.outer.apply(gpu, Case::new(at, 0), &[p, v])?;
+        let mut q = at.liquid.q.download(gpu)?;
+        q.extend(at.solids.q.download(gpu)?);
+        Ok(q)
+    }
+
+    /// The preconditioner of a residual g, as conjugate gradients evaluate it; vectors as those of [`CoupledSolver::apply`], g 0 in
+    /// inactive cells and constrained directions. Overwrites work arrays of the solve.
+    pub fn precondition(
+        &self,
+        gpu: &Gpu,
+        at: CoupledFields,
+        polynomial: &Polynomial,
+        g: &[f64],
+    ) -> Result<Vec<f64>, Error> {
+        gpu.upload(&self.polynomial, &[*polynomial]);
+        let n = 4 * at.liquid.plan.levels[0].quads;
+        let (p, v) = g.split_at(n);
+        at.liquid.outer.upload(gpu, p);
+        at.solids.r.upload(gpu, v);
+        let case = Case::new(at, polynomial.degree as usize);
+        self.outer.precondition(gpu, case, |coupled, pass, state| {
+            coupled.pressure.begin(pass, state);
+        })?;
+        let mut z = at.liquid.z_next.download(gpu)?;
+        z.truncate(n);
+        z.extend(at.solids.z.download(gpu)?);
+        Ok(z)
+    }
+}
+
+impl Coupled {
+    fn new(
+        gpu: &Gpu,
+        at: CoupledFields,
+        shared: &Shared,
+        polynomial: &Buffer<Polynomial>,
+        solver: &Solver,
+    ) -> Result<Coupled, Error> {
+        let CoupledFields {
+            liquid,
+            solids,
+            fields,
+            coupling,
+            ..
+        } = at;
+        let variant = liquid.variant;
+        let sized = [("from_args", (&liquid.args).into())];
+        let direction = [("p", (&liquid.search).into())];
+        Ok(Coupled {
+            pressure: Pressure::new(gpu, liquid, shared, at.velocity, at.open, solver)?,
+            args: bind(gpu, &wgsl!("coupled_args"), variant, sized, &[coupling])?,
+            guess: solids.bind_guess(gpu, fields)?,
+            keep: bind(gpu, &wgsl!("couple_keep"), variant.real, [], &at.by_quad())?,
+            residual: Residual::new(gpu, at, shared)?,
+            weight: bind(
+                gpu,
+                &wgsl!("two_field_weight"),
+                variant,
+                [],
+                &[coupling, shared],
+            )?,
+            force: bind(
+                gpu,
+                &wgsl!("couple_force"),
+                variant,
+                direction,
+                &at.by_node(),
+            )?,
+            monolithic: Monolithic::new(gpu, at, shared, polynomial, solver)?,
+            schur: match solver.formulation {
+                Formulation::TwoField => None,
+                Formulation::Auto | Formulation::Condensed => Schur::new(gpu, at, shared, solver)?,
+            },
+            base: (variant.real == Real::F32)
+                .then(|| Readback::new(gpu, "coupled_solver.base", coupling.base.words.len()))
+                .transpose()?
+                .map(Mutex::new),
+        })
+    }
+}
+
+impl Residual {
+    fn new(gpu: &Gpu, at: CoupledFields, shared: &Shared) -> Result<Residual, Error> {
+        let CoupledFields {
+            liquid,
+            solids,
+            fields,
+            coupling,
+            ..
+        } = at;
+        let real = liquid.variant.real;
+        let v = [("x", (&fields.velocity).into())];
+        let p = [
+            ("p", (&liquid.potential).into()),
+            ("sums", (&solids.partials).into()),
+        ];
+        Ok(Residual {
+            products: solids.bind_products(gpu, fields, &fields.velocity)?,
+            solid: solids.bind_residual(gpu, fields)?,
+            nodes: bind(gpu, &wgsl!("coupled_residual"), real, p, &at.by_node())?,
+            quads: bind(gpu, &wgsl!("couple_residual"), real, v, &at.by_quad())?,
+            sums: bind(gpu, &wgsl!("coupled_sums"), real, [], &[coupling, shared])?,
+        })
+    }
+}
+
+impl System for Coupled {
+    type Case<'a> = Case<'a>;
+    type Host<'a> = HostCoupled<'a>;
+
+    /// The state machine knows the quads of the liquid; the solids join as one more partial.
+    fn unknowns<'a>(case: Self::Case<'a>) -> Unknowns<'a> {
+        let CoupledFields {
+            liquid,
+            solids,
+            fields,
+            coupling,
+            ..
+        } = case.at;
+        let pressure = Block {
+            args: &coupling.args,
+            ..liquid.block()
+        };
+        Unknowns {
+            group: "coupled_solver",
+            blocks: vec![pressure, solids.block(fields)],
+            n_lists: liquid.plan.len() + N_LISTS,
+            sums: [4 * coupling.slot(PARTIALS) as u32; 2],
+            long_sums: liquid.plan.long_sums(),
+            variant: liquid.variant,
+            z: &liquid.z_next,
+            partials: &liquid.partials,
+            outer_partials: &liquid.outer_partials,
+            components: None,
+        }
+    }
+
+    fn form<'a>(case: Self::Case<'a>) -> Form<'a> {
+        case.form
+    }
+
+    fn pace(&self, case: Case<'_>) -> Pace {
+        Pace {
+            iterations: match case.form {
+                Form::Monolithic => self.monolithic.iterations(case.degree),
+                Form::Schur(_) | Form::Singular => schur::CHUNK,
+            },
+            gates: 1,
+            steps: STEPS,
+        }
+    }
+
+    fn pcg<'a>(&'a self, monolithic: &'a Pcg, case: Case<'_>) -> &'a Pcg {
+        match (&self.schur, case.form) {
+            (Some(schur), Form::Schur(_)) => &schur.pcg,
+            _ => monolithic,
+        }
+    }
+
+    fn record_set_up(&self, pass: &mut Pass, case: Case<'_>) {
+        if !case.sized {
+            pass.dispatch(&self.args, 1);
+        }
+        self.monolithic.record_set_up(pass);
+    }
+
+    fn record_start(&self, pass: &mut Pass, case: Case<'_>) {
+        let coupling = case.at.coupling;
+        self.record_set_up(pass, case);
+        self.pressure.record_start(pass, case.at.liquid);
+        pass.dispatch_indirect(&self.guess, &coupling.args, coupling.slot(NODES));
+        if !case.again {
+            pass.dispatch_indirect(&self.keep, &coupling.args, coupling.slot(WET));
+        }
+    }
+
+    fn record_residual(&self, pass: &mut Pass, state: &State) {
+        let Residual {
+            products,
+            solid,
+            nodes,
+            quads,
+            sums,
+        } = &self.residual;
+        state.in_evaluation(pass, quads);
+        self.pressure.record_residual(pass, state);
+        for bound in [products, solid, nodes] {
+            state.in_evaluation(pass, bound);
+        }
+        pass.dispatch(sums, 1);
+    }
+
+    fn record_begin(&self, pass: &mut Pass, state: &State, pcg: &Pcg, case: Case<'_>) {
+        self.pressure.begin(pass, state);
+        match (&self.schur, case.form) {
+            (Some(schur), Form::Schur(_)) => schur.record_begin(pass, state),
+            _ => self.monolithic.record_begin(pass, state),
+        }
+        pcg.record_gate(pass);
+        pass.dispatch_indirect(&self.weight, &state.gate, 0);
+    }
+
+    fn record_preconditioner(&self, pass: &mut Pass, state: &State, case: Case<'_>) {
+        let Case { at, degree, .. } = case;
+        let pressure = |pass: &mut Pass| {
+            self.pressure.record_preconditioner(pass, state, at.liquid);
+        };
+        match case.form {
+            Form::Schur(_) => pressure(pass),
+            Form::Monolithic | Form::Singular => {
+                self.monolithic
+                    .record_preconditioner(pass, state, degree, pressure);
+            }
+        }
+    }
+
+    fn record_direction(&self, pass: &mut Pass, state: &State, case: Case<'_>) {
+        if let Form::Monolithic = case.form {
+            self.monolithic.record_direction(pass, state);
+        }
+    }
+
+    fn record_operator(&self, pass: &mut Pass, state: &State, sizes: &Buffer<u32>, case: Case<'_>) {
+        let Case { at, form, .. } = case;
+        let [nodes, wet] = [NODES, WET].map(|list| at.coupling.slot(list));
+        pass.dispatch_indirect(&self.force, sizes, nodes);
+        let (of_nodes, quads, alpha) = match (&self.schur, form) {
+            (Some(schur), Form::Schur(_)) => schur.operator(),
+            _ => self.monolithic.operator(),
+        };
+        for bound in of_nodes {
+            pass.dispatch_indirect(bound, sizes, nodes);
+        }
+        self.pressure.record_operator(pass, state, sizes, at.liquid);
+        pass.dispatch_indirect(quads, sizes, wet);
+        pass.dispatch_indirect(alpha, &state.gate, 0);
+    }
+
+    fn record_update(&self, pass: &mut Pass, state: &State, case: Case<'_>) {
+        self.pressure.record_update(pass, state, case.at.liquid);
+        if let Form::Monolithic = case.form {
+            self.monolithic.record_update(pass, state);
+        }
+    }
+
+    fn on_host<'a>(
+        &self,
+        gpu: &Gpu,
+        case: Self::Case<'a>,
+        _: u32,
+    ) -> Result<HostCoupled<'a>, Error> {
+        let base = self.base.as_ref();
+        let base = base.expect("made with every solver whose residual the device rounds");
+        // A panic in another solve leaves nothing half done here: every use begins with new copies.
+        let mut base = base.lock().unwrap_or_else(PoisonError::into_inner);
+        HostCoupled::download(gpu, case.at, &mut base)
+    }
+}
