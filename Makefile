@@ -14,5 +14,5 @@ gpu: ## measure the GPU of this machine in ten minutes, into docs/measured/gpu; 
 validate: ## compare with theory, experiments and other programs, at most an hour; ARGS=--quick: 5 minutes, ARGS=--full: all; CASES="S2 S9" runs a part
 	@bash .ci/validate $(ARGS) $(CASES)
 
-measure: ## the benches behind docs/measured, and the tables of its pages; ARGS=--resume resumes a run that was stopped
+measure: ## the benches behind docs/measured, in at most 60 minutes; ARGS=--quick in 5, ARGS=--full the long ones too, ARGS=--resume resumes
 	@bash .ci/measure $(ARGS)

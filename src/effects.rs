@@ -28,21 +28,21 @@ macro_rules! effects {
             /// The effects of a scene.
             pub fn of(scene: &Scene) -> Effects {
                 let mut effects = Effects::default();
-                $(
-                    let active: fn(&Scene, &Effects) -> bool = $active;
-                    effects.$name = active(scene, &effects);
-                )*
+                $({
+                    const ACTIVE: fn(&Scene, &Effects) -> bool = $active;
+                    effects.$name = ACTIVE(scene, &effects);
+                })*
                 effects
             }
 
             /// All effects with their reasons, active or not. `self` must be the effects of `scene`.
             pub fn explained(&self, scene: &Scene) -> Vec<Effect> {
                 vec![$({
-                    let reason: fn(&Scene, &Effects) -> String = $reason;
+                    const REASON: fn(&Scene, &Effects) -> String = $reason;
                     Effect {
                         name: stringify!($name),
                         active: self.$name,
-                        reason: reason(scene, self),
+                        reason: REASON(scene, self),
                     }
                 }),*]
             }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use cutwater::Error;
-use cutwater::measure::plot::plot;
+use cutwater::output::plot::plot;
 
 /// Draw the probes and the step table of runs as charts
 #[derive(Debug, Args)]

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use cutwater::Error;
-use cutwater::measure::report::{Contents, PAGE, report};
+use cutwater::output::report::{Contents, PAGE, report};
 
 /// Collect the results of benches and runs in one HTML page
 #[derive(Debug, Args)]

@@ -8,7 +8,7 @@ use crate::fields::{SolidBuffers, SolidPlan};
 use crate::gpu::{Buffer, Dispatches, Gpu, Real, Recorder};
 use crate::grid::{Axis, Grid};
 use crate::linalg::norm;
-use crate::reference::base_block::{DENSITY, THETA_FLOOR};
+use crate::reference::base_block::{BaseBlock, DENSITY, THETA_FLOOR};
 use crate::reference::base_scene::BaseScene;
 use crate::reference::{ActiveCells, BlockPattern, CoupledSystem, RightHandSide, Stencil};
 use crate::scene::Solver;
@@ -51,6 +51,31 @@ pub struct DeviceScene<'a> {
     pub solver: CoupledSolver,
 }
 
+/// Face apertures, face velocities and liquid distance of the base block on a device.
+///
+/// # Errors
+/// [`Error::Limit`] where the adapter is too small.
+pub(super) fn block_fields(
+    gpu: &Gpu,
+    block: &BaseBlock,
+    open: &[Vec<f64>; 3],
+) -> Result<[Buffer<f32>; 3], Error> {
+    let (grid, padded) = (block.grid, block.grid.padded());
+    let faces = |label, fields: &[Vec<f64>; 3]| {
+        let values = Axis::ALL.iter().flat_map(|&axis| {
+            let field = &fields[axis.index()];
+            padded.pad(grid.faces(axis), field, |value| value as f32)
+        });
+        gpu.buffer_with(label, &values.collect::<Vec<f32>>())
+    };
+    let distance = padded.pad(grid.cells, &block.liquid_distance, |value| value as f32);
+    Ok([
+        faces("bench.open", open)?,
+        faces("bench.velocity", &block.velocity)?,
+        gpu.buffer_with("bench.liquid_distance", &distance)?,
+    ])
+}
+
 impl<'a> DeviceScene<'a> {
     /// Puts a scene and its system, for J and E u*, onto a device.
     ///
@@ -65,19 +90,7 @@ impl<'a> DeviceScene<'a> {
         let grid = scene.block.grid;
         let padded = grid.padded();
         let clip = scene.clip();
-        let faces = |label: &str, fields: &[Vec<f64>; 3]| {
-            let axes = Axis::ALL.iter();
-            let values = axes.flat_map(|&axis| {
-                padded.pad(grid.faces(axis), &fields[axis.index()], |value| {
-                    value as f32
-                })
-            });
-            gpu.buffer_with(label, &values.collect::<Vec<f32>>())
-        };
-        let open = faces("base_scene.open", &clip.cut_cells().open)?;
-        let velocity = faces("base_scene.velocity", &scene.block.velocity)?;
-        let phi = padded.pad(grid.cells, &scene.block.liquid_distance, |x| x as f32);
-        let distance = gpu.buffer_with("base_scene.liquid_distance", &phi)?;
+        let [open, velocity, distance] = block_fields(gpu, &scene.block, &clip.cut_cells().open)?;
         let liquid = SolverBuffers::new(gpu, &grid, solver.precision)?;
         let everywhere = Everywhere::new(gpu, &grid)?;
         let within = everywhere.within();

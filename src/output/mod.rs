@@ -1,4 +1,4 @@
-//! Files of a run: frames for ParaView, tables, manifest, checkpoint and pictures.
+//! Results of runs: frames that open in ParaView, tables, the manifest, pictures, charts and the report page.
 //!
 //! ```text
 //! DIR/manifest.json              scene, options, adapter, progress
@@ -19,11 +19,14 @@
 mod atomic;
 pub mod checkpoint;
 mod closed_mesh;
+pub mod drawing;
 pub mod frames;
 pub mod manifest;
 mod mesh;
+pub mod plot;
 mod ply;
 pub mod preview;
+pub mod report;
 mod surface;
 pub mod tables;
 

@@ -188,9 +188,9 @@ impl GpuSolids {
 
     /// Submits the recording, which ends with the solve of a sub-step, and repeats the solve until the active set of
     /// contacts is unchanged.
-    pub(super) fn solve_in_contact<'a>(
+    pub(super) fn solve_in_contact(
         &self,
-        gpu: &'a Gpu,
+        gpu: &Gpu,
         recorder: Recorder,
         answer: &mut Readback<u32>,
         polynomial: &Polynomial,
@@ -221,9 +221,9 @@ impl GpuSolids {
 
     /// Repeats a solve until the active set of contacts is unchanged. Returns the last result. `solve` appends itself
     /// to a recording and submits it; its argument is the number of earlier solves.
-    pub(super) fn iterate_active_set<'a, Solution>(
+    pub(super) fn iterate_active_set<Solution>(
         &self,
-        gpu: &'a Gpu,
+        gpu: &Gpu,
         mut recorder: Recorder,
         answer: &mut Readback<u32>,
         mut solve: impl FnMut(Recorder, u32) -> Result<(Solution, SolveStatus, StageTimes), Error>,

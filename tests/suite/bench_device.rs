@@ -2,15 +2,16 @@
 
 use std::fs;
 
-use cutwater::measure::bench_device::bench_device;
+use cutwater::measure::bench::device::measure;
 
+use crate::bench::settings;
 use crate::common::gpu;
 
 #[test]
 fn every_quantity_has_a_row() {
     let Some(gpu) = gpu() else { return };
     let folder = tempfile::tempdir().unwrap();
-    let table = bench_device(gpu, 1, folder.path()).unwrap();
+    let table = measure(gpu, &settings(folder.path(), 1), &mut |_| ()).unwrap();
     let mut quantities = vec!["copy_bandwidth", "f32_rate"];
     quantities.extend(gpu.has_f64().then_some("f64_rate"));
     quantities.extend([
@@ -20,18 +21,23 @@ fn every_quantity_has_a_row() {
         "wait",
         "read_back",
     ]);
-    let rows = table.rows.iter();
-    assert_eq!(rows.map(|row| row.quantity).collect::<Vec<_>>(), quantities);
+    let rows = table.rows("device").iter();
+    assert_eq!(
+        rows.map(|row| row.text("quantity")).collect::<Vec<_>>(),
+        quantities
+    );
     // A difference of two times may be zero on a busy machine; everything else takes time.
     let differences = ["launch", "indirect_launch", "submission"];
-    for row in &table.rows {
-        let least = if differences.contains(&row.quantity) {
+    for row in table.rows("device") {
+        let least = if differences.contains(&row.text("quantity")) {
             0.0
         } else {
             f64::MIN_POSITIVE
         };
         assert!(
-            row.min >= least && row.min <= row.median && row.median <= row.max,
+            row.number("min") >= least
+                && row.number("min") <= row.number("median")
+                && row.number("median") <= row.number("max"),
             "{row:?}"
         );
     }

@@ -7,13 +7,15 @@ use std::path::Path;
 
 use cutwater::effects::Effects;
 use cutwater::gpu::AdapterChoice;
-use cutwater::measure::bench_effects::{
-    self, ABSENT, COUPLING, EFFECTS, ITSELF, Options, Row, Told, bench_effects,
+use cutwater::measure::bench::Event;
+use cutwater::measure::bench::effects::{
+    ABSENT, COUPLING, EFFECTS, ITSELF, Options, PROBES, costs, measure,
 };
-use cutwater::measure::output_cost::OutputRow;
+use cutwater::measure::bench::table::Row;
 use cutwater::scene::Scene;
 use cutwater::sim::{Backend, Simulation};
 
+use crate::bench::{row, settings};
 use crate::common::gpu;
 
 #[test]
@@ -40,20 +42,23 @@ fn effects_add_what_is_theirs() {
     fs::create_dir(folder.path().join("frames")).unwrap();
     fs::write(&of_run, "").unwrap();
     let mut told = 0;
-    let mut tables = bench_effects(&options, folder.path(), &mut |row| {
+    let results = measure(&options, &settings(folder.path(), 1), &mut |event| {
+        let Event::Row(table, row) = event else {
+            return;
+        };
         told += 1;
-        if let Told::Effect(Row { scene, .. }) = row {
-            let written = folder.path().join("outputs.json").is_file();
-            let expected = scene != "dam_break";
-            assert_eq!(written, expected, "before those of {scene} are written");
+        if table.name == "effects" {
+            let written = folder.path().join("effects_outputs.csv").is_file();
+            let expected = row.text("scene") != "dam_break";
+            assert_eq!(written, expected, "before those of {row:?} are written");
         }
     })
     .unwrap();
-    let (table, outputs) = (&tables.effects, &tables.outputs);
-    assert_eq!(told, table.rows.len() + outputs.rows.len());
+    let [table, outputs] = ["effects", "effects_outputs"].map(|name| results.rows(name));
+    assert_eq!(told, table.len() + outputs.len());
     let row = |scene: &str, effect: &str| -> &Row {
-        let mut rows = table.rows.iter();
-        rows.find(|row| row.scene == scene && row.effect == effect)
+        let mut rows = table.iter();
+        rows.find(|row| row.text("scene") == scene && row.text("effect") == effect)
             .unwrap()
     };
     for (scene, effect, kernels, bytes) in [
@@ -73,10 +78,10 @@ fn effects_add_what_is_theirs() {
         ),
     ] {
         let row = row(scene, effect);
-        assert!(row.present && row.pairs == 2, "{row:?}");
-        let own: Vec<&str> = row.kernels.split(' ').collect();
+        assert!(row.flag("present") && row.count("pairs") == 2, "{row:?}");
+        let own: Vec<&str> = row.text("kernels").split(' ').collect();
         assert!(kernels.iter().all(|kernel| own.contains(kernel)), "{row:?}");
-        assert_eq!(row.bytes_added > Some(0), bytes, "{row:?}");
+        assert_eq!(row.number("bytes_added") > 0.0, bytes, "{row:?}");
         assert_timed(row);
     }
     for (scene, effect) in [
@@ -88,38 +93,40 @@ fn effects_add_what_is_theirs() {
         ("gate", ABSENT),
     ] {
         let row = row(scene, effect);
-        assert!(!row.present && row.pairs == 2, "{row:?}");
+        assert!(!row.flag("present") && row.count("pairs") == 2, "{row:?}");
         assert_timed(row);
-        assert_eq!(row.kernels, "", "{row:?}");
-        let added = [row.bytes_added, row.dispatches_added];
-        assert_eq!(added, [Some(0); 2], "{row:?}");
+        assert_eq!(row.text("kernels"), "", "{row:?}");
+        let added = [row.number("bytes_added"), row.number("dispatches_added")];
+        assert_eq!(added, [0.0; 2], "{row:?}");
     }
     // Stages that neither part has, and what both have counted twice.
     let [both, no_liquid, no_solids] =
         [COUPLING, "liquid", "solids"].map(|effect| row("dam_break", effect));
-    assert!(both.present && both.pairs == 2, "{both:?}");
+    assert!(both.flag("present") && both.count("pairs") == 2, "{both:?}");
     assert!(
-        both.kernels.split(' ').any(|kernel| kernel == "cut_quads"),
+        both.text("kernels")
+            .split(' ')
+            .any(|kernel| kernel == "cut_quads"),
         "{both:?}"
     );
     assert_timed(both);
-    let together = |row: &Row| row.seconds_without.unwrap();
+    let together = |row: &Row| row.number("seconds_without");
     // Medians of two pairs are their means, so that of a sum is the sum.
     let parts = together(no_liquid) + together(no_solids);
     assert!(
         (together(both) / parts - 1.0).abs() <= 1e-12,
         "{both:?} {no_liquid:?} {no_solids:?}"
     );
-    assert!(!row("gate", COUPLING).present);
+    assert!(!row("gate", COUPLING).flag("present"));
     // Of the kinds of probes each has its row, and those that are there say so.
     for (scene, kinds) in [
         ("dam_break", ["probe_front", "probe_node"]),
         ("hydrostatic_block", ["probe_pressure", "probe_velocity"]),
         ("gate", ["probe_height", "probe_front"]),
     ] {
-        for (kind, _) in bench_effects::PROBES {
+        for &(kind, _) in PROBES {
             let row = row(scene, kind);
-            assert_eq!(row.present, kinds.contains(&kind), "{row:?}");
+            assert_eq!(row.flag("present"), kinds.contains(&kind), "{row:?}");
         }
     }
     // A path of the same scene takes the same buffers, kernels and dispatches. Of two pairs nothing is told.
@@ -127,29 +134,30 @@ fn effects_add_what_is_theirs() {
         for effect in [ABSENT, ITSELF] {
             let row = row(scene, effect);
             let counts = [
-                row.bytes_added,
-                row.dispatches_added,
-                row.solve_dispatches_added,
+                row.number("bytes_added"),
+                row.number("dispatches_added"),
+                row.number("solve_dispatches_added"),
             ];
-            assert_eq!(counts, [Some(0); 3], "{row:?}");
-            assert_eq!(row.dispatches_differ, Some(0), "{row:?}");
-            assert_eq!(row.seconds_told, "too few pairs", "{row:?}");
-            assert_eq!(row.seconds_told_low, None, "{row:?}");
+            assert_eq!(counts, [0.0; 3], "{row:?}");
+            assert_eq!(row.number("dispatches_differ"), 0.0, "{row:?}");
+            assert_eq!(row.text("seconds_told"), "too few pairs", "{row:?}");
+            assert!(!row.has("seconds_told_low"), "{row:?}");
         }
     }
     // Without its liquid there is nothing left of it: its own seconds are known, and nothing of what it costs.
     let all = row("hydrostatic_block", "liquid");
-    assert!(all.present && all.pairs == 0, "{all:?}");
-    assert!(all.seconds_with > Some(0.0), "{all:?}");
-    let nothing = [all.seconds_without, all.seconds_added];
-    assert_eq!((nothing, all.bytes_added), ([None; 2], None), "{all:?}");
+    assert!(all.flag("present") && all.count("pairs") == 0, "{all:?}");
+    assert!(all.number("seconds_with") > 0.0, "{all:?}");
+    let known = ["seconds_without", "seconds_added", "bytes_added"].map(|name| all.has(name));
+    assert_eq!(known, [false; 3], "{all:?}");
     let text = fs::read_to_string(folder.path().join("effects.csv")).unwrap();
     let line = |line: &&str| line.starts_with("hydrostatic_block,liquid,true,");
     let line = text.lines().find(line).unwrap();
-    assert!(line.ends_with(",,,,,,,,,,,,,0"), "{line}");
+    assert!(line.ends_with(",,,,,,,,,,,,,0,"), "{line}");
     let of_scene = |scene: &str| -> Vec<(&str, bool)> {
-        let rows = outputs.rows.iter().filter(|row| row.scene == scene);
-        rows.map(|row| (row.output, row.present)).collect()
+        let rows = outputs.iter().filter(|row| row.text("scene") == scene);
+        rows.map(|row| (row.text("output"), row.flag("present")))
+            .collect()
     };
     let solid_and_liquid = [
         ("read_back", true),
@@ -167,28 +175,25 @@ fn effects_add_what_is_theirs() {
             .any(|(name, _)| *name == "solids")
     );
     assert!(of_scene("gate").contains(&("moving_obstacles", true)));
-    for row in &outputs.rows {
-        let OutputRow {
-            seconds_low,
-            seconds,
-            seconds_high,
-            frames,
-            ..
-        } = *row;
+    for row in outputs {
+        let seconds = ["seconds_low", "seconds", "seconds_high"].map(|name| row.number(name));
         assert!(
-            [0.0, seconds_low, seconds, seconds_high].is_sorted() && frames == 2,
+            seconds.is_sorted() && seconds[0] >= 0.0 && row.count("frames") == 2,
             "{row:?}"
         );
-        assert_eq!(row.bytes > 0, row.output != "read_back", "{row:?}");
+        assert_eq!(
+            row.number("bytes") > 0.0,
+            row.text("output") != "read_back",
+            "{row:?}"
+        );
     }
     // Three coordinates and three components of a velocity of four bytes for each marker, in base 64, and a little more.
     let gate = Simulation::new(&load("gate", 0.5), &Backend::Gpu(AdapterChoice::Best)).unwrap();
     let markers = gate.state().unwrap().markers.len() as f64;
     let particles = outputs
-        .rows
         .iter()
-        .find(|row| row.scene == "gate" && row.output == "particles");
-    let bytes = particles.unwrap().bytes as f64;
+        .find(|row| row.text("scene") == "gate" && row.text("output") == "particles");
+    let bytes = particles.unwrap().number("bytes");
     assert!(
         (32.0 * markers..60.0 * markers).contains(&bytes),
         "{bytes} for {markers} markers"
@@ -200,8 +205,7 @@ fn effects_add_what_is_theirs() {
         "effects.csv",
         "effects.json",
         "effects.svg",
-        "outputs.csv",
-        "outputs.json",
+        "effects_outputs.csv",
     ] {
         let text = fs::read_to_string(folder.path().join(file)).unwrap();
         assert!(!text.is_empty() && !text.contains("NaN"), "{file}");
@@ -210,29 +214,17 @@ fn effects_add_what_is_theirs() {
         }
     }
 
-    tables.verdict().unwrap();
-    let rows = &mut tables.effects.rows;
-    let row = rows
-        .iter_mut()
-        .find(|row| row.scene == "gate" && row.effect == ABSENT);
-    row.unwrap().bytes_added = Some(16);
-    let verdict = tables.verdict().unwrap_err();
-    assert_eq!(verdict.exit_code(), 1, "{verdict}");
-    assert!(verdict.to_string().contains("gate: bytes 16"), "{verdict}");
+    results.verdict().unwrap();
+    let control = row("gate", ABSENT).clone();
+    assert!(!costs(&control) && costs(&control.with(row! { bytes_added: 16_usize })));
 }
 
 /// That both sides took time, and what lies between them is in order.
 fn assert_timed(row: &Row) {
-    let order = [
-        row.seconds_added_low,
-        row.seconds_added,
-        row.seconds_added_high,
-    ];
-    let timed = [row.seconds_with, row.seconds_without];
-    assert!(
-        order[0].is_some() && order.is_sorted() && timed.iter().all(|s| *s > Some(0.0)),
-        "{row:?}"
-    );
+    let order = ["seconds_added_low", "seconds_added", "seconds_added_high"];
+    let order = order.map(|name| row.number(name));
+    let timed = ["seconds_with", "seconds_without"].map(|name| row.number(name) > 0.0);
+    assert!(order.is_sorted() && timed == [true; 2], "{row:?}");
 }
 
 const POOL: &str = "liquid.region=[{ box = { min = [0, 0, 0], max = [1, 0.5, 1] } }]";
@@ -244,7 +236,7 @@ const BALL: &str = "obstacle=[{ sphere = { centre = [0.3, 0.3, 0.5], radius = 0.
 const HEIGHT: &str = r#"probe=[{ name = "level", height = { x = 0.7, z = 0.2 } }]"#;
 const NODE: &str =
     r#"probe=[{ name = "corner", node = { solid = "raft", rest_point = [0.6, 0.4, 0.4] } }]"#;
-const PROBES: &str = r#"probe=[{ name = "force", force = { solid = "raft" } }, { name = "corner", node = { solid = "raft", rest_point = [0.6, 0.4, 0.4] } }, { name = "level", height = { x = 0.7, z = 0.2 } }]"#;
+const THREE_PROBES: &str = r#"probe=[{ name = "force", force = { solid = "raft" } }, { name = "corner", node = { solid = "raft", rest_point = [0.6, 0.4, 0.4] } }, { name = "level", height = { x = 0.7, z = 0.2 } }]"#;
 
 /// A box of 8^3 cells with what is set.
 fn small(set: &[&str]) -> Scene {
@@ -317,7 +309,7 @@ fn effects_that_are_taken_away_leave_nothing() {
         (
             &[RAFT, NODE],
             &[
-                PROBES,
+                THREE_PROBES,
                 POOL,
                 OPEN,
                 SOURCE,
@@ -343,7 +335,7 @@ fn effects_that_are_taken_away_leave_nothing() {
             &[POOL, BALL, HEIGHT],
             &[
                 RAFT,
-                PROBES,
+                THREE_PROBES,
                 "obstacle[0].keyframes=[{ t = 0 }, { t = 1, translate = [0.1, 0, 0] }]",
             ],
             &["solids", "moving_obstacles"],

@@ -3,11 +3,16 @@
 use std::fs;
 
 use cutwater::gpu::AdapterChoice;
-use cutwater::measure::bench_stability::{
-    KNOWN_FAILURES, Options, Place, Row, Told, bench_stability, cases, limits,
+use cutwater::measure::bench::stability::{
+    Budget, Case, Expected, KNOWN_FAILURES, Options, cases, check, completed, count, growth,
+    limits, measure, name_misses, solid_diagnosis,
 };
-use cutwater::sim::Backend;
+use cutwater::measure::bench::table::Row;
+use cutwater::reference::max_speed;
+use cutwater::sim::{Backend, Simulation};
+use cutwater::state::State;
 
+use crate::bench::{counted, row, settings};
 use crate::common::{gpu, root};
 
 /// Sub-steps on the GPU path.
@@ -30,31 +35,53 @@ fn options(names: &[&str]) -> Options {
 
 /// What holds in every hostile case, after so many sub-steps. Of cases that fail later it would say nothing.
 fn assert_sound(row: &Row, steps: u64) {
-    assert!(!known(&row.name), "{row:?}");
-    assert!(row.passed && row.completed(), "{row:?}");
-    let plain = row.missed + row.unsettled == 0;
-    assert_eq!(row.status == "completed", plain, "{row:?}");
-    assert_eq!((row.sub_steps, row.non_finite), (steps, 0), "{row:?}");
+    assert!(!known(row.text("name")), "{row:?}");
+    assert!(row.flag("passed") && completed(row), "{row:?}");
+    let plain = row.count("missed") + row.count("unsettled") == 0;
+    assert_eq!(row.text("status") == "completed", plain, "{row:?}");
+    assert_eq!(
+        (row.count("sub_steps"), row.count("non_finite")),
+        (steps as usize, 0),
+        "{row:?}"
+    );
     // In the end there is no more than at the start and what falling gains: the bound without its tenth. It is measured: no longer 1.
-    let most = row.energy_bound - 0.1;
-    let measured = row.energy_end > 0.0 && row.energy_end != 1.0;
-    assert!(measured && row.energy_end <= most, "{row:?}");
+    let most = row.number("energy_bound") - 0.1;
+    let measured = row.number("energy_end") > 0.0 && row.number("energy_end") != 1.0;
+    assert!(measured && row.number("energy_end") <= most, "{row:?}");
     // What a fall through the whole box gains in a sub-step of any of these is a fraction of what it has; of 1/15 s it is the most.
-    let fraction = if row.name.ends_with("_15") { 1.0 } else { 0.7 };
+    let fraction = if row.text("name").ends_with("_15") {
+        1.0
+    } else {
+        0.7
+    };
     assert!(most > 1.0 && most < 1.0 + fraction, "{row:?}");
     assert!(
-        row.motion > 0.0 && row.motion <= row.motion_bound,
+        row.number("motion") > 0.0 && row.number("motion") <= row.number("motion_bound"),
         "{row:?}"
     );
     assert!(
-        row.solid_speed > 0.0 && row.solid_speed <= row.solid_speed_bound,
+        row.number("solid_speed") > 0.0
+            && row.number("solid_speed") <= row.number("solid_speed_bound"),
         "{row:?}"
     );
-    assert!(row.liquid_speed <= row.liquid_speed_bound, "{row:?}");
+    assert!(
+        row.number("liquid_speed") <= row.number("liquid_speed_bound"),
+        "{row:?}"
+    );
     // A beam of two cells in an obstacle: the centres of its cells are half a cell deep in both.
-    assert!(row.name != "wall_through" || row.overlap > 0.5, "{row:?}");
-    assert_eq!(row.min_det < 0.0, row.name == "start_inverted", "{row:?}");
-    assert!(row.nodes > 60 && row.seconds > 0.0, "{row:?}");
+    assert!(
+        row.text("name") != "wall_through" || row.number("overlap") > 0.5,
+        "{row:?}"
+    );
+    assert_eq!(
+        row.number("min_det") < 0.0,
+        row.text("name") == "start_inverted",
+        "{row:?}"
+    );
+    assert!(
+        row.count("nodes") > 60 && row.number("seconds") > 0.0,
+        "{row:?}"
+    );
 }
 
 fn known(name: &str) -> bool {
@@ -105,14 +132,20 @@ fn a_known_failure_fails_the_bench() {
         backend: Backend::Cpu,
         ..options(&["young_1e3", "young_1e5"])
     };
-    let table = bench_stability(&options, folder.path(), &mut |_: Told| {}).unwrap();
-    let [soft, stiffer] = &table.rows[..] else {
-        panic!("{:?}", table.rows)
+    let table = measure(&options, &settings(folder.path(), 1), &mut |_| ()).unwrap();
+    let [soft, stiffer] = table.rows("stability") else {
+        panic!("{:?}", table.rows("stability"))
     };
-    assert!(stiffer.passed && stiffer.completed(), "{stiffer:?}");
+    assert!(stiffer.flag("passed") && completed(stiffer), "{stiffer:?}");
     let mended = "take young_1e3 from KNOWN_FAILURES and measure the table of docs/bench.md anew";
-    assert!(!soft.passed && !soft.completed(), "{mended}: {soft:?}");
-    assert!(soft.motion > soft.motion_bound, "{soft:?}");
+    assert!(
+        !soft.flag("passed") && !completed(soft),
+        "{mended}: {soft:?}"
+    );
+    assert!(
+        soft.number("motion") > soft.number("motion_bound"),
+        "{soft:?}"
+    );
     let error = table.verdict().unwrap_err();
     let text = error.to_string();
     assert_eq!(error.exit_code(), 1);
@@ -143,21 +176,26 @@ fn hostile_cases_keep_their_energy() {
         "empty_nothing",
     ];
     let mut told = 0;
-    let mut table =
-        bench_stability(&options(&names), folder.path(), &mut |_: Told| told += 1).unwrap();
-    assert_eq!((told, table.rows.len()), (names.len(), names.len()));
-    for row in &table.rows {
+    let table = measure(
+        &options(&names),
+        &settings(folder.path(), 1),
+        &mut counted(&mut told),
+    )
+    .unwrap();
+    assert_eq!(
+        (told, table.rows("stability").len()),
+        (names.len(), names.len())
+    );
+    for row in table.rows("stability") {
         assert_sound(row, STEPS);
         assert!(
-            row.cells == 4096 && row.most_iterations.is_some() && row.backend == "gpu",
+            row.count("cells") == 4096
+                && row.has("most_iterations")
+                && row.text("backend") == "gpu",
             "{row:?}"
         );
     }
     table.verdict().unwrap();
-    table.rows[1].passed = false;
-    let error = table.verdict().unwrap_err();
-    assert_eq!(error.exit_code(), 1);
-    assert!(error.to_string().contains(&table.rows[1].name), "{error}");
     for file in ["stability.csv", "stability.json", "stability.svg"] {
         let text = fs::read_to_string(folder.path().join(file)).unwrap();
         assert!(!text.contains("NaN"), "{file}");
@@ -199,26 +237,30 @@ fn a_case_of_each_group_keeps_its_energy_on_the_cpu() {
         backend: Backend::Cpu,
         ..options(&names)
     };
-    let table = bench_stability(&options, folder.path(), &mut |_: Told| {}).unwrap();
+    let table = measure(&options, &settings(folder.path(), 1), &mut |_| ()).unwrap();
     table.verdict().unwrap();
-    let rows: Vec<&str> = table.rows.iter().map(|row| row.name.as_str()).collect();
+    let rows: Vec<&str> = table
+        .rows("stability")
+        .iter()
+        .map(|row| row.text("name"))
+        .collect();
     assert_eq!(rows, names);
-    for (row, (_, most_lost)) in table.rows.iter().zip(most_lost) {
+    for (row, (_, most_lost)) in table.rows("stability").iter().zip(most_lost) {
         assert_sound(row, STEPS_F64);
-        let solved = (row.missed, row.unsettled, row.most_iterations);
-        assert_eq!(solved, (0, 0, None), "{row:?}");
-        assert!(row.lost <= most_lost, "{row:?}");
+        let solved = (
+            row.count("missed"),
+            row.count("unsettled"),
+            row.has("most_iterations"),
+        );
+        assert_eq!(solved, (0, 0, false), "{row:?}");
+        assert!(row.number("lost") <= most_lost, "{row:?}");
     }
-    let Place::Cpu(host) = &table.place else {
-        panic!("{:?}", table.place)
-    };
     let read = |file: &str| fs::read_to_string(folder.path().join(file)).unwrap();
     let json = crate::common::json(read("stability.json"));
-    assert_eq!(json["backend"], "cpu");
     assert_eq!(json["rows"][0]["backend"], "cpu");
-    assert_eq!(json["measured"], host.measured.as_str());
-    assert_eq!(json["cpu"].as_str(), host.cpu.as_deref());
-    assert!(json.get("adapter").is_none() && json.get("place").is_none());
+    assert_eq!(json["measured"], table.machine.measured.as_str());
+    assert_eq!(json["cpu"].as_str(), table.machine.cpu.as_deref());
+    assert!(json.get("adapter").is_none());
     assert!(read("stability.svg").contains("the f64 path"));
 }
 
@@ -236,11 +278,11 @@ fn strong_coupling_keeps_the_thesis_beam_stiff() {
     assert!(rows.next().is_none());
     for row in [&strong, &undamped] {
         // Stiff: its end goes by less than a tenth of its length, and rises by less than a hundredth.
-        assert!(row.passed && row.missed == 0, "{row:?}");
-        assert!(row.deflection > Some(0.0), "{row:?}");
-        assert!(row.elastic_ratio < 0.01, "{row:?}");
+        assert!(row.flag("passed") && row.count("missed") == 0, "{row:?}");
+        assert!(row.number("deflection") > 0.0, "{row:?}");
+        assert!(row.number("elastic_ratio") < 0.01, "{row:?}");
         // From a thousandth of all energy, where growth begins to count, to the hundredth that it stays below is 1.33 over four sub-steps.
-        assert!(row.growth.is_none_or(|growth| growth < 1.5), "{row:?}");
+        assert!(!row.has("growth") || row.number("growth") < 1.5, "{row:?}");
     }
 }
 
@@ -251,18 +293,25 @@ fn weak_coupling_grows_by_the_ratio_of_added_mass_whatever_the_sub_step() {
     }
     let folder = tempfile::tempdir().unwrap();
     let names = ["limit_0.8_w_dt_0_", "limit_2_w_dt_0_"];
-    let table = bench_stability(&options(&names), folder.path(), &mut |_| {}).unwrap();
+    let table = measure(&options(&names), &settings(folder.path(), 1), &mut |_| ()).unwrap();
     table.verdict().unwrap();
-    let growth: Vec<f64> = table.limits.iter().map(|row| row.got).collect();
+    let growth: Vec<f64> = table
+        .rows("stability_limit")
+        .iter()
+        .map(|row| row.number("got"))
+        .collect();
+    let limits = table.rows("stability_limit");
     let [a, b, c, d, ..] = growth[..] else {
         panic!("{growth:?}")
     };
     for (got, expected) in [(a, 0.8), (b, 2.0), (c, 0.8), (d, 2.0)] {
         assert!((got / expected - 1.0).abs() <= 5e-3, "{growth:?}");
     }
-    assert!(table.limits[0].dt > 3.0 * table.limits[2].dt);
+    assert!(limits[0].number("dt") > 3.0 * limits[2].number("dt"));
     // And against each other.
-    let of_both = table.limits[4..].iter().map(|row| (row.expected, row.got));
+    let of_both = limits[4..]
+        .iter()
+        .map(|row| (row.number("expected"), row.number("got")));
     assert_eq!(of_both.collect::<Vec<_>>(), [(a, c), (b, d)]);
 }
 
@@ -274,19 +323,25 @@ fn weak_coupling_has_its_limit_within_5_percent() {
         backend: Backend::Cpu,
         ..options(&["limit_0.95_", "limit_1.05_"])
     };
-    let table = bench_stability(&options, folder.path(), &mut |_| {}).unwrap();
+    let table = measure(&options, &settings(folder.path(), 1), &mut |_| ()).unwrap();
     table.verdict().unwrap();
     let sides: Vec<(f64, f64, bool)> = table
-        .limits
+        .rows("stability_limit")
         .iter()
-        .map(|row| (row.omega_dt, row.over_limit, row.got > 1.0))
+        .map(|row| {
+            (
+                row.number("omega_dt"),
+                row.number("over_limit"),
+                row.number("got") > 1.0,
+            )
+        })
         .collect();
     let expected = [1.0, 3.2].map(|omega_dt| [(omega_dt, 0.95, false), (omega_dt, 1.05, true)]);
     assert_eq!(sides, expected.concat());
-    for row in &table.limits {
-        let limit = row.over_limit * (1.0 + 0.25 * row.omega_dt.powi(2));
-        assert!((row.ratio / limit - 1.0).abs() < 1e-12, "{row:?}");
-        assert!(row.off.abs() <= 5e-3, "{row:?}");
+    for row in table.rows("stability_limit") {
+        let limit = row.number("over_limit") * (1.0 + 0.25 * row.number("omega_dt").powi(2));
+        assert!((row.number("ratio") / limit - 1.0).abs() < 1e-12, "{row:?}");
+        assert!(row.number("off").abs() <= 5e-3, "{row:?}");
     }
 }
 
@@ -313,7 +368,10 @@ fn every_case_is_a_scene_of_its_own_name() {
     // One unknown part is one too many, and nothing has run or is written by then.
     let folder = tempfile::tempdir().unwrap();
     let unknown = options(&["gap", "density_1e-4"]);
-    let error = bench_stability(&unknown, folder.path(), &mut |_| panic!("ran")).unwrap_err();
+    let error = measure(&unknown, &settings(folder.path(), 1), &mut |_| {
+        panic!("ran")
+    })
+    .unwrap_err();
     assert_eq!(error.exit_code(), 2);
     let told = error.to_string();
     assert!(
@@ -321,4 +379,192 @@ fn every_case_is_a_scene_of_its_own_name() {
         "{told}"
     );
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+}
+
+const DT: f64 = 1.0 / 24.0;
+
+fn case(name: &str) -> Case {
+    let mut cases = cases(2000, 1.0).into_iter();
+    cases.find(|case| case.name == name).unwrap()
+}
+
+/// The row of a case after its start, changed, with the largest speed of a face.
+fn checked(
+    case: &Case,
+    change: impl Fn(&mut State),
+    speed: impl Fn(&State) -> f64,
+) -> (Row, State) {
+    let scene = case.scene().unwrap();
+    let simulation = Simulation::new(&scene, &Backend::Cpu).unwrap();
+    let (solids, mut state) = (simulation.solids(), simulation.state().unwrap());
+    let diagnosis = |state: &State| solid_diagnosis(solids, state, scene.domain.gravity);
+    let budget = Budget::new(&scene, solids, &state, &diagnosis(&state));
+    change(&mut state);
+    let moment = budget.moment(&state, &diagnosis(&state), speed(&state));
+    let mut row = case.row(&Backend::Cpu);
+    check(&mut row, &moment, &budget, DT);
+    (row, state)
+}
+
+/// The row of a case whose nodes have moved by `way` m, and so many of which move at `speed` m/s, upwards.
+fn moved(name: &str, nodes: usize, way: f64, speed: f64) -> Row {
+    let change = |state: &mut State| {
+        state
+            .displacement
+            .iter_mut()
+            .for_each(|displacement| displacement[1] += way);
+        state
+            .node_velocity
+            .iter_mut()
+            .take(nodes)
+            .for_each(|velocity| velocity[1] += speed);
+    };
+    checked(&case(name), change, |_| 0.0).0
+}
+
+fn below(row: &Row, name: &str) -> bool {
+    row.number(name) < row.number(&format!("{name}_bound"))
+}
+
+/// A block of 16 g: at 100 m/s it has 78 J, a tenth of what the pool has by lying there.
+#[test]
+fn a_light_solid_that_is_thrown_is_told_from_the_pool_at_rest() {
+    let row = moved("density_1e-3", usize::MAX, 0.0, 100.0);
+    assert!(
+        !completed(&row) && row.number("energy_ratio") < row.number("energy_bound"),
+        "{row:?}"
+    );
+    assert!((70.0..90.0).contains(&row.number("motion")), "{row:?}");
+    assert!(
+        row.number("motion") > 1.5 * row.number("motion_bound"),
+        "{row:?}"
+    );
+    assert!(
+        row.number("solid_speed") > 5.0 * row.number("solid_speed_bound"),
+        "{row:?}"
+    );
+    // A node alone has next to no energy.
+    let row = moved("density_1e-3", 1, 0.0, 100.0);
+    assert!(row.text("status").contains("speed of a node"), "{row:?}");
+    assert!(row.number("energy_ratio") < row.number("energy_bound") && below(&row, "motion"));
+}
+
+/// From where it is to the floor, 0.295 m.
+#[test]
+fn a_solid_that_falls_is_within_its_bounds_and_one_that_is_twice_as_fast_is_not() {
+    let fall = (2.0 * 9.81 * 0.295_f64).sqrt();
+    for name in ["density_1e-3", "density_1", "density_10"] {
+        let row = moved(name, usize::MAX, -0.295, -fall);
+        assert!(completed(&row), "{row:?}");
+        assert!((row.number("energy_ratio") - 1.0).abs() < 1e-9, "{row:?}");
+        assert!((row.number("solid_speed") - fall).abs() < 1e-12, "{row:?}");
+    }
+    // Of 16 kg, which the energy of the pool hides.
+    let row = moved("density_1", usize::MAX, -0.295, -2.0 * fall);
+    assert!(row.text("status").contains("energy of motion"), "{row:?}");
+    assert!(
+        row.number("energy_ratio") < row.number("energy_bound"),
+        "{row:?}"
+    );
+    // From the top of the domain to its floor without anything in the way.
+    let row = moved("empty_never", usize::MAX, 0.0, -(2.0 * 9.81_f64).sqrt());
+    assert!(
+        row.number("solid_speed") < 0.5 * row.number("solid_speed_bound"),
+        "{row:?}"
+    );
+}
+
+#[test]
+fn every_start_is_within_its_bounds() {
+    for case in cases(1, 0.4) {
+        let (row, state) = checked(&case, |_| {}, |state| max_speed(&state.velocity));
+        assert!(
+            completed(&row) && row.number("motion_bound") > 0.0,
+            "{row:?}"
+        );
+        for name in [
+            "energy_bound",
+            "motion_bound",
+            "solid_speed_bound",
+            "liquid_speed_bound",
+        ] {
+            assert!(row.number(name).is_finite(), "{row:?}");
+        }
+        assert_eq!(state.markers.is_empty(), case.name == "empty_never");
+    }
+}
+
+#[test]
+fn growth_is_the_mean_of_four_sub_steps_and_does_not_count_from_nothing() {
+    assert_eq!(growth(&[0.0, 1e-9, 1e-6, 9e-4]), None);
+    assert_eq!(growth(&[2e-3; 9]), Some(1.0));
+    // Speeds double in each.
+    let doubling: Vec<f64> = (0..9).map(|at| 1e-2 * 4f64.powi(at)).collect();
+    assert!((growth(&doubling).unwrap() - 2.0).abs() < 1e-12);
+    // Growth that ends before four sub-steps is spread over four.
+    let ended = growth(&[1e-3, 0.256]).unwrap();
+    assert!((ended - 2.0).abs() < 1e-12, "{ended}");
+    assert!(growth(&[1.0, 0.1, 0.01]).unwrap() < 1.0);
+}
+
+#[test]
+fn sub_steps_that_miss_are_named_and_more_than_a_hundredth_fail() {
+    let mut row = case("young_1e9").row(&Backend::Cpu);
+    count(&mut row, false, false);
+    name_misses(&mut row);
+    assert_eq!(row.text("status"), "completed");
+    count(&mut row, true, true);
+    (0..19).for_each(|_| count(&mut row, true, false));
+    name_misses(&mut row);
+    let named =
+        "completed, 20 sub-steps missed a tolerance, 1 sub-step with contacts that did not settle";
+    assert_eq!(row.text("status"), named);
+    assert!(Expected::Completes.holds(&row));
+    count(&mut row, true, false);
+    name_misses(&mut row);
+    assert!(
+        !completed(&row) && row.text("status").contains("missed"),
+        "{row:?}"
+    );
+    assert!(!Expected::Completes.holds(&row));
+    let mut row = case("young_1e9").row(&Backend::Cpu);
+    (0..21).for_each(|_| count(&mut row, false, true));
+    assert!(
+        !completed(&row) && row.text("status").contains("settle"),
+        "{row:?}"
+    );
+}
+
+#[test]
+fn the_wrong_buoyancy_pushes_upwards_and_an_instability_grows() {
+    let row = case("thesis_damping_only").row(&Backend::Cpu);
+    let holds = |row: &Row, way: f64, lift: f64| {
+        let row = row.clone().with(row! { deflection: way, lift: lift });
+        [Expected::PushedAway, Expected::StaysStiff].map(|expected| expected.holds(&row))
+    };
+    assert_eq!(holds(&row, 0.28, 0.05), [true, false]);
+    // Aside, or down, is not where buoyancy pushes.
+    assert_eq!(holds(&row, 0.28, 0.0), [false, false]);
+    assert_eq!(holds(&row, 0.06, 0.003), [false, true]);
+    assert_eq!(holds(&row, 0.06, 0.03), [false, false]);
+    let failed = row.with(row! { status: "step 3: energy above its bound" });
+    assert_eq!(holds(&failed, 0.28, 0.05), [false, false]);
+    for (growth, elastic, fails) in [(2.0, 8.0, true), (1.1, 8.0, false), (2.0, 0.2, false)] {
+        let row = failed
+            .clone()
+            .with(row! { growth: growth, elastic_ratio: elastic });
+        assert_eq!(Expected::Fails.holds(&row), fails);
+    }
+}
+
+#[test]
+fn parts_of_names_that_no_case_has_are_told_with_those_near() {
+    let names: Vec<String> = cases(1, 1.0).into_iter().map(|case| case.name).collect();
+    let check = |parts: &[&str]| options(parts).check(&names);
+    assert!(check(&[]).is_ok() && check(&["gap", "thesis_strong"]).is_ok());
+    let error = check(&["gap", "young_1e8"]).unwrap_err().to_string();
+    for near in ["`young_1e8`", "young_1e7", "young_1e9", "density"] {
+        assert!(error.contains(near), "{error}");
+    }
+    assert!(check(&["gap", ""]).is_err());
 }

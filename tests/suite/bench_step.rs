@@ -5,11 +5,15 @@ use std::path::Path;
 
 use cutwater::Error;
 use cutwater::gpu::AdapterChoice;
-use cutwater::measure::bench_step::{Case, Options, bench_step, largest_scale};
+use cutwater::measure::bench::Event;
+use cutwater::measure::bench::statistics::Spread;
+use cutwater::measure::bench::step::{Case, Options, derive, largest_scale, measure};
+use cutwater::measure::bench::table::{Row, Table};
 use cutwater::scene::{Precision, Scene, Solver};
 use cutwater::sim::Plan;
 use serde_json::Value;
 
+use crate::bench::{counted, row, settings};
 use crate::common::gpu;
 
 fn at_scale(file: &Path, scale: f64) -> Case {
@@ -17,81 +21,85 @@ fn at_scale(file: &Path, scale: f64) -> Case {
 }
 
 #[test]
-fn tables_are_complete_and_both_domains_hold_the_same_liquid() {
+fn tables_are_complete() {
     let Some(gpu) = gpu() else { return };
     let folder = tempfile::tempdir().unwrap();
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/drop_into_pool.toml");
     let options = Options {
         scenes: vec![at_scale(&file, 1.0 / 3.0)],
         frames: 3,
-        repeats: 2,
-        larger_domain: Some([1, 8, 1]),
         adapter: AdapterChoice::Best,
     };
     let mut told = 0;
-    let table = bench_step(&options, folder.path(), &mut |_| told += 1).unwrap();
-    let [own, larger] = &table.rows[..] else {
-        panic!("{:?}", table.rows)
+    let results = {
+        let mut listener = counted(&mut told);
+        measure(&options, &settings(folder.path(), 2), &mut listener).unwrap()
     };
-    assert_eq!((told, larger.cells), (2, 8 * own.cells));
-    for row in &table.rows {
-        let ordered =
-            row.seconds_min <= row.seconds_median && row.seconds_median <= row.seconds_max;
-        assert!(
-            ordered && row.seconds_min > 0.0 && row.sub_steps >= 2,
-            "{row:?}"
-        );
-        assert_eq!((row.runs, row.kind), (2, "apart"));
-        // The mean of a run lies between its sub-steps. Of two runs medians are means, which keep that.
-        let mean = row.seconds_median;
-        let bounds = [row.sub_step_seconds_min, row.sub_step_seconds_max];
-        let slack = 1e-9 * mean;
-        assert!(
-            bounds[0] <= mean + slack && mean <= bounds[1] + slack,
-            "{row:?}"
-        );
-        // Three frames of 1/24 s but for the first sub-step.
-        assert!(row.simulated > 0.0 && row.simulated < 3.0 / 24.0, "{row:?}");
-        // An iteration with a V-cycle moves 120 bytes a cell where each quad is uniform, 235 where none is.
-        let per_iteration = row.bytes / (row.unknowns * row.iterations);
-        assert!((120.0..1000.0).contains(&per_iteration), "{row:?}");
-        assert!(row.share_of_copy_bandwidth > 0.0, "{row:?}");
-    }
-    // The jitter depends on the cell's number, so the markers are others, but about as many.
-    let alike = |a: f64, b: f64, bound: f64| (a / b - 1.0).abs() <= bound;
-    assert!(
-        alike(own.markers as f64, larger.markers as f64, 0.02),
-        "{own:?} {larger:?}"
-    );
-    assert!(
-        alike(own.unknowns, larger.unknowns, 0.02),
-        "{own:?} {larger:?}"
-    );
-    let [pair] = &table.pairs[..] else {
-        panic!("{:?}", table.pairs)
+    let [row] = results.rows("step") else {
+        panic!("{:?}", results.rows("step"))
     };
-    assert_eq!(pair.ratio, larger.seconds_median / own.seconds_median);
+    let [least, mean, most] =
+        ["seconds_min", "seconds_median", "seconds_max"].map(|name| row.number(name));
+    assert!(
+        0.0 < least && least <= mean && mean <= most && row.count("sub_steps") >= 2,
+        "{row:?}"
+    );
+    assert_eq!((row.count("runs"), row.text("kind")), (2, "apart"));
+    // The mean of a run lies between its sub-steps. Of two runs medians are means, which keep that.
+    let [least, most] =
+        ["sub_step_seconds_min", "sub_step_seconds_max"].map(|name| row.number(name));
+    let slack = 1e-9 * mean;
+    assert!(least <= mean + slack && mean <= most + slack, "{row:?}");
+    // Three frames of 1/24 s but for the first sub-step.
+    let simulated = row.number("simulated");
+    assert!(simulated > 0.0 && simulated < 3.0 / 24.0, "{row:?}");
+    // An iteration with a V-cycle moves 120 bytes a cell where each quad is uniform, 235 where none is.
+    let per_iteration = row.number("bytes") / (row.number("unknowns") * row.number("iterations"));
+    assert!((120.0..1000.0).contains(&per_iteration), "{row:?}");
+    assert!(row.number("share_of_copy_bandwidth") > 0.0, "{row:?}");
+    let stages = results.rows("step_stages");
+    // A row and its stages after each of two runs.
+    assert_eq!(told, 2 * (1 + stages.len()));
     if gpu.report().timestamps {
-        for row in &table.rows {
-            let stages: Vec<_> = table
-                .stages
-                .iter()
-                .filter(|stage| stage.scene == row.scene)
-                .collect();
-            assert_eq!(stages.len(), 12, "{}: {stages:?}", row.scene);
-            for stage in stages {
-                assert!(stage.bytes > 0.0, "no model of {}", stage.stage);
-                assert_eq!(stage.place, "device", "{}", stage.stage);
-                // A clock of the device may be too coarse for a short stage.
-                let share = stage.share_of_copy_bandwidth;
-                assert_eq!(share.is_some(), stage.seconds_median > 0.0, "{stage:?}");
-            }
+        assert_eq!(stages.len(), 12, "{stages:?}");
+        for stage in stages {
+            assert!(stage.number("bytes") > 0.0, "no model of {stage:?}");
+            assert_eq!(stage.text("where"), "device", "{stage:?}");
+            // A clock of the device may be too coarse for a short stage.
+            let timed = stage.number("seconds_median") > 0.0;
+            assert_eq!(
+                stage.number("share_of_copy_bandwidth").is_finite(),
+                timed,
+                "{stage:?}"
+            );
         }
     }
     for name in ["step.csv", "step_stages.csv", "step.json", "step.svg"] {
         let text = fs::read_to_string(folder.path().join(name)).unwrap();
-        assert!(text.contains("drop_into_pool x 1,8,1"), "{name}");
+        assert!(text.contains("drop_into_pool"), "{name}");
     }
+    // With --resume all is there; with another request nothing is kept.
+    let again = |frames, resume| {
+        let mut told = 0;
+        let options = Options {
+            frames,
+            ..options.clone()
+        };
+        let settings = cutwater::measure::bench::Settings {
+            resume,
+            ..settings(folder.path(), 2)
+        };
+        let results = measure(&options, &settings, &mut counted(&mut told));
+        results.map(|results| (told, results))
+    };
+    let (told, kept) = again(3, true).unwrap();
+    assert_eq!((told, kept.rows("step")), (0, results.rows("step")));
+    let refused = again(2, true).unwrap_err().to_string();
+    assert!(
+        refused.contains("request") && refused.contains("--resume"),
+        "{refused}"
+    );
+    assert!(again(2, false).unwrap().0 > 0);
 }
 
 /// A stiff block below a level that is kept.
@@ -137,24 +145,35 @@ fn a_solve_for_both_counts_its_own_bytes_and_is_written_before_another_scene_fai
     let options = Options {
         scenes: vec![scene, refused],
         frames: 3,
-        repeats: 1,
-        larger_domain: None,
         adapter: AdapterChoice::Best,
     };
     let mut told = Vec::new();
-    let error = bench_step(&options, &out, &mut |row| told.push(row.clone())).unwrap_err();
+    let error = measure(&options, &settings(&out, 1), &mut |event| {
+        if let Event::Row(table, row) = event
+            && table.name == "step"
+        {
+            told.push(row.clone());
+        }
+    })
+    .unwrap_err();
     assert!(matches!(error, Error::Limit { .. }), "{error}");
     let [row] = &told[..] else { panic!("{told:?}") };
-    assert_eq!((row.nodes, row.elements), (45, 6 * 16));
-    assert_eq!(row.kind, "touching");
+    assert_eq!((row.count("nodes"), row.count("elements")), (45, 6 * 16));
+    assert_eq!(row.text("kind"), "touching");
     // An iteration has a V-cycle and an inverse among the wet nodes in f32. A polynomial of degree 64, as a solve for solids by themselves has
     // here, would move 1 MB and more.
-    let wet = (3.0 * row.nodes as f64).powi(2);
-    let an_iteration = 300.0 * row.unknowns + 4.0 * wet;
+    let wet = (3.0 * row.number("nodes")).powi(2);
+    let an_iteration = 300.0 * row.number("unknowns") + 4.0 * wet;
     assert!(an_iteration < 0.25e6, "{row:?}");
-    let bytes = row.bytes;
-    assert!(bytes < (row.iterations + 10.0) * an_iteration, "{row:?}");
-    assert!(bytes > row.iterations * 120.0 * row.unknowns, "{row:?}");
+    let bytes = row.number("bytes");
+    assert!(
+        bytes < (row.number("iterations") + 10.0) * an_iteration,
+        "{row:?}"
+    );
+    assert!(
+        bytes > row.number("iterations") * 120.0 * row.number("unknowns"),
+        "{row:?}"
+    );
 
     let text = fs::read_to_string(out.join("step.json")).unwrap();
     let json = crate::common::json(text);
@@ -194,45 +213,84 @@ fn solids_are_refined_beside_the_grid_and_kinds_of_sub_steps_are_told_apart() {
     let options = Options {
         scenes: scenes.to_vec(),
         frames: 3,
-        repeats: 1,
-        larger_domain: None,
         adapter: AdapterChoice::Best,
     };
-    let table = bench_step(&options, folder.path(), &mut |_| ()).unwrap();
+    let table = measure(&options, &settings(folder.path(), 1), &mut |_| ()).unwrap();
     // 1 x 2 x 1 bricks and 2 x 4 x 2.
-    let sizes: Vec<_> = table
-        .rows
+    let rows = table.rows("step");
+    let sizes: Vec<_> = rows
         .iter()
-        .map(|row| (row.cells, row.nodes, row.kind))
+        .map(|row| (row.count("cells"), row.count("nodes"), row.text("kind")))
         .collect();
     let expected = [(512, 12), (512, 45), (4096, 12), (4096, 45)];
     let expected = expected.map(|(cells, nodes)| (cells, nodes, "touching"));
-    assert_eq!(sizes, expected, "{:?}", table.rows);
-    let along: Vec<_> = table
-        .growth
-        .iter()
-        .map(|growth| (growth.along, growth.fixed, growth.rows))
-        .collect();
+    assert_eq!(sizes, expected, "{rows:?}");
+    let along: Vec<_> = table.rows("step_growth").iter().map(of_growth).collect();
     let expected = [
-        ("cells", Some(12), 2),
-        ("nodes", Some(512), 2),
-        ("both", None, 2),
-        ("cells", Some(45), 2),
-        ("nodes", Some(4096), 2),
+        ("cells", 12, 2),
+        ("cells", 45, 2),
+        ("nodes", 512, 2),
+        ("nodes", 4096, 2),
+        ("both", 0, 2),
     ];
-    assert_eq!(along, expected, "{:?}", table.growth);
+    assert_eq!(along, expected);
     // A bar has the stages of its own sub-steps.
-    for row in &table.rows {
-        let stages = table.stages.iter().filter(|stage| {
-            (stage.scale, stage.solids_scale) == (row.scale, row.solids_scale)
-                && stage.kind == row.kind
-        });
-        let names: Vec<_> = stages.map(|stage| stage.stage).collect();
-        assert_eq!(names.iter().filter(|name| **name == "solve").count(), 1);
+    for row in rows {
+        let stages = table.rows("step_stages").iter();
+        let key = ["scale", "solids_scale", "kind"];
+        let own = stages.filter(|stage| stage.only(&key) == row.only(&key));
+        assert_eq!(
+            own.filter(|stage| stage.text("stage") == "solve").count(),
+            1
+        );
     }
 
     let error = Case::new(case(1.0, 1.0).scene, 0.0).unwrap_err();
     assert!(error.to_string().contains("--solids-scale 0"), "{error}");
+}
+
+fn of_growth(row: &Row) -> (&str, usize, usize) {
+    (row.text("along"), row.count("fixed"), row.count("rows"))
+}
+
+/// A row of a scene whose sub-steps take as many seconds as it has cells.
+fn a_row(scale: f64, solids_scale: f64, cells: usize, nodes: usize, kind: &str) -> Row {
+    let seconds = Spread::exact(cells as f64);
+    row! {
+        scene: "made_up", kind: kind, scale: scale, solids_scale: solids_scale, cells: cells, nodes: nodes, runs: 1_usize, seconds: seconds,
+    }
+}
+
+fn growth_of(rows: &[Row]) -> Vec<Row> {
+    let mut tables = ["step", "step_stages", "step_growth"].map(|name| Table::new(name, &[], &[]));
+    tables[0].rows = rows.to_vec();
+    derive(&mut tables);
+    tables[2].rows.clone()
+}
+
+#[test]
+fn rows_of_other_kinds_are_in_no_exponent() {
+    let rows = [
+        a_row(0.2, 1.0, 1000, 0, "touching"),
+        a_row(0.4, 1.0, 8000, 0, "touching"),
+        a_row(0.8, 1.0, 64000, 0, "apart"),
+    ];
+    let fitted = growth_of(&rows);
+    assert_eq!(
+        fitted.iter().map(of_growth).collect::<Vec<_>>(),
+        [("cells", 0, 2)]
+    );
+    assert!((fitted[0].number("exponent") - 1.0).abs() < 1e-12);
+    // One size is no growth, nor are meshes that no scale changes refined.
+    let same = [
+        a_row(0.2, 0.5, 1000, 50, "touching"),
+        a_row(0.4, 1.0, 8000, 50, "touching"),
+    ];
+    assert_eq!(
+        growth_of(&same).iter().map(of_growth).collect::<Vec<_>>(),
+        [("cells", 50, 2)]
+    );
+    assert!(growth_of(&rows[..1]).is_empty());
 }
 
 #[test]

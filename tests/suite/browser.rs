@@ -7,6 +7,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 
@@ -71,7 +73,15 @@ fn browser() -> Option<String> {
 
 /// What the probe finds on a page in a window so many pixels wide.
 fn found(browser: &str, page: &Path, width: u32) -> Value {
+    // Drawings are images; the probe sees their text where they are parts of the page.
     let text = fs::read_to_string(page).unwrap();
+    let mut parts = text.split("<img src=\"data:image/svg+xml;base64,");
+    let mut text = parts.next().unwrap().to_owned();
+    for part in parts {
+        let (data, rest) = part.split_once('"').unwrap();
+        text += &String::from_utf8(STANDARD.decode(data).unwrap()).unwrap();
+        text += rest.split_once('>').unwrap().1;
+    }
     let probed = page.with_file_name("probed.html");
     fs::write(&probed, text.replace("</body>", &format!("{PROBE}</body>"))).unwrap();
     let profile = tempfile::tempdir().unwrap();

@@ -131,7 +131,7 @@ fn help_lists_the_commands_of_the_readme() {
     assert!(n > 1, "{help}");
     let version = concat!("cutwater ", env!("CARGO_PKG_VERSION"));
     assert_eq!(says(&folder, "-V"), format!("{version}\n"));
-    let sources = cutwater::measure::table::SOURCES;
+    let sources = cutwater::measure::bench::SOURCES;
     assert_eq!(
         says(&folder, "--version"),
         format!("{version} ({sources})\n")
@@ -730,7 +730,7 @@ box = { min = [0.5, 0.1, 0.1], max = [1.0, 0.12, 0.4] }
 fn a_folder_that_cannot_be_written_is_told() {
     let folder = folder(DAM);
     let told = complains(&folder, "run dam.toml --backend cpu --out dam.toml", 2);
-    let parts = ["cannot write dam.toml", "cure: choose a folder"];
+    let parts = ["cannot write dam.toml", "cure: choose a writable folder"];
     assert!(parts.iter().all(|part| told.contains(part)), "{told}");
     assert_eq!(
         fs::read_to_string(folder.path().join("dam.toml")).unwrap(),

@@ -370,7 +370,7 @@ fn matrix_market_errors_name_line_and_cure() {
         ),
         (
             format!("{banner}2 2 1\n1 1 1\n2 2 1\n"),
-            ":4: `2 2 1` follows after the last entry",
+            ":4: `2 2 1` follows the last entry",
         ),
     ] {
         fs::write(&path, &text).unwrap();

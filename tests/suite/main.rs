@@ -1,6 +1,7 @@
 //! All integration tests, in one binary so that the dependencies are linked once.
 
 mod band;
+mod bench;
 mod bench_accuracy;
 mod bench_device;
 mod bench_effects;

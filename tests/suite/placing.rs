@@ -499,7 +499,7 @@ fn a_filled_cone_is_not_thin() {
         let ball = ball("ball", [0.2, 0.2, 0.17], "");
         warns(
             &(format!("{HEAD}{POOL}") + &cone + &ball),
-            &["\"cone\" and \"ball\" lie"],
+            &["\"cone\" and \"ball\" overlap"],
         );
     }
 }

@@ -3,8 +3,8 @@
 use std::fs;
 use std::path::Path;
 
-use cutwater::measure::plot::plot;
-use cutwater::measure::report::{Contents, report};
+use cutwater::output::plot::plot;
+use cutwater::output::report::{Contents, report};
 
 fn run(dir: &Path, factor: f64) {
     fs::create_dir_all(dir).unwrap();

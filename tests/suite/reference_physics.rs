@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use cutwater::elastic::Solids;
 use cutwater::geometry::{initial_state, obstacle_cut};
 use cutwater::grid::{Axis, Grid};
-use cutwater::measure::bench_accuracy::dam_release;
+use cutwater::measure::bench::accuracy::dam_release;
 use cutwater::reference::{Reference, TimeStep, probe};
 use cutwater::scene::{ProbeKind, Scene, Shape};
 use cutwater::state::{LiquidReport, SolveStatus, State, StepReport};

@@ -3,8 +3,11 @@
 use std::fs;
 use std::path::Path;
 
-use cutwater::measure::report::{Contents, PAGE, report};
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+
 use cutwater::output::manifest::{Manifest, RunOptions};
+use cutwater::output::report::{Contents, PAGE, report};
 use cutwater::scene::Scene;
 
 /// A PNG file of one pixel, an animation where it is to be several greys.
@@ -40,7 +43,8 @@ fn a_page_holds_everything() {
     .unwrap();
     let table = "grid,seconds,note\n20,0.123456789,<script>alert(1)</script>\n40,1e-9,\n";
     fs::write(bench.join("solve.csv"), table).unwrap();
-    let drawn = "<svg xmlns=\"http://www.w3.org/2000/svg\"><path d=\"M0 0\"/></svg>";
+    // As an image it runs nothing.
+    let drawn = "<svg xmlns=\"http://www.w3.org/2000/svg\"><script>alert(2)</script></svg>";
     fs::write(bench.join("solve.svg"), drawn).unwrap();
     // More rows and pictures than anybody reads.
     let rows: String = (0..1000).map(|row| format!("{row},{row}.5\n")).collect();
@@ -65,7 +69,7 @@ fn a_page_holds_everything() {
         "0.12346",
         "1.000e-9",
         "&lt;script&gt;alert(1)&lt;/script&gt;",
-        drawn,
+        &STANDARD.encode(drawn),
         "bench &lt;solve&gt;",
         "600 more rows",
         "frame_8.png",
@@ -106,8 +110,9 @@ fn nothing_and_broken_files_are_refused() {
     let mut changed = whole.clone();
     // The last byte of its data, before two checksums and the end.
     changed[whole.len() - 21] ^= 1;
-    let drawing = "<!DOCTYPE svg><svg xmlns=\"http://www.w3.org/2000/svg\"><g fill=\"url(#p)\"></g><a href=\"#g\"/></svg>";
-    let files: [(&str, &[u8], &str); 24] = [
+    let drawing =
+        "<!DOCTYPE svg><svg xmlns=\"http://www.w3.org/2000/svg\"><g fill=\"url(#p)\"></g></svg>";
+    let files: [(&str, &[u8], &str); 13] = [
         ("steps.csv", b"", "it is empty"),
         ("blank.csv", b"\n\n", "it is empty"),
         ("quote.csv", b"a,b\n1,\"2\n3,4\n", "the last quotation mark"),
@@ -121,37 +126,6 @@ fn nothing_and_broken_files_are_refused() {
         ("p.svg", b"<svg", ""),
         ("p.svg", &drawing.as_bytes()[..drawing.len() - 1], ""),
         ("p.svg", b"<html></html>", "its root"),
-        ("p.svg", b"<svg><script>1</script></svg>", "it has a script"),
-        ("p.svg", b"<svg><foreignObject/></svg>", "it has a foreign"),
-        ("p.svg", b"<svg><SCRIPT>1</SCRIPT></svg>", "it has a SCRIPT"),
-        (
-            "p.svg",
-            b"<svg><?x ><script>1</script>?></svg>",
-            "it has a processing",
-        ),
-        (
-            "p.svg",
-            b"<svg><set attributeName=\"href\"/></svg>",
-            "it has a set",
-        ),
-        (
-            "p.svg",
-            b"<svg><style>@import 'a'</style></svg>",
-            "it has a style",
-        ),
-        ("p.svg", b"<svg fill=\"URL('//a/b')\"/>", "it has fill"),
-        ("p.svg", b"<svg><img src=\"a.png\"/></svg>", "it has src"),
-        ("p.svg", b"<svg onload=\"a()\"/>", "it has onload"),
-        (
-            "p.svg",
-            b"<svg><a href=\"javascript:a()\"/></svg>",
-            "it has href",
-        ),
-        (
-            "p.svg",
-            b"<svg xmlns:x=\"http://www.w3.org/1999/xlink\"><image x:href=\"//a/b.png\"/></svg>",
-            "it has href",
-        ),
     ];
     for (name, bytes, told) in files {
         fs::write(dir.join(name), bytes).unwrap();

@@ -60,7 +60,7 @@ const HOMES: &[(&str, &str)] = &[
     ("splashsurf_lib", "output"),
     ("png", "output"),
     ("noto_sans_mono_bitmap", "output"),
-    ("maud", "measure"),
+    ("maud", "output"),
     ("clap", "cli"),
     ("ctrlc", "cli"),
     ("signal_hook", "cli"),

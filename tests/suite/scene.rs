@@ -260,7 +260,7 @@ const REFUSED: &[Case] = &[
     ("translate = [0.1, 0, 0]", "at = [0.1, 0, 0], translate = [0.1, 0, 0]", 27, "obstacle[0].placement.at", &["conflicts with `translate`", "keep one"]),
     ("half_space = { point = [0, 0.1, 0], normal = [0, 2, 0] }", "half_space = { point = [0, 0.1, 0], normal = [0, 2, 0] }\nplacement = { at = [0, 0, 0] }", 25, "liquid.region[2].placement", &["a half_space has none", "remove it"]),
     ("centre = [0.25, 0.25, 0.25]", "position = [0.25, 0.25, 0.25]", 21, "liquid.region[1].sphere.position", &["did you mean `centre`?"]),
-    ("[domain]\nsize", "gravity = [0, 0, 0]\n[domain]\nsize", 2, "gravity", &["unknown key", "write it in the section [domain]"]),
+    ("[domain]\nsize", "gravity = [0, 0, 0]\n[domain]\nsize", 2, "gravity", &["unknown key", "write the key in the section [domain]"]),
     ("[domain]\nsize", "units = \"mm\"\n[domain]\nsize", 2, "units", &["lengths in m", "beside its file"]),
     ("[camera]", "[fluid]\n[camera]", 51, "fluid", &["did you mean `liquid`?"]),
     // Types.
@@ -779,7 +779,7 @@ fn bad_overrides_name_themselves() {
         ("solid.young=1", &["solid: is one table, not a list", "[[solid]]"]),
         ("liquid.region.velocity=[0, 0, 0]", &["a list of 3", "liquid.region[0].velocity"]),
         ("liquid.region[3].velocity=[0, 0, 0]", &["no `liquid.region[3]`", "0 to 2"]),
-        ("liquid.density[0]=3", &["`liquid.density` is the number 800", "leave out the [0]"]),
+        ("liquid.density[0]=3", &["`liquid.density` is the number 800", "remove the [0]"]),
         ("liquid.density.x=3", &["has no key `x`", "set `liquid.density`"]),
         ("domain.size=[2, 1, 0.4]", &["domain.size", "not cubic", "[30, 15, 6]"]),
         ("obstacle[0].placement.rotate={ axis = [1, 0, 0] }", &["obstacle[0].placement.rotate.degrees: is missing"]),

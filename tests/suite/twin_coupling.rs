@@ -363,7 +363,7 @@ fn what_pushes_nodes_is_the_twins() {
                         &[
                             ("coupling", (&device.coupling.coupling).into()),
                             ("words", (&device.coupling.words).into()),
-                            ("pairs", (&device.coupling.node_pairs).into()),
+                            ("node_pairs", (&device.coupling.node_pairs).into()),
                             ("flags", (&buffers.flags).into()),
                             ("p", (&buffers.potential).into()),
                             ("rhs", (&device.solids.rhs).into()),

@@ -1,8 +1,10 @@
 //! Problems with known answers that benches measure: the limit of added mass of weak coupling, and tables 6.5 and 6.6 of the thesis.
 
 use cutwater::gpu::AdapterChoice;
-use cutwater::measure::bench_stability::{LimitRow, limits};
-use cutwater::measure::bench_thesis::{Options, Row, ThesisTable, bench_thesis};
+use cutwater::measure::bench::Settings;
+use cutwater::measure::bench::stability::limits;
+use cutwater::measure::bench::table::Row;
+use cutwater::measure::bench::thesis::{Options, measure};
 use cutwater::reference::larger;
 use cutwater::scene::Precision;
 use cutwater::sim::Backend;
@@ -14,14 +16,14 @@ use crate::sheet::Sheet;
 
 pub(crate) fn cases() -> Vec<Case> {
     let mut cases = vec![Case::new("limit", limit)];
-    for table in [ThesisTable::T6_5, ThesisTable::T6_6] {
+    for table in ["6.5", "6.6"] {
         for lane in Lane::PRECISE {
-            let id = format!("T{}/{}", table.number(), lane.name());
+            let id = format!("T{table}/{}", lane.name());
             cases.push(Case::new(id, move |sheet| {
                 one_step(table, lane, &[5, 10, 20, 40, 80], sheet);
             }));
         }
-        let id = format!("T{}/coarse/{}", table.number(), Lane::Mixed.name());
+        let id = format!("T{table}/coarse/{}", Lane::Mixed.name());
         cases.push(Case::new(id, move |sheet| {
             one_step(table, Lane::Mixed, &[5, 10, 20, 40], sheet);
         }));
@@ -33,24 +35,22 @@ pub(crate) fn cases() -> Vec<Case> {
 /// distance of the closest columns from the limit of stability, m_a / m_s = 1 + (w dt)^2 / 4.
 fn limit(sheet: &mut Sheet) {
     let run = limits().into_iter().map(|limit| limit.run(&Backend::Cpu));
-    let rows: Result<Vec<LimitRow>, _> = run.collect();
+    let rows: Result<Vec<Row>, _> = run.collect();
     let rows = rows.unwrap_or_else(|error| panic!("{error}"));
     for row in &rows {
-        let LimitRow {
-            ratio,
-            omega_dt,
-            dt,
-            ..
-        } = row;
+        let [ratio, omega_dt, dt, expected, got, tolerance] =
+            ["ratio", "omega_dt", "dt", "expected", "got", "tolerance"]
+                .map(|name| row.number(name));
         let what = format!(
             "weak coupling, m_a/m_s = {ratio:.3}, w dt = {omega_dt}, dt = {dt} s: growth of the velocity per sub-step"
         );
-        sheet.relative(&what, row.expected, row.got, row.tolerance);
+        sheet.relative(&what, expected, got, tolerance);
     }
     let free = |dt: f64| {
         let rows = rows.iter();
-        let rows = rows.filter(move |row| row.omega_dt == 0.0 && row.dt == dt);
-        rows.map(|row| [row.ratio, row.got]).collect::<Vec<_>>()
+        let rows = rows.filter(move |row| row.number("omega_dt") == 0.0 && row.number("dt") == dt);
+        rows.map(|row| ["ratio", "got"].map(|name| row.number(name)))
+            .collect::<Vec<_>>()
     };
     let [long, short] = [free(0.01), free(0.0025)];
     assert!(!long.is_empty() && long.len() == short.len(), "{rows:?}");
@@ -79,86 +79,107 @@ fn limit(sheet: &mut Sheet) {
 ///
 /// With hydrostatic pressures errors are below the printed ones. p is of second order; a tenth is allowed for faces that cross cells anywhere. v is of
 /// first order at least, since its stencil beside cut faces is.
-fn one_step(table: ThesisTable, lane: Lane, grids: &[usize], sheet: &mut Sheet) {
+fn one_step(table: &str, lane: Lane, grids: &[usize], sheet: &mut Sheet) {
     let options = Options {
-        tables: vec![table],
+        tables: vec![table.to_owned()],
         grids: grids.to_vec(),
         frames: Vec::new(),
         precisions: lane.choose(Vec::new(), vec![Precision::Mixed], vec![Precision::F32]),
-        repeats: 1,
         scenes: "scenes".into(),
         scale: 1.0,
         steps: 1,
         adapter: AdapterChoice::Best,
-        resume: false,
     };
     let folder = tempfile::tempdir().expect("a folder for the tables");
-    let found = bench_thesis(&options, folder.path(), &mut |_| {});
+    let settings = Settings {
+        out: folder.path().to_owned(),
+        repeats: 1,
+        seconds: 0.0,
+        resume: false,
+    };
+    let found = measure(&options, &settings, &mut |_| ());
     let found = found.unwrap_or_else(|error| panic!("{error}"));
+    let errors = |row: &Row| ["error_p", "error_v", "error_u"].map(|name| row.number(name));
     let backend = lane.backend();
-    let rows = found.rows.iter();
-    let rows: Vec<&Row> = rows.filter(|row| row.backend == backend.name()).collect();
+    let rows = found.rows("thesis").iter();
+    let rows: Vec<&Row> = rows
+        .filter(|row| row.text("backend") == backend.name())
+        .collect();
     let unsolved: Vec<&&Row> = rows
         .iter()
-        .filter(|row| row.status != "converged")
+        .filter(|row| row.text("status") != "converged")
         .collect();
     let got = unsolved.iter().map(|row| format!("{row:?}; ")).collect();
     sheet.holds("all solves", "converged", got, unsolved.is_empty());
     let printed = |grid: usize| {
-        let mut of_grid = rows.iter().filter(|row| row.grid == grid);
-        let row = of_grid.find(|row| row.patch_pressure == "cell");
+        let mut of_grid = rows.iter().filter(|row| row.count("grid") == grid);
+        let row = of_grid.find(|row| row.text("patch_pressure") == "cell");
         let row = row.expect("the thesis has this grid");
-        [row.thesis_p, row.thesis_v, row.thesis_u].map(|error| error.expect("it prints all three"))
+        ["thesis_p", "thesis_v", "thesis_u"].map(|error| row.number(error))
     };
     for row in &rows {
-        let what = format!("block at rest, dx = {}, \"{}\"", row.dx, row.patch_pressure);
-        let [p, v, u] = printed(row.grid);
-        if row.patch_pressure != "cell" {
+        let patches = row.text("patch_pressure");
+        let what = format!("block at rest, dx = {}, \"{patches}\"", row.number("dx"));
+        let [p, v, u] = printed(row.count("grid"));
+        if patches != "cell" {
             let what_p = format!("{what}: error of p over that of the thesis");
-            sheet.at_most(&what_p, row.error_p / p, 1.0);
+            sheet.at_most(&what_p, row.number("error_p") / p, 1.0);
             sheet.info(
                 &format!("{what}: errors of p (Pa), v, u (m/s)"),
                 format!(
                     "{:.2e}, {:.2e}, {:.2e}",
-                    row.error_p, row.error_v, row.error_u
+                    row.number("error_p"),
+                    row.number("error_v"),
+                    row.number("error_u")
                 ),
             );
             continue;
         }
         for (of, printed, error) in [
-            ("p", p, row.error_p),
-            ("v", v, row.error_v),
-            ("u", u, row.error_u),
+            ("p", p, row.number("error_p")),
+            ("v", v, row.number("error_v")),
+            ("u", u, row.number("error_u")),
         ] {
             let what = format!("{what}: error of {of} over that of the thesis");
             sheet.at_most(&what, error / printed, 2.0);
         }
         // On two cells across the block the errors from its sides are as large.
-        if row.grid > 5 {
+        if row.count("grid") > 5 {
             let what =
                 format!("{what}: error of p over the weight of the liquid from face to centre");
-            sheet.at_most(&what, row.error_p_over_weight, 1.0);
+            sheet.at_most(&what, row.number("error_p_over_weight"), 1.0);
         }
     }
-    let mut orders = found
-        .orders
-        .iter()
-        .filter(|order| order.backend == backend.name() && order.patch_pressure == "hydrostatic");
+    let mut orders = found.rows("thesis_orders").iter().filter(|order| {
+        order.text("backend") == backend.name() && order.text("patch_pressure") == "hydrostatic"
+    });
     let order = orders.next().expect("solves converged on several grids");
     let finest = grids[grids.len() - 1];
-    assert_eq!([order.coarsest, order.finest], [10, finest], "{order:?}");
+    assert_eq!(
+        ["coarsest", "finest"].map(|name| order.count(name)),
+        [10, finest],
+        "{order:?}"
+    );
     let what = "block at rest, \"hydrostatic\": order of the error of";
     let span = format!("dx = 0.1 to {}", 1.0 / finest as f64);
-    sheet.at_least(&format!("{what} p, {span}"), order.order_p, 1.8);
-    sheet.at_least(&format!("{what} p, least of a halving"), order.least_p, 1.0);
+    let order = |name: &str| order.number(name);
+    sheet.at_least(&format!("{what} p, {span}"), order("order_p"), 1.8);
+    sheet.at_least(
+        &format!("{what} p, least of a halving"),
+        order("least_p"),
+        1.0,
+    );
     sheet.info(
         &format!("{what} v, {span}"),
-        format!("{:.2}", order.order_v),
+        format!("{:.2}", order("order_v")),
     );
-    sheet.at_least(&format!("{what} v, least of a halving"), order.least_v, 1.0);
+    sheet.at_least(
+        &format!("{what} v, least of a halving"),
+        order("least_v"),
+        1.0,
+    );
     if lane != Lane::F64 {
-        let errors = |row: &Row| [row.error_p, row.error_v, row.error_u];
-        let pairs = found.rows.chunks_exact(2);
+        let pairs = found.rows("thesis").chunks_exact(2);
         let off = pairs.flat_map(|pair| {
             let [a, b] = [&pair[0], &pair[1]].map(errors);
             [0, 1, 2].map(|of| (a[of] / b[of] - 1.0).abs())
@@ -167,20 +188,21 @@ fn one_step(table: ThesisTable, lane: Lane, grids: &[usize], sheet: &mut Sheet) 
         let what = "block at rest: largest relative difference of an error from that in f64";
         sheet.at_most(what, off.fold(0.0, larger), 5e-3);
     }
-    let line = |label: &str, mark: Mark, patches: &str, error: fn(&Row) -> Option<f64>| {
-        let rows = rows.iter().filter(|row| row.patch_pressure == patches);
-        let points = rows.filter_map(|row| Some([row.dx.log10(), error(row)?.log10()]));
+    let line = |label: &str, mark: Mark, patches: &str, error: &str| {
+        let rows = rows
+            .iter()
+            .filter(|row| row.text("patch_pressure") == patches);
+        let points = rows.filter(|row| row.has(error));
+        let points = points.map(|row| [row.number("dx").log10(), row.number(error).log10()]);
         Line::new(label, mark, points.collect())
     };
     sheet.chart(
-        &format!("table {} of the thesis, {}", table.number(), lane.name()),
+        &format!("table {} of the thesis, {}", table, lane.name()),
         ["log10 of dx, m", "log10 of the error of p, Pa"],
         vec![
-            line("thesis", Mark::Measured, "cell", |row| row.thesis_p),
-            line("\"cell\"", Mark::Points, "cell", |row| Some(row.error_p)),
-            line("\"hydrostatic\"", Mark::Points, "hydrostatic", |row| {
-                Some(row.error_p)
-            }),
+            line("thesis", Mark::Measured, "cell", "thesis_p"),
+            line("\"cell\"", Mark::Points, "cell", "error_p"),
+            line("\"hydrostatic\"", Mark::Points, "hydrostatic", "error_p"),
         ],
     );
 }

@@ -6,7 +6,8 @@
 
 use cutwater::elastic::Solids;
 use cutwater::gpu::AdapterChoice;
-use cutwater::measure::bench_stability::{Options, bench_stability};
+use cutwater::measure::bench::Settings;
+use cutwater::measure::bench::stability::{Options, measure};
 use cutwater::reference::larger;
 use cutwater::scene::Scene;
 use cutwater::sim::{Backend, Simulation};
@@ -701,18 +702,31 @@ fn weak(sheet: &mut Sheet) {
         backend: Backend::Gpu(AdapterChoice::Best),
     };
     let folder = tempfile::tempdir().expect("a folder for the tables");
-    let table = bench_stability(&options, folder.path(), &mut |_| {});
-    let table = table.unwrap_or_else(|error| panic!("{error}"));
-    let [row] = &table.rows[..] else {
-        panic!("{table:?}")
+    let settings = Settings {
+        out: folder.path().to_owned(),
+        repeats: 1,
+        seconds: 0.0,
+        resume: false,
     };
-    sheet.info("how it ends", row.status.clone());
+    let results = measure(&options, &settings, &mut |_| ());
+    let results = results.unwrap_or_else(|error| panic!("{error}"));
+    let [row] = results.rows("stability") else {
+        panic!("{results:?}")
+    };
+    sheet.info("how it ends", row.text("status").to_owned());
     let what = "extreme distortion: largest elastic energy over all energy of the start";
-    sheet.info(what, format!("{:.1}", row.elastic_ratio));
+    sheet.info(what, format!("{:.1}", row.number("elastic_ratio")));
     let what = "the stiff beam is bent: largest way of its end over its length";
-    sheet.info(what, format!("{:.3}", row.deflection.unwrap_or(0.0)));
+    sheet.info(
+        what,
+        format!("{:.3}", f64::max(0.0, row.number("deflection"))),
+    );
     sheet.info(
         "largest energy over that of the start; least det F",
-        format!("{:.1}; {:.2}", row.energy_ratio, row.min_det),
+        format!(
+            "{:.1}; {:.2}",
+            row.number("energy_ratio"),
+            row.number("min_det")
+        ),
     );
 }

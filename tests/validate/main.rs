@@ -58,7 +58,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
 use cutwater::gpu::{AdapterChoice, Gpu};
-use cutwater::measure::table::Machine;
+use cutwater::measure::bench::Machine;
 
 use cost::{Class, Sum};
 use published::Published;
@@ -298,7 +298,7 @@ fn validate(options: &Options) -> Result<ExitCode, Box<dyn Error>> {
     println!(
         "{} cases on {}, {} at a time. As published:\n{}",
         cases.len(),
-        machine.adapter,
+        machine.name(),
         options.jobs,
         classes(cost::sums(
             cases.iter().map(|case| (case.id.as_str(), before(case)))
@@ -320,7 +320,7 @@ fn validate(options: &Options) -> Result<ExitCode, Box<dyn Error>> {
         rows.len(),
         cases.len(),
         start.elapsed().as_secs_f64(),
-        machine.adapter,
+        machine.name(),
         failed.len()
     );
     sheet::write(&rows, &charts, &summary)?;

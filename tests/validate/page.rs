@@ -6,7 +6,7 @@ use std::fs;
 use std::io;
 use std::path::Path;
 
-use cutwater::measure::ink;
+use cutwater::output::drawing::ink;
 use plotters::prelude::*;
 use serde::{Deserialize, Serialize};
 

@@ -5,7 +5,7 @@ use std::error::Error;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use cutwater::measure::table::Machine;
+use cutwater::measure::bench::Machine;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -156,8 +156,8 @@ impl PublishedRow {
             seconds: (10.0 * row.seconds).round() / 10.0,
             share: row.share,
             worst: false,
-            measured: machine.host.measured.clone(),
-            sources: machine.host.sources.to_owned(),
+            measured: machine.measured.clone(),
+            sources: machine.sources.to_owned(),
         }
     }
 

@@ -6,7 +6,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use cutwater::measure::table::Machine;
+use cutwater::measure::bench::Machine;
 use cutwater::output::write_atomically;
 use serde::{Deserialize, Serialize};
 

@@ -1,135 +1,191 @@
-//! `cutwater bench`
+//! `cutwater bench`: options of each bench, shared ones once; rows to lines of the terminal.
 
-mod accuracy;
-mod device;
-mod effects;
-mod solids;
 mod solve;
-mod stability;
 mod step;
-mod thesis;
 
-use clap::builder::RangedU64ValueParser;
-use clap::{Args, Subcommand, ValueEnum};
+use std::path::PathBuf;
+
+use clap::builder::{PossibleValuesParser, RangedU64ValueParser, TypedValueParser};
+use clap::{Args, Subcommand};
 use cutwater::Error;
-use cutwater::measure::table::Machine;
-use cutwater::scene::{Precision, Preconditioner};
+use cutwater::gpu::Gpu;
+use cutwater::measure::bench::{
+    self, Event, Listener, Results, Settings, accuracy, device, effects, solids, stability, thesis,
+};
+use cutwater::scene::{Formulation, Precision, Preconditioner, Scene, Solver};
 
-use super::{SMALLER_SCENE, without_backend};
-use accuracy::Accuracy;
-use device::Device;
-use effects::Effects;
-use solids::Solids;
-use solve::Solve;
-use stability::Stability;
-use step::Step;
-use thesis::Thesis;
+use super::{AdapterArgs, BackendArgs, SMALLER_SCENE, without_backend};
 
 /// Measure the solves, the whole step, or the adapter; or the thesis's tables
 #[derive(Debug, Args)]
 pub(super) struct Bench {
     #[command(subcommand)]
-    what: What,
+    name: Name,
 }
 
 #[derive(Debug, Subcommand)]
-enum What {
+enum Name {
     /// The solve against the grid, on the base block and, with a beam, on the base scene: solve.csv, solve_growth.csv, solve_against.csv,
     /// solve.json, solve.svg
-    Solve(Solve),
-    /// The solve of elastic solids against their size, and against sparse Cholesky: solids.csv, solids.json, solids.svg
+    Solve(solve::Solve),
+    /// The solve of elastic solids against their size, beside sparse Cholesky: solids.csv, solids.json, solids.svg
     Solids(Solids),
-    /// What accuracy costs in time: errors against seconds, by precision, preconditioner, form and tolerance, on states of scenes:
-    /// accuracy.csv, accuracy_best.csv, accuracy_grids.csv, accuracy_grids_best.csv, accuracy_grids_enough.csv, accuracy.json, accuracy.svg,
+    /// Error against time by precision, preconditioner, form and tolerance, on states of scenes and on known problems: accuracy.csv,
+    /// accuracy_best.csv, accuracy_grids.csv, accuracy_grids_best.csv, accuracy_grids_enough.csv, accuracy.json, accuracy.svg,
     /// accuracy_grids.svg
     Accuracy(Accuracy),
-    /// What each effect of a scene adds to a sub-step, in time, bytes and dispatches, and each output to a frame: effects.csv, outputs.csv,
-    /// effects.json, outputs.json, effects.svg
+    /// Cost of each effect of a scene per sub-step, and of each output per frame: effects.csv, effects_outputs.csv, effects.json, effects.svg
     Effects(Effects),
     /// Whole sub-steps of scenes, stage by stage: step.csv, step_stages.csv, step_growth.csv, step.json, step.svg
-    Step(Step),
-    /// What stays stable: hostile scenes, the thesis's section 6.3, the limit of weak coupling: stability.csv, stability_limit.csv,
-    /// stability.json, stability.svg
+    Step(step::Step),
+    /// Hostile scenes, the thesis's section 6.3, the limit of weak coupling: stability.csv, stability_limit.csv, stability.json,
+    /// stability.svg
     Stability(Stability),
     /// Rates and latencies of the adapter - bandwidth, arithmetic, launches, waits: device.csv, device.json
     Device(Device),
-    /// Tables 6.1 to 6.6 of the thesis beside what they are here: thesis_scenes.csv, thesis_systems.csv, thesis_means.csv, thesis_growth.csv, thesis.csv,
-    /// thesis_orders.csv, thesis.json, thesis.svg
+    /// Tables 6.1 to 6.6 of the thesis, printed numbers beside measured ones: thesis_scenes.csv, thesis_systems.csv, thesis_means.csv,
+    /// thesis_growth.csv, thesis.csv, thesis_orders.csv, thesis.json, thesis.svg
     Thesis(Thesis),
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum PrecisionName {
-    F32,
-    Mixed,
-    F64,
+/// Options of all benches.
+#[derive(Debug, Args)]
+struct Output {
+    /// Folder of the results; out/bench_NAME by default
+    #[arg(long)]
+    out: Option<PathBuf>,
+    /// Keep finished rows of an earlier run with the same options on this machine, and measure the others
+    #[arg(long)]
+    resume: bool,
 }
 
-impl PrecisionName {
-    fn precision(self) -> Precision {
-        match self {
-            PrecisionName::F32 => Precision::F32,
-            PrecisionName::Mixed => Precision::Mixed,
-            PrecisionName::F64 => Precision::F64,
+/// Options of benches that repeat.
+#[derive(Debug, Args)]
+struct Repeats {
+    /// Timed runs per row
+    #[arg(long, default_value_t = 5, value_parser = at_least_once())]
+    repeats: usize,
+    /// Do not repeat a row once its runs took so many seconds
+    #[arg(long, default_value_t = 20.0)]
+    seconds: f64,
+}
+
+impl Output {
+    /// Runs a bench and prints its rows, derived tables and failures.
+    fn run(
+        &self,
+        name: &str,
+        repeats: Option<&Repeats>,
+        measure: impl FnOnce(&Settings, Listener) -> Result<Results, Error>,
+    ) -> Result<(), Error> {
+        let out = self
+            .out
+            .clone()
+            .unwrap_or_else(|| format!("out/bench_{name}").into());
+        let settings = Settings {
+            out: out.clone(),
+            repeats: repeats.map_or(1, |repeats| repeats.repeats),
+            seconds: repeats.map_or(0.0, |repeats| repeats.seconds),
+            resume: self.resume,
+        };
+        let mut last = "";
+        let results = measure(&settings, &mut |event| match event {
+            Event::Row(table, row) => {
+                if std::mem::replace(&mut last, table.name) != table.name {
+                    say!("{}", table.heading());
+                }
+                say!("{}", table.line(row));
+            }
+            Event::Progress(text) => warn!("{text}"),
+        })?;
+        let derived = results.tables.iter().filter(|table| table.key.is_empty());
+        for table in derived.filter(|table| !table.rows.is_empty()) {
+            say!("{}.csv\n{}", table.name, table.heading());
+            table
+                .rows
+                .iter()
+                .for_each(|row| say!("{}", table.line(row)));
         }
-    }
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum PreconditionerName {
-    Multigrid,
-    Jacobi,
-    BlockJacobi,
-}
-
-impl PreconditionerName {
-    fn preconditioner(self) -> Preconditioner {
-        match self {
-            PreconditionerName::Multigrid => Preconditioner::Multigrid,
-            PreconditionerName::Jacobi => Preconditioner::Jacobi,
-            PreconditionerName::BlockJacobi => Preconditioner::BlockJacobi,
+        if let (Some(adapter), Some(copy)) =
+            (&results.machine.adapter, results.machine.copy_bandwidth)
+        {
+            say!(
+                "adapter: {adapter}, copy bandwidth {:.1} GB/s",
+                1e-9 * copy.median
+            );
         }
+        say!("results: {}", out.display());
+        results.verdict()
     }
 }
 
 impl Bench {
     pub(super) fn run(&self) -> Result<(), Error> {
-        let (done, smaller) = match &self.what {
-            What::Solve(solve) => (solve.run(), "smaller grids (--grids)"),
-            What::Accuracy(accuracy) => (
+        let (done, smaller) = match &self.name {
+            Name::Solve(solve) => (solve.run(), "smaller grids (--grids)"),
+            Name::Accuracy(accuracy) => (
                 accuracy.run(),
                 "fewer cells (--scale, --grids) or coarser meshes of the solids",
             ),
-            What::Effects(effects) => (effects.run(), SMALLER_SCENE),
-            What::Solids(solids) => (solids.run(), "fewer nodes (--nodes)"),
-            What::Step(step) => (step.run(), SMALLER_SCENE),
+            Name::Effects(effects) => (effects.run(), SMALLER_SCENE),
+            Name::Solids(solids) => (solids.run(), "fewer nodes (--nodes)"),
+            Name::Step(step) => (step.run(), SMALLER_SCENE),
             // The one that has --backend.
-            What::Stability(stability) => return stability.run(),
-            What::Device(device) => (device.run(), "a device with free memory"),
-            What::Thesis(thesis) => (thesis.run(), "smaller grids (--grids) and scenes (--scale)"),
+            Name::Stability(stability) => return stability.run(),
+            Name::Device(device) => (device.run(), "a device with free memory"),
+            Name::Thesis(thesis) => (thesis.run(), "smaller grids (--grids) and scenes (--scale)"),
         };
         done.map_err(|error| without_backend(error, smaller))
     }
 }
 
-/// Reads how often something is done.
+/// Parser of a count of at least 1.
 fn at_least_once() -> RangedU64ValueParser<usize> {
     RangedU64ValueParser::new().range(1..)
 }
 
-fn tell_machine(machine: &Machine) {
-    say!(
-        "adapter: {}, copy bandwidth {:.1} GB/s",
-        machine.adapter,
-        machine.copy_bandwidth.median * 1e-9
-    );
+/// Parser of a name.
+fn named<T: Copy + Send + Sync + 'static>(
+    names: &'static [(&'static str, T)],
+) -> impl TypedValueParser<Value = T> {
+    let parser = PossibleValuesParser::new(names.iter().map(|(name, _)| *name));
+    parser.map(move |text| {
+        let known = names.iter().find(|(name, _)| *name == text);
+        known.expect("the parser knows the names").1
+    })
 }
 
-/// Ends of a range, to stand behind what it is of; nothing where there is none.
-fn range([low, high]: [Option<f64>; 2]) -> String {
-    low.zip(high).map_or(String::new(), |(low, high)| {
-        format!(" ({low:.2} to {high:.2})")
-    })
+const PRECISIONS: &[(&str, Precision)] = &[
+    ("f32", Precision::F32),
+    ("mixed", Precision::Mixed),
+    ("f64", Precision::F64),
+];
+
+const PRECONDITIONERS: &[(&str, Preconditioner)] = &[
+    ("multigrid", Preconditioner::Multigrid),
+    ("jacobi", Preconditioner::Jacobi),
+    ("block-jacobi", Preconditioner::BlockJacobi),
+];
+
+/// A number, or the largest with room.
+#[derive(Clone, Copy, Debug)]
+enum OrMax<T> {
+    Number(T),
+    Max,
+}
+
+impl<T: std::str::FromStr> std::str::FromStr for OrMax<T> {
+    type Err = &'static str;
+
+    fn from_str(text: &str) -> Result<OrMax<T>, Self::Err> {
+        match text {
+            "max" => Ok(OrMax::Max),
+            _ => text
+                .parse()
+                .map(OrMax::Number)
+                .map_err(|_| "give numbers, or max"),
+        }
+    }
 }
 
 fn check_tolerance(tolerance: f64) -> Result<(), Error> {
@@ -141,4 +197,318 @@ fn check_tolerance(tolerance: f64) -> Result<(), Error> {
         "no residual can meet it",
         "give a number above 0 and below 1, such as 1e-8",
     ))
+}
+
+fn load(files: &[PathBuf], overrides: &[String], scale: f64) -> Result<Vec<Scene>, Error> {
+    files
+        .iter()
+        .map(|file| Scene::load(file, overrides, scale))
+        .collect()
+}
+
+#[derive(Debug, Args)]
+struct Device {
+    #[command(flatten)]
+    repeats: Repeats,
+    #[command(flatten)]
+    output: Output,
+    #[command(flatten)]
+    adapter: AdapterArgs,
+}
+
+impl Device {
+    fn run(&self) -> Result<(), Error> {
+        let gpu = Gpu::new(&self.adapter.choice())?;
+        self.output
+            .run("device", Some(&self.repeats), |settings, listener| {
+                device::measure(&gpu, settings, listener)
+            })
+    }
+}
+
+#[derive(Debug, Args)]
+struct Effects {
+    /// Scene files (TOML)
+    #[arg(required = true)]
+    scenes: Vec<PathBuf>,
+    /// Multiply domain.cells, rounded
+    #[arg(long, default_value_t = 1.0)]
+    scale: f64,
+    /// Override a key of every scene; may be repeated
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    overrides: Vec<String>,
+    /// Frames of each scene; a pair of sub-steps with and without each effect after each of them
+    #[arg(long, default_value_t = 12, value_parser = clap::value_parser!(u64).range(1..))]
+    frames: u64,
+    #[command(flatten)]
+    output: Output,
+    #[command(flatten)]
+    adapter: AdapterArgs,
+}
+
+impl Effects {
+    fn run(&self) -> Result<(), Error> {
+        let options = effects::Options {
+            scenes: load(&self.scenes, &self.overrides, self.scale)?,
+            frames: self.frames,
+            adapter: self.adapter.choice(),
+        };
+        let measure = |settings: &Settings, listener: Listener| {
+            effects::measure(&options, settings, listener)
+        };
+        self.output.run("effects", None, measure)
+    }
+}
+
+#[derive(Debug, Args)]
+struct Stability {
+    /// Sub-steps of each hostile scene
+    #[arg(long, default_value_t = 2000, value_parser = clap::value_parser!(u64).range(1..))]
+    steps: u64,
+    /// Parts of names: other cases are left out; each has to be in one
+    #[arg(long, value_delimiter = ',', value_name = "PART,..")]
+    cases: Vec<String>,
+    /// Multiply the cells of the thesis's scene, rounded
+    #[arg(long, default_value_t = 1.0)]
+    scale: f64,
+    #[command(flatten)]
+    output: Output,
+    #[command(flatten)]
+    backend: BackendArgs,
+}
+
+impl Stability {
+    fn run(&self) -> Result<(), Error> {
+        let options = stability::Options {
+            steps: self.steps,
+            cases: self.cases.clone(),
+            scale: self.scale,
+            backend: self.backend.backend(),
+        };
+        let measure = |settings: &Settings, listener: Listener| {
+            stability::measure(&options, settings, listener)
+        };
+        self.output.run("stability", None, measure)
+    }
+}
+
+#[derive(Debug, Args)]
+struct Solids {
+    /// Nodes of the bodies, about
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "N,N,..",
+        default_value = "1000,10000,100000"
+    )]
+    nodes: Vec<usize>,
+    /// Bodies to measure
+    #[arg(long, value_parser = named(BODIES), value_delimiter = ',', value_name = "B,..", default_value = "beam")]
+    body: Vec<solids::Body>,
+    /// Young's modulus, Pa
+    #[arg(long, default_value_t = 2e5)]
+    young: f64,
+    /// Density, kg/m^3
+    #[arg(long, default_value_t = 1000.0)]
+    density: f64,
+    /// Length of the sub-steps, s
+    #[arg(long, default_value_t = 1.0 / 120.0)]
+    step: f64,
+    /// Relative tolerance of the true residual
+    #[arg(long, default_value_t = 1e-8)]
+    tolerance: f64,
+    /// PCG iterations in all refinement steps
+    #[arg(long, default_value_t = 5000)]
+    max_iterations: u32,
+    /// Precision to measure
+    #[arg(long, value_parser = named(PRECISIONS), default_value = "mixed")]
+    precision: Precision,
+    /// Factors of more GiB are not computed
+    #[arg(long, value_name = "GIB", default_value_t = 4.0)]
+    largest_factor: f64,
+    #[command(flatten)]
+    repeats: Repeats,
+    #[command(flatten)]
+    output: Output,
+    #[command(flatten)]
+    adapter: AdapterArgs,
+}
+
+const BODIES: &[(&str, solids::Body)] =
+    &[("beam", solids::Body::Beam), ("block", solids::Body::Block)];
+
+/// Nodes of the bodies: a solid of more does not fit into the memory of most hosts.
+const NODES: std::ops::RangeInclusive<usize> = 8..=1 << 22;
+
+impl Solids {
+    fn run(&self) -> Result<(), Error> {
+        if let Some(&nodes) = self.nodes.iter().find(|n| !NODES.contains(n)) {
+            let problem = "too few or too many nodes for a body";
+            return Err(Error::input(
+                format!("--nodes {nodes}"),
+                problem,
+                "give 8 to 4194304 nodes",
+            ));
+        }
+        for (key, number, example) in [
+            ("young", self.young, "1e6"),
+            ("density", self.density, "1000"),
+            ("step", self.step, "0.01"),
+            ("largest-factor", self.largest_factor, "4"),
+        ] {
+            if !(number > 0.0 && number.is_finite()) {
+                let cure = format!("give one, such as {example}");
+                return Err(Error::input(
+                    format!("--{key} {number}"),
+                    "not a number above 0",
+                    cure,
+                ));
+            }
+        }
+        check_tolerance(self.tolerance)?;
+        let options = solids::Options {
+            bodies: self.body.clone(),
+            nodes: self.nodes.clone(),
+            young: self.young,
+            density: self.density,
+            step: self.step,
+            largest_factor: self.largest_factor * bench::solve::GIB,
+            solver: Solver {
+                tolerance: self.tolerance,
+                max_iterations: self.max_iterations,
+                precision: self.precision,
+                ..Solver::default()
+            },
+            adapter: self.adapter.choice(),
+        };
+        let measure =
+            |settings: &Settings, listener: Listener| solids::measure(&options, settings, listener);
+        self.output.run("solids", Some(&self.repeats), measure)
+    }
+}
+
+#[derive(Debug, Args)]
+struct Accuracy {
+    /// Scene files (TOML)
+    #[arg(required_unless_present = "grids")]
+    scenes: Vec<PathBuf>,
+    /// Multiply domain.cells, rounded
+    #[arg(long, default_value_t = 1.0)]
+    scale: f64,
+    /// Override a key of every scene; may be repeated
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    overrides: Vec<String>,
+    /// Frames whose states are solved from
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "N,N,..",
+        default_value = "10"
+    )]
+    frames: Vec<u64>,
+    /// Also solve known problems with so many cells along 1 m, multiples of 10
+    #[arg(long, value_delimiter = ',', value_name = "N,N,..")]
+    grids: Vec<usize>,
+    /// Precisions to measure
+    #[arg(long, value_parser = named(PRECISIONS), value_delimiter = ',', value_name = "P,..", default_value = "f32,mixed,f64")]
+    precision: Vec<Precision>,
+    /// Preconditioners to measure
+    #[arg(long, value_parser = named(PRECONDITIONERS), value_delimiter = ',', value_name = "P,..", default_value = "multigrid")]
+    preconditioner: Vec<Preconditioner>,
+    /// Relative tolerances of the true residuals
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "X,X,..",
+        default_value = "1e-2,1e-4,1e-6,1e-8,1e-10,1e-12"
+    )]
+    tolerance: Vec<f64>,
+    /// PCG iterations in all refinement steps
+    #[arg(long, default_value_t = 5000)]
+    max_iterations: u32,
+    #[command(flatten)]
+    repeats: Repeats,
+    #[command(flatten)]
+    output: Output,
+    #[command(flatten)]
+    adapter: AdapterArgs,
+}
+
+impl Accuracy {
+    fn run(&self) -> Result<(), Error> {
+        self.tolerance
+            .iter()
+            .copied()
+            .try_for_each(check_tolerance)?;
+        let options = accuracy::Options {
+            scenes: load(&self.scenes, &self.overrides, self.scale)?,
+            frames: self.frames.clone(),
+            grids: self.grids.clone(),
+            precisions: self.precision.clone(),
+            preconditioners: self.preconditioner.clone(),
+            formulations: vec![Formulation::Condensed, Formulation::TwoField],
+            tolerances: self.tolerance.clone(),
+            max_iterations: self.max_iterations,
+            adapter: self.adapter.choice(),
+        };
+        let measure = |settings: &Settings, listener: Listener| {
+            accuracy::measure(&options, settings, listener)
+        };
+        self.output.run("accuracy", Some(&self.repeats), measure)
+    }
+}
+
+#[derive(Debug, Args)]
+struct Thesis {
+    /// Tables of the thesis
+    #[arg(long, value_parser = ["6.1", "6.2", "6.3", "6.4", "6.5", "6.6"], value_delimiter = ',', value_name = "T,..", default_value = "6.1,6.2,6.3,6.4,6.5,6.6")]
+    tables: Vec<String>,
+    /// Cells along an edge of the dam break of tables 6.2 to 6.4, or along the tank's height of 1 m of tables 6.5 and 6.6, multiples of
+    /// 5 [default: 40,60 for table 6.2, 50,60 for 6.3 and 6.4, 5,10,20,40,80 for 6.5 and 6.6]
+    #[arg(long, value_delimiter = ',', value_name = "N,N,..")]
+    grids: Vec<usize>,
+    /// Folder of the scenes of table 6.1
+    #[arg(long, default_value = "scenes")]
+    scenes: PathBuf,
+    /// Multiply domain.cells of the scenes of table 6.1, rounded
+    #[arg(long, default_value_t = 1.0)]
+    scale: f64,
+    /// Sub-steps of the scenes of table 6.1 that are timed, from their start
+    #[arg(long, default_value_t = 5, value_parser = at_least_once())]
+    steps: usize,
+    /// Frames of the dam break, 24 a second, whose states are solved from in tables 6.2 to 6.4
+    #[arg(
+        long,
+        value_delimiter = ',',
+        value_name = "N,N,..",
+        default_value = "10,40,80"
+    )]
+    frames: Vec<u64>,
+    /// Precisions of the device, beside the f64 path
+    #[arg(long, value_parser = named(PRECISIONS), value_delimiter = ',', value_name = "P,..", default_value = "mixed")]
+    precision: Vec<Precision>,
+    #[command(flatten)]
+    repeats: Repeats,
+    #[command(flatten)]
+    output: Output,
+    #[command(flatten)]
+    adapter: AdapterArgs,
+}
+
+impl Thesis {
+    fn run(&self) -> Result<(), Error> {
+        let options = thesis::Options {
+            tables: self.tables.clone(),
+            grids: self.grids.clone(),
+            scenes: self.scenes.clone(),
+            scale: self.scale,
+            steps: self.steps,
+            frames: self.frames.clone(),
+            precisions: self.precision.clone(),
+            adapter: self.adapter.choice(),
+        };
+        let measure =
+            |settings: &Settings, listener: Listener| thesis::measure(&options, settings, listener);
+        self.output.run("thesis", Some(&self.repeats), measure)
+    }
 }

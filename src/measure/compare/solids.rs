@@ -416,13 +416,11 @@ impl<'a> SolidJudge<'a> {
         let falls = dt * self.scene.domain.gravity.length();
         let largest = |values: &[f64]| values.iter().fold(0.0, |m, x| f64::max(m, x.abs()));
         let bound = ASSEMBLY * largest(&assembled.pressure);
-        let cells = stored.pressure.iter().zip(&assembled.pressure).enumerate();
-        let cells = cells.filter(|(cell, _)| both.liquid.active[*cell]);
         let row = ["assembly", "pressure, with solids", "Pa"];
-        self.table.add(
-            row,
-            cells.map(|(cell, (&stored, &twin))| (stored, twin, bound, Place::cell(&grid, cell))),
-        );
+        self.table.cells(&grid, row, |cell| {
+            let numbers = (stored.pressure[cell], assembled.pressure[cell], bound);
+            both.liquid.active[cell].then_some(numbers)
+        });
         let bound = ASSEMBLY * largest(assembled.velocity.as_flattened()).max(falls);
         let row = ["assembly", "v, with liquid", "m/s"];
         self.add_nodes(row, &stored.velocity, &assembled.velocity, |_, _| bound);
@@ -462,10 +460,8 @@ impl<'a> SolidJudge<'a> {
                 .collect();
             allowed += 2.0 * EPS * norm(&moved);
         }
-        self.table.add(
-            ["solve", "true residual of S v", "N"],
-            [(residual, 0.0, allowed, Place::Whole)],
-        );
+        let row = ["solve", "true residual of S v", "N"];
+        self.table.whole(row, residual, 0.0, allowed);
         let mut distance = self.cut.solid_distance.clone();
         distance.resize(self.grid.n_cells(), 3.0 * self.grid.dx);
         // Of a search that did not end nothing is held that the system does not hold anyway.
@@ -487,10 +483,8 @@ impl<'a> SolidJudge<'a> {
             // Gaps are f32, of a distance sampled with a position in cells.
             let size = self.grid.size().max_element();
             let bound = contacts.near() + 64.0 * EPS * size;
-            self.table.add(
-                ["solve", "beyond walls and obstacles, or pulled", "m"],
-                [(wrong, 0.0, bound, Place::Whole)],
-            );
+            let row = ["solve", "beyond walls and obstacles, or pulled", "m"];
+            self.table.whole(row, wrong, 0.0, bound);
         }
         let exact = Solver {
             tolerance: 1e-13,
@@ -525,64 +519,49 @@ impl<'a> SolidJudge<'a> {
             Real::F64 => 0.0,
         };
         let error = shares + (n + 32.0) * f64::EPSILON + EPS * EPS;
-        let mut rows = vec![
-            (
-                "kinetic energy",
-                "J",
-                gpu.kinetic_energy,
-                twin.kinetic_energy,
-                error * size.kinetic_energy,
-            ),
-            (
-                "potential energy",
-                "J",
-                gpu.potential_energy,
-                twin.potential_energy,
-                error * size.potential_energy,
-            ),
-            (
-                "largest speed",
-                "m/s",
-                gpu.max_speed,
-                twin.max_speed,
-                EPS * twin.max_speed,
-            ),
-        ];
-        for axis in 0..3 {
-            let bound = error * size.momentum[axis];
-            rows.push((
+        let mut row = |quantity, unit, number: &dyn Fn(&SolidDiagnosis) -> f64, bound| {
+            let row = [Stage::Diagnose.name(), quantity, unit];
+            self.table.whole(row, number(gpu), number(&twin), bound);
+        };
+        row(
+            "kinetic energy",
+            "J",
+            &|d| d.kinetic_energy,
+            error * size.kinetic_energy,
+        );
+        row(
+            "potential energy",
+            "J",
+            &|d| d.potential_energy,
+            error * size.potential_energy,
+        );
+        row(
+            "largest speed",
+            "m/s",
+            &|d| d.max_speed,
+            EPS * twin.max_speed,
+        );
+        for a in 0..3 {
+            row(
                 "momentum",
                 "kg m/s",
-                gpu.momentum[axis],
-                twin.momentum[axis],
-                bound,
-            ));
-            let bound = 4.0 * error * size.angular_momentum[axis];
-            let twin = twin.angular_momentum[axis];
-            rows.push((
+                &|d| d.momentum[a],
+                error * size.momentum[a],
+            );
+            let bound = 4.0 * error * size.angular_momentum[a];
+            row(
                 "angular momentum",
                 "kg m^2/s",
-                gpu.angular_momentum[axis],
-                twin,
+                &|d| d.angular_momentum[a],
                 bound,
-            ));
+            );
         }
         // Quadratic in the strain, which is off by roundings of F.
         let eps = unit(after.real);
         let rounded = 64.0 * eps * (size.elastic_energy * twin.elastic_energy).sqrt()
             + 4096.0 * eps * eps * size.elastic_energy;
         let bound = rounded + error * twin.elastic_energy;
-        rows.push((
-            "elastic energy",
-            "J",
-            gpu.elastic_energy,
-            twin.elastic_energy,
-            bound,
-        ));
-        for (quantity, unit, gpu, twin, bound) in rows {
-            let row = [Stage::Diagnose.name(), quantity, unit];
-            self.table.add(row, [(gpu, twin, bound, Place::Whole)]);
-        }
+        row("elastic energy", "J", &|d| d.elastic_energy, bound);
     }
 }
 

@@ -111,6 +111,11 @@ pub struct Row {
     sum_of_squares: f64,
 }
 
+/// A flag as a number of a row.
+pub(super) fn number(flag: bool) -> f64 {
+    f64::from(u8::from(flag))
+}
+
 impl Row {
     fn new(stage: &'static str, quantity: &'static str, unit: &'static str) -> Row {
         Row {
@@ -217,10 +222,44 @@ impl Table {
         [stage, quantity]: [&'static str; 2],
         pairs: impl IntoIterator<Item = (bool, bool, Place)>,
     ) {
-        let number = |flag: bool| f64::from(u8::from(flag));
         let pairs = pairs
             .into_iter()
             .map(|(gpu, twin, place)| (number(gpu), number(twin), 0.0, place));
         self.add([stage, quantity, "flag"], pairs);
+    }
+
+    /// Takes one number of all: GPU, twin, bound.
+    pub(super) fn whole(&mut self, row: [&'static str; 3], gpu: f64, twin: f64, bound: f64) {
+        self.add(row, [(gpu, twin, bound, Place::Whole)]);
+    }
+
+    /// Takes the (GPU, twin, bound) of each cell that has them.
+    pub(super) fn cells(
+        &mut self,
+        grid: &Grid,
+        row: [&'static str; 3],
+        numbers: impl Fn(usize) -> Option<(f64, f64, f64)>,
+    ) {
+        let cells = (0..grid.n_cells()).filter_map(|cell| {
+            let (gpu, twin, bound) = numbers(cell)?;
+            Some((gpu, twin, bound, Place::cell(grid, cell)))
+        });
+        self.add(row, cells);
+    }
+
+    /// Takes the (GPU, twin, bound) of each face that has them, by axis and index.
+    pub(super) fn faces(
+        &mut self,
+        grid: &Grid,
+        row: [&'static str; 3],
+        numbers: impl Fn(usize, usize) -> Option<(f64, f64, f64)>,
+    ) {
+        for axis in Axis::ALL {
+            let faces = (0..grid.n_faces(axis)).filter_map(|face| {
+                let (gpu, twin, bound) = numbers(axis.index(), face)?;
+                Some((gpu, twin, bound, Place::face(grid, axis, face)))
+            });
+            self.add(row, faces);
+        }
     }
 }

@@ -2,12 +2,14 @@
 
 use std::sync::Arc;
 
+use serde_json::json;
+
 use super::super::stored;
-use super::{Options, Part, Ran, System, no_system_of_both, on_cpu, on_gpu, pressure, solids};
+use super::{Options, Ran, System, files, no_system_of_both, on_cpu, on_gpu, pressure, solids};
 use crate::Error;
 use crate::elastic::Solids;
 use crate::gpu::AdapterChoice;
-use crate::linalg::{Csr, Symmetry, matrix_text, vector_text};
+use crate::linalg::Csr;
 use crate::reference::{
     BlockPattern, CoupledSystem, SIGMA, StepSystem, StressVariables, solid_matrices,
 };
@@ -61,77 +63,24 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
     let w: Vec<f64> = minus_w.iter().map(|w| -w).collect();
     let both = |of_v: &[f64]| e.iter().chain(of_v).copied().collect::<Vec<f64>>();
     let (stress, stress_matrix) = variables.system(&blocks)?;
-    let symmetric = |matrix: &Csr, what| matrix_text(matrix, Symmetry::Symmetric, what);
     let z1 = Csr::diagonal_of(&blocks.z1(SIGMA));
-    let others = vec![
-        (
-            "indefinite.mtx",
-            symmetric(
-                &blocks.indefinite(),
-                "[B J; J^T -S], rows as those of spd.mtx",
-            ),
-        ),
-        (
-            "indefinite_rhs.mtx",
-            vector_text(&both(&w), "[E u*; w], m^3/s and N"),
-        ),
-        (
-            "stress.mtx",
-            symmetric(
-                &stress_matrix,
-                "pressures as in spd.mtx, then six stresses per element, in roots of W",
-            ),
-        ),
-        (
-            "stress_rhs.mtx",
-            vector_text(&stress.rhs(&both(&minus_w)), "its right-hand side"),
-        ),
-        (
-            "B.mtx",
-            symmetric(
-                &blocks.b,
-                "B, m^3/s per Pa; cells.csv says which cell a row is",
-            ),
-        ),
-        (
-            "J.mtx",
-            matrix_text(
-                &blocks.j,
-                Symmetry::General,
-                "J P, m^2: rows as those of B, columns as the velocities of nodes.csv",
-            ),
-        ),
-        (
-            "M.mtx",
-            symmetric(
-                &system.solid.mass_to_csr(),
-                "M, kg: row 3 n + 1, 2, 3 is x, y, z of node n",
-            ),
-        ),
-        (
-            "K.mtx",
-            symmetric(
-                &system.solid.stiffness_to_csr(),
-                "K, N/m, rows as those of M",
-            ),
-        ),
-        (
-            "Z1.mtx",
-            symmetric(
-                &z1,
-                "Z1 = sigma (1/dt + tau_M) M on the free components, kg/s; nodes.csv",
-            ),
-        ),
-        (
-            "Z2.mtx",
-            symmetric(&blocks.z2(SIGMA), "Z2 = P S P + mu (I - P) - Z1, kg/s"),
-        ),
-        ("cells.csv", pressure::table(&scene.grid(), &blocks.cells)),
-        (
-            "nodes.csv",
-            solids::table(&all, &blocks.components, n_cells),
-        ),
-    ];
+    let mut others = files! {
+        "indefinite.mtx" symmetric &blocks.indefinite(), "[B J; J^T -S], rows as those of spd.mtx";
+        "indefinite_rhs.mtx" vector &both(&w), "[E u*; w], m^3/s and N";
+        "stress.mtx" symmetric &stress_matrix, "pressures as in spd.mtx, then six stresses per element, in roots of W";
+        "stress_rhs.mtx" vector &stress.rhs(&both(&minus_w)), "its right-hand side";
+        "B.mtx" symmetric &blocks.b, "B, m^3/s per Pa; cells.csv says which cell a row is";
+        "J.mtx" general &blocks.j, "J P, m^2: rows as those of B, columns as the velocities of nodes.csv";
+        "M.mtx" symmetric &system.solid.mass_to_csr(), "M, kg: row 3 n + 1, 2, 3 is x, y, z of node n";
+        "K.mtx" symmetric &system.solid.stiffness_to_csr(), "K, N/m, rows as those of M";
+        "Z1.mtx" symmetric &z1, "Z1 = sigma (1/dt + tau_M) M on the free components, kg/s; nodes.csv";
+        "Z2.mtx" symmetric &blocks.z2(SIGMA), "Z2 = P S P + mu (I - P) - Z1, kg/s";
+    };
+    others.push(("cells.csv", pressure::table(&scene.grid(), &blocks.cells)));
+    others.push((
+        "nodes.csv",
+        solids::table(&all, &blocks.components, n_cells),
+    ));
     let written = System {
         matrix: blocks.two_field(SIGMA)?,
         rhs: blocks.two_field_rhs(SIGMA, &e, &w),
@@ -142,16 +91,10 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
             "[p; P v], Pa and m/s",
         ],
         others,
-        part: Part::Coupled {
-            density,
-            sigma: SIGMA,
-            alpha: 1.0,
-            closed_components: system.level_free().count(),
-            active_cells: n_cells,
-            nodes: all.rest.len(),
-            elements: all.elements.len(),
-            solids: all.bodies.iter().map(solids::meta).collect(),
-        },
+        part: json!({
+            "density": density, "sigma": SIGMA, "alpha": 1.0, "closed_components": system.level_free().count(), "active_cells": n_cells,
+            "nodes": all.rest.len(), "elements": all.elements.len(), "solids": solids::meta(&all),
+        }),
     };
     Ok((written, ran))
 }

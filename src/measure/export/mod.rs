@@ -21,20 +21,18 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
-use serde_json::Value;
+use serde_json::{Map, Value};
 
-use super::table::remove_earlier;
+use super::bench::remove;
 use crate::Error;
 use crate::gpu::AdapterChoice;
-use crate::linalg::{Csr, Symmetry, matrix_text, norm, vector_text};
+use crate::linalg::{Csr, norm};
 use crate::output::{FolderLock, write_atomically};
 use crate::reference::{Reference, StepSystem};
 use crate::scene::Scene;
 use crate::sim::{Backend, GpuPath, reference_path};
 use crate::state::{SolveReport, SolveStatus, StepReport};
 use crate::step::Stage;
-
-pub use solids::SolidMeta;
 
 /// All that exports write, whatever the system; last what says of which system the others are.
 const FILES: [&str; 17] = [
@@ -91,9 +89,10 @@ pub struct Meta {
     pub dx: f64,
     /// Cells along x, y, z.
     pub cells: [usize; 3],
-    /// What the matrix is of.
+    /// Numbers of liquid and solids: density (kg/m^3), closed_components (components without a free surface, each once singular), sigma, alpha,
+    /// active_cells, nodes, elements, solids.
     #[serde(flatten)]
-    pub part: Part,
+    pub part: Map<String, Value>,
     /// Relative tolerance that the simulator solved to.
     pub tolerance: f64,
     /// How its solve ended.
@@ -106,47 +105,6 @@ pub struct Meta {
     pub residual: f64,
 }
 
-/// What of a meta.json is of liquid or of solids.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-#[serde(untagged)]
-pub enum Part {
-    /// Of the pressure system.
-    Liquid {
-        /// kg/m^3
-        density: f64,
-        /// Components without a free surface: as many times is B singular.
-        closed_components: usize,
-    },
-    /// Of the system of both.
-    Coupled {
-        /// Of the liquid, kg/m^3.
-        density: f64,
-        /// Share of the mass in Z1.
-        sigma: f64,
-        /// What the thesis multiplies the second part of the matrix by (5.36): 1, so that rows keep their units.
-        alpha: f64,
-        /// Components of the liquid whose level nothing fixes: one of their cells has twice its diagonal.
-        closed_components: usize,
-        /// Active cells, which are the rows of the pressure; those of the velocity follow.
-        active_cells: usize,
-        /// Nodes of all solids.
-        nodes: usize,
-        /// Elements of all solids.
-        elements: usize,
-        /// The solids in their order.
-        solids: Vec<SolidMeta>,
-    },
-    /// Of the solids' system.
-    Solids {
-        /// Nodes of all solids.
-        nodes: usize,
-        /// Elements of all solids.
-        elements: usize,
-        /// The solids in their order.
-        solids: Vec<SolidMeta>,
-    },
-}
-
 /// A system of a sub-step with its answer, and the files beside it.
 struct System {
     matrix: Csr,
@@ -156,7 +114,32 @@ struct System {
     comments: [&'static str; 3],
     /// Names and texts of other files.
     others: Vec<(&'static str, String)>,
-    part: Part,
+    part: Value,
+}
+
+/// Matrices and vectors as files: name, kind, values, comment.
+macro_rules! files {
+    ($($name:literal $kind:ident $values:expr, $comment:literal;)*) => {
+        vec![$(($name, $crate::measure::export::text::$kind($values, $comment))),*]
+    };
+}
+use files;
+
+/// Texts of Matrix Market files.
+mod text {
+    use crate::linalg::{Csr, Symmetry, matrix_text, vector_text};
+
+    pub(super) fn symmetric(matrix: &Csr, comment: &str) -> String {
+        matrix_text(matrix, Symmetry::Symmetric, comment)
+    }
+
+    pub(super) fn general(matrix: &Csr, comment: &str) -> String {
+        matrix_text(matrix, Symmetry::General, comment)
+    }
+
+    pub(super) fn vector(values: &[f64], comment: &str) -> String {
+        vector_text(values, comment)
+    }
 }
 
 /// How a sub-step went.
@@ -205,7 +188,7 @@ pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
         dt: ran.dt,
         dx: scene.grid().dx,
         cells: scene.grid().cells,
-        part: system.part,
+        part: system.part.as_object().cloned().unwrap_or_default(),
         tolerance: scene.solver.tolerance,
         status: status.name(),
         unknowns: system.matrix.n_rows(),
@@ -217,21 +200,18 @@ pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
         },
     };
     let [of_matrix, of_rhs, of_solution] = system.comments;
-    let text = serde_json::to_string_pretty(&meta).expect("the record has no maps") + "\n";
+    let json = serde_json::to_string_pretty(&meta).expect("the record has no maps") + "\n";
     let mut files = vec![
-        (
-            "spd.mtx",
-            matrix_text(&system.matrix, Symmetry::Symmetric, of_matrix),
-        ),
-        ("spd_rhs.mtx", vector_text(&system.rhs, of_rhs)),
-        ("solution.mtx", vector_text(&system.solution, of_solution)),
+        ("spd.mtx", text::symmetric(&system.matrix, of_matrix)),
+        ("spd_rhs.mtx", text::vector(&system.rhs, of_rhs)),
+        ("solution.mtx", text::vector(&system.solution, of_solution)),
     ];
     files.extend(system.others);
-    files.push(("meta.json", text));
+    files.push(("meta.json", json));
     let _held = FolderLock::take(out)?;
     // Another process may have been here.
     ensure_replaceable(out)?;
-    remove_earlier(out, &FILES)?;
+    FILES.iter().try_for_each(|file| remove(&out.join(file)))?;
     for (name, text) in files {
         write_atomically(&out.join(name), text.as_bytes())?;
     }

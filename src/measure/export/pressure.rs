@@ -1,7 +1,9 @@
 //! The pressure system of a sub-step.
 
+use serde_json::json;
+
 use super::super::stored;
-use super::{Options, Part, Ran, System, on_cpu, on_gpu};
+use super::{Options, Ran, System, on_cpu, on_gpu};
 use crate::Error;
 use crate::grid::Grid;
 use crate::reference::{PressureSystem, StepSystem};
@@ -38,10 +40,7 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
             "p, Pa",
         ],
         others: vec![("cells.csv", table(&grid, &cells))],
-        part: Part::Liquid {
-            density,
-            closed_components: system.closed.len(),
-        },
+        part: json!({ "density": density, "closed_components": system.closed.len() }),
     };
     Ok((written, ran))
 }

@@ -1,37 +1,15 @@
 //! The system of the solids in a sub-step.
 
-use serde::Serialize;
+use serde_json::{Value, json};
 
 use super::super::stored;
-use super::{Options, Part, Ran, System, on_cpu, on_gpu};
+use super::{Options, Ran, System, files, on_cpu, on_gpu};
 use crate::Error;
 use crate::elastic::{Body, Solids};
-use crate::linalg::{Csr, Symmetry, matrix_text};
 use crate::reference::{SolidSystem, StepSystem};
 use crate::scene::Scene;
 use crate::sim::{Backend, GpuPath, solids_of};
 use crate::step::Stage;
-
-/// What meta.json tells of a solid.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct SolidMeta {
-    /// Its name.
-    pub name: String,
-    /// kg/m^3
-    pub density: f64,
-    /// First Lame parameter, Pa.
-    pub lambda: f64,
-    /// Shear modulus, Pa.
-    pub mu: f64,
-    /// Rayleigh damping by mass, 1/s.
-    pub tau_m: f64,
-    /// Rayleigh damping by stiffness, s.
-    pub tau_k: f64,
-    /// Its nodes.
-    pub nodes: usize,
-    /// Its elements.
-    pub elements: usize,
-}
 
 /// P S P v = P rhs on the components that are not prescribed, P on what walls and obstacles leave, with M, K and S on all.
 pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), Error> {
@@ -57,7 +35,12 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
             .map(|&at| values[at])
             .collect::<Vec<f64>>()
     };
-    let symmetric = |matrix: &Csr, what| matrix_text(matrix, Symmetry::Symmetric, what);
+    let mut others = files! {
+        "M.mtx" symmetric &system.mass_to_csr(), "M, kg: row 3 n + 1, 2, 3 is x, y, z of node n";
+        "K.mtx" symmetric &system.stiffness_to_csr(), "K, N/m, rows as those of M";
+        "S.mtx" symmetric &system.to_csr(), "S = (1/dt + tau_M) M + (dt + tau_K) K, kg/s, rows as those of M";
+    };
+    others.push(("nodes.csv", table(&solids, &components, 0)));
     let written = System {
         matrix: system.free_to_csr(),
         rhs: free(&system.rhs),
@@ -67,47 +50,21 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
             "P (M v*/dt - (K x* - b) + load, less S times what is prescribed and held), N",
             "P v, m/s",
         ],
-        others: vec![
-            (
-                "M.mtx",
-                symmetric(
-                    &system.mass_to_csr(),
-                    "M, kg: row 3 n + 1, 2, 3 is x, y, z of node n",
-                ),
-            ),
-            (
-                "K.mtx",
-                symmetric(&system.stiffness_to_csr(), "K, N/m, rows as those of M"),
-            ),
-            (
-                "S.mtx",
-                symmetric(
-                    &system.to_csr(),
-                    "S = (1/dt + tau_M) M + (dt + tau_K) K, kg/s, rows as those of M",
-                ),
-            ),
-            ("nodes.csv", table(&solids, &components, 0)),
-        ],
-        part: Part::Solids {
-            nodes: solids.rest.len(),
-            elements: solids.elements.len(),
-            solids: solids.bodies.iter().map(meta).collect(),
-        },
+        others,
+        part: json!({ "nodes": solids.rest.len(), "elements": solids.elements.len(), "solids": meta(&solids) }),
     };
     Ok((written, ran))
 }
 
-pub(super) fn meta(body: &Body) -> SolidMeta {
-    SolidMeta {
-        name: body.name.clone(),
-        density: body.density,
-        lambda: body.lambda,
-        mu: body.mu,
-        tau_m: body.mass_damping,
-        tau_k: body.stiffness_damping,
-        nodes: body.nodes.len(),
-        elements: body.elements.len(),
-    }
+/// Materials and sizes of the solids, in SI units.
+pub(super) fn meta(solids: &Solids) -> Vec<Value> {
+    let of = |body: &Body| {
+        json!({
+            "name": body.name, "density": body.density, "lambda": body.lambda, "mu": body.mu, "tau_m": body.mass_damping,
+            "tau_k": body.stiffness_damping, "nodes": body.nodes.len(), "elements": body.elements.len(),
+        })
+    };
+    solids.bodies.iter().map(of).collect()
 }
 
 /// A line per node: its solid, where it rests, and the rows of spd.mtx that are its components, 0 for prescribed ones; `first` rows

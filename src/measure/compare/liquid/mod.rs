@@ -5,7 +5,7 @@ mod pressure;
 use glam::DVec3;
 use rayon::prelude::*;
 
-use super::table::{Place, Table};
+use super::table::{Place, Table, number};
 use super::{Both, EPS, unit};
 use crate::Error;
 use crate::effects::Effects;
@@ -218,23 +218,18 @@ impl<'a> LiquidJudge<'a> {
     fn clip(&mut self, after: &LiquidSnapshot, clip: &SolidClip) {
         let (grid, cut) = (self.grid, clip.cut_cells());
         let Some(device) = &after.cut else { return };
-        for axis in Axis::ALL {
-            let a = axis.index();
-            let pairs = device.open[a].iter().zip(&cut.open[a]).enumerate();
-            self.table.add(
-                [Stage::Clip.name(), "open fractions", ""],
-                pairs.map(|(face, (&gpu, &twin))| {
-                    (gpu, twin, EPS * twin, Place::face(&grid, axis, face))
-                }),
-            );
-        }
-        let pairs = device.solid_distance.iter().zip(&cut.solid_distance);
-        self.table.add(
-            [Stage::Clip.name(), "distance", "m"],
-            pairs.enumerate().map(|(cell, (&gpu, &twin))| {
-                (gpu, twin, EPS * twin.abs(), Place::cell(&grid, cell))
-            }),
-        );
+        let rounded = |gpu: &[f64], twin: &[f64], index: usize| {
+            let (&gpu, &twin) = (gpu.get(index)?, twin.get(index)?);
+            Some((gpu, twin, EPS * twin.abs()))
+        };
+        let row = [Stage::Clip.name(), "open fractions", ""];
+        self.table.faces(&grid, row, |a, face| {
+            rounded(&device.open[a], &cut.open[a], face)
+        });
+        let row = [Stage::Clip.name(), "distance", "m"];
+        self.table.cells(&grid, row, |cell| {
+            rounded(&device.solid_distance, &cut.solid_distance, cell)
+        });
         self.cut = device.clone();
         self.open_volumes = reference::open_volumes(&grid, &self.cut.solid_distance);
     }
@@ -433,18 +428,11 @@ impl<'a> LiquidJudge<'a> {
         twin: &[Vec<f64>; 3],
         bound: f64,
     ) {
-        let grid = self.grid;
-        for axis in Axis::ALL {
-            let a = axis.index();
-            let faces = (0..twin[a].len()).filter(|&face| after.face_band[a][face]);
-            self.table.add(
-                [stage, quantity, "m/s"],
-                faces.map(|face| {
-                    let place = Place::face(&grid, axis, face);
-                    (after.velocity_next[a][face], twin[a][face], bound, place)
-                }),
-            );
-        }
+        let row = [stage, quantity, "m/s"];
+        self.table.faces(&self.grid, row, |a, face| {
+            let numbers = (after.velocity_next[a][face], twin[a][face], bound);
+            after.face_band[a][face].then_some(numbers)
+        });
     }
 
     /// A position in cells is off by its size times 3 roundings per axis; root, product and difference add a few. A pass into solids
@@ -480,7 +468,7 @@ impl<'a> LiquidJudge<'a> {
                     differs(cell, &twin) && (gpu[cell] - other[cell]).abs() <= 4.0 * bounds[cell];
             }
         }
-        let number = |distance: &[f64], cell: usize| {
+        let distance = |distance: &[f64], cell: usize| {
             // Outside the band the device says air, without saying how far.
             if after.band[cell] || distance[cell] < 0.0 {
                 distance[cell]
@@ -488,14 +476,11 @@ impl<'a> LiquidJudge<'a> {
                 dx
             }
         };
-        let judged = (0..grid.n_cells()).filter(|&cell| !excused[cell]);
-        self.table.add(
-            [Stage::LiquidDistance.name(), "phi", "m"],
-            judged.map(|cell| {
-                let place = Place::cell(&grid, cell);
-                (number(gpu, cell), number(&twin, cell), bounds[cell], place)
-            }),
-        );
+        let row = [Stage::LiquidDistance.name(), "phi", "m"];
+        self.table.cells(&grid, row, |cell| {
+            let numbers = (distance(gpu, cell), distance(&twin, cell), bounds[cell]);
+            (!excused[cell]).then_some(numbers)
+        });
         self.table
             .row(Stage::LiquidDistance.name(), "phi", "m")
             .excused += excused.iter().filter(|&&excused| excused).count() as u64;
@@ -538,10 +523,8 @@ impl<'a> LiquidJudge<'a> {
         } else {
             (0.0, 0.0)
         };
-        self.table.add(
-            [Stage::LiquidDistance.name(), "volume rate", "1/s"],
-            [(after.report.volume_rate, twin, bound, Place::Whole)],
-        );
+        let row = [Stage::LiquidDistance.name(), "volume rate", "1/s"];
+        self.table.whole(row, after.report.volume_rate, twin, bound);
     }
 
     /// The set of unknowns and the weights copy signs and open fractions, so they are exact. Free-surface terms: theta is off by
@@ -556,44 +539,29 @@ impl<'a> LiquidJudge<'a> {
         }
         let stencil = &twin.stencil;
         let stage = "active_cells";
-        let cells = || 0..grid.n_cells();
-        self.table.add_flags(
-            [stage, "active"],
-            cells().map(|cell| {
-                (
-                    after.active[cell],
-                    stencil.active(cell),
-                    Place::cell(&grid, cell),
-                )
-            }),
-        );
-        for axis in Axis::ALL {
-            let (gpu, twin) = (&after.weight[axis.index()], &stencil.weight[axis.index()]);
-            let pairs = gpu.iter().zip(twin).enumerate();
-            self.table.add(
-                [stage, "weights", ""],
-                pairs.map(|(face, (&gpu, &twin))| (gpu, twin, 0.0, Place::face(&grid, axis, face))),
-            );
-        }
-        self.table.add(
-            [stage, "free-surface terms", ""],
-            cells().map(|cell| {
-                let twin = stencil.dirichlet[cell];
-                let bound = DIRICHLET_ROUNDINGS * EPS * twin;
-                (after.dirichlet[cell], twin, bound, Place::cell(&grid, cell))
-            }),
-        );
-        self.table.add(
-            [stage, "1 / diagonal", ""],
-            cells().map(|cell| {
-                let diagonal = stencil.diagonal[cell];
-                let twin = if diagonal > 0.0 { 1.0 / diagonal } else { 0.0 };
-                // A sum of eleven and a quotient more.
-                let bound = (DIRICHLET_ROUNDINGS + 16.0) * EPS * twin;
-                let gpu = after.inverse_diagonal[cell];
-                (gpu, twin, bound, Place::cell(&grid, cell))
-            }),
-        );
+        let table = &mut self.table;
+        table.cells(&grid, [stage, "active", "flag"], |cell| {
+            let (gpu, twin) = (after.active[cell], stencil.active(cell));
+            Some((number(gpu), number(twin), 0.0))
+        });
+        table.faces(&grid, [stage, "weights", ""], |a, face| {
+            Some((after.weight[a][face], stencil.weight[a][face], 0.0))
+        });
+        table.cells(&grid, [stage, "free-surface terms", ""], |cell| {
+            let twin = stencil.dirichlet[cell];
+            Some((
+                after.dirichlet[cell],
+                twin,
+                DIRICHLET_ROUNDINGS * EPS * twin,
+            ))
+        });
+        table.cells(&grid, [stage, "1 / diagonal", ""], |cell| {
+            let diagonal = stencil.diagonal[cell];
+            let twin = if diagonal > 0.0 { 1.0 / diagonal } else { 0.0 };
+            // A sum of eleven and a quotient more.
+            let bound = (DIRICHLET_ROUNDINGS + 16.0) * EPS * twin;
+            Some((after.inverse_diagonal[cell], twin, bound))
+        });
         self.twin.active = Some(twin);
     }
 
@@ -635,11 +603,10 @@ impl<'a> LiquidJudge<'a> {
             .iter()
             .flatten()
             .for_each(|&cell| closed[cell] = true);
-        let cells = || 0..grid.n_cells();
-        self.table.add_flags(
-            [Stage::RightHandSide.name(), "closed components"],
-            cells().map(|cell| (after.closed[cell], closed[cell], Place::cell(&grid, cell))),
-        );
+        let row = [Stage::RightHandSide.name(), "closed components", "flag"];
+        self.table.cells(&grid, row, |cell| {
+            Some((number(after.closed[cell]), number(closed[cell]), 0.0))
+        });
         self.twin.rhs = twin.values.iter().map(|b| b / area).collect();
         if let Some(clip) = clip {
             for &(cell, flux) in clip.obstacles().flux() {
@@ -658,12 +625,11 @@ impl<'a> LiquidJudge<'a> {
             bound += 4.0 * EPS * gross.into_iter().fold(0.0, f64::max);
         }
         let rhs = &self.twin.rhs;
-        self.table.add(
-            [Stage::RightHandSide.name(), "E u* / dx^2", "m/s"],
-            cells()
-                .filter(|&cell| active.stencil.active(cell))
-                .map(|cell| (gpu[cell], rhs[cell], bound, Place::cell(&grid, cell))),
-        );
+        let row = [Stage::RightHandSide.name(), "E u* / dx^2", "m/s"];
+        self.table.cells(&grid, row, |cell| {
+            let numbers = (gpu[cell], rhs[cell], bound);
+            active.stencil.active(cell).then_some(numbers)
+        });
         self.twin.rhs_bound = bound;
         self.twin.flux = twin.scale / area;
         self.twin.active = Some(active);
@@ -695,26 +661,17 @@ impl<'a> LiquidJudge<'a> {
         );
         let running = self.running.running;
         reference::carry_faces(&self.taps, &self.cut.open, running, &mut twin, &mut valid);
-        for axis in Axis::ALL {
-            let a = axis.index();
-            self.table.add_flags(
-                [Stage::WriteBack.name(), "valid faces"],
-                (0..valid[a].len()).map(|face| {
-                    let place = Place::face(&grid, axis, face);
-                    (after.valid[a][face], valid[a][face], place)
-                }),
-            );
-            self.table.add(
-                [Stage::WriteBack.name(), "u", "m/s"],
-                (0..valid[a].len()).map(|face| {
-                    let twin = if valid[a][face] { twin[a][face] } else { 0.0 };
-                    let change = (twin - u_star[a][face]).abs();
-                    let bound = EPS * (13.0 * change + 2.0 * twin.abs());
-                    let place = Place::face(&grid, axis, face);
-                    (after.velocity[a][face], twin, bound, place)
-                }),
-            );
-        }
+        let row = [Stage::WriteBack.name(), "valid faces", "flag"];
+        self.table.faces(&grid, row, |a, face| {
+            Some((number(after.valid[a][face]), number(valid[a][face]), 0.0))
+        });
+        let row = [Stage::WriteBack.name(), "u", "m/s"];
+        self.table.faces(&grid, row, |a, face| {
+            let twin = if valid[a][face] { twin[a][face] } else { 0.0 };
+            let change = (twin - u_star[a][face]).abs();
+            let bound = EPS * (13.0 * change + 2.0 * twin.abs());
+            Some((after.velocity[a][face], twin, bound))
+        });
     }
 
     /// A mean of up to six per layer: 5 roundings of the sum, a quotient. Along obstacles the direction is off by the roundings
@@ -849,58 +806,34 @@ impl<'a> LiquidJudge<'a> {
         let flux = active_speed(&grid, &stencil, &after.velocity) / grid.dx;
         let divergence =
             72.0 * unit(after.real) * flux + 4.0 * EPS * twin.divergence.abs() + of_areas;
-        let rows = [
-            ("volume", "m^3", gpu.volume, twin.volume, volume),
-            (
-                "momentum x",
+        let mut row = |quantity, unit, gpu, twin, bound| {
+            let row = [Stage::Diagnose.name(), quantity, unit];
+            self.table.whole(row, gpu, twin, bound);
+        };
+        row("volume", "m^3", gpu.volume, twin.volume, volume);
+        for (a, quantity) in ["momentum x", "momentum y", "momentum z"]
+            .into_iter()
+            .enumerate()
+        {
+            row(
+                quantity,
                 "kg m/s",
-                gpu.momentum[0],
-                twin.momentum[0],
+                gpu.momentum[a],
+                twin.momentum[a],
                 momentum,
-            ),
-            (
-                "momentum y",
-                "kg m/s",
-                gpu.momentum[1],
-                twin.momentum[1],
-                momentum,
-            ),
-            (
-                "momentum z",
-                "kg m/s",
-                gpu.momentum[2],
-                twin.momentum[2],
-                momentum,
-            ),
-            (
-                "kinetic energy",
-                "J",
-                gpu.kinetic_energy,
-                twin.kinetic_energy,
-                energy,
-            ),
-            (
-                "potential energy",
-                "J",
-                gpu.potential_energy,
-                twin.potential_energy,
-                mass * height,
-            ),
-            ("largest speed", "m/s", gpu.max_speed, twin.max_speed, 0.0),
-            (
-                "divergence",
-                "1/s",
-                gpu.divergence,
-                twin.divergence,
-                divergence,
-            ),
-        ];
-        for (quantity, unit, gpu, twin, bound) in rows {
-            self.table.add(
-                [Stage::Diagnose.name(), quantity, unit],
-                [(gpu, twin, bound, Place::Whole)],
             );
         }
+        let [of_gpu, of_twin] = [gpu, twin].map(|d| (d.kinetic_energy, d.potential_energy));
+        row("kinetic energy", "J", of_gpu.0, of_twin.0, energy);
+        row("potential energy", "J", of_gpu.1, of_twin.1, mass * height);
+        row("largest speed", "m/s", gpu.max_speed, twin.max_speed, 0.0);
+        row(
+            "divergence",
+            "1/s",
+            gpu.divergence,
+            twin.divergence,
+            divergence,
+        );
     }
 
     /// Whether both touch, and the sum of J^T p with areas that are f32, a rounding per node of a sum and level of the tree in f32.

@@ -5,7 +5,7 @@
 //! allowed residual for its right-hand side, says how far off the pressure may be. In a component without a free surface one
 //! cell is held; differences to it are bounded so, and pressures without the mean by twice the largest of them.
 
-use super::{Both, DIRICHLET_ROUNDINGS, EPS, LiquidJudge, Place, unit};
+use super::{Both, DIRICHLET_ROUNDINGS, EPS, LiquidJudge, unit};
 use crate::Error;
 use crate::linalg::norm;
 use crate::reference::{
@@ -53,18 +53,13 @@ impl LiquidJudge<'_> {
             let held = both.flux_of_held(grid.dx, &open);
             let left = self.before.rhs.iter().zip(&held);
             start = norm(&left.map(|(b, held)| b - held).collect::<Vec<f64>>());
-            let stage = "solve";
-            let cells = (0..grid.n_cells()).filter(|&cell| open[cell]);
-            let pairs: Vec<_> = cells
-                .map(|cell| {
-                    let left = self.before.rhs[cell] - flux[cell];
-                    let rounded = unit(after.real) * 8.0 * self.before.rhs[cell].abs();
-                    // Areas over dx^2 are f32, and so is the dx of this grid.
-                    let bound = (4.0 * EPS + 32.0 * unit(after.real)) * gross[cell] + rounded;
-                    (after.rhs[cell], left, bound, Place::cell(&grid, cell))
-                })
-                .collect();
-            self.table.add([stage, "E u* - J v", "m/s"], pairs);
+            let (row, before) = (["solve", "E u* - J v", "m/s"], &self.before.rhs);
+            self.table.cells(&grid, row, |cell| {
+                let rounded = unit(after.real) * 8.0 * before[cell].abs();
+                // Areas over dx^2 are f32, and so is the dx of this grid.
+                let bound = (4.0 * EPS + 32.0 * unit(after.real)) * gross[cell] + rounded;
+                open[cell].then_some((after.rhs[cell], before[cell] - flux[cell], bound))
+            });
             for (rhs, flux) in self.twin.rhs.iter_mut().zip(flux) {
                 *rhs -= flux;
             }
@@ -118,10 +113,8 @@ impl LiquidJudge<'_> {
             target = target.max(spread);
         }
         let pascal = self.pascal();
-        self.table.add(
-            ["solve", "true residual", "m/s"],
-            [(residual, 0.0, target + spread, Place::Whole)],
-        );
+        let row = ["solve", "true residual", "m/s"];
+        self.table.whole(row, residual, 0.0, target + spread);
         // No entry of a residual is larger than its norm.
         let allowed: Vec<f64> = stored
             .stencil
@@ -132,13 +125,12 @@ impl LiquidJudge<'_> {
         let reach = majorant(&stored.stencil, &stored.closed, allowed);
         let cells = || (0..grid.n_cells()).filter(|&cell| stored.stencil.active(cell));
         let solve_bound = |cell: usize| pascal * (reach[cell] + stored_as[cell]);
-        self.table.add(
-            ["solve", "pressure", "Pa"],
-            cells().map(|cell| {
-                let (gpu, twin) = (pascal * after.potential[cell], pascal * answer[cell]);
-                (gpu, twin, solve_bound(cell), Place::cell(&grid, cell))
-            }),
-        );
+        let in_system = |cell, numbers| stored.stencil.active(cell).then_some(numbers);
+        let row = ["solve", "pressure", "Pa"];
+        self.table.cells(&grid, row, |cell| {
+            let (gpu, twin) = (pascal * after.potential[cell], pascal * answer[cell]);
+            in_system(cell, (gpu, twin, solve_bound(cell)))
+        });
 
         // B x is off by the roundings of the free-surface terms and of the right-hand side.
         let difference: Vec<f64> = (0..grid.n_cells())
@@ -153,13 +145,11 @@ impl LiquidJudge<'_> {
         let reach_of_assembly = majorant(&assembled.stencil, &assembled.closed, difference);
         let assembly_bound =
             |cell: usize| pascal * (reach_of_assembly[cell] + 1e3 * EXACT * twin[cell].abs());
-        self.table.add(
-            ["assembly", "pressure", "Pa"],
-            cells().map(|cell| {
-                let (stored, twin) = (pascal * answer[cell], pascal * twin[cell]);
-                (stored, twin, assembly_bound(cell), Place::cell(&grid, cell))
-            }),
-        );
+        let row = ["assembly", "pressure", "Pa"];
+        self.table.cells(&grid, row, |cell| {
+            let (stored, twin) = (pascal * answer[cell], pascal * twin[cell]);
+            in_system(cell, (stored, twin, assembly_bound(cell)))
+        });
         self.twin.pressure_bound = cells()
             .map(|cell| solve_bound(cell) + assembly_bound(cell))
             .fold(0.0, f64::max);

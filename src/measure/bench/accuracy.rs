@@ -1,0 +1,457 @@
+//! `bench accuracy`: error against time of the solve.
+//!
+//! States of scenes (`states`): the sub-step after a frame is repeated from the same state in every precision, preconditioner, form and tolerance,
+//! in a shuffled order. The solve is timed with its set-up. Its errors are those against two exact solutions: that of the system which the device
+//! stores, and the same sub-step on the f64 path. Systems with liquid of more than 60,000 unknowns have no sparse factor: theirs is by conjugate
+//! gradients. All are refined to 1e-13, or as far as rounding allows; above 1e-10 the bench ends.
+//!
+//! Problems on grids (`grids`): their pressure is known, so errors are those of grid and solve together.
+
+mod exact;
+mod grids;
+mod states;
+
+use std::cmp::Ordering;
+
+use super::chart::{Chart, Page, exact, lines};
+use super::ended::{is_solved, precision_name};
+use super::statistics::grouped;
+use super::table::{Row, Table, columns, row};
+use super::{Bench, Case, Listener, Machine, Results, Run, Settings, replace, rows};
+use crate::Error;
+use crate::effects::Effects;
+use crate::gpu::{AdapterChoice, Gpu};
+use crate::reference::larger;
+use crate::scene::{CouplingScheme, Formulation, Precision, Preconditioner, Scene};
+use crate::state::{SolveReport, SolveStatus};
+
+pub use exact::{Exact, dam_release};
+
+/// Relative residual of the exact solutions.
+const EXACT: f64 = 1e-13;
+const MOST_ITERATIONS: u32 = 20_000;
+/// Residual of an exact solution that did not converge, at most: forces of stiff solids cancel, and their rounding in f64 can be above [`EXACT`].
+const ROUNDED: f64 = 1e-10;
+/// Errors with a recommendation, on states and on grids.
+const TARGETS: [&[f64]; 2] = [
+    &[1e-2, 1e-4, 1e-6, 1e-8, 1e-10],
+    &[1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 1e-5, 1e-6, 1e-8],
+];
+/// An error is that of the grid up to so much of it.
+const GRID_ERROR: f64 = 1.1;
+/// Rows within so much of the fastest median count as equally fast.
+const AS_FAST: f64 = 1.25;
+
+/// Scenes, problems and solvers to measure.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Scenes, scaled.
+    pub scenes: Vec<Scene>,
+    /// Frames whose states are solved from.
+    pub frames: Vec<u64>,
+    /// Cells along 1 m of the known problems, multiples of 10.
+    pub grids: Vec<usize>,
+    /// Precisions; those that the adapter lacks are skipped.
+    pub precisions: Vec<Precision>,
+    /// Preconditioners.
+    pub preconditioners: Vec<Preconditioner>,
+    /// Forms where liquid and solids touch.
+    pub formulations: Vec<Formulation>,
+    /// Relative, of the true residuals.
+    pub tolerances: Vec<f64>,
+    /// Over all refinement steps.
+    pub max_iterations: u32,
+    /// Adapter.
+    pub adapter: AdapterChoice,
+}
+
+columns! {
+    STATE {
+        scene = "" "name of the scene";
+        frame + "" "frame of the state";
+    }
+    SIZES {
+        cells - "" "cells of the domain";
+        unknowns - "" "of the pressure";
+        solid_unknowns - "" "of the solids";
+    }
+    PROBLEM {
+        problem + "" "`elastic_block`, `pool_at_rest` or `dam_release`";
+        grid + "" "cells along 1 m";
+    }
+    GRID_SIZES {
+        unknowns - "" "of the pressure";
+        solid_unknowns - "" "of the solids";
+    }
+    TARGET { target + "" "bound of the errors"; }
+    PRECISION { precision + "" "`f32`, `mixed` or `f64`"; }
+    FORM {
+        preconditioner + "" "`multigrid`, `jacobi` or `block_jacobi`";
+        formulation + "" "`two-field`, `condensed`, or `apart` where liquid and solids do not touch";
+    }
+    TOLERANCE { tolerance + "" "relative, of the true residuals"; }
+    STATUS { status + "" "`converged`, `converged_to_rounding` or why not"; }
+    TIME {
+        iterations + "" "conjugate-gradient iterations, over all refinement steps";
+        seconds ~ "s" "seconds of the solve";
+    }
+    ERRORS {
+        error_p + "" "largest error of p over the largest p, against the exact solution of the stored system";
+        error_v + "" "the same of the velocities of the nodes";
+        step_error_p - "" "of p, against the sub-step on the f64 path";
+        step_error_v - "" "of the nodes";
+        step_error_u - "" "of the faces, after the projection";
+    }
+    RESIDUALS {
+        residual_p - "" "true relative residual of the pressure";
+        residual_v - "" "of the velocities";
+        truth_residual - "" "residual of the exact solution";
+        divergence - "1/s" "largest after the projection, without volume control";
+        speed_over_g_dt - "" "of a liquid at rest: imbalance of pressure and gravity";
+    }
+    GRID_ERRORS {
+        error_p + "" "largest error of p over the largest p";
+        grid_error_p + "" "the same on the f64 path to 1e-13: error of the grid alone";
+        error_u + "" "largest speed of liquid and nodes at rest over g dt";
+        grid_error_u - "" "the same on the f64 path";
+    }
+}
+
+fn bench() -> Bench {
+    let state: &[&str] = &[
+        "scene",
+        "frame",
+        "precision",
+        "preconditioner",
+        "formulation",
+        "tolerance",
+    ];
+    let problem: &[&str] = &["problem", "grid", "precision", "tolerance"];
+    Bench {
+        name: "accuracy",
+        tables: vec![
+            Table::new(
+                "accuracy",
+                &[
+                    STATE, SIZES, PRECISION, FORM, TOLERANCE, STATUS, TIME, ERRORS, RESIDUALS,
+                ],
+                state,
+            ),
+            Table::new(
+                "accuracy_best",
+                &[STATE, TARGET, PRECISION, FORM, TOLERANCE, TIME, ERRORS],
+                &[],
+            ),
+            Table::new(
+                "accuracy_grids",
+                &[
+                    PROBLEM,
+                    GRID_SIZES,
+                    PRECISION,
+                    TOLERANCE,
+                    STATUS,
+                    TIME,
+                    GRID_ERRORS,
+                ],
+                problem,
+            ),
+            Table::new(
+                "accuracy_grids_best",
+                &[PROBLEM, TARGET, PRECISION, TOLERANCE, TIME, GRID_ERRORS],
+                &[],
+            ),
+            Table::new(
+                "accuracy_grids_enough",
+                &[PROBLEM, PRECISION, TOLERANCE, TIME, GRID_ERRORS],
+                &[],
+            ),
+        ],
+        derive,
+        pictures: &[("accuracy", draw_states), ("accuracy_grids", draw_grids)],
+    }
+}
+
+/// Measures all states and problems: accuracy.csv, accuracy_best.csv, accuracy_grids.csv, accuracy_grids_best.csv, accuracy_grids_enough.csv,
+/// accuracy.json, accuracy.svg, accuracy_grids.svg.
+///
+/// # Errors
+/// [`Error::Input`] for scenes of weak or damping-only coupling and grids that the problems do not fit; [`Error::Output`]; [`Error::Stage`]
+/// without an exact solution; errors of the simulations.
+pub fn measure(
+    options: &Options,
+    settings: &Settings,
+    listener: Listener,
+) -> Result<Results, Error> {
+    for scene in &options.scenes {
+        if Effects::of(scene).coupling && scene.solver.coupling != CouplingScheme::Strong {
+            let what = scene.file.display().to_string();
+            return Err(Error::input(
+                what,
+                "the errors are those of strong coupling",
+                "add --set solver.coupling=strong",
+            ));
+        }
+    }
+    if let Some(grid) = options
+        .grids
+        .iter()
+        .find(|&&grid| !(10..=320).contains(&grid) || !grid.is_multiple_of(10))
+    {
+        let problem = "walls and surfaces of the problems do not lie on faces of such cells";
+        return Err(Error::input(
+            format!("--grids {grid}"),
+            problem,
+            "give multiples of 10 up to 320",
+        ));
+    }
+    if options.scenes.is_empty() && options.grids.is_empty() {
+        let cure = "give a scene file or more, or grids: --grids 10,20,40";
+        return Err(Error::input("bench accuracy", "nothing to measure", cure));
+    }
+    let machine = Machine::new(&Gpu::new(&options.adapter)?, settings.repeats)?;
+    let hashes: Vec<&str> = options
+        .scenes
+        .iter()
+        .map(|scene| scene.hash.as_str())
+        .collect();
+    let solvers = (
+        &options.precisions,
+        &options.preconditioners,
+        &options.formulations,
+        &options.tolerances,
+        options.max_iterations,
+    );
+    let mut run = Run::start(bench(), machine, &(hashes, solvers), settings, listener)?;
+    let mut cases = Vec::new();
+    for scene in &options.scenes {
+        for &frame in &options.frames {
+            cases.push(Case {
+                key: (
+                    "accuracy",
+                    row! { scene: scene.name.as_str(), frame: frame },
+                ),
+                measure: Box::new(move |run| states::measure(run, scene, frame, options)),
+            });
+        }
+    }
+    for problem in Exact::ALL {
+        for &grid in &options.grids {
+            cases.push(Case {
+                key: (
+                    "accuracy_grids",
+                    row! { problem: problem.name(), grid: grid },
+                ),
+                measure: Box::new(move |run| grids::measure(run, problem, grid, options)),
+            });
+        }
+    }
+    run.cases(cases)?;
+    Ok(run.results)
+}
+
+/// Refuses an exact solution that did not converge. `step`: sub-steps before it.
+pub fn ensure_truth(
+    what: &str,
+    step: u64,
+    solves: impl IntoIterator<Item = SolveReport>,
+) -> Result<(), Error> {
+    for SolveReport {
+        residual, status, ..
+    } in solves
+    {
+        let passed = matches!(status, SolveStatus::Converged | SolveStatus::Incompatible);
+        // False of a residual that is NaN.
+        if !(passed || residual <= ROUNDED) {
+            let status = status.name();
+            return Err(Error::Stage {
+                stage: "solve",
+                step,
+                problem: format!(
+                    "{what}: the solution in f64 that errors are to be measured against ended with {status} at a relative residual of {residual:.1e}, above {ROUNDED:e}\n  cure: shorter sub-steps (time.fixed_step), or loads and stiffnesses nearer to each other"
+                ),
+            });
+        }
+    }
+    Ok(())
+}
+
+/// Better rows first: fewer cells, for all stages depend on them; the precision of fewer bytes, which more adapters have; the looser tolerance;
+/// fewer iterations; less time.
+fn better(a: &Row, b: &Row) -> Ordering {
+    let size = |row: &Row| (row.count("cells"), row.count("grid"), width(row));
+    let numbers = ["iterations", "seconds_median"];
+    let numbers = numbers.map(|name| a.number(name).total_cmp(&b.number(name)));
+    let tolerance = b.number("tolerance").total_cmp(&a.number("tolerance"));
+    size(a)
+        .cmp(&size(b))
+        .then(tolerance)
+        .then(numbers[0])
+        .then(numbers[1])
+}
+
+/// Rank of the precision.
+fn width(row: &Row) -> Option<usize> {
+    let ascending = [Precision::F32, Precision::Mixed, Precision::F64].map(precision_name);
+    ascending
+        .iter()
+        .position(|name| *name == row.text("precision"))
+}
+
+/// Best of the rows that time does not tell from the fastest: whose least seconds are not above the largest of the row with the least median, nor
+/// above [`AS_FAST`] times that.
+pub fn cheapest<'r>(rows: &[&'r Row]) -> Option<&'r Row> {
+    let seconds = rows.iter().filter_map(|row| row.spread("seconds"));
+    let fastest = seconds.min_by(|a, b| a.median.total_cmp(&b.median))?;
+    let most = fastest.max.min(AS_FAST * fastest.median);
+    let equal = rows.iter().filter(|row| row.number("seconds_min") <= most);
+    equal.min_by(|a, b| better(a, b)).copied()
+}
+
+/// For each of the descending targets that any row meets, the cheapest row with an error not above it, or that of the next lower target where that
+/// one needs no more time, cells and bytes per number: less accuracy should never take longer.
+pub fn recommended<'r>(
+    rows: &[&'r Row],
+    targets: &[f64],
+    error: impl Fn(&Row) -> f64,
+) -> Vec<(f64, &'r Row)> {
+    let mut found: Vec<(f64, &Row)> = Vec::new();
+    for &target in targets.iter().rev() {
+        let meeting: Vec<&Row> = rows
+            .iter()
+            .copied()
+            .filter(|row| error(row) <= target)
+            .collect();
+        let Some(mut best) = cheapest(&meeting) else {
+            continue;
+        };
+        if let Some(&(_, lower)) = found.last() {
+            let needs = |row: &Row| (row.count("cells"), row.count("grid"));
+            let no_more = needs(lower) <= needs(best) && width(lower) <= width(best);
+            if no_more && lower.number("seconds_median") <= best.number("seconds_median") {
+                best = lower;
+            }
+        }
+        found.push((target, best));
+    }
+    found.reverse();
+    found
+}
+
+/// The larger of both errors; NaN where one is.
+fn error(row: &Row) -> f64 {
+    let others = ["error_v", "error_u"]
+        .into_iter()
+        .filter(|name| row.has(name));
+    others.fold(row.number("error_p"), |most, name| {
+        larger(most, row.number(name))
+    })
+}
+
+/// Rows with the least time per target, and the loosest tolerances that leave the errors of the grids as they are.
+pub fn derive(tables: &mut [Table]) {
+    for (table, best, key, targets) in [
+        ("accuracy", "accuracy_best", &["scene", "frame"], TARGETS[0]),
+        (
+            "accuracy_grids",
+            "accuracy_grids_best",
+            &["problem", "problem"],
+            TARGETS[1],
+        ),
+    ] {
+        let solved = rows(tables, table)
+            .iter()
+            .filter(|row| is_solved(row.text("status")));
+        let groups = grouped(solved, |row| Some(row.only(key)));
+        let found = groups
+            .iter()
+            .flat_map(|(_, rows)| recommended(rows, targets, error));
+        let found = found
+            .map(|(target, row)| row.clone().with(row! { target: target }))
+            .collect();
+        replace(tables, best, found);
+    }
+    let key = [
+        "problem",
+        "grid",
+        "precision",
+        "grid_error_p",
+        "grid_error_u",
+    ];
+    let groups = grouped(rows(tables, "accuracy_grids"), |row| Some(row.only(&key)));
+    let enough = groups.into_iter().map(|(grid, rows)| {
+        let within = |row: &&&Row| {
+            let of_grid =
+                |a: &str, b: &str| !row.has(a) || row.number(a) <= GRID_ERROR * row.number(b);
+            is_solved(row.text("status"))
+                && row.has("error_p")
+                && of_grid("error_p", "grid_error_p")
+                && of_grid("error_u", "grid_error_u")
+        };
+        let loosest = rows
+            .iter()
+            .filter(within)
+            .max_by(|a, b| a.number("tolerance").total_cmp(&b.number("tolerance")));
+        loosest.map_or(grid, |row| (*row).clone())
+    });
+    let enough = enough.collect();
+    replace(tables, "accuracy_grids_enough", enough);
+}
+
+/// Charts of errors against seconds of rows, one per error.
+fn charts(
+    rows: &[&Row],
+    title: &str,
+    errors: &[(&str, &'static str)],
+    name: impl Fn(&Row) -> String,
+) -> Vec<Chart> {
+    let chart = |(column, axis): &(&str, &'static str)| Chart {
+        title: title.to_owned(),
+        axes: ["seconds of the solve", axis],
+        lines: lines(rows.iter().copied(), &name, |row| {
+            Some([row.spread("seconds")?, exact(row, column)])
+        }),
+        falling: true,
+    };
+    errors.iter().map(chart).collect()
+}
+
+fn draw_states(results: &Results) -> Page {
+    let errors = [
+        ("error_p", "error of p"),
+        ("error_v", "error of v"),
+        ("step_error_u", "error of u, against the f64 path"),
+        ("divergence", "divergence, 1/s"),
+    ];
+    let name = |row: &Row| {
+        ["precision", "preconditioner", "formulation"]
+            .map(|name| row.text(name))
+            .join(" ")
+    };
+    let groups = grouped(results.rows("accuracy"), |row| {
+        Some(row.only(&["scene", "frame"]))
+    });
+    let drawn = groups.iter().flat_map(|(state, rows)| {
+        charts(
+            rows,
+            &format!("{}, frame {}", state.text("scene"), state.count("frame")),
+            &errors,
+            name,
+        )
+    });
+    Page::Charts(2, drawn.collect())
+}
+
+fn draw_grids(results: &Results) -> Page {
+    let errors = [
+        ("error_p", "error of p over the largest p"),
+        ("error_u", "speed over g dt"),
+    ];
+    let name = |row: &Row| format!("{} cells/m, {}", row.count("grid"), row.text("precision"));
+    let groups = grouped(results.rows("accuracy_grids"), |row| {
+        Some(row.text("problem"))
+    });
+    let drawn = groups
+        .iter()
+        .flat_map(|(problem, rows)| charts(rows, problem, &errors, name));
+    Page::Charts(2, drawn.collect())
+}

@@ -1,0 +1,276 @@
+//! Pictures of benches: charts with two logarithmic axes, lists of bars.
+
+use std::ops::Range;
+use std::path::Path;
+
+use plotters::prelude::*;
+
+use super::statistics::{Spread, grouped};
+use super::table::Row;
+use crate::Error;
+use crate::output::drawing::{Area, Failure, ink, write_svg};
+
+/// A page of pictures.
+#[derive(Clone, Debug)]
+pub(in crate::measure) enum Page {
+    /// Charts, so many beside each other.
+    Charts(usize, Vec<Chart>),
+    /// Lists of bars below each other.
+    Bars(Vec<Bars>),
+}
+
+/// Lines over two logarithmic axes.
+#[derive(Clone, Debug)]
+pub(in crate::measure) struct Chart {
+    /// Title.
+    pub(in crate::measure) title: String,
+    /// Names of the axes.
+    pub(in crate::measure) axes: [&'static str; 2],
+    /// Names and points; printed numbers have names that begin with `printed`.
+    pub(in crate::measure) lines: Vec<(String, Vec<[Spread; 2]>)>,
+    /// Whether lines fall, so that the key is below them.
+    pub(in crate::measure) falling: bool,
+}
+
+/// Name of a bar, its parts with name, start and end, and a mark.
+pub(in crate::measure) type Bar = (String, Vec<(String, f64, f64)>, f64);
+
+/// Horizontal bars.
+#[derive(Clone, Debug)]
+pub(in crate::measure) struct Bars {
+    /// Title.
+    pub(in crate::measure) title: String,
+    /// Name of the axis.
+    pub(in crate::measure) axis: &'static str,
+    /// Its bars.
+    pub(in crate::measure) bars: Vec<Bar>,
+    /// Whether the parts have a key.
+    pub(in crate::measure) key: bool,
+}
+
+/// Points of rows by the name of their line; those that a logarithmic chart cannot show are left out.
+pub(in crate::measure) fn lines<'r>(
+    rows: impl IntoIterator<Item = &'r Row>,
+    name: impl Fn(&Row) -> String,
+    point: impl Fn(&Row) -> Option<[Spread; 2]>,
+) -> Vec<(String, Vec<[Spread; 2]>)> {
+    let shown = |ends: &[Spread; 2]| ends.iter().all(|end| end.min > 0.0 && end.max.is_finite());
+    let groups = grouped(rows, |row| point(row).filter(shown).map(|_| name(row)));
+    let points = |rows: Vec<&Row>| rows.into_iter().filter_map(&point).collect();
+    groups
+        .into_iter()
+        .map(|(name, rows)| (name, points(rows)))
+        .collect()
+}
+
+/// A number of a row as a coordinate.
+pub(in crate::measure) fn exact(row: &Row, name: &str) -> Spread {
+    Spread::exact(row.number(name))
+}
+
+impl Page {
+    /// Writes it; without anything to draw there is no file.
+    pub(super) fn write(&self, path: &Path) -> Result<(), Error> {
+        match self {
+            Page::Charts(across, charts) => {
+                let charts: Vec<&Chart> = charts
+                    .iter()
+                    .filter(|chart| !chart.lines.is_empty())
+                    .collect();
+                if charts.is_empty() {
+                    return super::remove(path);
+                }
+                let across = charts.len().min(*across);
+                let down = charts.len().div_ceil(across);
+                let width = if across == 1 {
+                    900
+                } else {
+                    580 * across as u32
+                };
+                write_svg(path, (width, 480 * down as u32), |root| {
+                    let areas = root.split_evenly((down, across));
+                    areas
+                        .iter()
+                        .zip(charts)
+                        .try_for_each(|(area, chart)| chart.draw(area))
+                })
+            }
+            Page::Bars(lists) => {
+                let lists: Vec<&Bars> = lists.iter().filter(|list| !list.bars.is_empty()).collect();
+                if lists.is_empty() {
+                    return super::remove(path);
+                }
+                let heights: Vec<u32> = lists.iter().map(|list| list.height()).collect();
+                write_svg(path, (1100, heights.iter().sum()), |root| {
+                    let mut rest = root.clone();
+                    for (list, height) in lists.into_iter().zip(heights) {
+                        let (area, below) = rest.split_vertically(height);
+                        list.draw(&area)?;
+                        rest = below;
+                    }
+                    Ok(())
+                })
+            }
+        }
+    }
+}
+
+/// Range of a logarithmic axis of positive values.
+fn log_range(values: impl Iterator<Item = f64> + Clone) -> Range<f64> {
+    let least = values.clone().fold(f64::INFINITY, f64::min);
+    least / 1.5..1.5 * values.fold(0.0, f64::max)
+}
+
+impl Chart {
+    fn draw(&self, area: &Area) -> Result<(), Failure> {
+        let points = || self.lines.iter().flat_map(|(_, points)| points);
+        let [x, y] = [0, 1]
+            .map(|axis| log_range(points().flat_map(|point| [point[axis].min, point[axis].max])));
+        // Room for the key beside the lines.
+        let x = x.start * (x.start / x.end).powf(0.7)..x.end;
+        let mut chart = ChartBuilder::on(area)
+            .caption(&self.title, ("sans-serif", 18))
+            .margin(12)
+            .x_label_area_size(44)
+            .y_label_area_size(70)
+            .build_cartesian_2d(x.log_scale(), y.log_scale())?;
+        chart
+            .configure_mesh()
+            .x_desc(self.axes[0])
+            .x_labels(8)
+            .max_light_lines(1)
+            .x_label_formatter(&|x| format!("{x:.1e}"))
+            .y_desc(self.axes[1])
+            .y_label_formatter(&|y| format!("{y:.0e}"))
+            .draw()?;
+        for (index, (name, points)) in self.lines.iter().enumerate() {
+            let printed = name.starts_with("printed");
+            let colour = if printed { BLACK.mix(0.5) } else { ink(index) };
+            let line = points.iter().map(|[x, y]| (x.median, y.median));
+            let line = LineSeries::new(line, colour.stroke_width(if printed { 1 } else { 2 }));
+            chart
+                .draw_series(line.point_size(3))?
+                .label(name)
+                .legend(move |(x, y)| PathElement::new([(x, y), (x + 20, y)], colour));
+            for [x, y] in points {
+                let bars = [
+                    [(x.min, y.median), (x.max, y.median)],
+                    [(x.median, y.min), (x.median, y.max)],
+                ];
+                chart.draw_series(bars.map(|ends| PathElement::new(ends, colour)))?;
+            }
+        }
+        let position = match self.falling {
+            true => SeriesLabelPosition::LowerLeft,
+            false => SeriesLabelPosition::UpperLeft,
+        };
+        key(chart.configure_series_labels().position(position))
+    }
+}
+
+fn key<'a, CT: CoordTranslate>(
+    labels: &mut plotters::chart::SeriesLabelStyle<'a, '_, SVGBackend<'a>, CT>,
+) -> Result<(), Failure> {
+    labels
+        .border_style(BLACK)
+        .background_style(WHITE.mix(0.8))
+        .draw()?;
+    Ok(())
+}
+
+impl Bars {
+    /// Names of the parts, in the order of first appearance.
+    fn parts(&self) -> Vec<&str> {
+        let parts = self.bars.iter().flat_map(|(_, parts, _)| parts);
+        let names = grouped(parts, |part| Some(part.0.as_str()));
+        names.into_iter().map(|(name, _)| name).collect()
+    }
+
+    /// Pixels.
+    fn height(&self) -> u32 {
+        let key = if self.key {
+            18 * self.parts().len() as u32
+        } else {
+            0
+        };
+        110 + (20 * self.bars.len() as u32).max(key)
+    }
+
+    fn draw(&self, area: &Area) -> Result<(), Failure> {
+        let parts = self.bars.iter().flat_map(|(_, parts, _)| parts);
+        let ends = parts
+            .flat_map(|part| [part.1, part.2])
+            .chain(self.bars.iter().map(|bar| bar.2));
+        let (least, most) = ends.fold((0.0, 1e-9), |(least, most), x| {
+            (f64::min(least, x), f64::max(most, x))
+        });
+        // Room for the key on the right.
+        let right = most + (most - least) * if self.key { 0.35 } else { 0.05 };
+        let n = self.bars.len();
+        let mut chart = ChartBuilder::on(area)
+            .caption(&self.title, ("sans-serif", 18))
+            .margin(12)
+            .x_label_area_size(44)
+            .y_label_area_size(300)
+            .build_cartesian_2d(
+                least - 0.02 * (most - least)..right,
+                (0..n).into_segmented(),
+            )?;
+        let label = |at: &SegmentValue<usize>| match at {
+            SegmentValue::CenterOf(at) => self
+                .bars
+                .get(*at)
+                .map_or(String::new(), |bar| bar.0.clone()),
+            _ => String::new(),
+        };
+        let mut mesh = chart.configure_mesh();
+        mesh.disable_y_mesh()
+            .x_desc(self.axis)
+            .y_labels(n)
+            .y_label_formatter(&label)
+            .draw()?;
+        for (index, name) in self.parts().into_iter().enumerate() {
+            let colour = if name.is_empty() {
+                BLACK.mix(0.25)
+            } else {
+                ink(index).mix(0.7)
+            };
+            let bars = self
+                .bars
+                .iter()
+                .enumerate()
+                .flat_map(|(at, (_, parts, _))| {
+                    let own = parts.iter().filter(|part| part.0 == name);
+                    own.map(move |(_, from, to)| {
+                        let corners = [
+                            (*from, SegmentValue::Exact(at)),
+                            (*to, SegmentValue::Exact(at + 1)),
+                        ];
+                        let mut bar = Rectangle::new(corners, colour.filled());
+                        bar.set_margin(2, 2, 0, 0);
+                        bar
+                    })
+                });
+            let bars = chart.draw_series(bars.collect::<Vec<_>>())?;
+            if self.key {
+                bars.label(name).legend(move |(x, y)| {
+                    Rectangle::new([(x, y - 5), (x + 14, y + 5)], colour.filled())
+                });
+            }
+        }
+        let marks = self.bars.iter().enumerate();
+        chart.draw_series(marks.map(|(at, (_, _, mark))| {
+            let line = [
+                (*mark, SegmentValue::Exact(at)),
+                (*mark, SegmentValue::Exact(at + 1)),
+            ];
+            PathElement::new(line, BLACK.stroke_width(2))
+        }))?;
+        match self.key {
+            true => key(chart
+                .configure_series_labels()
+                .position(SeriesLabelPosition::UpperRight)),
+            false => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,426 @@
+//! `bench effects`: time, bytes and dispatches that each effect of a scene adds to a sub-step, and the cost of each output of a frame.
+//!
+//! The state after each frame is given to the scene and to the scene without one of its effects. Sub-steps with and without are done from the same
+//! state one after the other, in alternating order; the seconds that an effect adds are the median of the paired differences, with an interval
+//! that contains their true median. Bytes are those of all buffers at the end. Dispatches of the solve depend on its iterations and have a column
+//! of their own. On the same states every output is timed ([`super::outputs`]).
+//!
+//! `liquid` and `solids` add their coupling, too; the row [`COUPLING`] is the scene less its liquid alone less its solids alone. Absent effects
+//! share the row [`ABSENT`]: the scene against a scene from which all that it does not have is taken away; bytes and dispatches must be equal. The
+//! row [`ITSELF`] is the scene against the same scene: its seconds are noise.
+
+mod left_out;
+pub mod pairs;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Instant;
+
+use super::chart::{Bars, Page};
+use super::outputs::{self, OUTPUT, Scratch};
+use super::statistics::Spread;
+use super::table::{Row, Table, columns, row};
+use super::{Bench, Case, Listener, Machine, Results, Run, SEED, Settings};
+use crate::Error;
+use crate::effects::Effects;
+use crate::gpu::{AdapterChoice, Gpu};
+use crate::scene::Scene;
+use crate::sim::{Backend, GpuPath, Simulation};
+use crate::state::State;
+
+pub use left_out::{EFFECTS, Effect, IsKind, PROBES};
+use pairs::{Pair, Taken};
+
+/// Row of the control, copied by all absent effects.
+pub const ABSENT: &str = "absent";
+/// Row of the scene against itself.
+pub const ITSELF: &str = "itself";
+/// Row of the coupling. No scene has liquid and solids that ignore each other: without coupling there are two scenes, one without solids and one
+/// without liquid, whose sub-steps are added. Parts that both need count twice.
+pub const COUPLING: &str = "coupling";
+/// Largest probability that an absent effect without cost fails by its seconds: twelve pairs have to go one way, of ten all of them.
+const FALSE_ALARM: f64 = 1e-3;
+
+/// Scenes to measure.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Scenes, scaled.
+    pub scenes: Vec<Scene>,
+    /// Frames of each; a pair of sub-steps per effect after each of them.
+    pub frames: u64,
+    /// Adapter.
+    pub adapter: AdapterChoice,
+}
+
+columns! {
+    EFFECT {
+        scene = "" "name of the scene";
+        effect + "" "effect, kind of probes, `coupling`, `absent` or `itself`";
+        present + "" "whether the scene has it; if not, the numbers are those of the row `absent`";
+        seconds_with - "s" "sub-step of the scene, median";
+        seconds_without - "s" "without the effect; empty where no scene is left";
+        seconds_added + "s" "median of the paired differences";
+        seconds_added_low - "s" "their first quartile";
+        seconds_added_high - "s" "their third";
+        seconds_told + "" "`adds`, `saves`, `not told apart from nothing` or `too few pairs`";
+        seconds_told_low - "s" "interval that contains the true median with at least 95 %";
+        seconds_told_high - "s" "its upper end";
+        bytes_added + "B" "buffers that the effect adds";
+        dispatches_added + "" "outside of the solve, median";
+        dispatches_differ - "" "pairs with different numbers of these";
+        solve_dispatches_added - "" "in the solve, median";
+        kernels - "" "kernels that only the effect compiles";
+        pairs - "" "pairs of sub-steps";
+        slower - "" "pairs in which the scene with it took longer";
+    }
+}
+
+/// Measures all scenes: effects.csv, effects_outputs.csv, effects.json, effects.svg. Failures: scenes with absent effects that cost something.
+///
+/// # Errors
+/// [`Error::Output`], before any work where nothing can be written; errors of the simulations.
+pub fn measure(
+    options: &Options,
+    settings: &Settings,
+    listener: Listener,
+) -> Result<Results, Error> {
+    let bench = Bench {
+        name: "effects",
+        tables: vec![
+            Table::new("effects", &[EFFECT], &["scene", "effect"]),
+            Table::new("effects_outputs", &[OUTPUT], &["scene", "output"]),
+        ],
+        derive: |_| {},
+        pictures: &[("effects", draw)],
+    };
+    // A device of its own: nothing of it is counted.
+    let machine = Machine::new(&Gpu::new(&options.adapter)?, 3)?;
+    let hashes: Vec<&str> = options
+        .scenes
+        .iter()
+        .map(|scene| scene.hash.as_str())
+        .collect();
+    let mut run = Run::start(
+        bench,
+        machine,
+        &(hashes, options.frames),
+        settings,
+        listener,
+    )?;
+    let scratch = Scratch::new(&settings.out)?;
+    let cases = options.scenes.iter().map(|scene| Case {
+        key: (
+            "effects",
+            row! { scene: scene.name.as_str(), effect: ITSELF },
+        ),
+        measure: Box::new(|_| scene_rows(scene, options, &scratch)),
+    });
+    run.cases(cases.collect())?;
+    let failed = run
+        .results
+        .rows("effects")
+        .iter()
+        .filter(|row| row.text("effect") == ABSENT && costs(row));
+    run.results.failures = failed.map(failure).collect();
+    Ok(run.results)
+}
+
+/// Whether a row of the control says that absent effects cost something; seconds with a probability of an error of [`FALSE_ALARM`].
+pub fn costs(row: &Row) -> bool {
+    let counts = [
+        "bytes_added",
+        "dispatches_added",
+        "solve_dispatches_added",
+        "dispatches_differ",
+    ];
+    let same = counts.iter().all(|name| row.number(name) == 0.0);
+    let [pairs, slower] = ["pairs", "slower"].map(|name| row.count(name));
+    let slower = row.text("seconds_told") == pairs::ADDS
+        && pairs::at_most(pairs - slower, pairs) <= FALSE_ALARM;
+    !(same && row.text("kernels").is_empty()) || slower
+}
+
+fn failure(row: &Row) -> String {
+    let [bytes, dispatches, solve, differ, n] = [
+        "bytes_added",
+        "dispatches_added",
+        "solve_dispatches_added",
+        "dispatches_differ",
+        "pairs",
+    ]
+    .map(|name| row.number(name));
+    format!(
+        "effects that {} does not have cost something: {bytes} bytes, {dispatches} dispatches and {solve} in the solve (in {differ} of {n} pairs), \
+         kernels: {}; seconds {:.2e}, more in {} pairs",
+        row.text("scene"),
+        row.text("kernels"),
+        row.number("seconds_added"),
+        row.count("slower"),
+    )
+}
+
+/// A scene that is timed.
+struct Timed {
+    scene: Scene,
+    simulation: Simulation,
+    /// Buffers that it had at the start.
+    at_start: usize,
+}
+
+impl Timed {
+    fn new(scene: Scene, adapter: &AdapterChoice) -> Result<Timed, Error> {
+        let simulation = Simulation::new(&scene, &Backend::Gpu(adapter.clone()))?;
+        let mut timed = Timed {
+            scene,
+            simulation,
+            at_start: 0,
+        };
+        timed.at_start = timed.gpu().allocated().len();
+        Ok(timed)
+    }
+
+    fn gpu(&self) -> &Gpu {
+        self.simulation.gpu().expect("benches run on the GPU path")
+    }
+
+    fn bytes(&self) -> u64 {
+        bytes_in_use(&self.gpu().allocated(), self.at_start)
+    }
+
+    /// A sub-step from a state of the whole scene, with its probes.
+    fn time(&mut self, state: &State) -> Result<Taken, Error> {
+        let mut state = state.clone();
+        if self.scene.solids.is_empty() {
+            state.displacement.clear();
+            state.node_velocity.clear();
+        }
+        if !Effects::of(&self.scene).markers {
+            state.markers.clear();
+        }
+        // Without sources there is no room for the markers that they have emitted.
+        let room = self.simulation.gpu_path().and_then(GpuPath::marker_room);
+        state.markers.truncate(room.unwrap_or(0));
+        self.simulation.reset(&state)?;
+        self.gpu().start_trace();
+        let clock = Instant::now();
+        self.simulation.step()?;
+        self.simulation.probes()?;
+        let seconds = clock.elapsed().as_secs_f64();
+        let dispatches = self.gpu().take_trace().dispatches;
+        let solve_dispatches = dispatches
+            .iter()
+            .filter(|(stage, _)| *stage == "solve")
+            .count();
+        Ok(Taken {
+            seconds,
+            dispatches: dispatches.len() - solve_dispatches,
+            solve_dispatches,
+        })
+    }
+}
+
+/// Bytes of the buffers in use, of labels and bytes of all that were made, the first `at_start` of them before the first sub-step. Buffers that
+/// outgrow their room are made anew, all of a label together. Copies for the host are those of the start: later ones are of one download.
+pub fn bytes_in_use(made: &[(String, u64)], at_start: usize) -> u64 {
+    let mut labels: BTreeMap<&str, (usize, Vec<u64>)> = BTreeMap::new();
+    for (at, (label, bytes)) in made.iter().enumerate() {
+        let (first, all) = labels.entry(label).or_default();
+        *first += usize::from(at < at_start);
+        all.push(*bytes);
+    }
+    let sums = labels.into_iter().map(|(label, (first, all))| {
+        let in_use = match label.ends_with("(read-back)") {
+            true => &all[..first],
+            false => &all[all.len() - first.max(1)..],
+        };
+        in_use.iter().sum::<u64>()
+    });
+    sums.sum()
+}
+
+/// A scene without something, and its pairs of sub-steps with the whole scene.
+struct Part {
+    name: &'static str,
+    timed: Timed,
+    pairs: Vec<Pair>,
+}
+
+/// Rows of the effects and of the outputs of a scene.
+fn scene_rows(
+    scene: &Scene,
+    options: &Options,
+    scratch: &Scratch,
+) -> Result<Vec<(&'static str, Row)>, Error> {
+    // States at the start and after each frame, on a path of their own: buffers that grow on the way would be in the scene's counts alone.
+    let mut simulation = Simulation::new(scene, &Backend::Gpu(options.adapter.clone()))?;
+    let mut states = vec![simulation.state()?];
+    for frame in 0..options.frames {
+        while simulation.clock().frame == frame {
+            simulation.step()?;
+        }
+        states.push(simulation.state()?);
+    }
+    drop(simulation);
+    let mut whole = Timed::new(scene.clone(), &options.adapter)?;
+    let mut parts = parts(scene, options)?;
+    let mut random = fastrand::Rng::with_seed(SEED);
+    // The first compiles and warms caches.
+    for (sample, state) in states.iter().enumerate() {
+        random.shuffle(&mut parts);
+        for part in &mut parts {
+            let without = (sample % 2 == 1)
+                .then(|| part.timed.time(state))
+                .transpose()?;
+            let with = whole.time(state)?;
+            let without = without.map_or_else(|| part.timed.time(state), Ok)?;
+            if sample > 0 {
+                part.pairs.push([with, without]);
+            }
+        }
+    }
+    let rows = rows(scene, &whole, &parts)
+        .into_iter()
+        .map(|row| ("effects", row));
+    let outputs = outputs::measure(
+        scene,
+        &mut whole.simulation,
+        &states,
+        &scratch.frames(),
+        &mut random,
+    )?;
+    Ok(rows
+        .chain(outputs.into_iter().map(|row| ("effects_outputs", row)))
+        .collect())
+}
+
+/// Kinds of probes of a scene.
+fn probe_kinds(scene: &Scene) -> Vec<&'static str> {
+    let has = |is: &IsKind| scene.probes.iter().any(|probe| is(&probe.kind));
+    PROBES
+        .iter()
+        .filter(|(_, is)| has(is))
+        .map(|(name, _)| *name)
+        .collect()
+}
+
+/// The scene without each of its effects, the control, and the scene once more. The only kind of probes is all probes.
+fn parts(scene: &Scene, options: &Options) -> Result<Vec<Part>, Error> {
+    let effects = Effects::of(scene);
+    let (mut scenes, mut control) = (Vec::new(), scene.clone());
+    for effect in EFFECTS {
+        if !(effect.present)(&effects) {
+            (effect.without)(&mut control);
+            continue;
+        }
+        let mut without = scene.clone();
+        (effect.without)(&mut without);
+        let left = Effects::of(&without);
+        if left.liquid || left.solids {
+            scenes.push((effect.name, without));
+        }
+    }
+    let kinds = probe_kinds(scene);
+    for (name, is) in PROBES
+        .iter()
+        .filter(|(name, _)| kinds.len() > 1 && kinds.contains(name))
+    {
+        let mut without = scene.clone();
+        without.probes.retain(|probe| !is(&probe.kind));
+        scenes.push((name, without));
+    }
+    scenes.extend([(ABSENT, control), (ITSELF, scene.clone())]);
+    let parts = scenes.into_iter().map(|(name, scene)| {
+        let timed = Timed::new(scene, &options.adapter)?;
+        Ok(Part {
+            name,
+            timed,
+            pairs: Vec::new(),
+        })
+    });
+    parts.collect()
+}
+
+fn rows(scene: &Scene, whole: &Timed, parts: &[Part]) -> Vec<Row> {
+    let effects = Effects::of(scene);
+    let part = |name: &str| parts.iter().find(|part| part.name == name);
+    let control = part(ABSENT).expect("there is a control");
+    let noise = part(ITSELF).and_then(|part| pairs::noise(&part.pairs));
+    let kinds = probe_kinds(scene);
+    let names = EFFECTS
+        .iter()
+        .map(|effect| (effect.name, (effect.present)(&effects)));
+    let names = names.chain([(COUPLING, effects.coupling)]);
+    let names = names.chain(PROBES.iter().map(|(name, _)| (*name, kinds.contains(name))));
+    let rows = names
+        .chain([(ABSENT, false), (ITSELF, true)])
+        .map(|(effect, present)| {
+            let row = row! { scene: scene.name.as_str(), effect: effect, present: present };
+            let compared = |pairs: &[Pair], without: &[&Part]| {
+                row.clone().with(compared(pairs, noise, whole, without))
+            };
+            if !present {
+                return compared(&control.pairs, &[control]);
+            }
+            if let (COUPLING, Some(liquid), Some(solids)) = (effect, part("solids"), part("liquid"))
+            {
+                let pairs = liquid.pairs.iter().zip(&solids.pairs);
+                let pairs: Vec<Pair> = pairs.map(|(a, b)| pairs::against_both(*a, *b)).collect();
+                return compared(&pairs, &[liquid, solids]);
+            }
+            let only = (kinds == [effect]).then(|| part("probes")).flatten();
+            match part(effect).or(only) {
+                Some(part) => compared(&part.pairs, &[part]),
+                // Without it no scene is left.
+                None => row
+                    .with(row! { seconds_with: pairs::median(&control.pairs, 0), pairs: 0_usize }),
+            }
+        });
+    rows.collect()
+}
+
+/// Numbers of the pairs of the whole scene and of the scene without something.
+fn compared(pairs: &[Pair], noise: Option<f64>, whole: &Timed, without: &[&Part]) -> Row {
+    let all = pairs::added(pairs);
+    let [low, added, high] = Spread::quartiles(all.clone());
+    let interval = pairs::interval(all.clone());
+    let bytes: u64 = without.iter().map(|part| part.timed.bytes()).sum();
+    let others: BTreeSet<&str> = without
+        .iter()
+        .flat_map(|part| part.timed.gpu().compiled())
+        .collect();
+    let own: Vec<&str> = whole
+        .gpu()
+        .compiled()
+        .difference(&others)
+        .copied()
+        .collect();
+    row! {
+        seconds_with: pairs::median(pairs, 0), seconds_without: pairs::median(pairs, 1), seconds_added: added, seconds_added_low: low,
+        seconds_added_high: high, seconds_told: pairs::told(interval, added, noise), seconds_told_low: interval.map(|[low, _]| low),
+        seconds_told_high: interval.map(|[_, high]| high), bytes_added: whole.bytes() as i64 - bytes as i64,
+        dispatches_added: pairs::middle(pairs, |taken| taken.dispatches), dispatches_differ: pairs::differing(pairs),
+        solve_dispatches_added: pairs::middle(pairs, |taken| taken.solve_dispatches), kernels: own.join(" "), pairs: pairs.len(),
+        slower: all.iter().filter(|seconds| **seconds > 0.0).count(),
+    }
+}
+
+/// A bar from the first to the third quartile of the added seconds, a mark at the median; grey where the seconds are noise.
+fn draw(results: &Results) -> Page {
+    let rows = results.rows("effects").iter();
+    let rows = rows.filter(|row| {
+        (row.flag("present") || row.text("effect") == ABSENT) && row.has("seconds_added")
+    });
+    let bars = rows.map(|row| {
+        let [low, median, high] = ["seconds_added_low", "seconds_added", "seconds_added_high"]
+            .map(|name| 1e3 * row.number(name));
+        let told = row.text("seconds_told");
+        let part = if told == pairs::NOTHING { "" } else { told };
+        let name = format!("{}: {}", row.text("scene"), row.text("effect"));
+        (name, vec![(part.to_owned(), low, high)], median)
+    });
+    Page::Bars(vec![Bars {
+        title: "time that effects add to a sub-step".to_owned(),
+        axis: "ms",
+        bars: bars.collect(),
+        key: false,
+    }])
+}

@@ -1,0 +1,96 @@
+//! The effects that can be left out of a scene, and how.
+
+use crate::effects::Effects;
+use crate::grid::Sides;
+use crate::scene::{ElasticModel, Liquid, PatchPressure, ProbeKind, Scene, Solid, Surface};
+
+/// An effect that can be left out.
+#[derive(Clone, Copy, Debug)]
+pub struct Effect {
+    /// Name, as in [`Effects`].
+    pub name: &'static str,
+    /// Whether a scene has it.
+    pub present: fn(&Effects) -> bool,
+    /// Takes it away, and what depends on it.
+    pub without: fn(&mut Scene),
+}
+
+macro_rules! effects {
+    ($($name:ident: $without:expr;)*) => {
+        /// Effects that can be left out, in the order of [`Effects`].
+        pub const EFFECTS: &[Effect] = &[$(Effect {
+            name: stringify!($name),
+            present: |effects| effects.$name,
+            without: $without,
+        }),*];
+    };
+}
+
+effects! {
+    liquid: |scene| {
+        scene.liquid = None;
+        close(scene);
+        scene.probes.retain(|probe| probe.kind.measures_solid());
+    };
+    markers: |scene| {
+        change_liquid(scene, |liquid| liquid.surface = Surface::Fixed);
+        close(scene);
+    };
+    volume_control: |scene| change_liquid(scene, |_| {});
+    open_sides: |scene| scene.domain.open = Sides::default();
+    sources: |scene| scene.sources.clear();
+    sinks: |scene| scene.sinks.clear();
+    solids: |scene| {
+        scene.solids.clear();
+        scene.probes.retain(|probe| probe.kind.measures_liquid());
+    };
+    corotation: |scene| change_solids(scene, |solid| solid.model = ElasticModel::Linear);
+    damping: |scene| change_solids(scene, |solid| (solid.mass_damping, solid.stiffness_damping) = (0.0, 0.0));
+    pins: |scene| change_solids(scene, |solid| solid.pins.retain(|pin| !pin.keyframes.is_empty()));
+    scripts: |scene| change_solids(scene, |solid| solid.pins.retain(|pin| pin.keyframes.is_empty()));
+    loads: |scene| change_solids(scene, |solid| solid.loads.clear());
+    obstacles: |scene| scene.obstacles.clear();
+    // They rest at their first position. Without liquid nothing sees motion, and solids would see what rests.
+    moving_obstacles: |scene| if scene.liquid.is_some() {
+        scene.obstacles.iter_mut().for_each(|obstacle| obstacle.motion = None);
+    };
+    patch_correction: |scene| scene.solver.pressure_on_patches = PatchPressure::Cell;
+    probes: |scene| scene.probes.clear();
+}
+
+/// Changes the liquid and leaves volume control out.
+fn change_liquid(scene: &mut Scene, change: fn(&mut Liquid)) {
+    if let Some(liquid) = &mut scene.liquid {
+        change(liquid);
+        liquid.volume_control = false;
+    }
+}
+
+/// Takes away sources, sinks and open sides, which need markers.
+fn close(scene: &mut Scene) {
+    (scene.sources, scene.sinks) = (Vec::new(), Vec::new());
+    scene.domain.open = Sides::default();
+}
+
+fn change_solids(scene: &mut Scene, change: fn(&mut Solid)) {
+    scene.solids.iter_mut().for_each(change);
+}
+
+/// Whether a probe is of a kind.
+pub type IsKind = fn(&ProbeKind) -> bool;
+
+macro_rules! probes {
+    ($($name:literal: $kind:ident;)*) => {
+        /// Kinds of probes: the name of its row, and whether a probe is of it.
+        pub const PROBES: &[(&str, IsKind)] = &[$(($name, |kind| matches!(kind, ProbeKind::$kind { .. }))),*];
+    };
+}
+probes! {
+    "probe_height": Height;
+    "probe_pressure": Pressure;
+    "probe_velocity": Velocity;
+    "probe_front": Front;
+    "probe_node": Node;
+    "probe_solid": Solid;
+    "probe_force": Force;
+}

@@ -1,0 +1,134 @@
+//! Where and when a bench ran, and the bandwidth of a plain copy there.
+
+use std::fs;
+use std::time::{Instant, SystemTime};
+
+use serde::Serialize;
+
+use super::statistics::Spread;
+use crate::Error;
+use crate::gpu::{Buffer, Gpu, Kernel, Real, Recorder};
+
+/// Digest of the sources, shaders and scenes of this build, 12 hexadecimal digits.
+pub const SOURCES: &str = env!("CUTWATER_SOURCES");
+
+/// Where and when a table was measured. Nothing of an adapter on the f64 path.
+#[derive(Clone, Debug, Serialize)]
+pub struct Machine {
+    /// Version of cutwater.
+    pub cutwater: &'static str,
+    /// [`SOURCES`]
+    pub sources: &'static str,
+    /// Start, UTC, RFC 3339.
+    pub measured: String,
+    /// Model of the CPU, where the system names it: software drivers and reference solvers run on it.
+    pub cpu: Option<String>,
+    /// Threads that the CPU runs at once.
+    pub threads: usize,
+    /// Load average of the minute before, where the system has one.
+    pub load: Option<f64>,
+    /// Adapter.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub adapter: Option<String>,
+    /// Driver.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub driver: Option<String>,
+    /// Bytes per second of a copy, read and written.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub copy_bandwidth: Option<Spread>,
+}
+
+impl Machine {
+    /// The host alone.
+    pub fn host() -> Machine {
+        let load = fs::read_to_string("/proc/loadavg").ok();
+        Machine {
+            cutwater: env!("CARGO_PKG_VERSION"),
+            sources: SOURCES,
+            measured: humantime::format_rfc3339_seconds(SystemTime::now()).to_string(),
+            cpu: cpu(),
+            threads: std::thread::available_parallelism().map_or(1, usize::from),
+            load: load.and_then(|text| text.split(' ').next()?.parse().ok()),
+            adapter: None,
+            driver: None,
+            copy_bandwidth: None,
+        }
+    }
+
+    /// Host and device; measures the copy bandwidth.
+    ///
+    /// # Errors
+    /// [`Error::Gpu`] when the device fails.
+    pub fn new(gpu: &Gpu, repeats: usize) -> Result<Machine, Error> {
+        Ok(Machine {
+            adapter: Some(gpu.report().name.clone()),
+            driver: Some(gpu.report().driver.clone()),
+            copy_bandwidth: Some(copy_bandwidth(gpu, repeats)?),
+            ..Machine::host()
+        })
+    }
+
+    /// Name of the adapter, or of the f64 path.
+    pub fn name(&self) -> &str {
+        self.adapter.as_deref().unwrap_or("the f64 path")
+    }
+
+    /// Bytes per second over the copy bandwidth; NaN where bytes or seconds are 0.
+    pub(in crate::measure) fn share(&self, bytes: f64, seconds: f64) -> f64 {
+        let copy = self.copy_bandwidth.map_or(f64::NAN, |copy| copy.median);
+        let rate = if bytes > 0.0 && seconds > 0.0 {
+            bytes / seconds
+        } else {
+            f64::NAN
+        };
+        rate / copy
+    }
+}
+
+/// The line `model name : ...` of the first processor; some kinds of CPU have none.
+fn cpu() -> Option<String> {
+    let text = fs::read_to_string("/proc/cpuinfo").ok()?;
+    let mut lines = text.lines().filter_map(|line| line.split_once(':'));
+    let (_, model) = lines.find(|(key, _)| key.trim() == "model name")?;
+    Some(model.trim().to_owned())
+}
+
+/// Bytes of each of the two buffers: larger than the caches of CPUs, and of GPUs.
+const BYTES: [usize; 2] = [64 << 20, 256 << 20];
+/// A submission takes at least this long, s: its fixed cost of some 50 us does not count then.
+const LONG_ENOUGH: f64 = 0.01;
+
+/// Bytes read and written per second by a kernel that copies 16 bytes a thread.
+fn copy_bandwidth(gpu: &Gpu, repeats: usize) -> Result<Spread, Error> {
+    let report = gpu.report();
+    let bytes = match report.kind {
+        "software" => BYTES[0],
+        _ => BYTES[1].min(report.storage_binding.min(report.buffer) as usize),
+    };
+    let source: Buffer<f32> = gpu.buffer("bench.source", bytes / 4)?;
+    let target: Buffer<f32> = gpu.buffer("bench.target", bytes / 4)?;
+    let kernel = Kernel::new(gpu, &crate::wgsl!("copy"), Real::F32)?;
+    let buffers = [
+        ("source", (&source).into()),
+        ("target_out", (&target).into()),
+    ];
+    let copy = kernel.bind(gpu, &buffers)?;
+    let run = |copies: usize| {
+        let clock = Instant::now();
+        let mut recorder = Recorder::new(gpu);
+        recorder.stage("copy", |pass| {
+            (0..copies).for_each(|_| pass.dispatch(&copy, bytes / 16));
+        });
+        recorder.submit();
+        gpu.wait("copy")?;
+        Ok::<f64, Error>(clock.elapsed().as_secs_f64())
+    };
+    let mut copies = 8;
+    run(copies)?;
+    while run(copies)? < LONG_ENOUGH && copies < 1 << 12 {
+        copies *= 2;
+    }
+    let moved = (2 * bytes * copies) as f64;
+    let rates = (0..repeats.max(1)).map(|_| Ok(moved / run(copies)?));
+    Ok(Spread::of(rates.collect::<Result<_, Error>>()?))
+}

@@ -1,0 +1,223 @@
+//! Reference solvers on the CPU, in f64, of the systems that the f64 path assembles, each to the residuals that the device has to reach.
+
+use crate::Error;
+use crate::elastic::Solids;
+use crate::linalg::{
+    CgEnd, Csr, Incomplete, LinearOperator, SymbolicCholesky, conjugate_gradient_with_test,
+};
+use crate::reference::{
+    Blocks, Correction, CoupledSystem, Formulation, LinearSystem, PressureSystem, SIGMA,
+    SolidSolver, TwoField, part_left, refine_parts, solve_coupled, solve_iterative,
+};
+use crate::scene::Solver;
+use crate::state::SolveReport;
+
+/// Reduction of (5.25) before the residuals of (5.17) are evaluated: pressures have little part in its own.
+const FIRST_JUDGEMENT: f64 = 1e-6;
+/// Inner tolerance of later refinement steps, as a share of the lacking reduction, for the same reason.
+const LATER_ROUNDS: f64 = 0.01;
+/// Largest ratio of two consecutive evaluations; above it the recurrence has lost the true residual, and the next refinement step begins.
+const STAGNATION: f64 = 0.5;
+
+/// A solver on the CPU.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ReferenceSolver {
+    /// Conjugate gradients with an incomplete Cholesky factor without fill, natural order.
+    IncompleteCholesky,
+    /// A sparse Cholesky factor, in the order of approximate minimum degree, by faer on all cores.
+    Cholesky,
+    /// The f64 path's own: conjugate gradients with a V-cycle for pressures, of liquid and solids in the condensed form.
+    Multigrid,
+}
+
+impl ReferenceSolver {
+    /// Name in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            ReferenceSolver::IncompleteCholesky => "ic0_cg",
+            ReferenceSolver::Cholesky => "cholesky",
+            ReferenceSolver::Multigrid => "multigrid_cg",
+        }
+    }
+}
+
+/// An assembled system: B, and with solids S and J. Factors and hierarchies count as the solver's own time.
+#[derive(Clone, Copy)]
+pub enum Assembled<'a> {
+    /// Of the pressure.
+    Pressure(&'a PressureSystem),
+    /// Of liquid and solids.
+    Both(&'a CoupledSystem, &'a Solids),
+}
+
+impl<'a> Assembled<'a> {
+    /// Unknowns of the pressure.
+    pub(super) fn n_pressures(self) -> usize {
+        match self {
+            Assembled::Pressure(system) => system.n_unknowns(),
+            Assembled::Both(system, _) => system.pressure.n_unknowns(),
+        }
+    }
+
+    pub(super) fn definite(self) -> Definite<'a> {
+        match self {
+            Assembled::Pressure(system) => Definite::Pressure {
+                system,
+                cells: system.stencil.active_cells(),
+            },
+            Assembled::Both(system, _) => Definite::Both {
+                system,
+                blocks: Box::new(system.blocks()),
+                two_field: TwoField::new(system, SIGMA),
+            },
+        }
+    }
+
+    /// Solves: reports of the pressures' rows and, with solids, of the velocities'; `None` where there is no incomplete factor.
+    ///
+    /// # Errors
+    /// When a factor does not fit into memory, or the matrix has none in f64.
+    pub fn solve(
+        self,
+        rival: ReferenceSolver,
+        settings: &Solver,
+    ) -> Result<Option<Vec<SolveReport>>, Error> {
+        match (rival, self) {
+            (ReferenceSolver::Multigrid, Assembled::Pressure(system)) => {
+                Ok(Some(vec![solve_iterative(system, settings).1]))
+            }
+            (ReferenceSolver::Multigrid, Assembled::Both(system, solids)) => {
+                let (form, solver) = (Formulation::Condensed, SolidSolver::new(solids));
+                let found = solve_coupled(system, form, &solver, solids, settings)?;
+                Ok(Some(found.reports.to_vec()))
+            }
+            (ReferenceSolver::IncompleteCholesky, _) => {
+                let definite = self.definite();
+                let matrix = definite.matrix()?;
+                let factor = Incomplete::new(&matrix);
+                Ok(factor.map(|factor| definite.iterate(&matrix, &factor, settings)))
+            }
+            (ReferenceSolver::Cholesky, _) => {
+                let definite = self.definite();
+                let matrix = definite.matrix()?;
+                let symbolic = SymbolicCholesky::new(&matrix)?;
+                let factor = symbolic.factorise_in_parallel(&matrix)?;
+                Ok(Some(definite.refined(settings, |x, _, _| {
+                    factor.solve(x);
+                    (0, CgEnd::Converged)
+                })))
+            }
+        }
+    }
+}
+
+/// Positive definite system to solve instead of the one whose residuals count: B itself, or thesis (5.25) for (5.17).
+pub(super) enum Definite<'a> {
+    Pressure {
+        system: &'a PressureSystem,
+        cells: Vec<usize>,
+    },
+    Both {
+        system: &'a CoupledSystem,
+        blocks: Box<Blocks>,
+        two_field: TwoField<'a>,
+    },
+}
+
+impl Definite<'_> {
+    /// # Errors
+    /// When it does not fit into memory.
+    pub(super) fn matrix(&self) -> Result<Csr, Error> {
+        match self {
+            Definite::Pressure { system, .. } => Ok(system.to_csr()),
+            Definite::Both { blocks, .. } => blocks.two_field(SIGMA),
+        }
+    }
+
+    /// Conjugate gradients; the first refinement step iterates until the true residuals pass.
+    fn iterate(
+        &self,
+        matrix: &Csr,
+        preconditioner: &dyn LinearOperator,
+        settings: &Solver,
+    ) -> Vec<SolveReport> {
+        let mut first = true;
+        self.refined(settings, |x, tolerance, most| {
+            let rhs = x.clone();
+            let is_first = std::mem::replace(&mut first, false);
+            let asked = match (self, is_first) {
+                (Definite::Pressure { .. }, _) => tolerance,
+                (Definite::Both { .. }, true) => tolerance.min(FIRST_JUDGEMENT),
+                (Definite::Both { .. }, false) => LATER_ROUNDS * tolerance,
+            };
+            let mut before = 0.0;
+            let judge = |x: &[f64]| {
+                if !is_first {
+                    return None;
+                }
+                let left = self.part_left(x, settings.tolerance)?;
+                let gains = std::mem::replace(&mut before, left) <= STAGNATION * left;
+                gains.then_some(left)
+            };
+            let most = most as usize;
+            let report =
+                conjugate_gradient_with_test(matrix, preconditioner, &rhs, x, asked, most, judge);
+            (report.iterations as u32, report.end)
+        })
+    }
+
+    /// Part of the residual reduction that a solution still lacks; `None` where it passes.
+    fn part_left(&self, unknowns: &[f64], tolerance: f64) -> Option<f64> {
+        let x = |rhs: &[f64]| self.scatter(unknowns, rhs.len());
+        match self {
+            Definite::Pressure { system, .. } => part_left(*system, tolerance, x(system.rhs())),
+            Definite::Both { system, .. } => part_left(*system, tolerance, x(system.rhs())),
+        }
+    }
+
+    /// Iterative refinement until the true residuals pass. `solve` replaces a right-hand side by its solution, to a relative tolerance within a
+    /// number of iterations.
+    fn refined(
+        &self,
+        settings: &Solver,
+        mut solve: impl FnMut(&mut Vec<f64>, f64, u32) -> (u32, CgEnd),
+    ) -> Vec<SolveReport> {
+        let correct = |residual: &[f64], tolerance: f64, left: u32| {
+            let mut x = self.rhs(residual);
+            let (iterations, end) = solve(&mut x, tolerance, left);
+            Correction {
+                x: self.scatter(&x, residual.len()),
+                iterations,
+                end,
+            }
+        };
+        match self {
+            Definite::Pressure { system, .. } => refine_parts(*system, settings, correct).1,
+            Definite::Both { system, .. } => refine_parts(*system, settings, correct).1,
+        }
+    }
+
+    /// Right-hand side for a residual.
+    fn rhs(&self, residual: &[f64]) -> Vec<f64> {
+        match self {
+            Definite::Pressure { cells, .. } => cells.iter().map(|&cell| residual[cell]).collect(),
+            Definite::Both {
+                blocks, two_field, ..
+            } => blocks.gather(&two_field.rhs(residual)),
+        }
+    }
+
+    /// Vector of the system whose residuals count, of length `len`.
+    fn scatter(&self, unknowns: &[f64], len: usize) -> Vec<f64> {
+        match self {
+            Definite::Pressure { cells, .. } => {
+                let mut x = vec![0.0; len];
+                for (&cell, &value) in cells.iter().zip(unknowns) {
+                    x[cell] = value;
+                }
+                x
+            }
+            Definite::Both { blocks, .. } => blocks.scatter(unknowns),
+        }
+    }
+}

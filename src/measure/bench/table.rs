@@ -1,0 +1,418 @@
+//! Tables of a bench: columns are declared once, rows are named values, one writer makes CSV, JSON and the lines of the terminal.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde::ser::{Serialize, SerializeMap, Serializer};
+
+use super::statistics::Spread;
+use crate::Error;
+use crate::output::write_atomically;
+
+/// One value of a row.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum Value {
+    /// Not measured, or not there.
+    #[default]
+    Empty,
+    /// Yes or no.
+    Flag(bool),
+    /// A whole number.
+    Count(i64),
+    /// A number; an empty cell where it is not finite.
+    Number(f64),
+    /// A name.
+    Text(String),
+    /// Three columns: `X_median`, `X_min`, `X_max`.
+    Spread(Spread),
+}
+
+macro_rules! values {
+    ($($kind:ident: $($from:ty),*;)*) => { $($(
+        impl From<$from> for Value {
+            fn from(value: $from) -> Value {
+                Value::$kind(value.try_into().expect("a count fits into 63 bits"))
+            }
+        }
+    )*)* };
+}
+values! { Flag: bool; Count: i64, usize, u32, u64; Number: f64; Spread: Spread; }
+
+impl From<String> for Value {
+    /// An empty text is no value, as in a CSV file.
+    fn from(text: String) -> Value {
+        match text.is_empty() {
+            true => Value::Empty,
+            false => Value::Text(text),
+        }
+    }
+}
+
+impl From<&str> for Value {
+    fn from(text: &str) -> Value {
+        text.to_owned().into()
+    }
+}
+
+impl<T: Into<Value>> From<Option<T>> for Value {
+    fn from(value: Option<T>) -> Value {
+        value.map_or(Value::Empty, Into::into)
+    }
+}
+
+impl Serialize for Value {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Value::Empty => to.serialize_none(),
+            Value::Flag(flag) => to.serialize_bool(*flag),
+            Value::Count(n) => to.serialize_i64(*n),
+            Value::Number(x) if x.is_finite() => to.serialize_f64(*x),
+            Value::Number(_) => to.serialize_none(),
+            Value::Text(text) => to.serialize_str(text),
+            Value::Spread(spread) => spread.serialize(to),
+        }
+    }
+}
+
+impl Value {
+    /// The value of a cell of a CSV file.
+    fn parse(cell: &str) -> Value {
+        let flag = || cell.parse().ok().map(Value::Flag);
+        let count = || cell.parse().ok().map(Value::Count);
+        let number = || cell.parse().ok().map(Value::Number);
+        match cell {
+            "" => Value::Empty,
+            _ => (flag().or_else(count).or_else(number)).unwrap_or_else(|| cell.into()),
+        }
+    }
+
+    /// NaN for anything else than a number.
+    fn number(&self) -> f64 {
+        match *self {
+            Value::Number(x) => x,
+            Value::Count(n) => n as f64,
+            _ => f64::NAN,
+        }
+    }
+
+    /// Four digits for the terminal.
+    fn short(&self) -> String {
+        let short = |x: f64| match x.abs() {
+            0.0 => "0".to_owned(),
+            size @ 1e-3..1e5 => {
+                let digits = (3 - size.log10().floor() as i32).max(0);
+                format!("{x:.*}", digits as usize)
+            }
+            _ => format!("{x:.2e}"),
+        };
+        match self {
+            Value::Empty => "-".to_owned(),
+            Value::Flag(flag) => flag.to_string(),
+            Value::Count(n) => n.to_string(),
+            Value::Number(x) => short(*x),
+            Value::Text(text) => text.lines().next().unwrap_or_default().to_owned(),
+            Value::Spread(Spread { median, min, max }) => {
+                format!("{} ({}, {})", short(*median), short(*min), short(*max))
+            }
+        }
+    }
+}
+
+/// Endings of the three columns of a spread.
+const ENDS: [&str; 3] = ["_median", "_min", "_max"];
+
+/// Named values.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Row(BTreeMap<&'static str, Value>);
+
+impl Row {
+    /// A row of these values.
+    pub fn new(values: impl IntoIterator<Item = (&'static str, Value)>) -> Row {
+        Row(values.into_iter().collect())
+    }
+
+    /// Sets a value.
+    pub fn set(&mut self, name: &'static str, value: impl Into<Value>) {
+        self.0.insert(name, value.into());
+    }
+
+    /// Takes the values of another row over.
+    pub fn with(mut self, other: Row) -> Row {
+        self.0.extend(other.0);
+        self
+    }
+
+    /// These values alone.
+    pub fn only(&self, names: &[&'static str]) -> Row {
+        Row::new(names.iter().map(|name| (*name, self.get(name))))
+    }
+
+    /// A value by its column, those of a spread too; empty where it is not there.
+    pub fn get(&self, name: &str) -> Value {
+        if let Some(value) = self.0.get(name) {
+            return value.clone();
+        }
+        let end = ENDS.iter().position(|end| name.ends_with(end));
+        let spread = end.and_then(|end| Some((end, self.spread(name.strip_suffix(ENDS[end])?)?)));
+        spread.map_or(Value::Empty, |(end, Spread { median, min, max })| {
+            [median, min, max][end].into()
+        })
+    }
+
+    /// A number; NaN where there is none.
+    pub fn number(&self, name: &str) -> f64 {
+        self.get(name).number()
+    }
+
+    /// A whole number; 0 where there is none.
+    pub fn count(&self, name: &str) -> usize {
+        self.number(name) as usize
+    }
+
+    /// A text; empty where there is none.
+    pub fn text(&self, name: &str) -> &str {
+        match self.0.get(name) {
+            Some(Value::Text(text)) => text,
+            _ => "",
+        }
+    }
+
+    /// Whether a flag is set.
+    pub fn flag(&self, name: &str) -> bool {
+        self.get(name) == Value::Flag(true)
+    }
+
+    /// A spread.
+    pub fn spread(&self, name: &str) -> Option<Spread> {
+        match self.0.get(name) {
+            Some(Value::Spread(spread)) => Some(*spread),
+            _ => None,
+        }
+    }
+
+    /// Whether there is a value.
+    pub fn has(&self, name: &str) -> bool {
+        self.get(name) != Value::Empty
+    }
+}
+
+/// A row of named values: `row! { grid: n, seconds: spread }`.
+macro_rules! row {
+    ($($name:ident: $value:expr),* $(,)?) => {
+        $crate::measure::bench::table::Row::new([$((stringify!($name), $crate::measure::bench::table::Value::from($value))),*])
+    };
+}
+pub(in crate::measure) use row;
+
+/// A column of a table.
+#[derive(Clone, Copy, Debug)]
+pub struct Column {
+    /// Name in files.
+    pub name: &'static str,
+    /// Unit; empty for numbers without one and for names.
+    pub unit: &'static str,
+    /// Meaning.
+    pub about: &'static str,
+    /// Whether the terminal shows it.
+    pub shown: bool,
+    /// Whether it is three: `X_median`, `X_min`, `X_max`.
+    pub spread: bool,
+    /// Whether it has names, which may look like numbers.
+    pub names: bool,
+}
+
+/// Columns, one a line: name, kind, unit, meaning. Kinds: `-` in files only, `+` in the terminal too, `~` a spread, `=` any
+/// name.
+macro_rules! columns {
+    ($($(#[$doc:meta])* $list:ident { $($name:ident $kind:tt $unit:literal $about:literal;)* })*) => { $(
+        $(#[$doc])*
+        pub(in crate::measure) const $list: &[$crate::measure::bench::table::Column] = &[$($crate::measure::bench::table::Column {
+            name: stringify!($name),
+            unit: $unit,
+            about: $about,
+            shown: stringify!($kind).as_bytes()[0] != b'-',
+            spread: stringify!($kind).as_bytes()[0] == b'~',
+            names: stringify!($kind).as_bytes()[0] == b'=',
+        }),*];
+    )* };
+}
+pub(in crate::measure) use columns;
+
+/// A table and its columns.
+#[derive(Clone, Debug)]
+pub struct Table {
+    /// Stem of its CSV file.
+    pub name: &'static str,
+    /// Columns, in groups.
+    pub columns: &'static [&'static [Column]],
+    /// Columns that identify a row.
+    pub key: &'static [&'static str],
+    /// Rows.
+    pub rows: Vec<Row>,
+}
+
+impl Table {
+    /// A table without rows.
+    pub fn new(
+        name: &'static str,
+        columns: &'static [&'static [Column]],
+        key: &'static [&'static str],
+    ) -> Table {
+        Table {
+            name,
+            columns,
+            key,
+            rows: Vec::new(),
+        }
+    }
+
+    fn columns(&self) -> impl Iterator<Item = &'static Column> + use<> {
+        self.columns.iter().copied().flatten()
+    }
+
+    /// Names of the columns of files.
+    fn heads(&self) -> Vec<Cow<'static, str>> {
+        let heads = self.columns().flat_map(|column| match column.spread {
+            true => ENDS
+                .map(|end| format!("{}{end}", column.name).into())
+                .to_vec(),
+            false => vec![column.name.into()],
+        });
+        heads.collect()
+    }
+
+    /// Appends a row, or replaces the one with the same key.
+    ///
+    /// # Panics
+    /// Where a value has no column.
+    pub(super) fn put(&mut self, row: Row) {
+        let unknown =
+            (row.0.keys()).find(|name| self.columns().all(|column| column.name != **name));
+        assert!(unknown.is_none(), "{} has no column {unknown:?}", self.name);
+        match self.find(&row) {
+            Some(at) if !self.key.is_empty() => self.rows[at] = row,
+            _ => self.rows.push(row),
+        }
+    }
+
+    /// Whether a row has these values.
+    pub(super) fn has(&self, key: &Row) -> bool {
+        let same = |row: &Row| key.0.iter().all(|(name, value)| row.get(name) == *value);
+        self.rows.iter().any(same)
+    }
+
+    /// Place of the row with the same key.
+    fn find(&self, key: &Row) -> Option<usize> {
+        let same = |row: &Row| self.key.iter().all(|name| row.get(name) == key.get(name));
+        self.rows.iter().position(same)
+    }
+
+    /// Writes the rows below a head line; without rows there is no file.
+    pub(super) fn write_csv(&self, path: &Path) -> Result<(), Error> {
+        if self.rows.is_empty() {
+            return super::remove(path);
+        }
+        let heads = self.heads();
+        let bytes = || {
+            let mut to = csv::Writer::from_writer(Vec::new());
+            to.write_record(heads.iter().map(|head| head.as_bytes()))?;
+            for row in &self.rows {
+                to.serialize(heads.iter().map(|head| row.get(head)).collect::<Vec<_>>())?;
+            }
+            Ok(to.into_inner().map_err(|problem| problem.into_error())?)
+        };
+        let bytes = bytes().map_err(|problem: csv::Error| Error::output(path, problem))?;
+        write_atomically(path, &bytes)
+    }
+
+    /// Reads the rows of an earlier run; none where there is no file.
+    pub(super) fn read_csv(&mut self, path: &Path) -> Result<(), Error> {
+        if !path.exists() {
+            return Ok(());
+        }
+        let read = || {
+            let mut reader = csv::Reader::from_path(path)?;
+            let heads = reader.headers()?.clone();
+            let mut rows = Vec::new();
+            for record in reader.records() {
+                let record = record?;
+                let text = |name: &str| {
+                    let at = heads.iter().position(|head| head == name);
+                    at.map_or("", |at| &record[at])
+                };
+                let cell = |name: &str| Value::parse(text(name));
+                rows.push(Row::new(self.columns().map(|column| {
+                    let [median, min, max] =
+                        ENDS.map(|end| cell(&format!("{}{end}", column.name)).number());
+                    let value = match column.spread {
+                        false if column.names => text(column.name).into(),
+                        false => cell(column.name),
+                        true if median.is_finite() => Value::Spread(Spread { median, min, max }),
+                        true => Value::Empty,
+                    };
+                    (column.name, value)
+                })));
+            }
+            Ok(rows)
+        };
+        self.rows = read().map_err(|problem: csv::Error| {
+            let what = path.display().to_string();
+            Error::input(what, format!("cannot be read: {problem}"), super::ANEW)
+        })?;
+        Ok(())
+    }
+
+    /// Names of the columns that the terminal shows.
+    pub fn heading(&self) -> String {
+        let shown = self.columns().filter(|column| column.shown);
+        shown
+            .map(|column| padded(heading(column), column))
+            .collect()
+    }
+
+    /// The values of a row that the terminal shows.
+    pub fn line(&self, row: &Row) -> String {
+        let shown = self.columns().filter(|column| column.shown);
+        let cells = shown.map(|column| {
+            padded(
+                row.0.get(column.name).unwrap_or(&Value::Empty).short(),
+                column,
+            )
+        });
+        cells.collect::<String>().trim_end().to_owned()
+    }
+}
+
+fn heading(Column { name, unit, .. }: &Column) -> String {
+    match *unit {
+        "" => (*name).to_owned(),
+        _ => format!("{name}/{unit}"),
+    }
+}
+
+/// As wide as the head of its column and as most values.
+fn padded(text: String, column: &Column) -> String {
+    let least = if column.spread { 26 } else { 9 };
+    format!("{text:width$}  ", width = heading(column).len().max(least))
+}
+
+/// Rows as JSON objects, in the order of the columns.
+impl Serialize for Table {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        let heads = self.heads();
+        to.collect_seq(self.rows.iter().map(|row| Object(&heads, row)))
+    }
+}
+
+struct Object<'a>(&'a [Cow<'static, str>], &'a Row);
+
+impl Serialize for Object<'_> {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        let mut map = to.serialize_map(Some(self.0.len()))?;
+        for head in self.0 {
+            map.serialize_entry(head, &self.1.get(head))?;
+        }
+        map.end()
+    }
+}

@@ -1,0 +1,284 @@
+//! `bench thesis`: tables of the thesis's chapter 6, printed numbers beside measured ones.
+//!
+//! Table 6.1 (`scenes`): grids, meshes and sub-steps of the scenes. Tables 6.2 to 6.4 (`systems`): matrices and solves of the formulations on states
+//! of the dam break. Tables 6.5 and 6.6 (`errors`): errors of a sub-step with a known solution.
+
+mod errors;
+mod scenes;
+mod systems;
+
+use std::path::PathBuf;
+
+use super::chart::{Chart, Page, exact, lines};
+use super::statistics::grouped;
+use super::table::{Row, Table, row};
+use super::{Bench, Case, Listener, Machine, Results, Run, Settings, replace, rows};
+use crate::Error;
+use crate::gpu::{AdapterChoice, Gpu};
+use crate::scene::Precision;
+
+/// Relative, of the true residuals.
+const TOLERANCE: f64 = 1e-10;
+const MOST_ITERATIONS: u32 = 20_000;
+
+/// Tables to measure.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Numbers of the thesis's tables, such as `6.2`.
+    pub tables: Vec<String>,
+    /// Cells along an edge of the dam break, or along the tank's height of 1 m; each table's own where there are none.
+    pub grids: Vec<usize>,
+    /// Folder of the scenes of table 6.1.
+    pub scenes: PathBuf,
+    /// Factor of their cells along each axis.
+    pub scale: f64,
+    /// Timed sub-steps of each, from its start, after one that compiles.
+    pub steps: usize,
+    /// Frames of the dam break whose states are solved from.
+    pub frames: Vec<u64>,
+    /// Precisions of the device, beside the f64 path; those that the adapter lacks are left out.
+    pub precisions: Vec<Precision>,
+    /// Adapter.
+    pub adapter: AdapterChoice,
+}
+
+/// Tables of states of the dam break.
+const SYSTEMS: [&str; 3] = ["6.2", "6.3", "6.4"];
+
+impl Options {
+    /// Grids of a table; by default those of the thesis that take minutes on two cores.
+    fn grids(&self, table: &str) -> Vec<usize> {
+        let own: &[usize] = match table {
+            "6.1" => &[],
+            "6.2" => &[40, 60],
+            "6.3" | "6.4" => &[50, 60],
+            _ => &[5, 10, 20, 40, 80],
+        };
+        if self.grids.is_empty() || own.is_empty() {
+            own.to_vec()
+        } else {
+            self.grids.clone()
+        }
+    }
+
+    fn check(&self) -> Result<(), Error> {
+        for table in &self.tables {
+            for grid in self.grids(table) {
+                let (fits, problem, cure) = match SYSTEMS.contains(&table.as_str()) {
+                    true => (
+                        (8..=256).contains(&grid),
+                        "the dam break is too coarse or too large",
+                        "give cells from 8 to 256, such as those of the thesis: 40 to 90",
+                    ),
+                    false => (
+                        (5..=320).contains(&grid) && grid.is_multiple_of(5),
+                        "the liquid's surface at 0.8 m and the walls do not lie on faces of such cells",
+                        "give multiples of 5 up to 320",
+                    ),
+                };
+                if !fits {
+                    return Err(Error::input(
+                        format!("--grids {grid} for table {table}"),
+                        problem,
+                        cure,
+                    ));
+                }
+            }
+        }
+        match self
+            .tables
+            .iter()
+            .any(|table| SYSTEMS.contains(&table.as_str()))
+        {
+            true => self
+                .frames
+                .iter()
+                .try_for_each(|&frame| systems::ensure_frame(frame)),
+            false => Ok(()),
+        }
+    }
+}
+
+fn bench() -> Bench {
+    Bench {
+        name: "thesis",
+        tables: vec![
+            Table::new(
+                "thesis",
+                &[errors::ERRORS],
+                &["table", "patch_pressure", "grid", "backend", "precision"],
+            ),
+            Table::new("thesis_orders", &[errors::ORDERS], &[]),
+            Table::new("thesis_scenes", &[scenes::SCENES], &["scene", "precision"]),
+            Table::new(
+                "thesis_systems",
+                &[systems::SYSTEMS],
+                &[
+                    "table",
+                    "grid",
+                    "nodes",
+                    "frame",
+                    "formulation",
+                    "solver",
+                    "backend",
+                    "precision",
+                ],
+            ),
+            Table::new("thesis_means", &[systems::MEANS], &[]),
+            Table::new("thesis_growth", &[systems::GROWTH], &[]),
+        ],
+        derive,
+        pictures: &[("thesis", draw)],
+    }
+}
+
+/// Measures all tables asked for: thesis_scenes.csv; thesis_systems.csv, thesis_means.csv, thesis_growth.csv; thesis.csv, thesis_orders.csv;
+/// thesis.json, thesis.svg.
+///
+/// # Errors
+/// [`Error::Input`] for grids and frames that the problems do not have, and missing scenes; [`Error::Output`]; errors of the simulations.
+pub fn measure(
+    options: &Options,
+    settings: &Settings,
+    listener: Listener,
+) -> Result<Results, Error> {
+    options.check()?;
+    let gpu = Gpu::new(&options.adapter)?;
+    let scenes = scenes::load(options, gpu.has_f64())?;
+    let machine = Machine::new(&gpu, settings.repeats)?;
+    let request = (options.scale, options.steps, &options.precisions);
+    let mut run = Run::start(bench(), machine, &request, settings, listener)?;
+    run.cases(scenes::cases(&scenes, options))?;
+    run.cases(systems::cases(options))?;
+    let mut cases = Vec::new();
+    for table in &options.tables {
+        for patches in errors::PATCHES {
+            for grid in options.grids(table) {
+                if let Some(problem) = errors::Problem::of(table) {
+                    cases.push(Case {
+                        key: ("thesis", row! { table: table.as_str(), grid: grid, patch_pressure: errors::name(patches) }),
+                        measure: Box::new(move |run| problem.rows(run, patches, grid, options)),
+                    });
+                }
+            }
+        }
+    }
+    run.cases(cases)?;
+    Ok(run.results)
+}
+
+/// Means, growth and orders.
+pub fn derive(tables: &mut [Table]) {
+    for table in tables.iter_mut() {
+        let key = ["table", "grid", "nodes", "frame"];
+        let order = |row: &Row| {
+            (
+                row.text("table").to_owned(),
+                key[1..]
+                    .iter()
+                    .map(|name| row.count(name))
+                    .collect::<Vec<_>>(),
+            )
+        };
+        if table.name == "thesis_systems" {
+            table.rows.sort_by_key(order);
+        }
+    }
+    let means = systems::means(rows(tables, "thesis_systems"));
+    let growth = systems::growth(&means);
+    let orders = errors::orders(rows(tables, "thesis"));
+    replace(tables, "thesis_means", means);
+    replace(tables, "thesis_growth", growth);
+    replace(tables, "thesis_orders", orders);
+}
+
+/// Charts of each table but 6.1, with the printed numbers.
+fn draw(results: &Results) -> Page {
+    let mut charts = Vec::new();
+    let shown = ["nonzeros", "log10_condest", "seconds", "frame_seconds"];
+    let means = results.rows("thesis_means");
+    let groups = grouped(means, |row| {
+        let beam = if row.text("table") == "6.2" {
+            0
+        } else {
+            row.count("nodes")
+        };
+        shown
+            .contains(&row.text("quantity"))
+            .then(|| (row.text("table"), row.text("quantity"), beam))
+    });
+    for ((table, quantity, nodes), rows) in groups {
+        let name = |row: &Row| {
+            let names =
+                ["backend", "precision", "formulation", "solver"].map(|name| row.text(name));
+            names.join(" ").trim_end().to_owned()
+        };
+        let printed =
+            |row: &&Row| row.text("backend") == "cpu" && row.text("formulation") != "condensed";
+        let mut all = lines(rows.iter().copied(), name, |row| {
+            Some([exact(row, "grid"), exact(row, "mean")])
+        });
+        let of_thesis = rows.iter().copied().filter(printed);
+        all.extend(lines(
+            of_thesis,
+            |row| format!("printed, {}", row.text("formulation")),
+            |row| Some([exact(row, "grid"), exact(row, "thesis")]),
+        ));
+        charts.push(Chart {
+            title: format!(
+                "Table {table}{}",
+                if nodes > 0 {
+                    format!(", {nodes} nodes")
+                } else {
+                    String::new()
+                }
+            ),
+            axes: [
+                "cells along an edge",
+                shown
+                    .into_iter()
+                    .find(|name| *name == quantity)
+                    .unwrap_or(""),
+            ],
+            lines: all,
+            falling: false,
+        });
+    }
+    for (table, rows) in grouped(results.rows("thesis"), |row| Some(row.text("table"))) {
+        for (x, y, printed, axes) in [
+            ("dx", "error_p", "thesis_p", ["dx, m", "error of p, Pa"]),
+            ("dx", "error_v", "thesis_v", ["dx, m", "error of v, m/s"]),
+            (
+                "seconds_median",
+                "error_p",
+                "",
+                ["seconds of the solve", "error of p, Pa"],
+            ),
+        ] {
+            let name = |row: &Row| {
+                ["backend", "precision", "patch_pressure"]
+                    .map(|name| row.text(name))
+                    .join(" ")
+            };
+            let mut all = lines(rows.iter().copied(), name, |row| {
+                Some([exact(row, x), exact(row, y)])
+            });
+            let of_thesis = rows
+                .iter()
+                .copied()
+                .filter(|row| row.text("backend") == "cpu" && row.text("patch_pressure") == "cell");
+            all.extend(lines(
+                of_thesis,
+                |_| "printed".to_owned(),
+                |row| Some([exact(row, x), exact(row, printed)]),
+            ));
+            charts.push(Chart {
+                title: format!("Table {table}"),
+                axes,
+                lines: all,
+                falling: true,
+            });
+        }
+    }
+    Page::Charts(3, charts)
+}

@@ -1,0 +1,138 @@
+//! Table 6.1: grids and meshes of the thesis's scenes beside those of `scenes/`, and the seconds of their first sub-steps. The thesis prints the
+//! seconds of a step and of its pressure projection, and steps per frame, for all scenes together and whole runs (section 6.1); here the liquid
+//! does not touch the solid yet in some scenes.
+
+use super::Options;
+use crate::Error;
+use crate::measure::bench::Case;
+use crate::measure::bench::ended::{Ended, is_solved, precision_name};
+use crate::measure::bench::statistics::Spread;
+use crate::measure::bench::table::{Row, columns, row};
+use crate::scene::{Precision, Scene};
+use crate::sim::{Backend, Simulation};
+use crate::state::{SolveReport, SolveStatus, StepReport};
+
+/// Thesis, table 6.1: name, scene here, cells along an edge, nodes, elements. Of its three balls the light one, of its two spheres that of
+/// figure 6.6.
+const PRINTED: [(&str, &str, usize, usize, usize); 7] = [
+    ("Dam Break", "dam_break", 100, 725, 2688),
+    ("Buoyancy", "buoyancy_light", 100, 481, 2000),
+    ("Compressibility", "compressibility", 100, 343, 1296),
+    ("Thin Solid 1", "sloped_panel", 100, 882, 2400),
+    ("Thin Solid 2", "platform", 64, 2450, 6936),
+    ("Fluid in Sphere", "fluid_in_sphere", 100, 992, 2948),
+    ("Light Dino", "light_dino", 100, 1424, 5920),
+];
+
+/// Stages that are the pressure projection: what makes its system, the solve, and what takes the pressure to the velocities.
+const PROJECTION: [&str; 6] = [
+    "active_cells",
+    "closed_components",
+    "solid_matrices",
+    "right_hand_side",
+    "solve",
+    "write_back",
+];
+
+columns! {
+    SCENES {
+        table = "" "number of the table";
+        name = "" "name in the thesis";
+        scene = "" "name of the scene";
+        scale - "" "factor of its cells along each axis";
+        precision - "" "`f32`, `mixed` or `f64`";
+        cells + "" "cells of the domain";
+        thesis_cells + "" "printed";
+        nodes + "" "of the solid";
+        thesis_nodes + "" "printed";
+        elements + "" "of the solid";
+        thesis_elements + "" "printed";
+        sub_steps - "" "timed sub-steps";
+        touching - "" "those in which the liquid touches the solid";
+        status + "" "of the first solve that did not converge";
+        seconds ~ "s" "wall clock of a sub-step; printed: means of 18 to 59 s";
+        projection ~ "s" "pressure projection on the device; printed: 3.5 to 39 s";
+        solve_median - "s" "the solve alone";
+        sub_steps_per_frame + "" "printed: 4.42, the mean of all scenes";
+    }
+}
+
+/// The scenes of table 6.1, where it is asked for, in each precision; `f64`: whether the device has it.
+///
+/// # Errors
+/// [`Error::Input`] for a missing scene, and errors of its file.
+pub(super) fn load(options: &Options, f64: bool) -> Result<Vec<(usize, Scene)>, Error> {
+    let mut scenes = Vec::new();
+    if !options.tables.iter().any(|table| table == "6.1") {
+        return Ok(scenes);
+    }
+    for (number, (_, scene, ..)) in PRINTED.iter().enumerate() {
+        let file = options.scenes.join(format!("{scene}.toml"));
+        if !file.is_file() {
+            return Err(Error::input(
+                format!("--scenes {}", options.scenes.display()),
+                format!("{scene}.toml of table 6.1 is not there"),
+                "give the folder scenes of cutwater's source, or --tables without 6.1",
+            ));
+        }
+        let precisions = options.precisions.iter();
+        for &precision in precisions.filter(|&&precision| f64 || precision != Precision::F64) {
+            let precision = format!("solver.precision={}", precision_name(precision));
+            scenes.push((number, Scene::load(&file, &[precision], options.scale)?));
+        }
+    }
+    Ok(scenes)
+}
+
+/// A case per scene.
+pub(super) fn cases<'c>(scenes: &'c [(usize, Scene)], options: &'c Options) -> Vec<Case<'c>> {
+    let cases = scenes.iter().map(|(number, scene)| Case {
+        key: (
+            "thesis_scenes",
+            row! { scene: scene.name.as_str(), precision: precision_name(scene.solver.precision) },
+        ),
+        measure: Box::new(move |_| Ok(vec![("thesis_scenes", measure(*number, scene, options)?)])),
+    });
+    cases.collect()
+}
+
+fn measure(number: usize, scene: &Scene, options: &Options) -> Result<Row, Error> {
+    let mut simulation = Simulation::new(scene, &Backend::Gpu(options.adapter.clone()))?;
+    // The first compiles.
+    simulation.step()?;
+    let steps = (0..options.steps.max(1)).map(|_| simulation.step());
+    let reports = steps.collect::<Result<Vec<StepReport>, _>>()?;
+    let (name, _, grid, nodes, elements) = PRINTED[number];
+    let ended = reports.iter().map(|report| {
+        let solves: Vec<SolveReport> = report.solves().collect();
+        Ended::of_reports(&solves).name(scene.solver.tolerance)
+    });
+    let converged = SolveStatus::Converged.name();
+    let ended = ended.min_by_key(|&word| (is_solved(word), word == converged));
+    let touching = |report: &&StepReport| report.coupling.is_some_and(|both| both.touching);
+    let spread =
+        |seconds: &dyn Fn(&StepReport) -> f64| Spread::of(reports.iter().map(seconds).collect());
+    let timestamps = simulation
+        .adapter()
+        .is_some_and(|adapter| adapter.timestamps);
+    let of_stages = |stages: &[&str]| {
+        let seconds = |report: &StepReport| {
+            let own = report
+                .seconds
+                .iter()
+                .filter(|(stage, _)| stages.contains(stage));
+            own.map(|(_, seconds)| seconds).sum()
+        };
+        timestamps.then(|| spread(&seconds))
+    };
+    let time: f64 = reports.iter().map(|report| report.dt).sum();
+    let solids = simulation.solids();
+    Ok(row! {
+        table: "6.1", name: name, scene: scene.name.as_str(), scale: scene.scale, precision: precision_name(scene.solver.precision),
+        cells: scene.grid().n_cells(), thesis_cells: grid.pow(3), nodes: solids.rest.len(), thesis_nodes: nodes,
+        elements: solids.elements.len(), thesis_elements: elements, sub_steps: reports.len(),
+        touching: reports.iter().filter(touching).count(), status: ended.unwrap_or(converged), seconds: spread(&|report| report.seconds_total),
+        projection: of_stages(&PROJECTION), solve_median: of_stages(&["solve"]).map(|solve| solve.median),
+        sub_steps_per_frame: reports.len() as f64 / (time * scene.time.frames_per_second),
+    })
+}

@@ -1,0 +1,588 @@
+//! Tables 6.2, 6.3 and 6.4: the matrices of the formulations and the time of their solves, on states of the dam break.
+//!
+//! The scene is `scenes/conditioning_40.toml` with other grids and beams. It runs on the device. The f64 path assembles the system of the sub-step
+//! after a frame, which is solved in each formulation to the same true residuals of the indefinite system, matrices and factors included. The
+//! device does that sub-step, its matrices and hierarchy included.
+
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::rc::Rc;
+use std::sync::Arc;
+use std::time::Instant;
+
+use super::{MOST_ITERATIONS, Options, TOLERANCE};
+use crate::Error;
+use crate::elastic::Solids;
+use crate::measure::bench::ended::{Ended, is_solved, precision_name};
+use crate::measure::bench::solve::bricks_across;
+use crate::measure::bench::statistics::{Spread, exponent, grouped};
+use crate::measure::bench::sub_step::{density, sub_step};
+use crate::measure::bench::table::{Row, Value, columns, row};
+use crate::measure::bench::{Case as BenchCase, Run, rounds};
+use crate::reference::{
+    BlockPattern, CoupledSystem, Formulation as Form, Reference, SolidSolver, StepSystem,
+    StressVariables, conditions, solid_matrices, solve_coupled,
+};
+use crate::scene::{Formulation, Precision, Scene, SolidMesh, Solver};
+use crate::sim::{Backend, GpuPath, Simulation, reference_path, solids_of};
+use crate::state::{SolveReport, State};
+
+const SCENE: &str = include_str!("../../../../scenes/conditioning_40.toml");
+/// The share of the mass in Z1 that the thesis "exclusively used".
+const SIGMA: f64 = 0.9;
+/// Its factor before the velocities (5.36), Pa s/m.
+const ALPHA: f64 = 1e-3;
+/// Bricks across the beams of tables 6.3 and 6.4: 135 and 725 nodes.
+const BEAMS: [usize; 2] = [2, 4];
+
+/// Cells along an edge, and nonzeros, logarithms of condition numbers and seconds of a solve, indefinite and positive definite.
+const PRINTED_6_2: [(usize, [[f64; 2]; 3]); 3] = [
+    (40, [[157498.0, 185503.0], [8.347, 10.497], [1.635, 1.813]]),
+    (60, [[499787.0, 610697.0], [8.579, 11.311], [16.121, 8.292]]),
+    (
+        80,
+        [[1177419.0, 1439173.0], [8.819, 11.497], [100.875, 28.020]],
+    ),
+];
+
+/// Cells along an edge, and with 135 nodes, then with 725: seconds per frame in velocities and in stresses.
+const PRINTED_6_3: [(usize, [[f64; 2]; 2]); 5] = [
+    (50, [[5.33, 6.69], [14.15, 27.68]]),
+    (60, [[9.51, 9.90], [19.76, 32.02]]),
+    (70, [[15.75, 15.32], [29.89, 36.98]]),
+    (80, [[23.54, 22.21], [44.04, 47.87]]),
+    (90, [[35.93, 31.56], [59.09, 58.76]]),
+];
+
+/// The same of nonzeros.
+const PRINTED_6_4: [(usize, [[f64; 2]; 2]); 5] = [
+    (50, [[317505.0, 814424.0], [624387.0, 5654643.0]]),
+    (60, [[501430.0, 998372.0], [807789.0, 5838273.0]]),
+    (70, [[795668.0, 1218020.0], [1095644.0, 6130135.0]]),
+    (80, [[1128123.0, 1545752.0], [1425174.0, 6456548.0]]),
+    (90, [[1565587.0, 1985347.0], [1856102.0, 6890398.0]]),
+];
+
+columns! {
+    SYSTEMS {
+        table = "" "number of the table";
+        grid + "" "cells along an edge";
+        nodes + "" "of the beam";
+        elements - "" "of the beam";
+        frame + "" "frame of the state";
+        dt - "s" "length of the sub-step";
+        sub_steps_per_frame - "" "up to this one";
+        formulation + "" "`indefinite`, `two-field`, `stress` or `condensed`";
+        solver + "" "its solver";
+        backend + "" "`cpu` or `gpu`";
+        precision + "" "`f32`, `mixed` or `f64`";
+        unknowns - "" "of the pressure";
+        solid_unknowns - "" "of the solids";
+        nonzeros + "" "entries of the matrix, both triangles";
+        log10_condest + "" "condition number for the 1-norm, as `condest`: alpha = 0.001, sigma = 0.9";
+        log10_condition - "" "for the 2-norm";
+        log10_condition_exact - "" "the same from all eigenvalues, of small matrices";
+        status + "" "`converged`, `converged_to_rounding` or why not";
+        iterations + "" "over all refinement steps";
+        residual_p - "" "true relative residual of the pressure";
+        residual_v - "" "of the velocities";
+        seconds ~ "s" "of the solve: on the CPU from the assembled B, J and S, on the device from the liquid distance on";
+        frame_seconds ~ "s" "sub-steps per frame times a sub-step: the device's, or this solve with the other stages of the f64 path";
+    }
+    /// Means over the states; seconds over those with a converged solve.
+    MEANS {
+        table = "" "number of the table";
+        grid + "" "cells along an edge";
+        nodes + "" "of the beam";
+        elements - "" "of the beam";
+        formulation + "" "as in thesis_systems.csv";
+        solver + "" "as in thesis_systems.csv";
+        backend + "" "as in thesis_systems.csv";
+        precision + "" "as in thesis_systems.csv";
+        quantity + "" "`nonzeros`, `log10_condest`, `log10_condition`, `seconds` or `frame_seconds`";
+        states - "" "number of states";
+        mean + "" "mean over the states, of seconds of the medians of repeats";
+        low - "" "the same of the least of the repeats";
+        high - "" "of the largest";
+        least - "" "least of the states";
+        largest - "" "largest";
+        thesis + "" "printed: of the positive definite form for solves that the thesis does not have; empty for MINRES and 2-norms";
+        ratio + "" "over the printed one; of condition numbers, not of their logarithms";
+    }
+    /// Powers of the cells along an edge, by least squares of the logarithms.
+    GROWTH {
+        table = "" "number of the table";
+        nodes + "" "of the beam; empty where it is refined with the grid";
+        formulation + "" "as in thesis_systems.csv";
+        solver + "" "as in thesis_systems.csv";
+        backend + "" "as in thesis_systems.csv";
+        precision + "" "as in thesis_systems.csv";
+        quantity + "" "as in thesis_means.csv; of condition numbers, not of their logarithms";
+        coarsest - "" "cells along an edge of the coarsest grid";
+        finest - "" "of the finest";
+        states - "" "states of each mean, at least";
+        exponent + "" "the power";
+        thesis + "" "of the printed numbers on these grids";
+    }
+}
+
+/// Grid and bricks across the beam.
+type Size = (usize, usize);
+
+/// A state of a run, and the system of the sub-step after it.
+struct Case<'a> {
+    size: Size,
+    scene: &'a Scene,
+    solids: &'a Solids,
+    state: &'a State,
+    system: CoupledSystem,
+    stress: StressVariables,
+    dt: f64,
+    /// The f64 path, which has done that sub-step.
+    path: Reference,
+}
+
+/// A case per grid, beam, state and table; those of a grid and a beam share a simulation.
+pub(super) fn cases(options: &Options) -> Vec<BenchCase<'_>> {
+    let mut sizes: BTreeMap<Size, Vec<&str>> = BTreeMap::new();
+    for table in &options.tables {
+        for grid in options.grids(table) {
+            let beams = match table.as_str() {
+                "6.2" => vec![bricks_across(grid)],
+                "6.3" | "6.4" => BEAMS.to_vec(),
+                _ => Vec::new(),
+            };
+            for across in beams {
+                sizes.entry((grid, across)).or_default().push(table);
+            }
+        }
+    }
+    let last = Rc::new(RefCell::new(None));
+    let mut cases = Vec::new();
+    for (size, tables) in sizes {
+        for &frame in &options.frames {
+            for table in tables.clone() {
+                // Nodes of a beam k bricks across and 7 k along.
+                let nodes = (size.1 + 1).pow(2) * (7 * size.1 + 1);
+                cases.push(BenchCase {
+                    key: (
+                        "thesis_systems",
+                        row! { table: table, grid: size.0, nodes: nodes, frame: frame },
+                    ),
+                    measure: Box::new({
+                        let last = Rc::clone(&last);
+                        move |run| measure(run, &last, (size, frame, table), options)
+                    }),
+                });
+            }
+        }
+    }
+    cases
+}
+
+/// The dam break of a size, on its way from frame to frame.
+struct Break {
+    size: Size,
+    scene: Scene,
+    solids: Solids,
+    simulation: Simulation,
+}
+
+impl Break {
+    fn new(size: Size, options: &Options) -> Result<Break, Error> {
+        let scene = scene(size)?;
+        let simulation = Simulation::new(&scene, &Backend::Gpu(options.adapter.clone()))?;
+        let solids = solids_of(&scene)?;
+        Ok(Break {
+            size,
+            scene,
+            solids,
+            simulation,
+        })
+    }
+}
+
+/// Rows of a table for a state. `last`: the simulation of the case before, which continues where it can.
+fn measure(
+    run: &mut Run,
+    last: &RefCell<Option<Break>>,
+    (size, frame, table): (Size, u64, &str),
+    options: &Options,
+) -> Result<Vec<(&'static str, Row)>, Error> {
+    let mut last = last.borrow_mut();
+    let reached = |last: &Break| last.size == size && last.simulation.clock().frame <= frame;
+    if !last.as_ref().is_some_and(reached) {
+        *last = Some(Break::new(size, options)?);
+    }
+    let dam = last.as_mut().expect("it was just made");
+    while dam.simulation.clock().frame < frame {
+        dam.simulation.step()?;
+    }
+    let state = dam.simulation.state()?;
+    let rows = Case::new(size, &dam.scene, &dam.solids, &state)?.rows(run, table, options)?;
+    Ok(rows
+        .into_iter()
+        .map(|row| ("thesis_systems", row))
+        .collect())
+}
+
+/// The dam break with a beam of k bricks across and 7 k along on n^3 cells.
+fn scene((n, across): Size) -> Result<Scene, Error> {
+    let cells = vec![format!("domain.cells=[{n}, {n}, {n}]")];
+    let file = "scenes/conditioning_40.toml";
+    let mut scene = Scene::parse(file.as_ref(), SCENE, &cells, 1.0)?;
+    scene.name = format!("conditioning_{n}_{across}");
+    if let SolidMesh::Box { cells, .. } = &mut scene.solids[0].mesh {
+        *cells = [across, 7 * across, across];
+    }
+    Ok(scene)
+}
+
+/// Whether a frame lies within the scene.
+pub(super) fn ensure_frame(frame: u64) -> Result<(), Error> {
+    let last = scene((8, 2))?.n_frames();
+    if (1..=last).contains(&frame) {
+        return Ok(());
+    }
+    Err(Error::input(
+        format!("--frames {frame}"),
+        format!("the dam break has frames 1 to {last}"),
+        "give frames of these, such as 10,40,80",
+    ))
+}
+
+impl<'a> Case<'a> {
+    fn new(
+        size: Size,
+        scene: &'a Scene,
+        solids: &'a Solids,
+        state: &'a State,
+    ) -> Result<Case<'a>, Error> {
+        let mut exact = scene.clone();
+        exact.solver.precision = Precision::F64;
+        let mut path = reference_path(&exact)?;
+        path.reset(state.clone())?;
+        let time_step = path.next_time_step();
+        let mut taken = None;
+        path.step_observed(time_step, &mut |system| {
+            if let StepSystem::Coupled(system, ..) = system {
+                taken = Some(system.clone());
+            }
+        })?;
+        let system = taken.ok_or_else(|| {
+            Error::input(
+                format!("--frames {}", state.frame),
+                "the water does not touch the beam then on such a grid, and there is no system of both",
+                "give later frames, such as 10,40,80",
+            )
+        })?;
+        let pattern = Arc::new(BlockPattern::new(solids));
+        let deformed = solid_matrices(solids, &pattern, &path.state().displacement);
+        let dt = time_step.dt;
+        Ok(Case {
+            stress: StressVariables::new(solids, &deformed.deformations, |body| {
+                body.zeta_stiffness(dt)
+            }),
+            size,
+            scene,
+            solids,
+            state,
+            system,
+            dt,
+            path,
+        })
+    }
+
+    /// Columns of all rows of the state in a table.
+    fn row(&self, table: &str, names: [&str; 4]) -> Row {
+        let [formulation, solver, backend, precision] = names;
+        row! {
+            table: table, grid: self.size.0, nodes: self.solids.rest.len(), elements: self.solids.elements.len(), frame: self.state.frame,
+            dt: self.dt, sub_steps_per_frame: self.sub_steps_per_frame(), formulation: formulation, solver: solver, backend: backend,
+            precision: precision, unknowns: self.system.pressure.n_unknowns(), solid_unknowns: self.system.solid.n_unknowns(),
+        }
+    }
+
+    fn sub_steps_per_frame(&self) -> f64 {
+        self.state.step as f64 / self.state.frame as f64
+    }
+
+    fn rows(&self, run: &mut Run, table: &str, options: &Options) -> Result<Vec<Row>, Error> {
+        let blocks = self.system.blocks();
+        let two_field = Form::TwoFieldIncomplete(SIGMA);
+        match table {
+            "6.2" => {
+                let forms = [
+                    Form::IndefiniteIterative,
+                    Form::IndefiniteMinimalResidual,
+                    two_field,
+                    Form::Condensed,
+                ];
+                let mut rows = self.solved(run, table, &forms, options)?;
+                let conditions = conditions(&self.system, SIGMA, ALPHA)?;
+                let indefinite = (blocks.indefinite().n_entries(), conditions.indefinite);
+                let definite = (blocks.two_field(SIGMA)?.n_entries(), conditions.two_field);
+                for row in rows.iter_mut().filter(|row| row.text("backend") == "cpu") {
+                    let (nonzeros, condition) = match row.text("formulation") {
+                        "indefinite" => indefinite,
+                        "two-field" => definite,
+                        _ => continue,
+                    };
+                    *row = row.clone().with(row! {
+                        nonzeros: nonzeros, log10_condest: condition.one_norm, log10_condition: condition.two_norm,
+                        log10_condition_exact: condition.two_norm_exact,
+                    });
+                }
+                Ok(rows)
+            }
+            "6.3" => self.solved(
+                run,
+                table,
+                &[two_field, Form::StressIncomplete(&self.stress)],
+                options,
+            ),
+            _ => {
+                let matrices = [
+                    ("two-field", blocks.two_field(SIGMA)?),
+                    ("stress", self.stress.system(&blocks)?.1),
+                ];
+                let rows = matrices.map(|(form, matrix)| {
+                    self.row(table, [form, "", "cpu", "f64"])
+                        .with(row! { nonzeros: matrix.n_entries() })
+                });
+                Ok(rows.to_vec())
+            }
+        }
+    }
+
+    /// A row per form on the CPU and on the device, solved in rounds.
+    fn solved(
+        &self,
+        run: &mut Run,
+        table: &str,
+        forms: &[Form],
+        options: &Options,
+    ) -> Result<Vec<Row>, Error> {
+        let settings = |precision, formulation| Solver {
+            tolerance: TOLERANCE,
+            max_iterations: MOST_ITERATIONS,
+            precision,
+            formulation,
+            ..self.scene.solver
+        };
+        let mut devices = Vec::new();
+        for &precision in &options.precisions {
+            for formulation in [Formulation::Auto, Formulation::TwoField] {
+                // In f32 both are the same.
+                if precision == Precision::F32 && formulation == Formulation::TwoField {
+                    continue;
+                }
+                let mut scene = self.scene.clone();
+                scene.solver = settings(precision, formulation);
+                match GpuPath::open(&scene, &options.adapter) {
+                    Ok(mut path) => {
+                        // Compiles.
+                        sub_step(&mut path, self.state, density(&scene))?;
+                        devices.push((precision, path));
+                    }
+                    Err(Error::Limit { .. }) if precision == Precision::F64 => {}
+                    Err(error) => return Err(error),
+                }
+            }
+        }
+        let exact = settings(Precision::F64, Formulation::Auto);
+        let mut path = self.path.clone();
+        // Jobs: the other stages of the f64 path, the forms, the devices. Outcomes: reports, form of the device, seconds of whole sub-steps.
+        let mut wholes = vec![Vec::new(); devices.len()];
+        let what = format!(
+            "solves of table {table}, grid {}, frame {}",
+            self.size.0, self.state.frame
+        );
+        let timed = rounds(run, &what, 1 + forms.len() + devices.len(), |job| {
+            if job == 0 {
+                path.reset(self.state.clone())?;
+                let step = path.step(path.next_time_step())?;
+                let solve = step.seconds.iter().filter(|(stage, _)| *stage == "solve");
+                let others = step.seconds_total - solve.map(|(_, seconds)| seconds).sum::<f64>();
+                return Ok((others, (Vec::new(), false)));
+            }
+            if let Some(&form) = forms.get(job - 1) {
+                let clock = Instant::now();
+                let solver = SolidSolver::new(self.solids);
+                let found = solve_coupled(&self.system, form, &solver, self.solids, &exact)?;
+                return Ok((
+                    clock.elapsed().as_secs_f64(),
+                    (found.reports.to_vec(), false),
+                ));
+            }
+            let device = job - 1 - forms.len();
+            let path = &mut devices[device].1;
+            let done = sub_step(path, self.state, density(self.scene))?;
+            path.write_state(self.state)?;
+            wholes[device].push(path.step_observed(&mut |_, _| Ok(()))?.seconds_total);
+            let reports: Vec<SolveReport> = done.report.solves().collect();
+            Ok((
+                done.seconds,
+                (
+                    reports,
+                    done.report.coupling.is_some_and(|both| both.condensed),
+                ),
+            ))
+        })?;
+        let others = timed[0].spread();
+        let mut rows: Vec<Row> = Vec::new();
+        for (number, timed) in timed.iter().enumerate().skip(1) {
+            let (seconds, (reports, condensed)) = (timed.spread(), &timed.outcome);
+            let (names, whole) = match number.checked_sub(1 + forms.len()) {
+                None => {
+                    let form = &forms[number - 1];
+                    let names = match form {
+                        Form::Condensed => ("condensed", "multigrid CG"),
+                        _ => form.name().split_once(", ").expect("a form has its solver"),
+                    };
+                    let whole = Spread {
+                        median: seconds.median + others.median,
+                        min: seconds.min + others.min,
+                        max: seconds.max + others.max,
+                    };
+                    ([names.0, names.1, "cpu", "f64"], whole)
+                }
+                Some(device) => {
+                    let form = if *condensed { "condensed" } else { "two-field" };
+                    let names = [
+                        form,
+                        "multigrid CG",
+                        "gpu",
+                        precision_name(devices[device].0),
+                    ];
+                    (names, Spread::of(wholes[device].clone()))
+                }
+            };
+            let row = self.row(table, names).with(row! {
+                status: Ended::of_reports(reports).name(TOLERANCE), iterations: reports[0].iterations, residual_p: reports[0].residual,
+                residual_v: reports[1].residual, seconds: seconds, frame_seconds: whole.times(self.sub_steps_per_frame()),
+            });
+            // `auto` may have chosen the same form.
+            let same = |other: &Row| series(other) == series(&row);
+            if !rows.iter().any(same) {
+                rows.push(row);
+            }
+        }
+        Ok(rows)
+    }
+}
+
+/// Form, solver and path of a row.
+fn series(row: &Row) -> Row {
+    row.only(&["table", "formulation", "solver", "backend", "precision"])
+}
+
+/// Value, least and largest of a quantity; seconds only of a converged solve.
+fn values(row: &Row, quantity: &str) -> Option<[f64; 3]> {
+    let Some(Spread { median, min, max }) = row.spread(quantity) else {
+        return row.has(quantity).then(|| [row.number(quantity); 3]);
+    };
+    is_solved(row.text("status")).then_some([median, min, max])
+}
+
+/// The printed number.
+fn printed(table: &str, quantity: &str, grid: usize, nodes: usize, form: &str) -> Option<f64> {
+    let other = matches!(form, "indefinite" | "stress");
+    let of_beams = |printed: &[(usize, [[f64; 2]; 2])]| {
+        let (_, of_grid) = printed.iter().find(|(cells, _)| *cells == grid)?;
+        Some(of_grid[usize::from(nodes > 400)][usize::from(other)])
+    };
+    match table {
+        "6.2" => {
+            let (_, of_grid) = PRINTED_6_2.iter().find(|(cells, _)| *cells == grid)?;
+            let at = match quantity {
+                "nonzeros" => 0,
+                "seconds" => 2,
+                _ => 1,
+            };
+            Some(of_grid[at][usize::from(!other)])
+        }
+        "6.3" => of_beams(&PRINTED_6_3),
+        _ => of_beams(&PRINTED_6_4),
+    }
+}
+
+/// A quantity, of its logarithm where the column has that.
+fn plain(quantity: &str, value: f64) -> f64 {
+    if quantity.starts_with("log10_") {
+        10.0_f64.powf(value)
+    } else {
+        value
+    }
+}
+
+/// Means over the states.
+pub(super) fn means(rows: &[Row]) -> Vec<Row> {
+    let mut means = Vec::new();
+    for ((line, _), rows) in grouped(rows, |row| {
+        Some((
+            series(row).with(row.only(&["grid", "nodes", "elements"])),
+            (),
+        ))
+    }) {
+        let [table, form] = ["table", "formulation"].map(|name| line.text(name));
+        let quantities: &[&str] = match table {
+            "6.2" => &["nonzeros", "log10_condest", "log10_condition", "seconds"],
+            "6.3" => &["frame_seconds"],
+            _ => &["nonzeros"],
+        };
+        for &quantity in quantities {
+            let values: Vec<[f64; 3]> = rows
+                .iter()
+                .filter_map(|row| values(row, quantity))
+                .collect();
+            if values.is_empty() {
+                continue;
+            }
+            let [mean, low, high] = [0, 1, 2].map(|at: usize| {
+                values.iter().map(|value| value[at]).sum::<f64>() / values.len() as f64
+            });
+            let states = Spread::of(values.iter().map(|value| value[0]).collect());
+            let minres = line.text("solver").starts_with("MINRES") && quantity == "seconds";
+            let thesis = printed(
+                table,
+                quantity,
+                line.count("grid"),
+                line.count("nodes"),
+                form,
+            );
+            let thesis = thesis.filter(|_| !minres && quantity != "log10_condition");
+            means.push(line.clone().with(row! {
+                quantity: quantity, states: values.len(), mean: mean, low: low, high: high, least: states.min, largest: states.max,
+                thesis: thesis, ratio: thesis.map(|thesis| plain(quantity, mean) / plain(quantity, thesis)),
+            }));
+        }
+    }
+    means
+}
+
+/// Growth with the grid of means on two grids at least. Table 6.2 refines the beam with the grid.
+pub(super) fn growth(means: &[Row]) -> Vec<Row> {
+    let groups = grouped(means, |mean| {
+        let nodes = if mean.text("table") == "6.2" {
+            Value::Empty
+        } else {
+            mean.get("nodes")
+        };
+        Some(series(mean).with(row! { quantity: mean.get("quantity"), nodes: nodes }))
+    });
+    let fits = groups.into_iter().filter_map(|(line, means)| {
+        let point = |column: &'static str| {
+            let quantity = line.text("quantity");
+            move |mean: &&Row| (mean.number("grid"), plain(quantity, mean.number(column)))
+        };
+        let power = exponent(means.iter().map(point("mean")))?;
+        let printed = means.iter().filter(|mean| mean.has("thesis"));
+        let thesis = exponent(printed.map(point("thesis")));
+        let states = means.iter().map(|mean| mean.count("states")).min();
+        let grids = means.iter().map(|mean| mean.count("grid"));
+        let fit = row! { coarsest: grids.clone().min(), finest: grids.max(), states: states, exponent: power, thesis: thesis };
+        Some(line.clone().with(fit))
+    });
+    fits.collect()
+}
