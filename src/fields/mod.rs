@@ -35,8 +35,8 @@ pub struct Shared {
 ///
 /// - `fields`: sizes and options, in scope of every row.
 /// - `sizes`: further sizes in scope of every row, not stored.
-/// - `arrays`: `array NAME: T [LENGTH]` is a [`Buffer`](super::Buffer) of `T`, `real NAME: REAL [LENGTH]` a
-///   [`RealBuffer`](super::RealBuffer), `uniform NAME: T [VALUE]` a uniform buffer. With `if CONDITION` the array is
+/// - `arrays`: `array NAME: T [LENGTH]` is a `Buffer` of `T`, `real NAME: REAL [LENGTH]` a
+///   `RealBuffer`, `uniform NAME: T [VALUE]` a uniform buffer. With `if CONDITION` the array is
 ///   an `Option`.
 /// - `views`: another WGSL name of an array. Without stages it is the same contents with another element type. With
 ///   `while FIRST..=LAST, free FROM..=TO` it is scratch memory in FIRST to LAST. The array's own contents are free in

@@ -16,7 +16,7 @@ const LEFT: f64 = 1e-6;
 
 /// Nodes move by dt v along tangents. A body that rotates by theta in a sub-step becomes longer by theta^2 / 2: two
 /// hundredths at a fifth of a radian. In all but soft bodies that is more elastic than kinetic energy. For each free
-/// or hinged body ([`Solids::turning`]) the rigid part of the motion therefore follows circles.
+/// or hinged body (`Solids::turning`) the rigid part of the motion therefore follows circles.
 ///
 /// Let c be the centroid, which moves with v_c, and r = x - c. With inertia I = sum m (|r|^2 1 - r r^T), angular
 /// momentum L = sum m r x (v - v_c) and w = I^-1 L:

@@ -298,7 +298,7 @@ fn width(row: &Row) -> Option<usize> {
 }
 
 /// Best of the rows that time does not tell from the fastest: whose least seconds are not above the largest of the row with the least median, nor
-/// above [`AS_FAST`] times that.
+/// above `AS_FAST` times that.
 pub fn cheapest<'r>(rows: &[&'r Row]) -> Option<&'r Row> {
     let seconds = rows.iter().filter_map(|row| row.spread("seconds"));
     let fastest = seconds.min_by(|a, b| a.median.total_cmp(&b.median))?;

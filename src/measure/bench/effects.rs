@@ -124,7 +124,7 @@ pub fn measure(
     Ok(run.results)
 }
 
-/// Whether a row of the control says that absent effects cost something; seconds with a probability of an error of [`FALSE_ALARM`].
+/// Whether a row of the control says that absent effects cost something; seconds with a probability of an error of `FALSE_ALARM`.
 pub fn costs(row: &Row) -> bool {
     let counts = [
         "bytes_added",

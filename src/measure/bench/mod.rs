@@ -1,8 +1,8 @@
 //! Benches: one skeleton, and a file of cases and columns for each.
 //!
-//! A bench declares its tables ([`table::Table`]) and gives a list of [`Case`]s. [`Run::cases`] measures one after another, puts their rows into
+//! A bench declares its tables ([`table::Table`]) and gives a list of `Case`s. `Run::cases` measures one after another, puts their rows into
 //! the tables and writes all files anew after each: CSV, JSON with machine and request, SVG. With `--resume` finished rows of an earlier run
-//! with the same request stay. [`rounds`] repeats timed jobs in a shuffled order; ratios are of the same round.
+//! with the same request stay. `rounds` repeats timed jobs in a shuffled order; ratios are of the same round.
 
 pub mod accuracy;
 mod bytes;

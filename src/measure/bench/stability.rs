@@ -284,7 +284,7 @@ fn fail(row: &mut Row, problem: String) {
     }
 }
 
-/// Largest mean growth of a speed per sub-step within [`GROWTH_STEPS`], by energies that are at least [`GROWTH_FROM`] before.
+/// Largest mean growth of a speed per sub-step within `GROWTH_STEPS`, by energies that are at least `GROWTH_FROM` before.
 pub fn growth(energies: &[f64]) -> Option<f64> {
     let of = |at: usize| {
         let later = energies[at + 1..].iter().take(GROWTH_STEPS);
