@@ -1,4 +1,4 @@
-// Condensed PCG, start of a round, in the wet quads: g_p = r_p - J y / |r| with y = S^-1 r_v, and per thread what that adds to |g_p|^2; the
+// Condensed PCG, start of a refinement step, in the wet quads: g_p = r_p - J y / |r| with y = S^-1 r_v, and per thread what that adds to |g_p|^2; the
 // first sweep of the first V-cycle is done again.
 // coupling, words, quad_pairs, flags: see coupling_flux. level: level 0. sweep: first omega. x: y / |r|. matrix: see level.
 // r: r_p in, g_p out. z: first sweep, out. partials: those of the wet quads.

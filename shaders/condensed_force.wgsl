@@ -1,4 +1,4 @@
-// Condensed solve, end of a round, for nodes: J^T of the correction of the potential.
+// Condensed solve, end of a refinement step, for nodes: J^T of the correction of the potential.
 // coupling, words, node_pairs: see coupling_force. flags: active lanes. level: level 0. search: direction, then correction. force: out.
 #import coupling
 #import dispatch

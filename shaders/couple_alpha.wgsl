@@ -1,5 +1,5 @@
 // Two-field PCG, one workgroup, before pcg_alpha: sums over wet quads and nodes become the last of the partials of the active quads. The
-// norm that ends a round is that of g_p and of what is left of r_v, and not of g_v = Z2 Z1^-1 r_v, in which stiff modes hide the others.
+// norm that ends a refinement step is that of g_p and of what is left of r_v, and not of g_v = Z2 Z1^-1 r_v, in which stiff modes hide the others.
 // coupling. args: dispatch sizes and lengths. partials: those of the wet quads: s . q, r . q, q . q; then of the nodes: s . q.
 // scalars: see pcg_slots. all_partials: out, one number.
 #import coupling

@@ -1,4 +1,4 @@
-// Two-field PCG, start of a round, third, in the wet quads: g_p = r_p + J t with t = -Z1^-1 r_v, and per thread what that adds to |g_p|^2.
+// Two-field PCG, start of a refinement step, third, in the wet quads: g_p = r_p + J t with t = -Z1^-1 r_v, and per thread what that adds to |g_p|^2.
 // coupling, words, quad_pairs, flags: see coupling_flux. x: t, m/s. r: r_p in, g_p out. partials: those of the wet quads, then of the nodes.
 #import coupling_flux
 #import dispatch

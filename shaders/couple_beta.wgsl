@@ -1,5 +1,5 @@
 // Two-field PCG, one workgroup, before pcg_beta: r . z of wet quads and nodes becomes the last of the partials of the active quads, and
-// what the round would leave of r_v if it ended here is estimated: with t = Sh g_v it is Z1 t, up to a factor of 1 / (1 - sigma).
+// what the refinement step would leave of r_v if it ended here is estimated: with t = Sh g_v it is Z1 t, up to a factor of 1 / (1 - sigma).
 // coupling. args: dispatch sizes and lengths. partials: those of the wet quads, then of the nodes: r . z, |Z1 t|^2. scalars: see
 // pcg_slots. all_partials: out, one number.
 #import coupling

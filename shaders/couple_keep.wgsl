@@ -1,4 +1,4 @@
-// Coupled solve, before the first round, in the wet quads: keeps the right-hand side, from which J v is taken in every turn.
+// Coupled solve, before the first refinement step, in the wet quads: keeps the right-hand side, from which J v is taken in every evaluation.
 // coupling, words: see coupling. rhs: b, m/s. base: out.
 #import coupling
 #import dispatch

@@ -1,5 +1,5 @@
 // Coupled solve, one thread, once the active cells are known: dispatch sizes and lengths of all its lists. The first slot, whose list is
-// the active quads, is made as large as the largest of the lists that updates, turns and starts of rounds work on; their kernels look at
+// the active quads, is made as large as the largest of the lists that updates, evaluations and starts of refinement steps work on; their kernels look at
 // lengths.
 // coupling. from: dispatch size and length of the list of each level. sizes: what does not change, after the levels: nodes, solids,
 // wet quads, a slot for the partials, the length of folded partials. args: out.

@@ -1,4 +1,4 @@
-// PCG, one workgroup: alpha = r . z / s . q, and the state machine. |r|^2 after the update follows from the same sums, so a round that
+// PCG, one workgroup: alpha = r . z / s . q, and the state machine. |r|^2 after the update follows from the same sums, so a refinement step that
 // ends here does not start another V-cycle.
 // It is not carried over from step to step: its rounding would pile up where the residual rises first.
 // totals: where the number of partials stands. args, gated: see control. partials: s . q, r . q, q . q, r . r.
@@ -34,7 +34,7 @@ fn pcg_alpha(@builtin(local_invocation_index) lane: u32) {
         ends |= rr <= scalars[GOAL];
     } else {
         scalars[ALPHA] = Real(0.0);
-        // Later in a round s is down to rounding, and the turn judges what was reached.
+        // Later in a refinement step s is down to rounding, and the evaluation judges what was reached.
         control.status = select(control.status, STATUS_BREAKDOWN, control.first == 1u);
         ends = true;
     }
@@ -42,6 +42,6 @@ fn pcg_alpha(@builtin(local_invocation_index) lane: u32) {
     if ends {
         control.running = 0u;
         gate_lists(false);
-        gate_extra(TURN, true);
+        gate_extra(EVALUATE, true);
     }
 }

@@ -1,4 +1,4 @@
-// PCG, start of a round: the residual of the outer loop, scaled to norm 1, becomes the right-hand side of a correction that starts
+// PCG, start of a refinement step: the residual of the outer loop, scaled to norm 1, becomes the right-hand side of a correction that starts
 // from zero; the first sweep of the first V-cycle is done on the way.
 // level: level 0. sweep: first omega. list, args: active quads. norms: see refine. outer: residual of the outer loop.
 // matrix: see level. r: scaled residual, out. search: direction, then correction; the correction becomes 0. z: first sweep, out.

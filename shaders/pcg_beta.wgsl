@@ -1,4 +1,4 @@
-// PCG, one workgroup: beta = r . z / (r . z before), 0 for the round's first direction. Closes the start of the round.
+// PCG, one workgroup: beta = r . z / (r . z before), 0 for the refinement step's first direction. Closes the start of the refinement step.
 // totals: where the number of partials stands. args, gated: see control. partials: r . z.
 #import level
 #import pcg_slots
@@ -21,12 +21,12 @@ fn pcg_beta(@builtin(local_invocation_index) lane: u32) {
     }
     gate_extra(BEGIN, false);
     if !(rz > Real(0.0)) {
-        // Later in a round r is down to its rounding, and the turn judges what was reached.
+        // Later in a refinement step r is down to its rounding, and the evaluation judges what was reached.
         control.status = select(control.status, STATUS_BREAKDOWN, control.first == 1u);
         control.running = 0u;
         gate_lists(false);
         gate_extra(UPDATE, false);
-        gate_extra(TURN, true);
+        gate_extra(EVALUATE, true);
         return;
     }
     scalars[BETA] = select(rz / scalars[RZ], Real(0.0), control.first == 1u);

@@ -1,5 +1,5 @@
 // PCG, one thread, before a block of iterations: whether the one-workgroup kernels of the block run. They write gated, so their own
-// dispatch size must stand elsewhere. They also close the update after a round's last iteration, which is left to do here when
+// dispatch size must stand elsewhere. They also close the update after a refinement step's last iteration, which is left to do here when
 // that was the last of its block.
 // control: the state. args, gated: see control. gate: workgroups x, y, z and a spare word, for one workgroup and for the first
 // level of long sums.

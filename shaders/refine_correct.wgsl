@@ -1,4 +1,4 @@
-// Outer loop: x = x + scale dx, with the correction of the round. Inactive cells keep 0.
+// Outer loop: x = x + scale dx, with the correction of the refinement step. Inactive cells keep 0.
 // level: level 0. list, args, flags: active quads. norms: see refine. search: direction, then correction. x: unknowns.
 #import dispatch
 #import level

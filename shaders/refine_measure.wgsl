@@ -1,4 +1,4 @@
-// Outer loop, before the first round: per thread |b|^2, | |E| |u*| |^2 and the number of unknowns. The unknowns start from zero.
+// Outer loop, before the first refinement step: per thread |b|^2, | |E| |u*| |^2 and the number of unknowns. The unknowns start from zero.
 // level: level 0. list, args, flags: active quads. rhs: b, m/s. velocity: u* on the faces, m/s. open: fractions of the faces.
 // x: unknowns, out.
 #import dispatch

@@ -1,5 +1,5 @@
 // Outer loop: r = b - B x in the precision of the unknowns, and per thread |r|^2, |b|^2 and |D x|^2, D the diagonal of B: see
-// refine_turn and coupled_turn. Inactive cells get 0.
+// refine_accept. Inactive cells get 0.
 // level: level 0. list, args, flags: active quads. matrix: see level. x: unknowns. rhs: b. outer: r, out.
 #import dispatch
 #import stencil

@@ -30,9 +30,9 @@ fn refine_start(@builtin(local_invocation_index) lane: u32) {
     control.running = 0u;
     control.status = STATUS_RUNNING;
     control.iterations = 0u;
-    control.rounds = 0u;
+    control.refinements = 0u;
     gate_lists(false);
     gate_extra(UPDATE, false);
-    gate_extra(TURN, true);
+    gate_extra(EVALUATE, true);
     gate_extra(BEGIN, false);
 }

@@ -1,4 +1,4 @@
-// PCG for solids, start of a round: the residual of the outer loop, scaled to norm 1, becomes the right-hand side of a correction that
+// PCG for solids, start of a refinement step: the residual of the outer loop, scaled to norm 1, becomes the right-hand side of a correction that
 // starts from zero. One thread per node.
 // rows. norms: see refine. outer: residual of the outer loop. r: scaled residual, out. search: direction, then correction, both zero.
 #import dispatch

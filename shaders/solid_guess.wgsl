@@ -1,4 +1,4 @@
-// Outer loop, before the first round: what of the unknowns is free starts from zero, what is held keeps its value, and the free part
+// Outer loop, before the first refinement step: what of the unknowns is free starts from zero, what is held keeps its value, and the free part
 // of v* becomes the first correction on trial. One thread per node.
 // rows. freedom: see freedom. velocity: v*, then the unknowns, m/s, in place. search: direction, then correction, m/s, out.
 #import dispatch

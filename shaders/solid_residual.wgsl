@@ -1,7 +1,7 @@
 // Outer loop: r = P (rhs - S v), P on the free directions, from the elements and not from the blocks. One thread per node.
 // rows. freedom: see freedom. incidence, products: see gather, zeta_K K v. masses: zeta_M m, then the mean of the
 // diagonal of D, kg/s. x: v, m/s. rhs: N.
-// outer: r, N, out. partials: |r|^2, squared norm of the terms that rhs sums, free directions, |D v|^2 (see refine_turn).
+// outer: r, N, out. partials: |r|^2, squared norm of the terms that rhs sums, free directions, |D v|^2 (see refine_accept).
 #import dispatch
 #import freedom
 #import gather

@@ -1,4 +1,4 @@
-// Two-field PCG, start of a round, first of four, for nodes: t = -Z1^-1 r_v of the scaled residual; direction and correction start from
+// Two-field PCG, start of a refinement step, first of four, for nodes: t = -Z1^-1 r_v of the scaled residual; direction and correction start from
 // zero.
 // coupling. norms: see refine. masses: zeta_M m, kg/s. outer: r_v, m/s. t: m/s, out. search: direction, then correction, out.
 #import coupling

@@ -1,4 +1,4 @@
-// Two-field PCG, start of a round, second, for nodes: g_v = -Z2 t with t = -Z1^-1 r_v.
+// Two-field PCG, start of a refinement step, second, for nodes: g_v = -Z2 t with t = -Z1^-1 r_v.
 // coupling. freedom: see freedom. incidence, products: see gather, zeta_K K t. masses: zeta_M m, kg/s. t: m/s. r: g_v, out.
 #import coupling
 #import dispatch

@@ -1,5 +1,5 @@
-// Two-field PCG, start of a round, last, one workgroup: g_p and r_v are to weigh the same in the norm that ends the round;
-// its goal is that part of what the round starts from.
+// Two-field PCG, start of a refinement step, last, one workgroup: g_p and r_v are to weigh the same in the norm that ends the refinement step;
+// its goal is that part of what the refinement step starts from.
 // coupling. partials: those of the wet quads: what couple_begin added to |g_p|^2. norms: see refine. control: the state. scalars: see pcg_slots.
 #import control_state
 #import coupling
@@ -20,7 +20,7 @@ const NEGLIGIBLE = 1e-30;
 @compute @workgroup_size(FOLD_SIZE)
 fn two_field_weight(@builtin(local_invocation_index) lane: u32) {
     let of_quads = fold_from(0u, coupling.n_wet, lane);
-    // Only where a round has been opened and has made no step.
+    // Only where a refinement step has been opened and has made no step.
     if lane != 0u || control.running == 0u || control.first == 0u {
         return;
     }

@@ -1,7 +1,7 @@
 #import control_state
 
-// Dispatch sizes that follow the state, four words each: the lists (those of all levels) while a round runs, then the
-// extra ones.
+// Dispatch sizes that follow the state, four words each: the lists (those of all levels) during a refinement
+// step, then the extra ones.
 // gated: those; args: the sizes of the lists. The including file declares control, gated and args.
 fn gate_lists(open: bool) {
     for (var word = 0u; word < 4u * control.n_lists; word++) {
@@ -15,7 +15,7 @@ fn gate_extra(extra: u32, open: bool) {
     }
 }
 
-// The update of x and r, which outlives the round by one kernel; the turn from one round to the next; the start of a round.
+// The update of x and r, which outlives the refinement step by one kernel; residual evaluation; start of a step.
 const UPDATE = 0u;
-const TURN = 1u;
+const EVALUATE = 1u;
 const BEGIN = 2u;

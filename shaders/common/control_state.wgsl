@@ -1,13 +1,13 @@
 // The solver's state machine on the device: solver::Control is the same struct on the host.
 struct Control {
-    running: u32,           // 1 while a round goes on
+    running: u32,           // 1 during a refinement step
     status: u32,            // STATUS_*
-    iterations: u32,        // in all rounds
+    iterations: u32,        // in all refinement steps
     max_iterations: u32,
-    first: u32,             // 1 until the round has made its first step
-    rounds: u32,            // rounds begun
+    first: u32,             // 1 until the first iteration of the step is over
+    refinements: u32,       // refinement steps begun
     unknowns: u32,          // active cells, or free components of nodes
-    n_lists: u32,           // lists whose dispatch sizes open while a round runs
+    n_lists: u32,           // lists whose dispatch sizes open during a refinement step
 }
 
 const STATUS_RUNNING = 0u;

@@ -1,18 +1,25 @@
 //! The vocabulary of device arrays. Tables list the WGSL name, element, length, unit and centring of each array.
 //!
 //! A table allocates its arrays and binds them to kernels by name. `plan` and the limits derive from the same
-//! allocations on a planning device. Arrays of the solver are in [`crate::solver`].
+//! allocations on a planning device.
 
 mod clip;
+pub(crate) mod coupling;
 mod liquid;
+pub(crate) mod pressure_system;
 mod report;
+pub(crate) mod solid_system;
 mod solids;
 mod taps;
 
 pub use clip::{ClipBuffers, ClipSize, Clipped, CutQuad};
+pub use coupling::{Coupling, CouplingBuffers, CouplingSize, Pair, REPORT_WORDS};
 pub(crate) use liquid::TILE;
 pub use liquid::{LiquidBuffers, LiquidPlan, ObstacleBuffers, Step, Tiles, extrapolation_layers};
+pub(crate) use pressure_system::everywhere;
+pub use pressure_system::{LevelPlan, SolverBuffers, variant};
 pub use report::{CouplingReport, Report, SolidReport};
+pub use solid_system::{Rows, SolidRows, SolidSystemBuffers};
 pub use solids::{SolidBuffers, SolidPlan, SolidStep};
 pub use taps::{DeviceSourceFace, Region, Sinks, SourceStep, Sources};
 

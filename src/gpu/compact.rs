@@ -91,13 +91,13 @@ impl Compaction {
         let scratch = ("chunks", scratch.into());
         Ok(Compaction {
             threads: n_chunks,
-            count: kernels.count.bind(gpu, &[range, flags, scratch])?,
+            count: kernels.count.bind(gpu, &[range, flags, scratch], &[])?,
             scan: kernels
                 .scan
-                .bind(gpu, &[range, scratch, ("args", args.into())])?,
+                .bind(gpu, &[range, scratch, ("args", args.into())], &[])?,
             write: kernels
                 .write
-                .bind(gpu, &[range, flags, scratch, ("list", list.into())])?,
+                .bind(gpu, &[range, flags, scratch, ("list", list.into())], &[])?,
         })
     }
 

@@ -68,26 +68,12 @@ pub trait Arrays {
     fn array(&self, name: &str) -> Option<Binding<'_>>;
 }
 
-impl Arrays for [(&str, Binding<'_>)] {
+/// A few buffers that several kernels share, as a table.
+impl<const N: usize> Arrays for [(&str, Binding<'_>); N] {
     fn array(&self, name: &str) -> Option<Binding<'_>> {
         let mut bindings = self.iter();
         let (_, binding) = bindings.find(|(known, _)| *known == name)?;
         Some(*binding)
-    }
-}
-
-/// A list of arrays.
-struct ListedArrays<'a>(&'a [(&'a str, Binding<'a>)]);
-
-impl Arrays for ListedArrays<'_> {
-    fn array(&self, name: &str) -> Option<Binding<'_>> {
-        self.0.array(name)
-    }
-}
-
-impl<const N: usize> Arrays for [(&str, Binding<'_>); N] {
-    fn array(&self, name: &str) -> Option<Binding<'_>> {
-        self.as_slice().array(name)
     }
 }
 
@@ -180,11 +166,17 @@ impl Kernel {
         Ok(kernel)
     }
 
-    /// Binds each variable of the kernel to the array of its name in the first of `arrays` that contains one.
+    /// Binds each variable of the kernel to the buffer of its name in `own`, else to the array of its name in the first of
+    /// `tables` that contains one.
     ///
     /// # Panics
-    /// When a variable has no array, or one of another element size.
-    pub fn bind_arrays(&self, gpu: &Gpu, arrays: &[&dyn Arrays]) -> Result<Bound, Error> {
+    /// When a variable has no buffer, or one of another element size, and when a name in `own` is no variable.
+    pub fn bind(
+        &self,
+        gpu: &Gpu,
+        own: &[(&str, Binding)],
+        tables: &[&dyn Arrays],
+    ) -> Result<Bound, Error> {
         let Some((open, program)) = gpu.open().zip(self.program.as_ref()) else {
             return Ok(Bound {
                 label: self.label,
@@ -192,9 +184,18 @@ impl Kernel {
                 binding: None,
             });
         };
+        for (name, _) in own {
+            assert!(
+                program.slots.iter().any(|slot| slot.name == *name),
+                "{}: no variable {name}",
+                self.label
+            );
+        }
         let entry = |slot: &Slot| {
             let name = &*slot.name;
-            let binding = arrays.iter().find_map(|arrays| arrays.array(name));
+            let own = own.iter().find(|(known, _)| *known == name);
+            let binding = own.map(|(_, binding)| *binding);
+            let binding = binding.or_else(|| tables.iter().find_map(|table| table.array(name)));
             let binding =
                 binding.unwrap_or_else(|| panic!("{}: nothing bound to {name}", self.label));
             let (stride, element) = (slot.stride as usize, binding.element);
@@ -224,24 +225,6 @@ impl Kernel {
                 group,
             }),
         })
-    }
-
-    /// Binds the kernel's variables by name to buffers that are not in a table.
-    ///
-    /// # Panics
-    /// As [`Kernel::bind_arrays`], and when the kernel has no variable of a name in the list.
-    pub fn bind(&self, gpu: &Gpu, bindings: &[(&str, Binding)]) -> Result<Bound, Error> {
-        if let Some(program) = &self.program {
-            for (name, _) in bindings {
-                assert!(
-                    program.slots.iter().any(|slot| slot.name == *name),
-                    "{}: no variable {name}",
-                    self.label
-                );
-            }
-        }
-        let list: &dyn Arrays = &ListedArrays(bindings);
-        self.bind_arrays(gpu, &[list])
     }
 }
 
@@ -359,4 +342,16 @@ impl Program {
             threads,
         })
     }
+}
+
+/// Binds a kernel: each variable to the array of its name in `own`, which kernels may share, else in the first table that has one.
+pub(crate) fn bind<const N: usize>(
+    gpu: &Gpu,
+    source: &Source,
+    variant: impl Into<Variant>,
+    own: [(&str, Binding); N],
+    tables: &[&dyn Arrays],
+) -> Result<Bound, Error> {
+    let own: &dyn Arrays = &own;
+    Kernel::new(gpu, source, variant)?.bind(gpu, &[], &[&[own], tables].concat())
 }

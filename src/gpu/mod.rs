@@ -20,6 +20,7 @@ mod traffic;
 pub use buffer::{Buffer, BufferPlan, Readback, RealBuffer};
 pub use compact::{CompactKernels, Compaction, Range};
 pub use device::{AdapterChoice, AdapterReport, Gpu, NeededLimit};
+pub(crate) use kernel::bind;
 pub use kernel::{Arrays, Binding, Bound, Kernel};
 pub use record::{Dispatch, Dispatches, Pass, Recorder, SPLIT, StageTimes, Timing, groups};
 pub use shader::{COMMON, Composed, Real, Source, Variant, WG_SIZE, compose, validate};

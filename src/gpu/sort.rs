@@ -114,9 +114,11 @@ impl Sort {
                 ("values_out", to.values.into()),
             ];
             Ok([
-                kernels.count.bind(gpu, &[radix, lists, keys, chunks])?,
-                kernels.scan.bind(gpu, &[radix, lists, chunks])?,
-                kernels.scatter.bind(gpu, &scatter)?,
+                kernels
+                    .count
+                    .bind(gpu, &[radix, lists, keys, chunks], &[])?,
+                kernels.scan.bind(gpu, &[radix, lists, chunks], &[])?,
+                kernels.scatter.bind(gpu, &scatter, &[])?,
             ])
         });
         let passes = passes.collect::<Result<_, Error>>()?;
@@ -131,7 +133,7 @@ impl Sort {
             ("tile_args", (&tile_args).into()),
         ];
         Ok(Sort {
-            begin: kernels.begin.bind(gpu, &begin)?,
+            begin: kernels.begin.bind(gpu, &begin, &[])?,
             tile_args,
             passes,
         })

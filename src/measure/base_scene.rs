@@ -4,7 +4,10 @@ use std::sync::Arc;
 
 use crate::Error;
 use crate::elastic::Bounds;
-use crate::fields::{SolidBuffers, SolidPlan};
+use crate::fields::{
+    CouplingBuffers, CouplingSize, Pair, SolidBuffers, SolidPlan, SolidRows, SolidSystemBuffers,
+    SolverBuffers, variant,
+};
 use crate::gpu::{Buffer, Dispatches, Gpu, Real, Recorder};
 use crate::grid::{Axis, Grid};
 use crate::linalg::norm;
@@ -13,11 +16,8 @@ use crate::reference::base_scene::BaseScene;
 use crate::reference::{ActiveCells, BlockPattern, CoupledSystem, RightHandSide, Stencil};
 use crate::scene::Solver;
 use crate::sim::{SolidSnapshot, StoredPressure, coupled_system, stored_coupling};
-use crate::solver::{
-    CoupledFields, CoupledOutcome, CoupledSolver, CouplingBuffers, CouplingSize, Everywhere, Pair,
-    Polynomial, PressureSystem, SolidRows, SolidSystem, SolidSystemBuffers, SolverBuffers, variant,
-};
-use crate::stages::element_rotations;
+use crate::solver::{CoupledFields, CoupledOutcome, CoupledSolver, Polynomial, SolidSystem};
+use crate::stages::{Everywhere, PressureSystem, element_rotations};
 use crate::state::State;
 use crate::step::Stage;
 
@@ -190,7 +190,7 @@ impl<'a> DeviceScene<'a> {
     /// Records the set-up of both systems.
     pub fn record_systems(&self) -> Recorder {
         let mut recorder = Recorder::new(self.gpu);
-        recorder.stage("active_cells", |pass| {
+        recorder.stage(Stage::ActiveCells.name(), |pass| {
             self.pressure
                 .record(pass, &self.liquid, self.everywhere.within())
         });

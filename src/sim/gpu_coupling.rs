@@ -5,16 +5,16 @@ use glam::{DMat3, DVec3};
 use crate::Error;
 use crate::effects::Effects;
 use crate::fields;
-use crate::fields::{ClipBuffers, ClipSize, SolidStep};
+use crate::fields::{
+    ClipBuffers, ClipSize, CouplingBuffers, CouplingSize, Pair, REPORT_WORDS, SolidStep,
+};
 use crate::geometry::SolidClip;
 use crate::gpu::{Dispatches, Gpu, Pass, Readback, Recorder, StageTimes};
 use crate::grid::Grid;
 use crate::scene::{CouplingScheme, PatchPressure as Slopes, Scene};
-use crate::solver::{
-    CoupledFields, CoupledSolver, CouplingBuffers, CouplingSize, OpenFaces, Outcome, Pair,
-    PatchPressure, REPORT_WORDS, Seal, Weak, WeakBuffers,
-};
+use crate::solver::{CoupledFields, CoupledSolver, Outcome, Weak, WeakBuffers};
 use crate::stages;
+use crate::stages::{OpenFaces, PatchPressure, Seal};
 use crate::state::{ContactReport, CouplingReport, SolveStatus, State};
 use crate::step::Stage;
 

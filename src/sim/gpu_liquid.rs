@@ -2,16 +2,16 @@
 
 use crate::Error;
 use crate::effects::Effects;
-use crate::fields::{LiquidBuffers, LiquidPlan, Report, Sinks, SourceStep, Sources, Step};
+use crate::fields::{
+    LiquidBuffers, LiquidPlan, Report, Sinks, SolverBuffers, SourceStep, Sources, Step,
+};
 use crate::geometry::{Running, SourcesAndSinks};
 use crate::gpu::{Dispatches, Gpu, Readback, Real, Recorder};
 use crate::grid::Grid;
 use crate::reference::{self, Seeded};
 use crate::scene::{self, ProbeKind, Scene};
-use crate::solver::{
-    Components, FreeSurface, Outcome, PressureSolver, PressureSystem, SolverBuffers,
-};
-use crate::stages::{self, Probe};
+use crate::solver::{Outcome, PressureSolver};
+use crate::stages::{self, Components, FreeSurface, PressureSystem, Probe};
 use crate::state::{LiquidReport, State};
 use crate::step::Stage;
 

@@ -10,7 +10,6 @@ use crate::gpu::{AdapterChoice, Gpu, Real};
 use crate::grid::Grid;
 use crate::reference::{self, TimeStep, time_step};
 use crate::scene::Scene;
-use crate::solver;
 use crate::state::{Carried, State};
 use crate::step::Stage;
 
@@ -415,7 +414,7 @@ impl GpuPath {
 
     /// Bytes per scalar of the solve's unknowns and of its corrections.
     pub fn scalar_bytes(&self) -> [usize; 2] {
-        let variant = solver::variant(self.gpu.has_f64(), self.scene.solver.precision);
+        let variant = crate::fields::variant(self.gpu.has_f64(), self.scene.solver.precision);
         [variant.real, variant.inner].map(Real::bytes)
     }
 

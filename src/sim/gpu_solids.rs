@@ -4,17 +4,17 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::{Body, Bounds, Solids};
 use crate::fields;
-use crate::fields::{ObstacleBuffers, SolidBuffers, SolidPlan, SolidStep};
+use crate::fields::{
+    ObstacleBuffers, SolidBuffers, SolidPlan, SolidRows, SolidStep, SolidSystemBuffers, variant,
+};
 use crate::geometry::CutCells;
 use crate::gpu::{Buffer, Dispatches, Gpu, Pass, Readback, Real, Recorder, StageTimes};
 use crate::reference::{MAX_SOLVES, MOST_HALVINGS};
 use crate::scene::Scene;
-use crate::solver::{
-    self, ContactSearch, ObstacleField, Outcome, Polynomial, SolidRows, SolidSolver, SolidSystem,
-    SolidSystemBuffers,
-};
+use crate::solver::{ContactSearch, ObstacleField, Outcome, Polynomial, SolidSolver, SolidSystem};
 use crate::stages;
 use crate::state::{Carried, ContactReport, SolidReport, SolveStatus, State};
+use crate::step::Stage;
 
 use super::step::solve_report;
 
@@ -72,7 +72,7 @@ impl ContactQuery<'_, '_> {
         let mut to = Recorder::timed(self.gpu);
         self.gpu
             .upload(self.words, &[counters[0], counters[1], parameter]);
-        to.stage("solve", record);
+        to.stage(Stage::Solve.name(), record);
         to.read(self.words, self.readback);
         let timing = to.submit();
         let answer = self.readback.wait(self.gpu)?;
@@ -117,7 +117,7 @@ fn solid_plan(scene: &Scene, solids: &Solids, f64: bool) -> SolidPlan {
         n_turning: solids.rotating_bodies().count(),
         scripts: effects.scripts,
         obstacles: effects.obstacles,
-        real: solver::variant(f64, scene.solver.precision).real,
+        real: variant(f64, scene.solver.precision).real,
     }
 }
 
@@ -266,7 +266,9 @@ impl GpuSolids {
             if ended && !together {
                 query.seconds.append(&mut next.submit().wait()?);
             } else {
-                next.stage("solve", |pass| self.stages.system.record_hold(pass));
+                next.stage(Stage::Solve.name(), |pass| {
+                    self.stages.system.record_hold(pass)
+                });
                 if !ended {
                     recorder = next;
                     continue;
@@ -296,10 +298,10 @@ impl GpuSolids {
         let best = &self.system.best.words;
         if penetrating == 0 {
             let mut to = Recorder::timed(query.gpu);
-            to.stage("solve", |pass| search.record_judge(pass));
+            to.stage(Stage::Solve.name(), |pass| search.record_judge(pass));
             to.copy(velocity, best);
             if constrain_touching {
-                to.stage("solve", |pass| search.record_hold_stopped(pass));
+                to.stage(Stage::Solve.name(), |pass| search.record_hold_stopped(pass));
             }
             query.set_parameter(1);
             return Ok(to);
@@ -323,7 +325,7 @@ impl GpuSolids {
         }
         let mut to = Recorder::timed(query.gpu);
         to.copy(&self.system.z.words, best);
-        to.stage("solve", |pass| search.record_hold_stopped(pass));
+        to.stage(Stage::Solve.name(), |pass| search.record_hold_stopped(pass));
         to.copy(best, velocity);
         query.set_parameter(u32::from(constrain_touching));
         Ok(to)
@@ -429,7 +431,7 @@ impl GpuSolids {
     ) {
         gpu.upload(&self.buffers.step, &[step]);
         let stages = &self.stages;
-        to.stage("solve", |pass| {
+        to.stage(Stage::Solve.name(), |pass| {
             stages.rotations.record_in(pass);
             stages.system.record_matrices(pass);
             if again {

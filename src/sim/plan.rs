@@ -3,12 +3,13 @@
 use crate::Error;
 use crate::effects::{Effect, Effects};
 use crate::elastic::{Bounds, Solids};
+use crate::fields::SolidRows;
 use crate::geometry::{self, SolidClip, SourceFlow, SourcesAndSinks};
 use crate::gpu::{AdapterReport, BufferPlan, Gpu, Variant};
 use crate::grid::Grid;
 use crate::reference::{TimeStep, time_step};
 use crate::scene::{CouplingScheme, Formulation, Precision, Preconditioner, Scene, Solver};
-use crate::solver::{self, SolidRows};
+use crate::solver::{self};
 use crate::step::{Runner, SCHEDULE, Stage, When};
 
 use super::GpuPath;
@@ -137,7 +138,7 @@ impl Plan {
             host_turns,
             bytes_per_turn: bytes_per_turn(&effects, padded_cells, solids.rest.len()),
             solver: scene.solver,
-            variant: solver::variant(f64, scene.solver.precision),
+            variant: crate::fields::variant(f64, scene.solver.precision),
             together: effects.coupling && scene.solver.coupling != CouplingScheme::Weak,
             grid,
         })

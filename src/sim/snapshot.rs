@@ -6,7 +6,9 @@ use glam::{DMat3, DVec3};
 
 use crate::Error;
 use crate::elastic::{Deformation, Solids, stiffness_block};
-use crate::fields::{CouplingReport, Report, SolidBuffers, SolidReport};
+use crate::fields::{
+    CouplingReport, Report, SolidBuffers, SolidReport, SolidSystemBuffers, SolverBuffers,
+};
 use crate::geometry::{Coupling, CutCells};
 use crate::gpu::{Gpu, Real};
 use crate::grid::{Axis, Grid, Padded};
@@ -14,7 +16,6 @@ use crate::reference::{
     ActiveCells, ActiveSurfaces, BlockMatrix, BlockPattern, CoupledSystem, Freedom, PressureSystem,
     RightHandSide, SolidRightHandSide, SolidSystem, Stencil,
 };
-use crate::solver::{SolidSystemBuffers, SolverBuffers};
 use crate::state::State;
 
 use super::GpuPath;

@@ -120,6 +120,11 @@ fn recording<'r>(recorder: &'r mut Option<Recorder>, gpu: &Gpu) -> &'r mut Recor
     recorder.get_or_insert_with(|| Recorder::timed(gpu))
 }
 
+/// The recording in progress, or an empty one, to be submitted.
+fn end_recording(recorder: &mut Option<Recorder>, gpu: &Gpu) -> Recorder {
+    recorder.take().unwrap_or_else(|| Recorder::timed(gpu))
+}
+
 impl Backend for SubStep<'_, '_> {
     fn run(&mut self, stage: Stage) -> Result<(), Error> {
         match stage {
@@ -312,7 +317,7 @@ impl SubStep<'_, '_> {
         else {
             return Ok(());
         };
-        let recorder = self.recorder.take().unwrap_or_else(|| Recorder::timed(gpu));
+        let recorder = end_recording(&mut self.recorder, gpu);
         let (touch, mut seconds) = coupling.touch(gpu, liquid, recorder, coupling_readbacks)?;
         self.readback.seconds.append(&mut seconds);
         self.readback.together = touch.touching;
@@ -339,8 +344,7 @@ impl SubStep<'_, '_> {
     fn solve_pressure(&mut self) -> Result<(), Error> {
         let gpu = &self.path.gpu;
         if let Some(GpuLiquid { solver, stages, .. }) = &self.path.liquid {
-            let recorder = self.recorder.take();
-            let recorder = recorder.unwrap_or_else(|| Recorder::timed(gpu));
+            let recorder = end_recording(&mut self.recorder, gpu);
             let (outcome, mut seconds) = stages.solve.solve(gpu, recorder, solver)?;
             self.readback.pressure = Some(outcome);
             self.readback.seconds.append(&mut seconds);
@@ -397,8 +401,7 @@ impl SubStep<'_, '_> {
         let Some((solids, readbacks)) = solids.as_ref().zip(readbacks.solids.as_mut()) else {
             return Ok(());
         };
-        let recorder = self.recorder.take();
-        let recorder = recorder.unwrap_or_else(|| Recorder::timed(gpu));
+        let recorder = end_recording(&mut self.recorder, gpu);
         let polynomial = solids.polynomial(self.dt);
         let (outcome, contact, mut seconds) =
             solids.solve_in_contact(gpu, recorder, &mut readbacks.answer, &polynomial)?;
@@ -420,7 +423,7 @@ impl SubStep<'_, '_> {
             readbacks,
             ..
         } = &mut *self.path;
-        let mut to = self.recorder.take().unwrap_or_else(|| Recorder::timed(gpu));
+        let mut to = end_recording(&mut self.recorder, gpu);
         let mut liquid = liquid.as_ref().zip(readbacks.liquid.as_mut());
         if let Some((liquid, readback)) = &mut liquid {
             liquid.stages.record(Stage::Diagnose, &mut to);

@@ -1,4 +1,4 @@
-//! Acceptance rule of the outer loop, one for all systems, on the host; `shaders/refine_turn.wgsl` is the same rule on the device.
+//! Acceptance rule of the outer loop, one for all systems, on the host; `shaders/refine_accept.wgsl` is the same rule on the device.
 //!
 //! A block of the unknowns passes where
 //!
@@ -46,10 +46,10 @@ const MARGIN_COUPLED: f64 = 0.3;
 /// Factor of the inner tolerance after a rejected correction of two blocks: with a poor polynomial for a stiff solid, conjugate gradients
 /// may end too early for the residual that counts.
 const RETRY_COUPLED: f64 = 0.03;
-/// See `shaders/refine_turn.wgsl`.
+/// See `shaders/refine_accept.wgsl`.
 const ROUNDING_OF_X: f64 = 0.5;
 const STRICTEST: f64 = 1e-5;
-/// Least square that is told from zero.
+/// Least positive square.
 const SMALLEST: f64 = 1e-300;
 
 /// Share of the coupling terms that residuals are relative to where it is more than the right-hand side.

@@ -3,7 +3,7 @@
 /// Largest degree; `common/chebyshev.wgsl` has room for as many steps and one.
 pub(super) const MAX_DEGREE: usize = 64;
 
-/// What a polynomial may miss of the degree that is wanted, as a factor.
+/// Largest wanted degree over the degree.
 const SHORT: u32 = 2;
 
 /// The Chebyshev iteration of `shaders/common/chebyshev.wgsl`, whose doppelganger this is: z = p(D^-1 S) D^-1 r with p of this degree, for
@@ -25,7 +25,7 @@ pub struct Polynomial {
 }
 
 impl Polynomial {
-    /// Of a degree (64 at most), for eigenvalues up to `largest`. Degree 0 is D^-1 alone.
+    /// Polynomial of a degree (64 at most), for eigenvalues up to `largest`. Degree 0 is D^-1 alone.
     ///
     /// # Panics
     /// When the degree is larger.
@@ -56,7 +56,7 @@ impl Polynomial {
     /// The same, of solids that ask for this degree.
     pub fn wanting(self, degree: f64) -> Polynomial {
         Polynomial {
-            // A degree beyond all numbers is the largest one.
+            // Infinity saturates.
             wanted: degree.ceil() as u32,
             ..self
         }

@@ -10,6 +10,9 @@
 //! Corrections have one of two forms: [`two_field`](super::two_field), both blocks by conjugate gradients on the device, or
 //! [`schur`](super::schur), pressures alone.
 
+use crate::fields::coupling::{N_LISTS, NODES, PARTIALS, WET};
+use crate::fields::{CouplingBuffers, SolidSystemBuffers, SolverBuffers};
+use crate::gpu::bind;
 use std::sync::{Mutex, PoisonError};
 
 use crate::Error;
@@ -21,15 +24,12 @@ use crate::wgsl;
 
 use super::chebyshev::Polynomial;
 use super::coupled_host::HostCoupled;
-use super::coupling::{CouplingBuffers, N_LISTS, NODES, PARTIALS, WET};
 use super::pcg::{Block, Pcg, State, Unknowns};
 use super::pressure::Pressure;
 use super::refine::{Form, Outcome, OuterLoop, Pace, Shared, System};
 use super::schur::{self, Prepared, Schur, check_formulation};
 use super::solid_contacts::ContactSearch;
-use super::solid_system::SolidSystemBuffers;
 use super::two_field::Monolithic;
-use super::{SolverBuffers, bind};
 
 /// Refinement steps in a submission.
 const STEPS: usize = 2;

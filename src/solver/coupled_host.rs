@@ -1,5 +1,6 @@
 //! The coupled system in f64 on the host; units and signs as in [`coupled`](super::coupled).
 
+use crate::fields::Pair;
 use glam::DVec3;
 
 use crate::Error;
@@ -8,7 +9,6 @@ use crate::gpu::{Gpu, Readback, Recorder};
 use super::Control;
 use super::acceptance::{RHS, TERMS, evaluation_slot, norm_slot};
 use super::coupled::CoupledFields;
-use super::coupling::Pair;
 use super::host_residual::HostPressure;
 use super::refine::{HostResidual, HostSystem};
 use super::solid_host::HostElastic;
@@ -88,7 +88,7 @@ impl HostSystem for HostCoupled<'_> {
     /// Zero but for constrained velocities.
     fn start(&self) -> Vec<Vec<f64>> {
         let n = self.pressure.rhs.len();
-        vec![vec![0.0; n], self.solids.held()]
+        vec![vec![0.0; n], self.solids.constrained()]
     }
 
     fn residuals(&self, x: &[Vec<f64>]) -> Vec<HostResidual> {

@@ -1,24 +1,26 @@
 //! The preconditioner: one symmetric V-cycle of aggregation multigrid, z_next = H r.
 
 use crate::Error;
+use crate::fields::pressure_system::TAIL_LEVELS;
+use crate::fields::{LevelPlan, SolverBuffers};
+use crate::gpu::bind;
 use crate::gpu::{Bound, Buffer, Gpu, Pass};
 use crate::wgsl;
 
-use super::system::SolverBuffers;
-use super::{Level, OMEGA, Sweep, TAIL_LEVELS, TAIL_STEPS, bind};
+use super::{Level, OMEGA, Sweep, TAIL_STEPS};
 
 /// Double sweeps on the last level; with a few cells left this solves it well below what the cycle needs.
 const SOLVE_SWEEPS: u32 = 4;
 
-/// The doppelganger of `Tail` in `shaders/vcycle_tail.wgsl`.
+/// The levels that one workgroup handles, and the steps of their V-cycle.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Tail {
     /// The levels, finest first.
     pub levels: [Level; TAIL_LEVELS],
-    /// What is done with them, in order.
+    /// Steps, in order.
     pub steps: [TailStep; TAIL_STEPS],
-    /// How many of the steps are meant.
+    /// Number of steps.
     pub n_steps: u32,
     /// Nothing.
     pub pad_0: u32,
@@ -28,7 +30,7 @@ pub struct Tail {
     pub pad_2: u32,
 }
 
-/// The doppelganger of `Step` in `shaders/vcycle_tail.wgsl`.
+/// A step of the V-cycle.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct TailStep {
@@ -72,6 +74,19 @@ fn tail_steps(n_levels: usize) -> Vec<TailStep> {
         steps.push(step(SWEEP, level, OMEGA[0]));
     }
     steps
+}
+
+impl LevelPlan {
+    /// The uniform of a level.
+    pub(crate) fn level(&self, level: usize) -> Level {
+        Level {
+            shape: self.levels[level].layout_at(self.first[level], self.total),
+            coefficient: (1u32 << level) as f32,
+            args: 4 * level as u32,
+            pad_0: 0,
+            pad_1: 0,
+        }
+    }
 }
 
 /// The dispatches of a V-cycle. The first sweep of the finest level, from zero, is left to whoever writes r, into `z`.

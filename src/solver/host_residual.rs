@@ -1,5 +1,7 @@
 //! The residual of the stored pressure system in f64 on the host, for adapters without f64 and for verdicts on f32 solves.
 
+use crate::fields::SolverBuffers;
+use crate::fields::pressure_system::PressureReadbacks;
 use std::collections::BTreeMap;
 use std::sync::PoisonError;
 
@@ -9,30 +11,7 @@ use crate::Error;
 use crate::gpu::{Gpu, Readback, Recorder};
 use crate::grid::Padded;
 
-use super::SolverBuffers;
 use super::refine::{HostResidual, HostSystem};
-
-/// Where level 0 of the stored system, in f32, arrives.
-#[derive(Debug)]
-pub(crate) struct PressureReadbacks {
-    /// Weights of the minus faces along x, y, z, and the free-surface term.
-    matrix: [Readback<u32>; 4],
-    flags: Readback<u32>,
-    rhs: Readback<u32>,
-    labels: Readback<u32>,
-}
-
-impl PressureReadbacks {
-    pub(super) fn new(gpu: &Gpu, quads: usize) -> Result<PressureReadbacks, Error> {
-        let section = || Readback::new(gpu, "solver.matrix", 4 * quads);
-        Ok(PressureReadbacks {
-            matrix: [section()?, section()?, section()?, section()?],
-            flags: Readback::new(gpu, "solver.flags", quads)?,
-            rhs: Readback::new(gpu, "solver.rhs", 4 * quads)?,
-            labels: Readback::new(gpu, "solver.labels", 4 * quads)?,
-        })
-    }
-}
 
 /// Level 0 of the stored system, widened; device layout.
 #[derive(Debug)]
@@ -41,7 +20,7 @@ pub(super) struct HostPressure {
     /// Weights of the minus faces along x, y, z, and the free-surface term.
     matrix: [Vec<f64>; 4],
     pub(super) active: Vec<bool>,
-    /// Cells of closed components.
+    /// Cells of enclosed components.
     pub(super) closed: Vec<bool>,
     pub(super) rhs: Vec<f64>,
 }
@@ -101,7 +80,7 @@ impl HostPressure {
         Ok(system)
     }
 
-    /// Takes the mean over every closed component out of the right-hand side; `labels` as in [`SolverBuffers::labels`].
+    /// Subtracts the mean over every enclosed component from the right-hand side; `labels` as in [`SolverBuffers::labels`].
     fn remove_closed_means(&mut self, labels: &[u32]) {
         let HostPressure { closed, rhs, .. } = self;
         let closed = |cell: &usize| closed[*cell];

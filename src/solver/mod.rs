@@ -14,30 +14,26 @@
 //! entry is tagged when its quad is uniform, which spares the weights' loads for nine quads in ten.
 //!
 //! **Multigrid** (design section 5; Ng et al. 2009, Shao et al. 2022, Wang et al. 2026): 2x2x2 aggregates, coarse weights half the sum
-//! of the fine ones, two sweeps of scheduled-relaxation Jacobi before and, mirrored, after; levels of at most [`TAIL_QUADS`]
+//! of the fine ones, two sweeps of scheduled-relaxation Jacobi before and, mirrored, after; levels of at most `TAIL_QUADS`
 //! quads run in one workgroup.
 //!
-//! **Rounds.** A round is a PCG solve for a correction, in f32 unless the precision is `f64`; between rounds ("turn") the residual
-//! is evaluated in the precision of the unknowns. All of it is recorded ahead; kernels on the device open and close the
-//! dispatch sizes of what follows, so nothing waits for the host. |r|^2 after an update is computed from the sums that give
-//! alpha, so that a finished round does not start another V-cycle. State machine and outer loop are the same for every system of
-//! quads, whatever their four scalars stand for.
+//! **Outer loop** (`refine.rs`). Iterative refinement: a refinement step solves for a correction by conjugate gradients, in f32 unless
+//! the precision is `f64`; a residual evaluation in the precision of the unknowns follows. Both are recorded ahead; kernels write the
+//! dispatch sizes of later kernels, so nothing waits for the host. |r|^2 after an update follows from the sums that give alpha, so that a
+//! finished step does not start another V-cycle. Outer loop, acceptance rule and conjugate gradients are the same for every system.
 //!
-//! **Liquid and solids together** ([`CoupledSolver`]): one outer loop on the residual of the indefinite system (thesis 5.17), two
-//! forms of the corrections: pressures and velocities, all on the device; or pressures alone, with S^-1 among the wet nodes as a dense
-//! matrix that the host makes from a sparse Cholesky factor.
+//! **Systems.** The unknown is a list of blocks: pressures of cells, velocities of nodes, or both ([`CoupledSolver`]). Both have one residual,
+//! that of the indefinite system (thesis 5.17), and two forms of corrections: the monolithic two-field form, and the Schur-complement form in
+//! the pressures alone, with the wet compliance as a dense matrix from a sparse Cholesky factor on the host.
 //!
-//! Letters: x correction, r residual, z preconditioned residual, s search direction, q = B s.
+//! Symbols: x correction, r residual, z preconditioned residual, s search direction, q = A s.
 
 mod acceptance;
 mod chebyshev;
-mod components;
 mod coupled;
 mod coupled_host;
-mod coupling;
 mod hierarchy;
 mod host_residual;
-mod patch_pressure;
 mod pcg;
 mod pressure;
 mod refine;
@@ -47,66 +43,38 @@ mod solid_host;
 mod solid_solver;
 mod solid_system;
 mod stored_stiffness;
-mod system;
 mod two_field;
 mod two_field_jacobi;
 mod weak;
 
 pub use acceptance::{COUPLING_SHARE, RefineSettings, rounding};
 pub use chebyshev::Polynomial;
-pub use components::{Components, Seal};
 pub use coupled::{CoupledFields, CoupledOutcome, CoupledSolver};
-pub use coupling::{Coupling, CouplingBuffers, CouplingSize, Pair, REPORT_WORDS};
 pub use hierarchy::{Hierarchy, Tail, TailStep};
-pub use patch_pressure::{OpenFaces, PatchPressure, PressureSlope};
 pub use pressure::PressureSolver;
 pub use refine::Outcome;
 pub use schur::{MOST_WETTED, WORTH_WETTED, Wetted, can_condense, check_formulation};
 pub use solid_contacts::{ContactSearch, ObstacleField};
 pub use solid_solver::SolidSolver;
-pub use solid_system::{Rows, SolidRows, SolidSystem, SolidSystemBuffers};
-pub use system::{
-    ActiveSettings, Everywhere, FreeSurface, LevelPlan, PressureSystem, SolverBuffers, Within,
-    variant,
-};
+pub use solid_system::SolidSystem;
 pub use weak::{Weak, WeakBuffers};
 
-use crate::Error;
-use crate::gpu::{Arrays, Binding, Bound, Gpu, Kernel, Source, Variant};
 use crate::grid::Layout;
 
-/// Binds a kernel: the variables in `own` to these arrays, every other to the array of its name in the first table that has one.
-fn bind<const N: usize>(
-    gpu: &Gpu,
-    source: &Source,
-    variant: impl Into<Variant>,
-    own: [(&str, Binding); N],
-    tables: &[&dyn Arrays],
-) -> Result<Bound, Error> {
-    let own: &dyn Arrays = &own;
-    Kernel::new(gpu, source, variant)?.bind_arrays(gpu, &[&[own], tables].concat())
-}
-
-/// Largest number of quads, spare ones counted, of the levels that one workgroup handles; `vcycle_tail.wgsl` has it too.
-pub const TAIL_QUADS: usize = 256;
-/// Most levels in the tail.
-pub const TAIL_LEVELS: usize = 8;
 /// Room for the steps of the tail: 5 per level and the sweeps that solve the last.
 pub const TAIL_STEPS: usize = 48;
 /// Iterations between two gates of the one-workgroup kernels.
 const BLOCK: usize = 4;
-/// Threads of the first level of a long sum; `fold_partials.wgsl` has it too.
-pub const FOLD_THREADS: usize = 4096;
 
 /// Weights of the two sweeps of scheduled-relaxation Jacobi (Yang and Mittal 2014), which damp the upper half of the spectrum of
 /// the 7-point operator; the mirrored order after the coarse correction keeps the V-cycle symmetric.
 pub const OMEGA: [f32; 2] = [1.7319, 0.5695];
 
-/// The doppelganger of `Level` in `shaders/common/level.wgsl`.
+/// A level of the hierarchy.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Level {
-    /// Where the level lies.
+    /// Layout.
     pub shape: Layout,
     /// Weight of every inner face of a uniform quad: 2^level.
     pub coefficient: f32,
@@ -118,7 +86,7 @@ pub struct Level {
     pub pad_1: u32,
 }
 
-/// The doppelganger of `Sweep` in `shaders/common/sweep.wgsl`.
+/// A sweep of the smoother.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Sweep {
@@ -132,24 +100,24 @@ pub struct Sweep {
     pub pad_1: u32,
 }
 
-/// The doppelganger of `Control` in `shaders/common/control_state.wgsl`.
+/// State machine of a solve.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Control {
-    /// 1 while a round goes on.
+    /// 1 during a refinement step.
     pub running: u32,
     /// A `STATUS_*` of the shader.
     pub status: u32,
-    /// PCG iterations in all rounds.
+    /// Iterations of conjugate gradients in all refinement steps.
     pub iterations: u32,
-    /// Where to stop.
+    /// Limit of the iterations.
     pub max_iterations: u32,
-    /// 1 until the round has made its first step.
+    /// 1 until the first iteration of the refinement step is over.
     pub first: u32,
-    /// Rounds begun.
-    pub rounds: u32,
+    /// Refinement steps begun.
+    pub refinements: u32,
     /// Active cells, or free components of nodes.
     pub unknowns: u32,
-    /// Lists whose dispatch sizes open while a round runs.
+    /// Lists whose dispatch sizes open during a refinement step.
     pub n_lists: u32,
 }

@@ -2,18 +2,20 @@
 //! driver for all systems.
 
 use crate::Error;
+use crate::fields::pressure_system::FOLD_THREADS;
+use crate::gpu::bind;
 use crate::gpu::{Arrays, Binding, Bound, Buffer, Gpu, Pass, RealBuffer, Source, Variant};
 use crate::wgsl;
 
 use super::refine::{Pace, System};
-use super::{Control, FOLD_THREADS, Level, bind};
+use super::{Control, Level};
 
 /// Scalars on the device: `shaders/common/pcg_slots.wgsl` names the slots.
 pub(super) const N_SCALARS: usize = 8;
 /// Dispatch sizes in `gated` after those of the lists: `shaders/common/control.wgsl` names them.
 pub(super) const EXTRA_SIZES: usize = 3;
 const UPDATE: usize = 0;
-const TURN: usize = 1;
+const EVALUATE: usize = 1;
 const BEGIN: usize = 2;
 
 /// Blocks of unknowns of a system: quads of four scalars, whatever they stand for.
@@ -116,7 +118,7 @@ impl State {
 
     /// Records a kernel of a residual evaluation.
     pub(super) fn in_evaluation(&self, pass: &mut Pass, bound: &Bound) {
-        pass.dispatch_indirect(bound, &self.gated, self.n_lists + TURN);
+        pass.dispatch_indirect(bound, &self.gated, self.n_lists + EVALUATE);
     }
 
     /// Records a kernel of the start of a refinement step.
@@ -124,11 +126,15 @@ impl State {
         pass.dispatch_indirect(bound, &self.gated, self.n_lists + BEGIN);
     }
 
-    /// Opens the dispatch sizes of a refinement step from the host, as `refine_turn` does on the device.
+    /// Opens the dispatch sizes of a refinement step from the host, as `refine_accept` does on the device.
     pub(super) fn open(&self, gpu: &Gpu, args: &[u32]) {
         let mut gated = args[..4 * self.n_lists].to_vec();
         for extra in 0..EXTRA_SIZES {
-            gated.extend_from_slice(if extra == TURN { &[0; 4] } else { &args[..4] });
+            gated.extend_from_slice(if extra == EVALUATE {
+                &[0; 4]
+            } else {
+                &args[..4]
+            });
         }
         gpu.upload(&self.gated, &gated);
     }
@@ -261,7 +267,7 @@ impl Pcg {
         }
     }
 
-    /// Opens the one-workgroup kernels if a round is running.
+    /// Opens the one-workgroup kernels during a refinement step.
     pub(super) fn record_gate(&self, pass: &mut Pass) {
         pass.dispatch(&self.open, 1);
     }

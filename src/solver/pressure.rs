@@ -1,16 +1,17 @@
 //! The pressure solve: the system B phi = b in the outer loop, and what it asks of the kernels.
 
 use crate::Error;
+use crate::fields::SolverBuffers;
+use crate::gpu::bind;
 use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, Recorder, StageTimes};
 use crate::scene::{Preconditioner, Solver};
 use crate::wgsl;
 
 use super::hierarchy::Hierarchy;
 use super::host_residual::HostPressure;
-use super::pcg::{Pcg, State, Unknowns};
+use super::pcg::{Block, Pcg, State, Unknowns};
 use super::refine::{Outcome, OuterLoop, Pace, Shared, System};
-use super::system::SolverBuffers;
-use super::{BLOCK, OMEGA, Sweep, bind};
+use super::{BLOCK, OMEGA, Sweep};
 
 /// The solve of a step: everything between a right-hand side and its potential.
 #[derive(Debug)]
@@ -31,7 +32,7 @@ impl PressureSolver {
         .map(PressureSolver)
     }
 
-    /// Submits the recording with the solve at its end and waits for the verdict, with a residual in f64: of the host where the device rounds it.
+    /// Submits the recording with the solve at its end and waits for the outcome, with a residual in f64: of the host where the device rounds it.
     /// A solve that does not converge is an [`Outcome`].
     pub fn solve(
         &self,
@@ -152,6 +153,22 @@ impl Pressure {
     }
 }
 
+impl SolverBuffers {
+    /// Potentials as a block of unknowns.
+    pub(super) fn block(&self) -> Block<'_> {
+        Block {
+            level: self.plan.level(0),
+            variant: self.variant,
+            flags: &self.flags,
+            list: &self.list,
+            args: &self.args,
+            x: &self.potential,
+            outer: &self.outer,
+            search: &self.search,
+        }
+    }
+}
+
 impl System for Pressure {
     type Case<'a> = &'a SolverBuffers;
     type Host<'a> = HostPressure;
@@ -197,7 +214,7 @@ impl System for Pressure {
         self.begin(pass, state);
     }
 
-    /// Its first sweep is done.
+    /// The first sweep is done.
     fn record_preconditioner(&self, pass: &mut Pass, state: &State, _: &SolverBuffers) {
         match &self.preconditioner {
             Precondition::Multigrid(hierarchy) => hierarchy.record(pass, &state.gated, &state.gate),

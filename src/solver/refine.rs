@@ -4,6 +4,8 @@
 //! ([`acceptance`](super::acceptance)) and begins the next step or ends the solve. Both are recorded ahead and dispatched by sizes that kernels write.
 //! Adapters without f64 evaluate residuals on the host, one exchange per step.
 
+use crate::fields::pressure_system::{N_CLOSED, STATE_WORDS};
+use crate::gpu::bind;
 use std::fmt::Debug;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -14,16 +16,16 @@ use crate::gpu::{
 };
 use crate::scene::{Precision, Solver};
 use crate::state::SolveStatus;
+use crate::step::Stage;
 use crate::wgsl;
 
 use super::acceptance::{
     Acceptance, REFERENCE, RESIDUAL, RHS, RefineSettings, SCALE, TERMS, evaluation_slot, n_norms,
     norm_slot, reference, relative,
 };
-use super::components::{N_CLOSED, STATE_WORDS};
 use super::pcg::{Fold, N_SCALARS, Pcg, State, Unknowns};
 use super::schur::Elimination;
-use super::{Control, Level, bind};
+use super::{Control, Level};
 
 /// Slot of the scalars: `shaders/common/pcg_slots.wgsl`.
 const GOAL: usize = 3;
@@ -43,7 +45,7 @@ pub struct Outcome {
     pub refinements: u32,
     /// Active cells, or free directions of nodes.
     pub unknowns: u32,
-    /// Enclosed components, if [`Components`](super::Components) looked for them.
+    /// Enclosed components, where the stage `closed_components` looked for them.
     pub closed_components: u32,
     /// |b - A x| / |b|; 0 for b = 0.
     pub residual: f64,
@@ -281,7 +283,7 @@ impl<S: System> OuterLoop<S> {
         };
         let system = system(&shared)?;
         let start = sum(wgsl!("refine_start"))?;
-        let accept = sum(wgsl!("refine_turn"))?;
+        let accept = sum(wgsl!("refine_accept"))?;
         let control = Control {
             max_iterations: solver.max_iterations,
             n_lists: unknowns.n_lists as u32,
@@ -359,7 +361,7 @@ impl<S: System> OuterLoop<S> {
         let mut times = StageTimes::new();
         let form = S::form(case);
         let monolithic = matches!(form, Form::Monolithic);
-        recorder.stage("solve", |pass| {
+        recorder.stage(Stage::Solve.name(), |pass| {
             self.system.record_start(pass, case);
             self.start.record(pass);
             if !self.on_host && (S::GUESSES || !monolithic) {
@@ -372,7 +374,7 @@ impl<S: System> OuterLoop<S> {
         }
         loop {
             if monolithic {
-                recorder.stage("solve", |pass| {
+                recorder.stage(Stage::Solve.name(), |pass| {
                     for _ in 0..self.system.pace(case).steps {
                         self.record_evaluation(pass);
                         self.record_begin(pass, case);
@@ -390,7 +392,7 @@ impl<S: System> OuterLoop<S> {
                 if reading.control.status == STATUS_STAGNATED {
                     // One more evaluation, which subtracts the rejected correction.
                     recorder = Recorder::new(gpu);
-                    recorder.stage("solve", |pass| self.record_evaluation(pass));
+                    recorder.stage(Stage::Solve.name(), |pass| self.record_evaluation(pass));
                     recorder.submit();
                 }
                 return Ok((self.verified(gpu, case, status, reading)?, times));
@@ -422,9 +424,9 @@ impl<S: System> OuterLoop<S> {
             let size = reading.norms[SCALE];
             elimination.eliminate(gpu, &reading.nodes, size);
             let mut recorder = Recorder::timed(gpu);
-            recorder.stage("solve", |pass| self.record_begin(pass, case));
+            recorder.stage(Stage::Solve.name(), |pass| self.record_begin(pass, case));
             let force = loop {
-                recorder.stage("solve", |pass| {
+                recorder.stage(Stage::Solve.name(), |pass| {
                     self.record_iterations(pass, case);
                     elimination.record_force(pass);
                 });
@@ -442,7 +444,7 @@ impl<S: System> OuterLoop<S> {
             S::unknowns(case).blocks[1].search.upload(gpu, &search);
         }
         let mut recorder = Recorder::timed(gpu);
-        recorder.stage("solve", |pass| self.record_evaluation(pass));
+        recorder.stage(Stage::Solve.name(), |pass| self.record_evaluation(pass));
         Ok(recorder)
     }
 
@@ -464,13 +466,13 @@ impl<S: System> OuterLoop<S> {
             block.search.upload(gpu, x);
         }
         let mut recorder = Recorder::new(gpu);
-        recorder.stage("solve", |pass| {
+        recorder.stage(Stage::Solve.name(), |pass| {
             self.system.record_set_up(pass, case);
             let sizes = blocks[0].args;
             self.system.record_operator(pass, &self.state, sizes, case);
         });
         recorder.submit();
-        gpu.check("solve")
+        gpu.check(Stage::Solve.name())
     }
 
     /// z = H r as conjugate gradients evaluate it, with r written by `begin`. Overwrites work arrays of the solve.
@@ -481,18 +483,20 @@ impl<S: System> OuterLoop<S> {
         begin: impl FnOnce(&S, &mut Pass, &State),
     ) -> Result<(), Error> {
         let mut recorder = Recorder::new(gpu);
-        recorder.stage("solve", |pass| self.system.record_set_up(pass, case));
+        recorder.stage(Stage::Solve.name(), |pass| {
+            self.system.record_set_up(pass, case)
+        });
         let mut reading = self.submit(gpu, recorder, case, None, &mut StageTimes::new())?;
         let args = gpu.download(S::unknowns(case).blocks[0].args)?;
         self.open(gpu, &mut reading, &args, 1.0);
         let mut recorder = Recorder::new(gpu);
-        recorder.stage("solve", |pass| {
+        recorder.stage(Stage::Solve.name(), |pass| {
             begin(&self.system, pass, &self.state);
             self.pcg.record_gate(pass);
             self.system.record_preconditioner(pass, &self.state, case);
         });
         recorder.submit();
-        gpu.check("solve")
+        gpu.check(Stage::Solve.name())
     }
 
     fn readbacks(&self) -> MutexGuard<'_, Readbacks> {
@@ -597,7 +601,7 @@ impl<S: System> OuterLoop<S> {
             Outcome {
                 status,
                 iterations: control.iterations,
-                refinements: control.rounds,
+                refinements: control.refinements,
                 unknowns: match block {
                     0 => control.unknowns - of_others.iter().sum::<u32>(),
                     other => of_others[other - 1],
@@ -673,7 +677,7 @@ impl<S: System> OuterLoop<S> {
                     }
                 }
             }
-            reading.control.rounds += 1;
+            reading.control.refinements += 1;
             self.open(gpu, &mut reading, &args, goal);
             reading.control = self.iterate(gpu, case, times)?;
             let correction = self.correction(gpu, case, &system, &scaled)?;
@@ -684,9 +688,13 @@ impl<S: System> OuterLoop<S> {
                 .collect();
             let after = system.residuals(&better);
             let worst_after = acceptance.worst(&after, &reading.norms);
-            let Control { status, rounds, .. } = reading.control;
+            let Control {
+                status,
+                refinements,
+                ..
+            } = reading.control;
             let broke_down = status == STATUS_BREAKDOWN;
-            if worst_after >= worst && !(broke_down && rounds == 1) {
+            if worst_after >= worst && !(broke_down && refinements == 1) {
                 if acceptance.retry() && !broke_down {
                     continue;
                 }
@@ -705,7 +713,7 @@ impl<S: System> OuterLoop<S> {
         Ok(self.outcomes(status, &reading))
     }
 
-    /// Begins a refinement step from the host, as `refine_turn` does on the device; the residual is scaled already.
+    /// Begins a refinement step from the host, as `refine_accept` does on the device; the residual is scaled already.
     fn open(&self, gpu: &Gpu, reading: &mut Reading, args: &[u32], goal: f64) {
         reading.control.running = 1;
         reading.control.first = 1;
@@ -726,9 +734,11 @@ impl<S: System> OuterLoop<S> {
         times: &mut StageTimes,
     ) -> Result<Control, Error> {
         let mut recorder = Recorder::timed(gpu);
-        recorder.stage("solve", |pass| self.record_begin(pass, case));
+        recorder.stage(Stage::Solve.name(), |pass| self.record_begin(pass, case));
         loop {
-            recorder.stage("solve", |pass| self.record_iterations(pass, case));
+            recorder.stage(Stage::Solve.name(), |pass| {
+                self.record_iterations(pass, case)
+            });
             let reading = self.submit(gpu, recorder, case, None, times)?;
             if reading.control.running == 0 {
                 return Ok(reading.control);

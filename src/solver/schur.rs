@@ -5,6 +5,8 @@
 //! host (design section 5). The full S^-1 of y and dv uses the factor in f64: one exchange of three numbers per node in a refinement step. The wet
 //! compliance only corrects, so its rounding costs iterations and no accuracy.
 
+use crate::fields::{Coupling, SolidRows, variant};
+use crate::gpu::bind;
 use std::sync::{Mutex, PoisonError};
 
 use crate::Error;
@@ -12,18 +14,17 @@ use crate::gpu::{
     Bound, Buffer, Gpu, Pass, Readback, Real, RealBuffer, Recorder, StageTimes, Variant,
 };
 use crate::scene::{Formulation, Solver};
+use crate::step::Stage;
 use crate::wgsl;
 
+use super::Sweep;
 use super::chebyshev::Polynomial;
 use super::coupled::CoupledFields;
-use super::coupling::Coupling;
 use super::pcg::{Pcg, State, Unknowns};
 use super::pressure::FIRST_SWEEP;
 use super::refine::{Shared, on_host};
-use super::solid_system::SolidRows;
 use super::stored_stiffness::{Factor, Stored, StoredStiffness};
 use super::two_field::bind_sum;
-use super::{Sweep, bind, variant};
 
 /// Wetted components, at most: a W of 81 MB, which the smallest bindings that adapters offer, 128 MiB, have room for.
 pub const MOST_WETTED: usize = 4500;
@@ -35,7 +36,7 @@ const MOST_COMPONENTS: usize = 30_000;
 /// Iterations recorded ahead of an exchange; a refinement step takes about as many.
 pub(super) const CHUNK: usize = 12;
 
-/// The doppelganger of `Wetted` in `shaders/common/wetted.wgsl`.
+/// Size of the wet compliance.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Wetted {
@@ -139,7 +140,7 @@ impl Inverse<'_> {
     }
 }
 
-/// Whether corrections of a coupled solve may have the condensed form, on an adapter with or without f64.
+/// Whether corrections of a coupled solve may have the Schur-complement form, on an adapter with or without f64.
 pub fn can_condense(rows: &SolidRows, solver: &Solver, f64: bool) -> bool {
     let variant = variant(f64, solver.precision);
     solver.formulation != Formulation::TwoField && room(rows, solver, variant) > 0
@@ -159,7 +160,7 @@ fn room(rows: &SolidRows, solver: &Solver, variant: Variant) -> usize {
     }
 }
 
-/// Refuses the condensed form for solids of so many nodes where it is asked for and does not serve.
+/// Refuses the Schur-complement form for solids of this many nodes where the scene requires it and it does not serve.
 ///
 /// # Errors
 /// [`Error::Limit`] with what it needs.
@@ -318,7 +319,7 @@ impl Schur {
         record_args: impl FnOnce(&mut Pass),
     ) -> Result<(Prepared<'a>, StageTimes), Error> {
         let (solids, coupling) = (at.solids, at.coupling);
-        recorder.stage("solve", |pass| {
+        recorder.stage(Stage::Solve.name(), |pass| {
             record_args(pass);
             pass.dispatch(&self.wet, coupling.n_nodes);
         });

@@ -4,18 +4,17 @@
 
 use crate::Error;
 use crate::fields::SolidBuffers;
+use crate::fields::SolidSystemBuffers;
+use crate::gpu::bind;
 use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, RealBuffer};
 use crate::grid::Layout;
 use crate::step::Stage;
 use crate::wgsl;
 
-use super::bind;
-use super::solid_system::SolidSystemBuffers;
-
 /// The distance to the obstacles.
 #[derive(Clone, Copy, Debug)]
 pub struct ObstacleField<'a> {
-    /// Its layout.
+    /// Layout.
     pub level: &'a Buffer<Layout>,
     /// Cell centres, m.
     pub solid_distance: &'a Buffer<f32>,
@@ -24,14 +23,14 @@ pub struct ObstacleField<'a> {
 /// The kernels.
 #[derive(Debug)]
 pub(super) struct SolidContacts {
-    /// Who touches what and is pressed to it: walls, then obstacles.
+    /// Contacts of the nodes: with walls, then with obstacles.
     touch: Vec<Bound>,
     hold: Bound,
     pub(super) search: ContactSearch,
     n_nodes: usize,
 }
 
-/// The search for who is held, from one solve to the next: its method stands with the twin.
+/// The active-set search from one solve to the next; the method is documented in the twin.
 #[derive(Debug)]
 pub struct ContactSearch {
     /// Products of the elements with the velocity.

@@ -1,63 +1,37 @@
 //! The residual of the stored system of the solids in f64 on the host, for adapters without f64 and for verdicts on f32 solves.
 
+use crate::fields::SolidSystemBuffers;
+use crate::fields::solid_system::SolidReadbacks;
 use std::sync::{Arc, PoisonError};
 
 use glam::{DMat3, DVec3};
 
 use crate::Error;
 use crate::fields::SolidBuffers;
-use crate::gpu::{Gpu, Readback, Recorder};
+use crate::gpu::{Gpu, Recorder};
 
 use super::refine::{HostResidual, HostSystem};
-use super::solid_system::{SolidRows, SolidSystemBuffers};
 
-/// Where the stored system, in f32, arrives, and what of it never changes.
-#[derive(Debug)]
-pub(crate) struct SolidReadbacks {
-    elements: Arc<Vec<[u32; 4]>>,
-    freedom: Readback<[f32; 4]>,
-    rotated: Readback<u32>,
-    masses: Readback<u32>,
-    rhs: Readback<u32>,
-    velocity: Readback<u32>,
-    guess: Readback<u32>,
-}
-
-impl SolidReadbacks {
-    pub(super) fn new(gpu: &Gpu, rows: &SolidRows) -> Result<SolidReadbacks, Error> {
-        let (n, m) = (rows.rows.n_nodes as usize, rows.rows.n_elements as usize);
-        Ok(SolidReadbacks {
-            elements: rows.elements.clone(),
-            freedom: Readback::new(gpu, "solid.freedom", n)?,
-            rotated: Readback::new(gpu, "solid.rotated", 12 * m)?,
-            masses: Readback::new(gpu, "solid_solver.masses", 2 * n)?,
-            rhs: Readback::new(gpu, "solid_solver.rhs", 4 * n)?,
-            velocity: Readback::new(gpu, "solid.velocity", 4 * n)?,
-            guess: Readback::new(gpu, "solid_solver.guess", 4 * n)?,
-        })
-    }
-}
-
-/// How a node may move, widened: see `shaders/common/freedom.wgsl`.
+/// Constraint projector of a node, widened: see `shaders/common/freedom.wgsl`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Free {
     components: DVec3,
-    held: DVec3,
+    constrained: DVec3,
 }
 
 impl Free {
     pub(super) fn new(&[x, y, z, flags]: &[f32; 4]) -> Free {
-        let held = DVec3::new(x.into(), y.into(), z.into());
+        let constrained = DVec3::new(x.into(), y.into(), z.into());
         let bit = |axis: u32| f64::from(flags as u32 >> axis & 1);
         Free {
             components: DVec3::new(bit(0), bit(1), bit(2)),
-            held: held.normalize_or_zero(),
+            constrained: constrained.normalize_or_zero(),
         }
     }
 
     pub(super) fn part(&self, y: DVec3) -> DVec3 {
         let kept = self.components * y;
-        kept - self.held.dot(kept) * self.held
+        kept - self.constrained.dot(kept) * self.constrained
     }
 
     /// P, of which `part` is the product.
@@ -80,9 +54,9 @@ pub(super) struct HostElastic {
     masses: Vec<f64>,
     /// N, and the squared norm of the terms that it sums.
     rhs: Vec<f64>,
-    /// What is held of the velocities, and nothing else.
-    held: Vec<f64>,
-    /// What is free of v*.
+    /// Constrained parts of the velocities.
+    constrained: Vec<f64>,
+    /// Free part of v*.
     guess: Vec<f64>,
 }
 
@@ -126,21 +100,21 @@ impl HostElastic {
             rotated: fields.rotated.widen(&rotated.wait(gpu)?),
             masses: buffers.masses.widen(&masses.wait(gpu)?),
             rhs: buffers.rhs.widen(&rhs.wait(gpu)?),
-            held: fields.velocity.widen(&velocity.wait(gpu)?),
+            constrained: fields.velocity.widen(&velocity.wait(gpu)?),
             guess: buffers.search.widen(&guess.wait(gpu)?),
         })
     }
 
     /// The velocities with nothing that is free.
-    pub(super) fn held(&self) -> Vec<f64> {
-        self.held.clone()
+    pub(super) fn constrained(&self) -> Vec<f64> {
+        self.constrained.clone()
     }
 
     pub(super) fn n_nodes(&self) -> usize {
         self.freedom.len()
     }
 
-    /// How many directions nodes are free to move in.
+    /// Number of free directions of the nodes.
     pub(super) fn n_free(&self) -> u32 {
         let traces = self.freedom.iter().map(|free| {
             let p = free.projector();
@@ -208,13 +182,15 @@ impl HostElastic {
 impl HostSystem for HostElastic {
     /// v*, unless zero leaves less of the right-hand side.
     fn start(&self) -> Vec<Vec<f64>> {
-        let pairs = self.held.iter().zip(&self.guess);
-        let guess: Vec<f64> = pairs.map(|(held, guess)| held + guess).collect();
-        let [with, without] = [&guess, &self.held].map(|x| self.residual_with(None, x).rr);
+        let pairs = self.constrained.iter().zip(&self.guess);
+        let guess: Vec<f64> = pairs
+            .map(|(constrained, guess)| constrained + guess)
+            .collect();
+        let [with, without] = [&guess, &self.constrained].map(|x| self.residual_with(None, x).rr);
         vec![if with < without {
             guess
         } else {
-            self.held.clone()
+            self.constrained.clone()
         }]
     }
 

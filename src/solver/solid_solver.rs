@@ -3,16 +3,19 @@
 
 use crate::Error;
 use crate::fields::SolidBuffers;
+use crate::fields::SolidSystemBuffers;
+use crate::fields::solid_system::{BODIES, N_LISTS, NODES};
+use crate::gpu::bind;
 use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, RealBuffer, Recorder, SPLIT, StageTimes};
 use crate::scene::Solver;
 use crate::wgsl;
 
+use super::BLOCK;
 use super::chebyshev::{MAX_DEGREE, Polynomial};
 use super::pcg::{Pcg, State, Unknowns};
 use super::refine::{Outcome, OuterLoop, Pace, Shared, System};
 use super::solid_host::HostElastic;
-use super::solid_system::{BODIES, N_LISTS, NODES, SolidSystemBuffers, corrections};
-use super::{BLOCK, bind};
+use super::solid_system::corrections;
 
 /// Largest solid, in nodes, whose polynomial one workgroup evaluates in one dispatch: a row for each of its threads, so that a step takes
 /// about as long as a dispatch of its own and saves its start. With more rows than threads the rest of the device is missed: on llvmpipe
@@ -20,7 +23,7 @@ use super::{BLOCK, bind};
 const BODY_NODES: usize = 256;
 /// Dispatches of an iteration besides those of the preconditioner.
 const DISPATCHES: usize = 6;
-/// Dispatches that are recorded ahead of a chance to turn, and the iterations they may make, at most.
+/// Dispatches recorded ahead of a residual evaluation, and iterations, at most.
 const AHEAD: usize = 256;
 const CHUNK: usize = 32;
 /// Refinement steps in a submission: most solves take one.
@@ -58,7 +61,7 @@ impl SolidSolver {
         Ok(SolidSolver { outer, polynomial })
     }
 
-    /// Submits the recording with the solve at its end and waits for the verdict, with a residual in f64: of the host where the device rounds it.
+    /// Submits the recording with the solve at its end and waits for the outcome, with a residual in f64: of the host where the device rounds it.
     /// The velocity in `fields` is v* before and v after it. `polynomial`: the preconditioner's, for this step's S.
     /// A solve that does not converge is an [`Outcome`].
     pub fn solve(
@@ -131,7 +134,7 @@ impl SolidSolver {
     }
 }
 
-/// Where the system lies, and the degree of its preconditioner.
+/// Buffers, and the degree of the preconditioner.
 #[derive(Clone, Copy, Debug)]
 struct Case<'a> {
     buffers: &'a SolidSystemBuffers,

@@ -1,6 +1,6 @@
 //! S of the solids as the device stores it, on the host: assembled, factorised, inverted where the liquid wets it.
 //!
-//! What walls, obstacles and pins hold is taken out as on the device: P S P + mu (I - P), with the projector P of each node and the mean mu
+//! Constraints of walls, obstacles and pins are applied as on the device: P S P + mu (I - P), with the projector P of each node and the mean mu
 //! of its diagonal, which is regular and has the inverse of the free part among the free directions.
 
 use std::sync::{Arc, OnceLock};
@@ -17,7 +17,7 @@ use super::solid_host::Free;
 /// Columns of an inverse that one task solves for: their order, and with it every bit, does not depend on the threads.
 const COLUMNS: usize = 48;
 
-/// What never changes.
+/// Topology and symbolic factor.
 #[derive(Debug)]
 pub(super) struct StoredStiffness {
     elements: Arc<Vec<[u32; 4]>>,
@@ -25,7 +25,7 @@ pub(super) struct StoredStiffness {
     symbolic: OnceLock<SymbolicCholesky>,
 }
 
-/// What the device stores in a sub-step; see [`SolidFields`](super::SolidFields). n nodes, m elements.
+/// Arrays of a sub-step, read back; n nodes, m elements.
 #[derive(Debug)]
 pub(super) struct Stored {
     /// Four numbers per node: direction that an obstacle holds, and flags of free components.

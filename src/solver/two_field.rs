@@ -10,14 +10,15 @@
 //! stiff.
 
 use crate::Error;
+use crate::fields::Coupling;
+use crate::fields::coupling::{BODIES, NODES, WET};
+use crate::gpu::bind;
 use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, Source};
 use crate::scene::{Preconditioner, Solver};
 use crate::wgsl;
 
-use super::bind;
 use super::chebyshev::Polynomial;
 use super::coupled::CoupledFields;
-use super::coupling::{BODIES, Coupling, NODES, WET};
 use super::pcg::State;
 use super::pressure::FIRST_SWEEP;
 use super::refine::Shared;

@@ -2,23 +2,24 @@
 //! diag(B) + diag(J Z1^-1 J^T), of those of the solids diag(Z2 + Z2 Z1^-1 Z2), or the 3x3 blocks of the nodes.
 
 use crate::Error;
+use crate::gpu::bind;
 use crate::gpu::{Bound, Buffer, Gpu, Pass, RealBuffer};
 use crate::scene::Preconditioner;
 use crate::wgsl;
 
+use super::Level;
 use super::chebyshev::Polynomial;
 use super::coupled::CoupledFields;
 use super::solid_solver::Chebyshev;
-use super::{Level, bind};
 
-/// Its kernels.
+/// Kernels.
 #[derive(Debug)]
 pub(super) struct Jacobi {
     n_nodes: usize,
     set_up: Bound,
     quads: Bound,
     nodes: Bound,
-    /// t = Sh g_v, which tells how far a round is: a residual of a product of matrices does not.
+    /// t = Sh g_v, which measures convergence: the residual of a product of matrices does not.
     pub(super) polynomial: Chebyshev,
 }
 
@@ -68,7 +69,7 @@ impl Jacobi {
         })
     }
 
-    /// Records the set-up, once the matrices and what is held are known.
+    /// Records the set-up, once matrices and constraints are in place.
     pub(super) fn record_set_up(&self, pass: &mut Pass) {
         pass.dispatch(&self.set_up, self.n_nodes);
     }

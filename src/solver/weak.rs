@@ -3,16 +3,13 @@
 
 use crate::Error;
 use crate::fields::SolidBuffers;
+use crate::fields::{CouplingBuffers, SolidSystemBuffers, SolverBuffers};
+use crate::gpu::bind;
 use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, RealBuffer, Recorder};
 use crate::step::Stage;
 use crate::wgsl;
 
-use super::bind;
-use super::coupling::CouplingBuffers;
-use super::solid_system::SolidSystemBuffers;
-use super::system::SolverBuffers;
-
-/// What weak coupling keeps.
+/// Arrays of weak coupling.
 #[derive(Debug)]
 pub struct WeakBuffers {
     /// Velocities before the sub-step, m/s.
@@ -40,7 +37,7 @@ impl WeakBuffers {
 /// The kernels.
 #[derive(Debug)]
 pub struct Weak {
-    /// b, then b - J v outside closed components.
+    /// b, then b - J v outside enclosed components.
     against: [Bound; 2],
     push: Bound,
     n_quads: usize,
@@ -77,7 +74,7 @@ impl Weak {
         })
     }
 
-    /// Records what solids take up outside closed components, once the right-hand side of the pressure stands.
+    /// Records the flux of the nodes outside enclosed components, once the right-hand side of the pressure is in place.
     pub fn record_against(&self, pass: &mut Pass) {
         for bound in &self.against {
             pass.dispatch(bound, self.n_quads);

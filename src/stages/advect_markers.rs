@@ -21,14 +21,14 @@ pub fn advect_markers(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatches, E
     let to_solids = [("distances", (&liquid.obstacles.solid_distance).into())];
     let mut list = vec![
         kernel(wgsl!("surface_distance"))?
-            .bind_arrays(gpu, &[liquid])?
+            .bind(gpu, &[], &[liquid])?
             .indirect(&liquid.band_args, 0),
         kernel(wgsl!("advect_markers"))?
-            .bind_arrays(gpu, &[&to_surface, liquid])?
+            .bind(gpu, &to_surface, &[liquid])?
             .threads(n_markers),
     ];
     if liquid.plan.effects.cuts() {
-        let push_out = kernel(wgsl!("push_out"))?.bind_arrays(gpu, &[&to_solids, liquid])?;
+        let push_out = kernel(wgsl!("push_out"))?.bind(gpu, &to_solids, &[liquid])?;
         list.push(push_out.threads(n_markers));
     }
     Ok(Dispatches::new(Stage::AdvectMarkers.name(), list))

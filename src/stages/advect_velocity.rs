@@ -20,7 +20,7 @@ pub fn advect_velocity(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatches, 
         ],
     };
     let over_band = |source| {
-        let bound = Kernel::new(gpu, source, Real::F32)?.bind_arrays(gpu, &[liquid])?;
+        let bound = Kernel::new(gpu, source, Real::F32)?.bind(gpu, &[], &[liquid])?;
         Ok(bound.indirect(&liquid.band_args, 0))
     };
     let kernels: Result<Vec<_>, Error> = kernels.iter().map(over_band).collect();

@@ -13,7 +13,7 @@ use crate::fields::{LiquidBuffers, TILE};
 /// The stage. Runs in every sub-step with markers, and once after the state is written with `surface = "fixed"`.
 pub fn band(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::Band.name());
-    let bound = |source| Kernel::new(gpu, &source, Real::F32)?.bind_arrays(gpu, &[liquid]);
+    let bound = |source| Kernel::new(gpu, &source, Real::F32)?.bind(gpu, &[], &[liquid]);
     let n_tiles = liquid.plan.tiles().len();
     let mut list = Vec::new();
     if let Some(markers) = &liquid.markers {

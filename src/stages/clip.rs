@@ -18,7 +18,7 @@ pub fn clip(gpu: &Gpu, liquid: &LiquidBuffers, clip: &ClipBuffers) -> Result<Dis
         sources.push(wgsl!("obstacle_flux"));
     }
     let over_entries = |source| {
-        let bound = Kernel::new(gpu, source, Real::F32)?.bind_arrays(gpu, &[clip, liquid])?;
+        let bound = Kernel::new(gpu, source, Real::F32)?.bind(gpu, &[], &[clip, liquid])?;
         Ok(bound.threads(clip.size.quads))
     };
     let kernels: Result<Vec<_>, Error> = sources.iter().map(over_entries).collect();

@@ -5,9 +5,10 @@
 //! depends on grid and band only, so results repeat bit for bit.
 
 use crate::Error;
-use crate::fields::{ClipBuffers, CouplingReport, LiquidBuffers, SolidBuffers};
+use crate::fields::{
+    ClipBuffers, CouplingBuffers, CouplingReport, LiquidBuffers, SolidBuffers, SolverBuffers,
+};
 use crate::gpu::{Dispatches, Gpu, Kernel, RealBuffer, Variant};
-use crate::solver::{CouplingBuffers, SolverBuffers};
 use crate::step::Stage;
 use crate::wgsl;
 
@@ -23,20 +24,23 @@ pub fn diagnose(
     let real = liquid.plan.real;
     let open = [("open", liquid.solve_open().into())];
     let with_flux = |real| Variant::from(real).beside_obstacles(liquid.obstacle_flux.is_some());
-    let bound = |source| Kernel::new(gpu, &source, real)?.bind_arrays(gpu, &[liquid]);
+    let bound = |source| Kernel::new(gpu, &source, real)?.bind(gpu, &[], &[liquid]);
     let mut list = vec![bound(wgsl!("measure_motion"))?.threads(liquid.plan.n_summing())];
     let clip = solids.map(|(clip, ..)| clip);
     let divergence = match solids {
         Some(_) => wgsl!("measure_uncut_divergence"),
         None => wgsl!("measure_divergence"),
     };
-    let divergence = Kernel::new(gpu, &divergence, with_flux(real))?
-        .bind_arrays(gpu, &[&open, &clip, solver, liquid])?;
+    let divergence = Kernel::new(gpu, &divergence, with_flux(real))?.bind(
+        gpu,
+        &open,
+        &[&clip, solver, liquid],
+    )?;
     list.push(divergence.indirect(&solver.args, 0));
     if let Some((_, coupling, x)) = solids {
-        let own = [("x", x.into())];
+        let own = [("x", x.into()), open[0]];
         let kernel = Kernel::new(gpu, &wgsl!("measure_cut_divergence"), with_flux(x.real))?;
-        let bound = kernel.bind_arrays(gpu, &[&own, &open, liquid, solver, coupling])?;
+        let bound = kernel.bind(gpu, &own, &[liquid, solver, coupling])?;
         list.push(bound.threads(coupling.size.quads));
     }
     list.push(bound(wgsl!("report_motion"))?.threads(1));
@@ -46,7 +50,7 @@ pub fn diagnose(
 /// The stage for the solids: arrays to `report`.
 pub fn diagnose_solid(gpu: &Gpu, solids: &SolidBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::Diagnose.name());
-    let bound = |source| Kernel::new(gpu, &source, solids.plan.real)?.bind_arrays(gpu, &[solids]);
+    let bound = |source| Kernel::new(gpu, &source, solids.plan.real)?.bind(gpu, &[], &[solids]);
     let list = [
         bound(wgsl!("measure_solid"))?.threads(solids.plan.n_summing()),
         bound(wgsl!("report_solid"))?.threads(1),
@@ -64,8 +68,11 @@ pub fn diagnose_coupling(
 ) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::Diagnose.name());
     let own = [("p", (&solver.potential).into())];
-    let measure = Kernel::new(gpu, &wgsl!("measure_coupling"), coupling.partials.real)?
-        .bind_arrays(gpu, &[&own, coupling, solver])?;
+    let measure = Kernel::new(gpu, &wgsl!("measure_coupling"), coupling.partials.real)?.bind(
+        gpu,
+        &own,
+        &[coupling, solver],
+    )?;
     let mut list = vec![measure.threads(coupling.n_nodes)];
     let forces = [(&coupling.partials, CouplingReport::FORCE)].into_iter();
     let corrections = correction.map(|correction| (correction, CouplingReport::CORRECTION));
@@ -73,7 +80,7 @@ pub fn diagnose_coupling(
         let first = gpu.uniform("coupling.first", &[word, 0, 0, 0])?;
         let own = [("first", (&first).into()), ("partials", forces.into())];
         let kernel = Kernel::new(gpu, &wgsl!("report_coupling"), forces.real)?;
-        list.push(kernel.bind_arrays(gpu, &[&own, coupling])?.threads(1));
+        list.push(kernel.bind(gpu, &own, &[coupling])?.threads(1));
     }
     Ok(Dispatches::new(Stage::Diagnose.name(), list))
 }

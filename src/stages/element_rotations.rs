@@ -11,7 +11,7 @@ use crate::wgsl;
 pub fn element_rotations(gpu: &Gpu, solids: &SolidBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::SolidMatrices.name());
     let kernel = Kernel::new(gpu, &wgsl!("element_rotations"), solids.plan.real)?;
-    let element_rotations = kernel.bind_arrays(gpu, &[solids])?;
+    let element_rotations = kernel.bind(gpu, &[], &[solids])?;
     Ok(Dispatches::new(
         Stage::SolidMatrices.name(),
         [element_rotations.threads(solids.plan.n_elements)],

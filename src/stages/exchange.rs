@@ -11,7 +11,7 @@ impl Sinks {
     pub fn exchange(&self, gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatches, Error> {
         let gpu = &gpu.at(Stage::Exchange.name());
         let kernel = Kernel::new(gpu, &wgsl!("sink_markers"), Real::F32)?;
-        let sink_markers = kernel.bind_arrays(gpu, &[self, liquid])?;
+        let sink_markers = kernel.bind(gpu, &[], &[self, liquid])?;
         Ok(Dispatches::new(
             Stage::Exchange.name(),
             [sink_markers.threads(liquid.n_markers())],
@@ -21,7 +21,7 @@ impl Sinks {
     /// The sinks' part of `liquid_distance`, before the volume is measured.
     pub(super) fn empty(&self, gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatch, Error> {
         let kernel = Kernel::new(gpu, &wgsl!("empty_sinks"), Real::F32)?;
-        let empty_sinks = kernel.bind_arrays(gpu, &[self, liquid])?;
+        let empty_sinks = kernel.bind(gpu, &[], &[self, liquid])?;
         Ok(empty_sinks.threads(self.cells.len()))
     }
 }
@@ -32,7 +32,7 @@ impl Sources {
     pub fn stages(&self, gpu: &Gpu, liquid: &LiquidBuffers) -> Result<[Dispatches; 3], Error> {
         let bound = |stage: Stage, source| {
             let gpu = &gpu.at(stage.name());
-            Kernel::new(gpu, &source, Real::F32)?.bind_arrays(gpu, &[self, liquid])
+            Kernel::new(gpu, &source, Real::F32)?.bind(gpu, &[], &[self, liquid])
         };
         let exchange = [
             bound(Stage::Exchange, wgsl!("count_in_sources"))?.threads(liquid.n_markers()),

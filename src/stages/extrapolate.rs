@@ -4,7 +4,7 @@
 
 use crate::Error;
 use crate::fields::{ClipBuffers, LiquidBuffers, extrapolation_layers};
-use crate::gpu::{Arrays, Dispatches, Gpu, Kernel, Real, RealBuffer, Source};
+use crate::gpu::{Binding, Dispatches, Gpu, Kernel, Real, RealBuffer, Source};
 use crate::step::Stage;
 use crate::wgsl;
 
@@ -17,18 +17,17 @@ pub fn extrapolate(
 ) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::Extrapolate.name());
     let clip = moving.map(|(clip, _)| clip);
-    let bound = |source: Source, own: &dyn Arrays| {
-        Kernel::new(gpu, &source, Real::F32)?.bind_arrays(gpu, &[own, liquid, &clip])
+    let bound = |source: Source, own: &[(&str, Binding)]| {
+        Kernel::new(gpu, &source, Real::F32)?.bind(gpu, own, &[liquid, &clip])
     };
-    let over_band = |source: Source, own: &dyn Arrays| {
+    let over_band = |source: Source, own: &[(&str, Binding)]| {
         Ok::<_, Error>(bound(source, own)?.indirect(&liquid.band_args, 0))
     };
-    let none: [(&str, _); 0] = [];
     let cuts = liquid.plan.effects.cuts();
     let mut list = Vec::new();
     if cuts {
-        list.push(over_band(wgsl!("blend_slivers"), &none)?);
-        list.push(over_band(wgsl!("swap_slivers"), &none)?);
+        list.push(over_band(wgsl!("blend_slivers"), &[])?);
+        list.push(over_band(wgsl!("swap_slivers"), &[])?);
     }
     // The layers alternate between `valid` and `valid_next`.
     let flags = [&liquid.valid, &liquid.valid_next];
@@ -40,31 +39,29 @@ pub fn extrapolate(
         ];
         list.push(over_band(wgsl!("extrapolate_layer"), &ends)?);
     }
-    list.push(over_band(wgsl!("extrapolate_walls"), &none)?);
+    list.push(over_band(wgsl!("extrapolate_walls"), &[])?);
     if let Some((clip, velocity)) = moving {
         let bound = match velocity {
             Some(velocity) => {
                 let velocities = [("velocity", velocity.into())];
                 let kernel = Kernel::new(gpu, &wgsl!("wall_velocities"), velocity.real)?;
-                kernel.bind_arrays(gpu, &[&velocities, clip])?
+                kernel.bind(gpu, &velocities, &[clip])?
             }
-            None => bound(wgsl!("obstacle_velocities"), &none)?,
+            None => bound(wgsl!("obstacle_velocities"), &[])?,
         };
         list.push(bound.threads(clip.size.places));
     }
     if cuts {
         // u* and the flags of the second-last layer are free.
-        let last = [
-            ("valid", flags[n_layers % 2].into()),
-            ("slipping", flags[1 - n_layers % 2].into()),
-        ];
+        let slipping = ("slipping", flags[1 - n_layers % 2].into());
+        let last = [("valid", flags[n_layers % 2].into()), slipping];
         let slip = match moving {
             Some(_) => wgsl!("slip_along_solids"),
             None => wgsl!("slip"),
         };
         list.push(over_band(slip, &last)?);
-        list.push(over_band(wgsl!("apply_slip"), &last)?);
-        list.push(over_band(wgsl!("swap_slivers"), &none)?);
+        list.push(over_band(wgsl!("apply_slip"), &[slipping])?);
+        list.push(over_band(wgsl!("swap_slivers"), &[])?);
     }
     Ok(Dispatches::new(Stage::Extrapolate.name(), list))
 }

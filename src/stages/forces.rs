@@ -10,7 +10,7 @@ use crate::wgsl;
 /// Forces on the liquid: `velocity_next` in place on the band.
 pub fn forces(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::Forces.name());
-    let forces = Kernel::new(gpu, &wgsl!("forces"), Real::F32)?.bind_arrays(gpu, &[liquid])?;
+    let forces = Kernel::new(gpu, &wgsl!("forces"), Real::F32)?.bind(gpu, &[], &[liquid])?;
     Ok(Dispatches::new(
         Stage::Forces.name(),
         [forces.indirect(&liquid.band_args, 0)],
@@ -21,7 +21,7 @@ pub fn forces(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatches, Error> {
 pub fn node_forces(gpu: &Gpu, solids: &SolidBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::Forces.name());
     let kernel = Kernel::new(gpu, &wgsl!("node_forces"), solids.plan.real)?;
-    let node_forces = kernel.bind_arrays(gpu, &[solids])?;
+    let node_forces = kernel.bind(gpu, &[], &[solids])?;
     Ok(Dispatches::new(
         Stage::Forces.name(),
         [node_forces.threads(solids.plan.n_nodes)],

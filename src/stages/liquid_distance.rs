@@ -26,7 +26,7 @@ pub fn liquid_distance(
     let mut list = Vec::new();
     if let Some(markers) = &liquid.markers {
         let bound =
-            |source: Source| Kernel::new(gpu, &source, Real::F32)?.bind_arrays(gpu, &[liquid]);
+            |source: Source| Kernel::new(gpu, &source, Real::F32)?.bind(gpu, &[], &[liquid]);
         let over_band = |bound: Bound| bound.indirect(&liquid.band_args, 0);
         list.push(over_band(bound(wgsl!("classify_near"))?));
         list.push(over_band(bound(wgsl!("classify_far"))?));
@@ -46,7 +46,7 @@ pub fn liquid_distance(
 /// Volume and potential energy of the liquid, and the rate of volume control.
 fn volume(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<[Dispatch; 2], Error> {
     let real = liquid.plan.real;
-    let bound = |source: Source| Kernel::new(gpu, &source, real)?.bind_arrays(gpu, &[liquid]);
+    let bound = |source: Source| Kernel::new(gpu, &source, real)?.bind(gpu, &[], &[liquid]);
     Ok([
         bound(wgsl!("measure_volume"))?.threads(liquid.plan.n_summing()),
         bound(wgsl!("volume_rate"))?.threads(1),
@@ -56,7 +56,7 @@ fn volume(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<[Dispatch; 2], Error> {
 /// The part that measures the volume of a liquid distance.
 ///
 /// # Errors
-/// As [`Kernel::new`] and [`Kernel::bind_arrays`].
+/// As [`Kernel::new`] and [`Kernel::bind`].
 pub fn measure_volume(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::LiquidDistance.name());
     Ok(Dispatches::new(
@@ -75,7 +75,7 @@ fn extension(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Vec<Dispatch>, Error> 
             ("distance_in", ends[from].into()),
             ("distance_out", ends[1 - from].into()),
         ];
-        let bound = Kernel::new(gpu, &source, Real::F32)?.bind_arrays(gpu, &[&ends, liquid])?;
+        let bound = Kernel::new(gpu, &source, Real::F32)?.bind(gpu, &ends, &[liquid])?;
         Ok(bound.indirect(&liquid.band_args, 0))
     };
     let passes = (0..PASSES).map(|n| between(wgsl!("extend_into_solids"), n % 2));

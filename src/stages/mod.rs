@@ -8,10 +8,12 @@
 //! band velocities are zero and the liquid distance is that of air; tiles that leave the band are reset. Only the
 //! tiles, and flags per quad during compaction, cover the whole domain.
 
+mod active_cells;
 mod advect_markers;
 mod advect_velocity;
 mod band;
 mod clip;
+mod closed_components;
 mod diagnose;
 mod element_rotations;
 mod exchange;
@@ -19,28 +21,31 @@ mod extrapolate;
 mod forces;
 mod liquid_distance;
 mod move_solid;
+mod patch_pressure;
 mod probe;
 mod right_hand_side;
 mod write_back;
 
+pub use active_cells::{ActiveSettings, Everywhere, FreeSurface, PressureSystem, Within};
 pub use advect_markers::advect_markers;
 pub use advect_velocity::advect_velocity;
 pub use band::band;
 pub use clip::clip;
+pub use closed_components::{Components, Seal};
 pub use diagnose::{diagnose, diagnose_coupling, diagnose_solid};
 pub use element_rotations::element_rotations;
 pub use extrapolate::extrapolate;
 pub use forces::{forces, node_forces};
 pub use liquid_distance::{liquid_distance, measure_volume};
 pub use move_solid::move_solid;
+pub use patch_pressure::{OpenFaces, PatchPressure, PressureSlope};
 pub use probe::{Probe, ProbePoint};
 pub use right_hand_side::right_hand_side;
 pub use write_back::write_back;
 
 use crate::Error;
-use crate::fields::{LiquidBuffers, Sinks, Sources};
+use crate::fields::{LiquidBuffers, Sinks, SolverBuffers, Sources};
 use crate::gpu::{Dispatches, Gpu};
-use crate::solver::SolverBuffers;
 
 /// The stages of the liquid that do not depend on the clipping, so all but `extrapolate` and `diagnose`. Stages
 /// without an active effect are empty.

@@ -15,7 +15,7 @@ const TURNING_THREADS: usize = 256;
 /// The stage: updates `displacement` and `velocity` by the velocity of the last sub-step.
 pub fn move_solid(gpu: &Gpu, solids: &SolidBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::MoveSolid.name());
-    let bound = |source| Kernel::new(gpu, &source, solids.plan.real)?.bind_arrays(gpu, &[solids]);
+    let bound = |source| Kernel::new(gpu, &source, solids.plan.real)?.bind(gpu, &[], &[solids]);
     let mut list = Vec::new();
     if solids.plan.n_turning > 0 {
         // One workgroup per body.

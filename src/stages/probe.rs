@@ -2,10 +2,9 @@
 //! [`crate::reference::probe`].
 
 use crate::Error;
-use crate::fields::LiquidBuffers;
+use crate::fields::{LiquidBuffers, SolverBuffers};
 use crate::gpu::{Buffer, Dispatches, Gpu, Kernel, Real, Recorder};
 use crate::scene::ProbeKind;
-use crate::solver::SolverBuffers;
 use crate::step::Stage;
 use crate::wgsl;
 
@@ -81,13 +80,13 @@ impl Probe {
         if let Some(points) = &points {
             let own = [("points", points.into()), ("values", (&values).into())];
             let kernel = Kernel::new(gpu, &wgsl!("probe_points"), solver.variant.real)?;
-            let bound = kernel.bind_arrays(gpu, &[&own, liquid, solver])?;
+            let bound = kernel.bind(gpu, &own, &[liquid, solver])?;
             list.push(bound.threads(n_points));
         }
         if fronts {
             let own = [("values", (&values).into())];
             let kernel = Kernel::new(gpu, &wgsl!("probe_fronts"), Real::F32)?;
-            let bound = kernel.bind_arrays(gpu, &[&own, liquid, solver])?;
+            let bound = kernel.bind(gpu, &own, &[liquid, solver])?;
             list.push(bound.indirect(&solver.args, 0));
         }
         Ok(Probe {

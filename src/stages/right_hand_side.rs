@@ -2,9 +2,8 @@
 //! source in components with a free surface; the flux of moving obstacles is subtracted.
 
 use crate::Error;
-use crate::fields::LiquidBuffers;
+use crate::fields::{LiquidBuffers, SolverBuffers};
 use crate::gpu::{Dispatches, Gpu, Kernel};
-use crate::solver::SolverBuffers;
 use crate::step::Stage;
 use crate::wgsl;
 
@@ -16,20 +15,19 @@ pub fn right_hand_side(
     solver: &SolverBuffers,
 ) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::RightHandSide.name());
-    let mut sources = vec![wgsl!("right_hand_side")];
-    if liquid.obstacle_flux.is_some() {
-        sources.push(wgsl!("take_up"));
-    }
     // The flux of u* through the apertures of the solve.
     let predicted = [
         ("velocity", (&liquid.velocity_next).into()),
         ("open", liquid.solve_open().into()),
     ];
-    let over_active = |source| {
-        let kernel = Kernel::new(gpu, source, solver.variant.real)?;
-        let bound = kernel.bind_arrays(gpu, &[&predicted, liquid, solver])?;
-        Ok(bound.indirect(&solver.args, 0))
+    let over_active = |source, own: &[_]| {
+        let kernel = Kernel::new(gpu, &source, solver.variant.real)?;
+        let bound = kernel.bind(gpu, own, &[liquid, solver])?;
+        Ok::<_, Error>(bound.indirect(&solver.args, 0))
     };
-    let kernels: Result<Vec<_>, Error> = sources.iter().map(over_active).collect();
-    Ok(Dispatches::new(Stage::RightHandSide.name(), kernels?))
+    let mut kernels = vec![over_active(wgsl!("right_hand_side"), &predicted)?];
+    if liquid.obstacle_flux.is_some() {
+        kernels.push(over_active(wgsl!("take_up"), &[])?);
+    }
+    Ok(Dispatches::new(Stage::RightHandSide.name(), kernels))
 }

@@ -1,9 +1,8 @@
 //! `write_back`: u = u* - dt/(rho dx) (p_+ - p_-) on every open face with an active side (thesis 4.36).
 
 use crate::Error;
-use crate::fields::LiquidBuffers;
+use crate::fields::{LiquidBuffers, SolverBuffers};
 use crate::gpu::{Dispatches, Gpu, Kernel, Real};
-use crate::solver::SolverBuffers;
 use crate::step::Stage;
 use crate::wgsl;
 
@@ -15,10 +14,9 @@ pub fn write_back(
     solver: &SolverBuffers,
 ) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::WriteBack.name());
-    let still_air =
-        Kernel::new(gpu, &wgsl!("still_air"), Real::F32)?.bind_arrays(gpu, &[liquid])?;
+    let still_air = Kernel::new(gpu, &wgsl!("still_air"), Real::F32)?.bind(gpu, &[], &[liquid])?;
     let kernel = Kernel::new(gpu, &wgsl!("write_back"), solver.variant.real)?;
-    let write_back = kernel.bind_arrays(gpu, &[liquid, solver])?;
+    let write_back = kernel.bind(gpu, &[], &[liquid, solver])?;
     Ok(Dispatches::new(
         Stage::WriteBack.name(),
         [

@@ -2,15 +2,15 @@
 
 use cutwater::effects::Effects;
 use cutwater::elastic::Solids;
-use cutwater::fields::{ClipBuffers, ClipSize, LiquidBuffers};
+use cutwater::fields::{
+    ClipBuffers, ClipSize, CouplingBuffers, CouplingSize, LiquidBuffers, Pair, SolidRows,
+    SolidSystemBuffers, SolverBuffers,
+};
 use cutwater::geometry::{Coupling, SolidClip, obstacle_cut};
 use cutwater::gpu::{Gpu, Real, RealBuffer};
 use cutwater::grid::{Axis, Grid};
 use cutwater::scene::{Precision, Scene, Solver};
 use cutwater::sim::solids_of;
-use cutwater::solver::{
-    CouplingBuffers, CouplingSize, Pair, SolidRows, SolidSystemBuffers, SolverBuffers,
-};
 use glam::DVec3;
 
 use crate::common::Random;

@@ -176,7 +176,7 @@ fn a_split_dispatch_reaches_every_index_once() {
     let kernel = Kernel::new(gpu, &source, Real::F32).unwrap();
     let n = 65_540 * WG_SIZE as usize;
     let seen: Buffer<u32> = gpu.buffer("test.seen", n).unwrap();
-    let bound = kernel.bind(gpu, &[("seen", (&seen).into())]).unwrap();
+    let bound = kernel.bind(gpu, &[("seen", (&seen).into())], &[]).unwrap();
     // The dispatch size that the device makes of that many flags.
     let (list, args) = compact(gpu, &vec![1; n], 0, n);
     assert_eq!(args[4..], [SPLIT, 3, 1, n as u32], "dispatch size");
@@ -333,5 +333,6 @@ fn a_missing_binding_is_a_broken_invariant() {
     let _ = kernel.bind(
         gpu,
         &[("range", (&range).into()), ("flags", (&flags).into())],
+        &[],
     );
 }

@@ -81,14 +81,14 @@ fn solver_structs_match() {
         size_of::<Sweep>(),
     );
     let fields = fields!(
-        Control: running, status, iterations, max_iterations, first, rounds, unknowns, n_lists
+        Control: running, status, iterations, max_iterations, first, refinements, unknowns, n_lists
     );
     assert_layout("control_state", "Control", fields, size_of::<Control>());
 }
 
 #[test]
 fn coupling_matches() {
-    use cutwater::solver::Coupling;
+    use cutwater::fields::Coupling;
     let fields = fields!(
         Coupling: n_wet, n_nodes, quad_starts, node_starts, mass, share, pad_0, pad_1
     );
@@ -140,7 +140,8 @@ fn sort_pass_matches() {
 
 #[test]
 fn settings_match() {
-    use cutwater::solver::{ActiveSettings, RefineSettings};
+    use cutwater::solver::RefineSettings;
+    use cutwater::stages::ActiveSettings;
     let fields = fields!(ActiveSettings: theta_floor, open_sides, pad_0, pad_1);
     let size = size_of::<ActiveSettings>();
     assert_layout("active_cells", "ActiveSettings", fields, size);
@@ -198,17 +199,22 @@ const SHARED: &[(&str, &str, &[&str])] = &[
     ("src/gpu/sort.rs", "common/sort", &["TILE", "DIGIT_BITS"]),
     ("src/fields/liquid.rs", "common/tiles", &["TILE"]),
     ("src/fields/report.rs", "common/report", &["DROPPED"]),
+    ("src/solver/mod.rs", "vcycle_tail", &["TAIL_STEPS"]),
     (
-        "src/solver/mod.rs",
+        "src/fields/pressure_system.rs",
         "vcycle_tail",
-        &["TAIL_QUADS", "TAIL_LEVELS", "TAIL_STEPS"],
+        &["TAIL_QUADS", "TAIL_LEVELS"],
     ),
     (
         "src/reference/turn_solids.rs",
         "turn_solids",
         &["LEAST_INERTIA", "ROUNDS", "LEFT"],
     ),
-    ("src/solver/mod.rs", "fold_partials", &["FOLD_THREADS"]),
+    (
+        "src/fields/pressure_system.rs",
+        "fold_partials",
+        &["FOLD_THREADS"],
+    ),
     (
         "src/solver/hierarchy.rs",
         "vcycle_tail",
@@ -217,7 +223,7 @@ const SHARED: &[(&str, &str, &[&str])] = &[
     (
         "src/solver/pcg.rs",
         "common/control",
-        &["UPDATE", "TURN", "BEGIN"],
+        &["UPDATE", "EVALUATE", "BEGIN"],
     ),
     (
         "src/solver/acceptance.rs",
@@ -240,7 +246,7 @@ const SHARED: &[(&str, &str, &[&str])] = &[
     ("src/solver/refine.rs", "common/pcg_slots", &["GOAL"]),
     (
         "src/solver/acceptance.rs",
-        "refine_turn",
+        "refine_accept",
         &[
             "MARGIN",
             "MARGIN_COUPLED",
@@ -250,7 +256,7 @@ const SHARED: &[(&str, &str, &[&str])] = &[
         ],
     ),
     (
-        "src/solver/components.rs",
+        "src/fields/pressure_system.rs",
         "common/components",
         &["N_CLOSED"],
     ),
@@ -295,10 +301,13 @@ fn derived_constants_match() {
     assert_eq!(of_shader("common/sort", "TILE"), tile);
     let fold_groups =
         of_shader("pcg_gate", "FOLD_GROUPS") * of_shader("common/dispatch", "WG_SIZE");
-    assert_eq!(constant("src/solver/mod.rs", "FOLD_THREADS"), fold_groups);
+    assert_eq!(
+        constant("src/fields/pressure_system.rs", "FOLD_THREADS"),
+        fold_groups
+    );
     assert_eq!(
         constant("src/solver/acceptance.rs", "COUPLING_SHARE").powi(2),
-        of_shader("refine_turn", "COUPLING_SHARE")
+        of_shader("refine_accept", "COUPLING_SHARE")
     );
     // Its workgroups must be allowed everywhere.
     for (shader, name) in [("common/tree", "FOLD_SIZE"), ("common/scan", "SCAN_SIZE")] {
@@ -309,7 +318,8 @@ fn derived_constants_match() {
 #[test]
 fn coupled_structs_match() {
     use cutwater::fields::{Clipped, CutQuad};
-    use cutwater::solver::{PressureSlope, Wetted};
+    use cutwater::solver::Wetted;
+    use cutwater::stages::PressureSlope;
     let fields = fields!(Clipped: n_quads, n_places, first, pad);
     assert_layout("cut_quad", "Clipped", fields, size_of::<Clipped>());
     let fields = fields!(CutQuad: open, distance, quad, walls, pad_0, pad_1);

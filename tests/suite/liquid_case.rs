@@ -1,13 +1,12 @@
 //! Ordinary and ugly states of a liquid for the twin tests: every number is an f32, so both paths start from the same ones.
 
 use cutwater::effects::Effects;
-use cutwater::fields::{LiquidBuffers, LiquidPlan, Step};
+use cutwater::fields::{LiquidBuffers, LiquidPlan, SolverBuffers, Step};
 use cutwater::geometry::CutCells;
 use cutwater::gpu::{Gpu, Real, Recorder};
 use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference::{ActiveCells, active_cells};
 use cutwater::scene::Precision;
-use cutwater::solver::SolverBuffers;
 use cutwater::stages::band;
 use cutwater::state::State;
 use glam::{DMat3, DVec3};

@@ -339,7 +339,16 @@ fn stages_share_their_nouns() {
     }
     // What several stages use.
     let shared = ["mod", "band"];
-    let parts = [("element_rotations", "solid_matrices")];
+    let parts = [
+        ("element_rotations", "solid_matrices"),
+        ("patch_pressure", "right_hand_side"),
+    ];
+    // Tests of several stages.
+    let tests = [
+        ("active_cells", "solver"),
+        ("closed_components", "components"),
+        ("patch_pressure", "twin_coupling"),
+    ];
     for file in files("src/stages", &["rs"]) {
         let stem = file.file_stem().unwrap().to_str().unwrap();
         if !shared.contains(&stem) {
@@ -349,7 +358,9 @@ fn stages_share_their_nouns() {
                 SCHEDULE.iter().any(|row| row.name == stage),
                 "the schedule has no stage {stage}"
             );
-            let test = format!("tests/suite/twin_{stem}.rs");
+            let test = tests.iter().find(|(stage, _)| *stage == stem);
+            let test = test.map_or_else(|| format!("twin_{stem}"), |(_, test)| (*test).to_owned());
+            let test = format!("tests/suite/{test}.rs");
             assert!(root().join(&test).exists(), "no {test}");
         }
     }

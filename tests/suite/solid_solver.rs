@@ -3,16 +3,13 @@
 use std::sync::Arc;
 
 use cutwater::elastic::{Bounds, Solids};
-use cutwater::fields::{ObstacleBuffers, SolidBuffers};
+use cutwater::fields::{ObstacleBuffers, SolidBuffers, SolidRows, SolidSystemBuffers, variant};
 use cutwater::geometry::CutCells;
 use cutwater::gpu::{Gpu, Pass, Real, RealBuffer, Recorder};
 use cutwater::linalg::{LinearOperator, dot, norm};
 use cutwater::reference::{self, BlockPattern, Contacts, Freedom, SolidSystem as Twin};
 use cutwater::scene::{Precision, Solver};
-use cutwater::solver::{
-    ObstacleField, Outcome, Polynomial, SolidRows, SolidSolver, SolidSystem, SolidSystemBuffers,
-    rounding, variant,
-};
+use cutwater::solver::{ObstacleField, Outcome, Polynomial, SolidSolver, SolidSystem, rounding};
 use cutwater::state::{SolveStatus, State};
 use glam::DVec3;
 

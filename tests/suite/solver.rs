@@ -2,6 +2,7 @@
 
 use std::cell::OnceCell;
 
+use cutwater::fields::SolverBuffers;
 use cutwater::gpu::{Buffer, Gpu, Real, RealBuffer, Recorder};
 use cutwater::grid::{Axis, Grid, Padded};
 use cutwater::linalg::{LinearOperator, conjugate_gradient, dot, norm};
@@ -10,10 +11,10 @@ use cutwater::reference::{
     ActiveCells, Multigrid, RightHandSide, Stencil, active_cells, solve_direct,
 };
 use cutwater::scene::{Precision, Preconditioner, Solver};
-use cutwater::solver::{
-    Components, Everywhere, Outcome, PressureSolver, PressureSystem, Seal, SolverBuffers,
-};
+use cutwater::solver::{Outcome, PressureSolver};
+use cutwater::stages::{Components, Everywhere, PressureSystem, Seal};
 use cutwater::state::SolveStatus;
+use cutwater::step::Stage;
 
 use crate::common::{Random, digest, gpu, same_with_any_number_of_threads};
 use crate::components::wall_around;
@@ -198,10 +199,10 @@ impl<'a> Device<'a> {
         buffers.rhs.upload(self.gpu, &self.rhs);
         let mut recorder = Recorder::timed(self.gpu);
         let within = self.everywhere.within();
-        recorder.stage("active_cells", |pass| {
+        recorder.stage(Stage::ActiveCells.name(), |pass| {
             self.system.record(pass, buffers, within)
         });
-        recorder.stage(Components::NAME, |pass| {
+        recorder.stage(Stage::ClosedComponents.name(), |pass| {
             self.components.label(pass, buffers, seal);
             self.components.remove_means(pass);
         });
@@ -215,7 +216,7 @@ impl<'a> Device<'a> {
             .solve(self.gpu, self.prepare(), &self.buffers)
             .unwrap();
         let mut recorder = Recorder::new(self.gpu);
-        recorder.stage(Components::NAME, |pass| {
+        recorder.stage(Stage::ClosedComponents.name(), |pass| {
             self.components.centre_potential(pass)
         });
         recorder.submit();

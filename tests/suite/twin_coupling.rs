@@ -5,15 +5,15 @@
 //! take no part, along an axis, in air, and none at all.
 
 use cutwater::elastic::Solids;
-use cutwater::fields::{CouplingReport, SolidBuffers, SolidPlan};
+use cutwater::fields::{
+    CouplingBuffers, CouplingReport, CouplingSize, Pair, SolidBuffers, SolidPlan, SolidRows,
+    SolidSystemBuffers,
+};
 use cutwater::geometry::{Coupling, Patch};
 use cutwater::gpu::{Gpu, Real, Recorder};
 use cutwater::reference::{ActiveCells, patch_pressure, pressure_gradient};
 use cutwater::scene::{Precision, Solver};
-use cutwater::solver::{
-    CouplingBuffers, CouplingSize, OpenFaces, Pair, PatchPressure, Seal, SolidRows,
-    SolidSystemBuffers,
-};
+use cutwater::stages::{OpenFaces, PatchPressure, Seal};
 use glam::{DMat3, DVec3};
 
 use crate::common::{Random, gpu};
@@ -369,6 +369,7 @@ fn what_pushes_nodes_is_the_twins() {
                             ("rhs", (&device.solids.rhs).into()),
                             ("pushed", (&pushed).into()),
                         ],
+                        &[],
                     )
                     .unwrap();
             let mut recorder = Recorder::new(gpu);

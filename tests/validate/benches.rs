@@ -74,11 +74,12 @@ fn limit(sheet: &mut Sheet) {
 
 /// Tables 6.5 and 6.6: one sub-step from rest of a block in equilibrium, on so many cells along the domain.
 ///
-/// With pressures constant over a cell, as the thesis has them, errors are at most twice the printed ones: the thesis does not print the tetrahedra of
-/// its block. The error of p is at most the weight of the liquid between the block's face and the centre of its cell.
+/// With pressures constant over a cell, as the thesis has them, errors of v and u are at most twice the printed ones: the thesis does not print the
+/// tetrahedra of its block. Those of p depend on them less: 1.4 times. They are at most the weight of the liquid between the block's face and the centre
+/// of its cell.
 ///
 /// With hydrostatic pressures errors are below the printed ones. p is of second order; a tenth is allowed for faces that cross cells anywhere. v is of
-/// first order at least, since its stencil beside cut faces is.
+/// first order at least, since its stencil beside cut faces is; down to 80 cells it is of order 1.5 (measured 1.54 and 1.65), which must not be lost.
 fn one_step(table: &str, lane: Lane, grids: &[usize], sheet: &mut Sheet) {
     let options = Options {
         tables: vec![table.to_owned()],
@@ -135,13 +136,13 @@ fn one_step(table: &str, lane: Lane, grids: &[usize], sheet: &mut Sheet) {
             );
             continue;
         }
-        for (of, printed, error) in [
-            ("p", p, row.number("error_p")),
-            ("v", v, row.number("error_v")),
-            ("u", u, row.number("error_u")),
+        for (of, printed, error, most) in [
+            ("p", p, row.number("error_p"), 1.4),
+            ("v", v, row.number("error_v"), 2.0),
+            ("u", u, row.number("error_u"), 2.0),
         ] {
             let what = format!("{what}: error of {of} over that of the thesis");
-            sheet.at_most(&what, error / printed, 2.0);
+            sheet.at_most(&what, error / printed, most);
         }
         // On two cells across the block the errors from its sides are as large.
         if row.count("grid") > 5 {
@@ -169,10 +170,12 @@ fn one_step(table: &str, lane: Lane, grids: &[usize], sheet: &mut Sheet) {
         order("least_p"),
         1.0,
     );
-    sheet.info(
-        &format!("{what} v, {span}"),
-        format!("{:.2}", order("order_v")),
-    );
+    let what_v = format!("{what} v, {span}");
+    if finest >= 80 {
+        sheet.at_least(&what_v, order("order_v"), 1.5);
+    } else {
+        sheet.info(&what_v, format!("{:.2}", order("order_v")));
+    }
     sheet.at_least(
         &format!("{what} v, least of a halving"),
         order("least_v"),

@@ -120,7 +120,7 @@ fn dispatches(
 fn arithmetic(gpu: &Gpu, real: Real, repeats: usize) -> Result<Spread, Error> {
     let target = RealBuffer::new(gpu, "bench.target", THREADS, real)?;
     let kernel = Kernel::new(gpu, &crate::wgsl!("multiply_add"), real)?;
-    let bound = kernel.bind(gpu, &[("target_out", (&target).into())])?;
+    let bound = kernel.bind(gpu, &[("target_out", (&target).into())], &[])?;
     let run = |n: usize| dispatches(gpu, n, |pass| pass.dispatch(&bound, THREADS));
     run(1)?;
     // As many dispatches as hide the latency of submission and wait.
@@ -151,7 +151,7 @@ impl<'a> Tiny<'a> {
         ];
         Ok(Tiny {
             gpu,
-            copy: kernel.bind(gpu, &buffers)?,
+            copy: kernel.bind(gpu, &buffers, &[])?,
             args: gpu.buffer_with("bench.args", &[1, 1, 1, 64])?,
             target,
         })

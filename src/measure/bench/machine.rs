@@ -112,7 +112,7 @@ fn copy_bandwidth(gpu: &Gpu, repeats: usize) -> Result<Spread, Error> {
         ("source", (&source).into()),
         ("target_out", (&target).into()),
     ];
-    let copy = kernel.bind(gpu, &buffers)?;
+    let copy = kernel.bind(gpu, &buffers, &[])?;
     let run = |copies: usize| {
         let clock = Instant::now();
         let mut recorder = Recorder::new(gpu);

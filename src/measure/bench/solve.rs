@@ -19,6 +19,7 @@ use super::{
     rounds, rows,
 };
 use crate::Error;
+use crate::fields::SolverBuffers;
 use crate::gpu::{Buffer, Gpu, Real, Recorder, Traffic};
 use crate::linalg::SymbolicCholesky;
 use crate::measure::base_scene::{DeviceScene, block_fields};
@@ -26,8 +27,10 @@ use crate::reference::CoupledSystem;
 use crate::reference::base_block::{BaseBlock, THETA_FLOOR};
 use crate::reference::base_scene::{BaseBeam, BaseScene};
 use crate::scene::{self, Solver};
-use crate::solver::{Everywhere, PressureSolver, PressureSystem, SolverBuffers};
+use crate::solver::PressureSolver;
+use crate::stages::{Everywhere, PressureSystem};
 use crate::state::SolveStatus;
+use crate::step::Stage;
 
 pub use capacity::{Capacity, LARGEST_GRID, PER_CELL, largest_grid};
 pub use reference_solvers::{Assembled, ReferenceSolver};
@@ -128,14 +131,6 @@ columns! {
 }
 
 fn bench() -> Bench {
-    let key: &[&str] = &[
-        "grid",
-        "bricks",
-        "formulation",
-        "preconditioner",
-        "precision",
-        "tolerance",
-    ];
     let against: &[&str] = &[
         "grid",
         "bricks",
@@ -145,6 +140,8 @@ fn bench() -> Bench {
         "tolerance",
         "rival",
     ];
+    // One solve has several rivals.
+    let key = &against[..against.len() - 1];
     Bench {
         name: "solve",
         tables: vec![
@@ -267,7 +264,7 @@ impl Block {
     fn solve(&self, gpu: &Gpu) -> Result<Solved, Error> {
         let mut recorder = Recorder::new(gpu);
         let within = self.everywhere.within();
-        recorder.stage("active_cells", |pass| {
+        recorder.stage(Stage::ActiveCells.name(), |pass| {
             self.system.record(pass, &self.buffers, within)
         });
         let (outcome, _) = self.solver.solve(gpu, recorder, &self.buffers)?;

@@ -58,7 +58,7 @@ impl Mask {
     }
 }
 
-/// Last stages before the set-up of the solve; the second is absent with a fixed surface.
+/// Last stages before the set-up of the solve; the second is absent where the surface and all bodies are fixed.
 const BEFORE: [Stage; 2] = [Stage::Forces, Stage::LiquidDistance];
 
 /// Does the sub-step after a state once, with liquid of this density (kg/m^3). The seconds of the solve include its set-up: active cells and

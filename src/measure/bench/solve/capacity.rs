@@ -1,11 +1,13 @@
 //! Room for a grid on an adapter and this machine, checked before any allocation of its size.
 
 use crate::Error;
+use crate::fields::SolverBuffers;
 use crate::gpu::{AdapterReport, BufferPlan, Gpu};
 use crate::grid::Grid;
 use crate::scene::Solver;
 use crate::sim::{HostMemory, free_memory};
-use crate::solver::{Components, PressureSolver, PressureSystem, SolverBuffers, Within};
+use crate::solver::PressureSolver;
+use crate::stages::{Components, PressureSystem, Within};
 
 /// Cells along an edge of the base block: 2^30 in all at most, as of a scene.
 pub const LARGEST_GRID: usize = 1024;

@@ -1,20 +1,17 @@
 //! The part of `right_hand_side` for solids in liquid that follows from how pressure varies within cells; the equation stands with the
 //! twin, `reference/patch_pressure.rs`.
 
+use crate::fields::{CouplingBuffers, Pair, SolidBuffers, SolidSystemBuffers, SolverBuffers};
+use crate::gpu::bind;
 use glam::{DMat3, DVec3};
 
 use crate::Error;
-use crate::fields::SolidBuffers;
 use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, RealBuffer};
 use crate::grid::Layout;
 use crate::step::Stage;
 use crate::wgsl;
 
-use super::coupling::{CouplingBuffers, Pair};
-use super::solid_system::SolidSystemBuffers;
-use super::{SolverBuffers, bind};
-
-/// The doppelganger of `PressureSlope` in `shaders/common/pressure_slope.wgsl`.
+/// Pressure gradient at rest, and the scale of that of the last pressure.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct PressureSlope {

@@ -9,17 +9,12 @@
 //! borrow buffers of the solve, which has not begun or is over when they are needed.
 
 use crate::Error;
+use crate::fields::{CouplingBuffers, SolverBuffers};
+use crate::gpu::bind;
 use crate::gpu::{Bound, Buffer, Gpu, Pass, RealBuffer};
+use crate::step::Stage;
 use crate::wgsl;
 
-use super::bind;
-use super::coupling::CouplingBuffers;
-use super::system::SolverBuffers;
-
-/// Words of [`SolverBuffers::components`].
-pub(super) const STATE_WORDS: usize = 8;
-/// Word with the number of closed components; `shaders/common/components.wgsl` names the words.
-pub(super) const N_CLOSED: usize = 0;
 /// Words with the largest magnitude in closed components: of the right-hand side, of the potential.
 const LARGEST: [u32; 2] = [4, 5];
 
@@ -40,15 +35,12 @@ pub struct Components {
 }
 
 impl Components {
-    /// The stage's name.
-    pub const NAME: &'static str = "closed_components";
-
     /// Compiles and binds. All fields are in [`SolverBuffers`].
     pub fn new(gpu: &Gpu, buffers: &SolverBuffers) -> Result<Components, Error> {
         let level = gpu.uniform("solver.level", &buffers.plan.level(0))?;
         let sizes = gpu.buffer("solver.closed_sizes", 8)?;
         let own = [("level", (&level).into()), ("sizes", (&sizes).into())];
-        let gpu = &gpu.at(Components::NAME);
+        let gpu = &gpu.at(Stage::ClosedComponents.name());
         let bound = |source| bind(gpu, &source, buffers.variant.inner, own, &[buffers]);
         Ok(Components {
             init: bound(wgsl!("components_init"))?,
@@ -103,7 +95,7 @@ impl Seal {
         coupling: &CouplingBuffers,
     ) -> Result<Seal, Error> {
         let own = [("node_flags", node_flags.into()), ("x", velocity.into())];
-        let gpu = &gpu.at(Components::NAME);
+        let gpu = &gpu.at(Stage::ClosedComponents.name());
         let bound = |source| {
             let real = buffers.variant.real;
             bind(gpu, &source, real, own, &[coupling, buffers])
@@ -146,7 +138,7 @@ impl Means {
             ("low", (&buffers.partials).into()),
             ("count", (&buffers.q).into()),
         ];
-        let gpu = &gpu.at(Components::NAME);
+        let gpu = &gpu.at(Stage::ClosedComponents.name());
         let bound = |source| bind(gpu, &source, field.real, own, &[buffers]);
         Ok(Means {
             largest: bound(wgsl!("components_largest"))?,

@@ -4,17 +4,17 @@ use crate::Error;
 use crate::arrays;
 use crate::gpu::{Gpu, Variant, WG_SIZE, groups};
 
+use super::pressure_system::{FOLD_THREADS, SolverBuffers};
 use super::solid_system::SolidSystemBuffers;
-use super::{FOLD_THREADS, SolverBuffers};
 
 /// Lists of a coupled system after those of the levels, in the order of `shaders/coupled_args.wgsl`: nodes, solids, wet quads, and a
 /// slot for the length of the partials.
-pub(super) const N_LISTS: usize = 4;
+pub(crate) const N_LISTS: usize = 4;
 /// Slots of those lists, from the number of levels on.
-pub(super) const NODES: usize = 0;
-pub(super) const BODIES: usize = 1;
-pub(super) const WET: usize = 2;
-pub(super) const PARTIALS: usize = 3;
+pub(crate) const NODES: usize = 0;
+pub(crate) const BODIES: usize = 1;
+pub(crate) const WET: usize = 2;
+pub(crate) const PARTIALS: usize = 3;
 
 /// Words of [`CouplingBuffers::report`].
 pub const REPORT_WORDS: usize = 16;
@@ -22,7 +22,7 @@ pub const REPORT_WORDS: usize = 16;
 /// Share of zeta_M M in Z1: design section 5.
 const SIGMA: f32 = 0.5;
 
-/// The doppelganger of `Coupling` in `shaders/common/coupling.wgsl`.
+/// Sizes and units of J.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Coupling {
@@ -67,8 +67,8 @@ pub struct CouplingSize {
 /// J as last written.
 #[derive(Debug, Default)]
 pub(crate) struct Written {
-    pub(super) sizes: Coupling,
-    pub(super) pairs: Vec<Pair>,
+    pub(crate) sizes: Coupling,
+    pub(crate) pairs: Vec<Pair>,
 }
 
 arrays! {
@@ -81,16 +81,16 @@ arrays! {
             pub n_nodes: usize,
             n_bodies: usize,
             n_levels: usize,
-            pub(super) variant: Variant,
-            pub(super) written: Written,
+            pub(crate) variant: Variant,
+            pub(crate) written: Written,
         }
         arrays {
             /// Sizes and units.
             pub uniform coupling: Coupling [Coupling::default()],
             /// Dispatch size and length of the lists of a coupled system.
-            pub(super) array sizes: u32 [4 * (N_LISTS + 1)],
+            pub(crate) array sizes: u32 [4 * (N_LISTS + 1)],
             /// Dispatch size and length of all lists; after them the length of folded partials.
-            pub(super) array args: u32 [4 * (n_levels + N_LISTS + 1)],
+            pub(crate) array args: u32 [4 * (n_levels + N_LISTS + 1)],
             /// Wet quads, where their pairs start, where those of the nodes start.
             pub array words: u32 [2 * size.quads + n_nodes + 2],
             /// By wet quad: bits of the value, 4 node + lane.
@@ -100,12 +100,12 @@ arrays! {
             /// Of the wet quads, then of the nodes; `Real4`.
             pub real partials: (variant.real) [4 * (size.quads + n_nodes)],
             /// g_p of the wet quads while the V-cycle has another right-hand side.
-            pub(super) real kept: (variant.inner) [4 * size.quads],
+            pub(crate) real kept: (variant.inner) [4 * size.quads],
             /// Right-hand side of the wet quads before anything flows through solids.
-            pub(super) real base: (variant.real) [4 * size.quads],
+            pub(crate) real base: (variant.real) [4 * size.quads],
             /// Half step of the two-field operator and its difference to the velocities; forces and velocities of the Schur operator.
-            pub(super) real t: (variant.real) [4 * n_nodes],
-            pub(super) real difference: (variant.real) [4 * n_nodes],
+            pub(crate) real t: (variant.real) [4 * n_nodes],
+            pub(crate) real difference: (variant.real) [4 * n_nodes],
             /// Sums that the host reads once per step: `fields::CouplingReport`.
             pub array report: u32 [REPORT_WORDS],
         }
@@ -140,7 +140,7 @@ impl CouplingBuffers {
     }
 
     /// Slot of a list.
-    pub(super) fn slot(&self, list: usize) -> usize {
+    pub(crate) fn slot(&self, list: usize) -> usize {
         self.n_levels + list
     }
 

@@ -46,7 +46,7 @@ fn judge(block: u32, sums: Real4) -> Real3 {
         of_block = Real4(norms[at], norms[at + 1u], norms[at + 2u], norms[at + 3u]);
     }
     let coupled = settings.n_blocks > 1u;
-    if coupled && control.rounds == 0u {
+    if coupled && control.refinements == 0u {
         // The iterate is zero.
         norms[norm_slot(block, RHS)] = of_block.x;
         if block > 0u {
@@ -68,7 +68,7 @@ fn judge(block: u32, sums: Real4) -> Real3 {
 }
 
 @compute @workgroup_size(FOLD_SIZE)
-fn refine_turn(@builtin(local_invocation_index) lane: u32) {
+fn refine_accept(@builtin(local_invocation_index) lane: u32) {
     let sums = fold(args[totals.args + 3u], lane);
     if lane != 0u || control.running == 1u {
         return;
@@ -76,7 +76,7 @@ fn refine_turn(@builtin(local_invocation_index) lane: u32) {
     if control.status == STATUS_CONVERGED || control.status == STATUS_STAGNATED
         || control.status == STATUS_MAX_ITERATIONS {
         // Also after a correction was subtracted.
-        gate_extra(TURN, false);
+        gate_extra(EVALUATE, false);
         return;
     }
     let coupled = settings.n_blocks > 1u;
@@ -89,13 +89,13 @@ fn refine_turn(@builtin(local_invocation_index) lane: u32) {
         rr += judged[block].x;
     }
     // A first step that breaks down corrects nothing: nothing to reject. Later ones may where the rest is rounding: stagnation.
-    let broke_down = control.status == STATUS_BREAKDOWN && control.rounds == 1u;
+    let broke_down = control.status == STATUS_BREAKDOWN && control.refinements == 1u;
     var last = norms[NORM_LAST];
-    let guessed = control.rounds == 0u && norms[SCALE] > Real(0.0);
+    let guessed = control.refinements == 0u && norms[SCALE] > Real(0.0);
     if guessed {
         last = norms[norm_slot(0u, RHS)] / judged[0].z;
     }
-    if (guessed || control.rounds > 0u) && worst >= last && !broke_down {
+    if (guessed || control.refinements > 0u) && worst >= last && !broke_down {
         norms[SCALE] = -norms[SCALE];
         norms[NORM_LAST] = Real(NONE);
         if guessed {
@@ -125,10 +125,10 @@ fn refine_turn(@builtin(local_invocation_index) lane: u32) {
         scalars[GOAL] = Inner(strictness * strictness * max(margin * margin / worst, floor * floor));
         control.running = 1u;
         control.first = 1u;
-        control.rounds++;
+        control.refinements++;
         gate_lists(true);
         gate_extra(UPDATE, true);
         gate_extra(BEGIN, true);
     }
-    gate_extra(TURN, false);
+    gate_extra(EVALUATE, false);
 }
