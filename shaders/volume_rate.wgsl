@@ -1,5 +1,5 @@
-// liquid_distance, after measure_volume: volume and growth rate of volume control, (V_0/V - 1) over half a frame or
-// one and a half sub-steps, at most 10 % per frame, 1/s.
+// liquid_distance, after measure_volume: volume and growth rate of volume control, (V_0/V - 1) over half a control
+// time or one and a half sub-steps, at most 10 % per control time, 1/s.
 // Markers that leave or are deleted in this sub-step reduce V_0 by their share and are added to the total. One
 // workgroup.
 // step: volume_0 before, 0 without control. partials: volume, potential energy. report: see report.
@@ -9,9 +9,9 @@
 #import fold
 #import real
 
-// Smallest numbers of frames and sub-steps over which the correction is spread, and the largest relative change of
-// volume per frame (reasons in the twin, reference/right_hand_side.rs).
-const FRAMES = 0.5;
+// Smallest numbers of control times and sub-steps over which the correction is spread, and the largest relative change
+// of volume per control time (reasons in the twin, reference/right_hand_side.rs).
+const CONTROL_TIMES = 0.5;
 const STEPS = 1.5;
 const LARGEST_CHANGE = 0.1;
 
@@ -45,9 +45,9 @@ fn volume_rate(@builtin(local_invocation_index) lane: u32) {
     if volume_0 > Real() && sums.x > Real() {
         let deficit = f32(volume_0 / sums.x - Real(1.0));
         rate = clamp(
-            deficit / max(FRAMES * step.frame, STEPS * step.dt),
-            -LARGEST_CHANGE / step.frame,
-            LARGEST_CHANGE / step.frame,
+            deficit / max(CONTROL_TIMES * step.control_time, STEPS * step.dt),
+            -LARGEST_CHANGE / step.control_time,
+            LARGEST_CHANGE / step.control_time,
         );
     }
     report[RATE] = bitcast<u32>(rate);

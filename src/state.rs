@@ -182,6 +182,8 @@ pub struct StepReport {
     pub dt: f64,
     /// Whether the sub-step exceeds the CFL condition, because of the least step length or a fixed step.
     pub dt_floored: bool,
+    /// dt sqrt(a / dx), a the largest of gravity and prescribed accelerations.
+    pub wave_cfl: f64,
     /// Diagnostics of the liquid.
     pub liquid: Option<LiquidReport>,
     /// Diagnostics of the solids.

@@ -10,8 +10,8 @@ struct Step {
     dx: f32,
     // 1/m
     inv_dx: f32,
-    // Length of a frame, s.
-    frame: f32,
+    // Time over which volume is controlled, s.
+    control_time: f32,
     // Controlled liquid volume, m^3.
     volume_0: f32,
     // kg/m^3

@@ -283,7 +283,7 @@ fn warnings(scene: &Scene, summary: &Summary) -> Vec<String> {
     warn_if(tally.floored > 0, &|| {
         let cause = match scene.time.fixed_step {
             Some(_) => "time.fixed_step is too long for these velocities",
-            None => "a frame has at most 256",
+            None => "no sub-step is shorter than 1e-7 of the duration",
         };
         format!(
             "in {} of {steps} sub-steps the fastest point crossed more than {} cells: {cause}; steps.csv lists them",

@@ -8,13 +8,24 @@ use crate::scene::Keyframe;
 impl Solids {
     /// Upper bound of the speed of scripted nodes between a time and `span` (both s) later, m/s.
     pub fn max_script_speed(&self, time: f64, span: f64) -> f64 {
-        let speed = |script: &Script| {
+        self.max_of_scripts(|keyframes, radius| Keyframe::max_speed(keyframes, radius, time, span))
+    }
+
+    /// Largest acceleration of scripted nodes until a time (s), m/s^2.
+    pub fn max_script_acceleration(&self, until: f64) -> f64 {
+        self.max_of_scripts(|keyframes, radius| {
+            Keyframe::max_acceleration(keyframes, radius, until)
+        })
+    }
+
+    /// Largest value over the scripts of a function of the keyframes and of the largest distance to the centre (m).
+    fn max_of_scripts(&self, of: impl Fn(&[Keyframe], f64) -> f64) -> f64 {
+        let values = self.scripts.iter().map(|script| {
             let nodes = script.nodes.iter();
             let arms = nodes.map(|&node| self.rest[node as usize].distance(script.centre));
-            let radius = arms.fold(0.0, f64::max);
-            Keyframe::max_speed(&script.keyframes, radius, time, span)
-        };
-        self.scripts.iter().map(speed).fold(0.0, f64::max)
+            of(&script.keyframes, arms.fold(0.0, f64::max))
+        });
+        values.fold(0.0, f64::max)
     }
 }
 

@@ -24,8 +24,8 @@ pub struct Step {
     pub dx: f32,
     /// Inverse of the cell width, 1/m.
     pub inv_dx: f32,
-    /// Length of a frame, s.
-    pub frame: f32,
+    /// Time over which volume is controlled, s.
+    pub control_time: f32,
     /// Controlled liquid volume, m^3.
     pub volume_0: f32,
     /// Density, kg/m^3.

@@ -248,6 +248,14 @@ impl ObstacleCut {
         speeds.fold(0.0, f64::max)
     }
 
+    /// Largest acceleration of all obstacles until a time (s), m/s^2.
+    pub fn max_acceleration(&self, until: f64) -> f64 {
+        let bodies = self.moving.iter().flat_map(|moving| &moving.bodies);
+        let accelerations = bodies
+            .map(|body| Keyframe::max_acceleration(&body.motion.keyframes, body.radius, until));
+        accelerations.fold(0.0, f64::max)
+    }
+
     /// Moves the obstacles to a time (s). Their velocities lead to their poses dt (s) later; with dt = 0 they are
     /// instantaneous.
     pub fn move_to(&mut self, time: f64, dt: f64) {

@@ -223,6 +223,7 @@ impl PlaneStrain {
                 frames_per_second: 1.0 / DT,
                 cfl: 3.0,
                 fixed_step: Some(DT),
+                max_step: None,
             },
             liquid: Some(Liquid {
                 density: DENSITY,

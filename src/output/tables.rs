@@ -125,7 +125,7 @@ pub struct StepTable {
 
 const FIRST: [&str; 3] = ["step", "t", "dt"];
 /// Columns of every row before those of the stages.
-const LAST: [&str; 2] = ["dt_floored", "seconds_total"];
+const LAST: [&str; 3] = ["wave_cfl", "dt_floored", "seconds_total"];
 /// Prefix of the columns of stages.
 const SECONDS: &str = "seconds_";
 const LIQUID: [&str; 16] = [
@@ -273,6 +273,7 @@ impl StepTable {
         if let Some(coupling) = &report.coupling {
             fields.extend(coupling_fields(step, coupling)?);
         }
+        fields.push(number("wave_cfl", step, report.wave_cfl)?);
         fields.push(u8::from(report.dt_floored).to_string());
         fields.push(number("seconds_total", step, report.seconds_total)?);
         for column in timed {

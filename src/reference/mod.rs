@@ -87,6 +87,6 @@ pub use solve_solid::{Chebyshev, SolidSolver};
 pub use step::StepSystem;
 pub use stress_variables::{StressSystem, StressVariables};
 pub use surface_distance::surface_distance;
-pub use time_step::{TimeStep, time_step};
+pub use time_step::{StepLimits, TimeStep};
 pub use turn_solids::turn_solids;
 pub use write_back::write_back;

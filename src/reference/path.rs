@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::boundary::Boundary;
 use super::diagnose::larger;
 use super::step::{StepSystem, SubStep};
-use super::{BlockPattern, SolidSolver, TimeStep, max_speed, prepare, time_step};
+use super::{BlockPattern, SolidSolver, StepLimits, TimeStep, max_speed, prepare};
 use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::Solids;
@@ -33,6 +33,7 @@ pub(super) struct Model {
     /// Sources and sinks; without any where there is no liquid.
     pub(super) taps: SourcesAndSinks,
     pub(super) solid: Option<SolidModel>,
+    pub(super) limits: StepLimits,
 }
 
 #[derive(Clone, Debug)]
@@ -75,6 +76,7 @@ impl Reference {
             ));
         }
         let taps = SourcesAndSinks::new(scene, &grid, obstacles.static_cut())?;
+        let limits = StepLimits::new(scene, Some(&obstacles), Some(&solids));
         let boundary = match effects.clips() {
             false => Boundary::Fixed(obstacles.static_cut().clone()),
             true => Boundary::Moving(Box::new(SolidClip::new(&grid, obstacles, &scene.solver))),
@@ -91,6 +93,7 @@ impl Reference {
                 effects,
                 taps,
                 solid,
+                limits,
             },
             boundary,
             state: State::default(),
@@ -167,10 +170,7 @@ impl Reference {
     /// The length of the next sub-step.
     pub fn next_time_step(&self) -> TimeStep {
         let Reference { model, state, .. } = self;
-        let Model {
-            scene, grid, taps, ..
-        } = model;
-        let fall = (scene.domain.gravity.length() * grid.dx).sqrt();
+        let Model { scene, taps, .. } = model;
         let left = state.time_left(scene.time.frames_per_second);
         let nodes = state.node_velocity.as_flattened().iter();
         let solid_speed = nodes.fold(0.0, |max, v| larger(max, v.abs()));
@@ -184,7 +184,7 @@ impl Reference {
             _ => 0.0,
         };
         let speed = larger(speed, scripts);
-        time_step(&scene.time, grid.dx, speed, fall, left, state.dt_last)
+        model.limits.time_step(speed, left, state.dt_last)
     }
 
     /// Runs one sub-step. After an error the state is the one before.

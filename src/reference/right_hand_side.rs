@@ -6,13 +6,13 @@ use super::pressure_system::remove_means;
 use crate::grid::{Axis, Grid};
 use crate::linalg::norm;
 
-/// Frames over which volume control spreads the correction. Spray fills up to 40 % more volume as a union of spheres,
-/// faster than a slow control corrects. A dam break of 64x32x32 cells reached 1.15 of its volume with 4 frames and at
-/// most 1 % a frame, 1.012 with half a frame.
-const FRAMES: f64 = 0.5;
+/// Control times over which volume control spreads the correction. Spray fills up to 40 % more volume as a union of
+/// spheres, faster than a slow control corrects. A dam break of 64x32x32 cells reached 1.15 of its volume with 4 of them
+/// and at most 1 % in each, 1.012 with half of one.
+const CONTROL_TIMES: f64 = 0.5;
 /// Smallest number of sub-steps over which the correction is spread; fewer would overshoot.
 const STEPS: f64 = 1.5;
-/// Largest relative change of volume per frame by volume control.
+/// Largest relative change of volume per control time.
 const LARGEST_CHANGE: f64 = 0.1;
 
 /// The right-hand side and the scale of its rounding error.
@@ -33,14 +33,16 @@ pub struct VolumeSource<'a> {
     pub open_volumes: &'a [f64],
 }
 
-/// Growth rate that restores `volume` to `volume_0` (m^3), 1/s. The deficit is spread over half a frame (of `frame`
-/// seconds) or one and a half sub-steps (of `dt` seconds), at most 10 % per frame; 0 without liquid.
-pub fn volume_rate(volume_0: f64, volume: f64, frame: f64, dt: f64) -> f64 {
+/// Growth rate that restores `volume` to `volume_0` (m^3), 1/s. The deficit is spread over half a control time (s) or one
+/// and a half sub-steps (of `dt` seconds), at most 10 % per control time; 0 without liquid.
+pub fn volume_rate(volume_0: f64, volume: f64, control_time: f64, dt: f64) -> f64 {
     if volume <= 0.0 || volume_0 <= 0.0 {
         return 0.0;
     }
-    ((volume_0 / volume - 1.0) / (FRAMES * frame).max(STEPS * dt))
-        .clamp(-LARGEST_CHANGE / frame, LARGEST_CHANGE / frame)
+    ((volume_0 / volume - 1.0) / (CONTROL_TIMES * control_time).max(STEPS * dt)).clamp(
+        -LARGEST_CHANGE / control_time,
+        LARGEST_CHANGE / control_time,
+    )
 }
 
 /// Computes the right-hand side from u* (m/s, per face) and the apertures of all faces.

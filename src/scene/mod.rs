@@ -80,6 +80,9 @@ pub struct Domain {
     pub open: Sides,
 }
 
+/// Shortest sub-step over the duration.
+pub const SHORTEST_STEP: f64 = 1e-7;
+
 /// Duration and time steps.
 #[derive(Clone, Debug)]
 pub struct Time {
@@ -91,6 +94,8 @@ pub struct Time {
     pub cfl: f64,
     /// A constant sub-step, s; divides the frame time.
     pub fixed_step: Option<f64>,
+    /// Longest sub-step, s.
+    pub max_step: Option<f64>,
 }
 
 /// The liquid.
@@ -431,6 +436,37 @@ impl Keyframe {
             path / (pair[1].time - pair[0].time)
         });
         speeds.fold(0.0, f64::max)
+    }
+
+    /// Largest acceleration until a time (s), m/s^2, of points within `radius` (m) of the centre of rotation: of turning, and of
+    /// changes of velocity at keyframes, each spread over half of the intervals beside it. Before the first keyframe and
+    /// after the last there is rest.
+    pub fn max_acceleration(keyframes: &[Keyframe], radius: f64, until: f64) -> f64 {
+        let mut largest = 0.0_f64;
+        let mut last = (DVec3::ZERO, DVec3::ZERO, 0.0);
+        let mut change = |at: f64, next: (DVec3, DVec3, f64)| {
+            let span = match (last.2, next.2) {
+                (0.0, span) | (span, 0.0) => span,
+                (before, after) => 0.5 * (before + after),
+            };
+            if at <= until && span > 0.0 {
+                let jump = next.0.distance(last.0) + radius * next.1.distance(last.1);
+                largest = largest
+                    .max(jump / span)
+                    .max(radius * next.1.length_squared());
+            }
+            last = next;
+        };
+        for pair in keyframes.windows(2) {
+            let [a, b] = [&pair[0], &pair[1]];
+            let span = b.time - a.time;
+            let velocity = (b.translate - a.translate) / span;
+            let rate = (b.angle * b.axis - a.angle * a.axis) / span;
+            change(a.time, (velocity, rate, span));
+        }
+        let end = keyframes.last().map_or(0.0, |frame| frame.time);
+        change(end, (DVec3::ZERO, DVec3::ZERO, 0.0));
+        largest
     }
 
     /// The time of the next keyframe after a time, s.

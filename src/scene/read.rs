@@ -15,7 +15,8 @@ use super::sources_sinks::{sinks, sources};
 use super::surface::surface;
 use super::{
     CouplingScheme, Domain, FaceAreas, Formulation, Liquid, Motion, Obstacle, Output,
-    PatchPressure, Precision, Preconditioner, Region, Scene, Shape, Solid, Solver, Surface, Time,
+    PatchPressure, Precision, Preconditioner, Region, SHORTEST_STEP, Scene, Shape, Solid, Solver,
+    Surface, Time,
 };
 use crate::error::Error;
 use crate::grid::{Axis, Sides};
@@ -51,7 +52,13 @@ const ROOT: Keys = Keys::new(&[
     "camera", "surface",
 ]);
 const DOMAIN: Keys = Keys::new(&["size", "cells", "gravity", "open"]);
-const TIME: Keys = Keys::new(&["duration", "frames_per_second", "cfl", "fixed_step"]);
+const TIME: Keys = Keys::new(&[
+    "duration",
+    "frames_per_second",
+    "cfl",
+    "max_step",
+    "fixed_step",
+]);
 const LIQUID: Keys = Keys::new(&[
     "density",
     "surface",
@@ -533,10 +540,26 @@ fn time(root: &Table) -> Result<Time, Error> {
         )?;
         Ok(Some(step))
     })?;
+    let max_step = table.optional("max_step", None, |place| {
+        let step = place.positive("the longest sub-step in s")?;
+        place.ensure(
+            fixed_step.is_none(),
+            "the sub-step is constant already, by time.fixed_step",
+            "remove one of the two keys",
+        )?;
+        let least = SHORTEST_STEP * duration;
+        place.ensure(
+            step >= least,
+            format!("{step} s is less than {SHORTEST_STEP:e} of the duration"),
+            format!("use at least {least} s"),
+        )?;
+        Ok(Some(step))
+    })?;
     Ok(Time {
         duration,
         frames_per_second,
         cfl,
+        max_step,
         fixed_step,
     })
 }

@@ -17,6 +17,10 @@ const KEYS: &[(&str, &str)] = &[
         "duration",
     ),
     ("dt time_step timestep step delta_t substep", "fixed_step"),
+    (
+        "dt_max max_dt max_timestep largest_step longest_step",
+        "max_step",
+    ),
     ("courant cfl_number", "cfl"),
     // Materials
     ("rho mass_density", "density"),
@@ -95,9 +99,9 @@ const WITHIN: &[(&str, &str, &str)] = &[
         "the key in the section [domain]",
     ),
     (
-        "duration fps dt frames_per_second fixed_step cfl",
+        "duration fps dt frames_per_second fixed_step max_step cfl",
         "domain",
-        "the key in the section [time]: duration, frames_per_second, fixed_step, cfl",
+        "the key in the section [time]: duration, frames_per_second, cfl, max_step, fixed_step",
     ),
     (
         "density rho",

@@ -8,7 +8,7 @@ use crate::fields::{
 use crate::geometry::{Running, SourcesAndSinks};
 use crate::gpu::{Dispatches, Gpu, Readback, Real, Recorder};
 use crate::grid::Grid;
-use crate::reference::{self, Seeded};
+use crate::reference::{self, Seeded, TimeStep};
 use crate::scene::{self, ProbeKind, Scene};
 use crate::solver::{Outcome, PressureSolver};
 use crate::stages::{self, Components, FreeSurface, PressureSystem, Probe};
@@ -346,15 +346,13 @@ impl GpuLiquid {
         }
     }
 
-    /// Parameters of the sub-step of dt (s) after the state `head`.
-    pub(super) fn step_numbers(&self, scene: &Scene, head: &State, dt: f64) -> Step {
+    /// Parameters of the sub-step after the state `head`.
+    pub(super) fn step_numbers(&self, scene: &Scene, head: &State, time_step: TimeStep) -> Step {
+        let TimeStep {
+            dt, control_time, ..
+        } = time_step;
         let inflow = dt * self.taps.flux(self.running_after(head).running);
-        let Scene {
-            time,
-            domain,
-            solver,
-            ..
-        } = scene;
+        let Scene { domain, solver, .. } = scene;
         let grid = scene.grid();
         Step {
             gravity: domain.gravity.as_vec3().to_array(),
@@ -362,7 +360,7 @@ impl GpuLiquid {
             size: grid.size().as_vec3().to_array(),
             dx: grid.dx as f32,
             inv_dx: (1.0 / grid.dx) as f32,
-            frame: (1.0 / time.frames_per_second) as f32,
+            control_time: control_time.min(f64::from(f32::MAX)) as f32,
             volume_0: if self.buffers.plan.effects.volume_control {
                 (self.volume_0 + inflow) as f32
             } else {

@@ -8,7 +8,7 @@ use crate::fields::Step;
 use crate::geometry::{self, CutCells, Running, SolidClip, SourcesAndSinks};
 use crate::gpu::{AdapterChoice, Gpu, Real};
 use crate::grid::Grid;
-use crate::reference::{self, TimeStep, time_step};
+use crate::reference::{self, StepLimits, TimeStep};
 use crate::scene::Scene;
 use crate::state::{Carried, State};
 use crate::step::Stage;
@@ -38,6 +38,7 @@ pub struct GpuPath {
     /// Moving obstacles in liquid, without solids.
     pub(super) obstacles: Option<GpuObstacles>,
     pub(super) readbacks: Readbacks,
+    pub(super) limits: StepLimits,
 }
 
 /// Readbacks for the probes: liquid columns in order; displacements of the nodes, m, with solid probes; forces of the
@@ -105,6 +106,7 @@ impl GpuPath {
     ) -> Result<GpuPath, Error> {
         // Stages use handles of their own; all other kernels belong to the solve.
         let gpu = gpu.at(Stage::Solve.name());
+        let limits = StepLimits::new(scene, clip.as_ref().map(SolidClip::obstacles), Some(solids));
         let mut liquid = GpuLiquid::new(&gpu, scene, taps, n_markers)?;
         let solids = match solids.bodies.is_empty() {
             true => None,
@@ -141,6 +143,7 @@ impl GpuPath {
             coupling,
             obstacles: moving,
             readbacks,
+            limits,
         })
     }
 
@@ -181,7 +184,7 @@ impl GpuPath {
             obstacles.write(&self.gpu, liquid, state.time)?;
         }
         if let Some(liquid) = &mut self.liquid {
-            let step = liquid.step_numbers(&self.scene, &self.head, 0.0);
+            let step = liquid.step_numbers(&self.scene, &self.head, TimeStep::NONE);
             liquid.write_state(&self.gpu, state, step);
         }
         if let Some(solids) = &mut self.solids {
@@ -287,8 +290,7 @@ impl GpuPath {
 
     /// The length of the next sub-step.
     pub fn next_time_step(&self) -> TimeStep {
-        let Scene { time, domain, .. } = &self.scene;
-        let fall = (domain.gravity.length() * self.grid.dx).sqrt();
+        let time = &self.scene.time;
         let left = self.head.time_left(time.frames_per_second);
         let liquid = self.liquid.iter().map(|liquid| liquid.max_speed);
         let solids = self.solids.iter().map(|solids| solids.max_speed);
@@ -301,33 +303,27 @@ impl GpuPath {
         let scripts = scripts.map(|of| of.solids.max_script_speed(self.head.time, left));
         let max_speed = liquid.chain(solids).chain(obstacles);
         let max_speed = max_speed.chain(sources).chain(scripts);
-        time_step(
-            time,
-            self.grid.dx,
-            max_speed.fold(0.0, f64::max),
-            fall,
-            left,
-            self.head.dt_last,
-        )
+        let max_speed = max_speed.fold(0.0, f64::max);
+        self.limits.time_step(max_speed, left, self.head.dt_last)
     }
 
-    /// Writes the parameters of a sub-step of dt (s).
-    pub(super) fn write_step(&mut self, dt: f64) -> Result<(), Error> {
+    /// Writes the parameters of a sub-step.
+    pub(super) fn write_step(&mut self, time_step: TimeStep) -> Result<(), Error> {
         if let Some(liquid) = &mut self.liquid {
-            liquid.begin(&self.gpu, &self.head, dt)?;
-            let step = liquid.step_numbers(&self.scene, &self.head, dt);
+            liquid.begin(&self.gpu, &self.head, time_step.dt)?;
+            let step = liquid.step_numbers(&self.scene, &self.head, time_step);
             self.gpu.upload(&liquid.buffers.step, &[step]);
         }
         if let Some(solids) = &mut self.solids {
-            solids.write_step(&self.gpu, &self.scene, &self.head, dt);
+            solids.write_step(&self.gpu, &self.scene, &self.head, time_step.dt);
         }
         Ok(())
     }
 
-    /// Parameters of the liquid for a sub-step of dt (s); `None` without liquid.
-    pub fn step_numbers(&self, dt: f64) -> Option<Step> {
+    /// Parameters of the liquid for a sub-step; `None` without liquid.
+    pub fn step_numbers(&self, time_step: TimeStep) -> Option<Step> {
         let liquid = self.liquid.as_ref()?;
-        Some(liquid.step_numbers(&self.scene, &self.head, dt))
+        Some(liquid.step_numbers(&self.scene, &self.head, time_step))
     }
 
     /// The solids at rest; `None` without solids.

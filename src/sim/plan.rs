@@ -7,7 +7,7 @@ use crate::fields::SolidRows;
 use crate::geometry::{self, SolidClip, SourceFlow, SourcesAndSinks};
 use crate::gpu::{AdapterReport, BufferPlan, Gpu, Variant};
 use crate::grid::Grid;
-use crate::reference::{TimeStep, time_step};
+use crate::reference::{StepLimits, TimeStep};
 use crate::scene::{CouplingScheme, Formulation, Precision, Preconditioner, Scene, Solver};
 use crate::solver::{self};
 use crate::step::{Runner, SCHEDULE, Stage, When};
@@ -128,7 +128,7 @@ impl Plan {
             padded_cells,
             n_markers,
             sources: taps.flows().collect(),
-            first_step: first_step(scene, &grid, (solids, clip, taps)),
+            first_step: first_step(scene, (solids, clip, taps)),
             effects: explained(scene, &effects, n_turning),
             stages: stages(&effects, scene, &gpu),
             buffers: buffers(&gpu),
@@ -212,7 +212,6 @@ fn bytes_per_turn(effects: &Effects, padded_cells: usize, n_nodes: usize) -> u64
 
 fn first_step(
     scene: &Scene,
-    grid: &Grid,
     (solids, clip, taps): (&Solids, Option<&SolidClip>, &SourcesAndSinks),
 ) -> TimeStep {
     let liquid_speed = scene.liquid.as_ref().map_or(0.0, geometry::initial_speed);
@@ -225,8 +224,8 @@ fn first_step(
     let speed = liquid_speed.max(solid_speed);
     let speed = speed.max(obstacle_speed).max(source_speed);
     let speed = speed.max(solids.max_script_speed(0.0, frame));
-    let fall = (scene.domain.gravity.length() * grid.dx).sqrt();
-    time_step(&scene.time, grid.dx, speed, fall, frame, 0.0)
+    let limits = StepLimits::new(scene, clip.map(SolidClip::obstacles), Some(solids));
+    limits.time_step(speed, frame, 0.0)
 }
 
 /// Effects of the scene and of its meshes, such as bodies that turn.
@@ -356,10 +355,8 @@ fn solves(
         ));
     }
     if !solids.bodies.is_empty() {
-        let degree = Bounds::new(solids).chebyshev_degree(
-            solids,
-            first_step(scene, &scene.grid(), (solids, clip, taps)).dt,
-        );
+        let degree = Bounds::new(solids)
+            .chebyshev_degree(solids, first_step(scene, (solids, clip, taps)).dt);
         solves.push(format!(
             "velocity of the nodes (S v = M v*/dt - K x* + b + loads), conjugate gradients with a Chebyshev polynomial in \
              block-Jacobi (degree {degree} at first), {numbers}, true residual {tolerance:.0e}; {} nodes, {} blocks off the \

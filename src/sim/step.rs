@@ -73,7 +73,7 @@ impl GpuPath {
         observer: Option<Observer>,
     ) -> Result<StepReport, Error> {
         let clock = Instant::now();
-        self.write_step(time_step.dt)?;
+        self.write_step(time_step)?;
         let effects = Effects::of(&self.scene);
         let mut sub_step = SubStep {
             path: self,
@@ -91,7 +91,11 @@ impl GpuPath {
     }
 
     /// Advances the clock and returns the report of the sub-step.
-    fn finish(&mut self, TimeStep { dt, floored }: TimeStep, readback: StepReadback) -> StepReport {
+    fn finish(
+        &mut self,
+        TimeStep { dt, floored, .. }: TimeStep,
+        readback: StepReadback,
+    ) -> StepReport {
         if let Some(liquid) = &self.liquid {
             self.head.sources_running = liquid.running_after(&self.head).running.into();
         }
@@ -104,6 +108,7 @@ impl GpuPath {
         StepReport {
             dt,
             dt_floored: floored,
+            wave_cfl: self.limits.wave_cfl(dt),
             liquid: liquid.map(|(liquid, (outcome, report))| liquid.finish(&outcome, report)),
             solid: solids.map(|(solids, ((outcome, contact), report))| {
                 solids.finish(&outcome, contact, report)

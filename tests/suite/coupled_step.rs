@@ -56,7 +56,7 @@ pressure_on_patches = \"{pressure_on_patches}\"
 fn step(reference: &mut Reference) -> StepReport {
     let time_step = TimeStep {
         dt: DT,
-        floored: false,
+        ..reference.next_time_step()
     };
     let report = reference.step(time_step).unwrap();
     for solve in report.solves() {
@@ -305,7 +305,7 @@ fn solids_out_of_the_liquid_are_solved_apart() {
     let mut kinds = Vec::new();
     let time_step = TimeStep {
         dt: DT,
-        floored: false,
+        ..reference.next_time_step()
     };
     let report = reference
         .step_observed(time_step, &mut |system| {
@@ -345,7 +345,7 @@ fn a_failed_step_changes_nothing() {
     reference.reset(state.clone()).unwrap();
     let time_step = TimeStep {
         dt: DT,
-        floored: false,
+        ..reference.next_time_step()
     };
     let face = scene.grid().face(Axis::Y, [8, 3, 8]);
     for of_liquid in [true, false] {

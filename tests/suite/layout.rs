@@ -98,7 +98,7 @@ fn coupling_matches() {
 #[test]
 fn step_matches() {
     let fields = fields!(
-        Step: gravity, dt, size, dx, inv_dx, frame, volume_0, density, marker_radius, theta_floor,
+        Step: gravity, dt, size, dx, inv_dx, control_time, volume_0, density, marker_radius, theta_floor,
         n_markers, open_sides,
     );
     assert_layout("step", "Step", fields, size_of::<Step>());

@@ -215,7 +215,7 @@ impl Case {
             size: self.grid.size().to_array().map(|n| n as f32),
             dx: self.grid.dx as f32,
             inv_dx: (1.0 / self.grid.dx) as f32,
-            frame: 1.0 / 24.0,
+            control_time: 0.04,
             volume_0: 0.0,
             density: DENSITY as f32,
             marker_radius: RADIUS as f32,

@@ -67,6 +67,7 @@ mod sweep;
 mod taps;
 mod tet_files;
 mod tet_mesh;
+mod time_step;
 mod traffic;
 mod twin_advect_markers;
 mod twin_advect_velocity;

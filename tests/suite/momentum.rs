@@ -387,7 +387,10 @@ fn what_the_liquid_gains_is_what_everything_else_loses() {
             let v = v.map(|v| (DVec3::from(*v) + dt * case.scene.domain.gravity).to_array());
             let v = v.collect();
             let mut stencil: Option<Stencil> = None;
-            let time_step = TimeStep { dt, floored: false };
+            let time_step = TimeStep {
+                dt,
+                ..reference.next_time_step()
+            };
             let look = &mut |system: StepSystem| match system {
                 StepSystem::Coupled(system, ..) => stencil = Some(system.pressure.stencil.clone()),
                 _ => panic!("{}: they do not touch", case.name),

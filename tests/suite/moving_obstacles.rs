@@ -234,7 +234,12 @@ fn start(scene: &Scene) -> Reference {
 }
 
 fn step(reference: &mut Reference, dt: f64) -> StepReport {
-    reference.step(TimeStep { dt, floored: false }).unwrap()
+    reference
+        .step(TimeStep {
+            dt,
+            ..reference.next_time_step()
+        })
+        .unwrap()
 }
 
 /// Seen from a tank that moves evenly, water in it is at rest: its velocity is the tank's everywhere, but for rounding. No face is so nearly

@@ -410,6 +410,7 @@ pub(crate) fn report(step: u32) -> StepReport {
     let x = f64::from(step);
     StepReport {
         dt: 1e-3 / 3.0 + 1e-9 * x,
+        wave_cfl: 0.1 / 3.0 + x,
         dt_floored: step == 1,
         liquid: Some(LiquidReport {
             solve: SolveReport {
@@ -466,7 +467,7 @@ fn tables_read_back_exactly() {
         .collect();
     // What scripts of users read: not a name may change.
     let expected = "step,t,dt,iterations,residual_p,status,unknowns,divergence,volume,volume_ratio,momentum_x,momentum_y,\
-                    momentum_z,kinetic_energy,potential_energy,max_speed,markers,markers_dropped,closed_components,dt_floored,\
+                    momentum_z,kinetic_energy,potential_energy,max_speed,markers,markers_dropped,closed_components,wave_cfl,dt_floored,\
                     seconds_total,seconds_advect_markers,seconds_solve";
     assert_eq!(head.join(","), expected);
     let rows: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
@@ -477,6 +478,7 @@ fn tables_read_back_exactly() {
         let StepReport {
             dt,
             dt_floored,
+            wave_cfl,
             liquid,
             solid: _,
             coupling: _,
@@ -518,6 +520,7 @@ fn tables_read_back_exactly() {
         assert_eq!(number("markers"), markers as f64);
         assert_eq!(number("markers_dropped"), dropped as f64);
         assert_eq!(number("closed_components"), closed_components as f64);
+        assert_eq!(number("wave_cfl"), wave_cfl);
         assert_eq!(number("dt_floored"), f64::from(u8::from(dt_floored)));
         assert_eq!(number("seconds_total"), seconds_total);
         assert_eq!(number("seconds_solve"), seconds[1].1);
@@ -670,6 +673,7 @@ fn scene() -> Scene {
             frames_per_second: 24.0,
             cfl: 3.0,
             fixed_step: None,
+            max_step: None,
         },
         liquid: Some(scene::Liquid {
             density: 1000.0,

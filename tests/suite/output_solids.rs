@@ -237,6 +237,7 @@ fn tables_of_solids_read_back_exactly() {
         let liquid = report(0).liquid.filter(|_| with_liquid);
         let report = StepReport {
             dt: 0.25,
+            wave_cfl: 0.125,
             dt_floored: false,
             liquid,
             solid: Some(solid_report()),
@@ -288,7 +289,7 @@ fn tables_of_solids_read_back_exactly() {
         assert_eq!(
             head,
             format!(
-                "{before},{solid_columns}{coupling_columns},dt_floored,seconds_total,seconds_solve"
+                "{before},{solid_columns}{coupling_columns},wave_cfl,dt_floored,seconds_total,seconds_solve"
             )
         );
         let expected = format!(

@@ -73,7 +73,12 @@ fn stays_at_rest(name: &str, scene: &Scene) {
     let mut reference = start(scene);
     for number in 0..20 {
         let dt = 1.0 / 60.0;
-        let report = reference.step(TimeStep { dt, floored: false }).unwrap();
+        let report = reference
+            .step(TimeStep {
+                dt,
+                ..reference.next_time_step()
+            })
+            .unwrap();
         let liquid = report.liquid.unwrap();
         let bound = 1e-11 * GRAVITY * dt;
         let speed = liquid.diagnosis.max_speed;
@@ -507,7 +512,7 @@ fn a_velocity_that_is_not_finite_stops_the_step_and_keeps_the_state() {
     let error = reference
         .step(TimeStep {
             dt: 0.01,
-            floored: false,
+            ..reference.next_time_step()
         })
         .unwrap_err();
     assert!(

@@ -6,9 +6,9 @@ use cutwater::reference::{
     Lost, PressureSystem, VolumeSource, active_cells, advect_markers, advect_velocity, diagnose,
     divergence, extrapolate, forces, gradient, liquid_distance, liquid_volume, max_speed, n_layers,
     open_volumes, probe, right_hand_side, solve, solve_direct, solve_iterative, surface_distance,
-    theta, time_step, volume_rate, write_back,
+    theta, volume_rate, write_back,
 };
-use cutwater::scene::{ProbeKind, Solver, Time, Up};
+use cutwater::scene::{ProbeKind, Solver, Up};
 use cutwater::state::{SolveStatus, State};
 use glam::DVec3;
 
@@ -106,44 +106,6 @@ fn samples_of_a_grid_one_cell_thick_do_not_vary_across_it() {
         assert!(close(thin.sample_cells(&cells, x), 0.4));
         assert!(gradient(&thin, &cells, x).distance(DVec3::X) < 1e-12);
     }
-}
-
-#[test]
-fn time_steps_obey_speed_growth_floor_and_frames() {
-    let time = Time {
-        duration: 1.0,
-        frames_per_second: 10.0,
-        cfl: 2.0,
-        fixed_step: None,
-    };
-    let dt = |speed, fall, left, last| time_step(&time, 0.1, speed, fall, left, last);
-    // 2 cells of 0.1 m at 5 m/s: 0.04 s, three steps to the frame.
-    assert!(close(dt(5.0, 1.0, 0.1, 0.0).dt, 0.1 / 3.0));
-    assert!(
-        close(dt(1.0, 5.0, 0.1, 0.0).dt, 0.1 / 3.0),
-        "falling counts as a speed"
-    );
-    assert!(
-        close(dt(5.0, 1.0, 0.1, 0.01).dt, 0.1 / 7.0),
-        "not above 1.5 times the last"
-    );
-    assert!(close(dt(0.0, 0.0, 0.1, 0.0).dt, 0.1), "nothing moves");
-    // 4 m/s asks for exactly half the frame; rounding of the time left must not make it three steps.
-    assert!(close(dt(4.0, 0.0, 0.1 + 1e-14, 0.0).dt, 0.05));
-    let floored = dt(1e6, 0.0, 0.1, 0.0);
-    assert!(floored.floored && close(floored.dt, 0.1 / 256.0));
-    assert!(!dt(5.0, 1.0, 0.1, 0.01).floored);
-    let fixed = Time {
-        fixed_step: Some(0.02),
-        ..time
-    };
-    assert!(close(
-        time_step(&fixed, 0.1, 1e6, 0.0, 0.04 - 1e-13, 1e-9).dt,
-        0.02
-    ));
-    // Two cells of 0.1 m in 0.02 s are 10 m/s; a fixed step is not shortened for more, but told.
-    assert!(!time_step(&fixed, 0.1, 10.0, 0.0, 0.1, 0.0).floored);
-    assert!(time_step(&fixed, 0.1, 10.1, 0.0, 0.1, 0.0).floored);
 }
 
 #[test]
@@ -723,14 +685,14 @@ fn a_solve_that_may_not_iterate_enough_says_so() {
 }
 
 #[test]
-fn volume_control_spreads_over_half_a_frame_and_is_capped() {
-    let (frame, dt) = (0.05, 0.01);
+fn volume_control_spreads_over_half_its_time_and_is_capped() {
+    let (time, dt) = (0.05, 0.01);
     let deficit = 1.0 / 0.99 - 1.0;
-    assert!(close(volume_rate(1.0, 0.99, frame, dt), deficit / 0.025));
-    assert!(close(volume_rate(1.0, 0.99, frame, 0.05), deficit / 0.075));
-    assert!(close(volume_rate(1.0, 0.5, frame, dt), 0.1 / frame));
-    assert!(close(volume_rate(1.0, 2.0, frame, dt), -0.1 / frame));
-    assert_eq!(volume_rate(1.0, 0.0, frame, dt), 0.0);
+    assert!(close(volume_rate(1.0, 0.99, time, dt), deficit / 0.025));
+    assert!(close(volume_rate(1.0, 0.99, time, 0.05), deficit / 0.075));
+    assert!(close(volume_rate(1.0, 0.5, time, dt), 0.1 / time));
+    assert!(close(volume_rate(1.0, 2.0, time, dt), -0.1 / time));
+    assert_eq!(volume_rate(1.0, 0.0, time, dt), 0.0);
 }
 
 #[test]

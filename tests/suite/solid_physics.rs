@@ -154,7 +154,12 @@ fn start(scene: &Scene) -> Reference {
 }
 
 fn step(reference: &mut Reference, dt: f64) -> SolidReport {
-    let report = reference.step(TimeStep { dt, floored: false }).unwrap();
+    let report = reference
+        .step(TimeStep {
+            dt,
+            ..reference.next_time_step()
+        })
+        .unwrap();
     let solid = report.solid.unwrap();
     assert!(report.liquid.is_none());
     assert_eq!(solid.solve.status, SolveStatus::Converged, "{report:?}");

@@ -121,10 +121,11 @@ pub fn compare(
     let mut slopes = Vec::new();
     let mut dt_last = 0.0;
     while path.clock().frame < frames {
-        let dt = path.next_time_step().dt;
+        let time_step = path.next_time_step();
+        let dt = time_step.dt;
         let end = path.clock().time + dt;
         if let Some(judge) = &mut liquid {
-            judge.begin(&path, dt);
+            judge.begin(&path, time_step);
         }
         if let Some(judge) = &mut solids {
             judge.begin(&path, dt);

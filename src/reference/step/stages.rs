@@ -162,8 +162,8 @@ impl SubStep<'_> {
         let open_volumes = &open_volumes(grid, &cut.solid_distance);
         let source = self.model.effects.volume_control.then(|| {
             let volume = liquid_volume(grid, open_volumes, &after.liquid_distance);
-            let frame = 1.0 / self.model.scene.time.frames_per_second;
-            let rate = volume_rate(after.volume_0, volume, frame, dt);
+            let control_time = self.time_step.control_time;
+            let rate = volume_rate(after.volume_0, volume, control_time, dt);
             VolumeSource { rate, open_volumes }
         });
         let rhs = right_hand_side(grid, self.apertures()[1], &after.velocity, &active, source);

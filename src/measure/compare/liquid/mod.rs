@@ -15,7 +15,8 @@ use crate::gpu::Real;
 use crate::grid::{Axis, Grid};
 use crate::measure::bounds::{MarkerError, advection_error, open_to_advection};
 use crate::reference::{
-    self, ActiveCells, MovingWalls, PressureSystem, RightHandSide as Inflow, Stencil, VolumeSource,
+    self, ActiveCells, MovingWalls, PressureSystem, RightHandSide as Inflow, Stencil, TimeStep,
+    VolumeSource,
 };
 use crate::scene::{ProbeKind, Scene};
 use crate::sim::{GpuPath, LiquidSnapshot};
@@ -64,7 +65,9 @@ struct Twin {
 impl<'a> LiquidJudge<'a> {
     /// `None` for a scene without liquid.
     pub(super) fn new(scene: &'a Scene, path: &GpuPath) -> Result<Option<LiquidJudge<'a>>, Error> {
-        let (Some(step), Some(before)) = (path.step_numbers(0.0), path.snapshot()?.liquid) else {
+        let (Some(step), Some(before)) =
+            (path.step_numbers(TimeStep::NONE), path.snapshot()?.liquid)
+        else {
             return Ok(None);
         };
         let grid = Grid {
@@ -119,9 +122,9 @@ impl<'a> LiquidJudge<'a> {
     }
 
     /// Hears of the next sub-step.
-    pub(super) fn begin(&mut self, path: &GpuPath, dt: f64) {
+    pub(super) fn begin(&mut self, path: &GpuPath, time_step: TimeStep) {
         self.table.step = path.clock().step;
-        if let Some(step) = path.step_numbers(dt) {
+        if let Some(step) = path.step_numbers(time_step) {
             self.step = step;
         }
         if let Some((_, running)) = path.taps() {
@@ -506,13 +509,13 @@ impl<'a> LiquidJudge<'a> {
         let gone = after.report.left + after.report.sunk;
         let volume_0 = f64::from(self.step.volume_0);
         let volume_0 = reference::volume_without(volume_0, gone.into(), kept);
-        let (frame, dt) = (f64::from(self.step.frame), self.dt());
+        let (control_time, dt) = (f64::from(self.step.control_time), self.dt());
         let (twin, bound) = if volume_0 > 0.0 && volume > 0.0 {
-            let rate = |volume| reference::volume_rate(volume_0, volume, frame, dt);
+            let rate = |volume| reference::volume_rate(volume_0, volume, control_time, dt);
             let twin = rate(volume);
             let ratio = volume_0 / volume;
             // The slope of the rate, without its limits.
-            let per_ratio = 2.0 / frame;
+            let per_ratio = 2.0 / control_time;
             let quotient = if after.real == Real::F32 {
                 6.0 * EPS
             } else {

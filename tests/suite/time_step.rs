@@ -1,0 +1,149 @@
+//! Lengths of sub-steps: limits by speed, by acceleration, by the last sub-step and by the frames; the same physics at any frame rate.
+
+use std::fs;
+
+use cutwater::geometry::obstacle_cut;
+use cutwater::reference::StepLimits;
+use cutwater::scene::{Keyframe, Scene};
+use glam::DVec3;
+
+const POOL: &str = "[liquid]\n[[liquid.region]]\nbox = { min = [0, 0, 0], max = [1, 0.5, 1] }\n";
+
+/// A unit cube of 10^3 cells, gravity 10 m/s^2, one second in ten frames.
+fn scene(rest: &str, overrides: &[&str]) -> Scene {
+    let text = format!(
+        "[domain]\nsize = [1, 1, 1]\ncells = [10, 10, 10]\ngravity = [0, -10, 0]\n\
+         [time]\nduration = 1.0\nframes_per_second = 10\ncfl = 2\n{rest}"
+    );
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("test.toml");
+    fs::write(&path, text).unwrap();
+    let overrides: Vec<String> = overrides.iter().map(ToString::to_string).collect();
+    Scene::load(&path, &overrides, 1.0).unwrap()
+}
+
+fn limits(rest: &str, overrides: &[&str]) -> StepLimits {
+    let scene = scene(rest, overrides);
+    let cut = obstacle_cut(&scene, &scene.grid()).unwrap();
+    StepLimits::new(&scene, Some(&cut), None)
+}
+
+fn close(a: f64, b: f64) -> bool {
+    (a - b).abs() <= 1e-12 * a.abs().max(b.abs())
+}
+
+/// 0.9 sqrt(dx / g) = 0.09 s.
+#[test]
+fn a_surface_in_motion_moves_by_less_than_its_waves_allow() {
+    let limits = limits(POOL, &[]);
+    let dt = |speed, left, last| limits.time_step(speed, left, last).dt;
+    assert!(close(dt(0.0, 0.1, 0.0), 0.1 / 5.0), "a quarter at first");
+    assert!(close(dt(0.0, 0.1, 0.02), 0.1 / 4.0), "1.5 times the last");
+    assert!(close(dt(0.0, 0.1, 0.1), 0.1 / 2.0));
+    assert!(close(dt(0.0, 0.09, 0.1), 0.09), "not shorter than it must");
+    assert!(close(limits.wave_cfl(0.09), 0.9));
+    // 2 cells of 0.1 m at 5 m/s: 0.04 s, three steps to the frame.
+    assert!(close(dt(5.0, 0.1, 0.1), 0.1 / 3.0));
+    // 4 m/s asks for exactly half the frame; rounding of the time left must not make it three steps.
+    assert!(close(dt(4.0, 0.1 + 1e-14, 0.1), 0.05));
+}
+
+/// Nothing moves explicitly: only speeds limit, that of a fall over a cell included.
+#[test]
+fn a_fixed_surface_has_no_such_limit() {
+    let limits = limits(POOL, &["liquid.surface=\"fixed\""]);
+    let dt = |speed, left, last| limits.time_step(speed, left, last).dt;
+    assert!(close(dt(0.0, 0.1, 0.0), 0.1));
+    assert!(close(dt(0.0, 1.0, 0.0), 0.2), "2 sqrt(dx / g)");
+    assert!(close(dt(0.0, 0.1, 0.01), 0.1 / 7.0));
+}
+
+#[test]
+fn steps_have_a_least_and_a_largest_length() {
+    let limits_of = |overrides: &[&str]| limits(POOL, overrides);
+    let floored = limits_of(&[]).time_step(1e9, 1e-5, 0.0);
+    assert!(floored.floored && close(floored.dt, 1e-7), "{floored:?}");
+    assert!(!limits_of(&[]).time_step(5.0, 0.1, 0.01).floored);
+    let short = limits_of(&["time.max_step=0.01"]);
+    assert!(close(short.time_step(0.0, 0.1, 1.0).dt, 0.01));
+    let fixed = limits_of(&["time.fixed_step=0.02"]);
+    assert!(close(fixed.time_step(1e6, 0.04 - 1e-13, 1e-9).dt, 0.02));
+    // Two cells of 0.1 m in 0.02 s are 10 m/s; a fixed step is not shortened for more, but told.
+    assert!(!fixed.time_step(10.0, 0.1, 0.0).floored);
+    assert!(fixed.time_step(10.1, 0.1, 0.0).floored);
+}
+
+/// Volume control works over sqrt(1 m / 10 m/s^2) / 8, or over an eighth of the time that the fastest point takes across.
+#[test]
+fn volume_is_controlled_over_a_time_of_the_flow() {
+    let falling = limits(POOL, &[]);
+    assert!(close(falling.control_time(3.0), 0.1_f64.sqrt() / 8.0));
+    let floating = limits(POOL, &["domain.gravity=[0,0,0]"]);
+    assert!(close(floating.control_time(0.5), 0.25));
+    assert_eq!(floating.control_time(0.0), f64::INFINITY);
+    assert!(close(floating.time_step(0.0, 0.1, 0.0).dt, 0.1));
+    assert_eq!(floating.wave_cfl(0.1), 0.0);
+}
+
+/// Moves by 0.4 m in 0.1 s: 4 m/s from rest in that time.
+#[test]
+fn accelerations_of_obstacles_count() {
+    let pushed = format!(
+        "{POOL}[[obstacle]]\nsphere = {{ centre = [0.3, 0.3, 0.5], radius = 0.1 }}\n\
+         keyframes = [{{ t = 0 }}, {{ t = 0.1, translate = [0.4, 0, 0] }}]\n"
+    );
+    let limits = limits(&pushed, &[]);
+    assert!(close(limits.wave_cfl(1.0), (40.0_f64 / 0.1).sqrt()));
+}
+
+#[test]
+fn accelerations_of_keyframes_are_changes_of_velocity_and_of_direction() {
+    let frame = |time: f64, x: f64, angle: f64| Keyframe {
+        time,
+        translate: DVec3::new(x, 0.0, 0.0),
+        axis: DVec3::Z,
+        angle,
+    };
+    let of = |frames: &[Keyframe], until| Keyframe::max_acceleration(frames, 0.5, until);
+    assert_eq!(of(&[frame(0.0, 1.0, 2.0)], 9.0), 0.0);
+    // 2 m/s, then 5 m/s: over half of 1 s and of 2 s; it stops from 5 m/s over 2 s.
+    let pushed = [
+        frame(0.0, 0.0, 0.0),
+        frame(1.0, 2.0, 0.0),
+        frame(3.0, 12.0, 0.0),
+    ];
+    assert!(close(of(&pushed, 9.0), 2.5));
+    assert!(close(of(&pushed, 2.0), 2.0), "it stops after the end");
+    // 8 rad/s at 0.5 m: 32 m/s^2 to the centre, 4 m/s from rest in 1 s.
+    assert!(close(
+        of(&[frame(0.0, 0.0, 0.0), frame(1.0, 0.0, 8.0)], 9.0),
+        32.0
+    ));
+}
+
+#[test]
+fn bad_limits_are_refused() {
+    let refused = |overrides: &[&str]| {
+        let text = format!(
+            "[domain]\nsize = [1, 1, 1]\ncells = [10, 10, 10]\n[time]\nduration = 1.0\nframes_per_second = 10\n{POOL}"
+        );
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("test.toml");
+        fs::write(&path, text).unwrap();
+        let overrides: Vec<String> = overrides.iter().map(ToString::to_string).collect();
+        let error = Scene::load(&path, &overrides, 1.0).unwrap_err();
+        assert_eq!(error.exit_code(), 2);
+        error.to_string()
+    };
+    let both = refused(&["time.max_step=0.01", "time.fixed_step=0.02"]);
+    assert!(
+        both.contains("time.max_step") && both.contains("time.fixed_step"),
+        "{both}"
+    );
+    let tiny = refused(&["time.max_step=1e-9"]);
+    assert!(
+        tiny.contains("time.max_step") && tiny.contains("use at least"),
+        "{tiny}"
+    );
+    assert!(refused(&["time.max_step=-1"]).contains("time.max_step"));
+}
