@@ -155,7 +155,7 @@ pub struct SolveReport {
 }
 
 /// Diagnostics of the solids at one time.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SolidDiagnosis {
     /// kg m/s
     pub momentum: [f64; 3],

@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use clap::{ArgAction, ValueEnum};
 use cutwater::Error;
-use cutwater::measure::sweep::{Axis, LOG, Options, Row, Shard, Standing, Sweep};
+use cutwater::measure::sweep::{Axis, LOG, Options, Row, Shard, Status, Sweep};
 use cutwater::scene::MAX_FRAMES;
 
 use super::BackendArgs;
@@ -78,12 +78,12 @@ impl SweepCommand {
             out: out.clone(),
         };
         let sweep = Sweep::new(axes.collect::<Result<_, _>>()?, options)?;
-        let shard = sweep.of_shard(self.shard);
+        let shard = sweep.shard_runs(self.shard);
         if self.list {
             for &number in &shard {
                 say!(
                     "{:10} {}",
-                    sweep.row(number).standing.name(),
+                    sweep.row(number).status.name(),
                     sweep.runs[number].name
                 );
             }
@@ -94,7 +94,7 @@ impl SweepCommand {
         }
         let outdated = shard
             .iter()
-            .find(|&&number| sweep.row(number).standing == Standing::Outdated);
+            .find(|&&number| sweep.row(number).status == Status::Outdated);
         if let (Some(&number), false) = (outdated, self.overwrite) {
             return Err(Error::input(
                 sweep.runs[number].folder.display().to_string(),
@@ -122,11 +122,11 @@ impl SweepCommand {
             while signals.count() == 0
                 && let Some(&number) = shard.get(next.fetch_add(1, Ordering::Relaxed))
             {
-                let before = sweep.row(number).standing;
+                let before = sweep.row(number).status;
                 let result = match before {
-                    Standing::Finished => describe(sweep, number) + ", from an earlier sweep",
-                    Standing::Refused => describe(sweep, number),
-                    _ => match self.run_one(sweep, number, before == Standing::Outdated, signals) {
+                    Status::Finished => describe(sweep, number) + ", from an earlier sweep",
+                    Status::Refused => describe(sweep, number),
+                    _ => match self.run_one(sweep, number, before == Status::Outdated, signals) {
                         Ok(()) => describe(sweep, number),
                         Err(error) => error.to_string(),
                     },
@@ -162,7 +162,7 @@ impl SweepCommand {
         replaces: bool,
         signals: &Signals,
     ) -> Result<(), Error> {
-        let Some(lock) = sweep.take(number)? else {
+        let Some(lock) = sweep.lock(number)? else {
             return Ok(());
         };
         let run = &sweep.runs[number];
@@ -187,7 +187,7 @@ impl SweepCommand {
         drop(command);
         if exit_code != Some(0) {
             problem = last_error(&path, start).or(problem);
-            sweep.note(number, exit_code, problem)?;
+            sweep.record_end(number, exit_code, problem)?;
         }
         Ok(())
     }
@@ -327,8 +327,8 @@ fn last_error(log: &Path, start: u64) -> Option<String> {
 /// Result or status of a run.
 fn describe(sweep: &Sweep, number: usize) -> String {
     let row = sweep.row(number);
-    match row.standing {
-        Standing::Finished => {
+    match row.status {
+        Status::Finished => {
             let volume = row.volume.map_or(String::new(), |[least, largest]| {
                 format!(
                     ", volume {:.1} % to {:.1} %",
@@ -352,15 +352,15 @@ fn describe(sweep: &Sweep, number: usize) -> String {
                 row.worst_residual.unwrap_or_default()
             )
         }
-        Standing::Running => "running in another process".to_owned(),
-        standing => {
+        Status::Running => "running in another process".to_owned(),
+        status => {
             let code = row
                 .exit_code
                 .map_or(String::new(), |code| format!(" (exit code {code})"));
             let problem = row
                 .problem
                 .map_or(String::new(), |problem| format!(": {problem}"));
-            format!("{}{code}{problem}", standing.name())
+            format!("{}{code}{problem}", status.name())
         }
     }
 }
@@ -389,7 +389,7 @@ fn print_table(sweep: &Sweep, shard: &[usize]) {
     }
     for &number in shard {
         let Row {
-            standing,
+            status,
             exit_code,
             frames,
             sub_steps,
@@ -402,7 +402,7 @@ fn print_table(sweep: &Sweep, shard: &[usize]) {
         say!(
             "{:width$}  {:11} {:>4} {:>6} {:>9} {:>9} {:>9} {:>15} {:>6}",
             sweep.runs[number].name,
-            standing.name(),
+            status.name(),
             or_dash(exit_code, |code| code.to_string()),
             or_dash(frames, |frames| frames.to_string()),
             or_dash(sub_steps, |steps| steps.to_string()),
@@ -424,8 +424,8 @@ fn ensure_finished(sweep: &Sweep, shard: &[usize]) -> Result<(), Error> {
         .iter()
         .filter_map(|&number| {
             let row = sweep.row(number);
-            let name = || format!("{} ({})", sweep.runs[number].name, row.standing.name());
-            (row.standing != Standing::Finished).then(name)
+            let name = || format!("{} ({})", sweep.runs[number].name, row.status.name());
+            (row.status != Status::Finished).then(name)
         })
         .collect();
     match unfinished[..] {

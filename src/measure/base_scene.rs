@@ -54,7 +54,7 @@ pub struct DeviceScene<'a> {
 /// Face apertures, face velocities and liquid distance of the base block on a device.
 ///
 /// # Errors
-/// [`Error::Limit`] where the adapter is too small.
+/// [`Error::Limit`] if the adapter is too small.
 pub(super) fn block_fields(
     gpu: &Gpu,
     block: &BaseBlock,
@@ -77,10 +77,10 @@ pub(super) fn block_fields(
 }
 
 impl<'a> DeviceScene<'a> {
-    /// Puts a scene and its system, for J and E u*, onto a device.
+    /// Uploads a scene, and J and E u* of its system.
     ///
     /// # Errors
-    /// [`Error::Limit`] where the adapter is too small or has no f64 and the precision needs it.
+    /// [`Error::Limit`] if the adapter is too small, or lacks f64 and the precision needs it.
     pub fn new(
         gpu: &'a Gpu,
         scene: &BaseScene,
@@ -107,12 +107,11 @@ impl<'a> DeviceScene<'a> {
         let fields = SolidBuffers::new(gpu, plan, &scene.solids)?;
         let rows = SolidRows::new(&scene.solids)?;
         let solids = SolidSystemBuffers::new(gpu, &rows, solver)?;
-        // v* of the scene has its gravity already.
+        // v* of the scene includes gravity.
         let step = fields.step_of(glam::DVec3::ZERO, scene.dt);
         gpu.upload(&fields.step, &[step]);
         let area = grid.dx * grid.dx;
-        let joined = system.coupling.pairs().iter();
-        let pairs: Vec<Pair> = joined
+        let pairs: Vec<Pair> = (system.coupling.pairs().iter())
             .map(|pair| Pair {
                 cell: padded.index(grid.cell_at(pair.cell)),
                 node: pair.node,
@@ -127,28 +126,25 @@ impl<'a> DeviceScene<'a> {
         coupling.write(gpu, &pairs, DENSITY * grid.dx.powi(3) / scene.dt)?;
         let bounds = Bounds::new(&scene.solids);
         let degree = bounds.chebyshev_degree(&scene.solids, scene.dt);
-        let wanted = bounds.unlimited_degree(&scene.solids, |body| {
+        let unlimited = bounds.unlimited_degree(&scene.solids, |body| {
             [body.zeta_mass(scene.dt), body.zeta_stiffness(scene.dt)]
         });
-        let two_field = CoupledSolver::new(
-            gpu,
-            CoupledFields {
-                liquid: &liquid,
-                solids: &solids,
-                fields: &fields,
-                coupling: &coupling,
-                velocity: &velocity,
-                open: &open,
-            },
-            solver,
-        )?;
+        let bound = CoupledFields {
+            liquid: &liquid,
+            solids: &solids,
+            fields: &fields,
+            coupling: &coupling,
+            velocity: &velocity,
+            open: &open,
+        };
+        let two_field = CoupledSolver::new(gpu, bound, solver)?;
         let rhs: Vec<f64> = system.pressure.rhs.iter().map(|b| b / area).collect();
         Ok(DeviceScene {
             solver: two_field,
             rotations: element_rotations(gpu, &fields)?,
             system: SolidSystem::new(gpu, &solids, &fields, None)?,
             rhs: padded.pad(grid.cells, &rhs, |b| b),
-            polynomial: Polynomial::new(degree, bounds.block_jacobi).wanting(wanted),
+            polynomial: Polynomial::new(degree, bounds.block_jacobi).wanting(unlimited),
             state: State {
                 displacement: scene.displacement.clone(),
                 node_velocity: scene.node_velocity.clone(),
@@ -169,7 +165,7 @@ impl<'a> DeviceScene<'a> {
         })
     }
 
-    /// What the solver reads and writes.
+    /// Arrays of the solver.
     pub fn fields(&self) -> CoupledFields<'_> {
         CoupledFields {
             liquid: &self.liquid,
@@ -215,7 +211,7 @@ impl<'a> DeviceScene<'a> {
         Ok(outcome)
     }
 
-    /// The system as it is stored once both are set up. `scene`: the one it was made of.
+    /// The system as stored on the device after its set-up. `scene`: that of [`DeviceScene::new`].
     ///
     /// # Errors
     /// [`Error::Gpu`] when the device fails.
@@ -234,7 +230,7 @@ impl<'a> DeviceScene<'a> {
         let stencil = Stencil::new(*grid, pressure.weight, pressure.dirichlet);
         let mut active = ActiveCells::new(stencil);
         active.seal(&coupling, prescribed);
-        // What was uploaded: a solve takes J v from it.
+        // As uploaded: a solve subtracts J v.
         let area = grid.dx * grid.dx;
         let values = grid
             .padded()
@@ -249,7 +245,7 @@ impl<'a> DeviceScene<'a> {
         Ok(coupled_system(active, rhs, solid, &coupling, density))
     }
 
-    /// Pressures per cell, Pa, and velocities of the nodes, m/s. What inactive cells have means nothing.
+    /// Pressures per cell, Pa, undefined in inactive cells, and velocities of the nodes, m/s.
     ///
     /// # Errors
     /// [`Error::Gpu`] when the device fails.

@@ -14,19 +14,15 @@
 //! P_yy = (2 mu + lambda) (2 beta Y + gamma - 1) + lambda (alpha - 1)
 //! ```
 //!
-//! The tractions T, per area at rest, are what the liquid's pressure lacks. F is symmetric and positive: no element turns. In three
-//! dimensions the same law with F_zz = 1 has the same P_xx and P_yy; P_zz is for the walls that the faces along z are held on.
+//! The tractions T, per area at rest, complete the liquid's pressure to equilibrium. F is symmetric and positive: no element rotates. In three
+//! dimensions the same law with F_zz = 1 has the same P_xx and P_yy; the walls along z carry P_zz.
 
 use glam::DVec3;
 
 use crate::Error;
 use crate::elastic::Solids;
 use crate::geometry::TetMesh;
-use crate::grid::Sides;
-use crate::scene::{
-    Camera, Domain, ElasticModel, Initial, Liquid, Load, LoadKind, Origins, Output, Pin, Placement,
-    Region, Scene, Shape, Solid, SolidMesh, Solver, Surface, SurfaceMesh, Time,
-};
+use crate::scene::{Load, LoadKind, Scene, Shape, Solver};
 use crate::state::State;
 
 /// Width and height of the tank, m.
@@ -37,7 +33,7 @@ const LAYERS: usize = 2;
 const LEVEL: f64 = 0.8;
 /// L and tau0, m.
 const EDGE: f64 = 0.4;
-/// Bottom of the block at rest, m. It says nothing: only differences of rest positions count.
+/// Bottom of the block at rest, m. Arbitrary: only differences of rest positions count.
 const REST: f64 = 0.2;
 /// rho_f, kg/m^3.
 const DENSITY: f64 = 1.0;
@@ -68,7 +64,7 @@ pub struct PlaneStrain {
     pub y2: f64,
 }
 
-/// That of table 6.5.
+/// Block of table 6.5.
 pub const TABLE_6_5: PlaneStrain = PlaneStrain {
     mu: 20.0,
     lambda: 10.0,
@@ -77,7 +73,7 @@ pub const TABLE_6_5: PlaneStrain = PlaneStrain {
     y2: 0.595,
 };
 
-/// That of table 6.6.
+/// Block of table 6.6.
 pub const TABLE_6_6: PlaneStrain = PlaneStrain {
     mu: 100.0,
     lambda: 100.0,
@@ -87,7 +83,7 @@ pub const TABLE_6_6: PlaneStrain = PlaneStrain {
 };
 
 impl PlaneStrain {
-    /// Of the liquid, rho_f |g|, N/m^3.
+    /// Weight of the liquid, rho_f |g|, N/m^3.
     pub const WEIGHT: f64 = -DENSITY * GRAVITY;
 
     /// 2 mu + lambda, Pa.
@@ -142,8 +138,8 @@ impl PlaneStrain {
         self.alpha * (self.y2 - self.y1) * DENSITY / EDGE
     }
 
-    /// Distance from the block's bottom, and by symmetry from its top, to the centre of the cell that holds it, m: a pressure that is
-    /// constant over cells is off by rho g times that.
+    /// Distance from the block's bottom, and by symmetry its top, to the centre of its cell, m. The error of a pressure that is constant over cells
+    /// is rho g times that.
     pub fn distance(&self, dx: f64) -> f64 {
         let centre = ((self.y1 / dx).floor() + 0.5) * dx;
         (self.y1 - centre).abs()
@@ -152,115 +148,63 @@ impl PlaneStrain {
     /// The slab with `cells` cells along the tank's height, a multiple of 5, and bricks of half a cell.
     ///
     /// # Errors
-    /// When it has too many nodes.
+    /// [`Error::Input`] when it has too many nodes.
     pub fn scene(&self, cells: usize, solver: Solver) -> Result<Scene, Error> {
         let dx = TANK[1] / cells as f64;
-        let bricks = (2.0 * EDGE / dx).round() as usize;
+        let [width, bricks] = [TANK[0] / dx, 2.0 * EDGE / dx].map(|n| n.round() as usize);
         let thickness = LAYERS as f64 * dx;
-        let size = DVec3::new(TANK[0], TANK[1], thickness);
         let low = DVec3::new(0.5 * (TANK[0] - EDGE), REST, 0.0);
         let high = low + DVec3::new(EDGE, EDGE, thickness);
-        let face = |z: f64| Pin {
-            region: Shape::Box {
-                min: low.with_z(z - 0.1 * dx),
-                max: high.with_z(z + 0.1 * dx),
-            },
-            components: [false, false, true],
-            keyframes: Vec::new(),
+        let vector = |v: DVec3| format!("{:?}", v.to_array());
+        // The walls along z: the faces of the slab do not move across.
+        let wall = |z: f64| {
+            let [min, max] = [low.with_z(z - 0.1 * dx), high.with_z(z + 0.1 * dx)].map(vector);
+            format!(
+                "[[solid.pin]]\nregion = {{ box = {{ min = {min}, max = {max} }} }}\ncomponents = \"z\"\n"
+            )
         };
-        let [lambda, mu] = [self.lambda, self.mu];
-        let mut solid = Solid {
-            name: "block".to_owned(),
-            mesh: SolidMesh::Box {
-                size: high - low,
-                cells: [bricks, bricks, LAYERS],
-            },
-            placement: Placement {
-                translate: 0.5 * (low + high),
-                ..Placement::default()
-            },
-            initial: Initial::default(),
-            density: self.density(),
-            young: mu * (3.0 * lambda + 2.0 * mu) / (lambda + mu),
-            poisson: 0.5 * lambda / (lambda + mu),
-            model: ElasticModel::Corotational,
-            mass_damping: 0.0,
-            stiffness_damping: 0.0,
-            pins: vec![face(0.0), face(thickness)],
-            loads: Vec::new(),
-        };
-        let mesh = TetMesh::new(&solid, "section 6.4")?;
-        solid.loads = self.loads(&mesh, dx);
-        let domain = Domain {
-            size,
-            cells: [
-                (TANK[0] / dx).round() as usize,
-                (TANK[1] / dx).round() as usize,
-                LAYERS,
-            ],
-            gravity: GRAVITY * DVec3::Y,
-            open: Sides::default(),
-        };
-        let below = Region {
-            shape: Shape::HalfSpace {
-                point: LEVEL * DVec3::Y,
-                normal: DVec3::Y,
-            },
-            placement: Placement::default(),
-            subtract: false,
-            velocity: DVec3::ZERO,
-        };
-        Ok(Scene {
-            name: format!("section_6_4_{cells}"),
-            file: "section 6.4".into(),
-            origins: Origins::default(),
-            hash: String::new(),
-            scale: 1.0,
-            overrides: Vec::new(),
-            domain,
-            time: Time {
-                duration: DT,
-                frames_per_second: 1.0 / DT,
-                cfl: 3.0,
-                fixed_step: Some(DT),
-                max_step: None,
-            },
-            liquid: Some(Liquid {
-                density: DENSITY,
-                regions: vec![below],
-                surface: Surface::Fixed,
-                marker_radius: 0.87,
-                seed: 0,
-                volume_control: false,
-            }),
-            solids: vec![solid],
-            obstacles: Vec::new(),
-            sources: Vec::new(),
-            sinks: Vec::new(),
-            probes: Vec::new(),
-            solver,
-            output: Output {
-                particles: false,
-                fields: false,
-                solids: false,
-                surface: false,
-                every: 1,
-                checkpoint_every: 0,
-            },
-            surface: SurfaceMesh::default(),
-            camera: Camera {
-                eye: 0.5 * size + 3.0 * DVec3::Z,
-                target: 0.5 * size,
-                up: DVec3::Y,
-                fov: 35.0,
-                size: [640, 480],
-                keyframes: Vec::new(),
-                cut: None,
-            },
-        })
+        let text = format!(
+            "[domain]
+size = [{:?}, {:?}, {thickness:?}]
+cells = [{width}, {cells}, {LAYERS}]
+gravity = [0, {GRAVITY:?}, 0]
+[time]
+duration = {DT:?}
+frames_per_second = {:?}
+fixed_step = {DT:?}
+[liquid]
+density = {DENSITY:?}
+surface = \"fixed\"
+[[liquid.region]]
+half_space = {{ point = [0, {LEVEL:?}, 0], normal = [0, 1, 0] }}
+[[solid]]
+name = \"block\"
+mesh = {{ box = {{ size = {}, cells = [{bricks}, {bricks}, {LAYERS}] }} }}
+placement = {{ translate = {} }}
+density = {:?}
+young = {:?}
+poisson = {:?}
+{}{}",
+            TANK[0],
+            TANK[1],
+            1.0 / DT,
+            vector(high - low),
+            vector(0.5 * (low + high)),
+            self.density(),
+            self.mu * (3.0 * self.lambda + 2.0 * self.mu) / (self.lambda + self.mu),
+            0.5 * self.lambda / (self.lambda + self.mu),
+            wall(0.0),
+            wall(thickness),
+        );
+        let file = format!("section_6_4_{cells}.toml");
+        let mut scene = Scene::parse(file.as_ref(), &text, &[], 1.0)?;
+        let mesh = TetMesh::new(&scene.solids[0], "section 6.4")?;
+        scene.solids[0].loads = self.loads(&mesh, dx);
+        scene.solver = solver;
+        Ok(scene)
     }
 
-    /// The deformed block of a scene as it starts.
+    /// Deforms the block of a scene at its start.
     pub fn deform(&self, solids: &Solids, state: &mut State) {
         let middle = 0.5 * TANK[0];
         let moved = solids.rest.iter().map(|rest| {
@@ -292,12 +236,12 @@ impl PlaneStrain {
             if normal.z.abs() > 0.5 {
                 continue;
             }
-            // The triangle as a square of which one side has shrunk to the first corner.
-            for [s, of_s] in GAUSS {
-                for [t, of_t] in GAUSS {
+            // The triangle is a square with one side collapsed to the first corner.
+            for [s, weight_s] in GAUSS {
+                for [t, weight_t] in GAUSS {
                     let weights = [1.0 - s, s * (1.0 - t), s * t];
                     let x: DVec3 = weights.iter().zip(corners).map(|(w, x)| *w * x).sum();
-                    let force = 2.0 * area * s * of_s * of_t * traction(x);
+                    let force = 2.0 * area * s * weight_s * weight_t * traction(x);
                     for (node, weight) in nodes.iter().zip(weights) {
                         forces[*node as usize] += weight * force;
                     }

@@ -1,4 +1,4 @@
-//! The systems of a sub-step as the device stores them, widened: the systems of the step (design section 5).
+//! The systems of a sub-step as stored on the device, widened to f64.
 
 use std::sync::Arc;
 
@@ -24,13 +24,13 @@ pub(super) fn pressure_system(
     rhs.values = liquid.rhs.iter().map(|b| area * b).collect();
     let mut system = PressureSystem::new(active, rhs, dt, density);
     let mut values = std::mem::take(&mut system.rhs);
-    // What rounding to f32 left of them, where the device has no f64.
+    // Remainders of rounding to f32 on devices without f64.
     system.remove_closed_means(&mut values);
     system.rhs = values;
     system
 }
 
-/// The pressures that the device has found, Pa; where liquid and solids touch those with which it pushes nodes, whose rate is an f32.
+/// Pressures computed by the device, Pa. If liquid and solids touch: the pressures on the nodes, with a factor in f32.
 pub(super) fn pressure(path: &GpuPath, liquid: &LiquidSnapshot, density: f64, dt: f64) -> Vec<f64> {
     let grid = path.grid();
     let pascal = match path.clip().filter(|clip| touches(clip.coupling(), liquid)) {
@@ -50,24 +50,22 @@ fn touches(coupling: &Coupling, liquid: &LiquidSnapshot) -> bool {
     joined.any(|(cell, _)| liquid.active[cell])
 }
 
-/// The system of the solids, with the numbers that the device has of them.
+/// The system of the solids, and the solids as stored on the device.
 pub(super) fn solid_system(
     path: &GpuPath,
     solids: &SolidSnapshot,
     dt: f64,
 ) -> (SolidSystem, Solids) {
-    let at_rest = path
-        .solids()
-        .expect("a snapshot of solids is of a scene with some");
+    let at_rest = path.solids().expect("the snapshot has solids");
     let all = solids.on_device(at_rest);
     let pattern = Arc::new(BlockPattern::new(&all));
-    // As the device has it.
+    // The device stores it in f32.
     let system = solids.system(&all, &pattern, f64::from(dt as f32));
     (system, all)
 }
 
-/// The system of both; `None` where they do not touch. `inflow`: the right-hand side of the pressure before the solve, which takes from it
-/// what the solids take up, m/s.
+/// The coupled system; `None` if liquid and solids do not touch. `inflow`: right-hand side of the pressure before the solve, which subtracts the flux of
+/// the solids, m/s.
 pub(super) fn system_of_both(
     path: &GpuPath,
     Snapshot { liquid, solids, .. }: &Snapshot,

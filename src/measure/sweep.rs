@@ -1,5 +1,4 @@
-//! Sweeps: every combination of the values of some keys of a scene, a folder for each, and a summary that is made anew from these
-//! folders.
+//! Sweeps: a run for every combination of values of some keys of a scene, each in a folder of its own, and a summary of these folders.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File, TryLockError};
@@ -18,15 +17,15 @@ use crate::scene::Scene;
 
 /// Most runs of a sweep: a folder each.
 const MAX_RUNS: usize = 100_000;
-/// Longest name of a folder before what makes it unique; file systems allow 255 bytes.
+/// Longest name of a folder without the hash that makes it unique; file systems allow 255 bytes.
 const LONGEST_NAME: usize = 150;
-/// What the sweep itself knows of a run, in the run's folder.
+/// Record of the sweep about a run, in the run's folder.
 const RECORD: &str = "sweep.json";
-/// Everything that the run printed, in the run's folder.
+/// Output of the run, in the run's folder.
 pub const LOG: &str = "log.txt";
-/// Held by the sweep and the run that it started, in the run's folder; a run alone holds another.
+/// Lock of the sweep and the run that it started, in the run's folder; a run outside a sweep has another.
 const LOCK: &str = ".sweep.lock";
-/// Who makes a summary holds a run's lock for a moment, to see whether it is free: that is no reason to leave the run out.
+/// Attempts to lock a run: a process that writes a summary locks it for a moment to see whether it is free.
 const LOCK_TRIES: u32 = 20;
 const LOCK_PAUSE: Duration = Duration::from_millis(20);
 
@@ -35,37 +34,30 @@ const LOCK_PAUSE: Duration = Duration::from_millis(20);
 pub struct Axis {
     /// Dotted key, such as `solid[0].young`.
     pub key: String,
-    /// TOML values as written, none of them twice.
+    /// Distinct TOML values as written.
     pub values: Vec<String>,
 }
 
 impl FromStr for Axis {
     type Err = Error;
 
-    /// Reads `KEY=V1,V2,...`; commas within brackets, braces and quotes belong to a value.
+    /// Parses `KEY=V1,V2,...`; commas within brackets, braces and quotes are part of a value.
     fn from_str(text: &str) -> Result<Axis, Error> {
-        let refuse =
-            |problem: String, cure: &str| Err(Error::input(format!("--set {text}"), problem, cure));
+        let refused = |problem: String, cure| Error::input(format!("--set {text}"), problem, cure);
         let cure = "write --set KEY=V1,V2, such as --set liquid.density=800,1000";
-        let Some((key, list)) = text.split_once('=') else {
-            return refuse("has no `=`".into(), cure);
-        };
-        let Some(values) = split(list) else {
+        let parts = text.split_once('=');
+        let (key, list) = parts.ok_or_else(|| refused("has no `=`".into(), cure))?;
+        let values = split(list).ok_or_else(|| {
             let problem = format!("the brackets or quotes of `{list}` do not match");
-            return refuse(
-                problem,
-                "close them; single quotes keep them from the shell",
-            );
-        };
+            refused(problem, "close them, within single quotes for the shell")
+        })?;
         if values.iter().any(String::is_empty) {
-            return refuse("has an empty value".into(), cure);
+            return Err(refused("has an empty value".into(), cure));
         }
         let mut seen = BTreeSet::new();
         if let Some(twice) = values.iter().find(|value| !seen.insert(value.as_str())) {
-            return refuse(
-                format!("has the value {twice} twice"),
-                "give each value once",
-            );
+            let problem = format!("has the value {twice} twice");
+            return Err(refused(problem, "give each value once"));
         }
         Ok(Axis {
             key: key.trim().to_owned(),
@@ -74,7 +66,7 @@ impl FromStr for Axis {
     }
 }
 
-/// The parts between commas that are in no bracket, brace or quotes; `None` where these do not match.
+/// Parts between commas outside brackets, braces and quotes; `None` if these do not match.
 fn split(list: &str) -> Option<Vec<String>> {
     let mut values = vec![String::new()];
     let (mut open, mut quote, mut escaped) = (Vec::new(), None, false);
@@ -100,7 +92,7 @@ fn split(list: &str) -> Option<Vec<String>> {
     closed.then(|| values.iter().map(|value| value.trim().to_owned()).collect())
 }
 
-/// Which runs of a sweep this process makes: every `count`-th, from the `index`-th on, counted from 1.
+/// Runs of a sweep for this process: every `count`-th, starting with the `index`-th, counted from 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shard {
     /// 1 to `count`.
@@ -125,12 +117,6 @@ impl FromStr for Shard {
     }
 }
 
-impl Shard {
-    fn holds(self, number: usize) -> bool {
-        number % self.count == self.index - 1
-    }
-}
-
 /// One combination.
 #[derive(Debug)]
 pub struct Run {
@@ -142,73 +128,74 @@ pub struct Run {
     pub values: Vec<String>,
     /// `KEY=VALUE` of each axis.
     pub overrides: Vec<String>,
-    /// SHA-256 of the scene with these overrides, and its frames; or why it is refused.
+    /// SHA-256 of the scene with these overrides, and its frames; or its error.
     scene: Result<(String, u64), Error>,
 }
 
-/// How a run stands, judged by its folder.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Standing {
-    /// There is nothing.
+/// Status of a run, from its folder.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Status {
+    /// No folder, or an empty one.
+    #[default]
     Missing,
-    /// All frames are there, of this scene, these settings and this version.
+    /// All frames exist, of this scene, these settings and this version.
     Finished,
     /// It ended with an error.
     Failed,
     /// It was interrupted.
     Interrupted,
-    /// It ended without a word: killed, or the machine went down.
+    /// It ended without a record: killed, or by a crash of the machine.
     BrokenOff,
-    /// Another process is at it.
+    /// Another process runs it.
     Running,
-    /// The folder holds a run of another text of the scene, other options, or another version.
+    /// The folder contains a run of another scene text, other options, or another version.
     Outdated,
     /// The scene with these settings is refused.
     Refused,
 }
 
-impl Standing {
-    /// As summary.csv has it.
+impl Status {
+    /// Name in summary.csv.
     pub fn name(self) -> &'static str {
         match self {
-            Standing::Missing => "missing",
-            Standing::Finished => "finished",
-            Standing::Failed => "failed",
-            Standing::Interrupted => "interrupted",
-            Standing::BrokenOff => "broken_off",
-            Standing::Running => "running",
-            Standing::Outdated => "outdated",
-            Standing::Refused => "refused",
+            Status::Missing => "missing",
+            Status::Finished => "finished",
+            Status::Failed => "failed",
+            Status::Interrupted => "interrupted",
+            Status::BrokenOff => "broken_off",
+            Status::Running => "running",
+            Status::Outdated => "outdated",
+            Status::Refused => "refused",
         }
     }
 }
 
-/// A row of summary.csv. What a run has not come to is absent.
-#[derive(Clone, Debug)]
+/// A row of summary.csv, without the values that the run has not reached.
+#[derive(Clone, Debug, Default)]
 pub struct Row {
-    /// How the run stands.
-    pub standing: Standing,
-    /// Exit code of `cutwater run`; absent where a signal ended it.
+    /// Status of the run.
+    pub status: Status,
+    /// Exit code of `cutwater run`; absent if a signal ended it.
     pub exit_code: Option<i32>,
     /// Frames computed, frame 0 not counted.
     pub frames: Option<u64>,
     /// Sub-steps.
     pub sub_steps: Option<u64>,
-    /// Wall clock.
+    /// Wall-clock seconds.
     pub seconds: Option<f64>,
     /// Largest true relative residual of all solves.
     pub worst_residual: Option<f64>,
-    /// Least and largest liquid volume over the volume to hold.
+    /// Least and largest liquid volume over the prescribed volume.
     pub volume: Option<[f64; 2]>,
     /// Sub-steps with a solve that missed its tolerance.
     pub missed: Option<u64>,
-    /// Sub-steps in which liquid had nowhere to go.
+    /// Sub-steps with an incompatible boundary flux of an enclosed liquid component.
     pub squeezed: Option<u64>,
-    /// What went wrong.
+    /// Error message.
     pub problem: Option<String>,
 }
 
-/// How one run ended, as the sweep saw it.
+/// End of a run, as seen by the sweep.
 #[derive(Debug, Serialize, Deserialize)]
 struct Record {
     cutwater: String,
@@ -217,7 +204,7 @@ struct Record {
     problem: Option<String>,
 }
 
-/// What all runs of a sweep are told alike.
+/// Options of all runs of a sweep.
 #[derive(Clone, Debug)]
 pub struct Options {
     /// Scene file.
@@ -226,7 +213,7 @@ pub struct Options {
     pub scale: f64,
     /// Frames instead of the scene's duration.
     pub frames: Option<u64>,
-    /// `gpu` or `cpu`, as manifests name it.
+    /// `gpu` or `cpu`, as in manifests.
     pub backend: &'static str,
     /// Folder of the sweep.
     pub out: PathBuf,
@@ -237,18 +224,17 @@ pub struct Options {
 pub struct Sweep {
     axes: Vec<Axis>,
     options: Options,
-    /// All runs, of all shards.
+    /// Runs of all shards.
     pub runs: Vec<Run>,
-    /// Rows of finished runs, which do not change any more.
+    /// Rows of finished runs, which do not change.
     finished: Mutex<BTreeMap<usize, Row>>,
 }
 
 impl Sweep {
-    /// Makes all combinations and reads the scene with each; nothing is written.
+    /// Forms all combinations and reads the scene with each; nothing is written.
     ///
     /// # Errors
-    /// [`Error::Input`] for a key that comes twice and for more than 100,000 runs; the scene's own error where it is refused with
-    /// every combination.
+    /// [`Error::Input`] for a repeated key and for more than 100,000 runs; the scene's own error if it is refused with every combination.
     pub fn new(axes: Vec<Axis>, options: Options) -> Result<Sweep, Error> {
         let mut seen = BTreeSet::new();
         if let Some(twice) = axes.iter().find(|axis| !seen.insert(axis.key.as_str())) {
@@ -277,18 +263,14 @@ impl Sweep {
             for (pick, axis) in picks.iter_mut().zip(&axes).rev() {
                 (*pick, rest) = (rest % axis.values.len(), rest / axis.values.len());
             }
-            let of_axes = || axes.iter().zip(&picks);
-            let values: Vec<String> = of_axes()
-                .map(|(axis, &pick)| axis.values[pick].clone())
+            let values = axes.iter().zip(&picks);
+            let values: Vec<String> = values.map(|(axis, &at)| axis.values[at].clone()).collect();
+            let overrides = axes.iter().zip(&values);
+            let overrides: Vec<String> = overrides
+                .map(|(axis, value)| format!("{}={value}", axis.key))
                 .collect();
-            let overrides: Vec<String> = of_axes()
-                .map(|(axis, &pick)| format!("{}={}", axis.key, axis.values[pick]))
-                .collect();
-            let parts: Vec<&str> = labels
-                .iter()
-                .zip(&picks)
-                .map(|(of_axis, &pick)| of_axis[pick].as_str())
-                .collect();
+            let parts = labels.iter().zip(&picks);
+            let parts: Vec<&str> = parts.map(|(label, &at)| label[at].as_str()).collect();
             let name = folder_name(&parts.join("_"));
             let scene = Scene::load(&options.scene, &overrides, options.scale);
             runs.push(Run {
@@ -315,20 +297,19 @@ impl Sweep {
         })
     }
 
-    /// The numbers of the runs of a shard.
-    pub fn of_shard(&self, shard: Shard) -> Vec<usize> {
-        (0..self.runs.len())
-            .filter(|&number| shard.holds(number))
-            .collect()
+    /// Indices of the runs of a shard.
+    pub fn shard_runs(&self, shard: Shard) -> Vec<usize> {
+        let first = shard.index - 1;
+        (first..self.runs.len()).step_by(shard.count).collect()
     }
 
-    /// How a run stands.
+    /// Row of a run.
     pub fn row(&self, number: usize) -> Row {
         if let Some(row) = self.lock_finished().get(&number) {
             return row.clone();
         }
         let row = self.read_row(&self.runs[number]);
-        if row.standing == Standing::Finished {
+        if row.status == Status::Finished {
             self.lock_finished().insert(number, row.clone());
         }
         row
@@ -341,102 +322,66 @@ impl Sweep {
     }
 
     fn read_row(&self, run: &Run) -> Row {
-        let mut row = Row {
-            standing: Standing::Missing,
-            exit_code: None,
-            frames: None,
-            sub_steps: None,
-            seconds: None,
-            worst_residual: None,
-            volume: None,
-            missed: None,
-            squeezed: None,
-            problem: None,
-        };
         let (hash, frames) = match &run.scene {
-            Ok(wanted) => wanted,
+            Ok(scene) => scene,
             Err(error) => {
-                row.standing = Standing::Refused;
-                row.exit_code = Some(error.exit_code().into());
-                row.problem = Some(one_line(&error.to_string()));
-                return row;
+                return Row {
+                    status: Status::Refused,
+                    exit_code: Some(error.exit_code().into()),
+                    problem: Some(one_line(&error.to_string())),
+                    ..Row::default()
+                };
             }
         };
+        let version = env!("CARGO_PKG_VERSION");
         let record = fs::read(run.folder.join(RECORD)).ok();
         let record: Option<Record> = record.and_then(|text| serde_json::from_slice(&text).ok());
-        let record = record.filter(|record| {
-            record.scene_sha256 == *hash && record.cutwater == env!("CARGO_PKG_VERSION")
-        });
+        let record =
+            record.filter(|record| record.scene_sha256 == *hash && record.cutwater == version);
         let manifest = Manifest::read(&run.folder).ok();
-        let of_this = |manifest: &Manifest| {
+        let current = |manifest: &Manifest| {
             manifest.scene.sha256 == *hash
-                && manifest.cutwater == env!("CARGO_PKG_VERSION")
+                && manifest.cutwater == version
                 && manifest.options.frames == *frames
                 && manifest.options.backend == self.options.backend
         };
-        let held = matches!(
-            File::open(run.folder.join(LOCK)).map(|lock| lock.try_lock_shared()),
-            Ok(Err(TryLockError::WouldBlock))
-        );
-        match (manifest, record) {
-            (Some(manifest), record) if of_this(&manifest) => {
-                (row.standing, row.exit_code) = match manifest.progress.status {
-                    RunStatus::Finished => (Standing::Finished, Some(0)),
-                    RunStatus::Interrupted => (
-                        Standing::Interrupted,
-                        Some(Error::Interrupted.exit_code().into()),
-                    ),
-                    RunStatus::Failed => (Standing::Failed, None),
-                    RunStatus::Running => (Standing::BrokenOff, None),
-                };
-                row.sub_steps = Some(manifest.progress.steps);
-                row.seconds = Some(manifest.progress.seconds);
-                row.problem = manifest.progress.error.as_deref().map(one_line);
-                if let Some(record) = record {
-                    row.exit_code = row.exit_code.or(record.exit_code);
-                    row.problem = row.problem.or(record.problem);
-                }
-                if manifest.progress.status == RunStatus::Running {
-                    row.seconds = None;
-                }
-                row.frames = manifest.progress.frames_written.last().copied();
-                let tally = manifest.progress.tally;
-                row.worst_residual = Some(tally.worst_residual);
-                row.volume = tally.volume_ratio;
-                row.missed = Some(tally.missed);
-                row.squeezed = Some(tally.squeezed);
-            }
-            (Some(_), _) => row.standing = Standing::Outdated,
-            (None, Some(record)) => {
-                row.standing = match record.exit_code {
-                    None => Standing::BrokenOff,
-                    Some(130) => Standing::Interrupted,
-                    Some(_) => Standing::Failed,
-                };
-                row.exit_code = record.exit_code;
-                row.problem = record.problem;
-            }
-            (None, None) => {}
-        }
-        if held {
-            row.standing = Standing::Running;
+        let mut row = match (manifest, record) {
+            (Some(manifest), record) if current(&manifest) => manifest_row(&manifest, record),
+            (Some(_), _) => Row {
+                status: Status::Outdated,
+                ..Row::default()
+            },
+            (None, Some(record)) => Row {
+                status: match record.exit_code {
+                    None => Status::BrokenOff,
+                    Some(130) => Status::Interrupted,
+                    Some(_) => Status::Failed,
+                },
+                exit_code: record.exit_code,
+                problem: record.problem,
+                ..Row::default()
+            },
+            (None, None) => Row::default(),
+        };
+        let lock = File::open(run.folder.join(LOCK)).map(|lock| lock.try_lock_shared());
+        if matches!(lock, Ok(Err(TryLockError::WouldBlock))) {
+            row.status = Status::Running;
         }
         row
     }
 
-    /// Takes a run for this process, or `None` where another has it. Its folder is made, and what is left of an earlier attempt's
-    /// record removed. The run is free again when the file and all that were made from it are closed: give it to the process that
-    /// runs, so that no second one starts beside it when this one is killed.
+    /// Locks a run for this process, or `None` if another has locked it. Creates its folder and removes the record of an earlier attempt. Closing the
+    /// file and all its duplicates unlocks the run. Pass it on to the process of the run: that remains alone if this process is killed.
     ///
     /// # Errors
-    /// [`Error::Output`] where the folder cannot be written.
-    pub fn take(&self, number: usize) -> Result<Option<File>, Error> {
+    /// [`Error::Output`] if the folder cannot be written.
+    pub fn lock(&self, number: usize) -> Result<Option<File>, Error> {
         let folder = &self.runs[number].folder;
         let failed = |problem: std::io::Error| Error::unwritten(folder, &problem);
         fs::create_dir_all(folder).map_err(failed)?;
         let lock = lock_of(folder).map_err(failed)?;
         let mut tries = 0;
-        // Not every file system has locks; there the user keeps sweeps apart.
+        // Not every file system has locks; on those the user must not start two sweeps.
         while let Err(TryLockError::WouldBlock) = lock.try_lock() {
             tries += 1;
             if tries > LOCK_TRIES {
@@ -450,11 +395,11 @@ impl Sweep {
         }
     }
 
-    /// Writes down how a run ended: its exit code, or `None` where a signal ended it, and what went wrong.
+    /// Records the end of a run: its exit code, or `None` if a signal ended it, and its error message.
     ///
     /// # Errors
-    /// [`Error::Output`] where it cannot be written.
-    pub fn note(
+    /// [`Error::Output`] if it cannot be written.
+    pub fn record_end(
         &self,
         number: usize,
         exit_code: Option<i32>,
@@ -476,47 +421,39 @@ impl Sweep {
         write_atomically(&path, &text)
     }
 
-    /// Makes summary.csv anew from the folders of all runs, those of other shards too. Processes take turns, so that the last one has
-    /// it complete.
+    /// Writes summary.csv from the folders of all runs, also of other shards. A lock orders the processes, so that the last one writes it complete.
     ///
     /// # Errors
-    /// [`Error::Output`] where it cannot be written.
+    /// [`Error::Output`] if it cannot be written.
     pub fn write_summary(&self) -> Result<(), Error> {
         let out = &self.options.out;
         let path = out.join("summary.csv");
         fs::create_dir_all(out).map_err(|problem| Error::unwritten(out, &problem))?;
         let turn = lock_of(out).map_err(|problem| Error::unwritten(out, &problem))?;
-        // Without locks a reader may find the summary of a moment ago; any later invocation mends that.
+        // Without locks an older summary may remain; any later invocation corrects that.
         let _ = turn.lock();
         let mut table = csv::Writer::from_writer(Vec::new());
         let failed = |problem: csv::Error| Error::output(&path, problem);
         let keys = self.axes.iter().map(|axis| axis.key.as_str());
-        let columns = [
-            "status",
-            "exit_code",
-            "frames",
-            "sub_steps",
-            "seconds",
-            "worst_residual",
-            "volume_least",
-            "volume_largest",
-            "missed",
-            "squeezed",
-            "folder",
-            "problem",
-        ];
-        table.write_record(keys.chain(columns)).map_err(failed)?;
+        table.write_record(keys.chain(COLUMNS)).map_err(failed)?;
         for (number, run) in self.runs.iter().enumerate() {
             let row = self.row(number);
-            let mut fields = run.values.clone();
-            fields.push(row.standing.name().to_owned());
-            fields.push(text(row.exit_code));
-            fields.extend([row.frames, row.sub_steps].map(text));
             let [least, largest] = [0, 1].map(|end| row.volume.map(|range| range[end]));
-            fields.extend([row.seconds, row.worst_residual, least, largest].map(text));
-            fields.extend([row.missed, row.squeezed].map(text));
-            fields.push(run.name.clone());
-            fields.push(row.problem.unwrap_or_default());
+            let fields = [
+                row.status.name().to_owned(),
+                text(row.exit_code),
+                text(row.frames),
+                text(row.sub_steps),
+                text(row.seconds),
+                text(row.worst_residual),
+                text(least),
+                text(largest),
+                text(row.missed),
+                text(row.squeezed),
+                run.name.clone(),
+                row.problem.unwrap_or_default(),
+            ];
+            let fields = run.values.iter().chain(&fields);
             table.write_record(fields).map_err(failed)?;
         }
         let bytes = table
@@ -526,7 +463,53 @@ impl Sweep {
     }
 }
 
-/// The file in a folder that stands for it where processes take turns.
+/// Columns of summary.csv after the keys.
+const COLUMNS: [&str; 12] = [
+    "status",
+    "exit_code",
+    "frames",
+    "sub_steps",
+    "seconds",
+    "worst_residual",
+    "volume_least",
+    "volume_largest",
+    "missed",
+    "squeezed",
+    "folder",
+    "problem",
+];
+
+/// Row of a run with a manifest.
+fn manifest_row(manifest: &Manifest, record: Option<Record>) -> Row {
+    let progress = &manifest.progress;
+    let (status, exit_code) = match progress.status {
+        RunStatus::Finished => (Status::Finished, Some(0)),
+        RunStatus::Interrupted => {
+            let code = Error::Interrupted.exit_code();
+            (Status::Interrupted, Some(code.into()))
+        }
+        RunStatus::Failed => (Status::Failed, None),
+        RunStatus::Running => (Status::BrokenOff, None),
+    };
+    let problem = progress.error.as_deref().map(one_line);
+    let (recorded_code, recorded_problem) =
+        record.map_or((None, None), |record| (record.exit_code, record.problem));
+    let tally = &progress.tally;
+    Row {
+        status,
+        exit_code: exit_code.or(recorded_code),
+        frames: progress.frames_written.last().copied(),
+        sub_steps: Some(progress.steps),
+        seconds: (status != Status::BrokenOff).then_some(progress.seconds),
+        worst_residual: Some(tally.worst_residual),
+        volume: tally.volume_ratio,
+        missed: Some(tally.missed),
+        squeezed: Some(tally.squeezed),
+        problem: problem.or(recorded_problem),
+    }
+}
+
+/// The lock file of a folder.
 fn lock_of(folder: &Path) -> std::io::Result<File> {
     let mut options = File::options();
     options.create(true).truncate(false).read(true).write(true);
@@ -542,10 +525,10 @@ fn one_line(text: &str) -> String {
     lines.join("; ")
 }
 
-/// `key=value` of every value of every axis, fit for file names: the end of each key that tells it from the others, and the value
-/// without brackets and quotes. Where other characters had to go, or two would be the same, a hash tells them apart.
+/// `key=value` of every value of every axis, for file names: the shortest unique end of the key, and the value without brackets and quotes. A hash
+/// distinguishes values from which other characters were removed, and equal ones.
 fn labels(axes: &[Axis]) -> Vec<Vec<String>> {
-    let of_axis = |axis: &Axis| {
+    let axis_labels = |axis: &Axis| {
         let steps: Vec<&str> = axis.key.split('.').collect();
         let ends = (0..steps.len()).rev().map(|from| steps[from..].join("."));
         let others = || axes.iter().filter(|other| other.key != axis.key);
@@ -567,7 +550,7 @@ fn labels(axes: &[Axis]) -> Vec<Vec<String>> {
                 .collect();
             let nested = value.matches(['[', '{']).count() > 1;
             let faithful = label == bare && !nested && !label.is_empty() && !label.ends_with('.');
-            // Some file systems do not tell capitals.
+            // Some file systems do not distinguish capitals.
             let unique = taken.insert(label.to_lowercase());
             match faithful && unique {
                 true => format!("{key}={label}"),
@@ -576,10 +559,10 @@ fn labels(axes: &[Axis]) -> Vec<Vec<String>> {
         };
         axis.values.iter().map(label).collect()
     };
-    axes.iter().map(of_axis).collect()
+    axes.iter().map(axis_labels).collect()
 }
 
-/// The name itself, or as much of it as file systems take.
+/// The name, shortened to what file systems allow.
 fn folder_name(name: &str) -> String {
     match name.get(..LONGEST_NAME) {
         Some(start) if start.len() < name.len() => format!("{start}~{}", short_hash(name)),

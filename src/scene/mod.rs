@@ -2,6 +2,7 @@
 
 mod camera;
 mod document;
+mod merge;
 mod mesh_file;
 mod probe;
 mod read;
@@ -21,6 +22,7 @@ use crate::grid::{Grid, Sides};
 pub use camera::PICTURE_SIDES;
 use document::Origin;
 pub use document::Origins;
+pub use merge::{Part, from_toml, merge};
 pub use mesh_file::MeshFile;
 pub use read::MAX_FRAMES;
 pub(crate) use read::MAX_VELOCITY;
@@ -716,6 +718,27 @@ pub enum Precision {
     Mixed,
     /// All in f64; needs an adapter with f64.
     F64,
+}
+
+macro_rules! names {
+    ($($kind:ident: $($name:literal => $value:ident),*;)*) => { $(
+        impl $kind {
+            /// Words of scene files and their values.
+            pub const NAMES: &[(&'static str, $kind)] = &[$(($name, $kind::$value)),*];
+
+            /// Word in scene files and tables.
+            pub fn name(self) -> &'static str {
+                match self {
+                    $($kind::$value => $name),*
+                }
+            }
+        }
+    )* };
+}
+names! {
+    Precision: "f32" => F32, "mixed" => Mixed, "f64" => F64;
+    Preconditioner: "multigrid" => Multigrid, "jacobi" => Jacobi, "block_jacobi" => BlockJacobi;
+    PatchPressure: "cell" => Cell, "hydrostatic" => Hydrostatic, "gradient" => Gradient;
 }
 
 impl Precision {

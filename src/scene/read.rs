@@ -759,11 +759,7 @@ fn solver(root: &Table, surface: Option<Surface>, has_solids: bool) -> Result<So
     };
     let table = place.table(&SOLVER)?;
     if let Some(place) = table.get("precision") {
-        solver.precision = place.choice(&[
-            ("f32", Precision::F32),
-            ("mixed", Precision::Mixed),
-            ("f64", Precision::F64),
-        ])?;
+        solver.precision = place.choice(Precision::NAMES)?;
         solver.tolerance = solver.precision.default_tolerance();
     }
     solver.tolerance = table.optional("tolerance", solver.tolerance, |place| {
@@ -779,11 +775,7 @@ fn solver(root: &Table, surface: Option<Surface>, has_solids: bool) -> Result<So
             "sets the pressure solve, and the scene has no liquid",
             "remove it: the solve of solids has its own preconditioner",
         )?;
-        solver.preconditioner = place.choice(&[
-            ("multigrid", Preconditioner::Multigrid),
-            ("jacobi", Preconditioner::Jacobi),
-            ("block_jacobi", Preconditioner::BlockJacobi),
-        ])?;
+        solver.preconditioner = place.choice(Preconditioner::NAMES)?;
         if solver.preconditioner == Preconditioner::BlockJacobi {
             ensure_coupled(&place, surface.is_some() && has_solids)?;
         }
@@ -827,11 +819,7 @@ fn coupled_solver(table: &Table, coupled: bool, solver: &mut Solver) -> Result<(
     }
     if let Some(place) = table.get("pressure_on_patches") {
         ensure_coupled(&place, coupled)?;
-        solver.pressure_on_patches = place.choice(&[
-            ("cell", PatchPressure::Cell),
-            ("hydrostatic", PatchPressure::Hydrostatic),
-            ("gradient", PatchPressure::Gradient),
-        ])?;
+        solver.pressure_on_patches = place.choice(PatchPressure::NAMES)?;
     }
     if let Some(place) = table.get("formulation") {
         ensure_coupled(&place, coupled)?;

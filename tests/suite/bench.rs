@@ -6,7 +6,7 @@ use std::path::Path;
 use cutwater::Error;
 use cutwater::gpu::AdapterReport;
 use cutwater::measure::bench::accuracy::{cheapest, ensure_truth, recommended};
-use cutwater::measure::bench::effects::pairs::{self, Taken};
+use cutwater::measure::bench::effects::pairs::{self, Cost};
 use cutwater::measure::bench::effects::{bytes_in_use, costs};
 use cutwater::measure::bench::ended::{Ended, is_solved};
 use cutwater::measure::bench::outputs::Scratch;
@@ -148,18 +148,18 @@ fn solve(residual: f64, status: SolveStatus) -> SolveReport {
 #[test]
 fn reports_of_both_parts_are_one_end() {
     let passed = |residual| solve(residual, SolveStatus::Converged);
-    let both = Ended::of_reports(&[passed(1e-9), passed(3e-8)]);
+    let both = Ended::new(&[passed(1e-9), passed(3e-8)]);
     assert_eq!((both.iterations, both.residuals), (7, [1e-9, 3e-8]));
     // Whichever part is above the tolerance.
     assert_eq!(
         [1e-7, 1e-8].map(|t| both.name(t)),
         ["converged", "converged_to_rounding"]
     );
-    let other = Ended::of_reports(&[passed(3e-8), passed(1e-9)]);
+    let other = Ended::new(&[passed(3e-8), passed(1e-9)]);
     assert_eq!(other.name(1e-8), "converged_to_rounding");
-    let alone = Ended::of_reports(&[passed(1e-9)]);
+    let alone = Ended::new(&[passed(1e-9)]);
     assert_eq!((alone.name(1e-8), alone.residuals[1]), ("converged", 0.0));
-    let failed = Ended::of_reports(&[passed(1e-9), solve(1.0, SolveStatus::Breakdown)]);
+    let failed = Ended::new(&[passed(1e-9), solve(1.0, SolveStatus::Breakdown)]);
     assert_eq!(failed.name(1e-8), SolveStatus::Breakdown.name());
     assert!(is_solved(both.name(1e-7)) && is_solved(both.name(1e-12)));
     assert!(!is_solved(failed.name(1e-8)));
@@ -375,7 +375,7 @@ fn tosses_of_a_coin() {
 
 #[test]
 fn differences_within_the_noise_are_nothing() {
-    let around = |low, high| pairs::told(Some([low, high]), 0.5 * (low + high), Some(1.0));
+    let around = |low, high| pairs::verdict(Some([low, high]), 0.5 * (low + high), Some(1.0));
     assert_eq!(around(-0.1, 9.0), pairs::NOTHING);
     assert_eq!(
         around(0.2, 1.4),
@@ -384,8 +384,8 @@ fn differences_within_the_noise_are_nothing() {
     );
     assert_eq!(around(0.9, 1.5), pairs::ADDS);
     assert_eq!(around(-1.5, -0.9), "saves");
-    assert_eq!(pairs::told(None, 5.0, None), "too few pairs");
-    let taken = |dispatches, solve_dispatches| Taken {
+    assert_eq!(pairs::verdict(None, 5.0, None), "too few pairs");
+    let taken = |dispatches, solve_dispatches| Cost {
         seconds: 1.0,
         dispatches,
         solve_dispatches,

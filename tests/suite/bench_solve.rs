@@ -308,7 +308,7 @@ fn all_reference_solvers_pass_the_residuals_of_the_device() {
             ] {
                 let reports = system.solve(reference, &settings).unwrap().unwrap();
                 assert_eq!(reports.len(), parts);
-                let ended = Ended::of_reports(&reports);
+                let ended = Ended::new(&reports);
                 let what = format!("{} to {tolerance}: {ended}", reference.name());
                 assert_eq!(ended.name(tolerance), "converged", "{what}");
                 assert_eq!(

@@ -230,10 +230,10 @@ fn a_sweep_goes_on_past_failures_and_makes_what_is_missing() {
         killed.replace("\"finished\"", "\"running\""),
     )
     .unwrap();
-    let standing = says(&folder, &format!("{good} --list"));
+    let status = says(&folder, &format!("{good} --list"));
     assert!(
-        standing.contains("missing    max=0.5,0.75,0.5_cfl=3\nbroken_off max=0.5,0.75,0.5_cfl=4\n"),
-        "{standing}"
+        status.contains("missing    max=0.5,0.75,0.5_cfl=3\nbroken_off max=0.5,0.75,0.5_cfl=4\n"),
+        "{status}"
     );
     assert_eq!(column(&summary, "status"), ["missing", "broken_off"]);
     says(&folder, &good);
@@ -435,9 +435,9 @@ fn a_killed_sweep_leaves_its_runs_to_nobody_else() {
     signal(sweep.id(), "SIGKILL");
     sweep.wait().unwrap();
     let again = "sweep dam.toml --backend cpu --scale 0.5 --set time.duration=1000,1001 --list";
-    let standing = says(&folder, again);
+    let status = says(&folder, again);
     assert_eq!(
-        standing,
+        status,
         "running    duration=1000\nrunning    duration=1001\n"
     );
     let runs = runs_in(&folder);

@@ -155,11 +155,7 @@ fn named<T: Copy + Send + Sync + 'static>(
     })
 }
 
-const PRECISIONS: &[(&str, Precision)] = &[
-    ("f32", Precision::F32),
-    ("mixed", Precision::Mixed),
-    ("f64", Precision::F64),
-];
+const PRECISIONS: &[(&str, Precision)] = Precision::NAMES;
 
 const PRECONDITIONERS: &[(&str, Preconditioner)] = &[
     ("multigrid", Preconditioner::Multigrid),

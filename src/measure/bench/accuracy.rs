@@ -1,9 +1,9 @@
 //! `bench accuracy`: error against time of the solve.
 //!
-//! States of scenes (`states`): the sub-step after a frame is repeated from the same state in every precision, preconditioner, form and tolerance,
-//! in a shuffled order. The solve is timed with its set-up. Its errors are those against two exact solutions: that of the system which the device
-//! stores, and the same sub-step on the f64 path. Systems with liquid of more than 60,000 unknowns have no sparse factor: theirs is by conjugate
-//! gradients. All are refined to 1e-13, or as far as rounding allows; above 1e-10 the bench ends.
+//! States of scenes (`states`): the sub-step after a frame is repeated from the same state with every precision, preconditioner, form and tolerance, in
+//! a shuffled order. The time of the solve includes its set-up. Errors refer to two exact solutions: that of the system which the device stores, and
+//! that of the same sub-step on the f64 path. Exact solutions are by sparse factors, with liquid above 60,000 unknowns by conjugate gradients. They
+//! are refined to 1e-13, or as far as rounding allows; above 1e-10 the bench fails.
 //!
 //! Problems on grids (`grids`): their pressure is known, so errors are those of grid and solve together.
 
@@ -13,11 +13,11 @@ mod states;
 
 use std::cmp::Ordering;
 
-use super::chart::{Chart, Page, exact, lines};
-use super::ended::{is_solved, precision_name};
+use super::chart::{Chart, Page, at, lines};
+use super::ended::is_solved;
 use super::statistics::grouped;
 use super::table::{Row, Table, columns, row};
-use super::{Bench, Case, Listener, Machine, Results, Run, Settings, replace, rows};
+use super::{Bench, Case, Listener, Machine, Results, Run, Settings, hashes, replace, rows};
 use crate::Error;
 use crate::effects::Effects;
 use crate::gpu::{AdapterChoice, Gpu};
@@ -30,16 +30,16 @@ pub use exact::{Exact, dam_release};
 /// Relative residual of the exact solutions.
 const EXACT: f64 = 1e-13;
 const MOST_ITERATIONS: u32 = 20_000;
-/// Residual of an exact solution that did not converge, at most: forces of stiff solids cancel, and their rounding in f64 can be above [`EXACT`].
+/// Largest residual of an exact solution that did not converge. Forces of stiff solids cancel, so rounding in f64 can exceed [`EXACT`].
 const ROUNDED: f64 = 1e-10;
-/// Errors with a recommendation, on states and on grids.
+/// Target errors with a recommendation, on states and on grids.
 const TARGETS: [&[f64]; 2] = [
     &[1e-2, 1e-4, 1e-6, 1e-8, 1e-10],
     &[1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 1e-5, 1e-6, 1e-8],
 ];
-/// An error is that of the grid up to so much of it.
+/// Largest ratio of an error to that of the grid alone at which the solve does not matter.
 const GRID_ERROR: f64 = 1.1;
-/// Rows within so much of the fastest median count as equally fast.
+/// Ratio to the fastest median within which rows count as equally fast.
 const AS_FAST: f64 = 1.25;
 
 /// Scenes, problems and solvers to measure.
@@ -47,19 +47,19 @@ const AS_FAST: f64 = 1.25;
 pub struct Options {
     /// Scenes, scaled.
     pub scenes: Vec<Scene>,
-    /// Frames whose states are solved from.
+    /// Frames whose states the solves start from.
     pub frames: Vec<u64>,
-    /// Cells along 1 m of the known problems, multiples of 10.
+    /// Cells along 1 m of the problems with known solutions: multiples of 10.
     pub grids: Vec<usize>,
     /// Precisions; those that the adapter lacks are skipped.
     pub precisions: Vec<Precision>,
     /// Preconditioners.
     pub preconditioners: Vec<Preconditioner>,
-    /// Forms where liquid and solids touch.
+    /// Forms of solves where liquid and solids touch.
     pub formulations: Vec<Formulation>,
-    /// Relative, of the true residuals.
+    /// Relative tolerances of the true residuals.
     pub tolerances: Vec<f64>,
-    /// Over all refinement steps.
+    /// Most iterations over all refinement steps.
     pub max_iterations: u32,
     /// Adapter.
     pub adapter: AdapterChoice,
@@ -118,7 +118,7 @@ columns! {
 }
 
 fn bench() -> Bench {
-    let state: &[&str] = &[
+    let state = &[
         "scene",
         "frame",
         "precision",
@@ -126,7 +126,7 @@ fn bench() -> Bench {
         "formulation",
         "tolerance",
     ];
-    let problem: &[&str] = &["problem", "grid", "precision", "tolerance"];
+    let problem = &["problem", "grid", "precision", "tolerance"];
     Bench {
         name: "accuracy",
         tables: vec![
@@ -171,6 +171,34 @@ fn bench() -> Bench {
     }
 }
 
+impl Options {
+    fn check(&self) -> Result<(), Error> {
+        let weak = |scene: &&Scene| {
+            Effects::of(scene).coupling && scene.solver.coupling != CouplingScheme::Strong
+        };
+        if let Some(scene) = self.scenes.iter().find(weak) {
+            return Err(Error::input(
+                scene.file.display().to_string(),
+                "the errors are those of strong coupling",
+                "add --set solver.coupling=strong",
+            ));
+        }
+        let fits = |grid: usize| (10..=320).contains(&grid) && grid.is_multiple_of(10);
+        if let Some(grid) = self.grids.iter().find(|&&grid| !fits(grid)) {
+            return Err(Error::input(
+                format!("--grids {grid}"),
+                "walls and surfaces of the problems do not lie on faces of such cells",
+                "give multiples of 10 up to 320",
+            ));
+        }
+        if self.scenes.is_empty() && self.grids.is_empty() {
+            let cure = "give a scene file or more, or grids: --grids 10,20,40";
+            return Err(Error::input("bench accuracy", "nothing to measure", cure));
+        }
+        Ok(())
+    }
+}
+
 /// Measures all states and problems: accuracy.csv, accuracy_best.csv, accuracy_grids.csv, accuracy_grids_best.csv, accuracy_grids_enough.csv,
 /// accuracy.json, accuracy.svg, accuracy_grids.svg.
 ///
@@ -182,38 +210,8 @@ pub fn measure(
     settings: &Settings,
     listener: Listener,
 ) -> Result<Results, Error> {
-    for scene in &options.scenes {
-        if Effects::of(scene).coupling && scene.solver.coupling != CouplingScheme::Strong {
-            let what = scene.file.display().to_string();
-            return Err(Error::input(
-                what,
-                "the errors are those of strong coupling",
-                "add --set solver.coupling=strong",
-            ));
-        }
-    }
-    if let Some(grid) = options
-        .grids
-        .iter()
-        .find(|&&grid| !(10..=320).contains(&grid) || !grid.is_multiple_of(10))
-    {
-        let problem = "walls and surfaces of the problems do not lie on faces of such cells";
-        return Err(Error::input(
-            format!("--grids {grid}"),
-            problem,
-            "give multiples of 10 up to 320",
-        ));
-    }
-    if options.scenes.is_empty() && options.grids.is_empty() {
-        let cure = "give a scene file or more, or grids: --grids 10,20,40";
-        return Err(Error::input("bench accuracy", "nothing to measure", cure));
-    }
+    options.check()?;
     let machine = Machine::new(&Gpu::new(&options.adapter)?, settings.repeats)?;
-    let hashes: Vec<&str> = options
-        .scenes
-        .iter()
-        .map(|scene| scene.hash.as_str())
-        .collect();
     let solvers = (
         &options.precisions,
         &options.preconditioners,
@@ -221,84 +219,73 @@ pub fn measure(
         &options.tolerances,
         options.max_iterations,
     );
-    let mut run = Run::start(bench(), machine, &(hashes, solvers), settings, listener)?;
+    let request = (hashes(&options.scenes), solvers);
+    let mut run = Run::start(bench(), machine, &request, settings, listener)?;
     let mut cases = Vec::new();
     for scene in &options.scenes {
         for &frame in &options.frames {
-            cases.push(Case {
-                key: (
-                    "accuracy",
-                    row! { scene: scene.name.as_str(), frame: frame },
-                ),
-                measure: Box::new(move |run| states::measure(run, scene, frame, options)),
-            });
+            cases.push(Case::new(
+                "accuracy",
+                row! { scene: scene.name.as_str(), frame: frame },
+                move |run| states::measure(run, scene, frame, options),
+            ));
         }
     }
     for problem in Exact::ALL {
         for &grid in &options.grids {
-            cases.push(Case {
-                key: (
-                    "accuracy_grids",
-                    row! { problem: problem.name(), grid: grid },
-                ),
-                measure: Box::new(move |run| grids::measure(run, problem, grid, options)),
-            });
+            cases.push(Case::new(
+                "accuracy_grids",
+                row! { problem: problem.name(), grid: grid },
+                move |run| grids::measure(run, problem, grid, options),
+            ));
         }
     }
     run.cases(cases)?;
     Ok(run.results)
 }
 
-/// Refuses an exact solution that did not converge. `step`: sub-steps before it.
+/// Refuses an exact solution that did not converge. `step`: number of sub-steps before it.
 pub fn ensure_truth(
     what: &str,
     step: u64,
     solves: impl IntoIterator<Item = SolveReport>,
 ) -> Result<(), Error> {
-    for SolveReport {
-        residual, status, ..
-    } in solves
-    {
-        let passed = matches!(status, SolveStatus::Converged | SolveStatus::Incompatible);
-        // False of a residual that is NaN.
-        if !(passed || residual <= ROUNDED) {
-            let status = status.name();
-            return Err(Error::Stage {
-                stage: "solve",
-                step,
-                problem: format!(
-                    "{what}: the solution in f64 that errors are to be measured against ended with {status} at a relative residual of {residual:.1e}, above {ROUNDED:e}\n  cure: shorter sub-steps (time.fixed_step), or loads and stiffnesses nearer to each other"
-                ),
-            });
-        }
-    }
-    Ok(())
+    let failed = |solve: &SolveReport| {
+        let passed = [SolveStatus::Converged, SolveStatus::Incompatible].contains(&solve.status);
+        // A residual of NaN fails.
+        !(passed || solve.residual <= ROUNDED)
+    };
+    let Some(solve) = solves.into_iter().find(failed) else {
+        return Ok(());
+    };
+    let (status, residual) = (solve.status.name(), solve.residual);
+    Err(Error::Stage {
+        stage: "solve",
+        step,
+        problem: format!(
+            "{what}: the reference solution in f64 ended with {status} at a relative residual of {residual:.1e}, above {ROUNDED:e}\n  cure: \
+             shorter sub-steps (time.fixed_step), or loads and stiffnesses nearer to each other"
+        ),
+    })
 }
 
-/// Better rows first: fewer cells, for all stages depend on them; the precision of fewer bytes, which more adapters have; the looser tolerance;
-/// fewer iterations; less time.
+/// Order of preference: fewer cells, which all stages depend on; the narrower precision, which more adapters have; the looser tolerance; fewer
+/// iterations; less time.
 fn better(a: &Row, b: &Row) -> Ordering {
     let size = |row: &Row| (row.count("cells"), row.count("grid"), width(row));
-    let numbers = ["iterations", "seconds_median"];
-    let numbers = numbers.map(|name| a.number(name).total_cmp(&b.number(name)));
-    let tolerance = b.number("tolerance").total_cmp(&a.number("tolerance"));
-    size(a)
-        .cmp(&size(b))
-        .then(tolerance)
-        .then(numbers[0])
-        .then(numbers[1])
+    let less = |name| a.number(name).total_cmp(&b.number(name));
+    let order = size(a).cmp(&size(b)).then(less("tolerance").reverse());
+    order.then(less("iterations")).then(less("seconds_median"))
 }
 
 /// Rank of the precision.
 fn width(row: &Row) -> Option<usize> {
-    let ascending = [Precision::F32, Precision::Mixed, Precision::F64].map(precision_name);
-    ascending
-        .iter()
-        .position(|name| *name == row.text("precision"))
+    let ascending = [Precision::F32, Precision::Mixed, Precision::F64].map(Precision::name);
+    let mut names = ascending.iter();
+    names.position(|name| *name == row.text("precision"))
 }
 
-/// Best of the rows that time does not tell from the fastest: whose least seconds are not above the largest of the row with the least median, nor
-/// above `AS_FAST` times that.
+/// Preferred row among the fastest: least seconds at most the largest of the row with the least median, and at most `AS_FAST` times that median.
 pub fn cheapest<'r>(rows: &[&'r Row]) -> Option<&'r Row> {
     let seconds = rows.iter().filter_map(|row| row.spread("seconds"));
     let fastest = seconds.min_by(|a, b| a.median.total_cmp(&b.median))?;
@@ -307,8 +294,8 @@ pub fn cheapest<'r>(rows: &[&'r Row]) -> Option<&'r Row> {
     equal.min_by(|a, b| better(a, b)).copied()
 }
 
-/// For each of the descending targets that any row meets, the cheapest row with an error not above it, or that of the next lower target where that
-/// one needs no more time, cells and bytes per number: less accuracy should never take longer.
+/// Cheapest row for each of the descending targets that any row meets. The row of the next lower target is preferred if it needs no more time, cells and
+/// bytes per number: less accuracy should never take longer.
 pub fn recommended<'r>(
     rows: &[&'r Row],
     targets: &[f64],
@@ -316,11 +303,8 @@ pub fn recommended<'r>(
 ) -> Vec<(f64, &'r Row)> {
     let mut found: Vec<(f64, &Row)> = Vec::new();
     for &target in targets.iter().rev() {
-        let meeting: Vec<&Row> = rows
-            .iter()
-            .copied()
-            .filter(|row| error(row) <= target)
-            .collect();
+        let meeting = rows.iter().copied().filter(|row| error(row) <= target);
+        let meeting: Vec<&Row> = meeting.collect();
         let Some(mut best) = cheapest(&meeting) else {
             continue;
         };
@@ -337,37 +321,35 @@ pub fn recommended<'r>(
     found
 }
 
-/// The larger of both errors; NaN where one is.
+/// The larger of both errors; NaN if one is.
 fn error(row: &Row) -> f64 {
-    let others = ["error_v", "error_u"]
-        .into_iter()
-        .filter(|name| row.has(name));
-    others.fold(row.number("error_p"), |most, name| {
-        larger(most, row.number(name))
-    })
+    let others = ["error_v", "error_u"].into_iter();
+    let others = others
+        .filter(|name| row.has(name))
+        .map(|name| row.number(name));
+    others.fold(row.number("error_p"), larger)
 }
 
-/// Rows with the least time per target, and the loosest tolerances that leave the errors of the grids as they are.
+/// Rows with the least time per target, and the loosest tolerances that do not increase the errors of the grids.
 pub fn derive(tables: &mut [Table]) {
+    let grids = "accuracy_grids";
     for (table, best, key, targets) in [
-        ("accuracy", "accuracy_best", &["scene", "frame"], TARGETS[0]),
         (
-            "accuracy_grids",
-            "accuracy_grids_best",
-            &["problem", "problem"],
-            TARGETS[1],
+            "accuracy",
+            "accuracy_best",
+            &["scene", "frame"][..],
+            TARGETS[0],
         ),
+        (grids, "accuracy_grids_best", &["problem"], TARGETS[1]),
     ] {
-        let solved = rows(tables, table)
-            .iter()
-            .filter(|row| is_solved(row.text("status")));
+        let solved = rows(tables, table).iter();
+        let solved = solved.filter(|row| is_solved(row.text("status")));
         let groups = grouped(solved, |row| Some(row.only(key)));
         let found = groups
             .iter()
             .flat_map(|(_, rows)| recommended(rows, targets, error));
-        let found = found
-            .map(|(target, row)| row.clone().with(row! { target: target }))
-            .collect();
+        let found = found.map(|(target, row)| row.clone().with(row! { target: target }));
+        let found = found.collect();
         replace(tables, best, found);
     }
     let key = [
@@ -377,39 +359,35 @@ pub fn derive(tables: &mut [Table]) {
         "grid_error_p",
         "grid_error_u",
     ];
-    let groups = grouped(rows(tables, "accuracy_grids"), |row| Some(row.only(&key)));
+    let groups = grouped(rows(tables, grids), |row| Some(row.only(&key)));
     let enough = groups.into_iter().map(|(grid, rows)| {
         let within = |row: &&&Row| {
-            let of_grid =
-                |a: &str, b: &str| !row.has(a) || row.number(a) <= GRID_ERROR * row.number(b);
-            is_solved(row.text("status"))
-                && row.has("error_p")
-                && of_grid("error_p", "grid_error_p")
-                && of_grid("error_u", "grid_error_u")
+            let small = |error: &str, grid_error: &str| {
+                !row.has(error) || row.number(error) <= GRID_ERROR * row.number(grid_error)
+            };
+            let small = small("error_p", "grid_error_p") && small("error_u", "grid_error_u");
+            is_solved(row.text("status")) && row.has("error_p") && small
         };
-        let loosest = rows
-            .iter()
-            .filter(within)
-            .max_by(|a, b| a.number("tolerance").total_cmp(&b.number("tolerance")));
+        let tolerance = |row: &Row| row.number("tolerance");
+        let loosest = rows.iter().filter(within);
+        let loosest = loosest.max_by(|a, b| tolerance(a).total_cmp(&tolerance(b)));
         loosest.map_or(grid, |row| (*row).clone())
     });
     let enough = enough.collect();
     replace(tables, "accuracy_grids_enough", enough);
 }
 
-/// Charts of errors against seconds of rows, one per error.
+/// Charts of errors against seconds, one per error column and its axis.
 fn charts(
     rows: &[&Row],
     title: &str,
     errors: &[(&str, &'static str)],
     name: impl Fn(&Row) -> String,
 ) -> Vec<Chart> {
-    let chart = |(column, axis): &(&str, &'static str)| Chart {
+    let chart = |&(column, axis): &(&str, &'static str)| Chart {
         title: title.to_owned(),
         axes: ["seconds of the solve", axis],
-        lines: lines(rows.iter().copied(), &name, |row| {
-            Some([row.spread("seconds")?, exact(row, column)])
-        }),
+        lines: lines(rows.iter().copied(), &name, at(["seconds", column])),
         falling: true,
     };
     errors.iter().map(chart).collect()
@@ -422,21 +400,11 @@ fn draw_states(results: &Results) -> Page {
         ("step_error_u", "error of u, against the f64 path"),
         ("divergence", "divergence, 1/s"),
     ];
-    let name = |row: &Row| {
-        ["precision", "preconditioner", "formulation"]
-            .map(|name| row.text(name))
-            .join(" ")
-    };
-    let groups = grouped(results.rows("accuracy"), |row| {
-        Some(row.only(&["scene", "frame"]))
-    });
-    let drawn = groups.iter().flat_map(|(state, rows)| {
-        charts(
-            rows,
-            &format!("{}, frame {}", state.text("scene"), state.count("frame")),
-            &errors,
-            name,
-        )
+    let name = |row: &Row| row.join(&["precision", "preconditioner", "formulation"]);
+    let state = |row: &Row| (row.text("scene").to_owned(), row.count("frame"));
+    let groups = grouped(results.rows("accuracy"), |row| Some(state(row)));
+    let drawn = groups.iter().flat_map(|((scene, frame), rows)| {
+        charts(rows, &format!("{scene}, frame {frame}"), &errors, name)
     });
     Page::Charts(2, drawn.collect())
 }
@@ -447,11 +415,10 @@ fn draw_grids(results: &Results) -> Page {
         ("error_u", "speed over g dt"),
     ];
     let name = |row: &Row| format!("{} cells/m, {}", row.count("grid"), row.text("precision"));
-    let groups = grouped(results.rows("accuracy_grids"), |row| {
+    let problems = grouped(results.rows("accuracy_grids"), |row| {
         Some(row.text("problem"))
     });
-    let drawn = groups
-        .iter()
-        .flat_map(|(problem, rows)| charts(rows, problem, &errors, name));
+    let drawn = problems.iter();
+    let drawn = drawn.flat_map(|(problem, rows)| charts(rows, problem, &errors, name));
     Page::Charts(2, drawn.collect())
 }

@@ -1,4 +1,4 @@
-//! Pictures of benches: charts with two logarithmic axes, lists of bars.
+//! Pictures of benches: charts with two logarithmic axes, and bar charts.
 
 use std::ops::Range;
 use std::path::Path;
@@ -12,44 +12,44 @@ use crate::output::drawing::{Area, Failure, ink, write_svg};
 
 /// A page of pictures.
 #[derive(Clone, Debug)]
-pub(in crate::measure) enum Page {
-    /// Charts, so many beside each other.
+pub(crate) enum Page {
+    /// Number of columns, and charts.
     Charts(usize, Vec<Chart>),
-    /// Lists of bars below each other.
+    /// Bar charts below each other.
     Bars(Vec<Bars>),
 }
 
 /// Lines over two logarithmic axes.
 #[derive(Clone, Debug)]
-pub(in crate::measure) struct Chart {
+pub(crate) struct Chart {
     /// Title.
-    pub(in crate::measure) title: String,
+    pub(crate) title: String,
     /// Names of the axes.
-    pub(in crate::measure) axes: [&'static str; 2],
-    /// Names and points; printed numbers have names that begin with `printed`.
-    pub(in crate::measure) lines: Vec<(String, Vec<[Spread; 2]>)>,
-    /// Whether lines fall, so that the key is below them.
-    pub(in crate::measure) falling: bool,
+    pub(crate) axes: [&'static str; 2],
+    /// Names and points; names of the thesis's numbers begin with `printed`.
+    pub(crate) lines: Vec<(String, Vec<[Spread; 2]>)>,
+    /// Whether the lines fall: the key is then below them.
+    pub(crate) falling: bool,
 }
 
-/// Name of a bar, its parts with name, start and end, and a mark.
-pub(in crate::measure) type Bar = (String, Vec<(String, f64, f64)>, f64);
+/// Name of a bar, its parts (name, start, end), and the place of its mark.
+pub(crate) type Bar = (String, Vec<(String, f64, f64)>, f64);
 
 /// Horizontal bars.
 #[derive(Clone, Debug)]
-pub(in crate::measure) struct Bars {
+pub(crate) struct Bars {
     /// Title.
-    pub(in crate::measure) title: String,
+    pub(crate) title: String,
     /// Name of the axis.
-    pub(in crate::measure) axis: &'static str,
+    pub(crate) axis: &'static str,
     /// Its bars.
-    pub(in crate::measure) bars: Vec<Bar>,
+    pub(crate) bars: Vec<Bar>,
     /// Whether the parts have a key.
-    pub(in crate::measure) key: bool,
+    pub(crate) key: bool,
 }
 
-/// Points of rows by the name of their line; those that a logarithmic chart cannot show are left out.
-pub(in crate::measure) fn lines<'r>(
+/// Lines of rows by name; points that a logarithmic chart cannot show are left out.
+pub(crate) fn lines<'r>(
     rows: impl IntoIterator<Item = &'r Row>,
     name: impl Fn(&Row) -> String,
     point: impl Fn(&Row) -> Option<[Spread; 2]>,
@@ -63,20 +63,21 @@ pub(in crate::measure) fn lines<'r>(
         .collect()
 }
 
-/// A number of a row as a coordinate.
-pub(in crate::measure) fn exact(row: &Row, name: &str) -> Spread {
-    Spread::exact(row.number(name))
+/// Point of a row: two columns.
+pub(crate) fn at(columns: [&str; 2]) -> impl Fn(&Row) -> Option<[Spread; 2]> {
+    move |row| {
+        let exact = |name| Spread::exact(row.number(name));
+        Some(columns.map(|name| row.spread(name).unwrap_or_else(|| exact(name))))
+    }
 }
 
 impl Page {
-    /// Writes it; without anything to draw there is no file.
+    /// Writes the page; an empty page is no file.
     pub(super) fn write(&self, path: &Path) -> Result<(), Error> {
         match self {
             Page::Charts(across, charts) => {
-                let charts: Vec<&Chart> = charts
-                    .iter()
-                    .filter(|chart| !chart.lines.is_empty())
-                    .collect();
+                let charts = charts.iter().filter(|chart| !chart.lines.is_empty());
+                let charts: Vec<&Chart> = charts.collect();
                 if charts.is_empty() {
                     return super::remove(path);
                 }
@@ -89,10 +90,8 @@ impl Page {
                 };
                 write_svg(path, (width, 480 * down as u32), |root| {
                     let areas = root.split_evenly((down, across));
-                    areas
-                        .iter()
-                        .zip(charts)
-                        .try_for_each(|(area, chart)| chart.draw(area))
+                    let mut charts = areas.iter().zip(charts);
+                    charts.try_for_each(|(area, chart)| chart.draw(area))
                 })
             }
             Page::Bars(lists) => {
@@ -168,6 +167,15 @@ impl Chart {
     }
 }
 
+/// Two corners of the bar at a place.
+fn side([from, to]: [f64; 2], at: usize) -> [(f64, SegmentValue<usize>); 2] {
+    [
+        (from, SegmentValue::Exact(at)),
+        (to, SegmentValue::Exact(at + 1)),
+    ]
+}
+
+/// Draws the key.
 fn key<'a, CT: CoordTranslate>(
     labels: &mut plotters::chart::SeriesLabelStyle<'a, '_, SVGBackend<'a>, CT>,
 ) -> Result<(), Failure> {
@@ -188,11 +196,7 @@ impl Bars {
 
     /// Pixels.
     fn height(&self) -> u32 {
-        let key = if self.key {
-            18 * self.parts().len() as u32
-        } else {
-            0
-        };
+        let key = u32::from(self.key) * 18 * self.parts().len() as u32;
         110 + (20 * self.bars.len() as u32).max(key)
     }
 
@@ -217,40 +221,30 @@ impl Bars {
                 (0..n).into_segmented(),
             )?;
         let label = |at: &SegmentValue<usize>| match at {
-            SegmentValue::CenterOf(at) => self
-                .bars
-                .get(*at)
-                .map_or(String::new(), |bar| bar.0.clone()),
+            SegmentValue::CenterOf(at) if *at < n => self.bars[*at].0.clone(),
             _ => String::new(),
         };
-        let mut mesh = chart.configure_mesh();
-        mesh.disable_y_mesh()
+        chart
+            .configure_mesh()
+            .disable_y_mesh()
             .x_desc(self.axis)
             .y_labels(n)
             .y_label_formatter(&label)
             .draw()?;
         for (index, name) in self.parts().into_iter().enumerate() {
-            let colour = if name.is_empty() {
-                BLACK.mix(0.25)
-            } else {
-                ink(index).mix(0.7)
+            let colour = match name {
+                "" => BLACK.mix(0.25),
+                _ => ink(index).mix(0.7),
             };
-            let bars = self
-                .bars
-                .iter()
-                .enumerate()
-                .flat_map(|(at, (_, parts, _))| {
-                    let own = parts.iter().filter(|part| part.0 == name);
-                    own.map(move |(_, from, to)| {
-                        let corners = [
-                            (*from, SegmentValue::Exact(at)),
-                            (*to, SegmentValue::Exact(at + 1)),
-                        ];
-                        let mut bar = Rectangle::new(corners, colour.filled());
-                        bar.set_margin(2, 2, 0, 0);
-                        bar
-                    })
-                });
+            let bars = self.bars.iter().enumerate();
+            let bars = bars.flat_map(|(at, (_, parts, _))| {
+                let own = parts.iter().filter(|part| part.0 == name);
+                own.map(move |&(_, from, to)| {
+                    let mut bar = Rectangle::new(side([from, to], at), colour.filled());
+                    bar.set_margin(2, 2, 0, 0);
+                    bar
+                })
+            });
             let bars = chart.draw_series(bars.collect::<Vec<_>>())?;
             if self.key {
                 bars.label(name).legend(move |(x, y)| {
@@ -260,11 +254,7 @@ impl Bars {
         }
         let marks = self.bars.iter().enumerate();
         chart.draw_series(marks.map(|(at, (_, _, mark))| {
-            let line = [
-                (*mark, SegmentValue::Exact(at)),
-                (*mark, SegmentValue::Exact(at + 1)),
-            ];
-            PathElement::new(line, BLACK.stroke_width(2))
+            PathElement::new(side([*mark; 2], at), BLACK.stroke_width(2))
         }))?;
         match self.key {
             true => key(chart

@@ -23,9 +23,9 @@ columns! {
 const THREADS: usize = 1 << 18;
 /// Operations of a thread of `multiply_add`: 256 rounds of 8 fused multiply-adds.
 const OPERATIONS: f64 = 256.0 * 8.0 * 2.0;
-/// Dispatches or submissions whose cost is told apart from a fixed one.
+/// Number of dispatches or submissions that separates their cost from a fixed one.
 const MANY: usize = 512;
-/// A measurement takes at least this long, s.
+/// Least duration of a measurement, s.
 const LONG_ENOUGH: f64 = 0.02;
 
 /// Measures all quantities: device.csv, device.json.
@@ -41,58 +41,35 @@ pub fn measure(gpu: &Gpu, settings: &Settings, listener: Listener) -> Result<Res
     };
     let machine = Machine::new(gpu, settings.repeats)?;
     let mut run = Run::start(bench, machine, &(), settings, listener)?;
-    let (n, tiny) = (settings.repeats, Tiny::new(gpu)?);
-    let launch = |indirect| tiny.per_item(n, move |tiny, n| tiny.launches(n, indirect));
-    let copy = run.results.machine.copy_bandwidth;
-    type Measure<'m> = Box<dyn Fn() -> Result<Option<Spread>, Error> + 'm>;
-    let quantities: [(&str, &str, Measure); 8] = [
-        ("copy_bandwidth", "byte/s", Box::new(|| Ok(copy))),
-        (
-            "f32_rate",
-            "flop/s",
-            Box::new(|| arithmetic(gpu, Real::F32, n).map(Some)),
-        ),
-        (
-            "f64_rate",
-            "flop/s",
-            Box::new(|| {
-                gpu.has_f64()
-                    .then(|| arithmetic(gpu, Real::F64, n))
-                    .transpose()
-            }),
-        ),
-        ("launch", "s", Box::new(|| launch(false).map(Some))),
-        ("indirect_launch", "s", Box::new(|| launch(true).map(Some))),
-        (
-            "submission",
-            "s",
-            Box::new(|| tiny.per_item(n, |tiny, n| tiny.submissions(n)).map(Some)),
-        ),
-        (
-            "wait",
-            "s",
-            Box::new(|| repeat(n, || tiny.submissions(1)).map(Some)),
-        ),
-        (
-            "read_back",
-            "s",
-            Box::new(|| repeat(n, || tiny.read_back()).map(Some)),
-        ),
-    ];
-    let cases = quantities.iter().map(|(quantity, unit, measure)| Case {
-        key: ("device", row! { quantity: *quantity }),
-        measure: Box::new(move |_| {
-            let row = |Spread { median, min, max }| {
-                let row =
-                    row! { quantity: *quantity, unit: *unit, median: median, min: min, max: max };
-                ("device", row)
+    let (copy, tiny) = (run.results.machine.copy_bandwidth, Tiny::new(gpu)?);
+    let cases = QUANTITIES.iter().map(|&(name, unit)| {
+        let tiny = &tiny;
+        Case::new("device", row! { quantity: name }, move |run| {
+            let measured = match name {
+                "copy_bandwidth" => copy,
+                _ => tiny.measure(name, run.settings.repeats)?,
             };
-            Ok(measure()?.into_iter().map(row).collect())
-        }),
+            let row = |Spread { median, min, max }| {
+                row! { quantity: name, unit: unit, median: median, min: min, max: max }
+            };
+            Ok(measured.map(|it| ("device", row(it))).into_iter().collect())
+        })
     });
     run.cases(cases.collect())?;
     Ok(run.results)
 }
+
+/// Quantities and their units.
+const QUANTITIES: [(&str, &str); 8] = [
+    ("copy_bandwidth", "byte/s"),
+    ("f32_rate", "flop/s"),
+    ("f64_rate", "flop/s"),
+    ("launch", "s"),
+    ("indirect_launch", "s"),
+    ("submission", "s"),
+    ("wait", "s"),
+    ("read_back", "s"),
+];
 
 /// Repeats a measurement; the first, which compiles and warms caches, is not counted.
 fn repeat(repeats: usize, mut run: impl FnMut() -> Result<f64, Error>) -> Result<Spread, Error> {
@@ -155,6 +132,21 @@ impl<'a> Tiny<'a> {
             args: gpu.buffer_with("bench.args", &[1, 1, 1, 64])?,
             target,
         })
+    }
+
+    /// Measures a quantity other than the copy bandwidth; `None` if the adapter lacks it.
+    fn measure(&self, quantity: &str, n: usize) -> Result<Option<Spread>, Error> {
+        let spread = match quantity {
+            "f32_rate" => arithmetic(self.gpu, Real::F32, n),
+            "f64_rate" if self.gpu.has_f64() => arithmetic(self.gpu, Real::F64, n),
+            "launch" => self.per_item(n, |tiny, n| tiny.launches(n, false)),
+            "indirect_launch" => self.per_item(n, |tiny, n| tiny.launches(n, true)),
+            "submission" => self.per_item(n, |tiny, n| tiny.submissions(n)),
+            "wait" => repeat(n, || self.submissions(1)),
+            "read_back" => repeat(n, || self.read_back()),
+            _ => return Ok(None),
+        };
+        spread.map(Some)
     }
 
     /// Seconds of `n` dispatches of one workgroup, each waiting for the one before.

@@ -1,13 +1,12 @@
 //! `bench effects`: time, bytes and dispatches that each effect of a scene adds to a sub-step, and the cost of each output of a frame.
 //!
-//! The state after each frame is given to the scene and to the scene without one of its effects. Sub-steps with and without are done from the same
-//! state one after the other, in alternating order; the seconds that an effect adds are the median of the paired differences, with an interval
-//! that contains their true median. Bytes are those of all buffers at the end. Dispatches of the solve depend on its iterations and have a column
-//! of their own. On the same states every output is timed ([`super::outputs`]).
+//! From the state after each frame, a sub-step runs with all effects and without one of them, in alternating order. The seconds that an effect adds are
+//! the median of the paired differences, with an interval that contains their true median. Bytes are those of all buffers at the end. Dispatches of
+//! the solve depend on its iterations and have their own column. Every output is timed on the same states ([`super::outputs`]).
 //!
-//! `liquid` and `solids` add their coupling, too; the row [`COUPLING`] is the scene less its liquid alone less its solids alone. Absent effects
-//! share the row [`ABSENT`]: the scene against a scene from which all that it does not have is taken away; bytes and dispatches must be equal. The
-//! row [`ITSELF`] is the scene against the same scene: its seconds are noise.
+//! `liquid` and `solids` include their coupling. The row [`COUPLING`] is the scene less its liquid alone less its solids alone. Absent effects share the
+//! row [`ABSENT`]: the scene against itself with these effects removed; bytes and dispatches must be equal. The row [`ITSELF`] is the scene against
+//! the same scene: its seconds are noise.
 
 mod left_out;
 pub mod pairs;
@@ -19,7 +18,7 @@ use super::chart::{Bars, Page};
 use super::outputs::{self, OUTPUT, Scratch};
 use super::statistics::Spread;
 use super::table::{Row, Table, columns, row};
-use super::{Bench, Case, Listener, Machine, Results, Run, SEED, Settings};
+use super::{Bench, Case, Listener, Machine, Results, Rows, Run, SEED, Settings, hashes};
 use crate::Error;
 use crate::effects::Effects;
 use crate::gpu::{AdapterChoice, Gpu};
@@ -28,24 +27,24 @@ use crate::sim::{Backend, GpuPath, Simulation};
 use crate::state::State;
 
 pub use left_out::{EFFECTS, Effect, IsKind, PROBES};
-use pairs::{Pair, Taken};
+use pairs::{Cost, Pair};
 
 /// Row of the control, copied by all absent effects.
 pub const ABSENT: &str = "absent";
 /// Row of the scene against itself.
 pub const ITSELF: &str = "itself";
-/// Row of the coupling. No scene has liquid and solids that ignore each other: without coupling there are two scenes, one without solids and one
-/// without liquid, whose sub-steps are added. Parts that both need count twice.
+/// Row of the coupling. No scene has liquid and solids without coupling, so it is compared with the sum of two scenes, one without solids and one without
+/// liquid. Their common parts count twice.
 pub const COUPLING: &str = "coupling";
-/// Largest probability that an absent effect without cost fails by its seconds: twelve pairs have to go one way, of ten all of them.
+/// Largest probability that an absent effect without cost fails by its seconds: of ten pairs all have to be slower.
 const FALSE_ALARM: f64 = 1e-3;
 
 /// Scenes to measure.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Scenes, scaled.
+    /// Scaled scenes.
     pub scenes: Vec<Scene>,
-    /// Frames of each; a pair of sub-steps per effect after each of them.
+    /// Frames of each scene, with a pair of sub-steps per effect after each frame.
     pub frames: u64,
     /// Adapter.
     pub adapter: AdapterChoice,
@@ -74,10 +73,10 @@ columns! {
     }
 }
 
-/// Measures all scenes: effects.csv, effects_outputs.csv, effects.json, effects.svg. Failures: scenes with absent effects that cost something.
+/// Measures all scenes: effects.csv, effects_outputs.csv, effects.json, effects.svg. Failures: scenes with absent effects that have a cost.
 ///
 /// # Errors
-/// [`Error::Output`], before any work where nothing can be written; errors of the simulations.
+/// [`Error::Output`], before any work if the folder cannot be written; errors of the simulations.
 pub fn measure(
     options: &Options,
     settings: &Settings,
@@ -92,39 +91,26 @@ pub fn measure(
         derive: |_| {},
         pictures: &[("effects", draw)],
     };
-    // A device of its own: nothing of it is counted.
+    // A separate device, whose buffers do not count.
     let machine = Machine::new(&Gpu::new(&options.adapter)?, 3)?;
-    let hashes: Vec<&str> = options
-        .scenes
-        .iter()
-        .map(|scene| scene.hash.as_str())
-        .collect();
-    let mut run = Run::start(
-        bench,
-        machine,
-        &(hashes, options.frames),
-        settings,
-        listener,
-    )?;
+    let request = (hashes(&options.scenes), options.frames);
+    let mut run = Run::start(bench, machine, &request, settings, listener)?;
     let scratch = Scratch::new(&settings.out)?;
-    let cases = options.scenes.iter().map(|scene| Case {
-        key: (
+    let cases = options.scenes.iter().map(|scene| {
+        Case::new(
             "effects",
             row! { scene: scene.name.as_str(), effect: ITSELF },
-        ),
-        measure: Box::new(|_| scene_rows(scene, options, &scratch)),
+            |_| scene_rows(scene, options, &scratch),
+        )
     });
     run.cases(cases.collect())?;
-    let failed = run
-        .results
-        .rows("effects")
-        .iter()
-        .filter(|row| row.text("effect") == ABSENT && costs(row));
+    let rows = run.results.rows("effects").iter();
+    let failed = rows.filter(|row| row.text("effect") == ABSENT && costs(row));
     run.results.failures = failed.map(failure).collect();
     Ok(run.results)
 }
 
-/// Whether a row of the control says that absent effects cost something; seconds with a probability of an error of `FALSE_ALARM`.
+/// Whether absent effects have a cost, by a row of the control; for seconds with an error probability of `FALSE_ALARM`.
 pub fn costs(row: &Row) -> bool {
     let counts = [
         "bytes_added",
@@ -162,7 +148,7 @@ fn failure(row: &Row) -> String {
 struct Timed {
     scene: Scene,
     simulation: Simulation,
-    /// Buffers that it had at the start.
+    /// Number of buffers at the start.
     at_start: usize,
 }
 
@@ -186,8 +172,8 @@ impl Timed {
         bytes_in_use(&self.gpu().allocated(), self.at_start)
     }
 
-    /// A sub-step from a state of the whole scene, with its probes.
-    fn time(&mut self, state: &State) -> Result<Taken, Error> {
+    /// Times a sub-step from a state of the whole scene, with its probes.
+    fn time(&mut self, state: &State) -> Result<Cost, Error> {
         let mut state = state.clone();
         if self.scene.solids.is_empty() {
             state.displacement.clear();
@@ -196,7 +182,7 @@ impl Timed {
         if !Effects::of(&self.scene).markers {
             state.markers.clear();
         }
-        // Without sources there is no room for the markers that they have emitted.
+        // Without sources there is no room for emitted markers.
         let room = self.simulation.gpu_path().and_then(GpuPath::marker_room);
         state.markers.truncate(room.unwrap_or(0));
         self.simulation.reset(&state)?;
@@ -206,11 +192,9 @@ impl Timed {
         self.simulation.probes()?;
         let seconds = clock.elapsed().as_secs_f64();
         let dispatches = self.gpu().take_trace().dispatches;
-        let solve_dispatches = dispatches
-            .iter()
-            .filter(|(stage, _)| *stage == "solve")
-            .count();
-        Ok(Taken {
+        let of_solve = dispatches.iter().filter(|(stage, _)| *stage == "solve");
+        let solve_dispatches = of_solve.count();
+        Ok(Cost {
             seconds,
             dispatches: dispatches.len() - solve_dispatches,
             solve_dispatches,
@@ -218,8 +202,8 @@ impl Timed {
     }
 }
 
-/// Bytes of the buffers in use, of labels and bytes of all that were made, the first `at_start` of them before the first sub-step. Buffers that
-/// outgrow their room are made anew, all of a label together. Copies for the host are those of the start: later ones are of one download.
+/// Bytes of the buffers in use, from labels and bytes of all created buffers, of which the first `at_start` precede the first sub-step. A growing buffer
+/// replaces all of its label. Copies for the host are those of the start: later ones are of one download.
 pub fn bytes_in_use(made: &[(String, u64)], at_start: usize) -> u64 {
     let mut labels: BTreeMap<&str, (usize, Vec<u64>)> = BTreeMap::new();
     for (at, (label, bytes)) in made.iter().enumerate() {
@@ -237,7 +221,7 @@ pub fn bytes_in_use(made: &[(String, u64)], at_start: usize) -> u64 {
     sums.sum()
 }
 
-/// A scene without something, and its pairs of sub-steps with the whole scene.
+/// A reduced scene, and its pairs of sub-steps with the whole scene.
 struct Part {
     name: &'static str,
     timed: Timed,
@@ -245,12 +229,8 @@ struct Part {
 }
 
 /// Rows of the effects and of the outputs of a scene.
-fn scene_rows(
-    scene: &Scene,
-    options: &Options,
-    scratch: &Scratch,
-) -> Result<Vec<(&'static str, Row)>, Error> {
-    // States at the start and after each frame, on a path of their own: buffers that grow on the way would be in the scene's counts alone.
+fn scene_rows(scene: &Scene, options: &Options, scratch: &Scratch) -> Result<Rows, Error> {
+    // States at the start and after each frame, from a separate path: buffers that grow meanwhile would count for the whole scene only.
     let mut simulation = Simulation::new(scene, &Backend::Gpu(options.adapter.clone()))?;
     let mut states = vec![simulation.state()?];
     for frame in 0..options.frames {
@@ -277,32 +257,21 @@ fn scene_rows(
             }
         }
     }
-    let rows = rows(scene, &whole, &parts)
-        .into_iter()
-        .map(|row| ("effects", row));
-    let outputs = outputs::measure(
-        scene,
-        &mut whole.simulation,
-        &states,
-        &scratch.frames(),
-        &mut random,
-    )?;
-    Ok(rows
-        .chain(outputs.into_iter().map(|row| ("effects_outputs", row)))
-        .collect())
+    let rows = rows(scene, &whole, &parts).into_iter();
+    let (simulation, folder) = (&mut whole.simulation, scratch.frames());
+    let outputs = outputs::measure(scene, simulation, &states, &folder, &mut random)?.into_iter();
+    let outputs = outputs.map(|row| ("effects_outputs", row));
+    Ok(rows.map(|row| ("effects", row)).chain(outputs).collect())
 }
 
 /// Kinds of probes of a scene.
 fn probe_kinds(scene: &Scene) -> Vec<&'static str> {
     let has = |is: &IsKind| scene.probes.iter().any(|probe| is(&probe.kind));
-    PROBES
-        .iter()
-        .filter(|(_, is)| has(is))
-        .map(|(name, _)| *name)
-        .collect()
+    let kinds = PROBES.iter().filter(|(_, is)| has(is));
+    kinds.map(|(name, _)| *name).collect()
 }
 
-/// The scene without each of its effects, the control, and the scene once more. The only kind of probes is all probes.
+/// The scene without each of its effects, the control, and the scene itself. A single kind of probes is the effect `probes`.
 fn parts(scene: &Scene, options: &Options) -> Result<Vec<Part>, Error> {
     let effects = Effects::of(scene);
     let (mut scenes, mut control) = (Vec::new(), scene.clone());
@@ -369,7 +338,7 @@ fn rows(scene: &Scene, whole: &Timed, parts: &[Part]) -> Vec<Row> {
             let only = (kinds == [effect]).then(|| part("probes")).flatten();
             match part(effect).or(only) {
                 Some(part) => compared(&part.pairs, &[part]),
-                // Without it no scene is left.
+                // No scene is left without it.
                 None => row
                     .with(row! { seconds_with: pairs::median(&control.pairs, 0), pairs: 0_usize }),
             }
@@ -377,28 +346,22 @@ fn rows(scene: &Scene, whole: &Timed, parts: &[Part]) -> Vec<Row> {
     rows.collect()
 }
 
-/// Numbers of the pairs of the whole scene and of the scene without something.
+/// Columns of pairs of the whole scene and a reduced one.
 fn compared(pairs: &[Pair], noise: Option<f64>, whole: &Timed, without: &[&Part]) -> Row {
     let all = pairs::added(pairs);
     let [low, added, high] = Spread::quartiles(all.clone());
     let interval = pairs::interval(all.clone());
     let bytes: u64 = without.iter().map(|part| part.timed.bytes()).sum();
-    let others: BTreeSet<&str> = without
-        .iter()
-        .flat_map(|part| part.timed.gpu().compiled())
-        .collect();
-    let own: Vec<&str> = whole
-        .gpu()
-        .compiled()
-        .difference(&others)
-        .copied()
-        .collect();
+    let others = without.iter().map(|part| part.timed.gpu().compiled());
+    let others: BTreeSet<&str> = others.flatten().collect();
+    let own = whole.gpu().compiled();
+    let own: Vec<&str> = own.difference(&others).copied().collect();
     row! {
         seconds_with: pairs::median(pairs, 0), seconds_without: pairs::median(pairs, 1), seconds_added: added, seconds_added_low: low,
-        seconds_added_high: high, seconds_told: pairs::told(interval, added, noise), seconds_told_low: interval.map(|[low, _]| low),
+        seconds_added_high: high, seconds_told: pairs::verdict(interval, added, noise), seconds_told_low: interval.map(|[low, _]| low),
         seconds_told_high: interval.map(|[_, high]| high), bytes_added: whole.bytes() as i64 - bytes as i64,
-        dispatches_added: pairs::middle(pairs, |taken| taken.dispatches), dispatches_differ: pairs::differing(pairs),
-        solve_dispatches_added: pairs::middle(pairs, |taken| taken.solve_dispatches), kernels: own.join(" "), pairs: pairs.len(),
+        dispatches_added: pairs::middle(pairs, |cost| cost.dispatches), dispatches_differ: pairs::differing(pairs),
+        solve_dispatches_added: pairs::middle(pairs, |cost| cost.solve_dispatches), kernels: own.join(" "), pairs: pairs.len(),
         slower: all.iter().filter(|seconds| **seconds > 0.0).count(),
     }
 }
@@ -412,8 +375,12 @@ fn draw(results: &Results) -> Page {
     let bars = rows.map(|row| {
         let [low, median, high] = ["seconds_added_low", "seconds_added", "seconds_added_high"]
             .map(|name| 1e3 * row.number(name));
-        let told = row.text("seconds_told");
-        let part = if told == pairs::NOTHING { "" } else { told };
+        let verdict = row.text("seconds_told");
+        let part = if verdict == pairs::NOTHING {
+            ""
+        } else {
+            verdict
+        };
         let name = format!("{}: {}", row.text("scene"), row.text("effect"));
         (name, vec![(part.to_owned(), low, high)], median)
     });

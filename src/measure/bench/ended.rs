@@ -1,28 +1,27 @@
-//! How a solve ended: the part that repeats bitwise, and its name in tables.
+//! End of a solve: its reproducible part, and its name in tables.
 
 use std::fmt;
 
 use crate::Error;
-use crate::scene::{Precision, Preconditioner};
 use crate::solver::{CoupledOutcome, Outcome};
 use crate::state::{SolveReport, SolveStatus};
 
-/// Name of a solve with a residual above the tolerance and below its rounding error.
+/// Name of a solve with a residual between the tolerance and its rounding error.
 const TO_ROUNDING: &str = "converged_to_rounding";
 
-/// Whether a name is that of a solve within the tolerance or its rounding error.
+/// Whether a name means a solve within the tolerance or its rounding error.
 pub fn is_solved(name: &str) -> bool {
     [SolveStatus::Converged.name(), TO_ROUNDING].contains(&name)
 }
 
-/// End of a solve. The same solve on the same device repeats it bitwise.
+/// End of a solve. The same solve on the same device has a bitwise identical one.
 #[derive(Clone, Copy, Debug)]
 pub struct Ended {
     /// Status.
     pub status: SolveStatus,
-    /// Over all refinement steps; 0 of a direct solve.
+    /// Iterations over all refinement steps; 0 for a direct solve.
     pub iterations: u32,
-    /// True relative residuals of the pressures' rows and of the velocities'; of one system the second is 0.
+    /// True relative residuals of the rows of pressures and of velocities; 0 for rows that the system lacks.
     pub residuals: [f64; 2],
 }
 
@@ -47,39 +46,38 @@ impl From<&CoupledOutcome> for Ended {
 }
 
 impl Ended {
-    /// End of the solves of a sub-step or of the f64 path: the first status other than converged, the most iterations (of a solve for liquid and
-    /// solids each report has those of the whole), the residuals of the first two. Without reports: converged.
-    pub fn of_reports(reports: &[SolveReport]) -> Ended {
+    /// End of the solves of a sub-step: the first status other than converged, the most iterations (in a coupled solve each report has all), the
+    /// residuals of the first two. Without reports: converged.
+    pub fn new(reports: &[SolveReport]) -> Ended {
         let mut statuses = reports.iter().map(|report| report.status);
         let failed = statuses.find(|status| *status != SolveStatus::Converged);
         let residual = |part: usize| reports.get(part).map_or(0.0, |report| report.residual);
+        let iterations = reports.iter().map(|report| report.iterations);
         Ended {
             status: failed.unwrap_or(SolveStatus::Converged),
-            iterations: reports
-                .iter()
-                .map(|report| report.iterations)
-                .max()
-                .unwrap_or(0),
+            iterations: iterations.max().unwrap_or(0),
             residuals: [0, 1].map(residual),
         }
     }
 
-    /// Refuses a repeat that ended otherwise. `what`: the system.
+    /// Refuses a repeat with another end. `what`: the system.
     ///
     /// # Errors
     /// [`Error::Check`].
     pub fn ensure_repeated(self, again: Ended, what: &str) -> Result<(), Error> {
-        let bits = |ended: Ended| {
-            ended
-                .residuals
-                .map(|r| if r.is_nan() { 0 } else { r.to_bits() })
+        let bits = |residual: f64| {
+            if residual.is_nan() {
+                0
+            } else {
+                residual.to_bits()
+            }
         };
-        let of = |ended: Ended| (ended.status, ended.iterations, bits(ended));
-        if of(self) == of(again) {
+        let key = |ended: Ended| (ended.status, ended.iterations, ended.residuals.map(bits));
+        if key(self) == key(again) {
             return Ok(());
         }
         Err(Error::Check(format!(
-            "{what}: the same solve ended {self}, then {again}\n  cure: use another adapter (--adapter) or driver: this one does not repeat"
+            "{what}: the same solve ended {self}, then {again}\n  cure: use another adapter (--adapter) or driver: this one is not reproducible"
         )))
     }
 
@@ -100,23 +98,5 @@ impl fmt::Display for Ended {
             "{status} after {} iterations with residuals {first:e} and {second:e}",
             self.iterations
         )
-    }
-}
-
-/// A precision in tables.
-pub(super) fn precision_name(precision: Precision) -> &'static str {
-    match precision {
-        Precision::F32 => "f32",
-        Precision::Mixed => "mixed",
-        Precision::F64 => "f64",
-    }
-}
-
-/// A preconditioner in tables.
-pub(super) fn preconditioner_name(preconditioner: Preconditioner) -> &'static str {
-    match preconditioner {
-        Preconditioner::Multigrid => "multigrid",
-        Preconditioner::Jacobi => "jacobi",
-        Preconditioner::BlockJacobi => "block_jacobi",
     }
 }

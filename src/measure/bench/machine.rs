@@ -1,4 +1,4 @@
-//! Where and when a bench ran, and the bandwidth of a plain copy there.
+//! Machine and time of a bench, and the bandwidth of a copy.
 
 use std::fs;
 use std::time::{Instant, SystemTime};
@@ -12,20 +12,20 @@ use crate::gpu::{Buffer, Gpu, Kernel, Real, Recorder};
 /// Digest of the sources, shaders and scenes of this build, 12 hexadecimal digits.
 pub const SOURCES: &str = env!("CUTWATER_SOURCES");
 
-/// Where and when a table was measured. Nothing of an adapter on the f64 path.
+/// Machine and time of a table; without an adapter on the f64 path.
 #[derive(Clone, Debug, Serialize)]
 pub struct Machine {
     /// Version of cutwater.
     pub cutwater: &'static str,
     /// [`SOURCES`]
     pub sources: &'static str,
-    /// Start, UTC, RFC 3339.
+    /// Start: UTC, RFC 3339.
     pub measured: String,
-    /// Model of the CPU, where the system names it: software drivers and reference solvers run on it.
+    /// Model of the CPU if known: software drivers and reference solvers run on it.
     pub cpu: Option<String>,
-    /// Threads that the CPU runs at once.
+    /// Hardware threads of the CPU.
     pub threads: usize,
-    /// Load average of the minute before, where the system has one.
+    /// Load average of the minute before, if known.
     pub load: Option<f64>,
     /// Adapter.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -33,7 +33,7 @@ pub struct Machine {
     /// Driver.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub driver: Option<String>,
-    /// Bytes per second of a copy, read and written.
+    /// Bytes read and written per second by a copy.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub copy_bandwidth: Option<Spread>,
 }
@@ -73,19 +73,16 @@ impl Machine {
         self.adapter.as_deref().unwrap_or("the f64 path")
     }
 
-    /// Bytes per second over the copy bandwidth; NaN where bytes or seconds are 0.
-    pub(in crate::measure) fn share(&self, bytes: f64, seconds: f64) -> f64 {
-        let copy = self.copy_bandwidth.map_or(f64::NAN, |copy| copy.median);
-        let rate = if bytes > 0.0 && seconds > 0.0 {
-            bytes / seconds
-        } else {
-            f64::NAN
-        };
-        rate / copy
+    /// Bytes per second over the copy bandwidth; NaN if bytes or seconds are 0.
+    pub(crate) fn share(&self, bytes: f64, seconds: f64) -> f64 {
+        match self.copy_bandwidth {
+            Some(copy) if bytes > 0.0 && seconds > 0.0 => bytes / seconds / copy.median,
+            _ => f64::NAN,
+        }
     }
 }
 
-/// The line `model name : ...` of the first processor; some kinds of CPU have none.
+/// The line `model name : ...` of the first processor; some CPUs have none.
 fn cpu() -> Option<String> {
     let text = fs::read_to_string("/proc/cpuinfo").ok()?;
     let mut lines = text.lines().filter_map(|line| line.split_once(':'));
@@ -95,7 +92,7 @@ fn cpu() -> Option<String> {
 
 /// Bytes of each of the two buffers: larger than the caches of CPUs, and of GPUs.
 const BYTES: [usize; 2] = [64 << 20, 256 << 20];
-/// A submission takes at least this long, s: its fixed cost of some 50 us does not count then.
+/// Least duration of a submission, s, which makes its fixed cost of some 50 us negligible.
 const LONG_ENOUGH: f64 = 0.01;
 
 /// Bytes read and written per second by a kernel that copies 16 bytes a thread.

@@ -1,8 +1,8 @@
 //! Benches: one skeleton, and a file of cases and columns for each.
 //!
-//! A bench declares its tables ([`table::Table`]) and gives a list of `Case`s. `Run::cases` measures one after another, puts their rows into
-//! the tables and writes all files anew after each: CSV, JSON with machine and request, SVG. With `--resume` finished rows of an earlier run
-//! with the same request stay. `rounds` repeats timed jobs in a shuffled order; ratios are of the same round.
+//! A bench declares its tables ([`table::Table`]) and a list of `Case`s. `Run::cases` measures them in order, adds their rows to the tables and
+//! rewrites all files after each case: CSV, JSON with machine and request, SVG. With `--resume` it keeps finished rows of an earlier run with the
+//! same request. `rounds` repeats timed jobs in a shuffled order; ratios are within a round.
 
 pub mod accuracy;
 mod bytes;
@@ -32,17 +32,18 @@ use serde_json::Value as Json;
 
 use crate::Error;
 use crate::output::{FolderLock, write_atomically};
+use crate::scene::Scene;
 use chart::Page;
 use statistics::Spread;
 use table::{Row, Table, row};
 
 pub use machine::{Machine, SOURCES};
 
-/// Seed of the shuffling: the same order in every run.
+/// Seed of the shuffle: the same order in every run.
 const SEED: u64 = 20;
 /// Time between two messages of progress.
 const PAUSE: Duration = Duration::from_secs(5);
-/// Cure for rows that a run cannot resume from.
+/// Cure for rows that a run cannot keep.
 const ANEW: &str = "measure into another folder (--out), or leave --resume out to measure all anew";
 
 /// Options of every bench.
@@ -52,55 +53,55 @@ pub struct Settings {
     pub out: PathBuf,
     /// Timed runs per row, at most.
     pub repeats: usize,
-    /// A row is not repeated once its runs took so many seconds.
+    /// Total seconds of a row above which it is not repeated.
     pub seconds: f64,
-    /// Whether finished rows of an earlier run with the same request stay.
+    /// Whether to keep finished rows of an earlier run with the same request.
     pub resume: bool,
 }
 
-/// Messages of a bench at work.
+/// Messages of a bench.
 #[derive(Clone, Copy, Debug)]
 pub enum Event<'a> {
     /// A row was measured.
     Row(&'a Table, &'a Row),
-    /// How far the bench is.
+    /// Progress in words.
     Progress(&'a str),
 }
 
 /// Receives the messages.
 pub type Listener<'a> = &'a mut dyn FnMut(Event);
 
-/// Stem of a picture, and how it is drawn.
+/// Stem of a picture, and its drawing.
 type Picture = (&'static str, fn(&Results) -> Page);
 
-/// What a bench is: its files but for `NAME.json`.
-pub(in crate::measure) struct Bench {
+/// Declaration of a bench.
+pub(crate) struct Bench {
     /// Stem of its JSON file.
-    pub(in crate::measure) name: &'static str,
+    pub(crate) name: &'static str,
     /// Its tables; the first has the key `rows` in JSON.
-    pub(in crate::measure) tables: Vec<Table>,
-    /// Makes tables that follow from others anew.
-    pub(in crate::measure) derive: fn(&mut [Table]),
-    /// Stems of its pictures, and each drawn from the tables; an empty page is no file.
-    pub(in crate::measure) pictures: &'static [Picture],
+    pub(crate) tables: Vec<Table>,
+    /// Computes tables from others.
+    pub(crate) derive: fn(&mut [Table]),
+    /// Pictures of the tables; an empty page is no file.
+    pub(crate) pictures: &'static [Picture],
 }
 
-/// Tables of a bench, and where they were measured.
+/// Tables of a bench and their machine.
 #[derive(Clone, Debug)]
 pub struct Results {
-    /// Where.
+    /// Machine of the measurement.
     pub machine: Machine,
-    /// All tables, also those without rows.
+    /// All tables, also empty ones.
     pub tables: Vec<Table>,
     /// Failed checks, a line each.
     pub failures: Vec<String>,
-    /// Runs that measured the rows, first to last: several where rows were kept.
+    /// Runs that measured the rows, first to last: several if rows were kept.
     parts: Vec<Json>,
     request: String,
 }
 
 impl Results {
-    /// Rows of a table by the stem of its file; none of a table that there is not.
+    /// Rows of a table by the stem of its file; empty for an unknown table.
     pub fn rows(&self, name: &str) -> &[Row] {
         rows(&self.tables, name)
     }
@@ -113,6 +114,11 @@ impl Results {
             false => Err(Error::Check(self.failures.join("\n  "))),
         }
     }
+}
+
+/// Digests of scenes, for requests.
+fn hashes(scenes: &[Scene]) -> Vec<&str> {
+    scenes.iter().map(|scene| scene.hash.as_str()).collect()
 }
 
 /// Rows of a table by its name.
@@ -148,34 +154,48 @@ impl Serialize for Results {
     }
 }
 
-/// One case: measures and returns rows, each with the name of its table.
-pub(in crate::measure) struct Case<'c> {
-    /// Table and key of a row by which the case counts as measured.
-    pub(in crate::measure) key: (&'static str, Row),
-    /// Measures it.
-    #[expect(clippy::type_complexity, reason = "named once")]
-    pub(in crate::measure) measure:
-        Box<dyn FnMut(&mut Run) -> Result<Vec<(&'static str, Row)>, Error> + 'c>,
+/// Rows, each with the name of its table.
+pub(crate) type Rows = Vec<(&'static str, Row)>;
+
+/// One case.
+pub(crate) struct Case<'c> {
+    table: &'static str,
+    key: Row,
+    measure: Box<dyn FnMut(&mut Run) -> Result<Rows, Error> + 'c>,
 }
 
-/// A bench at work.
-pub(in crate::measure) struct Run<'a> {
+impl<'c> Case<'c> {
+    /// A case that `measure` measures. A row with this key, in this table, marks it as measured.
+    pub(crate) fn new(
+        table: &'static str,
+        key: Row,
+        measure: impl FnMut(&mut Run) -> Result<Rows, Error> + 'c,
+    ) -> Case<'c> {
+        Case {
+            table,
+            key,
+            measure: Box::new(measure),
+        }
+    }
+}
+
+/// A running bench.
+pub(crate) struct Run<'a> {
     bench: Bench,
-    pub(in crate::measure) settings: Settings,
-    pub(in crate::measure) results: Results,
+    pub(crate) settings: Settings,
+    pub(crate) results: Results,
     listener: Listener<'a>,
-    spoke: Instant,
+    last_message: Instant,
     _lock: FolderLock,
 }
 
 impl<'a> Run<'a> {
-    /// Locks the folder, reads the rows to resume from or removes files of an earlier run, and writes the JSON file. `request`: options that
-    /// decide the rows.
+    /// Locks the folder, reads the rows to keep or removes files of an earlier run, and writes the JSON file. `request`: options that determine the
+    /// rows.
     ///
     /// # Errors
-    /// [`Error::Output`] where the folder cannot be written, [`Error::Input`] where another process writes into it or an earlier run had another
-    /// request.
-    pub(in crate::measure) fn start(
+    /// [`Error::Output`] if the folder cannot be written, [`Error::Input`] if another process writes into it or an earlier run had another request.
+    pub(crate) fn start(
         bench: Bench,
         machine: Machine,
         request: &dyn Debug,
@@ -198,7 +218,7 @@ impl<'a> Run<'a> {
             },
             bench,
             listener,
-            spoke: Instant::now(),
+            last_message: Instant::now(),
         };
         if settings.resume {
             run.resume()?;
@@ -211,7 +231,7 @@ impl<'a> Run<'a> {
         self.settings.out.join(format!("{name}.{end}"))
     }
 
-    /// Takes the rows of an earlier run over.
+    /// Reads the rows of an earlier run.
     fn resume(&mut self) -> Result<(), Error> {
         let path = self.file(self.bench.name, "json");
         let Ok(text) = fs::read_to_string(&path) else {
@@ -239,29 +259,27 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    /// Measures cases, but for those whose rows are kept, and writes all files after each.
-    pub(in crate::measure) fn cases(&mut self, cases: Vec<Case>) -> Result<(), Error> {
-        let (clock, of) = (Instant::now(), cases.len());
-        for (done, Case { key, mut measure }) in cases.into_iter().enumerate() {
-            let table = self.results.tables.iter().find(|table| table.name == key.0);
-            if table.is_some_and(|table| table.has(&key.1)) {
+    /// Measures all cases without kept rows, and writes all files after each.
+    pub(crate) fn cases(&mut self, cases: Vec<Case>) -> Result<(), Error> {
+        let (clock, total) = (Instant::now(), cases.len());
+        for (done, mut case) in cases.into_iter().enumerate() {
+            let mut tables = self.results.tables.iter();
+            let table = tables.find(|table| table.name == case.table);
+            if table.is_some_and(|table| table.has(&case.key)) {
                 continue;
             }
-            let rows = measure(self)?;
+            let rows = (case.measure)(self)?;
             self.put(rows)?;
-            self.progress("cases", done + 1, of, clock);
+            self.progress("cases", done + 1, total, clock);
         }
         Ok(())
     }
 
-    /// Puts rows into their tables and writes all files.
-    pub(in crate::measure) fn put(&mut self, rows: Vec<(&'static str, Row)>) -> Result<(), Error> {
+    /// Adds rows to their tables and writes all files.
+    pub(crate) fn put(&mut self, rows: Rows) -> Result<(), Error> {
         for (name, row) in rows {
-            let table = self
-                .results
-                .tables
-                .iter_mut()
-                .find(|table| table.name == name);
+            let mut tables = self.results.tables.iter_mut();
+            let table = tables.find(|table| table.name == name);
             let table = table.expect("the bench declares the table");
             table.put(row.clone());
             (self.listener)(Event::Row(table, &row));
@@ -276,20 +294,13 @@ impl<'a> Run<'a> {
         self.write()
     }
 
-    /// Tells how far the bench is, every few seconds.
-    pub(in crate::measure) fn progress(
-        &mut self,
-        what: &str,
-        done: usize,
-        of: usize,
-        clock: Instant,
-    ) {
-        if done < of && self.spoke.elapsed() >= PAUSE {
-            self.spoke = Instant::now();
-            let left = clock.elapsed().as_secs_f64() * (of - done) as f64 / done as f64;
-            (self.listener)(Event::Progress(&format!(
-                "{done} of {of} {what}, {left:.0} s left"
-            )));
+    /// Reports progress every few seconds.
+    pub(crate) fn progress(&mut self, what: &str, done: usize, total: usize, clock: Instant) {
+        if done < total && self.last_message.elapsed() >= PAUSE {
+            self.last_message = Instant::now();
+            let left = clock.elapsed().as_secs_f64() * (total - done) as f64 / done as f64;
+            let message = format!("{done} of {total} {what}, {left:.0} s left");
+            (self.listener)(Event::Progress(&message));
         }
     }
 
@@ -307,37 +318,34 @@ impl<'a> Run<'a> {
     }
 }
 
-/// Seconds of a job in each round, none in rounds without it, and its first outcome.
-pub(in crate::measure) struct Timed<T> {
-    pub(in crate::measure) seconds: Vec<Option<f64>>,
-    pub(in crate::measure) outcome: T,
+/// Seconds of a job in each round, `None` in rounds without it, and its first outcome.
+pub(crate) struct Timed<T> {
+    pub(crate) seconds: Vec<Option<f64>>,
+    pub(crate) outcome: T,
 }
 
 impl<T> Timed<T> {
-    /// Runs.
-    pub(in crate::measure) fn runs(&self) -> usize {
+    /// Number of runs.
+    pub(crate) fn runs(&self) -> usize {
         self.seconds.iter().flatten().count()
     }
 
-    /// Their seconds.
-    pub(in crate::measure) fn spread(&self) -> Spread {
+    /// Spread of the seconds.
+    pub(crate) fn spread(&self) -> Spread {
         Spread::of(self.seconds.iter().flatten().copied().collect())
     }
 
     /// Seconds over those of another job in the same round.
-    pub(in crate::measure) fn ratio<U>(&self, to: &Timed<U>) -> Spread {
+    pub(crate) fn ratio<U>(&self, to: &Timed<U>) -> Spread {
         let pairs = self.seconds.iter().zip(&to.seconds);
-        Spread::of(
-            pairs
-                .filter_map(|(own, other)| Some((*own)? / (*other)?))
-                .collect(),
-        )
+        let ratios = pairs.filter_map(|(own, other)| Some((*own)? / (*other)?));
+        Spread::of(ratios.collect())
     }
 }
 
-/// Does every job once a round, as often as the settings ask, in a shuffled order. A job whose runs took long enough is left out of further
-/// rounds. A job returns its seconds and its outcome.
-pub(in crate::measure) fn rounds<T>(
+/// Runs every job once per round in a shuffled order, for `repeats` rounds. A job that exceeds the total seconds of the settings is left out of
+/// further rounds. A job returns its seconds and its outcome.
+pub(crate) fn rounds<T>(
     run: &mut Run,
     what: &str,
     jobs: usize,
@@ -351,10 +359,10 @@ pub(in crate::measure) fn rounds<T>(
     for round in 0..repeats {
         random.shuffle(&mut order);
         for (done, &number) in order.iter().enumerate() {
-            let taken = |timed: &Timed<T>| timed.seconds.iter().flatten().sum::<f64>();
+            let total = |timed: &Timed<T>| timed.seconds.iter().flatten().sum::<f64>();
             if timed[number]
                 .as_ref()
-                .is_some_and(|timed| taken(timed) >= most)
+                .is_some_and(|timed| total(timed) >= most)
             {
                 continue;
             }
@@ -371,7 +379,7 @@ pub(in crate::measure) fn rounds<T>(
     Ok(timed.into_iter().flatten().collect())
 }
 
-/// Exponents of the growth of `seconds` along a size, of rows of one series.
+/// Exponents of the growth of `seconds` along a size, for rows of one series.
 fn growth(members: &[&Row], size: &str) -> Option<Row> {
     let points = members
         .iter()
@@ -390,10 +398,10 @@ table::columns! {
     /// Columns of [`growth`].
     GROWTH {
         along + "" "`cells`: the grid is refined, the solids stay; `nodes`: the other way round; `both`: refined together, cells count";
-        fixed + "" "what stays: nodes, or the grid";
+        fixed + "" "fixed size: nodes, or the grid";
         rows - "" "rows of the fit";
-        from + "" "least of what grows";
-        to + "" "largest";
+        from + "" "least size";
+        to + "" "largest size";
         exponent + "" "e of seconds ~ size^e through the medians";
         exponent_last - "" "of the two largest sizes";
         exponent_low + "" "least fit through values within the spreads; empty for rows of one run";
@@ -411,8 +419,8 @@ table::columns! {
     }
 }
 
-/// Removes a file where there is one.
-pub(in crate::measure) fn remove(path: &Path) -> Result<(), Error> {
+/// Removes a file if it exists.
+pub(crate) fn remove(path: &Path) -> Result<(), Error> {
     match fs::remove_file(path) {
         Err(problem) if problem.kind() != ErrorKind::NotFound => {
             Err(Error::unwritten(path, &problem))

@@ -1,7 +1,7 @@
 //! Seconds and bytes of each output of a frame, for `bench effects`.
 //!
-//! The writers of a run write frames, each output alone, in a shuffled order. The read-back of the state, which all of them need first, is a row
-//! of its own, `read_back`. An output that is off costs nothing: its writer is not there.
+//! The writers of a run write frames, each output alone, in a shuffled order. The read-back of the state, which precedes all of them, has its own row,
+//! `read_back`. An inactive output costs nothing: it has no writer.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -35,28 +35,31 @@ columns! {
     }
 }
 
-/// An output.
-enum Output<'a> {
-    /// The state comes to the host.
+/// Product of a frame.
+enum Product<'a> {
+    /// The state, read back.
     ReadBack,
     /// Files of one kind.
     Frames(FrameWriter),
-    /// The surfaces of the obstacles that move.
+    /// Surfaces of the moving obstacles.
     Obstacles(FrameWriter, &'a ObstacleSurfaces),
     /// `checkpoint.npz`.
     Checkpoint(Box<Manifest>),
-    /// A picture of the frame that its writer has written before.
+    /// A picture of a frame that its writer has written.
     Preview(FrameWriter, Box<Pictures>),
 }
 
-/// Folder for frames that are only timed, below that of the results; removed on drop.
+/// Name of an output, whether the scene has it, and its product.
+type Output<'a> = (&'static str, bool, Product<'a>);
+
+/// Folder for timed frames, below that of the results; removed on drop.
 #[derive(Debug)]
 pub struct Scratch {
     folder: PathBuf,
 }
 
 impl Scratch {
-    /// Makes it below `out`, without frames of a bench that was killed.
+    /// Creates it below `out`, and removes the frames of a killed bench.
     ///
     /// # Errors
     /// [`Error::Output`].
@@ -70,7 +73,7 @@ impl Scratch {
         Ok(Scratch { folder })
     }
 
-    /// Where the frames are: `report` passes over folders of this name, should they be left.
+    /// Folder of the frames; `report` ignores folders of this name.
     pub fn frames(&self) -> PathBuf {
         self.folder.join("frames")
     }
@@ -78,12 +81,12 @@ impl Scratch {
 
 impl Drop for Scratch {
     fn drop(&mut self) {
-        // The next bench tries again and reports.
+        // After a failure the next bench tries again and reports it.
         let _ = fs::remove_dir_all(&self.folder);
     }
 }
 
-/// Measures all outputs that the scene can have on states of it; the first only warms up. `folder` is empty, and is left so.
+/// Measures all outputs that the scene can have, for several of its states. The first state is a warm-up. `folder` is empty before and after.
 pub fn measure(
     scene: &Scene,
     simulation: &mut Simulation,
@@ -92,112 +95,79 @@ pub fn measure(
     random: &mut fastrand::Rng,
 ) -> Result<Vec<Row>, Error> {
     let surfaces = ObstacleSurfaces::new(scene, &scene.grid())?;
-    // A preview begins with a frame there. It is the one that only warms up: one that is timed would then have its picture.
+    // The preview needs a first frame. It is the warm-up state: the picture of a timed one would exist already.
     simulation.reset(&states[0])?;
     let mut outputs = outputs(scene, simulation, &surfaces, folder)?;
-    let order: Vec<&'static str> = outputs.iter().map(|(name, ..)| *name).collect();
+    let order: Vec<(&'static str, bool)> = outputs.iter().map(|it| (it.0, it.1)).collect();
     let mut seconds: BTreeMap<&'static str, Vec<f64>> = BTreeMap::new();
     let mut bytes: BTreeMap<&'static str, u64> = BTreeMap::new();
     for (sample, state) in states.iter().enumerate() {
         simulation.reset(state)?;
         random.shuffle(&mut outputs);
-        for (name, _, output) in &mut outputs {
+        for (name, _, product) in &mut outputs {
             let run = folder.join(*name);
-            if let Output::Preview(writer, _) = output {
-                // Its time is that of a run that writes the frame anyway.
+            if let Product::Preview(writer, _) = product {
+                // Not timed: a run writes the frame anyway.
                 write_all(writer, &surfaces, simulation, state)?;
             }
             let before = bytes_in(&run)?;
             let clock = Instant::now();
-            make(output, simulation, state, &run)?;
-            let taken = clock.elapsed().as_secs_f64();
+            make(product, simulation, state, &run)?;
+            let elapsed = clock.elapsed().as_secs_f64();
             if sample > 0 {
-                seconds.entry(name).or_default().push(taken);
+                seconds.entry(name).or_default().push(elapsed);
                 let after = bytes_in(&run)?;
-                *bytes.entry(name).or_default() += match output {
-                    Output::Checkpoint(_) => after,
+                *bytes.entry(name).or_default() += match product {
+                    // Each replaces the one before.
+                    Product::Checkpoint(_) => after,
                     _ => after.saturating_sub(before),
                 };
             }
         }
     }
-    for name in &order {
+    for (name, _) in &order {
         let run = folder.join(*name);
         if run.is_dir() {
             fs::remove_dir_all(&run).map_err(|problem| Error::unwritten(&run, &problem))?;
         }
     }
-    let rows = order.into_iter().map(|name| {
-        let seconds = seconds.remove(name).unwrap_or_default();
+    let rows = order.into_iter().map(|(output, present)| {
+        let seconds = seconds.remove(output).unwrap_or_default();
         let frames = seconds.len();
-        let [seconds_low, median, seconds_high] = Spread::quartiles(seconds);
-        let present = |(own, present, _): &(&str, bool, Output)| *own == name && *present;
+        let [low, median, high] = Spread::quartiles(seconds);
         row! {
-            scene: scene.name.as_str(), output: name, present: outputs.iter().any(present), seconds: median, seconds_low: seconds_low,
-            seconds_high: seconds_high, bytes: bytes[name] / frames as u64, frames: frames,
+            scene: scene.name.as_str(), output: output, present: present, seconds: median, seconds_low: low, seconds_high: high,
+            bytes: bytes[output] / frames as u64, frames: frames,
         }
     });
     Ok(rows.collect())
 }
 
-/// Every output that the scene can have, by name, with whether it has it as it is.
+/// Every output that the scene can have.
 fn outputs<'a>(
     scene: &Scene,
     simulation: &Simulation,
     surfaces: &'a ObstacleSurfaces,
     folder: &Path,
-) -> Result<Vec<(&'static str, bool, Output<'a>)>, Error> {
+) -> Result<Vec<Output<'a>>, Error> {
     let kinds = FrameKinds::of(scene);
     let writer = |name: &str, kinds| {
         FrameWriter::create(&folder.join(name), &scene.name, scene.grid(), kinds)
     };
-    let none = FrameKinds::default();
-    let saves = scene.output.checkpoint_every > 0;
-    let mut outputs = vec![("read_back", true, Output::ReadBack)];
-    let liquid = scene.liquid.as_ref();
-    let surface = liquid.map(|liquid| match liquid.surface {
-        Surface::Markers => SurfaceSource::Markers(scene.surface),
-        Surface::Fixed => SurfaceSource::Distance,
-    });
-    let markers = matches!(surface, Some(SurfaceSource::Markers(_)));
-    let fields = FrameKinds {
-        fields: true,
-        ..none
-    };
-    let solids = FrameKinds {
-        solids: true,
-        ..none
-    };
-    for (name, possible, present, alone) in [
-        (
-            "particles",
-            markers,
-            kinds.markers,
-            FrameKinds { markers, ..none },
-        ),
-        ("fields", liquid.is_some(), kinds.fields, fields),
-        (
-            "surface",
-            liquid.is_some(),
-            kinds.surface.is_some(),
-            FrameKinds { surface, ..none },
-        ),
-        ("solids", !scene.solids.is_empty(), kinds.solids, solids),
-    ] {
-        if possible {
-            outputs.push((name, present, Output::Frames(writer(name, alone)?)));
-        }
+    let mut outputs = vec![("read_back", true, Product::ReadBack)];
+    for (name, present, kinds) in frame_kinds(scene, &kinds) {
+        outputs.push((name, present, Product::Frames(writer(name, kinds)?)));
     }
     if kinds.moving_obstacles {
+        let name = "moving_obstacles";
         let alone = FrameKinds {
             moving_obstacles: true,
-            ..none
+            ..FrameKinds::default()
         };
-        let writer = writer("moving_obstacles", alone)?;
         outputs.push((
-            "moving_obstacles",
+            name,
             true,
-            Output::Obstacles(writer, surfaces),
+            Product::Obstacles(writer(name, alone)?, surfaces),
         ));
     }
     let options = RunOptions {
@@ -209,28 +179,46 @@ fn outputs<'a>(
     let manifest = Manifest::new(scene, options, None).with_solids(scene, simulation.solids())?;
     let run = folder.join("checkpoint");
     fs::create_dir_all(&run).map_err(|problem| Error::unwritten(&run, &problem))?;
-    outputs.push((
-        "checkpoint",
-        saves,
-        Output::Checkpoint(Box::new(manifest.clone())),
-    ));
+    let saves = scene.output.checkpoint_every > 0;
+    let checkpoint = Product::Checkpoint(Box::new(manifest.clone()));
+    outputs.push(("checkpoint", saves, checkpoint));
     if kinds.markers || kinds.fields || kinds.solids {
         let run = folder.join("preview");
         let mut writer = writer("preview", kinds)?;
         manifest.write(&run)?;
         writer.write_obstacles(&surfaces.at(0.0))?;
         write_all(&mut writer, surfaces, simulation, &simulation.state()?)?;
-        let pictures = Pictures::new(&run, &PreviewOptions::default())?;
-        outputs.push((
-            "preview",
-            false,
-            Output::Preview(writer, Box::new(pictures)),
-        ));
+        let pictures = Box::new(Pictures::new(&run, &PreviewOptions::default())?);
+        outputs.push(("preview", false, Product::Preview(writer, pictures)));
     }
     Ok(outputs)
 }
 
-/// Every file of a frame that a run writes.
+/// Kinds of files that a scene can have: name, whether it has them, and the kind alone.
+fn frame_kinds(scene: &Scene, kinds: &FrameKinds) -> Vec<(&'static str, bool, FrameKinds)> {
+    let none = FrameKinds::default();
+    let mut all = Vec::new();
+    if let Some(liquid) = &scene.liquid {
+        let (markers, surface) = match liquid.surface {
+            Surface::Markers => (true, SurfaceSource::Markers(scene.surface)),
+            Surface::Fixed => (false, SurfaceSource::Distance),
+        };
+        if markers {
+            all.push(("particles", kinds.markers, FrameKinds { markers, ..none }));
+        }
+        let (fields, surface) = (true, Some(surface));
+        all.push(("fields", kinds.fields, FrameKinds { fields, ..none }));
+        let present = kinds.surface.is_some();
+        all.push(("surface", present, FrameKinds { surface, ..none }));
+    }
+    if !scene.solids.is_empty() {
+        let solids = true;
+        all.push(("solids", kinds.solids, FrameKinds { solids, ..none }));
+    }
+    all
+}
+
+/// Writes all files of a frame of a run.
 fn write_all(
     writer: &mut FrameWriter,
     surfaces: &ObstacleSurfaces,
@@ -241,20 +229,20 @@ fn write_all(
     writer.write(state, simulation.cut_cells(), simulation.solids())
 }
 
-/// Makes one output of a state that the simulation has.
+/// Makes one product of the current state of the simulation.
 fn make(
-    output: &mut Output,
+    product: &mut Product,
     simulation: &Simulation,
     state: &State,
     run: &Path,
 ) -> Result<(), Error> {
-    match output {
-        Output::ReadBack => simulation.state().map(drop),
-        Output::Frames(writer) => writer.write(state, simulation.cut_cells(), simulation.solids()),
-        Output::Obstacles(writer, surfaces) => {
+    match product {
+        Product::ReadBack => simulation.state().map(drop),
+        Product::Frames(writer) => writer.write(state, simulation.cut_cells(), simulation.solids()),
+        Product::Obstacles(writer, surfaces) => {
             writer.write_moved_obstacles(state, &surfaces.at(state.time))
         }
-        Output::Checkpoint(manifest) => Checkpoint {
+        Product::Checkpoint(manifest) => Checkpoint {
             state: state.clone(),
             carried: simulation.carried()?,
             steps_bytes: 0,
@@ -262,11 +250,11 @@ fn make(
             manifest: (**manifest).clone(),
         }
         .write(run),
-        Output::Preview(_, pictures) => pictures.draw(&mut |_, _| true),
+        Product::Preview(_, pictures) => pictures.draw(&mut |_, _| true),
     }
 }
 
-/// Bytes of the files of frames below a folder; 0 where there is none.
+/// Bytes of the files of frames below a folder; 0 without the folder.
 fn bytes_in(folder: &Path) -> Result<u64, Error> {
     let Ok(entries) = fs::read_dir(folder) else {
         return Ok(0);

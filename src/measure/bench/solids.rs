@@ -1,14 +1,14 @@
-//! `bench solids`: the solve for the velocities of elastic solids against their size, beside a sparse Cholesky factorisation in f64 (faer).
+//! `bench solids`: the solve for the velocities of elastic solids against their size, and a sparse Cholesky factorisation in f64 (faer).
 //!
-//! A body hangs from its upper end and swings. Its first sub-steps are simulated; the solve of the next one is repeated from the same state, in
-//! turns on the device and by factorisation. The device counts from the rotations of the elements to the residual check, the factorisation from
-//! the assembled matrix to the velocities. The ordering, once per run, is a column of its own.
+//! A body is fixed at its upper end and swings. Its first sub-steps are simulated. The solve of the next one is repeated from the same state,
+//! alternately on the device and by factorisation. The time on the device is from the rotations of the elements to the residual check, that of the
+//! factorisation from the assembled matrix to the velocities. The ordering, once per run, has its own column.
 
 use std::time::Instant;
 
 use super::bytes::SolidBytes;
-use super::chart::{Chart, Page, exact, lines};
-use super::ended::{Ended, precision_name};
+use super::chart::{Chart, Page, at, lines};
+use super::ended::Ended;
 use super::statistics::Spread;
 use super::sub_step::sub_step;
 use super::table::{Row, Table, columns, row};
@@ -112,7 +112,7 @@ columns! {
 /// Measures all bodies: solids.csv, solids.json, solids.svg.
 ///
 /// # Errors
-/// [`Error::Output`]; [`Error::Check`] where a solve does not repeat; errors of simulation and device.
+/// [`Error::Output`]; [`Error::Check`] if a solve is not reproducible; errors of simulation and device.
 pub fn measure(
     options: &Options,
     settings: &Settings,
@@ -139,17 +139,18 @@ pub fn measure(
         for &nodes in &options.nodes {
             let k = body.cells(nodes);
             let nodes = (k + 1).pow(2) * (body.height() * k + 1);
-            cases.push(Case {
-                key: ("solids", row! { body: body.name(), nodes: nodes }),
-                measure: Box::new(move |run| Ok(vec![("solids", solve(run, body, k, options)?)])),
-            });
+            cases.push(Case::new(
+                "solids",
+                row! { body: body.name(), nodes: nodes },
+                move |run| Ok(vec![("solids", solve(run, body, k, options)?)]),
+            ));
         }
     }
     run.cases(cases)?;
     Ok(run.results)
 }
 
-/// A body of `k` cubes across that hangs from its upper end and moves sideways.
+/// A body of `k` cubes across that is fixed at its upper end and moves sideways.
 fn scene(body: Body, k: usize, options: &Options) -> Result<Scene, Error> {
     let Options {
         young,
@@ -198,7 +199,7 @@ fn solve(run: &mut Run, body: Body, k: usize, options: &Options) -> Result<Row, 
     })?;
     let (system, solids) = stored.expect("every sub-step has a solve");
     let solve = report.solid.expect("the scene has a solid").solve;
-    let ended = Ended::of_reports(&[solve]);
+    let ended = Ended::new(&[solve]);
     let (matrix, unknowns) = (system.free_to_csr(), system.components());
     let free = |x: &[f64]| -> Vec<f64> { unknowns.iter().map(|&at| x[at]).collect() };
     let clock = Instant::now();
@@ -207,17 +208,13 @@ fn solve(run: &mut Run, body: Body, k: usize, options: &Options) -> Result<Row, 
     let factor_bytes = 8.0 * symbolic.n_factor_entries() as f64;
     let what = format!("{} of {} nodes", body.name(), solids.rest.len());
     let (mut found, mut direct, mut parts) = (Vec::new(), Vec::new(), [Vec::new(), Vec::new()]);
-    let jobs = if factor_bytes > options.largest_factor {
-        1
-    } else {
-        2
-    };
+    let jobs = 1 + usize::from(factor_bytes <= options.largest_factor);
     let timed = rounds(run, &format!("solves of a {what}"), jobs, |job| {
         if job == 0 {
             let done = sub_step(&mut path, &state, 0.0)?;
             let reports: Vec<SolveReport> = done.report.solves().collect();
-            ended.ensure_repeated(Ended::of_reports(&reports), &what)?;
-            found = free(done.answer.velocity.as_flattened());
+            ended.ensure_repeated(Ended::new(&reports), &what)?;
+            found = free(done.solution.velocity.as_flattened());
             return Ok((done.seconds, ()));
         }
         let clock = Instant::now();
@@ -232,26 +229,22 @@ fn solve(run: &mut Run, body: Body, k: usize, options: &Options) -> Result<Row, 
     })?;
     let [factor, substitution] =
         parts.map(|seconds| (!seconds.is_empty()).then(|| Spread::of(seconds).median));
-    let off: Vec<f64> = found
-        .iter()
-        .zip(&direct)
-        .map(|(found, x)| found - x)
-        .collect();
+    let off = found.iter().zip(&direct).map(|(found, x)| found - x);
+    let off: Vec<f64> = off.collect();
     let seconds = timed[0].spread();
     let degree = Bounds::new(&solids).chebyshev_degree(&solids, dt);
-    let refined = if options.solver.precision == Precision::F64 {
-        1.0
-    } else {
-        2.0
+    let refined = match options.solver.precision {
+        Precision::F64 => 1.0,
+        _ => 2.0,
     };
     let model = SolidBytes::new(&solids, path.scalar_bytes());
     let bytes =
-        model.of_rows() + model.of_solve(degree as f64, f64::from(solve.iterations), refined);
+        model.stiffness_rows() + model.solve(degree as f64, f64::from(solve.iterations), refined);
     let status = ended.name(options.solver.tolerance);
     let converged = status == SolveStatus::Converged.name();
     Ok(row! {
         body: body.name(), nodes: solids.rest.len(), elements: solids.elements.len(), unknowns: unknowns.len(), young: options.young,
-        density: options.density, step: dt, precision: precision_name(options.solver.precision), tolerance: options.solver.tolerance,
+        density: options.density, step: dt, precision: options.solver.precision, tolerance: options.solver.tolerance,
         status: status, iterations: solve.iterations, degree: degree, products: solve.iterations as usize * (degree + 1),
         residual: solve.residual, seconds: seconds, factor_bytes: factor_bytes, ordering_seconds: ordering, factor_seconds: factor,
         substitution_seconds: substitution, ratio: timed.get(1).filter(|_| converged).map(|direct| direct.ratio(&timed[0]).median),
@@ -263,28 +256,18 @@ fn solve(run: &mut Run, body: Body, k: usize, options: &Options) -> Result<Row, 
 /// Seconds against nodes, on the device and by factorisation.
 fn draw(results: &Results) -> Page {
     let rows = results.rows("solids");
-    let device = |row: &Row| Some([exact(row, "nodes"), row.spread("seconds")?]);
-    let mut all = lines(
-        rows,
-        |row| format!("{}, this solve", row.text("body")),
-        device,
-    );
-    let direct = |row: &Row| {
+    let own = |row: &Row| format!("{}, this solve", row.text("body"));
+    let direct = |row: &Row| format!("{}, sparse Cholesky", row.text("body"));
+    let mut all = lines(rows, own, at(["nodes", "seconds"]));
+    all.extend(lines(rows, direct, |row| {
         let seconds = row.number("factor_seconds") + row.number("substitution_seconds");
-        Some([exact(row, "nodes"), Spread::exact(seconds)])
+        Some([row.number("nodes"), seconds].map(Spread::exact))
+    }));
+    let chart = Chart {
+        title: format!("Solve of solids, {}", results.machine.name()),
+        axes: ["nodes", "seconds"],
+        lines: all,
+        falling: false,
     };
-    all.extend(lines(
-        rows,
-        |row| format!("{}, sparse Cholesky", row.text("body")),
-        direct,
-    ));
-    Page::Charts(
-        1,
-        vec![Chart {
-            title: format!("Solve of solids, {}", results.machine.name()),
-            axes: ["nodes", "seconds"],
-            lines: all,
-            falling: false,
-        }],
-    )
+    Page::Charts(1, vec![chart])
 }

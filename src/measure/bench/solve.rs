@@ -1,7 +1,7 @@
 //! `bench solve`: the solve against the grid, of the pressure on the base block, and of liquid and solids on the base scene.
 //!
-//! A run counts from the recording of the set-up of hierarchy and, with solids, of their elements to the residual check in f64. The first run of
-//! each row, which compiles, is not timed. Reference solvers on the CPU take turns with the device in a shuffled order.
+//! The time of a solve begins with recording the set-up of the hierarchy and, with solids, of their elements. It ends with the residual check in f64.
+//! The first run of each row, which compiles, is not timed. Device and reference solvers on the CPU alternate in a shuffled order.
 
 mod capacity;
 mod reference_solvers;
@@ -10,17 +10,18 @@ use std::collections::BTreeSet;
 use std::time::Instant;
 
 use super::bytes::{Corrections, SolidBytes, SolveBytes};
-use super::chart::{Chart, Page, exact, lines};
-use super::ended::{Ended, precision_name, preconditioner_name};
+use super::chart::{Chart, Page, at, lines};
+use super::ended::Ended;
 use super::statistics::{Spread, exponent, grouped};
 use super::table::{Row, Table, columns, row};
 use super::{
-    Bench, Case, GROWTH, Listener, Machine, Results, Run, Settings, TRAFFIC, growth, replace,
-    rounds, rows,
+    Bench, Case, GROWTH, Listener, Machine, Results, Rows, Run, Settings, TRAFFIC, Timed, growth,
+    replace, rounds, rows,
 };
 use crate::Error;
+use crate::elastic::Solids;
 use crate::fields::SolverBuffers;
-use crate::gpu::{Buffer, Gpu, Real, Recorder, Traffic};
+use crate::gpu::{Buffer, Gpu, Recorder, Traffic};
 use crate::linalg::SymbolicCholesky;
 use crate::measure::base_scene::{DeviceScene, block_fields};
 use crate::reference::CoupledSystem;
@@ -68,7 +69,7 @@ pub struct Options {
     pub formulations: Vec<Formulation>,
     /// Cells along an edge of the block.
     pub grids: Vec<usize>,
-    /// Bricks across the beam, which is seven times as long; `None` for the beam that belongs to the grid.
+    /// Bricks across the beam, which is seven times as long; `None`: the beam of the grid.
     pub bricks: Vec<Option<usize>>,
     /// Settings of the solver.
     pub solvers: Vec<Solver>,
@@ -85,7 +86,7 @@ columns! {
         grid + "" "cells along an edge";
         active_cells + "" "unknowns of the pressure";
         solid_nodes + "" "nodes of the solids";
-        bricks - "" "bricks across the beam; empty for the one that belongs to the grid";
+        bricks - "" "bricks across the beam; empty for the beam of the grid";
         formulation + "" "`pressure`, `two-field` or `condensed`";
         preconditioner + "" "`multigrid`, `jacobi` or `block_jacobi`";
         precision + "" "`f32`, `mixed` or `f64`";
@@ -131,7 +132,7 @@ columns! {
 }
 
 fn bench() -> Bench {
-    let against: &[&str] = &[
+    let against = &[
         "grid",
         "bricks",
         "formulation",
@@ -140,7 +141,7 @@ fn bench() -> Bench {
         "tolerance",
         "rival",
     ];
-    // One solve has several rivals.
+    // Several reference solvers have the key of one solve.
     let key = &against[..against.len() - 1];
     Bench {
         name: "solve",
@@ -157,8 +158,8 @@ fn bench() -> Bench {
 /// Measures all systems: solve.csv, solve_against.csv, solve_growth.csv, solve.json, solve.svg.
 ///
 /// # Errors
-/// Before any work [`Error::Limit`] and [`Error::Memory`] where there is no room for a grid; [`Error::Output`]; [`Error::Check`] where a solve
-/// does not repeat.
+/// Before any work [`Error::Limit`] and [`Error::Memory`] for a grid that is too large; [`Error::Output`]; [`Error::Check`] if a solve is not
+/// reproducible.
 pub fn measure(
     gpu: &Gpu,
     options: &Options,
@@ -189,15 +190,12 @@ pub fn measure(
                     let key = row! {
                         scene: if formulation == Formulation::Pressure { "base_block" } else { "base_scene" },
                         grid: grid, bricks: bricks, formulation: formulation.name(), tolerance: solver.tolerance,
-                        preconditioner: preconditioner_name(solver.preconditioner), precision: precision_name(solver.precision),
+                        preconditioner: solver.preconditioner, precision: solver.precision,
                     };
                     let measured = key.clone();
-                    cases.push(Case {
-                        key: ("solve", key),
-                        measure: Box::new(move |run| {
-                            system(gpu, run, formulation, &measured, solver, options)
-                        }),
-                    });
+                    cases.push(Case::new("solve", key, move |run| {
+                        system(gpu, run, formulation, &measured, solver, options)
+                    }));
                 }
             }
         }
@@ -206,7 +204,7 @@ pub fn measure(
     Ok(run.results)
 }
 
-/// Bricks across the beam that the thesis has on about so many cells along an edge.
+/// Bricks across the thesis's beam on grids of about this many cells along an edge.
 pub(super) fn bricks_across(grid: usize) -> usize {
     match grid {
         ..50 => 2,
@@ -215,13 +213,25 @@ pub(super) fn bricks_across(grid: usize) -> usize {
     }
 }
 
-/// End of a solve on the device.
+/// Result of a solve on the device.
 struct Solved {
     ended: Ended,
-    rounds: u32,
-    unknowns: usize,
+    /// Refinement steps.
+    refinements: u32,
     /// Whether the corrections were those of the Schur complement.
     condensed: bool,
+}
+
+/// A system on the device.
+trait DeviceSystem {
+    /// Restores the right-hand sides, which a solve replaces.
+    fn prepare(&self) {}
+    /// Sets the system up and solves it.
+    fn solve(&self, gpu: &Gpu) -> Result<Solved, Error>;
+    fn buffers(&self) -> &SolverBuffers;
+    fn solid_nodes(&self) -> usize;
+    /// Least memory traffic of the solve, B.
+    fn bytes(&self, pressure: &SolveBytes, solved: &Solved) -> f64;
 }
 
 /// The pressure system of the base block on the device.
@@ -242,25 +252,20 @@ impl Block {
         let everywhere = Everywhere::new(gpu, grid)?;
         let area = grid.dx * grid.dx;
         let rhs: Vec<f64> = rhs.iter().map(|value| value / area).collect();
-        buffers
-            .rhs
-            .upload(gpu, &grid.padded().pad(grid.cells, &rhs, |value| value));
+        let rhs = grid.padded().pad(grid.cells, &rhs, |value| value);
+        buffers.rhs.upload(gpu, &rhs);
+        let within = everywhere.within();
         Ok(Block {
-            system: PressureSystem::new(
-                gpu,
-                &buffers,
-                open,
-                distance,
-                everywhere.within(),
-                THETA_FLOOR,
-            )?,
+            system: PressureSystem::new(gpu, &buffers, open, distance, within, THETA_FLOOR)?,
             solver: PressureSolver::new(gpu, &buffers, velocity, open, solver)?,
             _fields: fields,
             buffers,
             everywhere,
         })
     }
+}
 
+impl DeviceSystem for Block {
     fn solve(&self, gpu: &Gpu) -> Result<Solved, Error> {
         let mut recorder = Recorder::new(gpu);
         let within = self.everywhere.within();
@@ -270,10 +275,67 @@ impl Block {
         let (outcome, _) = self.solver.solve(gpu, recorder, &self.buffers)?;
         Ok(Solved {
             ended: Ended::from(&outcome),
-            rounds: outcome.refinements,
-            unknowns: outcome.unknowns as usize,
+            refinements: outcome.refinements,
             condensed: false,
         })
+    }
+
+    fn buffers(&self) -> &SolverBuffers {
+        &self.buffers
+    }
+
+    fn solid_nodes(&self) -> usize {
+        0
+    }
+
+    fn bytes(&self, pressure: &SolveBytes, _: &Solved) -> f64 {
+        pressure.pressure()
+    }
+}
+
+/// The coupled system of the base scene on the device.
+struct Coupled<'a> {
+    device: DeviceScene<'a>,
+    system: &'a CoupledSystem,
+    solids: &'a Solids,
+}
+
+impl DeviceSystem for Coupled<'_> {
+    fn prepare(&self) {
+        self.device.reset();
+    }
+
+    fn solve(&self, _: &Gpu) -> Result<Solved, Error> {
+        let outcome = self.device.solve()?;
+        Ok(Solved {
+            ended: Ended::from(&outcome),
+            refinements: outcome.refinements,
+            condensed: outcome.condensed,
+        })
+    }
+
+    fn buffers(&self) -> &SolverBuffers {
+        &self.device.liquid
+    }
+
+    fn solid_nodes(&self) -> usize {
+        self.solids.rest.len()
+    }
+
+    fn bytes(&self, pressure: &SolveBytes, solved: &Solved) -> f64 {
+        let corrections = match solved.condensed {
+            true => {
+                let nodes = self.system.coupling.pairs().iter().map(|pair| pair.node);
+                let wet_nodes = nodes.collect::<BTreeSet<usize>>().len();
+                Corrections::Condensed { wet_nodes }
+            }
+            false => Corrections::TwoField {
+                degree: self.device.polynomial.degree as usize,
+            },
+        };
+        let [inner, outer] = pressure.widths.map(|bytes| bytes as usize);
+        let solids = SolidBytes::new(self.solids, [outer, inner]);
+        pressure.coupled(&solids, corrections)
     }
 }
 
@@ -285,7 +347,7 @@ struct Reference<'a> {
     rows: usize,
     entries: Option<usize>,
     factor_bytes: Option<f64>,
-    /// Why it does not solve.
+    /// Reason for not solving; empty without one.
     note: String,
 }
 
@@ -319,10 +381,45 @@ impl<'a> Reference<'a> {
                 reference.note = format!("factor of {:.1} GiB left out", bytes / GIB);
             }
         }
-        // The device's limit is its own.
+        // The device's limit of iterations does not apply.
         reference.settings.max_iterations = (10 * reference.rows) as u32;
         Ok(reference)
     }
+
+    /// Columns of `solve_against`. `status`: that of the device.
+    fn row<T>(&self, timed: Option<&Outcome>, device: &Timed<T>, status: &str) -> Row {
+        let ended = timed.and_then(|timed| timed.outcome.0);
+        let name = ended.map(|ended| ended.name(self.settings.tolerance));
+        let converged = SolveStatus::Converged.name();
+        let note = match name {
+            None if self.note.is_empty() => "no incomplete factor without fill".to_owned(),
+            None => self.note.clone(),
+            Some(name) if name != converged => format!("no ratio: the reference solver {name}"),
+            Some(_) if status != converged => format!("no ratio: on the device {status}"),
+            Some(_) => String::new(),
+        };
+        let timed = timed.filter(|_| ended.is_some());
+        let iterative = ended.filter(|_| self.solver != ReferenceSolver::Cholesky);
+        row! {
+            device_seconds: device.spread(), rival: self.solver.name(), threads: rayon::current_num_threads(), rows: self.rows,
+            entries: self.entries, factor_bytes: self.factor_bytes, status: name,
+            iterations: iterative.map(|ended| ended.iterations), turns: timed.map_or(0, |timed| timed.runs()),
+            seconds: timed.map(|timed| timed.spread()), residual_p: ended.map(|ended| ended.residuals[0]),
+            residual_v: ended.map(|ended| ended.residuals[1]),
+            ratio: timed.filter(|_| note.is_empty()).map(|timed| timed.ratio(device)), note: note.as_str(),
+        }
+    }
+}
+
+/// Timed solves: the end, and on the device the traffic.
+type Outcome = Timed<(Option<Ended>, Traffic)>;
+
+/// A system to measure.
+struct Measurement<'a> {
+    gpu: &'a Gpu,
+    key: &'a Row,
+    solver: &'a Solver,
+    options: &'a Options,
 }
 
 /// Rows of a system: of the device and of each reference solver.
@@ -333,7 +430,7 @@ fn system(
     key: &Row,
     solver: &Solver,
     options: &Options,
-) -> Result<Vec<(&'static str, Row)>, Error> {
+) -> Result<Rows, Error> {
     let solver = &Solver {
         formulation: match formulation {
             Formulation::Condensed => scene::Formulation::Condensed,
@@ -341,277 +438,135 @@ fn system(
         },
         ..*solver
     };
-    let grid = key.count("grid");
-    let allocated = device_bytes(gpu);
+    let measurement = Measurement {
+        gpu,
+        key,
+        solver,
+        options,
+    };
+    let (grid, allocated) = (key.count("grid"), device_bytes(gpu));
     if formulation == Formulation::Pressure {
         let block = BaseBlock::new(grid);
         let system = block.pressure_system();
         let device = Block::new(gpu, &block, &system.rhs, solver)?;
-        let solve = Device {
-            prepare: &|| {},
-            solve: &|| device.solve(gpu),
-        };
-        let timed = compare(
-            gpu,
-            run,
-            (key, solver),
-            options,
-            Assembled::Pressure(&system),
-            solve,
-        )?;
-        let model = |of: &Model| of.bytes().of_pressure();
-        return timed.rows(
-            gpu,
-            run,
-            &device.buffers,
-            model,
-            device_bytes(gpu) - allocated,
-            0,
-        );
+        return measurement.rows(run, Assembled::Pressure(&system), &device, allocated);
     }
-    let across = if key.has("bricks") {
-        key.count("bricks")
-    } else {
-        bricks_across(grid)
+    let across = match key.count("bricks") {
+        0 => bricks_across(grid),
+        bricks => bricks,
     };
     let beam = BaseBeam {
         bricks: [across, across, 7 * across],
         ..BaseBeam::default()
     };
     let scene = BaseScene::new(grid, &beam)?;
-    let system = scene.coupled_system();
-    let device = DeviceScene::new(gpu, &scene, &system, solver)?;
-    let unknowns = system.pressure.n_unknowns();
-    let assembled = Assembled::Both(&system, &scene.solids);
-    let solve = Device {
-        prepare: &|| device.reset(),
-        solve: &|| {
-            let outcome = device.solve()?;
-            Ok(Solved {
-                ended: Ended::from(&outcome),
-                rounds: outcome.refinements,
-                unknowns,
-                condensed: outcome.condensed,
-            })
-        },
+    let (system, solids) = (&scene.coupled_system(), &scene.solids);
+    let device = Coupled {
+        device: DeviceScene::new(gpu, &scene, system, solver)?,
+        system,
+        solids,
     };
-    let timed = compare(gpu, run, (key, solver), options, assembled, solve)?;
-    let model = |of: &Model| {
-        let corrections = match of.solved.condensed {
-            true => Corrections::Condensed {
-                wet_nodes: wet_nodes(&system),
-            },
-            false => Corrections::TwoField {
-                degree: device.polynomial.degree as usize,
-            },
-        };
-        let [inner, outer] = of.widths.map(|bytes| bytes as usize);
-        of.bytes()
-            .of_both(&SolidBytes::new(&scene.solids, [outer, inner]), corrections)
-    };
-    timed.rows(
-        gpu,
-        run,
-        &device.liquid,
-        model,
-        device_bytes(gpu) - allocated,
-        scene.solids.rest.len(),
-    )
+    measurement.rows(run, Assembled::Both(system, solids), &device, allocated)
 }
 
-fn wet_nodes(system: &CoupledSystem) -> usize {
-    let nodes = system.coupling.pairs().iter().map(|pair| pair.node);
-    nodes.collect::<BTreeSet<usize>>().len()
-}
-
-/// Timed solves of a system, of the device first.
-struct Compared<'a> {
-    key: &'a Row,
-    solver: &'a Solver,
-    references: Vec<Reference<'a>>,
-    /// Of the device, then of the references that solve.
-    timed: Vec<super::Timed<(Option<Ended>, Traffic)>>,
-    idle: Spread,
-    solved: Solved,
-}
-
-/// A solve on the device.
-#[derive(Clone, Copy)]
-struct Device<'d> {
-    /// Not timed.
-    prepare: &'d dyn Fn(),
-    solve: &'d dyn Fn() -> Result<Solved, Error>,
-}
-
-/// Solves on the device and with the reference solvers, in rounds.
-fn compare<'a>(
-    gpu: &Gpu,
-    run: &mut Run,
-    (key, solver): (&'a Row, &'a Solver),
-    options: &Options,
-    system: Assembled<'a>,
-    device: Device,
-) -> Result<Compared<'a>, Error> {
-    let references = options.against.iter();
-    let references =
-        references.map(|&other| Reference::new(other, system, solver, options.largest_factor));
-    let references: Vec<Reference> = references.collect::<Result<_, _>>()?;
-    let solving: Vec<&Reference> = references
-        .iter()
-        .filter(|reference| reference.note.is_empty())
-        .collect();
-    let what = format!("grid {} {}", key.count("grid"), key.text("formulation"));
-    // The first compiles.
-    (device.prepare)();
-    let solved = (device.solve)()?;
-    let mut idle = Vec::new();
-    let timed = rounds(
-        run,
-        &format!("solves of {what}"),
-        1 + solving.len(),
-        |job| {
-            (device.prepare)();
+impl<'a> Measurement<'a> {
+    /// Solves on the device and with the reference solvers, in rounds. `allocated`: bytes of the device before the system.
+    fn rows(
+        &self,
+        run: &mut Run,
+        system: Assembled<'a>,
+        device: &dyn DeviceSystem,
+        allocated: u64,
+    ) -> Result<Rows, Error> {
+        let Measurement {
+            gpu,
+            key,
+            solver,
+            options,
+        } = *self;
+        let references = options.against.iter();
+        let references = references
+            .map(|&other| Reference::new(other, system, solver, options.largest_factor))
+            .collect::<Result<Vec<_>, _>>()?;
+        let solving = references.iter().filter(|other| other.note.is_empty());
+        let solving: Vec<&Reference> = solving.collect();
+        let what = format!("grid {} {}", key.count("grid"), key.text("formulation"));
+        // The first compiles.
+        device.prepare();
+        let solved = device.solve(gpu)?;
+        let mut idle = Vec::new();
+        let jobs = 1 + solving.len();
+        let timed = rounds(run, &format!("solves of {what}"), jobs, |job| {
+            device.prepare();
             gpu.wait("bench")?;
             let (before, clock) = (gpu.traffic(), Instant::now());
-            if let Some(job) = job.checked_sub(1) {
-                let Reference {
-                    solver,
-                    system,
-                    settings,
-                    ..
-                } = solving[job];
-                let reports = system.solve(*solver, settings)?;
-                let ended = reports.map(|reports| Ended::of_reports(&reports));
+            if let Some(reference) = job.checked_sub(1).map(|job| solving[job]) {
+                let reports = reference
+                    .system
+                    .solve(reference.solver, &reference.settings)?;
+                let ended = reports.map(|reports| Ended::new(&reports));
                 return Ok((clock.elapsed().as_secs_f64(), (ended, Traffic::default())));
             }
-            let again = (device.solve)()?;
+            let again = device.solve(gpu)?;
             let seconds = clock.elapsed().as_secs_f64();
             solved.ended.ensure_repeated(again.ended, &what)?;
             let traffic = gpu.traffic().since(before);
             idle.push(traffic.idle_seconds);
             Ok((seconds, (Some(again.ended), traffic)))
-        },
-    )?;
-    let idle = Spread::of(idle);
-    Ok(Compared {
-        key,
-        solver,
-        references,
-        timed,
-        idle,
-        solved,
-    })
-}
-
-/// Sizes that decide the bytes of a solve.
-struct Model<'a> {
-    solved: &'a Solved,
-    solver: &'a Solver,
-    not_uniform: f64,
-    /// Bytes of a scalar of the corrections, and of the outer loop.
-    widths: [f64; 2],
-}
-
-impl Model<'_> {
-    fn bytes(&self) -> SolveBytes {
-        SolveBytes {
-            unknowns: self.solved.unknowns as f64,
-            not_uniform: self.not_uniform,
-            iterations: f64::from(self.solved.ended.iterations),
-            rounds: f64::from(self.solved.rounds),
-            widths: self.widths,
-            preconditioner: self.solver.preconditioner,
-        }
-    }
-}
-
-impl Compared<'_> {
-    fn rows(
-        self,
-        gpu: &Gpu,
-        run: &Run,
-        buffers: &SolverBuffers,
-        bytes: impl Fn(&Model) -> f64,
-        device_bytes: u64,
-        solid_nodes: usize,
-    ) -> Result<Vec<(&'static str, Row)>, Error> {
-        let Compared {
-            key,
-            solver,
-            references,
-            timed,
-            idle,
-            solved,
-        } = self;
-        let width = |real: Real| real.bytes() as f64;
-        let model = Model {
-            solved: &solved,
-            solver,
-            not_uniform: not_uniform(gpu, buffers)?,
-            widths: [width(buffers.variant.inner), width(buffers.variant.real)],
-        };
-        let bytes = model.bytes().of_set_up() + bytes(&model);
-        let (
-            Ended {
-                iterations,
-                residuals,
-                ..
-            },
-            seconds,
-        ) = (solved.ended, timed[0].spread());
+        })?;
+        let sizes = row! { active_cells: system.n_pressures(), solid_nodes: device.solid_nodes() };
         let status = solved.ended.name(solver.tolerance);
-        let (_, traffic) = &timed[0].outcome;
-        let system = key
-            .clone()
-            .with(row! { active_cells: solved.unknowns, solid_nodes: solid_nodes });
-        let device = system.clone().with(row! {
-            status: status, iterations: iterations, rounds: solved.rounds, runs: timed[0].runs(), seconds: seconds,
-            residual_p: residuals[0], residual_v: residuals[1], cells_per_second: solved.unknowns as f64 / seconds.median,
-            bytes: bytes, share_of_copy_bandwidth: run.results.machine.share(bytes, seconds.median),
-            waits: traffic.waits, submissions: traffic.submissions, dispatches: traffic.dispatches, bytes_up: traffic.bytes_up,
-            bytes_down: traffic.bytes_down, idle_seconds: idle.median, device_bytes: device_bytes,
-        });
-        let mut rows = vec![("solve", device)];
+        let own = row! {
+            status: status, idle_seconds: Spread::of(idle).median, device_bytes: device_bytes(gpu) - allocated,
+        };
+        let (machine, own) = (
+            &run.results.machine,
+            key.clone().with(sizes.clone()).with(own),
+        );
+        let mut rows = vec![(
+            "solve",
+            own.with(self.device_row(machine, system, device, &solved, &timed[0])?),
+        )];
         let mut others = timed[1..].iter();
         for reference in &references {
-            let own = if reference.note.is_empty() {
-                others.next()
-            } else {
-                None
-            };
-            let row = against(reference, own, &timed[0], status);
-            rows.push(("solve_against", system.clone().with(row)));
+            let own = reference.note.is_empty().then(|| others.next()).flatten();
+            let row = reference.row(own, &timed[0], status);
+            rows.push(("solve_against", key.clone().with(sizes.clone()).with(row)));
         }
         Ok(rows)
     }
-}
 
-/// Columns of a reference solver beside the device, whose solve ended with `status`.
-fn against<T>(
-    reference: &Reference,
-    timed: Option<&super::Timed<(Option<Ended>, Traffic)>>,
-    device: &super::Timed<T>,
-    status: &str,
-) -> Row {
-    let ended = timed.and_then(|timed| timed.outcome.0);
-    let name = ended.map(|ended| ended.name(reference.settings.tolerance));
-    let converged = SolveStatus::Converged.name();
-    let note = match name {
-        None if reference.note.is_empty() => "no incomplete factor without fill".to_owned(),
-        None => reference.note.clone(),
-        Some(name) if name != converged => format!("no ratio: the reference solver {name}"),
-        Some(_) if status != converged => format!("no ratio: on the device {status}"),
-        Some(_) => String::new(),
-    };
-    let timed = timed.filter(|_| ended.is_some());
-    let iterative = reference.solver != ReferenceSolver::Cholesky;
-    row! {
-        device_seconds: device.spread(), rival: reference.solver.name(), threads: rayon::current_num_threads(), rows: reference.rows,
-        entries: reference.entries, factor_bytes: reference.factor_bytes, status: name,
-        iterations: ended.filter(|_| iterative).map(|ended| ended.iterations), turns: timed.map_or(0, |timed| timed.runs()),
-        seconds: timed.map(|timed| timed.spread()), residual_p: ended.map(|ended| ended.residuals[0]),
-        residual_v: ended.map(|ended| ended.residuals[1]),
-        ratio: timed.filter(|_| note.is_empty()).map(|timed| timed.ratio(device)), note: note.as_str(),
+    /// Columns of the solves on the device.
+    fn device_row(
+        &self,
+        machine: &Machine,
+        system: Assembled,
+        device: &dyn DeviceSystem,
+        solved: &Solved,
+        timed: &Outcome,
+    ) -> Result<Row, Error> {
+        let (buffers, unknowns) = (device.buffers(), system.n_pressures() as f64);
+        let Ended {
+            iterations,
+            residuals,
+            ..
+        } = solved.ended;
+        let pressure = SolveBytes {
+            unknowns,
+            not_uniform: not_uniform(self.gpu, buffers)?,
+            iterations: f64::from(iterations),
+            refinements: f64::from(solved.refinements),
+            widths: [buffers.variant.inner, buffers.variant.real].map(|real| real.bytes() as f64),
+            preconditioner: self.solver.preconditioner,
+        };
+        let bytes = pressure.set_up() + device.bytes(&pressure, solved);
+        let (seconds, (_, traffic)) = (timed.spread(), &timed.outcome);
+        Ok(row! {
+            iterations: iterations, rounds: solved.refinements, runs: timed.runs(), seconds: seconds, residual_p: residuals[0],
+            residual_v: residuals[1], cells_per_second: unknowns / seconds.median, bytes: bytes,
+            share_of_copy_bandwidth: machine.share(bytes, seconds.median), waits: traffic.waits, submissions: traffic.submissions,
+            dispatches: traffic.dispatches, bytes_up: traffic.bytes_up, bytes_down: traffic.bytes_down,
+        })
     }
 }
 
@@ -631,43 +586,36 @@ fn not_uniform(gpu: &Gpu, buffers: &SolverBuffers) -> Result<f64, Error> {
 
 /// Growth of each solver along cells, nodes or both.
 pub fn derive(tables: &mut [Table]) {
+    let sizes = [
+        "grid",
+        "bricks",
+        "active_cells",
+        "solid_nodes",
+        "formulation",
+        "seconds",
+        "iterations",
+    ];
     let sample = |row: &Row, solver: &str, precision: &str, runs: &str| {
-        let sizes = [
-            "grid",
-            "bricks",
-            "active_cells",
-            "solid_nodes",
-            "formulation",
-            "seconds",
-            "iterations",
-        ];
-        row.only(&sizes)
-            .with(row! { solver: row.get(solver), precision: precision, runs: row.get(runs) })
+        let columns = row! { solver: row.get(solver), precision: precision, runs: row.get(runs) };
+        row.only(&sizes).with(columns)
     };
     let converged = |row: &&Row| row.text("status") == SolveStatus::Converged.name();
     let device = rows(tables, "solve").iter().filter(converged);
     let device = device.map(|row| sample(row, "preconditioner", row.text("precision"), "runs"));
     let others = rows(tables, "solve_against").iter().filter(converged);
-    let samples: Vec<Row> = device
-        .chain(others.map(|row| sample(row, "rival", "f64", "turns")))
-        .collect();
+    let others = others.map(|row| sample(row, "rival", "f64", "turns"));
+    let samples: Vec<Row> = device.chain(others).collect();
     let series = |row: &Row| row.only(&["formulation", "solver", "precision"]);
-    // Of all grids with a beam the one with most nearly the thesis's cells per brick: there both are refined together.
+    // Per beam, the grid closest to the thesis's cells per brick: there both are refined together.
     let off = |row: &Row| {
         let grid = row.count("grid");
         (grid.abs_diff(CELLS_PER_BRICK * bricks_across(grid)), grid)
     };
     let nearest = |row: &Row| {
-        let same = |other: &&Row| {
-            (series(other), other.get("solid_nodes")) == (series(row), row.get("solid_nodes"))
-        };
-        samples
-            .iter()
-            .filter(same)
-            .filter(|other| !other.has("bricks"))
-            .map(off)
-            .min()
-            == Some(off(row))
+        let beam = |row: &Row| series(row).with(row.only(&["solid_nodes"]));
+        let same = samples.iter().filter(|other| beam(other) == beam(row));
+        let closest = same.filter(|other| !other.has("bricks")).map(off).min();
+        closest == Some(off(row))
     };
     let mut all = Vec::new();
     for (along, size) in [
@@ -685,10 +633,10 @@ pub fn derive(tables: &mut [Table]) {
             belongs.then(|| (series(row).with(row! { along: along, fixed: fixed }), own))
         });
         for ((series, _), members) in groups {
-            let iterations = members
+            let points = members
                 .iter()
                 .map(|row| (row.number(size), row.number("iterations")));
-            let iterations = row! { iterations: exponent(iterations) };
+            let iterations = row! { iterations: exponent(points) };
             all.extend(growth(&members, size).map(|fit| fit.with(series).with(iterations)));
         }
     }
@@ -701,29 +649,22 @@ fn draw(results: &Results) -> Page {
         true => format!(", beam {} across", row.count("bricks")),
         false => String::new(),
     };
-    let point = |row: &Row| Some([exact(row, "active_cells"), row.spread("seconds")?]);
-    let device = |row: &Row| {
-        let [form, kind, precision] =
-            ["formulation", "preconditioner", "precision"].map(|name| row.text(name));
-        format!("{form} {kind} {precision}{}", beam(row))
-    };
-    let mut all = lines(results.rows("solve"), device, point);
-    let name = |row: &Row| {
+    let device = |row: &Row| row.join(&["formulation", "preconditioner", "precision"]) + &beam(row);
+    let other = |row: &Row| {
         format!(
-            "{} {} on the CPU{}",
-            row.text("formulation"),
-            row.text("rival"),
+            "{} on the CPU{}",
+            row.join(&["formulation", "rival"]),
             beam(row)
         )
     };
-    all.extend(lines(results.rows("solve_against"), name, point));
-    Page::Charts(
-        1,
-        vec![Chart {
-            title: format!("Solve, {}", results.machine.name()),
-            axes: ["active cells", "seconds"],
-            lines: all,
-            falling: false,
-        }],
-    )
+    let point = ["active_cells", "seconds"];
+    let mut all = lines(results.rows("solve"), device, at(point));
+    all.extend(lines(results.rows("solve_against"), other, at(point)));
+    let chart = Chart {
+        title: format!("Solve, {}", results.machine.name()),
+        axes: ["active cells", "seconds"],
+        lines: all,
+        falling: false,
+    };
+    Page::Charts(1, vec![chart])
 }

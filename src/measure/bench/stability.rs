@@ -1,11 +1,12 @@
 //! `bench stability`: hostile scenes in strong coupling, the variants of the thesis's section 6.3, and the limit of added mass that weak coupling
 //! has in one dimension.
 //!
-//! The energy of a run is kinetic, elastic and potential, J: the liquid's by its markers, each with the same share of the mass, so that spray does
-//! not inflate it; potential energy counts from the lowest corner of the domain. Backward Euler and the projection only take energy away. Markers
-//! fall with the velocities of before and gain g v dt / 2 per kg. A run fails where an energy or a speed is above its bound (`budget`), where it
-//! loses a tenth of its markers, where more than a hundredth of its sub-steps miss a tolerance or leave contacts unsettled, where a value is not
-//! finite, and where the simulation fails.
+//! The energy of a run, J, is kinetic, elastic and potential. The liquid's is that of its markers, which share its mass equally, so that spray
+//! does not inflate it. Potential energy counts from the lowest corner of the domain. Backward Euler and the projection only dissipate. Markers
+//! fall with the velocities of the sub-step before and gain g v dt / 2 per kg.
+//!
+//! A run fails where an energy or a speed exceeds its bound (`budget`), a tenth of the markers is lost, or more than a hundredth of the sub-steps
+//! miss a tolerance or leave contacts unsettled. It also fails where a value is not finite or the simulation fails.
 
 mod budget;
 mod cases;
@@ -28,23 +29,23 @@ use crate::gpu::Gpu;
 use crate::reference::diagnose_solid;
 use crate::scene::Scene;
 use crate::sim::{Backend, Simulation};
-use crate::state::{SolidDiagnosis, SolidReport, SolveStatus, State, StepReport};
+use crate::state::{SolidDiagnosis, SolveStatus, State, StepReport};
 
 use limit::LIMIT;
 
 pub use budget::{Budget, MOST_ENERGY, Moment};
-pub use cases::{Case, Expected, KNOWN_FAILURES, cases};
+pub use cases::{Case, Expected, cases};
 pub use limit::{Limit, limits};
 
 /// Share of the markers that a run may lose.
 const MOST_LOST: f64 = 0.1;
-/// Energy ratio above which a run ends: verdict and order of magnitude are clear.
+/// Energy ratio above which a run stops: verdict and order of magnitude are clear.
 const HOPELESS: f64 = 1e4;
 /// Share of the sub-steps that may miss a tolerance, and that may leave contacts unsettled.
 const MOST_MISSED: f64 = 0.01;
-/// Sub-steps over which growth is a mean.
+/// Sub-steps that growth is averaged over.
 const GROWTH_STEPS: usize = 4;
-/// Energy of a body over all energy of the start from which on its growth counts.
+/// Least energy of a body, over all energy of the start, whose growth counts.
 const GROWTH_FROM: f64 = 1e-3;
 /// Status of a run without a failure.
 const COMPLETED: &str = "completed";
@@ -54,7 +55,7 @@ const COMPLETED: &str = "completed";
 pub struct Options {
     /// Sub-steps of each hostile scene; the thesis's variants have their own.
     pub steps: u64,
-    /// Parts of names: cases without any of them are left out. All cases where empty.
+    /// Parts of names of the selected cases; empty for all cases.
     pub cases: Vec<String>,
     /// Factor of the cells of the thesis's scene.
     pub scale: f64,
@@ -67,7 +68,7 @@ impl Options {
         self.cases.is_empty() || self.cases.iter().any(|part| name.contains(part))
     }
 
-    /// Refuses parts that no name has.
+    /// Refuses parts that no name contains.
     ///
     /// # Errors
     /// [`Error::Input`] with similar names.
@@ -141,22 +142,20 @@ columns! {
     }
 }
 
-/// Runs all cases asked for: stability.csv, stability_limit.csv, stability.json, stability.svg, and scenes/NAME.toml for `cutwater run`. Failed cases
-/// are rows like others and failures of the results.
+/// Runs all selected cases: stability.csv, stability_limit.csv, stability.json, stability.svg, and scenes/NAME.toml for `cutwater run`. Failed
+/// cases are rows like others and failures of the results.
 ///
 /// # Errors
-/// [`Error::Input`] for a part that no name has; [`Error::Adapter`]; [`Error::Output`].
+/// [`Error::Input`] for a part that no name contains; [`Error::Adapter`]; [`Error::Output`].
 pub fn measure(
     options: &Options,
     settings: &Settings,
     listener: Listener,
 ) -> Result<Results, Error> {
-    let mut cases = cases(options.steps, options.scale);
+    let mut cases = cases(options.steps, options.scale)?;
     let limits = limits();
-    let names = limits
-        .iter()
-        .map(Limit::name)
-        .chain(cases.iter().map(|case| case.name.clone()));
+    let names = limits.iter().map(Limit::name);
+    let names = names.chain(cases.iter().map(|case| case.name.clone()));
     options.check(&names.collect::<Vec<_>>())?;
     let bench = Bench {
         name: "stability",
@@ -171,62 +170,59 @@ pub fn measure(
         Backend::Gpu(choice) => Machine::new(&Gpu::new(choice)?, 3)?,
         Backend::Cpu => Machine::host(),
     };
-    let mut run = Run::start(
-        bench,
-        machine,
-        &(options.steps, options.scale, options.backend.name()),
-        settings,
-        listener,
-    )?;
+    let request = (options.steps, options.scale, options.backend.name());
+    let mut run = Run::start(bench, machine, &request, settings, listener)?;
     let scenes = settings.out.join("scenes");
     fs::create_dir_all(&scenes).map_err(|problem| Error::unwritten(&scenes, &problem))?;
-    let selected = limits.iter().filter(|limit| options.selects(&limit.name()));
-    let of_limits = selected.map(|limit| BenchCase {
-        key: ("stability_limit", row! { name: limit.name() }),
-        measure: Box::new(|_| Ok(vec![("stability_limit", limit.run(&options.backend)?)])),
-    });
-    run.cases(of_limits.collect())?;
-    let pairs = limit::step_lengths(run.results.rows("stability_limit")).into_iter();
-    let pairs: Vec<_> = pairs.map(|row| ("stability_limit", row)).collect();
-    if !pairs.is_empty() {
-        run.put(pairs)?;
-    }
+    run_limits(&mut run, &limits, options)?;
     cases.retain(|case| options.selects(&case.name));
     cases.iter().try_for_each(|case| case.write(&scenes))?;
+    let known = cases.clone();
     cases.retain(|case| !run.results.tables[0].has(&row! { name: case.name.as_str() }));
-    let (clock, of, mut done) = (Instant::now(), cases.len(), 0);
+    let (clock, total, mut done) = (Instant::now(), cases.len(), 0);
     run_all(&cases, &options.backend, |row| {
         done += 1;
         run.put(vec![("stability", row)])?;
-        run.progress("cases", done, of, clock);
+        run.progress("cases", done, total, clock);
         Ok(())
     })?;
-    run.results.failures = failures(&run.results);
+    run.results.failures = failures(&run.results, &known);
     Ok(run.results)
 }
 
+/// Runs the selected cases of the limit of added mass.
+fn run_limits(run: &mut Run, limits: &[Limit], options: &Options) -> Result<(), Error> {
+    let selected = limits.iter().filter(|limit| options.selects(&limit.name()));
+    let cases = selected.map(|limit| {
+        BenchCase::new("stability_limit", row! { name: limit.name() }, |_| {
+            Ok(vec![("stability_limit", limit.run(&options.backend)?)])
+        })
+    });
+    run.cases(cases.collect())?;
+    let pairs = limit::step_lengths(run.results.rows("stability_limit")).into_iter();
+    let pairs: Vec<_> = pairs.map(|row| ("stability_limit", row)).collect();
+    match pairs.is_empty() {
+        true => Ok(()),
+        false => run.put(pairs),
+    }
+}
+
 /// A line per failed case.
-fn failures(results: &Results) -> Vec<String> {
+fn failures(results: &Results, cases: &[Case]) -> Vec<String> {
     let failed = |name| results.rows(name).iter().filter(|row| !row.flag("passed"));
-    let of_cases = failed("stability").map(|row| {
+    let hostile = failed("stability").map(|row| {
         let name = row.text("name");
-        let known = KNOWN_FAILURES.iter().find(|known| known.0 == name);
-        let known = known.map_or(String::new(), |(_, cause)| format!(" (known: {cause})"));
-        format!(
-            "{name}: {} where it {}{known}",
-            row.text("status"),
-            row.text("expected")
-        )
+        let case = cases.iter().find(|case| case.name == name);
+        let cause = case.and_then(|case| case.known_failure.as_ref());
+        let known = cause.map_or(String::new(), |cause| format!(" (known: {cause})"));
+        let [status, expected] = ["status", "expected"].map(|name| row.text(name));
+        format!("{name}: {status} where it {expected}{known}")
     });
-    let of_limits = failed("stability_limit").map(|row| {
-        format!(
-            "{}: a growth of {} for {}",
-            row.text("name"),
-            row.number("got"),
-            row.number("expected")
-        )
+    let limits = failed("stability_limit").map(|row| {
+        let [got, expected] = ["got", "expected"].map(|name| row.number(name));
+        format!("{}: a growth of {got} for {expected}", row.text("name"))
     });
-    let mut failures: Vec<String> = of_cases.chain(of_limits).collect();
+    let mut failures: Vec<String> = hostile.chain(limits).collect();
     if !failures.is_empty() {
         let all: usize = results.tables.iter().map(|table| table.rows.len()).sum();
         failures.insert(0, format!("{} of {all} cases", failures.len()));
@@ -234,7 +230,7 @@ fn failures(results: &Results) -> Vec<String> {
     failures
 }
 
-/// Runs cases and hands on their rows as they are measured. The f64 path leaves most of a sub-step to one processor, so there one case runs for
+/// Runs cases and passes on their rows as they are measured. The f64 path leaves most of a sub-step to one processor, so one case runs there for
 /// each of rayon's threads.
 fn run_all(
     cases: &[Case],
@@ -266,10 +262,9 @@ fn run_all(
 
 /// Sorts the rows in the order of the cases.
 fn sort(tables: &mut [Table]) {
-    let names: Vec<String> = cases(1, 1.0).into_iter().map(|case| case.name).collect();
-    tables[0]
-        .rows
-        .sort_by_key(|row| names.iter().position(|name| *name == row.text("name")));
+    let cases = cases(1, 1.0).unwrap_or_default();
+    let place = |row: &Row| cases.iter().position(|case| case.name == row.text("name"));
+    tables[0].rows.sort_by_key(place);
 }
 
 /// Whether a row has no failure.
@@ -277,55 +272,50 @@ pub fn completed(row: &Row) -> bool {
     row.text("status").starts_with(COMPLETED)
 }
 
-/// The first failure counts.
+/// Records a failure; the first one counts.
 fn fail(row: &mut Row, problem: String) {
     if completed(row) {
         row.set("status", problem);
     }
 }
 
-/// Largest mean growth of a speed per sub-step within `GROWTH_STEPS`, by energies that are at least `GROWTH_FROM` before.
+/// Records a failure of the last sub-step.
+fn fail_step(row: &mut Row, problem: String) {
+    let step = row.count("sub_steps").saturating_sub(1);
+    fail(row, format!("step {step}: {problem}"));
+}
+
+/// Largest mean growth of a speed per sub-step within `GROWTH_STEPS`, from energies that were at least `GROWTH_FROM`.
 pub fn growth(energies: &[f64]) -> Option<f64> {
-    let of = |at: usize| {
+    let after = |at: usize| {
         let later = energies[at + 1..].iter().take(GROWTH_STEPS);
         let grown = later.copied().reduce(f64::max)? / energies[at];
         (energies[at] >= GROWTH_FROM).then(|| grown.powf(0.5 / GROWTH_STEPS as f64))
     };
-    (0..energies.len()).filter_map(of).reduce(f64::max)
+    (0..energies.len()).filter_map(after).reduce(f64::max)
 }
 
 /// Diagnosis of a state of the solids.
 pub fn solid_diagnosis(solids: &Solids, state: &State, gravity: DVec3) -> SolidDiagnosis {
+    let (displacement, velocity) = (&state.displacement, &state.node_velocity);
     let elements = 0..solids.elements.len();
     let deformations: Vec<_> = elements
-        .map(|element| solids.deformation(element, &state.displacement))
+        .map(|element| solids.deformation(element, displacement))
         .collect();
-    diagnose_solid(
-        solids,
-        &deformations,
-        &state.displacement,
-        &state.node_velocity,
-        gravity,
-    )
+    diagnose_solid(solids, &deformations, displacement, velocity, gravity)
 }
 
-/// Values that are not finite.
+/// Number of values that are not finite.
 fn non_finite(state: &State, report: &StepReport) -> usize {
     let nodes = [&state.markers, &state.displacement, &state.node_velocity];
     let nodes = nodes.into_iter().flat_map(|list| list.as_flattened());
     let cells = state.pressure.iter().chain(&state.liquid_distance);
-    let of_state = state
-        .velocity
-        .iter()
-        .flatten()
-        .chain(nodes)
-        .chain(cells)
-        .copied();
-    let of_liquid = report.liquid.map(|liquid| {
+    let fields = state.velocity.iter().flatten().chain(nodes).chain(cells);
+    let liquid = report.liquid.map(|liquid| {
         let it = liquid.diagnosis;
         [it.volume, it.kinetic_energy, it.max_speed, it.divergence]
     });
-    let of_solids = report.solid.map(|solid| {
+    let solids = report.solid.map(|solid| {
         let it = solid.diagnosis;
         [
             it.kinetic_energy,
@@ -334,29 +324,30 @@ fn non_finite(state: &State, report: &StepReport) -> usize {
             it.min_det,
         ]
     });
-    let all = of_state.chain(of_liquid.into_iter().chain(of_solids).flatten());
+    let diagnoses = liquid.into_iter().chain(solids).flatten();
+    let all = fields.copied().chain(diagnoses);
     all.filter(|value| !value.is_finite()).count()
 }
 
 impl Case {
-    /// Runs it; a failure is the status of the row.
+    /// Runs the case; a failure is the status of the row.
     ///
     /// # Errors
     /// [`Error::Adapter`].
     pub fn run(&self, backend: &Backend) -> Result<Row, Error> {
         let clock = Instant::now();
         let mut row = self.row(backend);
-        match self.scene() {
-            Ok(scene) => match simulate(&scene, backend, &mut row) {
-                // No case can run then.
-                Err(error @ Error::Adapter { .. }) => return Err(error),
-                Err(error) if row.count("sub_steps") == 0 => {
-                    fail(&mut row, format!("does not start: {error}"))
-                }
-                Err(error) => fail(&mut row, error.to_string()),
-                Ok(()) => {}
-            },
-            Err(error) => fail(&mut row, format!("does not start: {error}")),
+        let ended = self
+            .scene()
+            .and_then(|scene| simulate(&scene, backend, &mut row));
+        match ended {
+            // No case can run then.
+            Err(error @ Error::Adapter { .. }) => return Err(error),
+            Err(error) if row.count("sub_steps") == 0 => {
+                fail(&mut row, format!("does not start: {error}"));
+            }
+            Err(error) => fail(&mut row, error.to_string()),
+            Ok(()) => {}
         }
         name_misses(&mut row);
         row.set("seconds", clock.elapsed().as_secs_f64());
@@ -367,7 +358,7 @@ impl Case {
     /// Its row before the first sub-step.
     pub fn row(&self, backend: &Backend) -> Row {
         row! {
-            name: self.name.as_str(), group: self.group, varies: self.varies.as_str(), backend: backend.name(), cells: 0_usize, nodes: 0_usize,
+            name: self.name.as_str(), group: self.group(), varies: self.varies.as_str(), backend: backend.name(), cells: 0_usize, nodes: 0_usize,
             steps: self.steps, sub_steps: 0_usize, expected: self.expected.name(), status: COMPLETED, passed: false, energy_ratio: 1.0,
             energy_bound: MOST_ENERGY, energy_end: 1.0, elastic_ratio: 0.0, motion: 0.0, motion_bound: 0.0, solid_speed: 0.0,
             solid_speed_bound: 0.0, liquid_speed: 0.0, liquid_speed_bound: 0.0, non_finite: 0_usize, volume_least: 1.0, volume_most: 1.0,
@@ -376,35 +367,34 @@ impl Case {
     }
 }
 
+/// Counters of imperfect sub-steps, and a phrase for each.
+const MISSES: [(&str, &str, &str); 2] = [
+    ("missed", "missed their tolerance", "missed a tolerance"),
+    (
+        "unsettled",
+        "with contacts that did not settle",
+        "with contacts that did not settle",
+    ),
+];
+
 /// Counts a sub-step with solves that missed a tolerance, and one with unsettled contacts.
 pub fn count(row: &mut Row, missed: bool, unsettled: bool) {
     // One in any run.
     let most = (MOST_MISSED * row.number("steps")).ceil() as usize;
-    let (at, percent) = (
-        row.count("sub_steps").saturating_sub(1),
-        100.0 * MOST_MISSED,
-    );
-    for (name, counts, problem) in [
-        ("missed", missed, "missed their tolerance"),
-        ("unsettled", unsettled, "with contacts that did not settle"),
-    ] {
+    let percent = 100.0 * MOST_MISSED;
+    for ((name, problem, _), counts) in MISSES.into_iter().zip([missed, unsettled]) {
         row.set(name, row.count(name) + usize::from(counts));
         if row.count(name) > most {
-            fail(
-                row,
-                format!("step {at}: more than {percent} % of the sub-steps {problem}"),
-            );
+            let problem = format!("more than {percent} % of the sub-steps {problem}");
+            fail_step(row, problem);
         }
     }
 }
 
-/// Names missed tolerances and unsettled contacts in the status of a run that completes.
+/// Adds missed tolerances and unsettled contacts to the status of a run that completes.
 pub fn name_misses(row: &mut Row) {
     let mut status = COMPLETED.to_owned();
-    for (name, problem) in [
-        ("missed", "missed a tolerance"),
-        ("unsettled", "with contacts that did not settle"),
-    ] {
+    for (name, _, problem) in MISSES {
         status += &match row.count(name) {
             0 => String::new(),
             1 => format!(", 1 sub-step {problem}"),
@@ -421,59 +411,51 @@ fn raise(row: &mut Row, name: &'static str, value: f64) {
     row.set(name, row.number(name).max(value));
 }
 
-/// Checks the last sub-step of a run with sub-steps of up to `dt` s.
+/// Lowers a number to the value.
+fn lower(row: &mut Row, name: &'static str, value: f64) {
+    row.set(name, row.number(name).min(value));
+}
+
+/// Checks the last sub-step of a run against its bounds; `dt`: longest sub-step so far, s.
 pub fn check(row: &mut Row, moment: &Moment, budget: &Budget, dt: f64) {
     let ratio = moment.energy() / budget.energy;
     row.set("energy_end", ratio);
     raise(row, "elastic_ratio", moment.elastic / budget.energy);
-    let at = row.count("sub_steps").saturating_sub(1);
-    for (name, bound_name, what, value, bound, unit) in [
+    let (motion, solid, liquid) = (moment.motion(), moment.solid_speed, moment.liquid_speed);
+    let energies = [
         (
             "energy_ratio",
             "energy_bound",
             "energy",
-            ratio,
-            budget.energy_bound(dt),
             "times that of the start",
         ),
-        (
-            "motion",
-            "motion_bound",
-            "energy of motion and strain",
-            moment.motion(),
-            budget.motion_bound(dt),
-            "J",
-        ),
-        (
-            "solid_speed",
-            "solid_speed_bound",
-            "speed of a node",
-            moment.solid_speed,
-            budget.solid_speed_bound(dt),
-            "m/s",
-        ),
+        ("motion", "motion_bound", "energy of motion and strain", "J"),
+        ("solid_speed", "solid_speed_bound", "speed of a node", "m/s"),
         (
             "liquid_speed",
             "liquid_speed_bound",
             "speed of the liquid",
-            moment.liquid_speed,
-            budget.liquid_speed_bound(dt),
             "m/s",
         ),
-    ] {
+    ];
+    let numbers = [
+        (ratio, budget.energy_bound(dt)),
+        (motion, budget.motion_bound(dt)),
+        (solid, budget.solid_speed_bound(dt)),
+        (liquid, budget.liquid_speed_bound(dt)),
+    ];
+    for ((name, bound_name, what, unit), (value, bound)) in energies.into_iter().zip(numbers) {
         raise(row, name, value);
         row.set(bound_name, bound);
         if value > bound {
-            fail(
-                row,
-                format!(
-                    "step {at}: {what} above its bound, {value:.3} {unit} where {bound:.3} are the most"
-                ),
-            );
+            let problem =
+                format!("{what} above its bound, {value:.3} {unit} where {bound:.3} are the most");
+            fail_step(row, problem);
         }
     }
 }
 
+/// Runs a scene to its last sub-step, or until its verdict is clear.
 fn simulate(scene: &Scene, backend: &Backend, row: &mut Row) -> Result<(), Error> {
     let mut simulation = Simulation::new(scene, backend)?;
     let start = simulation.state()?;
@@ -489,69 +471,60 @@ fn simulate(scene: &Scene, backend: &Backend, row: &mut Row) -> Result<(), Error
         row.set("sub_steps", at + 1);
         longest = f64::max(longest, report.dt);
         if let Some(volume) = simulation.volume_ratio(&report) {
-            row.set("volume_least", row.number("volume_least").min(volume));
+            lower(row, "volume_least", volume);
             raise(row, "volume_most", volume);
             row.set("volume_drift", volume - 1.0);
         }
-        let lost = state.markers_dropped as f64 / start.markers.len().max(1) as f64;
-        row.set("lost", lost);
-        if lost > MOST_LOST {
-            fail(
-                row,
-                format!(
-                    "step {at}: more than {} % of the markers lost",
-                    100.0 * MOST_LOST
-                ),
-            );
-        }
-        let missed = report
-            .solves()
-            .any(|solve| solve.status != SolveStatus::Converged);
-        let unsettled = |solid: SolidReport| solid.contact.unsettled > 0;
-        count(row, missed, report.solid.is_some_and(unsettled));
-        if let Some(coupling) = report.coupling {
-            raise(row, "overlap", coupling.overlap_depth / scene.grid().dx);
-        }
-        let most = report
-            .solves()
-            .map(|solve| solve.iterations)
-            .max()
-            .unwrap_or(0);
-        if most > 0 && most as usize > row.count("most_iterations") {
-            row.set("most_iterations", most);
-        }
+        record_counts(row, scene, &report, &state, start.markers.len());
         let bad = non_finite(&state, &report);
         row.set("non_finite", bad);
         if bad > 0 {
-            fail(row, format!("step {at}: {bad} values are not finite"));
+            fail_step(row, format!("{bad} values are not finite"));
             return Ok(());
         }
         if !scene.probes.is_empty() {
             let tip = DVec3::from_slice(&simulation.probes()?[..3]) / cases::BEAM;
+            let lift = -tip.dot(gravity.normalize_or_zero());
             raise(row, "deflection", tip.length());
-            raise(
-                row,
-                "lift",
-                f64::max(0.0, -tip.dot(gravity.normalize_or_zero())),
-            );
+            raise(row, "lift", f64::max(0.0, lift));
         }
-        if let Some(solid) = report.solid {
-            let diagnosis = solid.diagnosis;
-            row.set("min_det", row.number("min_det").min(diagnosis.min_det));
-            row.set("inverted", diagnosis.inverted);
-            let of_liquid = report.liquid.map_or(0.0, |it| it.diagnosis.max_speed);
-            let moment = budget.moment(&state, &diagnosis, of_liquid);
-            check(row, &moment, &budget, longest);
-            energies.push(moment.solids() / budget.energy);
-            if row.has("deflection") {
-                row.set("growth", growth(&energies));
-            }
-            if row.number("energy_end") > HOPELESS {
-                return Ok(());
-            }
+        let Some(solid) = report.solid else { continue };
+        lower(row, "min_det", solid.diagnosis.min_det);
+        row.set("inverted", solid.diagnosis.inverted);
+        let liquid_speed = report.liquid.map_or(0.0, |it| it.diagnosis.max_speed);
+        let moment = budget.moment(&state, &solid.diagnosis, liquid_speed);
+        check(row, &moment, &budget, longest);
+        energies.push(moment.solids() / budget.energy);
+        if row.has("deflection") {
+            row.set("growth", growth(&energies));
+        }
+        if row.number("energy_end") > HOPELESS {
+            return Ok(());
         }
     }
     Ok(())
+}
+
+/// Records lost markers, missed tolerances, unsettled contacts, overlaps and iterations of a sub-step.
+fn record_counts(row: &mut Row, scene: &Scene, report: &StepReport, state: &State, markers: usize) {
+    let lost = state.markers_dropped as f64 / markers.max(1) as f64;
+    row.set("lost", lost);
+    if lost > MOST_LOST {
+        let percent = 100.0 * MOST_LOST;
+        fail_step(row, format!("more than {percent} % of the markers lost"));
+    }
+    let mut solves = report.solves();
+    let missed = solves.any(|solve| solve.status != SolveStatus::Converged);
+    let contacts = report.solid.map(|solid| solid.contact.unsettled);
+    count(row, missed, contacts.is_some_and(|unsettled| unsettled > 0));
+    if let Some(coupling) = report.coupling {
+        raise(row, "overlap", coupling.overlap_depth / scene.grid().dx);
+    }
+    let iterations = report.solves().map(|solve| solve.iterations as usize);
+    let most = iterations.max().unwrap_or(0);
+    if most > row.count("most_iterations") {
+        row.set("most_iterations", most);
+    }
 }
 
 /// Largest fraction of a bound of each case, and a mark at the bound.
@@ -559,23 +532,16 @@ fn draw(results: &Results) -> Page {
     let bars = results.rows("stability").iter().map(|row| {
         let share = |name: &str| row.number(name) / row.number(&format!("{name}_bound"));
         let energy = (row.number("energy_ratio") - 1.0) / (row.number("energy_bound") - 1.0);
-        let most = ["motion", "solid_speed", "liquid_speed"]
-            .map(share)
-            .into_iter()
-            .fold(energy, f64::max);
-        let verdict = match (
-            row.flag("passed"),
-            row.count("missed") + row.count("unsettled"),
-        ) {
-            (true, 0) => "passes",
-            (true, _) => "passes, some sub-steps missed a tolerance",
+        let shares = ["motion", "solid_speed", "liquid_speed"].map(share);
+        let most = shares.into_iter().fold(energy, f64::max).clamp(0.0, 2.0);
+        let clean = row.count("missed") + row.count("unsettled") == 0;
+        let verdict = match (row.flag("passed"), clean) {
+            (true, true) => "passes",
+            (true, false) => "passes, some sub-steps missed a tolerance",
             (false, _) => "fails",
         };
-        (
-            row.text("name").to_owned(),
-            vec![(verdict.to_owned(), 0.0, most.clamp(0.0, 2.0))],
-            1.0,
-        )
+        let part = (verdict.to_owned(), 0.0, most);
+        (row.text("name").to_owned(), vec![part], 1.0)
     });
     Page::Bars(vec![Bars {
         title: format!("Stability, {}", results.machine.name()),

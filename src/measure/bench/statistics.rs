@@ -41,6 +41,15 @@ impl Spread {
         Spread { median, min, max }
     }
 
+    /// Sum with another spread.
+    pub fn plus(self, other: Spread) -> Spread {
+        Spread {
+            median: self.median + other.median,
+            min: self.min + other.min,
+            max: self.max + other.max,
+        }
+    }
+
     /// First quartile, median and third, interpolated as `numpy.quantile` does.
     ///
     /// # Panics
@@ -65,8 +74,8 @@ pub fn exponent(points: impl IntoIterator<Item = (f64, f64)>) -> Option<f64> {
         return None;
     }
     let n = points.len() as f64;
-    let middle = [0, 1].map(|axis| points.iter().map(|point| point[axis]).sum::<f64>() / n);
-    let offsets = points.iter().map(|[x, y]| [x - middle[0], y - middle[1]]);
+    let means = [0, 1].map(|axis| points.iter().map(|point| point[axis]).sum::<f64>() / n);
+    let offsets = points.iter().map(|[x, y]| [x - means[0], y - means[1]]);
     let [both, square] = offsets.fold([0.0; 2], |[both, square], [x, y]| {
         [both + x * y, square + x * x]
     });

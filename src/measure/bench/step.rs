@@ -1,7 +1,7 @@
-//! `bench step`: seconds of sub-steps, all stages, beside the time of a copy of the bytes that each stage must move.
+//! `bench step`: seconds of sub-steps and stages, and the time of a copy of the bytes that each stage must move.
 //!
-//! A sub-step counts on the host from the upload of its numbers to its diagnostics; stages count by device timestamps. Scenes run from their start,
-//! in rounds. The first sub-step of each kind, which compiles and warms caches, is not counted. Every run of a scene has the same sub-steps.
+//! The host times a sub-step from the upload of its numbers to its diagnostics; stages have device timestamps. Scenes run from their start, in rounds.
+//! The first sub-step of each kind compiles and is not counted. Every run of a scene has the same sub-steps.
 
 mod sizes;
 
@@ -10,9 +10,10 @@ use std::time::Instant;
 use super::bytes::{Corrections, SolidBytes, SolveBytes};
 use super::chart::{Bars, Page};
 use super::statistics::{Spread, grouped};
+use super::sub_step::stage_seconds;
 use super::table::{Row, Table, Value, columns, row};
 use super::{
-    Bench, GROWTH, Listener, Machine, Results, Run, Settings, TRAFFIC, growth, replace, rows,
+    Bench, GROWTH, Listener, Machine, Results, Rows, Run, Settings, TRAFFIC, growth, replace, rows,
 };
 use crate::Error;
 use crate::effects::Effects;
@@ -29,7 +30,7 @@ pub use sizes::{Case, largest, largest_scale, units};
 /// Scenes to measure.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Scenes, scaled; a scene may be there at several scales.
+    /// Scaled scenes; a scene may appear at several scales.
     pub scenes: Vec<Case>,
     /// Frames of each run.
     pub frames: u64,
@@ -96,7 +97,7 @@ fn bench() -> Bench {
     }
 }
 
-/// Measures all scenes: step.csv, step_stages.csv, step_growth.csv, step.json, step.svg, anew after each run.
+/// Measures all scenes: step.csv, step_stages.csv, step_growth.csv, step.json, step.svg, rewritten after each run.
 ///
 /// # Errors
 /// [`Error::Output`]; [`Error::Check`] where the runs of a scene differ; errors of the simulations.
@@ -106,53 +107,29 @@ pub fn measure(
     listener: Listener,
 ) -> Result<Results, Error> {
     if options.scenes.is_empty() {
-        return Err(Error::input(
-            "bench step",
-            "no scene to measure",
-            "give one scene file or more",
-        ));
+        let cure = "give one scene file or more";
+        return Err(Error::input("bench step", "no scene to measure", cure));
     }
     let machine = Machine::new(&Gpu::new(&options.adapter)?, settings.repeats)?;
-    let scenes: Vec<&str> = options
-        .scenes
-        .iter()
-        .map(|case| case.scene.hash.as_str())
-        .collect();
-    let mut run = Run::start(
-        bench(),
-        machine,
-        &(scenes, options.frames),
-        settings,
-        listener,
-    )?;
-    // Rows of scenes without all their runs are measured anew.
+    let scenes = options.scenes.iter().map(|case| case.scene.hash.as_str());
+    let request = (scenes.collect::<Vec<_>>(), options.frames);
+    let mut run = Run::start(bench(), machine, &request, settings, listener)?;
+    // Scenes without all their runs are measured again.
     let repeats = settings.repeats.max(1);
-    run.results.tables[0]
-        .rows
-        .retain(|row| row.count("runs") == repeats);
-    let done = run.results.tables[0].rows.clone();
-    let kept = |case: &&Case| {
-        let of_case = case.key();
-        done.iter()
-            .any(|row| row.only(&["scene", "scale", "solids_scale"]) == of_case)
-    };
-    let mut records: Vec<Record> = options
-        .scenes
-        .iter()
-        .filter(|case| !kept(case))
-        .map(Record::new)
-        .collect();
-    let (clock, of) = (Instant::now(), repeats * records.len());
+    let table = &mut run.results.tables[0];
+    table.rows.retain(|row| row.count("runs") == repeats);
+    let new = options.scenes.iter().filter(|case| !table.has(&case.key()));
+    let mut records: Vec<Record> = new.map(Record::new).collect();
+    let (clock, n) = (Instant::now(), records.len());
     for round in 0..repeats {
-        for number in 0..records.len() {
-            let record = &mut records[number];
-            if record.taken() > settings.seconds {
+        for (number, record) in records.iter_mut().enumerate() {
+            if record.seconds() > settings.seconds {
                 continue;
             }
             record.run(options)?;
             let rows = record.rows(&run.results.machine);
             run.put(rows)?;
-            run.progress("runs", round * records.len() + number + 1, of, clock);
+            run.progress("runs", round * n + number + 1, repeats * n, clock);
         }
     }
     Ok(run.results)
@@ -162,7 +139,7 @@ pub fn measure(
 struct Record<'a> {
     case: &'a Case,
     device: Option<Device>,
-    /// Sub-steps of each run but for the first of each kind.
+    /// Sub-steps of each run, without the first of each kind.
     repeats: Vec<Vec<Sample>>,
 }
 
@@ -184,7 +161,7 @@ struct Sample {
     band_cells: usize,
     /// Share of the active quads whose weights are loaded.
     not_uniform: f64,
-    /// Corrections of the solve for liquid and solids; `None` where each was solved alone.
+    /// Corrections of the coupled solve; `None` if liquid and solids were solved separately.
     corrections: Option<Corrections>,
     report: StepReport,
     traffic: Traffic,
@@ -245,30 +222,27 @@ impl Device {
         path: &GpuPath,
         report: &StepReport,
     ) -> Result<Option<Corrections>, Error> {
-        let scheme = scene.solver.coupling;
         let touching = report.coupling.filter(|both| both.touching);
         let Some((both, (_, bounds))) = touching.zip(self.solid_bytes.as_ref()) else {
             return Ok(None);
         };
         let (solids, dt) = (&self.solids, report.dt);
-        Ok(match scheme {
-            CouplingScheme::Weak => None,
-            _ if both.condensed => Some(Corrections::Condensed {
-                wet_nodes: path.wet_nodes()?,
+        let degree = match scene.solver.coupling {
+            CouplingScheme::Weak => return Ok(None),
+            _ if both.condensed => {
+                let wet_nodes = path.wet_nodes()?;
+                return Ok(Some(Corrections::Condensed { wet_nodes }));
+            }
+            CouplingScheme::Strong => bounds.chebyshev_degree(solids, dt),
+            // Mass and damping alone. The solve for elasticity before it has no report and is left out.
+            CouplingScheme::DampingOnly => bounds.chebyshev_degree_for(solids, |body| {
+                [1.0 / dt + body.mass_damping, body.stiffness_damping]
             }),
-            CouplingScheme::Strong => Some(Corrections::TwoField {
-                degree: bounds.chebyshev_degree(solids, dt),
-            }),
-            // With mass and damping alone. The solve for elasticity before it, of which no report tells, is left out.
-            CouplingScheme::DampingOnly => Some(Corrections::TwoField {
-                degree: bounds.chebyshev_degree_for(solids, |body| {
-                    [1.0 / dt + body.mass_damping, body.stiffness_damping]
-                }),
-            }),
-        })
+        };
+        Ok(Some(Corrections::TwoField { degree }))
     }
 
-    /// Bytes that a stage must move in a sub-step, every array that a kernel needs once, reads and writes.
+    /// Least memory traffic of a stage in a sub-step, B: each array that a kernel needs, once.
     fn bytes(&self, scene: &Scene, stage: &str, sample: &Sample) -> f64 {
         if stage == "solve" {
             return self.solve_bytes(scene, sample);
@@ -279,7 +253,7 @@ impl Device {
         }
         if let Some((solids, _)) = &self.solid_bytes {
             let effects = Effects::of(scene);
-            bytes += solids.of_stage(stage, effects.scripts, effects.obstacles);
+            bytes += solids.stage(stage, effects.scripts, effects.obstacles);
         }
         bytes
     }
@@ -287,33 +261,33 @@ impl Device {
     /// Bytes of all solves of a sub-step.
     fn solve_bytes(&self, scene: &Scene, sample: &Sample) -> f64 {
         let [real, inner] = self.widths;
-        // Refinement steps: one with corrections in f64, as a rule two in f32.
-        let rounds = |bytes: f64| if bytes < 8.0 { 2.0 } else { 1.0 };
+        // Refinement steps: one with corrections in f64, usually two in f32.
+        let refinements = |bytes: f64| if bytes < 8.0 { 2.0 } else { 1.0 };
         let liquid = SolveBytes {
             unknowns: sample.unknowns(),
             not_uniform: sample.not_uniform,
             iterations: sample.iterations(),
-            rounds: rounds(inner),
+            refinements: refinements(inner),
             widths: [inner, real],
             preconditioner: scene.solver.preconditioner,
         };
         // The size of the right-hand side.
         let start = liquid.unknowns * real;
         let Some((solids, bounds)) = &self.solid_bytes else {
-            return start + liquid.of_pressure();
+            return start + liquid.pressure();
         };
         if let Some(corrections) = sample.corrections {
-            return start + liquid.of_both(solids, corrections);
+            return start + liquid.coupled(solids, corrections);
         }
         let degree = bounds.chebyshev_degree(&self.solids, sample.report.dt) as f64;
-        // The corrections of solids by themselves are as precise as their residuals.
+        // In a solve of solids alone the corrections have the scalar type of the residuals.
         start
-            + liquid.of_pressure()
-            + solids.of_solve(degree, sample.solid_iterations(), rounds(real))
+            + liquid.pressure()
+            + solids.solve(degree, sample.solid_iterations(), refinements(real))
     }
 
-    /// Per cell of the band, per unknown, per marker, and per padded cell of the domain where flags are counted. Words of a quad
-    /// (flags, marks, list entries) count a byte per cell.
+    /// Bytes per cell of the band, per unknown, per marker, and per padded cell of the domain where flags are counted. A word of a quad (flags, marks,
+    /// list entries) is a byte per cell.
     fn liquid_bytes(&self, scene: &Scene, stage: &str, sample: &Sample) -> f64 {
         let effects = Effects::of(scene);
         let [real, inner] = self.widths;
@@ -322,10 +296,9 @@ impl Device {
         let all_levels = padded * 8.0 / 7.0;
         let band = sample.band_cells as f64;
         let unknowns = sample.unknowns();
-        let markers = if effects.markers {
-            sample.liquid(|liquid| liquid.markers as f64)
-        } else {
-            0.0
+        let markers = match effects.markers {
+            true => sample.liquid(|liquid| liquid.markers as f64),
+            false => 0.0,
         };
         let bodies = f64::from(u8::from(effects.cuts()));
         let layers = extrapolation_layers(scene.time.cfl) as f64;
@@ -334,7 +307,7 @@ impl Device {
             "advect_markers" => markers * 32.0 + band * (12.0 + 4.0 * bodies),
             // Position, occupied; flags counted through the domain, list.
             "band" => markers * 16.0 + band * 3.0 + padded,
-            // With bodies marks and list for slivers, too.
+            // With bodies also marks and list of small-aperture faces.
             "advect_velocity" => band * (12.0 + 12.0 + 1.0 + bodies * 5.0),
             "forces" => band * (12.0 + 12.0 + 1.0),
             // Classes near (3) and far (2), squares cleared, spread, made a distance, summed; the extension into solids.
@@ -345,7 +318,7 @@ impl Device {
             "active_cells" => {
                 all_levels + band * 5.0 + unknowns * (12.0 + 8.0 / 7.0 * (10.0 * inner + 4.0))
             }
-            // Labels written, joined, asked.
+            // Labels written, joined, read.
             "closed_components" => unknowns * (4.0 + 8.0 + 4.0 + 3.0),
             "right_hand_side" => unknowns * (12.0 + 12.0 + real + 2.0),
             // u*, distance, velocity, marks; potential.
@@ -367,15 +340,13 @@ impl<'a> Record<'a> {
         }
     }
 
-    fn taken(&self) -> f64 {
-        self.repeats
-            .iter()
-            .flatten()
-            .map(|sample| sample.seconds)
-            .sum()
+    /// Seconds of all runs.
+    fn seconds(&self) -> f64 {
+        let samples = self.repeats.iter().flatten();
+        samples.map(|sample| sample.seconds).sum()
     }
 
-    /// Another run from the scene's start. Its simulation is dropped after it: all scenes together may need more memory than there is.
+    /// Another run from the scene's start. Its simulation is dropped at the end: all scenes together may exceed the memory.
     fn run(&mut self, options: &Options) -> Result<(), Error> {
         let scene = &self.case.scene;
         let mut simulation = Simulation::new(scene, &Backend::Gpu(options.adapter.clone()))?;
@@ -414,35 +385,32 @@ impl<'a> Record<'a> {
         Ok(())
     }
 
-    /// Refuses a run with other sub-steps than the first: rows compare them number by number.
+    /// Refuses a run with other sub-steps than the first: rows compare them one by one.
     fn ensure_repeated(&self) -> Result<(), Error> {
-        let kinds = |repeat: &[Sample]| repeat.iter().map(Sample::touching).collect::<Vec<_>>();
-        let count = |repeat: &[Sample]| {
-            let touching = kinds(repeat).into_iter().filter(|&touching| touching);
-            format!("{} sub-steps, {} touching", repeat.len(), touching.count())
+        let [first, .., again] = &self.repeats[..] else {
+            return Ok(());
         };
-        match &self.repeats[..] {
-            [first, .., again] if kinds(first) != kinds(again) => Err(Error::Check(format!(
-                "{}: the same run had {}, then {}\n  cure: use another adapter (--adapter) or driver: this one does not repeat",
-                self.case.scene.name,
-                count(first),
-                count(again)
-            ))),
-            _ => Ok(()),
+        let kinds = |repeat: &[Sample]| repeat.iter().map(Sample::touching).collect::<Vec<_>>();
+        if kinds(first) == kinds(again) {
+            return Ok(());
         }
+        let [first, again] = [first, again].map(|repeat| {
+            let touching = repeat.iter().filter(|sample| sample.touching());
+            format!("{} sub-steps, {} touching", repeat.len(), touching.count())
+        });
+        Err(Error::Check(format!(
+            "{}: the same run had {first}, then {again}\n  cure: use another adapter (--adapter) or driver: this one is not reproducible",
+            self.case.scene.name
+        )))
     }
 
     /// Rows of each kind of sub-steps, and of its stages.
-    fn rows(&self, machine: &Machine) -> Vec<(&'static str, Row)> {
+    fn rows(&self, machine: &Machine) -> Rows {
         let mut rows = Vec::new();
         for touching in [false, true] {
+            let kind = |sample: &&Sample| sample.touching() == touching;
             let repeats = self.repeats.iter();
-            let repeats = repeats.map(|repeat| {
-                repeat
-                    .iter()
-                    .filter(|sample| sample.touching() == touching)
-                    .collect()
-            });
+            let repeats = repeats.map(|repeat| repeat.iter().filter(kind).collect());
             let repeats: Vec<Vec<&Sample>> = repeats.collect();
             if let (Some(device), false) = (&self.device, repeats[0].is_empty()) {
                 rows.extend(self.kind_rows(device, touching, &repeats, machine));
@@ -458,60 +426,42 @@ impl<'a> Record<'a> {
         touching: bool,
         repeats: &[Vec<&Sample>],
         machine: &Machine,
-    ) -> Vec<(&'static str, Row)> {
+    ) -> Rows {
         let (scene, solids) = (&self.case.scene, &device.solids);
         let first = &repeats[0];
-        let mean_of = |samples: &[&Sample], value: &dyn Fn(&Sample) -> f64| {
-            samples.iter().map(|sample| value(sample)).sum::<f64>() / samples.len() as f64
+        let mean = |value: &dyn Fn(&Sample) -> f64| mean(first, value);
+        let seconds = over_repeats(repeats, &|sample| sample.seconds);
+        let sub_step = |n: usize| {
+            let runs = repeats.iter().map(|repeat| repeat[n].seconds);
+            Spread::of(runs.collect()).median
         };
-        let mean = |value: &dyn Fn(&Sample) -> f64| mean_of(first, value);
-        let over_repeats = |value: &dyn Fn(&Sample) -> f64| {
-            Spread::of(
-                repeats
-                    .iter()
-                    .map(|samples| mean_of(samples, value))
-                    .collect(),
-            )
-        };
-        let seconds = over_repeats(&|sample| sample.seconds);
-        let of_number =
-            |n: usize| Spread::of(repeats.iter().map(|repeat| repeat[n].seconds).collect()).median;
-        let kind = self
-            .case
-            .key()
-            .with(row! { kind: if touching { "touching" } else { "apart" } });
+        let kind = if touching { "touching" } else { "apart" };
+        let kind = self.case.key().with(row! { kind: kind });
         let bytes = mean(&|sample| {
-            STAGES
-                .iter()
-                .map(|stage| device.bytes(scene, stage, sample))
-                .sum()
+            let stages = STAGES.iter();
+            stages.map(|stage| device.bytes(scene, stage, sample)).sum()
         });
         let unknowns = mean(&Sample::unknowns);
         let last = first.last().and_then(|sample| sample.report.liquid);
-        let step = row! {
+        let sizes = row! {
             cells: scene.grid().n_cells(), nodes: solids.rest.len(), elements: solids.elements.len(), sub_steps: first.len(),
             simulated: first.iter().map(|sample| sample.report.dt).sum::<f64>(), markers: last.map_or(0, |liquid| liquid.markers),
             unknowns: unknowns, band_cells: mean(&|sample| sample.band_cells as f64), iterations: mean(&Sample::iterations),
             solid_unknowns: mean(&|sample| sample.solid(|solid| solid.solve.unknowns as f64)),
-            solid_iterations: mean(&Sample::solid_iterations), runs: repeats.len(), seconds: seconds,
-            sub_step_seconds: Spread::of((0..first.len()).map(of_number).collect()), cells_per_second: unknowns / seconds.median,
-            bytes: bytes, share_of_copy_bandwidth: machine.share(bytes, seconds.median),
+            solid_iterations: mean(&Sample::solid_iterations), runs: repeats.len(), device_bytes: device.bytes,
+        };
+        let times = row! {
+            seconds: seconds, sub_step_seconds: Spread::of((0..first.len()).map(sub_step).collect()),
+            cells_per_second: unknowns / seconds.median, bytes: bytes, share_of_copy_bandwidth: machine.share(bytes, seconds.median),
             waits: mean(&|sample| sample.traffic.waits as f64), submissions: mean(&|sample| sample.traffic.submissions as f64),
             dispatches: mean(&|sample| sample.traffic.dispatches as f64), bytes_up: mean(&|sample| sample.traffic.bytes_up as f64),
             bytes_down: mean(&|sample| sample.traffic.bytes_down as f64),
-            idle_seconds: over_repeats(&|sample| sample.traffic.idle_seconds).median, device_bytes: device.bytes,
+            idle_seconds: over_repeats(repeats, &|sample| sample.traffic.idle_seconds).median,
         };
-        let mut rows = vec![("step", kind.clone().with(step))];
+        let mut rows = vec![("step", kind.clone().with(sizes).with(times))];
         let names = first.iter().flat_map(|sample| &sample.report.seconds);
         for (stage, _) in grouped(names, |(stage, _)| Some(*stage)) {
-            let seconds = over_repeats(&|sample| {
-                let own = sample
-                    .report
-                    .seconds
-                    .iter()
-                    .filter(|(name, _)| *name == stage);
-                own.map(|(_, seconds)| seconds).sum()
-            });
+            let seconds = over_repeats(repeats, &|sample| stage_seconds(&sample.report, &[stage]));
             let bytes = mean(&|sample| device.bytes(scene, stage, sample));
             let place = match (stage == Stage::Clip.name(), device.timestamps) {
                 (false, _) => "device",
@@ -530,7 +480,18 @@ impl<'a> Record<'a> {
     }
 }
 
-/// Stages with a model of their bytes, which make up those of a sub-step.
+/// Mean over sub-steps.
+fn mean(samples: &[&Sample], value: &dyn Fn(&Sample) -> f64) -> f64 {
+    samples.iter().map(|sample| value(sample)).sum::<f64>() / samples.len() as f64
+}
+
+/// Spread over the runs of their means.
+fn over_repeats(repeats: &[Vec<&Sample>], value: &dyn Fn(&Sample) -> f64) -> Spread {
+    let means = repeats.iter().map(|samples| mean(samples, value));
+    Spread::of(means.collect())
+}
+
+/// Stages with a model of their bytes; their sum is that of a sub-step.
 const STAGES: [&str; 14] = [
     "move_solid",
     "advect_markers",
@@ -557,7 +518,7 @@ pub fn derive(tables: &mut [Table]) {
         let groups = grouped(rows, |row| {
             let series = row.only(&["scene", "kind"]);
             let (nodes, cells) = (row.get("nodes"), row.get("cells"));
-            // Rounded, for scales are.
+            // Rounded, as scales are.
             let ratio = (1e6 * row.number("scale") / row.number("solids_scale")).round();
             Some(match along {
                 "cells" => (series, nodes, 0.0),
@@ -566,19 +527,12 @@ pub fn derive(tables: &mut [Table]) {
             })
         });
         for ((series, fixed, _), members) in groups {
-            let refined = members
-                .iter()
-                .any(|row| row.get("nodes") != members[0].get("nodes"));
-            let fixed = if fixed == Value::Count(0) {
-                Value::Empty
-            } else {
-                fixed
-            };
+            let nodes = |row: &Row| row.get("nodes");
+            let refined = members.iter().any(|row| nodes(row) != nodes(members[0]));
+            let fixed = Some(fixed).filter(|fixed| *fixed != Value::Count(0));
             if along != "both" || refined {
-                let fit = growth(&members, size);
-                all.extend(
-                    fit.map(|fit| fit.with(series).with(row! { along: along, fixed: fixed })),
-                );
+                let names = series.with(row! { along: along, fixed: fixed });
+                all.extend(growth(&members, size).map(|fit| fit.with(names)));
             }
         }
     }
@@ -590,27 +544,18 @@ fn draw(results: &Results) -> Page {
     let scenes = grouped(results.rows("step"), |row| Some(row.text("scene")));
     let lists = scenes.into_iter().map(|(scene, rows)| {
         let bars = rows.into_iter().map(|row| {
-            let same = |stage: &&Row| {
-                let key = ["scene", "scale", "solids_scale", "kind"];
-                stage.only(&key) == row.only(&key)
-            };
+            let key = row.only(&["scene", "scale", "solids_scale", "kind"]);
+            let stages = results.rows("step_stages").iter();
             let mut end = 0.0;
-            let parts = results
-                .rows("step_stages")
-                .iter()
-                .filter(same)
-                .map(|stage| {
-                    let start = end;
-                    end += 1e3 * stage.number("seconds_median");
-                    (stage.text("stage").to_owned(), start, end)
-                });
+            let parts = stages.filter(|stage| stage.contains(&key)).map(|stage| {
+                let start = end;
+                end += 1e3 * stage.number("seconds_median");
+                (stage.text("stage").to_owned(), start, end)
+            });
+            let cells = row.count("cells");
             let name = match row.count("nodes") {
-                0 => format!("{} cells", row.count("cells")),
-                nodes => format!(
-                    "{} cells, {nodes} nodes, {}",
-                    row.count("cells"),
-                    row.text("kind")
-                ),
+                0 => format!("{cells} cells"),
+                nodes => format!("{cells} cells, {nodes} nodes, {}", row.text("kind")),
             };
             (name, parts.collect(), 1e3 * row.number("seconds_median"))
         });

@@ -1,44 +1,44 @@
-//! A sub-step from a state, on the device and on the f64 path, and the unknowns whose errors count.
+//! One sub-step from a state on the device and on the f64 path, and its errors.
 
 use std::time::Instant;
 
 use glam::DVec3;
 
 use crate::Error;
+use crate::gpu::AdapterChoice;
 use crate::grid::Axis;
+use crate::measure::stored;
 use crate::reference::{Reference, larger};
-use crate::scene::Scene;
+use crate::scene::{Precision, Scene, Solver};
 use crate::sim::{GpuPath, Snapshot};
+use crate::state::{State, StepReport};
 use crate::step::Stage;
 
-use crate::state::{State, StepReport};
-
-use crate::measure::stored;
-
-/// A pressure per cell, Pa, and velocities of the nodes, m/s.
-pub(crate) struct Answer {
-    pub(crate) pressure: Vec<f64>,
-    pub(crate) velocity: Vec<[f64; 3]>,
+/// Solution: a pressure per cell, Pa, and velocities of the nodes, m/s.
+pub(super) struct Solution {
+    pub(super) pressure: Vec<f64>,
+    pub(super) velocity: Vec<[f64; 3]>,
 }
 
 /// Results of a sub-step.
-pub(crate) struct Done {
+pub(super) struct Done {
     /// Seconds of the solve.
-    pub(crate) seconds: f64,
-    pub(crate) report: StepReport,
-    pub(crate) answer: Answer,
-    pub(crate) faces: [Vec<f64>; 3],
+    pub(super) seconds: f64,
+    pub(super) report: StepReport,
+    pub(super) solution: Solution,
+    /// Face velocities, m/s.
+    pub(super) faces: [Vec<f64>; 3],
 }
 
-/// Unknowns, and open faces beside them, of the f64 path.
-pub(crate) struct Mask {
-    pub(crate) cells: Vec<bool>,
-    pub(crate) faces: [Vec<bool>; 3],
+/// Unknowns of the f64 path and the open faces beside them: errors count there.
+pub(super) struct Mask {
+    pub(super) cells: Vec<bool>,
+    pub(super) faces: [Vec<bool>; 3],
 }
 
 impl Mask {
-    /// After a sub-step.
-    pub(crate) fn of(path: &Reference) -> Mask {
+    /// Mask of a path after a sub-step.
+    pub(super) fn new(path: &Reference) -> Mask {
         let (grid, cells) = (path.scene().grid(), &path.state().active);
         let open = &path.cut_cells().open;
         let faces = Axis::ALL.map(|axis| {
@@ -58,15 +58,40 @@ impl Mask {
     }
 }
 
-/// Last stages before the set-up of the solve; the second is absent where the surface and all bodies are fixed.
+/// Last stages before the set-up of the solve; the second is absent with a fixed surface and fixed bodies.
 const BEFORE: [Stage; 2] = [Stage::Forces, Stage::LiquidDistance];
 
-/// Does the sub-step after a state once, with liquid of this density (kg/m^3). The seconds of the solve include its set-up: active cells and
-/// hierarchy, rotations of the elements, right-hand sides.
-pub(crate) fn sub_step(path: &mut GpuPath, state: &State, density: f64) -> Result<Done, Error> {
+/// GPU paths of a scene with several solvers, compiled by the sub-step after a state. Solvers in f64 are skipped where the adapter lacks it.
+///
+/// # Errors
+/// Errors of the simulation.
+pub(super) fn open_paths(
+    scene: &Scene,
+    solvers: impl IntoIterator<Item = Solver>,
+    state: &State,
+    adapter: &AdapterChoice,
+) -> Result<Vec<(Precision, GpuPath)>, Error> {
+    let (mut scene, mut paths) = (scene.clone(), Vec::new());
+    for solver in solvers {
+        scene.solver = solver;
+        match GpuPath::open(&scene, adapter) {
+            Ok(mut path) => {
+                sub_step(&mut path, state, density(&scene))?;
+                paths.push((solver.precision, path));
+            }
+            Err(Error::Limit { .. }) if solver.precision == Precision::F64 => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(paths)
+}
+
+/// Computes the sub-step after a state, with liquid of this density (kg/m^3). The seconds of the solve include its set-up: active cells and hierarchy, rotations of the elements,
+/// right-hand sides.
+pub(super) fn sub_step(path: &mut GpuPath, state: &State, density: f64) -> Result<Done, Error> {
     path.write_state(state)?;
     let mut clock = None;
-    let (mut seconds, mut answer, mut faces) = (0.0, None, Default::default());
+    let (mut seconds, mut solution, mut faces) = (0.0, None, Default::default());
     let dt = path.next_time_step().dt;
     let report = path.step_observed(&mut |stage, path| {
         if BEFORE.contains(&stage) {
@@ -74,11 +99,10 @@ pub(crate) fn sub_step(path: &mut GpuPath, state: &State, density: f64) -> Resul
             clock = Some(Instant::now());
         } else if stage == Stage::Solve {
             path.gpu().wait("bench")?;
-            let clock: Instant = clock.expect("every sub-step has forces");
-            seconds = clock.elapsed().as_secs_f64();
+            seconds = clock.map_or(0.0, |clock: Instant| clock.elapsed().as_secs_f64());
             let Snapshot { liquid, solids, .. } = path.snapshot()?;
             let pressure = |liquid| stored::pressure(path, &liquid, density, dt);
-            answer = Some(Answer {
+            solution = Some(Solution {
                 pressure: liquid.map_or(Vec::new(), pressure),
                 velocity: solids.map_or(Vec::new(), |solids| solids.velocity),
             });
@@ -92,20 +116,15 @@ pub(crate) fn sub_step(path: &mut GpuPath, state: &State, density: f64) -> Resul
     Ok(Done {
         seconds,
         report,
-        answer: answer.expect("every sub-step has a solve"),
+        solution: solution.expect("every sub-step has a solve"),
         faces,
     })
 }
 
-/// The same on the f64 path.
-pub(crate) fn reference_step(path: &mut Reference, state: &State) -> Result<Done, Error> {
+/// The same sub-step on the f64 path.
+pub(super) fn reference_step(path: &mut Reference, state: &State) -> Result<Done, Error> {
     path.reset(state.clone())?;
     let report = path.step(path.next_time_step())?;
-    let solve = report
-        .seconds
-        .iter()
-        .find(|(stage, _)| *stage == Stage::Solve.name());
-    let seconds = solve.map_or(0.0, |(_, seconds)| *seconds);
     let State {
         pressure,
         node_velocity: velocity,
@@ -113,14 +132,23 @@ pub(crate) fn reference_step(path: &mut Reference, state: &State) -> Result<Done
         ..
     } = path.state().clone();
     Ok(Done {
-        seconds,
+        seconds: stage_seconds(&report, &[Stage::Solve.name()]),
         report,
-        answer: Answer { pressure, velocity },
+        solution: Solution { pressure, velocity },
         faces,
     })
 }
 
-/// Largest errors of pressure (Pa), node velocity and face velocity (m/s) of a liquid and solids at rest; NaN where a number is not one.
+/// Seconds of some stages of a sub-step.
+pub(super) fn stage_seconds(report: &StepReport, stages: &[&str]) -> f64 {
+    let seconds = report.seconds.iter();
+    seconds
+        .filter(|(stage, _)| stages.contains(stage))
+        .map(|(_, seconds)| seconds)
+        .sum()
+}
+
+/// Largest errors of pressure (Pa), node velocity and face velocity (m/s) of a liquid and solids at rest; NaN if any value is.
 /// `pressure`: the exact one, `None` where errors do not count.
 pub(super) fn rest_errors(
     scene: &Scene,
@@ -129,7 +157,7 @@ pub(super) fn rest_errors(
     pressure: impl Fn(DVec3) -> Option<f64>,
 ) -> [f64; 3] {
     let grid = scene.grid();
-    let cells = done.answer.pressure.iter().zip(&mask.cells).enumerate();
+    let cells = done.solution.pressure.iter().zip(&mask.cells).enumerate();
     let off = cells.filter(|(_, (_, counts))| **counts);
     let off = off.filter_map(|(cell, (p, _))| {
         let exact = pressure(grid.cell_centre(grid.cell_at(cell)))?;
@@ -137,7 +165,7 @@ pub(super) fn rest_errors(
     });
     let faces = done.faces.iter().flatten().zip(mask.faces.iter().flatten());
     let faces = faces.filter(|(_, counts)| **counts).map(|(u, _)| u.abs());
-    let nodes = done.answer.velocity.as_flattened().iter();
+    let nodes = done.solution.velocity.as_flattened().iter();
     [
         off.fold(0.0, larger),
         nodes.map(|v| v.abs()).fold(0.0, larger),
@@ -145,7 +173,7 @@ pub(super) fn rest_errors(
     ]
 }
 
-/// kg/m^3; 0 without liquid.
+/// Density of the liquid, kg/m^3; 0 without liquid.
 pub(super) fn density(scene: &Scene) -> f64 {
     scene.liquid.as_ref().map_or(0.0, |liquid| liquid.density)
 }

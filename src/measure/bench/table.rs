@@ -1,4 +1,4 @@
-//! Tables of a bench: columns are declared once, rows are named values, one writer makes CSV, JSON and the lines of the terminal.
+//! Tables of a bench: columns are declared once, rows are named values, and one writer produces CSV, JSON and the lines of the terminal.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -9,18 +9,19 @@ use serde::ser::{Serialize, SerializeMap, Serializer};
 use super::statistics::Spread;
 use crate::Error;
 use crate::output::write_atomically;
+use crate::scene::{PatchPressure, Precision, Preconditioner};
 
 /// One value of a row.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Value {
-    /// Not measured, or not there.
+    /// Not measured, or absent.
     #[default]
     Empty,
     /// Yes or no.
     Flag(bool),
     /// A whole number.
     Count(i64),
-    /// A number; an empty cell where it is not finite.
+    /// A number; an empty cell if it is not finite.
     Number(f64),
     /// A name.
     Text(String),
@@ -48,6 +49,17 @@ impl From<String> for Value {
         }
     }
 }
+
+macro_rules! names {
+    ($($kind:ty),*) => { $(
+        impl From<$kind> for Value {
+            fn from(value: $kind) -> Value {
+                value.name().into()
+            }
+        }
+    )* };
+}
+names! { Precision, Preconditioner, PatchPressure }
 
 impl From<&str> for Value {
     fn from(text: &str) -> Value {
@@ -87,7 +99,7 @@ impl Value {
         }
     }
 
-    /// NaN for anything else than a number.
+    /// NaN for anything but a number.
     fn number(&self) -> f64 {
         match *self {
             Value::Number(x) => x,
@@ -137,7 +149,7 @@ impl Row {
         self.0.insert(name, value.into());
     }
 
-    /// Takes the values of another row over.
+    /// Adds the values of another row.
     pub fn with(mut self, other: Row) -> Row {
         self.0.extend(other.0);
         self
@@ -148,7 +160,7 @@ impl Row {
         Row::new(names.iter().map(|name| (*name, self.get(name))))
     }
 
-    /// A value by its column, those of a spread too; empty where it is not there.
+    /// Value of a column, also of one of a spread; empty if absent.
     pub fn get(&self, name: &str) -> Value {
         if let Some(value) = self.0.get(name) {
             return value.clone();
@@ -160,22 +172,37 @@ impl Row {
         })
     }
 
-    /// A number; NaN where there is none.
+    /// A number; NaN if absent.
     pub fn number(&self, name: &str) -> f64 {
         self.get(name).number()
     }
 
-    /// A whole number; 0 where there is none.
+    /// A whole number; 0 if absent.
     pub fn count(&self, name: &str) -> usize {
         self.number(name) as usize
     }
 
-    /// A text; empty where there is none.
+    /// A text; empty if absent.
     pub fn text(&self, name: &str) -> &str {
         match self.0.get(name) {
             Some(Value::Text(text)) => text,
             _ => "",
         }
+    }
+
+    /// Texts joined by spaces.
+    pub fn join(&self, names: &[&str]) -> String {
+        let texts = names.iter().map(|name| self.text(name));
+        texts
+            .filter(|text| !text.is_empty())
+            .collect::<Vec<_>>()
+            .join(" ")
+    }
+
+    /// Whether all values of another row are the same here.
+    pub fn contains(&self, other: &Row) -> bool {
+        let mut values = other.0.iter();
+        values.all(|(name, value)| self.get(name) == *value)
     }
 
     /// Whether a flag is set.
@@ -203,7 +230,7 @@ macro_rules! row {
         $crate::measure::bench::table::Row::new([$((stringify!($name), $crate::measure::bench::table::Value::from($value))),*])
     };
 }
-pub(in crate::measure) use row;
+pub(crate) use row;
 
 /// A column of a table.
 #[derive(Clone, Copy, Debug)]
@@ -216,9 +243,9 @@ pub struct Column {
     pub about: &'static str,
     /// Whether the terminal shows it.
     pub shown: bool,
-    /// Whether it is three: `X_median`, `X_min`, `X_max`.
+    /// Whether it is three columns: `X_median`, `X_min`, `X_max`.
     pub spread: bool,
-    /// Whether it has names, which may look like numbers.
+    /// Whether it contains names, which may look like numbers.
     pub names: bool,
 }
 
@@ -227,7 +254,7 @@ pub struct Column {
 macro_rules! columns {
     ($($(#[$doc:meta])* $list:ident { $($name:ident $kind:tt $unit:literal $about:literal;)* })*) => { $(
         $(#[$doc])*
-        pub(in crate::measure) const $list: &[$crate::measure::bench::table::Column] = &[$($crate::measure::bench::table::Column {
+        pub(crate) const $list: &[$crate::measure::bench::table::Column] = &[$($crate::measure::bench::table::Column {
             name: stringify!($name),
             unit: $unit,
             about: $about,
@@ -237,7 +264,7 @@ macro_rules! columns {
         }),*];
     )* };
 }
-pub(in crate::measure) use columns;
+pub(crate) use columns;
 
 /// A table and its columns.
 #[derive(Clone, Debug)]
@@ -285,7 +312,7 @@ impl Table {
     /// Appends a row, or replaces the one with the same key.
     ///
     /// # Panics
-    /// Where a value has no column.
+    /// If a value has no column.
     pub(super) fn put(&mut self, row: Row) {
         let unknown =
             (row.0.keys()).find(|name| self.columns().all(|column| column.name != **name));
@@ -298,17 +325,16 @@ impl Table {
 
     /// Whether a row has these values.
     pub(super) fn has(&self, key: &Row) -> bool {
-        let same = |row: &Row| key.0.iter().all(|(name, value)| row.get(name) == *value);
-        self.rows.iter().any(same)
+        self.rows.iter().any(|row| row.contains(key))
     }
 
-    /// Place of the row with the same key.
+    /// Index of the row with the same key.
     fn find(&self, key: &Row) -> Option<usize> {
         let same = |row: &Row| self.key.iter().all(|name| row.get(name) == key.get(name));
         self.rows.iter().position(same)
     }
 
-    /// Writes the rows below a head line; without rows there is no file.
+    /// Writes the rows below a head line; an empty table is no file.
     pub(super) fn write_csv(&self, path: &Path) -> Result<(), Error> {
         if self.rows.is_empty() {
             return super::remove(path);
@@ -326,7 +352,7 @@ impl Table {
         write_atomically(path, &bytes)
     }
 
-    /// Reads the rows of an earlier run; none where there is no file.
+    /// Reads the rows of an earlier run; none without a file.
     pub(super) fn read_csv(&mut self, path: &Path) -> Result<(), Error> {
         if !path.exists() {
             return Ok(());
@@ -391,7 +417,7 @@ fn heading(Column { name, unit, .. }: &Column) -> String {
     }
 }
 
-/// As wide as the head of its column and as most values.
+/// Padded to the width of the head of its column, which fits most values.
 fn padded(text: String, column: &Column) -> String {
     let least = if column.spread { 26 } else { 9 };
     format!("{text:width$}  ", width = heading(column).len().max(least))

@@ -1,4 +1,4 @@
-//! `bench thesis`: tables of the thesis's chapter 6, printed numbers beside measured ones.
+//! `bench thesis`: tables of the thesis's chapter 6, printed and measured numbers.
 //!
 //! Table 6.1 (`scenes`): grids, meshes and sub-steps of the scenes. Tables 6.2 to 6.4 (`systems`): matrices and solves of the formulations on states
 //! of the dam break. Tables 6.5 and 6.6 (`errors`): errors of a sub-step with a known solution.
@@ -9,7 +9,7 @@ mod systems;
 
 use std::path::PathBuf;
 
-use super::chart::{Chart, Page, exact, lines};
+use super::chart::{Chart, Page, at, lines};
 use super::statistics::grouped;
 use super::table::{Row, Table, row};
 use super::{Bench, Case, Listener, Machine, Results, Run, Settings, replace, rows};
@@ -24,19 +24,19 @@ const MOST_ITERATIONS: u32 = 20_000;
 /// Tables to measure.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Numbers of the thesis's tables, such as `6.2`.
+    /// Numbers of tables, such as `6.2`.
     pub tables: Vec<String>,
-    /// Cells along an edge of the dam break, or along the tank's height of 1 m; each table's own where there are none.
+    /// Cells along an edge of the dam break, or along the tank's height of 1 m; empty: each table's own.
     pub grids: Vec<usize>,
     /// Folder of the scenes of table 6.1.
     pub scenes: PathBuf,
     /// Factor of their cells along each axis.
     pub scale: f64,
-    /// Timed sub-steps of each, from its start, after one that compiles.
+    /// Timed sub-steps of each scene from its start, after one that compiles.
     pub steps: usize,
     /// Frames of the dam break whose states are solved from.
     pub frames: Vec<u64>,
-    /// Precisions of the device, beside the f64 path; those that the adapter lacks are left out.
+    /// Precisions of the device beside the f64 path; those that the adapter lacks are skipped.
     pub precisions: Vec<Precision>,
     /// Adapter.
     pub adapter: AdapterChoice,
@@ -46,7 +46,7 @@ pub struct Options {
 const SYSTEMS: [&str; 3] = ["6.2", "6.3", "6.4"];
 
 impl Options {
-    /// Grids of a table; by default those of the thesis that take minutes on two cores.
+    /// Grids of a table. Default: those of the thesis that take minutes on two cores.
     fn grids(&self, table: &str) -> Vec<usize> {
         let own: &[usize] = match table {
             "6.1" => &[],
@@ -63,39 +63,34 @@ impl Options {
 
     fn check(&self) -> Result<(), Error> {
         for table in &self.tables {
-            for grid in self.grids(table) {
-                let (fits, problem, cure) = match SYSTEMS.contains(&table.as_str()) {
-                    true => (
-                        (8..=256).contains(&grid),
-                        "the dam break is too coarse or too large",
-                        "give cells from 8 to 256, such as those of the thesis: 40 to 90",
-                    ),
-                    false => (
-                        (5..=320).contains(&grid) && grid.is_multiple_of(5),
-                        "the liquid's surface at 0.8 m and the walls do not lie on faces of such cells",
-                        "give multiples of 5 up to 320",
-                    ),
-                };
-                if !fits {
-                    return Err(Error::input(
-                        format!("--grids {grid} for table {table}"),
-                        problem,
-                        cure,
-                    ));
-                }
+            let systems = SYSTEMS.contains(&table.as_str());
+            let (least, most, unit, problem, cure) = match systems {
+                true => (
+                    8,
+                    256,
+                    1,
+                    "the dam break is too coarse or too large",
+                    "give cells from 8 to 256, such as those of the thesis: 40 to 90",
+                ),
+                false => (
+                    5,
+                    320,
+                    5,
+                    "the liquid's surface at 0.8 m and the walls do not lie on faces of such cells",
+                    "give multiples of 5 up to 320",
+                ),
+            };
+            let fits = |grid: &usize| (least..=most).contains(grid) && grid.is_multiple_of(unit);
+            if let Some(grid) = self.grids(table).into_iter().find(|grid| !fits(grid)) {
+                let what = format!("--grids {grid} for table {table}");
+                return Err(Error::input(what, problem, cure));
+            }
+            if systems {
+                let mut frames = self.frames.iter();
+                frames.try_for_each(|&frame| systems::ensure_frame(frame))?;
             }
         }
-        match self
-            .tables
-            .iter()
-            .any(|table| SYSTEMS.contains(&table.as_str()))
-        {
-            true => self
-                .frames
-                .iter()
-                .try_for_each(|&frame| systems::ensure_frame(frame)),
-            false => Ok(()),
-        }
+        Ok(())
     }
 }
 
@@ -132,7 +127,7 @@ fn bench() -> Bench {
     }
 }
 
-/// Measures all tables asked for: thesis_scenes.csv; thesis_systems.csv, thesis_means.csv, thesis_growth.csv; thesis.csv, thesis_orders.csv;
+/// Measures the selected tables: thesis_scenes.csv; thesis_systems.csv, thesis_means.csv, thesis_growth.csv; thesis.csv, thesis_orders.csv;
 /// thesis.json, thesis.svg.
 ///
 /// # Errors
@@ -154,11 +149,12 @@ pub fn measure(
     for table in &options.tables {
         for patches in errors::PATCHES {
             for grid in options.grids(table) {
-                if let Some(problem) = errors::Problem::of(table) {
-                    cases.push(Case {
-                        key: ("thesis", row! { table: table.as_str(), grid: grid, patch_pressure: errors::name(patches) }),
-                        measure: Box::new(move |run| problem.rows(run, patches, grid, options)),
-                    });
+                if let Some(problem) = errors::Problem::from_table(table) {
+                    cases.push(Case::new(
+                        "thesis",
+                        row! { table: table.as_str(), grid: grid, patch_pressure: patches },
+                        move |run| problem.rows(run, patches, grid, options),
+                    ));
                 }
             }
         }
@@ -169,20 +165,13 @@ pub fn measure(
 
 /// Means, growth and orders.
 pub fn derive(tables: &mut [Table]) {
-    for table in tables.iter_mut() {
-        let key = ["table", "grid", "nodes", "frame"];
-        let order = |row: &Row| {
-            (
-                row.text("table").to_owned(),
-                key[1..]
-                    .iter()
-                    .map(|name| row.count(name))
-                    .collect::<Vec<_>>(),
-            )
-        };
-        if table.name == "thesis_systems" {
-            table.rows.sort_by_key(order);
-        }
+    if let Some(table) = tables
+        .iter_mut()
+        .find(|table| table.name == "thesis_systems")
+    {
+        let sizes = |row: &Row| ["grid", "nodes", "frame"].map(|name| row.count(name));
+        let place = |row: &Row| (row.text("table").to_owned(), sizes(row));
+        table.rows.sort_by_key(place);
     }
     let means = systems::means(rows(tables, "thesis_systems"));
     let growth = systems::growth(&means);
@@ -192,86 +181,25 @@ pub fn derive(tables: &mut [Table]) {
     replace(tables, "thesis_orders", orders);
 }
 
-/// Charts of each table but 6.1, with the printed numbers.
+/// Charts of all tables but 6.1, with the printed numbers.
 fn draw(results: &Results) -> Page {
-    let mut charts = Vec::new();
-    let shown = ["nonzeros", "log10_condest", "seconds", "frame_seconds"];
-    let means = results.rows("thesis_means");
-    let groups = grouped(means, |row| {
-        let beam = if row.text("table") == "6.2" {
-            0
-        } else {
-            row.count("nodes")
-        };
-        shown
-            .contains(&row.text("quantity"))
-            .then(|| (row.text("table"), row.text("quantity"), beam))
-    });
-    for ((table, quantity, nodes), rows) in groups {
-        let name = |row: &Row| {
-            let names =
-                ["backend", "precision", "formulation", "solver"].map(|name| row.text(name));
-            names.join(" ").trim_end().to_owned()
-        };
-        let printed =
-            |row: &&Row| row.text("backend") == "cpu" && row.text("formulation") != "condensed";
-        let mut all = lines(rows.iter().copied(), name, |row| {
-            Some([exact(row, "grid"), exact(row, "mean")])
-        });
-        let of_thesis = rows.iter().copied().filter(printed);
-        all.extend(lines(
-            of_thesis,
-            |row| format!("printed, {}", row.text("formulation")),
-            |row| Some([exact(row, "grid"), exact(row, "thesis")]),
-        ));
-        charts.push(Chart {
-            title: format!(
-                "Table {table}{}",
-                if nodes > 0 {
-                    format!(", {nodes} nodes")
-                } else {
-                    String::new()
-                }
-            ),
-            axes: [
-                "cells along an edge",
-                shown
-                    .into_iter()
-                    .find(|name| *name == quantity)
-                    .unwrap_or(""),
-            ],
-            lines: all,
-            falling: false,
-        });
-    }
+    let mut charts = draw_systems(results.rows("thesis_means"));
     for (table, rows) in grouped(results.rows("thesis"), |row| Some(row.text("table"))) {
-        for (x, y, printed, axes) in [
-            ("dx", "error_p", "thesis_p", ["dx, m", "error of p, Pa"]),
-            ("dx", "error_v", "thesis_v", ["dx, m", "error of v, m/s"]),
+        for (columns, printed, axes) in [
+            (["dx", "error_p"], "thesis_p", ["dx, m", "error of p, Pa"]),
+            (["dx", "error_v"], "thesis_v", ["dx, m", "error of v, m/s"]),
             (
-                "seconds_median",
-                "error_p",
+                ["seconds_median", "error_p"],
                 "",
                 ["seconds of the solve", "error of p, Pa"],
             ),
         ] {
-            let name = |row: &Row| {
-                ["backend", "precision", "patch_pressure"]
-                    .map(|name| row.text(name))
-                    .join(" ")
-            };
-            let mut all = lines(rows.iter().copied(), name, |row| {
-                Some([exact(row, x), exact(row, y)])
-            });
-            let of_thesis = rows
-                .iter()
-                .copied()
-                .filter(|row| row.text("backend") == "cpu" && row.text("patch_pressure") == "cell");
-            all.extend(lines(
-                of_thesis,
-                |_| "printed".to_owned(),
-                |row| Some([exact(row, x), exact(row, printed)]),
-            ));
+            let name = |row: &Row| row.join(&["backend", "precision", "patch_pressure"]);
+            let thesis = rows.iter().copied();
+            let thesis = thesis.filter(|row| name(row) == "cpu f64 cell");
+            let mut all = lines(rows.iter().copied(), name, at(columns));
+            let printed = at([columns[0], printed]);
+            all.extend(lines(thesis, |_| "printed".to_owned(), printed));
             charts.push(Chart {
                 title: format!("Table {table}"),
                 axes,
@@ -281,4 +209,41 @@ fn draw(results: &Results) -> Page {
         }
     }
     Page::Charts(3, charts)
+}
+
+/// Charts of tables 6.2 to 6.4.
+fn draw_systems(means: &[Row]) -> Vec<Chart> {
+    let drawn = ["nonzeros", "log10_condest", "seconds", "frame_seconds"];
+    let groups = grouped(means, |row| {
+        let (table, quantity) = (row.text("table"), row.text("quantity"));
+        let quantity = drawn.into_iter().find(|name| *name == quantity)?;
+        // Table 6.2 refines the beam with the grid.
+        let nodes = if table == "6.2" {
+            0
+        } else {
+            row.count("nodes")
+        };
+        Some((table, quantity, nodes))
+    });
+    let charts = groups.into_iter().map(|((table, quantity, nodes), rows)| {
+        let name = |row: &Row| row.join(&["backend", "precision", "formulation", "solver"]);
+        let thesis = rows
+            .iter()
+            .copied()
+            .filter(|row| row.text("backend") == "cpu" && row.text("formulation") != "condensed");
+        let printed = |row: &Row| format!("printed, {}", row.text("formulation"));
+        let mut all = lines(rows.iter().copied(), name, at(["grid", "mean"]));
+        all.extend(lines(thesis, printed, at(["grid", "thesis"])));
+        let beam = match nodes {
+            0 => String::new(),
+            nodes => format!(", {nodes} nodes"),
+        };
+        Chart {
+            title: format!("Table {table}{beam}"),
+            axes: ["cells along an edge", quantity],
+            lines: all,
+            falling: false,
+        }
+    });
+    charts.collect()
 }

@@ -1,14 +1,12 @@
 //! `compare`: every stage of every sub-step of the GPU path against its f64 twin, from the same inputs.
 //!
-//! After each stage the device's fields are downloaded and widened to f64, which is exact. The twin gets what the stage had
-//! before it, and its answer is compared with what the stage left. So differences do not pile up: each is the rounding of one
-//! stage, and its bound is that stage's roundings counted, k 2^-24 times the size of what is rounded. Where a division counts, it
-//! counts for 5: WGSL allows 2.5 units in the last place.
+//! After each stage the fields of the device are read back and widened to f64, which is exact. The twin computes from the fields before the stage,
+//! and its result is compared with the fields after it. So differences do not accumulate: each is the rounding of one stage. Its bound is k 2^-24
+//! times the size of the rounded number, for k roundings. A division counts as 5: WGSL allows 2.5 units in the last place.
 //!
-//! Some answers jump: whether a marker is in one cell or the next, whether a face is near enough to an obstacle to slip. Where
-//! the two paths decide differently, and moving the input by its rounding makes the twin decide as the GPU did, the number is
-//! counted as excused and left out; in all other cases it is a breach. So it is where more than [`MOST_EXCUSED`] of a row are excused: a
-//! rounding decides rarely, and a twin that is wrong everywhere must not pass as one that was never compared.
+//! Some results jump: whether a marker is in one cell or the next, or a face near enough to an obstacle to slip. Where the paths decide differently,
+//! the input is moved by its rounding. If the twin then decides as the GPU did, the number is excused: counted, but not compared. Otherwise it
+//! is a breach. So are more than [`MOST_EXCUSED`] excuses in a row: rounding decides rarely, and a twin that is wrong everywhere must not pass.
 
 mod liquid;
 mod solids;
@@ -23,15 +21,15 @@ use crate::elastic::Solids;
 use crate::fields::CouplingReport;
 use crate::geometry::SolidClip;
 use crate::gpu::{AdapterChoice, Real};
-use crate::reference::pressure_gradient;
+use crate::reference::{TimeStep, pressure_gradient};
 use crate::scene::{CouplingScheme, PatchPressure, Scene};
 use crate::sim::{GpuPath, LiquidSnapshot, Snapshot, SolidSnapshot};
 use crate::step::Stage;
 use glam::DVec3;
-use liquid::LiquidJudge;
-use solids::SolidJudge;
+use liquid::LiquidComparison;
+use solids::SolidComparison;
 
-/// What came out.
+/// Result of a comparison.
 #[derive(Clone, Debug)]
 pub struct Comparison {
     /// A row per quantity, in the order of the stages.
@@ -51,16 +49,13 @@ impl Comparison {
     }
 
     /// # Errors
-    /// [`Error::Check`] with the worst row, where a difference is larger than rounding explains, and with the row that excuses most, where
-    /// that is more than [`MOST_EXCUSED`].
+    /// [`Error::Check`] with the worst row where rounding does not explain a difference, and with the row of most excuses where these are more than
+    /// [`MOST_EXCUSED`].
     pub fn verdict(&self) -> Result<(), Error> {
         let n = self.rows.len();
         let mut problems = Vec::new();
-        if let Some((row, worst)) = self
-            .worst()
-            .filter(|row| row.ratio() > 1.0)
-            .and_then(|row| Some((row, row.worst?)))
-        {
+        let worst = self.worst().filter(|row| row.ratio() > 1.0);
+        if let Some((row, worst)) = worst.and_then(|row| Some((row, row.worst?))) {
             let differ = self.rows.iter().filter(|row| row.ratio() > 1.0).count();
             problems.push(format!(
                 "{differ} of {n} quantities differ by more than rounding explains; the worst is {} of {}: {:e} {unit} on the GPU, \
@@ -95,11 +90,11 @@ impl Comparison {
     }
 }
 
-/// Runs the GPU path for some frames and compares each stage. `listen` hears of every snapshot before it is judged, with the
-/// stage's name; what it changes there is judged as if it came from the device, and not handed to the next twin.
+/// Runs the GPU path for some frames and compares each stage. `listen` receives every snapshot before it is compared, with its stage. Its changes
+/// are compared as if they came from the device, but are no input of the next twin.
 ///
 /// # Errors
-/// [`Error::Input`] for coupling other than strong; whatever the simulation ends with. A breach is no error here: see [`Comparison::verdict`].
+/// [`Error::Input`] for coupling other than strong; errors of the simulation. A breach is no error here: see [`Comparison::verdict`].
 pub fn compare(
     scene: &Scene,
     frames: u64,
@@ -114,90 +109,124 @@ pub fn compare(
         ));
     }
     let mut path = GpuPath::open(scene, adapter)?;
-    let mut liquid = LiquidJudge::new(scene, &path)?;
-    let mut solids = SolidJudge::new(scene, &path)?;
-    // The twin of `clip`, for the others.
-    let mut clip = path.clip().cloned();
-    let mut slopes = Vec::new();
-    let mut dt_last = 0.0;
+    let mut twins = Twins::new(scene, &path)?;
     while path.clock().frame < frames {
-        let time_step = path.next_time_step();
-        let dt = time_step.dt;
-        let end = path.clock().time + dt;
-        if let Some(judge) = &mut liquid {
-            judge.begin(&path, time_step);
-        }
-        if let Some(judge) = &mut solids {
-            judge.begin(&path, dt);
-        }
-        path.step_observed(&mut |stage, path| {
-            // The f64 path finds enclosed components with the active cells.
-            let stage = match stage {
-                Stage::ActiveCells => return Ok(()),
-                Stage::ClosedComponents => Stage::ActiveCells,
-                stage => stage,
-            };
-            let held = path.snapshot()?;
-            let mut after = held.clone();
-            listen(stage, &mut after);
-            if let (Stage::Clip, Some(clip)) = (stage, &mut clip) {
-                clip.move_obstacles(end, dt);
-            }
-            if let (
-                Stage::Clip,
-                Some(clip),
-                Some(solids),
-                Snapshot {
-                    liquid: Some(liquid),
-                    solids: Some(held),
-                    ..
-                },
-            ) = (stage, &mut clip, path.solids(), &held)
-            {
-                clip.clip(&solids.moved(&held.displacement));
-                slopes = slopes_of(scene, clip, liquid, dt_last);
-            }
-            let both = after.liquid.as_ref().zip(after.solids.as_ref());
-            let both = both.zip(clip.as_ref().zip(path.solids()));
-            let both = both.map(|((liquid, solids), (clip, at_rest))| Both {
-                clip,
-                at_rest,
-                liquid,
-                solids,
-                slopes: &slopes,
-                told: after.coupling,
-            });
-            let density = scene.liquid.as_ref().map_or(0.0, |liquid| liquid.density);
-            let together = both
-                .as_ref()
-                .filter(|both| stage == Stage::Solve && both.touch());
-            if let (Some(both), Some(of_liquid), Some(judge)) = (together, &liquid, &mut solids)
-                && let Some(parts) = of_liquid.systems(both.liquid, both)
-            {
-                judge.assembly(both.solids, both, density, parts)?;
-            }
-            if let (Some(judge), Some(after)) = (&mut liquid, &after.liquid) {
-                judge.judge(stage, after, held.liquid, clip.as_ref(), both.as_ref())?;
-            }
-            if let (Some(judge), Some(after)) = (&mut solids, &after.solids) {
-                judge.judge(stage, after, held.solids, both.as_ref())?;
-            }
-            Ok(())
+        twins.begin(&path, path.next_time_step());
+        path.step_observed(&mut |stage, path| match stage {
+            // The f64 path labels enclosed components with the active cells.
+            Stage::ActiveCells => Ok(()),
+            Stage::ClosedComponents => twins.stage(Stage::ActiveCells, path, listen),
+            stage => twins.stage(stage, path, listen),
         })?;
-        dt_last = dt;
     }
-    let liquid = liquid.into_iter().flat_map(|judge| judge.table.rows);
-    let rows = liquid.chain(solids.into_iter().flat_map(|judge| judge.table.rows));
+    let liquid = twins.liquid.into_iter().flat_map(|twin| twin.table.rows);
+    let solids = twins.solids.into_iter().flat_map(|twin| twin.table.rows);
     Ok(Comparison {
-        rows: rows.collect(),
+        rows: liquid.chain(solids).collect(),
         steps: path.clock().step,
         adapter: path.gpu().report().name.clone(),
     })
 }
 
-/// Gradients of the pressure within cells, Pa/m, those without patches left out; `before`: the liquid before a sub-step, `dt_last`: the
+/// The twins of a scene.
+struct Twins<'a> {
+    scene: &'a Scene,
+    liquid: Option<LiquidComparison<'a>>,
+    solids: Option<SolidComparison<'a>>,
+    /// The twin of `clip`, an input of other twins.
+    clip: Option<SolidClip>,
+    /// Gradients of the pressure within the cells with patches, Pa/m.
+    slopes: Vec<DVec3>,
+    /// End of the sub-step, its length and that of the last one, s.
+    end: f64,
+    dt: f64,
+    dt_last: f64,
+}
+
+impl<'a> Twins<'a> {
+    fn new(scene: &'a Scene, path: &GpuPath) -> Result<Twins<'a>, Error> {
+        Ok(Twins {
+            scene,
+            liquid: LiquidComparison::new(scene, path)?,
+            solids: SolidComparison::new(scene, path)?,
+            clip: path.clip().cloned(),
+            slopes: Vec::new(),
+            end: 0.0,
+            dt: 0.0,
+            dt_last: 0.0,
+        })
+    }
+
+    /// Begins a sub-step.
+    fn begin(&mut self, path: &GpuPath, time_step: TimeStep) {
+        let dt = time_step.dt;
+        (self.dt_last, self.dt, self.end) = (self.dt, dt, path.clock().time + dt);
+        if let Some(twin) = &mut self.liquid {
+            twin.begin(path, time_step);
+        }
+        if let Some(twin) = &mut self.solids {
+            twin.begin(path, dt);
+        }
+    }
+
+    /// Compares the fields after a stage.
+    fn stage(
+        &mut self,
+        stage: Stage,
+        path: &GpuPath,
+        listen: &mut dyn FnMut(Stage, &mut Snapshot),
+    ) -> Result<(), Error> {
+        let device = path.snapshot()?;
+        let mut after = device.clone();
+        listen(stage, &mut after);
+        if stage == Stage::Clip {
+            self.clip(path, &device);
+        }
+        let snapshots = after.liquid.as_ref().zip(after.solids.as_ref());
+        let both = snapshots.zip(self.clip.as_ref().zip(path.solids()));
+        let both = both.map(|((liquid, solids), (clip, at_rest))| Both {
+            clip,
+            at_rest,
+            liquid,
+            solids,
+            slopes: &self.slopes,
+            report: after.coupling,
+        });
+        let both = both.as_ref();
+        if let (Stage::Solve, Some(both), Some(liquid), Some(solids)) = (
+            stage,
+            both.filter(|both| both.touch()),
+            &self.liquid,
+            &mut self.solids,
+        ) && let Some(systems) = liquid.systems(both.liquid, both)
+        {
+            let density = self.scene.liquid.as_ref().map_or(0.0, |it| it.density);
+            solids.assembly(both.solids, both, density, systems)?;
+        }
+        if let (Some(twin), Some(after)) = (&mut self.liquid, &after.liquid) {
+            twin.compare(stage, after, device.liquid, self.clip.as_ref(), both)?;
+        }
+        if let (Some(twin), Some(after)) = (&mut self.solids, &after.solids) {
+            twin.compare(stage, after, device.solids, both)?;
+        }
+        Ok(())
+    }
+
+    /// The twin of `clip`, from the displacements of the device.
+    fn clip(&mut self, path: &GpuPath, device: &Snapshot) {
+        let Some(clip) = &mut self.clip else { return };
+        clip.move_obstacles(self.end, self.dt);
+        let snapshots = device.liquid.as_ref().zip(device.solids.as_ref());
+        if let Some(((liquid, held), solids)) = snapshots.zip(path.solids()) {
+            clip.clip(&solids.moved(&held.displacement));
+            self.slopes = slopes(self.scene, clip, liquid, self.dt_last);
+        }
+    }
+}
+
+/// Gradients of the pressure within cells, Pa/m; those of cells without patches do not count. `before`: the liquid before the sub-step; `dt_last`:
 /// length of the last one, s.
-fn slopes_of(scene: &Scene, clip: &SolidClip, before: &LiquidSnapshot, dt_last: f64) -> Vec<DVec3> {
+fn slopes(scene: &Scene, clip: &SolidClip, before: &LiquidSnapshot, dt_last: f64) -> Vec<DVec3> {
     let grid = scene.grid();
     let density = scene.liquid.as_ref().map_or(0.0, |liquid| liquid.density);
     let at_rest = (density * scene.domain.gravity).as_vec3().as_dvec3();
@@ -205,10 +234,9 @@ fn slopes_of(scene: &Scene, clip: &SolidClip, before: &LiquidSnapshot, dt_last: 
         PatchPressure::Cell => vec![DVec3::ZERO; grid.n_cells()],
         PatchPressure::Hydrostatic => vec![at_rest; grid.n_cells()],
         PatchPressure::Gradient => {
-            let pascal = if dt_last > 0.0 {
-                density * grid.dx / dt_last
-            } else {
-                0.0
+            let pascal = match dt_last > 0.0 {
+                true => density * grid.dx / dt_last,
+                false => 0.0,
             };
             let pressure: Vec<f64> = before.potential.iter().map(|phi| pascal * phi).collect();
             let (open, active) = (&clip.cut_cells().open, &before.active);
@@ -221,9 +249,9 @@ fn slopes_of(scene: &Scene, clip: &SolidClip, before: &LiquidSnapshot, dt_last: 
     }
 }
 
-/// Liquid and solids of a scene after a stage, for the judges of each.
+/// Liquid and solids of a scene after a stage.
 struct Both<'a> {
-    /// As the twin clips the solids where the device has them.
+    /// Twin of the clipping, from the displacements of the device.
     clip: &'a SolidClip,
     /// The solids at rest.
     at_rest: &'a Solids,
@@ -231,8 +259,8 @@ struct Both<'a> {
     solids: &'a SolidSnapshot,
     /// Gradients of the pressure within the cells with patches, Pa/m.
     slopes: &'a [DVec3],
-    /// What the device tells of both.
-    told: Option<CouplingReport>,
+    /// Report of the device.
+    report: Option<CouplingReport>,
 }
 
 impl Both<'_> {
@@ -242,13 +270,13 @@ impl Both<'_> {
         cells.any(|(cell, _)| self.liquid.active[cell])
     }
 
-    /// J v of the cells (m/s, over dx^2), 0 in inactive ones; and the same of magnitudes.
+    /// J v of the cells over dx^2, m/s, 0 in inactive cells; and the same with magnitudes.
     fn flux(&self, dx: f64, active: &[bool]) -> [Vec<f64>; 2] {
-        let velocity = &self.solids.velocity;
         let mut sums = [(); 2].map(|()| vec![0.0; active.len()]);
         for pair in self.clip.coupling().pairs() {
             if active[pair.cell] {
-                let (value, v) = (pair.value / (dx * dx), DVec3::from(velocity[pair.node]));
+                let value = pair.value / (dx * dx);
+                let v = DVec3::from(self.solids.velocity[pair.node]);
                 sums[0][pair.cell] += value.dot(v);
                 sums[1][pair.cell] += value.abs().dot(v.abs());
             }
@@ -256,20 +284,20 @@ impl Both<'_> {
         sums
     }
 
-    /// J v of what prescription, walls and obstacles hold of v, likewise.
-    fn flux_of_held(&self, dx: f64, active: &[bool]) -> Vec<f64> {
+    /// J v of the constrained part of v, likewise.
+    fn constrained_flux(&self, dx: f64, active: &[bool]) -> Vec<f64> {
         let mut sums = vec![0.0; active.len()];
         for pair in self.clip.coupling().pairs() {
             if active[pair.cell] {
                 let v = DVec3::from(self.solids.velocity[pair.node]);
-                let held = v - self.solids.freedom[pair.node].projector * v;
-                sums[pair.cell] += (pair.value / (dx * dx)).dot(held);
+                let constrained = v - self.solids.freedom[pair.node].projector * v;
+                sums[pair.cell] += (pair.value / (dx * dx)).dot(constrained);
             }
         }
         sums
     }
 
-    /// J^T p of the nodes, N, three numbers each, of a potential (m/s) times this many Pa; and the same of magnitudes.
+    /// J^T p of the nodes, N, three numbers each, and the same with magnitudes. `pascal`: pressure of a potential of 1 m/s, Pa.
     fn force(&self, pascal: f64) -> [Vec<f64>; 2] {
         let mut sums = [(); 2].map(|()| vec![0.0; 3 * self.solids.velocity.len()]);
         for pair in self.clip.coupling().pairs() {
@@ -285,12 +313,26 @@ impl Both<'_> {
     }
 }
 
-/// Largest relative error of a rounding to the scalar type, twice for f64, where it never matters.
+/// Largest relative rounding error of a scalar type.
 fn unit(real: Real) -> f64 {
     match real {
         Real::F32 => EPS,
+        // Twice that of f64: it is negligible.
         Real::F64 => f64::EPSILON,
     }
+}
+
+/// Values after rounding to f32.
+fn rounded_to_f32(values: &[f64]) -> Vec<f64> {
+    values
+        .iter()
+        .map(|&value| f64::from(value as f32))
+        .collect()
+}
+
+/// Largest value of a list of numbers that are not negative; 0 of none.
+fn largest(values: impl IntoIterator<Item = f64>) -> f64 {
+    values.into_iter().fold(0.0, f64::max)
 }
 
 #[cfg(test)]
@@ -300,11 +342,14 @@ mod tests {
 
     /// Rows with so many numbers compared, all equal, and so many excused.
     fn comparison(rows: &[(&'static str, u64, u64)]) -> Comparison {
-        let mut table = Table::default();
+        let mut table = Table {
+            stage: "forces",
+            ..Table::default()
+        };
         for &(quantity, count, excused) in rows {
             let numbers = (0..count).map(|_| (1.0, 1.0, 0.0, Place::Whole));
-            table.add(["forces", quantity, "m/s"], numbers);
-            table.row("forces", quantity, "m/s").excused = excused;
+            table.add([quantity, "m/s"], numbers);
+            table.row([quantity, "m/s"]).excused = excused;
         }
         Comparison {
             rows: table.rows,
@@ -345,7 +390,7 @@ mod tests {
 
     /// One is not hidden behind the other.
     #[test]
-    fn differences_and_excuses_are_both_told() {
+    fn differences_and_excuses_are_both_reported() {
         let mut both = comparison(&[("a", 10, 0), ("b", 10, 7)]);
         both.rows[0].worst = Some(Worst {
             gpu: f64::NAN,

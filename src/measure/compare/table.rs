@@ -1,4 +1,4 @@
-//! The rows of a comparison: per quantity the worst place of all sub-steps.
+//! Rows of a comparison: per quantity the worst place of all sub-steps.
 
 use std::fmt;
 
@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use crate::grid::{Axis, Grid};
 
-/// Where a number is.
+/// Place of a number.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Place {
     /// One number for all.
@@ -15,9 +15,9 @@ pub enum Place {
     Cell([usize; 3], DVec3),
     /// A face and its centre, m.
     Face(Axis, [usize; 3], DVec3),
-    /// A marker and where it started, m.
+    /// A marker and its start, m.
     Marker(usize, DVec3),
-    /// A node of a solid and where it is at rest, m.
+    /// A node of a solid and its position at rest, m.
     Node(usize, DVec3),
     /// An element of a solid.
     Element(usize),
@@ -54,23 +54,23 @@ impl fmt::Display for Place {
     }
 }
 
-/// A number of both paths: worst first by difference over bound.
+/// The same number on both paths.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Worst {
-    /// On the GPU.
+    /// Value on the GPU.
     pub gpu: f64,
-    /// In the twin.
+    /// Value of the twin.
     pub twin: f64,
-    /// What rounding explains.
+    /// Largest difference that rounding explains.
     pub bound: f64,
-    /// Where.
+    /// Its place.
     pub place: Place,
     /// Sub-step, from 0.
     pub step: u64,
 }
 
 impl Worst {
-    /// Difference over bound; above 1 is a breach. Infinite where a side or the bound is not finite.
+    /// Difference over bound; above 1 is a breach. Infinite if a value or the bound is not finite.
     pub fn ratio(&self) -> f64 {
         let difference = (self.gpu - self.twin).abs();
         if difference == 0.0 {
@@ -85,28 +85,28 @@ impl Worst {
 
 /// Share of a row's numbers that may be excused.
 ///
-/// A decision hangs on a rounding where a position lies within its error of a plane of the grid. A position of n cells is off by
-/// 3 n 2^-24 cells, so a marker lies that near to one of three planes with a probability of 18 n 2^-24: 1e-4 on 100 cells. The
-/// distance of a cell depends on some 216 markers, so 2 % of cells have such a marker. The cap allows for one in ten of these to be the nearest.
-/// Thirteen runs of the scenes that the tests compare excuse none.
+/// A decision depends on rounding where a position lies within its error of a plane of the grid. A position of n cells is off by 3 n 2^-24
+/// cells, so a marker lies that near to one of three planes with a probability of 18 n 2^-24: 1e-4 on 100 cells. The distance of a cell depends
+/// on some 216 markers, so 2 % of the cells have such a marker. The cap allows one in ten of these to be the nearest. Thirteen runs of the
+/// scenes that the tests compare excuse none.
 pub const MOST_EXCUSED: f64 = 2e-3;
 
 /// A quantity of a stage.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Row {
-    /// The stage, by its canonical noun.
+    /// Name of the stage.
     pub stage: &'static str,
-    /// What it makes.
+    /// Name of the quantity.
     pub quantity: &'static str,
     /// Its unit.
     pub unit: &'static str,
-    /// Numbers compared, in all sub-steps.
+    /// Numbers compared in all sub-steps.
     pub count: u64,
-    /// Numbers left out, because a decision hangs on a rounding and either outcome is right.
+    /// Numbers left out: a decision depends on rounding, and either outcome is right.
     pub excused: u64,
-    /// Largest difference anywhere.
+    /// Largest difference.
     pub largest: f64,
-    /// The one with the largest difference over bound.
+    /// Number with the largest difference over bound.
     pub worst: Option<Worst>,
     sum_of_squares: f64,
 }
@@ -117,26 +117,9 @@ pub(super) fn number(flag: bool) -> f64 {
 }
 
 impl Row {
-    fn new(stage: &'static str, quantity: &'static str, unit: &'static str) -> Row {
-        Row {
-            stage,
-            quantity,
-            unit,
-            count: 0,
-            excused: 0,
-            largest: 0.0,
-            worst: None,
-            sum_of_squares: 0.0,
-        }
-    }
-
-    /// Root of the mean square of the differences.
+    /// Root mean square of the differences.
     pub fn rms(&self) -> f64 {
-        if self.count == 0 {
-            0.0
-        } else {
-            (self.sum_of_squares / self.count as f64).sqrt()
-        }
+        (self.sum_of_squares / self.count.max(1) as f64).sqrt()
     }
 
     /// Largest difference over bound.
@@ -144,24 +127,24 @@ impl Row {
         self.worst.map_or(0.0, |worst| worst.ratio())
     }
 
-    /// Numbers that may be excused: [`MOST_EXCUSED`] of all, or one where that is less.
+    /// Largest allowed number of excused values: [`MOST_EXCUSED`] of all, at least one.
     pub fn most_excused(&self) -> u64 {
         let all = (self.count + self.excused) as f64;
         ((MOST_EXCUSED * all) as u64).max(1)
     }
 
-    /// Whether more is excused than may be, or nothing is left that was compared.
+    /// Whether too many numbers are excused, or none is left to compare.
     pub fn excuses_too_much(&self) -> bool {
         self.excused > self.most_excused() || (self.count == 0 && self.excused > 0)
     }
 
-    /// Whether a difference is larger than rounding explains, or too many are excused.
+    /// Whether rounding does not explain a difference, or too many numbers are excused.
     pub fn breached(&self) -> bool {
         self.ratio() > 1.0 || self.excuses_too_much()
     }
 
-    /// Takes a pair in.
-    pub(super) fn add(&mut self, pair: Worst) {
+    /// Adds a pair.
+    fn add(&mut self, pair: Worst) {
         let difference = (pair.gpu - pair.twin).abs();
         self.count += 1;
         self.sum_of_squares += difference * difference;
@@ -174,37 +157,44 @@ impl Row {
     }
 }
 
-/// The rows, in order of first appearance.
+/// Name of a quantity and its unit.
+pub(super) type Quantity = [&'static str; 2];
+
+/// Rows in order of first appearance.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Table {
     pub(super) rows: Vec<Row>,
+    /// Current sub-step.
     pub(super) step: u64,
+    /// Stage of new numbers.
+    pub(super) stage: &'static str,
 }
 
 impl Table {
-    /// A row, made when first asked for.
-    pub(super) fn row(
-        &mut self,
-        stage: &'static str,
-        quantity: &'static str,
-        unit: &'static str,
-    ) -> &mut Row {
+    /// Row of a quantity of the current stage.
+    pub(super) fn row(&mut self, [quantity, unit]: Quantity) -> &mut Row {
+        let stage = self.stage;
         let known = |row: &Row| row.stage == stage && row.quantity == quantity;
         let index = self.rows.iter().position(known).unwrap_or_else(|| {
-            self.rows.push(Row::new(stage, quantity, unit));
+            self.rows.push(Row {
+                stage,
+                quantity,
+                unit,
+                ..Row::default()
+            });
             self.rows.len() - 1
         });
         &mut self.rows[index]
     }
 
-    /// Takes (GPU, twin, bound, place) into a row.
+    /// Adds (GPU, twin, bound, place) to a row.
     pub(super) fn add(
         &mut self,
-        [stage, quantity, unit]: [&'static str; 3],
+        quantity: Quantity,
         pairs: impl IntoIterator<Item = (f64, f64, f64, Place)>,
     ) {
         let step = self.step;
-        let row = self.row(stage, quantity, unit);
+        let row = self.row(quantity);
         for (gpu, twin, bound, place) in pairs {
             row.add(Worst {
                 gpu,
@@ -216,42 +206,47 @@ impl Table {
         }
     }
 
-    /// Takes yes-or-no answers into a row: they must agree everywhere.
+    /// Adds flags to a row: they must agree everywhere.
     pub(super) fn add_flags(
         &mut self,
-        [stage, quantity]: [&'static str; 2],
+        quantity: &'static str,
         pairs: impl IntoIterator<Item = (bool, bool, Place)>,
     ) {
         let pairs = pairs
             .into_iter()
             .map(|(gpu, twin, place)| (number(gpu), number(twin), 0.0, place));
-        self.add([stage, quantity, "flag"], pairs);
+        self.add([quantity, "flag"], pairs);
     }
 
-    /// Takes one number of all: GPU, twin, bound.
-    pub(super) fn whole(&mut self, row: [&'static str; 3], gpu: f64, twin: f64, bound: f64) {
-        self.add(row, [(gpu, twin, bound, Place::Whole)]);
+    /// Excuses numbers of a row.
+    pub(super) fn excuse(&mut self, quantity: Quantity, count: usize) {
+        self.row(quantity).excused += count as u64;
     }
 
-    /// Takes the (GPU, twin, bound) of each cell that has them.
+    /// Adds one number without a place: GPU, twin, bound.
+    pub(super) fn whole(&mut self, quantity: Quantity, gpu: f64, twin: f64, bound: f64) {
+        self.add(quantity, [(gpu, twin, bound, Place::Whole)]);
+    }
+
+    /// Adds the (GPU, twin, bound) of each cell that has them.
     pub(super) fn cells(
         &mut self,
         grid: &Grid,
-        row: [&'static str; 3],
+        quantity: Quantity,
         numbers: impl Fn(usize) -> Option<(f64, f64, f64)>,
     ) {
         let cells = (0..grid.n_cells()).filter_map(|cell| {
             let (gpu, twin, bound) = numbers(cell)?;
             Some((gpu, twin, bound, Place::cell(grid, cell)))
         });
-        self.add(row, cells);
+        self.add(quantity, cells);
     }
 
-    /// Takes the (GPU, twin, bound) of each face that has them, by axis and index.
+    /// Adds the (GPU, twin, bound) of each face that has them, by axis and index.
     pub(super) fn faces(
         &mut self,
         grid: &Grid,
-        row: [&'static str; 3],
+        quantity: Quantity,
         numbers: impl Fn(usize, usize) -> Option<(f64, f64, f64)>,
     ) {
         for axis in Axis::ALL {
@@ -259,7 +254,23 @@ impl Table {
                 let (gpu, twin, bound) = numbers(axis.index(), face)?;
                 Some((gpu, twin, bound, Place::face(grid, axis, face)))
             });
-            self.add(row, faces);
+            self.add(quantity, faces);
         }
+    }
+
+    /// Adds a vector per node, with a bound per node and axis. `rest`: positions at rest, m.
+    pub(super) fn nodes(
+        &mut self,
+        rest: &[DVec3],
+        quantity: Quantity,
+        [gpu, twin]: [&[[f64; 3]]; 2],
+        bound: impl Fn(usize, usize) -> f64,
+    ) {
+        let components = (0..gpu.len()).flat_map(|node| (0..3).map(move |axis| (node, axis)));
+        let pairs = components.map(|(node, axis)| {
+            let place = Place::Node(node, rest[node]);
+            (gpu[node][axis], twin[node][axis], bound(node, axis), place)
+        });
+        self.add(quantity, pairs);
     }
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use serde_json::json;
 
 use super::super::stored;
-use super::{Options, Ran, System, files, no_system_of_both, on_cpu, on_gpu, pressure, solids};
+use super::{Options, SubStep, System, files, no_system_of_both, on_cpu, on_gpu, pressure, solids};
 use crate::Error;
 use crate::elastic::Solids;
 use crate::gpu::AdapterChoice;
@@ -17,37 +17,37 @@ use crate::scene::{CouplingScheme, Scene};
 use crate::sim::{Backend, solids_of};
 use crate::step::Stage;
 
-/// What is exported of a sub-step.
-struct Taken {
+/// Coupled system of a sub-step and its solution.
+struct Coupled {
     system: CoupledSystem,
     /// Pa.
     pressure: Vec<f64>,
     /// m/s
     velocity: Vec<[f64; 3]>,
     variables: StressVariables,
-    ran: Ran,
+    sub_step: SubStep,
 }
 
-/// A \[p; P v\] = rhs of thesis (5.25), P on what walls and obstacles leave, with the same problem in its other forms.
-pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), Error> {
+/// A \[p; P v\] = rhs of thesis (5.25), with the constraint projector P of walls and obstacles, and the same problem in its other forms.
+pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubStep), Error> {
     ensure_system(scene, options)?;
     let (density, all) = (pressure::density(scene)?, solids_of(scene)?);
-    let Taken {
+    let Coupled {
         system,
         pressure,
         velocity,
         variables,
-        ran,
+        sub_step,
     } = match &options.backend {
         Backend::Gpu(choice) => stored(scene, choice, options.step, density)?,
         Backend::Cpu => assembled(scene, options.step, &all)?,
     };
-    // What is held is on the other side.
+    // Constrained components are on the right-hand side.
     let mut x = pressure;
     x.extend(system.solid.free_part(&velocity));
     let blocks = system.blocks();
     let n_cells = blocks.cells.len();
-    // Where nothing fixes the level, the matrices put the cell with twice its diagonal at 0.
+    // In components without a pressure level, the matrices set the cell with twice its diagonal to 0.
     for component in system.level_free() {
         let level = x[component[0]];
         component.iter().for_each(|&cell| x[cell] -= level);
@@ -55,13 +55,10 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
     let solution = blocks.gather(&x);
     let components = blocks.components.iter();
     let minus_w: Vec<f64> = components.map(|&at| system.solid.rhs[at]).collect();
-    let e: Vec<f64> = blocks
-        .cells
-        .iter()
-        .map(|&cell| system.pressure.rhs[cell])
-        .collect();
+    let cells = blocks.cells.iter();
+    let e: Vec<f64> = cells.map(|&cell| system.pressure.rhs[cell]).collect();
     let w: Vec<f64> = minus_w.iter().map(|w| -w).collect();
-    let both = |of_v: &[f64]| e.iter().chain(of_v).copied().collect::<Vec<f64>>();
+    let both = |v: &[f64]| e.iter().chain(v).copied().collect::<Vec<f64>>();
     let (stress, stress_matrix) = variables.system(&blocks)?;
     let z1 = Csr::diagonal_of(&blocks.z1(SIGMA));
     let mut others = files! {
@@ -96,10 +93,10 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
             "nodes": all.rest.len(), "elements": all.elements.len(), "solids": solids::meta(&all),
         }),
     };
-    Ok((written, ran))
+    Ok((written, sub_step))
 }
 
-/// Refuses schemes of coupling without a system of both, or whose system the device does not keep with its blocks.
+/// Refuses coupling schemes without a coupled system, or whose blocks the device does not store.
 fn ensure_system(scene: &Scene, options: &Options) -> Result<(), Error> {
     let (problem, cure) = match (scene.solver.coupling, &options.backend) {
         (CouplingScheme::Weak, _) => (
@@ -120,31 +117,37 @@ fn ensure_system(scene: &Scene, options: &Options) -> Result<(), Error> {
 }
 
 /// The system of the f64 path.
-fn assembled(scene: &Scene, step: u64, all: &Solids) -> Result<Taken, Error> {
-    let ((system, pressure, velocity), ran, path) = on_cpu(scene, step, |of_step| match of_step {
-        StepSystem::Coupled(system, pressure, velocity) => {
-            Some((system.clone(), pressure.to_vec(), velocity.to_vec()))
-        }
-        StepSystem::Pressure(..) | StepSystem::Solid(..) => None,
-    })?;
+fn assembled(scene: &Scene, step: u64, all: &Solids) -> Result<Coupled, Error> {
+    let ((system, pressure, velocity), sub_step, path) =
+        on_cpu(scene, step, |system| match system {
+            StepSystem::Coupled(system, pressure, velocity) => {
+                Some((system.clone(), pressure.to_vec(), velocity.to_vec()))
+            }
+            StepSystem::Pressure(..) | StepSystem::Solid(..) => None,
+        })?;
     let pattern = Arc::new(BlockPattern::new(all));
     let deformations = solid_matrices(all, &pattern, &path.state().displacement).deformations;
-    Ok(Taken {
+    Ok(Coupled {
         system,
         pressure,
         velocity,
         variables: StressVariables::new(all, &deformations, |body| match scene.solver.coupling {
             CouplingScheme::DampingOnly => body.stiffness_damping,
-            CouplingScheme::Strong | CouplingScheme::Weak => body.zeta_stiffness(ran.dt),
+            CouplingScheme::Strong | CouplingScheme::Weak => body.zeta_stiffness(sub_step.dt),
         }),
-        ran,
+        sub_step,
     })
 }
 
-/// The system in the device's memory.
-fn stored(scene: &Scene, choice: &AdapterChoice, step: u64, density: f64) -> Result<Taken, Error> {
+/// The system stored on the device.
+fn stored(
+    scene: &Scene,
+    choice: &AdapterChoice,
+    step: u64,
+    density: f64,
+) -> Result<Coupled, Error> {
     let mut inflow = Vec::new();
-    let (taken, ran) = on_gpu(scene, choice, step, |stage, path, dt| {
+    let (value, sub_step) = on_gpu(scene, choice, step, |stage, path, dt| {
         if ![Stage::Solve, Stage::RightHandSide].contains(&stage) {
             return Ok(None);
         }
@@ -153,14 +156,14 @@ fn stored(scene: &Scene, choice: &AdapterChoice, step: u64, density: f64) -> Res
             unreachable!("the scene has liquid and solids");
         };
         if stage == Stage::RightHandSide {
-            // The solve takes from it what the solids take up.
+            // Read before the solve, which subtracts the flux of the solids.
             inflow.clone_from(&liquid.rhs);
             return Ok(None);
         }
         let stored = stored::system_of_both(path, &snapshot, &inflow, density, dt);
         let (system, all) = stored.ok_or_else(|| no_system_of_both(step))?;
         let pressure = stored::pressure(path, liquid, density, dt);
-        // As the device has it.
+        // The device stores it in f32.
         let dt = f64::from(dt as f32);
         let pattern = Arc::new(BlockPattern::new(&all));
         let mut deformations = solid_matrices(&all, &pattern, &solids.displacement).deformations;
@@ -170,12 +173,12 @@ fn stored(scene: &Scene, choice: &AdapterChoice, step: u64, density: f64) -> Res
         let variables = StressVariables::new(&all, &deformations, |body| body.zeta_stiffness(dt));
         Ok(Some((system, pressure, solids.velocity.clone(), variables)))
     })?;
-    let (system, pressure, velocity, variables) = taken;
-    Ok(Taken {
+    let (system, pressure, velocity, variables) = value;
+    Ok(Coupled {
         system,
         pressure,
         velocity,
         variables,
-        ran,
+        sub_step,
     })
 }

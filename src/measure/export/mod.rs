@@ -1,17 +1,16 @@
-//! `export`: the systems of one sub-step and their answers as Matrix Market files, for other solvers.
+//! `export`: the systems of one sub-step and their solutions as Matrix Market files, for other solvers.
 //!
 //! ```text
-//! DIR/spd.mtx       the matrix that was solved with: symmetric, positive definite but for components without a free surface
+//! DIR/spd.mtx       matrix of the solve: symmetric, positive definite except for enclosed liquid components
 //! DIR/spd_rhs.mtx   its right-hand side
-//! DIR/solution.mtx  the answer as the simulator found it
-//! DIR/meta.json     dt, dx and the like
+//! DIR/solution.mtx  solution of the simulator
+//! DIR/meta.json     dt, dx and other numbers
 //! ```
 //!
-//! With liquid the matrix is B of B p = E u* (design section 2) and cells.csv tells which cell each row is; with solids it is S of
-//! S v = rhs on the free components, nodes.csv tells which component of which node each row is, and M.mtx, K.mtx and S.mtx are the
-//! blocks with all components. Where both touch, spd.mtx is the matrix of the two fields of thesis (5.25), and the same problem is written
-//! as indefinite.mtx (5.17) and stress.mtx (5.3), each with its right-hand side, and as the blocks B, J, M, K, Z1 and Z2.
-//! On the GPU path the system is the one that the device stored, widened: the system of the step.
+//! With liquid the matrix is B of B p = E u*; cells.csv lists the cell of each row. With solids it is S of S v = rhs on the free components; nodes.csv
+//! lists the node and component of each row, and M.mtx, K.mtx and S.mtx are the blocks with all components. If liquid and solids touch, spd.mtx is
+//! the two-field matrix of thesis (5.25). The same problem is written as indefinite.mtx (5.17) and stress.mtx (5.3), each with its right-hand side,
+//! and as the blocks B, J, M, K, Z1 and Z2. On the GPU path the system is the one stored on the device, widened to f64.
 
 mod coupled;
 mod pressure;
@@ -31,10 +30,10 @@ use crate::output::{FolderLock, write_atomically};
 use crate::reference::{Reference, StepSystem};
 use crate::scene::Scene;
 use crate::sim::{Backend, GpuPath, reference_path};
-use crate::state::{SolveReport, SolveStatus, StepReport};
+use crate::state::{SolveStatus, StepReport};
 use crate::step::Stage;
 
-/// All that exports write, whatever the system; last what says of which system the others are.
+/// Files of all exports; the last one identifies an export.
 const FILES: [&str; 17] = [
     "spd.mtx",
     "spd_rhs.mtx",
@@ -55,14 +54,14 @@ const FILES: [&str; 17] = [
     "meta.json",
 ];
 
-/// What to export.
+/// Options of an export.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Where the simulation runs.
+    /// Backend of the simulation.
     pub backend: Backend,
-    /// Sub-step whose system it is, from 0 as in steps.csv.
+    /// Sub-step of the system, from 0 as in steps.csv.
     pub step: u64,
-    /// The folder; made if absent. An earlier export in it is replaced.
+    /// Folder, created if absent. An earlier export in it is replaced.
     pub out: PathBuf,
 }
 
@@ -89,28 +88,28 @@ pub struct Meta {
     pub dx: f64,
     /// Cells along x, y, z.
     pub cells: [usize; 3],
-    /// Numbers of liquid and solids: density (kg/m^3), closed_components (components without a free surface, each once singular), sigma, alpha,
-    /// active_cells, nodes, elements, solids.
+    /// Numbers of liquid and solids: density (kg/m^3), closed_components (enclosed liquid components, each once singular), sigma, alpha, active_cells,
+    /// nodes, elements, solids.
     #[serde(flatten)]
     pub part: Map<String, Value>,
-    /// Relative tolerance that the simulator solved to.
+    /// Relative tolerance of the simulator's solve.
     pub tolerance: f64,
-    /// How its solve ended.
+    /// Status of that solve.
     pub status: &'static str,
     /// Rows of the matrix.
     pub unknowns: usize,
     /// Entries of the matrix, both triangles.
     pub entries: usize,
-    /// ||b - A x|| / ||b|| of what was written.
+    /// ||b - A x|| / ||b|| of the written files.
     pub residual: f64,
 }
 
-/// A system of a sub-step with its answer, and the files beside it.
+/// A system of a sub-step with its solution and further files.
 struct System {
     matrix: Csr,
     rhs: Vec<f64>,
     solution: Vec<f64>,
-    /// What matrix, right-hand side and answer are, with units.
+    /// Comments of matrix, right-hand side and solution, with units.
     comments: [&'static str; 3],
     /// Names and texts of other files.
     others: Vec<(&'static str, String)>,
@@ -142,22 +141,22 @@ mod text {
     }
 }
 
-/// How a sub-step went.
-struct Ran {
+/// Result of a sub-step.
+struct SubStep {
     /// s
     dt: f64,
     report: StepReport,
     adapter: Option<String>,
 }
 
-/// Runs a scene to a sub-step and writes that sub-step's system, in place of an earlier export, which stays where there is none to write.
+/// Runs a scene to a sub-step and writes the system of that sub-step. An earlier export is replaced, but only if there is a system to write.
 ///
 /// # Errors
-/// [`Error::Input`] where the folder holds a run, or files that the export would replace and that are not of an earlier one, or where another
-/// process writes into it; whatever the simulation ends with, and [`Error::Output`].
+/// [`Error::Input`] if the folder contains a run, or files of the same names that are not of an earlier export, or if another process writes into it;
+/// errors of the simulation; [`Error::Output`].
 pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
     let out = &options.out;
-    // First, since the simulation can take long.
+    // Checked first, since the simulation may be long.
     ensure_replaceable(out)?;
     let (system, ran) = match (scene.liquid.is_some(), scene.solids.is_empty()) {
         (_, true) => pressure::system(scene, options)?,
@@ -166,13 +165,11 @@ pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
     };
     let status = status(&ran.report);
     if matches!(status, SolveStatus::Breakdown | SolveStatus::NonFinite) {
+        let ended = status.name();
         return Err(Error::Stage {
             stage: "solve",
             step: options.step,
-            problem: format!(
-                "the solve ended with {}: there is no system to write",
-                status.name()
-            ),
+            problem: format!("the solve ended with {ended}: there is no system to write"),
         });
     }
     let rhs_norm = norm(&system.rhs);
@@ -193,23 +190,23 @@ pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
         status: status.name(),
         unknowns: system.matrix.n_rows(),
         entries: system.matrix.n_entries(),
-        residual: if rhs_norm > 0.0 {
-            residual / rhs_norm
-        } else {
-            0.0
+        residual: match rhs_norm > 0.0 {
+            true => residual / rhs_norm,
+            false => 0.0,
         },
     };
-    let [of_matrix, of_rhs, of_solution] = system.comments;
-    let json = serde_json::to_string_pretty(&meta).expect("the record has no maps") + "\n";
+    let [matrix, rhs, solution] = system.comments;
+    let json =
+        serde_json::to_string_pretty(&meta).map_err(|problem| Error::output(out, problem))?;
     let mut files = vec![
-        ("spd.mtx", text::symmetric(&system.matrix, of_matrix)),
-        ("spd_rhs.mtx", text::vector(&system.rhs, of_rhs)),
-        ("solution.mtx", text::vector(&system.solution, of_solution)),
+        ("spd.mtx", text::symmetric(&system.matrix, matrix)),
+        ("spd_rhs.mtx", text::vector(&system.rhs, rhs)),
+        ("solution.mtx", text::vector(&system.solution, solution)),
     ];
     files.extend(system.others);
-    files.push(("meta.json", json));
-    let _held = FolderLock::take(out)?;
-    // Another process may have been here.
+    files.push(("meta.json", json + "\n"));
+    let _lock = FolderLock::take(out)?;
+    // Another process may have written meanwhile.
     ensure_replaceable(out)?;
     FILES.iter().try_for_each(|file| remove(&out.join(file)))?;
     for (name, text) in files {
@@ -218,7 +215,7 @@ pub fn export(scene: &Scene, options: &Options) -> Result<Meta, Error> {
     Ok(meta)
 }
 
-/// Refuses a folder that holds something else than an earlier export: nobody knows whose its files are.
+/// Refuses a folder with other contents than an earlier export: the owner of its files is unknown.
 fn ensure_replaceable(out: &Path) -> Result<(), Error> {
     let refused = |name: &str, problem: &str, cure: &str| {
         let what = out.join(name).display().to_string();
@@ -258,81 +255,76 @@ fn residual(system: &System) -> Vec<f64> {
     pairs.map(|(b, product)| b - product).collect()
 }
 
-/// How the one solve of a sub-step ended.
+/// Status of the first solve of a sub-step.
 fn status(report: &StepReport) -> SolveStatus {
-    let liquid = report.liquid.map(|liquid| liquid.solve);
-    let solid = report.solid.map(|solid| solid.solve);
-    let solve = liquid.or(solid);
-    solve.map_or(SolveStatus::Converged, |SolveReport { status, .. }| status)
+    let first = report.solves().next();
+    first.map_or(SolveStatus::Converged, |solve| solve.status)
 }
 
-/// Runs the GPU path to a sub-step and takes something off it after one of that sub-step's stages. `take`: given a stage that is over and
-/// the length of the sub-step, s; it answers at the solve at the latest.
+/// Runs the GPU path to a sub-step and reads a value back after one of its stages. `read`: called with each finished stage and the length of the
+/// sub-step, s; it returns the value at the solve at the latest.
 fn on_gpu<T>(
     scene: &Scene,
     choice: &AdapterChoice,
     step: u64,
-    mut take: impl FnMut(Stage, &GpuPath, f64) -> Result<Option<T>, Error>,
-) -> Result<(T, Ran), Error> {
+    mut read: impl FnMut(Stage, &GpuPath, f64) -> Result<Option<T>, Error>,
+) -> Result<(T, SubStep), Error> {
     let mut path = GpuPath::open(scene, choice)?;
     loop {
         let clock = path.clock();
         ensure_within(scene, step, (clock.step, clock.frame))?;
         let dt = path.next_time_step().dt;
-        let wanted = clock.step == step;
-        let mut taken = None;
+        let mut value = None;
         let report = path.step_observed(&mut |stage, path| {
-            if wanted && taken.is_none() {
-                taken = take(stage, path, dt)?;
+            if clock.step == step && value.is_none() {
+                value = read(stage, path, dt)?;
             }
             Ok(())
         })?;
-        if let Some(taken) = taken {
+        if let Some(value) = value {
             let adapter = Some(path.gpu().report().name.clone());
-            return Ok((
-                taken,
-                Ran {
-                    dt,
-                    report,
-                    adapter,
-                },
-            ));
+            let sub_step = SubStep {
+                dt,
+                report,
+                adapter,
+            };
+            return Ok((value, sub_step));
         }
     }
 }
 
-/// Runs the f64 path to a sub-step and takes its system; the path is left after it.
+/// Runs the f64 path to a sub-step and returns a value of its system, and the path after it.
 fn on_cpu<T>(
     scene: &Scene,
     step: u64,
-    mut take: impl FnMut(StepSystem) -> Option<T>,
-) -> Result<(T, Ran, Reference), Error> {
+    mut read: impl FnMut(StepSystem) -> Option<T>,
+) -> Result<(T, SubStep, Reference), Error> {
     let mut path = reference_path(scene)?;
     loop {
         ensure_within(scene, step, (path.state().step, path.state().frame))?;
         let time_step = path.next_time_step();
-        let wanted = path.state().step == step;
-        let mut taken = None;
+        let reached = path.state().step == step;
+        let mut value = None;
         let report = path.step_observed(time_step, &mut |system| {
-            if wanted && taken.is_none() {
-                taken = take(system);
+            if reached && value.is_none() {
+                value = read(system);
             }
         })?;
-        if let Some(taken) = taken {
-            let ran = Ran {
+        if let Some(value) = value {
+            let sub_step = SubStep {
                 dt: time_step.dt,
                 report,
                 adapter: None,
             };
-            return Ok((taken, ran, path));
+            return Ok((value, sub_step, path));
         }
-        if wanted {
+        if reached {
             return Err(no_system_of_both(step));
         }
     }
 }
 
-/// Refuses to go on to a sub-step when the frames of a scene are over, after so many sub-steps and frames.
+/// Refuses a sub-step beyond the frames of a scene, after so many sub-steps and frames.
 fn ensure_within(scene: &Scene, step: u64, (done, frame): (u64, u64)) -> Result<(), Error> {
     if frame < scene.n_frames() {
         return Ok(());
@@ -347,7 +339,7 @@ fn ensure_within(scene: &Scene, step: u64, (done, frame): (u64, u64)) -> Result<
     ))
 }
 
-/// Liquid and solids are solved apart in a sub-step.
+/// Error for a sub-step in which liquid and solids are solved separately.
 fn no_system_of_both(step: u64) -> Error {
     Error::input(
         format!("--step {step}"),

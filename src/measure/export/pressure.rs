@@ -3,7 +3,7 @@
 use serde_json::json;
 
 use super::super::stored;
-use super::{Options, Ran, System, on_cpu, on_gpu};
+use super::{Options, SubStep, System, on_cpu, on_gpu};
 use crate::Error;
 use crate::grid::Grid;
 use crate::reference::{PressureSystem, StepSystem};
@@ -12,28 +12,28 @@ use crate::sim::{Backend, GpuPath};
 use crate::step::Stage;
 
 /// B p = E u*.
-pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), Error> {
+pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubStep), Error> {
     let density = density(scene)?;
-    let ((system, pressure), ran) = match &options.backend {
+    let ((system, pressure), sub_step) = match &options.backend {
         Backend::Gpu(choice) => on_gpu(scene, choice, options.step, |stage, path, dt| {
-            let solved = || stored(path, density, dt);
-            (stage == Stage::Solve).then(solved).transpose()
+            let stored = || stored(path, density, dt);
+            (stage == Stage::Solve).then(stored).transpose()
         })?,
         Backend::Cpu => {
-            let (taken, ran, _) = on_cpu(scene, options.step, |of_step| match of_step {
+            let (value, sub_step, _) = on_cpu(scene, options.step, |system| match system {
                 StepSystem::Pressure(system, pressure) => Some((system.clone(), pressure.to_vec())),
                 StepSystem::Solid(..) | StepSystem::Coupled(..) => None,
             })?;
-            (taken, ran)
+            (value, sub_step)
         }
     };
     let grid = scene.grid();
     let cells = system.stencil.active_cells();
-    let of_active = |field: &[f64]| cells.iter().map(|&cell| field[cell]).collect::<Vec<f64>>();
+    let active = |field: &[f64]| cells.iter().map(|&cell| field[cell]).collect::<Vec<f64>>();
     let written = System {
         matrix: system.to_csr(),
-        rhs: of_active(&system.rhs),
-        solution: of_active(&pressure),
+        rhs: active(&system.rhs),
+        solution: active(&pressure),
         comments: [
             "B, m^3/s per Pa; cells.csv says which cell a row is",
             "E u*, m^3/s",
@@ -42,10 +42,10 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
         others: vec![("cells.csv", table(&grid, &cells))],
         part: json!({ "density": density, "closed_components": system.closed.len() }),
     };
-    Ok((written, ran))
+    Ok((written, sub_step))
 }
 
-/// A line per row: its cell and where that is.
+/// CSV with a line per row: its cell and the centre of it.
 pub(super) fn table(grid: &Grid, cells: &[usize]) -> String {
     let mut table = String::from("row,i,j,k,x,y,z\n");
     for (row, &cell) in cells.iter().enumerate() {
@@ -56,7 +56,7 @@ pub(super) fn table(grid: &Grid, cells: &[usize]) -> String {
     table
 }
 
-/// kg/m^3
+/// Density of the liquid, kg/m^3.
 pub(super) fn density(scene: &Scene) -> Result<f64, Error> {
     let liquid = scene.liquid.as_ref().ok_or_else(|| {
         Error::input(
@@ -68,10 +68,10 @@ pub(super) fn density(scene: &Scene) -> Result<f64, Error> {
     Ok(liquid.density)
 }
 
-/// The system in the device's memory, in SI units, and the pressure, Pa.
+/// The system stored on the device, in SI units, and the pressure, Pa.
 fn stored(path: &GpuPath, density: f64, dt: f64) -> Result<(PressureSystem, Vec<f64>), Error> {
     let snapshot = path.snapshot()?.liquid;
-    let snapshot = snapshot.expect("the scene's liquid was asked for its density");
+    let snapshot = snapshot.expect("the scene has liquid");
     let system = stored::pressure_system(path, &snapshot, density, dt);
     Ok((system, stored::pressure(path, &snapshot, density, dt)))
 }

@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use super::super::stored;
-use super::{Options, Ran, System, files, on_cpu, on_gpu};
+use super::{Options, SubStep, System, files, on_cpu, on_gpu};
 use crate::Error;
 use crate::elastic::{Body, Solids};
 use crate::reference::{SolidSystem, StepSystem};
@@ -11,21 +11,21 @@ use crate::scene::Scene;
 use crate::sim::{Backend, GpuPath, solids_of};
 use crate::step::Stage;
 
-/// P S P v = P rhs on the components that are not prescribed, P on what walls and obstacles leave, with M, K and S on all.
-pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), Error> {
+/// P S P v = P rhs on the components that are not prescribed, with the constraint projector P of walls and obstacles; M, K and S on all components.
+pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubStep), Error> {
     let solids = solids_of(scene)?;
-    let ((system, velocity), ran) = match &options.backend {
+    let ((system, velocity), sub_step) = match &options.backend {
         Backend::Gpu(choice) => on_gpu(scene, choice, options.step, |stage, path, dt| {
             (stage == Stage::Solve)
                 .then(|| stored(path, dt))
                 .transpose()
         })?,
         Backend::Cpu => {
-            let (taken, ran, _) = on_cpu(scene, options.step, |of_step| match of_step {
+            let (value, sub_step, _) = on_cpu(scene, options.step, |system| match system {
                 StepSystem::Solid(system, velocity) => Some((system.clone(), velocity.to_vec())),
                 StepSystem::Pressure(..) | StepSystem::Coupled(..) => None,
             })?;
-            (taken, ran)
+            (value, sub_step)
         }
     };
     let components = system.components();
@@ -53,22 +53,22 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, Ran), 
         others,
         part: json!({ "nodes": solids.rest.len(), "elements": solids.elements.len(), "solids": meta(&solids) }),
     };
-    Ok((written, ran))
+    Ok((written, sub_step))
 }
 
 /// Materials and sizes of the solids, in SI units.
 pub(super) fn meta(solids: &Solids) -> Vec<Value> {
-    let of = |body: &Body| {
+    let material = |body: &Body| {
         json!({
             "name": body.name, "density": body.density, "lambda": body.lambda, "mu": body.mu, "tau_m": body.mass_damping,
             "tau_k": body.stiffness_damping, "nodes": body.nodes.len(), "elements": body.elements.len(),
         })
     };
-    solids.bodies.iter().map(of).collect()
+    solids.bodies.iter().map(material).collect()
 }
 
-/// A line per node: its solid, where it rests, and the rows of spd.mtx that are its components, 0 for prescribed ones; `first` rows
-/// come before theirs.
+/// CSV with a line per node: its solid, its position at rest, and the rows of its components in spd.mtx, 0 for prescribed ones. `first`: number of rows
+/// before those of the nodes.
 pub(super) fn table(solids: &Solids, components: &[usize], first: usize) -> String {
     let mut rows = vec![0; 3 * solids.rest.len()];
     for (row, &component) in components.iter().enumerate() {
@@ -85,7 +85,7 @@ pub(super) fn table(solids: &Solids, components: &[usize], first: usize) -> Stri
     table
 }
 
-/// The system in the device's memory, and the velocities that it found, m/s.
+/// The system stored on the device, and its solution, m/s.
 fn stored(path: &GpuPath, dt: f64) -> Result<(SolidSystem, Vec<[f64; 3]>), Error> {
     let snapshot = path.snapshot()?.solids.expect("the scene has solids");
     let (system, _) = stored::solid_system(path, &snapshot, dt);

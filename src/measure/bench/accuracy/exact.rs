@@ -9,31 +9,31 @@ use crate::state::State;
 
 use crate::measure::plane_strain::{PlaneStrain, TABLE_6_5};
 
-/// Weight of the liquid of the problems with water, N/m^3.
+/// Weight of water, N/m^3.
 const WEIGHT: f64 = 1000.0 * 9.81;
-/// Depth of the pool, m: inside a cell, whatever the grid.
+/// Depth of the pool, m: inside a cell on any grid.
 const DEPTH: f64 = 0.613;
 /// Width and height of the dam, m.
 const DAM: f64 = 0.5;
-/// Errors count farther than this from the dam's foot, where the acceleration is infinite, m.
+/// Distance from the dam's foot within which errors do not count, m: the acceleration is infinite there.
 const FOOT: f64 = 0.125;
 
-/// A problem, known exactly.
+/// A problem with a known solution.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Exact {
     /// An elastic block at rest in a liquid, thesis section 6.4, table 6.5.
     Block,
     /// A pool at rest around a turned obstacle, its surface inside cells.
     Rest,
-    /// A column of water at the instant its dam is removed, Pohle 1950.
+    /// A column of water at the instant when its dam is removed, Pohle 1950.
     Dam,
 }
 
 impl Exact {
-    /// All of them.
+    /// All problems.
     pub const ALL: [Exact; 3] = [Exact::Block, Exact::Rest, Exact::Dam];
 
-    /// In the tables.
+    /// Name in tables.
     pub fn name(self) -> &'static str {
         match self {
             Exact::Block => "elastic_block",
@@ -42,7 +42,7 @@ impl Exact {
         }
     }
 
-    /// With so many cells along 1 m, a multiple of 10.
+    /// Its scene; `cells` along 1 m: a multiple of 10.
     ///
     /// # Errors
     /// When it is too large.
@@ -70,10 +70,10 @@ impl Exact {
         Ok(scene)
     }
 
-    /// How a scene of it starts.
+    /// Initial state of its scene.
     ///
     /// # Errors
-    /// What the f64 path says.
+    /// Errors of the f64 path.
     pub(super) fn state(self, scene: &Scene) -> Result<State, Error> {
         let mut state = reference_path(scene)?.state().clone();
         if self == Exact::Block {
@@ -82,7 +82,7 @@ impl Exact {
         Ok(state)
     }
 
-    /// Pressure at a point, Pa; none where errors do not count.
+    /// Exact pressure at a point, Pa; `None` where errors do not count.
     pub(super) fn pressure(self, x: DVec3) -> Option<f64> {
         match self {
             Exact::Block => Some(PlaneStrain::pressure(x.y)),
@@ -109,8 +109,8 @@ impl Exact {
     }
 }
 
-/// The pressure over rho g H at the instant a dam of width and height H is removed; `x` and `y` over H. The column is free on top and at
-/// x = 1; separation of variables, as in Stoker, Water Waves, 1957.
+/// Pressure over rho g H at the instant when a dam of width and height H is removed; `x` and `y` over H. The column is free at the top and at
+/// x = 1. Separation of variables: Stoker, Water Waves, 1957.
 pub fn dam_release(x: f64, y: f64) -> f64 {
     let term = |n: u32| {
         let k = (f64::from(n) + 0.5) * std::f64::consts::PI;

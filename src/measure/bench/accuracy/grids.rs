@@ -3,13 +3,15 @@
 use super::exact::Exact;
 use super::{EXACT, MOST_ITERATIONS, Options, ensure_truth};
 use crate::Error;
-use crate::measure::bench::ended::{Ended, precision_name};
-use crate::measure::bench::sub_step::{Done, Mask, density, reference_step, rest_errors, sub_step};
-use crate::measure::bench::table::{Row, row};
-use crate::measure::bench::{Run, rounds};
+use crate::measure::bench::ended::Ended;
+use crate::measure::bench::sub_step::{
+    Done, Mask, density, open_paths, reference_step, rest_errors, sub_step,
+};
+use crate::measure::bench::table::row;
+use crate::measure::bench::{Rows, Run, rounds};
 use crate::reference::larger;
 use crate::scene::{Precision, Scene, Solver};
-use crate::sim::{GpuPath, reference_path};
+use crate::sim::reference_path;
 use crate::state::SolveReport;
 
 /// Rows of a problem on a grid.
@@ -18,40 +20,29 @@ pub(super) fn measure(
     problem: Exact,
     grid: usize,
     options: &Options,
-) -> Result<Vec<(&'static str, Row)>, Error> {
+) -> Result<Rows, Error> {
     let solver = Solver {
         precision: Precision::F64,
         tolerance: EXACT,
         max_iterations: MOST_ITERATIONS,
         ..Solver::default()
     };
-    let mut scene = problem.scene(grid, solver)?;
+    let scene = problem.scene(grid, solver)?;
     let state = problem.state(&scene)?;
     let mut reference = reference_path(&scene)?;
     let exact = reference_step(&mut reference, &state)?;
     let what = format!("{}, {grid} cells along 1 m", problem.name());
-    ensure_truth(
-        &format!("{what}, the f64 path"),
-        state.step,
-        exact.report.solves(),
-    )?;
-    let mask = Mask::of(&reference);
-    let grid_errors = errors(problem, &scene, &mask, &exact);
-    let mut paths = Vec::new();
-    for &precision in &options.precisions {
-        scene.solver.precision = precision;
-        scene.solver.max_iterations = options.max_iterations;
-        match GpuPath::open(&scene, &options.adapter) {
-            Ok(mut path) => {
-                // Compiles.
-                path.set_tolerance(options.tolerances[0]);
-                sub_step(&mut path, &state, density(&scene))?;
-                paths.push((precision, path));
-            }
-            Err(Error::Limit { .. }) if precision == Precision::F64 => {}
-            Err(error) => return Err(error),
-        }
-    }
+    let solves = exact.report.solves();
+    ensure_truth(&format!("{what}, the f64 path"), state.step, solves)?;
+    let mask = Mask::new(&reference);
+    let [grid_p, grid_u] = errors(problem, &scene, &mask, &exact);
+    let solvers = options.precisions.iter().map(|&precision| Solver {
+        precision,
+        tolerance: options.tolerances[0],
+        max_iterations: options.max_iterations,
+        ..solver
+    });
+    let mut paths = open_paths(&scene, solvers, &state, &options.adapter)?;
     let n = options.tolerances.len();
     let timed = rounds(run, &format!("solves of {what}"), n * paths.len(), |job| {
         let path = &mut paths[job / n].1;
@@ -65,17 +56,17 @@ pub(super) fn measure(
         let solves: Vec<SolveReport> = done.report.solves().collect();
         let row = row! {
             problem: problem.name(), grid: grid, unknowns: solves[0].unknowns, solid_unknowns: solves.get(1).map_or(0, |solve| solve.unknowns),
-            precision: precision_name(paths[job / n].0), tolerance: tolerance, status: Ended::of_reports(&solves).name(tolerance),
-            // Both are solved together, and each report has all iterations.
-            iterations: solves[0].iterations, seconds: timed.spread(), error_p: error_p, grid_error_p: grid_errors[0],
-            error_u: problem.rests().then_some(error_u), grid_error_u: problem.rests().then_some(grid_errors[1]),
+            precision: paths[job / n].0, tolerance: tolerance, status: Ended::new(&solves).name(tolerance),
+            // Both are solved together: each report has the iterations of the coupled solve.
+            iterations: solves[0].iterations, seconds: timed.spread(), error_p: error_p, grid_error_p: grid_p,
+            error_u: problem.rests().then_some(error_u), grid_error_u: problem.rests().then_some(grid_u),
         };
         ("accuracy_grids", row)
     });
     Ok(rows.collect())
 }
 
-/// Errors of the pressure over the largest, and of speeds over g dt.
+/// Errors of the pressure over the largest pressure, and of speeds over g dt.
 fn errors(problem: Exact, scene: &Scene, mask: &Mask, done: &Done) -> [f64; 2] {
     let [p, v, u] = rest_errors(scene, mask, done, |x| problem.pressure(x));
     let fall = scene.domain.gravity.length() * scene.time.fixed_step.unwrap_or(0.0);

@@ -1,13 +1,13 @@
-//! States of scenes: every precision, preconditioner, form and tolerance from the same state.
+//! States of scenes: the same sub-step with every precision, preconditioner, form and tolerance.
 
 use super::{EXACT, MOST_ITERATIONS, Options, ensure_truth};
 use crate::Error;
 use crate::effects::Effects;
-use crate::measure::bench::ended::{Ended, precision_name, preconditioner_name};
+use crate::measure::bench::ended::Ended;
 use crate::measure::bench::statistics::Spread;
-use crate::measure::bench::sub_step::{Answer, Done, Mask, density, reference_step, sub_step};
+use crate::measure::bench::sub_step::{Done, Mask, Solution, density, reference_step, sub_step};
 use crate::measure::bench::table::{Row, row};
-use crate::measure::bench::{Run, rounds};
+use crate::measure::bench::{Rows, Run, rounds};
 use crate::measure::stored;
 use crate::reference::{Formulation as Form, SolidSolver, larger, solve, solve_coupled};
 use crate::scene::{Formulation, Precision, Preconditioner, Scene, Solver};
@@ -25,21 +25,21 @@ struct Case<'a> {
     dt: f64,
 }
 
-/// A device path with a solver.
-struct Way {
+/// A path of the device with a solver.
+struct Variant {
     solver: Solver,
     path: GpuPath,
-    /// Exact solution of the system that it stores, and its residual.
-    truth: (Answer, f64),
+    /// Exact solution of the stored system, and its residual.
+    truth: (Solution, f64),
 }
 
-/// Rows of a state. Its sub-steps are without volume control, which prescribes divergence.
+/// Rows of a state. The sub-steps have no volume control, which prescribes divergence.
 pub(super) fn measure(
     run: &mut Run,
     scene: &Scene,
     frame: u64,
     options: &Options,
-) -> Result<Vec<(&'static str, Row)>, Error> {
+) -> Result<Rows, Error> {
     let mut simulation = Simulation::new(scene, &Backend::Gpu(options.adapter.clone()))?;
     while simulation.clock().frame < frame {
         simulation.step()?;
@@ -51,16 +51,16 @@ pub(super) fn measure(
         liquid.volume_control = false;
     }
     let case = Case::new(&scene, state)?;
-    let (mut ways, mut refused) = (Vec::new(), None);
+    let (mut variants, mut refused) = (Vec::new(), None);
     for solver in solvers(&scene, options) {
-        match Way::new(&case, solver, options) {
-            Ok(way) => ways.push(way),
-            // The adapter has no f64, or solids are too large for the form.
+        match Variant::new(&case, solver, options) {
+            Ok(variant) => variants.push(variant),
+            // The adapter lacks f64, or the solids are too large for the form.
             Err(error @ Error::Limit { .. }) => refused = Some(error),
             Err(error) => return Err(error),
         }
     }
-    if ways.is_empty() {
+    if variants.is_empty() {
         let what = scene.file.display().to_string();
         let problem = "none of the precisions and preconditioners asked for can solve it";
         let cure =
@@ -69,15 +69,15 @@ pub(super) fn measure(
     }
     let n = options.tolerances.len();
     let what = format!("solves of {}, frame {frame}", scene.name);
-    let timed = rounds(run, &what, n * ways.len(), |job| {
-        let path = &mut ways[job / n].path;
+    let timed = rounds(run, &what, n * variants.len(), |job| {
+        let path = &mut variants[job / n].path;
         path.set_tolerance(options.tolerances[job % n]);
         let done = sub_step(path, state, density(&scene))?;
         Ok((done.seconds, done))
     })?;
     let rows = timed.into_iter().enumerate().map(|(job, timed)| {
         let row = case.row(
-            &ways[job / n],
+            &variants[job / n],
             options.tolerances[job % n],
             timed.spread(),
             &timed.outcome,
@@ -87,7 +87,7 @@ pub(super) fn measure(
     Ok(rows.collect())
 }
 
-/// Solvers that the scene can have, as a scene file can: block Jacobi in the two-field form alone, no condensed form in f32.
+/// Solvers that a scene file can select: block Jacobi only in the two-field form, no condensed form in f32.
 fn solvers(scene: &Scene, options: &Options) -> Vec<Solver> {
     let together = Effects::of(scene).coupling;
     let mut solvers = Vec::new();
@@ -97,19 +97,16 @@ fn solvers(scene: &Scene, options: &Options) -> Vec<Solver> {
                 let again = !together && formulation != options.formulations[0];
                 let condensed = together && formulation == Formulation::Condensed;
                 let blocks = preconditioner == Preconditioner::BlockJacobi;
-                if again
-                    || blocks && (condensed || !together)
-                    || condensed && precision == Precision::F32
-                {
+                let unknown = blocks && (condensed || !together);
+                if again || unknown || condensed && precision == Precision::F32 {
                     continue;
                 }
                 solvers.push(Solver {
                     precision,
                     preconditioner,
-                    formulation: if together {
-                        formulation
-                    } else {
-                        Formulation::Auto
+                    formulation: match together {
+                        true => formulation,
+                        false => Formulation::Auto,
                     },
                     max_iterations: options.max_iterations,
                     ..scene.solver
@@ -130,7 +127,7 @@ impl<'a> Case<'a> {
         reference.reset(state.clone())?;
         let dt = reference.next_time_step().dt;
         let exact = reference_step(&mut reference, state)?;
-        let mask = Mask::of(&reference);
+        let mask = Mask::new(&reference);
         let case = Case {
             scene,
             state,
@@ -142,17 +139,17 @@ impl<'a> Case<'a> {
         Ok(case)
     }
 
-    /// Refuses an exact solution that did not converge; `of`: its system.
+    /// Refuses an exact solution that did not converge.
     fn ensure_truth(
         &self,
-        of: &str,
+        system: &str,
         solves: impl IntoIterator<Item = SolveReport>,
     ) -> Result<(), Error> {
-        let what = format!("{}, frame {}, {of}", self.scene.name, self.state.frame);
+        let what = format!("{}, frame {}, {system}", self.scene.name, self.state.frame);
         ensure_truth(&what, self.state.step, solves)
     }
 
-    fn row(&self, way: &Way, tolerance: f64, seconds: Spread, done: &Done) -> Row {
+    fn row(&self, variant: &Variant, tolerance: f64, seconds: Spread, done: &Done) -> Row {
         let report = &done.report;
         let liquid = report.liquid.map(|liquid| (liquid.solve, liquid.diagnosis));
         let solves = [
@@ -162,37 +159,33 @@ impl<'a> Case<'a> {
         let touching = report.coupling.filter(|both| both.touching);
         let iterations = solves.map(|solve| solve.map_or(0, |solve| solve.iterations));
         let reports: Vec<SolveReport> = solves.into_iter().flatten().collect();
-        let cells = |exact: &[f64]| relative(&done.answer.pressure, exact, Some(&self.mask.cells));
-        let nodes = |exact: &[[f64; 3]]| {
-            relative(
-                done.answer.velocity.as_flattened(),
-                exact.as_flattened(),
-                None,
-            )
-        };
+        let Solution { pressure, velocity } = &done.solution;
+        let cells = |exact: &[f64]| relative(pressure, exact, Some(&self.mask.cells));
+        let nodes =
+            |exact: &[[f64; 3]]| relative(velocity.as_flattened(), exact.as_flattened(), None);
         let faces = |of: &[Vec<f64>; 3]| of.concat();
         let counts: Vec<bool> = self.mask.faces.concat();
         let fall = self.scene.domain.gravity.length() * self.dt;
         let speed = liquid.map_or(0.0, |(_, diagnosis)| diagnosis.max_speed);
-        let (truth, truth_residual) = &way.truth;
+        let (truth, truth_residual) = &variant.truth;
         row! {
             scene: self.scene.name.as_str(), frame: self.state.frame, cells: self.scene.grid().n_cells(),
             unknowns: solves[0].map_or(0, |solve| solve.unknowns), solid_unknowns: solves[1].map_or(0, |solve| solve.unknowns),
-            precision: precision_name(way.solver.precision), preconditioner: preconditioner_name(way.solver.preconditioner),
+            precision: variant.solver.precision, preconditioner: variant.solver.preconditioner,
             formulation: touching.map_or("apart", |both| if both.condensed { "condensed" } else { "two-field" }), tolerance: tolerance,
-            status: Ended::of_reports(&reports).name(tolerance),
-            // Where both are solved together each report has all iterations.
+            status: Ended::new(&reports).name(tolerance),
+            // In a coupled solve each report has all iterations.
             iterations: if touching.is_some() { iterations[0] } else { iterations.iter().sum() }, seconds: seconds,
             residual_p: solves[0].map_or(0.0, |solve| solve.residual), residual_v: solves[1].map_or(0.0, |solve| solve.residual),
-            error_p: cells(&truth.pressure), error_v: nodes(&truth.velocity), step_error_p: cells(&self.exact.answer.pressure),
-            step_error_v: nodes(&self.exact.answer.velocity),
+            error_p: cells(&truth.pressure), error_v: nodes(&truth.velocity), step_error_p: cells(&self.exact.solution.pressure),
+            step_error_v: nodes(&self.exact.solution.velocity),
             step_error_u: relative(&faces(&done.faces), &faces(&self.exact.faces), Some(&counts)), truth_residual: *truth_residual,
             divergence: liquid.map_or(0.0, |(_, diagnosis)| diagnosis.divergence), speed_over_g_dt: if fall > 0.0 { speed / fall } else { 0.0 },
         }
     }
 }
 
-/// Largest difference over the largest exact value, of those that count; 0 where there is no difference, NaN where a number is not one.
+/// Largest difference over the largest exact value, of the values that count; 0 without a difference, NaN if any value is.
 fn relative(found: &[f64], exact: &[f64], counts: Option<&[bool]>) -> f64 {
     let pairs = found.iter().zip(exact).enumerate();
     let pairs = pairs.filter(|(at, _)| counts.is_none_or(|counts| counts[*at]));
@@ -202,12 +195,12 @@ fn relative(found: &[f64], exact: &[f64], counts: Option<&[bool]>) -> f64 {
     if off == 0.0 { 0.0 } else { off / largest }
 }
 
-impl Way {
-    fn new(case: &Case, solver: Solver, options: &Options) -> Result<Way, Error> {
+impl Variant {
+    fn new(case: &Case, solver: Solver, options: &Options) -> Result<Variant, Error> {
         let mut scene = case.scene.clone();
         scene.solver = solver;
         let mut path = GpuPath::open(&scene, &options.adapter)?;
-        // Compiles, and has the system.
+        // Compiles, and stores the system.
         path.write_state(case.state)?;
         let (dt, density) = (path.next_time_step().dt, density(case.scene));
         let (mut inflow, mut truth) = (Vec::new(), None);
@@ -216,18 +209,16 @@ impl Way {
                 let liquid = path.snapshot()?.liquid;
                 inflow = liquid.map_or(Vec::new(), |liquid| liquid.rhs);
             } else if stage == Stage::Solve {
-                let (answer, solves) = solution(path, &path.snapshot()?, &inflow, density, dt)?;
+                let (exact, solves) = solution(path, &path.snapshot()?, &inflow, density, dt)?;
                 let residual = solves.iter().map(|solve| solve.residual).fold(0.0, larger);
-                case.ensure_truth(
-                    &format!("stored in {}", precision_name(solver.precision)),
-                    solves,
-                )?;
-                truth = Some((answer, residual));
+                let system = format!("stored in {}", solver.precision.name());
+                case.ensure_truth(&system, solves)?;
+                truth = Some((exact, residual));
             }
             Ok(())
         })?;
         let truth = truth.expect("every sub-step has a solve");
-        Ok(Way {
+        Ok(Variant {
             solver,
             path,
             truth,
@@ -235,14 +226,14 @@ impl Way {
     }
 }
 
-/// Exact solution of the system that a device stores, and the reports of its solves.
+/// Exact solution of the stored system, and the reports of its solves.
 fn solution(
     path: &GpuPath,
     snapshot: &Snapshot,
     inflow: &[f64],
     density: f64,
     dt: f64,
-) -> Result<(Answer, Vec<SolveReport>), Error> {
+) -> Result<(Solution, Vec<SolveReport>), Error> {
     let settings = Solver {
         tolerance: EXACT,
         max_iterations: MOST_ITERATIONS,
@@ -252,13 +243,13 @@ fn solution(
     if let Some((system, all)) = stored::system_of_both(path, snapshot, inflow, density, dt) {
         let solver = SolidSolver::new(&all);
         let found = solve_coupled(&system, Form::of(&system), &solver, &all, &settings)?;
-        let answer = Answer {
+        let exact = Solution {
             pressure: found.pressure,
             velocity: found.velocity,
         };
-        return Ok((answer, found.reports.into()));
+        return Ok((exact, found.reports.into()));
     }
-    let mut answer = Answer {
+    let mut exact = Solution {
         pressure: Vec::new(),
         velocity: Vec::new(),
     };
@@ -266,14 +257,14 @@ fn solution(
     if let Some(liquid) = &snapshot.liquid {
         let system = stored::pressure_system(path, liquid, density, dt);
         let (pressure, report) = solve(&system, &settings)?;
-        answer.pressure = pressure;
+        exact.pressure = pressure;
         solves.push(report);
     }
     if let Some(solids) = &snapshot.solids {
         let (system, all) = stored::solid_system(path, solids, dt);
         let (velocity, report) = SolidSolver::new(&all).solve_direct(&system, &settings)?;
-        answer.velocity = velocity;
+        exact.velocity = velocity;
         solves.push(report);
     }
-    Ok((answer, solves))
+    Ok((exact, solves))
 }

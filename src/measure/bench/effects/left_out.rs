@@ -1,23 +1,23 @@
-//! The effects that can be left out of a scene, and how.
+//! Effects that can be removed from a scene.
 
 use crate::effects::Effects;
 use crate::grid::Sides;
 use crate::scene::{ElasticModel, Liquid, PatchPressure, ProbeKind, Scene, Solid, Surface};
 
-/// An effect that can be left out.
+/// An effect that can be removed.
 #[derive(Clone, Copy, Debug)]
 pub struct Effect {
     /// Name, as in [`Effects`].
     pub name: &'static str,
     /// Whether a scene has it.
     pub present: fn(&Effects) -> bool,
-    /// Takes it away, and what depends on it.
+    /// Removes it and its dependents.
     pub without: fn(&mut Scene),
 }
 
 macro_rules! effects {
     ($($name:ident: $without:expr;)*) => {
-        /// Effects that can be left out, in the order of [`Effects`].
+        /// Effects that can be removed, in the order of [`Effects`].
         pub const EFFECTS: &[Effect] = &[$(Effect {
             name: stringify!($name),
             present: |effects| effects.$name,
@@ -50,7 +50,7 @@ effects! {
     scripts: |scene| change_solids(scene, |solid| solid.pins.retain(|pin| pin.keyframes.is_empty()));
     loads: |scene| change_solids(scene, |solid| solid.loads.clear());
     obstacles: |scene| scene.obstacles.clear();
-    // They rest at their first position. Without liquid nothing sees motion, and solids would see what rests.
+    // They rest at their first position. Only liquid responds to their motion; solids respond to obstacles at rest only.
     moving_obstacles: |scene| if scene.liquid.is_some() {
         scene.obstacles.iter_mut().for_each(|obstacle| obstacle.motion = None);
     };
@@ -58,7 +58,7 @@ effects! {
     probes: |scene| scene.probes.clear();
 }
 
-/// Changes the liquid and leaves volume control out.
+/// Changes the liquid and removes volume control.
 fn change_liquid(scene: &mut Scene, change: fn(&mut Liquid)) {
     if let Some(liquid) = &mut scene.liquid {
         change(liquid);
@@ -66,7 +66,7 @@ fn change_liquid(scene: &mut Scene, change: fn(&mut Liquid)) {
     }
 }
 
-/// Takes away sources, sinks and open sides, which need markers.
+/// Removes sources, sinks and open sides, which need markers.
 fn close(scene: &mut Scene) {
     (scene.sources, scene.sinks) = (Vec::new(), Vec::new());
     scene.domain.open = Sides::default();

@@ -1,42 +1,42 @@
 //! Pairs of sub-steps from the same state, and the significance of their differences.
 //!
-//! No distribution of the seconds is assumed: the ends of an interval are two of the differences, by their order, and the probability that it
-//! misses the true median is that of tosses of a coin (sign test; Conover, Practical Nonparametric Statistics, sections 3.2 and 3.4).
+//! The sign test assumes no distribution of the seconds: the ends of an interval are order statistics of the differences, and the probability that it
+//! misses the true median is binomial (Conover, Practical Nonparametric Statistics, sections 3.2 and 3.4).
 
 use super::super::statistics::Spread;
 
-/// Seconds are more with an effect.
+/// More seconds with the effect.
 pub const ADDS: &str = "adds";
-/// They are less.
+/// Fewer seconds with the effect.
 const SAVES: &str = "saves";
-/// Two paths of one scene differ by as much.
+/// A difference as between two paths of the same scene.
 pub const NOTHING: &str = "not told apart from nothing";
-/// There is no interval.
+/// No interval.
 const TOO_FEW: &str = "too few pairs";
-/// Probability that an interval misses the median, at most.
+/// Largest probability that an interval misses the median.
 const MISS: f64 = 0.05;
 
-/// A timed sub-step.
+/// Cost of a sub-step.
 #[derive(Clone, Copy, Debug, Default)]
-pub struct Taken {
-    /// s
+pub struct Cost {
+    /// Wall-clock seconds.
     pub seconds: f64,
-    /// Outside of the solve.
+    /// Dispatches outside the solve.
     pub dispatches: usize,
-    /// In the solve.
+    /// Dispatches in the solve.
     pub solve_dispatches: usize,
 }
 
 /// Two sub-steps from the same state: with an effect, and without.
-pub type Pair = [Taken; 2];
+pub type Pair = [Cost; 2];
 
-/// The scene against two parts of it, each paired with it: the mean of its two times, the sum of the parts'.
+/// Pair of the scene and two parts of it, from a pair with each part: the mean of the scene's costs, and the sum of the parts' costs.
 pub fn against_both([with, a]: Pair, [again, b]: Pair) -> Pair {
-    let whole = Taken {
+    let whole = Cost {
         seconds: 0.5 * (with.seconds + again.seconds),
         ..with
     };
-    let parts = Taken {
+    let parts = Cost {
         seconds: a.seconds + b.seconds,
         dispatches: a.dispatches + b.dispatches,
         solve_dispatches: a.solve_dispatches + b.solve_dispatches,
@@ -44,10 +44,10 @@ pub fn against_both([with, a]: Pair, [again, b]: Pair) -> Pair {
     [whole, parts]
 }
 
-/// Seconds that each pair has more with the effect.
+/// Seconds that the effect adds in each pair.
 pub fn added(pairs: &[Pair]) -> Vec<f64> {
+    let pairs = pairs.iter();
     pairs
-        .iter()
         .map(|[with, without]| with.seconds - without.seconds)
         .collect()
 }
@@ -57,8 +57,8 @@ pub(super) fn median(pairs: &[Pair], side: usize) -> f64 {
     Spread::of(pairs.iter().map(|pair| pair[side].seconds).collect()).median
 }
 
-/// Median of the differences of a count; of an even number of pairs the lower of the two in the middle.
-pub fn middle(pairs: &[Pair], count: impl Fn(&Taken) -> usize) -> i64 {
+/// Median of the differences of a count; for an even number of pairs the lower of the two in the middle.
+pub fn middle(pairs: &[Pair], count: impl Fn(&Cost) -> usize) -> i64 {
     let added = pairs
         .iter()
         .map(|[with, without]| count(with) as i64 - count(without) as i64);
@@ -67,17 +67,15 @@ pub fn middle(pairs: &[Pair], count: impl Fn(&Taken) -> usize) -> i64 {
     added[(added.len() - 1) / 2]
 }
 
-/// Pairs with different numbers of dispatches outside of the solve.
+/// Number of pairs with different dispatches outside the solve.
 pub fn differing(pairs: &[Pair]) -> usize {
-    pairs
-        .iter()
-        .filter(|[with, without]| with.dispatches != without.dispatches)
-        .count()
+    let differ = |[with, without]: &&Pair| with.dispatches != without.dispatches;
+    pairs.iter().filter(differ).count()
 }
 
-/// Probability that of `n` tosses of a coin at most `k` are heads.
+/// Probability of at most `k` heads in `n` tosses of a coin.
 pub fn at_most(k: usize, n: usize) -> f64 {
-    // By logarithms, as 2^-n of very many pairs underflows.
+    // Logarithms, as 2^-n underflows for large n.
     let (mut ln_ways, mut chance) = (0.0, 0.0);
     for heads in 0..=k.min(n) {
         chance += f64::exp(ln_ways - n as f64 * std::f64::consts::LN_2);
@@ -95,14 +93,14 @@ pub fn interval(mut values: Vec<f64>) -> Option<[f64; 2]> {
     Some([values[k], values[n - 1 - k]])
 }
 
-/// Seconds, of either sign, by which a scene may differ from itself: the farther end of the interval.
+/// Difference in seconds of a scene from itself: the larger magnitude of the ends of the interval.
 pub(super) fn noise(itself: &[Pair]) -> Option<f64> {
     let [low, high] = interval(added(itself))?;
     Some(low.abs().max(high.abs()))
 }
 
-/// Verdict on an interval around a median, beside the difference of a scene from itself.
-pub fn told(interval: Option<[f64; 2]>, median: f64, noise: Option<f64>) -> &'static str {
+/// Verdict on an interval around a median, given the difference of a scene from itself.
+pub fn verdict(interval: Option<[f64; 2]>, median: f64, noise: Option<f64>) -> &'static str {
     let (Some([low, high]), Some(noise)) = (interval, noise) else {
         return TOO_FEW;
     };

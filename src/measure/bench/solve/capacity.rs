@@ -9,23 +9,23 @@ use crate::sim::{HostMemory, free_memory};
 use crate::solver::PressureSolver;
 use crate::stages::{Components, PressureSystem, Within};
 
-/// Cells along an edge of the base block: 2^30 in all at most, as of a scene.
+/// Largest number of cells along an edge of the base block: 2^30 in all, as in a scene.
 pub const LARGEST_GRID: usize = 1024;
-/// The largest grid is looked for in multiples of it.
+/// The search for the largest grid uses multiples of it.
 const STEP: usize = 10;
 
-/// Bytes per cell that the host holds at the least while the device is set up, in f64: 7 numbers of the block (open fractions, velocities,
-/// distance), twice with a beam, 11 of what the beam leaves of the faces, 7 of stencil and right-hand sides, 5 of the state, 2 of what is uploaded.
+/// Least bytes per cell on the host during the set-up of the device, in f64: 7 numbers of the block (apertures, velocities, distance), twice with a
+/// beam, 11 of clipping, 7 of stencil and right-hand sides, 5 of the state, 2 of uploads.
 pub const PER_CELL: u64 = 8 * (14 + 11 + 7 + 5 + 2);
 
-/// Cells along an edge of the largest base block that the adapter and this machine have room for, whichever of these solvers solves it: a
-/// multiple of 10. Solvers on the CPU come on top.
+/// Cells along an edge of the largest base block that fits on the adapter and this machine with any of these solvers: a multiple of 10. Memory of solvers on
+/// the CPU is not included.
 ///
 /// # Errors
-/// [`Error::Limit`] and [`Error::Memory`] where there is no room for 10 cells.
+/// [`Error::Limit`] and [`Error::Memory`] if 10 cells do not fit.
 pub fn largest_grid(adapter: &AdapterReport, solvers: &[Solver]) -> Result<usize, Error> {
     let mut capacity = Capacity::new(adapter);
-    // It is asked for again when the bench begins; what else runs may take some until then.
+    // The bench checks again when it begins; other programs may use some memory until then.
     capacity.memory = capacity.memory / 10 * 9;
     capacity.check(STEP, solvers)?;
     Ok(capacity.largest(solvers).unwrap_or(STEP))
@@ -47,7 +47,7 @@ impl<'a> Capacity<'a> {
         Capacity { adapter, memory }
     }
 
-    /// Refuses a grid that is too large; the cure names the largest that is not.
+    /// Refuses a grid that is too large; the cure names the largest that fits.
     ///
     /// # Errors
     /// [`Error::Limit`], [`Error::Memory`].
@@ -62,7 +62,7 @@ impl<'a> Capacity<'a> {
         checked
     }
 
-    /// Cells along an edge of the largest block with room.
+    /// Cells along an edge of the largest block that fits.
     pub fn largest(self, solvers: &[Solver]) -> Option<usize> {
         let mut grids = (1..=LARGEST_GRID / STEP).rev().map(|n| n * STEP);
         grids.find(|&grid| self.fits(grid, solvers).is_ok())
@@ -84,7 +84,7 @@ impl<'a> Capacity<'a> {
     }
 }
 
-/// Everything that a bench of the pressure allocates on an adapter.
+/// All buffers of a bench of the pressure on an adapter.
 fn buffers(
     grid: usize,
     solver: &Solver,

@@ -1,4 +1,4 @@
-//! Reference solvers on the CPU, in f64, of the systems that the f64 path assembles, each to the residuals that the device has to reach.
+//! Reference solvers on the CPU in f64, for the systems of the f64 path, to the tolerance of the device.
 
 use crate::Error;
 use crate::elastic::Solids;
@@ -12,11 +12,11 @@ use crate::reference::{
 use crate::scene::Solver;
 use crate::state::SolveReport;
 
-/// Reduction of (5.25) before the residuals of (5.17) are evaluated: pressures have little part in its own.
+/// Residual reduction of (5.25) before the residuals of (5.17) are evaluated: pressures contribute little to its own.
 const FIRST_JUDGEMENT: f64 = 1e-6;
-/// Inner tolerance of later refinement steps, as a share of the lacking reduction, for the same reason.
+/// Inner tolerance of later refinement steps, as a share of the remaining reduction, for the same reason.
 const LATER_ROUNDS: f64 = 0.01;
-/// Largest ratio of two consecutive evaluations; above it the recurrence has lost the true residual, and the next refinement step begins.
+/// Largest ratio of two consecutive evaluations. Above it the recurrence has lost the true residual, and the next refinement step begins.
 const STAGNATION: f64 = 0.5;
 
 /// A solver on the CPU.
@@ -24,9 +24,9 @@ const STAGNATION: f64 = 0.5;
 pub enum ReferenceSolver {
     /// Conjugate gradients with an incomplete Cholesky factor without fill, natural order.
     IncompleteCholesky,
-    /// A sparse Cholesky factor, in the order of approximate minimum degree, by faer on all cores.
+    /// A sparse Cholesky factor in approximate minimum degree order, by faer on all cores.
     Cholesky,
-    /// The f64 path's own: conjugate gradients with a V-cycle for pressures, of liquid and solids in the condensed form.
+    /// Solver of the f64 path: conjugate gradients with a V-cycle for pressures, the Schur-complement form with solids.
     Multigrid,
 }
 
@@ -41,17 +41,17 @@ impl ReferenceSolver {
     }
 }
 
-/// An assembled system: B, and with solids S and J. Factors and hierarchies count as the solver's own time.
+/// An assembled system: B, and with solids S and J. The time of a solver includes its factors and hierarchies.
 #[derive(Clone, Copy)]
 pub enum Assembled<'a> {
-    /// Of the pressure.
+    /// Pressure alone.
     Pressure(&'a PressureSystem),
-    /// Of liquid and solids.
+    /// Liquid and solids.
     Both(&'a CoupledSystem, &'a Solids),
 }
 
 impl<'a> Assembled<'a> {
-    /// Unknowns of the pressure.
+    /// Number of pressure unknowns.
     pub(super) fn n_pressures(self) -> usize {
         match self {
             Assembled::Pressure(system) => system.n_unknowns(),
@@ -73,16 +73,16 @@ impl<'a> Assembled<'a> {
         }
     }
 
-    /// Solves: reports of the pressures' rows and, with solids, of the velocities'; `None` where there is no incomplete factor.
+    /// Solves the system. Reports of the rows of pressures and, with solids, of velocities; `None` without an incomplete factor.
     ///
     /// # Errors
-    /// When a factor does not fit into memory, or the matrix has none in f64.
+    /// When a factor does not fit into memory, or does not exist in f64.
     pub fn solve(
         self,
-        rival: ReferenceSolver,
+        solver: ReferenceSolver,
         settings: &Solver,
     ) -> Result<Option<Vec<SolveReport>>, Error> {
-        match (rival, self) {
+        match (solver, self) {
             (ReferenceSolver::Multigrid, Assembled::Pressure(system)) => {
                 Ok(Some(vec![solve_iterative(system, settings).1]))
             }
@@ -111,7 +111,7 @@ impl<'a> Assembled<'a> {
     }
 }
 
-/// Positive definite system to solve instead of the one whose residuals count: B itself, or thesis (5.25) for (5.17).
+/// Positive definite system of the solve: B, or thesis (5.25) in place of (5.17), whose residuals count.
 pub(super) enum Definite<'a> {
     Pressure {
         system: &'a PressureSystem,
@@ -145,13 +145,13 @@ impl Definite<'_> {
         self.refined(settings, |x, tolerance, most| {
             let rhs = x.clone();
             let is_first = std::mem::replace(&mut first, false);
-            let asked = match (self, is_first) {
+            let inner = match (self, is_first) {
                 (Definite::Pressure { .. }, _) => tolerance,
                 (Definite::Both { .. }, true) => tolerance.min(FIRST_JUDGEMENT),
                 (Definite::Both { .. }, false) => LATER_ROUNDS * tolerance,
             };
             let mut before = 0.0;
-            let judge = |x: &[f64]| {
+            let evaluate = |x: &[f64]| {
                 if !is_first {
                     return None;
                 }
@@ -160,13 +160,20 @@ impl Definite<'_> {
                 gains.then_some(left)
             };
             let most = most as usize;
-            let report =
-                conjugate_gradient_with_test(matrix, preconditioner, &rhs, x, asked, most, judge);
+            let report = conjugate_gradient_with_test(
+                matrix,
+                preconditioner,
+                &rhs,
+                x,
+                inner,
+                most,
+                evaluate,
+            );
             (report.iterations as u32, report.end)
         })
     }
 
-    /// Part of the residual reduction that a solution still lacks; `None` where it passes.
+    /// Remaining part of the residual reduction; `None` once the residual passes.
     fn part_left(&self, unknowns: &[f64], tolerance: f64) -> Option<f64> {
         let x = |rhs: &[f64]| self.scatter(unknowns, rhs.len());
         match self {

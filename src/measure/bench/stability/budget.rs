@@ -1,16 +1,15 @@
 //! Bounds of energies and speeds of a run in which only gravity does work: no case has an inflow or a scripted part.
 //!
-//! - Total energy: that of the start, and the gain of the marker update. Liquid at rest has most of it, so a light solid can gain many times its
-//!   own unseen.
-//! - Energy of motion and strain, kinetic and elastic: what there was of it at the start and what gravity can release, potential energy at the
-//!   start less the least that there can be: all solids on the floor, and the markers, eight to a cell, below them as if nothing were in their
-//!   way; and that of a step in the surface by half a cell, which markers do not tell from a level one. A pool at rest can release
-//!   next to nothing. Markers that wander, which potential energy sees, do not count here.
-//! - Speeds: v^2 = v_0^2 + 2 g H + 2 W / m, of the fastest at the start, a fall through the domain's height H and the strain energy W of the start
-//!   in each kg of the solids, and g dt more. Solids may have [`OF_SOLIDS`] times that, liquid [`OF_LIQUID`] times.
+//! - Total energy: that of the start and the gain of the marker update. Most of it is in the liquid at rest, so this bound does not see a light solid
+//!   gain many times its own energy.
+//! - Energy of motion and strain: kinetic and elastic energy of the start, and the potential energy that gravity can release. The least potential
+//!   energy has all solids on the floor, and the markers, eight to a cell, below them without obstruction. A step of half a cell in the surface adds to
+//!   the release: markers do not resolve it. A pool at rest can release next to nothing.
+//! - Speeds: v + g dt with v^2 = v_0^2 + 2 g H + 2 W / m: the largest speed at the start, a fall through the height H of the domain, and the strain
+//!   energy W of the start per mass m of the solids. Factors: [`SOLID_FACTOR`], [`LIQUID_FACTOR`].
 //!
-//! Gain of the marker update: markers fall with the velocities of before, and gain g v dt / 2 per kg, g dt / 2 times their momentum. The momentum of a
-//! mass m with the kinetic energy K is sqrt(2 K m) at most.
+//! Gain of the marker update: markers fall with the velocities of the sub-step before and gain g v dt / 2 per kg, g dt / 2 times their momentum. The
+//! momentum of a mass m with the kinetic energy K is at most sqrt(2 K m).
 
 use glam::DVec3;
 
@@ -20,17 +19,16 @@ use crate::reference::max_speed;
 use crate::scene::Scene;
 use crate::state::{SolidDiagnosis, State};
 
-/// Energy over its bound, at most: a tenth for the errors of the sums.
+/// Largest energy over that of the start: a tenth for the errors of the sums.
 pub const MOST_ENERGY: f64 = 1.1;
-/// Liquid that sets out with a speed takes a ball along with 3 rho / (2 rho_s + rho) of it, three times where the ball weighs nothing. A wave doubles
-/// the speed of a free end, and a blow by what is heavier that of what is light.
-const OF_SOLIDS: f64 = 3.0;
-/// Jets are faster than what makes them: a body that comes down on a film of a length L and thickness h squeezes it out at L / (2 h) times its
-/// speed, eight times where a block of four cells is a quarter of a cell above the floor. Nothing that is thinner keeps speed: its
-/// pressure, which goes with the square, stops the body.
-const OF_LIQUID: f64 = 10.0;
+/// Liquid accelerates a ball to 3 rho / (2 rho_s + rho) of its own speed, three times for a weightless ball. A wave doubles the speed of a free end, and
+/// a heavy body that of a light one.
+const SOLID_FACTOR: f64 = 3.0;
+/// A body that descends on a film of length L and thickness h squeezes it out at L / (2 h) times its speed: eight times for a block of four cells a
+/// quarter of a cell above the floor. The pressure of a thinner film, which grows with the square, stops the body.
+const LIQUID_FACTOR: f64 = 10.0;
 
-/// Of a cell full of liquid.
+/// Markers of a full cell.
 const MARKERS: f64 = 8.0;
 
 /// Energies and speeds of a state.
@@ -42,11 +40,11 @@ pub struct Moment {
     pub solid_kinetic: f64,
     /// J
     pub elastic: f64,
-    /// J, from the corner of the domain where gravity would take everything.
+    /// J, from the lowest corner of the domain.
     pub potential: f64,
-    /// Of a node, a component, m/s.
+    /// Largest component of a node's velocity, m/s.
     pub solid_speed: f64,
-    /// Of a face, m/s.
+    /// Largest face velocity, m/s.
     pub liquid_speed: f64,
 }
 
@@ -72,21 +70,21 @@ impl Moment {
 pub struct Budget {
     grid: Grid,
     gravity: DVec3,
-    /// Of a marker, kg.
+    /// Mass of a marker, kg.
     marker: f64,
-    /// Of the solids, kg.
+    /// Mass of the solids, kg.
     solids: f64,
-    /// Of liquid and solids, kg.
+    /// Mass of liquid and solids, kg.
     mass: f64,
-    /// Potential energy of a kg where gravity would take it, J.
+    /// Potential energy per kg in the lowest corner of the domain, J.
     lowest: f64,
-    /// Of the domain, along gravity, m.
+    /// Height of the domain along gravity, m.
     height: f64,
-    /// Of the start, J.
+    /// Energy of the start, J.
     pub energy: f64,
-    /// Energy of motion and strain of the start, and what gravity can add, J.
+    /// Energy of motion and strain of the start, and the energy that gravity can add, J.
     available: f64,
-    /// Speed of the fastest after a fall through the domain, m/s.
+    /// Largest speed after a fall through the domain, m/s.
     fall: f64,
 }
 
@@ -96,14 +94,13 @@ impl Budget {
         let density = scene.liquid.as_ref().map_or(0.0, |liquid| liquid.density);
         let (gravity, size) = (scene.domain.gravity, scene.domain.size);
         let liquid = density * state.volume_0;
-        let of_solids = solids.mass.iter().sum::<f64>();
+        let solid_mass = solids.mass.iter().sum::<f64>();
         let mut budget = Budget {
             grid: scene.grid(),
             gravity,
             marker: liquid / state.markers.len().max(1) as f64,
-            solids: of_solids,
-            mass: liquid + of_solids,
-            // Of the corners of the domain.
+            solids: solid_mass,
+            mass: liquid + solid_mass,
             lowest: -(gravity * size).max(DVec3::ZERO).element_sum(),
             height: gravity.normalize_or_zero().abs().dot(size),
             energy: 0.0,
@@ -111,20 +108,18 @@ impl Budget {
             fall: 0.0,
         };
         let start = budget.moment(state, diagnosis, max_speed(&state.velocity));
-        // A layer of them along each wall that gravity pulls them to has its middle at half of the height that it fills.
+        // Full cells along the walls that gravity pulls to: their centre is at half of the filled height.
         let cells = state.markers.len() as f64 / MARKERS;
         let filled = cells / budget.grid.n_cells() as f64;
         let least = 0.5 * liquid * filled * (gravity * size).abs().element_sum();
         let released = (start.potential - least).max(0.0);
         let (g, half) = (gravity.length(), 0.5 * budget.grid.dx);
-        let (area, all) = (
-            size.element_product() / budget.height.max(half),
-            liquid * g * half,
-        );
+        let area = size.element_product() / budget.height.max(half);
+        let all = liquid * g * half;
         let level = all.min(0.5 * density * g * area * half.powi(2));
         let fastest = start.liquid_speed.max(start.solid_speed);
-        let strain = match of_solids > 0.0 {
-            true => start.elastic / of_solids,
+        let strain = match solid_mass > 0.0 {
+            true => start.elastic / solid_mass,
             false => 0.0,
         };
         budget.energy = start.energy();
@@ -133,7 +128,7 @@ impl Budget {
         budget
     }
 
-    /// Energies and speeds of a state, the liquid's energy by its markers; `liquid_speed`: largest of a face, m/s.
+    /// Energies and speeds of a state; `liquid_speed`: largest face velocity, m/s.
     pub fn moment(&self, state: &State, solids: &SolidDiagnosis, liquid_speed: f64) -> Moment {
         let (mut kinetic, mut potential) = (0.0, 0.0);
         for &x in &state.markers {
@@ -152,26 +147,26 @@ impl Budget {
         }
     }
 
-    /// All energy over that of the start, in sub-steps of up to `dt` s.
+    /// Bound of the total energy over that of the start, for sub-steps up to `dt` s.
     pub fn energy_bound(&self, dt: f64) -> f64 {
         let g = self.gravity.length();
         let gained = 0.5 * self.mass * g * (2.0 * g * self.height).sqrt() * dt;
         MOST_ENERGY + gained / self.energy
     }
 
-    /// Energy of motion and strain, J.
+    /// Bound of the energy of motion and strain, J.
     pub fn motion_bound(&self, dt: f64) -> f64 {
         let momentum = (2.0 * self.available * self.mass).sqrt();
         MOST_ENERGY * self.available + 0.5 * self.gravity.length() * dt * momentum
     }
 
-    /// Of a node, m/s.
+    /// Bound of the speed of a node, m/s.
     pub fn solid_speed_bound(&self, dt: f64) -> f64 {
-        OF_SOLIDS * (self.fall + self.gravity.length() * dt)
+        SOLID_FACTOR * (self.fall + self.gravity.length() * dt)
     }
 
-    /// Of a face, m/s.
+    /// Bound of the speed of a face, m/s.
     pub fn liquid_speed_bound(&self, dt: f64) -> f64 {
-        OF_LIQUID * (self.fall + self.gravity.length() * dt)
+        LIQUID_FACTOR * (self.fall + self.gravity.length() * dt)
     }
 }

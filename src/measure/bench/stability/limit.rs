@@ -1,37 +1,36 @@
-//! The limit of added mass of weak coupling, in one dimension.
+//! The added-mass limit of weak coupling, in one dimension.
 //!
-//! A piston of mass m_s and spring k per area, at rest, is pushed against a column of liquid m_a = rho L, p = 0 at its other end. Weak
-//! coupling gives it the pressure p = -m_a (v_n - v_(n-1)) / dt of the sub-step before, and the solid's backward Euler then
-//! m_s (v_(n+1) - v_n) + dt k x_(n+1) = dt p. With a = k dt^2 / m_s and r = m_a / m_s velocities go as z^n,
+//! A piston of mass m_s and spring k per area, at rest, is pushed against a column of liquid m_a = rho L with p = 0 at its other end. Weak coupling
+//! applies the pressure of the sub-step before, p = -m_a (v_n - v_(n-1)) / dt. Backward Euler of the solid is m_s (v_(n+1) - v_n) + dt k x_(n+1) =
+//! dt p. With a = k dt^2 / m_s and r = m_a / m_s the velocities are proportional to z^n,
 //!
 //! ```text
 //! (1 + a) z^3 + (r - 2) z^2 + (1 - 2 r) z + r = 0,
 //! ```
 //!
-//! of which z = -r is a root where there is no spring, for every dt, and z = -1 where r = 1 + a / 4.
+//! Without a spring z = -r is a root for every dt; z = -1 is a root if r = 1 + a / 4.
 
 use crate::Error;
 use crate::measure::bench::table::{Row, columns, row};
 use crate::scene::Scene;
 use crate::sim::{Backend, Simulation};
 
-/// Of the growth per sub-step, relative, and of the limit.
+/// Relative tolerance of the growth per sub-step, and distance to the limit.
 const TOLERANCE: f64 = 0.05;
-/// Pa: a piston of this much does not give way.
+/// Young's modulus of a rigid piston, Pa.
 const RIGID: f64 = 1e11;
-/// m
+/// Cell size, m.
 const DX: f64 = 0.03;
-/// Cells to the end of the piston: the middle of one, where the column of its cell begins.
+/// Cells to the end of the piston: the centre of one, where the column of its cell begins.
 const PISTON: f64 = 20.5;
-/// m
+/// Length of the column, m.
 const COLUMN: f64 = 0.9;
-/// Of the push, m/s.
-const PUSH: f64 = 1e-7;
+const SCENE: &str = include_str!("limit.toml");
 
 /// A column of liquid on a piston.
 #[derive(Clone, Copy, Debug)]
 pub struct Limit {
-    /// Frequency of the spring times the sub-step, w dt; 0: no spring.
+    /// Frequency of the spring times the sub-step, w dt; 0 without a spring.
     omega_dt: f64,
     /// m_a / m_s over the limit 1 + (w dt)^2 / 4.
     over: f64,
@@ -74,13 +73,12 @@ pub fn limits() -> Vec<Limit> {
     limits
 }
 
-/// For columns without a spring at two lengths of the sub-step, one growth against the other: shorter sub-steps do not help.
+/// Growth without a spring at two lengths of the sub-step, one against the other: shorter sub-steps do not help.
 pub(super) fn step_lengths(rows: &[Row]) -> Vec<Row> {
     let pairs = rows.iter().enumerate().filter_map(|(number, long)| {
-        let of = |row: &Row| row.only(&["omega_dt", "ratio"]);
         let same = |other: &&Row| {
             other.number("omega_dt") == 0.0
-                && of(other) == of(long)
+                && other.contains(&long.only(&["omega_dt", "ratio"]))
                 && other.get("dt") != long.get("dt")
         };
         Some((long, rows[number + 1..].iter().find(same)?))
@@ -108,7 +106,7 @@ impl Limit {
         self.over * (1.0 + 0.25 * self.omega_dt.powi(2))
     }
 
-    /// The root below zero, of the two or more that its magnitude makes of signs that alternate.
+    /// Growth per sub-step: magnitude of the negative root, by bisection.
     fn growth(&self) -> f64 {
         let (a, r) = (self.omega_dt.powi(2), self.ratio());
         let cubic = |z: f64| (((1.0 + a) * z + r - 2.0) * z + 1.0 - 2.0 * r) * z + r;
@@ -128,69 +126,34 @@ impl Limit {
         let length = PISTON * DX;
         let mass = 1000.0 * COLUMN / self.ratio();
         let spring = mass * (self.omega_dt / self.dt).powi(2);
-        // A spring of one layer of bricks has half of its mass at the end that is held.
-        let (density, young, held) = match self.omega_dt > 0.0 {
-            true => (2.0 * mass / length, spring * length, 0.001),
-            false => (mass / (0.5 * length), RIGID, 0.0),
+        // A spring of one layer of bricks has half of its mass at the fixed end. A free piston starts off the wall, which would constrain it.
+        let (density, young, start) = match self.omega_dt > 0.0 {
+            true => (2.0 * mass / length, spring * length, 0.0),
+            false => (mass / (0.5 * length), RIGID, 0.5 * length),
         };
-        // A free piston begins off the wall, or that would hold it.
-        let start = match held > 0.0 {
-            true => 0.0,
-            false => 0.5 * length,
-        };
-        let mut text = format!(
-            "[domain]
-size = [{:?}, {width:?}, {width:?}]
-cells = [64, 4, 4]
-gravity = [0, 0, 0]
-[time]
-duration = 10
-frames_per_second = {:?}
-fixed_step = {:?}
-[liquid]
-surface = \"fixed\"
-[[liquid.region]]
-half_space = {{ point = [{:?}, 0, 0], normal = [1, 0, 0] }}
-[[liquid.region]]
-half_space = {{ point = [{:?}, 0, 0], normal = [1, 0, 0] }}
-subtract = true
-[[solid]]
-name = \"piston\"
-mesh = {{ box = {{ size = [{:?}, {width:?}, {width:?}], cells = [1, 4, 4] }} }}
-placement = {{ translate = [{:?}, {:?}, {:?}] }}
-initial = {{ velocity = [{PUSH:?}, 0, 0] }}
-density = {density:?}
-young = {young:?}
-poisson = 0.0
-[[solid.pin]]
-region = {{ box = {{ min = [0, 0, 0], max = [{length:?}, {width:?}, {width:?}] }} }}
-components = \"yz\"
-[solver]
-coupling = \"weak\"
-tolerance = 1e-10
-pressure_on_patches = \"cell\"
-",
-            64.0 * DX,
-            1.0 / self.dt,
-            self.dt,
-            length + COLUMN,
-            start + 0.5 * (length - start),
-            length - start,
-            0.5 * (start + length),
-            2.0 * DX,
-            2.0 * DX,
-            width = 4.0 * DX,
-        );
-        if held > 0.0 {
-            text += &format!(
-                "[[solid.pin]]
-region = {{ box = {{ min = [0, 0, 0], max = [{held:?}, {width:?}, {width:?}] }} }}
-components = \"x\"
-",
-                width = 4.0 * DX
-            );
+        let middle = start + 0.5 * (length - start);
+        let mut overrides = vec![
+            format!("time.frames_per_second={:?}", 1.0 / self.dt),
+            format!("time.fixed_step={:?}", self.dt),
+            format!("liquid.region[1].half_space.point=[{middle:?}, 0, 0]"),
+            format!("solid[0].mesh.box.size[0]={:?}", length - start),
+            format!(
+                "solid[0].placement.translate[0]={:?}",
+                0.5 * (start + length)
+            ),
+            format!("solid[0].density={density:?}"),
+            format!("solid[0].young={young:?}"),
+        ];
+        if self.omega_dt > 0.0 {
+            let pin = |x, components| {
+                format!(
+                    "{{ region = {{ box = {{ min = [0, 0, 0], max = [{x:?}, 0.12, 0.12] }} }}, components = \"{components}\" }}"
+                )
+            };
+            let pins = [pin(length, "yz"), pin(0.001, "x")].join(", ");
+            overrides.push(format!("solid[0].pin=[{pins}]"));
         }
-        Scene::parse("limit.toml".as_ref(), &text, &[], 1.0)
+        Scene::parse("limit.toml".as_ref(), SCENE, &overrides, 1.0)
     }
 
     /// Measures the growth.
@@ -198,7 +161,7 @@ components = \"x\"
     /// # Errors
     /// Errors of the simulation.
     pub fn run(&self, backend: &Backend) -> Result<Row, Error> {
-        // Until the other roots are gone: without a spring the only one is 1, whose velocity does not change.
+        // Until the other roots have decayed: without a spring the only one is 1, with a constant velocity.
         let (steps, over) = match self.omega_dt > 0.0 {
             true => (40, 8),
             false => (10, 6),
@@ -209,14 +172,10 @@ components = \"x\"
         for _ in 0..steps {
             simulation.step()?;
             let state = simulation.state()?;
-            let rest = simulation.solids().rest.iter().zip(&state.node_velocity);
-            let of_end = rest.filter(|(x, _)| (x.x - end).abs() < 1e-6);
-            let (mut sum, mut count) = (0.0, 0);
-            for (_, v) in of_end {
-                sum += v[0];
-                count += 1;
-            }
-            velocities.push(sum / f64::from(count));
+            let nodes = simulation.solids().rest.iter().zip(&state.node_velocity);
+            let at_end = nodes.filter(|(x, _)| (x.x - end).abs() < 1e-6);
+            let at_end: Vec<f64> = at_end.map(|(_, v)| v[0]).collect();
+            velocities.push(at_end.iter().sum::<f64>() / at_end.len() as f64);
         }
         let changes: Vec<f64> = velocities.windows(2).map(|v| v[1] - v[0]).collect();
         let last = changes.len() - 1;

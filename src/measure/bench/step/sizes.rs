@@ -1,4 +1,4 @@
-//! Scenes with other grids and meshes, and the largest with room on an adapter and this machine.
+//! Scenes with other grids and meshes, and the largest that fits on an adapter and this machine.
 
 use crate::Error;
 use crate::gpu::AdapterReport;
@@ -6,7 +6,7 @@ use crate::measure::bench::table::{Row, row};
 use crate::scene::{Scene, SolidMesh};
 use crate::sim::{HostMemory, Plan, solids_of};
 
-/// Longest sides that are tried are multiples of so many cells, or of the least that keeps cells cubic.
+/// The search tries longest sides that are multiples of this many cells, or of the least number that keeps cells cubic.
 const STEP: usize = 10;
 
 /// A scene with its scales.
@@ -19,17 +19,17 @@ pub struct Case {
 }
 
 impl Case {
-    /// Scene and scales, in tables.
+    /// Scene and scales as columns.
     pub(super) fn key(&self) -> Row {
         let scene = &self.scene;
         row! { scene: scene.name.as_str(), scale: scene.scale, solids_scale: self.solids_scale }
     }
 
-    /// The scene with other meshes of its solids: bricks along the axes of boxes are multiplied by the scale, rounded, at least 1; lengths of edges
-    /// in balls, shells and filled surfaces are divided by it. Meshes from files stay.
+    /// The scene with refined meshes of its solids. Bricks along the axes of boxes are multiplied by the scale, rounded, at least 1; edge lengths in
+    /// balls, shells and filled surfaces are divided by it. Meshes from files do not change.
     ///
     /// # Errors
-    /// [`Error::Input`] where the scale is not a number above 0.
+    /// [`Error::Input`] if the scale is not a number above 0.
     pub fn new(mut scene: Scene, solids_scale: f64) -> Result<Case, Error> {
         if !(solids_scale.is_finite() && solids_scale > 0.0) {
             return Err(Error::input(
@@ -56,7 +56,7 @@ impl Case {
     }
 }
 
-/// Largest scale with room on the adapter and in nine tenths of this machine's free memory, as `plan` computes it. `load`: the case at a scale.
+/// Largest scale that fits on the adapter and into nine tenths of this machine's free memory, as `plan` computes it. `load`: the case at a scale.
 ///
 /// # Errors
 /// Errors of `load` at scale 1, and [`Error::Limit`] and [`Error::Memory`] at the least grid.
@@ -71,7 +71,7 @@ pub fn largest_scale(
         plan.check(adapter)?;
         let memory = HostMemory::new(&scene, &solids_of(&scene)?, false)?;
         let mut memory = memory.beside(plan.bytes(), adapter);
-        // Other programs may take some before the run.
+        // Other programs may use some before the run.
         memory.available = memory.available / 10 * 9;
         memory.check()
     };
@@ -82,7 +82,7 @@ pub fn largest_scale(
     Ok(scale(steps))
 }
 
-/// Greatest common divisor of the cells along the axes, and how many units of it are a step of the search.
+/// Greatest common divisor of the cells along the axes, and its multiple that is a step of the search.
 pub fn units(cells: [usize; 3]) -> (usize, usize) {
     let divisor = |mut a: usize, mut b: usize| {
         while b != 0 {
@@ -95,7 +95,7 @@ pub fn units(cells: [usize; 3]) -> (usize, usize) {
     (unit, STEP.div_ceil(longest))
 }
 
-/// Largest number for which a monotone condition holds; it holds for 1.
+/// Largest number that satisfies a monotone condition; 1 does.
 pub fn largest(holds: &dyn Fn(usize) -> bool) -> usize {
     let (mut holding, mut failing) = (1, 2);
     while holds(failing) {

@@ -1,22 +1,25 @@
-//! Tables 6.5 and 6.6: one sub-step from rest of the problem of section 6.4 ([`PlaneStrain`]), whose pressure is known and whose velocity is 0.
-//! Errors are largest magnitudes: of the pressures of all unknowns, of the components of the nodes' velocities, of the velocities on open faces
-//! beside unknowns. With patch pressures that are constant over a cell, as in the thesis, the error of the pressure is the weight of the liquid
-//! between the block's face and the centre of its cell; with hydrostatic ones it falls with the square of the cell size.
+//! Tables 6.5 and 6.6: one sub-step from rest of the problem of section 6.4 ([`PlaneStrain`]). Its pressure is known and its velocity is 0.
+//!
+//! Errors are largest magnitudes: of the pressures of all unknowns, the components of the nodes' velocities, and the velocities on open faces
+//! beside unknowns. The thesis has patch pressures that are constant over a cell: the error of the pressure is the weight of the liquid between the
+//! block's face and the centre of its cell. With hydrostatic ones it decreases with the square of the cell size.
 
 use super::{MOST_ITERATIONS, Options, TOLERANCE};
 use crate::Error;
 use crate::linalg::norm;
-use crate::measure::bench::ended::{Ended, is_solved, precision_name};
+use crate::measure::bench::ended::{Ended, is_solved};
 use crate::measure::bench::statistics::{Spread, exponent, grouped};
-use crate::measure::bench::sub_step::{Done, Mask, density, reference_step, rest_errors, sub_step};
+use crate::measure::bench::sub_step::{
+    Done, Mask, density, open_paths, reference_step, rest_errors, sub_step,
+};
 use crate::measure::bench::table::{Row, columns, row};
-use crate::measure::bench::{Run, rounds};
+use crate::measure::bench::{Rows, Run, rounds};
 use crate::measure::plane_strain::{PlaneStrain, TABLE_6_5, TABLE_6_6};
 use crate::scene::{PatchPressure, Precision, Scene, Solver};
-use crate::sim::{GpuPath, reference_path, solids_of};
+use crate::sim::{reference_path, solids_of};
 use crate::state::SolveReport;
 
-/// Cells along the tank's height that an order is fitted over: cell sizes of 0.1 to 0.0125.
+/// Cells along the tank's height in fits of orders: cell sizes of 0.1 to 0.0125.
 const FITTED: std::ops::RangeInclusive<usize> = 10..=80;
 
 /// Cells along the tank's height, and errors of p, v, u.
@@ -83,7 +86,7 @@ columns! {
     }
 }
 
-/// A problem of a table.
+/// Problem of a table.
 #[derive(Clone, Copy)]
 pub(super) struct Problem {
     table: &'static str,
@@ -91,21 +94,12 @@ pub(super) struct Problem {
     printed: &'static Printed,
 }
 
-/// Patch pressures that are measured.
+/// Measured patch pressures.
 pub(super) const PATCHES: [PatchPressure; 2] = [PatchPressure::Cell, PatchPressure::Hydrostatic];
 
-/// A patch pressure in tables.
-pub(super) fn name(patches: PatchPressure) -> &'static str {
-    match patches {
-        PatchPressure::Cell => "cell",
-        PatchPressure::Hydrostatic => "hydrostatic",
-        PatchPressure::Gradient => "gradient",
-    }
-}
-
 impl Problem {
-    /// `None` for other tables.
-    pub(super) fn of(table: &str) -> Option<Problem> {
+    /// Problem of a table; `None` for other tables.
+    pub(super) fn from_table(table: &str) -> Option<Problem> {
         match table {
             "6.5" => Some(Problem {
                 table: "6.5",
@@ -121,14 +115,14 @@ impl Problem {
         }
     }
 
-    /// Rows on a grid: of the f64 path and of the device in each precision.
+    /// Rows on a grid: the f64 path, and the device in each precision.
     pub(super) fn rows(
         self,
         run: &mut Run,
         patches: PatchPressure,
         grid: usize,
         options: &Options,
-    ) -> Result<Vec<(&'static str, Row)>, Error> {
+    ) -> Result<Rows, Error> {
         let solver = |precision| Solver {
             tolerance: TOLERANCE,
             max_iterations: MOST_ITERATIONS,
@@ -136,23 +130,12 @@ impl Problem {
             pressure_on_patches: patches,
             ..Solver::default()
         };
-        let mut scene = self.strain.scene(grid, solver(Precision::F64))?;
+        let scene = self.strain.scene(grid, solver(Precision::F64))?;
         let mut reference = reference_path(&scene)?;
         let mut state = reference.state().clone();
         self.strain.deform(&solids_of(&scene)?, &mut state);
-        let mut paths = Vec::new();
-        for &precision in &options.precisions {
-            scene.solver = solver(precision);
-            match GpuPath::open(&scene, &options.adapter) {
-                Ok(mut path) => {
-                    // Compiles.
-                    sub_step(&mut path, &state, density(&scene))?;
-                    paths.push((precision, path));
-                }
-                Err(Error::Limit { .. }) if precision == Precision::F64 => {}
-                Err(error) => return Err(error),
-            }
-        }
+        let solvers = options.precisions.iter().copied().map(solver);
+        let mut paths = open_paths(&scene, solvers, &state, &options.adapter)?;
         let what = format!("solves of table {}, {grid} cells along 1 m", self.table);
         let timed = rounds(run, &what, 1 + paths.len(), |job| {
             let done = match job.checked_sub(1) {
@@ -161,14 +144,14 @@ impl Problem {
             };
             Ok((done.seconds, done))
         })?;
-        let mask = Mask::of(&reference);
+        let mask = Mask::new(&reference);
         let rows = timed.into_iter().enumerate().map(|(job, timed)| {
             let (backend, precision) = match job.checked_sub(1) {
                 None => ("cpu", Precision::F64),
                 Some(job) => ("gpu", paths[job].0),
             };
             let row = self.row(&scene, &mask, grid, timed.spread(), &timed.outcome);
-            let names = row! { backend: backend, precision: precision_name(precision), patch_pressure: name(patches) };
+            let names = row! { backend: backend, precision: precision, patch_pressure: patches };
             ("thesis", row.with(names))
         });
         Ok(rows.collect())
@@ -177,7 +160,7 @@ impl Problem {
     fn row(self, scene: &Scene, mask: &Mask, grid: usize, seconds: Spread, done: &Done) -> Row {
         let errors = rest_errors(scene, mask, done, |x| Some(PlaneStrain::pressure(x.y)));
         let [error_p, error_v, error_u] = errors;
-        let velocities = done.answer.velocity.as_flattened();
+        let velocities = done.solution.velocity.as_flattened();
         let printed = self.printed.iter().find(|(cells, _)| *cells == grid);
         let thesis = [0, 1, 2].map(|of: usize| printed.map(|(_, errors)| errors[of]));
         let ratio = [0, 1, 2].map(|of: usize| thesis[of].map(|printed| errors[of] / printed));
@@ -188,13 +171,13 @@ impl Problem {
             error_v: error_v, error_u: error_u, rms_v: norm(velocities) / (velocities.len() as f64).sqrt(), thesis_p: thesis[0],
             thesis_v: thesis[1], thesis_u: thesis[2], ratio_p: ratio[0], ratio_v: ratio[1], ratio_u: ratio[2],
             error_p_over_weight: error_p / (PlaneStrain::WEIGHT * self.strain.distance(dx)),
-            // Both are solved together, and each report has all iterations.
-            status: Ended::of_reports(&solves).name(TOLERANCE), iterations: solves[0].iterations, seconds: seconds,
+            // Both are solved together: each report has the iterations of the coupled solve.
+            status: Ended::new(&solves).name(TOLERANCE), iterations: solves[0].iterations, seconds: seconds,
         }
     }
 }
 
-/// Orders of rows of one series; `None` of fewer than two sizes.
+/// Orders of a series of rows; `None` for fewer than two sizes.
 fn order(rows: &[&Row]) -> Option<Row> {
     let rows: Vec<&Row> = rows
         .iter()
@@ -218,11 +201,11 @@ fn order(rows: &[&Row]) -> Option<Row> {
     })
 }
 
-/// Orders of all series, of rows with a converged solve, and of the printed errors.
+/// Orders of all series of converged solves, and of the printed errors.
 pub(super) fn orders(rows: &[Row]) -> Vec<Row> {
     let mut orders = Vec::new();
     for (table, rows) in grouped(rows, |row| Some(row.text("table"))) {
-        let printed = Problem::of(table).map_or(&[][..], |problem| problem.printed);
+        let printed = Problem::from_table(table).map_or(&[][..], |problem| problem.printed);
         let printed: Vec<Row> = printed
             .iter()
             .map(|(grid, [p, v, u])| row! { grid: *grid, error_p: *p, error_v: *v, error_u: *u })

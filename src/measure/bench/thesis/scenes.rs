@@ -1,19 +1,20 @@
-//! Table 6.1: grids and meshes of the thesis's scenes beside those of `scenes/`, and the seconds of their first sub-steps. The thesis prints the
-//! seconds of a step and of its pressure projection, and steps per frame, for all scenes together and whole runs (section 6.1); here the liquid
-//! does not touch the solid yet in some scenes.
+//! Table 6.1: grids and meshes of the thesis's scenes and those of `scenes/`, and the seconds of their first sub-steps.
+//!
+//! The thesis prints the seconds of a step and of its pressure projection, and steps per frame, for all scenes together and whole runs (section 6.1).
+//! Here the liquid does not touch the solid yet in some scenes.
 
 use super::Options;
 use crate::Error;
 use crate::measure::bench::Case;
-use crate::measure::bench::ended::{Ended, is_solved, precision_name};
+use crate::measure::bench::ended::{Ended, is_solved};
 use crate::measure::bench::statistics::Spread;
+use crate::measure::bench::sub_step::stage_seconds;
 use crate::measure::bench::table::{Row, columns, row};
 use crate::scene::{Precision, Scene};
 use crate::sim::{Backend, Simulation};
 use crate::state::{SolveReport, SolveStatus, StepReport};
 
-/// Thesis, table 6.1: name, scene here, cells along an edge, nodes, elements. Of its three balls the light one, of its two spheres that of
-/// figure 6.6.
+/// Thesis, table 6.1: name, scene here, cells along an edge, nodes, elements. Only the light one of its three balls, and the sphere of figure 6.6.
 const PRINTED: [(&str, &str, usize, usize, usize); 7] = [
     ("Dam Break", "dam_break", 100, 725, 2688),
     ("Buoyancy", "buoyancy_light", 100, 481, 2000),
@@ -24,7 +25,7 @@ const PRINTED: [(&str, &str, usize, usize, usize); 7] = [
     ("Light Dino", "light_dino", 100, 1424, 5920),
 ];
 
-/// Stages that are the pressure projection: what makes its system, the solve, and what takes the pressure to the velocities.
+/// Stages of the pressure projection: set-up of its system, solve, and update of the velocities.
 const PROJECTION: [&str; 6] = [
     "active_cells",
     "closed_components",
@@ -57,7 +58,7 @@ columns! {
     }
 }
 
-/// The scenes of table 6.1, where it is asked for, in each precision; `f64`: whether the device has it.
+/// The scenes of table 6.1 in each precision, if the table is selected; `f64`: whether the device has it.
 ///
 /// # Errors
 /// [`Error::Input`] for a missing scene, and errors of its file.
@@ -77,7 +78,7 @@ pub(super) fn load(options: &Options, f64: bool) -> Result<Vec<(usize, Scene)>, 
         }
         let precisions = options.precisions.iter();
         for &precision in precisions.filter(|&&precision| f64 || precision != Precision::F64) {
-            let precision = format!("solver.precision={}", precision_name(precision));
+            let precision = format!("solver.precision={}", precision.name());
             scenes.push((number, Scene::load(&file, &[precision], options.scale)?));
         }
     }
@@ -86,12 +87,12 @@ pub(super) fn load(options: &Options, f64: bool) -> Result<Vec<(usize, Scene)>, 
 
 /// A case per scene.
 pub(super) fn cases<'c>(scenes: &'c [(usize, Scene)], options: &'c Options) -> Vec<Case<'c>> {
-    let cases = scenes.iter().map(|(number, scene)| Case {
-        key: (
+    let cases = scenes.iter().map(|(number, scene)| {
+        Case::new(
             "thesis_scenes",
-            row! { scene: scene.name.as_str(), precision: precision_name(scene.solver.precision) },
-        ),
-        measure: Box::new(move |_| Ok(vec![("thesis_scenes", measure(*number, scene, options)?)])),
+            row! { scene: scene.name.as_str(), precision: scene.solver.precision },
+            move |_| Ok(vec![("thesis_scenes", measure(*number, scene, options)?)]),
+        )
     });
     cases.collect()
 }
@@ -105,7 +106,7 @@ fn measure(number: usize, scene: &Scene, options: &Options) -> Result<Row, Error
     let (name, _, grid, nodes, elements) = PRINTED[number];
     let ended = reports.iter().map(|report| {
         let solves: Vec<SolveReport> = report.solves().collect();
-        Ended::of_reports(&solves).name(scene.solver.tolerance)
+        Ended::new(&solves).name(scene.solver.tolerance)
     });
     let converged = SolveStatus::Converged.name();
     let ended = ended.min_by_key(|&word| (is_solved(word), word == converged));
@@ -115,24 +116,16 @@ fn measure(number: usize, scene: &Scene, options: &Options) -> Result<Row, Error
     let timestamps = simulation
         .adapter()
         .is_some_and(|adapter| adapter.timestamps);
-    let of_stages = |stages: &[&str]| {
-        let seconds = |report: &StepReport| {
-            let own = report
-                .seconds
-                .iter()
-                .filter(|(stage, _)| stages.contains(stage));
-            own.map(|(_, seconds)| seconds).sum()
-        };
-        timestamps.then(|| spread(&seconds))
-    };
+    let stages_spread =
+        |stages: &[&str]| timestamps.then(|| spread(&|report| stage_seconds(report, stages)));
     let time: f64 = reports.iter().map(|report| report.dt).sum();
     let solids = simulation.solids();
     Ok(row! {
-        table: "6.1", name: name, scene: scene.name.as_str(), scale: scene.scale, precision: precision_name(scene.solver.precision),
+        table: "6.1", name: name, scene: scene.name.as_str(), scale: scene.scale, precision: scene.solver.precision,
         cells: scene.grid().n_cells(), thesis_cells: grid.pow(3), nodes: solids.rest.len(), thesis_nodes: nodes,
         elements: solids.elements.len(), thesis_elements: elements, sub_steps: reports.len(),
         touching: reports.iter().filter(touching).count(), status: ended.unwrap_or(converged), seconds: spread(&|report| report.seconds_total),
-        projection: of_stages(&PROJECTION), solve_median: of_stages(&["solve"]).map(|solve| solve.median),
+        projection: stages_spread(&PROJECTION), solve_median: stages_spread(&["solve"]).map(|solve| solve.median),
         sub_steps_per_frame: reports.len() as f64 / (time * scene.time.frames_per_second),
     })
 }

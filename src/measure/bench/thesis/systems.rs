@@ -1,8 +1,8 @@
-//! Tables 6.2, 6.3 and 6.4: the matrices of the formulations and the time of their solves, on states of the dam break.
+//! Tables 6.2, 6.3 and 6.4: matrices of the formulations and times of their solves, on states of the dam break.
 //!
-//! The scene is `scenes/conditioning_40.toml` with other grids and beams. It runs on the device. The f64 path assembles the system of the sub-step
-//! after a frame, which is solved in each formulation to the same true residuals of the indefinite system, matrices and factors included. The
-//! device does that sub-step, its matrices and hierarchy included.
+//! The scene is `scenes/conditioning_40.toml` with other grids and beams; it runs on the device. The f64 path assembles the system of the sub-step
+//! after a frame. Each formulation solves it to the same true residuals of the indefinite system; the time includes matrices and factors. The device
+//! computes that sub-step; the time includes its matrices and hierarchy.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -13,12 +13,12 @@ use std::time::Instant;
 use super::{MOST_ITERATIONS, Options, TOLERANCE};
 use crate::Error;
 use crate::elastic::Solids;
-use crate::measure::bench::ended::{Ended, is_solved, precision_name};
+use crate::measure::bench::ended::{Ended, is_solved};
 use crate::measure::bench::solve::bricks_across;
 use crate::measure::bench::statistics::{Spread, exponent, grouped};
-use crate::measure::bench::sub_step::{density, sub_step};
+use crate::measure::bench::sub_step::{density, open_paths, stage_seconds, sub_step};
 use crate::measure::bench::table::{Row, Value, columns, row};
-use crate::measure::bench::{Case as BenchCase, Run, rounds};
+use crate::measure::bench::{Case as BenchCase, Rows, Run, rounds};
 use crate::reference::{
     BlockPattern, CoupledSystem, Formulation as Form, Reference, SolidSolver, StepSystem,
     StressVariables, conditions, solid_matrices, solve_coupled,
@@ -26,11 +26,12 @@ use crate::reference::{
 use crate::scene::{Formulation, Precision, Scene, SolidMesh, Solver};
 use crate::sim::{Backend, GpuPath, Simulation, reference_path, solids_of};
 use crate::state::{SolveReport, State};
+use crate::step::Stage;
 
 const SCENE: &str = include_str!("../../../../scenes/conditioning_40.toml");
-/// The share of the mass in Z1 that the thesis "exclusively used".
+/// Share of the mass in Z1 that the thesis "exclusively used".
 const SIGMA: f64 = 0.9;
-/// Its factor before the velocities (5.36), Pa s/m.
+/// The thesis's factor of the velocities (5.36), Pa s/m.
 const ALPHA: f64 = 1e-3;
 /// Bricks across the beams of tables 6.3 and 6.4: 135 and 725 nodes.
 const BEAMS: [usize; 2] = [2, 4];
@@ -54,7 +55,7 @@ const PRINTED_6_3: [(usize, [[f64; 2]; 2]); 5] = [
     (90, [[35.93, 31.56], [59.09, 58.76]]),
 ];
 
-/// The same of nonzeros.
+/// The same for nonzeros.
 const PRINTED_6_4: [(usize, [[f64; 2]; 2]); 5] = [
     (50, [[317505.0, 814424.0], [624387.0, 5654643.0]]),
     (60, [[501430.0, 998372.0], [807789.0, 5838273.0]]),
@@ -89,7 +90,7 @@ columns! {
         seconds ~ "s" "of the solve: on the CPU from the assembled B, J and S, on the device from the liquid distance on";
         frame_seconds ~ "s" "sub-steps per frame times a sub-step: the device's, or this solve with the other stages of the f64 path";
     }
-    /// Means over the states; seconds over those with a converged solve.
+    /// Means over the states; of seconds over those with a converged solve.
     MEANS {
         table = "" "number of the table";
         grid + "" "cells along an edge";
@@ -138,7 +139,7 @@ struct Case<'a> {
     system: CoupledSystem,
     stress: StressVariables,
     dt: f64,
-    /// The f64 path, which has done that sub-step.
+    /// The f64 path after that sub-step.
     path: Reference,
 }
 
@@ -164,23 +165,21 @@ pub(super) fn cases(options: &Options) -> Vec<BenchCase<'_>> {
             for table in tables.clone() {
                 // Nodes of a beam k bricks across and 7 k along.
                 let nodes = (size.1 + 1).pow(2) * (7 * size.1 + 1);
-                cases.push(BenchCase {
-                    key: (
-                        "thesis_systems",
-                        row! { table: table, grid: size.0, nodes: nodes, frame: frame },
-                    ),
-                    measure: Box::new({
+                cases.push(BenchCase::new(
+                    "thesis_systems",
+                    row! { table: table, grid: size.0, nodes: nodes, frame: frame },
+                    {
                         let last = Rc::clone(&last);
                         move |run| measure(run, &last, (size, frame, table), options)
-                    }),
-                });
+                    },
+                ));
             }
         }
     }
     cases
 }
 
-/// The dam break of a size, on its way from frame to frame.
+/// Simulation of the dam break of a size.
 struct Break {
     size: Size,
     scene: Scene,
@@ -202,19 +201,19 @@ impl Break {
     }
 }
 
-/// Rows of a table for a state. `last`: the simulation of the case before, which continues where it can.
+/// Rows of a table for a state. `last`: the simulation of the case before, which resumes if it can.
 fn measure(
     run: &mut Run,
     last: &RefCell<Option<Break>>,
     (size, frame, table): (Size, u64, &str),
     options: &Options,
-) -> Result<Vec<(&'static str, Row)>, Error> {
+) -> Result<Rows, Error> {
     let mut last = last.borrow_mut();
     let reached = |last: &Break| last.size == size && last.simulation.clock().frame <= frame;
     if !last.as_ref().is_some_and(reached) {
         *last = Some(Break::new(size, options)?);
     }
-    let dam = last.as_mut().expect("it was just made");
+    let dam = last.as_mut().expect("it was just created");
     while dam.simulation.clock().frame < frame {
         dam.simulation.step()?;
     }
@@ -293,7 +292,7 @@ impl<'a> Case<'a> {
         })
     }
 
-    /// Columns of all rows of the state in a table.
+    /// Columns that all rows of the state have.
     fn row(&self, table: &str, names: [&str; 4]) -> Row {
         let [formulation, solver, backend, precision] = names;
         row! {
@@ -355,7 +354,37 @@ impl<'a> Case<'a> {
         }
     }
 
-    /// A row per form on the CPU and on the device, solved in rounds.
+    /// Paths of the device with each precision and form, compiled.
+    fn devices(&self, options: &Options) -> Result<Vec<(Precision, GpuPath)>, Error> {
+        let precisions = options.precisions.iter().flat_map(|&precision| {
+            let forms = [Formulation::Auto, Formulation::TwoField];
+            forms.map(|formulation| self.settings(precision, formulation))
+        });
+        // In f32 both forms are the same.
+        let solvers = precisions.filter(|solver| {
+            solver.precision != Precision::F32 || solver.formulation == Formulation::Auto
+        });
+        open_paths(self.scene, solvers, self.state, &options.adapter)
+    }
+
+    fn settings(&self, precision: Precision, formulation: Formulation) -> Solver {
+        Solver {
+            tolerance: TOLERANCE,
+            max_iterations: MOST_ITERATIONS,
+            precision,
+            formulation,
+            ..self.scene.solver
+        }
+    }
+
+    /// Seconds of the stages of the f64 path other than the solve.
+    fn other_stages(&self, path: &mut Reference) -> Result<f64, Error> {
+        path.reset(self.state.clone())?;
+        let step = path.step(path.next_time_step())?;
+        Ok(step.seconds_total - stage_seconds(&step, &[Stage::Solve.name()]))
+    }
+
+    /// A row per form on the CPU and per path of the device, solved in rounds.
     fn solved(
         &self,
         run: &mut Run,
@@ -363,108 +392,58 @@ impl<'a> Case<'a> {
         forms: &[Form],
         options: &Options,
     ) -> Result<Vec<Row>, Error> {
-        let settings = |precision, formulation| Solver {
-            tolerance: TOLERANCE,
-            max_iterations: MOST_ITERATIONS,
-            precision,
-            formulation,
-            ..self.scene.solver
-        };
-        let mut devices = Vec::new();
-        for &precision in &options.precisions {
-            for formulation in [Formulation::Auto, Formulation::TwoField] {
-                // In f32 both are the same.
-                if precision == Precision::F32 && formulation == Formulation::TwoField {
-                    continue;
-                }
-                let mut scene = self.scene.clone();
-                scene.solver = settings(precision, formulation);
-                match GpuPath::open(&scene, &options.adapter) {
-                    Ok(mut path) => {
-                        // Compiles.
-                        sub_step(&mut path, self.state, density(&scene))?;
-                        devices.push((precision, path));
-                    }
-                    Err(Error::Limit { .. }) if precision == Precision::F64 => {}
-                    Err(error) => return Err(error),
-                }
-            }
-        }
-        let exact = settings(Precision::F64, Formulation::Auto);
+        let mut devices = self.devices(options)?;
+        let exact = self.settings(Precision::F64, Formulation::Auto);
         let mut path = self.path.clone();
-        // Jobs: the other stages of the f64 path, the forms, the devices. Outcomes: reports, form of the device, seconds of whole sub-steps.
-        let mut wholes = vec![Vec::new(); devices.len()];
-        let what = format!(
-            "solves of table {table}, grid {}, frame {}",
-            self.size.0, self.state.frame
-        );
+        let mut sub_steps = vec![Vec::new(); devices.len()];
+        let [grid, frame] = [self.size.0, self.state.frame as usize];
+        let what = format!("solves of table {table}, grid {grid}, frame {frame}");
+        // Jobs: the other stages of the f64 path, the forms, the devices. Outcomes: reports, and whether the device used the Schur complement.
         let timed = rounds(run, &what, 1 + forms.len() + devices.len(), |job| {
             if job == 0 {
-                path.reset(self.state.clone())?;
-                let step = path.step(path.next_time_step())?;
-                let solve = step.seconds.iter().filter(|(stage, _)| *stage == "solve");
-                let others = step.seconds_total - solve.map(|(_, seconds)| seconds).sum::<f64>();
-                return Ok((others, (Vec::new(), false)));
+                return Ok((self.other_stages(&mut path)?, (Vec::new(), false)));
             }
             if let Some(&form) = forms.get(job - 1) {
                 let clock = Instant::now();
                 let solver = SolidSolver::new(self.solids);
                 let found = solve_coupled(&self.system, form, &solver, self.solids, &exact)?;
-                return Ok((
-                    clock.elapsed().as_secs_f64(),
-                    (found.reports.to_vec(), false),
-                ));
+                let seconds = clock.elapsed().as_secs_f64();
+                return Ok((seconds, (found.reports.to_vec(), false)));
             }
             let device = job - 1 - forms.len();
             let path = &mut devices[device].1;
             let done = sub_step(path, self.state, density(self.scene))?;
             path.write_state(self.state)?;
-            wholes[device].push(path.step_observed(&mut |_, _| Ok(()))?.seconds_total);
+            sub_steps[device].push(path.step_observed(&mut |_, _| Ok(()))?.seconds_total);
+            let condensed = done.report.coupling.is_some_and(|both| both.condensed);
             let reports: Vec<SolveReport> = done.report.solves().collect();
-            Ok((
-                done.seconds,
-                (
-                    reports,
-                    done.report.coupling.is_some_and(|both| both.condensed),
-                ),
-            ))
+            Ok((done.seconds, (reports, condensed)))
         })?;
         let others = timed[0].spread();
         let mut rows: Vec<Row> = Vec::new();
-        for (number, timed) in timed.iter().enumerate().skip(1) {
+        for (job, timed) in timed.iter().enumerate().skip(1) {
             let (seconds, (reports, condensed)) = (timed.spread(), &timed.outcome);
-            let (names, whole) = match number.checked_sub(1 + forms.len()) {
-                None => {
-                    let form = &forms[number - 1];
-                    let names = match form {
-                        Form::Condensed => ("condensed", "multigrid CG"),
-                        _ => form.name().split_once(", ").expect("a form has its solver"),
-                    };
-                    let whole = Spread {
-                        median: seconds.median + others.median,
-                        min: seconds.min + others.min,
-                        max: seconds.max + others.max,
-                    };
-                    ([names.0, names.1, "cpu", "f64"], whole)
+            let (names, sub_step) = match forms.get(job - 1) {
+                Some(Form::Condensed) => (["condensed", "multigrid CG", "cpu", "f64"], None),
+                Some(form) => {
+                    let names = form.name().split_once(", ").unwrap_or((form.name(), ""));
+                    ([names.0, names.1, "cpu", "f64"], None)
                 }
-                Some(device) => {
+                None => {
+                    let device = job - 1 - forms.len();
                     let form = if *condensed { "condensed" } else { "two-field" };
-                    let names = [
-                        form,
-                        "multigrid CG",
-                        "gpu",
-                        precision_name(devices[device].0),
-                    ];
-                    (names, Spread::of(wholes[device].clone()))
+                    let precision = devices[device].0.name();
+                    let sub_step = Spread::of(sub_steps[device].clone());
+                    ([form, "multigrid CG", "gpu", precision], Some(sub_step))
                 }
             };
+            let sub_step = sub_step.unwrap_or_else(|| seconds.plus(others));
             let row = self.row(table, names).with(row! {
-                status: Ended::of_reports(reports).name(TOLERANCE), iterations: reports[0].iterations, residual_p: reports[0].residual,
-                residual_v: reports[1].residual, seconds: seconds, frame_seconds: whole.times(self.sub_steps_per_frame()),
+                status: Ended::new(reports).name(TOLERANCE), iterations: reports[0].iterations, residual_p: reports[0].residual,
+                residual_v: reports[1].residual, seconds: seconds, frame_seconds: sub_step.times(self.sub_steps_per_frame()),
             });
-            // `auto` may have chosen the same form.
-            let same = |other: &Row| series(other) == series(&row);
-            if !rows.iter().any(same) {
+            // `auto` may have selected the same form.
+            if !rows.iter().any(|other| series(other) == series(&row)) {
                 rows.push(row);
             }
         }
@@ -485,46 +464,41 @@ fn values(row: &Row, quantity: &str) -> Option<[f64; 3]> {
     is_solved(row.text("status")).then_some([median, min, max])
 }
 
-/// The printed number.
+/// Number in the thesis.
 fn printed(table: &str, quantity: &str, grid: usize, nodes: usize, form: &str) -> Option<f64> {
     let other = matches!(form, "indefinite" | "stress");
-    let of_beams = |printed: &[(usize, [[f64; 2]; 2])]| {
-        let (_, of_grid) = printed.iter().find(|(cells, _)| *cells == grid)?;
-        Some(of_grid[usize::from(nodes > 400)][usize::from(other)])
+    let beams = |printed: &[(usize, [[f64; 2]; 2])]| {
+        let (_, on_grid) = printed.iter().find(|(cells, _)| *cells == grid)?;
+        Some(on_grid[usize::from(nodes > 400)][usize::from(other)])
     };
     match table {
         "6.2" => {
-            let (_, of_grid) = PRINTED_6_2.iter().find(|(cells, _)| *cells == grid)?;
+            let (_, on_grid) = PRINTED_6_2.iter().find(|(cells, _)| *cells == grid)?;
             let at = match quantity {
                 "nonzeros" => 0,
                 "seconds" => 2,
                 _ => 1,
             };
-            Some(of_grid[at][usize::from(!other)])
+            Some(on_grid[at][usize::from(!other)])
         }
-        "6.3" => of_beams(&PRINTED_6_3),
-        _ => of_beams(&PRINTED_6_4),
+        "6.3" => beams(&PRINTED_6_3),
+        _ => beams(&PRINTED_6_4),
     }
 }
 
-/// A quantity, of its logarithm where the column has that.
+/// Value of a quantity, from its logarithm if the column has that.
 fn plain(quantity: &str, value: f64) -> f64 {
-    if quantity.starts_with("log10_") {
-        10.0_f64.powf(value)
-    } else {
-        value
+    match quantity.starts_with("log10_") {
+        true => 10.0_f64.powf(value),
+        false => value,
     }
 }
 
 /// Means over the states.
 pub(super) fn means(rows: &[Row]) -> Vec<Row> {
     let mut means = Vec::new();
-    for ((line, _), rows) in grouped(rows, |row| {
-        Some((
-            series(row).with(row.only(&["grid", "nodes", "elements"])),
-            (),
-        ))
-    }) {
+    let sizes = |row: &Row| row.only(&["grid", "nodes", "elements"]);
+    for (line, rows) in grouped(rows, |row| Some(series(row).with(sizes(row)))) {
         let [table, form] = ["table", "formulation"].map(|name| line.text(name));
         let quantities: &[&str] = match table {
             "6.2" => &["nonzeros", "log10_condest", "log10_condition", "seconds"],
@@ -532,10 +506,8 @@ pub(super) fn means(rows: &[Row]) -> Vec<Row> {
             _ => &["nonzeros"],
         };
         for &quantity in quantities {
-            let values: Vec<[f64; 3]> = rows
-                .iter()
-                .filter_map(|row| values(row, quantity))
-                .collect();
+            let values = rows.iter().filter_map(|row| values(row, quantity));
+            let values: Vec<[f64; 3]> = values.collect();
             if values.is_empty() {
                 continue;
             }
@@ -544,13 +516,8 @@ pub(super) fn means(rows: &[Row]) -> Vec<Row> {
             });
             let states = Spread::of(values.iter().map(|value| value[0]).collect());
             let minres = line.text("solver").starts_with("MINRES") && quantity == "seconds";
-            let thesis = printed(
-                table,
-                quantity,
-                line.count("grid"),
-                line.count("nodes"),
-                form,
-            );
+            let [grid, nodes] = ["grid", "nodes"].map(|name| line.count(name));
+            let thesis = printed(table, quantity, grid, nodes, form);
             let thesis = thesis.filter(|_| !minres && quantity != "log10_condition");
             means.push(line.clone().with(row! {
                 quantity: quantity, states: values.len(), mean: mean, low: low, high: high, least: states.min, largest: states.max,
@@ -564,10 +531,9 @@ pub(super) fn means(rows: &[Row]) -> Vec<Row> {
 /// Growth with the grid of means on two grids at least. Table 6.2 refines the beam with the grid.
 pub(super) fn growth(means: &[Row]) -> Vec<Row> {
     let groups = grouped(means, |mean| {
-        let nodes = if mean.text("table") == "6.2" {
-            Value::Empty
-        } else {
-            mean.get("nodes")
+        let nodes = match mean.text("table") {
+            "6.2" => Value::Empty,
+            _ => mean.get("nodes"),
         };
         Some(series(mean).with(row! { quantity: mean.get("quantity"), nodes: nodes }))
     });

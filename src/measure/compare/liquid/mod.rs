@@ -6,7 +6,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::table::{Place, Table, number};
-use super::{Both, EPS, unit};
+use super::{Both, EPS, largest, rounded_to_f32, unit};
 use crate::Error;
 use crate::effects::Effects;
 use crate::fields::Step;
@@ -23,34 +23,37 @@ use crate::sim::{GpuPath, LiquidSnapshot};
 use crate::state::State;
 use crate::step::Stage;
 
-/// The twins of a scene, fed with what the device holds.
-pub(super) struct LiquidJudge<'a> {
+/// Marker position, m; `None`: deleted.
+type Marker = Option<[f64; 3]>;
+
+/// The twins of the liquid, with the inputs of the device.
+pub(super) struct LiquidComparison<'a> {
     scene: &'a Scene,
     /// With the dx of the device.
     grid: Grid,
-    /// As the device has them.
+    /// As stored on the device.
     cut: CutCells,
     open_volumes: Vec<f64>,
     taps: SourcesAndSinks,
-    /// What the sources do in the sub-step.
+    /// State of the sources in the sub-step.
     running: Running,
     step: Step,
     pub(super) table: Table,
-    /// What the stage had.
+    /// Input of the stage.
     before: LiquidSnapshot,
-    /// What twins of earlier stages of the sub-step made, for later ones.
+    /// Results of earlier twins of the sub-step.
     twin: Twin,
 }
 
-/// Answers of the twins in a sub-step.
+/// Results of the twins in a sub-step.
 #[derive(Default)]
 struct Twin {
     liquid_distance: Vec<f64>,
-    /// How far off the device's may be, per cell, m.
+    /// Error bound of the device's liquid distance per cell, m.
     distance_bounds: Vec<f64>,
-    /// Of the stored liquid distance, all in f64.
+    /// Active cells of the stored liquid distance, in f64.
     active: Option<ActiveCells>,
-    /// m/s, and how far off the device's may be.
+    /// m/s, and its error bound on the device.
     rhs: Vec<f64>,
     rhs_bound: f64,
     /// Norm of |E| |u*|, m/s.
@@ -62,35 +65,29 @@ struct Twin {
     velocity_bound: f64,
 }
 
-impl<'a> LiquidJudge<'a> {
+impl<'a> LiquidComparison<'a> {
     /// `None` for a scene without liquid.
-    pub(super) fn new(scene: &'a Scene, path: &GpuPath) -> Result<Option<LiquidJudge<'a>>, Error> {
-        let (Some(step), Some(before)) =
-            (path.step_numbers(TimeStep::NONE), path.snapshot()?.liquid)
-        else {
+    pub(super) fn new(scene: &'a Scene, path: &GpuPath) -> Result<Option<Self>, Error> {
+        let step = path.step_numbers(TimeStep::NONE);
+        let (Some(step), Some(before)) = (step, path.snapshot()?.liquid) else {
             return Ok(None);
         };
         let grid = Grid {
             cells: scene.domain.cells,
             dx: step.dx.into(),
         };
-        let single = |values: &Vec<f64>| {
-            let values = values.iter().map(|&value| f64::from(value as f32));
-            values.collect::<Vec<f64>>()
-        };
         let cut = path.cut_cells();
         let cut = CutCells {
-            open: [0, 1, 2].map(|axis| single(&cut.open[axis])),
-            solid_distance: single(&cut.solid_distance),
+            open: [0, 1, 2].map(|axis| rounded_to_f32(&cut.open[axis])),
+            solid_distance: rounded_to_f32(&cut.solid_distance),
         };
-        Ok(Some(LiquidJudge {
+        let taps = path.taps().map(|(taps, _)| taps.clone());
+        Ok(Some(LiquidComparison {
             scene,
             grid,
             open_volumes: reference::open_volumes(&grid, &cut.solid_distance),
             cut,
-            taps: path
-                .taps()
-                .map_or_else(SourcesAndSinks::default, |(taps, _)| taps.clone()),
+            taps: taps.unwrap_or_default(),
             running: Running::default(),
             step,
             table: Table::default(),
@@ -103,7 +100,7 @@ impl<'a> LiquidJudge<'a> {
         }))
     }
 
-    /// Before `solve` is judged: the unknowns and E u* (m^3/s) as the device stores them, and as the twins assemble them.
+    /// Unknowns and E u* (m^3/s) as the device stores them, and as the twins assemble them. For use before `solve` is compared.
     pub(super) fn systems(
         &self,
         after: &LiquidSnapshot,
@@ -117,11 +114,11 @@ impl<'a> LiquidJudge<'a> {
             values: values.iter().map(|b| area * b).collect(),
             scale: area * self.twin.flux,
         };
-        let [of_device, of_twin] = [rhs(&self.before.rhs), rhs(&self.twin.rhs)];
-        Some([(stored, of_device), (assembled, of_twin)])
+        let [stored_rhs, assembled_rhs] = [rhs(&self.before.rhs), rhs(&self.twin.rhs)];
+        Some([(stored, stored_rhs), (assembled, assembled_rhs)])
     }
 
-    /// Hears of the next sub-step.
+    /// Begins a sub-step.
     pub(super) fn begin(&mut self, path: &GpuPath, time_step: TimeStep) {
         self.table.step = path.clock().step;
         if let Some(step) = path.step_numbers(time_step) {
@@ -132,39 +129,16 @@ impl<'a> LiquidJudge<'a> {
         }
     }
 
-    /// Judges what a stage left; `held` is what the device really holds, `clip` as the twin clips what moves.
-    pub(super) fn judge(
+    /// Compares the fields after a stage. `device`: the unchanged fields, input of the next stage; `clip`: twin of the clipping.
+    pub(super) fn compare(
         &mut self,
         stage: Stage,
         after: &LiquidSnapshot,
-        held: Option<LiquidSnapshot>,
+        device: Option<LiquidSnapshot>,
         clip: Option<&SolidClip>,
         both: Option<&Both>,
     ) -> Result<(), Error> {
-        self.judge_stage(stage, after, clip, both)?;
-        self.before = held.unwrap_or_else(|| after.clone());
-        Ok(())
-    }
-
-    /// Open fractions for the pressure: without the faces that sources hold.
-    fn open_to_pressure(&self) -> [Vec<f64>; 3] {
-        self.taps
-            .pressure_apertures(&self.cut.open, self.running.running)
-    }
-
-    /// Open fractions of the fluxes: with the apertures of sources on the faces that they hold.
-    fn open_to_flux(&self) -> [Vec<f64>; 3] {
-        self.taps
-            .flux_apertures(&self.cut.open, self.running.running)
-    }
-
-    fn judge_stage(
-        &mut self,
-        stage: Stage,
-        after: &LiquidSnapshot,
-        clip: Option<&SolidClip>,
-        both: Option<&Both>,
-    ) -> Result<(), Error> {
+        self.table.stage = stage.name();
         match stage {
             Stage::Clip => {
                 if let Some(clip) = clip {
@@ -176,9 +150,7 @@ impl<'a> LiquidJudge<'a> {
             Stage::AdvectVelocity => self.advect_velocity(after),
             Stage::Forces => self.forces(after),
             // A fixed surface stays.
-            Stage::LiquidDistance if Effects::of(self.scene).markers => {
-                self.liquid_distance(after);
-            }
+            Stage::LiquidDistance if Effects::of(self.scene).markers => self.liquid_distance(after),
             Stage::ActiveCells => self.active_cells(after, both),
             Stage::RightHandSide => self.right_hand_side(after, clip, both),
             Stage::Solve => self.solve(after, both)?,
@@ -188,10 +160,23 @@ impl<'a> LiquidJudge<'a> {
                 self.diagnose(after, clip, both);
                 self.probes(after);
             }
-            // The band decides where the others work; what it leaves out shows in theirs.
+            // The band selects where the others work; a wrong band shows in their rows.
             _ => {}
         }
+        self.before = device.unwrap_or_else(|| after.clone());
         Ok(())
+    }
+
+    /// Apertures for the pressure: without the faces of sources.
+    fn open_to_pressure(&self) -> [Vec<f64>; 3] {
+        let running = self.running.running;
+        self.taps.pressure_apertures(&self.cut.open, running)
+    }
+
+    /// Apertures of the fluxes: with those of sources on their faces.
+    fn open_to_flux(&self) -> [Vec<f64>; 3] {
+        let running = self.running.running;
+        self.taps.flux_apertures(&self.cut.open, running)
     }
 
     /// s
@@ -199,7 +184,7 @@ impl<'a> LiquidJudge<'a> {
         self.step.dt.into()
     }
 
-    /// Most cells along an axis: the size of a position in cells.
+    /// Most cells along an axis: the magnitude of a position in cells.
     fn extent(&self) -> f64 {
         self.grid.cells.into_iter().max().unwrap_or(1) as f64
     }
@@ -217,7 +202,7 @@ impl<'a> LiquidJudge<'a> {
         Effects::of(self.scene).cuts()
     }
 
-    /// The device's copies of what the host clipped.
+    /// Clipping runs on the host, so the device stores its results in f32.
     fn clip(&mut self, after: &LiquidSnapshot, clip: &SolidClip) {
         let (grid, cut) = (self.grid, clip.cut_cells());
         let Some(device) = &after.cut else { return };
@@ -225,34 +210,31 @@ impl<'a> LiquidJudge<'a> {
             let (&gpu, &twin) = (gpu.get(index)?, twin.get(index)?);
             Some((gpu, twin, EPS * twin.abs()))
         };
-        let row = [Stage::Clip.name(), "open fractions", ""];
-        self.table.faces(&grid, row, |a, face| {
+        self.table.faces(&grid, ["open fractions", ""], |a, face| {
             rounded(&device.open[a], &cut.open[a], face)
         });
-        let row = [Stage::Clip.name(), "distance", "m"];
-        self.table.cells(&grid, row, |cell| {
+        self.table.cells(&grid, ["distance", "m"], |cell| {
             rounded(&device.solid_distance, &cut.solid_distance, cell)
         });
         self.cut = device.clone();
         self.open_volumes = reference::open_volumes(&grid, &self.cut.solid_distance);
     }
 
-    /// Relative error of a sum over the cells that hold liquid. The twin adds them one after another in f64; the report holds two
-    /// f32. Where the device sums in f32: five products and quotients of a term, and a sum per quad of a share and level of the tree.
+    /// Relative error of a sum over the cells with liquid. The twin adds in sequence in f64; the report has two f32. Sums in f32 have five
+    /// roundings per product and one per quad of a thread's share and level of the tree.
     fn sum_error(&self, real: Real, liquid_distance: &[f64]) -> f64 {
         let terms = self.wet_volume(liquid_distance) / self.grid.cell_volume();
         let shares = if real == Real::F32 { 72.0 * EPS } else { 0.0 };
         shares + (terms + 16.0) * f64::EPSILON + EPS * EPS
     }
 
-    /// As [`MarkerError`] says. Push-out moves by the distance's error and turns by the normal's.
+    /// Bound: [`MarkerError`]. Push-out of obstacles adds the error of the distance and of its normal.
     fn advect_markers(&mut self, after: &LiquidSnapshot) {
         let (grid, dt) = (self.grid, self.dt());
         let (velocity, solid_distance) = (&self.before.velocity, &self.cut.solid_distance);
-        let pushed = if self.cuts() {
-            3.0 * 64.0 * grid.dx
-        } else {
-            0.0
+        let pushed = match self.cuts() {
+            true => 3.0 * 64.0 * grid.dx,
+            false => 0.0,
         };
         let phi = &self.before.liquid_distance;
         let distance = reference::surface_distance(&grid, solid_distance, phi);
@@ -261,96 +243,50 @@ impl<'a> LiquidJudge<'a> {
             radius: f64::from(self.step.marker_radius) * grid.dx,
         };
         let error = MarkerError::new(&grid, velocity, surface, dt);
-        let bound = |start: [f64; 3]| error.at(start.into()) + EPS * pushed;
         let sides = self.scene.domain.open;
-        let twin = |start: [f64; 3]| {
-            let markers = [start];
-            reference::advect_markers(
-                &grid,
-                sides,
-                velocity,
-                solid_distance,
-                &surface,
-                &markers,
-                dt,
-            )
-            .0
-            .pop()
+        let advect = |start: [f64; 3]| {
+            let (walls, markers) = (solid_distance, [start]);
+            let advected =
+                reference::advect_markers(&grid, sides, velocity, walls, &surface, &markers, dt);
+            advected.0.first().copied()
         };
-        let close = |gpu: &Option<[f64; 3]>, twin: &Option<[f64; 3]>, bound: f64| match (gpu, twin)
-        {
-            (Some(gpu), Some(twin)) => (0..3).all(|a| (gpu[a] - twin[a]).abs() <= bound),
-            (gpu, twin) => gpu.is_none() == twin.is_none(),
-        };
-        // Where the gradient of the distance jumps, or its sign decides, a start that is off by a rounding ends elsewhere.
-        let excused = |start: [f64; 3], gpu: &Option<[f64; 3]>, bound: f64| {
-            let shifted: Vec<_> = (0..8)
-                .map(|corner| {
-                    twin(std::array::from_fn(|a| {
-                        start[a] + if corner >> a & 1 == 1 { bound } else { -bound }
-                    }))
-                })
-                .collect();
-            match gpu {
-                None => shifted.iter().any(Option::is_none),
-                Some(x) => (0..3).all(|a| {
-                    let ends = || shifted.iter().flatten().map(|end| end[a]);
-                    let low = ends().fold(f64::INFINITY, f64::min);
-                    let high = ends().fold(f64::NEG_INFINITY, f64::max);
-                    (low - bound..=high + bound).contains(&x[a])
-                }),
-            }
-        };
-        let pairs: Vec<_> = self
-            .before
-            .markers
-            .par_iter()
-            .zip(&after.markers)
-            .map(|(start, gpu)| {
-                let end = start.and_then(twin);
-                let bound = start.map_or(0.0, bound);
-                let excused = !close(gpu, &end, bound)
-                    && start.is_some_and(|start| excused(start, gpu, bound));
-                (bound, *gpu, end, excused)
-            })
-            .collect();
+        let markers = self.before.markers.par_iter().zip(&after.markers);
+        let pairs = markers.map(|(start, gpu)| {
+            let Some(start) = *start else {
+                return (0.0, *gpu, None, false);
+            };
+            let bound = error.at(start.into()) + EPS * pushed;
+            let twin = advect(start);
+            let excused = !close(gpu, &twin, bound) && depends_on_start(start, gpu, bound, advect);
+            (bound, *gpu, twin, excused)
+        });
+        let pairs: Vec<(f64, Marker, Marker, bool)> = pairs.collect();
         let place = |index: usize| {
             Place::Marker(index, self.before.markers[index].unwrap_or_default().into())
         };
-        let judged = || pairs.iter().enumerate().filter(|(_, pair)| !pair.3);
-        self.table.add_flags(
-            [Stage::AdvectMarkers.name(), "markers gone"],
-            judged()
-                .map(|(index, (_, gpu, twin, _))| (gpu.is_none(), twin.is_none(), place(index))),
-        );
-        self.table.add(
-            [Stage::AdvectMarkers.name(), "positions", "m"],
-            judged().flat_map(|(index, &(bound, gpu, twin, _))| {
-                let both = gpu.zip(twin).into_iter();
-                both.flat_map(move |(gpu, twin)| {
-                    (0..3).map(move |a| (gpu[a], twin[a], bound, index))
-                })
-                .map(|(gpu, twin, bound, index)| (gpu, twin, bound, place(index)))
-            }),
-        );
-        let n_excused = pairs.iter().filter(|pair| pair.3).count();
-        self.table
-            .row(Stage::AdvectMarkers.name(), "positions", "m")
-            .excused += 3 * n_excused as u64;
+        let compared = || pairs.iter().enumerate().filter(|(_, pair)| !pair.3);
+        let gone = compared()
+            .map(|(index, (_, gpu, twin, _))| (gpu.is_none(), twin.is_none(), place(index)));
+        self.table.add_flags("markers gone", gone);
+        let positions = compared().flat_map(|(index, &(bound, gpu, twin, _))| {
+            let both = gpu.zip(twin).into_iter();
+            both.flat_map(move |(gpu, twin)| {
+                (0..3).map(move |a| (gpu[a], twin[a], bound, place(index)))
+            })
+        });
+        self.table.add(["positions", "m"], positions);
+        let excused = pairs.iter().filter(|pair| pair.3).count();
+        self.table.excuse(["positions", "m"], 3 * excused);
     }
 
-    /// Which markers sink and how many cells of sources lack depends on the cell that a marker is in: those within their rounding of a border
-    /// may be in either. New places are off by the roundings of three sums and products in cells, and of their product with dx.
+    /// Deletion and emission depend on the cell of a marker; one within its rounding of a border may be in either cell.
     fn exchange(&mut self, after: &LiquidSnapshot) {
         let grid = self.grid;
         let n_before = self.before.markers.iter().rposition(Option::is_some);
         let n_before = n_before.map_or(0, |last| last + 1);
-        let taps = self.taps.clone();
-        let sink = |x: [f64; 3]| reference::sink_markers(&grid, &taps, vec![x]).1 == 1;
+        let sink = |x: [f64; 3]| reference::sink_markers(&grid, &self.taps, vec![x]).1 == 1;
         let at_border = |x: [f64; 3]| across_borders(&grid, x) != x;
-        let mut kept = Vec::new();
-        let mut excused = 0;
-        let mut pairs = Vec::new();
+        let (mut kept, mut pairs, mut excused) = (Vec::new(), Vec::new(), 0);
         let old = self.before.markers.iter().zip(&after.markers);
         for (index, (before, gpu)) in old.take(n_before).enumerate() {
             let Some(x) = *before else { continue };
@@ -362,55 +298,54 @@ impl<'a> LiquidJudge<'a> {
             }
             kept.extend(*gpu);
         }
-        self.table
-            .add_flags([Stage::Exchange.name(), "markers sunk"], pairs);
-        self.table
-            .row(Stage::Exchange.name(), "markers sunk", "flag")
-            .excused += excused;
-        let mut excused = 0;
+        self.table.add_flags("markers sunk", pairs);
+        self.table.excuse(["markers sunk", "flag"], excused);
         let borders = kept.iter().filter(|&&x| at_border(x)).count();
-        let n_kept = kept.len();
-        let seeded = reference::seed_markers(
-            &grid,
-            &taps,
-            self.running,
-            &self.cut.solid_distance,
-            &mut kept,
-        );
+        self.emission(after, kept, n_before, borders);
+    }
+
+    /// Markers that sources emit. `kept`: markers of before, the first `n_before` slots, of which so many are at borders. New positions are off by the
+    /// roundings of three sums and products in cells, and of their product with dx.
+    fn emission(
+        &mut self,
+        after: &LiquidSnapshot,
+        mut kept: Vec<[f64; 3]>,
+        n_before: usize,
+        borders: usize,
+    ) {
+        let (grid, n_kept) = (self.grid, kept.len());
+        let walls = &self.cut.solid_distance;
+        let seeded = reference::seed_markers(&grid, &self.taps, self.running, walls, &mut kept);
         let twin = &kept[n_kept..];
         let new = &after.markers[n_before.min(after.markers.len())..];
         let gpu: Vec<[f64; 3]> = new.iter().copied().flatten().collect();
+        let mut excused = 0;
         if gpu.len() != twin.len() && gpu.len().abs_diff(twin.len()) <= borders {
-            excused += 1;
+            excused = 1;
         } else {
             let counts = [gpu.len(), twin.len()].map(|n| n as f64);
             let filled = [after.report.filled.into(), seeded.filled as f64];
             let numbers = [counts, filled].map(|[gpu, twin]| (gpu, twin, 0.0, Place::Whole));
-            self.table
-                .add([Stage::Exchange.name(), "markers emitted", ""], numbers);
+            self.table.add(["markers emitted", ""], numbers);
             let bound = EPS * grid.dx * 8.0 * self.extent();
             let places = gpu.iter().zip(twin).enumerate();
-            self.table.add(
-                [Stage::Exchange.name(), "new positions", "m"],
-                places.flat_map(|(index, (gpu, twin))| {
-                    let place = move || Place::Marker(n_before + index, (*twin).into());
-                    (0..3).map(move |a| (gpu[a], twin[a], bound, place()))
-                }),
-            );
+            let positions = places.flat_map(|(index, (gpu, twin))| {
+                let place = Place::Marker(n_before + index, (*twin).into());
+                (0..3).map(move |a| (gpu[a], twin[a], bound, place))
+            });
+            self.table.add(["new positions", "m"], positions);
         }
-        self.table
-            .row(Stage::Exchange.name(), "new positions", "m")
-            .excused += excused;
+        self.table.excuse(["new positions", "m"], excused);
     }
 
-    /// As [`advection_error`] says.
+    /// Bound: [`advection_error`].
     fn advect_velocity(&mut self, after: &LiquidSnapshot) {
         let (velocity, dt) = (&self.before.velocity, self.dt());
         let in_band = |axis: Axis, face: usize| after.face_band[axis.index()][face];
         let open = &open_to_advection(&self.cut.open, in_band);
         let bound = advection_error(&self.grid, open, velocity, dt);
         let twin = reference::advect_velocity(&self.grid, open, velocity, dt);
-        self.add_band_faces([Stage::AdvectVelocity.name(), "u*"], after, &twin, bound);
+        self.add_band_faces(after, &twin, bound);
     }
 
     /// One product and one sum.
@@ -420,32 +355,25 @@ impl<'a> LiquidJudge<'a> {
         let bound = EPS * (2.0 * dt * gravity.abs().max_element() + reference::max_speed(&twin));
         reference::forces(&mut twin, gravity, dt);
         reference::hold_faces(&self.taps, &self.cut.open, self.running.running, &mut twin);
-        self.add_band_faces([Stage::Forces.name(), "u*"], after, &twin, bound);
+        self.add_band_faces(after, &twin, bound);
     }
 
-    /// u* on the faces of the band against the twin's.
-    fn add_band_faces(
-        &mut self,
-        [stage, quantity]: [&'static str; 2],
-        after: &LiquidSnapshot,
-        twin: &[Vec<f64>; 3],
-        bound: f64,
-    ) {
-        let row = [stage, quantity, "m/s"];
-        self.table.faces(&self.grid, row, |a, face| {
+    /// Compares u* on the faces of the band.
+    fn add_band_faces(&mut self, after: &LiquidSnapshot, twin: &[Vec<f64>; 3], bound: f64) {
+        self.table.faces(&self.grid, ["u*", "m/s"], |a, face| {
             let numbers = (after.velocity_next[a][face], twin[a][face], bound);
             after.face_band[a][face].then_some(numbers)
         });
     }
 
-    /// A position in cells is off by its size times 3 roundings per axis; root, product and difference add a few. A pass into solids
-    /// takes values with coefficients whose magnitudes add up to less than 3, a slope being made of differences: it triples what they
-    /// are off by, and its sums over up to 30 pairs and 6 neighbours add 110 roundings.
+    /// A position in cells is off by 3 roundings of its size per axis; root, product and difference add a few. A pass into solids uses coefficients
+    /// whose magnitudes sum to less than 3, since a slope is made of differences. It triples the error, and its sums over up to 30 pairs and
+    /// 6 neighbours add 110 roundings.
     fn liquid_distance(&mut self, after: &LiquidSnapshot) {
         let grid = self.grid;
         let dx = grid.dx;
         let outside = EPS * dx * (3.0 * 3.0 * self.extent() + 14.0);
-        let pass = |off: f64| 3.0 * off + 110.0 * EPS * dx;
+        let pass = |error: f64| 3.0 * error + 110.0 * EPS * dx;
         let in_solid = pass(pass(pass(outside)));
         let centres = self.cut.solid_distance.iter();
         let bounds: Vec<f64> = centres
@@ -456,82 +384,73 @@ impl<'a> LiquidJudge<'a> {
         let mut twin = reference::liquid_distance(&grid, &self.cut, &markers, radius);
         reference::empty_sinks(&self.taps, dx, &mut twin);
         let gpu = &after.liquid_distance;
-        let differs = |cell: usize, twin: &[f64]| (gpu[cell] - twin[cell]).abs() > bounds[cell];
-        let in_band = |cell: &usize| after.band[*cell];
+        let differs = |cell: &usize| (gpu[*cell] - twin[*cell]).abs() > bounds[*cell];
+        let mut differing = (0..grid.n_cells())
+            .filter(|&cell| after.band[cell])
+            .filter(differs)
+            .peekable();
         let mut excused = vec![false; grid.n_cells()];
-        if (0..grid.n_cells())
-            .filter(in_band)
-            .any(|cell| differs(cell, &twin))
-        {
-            // Markers so close to the border of a cell that a rounding puts them into the next, put there.
+        if differing.peek().is_some() {
+            // Markers within a rounding of a border, moved to the next cell.
             let moved: Vec<[f64; 3]> = markers.iter().map(|x| across_borders(&grid, *x)).collect();
             let other = reference::liquid_distance(&grid, &self.cut, &moved, radius);
-            for cell in (0..grid.n_cells()).filter(in_band) {
-                excused[cell] =
-                    differs(cell, &twin) && (gpu[cell] - other[cell]).abs() <= 4.0 * bounds[cell];
+            for cell in differing {
+                excused[cell] = (gpu[cell] - other[cell]).abs() <= 4.0 * bounds[cell];
             }
         }
         let distance = |distance: &[f64], cell: usize| {
-            // Outside the band the device says air, without saying how far.
-            if after.band[cell] || distance[cell] < 0.0 {
-                distance[cell]
-            } else {
-                dx
+            // Outside the band the device stores air without a distance.
+            match after.band[cell] || distance[cell] < 0.0 {
+                true => distance[cell],
+                false => dx,
             }
         };
-        let row = [Stage::LiquidDistance.name(), "phi", "m"];
-        self.table.cells(&grid, row, |cell| {
+        self.table.cells(&grid, ["phi", "m"], |cell| {
             let numbers = (distance(gpu, cell), distance(&twin, cell), bounds[cell]);
             (!excused[cell]).then_some(numbers)
         });
-        self.table
-            .row(Stage::LiquidDistance.name(), "phi", "m")
-            .excused += excused.iter().filter(|&&excused| excused).count() as u64;
+        let count = excused.iter().filter(|&&excused| excused).count();
+        self.table.excuse(["phi", "m"], count);
         self.volume_rate(after);
         self.twin.liquid_distance = twin;
         self.twin.distance_bounds = bounds;
     }
 
-    /// Cells that hold liquid or are on the brink of it, times their volume: what the roundings of sums are measured against, m^3.
+    /// Volume of the cells with liquid or at the brink of it, m^3: the scale of the roundings of sums.
     fn wet_volume(&self, liquid_distance: &[f64]) -> f64 {
         let wet = |phi: &&f64| **phi <= 0.5 * self.grid.dx;
         liquid_distance.iter().filter(wet).count() as f64 * self.grid.cell_volume()
     }
 
-    /// The rate is off by the volume's error, relative to it, over the time of the correction.
+    /// The rate is off by the relative error of the volume over the time of the correction.
     fn volume_rate(&mut self, after: &LiquidSnapshot) {
         let phi = &after.liquid_distance;
         let volume = reference::liquid_volume(&self.grid, &self.open_volumes, phi);
         let volume_bound = self.sum_error(after.real, phi) * self.wet_volume(phi);
-        // What is there without the new ones.
         let alive = after.markers.iter().flatten().count();
         let kept = alive - after.report.emitted as usize;
         let gone = after.report.left + after.report.sunk;
         let volume_0 = f64::from(self.step.volume_0);
         let volume_0 = reference::volume_without(volume_0, gone.into(), kept);
         let (control_time, dt) = (f64::from(self.step.control_time), self.dt());
-        let (twin, bound) = if volume_0 > 0.0 && volume > 0.0 {
-            let rate = |volume| reference::volume_rate(volume_0, volume, control_time, dt);
-            let twin = rate(volume);
-            let ratio = volume_0 / volume;
+        let (mut twin, mut bound) = (0.0, 0.0);
+        if volume_0 > 0.0 && volume > 0.0 {
+            twin = reference::volume_rate(volume_0, volume, control_time, dt);
             // The slope of the rate, without its limits.
             let per_ratio = 2.0 / control_time;
-            let quotient = if after.real == Real::F32 {
-                6.0 * EPS
-            } else {
-                0.0
+            let quotient = match after.real {
+                Real::F32 => 6.0 * EPS,
+                Real::F64 => 0.0,
             };
             let relative = quotient + volume_bound / volume;
-            (twin, per_ratio * ratio * relative + 8.0 * EPS * twin.abs())
-        } else {
-            (0.0, 0.0)
-        };
-        let row = [Stage::LiquidDistance.name(), "volume rate", "1/s"];
-        self.table.whole(row, after.report.volume_rate, twin, bound);
+            bound = per_ratio * (volume_0 / volume) * relative + 8.0 * EPS * twin.abs();
+        }
+        let rate = after.report.volume_rate;
+        self.table.whole(["volume rate", "1/s"], rate, twin, bound);
     }
 
-    /// The set of unknowns and the weights copy signs and open fractions, so they are exact. Free-surface terms: theta is off by
-    /// one difference and one quotient, its reciprocal by a quotient, a sum of six by five more.
+    /// The set of unknowns and the weights copy signs and apertures, so they are exact. Free-surface terms: theta has the rounding of a difference
+    /// and a quotient, its reciprocal of a quotient, a sum of six of five more.
     fn active_cells(&mut self, after: &LiquidSnapshot, both: Option<&Both>) {
         let grid = self.grid;
         let phi = &after.liquid_distance;
@@ -540,25 +459,19 @@ impl<'a> LiquidJudge<'a> {
         if let Some(both) = both {
             twin.seal(both.clip.coupling(), &both.at_rest.prescribed);
         }
-        let stencil = &twin.stencil;
-        let stage = "active_cells";
-        let table = &mut self.table;
-        table.cells(&grid, [stage, "active", "flag"], |cell| {
+        let (stencil, table) = (&twin.stencil, &mut self.table);
+        table.cells(&grid, ["active", "flag"], |cell| {
             let (gpu, twin) = (after.active[cell], stencil.active(cell));
             Some((number(gpu), number(twin), 0.0))
         });
-        table.faces(&grid, [stage, "weights", ""], |a, face| {
+        table.faces(&grid, ["weights", ""], |a, face| {
             Some((after.weight[a][face], stencil.weight[a][face], 0.0))
         });
-        table.cells(&grid, [stage, "free-surface terms", ""], |cell| {
-            let twin = stencil.dirichlet[cell];
-            Some((
-                after.dirichlet[cell],
-                twin,
-                DIRICHLET_ROUNDINGS * EPS * twin,
-            ))
+        table.cells(&grid, ["free-surface terms", ""], |cell| {
+            let (gpu, twin) = (after.dirichlet[cell], stencil.dirichlet[cell]);
+            Some((gpu, twin, DIRICHLET_ROUNDINGS * EPS * twin))
         });
-        table.cells(&grid, [stage, "1 / diagonal", ""], |cell| {
+        table.cells(&grid, ["1 / diagonal", ""], |cell| {
             let diagonal = stencil.diagonal[cell];
             let twin = if diagonal > 0.0 { 1.0 / diagonal } else { 0.0 };
             // A sum of eleven and a quotient more.
@@ -568,7 +481,7 @@ impl<'a> LiquidJudge<'a> {
         self.twin.active = Some(twin);
     }
 
-    /// What volume control adds at the rate of the device.
+    /// Source of volume control at the rate of the device.
     fn source(&self) -> VolumeSource<'_> {
         VolumeSource {
             rate: self.before.report.volume_rate,
@@ -576,8 +489,8 @@ impl<'a> LiquidJudge<'a> {
         }
     }
 
-    /// Six products and their sum in the scalar type, up to 12 roundings of six speeds; volume control adds a product of three, prescribed
-    /// nodes in closed components products with areas that are f32, and obstacles a number that is one.
+    /// Six products and their sum in the scalar type: up to 12 roundings of six speeds. Volume control adds a product of three, prescribed nodes in
+    /// enclosed components products with areas in f32, and obstacles a flux in f32.
     fn right_hand_side(
         &mut self,
         after: &LiquidSnapshot,
@@ -585,11 +498,8 @@ impl<'a> LiquidJudge<'a> {
         both: Option<&Both>,
     ) {
         let grid = self.grid;
-        let active = self
-            .twin
-            .active
-            .take()
-            .expect("active_cells comes before right_hand_side");
+        let active = self.twin.active.take();
+        let active = active.expect("active_cells comes before right_hand_side");
         let velocity = &self.before.velocity_next;
         let (open, source) = (self.open_to_flux(), Some(self.source()));
         let twin = reference::right_hand_side(&grid, &open, velocity, &active, source);
@@ -601,45 +511,40 @@ impl<'a> LiquidJudge<'a> {
         let mut gpu = after.rhs.clone();
         reference::remove_means(&active.closed, &mut gpu);
         let mut closed = vec![false; grid.n_cells()];
-        active
-            .closed
-            .iter()
-            .flatten()
-            .for_each(|&cell| closed[cell] = true);
-        let row = [Stage::RightHandSide.name(), "closed components", "flag"];
-        self.table.cells(&grid, row, |cell| {
-            Some((number(after.closed[cell]), number(closed[cell]), 0.0))
-        });
-        self.twin.rhs = twin.values.iter().map(|b| b / area).collect();
+        for &cell in active.closed.iter().flatten() {
+            closed[cell] = true;
+        }
+        let flags = |cell: usize| Some((number(after.closed[cell]), number(closed[cell]), 0.0));
+        self.table
+            .cells(&grid, ["closed components", "flag"], flags);
+        let mut rhs: Vec<f64> = twin.values.iter().map(|b| b / area).collect();
         if let Some(clip) = clip {
             for &(cell, flux) in clip.obstacles().flux() {
                 if active.stencil.active(cell) {
-                    self.twin.rhs[cell] -= flux / area;
+                    rhs[cell] -= flux / area;
                     bound = bound.max(terms + 4.0 * EPS * (flux.abs() / area + rate * grid.dx));
                 }
             }
-            reference::remove_means(&active.closed, &mut self.twin.rhs);
+            reference::remove_means(&active.closed, &mut rhs);
         }
         if let Some(both) = both {
             let [flux, gross] = both.flux(grid.dx, &closed);
-            let pairs = self.twin.rhs.iter_mut().zip(flux);
-            pairs.for_each(|(rhs, flux)| *rhs -= flux);
-            reference::remove_means(&active.closed, &mut self.twin.rhs);
-            bound += 4.0 * EPS * gross.into_iter().fold(0.0, f64::max);
+            rhs.iter_mut().zip(flux).for_each(|(b, flux)| *b -= flux);
+            reference::remove_means(&active.closed, &mut rhs);
+            bound += 4.0 * EPS * largest(gross);
         }
-        let rhs = &self.twin.rhs;
-        let row = [Stage::RightHandSide.name(), "E u* / dx^2", "m/s"];
-        self.table.cells(&grid, row, |cell| {
+        self.table.cells(&grid, ["E u* / dx^2", "m/s"], |cell| {
             let numbers = (gpu[cell], rhs[cell], bound);
             active.stencil.active(cell).then_some(numbers)
         });
+        self.twin.rhs = rhs;
         self.twin.rhs_bound = bound;
         self.twin.flux = twin.scale / area;
         self.twin.active = Some(active);
     }
 
-    /// Faces are valid or not, exactly. theta is off by 6 roundings, the quotient by it and the difference by 5 and 1, and u - that
-    /// is rounded in the scalar type and again to f32.
+    /// Flags of valid faces are exact. theta has 6 roundings, the quotient by it and the difference 5 and 1; u less that is rounded in the scalar
+    /// type and again to f32.
     fn write_back(&mut self, after: &LiquidSnapshot) {
         let grid = self.grid;
         let active = self.before.active_cells(&grid);
@@ -647,7 +552,7 @@ impl<'a> LiquidJudge<'a> {
             values: Vec::new(),
             scale: 0.0,
         };
-        // A unit of dt/(rho dx), so that the twin takes the potential for the pressure.
+        // In units of dt/(rho dx) the potential is the pressure.
         let system = PressureSystem {
             scale: grid.dx * grid.dx,
             ..PressureSystem::new(active, rhs, 1.0, 1.0)
@@ -664,12 +569,10 @@ impl<'a> LiquidJudge<'a> {
         );
         let running = self.running.running;
         reference::carry_faces(&self.taps, &self.cut.open, running, &mut twin, &mut valid);
-        let row = [Stage::WriteBack.name(), "valid faces", "flag"];
-        self.table.faces(&grid, row, |a, face| {
+        self.table.faces(&grid, ["valid faces", "flag"], |a, face| {
             Some((number(after.valid[a][face]), number(valid[a][face]), 0.0))
         });
-        let row = [Stage::WriteBack.name(), "u", "m/s"];
-        self.table.faces(&grid, row, |a, face| {
+        self.table.faces(&grid, ["u", "m/s"], |a, face| {
             let twin = if valid[a][face] { twin[a][face] } else { 0.0 };
             let change = (twin - u_star[a][face]).abs();
             let bound = EPS * (13.0 * change + 2.0 * twin.abs());
@@ -677,8 +580,8 @@ impl<'a> LiquidJudge<'a> {
         });
     }
 
-    /// A mean of up to six per layer: 5 roundings of the sum, a quotient. Along obstacles the direction is off by the roundings
-    /// of distances up to 3 dx over the length of the gradient; solids move by a mean over three nodes and two places.
+    /// A layer takes the mean of up to six faces: 5 roundings of the sum, a quotient. Along obstacles the direction has the roundings of distances up
+    /// to 3 dx over the length of the gradient. The velocity of solids is a mean over three nodes and two places.
     fn extrapolate(
         &mut self,
         after: &LiquidSnapshot,
@@ -692,126 +595,97 @@ impl<'a> LiquidJudge<'a> {
             triangles: both.map_or(&[], |both| &both.at_rest.triangles),
             velocity: both.map_or(&[], |both| &both.solids.velocity),
         });
-        let of_nodes = walls.map_or(&[][..], |walls| walls.velocity.as_flattened());
-        let of_nodes = of_nodes.iter().fold(0.0, |m, v| f64::max(m, v.abs()));
-        let of_obstacles = clip
-            .map_or(&[][..], |clip| clip.obstacles().wall_velocities())
-            .iter();
-        let of_walls = of_obstacles.fold(of_nodes, |m, (_, v)| m.max(v.abs().max_element()));
-        let speed = 3.0 * of_walls + reference::max_speed(&self.before.velocity);
+        let nodes = walls.map_or(&[][..], |walls| walls.velocity.as_flattened());
+        let obstacles = clip.map_or(&[][..], |clip| clip.obstacles().wall_velocities());
+        let obstacles = obstacles.iter().map(|(_, v)| v.abs().max_element());
+        let wall_speed = largest(nodes.iter().map(|v| v.abs()).chain(obstacles));
+        let speed = 3.0 * wall_speed + reference::max_speed(&self.before.velocity);
         let mut twin = self.before.velocity.clone();
         let valid = self.before.valid.clone();
         reference::extrapolate(&grid, &self.cut, walls, valid, layers, &mut twin);
-        // What slivers show: two sums of up to 26, products and a quotient.
+        // Blended neighbour velocities: two sums of up to 26, products and a quotient.
         let blended = if self.cuts() { 64.0 } else { 0.0 };
         let means = EPS * speed * (blended + 10.0 * layers as f64);
         for axis in Axis::ALL {
             let a = axis.index();
-            let mut excused = 0;
-            let mut pairs = Vec::new();
+            let (mut pairs, mut excused) = (Vec::new(), 0);
             for face in 0..grid.n_faces(axis) {
                 let (gpu, twin) = (after.velocity[a][face], twin[a][face]);
-                let slip = if self.cuts() && self.cut.open[a][face] == 0.0 {
-                    self.slip_roundings(axis, face)
-                } else {
-                    Slip::Steady(0.0)
+                let slip = match self.cuts() && self.cut.open[a][face] == 0.0 {
+                    true => self.slip_roundings(axis, face),
+                    false => Some(0.0),
                 };
-                let bound = match slip {
-                    Slip::Steady(roundings) => means + EPS * speed * roundings,
-                    Slip::Unsteady => f64::INFINITY,
-                };
-                // Along the obstacle or not, it is no longer than a vector of three such components.
+                // With free slip or without it, no face is faster than a vector of three such components.
                 let possible = gpu.abs() <= 3.0_f64.sqrt() * speed + means;
-                if bound.is_infinite() && possible && (gpu - twin).abs() > means {
+                if slip.is_none() && possible && (gpu - twin).abs() > means {
                     excused += 1;
                 } else {
-                    let bound = if bound.is_finite() { bound } else { means };
+                    let bound = means + EPS * speed * slip.unwrap_or(0.0);
                     pairs.push((gpu, twin, bound, Place::face(&grid, axis, face)));
                 }
             }
-            self.table
-                .add([Stage::Extrapolate.name(), "u", "m/s"], pairs);
-            self.table
-                .row(Stage::Extrapolate.name(), "u", "m/s")
-                .excused += excused;
+            self.table.add(["u", "m/s"], pairs);
+            self.table.excuse(["u", "m/s"], excused);
         }
         self.twin.velocity = twin;
-        self.twin.velocity_bound = self
-            .table
-            .row(Stage::Extrapolate.name(), "u", "m/s")
-            .worst
-            .map_or(means, |worst| means.max(worst.bound));
+        let worst = self.table.row(["u", "m/s"]).worst;
+        self.twin.velocity_bound = worst.map_or(means, |worst| means.max(worst.bound));
     }
 
-    /// How far off the direction along an obstacle may be at a closed face, in roundings of the speed.
-    fn slip_roundings(&self, axis: Axis, face: usize) -> Slip {
+    /// Error of the direction along an obstacle at a closed face, in roundings of the speed; `None` where rounding decides whether the face slips.
+    fn slip_roundings(&self, axis: Axis, face: usize) -> Option<f64> {
         let (grid, distance) = (&self.grid, &self.cut.solid_distance);
         let ijk = grid.face_at(axis, face);
         if grid.face_sides(axis, ijk).contains(&None) {
-            return Slip::Steady(0.0);
+            return Some(0.0);
         }
         let x = grid.face_centre(axis, ijk);
         let at = |x: DVec3| grid.sample_cells(distance, x);
         // The mean of two distances, and half a cell.
         if (at(x) - 0.5 * grid.dx).abs() <= EPS * 4.0 * 3.0 * grid.dx {
-            return Slip::Unsteady;
+            return None;
         }
         let gradient = DVec3::from([0, 1, 2].map(|b| {
             let half = DVec3::AXES[b] * (0.5 * grid.dx);
             (at(x + half) - at(x - half)) / grid.dx
         }));
         let length = gradient.length();
-        if length < 1e-5 {
-            // Below 1e-6 there is no direction; near it rounding decides.
-            return Slip::Unsteady;
-        }
-        Slip::Steady(4.0 * 3.0 / length)
+        // Below 1e-6 there is no direction; near it rounding decides.
+        (length >= 1e-5).then(|| 4.0 * 3.0 / length)
     }
 
-    /// Sums as [`LiquidJudge::sum_error`] says. The largest speed copies a number. Divergence: twelve products summed, rounded to f32 and
-    /// multiplied by 1/dx; solids take up sums of products with areas that are f32.
+    /// Sums: [`LiquidComparison::sum_error`]. The largest speed copies a number. Divergence: twelve products summed, rounded to f32 and multiplied by
+    /// 1/dx; the flux of solids is a sum of products with areas in f32.
     fn diagnose(&mut self, after: &LiquidSnapshot, clip: Option<&SolidClip>, both: Option<&Both>) {
         let grid = self.grid;
         let phi = &after.liquid_distance;
-        let density = f64::from(self.step.density);
-        let gravity = self.gravity();
+        let (density, gravity) = (f64::from(self.step.density), self.gravity());
         let stencil = after.active_cells(&grid).stencil;
-        let (mut taken, mut of_areas) = (None, 0.0);
+        let (mut boundary_flux, mut area_error) = (None, 0.0);
         if let Some(both) = both {
             let [flux, gross] = both.flux(grid.dx, &after.active);
             let area = grid.dx * grid.dx;
-            taken = Some(
-                flux.into_iter()
-                    .map(|flux| area * flux)
-                    .collect::<Vec<f64>>(),
-            );
-            of_areas = 4.0 * EPS * gross.into_iter().fold(0.0, f64::max) / grid.dx;
+            boundary_flux = Some(flux.into_iter().map(|flux| area * flux).collect::<Vec<_>>());
+            area_error = 4.0 * EPS * largest(gross) / grid.dx;
             self.diagnose_coupling(after, both);
         }
         for &(cell, flux) in clip.map_or(&[][..], |clip| clip.obstacles().flux()) {
-            taken.get_or_insert_with(|| vec![0.0; grid.n_cells()])[cell] += flux;
-            of_areas = of_areas.max(4.0 * EPS * flux.abs() / grid.cell_volume());
+            boundary_flux.get_or_insert_with(|| vec![0.0; grid.n_cells()])[cell] += flux;
+            area_error = area_error.max(4.0 * EPS * flux.abs() / grid.cell_volume());
         }
-        let twin = {
-            let (cut, velocity) = (&self.cut, &after.velocity);
-            let open = self.open_to_flux();
-            let left = reference::divergence(&open, velocity, &stencil, taken.as_deref());
-            reference::diagnose(&grid, cut, phi, velocity, left, density, gravity)
-        };
+        let (cut, velocity, open) = (&self.cut, &after.velocity, self.open_to_flux());
+        let left = reference::divergence(&open, velocity, &stencil, boundary_flux.as_deref());
+        let twin = reference::diagnose(&grid, cut, phi, velocity, left, density, gravity);
         let gpu = after.report.diagnosis;
-        let rounding = self.sum_error(after.real, phi);
-        let volume = rounding * self.wet_volume(phi);
-        let mass = density * volume;
-        let speed = twin.max_speed;
-        let momentum = mass * speed;
-        let energy = 1.5 * mass * speed * speed;
+        let volume = self.sum_error(after.real, phi) * self.wet_volume(phi);
+        let (mass, speed) = (density * volume, twin.max_speed);
         let height = gravity.abs().dot(grid.size());
-        let flux = active_speed(&grid, &stencil, &after.velocity) / grid.dx;
+        let flux = active_speed(&grid, &stencil, velocity) / grid.dx;
         let divergence =
-            72.0 * unit(after.real) * flux + 4.0 * EPS * twin.divergence.abs() + of_areas;
+            72.0 * unit(after.real) * flux + 4.0 * EPS * twin.divergence.abs() + area_error;
+        let energy = 1.5 * mass * speed * speed;
         let mut row = |quantity, unit, gpu, twin, bound| {
-            let row = [Stage::Diagnose.name(), quantity, unit];
-            self.table.whole(row, gpu, twin, bound);
+            self.table.whole([quantity, unit], gpu, twin, bound);
         };
         row("volume", "m^3", gpu.volume, twin.volume, volume);
         for (a, quantity) in ["momentum x", "momentum y", "momentum z"]
@@ -823,13 +697,25 @@ impl<'a> LiquidJudge<'a> {
                 "kg m/s",
                 gpu.momentum[a],
                 twin.momentum[a],
-                momentum,
+                mass * speed,
             );
         }
-        let [of_gpu, of_twin] = [gpu, twin].map(|d| (d.kinetic_energy, d.potential_energy));
-        row("kinetic energy", "J", of_gpu.0, of_twin.0, energy);
-        row("potential energy", "J", of_gpu.1, of_twin.1, mass * height);
-        row("largest speed", "m/s", gpu.max_speed, twin.max_speed, 0.0);
+        let [kinetic, potential] = ["kinetic energy", "potential energy"];
+        row(
+            kinetic,
+            "J",
+            gpu.kinetic_energy,
+            twin.kinetic_energy,
+            energy,
+        );
+        row(
+            potential,
+            "J",
+            gpu.potential_energy,
+            twin.potential_energy,
+            mass * height,
+        );
+        row("largest speed", "m/s", gpu.max_speed, speed, 0.0);
         row(
             "divergence",
             "1/s",
@@ -839,9 +725,9 @@ impl<'a> LiquidJudge<'a> {
         );
     }
 
-    /// Whether both touch, and the sum of J^T p with areas that are f32, a rounding per node of a sum and level of the tree in f32.
+    /// Whether liquid and solids touch, and the sum of J^T p with areas in f32: a rounding per node of a sum and level of the tree in f32.
     fn diagnose_coupling(&mut self, after: &LiquidSnapshot, both: &Both) {
-        let Some(told) = both.told else { return };
+        let Some(report) = both.report else { return };
         let [force, gross] = both.force(self.pascal());
         let sums = |values: &[f64]| {
             let nodes = values.as_chunks::<3>().0.iter();
@@ -849,44 +735,44 @@ impl<'a> LiquidJudge<'a> {
         };
         let (twin, gross) = (sums(&force), sums(&gross));
         let bound = (4.0 * EPS + 64.0 * unit(after.real)) * gross.length();
-        self.table.add(
-            [Stage::Diagnose.name(), "J^T p", "N"],
-            (0..3).map(|axis| (told.force[axis], twin[axis], bound, Place::Whole)),
-        );
-        self.table.add_flags(
-            [Stage::Diagnose.name(), "touching"],
-            [(told.touching, both.touch(), Place::Whole)],
-        );
+        for axis in 0..3 {
+            let (gpu, twin) = (report.force[axis], twin[axis]);
+            self.table.whole(["J^T p", "N"], gpu, twin, bound);
+        }
+        let touching = (report.touching, both.touch(), Place::Whole);
+        self.table.add_flags("touching", [touching]);
     }
 
-    /// What the probes read of the device's fields, and of those that the twins made. Velocity and pressure are means, so they are off
-    /// by what they are made from. Heights and fronts fall where phi rises: they are where phi, off by its bound, puts them.
+    /// Probes of the device's fields, and of those of the twins. Velocity and pressure are means, so their error is that of the fields. Heights and
+    /// fronts decrease where phi increases: their bounds are those of phi shifted by its error.
     fn probes(&mut self, after: &LiquidSnapshot) {
         let grid = self.grid;
-        let on_device = |liquid_distance: Vec<f64>, active: Vec<bool>| State {
+        let gpu = State {
             velocity: after.velocity.clone(),
             pressure: self.in_pascal(&after.potential),
-            liquid_distance,
-            active,
+            liquid_distance: after.liquid_distance.clone(),
+            active: after.active.clone(),
             ..State::at_rest(&grid)
         };
-        let gpu = on_device(after.liquid_distance.clone(), after.active.clone());
         let twin = State {
             velocity: self.twin.velocity.clone(),
             pressure: self.twin.pressure.clone(),
             ..gpu.clone()
         };
-        let surface = |shift: f64| {
+        let shifted = |shift: f64| {
             let twin = self.twin.liquid_distance.iter();
             let phi: Vec<f64> = twin
                 .zip(&self.twin.distance_bounds)
                 .map(|(phi, bound)| phi + shift * bound)
                 .collect();
-            let open = &self.cut.open;
-            let active = reference::active_cells(&grid, open, &phi, self.theta_floor());
-            on_device(phi, active.stencil.active_mask())
+            let active = reference::active_cells(&grid, &self.cut.open, &phi, self.theta_floor());
+            State {
+                active: active.stencil.active_mask(),
+                liquid_distance: phi,
+                ..gpu.clone()
+            }
         };
-        let surfaces = [0.0, 1.0, -1.0].map(surface);
+        let surfaces = [0.0, 1.0, -1.0].map(shifted);
         let mut pairs = Vec::new();
         for probe in &self.scene.probes {
             let read = |state: &State| reference::probe(&grid, state, &probe.kind);
@@ -907,25 +793,49 @@ impl<'a> LiquidJudge<'a> {
                     let bound = reach + 1e-12 * grid.size().max_element();
                     pairs.push(("surface", "m", read(&gpu)[0], twin, bound));
                 }
-                // Both paths read them by the same function of the nodes, which have their own rows.
+                // Both paths evaluate them by the same function of the nodes, which have their own rows.
                 ProbeKind::Node { .. } | ProbeKind::Solid { .. } | ProbeKind::Force { .. } => {}
             }
         }
+        self.table.stage = "probes";
         for (column, (quantity, unit, gpu, twin, bound)) in pairs.into_iter().enumerate() {
-            self.table.add(
-                ["probes", quantity, unit],
-                [(gpu, twin, bound, Place::Column(column))],
-            );
+            let pair = (gpu, twin, bound, Place::Column(column));
+            self.table.add([quantity, unit], [pair]);
         }
     }
 }
 
-/// Whether the slip of a face hangs on a rounding.
-enum Slip {
-    /// Its direction is off by so many roundings of the speed.
-    Steady(f64),
-    /// It may slip or not.
-    Unsteady,
+/// Whether two markers agree within a bound (m), or both are deleted.
+fn close(gpu: &Marker, twin: &Marker, bound: f64) -> bool {
+    match (gpu, twin) {
+        (Some(gpu), Some(twin)) => (0..3).all(|a| (gpu[a] - twin[a]).abs() <= bound),
+        (gpu, twin) => gpu.is_none() == twin.is_none(),
+    }
+}
+
+/// Whether the rounding of its start decides the end of a marker: the gradient of the distance jumps, or its sign changes. Compares with starts
+/// shifted by the bound (m) along each diagonal.
+fn depends_on_start(
+    start: [f64; 3],
+    gpu: &Marker,
+    bound: f64,
+    advect: impl Fn([f64; 3]) -> Marker,
+) -> bool {
+    let shifted = (0..8).map(|corner| {
+        advect(std::array::from_fn(|a| {
+            start[a] + if corner >> a & 1 == 1 { bound } else { -bound }
+        }))
+    });
+    let shifted: Vec<Marker> = shifted.collect();
+    let Some(x) = gpu else {
+        return shifted.iter().any(Option::is_none);
+    };
+    (0..3).all(|a| {
+        let ends = || shifted.iter().flatten().map(|end| end[a]);
+        let low = ends().fold(f64::INFINITY, f64::min);
+        let high = ends().fold(f64::NEG_INFINITY, f64::max);
+        (low - bound..=high + bound).contains(&x[a])
+    })
 }
 
 /// Roundings of a free-surface term.
@@ -943,10 +853,10 @@ fn active_speed(grid: &Grid, stencil: &Stencil, velocity: &[Vec<f64>; 3]) -> f64
             })
         })
     });
-    speeds.fold(0.0, f64::max)
+    largest(speeds)
 }
 
-/// The marker (m), moved to the other side of every cell border that is within its rounding in cells.
+/// Position of a marker (m) beyond every cell border that is within its rounding in cells.
 fn across_borders(grid: &Grid, x: [f64; 3]) -> [f64; 3] {
     let dx = grid.dx;
     x.map(|x| {
