@@ -5,8 +5,9 @@
 // of the domain.
 // Only quads with liquid are written; all arrays are zero elsewhere. One thread per quad that may contain liquid.
 // level: the level. settings: theta floor, whether sides are open. list, args: those quads. liquid_distance: per
-// cell, m. open: apertures of the minus faces along x, y, z; closed where not above 0. flags: per quad, active lanes
-// in bits 0-3 and UNIFORM. matrix: see level.
+// cell, m. open: apertures of the minus faces along x, y, z; closed where not above 0. flags: per quad, active and held
+// lanes (see active) and UNIFORM. matrix: see level.
+#import active
 #import dispatch
 #import level
 #import real
@@ -93,12 +94,17 @@ fn active_cells(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
     if settings.open_sides != 0u {
         around = beyond_sides(around, phi, quad_cell(level.shape, q));
     }
+    let bx = vec4<f32>(ax.yzw, open[q + 1u].x);
+    let ay = open[n + q];
+    let by = open[n + q + sy];
+    let az = open[2u * n + q];
+    let bz = open[2u * n + q + sz];
     let xm = face(phi, around.xm, ax);
-    let xp = face(phi, around.xp, vec4<f32>(ax.yzw, open[q + 1u].x));
-    let ym = face(phi, around.ym, open[n + q]);
-    let yp = face(phi, around.yp, open[n + q + sy]);
-    let zm = face(phi, around.zm, open[2u * n + q]);
-    let zp = face(phi, around.zp, open[2u * n + q + sz]);
+    let xp = face(phi, around.xp, bx);
+    let ym = face(phi, around.ym, ay);
+    let yp = face(phi, around.yp, by);
+    let zm = face(phi, around.zm, az);
+    let zp = face(phi, around.zp, bz);
     let surface = ((xm.dirichlet + xp.dirichlet) + (ym.dirichlet + yp.dirichlet)) + (zm.dirichlet + zp.dirichlet);
     let diagonal = surface + ((xm.weight + xp.weight) + (ym.weight + yp.weight)) + (zm.weight + zp.weight);
     let active_lanes = diagonal > Real4();
@@ -112,7 +118,9 @@ fn active_cells(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
     matrix[DIRICHLET * total + q] = surface;
     let one = Real4(Real(1.0));
     matrix[INV_DIAGONAL * total + q] = select(Real4(), one / max(diagonal, Real4(Real(1e-30))), active_lanes);
-    var flag = dot(vec4<u32>(active_lanes), vec4<u32>(1u, 2u, 4u, 8u));
+    let held = active_lanes & (min(min(min(ax, bx), min(ay, by)), min(az, bz)) < vec4<f32>(1.0));
+    let lanes = dot(vec4<u32>(active_lanes), vec4<u32>(1u, 2u, 4u, 8u));
+    var flag = lanes | dot(vec4<u32>(held), vec4<u32>(1u, 2u, 4u, 8u)) << HELD | lanes << FILLED;
     if all(surface == Real4())
         && all(xm.weight == one) && all(xp.weight == one) && all(ym.weight == one)
         && all(yp.weight == one) && all(zm.weight == one) && all(zp.weight == one) {

@@ -3,6 +3,7 @@
 // One thread per quad of the band and its 12 minus faces.
 // level, step. band_args, band_list: the band. velocity: blended face velocities, m/s (velocity_quads: the same).
 // valid: see valid. open: face apertures. velocity_next: u*, m/s (at small-aperture faces: from advect_slivers).
+// flags: see active.
 #import advect
 #import dispatch
 #import lanes
@@ -30,6 +31,7 @@ fn wholeness(axis: u32, quad: u32) -> vec4<f32> {
     let slivers = bit_lanes(slivers_of(quad) >> (4u * axis));
     return select(vec4<f32>(1.0), max(2.0 / SLIVER * fractions - 1.0, vec4<f32>()), slivers);
 }
+@group(0) @binding(9) var<storage, read> flags: array<u32>;
 
 fn makes(axis: u32, quad: u32) -> vec4<bool> {
     return wholeness(axis, quad) > vec4<f32>();

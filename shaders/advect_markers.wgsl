@@ -3,9 +3,11 @@
 // difference over one cell along the normal. h = r - 0.2 dx is the height of the surface above the outermost markers,
 // r the radius of their spheres. The addition decreases from one to two cells below the surface and is
 // limited to half a cell per sub-step.
+// Markers in liquid that touches nothing also fall by g dt^2 / 2.
 // Markers beyond an open side are deleted and counted. One thread per marker; deleted markers (w = 0) are unchanged.
 // level, step. velocity: faces, m/s. distances: signed distance to the surface, cell centres, m. markers: x, y, z
-// (m), w = 1 alive, 0 deleted; in place. report: see report.
+// (m), w = 1 alive, 0 deleted; in place. report: see report. flags: see active.
+#import ballistic
 #import dispatch
 #import layout
 #import step
@@ -20,6 +22,7 @@
 @group(0) @binding(3) var<storage, read> distances: array<f32>;
 @group(0) @binding(4) var<storage, read_write> markers: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read_write> report: array<atomic<u32>>;
+@group(0) @binding(6) var<storage, read> flags: array<u32>;
 
 // The constants of reference/advect_markers.rs.
 // Mean difference between the radius of the spheres and the height of the surface above the outermost markers, cells.
@@ -55,7 +58,10 @@ fn advect_markers(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_in
     let surface = step.inv_dx * sample_distance(marker.xyz * step.inv_dx);
     let ahead = clamp(surface.x + DEEPEST, 0.0, 1.0) * (step.marker_radius - SPHERE_GAP);
     let middle = marker.xyz + 0.5 * step.dt * velocity_below_surface(marker.xyz * step.inv_dx, surface.yzw, ahead);
-    let end = marker.xyz + step.dt * velocity_below_surface(middle * step.inv_dx, surface.yzw, ahead);
+    var end = marker.xyz + step.dt * velocity_below_surface(middle * step.inv_dx, surface.yzw, ahead);
+    if is_ballistic(marker.xyz * step.inv_dx) {
+        end += step.dx * fall();
+    }
     if beyond_open_side(end, step) {
         markers[index] = vec4<f32>(end, 0.0);
         atomicAdd(&report[LEAVING], 1u);

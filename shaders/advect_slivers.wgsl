@@ -2,7 +2,7 @@
 // so that a squeezed film keeps its speed.
 // One thread per quad of the band.
 // level, step. band_args, band_list: the band. velocity: faces, m/s (velocity_quads: the same). valid: see valid.
-// open: face apertures. velocity_next: u* of small-aperture faces, m/s.
+// open: face apertures. velocity_next: u* of small-aperture faces, m/s. flags: see active.
 #import advect
 #import dispatch
 #import lanes
@@ -19,6 +19,7 @@
 @group(0) @binding(6) var<storage, read> valid: array<u32>;
 @group(0) @binding(7) var<storage, read> open: array<f32>;
 @group(0) @binding(8) var<storage, read_write> velocity_next: array<vec4<f32>>;
+@group(0) @binding(9) var<storage, read> flags: array<u32>;
 
 fn makes(axis: u32, quad: u32) -> vec4<bool> {
     return bit_lanes(slivers_of(quad) >> (4u * axis));

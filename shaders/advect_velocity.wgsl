@@ -1,7 +1,7 @@
 // advect_velocity: semi-Lagrangian advection of the face velocities (see advect).
 // One thread per quad of the band and its 12 minus faces.
 // level, step. band_args, band_list: the band. velocity: faces, m/s (velocity_quads: the same). velocity_next: u*,
-// m/s.
+// m/s. flags: see active.
 #import advect
 #import dispatch
 #import layout
@@ -14,6 +14,7 @@
 @group(0) @binding(4) var<storage, read> velocity: array<f32>;
 @group(0) @binding(5) var<storage, read> velocity_quads: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> velocity_next: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read> flags: array<u32>;
 
 fn makes(axis: u32, quad: u32) -> vec4<bool> {
     return vec4<bool>(true);

@@ -1,6 +1,6 @@
-// Stage closed_components, only where some have no free surface: every cell gets the label of its root, and its quad a flag if the
-// component is closed, and another if it is closed or sealed.
-// list: active quads. state: see components. labels: in and out, see components. flags: closed lanes, in bits 4-7, and those without a free surface, in bits 8-11.
+// Stage closed_components, only where some have no free surface or touch nothing: every cell gets the label of its root, and
+// its quad a flag if the component is closed, another if it is closed or sealed, another if it is ballistic.
+// list: active quads. state: see components. labels: in and out, see components. flags: in and out, see active.
 #import active
 #import dispatch
 #import level
@@ -9,7 +9,7 @@
 @group(0) @binding(0) var<storage, read> list: array<u32>;
 @group(0) @binding(1) var<storage, read> state: array<u32>;
 @group(0) @binding(2) var<storage, read_write> labels: array<atomic<u32>>;
-@group(0) @binding(3) var<storage, read_write> flags: array<u32>;
+@group(0) @binding(3) var<storage, read_write> flags: array<atomic<u32>>;
 
 @compute @workgroup_size(WG_SIZE)
 fn components_flag(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
@@ -19,9 +19,10 @@ fn components_flag(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_i
     }
     let entry = list[ix];
     let q = entry & ~UNIFORM;
-    let flag = flags[q];
+    let flag = atomicLoad(&flags[q]);
     var found = 0u;
     var label = NONE;
+    var falls = 0u;
     for (var l = 0u; l < 4u; l++) {
         if (flag & (1u << l)) == 0u {
             continue;
@@ -30,6 +31,7 @@ fn components_flag(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_i
         if l == 0u || (entry & UNIFORM) == 0u {
             let root = find(4u * q + l);
             label = root | (atomicLoad(&labels[root]) & MARKS);
+            falls = ~(atomicLoad(&flags[root / 4u]) >> (HELD_ROOT + root % 4u)) & 1u;
         }
         atomicStore(&labels[4u * q + l], label);
         if (label & OPEN) == 0u {
@@ -37,6 +39,9 @@ fn components_flag(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_i
         } else if (label & SEALED) != 0u {
             found |= (1u << SURFACELESS) << l;
         }
+        found |= falls << (BALLISTIC + l);
     }
-    flags[q] = flag | found;
+    if found != 0u {
+        atomicOr(&flags[q], found);
+    }
 }

@@ -1,5 +1,5 @@
-// Stage closed_components, one thread: how many components are closed, and the dispatch sizes of what they call for: nothing
-// if there are none.
+// Stage closed_components, one thread: how many components are closed, and the dispatch sizes of what they, and those that touch
+// nothing, call for: nothing if there are none.
 // args: sizes of the lists. state: see components. sizes: for a thread per active quad, and for one per RUN quads.
 #import dispatch
 #import components
@@ -13,7 +13,8 @@ fn components_gate() {
     let closed = state[COUNTER];
     let quads = args[3];
     state[N_CLOSED] = closed;
-    let any = closed + state[SEALS] > 0u;
+    let any = closed + state[SEALS] + state[LOOSE] > 0u;
+    state[LOOSE] = 0u;
     state[COUNTER] = 0u;
     state[SEALS] = 0u;
     state[QUADS] = quads;

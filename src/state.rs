@@ -33,6 +33,8 @@ pub struct State {
     pub liquid_distance: Vec<f64>,
     /// Whether each cell was an unknown of the last projection.
     pub active: Vec<bool>,
+    /// Whether each cell was in liquid that touched nothing then.
+    pub ballistic: Vec<bool>,
     /// Target liquid volume, m^3, including inflow and outflow.
     pub volume_0: f64,
     /// Displacement of the nodes of all solids from rest, m; on the device a sum of two f32.
@@ -60,6 +62,14 @@ pub struct Carried {
 }
 
 impl State {
+    /// Which cells held liquid in the last solve: its unknowns, or before the first those with liquid.
+    pub fn filled(&self) -> Vec<bool> {
+        match self.step {
+            0 => self.liquid_distance.iter().map(|&phi| phi < 0.0).collect(),
+            _ => self.active.clone(),
+        }
+    }
+
     /// A state at rest without liquid.
     pub fn at_rest(grid: &Grid) -> State {
         State {
@@ -77,6 +87,7 @@ impl State {
             pressure: vec![0.0; grid.n_cells()],
             liquid_distance: vec![grid.dx; grid.n_cells()],
             active: vec![false; grid.n_cells()],
+            ballistic: vec![false; grid.n_cells()],
             volume_0: 0.0,
             displacement: Vec::new(),
             node_velocity: Vec::new(),

@@ -106,14 +106,15 @@ pub const SCHEDULE: [Row; 18] = [
     Row {
         stage: Stage::TimeStep,
         name: "time_step",
-        sentence: "The largest sub-step that the velocities allow and that ends on the frame times.",
+        sentence: "The largest sub-step that velocities, accelerations and frame times allow.",
         runner: Runner::RunLoop,
         when: |_| When::EverySubStep,
     },
     Row {
         stage: Stage::MoveSolid,
         name: "move_solid",
-        sentence: "Moves the nodes of the solids: on circles for bodies that are free or hinged, then out of walls.",
+        sentence: "Moves the nodes of the solids: on circles for bodies that are free or hinged, by g dt^2 / 2 more for those that touch \
+                   nothing, then out of walls.",
         runner: Runner::Both,
         when: |effects| every(effects.solids),
     },
@@ -127,7 +128,8 @@ pub const SCHEDULE: [Row; 18] = [
     Row {
         stage: Stage::AdvectMarkers,
         name: "advect_markers",
-        sentence: "Moves the markers by the midpoint rule, near the surface with the velocity of the surface.",
+        sentence: "Moves the markers by the midpoint rule, near the surface with the velocity of the surface, in liquid that touches nothing by \
+                   g dt^2 / 2 more.",
         runner: Runner::Both,
         when: |effects| every(effects.markers),
     },
@@ -177,7 +179,7 @@ pub const SCHEDULE: [Row; 18] = [
     Row {
         stage: Stage::ClosedComponents,
         name: "closed_components",
-        sentence: "Labels enclosed liquid components, which have no free surface.",
+        sentence: "Labels enclosed liquid components, which have no free surface, and those that touch nothing.",
         runner: Runner::Gpu,
         when: |effects| every(effects.liquid),
     },

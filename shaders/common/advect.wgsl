@@ -1,7 +1,9 @@
 // Per face at x, u*(x) = u(x - dt u(x - dt/2 u(x))): semi-Lagrangian with the midpoint rule (Stam 1999), trilinear,
 // for the 12 minus faces of a quad.
-// The importing kernel declares level, step, velocity (faces, m/s), velocity_quads (the same as vec4), makes(axis,
-// quad): the lanes to compute, and put(axis, quad, made, result): storage of u*, m/s.
+// Liquid that touches nothing comes from further up, see ballistic.
+// The importing kernel declares what ballistic asks for, velocity (faces, m/s), velocity_quads (the same as vec4),
+// makes(axis, quad): the lanes to compute, and put(axis, quad, made, result): storage of u*, m/s.
+#import ballistic
 #import layout
 #import lanes
 #import step
@@ -21,7 +23,11 @@ fn advect(axis: u32, quad: u32, cell: vec3<i32>, u: vec4<f32>, v: vec4<f32>, w: 
             if moves[l] {
                 let at = centre + vec3<f32>(f32(l), 0.0, 0.0);
                 let middle = at - 0.5 * way * vec3<f32>(u[l], v[l], w[l]);
-                result[l] = sample_face(axis, at - way * sample_velocity(middle));
+                var origin = at - way * sample_velocity(middle);
+                if is_ballistic(origin - fall()) {
+                    origin -= fall();
+                }
+                result[l] = sample_face(axis, origin);
             }
         }
     }

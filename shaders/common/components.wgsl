@@ -12,6 +12,7 @@ const COUNTER = 1u;     // the same while it is being counted
 const QUADS = 2u;       // active quads of level 0
 const SEALS = 3u;       // sealed components while they are being counted
 const LARGEST = 4u;     // f32 bits of the largest magnitude in closed components: of the right-hand side, of the potential
+const LOOSE = 6u;       // components that touch nothing while they are being counted
 
 // List entries per thread of the kernels that sum over components.
 const RUN = 16u;

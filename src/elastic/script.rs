@@ -3,29 +3,31 @@
 use glam::{DQuat, DVec3};
 
 use super::{Script, Solids};
-use crate::scene::Keyframe;
+use crate::scene::{Acceleration, Keyframe};
 
 impl Solids {
     /// Upper bound of the speed of scripted nodes between a time and `span` (both s) later, m/s.
     pub fn max_script_speed(&self, time: f64, span: f64) -> f64 {
-        self.max_of_scripts(|keyframes, radius| Keyframe::max_speed(keyframes, radius, time, span))
+        let speeds = self
+            .scripts_and_radii()
+            .map(|(script, radius)| Keyframe::max_speed(&script.keyframes, radius, time, span));
+        speeds.fold(0.0, f64::max)
     }
 
-    /// Largest acceleration of scripted nodes until a time (s), m/s^2.
-    pub fn max_script_acceleration(&self, until: f64) -> f64 {
-        self.max_of_scripts(|keyframes, radius| {
-            Keyframe::max_acceleration(keyframes, radius, until)
-        })
+    /// Prescribed accelerations of all scripted nodes.
+    pub fn accelerations(&self) -> Vec<Acceleration> {
+        let scripts = self.scripts_and_radii();
+        let of = scripts.map(|(script, radius)| Keyframe::accelerations(&script.keyframes, radius));
+        of.flatten().collect()
     }
 
-    /// Largest value over the scripts of a function of the keyframes and of the largest distance to the centre (m).
-    fn max_of_scripts(&self, of: impl Fn(&[Keyframe], f64) -> f64) -> f64 {
-        let values = self.scripts.iter().map(|script| {
+    /// The scripts, with the largest distance of their nodes to the centre, m.
+    fn scripts_and_radii(&self) -> impl Iterator<Item = (&Script, f64)> {
+        self.scripts.iter().map(|script| {
             let nodes = script.nodes.iter();
             let arms = nodes.map(|&node| self.rest[node as usize].distance(script.centre));
-            of(&script.keyframes, arms.fold(0.0, f64::max))
-        });
-        values.fold(0.0, f64::max)
+            (script, arms.fold(0.0, f64::max))
+        })
     }
 }
 

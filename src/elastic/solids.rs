@@ -1,5 +1,7 @@
 //! Assembles the solids of a scene from their meshes: masses, constraints, loads, initial state.
 
+use std::ops::Range;
+
 use glam::DVec3;
 
 use super::{
@@ -312,6 +314,16 @@ impl Solids {
             }
         };
         self.bodies.iter().filter(corotational).filter_map(turning)
+    }
+
+    /// Numbers and nodes of the bodies without constraints and loads.
+    pub fn free_bodies(&self) -> impl Iterator<Item = (usize, Range<usize>)> {
+        let free = |(_, body): &(usize, &Body)| {
+            let loaded = |node: usize| self.load[node] != DVec3::ZERO;
+            self.constrained_nodes(body).is_empty() && !body.nodes.clone().any(loaded)
+        };
+        let bodies = self.bodies.iter().enumerate().filter(free);
+        bodies.map(|(number, body)| (number, body.nodes.clone()))
     }
 
     /// Nodes of a body with constrained components.

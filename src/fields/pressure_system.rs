@@ -7,6 +7,7 @@ use crate::arrays;
 use crate::gpu::{Compaction, Gpu, Readback, Real, Variant, WG_SIZE, groups};
 use crate::grid::{Grid, Padded};
 use crate::scene::Precision;
+use crate::state::State;
 
 /// Largest number of quads, spare ones counted, of the levels that one workgroup handles; `vcycle_tail.wgsl` has it too.
 pub(crate) const TAIL_QUADS: usize = 256;
@@ -18,6 +19,10 @@ pub(crate) const FOLD_THREADS: usize = 4096;
 pub(crate) const STATE_WORDS: usize = 8;
 /// Word with the number of closed components; `shaders/common/components.wgsl` names the words.
 pub(crate) const N_CLOSED: usize = 0;
+/// Bit of `flags` of the first lane in a ballistic component.
+pub(crate) const BALLISTIC: usize = 20;
+/// And of the first filled lane.
+pub(crate) const FILLED: usize = 24;
 
 /// The levels of the hierarchy and where they lie: a function of the grid alone.
 #[derive(Clone, Debug)]
@@ -117,7 +122,8 @@ arrays! {
             pub(crate) to_host: Option<Mutex<PressureReadbacks>>,
         }
         arrays {
-            /// Per quad: active lanes (bits 0-3), those in enclosed components (bits 4-7), and the uniform tag.
+            /// Per quad: active lanes (bits 0-3), those in enclosed components (bits 4-7), further ones
+            /// (`common/active.wgsl`), and the uniform tag.
             pub array flags: u32 [plan.total],
             /// Active quads per level, tagged.
             pub array list: u32 [plan.total],
@@ -174,10 +180,19 @@ impl SolverBuffers {
         Ok(buffers)
     }
 
-    /// Writes which lanes of the quads of the finest level were active in the last sub-step, before all work submitted later. The
-    /// next one puts all quads back to zero, whatever else they hold.
-    pub fn write_active(&self, gpu: &Gpu, grid: &Grid, flags: &[u32]) {
-        gpu.upload(&self.flags, flags);
+    /// Writes which cells were active, filled and ballistic in a state, before all work submitted later. The next sub-step puts
+    /// all quads back to zero, whatever else they hold.
+    pub fn write_active(&self, gpu: &Gpu, grid: &Grid, state: &State) {
+        let (filled, ballistic) = (state.filled(), &state.ballistic);
+        let padded = grid.padded();
+        let mut flags = vec![0; padded.quads];
+        for (cell, &active) in state.active.iter().enumerate() {
+            let index = padded.index(grid.cell_at(cell));
+            let bit = |set: bool, first: usize| u32::from(set) << first;
+            let bits = bit(active, 0) | bit(ballistic[cell], BALLISTIC) | bit(filled[cell], FILLED);
+            flags[index / 4] |= bits << (index % 4);
+        }
+        gpu.upload(&self.flags, &flags);
         let (list, args) = everywhere(grid);
         gpu.upload(&self.list, &list);
         gpu.upload(&self.args, &args);

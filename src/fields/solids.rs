@@ -52,6 +52,8 @@ pub struct SolidPlan {
     pub n_elements: usize,
     /// Free and hinged bodies, whose nodes move on circles.
     pub n_turning: usize,
+    /// Bodies without constraints and loads, which may be ballistic.
+    pub n_free: usize,
     /// Whether any prescribed node moves.
     pub scripts: bool,
     /// Whether there are obstacles.
@@ -130,6 +132,10 @@ arrays! {
             pub array extremes: u32 [EXTREMES],
             /// Diagnostics that the host reads back once per step: see [`SolidReport`].
             pub array report: u32 [SolidReport::WORDS],
+            /// Per body without constraints and loads: its range of nodes.
+            pub array free_bodies: [u32; 4] [plan.n_free] if plan.n_free > 0,
+            /// Per node: 1 in bodies that touch nothing in this sub-step, else 0.
+            pub array ballistic: u32 [plan.n_nodes],
             /// Per free or hinged body: its range of nodes, and two nodes of its hinge or all bits set.
             pub array turning: [u32; 4] [plan.n_turning] if plan.n_turning > 0,
         }
@@ -148,10 +154,11 @@ impl SolidBuffers {
             (
                 solids.rest.len(),
                 solids.elements.len(),
-                solids.rotating_bodies().count()
+                solids.rotating_bodies().count(),
+                solids.free_bodies().count()
             ),
-            (plan.n_nodes, plan.n_elements, plan.n_turning),
-            "nodes, elements and turning bodies of the plan"
+            (plan.n_nodes, plan.n_elements, plan.n_turning, plan.n_free),
+            "nodes, elements, turning and free bodies of the plan"
         );
         let buffers = SolidBuffers::allocate(gpu, plan)?;
         if !gpu.is_planning() {
@@ -176,6 +183,11 @@ impl SolidBuffers {
                 [nodes.start as u32, nodes.end as u32, a, b]
             });
             gpu.upload(turning, &bodies.collect::<Vec<_>>());
+        }
+        if let Some(bodies) = &self.free_bodies {
+            let nodes = solids.free_bodies().map(|(_, nodes)| nodes);
+            let ranges = nodes.map(|nodes| [nodes.start as u32, nodes.end as u32, 0, 0]);
+            gpu.upload(bodies, &ranges.collect::<Vec<_>>());
         }
         let free = |[x, y, z]: &[bool; 3]| u32::from(!x) | u32::from(!y) << 1 | u32::from(!z) << 2;
         let flags: Vec<u32> = solids.prescribed.iter().map(free).collect();

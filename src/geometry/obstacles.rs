@@ -11,7 +11,7 @@ use super::solid_clip::line_sums;
 use super::{CutCells, Surface, clamp_open, close_walls, is_wall};
 use crate::error::Error;
 use crate::grid::{Axis, Grid, Sides};
-use crate::scene::{Keyframe, Motion, Obstacle, Scene};
+use crate::scene::{Acceleration, Keyframe, Motion, Obstacle, Scene};
 
 /// Apertures and distances of the obstacles, and the raw apertures to which solids add.
 #[derive(Clone, Debug)]
@@ -248,12 +248,11 @@ impl ObstacleCut {
         speeds.fold(0.0, f64::max)
     }
 
-    /// Largest acceleration of all obstacles until a time (s), m/s^2.
-    pub fn max_acceleration(&self, until: f64) -> f64 {
+    /// Prescribed accelerations of all obstacles.
+    pub fn accelerations(&self) -> Vec<Acceleration> {
         let bodies = self.moving.iter().flat_map(|moving| &moving.bodies);
-        let accelerations = bodies
-            .map(|body| Keyframe::max_acceleration(&body.motion.keyframes, body.radius, until));
-        accelerations.fold(0.0, f64::max)
+        let of = |body: &MovingBody| Keyframe::accelerations(&body.motion.keyframes, body.radius);
+        bodies.flat_map(of).collect()
     }
 
     /// Moves the obstacles to a time (s). Their velocities lead to their poses dt (s) later; with dt = 0 they are

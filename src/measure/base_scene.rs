@@ -100,6 +100,7 @@ impl<'a> DeviceScene<'a> {
             n_nodes: scene.solids.rest.len(),
             n_elements: scene.solids.elements.len(),
             n_turning: scene.solids.rotating_bodies().count(),
+            n_free: scene.solids.free_bodies().count(),
             scripts: false,
             obstacles: false,
             real: variant(gpu.has_f64(), solver.precision).real,

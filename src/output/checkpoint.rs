@@ -19,7 +19,7 @@ use crate::grid::{Axis, Grid};
 use crate::state::{Carried, State};
 
 /// Version of the names and meanings of the arrays.
-const FORMAT: u64 = 1;
+const FORMAT: u64 = 2;
 
 /// State of a run at one time.
 #[derive(Clone, Debug, PartialEq)]
@@ -141,6 +141,7 @@ fn arrays<A: Arrays>(checkpoint: &mut Checkpoint, with: &mut A) -> Result<(), A:
     with.numbers("pressure", &cells, &mut state.pressure)?;
     with.numbers("liquid_distance", &cells, &mut state.liquid_distance)?;
     with.marks("active", &cells, &mut state.active)?;
+    with.marks("ballistic", &cells, &mut state.ballistic)?;
     with.number("volume_0", &mut state.volume_0)?;
     with.vectors("displacement", nodes, &mut state.displacement)?;
     with.vectors("node_velocity", nodes, &mut state.node_velocity)?;

@@ -92,10 +92,17 @@ pub fn active_cells(
     ActiveCells::new(Stencil::new(*grid, weight, dirichlet))
 }
 
-/// Components without a Dirichlet term, by flood fill over faces with weight.
+/// Components without a Dirichlet term.
 pub(super) fn closed_components(stencil: &Stencil) -> Vec<Vec<usize>> {
+    let mut closed = components(stencil);
+    closed.retain(|component| component.iter().all(|&cell| stencil.dirichlet[cell] == 0.0));
+    closed
+}
+
+/// Components of active cells, ascending, by flood fill over faces with weight.
+pub(super) fn components(stencil: &Stencil) -> Vec<Vec<usize>> {
     let mut seen = vec![false; stencil.grid.n_cells()];
-    let mut closed = Vec::new();
+    let mut components = Vec::new();
     for seed in 0..seen.len() {
         if seen[seed] || !stencil.active(seed) {
             continue;
@@ -112,10 +119,8 @@ pub(super) fn closed_components(stencil: &Stencil) -> Vec<Vec<usize>> {
             }
             next += 1;
         }
-        if component.iter().all(|&cell| stencil.dirichlet[cell] == 0.0) {
-            component.sort_unstable();
-            closed.push(component);
-        }
+        component.sort_unstable();
+        components.push(component);
     }
-    closed
+    components
 }

@@ -17,6 +17,7 @@
 use glam::DVec3;
 use rayon::prelude::*;
 
+use super::ballistic::Ballistic;
 use super::sample::{gradient, normal};
 use crate::grid::{Axis, Grid, Sides};
 
@@ -62,12 +63,14 @@ enum Moved {
 /// Moves markers (m) by dt through `faces` (m/s). A marker beyond an open side has left; one still inside an obstacle
 /// after two pushes is dropped. Returns the others in order, and the numbers of removed ones. `solid_distance` per
 /// cell, m.
+#[expect(clippy::too_many_arguments, reason = "fields of one stage")]
 pub fn advect_markers(
     grid: &Grid,
     open_sides: Sides,
     faces: &[Vec<f64>; 3],
     solid_distance: &[f64],
     surface: &Surface,
+    ballistic: &Ballistic,
     markers: &[[f64; 3]],
     dt: f64,
 ) -> (Vec<[f64; 3]>, Lost) {
@@ -78,7 +81,7 @@ pub fn advect_markers(
             let layer = Layer::at(grid, surface, x, dt);
             let velocity = |x| layer.velocity_at(grid, faces, x);
             let middle = x + 0.5 * dt * velocity(x);
-            let end = x + dt * velocity(middle);
+            let end = x + dt * velocity(middle) + ballistic.shift_from(grid, x);
             clamp_or_remove(grid, open_sides, solid_distance, end)
         })
         .collect();

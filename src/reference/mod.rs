@@ -6,6 +6,7 @@
 mod active_cells;
 mod advect_markers;
 mod advect_velocity;
+mod ballistic;
 pub mod base_block;
 pub mod base_scene;
 mod boundary;
@@ -47,6 +48,7 @@ pub use active_cells::{ActiveCells, active_cells, theta};
 pub(crate) use advect_markers::Layer;
 pub use advect_markers::{Lost, Surface, advect_markers, volume_without};
 pub use advect_velocity::advect_velocity;
+pub use ballistic::{Ballistic, ballistic_bodies, ballistic_cells, wet_nodes};
 pub use condition::{Condition, Conditions, conditions};
 pub use coupled_system::{Blocks, CoupledSystem, SQUEEZE, TwoField};
 pub use diagnose::{diagnose, divergence, larger, liquid_volume, max_speed, open_volumes};

@@ -184,7 +184,9 @@ impl Reference {
             _ => 0.0,
         };
         let speed = larger(speed, scripts);
-        model.limits.time_step(speed, left, state.dt_last)
+        model
+            .limits
+            .time_step(speed, [state.time, left], state.dt_last)
     }
 
     /// Runs one sub-step. After an error the state is the one before.
@@ -224,11 +226,12 @@ fn fits_grid(grid: &Grid, cut: &CutCells, state: &State) -> bool {
         pressure,
         distance,
         state.active.len(),
+        state.ballistic.len(),
         cut.solid_distance.len(),
     ];
     let faces = |axis: Axis| {
         let lists = [&state.velocity, &cut.open].map(|faces| faces[axis.index()].len());
         lists == [grid.n_faces(axis); 2]
     };
-    cells == [grid.n_cells(); 4] && Axis::ALL.into_iter().all(faces)
+    cells == [grid.n_cells(); 5] && Axis::ALL.into_iter().all(faces)
 }

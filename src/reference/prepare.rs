@@ -1,5 +1,7 @@
 //! `prepare`: data of the first step beyond initial markers and velocities.
 
+use super::active_cells::active_cells;
+use super::ballistic::ballistic_cells;
 use super::diagnose::{liquid_volume, open_volumes};
 use super::extrapolate::{MovingWalls, extrapolate, n_layers};
 use super::liquid_distance::liquid_distance;
@@ -8,7 +10,7 @@ use crate::grid::{Axis, Grid};
 use crate::scene::{Scene, Surface};
 use crate::state::State;
 
-/// Completes an initial state: the liquid distance from the markers, the controlled volume, and velocities beyond the
+/// Completes an initial state: the liquid distance from the markers, what is ballistic, the controlled volume, and velocities beyond the
 /// liquid. Markers at the border of a moving region then move with it. `solids`: positions, with the nodes of their
 /// surface triangles. A second call changes nothing.
 pub fn prepare(
@@ -20,8 +22,11 @@ pub fn prepare(
 ) {
     let Some(liquid) = &scene.liquid else { return };
     if liquid.surface == Surface::Markers {
-        state.liquid_distance =
-            liquid_distance(grid, cut, &state.markers, liquid.marker_radius * grid.dx);
+        let radius = liquid.marker_radius * grid.dx;
+        state.liquid_distance = liquid_distance(grid, cut, &state.markers, radius);
+        let phi = &state.liquid_distance;
+        let start = active_cells(grid, &cut.open, phi, scene.solver.theta_floor);
+        state.ballistic = ballistic_cells(&cut.open, &start.stencil);
     }
     state.volume_0 = liquid_volume(
         grid,

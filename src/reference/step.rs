@@ -132,22 +132,22 @@ impl<'a> SubStep<'a> {
 
     /// Runs all stages. Returns the state after them, the forces of the liquid on the nodes (N), and the report.
     pub(super) fn complete(mut self) -> Result<(State, Vec<[f64; 3]>, StepReport), Error> {
-        let Model {
-            scene,
-            effects,
-            limits,
-            ..
-        } = self.model;
+        let Model { scene, effects, .. } = self.model;
         schedule::run(&mut self, effects, false)?;
         let (mut state, results) = (self.after, self.results);
-        let TimeStep { dt, floored, .. } = self.time_step;
+        let TimeStep {
+            dt,
+            floored,
+            wave_cfl,
+            ..
+        } = self.time_step;
         state.volume_0 = results.volume_0_next.unwrap_or(state.volume_0);
         state.markers_dropped += results.removed_markers.dropped;
         state.advance_clock(dt, scene.time.frames_per_second);
         let report = StepReport {
             dt,
             dt_floored: floored,
-            wave_cfl: limits.wave_cfl(dt),
+            wave_cfl,
             liquid: results.liquid_report,
             solid: results.solid_report,
             coupling: effects.coupling.then_some(results.coupling),

@@ -6,7 +6,7 @@
 
 use crate::elastic::Solids;
 use crate::geometry::ObstacleCut;
-use crate::scene::{SHORTEST_STEP, Scene, Surface};
+use crate::scene::{Acceleration, SHORTEST_STEP, Scene, Surface};
 
 /// Largest dt sqrt(a / dx) of a surface in motion.
 const WAVE_CFL: f64 = 0.9;
@@ -28,6 +28,8 @@ pub struct TimeStep {
     pub floored: bool,
     /// See [`StepLimits::control_time`], s.
     pub control_time: f64,
+    /// dt sqrt(a / dx), a the largest acceleration.
+    pub wave_cfl: f64,
 }
 
 impl TimeStep {
@@ -36,11 +38,12 @@ impl TimeStep {
         dt: 0.0,
         floored: false,
         control_time: f64::INFINITY,
+        wave_cfl: 0.0,
     };
 }
 
 /// Limits of the sub-steps of a scene.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct StepLimits {
     dx: f64,
     cfl: f64,
@@ -48,8 +51,10 @@ pub struct StepLimits {
     /// Length, s.
     shortest: f64,
     longest: f64,
-    /// Largest acceleration, m/s^2.
-    acceleration: f64,
+    /// m/s^2
+    gravity: f64,
+    /// Of obstacles and solids.
+    prescribed: Vec<Acceleration>,
     /// Whether a free surface moves.
     surface: bool,
     /// Longest edge of the domain, m.
@@ -60,8 +65,8 @@ impl StepLimits {
     /// Limits of a scene with these obstacles and solids.
     pub fn new(scene: &Scene, obstacles: Option<&ObstacleCut>, solids: Option<&Solids>) -> Self {
         let (grid, time) = (scene.grid(), &scene.time);
-        let obstacles = obstacles.map_or(0.0, |cut| cut.max_acceleration(time.duration));
-        let scripts = solids.map_or(0.0, |solids| solids.max_script_acceleration(time.duration));
+        let obstacles = obstacles.into_iter().flat_map(ObstacleCut::accelerations);
+        let scripts = solids.into_iter().flat_map(Solids::accelerations);
         let liquid = scene.liquid.as_ref();
         StepLimits {
             dx: grid.dx,
@@ -69,59 +74,67 @@ impl StepLimits {
             fixed_step: time.fixed_step,
             shortest: SHORTEST_STEP * time.duration,
             longest: time.max_step.unwrap_or(f64::INFINITY),
-            acceleration: scene.domain.gravity.length().max(obstacles).max(scripts),
+            gravity: scene.domain.gravity.length(),
+            prescribed: obstacles.chain(scripts).collect(),
             surface: liquid.is_some_and(|liquid| liquid.surface == Surface::Markers),
             edge: grid.size().max_element(),
         }
     }
 
     /// dt = T / ceil(T / min(cfl dx / speed, c sqrt(dx / a), `max_step`, 1.5 dt_last)), at least 1e-7 of the duration. a: the
-    /// largest of gravity and the prescribed accelerations of obstacles and solids. c = 0.9 with a free surface in
-    /// motion, else cfl; such a surface starts with a quarter of that.
+    /// largest of gravity and the prescribed accelerations of obstacles and solids in such a sub-step. c = 0.9 with a free
+    /// surface in motion, else cfl; such a surface starts with a quarter of that.
     ///
-    /// `speed`: largest magnitude of a velocity component, m/s; `time_left`: T to the next frame, s; `dt_last`: 0 before
-    /// the first sub-step. A fixed step divides T into equal parts of about its length, whatever the speed.
-    pub fn time_step(&self, speed: f64, time_left: f64, dt_last: f64) -> TimeStep {
-        let control_time = self.control_time(speed);
-        if let Some(fixed) = self.fixed_step {
-            let dt = time_left / (time_left / fixed).round().max(1.0);
-            return TimeStep {
-                dt,
-                floored: speed * dt > self.cfl * self.dx * (1.0 + ROUNDING),
-                control_time,
-            };
-        }
-        // Without accelerations and motion both are infinite, and the frame is one sub-step.
-        let crossing = self.cfl * self.dx / speed;
-        let wave_cfl = if self.surface { WAVE_CFL } else { self.cfl };
-        let wave = wave_cfl * (self.dx / self.acceleration).sqrt();
-        let from_last = match dt_last {
-            0.0 if self.surface => FIRST * wave,
-            0.0 => f64::INFINITY,
-            _ => GROWTH * dt_last,
+    /// `speed`: largest magnitude of a velocity component, m/s; `[time, left]`: s, and T to the next frame; `dt_last`: 0
+    /// before the first sub-step. A fixed step divides T into equal parts of about its length, whatever the speed.
+    pub fn time_step(&self, speed: f64, [time, left]: [f64; 2], dt_last: f64) -> TimeStep {
+        let of_length = |dt: f64, floored: bool| TimeStep {
+            dt,
+            floored,
+            control_time: self.control_time(speed),
+            wave_cfl: dt * (self.acceleration(time, dt) / self.dx).sqrt(),
         };
-        let required = crossing.min(wave).min(from_last).min(self.longest);
-        TimeStep {
-            dt: time_left
-                / (time_left / required.max(self.shortest) * (1.0 - ROUNDING))
-                    .ceil()
-                    .max(1.0),
-            floored: required < self.shortest,
-            control_time,
+        if let Some(fixed) = self.fixed_step {
+            let dt = left / (left / fixed).round().max(1.0);
+            return of_length(dt, speed * dt > self.cfl * self.dx * (1.0 + ROUNDING));
         }
+        let wave_cfl = if self.surface { WAVE_CFL } else { self.cfl };
+        let wave = |span: f64| wave_cfl * (self.dx / self.acceleration(time, span)).sqrt();
+        // Without accelerations and motion all are infinite, and the frame is one sub-step.
+        let mut longest = (self.cfl * self.dx / speed)
+            .min(self.longest)
+            .min(wave(0.0));
+        if dt_last > 0.0 {
+            longest = longest.min(GROWTH * dt_last);
+        }
+        // What begins within the sub-step counts.
+        let wave = wave(longest.min(left));
+        longest = longest.min(wave);
+        if dt_last == 0.0 && self.surface {
+            longest = longest.min(FIRST * wave);
+        }
+        let parts = left / longest.max(self.shortest) * (1.0 - ROUNDING);
+        of_length(left / parts.ceil().max(1.0), longest < self.shortest)
     }
 
-    /// dt sqrt(a / dx); 0 without accelerations.
-    pub fn wave_cfl(&self, dt: f64) -> f64 {
-        dt * (self.acceleration / self.dx).sqrt()
+    /// Largest acceleration between a time and `span` (both s) later, m/s^2.
+    fn acceleration(&self, time: f64, span: f64) -> f64 {
+        let during = |of: &&Acceleration| of.times[0] <= time + span && of.times[1] >= time;
+        let sizes = self.prescribed.iter().filter(during).map(|of| of.size);
+        sizes.fold(self.gravity, f64::max)
     }
 
-    /// The time over which volume is controlled, s: sqrt(L / a) / 8, L the longest edge of the domain; without
-    /// accelerations L / (8 speed), infinite at rest.
+    /// The time over which volume is controlled, s: sqrt(L / a) / 8, L the longest edge of the domain, a gravity, or without
+    /// it the largest prescribed acceleration; without any L / (8 speed), infinite at rest.
     pub fn control_time(&self, speed: f64) -> f64 {
-        match self.acceleration {
+        let prescribed = self.prescribed.iter().map(|of| of.size);
+        let acceleration = match self.gravity {
+            0.0 => prescribed.fold(0.0, f64::max),
+            gravity => gravity,
+        };
+        match acceleration {
             0.0 => self.edge / (CONTROLS * speed),
-            a => (self.edge / a).sqrt() / CONTROLS,
+            _ => (self.edge / acceleration).sqrt() / CONTROLS,
         }
     }
 }

@@ -409,6 +409,15 @@ pub struct Keyframe {
     pub angle: f64,
 }
 
+/// A prescribed acceleration.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Acceleration {
+    /// First and last time, s.
+    pub times: [f64; 2],
+    /// m/s^2
+    pub size: f64,
+}
+
 impl Keyframe {
     /// Rotation vector (axis times angle, rad) and translation (m) at a time (s) of at least one keyframe.
     pub fn pose(keyframes: &[Keyframe], time: f64) -> (DVec3, DVec3) {
@@ -440,35 +449,37 @@ impl Keyframe {
         speeds.fold(0.0, f64::max)
     }
 
-    /// Largest acceleration until a time (s), m/s^2, of points within `radius` (m) of the centre of rotation: of turning, and of
-    /// changes of velocity at keyframes, each spread over half of the intervals beside it. Before the first keyframe and
-    /// after the last there is rest.
-    pub fn max_acceleration(keyframes: &[Keyframe], radius: f64, until: f64) -> f64 {
-        let mut largest = 0.0_f64;
-        let mut last = (DVec3::ZERO, DVec3::ZERO, 0.0);
-        let mut change = |at: f64, next: (DVec3, DVec3, f64)| {
+    /// Accelerations of points within `radius` (m) of the centre of rotation: of turning, and of changes of velocity at
+    /// keyframes, each spread over half of the intervals beside it. Before the first keyframe and after the last there is
+    /// rest.
+    pub fn accelerations(keyframes: &[Keyframe], radius: f64) -> Vec<Acceleration> {
+        let mut all = Vec::new();
+        // Velocity, angular velocity and length of an interval.
+        let rest = (DVec3::ZERO, DVec3::ZERO, 0.0);
+        let intervals = keyframes.windows(2).map(|pair| {
+            let [a, b] = [&pair[0], &pair[1]];
+            let span = b.time - a.time;
+            let turned = b.angle * b.axis - a.angle * a.axis;
+            ((b.translate - a.translate) / span, turned / span, span)
+        });
+        let mut last = rest;
+        for (frame, next) in keyframes.iter().zip(intervals.chain([rest])) {
             let span = match (last.2, next.2) {
                 (0.0, span) | (span, 0.0) => span,
                 (before, after) => 0.5 * (before + after),
             };
-            if at <= until && span > 0.0 {
-                let jump = next.0.distance(last.0) + radius * next.1.distance(last.1);
-                largest = largest
-                    .max(jump / span)
-                    .max(radius * next.1.length_squared());
+            let jump = next.0.distance(last.0) + radius * next.1.distance(last.1);
+            let turning = radius * next.1.length_squared();
+            let mut add = |times: [f64; 2], size: f64| all.push(Acceleration { times, size });
+            if jump > 0.0 {
+                add([frame.time; 2], jump / span);
+            }
+            if turning > 0.0 {
+                add([frame.time, frame.time + next.2], turning);
             }
             last = next;
-        };
-        for pair in keyframes.windows(2) {
-            let [a, b] = [&pair[0], &pair[1]];
-            let span = b.time - a.time;
-            let velocity = (b.translate - a.translate) / span;
-            let rate = (b.angle * b.axis - a.angle * a.axis) / span;
-            change(a.time, (velocity, rate, span));
         }
-        let end = keyframes.last().map_or(0.0, |frame| frame.time);
-        change(end, (DVec3::ZERO, DVec3::ZERO, 0.0));
-        largest
+        all
     }
 
     /// The time of the next keyframe after a time, s.

@@ -84,6 +84,7 @@ pub(super) struct Solved {
 #[derive(Debug)]
 pub(super) struct CouplingStages {
     pub(super) clip: Dispatches,
+    pub(super) move_solid: Dispatches,
     pub(super) closed_components: Seal,
     pub(super) patch_pressure: Option<PatchPressure>,
     scheme: Scheme,
@@ -185,6 +186,7 @@ impl CouplingStages {
         let correction = patch_pressure.as_ref().map(|patches| &patches.correction);
         Ok(CouplingStages {
             clip: stages::clip(gpu, &liquid.buffers, on_device)?,
+            move_solid: stages::wet_bodies(gpu, fields, &liquid.solver, buffers)?,
             closed_components: Seal::new(gpu, &liquid.solver, nodes, buffers)?,
             scheme,
             diagnose: stages::diagnose_coupling(gpu, &liquid.solver, buffers, correction)?,
@@ -341,15 +343,17 @@ impl GpuCoupling {
             self.bind_liquid(gpu, liquid, solids)?;
         }
         let triangles = &solids.solids.triangles;
-        let ClipTime::SubStep { dt, dt_last, .. } = at else {
+        let density = liquid.settings.density;
+        // Before a sub-step only the pairs are used, not the mass rate of a cell.
+        let dt = if span > 0.0 { span } else { 1.0 };
+        self.buffers
+            .write(gpu, &pairs, density * grid.dx.powi(3) / dt)?;
+        let ClipTime::SubStep { dt_last, .. } = at else {
             liquid.buffers.write_cut_cells(gpu, self.clip.cut_cells());
             self.on_device.write(gpu, &self.clip, triangles, true);
             return Ok(());
         };
         self.on_device.write(gpu, &self.clip, triangles, false);
-        let density = liquid.settings.density;
-        self.buffers
-            .write(gpu, &pairs, density * grid.dx.powi(3) / dt)?;
         if let Some(patch_pressure) = &self.stages.patch_pressure {
             let moments = self.moments(&grid, triangles);
             let scale = if dt_last > 0.0 {
@@ -381,17 +385,6 @@ impl GpuCoupling {
         };
         let grid = scene.grid();
         let padded = grid.padded();
-        let mut flags = vec![0; padded.quads];
-        for (cell, _) in state
-            .active
-            .iter()
-            .enumerate()
-            .filter(|(_, active)| **active)
-        {
-            let index = padded.index(grid.cell_at(cell));
-            flags[index / 4] |= 1 << (index % 4);
-        }
-        liquid.solver.write_active(gpu, &grid, &flags);
         let to_potential = state.dt_last / (liquid.settings.density * grid.dx);
         let potential = padded.pad(grid.cells, &state.pressure, |p| to_potential * p);
         liquid.solver.potential.upload(gpu, &potential);

@@ -2,6 +2,7 @@
 
 use crate::Error;
 use crate::effects::Effects;
+use crate::fields::pressure_system::BALLISTIC;
 use crate::fields::{
     LiquidBuffers, LiquidPlan, Report, Sinks, SolverBuffers, SourceStep, Sources, Step,
 };
@@ -16,6 +17,14 @@ use crate::state::{LiquidReport, State};
 use crate::step::Stage;
 
 use super::step::solve_report;
+
+/// What the last solve left, per cell.
+#[derive(Debug)]
+struct Solved {
+    pressure: Vec<f64>,
+    active: Vec<bool>,
+    ballistic: Vec<bool>,
+}
 
 /// The liquid on the device.
 #[derive(Debug)]
@@ -34,9 +43,9 @@ pub(super) struct GpuLiquid {
     /// Running sources of the sub-step, and the volume that they emit beyond their own cells, m^3.
     running: Running,
     inflow: f64,
-    /// Pressure and active cells of the state that was written. Until the next solve the device still has the last
+    /// Of the state that was written. Until the next solve the device still has the last
     /// ones.
-    solved_before: Option<(Vec<f64>, Vec<bool>)>,
+    solved_before: Option<Solved>,
     /// Largest face speed, m/s.
     pub(super) max_speed: f64,
     /// Controlled liquid volume, m^3.
@@ -156,7 +165,13 @@ impl GpuLiquid {
         self.dropped_before = state.markers_dropped;
         self.running = Running::default();
         self.inflow = 0.0;
-        self.solved_before = Some((state.pressure.clone(), state.active.clone()));
+        self.solved_before = Some(Solved {
+            pressure: state.pressure.clone(),
+            active: state.active.clone(),
+            ballistic: state.ballistic.clone(),
+        });
+        let grid = &self.buffers.plan.grid;
+        self.solver.write_active(gpu, grid, state);
         self.max_speed = reference::max_speed(&state.velocity);
         self.volume_0 = state.volume_0;
         self.buffers.write_state(gpu, state);
@@ -188,15 +203,18 @@ impl GpuLiquid {
         state.markers_sunk = self.passed.sunk;
         state.markers_emitted = self.passed.emitted;
         state.volume_0 = self.volume_0;
-        if let Some((pressure, active)) = &self.solved_before {
-            state.pressure.clone_from(pressure);
-            state.active.clone_from(active);
+        if let Some(solved) = &self.solved_before {
+            state.pressure.clone_from(&solved.pressure);
+            state.active.clone_from(&solved.active);
+            state.ballistic.clone_from(&solved.ballistic);
             return Ok(());
         }
         let padded = grid.padded();
         let flags = gpu.download(&self.solver.flags)?;
-        let lane = |ix: usize| flags[ix / 4] >> (ix % 4) & 1 == 1;
-        let active: Vec<bool> = (0..padded.len()).map(lane).collect();
+        let [active, ballistic] = [0, BALLISTIC].map(|first| {
+            let lane = |ix: usize| flags[ix / 4] >> (first + ix % 4) & 1 == 1;
+            (0..padded.len()).map(lane).collect::<Vec<bool>>()
+        });
         let mut potential = self.solver.potential.download(gpu)?;
         for (potential, _) in potential
             .iter_mut()
@@ -213,6 +231,8 @@ impl GpuLiquid {
         };
         state.pressure = padded.unpad(grid.cells, &potential, |potential| pascal * potential);
         state.active = padded.unpad(grid.cells, &active, |active| active);
+        let moves = self.buffers.plan.effects.markers;
+        state.ballistic = padded.unpad(grid.cells, &ballistic, |ballistic| ballistic && moves);
         Ok(())
     }
 

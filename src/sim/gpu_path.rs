@@ -304,7 +304,8 @@ impl GpuPath {
         let max_speed = liquid.chain(solids).chain(obstacles);
         let max_speed = max_speed.chain(sources).chain(scripts);
         let max_speed = max_speed.fold(0.0, f64::max);
-        self.limits.time_step(max_speed, left, self.head.dt_last)
+        let times = [self.head.time, left];
+        self.limits.time_step(max_speed, times, self.head.dt_last)
     }
 
     /// Writes the parameters of a sub-step.

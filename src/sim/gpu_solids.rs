@@ -99,6 +99,8 @@ struct Scripted {
 /// The kernels of a sub-step, in order.
 #[derive(Debug)]
 pub(super) struct SolidStages {
+    /// First part of `move_solid`.
+    pub(super) ballistic: Dispatches,
     pub(super) move_solid: Dispatches,
     pub(super) forces: Dispatches,
     pub(super) rotations: Dispatches,
@@ -115,6 +117,7 @@ fn solid_plan(scene: &Scene, solids: &Solids, f64: bool) -> SolidPlan {
         n_nodes: solids.rest.len(),
         n_elements: solids.elements.len(),
         n_turning: solids.rotating_bodies().count(),
+        n_free: solids.free_bodies().count(),
         scripts: effects.scripts,
         obstacles: effects.obstacles,
         real: variant(f64, scene.solver.precision).real,
@@ -150,6 +153,7 @@ impl GpuSolids {
                 solid_distance: &obstacles.solid_distance,
             });
         let stages = SolidStages {
+            ballistic: stages::ballistic_bodies(gpu, &buffers, field)?,
             move_solid: stages::move_solid(gpu, &buffers)?,
             forces: stages::node_forces(gpu, &buffers)?,
             rotations: stages::element_rotations(gpu, &buffers)?,

@@ -225,7 +225,7 @@ fn first_step(
     let speed = speed.max(obstacle_speed).max(source_speed);
     let speed = speed.max(solids.max_script_speed(0.0, frame));
     let limits = StepLimits::new(scene, clip.map(SolidClip::obstacles), Some(solids));
-    limits.time_step(speed, frame, 0.0)
+    limits.time_step(speed, [0.0, frame], 0.0)
 }
 
 /// Effects of the scene and of its meshes, such as bodies that turn.

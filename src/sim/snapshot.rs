@@ -6,6 +6,7 @@ use glam::{DMat3, DVec3};
 
 use crate::Error;
 use crate::elastic::{Deformation, Solids, stiffness_block};
+use crate::fields::pressure_system::{BALLISTIC, FILLED};
 use crate::fields::{
     CouplingReport, Report, SolidBuffers, SolidReport, SolidSystemBuffers, SolverBuffers,
 };
@@ -39,6 +40,8 @@ pub struct SolidSnapshot {
     pub displacement: Vec<[f64; 3]>,
     /// v* before the solve, v after it, m/s.
     pub velocity: Vec<[f64; 3]>,
+    /// Whether each node is of a body that touches nothing in the sub-step.
+    pub ballistic: Vec<bool>,
     /// Prescribed velocities of the sub-step, m/s; 0 in free components.
     pub prescribed: Vec<[f64; 3]>,
     /// Rotated gradients of the shape functions of corners 1, 2, 3, 1/m. The fourth numbers are zeta_K V lambda,
@@ -85,6 +88,10 @@ pub struct LiquidSnapshot {
     pub active: Vec<bool>,
     /// Active cells of enclosed components, defined after `closed_components`.
     pub closed: Vec<bool>,
+    /// Active cells of components that touch nothing, likewise.
+    pub ballistic: Vec<bool>,
+    /// Cells with liquid in the last solve: active ones, or before the first those with liquid.
+    pub filled: Vec<bool>,
     /// Weights of the stored matrix, dimensionless.
     pub weight: [Vec<f64>; 3],
     /// Free-surface terms of the matrix, dimensionless.
@@ -137,6 +144,10 @@ pub struct StoredPressure {
     pub active: Vec<bool>,
     /// Active cells of enclosed components.
     pub closed: Vec<bool>,
+    /// Active cells of components that touch nothing.
+    pub ballistic: Vec<bool>,
+    /// Cells with liquid.
+    pub filled: Vec<bool>,
     /// Dimensionless.
     pub weight: [Vec<f64>; 3],
     /// Dimensionless.
@@ -155,7 +166,7 @@ impl StoredPressure {
         let padded = grid.padded();
         let cells = |values: &[f64]| padded.unpad(grid.cells, values, |value| value);
         let flags = gpu.download(&solver.flags)?;
-        let [active, closed] = [0, 4].map(|first| {
+        let [active, closed, ballistic, filled] = [0, 4, BALLISTIC, FILLED].map(|first| {
             let lanes = bits(&padded, &flags, first);
             padded.unpad(grid.cells, &lanes, |lane| lane)
         });
@@ -178,6 +189,8 @@ impl StoredPressure {
             potential: masked(solver.potential.download(gpu)?),
             active,
             closed,
+            ballistic,
+            filled,
         })
     }
 }
@@ -257,6 +270,11 @@ impl SolidSnapshot {
         Ok(SolidSnapshot {
             displacement: state.displacement,
             velocity: state.node_velocity,
+            ballistic: gpu
+                .download(&buffers.ballistic)?
+                .iter()
+                .map(|&falls| falls != 0)
+                .collect(),
             prescribed,
             rotated: [0, 1, 2].map(|s| section(&rotated, s).as_chunks::<4>().0.to_vec()),
             element_forces: [0, 1, 2].map(|s| three(&section(&forces, s))),
@@ -316,6 +334,8 @@ impl GpuLiquid {
             band: on_cells(&band),
             active: stored.active,
             closed: stored.closed,
+            ballistic: stored.ballistic,
+            filled: stored.filled,
             weight: stored.weight,
             dirichlet: stored.dirichlet,
             inverse_diagonal: stored.inverse_diagonal,

@@ -91,11 +91,13 @@ impl GpuPath {
     }
 
     /// Advances the clock and returns the report of the sub-step.
-    fn finish(
-        &mut self,
-        TimeStep { dt, floored, .. }: TimeStep,
-        readback: StepReadback,
-    ) -> StepReport {
+    fn finish(&mut self, time_step: TimeStep, readback: StepReadback) -> StepReport {
+        let TimeStep {
+            dt,
+            floored,
+            wave_cfl,
+            ..
+        } = time_step;
         if let Some(liquid) = &self.liquid {
             self.head.sources_running = liquid.running_after(&self.head).running.into();
         }
@@ -108,7 +110,7 @@ impl GpuPath {
         StepReport {
             dt,
             dt_floored: floored,
-            wave_cfl: self.limits.wave_cfl(dt),
+            wave_cfl,
             liquid: liquid.map(|(liquid, (outcome, report))| liquid.finish(&outcome, report)),
             solid: solids.map(|(solids, ((outcome, contact), report))| {
                 solids.finish(&outcome, contact, report)
@@ -202,12 +204,19 @@ impl SubStep<'_, '_> {
         let Some(solids) = &self.path.solids else {
             return Ok(());
         };
+        if let Some(coupling) = &self.path.coupling {
+            coupling.record_before(to, solids);
+        }
+        to.stage(Stage::MoveSolid.name(), |pass| {
+            solids.stages.ballistic.record_in(pass);
+            if let Some(coupling) = &self.path.coupling {
+                coupling.stages.move_solid.record_in(pass);
+            }
+            solids.stages.move_solid.record_in(pass);
+        });
         let Some(coupling) = &mut self.path.coupling else {
-            solids.stages.move_solid.record(to);
             return Ok(());
         };
-        coupling.record_before(to, solids);
-        solids.stages.move_solid.record(to);
         to.read(&solids.buffers.displacement, &mut coupling.moved);
         if let Some(timing) = self.recorder.take().map(Recorder::submit) {
             let moved = coupling.moved.wait(&self.path.gpu)?;

@@ -1,15 +1,19 @@
 //! `advect_markers`: x1 = x + dt v(x + dt/2 v(x)). Near the surface v is the velocity of the surface above. Markers
-//! are then pushed out of walls, obstacles and solids.
+//! are then pushed out of walls, obstacles and solids. In liquid that touches nothing they also fall by g dt^2 / 2.
 
 use crate::Error;
-use crate::fields::LiquidBuffers;
+use crate::fields::{LiquidBuffers, SolverBuffers};
 use crate::gpu::{Dispatches, Gpu, Kernel, Real};
 use crate::step::Stage;
 use crate::wgsl;
 
 /// The stage: moves `markers` by the velocity of the last sub-step. Counts markers that cross open sides, and deleted
 /// ones, in `report`. Empty without markers.
-pub fn advect_markers(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatches, Error> {
+pub fn advect_markers(
+    gpu: &Gpu,
+    liquid: &LiquidBuffers,
+    solver: &SolverBuffers,
+) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::AdvectMarkers.name());
     let n_markers = liquid.n_markers();
     if liquid.markers.is_none() {
@@ -24,7 +28,7 @@ pub fn advect_markers(gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatches, E
             .bind(gpu, &[], &[liquid])?
             .indirect(&liquid.band_args, 0),
         kernel(wgsl!("advect_markers"))?
-            .bind(gpu, &to_surface, &[liquid])?
+            .bind(gpu, &to_surface, &[liquid, solver])?
             .threads(n_markers),
     ];
     if liquid.plan.effects.cuts() {

@@ -11,6 +11,7 @@
 mod active_cells;
 mod advect_markers;
 mod advect_velocity;
+mod ballistic;
 mod band;
 mod clip;
 mod closed_components;
@@ -29,6 +30,7 @@ mod write_back;
 pub use active_cells::{ActiveSettings, Everywhere, FreeSurface, PressureSystem, Within};
 pub use advect_markers::advect_markers;
 pub use advect_velocity::advect_velocity;
+pub use ballistic::{ballistic_bodies, wet_bodies};
 pub use band::band;
 pub use clip::clip;
 pub use closed_components::{Components, Seal};
@@ -56,9 +58,9 @@ pub fn liquid_stages(
     (sources, sinks): (Option<&Sources>, Option<&Sinks>),
 ) -> Result<Vec<Dispatches>, Error> {
     let mut stages = vec![
-        advect_markers(gpu, liquid)?,
+        advect_markers(gpu, liquid, solver)?,
         band(gpu, liquid)?,
-        advect_velocity(gpu, liquid)?,
+        advect_velocity(gpu, liquid, solver)?,
         forces(gpu, liquid)?,
         liquid_distance(gpu, liquid, sinks)?,
         right_hand_side(gpu, liquid, solver)?,

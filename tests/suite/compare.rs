@@ -175,7 +175,12 @@ fn what_is_off_is_found_and_nothing_else() {
     if gpu().is_none() {
         return;
     }
-    let scene = scene("sphere_half_full", 0.5, &[]);
+    // One sub-step.
+    let scene = scene(
+        "sphere_half_full",
+        0.5,
+        &["time.fixed_step=0.041666666666666664"],
+    );
     let mut spoilt = Vec::new();
     let mut listen = |stage: Stage, snapshot: &mut Snapshot| {
         let stage = stage.name();

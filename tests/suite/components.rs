@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use cutwater::gpu::Real;
 use cutwater::grid::Axis;
-use cutwater::reference::{ActiveCells, solve_direct};
+use cutwater::reference::{ActiveCells, ballistic_cells, solve_direct};
 use cutwater::scene::{Precision, Solver};
 use cutwater::state::SolveStatus;
 
@@ -63,17 +63,20 @@ pub(crate) fn assert_labels(device: &Device, name: &str, case: &Case, active: &A
         found
     };
     let (closed, sealed) = (of(&active.closed), of(&active.sealed));
+    let ballistic = ballistic_cells(&case.open, &active.stencil);
     for cell in 0..grid.n_cells() {
         let at = padded.index(grid.cell_at(cell));
         let flag = flags[at / 4] >> (at % 4);
         assert_eq!(
-            [0, 4, 8].map(|bit| flag >> bit & 1 == 1),
+            [0, 4, 8, 20, 24].map(|bit| flag >> bit & 1 == 1),
             [
                 active.stencil.active(cell),
                 closed[cell],
-                closed[cell] || sealed[cell]
+                closed[cell] || sealed[cell],
+                ballistic[cell],
+                active.stencil.active(cell)
             ],
-            "{name}: active, closed and surfaceless flag of cell {:?}",
+            "{name}: active, closed, surfaceless, ballistic and filled flag of cell {:?}",
             grid.cell_at(cell)
         );
     }

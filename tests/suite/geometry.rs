@@ -7,7 +7,7 @@ use std::path::Path;
 use cutwater::error::Error;
 use cutwater::geometry::{self, Clipping, CutCells, Regions, Surface, clip, open_fractions};
 use cutwater::grid::{Axis, Grid, Sides};
-use cutwater::reference::advect_markers;
+use cutwater::reference::{Ballistic, advect_markers};
 use cutwater::scene::{
     self, Keyframe, Liquid, Motion, Obstacle, Placement, Region, Scene, Shape, SolitaryWave,
 };
@@ -690,8 +690,16 @@ fn sides_of_obstacles_on_walls_are_no_way_out() {
         let deep = far_below(&grid);
         let surface = surface(&grid, &deep);
         let sides = Sides::default();
-        let (markers, _) =
-            advect_markers(&grid, sides, &still, &distance, &surface, &[start], 0.01);
+        let (markers, _) = advect_markers(
+            &grid,
+            sides,
+            &still,
+            &distance,
+            &surface,
+            &Ballistic::NONE,
+            &[start],
+            0.01,
+        );
         let [x, y, z] = markers[0];
         assert!(x < 0.4 && [y, z] == start[1..], "{shape:?}: {markers:?}");
     }

@@ -5,7 +5,7 @@ use cutwater::fields::{LiquidBuffers, LiquidPlan, SolverBuffers, Step};
 use cutwater::geometry::CutCells;
 use cutwater::gpu::{Gpu, Real, Recorder};
 use cutwater::grid::{Axis, Grid, Sides};
-use cutwater::reference::{ActiveCells, active_cells};
+use cutwater::reference::{ActiveCells, Ballistic, active_cells};
 use cutwater::scene::Precision;
 use cutwater::stages::band;
 use cutwater::state::State;
@@ -205,6 +205,39 @@ impl Case {
         buffers.write_cut_cells(gpu, &self.cut);
         buffers.write_state(gpu, &self.state);
         gpu.upload(&buffers.step, &[self.step()]);
+    }
+
+    /// The device's arrays of the solve before.
+    pub(crate) fn solved(&self, gpu: &Gpu) -> SolverBuffers {
+        let solver = SolverBuffers::new(gpu, &self.grid, Precision::F32).unwrap();
+        solver.write_active(gpu, &self.grid, &self.state);
+        solver
+    }
+
+    /// With liquid in some cells and half of it, in blocks anywhere, ballistic.
+    pub(crate) fn with_ballistic(mut self) -> Case {
+        let mut random = Random(11);
+        let blocks: Vec<bool> = (0..64).map(|_| random.uniform(0.0, 1.0) < 0.5).collect();
+        // After a solve.
+        self.state.step = 1;
+        let State {
+            active, ballistic, ..
+        } = &mut self.state;
+        for (cell, active) in active.iter_mut().enumerate() {
+            let [i, j, k] = self.grid.cell_at(cell).map(|at| at / 3 % 4);
+            *active = random.uniform(0.0, 1.0) < 0.9;
+            ballistic[cell] = *active && blocks[i + 4 * (j + 4 * k)];
+        }
+        self
+    }
+
+    /// The twin's liquid that touches nothing.
+    pub(crate) fn ballistic(&self) -> Ballistic<'_> {
+        let State {
+            active, ballistic, ..
+        } = &self.state;
+        let dt = f64::from(self.dt as f32);
+        Ballistic::new(active, ballistic, GRAVITY.into(), dt)
     }
 
     /// The sub-step's numbers.

@@ -23,6 +23,7 @@ mod coupled_step;
 mod dinosaur;
 mod elastic;
 mod export;
+mod free_fall;
 mod fuzz;
 mod geometry;
 mod gpu;

@@ -16,7 +16,7 @@ use std::fs;
 use cutwater::elastic::Solids;
 use cutwater::gpu::AdapterChoice;
 use cutwater::grid::{Axis, Grid};
-use cutwater::reference::{Stencil, StepSystem, TimeStep, advect_velocity, forces};
+use cutwater::reference::{Ballistic, Stencil, StepSystem, TimeStep, advect_velocity, forces};
 use cutwater::scene::Scene;
 use cutwater::sim::{GpuPath, reference_path};
 use cutwater::state::{SolveStatus, StepReport};
@@ -398,7 +398,7 @@ fn what_the_liquid_gains_is_what_everything_else_loses() {
             let report = reference.step_observed(time_step, look).unwrap();
             let (stencil, state) = (stencil.unwrap(), reference.state());
             let open = reference.cut_cells().open.clone();
-            let mut u = advect_velocity(&grid, &open, &before.velocity, dt);
+            let mut u = advect_velocity(&grid, &open, &before.velocity, &Ballistic::NONE, dt);
             forces(&mut u, case.scene.domain.gravity, dt);
             let moment = Moment {
                 case: &case,

@@ -7,8 +7,8 @@ use cutwater::geometry::{initial_state, obstacle_cut};
 use cutwater::gpu::AdapterChoice;
 use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference::{
-    Lost, PressureSystem, active_cells, advect_markers, divergence, right_hand_side, solve,
-    volume_without, write_back,
+    Ballistic, Lost, PressureSystem, active_cells, advect_markers, divergence, right_hand_side,
+    solve, volume_without, write_back,
 };
 use cutwater::scene::{Scene, Solver};
 use cutwater::sim::{Backend, Plan, Simulation, reference_path};
@@ -191,7 +191,18 @@ fn markers_leave_through_open_sides_alone() {
     let markers = [[0.95, 0.5, 0.5], [0.5, 0.5, 0.5], [0.85, 0.2, 0.2]];
     let deep = far_below(&grid);
     let surface = surface(&grid, &deep);
-    let moved = |sides| advect_markers(&grid, sides, &faces, &far, &surface, &markers, 0.1);
+    let moved = |sides| {
+        advect_markers(
+            &grid,
+            sides,
+            &faces,
+            &far,
+            &surface,
+            &Ballistic::NONE,
+            &markers,
+            0.1,
+        )
+    };
     let (kept, lost) = moved(Sides::default().with(Axis::X, 1));
     assert_eq!(
         lost,
@@ -339,11 +350,12 @@ fn what_is_sucked_in_brings_no_energy() {
         assert!(mean > 0.5, "mean x {mean}");
         gain
     });
-    // J; of what gravity does to all of it over half a metre.
+    // J; of what gravity does to all of it over half a metre. The surface that comes off the open side lies half a cell, of 12, above
+    // the outermost markers.
     let fallen = mass * 6.0 * 0.5;
     println!("energy gained between walls and with an open side: {gains:?} of {fallen} J");
     assert!(
-        gains[1] < gains[0] + 0.02 * fallen,
+        gains[1] < gains[0] + 0.5 / 12.0 * fallen,
         "{gains:?} of {fallen} J"
     );
 }

@@ -86,7 +86,7 @@ fn nodes_stop_at_walls_and_lose_the_velocity_into_them() {
     v[low] = [-1.0, 2.0, -0.5];
     v[high] = [8.0, -1.0, 1.0];
     v[held] = [-1.0, -1.0, 1.0];
-    move_solid(&solids, &grid, 0.5, &mut u, &mut v);
+    move_solid(&solids, &grid, 0.5, (DVec3::ZERO, &[]), &mut u, &mut v);
     assert_eq!((u[low], v[low]), ([0.0, 1.0, -0.25], [0.0, 2.0, -0.5]));
     assert_eq!((u[high], v[high]), ([3.0, -0.5, 0.5], [0.0, -1.0, 1.0]));
     // The prescribed component goes where it is told.

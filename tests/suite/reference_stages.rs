@@ -3,10 +3,10 @@
 use cutwater::geometry::CutCells;
 use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference::{
-    Lost, PressureSystem, VolumeSource, active_cells, advect_markers, advect_velocity, diagnose,
-    divergence, extrapolate, forces, gradient, liquid_distance, liquid_volume, max_speed, n_layers,
-    open_volumes, probe, right_hand_side, solve, solve_direct, solve_iterative, surface_distance,
-    theta, volume_rate, write_back,
+    Ballistic, Lost, PressureSystem, VolumeSource, active_cells, advect_markers, advect_velocity,
+    diagnose, divergence, extrapolate, forces, gradient, liquid_distance, liquid_volume, max_speed,
+    n_layers, open_volumes, probe, right_hand_side, solve, solve_direct, solve_iterative,
+    surface_distance, theta, volume_rate, write_back,
 };
 use cutwater::scene::{ProbeKind, Solver, Up};
 use cutwater::state::{SolveStatus, State};
@@ -121,6 +121,7 @@ fn markers_follow_a_shear_exactly_and_stay_inside() {
         &faces,
         &open,
         &surface(&GRID, &deep),
+        &Ballistic::NONE,
         &markers,
         0.5,
     );
@@ -154,6 +155,7 @@ fn markers_follow_a_rotation_to_second_order() {
                 &faces,
                 &solid_distance,
                 &surface(&grid, &deep),
+                &Ballistic::NONE,
                 &markers,
                 dt,
             )
@@ -182,7 +184,16 @@ fn markers_move_with_the_surface_above_them() {
         let start = [1.1, 1.5 - depth * dx, 0.9];
         let sides = Sides::default();
         let surface = surface(&GRID, &distance);
-        let (moved, _) = advect_markers(&GRID, sides, &faces, &open, &surface, &[start], dt);
+        let (moved, _) = advect_markers(
+            &GRID,
+            sides,
+            &faces,
+            &open,
+            &surface,
+            &Ballistic::NONE,
+            &[start],
+            dt,
+        );
         (moved[0][0] - start[0] - dt * slope * start[1]) / (dt * slope * dx)
     };
     for (depth, expected) in [
@@ -201,7 +212,16 @@ fn markers_move_with_the_surface_above_them() {
     let start = [1.1, 1.1, 0.5];
     let surface = surface(&GRID, &distance);
     let sides = Sides::default();
-    let (moved, _) = advect_markers(&GRID, sides, &steep, &open, &surface, &[start], dt);
+    let (moved, _) = advect_markers(
+        &GRID,
+        sides,
+        &steep,
+        &open,
+        &surface,
+        &Ballistic::NONE,
+        &[start],
+        dt,
+    );
     let expected = start[2] + dt * 0.8 + 0.5 * dx;
     assert!((moved[0][2] - expected).abs() < 1e-12, "{moved:?}");
 }
@@ -275,6 +295,7 @@ fn markers_leave_obstacles_along_the_normal_or_are_dropped() {
         &still,
         &wall,
         &surface(&GRID, &deep),
+        &Ballistic::NONE,
         &[[0.8, 1.0, 1.0], [1.2, 1.0, 1.0]],
         0.1,
     );
@@ -292,6 +313,7 @@ fn markers_leave_obstacles_along_the_normal_or_are_dropped() {
         &still,
         &buried,
         &surface(&GRID, &deep),
+        &Ballistic::NONE,
         &[[0.8, 1.0, 1.0]],
         0.1,
     );
@@ -302,7 +324,7 @@ fn markers_leave_obstacles_along_the_normal_or_are_dropped() {
 fn advection_keeps_a_constant_and_shifts_a_linear_field() {
     let constant = on_faces(&GRID, |_| DVec3::new(0.3, -0.2, 0.1));
     let open = empty(&GRID).open;
-    let advected = advect_velocity(&GRID, &open, &constant, 0.4);
+    let advected = advect_velocity(&GRID, &open, &constant, &Ballistic::NONE, 0.4);
     assert!(
         advected
             .iter()
@@ -311,7 +333,7 @@ fn advection_keeps_a_constant_and_shifts_a_linear_field() {
     );
     // v depends on x and is carried along x by 0.5 m/s for 0.6 s: v(x - 0.3), where that lies between faces.
     let field = |x: DVec3| DVec3::new(0.5, 2.0 * x.x, 0.0);
-    let advected = advect_velocity(&GRID, &open, &on_faces(&GRID, field), 0.6);
+    let advected = advect_velocity(&GRID, &open, &on_faces(&GRID, field), &Ballistic::NONE, 0.6);
     for (face, v) in advected[1].iter().enumerate() {
         let x = GRID.face_centre(Axis::Y, GRID.face_at(Axis::Y, face)).x;
         let exact = 2.0 * (x - 0.3).max(0.25);
@@ -334,7 +356,7 @@ fn slivers_carry_what_is_and_whole_faces_what_these_show() {
     let carried = |u: f64| u - dt * (u - 0.5 * dt * u * (u - 1.0)) * (u - 1.0);
     for (a, part_of_shown) in [(0.05, 0.0), (0.15, 0.5)] {
         cut.open[0][sliver] = a;
-        let advected = &advect_velocity(&grid, &cut.open, &faces, dt)[0];
+        let advected = &advect_velocity(&grid, &cut.open, &faces, &Ballistic::NONE, dt)[0];
         let shows = u + (1.0 - a / 0.2) * (1.0 - u);
         let expected = carried(u) + part_of_shown * (carried(shows) - carried(u));
         assert!(close(advected[sliver], expected), "{a} open");
@@ -345,15 +367,18 @@ fn slivers_carry_what_is_and_whole_faces_what_these_show() {
     // Closed faces and those that are a fifth open are carried as they are.
     for open in [0.0, 0.2] {
         cut.open[0][sliver] = open;
-        let whole = advect_velocity(&grid, &empty(&grid).open, &faces, dt);
-        assert_eq!(advect_velocity(&grid, &cut.open, &faces, dt), whole);
+        let whole = advect_velocity(&grid, &empty(&grid).open, &faces, &Ballistic::NONE, dt);
+        assert_eq!(
+            advect_velocity(&grid, &cut.open, &faces, &Ballistic::NONE, dt),
+            whole
+        );
     }
     // A film of slivers shows what it is; almost as much, where the others are no more than just whole.
-    let whole = advect_velocity(&grid, &empty(&grid).open, &faces, dt);
+    let whole = advect_velocity(&grid, &empty(&grid).open, &faces, &Ballistic::NONE, dt);
     for open in [0.15, 0.2 + 1e-9] {
         let mut film = cut.open.each_ref().map(|faces| vec![open; faces.len()]);
         film[0][sliver] = 0.15;
-        let advected = advect_velocity(&grid, &film, &faces, dt);
+        let advected = advect_velocity(&grid, &film, &faces, &Ballistic::NONE, dt);
         let pairs = advected.iter().flatten().zip(whole.iter().flatten());
         assert!(
             pairs

@@ -340,12 +340,14 @@ fn stages_share_their_nouns() {
     // What several stages use.
     let shared = ["mod", "band"];
     let parts = [
+        ("ballistic", "move_solid"),
         ("element_rotations", "solid_matrices"),
         ("patch_pressure", "right_hand_side"),
     ];
     // Tests of several stages.
     let tests = [
         ("active_cells", "solver"),
+        ("ballistic", "twin_move_solid"),
         ("closed_components", "components"),
         ("patch_pressure", "twin_coupling"),
     ];

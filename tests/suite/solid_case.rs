@@ -191,6 +191,7 @@ impl SolidCase {
             n_nodes: self.solids.rest.len(),
             n_elements: self.solids.elements.len(),
             n_turning: self.solids.rotating_bodies().count(),
+            n_free: self.solids.free_bodies().count(),
             scripts: !self.scripted.is_empty(),
             obstacles: !self.solid_distance.is_empty(),
             real,

@@ -36,12 +36,12 @@ fn close(a: f64, b: f64) -> bool {
 #[test]
 fn a_surface_in_motion_moves_by_less_than_its_waves_allow() {
     let limits = limits(POOL, &[]);
-    let dt = |speed, left, last| limits.time_step(speed, left, last).dt;
+    let dt = |speed, left, last| limits.time_step(speed, [0.0, left], last).dt;
     assert!(close(dt(0.0, 0.1, 0.0), 0.1 / 5.0), "a quarter at first");
     assert!(close(dt(0.0, 0.1, 0.02), 0.1 / 4.0), "1.5 times the last");
     assert!(close(dt(0.0, 0.1, 0.1), 0.1 / 2.0));
     assert!(close(dt(0.0, 0.09, 0.1), 0.09), "not shorter than it must");
-    assert!(close(limits.wave_cfl(0.09), 0.9));
+    assert!(close(limits.time_step(0.0, [0.0, 0.09], 0.1).wave_cfl, 0.9));
     // 2 cells of 0.1 m at 5 m/s: 0.04 s, three steps to the frame.
     assert!(close(dt(5.0, 0.1, 0.1), 0.1 / 3.0));
     // 4 m/s asks for exactly half the frame; rounding of the time left must not make it three steps.
@@ -52,7 +52,7 @@ fn a_surface_in_motion_moves_by_less_than_its_waves_allow() {
 #[test]
 fn a_fixed_surface_has_no_such_limit() {
     let limits = limits(POOL, &["liquid.surface=\"fixed\""]);
-    let dt = |speed, left, last| limits.time_step(speed, left, last).dt;
+    let dt = |speed, left, last| limits.time_step(speed, [0.0, left], last).dt;
     assert!(close(dt(0.0, 0.1, 0.0), 0.1));
     assert!(close(dt(0.0, 1.0, 0.0), 0.2), "2 sqrt(dx / g)");
     assert!(close(dt(0.0, 0.1, 0.01), 0.1 / 7.0));
@@ -61,16 +61,19 @@ fn a_fixed_surface_has_no_such_limit() {
 #[test]
 fn steps_have_a_least_and_a_largest_length() {
     let limits_of = |overrides: &[&str]| limits(POOL, overrides);
-    let floored = limits_of(&[]).time_step(1e9, 1e-5, 0.0);
+    let floored = limits_of(&[]).time_step(1e9, [0.0, 1e-5], 0.0);
     assert!(floored.floored && close(floored.dt, 1e-7), "{floored:?}");
-    assert!(!limits_of(&[]).time_step(5.0, 0.1, 0.01).floored);
+    assert!(!limits_of(&[]).time_step(5.0, [0.0, 0.1], 0.01).floored);
     let short = limits_of(&["time.max_step=0.01"]);
-    assert!(close(short.time_step(0.0, 0.1, 1.0).dt, 0.01));
+    assert!(close(short.time_step(0.0, [0.0, 0.1], 1.0).dt, 0.01));
     let fixed = limits_of(&["time.fixed_step=0.02"]);
-    assert!(close(fixed.time_step(1e6, 0.04 - 1e-13, 1e-9).dt, 0.02));
+    assert!(close(
+        fixed.time_step(1e6, [0.0, 0.04 - 1e-14], 1e-9).dt,
+        0.02
+    ));
     // Two cells of 0.1 m in 0.02 s are 10 m/s; a fixed step is not shortened for more, but told.
-    assert!(!fixed.time_step(10.0, 0.1, 0.0).floored);
-    assert!(fixed.time_step(10.1, 0.1, 0.0).floored);
+    assert!(!fixed.time_step(10.0, [0.0, 0.1], 0.0).floored);
+    assert!(fixed.time_step(10.1, [0.0, 0.1], 0.0).floored);
 }
 
 /// Volume control works over sqrt(1 m / 10 m/s^2) / 8, or over an eighth of the time that the fastest point takes across.
@@ -81,19 +84,41 @@ fn volume_is_controlled_over_a_time_of_the_flow() {
     let floating = limits(POOL, &["domain.gravity=[0,0,0]"]);
     assert!(close(floating.control_time(0.5), 0.25));
     assert_eq!(floating.control_time(0.0), f64::INFINITY);
-    assert!(close(floating.time_step(0.0, 0.1, 0.0).dt, 0.1));
-    assert_eq!(floating.wave_cfl(0.1), 0.0);
+    assert!(close(floating.time_step(0.0, [0.0, 0.1], 0.0).dt, 0.1));
+    assert_eq!(floating.time_step(0.0, [0.0, 0.1], 0.0).wave_cfl, 0.0);
 }
 
-/// Moves by 0.4 m in 0.1 s: 4 m/s from rest in that time.
+/// Moves by 0.4 m from 0.5 s to 0.6 s: 4 m/s from rest in that time, and back to rest.
 #[test]
-fn accelerations_of_obstacles_count() {
+fn accelerations_of_obstacles_count_while_they_last() {
     let pushed = format!(
         "{POOL}[[obstacle]]\nsphere = {{ centre = [0.3, 0.3, 0.5], radius = 0.1 }}\n\
-         keyframes = [{{ t = 0 }}, {{ t = 0.1, translate = [0.4, 0, 0] }}]\n"
+         keyframes = [{{ t = 0.5 }}, {{ t = 0.6, translate = [0.4, 0, 0] }}]\n"
     );
     let limits = limits(&pushed, &[]);
-    assert!(close(limits.wave_cfl(1.0), (40.0_f64 / 0.1).sqrt()));
+    let at = |time: f64| limits.time_step(0.0, [time, 1.0], 1.0);
+    // 0.9 sqrt(dx / a), a = 10 and 40 m/s^2.
+    let [slow, fast] = [0.09, 0.045];
+    for (time, dt) in [
+        (0.0, slow),
+        (0.4, slow),
+        (0.45, fast),
+        (0.5, fast),
+        (0.505, slow),
+        (0.58, fast),
+        (0.61, slow),
+    ] {
+        let step = at(time);
+        assert!(
+            step.dt <= dt * (1.0 + 1e-9) && step.dt > 0.9 * dt,
+            "{time} s: {step:?}"
+        );
+        assert!(step.wave_cfl <= 0.9 * (1.0 + 1e-9), "{time} s: {step:?}");
+    }
+    assert!(
+        close(limits.control_time(0.0), 0.1_f64.sqrt() / 8.0),
+        "that of gravity"
+    );
 }
 
 #[test]
@@ -104,21 +129,25 @@ fn accelerations_of_keyframes_are_changes_of_velocity_and_of_direction() {
         axis: DVec3::Z,
         angle,
     };
-    let of = |frames: &[Keyframe], until| Keyframe::max_acceleration(frames, 0.5, until);
-    assert_eq!(of(&[frame(0.0, 1.0, 2.0)], 9.0), 0.0);
-    // 2 m/s, then 5 m/s: over half of 1 s and of 2 s; it stops from 5 m/s over 2 s.
+    let of = |frames: &[Keyframe]| -> Vec<([f64; 2], f64)> {
+        let all = Keyframe::accelerations(frames, 0.5);
+        all.iter().map(|of| (of.times, of.size)).collect()
+    };
+    assert!(of(&[frame(0.0, 1.0, 2.0)]).is_empty());
+    // 2 m/s from rest over 1 s, then 5 m/s: over half of 1 s and of 2 s; it stops from 5 m/s over 2 s.
     let pushed = [
         frame(0.0, 0.0, 0.0),
         frame(1.0, 2.0, 0.0),
         frame(3.0, 12.0, 0.0),
     ];
-    assert!(close(of(&pushed, 9.0), 2.5));
-    assert!(close(of(&pushed, 2.0), 2.0), "it stops after the end");
-    // 8 rad/s at 0.5 m: 32 m/s^2 to the centre, 4 m/s from rest in 1 s.
-    assert!(close(
-        of(&[frame(0.0, 0.0, 0.0), frame(1.0, 0.0, 8.0)], 9.0),
-        32.0
-    ));
+    let expected = [([0.0; 2], 2.0), ([1.0; 2], 2.0), ([3.0; 2], 2.5)];
+    assert_eq!(of(&pushed), expected);
+    // 8 rad/s at 0.5 m: 32 m/s^2 to the centre, 4 m/s from rest in 1 s and back.
+    let turned = [frame(0.0, 0.0, 0.0), frame(1.0, 0.0, 8.0)];
+    assert_eq!(
+        of(&turned),
+        [([0.0; 2], 4.0), ([0.0, 1.0], 32.0), ([1.0; 2], 4.0)]
+    );
 }
 
 #[test]

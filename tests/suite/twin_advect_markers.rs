@@ -63,6 +63,7 @@ fn twin(case: &Case, surface: &Surface, marker: [f64; 3]) -> Result<[f64; 3], Lo
         &case.state.velocity,
         distance,
         surface,
+        &case.ballistic(),
         &[marker],
         case.dt,
     );
@@ -77,11 +78,12 @@ fn push_error(case: &Case) -> f64 {
 #[test]
 fn markers_move_as_in_the_twin() {
     let Some(gpu) = gpu() else { return };
-    for case in filled_cases() {
+    let falling = filled_cases().into_iter().map(Case::with_ballistic);
+    for case in filled_cases().into_iter().chain(falling) {
         let distance = surface_distance(&case);
         let surface = surface(&case, &distance);
         let buffers = case.upload(gpu);
-        let stage = advect_markers(gpu, &buffers).unwrap();
+        let stage = advect_markers(gpu, &buffers, &case.solved(gpu)).unwrap();
         let (markers, lost) = advected(gpu, &case, &buffers, &stage);
         let error = MarkerError::new(&case.grid, &case.state.velocity, surface, case.dt);
         let mut pairs = Vec::new();
@@ -147,7 +149,7 @@ fn the_surface_is_where_the_twin_has_it() {
     let Some(gpu) = gpu() else { return };
     for case in filled_cases() {
         let buffers = case.upload(gpu);
-        let stage = advect_markers(gpu, &buffers).unwrap();
+        let stage = advect_markers(gpu, &buffers, &case.solved(gpu)).unwrap();
         let (grid, padded) = (case.grid, buffers.padded);
         // A difference of numbers up to 4 dx, one of which is a product with a root that may be off by four roundings.
         let bound = 6.0 * EPS * 4.0 * grid.dx;
@@ -180,7 +182,7 @@ fn dropped_markers_stay_dropped() {
         .find(|case| case.name == "all solid")
         .unwrap();
     let buffers = case.upload(gpu);
-    let stage = advect_markers(gpu, &buffers).unwrap();
+    let stage = advect_markers(gpu, &buffers, &case.solved(gpu)).unwrap();
     let mut recorder = Recorder::new(gpu);
     stage.record(&mut recorder);
     stage.record(&mut recorder);

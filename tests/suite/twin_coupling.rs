@@ -210,6 +210,7 @@ impl<'a> OnDevice<'a> {
             n_nodes: joint.solids.rest.len(),
             n_elements: joint.solids.elements.len(),
             n_turning: joint.solids.rotating_bodies().count(),
+            n_free: joint.solids.free_bodies().count(),
             scripts: false,
             obstacles: false,
             real: liquid.buffers.variant.real,

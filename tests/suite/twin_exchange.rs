@@ -344,6 +344,7 @@ fn no_cell_of_a_source_is_filled_for_ever() {
                     &at_rest,
                     &solid_distance,
                     &surface(&grid, &far),
+                    &reference::Ballistic::NONE,
                     &markers,
                     0.01,
                 );

@@ -111,7 +111,7 @@ fn check_volume(run: &Run, phi: &[f64]) {
     };
     let whole = grid.size().element_product();
     let bound = EPS * (6.0 + deep) * whole;
-    let rate = reference::volume_rate(run.volume_0, volume, 1.0 / 24.0, case.dt);
+    let rate = reference::volume_rate(run.volume_0, volume, f64::from(0.04f32), case.dt);
     let energy: f64 = (0..grid.n_cells())
         .map(|cell| {
             let volume = open[cell] * (0.5 - phi[cell] / grid.dx).clamp(0.0, 1.0);
@@ -120,7 +120,7 @@ fn check_volume(run: &Run, phi: &[f64]) {
         })
         .sum();
     let diagnosis = report.diagnosis;
-    // (V_0/V - 1) is off by the errors of V_0/V, over half a frame at least.
+    // (V_0/V - 1) is off by the errors of V_0/V, over half the control time at least.
     let ratio = run.volume_0 / volume.max(bound);
     let rate_bound = 48.0 * ratio * (8.0 * EPS + bound / volume.max(bound));
     let energy_bound = 10.5 * DENSITY * 2.0 * bound * grid.size().max_element();

@@ -2,20 +2,24 @@
 
 use cutwater::gpu::{Gpu, Real, Recorder};
 use cutwater::reference;
-use cutwater::stages::move_solid;
+use cutwater::stages::{ballistic_bodies, move_solid};
 use cutwater::state::State;
 use glam::{DMat3, DVec3};
 
 use crate::common::{Random, gpu};
-use crate::liquid_case::single;
+use crate::liquid_case::{GRAVITY, single};
 use crate::solid_case::{RUBBER, SolidCase, cases, eps, lattice, solids};
 
-/// Runs the stage some times.
-fn moved(gpu: &Gpu, case: &SolidCase, real: Real, times: usize) -> State {
+/// Runs the stage some times, with or without ballistic bodies.
+fn moved(gpu: &Gpu, case: &SolidCase, real: Real, times: usize, ballistic: bool) -> State {
     let buffers = case.upload(gpu, real);
+    let release = ballistic_bodies(gpu, &buffers, None).unwrap();
     let stage = move_solid(gpu, &buffers).unwrap();
     let mut recorder = Recorder::new(gpu);
     for _ in 0..times {
+        if ballistic {
+            release.record(&mut recorder);
+        }
         stage.record(&mut recorder);
     }
     recorder.submit();
@@ -30,7 +34,17 @@ fn twin(case: &SolidCase, nudge: DVec3) -> State {
     let mut solids = case.solids.clone();
     solids.rest.iter_mut().for_each(|x| *x += nudge);
     let (u, v) = (&mut state.displacement, &mut state.node_velocity);
-    reference::move_solid(&solids, &case.grid, case.dt, u, v);
+    let dry = vec![false; u.len()];
+    let falling = (GRAVITY.into(), case.dt);
+    let ballistic = reference::ballistic_bodies(&solids, &case.grid, &[], &dry, falling, u, v);
+    reference::move_solid(
+        &solids,
+        &case.grid,
+        case.dt,
+        (GRAVITY.into(), &ballistic),
+        u,
+        v,
+    );
     state
 }
 
@@ -89,9 +103,10 @@ fn turning_slack(case: &SolidCase, exact: &[[DVec3; 2]], eps: f64) -> Vec<[f64; 
 #[test]
 fn nodes_move_and_stay_out_of_walls() {
     let Some(gpu) = gpu() else { return };
-    let mut stopped = 0;
+    let (mut stopped, mut fell) = (0, 0);
     for case in cases() {
-        let speed = case.speed();
+        let fall = 0.5 * case.dt * case.dt * DVec3::from(GRAVITY);
+        let speed = case.speed() + fall.length() / case.dt;
         let reach = largest(&case.displacement) + case.dt * speed;
         // Sizes are f32.
         let sample = 8.0 * eps(Real::F32) * (case.grid.size().max_element() + reach);
@@ -103,7 +118,7 @@ fn nodes_move_and_stay_out_of_walls() {
             .map(|nudge| twin(&case, nudge.into()))
             .collect();
         for real in SolidCase::reals(gpu) {
-            let state = moved(gpu, &case, real, 1);
+            let state = moved(gpu, &case, real, 1, true);
             // What two f32 hold, the rounding of dt v, and what an f32 below the normal ones may be taken for.
             let underflow = f64::from(f32::MIN_POSITIVE);
             let step = 2.0 * eps(real) * case.dt * speed + 2f64.powi(-46) * reach + underflow;
@@ -132,7 +147,8 @@ fn nodes_move_and_stay_out_of_walls() {
                 let stops = |twin: &State| {
                     let twin = DVec3::from(twin.displacement[node]);
                     let free = turned_u + case.dt * turned_v;
-                    (twin - free).abs().max_element() > step + slack[node][0]
+                    let off = [free, free + fall].map(|free| (twin - free).abs().max_element());
+                    off[0].min(off[1]) > step + slack[node][0]
                 };
                 let near = |twin: &State, length: f64, rate: f64| {
                     let [length, rate] = [length + slack[node][0], rate + slack[node][1]];
@@ -145,8 +161,16 @@ fn nodes_move_and_stay_out_of_walls() {
                     stopped += 1;
                     twins.any(|twin| near(twin, 2.0 * sample, underflow))
                 } else {
-                    near(&exact, step, underflow)
+                    // Rounding decides whether its body just touches a wall.
+                    twins.any(|twin| near(twin, step, underflow))
                 };
+                let falls = |twin: &State| {
+                    (DVec3::from(twin.displacement[node]) - turned_u - case.dt * turned_v - fall)
+                        .abs()
+                        .max_element()
+                        <= step
+                };
+                fell += usize::from(falls(&exact));
                 assert!(
                     passed,
                     "{} {real:?}, node {node}: {found_u} m, {found_v} m/s, the twin {twin_u}, {twin_v}",
@@ -156,6 +180,7 @@ fn nodes_move_and_stay_out_of_walls() {
         }
     }
     assert!(stopped > 50, "{stopped} stopped by walls");
+    assert!(fell > 50, "{fell} nodes of ballistic bodies");
 }
 
 fn largest(vectors: &[[f64; 3]]) -> f64 {
@@ -180,7 +205,7 @@ fn small_steps_add_up() {
         let v = [2f64.powi(-24), 2f64.powi(-22), -3.0 * 2f64.powi(-22)];
         case.velocity.fill(v);
         let times = 1000;
-        let state = moved(gpu, &case, real, times);
+        let state = moved(gpu, &case, real, times, false);
         for (u, start) in state.displacement.iter().zip(&case.displacement) {
             for axis in 0..3 {
                 let expected = start[axis] + times as f64 * case.dt * v[axis];
@@ -225,7 +250,7 @@ fn what_turns_keeps_its_shape_and_its_momenta() {
     };
     let [x, p, l] = sums(&case.state());
     for real in SolidCase::reals(gpu) {
-        let state = moved(gpu, &case, real, 1);
+        let state = moved(gpu, &case, real, 1, false);
         let elements = 0..case.solids.elements.len();
         let mut turn = DMat3::ZERO;
         for element in elements {

@@ -157,11 +157,14 @@ impl Serialize for Results {
 /// Rows, each with the name of its table.
 pub(crate) type Rows = Vec<(&'static str, Row)>;
 
+/// What measures a case.
+type Measure<'c> = Box<dyn FnMut(&mut Run) -> Result<Rows, Error> + 'c>;
+
 /// One case.
 pub(crate) struct Case<'c> {
     table: &'static str,
     key: Row,
-    measure: Box<dyn FnMut(&mut Run) -> Result<Rows, Error> + 'c>,
+    measure: Measure<'c>,
 }
 
 impl<'c> Case<'c> {

@@ -249,6 +249,12 @@ fn slopes(scene: &Scene, clip: &SolidClip, before: &LiquidSnapshot, dt_last: f64
     }
 }
 
+/// The corners of a cube about the origin, with coordinates of 1 and -1.
+fn corners() -> impl Iterator<Item = DVec3> {
+    (0..8)
+        .map(|corner| DVec3::from([0, 1, 2].map(|axis| f64::from(corner >> axis & 1) * 2.0 - 1.0)))
+}
+
 /// Liquid and solids of a scene after a stage.
 struct Both<'a> {
     /// Twin of the clipping, from the displacements of the device.

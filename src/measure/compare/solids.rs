@@ -5,7 +5,7 @@ use std::sync::Arc;
 use glam::{DMat3, DVec3};
 
 use super::table::{Place, Table};
-use super::{Both, EPS, largest, rounded_to_f32, unit};
+use super::{Both, EPS, corners, largest, rounded_to_f32, unit};
 use crate::Error;
 use crate::elastic::{Deformation, Solids, forces};
 use crate::geometry::{Coupling, CutCells};
@@ -113,7 +113,7 @@ impl<'a> SolidComparison<'a> {
     ) -> Result<(), Error> {
         self.table.stage = stage.name();
         match stage {
-            Stage::MoveSolid => self.move_solid(after),
+            Stage::MoveSolid => self.move_solid(after, both),
             Stage::Forces => self.forces(after),
             Stage::SolidMatrices => self.solid_matrices(after),
             Stage::RightHandSide => self.right_hand_side(after, both),
@@ -125,21 +125,62 @@ impl<'a> SolidComparison<'a> {
         Ok(())
     }
 
+    /// Which bodies are ballistic on the device. Where one ends so near to a wall or an obstacle that rounding decides, either is
+    /// right.
+    fn ballistic_bodies(&mut self, after: &SolidSnapshot, both: Option<&Both>) -> Vec<bool> {
+        let (n, grid, before) = (self.solids.rest.len(), self.grid, &self.before);
+        let wet =
+            both.map(|both| reference::wet_nodes(both.clip.coupling(), &both.liquid.filled, n));
+        let wet = wet.unwrap_or_else(|| vec![false; n]);
+        let distance = match self.scene.obstacles.is_empty() {
+            true => &[][..],
+            false => &self.cut.solid_distance,
+        };
+        let falling = (self.scene.domain.gravity.as_vec3().as_dvec3(), self.dt);
+        let twin = |off: DVec3| {
+            let moved = before.displacement.iter().map(|&u| DVec3::from(u) + off);
+            let moved: Vec<[f64; 3]> = moved.map(DVec3::into).collect();
+            let v = &before.velocity;
+            reference::ballistic_bodies(&self.solids, &grid, distance, &wet, falling, &moved, v)
+        };
+        let near = 64.0 * EPS * grid.size().max_element();
+        let others: Vec<Vec<bool>> = corners().map(|corner| twin(near * corner)).collect();
+        let exact = twin(DVec3::ZERO);
+        let rows = self.solids.bodies.iter().enumerate().map(|(number, body)| {
+            let first = body.nodes.start;
+            let gpu = after.ballistic[first];
+            let either = others.iter().any(|other| other[number] == gpu);
+            let twin = if either { gpu } else { exact[number] };
+            (gpu, twin, Place::Node(first, self.solids.rest[first]))
+        });
+        let rows: Vec<_> = rows.collect();
+        let ballistic = rows.iter().map(|row| row.0).collect();
+        self.table.add_flags("ballistic", rows);
+        ballistic
+    }
+
     /// A free node has the roundings of its stored displacement, of dt v and of the rotation of its body; a node put on a wall those of its position.
     /// Rounding decides whether a node that the solve has brought to the wall penetrates it and loses its normal velocity.
-    fn move_solid(&mut self, after: &SolidSnapshot) {
+    fn move_solid(&mut self, after: &SolidSnapshot, both: Option<&Both>) {
+        let ballistic = self.ballistic_bodies(after, both);
         let (before, dt) = (&self.before, self.dt);
+        let gravity = self.scene.domain.gravity.as_vec3().as_dvec3();
+        let falls = (gravity, &*ballistic);
         let (mut u, mut v) = (before.displacement.clone(), before.velocity.clone());
         reference::turn_solids(&self.solids, dt, &mut u, &mut v);
         let rotation = self.rotation_errors(&u, &v, unit(after.real));
         let (turned, turned_v) = (u, v);
         (u, v) = (before.displacement.clone(), before.velocity.clone());
-        reference::move_solid(&self.solids, &self.grid, dt, &mut u, &mut v);
+        reference::move_solid(&self.solids, &self.grid, dt, falls, &mut u, &mut v);
         let size = self.grid.size();
         let longest = size.max_element();
         let touches = |node: usize| {
             (0..3).any(|axis| {
-                let free = turned[node][axis] + dt * turned_v[node][axis];
+                let fall = match after.ballistic[node] {
+                    true => 0.5 * dt * dt * gravity[axis],
+                    false => 0.0,
+                };
+                let free = turned[node][axis] + dt * turned_v[node][axis] + fall;
                 let moved = |u: f64| (u - free).abs() > PAIR * (free.abs() + longest);
                 moved(u[node][axis]) || moved(after.displacement[node][axis])
             })
@@ -151,7 +192,7 @@ impl<'a> SolidComparison<'a> {
         let quantity = ["displacement", "m"];
         self.table
             .nodes(rest, quantity, displacements, |node, axis| {
-                let way = dt * before.velocity[node][axis].abs();
+                let way = dt * (before.velocity[node][axis].abs() + 0.5 * dt * gravity[axis].abs());
                 match touched[node] {
                     true => contact + rotation[node][0],
                     false => {

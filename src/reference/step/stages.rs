@@ -7,12 +7,12 @@ use crate::Error;
 use crate::elastic::Solids;
 use crate::reference::path::Model;
 use crate::reference::{
-    Contacts, MovingWalls, Passed, PressureSystem, SolidSystem, Surface, VolumeSource,
-    active_cells, advect_markers, advect_velocity, carry_faces, diagnose, diagnose_solid,
-    divergence, empty_sinks, exchanged_volume, extrapolate, forces, hold_faces, liquid_distance,
-    liquid_volume, move_solid, n_layers, node_forces, open_volumes, patch_pressure,
-    pressure_gradient, right_hand_side, seed_markers, sink_markers, solid_matrices,
-    solid_right_hand_side, surface_distance, volume_rate, write_back,
+    Ballistic, Contacts, MovingWalls, Passed, PressureSystem, SolidSystem, Surface, VolumeSource,
+    active_cells, advect_markers, advect_velocity, ballistic_bodies, ballistic_cells, carry_faces,
+    diagnose, diagnose_solid, divergence, empty_sinks, exchanged_volume, extrapolate, forces,
+    hold_faces, liquid_distance, liquid_volume, move_solid, n_layers, node_forces, open_volumes,
+    patch_pressure, pressure_gradient, right_hand_side, seed_markers, sink_markers, solid_matrices,
+    solid_right_hand_side, surface_distance, volume_rate, wet_nodes, write_back,
 };
 use crate::scene::{CouplingScheme, PatchPressure};
 use crate::state::{LiquidReport, SolidReport};
@@ -21,6 +21,7 @@ use crate::step::Stage;
 impl SubStep<'_> {
     pub(super) fn move_solid(&mut self) {
         let Some(solids) = self.solids() else { return };
+        let ballistic = self.ballistic_bodies(solids);
         let (dt, after) = (self.time_step.dt, &mut self.after);
         let (displacement, velocity) = (&mut after.displacement, &mut after.node_velocity);
         if self.before.step == 0 {
@@ -29,7 +30,23 @@ impl SubStep<'_> {
         if self.model.scene.solver.coupling == CouplingScheme::Weak {
             self.results.velocity_before.clone_from(velocity);
         }
-        move_solid(solids, &self.model.grid, dt, displacement, velocity);
+        let falls = (self.model.scene.domain.gravity, &*ballistic);
+        move_solid(solids, &self.model.grid, dt, falls, displacement, velocity);
+    }
+
+    fn ballistic_bodies(&self, solids: &Solids) -> Vec<bool> {
+        let (n, before) = (solids.rest.len(), self.before);
+        let wet = match (self.boundary.clip(), self.model.effects.liquid) {
+            (Some(clip), true) => wet_nodes(clip.coupling(), &before.filled(), n),
+            _ => vec![false; n],
+        };
+        let distance = match self.model.effects.obstacles {
+            true => &*self.boundary.fixed_obstacles().solid_distance,
+            false => &[],
+        };
+        let falling = (self.model.scene.domain.gravity, self.time_step.dt);
+        let (u, v) = (&before.displacement, &before.node_velocity);
+        ballistic_bodies(solids, &self.model.grid, distance, &wet, falling, u, v)
     }
 
     pub(super) fn clip(&mut self) {
@@ -61,6 +78,7 @@ impl SubStep<'_> {
             &before.velocity,
             solid_distance,
             &surface,
+            &self.ballistic(&before.filled()),
             &before.markers,
             self.time_step.dt,
         );
@@ -102,7 +120,15 @@ impl SubStep<'_> {
     pub(super) fn advect_velocity(&mut self) {
         let open = &self.boundary.cut_cells().open;
         let velocity = &self.before.velocity;
-        self.after.velocity = advect_velocity(&self.model.grid, open, velocity, self.time_step.dt);
+        let (filled, dt) = (self.before.filled(), self.time_step.dt);
+        let ballistic = self.ballistic(&filled);
+        self.after.velocity = advect_velocity(&self.model.grid, open, velocity, &ballistic, dt);
+    }
+
+    /// Liquid that touched nothing in the last solve.
+    fn ballistic<'f>(&'f self, filled: &'f [bool]) -> Ballistic<'f> {
+        let gravity = self.model.scene.domain.gravity;
+        Ballistic::new(filled, &self.before.ballistic, gravity, self.time_step.dt)
     }
 
     pub(super) fn forces(&mut self) {
@@ -139,6 +165,9 @@ impl SubStep<'_> {
             active.seal(clip.coupling(), &solids.prescribed);
         }
         self.after.active = active.stencil.active_mask();
+        if self.model.effects.markers {
+            self.after.ballistic = ballistic_cells(self.apertures()[0], &active.stencil);
+        }
         self.results.active = Some(active);
     }
 

@@ -6,7 +6,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::table::{Place, Table, number};
-use super::{Both, EPS, largest, rounded_to_f32, unit};
+use super::{Both, EPS, corners, largest, rounded_to_f32, unit};
 use crate::Error;
 use crate::effects::Effects;
 use crate::fields::Step;
@@ -15,13 +15,16 @@ use crate::gpu::Real;
 use crate::grid::{Axis, Grid};
 use crate::measure::bounds::{MarkerError, advection_error, open_to_advection};
 use crate::reference::{
-    self, ActiveCells, MovingWalls, PressureSystem, RightHandSide as Inflow, Stencil, TimeStep,
-    VolumeSource,
+    self, ActiveCells, Ballistic, MovingWalls, PressureSystem, RightHandSide as Inflow, Stencil,
+    TimeStep, VolumeSource,
 };
 use crate::scene::{ProbeKind, Scene};
 use crate::sim::{GpuPath, LiquidSnapshot};
 use crate::state::State;
 use crate::step::Stage;
+
+/// Largest error of a departure point, in roundings of the extent of the grid.
+const NEAR_BALLISTIC: f64 = 256.0;
 
 /// Marker position, m; `None`: deleted.
 type Marker = Option<[f64; 3]>;
@@ -244,10 +247,12 @@ impl<'a> LiquidComparison<'a> {
         };
         let error = MarkerError::new(&grid, velocity, surface, dt);
         let sides = self.scene.domain.open;
+        let ballistic = self.ballistic();
         let advect = |start: [f64; 3]| {
             let (walls, markers) = (solid_distance, [start]);
-            let advected =
-                reference::advect_markers(&grid, sides, velocity, walls, &surface, &markers, dt);
+            let advected = reference::advect_markers(
+                &grid, sides, velocity, walls, &surface, &ballistic, &markers, dt,
+            );
             advected.0.first().copied()
         };
         let markers = self.before.markers.par_iter().zip(&after.markers);
@@ -344,8 +349,36 @@ impl<'a> LiquidComparison<'a> {
         let in_band = |axis: Axis, face: usize| after.face_band[axis.index()][face];
         let open = &open_to_advection(&self.cut.open, in_band);
         let bound = advection_error(&self.grid, open, velocity, dt);
-        let twin = reference::advect_velocity(&self.grid, open, velocity, dt);
-        self.add_band_faces(after, &twin, bound);
+        let ballistic = self.ballistic();
+        let advected =
+            |of: &Ballistic| reference::advect_velocity(&self.grid, open, velocity, of, dt);
+        let twin = advected(&ballistic);
+        if ballistic.is_none() {
+            self.add_band_faces(after, &twin, |_, _| bound);
+            return;
+        }
+        // Where a position so near decides otherwise about what is ballistic, either is right.
+        let near = NEAR_BALLISTIC * self.extent() * EPS;
+        let others = corners().map(|corner| advected(&ballistic.off_by(near * corner)));
+        let others: Vec<_> = others.collect();
+        let bounds = |a: usize, face: usize| {
+            let of = twin[a][face];
+            let others = others.iter().map(|other| (other[a][face] - of).abs());
+            bound + others.fold(0.0, f64::max)
+        };
+        self.add_band_faces(after, &twin, bounds);
+    }
+
+    /// Liquid that touched nothing in the last solve, as the device has it.
+    fn ballistic(&self) -> Ballistic<'_> {
+        let LiquidSnapshot {
+            filled, ballistic, ..
+        } = &self.before;
+        let ballistic = match self.step.n_markers {
+            0 => &[][..],
+            _ => ballistic,
+        };
+        Ballistic::new(filled, ballistic, self.gravity(), self.dt())
     }
 
     /// One product and one sum.
@@ -355,13 +388,18 @@ impl<'a> LiquidComparison<'a> {
         let bound = EPS * (2.0 * dt * gravity.abs().max_element() + reference::max_speed(&twin));
         reference::forces(&mut twin, gravity, dt);
         reference::hold_faces(&self.taps, &self.cut.open, self.running.running, &mut twin);
-        self.add_band_faces(after, &twin, bound);
+        self.add_band_faces(after, &twin, |_, _| bound);
     }
 
     /// Compares u* on the faces of the band.
-    fn add_band_faces(&mut self, after: &LiquidSnapshot, twin: &[Vec<f64>; 3], bound: f64) {
+    fn add_band_faces(
+        &mut self,
+        after: &LiquidSnapshot,
+        twin: &[Vec<f64>; 3],
+        bound: impl Fn(usize, usize) -> f64,
+    ) {
         self.table.faces(&self.grid, ["u*", "m/s"], |a, face| {
-            let numbers = (after.velocity_next[a][face], twin[a][face], bound);
+            let numbers = (after.velocity_next[a][face], twin[a][face], bound(a, face));
             after.face_band[a][face].then_some(numbers)
         });
     }
@@ -460,6 +498,10 @@ impl<'a> LiquidComparison<'a> {
             twin.seal(both.clip.coupling(), &both.at_rest.prescribed);
         }
         let (stencil, table) = (&twin.stencil, &mut self.table);
+        let ballistic = reference::ballistic_cells(&open, stencil);
+        table.cells(&grid, ["ballistic", "flag"], |cell| {
+            Some((number(after.ballistic[cell]), number(ballistic[cell]), 0.0))
+        });
         table.cells(&grid, ["active", "flag"], |cell| {
             let (gpu, twin) = (after.active[cell], stencil.active(cell));
             Some((number(gpu), number(twin), 0.0))
@@ -821,11 +863,7 @@ fn depends_on_start(
     bound: f64,
     advect: impl Fn([f64; 3]) -> Marker,
 ) -> bool {
-    let shifted = (0..8).map(|corner| {
-        advect(std::array::from_fn(|a| {
-            start[a] + if corner >> a & 1 == 1 { bound } else { -bound }
-        }))
-    });
+    let shifted = corners().map(|corner| advect((DVec3::from(start) + bound * corner).into()));
     let shifted: Vec<Marker> = shifted.collect();
     let Some(x) = gpu else {
         return shifted.iter().any(Option::is_none);
