@@ -83,7 +83,7 @@ impl StepLimits {
 
     /// dt = T / ceil(T / min(cfl dx / speed, c sqrt(dx / a), `max_step`, 1.5 dt_last)), at least 1e-7 of the duration. a: the
     /// largest of gravity and the prescribed accelerations of obstacles and solids in such a sub-step. c = 0.9 with a free
-    /// surface in motion, else cfl; such a surface starts with a quarter of that.
+    /// surface in motion, else cfl; such a surface starts with a quarter of that. 2 dt_last where that reaches the frame.
     ///
     /// `speed`: largest magnitude of a velocity component, m/s; `[time, left]`: s, and T to the next frame; `dt_last`: 0
     /// before the first sub-step. A fixed step divides T into equal parts of about its length, whatever the speed.
@@ -105,7 +105,9 @@ impl StepLimits {
             .min(self.longest)
             .min(wave(0.0));
         if dt_last > 0.0 {
-            longest = longest.min(GROWTH * dt_last);
+            // Two equal parts of a frame would never grow into one.
+            let whole = 2.0 * dt_last * (1.0 + ROUNDING) >= left;
+            longest = longest.min(if whole { 2.0 } else { GROWTH } * dt_last);
         }
         // What begins within the sub-step counts.
         let wave = wave(longest.min(left));

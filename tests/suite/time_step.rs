@@ -41,6 +41,11 @@ fn a_surface_in_motion_moves_by_less_than_its_waves_allow() {
     assert!(close(dt(0.0, 0.1, 0.02), 0.1 / 4.0), "1.5 times the last");
     assert!(close(dt(0.0, 0.1, 0.1), 0.1 / 2.0));
     assert!(close(dt(0.0, 0.09, 0.1), 0.09), "not shorter than it must");
+    assert!(
+        close(dt(0.0, 0.08, 0.04), 0.08),
+        "two parts of a frame grow into one"
+    );
+    assert!(close(dt(0.0, 0.08, 0.03), 0.04));
     assert!(close(limits.time_step(0.0, [0.0, 0.09], 0.1).wave_cfl, 0.9));
     // 2 cells of 0.1 m at 5 m/s: 0.04 s, three steps to the frame.
     assert!(close(dt(5.0, 0.1, 0.1), 0.1 / 3.0));
