@@ -1,7 +1,7 @@
 // Per face at x, u*(x) = u(x - dt u(x - dt/2 u(x))): semi-Lagrangian with the midpoint rule (Stam 1999), trilinear,
 // for the 12 minus faces of a quad.
-// Liquid that touches nothing comes from further up, see ballistic.
-// The importing kernel declares what ballistic asks for, velocity (faces, m/s), velocity_quads (the same as vec4),
+// Ballistic liquid departs from g dt^2 / 2 higher up, see ballistic.
+// The importing kernel declares the variables of ballistic, velocity (faces, m/s), velocity_quads (the same as vec4),
 // makes(axis, quad): the lanes to compute, and put(axis, quad, made, result): storage of u*, m/s.
 #import ballistic
 #import layout

@@ -21,7 +21,7 @@ pub(crate) const STATE_WORDS: usize = 8;
 pub(crate) const N_CLOSED: usize = 0;
 /// Bit of `flags` of the first lane in a ballistic component.
 pub(crate) const BALLISTIC: usize = 20;
-/// And of the first filled lane.
+/// Bit of `flags` of the first filled lane.
 pub(crate) const FILLED: usize = 24;
 
 /// The levels of the hierarchy and where they lie: a function of the grid alone.

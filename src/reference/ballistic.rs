@@ -1,5 +1,5 @@
-//! What touches nothing: a component of active cells without a face at a wall, a solid or a source, and a body without
-//! constraints and loads that is out of the liquid and reaches neither wall nor obstacle.
+//! Ballistic liquid and bodies: a component of active cells without a face at a wall, a solid or a source; a body without
+//! constraints and loads that is out of the liquid and reaches neither wall nor fixed obstacle.
 //!
 //! A sub-step moves what it moves by dt v and then adds dt g to v. What falls freely is then late by dt g / 2 times the
 //! time. What touches nothing moves by dt v + dt^2 g / 2, which is exact.
@@ -93,7 +93,7 @@ impl<'a> Ballistic<'a> {
         }
     }
 
-    /// None is.
+    /// No ballistic liquid.
     pub const NONE: Ballistic<'static> = Ballistic {
         filled: &[],
         cells: &[],
@@ -101,7 +101,7 @@ impl<'a> Ballistic<'a> {
         offset: DVec3::ZERO,
     };
 
-    /// Whether there is any.
+    /// Whether no cell is ballistic.
     pub fn is_none(&self) -> bool {
         self.cells.is_empty()
     }

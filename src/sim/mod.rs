@@ -256,10 +256,11 @@ impl Simulation {
             state.pressure.len(),
             state.liquid_distance.len(),
             state.active.len(),
+            state.ballistic.len(),
         ];
         let faces = Axis::ALL.map(|axis| state.velocity[axis.index()].len());
         let n_faces = Axis::ALL.map(|axis| grid.n_faces(axis));
-        let liquid = n_cells == 0 || (cells == [n_cells; 3] && faces == n_faces);
+        let liquid = n_cells == 0 || (cells == [n_cells; 4] && faces == n_faces);
         let n_nodes = self.solids.rest.len();
         let solids = [state.displacement.len(), state.node_velocity.len()] == [n_nodes; 2];
         let left = state.time_left(frames) * frames;

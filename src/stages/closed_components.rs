@@ -3,7 +3,8 @@
 //! **Labels.** Union-find over the faces with weight: every cell first points to its neighbour below, which makes trees without
 //! atomics (Komura 2015), the trees are joined with `atomicMin` where a face joins anything new (Playne and Hawick 2018), and every component
 //! has the smallest index of its cells as its root, whatever the order of the threads. Only quads at surfaces and walls do more than
-//! look at their neighbours' flags. Roots reached from no free-surface face are counted; unless there are any, nothing else is dispatched.
+//! look at their neighbours' flags. Roots without a free-surface face are counted, and those without a face at a wall, a solid or a source
+//! (ballistic ones); unless there are any, nothing else is dispatched.
 //!
 //! **Means.** Sums over a component are integer sums of 96 bits, so a run repeats bit for bit, and as exact in f32 as in f64. They
 //! borrow buffers of the solve, which has not begun or is over when they are needed.
@@ -29,7 +30,7 @@ pub struct Components {
     flag: Bound,
     rhs: Means,
     potential: Means,
-    /// Dispatch sizes: a thread per active quad where some component has no free surface; where some are closed fewer, with a run of quads
+    /// Dispatch sizes: a thread per active quad where some component has no free surface or is ballistic; where some are closed fewer, with a run of quads
     /// each.
     sizes: Buffer<u32>,
 }
@@ -55,7 +56,8 @@ impl Components {
     }
 
     /// Records the labelling, with solids also by which components they seal. Afterwards bits 4 to 7 of [`SolverBuffers::flags`] say which
-    /// lanes of a quad belong to closed components, bits 8 to 11 which belong to those without a free surface, closed or sealed.
+    /// lanes of a quad belong to closed components, bits 8 to 11 which belong to those without a free surface, closed or sealed, bits 20 to 23
+    /// which belong to ballistic ones.
     pub fn label(&self, pass: &mut Pass, buffers: &SolverBuffers, seal: Option<&Seal>) {
         for bound in [&self.init, &self.merge, &self.open] {
             pass.dispatch_indirect(bound, &buffers.args, 0);

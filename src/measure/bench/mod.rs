@@ -157,7 +157,7 @@ impl Serialize for Results {
 /// Rows, each with the name of its table.
 pub(crate) type Rows = Vec<(&'static str, Row)>;
 
-/// What measures a case.
+/// Measurement of a case.
 type Measure<'c> = Box<dyn FnMut(&mut Run) -> Result<Rows, Error> + 'c>;
 
 /// One case.
