@@ -1,15 +1,12 @@
 //! `move_solid`, before the motion: bodies that touch nothing. They move by dt v + dt^2 g / 2, which is exact for what falls freely.
 
-use super::Gpu;
+use super::move_solid::BODY_THREADS;
 use crate::Error;
 use crate::fields::{CouplingBuffers, SolidBuffers, SolverBuffers};
-use crate::gpu::{Dispatches, Kernel, Source, Variant};
+use crate::gpu::{Dispatches, Gpu, Kernel, Source, Variant};
 use crate::solver::ObstacleField;
 use crate::step::Stage;
 use crate::wgsl;
-
-/// Threads per body: `FOLD_SIZE` in `shaders/common/tree.wgsl`.
-const THREADS: usize = 256;
 
 /// Marks the bodies in `ballistic` that touch neither walls nor obstacles at the end of the motion.
 pub fn ballistic_bodies(
@@ -19,7 +16,7 @@ pub fn ballistic_bodies(
 ) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::MoveSolid.name());
     let kernel = |source: &Source| Kernel::new(gpu, source, Variant::from(solids.plan.real));
-    let threads = THREADS * solids.plan.n_free;
+    let threads = BODY_THREADS * solids.plan.n_free;
     let mut list = Vec::new();
     if threads > 0 {
         let release = kernel(&wgsl!("release_bodies"))?.bind(gpu, &[], &[solids])?;
@@ -44,7 +41,7 @@ pub fn wet_bodies(
     coupling: &CouplingBuffers,
 ) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::MoveSolid.name());
-    let threads = THREADS * solids.plan.n_free;
+    let threads = BODY_THREADS * solids.plan.n_free;
     let mut list = Vec::new();
     if threads > 0 {
         let kernel = Kernel::new(

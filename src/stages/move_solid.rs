@@ -9,8 +9,8 @@ use crate::gpu::{Dispatches, Gpu, Kernel};
 use crate::step::Stage;
 use crate::wgsl;
 
-/// Threads per free or hinged body: `FOLD_SIZE` in `shaders/common/tree.wgsl`.
-const TURNING_THREADS: usize = 256;
+/// Threads per body: `FOLD_SIZE` in `shaders/common/tree.wgsl`.
+pub(super) const BODY_THREADS: usize = 256;
 
 /// The stage: updates `displacement` and `velocity` by the velocity of the last sub-step.
 pub fn move_solid(gpu: &Gpu, solids: &SolidBuffers) -> Result<Dispatches, Error> {
@@ -19,7 +19,7 @@ pub fn move_solid(gpu: &Gpu, solids: &SolidBuffers) -> Result<Dispatches, Error>
     let mut list = Vec::new();
     if solids.plan.n_turning > 0 {
         // One workgroup per body.
-        list.push(bound(wgsl!("turn_solids"))?.threads(TURNING_THREADS * solids.plan.n_turning));
+        list.push(bound(wgsl!("turn_solids"))?.threads(BODY_THREADS * solids.plan.n_turning));
     }
     list.push(bound(wgsl!("move_solid"))?.threads(solids.plan.n_nodes));
     Ok(Dispatches::new(Stage::MoveSolid.name(), list))

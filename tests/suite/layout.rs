@@ -290,7 +290,7 @@ fn derived_constants_match() {
         of_shader("common/chebyshev", "DEGREES")
     );
     assert_eq!(
-        constant("src/stages/move_solid.rs", "TURNING_THREADS"),
+        constant("src/stages/move_solid.rs", "BODY_THREADS"),
         of_shader("common/tree", "FOLD_SIZE")
     );
     let slice = of_shader("common/rows", "SLICE");
