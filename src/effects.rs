@@ -54,23 +54,33 @@ effects! {
     /// Liquid: all stages from `advect_velocity` on.
     liquid: |scene, _| scene.liquid.is_some(),
         |scene, _| count(scene.liquid.as_ref().map_or(0, |liquid| liquid.regions.len()), "[[liquid.region]]");
-    /// A surface that moves with markers: `advect_markers`, union of spheres.
-    markers: |scene, _| scene.liquid.as_ref().is_some_and(|liquid| liquid.surface == Surface::Markers),
-        |_, effects| match (effects.liquid, effects.markers) {
-            (false, _) => NO_LIQUID,
-            (_, false) => "liquid.surface = \"fixed\"",
-            (_, true) => "liquid.surface = \"markers\"",
-        }
-        .to_owned();
+    /// A surface that moves with markers: `advect_markers`.
+    markers: |scene, _| scene.liquid.as_ref().is_some_and(|liquid| liquid.surface != Surface::Fixed),
+        |scene, _| surface(scene).to_owned();
+    /// A level set on the grid, bounded by the markers: `advect_level` to `marker_band`, and `spray`.
+    level: |scene, _| scene.liquid.as_ref().is_some_and(|liquid| liquid.surface == Surface::Level),
+        |scene, _| surface(scene).to_owned();
+    /// Second-order transport of the velocity (MacCormack), and its slope in the first layer of air.
+    maccormack: |_, effects| effects.level,
+        |scene, _| surface(scene).to_owned();
     /// Volume control: a source term in the right-hand side that restores the liquid volume.
     volume_control: |scene, effects| {
-            effects.markers && scene.liquid.as_ref().is_some_and(|liquid| liquid.volume_control)
+            effects.markers && !effects.level && controls_volume(scene)
         },
         |_, effects| match (effects.liquid, effects.markers, effects.volume_control) {
             (false, ..) => NO_LIQUID,
             (_, false, _) => "a fixed surface has a constant volume",
             (_, _, true) => "on by default with markers",
+            (_, _, false) if effects.level => "liquid.surface = \"level\" shifts the level instead",
             (_, _, false) => "liquid.volume_control = false",
+        }
+        .to_owned();
+    /// Control of the volume of every liquid component: a shift of the level, and a source where markers crowd.
+    volume_shift: |scene, effects| effects.level && controls_volume(scene),
+        |scene, effects| match (effects.level, effects.volume_shift) {
+            (false, _) => surface(scene),
+            (_, true) => "on by default with a level",
+            (_, false) => "liquid.volume_control = false",
         }
         .to_owned();
     /// Open sides of the domain: markers beyond them are deleted, and the controlled volume decreases with them.
@@ -148,6 +158,22 @@ effects! {
 }
 
 const NO_LIQUID: &str = "there is no liquid";
+
+fn surface(scene: &Scene) -> &'static str {
+    match scene.liquid.as_ref().map(|liquid| liquid.surface) {
+        None => NO_LIQUID,
+        Some(Surface::Markers) => "liquid.surface = \"markers\"",
+        Some(Surface::Level) => "liquid.surface = \"level\"",
+        Some(Surface::Fixed) => "liquid.surface = \"fixed\"",
+    }
+}
+
+fn controls_volume(scene: &Scene) -> bool {
+    scene
+        .liquid
+        .as_ref()
+        .is_some_and(|liquid| liquid.volume_control)
+}
 
 fn count(n: usize, of: &str) -> String {
     match n {

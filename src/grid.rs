@@ -167,12 +167,18 @@ impl Grid {
         self.dx.powi(3)
     }
 
+    /// Stencil of the eight faces of `axis` around `x` (m).
+    #[inline]
+    pub fn faces_around(&self, axis: Axis, x: DVec3) -> Corner {
+        let mut offset = DVec3::splat(0.5);
+        offset[axis.index()] = 0.0;
+        Corner::new(self.faces(axis), x / self.dx - offset)
+    }
+
     /// Trilinear interpolation at `x` (m) of the host face field of `axis`; the continuous index is clamped to the field.
     #[inline]
     pub fn sample(&self, axis: Axis, field: &[f64], x: DVec3) -> f64 {
-        let mut offset = DVec3::splat(0.5);
-        offset[axis.index()] = 0.0;
-        Corner::new(self.faces(axis), x / self.dx - offset).interpolate(field)
+        self.faces_around(axis, x).interpolate(field)
     }
 
     /// Stencil of the eight cell centres around `x` (m).
@@ -191,6 +197,13 @@ impl Grid {
     #[inline]
     pub fn velocity_at(&self, velocity: &[Vec<f64>; 3], x: DVec3) -> DVec3 {
         DVec3::from_array(Axis::ALL.map(|axis| self.sample(axis, &velocity[axis.index()], x)))
+    }
+
+    /// Position (m) of what starts at `x` (m) after dt (s) in a velocity, by the midpoint rule. A negative dt leads back.
+    #[inline]
+    pub fn traced(&self, velocity: &[Vec<f64>; 3], x: DVec3, dt: f64) -> DVec3 {
+        let middle = x + 0.5 * dt * self.velocity_at(velocity, x);
+        x + dt * self.velocity_at(velocity, middle)
     }
 
     /// The cells on the minus and plus side of a face; `None` beyond the domain.

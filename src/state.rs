@@ -17,6 +17,14 @@ pub struct State {
     pub velocity: [Vec<f64>; 3],
     /// Marker positions in order, m. Empty with `surface = "fixed"`.
     pub markers: Vec<[f64; 3]>,
+    /// Velocities of the markers, m/s; with `surface = "level"` only.
+    pub marker_velocity: Vec<[f64; 3]>,
+    /// Whether each marker is spray, a free body; with `surface = "level"` only.
+    pub spray: Vec<bool>,
+    /// Liquid component of each cell, from 1, 0 for none; with `surface = "level"` only.
+    pub component: Vec<u32>,
+    /// Target volume of each component, m^3.
+    pub component_volume: Vec<f64>,
     /// Total number of markers dropped because they could not be moved out of a solid.
     pub markers_dropped: u64,
     /// Total number of markers that left through open sides.
@@ -35,7 +43,7 @@ pub struct State {
     pub active: Vec<bool>,
     /// Whether each cell was in liquid that touched nothing then.
     pub ballistic: Vec<bool>,
-    /// Target liquid volume, m^3, including inflow and outflow.
+    /// Target liquid volume, m^3, including inflow and outflow. With `surface = "level"` it includes the spray.
     pub volume_0: f64,
     /// Displacement of the nodes of all solids from rest, m; on the device a sum of two f32.
     pub displacement: Vec<[f64; 3]>,
@@ -79,6 +87,10 @@ impl State {
             dt_last: 0.0,
             velocity: Axis::ALL.map(|axis| vec![0.0; grid.n_faces(axis)]),
             markers: Vec::new(),
+            marker_velocity: Vec::new(),
+            spray: Vec::new(),
+            component: Vec::new(),
+            component_volume: Vec::new(),
             markers_dropped: 0,
             markers_left: 0,
             markers_sunk: 0,

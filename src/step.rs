@@ -22,12 +22,30 @@ pub enum Stage {
     Exchange,
     /// Narrow band.
     Band,
+    /// Transport of the level set.
+    AdvectLevel,
     /// Advection of face velocities.
     AdvectVelocity,
     /// Body forces.
     Forces,
+    /// Density of the markers.
+    Occupancy,
+    /// Bounds of the level by the markers.
+    BoundLevel,
+    /// Distance to the surface of the level.
+    Redistance,
+    /// Smoothing along the surface.
+    FilterLevel,
     /// Surface of the liquid.
     LiquidDistance,
+    /// Connected liquid and its volume.
+    LiquidComponents,
+    /// Volume of the level.
+    VolumeShift,
+    /// Source of crowded markers.
+    Excess,
+    /// Markers below the surface.
+    MarkerBand,
     /// Unknowns of the pressure.
     ActiveCells,
     /// Components without a free surface.
@@ -42,6 +60,8 @@ pub enum Stage {
     WriteBack,
     /// Velocities beyond the liquid.
     Extrapolate,
+    /// Markers that fly.
+    Spray,
     /// Sums and extremes.
     Diagnose,
     /// Measurements.
@@ -102,7 +122,7 @@ fn every_or_once(every_sub_step: bool, present: bool) -> When {
 }
 
 /// The stages in order.
-pub const SCHEDULE: [Row; 18] = [
+pub const SCHEDULE: [Row; 28] = [
     Row {
         stage: Stage::TimeStep,
         name: "time_step",
@@ -128,8 +148,8 @@ pub const SCHEDULE: [Row; 18] = [
     Row {
         stage: Stage::AdvectMarkers,
         name: "advect_markers",
-        sentence: "Moves the markers by the midpoint rule, near the surface with the velocity of the surface, in liquid that touches nothing by \
-                   g dt^2 / 2 more.",
+        sentence: "Moves the markers by the midpoint rule, near the surface of the spheres with its velocity, in liquid that touches nothing by \
+                   g dt^2 / 2 more; spray flies.",
         runner: Runner::Both,
         when: |effects| every(effects.markers),
     },
@@ -148,9 +168,16 @@ pub const SCHEDULE: [Row; 18] = [
         when: |effects| every_or_once(effects.markers, effects.liquid),
     },
     Row {
+        stage: Stage::AdvectLevel,
+        name: "advect_level",
+        sentence: "Advects the level set by MacCormack's method (Selle et al. 2008).",
+        runner: Runner::Both,
+        when: |effects| every(effects.level),
+    },
+    Row {
         stage: Stage::AdvectVelocity,
         name: "advect_velocity",
-        sentence: "Advects the face velocities, semi-Lagrangian with the midpoint rule (Stam 1999).",
+        sentence: "Advects the face velocities, semi-Lagrangian with the midpoint rule (Stam 1999), with a level by MacCormack's method.",
         runner: Runner::Both,
         when: |effects| every(effects.liquid),
     },
@@ -162,12 +189,68 @@ pub const SCHEDULE: [Row; 18] = [
         when: |_| When::EverySubStep,
     },
     Row {
+        stage: Stage::Occupancy,
+        name: "occupancy",
+        sentence: "Computes the fraction of each cell's surroundings that markers fill.",
+        runner: Runner::Both,
+        when: |effects| every(effects.level),
+    },
+    Row {
+        stage: Stage::BoundLevel,
+        name: "bound_level",
+        sentence: "Bounds the level by the occupancy, thin liquid more tightly.",
+        runner: Runner::Both,
+        when: |effects| every(effects.level),
+    },
+    Row {
+        stage: Stage::Redistance,
+        name: "redistance",
+        sentence: "Makes the level a distance again; interface cells stay (after Russo and Smereka 2000).",
+        runner: Runner::Both,
+        when: |effects| every(effects.level),
+    },
+    Row {
+        stage: Stage::FilterLevel,
+        name: "filter_level",
+        sentence: "Damps ripples of two to four cells along the surface.",
+        runner: Runner::Both,
+        when: |effects| every(effects.level),
+    },
+    Row {
         stage: Stage::LiquidDistance,
         name: "liquid_distance",
-        sentence: "Computes the liquid distance, a union of spheres around the markers (Zhu and Bridson 2005), extends it into solids and \
-                   measures the volume.",
+        sentence: "Computes the liquid distance, the level or a union of spheres around the markers (Zhu and Bridson 2005), extends it \
+                   into solids and measures the volume.",
         runner: Runner::Both,
         when: |effects| every_or_once(effects.markers || effects.clips(), effects.liquid),
+    },
+    Row {
+        stage: Stage::LiquidComponents,
+        name: "liquid_components",
+        sentence: "Labels the connected components of the liquid and shares the target volume among them.",
+        runner: Runner::Both,
+        when: |effects| every(effects.level),
+    },
+    Row {
+        stage: Stage::VolumeShift,
+        name: "volume_shift",
+        sentence: "Shifts the level of each component towards its target volume.",
+        runner: Runner::Both,
+        when: |effects| every(effects.volume_shift),
+    },
+    Row {
+        stage: Stage::Excess,
+        name: "excess",
+        sentence: "Computes where markers crowd below the surface, a source of volume.",
+        runner: Runner::Both,
+        when: |effects| every(effects.volume_shift),
+    },
+    Row {
+        stage: Stage::MarkerBand,
+        name: "marker_band",
+        sentence: "Deletes markers below the band and seeds them where liquid enters it.",
+        runner: Runner::Both,
+        when: |effects| every(effects.level),
     },
     Row {
         stage: Stage::ActiveCells,
@@ -217,6 +300,13 @@ pub const SCHEDULE: [Row; 18] = [
         sentence: "Extrapolates velocities beyond the liquid, with free slip along obstacles and solids.",
         runner: Runner::Both,
         when: |effects| every(effects.liquid),
+    },
+    Row {
+        stage: Stage::Spray,
+        name: "spray",
+        sentence: "Turns markers with no liquid around them into free bodies.",
+        runner: Runner::Both,
+        when: |effects| every(effects.level),
     },
     Row {
         stage: Stage::Diagnose,

@@ -304,7 +304,7 @@ pub fn empty_regions(scene: &Scene, markers: &[[f64; 3]]) -> Result<Vec<usize>, 
         let holds = |x: DVec3| part.solid.distance(x) < 0.0;
         !match liquid.surface {
             Surface::Markers => markers.par_iter().any(|&x| holds(x.into())),
-            Surface::Fixed => (0..grid.n_cells())
+            Surface::Level | Surface::Fixed => (0..grid.n_cells())
                 .into_par_iter()
                 .any(|cell| holds(grid.cell_centre(grid.cell_at(cell)))),
         }
@@ -440,7 +440,7 @@ pub fn initial_state(scene: &Scene, grid: &Grid, cut_cells: &CutCells) -> Result
             state.markers = seed_markers(scene, grid, cut_cells)?;
             !state.markers.is_empty()
         }
-        Surface::Fixed => {
+        Surface::Level | Surface::Fixed => {
             state.liquid_distance = liquid_distance(scene, grid)?;
             let phi = &state.liquid_distance;
             Axis::ALL.into_iter().any(|axis| {

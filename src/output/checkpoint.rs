@@ -19,7 +19,7 @@ use crate::grid::{Axis, Grid};
 use crate::state::{Carried, State};
 
 /// Version of the names and meanings of the arrays.
-const FORMAT: u64 = 2;
+const FORMAT: u64 = 3;
 
 /// State of a run at one time.
 #[derive(Clone, Debug, PartialEq)]
@@ -133,6 +133,10 @@ fn arrays<A: Arrays>(checkpoint: &mut Checkpoint, with: &mut A) -> Result<(), A:
         with.numbers(name, &faces, &mut state.velocity[axis.index()])?;
     }
     with.vectors("markers", None, &mut state.markers)?;
+    with.vectors("marker_velocity", None, &mut state.marker_velocity)?;
+    with.marks("spray", &[None], &mut state.spray)?;
+    with.labels("component", &cells, &mut state.component)?;
+    with.numbers("component_volume", &[None], &mut state.component_volume)?;
     with.count("markers_dropped", &mut state.markers_dropped)?;
     with.count("markers_left", &mut state.markers_left)?;
     with.count("markers_sunk", &mut state.markers_sunk)?;
@@ -183,6 +187,13 @@ trait Arrays {
         name: &str,
         shape: &[Option<usize>],
         values: &mut Vec<bool>,
+    ) -> Result<(), Self::Error>;
+
+    fn labels(
+        &mut self,
+        name: &str,
+        shape: &[Option<usize>],
+        values: &mut Vec<u32>,
     ) -> Result<(), Self::Error>;
 
     fn vectors(
@@ -340,6 +351,16 @@ impl<W: Write + Seek> Arrays for Writing<W> {
         self.array(name, &shape, values.iter().copied())
     }
 
+    fn labels(
+        &mut self,
+        name: &str,
+        shape: &[Option<usize>],
+        values: &mut Vec<u32>,
+    ) -> io::Result<()> {
+        let shape = shape_of(shape, values.len());
+        self.array(name, &shape, values.iter().copied())
+    }
+
     fn vectors(
         &mut self,
         name: &str,
@@ -491,6 +512,21 @@ impl Arrays for Reading {
             let data = array.try_data().ok().filter(|_| fits);
             data.map(Iterator::collect)
                 .ok_or_else(|| format!("marks (|b1) of {}", name_of(shape)))
+        })?;
+        Ok(())
+    }
+
+    fn labels(
+        &mut self,
+        name: &str,
+        shape: &[Option<usize>],
+        values: &mut Vec<u32>,
+    ) -> Result<(), Flaw> {
+        *values = self.array(name, |array| {
+            let fits = fits(&array, shape);
+            let data = array.try_data().ok().filter(|_| fits);
+            data.map(Iterator::collect)
+                .ok_or_else(|| format!("labels (<u4) of {}", name_of(shape)))
         })?;
         Ok(())
     }

@@ -49,19 +49,21 @@ pub enum SurfaceSource {
 }
 
 impl FrameKinds {
-    /// The kinds that a scene requests. A fixed surface always has fields, the source of its pictures.
+    /// The kinds that a scene requests. A level and a fixed surface always have fields, the source of their pictures.
     pub fn of(scene: &Scene) -> FrameKinds {
         let surface = scene.liquid.as_ref().map(|liquid| liquid.surface);
         FrameKinds {
-            markers: scene.output.particles && surface == Some(Surface::Markers),
-            fields: scene.output.fields || surface == Some(Surface::Fixed),
+            markers: scene.output.particles
+                && surface.is_some_and(|surface| surface != Surface::Fixed),
+            fields: scene.output.fields
+                || surface.is_some_and(|surface| surface != Surface::Markers),
             solids: scene.output.solids && !scene.solids.is_empty(),
             moving_obstacles: scene.obstacles_move(),
             surface: surface
                 .filter(|_| scene.output.surface)
                 .map(|surface| match surface {
                     Surface::Markers => SurfaceSource::Markers(scene.surface),
-                    Surface::Fixed => SurfaceSource::Distance,
+                    Surface::Level | Surface::Fixed => SurfaceSource::Distance,
                 }),
         }
     }

@@ -18,6 +18,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::ballistic::Ballistic;
+use super::marker_band::Markers;
 use super::sample::{gradient, normal};
 use crate::grid::{Axis, Grid, Sides};
 
@@ -95,6 +96,76 @@ pub fn advect_markers(
         }
     }
     (inside, removed)
+}
+
+/// Moves the markers of a level by dt (s): those of the liquid through `faces` (m/s) by the midpoint rule, spray as free bodies,
+///
+/// ```text
+/// x += dt v + dt^2 g / 2,    v += dt g
+/// ```
+///
+/// without the velocity into walls and obstacles that stop it. Returns the numbers of removed markers, and how many of these
+/// were spray. `solid_distance` per cell, m.
+pub fn advect_level_markers(
+    grid: &Grid,
+    open_sides: Sides,
+    faces: &[Vec<f64>; 3],
+    solid_distance: &[f64],
+    (gravity, ballistic): (DVec3, &Ballistic),
+    dt: f64,
+    markers: &mut Markers,
+) -> (Lost, u64) {
+    let fly = |x: DVec3, v: DVec3| (x + dt * v + 0.5 * dt * dt * gravity, v + dt * gravity);
+    let flow = |x: DVec3, v: DVec3| (grid.traced(faces, x, dt) + ballistic.shift_from(grid, x), v);
+    let pairs = markers.position.par_iter().zip(&markers.velocity);
+    let results: Vec<(Moved, DVec3)> = pairs
+        .zip(&markers.spray)
+        .map(|((&x, &v), &spray)| {
+            let (x, v) = (DVec3::from(x), DVec3::from(v));
+            let (end, v) = if spray { fly(x, v) } else { flow(x, v) };
+            let moved = clamp_or_remove(grid, open_sides, solid_distance, end);
+            (moved, stopped(grid, solid_distance, end, v))
+        })
+        .collect();
+    let mut removed = (Lost::default(), 0);
+    let mut keep = Vec::with_capacity(results.len());
+    for (marker, (moved, velocity)) in results.into_iter().enumerate() {
+        let kept = match moved {
+            Moved::Kept(x) => {
+                markers.position[marker] = x.into();
+                markers.velocity[marker] = velocity.into();
+                true
+            }
+            Moved::Dropped => {
+                removed.0.dropped += 1;
+                false
+            }
+            Moved::Left => {
+                removed.0.left += 1;
+                false
+            }
+        };
+        removed.1 += u64::from(!kept && markers.spray[marker]);
+        keep.push(kept);
+    }
+    markers.retain(&keep);
+    removed
+}
+
+/// Velocity of spray at `end` (m) without its part into a wall or an obstacle there, m/s.
+fn stopped(grid: &Grid, solid_distance: &[f64], end: DVec3, mut v: DVec3) -> DVec3 {
+    for axis in 0..3 {
+        let gap = WALL_GAP * grid.dx;
+        if end[axis] < gap || end[axis] > grid.size()[axis] - gap {
+            v[axis] = 0.0;
+        }
+    }
+    match normal(grid, solid_distance, end) {
+        Some(outwards) if grid.sample_cells(solid_distance, end) < 0.0 => {
+            v - v.dot(outwards).min(0.0) * outwards
+        }
+        _ => v,
+    }
 }
 
 /// The controlled volume (m^3) after some markers have left: each removes the mean volume per marker. Integrating the

@@ -4,6 +4,15 @@
 //! Faces of full aperture sample blended velocities ([`shown_to_whole`]). Small-aperture faces sample the unblended
 //! ones in proportion to their closed part. A film that a body squeezes out so keeps its speed without transferring
 //! it to the neighbouring faces.
+//!
+//! Or MacCormack's method (Selle et al. 2008), of second order. The second pass returns the advected velocity a to its start:
+//!
+//! ```text
+//! a(x) = u(x - dt u),    u*(x) = a(x) + (u(x) - a(x + dt u)) / 2    within the range of the taps of a(x), else a(x)
+//! ```
+//!
+//! Extrapolated velocities take part like others: without them a wave of 20 cells loses four times as much. Small-aperture
+//! faces keep the first order.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -22,25 +31,91 @@ pub fn advect_velocity(
     dt: f64,
 ) -> [Vec<f64>; 3] {
     let shown = shown_to_whole(grid, open, faces);
+    let carry = |field: &[Vec<f64>; 3], axis: Axis, face: usize| match origin(
+        grid,
+        field,
+        ballistic,
+        dt,
+        (axis, face),
+    ) {
+        Some(x) => grid.sample(axis, &field[axis.index()], x),
+        None => 0.0,
+    };
     Axis::ALL.map(|axis| {
-        let a = axis.index();
         let carried = (0..grid.n_faces(axis)).into_par_iter().map(|face| {
-            let x = grid.face_centre(axis, grid.face_at(axis, face));
-            let carry = |field: &[Vec<f64>; 3]| {
-                let here = grid.velocity_at(field, x);
-                if here == DVec3::ZERO {
-                    return 0.0;
-                }
-                let middle = x - 0.5 * dt * here;
-                let origin = x - dt * grid.velocity_at(field, middle);
-                grid.sample(axis, &field[a], ballistic.origin(grid, origin))
-            };
-            match wholeness(open[a][face]) {
-                0.0 => carry(faces),
-                1.0 => carry(&shown),
-                part => (1.0 - part) * carry(faces) + part * carry(&shown),
-            }
+            mixed(
+                wholeness(open[axis.index()][face]),
+                || carry(faces, axis, face),
+                || carry(&shown, axis, face),
+            )
         });
         carried.collect()
     })
+}
+
+/// The same by MacCormack's method.
+pub fn advect_velocity_maccormack(
+    grid: &Grid,
+    open: &[Vec<f64>; 3],
+    faces: &[Vec<f64>; 3],
+    ballistic: &Ballistic,
+    dt: f64,
+) -> [Vec<f64>; 3] {
+    let shown = shown_to_whole(grid, open, faces);
+    Axis::ALL.map(|axis| {
+        let a = axis.index();
+        let all = || (0..grid.n_faces(axis)).into_par_iter();
+        let origin =
+            |field: &[Vec<f64>; 3], face: usize| origin(grid, field, ballistic, dt, (axis, face));
+        let carry = |field: &[Vec<f64>; 3], face: usize| {
+            origin(field, face).map_or(0.0, |x| grid.sample(axis, &field[a], x))
+        };
+        let carried: Vec<f64> = all().map(|face| carry(&shown, face)).collect();
+        let correct = |face: usize| {
+            let Some(from) = origin(&shown, face) else {
+                return 0.0;
+            };
+            let x = grid.face_centre(axis, grid.face_at(axis, face));
+            let to = grid.traced(&shown, x, dt) + ballistic.shift_from(grid, x);
+            let corrected =
+                carried[face] + 0.5 * (shown[a][face] - grid.sample(axis, &carried, to));
+            let taps = grid.faces_around(axis, from).values(&shown[a]);
+            let low = taps.into_iter().fold(f64::INFINITY, f64::min);
+            let high = taps.into_iter().fold(f64::NEG_INFINITY, f64::max);
+            match low <= corrected && corrected <= high {
+                true => corrected,
+                false => carried[face],
+            }
+        };
+        let all = all().map(|face| {
+            mixed(
+                wholeness(open[a][face]),
+                || carry(faces, face),
+                || correct(face),
+            )
+        });
+        all.collect()
+    })
+}
+
+/// Departure point (m) of a face after dt (s), by the midpoint rule; `None` where the face is at rest.
+fn origin(
+    grid: &Grid,
+    field: &[Vec<f64>; 3],
+    ballistic: &Ballistic,
+    dt: f64,
+    (axis, face): (Axis, usize),
+) -> Option<DVec3> {
+    let x = grid.face_centre(axis, grid.face_at(axis, face));
+    let moves = grid.velocity_at(field, x) != DVec3::ZERO;
+    moves.then(|| ballistic.origin(grid, grid.traced(field, x, -dt)))
+}
+
+/// Part `mix` of `whole` and the rest of `part`.
+fn mixed(mix: f64, part: impl FnOnce() -> f64, whole: impl FnOnce() -> f64) -> f64 {
+    match mix {
+        0.0 => part(),
+        1.0 => whole(),
+        mix => (1.0 - mix) * part() + mix * whole(),
+    }
 }

@@ -6,6 +6,10 @@
 //! diagonal motion reached faces without a velocity. Faces beyond all layers are 0, and so are domain walls except
 //! open sides.
 //!
+//! With a level, faces in the first layer continue the slope of the liquid. A valid neighbour beside them contributes
+//! u1 + minmod(u1 - u2, u2 - u3) of the valid faces u1, u2, u3 in a row behind it, each difference at most dx / (2 dt). A
+//! constant extension lets a wave of 20 cells lose four times as much; an unlimited slope doubles the energy of a splash.
+//!
 //! Small-aperture faces contribute blended velocities ([`super::slivers`]) and recover their own afterwards.
 //!
 //! Closed faces in and just outside obstacles and solids receive the normal velocity of these, 0 for static ones.
@@ -70,12 +74,24 @@ pub fn extrapolate(
     layers: usize,
     faces: &mut [Vec<f64>; 3],
 ) {
+    extrapolate_with_slope(grid, cut, walls, valid, (layers, 0.0), faces);
+}
+
+/// The same with the slope of the liquid in the first layer. `largest`: largest difference from face to face, m/s.
+pub fn extrapolate_with_slope(
+    grid: &Grid,
+    cut: &CutCells,
+    walls: Option<MovingWalls>,
+    valid: [Vec<bool>; 3],
+    (layers, largest): (usize, f64),
+    faces: &mut [Vec<f64>; 3],
+) {
     let mut blended = [const { Vec::new() }; 3];
     for (axis, valid) in Axis::ALL.into_iter().zip(valid) {
         let (a, values) = (axis.index(), &mut faces[axis.index()]);
         blended[a] = slivers::shown_to_air(grid, axis, &cut.open[a], &valid, values);
         slivers::swap(&mut blended[a], values);
-        extend(grid, axis, valid, layers, values);
+        extend(grid, axis, valid, (layers, largest), values);
     }
     close_walls(grid, &cut.open, faces);
     slip(grid, cut, walls, faces);
@@ -84,9 +100,45 @@ pub fn extrapolate(
     }
 }
 
-fn extend(grid: &Grid, axis: Axis, mut valid: Vec<bool>, layers: usize, values: &mut [f64]) {
+/// Difference of u1 + minmod(u1 - u2, u2 - u3) from u1, the value of the neighbour `at` of the face `ijk`; 0 without valid
+/// faces in a row.
+fn slope(
+    grid: &Grid,
+    axis: Axis,
+    valid: &[bool],
+    values: &[f64],
+    [ijk, at]: [[usize; 3]; 2],
+    largest: f64,
+) -> f64 {
     let n = grid.faces(axis);
-    for _ in 0..layers {
+    let behind = |steps: usize| {
+        let place = std::array::from_fn(|b| {
+            at[b].wrapping_add(at[b].wrapping_sub(ijk[b]).wrapping_mul(steps))
+        });
+        let inside = (0..3).all(|b| place[b] < n[b]);
+        let face = inside.then(|| grid.face(axis, place));
+        face.filter(|&face| valid[face]).map(|face| values[face])
+    };
+    let Some(((first, second), third)) = behind(0).zip(behind(1)).zip(behind(2)) else {
+        return 0.0;
+    };
+    let (near, far) = (first - second, second - third);
+    match near * far > 0.0 {
+        true => near.signum() * near.abs().min(far.abs()).min(largest),
+        false => 0.0,
+    }
+}
+
+fn extend(
+    grid: &Grid,
+    axis: Axis,
+    mut valid: Vec<bool>,
+    (layers, largest): (usize, f64),
+    values: &mut [f64],
+) {
+    let n = grid.faces(axis);
+    for layer in 0..layers {
+        let slopes = layer == 0 && largest > 0.0;
         let mean = |face: usize| {
             let ijk = grid.face_at(axis, face);
             // Sums and counts of the neighbours that differ in one, two and three indices.
@@ -101,7 +153,11 @@ fn extend(grid: &Grid, axis: Axis, mut valid: Vec<bool>, layers: usize, values: 
                         let apart = (0..3).filter(|&b| at[b] != ijk[b]).count();
                         let neighbour = grid.face(axis, at);
                         if apart > 0 && valid[neighbour] {
-                            means[apart - 1].0 += values[neighbour];
+                            let ahead = match slopes && apart == 1 {
+                                true => slope(grid, axis, &valid, values, [ijk, at], largest),
+                                false => 0.0,
+                            };
+                            means[apart - 1].0 += values[neighbour] + ahead;
                             means[apart - 1].1 += 1;
                         }
                     }

@@ -4,28 +4,37 @@
 //! whatever the number of threads. This room never uses `gpu`, `stages` or `solver`, and they never use it.
 
 mod active_cells;
+mod advect_level;
 mod advect_markers;
 mod advect_velocity;
 mod ballistic;
 pub mod base_block;
 pub mod base_scene;
+mod bound_level;
 mod boundary;
 mod condition;
 mod coupled_system;
 mod diagnose;
 mod diagnose_solid;
+mod excess;
 mod exchange;
 mod extrapolate;
+mod filter_level;
 mod forces;
+mod level_cells;
+mod liquid_components;
 mod liquid_distance;
+mod marker_band;
 mod move_solid;
 mod multigrid;
 mod node_forces;
+mod occupancy;
 mod patch_pressure;
 mod path;
 mod prepare;
 mod pressure_system;
 mod probe;
+mod redistance;
 mod refine;
 mod right_hand_side;
 mod sample;
@@ -37,37 +46,50 @@ mod solid_system;
 mod solve;
 mod solve_coupled;
 mod solve_solid;
+mod spray;
 mod step;
 mod stress_variables;
 mod surface_distance;
 mod time_step;
 mod turn_solids;
+mod volume_shift;
 mod write_back;
 
 pub use active_cells::{ActiveCells, active_cells, theta};
+pub use advect_level::{advect_level, fill_sources};
 pub(crate) use advect_markers::Layer;
-pub use advect_markers::{Lost, Surface, advect_markers, volume_without};
-pub use advect_velocity::advect_velocity;
+pub use advect_markers::{Lost, Surface, advect_level_markers, advect_markers, volume_without};
+pub use advect_velocity::{advect_velocity, advect_velocity_maccormack};
 pub use ballistic::{Ballistic, ballistic_bodies, ballistic_cells, wet_nodes};
+pub use bound_level::{bound_level, thin_liquid};
 pub use condition::{Condition, Conditions, conditions};
 pub use coupled_system::{Blocks, CoupledSystem, SQUEEZE, TwoField};
 pub use diagnose::{diagnose, divergence, larger, liquid_volume, max_speed, open_volumes};
 pub use diagnose_solid::diagnose_solid;
+pub use excess::{add_excess, excess};
 pub use exchange::{
     Passed, Seeded, carry_faces, empty_sinks, exchanged_volume, hold_faces, seed_markers,
     sink_markers,
 };
-pub use extrapolate::{MovingWalls, extrapolate, n_layers};
+pub use extrapolate::{MovingWalls, extrapolate, extrapolate_with_slope, n_layers};
+pub use filter_level::filter_level;
 pub use forces::forces;
-pub use liquid_distance::liquid_distance;
+pub use level_cells::{BAND, LevelCells, REACH, filled};
+pub use liquid_components::{
+    Before, Components, balance, label_at, liquid_components, shared_volumes,
+};
+pub use liquid_distance::{extend_level, liquid_distance};
+pub use marker_band::{Levels, Markers, first_markers, marker_band};
 pub use move_solid::move_solid;
 pub use multigrid::Multigrid;
 pub use node_forces::node_forces;
+pub use occupancy::{UNKNOWN, marker_weights, occupancy};
 pub use patch_pressure::{patch_pressure, pressure_gradient};
 pub use path::Reference;
 pub use prepare::prepare;
 pub use pressure_system::{PressureSystem, Stencil, remove_means};
 pub use probe::probe;
+pub use redistance::redistance;
 pub use refine::EPSILON;
 pub(crate) use refine::{Correction, LinearSystem, part_left, refine_parts};
 pub use right_hand_side::{RightHandSide, VolumeSource, right_hand_side, volume_rate};
@@ -86,9 +108,11 @@ pub use solve_coupled::{
     solve_damping_only, solve_weak,
 };
 pub use solve_solid::{Chebyshev, SolidSolver};
+pub use spray::{move_spray_volume, spray};
 pub use step::StepSystem;
 pub use stress_variables::{StressSystem, StressVariables};
 pub use surface_distance::surface_distance;
 pub use time_step::{StepLimits, TimeStep};
 pub use turn_solids::turn_solids;
+pub use volume_shift::volume_shift;
 pub use write_back::write_back;

@@ -4,7 +4,11 @@ use super::active_cells::active_cells;
 use super::ballistic::ballistic_cells;
 use super::diagnose::{liquid_volume, open_volumes};
 use super::extrapolate::{MovingWalls, extrapolate, n_layers};
-use super::liquid_distance::liquid_distance;
+use super::level_cells::{LevelCells, REACH};
+use super::liquid_components::liquid_components;
+use super::liquid_distance::{extend_level, liquid_distance};
+use super::marker_band::{Markers, first_markers};
+use super::redistance::redistance;
 use crate::geometry::{CutCells, SolidClip};
 use crate::grid::{Axis, Grid};
 use crate::scene::{Scene, Surface};
@@ -28,11 +32,13 @@ pub fn prepare(
         let start = active_cells(grid, &cut.open, phi, scene.solver.theta_floor);
         state.ballistic = ballistic_cells(&cut.open, &start.stencil);
     }
-    state.volume_0 = liquid_volume(
-        grid,
-        &open_volumes(grid, &cut.solid_distance),
-        &state.liquid_distance,
-    );
+    let open_volumes = open_volumes(grid, &cut.solid_distance);
+    state.volume_0 = match liquid.surface {
+        Surface::Level => prepare_level(grid, cut, &open_volumes, state),
+        Surface::Markers | Surface::Fixed => {
+            liquid_volume(grid, &open_volumes, &state.liquid_distance)
+        }
+    };
     let valid = Axis::ALL.map(|axis| {
         let beside_liquid = |face| {
             let sides = grid.face_sides(axis, grid.face_at(axis, face));
@@ -58,4 +64,32 @@ pub fn prepare(
         n_layers(scene.time.cfl),
         &mut state.velocity,
     );
+    if liquid.surface == Surface::Level {
+        let seed = (liquid.seed ^ (liquid.seed >> 32)) as u32;
+        let level: Vec<f64> = state
+            .liquid_distance
+            .iter()
+            .map(|phi| phi / grid.dx)
+            .collect();
+        let positions = first_markers(grid, &cut.solid_distance, &level, seed);
+        let mut markers = Markers::default();
+        markers.extend(grid, &state.velocity, &positions);
+        state.put_markers(markers);
+    }
+}
+
+/// Makes a level of the exact distance, and labels its components. Returns their volume, m^3.
+fn prepare_level(grid: &Grid, cut: &CutCells, open_volumes: &[f64], state: &mut State) -> f64 {
+    let distance = state.liquid_distance.iter();
+    let mut level: Vec<f64> = distance
+        .map(|phi| (phi / grid.dx).clamp(-REACH, REACH))
+        .collect();
+    extend_level(grid, cut, &mut level);
+    let mut level = redistance(LevelCells { grid, cut }, &level);
+    extend_level(grid, cut, &mut level);
+    state.liquid_distance = level.iter().map(|phi| phi * grid.dx).collect();
+    let components = liquid_components(grid, &cut.open, open_volumes, &level);
+    state.component = components.label;
+    state.component_volume = components.volume;
+    state.component_volume.iter().sum()
 }

@@ -1,11 +1,14 @@
 //! A sub-step of the f64 path: the stages of [`schedule::SCHEDULE`] over host arrays.
 
+mod level;
 mod solve;
 mod stages;
 
 use std::time::Instant;
 
 pub use solve::StepSystem;
+
+use level::LevelResults;
 
 use super::boundary::Boundary;
 use super::path::Model;
@@ -43,6 +46,8 @@ pub(super) struct SubStep<'a> {
 /// Results of stages for later ones.
 #[derive(Default)]
 struct Results {
+    /// The level set in the making.
+    level: LevelResults,
     /// Velocities of the nodes before the sub-step, m/s; with weak coupling alone.
     velocity_before: Vec<[f64; 3]>,
     removed_markers: Lost,
@@ -78,15 +83,25 @@ impl Backend for SubStep<'_> {
             Stage::Clip => self.clip(),
             Stage::AdvectMarkers => self.advect_markers(),
             Stage::Exchange => self.exchange(),
+            Stage::AdvectLevel => self.advect_level(),
             Stage::AdvectVelocity => self.advect_velocity(),
             Stage::Forces => self.forces(),
+            Stage::Occupancy => self.occupancy(),
+            Stage::BoundLevel => self.bound_level(),
+            Stage::Redistance => self.redistance(),
+            Stage::FilterLevel => self.filter_level(),
             Stage::LiquidDistance => self.liquid_distance(),
+            Stage::LiquidComponents => self.liquid_components(),
+            Stage::VolumeShift => self.volume_shift(),
+            Stage::Excess => self.excess(),
+            Stage::MarkerBand => self.marker_band(),
             Stage::ActiveCells => self.active_cells(),
             Stage::SolidMatrices => self.solid_matrices(),
             Stage::RightHandSide => self.right_hand_side(),
             Stage::Solve => return self.solve(),
             Stage::WriteBack => self.write_back(),
             Stage::Extrapolate => self.extrapolate(),
+            Stage::Spray => self.spray(),
             Stage::Diagnose => return self.diagnose(),
             Stage::TimeStep | Stage::Band | Stage::ClosedComponents | Stage::Probe => {}
         }

@@ -76,7 +76,7 @@ impl StepLimits {
             longest: time.max_step.unwrap_or(f64::INFINITY),
             gravity: scene.domain.gravity.length(),
             prescribed: obstacles.chain(scripts).collect(),
-            surface: liquid.is_some_and(|liquid| liquid.surface == Surface::Markers),
+            surface: liquid.is_some_and(|liquid| liquid.surface != Surface::Fixed),
             edge: grid.size().max_element(),
         }
     }

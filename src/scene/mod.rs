@@ -113,7 +113,7 @@ pub struct Liquid {
     pub marker_radius: f64,
     /// Seed of the marker jitter; default 0.
     pub seed: u64,
-    /// Whether volume control is active; default on with markers, always off with `fixed`.
+    /// Whether the volume is controlled; default on with a surface that moves, always off with `fixed`.
     pub volume_control: bool,
 }
 
@@ -122,6 +122,8 @@ pub struct Liquid {
 pub enum Surface {
     /// Union of spheres around markers.
     Markers,
+    /// A level set on the grid, bounded by markers in a band below it.
+    Level,
     /// The exact distance to the regions during the whole run.
     Fixed,
 }

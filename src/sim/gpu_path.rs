@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 
 use crate::Error;
+use crate::effects::Effects;
 use crate::elastic::Solids;
 use crate::fields::Step;
 use crate::geometry::{self, CutCells, Running, SolidClip, SourcesAndSinks};
@@ -104,6 +105,13 @@ impl GpuPath {
         (solids, clip, taps): (&Solids, Option<SolidClip>, SourcesAndSinks),
         n_markers: usize,
     ) -> Result<GpuPath, Error> {
+        if Effects::of(scene).level {
+            return Err(Error::input(
+                scene.at("liquid.surface"),
+                "a level needs the f64 path: the GPU has no kernels for it",
+                "use --backend cpu, or surface = \"markers\"",
+            ));
+        }
         // Stages use handles of their own; all other kernels belong to the solve.
         let gpu = gpu.at(Stage::Solve.name());
         let limits = StepLimits::new(scene, clip.as_ref().map(SolidClip::obstacles), Some(solids));

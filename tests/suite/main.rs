@@ -44,6 +44,7 @@ mod placing;
 mod plan;
 mod plot;
 mod reference;
+mod reference_level;
 mod reference_physics;
 mod reference_solids;
 mod reference_stages;

@@ -174,7 +174,7 @@ fn every_key_has_a_type_and_words() {
     );
     assert_eq!(
         at("/properties/liquid/properties/surface/enum"),
-        json!(["markers", "fixed"])
+        json!(["markers", "level", "fixed"])
     );
     assert_eq!(at("/properties/output/properties/every/minimum"), json!(1));
     assert_eq!(

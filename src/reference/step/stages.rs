@@ -8,11 +8,12 @@ use crate::elastic::Solids;
 use crate::reference::path::Model;
 use crate::reference::{
     Ballistic, Contacts, MovingWalls, Passed, PressureSystem, SolidSystem, Surface, VolumeSource,
-    active_cells, advect_markers, advect_velocity, ballistic_bodies, ballistic_cells, carry_faces,
-    diagnose, diagnose_solid, divergence, empty_sinks, exchanged_volume, extrapolate, forces,
-    hold_faces, liquid_distance, liquid_volume, move_solid, n_layers, node_forces, open_volumes,
-    patch_pressure, pressure_gradient, right_hand_side, seed_markers, sink_markers, solid_matrices,
-    solid_right_hand_side, surface_distance, volume_rate, wet_nodes, write_back,
+    active_cells, advect_markers, advect_velocity, advect_velocity_maccormack, ballistic_bodies,
+    ballistic_cells, carry_faces, diagnose, diagnose_solid, divergence, empty_sinks,
+    exchanged_volume, extrapolate_with_slope, forces, hold_faces, liquid_distance, liquid_volume,
+    move_solid, n_layers, node_forces, open_volumes, patch_pressure, pressure_gradient,
+    right_hand_side, seed_markers, sink_markers, solid_matrices, solid_right_hand_side,
+    surface_distance, volume_rate, wet_nodes, write_back,
 };
 use crate::scene::{CouplingScheme, PatchPressure};
 use crate::state::{LiquidReport, SolidReport};
@@ -61,6 +62,9 @@ impl SubStep<'_> {
 
     pub(super) fn advect_markers(&mut self) {
         let Some(liquid) = self.liquid() else { return };
+        if self.model.effects.level {
+            return self.advect_level_markers();
+        }
         let (grid, before) = (&self.model.grid, self.before);
         let solid_distance = &self.boundary.cut_cells().solid_distance;
         // Without markers the surface has no use.
@@ -90,6 +94,9 @@ impl SubStep<'_> {
     }
 
     pub(super) fn exchange(&mut self) {
+        if self.model.effects.level {
+            return self.exchange_level();
+        }
         let (grid, taps, sources) = (&self.model.grid, &self.model.taps, self.sources);
         let (cut, after) = (self.boundary.cut_cells(), &mut self.after);
         let (mut markers, sunk) = sink_markers(grid, taps, std::mem::take(&mut after.markers));
@@ -108,6 +115,13 @@ impl SubStep<'_> {
         after.markers_emitted += exchange.emitted;
         after.sources_running = sources.running.into();
         self.results.exchange = exchange;
+        self.open_sources();
+    }
+
+    /// Apertures of the faces of running sources.
+    pub(super) fn open_sources(&mut self) {
+        let (taps, sources) = (&self.model.taps, self.sources);
+        let cut = self.boundary.cut_cells();
         self.results.source_apertures = self.model.effects.sources.then(|| {
             let (open, running) = (&cut.open, sources.running);
             [
@@ -122,11 +136,15 @@ impl SubStep<'_> {
         let velocity = &self.before.velocity;
         let (filled, dt) = (self.before.filled(), self.time_step.dt);
         let ballistic = self.ballistic(&filled);
-        self.after.velocity = advect_velocity(&self.model.grid, open, velocity, &ballistic, dt);
+        let advect = match self.model.effects.maccormack {
+            true => advect_velocity_maccormack,
+            false => advect_velocity,
+        };
+        self.after.velocity = advect(&self.model.grid, open, velocity, &ballistic, dt);
     }
 
     /// Liquid that touched nothing in the last solve.
-    fn ballistic<'f>(&'f self, filled: &'f [bool]) -> Ballistic<'f> {
+    pub(super) fn ballistic<'f>(&'f self, filled: &'f [bool]) -> Ballistic<'f> {
         let gravity = self.model.scene.domain.gravity;
         Ballistic::new(filled, &self.before.ballistic, gravity, self.time_step.dt)
     }
@@ -148,6 +166,9 @@ impl SubStep<'_> {
 
     pub(super) fn liquid_distance(&mut self) {
         let Some(liquid) = self.liquid() else { return };
+        if self.model.effects.level {
+            return self.level_distance();
+        }
         if self.model.effects.markers {
             let (grid, cut) = (&self.model.grid, self.boundary.cut_cells());
             let radius = liquid.marker_radius * grid.dx;
@@ -195,7 +216,8 @@ impl SubStep<'_> {
             let rate = volume_rate(after.volume_0, volume, control_time, dt);
             VolumeSource { rate, open_volumes }
         });
-        let rhs = right_hand_side(grid, self.apertures()[1], &after.velocity, &active, source);
+        let mut rhs = right_hand_side(grid, self.apertures()[1], &after.velocity, &active, source);
+        self.add_excess(open_volumes, &active, &mut rhs);
         let system = PressureSystem::new(active, rhs, dt, liquid.density);
         let obstacles = self.boundary.moving_obstacles();
         let obstacles = obstacles.map_or(&[][..], |obstacles| obstacles.flux());
@@ -288,7 +310,11 @@ impl SubStep<'_> {
         let valid = std::mem::take(&mut self.results.valid);
         let layers = n_layers(model.scene.time.cfl);
         let (cut, velocity) = (self.boundary.cut_cells(), &mut self.after.velocity);
-        extrapolate(&model.grid, cut, walls, valid, layers, velocity);
+        let largest = match model.effects.maccormack {
+            true => 0.5 * model.grid.dx / self.time_step.dt,
+            false => 0.0,
+        };
+        extrapolate_with_slope(&model.grid, cut, walls, valid, (layers, largest), velocity);
     }
 
     pub(super) fn diagnose(&mut self) -> Result<(), Error> {

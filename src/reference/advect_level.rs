@@ -1,0 +1,111 @@
+//! `advect_level`: transport of the level set by MacCormack's method (Selle et al. 2008), semi-Lagrangian with the
+//! midpoint rule in both passes.
+//!
+//! ```text
+//! a(x) = phi(x - dt u)                            linear interpolation at the departure point
+//! phi*(x) = a(x) + (phi(x) - a(x + dt u)) / 2     within the range of the taps of a(x), widened by 0.1 cells; else a(x)
+//! ```
+//!
+//! The second pass returns the advected level to its start. Half the difference is the error of a. The method is of
+//! second order, and a plane that moves uniformly stays exact. The widened range lets a crest keep its height.
+//!
+//! Liquid does not enter through open sides. The level beyond them is at least the distance to the side. Cells of a
+//! running source have the level of their full eighths, and their neighbours at most the distance to them. Cells of
+//! sinks are air.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::ballistic::Ballistic;
+use crate::geometry::{Running, SourcesAndSinks};
+use crate::grid::{Axis, Grid, Sides};
+
+/// Overshoot beyond the taps, cells.
+const OVERSHOOT: f64 = 0.1;
+
+/// The level (cells) after dt (s) in the velocity of the faces (m/s), with what falls freely.
+pub fn advect_level(
+    grid: &Grid,
+    open_sides: Sides,
+    faces: &[Vec<f64>; 3],
+    ballistic: &Ballistic,
+    level: &[f64],
+    dt: f64,
+) -> Vec<f64> {
+    let centre = |cell: usize| grid.cell_centre(grid.cell_at(cell));
+    let origin = |cell: usize| ballistic.origin(grid, grid.traced(faces, centre(cell), -dt));
+    let cells = || (0..grid.n_cells()).into_par_iter();
+    let carry = |cell: usize| {
+        let x = origin(cell);
+        grid.sample_cells(level, x)
+            .max(beyond_side(grid, open_sides, x))
+    };
+    let carried: Vec<f64> = cells().map(carry).collect();
+    let correct = |cell: usize| {
+        let (x, origin) = (centre(cell), origin(cell));
+        let end = grid.traced(faces, x, dt) + ballistic.shift_from(grid, x);
+        let returned = grid.sample_cells(&carried, end);
+        let corrected = carried[cell] + 0.5 * (level[cell] - returned);
+        let taps = grid.centres_around(origin).values(level);
+        let low = taps.into_iter().fold(f64::INFINITY, f64::min);
+        let high = taps.into_iter().fold(f64::NEG_INFINITY, f64::max);
+        let within = low - OVERSHOOT <= corrected && corrected <= high + OVERSHOOT;
+        match within && beyond_side(grid, open_sides, origin) < 0.0 {
+            true => corrected,
+            false => carried[cell],
+        }
+    };
+    cells().map(correct).collect()
+}
+
+/// Distance of a point (m) beyond an open side, cells; minus infinity within the domain.
+fn beyond_side(grid: &Grid, open_sides: Sides, x: DVec3) -> f64 {
+    let beyond = |axis: Axis| {
+        let (at, size) = (x[axis.index()], grid.size()[axis.index()]);
+        let sides = [(0, -at), (1, at - size)];
+        sides
+            .into_iter()
+            .filter(move |&(side, beyond)| beyond > 0.0 && open_sides.has(axis, side))
+            .map(|(_, beyond)| beyond / grid.dx)
+    };
+    let all = Axis::ALL.into_iter().flat_map(beyond);
+    all.fold(f64::NEG_INFINITY, f64::max)
+}
+
+/// Fills the cells of running sources in a level (cells).
+pub fn fill_sources(grid: &Grid, taps: &SourcesAndSinks, sources: Running, level: &mut [f64]) {
+    let cells = taps.source_cells.iter().zip(&taps.eighths);
+    for (&(cell, source), eighths) in cells {
+        if sources.running >> source & 1 == 0 {
+            continue;
+        }
+        let full = f64::from(eighths.count_ones()) / 8.0;
+        level[cell] = level[cell].min(0.5 - full);
+        if full < 0.5 {
+            continue;
+        }
+        for (neighbour, distance) in around(grid, cell) {
+            if taps
+                .source_cells
+                .binary_search_by_key(&neighbour, |&(cell, _)| cell)
+                .is_err()
+            {
+                level[neighbour] = level[neighbour].min(distance);
+            }
+        }
+    }
+}
+
+/// The 26 cells around a cell, and the distances of their centres from it, cells.
+fn around(grid: &Grid, cell: usize) -> impl Iterator<Item = (usize, f64)> + use<'_> {
+    let ijk = grid.cell_at(cell);
+    let ranges: [_; 3] =
+        std::array::from_fn(|b| ijk[b].saturating_sub(1)..(ijk[b] + 2).min(grid.cells[b]));
+    let [is, js, ks] = ranges;
+    let rows = ks.flat_map(move |k| js.clone().map(move |j| (j, k)));
+    let all = rows.flat_map(move |(j, k)| is.clone().map(move |i| [i, j, k]));
+    all.filter(move |&at| at != ijk).map(move |at| {
+        let apart = (0..3).filter(|&b| at[b] != ijk[b]).count();
+        (grid.cell(at), 0.5 * (apart as f64).sqrt())
+    })
+}

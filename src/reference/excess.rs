@@ -1,0 +1,65 @@
+//! `excess`: density of the markers below the surface less that of liquid, a source of volume.
+//!
+//! ```text
+//! e = G^2 ((F - 1) w) / G^2 w    w = 1 where phi < -1 and F is known, else 0
+//! ```
+//!
+//! where phi < 0 and the denominator exceeds 0.05, and 0 elsewhere. |e| is reduced by a dead band of 0.06, several
+//! deviations of the noise of jittered markers. The right-hand side has a divergence of clamp(e, +-1) / max(2.5 t_f, 1.5 dt)
+//! for it. Markers that flow together in a splash so expand where they are. Enclosed components have no source, which
+//! their walls would not let out.
+
+use super::level_cells::LevelCells;
+use super::liquid_components::Components;
+use super::occupancy::UNKNOWN;
+use super::right_hand_side::RightHandSide;
+
+/// Depth below which the density counts, cells.
+const DEPTH: f64 = 1.0;
+/// Least weight.
+const LEAST_WEIGHT: f64 = 0.05;
+/// Density differences without effect.
+const DEAD_BAND: f64 = 0.06;
+/// Time in which an excess expands, in times of control and in sub-steps.
+const TIMES: [f64; 2] = [2.5, 1.5];
+
+/// e per cell. `level` in cells.
+pub fn excess(
+    cells: LevelCells,
+    components: &Components,
+    occupancy: &[f64],
+    level: &[f64],
+) -> Vec<f64> {
+    let counts =
+        |cell: usize| level[cell] < -DEPTH && occupancy[cell] != UNKNOWN && cells.is_open(cell);
+    let all = || 0..level.len();
+    let weight: Vec<f64> = all().map(|cell| f64::from(counts(cell))).collect();
+    let density = all().map(|cell| weight[cell] * (occupancy[cell] - 1.0));
+    let density = cells.smooth(&cells.smooth(&density.collect::<Vec<_>>()));
+    let weight = cells.smooth(&cells.smooth(&weight));
+    let excess = |cell: usize| {
+        let label = components.label[cell];
+        let moves = label > 0 && !components.enclosed[label as usize - 1];
+        if !moves || level[cell] >= 0.0 || weight[cell] <= LEAST_WEIGHT {
+            return 0.0;
+        }
+        let e = density[cell] / weight[cell];
+        e.signum() * (e.abs() - DEAD_BAND).max(0.0)
+    };
+    all().map(excess).collect()
+}
+
+/// Adds the source of an excess to the right-hand side of the active cells (m^3/s). `open_volumes` in m^3; `control_time` and
+/// `dt` in s.
+pub fn add_excess(
+    excess: &[f64],
+    open_volumes: &[f64],
+    active: impl Iterator<Item = usize>,
+    [control_time, dt]: [f64; 2],
+    rhs: &mut RightHandSide,
+) {
+    let time = (TIMES[0] * control_time).max(TIMES[1] * dt);
+    for cell in active {
+        rhs.values[cell] += excess[cell].clamp(-1.0, 1.0) / time * open_volumes[cell];
+    }
+}

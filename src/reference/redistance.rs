@@ -1,0 +1,155 @@
+//! `redistance`: makes the level a distance again, without moving the surface.
+//!
+//! An interface cell has a neighbour of the other sign. Its value stays: redistancing that moves the surface a little in
+//! every sub-step makes small waves grow or shrink (Russo and Smereka 2000 fix this in part).
+//!
+//! ```text
+//! (a) |D| = |phi| at interface cells; elsewhere |grad D| = 1, first order (Rouy and Tourin 1992), nine Jacobi passes
+//! (b) f = phi where |D| < 2.5 and |phi| < 3.5, else D
+//! (c) where |f| < 2.5, not at the interface:  f -= 0.4 sign(f) (|grad f| - 1)    Godunov's gradient, one step
+//! ```
+//!
+//! (c) is the relaxation of Sussman et al. (1994). An interface cell only changes where its gradient m is outside
+//! [0.7, 1.4] and neither it nor a neighbour across the interface is at a kink: f -= 0.4 (f - phi / m). A kink has
+//! one-sided slopes of opposite sign, both steeper than 0.1: the edge of a sheet or a collision, where m means nothing.
+//!
+//! Cells with their centre in a body have an extended level. They take part in gradients and distances, so that liquid
+//! under an overhang has its depth, but are never at the interface and keep their value.
+
+use rayon::prelude::*;
+
+use super::level_cells::{LevelCells, REACH};
+use crate::grid::Axis;
+
+/// Jacobi passes of the distance.
+const PASSES: usize = 9;
+/// Distance within which the level is relaxed instead of replaced, cells.
+const NEAR: f64 = 2.5;
+/// Level beyond which it is replaced within that distance too, cells.
+const FAR: f64 = 3.5;
+/// Step of the relaxation, cells.
+const STEP: f64 = 0.4;
+/// Gradients of interface cells that stay.
+const GRADIENTS: [f64; 2] = [0.7, 1.4];
+/// Steepness of both sides of a kink.
+const KINK: f64 = 0.1;
+
+/// The redistanced level, cells.
+pub fn redistance(cells: LevelCells, level: &[f64]) -> Vec<f64> {
+    let distance = distance(cells, level);
+    let near = level.iter().zip(&distance);
+    let mixed: Vec<f64> = near
+        .map(|(&phi, &d)| match d.abs() < NEAR && phi.abs() < FAR {
+            true => phi,
+            false => d,
+        })
+        .collect();
+    let relax = |cell: usize| match cells.is_open(cell) {
+        true => relaxed(cells, &mixed, cell),
+        false => level[cell],
+    };
+    (0..level.len()).into_par_iter().map(relax).collect()
+}
+
+/// Whether a neighbour has the other sign.
+fn at_interface(cells: LevelCells, level: &[f64], cell: usize) -> bool {
+    let inside = level[cell] < 0.0;
+    let all = Axis::ALL.into_iter();
+    let mut beside = all.flat_map(|axis| cells.beside(cell, axis));
+    cells.is_open(cell) && beside.any(|other| (level[other] < 0.0) != inside)
+}
+
+/// D: the distance from the interface cells with the sign of the level, cells.
+fn distance(cells: LevelCells, level: &[f64]) -> Vec<f64> {
+    let all = || (0..level.len()).into_par_iter();
+    let kept: Vec<bool> = all().map(|cell| at_interface(cells, level, cell)).collect();
+    let start = |cell: usize| match kept[cell] {
+        true => level[cell].abs().min(REACH),
+        false => REACH,
+    };
+    let mut distance: Vec<f64> = all().map(start).collect();
+    for _ in 0..PASSES {
+        let next = |cell: usize| match kept[cell] {
+            true => distance[cell],
+            false => eikonal(cells, &distance, cell),
+        };
+        distance = all().map(next).collect();
+    }
+    let sign = |(d, phi): (f64, &f64)| if *phi < 0.0 { -d } else { d };
+    distance.into_iter().zip(level).map(sign).collect()
+}
+
+/// The solution of |grad D| = 1 at a cell from its smaller neighbours along each axis.
+fn eikonal(cells: LevelCells, distance: &[f64], cell: usize) -> f64 {
+    let mut low = Axis::ALL.map(|axis| {
+        let [minus, plus] = cells.across(cell, axis);
+        distance[minus].min(distance[plus])
+    });
+    low.sort_by(f64::total_cmp);
+    let [a, b, c] = low;
+    let mut d = a + 1.0;
+    if d > b {
+        d = 0.5 * (a + b + (2.0 - (a - b) * (a - b)).max(0.0).sqrt());
+    }
+    if d > c {
+        let (sum, squares) = (a + b + c, a * a + b * b + c * c);
+        d = (sum + (sum * sum - 3.0 * (squares - 1.0)).max(0.0).sqrt()) / 3.0;
+    }
+    d.min(REACH)
+}
+
+/// Differences to both sides along an axis.
+fn slopes(cells: LevelCells, f: &[f64], cell: usize, axis: Axis) -> [f64; 2] {
+    let [minus, plus] = cells.across(cell, axis);
+    [f[cell] - f[minus], f[plus] - f[cell]]
+}
+
+fn at_kink(cells: LevelCells, f: &[f64], cell: usize) -> bool {
+    Axis::ALL.into_iter().any(|axis| {
+        let [low, high] = slopes(cells, f, cell, axis);
+        low * high < 0.0 && low.abs().min(high.abs()) > KINK
+    })
+}
+
+/// Step (c) at a cell.
+fn relaxed(cells: LevelCells, f: &[f64], cell: usize) -> f64 {
+    let phi = f[cell];
+    if phi.abs() >= NEAR {
+        return phi;
+    }
+    let inside = phi < 0.0;
+    if !at_interface(cells, f, cell) {
+        let sign = if inside { -1.0 } else { 1.0 };
+        let squares = Axis::ALL.map(|axis| {
+            let [low, high] = slopes(cells, f, cell, axis).map(|slope| sign * slope);
+            low.max(0.0).powi(2).max(high.min(0.0).powi(2))
+        });
+        return phi - STEP * sign * (squares.iter().sum::<f64>().sqrt() - 1.0);
+    }
+    let mut across = Axis::ALL
+        .into_iter()
+        .flat_map(|axis| cells.beside(cell, axis))
+        .filter(|&other| (f[other] < 0.0) != inside);
+    let m = steepness(cells, f, cell);
+    let keep = (GRADIENTS[0] < m && m < GRADIENTS[1])
+        || at_kink(cells, f, cell)
+        || across.any(|other| at_kink(cells, f, other));
+    match keep {
+        true => phi,
+        false => phi - STEP * (phi - phi / m.max(1e-9)),
+    }
+}
+
+/// |grad f|: the central slope along axes where both one-sided ones agree in sign, else the largest.
+fn steepness(cells: LevelCells, f: &[f64], cell: usize) -> f64 {
+    let squares = Axis::ALL.map(|axis| {
+        let [low, high] = slopes(cells, f, cell, axis);
+        let central = 0.5 * (low + high).abs();
+        match low * high > 0.0 {
+            true => central,
+            false => low.abs().max(high.abs()).max(central),
+        }
+        .powi(2)
+    });
+    squares.iter().sum::<f64>().sqrt()
+}

@@ -1,0 +1,57 @@
+//! `spray`: which markers fly.
+//!
+//! A marker with no liquid in the eight cells whose centres surround it is spray. It moves as a free body and has no part in
+//! the level, since the pressure does not reach it. All other markers have the velocity of the grid. A marker that starts to
+//! fly takes its volume, an eighth of a cell, from the target of the component beside it; one that lands adds it.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::liquid_components::label_at;
+use super::marker_band::Markers;
+use super::occupancy::{PER_CELL, tent};
+use crate::grid::Grid;
+
+/// Updates velocities and spray. `liquid_distance` in m, `faces` in m/s. Returns the markers that changed.
+pub fn spray(
+    grid: &Grid,
+    liquid_distance: &[f64],
+    faces: &[Vec<f64>; 3],
+    markers: &mut Markers,
+) -> Vec<usize> {
+    let flies = |x: &[f64; 3]| {
+        let around = tent(grid, DVec3::from(*x)).into_iter();
+        around
+            .map(|(cell, _)| liquid_distance[cell])
+            .all(|phi| phi >= 0.0)
+    };
+    let now: Vec<bool> = markers.position.par_iter().map(flies).collect();
+    let pairs = markers.position.par_iter().zip(&markers.spray);
+    let moving = markers.velocity.par_iter_mut().zip(pairs);
+    moving
+        .filter(|(_, (_, spray))| !**spray)
+        .for_each(|(velocity, (x, _))| {
+            *velocity = grid.velocity_at(faces, DVec3::from(*x)).to_array()
+        });
+    let changed = (0..now.len()).filter(|&marker| now[marker] != markers.spray[marker]);
+    let changed = changed.collect();
+    markers.spray = now;
+    changed
+}
+
+/// Moves the volume of markers that changed between spray and the targets of the components (m^3).
+pub fn move_spray_volume(
+    grid: &Grid,
+    label: &[u32],
+    markers: &Markers,
+    changed: &[usize],
+    volume_0: &mut [f64],
+) {
+    let one = grid.cell_volume() / PER_CELL;
+    for &marker in changed {
+        let near = label_at(grid, label, markers.position[marker].into());
+        if near > 0 {
+            volume_0[near as usize - 1] += if markers.spray[marker] { -one } else { one };
+        }
+    }
+}

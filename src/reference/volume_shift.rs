@@ -1,0 +1,53 @@
+//! `volume_shift`: moves the level of each liquid component towards its target volume.
+//!
+//! ```text
+//! h_k = clamp(dV_k min(1, dt / t_f) / A_k, +-0.04),   A_k = sum of open fractions times clamp(1 - |phi|, 0, 1)
+//! phi -= h_k
+//! ```
+//!
+//! in cells and cell volumes. dV_k is the target less the volume, less a dead band of 0.5 % of the target: the measured
+//! volume of a wave changes by that much at constant true volume, and a shift that answers it feeds the wave. Enclosed
+//! components have no surface to move.
+
+use rayon::prelude::*;
+
+use super::liquid_components::Components;
+use crate::grid::Grid;
+
+/// Part of the target within which nothing moves.
+const DEAD_BAND: f64 = 0.005;
+/// Largest shift in a sub-step, cells.
+const LARGEST: f64 = 0.04;
+
+/// Shifts the liquid distance (m). `volume_0`: targets, m^3; `control_time` and `dt` in s. Returns the shifts, cells.
+pub fn volume_shift(
+    grid: &Grid,
+    open_volumes: &[f64],
+    components: &Components,
+    volume_0: &[f64],
+    [control_time, dt]: [f64; 2],
+    liquid_distance: &mut [f64],
+) -> Vec<f64> {
+    let mut area = vec![0.0; volume_0.len()];
+    for (cell, &label) in components.label.iter().enumerate() {
+        if label > 0 {
+            let near = (1.0 - (liquid_distance[cell] / grid.dx).abs()).clamp(0.0, 1.0);
+            area[label as usize - 1] += open_volumes[cell] * near;
+        }
+    }
+    let shift = |k: usize| {
+        let lacks = volume_0[k] - components.volume[k];
+        let dead = DEAD_BAND * volume_0[k].abs();
+        let lacks = lacks.signum() * (lacks.abs() - dead).max(0.0);
+        match components.enclosed[k] || area[k] <= 0.0 {
+            true => 0.0,
+            false => (lacks * (dt / control_time).min(1.0) / area[k]).clamp(-LARGEST, LARGEST),
+        }
+    };
+    let shifts: Vec<f64> = (0..volume_0.len()).map(shift).collect();
+    let cells = liquid_distance.par_iter_mut().zip(&components.label);
+    cells
+        .filter(|(_, label)| **label > 0)
+        .for_each(|(phi, &label)| *phi -= grid.dx * shifts[label as usize - 1]);
+    shifts
+}

@@ -1,0 +1,522 @@
+//! The stages of a level set on the f64 path, and pools with one.
+
+use cutwater::elastic::Solids;
+use cutwater::geometry::{CutCells, ObstacleCut, initial_state, obstacle_cut};
+use cutwater::grid::{Axis, Grid, Sides};
+use cutwater::reference::{
+    Ballistic, Components, LevelCells, Levels, Markers, Reference, UNKNOWN, advect_level,
+    advect_level_markers, advect_velocity_maccormack, balance, bound_level, excess,
+    extrapolate_with_slope, filled, filter_level, first_markers, liquid_components, marker_band,
+    marker_weights, occupancy, open_volumes, redistance, spray, thin_liquid, volume_shift,
+};
+use cutwater::scene::Scene;
+use glam::DVec3;
+
+use crate::reference_physics::scene;
+
+const DX: f64 = 0.25;
+
+fn grid(cells: [usize; 3]) -> Grid {
+    Grid { cells, dx: DX }
+}
+
+/// Closed walls, no bodies.
+fn without_bodies(grid: &Grid) -> CutCells {
+    ObstacleCut::none(grid).cut
+}
+
+/// A function of the cell centres, in cells.
+fn field(grid: &Grid, f: impl Fn(DVec3) -> f64) -> Vec<f64> {
+    let centre = |cell| grid.cell_centre(grid.cell_at(cell)) / grid.dx;
+    (0..grid.n_cells()).map(|cell| f(centre(cell))).collect()
+}
+
+/// Face velocities, m/s, of a function of positions in cells.
+fn faces(grid: &Grid, f: impl Fn(DVec3) -> DVec3) -> [Vec<f64>; 3] {
+    Axis::ALL.map(|axis| {
+        let value =
+            |face| f(grid.face_centre(axis, grid.face_at(axis, face)) / grid.dx)[axis.index()];
+        (0..grid.n_faces(axis)).map(value).collect()
+    })
+}
+
+fn close(a: f64, b: f64, bound: f64) {
+    assert!((a - b).abs() <= bound, "{a} instead of {b}");
+}
+
+/// Cells at least `margin` from all walls.
+fn inner(grid: &Grid, margin: usize) -> impl Iterator<Item = usize> + '_ {
+    (0..grid.n_cells()).filter(move |&cell| {
+        let ijk = grid.cell_at(cell);
+        (0..3).all(|b| (margin..grid.cells[b] - margin).contains(&ijk[b]))
+    })
+}
+
+#[test]
+fn a_plane_stays_exact_in_uniform_motion() {
+    let grid = grid([16, 16, 16]);
+    let plane = |x: DVec3| 0.6 * (x.x - 8.2) - 0.48 * (x.y - 7.7) + 0.64 * (x.z - 8.1);
+    let velocity = DVec3::new(0.7, -1.1, 0.4);
+    let u = faces(&grid, |_| velocity);
+    let dt = 0.4;
+    let after = advect_level(
+        &grid,
+        Sides::default(),
+        &u,
+        &Ballistic::NONE,
+        &field(&grid, plane),
+        dt,
+    );
+    let exact = field(&grid, |x| plane(x - dt / DX * velocity));
+    for cell in inner(&grid, 5) {
+        close(after[cell], exact[cell], 1e-12);
+    }
+}
+
+#[test]
+fn transport_of_a_level_is_of_second_order() {
+    let error = |n: usize| {
+        let grid = Grid {
+            cells: [n, n, 4],
+            dx: 1.0 / n as f64,
+        };
+        let level = |x: DVec3| (6.0 * x.x).sin() * (5.0 * x.y).cos();
+        let u = faces(&grid, |_| DVec3::new(0.3, 0.2, 0.0));
+        let h = grid.dx;
+        let steps = n / 8;
+        let dt = 0.4 / steps as f64;
+        let mut phi = field(&grid, |x| level(h * x));
+        for _ in 0..steps {
+            phi = advect_level(&grid, Sides::default(), &u, &Ballistic::NONE, &phi, dt);
+        }
+        let exact = field(&grid, |x| level(h * x - DVec3::new(0.12, 0.08, 0.0)));
+        let away = (0..grid.n_cells()).filter(|&cell| {
+            let x = grid.cell_centre(grid.cell_at(cell));
+            (0.3..0.8).contains(&x.x) && (0.3..0.8).contains(&x.y)
+        });
+        away.map(|cell| (phi[cell] - exact[cell]).abs())
+            .fold(0.0, f64::max)
+    };
+    let [coarse, fine] = [error(32), error(64)];
+    assert!(fine < 0.3 * coarse, "{coarse:e} {fine:e}");
+}
+
+#[test]
+fn maccormack_is_exact_for_linear_velocities_that_stay() {
+    let grid = grid([12, 12, 12]);
+    let cut = without_bodies(&grid);
+    let u = faces(&grid, |x| DVec3::new(0.0, 0.0, 0.3 * x.x - 0.2 * x.y));
+    let mut carrier = u.clone();
+    carrier[0].fill(0.5);
+    let open = Axis::ALL.map(|axis| vec![1.0; grid.n_faces(axis)]);
+    let after = advect_velocity_maccormack(&grid, &open, &carrier, &Ballistic::NONE, 0.3);
+    for cell in inner(&grid, 3) {
+        let ijk = grid.cell_at(cell);
+        let face = grid.face(Axis::Z, ijk);
+        let x = grid.face_centre(Axis::Z, ijk) / DX;
+        close(
+            after[2][face],
+            0.3 * (x.x - 0.5 * 0.3 / DX) - 0.2 * x.y,
+            1e-12,
+        );
+    }
+    assert_eq!(cut.open[0].len(), grid.n_faces(Axis::X));
+}
+
+#[test]
+fn markers_count_to_the_last_place() {
+    let grid = grid([6, 6, 6]);
+    let level = field(&grid, |x| x.y - 6.0);
+    let distance = without_bodies(&grid).solid_distance;
+    let markers = first_markers(&grid, &distance, &level, 3);
+    let mut flies = vec![false; markers.len()];
+    let weights = marker_weights(&grid, &markers, &flies);
+    let sum: u64 = weights.iter().sum();
+    let one = f64::from(1 << 20);
+    close(
+        sum as f64 / one,
+        markers.len() as f64,
+        8.0 * markers.len() as f64 / one,
+    );
+    // The order has no effect, and spray has no weight.
+    let reversed: Vec<_> = markers.iter().rev().copied().collect();
+    assert_eq!(marker_weights(&grid, &reversed, &flies), weights);
+    flies.fill(true);
+    assert!(
+        marker_weights(&grid, &markers, &flies)
+            .iter()
+            .all(|&w| w == 0)
+    );
+}
+
+#[test]
+fn occupancy_of_a_full_band_is_one() {
+    let grid = grid([10, 12, 10]);
+    let cut = without_bodies(&grid);
+    let level = field(&grid, |x| x.y - 7.3);
+    let markers = first_markers(&grid, &cut.solid_distance, &level, 1);
+    let spray = vec![false; markers.len()];
+    let f = occupancy(&grid, &cut.solid_distance, &level, &markers, &spray);
+    for (cell, &phi) in level.iter().enumerate() {
+        match phi {
+            phi if phi > 1.0 => assert_eq!(f[cell], 0.0),
+            phi if phi < -1.0 => close(f[cell], 1.0, 0.25),
+            _ => {}
+        }
+    }
+    // Beside a wall of an obstacle the open part counts.
+    let wall: Vec<f64> = (0..grid.n_cells())
+        .map(|cell| grid.cell_centre(grid.cell_at(cell)).x - 2.9 * DX)
+        .collect();
+    let markers = first_markers(&grid, &wall, &level, 1);
+    let spray = vec![false; markers.len()];
+    let f = occupancy(&grid, &wall, &level, &markers, &spray);
+    for (cell, &phi) in level.iter().enumerate() {
+        if f[cell] != UNKNOWN && (-1.5..-1.0).contains(&phi) {
+            close(f[cell], 1.0, 0.4);
+        }
+    }
+    assert!(f.contains(&UNKNOWN));
+}
+
+#[test]
+fn bounds_move_a_level_that_markers_contradict_alone() {
+    let grid = grid([10, 14, 10]);
+    let cut = without_bodies(&grid);
+    let cells = LevelCells {
+        grid: &grid,
+        cut: &cut,
+    };
+    let level = field(&grid, |x| x.y - 8.3);
+    let markers = first_markers(&grid, &cut.solid_distance, &level, 1);
+    let spray = vec![false; markers.len()];
+    let bounded = |level: &[f64]| {
+        let f = occupancy(&grid, &cut.solid_distance, level, &markers, &spray);
+        let thin = thin_liquid(&grid, level);
+        bound_level(cells, &f, &thin, level)
+    };
+    assert_eq!(bounded(&level), level);
+    // A level 1.2 cells too high or too low returns to within a cell of the markers.
+    for wrong in [-1.2, 1.2] {
+        let shifted: Vec<f64> = level.iter().map(|phi| phi + wrong).collect();
+        let after = bounded(&shifted);
+        for cell in inner(&grid, 2) {
+            if level[cell] * wrong < 0.0 && (1.0..1.5).contains(&level[cell].abs()) {
+                assert!(after[cell] * level[cell] > 0.0, "{}", after[cell]);
+            }
+        }
+    }
+}
+
+#[test]
+fn redistance_keeps_the_interface_cells_of_a_plane() {
+    let grid = grid([20, 20, 20]);
+    let cut = without_bodies(&grid);
+    let cells = LevelCells {
+        grid: &grid,
+        cut: &cut,
+    };
+    let normal = DVec3::new(0.48, 0.8, 0.36);
+    let plane = field(&grid, |x| (x - 10.13).dot(normal).clamp(-5.0, 5.0));
+    let after = redistance(cells, &plane);
+    let inside = |cell: usize| plane[cell] < 0.0;
+    for cell in inner(&grid, 5) {
+        let across = |axis| {
+            cells
+                .beside(cell, axis)
+                .into_iter()
+                .any(|n| inside(n) != inside(cell))
+        };
+        if Axis::ALL.into_iter().any(across) {
+            assert_eq!(after[cell], plane[cell]);
+        } else if plane[cell].abs() < 2.0 {
+            close(after[cell], plane[cell], 0.02);
+        }
+    }
+    // A level twice too steep flattens, with its signs.
+    let mut steep: Vec<f64> = plane.iter().map(|phi| 2.0 * phi).collect();
+    for _ in 0..60 {
+        steep = redistance(cells, &steep);
+    }
+    let near = |&cell: &usize| (0.2..1.2).contains(&plane[cell].abs());
+    let ratios: Vec<f64> = inner(&grid, 6)
+        .filter(near)
+        .map(|cell| steep[cell] / plane[cell])
+        .collect();
+    let mean = ratios.iter().sum::<f64>() / ratios.len() as f64;
+    assert!(
+        ratios.iter().all(|&ratio| ratio > 0.0) && mean < 1.45,
+        "{mean}"
+    );
+}
+
+#[test]
+fn the_filter_damps_ripples_and_keeps_planes() {
+    let grid = grid([16, 16, 16]);
+    let cut = without_bodies(&grid);
+    let cells = LevelCells {
+        grid: &grid,
+        cut: &cut,
+    };
+    let plane = field(&grid, |x| x.y - 8.2);
+    let thick = vec![false; plane.len()];
+    assert_eq!(filter_level(cells, &thick, &plane), plane);
+    // A ripple of four cells loses 4 / 64 of itself in each pass.
+    let ripple = |x: f64| 0.1 * (std::f64::consts::FRAC_PI_2 * (x - 0.5)).cos();
+    let rippled = field(&grid, |x| x.y - 8.2 - ripple(x.x));
+    let after = filter_level(cells, &thick, &rippled);
+    let cell = grid.cell([8, 8, 8]);
+    let [before, after] = [&rippled, &after].map(|level| level[cell] - plane[cell]);
+    close(after / before, 1.0 - 4.0 / 64.0, 1e-3);
+}
+
+#[test]
+fn components_are_counted_and_their_volumes_are_shared() {
+    let grid = grid([16, 8, 8]);
+    let cut = without_bodies(&grid);
+    let drop = |x: DVec3, at: f64, r: f64| (x - DVec3::new(at, 4.0, 4.0)).length() - r;
+    let level = field(&grid, |x| drop(x, 4.0, 2.0).min(drop(x, 11.0, 2.4)));
+    let volumes = open_volumes(&grid, &cut.solid_distance);
+    let components = liquid_components(&grid, &cut.open, &volumes, &level);
+    assert_eq!(components.volume.len(), 2);
+    assert_eq!(components.enclosed, [false; 2]);
+    let whole: f64 = level
+        .iter()
+        .map(|&phi| filled(phi) * grid.cell_volume())
+        .sum();
+    close(components.volume.iter().sum(), whole, 1e-12);
+    let mut targets = [1.0, 2.0];
+    balance(7.0, &components.volume, &mut targets);
+    close(targets.iter().sum(), 7.0, 1e-14);
+    let full = liquid_components(&grid, &cut.open, &volumes, &vec![-1.0; grid.n_cells()]);
+    assert_eq!((full.enclosed, full.volume.len()), (vec![true], 1));
+}
+
+#[test]
+fn the_shift_restores_the_volume_of_each_component() {
+    let grid = grid([8, 12, 8]);
+    let cut = without_bodies(&grid);
+    let volumes = open_volumes(&grid, &cut.solid_distance);
+    let mut distance = field(&grid, |x| DX * (x.y - 6.2));
+    let measure = |distance: &[f64]| {
+        let level: Vec<f64> = distance.iter().map(|phi| phi / DX).collect();
+        liquid_components(&grid, &cut.open, &volumes, &level)
+    };
+    let target = 64.0 * 6.6 * grid.cell_volume();
+    for _ in 0..200 {
+        let components = measure(&distance);
+        volume_shift(
+            &grid,
+            &volumes,
+            &components,
+            &[target],
+            [0.1, 0.02],
+            &mut distance,
+        );
+    }
+    let volume = measure(&distance).volume[0];
+    close(volume / target, 1.0, 0.0051);
+    // Enclosed liquid does not move.
+    let components = Components {
+        enclosed: vec![true],
+        ..measure(&distance)
+    };
+    let shifts = volume_shift(
+        &grid,
+        &volumes,
+        &components,
+        &[9.0],
+        [0.1, 0.02],
+        &mut distance,
+    );
+    assert_eq!(shifts, [0.0]);
+}
+
+#[test]
+fn crowded_markers_are_an_excess() {
+    let grid = grid([8, 12, 8]);
+    let cut = without_bodies(&grid);
+    let cells = LevelCells {
+        grid: &grid,
+        cut: &cut,
+    };
+    let level = field(&grid, |x| x.y - 8.2);
+    let volumes = open_volumes(&grid, &cut.solid_distance);
+    let components = liquid_components(&grid, &cut.open, &volumes, &level);
+    for (f, e) in [(1.0, 0.0), (1.05, 0.0), (1.3, 0.24), (0.6, -0.34)] {
+        let e_of = excess(cells, &components, &vec![f; level.len()], &level);
+        for (cell, &phi) in level.iter().enumerate() {
+            match phi < 0.0 && phi > -4.0 {
+                true => close(e_of[cell], e, 1e-12),
+                false => assert!(phi < 0.0 || e_of[cell] == 0.0),
+            }
+        }
+    }
+}
+
+#[test]
+fn the_band_seeds_what_enters_it_and_deletes_what_leaves() {
+    let grid = grid([8, 16, 8]);
+    let distance = without_bodies(&grid).solid_distance;
+    let level = |height: f64| field(&grid, |x| x.y - height);
+    let positions = first_markers(&grid, &distance, &level(12.0), 5);
+    let rest = faces(&grid, |_| DVec3::ZERO);
+    let mut markers = Markers::default();
+    markers.extend(&grid, &rest, &positions);
+    // The surface falls by 1.5 cells: as many markers enter from below.
+    let numbers = [5, 7];
+    let none = vec![0.0; grid.n_cells()];
+    let levels = Levels {
+        carried: &level(12.0),
+        level: &level(10.5),
+    };
+    let [deleted, seeded] = marker_band(
+        &grid,
+        &distance,
+        levels,
+        &none,
+        numbers,
+        &rest,
+        &mut markers,
+    );
+    assert_eq!(deleted, 0);
+    close(seeded as f64, 64.0 * 1.5 * 8.0, 40.0);
+    let levels = Levels {
+        carried: &level(10.5),
+        level: &level(12.0),
+    };
+    let [deleted, seeded] = marker_band(
+        &grid,
+        &distance,
+        levels,
+        &none,
+        numbers,
+        &rest,
+        &mut markers,
+    );
+    assert_eq!([deleted, seeded], [deleted, 0]);
+    close(deleted as f64, 64.0 * 1.5 * 8.0, 40.0);
+}
+
+#[test]
+fn spray_flies_on_parabolas_and_lands() {
+    let grid = grid([8, 16, 8]);
+    let distance = without_bodies(&grid).solid_distance;
+    let level = field(&grid, |x| DX * (x.y - 4.0));
+    let u = faces(&grid, |_| DVec3::ZERO);
+    let mut markers = Markers {
+        position: vec![[1.0, 2.5, 1.0], [1.0, 0.5, 1.0]],
+        velocity: vec![[0.2, 1.0, 0.0]; 2],
+        spray: vec![true, false],
+    };
+    let gravity = DVec3::new(0.0, -9.81, 0.0);
+    let (dt, steps) = (0.02, 10);
+    for _ in 0..steps {
+        advect_level_markers(
+            &grid,
+            Sides::default(),
+            &u,
+            &distance,
+            (gravity, &Ballistic::NONE),
+            dt,
+            &mut markers,
+        );
+    }
+    let t = dt * f64::from(steps);
+    close(markers.position[0][0], 1.0 + 0.2 * t, 1e-12);
+    close(markers.position[0][1], 2.5 + t - 0.5 * 9.81 * t * t, 1e-12);
+    assert_eq!(markers.position[1], [1.0, 0.5, 1.0]);
+    assert_eq!(spray(&grid, &level, &u, &mut markers), Vec::<usize>::new());
+    markers.position[0][1] = 0.9;
+    assert_eq!(spray(&grid, &level, &u, &mut markers), [0]);
+    assert_eq!(markers.spray, [false; 2]);
+    // Marker 1 now has the velocity of the grid; marker 0 has its own until the next sub-step.
+    assert_eq!(markers.velocity[1], [0.0; 3]);
+}
+
+#[test]
+fn the_first_layer_of_air_continues_the_slope() {
+    let grid = grid([6, 12, 6]);
+    let cut = without_bodies(&grid);
+    let linear = faces(&grid, |x| DVec3::new(0.1 * x.y, 0.0, 0.0));
+    let valid = || {
+        Axis::ALL.map(|axis| {
+            let below = |face| grid.face_at(axis, face)[1] < 6;
+            (0..grid.n_faces(axis)).map(below).collect()
+        })
+    };
+    let face = |j| grid.face(Axis::X, [3, j, 3]);
+    let after = |largest: f64| {
+        let mut u = linear.clone();
+        extrapolate_with_slope(&grid, &cut, None, valid(), (3, largest), &mut u);
+        [u[0][face(6)], u[0][face(7)]]
+    };
+    for value in after(10.0) {
+        close(value, 0.65, 1e-12);
+    }
+    for value in after(0.03) {
+        close(value, 0.58, 1e-12);
+    }
+    for value in after(0.0) {
+        close(value, 0.55, 1e-12);
+    }
+}
+
+fn start(scene: &Scene) -> Reference {
+    let grid = scene.grid();
+    let cut = obstacle_cut(scene, &grid).unwrap();
+    let state = initial_state(scene, &grid, &cut.cut).unwrap();
+    Reference::new(scene, cut, Solids::default(), state).unwrap()
+}
+
+fn pool(level: f64, rest: &str) -> Scene {
+    let region = format!("[[liquid.region]]\nbox = {{ min = [0, 0, 0], max = [1, {level}, 1] }}\n");
+    scene(
+        [12, 14, 12],
+        &format!("surface = \"level\"\n{region}{rest}"),
+    )
+}
+
+#[test]
+fn a_flat_pool_stays_flat() {
+    for level in [0.502, 0.53, 0.54] {
+        let scene = pool(level, "");
+        let mut reference = start(&scene);
+        let before = reference.state().liquid_distance.clone();
+        for _ in 0..50 {
+            let time_step = reference.next_time_step();
+            let report = reference.step(time_step).unwrap();
+            let speed = report.liquid.unwrap().diagnosis.max_speed;
+            assert!(speed <= 0.02 * 9.81 * time_step.dt, "{speed:e}");
+        }
+        let state = reference.state();
+        let dx = scene.grid().dx;
+        for (before, after) in before.iter().zip(&state.liquid_distance) {
+            if before.abs() < dx {
+                close(*after, *before, 0.02 * dx);
+            }
+        }
+        let volume: f64 = state.component_volume.iter().sum();
+        close(volume / state.volume_0, 1.0, 1e-12);
+    }
+}
+
+#[test]
+fn a_run_with_a_level_repeats_and_resumes_bitwise() {
+    let drop = "[[liquid.region]]\nsphere = { centre = [0.5, 0.8, 0.4], radius = 0.2 }\n";
+    let scene = pool(0.4, drop);
+    let run = |reference: &mut Reference, steps: usize| {
+        for _ in 0..steps {
+            reference.step(reference.next_time_step()).unwrap();
+        }
+    };
+    let mut whole = start(&scene);
+    run(&mut whole, 12);
+    let mut first = start(&scene);
+    run(&mut first, 6);
+    let mut second = start(&scene);
+    second.reset(first.state().clone()).unwrap();
+    run(&mut second, 6);
+    assert_eq!(whole.state(), second.state());
+    assert!(whole.state().component_volume.len() == 2 || whole.state().time > 0.1);
+}
