@@ -16,7 +16,7 @@ use vtkio::xml::Compressor;
 
 use super::atomic::{create_folder, write_atomically};
 use super::ply;
-use super::surface::LiquidSurface;
+use super::surface::{DROP_CORNERS, LiquidSurface};
 use crate::Error;
 use crate::elastic::Solids;
 use crate::geometry::{self, CutCells};
@@ -44,6 +44,8 @@ pub struct FrameKinds {
 pub enum SurfaceSource {
     /// The markers.
     Markers(SurfaceMesh),
+    /// A level set outside bodies, and a drop for each marker that flies.
+    Level,
     /// The distance at cell centres of a fixed surface.
     Distance,
 }
@@ -63,7 +65,8 @@ impl FrameKinds {
                 .filter(|_| scene.output.surface)
                 .map(|surface| match surface {
                     Surface::Markers => SurfaceSource::Markers(scene.surface),
-                    Surface::Level | Surface::Fixed => SurfaceSource::Distance,
+                    Surface::Level => SurfaceSource::Level,
+                    Surface::Fixed => SurfaceSource::Distance,
                 }),
         }
     }
@@ -193,7 +196,7 @@ impl FrameWriter {
             .transpose()?;
         let surface = surface
             .as_mut()
-            .map(|(series, source)| Ok((series, surface_of(grid, state, source)?)))
+            .map(|(series, source)| Ok((series, surface_of(grid, state, cut, source)?)))
             .transpose()?;
         for (series, file, extension) in [
             (markers, markers_file, "vtp"),
@@ -253,7 +256,19 @@ pub(super) struct MovingSurface {
     pub(super) velocity: Vec<Vec3>,
 }
 
-fn surface_of(grid: &Grid, state: &State, source: &SurfaceSource) -> Result<MovingSurface, Error> {
+fn surface_of(
+    grid: &Grid,
+    state: &State,
+    cut: &CutCells,
+    source: &SurfaceSource,
+) -> Result<MovingSurface, Error> {
+    let cells = |field: &str, values: &[f64]| {
+        let cells = values.iter().enumerate();
+        let checked =
+            cells.map(|(cell, &value)| finite(state, field, value, || cell_name(grid, cell)));
+        checked.collect::<Result<Vec<f32>, Error>>()
+    };
+    let distance = || cells("liquid_distance", &state.liquid_distance);
     let mesh = match source {
         SurfaceSource::Markers(settings) => {
             let mut markers = Vec::with_capacity(state.markers.len());
@@ -267,15 +282,13 @@ fn surface_of(grid: &Grid, state: &State, source: &SurfaceSource) -> Result<Movi
             }
             LiquidSurface::from_markers(&markers, grid, settings)
         }
-        SurfaceSource::Distance => {
-            let cells = state.liquid_distance.iter().enumerate();
-            let distance = cells.map(|(cell, &phi)| {
-                finite(state, "liquid_distance", phi, || cell_name(grid, cell))
-            });
-            LiquidSurface::from_distance(&distance.collect::<Result<Vec<f32>, Error>>()?, grid)
+        SurfaceSource::Level => {
+            let solid_distance = cells("solid_distance", &cut.solid_distance)?;
+            LiquidSurface::from_level(&distance()?, &solid_distance, grid)
         }
+        SurfaceSource::Distance => LiquidSurface::from_distance(&distance()?, grid),
     };
-    let mesh = mesh.map_err(|problem| Error::Stage {
+    let mut mesh = mesh.map_err(|problem| Error::Stage {
         stage: "write_frame",
         step: state.step,
         problem: format!("no mesh of the liquid's surface: {problem}"),
@@ -290,6 +303,24 @@ fn surface_of(grid: &Grid, state: &State, source: &SurfaceSource) -> Result<Movi
         }
         velocity.push(u);
     }
+    let flying = (0..state.spray.len()).filter(|&marker| state.spray[marker]);
+    let mut drops = Vec::new();
+    for marker in flying {
+        let place = || format!("marker {marker}");
+        let (mut x, mut u) = (Vec3::ZERO, Vec3::ZERO);
+        for axis in 0..3 {
+            x[axis] = finite(state, "position", state.markers[marker][axis], place)?;
+            u[axis] = finite(
+                state,
+                "velocity",
+                state.marker_velocity[marker][axis],
+                place,
+            )?;
+        }
+        drops.push(x);
+        velocity.extend([u; DROP_CORNERS]);
+    }
+    mesh.add_spray(&drops, grid);
     Ok(MovingSurface { mesh, velocity })
 }
 
@@ -327,7 +358,8 @@ fn polygons(triangles: &[[u32; 3]]) -> VertexNumbers {
     }
 }
 
-/// Marker positions (m) as points, with point data `velocity` (m/s, trilinear from the faces) and `speed`.
+/// Marker positions (m) as points, with point data `velocity` (m/s, of spray its own, else trilinear from the faces), `speed`, and with a level `spray`
+/// (1 for markers that fly).
 fn markers_file(grid: &Grid, state: &State) -> Result<DataSet, Error> {
     let n = state.markers.len();
     let mut points = Vec::with_capacity(3 * n);
@@ -340,13 +372,24 @@ fn markers_file(grid: &Grid, state: &State) -> Result<DataSet, Error> {
         for x in position {
             points.push(finite(state, "position", x, place)?);
         }
-        let u = grid.velocity_at(&state.velocity, x);
+        let u = match state.spray.get(marker) {
+            Some(true) => state.marker_velocity[marker].into(),
+            _ => grid.velocity_at(&state.velocity, x),
+        };
         for u in u.to_array() {
             velocity.push(finite(state, "velocity", u, place)?);
         }
         speed.push(finite(state, "speed", u.length(), place)?);
     }
     let n = n as u64;
+    let mut point = vec![
+        vectors("velocity", velocity),
+        scalars("speed", speed.into()),
+    ];
+    if !state.spray.is_empty() {
+        let spray: Vec<u8> = state.spray.iter().map(|&spray| spray.into()).collect();
+        point.push(scalars("spray", spray.into()));
+    }
     let piece = PolyDataPiece {
         points: points.into(),
         verts: Some(VertexNumbers::XML {
@@ -354,10 +397,7 @@ fn markers_file(grid: &Grid, state: &State) -> Result<DataSet, Error> {
             offsets: (1..=n).collect(),
         }),
         data: Attributes {
-            point: vec![
-                vectors("velocity", velocity),
-                scalars("speed", speed.into()),
-            ],
+            point,
             cell: Vec::new(),
         },
         ..Default::default()

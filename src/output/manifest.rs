@@ -10,6 +10,7 @@ use sha2::{Digest, Sha256};
 use super::atomic::write_atomically;
 use super::frames::FrameKinds;
 use crate::Error;
+use crate::effects::Effects;
 use crate::elastic::Solids;
 use crate::geometry::SourceFlow;
 use crate::scene::{Camera, CameraCut, CameraKeyframe, Probe, Scene, Surface, SurfaceMesh};
@@ -45,6 +46,9 @@ pub struct Manifest {
     pub markers: bool,
     /// Whether frames have VTI fields.
     pub fields: bool,
+    /// Whether the surface of the liquid is a level set: pictures show its zero level, not the markers.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub level: bool,
     /// Whether frames have surfaces.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub surfaces: bool,
@@ -386,6 +390,7 @@ impl Manifest {
             obstacles: !scene.obstacles.is_empty(),
             markers,
             fields,
+            level: Effects::of(scene).level,
             surfaces: surface.is_some(),
             surface: liquid.map(|_| SurfaceRecord::from(&scene.surface)),
             sources: Vec::new(),

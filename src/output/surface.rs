@@ -112,6 +112,34 @@ impl LiquidSurface {
         Ok(LiquidSurface::finish(mesh, grid, 0))
     }
 
+    /// Zero level of a level set outside bodies: of the larger of the liquid distance and minus the distance to bodies (m), so that it
+    /// lies against them.
+    pub(super) fn from_level(
+        distance: &[f32],
+        solid_distance: &[f32],
+        grid: &Grid,
+    ) -> Result<LiquidSurface, SurfaceError> {
+        let pairs = distance.iter().zip(solid_distance);
+        let outside: Vec<f32> = pairs.map(|(&phi, &solid)| phi.max(-solid)).collect();
+        LiquidSurface::from_distance(&outside, grid)
+    }
+
+    /// Adds a drop at each of the centres (m), a regular icosahedron of an eighth of a cell, within the walls.
+    pub(super) fn add_spray(&mut self, centres: &[Vec3], grid: &Grid) {
+        let (size, radius) = (grid.size().as_vec3(), DROP_RADIUS * grid.dx as f32);
+        let centred = |centre: Vec3| centre.min(size - radius).max(Vec3::splat(radius));
+        for centre in centres.iter().map(|&centre| centred(centre)) {
+            let first = self.vertices.len() as u32;
+            let corners = icosahedron();
+            self.vertices
+                .extend(corners.map(|normal| centre + radius * normal));
+            self.normals.extend(corners);
+            let triangles = ICOSAHEDRON.iter();
+            self.triangles
+                .extend(triangles.map(|of| of.map(|corner| first + corner)));
+        }
+    }
+
     /// Sorts, clamps to the walls, removes degenerate triangles and smooths.
     fn finish(mesh: TriMesh3d<f32>, grid: &Grid, smoothing: u32) -> LiquidSurface {
         let mesh = sorted(mesh);
@@ -139,6 +167,50 @@ impl LiquidSurface {
             triangles,
         }
     }
+}
+
+/// Corners of a drop.
+pub(super) const DROP_CORNERS: usize = 12;
+
+/// Radius of an icosahedron's corners with the volume of a marker, an eighth of a cell: the volume is 2.536151 times its cube. Cells.
+const DROP_RADIUS: f32 = 0.366_644;
+
+/// Corners of the triangles of an icosahedron, counter-clockwise seen from outside.
+const ICOSAHEDRON: [[u32; 3]; 20] = [
+    [0, 2, 8],
+    [0, 9, 2],
+    [0, 4, 6],
+    [0, 8, 4],
+    [0, 6, 9],
+    [1, 10, 3],
+    [1, 3, 11],
+    [1, 6, 4],
+    [1, 4, 10],
+    [1, 11, 6],
+    [2, 7, 5],
+    [2, 5, 8],
+    [2, 9, 7],
+    [3, 5, 7],
+    [3, 10, 5],
+    [3, 7, 11],
+    [4, 8, 10],
+    [5, 10, 8],
+    [6, 11, 9],
+    [7, 9, 11],
+];
+
+/// Corners of an icosahedron on the unit sphere: cyclic permutations of (0, +-1, +-the golden ratio).
+fn icosahedron() -> [Vec3; DROP_CORNERS] {
+    let (one, ratio) = (0.525_731_1, 0.850_650_8);
+    std::array::from_fn(|number| {
+        let sign = |bit: usize| if number >> bit & 1 == 0 { 1.0 } else { -1.0 };
+        let (short, long) = (one * sign(1), ratio * sign(0));
+        match number / 4 {
+            0 => Vec3::new(0.0, short, long),
+            1 => Vec3::new(short, long, 0.0),
+            _ => Vec3::new(long, 0.0, short),
+        }
+    })
 }
 
 /// Whether a triangle lies in a wall of the domain.

@@ -201,7 +201,7 @@ fn frame_kinds(scene: &Scene, kinds: &FrameKinds) -> Vec<(&'static str, bool, Fr
     if let Some(liquid) = &scene.liquid {
         let (markers, surface) = match liquid.surface {
             Surface::Markers => (true, SurfaceSource::Markers(scene.surface)),
-            Surface::Level => (true, SurfaceSource::Distance),
+            Surface::Level => (true, SurfaceSource::Level),
             Surface::Fixed => (false, SurfaceSource::Distance),
         };
         if markers {

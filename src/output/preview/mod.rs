@@ -305,7 +305,11 @@ fn frame_files(folder: &Path, manifest: &Manifest) -> Result<BTreeMap<u64, Frame
     // File name before and after the number.
     let liquid = match manifest {
         Manifest { surfaces: true, .. } => Some((format!("{name}_surface_"), "vtp")),
-        Manifest { markers: true, .. } => Some((format!("{name}_"), "vtp")),
+        Manifest {
+            markers: true,
+            level: false,
+            ..
+        } => Some((format!("{name}_"), "vtp")),
         Manifest { fields: true, .. } => Some((format!("{name}_"), "vti")),
         _ => None,
     };
@@ -445,11 +449,47 @@ fn read_surface(path: &Path, manifest: &Manifest) -> Result<LiquidSurface, Error
                 array(&piece.data.cell, "liquid_distance").and_then(IOBuffer::into_vec::<f32>);
             let phi = phi.filter(|phi| phi.len() == grid.n_cells());
             let phi = phi.ok_or_else(|| missing("liquid_distance for every cell"))?;
-            LiquidSurface::from_distance(&phi, &grid)
+            if !manifest.level {
+                LiquidSurface::from_distance(&phi, &grid)
+            } else {
+                let solid = array(&piece.data.cell, "solid_distance");
+                let solid = solid.and_then(IOBuffer::into_vec::<f32>);
+                let solid = solid.filter(|solid| solid.len() == grid.n_cells());
+                let solid = solid.ok_or_else(|| missing("solid_distance for every cell"))?;
+                let surface = LiquidSurface::from_level(&phi, &solid, &grid);
+                let spray = match manifest.markers {
+                    true => read_spray(&path.with_extension("vtp"))?,
+                    false => Vec::new(),
+                };
+                surface.map(|mut surface| {
+                    surface.add_spray(&spray, &grid);
+                    surface
+                })
+            }
         }
         _ => return Err(missing("markers or fields")),
     };
     surface.map_err(|problem| unreadable(path, format!("no surface: {problem}")))
+}
+
+/// Positions of the markers that fly, m.
+fn read_spray(path: &Path) -> Result<Vec<Vec3>, Error> {
+    let missing = |what: &str| unreadable(path, format!("no {what}"));
+    let DataSet::PolyData { pieces, .. } = read_vtk(path)? else {
+        return Err(missing("markers"));
+    };
+    let Some(Piece::Inline(piece)) = pieces.into_iter().next() else {
+        return Err(missing("inline data"));
+    };
+    let spray = array(&piece.data.point, "spray").and_then(IOBuffer::into_vec::<u8>);
+    let spray = spray.ok_or_else(|| missing("spray"))?;
+    let points = points(piece.points).filter(|points| points.len() == spray.len());
+    let points = points.ok_or_else(|| missing("f32 points"))?;
+    let markers = points.into_iter().zip(spray);
+    Ok(markers
+        .filter(|(_, flies)| *flies != 0)
+        .map(|(x, _)| x)
+        .collect())
 }
 
 /// The stored mesh, if it is consistent.
