@@ -29,7 +29,7 @@ fn wholeness(axis: u32, quad: u32) -> vec4<f32> {
     let face = 4u * (axis * level.quads + quad);
     let fractions = vec4<f32>(open[face], open[face + 1u], open[face + 2u], open[face + 3u]);
     let slivers = bit_lanes(slivers_of(quad) >> (4u * axis));
-    return select(vec4<f32>(1.0), max(2.0 / SLIVER * fractions - 1.0, vec4<f32>()), slivers);
+    return select(vec4<f32>(1.0), blended_part(fractions), slivers);
 }
 @group(0) @binding(9) var<storage, read> flags: array<u32>;
 

@@ -1,9 +1,8 @@
-// Stage closed_components: joins the trees across the faces that the first labels left out (union-find with atomicMin, Komura
-// 2015, Playne and Hawick 2018). Most such faces close a square of which the other three are faces with weight, and join nothing new.
+// Stage closed_components: joins the trees across the faces that the first labels left out (see join). Most such faces close a square of which the other three are faces with weight, and join nothing new.
 // level: level 0. list, args, flags: active quads. matrix: see level. labels: in and out, see components.
 #import dispatch
 #import edges
-#import find
+#import join
 
 @group(0) @binding(0) var<uniform> level: Level;
 @group(0) @binding(1) var<storage, read> list: array<u32>;
@@ -11,25 +10,6 @@
 @group(0) @binding(3) var<storage, read> flags: array<u32>;
 @group(0) @binding(4) var<storage, read> matrix: array<Real4>;
 @group(0) @binding(5) var<storage, read_write> labels: array<atomic<u32>>;
-
-fn join(a: u32, b: u32) {
-    var low = a;
-    var high = b;
-    loop {
-        let roots = vec2<u32>(find(low), find(high));
-        low = min(roots.x, roots.y);
-        high = max(roots.x, roots.y);
-        if low == high {
-            return;
-        }
-        let before = atomicMin(&labels[high], low);
-        if before == high {
-            return;
-        }
-        // Another thread was quicker and hung the root below another cell, which now has to be joined instead.
-        high = before;
-    }
-}
 
 @compute @workgroup_size(WG_SIZE)
 fn components_merge(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {

@@ -4,6 +4,7 @@
 // quad of the band.
 // level. band_args, band_list: the band. valid_in, valid_out: see valid. velocity: faces, m/s, in place.
 #import dispatch
+#import face_marks
 #import layout
 #import lanes
 #import valid
@@ -14,27 +15,6 @@
 @group(0) @binding(3) var<storage, read> valid_in: array<u32>;
 @group(0) @binding(4) var<storage, read_write> valid_out: array<u32>;
 @group(0) @binding(5) var<storage, read_write> velocity: array<f32>;
-
-// The first and the last lane of each axis.
-const FIRST = 0x111u;
-const LAST = 0x888u;
-
-// The marks one face before and after each lane, from those of the quads and of the quads before or after them.
-fn before(here: vec4<u32>, previous: vec4<u32>) -> vec4<u32> {
-    return (here << vec4<u32>(1u) & vec4<u32>(~FIRST)) | (previous >> vec4<u32>(3u) & vec4<u32>(FIRST));
-}
-fn after(here: vec4<u32>, next: vec4<u32>) -> vec4<u32> {
-    return (here >> vec4<u32>(1u) & vec4<u32>(~LAST)) | (next << vec4<u32>(3u) & vec4<u32>(LAST));
-}
-
-fn marks(quads: vec4<u32>, exist: vec4<bool>) -> vec4<u32> {
-    let words = vec4<u32>(valid_in[quads.x], valid_in[quads.y], valid_in[quads.z], valid_in[quads.w]);
-    return select(vec4<u32>(), words & vec4<u32>(VALID), exist);
-}
-
-fn any_of(marks: vec4<u32>) -> u32 {
-    return marks.x | marks.y | marks.z | marks.w;
-}
 
 // Sum and number of the marked ones of four faces. The others read `own`, which no other thread writes.
 fn sum_of(marks: vec4<u32>, bit: u32, faces: vec4<u32>, own: u32) -> vec2<f32> {
@@ -60,11 +40,7 @@ fn extrapolate_layer(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local
     }
     let cell = quad_cell(level, quad);
     let n = vec3<i32>(level.cells);
-    // Faces that exist; rows and slabs of spare cells would lead to other rows and slabs.
-    let exist = lane_bits(lanes_inside(cell, face_extents(level, 0u)))
-        | lane_bits(lanes_inside(cell, face_extents(level, 1u))) << 4u
-        | lane_bits(lanes_inside(cell, face_extents(level, 2u))) << 8u;
-    let wanted = exist & ~here;
+    let wanted = faces_inside(cell) & ~here;
     let has_before = cell.x > 0;
     let has_after = cell.x + 4 <= n.x;
     let below = cell.y > 0;
@@ -76,10 +52,10 @@ fn extrapolate_layer(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local
     let across_exist = vec4<bool>(below, above, below, above);
     let beside_quads = vec4<u32>(quad - y, quad + y, quad - z, quad + z);
     let across_quads = vec4<u32>(quad - y - z, quad + y - z, quad - y + z, quad + y + z);
-    let ends = marks(vec4<u32>(quad - 1u, quad + 1u, quad, quad), vec4<bool>(has_before, has_after, false, false));
-    let row = vec4<u32>(before(vec4<u32>(here), ends.xxxx).x, after(vec4<u32>(here), ends.yyyy).x, 0u, 0u);
-    let beside = marks(beside_quads, beside_exist);
-    let by_side = (any_of(row) | any_of(beside)) & wanted;
+    let sides = sides_of(quad, cell, here);
+    let row = sides.row;
+    let beside = sides.beside;
+    let by_side = any_of(row | beside) & wanted;
     var beside_before = vec4<u32>();
     var beside_after = vec4<u32>();
     var across = vec4<u32>();

@@ -1,5 +1,5 @@
 // band, last of three: flags of the quads whose tile enters or leaves the band.
-// Quads that leave are reset to air: liquid distance + dx, no valid face. Their velocity remains until write_back,
+// Quads that leave are reset to air: liquid distance + dx, with a level + 5 dx, no valid face. Their velocity remains until write_back,
 // since advection may read it. Clears the marks for the next sub-step. One thread per slab of a tile, eight rows of
 // two quads.
 // level, step, tiles. dilated: see tiles. marks: per tile. band_flags: per quad, 0 or 1, in place. liquid_distance:
@@ -41,8 +41,8 @@ fn flag_band(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocat
         let row = (level.stride_z * (z + 1u) + level.stride_y * y) / 2u + tile.x;
         band_flags[row] = vec2<u32>(word & NOW);
         if word == BEFORE {
-            liquid_distance[2u * row] = vec4<f32>(step.dx);
-            liquid_distance[2u * row + 1u] = vec4<f32>(step.dx);
+            liquid_distance[2u * row] = vec4<f32>(f32(tiles.air) * step.dx);
+            liquid_distance[2u * row + 1u] = vec4<f32>(f32(tiles.air) * step.dx);
             valid[row] &= vec2<u32>(~VALID);
             valid_next[row] &= vec2<u32>(~VALID);
         }

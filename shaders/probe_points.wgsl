@@ -4,6 +4,7 @@
 // One thread per probe.
 // level, step. points: see probe_point. liquid_distance: m. flags: see active. potential: m/s. velocity: faces, m/s.
 // values: m, Pa or m/s along x, y, z, four words per probe, after those of the fronts.
+#import corner
 #import dispatch
 #import layout
 #import step
@@ -21,21 +22,6 @@
 @group(0) @binding(6) var<storage, read> velocity: array<f32>;
 @group(0) @binding(7) var<storage, read_write> values: array<vec4<f32>>;
 
-// The cells around a position: the lowest one, and the fractions towards its upper neighbours.
-struct Corner {
-    low: u32,
-    f: vec3<f32>,
-}
-
-// at: position in cells, clamped to the range of the centres.
-fn corner(at: vec3<f32>) -> Corner {
-    let top = vec3<f32>(level.cells) - 1.0;
-    let index = clamp(at - 0.5, vec3<f32>(), top);
-    let low = min(floor(index), max(top - 1.0, vec3<f32>()));
-    let cell = vec3<u32>(low);
-    return Corner(4u * (level.stride_z * (cell.z + 1u) + level.stride_y * cell.y) + cell.x, index - low);
-}
-
 // Index and weight of one of the eight cells.
 fn corner_cell(corner: Corner, c: u32) -> u32 {
     return corner.low + (c & 1u) + 4u * (level.stride_y * (c >> 1u & 1u) + level.stride_z * (c >> 2u));
@@ -50,7 +36,7 @@ fn corner_weight(corner: Corner, c: u32) -> f32 {
 fn distance_in_row(at: vec3<f32>, axis: u32, j: u32) -> f32 {
     var centre = at;
     centre[axis] = f32(j) + 0.5;
-    let corner = corner(centre);
+    let corner = centres_around(centre);
     var sum = 0.0;
     for (var c = 0u; c < 8u; c++) {
         let weight = corner_weight(corner, c);
@@ -82,7 +68,7 @@ fn pressure(at: vec3<f32>) -> f32 {
     if step.dt <= 0.0 {
         return 0.0;
     }
-    let corner = corner(at);
+    let corner = centres_around(at);
     var sum = Real();
     var weights = Real();
     for (var c = 0u; c < 8u; c++) {

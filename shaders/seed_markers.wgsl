@@ -4,6 +4,7 @@
 // level, step. source_step: state of the sources. cells: x, y, z and word (see source_step) of each. starts: new
 // markers in earlier cells. report: their number. markers: x, y, z (m), w = 1 alive, 0 deleted.
 #import dispatch
+#import hash
 #import layout
 #import step
 #import report
@@ -19,12 +20,6 @@
 
 // Margin without jitter on each side, as a fraction of an eighth's edge.
 const MARGIN = 0.02;
-
-fn scatter(bits: u32) -> u32 {
-    var x = (bits ^ (bits >> 16u)) * 0x7feb352du;
-    x = (x ^ (x >> 15u)) * 0x846ca68bu;
-    return x ^ (x >> 16u);
-}
 
 // The eighth with an index among those of the set.
 fn nth(eighths: u32, number: u32) -> u32 {

@@ -78,6 +78,22 @@ impl State {
         }
     }
 
+    /// Positions (m) and velocities (m/s) of the markers that fly.
+    pub fn flying(&self) -> impl Iterator<Item = ([f64; 3], [f64; 3])> {
+        let markers = self.markers.iter().zip(&self.marker_velocity);
+        let flying = markers.zip(&self.spray).filter(|(_, spray)| **spray);
+        flying.map(|((&x, &v), _)| (x, v))
+    }
+
+    /// Whether the state has what a level needs: a velocity for each marker, and the components of the cells.
+    pub fn fits_level(&self, grid: &Grid) -> bool {
+        let markers = [self.marker_velocity.len(), self.spray.len()];
+        let labels = self.component.iter().copied().max().unwrap_or_default() as usize;
+        markers == [self.markers.len(); 2]
+            && self.component.len() == grid.n_cells()
+            && labels <= self.component_volume.len()
+    }
+
     /// A state at rest without liquid.
     pub fn at_rest(grid: &Grid) -> State {
         State {

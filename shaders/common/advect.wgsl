@@ -1,77 +1,21 @@
-// Per face at x, u*(x) = u(x - dt u(x - dt/2 u(x))): semi-Lagrangian with the midpoint rule (Stam 1999), trilinear,
-// for the 12 minus faces of a quad.
-// Ballistic liquid departs from g dt^2 / 2 higher up, see ballistic.
-// The importing kernel declares the variables of ballistic, velocity (faces, m/s), velocity_quads (the same as vec4),
-// makes(axis, quad): the lanes to compute, and put(axis, quad, made, result): storage of u*, m/s.
-#import ballistic
+// Per face at x, u*(x) = u(x - dt u(x - dt/2 u(x))), trilinear, for the 12 minus faces of a quad (see advect_quad).
+// The importing kernel declares the variables of advect_quad, makes(axis, quad): the lanes to compute, and put(axis, quad,
+// made, result): storage of u*, m/s.
+#import advect_quad
 #import layout
 #import lanes
-#import step
-#import sample_velocity
 
-// Faces of an axis: own component u, the other two as means over the cells on both sides, m/s.
 fn advect(axis: u32, quad: u32, cell: vec3<i32>, u: vec4<f32>, v: vec4<f32>, w: vec4<f32>) {
     let made = makes(axis, quad);
-    let exists = made & lanes_inside(cell, face_extents(level, axis));
-    // Without motion the face is unchanged; most of the band is air at rest.
-    let moves = exists & ((u != vec4<f32>()) | (v != vec4<f32>()) | (w != vec4<f32>()));
+    let moves = made & moving(axis, cell, u, v, w);
     var result = vec4<f32>();
     if any(moves) {
-        let centre = vec3<f32>(cell) + select(vec3<f32>(0.5), vec3<f32>(), vec3<u32>(axis) == vec3<u32>(0u, 1u, 2u));
-        let way = step.dt * step.inv_dx;
         for (var l = 0u; l < 4u; l++) {
             if moves[l] {
-                let at = centre + vec3<f32>(f32(l), 0.0, 0.0);
-                let middle = at - 0.5 * way * vec3<f32>(u[l], v[l], w[l]);
-                var origin = at - way * sample_velocity(middle);
-                if is_ballistic(origin - fall()) {
-                    origin -= fall();
-                }
+                let origin = departure(face_at(axis, cell, l), vec3<f32>(u[l], v[l], w[l]));
                 result[l] = sample_face(axis, origin);
             }
         }
     }
     put(axis, quad, made, result);
-}
-
-fn advect_quad(quad: u32) {
-    let cell = quad_cell(level, quad);
-    let x = quad;
-    let y = level.quads + quad;
-    let z = 2u * level.quads + quad;
-    let sy = level.stride_y;
-    let sz = level.stride_z;
-    // Twice the velocity at the cell centres, here and one cell before along each axis.
-    let u = velocity_quads[x];
-    let v = velocity_quads[y];
-    let w = velocity_quads[z];
-    let cu = u + shift_down(u, velocity_quads[x + 1u]);
-    let cv = v + velocity_quads[y + sy];
-    let cw = w + velocity_quads[z + sz];
-    let cv_x = shift_up(velocity_quads[y - 1u] + velocity_quads[y + sy - 1u], cv);
-    let cw_x = shift_up(velocity_quads[z - 1u] + velocity_quads[z + sz - 1u], cw);
-    let u_y = velocity_quads[x - sy];
-    let cu_y = u_y + shift_down(u_y, velocity_quads[x - sy + 1u]);
-    let cw_y = velocity_quads[z - sy] + velocity_quads[z - sy + sz];
-    let u_z = velocity_quads[x - sz];
-    let cu_z = u_z + shift_down(u_z, velocity_quads[x - sz + 1u]);
-    let cv_z = velocity_quads[y - sz] + velocity_quads[y - sz + sy];
-    // On a wall the single adjacent cell counts twice.
-    let n = vec3<i32>(level.cells);
-    let lanes = vec4<i32>(cell.x) + LANES;
-    let low = lanes == vec4<i32>();
-    let high = lanes == vec4<i32>(n.x);
-    advect(0u, quad, cell, u,
-        0.25 * (select(cv, cv_x, high) + select(cv_x, cv, low)),
-        0.25 * (select(cw, cw_x, high) + select(cw_x, cw, low)));
-    let low_y = cell.y == 0;
-    let high_y = cell.y == n.y;
-    advect(1u, quad, cell,
-        0.25 * (select(cu, cu_y, high_y) + select(cu_y, cu, low_y)), v,
-        0.25 * (select(cw, cw_y, high_y) + select(cw_y, cw, low_y)));
-    let low_z = cell.z == 0;
-    let high_z = cell.z == n.z;
-    advect(2u, quad, cell,
-        0.25 * (select(cu, cu_z, high_z) + select(cu_z, cu, low_z)),
-        0.25 * (select(cv, cv_z, high_z) + select(cv_z, cv, low_z)), w);
 }

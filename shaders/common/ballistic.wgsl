@@ -31,3 +31,25 @@ fn is_ballistic(at: vec3<f32>) -> bool {
     }
     return found == 1u;
 }
+
+// Distance from a plane of cell centres below which a position has the cells of both sides around it, cells.
+const BESIDE_PLANE = 1e-3;
+
+// The same for positions that may be on planes of cell centres, where rounding must not decide: the cells on both sides
+// of such a plane count.
+fn is_ballistic_about(at: vec3<f32>) -> bool {
+    if step.n_markers == 0u || kind_of(vec3<i32>(floor(at))) == 2u {
+        return false;
+    }
+    let low = vec3<i32>(floor(at - (0.5 + BESIDE_PLANE)));
+    let high = vec3<i32>(floor(at - (0.5 - BESIDE_PLANE))) + 1;
+    var found = 0u;
+    for (var z = low.z; z <= high.z; z++) {
+        for (var y = low.y; y <= high.y; y++) {
+            for (var x = low.x; x <= high.x; x++) {
+                found |= kind_of(vec3<i32>(x, y, z));
+            }
+        }
+    }
+    return found == 1u;
+}

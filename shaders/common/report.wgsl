@@ -6,7 +6,7 @@ const DIVERGENCE = 3u;
 // Sums, each as an f32 and its remainder: volume, potential energy; momentum along x, y, z, kinetic energy.
 const VOLUME = 4u;
 const MOMENTUM = 8u;
-// The following words exist only with sources, sinks or open sides. Markers that have left or been deleted in sinks
+// The following words exist only with sources, sinks, open sides or a level. Markers that have left or been deleted in sinks
 // since the state was written; those of this sub-step, until they are added to the former; their last numbers.
 const GONE = 16u;
 const LEAVING = 17u;
@@ -17,3 +17,10 @@ const SUNK_NOW = 20u;
 const EMITTED_NOW = 21u;
 const FILLED_NOW = 22u;
 const ROOM = 23u;
+// The following words exist only with a level. Numbers of markers in this sub-step: spray after it has moved, spray lost on the way, markers
+// deleted below the band, seeded ones, and seeds without a slot.
+const FLYING_NOW = 24u;
+const LOST_SPRAY_NOW = 25u;
+const DELETED_NOW = 26u;
+const SEEDED_NOW = 27u;
+const MISSING_NOW = 28u;

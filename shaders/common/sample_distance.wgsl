@@ -1,18 +1,15 @@
 // Trilinear interpolation of a cell-centred distance and the exact gradient of the interpolant, clamped to the range
 // of the cells. The importing kernel declares level: Layout and distances: array<f32>, m.
+#import corner
 #import layout
 
 // at: position in cells, x / dx. Returns the distance, m, and its gradient per cell, m.
 fn sample_distance(at: vec3<f32>) -> vec4<f32> {
-    let top = vec3<f32>(level.cells) - 1.0;
-    let index = clamp(at - 0.5, vec3<f32>(), top);
-    let low = min(floor(index), max(top - 1.0, vec3<f32>()));
-    let f = index - low;
-    let base = vec3<u32>(low);
+    let corner = centres_around(at);
+    let f = corner.f;
     let row = 4u * level.stride_y;
-    let slab = 4u * level.stride_z;
-    let i = slab * (base.z + 1u) + row * base.y + base.x;
-    let k = i + slab;
+    let i = corner.low;
+    let k = i + 4u * level.stride_z;
     // The gradient across a grid one cell thick is zero.
     let thick = vec3<f32>(level.cells > vec3<u32>(1u));
     let a = vec4<f32>(distances[i], distances[i + row], distances[k], distances[k + row]);

@@ -1,18 +1,15 @@
 // Trilinear samples of the face velocities, clamped to the range of the faces of each axis. The importing kernel
 // declares level: Layout and velocity: array<f32>, the x, y and z faces one after another, m/s.
+#import corner
 #import layout
 
 // at: position in cells, x / dx.
 fn sample_face(axis: u32, at: vec3<f32>) -> f32 {
-    let shift = select(vec3<f32>(0.5), vec3<f32>(), vec3<u32>(axis) == vec3<u32>(0u, 1u, 2u));
-    let top = vec3<f32>(level.cells) - 2.0 * shift;
-    let index = clamp(at - shift, vec3<f32>(), top);
-    let low = min(floor(index), max(top - 1.0, vec3<f32>()));
-    let f = index - low;
-    let base = vec3<u32>(low);
+    let corner = faces_around(axis, at);
+    let f = corner.f;
     let row = 4u * level.stride_y;
     let slab = 4u * level.stride_z;
-    let i = 4u * axis * level.quads + slab * (base.z + 1u) + row * base.y + base.x;
+    let i = 4u * axis * level.quads + corner.low;
     let near = mix(mix(velocity[i], velocity[i + 1u], f.x), mix(velocity[i + row], velocity[i + row + 1u], f.x), f.y);
     let k = i + slab;
     let far = mix(mix(velocity[k], velocity[k + 1u], f.x), mix(velocity[k + row], velocity[k + row + 1u], f.x), f.y);

@@ -18,6 +18,11 @@ fn slivers_of(quad: u32) -> u32 {
     return slivers;
 }
 
+// Weight of blended velocities in the advection of small-aperture faces with these apertures.
+fn blended_part(fractions: vec4<f32>) -> vec4<f32> {
+    return max(2.0 / SLIVER * fractions - 1.0, vec4<f32>());
+}
+
 // Index of the face of a bit.
 fn sliver_face(quad: u32, bit: u32) -> u32 {
     return 4u * (bit / 4u * level.quads + quad) + bit % 4u;

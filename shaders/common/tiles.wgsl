@@ -3,6 +3,12 @@ struct Tiles {
     n: vec3<u32>,
     // Tiles by which the band extends beyond tiles with liquid.
     reach: u32,
+    // Distance of air from the surface outside the band, cells.
+    air: u32,
+    // Cells by which liquid may move in a sub-step.
+    moves: u32,
+    pad_0: u32,
+    pad_1: u32,
 }
 
 // Cells along the edge of a tile: two quads.

@@ -9,12 +9,15 @@ fn inside_walls(x: vec3<f32>, step: Step) -> vec3<f32> {
     return clamp(x, gap, step.size - gap);
 }
 
-// Whether a point is beyond an open side: bits 0 to 5 of step.open_sides are -x, +x, -y, +y, -z, +z.
+// The axes whose minus (0) or plus (1) side is open: bits 0 to 5 of step.open_sides are -x, +x, -y, +y, -z, +z.
+fn open_sides(step: Step, side: u32) -> vec3<bool> {
+    return (vec3<u32>(step.open_sides) >> (vec3<u32>(0u, 2u, 4u) + side) & vec3<u32>(1u)) != vec3<u32>();
+}
+
+// Whether a point is beyond an open side.
 fn beyond_open_side(x: vec3<f32>, step: Step) -> bool {
     if step.open_sides == 0u {
         return false;
     }
-    let low = (vec3<u32>(step.open_sides) >> vec3<u32>(0u, 2u, 4u) & vec3<u32>(1u)) != vec3<u32>();
-    let high = (vec3<u32>(step.open_sides) >> vec3<u32>(1u, 3u, 5u) & vec3<u32>(1u)) != vec3<u32>();
-    return any((low & (x < vec3<f32>())) | (high & (x > step.size)));
+    return any((open_sides(step, 0u) & (x < vec3<f32>())) | (open_sides(step, 1u) & (x > step.size)));
 }

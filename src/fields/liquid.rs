@@ -65,7 +65,7 @@ impl LiquidPlan {
 
     /// The tiles of the grid.
     pub fn tiles(&self) -> Tiles {
-        Tiles::new(self.grid.cells, self.cfl, self.effects.cuts())
+        Tiles::new(self.grid.cells, self.cfl, &self.effects)
     }
 }
 
@@ -89,17 +89,37 @@ pub struct Tiles {
     pub n: [u32; 3],
     /// Tiles by which the band extends beyond tiles with liquid.
     pub reach: u32,
+    /// Distance of air from the surface outside the band, cells.
+    pub air: u32,
+    /// Cells by which liquid may move in a sub-step; 0 without a level.
+    pub moves: u32,
+    /// Padding.
+    pub pad_0: u32,
+    /// Padding.
+    pub pad_1: u32,
 }
 
 impl Tiles {
     /// The tiles of a grid. A marker activates cells within one cell of its own; their plus faces are one further,
     /// and extrapolation adds its layers. In a cut grid the extension of the liquid distance adds one more active
     /// cell.
-    pub fn new(cells: [usize; 3], cfl: f64, cuts: bool) -> Tiles {
-        let reach = extrapolation_layers(cfl) + 2 + usize::from(cuts);
+    ///
+    /// With a level the tiles are marked where liquid may be after the sub-step: cells within cfl + 0.4 + 1 of liquid
+    /// before it, for the velocity, the fall g dt^2 / 2 at the longest sub-step, and the interpolation. A level reaches 5 cells
+    /// into the air, which is less than a tile.
+    pub fn new(cells: [usize; 3], cfl: f64, effects: &Effects) -> Tiles {
+        let reach = extrapolation_layers(cfl) + 2 + usize::from(effects.cuts());
         Tiles {
             n: cells.map(|n| (n / TILE + 1) as u32),
             reach: reach.div_ceil(TILE) as u32,
+            air: if effects.level { 5 } else { 1 },
+            moves: if effects.level {
+                cfl.ceil() as u32 + 1
+            } else {
+                0
+            },
+            pad_0: 0,
+            pad_1: 0,
         }
     }
 
@@ -152,7 +172,7 @@ arrays! {
             pub array velocity_next: f32 [3 * padded.len()],
             /// Face apertures.
             pub array open: f32 [3 * padded.len()],
-            /// Liquid distance at cell centres, m; + dx outside the band.
+            /// Liquid distance at cell centres, m; + dx outside the band, with a level + 5 dx.
             pub array liquid_distance: f32 [padded.len()],
             /// Per quad: flags of faces with a velocity, and of open faces (`common/valid.wgsl`).
             pub array valid: u32 [padded.quads],
@@ -298,7 +318,8 @@ impl LiquidBuffers {
     pub fn write_state(&self, gpu: &Gpu, state: &State) {
         let grid = &self.plan.grid;
         gpu.upload(&self.velocity, &self.pad_faces(&state.velocity));
-        let mut distance = vec![grid.dx as f32; self.padded.len()];
+        let air = self.plan.tiles().air as f32 * grid.dx as f32;
+        let mut distance = vec![air; self.padded.len()];
         for (cell, &phi) in state.liquid_distance.iter().enumerate() {
             distance[self.padded.index(grid.cell_at(cell))] = phi as f32;
         }
@@ -340,23 +361,46 @@ impl LiquidBuffers {
         gpu.upload(&self.report, &vec![0; self.report.len()]);
     }
 
-    /// Waits for all submitted work and reads velocities, live markers and liquid distance into a state.
-    pub fn read_state(&self, gpu: &Gpu, n_markers: usize, state: &mut State) -> Result<(), Error> {
+    /// Waits for all submitted work and reads velocities, live markers and liquid distance into a state. Returns which of the
+    /// first `n_markers` slots are alive.
+    pub fn read_state(
+        &self,
+        gpu: &Gpu,
+        n_markers: usize,
+        state: &mut State,
+    ) -> Result<Vec<bool>, Error> {
         state.velocity = self.read_faces(gpu, &self.velocity)?;
         state.liquid_distance = self.padded.unpad(
             self.plan.grid.cells,
             &gpu.download(&self.liquid_distance)?,
             f64::from,
         );
-        if let Some(markers) = &self.markers {
-            let positions = gpu.download(markers)?;
-            state.markers = positions[..n_markers]
-                .iter()
-                .filter(|marker| marker[3] != 0.0)
-                .map(|&[x, y, z, _]| [x, y, z].map(f64::from))
-                .collect();
-        }
-        Ok(())
+        let Some(markers) = &self.markers else {
+            return Ok(Vec::new());
+        };
+        let positions = gpu.download(markers)?;
+        let used = &positions[..n_markers];
+        state.markers = used
+            .iter()
+            .filter(|marker| marker[3] != 0.0)
+            .map(|&[x, y, z, _]| [x, y, z].map(f64::from))
+            .collect();
+        Ok(used.iter().map(|marker| marker[3] != 0.0).collect())
+    }
+
+    /// Removes deleted markers from the first `used` slots. The others keep their order. Returns which of the slots were
+    /// alive; [`LevelBuffers::compact`](super::LevelBuffers::compact) then does the same.
+    pub fn compact(&self, gpu: &Gpu, used: usize) -> Result<Vec<bool>, Error> {
+        let Some(markers) = &self.markers else {
+            return Ok(Vec::new());
+        };
+        let mut positions = gpu.download(markers)?;
+        positions.truncate(used);
+        let alive = positions.iter().map(|marker| marker[3] != 0.0).collect();
+        positions.retain(|marker| marker[3] != 0.0);
+        positions.resize(markers.len(), [0.0; 4]);
+        gpu.upload(markers, &positions);
+        Ok(alive)
     }
 
     /// Waits for all submitted work and reads a face field as host arrays per axis.

@@ -5,6 +5,7 @@
 
 mod clip;
 pub(crate) mod coupling;
+mod level;
 mod liquid;
 pub(crate) mod pressure_system;
 mod report;
@@ -14,6 +15,7 @@ mod taps;
 
 pub use clip::{ClipBuffers, ClipSize, Clipped, CutQuad};
 pub use coupling::{Coupling, CouplingBuffers, CouplingSize, Pair, REPORT_WORDS};
+pub use level::{LevelBuffers, LevelStep};
 pub(crate) use liquid::TILE;
 pub use liquid::{LiquidBuffers, LiquidPlan, ObstacleBuffers, Step, Tiles, extrapolation_layers};
 pub(crate) use pressure_system::everywhere;
@@ -126,12 +128,17 @@ macro_rules! arrays {
 
 #[cfg(test)]
 mod tests {
-    use super::{LiquidBuffers, SolidBuffers};
+    use super::{LevelBuffers, LiquidBuffers, SolidBuffers};
 
     #[test]
     fn shared_memory_is_never_needed_twice() {
         assert!(!LiquidBuffers::SHARED.is_empty());
-        for shared in LiquidBuffers::SHARED.iter().chain(SolidBuffers::SHARED) {
+        let tables = [
+            LevelBuffers::SHARED,
+            LiquidBuffers::SHARED,
+            SolidBuffers::SHARED,
+        ];
+        for shared in tables.into_iter().flatten() {
             let ([first, last], [from, to]) = (shared.used, shared.free);
             // Free stages that wrap around the end of a sub-step are those before `to` and after `from`.
             let within = match from <= to {

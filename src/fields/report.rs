@@ -16,6 +16,16 @@ pub struct Report {
     pub emitted: u32,
     /// Markers missing in sources at their start, including those that a body covers.
     pub filled: u32,
+    /// Spray of a level after it has moved in this sub-step.
+    pub flying: u32,
+    /// Spray that was dropped or left in this sub-step.
+    pub spray_lost: u32,
+    /// Markers of a level deleted below the band.
+    pub deleted: u32,
+    /// Markers of a level seeded where liquid enters the band.
+    pub seeded: u32,
+    /// Markers that `marker_band` could not seed for want of slots.
+    pub missing: u32,
     /// Growth rate of the volume by volume control, relative, 1/s.
     pub volume_rate: f64,
     /// Volume, momentum, energies, speed, divergence.
@@ -23,9 +33,13 @@ pub struct Report {
 }
 
 impl Report {
-    /// Words of the report buffer; more with sources, sinks or open sides.
+    /// Words of the report buffer; more with sources, sinks or open sides, and with a level.
     pub fn words(effects: &Effects) -> usize {
-        if effects.exchange() { 24 } else { 16 }
+        match (effects.level, effects.exchange()) {
+            (true, _) => 29,
+            (false, true) => 24,
+            (false, false) => 16,
+        }
     }
 
     /// Index of the number of markers dropped since the state was written.
@@ -45,6 +59,11 @@ impl Report {
             sunk: count(20),
             emitted: count(21),
             filled: count(22),
+            flying: count(24),
+            spray_lost: count(25),
+            deleted: count(26),
+            seeded: count(27),
+            missing: count(28),
             volume_rate: single(1),
             diagnosis: Diagnosis {
                 max_speed: single(2),

@@ -315,7 +315,7 @@ pub fn empty_regions(scene: &Scene, markers: &[[f64; 3]]) -> Result<Vec<usize>, 
 /// Approximate number of cells that [`estimate_markers`] samples.
 const SAMPLED_CELLS: usize = 1 << 15;
 
-/// Estimate of the number of markers beside these solids, to about a percent.
+/// Estimate of the number of markers beside these solids, to about a percent; with a level of the liquid full of them.
 ///
 /// Samples one random cell in each run of cells. On small grids it is exact, except for markers within rounding of an obstacle
 /// or near a solid's surface.
@@ -323,7 +323,7 @@ pub fn estimate_markers(scene: &Scene, grid: &Grid, solids: &MovedMesh) -> Resul
     let Some(liquid) = scene
         .liquid
         .as_ref()
-        .filter(|liquid| liquid.surface == Surface::Markers)
+        .filter(|liquid| liquid.surface != Surface::Fixed)
     else {
         return Ok(0);
     };

@@ -33,17 +33,11 @@ pub fn advect_level(
     dt: f64,
 ) -> Vec<f64> {
     let centre = |cell: usize| grid.cell_centre(grid.cell_at(cell));
-    let origin = |cell: usize| ballistic.origin(grid, grid.traced(faces, centre(cell), -dt));
-    let cells = || (0..grid.n_cells()).into_par_iter();
-    let carry = |cell: usize| {
-        let x = origin(cell);
-        grid.sample_cells(level, x)
-            .max(beyond_side(grid, open_sides, x))
-    };
-    let carried: Vec<f64> = cells().map(carry).collect();
+    let carried = carry_level(grid, open_sides, faces, ballistic, level, dt);
     let correct = |cell: usize| {
-        let (x, origin) = (centre(cell), origin(cell));
-        let end = grid.traced(faces, x, dt) + ballistic.shift_from(grid, x);
+        let x = centre(cell);
+        let origin = ballistic.origin_about(grid, grid.traced(faces, x, -dt));
+        let end = grid.traced(faces, x, dt) + ballistic.shift_about(grid, x);
         let returned = grid.sample_cells(&carried, end);
         let corrected = carried[cell] + 0.5 * (level[cell] - returned);
         let taps = grid.centres_around(origin).values(level);
@@ -55,7 +49,26 @@ pub fn advect_level(
             false => carried[cell],
         }
     };
-    cells().map(correct).collect()
+    let cells = (0..grid.n_cells()).into_par_iter();
+    cells.map(correct).collect()
+}
+
+/// The first order of the transport: a, cells.
+pub fn carry_level(
+    grid: &Grid,
+    open_sides: Sides,
+    faces: &[Vec<f64>; 3],
+    ballistic: &Ballistic,
+    level: &[f64],
+    dt: f64,
+) -> Vec<f64> {
+    let carry = |cell: usize| {
+        let x = grid.cell_centre(grid.cell_at(cell));
+        let x = ballistic.origin_about(grid, grid.traced(faces, x, -dt));
+        grid.sample_cells(level, x)
+            .max(beyond_side(grid, open_sides, x))
+    };
+    (0..grid.n_cells()).into_par_iter().map(carry).collect()
 }
 
 /// Distance of a point (m) beyond an open side, cells; minus infinity within the domain.

@@ -76,7 +76,7 @@ pub fn advect_velocity_maccormack(
                 return 0.0;
             };
             let x = grid.face_centre(axis, grid.face_at(axis, face));
-            let to = grid.traced(&shown, x, dt) + ballistic.shift_from(grid, x);
+            let to = grid.traced(&shown, x, dt) + ballistic.shift_about(grid, x);
             let corrected =
                 carried[face] + 0.5 * (shown[a][face] - grid.sample(axis, &carried, to));
             let taps = grid.faces_around(axis, from).values(&shown[a]);

@@ -68,6 +68,10 @@ pub fn wet_nodes(coupling: &Coupling, filled: &[bool], n: usize) -> Vec<bool> {
     wet
 }
 
+/// Distance from a plane of cell centres below which a position may have the cells of both sides around it, cells. Also in
+/// `common/ballistic.wgsl`.
+const BESIDE_PLANE: f64 = 1e-3;
+
 /// Ballistic liquid during a move.
 #[derive(Clone, Copy, Debug)]
 pub struct Ballistic<'a> {
@@ -114,18 +118,29 @@ impl<'a> Ballistic<'a> {
     /// How far liquid that starts at x (m) falls beyond the way of its velocity, m: not at all unless all filled cells with
     /// centres around x are ballistic, and there are any.
     pub fn shift_from(&self, grid: &Grid, x: DVec3) -> DVec3 {
+        self.shift_beside(grid, x, 0.0)
+    }
+
+    /// The same for a position that may be on planes of cell centres, where rounding must not decide: the cells on both
+    /// sides of such a plane count.
+    pub fn shift_about(&self, grid: &Grid, x: DVec3) -> DVec3 {
+        self.shift_beside(grid, x, BESIDE_PLANE)
+    }
+
+    fn shift_beside(&self, grid: &Grid, x: DVec3, margin: f64) -> DVec3 {
         if self.cells.is_empty() {
             return DVec3::ZERO;
         }
-        let low = (x / grid.dx + self.offset - 0.5).floor();
-        let corners = (0..8).map(|corner| {
-            let at = [0, 1, 2].map(|axis| {
-                let at = low[axis] + f64::from(corner >> axis & 1);
-                at.clamp(0.0, (grid.cells[axis] - 1) as f64) as usize
-            });
-            grid.cell(at)
+        let at = x / grid.dx + self.offset - 0.5;
+        let [is, js, ks] = [0, 1, 2].map(|axis| {
+            let last = (grid.cells[axis] - 1) as f64;
+            let [low, high] = [at[axis] - margin, at[axis] + margin].map(f64::floor);
+            let [low, high] = [low, high + 1.0].map(|index| index.clamp(0.0, last) as usize);
+            low..=high
         });
-        let mut liquid = corners.filter(|&cell| self.filled[cell]).peekable();
+        let rows = ks.flat_map(move |k| js.clone().map(move |j| (j, k)));
+        let around = rows.flat_map(move |(j, k)| is.clone().map(move |i| grid.cell([i, j, k])));
+        let mut liquid = around.filter(|&cell| self.filled[cell]).peekable();
         let falls = liquid.peek().is_some() && liquid.all(|cell| self.cells[cell]);
         if falls { self.shift } else { DVec3::ZERO }
     }
@@ -134,6 +149,15 @@ impl<'a> Ballistic<'a> {
     pub fn origin(&self, grid: &Grid, x: DVec3) -> DVec3 {
         let from = x - self.shift;
         match self.shift_from(grid, from) {
+            DVec3::ZERO => x,
+            _ => from,
+        }
+    }
+
+    /// The same where planes of cell centres must not decide.
+    pub fn origin_about(&self, grid: &Grid, x: DVec3) -> DVec3 {
+        let from = x - self.shift;
+        match self.shift_about(grid, from) {
             DVec3::ZERO => x,
             _ => from,
         }

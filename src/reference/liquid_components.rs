@@ -145,39 +145,44 @@ pub fn label_at(grid: &Grid, label: &[u32], x: DVec3) -> u32 {
 pub struct Before<'a> {
     /// Component of each cell.
     pub label: &'a [u32],
-    /// Target volume of each component, m^3.
-    pub volume_0: &'a [f64],
     /// Face velocities, m/s.
     pub velocity: &'a [Vec<f64>; 3],
     /// Liquid that falls freely.
     pub ballistic: Ballistic<'a>,
 }
 
-/// Target volumes of the components after dt (s) by the overlap of the cells, m^3. `volumes`: liquid volume per cell, m^3.
-pub fn shared_volumes(
+/// Component before a sub-step of dt (s) at the departure point of each cell with liquid; 0 for none.
+pub fn component_origins(
     grid: &Grid,
     before: Before,
-    components: &Components,
-    volumes: &[f64],
+    has_liquid: impl Fn(usize) -> bool + Sync,
     dt: f64,
-) -> Vec<f64> {
+) -> Vec<u32> {
     let origin = |cell: usize| {
-        if components.label[cell] == 0 || volumes[cell] <= 0.0 {
+        if !has_liquid(cell) {
             return 0;
         }
         let x = grid.cell_centre(grid.cell_at(cell));
         let x = before
             .ballistic
-            .origin(grid, grid.traced(before.velocity, x, -dt));
+            .origin_about(grid, grid.traced(before.velocity, x, -dt));
         label_at(grid, before.label, x)
     };
-    let origins: Vec<u32> = (0..grid.n_cells()).into_par_iter().map(origin).collect();
-    let mut overlap = vec![0.0; before.volume_0.len()];
+    (0..grid.n_cells()).into_par_iter().map(origin).collect()
+}
+
+/// Target volumes of the components by the overlap of the cells, m^3. `volume_0`: those before the sub-step, m^3; `origins`:
+/// see [`component_origins`]; `volumes`: liquid volume per cell, m^3, 0 in cells without a label.
+pub fn shared_volumes(
+    volume_0: &[f64],
+    origins: &[u32],
+    components: &Components,
+    volumes: &[f64],
+) -> Vec<f64> {
+    let mut overlap = vec![0.0; volume_0.len()];
     let pairs = || {
-        origins
-            .iter()
-            .enumerate()
-            .filter(|(_, origin)| **origin > 0)
+        let pairs = origins.iter().enumerate();
+        pairs.filter(|&(cell, &origin)| origin > 0 && volumes[cell] > 0.0)
     };
     for (cell, &origin) in pairs() {
         overlap[origin as usize - 1] += volumes[cell];
@@ -185,7 +190,7 @@ pub fn shared_volumes(
     let mut shared = vec![0.0; components.volume.len()];
     for (cell, &origin) in pairs() {
         let old = origin as usize - 1;
-        let share = before.volume_0[old] * volumes[cell] / overlap[old];
+        let share = volume_0[old] * volumes[cell] / overlap[old];
         shared[components.label[cell] as usize - 1] += share;
     }
     shared

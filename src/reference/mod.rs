@@ -56,7 +56,7 @@ mod volume_shift;
 mod write_back;
 
 pub use active_cells::{ActiveCells, active_cells, theta};
-pub use advect_level::{advect_level, fill_sources};
+pub use advect_level::{advect_level, carry_level, fill_sources};
 pub(crate) use advect_markers::Layer;
 pub use advect_markers::{Lost, Surface, advect_level_markers, advect_markers, volume_without};
 pub use advect_velocity::{advect_velocity, advect_velocity_maccormack};
@@ -76,7 +76,7 @@ pub use filter_level::filter_level;
 pub use forces::forces;
 pub use level_cells::{BAND, LevelCells, REACH, filled};
 pub use liquid_components::{
-    Before, Components, balance, label_at, liquid_components, shared_volumes,
+    Before, Components, balance, component_origins, label_at, liquid_components, shared_volumes,
 };
 pub use liquid_distance::{extend_level, liquid_distance};
 pub use marker_band::{Levels, Markers, first_markers, marker_band};
@@ -108,7 +108,7 @@ pub use solve_coupled::{
     solve_damping_only, solve_weak,
 };
 pub use solve_solid::{Chebyshev, SolidSolver};
-pub use spray::{move_spray_volume, spray};
+pub use spray::{add_spray, move_spray_volume, spray};
 pub use step::StepSystem;
 pub use stress_variables::{StressSystem, StressVariables};
 pub use surface_distance::surface_distance;

@@ -121,7 +121,7 @@ impl Reference {
                 grid.cells
             ));
         }
-        if model.effects.level && state.step > 0 && !fits_level(grid, &state) {
+        if model.effects.level && state.step > 0 && !state.fits_level(grid) {
             return refused(
                 "the state does not have the level's markers and components".to_owned(),
             );
@@ -239,13 +239,4 @@ fn fits_grid(grid: &Grid, cut: &CutCells, state: &State) -> bool {
         lists == [grid.n_faces(axis); 2]
     };
     cells == [grid.n_cells(); 5] && Axis::ALL.into_iter().all(faces)
-}
-
-/// Whether a state has the components of its cells, and a velocity for each marker.
-fn fits_level(grid: &Grid, state: &State) -> bool {
-    let markers = [state.marker_velocity.len(), state.spray.len()];
-    let labels = state.component.iter().copied().max().unwrap_or_default() as usize;
-    markers == [state.markers.len(); 2]
-        && state.component.len() == grid.n_cells()
-        && labels <= state.component_volume.len()
 }

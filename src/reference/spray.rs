@@ -11,6 +11,7 @@ use super::liquid_components::label_at;
 use super::marker_band::Markers;
 use super::occupancy::{PER_CELL, tent};
 use crate::grid::Grid;
+use crate::state::Diagnosis;
 
 /// Updates velocities and spray. `liquid_distance` in m, `faces` in m/s. Returns the markers that changed.
 pub fn spray(
@@ -37,6 +38,26 @@ pub fn spray(
     let changed = changed.collect();
     markers.spray = now;
     changed
+}
+
+/// Adds the spray to sums over the cells: an eighth of a cell for each marker. `density` in kg/m^3, `gravity` in m/s^2.
+pub fn add_spray<'a>(
+    grid: &Grid,
+    (density, gravity): (f64, DVec3),
+    spray: impl Iterator<Item = ([f64; 3], [f64; 3])> + 'a,
+    sums: &mut Diagnosis,
+) {
+    let volume = grid.cell_volume() / PER_CELL;
+    let mass = density * volume;
+    for (x, v) in spray {
+        let (x, v) = (DVec3::from(x), DVec3::from(v));
+        sums.volume += volume;
+        sums.kinetic_energy += 0.5 * mass * v.length_squared();
+        sums.potential_energy -= mass * gravity.dot(x);
+        for axis in 0..3 {
+            sums.momentum[axis] += mass * v[axis];
+        }
+    }
 }
 
 /// Moves the volume of markers that changed between spray and the targets of the components (m^3).

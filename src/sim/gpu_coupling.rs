@@ -280,7 +280,7 @@ impl GpuCoupling {
         let fluxes = Some((&self.on_device, &self.buffers, velocity));
         liquid_stages.beside_bodies = vec![
             stages::extrapolate(gpu, buffers, walls)?,
-            stages::diagnose(gpu, buffers, solver, fluxes)?,
+            stages::diagnose(gpu, (buffers, liquid.level.as_ref()), solver, fluxes)?,
         ];
         Ok(())
     }

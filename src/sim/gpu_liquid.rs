@@ -4,9 +4,10 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::fields::pressure_system::BALLISTIC;
 use crate::fields::{
-    LiquidBuffers, LiquidPlan, Report, Sinks, SolverBuffers, SourceStep, Sources, Step,
+    LevelBuffers, LiquidBuffers, LiquidPlan, Report, Sinks, SolverBuffers, SourceStep, Sources,
+    Step,
 };
-use crate::geometry::{Running, SourcesAndSinks};
+use crate::geometry::{MARKERS_PER_CELL, Running, SourcesAndSinks};
 use crate::gpu::{Dispatches, Gpu, Readback, Real, Recorder};
 use crate::grid::Grid;
 use crate::reference::{self, Seeded, TimeStep};
@@ -36,6 +37,8 @@ pub(super) struct GpuLiquid {
     alive: usize,
     /// Markers removed and added so far.
     passed: Passed,
+    /// Markers that a level seeded in the last sub-step.
+    seeded: usize,
     /// Dropped markers that the device's count no longer includes.
     dropped_before: u64,
     /// Sources and sinks.
@@ -51,6 +54,8 @@ pub(super) struct GpuLiquid {
     /// Controlled liquid volume, m^3.
     pub(super) volume_0: f64,
     pub(super) buffers: LiquidBuffers,
+    /// With a level.
+    pub(super) level: Option<LevelBuffers>,
     pub(super) solver: SolverBuffers,
     sources: Option<Sources>,
     pub(super) stages: LiquidStages,
@@ -67,6 +72,37 @@ struct Passed {
     sunk: u64,
     /// Emitted by sources.
     emitted: u64,
+}
+
+/// Slots of the marker buffer.
+#[derive(Clone, Copy, Debug)]
+struct Slots {
+    capacity: usize,
+    /// Used ones, including those of dead markers.
+    used: usize,
+    /// Those of live markers.
+    alive: usize,
+}
+
+impl Slots {
+    fn dead(&self) -> usize {
+        self.used.saturating_sub(self.alive)
+    }
+
+    /// Whether kernels process more dead markers than live ones, and many.
+    fn most_are_dead(&self) -> bool {
+        self.dead() > FEW_DEAD && 2 * self.dead() > self.used
+    }
+
+    /// Whether n slots are not free, and dead markers have some.
+    fn lack(&self, n: usize) -> bool {
+        self.dead() > 0 && self.used + n > self.capacity
+    }
+
+    /// Slots that the seeds of a sub-step may need, after so many in the last one.
+    fn for_seeds(&self, last: usize) -> usize {
+        (4 * last).max(self.capacity / 64)
+    }
 }
 
 /// The kernels of a sub-step.
@@ -94,13 +130,27 @@ impl LiquidStages {
     }
 }
 
-/// Buffer sizes of a scene with an initial number of markers, on an adapter with or without f64.
+/// Largest number of markers of a level over that of its initial liquid full of markers: a splash may have no other liquid
+/// than that of the band, where markers crowd.
+const CROWDED: f64 = 1.25;
+/// Slots for the markers of drops, of whose volume an estimate knows less.
+const SLACK: usize = 4096;
+/// Number of dead markers below which their slots cost nothing.
+const FEW_DEAD: usize = 1 << 16;
+
+/// Buffer sizes of a scene with an initial number of markers, with a level that of its liquid full of markers, on an adapter
+/// with or without f64.
 fn liquid_plan(scene: &Scene, taps: &SourcesAndSinks, n_markers: usize, f64: bool) -> LiquidPlan {
     let grid = scene.grid();
+    let effects = Effects::of(scene);
+    let most = match effects.level {
+        true => (CROWDED * n_markers as f64) as usize + SLACK,
+        false => n_markers,
+    };
     LiquidPlan {
-        n_markers: n_markers + taps.max_markers(scene.time.duration, &grid),
+        n_markers: most + taps.max_markers(scene.time.duration, &grid),
         grid,
-        effects: Effects::of(scene),
+        effects,
         cfl: scene.time.cfl,
         real: if f64 { Real::F64 } else { Real::F32 },
     }
@@ -119,18 +169,26 @@ impl GpuLiquid {
         };
         let plan = liquid_plan(scene, &taps, n_markers, gpu.has_f64());
         let buffers = LiquidBuffers::new(gpu, plan)?;
+        let level = LevelBuffers::new(gpu, plan)?;
         let solver = SolverBuffers::new(gpu, &scene.grid(), scene.solver.precision)?;
         let (sources, sinks) = (
             Sources::new(gpu, &buffers, &taps)?,
             Sinks::new(gpu, &buffers, &taps)?,
         );
         let taps_on_device = (sources.as_ref(), sinks.as_ref());
-        let stages = LiquidStages::new(gpu, scene, &buffers, &solver, taps_on_device)?;
+        let stages = LiquidStages::new(
+            gpu,
+            scene,
+            (&buffers, level.as_ref()),
+            &solver,
+            taps_on_device,
+        )?;
         Ok(Some(GpuLiquid {
             settings,
             n_markers,
             alive: n_markers,
             passed: Passed::default(),
+            seeded: 0,
             dropped_before: 0,
             taps,
             running: Running::default(),
@@ -139,6 +197,7 @@ impl GpuLiquid {
             max_speed: 0.0,
             volume_0: 0.0,
             buffers,
+            level,
             solver,
             sources,
             stages,
@@ -162,6 +221,7 @@ impl GpuLiquid {
             sunk: state.markers_sunk,
             emitted: state.markers_emitted,
         };
+        self.seeded = 0;
         self.dropped_before = state.markers_dropped;
         self.running = Running::default();
         self.inflow = 0.0;
@@ -175,6 +235,10 @@ impl GpuLiquid {
         self.max_speed = reference::max_speed(&state.velocity);
         self.volume_0 = state.volume_0;
         self.buffers.write_state(gpu, state);
+        if let Some(level) = &self.level {
+            level.write_markers(gpu, state);
+            level.write_components(gpu, state);
+        }
         let step = Step {
             n_markers: self.n_markers as u32,
             ..step
@@ -197,7 +261,11 @@ impl GpuLiquid {
         dt_last: f64,
         state: &mut State,
     ) -> Result<(), Error> {
-        self.buffers.read_state(gpu, self.n_markers, state)?;
+        let alive = self.buffers.read_state(gpu, self.n_markers, state)?;
+        if let Some(level) = &self.level {
+            level.read_markers(gpu, &alive, state)?;
+            level.read_components(gpu, state)?;
+        }
         state.markers_dropped = self.passed.dropped;
         state.markers_left = self.passed.left;
         state.markers_sunk = self.passed.sunk;
@@ -273,6 +341,9 @@ impl GpuLiquid {
         if let Some(sources) = &self.sources {
             sources.write_step(gpu, SourceStep::new(self.running, self.n_markers));
         }
+        if let Some(level) = &self.level {
+            level.write_step(gpu, self.running.seed, self.running.step);
+        }
         Ok(())
     }
 
@@ -287,40 +358,67 @@ impl GpuLiquid {
         self.taps.boundary_flux(grid, open, self.running.running)
     }
 
-    /// Deletes dead markers from the buffer when sources need their slots. The others keep their order, so the time
-    /// of deletion does not affect results.
+    /// Deletes dead markers from the buffer when sources or the seeds of a level need their slots, and with a level when most
+    /// are dead. The others keep their order, so the time of deletion does not affect results.
     fn make_room(&mut self, gpu: &Gpu, step: u64) -> Result<(), Error> {
-        let both = self.sources.as_ref().zip(self.buffers.markers.as_ref());
-        let Some((sources, markers)) = both else {
+        let Some(markers) = &self.buffers.markers else {
             return Ok(());
         };
-        let (capacity, slots) = (markers.len(), sources.slots());
-        if self.n_markers + slots <= capacity {
-            return Ok(());
-        }
-        if self.alive + slots > capacity {
+        let slots = Slots {
+            capacity: markers.len(),
+            used: self.n_markers,
+            alive: self.alive,
+        };
+        let of_sources = self.sources.as_ref().map_or(0, Sources::slots);
+        if of_sources > 0 && slots.alive + of_sources > slots.capacity {
             return Err(Error::Stage {
                 stage: "exchange",
                 step,
                 problem: format!(
-                    "all {capacity} markers are in use: the initial ones, and 1.25 times those that sources emit until the end of the run\n  cure: add an outlet (domain.open or a sink) and restart the run"
+                    "all {} markers are in use: the initial ones, and 1.25 times those that sources emit until the end of the run\n  cure: add an outlet (domain.open or a sink) and restart the run",
+                    slots.capacity
                 ),
             });
         }
-        let mut positions = gpu.download(markers)?;
-        positions.truncate(self.n_markers);
-        positions.retain(|marker| marker[3] != 0.0);
-        self.n_markers = positions.len();
-        positions.resize(capacity, [0.0; 4]);
-        gpu.upload(markers, &positions);
+        let wanted = match self.level {
+            Some(_) => {
+                slots.most_are_dead() || slots.lack(of_sources + slots.for_seeds(self.seeded))
+            }
+            None => slots.lack(of_sources),
+        };
+        if !wanted {
+            return Ok(());
+        }
+        let alive = self.buffers.compact(gpu, self.n_markers)?;
+        if let Some(level) = &self.level {
+            level.compact(gpu, &alive)?;
+        }
+        self.n_markers = alive.into_iter().filter(|alive| *alive).count();
         gpu.upload(&self.buffers.report, &vec![0; self.buffers.report.len()]);
         self.dropped_before = self.passed.dropped;
         Ok(())
     }
 
-    /// Slots that kernels process in a sub-step: used ones and those reserved for new markers.
+    /// Slots that kernels process in a sub-step: used ones and those reserved for new markers of sources. The seeds of a level
+    /// follow them; kernels after `marker_band` find their number in [`LevelBuffers::marker_args`].
     pub(super) fn n_slots(&self) -> usize {
         self.n_markers + self.sources.as_ref().map_or(0, Sources::slots)
+    }
+
+    /// Returns an error when a level could not seed all markers in the sub-step after the state of number `step`.
+    pub(super) fn check_seeds(&self, report: &Report, step: u64) -> Result<(), Error> {
+        if report.missing == 0 {
+            return Ok(());
+        }
+        Err(Error::Stage {
+            stage: Stage::MarkerBand.name(),
+            step,
+            problem: format!(
+                "all {} markers are in use, and {} more are needed: there are slots for {CROWDED} times the initial liquid\n  cure: use --backend cpu, or surface = \"markers\"",
+                self.room(),
+                report.missing
+            ),
+        })
     }
 
     /// Stores the numbers of the report that the next sub-step needs.
@@ -329,8 +427,9 @@ impl GpuLiquid {
         let dropped = dropped_so_far - self.passed.dropped;
         let [left, sunk, emitted] = [report.left, report.sunk, report.emitted].map(u64::from);
         let kept = self.alive - (dropped + left + sunk) as usize;
-        self.alive = kept + emitted as usize;
-        self.n_markers += emitted as usize;
+        self.seeded = report.seeded as usize;
+        self.alive = kept - report.deleted as usize + emitted as usize + self.seeded;
+        self.n_markers += emitted as usize + self.seeded;
         self.passed = Passed {
             dropped: dropped_so_far,
             left: self.passed.left + left,
@@ -354,6 +453,8 @@ impl GpuLiquid {
             self.volume_0 = volume_0;
             exchange
         });
+        let lost = f64::from(report.spray_lost) / MARKERS_PER_CELL as f64;
+        self.volume_0 -= lost * plan.grid.cell_volume();
         self.solved_before = None;
         self.max_speed = report.diagnosis.max_speed;
         LiquidReport {
@@ -373,7 +474,7 @@ impl GpuLiquid {
         } = time_step;
         let inflow = dt * self.taps.flux(self.running_after(head).running);
         let Scene { domain, solver, .. } = scene;
-        let grid = scene.grid();
+        let (grid, effects) = (scene.grid(), &self.buffers.plan.effects);
         Step {
             gravity: domain.gravity.as_vec3().to_array(),
             dt: dt as f32,
@@ -381,7 +482,7 @@ impl GpuLiquid {
             dx: grid.dx as f32,
             inv_dx: (1.0 / grid.dx) as f32,
             control_time: control_time.min(f64::from(f32::MAX)) as f32,
-            volume_0: if self.buffers.plan.effects.volume_control {
+            volume_0: if effects.volume_control || effects.level {
                 (self.volume_0 + inflow) as f32
             } else {
                 0.0
@@ -399,7 +500,7 @@ impl LiquidStages {
     fn new(
         gpu: &Gpu,
         scene: &Scene,
-        liquid: &LiquidBuffers,
+        (liquid, level): (&LiquidBuffers, Option<&LevelBuffers>),
         solver: &SolverBuffers,
         taps: (Option<&Sources>, Option<&Sinks>),
     ) -> Result<LiquidStages, Error> {
@@ -429,12 +530,12 @@ impl LiquidStages {
             Ok::<_, Error>((probe, readback))
         };
         Ok(LiquidStages {
-            own: stages::liquid_stages(gpu, liquid, solver, taps)?,
+            own: stages::liquid_stages(gpu, liquid, solver, level, taps)?,
             beside_bodies: match effects.clips() {
                 true => Vec::new(),
                 false => vec![
                     stages::extrapolate(gpu, liquid, None)?,
-                    stages::diagnose(gpu, liquid, solver, None)?,
+                    stages::diagnose(gpu, (liquid, level), solver, None)?,
                 ],
             },
             active_cells,
@@ -454,4 +555,30 @@ pub(super) fn probes(scene: &Scene) -> impl Iterator<Item = &ProbeKind> + Clone 
 /// Whether the scene has probes of the liquid.
 pub(super) fn has_probes(scene: &Scene) -> bool {
     probes(scene).next().is_some()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{FEW_DEAD, Slots};
+
+    #[test]
+    fn slots_of_dead_markers_are_freed_when_they_are_needed_or_many() {
+        let slots = |used, alive| Slots {
+            capacity: 400_000,
+            used,
+            alive,
+        };
+        // Free slots suffice, exactly and not.
+        assert!(!slots(300_000, 200_000).lack(100_000));
+        assert!(slots(300_000, 200_000).lack(100_001));
+        // Without dead markers nothing is gained.
+        assert!(!slots(300_000, 300_000).lack(100_001));
+        // More than half of them dead, and many.
+        assert!(slots(2 * FEW_DEAD + 3, FEW_DEAD + 1).most_are_dead());
+        assert!(!slots(2 * FEW_DEAD + 2, FEW_DEAD + 1).most_are_dead());
+        assert!(!slots(FEW_DEAD, 0).most_are_dead());
+        // A share of the capacity, or four times the last ones.
+        assert_eq!(slots(0, 0).for_seeds(0), 6250);
+        assert_eq!(slots(0, 0).for_seeds(5000), 20_000);
+    }
 }

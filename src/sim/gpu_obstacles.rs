@@ -95,7 +95,7 @@ fn bind(gpu: &Gpu, liquid: &mut GpuLiquid, clip: &ClipBuffers) -> Result<Dispatc
     } = liquid;
     stages.beside_bodies = vec![
         crate::stages::extrapolate(gpu, buffers, Some((clip, None)))?,
-        crate::stages::diagnose(gpu, buffers, solver, None)?,
+        crate::stages::diagnose(gpu, (buffers, liquid.level.as_ref()), solver, None)?,
     ];
     crate::stages::clip(gpu, buffers, clip)
 }

@@ -46,6 +46,22 @@ pub struct GpuPath {
 /// liquid on the nodes, N, with force probes.
 pub(super) type Probed = (Vec<f64>, Vec<[f64; 3]>, Vec<[f64; 3]>);
 
+/// Checks that the device has kernels for the surface of a scene.
+///
+/// # Errors
+/// [`Error::Input`] for a level with open sides, sources or sinks.
+pub fn check_surface(scene: &Scene) -> Result<(), Error> {
+    let effects = Effects::of(scene);
+    if !effects.level || !effects.exchange() {
+        return Ok(());
+    }
+    Err(Error::input(
+        scene.at("liquid.surface"),
+        "a level with open sides, sources or sinks needs the f64 path: the GPU has no kernels for them",
+        "use --backend cpu, or surface = \"markers\"",
+    ))
+}
+
 impl GpuPath {
     /// Opens the device, clips the obstacles, seeds the liquid, and uploads the state.
     ///
@@ -63,6 +79,7 @@ impl GpuPath {
     ) -> Result<GpuPath, Error> {
         let gpu = Gpu::new(choice)?;
         let grid = scene.grid();
+        check_surface(scene)?;
         let memory = HostMemory::new(scene, solids, false)?;
         memory.check()?;
         let obstacles = geometry::obstacle_cut(scene, &grid)?;
@@ -77,7 +94,12 @@ impl GpuPath {
         let cut = obstacles.static_cut().clone();
         let cut_now = clip.as_ref().map_or(&cut, SolidClip::cut_cells);
         reference::prepare(scene, &grid, cut_now, walls, &mut state);
-        let mut path = GpuPath::allocate(gpu, scene, (solids, clip, taps), state.markers.len())?;
+        // A level starts with markers in its band alone; later all liquid may be there.
+        let n_markers = match Effects::of(scene).level {
+            true => plan.n_markers.max(state.markers.len()),
+            false => state.markers.len(),
+        };
+        let mut path = GpuPath::allocate(gpu, scene, (solids, clip, taps), n_markers)?;
         if let Some(liquid) = &path.liquid {
             liquid.buffers.write_cut_cells(&path.gpu, &cut);
         }
@@ -105,13 +127,6 @@ impl GpuPath {
         (solids, clip, taps): (&Solids, Option<SolidClip>, SourcesAndSinks),
         n_markers: usize,
     ) -> Result<GpuPath, Error> {
-        if Effects::of(scene).level {
-            return Err(Error::input(
-                scene.at("liquid.surface"),
-                "a level needs the f64 path: the GPU has no kernels for it",
-                "use --backend cpu, or surface = \"markers\"",
-            ));
-        }
         // Stages use handles of their own; all other kernels belong to the solve.
         let gpu = gpu.at(Stage::Solve.name());
         let limits = StepLimits::new(scene, clip.as_ref().map(SolidClip::obstacles), Some(solids));
@@ -244,7 +259,9 @@ impl GpuPath {
         let n_nodes = plan.map_or(0, |plan| plan.n_nodes);
         let n_scripted = plan.map_or(0, |plan| if plan.scripts { plan.n_nodes } else { 0 });
         let follows = if self.follows_pressure() { n_cells } else { 0 };
+        let level = Effects::of(&self.scene).level;
         let fits = state.markers.len() <= n_markers
+            && (!level || state.fits_level(&self.grid))
             && carried.potential.len() == follows
             && carried.displacement_high.len() == n_nodes
             && carried.displacement_low.len() == n_nodes

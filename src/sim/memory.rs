@@ -1,6 +1,7 @@
 //! Checks host memory before any allocation of the grid's size.
 
 use crate::Error;
+use crate::effects::Effects;
 use crate::elastic::Solids;
 use crate::geometry;
 use crate::gpu::AdapterReport;
@@ -26,8 +27,11 @@ impl HostMemory {
     pub fn new(scene: &Scene, solids: &Solids, on_cpu: bool) -> Result<HostMemory, Error> {
         let grid = scene.grid();
         let (displacement, _) = solids.initial_state(scene);
-        let markers =
-            geometry::estimate_markers(scene, &grid, &solids.moved(&displacement))? as u64;
+        // The state of a level has markers in its band alone.
+        let markers = match Effects::of(scene).level {
+            true => 0,
+            false => geometry::estimate_markers(scene, &grid, &solids.moved(&displacement))? as u64,
+        };
         let per_cell = if on_cpu { PER_CELL_CPU } else { PER_CELL_GPU };
         Ok(HostMemory {
             needed: grid.n_cells() as u64 * per_cell + markers * PER_MARKER,

@@ -14,12 +14,13 @@ mod squeeze;
 mod step;
 mod warnings;
 
-pub use gpu_path::GpuPath;
+pub use gpu_path::{GpuPath, check_surface};
 pub use memory::{HostMemory, free_memory};
 pub use plan::{Plan, StagePlan};
 pub use run::{Options, Progress, Resumed, Summary, run};
 pub use snapshot::{
-    LiquidSnapshot, Snapshot, SolidSnapshot, StoredPressure, coupled_system, stored_coupling,
+    LevelSnapshot, LiquidSnapshot, Snapshot, SolidSnapshot, StoredPressure, coupled_system,
+    stored_coupling,
 };
 pub use step::Observer;
 pub use warnings::warnings;

@@ -16,7 +16,7 @@ use super::GpuPath;
 use super::memory::HostMemory;
 
 /// Labels of buffers that scale with the markers instead of the grid.
-const PER_MARKER: [&str; 1] = ["liquid.markers"];
+const PER_MARKER: [&str; 2] = ["liquid.markers", "level.marker_velocity"];
 
 /// A stage of a sub-step.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -8,10 +8,11 @@ use crate::Error;
 use crate::elastic::{Deformation, Solids, stiffness_block};
 use crate::fields::pressure_system::{BALLISTIC, FILLED};
 use crate::fields::{
-    CouplingReport, Report, SolidBuffers, SolidReport, SolidSystemBuffers, SolverBuffers,
+    CouplingReport, LevelBuffers, Report, SolidBuffers, SolidReport, SolidSystemBuffers,
+    SolverBuffers,
 };
 use crate::geometry::{Coupling, CutCells};
-use crate::gpu::{Gpu, Real};
+use crate::gpu::{Buffer, Gpu, Real};
 use crate::grid::{Axis, Grid, Padded};
 use crate::reference::{
     ActiveCells, ActiveSurfaces, BlockMatrix, BlockPattern, CoupledSystem, Freedom, PressureSystem,
@@ -106,6 +107,44 @@ pub struct LiquidSnapshot {
     pub real: Real,
     /// Diagnostics of the sub-step so far.
     pub report: Report,
+    /// Fields of the level, if the surface is one.
+    pub level: Option<LevelSnapshot>,
+}
+
+impl LiquidSnapshot {
+    /// Positions (m) and velocities (m/s) of the markers that fly.
+    pub fn spray(&self) -> Vec<([f64; 3], [f64; 3])> {
+        let Some(level) = &self.level else {
+            return Vec::new();
+        };
+        let slots = self.markers.iter().zip(&level.spray);
+        let flying = slots.zip(&level.marker_velocity);
+        flying
+            .filter(|((_, spray), _)| **spray)
+            .filter_map(|((x, _), &v)| Some(((*x)?, v)))
+            .collect()
+    }
+}
+
+/// Fields that the stages of a level exchange, host layout; one entry per cell but for the markers. They hold on the band.
+#[derive(Clone, Debug)]
+pub struct LevelSnapshot {
+    /// Level after its transport, cells.
+    pub carried: Vec<f64>,
+    /// Level after the last stage that changed it, cells.
+    pub level: Vec<f64>,
+    /// Fraction of the surroundings that markers fill.
+    pub occupancy: Vec<f64>,
+    /// Density of the markers less that of liquid.
+    pub excess: Vec<f64>,
+    /// Component of each cell, from 1, 0 for none.
+    pub component: Vec<u32>,
+    /// Target volume of each component, m^3.
+    pub component_volume: Vec<f64>,
+    /// Velocity of the markers, m/s, in the slots of [`LiquidSnapshot::markers`].
+    pub marker_velocity: Vec<[f64; 3]>,
+    /// Whether each is spray.
+    pub spray: Vec<bool>,
 }
 
 impl GpuPath {
@@ -308,13 +347,19 @@ impl GpuLiquid {
             padded.unpad(grid.faces(axis), &lanes, |valid| valid)
         });
         let stored = StoredPressure::read(gpu, grid, solver)?;
+        let used = match &self.level {
+            // With the seeds of the sub-step.
+            Some(level) => gpu.download(&level.marker_args)?[3] as usize,
+            None => self.n_slots(),
+        };
         let markers = match &liquid.markers {
             None => Vec::new(),
-            Some(markers) => gpu.download(markers)?[..self.n_slots()]
+            Some(markers) => gpu.download(markers)?[..used]
                 .iter()
                 .map(|&[x, y, z, alive]| (alive != 0.0).then(|| [x, y, z].map(f64::from)))
                 .collect(),
         };
+        let n_slots = markers.len();
         let distance = gpu.download(&liquid.liquid_distance)?;
         let cut = || -> Result<CutCells, Error> {
             let distance = gpu.download(&liquid.obstacles.solid_distance)?;
@@ -343,6 +388,41 @@ impl GpuLiquid {
             potential: stored.potential,
             real: solver.rhs.real,
             report: Report::from_words(&gpu.download(&liquid.report)?),
+            level: match &self.level {
+                Some(level) => Some(LevelSnapshot::read(gpu, grid, level, n_slots)?),
+                None => None,
+            },
+        })
+    }
+}
+
+impl LevelSnapshot {
+    fn read(
+        gpu: &Gpu,
+        grid: &Grid,
+        level: &LevelBuffers,
+        n_slots: usize,
+    ) -> Result<LevelSnapshot, Error> {
+        let cells = |field: &Buffer<f32>| {
+            let values = gpu.download(field)?;
+            Ok::<_, Error>(grid.padded().unpad(grid.cells, &values, f64::from))
+        };
+        let mut state = State::default();
+        level.read_components(gpu, &mut state)?;
+        let velocity = gpu.download(&level.marker_velocity)?;
+        let velocity = &velocity[..n_slots];
+        Ok(LevelSnapshot {
+            carried: cells(&level.carried_level)?,
+            level: cells(&level.new_level)?,
+            occupancy: cells(&level.occupancy)?,
+            excess: cells(&level.excess)?,
+            component: state.component,
+            component_volume: state.component_volume,
+            marker_velocity: velocity
+                .iter()
+                .map(|&[x, y, z, _]| [x, y, z].map(f64::from))
+                .collect(),
+            spray: velocity.iter().map(|v| v[3] != 0.0).collect(),
         })
     }
 }

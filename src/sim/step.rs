@@ -85,6 +85,9 @@ impl GpuPath {
         };
         step::run(&mut sub_step, &effects, true)?;
         let readback = sub_step.readback;
+        if let Some((liquid, report)) = self.liquid.as_ref().zip(readback.liquid) {
+            liquid.check_seeds(&report, self.head.step)?;
+        }
         let mut report = self.finish(time_step, readback);
         report.seconds_total = clock.elapsed().as_secs_f64();
         Ok(report)

@@ -1,9 +1,10 @@
-//! `advect_velocity`: u*(x) = u(x - dt u(x - dt/2 u(x))) per face, semi-Lagrangian along the midpoint rule (Stam 1999).
-//! Small-aperture faces contribute in proportion to their aperture. Liquid that touches nothing comes from g dt^2 / 2 further up.
+//! `advect_velocity`: u*(x) = u(x - dt u(x - dt/2 u(x))) per face, semi-Lagrangian along the midpoint rule (Stam 1999), with
+//! a level corrected by MacCormack's method. Small-aperture faces contribute in proportion to their aperture. Liquid that
+//! touches nothing comes from g dt^2 / 2 further up.
 
 use crate::Error;
-use crate::fields::{LiquidBuffers, SolverBuffers};
-use crate::gpu::{Dispatches, Gpu, Kernel, Real};
+use crate::fields::{LevelBuffers, LiquidBuffers, SolverBuffers};
+use crate::gpu::{Binding, Dispatches, Gpu, Kernel, Real, Source};
 use crate::step::Stage;
 use crate::wgsl;
 
@@ -13,20 +14,36 @@ pub fn advect_velocity(
     gpu: &Gpu,
     liquid: &LiquidBuffers,
     solver: &SolverBuffers,
+    level: Option<&LevelBuffers>,
 ) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::AdvectVelocity.name());
-    let kernels = match liquid.plan.effects.cuts() {
-        false => &[wgsl!("advect_velocity")][..],
-        true => &[
-            wgsl!("advect_slivers"),
-            wgsl!("show_slivers"),
-            wgsl!("advect_beside_slivers"),
-        ],
+    let effects = liquid.plan.effects;
+    let over_band = |source: Source, own: &[(&str, Binding)]| {
+        let kernel = Kernel::new(gpu, &source, Real::F32)?;
+        let bound = kernel.bind(gpu, own, &[liquid, solver, &level])?;
+        Ok::<_, Error>(bound.indirect(&liquid.band_args, 0))
     };
-    let over_band = |source| {
-        let bound = Kernel::new(gpu, source, Real::F32)?.bind(gpu, &[], &[liquid, solver])?;
-        Ok(bound.indirect(&liquid.band_args, 0))
-    };
-    let kernels: Result<Vec<_>, Error> = kernels.iter().map(over_band).collect();
-    Ok(Dispatches::new(Stage::AdvectVelocity.name(), kernels?))
+    let mut list = Vec::new();
+    match level.filter(|_| effects.maccormack) {
+        Some(level) => {
+            if let Some(slivers) = &level.sliver_velocity {
+                let to_slivers = [("velocity_next", slivers.into())];
+                list.push(over_band(wgsl!("advect_slivers"), &to_slivers)?);
+                list.push(over_band(wgsl!("show_slivers"), &[])?);
+            }
+            let to_carried = [("velocity_next", (&level.carried_velocity).into())];
+            list.push(over_band(wgsl!("advect_velocity"), &to_carried)?);
+            list.push(over_band(wgsl!("correct_velocity"), &[])?);
+            if level.sliver_velocity.is_some() {
+                list.push(over_band(wgsl!("mix_slivers"), &[])?);
+            }
+        }
+        None if effects.cuts() => {
+            list.push(over_band(wgsl!("advect_slivers"), &[])?);
+            list.push(over_band(wgsl!("show_slivers"), &[])?);
+            list.push(over_band(wgsl!("advect_beside_slivers"), &[])?);
+        }
+        None => list.push(over_band(wgsl!("advect_velocity"), &[])?),
+    }
+    Ok(Dispatches::new(Stage::AdvectVelocity.name(), list))
 }

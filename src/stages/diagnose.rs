@@ -6,17 +6,18 @@
 
 use crate::Error;
 use crate::fields::{
-    ClipBuffers, CouplingBuffers, CouplingReport, LiquidBuffers, SolidBuffers, SolverBuffers,
+    ClipBuffers, CouplingBuffers, CouplingReport, LevelBuffers, LiquidBuffers, SolidBuffers,
+    SolverBuffers,
 };
 use crate::gpu::{Dispatches, Gpu, Kernel, RealBuffer, Variant};
 use crate::step::Stage;
 use crate::wgsl;
 
-/// The stage for the liquid: arrays to `report`. With solids in liquid, `solids` contains the clipping, J, and the
+/// The stage for the liquid: arrays to `report`. With a level, volumes too, with the markers that fly. With solids in liquid, `solids` contains the clipping, J, and the
 /// node velocities (`Real4`, m/s).
 pub fn diagnose(
     gpu: &Gpu,
-    liquid: &LiquidBuffers,
+    (liquid, level): (&LiquidBuffers, Option<&LevelBuffers>),
     solver: &SolverBuffers,
     solids: Option<(&ClipBuffers, &CouplingBuffers, &RealBuffer)>,
 ) -> Result<Dispatches, Error> {
@@ -24,8 +25,20 @@ pub fn diagnose(
     let real = liquid.plan.real;
     let open = [("open", liquid.solve_open().into())];
     let with_flux = |real| Variant::from(real).beside_obstacles(liquid.obstacle_flux.is_some());
-    let bound = |source| Kernel::new(gpu, &source, real)?.bind(gpu, &[], &[liquid]);
-    let mut list = vec![bound(wgsl!("measure_motion"))?.threads(liquid.plan.n_summing())];
+    let bound = |source| Kernel::new(gpu, &source, real)?.bind(gpu, &[], &[liquid, &level]);
+    let summing = |source| Ok::<_, Error>(bound(source)?.threads(liquid.plan.n_summing()));
+    let mut list = Vec::new();
+    if let Some(level) = level {
+        let spray = bound(wgsl!("sum_spray"))?;
+        list.push(spray.indirect(&level.marker_args, 0));
+        list.push(summing(wgsl!("measure_volume"))?);
+        list.push(bound(wgsl!("add_spray_volume"))?.threads(1));
+        list.push(bound(wgsl!("report_volume"))?.threads(1));
+    }
+    list.push(summing(wgsl!("measure_motion"))?);
+    if level.is_some() {
+        list.push(bound(wgsl!("add_spray_motion"))?.threads(1));
+    }
     let clip = solids.map(|(clip, ..)| clip);
     let divergence = match solids {
         Some(_) => wgsl!("measure_uncut_divergence"),
@@ -44,7 +57,11 @@ pub fn diagnose(
         list.push(bound.threads(coupling.size.quads));
     }
     list.push(bound(wgsl!("report_motion"))?.threads(1));
-    Ok(Dispatches::new(Stage::Diagnose.name(), list).clearing(&liquid.maxima))
+    let stage = Dispatches::new(Stage::Diagnose.name(), list).clearing(&liquid.maxima);
+    Ok(match level {
+        Some(level) => stage.clearing(&level.spray_sums),
+        None => stage,
+    })
 }
 
 /// The stage for the solids: arrays to `report`.

@@ -1,6 +1,6 @@
 //! `extrapolate`: velocities beyond the liquid, layer by layer, for the next advection. Domain walls are impermeable;
 //! obstacles and solids have free slip relative to their velocity. Small-aperture faces contribute in proportion to
-//! their aperture.
+//! their aperture. With a level the first layer continues the slope of the liquid.
 
 use crate::Error;
 use crate::fields::{ClipBuffers, LiquidBuffers, extrapolation_layers};
@@ -38,6 +38,9 @@ pub fn extrapolate(
             ("valid_out", flags[1 - n % 2].into()),
         ];
         list.push(over_band(wgsl!("extrapolate_layer"), &ends)?);
+        if n == 0 && liquid.plan.effects.maccormack {
+            list.push(over_band(wgsl!("extrapolate_slope"), &ends[..1])?);
+        }
     }
     list.push(over_band(wgsl!("extrapolate_walls"), &[])?);
     if let Some((clip, velocity)) = moving {

@@ -9,44 +9,64 @@
 //! tiles, and flags per quad during compaction, cover the whole domain.
 
 mod active_cells;
+mod advect_level;
 mod advect_markers;
 mod advect_velocity;
 mod ballistic;
 mod band;
+mod bound_level;
 mod clip;
 mod closed_components;
 mod diagnose;
 mod element_rotations;
+mod excess;
 mod exchange;
 mod extrapolate;
+mod filter_level;
 mod forces;
+mod liquid_components;
 mod liquid_distance;
+mod marker_band;
 mod move_solid;
+mod occupancy;
 mod patch_pressure;
 mod probe;
+mod redistance;
 mod right_hand_side;
+mod spray;
+mod volume_shift;
 mod write_back;
 
 pub use active_cells::{ActiveSettings, Everywhere, FreeSurface, PressureSystem, Within};
+pub use advect_level::advect_level;
 pub use advect_markers::advect_markers;
 pub use advect_velocity::advect_velocity;
 pub use ballistic::{ballistic_bodies, wet_bodies};
 pub use band::band;
+pub use bound_level::bound_level;
 pub use clip::clip;
 pub use closed_components::{Components, Seal};
 pub use diagnose::{diagnose, diagnose_coupling, diagnose_solid};
 pub use element_rotations::element_rotations;
+pub use excess::excess;
 pub use extrapolate::extrapolate;
+pub use filter_level::filter_level;
 pub use forces::{forces, node_forces};
+pub use liquid_components::{component_origins, liquid_components, settle_flights};
 pub use liquid_distance::{liquid_distance, measure_volume};
+pub use marker_band::marker_band;
 pub use move_solid::move_solid;
+pub use occupancy::occupancy;
 pub use patch_pressure::{OpenFaces, PatchPressure, PressureSlope};
 pub use probe::{Probe, ProbePoint};
+pub use redistance::redistance;
 pub use right_hand_side::right_hand_side;
+pub use spray::spray;
+pub use volume_shift::volume_shift;
 pub use write_back::write_back;
 
 use crate::Error;
-use crate::fields::{LiquidBuffers, Sinks, SolverBuffers, Sources};
+use crate::fields::{LevelBuffers, LiquidBuffers, Sinks, SolverBuffers, Sources};
 use crate::gpu::{Dispatches, Gpu};
 
 /// The stages of the liquid that do not depend on the clipping, so all but `extrapolate` and `diagnose`. Stages
@@ -55,17 +75,21 @@ pub fn liquid_stages(
     gpu: &Gpu,
     liquid: &LiquidBuffers,
     solver: &SolverBuffers,
+    level: Option<&LevelBuffers>,
     (sources, sinks): (Option<&Sources>, Option<&Sinks>),
 ) -> Result<Vec<Dispatches>, Error> {
     let mut stages = vec![
-        advect_markers(gpu, liquid, solver)?,
-        band(gpu, liquid)?,
-        advect_velocity(gpu, liquid, solver)?,
+        advect_markers(gpu, liquid, solver, level)?,
+        band(gpu, liquid, level)?,
+        advect_velocity(gpu, liquid, solver, level)?,
         forces(gpu, liquid)?,
-        liquid_distance(gpu, liquid, sinks)?,
-        right_hand_side(gpu, liquid, solver)?,
+        liquid_distance(gpu, liquid, level, sinks)?,
+        right_hand_side(gpu, liquid, level, solver)?,
         write_back(gpu, liquid, solver)?,
     ];
+    if let Some(level) = level {
+        stages.extend(level_stages(gpu, liquid, solver, level)?);
+    }
     if let Some(sinks) = sinks {
         stages.push(sinks.exchange(gpu, liquid)?);
     }
@@ -73,4 +97,24 @@ pub fn liquid_stages(
         stages.extend(sources.stages(gpu, liquid)?);
     }
     Ok(stages)
+}
+
+fn level_stages(
+    gpu: &Gpu,
+    liquid: &LiquidBuffers,
+    solver: &SolverBuffers,
+    level: &LevelBuffers,
+) -> Result<Vec<Dispatches>, Error> {
+    Ok(vec![
+        advect_level(gpu, liquid, solver, level)?,
+        occupancy(gpu, liquid, level)?,
+        bound_level(gpu, liquid, level)?,
+        redistance(gpu, liquid, level)?,
+        filter_level(gpu, liquid, level)?,
+        liquid_components(gpu, liquid, level)?,
+        volume_shift(gpu, liquid, level)?,
+        excess(gpu, liquid, level)?,
+        marker_band(gpu, liquid, level)?,
+        spray(gpu, liquid, level)?,
+    ])
 }

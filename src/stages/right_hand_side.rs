@@ -1,8 +1,10 @@
 //! `right_hand_side`: b = - sum over faces of s_f open_f u*_f, m/s (thesis 4.38 over dx^2). Volume control adds a
-//! source in components with a free surface; the flux of moving obstacles is subtracted.
+//! source in components with a free surface, a level the excess of its markers; the flux of moving obstacles is
+//! subtracted.
 
+use super::excess::add_excess;
 use crate::Error;
-use crate::fields::{LiquidBuffers, SolverBuffers};
+use crate::fields::{LevelBuffers, LiquidBuffers, SolverBuffers};
 use crate::gpu::{Dispatches, Gpu, Kernel};
 use crate::step::Stage;
 use crate::wgsl;
@@ -12,6 +14,7 @@ use crate::wgsl;
 pub fn right_hand_side(
     gpu: &Gpu,
     liquid: &LiquidBuffers,
+    level: Option<&LevelBuffers>,
     solver: &SolverBuffers,
 ) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::RightHandSide.name());
@@ -26,6 +29,9 @@ pub fn right_hand_side(
         Ok::<_, Error>(bound.indirect(&solver.args, 0))
     };
     let mut kernels = vec![over_active(wgsl!("right_hand_side"), &predicted)?];
+    if let Some(level) = level.filter(|_| liquid.plan.effects.volume_shift) {
+        kernels.push(add_excess(gpu, liquid, level, solver)?);
+    }
     if liquid.obstacle_flux.is_some() {
         kernels.push(over_active(wgsl!("take_up"), &[])?);
     }

@@ -59,7 +59,7 @@ fn what_leaves_the_band_is_put_back_to_air() {
         .find(|case| case.name == "far corner")
         .unwrap();
     let buffers = case.upload(gpu);
-    let band = band(gpu, &buffers).unwrap();
+    let band = band(gpu, &buffers, None).unwrap();
     let record = || {
         let mut recorder = Recorder::new(gpu);
         band.record(&mut recorder);

@@ -280,7 +280,7 @@ fn effects_that_are_taken_away_leave_nothing() {
     if gpu().is_none() {
         return;
     }
-    let cases: [(&[&str], &[&str], &[&str]); 5] = [
+    let cases: [(&[&str], &[&str], &[&str]); 7] = [
         (
             &[POOL, "liquid.volume_control=false"],
             &[
@@ -305,6 +305,20 @@ fn effects_that_are_taken_away_leave_nothing() {
             &[POOL, "liquid.surface=fixed", "solver.theta_floor=0.1"],
             &["liquid.surface=markers", OPEN, SOURCE, SINK],
             &["markers"],
+        ),
+        (
+            &[
+                POOL,
+                "liquid.volume_control=false",
+                "solver.theta_floor=0.1",
+            ],
+            &["liquid.surface=level"],
+            &["level"],
+        ),
+        (
+            &[POOL, "liquid.surface=level", "liquid.volume_control=false"],
+            &["liquid.volume_control=true"],
+            &["volume_shift"],
         ),
         (
             &[RAFT, NODE],

@@ -211,6 +211,11 @@ fn cases() -> Vec<(&'static str, Scene, [usize; 2])> {
         ),
         ("solids alone", scene(DROPS, &[]), [7, 5]),
         ("liquid alone", scene(DAM, &[]), [7, 5]),
+        (
+            "level",
+            scene(DAM, &["liquid.surface=level", "time.duration=0.6"]),
+            [16, 6],
+        ),
     ]
 }
 

@@ -59,6 +59,10 @@ fn small_scenes_pass() {
     let full = ["liquid.region[0].half_space.point=[0.0, 0.99, 0.0]"];
     for (scene, frames) in [
         (scene("dam_break_liquid", 0.25, &[]), 2),
+        (
+            scene("dam_break_liquid", 0.25, &["liquid.surface=level"]),
+            2,
+        ),
         (scene("draining_tank", 0.25, &[]), 2),
         (scene("fountain", 0.25, &single), 2),
         (scene("hydrostatic_block", 0.5, &full), 1),

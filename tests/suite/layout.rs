@@ -4,7 +4,7 @@ use std::fs;
 use std::mem::offset_of;
 use std::path::Path;
 
-use cutwater::fields::{SolidStep, Step, Tiles};
+use cutwater::fields::{LevelStep, SolidStep, Step, Tiles};
 use cutwater::gpu::{Range, Real, SortPass, Source, compose, validate};
 use cutwater::grid::Layout;
 use cutwater::stages::ProbePoint;
@@ -117,9 +117,15 @@ fn tiles_match() {
     assert_layout(
         "tiles",
         "Tiles",
-        fields!(Tiles: n, reach),
+        fields!(Tiles: n, reach, air, moves, pad_0, pad_1),
         size_of::<Tiles>(),
     );
+}
+
+#[test]
+fn level_step_matches() {
+    let fields = fields!(LevelStep: seed, number, capacity, pad);
+    assert_layout("level_step", "LevelStep", fields, size_of::<LevelStep>());
 }
 
 #[test]

@@ -237,7 +237,12 @@ impl Case {
             active, ballistic, ..
         } = &self.state;
         let dt = f64::from(self.dt as f32);
-        Ballistic::new(active, ballistic, GRAVITY.into(), dt)
+        // Liquid without markers is that of a fixed surface to the device.
+        let cells = match self.state.markers.is_empty() {
+            true => &[][..],
+            false => ballistic,
+        };
+        Ballistic::new(active, cells, GRAVITY.into(), dt)
     }
 
     /// The sub-step's numbers.
@@ -260,7 +265,7 @@ impl Case {
 
     /// Records the band around the markers.
     pub(crate) fn band(&self, gpu: &Gpu, buffers: &LiquidBuffers) {
-        let band = band(gpu, buffers).unwrap();
+        let band = band(gpu, buffers, None).unwrap();
         let mut recorder = Recorder::new(gpu);
         band.record(&mut recorder);
         recorder.submit();

@@ -348,8 +348,16 @@ fn stages_share_their_nouns() {
     let tests = [
         ("active_cells", "solver"),
         ("ballistic", "twin_move_solid"),
+        ("bound_level", "twin_level_shape"),
         ("closed_components", "components"),
+        ("excess", "twin_liquid_components"),
+        ("filter_level", "twin_level_shape"),
+        ("marker_band", "twin_level_markers"),
+        ("occupancy", "twin_level_shape"),
         ("patch_pressure", "twin_coupling"),
+        ("redistance", "twin_level_shape"),
+        ("spray", "twin_level_markers"),
+        ("volume_shift", "twin_liquid_components"),
     ];
     for file in files("src/stages", &["rs"]) {
         let stem = file.file_stem().unwrap().to_str().unwrap();

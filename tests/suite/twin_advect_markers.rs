@@ -83,7 +83,7 @@ fn markers_move_as_in_the_twin() {
         let distance = surface_distance(&case);
         let surface = surface(&case, &distance);
         let buffers = case.upload(gpu);
-        let stage = advect_markers(gpu, &buffers, &case.solved(gpu)).unwrap();
+        let stage = advect_markers(gpu, &buffers, &case.solved(gpu), None).unwrap();
         let (markers, lost) = advected(gpu, &case, &buffers, &stage);
         let error = MarkerError::new(&case.grid, &case.state.velocity, surface, case.dt);
         let mut pairs = Vec::new();
@@ -149,7 +149,7 @@ fn the_surface_is_where_the_twin_has_it() {
     let Some(gpu) = gpu() else { return };
     for case in filled_cases() {
         let buffers = case.upload(gpu);
-        let stage = advect_markers(gpu, &buffers, &case.solved(gpu)).unwrap();
+        let stage = advect_markers(gpu, &buffers, &case.solved(gpu), None).unwrap();
         let (grid, padded) = (case.grid, buffers.padded);
         // A difference of numbers up to 4 dx, one of which is a product with a root that may be off by four roundings.
         let bound = 6.0 * EPS * 4.0 * grid.dx;
@@ -182,7 +182,7 @@ fn dropped_markers_stay_dropped() {
         .find(|case| case.name == "all solid")
         .unwrap();
     let buffers = case.upload(gpu);
-    let stage = advect_markers(gpu, &buffers, &case.solved(gpu)).unwrap();
+    let stage = advect_markers(gpu, &buffers, &case.solved(gpu), None).unwrap();
     let mut recorder = Recorder::new(gpu);
     stage.record(&mut recorder);
     stage.record(&mut recorder);

@@ -38,7 +38,7 @@ fn the_liquid_amounts_to_the_twins() {
         gpu.upload(&buffers.velocity, &buffers.pad_faces(&u));
         let volume = stages::measure_volume(gpu, &buffers).unwrap();
         let diagnose =
-            stages::diagnose(gpu, &buffers, &active.solver(gpu, Real::F32), None).unwrap();
+            stages::diagnose(gpu, (&buffers, None), &active.solver(gpu, Real::F32), None).unwrap();
         let run = || {
             let mut recorder = Recorder::new(gpu);
             volume.record(&mut recorder);
@@ -107,7 +107,8 @@ fn not_a_number_is_seen() {
     let buffers = case.upload(gpu);
     case.band(gpu, &buffers);
     let active = ActiveBuffers::new(&case, &case.state.liquid_distance);
-    let diagnose = stages::diagnose(gpu, &buffers, &active.solver(gpu, Real::F32), None).unwrap();
+    let diagnose =
+        stages::diagnose(gpu, (&buffers, None), &active.solver(gpu, Real::F32), None).unwrap();
     let mut recorder = Recorder::new(gpu);
     diagnose.record(&mut recorder);
     recorder.submit();
@@ -134,8 +135,13 @@ fn divergence_beside_solids_is_the_twins() {
         let cut = stages::clip(gpu, &buffers, &clip).unwrap();
         let joint = case.joint(gpu);
         let solids = Some((&clip, &joint, &velocity));
-        let diagnose =
-            stages::diagnose(gpu, &buffers, &active.solver(gpu, Real::F32), solids).unwrap();
+        let diagnose = stages::diagnose(
+            gpu,
+            (&buffers, None),
+            &active.solver(gpu, Real::F32),
+            solids,
+        )
+        .unwrap();
         let mut recorder = Recorder::new(gpu);
         cut.record(&mut recorder);
         recorder.submit();

@@ -25,8 +25,8 @@ impl Run<'_> {
             gpu,
             case,
             volume_0: single(0.7 * case.grid.size().element_product()),
-            band: stages::band(gpu, &buffers).unwrap(),
-            stage: stages::liquid_distance(gpu, &buffers, None).unwrap(),
+            band: stages::band(gpu, &buffers, None).unwrap(),
+            stage: stages::liquid_distance(gpu, &buffers, None, None).unwrap(),
             buffers,
         }
     }

@@ -35,7 +35,7 @@ fn the_divergence_is_the_twins() {
         for (&real, rate) in reals.iter().zip([0.0_f32, -0.17]).chain([(&reals[0], 0.2)]) {
             let buffers = case.upload(gpu);
             let solver = active.solver(gpu, real);
-            let stage = right_hand_side(gpu, &buffers, &solver).unwrap();
+            let stage = right_hand_side(gpu, &buffers, None, &solver).unwrap();
             let run = || {
                 gpu.upload(
                     &buffers.velocity_next,

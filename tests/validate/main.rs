@@ -35,6 +35,7 @@ mod coupled_scenes;
 mod coupled_truths;
 mod lamb;
 mod lane;
+mod level;
 mod liquid;
 mod page;
 mod published;
@@ -115,6 +116,7 @@ fn cases() -> Vec<Case> {
     [
         ("liquid", liquid::cases()),
         ("liquid", waves::cases()),
+        ("liquid", level::cases()),
         ("coupled solve", coupled::cases()),
         ("liquid and solids", coupled_truths::cases()),
         ("liquid and solids", lamb::cases()),

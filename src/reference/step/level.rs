@@ -8,10 +8,10 @@ use crate::grid::Axis;
 use crate::reference::marker_band::cell_of;
 use crate::reference::{
     ActiveCells, Before, Components, LevelCells, Levels, Markers, RightHandSide, add_excess,
-    advect_level, advect_level_markers, balance, bound_level, empty_sinks, excess, extend_level,
-    fill_sources, filled, filter_level, liquid_components, marker_band, move_spray_volume,
-    occupancy, open_volumes, redistance, seed_markers, shared_volumes, spray, thin_liquid,
-    volume_shift,
+    advect_level, advect_level_markers, balance, bound_level, component_origins, empty_sinks,
+    excess, extend_level, fill_sources, filled, filter_level, liquid_components, marker_band,
+    move_spray_volume, occupancy, open_volumes, redistance, seed_markers, shared_volumes, spray,
+    thin_liquid, volume_shift,
 };
 use crate::state::State;
 
@@ -240,15 +240,19 @@ impl SubStep<'_> {
         let (grid, level, open_volumes) = (&model.grid, self.level_after(), self.open_volumes());
         let open = &self.boundary.cut_cells().open;
         let components = liquid_components(grid, open, &open_volumes, &level);
-        let volume = |(open, &phi): (&f64, &f64)| open * filled(phi);
-        let volumes: Vec<f64> = open_volumes.iter().zip(&level).map(volume).collect();
+        let volume = |cell: usize| match components.label[cell] {
+            0 => 0.0,
+            _ => open_volumes[cell] * filled(level[cell]),
+        };
+        let volumes: Vec<f64> = (0..grid.n_cells()).map(volume).collect();
         let old = Before {
             label: &before.component,
-            volume_0: &self.results.level.volume_before,
             velocity: &before.velocity,
             ballistic: self.ballistic(&filled_before),
         };
-        let mut targets = shared_volumes(grid, old, &components, &volumes, dt);
+        let origins = component_origins(grid, old, |cell| volumes[cell] > 0.0, dt);
+        let volume_0 = &self.results.level.volume_before;
+        let mut targets = shared_volumes(volume_0, &origins, &components, &volumes);
         self.add_sources(&components.label, &mut targets);
         let [left, sunk, spray] = self.results.level.removed;
         let emitted = self.results.exchange.volume_emitted;
@@ -261,7 +265,8 @@ impl SubStep<'_> {
             let pairs = targets.iter_mut().zip(&components.volume);
             pairs.for_each(|(target, &volume)| {
                 let range = [-LARGEST_DIFFERENCE, LARGEST_DIFFERENCE].map(|d| (1.0 + d) * volume);
-                *target = target.clamp(range[0], range[1]);
+                // NaN stays for the check of the solve, where `clamp` would panic.
+                *target = target.max(range[0]).min(range[1]);
             });
             self.after.volume_0 = targets.iter().sum::<f64>() + flying;
         }

@@ -8,12 +8,12 @@ use crate::elastic::Solids;
 use crate::reference::path::Model;
 use crate::reference::{
     Ballistic, Contacts, MovingWalls, Passed, PressureSystem, SolidSystem, Surface, VolumeSource,
-    active_cells, advect_markers, advect_velocity, advect_velocity_maccormack, ballistic_bodies,
-    ballistic_cells, carry_faces, diagnose, diagnose_solid, divergence, empty_sinks,
-    exchanged_volume, extrapolate_with_slope, forces, hold_faces, liquid_distance, liquid_volume,
-    move_solid, n_layers, node_forces, open_volumes, patch_pressure, pressure_gradient,
-    right_hand_side, seed_markers, sink_markers, solid_matrices, solid_right_hand_side,
-    surface_distance, volume_rate, wet_nodes, write_back,
+    active_cells, add_spray, advect_markers, advect_velocity, advect_velocity_maccormack,
+    ballistic_bodies, ballistic_cells, carry_faces, diagnose, diagnose_solid, divergence,
+    empty_sinks, exchanged_volume, extrapolate_with_slope, forces, hold_faces, liquid_distance,
+    liquid_volume, move_solid, n_layers, node_forces, open_volumes, patch_pressure,
+    pressure_gradient, right_hand_side, seed_markers, sink_markers, solid_matrices,
+    solid_right_hand_side, surface_distance, volume_rate, wet_nodes, write_back,
 };
 use crate::scene::{CouplingScheme, PatchPressure};
 use crate::state::{LiquidReport, SolidReport};
@@ -329,18 +329,21 @@ impl SubStep<'_> {
     fn liquid_report(&self) -> Option<LiquidReport> {
         let Model { scene, grid, .. } = self.model;
         let (results, after) = (&self.results, &self.after);
+        let (density, gravity) = (self.liquid()?.density, scene.domain.gravity);
+        let mut diagnosis = diagnose(
+            grid,
+            self.boundary.cut_cells(),
+            &after.liquid_distance,
+            &after.velocity,
+            results.divergence,
+            density,
+            gravity,
+        );
+        add_spray(grid, (density, gravity), after.flying(), &mut diagnosis);
         Some(LiquidReport {
             solve: results.solves[0]?,
             closed_components: results.pressure.as_ref()?.closed.len(),
-            diagnosis: diagnose(
-                grid,
-                self.boundary.cut_cells(),
-                &after.liquid_distance,
-                &after.velocity,
-                results.divergence,
-                self.liquid()?.density,
-                scene.domain.gravity,
-            ),
+            diagnosis,
             markers: after.markers.len(),
             dropped: results.removed_markers.dropped,
             exchange: (self.model.effects.exchange()).then_some(results.exchange),

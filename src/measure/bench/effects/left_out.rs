@@ -36,7 +36,9 @@ effects! {
         change_liquid(scene, |liquid| liquid.surface = Surface::Fixed);
         close(scene);
     };
+    level: |scene| change_level(scene, |liquid| liquid.surface = Surface::Markers);
     volume_control: |scene| change_liquid(scene, |_| {});
+    volume_shift: |scene| change_level(scene, |_| {});
     open_sides: |scene| scene.domain.open = Sides::default();
     sources: |scene| scene.sources.clear();
     sinks: |scene| scene.sinks.clear();
@@ -63,6 +65,13 @@ fn change_liquid(scene: &mut Scene, change: fn(&mut Liquid)) {
     if let Some(liquid) = &mut scene.liquid {
         change(liquid);
         liquid.volume_control = false;
+    }
+}
+
+/// The same for a level alone.
+fn change_level(scene: &mut Scene, change: fn(&mut Liquid)) {
+    if Effects::of(scene).level {
+        change_liquid(scene, change);
     }
 }
 

@@ -1,5 +1,6 @@
 //! The stages of the liquid against their twins.
 
+mod level;
 mod pressure;
 
 use glam::DVec3;
@@ -141,6 +142,7 @@ impl<'a> LiquidComparison<'a> {
         clip: Option<&SolidClip>,
         both: Option<&Both>,
     ) -> Result<(), Error> {
+        let effects = Effects::of(self.scene);
         self.table.stage = stage.name();
         match stage {
             Stage::Clip => {
@@ -148,12 +150,15 @@ impl<'a> LiquidComparison<'a> {
                     self.clip(after, clip);
                 }
             }
+            _ if effects.level && stage == Stage::AdvectMarkers => self.advect_level_markers(after),
             Stage::AdvectMarkers => self.advect_markers(after),
             Stage::Exchange => self.exchange(after),
             Stage::AdvectVelocity => self.advect_velocity(after),
             Stage::Forces => self.forces(after),
             // A fixed surface stays.
-            Stage::LiquidDistance if Effects::of(self.scene).markers => self.liquid_distance(after),
+            Stage::LiquidDistance if effects.markers && !effects.level => {
+                self.liquid_distance(after)
+            }
             Stage::ActiveCells => self.active_cells(after, both),
             Stage::RightHandSide => self.right_hand_side(after, clip, both),
             Stage::Solve => self.solve(after, both)?,
@@ -164,7 +169,7 @@ impl<'a> LiquidComparison<'a> {
                 self.probes(after);
             }
             // The band selects where the others work; a wrong band shows in their rows.
-            _ => {}
+            _ => self.level(stage, after),
         }
         self.before = device.unwrap_or_else(|| after.clone());
         Ok(())
@@ -350,9 +355,17 @@ impl<'a> LiquidComparison<'a> {
         let open = &open_to_advection(&self.cut.open, in_band);
         let bound = advection_error(&self.grid, open, velocity, dt);
         let ballistic = self.ballistic();
-        let advected =
-            |of: &Ballistic| reference::advect_velocity(&self.grid, open, velocity, of, dt);
+        let maccormack = Effects::of(self.scene).maccormack;
+        let advect = match maccormack {
+            true => reference::advect_velocity_maccormack,
+            false => reference::advect_velocity,
+        };
+        let advected = |of: &Ballistic| advect(&self.grid, open, velocity, of, dt);
         let twin = advected(&ballistic);
+        if maccormack {
+            self.maccormack(after, (&twin, open));
+            return;
+        }
         if ballistic.is_none() {
             self.add_band_faces(after, &twin, |_, _| bound);
             return;
@@ -544,10 +557,12 @@ impl<'a> LiquidComparison<'a> {
         let active = active.expect("active_cells comes before right_hand_side");
         let velocity = &self.before.velocity_next;
         let (open, source) = (self.open_to_flux(), Some(self.source()));
-        let twin = reference::right_hand_side(&grid, &open, velocity, &active, source);
+        let mut twin = reference::right_hand_side(&grid, &open, velocity, &active, source);
+        let mask = active.stencil.active_mask();
+        let of_excess = self.add_excess(&mask, &mut twin);
         let area = grid.dx * grid.dx;
         let speed = active_speed(&grid, &active.stencil, velocity);
-        let terms = 12.0 * 6.0 * unit(after.real) * speed;
+        let terms = 12.0 * 6.0 * unit(after.real) * speed + of_excess;
         let rate = after.report.volume_rate.abs();
         let mut bound = terms + EPS * 6.0 * rate * grid.dx;
         let mut gpu = after.rhs.clone();
@@ -644,7 +659,12 @@ impl<'a> LiquidComparison<'a> {
         let speed = 3.0 * wall_speed + reference::max_speed(&self.before.velocity);
         let mut twin = self.before.velocity.clone();
         let valid = self.before.valid.clone();
-        reference::extrapolate(&grid, &self.cut, walls, valid, layers, &mut twin);
+        let largest = match Effects::of(self.scene).maccormack {
+            true => 0.5 * grid.dx / self.dt(),
+            false => 0.0,
+        };
+        let extent = (layers, largest);
+        reference::extrapolate_with_slope(&grid, &self.cut, walls, valid, extent, &mut twin);
         // Blended neighbour velocities: two sums of up to 26, products and a quotient.
         let blended = if self.cuts() { 64.0 } else { 0.0 };
         let means = EPS * speed * (blended + 10.0 * layers as f64);
@@ -717,15 +737,23 @@ impl<'a> LiquidComparison<'a> {
         }
         let (cut, velocity, open) = (&self.cut, &after.velocity, self.open_to_flux());
         let left = reference::divergence(&open, velocity, &stencil, boundary_flux.as_deref());
-        let twin = reference::diagnose(&grid, cut, phi, velocity, left, density, gravity);
+        let mut twin = reference::diagnose(&grid, cut, phi, velocity, left, density, gravity);
+        let spray = after.spray();
+        reference::add_spray(&grid, (density, gravity), spray.iter().copied(), &mut twin);
         let gpu = after.report.diagnosis;
-        let volume = self.sum_error(after.real, phi) * self.wet_volume(phi);
-        let (mass, speed) = (density * volume, twin.max_speed);
+        let spray_volume = spray.len() as f64 * grid.cell_volume() / 8.0;
+        let volume = self.sum_error(after.real, phi) * (self.wet_volume(phi) + spray_volume);
+        let spray_speed = largest(spray.iter().flat_map(|(_, v)| v.map(f64::abs)));
+        let (mass, speed) = (density * volume, twin.max_speed.max(spray_speed));
         let height = gravity.abs().dot(grid.size());
         let flux = active_speed(&grid, &stencil, velocity) / grid.dx;
         let divergence =
             72.0 * unit(after.real) * flux + 4.0 * EPS * twin.divergence.abs() + area_error;
-        let energy = 1.5 * mass * speed * speed;
+        // Sums over the spray are of whole quanta, 2^-12 cells.
+        let spray_mass = density * spray_volume;
+        let quantum = grid.dx * (-13.0_f64).exp2() * spray_mass;
+        let (way, height_quantum) = (quantum / self.dt(), quantum * gravity.length());
+        let energy = 1.5 * mass * speed * speed + 0.5 * way * (grid.dx / self.dt());
         let mut row = |quantity, unit, gpu, twin, bound| {
             self.table.whole([quantity, unit], gpu, twin, bound);
         };
@@ -739,7 +767,7 @@ impl<'a> LiquidComparison<'a> {
                 "kg m/s",
                 gpu.momentum[a],
                 twin.momentum[a],
-                mass * speed,
+                mass * speed + way,
             );
         }
         let [kinetic, potential] = ["kinetic energy", "potential energy"];
@@ -755,7 +783,7 @@ impl<'a> LiquidComparison<'a> {
             "J",
             gpu.potential_energy,
             twin.potential_energy,
-            mass * height,
+            mass * height + height_quantum,
         );
         row("largest speed", "m/s", gpu.max_speed, speed, 0.0);
         row(

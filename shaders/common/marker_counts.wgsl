@@ -1,0 +1,5 @@
+// Words of marker_counts, numbers of markers in this sub-step: spray after it has moved, spray that was lost on the way, markers deleted below
+// the band.
+const FLYING = 0u;
+const LOST_SPRAY = 1u;
+const DELETED = 2u;

@@ -1,0 +1,201 @@
+//! The arrays of a level set on the device.
+
+use crate::Error;
+use crate::arrays;
+use crate::gpu::{Gpu, WG_SIZE, groups};
+use crate::grid::Padded;
+use crate::state::State;
+
+use super::LiquidPlan;
+
+/// Parameters of a sub-step for the markers of a level.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct LevelStep {
+    /// Seed of the jitter.
+    pub seed: u32,
+    /// Number of the sub-step.
+    pub number: u32,
+    /// Slots for markers.
+    pub capacity: u32,
+    /// Padding.
+    pub pad: u32,
+}
+
+/// Words of the numbers of markers (`common/marker_counts.wgsl`).
+const MARKER_COUNTS: usize = 3;
+/// Words of the sums over spray.
+const SPRAY_SUMS: usize = 12;
+
+arrays! {
+    /// Arrays of a level set in the device layout ([`Padded`]). Levels are in cells. All hold on the band alone; outside it
+    /// they contain values of earlier sub-steps.
+    pub struct LevelBuffers in "level" {
+        fields {
+            plan: LiquidPlan,
+            padded: Padded,
+        }
+        arrays {
+            /// Parameters of the sub-step for the markers.
+            uniform level_step: LevelStep [LevelStep { capacity: plan.n_markers as u32, ..LevelStep::default() }] as "level.step",
+            /// phi*: the level after its transport.
+            pub array carried_level: f32 [padded.len()],
+            /// The level after the last stage that changed it.
+            pub array new_level: f32 [padded.len()],
+            /// Scratch: the level during a stage, the first-order transport in `advect_level`.
+            pub array next_level: f32 [padded.len()],
+            /// First-order transport of the face velocities in `advect_velocity`: sections of x, y, z faces, m/s.
+            pub array carried_velocity: f32 [3 * padded.len()],
+            /// The same of small-aperture faces through unblended velocities.
+            pub array sliver_velocity: f32 [3 * padded.len()] if plan.effects.cuts(),
+            /// Distance to the interface during `redistance`, before and after a pass; with a minus at interface cells, where it
+            /// stays. After the passes `eikonal_now` has the mixed level.
+            pub array eikonal_now: f32 [padded.len()],
+            /// The other of the two.
+            pub array eikonal_next: f32 [padded.len()],
+            /// Per quad: lanes in thin liquid, from `bound_level` on.
+            pub array thin: u32 [padded.quads],
+            /// Per quad: lanes near thick liquid, during `bound_level`.
+            pub array thin_next: u32 [padded.quads],
+            /// F: fraction of the surroundings that markers fill, -1 where it is unknown.
+            pub array occupancy: f32 [padded.len()],
+            /// Sums of the markers' weights, in units of 2^-20.
+            pub array marker_weights: u32 [padded.len()],
+            /// Density difference and weight of a cell during `excess`, before and after a pass.
+            pub array density_now: [f32; 2] [padded.len()],
+            /// The other of the two.
+            pub array density_next: [f32; 2] [padded.len()],
+            /// e: density of the markers less that of liquid.
+            pub array excess: f32 [padded.len()],
+            /// Label of the liquid component of each cell: the index of one of its cells, 0 for none. Labels of a state that was
+            /// written are its numbers until the first sub-step. 0 outside the band too.
+            pub array component: u32 [padded.len()],
+            /// Label before the sub-step at the departure point of each cell.
+            pub array component_origin: u32 [padded.len()],
+            /// Target volume of each component, at its label, in volumes of a cell.
+            pub array component_volume: f32 [padded.len()],
+            /// Volume of each component, at its label, and whether it has a free surface (`common/component_sums.wgsl`).
+            pub array component_sums: [u32; 2] [padded.len()],
+            /// Sums over all components: volume, shares of the targets (`common/component_sums.wgsl`).
+            pub array component_totals: u32 [4],
+            /// Markers that landed less those that took off in this sub-step, at the label of the component beside them. Zero
+            /// outside the stage `spray`.
+            pub array component_flights: i32 [padded.len()],
+            /// Velocity of the markers, m/s, and 1 for spray. Between `advect_markers` and `spray` that of spray alone.
+            pub array marker_velocity: [f32; 4] [plan.n_markers],
+            /// Workgroups x, y, z for the used slots of the markers, and their number. `marker_band` adds those that it seeds; the host knows
+            /// them after the sub-step ([`Step::n_markers`](super::Step)), so kernels after that stage compare with this number.
+            pub array marker_args: u32 [4],
+            /// Numbers of markers in the sub-step: `common/marker_counts.wgsl`.
+            pub array marker_counts: u32 [MARKER_COUNTS],
+            /// Sums over the markers that fly (`common/spray_sums.wgsl`).
+            pub array spray_sums: u32 [SPRAY_SUMS],
+            /// Sites that get a marker, per quad in the list of the band: a bit each, eight per lane.
+            pub array seeds: u32 [padded.quads],
+        }
+        views {
+            // Volumes that come from the components before the sub-step, at the old labels.
+            overlaps = density_now while LiquidComponents..=LiquidComponents, free MarkerBand..=VolumeShift,
+            // Parts of the old targets, at the new labels, and zero after the stage.
+            shares = density_next while LiquidComponents..=LiquidComponents, free MarkerBand..=VolumeShift,
+            // Areas of the surfaces, at the labels.
+            areas = density_next while VolumeShift..=VolumeShift, free LiquidComponents..=VolumeShift,
+            // Liquid in each cell with a label, in volumes of a cell.
+            liquid_volumes = next_level while LiquidComponents..=LiquidComponents, free LiquidComponents..=Excess,
+        }
+        parts {}
+    }
+}
+
+impl LevelBuffers {
+    /// Allocates all arrays; `None` without a level.
+    pub fn new(gpu: &Gpu, plan: LiquidPlan) -> Result<Option<LevelBuffers>, Error> {
+        let level = plan.effects.level;
+        let new = || LevelBuffers::allocate(gpu, plan, plan.grid.padded());
+        level.then(new).transpose()
+    }
+
+    /// Writes seed and number of a sub-step.
+    pub fn write_step(&self, gpu: &Gpu, seed: u32, number: u32) {
+        let step = LevelStep {
+            seed,
+            number,
+            capacity: self.plan.n_markers as u32,
+            pad: 0,
+        };
+        gpu.upload(&self.level_step, &[step]);
+    }
+
+    /// Writes velocities and spray of a state's markers, before all work submitted later.
+    pub fn write_markers(&self, gpu: &Gpu, state: &State) {
+        let pairs = state.marker_velocity.iter().zip(&state.spray);
+        let words = pairs.map(|(v, &spray)| {
+            let [x, y, z] = v.map(|component| component as f32);
+            [x, y, z, f32::from(u8::from(spray))]
+        });
+        gpu.upload(&self.marker_velocity, &words.collect::<Vec<_>>());
+        self.write_used(gpu, state.markers.len());
+    }
+
+    /// Writes the number of used slots.
+    fn write_used(&self, gpu: &Gpu, used: usize) {
+        let used = used as u32;
+        let [x, y, z] = groups(used.div_ceil(WG_SIZE));
+        gpu.upload(&self.marker_args, &[x, y, z, used]);
+    }
+
+    /// Waits for all submitted work and reads velocities and spray of the live markers into a state. `alive`: see
+    /// [`LiquidBuffers::read_state`](super::LiquidBuffers::read_state).
+    pub fn read_markers(&self, gpu: &Gpu, alive: &[bool], state: &mut State) -> Result<(), Error> {
+        let words = gpu.download(&self.marker_velocity)?;
+        let live = || alive.iter().zip(&words).filter(|(alive, _)| **alive);
+        let velocity = live().map(|(_, &[x, y, z, _])| [x, y, z].map(f64::from));
+        state.marker_velocity = velocity.collect();
+        state.spray = live().map(|(_, word)| word[3] != 0.0).collect();
+        Ok(())
+    }
+
+    /// Removes the slots of markers that are not alive, as [`LiquidBuffers::compact`](super::LiquidBuffers::compact) does.
+    pub fn compact(&self, gpu: &Gpu, alive: &[bool]) -> Result<(), Error> {
+        let words = gpu.download(&self.marker_velocity)?;
+        let live = alive.iter().zip(words).filter(|(alive, _)| **alive);
+        let kept: Vec<[f32; 4]> = live.map(|(_, word)| word).collect();
+        gpu.upload(&self.marker_velocity, &kept);
+        self.write_used(gpu, kept.len());
+        Ok(())
+    }
+
+    /// Writes the components and targets of a state, before all work submitted later. The labels are its numbers.
+    pub fn write_components(&self, gpu: &Gpu, state: &State) {
+        let grid = &self.plan.grid;
+        let labels = match state.component.is_empty() {
+            true => vec![0; self.padded.len()],
+            false => self.padded.pad(grid.cells, &state.component, |label| label),
+        };
+        let targets = state.component_volume.iter();
+        let targets = targets.map(|volume| (volume / grid.cell_volume()) as f32);
+        let targets: Vec<f32> = [0.0].into_iter().chain(targets).collect();
+        gpu.upload(&self.component, &labels);
+        gpu.upload(&self.component_volume, &targets);
+    }
+
+    /// Waits for all submitted work and reads components and targets into a state. Components have numbers in the order of
+    /// their labels, which after a sub-step is that of their first cells.
+    pub fn read_components(&self, gpu: &Gpu, state: &mut State) -> Result<(), Error> {
+        let grid = &self.plan.grid;
+        let labels = gpu.download(&self.component)?;
+        let labels = self.padded.unpad(grid.cells, &labels, |label| label);
+        let targets = gpu.download(&self.component_volume)?;
+        let mut known: Vec<u32> = labels.iter().copied().filter(|&label| label > 0).collect();
+        known.sort_unstable();
+        known.dedup();
+        let number = |label| match label {
+            0 => 0,
+            _ => known.partition_point(|&known| known <= label) as u32,
+        };
+        state.component = labels.into_iter().map(number).collect();
+        let target = |&label: &u32| f64::from(targets[label as usize]) * grid.cell_volume();
+        state.component_volume = known.iter().map(target).collect();
+        Ok(())
+    }
+}

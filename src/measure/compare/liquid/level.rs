@@ -1,0 +1,594 @@
+//! The stages of a level against their twins.
+//!
+//! Many of their results jump: interface cells, clipped corrections, cells of thin liquid. Each twin also runs from inputs that are
+//! moved by their rounding, in several patterns of signs. Where these results spread, a number beyond its bound but within
+//! twice the spread is excused.
+
+use glam::DVec3;
+
+use super::{LiquidComparison, Place, across_borders, number};
+use crate::effects::Effects;
+use crate::grid::Axis;
+use crate::measure::bounds::{EPS, level_error, maccormack_error, marker_error};
+use crate::reference::{self, LevelCells, Levels, Markers, REACH, UNKNOWN};
+use crate::sim::{LevelSnapshot, LiquidSnapshot};
+use crate::step::Stage;
+
+/// Patterns of signs for inputs that are moved by their rounding.
+const PATTERNS: u32 = 12;
+/// Roundings of a number of a level in a pass over its neighbours.
+const PASS: f64 = 24.0;
+/// Passes of the distance in `redistance`, and what comes after them.
+const PASSES: f64 = 12.0;
+
+/// Values moved by an amount, up or down.
+fn moved(values: &[f64], by: f64, pattern: u32) -> Vec<f64> {
+    let signed = |(index, value): (usize, &f64)| {
+        let bits = (index as u32 ^ pattern.wrapping_mul(0x9e37_79b9)).wrapping_mul(0x85eb_ca6b);
+        value + if bits >> 16 & 1 == 1 { by } else { -by }
+    };
+    values.iter().enumerate().map(signed).collect()
+}
+
+impl LiquidComparison<'_> {
+    /// Compares the fields after a stage of the level. Not all of `stage` are.
+    pub(super) fn level(&mut self, stage: Stage, after: &LiquidSnapshot) {
+        let both = self.before.level.clone().zip(after.level.as_ref());
+        let Some((before, now)) = both else { return };
+        match stage {
+            Stage::AdvectLevel => self.advect_level(after, now),
+            Stage::Occupancy => self.occupancy(after, (&before, now)),
+            Stage::BoundLevel => self.bound_level(after, (&before, now)),
+            Stage::Redistance => self.redistance(after, (&before, now)),
+            Stage::FilterLevel => self.filter_level(after, (&before, now)),
+            Stage::LiquidDistance => self.level_distance(after, &before),
+            Stage::LiquidComponents => self.liquid_components(after, (&before, now)),
+            Stage::VolumeShift => self.volume_shift(after, now),
+            Stage::Excess => self.excess(after, (&before, now)),
+            Stage::MarkerBand => self.marker_band(after, (&before, now)),
+            Stage::Spray => self.spray(after, (&before, now)),
+            _ => {}
+        }
+    }
+
+    fn level_cells(&self) -> LevelCells<'_> {
+        LevelCells {
+            grid: &self.grid,
+            cut: &self.cut,
+        }
+    }
+
+    /// phi / dx: a product with 1 / dx, which is rounded.
+    fn in_cells(&self, distance: &[f64]) -> Vec<f64> {
+        distance.iter().map(|phi| phi / self.grid.dx).collect()
+    }
+
+    /// A field with air outside the band, where the device has none.
+    fn with_air(&self, of: &LiquidSnapshot, field: &[f64]) -> Vec<f64> {
+        let pairs = field.iter().zip(&of.band);
+        pairs
+            .map(|(&phi, &band)| if band { phi } else { REACH })
+            .collect()
+    }
+
+    /// Compares the cells of the band. `twins`: from the inputs, and from inputs moved by their rounding.
+    fn band_cells(
+        &mut self,
+        quantity: [&'static str; 2],
+        after: &LiquidSnapshot,
+        gpu: &[f64],
+        twins: &[Vec<f64>],
+        bound: f64,
+    ) {
+        let [twin, others @ ..] = twins else { return };
+        let mut excused = 0;
+        let mut pairs = Vec::new();
+        for cell in (0..gpu.len()).filter(|&cell| after.band[cell]) {
+            let difference = (gpu[cell] - twin[cell]).abs();
+            let spread = others.iter().map(|other| (other[cell] - twin[cell]).abs());
+            let within = difference <= bound + 2.0 * spread.fold(0.0, f64::max);
+            if difference > bound && within {
+                excused += 1;
+            } else {
+                let place = Place::cell(&self.grid, cell);
+                pairs.push((gpu[cell], twin[cell], bound, place));
+            }
+        }
+        self.table.add(quantity, pairs);
+        self.table.excuse(quantity, excused);
+    }
+
+    /// Cells from and to which a sub-step stays in the band. The device takes what MacCormack's first pass leaves outside it for air.
+    fn settled(&self, after: &LiquidSnapshot) -> Vec<bool> {
+        let (grid, dt) = (self.grid, self.dt());
+        let fall = 0.5 * dt * dt * self.gravity().length();
+        let way = 3.0_f64.sqrt() * dt * reference::max_speed(&self.before.velocity) + fall;
+        let reach = (way / grid.dx).ceil() as usize + 1;
+        let mut settled = after.band.clone();
+        for axis in Axis::ALL.map(Axis::index) {
+            let near = |cell: usize| {
+                let mut ijk = grid.cell_at(cell);
+                let last = (ijk[axis] + reach + 1).min(grid.cells[axis]);
+                (ijk[axis].saturating_sub(reach)..last).all(|at| {
+                    ijk[axis] = at;
+                    settled[grid.cell(ijk)]
+                })
+            };
+            settled = (0..settled.len()).map(near).collect();
+        }
+        settled
+    }
+
+    /// Results of a twin from its input and from inputs moved by so much.
+    fn twins(&self, input: &[f64], by: f64, twin: impl Fn(&[f64]) -> Vec<f64>) -> Vec<Vec<f64>> {
+        let others = (0..PATTERNS).map(|pattern| twin(&moved(input, by, pattern)));
+        std::iter::once(twin(input)).chain(others).collect()
+    }
+
+    /// Bound: [`level_error`].
+    fn advect_level(&mut self, after: &LiquidSnapshot, now: &LevelSnapshot) {
+        let (grid, dt) = (self.grid, self.dt());
+        let velocity = &self.before.velocity;
+        let level = self.in_cells(&self.before.liquid_distance);
+        let ballistic = self.ballistic();
+        let sides = self.scene.domain.open;
+        let carried = reference::carry_level(&grid, sides, velocity, &ballistic, &level, dt);
+        let [_, bound] = level_error(&grid, velocity, &level, &carried, dt);
+        let advected = |of: &reference::Ballistic, level: &[f64]| {
+            reference::advect_level(&grid, sides, velocity, of, level, dt)
+        };
+        let mut twins = self.twins(&level, bound, |level| advected(&ballistic, level));
+        if !ballistic.is_none() {
+            let near = super::NEAR_BALLISTIC * self.extent() * EPS;
+            let others =
+                super::corners().map(|corner| advected(&ballistic.off_by(near * corner), &level));
+            twins.extend(others);
+        }
+        // A departure point on a plane of cell centres may have the taps of either side.
+        let by = 16.0 * EPS * reference::max_speed(velocity);
+        twins.extend((0..PATTERNS).map(|pattern| {
+            let velocity = [0, 1, 2].map(|a| moved(&velocity[a], by, pattern));
+            reference::advect_level(&grid, sides, &velocity, &ballistic, &level, dt)
+        }));
+        let band = self.settled(after);
+        let settled = LiquidSnapshot {
+            band,
+            ..after.clone()
+        };
+        self.band_cells(["phi", "cells"], &settled, &now.carried, &twins, bound);
+    }
+
+    /// Bound: [`maccormack_error`]. Whether the corrected velocity is within the range of its taps may hang on a rounding.
+    pub(super) fn maccormack(
+        &mut self,
+        after: &LiquidSnapshot,
+        (twin, open): (&[Vec<f64>; 3], &[Vec<f64>; 3]),
+    ) {
+        let (grid, dt) = (self.grid, self.dt());
+        let ballistic = self.ballistic();
+        let velocity = &self.before.velocity;
+        let carried = reference::advect_velocity(&grid, open, velocity, &ballistic, dt);
+        let bound = maccormack_error(&grid, open, velocity, &carried, dt);
+        let mut others: Vec<[Vec<f64>; 3]> = (0..PATTERNS)
+            .map(|pattern| {
+                let velocity = &self.before.velocity;
+                let velocity = [0, 1, 2].map(|a| moved(&velocity[a], bound, pattern));
+                reference::advect_velocity_maccormack(&grid, open, &velocity, &ballistic, dt)
+            })
+            .collect();
+        if !ballistic.is_none() {
+            let near = super::NEAR_BALLISTIC * self.extent() * EPS;
+            others.extend(super::corners().map(|corner| {
+                let near = ballistic.off_by(near * corner);
+                let velocity = &self.before.velocity;
+                reference::advect_velocity_maccormack(&grid, open, velocity, &near, dt)
+            }));
+        }
+        let settled = self.settled(after);
+        for axis in Axis::ALL {
+            let a = axis.index();
+            let (mut pairs, mut excused) = (Vec::new(), 0);
+            let inside = |face: usize| {
+                let sides = grid.face_sides(axis, grid.face_at(axis, face));
+                sides.into_iter().flatten().all(|cell| settled[cell])
+            };
+            for face in (0..grid.n_faces(axis)).filter(|&face| inside(face)) {
+                let (gpu, twin) = (after.velocity_next[a][face], twin[a][face]);
+                let spread = others.iter().map(|other| (other[a][face] - twin).abs());
+                let within = (gpu - twin).abs() <= bound + 2.0 * super::largest(spread);
+                match within && (gpu - twin).abs() > bound {
+                    true => excused += 1,
+                    false => pairs.push((gpu, twin, bound, Place::face(&grid, axis, face))),
+                }
+            }
+            self.table.add(["u*", "m/s"], pairs);
+            self.table.excuse(["u*", "m/s"], excused);
+        }
+    }
+
+    /// Markers of a level: liquid by the midpoint rule, spray on its parabola. Push-out of obstacles adds the error of the distance and of its normal.
+    pub(super) fn advect_level_markers(&mut self, after: &LiquidSnapshot) {
+        let Some(level) = self.before.level.clone() else {
+            return;
+        };
+        let (grid, dt) = (self.grid, self.dt());
+        let velocity = &self.before.velocity;
+        let pushed = if self.cuts() {
+            3.0 * 64.0 * grid.dx
+        } else {
+            0.0
+        };
+        let ballistic = self.ballistic();
+        let gravity = self.gravity();
+        let advect = |slot: usize, start: [f64; 3]| {
+            let mut one = Markers {
+                position: vec![start],
+                velocity: vec![level.marker_velocity[slot]],
+                spray: vec![level.spray[slot]],
+            };
+            reference::advect_level_markers(
+                &grid,
+                self.scene.domain.open,
+                velocity,
+                &self.cut.solid_distance,
+                (gravity, &ballistic),
+                dt,
+                &mut one,
+            );
+            one.position.first().copied()
+        };
+        let fall = gravity.length() * dt;
+        let flying = level.marker_velocity.iter().flatten();
+        let fastest = super::largest(flying.map(|v| v.abs())) + fall;
+        let bound = marker_error(&grid, velocity, dt)
+            + EPS * (8.0 * dt * fastest + 4.0 * self.extent() * grid.dx + pushed);
+        let (mut gone, mut positions, mut excused) = (Vec::new(), Vec::new(), 0);
+        let slots = self.before.markers.iter().zip(&after.markers).enumerate();
+        for (slot, (start, gpu)) in slots {
+            let Some(start) = *start else { continue };
+            let (place, twin) = (Place::Marker(slot, start.into()), advect(slot, start));
+            let decided = |start| advect(slot, start);
+            if !super::close(gpu, &twin, bound)
+                && super::depends_on_start(start, gpu, bound, decided)
+            {
+                excused += 1;
+                continue;
+            }
+            gone.push((gpu.is_none(), twin.is_none(), place));
+            let both = gpu.zip(twin).into_iter();
+            positions.extend(
+                both.flat_map(|(gpu, twin)| (0..3).map(move |a| (gpu[a], twin[a], bound, place))),
+            );
+        }
+        self.table.add_flags("markers gone", gone);
+        self.table.add(["positions", "m"], positions);
+        self.table.excuse(["positions", "m"], 3 * excused);
+    }
+
+    /// A weight is a product of three differences from 1, each off by the roundings of a position in cells, rounded to 2^-20.
+    fn occupancy(
+        &mut self,
+        after: &LiquidSnapshot,
+        (before, now): (&LevelSnapshot, &LevelSnapshot),
+    ) {
+        let grid = self.grid;
+        let markers = self.markers_of_level(before);
+        let fraction = |carried: &[f64]| {
+            reference::occupancy(
+                &grid,
+                &self.cut.solid_distance,
+                carried,
+                &markers.position,
+                &markers.spray,
+            )
+        };
+        let carried = self.with_air(after, &now.carried);
+        let twins = self.twins(&carried, EPS * REACH, fraction);
+        let weight = 3.0 * 4.0 * EPS * self.extent() + (-20.0_f64).exp2();
+        let bound = self.most_markers(&markers) * weight + 64.0 * EPS;
+        self.band_cells(["F", ""], after, &now.occupancy, &twins, bound);
+    }
+
+    /// Largest number of markers around a cell over that in its open surroundings, of which a fifth counts.
+    fn most_markers(&self, markers: &Markers) -> f64 {
+        let mut counts = vec![0.0; self.grid.n_cells()];
+        for x in &markers.position {
+            let cell = (DVec3::from(*x) / self.grid.dx).floor();
+            let ijk =
+                [0, 1, 2].map(|a| cell[a].clamp(0.0, (self.grid.cells[a] - 1) as f64) as usize);
+            counts[self.grid.cell(ijk)] += 1.0;
+        }
+        27.0 * super::largest(counts) / 8.0 / 0.2
+    }
+
+    /// The markers before a stage.
+    fn markers_of_level(&self, level: &LevelSnapshot) -> Markers {
+        let slots = self.before.markers.iter().enumerate();
+        let alive = || slots.clone().filter_map(|(slot, x)| Some((slot, (*x)?)));
+        Markers {
+            position: alive().map(|(_, x)| x).collect(),
+            velocity: alive()
+                .map(|(slot, _)| level.marker_velocity[slot])
+                .collect(),
+            spray: alive().map(|(slot, _)| level.spray[slot]).collect(),
+        }
+    }
+
+    /// A root of 1 - |q| near 0 spreads its rounding; the smoothed occupancy is a mean of 27.
+    fn bound_level(
+        &mut self,
+        after: &LiquidSnapshot,
+        (before, now): (&LevelSnapshot, &LevelSnapshot),
+    ) {
+        let carried = self.with_air(after, &before.carried);
+        let occupancy = &before.occupancy;
+        let bounded = |carried: &[f64], occupancy: &[f64]| {
+            let thin = reference::thin_liquid(&self.grid, carried);
+            reference::bound_level(self.level_cells(), occupancy, &thin, carried)
+        };
+        let mut twins = vec![bounded(&carried, occupancy)];
+        for pattern in 0..PATTERNS {
+            let occupancy = occupancy.iter().zip(moved(occupancy, 4.0 * EPS, pattern));
+            let occupancy = occupancy.map(|(&f, moved)| if f == UNKNOWN { f } else { moved });
+            let occupancy: Vec<f64> = occupancy.collect();
+            twins.push(bounded(&carried, &occupancy));
+        }
+        self.band_cells(
+            ["phi", "cells"],
+            after,
+            &now.level,
+            &twins,
+            PASS * EPS * REACH,
+        );
+    }
+
+    /// Each pass adds the roundings of a root of sums of squares.
+    fn redistance(
+        &mut self,
+        after: &LiquidSnapshot,
+        (before, now): (&LevelSnapshot, &LevelSnapshot),
+    ) {
+        let level = self.with_air(after, &before.level);
+        let bound = PASSES * PASS * EPS * REACH;
+        let twins = self.twins(&level, bound, |level| {
+            let mut level = level.to_vec();
+            reference::extend_level(&self.grid, &self.cut, &mut level);
+            reference::redistance(self.level_cells(), &level)
+        });
+        self.band_cells(["phi", "cells"], after, &now.level, &twins, bound);
+    }
+
+    fn filter_level(
+        &mut self,
+        after: &LiquidSnapshot,
+        (before, now): (&LevelSnapshot, &LevelSnapshot),
+    ) {
+        let level = self.with_air(after, &before.level);
+        let thin = reference::thin_liquid(&self.grid, &self.with_air(after, &before.carried));
+        let bound = PASS * EPS * REACH;
+        let twins = self.twins(&level, bound, |level| {
+            reference::filter_level(self.level_cells(), &thin, level)
+        });
+        self.band_cells(["phi", "cells"], after, &now.level, &twins, bound);
+    }
+
+    fn level_distance(&mut self, after: &LiquidSnapshot, before: &LevelSnapshot) {
+        let dx = self.grid.dx;
+        let level = self.with_air(after, &before.level);
+        let bound = PASSES * PASS * EPS * REACH;
+        let twins = self.twins(&level, EPS * REACH, |level| {
+            let mut level = level.to_vec();
+            reference::extend_level(&self.grid, &self.cut, &mut level);
+            level.iter().map(|phi| phi * dx).collect()
+        });
+        let (gpu, bound) = (&after.liquid_distance, bound * dx);
+        self.band_cells(["phi", "m"], after, gpu, &twins, bound);
+        self.twin.liquid_distance.clone_from(&twins[0]);
+        self.twin.distance_bounds = vec![bound; self.grid.n_cells()];
+    }
+
+    /// Labels depend on signs alone, which are equal. Where a cell comes from may hang on a rounding, which moves a cell between targets.
+    fn liquid_components(
+        &mut self,
+        after: &LiquidSnapshot,
+        (before, now): (&LevelSnapshot, &LevelSnapshot),
+    ) {
+        let grid = self.grid;
+        let level = self.in_cells(&after.liquid_distance);
+        let (open, volumes) = (&self.cut.open, &self.open_volumes);
+        let twin = reference::liquid_components(&grid, open, volumes, &level);
+        self.table.cells(&grid, ["component", ""], |cell| {
+            let labels = (now.component[cell], twin.label[cell]);
+            Some((labels.0.into(), labels.1.into(), 0.0))
+        });
+        let whole: f64 = now.component_volume.iter().sum();
+        let flying = now.spray.iter().zip(&after.markers);
+        let flying = flying.filter(|(spray, x)| **spray && x.is_some()).count()
+            + after.report.spray_lost as usize;
+        let total = f64::from(self.step.volume_0) - flying as f64 * grid.cell_volume() / 8.0;
+        let bound = 1e-5 * total.abs();
+        let has_liquid = !twin.volume.is_empty();
+        let twin_whole = if has_liquid { total } else { 0.0 };
+        let quantity = ["target volume", "m^3"];
+        self.table.whole(quantity, whole, twin_whole, bound);
+        let _ = before;
+    }
+
+    /// The shift is a quotient of sums, whose relative error is that of the volume over what the liquid lacks.
+    fn volume_shift(&mut self, after: &LiquidSnapshot, now: &LevelSnapshot) {
+        let grid = self.grid;
+        let level = self.in_cells(&self.before.liquid_distance);
+        let (open, volumes) = (&self.cut.open, &self.open_volumes);
+        let components = reference::liquid_components(&grid, open, volumes, &level);
+        let times = [f64::from(self.step.control_time), self.dt()];
+        let shifted = |targets: &[f64]| {
+            let mut distance = self.before.liquid_distance.clone();
+            reference::volume_shift(&grid, volumes, &components, targets, times, &mut distance);
+            distance
+        };
+        let targets = &now.component_volume;
+        if targets.len() != components.volume.len() {
+            return;
+        }
+        let mut twins = vec![shifted(targets)];
+        for relative in [1e-5, -1e-5] {
+            let targets = targets.iter().map(|target| target * (1.0 + relative));
+            twins.push(shifted(&targets.collect::<Vec<_>>()));
+        }
+        // The shift is at most 0.04 cells.
+        let spread = super::largest(twins[1..].iter().flat_map(|other| {
+            let pairs = other.iter().zip(&twins[0]);
+            pairs.map(|(other, twin)| (other - twin).abs())
+        }));
+        let bound = 4.0 * EPS * REACH * grid.dx + spread;
+        self.band_cells(["phi", "m"], after, &after.liquid_distance, &twins, bound);
+        self.twin.liquid_distance.clone_from(&twins[0]);
+    }
+
+    /// Two times 27 weights and a quotient by at least 0.05.
+    fn excess(&mut self, after: &LiquidSnapshot, (before, now): (&LevelSnapshot, &LevelSnapshot)) {
+        let grid = self.grid;
+        let level = self.in_cells(&after.liquid_distance);
+        let (open, volumes) = (&self.cut.open, &self.open_volumes);
+        let components = reference::liquid_components(&grid, open, volumes, &level);
+        let mut components = components;
+        components.label.clone_from(&now.component);
+        if components
+            .label
+            .iter()
+            .any(|&label| label as usize > components.enclosed.len())
+        {
+            return;
+        }
+        let most = before
+            .occupancy
+            .iter()
+            .fold(1.0, |most: f64, f| most.max(f.abs()));
+        let bound = 64.0 * EPS * most / 0.05;
+        let twins = self.twins(&level, 2.0 * EPS * REACH, |level| {
+            reference::excess(self.level_cells(), &components, &before.occupancy, level)
+        });
+        self.band_cells(["e", ""], after, &now.excess, &twins, bound);
+    }
+
+    /// Deleted and seeded markers. A sample of the level near the depth of the band may be on either side of it.
+    fn marker_band(
+        &mut self,
+        after: &LiquidSnapshot,
+        (before, now): (&LevelSnapshot, &LevelSnapshot),
+    ) {
+        let grid = self.grid;
+        let mut markers = self.markers_of_level(before);
+        let n_before = markers.position.len();
+        let level = self.in_cells(&after.liquid_distance);
+        let carried = self.with_air(after, &now.carried);
+        let levels = Levels {
+            carried: &carried,
+            level: &level,
+        };
+        let numbers = self.numbers();
+        let [deleted, seeded] = reference::marker_band(
+            &grid,
+            &self.cut.solid_distance,
+            levels,
+            &now.excess,
+            numbers,
+            &self.before.velocity,
+            &mut markers,
+        );
+        let slots = self.before.markers.iter().zip(&after.markers);
+        let gone = slots
+            .filter(|(x, now)| x.is_some() && now.is_none())
+            .count();
+        let alive = after.markers.iter().flatten().count();
+        let new = (alive + gone).saturating_sub(n_before);
+        // As many markers as lie within a rounding of the depth may differ: of some thousand, one.
+        let near = |n: usize| 1.0 + 1e-3 * n as f64;
+        for (quantity, gpu, twin) in [
+            ("markers deleted", gone, deleted),
+            ("markers seeded", new, seeded),
+        ] {
+            let bound = near(twin);
+            self.table
+                .whole([quantity, ""], gpu as f64, twin as f64, bound);
+        }
+        let first = self.before.markers.iter().rposition(Option::is_some);
+        let first = first.map_or(0, |last| last + 1);
+        let fresh = after.markers.iter().skip(first).copied().flatten();
+        let fresh: Vec<[f64; 3]> = fresh.collect();
+        if fresh.len() == seeded {
+            let twin = &markers.position[n_before - deleted..];
+            let bound = EPS * grid.dx * 8.0 * self.extent();
+            let pairs = fresh.iter().zip(twin).enumerate();
+            let positions = pairs.flat_map(|(index, (gpu, twin))| {
+                let place = Place::Marker(first + index, (*twin).into());
+                (0..3).map(move |a| (gpu[a], twin[a], bound, place))
+            });
+            self.table.add(["new positions", "m"], positions);
+        }
+    }
+
+    /// Seed and number of the sub-step.
+    fn numbers(&self) -> [u32; 2] {
+        [self.running.seed, self.running.step]
+    }
+
+    /// A marker within its rounding of a plane of cell centres may have other cells around it. Velocities: a trilinear sample.
+    fn spray(&mut self, after: &LiquidSnapshot, (before, now): (&LevelSnapshot, &LevelSnapshot)) {
+        let grid = self.grid;
+        let mut twin = self.markers_of_level(before);
+        let (phi, velocity) = (&after.liquid_distance, &after.velocity);
+        reference::spray(&grid, phi, velocity, &mut twin);
+        let alive = (0..after.markers.len()).filter(|&slot| after.markers[slot].is_some());
+        let alive: Vec<usize> = alive.collect();
+        if alive.len() != twin.position.len() {
+            return;
+        }
+        let half = DVec3::splat(0.5 * grid.dx);
+        let (mut flags, mut velocities, mut excused) = (Vec::new(), Vec::new(), 0);
+        let speed = reference::max_speed(velocity);
+        let bound = EPS * (10.0 * speed + 2.0 * 12.0 * self.extent() * speed);
+        for (index, &slot) in alive.iter().enumerate() {
+            let x = DVec3::from(twin.position[index]);
+            let place = Place::Marker(slot, x);
+            if now.spray[slot] != twin.spray[index]
+                && across_borders(&grid, (x + half).into()) != (x + half).to_array()
+            {
+                excused += 1;
+                continue;
+            }
+            flags.push((
+                number(now.spray[slot]),
+                number(twin.spray[index]),
+                0.0,
+                place,
+            ));
+            velocities.extend((0..3).map(|a| {
+                (
+                    now.marker_velocity[slot][a],
+                    twin.velocity[index][a],
+                    bound,
+                    place,
+                )
+            }));
+        }
+        self.table.add(["spray", "flag"], flags);
+        self.table.excuse(["spray", "flag"], excused);
+        self.table.add(["marker velocity", "m/s"], velocities);
+    }
+
+    /// Adds the source of crowded markers to E u* (m^3/s).
+    pub(super) fn add_excess(&self, active: &[bool], rhs: &mut reference::RightHandSide) -> f64 {
+        let Some(level) = self.before.level.as_ref() else {
+            return 0.0;
+        };
+        if !Effects::of(self.scene).volume_shift {
+            return 0.0;
+        }
+        let times = [f64::from(self.step.control_time), self.dt()];
+        let cells = (0..active.len()).filter(|&cell| active[cell]);
+        reference::add_excess(&level.excess, &self.open_volumes, cells, times, rhs);
+        // A quotient by at least 1.5 sub-steps and two products.
+        8.0 * EPS * self.grid.dx / (1.5 * times[1])
+    }
+}

@@ -1,0 +1,32 @@
+//! `advect_level`: transport of the level by MacCormack's method, semi-Lagrangian along the midpoint rule in both passes.
+//! Liquid that touches nothing comes from g dt^2 / 2 further up.
+
+use crate::Error;
+use crate::fields::{LevelBuffers, LiquidBuffers, SolverBuffers};
+use crate::gpu::{Dispatches, Gpu, Kernel, Real, Source};
+use crate::step::Stage;
+use crate::wgsl;
+
+use super::liquid_components::component_origins;
+
+/// The stage: `liquid_distance` to `carried_level` on the band, and the components that cells come from to `component_origin`.
+pub fn advect_level(
+    gpu: &Gpu,
+    liquid: &LiquidBuffers,
+    solver: &SolverBuffers,
+    level: &LevelBuffers,
+) -> Result<Dispatches, Error> {
+    let gpu = &gpu.at(Stage::AdvectLevel.name());
+    let distances = [("distances", (&liquid.liquid_distance).into())];
+    let over_band = |source: Source| {
+        let kernel = Kernel::new(gpu, &source, Real::F32)?;
+        let bound = kernel.bind(gpu, &distances, &[liquid, solver, level])?;
+        Ok::<_, Error>(bound.indirect(&liquid.band_args, 0))
+    };
+    let list = [
+        over_band(wgsl!("advect_level"))?,
+        over_band(wgsl!("correct_level"))?,
+        component_origins(gpu, liquid, level, solver)?,
+    ];
+    Ok(Dispatches::new(Stage::AdvectLevel.name(), list))
+}

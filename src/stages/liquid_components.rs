@@ -1,0 +1,82 @@
+//! `liquid_components`: connected components of the liquid and their target volumes.
+//!
+//! Labels are found by union-find over the band, as in `closed_components`: the root of a component is its smallest cell,
+//! whatever the order of the threads. Sums over a component are integers of 64 bits at its root, so that a run repeats bit
+//! for bit.
+
+use crate::Error;
+use crate::fields::{LevelBuffers, LiquidBuffers, SolverBuffers, TILE};
+use crate::gpu::{Binding, Dispatch, Dispatches, Gpu, Kernel, Real, Source};
+use crate::step::Stage;
+use crate::wgsl;
+
+/// Layers of air with the label of the liquid beside them.
+const AIR_LAYERS: u32 = 3;
+
+/// The part of `advect_level` that finds the component at the departure point of every cell, before the velocity changes:
+/// writes `component_origin`.
+pub fn component_origins(
+    gpu: &Gpu,
+    liquid: &LiquidBuffers,
+    level: &LevelBuffers,
+    solver: &SolverBuffers,
+) -> Result<Dispatch, Error> {
+    let gpu = &gpu.at(Stage::AdvectLevel.name());
+    let labels = [("labels", (&level.component).into())];
+    let kernel = Kernel::new(gpu, &wgsl!("component_origins"), Real::F32)?;
+    let bound = kernel.bind(gpu, &labels, &[liquid, level, solver])?;
+    Ok(bound.indirect(&liquid.band_args, 0))
+}
+
+/// The stage: writes `component`, the volumes in `component_sums` and the targets in `component_volume`. The target of the
+/// whole liquid with the spray is `volume_0` of the sub-step.
+pub fn liquid_components(
+    gpu: &Gpu,
+    liquid: &LiquidBuffers,
+    level: &LevelBuffers,
+) -> Result<Dispatches, Error> {
+    let gpu = &gpu.at(Stage::LiquidComponents.name());
+    let bound = |source: Source, own: &[(&str, Binding)]| {
+        Kernel::new(gpu, &source, Real::F32)?.bind(gpu, own, &[liquid, level])
+    };
+    let over_band = |source: Source, own: &[(&str, Binding)]| {
+        Ok::<_, Error>(bound(source, own)?.indirect(&liquid.band_args, 0))
+    };
+    let labels = ("labels", (&level.component).into());
+    let mut list = vec![
+        bound(wgsl!("clear_labels"), &[])?.threads(TILE * liquid.plan.tiles().len()),
+        over_band(wgsl!("label_liquid"), &[])?,
+        over_band(wgsl!("join_labels"), &[labels])?,
+        over_band(wgsl!("label_roots"), &[labels])?,
+    ];
+    for number in 1..=AIR_LAYERS {
+        let layer = gpu.uniform("level.layer", &[number, 0, 0, 0])?;
+        list.push(over_band(
+            wgsl!("label_air"),
+            &[labels, ("layer", (&layer).into())],
+        )?);
+    }
+    let sums_in = |sums| [("sums", sums)];
+    let volumes = sums_in((&level.component_sums).into());
+    let overlaps = sums_in((&level.density_now).into());
+    let shares = sums_in((&level.density_next).into());
+    list.push(over_band(wgsl!("component_volumes"), &volumes)?);
+    list.push(over_band(wgsl!("component_overlaps"), &overlaps)?);
+    list.push(over_band(wgsl!("component_shares"), &shares)?);
+    list.push(over_band(wgsl!("sum_components"), &[])?);
+    list.push(over_band(wgsl!("component_targets"), &[])?);
+    let stage = Dispatches::new(Stage::LiquidComponents.name(), list);
+    Ok(stage.clearing(&level.component_totals))
+}
+
+/// The part of `spray` after all markers: adds the flights in `component_flights` to the targets.
+pub fn settle_flights(
+    gpu: &Gpu,
+    liquid: &LiquidBuffers,
+    level: &LevelBuffers,
+) -> Result<Dispatch, Error> {
+    let gpu = &gpu.at(Stage::Spray.name());
+    let kernel = Kernel::new(gpu, &wgsl!("settle_flights"), Real::F32)?;
+    let bound = kernel.bind(gpu, &[], &[liquid, level])?;
+    Ok(bound.indirect(&liquid.band_args, 0))
+}

@@ -1,0 +1,260 @@
+//! A level set as the liquid's surface: waves, liquid at rest, falling liquid.
+
+use cutwater::grid::Grid;
+use cutwater::reference::larger;
+use cutwater::sim::Simulation;
+
+use crate::Case;
+use crate::liquid::{GRAVITY, gpu, points, simulation, step, written};
+use crate::page::{Line, Mark};
+use crate::sheet::Sheet;
+
+pub(crate) fn cases() -> Vec<Case> {
+    vec![
+        Case::new("F13/waves", waves),
+        Case::new("F13/rest", rest),
+        Case::new("F13/falling", falling),
+    ]
+}
+
+/// Height of the surface in each column of cells, m; of columns with a surface.
+fn heights(grid: &Grid, phi: &[f64]) -> Vec<([usize; 2], f64)> {
+    let [nx, ny, nz] = grid.cells;
+    let columns = (0..nz).flat_map(|k| (0..nx).map(move |i| [i, k]));
+    let height = |[i, k]: [usize; 2]| {
+        let at = |j: usize| phi[grid.cell([i, j, k])];
+        let below = (0..ny - 1)
+            .rev()
+            .find(|&j| at(j) < 0.0 && at(j + 1) >= 0.0)?;
+        let part = at(below) / (at(below) - at(below + 1));
+        Some(([i, k], (below as f64 + 0.5 + part) * grid.dx))
+    };
+    columns
+        .filter_map(|column| Some((column, height(column)?.1)))
+        .collect()
+}
+
+/// Volume of the liquid, cells, by 4^3 samples in each.
+fn volume(grid: &Grid, phi: &[f64]) -> f64 {
+    let mut sum = 0.0;
+    for (cell, &own) in phi.iter().enumerate() {
+        if own.abs() > 2.0 * grid.dx {
+            sum += f64::from(u8::from(own < 0.0));
+            continue;
+        }
+        let x = grid.cell_centre(grid.cell_at(cell));
+        for sample in 0..64 {
+            let at = [sample % 4, sample / 4 % 4, sample / 16].map(|n| f64::from(n) / 4.0 - 0.375);
+            let phi = grid.sample_cells(phi, x + grid.dx * glam::DVec3::from(at));
+            sum += (0.5 - 4.0 * phi / grid.dx).clamp(0.0, 1.0) / 64.0;
+        }
+    }
+    sum
+}
+
+/// A standing wave between walls half a wavelength apart.
+struct Wave {
+    /// Cells of the wavelength.
+    length: usize,
+    /// Cells.
+    amplitude: f64,
+    surface: &'static str,
+}
+
+/// Periods that waves are watched for.
+const PERIODS: f64 = 5.0;
+
+impl Wave {
+    /// Amplitude of the mode over time, m, and the period, s.
+    fn film(&self) -> (Vec<(f64, f64)>, f64) {
+        let half = self.length / 2;
+        let dx = 1.0 / half as f64;
+        let (k, amplitude) = (std::f64::consts::PI, self.amplitude * dx);
+        let text = format!(
+            "[domain]\nsize = [1, {}, {}]\ncells = [{half}, {}, 4]\n[time]\nduration = 20\nframes_per_second = 24\n\
+             [liquid]\nsurface = \"{}\"\n\
+             [[liquid.region]]\nwave = {{ level = 1.0, amplitude = {amplitude}, wave_number = [{k}, 0.0] }}\n",
+            1.0 + 8.0 * dx,
+            4.0 * dx,
+            half + 8,
+            self.surface,
+        );
+        // Lamb, Hydrodynamics, art. 228, and the next order of Tadjbakhsh and Keller 1960 at k h = pi.
+        let linear = std::f64::consts::TAU / (GRAVITY * k * k.tanh()).sqrt();
+        let period = linear / (1.0 - 0.124_056_62 * (k * amplitude).powi(2));
+        let scene = written(&text);
+        let grid = scene.grid();
+        let mut simulation = simulation(&scene, &gpu());
+        let mut film = Vec::new();
+        while simulation.clock().time < PERIODS * period {
+            film.push((simulation.clock().time, mode(&grid, &simulation)));
+            step(&mut simulation);
+        }
+        (film, period)
+    }
+
+    /// Part of the amplitude that is lost in a period: the slope of the logarithm of the crests' heights.
+    fn loss(&self, (film, period): &(Vec<(f64, f64)>, f64)) -> f64 {
+        let crest = |half: usize| {
+            let window = [half as f64 - 0.5, half as f64 + 0.5].map(|n| 0.5 * n * period);
+            let near = (0..film.len()).filter(|&at| (window[0]..window[1]).contains(&film[at].0));
+            let highest = near.max_by(|&a, &b| film[a].1.abs().total_cmp(&film[b].1.abs()));
+            vertex(film, highest.expect("a wave of many sub-steps"))
+        };
+        let n = (2.0 * PERIODS) as usize;
+        let logs: Vec<(f64, f64)> = (0..n)
+            .map(|half| (half as f64 / 2.0, crest(half).ln()))
+            .collect();
+        let mean = |of: fn(&(f64, f64)) -> f64| logs.iter().map(of).sum::<f64>() / n as f64;
+        let (t, log) = (mean(|p| p.0), mean(|p| p.1));
+        let across: f64 = logs.iter().map(|p| (p.0 - t) * (p.1 - log)).sum();
+        let along: f64 = logs.iter().map(|p| (p.0 - t).powi(2)).sum();
+        1.0 - (across / along).exp()
+    }
+}
+
+/// Height of the parabola through an extremum and its neighbours.
+fn vertex(film: &[(f64, f64)], at: usize) -> f64 {
+    let height = |at: usize| film[at].1.abs();
+    if at == 0 || at + 1 == film.len() {
+        return height(at);
+    }
+    let [before, here, after] = [at - 1, at, at + 1].map(height);
+    let (slope, bend) = (0.5 * (after - before), after - 2.0 * here + before);
+    match bend < 0.0 {
+        true => here - slope * slope / (2.0 * bend),
+        false => here,
+    }
+}
+
+/// Amplitude of the wave of half a period between the walls, m.
+fn mode(grid: &Grid, simulation: &Simulation) -> f64 {
+    let state = simulation.state().unwrap_or_else(|error| panic!("{error}"));
+    let heights = heights(grid, &state.liquid_distance);
+    let n = heights.len() as f64;
+    let weighed = heights.iter().map(|([i, _], height)| {
+        let x = (*i as f64 + 0.5) * grid.dx;
+        height * (std::f64::consts::PI * x).cos()
+    });
+    2.0 * weighed.sum::<f64>() / n
+}
+
+/// Waves lose nothing in an inviscid liquid.
+fn waves(sheet: &mut Sheet) {
+    for (length, amplitude, allowed) in [
+        (20, 1.5, 0.03),
+        (28, 1.7, 0.03),
+        (40, 2.0, 0.01),
+        (20, 0.6, 0.04),
+        (28, 0.6, 0.025),
+        (40, 0.7, 0.025),
+    ] {
+        let of = |surface| Wave {
+            length,
+            amplitude,
+            surface,
+        };
+        let [level, markers] = ["level", "markers"].map(|surface| of(surface).film());
+        let [loss, loss_of_markers] = [("level", &level), ("markers", &markers)]
+            .map(|(surface, film)| of(surface).loss(film));
+        let what = format!("wave of {length} cells, {amplitude} high: loss in a period");
+        sheet.at_most(&what, loss.abs(), allowed);
+        sheet.info(
+            &format!("{what}, surface = \"markers\""),
+            format!("{loss_of_markers:.3}"),
+        );
+        if (length, amplitude) == (20, 1.5) {
+            sheet.chart(
+                "standing wave of 20 cells, 1.5 high",
+                ["t, s", "amplitude, m"],
+                vec![
+                    Line::new("level", Mark::Line, points(&level.0)),
+                    Line::new("markers", Mark::Line, points(&markers.0)),
+                ],
+            );
+        }
+    }
+}
+
+/// Sub-steps of liquid that should not move.
+const AT_REST: usize = 500;
+
+/// Pools whose level is anywhere within a cell stay calm.
+fn rest(sheet: &mut Sheet) {
+    let n = 24;
+    let dx = 1.0 / f64::from(n);
+    for height in [12.02, 12.27, 12.52, 12.77, 12.98] {
+        let text = format!(
+            "[domain]\nsize = [1, 1, 1]\ncells = [{n}, {n}, {n}]\n[time]\nduration = 100\nframes_per_second = 24\n\
+             [liquid]\nsurface = \"level\"\n[[liquid.region]]\nbox = {{ min = [0, 0, 0], max = [1, {}, 1] }}\n",
+            height * dx,
+        );
+        let scene = written(&text);
+        let mut simulation = simulation(&scene, &gpu());
+        let speeds = (0..AT_REST).map(|_| {
+            let report = step(&mut simulation);
+            let liquid = report.liquid.expect("there is liquid");
+            liquid.diagnosis.max_speed / (GRAVITY * report.dt)
+        });
+        let fastest = speeds.fold(0.0, larger);
+        let what =
+            format!("pool of {height} of {n} cells, {AT_REST} sub-steps: largest speed over g dt");
+        sheet.at_most(&what, fastest, 0.02);
+        let state = simulation.state().unwrap_or_else(|error| panic!("{error}"));
+        let heights = heights(&scene.grid(), &state.liquid_distance);
+        let mean = heights.iter().map(|h| h.1).sum::<f64>() / heights.len() as f64;
+        let squares = heights.iter().map(|h| (h.1 - mean).powi(2)).sum::<f64>();
+        let rms = (squares / heights.len() as f64).sqrt() / dx;
+        let what = format!("pool of {height} of {n} cells: roughness of its level, cells");
+        sheet.at_most(&what, rms, 0.03);
+    }
+}
+
+/// Thin liquid keeps its volume while it falls.
+fn falling(sheet: &mut Sheet) {
+    let (n, dx) = ([24, 72, 24], 1.0_f64 / 24.0);
+    for (name, region, exact, allowed) in [
+        (
+            "sheet of 2 cells",
+            "box = { min = [0.2, 2.5, 0.2], max = [0.8, 2.58333333, 0.8] }",
+            0.6 * 0.6 * 2.0 / 24.0,
+            0.08,
+        ),
+        (
+            "sheet of 3 cells",
+            "box = { min = [0.2, 2.5, 0.2], max = [0.8, 2.625, 0.8] }",
+            0.6 * 0.6 * 3.0 / 24.0,
+            0.08,
+        ),
+        (
+            "drop of radius 2 cells",
+            "sphere = { centre = [0.51, 2.52, 0.49], radius = 0.08333333 }",
+            4.0 / 3.0 * std::f64::consts::PI * 0.083_333_33_f64.powi(3),
+            0.08,
+        ),
+        (
+            "drop of radius 3 cells",
+            "sphere = { centre = [0.51, 2.52, 0.49], radius = 0.125 }",
+            4.0 / 3.0 * std::f64::consts::PI * 0.125_f64.powi(3),
+            0.08,
+        ),
+    ] {
+        let text = format!(
+            "[domain]\nsize = [1, 3, 1]\ncells = {n:?}\n[time]\nduration = 0.6\nframes_per_second = 24\n\
+             [liquid]\nsurface = \"level\"\n[[liquid.region]]\n{region}\n",
+        );
+        let scene = written(&text);
+        let grid = scene.grid();
+        let mut simulation = simulation(&scene, &gpu());
+        let mut worst: f64 = 0.0;
+        while simulation.clock().time < 0.6 - 1e-9 {
+            step(&mut simulation);
+            let state = simulation.state().unwrap_or_else(|error| panic!("{error}"));
+            let spray = state.spray.iter().filter(|spray| **spray).count();
+            let now = volume(&grid, &state.liquid_distance) + spray as f64 / 8.0;
+            worst = larger(worst, (now * dx.powi(3) / exact - 1.0).abs());
+        }
+        let what = format!("{name}, falling 40 cells: largest error of its volume");
+        sheet.at_most(&what, worst, allowed);
+    }
+}
