@@ -3,7 +3,7 @@
 // level, step. level_step: seed and sub-step. band_args, band_list: the band. carried_level: phi*, cell centres, cells. liquid_distance: dx phi,
 // m. solid_distance: m; one quad in a scene without bodies. seeds: per quad of the list, a bit per site, eight per lane. chunks: their number per
 // workgroup.
-#import around
+#import corner
 #import dispatch
 #import layout
 #import lanes
@@ -28,24 +28,26 @@ const HIGHEST = -1.0;
 
 var<workgroup> sh_seeds: atomic<u32>;
 
-fn carried_at(place: Around) -> f32 {
-    let at = minus_cells(place);
+fn carried_at(place: Corner) -> f32 {
+    let points = corner_points(place);
+    let at = points[0];
+    let next = points[1];
     let minus = vec4<f32>(carried_level[at.x], carried_level[at.y], carried_level[at.z], carried_level[at.w]);
-    let next = at + 1u;
     let plus = vec4<f32>(carried_level[next.x], carried_level[next.y], carried_level[next.z], carried_level[next.w]);
-    return interpolate(minus, plus, place.f);
+    return mix_points(minus, plus, place.f);
 }
 
 // Whether a place is outside bodies.
-fn is_free(place: Around) -> bool {
+fn is_free(place: Corner) -> bool {
     if arrayLength(&solid_distance) <= 4u {
         return true;
     }
-    let at = minus_cells(place);
+    let points = corner_points(place);
+    let at = points[0];
+    let next = points[1];
     let minus = vec4<f32>(solid_distance[at.x], solid_distance[at.y], solid_distance[at.z], solid_distance[at.w]);
-    let next = at + 1u;
     let plus = vec4<f32>(solid_distance[next.x], solid_distance[next.y], solid_distance[next.z], solid_distance[next.w]);
-    return interpolate(minus, plus, place.f) >= 0.0;
+    return mix_points(minus, plus, place.f) >= 0.0;
 }
 
 // The sites of a cell that enter, as bits.
@@ -53,7 +55,7 @@ fn entering_of(cell: vec3<u32>) -> u32 {
     let of_cell = hash_of_cell(cell);
     var sites = 0u;
     for (var number = 0u; number < SITES; number++) {
-        let place = around(site(cell, of_cell, number));
+        let place = centres_around(site(cell, of_cell, number));
         let enters = carried_at(place) < -MARKER_DEPTH && level_at(place) >= -MARKER_DEPTH && is_free(place);
         sites |= u32(enters) << number;
     }

@@ -2,7 +2,7 @@
 // to expand first. One thread per used slot.
 // level, step. liquid_distance: after all changes, cell centres, m. excess: e per cell. markers: x, y, z (m), w = 1 alive, 0 deleted; in place.
 // marker_velocity: m/s, w = 1 for spray. marker_counts: see marker_counts.
-#import around
+#import corner
 #import dispatch
 #import layout
 #import step
@@ -31,7 +31,7 @@ fn delete_markers(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_in
         return;
     }
     let at = marker.xyz * step.inv_dx;
-    if level_at(around(at)) >= -MARKER_DEPTH {
+    if level_at(centres_around(at)) >= -MARKER_DEPTH {
         return;
     }
     let cell = cell_of(level, at);

@@ -24,7 +24,6 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/active"),
     crate::wgsl!("common/advect"),
     crate::wgsl!("common/advect_quad"),
-    crate::wgsl!("common/around"),
     crate::wgsl!("common/ask"),
     crate::wgsl!("common/ballistic"),
     crate::wgsl!("common/ballistic_body"),
