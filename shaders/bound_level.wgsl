@@ -4,8 +4,9 @@
 // level. band_args, band_list, band_flags: the band. open, solid_distance: see level_cells. occupancy: F. thin: per
 // quad the lanes in thin liquid. new_level: cells, in place.
 #import dispatch
-#import layout
 #import lanes
+#import layout
+#import level_values
 #import smooth_cells
 
 @group(0) @binding(0) var<uniform> level: Layout;
@@ -18,8 +19,7 @@
 @group(0) @binding(7) var<storage, read> thin: array<u32>;
 @group(0) @binding(8) var<storage, read_write> new_level: array<f32>;
 
-// The constants of reference/bound_level.rs and occupancy.rs.
-const UNKNOWN_OCCUPANCY = -1.0;
+// The constants of reference/bound_level.rs.
 // Occupancy at the surface of thin liquid.
 const THIN_LEVEL = 0.41;
 // Slope of the distance over the smoothed occupancy, cells.

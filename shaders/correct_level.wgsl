@@ -8,6 +8,7 @@
 #import lanes
 #import layout
 #import level_path
+#import level_values
 #import step
 
 @group(0) @binding(0) var<uniform> level: Layout;
@@ -23,11 +24,9 @@
 
 // Overshoot beyond the taps, cells.
 const OVERSHOOT = 0.1;
-// Level of air, cells: REACH in level_cells.
-const AIR = 5.0;
 
 fn carried(cell: u32) -> f32 {
-    return select(AIR, next_level[cell], band_flags[cell / 4u] != 0u);
+    return select(REACH, next_level[cell], band_flags[cell / 4u] != 0u);
 }
 
 fn sample_carried(at: vec3<f32>) -> f32 {
@@ -80,7 +79,7 @@ fn correct_level(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_inv
     let inside = lanes_inside(first, vec3<i32>(level.cells));
     for (var l = 0u; l < 4u; l++) {
         let cell = 4u * quad + l;
-        var phi = AIR;
+        var phi = REACH;
         if inside[l] {
             phi = corrected(cell, vec3<f32>(first) + vec3<f32>(f32(l), 0.0, 0.0) + 0.5);
         }

@@ -5,8 +5,9 @@
 // level. band_args, band_list, band_flags: the band. open: apertures of the minus faces. distance_in, distance_out:
 // cells, with a minus where they stay.
 #import dispatch
-#import layout
 #import lanes
+#import layout
+#import level_values
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<storage, read> band_args: array<u32>;
@@ -16,12 +17,9 @@
 @group(0) @binding(5) var<storage, read> distance_in: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> distance_out: array<vec4<f32>>;
 
-// Cap of the distance, cells; also REACH of level_cells.
-const CAP = 5.0;
-
 // The distances in a quad, which may be outside the band.
 fn distances(quad: u32, value: vec4<f32>) -> vec4<f32> {
-    return select(vec4<f32>(CAP), value, band_flags[quad] != 0u);
+    return select(vec4<f32>(REACH), value, band_flags[quad] != 0u);
 }
 
 fn squares(values: vec4<f32>) -> vec4<f32> {
@@ -39,7 +37,7 @@ fn eikonal(x: vec4<f32>, y: vec4<f32>, z: vec4<f32>) -> vec4<f32> {
     let differences = difference + squares(c - b) + squares(c - a);
     let three = (a + b + c + sqrt(max(3.0 - differences, vec4<f32>()))) / 3.0;
     let plane = select(one, two, one > b);
-    return min(select(plane, three, plane > c), vec4<f32>(CAP));
+    return min(select(plane, three, plane > c), vec4<f32>(REACH));
 }
 
 @compute @workgroup_size(WG_SIZE)
@@ -60,7 +58,7 @@ fn eikonal_pass(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
     let behind = abs(distance_in[z.x]);
     let front = abs(distance_in[z.y]);
     let nearest = min(min(min(below, above), min(behind, front)), min(here, vec4<f32>(min(before.w, after.x))));
-    if all(nearest >= vec4<f32>(CAP)) {
+    if all(nearest >= vec4<f32>(REACH)) {
         return;
     }
     let cell = quad_cell(level, quad);
@@ -82,6 +80,6 @@ fn eikonal_pass(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
         select(here, distances(y.y, above), open_plus_y));
     let along_z = min(select(here, distances(z.x, behind), open_minus_z),
         select(here, distances(z.y, front), open_plus_z));
-    let next = select(vec4<f32>(CAP), eikonal(x, along_y, along_z), lanes_inside(cell, n));
+    let next = select(vec4<f32>(REACH), eikonal(x, along_y, along_z), lanes_inside(cell, n));
     distance_out[quad] = select(next, word, word < vec4<f32>());
 }

@@ -4,6 +4,7 @@
 #import dispatch
 #import lanes
 #import layout
+#import level_values
 #import step
 
 @group(0) @binding(0) var<uniform> level: Layout;
@@ -17,7 +18,6 @@
 
 // Depth below which the density counts, cells, and F where it is unknown: as in reference.
 const DEPTH = 1.0;
-const UNKNOWN_OCCUPANCY = -1.0;
 
 @compute @workgroup_size(WG_SIZE)
 fn excess_density(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {

@@ -3,8 +3,9 @@
 // level. band_args, band_list, band_flags: the band. carried_level: cells. thick: per quad the lanes, out. new_level:
 // cells, out.
 #import dispatch
-#import layout
 #import lanes
+#import layout
+#import level_values
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<storage, read> band_args: array<u32>;
@@ -16,8 +17,6 @@
 
 // Depth of thick liquid, cells.
 const THICK = 1.5;
-// Level of air, cells.
-const AIR = 5.0;
 
 // The lanes in thick liquid of the quad at a cell, which may be beyond the row.
 fn thick_lanes(quad: u32, cell: vec3<i32>) -> u32 {
@@ -45,5 +44,5 @@ fn mark_thick(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoca
     }
     thick[quad] = bits >> 4u & 15u;
     let exists = lanes_inside(cell, vec3<i32>(level.cells));
-    new_level[quad] = select(vec4<f32>(AIR), carried_level[quad], exists);
+    new_level[quad] = select(vec4<f32>(REACH), carried_level[quad], exists);
 }

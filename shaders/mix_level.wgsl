@@ -3,6 +3,7 @@
 // band_args, band_list: the band. distances: cells, see start_redistance. new_level: cells, in place. mixed: cells,
 // out.
 #import dispatch
+#import level_values
 #import unknown
 
 @group(0) @binding(0) var<storage, read> band_args: array<u32>;
@@ -16,8 +17,6 @@
 const NEAR = 2.5;
 // Level beyond which it is replaced within that distance too.
 const FAR = 3.5;
-// Level in bodies that no pass of the extension reached.
-const AIR_IN_BODIES = 1.0;
 
 @compute @workgroup_size(WG_SIZE)
 fn mix_level(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {

@@ -5,8 +5,9 @@
 // level, step. band_args, band_list: the band. marker_weights: in units of 2^-20. carried_level: cells.
 // solid_distance: m, cell centres; one quad far outside in a scene without bodies. occupancy: out.
 #import dispatch
-#import layout
 #import lanes
+#import layout
+#import level_values
 #import step
 
 @group(0) @binding(0) var<uniform> level: Layout;
@@ -27,8 +28,6 @@ const PER_CELL = 8.0;
 const LEAST_OPEN = 0.2;
 // Depth below which cells count as full, cells.
 const FULL_BELOW = 1.5;
-// Occupancy of cells where it is unknown.
-const UNKNOWN_OCCUPANCY = -1.0;
 // Distance of a body that closes all or nothing of the tent, cells.
 const FAR = 2.0;
 

@@ -3,9 +3,7 @@
 // The importing kernel declares level: Layout, open: array<f32> (face apertures) and solid_distance: array<f32> (m, cell
 // centres; one quad far outside in a scene without bodies).
 #import layout
-
-// Largest magnitude of a level, cells. Outside the band it is that of air.
-const REACH = 5.0;
+#import level_values
 
 // Whether the centre of a cell lies outside all bodies.
 fn is_open(cell: u32) -> bool {

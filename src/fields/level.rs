@@ -28,7 +28,7 @@ const MARKER_COUNTS: usize = 3;
 const SPRAY_SUMS: usize = 12;
 
 arrays! {
-    /// Arrays of a level set in the device layout ([`Padded`]). Levels are in cells. All hold on the band alone; outside it
+    /// Arrays of a level set in the device layout ([`Padded`]). Levels are in cells. All but `component` hold on the band alone; outside it
     /// they contain values of earlier sub-steps.
     pub struct LevelBuffers in "level" {
         fields {

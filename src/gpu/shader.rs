@@ -69,6 +69,7 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/level_cells"),
     crate::wgsl!("common/level_path"),
     crate::wgsl!("common/level_step"),
+    crate::wgsl!("common/level_values"),
     crate::wgsl!("common/liquid_lanes"),
     crate::wgsl!("common/marker_counts"),
     crate::wgsl!("common/marker_depth"),

@@ -31,16 +31,8 @@ pub fn advect_velocity(
     dt: f64,
 ) -> [Vec<f64>; 3] {
     let shown = shown_to_whole(grid, open, faces);
-    let carry = |field: &[Vec<f64>; 3], axis: Axis, face: usize| match origin(
-        grid,
-        field,
-        ballistic,
-        dt,
-        (axis, face),
-    ) {
-        Some(x) => grid.sample(axis, &field[axis.index()], x),
-        None => 0.0,
-    };
+    let carry =
+        |field: &[Vec<f64>; 3], axis, face| carried(grid, field, ballistic, dt, (axis, face));
     Axis::ALL.map(|axis| {
         let carried = (0..grid.n_faces(axis)).into_par_iter().map(|face| {
             mixed(
@@ -65,26 +57,21 @@ pub fn advect_velocity_maccormack(
     Axis::ALL.map(|axis| {
         let a = axis.index();
         let all = || (0..grid.n_faces(axis)).into_par_iter();
-        let origin =
-            |field: &[Vec<f64>; 3], face: usize| origin(grid, field, ballistic, dt, (axis, face));
-        let carry = |field: &[Vec<f64>; 3], face: usize| {
-            origin(field, face).map_or(0.0, |x| grid.sample(axis, &field[a], x))
-        };
-        let carried: Vec<f64> = all().map(|face| carry(&shown, face)).collect();
+        let carry = |field: &[Vec<f64>; 3], face| carried(grid, field, ballistic, dt, (axis, face));
+        let first: Vec<f64> = all().map(|face| carry(&shown, face)).collect();
         let correct = |face: usize| {
-            let Some(from) = origin(&shown, face) else {
+            let Some(from) = origin(grid, &shown, ballistic, dt, (axis, face)) else {
                 return 0.0;
             };
             let x = grid.face_centre(axis, grid.face_at(axis, face));
             let to = grid.traced(&shown, x, dt) + ballistic.shift_about(grid, x);
-            let corrected =
-                carried[face] + 0.5 * (shown[a][face] - grid.sample(axis, &carried, to));
+            let corrected = first[face] + 0.5 * (shown[a][face] - grid.sample(axis, &first, to));
             let taps = grid.faces_around(axis, from).values(&shown[a]);
             let low = taps.into_iter().fold(f64::INFINITY, f64::min);
             let high = taps.into_iter().fold(f64::NEG_INFINITY, f64::max);
             match low <= corrected && corrected <= high {
                 true => corrected,
-                false => carried[face],
+                false => first[face],
             }
         };
         let all = all().map(|face| {
@@ -96,6 +83,18 @@ pub fn advect_velocity_maccormack(
         });
         all.collect()
     })
+}
+
+/// Velocity of a face after the first order of the transport, m/s.
+fn carried(
+    grid: &Grid,
+    field: &[Vec<f64>; 3],
+    ballistic: &Ballistic,
+    dt: f64,
+    (axis, face): (Axis, usize),
+) -> f64 {
+    let x = origin(grid, field, ballistic, dt, (axis, face));
+    x.map_or(0.0, |x| grid.sample(axis, &field[axis.index()], x))
 }
 
 /// Departure point (m) of a face after dt (s), by the midpoint rule; `None` where the face is at rest.

@@ -76,6 +76,11 @@ impl LevelCells<'_> {
     }
 }
 
+/// The level of a distance (m), cells.
+pub(super) fn in_cells(grid: &Grid, distance: &[f64]) -> Vec<f64> {
+    distance.iter().map(|phi| phi / grid.dx).collect()
+}
+
 /// Filled fraction of a cell whose centre has the level phi, cells.
 #[inline]
 pub fn filled(phi: f64) -> f64 {

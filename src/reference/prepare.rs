@@ -4,7 +4,7 @@ use super::active_cells::active_cells;
 use super::ballistic::ballistic_cells;
 use super::diagnose::{liquid_volume, open_volumes};
 use super::extrapolate::{MovingWalls, extrapolate, n_layers};
-use super::level_cells::{LevelCells, REACH};
+use super::level_cells::{LevelCells, REACH, in_cells};
 use super::liquid_components::liquid_components;
 use super::liquid_distance::{extend_level, liquid_distance};
 use super::marker_band::{Markers, first_markers};
@@ -66,11 +66,7 @@ pub fn prepare(
     );
     if liquid.surface == Surface::Level {
         let seed = (liquid.seed ^ (liquid.seed >> 32)) as u32;
-        let level: Vec<f64> = state
-            .liquid_distance
-            .iter()
-            .map(|phi| phi / grid.dx)
-            .collect();
+        let level = in_cells(grid, &state.liquid_distance);
         let positions = first_markers(grid, &cut.solid_distance, &level, seed);
         let mut markers = Markers::default();
         markers.extend(grid, &state.velocity, &positions);

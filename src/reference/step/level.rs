@@ -5,6 +5,7 @@ use glam::DVec3;
 use super::SubStep;
 use crate::geometry::MARKERS_PER_CELL;
 use crate::grid::Axis;
+use crate::reference::level_cells::in_cells;
 use crate::reference::marker_band::cell_of;
 use crate::reference::{
     ActiveCells, Before, Components, LevelCells, Levels, Markers, RightHandSide, add_excess,
@@ -76,8 +77,7 @@ impl SubStep<'_> {
 
     /// Level before the sub-step, cells.
     fn level_before(&self) -> Vec<f64> {
-        let distance = self.before.liquid_distance.iter();
-        distance.map(|phi| phi / self.model.grid.dx).collect()
+        in_cells(&self.model.grid, &self.before.liquid_distance)
     }
 
     pub(super) fn advect_level_markers(&mut self) {
@@ -230,8 +230,7 @@ impl SubStep<'_> {
 
     /// Level after the last stage that changed it, cells.
     fn level_after(&self) -> Vec<f64> {
-        let distance = self.after.liquid_distance.iter();
-        distance.map(|phi| phi / self.model.grid.dx).collect()
+        in_cells(&self.model.grid, &self.after.liquid_distance)
     }
 
     pub(super) fn liquid_components(&mut self) {
