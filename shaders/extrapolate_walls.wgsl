@@ -1,7 +1,8 @@
-// extrapolate, after the layers: sets the velocity of faces on closed sides of the domain to zero. One thread per
-// quad of the band.
-// level. band_args, band_list: the band. valid: open faces. velocity: faces, m/s, in place.
+// extrapolate, after the layers: sets the velocity of faces on closed sides of the domain to zero; with separation
+// beside air and separated cells only a velocity beyond the side. One thread per quad of the band.
+// level. band_args, band_list: the band. valid: open faces, cells whose walls liquid leaves. velocity: faces, m/s, in place.
 #import dispatch
+#import face_index
 #import layout
 #import lanes
 #import valid
@@ -14,7 +15,18 @@
 
 fn close(axis: u32, quad: u32, lane: u32) {
     if (valid[quad] >> (OPEN + 4u * axis + lane) & 1u) == 0u {
-        velocity[4u * (axis * level.quads + quad) + lane] = 0.0;
+        let cell = quad_cell(level, quad) + vec3<i32>(i32(lane), 0, 0);
+        let low = cell[axis] == 0;
+        let inside = vec3<u32>(cell - select(along(axis), vec3<i32>(), low));
+        let face = 4u * (axis * level.quads + quad) + lane;
+        var kept = 0.0;
+        if all(inside < level.cells) {
+            let beside = level.stride_z * (inside.z + 1u) + level.stride_y * inside.y + inside.x / 4u;
+            if (valid[beside] >> (LEAVING_FIRST + inside.x % 4u) & 1u) == 1u {
+                kept = select(min(velocity[face], 0.0), max(velocity[face], 0.0), low);
+            }
+        }
+        velocity[face] = kept;
     }
 }
 

@@ -1,7 +1,7 @@
 // band, last of three: flags of the quads whose tile enters or leaves the band.
-// Quads that leave are reset to air: liquid distance + dx, with a level + 5 dx, no valid face. Their velocity remains until write_back,
-// since advection may read it. Clears the marks for the next sub-step. One thread per slab of a tile, eight rows of
-// two quads.
+// Quads that leave are reset to air: liquid distance + dx, with a level + 5 dx, no valid face, no cell that liquid leaves
+// walls in. Their velocity remains until write_back, since advection may read it. Clears the marks for the next sub-step.
+// One thread per slab of a tile, eight rows of two quads.
 // level, step, tiles. dilated: see tiles. marks: per tile. band_flags: per quad, 0 or 1, in place. liquid_distance:
 // m. valid, valid_next: see valid.
 #import dispatch
@@ -43,8 +43,8 @@ fn flag_band(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocat
         if word == BEFORE {
             liquid_distance[2u * row] = vec4<f32>(f32(tiles.air) * step.dx);
             liquid_distance[2u * row + 1u] = vec4<f32>(f32(tiles.air) * step.dx);
-            valid[row] &= vec2<u32>(~VALID);
-            valid_next[row] &= vec2<u32>(~VALID);
+            valid[row] &= vec2<u32>(~(VALID | LEAVING));
+            valid_next[row] &= vec2<u32>(~(VALID | LEAVING));
         }
     }
 }

@@ -1,7 +1,7 @@
 //! The active effects of a scene, decided in one place. Kernels, arrays and CPU work query [`Effects`] alone. An
 //! inactive effect costs no compile time, no memory and no dispatch.
 
-use crate::scene::{ElasticModel, PatchPressure, Scene, Solid, Surface};
+use crate::scene::{ElasticModel, PatchPressure, Scene, Separation, Solid, Surface};
 
 /// An effect and why it is active or inactive.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -81,6 +81,15 @@ effects! {
             (false, _) => surface(scene),
             (_, true) => "on by default with a level",
             (_, false) => "liquid.volume_control = false",
+        }
+        .to_owned();
+    /// Liquid that leaves walls, obstacles and solids where its pressure would be negative.
+    separation: |scene, effects| effects.markers && separation(scene) != Separation::None,
+        |scene, effects| match separation(scene) {
+            _ if !effects.markers => surface(scene),
+            Separation::None => "liquid.separation = \"none\"",
+            Separation::Walls => "liquid.separation = \"walls\"",
+            Separation::FromAir => "liquid.separation = \"from_air\"",
         }
         .to_owned();
     /// Open sides of the domain: markers beyond them are deleted, and the controlled volume decreases with them.
@@ -166,6 +175,11 @@ fn surface(scene: &Scene) -> &'static str {
         Some(Surface::Level) => "liquid.surface = \"level\"",
         Some(Surface::Fixed) => "liquid.surface = \"fixed\"",
     }
+}
+
+fn separation(scene: &Scene) -> Separation {
+    let liquid = scene.liquid.as_ref();
+    liquid.map_or(Separation::None, |liquid| liquid.separation)
 }
 
 fn controls_volume(scene: &Scene) -> bool {

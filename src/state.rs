@@ -43,6 +43,8 @@ pub struct State {
     pub active: Vec<bool>,
     /// Whether each cell was in liquid that touched nothing then.
     pub ballistic: Vec<bool>,
+    /// Whether each cell separated from the walls and bodies beside it then; empty without separation.
+    pub separated: Vec<bool>,
     /// Target liquid volume, m^3, including inflow and outflow. With `surface = "level"` it includes the spray.
     pub volume_0: f64,
     /// Displacement of the nodes of all solids from rest, m; on the device a sum of two f32.
@@ -116,6 +118,7 @@ impl State {
             liquid_distance: vec![grid.dx; grid.n_cells()],
             active: vec![false; grid.n_cells()],
             ballistic: vec![false; grid.n_cells()],
+            separated: Vec::new(),
             volume_0: 0.0,
             displacement: Vec::new(),
             node_velocity: Vec::new(),
@@ -158,6 +161,8 @@ pub enum SolveStatus {
     /// Prescribed motion or a source would change the volume of an enclosed liquid component. The nearest compatible
     /// problem was solved.
     Incompatible,
+    /// The set of separated cells still changed after the last round. The pressure solves its last one.
+    Unsettled,
 }
 
 impl SolveStatus {
@@ -170,6 +175,7 @@ impl SolveStatus {
             SolveStatus::Breakdown => "breakdown",
             SolveStatus::NonFinite => "non_finite",
             SolveStatus::Incompatible => "incompatible",
+            SolveStatus::Unsettled => "unsettled",
         }
     }
 
@@ -260,6 +266,23 @@ pub struct LiquidReport {
     pub dropped: u64,
     /// Inflow and outflow, in scenes with open sides, sources or sinks.
     pub exchange: Option<Exchange>,
+    /// Liquid that left walls and bodies, in scenes with separation.
+    pub separation: Option<SeparationReport>,
+}
+
+/// Separation of liquid from walls and bodies in one sub-step.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SeparationReport {
+    /// Separated cells.
+    pub cells: usize,
+    /// Cells that were let back, counted in each round.
+    pub returned: usize,
+    /// Rounds of the active set, of all solves.
+    pub rounds: u32,
+    /// Least pressure of the cells that may separate, Pa; 0 without any.
+    pub least_pressure: f64,
+    /// Volume by which the separated cells opened, m^3.
+    pub opened: f64,
 }
 
 /// Inflow and outflow of one sub-step.

@@ -1,6 +1,6 @@
 // Free slip along solids: closed faces in and just outside them, except domain walls, lose the normal part of their
 // velocity relative to the wall: u_a - ((v - w) . n) n_a. n is the direction of the interpolated distance by central
-// differences over dx.
+// differences over dx. With separation faces between cells of air and separated ones keep a velocity away from the wall.
 // The importing kernel declares level, step, solid_distance (vec4 per quad), velocity, valid, velocity_next, slipping
 // (see slip), and wall_velocity(axis, cell): w at the minus face of a cell, m/s.
 #import face_index
@@ -52,7 +52,18 @@ fn slide(axis: u32, cell: vec3<i32>) -> f32 {
         return v[axis];
     }
     let n = gradient / steepness;
-    return v[axis] - dot(relative, n) * n[axis];
+    var away = dot(relative, n);
+    if leaves(cell) && leaves(minus) {
+        away = min(away, 0.0);
+    }
+    return v[axis] - away * n[axis];
+}
+
+// Whether liquid may leave walls and bodies in a cell.
+fn leaves(cell: vec3<i32>) -> bool {
+    let c = vec3<u32>(cell);
+    let quad = level.stride_z * (c.z + 1u) + level.stride_y * c.y + c.x / 4u;
+    return (valid[quad] >> (LEAVING_FIRST + c.x % 4u) & 1u) == 1u;
 }
 
 // Lanes whose face has a cell on both sides and is near a surface.

@@ -75,6 +75,8 @@ const OPEN: usize = 16;
 const SLIVERS: u32 = 1 << 31;
 /// Aperture below which an open face is a small-aperture face. Also in `common/valid.wgsl`.
 const SLIVER: f32 = 0.2;
+/// Words of [`LiquidBuffers::separation_sums`].
+pub(crate) const SEPARATION_SUMS: usize = 8;
 /// Largest number of threads of a reduction.
 const LARGEST_SUMMING: usize = 16384;
 
@@ -200,6 +202,12 @@ arrays! {
             array solve_open: f32 [3 * padded.len()] as "sources.open" if plan.effects.sources,
             /// Prescribed boundary flux of moving obstacles, J v over dx^2 per cell, m/s.
             pub array obstacle_flux: f32 [padded.len()] if plan.effects.moving_obstacles,
+            /// Per quad: separated lanes, and those that may separate (`common/separation.wgsl`).
+            pub array separated: u32 [padded.quads] if plan.effects.separation,
+            /// The same of the last sub-step, during the solve.
+            pub array separated_before: u32 [padded.quads] if plan.effects.separation,
+            /// Numbers of a round of separation (`common/separation.wgsl`).
+            pub array separation_sums: u32 [SEPARATION_SUMS] if plan.effects.separation,
             /// Markers: x, y, z in m, and 1 for alive or 0 for deleted.
             pub array markers: [f32; 4] [plan.n_markers] if plan.effects.markers,
             /// Per quad: lanes without room for liquid, lanes that contain a marker (`common/classes.wgsl`).
@@ -216,6 +224,8 @@ arrays! {
             squares = liquid_distance while LiquidDistance..=LiquidDistance, free AdvectVelocity..=LiquidDistance,
             // Distance during its extension into solids, m.
             extended_distance = velocity while LiquidDistance..=LiquidDistance, free Forces..=Solve,
+            // Liquid distance with 0 in separated cells, m.
+            masked_distance = velocity while Solve..=Solve, free Forces..=Solve,
             // In `right_hand_side`.
             flux = obstacle_flux,
         }
@@ -386,6 +396,30 @@ impl LiquidBuffers {
             .map(|&[x, y, z, _]| [x, y, z].map(f64::from))
             .collect();
         Ok(used.iter().map(|marker| marker[3] != 0.0).collect())
+    }
+
+    /// Writes which cells separated in a state, before all work submitted later.
+    pub fn write_separated(&self, gpu: &Gpu, state: &State) {
+        if let Some(separated) = &self.separated {
+            let grid = &self.plan.grid;
+            let mut words = vec![0; separated.len()];
+            for (cell, _) in state.separated.iter().enumerate().filter(|(_, on)| **on) {
+                let index = self.padded.index(grid.cell_at(cell));
+                words[index / 4] |= 1 << (index % 4);
+            }
+            gpu.upload(separated, &words);
+        }
+    }
+
+    /// Waits for all submitted work and reads which cells separated; empty without separation.
+    pub fn read_separated(&self, gpu: &Gpu) -> Result<Vec<bool>, Error> {
+        let Some(separated) = &self.separated else {
+            return Ok(Vec::new());
+        };
+        let words = gpu.download(separated)?;
+        let lanes = (0..self.padded.len()).map(|at| words[at / 4] >> (at % 4) & 1 == 1);
+        let lanes: Vec<bool> = lanes.collect();
+        Ok(self.padded.unpad(self.plan.grid.cells, &lanes, |on| on))
     }
 
     /// Removes deleted markers from the first `used` slots. The others keep their order. Returns which of the slots were

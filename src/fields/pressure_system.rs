@@ -13,7 +13,7 @@ use crate::state::State;
 pub(crate) const TAIL_QUADS: usize = 256;
 /// Most levels in the tail.
 pub(crate) const TAIL_LEVELS: usize = 8;
-/// Threads of the first level of a long sum; `fold_partials.wgsl` has it too.
+/// Threads of the first level of a long sum; `fold_partials.wgsl` and `separation_openings.wgsl` have it too.
 pub(crate) const FOLD_THREADS: usize = 4096;
 /// Words of [`SolverBuffers::components`].
 pub(crate) const STATE_WORDS: usize = 8;

@@ -304,7 +304,7 @@ pub struct SolidHealth {
 /// Counts and extremes over the sub-steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Tally {
-    /// Sub-steps with a solve that missed its tolerance.
+    /// Sub-steps with a solve that missed its tolerance, or whose separated cells did not settle.
     pub missed: u64,
     /// Sub-steps with an incompatible boundary flux ([`crate::state::SolveStatus::Incompatible`]).
     #[serde(default)]

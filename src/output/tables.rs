@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 
 use crate::Error;
 use crate::scene::Probe;
-use crate::state::{CouplingReport, Exchange, LiquidReport, SolidReport, StepReport};
+use crate::state::{
+    CouplingReport, Exchange, LiquidReport, SeparationReport, SolidReport, StepReport,
+};
 
 /// A CSV file of rows, flushed once per frame.
 #[derive(Debug)]
@@ -155,6 +157,14 @@ const EXCHANGE: [&str; 6] = [
     "markers_emitted",
     "volume_emitted",
 ];
+/// Columns of separation.
+const SEPARATION: [&str; 5] = [
+    "separated_cells",
+    "returned_cells",
+    "separation_rounds",
+    "least_pressure",
+    "opened_volume",
+];
 const SOLIDS: [&str; 18] = [
     "solid_solves",
     "unsettled_contacts",
@@ -190,21 +200,20 @@ const COUPLING: [&str; 10] = [
 ];
 
 impl StepTable {
-    /// The columns of a scene with or without liquid, inflow or outflow, and solids.
+    /// The columns of a scene with or without liquid, inflow or outflow, separation, and solids.
     ///
     /// Units: s, relative true residual (f64), 1/s, m^3, kg m/s, kg m^2/s (about the origin), J, m/s, N (forces of the
     /// liquid on the solids), m. `markers_dropped`, and the markers and volumes (m^3) that left, sank or were emitted, are
     /// counts of this sub-step. `dt_floored`, `touching` and `condensed` are 0 or 1. A `status` is `converged` or the
     /// failure. `inverted` counts elements.
     pub fn columns(
-        liquid: bool,
-        exchange: bool,
-        solids: bool,
+        [liquid, exchange, separation, solids]: [bool; 4],
     ) -> impl Iterator<Item = &'static str> {
-        let parts: [(bool, &[&str]); 6] = [
+        let parts: [(bool, &[&str]); 7] = [
             (true, &FIRST),
             (liquid, &LIQUID),
             (exchange, &EXCHANGE),
+            (separation, &SEPARATION),
             (solids, &SOLIDS),
             (liquid && solids, &COUPLING),
             (true, &LAST),
@@ -238,12 +247,14 @@ impl StepTable {
             report,
             volume_ratio,
         } = *row;
-        let exchange = report
-            .liquid
-            .is_some_and(|liquid| liquid.exchange.is_some());
-        let parts = [report.liquid.is_some(), exchange, report.solid.is_some()];
-        let [liquid, exchange, solids] = parts;
-        let columns = StepTable::columns(liquid, exchange, solids).map(str::to_owned);
+        let has = |part: fn(&LiquidReport) -> bool| report.liquid.as_ref().is_some_and(part);
+        let parts = [
+            report.liquid.is_some(),
+            has(|liquid| liquid.exchange.is_some()),
+            has(|liquid| liquid.separation.is_some()),
+            report.solid.is_some(),
+        ];
+        let columns = StepTable::columns(parts).map(str::to_owned);
         let columns: Vec<String> = columns.collect();
         let head = match &mut self.head {
             Some(head) => head,
@@ -342,6 +353,22 @@ fn liquid_fields(
             fields.push(markers.to_string());
             fields.push(real(column, volume)?);
         }
+    }
+    if let Some(separation) = liquid.separation {
+        let SeparationReport {
+            cells,
+            returned,
+            rounds,
+            least_pressure,
+            opened,
+        } = separation;
+        fields.extend([
+            cells.to_string(),
+            returned.to_string(),
+            rounds.to_string(),
+            real("least_pressure", least_pressure)?,
+            real("opened_volume", opened)?,
+        ]);
     }
     Ok(fields)
 }

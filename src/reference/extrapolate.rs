@@ -12,7 +12,9 @@
 //!
 //! Small-aperture faces contribute blended velocities ([`super::slivers`]) and recover their own afterwards.
 //!
-//! Closed faces in and just outside obstacles and solids receive the normal velocity of these, 0 for static ones.
+//! Closed faces in and just outside obstacles and solids receive the normal velocity of these, 0 for static ones. With
+//! separation they keep their velocity away from walls and bodies beside air and separated cells. Interpolation with the
+//! velocity of the wall would hold the markers there: at a distance d they would leave at d / dx of their speed.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -83,6 +85,19 @@ pub fn extrapolate_with_slope(
     cut: &CutCells,
     walls: Option<MovingWalls>,
     valid: [Vec<bool>; 3],
+    extent: (usize, f64),
+    faces: &mut [Vec<f64>; 3],
+) {
+    extrapolate_one_sided(grid, cut, (walls, None), valid, extent, faces);
+}
+
+/// The same with walls that liquid leaves: closed faces keep a velocity away from the wall unless a cell beside them is in
+/// `held`, the active cells that did not separate. `None`: no face keeps it.
+pub fn extrapolate_one_sided(
+    grid: &Grid,
+    cut: &CutCells,
+    (walls, held): (Option<MovingWalls>, Option<&[bool]>),
+    valid: [Vec<bool>; 3],
     (layers, largest): (usize, f64),
     faces: &mut [Vec<f64>; 3],
 ) {
@@ -93,8 +108,8 @@ pub fn extrapolate_with_slope(
         slivers::swap(&mut blended[a], values);
         extend(grid, axis, valid, (layers, largest), values);
     }
-    close_walls(grid, &cut.open, faces);
-    slip(grid, cut, walls, faces);
+    close_walls(grid, &cut.open, held, faces);
+    slip(grid, cut, (walls, held), faces);
     for (blended, values) in blended.iter_mut().zip(faces) {
         slivers::swap(blended, values);
     }
@@ -182,14 +197,31 @@ fn extend(
         .for_each(|(value, _)| *value = 0.0);
 }
 
-/// Sets faces on closed sides of the domain to zero.
-fn close_walls(grid: &Grid, open: &[Vec<f64>; 3], faces: &mut [Vec<f64>; 3]) {
+/// Whether liquid may leave the wall or body behind a closed face.
+fn leaves(grid: &Grid, held: Option<&[bool]>, axis: Axis, face: [usize; 3]) -> bool {
+    let mut sides = grid.face_sides(axis, face).into_iter().flatten();
+    held.is_some_and(|held| !sides.any(|cell| held[cell]))
+}
+
+/// Removes velocities into closed sides of the domain, and out of those that liquid does not leave.
+fn close_walls(
+    grid: &Grid,
+    open: &[Vec<f64>; 3],
+    held: Option<&[bool]>,
+    faces: &mut [Vec<f64>; 3],
+) {
     for axis in Axis::ALL {
         let a = axis.index();
         for (face, value) in faces[a].iter_mut().enumerate() {
-            if open[a][face] <= 0.0 && grid.wall(axis, grid.face_at(axis, face)).is_some() {
-                *value = 0.0;
-            }
+            let ijk = grid.face_at(axis, face);
+            let Some(side) = grid.wall(axis, ijk).filter(|_| open[a][face] <= 0.0) else {
+                continue;
+            };
+            *value = match (leaves(grid, held, axis, ijk), side) {
+                (false, _) => 0.0,
+                (true, 0) => value.max(0.0),
+                (true, _) => value.min(0.0),
+            };
         }
     }
 }
@@ -207,7 +239,12 @@ fn direction(grid: &Grid, solid_distance: &[f64], x: DVec3) -> Option<DVec3> {
     (length >= SMALLEST_GRADIENT).then(|| gradient / length)
 }
 
-fn slip(grid: &Grid, cut: &CutCells, walls: Option<MovingWalls>, faces: &mut [Vec<f64>; 3]) {
+fn slip(
+    grid: &Grid,
+    cut: &CutCells,
+    (walls, held): (Option<MovingWalls>, Option<&[bool]>),
+    faces: &mut [Vec<f64>; 3],
+) {
     let constrained = Axis::ALL.map(|axis| -> Vec<(usize, f64)> {
         let a = axis.index();
         let constrain = |face: usize| {
@@ -221,8 +258,12 @@ fn slip(grid: &Grid, cut: &CutCells, walls: Option<MovingWalls>, faces: &mut [Ve
             }
             let n = direction(grid, &cut.solid_distance, x)?;
             let wall_velocity = walls.map_or(DVec3::ZERO, |walls| walls.at_face(grid, axis, ijk));
-            let into = (grid.velocity_at(faces, x) - wall_velocity).dot(n);
-            Some((face, faces[a][face] - into * n[a]))
+            let away = (grid.velocity_at(faces, x) - wall_velocity).dot(n);
+            let away = match leaves(grid, held, axis, ijk) {
+                true => away.min(0.0),
+                false => away,
+            };
+            Some((face, faces[a][face] - away * n[a]))
         };
         (0..grid.n_faces(axis))
             .into_par_iter()

@@ -38,6 +38,7 @@ mod redistance;
 mod refine;
 mod right_hand_side;
 mod sample;
+mod separation;
 mod slivers;
 mod solid_contacts;
 mod solid_matrices;
@@ -71,7 +72,9 @@ pub use exchange::{
     Passed, Seeded, carry_faces, empty_sinks, exchanged_volume, hold_faces, seed_markers,
     sink_markers,
 };
-pub use extrapolate::{MovingWalls, extrapolate, extrapolate_with_slope, n_layers};
+pub use extrapolate::{
+    MovingWalls, extrapolate, extrapolate_one_sided, extrapolate_with_slope, n_layers,
+};
 pub use filter_level::filter_level;
 pub use forces::forces;
 pub use level_cells::{BAND, LevelCells, REACH, filled};
@@ -94,6 +97,7 @@ pub use refine::EPSILON;
 pub(crate) use refine::{Correction, LinearSystem, part_left, refine_parts};
 pub use right_hand_side::{RightHandSide, VolumeSource, right_hand_side, volume_rate};
 pub use sample::gradient;
+pub use separation::{Candidates, Separation, opening, touching_cells};
 pub use slivers::{is_sliver, shown_to_whole};
 pub use solid_contacts::{
     ActiveSurfaces, ContactSearch, Contacts, Freedom, MAX_SOLVES, MOST_HALVINGS, SearchStep,

@@ -238,5 +238,6 @@ fn fits_grid(grid: &Grid, cut: &CutCells, state: &State) -> bool {
         let lists = [&state.velocity, &cut.open].map(|faces| faces[axis.index()].len());
         lists == [grid.n_faces(axis); 2]
     };
-    cells == [grid.n_cells(); 5] && Axis::ALL.into_iter().all(faces)
+    let separated = [0, grid.n_cells()].contains(&state.separated.len());
+    cells == [grid.n_cells(); 5] && separated && Axis::ALL.into_iter().all(faces)
 }

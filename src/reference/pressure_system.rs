@@ -120,6 +120,31 @@ impl Stencil {
     }
 }
 
+impl Stencil {
+    /// The operator without unknowns in some cells, where x is 0: the others keep their weights towards them.
+    pub fn masked(&self, cells: &[bool]) -> Stencil {
+        let (mut weight, mut dirichlet) = (self.weight.clone(), self.dirichlet.clone());
+        for axis in Axis::ALL {
+            for (face, weight) in weight[axis.index()].iter_mut().enumerate() {
+                let sides = self.grid.face_sides(axis, self.grid.face_at(axis, face));
+                let [Some(minus), Some(plus)] = sides else {
+                    continue;
+                };
+                match [cells[minus], cells[plus]] {
+                    [false, false] => continue,
+                    [false, true] => dirichlet[minus] += *weight,
+                    [true, false] => dirichlet[plus] += *weight,
+                    [true, true] => {}
+                }
+                *weight = 0.0;
+            }
+        }
+        let masked = dirichlet.iter_mut().zip(cells).filter(|(_, cell)| **cell);
+        masked.for_each(|(dirichlet, _)| *dirichlet = 0.0);
+        Stencil::new(self.grid, weight, dirichlet)
+    }
+}
+
 impl LinearOperator for Stencil {
     fn size(&self) -> usize {
         self.grid.n_cells()
@@ -156,6 +181,8 @@ pub struct PressureSystem {
     pub sealed: Vec<Vec<usize>>,
     /// Prescribed boundary flux of obstacles and sources per cell, m^3/s.
     pub taken: Vec<(usize, f64)>,
+    /// Separated cells, ascending: their pressure is 0, and they are no unknowns.
+    pub separated: Vec<usize>,
 }
 
 impl PressureSystem {
@@ -170,6 +197,7 @@ impl PressureSystem {
             closed: active.closed,
             sealed: active.sealed,
             taken: Vec::new(),
+            separated: Vec::new(),
         }
     }
 
@@ -198,18 +226,61 @@ impl PressureSystem {
         if components.is_empty() {
             return 0.0;
         }
+        let cell_flux = self.prescribed_flux(by_solids);
+        let shares = components.iter().map(|component| {
+            let [net, gross] = sums(component, &cell_flux);
+            if gross > 0.0 { net.abs() / gross } else { 0.0 }
+        });
+        shares.fold(0.0, f64::max)
+    }
+
+    /// Flux of `taken` and of solids per cell, m^3/s.
+    fn prescribed_flux(&self, by_solids: Option<&[f64]>) -> Vec<f64> {
         let mut cell_flux = by_solids.map_or_else(|| vec![0.0; self.rhs.len()], <[f64]>::to_vec);
         for &(cell, taken) in &self.taken {
             cell_flux[cell] += taken;
         }
-        let shares = components.iter().map(|component| {
-            let taken = component.iter().map(|&cell| cell_flux[cell]);
-            let [net, gross] = taken.fold([0.0, 0.0], |[net, gross], taken: f64| {
-                [net + taken, gross + taken.abs()]
-            });
-            if gross > 0.0 { net.abs() / gross } else { 0.0 }
-        });
-        shares.fold(0.0, f64::max)
+        cell_flux
+    }
+
+    /// Removes from `closed` the components that touch a wall or body and whose room grows by more than the share `least` of the
+    /// prescribed flux, and returns their cells. Their right-hand side is E u* again, without a mean removed.
+    pub fn take_growing(
+        &mut self,
+        touching: &[bool],
+        by_solids: Option<&[f64]>,
+        least: f64,
+    ) -> Vec<Vec<usize>> {
+        if self.closed.is_empty() {
+            return Vec::new();
+        }
+        let [flux, taken] = [by_solids, None].map(|solids| self.prescribed_flux(solids));
+        let (growing, closed) =
+            std::mem::take(&mut self.closed)
+                .into_iter()
+                .partition(|component: &Vec<usize>| {
+                    let [net, gross] = sums(component, &flux);
+                    net > least * gross && component.iter().any(|&cell| touching[cell])
+                });
+        self.closed = closed;
+        for component in &growing {
+            let mean = sums(component, &taken)[0] / component.len() as f64;
+            component.iter().for_each(|&cell| self.rhs[cell] -= mean);
+        }
+        growing
+    }
+
+    /// The system with p = 0 at the centres of some cells, which are no unknowns.
+    pub fn masked(&self, cells: &[bool]) -> PressureSystem {
+        let mut masked = self.clone();
+        masked.separated = (0..cells.len()).filter(|&cell| cells[cell]).collect();
+        if !masked.separated.is_empty() {
+            masked.stencil = self.stencil.masked(cells);
+            (masked.separated.iter()).for_each(|&cell| masked.rhs[cell] = 0.0);
+            let opens = |component: &Vec<usize>| component.iter().any(|&cell| cells[cell]);
+            masked.closed.retain(|component| !opens(component));
+        }
+        masked
     }
 
     /// Number of active cells.
@@ -264,6 +335,14 @@ impl PressureSystem {
     pub fn remove_closed_means(&self, field: &mut [f64]) {
         remove_means(&self.closed, field);
     }
+}
+
+/// Sum of a field over some cells, and of its absolute values.
+fn sums(cells: &[usize], field: &[f64]) -> [f64; 2] {
+    let values = cells.iter().map(|&cell| field[cell]);
+    values.fold([0.0, 0.0], |[net, gross], value: f64| {
+        [net + value, gross + value.abs()]
+    })
 }
 
 /// Subtracts the mean over each list of cells from a field.

@@ -6,6 +6,7 @@ use super::coupled_system::{Blocks, CoupledSystem, TwoField};
 use super::multigrid::Multigrid;
 use super::pressure_system::PressureSystem;
 use super::refine::{Correction, LinearSystem, refine_parts};
+use super::separation::{Round, Separation};
 use super::solid_contacts::{ContactSearch, Contacts, MAX_SOLVES};
 use super::solid_system::SolidSystem;
 use super::solve::{DIRECT_UNKNOWNS, broken_down, solve};
@@ -277,14 +278,14 @@ pub fn solve_coupled(
     }
 }
 
-/// Repeats the coupled solve until the active set of contacts is unchanged, in the formulation of
-/// [`Formulation::of`]. Returns the last system and its solution. If the search does not converge, the last system
-/// constrains every touched surface.
+/// Repeats the coupled solve until the active set of contacts is unchanged, and in each the set of separated cells, in the
+/// formulation of [`Formulation::of`]. Returns the last system and its solution. If the search for contacts does not converge,
+/// the last system constrains every touched surface.
 ///
 /// # Errors
 /// As [`solve_coupled`].
 pub fn solve_coupled_in_contact(
-    pressure: &PressureSystem,
+    (pressure, mut separation): (&PressureSystem, Option<&mut Separation>),
     solid: &mut SolidSystem,
     coupling: &Coupling,
     contacts: &mut Contacts,
@@ -293,8 +294,8 @@ pub fn solve_coupled_in_contact(
     settings: &Solver,
 ) -> Result<(CoupledSystem, CoupledSolution, ContactReport), Error> {
     let mut iterations = 0;
-    let mut solved = |solid: &SolidSystem| -> Result<_, Error> {
-        let system = CoupledSystem::new(pressure.clone(), solid.clone(), coupling);
+    let mut solved_with = |solid: &SolidSystem, pressure: PressureSystem| -> Result<_, Error> {
+        let system = CoupledSystem::new(pressure, solid.clone(), coupling);
         let formulation = Formulation::of(&system);
         let mut solution = solve_coupled(&system, formulation, solver, solids, settings)?;
         iterations += solution.reports[0].iterations;
@@ -302,6 +303,22 @@ pub fn solve_coupled_in_contact(
             report.iterations = iterations;
         }
         Ok((system, solution))
+    };
+    let mut solved = |solid: &SolidSystem| -> Result<_, Error> {
+        let Some(separation) = &mut separation else {
+            return solved_with(solid, pressure.clone());
+        };
+        let last = separation.search(pressure, settings.tolerance, |masked| {
+            let (system, solution) = solved_with(solid, masked.clone())?;
+            let mut flux = vec![0.0; masked.rhs.len()];
+            coupling.add_product(solution.velocity.as_flattened(), &mut flux);
+            Ok(Round {
+                pressure: solution.pressure.clone(),
+                flux,
+                solution: (system, solution),
+            })
+        })?;
+        Ok(last.solution)
     };
     let mut search = ContactSearch::new(contacts, MAX_SOLVES - 1);
     loop {
@@ -548,7 +565,7 @@ impl LinearOperator for Factored<'_> {
 /// # Errors
 /// As both solves.
 pub fn solve_weak(
-    pressure: &mut PressureSystem,
+    (pressure, separation): (&mut PressureSystem, Option<&mut Separation>),
     solid: &mut SolidSystem,
     coupling: &Coupling,
     before: &[[f64; 3]],
@@ -568,7 +585,10 @@ pub fn solve_weak(
     pressure.remove_closed_means(&mut rhs);
     pressure.rhs = rhs;
     pressure.rhs_scale += norm(&flux);
-    let (field, pressure_report) = solve(pressure, settings)?;
+    let (field, pressure_report) = match separation {
+        Some(separation) => separation.solve(pressure, settings)?,
+        None => solve(pressure, settings)?,
+    };
     let mut force = vec![0.0; solid.rhs.len()];
     coupling.add_transposed(&field, &mut force);
     solid.push(&force);
@@ -587,7 +607,7 @@ pub fn solve_weak(
 /// # Errors
 /// As both solves.
 pub fn solve_damping_only(
-    pressure: &PressureSystem,
+    liquid: (&PressureSystem, Option<&mut Separation>),
     solid: &mut SolidSystem,
     coupling: &Coupling,
     contacts: &mut Contacts,
@@ -603,9 +623,8 @@ pub fn solve_damping_only(
     let damping = |body: &Body| [1.0 / dt + body.mass_damping, body.stiffness_damping];
     *solid = solid.changed(solids, damping, &solid.inertia(&velocity));
     solid.free(contacts.hold(&mut velocity), &velocity);
-    let (system, mut solution, mut contact) = solve_coupled_in_contact(
-        pressure, solid, coupling, contacts, solver, solids, settings,
-    )?;
+    let (system, mut solution, mut contact) =
+        solve_coupled_in_contact(liquid, solid, coupling, contacts, solver, solids, settings)?;
     if report.status != SolveStatus::Converged {
         solution.reports[1].status = report.status;
     }

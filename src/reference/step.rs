@@ -13,8 +13,8 @@ use level::LevelResults;
 use super::boundary::Boundary;
 use super::path::Model;
 use super::{
-    ActiveCells, Contacts, CoupledSystem, Lost, PressureSystem, SolidMatrices, SolidSystem,
-    TimeStep,
+    ActiveCells, Contacts, CoupledSystem, Lost, PressureSystem, Separation, SolidMatrices,
+    SolidSystem, TimeStep,
 };
 use crate::Error;
 use crate::elastic::Solids;
@@ -58,7 +58,9 @@ struct Results {
     volume_0_next: Option<f64>,
     active: Option<ActiveCells>,
     matrices: Option<SolidMatrices>,
+    /// All active cells as unknowns.
     pressure: Option<PressureSystem>,
+    separation: Option<Separation>,
     solid: Option<(SolidSystem, Contacts)>,
     /// The system of both, where they were solved for together.
     coupled: Option<CoupledSystem>,

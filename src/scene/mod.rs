@@ -115,6 +115,8 @@ pub struct Liquid {
     pub seed: u64,
     /// Whether the volume is controlled; default on with a surface that moves, always off with `fixed`.
     pub volume_control: bool,
+    /// Liquid that may leave walls, obstacles and solids; default none.
+    pub separation: Separation,
 }
 
 /// Representation of the liquid's surface.
@@ -126,6 +128,17 @@ pub enum Surface {
     Level,
     /// The exact distance to the regions during the whole run.
     Fixed,
+}
+
+/// Cells whose liquid may leave the walls, obstacles and solids beside it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Separation {
+    /// None: liquid is pulled along.
+    None,
+    /// All.
+    Walls,
+    /// Those beside air, and beside cells that separated in the last sub-step.
+    FromAir,
 }
 
 /// A region of initial liquid.

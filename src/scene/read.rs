@@ -15,8 +15,8 @@ use super::sources_sinks::{sinks, sources};
 use super::surface::surface;
 use super::{
     CouplingScheme, Domain, FaceAreas, Formulation, Liquid, Motion, Obstacle, Output,
-    PatchPressure, Precision, Preconditioner, Region, SHORTEST_STEP, Scene, Shape, Solid, Solver,
-    Surface, Time,
+    PatchPressure, Precision, Preconditioner, Region, SHORTEST_STEP, Scene, Separation, Shape,
+    Solid, Solver, Surface, Time,
 };
 use crate::error::Error;
 use crate::grid::{Axis, Sides};
@@ -65,6 +65,7 @@ const LIQUID: Keys = Keys::new(&[
     "marker_radius",
     "seed",
     "volume_control",
+    "separation",
     "region",
 ]);
 const REGION_SHAPES: [&str; 7] = [
@@ -597,6 +598,19 @@ fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
         )?;
         Ok(on)
     })?;
+    let separation = table.optional("separation", Separation::None, |place| {
+        let separation = place.choice(&[
+            ("none", Separation::None),
+            ("walls", Separation::Walls),
+            ("from_air", Separation::FromAir),
+        ])?;
+        place.ensure(
+            separation == Separation::None || surface == Surface::Markers,
+            "lets liquid leave walls, which needs a surface of markers",
+            "use surface = \"markers\", or separation = \"none\"",
+        )?;
+        Ok(separation)
+    })?;
     // Sources may fill an empty domain.
     let sources = root.get("source").is_some();
     let places = match (table.get("region"), sources) {
@@ -631,6 +645,7 @@ fn liquid(root: &Table, file: &Path, domain: &Domain) -> Result<Liquid, Error> {
         marker_radius,
         seed,
         volume_control,
+        separation,
     })
 }
 

@@ -13,8 +13,8 @@ use crate::grid::Grid;
 use crate::reference::{self, Seeded, TimeStep};
 use crate::scene::{self, ProbeKind, Scene};
 use crate::solver::{Outcome, PressureSolver};
-use crate::stages::{self, Components, FreeSurface, PressureSystem, Probe};
-use crate::state::{LiquidReport, State};
+use crate::stages::{self, Components, FreeSurface, PressureSystem, Probe, Separation};
+use crate::state::{LiquidReport, SeparationReport, State};
 use crate::step::Stage;
 
 use super::step::solve_report;
@@ -51,6 +51,10 @@ pub(super) struct GpuLiquid {
     solved_before: Option<Solved>,
     /// Largest face speed, m/s.
     pub(super) max_speed: f64,
+    /// Separated cells of the last sub-step.
+    pub(super) n_separated: usize,
+    /// Separation in the current sub-step.
+    pub(super) separation: Option<SeparationReport>,
     /// Controlled liquid volume, m^3.
     pub(super) volume_0: f64,
     pub(super) buffers: LiquidBuffers,
@@ -116,6 +120,8 @@ pub(super) struct LiquidStages {
     pub(super) active_cells: PressureSystem,
     pub(super) closed_components: Components,
     pub(super) solve: PressureSolver,
+    /// With that effect.
+    pub(super) separation: Option<Separation>,
     /// The stage and its readback.
     pub(super) probe: Option<(Probe, Readback<u32>)>,
 }
@@ -195,6 +201,8 @@ impl GpuLiquid {
             inflow: 0.0,
             solved_before: None,
             max_speed: 0.0,
+            n_separated: 0,
+            separation: None,
             volume_0: 0.0,
             buffers,
             level,
@@ -235,6 +243,8 @@ impl GpuLiquid {
         self.max_speed = reference::max_speed(&state.velocity);
         self.volume_0 = state.volume_0;
         self.buffers.write_state(gpu, state);
+        self.buffers.write_separated(gpu, state);
+        self.n_separated = state.separated.iter().filter(|on| **on).count();
         if let Some(level) = &self.level {
             level.write_markers(gpu, state);
             level.write_components(gpu, state);
@@ -271,6 +281,7 @@ impl GpuLiquid {
         state.markers_sunk = self.passed.sunk;
         state.markers_emitted = self.passed.emitted;
         state.volume_0 = self.volume_0;
+        state.separated = self.buffers.read_separated(gpu)?;
         if let Some(solved) = &self.solved_before {
             state.pressure.clone_from(&solved.pressure);
             state.active.clone_from(&solved.active);
@@ -464,6 +475,7 @@ impl GpuLiquid {
             markers: self.alive,
             dropped,
             exchange,
+            separation: self.separation.take(),
         }
     }
 
@@ -529,7 +541,10 @@ impl LiquidStages {
             let readback = Readback::new(gpu, "probe.values", probe.values.len())?;
             Ok::<_, Error>((probe, readback))
         };
+        let mode = scene.liquid.as_ref().map(|liquid| liquid.separation);
+        let mode = mode.unwrap_or(scene::Separation::None);
         Ok(LiquidStages {
+            separation: Separation::new(gpu, liquid, solver, mode, free_surface)?,
             own: stages::liquid_stages(gpu, liquid, solver, level, taps)?,
             beside_bodies: match effects.clips() {
                 true => Vec::new(),

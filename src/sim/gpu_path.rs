@@ -49,9 +49,16 @@ pub(super) type Probed = (Vec<f64>, Vec<[f64; 3]>, Vec<[f64; 3]>);
 /// Checks that the device has kernels for the surface of a scene.
 ///
 /// # Errors
-/// [`Error::Input`] for a level with open sides, sources or sinks.
+/// [`Error::Input`] for separation beside elastic solids, and for a level with open sides, sources or sinks.
 pub fn check_surface(scene: &Scene) -> Result<(), Error> {
     let effects = Effects::of(scene);
+    if effects.separation && effects.solids {
+        return Err(Error::input(
+            scene.at("liquid.separation"),
+            "liquid that leaves elastic solids needs the f64 path: the GPU has no kernels for it",
+            "use --backend cpu, or separation = \"none\"",
+        ));
+    }
     if !effects.level || !effects.exchange() {
         return Ok(());
     }

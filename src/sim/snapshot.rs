@@ -91,6 +91,8 @@ pub struct LiquidSnapshot {
     pub closed: Vec<bool>,
     /// Active cells of components that touch nothing, likewise.
     pub ballistic: Vec<bool>,
+    /// Separated cells, defined after `solve`; empty without separation.
+    pub separated: Vec<bool>,
     /// Cells with liquid in the last solve: active ones, or before the first those with liquid.
     pub filled: Vec<bool>,
     /// Weights of the stored matrix, dimensionless.
@@ -380,6 +382,7 @@ impl GpuLiquid {
             active: stored.active,
             closed: stored.closed,
             ballistic: stored.ballistic,
+            separated: liquid.read_separated(gpu)?,
             filled: stored.filled,
             weight: stored.weight,
             dirichlet: stored.dirichlet,

@@ -8,7 +8,10 @@ use crate::fields::{Report, SolidReport};
 use crate::gpu::{Gpu, Readback, Recorder, StageTimes};
 use crate::reference::{SQUEEZE, TimeStep};
 use crate::solver::Outcome;
-use crate::state::{ContactReport, CouplingReport, SolveReport, SolveStatus, StepReport};
+use crate::stages::MAX_ROUNDS;
+use crate::state::{
+    ContactReport, CouplingReport, SeparationReport, SolveReport, SolveStatus, StepReport,
+};
 use crate::step::{self, Backend, Stage};
 
 use super::gpu_coupling::{ClipTime, CouplingReadbacks};
@@ -359,13 +362,88 @@ impl SubStep<'_, '_> {
     }
 
     fn solve_pressure(&mut self) -> Result<(), Error> {
-        let gpu = &self.path.gpu;
-        if let Some(GpuLiquid { solver, stages, .. }) = &self.path.liquid {
-            let recorder = end_recording(&mut self.recorder, gpu);
-            let (outcome, mut seconds) = stages.solve.solve(gpu, recorder, solver)?;
-            self.readback.pressure = Some(outcome);
-            self.readback.seconds.append(&mut seconds);
+        let GpuPath { gpu, liquid, .. } = &mut *self.path;
+        let Some(GpuLiquid { solver, stages, .. }) = liquid else {
+            return Ok(());
+        };
+        if stages.separation.is_some() {
+            return self.solve_separated();
         }
+        let recorder = end_recording(&mut self.recorder, gpu);
+        let (outcome, mut seconds) = stages.solve.solve(gpu, recorder, solver)?;
+        self.readback.pressure = Some(outcome);
+        self.readback.seconds.append(&mut seconds);
+        Ok(())
+    }
+
+    /// Repeats the pressure solve until the set of separated cells is unchanged. A round waits as often as a solve. Rounds are rough while
+    /// the set changes. The first one is not where no cell separated before, since mostly none does now.
+    fn solve_separated(&mut self) -> Result<(), Error> {
+        let GpuPath { gpu, liquid, .. } = &mut *self.path;
+        let Some(liquid) = liquid else {
+            return Ok(());
+        };
+        let (buffers, solver) = (&liquid.buffers, &liquid.solver);
+        let stages = &mut liquid.stages;
+        let Some(separation) = &mut stages.separation else {
+            return Ok(());
+        };
+        let system = (&stages.active_cells, &stages.closed_components);
+        let mut recorder = end_recording(&mut self.recorder, gpu);
+        separation.record_start(&mut recorder, buffers, solver);
+        let mut report = SeparationReport::default();
+        let mut masks = liquid.n_separated > 0;
+        let (mut changed, mut rough) = (masks, masks);
+        let tolerance = stages.solve.tolerance();
+        let mut iterations = 0;
+        for round in 1..=MAX_ROUNDS {
+            if round > 1 {
+                separation.record_guess(&mut recorder, buffers);
+            }
+            if changed {
+                separation.record_system(&mut recorder, (buffers, solver), system, true);
+            }
+            let aim = separation.write_round(gpu, (round, tolerance), rough);
+            let mut update = |to: &mut Recorder| separation.record_update(to, buffers);
+            let (mut outcome, mut seconds, updated) =
+                stages
+                    .solve
+                    .solve_then(gpu, recorder, (solver, aim, round > 1), &mut update)?;
+            self.readback.seconds.append(&mut seconds);
+            if !updated {
+                let mut to = Recorder::new(gpu);
+                separation.record_update(&mut to, buffers);
+                to.submit();
+            }
+            let sums = separation.sums(gpu)?;
+            recorder = Recorder::timed(gpu);
+            iterations += outcome.iterations;
+            outcome.iterations = iterations;
+            changed = sums.added + sums.returned > 0;
+            report.rounds = round;
+            report.cells = sums.separated as usize;
+            if (!changed && aim <= tolerance) || round == MAX_ROUNDS {
+                if changed && outcome.status == SolveStatus::Converged {
+                    outcome.status = SolveStatus::Unsettled;
+                }
+                let dx = buffers.plan.grid.dx;
+                let pascal = liquid.settings.density * dx / self.dt;
+                report.least_pressure = pascal * sums.least_potential;
+                report.opened = dx * dx * self.dt * sums.opening;
+                self.readback.pressure = Some(outcome);
+                break;
+            }
+            report.returned += sums.returned as usize;
+            masks |= changed;
+            rough = changed;
+        }
+        if masks {
+            separation.record_system(&mut recorder, (buffers, solver), system, false);
+        }
+        separation.record_settle(&mut recorder, buffers);
+        liquid.n_separated = report.cells;
+        liquid.separation = Some(report);
+        self.recorder = Some(recorder);
         Ok(())
     }
 

@@ -5,6 +5,7 @@ use crate::fields::SolverBuffers;
 use crate::gpu::bind;
 use crate::gpu::{Arrays, Bound, Buffer, Gpu, Pass, Recorder, StageTimes};
 use crate::scene::{Preconditioner, Solver};
+use crate::state::SolveStatus;
 use crate::wgsl;
 
 use super::hierarchy::Hierarchy;
@@ -42,6 +43,27 @@ impl PressureSolver {
     ) -> Result<(Outcome, StageTimes), Error> {
         let (outcomes, times) = self.0.solve(gpu, recorder, buffers)?;
         Ok((outcomes[0], times))
+    }
+
+    /// The same to a tolerance from now on, with more work that reads the solution at the end of every submission, and whether the last
+    /// one had it. `guess`: the correction in the buffers is a guess; the host, where it refines, has no use for one.
+    pub(crate) fn solve_then(
+        &mut self,
+        gpu: &Gpu,
+        recorder: Recorder,
+        (buffers, tolerance, guess): (&SolverBuffers, f64, bool),
+        then: &mut dyn FnMut(&mut Recorder),
+    ) -> Result<(Outcome, StageTimes, bool), Error> {
+        let guess = guess && self.0.ends_on_device();
+        self.0.set_start(gpu, tolerance, guess);
+        let (outcomes, times) = self.0.solve_then(gpu, recorder, buffers, then)?;
+        let read = outcomes[0].status == SolveStatus::Converged && self.0.ends_on_device();
+        Ok((outcomes[0], times, read))
+    }
+
+    /// Tolerance of the true residual.
+    pub(crate) fn tolerance(&self) -> f64 {
+        self.0.tolerance()
     }
 
     /// From the next solve on, another tolerance of the true residual.

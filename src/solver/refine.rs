@@ -322,9 +322,27 @@ impl<S: System> OuterLoop<S> {
         })
     }
 
-    pub(super) fn set_tolerance(&mut self, gpu: &Gpu, tolerance: f64) {
+    /// Tolerance of the next solves, and whether they start from the correction as it stands, unless zero is better.
+    pub(super) fn set_start(&mut self, gpu: &Gpu, tolerance: f64, guess: bool) {
         self.solver.tolerance = tolerance;
-        gpu.upload(&self.settings, &[self.settings()]);
+        let mut settings = self.settings();
+        if guess {
+            settings.guess = 1.0;
+        }
+        gpu.upload(&self.settings, &[settings]);
+    }
+
+    pub(super) fn tolerance(&self) -> f64 {
+        self.solver.tolerance
+    }
+
+    /// Whether the device decides when a solve is over.
+    pub(super) fn ends_on_device(&self) -> bool {
+        !self.on_host
+    }
+
+    pub(super) fn set_tolerance(&mut self, gpu: &Gpu, tolerance: f64) {
+        self.set_start(gpu, tolerance, false);
     }
 
     fn settings(&self) -> RefineSettings {
@@ -355,8 +373,20 @@ impl<S: System> OuterLoop<S> {
     pub(super) fn solve(
         &self,
         gpu: &Gpu,
+        recorder: Recorder,
+        case: S::Case<'_>,
+    ) -> Result<(Vec<Outcome>, StageTimes), Error> {
+        self.solve_then(gpu, recorder, case, &mut |_| {})
+    }
+
+    /// The same, with more work at the end of every submission: after the last one it has read the solution, provided that the
+    /// solve converged and that [`OuterLoop::ends_on_device`].
+    pub(super) fn solve_then(
+        &self,
+        gpu: &Gpu,
         mut recorder: Recorder,
         case: S::Case<'_>,
+        then: &mut dyn FnMut(&mut Recorder),
     ) -> Result<(Vec<Outcome>, StageTimes), Error> {
         let mut times = StageTimes::new();
         let form = S::form(case);
@@ -387,6 +417,7 @@ impl<S: System> OuterLoop<S> {
                 Form::Schur(_) => S::unknowns(case).blocks.get(1).map(|block| block.outer),
                 Form::Monolithic | Form::Singular => None,
             };
+            then(&mut recorder);
             let reading = self.submit(gpu, recorder, case, residual, &mut times)?;
             if let Some(status) = status(&reading, self.n_blocks) {
                 if reading.control.status == STATUS_STAGNATED {

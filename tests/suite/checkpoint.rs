@@ -386,7 +386,7 @@ fn checkpoints_of_other_arrays_are_refused() {
         (
             "cutwater",
             Some("format"),
-            "was written by cutwater 3 (format 3), and this is",
+            "was written by cutwater 4 (format 4), and this is",
         ),
     ] {
         let (folder, _) = small();

@@ -209,7 +209,7 @@ fn weak_coupling_takes_the_velocities_before_the_step() {
     let settings = settings(1e-12);
     let (mut pushed_back, mut pushed) = (pressure.clone(), solid.clone());
     let solution = solve_weak(
-        &mut pushed_back,
+        (&mut pushed_back, None),
         &mut pushed,
         clip.coupling(),
         before,

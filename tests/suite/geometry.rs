@@ -53,6 +53,7 @@ fn liquid(shapes: &[Shape]) -> Liquid {
         marker_radius: 0.87,
         seed: 0,
         volume_control: true,
+        separation: scene::Separation::None,
     }
 }
 

@@ -147,10 +147,16 @@ fn sort_pass_matches() {
 #[test]
 fn settings_match() {
     use cutwater::solver::RefineSettings;
-    use cutwater::stages::ActiveSettings;
+    use cutwater::stages::{ActiveSettings, SeparationRound, SeparationSettings};
     let fields = fields!(ActiveSettings: theta_floor, open_sides, pad_0, pad_1);
     let size = size_of::<ActiveSettings>();
     assert_layout("active_cells", "ActiveSettings", fields, size);
+    let fields = fields!(SeparationSettings: from_air, pad_0, pad_1, pad_2);
+    let size = size_of::<SeparationSettings>();
+    assert_layout("separation_start", "SeparationSettings", fields, size);
+    let fields = fields!(SeparationRound: locks, tolerance, pad_0, pad_1);
+    let size = size_of::<SeparationRound>();
+    assert_layout("separation_update", "SeparationRound", fields, size);
     let fields =
         fields!(RefineSettings: tolerance, rounding, floor, guess, n_blocks, pad_0, pad_1, pad_2);
     let size = size_of::<RefineSettings>();

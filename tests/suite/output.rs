@@ -435,6 +435,7 @@ pub(crate) fn report(step: u32) -> StepReport {
             markers: 4000,
             dropped: 2,
             exchange: None,
+            separation: None,
         }),
         solid: None,
         coupling: None,
@@ -492,6 +493,7 @@ fn tables_read_back_exactly() {
             markers,
             dropped,
             exchange: _,
+            separation: _,
         } = liquid.unwrap();
         assert_eq!(number("step"), f64::from(step));
         assert_eq!(number("t"), f64::from(step + 1) / 3.0);
@@ -682,6 +684,7 @@ fn scene() -> Scene {
             marker_radius: 0.87,
             seed: 0,
             volume_control: true,
+            separation: scene::Separation::None,
         }),
         solids: Vec::new(),
         obstacles: Vec::new(),

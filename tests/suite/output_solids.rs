@@ -231,7 +231,7 @@ fn tables_of_solids_read_back_exactly() {
     let solid_columns = "solid_solves,unsettled_contacts,solid_iterations,residual_v,solid_status,solid_unknowns,solid_momentum_x,solid_momentum_y,\
                          solid_momentum_z,solid_angular_momentum_x,solid_angular_momentum_y,solid_angular_momentum_z,\
                          solid_kinetic_energy,solid_elastic_energy,solid_potential_energy,solid_max_speed,min_det_f,inverted";
-    let liquid_columns: Vec<&str> = StepTable::columns(true, false, false).collect();
+    let liquid_columns: Vec<&str> = StepTable::columns([true, false, false, false]).collect();
     for with_liquid in [false, true] {
         let run = tempfile::tempdir().unwrap();
         let liquid = report(0).liquid.filter(|_| with_liquid);

@@ -908,3 +908,18 @@ fn a_level_with_sinks_is_planned_for_the_cpu_alone() {
     assert_eq!(error.exit_code(), 2);
     assert!(error.to_string().contains("--backend cpu"), "{error}");
 }
+
+#[test]
+fn separation_beside_solids_is_planned_for_the_cpu_alone() {
+    let liquid = scene("dam_break_liquid", 0.25, &["liquid.separation=walls"]);
+    assert!(check_surface(&liquid).is_ok());
+    let scene = scene("dam_break", 0.25, &["liquid.separation=walls"]);
+    assert!(Plan::new(&scene, None).is_ok());
+    let error = check_surface(&scene).unwrap_err();
+    assert_eq!(error.exit_code(), 2);
+    let told = error.to_string();
+    assert!(
+        told.contains("liquid.separation") && told.contains("--backend cpu"),
+        "{told}"
+    );
+}

@@ -343,6 +343,7 @@ fn stages_share_their_nouns() {
         ("ballistic", "move_solid"),
         ("element_rotations", "solid_matrices"),
         ("patch_pressure", "right_hand_side"),
+        ("separation", "solve"),
     ];
     // Tests of several stages.
     let tests = [

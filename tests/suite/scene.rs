@@ -349,6 +349,8 @@ const REFUSED: &[Case] = &[
     ("half_space = { point = [0, 0.1, 0], normal = [0, 2, 0] }", "solitary = { depth = 0.2, height = 0.05, crest = [0, 0], direction = [0, 0] }", 24, "liquid.region[2].solitary.direction", &["no direction", "[1, 0]"]),
     ("half_space = { point = [0, 0.1, 0], normal = [0, 2, 0] }", "solitary = { depth = 0.2, height = 0.05, crest = [0, 0], direction = [1, 0] }", 24, "liquid.region[2].solitary", &["gravity is [0, 0, -9.81]", "along -y"]),
     ("surface = \"markers\"\nmarker_radius = 1.0\nseed = 7\nvolume_control = false", "surface = \"fixed\"\nvolume_control = true", 14, "liquid.volume_control", &["no volume control"]),
+    ("surface = \"markers\"\nmarker_radius = 1.0\nseed = 7\nvolume_control = false", "surface = \"fixed\"\nseparation = \"walls\"", 14, "liquid.separation", &["needs a surface of markers", "\"none\""]),
+    ("volume_control = false", "separation = \"air\"", 16, "liquid.separation", &["\"from_air\""]),
     // Obstacles.
     ("axis = [0, 3, 0]", "axis = [0, 0, 0]", 26, "obstacle[0].cylinder.axis", &["no direction"]),
     ("axis = [0, 0, 1]", "axis = [0, 0, 0]", 27, "obstacle[0].placement.rotate.axis", &["no direction"]),

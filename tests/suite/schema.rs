@@ -176,6 +176,10 @@ fn every_key_has_a_type_and_words() {
         at("/properties/liquid/properties/surface/enum"),
         json!(["markers", "level", "fixed"])
     );
+    assert_eq!(
+        at("/properties/liquid/properties/separation/enum"),
+        json!(["none", "walls", "from_air"])
+    );
     assert_eq!(at("/properties/output/properties/every/minimum"), json!(1));
     assert_eq!(
         at("/properties/solid/items/required"),

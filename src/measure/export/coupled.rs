@@ -73,7 +73,8 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubSte
         "Z1.mtx" symmetric &z1, "Z1 = sigma (1/dt + tau_M) M on the free components, kg/s; nodes.csv";
         "Z2.mtx" symmetric &blocks.z2(SIGMA), "Z2 = P S P + mu (I - P) - Z1, kg/s";
     };
-    others.push(("cells.csv", pressure::table(&scene.grid(), &blocks.cells)));
+    let separated = &system.pressure.separated;
+    others.extend(pressure::tables(&scene.grid(), &blocks.cells, separated));
     others.push((
         "nodes.csv",
         solids::table(&all, &blocks.components, n_cells),

@@ -39,10 +39,23 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubSte
             "E u*, m^3/s",
             "p, Pa",
         ],
-        others: vec![("cells.csv", table(&grid, &cells))],
+        others: tables(&grid, &cells, &system.separated),
         part: json!({ "density": density, "closed_components": system.closed.len() }),
     };
     Ok((written, sub_step))
+}
+
+/// cells.csv and, where cells separated, separated.csv with these.
+pub(super) fn tables(
+    grid: &Grid,
+    cells: &[usize],
+    separated: &[usize],
+) -> Vec<(&'static str, String)> {
+    let mut tables = vec![("cells.csv", table(grid, cells))];
+    if !separated.is_empty() {
+        tables.push(("separated.csv", table(grid, separated)));
+    }
+    tables
 }
 
 /// CSV with a line per row: its cell and the centre of it.
@@ -72,6 +85,9 @@ pub(super) fn density(scene: &Scene) -> Result<f64, Error> {
 fn stored(path: &GpuPath, density: f64, dt: f64) -> Result<(PressureSystem, Vec<f64>), Error> {
     let snapshot = path.snapshot()?.liquid;
     let snapshot = snapshot.expect("the scene has liquid");
-    let system = stored::pressure_system(path, &snapshot, density, dt);
+    let mut system = stored::pressure_system(path, &snapshot, density, dt);
+    if snapshot.separated.contains(&true) {
+        system = system.masked(&snapshot.separated);
+    }
     Ok((system, stored::pressure(path, &snapshot, density, dt)))
 }

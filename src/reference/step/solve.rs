@@ -6,10 +6,10 @@ use super::SubStep;
 use crate::Error;
 use crate::reference::path::SolidModel;
 use crate::reference::{
-    CoupledSystem, Formulation, PressureSystem, SQUEEZE, SolidSystem, solve,
-    solve_coupled_in_contact, solve_damping_only, solve_weak,
+    Candidates, CoupledSystem, Formulation, PressureSystem, SQUEEZE, Separation, SolidSystem,
+    solve, solve_coupled_in_contact, solve_damping_only, solve_weak, touching_cells,
 };
-use crate::scene::CouplingScheme;
+use crate::scene::{CouplingScheme, Separation as Separate};
 use crate::state::{SolveReport, SolveStatus};
 use crate::step::Stage;
 
@@ -31,9 +31,16 @@ impl SubStep<'_> {
             let mut cells = clip.coupling().cells();
             cells.any(|(cell, _)| pressure.stencil.active(cell))
         });
+        self.results.separation = self.separation();
         match self.results.coupling.touching {
             true => self.solve_together()?,
             false => self.solve_separately()?,
+        }
+        if let Some(separation) = &self.results.separation {
+            let [liquid, _] = &mut self.results.solves;
+            *liquid = liquid.map(|report| separation.flagged(report));
+            separation.cells().clone_into(&mut self.after.separated);
+            self.lift_enclosed_pressures();
         }
         let finite = |solve: &SolveReport| solve.status != SolveStatus::NonFinite;
         let finite = self.results.solves.iter().flatten().all(finite);
@@ -52,10 +59,61 @@ impl SubStep<'_> {
         Ok(())
     }
 
+    /// The cells that may leave walls and bodies, with that effect.
+    fn separation(&mut self) -> Option<Separation> {
+        let model = self.model;
+        let pressure = self.results.pressure.as_mut()?;
+        if !model.effects.separation {
+            return None;
+        }
+        let open = match &self.results.source_apertures {
+            Some([pressure, _]) => pressure,
+            None => &self.boundary.cut_cells().open,
+        };
+        let clip = self.boundary.clip();
+        let touching = touching_cells(&model.grid, open, clip);
+        let solids = clip.zip(self.results.solid.as_ref());
+        let flux = solids.map(|(clip, (solid, _))| {
+            let prescribed = solid.velocity(&vec![0.0; solid.rhs.len()]);
+            let mut flux = vec![0.0; touching.len()];
+            let coupling = clip.coupling();
+            coupling.add_product(prescribed.as_flattened(), &mut flux);
+            flux
+        });
+        let growing = pressure.take_growing(&touching, flux.as_deref(), SQUEEZE);
+        let from_air = self.liquid()?.separation == Separate::FromAir;
+        let candidates = Candidates {
+            touching: &touching,
+            from_air: from_air.then_some(open),
+            before: &self.before.separated,
+            pressure: &self.before.pressure,
+        };
+        let pressure = self.results.pressure.as_ref()?;
+        Some(Separation::new(pressure, candidates, &growing))
+    }
+
+    /// Makes the least pressure of enclosed components 0: their pressure has no level, and walls do not pull.
+    fn lift_enclosed_pressures(&mut self) {
+        let closed: Vec<&Vec<usize>> = match (&self.results.coupled, &self.results.pressure) {
+            (Some(system), _) => system.level_free().collect(),
+            (None, Some(system)) => system.closed.iter().collect(),
+            (None, None) => Vec::new(),
+        };
+        let pressure = &mut self.after.pressure;
+        for component in closed {
+            let least = component.iter().map(|&cell| pressure[cell]);
+            let least = least.fold(f64::INFINITY, f64::min);
+            (component.iter()).for_each(|&cell| pressure[cell] -= least);
+        }
+    }
+
     fn solve_separately(&mut self) -> Result<(), Error> {
         let settings = &self.model.scene.solver;
         if let Some(system) = &self.results.pressure {
-            let (pressure, report) = solve(system, settings)?;
+            let (pressure, report) = match &mut self.results.separation {
+                Some(separation) => separation.solve(system, settings)?,
+                None => solve(system, settings)?,
+            };
             self.after.pressure = pressure;
             let share = system.squeezed(&system.closed, None);
             self.results.solves[0] = Some(or_incompatible(report, share));
@@ -81,6 +139,7 @@ impl SubStep<'_> {
         };
         let SolidModel { solids, solver, .. } = part;
         let coupling = clip.coupling();
+        let separation = self.results.separation.as_mut();
         let solution = if settings.coupling == CouplingScheme::Weak {
             let solve_solid = |solid: &mut SolidSystem| {
                 let (velocity, report, contact) =
@@ -89,8 +148,14 @@ impl SubStep<'_> {
                 Ok((velocity, report))
             };
             let before = &self.results.velocity_before;
-            let mut solution =
-                solve_weak(pressure, solid, coupling, before, settings, solve_solid)?;
+            let mut solution = solve_weak(
+                (pressure, separation),
+                solid,
+                coupling,
+                before,
+                settings,
+                solve_solid,
+            )?;
             let share = pressure.squeezed(&pressure.closed, None);
             solution.reports[0] = or_incompatible(solution.reports[0], share);
             solution
@@ -100,7 +165,13 @@ impl SubStep<'_> {
                 _ => solve_coupled_in_contact,
             };
             let (system, mut solution, contact) = solve(
-                pressure, solid, coupling, contacts, solver, solids, settings,
+                (pressure, separation),
+                solid,
+                coupling,
+                contacts,
+                solver,
+                solids,
+                settings,
             )?;
             let flagged = |report| or_incompatible(report, system.squeezed);
             solution.reports = solution.reports.map(flagged);
@@ -120,7 +191,13 @@ impl SubStep<'_> {
             return (self.observer)(StepSystem::Coupled(system, pressure, velocity));
         }
         if let Some(system) = &self.results.pressure {
-            (self.observer)(StepSystem::Pressure(system, pressure));
+            match &self.results.separation {
+                Some(separation) => {
+                    let masked = system.masked(separation.cells());
+                    (self.observer)(StepSystem::Pressure(&masked, pressure));
+                }
+                None => (self.observer)(StepSystem::Pressure(system, pressure)),
+            }
         }
         if let Some((system, _)) = &self.results.solid {
             (self.observer)(StepSystem::Solid(system, velocity));

@@ -10,7 +10,7 @@ use crate::reference::{
     Ballistic, Contacts, MovingWalls, Passed, PressureSystem, SolidSystem, Surface, VolumeSource,
     active_cells, add_spray, advect_markers, advect_velocity, advect_velocity_maccormack,
     ballistic_bodies, ballistic_cells, carry_faces, diagnose, diagnose_solid, divergence,
-    empty_sinks, exchanged_volume, extrapolate_with_slope, forces, hold_faces, liquid_distance,
+    empty_sinks, exchanged_volume, extrapolate_one_sided, forces, hold_faces, liquid_distance,
     liquid_volume, move_solid, n_layers, node_forces, open_volumes, patch_pressure,
     pressure_gradient, right_hand_side, seed_markers, sink_markers, solid_matrices,
     solid_right_hand_side, surface_distance, volume_rate, wet_nodes, write_back,
@@ -295,7 +295,10 @@ impl SubStep<'_> {
             }
             flux
         });
-        let (stencil, flux) = (&system.stencil, flux.as_deref());
+        // Separated cells open.
+        let separation = self.results.separation.as_ref();
+        let masked = separation.map(|separation| system.stencil.masked(separation.cells()));
+        let (stencil, flux) = (masked.as_ref().unwrap_or(&system.stencil), flux.as_deref());
         self.results.divergence = divergence(flux_aperture, &velocity, stencil, flux);
         (self.after.velocity, self.results.valid) = (velocity, valid);
     }
@@ -314,7 +317,14 @@ impl SubStep<'_> {
             true => 0.5 * model.grid.dx / self.time_step.dt,
             false => 0.0,
         };
-        extrapolate_with_slope(&model.grid, cut, walls, valid, (layers, largest), velocity);
+        let held = self.results.separation.as_ref().map(|separation| {
+            let pairs = self.after.active.iter().zip(separation.cells());
+            pairs
+                .map(|(active, separated)| *active && !*separated)
+                .collect::<Vec<_>>()
+        });
+        let (walls, extent) = ((walls, held.as_deref()), (layers, largest));
+        extrapolate_one_sided(&model.grid, cut, walls, valid, extent, velocity);
     }
 
     pub(super) fn diagnose(&mut self) -> Result<(), Error> {
@@ -347,6 +357,8 @@ impl SubStep<'_> {
             markers: after.markers.len(),
             dropped: results.removed_markers.dropped,
             exchange: (self.model.effects.exchange()).then_some(results.exchange),
+            separation: (results.separation.as_ref())
+                .map(|separation| separation.report(self.time_step.dt)),
         })
     }
 

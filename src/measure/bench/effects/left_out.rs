@@ -2,7 +2,9 @@
 
 use crate::effects::Effects;
 use crate::grid::Sides;
-use crate::scene::{ElasticModel, Liquid, PatchPressure, ProbeKind, Scene, Solid, Surface};
+use crate::scene::{
+    ElasticModel, Liquid, PatchPressure, ProbeKind, Scene, Separation, Solid, Surface,
+};
 
 /// An effect that can be removed.
 #[derive(Clone, Copy, Debug)]
@@ -39,6 +41,9 @@ effects! {
     level: |scene| change_level(scene, |liquid| liquid.surface = Surface::Markers);
     volume_control: |scene| change_liquid(scene, |_| {});
     volume_shift: |scene| change_level(scene, |_| {});
+    separation: |scene| if let Some(liquid) = &mut scene.liquid {
+        liquid.separation = Separation::None;
+    };
     open_sides: |scene| scene.domain.open = Sides::default();
     sources: |scene| scene.sources.clear();
     sinks: |scene| scene.sinks.clear();

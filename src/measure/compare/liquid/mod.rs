@@ -664,7 +664,14 @@ impl<'a> LiquidComparison<'a> {
             false => 0.0,
         };
         let extent = (layers, largest);
-        reference::extrapolate_with_slope(&grid, &self.cut, walls, valid, extent, &mut twin);
+        let held = Effects::of(self.scene).separation.then(|| {
+            let pairs = self.before.active.iter().zip(&self.before.separated);
+            pairs
+                .map(|(active, separated)| *active && !*separated)
+                .collect::<Vec<_>>()
+        });
+        let walls = (walls, held.as_deref());
+        reference::extrapolate_one_sided(&grid, &self.cut, walls, valid, extent, &mut twin);
         // Blended neighbour velocities: two sums of up to 26, products and a quotient.
         let blended = if self.cuts() { 64.0 } else { 0.0 };
         let means = EPS * speed * (blended + 10.0 * layers as f64);
@@ -736,7 +743,11 @@ impl<'a> LiquidComparison<'a> {
             area_error = area_error.max(4.0 * EPS * flux.abs() / grid.cell_volume());
         }
         let (cut, velocity, open) = (&self.cut, &after.velocity, self.open_to_flux());
-        let left = reference::divergence(&open, velocity, &stencil, boundary_flux.as_deref());
+        // Separated cells open.
+        let masked = after.separated.contains(&true);
+        let masked = masked.then(|| stencil.masked(&after.separated));
+        let solved = masked.as_ref().unwrap_or(&stencil);
+        let left = reference::divergence(&open, velocity, solved, boundary_flux.as_deref());
         let mut twin = reference::diagnose(&grid, cut, phi, velocity, left, density, gravity);
         let spray = after.spray();
         reference::add_spray(&grid, (density, gravity), spray.iter().copied(), &mut twin);

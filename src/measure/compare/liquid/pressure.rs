@@ -58,8 +58,23 @@ impl LiquidComparison<'_> {
         let active = after.active_cells(&grid);
         let mut rhs = after.rhs.clone();
         remove_means(&active.closed, &mut rhs);
-        let stored = unit_system(active, rhs, self.twin.flux);
+        // The pressure depends on the data continuously, the set of separated cells does not: it is the device's.
+        let masked = |system: PressureSystem| match after.separated.contains(&true) {
+            true => system.masked(&after.separated),
+            false => system,
+        };
+        let stored = masked(unit_system(active, rhs, self.twin.flux));
         let assembled = unit_system(twin_active, self.twin.rhs.clone(), self.twin.flux);
+        let unmasked = assembled.stencil.dirichlet.clone();
+        let assembled = masked(assembled);
+        // The device sums the free-surface terms beside separated cells again.
+        let sums = assembled.stencil.dirichlet.iter().zip(&unmasked);
+        let summed = sums.zip(&after.potential);
+        let summed = summed.map(|((term, before), phi)| match term == before {
+            true => 0.0,
+            false => DIRICHLET_ROUNDINGS * EPS * term * phi.abs(),
+        });
+        let start = (start, norm(&summed.collect::<Vec<_>>()));
         let (mut solution, _) = solve(&stored, &settings)?;
         let (mut twin, _) = solve(&assembled, &settings)?;
         for component in &sealed {
@@ -111,13 +126,14 @@ impl LiquidComparison<'_> {
         after: &LiquidSnapshot,
         stored: &PressureSystem,
         solution: &[f64],
-        start: f64,
+        (start, summed): (f64, f64),
     ) -> Vec<f64> {
         let solver = &self.scene.solver;
         let eps = unit(after.real);
         // The allowed true residual, and the effect of rounding the solution to its scalar type.
         let mut target = (solver.tolerance * norm(&stored.rhs).max(start))
-            .max(rounding(solver) * stored.rhs_scale);
+            .max(rounding(solver) * stored.rhs_scale)
+            + summed;
         let residual = norm(&stored.residual(&after.potential));
         let rounded: Vec<f64> = after.potential.iter().map(|x| eps * x.abs()).collect();
         let spread = norm(&magnitudes(&stored.stencil, &rounded));
@@ -190,6 +206,7 @@ fn unit_system(active: ActiveCells, rhs: Vec<f64>, rhs_scale: f64) -> PressureSy
         closed: active.closed,
         sealed: active.sealed,
         taken: Vec::new(),
+        separated: Vec::new(),
     }
 }
 

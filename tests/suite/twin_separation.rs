@@ -1,0 +1,184 @@
+//! Separation on the GPU: the conditions of its result, its twin, and resumed runs.
+
+use cutwater::gpu::AdapterChoice;
+use cutwater::measure::compare::compare;
+use cutwater::reference::touching_cells;
+use cutwater::sim::{Backend, Simulation, reference_path};
+use cutwater::state::{SolveStatus, State};
+
+use crate::common::gpu;
+use crate::liquid_case::EPS;
+use crate::separation::{
+    DAM, GRAVITY, Solved, assert_complementary, ceiling, domain, filled, scene, separation, speed,
+};
+
+fn on_gpu(text: &str) -> Simulation {
+    Simulation::new(&scene(text), &Backend::Gpu(AdapterChoice::Best)).unwrap()
+}
+
+/// The wave of the dam on its way along the ceiling, rounded as on the device.
+fn wave(kind: &str) -> (Simulation, State) {
+    let (height, _) = DAM;
+    let text = ceiling(kind);
+    let mut reference = reference_path(&scene(&text)).unwrap();
+    while reference.state().time < 2.2 * (height / GRAVITY).sqrt() {
+        reference.step(reference.next_time_step()).unwrap();
+    }
+    let mut simulation = on_gpu(&text);
+    simulation.reset(reference.state()).unwrap();
+    let state = simulation.state().unwrap();
+    assert_eq!(state.separated, reference.state().separated);
+    (simulation, state)
+}
+
+#[test]
+fn pressures_and_openings_of_the_device_are_complementary() {
+    if gpu().is_none() {
+        return;
+    }
+    let (mut simulation, mut before) = wave("walls");
+    let scene = scene(&ceiling("walls"));
+    let mut separated = 0;
+    for _ in 0..8 {
+        let report = separation(&simulation.step().unwrap());
+        let state = simulation.state().unwrap();
+        let cut = simulation.cut_cells();
+        let cells = assert_complementary(&Solved {
+            scene: &scene,
+            cut,
+            flux: Vec::new(),
+            touching: touching_cells(&scene.grid(), &cut.open, None),
+            state: &state,
+            speed_before: speed(&before),
+            unit: EPS,
+        });
+        assert_eq!(cells, report.cells);
+        separated += cells;
+        before = state;
+    }
+    assert!(separated > 0, "the case has separated cells");
+}
+
+/// Both paths from the same state. Rounding may decide whether a cell with almost no pressure separates, and the pressure depends
+/// on the data continuously.
+#[test]
+fn a_sub_step_is_that_of_the_twin() {
+    if gpu().is_none() {
+        return;
+    }
+    for kind in ["walls", "from_air"] {
+        let (mut simulation, state) = wave(kind);
+        let mut reference = reference_path(&scene(&ceiling(kind))).unwrap();
+        reference.reset(state).unwrap();
+        for _ in 0..3 {
+            let report = separation(&simulation.step().unwrap());
+            let twin = reference.step(reference.next_time_step()).unwrap();
+            let twin = separation(&twin);
+            let (ours, theirs) = (simulation.state().unwrap(), reference.state());
+            let largest = theirs
+                .pressure
+                .iter()
+                .fold(0.0, |max: f64, p| max.max(p.abs()));
+            // Velocities and distances have passed several stages in f32; theta is a quotient with a floor of 0.15.
+            let bound = 1e3 * EPS / 0.15 * largest;
+            for (cell, (p, twin)) in ours.pressure.iter().zip(&theirs.pressure).enumerate() {
+                assert!(
+                    (p - twin).abs() <= bound,
+                    "{kind}, cell {cell}: {p} Pa, twin {twin} Pa"
+                );
+            }
+            let pairs = ours.separated.iter().zip(&theirs.separated);
+            let other = pairs.filter(|(ours, theirs)| ours != theirs).count();
+            assert!(
+                other * 20 <= twin.cells,
+                "{kind}: {other} of {} cells",
+                twin.cells
+            );
+            let opened = (report.opened - twin.opened).abs();
+            assert!(
+                opened <= 1e-2 * twin.opened,
+                "{kind}: {report:?}, twin {twin:?}"
+            );
+            assert!((report.least_pressure - twin.least_pressure).abs() <= bound);
+            reference.reset(ours).unwrap();
+        }
+    }
+}
+
+/// Rough solves find the set: together they cost at most 60 % of a solve. Where the host refines they start from zero, and cost more.
+#[test]
+fn a_set_that_changes_costs_little() {
+    if !gpu().is_some_and(|gpu| gpu.has_f64()) {
+        return;
+    }
+    let [without, with] = ["none", "walls"].map(|kind| {
+        let (mut simulation, _) = wave(kind);
+        let (mut iterations, mut rounds) = (0, 0);
+        for _ in 0..8 {
+            let report = simulation.step().unwrap();
+            iterations += report.liquid.unwrap().solve.iterations;
+            rounds += separation(&report).rounds;
+        }
+        (iterations, rounds)
+    });
+    assert!(with.1 > 16, "the set changes: {with:?}");
+    assert!(10 * with.0 <= 16 * without.0, "{with:?}, {without:?}");
+}
+
+/// A tilted plate leaves water, and a ball enters it beside a shelf.
+fn bodies() -> [String; 2] {
+    let plate = "[[obstacle]]\nbox = { min = [0.3, 0.37, -1], max = [0.7, 0.41, 1] }\n\
+                 placement = { rotate = { axis = [0, 0, 1], degrees = 3 } }\n\
+                 keyframes = [{ t = 0 }, { t = 0.4, translate = [0, 0.6, 0] }]\n";
+    let ball = "[[obstacle]]\nsphere = { centre = [0.5, 0.62, 0.125], radius = 0.1 }\n\
+                keyframes = [{ t = 0 }, { t = 0.3, translate = [0, -0.9, 0] }]\n\
+                [[obstacle]]\nbox = { min = [0, 0.3, -1], max = [0.2, 0.35, 1] }\n\
+                placement = { rotate = { axis = [0, 0, 1], degrees = 20 } }\n";
+    [("from_air", 0.4, plate), ("walls", 0.5, ball)].map(|(kind, level, bodies)| {
+        let text = format!("separation = \"{kind}\"\n{}{bodies}", filled([1.0, level]));
+        domain([24, 24, 6], 1.0 / 24.0, -GRAVITY, &text)
+    })
+}
+
+#[test]
+fn every_stage_is_that_of_its_twin() {
+    if gpu().is_none() {
+        return;
+    }
+    for text in bodies() {
+        let scene = scene(&text);
+        let comparison = compare(&scene, 2, &AdapterChoice::Best, &mut |_, _| {}).unwrap();
+        let breached: Vec<_> = comparison
+            .rows
+            .iter()
+            .filter(|row| row.breached())
+            .collect();
+        assert!(breached.is_empty(), "{breached:?}");
+        assert!(comparison.verdict().is_ok());
+    }
+}
+
+#[test]
+fn runs_of_the_device_resume_with_their_separated_cells() {
+    if gpu().is_none() {
+        return;
+    }
+    for text in bodies() {
+        let mut whole = on_gpu(&text);
+        let mut separated = 0;
+        while whole.clock().frame < 1 {
+            let liquid = whole.step().unwrap().liquid.unwrap();
+            assert_eq!(liquid.solve.status, SolveStatus::Converged);
+            separated += liquid.separation.unwrap().cells;
+        }
+        assert!(separated > 0);
+        let (state, carried) = (whole.state().unwrap(), whole.carried().unwrap());
+        let mut resumed = on_gpu(&text);
+        resumed.resume(&state, &carried).unwrap();
+        for simulation in [&mut whole, &mut resumed] {
+            simulation.step().unwrap();
+            simulation.step().unwrap();
+        }
+        assert_eq!(whole.state().unwrap(), resumed.state().unwrap());
+    }
+}
