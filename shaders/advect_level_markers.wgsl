@@ -4,7 +4,8 @@
 // All are clamped to 0.01 dx from walls. Markers beyond an open side are deleted and counted. One thread per used slot; deleted markers (w = 0)
 // are unchanged.
 // level, step. velocity: faces, m/s. distances: to bodies, cell centres, m; one quad in a scene without bodies. markers: x, y, z (m), w = 1 alive, 0
-// deleted; in place. marker_velocity: of spray, m/s, w = 1 for spray; in place. report: see report. flags: see active.
+// deleted; in place. marker_velocity: of spray, m/s, w = 1 for spray; in place. report: see report. flags: see active. marker_counts: see
+// marker_counts.
 #import ballistic
 #import dispatch
 #import layout
@@ -13,6 +14,7 @@
 #import sample_distance
 #import walls
 #import report
+#import marker_counts
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<uniform> step: Step;
@@ -22,6 +24,7 @@
 @group(0) @binding(5) var<storage, read_write> marker_velocity: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> report: array<atomic<u32>>;
 @group(0) @binding(7) var<storage, read> flags: array<u32>;
+@group(0) @binding(8) var<storage, read_write> marker_counts: array<atomic<u32>>;
 
 // Gradient (dimensionless) below which there is no direction: the middle of a solid. Also in push_out.
 const SMALLEST_GRADIENT = 1e-6;
@@ -86,6 +89,9 @@ fn advect_level_markers(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(lo
     if beyond_open_side(end, step) {
         markers[index] = vec4<f32>(end, 0.0);
         atomicAdd(&report[LEAVING], 1u);
+        if own.w == 1.0 {
+            atomicAdd(&marker_counts[LEFT_SPRAY], 1u);
+        }
         return;
     }
     markers[index] = vec4<f32>(inside_walls(end, step), 1.0);

@@ -1,23 +1,25 @@
 // bound_level, last of four: bounds of the level by the occupancy F (equations in the twin, reference/bound_level.rs).
-// In thick liquid the smoothed occupancy G bounds it. Cells whose own occupancy and that along x exclude a bound that
+// In thick liquid the smoothed occupancy G bounds it. Cells whose own occupancy and those beside exclude a bound that
 // counts do not compute G: they are most of the band. One thread per quad of the band; outside it F = 0.
-// level. band_args, band_list, band_flags: the band. open, solid_distance: see level_cells. occupancy: F. thin: per
+// level, step. band_args, band_list, band_flags: the band. valid, occupied: see level_cells. occupancy: F. thin: per
 // quad the lanes in thin liquid. new_level: cells, in place.
 #import dispatch
 #import lanes
 #import layout
 #import level_values
 #import smooth_cells
+#import step
 
 @group(0) @binding(0) var<uniform> level: Layout;
-@group(0) @binding(1) var<storage, read> band_args: array<u32>;
-@group(0) @binding(2) var<storage, read> band_list: array<u32>;
-@group(0) @binding(3) var<storage, read> band_flags: array<u32>;
-@group(0) @binding(4) var<storage, read> open: array<f32>;
-@group(0) @binding(5) var<storage, read> solid_distance: array<f32>;
-@group(0) @binding(6) var<storage, read> occupancy: array<f32>;
-@group(0) @binding(7) var<storage, read> thin: array<u32>;
-@group(0) @binding(8) var<storage, read_write> new_level: array<f32>;
+@group(0) @binding(1) var<uniform> step: Step;
+@group(0) @binding(2) var<storage, read> band_args: array<u32>;
+@group(0) @binding(3) var<storage, read> band_list: array<u32>;
+@group(0) @binding(4) var<storage, read> band_flags: array<u32>;
+@group(0) @binding(5) var<storage, read> valid: array<u32>;
+@group(0) @binding(6) var<storage, read> occupied: array<u32>;
+@group(0) @binding(7) var<storage, read> occupancy: array<f32>;
+@group(0) @binding(8) var<storage, read> thin: array<u32>;
+@group(0) @binding(9) var<storage, read_write> new_level: array<f32>;
 
 // The constants of reference/bound_level.rs.
 // Occupancy at the surface of thin liquid.
@@ -47,35 +49,37 @@ fn flat_distance(fraction: f32) -> f32 {
     return -sign(q) * (1.0 - sqrt(1.0 - abs(q)));
 }
 
-// Lanes where G may bound the level phi. The weight of a cell in its G is at least 1/8, that of a neighbour along x
-// 1/16; one that is unknown or beyond a closed face counts as the worse of itself and none. The weights sum to 1 at
-// most.
-fn may_bound(quad: u32, x: i32, phi: vec4<f32>) -> vec4<bool> {
+fn occupancies(quad: u32) -> vec4<f32> {
     let first = 4u * quad;
     let here = vec4<f32>(occupancy[first], occupancy[first + 1u], occupancy[first + 2u], occupancy[first + 3u]);
-    var before = UNKNOWN_OCCUPANCY;
-    var after = UNKNOWN_OCCUPANCY;
-    if x > 0 && band_flags[quad - 1u] != 0u {
-        before = occupancy[first - 1u];
-    }
-    if x + 4 < i32(level.cells.x) && band_flags[quad + 1u] != 0u {
-        after = occupancy[first + 4u];
-    }
-    var sides = array<vec4<f32>, 2>(vec4<f32>(before, here.xyz), vec4<f32>(here.yzw, after));
+    return select(vec4<f32>(UNKNOWN_OCCUPANCY), here, band_flags[quad] != 0u);
+}
+
+fn known_occupancy(cell: u32) -> f32 {
+    return select(UNKNOWN_OCCUPANCY, occupancy[cell], band_flags[cell / 4u] != 0u);
+}
+
+// Lanes where G may bound the level phi. The weight of a cell in its G is at least 1/8, that of a neighbour across a face
+// 1/16; one that is unknown or beyond a closed face counts as the worse of itself and none. The weights sum to 1 at
+// most.
+fn may_bound(quad: u32, here: vec4<f32>, phi: vec4<f32>) -> vec4<bool> {
+    var sides = array<vec4<f32>, 6>(
+        vec4<f32>(known_occupancy(4u * quad - 1u), here.xyz), vec4<f32>(here.yzw, known_occupancy(4u * quad + 4u)),
+        occupancies(quad - level.stride_y), occupancies(quad + level.stride_y),
+        occupancies(quad - level.stride_z), occupancies(quad + level.stride_z));
     let unknown = vec4<f32>(UNKNOWN_OCCUPANCY);
     let full = clamp(here, vec4<f32>(), vec4<f32>(1.0));
     // Least weighted occupancy, and least weighted lack of it.
-    var occupied = 0.125 * full;
-    var empty = 0.125 * (1.0 - full);
-    for (var side = 0; side < 2; side++) {
+    var occupied_part = 0.125 * full;
+    var empty_part = 0.125 * (1.0 - full);
+    for (var side = 0; side < 6; side++) {
         let beside = sides[side];
-        let known = beside != unknown;
         let fraction = clamp(beside, vec4<f32>(), vec4<f32>(1.0));
-        occupied += 0.0625 * min(full, fraction);
-        empty += 0.0625 * select(vec4<f32>(), min(1.0 - full, 1.0 - fraction), known);
+        occupied_part += 0.0625 * min(full, fraction);
+        empty_part += 0.0625 * select(vec4<f32>(), min(1.0 - full, 1.0 - fraction), beside != unknown);
     }
-    let low = (phi < vec4<f32>(LARGEST_BOUND)) & (occupied < vec4<f32>(LEAST_DIFFERENCE));
-    let high = (phi > vec4<f32>(-LARGEST_BOUND)) & (empty < vec4<f32>(LEAST_DIFFERENCE));
+    let low = (phi < vec4<f32>(LARGEST_BOUND)) & (occupied_part < vec4<f32>(LEAST_DIFFERENCE));
+    let high = (phi > vec4<f32>(-LARGEST_BOUND)) & (empty_part < vec4<f32>(LEAST_DIFFERENCE));
     return low | high;
 }
 
@@ -96,22 +100,25 @@ fn bound_level(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoc
         return;
     }
     let quad = band_list[index];
-    let first_cell = quad_cell(level, quad);
-    let exists = lanes_inside(first_cell, vec3<i32>(level.cells));
     let first = 4u * quad;
     let phi = vec4<f32>(new_level[first], new_level[first + 1u], new_level[first + 2u], new_level[first + 3u]);
+    let fraction = occupancies(quad);
     let thin_lanes = bit_lanes(thin[quad]);
-    let wanted = exists & (thin_lanes | may_bound(quad, first_cell.x, phi));
+    let known = bit_lanes(~occupied[quad]) & (fraction != vec4<f32>(UNKNOWN_OCCUPANCY));
+    var thick = lane_bits(known & !thin_lanes & may_bound(quad, fraction, phi));
+    var result = phi;
     for (var n = 0u; n < 4u; n++) {
-        let cell = first + n;
-        if !wanted[n] || occupancy[cell] == UNKNOWN_OCCUPANCY || !is_open(cell) {
-            continue;
+        if thin_lanes[n] && known[n] {
+            result[n] = bounded(phi[n], flat_distance(fraction[n]), 0.0);
         }
-        if thin_lanes[n] {
-            new_level[cell] = bounded(phi[n], flat_distance(occupancy[cell]), 0.0);
-        } else {
-            let smoothed = smooth_cells(cell);
-            new_level[cell] = bounded(phi[n], SLOPE * (0.5 - smoothed.x / smoothed.y), TOLERANCE);
-        }
+    }
+    while thick != 0u {
+        let n = firstTrailingBit(thick);
+        thick &= thick - 1u;
+        let smoothed = smooth_cells(first + n);
+        result[n] = bounded(phi[n], SLOPE * (0.5 - smoothed.x / smoothed.y), TOLERANCE);
+    }
+    for (var n = 0u; n < 4u; n++) {
+        new_level[first + n] = result[n];
     }
 }

@@ -1,4 +1,4 @@
-// write_back with sources, last: restores velocity and aperture of the faces of running sources. One thread per face.
+// write_back with sources, last: restores the velocity of the faces of running sources, which are valid. One thread per face.
 // level. source_step: state of the sources. faces: see source_face. open: apertures of all faces. valid: see valid;
 // in place. velocity: u, m/s.
 #import dispatch
@@ -28,5 +28,5 @@ fn carry_faces(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoc
     let at = face - 4u * axis * level.quads;
     let bit = 4u * axis + at % 4u;
     velocity[face] = carried.velocity;
-    atomicOr(&valid[at / 4u], 1u << bit | 1u << (OPEN + bit));
+    atomicOr(&valid[at / 4u], 1u << bit);
 }

@@ -1,10 +1,12 @@
-// advect_level, last of two: phi*(x) = a(x) + (phi(x) - a(x + dt u)) / 2 where this is within the range of the taps of
-// a(x), widened by OVERSHOOT, else a(x); MacCormack's method (Selle et al. 2008). Departures beyond open sides keep a.
+// advect_level, last of three: phi*(x) = a(x) + (phi(x) - a(x + dt u)) / 2 where this is within the range of the taps of
+// a(x), widened by OVERSHOOT, else a(x); MacCormack's method (Selle et al. 2008). Departures beyond open sides, and cells at rest, keep a.
 // One thread per quad of the band. a is that of air outside the band.
 // level, step. band_args, band_list, band_flags: the band. velocity: faces, m/s. distances: liquid distance at cell
-// centres, m. flags: see active. next_level: a, cells. carried_level: phi*, cells, air in spare lanes.
+// centres, m. next_level: a, cells. carried_level: departure points as words of advect_level in, phi* out, cells, air in spare lanes.
 #import corner
+#import departure_words
 #import dispatch
+#import fall
 #import lanes
 #import layout
 #import level_path
@@ -18,9 +20,8 @@
 @group(0) @binding(4) var<storage, read> band_flags: array<u32>;
 @group(0) @binding(5) var<storage, read> velocity: array<f32>;
 @group(0) @binding(6) var<storage, read> distances: array<f32>;
-@group(0) @binding(7) var<storage, read> flags: array<u32>;
-@group(0) @binding(8) var<storage, read> next_level: array<f32>;
-@group(0) @binding(9) var<storage, read_write> carried_level: array<f32>;
+@group(0) @binding(7) var<storage, read> next_level: array<f32>;
+@group(0) @binding(8) var<storage, read_write> carried_level: array<vec4<f32>>;
 
 // Overshoot beyond the taps, cells.
 const OVERSHOOT = 0.1;
@@ -41,9 +42,9 @@ fn sample_carried(at: vec3<f32>) -> f32 {
     );
 }
 
-// Smallest and largest level at the cells around a position, cells.
-fn range_at(at: vec3<f32>) -> vec2<f32> {
-    let points = corner_points(centres_around(at));
+// Smallest and largest level at the cells around a position by the lowest of them, cells.
+fn range_at(low: u32) -> vec2<f32> {
+    let points = corner_points(corner_of(low, cell_tops()));
     let near = points[0];
     let far = points[1];
     return step.inv_dx * range_of(
@@ -52,19 +53,15 @@ fn range_at(at: vec3<f32>) -> vec2<f32> {
     );
 }
 
-fn corrected(cell: u32, at: vec3<f32>) -> f32 {
+// phi* of a cell at a position. word: see departure_words.
+fn corrected(cell: u32, at: vec3<f32>, word: u32) -> f32 {
     let first_order = next_level[cell];
-    let here = velocity_in(cell);
-    let origin = level_origin(at, here);
-    if beyond_side(origin) > 0.0 {
-        return first_order;
-    }
-    var end = traced(at, here, step.dt * step.inv_dx);
-    if is_ballistic_about(at) {
+    var end = traced(at, velocity_in(cell), step.dt * step.inv_dx);
+    if (word & FALLS) != 0u {
         end += fall();
     }
     let result = first_order + 0.5 * (step.inv_dx * distances[cell] - sample_carried(end));
-    let range = range_at(origin);
+    let range = range_at(word & LOWEST_POINT);
     return select(first_order, result, range.x - OVERSHOOT <= result && result <= range.y + OVERSHOOT);
 }
 
@@ -77,12 +74,16 @@ fn correct_level(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_inv
     let quad = band_list[index];
     let first = quad_cell(level, quad);
     let inside = lanes_inside(first, vec3<i32>(level.cells));
-    for (var l = 0u; l < 4u; l++) {
-        let cell = 4u * quad + l;
-        var phi = REACH;
-        if inside[l] {
-            phi = corrected(cell, vec3<f32>(first) + vec3<f32>(f32(l), 0.0, 0.0) + 0.5);
-        }
-        carried_level[cell] = phi;
+    let words = bitcast<vec4<u32>>(carried_level[quad]);
+    let cell = 4u * quad;
+    let kept = vec4<f32>(next_level[cell], next_level[cell + 1u], next_level[cell + 2u], next_level[cell + 3u]);
+    var phi = select(vec4<f32>(REACH), kept, inside);
+    var moves = lane_bits(inside & ((words & vec4<u32>(KEEPS)) == vec4<u32>()));
+    while moves != 0u {
+        let l = firstTrailingBit(moves);
+        moves &= moves - 1u;
+        let at = vec3<f32>(first) + vec3<f32>(f32(l), 0.0, 0.0) + 0.5;
+        phi[l] = corrected(cell + l, at, words[l]);
     }
+    carried_level[quad] = phi;
 }

@@ -1,13 +1,17 @@
-// advect_velocity by MacCormack's method (Selle et al. 2008), after the first order: u*(x) = a(x) + (u(x) - a(x + dt u)) / 2
+// advect_velocity by MacCormack's method (Selle et al. 2008), after carry_velocity: u*(x) = a(x) + (u(x) - a(x + dt u)) / 2
 // where this is within the range of the taps of a(x), else a(x). With cut cells u are the blended velocities.
 // One thread per quad of the band and its 12 minus faces. a is 0 outside the band.
 // level, step. band_args, band_list, band_flags: the band. velocity: faces, m/s (velocity_quads: the same).
-// carried_velocity: a, m/s. velocity_next: u*, m/s. flags: see active.
+// carried_velocity: a, m/s. velocity_next: departure points as words of carry_velocity in, u* out, m/s.
 #import advect_quad
 #import corner
+#import departure_words
 #import dispatch
+#import fall
+#import lanes
 #import layout
 #import step
+#import trace
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<uniform> step: Step;
@@ -18,7 +22,6 @@
 @group(0) @binding(6) var<storage, read> velocity_quads: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read> carried_velocity: array<f32>;
 @group(0) @binding(8) var<storage, read_write> velocity_next: array<vec4<f32>>;
-@group(0) @binding(9) var<storage, read> flags: array<u32>;
 
 // a of faces of an axis by their index within its section, m/s.
 fn carried(section: u32, face: u32) -> f32 {
@@ -47,27 +50,28 @@ fn range_at(section: u32, corner: Corner) -> vec2<f32> {
     );
 }
 
-// u* of a face by its index, at a position with its velocity.
-fn corrected(axis: u32, face: u32, at: vec3<f32>, here: vec3<f32>) -> f32 {
+// u* of a face by its index, at a position with its velocity. word: see departure_words.
+fn corrected(axis: u32, face: u32, word: u32, at: vec3<f32>, here: vec3<f32>) -> f32 {
     let section = 4u * axis * level.quads;
     var end = traced(at, here, step.dt * step.inv_dx);
-    if is_ballistic_about(at) {
+    if (word & FALLS) != 0u {
         end += fall();
     }
     let first_order = carried_velocity[face];
     let result = first_order + 0.5 * (velocity[face] - sample_carried(section, faces_around(axis, end)));
-    let range = range_at(section, faces_around(axis, departure(at, here)));
+    let range = range_at(section, corner_of(word & LOWEST_POINT, face_tops(axis)));
     return select(first_order, result, range.x <= result && result <= range.y);
 }
 
 fn advect(axis: u32, quad: u32, cell: vec3<i32>, u: vec4<f32>, v: vec4<f32>, w: vec4<f32>) {
     let here = axis * level.quads + quad;
-    let moves = moving(axis, cell, u, v, w);
+    let words = bitcast<vec4<u32>>(velocity_next[here]);
+    var moves = lane_bits(words != vec4<u32>());
     var result = vec4<f32>();
-    for (var l = 0u; l < 4u; l++) {
-        if moves[l] {
-            result[l] = corrected(axis, 4u * here + l, face_at(axis, cell, l), vec3<f32>(u[l], v[l], w[l]));
-        }
+    while moves != 0u {
+        let l = firstTrailingBit(moves);
+        moves &= moves - 1u;
+        result[l] = corrected(axis, 4u * here + l, words[l], face_at(axis, cell, l), vec3<f32>(u[l], v[l], w[l]));
     }
     velocity_next[here] = result;
 }

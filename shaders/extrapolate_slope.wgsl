@@ -1,11 +1,10 @@
 // extrapolate with a level, after the first layer: faces beside the liquid continue its slope. Each valid neighbour u1
 // beside a face adds minmod(u1 - u2, u2 - u3) of the valid faces u1, u2, u3 in a row behind it to the mean, each
 // difference at most dx / (2 dt) (reason in the twin, reference/extrapolate.rs).
-// Valid faces are never written and others never read but their own, so the order of the threads does not matter. One
+// Valid faces are never written and others never used but their own, so the order of the threads does not matter. One
 // thread per quad of the band.
 // level, step. band_args, band_list: the band. valid_in: before the layer, see valid. velocity: faces, m/s, in place.
 #import dispatch
-#import face_index
 #import face_marks
 #import layout
 #import lanes
@@ -19,26 +18,48 @@
 @group(0) @binding(4) var<storage, read> valid_in: array<u32>;
 @group(0) @binding(5) var<storage, read_write> velocity: array<f32>;
 
-fn is_valid(axis: u32, at: vec3<i32>) -> bool {
-    if any(at < vec3<i32>()) || any(at >= face_extents(level, axis)) {
-        return false;
-    }
-    let quad = face_index(axis, at) / 4u - axis * level.quads;
-    return (valid_in[quad] >> (4u * axis + u32(at.x) % 4u) & 1u) != 0u;
+// Valid faces of a quad that may not exist.
+fn valid_at(quad: u32, exists: bool) -> u32 {
+    return select(0u, valid_in[quad] & VALID, exists);
 }
 
-// The slope of three faces in a row from a valid one on, m/s; 0 unless all are valid.
-fn slope(axis: u32, first: vec3<i32>, way: vec3<i32>) -> f32 {
-    if !is_valid(axis, first + way) || !is_valid(axis, first + 2 * way) {
-        return 0.0;
+// Faces beside those of a quad on one side.
+struct Side {
+    // Those with a valid one beside them, and with three in a row.
+    one: u32,
+    three: u32,
+    // To the next one.
+    stride: u32,
+}
+
+// Sides in other rows: from the marks of the three next quads.
+fn side_across(near: u32, middle: u32, far: u32, stride: u32) -> Side {
+    return Side(near, near & middle & far, stride);
+}
+
+// Sides in the own row: marks of one axis in the quads before, here and after.
+fn side_along(words: vec3<u32>, way: i32) -> Side {
+    var side = Side(0u, 0u, u32(way));
+    for (var axis = 0u; axis < 3u; axis++) {
+        let lanes = words >> vec3<u32>(4u * axis) & vec3<u32>(15u);
+        let row = lanes.x | lanes.y << 4u | lanes.z << 8u;
+        let one = row >> u32(4 + way) & 15u;
+        side.one |= one << (4u * axis);
+        side.three |= (one & row >> u32(4 + 2 * way) & row >> u32(4 + 3 * way)) << (4u * axis);
     }
-    let middle = velocity[face_index(axis, first + way)];
-    let near = velocity[face_index(axis, first)] - middle;
-    let far = middle - velocity[face_index(axis, first + 2 * way)];
-    if sign(near) != sign(far) {
-        return 0.0;
-    }
-    return sign(near) * min(min(abs(near), abs(far)), 0.5 * step.dx / step.dt);
+    return side;
+}
+
+// Slope of a face on one side, m/s, 0 unless three faces in a row are valid, and whether one is.
+fn slope(side: Side, bit: u32, face: u32) -> vec2<f32> {
+    let has = (vec2<u32>(side.one, side.three) >> vec2<u32>(bit) & vec2<u32>(1u)) != vec2<u32>();
+    let stride = select(0u, side.stride, has.y);
+    let middle = velocity[face + 2u * stride];
+    let near = velocity[face + stride] - middle;
+    let far = middle - velocity[face + 3u * stride];
+    let rises = has.y && sign(near) == sign(far);
+    let least = sign(near) * min(min(abs(near), abs(far)), 0.5 * step.dx / step.dt);
+    return vec2<f32>(select(0.0, least, rises), f32(has.x));
 }
 
 @compute @workgroup_size(WG_SIZE)
@@ -53,22 +74,32 @@ fn extrapolate_slope(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local
         return;
     }
     let cell = quad_cell(level, quad);
-    let sides = sides_of(quad, cell, here);
-    var beside = faces_inside(cell) & ~here & any_of(sides.row | sides.beside);
+    let n = vec3<i32>(level.cells);
+    let y = level.stride_y;
+    let z = level.stride_z;
+    let words = vec3<u32>(valid_at(quad - 1u, cell.x > 0), here, valid_at(quad + 1u, cell.x + 4 <= n.x));
+    let before = side_along(words, -1);
+    let after = side_along(words, 1);
+    let below = side_across(valid_at(quad - y, cell.y > 0), valid_at(quad - 2u * y, cell.y > 1),
+        valid_at(quad - 3u * y, cell.y > 2), 0u - 4u * y);
+    let above = side_across(valid_at(quad + y, cell.y < n.y), valid_at(quad + 2u * y, cell.y + 1 < n.y),
+        valid_at(quad + 3u * y, cell.y + 2 < n.y), 4u * y);
+    let behind = side_across(valid_at(quad - z, cell.z > 0), valid_at(quad - 2u * z, cell.z > 1),
+        valid_at(quad - 3u * z, cell.z > 2), 0u - 4u * z);
+    let front = side_across(valid_at(quad + z, cell.z < n.z), valid_at(quad + 2u * z, cell.z + 1 < n.z),
+        valid_at(quad + 3u * z, cell.z + 2 < n.z), 4u * z);
+    let any_side = before.one | after.one | below.one | above.one | behind.one | front.one;
+    var beside = faces_inside(cell) & ~here & any_side;
     while beside != 0u {
         let bit = firstTrailingBit(beside);
         beside &= beside - 1u;
-        let axis = bit / 4u;
-        let at = cell + vec3<i32>(i32(bit % 4u), 0, 0);
-        var sum = 0.0;
-        var count = 0.0;
-        for (var side = 0u; side < 6u; side++) {
-            let way = along(side / 2u) * (2 * i32(side % 2u) - 1);
-            if is_valid(axis, at + way) {
-                sum += slope(axis, at + way, way);
-                count += 1.0;
-            }
-        }
-        velocity[face_index(axis, at)] += sum / max(count, 1.0);
+        let face = 4u * (bit / 4u * level.quads + quad) + bit % 4u;
+        var sum = slope(before, bit, face);
+        sum += slope(after, bit, face);
+        sum += slope(below, bit, face);
+        sum += slope(above, bit, face);
+        sum += slope(behind, bit, face);
+        sum += slope(front, bit, face);
+        velocity[face] += sum.x / max(sum.y, 1.0);
     }
 }

@@ -1,26 +1,30 @@
 // filter_level, first of two: damps ripples along the surface (equation in the twin, reference/filter_level.rs). One
 // thread per quad of the band; outside it there is air. Quads away from the surface are left out.
-// level. band_args, band_list, band_flags: the band. open, solid_distance: see level_cells. thin: per quad the lanes in
+// level, step, level_step. band_args, band_list, band_flags: the band. valid, occupied: see level_cells. thin: per quad the lanes in
 // thin liquid. new_level: cells. next_level: cells, out.
 #import dispatch
 #import layout
 #import lanes
 #import level_cells
+#import level_step
 #import filter_width
+#import step
 
 @group(0) @binding(0) var<uniform> level: Layout;
-@group(0) @binding(1) var<storage, read> band_args: array<u32>;
-@group(0) @binding(2) var<storage, read> band_list: array<u32>;
-@group(0) @binding(3) var<storage, read> band_flags: array<u32>;
-@group(0) @binding(4) var<storage, read> open: array<f32>;
-@group(0) @binding(5) var<storage, read> solid_distance: array<f32>;
-@group(0) @binding(6) var<storage, read> thin: array<u32>;
-@group(0) @binding(7) var<storage, read> new_level: array<f32>;
-@group(0) @binding(8) var<storage, read_write> next_level: array<vec4<f32>>;
+@group(0) @binding(1) var<uniform> step: Step;
+@group(0) @binding(2) var<storage, read> band_args: array<u32>;
+@group(0) @binding(3) var<storage, read> band_list: array<u32>;
+@group(0) @binding(4) var<storage, read> band_flags: array<u32>;
+@group(0) @binding(5) var<storage, read> valid: array<u32>;
+@group(0) @binding(6) var<storage, read> occupied: array<u32>;
+@group(0) @binding(7) var<storage, read> thin: array<u32>;
+@group(0) @binding(8) var<storage, read> new_level: array<f32>;
+@group(0) @binding(9) var<storage, read_write> next_level: array<vec4<f32>>;
+@group(0) @binding(10) var<uniform> level_step: LevelStep;
 
 // The constants of reference/filter_level.rs.
 // Level up to which a stencil is valid, cells.
-const VALID = 3.5;
+const VALID_LEVEL = 3.5;
 // Squared gradient below which there is no direction.
 const LEAST_GRADIENT_SQUARED = 0.25;
 // Weight below which an axis counts as normal to the surface.
@@ -57,7 +61,7 @@ fn change(cell: u32) -> f32 {
         }
         let near = vec2<f32>(minus[axis], plus[axis]);
         let far = vec2<f32>(value(beyond(cell, axis, 0u)), value(beyond(cell, axis, 1u)));
-        if any(max(abs(near), abs(far)) > vec2<f32>(VALID)) {
+        if any(max(abs(near), abs(far)) > vec2<f32>(VALID_LEVEL)) {
             return 0.0;
         }
         sum += weights[axis] * (6.0 * new_level[cell] - 4.0 * (near.x + near.y) + far.x + far.y);
@@ -78,12 +82,11 @@ fn filter_level(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
     if !any(near) {
         return;
     }
-    let exists = lanes_inside(quad_cell(level, quad), vec3<i32>(level.cells));
-    let wanted = exists & near & !bit_lanes(thin[quad]);
-    for (var n = 0u; n < 4u; n++) {
-        if wanted[n] && is_open(first + n) {
-            phi[n] -= change(first + n);
-        }
+    var wanted = lane_bits(near) & ~thin[quad] & ~occupied[quad];
+    while wanted != 0u {
+        let n = firstTrailingBit(wanted);
+        wanted &= wanted - 1u;
+        phi[n] -= level_step.motion * change(first + n);
     }
     next_level[quad] = phi;
 }

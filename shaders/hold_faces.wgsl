@@ -1,21 +1,16 @@
 // forces with sources, last: sets the velocities of the running sources' faces, and closes these faces for the
 // pressure. Closed faces are unchanged.
 // One thread per face.
-// level. source_step: state of the sources. faces: see source_face. open: apertures of all faces. solve_open: the
-// same, but minus the aperture of the source's flux on its faces; in place. valid: see valid; faces of sources are
-// not open in it until write_back. velocity_next: u*, m/s.
+// source_step: state of the sources. faces: see source_face. open: apertures of all faces. solve_open: the
+// same, but minus the aperture of the source's flux on its faces; in place. velocity_next: u*, m/s.
 #import dispatch
-#import layout
 #import source_face
-#import valid
 
-@group(0) @binding(0) var<uniform> level: Layout;
-@group(0) @binding(1) var<uniform> source_step: SourceStep;
-@group(0) @binding(2) var<storage, read> faces: array<SourceFace>;
-@group(0) @binding(3) var<storage, read> open: array<f32>;
-@group(0) @binding(4) var<storage, read_write> solve_open: array<f32>;
-@group(0) @binding(5) var<storage, read_write> valid: array<atomic<u32>>;
-@group(0) @binding(6) var<storage, read_write> velocity_next: array<f32>;
+@group(0) @binding(0) var<uniform> source_step: SourceStep;
+@group(0) @binding(1) var<storage, read> faces: array<SourceFace>;
+@group(0) @binding(2) var<storage, read> open: array<f32>;
+@group(0) @binding(3) var<storage, read_write> solve_open: array<f32>;
+@group(0) @binding(4) var<storage, read_write> velocity_next: array<f32>;
 
 @compute @workgroup_size(WG_SIZE)
 fn hold_faces(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
@@ -28,9 +23,6 @@ fn hold_faces(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoca
     if !carried.is || open[face] == 0.0 {
         return;
     }
-    let axis = face / (4u * level.quads);
-    let at = face - 4u * axis * level.quads;
     solve_open[face] = -min(open[face], carried.aperture);
     velocity_next[face] = carried.velocity;
-    atomicAnd(&valid[at / 4u], ~(1u << (OPEN + 4u * axis + at % 4u)));
 }

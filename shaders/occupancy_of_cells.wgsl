@@ -1,8 +1,8 @@
-// occupancy, last of three: F = W / (8 T), the fraction of a cell's surroundings that markers fill, W the sum of their
+// occupancy, last of two: F = W / (8 T), the fraction of a cell's surroundings that markers fill, W the sum of their
 // weights. F is unknown where T < 0.2, and at least 1 deep below the surface.
 // T is the open part of the tent around the cell: 1 away from bodies, beside them the sum over 64 eighths of cells,
-// each with the open fraction at its centre. One thread per quad of the band.
-// level, step. band_args, band_list: the band. marker_weights: in units of 2^-20. carried_level: cells.
+// each with the open fraction at its centre. Afterwards the sums are zero. One thread per quad of the band; all weights are in it.
+// level, step. band_args, band_list: the band. marker_weights: in units of 2^-20, in place. carried_level: cells.
 // solid_distance: m, cell centres; one quad far outside in a scene without bodies. occupancy: out.
 #import dispatch
 #import lanes
@@ -14,7 +14,7 @@
 @group(0) @binding(1) var<uniform> step: Step;
 @group(0) @binding(2) var<storage, read> band_args: array<u32>;
 @group(0) @binding(3) var<storage, read> band_list: array<u32>;
-@group(0) @binding(4) var<storage, read> marker_weights: array<vec4<u32>>;
+@group(0) @binding(4) var<storage, read_write> marker_weights: array<vec4<u32>>;
 @group(0) @binding(5) var<storage, read> carried_level: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read> solid_distance: array<f32>;
 @group(0) @binding(7) var<storage, read_write> occupancy: array<vec4<f32>>;
@@ -87,17 +87,24 @@ fn occupancy_of_cells(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(loca
     let far = FAR * step.dx;
     let last = arrayLength(&solid_distance) - 1u;
     var open = vec4<f32>(1.0);
+    var beside = 0u;
     for (var n = 0u; n < 4u; n++) {
         let distance = solid_distance[min(4u * quad + n, last)];
         if distance <= -far {
             open[n] = 0.0;
         } else if distance < far && exists[n] {
-            open[n] = open_surroundings(first_cell + vec3<i32>(i32(n), 0, 0));
+            beside |= 1u << n;
         }
+    }
+    while beside != 0u {
+        let n = firstTrailingBit(beside);
+        beside &= beside - 1u;
+        open[n] = open_surroundings(first_cell + vec3<i32>(i32(n), 0, 0));
     }
     let known = open >= vec4<f32>(LEAST_OPEN);
     let fraction = vec4<f32>(marker_weights[quad]) / (ONE * PER_CELL * max(open, vec4<f32>(LEAST_OPEN)));
     let here = select(vec4<f32>(UNKNOWN_OCCUPANCY), fraction, known);
     let deep = carried_level[quad] < vec4<f32>(-FULL_BELOW);
+    marker_weights[quad] = vec4<u32>();
     occupancy[quad] = select(vec4<f32>(), select(here, max(here, vec4<f32>(1.0)), deep), exists);
 }

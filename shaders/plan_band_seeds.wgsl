@@ -1,12 +1,12 @@
 // marker_band, third of four, one workgroup: an exclusive scan of the numbers of seeds, in the order of the band. Seeds without a slot are missing:
-// the host stops with an error. Reports the numbers of this sub-step, and writes the number of used slots with the seeds.
+// the host stops with an error. They follow the markers that sources emitted. Reports the numbers of this sub-step, and writes the number of used slots with the seeds.
 // step. level_step: capacity. band_args: the band. chunks: seeds per workgroup of count_seeds in, seeds before it out. marker_counts: see
 // marker_counts. marker_args: workgroups x, y, z for the used slots, and their number. report: see report.
 #import dispatch
 #import step
 #import scan
-#import report
 #import level_step
+#import seed_slots
 #import marker_counts
 
 @group(0) @binding(0) var<uniform> step: Step;
@@ -23,8 +23,9 @@ fn plan_band_seeds(@builtin(local_invocation_index) lane: u32) {
     if lane != 0u {
         return;
     }
-    let seeded = min(total, level_step.capacity - step.n_markers);
-    let used = step.n_markers + seeded;
+    let first = first_seed();
+    let seeded = min(total, level_step.capacity - first);
+    let used = first + seeded;
     let groups = workgroups_for(used);
     marker_args[0] = groups.x;
     marker_args[1] = groups.y;

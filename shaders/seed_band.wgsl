@@ -1,11 +1,12 @@
 // marker_band, last of four: appends a marker at each site that enters, in the order of the cells, with velocity 0 and no spray: `spray` sets
 // both. One thread per quad of the band.
 // level, step. level_step: seed, sub-step, capacity. band_args, band_list: the band. seeds: per quad of the list, a bit per site, eight per lane.
-// chunks: seeds before each workgroup. markers: x, y, z (m), w = 1 alive. marker_velocity: m/s, w = 1 for spray.
+// chunks: seeds before each workgroup. report: see report. markers: x, y, z (m), w = 1 alive. marker_velocity: m/s, w = 1 for spray.
 #import dispatch
 #import layout
 #import step
 #import sites
+#import seed_slots
 
 @group(0) @binding(0) var<uniform> level: Layout;
 @group(0) @binding(1) var<uniform> step: Step;
@@ -16,6 +17,7 @@
 @group(0) @binding(6) var<storage, read> chunks: array<u32>;
 @group(0) @binding(7) var<storage, read_write> markers: array<vec4<f32>>;
 @group(0) @binding(8) var<storage, read_write> marker_velocity: array<vec4<f32>>;
+@group(0) @binding(9) var<storage, read> report: array<u32>;
 
 var<workgroup> sh_counts: array<u32, WG_SIZE>;
 
@@ -31,7 +33,7 @@ fn seed_band(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocat
     if sites == 0u {
         return;
     }
-    var slot = step.n_markers + chunks[group_index(workgroup)];
+    var slot = first_seed() + chunks[group_index(workgroup)];
     for (var before = 0u; before < lane; before++) {
         slot += sh_counts[before];
     }

@@ -1,7 +1,7 @@
-// occupancy, second of three: adds round(2^20 w) of each marker to the 8 cells around it, w the product of the tents
+// occupancy, first of two: adds round(2^20 w) of each marker to the 8 cells around it, w the product of the tents
 // 1 - |d| along the axes. Cells beyond a wall are those at the wall. Spray and deleted markers are skipped.
 // Integer sums do not depend on their order. A sum holds 4095 markers at the centre of one cell.
-// One thread per marker.
+// One thread per used slot.
 // level, step. markers: x, y, z (m), w = 1 alive, 0 deleted. marker_velocity: w = 1 for spray. marker_weights: in
 // units of 2^-20, in place.
 #import dispatch

@@ -1,13 +1,9 @@
-// Departure points of the 12 minus faces of a quad, semi-Lagrangian with the midpoint rule (Stam 1999).
-// Ballistic liquid departs from g dt^2 / 2 higher up, see ballistic.
-// The importing kernel declares the variables of ballistic, velocity (faces, m/s), velocity_quads (the same as vec4), and
+// Positions and velocities of the 12 minus faces of a quad for their transport.
+// The importing kernel declares level, velocity_quads (faces as vec4, m/s), and
 // advect(axis, quad, cell, u, v, w) for the four faces of an axis: own component u, the other two as means over the
 // cells on both sides, m/s.
-#import ballistic
 #import layout
 #import lanes
-#import step
-#import trace
 
 // Lanes of faces that exist and move. Without motion a face is unchanged; most of the band is air at rest.
 fn moving(axis: u32, cell: vec3<i32>, u: vec4<f32>, v: vec4<f32>, w: vec4<f32>) -> vec4<bool> {
@@ -19,15 +15,6 @@ fn moving(axis: u32, cell: vec3<i32>, u: vec4<f32>, v: vec4<f32>, w: vec4<f32>) 
 fn face_at(axis: u32, cell: vec3<i32>, lane: u32) -> vec3<f32> {
     let shift = select(vec3<f32>(0.5), vec3<f32>(), vec3<u32>(axis) == vec3<u32>(0u, 1u, 2u));
     return vec3<f32>(cell) + shift + vec3<f32>(f32(lane), 0.0, 0.0);
-}
-
-// Departure point (cells) of a face at a position with its velocity.
-fn departure(at: vec3<f32>, here: vec3<f32>) -> vec3<f32> {
-    let origin = traced(at, here, -step.dt * step.inv_dx);
-    if is_ballistic(origin - fall()) {
-        return origin - fall();
-    }
-    return origin;
 }
 
 fn advect_quad(quad: u32) {
@@ -44,8 +31,8 @@ fn advect_quad(quad: u32) {
     let cu = u + shift_down(u, velocity_quads[x + 1u]);
     let cv = v + velocity_quads[y + sy];
     let cw = w + velocity_quads[z + sz];
-    let cv_x = shift_up(velocity_quads[y - 1u] + velocity_quads[y + sy - 1u], cv);
-    let cw_x = shift_up(velocity_quads[z - 1u] + velocity_quads[z + sz - 1u], cw);
+    let cv_x = vec4<f32>(velocity_quads[y - 1u].w + velocity_quads[y + sy - 1u].w, cv.xyz);
+    let cw_x = vec4<f32>(velocity_quads[z - 1u].w + velocity_quads[z + sz - 1u].w, cw.xyz);
     let u_y = velocity_quads[x - sy];
     let cu_y = u_y + shift_down(u_y, velocity_quads[x - sy + 1u]);
     let cw_y = velocity_quads[z - sy] + velocity_quads[z - sy + sz];

@@ -24,15 +24,33 @@ fn corner_at(at: vec3<f32>, top: vec3<f32>) -> Corner {
     );
 }
 
+// The corner of a lowest point alone, without fractions.
+fn corner_of(low: u32, top: vec3<f32>) -> Corner {
+    let strides = vec3<u32>(1u, 4u * level.stride_y, 4u * level.stride_z);
+    return Corner(low, vec3<f32>(), select(vec3<u32>(), strides, top > vec3<f32>()));
+}
+
 // The cell centres around a position in cells.
 fn centres_around(at: vec3<f32>) -> Corner {
-    return corner_at(at - 0.5, vec3<f32>(level.cells) - 1.0);
+    return corner_at(at - 0.5, cell_tops());
+}
+
+// Distance of the first cell centre or face of an axis from the wall along each axis, cells.
+fn face_shift(axis: u32) -> vec3<f32> {
+    return select(vec3<f32>(0.5), vec3<f32>(), vec3<u32>(axis) == vec3<u32>(0u, 1u, 2u));
+}
+
+// Largest index of the faces of an axis, and of cells, along each axis.
+fn face_tops(axis: u32) -> vec3<f32> {
+    return vec3<f32>(level.cells) - 2.0 * face_shift(axis);
+}
+fn cell_tops() -> vec3<f32> {
+    return vec3<f32>(level.cells) - 1.0;
 }
 
 // The faces of an axis around a position in cells; indices within the section of the axis.
 fn faces_around(axis: u32, at: vec3<f32>) -> Corner {
-    let shift = select(vec3<f32>(0.5), vec3<f32>(), vec3<u32>(axis) == vec3<u32>(0u, 1u, 2u));
-    return corner_at(at - shift, vec3<f32>(level.cells) - 2.0 * shift);
+    return corner_at(at - face_shift(axis), face_tops(axis));
 }
 
 // Indices of the four points at low x and of those at high x, y fastest.

@@ -5,5 +5,6 @@ struct LevelStep {
     number: u32,
     // Slots for markers.
     capacity: u32,
-    pad: u32,
+    // Motion in the sub-step: TimeStep::motion in reference/time_step.rs.
+    motion: f32,
 }

@@ -24,3 +24,9 @@ const LOST_SPRAY_NOW = 25u;
 const DELETED_NOW = 26u;
 const SEEDED_NOW = 27u;
 const MISSING_NOW = 28u;
+// The following words exist only with a level and sources, sinks or open sides. In this sub-step: spray that left, spray that
+// sank, the totals of exchange_totals, and the volume of all components (see component_sums).
+const LEFT_SPRAY_NOW = 29u;
+const SUNK_SPRAY_NOW = 30u;
+const EXCHANGED_NOW = 31u;
+const LIQUID_NOW = 39u;

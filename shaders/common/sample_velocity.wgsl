@@ -3,9 +3,8 @@
 #import corner
 #import layout
 
-// at: position in cells, x / dx.
-fn sample_face(axis: u32, at: vec3<f32>) -> f32 {
-    let corner = faces_around(axis, at);
+// The faces of an axis around a position, see faces_around.
+fn sample_corner(axis: u32, corner: Corner) -> f32 {
     let f = corner.f;
     let row = 4u * level.stride_y;
     let slab = 4u * level.stride_z;
@@ -14,6 +13,11 @@ fn sample_face(axis: u32, at: vec3<f32>) -> f32 {
     let k = i + slab;
     let far = mix(mix(velocity[k], velocity[k + 1u], f.x), mix(velocity[k + row], velocity[k + row + 1u], f.x), f.y);
     return mix(near, far, f.z);
+}
+
+// at: position in cells, x / dx.
+fn sample_face(axis: u32, at: vec3<f32>) -> f32 {
+    return sample_corner(axis, faces_around(axis, at));
 }
 
 fn sample_velocity(at: vec3<f32>) -> vec3<f32> {

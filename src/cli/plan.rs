@@ -36,7 +36,7 @@ impl PlanCommand {
                 say_memory(memory(true)?)
             }
             Backend::Gpu(choice) => {
-                sim::check_surface(&scene)?;
+                sim::check_separation(&scene)?;
                 // A named adapter must exist; otherwise a plan needs none.
                 let adapter = match Gpu::find(&choice) {
                     Ok(adapter) => Some(adapter),

@@ -10,7 +10,7 @@ use super::LiquidPlan;
 
 /// Parameters of a sub-step for the markers of a level.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct LevelStep {
     /// Seed of the jitter.
     pub seed: u32,
@@ -18,12 +18,12 @@ pub struct LevelStep {
     pub number: u32,
     /// Slots for markers.
     pub capacity: u32,
-    /// Padding.
-    pub pad: u32,
+    /// Motion in the sub-step ([`TimeStep::motion`](crate::reference::TimeStep::motion)).
+    pub motion: f32,
 }
 
 /// Words of the numbers of markers (`common/marker_counts.wgsl`).
-const MARKER_COUNTS: usize = 3;
+const MARKER_COUNTS: usize = 5;
 /// Words of the sums over spray.
 const SPRAY_SUMS: usize = 12;
 
@@ -38,7 +38,7 @@ arrays! {
         arrays {
             /// Parameters of the sub-step for the markers.
             uniform level_step: LevelStep [LevelStep { capacity: plan.n_markers as u32, ..LevelStep::default() }] as "level.step",
-            /// phi*: the level after its transport.
+            /// phi*: the level after its transport. During `advect_level` the departure points (`common/departure_words.wgsl`).
             pub array carried_level: f32 [padded.len()],
             /// The level after the last stage that changed it.
             pub array new_level: f32 [padded.len()],
@@ -59,7 +59,7 @@ arrays! {
             pub array thin_next: u32 [padded.quads],
             /// F: fraction of the surroundings that markers fill, -1 where it is unknown.
             pub array occupancy: f32 [padded.len()],
-            /// Sums of the markers' weights, in units of 2^-20.
+            /// Sums of the markers' weights, in units of 2^-20. Zero outside the stage `occupancy`.
             pub array marker_weights: u32 [padded.len()],
             /// Density difference and weight of a cell during `excess`, before and after a pass.
             pub array density_now: [f32; 2] [padded.len()],
@@ -115,13 +115,13 @@ impl LevelBuffers {
         level.then(new).transpose()
     }
 
-    /// Writes seed and number of a sub-step.
-    pub fn write_step(&self, gpu: &Gpu, seed: u32, number: u32) {
+    /// Writes seed, number and motion of a sub-step.
+    pub fn write_step(&self, gpu: &Gpu, [seed, number]: [u32; 2], motion: f64) {
         let step = LevelStep {
             seed,
             number,
             capacity: self.plan.n_markers as u32,
-            pad: 0,
+            motion: motion as f32,
         };
         gpu.upload(&self.level_step, &[step]);
     }
@@ -133,12 +133,18 @@ impl LevelBuffers {
             let [x, y, z] = v.map(|component| component as f32);
             [x, y, z, f32::from(u8::from(spray))]
         });
-        gpu.upload(&self.marker_velocity, &words.collect::<Vec<_>>());
+        self.write_velocities(gpu, words.collect());
         self.write_used(gpu, state.markers.len());
     }
 
-    /// Writes the number of used slots.
-    fn write_used(&self, gpu: &Gpu, used: usize) {
+    /// Writes the used slots. In free ones there is no spray.
+    fn write_velocities(&self, gpu: &Gpu, mut words: Vec<[f32; 4]>) {
+        words.resize(words.len().max(self.marker_velocity.len()), [0.0; 4]);
+        gpu.upload(&self.marker_velocity, &words);
+    }
+
+    /// Writes the number of used slots, with those reserved for new markers of sources.
+    pub fn write_used(&self, gpu: &Gpu, used: usize) {
         let used = used as u32;
         let [x, y, z] = groups(used.div_ceil(WG_SIZE));
         gpu.upload(&self.marker_args, &[x, y, z, used]);
@@ -160,8 +166,8 @@ impl LevelBuffers {
         let words = gpu.download(&self.marker_velocity)?;
         let live = alive.iter().zip(words).filter(|(alive, _)| **alive);
         let kept: Vec<[f32; 4]> = live.map(|(_, word)| word).collect();
-        gpu.upload(&self.marker_velocity, &kept);
         self.write_used(gpu, kept.len());
+        self.write_velocities(gpu, kept);
         Ok(())
     }
 

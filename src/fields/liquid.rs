@@ -170,7 +170,8 @@ arrays! {
             /// the band. `advect_velocity` writes blended velocities of small-aperture faces. Free until
             /// `write_back`.
             pub array velocity: f32 [3 * padded.len()],
-            /// u*: face velocities before the projection, m/s; defined on the band. Free until `advect_velocity`.
+            /// u*: face velocities before the projection, m/s; defined on the band. Free until `advect_velocity`, which with MacCormack's
+            /// method first stores the departure points (`common/departure_words.wgsl`).
             pub array velocity_next: f32 [3 * padded.len()],
             /// Face apertures.
             pub array open: f32 [3 * padded.len()],
@@ -210,7 +211,7 @@ arrays! {
             pub array separation_sums: u32 [SEPARATION_SUMS] if plan.effects.separation,
             /// Markers: x, y, z in m, and 1 for alive or 0 for deleted.
             pub array markers: [f32; 4] [plan.n_markers] if plan.effects.markers,
-            /// Per quad: lanes without room for liquid, lanes that contain a marker (`common/classes.wgsl`).
+            /// Per quad: lanes without room for liquid, and without a level lanes that contain a marker (`common/classes.wgsl`).
             pub array occupied: u32 [padded.quads] if plan.effects.markers,
             /// Per quad: classes of its cells in the stage `liquid_distance` (`common/classes.wgsl`).
             pub array classes: u32 [padded.quads] if plan.effects.markers,

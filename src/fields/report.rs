@@ -26,17 +26,39 @@ pub struct Report {
     pub seeded: u32,
     /// Markers that `marker_band` could not seed for want of slots.
     pub missing: u32,
+    /// Volumes that a level exchanged in this sub-step.
+    pub exchanged: Exchanged,
     /// Growth rate of the volume by volume control, relative, 1/s.
     pub volume_rate: f64,
     /// Volume, momentum, energies, speed, divergence.
     pub diagnosis: Diagnosis,
 }
 
+/// Exchange of a level in a sub-step. Volumes are in volumes of a cell.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Exchanged {
+    /// Spray that left through open sides.
+    pub left_spray: u32,
+    /// Spray that sank.
+    pub sunk_spray: u32,
+    /// Volume of the liquid that left through open sides.
+    pub left: f64,
+    /// Volume of the liquid that sank.
+    pub sunk: f64,
+    /// Volume of first fillings of sources.
+    pub filled: f64,
+    /// Volume that the limits of the targets added.
+    pub limited: f64,
+    /// Volume of all components afterwards.
+    pub liquid: f64,
+}
+
 impl Report {
     /// Words of the report buffer; more with sources, sinks or open sides, and with a level.
     pub fn words(effects: &Effects) -> usize {
         match (effects.level, effects.exchange()) {
-            (true, _) => 29,
+            (true, true) => 41,
+            (true, false) => 29,
             (false, true) => 24,
             (false, false) => 16,
         }
@@ -53,6 +75,11 @@ impl Report {
         let single = |word: usize| single(words, word);
         let sum = |word: usize| sum(words, word);
         let count = |word: usize| words.get(word).copied().unwrap_or(0);
+        // Two words in units of 2^-23 (`shaders/common/component_sums.wgsl`).
+        let volume = |word: usize| {
+            let [low, high] = [count(word), count(word + 1)].map(u64::from);
+            (high << 32 | low) as i64 as f64 / f64::from(1 << 23)
+        };
         Report {
             markers_dropped: words[Report::DROPPED],
             left: count(19),
@@ -64,6 +91,15 @@ impl Report {
             deleted: count(26),
             seeded: count(27),
             missing: count(28),
+            exchanged: Exchanged {
+                left_spray: count(29),
+                sunk_spray: count(30),
+                left: volume(31),
+                sunk: volume(33),
+                filled: volume(35),
+                limited: volume(37),
+                liquid: volume(39),
+            },
             volume_rate: single(1),
             diagnosis: Diagnosis {
                 max_speed: single(2),

@@ -254,6 +254,11 @@ impl Sources {
         Ok(Some(sources))
     }
 
+    /// Number of source cells.
+    pub fn n_cells(&self) -> usize {
+        self.n_cells
+    }
+
     /// Slots that a sub-step reserves for new markers.
     pub fn slots(&self) -> usize {
         MARKERS_PER_CELL * self.n_cells

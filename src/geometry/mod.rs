@@ -51,7 +51,7 @@ pub use obstacles::{ObstacleCut, ObstacleSurfaces, deepest_obstacle, obstacle_cu
 pub use placing::{SolidOverlap, large_meshes, liquid_height, solid_overlaps};
 pub use solid_clip::{MovedMesh, MovingWall, Nearest, Overlap, SolidClip};
 pub use sources_sinks::{
-    MARKERS_PER_CELL, PrescribedFace, Running, SourceFace, SourceFlow, SourcesAndSinks,
+    Fill, MARKERS_PER_CELL, PrescribedFace, Running, SourceFace, SourceFlow, SourcesAndSinks,
 };
 pub use surface::{Fault, Surface};
 pub use tet_fill::fill;

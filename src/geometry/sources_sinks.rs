@@ -94,6 +94,22 @@ impl SourceFace {
     }
 }
 
+/// Level (cells) to which a running source fills a cell.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fill {
+    /// The cell.
+    pub cell: usize,
+    /// Number of the source.
+    pub source: u32,
+    /// Largest level, cells.
+    pub level: f64,
+    /// Index among the source cells; `None` beside them.
+    pub index: Option<usize>,
+    /// The cell is beside a face of the source that the liquid does not leave through. Air there keeps the level, so that the
+    /// liquid leaves with the cross-section of the source.
+    pub side: bool,
+}
+
 /// Activity of the sources in one sub-step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Running {
@@ -309,6 +325,70 @@ impl SourcesAndSinks {
         faces.map(|face| face.flux(face.area, running)).sum()
     }
 
+    /// Number of sources.
+    pub fn n_sources(&self) -> usize {
+        self.sources.len()
+    }
+
+    /// Part of [`flux`](Self::flux) out of one source, m^3/s; 0 where it is not among the running ones.
+    pub fn flux_of(&self, source: u32, running: u32) -> f64 {
+        let own = |face: &&SourceFace| face.sides.contains(&Some(source));
+        let faces = self.faces.iter().filter(own);
+        let faces = faces.filter(|_| runs(Some(source), running));
+        faces.map(|face| face.flux(face.area, running)).sum()
+    }
+
+    /// Volume that a source emits beyond its own cells in a sub-step of dt (s), m^3, with a level: it moves with the velocity of
+    /// the last sub-step, so a source that starts emits in the next one.
+    pub fn inflow(&self, sources: Running, source: u32, dt: f64) -> f64 {
+        dt * self.flux_of(source, sources.running & !sources.starting)
+    }
+
+    /// Cells of a level that sources fill, ascending. A cell of a source has the level of its full octants, and its neighbours
+    /// at most the distance to it; see [`Fill::side`].
+    pub fn fills(&self, grid: &Grid) -> Vec<Fill> {
+        let cells = self.source_cells.iter().zip(&self.eighths).enumerate();
+        let mut fills = Vec::new();
+        for (index, (&(cell, source), eighths)) in cells {
+            let full = f64::from(eighths.count_ones()) / 8.0;
+            fills.push(Fill {
+                cell,
+                source,
+                level: 0.5 - full,
+                index: Some(index),
+                side: false,
+            });
+            if full < 0.5 {
+                continue;
+            }
+            let search = |cell: usize| {
+                let cells = &self.source_cells;
+                cells.binary_search_by_key(&cell, |&(cell, _)| cell)
+            };
+            let beside = around(grid, cell).filter(|&(neighbour, _)| search(neighbour).is_err());
+            let velocity = self.sources[source as usize].velocity;
+            let at = DVec3::from(grid.cell_at(cell).map(|n| n as f64));
+            let side = |other: usize| {
+                let out = DVec3::from(grid.cell_at(other).map(|n| n as f64)) - at;
+                out.length_squared() == 1.0 && velocity.dot(out) <= 0.0
+            };
+            fills.extend(beside.map(|(cell, level)| Fill {
+                cell,
+                source,
+                level,
+                index: None,
+                side: side(cell),
+            }));
+        }
+        fills.sort_by(|a, b| {
+            let key = |fill: &Fill| (fill.cell, fill.source);
+            let of_level = a.level.total_cmp(&b.level);
+            key(a).cmp(&key(b)).then(of_level).then(a.side.cmp(&b.side))
+        });
+        fills.dedup_by_key(|fill| (fill.cell, fill.source));
+        fills
+    }
+
     /// Prescribed boundary flux out of the cells beside a set of sources, m^3/s; negative, an inflow. `open`: apertures
     /// with moving bodies.
     pub fn boundary_flux(
@@ -374,6 +454,20 @@ impl SourcesAndSinks {
         }
         open
     }
+}
+
+/// The 26 cells around a cell, and the distances of their centres from its surface, cells.
+fn around(grid: &Grid, cell: usize) -> impl Iterator<Item = (usize, f64)> + use<'_> {
+    let ijk = grid.cell_at(cell);
+    let ranges: [_; 3] =
+        std::array::from_fn(|b| ijk[b].saturating_sub(1)..(ijk[b] + 2).min(grid.cells[b]));
+    let [is, js, ks] = ranges;
+    let rows = ks.flat_map(move |k| js.clone().map(move |j| (j, k)));
+    let all = rows.flat_map(move |(j, k)| is.clone().map(move |i| [i, j, k]));
+    all.filter(move |&at| at != ijk).map(move |at| {
+        let apart = (0..3).filter(|&b| at[b] != ijk[b]).count();
+        (grid.cell(at), 0.5 * (apart as f64).sqrt())
+    })
 }
 
 /// A cell that a shape meets, with the volume fraction of each octant in the shape.

@@ -9,15 +9,13 @@
 //! The second pass returns the advected level to its start. Half the difference is the error of a. The method is of
 //! second order, and a plane that moves uniformly stays exact. The widened range lets a crest keep its height.
 //!
-//! Liquid does not enter through open sides. The level beyond them is at least the distance to the side. Cells of a
-//! running source have the level of their full eighths, and their neighbours at most the distance to them. Cells of
-//! sinks are air.
+//! Liquid does not enter through open sides. The level beyond them is at least the distance to the side. Sources and sinks
+//! then set the level in their cells ([`fill_sources`](super::fill_sources), [`empty_level_sinks`](super::empty_level_sinks)).
 
 use glam::DVec3;
 use rayon::prelude::*;
 
 use super::ballistic::Ballistic;
-use crate::geometry::{Running, SourcesAndSinks};
 use crate::grid::{Axis, Grid, Sides};
 
 /// Overshoot beyond the taps, cells.
@@ -83,42 +81,4 @@ fn beyond_side(grid: &Grid, open_sides: Sides, x: DVec3) -> f64 {
     };
     let all = Axis::ALL.into_iter().flat_map(beyond);
     all.fold(f64::NEG_INFINITY, f64::max)
-}
-
-/// Fills the cells of running sources in a level (cells).
-pub fn fill_sources(grid: &Grid, taps: &SourcesAndSinks, sources: Running, level: &mut [f64]) {
-    let cells = taps.source_cells.iter().zip(&taps.eighths);
-    for (&(cell, source), eighths) in cells {
-        if sources.running >> source & 1 == 0 {
-            continue;
-        }
-        let full = f64::from(eighths.count_ones()) / 8.0;
-        level[cell] = level[cell].min(0.5 - full);
-        if full < 0.5 {
-            continue;
-        }
-        for (neighbour, distance) in around(grid, cell) {
-            if taps
-                .source_cells
-                .binary_search_by_key(&neighbour, |&(cell, _)| cell)
-                .is_err()
-            {
-                level[neighbour] = level[neighbour].min(distance);
-            }
-        }
-    }
-}
-
-/// The 26 cells around a cell, and the distances of their centres from it, cells.
-fn around(grid: &Grid, cell: usize) -> impl Iterator<Item = (usize, f64)> + use<'_> {
-    let ijk = grid.cell_at(cell);
-    let ranges: [_; 3] =
-        std::array::from_fn(|b| ijk[b].saturating_sub(1)..(ijk[b] + 2).min(grid.cells[b]));
-    let [is, js, ks] = ranges;
-    let rows = ks.flat_map(move |k| js.clone().map(move |j| (j, k)));
-    let all = rows.flat_map(move |(j, k)| is.clone().map(move |i| [i, j, k]));
-    all.filter(move |&at| at != ijk).map(move |at| {
-        let apart = (0..3).filter(|&b| at[b] != ijk[b]).count();
-        (grid.cell(at), 0.5 * (apart as f64).sqrt())
-    })
 }

@@ -117,7 +117,7 @@ pub fn advect_level_markers(
     (gravity, ballistic): (DVec3, &Ballistic),
     dt: f64,
     markers: &mut Markers,
-) -> (Lost, u64) {
+) -> (Lost, Lost) {
     let fly = |x: DVec3, v: DVec3| {
         let at = |t: f64| x + t * v + 0.5 * t * t * gravity;
         let way = (at(dt) - x).length() / grid.dx;
@@ -138,9 +138,10 @@ pub fn advect_level_markers(
             (moved, stopped(grid, solid_distance, end, v))
         })
         .collect();
-    let mut removed = (Lost::default(), 0);
+    let (mut removed, mut removed_spray) = (Lost::default(), Lost::default());
     let mut keep = Vec::with_capacity(results.len());
     for (marker, (moved, velocity)) in results.into_iter().enumerate() {
+        let spray = u64::from(markers.spray[marker]);
         let kept = match moved {
             Moved::Kept(x) => {
                 markers.position[marker] = x.into();
@@ -148,19 +149,20 @@ pub fn advect_level_markers(
                 true
             }
             Moved::Dropped => {
-                removed.0.dropped += 1;
+                removed.dropped += 1;
+                removed_spray.dropped += spray;
                 false
             }
             Moved::Left => {
-                removed.0.left += 1;
+                removed.left += 1;
+                removed_spray.left += spray;
                 false
             }
         };
-        removed.1 += u64::from(!kept && markers.spray[marker]);
         keep.push(kept);
     }
     markers.retain(&keep);
-    removed
+    (removed, removed_spray)
 }
 
 /// Velocity of spray at `end` (m) without its part into a wall or an obstacle there, m/s.

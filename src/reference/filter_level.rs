@@ -1,11 +1,12 @@
 //! `filter_level`: damps ripples of two to four cells along the surface.
 //!
 //! ```text
-//! phi -= clamp((1/64) sum_a (1 - n_a^2) delta_a^4 phi, +-0.05)    n = grad phi / |grad phi|
+//! phi -= m clamp((1/64) sum_a (1 - n_a^2) delta_a^4 phi, +-0.05)    n = grad phi / |grad phi|
 //! ```
 //!
 //! where |phi| < 1.5 and the liquid is thick. The weights 1 - n_a^2 keep the filter along the surface: across it, it
-//! would amplify or damp long waves by 4 % a period. A wave of 20 cells loses 0.1 % in 100 sub-steps.
+//! would amplify or damp long waves by 4 % a period. A wave of 20 cells loses 0.1 % in 100 sub-steps. m is the motion in the
+//! sub-step ([`TimeStep::motion`](super::TimeStep::motion)): else short sub-steps would round off a jet.
 
 use rayon::prelude::*;
 
@@ -24,12 +25,12 @@ const STRENGTH: f64 = 1.0 / 64.0;
 /// Largest change, cells.
 const LARGEST: f64 = 0.05;
 
-/// The filtered level, cells. `thin` from [`super::thin_liquid`].
-pub fn filter_level(cells: LevelCells, thin: &[bool], level: &[f64]) -> Vec<f64> {
+/// The filtered level, cells. `thin` from [`super::thin_liquid`]; `motion`: m.
+pub fn filter_level(cells: LevelCells, thin: &[bool], motion: f64, level: &[f64]) -> Vec<f64> {
     let filter = |cell: usize| {
         let skip = level[cell].abs() > WIDTH || thin[cell] || !cells.is_open(cell);
         let change = (!skip).then(|| change(cells, level, cell)).flatten();
-        level[cell] - change.map_or(0.0, |change| change.clamp(-LARGEST, LARGEST))
+        level[cell] - motion * change.map_or(0.0, |change| change.clamp(-LARGEST, LARGEST))
     };
     (0..level.len()).into_par_iter().map(filter).collect()
 }

@@ -22,6 +22,7 @@ mod extrapolate;
 mod filter_level;
 mod forces;
 mod level_cells;
+mod level_exchange;
 mod liquid_components;
 mod liquid_distance;
 mod marker_band;
@@ -57,7 +58,7 @@ mod volume_shift;
 mod write_back;
 
 pub use active_cells::{ActiveCells, active_cells, theta};
-pub use advect_level::{advect_level, carry_level, fill_sources};
+pub use advect_level::{advect_level, carry_level};
 pub(crate) use advect_markers::Layer;
 pub use advect_markers::{Lost, Surface, advect_level_markers, advect_markers, volume_without};
 pub use advect_velocity::{advect_velocity, advect_velocity_maccormack};
@@ -78,6 +79,10 @@ pub use extrapolate::{
 pub use filter_level::filter_level;
 pub use forces::forces;
 pub use level_cells::{BAND, LevelCells, REACH, filled};
+pub use level_exchange::{
+    CellVolume, add_sources, closed_to_markers, empty_level_sinks, fill_sources, limit_targets,
+    outflow, remove_volumes, sunk_volumes,
+};
 pub use liquid_components::{
     Before, Components, balance, component_origins, label_at, liquid_components, shared_volumes,
 };

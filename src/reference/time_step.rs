@@ -30,6 +30,9 @@ pub struct TimeStep {
     pub control_time: f64,
     /// dt sqrt(a / dx), a the largest acceleration.
     pub wave_cfl: f64,
+    /// min(1, dt speed / dx + dt sqrt(a / dx)): cells that the surface moves at most, up to one. What smooths the surface in
+    /// every sub-step is scaled with it, so that short sub-steps do not smooth more.
+    pub motion: f64,
 }
 
 impl TimeStep {
@@ -39,6 +42,7 @@ impl TimeStep {
         floored: false,
         control_time: f64::INFINITY,
         wave_cfl: 0.0,
+        motion: 0.0,
     };
 }
 
@@ -88,11 +92,15 @@ impl StepLimits {
     /// `speed`: largest magnitude of a velocity component, m/s; `[time, left]`: s, and T to the next frame; `dt_last`: 0
     /// before the first sub-step. A fixed step divides T into equal parts of about its length, whatever the speed.
     pub fn time_step(&self, speed: f64, [time, left]: [f64; 2], dt_last: f64) -> TimeStep {
-        let of_length = |dt: f64, floored: bool| TimeStep {
-            dt,
-            floored,
-            control_time: self.control_time(speed),
-            wave_cfl: dt * (self.acceleration(time, dt) / self.dx).sqrt(),
+        let of_length = |dt: f64, floored: bool| {
+            let wave_cfl = dt * (self.acceleration(time, dt) / self.dx).sqrt();
+            TimeStep {
+                dt,
+                floored,
+                control_time: self.control_time(speed),
+                wave_cfl,
+                motion: (dt * speed / self.dx + wave_cfl).min(1.0),
+            }
         };
         if let Some(fixed) = self.fixed_step {
             let dt = left / (left / fixed).round().max(1.0);

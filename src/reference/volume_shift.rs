@@ -17,7 +17,7 @@ use crate::grid::Grid;
 /// Part of the target within which nothing moves.
 const DEAD_BAND: f64 = 0.005;
 /// Largest shift in a sub-step, cells.
-const LARGEST: f64 = 0.04;
+pub(super) const LARGEST: f64 = 0.04;
 
 /// Shifts the liquid distance (m). `volume_0`: targets, m^3; `control_time` and `dt` in s. Returns the shifts, cells.
 pub fn volume_shift(

@@ -4,8 +4,8 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::fields::pressure_system::BALLISTIC;
 use crate::fields::{
-    LevelBuffers, LiquidBuffers, LiquidPlan, Report, Sinks, SolverBuffers, SourceStep, Sources,
-    Step,
+    ExchangeBuffers, Exchanged, LevelBuffers, LevelExchange, LiquidBuffers, LiquidPlan, Report,
+    Sinks, SolverBuffers, SourceStep, Sources, Step,
 };
 use crate::geometry::{MARKERS_PER_CELL, Running, SourcesAndSinks};
 use crate::gpu::{Dispatches, Gpu, Readback, Real, Recorder};
@@ -14,7 +14,7 @@ use crate::reference::{self, Seeded, TimeStep};
 use crate::scene::{self, ProbeKind, Scene};
 use crate::solver::{Outcome, PressureSolver};
 use crate::stages::{self, Components, FreeSurface, PressureSystem, Probe, Separation};
-use crate::state::{LiquidReport, SeparationReport, State};
+use crate::state::{Exchange, LiquidReport, SeparationReport, State};
 use crate::step::Stage;
 
 use super::step::solve_report;
@@ -62,6 +62,8 @@ pub(super) struct GpuLiquid {
     pub(super) level: Option<LevelBuffers>,
     pub(super) solver: SolverBuffers,
     sources: Option<Sources>,
+    /// Volumes that a level exchanges.
+    exchange: Option<LevelExchange>,
     pub(super) stages: LiquidStages,
 }
 
@@ -181,7 +183,12 @@ impl GpuLiquid {
             Sources::new(gpu, &buffers, &taps)?,
             Sinks::new(gpu, &buffers, &taps)?,
         );
-        let taps_on_device = (sources.as_ref(), sinks.as_ref());
+        let exchange = LevelExchange::new(gpu, &buffers, &taps, scene.domain.open)?;
+        let taps_on_device = ExchangeBuffers {
+            sources: sources.as_ref(),
+            sinks: sinks.as_ref(),
+            level: exchange.as_ref(),
+        };
         let stages = LiquidStages::new(
             gpu,
             scene,
@@ -208,6 +215,7 @@ impl GpuLiquid {
             level,
             solver,
             sources,
+            exchange,
             stages,
         }))
     }
@@ -344,18 +352,43 @@ impl GpuLiquid {
         Ok(probe.columns(&readback.wait(gpu)?))
     }
 
-    /// Starts a sub-step of dt (s) after the state `head`: sets the running sources and makes room for their markers.
-    pub(super) fn begin(&mut self, gpu: &Gpu, head: &State, dt: f64) -> Result<(), Error> {
+    /// Starts a sub-step after the state `head`: sets the running sources and makes room for their markers.
+    pub(super) fn begin(
+        &mut self,
+        gpu: &Gpu,
+        head: &State,
+        time_step: TimeStep,
+    ) -> Result<(), Error> {
         self.make_room(gpu, head.step)?;
         self.running = self.running_after(head);
-        self.inflow = dt * self.taps.flux(self.running.running);
+        self.inflow = self.inflow(self.running, time_step.dt);
         if let Some(sources) = &self.sources {
             sources.write_step(gpu, SourceStep::new(self.running, self.n_markers));
         }
         if let Some(level) = &self.level {
-            level.write_step(gpu, self.running.seed, self.running.step);
+            let numbers = [self.running.seed, self.running.step];
+            level.write_step(gpu, numbers, time_step.motion);
+            if self.sources.is_some() {
+                level.write_used(gpu, self.n_slots());
+            }
+        }
+        if let Some(exchange) = &self.exchange {
+            let cell_volume = self.buffers.plan.grid.cell_volume();
+            exchange.write_step(gpu, &self.taps, self.running, (time_step.dt, cell_volume));
         }
         Ok(())
+    }
+
+    /// Volume that the sources emit beyond their own cells in a sub-step of dt (s), m^3.
+    fn inflow(&self, sources: Running, dt: f64) -> f64 {
+        match self.level {
+            Some(_) => {
+                let all = 0..self.taps.n_sources() as u32;
+                all.map(|source| self.taps.inflow(sources, source, dt))
+                    .sum()
+            }
+            None => dt * self.taps.flux(sources.running),
+        }
     }
 
     /// The running sources of the sub-step after the state `head`.
@@ -447,25 +480,16 @@ impl GpuLiquid {
             sunk: self.passed.sunk + sunk,
             emitted: self.passed.emitted + emitted,
         };
-        let plan = &self.buffers.plan;
-        let exchange = plan.effects.exchange().then(|| {
-            let seeded = Seeded {
-                emitted,
-                filled: report.filled.into(),
-            };
-            let passed = reference::Passed {
-                left,
-                sunk,
-                seeded,
-                kept,
-            };
-            let ([_, volume_0], exchange) =
-                reference::exchanged_volume(&plan.grid, self.volume_0, self.inflow, passed);
-            self.volume_0 = volume_0;
-            exchange
-        });
-        let lost = f64::from(report.spray_lost) / MARKERS_PER_CELL as f64;
-        self.volume_0 -= lost * plan.grid.cell_volume();
+        let effects = &self.buffers.plan.effects;
+        let exchange = match (effects.exchange(), effects.level) {
+            (true, true) => Some(self.exchange_level(&report)),
+            (true, false) => Some(self.exchange_markers(&report, kept)),
+            (false, _) => {
+                let lost = f64::from(report.spray_lost) / MARKERS_PER_CELL as f64;
+                self.volume_0 -= lost * self.buffers.plan.grid.cell_volume();
+                None
+            }
+        };
         self.solved_before = None;
         self.max_speed = report.diagnosis.max_speed;
         LiquidReport {
@@ -479,12 +503,62 @@ impl GpuLiquid {
         }
     }
 
+    /// Exchange of markers in the sub-step, of which so many were kept. It changes the controlled volume.
+    fn exchange_markers(&mut self, report: &Report, kept: usize) -> Exchange {
+        let seeded = Seeded {
+            emitted: report.emitted.into(),
+            filled: report.filled.into(),
+        };
+        let passed = reference::Passed {
+            left: report.left.into(),
+            sunk: report.sunk.into(),
+            seeded,
+            kept,
+        };
+        let grid = &self.buffers.plan.grid;
+        let ([_, volume_0], exchange) =
+            reference::exchanged_volume(grid, self.volume_0, self.inflow, passed);
+        self.volume_0 = volume_0;
+        exchange
+    }
+
+    /// The same with a level.
+    fn exchange_level(&mut self, report: &Report) -> Exchange {
+        let one = self.buffers.plan.grid.cell_volume();
+        let spray = |markers: u32| f64::from(markers) / MARKERS_PER_CELL as f64;
+        let Exchanged {
+            left_spray,
+            sunk_spray,
+            left,
+            sunk,
+            filled,
+            limited,
+            liquid,
+        } = report.exchanged;
+        let exchange = Exchange {
+            left: report.left.into(),
+            sunk: report.sunk.into(),
+            emitted: report.emitted.into(),
+            volume_left: one * (left + spray(left_spray)),
+            volume_sunk: one * (sunk + spray(sunk_spray)),
+            volume_emitted: self.inflow + one * filled,
+        };
+        let dropped = one * spray(report.spray_lost - left_spray - sunk_spray);
+        let gone = exchange.volume_left + exchange.volume_sunk + dropped;
+        self.volume_0 += exchange.volume_emitted - gone + one * limited;
+        // Without liquid there is no target to limit.
+        if self.buffers.plan.effects.open_sides && liquid == 0.0 {
+            self.volume_0 = one * spray(report.flying);
+        }
+        exchange
+    }
+
     /// Parameters of the sub-step after the state `head`.
     pub(super) fn step_numbers(&self, scene: &Scene, head: &State, time_step: TimeStep) -> Step {
         let TimeStep {
             dt, control_time, ..
         } = time_step;
-        let inflow = dt * self.taps.flux(self.running_after(head).running);
+        let inflow = self.inflow(self.running_after(head), dt);
         let Scene { domain, solver, .. } = scene;
         let (grid, effects) = (scene.grid(), &self.buffers.plan.effects);
         Step {
@@ -514,7 +588,7 @@ impl LiquidStages {
         scene: &Scene,
         (liquid, level): (&LiquidBuffers, Option<&LevelBuffers>),
         solver: &SolverBuffers,
-        taps: (Option<&Sources>, Option<&Sinks>),
+        taps: ExchangeBuffers,
     ) -> Result<LiquidStages, Error> {
         let effects = &liquid.plan.effects;
         let free_surface = FreeSurface {

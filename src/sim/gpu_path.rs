@@ -46,27 +46,20 @@ pub struct GpuPath {
 /// liquid on the nodes, N, with force probes.
 pub(super) type Probed = (Vec<f64>, Vec<[f64; 3]>, Vec<[f64; 3]>);
 
-/// Checks that the device has kernels for the surface of a scene.
+/// Checks that the device has kernels for the separation of a scene.
 ///
 /// # Errors
-/// [`Error::Input`] for separation beside elastic solids, and for a level with open sides, sources or sinks.
-pub fn check_surface(scene: &Scene) -> Result<(), Error> {
+/// [`Error::Input`] for separation beside elastic solids.
+pub fn check_separation(scene: &Scene) -> Result<(), Error> {
     let effects = Effects::of(scene);
-    if effects.separation && effects.solids {
-        return Err(Error::input(
+    match effects.separation && effects.solids {
+        false => Ok(()),
+        true => Err(Error::input(
             scene.at("liquid.separation"),
             "liquid that leaves elastic solids needs the f64 path: the GPU has no kernels for it",
             "use --backend cpu, or separation = \"none\"",
-        ));
+        )),
     }
-    if !effects.level || !effects.exchange() {
-        return Ok(());
-    }
-    Err(Error::input(
-        scene.at("liquid.surface"),
-        "a level with open sides, sources or sinks needs the f64 path: the GPU has no kernels for them",
-        "use --backend cpu, or surface = \"markers\"",
-    ))
 }
 
 impl GpuPath {
@@ -84,9 +77,9 @@ impl GpuPath {
         solids: &Solids,
         choice: &AdapterChoice,
     ) -> Result<GpuPath, Error> {
+        check_separation(scene)?;
         let gpu = Gpu::new(choice)?;
         let grid = scene.grid();
-        check_surface(scene)?;
         let memory = HostMemory::new(scene, solids, false)?;
         memory.check()?;
         let obstacles = geometry::obstacle_cut(scene, &grid)?;
@@ -343,7 +336,7 @@ impl GpuPath {
     /// Writes the parameters of a sub-step.
     pub(super) fn write_step(&mut self, time_step: TimeStep) -> Result<(), Error> {
         if let Some(liquid) = &mut self.liquid {
-            liquid.begin(&self.gpu, &self.head, time_step.dt)?;
+            liquid.begin(&self.gpu, &self.head, time_step)?;
             let step = liquid.step_numbers(&self.scene, &self.head, time_step);
             self.gpu.upload(&liquid.buffers.step, &[step]);
         }

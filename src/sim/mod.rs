@@ -14,7 +14,7 @@ mod squeeze;
 mod step;
 mod warnings;
 
-pub use gpu_path::{GpuPath, check_surface};
+pub use gpu_path::{GpuPath, check_separation};
 pub use memory::{HostMemory, free_memory};
 pub use plan::{Plan, StagePlan};
 pub use run::{Options, Progress, Resumed, Summary, run};

@@ -147,6 +147,8 @@ pub struct LevelSnapshot {
     pub marker_velocity: Vec<[f64; 3]>,
     /// Whether each is spray.
     pub spray: Vec<bool>,
+    /// Spray lost in the sub-step.
+    pub lost_spray: u32,
 }
 
 impl GpuPath {
@@ -399,6 +401,9 @@ impl GpuLiquid {
     }
 }
 
+/// Word of the lost spray among the numbers of markers, as in `shaders/common/marker_counts.wgsl`.
+const LOST_SPRAY: usize = 1;
+
 impl LevelSnapshot {
     fn read(
         gpu: &Gpu,
@@ -426,6 +431,7 @@ impl LevelSnapshot {
                 .map(|&[x, y, z, _]| [x, y, z].map(f64::from))
                 .collect(),
             spray: velocity.iter().map(|v| v[3] != 0.0).collect(),
+            lost_spray: gpu.download(&level.marker_counts)?[LOST_SPRAY],
         })
     }
 }

@@ -3,11 +3,9 @@
 
 use crate::Error;
 use crate::fields::{LevelBuffers, LiquidBuffers, SolverBuffers};
-use crate::gpu::{Dispatches, Gpu, Kernel, Real, Source};
+use crate::gpu::{Binding, Dispatches, Gpu, Kernel, Real, Source};
 use crate::step::Stage;
 use crate::wgsl;
-
-use super::liquid_components::component_origins;
 
 /// The stage: `liquid_distance` to `carried_level` on the band, and the components that cells come from to `component_origin`.
 pub fn advect_level(
@@ -17,16 +15,21 @@ pub fn advect_level(
     level: &LevelBuffers,
 ) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::AdvectLevel.name());
-    let distances = [("distances", (&liquid.liquid_distance).into())];
-    let over_band = |source: Source| {
+    let distances = ("distances", (&liquid.liquid_distance).into());
+    // `carried_level` contains the departure points until the last kernel replaces them.
+    let departures = ("departures", (&level.carried_level).into());
+    let over_band = |source: Source, own: &[(&str, Binding)]| {
         let kernel = Kernel::new(gpu, &source, Real::F32)?;
-        let bound = kernel.bind(gpu, &distances, &[liquid, solver, level])?;
+        let bound = kernel.bind(gpu, own, &[liquid, solver, level])?;
         Ok::<_, Error>(bound.indirect(&liquid.band_args, 0))
     };
     let list = [
-        over_band(wgsl!("advect_level"))?,
-        over_band(wgsl!("correct_level"))?,
-        component_origins(gpu, liquid, level, solver)?,
+        over_band(wgsl!("advect_level"), &[distances, departures])?,
+        over_band(
+            wgsl!("component_origins"),
+            &[("labels", (&level.component).into()), departures],
+        )?,
+        over_band(wgsl!("correct_level"), &[distances])?,
     ];
     Ok(Dispatches::new(Stage::AdvectLevel.name(), list))
 }

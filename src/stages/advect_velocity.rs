@@ -31,8 +31,9 @@ pub fn advect_velocity(
                 list.push(over_band(wgsl!("advect_slivers"), &to_slivers)?);
                 list.push(over_band(wgsl!("show_slivers"), &[])?);
             }
-            let to_carried = [("velocity_next", (&level.carried_velocity).into())];
-            list.push(over_band(wgsl!("advect_velocity"), &to_carried)?);
+            // `velocity_next` contains the departure points until the next kernel replaces them.
+            let departures = [("departures", (&liquid.velocity_next).into())];
+            list.push(over_band(wgsl!("carry_velocity"), &departures)?);
             list.push(over_band(wgsl!("correct_velocity"), &[])?);
             if level.sliver_velocity.is_some() {
                 list.push(over_band(wgsl!("mix_slivers"), &[])?);

@@ -1,26 +1,38 @@
 //! `exchange`: sinks delete markers and sources emit them. Also the kernels of sinks and sources in other stages.
 
 use crate::Error;
-use crate::fields::{LiquidBuffers, Sinks, Sources};
+use crate::fields::{LevelBuffers, LiquidBuffers, Sinks, Sources};
 use crate::gpu::{Dispatch, Dispatches, Gpu, Kernel, Real};
 use crate::step::Stage;
 use crate::wgsl;
 
 impl Sinks {
-    /// The sinks' part of `exchange`, after all markers have moved.
-    pub fn exchange(&self, gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatches, Error> {
+    /// The sinks' part of `exchange`, after all markers have moved. With a level it also counts the spray that sinks.
+    pub fn exchange(
+        &self,
+        gpu: &Gpu,
+        liquid: &LiquidBuffers,
+        level: Option<&LevelBuffers>,
+    ) -> Result<Dispatches, Error> {
         let gpu = &gpu.at(Stage::Exchange.name());
         let kernel = Kernel::new(gpu, &wgsl!("sink_markers"), Real::F32)?;
         let sink_markers = kernel.bind(gpu, &[], &[self, liquid])?;
-        Ok(Dispatches::new(
-            Stage::Exchange.name(),
-            [sink_markers.threads(liquid.n_markers())],
-        ))
+        let mut list = vec![sink_markers.threads(liquid.n_markers())];
+        if let Some(level) = level {
+            let kernel = Kernel::new(gpu, &wgsl!("sink_spray"), Real::F32)?;
+            let sink_spray = kernel.bind(gpu, &[], &[liquid, level])?;
+            list.push(sink_spray.threads(liquid.n_markers()));
+        }
+        Ok(Dispatches::new(Stage::Exchange.name(), list))
     }
 
     /// The sinks' part of `liquid_distance`, before the volume is measured.
     pub(super) fn empty(&self, gpu: &Gpu, liquid: &LiquidBuffers) -> Result<Dispatch, Error> {
-        let kernel = Kernel::new(gpu, &wgsl!("empty_sinks"), Real::F32)?;
+        let source = match liquid.plan.effects.level {
+            true => wgsl!("empty_level_sinks"),
+            false => wgsl!("empty_sinks"),
+        };
+        let kernel = Kernel::new(gpu, &source, Real::F32)?;
         let empty_sinks = kernel.bind(gpu, &[], &[self, liquid])?;
         Ok(empty_sinks.threads(self.cells.len()))
     }
@@ -34,11 +46,14 @@ impl Sources {
             let gpu = &gpu.at(stage.name());
             Kernel::new(gpu, &source, Real::F32)?.bind(gpu, &[], &[self, liquid])
         };
-        let exchange = [
-            bound(Stage::Exchange, wgsl!("count_in_sources"))?.threads(liquid.n_markers()),
-            bound(Stage::Exchange, wgsl!("plan_seeds"))?.threads(1),
-            bound(Stage::Exchange, wgsl!("seed_markers"))?.threads(self.slots()),
-        ];
+        let count = bound(Stage::Exchange, wgsl!("count_in_sources"))?;
+        let mut exchange = vec![count.threads(liquid.n_markers())];
+        if liquid.plan.effects.level {
+            let skip = bound(Stage::Exchange, wgsl!("skip_deep_sources"))?;
+            exchange.push(skip.threads(self.n_cells()));
+        }
+        exchange.push(bound(Stage::Exchange, wgsl!("plan_seeds"))?.threads(1));
+        exchange.push(bound(Stage::Exchange, wgsl!("seed_markers"))?.threads(self.slots()));
         let hold_faces = bound(Stage::Forces, wgsl!("hold_faces"))?.threads(self.n_faces);
         let carry_faces = bound(Stage::WriteBack, wgsl!("carry_faces"))?.threads(self.n_faces);
         Ok([

@@ -5,35 +5,23 @@
 //! for bit.
 
 use crate::Error;
-use crate::fields::{LevelBuffers, LiquidBuffers, SolverBuffers, TILE};
+use crate::fields::{ExchangeBuffers, LevelBuffers, LiquidBuffers, TILE};
 use crate::gpu::{Binding, Dispatch, Dispatches, Gpu, Kernel, Real, Source};
 use crate::step::Stage;
 use crate::wgsl;
 
+use super::level_exchange::share_exchange;
+
 /// Layers of air with the label of the liquid beside them.
 const AIR_LAYERS: u32 = 3;
 
-/// The part of `advect_level` that finds the component at the departure point of every cell, before the velocity changes:
-/// writes `component_origin`.
-pub fn component_origins(
-    gpu: &Gpu,
-    liquid: &LiquidBuffers,
-    level: &LevelBuffers,
-    solver: &SolverBuffers,
-) -> Result<Dispatch, Error> {
-    let gpu = &gpu.at(Stage::AdvectLevel.name());
-    let labels = [("labels", (&level.component).into())];
-    let kernel = Kernel::new(gpu, &wgsl!("component_origins"), Real::F32)?;
-    let bound = kernel.bind(gpu, &labels, &[liquid, level, solver])?;
-    Ok(bound.indirect(&liquid.band_args, 0))
-}
-
 /// The stage: writes `component`, the volumes in `component_sums` and the targets in `component_volume`. The target of the
-/// whole liquid with the spray is `volume_0` of the sub-step.
+/// whole liquid with the spray is `volume_0` of the sub-step, with what `taps` exchange.
 pub fn liquid_components(
     gpu: &Gpu,
     liquid: &LiquidBuffers,
     level: &LevelBuffers,
+    taps: ExchangeBuffers,
 ) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::LiquidComponents.name());
     let bound = |source: Source, own: &[(&str, Binding)]| {
@@ -63,10 +51,20 @@ pub fn liquid_components(
     list.push(over_band(wgsl!("component_volumes"), &volumes)?);
     list.push(over_band(wgsl!("component_overlaps"), &overlaps)?);
     list.push(over_band(wgsl!("component_shares"), &shares)?);
+    let [of_sources, of_all, limits] = share_exchange(gpu, liquid, level, taps)?;
+    list.extend(of_sources);
     list.push(over_band(wgsl!("sum_components"), &[])?);
+    list.extend(of_all);
     list.push(over_band(wgsl!("component_targets"), &[])?);
+    list.extend(limits);
     let stage = Dispatches::new(Stage::LiquidComponents.name(), list);
-    Ok(stage.clearing(&level.component_totals))
+    let stage = stage.clearing(&level.component_totals);
+    Ok(
+        match taps.level.and_then(|exchange| exchange.labelled.as_ref()) {
+            Some(labelled) => stage.clearing(labelled),
+            None => stage,
+        },
+    )
 }
 
 /// The part of `spray` after all markers: adds the flights in `component_flights` to the targets.

@@ -24,6 +24,7 @@ mod exchange;
 mod extrapolate;
 mod filter_level;
 mod forces;
+mod level_exchange;
 mod liquid_components;
 mod liquid_distance;
 mod marker_band;
@@ -53,7 +54,8 @@ pub use excess::excess;
 pub use extrapolate::extrapolate;
 pub use filter_level::filter_level;
 pub use forces::{forces, node_forces};
-pub use liquid_components::{component_origins, liquid_components, settle_flights};
+pub use level_exchange::exchange_level;
+pub use liquid_components::{liquid_components, settle_flights};
 pub use liquid_distance::{liquid_distance, measure_volume};
 pub use marker_band::marker_band;
 pub use move_solid::move_solid;
@@ -68,7 +70,7 @@ pub use volume_shift::volume_shift;
 pub use write_back::write_back;
 
 use crate::Error;
-use crate::fields::{LevelBuffers, LiquidBuffers, Sinks, SolverBuffers, Sources};
+use crate::fields::{ExchangeBuffers, LevelBuffers, LiquidBuffers, SolverBuffers};
 use crate::gpu::{Dispatches, Gpu};
 
 /// The stages of the liquid that do not depend on the clipping, so all but `extrapolate` and `diagnose`. Stages
@@ -78,24 +80,24 @@ pub fn liquid_stages(
     liquid: &LiquidBuffers,
     solver: &SolverBuffers,
     level: Option<&LevelBuffers>,
-    (sources, sinks): (Option<&Sources>, Option<&Sinks>),
+    taps: ExchangeBuffers,
 ) -> Result<Vec<Dispatches>, Error> {
     let mut stages = vec![
         advect_markers(gpu, liquid, solver, level)?,
         band(gpu, liquid, level)?,
         advect_velocity(gpu, liquid, solver, level)?,
         forces(gpu, liquid)?,
-        liquid_distance(gpu, liquid, level, sinks)?,
+        liquid_distance(gpu, liquid, level, taps.sinks)?,
         right_hand_side(gpu, liquid, level, solver)?,
         write_back(gpu, liquid, solver)?,
     ];
     if let Some(level) = level {
-        stages.extend(level_stages(gpu, liquid, solver, level)?);
+        stages.extend(level_stages(gpu, liquid, solver, level, taps)?);
     }
-    if let Some(sinks) = sinks {
-        stages.push(sinks.exchange(gpu, liquid)?);
+    if let Some(sinks) = taps.sinks {
+        stages.push(sinks.exchange(gpu, liquid, level)?);
     }
-    if let Some(sources) = sources {
+    if let Some(sources) = taps.sources {
         stages.extend(sources.stages(gpu, liquid)?);
     }
     Ok(stages)
@@ -106,17 +108,20 @@ fn level_stages(
     liquid: &LiquidBuffers,
     solver: &SolverBuffers,
     level: &LevelBuffers,
+    taps: ExchangeBuffers,
 ) -> Result<Vec<Dispatches>, Error> {
-    Ok(vec![
+    let mut stages = vec![
         advect_level(gpu, liquid, solver, level)?,
         occupancy(gpu, liquid, level)?,
         bound_level(gpu, liquid, level)?,
         redistance(gpu, liquid, level)?,
         filter_level(gpu, liquid, level)?,
-        liquid_components(gpu, liquid, level)?,
+        liquid_components(gpu, liquid, level, taps)?,
         volume_shift(gpu, liquid, level)?,
         excess(gpu, liquid, level)?,
         marker_band(gpu, liquid, level)?,
         spray(gpu, liquid, level)?,
-    ])
+    ];
+    stages.extend(exchange_level(gpu, liquid, level, taps)?);
+    Ok(stages)
 }

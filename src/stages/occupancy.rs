@@ -6,7 +6,7 @@ use crate::gpu::{Bound, Dispatches, Gpu, Kernel, Real, Source};
 use crate::step::Stage;
 use crate::wgsl;
 
-/// The stage: writes `occupancy` from the markers and `carried_level`; `marker_weights` has the sums of the weights.
+/// The stage: writes `occupancy` from the markers and `carried_level`. Uses `marker_weights`.
 pub fn occupancy(
     gpu: &Gpu,
     liquid: &LiquidBuffers,
@@ -17,8 +17,7 @@ pub fn occupancy(
         |source: Source| Kernel::new(gpu, &source, Real::F32)?.bind(gpu, &[], &[liquid, level]);
     let over_band = |bound: Bound| bound.indirect(&liquid.band_args, 0);
     let list = [
-        over_band(bound(wgsl!("clear_weights"))?),
-        bound(wgsl!("weigh_markers"))?.threads(liquid.n_markers()),
+        bound(wgsl!("weigh_markers"))?.indirect(&level.marker_args, 0),
         over_band(bound(wgsl!("occupancy_of_cells"))?),
     ];
     Ok(Dispatches::new(Stage::Occupancy.name(), list))

@@ -280,7 +280,7 @@ fn effects_that_are_taken_away_leave_nothing() {
     if gpu().is_none() {
         return;
     }
-    let cases: [(&[&str], &[&str], &[&str]); 7] = [
+    let cases: [(&[&str], &[&str], &[&str]); 8] = [
         (
             &[POOL, "liquid.volume_control=false"],
             &[
@@ -319,6 +319,11 @@ fn effects_that_are_taken_away_leave_nothing() {
             &[POOL, "liquid.surface=level", "liquid.volume_control=false"],
             &["liquid.volume_control=true"],
             &["volume_shift"],
+        ),
+        (
+            &[POOL, "liquid.volume_control=false"],
+            &["liquid.separation=walls"],
+            &["separation"],
         ),
         (
             &[RAFT, NODE],

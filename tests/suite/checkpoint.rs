@@ -147,6 +147,16 @@ front = { axis = "x" }
 checkpoint_every = 2
 "#;
 
+/// A source that stops between the checkpoint and the end, and a sink.
+const FLOWS: &str = r#"[[source]]
+box = { min = [0.6, 0.7, 0.1], max = [0.8, 0.9, 0.3] }
+velocity = [0, -1, 0]
+start = 0.05
+end = 0.26
+[[sink]]
+box = { min = [0.0, 0.5, 0.0], max = [0.1, 1.0, 0.5] }
+"#;
+
 /// What a run goes on from is all there is: steps and sub-steps are the same to the bit, with or without an end in between.
 fn goes_on(name: &str, scene: &Scene, backend: &Backend, steps: [usize; 2]) {
     let folder = tempfile::tempdir().unwrap();
@@ -215,6 +225,18 @@ fn cases() -> Vec<(&'static str, Scene, [usize; 2])> {
             "level",
             scene(DAM, &["liquid.surface=level", "time.duration=0.6"]),
             [16, 6],
+        ),
+        (
+            "level with a source, a sink and an open side",
+            scene(
+                &format!("{DAM}{FLOWS}"),
+                &[
+                    "liquid.surface=level",
+                    "domain.open=[\"+x\"]",
+                    "time.duration=0.6",
+                ],
+            ),
+            [20, 10],
         ),
     ]
 }

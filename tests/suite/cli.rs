@@ -1049,3 +1049,25 @@ fn names_of_scenes_make_whole_files_or_are_refused() {
     );
     assert!(message.contains("too long"), "{message}");
 }
+
+/// A level with a source, a sink and an open side: planned and run on the device.
+#[test]
+fn a_level_that_exchanges_liquid_runs_on_the_gpu() {
+    if gpu().is_none() {
+        return;
+    }
+    let flows = "[[source]]\nbox = { min = [0.6, 0.6, 0.1], max = [0.8, 0.8, 0.3] }\nvelocity = [0, -1, 0]\n\
+                 [[sink]]\nbox = { min = [0.0, 0.3, 0.0], max = [0.2, 0.7, 0.5] }\n";
+    let folder = folder(&format!("{DAM}{flows}"));
+    let level = "--set liquid.surface=level --set domain.open=[\"+x\"]";
+    let plan = says(&folder, &format!("plan dam.toml {level}"));
+    for kernel in ["fill_sources", "sink_volumes", "limit_targets"] {
+        assert!(plan.contains(kernel), "{plan}");
+    }
+    says(&folder, &format!("run dam.toml {level} --frames 2"));
+    let table = folder.path().join("out/dam/steps.csv");
+    for name in ["volume_emitted", "volume_sunk", "markers_emitted"] {
+        let sum: f64 = column(&table, name).iter().sum();
+        assert!(sum > 0.0, "{name}");
+    }
+}

@@ -63,6 +63,8 @@ fn small_scenes_pass() {
             scene("dam_break_liquid", 0.25, &["liquid.surface=level"]),
             2,
         ),
+        (scene("draining_tank", 0.25, &["liquid.surface=level"]), 2),
+        (scene("fountain", 0.25, &["liquid.surface=level"]), 2),
         (scene("draining_tank", 0.25, &[]), 2),
         (scene("fountain", 0.25, &single), 2),
         (scene("hydrostatic_block", 0.5, &full), 1),

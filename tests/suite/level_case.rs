@@ -15,7 +15,7 @@ pub(crate) fn level_cases() -> Vec<Case> {
     cases().into_iter().map(with_level).collect()
 }
 
-fn with_level(mut case: Case) -> Case {
+pub(crate) fn with_level(mut case: Case) -> Case {
     case.effects = Effects {
         level: true,
         maccormack: true,

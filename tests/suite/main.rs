@@ -31,6 +31,7 @@ mod health;
 mod kills;
 mod layout;
 mod level_case;
+mod level_exchange;
 mod linalg;
 mod liquid_case;
 mod momentum;

@@ -260,14 +260,16 @@ fn the_filter_damps_ripples_and_keeps_planes() {
     };
     let plane = field(&grid, |x| x.y - 8.2);
     let thick = vec![false; plane.len()];
-    assert_eq!(filter_level(cells, &thick, &plane), plane);
+    assert_eq!(filter_level(cells, &thick, 1.0, &plane), plane);
     // A ripple of four cells loses 4 / 64 of itself in each pass.
     let ripple = |x: f64| 0.1 * (std::f64::consts::FRAC_PI_2 * (x - 0.5)).cos();
     let rippled = field(&grid, |x| x.y - 8.2 - ripple(x.x));
-    let after = filter_level(cells, &thick, &rippled);
+    let half = filter_level(cells, &thick, 0.5, &rippled);
+    let after = filter_level(cells, &thick, 1.0, &rippled);
     let cell = grid.cell([8, 8, 8]);
     let [before, after] = [&rippled, &after].map(|level| level[cell] - plane[cell]);
     close(after / before, 1.0 - 4.0 / 64.0, 1e-3);
+    close(half[cell] - plane[cell], 0.5 * (before + after), 1e-12);
 }
 
 #[test]

@@ -342,6 +342,7 @@ fn stages_share_their_nouns() {
     let parts = [
         ("ballistic", "move_solid"),
         ("element_rotations", "solid_matrices"),
+        ("level_exchange", "advect_level"),
         ("patch_pressure", "right_hand_side"),
         ("separation", "solve"),
     ];
@@ -353,6 +354,7 @@ fn stages_share_their_nouns() {
         ("closed_components", "components"),
         ("excess", "twin_liquid_components"),
         ("filter_level", "twin_level_shape"),
+        ("level_exchange", "level_exchange"),
         ("marker_band", "twin_level_markers"),
         ("occupancy", "twin_level_shape"),
         ("patch_pressure", "twin_coupling"),

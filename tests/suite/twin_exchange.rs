@@ -12,7 +12,7 @@ use crate::common::{Random, far_below, gpu, surface};
 use crate::liquid_case::{Case, EPS, assert_close, single};
 
 /// Sources and sinks that overlap each other, an obstacle and walls, in a grid whose rows have one spare cell.
-fn scene() -> Scene {
+pub(crate) fn scene() -> Scene {
     let text = "[domain]\nsize = [1.5, 1.0, 1.1]\ncells = [15, 10, 11]\n[time]\nduration = 1.0\n[liquid]\n\
                 [[obstacle]]\nsphere = { centre = [0.5, 0.5, 0.5], radius = 0.25 }\n\
                 [[source]]\nbox = { min = [0.3, 0.4, 0.3], max = [0.9, 0.7, 0.6] }\nvelocity = [1.0, -0.5, 0.0]\n\
@@ -90,7 +90,7 @@ impl Run {
     }
 }
 
-fn runs() -> [Running; 4] {
+pub(crate) fn runs() -> [Running; 4] {
     [(0b101, 0b001), (0b111, 0b010), (0b000, 0), (0b010, 0b010)].map(|(running, starting)| {
         Running {
             running,
@@ -110,7 +110,7 @@ fn markers_come_and_go_as_in_the_twin() {
         let sources = Sources::new(gpu, &run.buffers, &run.taps).unwrap().unwrap();
         let [seeding, ..] = sources.stages(gpu, &run.buffers).unwrap();
         let sinks = Sinks::new(gpu, &run.buffers, &run.taps).unwrap().unwrap();
-        let exchange = sinks.exchange(gpu, &run.buffers).unwrap();
+        let exchange = sinks.exchange(gpu, &run.buffers, None).unwrap();
         let go = || {
             let n = run.write(gpu);
             sources.write_step(gpu, SourceStep::new(running, n));
@@ -206,7 +206,6 @@ fn faces_of_sources_carry_what_they_do_in_the_twin() {
         let mut recorder = Recorder::new(gpu);
         forces.record(&mut recorder);
         recorder.submit();
-        let words = gpu.download(&run.buffers.valid).unwrap();
         let mut twin = u.clone();
         reference::hold_faces(&run.taps, &cut.open, running.running, &mut twin);
         assert_eq!(
@@ -240,11 +239,6 @@ fn faces_of_sources_carry_what_they_do_in_the_twin() {
             let index = grid.padded().index(grid.face_at(axis, face));
             words[index / 4] >> (first + 4 * axis.index() + index % 4) & 1 == 1
         };
-        for axis in Axis::ALL {
-            for (face, &open) in held[axis.index()].iter().enumerate() {
-                assert_eq!(bit(&words, axis, face, 16), open > 0.0, "{axis:?} {face}");
-            }
-        }
         let mut recorder = Recorder::new(gpu);
         write_back.record(&mut recorder);
         recorder.submit();
@@ -255,7 +249,7 @@ fn faces_of_sources_carry_what_they_do_in_the_twin() {
         for axis in Axis::ALL {
             let a = axis.index();
             for (face, &open) in cut.open[a].iter().enumerate() {
-                assert_eq!(bit(&words, axis, face, 16), open > 0.0, "open again");
+                assert_eq!(bit(&words, axis, face, 16), open > 0.0, "{axis:?} {face}");
                 assert_eq!(
                     bit(&words, axis, face, 0),
                     valid[a][face],

@@ -37,7 +37,7 @@ fn upload(gpu: &Gpu, case: &Case, more: usize) -> (LiquidBuffers, LevelBuffers) 
 fn write(gpu: &Gpu, case: &Case, liquid: &LiquidBuffers, level: &LevelBuffers) {
     case.write(gpu, liquid);
     level.write_markers(gpu, &case.state);
-    level.write_step(gpu, NUMBERS[0], NUMBERS[1]);
+    level.write_step(gpu, NUMBERS, 1.0);
 }
 
 fn record(gpu: &Gpu, stage: &cutwater::gpu::Dispatches) {
@@ -88,7 +88,7 @@ fn moved(
     match one.position.pop() {
         Some(end) => Ok((end, one.velocity[0])),
         None => {
-            assert_eq!(lost_spray, u64::from(spray));
+            assert_eq!(lost_spray.left + lost_spray.dropped, u64::from(spray));
             Err(lost)
         }
     }

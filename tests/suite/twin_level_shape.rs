@@ -56,17 +56,11 @@ impl<'a> Run<'a> {
             let [x, y, z] = state.markers[n].map(|x| x as f32);
             [x, y, z, alive(n)]
         };
-        let moving = |n: usize| {
-            let [x, y, z] = state.marker_velocity[n].map(|v| v as f32);
-            [x, y, z, f32::from(u8::from(state.spray[n]))]
-        };
-        let markers = 0..state.markers.len();
         if !state.markers.is_empty() {
-            let positions: Vec<_> = markers.clone().map(at).collect();
+            let positions: Vec<_> = (0..state.markers.len()).map(at).collect();
             gpu.upload(liquid.markers.as_ref().unwrap(), &positions);
-            let velocities: Vec<_> = markers.map(moving).collect();
-            gpu.upload(&level.marker_velocity, &velocities);
         }
+        level.write_markers(gpu, state);
         if narrow {
             case.band(gpu, &liquid);
         }
@@ -367,6 +361,8 @@ fn the_level_is_filtered_as_in_the_twin() {
             marks[index / 4] |= 1 << (index % 4);
         }
         gpu.upload(&run.level.thin, &marks);
+        let motion = 0.75;
+        run.level.write_step(gpu, [0; 2], motion);
         let stage = [stages::filter_level(gpu, &run.liquid, &run.level).unwrap()];
         run.record(&stage);
         let first = run.bits(&run.level.new_level);
@@ -374,7 +370,7 @@ fn the_level_is_filtered_as_in_the_twin() {
         run.put_level(&run.level.new_level, &level_of(run.case));
         run.record(&stage);
         assert!(first == run.bits(&run.level.new_level), "{}", run.name);
-        let twin = reference::filter_level(run.cells(), &thin, &level);
+        let twin = reference::filter_level(run.cells(), &thin, motion, &level);
         // Fourth differences up to 56 cells take 6 roundings, their weights 12, over 64 along each of three axes; one of the result.
         run.compare("filtered level", [&device, &twin], |_| 64.0 * EPS, |_| true);
         let pairs = twin.iter().zip(&level).zip(&run.in_band);
@@ -486,6 +482,8 @@ fn the_stages_of_the_shape_in_a_row_do_what_the_twins_do() {
     let (grid, cut) = (&case.grid, &case.cut);
     let carried = run.put_level(&run.level.carried_level, &level_of(&case));
     let (liquid, level) = (&run.liquid, &run.level);
+    let motion = 0.75;
+    level.write_step(gpu, [0; 2], motion);
     let stages = [
         stages::occupancy(gpu, liquid, level).unwrap(),
         stages::bound_level(gpu, liquid, level).unwrap(),
@@ -505,7 +503,7 @@ fn the_stages_of_the_shape_in_a_row_do_what_the_twins_do() {
     let mut twin = bounded.clone();
     reference::extend_level(grid, cut, &mut twin);
     let redistanced = reference::redistance(run.cells(), &twin);
-    let filtered = reference::filter_level(run.cells(), &thin, &redistanced);
+    let filtered = reference::filter_level(run.cells(), &thin, motion, &redistanced);
     twin.clone_from(&filtered);
     reference::extend_level(grid, cut, &mut twin);
     let twin: Vec<f64> = twin.iter().map(|phi| grid.dx * phi).collect();

@@ -1,6 +1,6 @@
 //! `liquid_components`, `volume_shift`, `excess` and the source of the excess against their twins.
 
-use cutwater::fields::{LevelBuffers, LiquidBuffers, SolverBuffers, Step};
+use cutwater::fields::{ExchangeBuffers, LevelBuffers, LiquidBuffers, SolverBuffers, Step};
 use cutwater::gpu::{Dispatches, Gpu, Real, Recorder};
 use cutwater::grid::{Axis, Grid};
 use cutwater::reference::{self, Ballistic, Before, Components, LevelCells, filled};
@@ -42,14 +42,15 @@ impl<'a> Run<'a> {
         let liquid = case.upload(gpu);
         let level = level_buffers(gpu, case, &liquid);
         let solver = case.solved(gpu);
-        let origins = stages::component_origins(gpu, &liquid, &level, &solver).unwrap();
+        let origins = stages::advect_level(gpu, &liquid, &solver, &level).unwrap();
         let settle = stages::settle_flights(gpu, &liquid, &level).unwrap();
         Run {
             gpu,
             case,
             volume_0,
-            origins: Dispatches::new("advect_level", [origins]),
-            components: stages::liquid_components(gpu, &liquid, &level).unwrap(),
+            origins,
+            components: stages::liquid_components(gpu, &liquid, &level, ExchangeBuffers::default())
+                .unwrap(),
             shift: stages::volume_shift(gpu, &liquid, &level).unwrap(),
             excess: stages::excess(gpu, &liquid, &level).unwrap(),
             settle: Dispatches::new("spray", [settle]),

@@ -4,21 +4,17 @@ use glam::DVec3;
 
 use super::SubStep;
 use crate::geometry::MARKERS_PER_CELL;
-use crate::grid::Axis;
 use crate::reference::level_cells::in_cells;
 use crate::reference::marker_band::cell_of;
 use crate::reference::{
-    ActiveCells, Before, Components, LevelCells, Levels, Markers, RightHandSide, add_excess,
-    advect_level, advect_level_markers, balance, bound_level, component_origins, empty_sinks,
-    excess, extend_level, fill_sources, filled, filter_level, liquid_components, marker_band,
-    move_spray_volume, occupancy, open_volumes, redistance, seed_markers, shared_volumes, spray,
-    thin_liquid, volume_shift,
+    ActiveCells, Before, CellVolume, Components, LevelCells, Levels, Markers, RightHandSide,
+    add_excess, add_sources, advect_level, advect_level_markers, balance, bound_level,
+    closed_to_markers, component_origins, empty_level_sinks, excess, extend_level, fill_sources,
+    filled, filter_level, limit_targets, liquid_components, marker_band, move_spray_volume,
+    occupancy, open_volumes, outflow, redistance, remove_volumes, seed_markers, shared_volumes,
+    spray, sunk_volumes, thin_liquid, volume_shift,
 };
 use crate::state::State;
-
-/// Largest relative difference between the target and the volume of a component in a domain with open sides. The flux through
-/// them and the transport of the level differ a little, which would add up in the last liquid of a tank.
-const LARGEST_DIFFERENCE: f64 = 0.1;
 
 /// Results of the stages of the level, per cell but for the last.
 #[derive(Default)]
@@ -31,8 +27,10 @@ pub(super) struct LevelResults {
     level: Vec<f64>,
     excess: Vec<f64>,
     components: Components,
-    /// Volumes that left through open sides, sank, and left as spray, m^3.
+    /// Volumes that left through open sides and sank, with spray, and of spray lost in bodies, m^3.
     removed: [f64; 3],
+    /// Volumes of starting sources, per source cell, m^3.
+    first_fill: Vec<f64>,
     /// Targets of the components before the sub-step, less what left them, m^3.
     volume_before: Vec<f64>,
 }
@@ -96,7 +94,8 @@ impl SubStep<'_> {
         );
         self.after.put_markers(markers);
         self.results.removed_markers = removed;
-        self.results.level.removed[2] = self.spray_volume(removed_spray);
+        let [left, dropped] = [removed_spray.left, removed_spray.dropped];
+        self.results.level.removed = [left, 0, dropped].map(|n| self.spray_volume(n));
         let effects = &model.effects;
         // Sources and sinks have a stage of their own, which counts these markers too.
         if effects.open_sides && !effects.sources && !effects.sinks {
@@ -119,16 +118,15 @@ impl SubStep<'_> {
         let kept = markers.position.len();
         let mut positions = markers.position.clone();
         let distance = &self.boundary.cut_cells().solid_distance;
-        let seeded = seed_markers(grid, taps, sources, distance, &mut positions);
+        let distance = closed_to_markers(distance, &self.before.liquid_distance, grid.dx);
+        let seeded = seed_markers(grid, taps, sources, &distance, &mut positions);
         markers.extend(grid, &self.before.velocity, &positions[kept..]);
         self.after.put_markers(markers);
-        self.results.level.removed[2] += self.spray_volume(sunk_spray as u64);
-        let filled = self.spray_volume(seeded.filled);
+        self.results.level.removed[1] = self.spray_volume(sunk_spray as u64);
         let exchange = &mut self.results.exchange;
         exchange.left = self.results.removed_markers.left;
         exchange.sunk = sunk;
         exchange.emitted = seeded.emitted;
-        exchange.volume_emitted = self.time_step.dt * taps.flux(sources.running) + filled;
         self.after.markers_left += exchange.left;
         self.after.markers_sunk += sunk;
         self.after.markers_emitted += seeded.emitted;
@@ -145,51 +143,22 @@ impl SubStep<'_> {
         let ballistic = self.ballistic(&filled_before);
         let dt = self.time_step.dt;
         let mut carried = advect_level(grid, open, &before.velocity, &ballistic, &level, dt);
-        fill_sources(grid, &model.taps, self.sources, &mut carried);
-        self.results.level.removed[0] = self.outflow(&level);
         let open_volumes = self.open_volumes();
-        for &cell in &model.taps.sink_cells {
-            let volume = open_volumes[cell] * filled(carried[cell]);
-            self.results.level.removed[1] += volume;
-            self.remove_volume(before.component.get(cell), volume);
-            carried[cell] = 1.0;
+        let results = &mut self.results.level;
+        results.first_fill =
+            fill_sources(grid, &model.taps, self.sources, &open_volumes, &mut carried);
+        let apertures = &self.boundary.cut_cells().open;
+        let left = outflow(grid, open, apertures, &before.velocity, &level, dt);
+        let sunk = sunk_volumes(&model.taps, &open_volumes, &level, &carried);
+        empty_level_sinks(&model.taps, &mut carried);
+        results.carried = carried;
+        for (volumes, removed) in [left, sunk].iter().zip(&mut results.removed) {
+            *removed += volumes
+                .iter()
+                .map(|&(_, volume): &CellVolume| volume)
+                .sum::<f64>();
+            remove_volumes(&before.component, volumes, &mut results.volume_before);
         }
-        self.results.level.carried = carried;
-    }
-
-    /// Takes a volume (m^3) from the target of a component.
-    fn remove_volume(&mut self, label: Option<&u32>, volume: f64) {
-        let targets = &mut self.results.level.volume_before;
-        let target = label.and_then(|&label| targets.get_mut((label as usize).checked_sub(1)?));
-        if let Some(target) = target {
-            *target -= volume;
-        }
-    }
-
-    /// Volume that leaves through open sides in the sub-step, m^3. `level` before it, cells.
-    fn outflow(&mut self, level: &[f64]) -> f64 {
-        let (grid, before) = (self.model.grid, self.before);
-        let mut sum = 0.0;
-        for axis in Axis::ALL {
-            let a = axis.index();
-            for face in 0..grid.n_faces(axis) {
-                let ijk = grid.face_at(axis, face);
-                let side = grid.wall(axis, ijk);
-                let Some(side) = side.filter(|&side| self.model.scene.domain.open.has(axis, side))
-                else {
-                    continue;
-                };
-                let Some(cell) = grid.face_sides(axis, ijk)[1 - side] else {
-                    continue;
-                };
-                let out = if side == 1 { 1.0 } else { -1.0 } * before.velocity[a][face];
-                let area = grid.dx * grid.dx * self.boundary.cut_cells().open[a][face];
-                let volume = self.time_step.dt * area * out.max(0.0) * filled(level[cell]);
-                sum += volume;
-                self.remove_volume(before.component.get(cell), volume);
-            }
-        }
-        sum
     }
 
     pub(super) fn occupancy(&mut self) {
@@ -216,16 +185,20 @@ impl SubStep<'_> {
 
     pub(super) fn filter_level(&mut self) {
         let level = &self.results.level;
-        self.results.level.level = filter_level(self.cells(), &level.thin, &level.level);
+        self.results.level.level = filter_level(
+            self.cells(),
+            &level.thin,
+            self.time_step.motion,
+            &level.level,
+        );
     }
 
     pub(super) fn level_distance(&mut self) {
         let grid = &self.model.grid;
         let mut level = std::mem::take(&mut self.results.level.level);
         extend_level(grid, self.boundary.cut_cells(), &mut level);
-        let mut distance: Vec<f64> = level.iter().map(|phi| phi * grid.dx).collect();
-        empty_sinks(&self.model.taps, grid.dx, &mut distance);
-        self.after.liquid_distance = distance;
+        empty_level_sinks(&self.model.taps, &mut level);
+        self.after.liquid_distance = level.iter().map(|phi| phi * grid.dx).collect();
     }
 
     /// Level after the last stage that changed it, cells.
@@ -252,44 +225,27 @@ impl SubStep<'_> {
         let origins = component_origins(grid, old, |cell| volumes[cell] > 0.0, dt);
         let volume_0 = &self.results.level.volume_before;
         let mut targets = shared_volumes(volume_0, &origins, &components, &volumes);
-        self.add_sources(&components.label, &mut targets);
+        let taps = &model.taps;
+        let inflows = (0..taps.n_sources()).map(|n| taps.inflow(self.sources, n as u32, dt));
+        let (inflows, first_fill) = (inflows.collect::<Vec<_>>(), &self.results.level.first_fill);
+        add_sources(taps, first_fill, &inflows, &components.label, &mut targets);
         let [left, sunk, spray] = self.results.level.removed;
-        let emitted = self.results.exchange.volume_emitted;
+        let emitted = first_fill.iter().sum::<f64>() + inflows.iter().sum::<f64>();
         let whole = before.volume_0 - left - sunk - spray + emitted;
         let flying = self.after.spray.iter().filter(|spray| **spray).count() as u64;
         let flying = self.spray_volume(flying);
         balance(whole - flying, &components.volume, &mut targets);
         self.after.volume_0 = whole;
         if model.effects.open_sides {
-            let pairs = targets.iter_mut().zip(&components.volume);
-            pairs.for_each(|(target, &volume)| {
-                let range = [-LARGEST_DIFFERENCE, LARGEST_DIFFERENCE].map(|d| (1.0 + d) * volume);
-                // NaN stays for the check of the solve, where `clamp` would panic.
-                *target = target.max(range[0]).min(range[1]);
-            });
+            limit_targets(&components.volume, &mut targets);
             self.after.volume_0 = targets.iter().sum::<f64>() + flying;
         }
         self.results.exchange.volume_left = left;
         self.results.exchange.volume_sunk = sunk;
+        self.results.exchange.volume_emitted = emitted;
         self.after.component.clone_from(&components.label);
         self.after.component_volume = targets;
         self.results.level.components = components;
-    }
-
-    /// Adds the volumes of running sources to the targets (m^3) of the components in their cells.
-    fn add_sources(&self, label: &[u32], targets: &mut [f64]) {
-        let (taps, running) = (&self.model.taps, self.sources.running);
-        let sources = (0..u32::BITS).filter(|source| running >> source & 1 == 1);
-        for source in sources {
-            let own = taps
-                .source_cells
-                .iter()
-                .filter(|(_, owner)| *owner == source);
-            let mut labels = own.map(|&(cell, _)| label[cell]).filter(|&label| label > 0);
-            if let Some(label) = labels.next() {
-                targets[label as usize - 1] += self.time_step.dt * taps.flux(1 << source);
-            }
-        }
     }
 
     pub(super) fn volume_shift(&mut self) {

@@ -150,12 +150,55 @@ impl LiquidComparison<'_> {
             let velocity = [0, 1, 2].map(|a| moved(&velocity[a], by, pattern));
             reference::advect_level(&grid, sides, &velocity, &ballistic, &level, dt)
         }));
+        self.exchange_level(after, &level, (&mut twins, bound));
         let band = self.settled(after);
         let settled = LiquidSnapshot {
             band,
             ..after.clone()
         };
         self.band_cells(["phi", "cells"], &settled, &now.carried, &twins, bound);
+    }
+
+    /// Sources and sinks in the twins of the advected level, of an error `bound` (cells). Volumes: of a cell the error of the level
+    /// and a unit of the sums; through a face that of a quotient and five products.
+    fn exchange_level(
+        &mut self,
+        after: &LiquidSnapshot,
+        level: &[f64],
+        (twins, bound): (&mut [Vec<f64>], f64),
+    ) {
+        let (grid, dt, taps) = (self.grid, self.dt(), &self.taps);
+        let one = grid.cell_volume();
+        let sums = twins.iter_mut().map(|twin| {
+            // Outside the band there is air on the device.
+            for cell in (0..twin.len()).filter(|&cell| !after.band[cell]) {
+                twin[cell] = REACH;
+            }
+            let filled =
+                reference::fill_sources(&grid, taps, self.running, &self.open_volumes, twin);
+            let sunk = reference::sunk_volumes(taps, &self.open_volumes, level, twin);
+            reference::empty_level_sinks(taps, twin);
+            let sunk = sunk.iter().map(|(_, volume)| volume).sum::<f64>();
+            [sunk / one, filled.iter().sum::<f64>() / one]
+        });
+        let sums: Vec<[f64; 2]> = sums.collect();
+        let unit = (-24.0_f64).exp2();
+        let with_bound = |which: usize, cells: usize| {
+            let others = sums.iter().map(|sum| (sum[which] - sums[0][which]).abs());
+            let in_cells = cells as f64 * (2.0 * bound + 16.0 * EPS + unit);
+            (sums[0][which], in_cells + 2.0 * super::largest(others))
+        };
+        let [sunk, filled] = [
+            with_bound(0, taps.sink_cells.len()),
+            with_bound(1, taps.source_cells.len()),
+        ];
+        let velocity = &self.before.velocity;
+        let sides = self.scene.domain.open;
+        let left = reference::outflow(&grid, sides, &self.cut.open, velocity, level, dt);
+        let way = dt * reference::max_speed(velocity) / grid.dx;
+        let left_bound = left.len() as f64 * (16.0 * EPS * way + unit);
+        let left = left.iter().map(|(_, volume)| volume / one).sum();
+        self.twin.exchanged = [(left, left_bound), sunk, filled];
     }
 
     /// Bound: [`maccormack_error`]. Whether the corrected velocity is within the range of its taps may hang on a rounding.
@@ -367,7 +410,7 @@ impl LiquidComparison<'_> {
         let thin = reference::thin_liquid(&self.grid, &self.with_air(after, &before.carried));
         let bound = PASS * EPS * REACH;
         let twins = self.twins(&level, bound, |level| {
-            reference::filter_level(self.level_cells(), &thin, level)
+            reference::filter_level(self.level_cells(), &thin, self.motion, level)
         });
         self.band_cells(["phi", "cells"], after, &now.level, &twins, bound);
     }
@@ -379,6 +422,7 @@ impl LiquidComparison<'_> {
         let twins = self.twins(&level, EPS * REACH, |level| {
             let mut level = level.to_vec();
             reference::extend_level(&self.grid, &self.cut, &mut level);
+            reference::empty_level_sinks(&self.taps, &mut level);
             level.iter().map(|phi| phi * dx).collect()
         });
         let (gpu, bound) = (&after.liquid_distance, bound * dx);
@@ -403,9 +447,21 @@ impl LiquidComparison<'_> {
         });
         let whole: f64 = now.component_volume.iter().sum();
         let flying = now.spray.iter().zip(&after.markers);
-        let flying = flying.filter(|(spray, x)| **spray && x.is_some()).count()
-            + after.report.spray_lost as usize;
-        let total = f64::from(self.step.volume_0) - flying as f64 * grid.cell_volume() / 8.0;
+        let flying =
+            flying.filter(|(spray, x)| **spray && x.is_some()).count() + now.lost_spray as usize;
+        let one = grid.cell_volume();
+        let mut total = f64::from(self.step.volume_0) - flying as f64 * one / 8.0;
+        if Effects::of(self.scene).exchange() {
+            let of_step = after.report.exchanged;
+            let volumes = [of_step.left, of_step.sunk, of_step.filled];
+            let quantities = ["volume left", "volume sunk", "volume filled"];
+            let pairs = quantities.into_iter().zip(volumes);
+            for ((quantity, gpu), (twin, bound)) in pairs.zip(self.twin.exchanged) {
+                self.table
+                    .whole([quantity, "m^3"], one * gpu, one * twin, one * bound);
+            }
+            total += one * (of_step.filled - of_step.left - of_step.sunk + of_step.limited);
+        }
         let bound = 1e-5 * total.abs();
         let has_liquid = !twin.volume.is_empty();
         let twin_whole = if has_liquid { total } else { 0.0 };

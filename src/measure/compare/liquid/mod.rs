@@ -42,6 +42,8 @@ pub(super) struct LiquidComparison<'a> {
     /// State of the sources in the sub-step.
     running: Running,
     step: Step,
+    /// [`TimeStep::motion`] on the device.
+    motion: f64,
     pub(super) table: Table,
     /// Input of the stage.
     before: LiquidSnapshot,
@@ -55,6 +57,8 @@ struct Twin {
     liquid_distance: Vec<f64>,
     /// Error bound of the device's liquid distance per cell, m.
     distance_bounds: Vec<f64>,
+    /// Volumes of a level that left, sank and filled sources, with their error bounds on the device, volumes of a cell.
+    exchanged: [(f64, f64); 3],
     /// Active cells of the stored liquid distance, in f64.
     active: Option<ActiveCells>,
     /// m/s, and its error bound on the device.
@@ -94,6 +98,7 @@ impl<'a> LiquidComparison<'a> {
             taps: taps.unwrap_or_default(),
             running: Running::default(),
             step,
+            motion: 0.0,
             table: Table::default(),
             twin: Twin {
                 liquid_distance: before.liquid_distance.clone(),
@@ -125,6 +130,7 @@ impl<'a> LiquidComparison<'a> {
     /// Begins a sub-step.
     pub(super) fn begin(&mut self, path: &GpuPath, time_step: TimeStep) {
         self.table.step = path.clock().step;
+        self.motion = f64::from(time_step.motion as f32);
         if let Some(step) = path.step_numbers(time_step) {
             self.step = step;
         }
@@ -324,8 +330,12 @@ impl<'a> LiquidComparison<'a> {
         borders: usize,
     ) {
         let (grid, n_kept) = (self.grid, kept.len());
-        let walls = &self.cut.solid_distance;
-        let seeded = reference::seed_markers(&grid, &self.taps, self.running, walls, &mut kept);
+        let level = Effects::of(self.scene).level;
+        let mut walls = self.cut.solid_distance.clone();
+        if level {
+            walls = reference::closed_to_markers(&walls, &after.liquid_distance, grid.dx);
+        }
+        let seeded = reference::seed_markers(&grid, &self.taps, self.running, &walls, &mut kept);
         let twin = &kept[n_kept..];
         let new = &after.markers[n_before.min(after.markers.len())..];
         let gpu: Vec<[f64; 3]> = new.iter().copied().flatten().collect();
@@ -335,7 +345,9 @@ impl<'a> LiquidComparison<'a> {
         } else {
             let counts = [gpu.len(), twin.len()].map(|n| n as f64);
             let filled = [after.report.filled.into(), seeded.filled as f64];
-            let numbers = [counts, filled].map(|[gpu, twin]| (gpu, twin, 0.0, Place::Whole));
+            // A level fills its sources by volume.
+            let numbers = [counts, filled].into_iter().take(if level { 1 } else { 2 });
+            let numbers = numbers.map(|[gpu, twin]| (gpu, twin, 0.0, Place::Whole));
             self.table.add(["markers emitted", ""], numbers);
             let bound = EPS * grid.dx * 8.0 * self.extent();
             let places = gpu.iter().zip(twin).enumerate();
@@ -796,7 +808,8 @@ impl<'a> LiquidComparison<'a> {
             twin.potential_energy,
             mass * height + height_quantum,
         );
-        row("largest speed", "m/s", gpu.max_speed, speed, 0.0);
+        // Of the faces, without spray.
+        row("largest speed", "m/s", gpu.max_speed, twin.max_speed, 0.0);
         row(
             "divergence",
             "1/s",
