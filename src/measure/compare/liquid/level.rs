@@ -231,9 +231,10 @@ impl LiquidComparison<'_> {
         for axis in Axis::ALL {
             let a = axis.index();
             let (mut pairs, mut excused) = (Vec::new(), 0);
+            // A face on a side of the domain may lie in a tile beyond the band.
             let inside = |face: usize| {
                 let sides = grid.face_sides(axis, grid.face_at(axis, face));
-                sides.into_iter().flatten().all(|cell| settled[cell])
+                after.face_band[a][face] && sides.into_iter().flatten().all(|cell| settled[cell])
             };
             for face in (0..grid.n_faces(axis)).filter(|&face| inside(face)) {
                 let (gpu, twin) = (after.velocity_next[a][face], twin[a][face]);
