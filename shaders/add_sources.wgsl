@@ -3,7 +3,7 @@
 // level. cells: x, y, z and word (see source_step) of each. component: labels. labelled: see count_labelled. inflows: per source,
 // volumes of a cell. first_fill: per source cell, volumes of a cell. sums: shares, see component_sums.
 #import dispatch
-#import source_cell
+#import layout
 #import source_step
 #import tally
 
@@ -22,7 +22,7 @@ fn add_sources(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoc
     var volume = 0.0;
     if index < arrayLength(&cells) {
         let source = source_of(cells[index].w);
-        label = component[index_of(cells[index].xyz)];
+        label = component[cell_index(level, cells[index].xyz)];
         volume = first_fill[index] + inflows[source] / f32(max(labelled[source], 1u));
     }
     tally(vec4<u32>(label, 0u, 0u, 0u), vec4<f32>(volume, 0.0, 0.0, 0.0), lane);

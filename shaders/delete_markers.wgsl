@@ -35,7 +35,7 @@ fn delete_markers(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_in
         return;
     }
     let cell = cell_of(level, at);
-    if excess[4u * (level.stride_z * (cell.z + 1u) + level.stride_y * cell.y) + cell.x] > KEPT_EXCESS {
+    if excess[cell_index(level, cell)] > KEPT_EXCESS {
         return;
     }
     markers[index] = vec4<f32>(marker.xyz, 0.0);

@@ -21,7 +21,7 @@ fn close(axis: u32, quad: u32, lane: u32) {
         let face = 4u * (axis * level.quads + quad) + lane;
         var kept = 0.0;
         if all(inside < level.cells) {
-            let beside = level.stride_z * (inside.z + 1u) + level.stride_y * inside.y + inside.x / 4u;
+            let beside = cell_index(level, inside) / 4u;
             if (valid[beside] >> (LEAVING_FIRST + inside.x % 4u) & 1u) == 1u {
                 kept = select(min(velocity[face], 0.0), max(velocity[face], 0.0), low);
             }

@@ -8,6 +8,7 @@
 #import component_sums
 #import dispatch
 #import exchange_totals
+#import filled_part
 #import source_step
 #import step
 
@@ -53,8 +54,8 @@ fn fill_sources(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
     var volume = 0.0;
     if in_band && runs(entry.y, source_step.starting) {
         let distance = solid_distance[min(cell, arrayLength(&solid_distance) - 1u)];
-        let added = clamp(0.5 - phi, 0.0, 1.0) - clamp(0.5 - before, 0.0, 1.0);
-        volume = clamp(0.5 + distance / step.dx, 0.0, 1.0) * added;
+        let added = filled_part(phi) - filled_part(before);
+        volume = filled_part(-distance / step.dx) * added;
         add_total(FILLED_VOLUME, fixed(volume));
     }
     first_fill[entry.w - 1u] = volume;

@@ -24,7 +24,7 @@ fn occupy(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation
         return;
     }
     let cell = cell_of(level, marker.xyz * step.inv_dx);
-    let quad = level.stride_z * (cell.z + 1u) + level.stride_y * cell.y + cell.x / 4u;
+    let quad = cell_index(level, cell) / 4u;
     let bit = 1u << (MARKED + cell.x % 4u);
     if (atomicLoad(&occupied[quad]) & bit) == 0u {
         atomicOr(&occupied[quad], bit);

@@ -4,6 +4,7 @@
 // m/s. open: face apertures. liquid_distance: before the sub-step, m. component: labels before it. component_removed: see
 // removed. exchange_totals: see exchange_totals.
 #import dispatch
+#import filled_part
 #import removed
 #import step
 
@@ -29,7 +30,7 @@ fn outflow(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocatio
     let cell = outlet_cells[index];
     let face = outlet_faces[index] & ~PLUS_SIDE;
     let speed = select(-velocity[face], velocity[face], (outlet_faces[index] & PLUS_SIDE) != 0u);
-    let filled = clamp(0.5 - liquid_distance[cell] / step.dx, 0.0, 1.0);
+    let filled = filled_part(liquid_distance[cell] / step.dx);
     let volume = step.dt * step.inv_dx * open[face] * max(speed, 0.0) * filled;
     remove_volume(component[cell], LEFT_VOLUME, volume);
 }

@@ -20,7 +20,7 @@ var<workgroup> sh_filled: atomic<u32>;
 
 // Whether a body covers the centre of a cell.
 fn covered(cell: vec3<u32>) -> bool {
-    let index = 4u * (level.stride_z * (cell.z + 1u) + level.stride_y * cell.y) + cell.x;
+    let index = cell_index(level, cell);
     return solid_distance[min(index, arrayLength(&solid_distance) - 1u)] < 0.0;
 }
 

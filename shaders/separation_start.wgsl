@@ -31,7 +31,7 @@ struct SeparationSettings {
 // Whether a cell inside the domain has air, or separated before.
 fn airy(cell: vec3<i32>) -> bool {
     let c = vec3<u32>(cell);
-    let quad = level.stride_z * (c.z + 1u) + level.stride_y * c.y + c.x / 4u;
+    let quad = cell_index(level, c) / 4u;
     let lane = c.x % 4u;
     return (flags[quad] >> lane & 1u) == 0u || (separated_before[quad] >> lane & 1u) == 1u;
 }

@@ -10,9 +10,6 @@
 @group(0) @binding(2) var<storage, read_write> component_removed: array<atomic<u32>>;
 @group(0) @binding(3) var<storage, read_write> component_volume: array<f32>;
 
-// Also in common/removed.wgsl.
-const REMOVED = 0x80000000u;
-
 @compute @workgroup_size(WG_SIZE)
 fn settle_removed(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let index = linear_index(workgroup, lane);

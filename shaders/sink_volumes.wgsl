@@ -4,6 +4,7 @@
 // solid_distance: m, cell centres; one quad far outside in a scene without bodies. component: labels before the sub-step.
 // carried_level: cells, in place. component_removed: see removed. exchange_totals: see exchange_totals.
 #import dispatch
+#import filled_part
 #import removed
 #import sink_level
 #import step
@@ -29,9 +30,9 @@ fn sink_volumes(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
         return;
     }
     let distance = solid_distance[min(cell, arrayLength(&solid_distance) - 1u)];
-    let open_volume = clamp(0.5 + distance / step.dx, 0.0, 1.0);
-    let before = clamp(0.5 - liquid_distance[cell] / step.dx, 0.0, SINK_REST);
-    let came = clamp(0.5 - carried_level[cell], 0.0, 1.0) - before;
+    let open_volume = filled_part(-distance / step.dx);
+    let before = min(filled_part(liquid_distance[cell] / step.dx), SINK_REST);
+    let came = filled_part(carried_level[cell]) - before;
     carried_level[cell] = max(carried_level[cell], SINK_LEVEL);
     remove_volume(component[cell], SUNK_VOLUME, open_volume * max(came, 0.0));
 }

@@ -4,7 +4,7 @@
 // source cell, in place.
 #import dispatch
 #import marker_depth
-#import source_cell
+#import layout
 #import source_step
 #import step
 
@@ -17,7 +17,7 @@
 @compute @workgroup_size(WG_SIZE)
 fn skip_deep_sources(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let index = linear_index(workgroup, lane);
-    if index < arrayLength(&cells) && liquid_distance[index_of(cells[index].xyz)] < -MARKER_DEPTH * step.dx {
+    if index < arrayLength(&cells) && liquid_distance[cell_index(level, cells[index].xyz)] < -MARKER_DEPTH * step.dx {
         counts[index] = PER_CELL;
     }
 }

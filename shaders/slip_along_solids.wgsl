@@ -28,7 +28,7 @@ fn wall_velocity(axis: u32, cell: vec3<i32>) -> vec3<f32> {
     var n = 0.0;
     for (var side = 0; side < 2; side++) {
         let c = vec3<u32>(cell - side * along(axis));
-        let word = walls[level.stride_z * (c.z + 1u) + level.stride_y * c.y + c.x / 4u];
+        let word = walls[cell_index(level, c) / 4u];
         if has_place(word, c.x % 4u) {
             let at = clipped.first + 3u * place_of(word, c.x % 4u);
             sum += bitcast<vec3<f32>>(vec3<u32>(walls[at], walls[at + 1u], walls[at + 2u]));

@@ -27,7 +27,7 @@ fn flies(at: vec3<f32>) -> bool {
     for (var corner = 0; corner < 8; corner++) {
         let up = vec3<i32>(corner) >> vec3<u32>(0u, 1u, 2u) & vec3<i32>(1);
         let cell = vec3<u32>(clamp(low + up, vec3<i32>(), top));
-        least = min(least, liquid_distance[4u * (level.stride_z * (cell.z + 1u) + level.stride_y * cell.y) + cell.x]);
+        least = min(least, liquid_distance[cell_index(level, cell)]);
     }
     return least >= 0.0;
 }

@@ -32,7 +32,7 @@ fn spread_markers(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_in
     }
     let at = marker.xyz * step.inv_dx;
     let cell = cell_of(level, at);
-    let own = level.stride_z * (cell.z + 1u) + level.stride_y * cell.y + cell.x / 4u;
+    let own = cell_index(level, cell) / 4u;
     if (lanes_of(occupied[own], SPREADING) >> (cell.x % 4u) & 1u) == 0u {
         return;
     }

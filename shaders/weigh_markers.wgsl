@@ -37,7 +37,7 @@ fn weigh_markers(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_inv
         let up = (vec3<u32>(corner) >> vec3<u32>(0u, 1u, 2u) & vec3<u32>(1u)) != vec3<u32>();
         let weights = select(1.0 - upper, upper, up);
         let at_corner = select(first, second, up);
-        let cell = 4u * (level.stride_z * (at_corner.z + 1u) + level.stride_y * at_corner.y) + at_corner.x;
+        let cell = cell_index(level, at_corner);
         atomicAdd(&marker_weights[cell], u32(round(ONE * (weights.x * weights.y * weights.z))));
     }
 }

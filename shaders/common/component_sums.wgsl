@@ -7,6 +7,8 @@ const PER_WORD = 2.3283064365386963e-10;
 
 // In the high word of a volume, which is less than 2^23: the component has a free surface or an open side.
 const SURFACE = 0x80000000u;
+// In that of a volume that leaves a component (see removed), until settle_removed has subtracted it from the target.
+const REMOVED = 0x80000000u;
 
 fn add64(a: vec2<u32>, b: vec2<u32>) -> vec2<u32> {
     let low = a.x + b.x;

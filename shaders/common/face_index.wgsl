@@ -8,6 +8,5 @@ fn along(axis: u32) -> vec3<i32> {
 
 // Index of the minus face of a cell.
 fn face_index(axis: u32, cell: vec3<i32>) -> u32 {
-    let c = vec3<u32>(cell);
-    return 4u * (axis * level.quads + level.stride_z * (c.z + 1u) + level.stride_y * c.y) + c.x;
+    return 4u * axis * level.quads + cell_index(level, vec3<u32>(cell));
 }

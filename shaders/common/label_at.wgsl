@@ -13,7 +13,7 @@ fn label_at(at: vec3<f32>) -> u32 {
     for (var corner = 0; corner < 8; corner++) {
         let up = vec3<i32>(corner) >> vec3<u32>(0u, 1u, 2u) & vec3<i32>(1);
         let cell = vec3<u32>(clamp(vec3<i32>(low) + up, vec3<i32>(), top));
-        let here = labels[4u * (level.stride_z * (cell.z + 1u) + level.stride_y * cell.y) + cell.x];
+        let here = labels[cell_index(level, cell)];
         let weights = select(1.0 - upper, upper, up == vec3<i32>(1));
         let weight = weights.x * weights.y * weights.z;
         if here > 0u && (label == 0u || weight > most) {

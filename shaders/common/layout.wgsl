@@ -18,6 +18,11 @@ fn quad_cell(level: Layout, quad: u32) -> vec3<i32> {
     return vec3<i32>(vec3<u32>(4u * (in_slab - row * level.stride_y), row, slab)) - vec3<i32>(0, 0, 1);
 }
 
+// Index of a cell of this level, counted within the level.
+fn cell_index(level: Layout, cell: vec3<u32>) -> u32 {
+    return 4u * (level.stride_z * (cell.z + 1u) + level.stride_y * cell.y) + cell.x;
+}
+
 // Cell of a point, given in cells (x / dx).
 fn cell_of(level: Layout, at: vec3<f32>) -> vec3<u32> {
     return min(vec3<u32>(max(at, vec3<f32>())), level.cells - 1u);

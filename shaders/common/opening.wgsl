@@ -7,7 +7,7 @@
 // Potential of a cell beside another, m/s; 0 in air and in separated cells.
 fn potential_of(cell: vec3<i32>) -> Real {
     let c = vec3<u32>(cell);
-    let quad = level.stride_z * (c.z + 1u) + level.stride_y * c.y + c.x / 4u;
+    let quad = cell_index(level, c) / 4u;
     let lane = c.x % 4u;
     return select(Real(0.0), potential[quad][lane], (flags[quad] >> lane & 1u) == 1u);
 }

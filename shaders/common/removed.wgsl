@@ -1,10 +1,8 @@
 // Volumes that leave the components of a level in the sub-step, at their labels before it: sums of two words (see
-// component_sums), with a mark in the high word until settle_removed has subtracted them from the target.
+// component_sums), with the mark REMOVED.
 // The importing kernel declares component_removed: array<atomic<u32>>, and exchange_totals: array<atomic<u32>>.
 #import component_sums
 #import exchange_totals
-
-const REMOVED = 0x80000000u;
 
 // volume: of cells, at least 0. label: 0 for none.
 fn remove_volume(label: u32, total: u32, volume: f32) {

@@ -19,7 +19,7 @@ const SMALLEST_GRADIENT = 1e-6;
 // Distance at a cell, clamped to the domain, m.
 fn distance_of(cell: vec3<i32>) -> f32 {
     let c = vec3<u32>(clamp(cell, vec3<i32>(), vec3<i32>(level.cells) - 1));
-    return solid_distance[level.stride_z * (c.z + 1u) + level.stride_y * c.y + c.x / 4u][c.x % 4u];
+    return solid_distance[cell_index(level, c) / 4u][c.x % 4u];
 }
 
 // New velocity of a face between two cells.
@@ -62,7 +62,7 @@ fn slide(axis: u32, cell: vec3<i32>) -> f32 {
 // Whether liquid may leave walls and bodies in a cell.
 fn leaves(cell: vec3<i32>) -> bool {
     let c = vec3<u32>(cell);
-    let quad = level.stride_z * (c.z + 1u) + level.stride_y * c.y + c.x / 4u;
+    let quad = cell_index(level, c) / 4u;
     return (valid[quad] >> (LEAVING_FIRST + c.x % 4u) & 1u) == 1u;
 }
 

@@ -12,7 +12,6 @@ use super::{LiquidBuffers, Sinks, Sources};
 const EXCHANGE_TOTALS: usize = 8;
 /// Bit of an outlet face on a plus side. Also in `shaders/outflow.wgsl`.
 const PLUS_SIDE: u32 = 1 << 31;
-
 /// Mark of a fill at the side of a source. Also in `fill_sources.wgsl`.
 const SIDE: u32 = u32::MAX;
 

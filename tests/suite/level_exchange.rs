@@ -330,15 +330,7 @@ struct Run<'a> {
 impl<'a> Run<'a> {
     fn new(gpu: &'a Gpu) -> Run<'a> {
         let scene = twin_exchange::scene();
-        let grid = Grid {
-            dx: f64::from(0.1_f32),
-            ..scene.grid()
-        };
-        let mut cut = obstacle_cut(&scene, &scene.grid()).unwrap().cut;
-        for values in cut.open.iter_mut().chain([&mut cut.solid_distance]) {
-            values.iter_mut().for_each(|value| *value = single(*value));
-        }
-        let taps = SourcesAndSinks::new(&scene, &scene.grid(), &cut).unwrap();
+        let (grid, cut, taps) = twin_exchange::stored(&scene);
         let effects = Effects {
             open_sides: true,
             ..Effects::of(&scene)

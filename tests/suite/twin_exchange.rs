@@ -1,7 +1,7 @@
 //! `exchange` against its twin: what sinks remove and sources make, and what sources do to faces.
 
 use cutwater::fields::{LiquidBuffers, LiquidPlan, Report, Sinks, SourceStep, Sources};
-use cutwater::geometry::{MARKERS_PER_CELL, Running, SourcesAndSinks, obstacle_cut};
+use cutwater::geometry::{CutCells, MARKERS_PER_CELL, Running, SourcesAndSinks, obstacle_cut};
 use cutwater::gpu::{Gpu, Recorder};
 use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference;
@@ -23,6 +23,20 @@ pub(crate) fn scene() -> Scene {
     Scene::parse(std::path::Path::new("taps.toml"), text, &[], 1.0).unwrap()
 }
 
+/// Grid and cut cells of a scene with cells of 0.1 m as stored on the device, with its sources and sinks.
+pub(crate) fn stored(scene: &Scene) -> (Grid, CutCells, SourcesAndSinks) {
+    let grid = Grid {
+        dx: f64::from(0.1_f32),
+        ..scene.grid()
+    };
+    let mut cut = obstacle_cut(scene, &scene.grid()).unwrap().cut;
+    for values in cut.open.iter_mut().chain([&mut cut.solid_distance]) {
+        values.iter_mut().for_each(|value| *value = single(*value));
+    }
+    let taps = SourcesAndSinks::new(scene, &scene.grid(), &cut).unwrap();
+    (grid, cut, taps)
+}
+
 struct Run {
     case: Case,
     taps: SourcesAndSinks,
@@ -33,15 +47,7 @@ impl Run {
     /// Cells with between none and twelve markers; those that a body covers in two of the sources lack some.
     fn new(gpu: &Gpu) -> Run {
         let scene = scene();
-        let grid = Grid {
-            dx: f64::from(0.1_f32),
-            ..scene.grid()
-        };
-        let mut cut = obstacle_cut(&scene, &scene.grid()).unwrap().cut;
-        for values in cut.open.iter_mut().chain([&mut cut.solid_distance]) {
-            values.iter_mut().for_each(|value| *value = single(*value));
-        }
-        let taps = SourcesAndSinks::new(&scene, &scene.grid(), &cut).unwrap();
+        let (grid, mut cut, taps) = stored(&scene);
         // A ball that came in later, a centre on a surface, and one that is as little inside as can be.
         let centre = DVec3::new(0.9, 0.6, 0.5);
         for (cell, distance) in cut.solid_distance.iter_mut().enumerate() {
