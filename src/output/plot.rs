@@ -313,8 +313,11 @@ fn draw(area: &Area, chart: &Chart, runs: &[Run]) -> Result<(), Failure> {
     builder
         .caption(title, ("sans-serif", 16))
         .margin(10)
+        // Half of a tick label, where the last tick is at the end of the axis.
+        .margin_right(30)
         .x_label_area_size(36)
-        .y_label_area_size(72);
+        // The longest label has 16 characters: all digits that tell ticks of a narrow range apart.
+        .y_label_area_size(110);
     let (of_times, of_values) = (ticks(&x), ticks(&y));
     // Within a decade ticks differ by less than their first digit.
     let digits = usize::from(y.end - y.start < 1.0);

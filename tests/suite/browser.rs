@@ -145,6 +145,11 @@ const COMMANDS: [(&str, &str); 9] = [
         "bench stability --steps 8 --cases droplet_one,start_spun",
     ),
 ];
+/// A step table whose chart has labels of 16 characters, and a tick near the end of the axis of times.
+const EDGES: &str = "step,t,kinetic_energy
+0,0.004,-1.84129454e-4
+1,0.0106668,-1.84129447e-4
+";
 /// Folders of pictures of whole benches, below `docs`: the map of stability with all of its cases, and the glance of the validation, among them.
 fn measured() -> Vec<String> {
     let entries = fs::read_dir(documents().join("measured")).unwrap();
@@ -171,6 +176,9 @@ fn results() -> TempDir {
             fs::copy(&file, copied.join(file.file_name().unwrap())).unwrap();
         }
     }
+    fs::create_dir(folder.path().join("edges")).unwrap();
+    fs::write(folder.path().join("edges/steps.csv"), EDGES).unwrap();
+    says(&folder, "plot edges --out results/edges");
     says(&folder, "report results");
     folder
 }
@@ -192,7 +200,8 @@ fn a_report_is_whole_in_a_browser() {
     let results = folder.path().join("results");
     let names = COMMANDS.map(|(name, _)| name);
     let measured = measured();
-    let folders = names.into_iter().chain(measured.iter().map(String::as_str));
+    let folders = names.into_iter().chain(["edges"]);
+    let folders = folders.chain(measured.iter().map(String::as_str));
     let of_kind = |kind: &str| {
         let counts = folders
             .clone()
@@ -216,8 +225,8 @@ fn a_report_is_whole_in_a_browser() {
     }
     for width in [1280, 700] {
         let page = found(&browser, &results.join("report.html"), width);
-        // The preview has a section of its own.
-        let sections = COMMANDS.len() + measured.len() + 1;
+        // The preview and the edges have sections of their own.
+        let sections = COMMANDS.len() + measured.len() + 2;
         let expected = json!({
             "sections": sections,
             "links": sections,

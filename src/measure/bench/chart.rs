@@ -214,6 +214,8 @@ impl Bars {
         let mut chart = ChartBuilder::on(area)
             .caption(&self.title, ("sans-serif", 18))
             .margin(12)
+            // Half of the widest tick label, where the last tick is at the end of the axis.
+            .margin_right(40)
             .x_label_area_size(44)
             .y_label_area_size(300)
             .build_cartesian_2d(
