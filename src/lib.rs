@@ -48,9 +48,10 @@
 //! The rows of [`step::SCHEDULE`] are the stages of a sub-step, in order (Zarifi's thesis, algorithm 4). The GPU stages live in
 //! [`stages`] and [`solver`], their f64 twins under the same names in [`mod@reference`].
 //!
-//! What a scene is: [`scene`]; what it calls for: [`effects`]; where things are on the grid: [`grid`].
+//! The command line: [`cli`]. What a scene is: [`scene`]; what it calls for: [`effects`]; where things are on the grid: [`grid`].
 #![deny(clippy::print_stdout)]
 
+pub mod cli;
 pub mod effects;
 pub mod elastic;
 pub mod error;

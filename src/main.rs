@@ -1,7 +1,5 @@
 //! The command line of cutwater: see `cutwater --help` and the README.
 
-mod cli;
-
 fn main() -> std::process::ExitCode {
-    cli::main()
+    cutwater::cli::main(std::env::args_os(), None).into()
 }

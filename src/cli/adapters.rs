@@ -1,7 +1,7 @@
 //! `cutwater adapters`
 
-use cutwater::Error;
-use cutwater::gpu::{Gpu, Surroundings};
+use crate::Error;
+use crate::gpu::{Gpu, Surroundings};
 
 /// List the GPU adapters
 #[derive(Debug, clap::Args)]

@@ -1,7 +1,7 @@
 //! `cutwater compare`
 
-use cutwater::Error;
-use cutwater::measure::compare::{Comparison, compare};
+use crate::Error;
+use crate::measure::compare::{Comparison, compare};
 
 use super::{AdapterArgs, SMALLER_SCENE, SceneArgs, without_backend};
 

@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-use cutwater::Error;
-use cutwater::measure::export::{Options, export};
+use crate::Error;
+use crate::measure::export::{Options, export};
 
 use super::{BackendArgs, SceneArgs};
 
@@ -27,6 +27,7 @@ impl Export {
         let options = Options {
             backend: self.backend.backend(),
             step: self.step,
+            start: None,
             out: self.out.clone(),
         };
         let meta = export(&self.scene.load()?, &options)?;

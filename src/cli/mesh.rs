@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use cutwater::Error;
-use cutwater::geometry::{self, ElementShape, Surface, TetFile, TetMesh};
-use cutwater::output::write_mesh;
+use crate::Error;
+use crate::geometry::{self, ElementShape, Surface, TetFile, TetMesh};
+use crate::output::write_mesh;
 
 /// Check a mesh of a solid, or fill a closed surface: counts, volume, worst element
 #[derive(Debug, clap::Args)]

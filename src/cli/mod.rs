@@ -1,4 +1,4 @@
-//! Command line: arguments, one function per command, exit codes.
+//! Command line: arguments, one function per command, exit codes. See `cutwater --help`.
 
 #[macro_use]
 mod say;
@@ -18,14 +18,14 @@ mod schema;
 mod signals;
 mod sweep;
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
-use std::process::ExitCode;
 
+use crate::Error;
+use crate::gpu::AdapterChoice;
+use crate::scene::Scene;
+use crate::sim::Backend;
 use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand};
-use cutwater::Error;
-use cutwater::gpu::AdapterChoice;
-use cutwater::scene::Scene;
-use cutwater::sim::Backend;
 
 /// Output of `--version`: version and sources, as in captions of tables. `-V` prints the version alone.
 const BUILD: &str = concat!(
@@ -202,15 +202,19 @@ fn with_negative_numbers(command: clap::Command) -> clap::Command {
         .mut_subcommands(with_negative_numbers)
 }
 
-/// Parses the arguments, runs the command and prints its error, or that of an unprintable line.
-pub(crate) fn main() -> ExitCode {
+/// Parses the arguments, runs the command and prints its error, or that of an unprintable line. Returns the exit code; `--help` and
+/// unknown arguments end the process.
+///
+/// `arguments` begin with the name of the program. `program`: the command that starts this command line in another process, for the runs
+/// of a sweep; `None` for the executable of this process.
+pub fn main(arguments: impl IntoIterator<Item = OsString>, program: Option<&[OsString]>) -> u8 {
     signals::survive_file_size_limit();
     say::record_terminal();
-    let arguments = with_negative_numbers(Cli::command()).get_matches();
+    let arguments = with_negative_numbers(Cli::command()).get_matches_from(arguments);
     let cli = Cli::from_arg_matches(&arguments).unwrap_or_else(|problem| problem.exit());
     let done = match &cli.command {
         Command::Run(command) => command.run(),
-        Command::Sweep(command) => command.run(),
+        Command::Sweep(command) => command.run(program),
         Command::Plan(command) => command.run(),
         Command::Adapters(command) => command.run(),
         Command::Schema(command) => command.run(),
@@ -223,10 +227,10 @@ pub(crate) fn main() -> ExitCode {
         Command::Report(command) => command.run(),
     };
     match done.and_then(|()| say::ensure_printed()) {
-        Ok(()) => ExitCode::SUCCESS,
+        Ok(()) => 0,
         Err(error) => {
             warn!("error: {error}");
-            ExitCode::from(error.exit_code())
+            error.exit_code()
         }
     }
 }

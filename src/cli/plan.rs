@@ -1,10 +1,10 @@
 //! `cutwater plan`
 
-use cutwater::Error;
-use cutwater::gpu::{AdapterReport, BufferPlan, Gpu};
-use cutwater::scene::Scene;
-use cutwater::sim::{self, Backend, HostMemory, Plan, StagePlan};
-use cutwater::step::Runner;
+use crate::Error;
+use crate::gpu::{AdapterReport, BufferPlan, Gpu};
+use crate::scene::Scene;
+use crate::sim::{self, Backend, HostMemory, Plan, StagePlan};
+use crate::step::Runner;
 
 use super::{BackendArgs, SceneArgs};
 

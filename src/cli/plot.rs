@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
+use crate::Error;
+use crate::output::plot::plot;
 use clap::Args;
-use cutwater::Error;
-use cutwater::output::plot::plot;
 
 /// Draw the probes and the step table of runs as charts
 #[derive(Debug, Args)]

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
 
-use cutwater::Error;
-use cutwater::output::preview::{self, Pictures, PreviewOptions};
+use crate::Error;
+use crate::output::preview::{self, Pictures, PreviewOptions};
 
 use super::bar::progress_bar;
 

@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
+use crate::Error;
+use crate::output::report::{Contents, PAGE, report};
 use clap::Args;
-use cutwater::Error;
-use cutwater::output::report::{Contents, PAGE, report};
 
 /// Collect the results of benches and runs in one HTML page
 #[derive(Debug, Args)]

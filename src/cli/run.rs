@@ -7,14 +7,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock, mpsc};
 use std::time::{Duration, Instant};
 
-use cutwater::Error;
-use cutwater::effects::Effects;
-use cutwater::output::checkpoint::Checkpoint;
-use cutwater::output::frames::FrameKinds;
-use cutwater::output::manifest::Tally;
-use cutwater::output::preview::{Pictures, PreviewOptions};
-use cutwater::scene::{MAX_FRAMES, Scene};
-use cutwater::sim::{self, Options, Summary};
+use crate::Error;
+use crate::effects::Effects;
+use crate::output::checkpoint::Checkpoint;
+use crate::output::frames::FrameKinds;
+use crate::output::manifest::Tally;
+use crate::output::preview::{Pictures, PreviewOptions};
+use crate::scene::{MAX_FRAMES, Scene};
+use crate::sim::{self, Options, Summary};
 use indicatif::ProgressBar;
 
 use super::bar::progress_bar;

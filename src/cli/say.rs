@@ -5,7 +5,7 @@ use std::fmt::Arguments;
 use std::io::{self, ErrorKind, IsTerminal, Write};
 use std::sync::OnceLock;
 
-use cutwater::Error;
+use crate::Error;
 
 /// First error of standard output.
 static REFUSED: OnceLock<io::Error> = OnceLock::new();

@@ -1,7 +1,7 @@
 //! `cutwater schema`
 
-use cutwater::Error;
-use cutwater::scene::schema;
+use crate::Error;
+use crate::scene::schema;
 
 /// Print the JSON schema of scene files, for completion and checks in editors
 #[derive(Debug, clap::Args)]

@@ -1,7 +1,7 @@
 //! Signals that end a command with complete files. A signal ignored at the start remains ignored, as `nohup` and background jobs of
 //! scripts require.
 
-use cutwater::Error;
+use crate::Error;
 
 /// Calls `received` in a thread of its own with the number of each SIGINT, SIGTERM and SIGHUP, except those ignored at the start. Once
 /// per process.

@@ -1,5 +1,6 @@
 //! `cutwater sweep`
 
+use std::ffi::OsString;
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -9,10 +10,10 @@ use std::sync::atomic::{AtomicI32, AtomicUsize, Ordering};
 use std::thread;
 use std::time::Duration;
 
+use crate::Error;
+use crate::measure::sweep::{Axis, LOG, Options, Row, Shard, Status, Sweep};
+use crate::scene::MAX_FRAMES;
 use clap::{ArgAction, ValueEnum};
-use cutwater::Error;
-use cutwater::measure::sweep::{Axis, LOG, Options, Row, Shard, Status, Sweep};
-use cutwater::scene::MAX_FRAMES;
 
 use super::BackendArgs;
 
@@ -64,7 +65,12 @@ pub(super) struct SweepCommand {
 }
 
 impl SweepCommand {
-    pub(super) fn run(&self) -> Result<(), Error> {
+    /// `program`: the command that starts this command line in another process; `None` for the executable of this process.
+    pub(super) fn run(&self, program: Option<&[OsString]>) -> Result<(), Error> {
+        let program = match program {
+            Some(program) => program.to_vec(),
+            None => vec![this_program()?],
+        };
         let axes = self.settings.iter().map(|setting| setting.parse::<Axis>());
         let out = self.out.clone().unwrap_or_else(|| {
             let stem = self.scene.file_stem().unwrap_or_default();
@@ -106,7 +112,7 @@ impl SweepCommand {
         let noted = Arc::clone(&signals);
         super::signals::on_end(move |signal| noted.note(signal))?;
         sweep.write_summary()?;
-        self.run_all(&sweep, &shard, &signals)?;
+        self.run_all(&sweep, &shard, (&program, &signals))?;
         print_table(&sweep, &shard);
         say!("summary: {}", out.join("summary.csv").display());
         if signals.count() > 0 {
@@ -116,7 +122,12 @@ impl SweepCommand {
     }
 
     /// Starts the missing runs of the shard, `jobs` at a time.
-    fn run_all(&self, sweep: &Sweep, shard: &[usize], signals: &Signals) -> Result<(), Error> {
+    fn run_all(
+        &self,
+        sweep: &Sweep,
+        shard: &[usize],
+        (program, signals): (&[OsString], &Signals),
+    ) -> Result<(), Error> {
         let (next, ended) = (AtomicUsize::new(0), AtomicUsize::new(0));
         let worker = || -> Result<(), Error> {
             while signals.count() == 0
@@ -126,10 +137,13 @@ impl SweepCommand {
                 let result = match before {
                     Status::Finished => describe(sweep, number) + ", from an earlier sweep",
                     Status::Refused => describe(sweep, number),
-                    _ => match self.run_one(sweep, number, before == Status::Outdated, signals) {
-                        Ok(()) => describe(sweep, number),
-                        Err(error) => error.to_string(),
-                    },
+                    _ => {
+                        let replaces = before == Status::Outdated;
+                        match self.run_one(sweep, number, replaces, (program, signals)) {
+                            Ok(()) => describe(sweep, number),
+                            Err(error) => error.to_string(),
+                        }
+                    }
                 };
                 sweep.write_summary()?;
                 let nth = ended.fetch_add(1, Ordering::Relaxed) + 1;
@@ -160,7 +174,7 @@ impl SweepCommand {
         sweep: &Sweep,
         number: usize,
         replaces: bool,
-        signals: &Signals,
+        (program, signals): (&[OsString], &Signals),
     ) -> Result<(), Error> {
         let Some(lock) = sweep.lock(number)? else {
             return Ok(());
@@ -174,7 +188,7 @@ impl SweepCommand {
             .open(&path)
             .map_err(failed)?;
         let start = log.metadata().map_err(failed)?.len();
-        let mut command = self.command(replaces, &run.overrides, &run.folder)?;
+        let mut command = self.command(program, replaces, &run.overrides, &run.folder);
         writeln!(log, "{command:?}").map_err(failed)?;
         let copy = log.try_clone().map_err(failed)?;
         let (exit_code, mut problem) = match command.stdin(lock).stdout(copy).stderr(log).spawn() {
@@ -194,18 +208,13 @@ impl SweepCommand {
 
     fn command(
         &self,
+        program: &[OsString],
         replaces: bool,
         overrides: &[String],
         folder: &Path,
-    ) -> Result<Command, Error> {
-        let program = std::env::current_exe().map_err(|problem| {
-            Error::input(
-                "the path of cutwater itself",
-                problem.to_string(),
-                "start it by its full path",
-            )
-        })?;
-        let mut command = Command::new(program);
+    ) -> Command {
+        let mut command = Command::new(&program[0]);
+        command.args(&program[1..]);
         command.arg("run").arg(&self.scene).arg("--out").arg(folder);
         for setting in overrides {
             command.arg("--set").arg(setting);
@@ -239,8 +248,20 @@ impl SweepCommand {
         // Ctrl-C on a terminal signals the whole process group: a run in it would receive two signals and end at once.
         #[cfg(unix)]
         std::os::unix::process::CommandExt::process_group(&mut command, 0);
-        Ok(command)
+        command
     }
+}
+
+/// The executable of this process.
+fn this_program() -> Result<OsString, Error> {
+    let path = std::env::current_exe().map_err(|problem| {
+        Error::input(
+            "the path of cutwater itself",
+            problem.to_string(),
+            "start it by its full path",
+        )
+    })?;
+    Ok(path.into_os_string())
 }
 
 /// Received signals.

@@ -5,14 +5,14 @@ mod step;
 
 use std::path::PathBuf;
 
-use clap::builder::{PossibleValuesParser, RangedU64ValueParser, TypedValueParser};
-use clap::{Args, Subcommand};
-use cutwater::Error;
-use cutwater::gpu::Gpu;
-use cutwater::measure::bench::{
+use crate::Error;
+use crate::gpu::Gpu;
+use crate::measure::bench::{
     self, Event, Listener, Results, Settings, accuracy, device, effects, solids, stability, thesis,
 };
-use cutwater::scene::{Formulation, Precision, Preconditioner, Scene, Solver};
+use crate::scene::{Formulation, Precision, Preconditioner, Scene, Solver};
+use clap::builder::{PossibleValuesParser, RangedU64ValueParser, TypedValueParser};
+use clap::{Args, Subcommand};
 
 use super::{AdapterArgs, BackendArgs, SMALLER_SCENE, without_backend};
 

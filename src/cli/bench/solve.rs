@@ -1,11 +1,11 @@
 //! `cutwater bench solve`
 
+use crate::Error;
+use crate::gpu::Gpu;
+use crate::measure::bench::solve::{self, Formulation, GIB, ReferenceSolver};
+use crate::measure::bench::{Listener, Settings};
+use crate::scene::{Precision, Preconditioner, Solver};
 use clap::Args;
-use cutwater::Error;
-use cutwater::gpu::Gpu;
-use cutwater::measure::bench::solve::{self, Formulation, GIB, ReferenceSolver};
-use cutwater::measure::bench::{Listener, Settings};
-use cutwater::scene::{Precision, Preconditioner, Solver};
 
 use super::{OrMax, Output, PRECISIONS, PRECONDITIONERS, Repeats, check_tolerance, named};
 use crate::cli::AdapterArgs;

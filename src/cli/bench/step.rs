@@ -2,12 +2,12 @@
 
 use std::path::PathBuf;
 
+use crate::Error;
+use crate::gpu::Gpu;
+use crate::measure::bench::step::{self, Case};
+use crate::measure::bench::{Listener, Settings};
+use crate::scene::Scene;
 use clap::Args;
-use cutwater::Error;
-use cutwater::gpu::Gpu;
-use cutwater::measure::bench::step::{self, Case};
-use cutwater::measure::bench::{Listener, Settings};
-use cutwater::scene::Scene;
 
 use super::{OrMax, Output, Repeats};
 use crate::cli::AdapterArgs;
