@@ -199,6 +199,17 @@ impl Grid {
         DVec3::from_array(Axis::ALL.map(|axis| self.sample(axis, &velocity[axis.index()], x)))
     }
 
+    /// Velocity of a cell, the mean of those of opposite faces, m/s.
+    pub fn cell_velocity(&self, velocity: &[Vec<f64>; 3], cell: usize) -> DVec3 {
+        let ijk = self.cell_at(cell);
+        DVec3::from_array(Axis::ALL.map(|axis| {
+            let mut plus = ijk;
+            plus[axis.index()] += 1;
+            let faces = &velocity[axis.index()];
+            0.5 * (faces[self.face(axis, ijk)] + faces[self.face(axis, plus)])
+        }))
+    }
+
     /// Position (m) of what starts at `x` (m) after dt (s) in a velocity, by the midpoint rule. A negative dt leads back.
     #[inline]
     pub fn traced(&self, velocity: &[Vec<f64>; 3], x: DVec3, dt: f64) -> DVec3 {

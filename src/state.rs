@@ -1,5 +1,7 @@
 //! Host copy of the simulation state, for comparison, output and checkpoints.
 
+use glam::DVec3;
+
 use crate::grid::{Axis, Grid};
 
 /// Input of the next sub-step in f64. A GPU run resumes from it to rounding, and with [`Carried`] bitwise identically.
@@ -77,6 +79,14 @@ impl State {
         match self.step {
             0 => self.liquid_distance.iter().map(|&phi| phi < 0.0).collect(),
             _ => self.active.clone(),
+        }
+    }
+
+    /// Velocity of a marker, m/s: of spray its own, else trilinear from the faces.
+    pub fn velocity_of_marker(&self, grid: &Grid, marker: usize) -> DVec3 {
+        match self.spray.get(marker) {
+            Some(true) => self.marker_velocity[marker].into(),
+            _ => grid.velocity_at(&self.velocity, self.markers[marker].into()),
         }
     }
 

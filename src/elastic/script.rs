@@ -3,7 +3,7 @@
 use glam::{DQuat, DVec3};
 
 use super::{Script, Solids};
-use crate::scene::{Acceleration, Keyframe};
+use crate::scene::{Acceleration, Keyframe, Scene};
 
 impl Solids {
     /// Upper bound of the speed of scripted nodes between a time and `span` (both s) later, m/s.
@@ -19,6 +19,15 @@ impl Solids {
         let scripts = self.scripts_and_radii();
         let of = scripts.map(|(script, radius)| Keyframe::accelerations(&script.keyframes, radius));
         of.flatten().collect()
+    }
+
+    /// Copies the keyframes of the scripts of a scene that has the same solids otherwise.
+    pub fn follow(&mut self, scene: &Scene) {
+        let pins = scene.solids.iter().flat_map(|solid| &solid.pins);
+        let scripted = pins.filter(|pin| !pin.keyframes.is_empty());
+        for (script, pin) in self.scripts.iter_mut().zip(scripted) {
+            script.keyframes.clone_from(&pin.keyframes);
+        }
     }
 
     /// The scripts, with the largest distance of their nodes to the centre, m.

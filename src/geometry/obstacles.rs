@@ -240,6 +240,16 @@ impl ObstacleCut {
         at.ok().map(|at| walls[at].1)
     }
 
+    /// Copies the keyframes of the moving obstacles of a scene that has the same obstacles otherwise. Positions change with the next
+    /// [`ObstacleCut::move_to`].
+    pub fn follow(&mut self, scene: &Scene) {
+        let bodies = self.moving.iter_mut().flat_map(|moving| &mut moving.bodies);
+        let motions = scene.obstacles.iter().filter_map(|of| of.motion.as_ref());
+        for (body, motion) in bodies.zip(motions) {
+            body.motion.keyframes.clone_from(&motion.keyframes);
+        }
+    }
+
     /// Upper bound of the speed of all obstacles between a time and `span` (both s) later, m/s.
     pub fn max_speed(&self, time: f64, span: f64) -> f64 {
         let bodies = self.moving.iter().flat_map(|moving| &moving.bodies);

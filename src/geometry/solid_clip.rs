@@ -15,7 +15,7 @@ use super::distance::{BAND, ClosedMesh};
 use super::nearest::{Lattice, NearestTriangles, inside_tetrahedra};
 use super::{CutCells, ObstacleCut, Surface, clamp_open, is_wall};
 use crate::grid::{Axis, Grid};
-use crate::scene::{FaceAreas, Solver};
+use crate::scene::{FaceAreas, Scene, Solver};
 
 /// The deformed mesh of all solids.
 #[derive(Clone, Debug)]
@@ -202,6 +202,11 @@ impl SolidClip {
             overlap: Overlap::default(),
             closure_defect: 0.0,
         }
+    }
+
+    /// Copies the keyframes of a scene's obstacles: see [`ObstacleCut::follow`].
+    pub fn follow(&mut self, scene: &Scene) {
+        self.obstacles.follow(scene);
     }
 
     /// Moves the obstacles as [`ObstacleCut::move_to`] does; precedes [`SolidClip::clip`].

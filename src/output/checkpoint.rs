@@ -44,12 +44,18 @@ impl Checkpoint {
 
     /// Writes `run/checkpoint.npz` atomically.
     pub fn write(&mut self, run: &Path) -> Result<(), Error> {
-        let path = Checkpoint::path(run);
-        let manifest =
-            serde_json::to_vec(&self.manifest).map_err(|problem| Error::output(&path, problem))?;
         // The files that the checkpoint depends on must be on disk first.
         sync_folder(&run.join("frames"));
-        write_atomically_with(&path, |file| {
+        self.write_file(&Checkpoint::path(run))?;
+        sync_folder(run);
+        Ok(())
+    }
+
+    /// Writes a file of its own atomically.
+    pub fn write_file(&mut self, path: &Path) -> Result<(), Error> {
+        let manifest =
+            serde_json::to_vec(&self.manifest).map_err(|problem| Error::output(path, problem))?;
+        write_atomically_with(path, |file| {
             let zip = ZipWriter::new(Quiet::new(BufWriter::new(file)));
             let mut to = Writing { zip };
             to.bytes("format", &FORMAT.to_string())?;
@@ -57,9 +63,7 @@ impl Checkpoint {
             to.array("manifest", &[manifest.len()], manifest)?;
             arrays(self, &mut to)?;
             to.zip.finish()?.finish()
-        })?;
-        sync_folder(run);
-        Ok(())
+        })
     }
 
     /// Reads `run/checkpoint.npz`, if there is one.
@@ -67,11 +71,18 @@ impl Checkpoint {
     /// # Errors
     /// [`Error::Input`] for an unreadable or damaged file, or one of another version of cutwater.
     pub fn read(run: &Path) -> Result<Option<Checkpoint>, Error> {
-        let path = Checkpoint::path(run);
+        Checkpoint::read_file(&Checkpoint::path(run))
+    }
+
+    /// Reads a file, if there is one.
+    ///
+    /// # Errors
+    /// As [`Checkpoint::read`].
+    pub fn read_file(path: &Path) -> Result<Option<Checkpoint>, Error> {
         let refused = |problem: String, cure: &str| {
             Err(Error::input(path.display().to_string(), problem, cure))
         };
-        let file = match File::open(&path) {
+        let file = match File::open(path) {
             Ok(file) => file,
             Err(problem) if problem.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(problem) => return refused(problem.to_string(), "make it readable"),

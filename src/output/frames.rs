@@ -20,7 +20,7 @@ use super::surface::{DROP_CORNERS, LiquidSurface};
 use crate::Error;
 use crate::elastic::Solids;
 use crate::geometry::{self, CutCells};
-use crate::grid::{Axis, Grid};
+use crate::grid::Grid;
 use crate::scene::{Scene, Surface, SurfaceMesh};
 use crate::state::State;
 
@@ -50,6 +50,17 @@ pub enum SurfaceSource {
     Distance,
 }
 
+impl SurfaceSource {
+    /// The source for a representation of the surface.
+    fn of(surface: Surface, settings: SurfaceMesh) -> SurfaceSource {
+        match surface {
+            Surface::Markers => SurfaceSource::Markers(settings),
+            Surface::Level => SurfaceSource::Level,
+            Surface::Fixed => SurfaceSource::Distance,
+        }
+    }
+}
+
 impl FrameKinds {
     /// The kinds that a scene requests. A level and a fixed surface always have fields, the source of their pictures.
     pub fn of(scene: &Scene) -> FrameKinds {
@@ -63,11 +74,7 @@ impl FrameKinds {
             moving_obstacles: scene.obstacles_move(),
             surface: surface
                 .filter(|_| scene.output.surface)
-                .map(|surface| match surface {
-                    Surface::Markers => SurfaceSource::Markers(scene.surface),
-                    Surface::Level => SurfaceSource::Level,
-                    Surface::Fixed => SurfaceSource::Distance,
-                }),
+                .map(|surface| SurfaceSource::of(surface, scene.surface)),
         }
     }
 }
@@ -256,6 +263,40 @@ pub(super) struct MovingSurface {
     pub(super) velocity: Vec<Vec3>,
 }
 
+/// The liquid's surface as in the files of a frame.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SurfaceTriangles {
+    /// Positions within the domain, m.
+    pub vertices: Vec<[f32; 3]>,
+    /// Unit vertex normals out of the liquid.
+    pub normals: Vec<[f32; 3]>,
+    /// Velocities of the vertices, m/s.
+    pub velocity: Vec<[f32; 3]>,
+    /// Corners, counter-clockwise seen from outside the liquid.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+impl SurfaceTriangles {
+    /// The surface of a state; empty without liquid.
+    ///
+    /// # Errors
+    /// [`Error::Stage`] where the state has a value that is not finite, or its markers have no mesh.
+    pub fn new(scene: &Scene, state: &State, cut: &CutCells) -> Result<SurfaceTriangles, Error> {
+        let Some(liquid) = &scene.liquid else {
+            return Ok(SurfaceTriangles::default());
+        };
+        let source = SurfaceSource::of(liquid.surface, scene.surface);
+        let MovingSurface { mesh, velocity } = surface_of(&scene.grid(), state, cut, &source)?;
+        let arrays = |vectors: Vec<Vec3>| vectors.into_iter().map(|x| x.to_array()).collect();
+        Ok(SurfaceTriangles {
+            vertices: arrays(mesh.vertices),
+            normals: arrays(mesh.normals),
+            velocity: arrays(velocity),
+            triangles: mesh.triangles,
+        })
+    }
+}
+
 fn surface_of(
     grid: &Grid,
     state: &State,
@@ -367,15 +408,11 @@ fn markers_file(grid: &Grid, state: &State) -> Result<DataSet, Error> {
     let mut speed = Vec::with_capacity(n);
     for (marker, &position) in state.markers.iter().enumerate() {
         let place = || format!("marker {marker}");
-        let x = DVec3::from_array(position);
         // Before the velocity, which a nonfinite position would spoil.
         for x in position {
             points.push(finite(state, "position", x, place)?);
         }
-        let u = match state.spray.get(marker) {
-            Some(true) => state.marker_velocity[marker].into(),
-            _ => grid.velocity_at(&state.velocity, x),
-        };
+        let u = state.velocity_of_marker(grid, marker);
         for u in u.to_array() {
             velocity.push(finite(state, "velocity", u, place)?);
         }
@@ -416,12 +453,7 @@ fn fields_file(grid: &Grid, state: &State, cut: &CutCells) -> Result<DataSet, Er
     };
     let mut velocity = Vec::with_capacity(3 * grid.n_cells());
     for cell in 0..grid.n_cells() {
-        let ijk = grid.cell_at(cell);
-        for axis in Axis::ALL {
-            let mut plus = ijk;
-            plus[axis.index()] += 1;
-            let faces = &state.velocity[axis.index()];
-            let mean = 0.5 * (faces[grid.face(axis, ijk)] + faces[grid.face(axis, plus)]);
+        for mean in grid.cell_velocity(&state.velocity, cell).to_array() {
             velocity.push(finite(state, "velocity", mean, || cell_name(grid, cell))?);
         }
     }

@@ -118,6 +118,52 @@ pub struct StepRow<'a> {
     pub volume_ratio: Option<f64>,
 }
 
+impl StepRow<'_> {
+    /// The columns of the row without those of the stages: see [`StepTable::columns`].
+    pub fn columns(&self) -> Vec<&'static str> {
+        let report = self.report;
+        let has = |part: fn(&LiquidReport) -> bool| report.liquid.as_ref().is_some_and(part);
+        let parts = [
+            report.liquid.is_some(),
+            has(|liquid| liquid.exchange.is_some()),
+            has(|liquid| liquid.separation.is_some()),
+            report.solid.is_some(),
+        ];
+        StepTable::columns(parts).collect()
+    }
+
+    /// The values of the columns as texts.
+    ///
+    /// # Errors
+    /// [`Error::Stage`] for a number that is not finite.
+    pub fn fields(&self) -> Result<Vec<String>, Error> {
+        let StepRow {
+            step,
+            time,
+            report,
+            volume_ratio,
+        } = *self;
+        let mut fields = vec![
+            step.to_string(),
+            number("t", step, time)?,
+            number("dt", step, report.dt)?,
+        ];
+        if let (Some(liquid), Some(volume_ratio)) = (&report.liquid, volume_ratio) {
+            fields.extend(liquid_fields(step, liquid, volume_ratio)?);
+        }
+        if let Some(solid) = &report.solid {
+            fields.extend(solid_fields(step, solid)?);
+        }
+        if let Some(coupling) = &report.coupling {
+            fields.extend(coupling_fields(step, coupling)?);
+        }
+        fields.push(number("wave_cfl", step, report.wave_cfl)?);
+        fields.push(u8::from(report.dt_floored).to_string());
+        fields.push(number("seconds_total", step, report.seconds_total)?);
+        Ok(fields)
+    }
+}
+
 /// steps.csv. Columns: [`StepTable::columns`], then `seconds_STAGE` of each stage of the first row.
 #[derive(Debug)]
 pub struct StepTable {
@@ -241,52 +287,25 @@ impl StepTable {
     /// All rows have the same parts. Stages may differ, since a run may resume on another adapter: stages missing in the
     /// header are omitted, and stages missing in the row have an empty cell.
     pub fn push(&mut self, row: &StepRow) -> Result<(), Error> {
-        let StepRow {
-            step,
-            time,
-            report,
-            volume_ratio,
-        } = *row;
-        let has = |part: fn(&LiquidReport) -> bool| report.liquid.as_ref().is_some_and(part);
-        let parts = [
-            report.liquid.is_some(),
-            has(|liquid| liquid.exchange.is_some()),
-            has(|liquid| liquid.separation.is_some()),
-            report.solid.is_some(),
-        ];
-        let columns = StepTable::columns(parts).map(str::to_owned);
-        let columns: Vec<String> = columns.collect();
+        let StepRow { step, report, .. } = *row;
+        let columns = row.columns();
         let head = match &mut self.head {
             Some(head) => head,
             None => {
                 let stages = report.seconds.iter();
                 let stages = stages.map(|(stage, _)| format!("{SECONDS}{stage}"));
-                let head: Vec<String> = columns.iter().cloned().chain(stages).collect();
+                let columns = columns.iter().map(|column| (*column).to_owned());
+                let head: Vec<String> = columns.chain(stages).collect();
                 self.table.record(head.iter().cloned())?;
                 self.head.insert(head)
             }
         };
-        let Some(timed) = head.strip_prefix(&columns[..]) else {
+        let (before, timed) = head.split_at(columns.len().min(head.len()));
+        if before != columns {
             let problem = format!("step {step} has the columns {columns:?}, the first {head:?}");
             return Err(Error::output(&self.table.path, problem));
-        };
-        let mut fields = vec![
-            step.to_string(),
-            number("t", step, time)?,
-            number("dt", step, report.dt)?,
-        ];
-        if let (Some(liquid), Some(volume_ratio)) = (&report.liquid, volume_ratio) {
-            fields.extend(liquid_fields(step, liquid, volume_ratio)?);
         }
-        if let Some(solid) = &report.solid {
-            fields.extend(solid_fields(step, solid)?);
-        }
-        if let Some(coupling) = &report.coupling {
-            fields.extend(coupling_fields(step, coupling)?);
-        }
-        fields.push(number("wave_cfl", step, report.wave_cfl)?);
-        fields.push(u8::from(report.dt_floored).to_string());
-        fields.push(number("seconds_total", step, report.seconds_total)?);
+        let mut fields = row.fields()?;
         for column in timed {
             let name = column.strip_prefix(SECONDS);
             let mut stages = report.seconds.iter();

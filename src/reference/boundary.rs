@@ -2,6 +2,7 @@
 
 use crate::elastic::Solids;
 use crate::geometry::{CutCells, ObstacleCut, SolidClip};
+use crate::scene::Scene;
 
 /// Cut cells of the obstacles and solids of a scene.
 #[derive(Clone, Debug)]
@@ -33,6 +34,13 @@ impl Boundary {
         match self {
             Boundary::Fixed(_) => None,
             Boundary::Moving(clip) => Some(clip),
+        }
+    }
+
+    /// Copies the keyframes of a scene's obstacles.
+    pub(super) fn follow(&mut self, scene: &Scene) {
+        if let Boundary::Moving(clip) = self {
+            clip.follow(scene);
         }
     }
 

@@ -142,6 +142,19 @@ impl Reference {
         Ok(())
     }
 
+    /// Copies gravity and the keyframes of obstacles and scripts from a scene that is the same otherwise.
+    pub fn follow(&mut self, scene: &Scene) {
+        let Reference {
+            model, boundary, ..
+        } = self;
+        boundary.follow(scene);
+        if let Some(solid) = &mut model.solid {
+            solid.solids.follow(scene);
+        }
+        model.limits = StepLimits::new(scene, boundary.moving_obstacles(), model.solids());
+        model.scene = scene.clone();
+    }
+
     /// Sources and sinks; `None` without liquid.
     pub fn taps(&self) -> Option<&SourcesAndSinks> {
         self.model.effects.liquid.then_some(&self.model.taps)

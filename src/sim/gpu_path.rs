@@ -252,7 +252,7 @@ impl GpuPath {
     ///
     /// # Errors
     /// [`Error::Input`] when the state does not fit the scene.
-    pub(super) fn resume(&mut self, state: &State, carried: &Carried) -> Result<(), Error> {
+    pub fn resume(&mut self, state: &State, carried: &Carried) -> Result<(), Error> {
         let n_cells = self.grid.n_cells();
         let n_markers = self.liquid.as_ref().map_or(0, |liquid| liquid.room());
         let plan = self.solids.as_ref().map(|solids| &solids.buffers.plan);
@@ -283,6 +283,24 @@ impl GpuPath {
             solids.resume(&self.gpu, carried);
         }
         Ok(())
+    }
+
+    /// Copies gravity and the keyframes of obstacles and scripts from a scene that is the same otherwise.
+    pub(super) fn follow(&mut self, scene: &Scene) {
+        let coupling = self.coupling.as_mut().map(|coupling| &mut coupling.clip);
+        let obstacles = self.obstacles.as_mut().map(|obstacles| &mut obstacles.clip);
+        if let Some(clip) = coupling.or(obstacles) {
+            clip.follow(scene);
+        }
+        if let Some(solids) = &mut self.solids {
+            solids.solids.follow(scene);
+        }
+        // Of `set_tolerance`.
+        let solver = self.scene.solver;
+        self.scene = scene.clone();
+        self.scene.solver = solver;
+        let obstacles = self.clip().map(SolidClip::obstacles);
+        self.limits = StepLimits::new(scene, obstacles, self.solids());
     }
 
     /// Reads back the input of the probes after a sub-step.

@@ -1,5 +1,6 @@
 //! The simulation: a scene on the GPU or on the f64 CPU path, its sub-steps, and the run loop.
 
+mod control;
 mod gpu_coupling;
 mod gpu_liquid;
 mod gpu_obstacles;
@@ -211,6 +212,11 @@ impl Simulation {
             Path::Cpu(path) => path.taps(),
         };
         taps.iter().flat_map(|taps| taps.flows()).collect()
+    }
+
+    /// The scene, with the changes that were made between sub-steps.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
     }
 
     /// The elastic solids at rest; empty without solids.

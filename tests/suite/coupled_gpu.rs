@@ -674,6 +674,7 @@ impl Exported {
         let options = export::Options {
             backend,
             step: 0,
+            start: None,
             out: out.clone(),
         };
         export::export(scene, &options).unwrap();
@@ -801,6 +802,7 @@ fn solids_out_of_the_liquid_store_no_system_of_both() {
     let options = export::Options {
         backend: Backend::Gpu(AdapterChoice::Best),
         step: 0,
+        start: None,
         out: tempfile::tempdir().unwrap().path().join("system"),
     };
     let error = export::export(&scene, &options).unwrap_err().to_string();

@@ -438,6 +438,7 @@ fn exported_systems_agree(scene: &Scene) {
     let options = export::Options {
         backend: Backend::Cpu,
         step: 0,
+        start: None,
         out: out.clone(),
     };
     let meta = export::export(scene, &options).unwrap();
@@ -571,6 +572,7 @@ fn other_coupling_exports_what_it_solves_or_nothing() {
         let options = export::Options {
             backend,
             step: 0,
+            start: None,
             out: folder.path().join("system"),
         };
         let error = export::export(&scene, &options).unwrap_err().to_string();
@@ -584,6 +586,7 @@ fn solids_out_of_the_liquid_export_no_system_of_both() {
     let options = export::Options {
         backend: Backend::Cpu,
         step: 0,
+        start: None,
         out: tempfile::tempdir().unwrap().path().join("system"),
     };
     let error = export::export(&two_balls(0.8), &options)

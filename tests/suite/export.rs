@@ -38,6 +38,7 @@ impl Files {
         let options = Options {
             backend,
             step,
+            start: None,
             out: out.clone(),
         };
         let meta = export(scene, &options).unwrap();
@@ -147,6 +148,7 @@ fn a_sub_step_after_the_end_is_refused() {
         let options = Options {
             backend,
             step: 1000,
+            start: None,
             out: folder.path().join("system"),
         };
         let refused = export(&scene, &options).unwrap_err().to_string();
@@ -186,6 +188,7 @@ fn an_export_replaces_all_of_an_earlier_one() {
     let into = |out: &Path, step: u64| Options {
         backend: Backend::Cpu,
         step,
+        start: None,
         out: out.to_owned(),
     };
     let same = folder.path().join("same");
@@ -230,6 +233,7 @@ fn a_folder_of_something_else_is_refused() {
         let options = Options {
             backend: Backend::Cpu,
             step: 0,
+            start: None,
             out: out.to_owned(),
         };
         let error = export(&scene, &options).unwrap_err();
@@ -338,6 +342,7 @@ impl SolidFiles {
         let options = Options {
             backend,
             step,
+            start: None,
             out: out.clone(),
         };
         let meta = export(scene, &options).unwrap();

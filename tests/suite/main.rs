@@ -16,6 +16,7 @@ mod cli;
 mod common;
 mod compare;
 mod components;
+mod control;
 mod coupled;
 mod coupled_case;
 mod coupled_gpu;

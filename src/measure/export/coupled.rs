@@ -39,8 +39,8 @@ pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubSte
         variables,
         sub_step,
     } = match &options.backend {
-        Backend::Gpu(choice) => stored(scene, choice, options.step, density)?,
-        Backend::Cpu => assembled(scene, options.step, &all)?,
+        Backend::Gpu(choice) => stored(scene, choice, options, density)?,
+        Backend::Cpu => assembled(scene, options, &all)?,
     };
     // Constrained components are on the right-hand side.
     let mut x = pressure;
@@ -118,9 +118,9 @@ fn ensure_system(scene: &Scene, options: &Options) -> Result<(), Error> {
 }
 
 /// The system of the f64 path.
-fn assembled(scene: &Scene, step: u64, all: &Solids) -> Result<Coupled, Error> {
+fn assembled(scene: &Scene, options: &Options, all: &Solids) -> Result<Coupled, Error> {
     let ((system, pressure, velocity), sub_step, path) =
-        on_cpu(scene, step, |system| match system {
+        on_cpu(scene, options, |system| match system {
             StepSystem::Coupled(system, pressure, velocity) => {
                 Some((system.clone(), pressure.to_vec(), velocity.to_vec()))
             }
@@ -144,11 +144,11 @@ fn assembled(scene: &Scene, step: u64, all: &Solids) -> Result<Coupled, Error> {
 fn stored(
     scene: &Scene,
     choice: &AdapterChoice,
-    step: u64,
+    options: &Options,
     density: f64,
 ) -> Result<Coupled, Error> {
     let mut inflow = Vec::new();
-    let (value, sub_step) = on_gpu(scene, choice, step, |stage, path, dt| {
+    let (value, sub_step) = on_gpu(scene, choice, options, |stage, path, dt| {
         if ![Stage::Solve, Stage::RightHandSide].contains(&stage) {
             return Ok(None);
         }
@@ -162,7 +162,7 @@ fn stored(
             return Ok(None);
         }
         let stored = stored::system_of_both(path, &snapshot, &inflow, density, dt);
-        let (system, all) = stored.ok_or_else(|| no_system_of_both(step))?;
+        let (system, all) = stored.ok_or_else(|| no_system_of_both(options.step))?;
         let pressure = stored::pressure(path, liquid, density, dt);
         // The device stores it in f32.
         let dt = f64::from(dt as f32);

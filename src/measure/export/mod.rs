@@ -30,7 +30,7 @@ use crate::output::{FolderLock, write_atomically};
 use crate::reference::{Reference, StepSystem};
 use crate::scene::Scene;
 use crate::sim::{Backend, GpuPath, reference_path};
-use crate::state::{SolveStatus, StepReport};
+use crate::state::{Carried, SolveStatus, State, StepReport};
 use crate::step::Stage;
 
 /// Files of all exports; the last one identifies an export.
@@ -61,6 +61,8 @@ pub struct Options {
     pub backend: Backend,
     /// Sub-step of the system, from 0 as in steps.csv.
     pub step: u64,
+    /// State to start from, of the same scene and backend; `None` for the start of the scene.
+    pub start: Option<(State, Carried)>,
     /// Folder, created if absent. An earlier export in it is replaced.
     pub out: PathBuf,
 }
@@ -266,10 +268,14 @@ fn status(report: &StepReport) -> SolveStatus {
 fn on_gpu<T>(
     scene: &Scene,
     choice: &AdapterChoice,
-    step: u64,
+    options: &Options,
     mut read: impl FnMut(Stage, &GpuPath, f64) -> Result<Option<T>, Error>,
 ) -> Result<(T, SubStep), Error> {
+    let step = options.step;
     let mut path = GpuPath::open(scene, choice)?;
+    if let Some((state, carried)) = &options.start {
+        path.resume(state, carried)?;
+    }
     loop {
         let clock = path.clock();
         ensure_within(scene, step, (clock.step, clock.frame))?;
@@ -296,10 +302,14 @@ fn on_gpu<T>(
 /// Runs the f64 path to a sub-step and returns a value of its system, and the path after it.
 fn on_cpu<T>(
     scene: &Scene,
-    step: u64,
+    options: &Options,
     mut read: impl FnMut(StepSystem) -> Option<T>,
 ) -> Result<(T, SubStep, Reference), Error> {
+    let step = options.step;
     let mut path = reference_path(scene)?;
+    if let Some((state, _)) = &options.start {
+        path.reset(state.clone())?;
+    }
     loop {
         ensure_within(scene, step, (path.state().step, path.state().frame))?;
         let time_step = path.next_time_step();

@@ -15,12 +15,12 @@ use crate::step::Stage;
 pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubStep), Error> {
     let density = density(scene)?;
     let ((system, pressure), sub_step) = match &options.backend {
-        Backend::Gpu(choice) => on_gpu(scene, choice, options.step, |stage, path, dt| {
+        Backend::Gpu(choice) => on_gpu(scene, choice, options, |stage, path, dt| {
             let stored = || stored(path, density, dt);
             (stage == Stage::Solve).then(stored).transpose()
         })?,
         Backend::Cpu => {
-            let (value, sub_step, _) = on_cpu(scene, options.step, |system| match system {
+            let (value, sub_step, _) = on_cpu(scene, options, |system| match system {
                 StepSystem::Pressure(system, pressure) => Some((system.clone(), pressure.to_vec())),
                 StepSystem::Solid(..) | StepSystem::Coupled(..) => None,
             })?;

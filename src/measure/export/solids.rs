@@ -15,13 +15,13 @@ use crate::step::Stage;
 pub(super) fn system(scene: &Scene, options: &Options) -> Result<(System, SubStep), Error> {
     let solids = solids_of(scene)?;
     let ((system, velocity), sub_step) = match &options.backend {
-        Backend::Gpu(choice) => on_gpu(scene, choice, options.step, |stage, path, dt| {
+        Backend::Gpu(choice) => on_gpu(scene, choice, options, |stage, path, dt| {
             (stage == Stage::Solve)
                 .then(|| stored(path, dt))
                 .transpose()
         })?,
         Backend::Cpu => {
-            let (value, sub_step, _) = on_cpu(scene, options.step, |system| match system {
+            let (value, sub_step, _) = on_cpu(scene, options, |system| match system {
                 StepSystem::Solid(system, velocity) => Some((system.clone(), velocity.to_vec())),
                 StepSystem::Pressure(..) | StepSystem::Coupled(..) => None,
             })?;
