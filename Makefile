@@ -1,12 +1,15 @@
 # Both commands do all the set-up they need: see README.md.
 
-.PHONY: run test gpu validate measure
+.PHONY: run test wheel gpu validate measure
 
 run: ## simulate the dam break and draw its pictures
 	@bash .ci/demo
 
-test: ## all tests on lavapipe, those of the kernels and the solver once more on SwiftShader
+test: ## all tests on lavapipe, those of the kernels and the solver once more on SwiftShader, and those of the Python package
 	@bash .ci/test
+
+wheel: ## the wheel of the Python package, into target/wheels
+	@bash .ci/wheel
 
 gpu: ## measure the GPU of this machine in ten minutes, into docs/measured/gpu; builds target/gpu, whose `run` does the same elsewhere; ARGS=--build-only
 	@bash .ci/gpu $(ARGS)

@@ -100,17 +100,29 @@ need_python() {
     command -v python3 >/dev/null || apt_install python3
 }
 
-# The independent readers of the output files, in a virtual environment; sets CUTWATER_PYTHON.
-need_readers() {
-    local venv=$PWD/target/readers wanted=tests/readers/requirements.txt
-    CUTWATER_PYTHON=$venv/bin/python
-    export CUTWATER_PYTHON
-    if cmp -s "$wanted" "$venv/requirements.txt" && "$CUTWATER_PYTHON" --version >/dev/null 2>&1; then
+# virtual_environment FOLDER REQUIREMENTS: installs packages with pip, unless they are there.
+virtual_environment() {
+    if cmp -s "$2" "$1/requirements.txt" && "$1/bin/python" --version >/dev/null 2>&1; then
         return
     fi
     python3 -c 'import ensurepip, venv' 2>/dev/null || apt_install python3 python3-venv
-    say "installing the readers of the output files into target/readers"
-    python3 -m venv --clear "$venv"
-    "$CUTWATER_PYTHON" -m pip install --quiet --disable-pip-version-check -r "$wanted"
-    cp "$wanted" "$venv/requirements.txt"
+    say "installing $2 into $1"
+    python3 -m venv --clear "$1"
+    "$1/bin/python" -m pip install --quiet --disable-pip-version-check -r "$2"
+    cp "$2" "$1/requirements.txt"
+}
+
+# The independent readers of the output files; sets CUTWATER_PYTHON.
+need_readers() {
+    virtual_environment "$PWD/target/readers" tests/readers/requirements.txt
+    export CUTWATER_PYTHON=$PWD/target/readers/bin/python
+}
+
+# Builds the wheel of the Python package into target/wheels; sets python, which has what its tests need, and wheel.
+need_wheel() {
+    virtual_environment "$PWD/target/python" python/tests/requirements.txt
+    python=$PWD/target/python/bin/python
+    rm -rf target/wheels
+    timed "$python" -m maturin build --release --locked --interpreter "$python" --out target/wheels
+    wheel=$(first target/wheels/cutwater-*.whl) || fail "maturin wrote no wheel into target/wheels"
 }
