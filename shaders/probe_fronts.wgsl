@@ -1,8 +1,9 @@
-// probe, fronts: the largest coordinate of the liquid along each axis over active cells, m. It is the surface between
-// an active cell and air, or the far face of a cell at a wall or beside other liquid.
+// probe, fronts: the largest and the smallest coordinate of the liquid along each axis over active cells, m. It is the
+// surface between an active cell and air, or the far face of a cell at a wall or beside other liquid.
 // One thread per active quad.
-// level, step. args, list: active quads. flags: see active. liquid_distance: m. values: bits of the three coordinates
-// first.
+// level, step. args, list: active quads. flags: see active. liquid_distance: m. sides: bits of the requested fronts,
+// the largest along x, y, z, then the smallest. values: bits of the three largest, then the complements of the bits of
+// the three smallest, 0 without liquid.
 #import dispatch
 #import layout
 #import lanes
@@ -17,22 +18,26 @@
 @group(0) @binding(4) var<storage, read> flags: array<u32>;
 @group(0) @binding(5) var<storage, read> liquid_distance: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read_write> values: array<atomic<u32>>;
+@group(0) @binding(7) var<uniform> sides: vec4<u32>;
 
-// Raises the front along an axis from the distances of a quad of cells and those one cell further.
-fn raise(axis: u32, cell: vec3<i32>, lanes: vec4<bool>, phi: vec4<f32>, next: vec4<f32>) {
-    var front = 0.0;
+// Moves a front outwards from the distances of a quad of cells and those one cell further. side: as in sides.
+fn raise(side: u32, cell: vec3<i32>, lanes: vec4<bool>, phi: vec4<f32>, next: vec4<f32>) {
+    let lower = side >= 3u;
+    let axis = select(side, side - 3u, lower);
+    let last = select(i32(level.cells[axis]) - 1, 0, lower);
+    // The bits of positive floats are ordered like the floats, their complements the other way round.
+    var bits = 0u;
     for (var l = 0; l < 4; l++) {
         if lanes[l] {
             let index = cell[axis] + select(0, l, axis == 0u);
-            let ends = index + 1 == i32(level.cells[axis]) || next[l] < 0.0;
-            let reach = select(0.5 + ghost_theta(phi[l], next[l], 0.0), 1.0, ends);
-            front = max(front, (f32(index) + reach) * step.dx);
+            let ends = index == last || next[l] < 0.0;
+            let reach = select(ghost_theta(phi[l], next[l], 0.0), 0.5, ends);
+            let front = bitcast<u32>((f32(index) + 0.5 + select(reach, -reach, lower)) * step.dx);
+            bits = max(bits, select(front, ~front, lower));
         }
     }
-    // The bits of positive floats are ordered like the floats.
-    let bits = bitcast<u32>(front);
-    if bits > atomicLoad(&values[axis]) {
-        atomicMax(&values[axis], bits);
+    if bits > atomicLoad(&values[side]) {
+        atomicMax(&values[side], bits);
     }
 }
 
@@ -46,7 +51,20 @@ fn probe_fronts(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
     let cell = quad_cell(level, quad);
     let lanes = bit_lanes(flags[quad]);
     let phi = liquid_distance[quad];
-    raise(0u, cell, lanes, phi, shift_down(phi, liquid_distance[quad + 1u]));
-    raise(1u, cell, lanes, phi, liquid_distance[quad + level.stride_y]);
-    raise(2u, cell, lanes, phi, liquid_distance[quad + level.stride_z]);
+    let strides = vec3<u32>(1u, level.stride_y, level.stride_z);
+    for (var side = 0u; side < 6u; side++) {
+        if (sides.x >> side & 1u) == 0u {
+            continue;
+        }
+        let lower = side >= 3u;
+        let stride = strides[side % 3u];
+        var next = liquid_distance[select(quad + stride, quad - stride, lower)];
+        if side == 0u {
+            next = shift_down(phi, next);
+        }
+        if side == 3u {
+            next = shift_up(next, phi);
+        }
+        raise(side, cell, lanes, phi, next);
+    }
 }

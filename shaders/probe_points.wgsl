@@ -102,5 +102,5 @@ fn probe_points(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
         case PRESSURE: { value.x = pressure(at); }
         default: { value = sample_velocity(at); }
     }
-    values[index + 1u] = vec4<f32>(value, 0.0);
+    values[index + 2u] = vec4<f32>(value, 0.0);
 }

@@ -17,6 +17,7 @@ pub use element::{
     von_mises,
 };
 pub use incidence::{Corner, Incidence, Joint};
+pub use probe::{NodeReadback, ProbedPart};
 pub use rotation::rotation;
 
 use std::ops::Range;
@@ -48,6 +49,8 @@ pub struct Solids {
     pub scripts: Vec<Script>,
     /// Constant forces on the nodes, N, without gravity.
     pub load: Vec<DVec3>,
+    /// Nodes and elements of each probe of the scene.
+    pub probed: Vec<ProbedPart>,
 }
 
 /// One of the solids.

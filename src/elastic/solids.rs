@@ -21,7 +21,9 @@ impl Solids {
     /// [`Error::Input`] with file and key: pins and loads without nodes, conflicting pins of one component, rotations about
     /// a shape without centre.
     pub fn new(scene: &Scene, meshes: &[TetMesh]) -> Result<Solids, Error> {
-        Solids::from_solids(&scene.solids, meshes, &|key| scene.at(key))
+        let mut solids = Solids::from_solids(&scene.solids, meshes, &|key| scene.at(key))?;
+        solids.find_probed(scene)?;
+        Ok(solids)
     }
 
     /// Solids without a scene; `at` returns the origin of a key for errors.
@@ -182,7 +184,12 @@ impl Solids {
     }
 
     /// Nodes of a body that rest inside a shape or on it, ascending. An empty list is an error.
-    fn nodes_in(&self, body: &Body, shape: &Shape, name: &str) -> Result<Vec<u32>, Error> {
+    pub(super) fn nodes_in(
+        &self,
+        body: &Body,
+        shape: &Shape,
+        name: &str,
+    ) -> Result<Vec<u32>, Error> {
         let rest = &self.rest[body.nodes.clone()];
         let inside = inside(shape, rest)?;
         let nodes = body.nodes.clone().zip(inside);

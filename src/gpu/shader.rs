@@ -92,6 +92,7 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/polar"),
     crate::wgsl!("common/pressure_slope"),
     crate::wgsl!("common/probe_point"),
+    crate::wgsl!("common/probe_rectangle"),
     crate::wgsl!("common/put_back"),
     crate::wgsl!("common/quad_rooms"),
     crate::wgsl!("common/quad_sides"),

@@ -579,12 +579,15 @@ impl Probe {
     /// Columns in probes.csv: the name, with `_x`, `_y`, `_z` for vectors and `_volume` for a solid.
     pub fn columns(&self) -> Vec<String> {
         let endings: &[&str] = match self.kind {
-            ProbeKind::Height { .. } | ProbeKind::Pressure { .. } | ProbeKind::Front { .. } => {
-                &[""]
-            }
-            ProbeKind::Velocity { .. } | ProbeKind::Node { .. } | ProbeKind::Force { .. } => {
-                &["_x", "_y", "_z"]
-            }
+            ProbeKind::Height { .. }
+            | ProbeKind::Pressure { .. }
+            | ProbeKind::Front { .. }
+            | ProbeKind::Flux { .. } => &[""],
+            ProbeKind::Velocity { .. }
+            | ProbeKind::Node { .. }
+            | ProbeKind::SolidVelocity { .. }
+            | ProbeKind::Force { .. }
+            | ProbeKind::Reaction { .. } => &["_x", "_y", "_z"],
             ProbeKind::Solid { .. } => &["_x", "_y", "_z", "_volume"],
         };
         let name = |ending| format!("{}{ending}", self.name);
@@ -596,9 +599,12 @@ impl Probe {
         match self.kind {
             ProbeKind::Height { .. } | ProbeKind::Front { .. } => &["m"],
             ProbeKind::Pressure { .. } => &["Pa"],
-            ProbeKind::Velocity { .. } => &["m/s"; 3],
+            ProbeKind::Flux { .. } => &["m^3/s"],
+            ProbeKind::Velocity { .. }
+            | ProbeKind::SolidVelocity { .. }
+            | ProbeKind::Node { velocity: true, .. } => &["m/s"; 3],
             ProbeKind::Node { .. } => &["m"; 3],
-            ProbeKind::Force { .. } => &["N"; 3],
+            ProbeKind::Force { .. } | ProbeKind::Reaction { .. } => &["N"; 3],
             ProbeKind::Solid { .. } => &["m", "m", "m", "over that at rest"],
         }
     }
@@ -633,7 +639,7 @@ impl Up {
 }
 
 /// Measured quantity of a probe.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub enum ProbeKind {
     /// Height of the highest liquid surface above the lowest side of the domain, along gravity, m.
     Height {
@@ -652,17 +658,35 @@ pub enum ProbeKind {
         /// m
         point: DVec3,
     },
-    /// Largest coordinate of the liquid along an axis, m.
+    /// Largest coordinate of the liquid along an axis, or the smallest, m.
     Front {
         /// 0, 1, 2 for x, y, z.
         axis: usize,
+        /// Whether it is the smallest.
+        lower: bool,
     },
-    /// Displacement of the solid's node nearest to a rest point, the first of several, m; three columns.
+    /// Volume of liquid per second through a rectangle normal to an axis, towards larger coordinates, m^3/s.
+    Flux {
+        /// 0, 1, 2 for x, y, z.
+        axis: usize,
+        /// Lowest corner, m.
+        min: DVec3,
+        /// Highest corner, m, with the same coordinate along the axis.
+        max: DVec3,
+    },
+    /// Displacement (m) or velocity (m/s) of nodes of a solid, their mean; three columns.
     Node {
         /// Index of the solid.
         solid: usize,
-        /// Position at rest, m.
-        rest_point: DVec3,
+        /// The nodes.
+        nodes: ProbedNodes,
+        /// Whether the quantity is the velocity.
+        velocity: bool,
+    },
+    /// Velocity of the centre of mass of a solid, m/s; three columns.
+    SolidVelocity {
+        /// Index of the solid.
+        solid: usize,
     },
     /// Centre of mass of a solid, m, and its signed volume relative to rest; four columns.
     Solid {
@@ -674,6 +698,22 @@ pub enum ProbeKind {
         /// Index of the solid.
         solid: usize,
     },
+    /// Force of pins and scripts on a solid, N; three columns.
+    Reaction {
+        /// Index of the solid.
+        solid: usize,
+        /// Region at rest of the nodes that count; all without.
+        region: Option<Shape>,
+    },
+}
+
+/// Nodes of a probe.
+#[derive(Clone, Debug)]
+pub enum ProbedNodes {
+    /// The node nearest to a rest point, m, the first of several.
+    Nearest(DVec3),
+    /// All nodes that rest in a region.
+    Within(Shape),
 }
 
 impl ProbeKind {
@@ -682,14 +722,30 @@ impl ProbeKind {
         !self.measures_solid() && !self.measures_force()
     }
 
-    /// Whether it measures the position of a solid.
+    /// Whether it measures the motion of a solid.
     pub fn measures_solid(&self) -> bool {
-        matches!(self, ProbeKind::Node { .. } | ProbeKind::Solid { .. })
+        matches!(
+            self,
+            ProbeKind::Node { .. }
+                | ProbeKind::Solid { .. }
+                | ProbeKind::SolidVelocity { .. }
+                | ProbeKind::Reaction { .. }
+        )
     }
 
-    /// Whether it measures the force of the liquid on a solid.
+    /// Whether it needs the velocities of nodes.
+    pub fn needs_node_velocity(&self) -> bool {
+        matches!(
+            self,
+            ProbeKind::Node { velocity: true, .. }
+                | ProbeKind::SolidVelocity { .. }
+                | ProbeKind::Reaction { .. }
+        )
+    }
+
+    /// Whether it needs the forces of the liquid on nodes.
     pub fn measures_force(&self) -> bool {
-        matches!(self, ProbeKind::Force { .. })
+        matches!(self, ProbeKind::Force { .. } | ProbeKind::Reaction { .. })
     }
 }
 

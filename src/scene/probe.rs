@@ -1,30 +1,65 @@
 //! Probes and their columns in probes.csv.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use glam::DVec3;
 
 use super::document::{Keys, Place, Table};
 use super::read::{list, unique_name};
-use super::{Domain, Probe, ProbeKind, Solid, Up};
+use super::solid::node_region;
+use super::{Domain, Probe, ProbeKind, ProbedNodes, Solid, Up};
 use crate::error::Error;
 
 const PROBE: Keys = Keys::new(&[
-    "name", "height", "pressure", "velocity", "front", "node", "solid", "force",
+    "name",
+    "height",
+    "pressure",
+    "velocity",
+    "front",
+    "flux",
+    "node",
+    "node_velocity",
+    "solid",
+    "solid_velocity",
+    "force",
+    "reaction",
 ]);
-const LIQUID_MEASUREMENTS: [&str; 4] = ["height", "pressure", "velocity", "front"];
-const MEASUREMENTS: [&str; 7] = [
-    "height", "pressure", "velocity", "front", "node", "solid", "force",
+const LIQUID_MEASUREMENTS: [&str; 5] = ["height", "pressure", "velocity", "front", "flux"];
+const MEASUREMENTS: [&str; 11] = [
+    "height",
+    "pressure",
+    "velocity",
+    "front",
+    "flux",
+    "node",
+    "node_velocity",
+    "solid",
+    "solid_velocity",
+    "force",
+    "reaction",
 ];
+/// Values of `front.axis`: the axis, and whether it is the smallest coordinate.
+const FRONT_AXES: [(&str, (usize, bool)); 6] = [
+    ("x", (0, false)),
+    ("y", (1, false)),
+    ("z", (2, false)),
+    ("-x", (0, true)),
+    ("-y", (1, true)),
+    ("-z", (2, true)),
+];
+const FLUX: Keys = Keys::new(&["min", "max"]);
 const HEIGHT: Keys = Keys::new(&["x", "y", "z"]);
 const POINT: Keys = Keys::new(&["point"]);
 const FRONT: Keys = Keys::new(&["axis"]);
-const NODE: Keys = Keys::new(&["solid", "rest_point"]);
+const NODE: Keys = Keys::new(&["solid", "rest_point", "region"]);
+const REACTION: Keys = Keys::new(&["solid", "region"]);
 const SOLID: Keys = Keys::new(&["name"]);
 const FORCE: Keys = Keys::new(&["solid"]);
 
 pub(super) fn probes(
     root: &Table,
+    file: &Path,
     domain: &Domain,
     has_liquid: bool,
     solids: &[Solid],
@@ -45,7 +80,7 @@ pub(super) fn probes(
         unique_name(&name_place, name, "probe", earlier)?;
         let probe = Probe {
             name: name.to_owned(),
-            kind: measurement(&table, domain, has_liquid, solids)?,
+            kind: measurement(&table, file, domain, has_liquid, solids)?,
         };
         for column in probe.columns() {
             if let Some(owner) = owners.get(&column) {
@@ -62,6 +97,7 @@ pub(super) fn probes(
 
 fn measurement(
     table: &Table,
+    file: &Path,
     domain: &Domain,
     has_liquid: bool,
     solids: &[Solid],
@@ -71,7 +107,7 @@ fn measurement(
         let cure = "measure a solid: node = { solid, rest_point } or solid = { name }";
         place.ensure(has_liquid, "measures liquid, and the scene has none", cure)?;
     } else {
-        let cure = "measure the liquid: height, pressure, velocity or front";
+        let cure = "measure the liquid: height, pressure, velocity, front or flux";
         let problem = "measures a solid, and the scene has no [[solid]]";
         place.ensure(!solids.is_empty(), problem, cure)?;
     }
@@ -90,16 +126,31 @@ fn measurement(
         "front" => {
             let table = place.table(&FRONT)?;
             let axis = table.required("axis", "axis = \"x\"")?;
-            ProbeKind::Front {
-                axis: axis.choice(&[("x", 0), ("y", 1), ("z", 2)])?,
-            }
+            let (axis, lower) = axis.choice(&FRONT_AXES)?;
+            ProbeKind::Front { axis, lower }
         }
-        "node" => {
+        "flux" => flux(place, domain)?,
+        "node" | "node_velocity" => {
             let table = place.table(&NODE)?;
-            let point = table.required("rest_point", "rest_point = [0.5, 0.1, 0.5], in m")?;
+            let (nodes, place) = table.one_of(&["rest_point", "region"], "choice of nodes")?;
             ProbeKind::Node {
                 solid: solid_named(&table, "solid", solids)?,
-                rest_point: point.vector("a point of the solid at rest in m")?,
+                nodes: match nodes {
+                    "region" => ProbedNodes::Within(node_region(&table, file)?),
+                    _ => ProbedNodes::Nearest(place.vector("a point of the solid at rest in m")?),
+                },
+                velocity: kind == "node_velocity",
+            }
+        }
+        "solid_velocity" => ProbeKind::SolidVelocity {
+            solid: solid_named(&place.table(&SOLID)?, "name", solids)?,
+        },
+        "reaction" => {
+            let table = place.table(&REACTION)?;
+            let region = table.get("region").map(|_| node_region(&table, file));
+            ProbeKind::Reaction {
+                solid: solid_named(&table, "solid", solids)?,
+                region: region.transpose()?,
             }
         }
         "force" => ProbeKind::Force {
@@ -154,9 +205,36 @@ fn solid_named(table: &Table, key: &str, solids: &[Solid]) -> Result<usize, Erro
     place.named("the name of a solid", &names)
 }
 
+/// A rectangle whose corners have one equal coordinate.
+fn flux(place: Place, domain: &Domain) -> Result<ProbeKind, Error> {
+    let table = place.clone().table(&FLUX)?;
+    let corner = |key: &str, example: &str| {
+        let place = table.required(key, &format!("{key} = {example}, a corner in m"))?;
+        point_inside(&place, domain)
+    };
+    let min = corner("min", "[0.5, 0, 0]")?;
+    let max = corner("max", "[0.5, 1, 1]")?;
+    let mut flat = (0..3).filter(|&axis| min[axis] == max[axis]);
+    let (axis, others) = (flat.next(), flat.next());
+    let Some(axis) = axis.filter(|_| others.is_none() && min.cmple(max).all()) else {
+        let problem = format!(
+            "{} to {} is no rectangle along two axes",
+            list(min.to_array()),
+            list(max.to_array())
+        );
+        let cure = "use one equal coordinate, and smaller ones in min for the two others: min = [0.5, 0, 0], max = [0.5, 1, 1]";
+        return Err(place.fail(problem, cure));
+    };
+    Ok(ProbeKind::Flux { axis, min, max })
+}
+
 fn point(place: Place, domain: &Domain) -> Result<DVec3, Error> {
     let table = place.table(&POINT)?;
     let place = table.required("point", "point = [0.5, 0.1, 0.5], in m")?;
+    point_inside(&place, domain)
+}
+
+fn point_inside(place: &Place, domain: &Domain) -> Result<DVec3, Error> {
     let point = place.vector("a point in m")?;
     let inside = point.cmpge(DVec3::ZERO).all() && point.cmple(domain.size).all();
     let problem = format!("{} lies outside the domain", list(point.to_array()));

@@ -194,7 +194,7 @@ impl Scene {
             obstacles,
             sources: sources(&root, path, &domain, liquid.as_ref())?,
             sinks: sinks(&root, path, &domain, liquid.as_ref())?,
-            probes: probes(&root, &domain, liquid.is_some(), &solids)?,
+            probes: probes(&root, path, &domain, liquid.is_some(), &solids)?,
             output: output(&root, liquid.is_some(), !solids.is_empty())?,
             surface: surface(
                 &root,

@@ -301,6 +301,11 @@ fn damping(place: Place) -> Result<(f64, f64), Error> {
     ))
 }
 
+/// The shape under `region` that selects nodes.
+pub(super) fn node_region(table: &Table, file: &Path) -> Result<super::Shape, Error> {
+    region(table, &REGION_SHAPES, &REGION, file)
+}
+
 fn region(table: &Table, shapes: &[&str], keys: &Keys, file: &Path) -> Result<super::Shape, Error> {
     let example =
         "region = { box = { min = [0, 0, 0], max = [0.01, 1, 1] } }, around the nodes at rest";
@@ -332,7 +337,7 @@ fn components(table: &Table) -> Result<[bool; 3], Error> {
 fn pin(place: Place, file: &Path) -> Result<Pin, Error> {
     let table = place.table(&PIN)?;
     Ok(Pin {
-        region: region(&table, &REGION_SHAPES, &REGION, file)?,
+        region: node_region(&table, file)?,
         components: components(&table)?,
         keyframes: Vec::new(),
     })
@@ -351,7 +356,7 @@ fn load(place: Place, file: &Path) -> Result<Load, Error> {
     let table = place.table(&LOAD)?;
     let (kind, place) = table.one_of(&["force", "traction"], "kind of load")?;
     Ok(Load {
-        region: region(&table, &REGION_SHAPES, &REGION, file)?,
+        region: node_region(&table, file)?,
         kind: match kind {
             "force" => LoadKind::Force(bounded(
                 &place,

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use crate::Error;
 use crate::effects::Effects;
-use crate::elastic::Solids;
+use crate::elastic::{NodeReadback, Solids};
 use crate::fields::Step;
 use crate::geometry::{self, CutCells, Running, SolidClip, SourcesAndSinks};
 use crate::gpu::{AdapterChoice, Gpu, Real};
@@ -42,9 +42,8 @@ pub struct GpuPath {
     pub(super) limits: StepLimits,
 }
 
-/// Readbacks for the probes: liquid columns in order; displacements of the nodes, m, with solid probes; forces of the
-/// liquid on the nodes, N, with force probes.
-pub(super) type Probed = (Vec<f64>, Vec<[f64; 3]>, Vec<[f64; 3]>);
+/// Readbacks for the probes: liquid columns in order, and arrays of the nodes that the probes need.
+pub(super) type Probed = (Vec<f64>, NodeReadback);
 
 /// Checks that the device has kernels for the separation of a scene.
 ///
@@ -309,15 +308,22 @@ impl GpuPath {
             Some(liquid) => liquid.probes(&self.gpu)?,
             None => Vec::new(),
         };
-        let displacement = match &mut self.solids {
+        let [displacement, velocity] = match &mut self.solids {
             Some(solids) => solids.probed(&self.gpu)?,
-            None => Vec::new(),
+            None => Default::default(),
         };
         let forces = match &mut self.coupling {
             Some(coupling) => coupling.probed(&self.gpu)?,
             None => Vec::new(),
         };
-        Ok((values, displacement, forces))
+        let nodes = NodeReadback {
+            displacement,
+            velocity,
+            forces,
+            time: self.head.time,
+            dt: self.head.dt_last,
+        };
+        Ok((values, nodes))
     }
 
     /// Displacements of all nodes, m; empty without solids.

@@ -33,6 +33,8 @@ pub(super) struct GpuSolids {
     scripted: Scripted,
     /// Displacements for the probes, if any.
     probed: Option<Readback<[f32; 4]>>,
+    /// Velocities for the probes that need them, if any.
+    probed_velocity: Option<Readback<u32>>,
 }
 
 /// Readbacks of a sub-step.
@@ -162,6 +164,10 @@ impl GpuSolids {
             diagnose: stages::diagnose_solid(gpu, &buffers)?,
         };
         let probed = || Readback::new(gpu, "solid.displacement", 2 * plan.n_nodes);
+        let words = buffers.velocity.real.bytes() * plan.n_nodes;
+        let probed_velocity = || Readback::new(gpu, "solid.velocity", words);
+        let mut probes = scene.probes.iter();
+        let needs_velocity = probes.any(|probe| probe.kind.needs_node_velocity());
         Ok(GpuSolids {
             obstacles,
             bounds: Bounds::new(&solids),
@@ -171,6 +177,7 @@ impl GpuSolids {
             stages,
             scripted: Scripted::default(),
             probed: has_probes(scene).then(probed).transpose()?,
+            probed_velocity: needs_velocity.then(probed_velocity).transpose()?,
             solids,
         })
     }
@@ -466,14 +473,27 @@ impl GpuSolids {
         Ok(self.buffers.displacement_of(&words))
     }
 
-    /// Displacements of all nodes for the probes, m. Empty without solid probes.
-    pub(super) fn probed(&mut self, gpu: &Gpu) -> Result<Vec<[f64; 3]>, Error> {
+    /// Displacements (m) and velocities (m/s) of all nodes for the probes. Each is empty if no probe needs it.
+    pub(super) fn probed(&mut self, gpu: &Gpu) -> Result<[Vec<[f64; 3]>; 2], Error> {
         let Some(readback) = &mut self.probed else {
-            return Ok(Vec::new());
+            return Ok(Default::default());
         };
+        let buffers = &self.buffers;
         let mut recorder = Recorder::new(gpu);
-        recorder.read(&self.buffers.displacement, readback);
+        recorder.read(&buffers.displacement, readback);
+        if let Some(readback) = &mut self.probed_velocity {
+            recorder.read_part(&buffers.velocity.words, 0, readback);
+        }
         recorder.submit();
-        Ok(self.buffers.displacement_of(&readback.wait(gpu)?))
+        let displacement = buffers.displacement_of(&readback.wait(gpu)?);
+        let velocity = match &mut self.probed_velocity {
+            None => Vec::new(),
+            Some(readback) => {
+                let words = buffers.velocity.widen(&readback.wait(gpu)?);
+                let (nodes, _) = words.as_chunks::<4>();
+                nodes.iter().map(|&[x, y, z, _]| [x, y, z]).collect()
+            }
+        };
+        Ok([displacement, velocity])
     }
 }

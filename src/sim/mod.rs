@@ -28,7 +28,7 @@ pub use warnings::warnings;
 
 use crate::Error;
 use crate::effects::Effects;
-use crate::elastic::Solids;
+use crate::elastic::{NodeReadback, Solids};
 use crate::geometry::{self, CutCells, ObstacleCut, SolidClip, SourceFlow};
 use crate::gpu::{AdapterChoice, AdapterReport, Gpu};
 use crate::grid::Axis;
@@ -154,24 +154,31 @@ impl Simulation {
     /// Values of the scene's probes, all columns in order.
     pub fn probes(&mut self) -> Result<Vec<f64>, Error> {
         let probes = &self.scene.probes;
-        let (liquid, displacement, forces) = match &mut self.path {
+        let (liquid, nodes) = match &mut self.path {
             Path::Gpu(path) => path.probed()?,
             Path::Cpu(path) => {
                 let (grid, state) = (self.scene.grid(), path.state());
+                let open = &path.cut_cells().open;
                 let of_liquid = probes.iter().filter(|probe| probe.kind.measures_liquid());
                 let values =
-                    of_liquid.flat_map(|probe| reference::probe(&grid, state, &probe.kind));
-                let forces = path.node_forces().to_vec();
-                (values.collect(), state.displacement.clone(), forces)
+                    of_liquid.flat_map(|probe| reference::probe(&grid, open, state, &probe.kind));
+                let nodes = NodeReadback {
+                    displacement: state.displacement.clone(),
+                    velocity: state.node_velocity.clone(),
+                    forces: path.node_forces().to_vec(),
+                    time: state.time,
+                    dt: state.dt_last,
+                };
+                (values.collect(), nodes)
             }
         };
         let mut liquid = liquid.into_iter();
-        let values = probes
-            .iter()
-            .flat_map(|probe| match probe.kind.measures_liquid() {
+        let values = probes.iter().enumerate().flat_map(|(number, probe)| {
+            match probe.kind.measures_liquid() {
                 true => liquid.by_ref().take(probe.columns().len()).collect(),
-                false => self.solids.probe(&displacement, &forces, &probe.kind),
-            });
+                false => self.solids.probe(&self.scene, number, &nodes),
+            }
+        });
         Ok(values.collect())
     }
 

@@ -61,7 +61,7 @@ pub use marker_band::marker_band;
 pub use move_solid::move_solid;
 pub use occupancy::occupancy;
 pub use patch_pressure::{OpenFaces, PatchPressure, PressureSlope};
-pub use probe::{Probe, ProbePoint};
+pub use probe::{Probe, ProbePoint, ProbeRectangle};
 pub use redistance::redistance;
 pub use right_hand_side::right_hand_side;
 pub use separation::{MAX_ROUNDS, RoundSums, Separation, SeparationRound, SeparationSettings};

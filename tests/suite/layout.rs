@@ -7,7 +7,7 @@ use std::path::Path;
 use cutwater::fields::{LevelStep, SolidStep, Step, Tiles};
 use cutwater::gpu::{Range, Real, SortPass, Source, compose, validate};
 use cutwater::grid::Layout;
-use cutwater::stages::ProbePoint;
+use cutwater::stages::{ProbePoint, ProbeRectangle};
 
 fn text_of(file: &str) -> Option<String> {
     fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(file)).ok()
@@ -132,6 +132,9 @@ fn level_step_matches() {
 fn probe_point_matches() {
     let fields = fields!(ProbePoint: point, kind);
     assert_layout("probe_point", "ProbePoint", fields, size_of::<ProbePoint>());
+    let fields = fields!(ProbeRectangle: low, axis, high, place);
+    let size = size_of::<ProbeRectangle>();
+    assert_layout("probe_rectangle", "ProbeRectangle", fields, size);
 }
 
 #[test]

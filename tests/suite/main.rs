@@ -46,6 +46,7 @@ mod physics;
 mod placing;
 mod plan;
 mod plot;
+mod probes;
 mod reference;
 mod reference_level;
 mod reference_physics;

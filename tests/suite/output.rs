@@ -542,7 +542,13 @@ fn tables_read_back_exactly() {
             },
         ),
         probe("jet", ProbeKind::Velocity { point }),
-        probe("front", ProbeKind::Front { axis: 0 }),
+        probe(
+            "front",
+            ProbeKind::Front {
+                axis: 0,
+                lower: false,
+            },
+        ),
     ];
     let mut table = ProbeTable::create(run.path(), &probes).unwrap();
     table.push(7, 0.1, &[1.0, 2.0, -3.0, 4e-12, 5.0]).unwrap();

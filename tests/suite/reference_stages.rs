@@ -894,7 +894,8 @@ fn probes_read_a_pool() {
     state.active = state.liquid_distance.iter().map(|phi| *phi < 0.0).collect();
     state.pressure = on_cells(&grid, |x| (100.0 * (1.0 - x.y)).max(0.0));
     state.velocity = on_faces(&grid, |x| x);
-    let read = |kind| probe(&grid, &state, &kind);
+    let mut open = on_faces(&grid, |_| DVec3::ONE);
+    let read = |kind| probe(&grid, &open, &state, &kind);
     let point = DVec3::new(0.6, 0.7, 0.4);
     let foot = DVec3::new(0.6, 0.0, 0.4);
     let up = Up::against(DVec3::NEG_Y);
@@ -912,32 +913,105 @@ fn probes_read_a_pool() {
     assert!(close(read(ProbeKind::Pressure { point })[0], 30.0));
     assert!(DVec3::from_slice(&read(ProbeKind::Velocity { point })).distance(point) < 1e-12);
     assert_eq!(
-        read(ProbeKind::Front { axis: 0 }),
+        read(ProbeKind::Front {
+            axis: 0,
+            lower: false
+        }),
         [1.5],
         "the liquid touches the far wall"
     );
-    let front = read(ProbeKind::Front { axis: 1 })[0];
+    let front = read(ProbeKind::Front {
+        axis: 1,
+        lower: false,
+    })[0];
     assert!(
         close(front, level(DVec3::new(0.125, 0.0, 0.0))),
         "the highest column reaches {front} m"
+    );
+    let lower = |axis| read(ProbeKind::Front { axis, lower: true })[0];
+    assert_eq!(
+        [lower(0), lower(1)],
+        [0.0, 0.0],
+        "the liquid touches these walls"
+    );
+    // Drops: their lower ends lie between cells.
+    let drop = DVec3::new(0.7, 1.1, 0.55);
+    let mut falling = State::at_rest(&grid);
+    falling.liquid_distance = on_cells(&grid, |x| (x - drop).abs().max_element() - 0.3);
+    falling.active = falling
+        .liquid_distance
+        .iter()
+        .map(|phi| *phi < 0.0)
+        .collect();
+    for axis in 0..3 {
+        let [low, high] = [true, false]
+            .map(|lower| probe(&grid, &open, &falling, &ProbeKind::Front { axis, lower })[0]);
+        assert!(close(low, drop[axis] - 0.3), "axis {axis}: {low}");
+        assert!(close(high, drop[axis] + 0.3), "axis {axis}: {high}");
+    }
+    // Flux of the velocity x through planes: x times the wet area, exact between planes of faces as it is linear there.
+    let flux = |open: &_, axis, min, max| {
+        let kind = ProbeKind::Flux { axis, min, max };
+        probe(&grid, open, &state, &kind)[0]
+    };
+    let (low, high) = (DVec3::new(0.6, 0.1, 0.05), DVec3::new(0.6, 0.7, 0.9));
+    let wet = flux(&open, 0, low, high);
+    assert!(
+        close(wet, 0.6 * 0.6 * 0.85),
+        "{wet} m^3/s below the surface"
+    );
+    let high = DVec3::new(0.5, size.y, size.z);
+    // Wet faces end half a cell to both sides of the level, so that a level surface is exact; this one is level across a face.
+    let whole = flux(&open, 0, DVec3::new(0.5, 0.0, 0.0), high);
+    assert!(close(whole, 0.5 * 1.2 * size.z), "{whole} m^3/s");
+    let (low, high) = (DVec3::new(0.0, 0.3, 0.0), DVec3::new(size.x, 0.3, size.z));
+    assert!(close(flux(&open, 1, low, high), 0.3 * size.x * size.z));
+    let (low, high) = (
+        DVec3::new(0.0, 0.0, size.z),
+        DVec3::new(size.x, 0.5, size.z),
+    );
+    assert!(
+        close(flux(&open, 2, low, high), size.z * size.x * 0.5),
+        "at the wall"
+    );
+    open[2].iter_mut().for_each(|open| *open = 0.25);
+    assert!(close(
+        flux(&open, 2, low, high),
+        0.25 * size.z * size.x * 0.5
+    ));
+    let read = |kind| probe(&grid, &open, &state, &kind);
+    assert_eq!(
+        read(ProbeKind::Front {
+            axis: 0,
+            lower: true
+        }),
+        [0.0]
     );
     // A buried cell beside the point does not pull the pressure down; air does.
     let buried = grid.cell([2, 2, 1]);
     state.active[buried] = false;
     state.pressure[buried] = 0.0;
     let beside = DVec3::new(0.8, 0.625, 0.375);
-    let pressure = probe(&grid, &state, &ProbeKind::Pressure { point: beside })[0];
+    let pressure = probe(&grid, &open, &state, &ProbeKind::Pressure { point: beside })[0];
     assert!(close(pressure, 37.5), "{pressure} Pa");
     let nothing = State::at_rest(&grid);
     for kind in [
         ProbeKind::Height { foot, up },
-        ProbeKind::Front { axis: 2 },
+        ProbeKind::Front {
+            axis: 2,
+            lower: false,
+        },
         ProbeKind::Pressure { point },
     ] {
         assert_eq!(
-            probe(&grid, &nothing, &kind),
+            probe(&grid, &open, &nothing, &kind),
             [0.0],
             "{kind:?} without liquid"
         );
     }
+    let lower = ProbeKind::Front {
+        axis: 2,
+        lower: true,
+    };
+    assert_eq!(probe(&grid, &open, &nothing, &lower), [size.z]);
 }

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use cutwater::Error;
 use cutwater::scene::{
-    ElasticModel, LoadKind, Placement, Precision, Preconditioner, Probe, ProbeKind, Scene, Shape,
-    SolidMesh, Solver, Surface, Up,
+    ElasticModel, LoadKind, Placement, Precision, Preconditioner, Probe, ProbeKind, ProbedNodes,
+    Scene, Shape, SolidMesh, Solver, Surface, Up,
 };
 use glam::DVec3;
 
@@ -159,7 +159,13 @@ fn a_scene_says_what_its_file_says() {
         scene.probes[0].kind,
         ProbeKind::Height { foot, up: Up { axis: 2, falling: false } } if foot == DVec3::new(0.5, 0.25, 0.0)
     ));
-    assert!(matches!(scene.probes[2].kind, ProbeKind::Front { axis: 0 }));
+    assert!(matches!(
+        scene.probes[2].kind,
+        ProbeKind::Front {
+            axis: 0,
+            lower: false
+        }
+    ));
     let solver = Solver {
         tolerance: 1e-6,
         max_iterations: 50,
@@ -372,7 +378,13 @@ const REFUSED: &[Case] = &[
     ("x = 0.5, y = 0.25", "x = 0.5, z = 0.25", 33, "probe[0].height", &["has no `y`", "add y = 0.5"]),
     ("x = 0.5, y = 0.25", "x = 0.5, y = 0.25, z = 0.1", 33, "probe[0].height.z", &["along gravity", "remove it"]),
     ("point = [0.5, 0.1, 0.25]", "point = [0.5, 1.1, 0.25]", 36, "probe[1].velocity.point", &["outside the domain"]),
-    ("axis = \"x\"", "axis = \"w\"", 39, "probe[2].front.axis", &["\"w\"", "\"x\", \"y\", \"z\""]),
+    ("axis = \"x\"", "axis = \"w\"", 39, "probe[2].front.axis", &["\"w\"", "\"x\", \"y\", \"z\", \"-x\""]),
+    ("front = { axis = \"x\" }", "flux = { min = [0.5, 0, 0], max = [0.5, 1] }", 39, "probe[2].flux.max", &["3 numbers"]),
+    ("front = { axis = \"x\" }", "flux = { min = [0.5, 0, 0], max = [0.5, 1, 2] }", 39, "probe[2].flux.max", &["outside the domain"]),
+    ("front = { axis = \"x\" }", "flux = { min = [0.5, 0, 0], max = [0.6, 1, 0.5] }", 39, "probe[2].flux", &["no rectangle", "one equal coordinate"]),
+    ("front = { axis = \"x\" }", "flux = { min = [0.5, 0.5, 0], max = [0.5, 0.2, 0.5] }", 39, "probe[2].flux", &["no rectangle", "smaller ones in min"]),
+    ("front = { axis = \"x\" }", "flux = { min = [0.5, 0, 0], max = [0.5, 0, 0.5] }", 39, "probe[2].flux", &["no rectangle"]),
+    ("front = { axis = \"x\" }", "reaction = { solid = \"ball\" }", 39, "probe[2].reaction", &["no [[solid]]", "measure the liquid"]),
     // Camera.
     ("eye = [1, 1, 3]", "eye = [1, 0.5, 0.25]", 52, "camera.eye", &["target"]),
     ("eye = [1, 1, 3]", "eye = [1, 5, 0.25]", 52, "camera.eye", &["along the camera's up"]),
@@ -615,7 +627,7 @@ fn solids_are_what_their_scene_says() {
     );
     assert!(matches!(
         scene.probes[0].kind,
-        ProbeKind::Node { solid: 0, rest_point } if rest_point == DVec3::new(1.0, 0.75, 0.5)
+        ProbeKind::Node { solid: 0, nodes: ProbedNodes::Nearest(point), velocity: false } if point == DVec3::new(1.0, 0.75, 0.5)
     ));
     assert!(matches!(
         scene.probes[1].kind,
@@ -702,7 +714,10 @@ const REFUSED_SOLIDS: &[Case] = &[
     ("force = [0, -10, 0]", "force = [0, -10, 0]\ntraction = [0, 0, 0]", 29, "solid[0].load[0]", &["`force` and `traction`"]),
     // Probes and outputs.
     ("node = { solid = \"beam\"", "node = { solid = \"boom\"", 64, "probe[0].node.solid", &["\"boom\"", "\"beam\", \"ball\""]),
-    (", rest_point = [1, 0.75, 0.5]", "", 64, "probe[0].node.rest_point", &["is missing"]),
+    (", rest_point = [1, 0.75, 0.5]", "", 64, "probe[0].node", &["no choice of nodes", "rest_point, region"]),
+    (", rest_point = [1, 0.75, 0.5]", ", rest_point = [1, 1, 1], region = {}", 64, "probe[0].node", &["`rest_point` and `region`", "keep one"]),
+    (", rest_point = [1, 0.75, 0.5]", ", region = {}", 64, "probe[0].node.region", &["no shape", "half_space"]),
+    ("solid = { name = \"ball\" }", "reaction = { solid = \"bell\" }", 67, "probe[1].reaction.solid", &["\"bell\"", "\"ball\""]),
     ("solid = { name = \"ball\" }", "solid = {}", 67, "probe[1].solid.name", &["is missing", "\"beam\""]),
     ("solid = { name = \"ball\" }", "front = { axis = \"x\" }", 67, "probe[1].front", &["no", "measure a solid"]),
     ("solid = { name = \"ball\" }", "force = { solid = \"ball\" }", 67, "probe[1].force", &["force of liquid", "add a [liquid] section"]),

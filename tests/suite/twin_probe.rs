@@ -9,14 +9,31 @@ use glam::DVec3;
 use crate::common::{Random, gpu};
 use crate::liquid_case::{ActiveBuffers, Case, DENSITY, EPS, RADIUS, assert_close, cases, single};
 
-/// Probes at random points, also beyond the walls, and every front.
+/// Probes at random points, also beyond the walls, every front, and fluxes through random rectangles and whole sections.
 fn probes(case: &Case, random: &mut Random) -> Vec<ProbeKind> {
     let size = case.grid.size();
     let mut point = || {
         let [x, y, z] = [0, 1, 2].map(|a| single(size[a] * random.uniform(-0.1, 1.1)));
         DVec3::new(x, y, z)
     };
-    let mut probes: Vec<ProbeKind> = (0..3).map(|axis| ProbeKind::Front { axis }).collect();
+    let fronts = (0..6).map(|side| ProbeKind::Front {
+        axis: side % 3,
+        lower: side >= 3,
+    });
+    let mut probes: Vec<ProbeKind> = fronts.collect();
+    for axis in 0..3 {
+        for part in [0.0, 0.37, 1.0] {
+            let (mut min, mut max) = (DVec3::ZERO, size);
+            (min[axis], max[axis]) = (single(part * size[axis]), single(part * size[axis]));
+            probes.push(ProbeKind::Flux { axis, min, max });
+        }
+    }
+    for axis in [0, 1, 2, 0, 1, 2] {
+        let [a, b] = [point(), point()].map(|point| point.clamp(DVec3::ZERO, size));
+        let (min, mut max) = (a.min(b), a.max(b));
+        max[axis] = min[axis];
+        probes.push(ProbeKind::Flux { axis, min, max });
+    }
     for _ in 0..30 {
         let foot = point();
         probes.push(ProbeKind::Velocity { point: point() });
@@ -78,9 +95,15 @@ fn probes_read_what_they_read_in_the_twin() {
                 // Weights that are left out can leave little weight.
                 ProbeKind::Pressure { .. } => 10.0 * 0.2 * pascal,
                 ProbeKind::Velocity { .. } => 2.0 * case.speed(),
+                // As velocities, over the wet area; and the wet part changes by phi / dx.
+                ProbeKind::Flux { axis, min, max } => {
+                    let sides = *max - *min + 2.0 * grid.dx;
+                    let area = sides[(axis + 1) % 3] * sides[(axis + 2) % 3];
+                    4.0 * case.speed() * area
+                }
                 kind => unreachable!("liquid alone: {kind:?}"),
             };
-            for twin in reference::probe(&grid, &case.state, probe) {
+            for twin in reference::probe(&grid, &case.cut.open, &case.state, probe) {
                 let gpu = *found.next().expect("a column per value");
                 pairs.push((gpu, twin, EPS * cells * scale, [index, 0, 0]));
             }

@@ -104,7 +104,10 @@ probes! {
     "probe_pressure": Pressure;
     "probe_velocity": Velocity;
     "probe_front": Front;
+    "probe_flux": Flux;
     "probe_node": Node;
     "probe_solid": Solid;
+    "probe_solid_velocity": SolidVelocity;
     "probe_force": Force;
+    "probe_reaction": Reaction;
 }

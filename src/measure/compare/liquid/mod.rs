@@ -869,8 +869,8 @@ impl<'a> LiquidComparison<'a> {
         let surfaces = [0.0, 1.0, -1.0].map(shifted);
         let mut pairs = Vec::new();
         for probe in &self.scene.probes {
-            let read = |state: &State| reference::probe(&grid, state, &probe.kind);
-            match probe.kind {
+            let read = |state: &State| reference::probe(&grid, &self.cut.open, state, &probe.kind);
+            match &probe.kind {
                 ProbeKind::Pressure { .. } => {
                     let rounding = 1e-12 * read(&gpu)[0].abs();
                     let bound = self.twin.pressure_bound + rounding;
@@ -887,8 +887,19 @@ impl<'a> LiquidComparison<'a> {
                     let bound = reach + 1e-12 * grid.size().max_element();
                     pairs.push(("surface", "m", read(&gpu)[0], twin, bound));
                 }
+                ProbeKind::Flux { axis, min, max } => {
+                    let sides = *max - *min;
+                    let area = sides[(axis + 1) % 3] * sides[(axis + 2) % 3];
+                    let (gpu, twin) = (read(&gpu)[0], read(&twin)[0]);
+                    let bound = area * self.twin.velocity_bound + 1e-12 * gpu.abs();
+                    pairs.push(("flux", "m^3/s", gpu, twin, bound));
+                }
                 // Both paths evaluate them by the same function of the nodes, which have their own rows.
-                ProbeKind::Node { .. } | ProbeKind::Solid { .. } | ProbeKind::Force { .. } => {}
+                ProbeKind::Node { .. }
+                | ProbeKind::Solid { .. }
+                | ProbeKind::SolidVelocity { .. }
+                | ProbeKind::Force { .. }
+                | ProbeKind::Reaction { .. } => {}
             }
         }
         self.table.stage = "probes";
