@@ -5,9 +5,9 @@
 //     s = (theta - dt w) x r + k (theta x (theta x r) / 2 - |theta|^2 theta x r / 4),  r' = r + dt (v - v_c) + s
 //     dv = (I'^-1 sum m (v - v_c) x s) x r';  u += s - dt dv,  v += dv.
 // For a body constrained at a point, c is the point and v_c = 0. For a hinge, two of its nodes far apart, I^-1 is e
-// e^T / (e . I e) and theta = dt w.
+// e^T / (e . I e) and theta = dt w. So it is for rollers along a coordinate axis e, about the centroid.
 // One workgroup per body; sums in a tree.
-// step. turning: first node and the one after the last, nodes of the hinge or FREE. rest: m, kg. flags: see
+// step. turning: first node and the one after the last, nodes of the hinge; or FREE, axis of rollers or FREE. rest: m, kg. flags: see
 // node_flags. displacement: larger parts, then smaller, m; velocity: m/s; both in place.
 #import dispatch
 #import node_flags
@@ -23,7 +23,7 @@
 @group(0) @binding(4) var<storage, read_write> displacement: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read_write> velocity: array<Real4>;
 
-// Replaces the nodes of a hinge for a free body. Also in fields/solids.rs.
+// Replaces the nodes of a hinge for a body that rotates about its centroid. Also in fields/solids.rs.
 const FREE = 0xffffffffu;
 
 // Smallest determinant of an inertia tensor over the cube of its trace, and smallest moment about a hinge over the
@@ -41,7 +41,7 @@ struct Tensor {
 
 // Rigid part of a body's motion.
 struct Motion {
-    // Direction of the hinge; 0 for a free body.
+    // Direction of the hinge or of the axis of rollers; 0 for other bodies.
     hinge: Real3,
     centroid: Real3,
     velocity: Real3,
@@ -140,6 +140,8 @@ fn turn_solids(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoc
         if any(way != Real3()) {
             motion.hinge = way / length(way);
         }
+    } else if nodes.z == FREE && nodes.w != FREE {
+        motion.hinge = select(Real3(), Real3(Real(1.0)), vec3<u32>(nodes.w) == vec3<u32>(0u, 1u, 2u));
     }
 
     var momentum = Real3();
@@ -183,7 +185,7 @@ fn turn_solids(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoc
     }
     let dw = tensor(motion.hinge, diagonal, products).inverse * lost;
     for (var node = nodes.x + lane; node < nodes.y; node += FOLD_SIZE) {
-        if !all(is_free(flags[node])) {
+        if !any(is_free(flags[node])) {
             continue;
         }
         let r = position(node) - motion.centroid;

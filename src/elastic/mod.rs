@@ -83,8 +83,19 @@ pub struct Body {
 pub struct RotatingBody {
     /// Nodes.
     pub nodes: Range<usize>,
-    /// Two nodes of its hinge, or twice the node of a point hinge; `None` for a free body.
-    pub about: Option<[usize; 2]>,
+    /// Centre and axis of the rotation.
+    pub pivot: Pivot,
+}
+
+/// Centre and axis of a body's rotation.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pivot {
+    /// The centroid of a free body, any axis.
+    Centroid,
+    /// The centroid, and this coordinate axis (0 to 2): rollers constrain that component of some nodes, and nothing else.
+    Axis(usize),
+    /// Two nodes of a hinge, or twice the node of a point.
+    Hinge([usize; 2]),
 }
 
 /// Prescribed motion of some nodes.

@@ -5,7 +5,8 @@ use std::ops::Range;
 use glam::DVec3;
 
 use super::{
-    Body, Deformation, RotatingBody, Script, Solids, lame_parameters, rest_shape, stress, von_mises,
+    Body, Deformation, Pivot, RotatingBody, Script, Solids, lame_parameters, rest_shape, stress,
+    von_mises,
 };
 use crate::error::{Error, rounded};
 use crate::geometry::{MovedMesh, TetMesh, bounds, deepest_obstacle, inside};
@@ -307,18 +308,19 @@ impl Solids {
         }
     }
 
-    /// Corotational bodies that are free, or constrained in a point or along a line.
+    /// Corotational bodies that are free, on rollers along one axis, or constrained in a point or along a line.
     pub fn rotating_bodies(&self) -> impl Iterator<Item = RotatingBody> {
         let corotational = |body: &&Body| body.model == ElasticModel::Corotational;
         let turning = |body: &Body| {
+            let pivot = match self.constrained_nodes(body).as_slice() {
+                [] => Pivot::Centroid,
+                constrained => match self.rollers(constrained) {
+                    Some(axis) => Pivot::Axis(axis),
+                    None => Pivot::Hinge(self.hinge(constrained)?),
+                },
+            };
             let nodes = body.nodes.clone();
-            match self.constrained_nodes(body).as_slice() {
-                [] => Some(RotatingBody { nodes, about: None }),
-                constrained => self.hinge(constrained).map(|hinge| RotatingBody {
-                    nodes,
-                    about: Some(hinge),
-                }),
-            }
+            Some(RotatingBody { nodes, pivot })
         };
         self.bodies.iter().filter(corotational).filter_map(turning)
     }
@@ -337,6 +339,16 @@ impl Solids {
     fn constrained_nodes(&self, body: &Body) -> Vec<usize> {
         let constrained = |node: &usize| self.prescribed[*node] != [false; 3];
         body.nodes.clone().filter(constrained).collect()
+    }
+
+    /// The component that all of these nodes have constrained, and no other.
+    fn rollers(&self, constrained: &[usize]) -> Option<usize> {
+        let only = |axis: usize| {
+            let rolls = [0, 1, 2].map(|other| other == axis);
+            let mut nodes = constrained.iter();
+            nodes.all(|&node| self.prescribed[node] == rolls)
+        };
+        (0..3).find(|&axis| only(axis))
     }
 
     /// The two ends of a hinge: all nodes are fully constrained, not scripted, and lie on a line or in a point.

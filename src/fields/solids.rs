@@ -2,7 +2,7 @@
 
 use crate::Error;
 use crate::arrays;
-use crate::elastic::{RotatingBody, Solids};
+use crate::elastic::{Pivot, RotatingBody, Solids};
 use crate::gpu::{Gpu, Real, WG_SIZE};
 use crate::grid::{Grid, Layout};
 use crate::scene::ElasticModel;
@@ -72,7 +72,7 @@ impl SolidPlan {
     }
 }
 
-/// Replaces the nodes of a hinge for a free body. Also in `turn_solids.wgsl`.
+/// Replaces the nodes of a hinge for a body that rotates about its centroid. Also in `turn_solids.wgsl`.
 const FREE: u32 = u32::MAX;
 /// Largest number of threads of a reduction.
 const LARGEST_SUMMING: usize = 16384;
@@ -136,7 +136,7 @@ arrays! {
             pub array free_bodies: [u32; 4] [plan.n_free] if plan.n_free > 0,
             /// Per node: 1 in bodies that touch nothing in this sub-step, else 0.
             pub array ballistic: u32 [plan.n_nodes],
-            /// Per free or hinged body: its range of nodes, and two nodes of its hinge or all bits set.
+            /// Per rotating body: its range of nodes, and two nodes of its hinge; or all bits set, and the axis of its rollers or all bits set.
             pub array turning: [u32; 4] [plan.n_turning] if plan.n_turning > 0,
         }
         views {}
@@ -178,8 +178,12 @@ impl SolidBuffers {
         gpu.upload(&self.rest, &rest);
         if let Some(turning) = &self.turning {
             let bodies = solids.rotating_bodies();
-            let bodies = bodies.map(|RotatingBody { nodes, about }| {
-                let [a, b] = about.map_or([FREE; 2], |hinge| hinge.map(|node| node as u32));
+            let bodies = bodies.map(|RotatingBody { nodes, pivot }| {
+                let [a, b] = match pivot {
+                    Pivot::Centroid => [FREE; 2],
+                    Pivot::Axis(axis) => [FREE, axis as u32],
+                    Pivot::Hinge(hinge) => hinge.map(|node| node as u32),
+                };
                 [nodes.start as u32, nodes.end as u32, a, b]
             });
             gpu.upload(turning, &bodies.collect::<Vec<_>>());

@@ -3,7 +3,7 @@
 
 use glam::{DMat3, DVec3};
 
-use crate::elastic::{RotatingBody, Solids};
+use crate::elastic::{Pivot, RotatingBody, Solids};
 
 /// Smallest determinant of an inertia tensor over the cube of its trace, and smallest moment about a hinge over the
 /// trace. Bodies on a line have no inertia about it.
@@ -16,7 +16,8 @@ const LEFT: f64 = 1e-6;
 
 /// Nodes move by dt v along tangents. A body that rotates by theta in a sub-step becomes longer by theta^2 / 2: two
 /// hundredths at a fifth of a radian. In all but soft bodies that is more elastic than kinetic energy. For each free
-/// or hinged body (`Solids::turning`) the rigid part of the motion therefore follows circles.
+/// or hinged body and each body on rollers (`Solids::rotating_bodies`) the rigid part of the motion therefore follows
+/// circles.
 ///
 /// Let c be the centroid, which moves with v_c, and r = x - c. With inertia I = sum m (|r|^2 1 - r r^T), angular
 /// momentum L = sum m r x (v - v_c) and w = I^-1 L:
@@ -40,7 +41,8 @@ const LEFT: f64 = 1e-6;
 /// Momentum, angular momentum about any point and the path of the centroid are unchanged. A body at rest is bitwise
 /// unchanged. Both corrections are of second order in the angle. A body constrained at a point rotates about it: c is
 /// the point and v_c = 0. A body constrained along a line of direction e, a hinge, has e e^T / (e . I e) in place of
-/// I^-1, and theta = dt w; the hinge supports the rest of L. Prescribed nodes do not move.
+/// I^-1, and theta = dt w; the hinge supports the rest of L. So has a body whose nodes are constrained along a
+/// coordinate axis e alone, as in plane strain, about its centroid. Prescribed components do not change.
 ///
 /// `displacement` (m) and `velocity` (m/s) of all nodes are updated in place.
 pub fn turn_solids(
@@ -49,18 +51,24 @@ pub fn turn_solids(
     displacement: &mut [[f64; 3]],
     velocity: &mut [[f64; 3]],
 ) {
-    for RotatingBody { nodes, about } in solids.rotating_bodies() {
+    for RotatingBody { nodes, pivot } in solids.rotating_bodies() {
         let nodes = || nodes.clone();
         let mean = |of: &dyn Fn(usize) -> DVec3| {
             let sum = nodes().map(|node| solids.mass[node] * of(node));
             sum.sum::<DVec3>() / nodes().map(|node| solids.mass[node]).sum::<f64>()
         };
         let x = |node: usize| solids.rest[node] + DVec3::from(displacement[node]);
-        let (c, v_c) = match about {
-            Some([hinge, _]) => (x(hinge), DVec3::ZERO),
-            None => (mean(&x), mean(&|node| DVec3::from(velocity[node]))),
+        let (c, v_c) = match pivot {
+            Pivot::Hinge([hinge, _]) => (x(hinge), DVec3::ZERO),
+            Pivot::Centroid | Pivot::Axis(_) => {
+                (mean(&x), mean(&|node| DVec3::from(velocity[node])))
+            }
         };
-        let hinge = about.and_then(|[a, b]| (x(b) - x(a)).try_normalize());
+        let hinge = match pivot {
+            Pivot::Centroid => None,
+            Pivot::Axis(axis) => Some(DVec3::AXES[axis]),
+            Pivot::Hinge([a, b]) => (x(b) - x(a)).try_normalize(),
+        };
         let arms: Vec<[DVec3; 2]> = nodes()
             .map(|node| [x(node) - c, DVec3::from(velocity[node]) - v_c])
             .collect();
@@ -99,7 +107,8 @@ pub fn turn_solids(
         let inverse = inverse_inertia(hinge, masses.iter().zip(after().map(|(r, ..)| r)));
         let dw = inverse.map_or(DVec3::ZERO, |inverse| inverse * lost);
         let after: Vec<_> = after().collect();
-        let moving = |(node, _): &(usize, _)| solids.prescribed[*node] == [false; 3];
+        // Both corrections are 0 along the axis of rollers.
+        let moving = |(node, _): &(usize, _)| solids.prescribed[*node] != [true; 3];
         for (node, (r, s, _)) in nodes().zip(after).filter(moving) {
             let dv = dw.cross(r);
             // The following move adds dt dv too.

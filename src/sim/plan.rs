@@ -237,9 +237,9 @@ fn explained(scene: &Scene, effects: &Effects, n_turning: usize) -> Vec<Effect> 
         active: n_turning > 0,
         reason: match n_turning {
             _ if !effects.solids => "there are no solids".to_owned(),
-            0 => "no corotational body that is free, or constrained at a point or along a line"
+            0 => "no corotational body that is free, on rollers along one axis, or constrained at a point or along a line"
                 .to_owned(),
-            n => format!("{n} corotational bodies, free or constrained at a point or along a line"),
+            n => format!("{n} corotational bodies, free, on rollers along one axis, or constrained at a point or along a line"),
         },
     };
     lines.insert(after.map_or(lines.len(), |index| index + 1), turning);

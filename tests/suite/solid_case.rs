@@ -306,6 +306,15 @@ pub(crate) fn cases() -> Vec<SolidCase> {
         }
         case
     };
+    // Rollers on two faces: it moves and turns in the plane y, z.
+    let mut rollers = SolidCase::new("on rollers", solids(&[(cube(), RUBBER)])).shaken(1e-2, 4.0);
+    for node in 0..rollers.solids.rest.len() {
+        let x = rollers.solids.rest[node].x;
+        if !(0.41..0.79).contains(&x) {
+            rollers.solids.prescribed[node] = [true, false, false];
+            (rollers.displacement[node][0], rollers.velocity[node][0]) = (0.0, 0.0);
+        }
+    }
     let on_edge = |x: DVec3| x.x < 0.41 && x.y < 0.41;
     let mut denormal = SolidCase::new("denormals", one()).shaken(1e-41, 1e-40);
     denormal.displacement[1] = pair(DVec3::new(1e-30, -1e-38, 5e-45));
@@ -317,6 +326,7 @@ pub(crate) fn cases() -> Vec<SolidCase> {
         held("on a hinge", 1e-2, 4.0, &on_edge),
         held("held in a point", 1e-2, 4.0, &|x| on_edge(x) && x.z < 0.41),
         held("at rest on a hinge", 0.0, 0.0, &on_edge),
+        rollers,
         SolidCase::new("turned", solids(&[(cube(), RUBBER)])).deformed(|x| {
             middle + DMat3::from_axis_angle(DVec3::ONE.normalize(), 2.5) * (x - middle)
         }),
