@@ -123,7 +123,7 @@ effects! {
     loads: |scene, _| any_solid(scene, loads),
         |scene, _| count_solids(scene, loads, "[[solid.load]]", "no [[solid.load]]");
     /// Obstacles. With liquid: apertures from clipping, push-out, extension of the liquid distance, free slip. With
-    /// solids: push-out of nodes.
+    /// solids: contact of nodes.
     obstacles: |scene, _| !scene.obstacles.is_empty(),
         |scene, _| count(scene.obstacles.len(), "[[obstacle]]");
     /// Moving obstacles in liquid: `clip` in every sub-step, their flux J v in the right-hand side, slip relative to
@@ -137,6 +137,14 @@ effects! {
                 (n, _) => format!("{n} [[obstacle]] with keyframes"),
             }
         };
+    /// Moving obstacles that push solids: their distance and motion in every sub-step.
+    pushing_obstacles: |scene, effects| effects.solids && scene.obstacles_move(),
+        |scene, effects| match (effects.solids, scene.obstacles_move()) {
+            (false, _) => "there are no solids",
+            (_, false) => "no [[obstacle]] with keyframes",
+            (_, true) => "[[solid]] and [[obstacle]] with keyframes",
+        }
+        .to_owned();
     /// Liquid and solids: `clip` in every sub-step, coupling matrix J, and one solve for both while they touch.
     coupling: |scene, effects| scene.liquid.is_some() && effects.solids,
         |_, effects| coupling(effects).to_owned();

@@ -255,7 +255,7 @@ fn warnings(scene: &Scene, summary: &Summary) -> Vec<String> {
             None => "the frames show it",
         };
         format!(
-            "solids overlapped by up to {:.3} m with each other or with obstacles: contact between solids, and with moving obstacles, is not simulated; move them apart; {place}",
+            "solids overlapped by up to {:.3} m with each other or with obstacles: contact between solids is not simulated; move them apart; {place}",
             tally.overlap
         )
     });

@@ -276,14 +276,11 @@ impl ObstacleBuffers {
         ObstacleBuffers::allocate(gpu, *grid, present)
     }
 
-    /// Writes the distance, before all work submitted later. Required without obstacles too.
-    pub fn write(&self, gpu: &Gpu, cut: &CutCells) {
+    /// Writes the distance of the cell centres (m), before all work submitted later. Required without obstacles too.
+    pub fn write(&self, gpu: &Gpu, distance: &[f64]) {
         let Grid { cells, dx } = self.grid;
         let distance = match self.present {
-            true => self
-                .grid
-                .padded()
-                .pad(cells, &cut.solid_distance, |d| d as f32),
+            true => self.grid.padded().pad(cells, distance, |d| d as f32),
             false => vec![3.0 * dx as f32; 4],
         };
         gpu.upload(&self.solid_distance, &distance);
@@ -307,7 +304,7 @@ impl LiquidBuffers {
             }
         }
         gpu.upload(&self.valid, &valid);
-        self.obstacles.write(gpu, cut);
+        self.obstacles.write(gpu, &cut.solid_distance);
         let grid = &self.plan.grid;
         if let Some(occupied) = &self.occupied {
             // A lane has room where its cell exists and its centre is outside all solids.

@@ -3,6 +3,7 @@
 use crate::Error;
 use crate::arrays;
 use crate::elastic::{Pivot, RotatingBody, Solids};
+use crate::geometry::ContactField;
 use crate::gpu::{Gpu, Real, WG_SIZE};
 use crate::grid::{Grid, Layout};
 use crate::scene::ElasticModel;
@@ -58,6 +59,8 @@ pub struct SolidPlan {
     pub scripts: bool,
     /// Whether there are obstacles.
     pub obstacles: bool,
+    /// Moving obstacles.
+    pub n_moving: usize,
     /// The scalar type of velocities, element data and sums.
     pub real: Real,
 }
@@ -103,6 +106,10 @@ arrays! {
             /// Per node: distances from the nearer walls, m, and bits that name these walls. With obstacles a second
             /// section contains unit normals and distances (`shaders/common/contact.wgsl`).
             pub array gaps: [f32; 4] [(1 + usize::from(plan.obstacles)) * plan.n_nodes],
+            /// Per cell, device layout: number of the nearest moving obstacle, from 1, or 0 ([`ContactField`]).
+            pub array obstacle_of_cell: u32 [plan.grid.padded().len()] if plan.n_moving > 0,
+            /// Per moving obstacle, three entries: velocity of its centre (m/s), angular velocity (rad/s), centre (m).
+            pub array obstacle_motions: [f32; 4] [3 * plan.n_moving] if plan.n_moving > 0,
             /// Per node: constraint projector of this sub-step (`shaders/common/freedom.wgsl`).
             pub array freedom: [f32; 4] [plan.n_nodes],
             /// Query of the active-set search and its result (`shaders/common/ask.wgsl`). After a sub-step the first
@@ -166,6 +173,24 @@ impl SolidBuffers {
             buffers.write_elements(gpu, solids);
         }
         Ok(buffers)
+    }
+
+    /// Writes the motions of the moving obstacles, before all work submitted later.
+    pub fn write_motions(&self, gpu: &Gpu, field: &ContactField) {
+        let Some((cells, motions)) = self
+            .obstacle_of_cell
+            .as_ref()
+            .zip(self.obstacle_motions.as_ref())
+        else {
+            return;
+        };
+        let padded = self.plan.grid.padded();
+        let numbers = padded.pad(field.grid.cells, &field.nearest, |number| number);
+        gpu.upload(cells, &numbers);
+        let parts = field.motions.iter();
+        let parts = parts.flat_map(|motion| [motion.velocity, motion.spin, motion.centre]);
+        let words = parts.map(|part| part.extend(0.0).as_vec4().to_array());
+        gpu.upload(motions, &words.collect::<Vec<_>>());
     }
 
     fn write_nodes(&self, gpu: &Gpu, solids: &Solids) {

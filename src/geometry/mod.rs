@@ -5,11 +5,13 @@
 //! - [`cut_cells`]: apertures and distances of the obstacles of a scene
 //! - [`ObstacleCut`]: the same with moving obstacles, in every sub-step
 //! - [`SolidClip`]: the same with deforming solids, and [`Coupling`], their patches as sparse lists by cell and by node
+//! - [`ContactField`]: distance and motion of the obstacles as nodes of solids meet them
 //! - [`TetMesh`], [`solid_meshes`]: tetrahedra of solids, from shapes, files and closed surfaces
 //! - [`SourcesAndSinks`]: sources and sinks as cells and faces of the grid
 //! - [`Regions`], [`liquid_distance`], [`seed_markers`], [`initial_state`]: the initial liquid
 
 mod clip;
+mod contact_field;
 mod coupling;
 mod crossing;
 mod disjoint_sets;
@@ -40,6 +42,7 @@ mod thickness;
 mod vtu;
 
 pub use clip::{Clipping, OpenFractions, Patch, clip, open_fractions};
+pub use contact_field::{ContactField, RigidVelocity};
 pub use coupling::{CellNode, Coupling};
 pub use inside::inside;
 pub use liquid::{

@@ -8,7 +8,7 @@ use glam::{DMat3, DQuat, DVec3};
 use super::clip::{Clipping, OpenFractions, clip, open_fractions};
 use super::distance::{BAND, Body, RigidDisplacement};
 use super::solid_clip::line_sums;
-use super::{CutCells, Surface, clamp_open, close_walls, is_wall};
+use super::{ContactField, CutCells, RigidVelocity, Surface, clamp_open, close_walls, is_wall};
 use crate::error::Error;
 use crate::grid::{Axis, Grid, Sides};
 use crate::scene::{Acceleration, Keyframe, Motion, Obstacle, Scene};
@@ -28,43 +28,26 @@ pub struct ObstacleCut {
 struct MovingObstacles {
     grid: Grid,
     area_clamp: f64,
-    bodies: Vec<MovingBody>,
+    field: ContactField,
     /// Apertures and distances of the static obstacles.
     static_cut: CutCells,
     static_raw: [Vec<f64>; 3],
-    /// Faces and cells that differ from those of the static obstacles.
+    /// Faces that differ from those of the static obstacles.
     changed_faces: [Vec<usize>; 3],
-    changed_cells: Vec<usize>,
     flux: Vec<(usize, f64)>,
     walls: Vec<(usize, DVec3)>,
 }
 
+/// A moving obstacle.
 #[derive(Clone, Debug)]
-struct MovingBody {
+pub(super) struct MovingBody {
     /// Placed, before the motion.
     rest: Body,
-    motion: Motion,
+    pub(super) motion: Motion,
     /// Centre of rotation, m.
     pivot: DVec3,
     /// Greatest distance of a vertex from the pivot, m.
-    radius: f64,
-}
-
-/// Rigid velocity field v(x) = velocity + spin x (x - centre). Its net flux through a closed surface is zero.
-#[derive(Clone, Copy, Debug)]
-struct RigidVelocity {
-    /// m/s
-    velocity: DVec3,
-    /// rad/s
-    spin: DVec3,
-    /// m
-    centre: DVec3,
-}
-
-impl RigidVelocity {
-    fn at(&self, x: DVec3) -> DVec3 {
-        self.velocity + self.spin.cross(x - self.centre)
-    }
+    pub(super) radius: f64,
 }
 
 /// Step of the difference quotient of a velocity, relative to the time to the next keyframe.
@@ -120,11 +103,10 @@ pub fn obstacle_cut(scene: &Scene, grid: &Grid) -> Result<ObstacleCut, Error> {
         all.moving = Some(Box::new(MovingObstacles {
             grid: *grid,
             area_clamp,
-            bodies,
+            field: ContactField::at_rest(grid, cut.solid_distance.clone()).with_moving(bodies),
             static_cut: cut,
             static_raw: raw,
             changed_faces: Default::default(),
-            changed_cells: Vec::new(),
             flux: Vec::new(),
             walls: Vec::new(),
         }));
@@ -206,6 +188,14 @@ impl ObstacleCut {
             .map_or(&self.cut, |moving| &moving.static_cut)
     }
 
+    /// The obstacles as nodes of solids meet them.
+    pub fn contact_field(&self, grid: &Grid) -> ContactField {
+        match &self.moving {
+            Some(moving) => moving.field.clone(),
+            None => ContactField::at_rest(grid, self.cut.solid_distance.clone()),
+        }
+    }
+
     /// Whether the scene has moving obstacles.
     pub fn has_moving(&self) -> bool {
         self.moving.is_some()
@@ -216,7 +206,7 @@ impl ObstacleCut {
         match &self.moving {
             Some(moving) => (
                 moving.changed_faces.each_ref().map(Vec::as_slice),
-                &moving.changed_cells,
+                moving.field.changed(),
             ),
             None => ([&[]; 3], &[]),
         }
@@ -252,17 +242,14 @@ impl ObstacleCut {
 
     /// Upper bound of the speed of all obstacles between a time and `span` (both s) later, m/s.
     pub fn max_speed(&self, time: f64, span: f64) -> f64 {
-        let bodies = self.moving.iter().flat_map(|moving| &moving.bodies);
-        let speeds =
-            bodies.map(|body| Keyframe::max_speed(&body.motion.keyframes, body.radius, time, span));
-        speeds.fold(0.0, f64::max)
+        let moving = self.moving.as_ref();
+        moving.map_or(0.0, |moving| moving.field.max_speed(time, span))
     }
 
     /// Prescribed accelerations of all obstacles.
     pub fn accelerations(&self) -> Vec<Acceleration> {
-        let bodies = self.moving.iter().flat_map(|moving| &moving.bodies);
-        let of = |body: &MovingBody| Keyframe::accelerations(&body.motion.keyframes, body.radius);
-        bodies.flat_map(of).collect()
+        let moving = self.moving.as_ref();
+        moving.map_or(Vec::new(), |moving| moving.field.accelerations())
     }
 
     /// Moves the obstacles to a time (s). Their velocities lead to their poses dt (s) later; with dt = 0 they are
@@ -273,12 +260,9 @@ impl ObstacleCut {
         };
         moving.restore(&mut self.raw, &mut self.cut);
         let (grid, area_clamp) = (moving.grid, moving.area_clamp);
-        let now: Vec<(Body, RigidVelocity)> = moving
-            .bodies
-            .iter()
-            .map(|body| (body.at(time).beyond_walls(&grid), body.velocity(time, dt)))
-            .collect();
-        let (surface, body_of) = joined(now.iter().map(|(body, _)| &body.surface));
+        let now = moving.field.moved_to(time, dt);
+        let field = &moving.field;
+        let (surface, body_of) = joined(now.iter().map(|body| &body.surface));
         let clipping = clip(&surface, &grid);
 
         for axis in Axis::ALL {
@@ -292,35 +276,21 @@ impl ObstacleCut {
             }
         }
 
-        let mut walls: Vec<(usize, DVec3)> = Vec::new();
-        for (body, velocity) in &now {
-            let velocity = |cell| velocity.at(grid.cell_centre(grid.cell_at(cell)));
-            for (cell, distance) in body.near(&grid) {
-                let nearest = &mut self.cut.solid_distance[cell];
-                if distance < *nearest {
-                    *nearest = distance;
-                    moving.changed_cells.push(cell);
-                    if distance > -BAND * grid.dx {
-                        walls.push((cell, velocity(cell)));
-                    }
-                }
-            }
+        for &cell in field.changed() {
+            self.cut.solid_distance[cell] = field.distance[cell];
         }
-        moving.changed_cells.sort_unstable();
-        moving.changed_cells.dedup();
-        // Keeps the last entry of each cell: the nearest body, and of equals the first.
-        walls.sort_by_key(|&(cell, _)| cell);
-        walls.reverse();
-        walls.dedup_by_key(|(cell, _)| *cell);
-        walls.reverse();
-        moving.walls = walls;
+        let walls = field.changed().iter().filter_map(|&cell| {
+            let centre = grid.cell_centre(grid.cell_at(cell));
+            Some((cell, field.velocity(centre)?))
+        });
+        moving.walls = walls.collect();
 
         let mut flux: Vec<(usize, f64)> = Vec::new();
         let mut patches: Vec<_> = clipping.patches.iter().collect();
         patches.sort_by_key(|patch| patch.cell);
         for patches in patches.chunk_by(|a, b| a.cell == b.cell) {
             let parts = patches.iter().map(|patch| {
-                let (_, velocity) = &now[body_of[patch.triangle]];
+                let velocity = &field.motions[body_of[patch.triangle]];
                 patch.area * patch.normal.dot(velocity.at(patch.centroid))
             });
             flux.push((patches[0].cell, parts.sum()));
@@ -337,7 +307,7 @@ impl MovingObstacles {
                 cut.open[a][face] = self.static_cut.open[a][face];
             }
         }
-        for cell in self.changed_cells.drain(..) {
+        for &cell in self.field.changed() {
             cut.solid_distance[cell] = self.static_cut.solid_distance[cell];
         }
     }
@@ -368,7 +338,7 @@ impl MovingBody {
     }
 
     /// The body at a time (s), including its sides on walls.
-    fn at(&self, time: f64) -> Body {
+    pub(super) fn at(&self, time: f64) -> Body {
         let (rotation, translate) = self.pose(time);
         self.rest.moved(&RigidDisplacement {
             pivot: self.pivot,
@@ -378,7 +348,7 @@ impl MovingBody {
     }
 
     /// Mean velocity over dt (s) from a time on; instantaneous with dt = 0.
-    fn velocity(&self, time: f64, dt: f64) -> RigidVelocity {
+    pub(super) fn velocity(&self, time: f64, dt: f64) -> RigidVelocity {
         let span = match Keyframe::next_time(&self.motion.keyframes, time) {
             _ if dt > 0.0 => dt,
             Some(next) => DIFFERENCE_STEP * (next - time),

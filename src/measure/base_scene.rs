@@ -103,6 +103,7 @@ impl<'a> DeviceScene<'a> {
             n_free: scene.solids.free_bodies().count(),
             scripts: false,
             obstacles: false,
+            n_moving: 0,
             real: variant(gpu.has_f64(), solver.precision).real,
         };
         let fields = SolidBuffers::new(gpu, plan, &scene.solids)?;

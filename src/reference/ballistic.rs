@@ -1,5 +1,5 @@
 //! Ballistic liquid and bodies: a component of active cells without a face at a wall, a solid or a source; a body without
-//! constraints and loads that is out of the liquid and reaches neither wall nor fixed obstacle.
+//! constraints and loads that is out of the liquid and reaches neither wall nor obstacle.
 //!
 //! A sub-step moves what it moves by dt v and then adds dt g to v. What falls freely is then late by dt g / 2 times the
 //! time. What touches nothing moves by dt v + dt^2 g / 2, which is exact.

@@ -22,14 +22,6 @@ impl Boundary {
         }
     }
 
-    /// Cut cells of the obstacles at rest alone, which solids touch.
-    pub(super) fn fixed_obstacles(&self) -> &CutCells {
-        match self {
-            Boundary::Fixed(cut) => cut,
-            Boundary::Moving(clip) => clip.obstacles().static_cut(),
-        }
-    }
-
     pub(super) fn clip(&self) -> Option<&SolidClip> {
         match self {
             Boundary::Fixed(_) => None,

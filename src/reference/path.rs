@@ -9,7 +9,7 @@ use super::{BlockPattern, SolidSolver, StepLimits, TimeStep, max_speed, prepare}
 use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::Solids;
-use crate::geometry::{CutCells, ObstacleCut, SolidClip, SourcesAndSinks};
+use crate::geometry::{ContactField, CutCells, ObstacleCut, SolidClip, SourcesAndSinks};
 use crate::grid::{Axis, Grid};
 use crate::scene::Scene;
 use crate::state::{State, StepReport};
@@ -19,6 +19,8 @@ use crate::state::{State, StepReport};
 pub struct Reference {
     model: Model,
     boundary: Boundary,
+    /// Obstacles as the nodes meet them, with solids.
+    obstacles: Option<ContactField>,
     state: State,
     /// Forces of the liquid on the nodes in the last sub-step, N.
     node_forces: Vec<[f64; 3]>,
@@ -77,6 +79,7 @@ impl Reference {
         }
         let taps = SourcesAndSinks::new(scene, &grid, obstacles.static_cut())?;
         let limits = StepLimits::new(scene, Some(&obstacles), Some(&solids));
+        let field = effects.solids.then(|| obstacles.contact_field(&grid));
         let boundary = match effects.clips() {
             false => Boundary::Fixed(obstacles.static_cut().clone()),
             true => Boundary::Moving(Box::new(SolidClip::new(&grid, obstacles, &scene.solver))),
@@ -96,6 +99,7 @@ impl Reference {
                 limits,
             },
             boundary,
+            obstacles: field,
             state: State::default(),
             node_forces: Vec::new(),
         };
@@ -194,6 +198,9 @@ impl Reference {
         let solid_speed = nodes.fold(0.0, |max, v| larger(max, v.abs()));
         let obstacles = self.boundary.moving_obstacles();
         let obstacle_speed = obstacles.map_or(0.0, |cut| cut.max_speed(state.time, left));
+        let pushing = self.obstacles.as_ref();
+        let pushing_speed = pushing.map_or(0.0, |field| field.max_speed(state.time, left));
+        let obstacle_speed = obstacle_speed.max(pushing_speed);
         let speed = larger(max_speed(&state.velocity), solid_speed.max(obstacle_speed));
         let speed = larger(speed, taps.speed(state.time, scene.time.cfl));
         // After the first sub-step the velocities of scripted nodes include the scripts.
@@ -221,10 +228,12 @@ impl Reference {
         let Reference {
             model,
             boundary,
+            obstacles,
             state,
             node_forces,
         } = self;
-        match SubStep::new(model, boundary, state, time_step, observer).complete() {
+        let boundaries = (&mut *boundary, obstacles.as_mut());
+        match SubStep::new(model, boundaries, state, time_step, observer).complete() {
             Ok((after, forces, report)) => {
                 (*state, *node_forces) = (after, forces);
                 Ok(report)

@@ -1,6 +1,7 @@
 //! `right_hand_side`, for solids, second part: contact of nodes with walls and obstacles in a sub-step.
 //!
-//! A node at a gap d (m) with outward normal n must satisfy d + dt v . n >= 0 after the next move. The contact force
+//! A node at a gap d (m) with outward normal n must satisfy d + dt v . n >= 0 after the next move. Of a moving obstacle d
+//! is the gap that a node at rest has after that move: its gap now less dt times the obstacle's velocity along n. The contact force
 //! f >= 0 acts only at contact: f (d + dt v . n) = 0. So v minimises phi(v) = v . S v / 2 - F . v subject to d + dt v
 //! . n >= 0. F contains all forces, including those of the liquid.
 //!
@@ -22,7 +23,7 @@ use glam::{DMat3, DVec3};
 use super::SolidSystem;
 use super::sample::normal;
 use crate::elastic::Solids;
-use crate::grid::Grid;
+use crate::geometry::ContactField;
 use crate::state::ContactReport;
 
 /// Largest number of active-set iterations per sub-step, including the solve for a pressure that matches the final
@@ -132,18 +133,20 @@ fn square(n: DVec3) -> DMat3 {
 struct Surface {
     /// Unit outward normal.
     normal: DVec3,
-    /// Gap of the node, m.
+    /// Gap of the node after the next move if the node rests, m.
     gap: f64,
+    /// Velocity of the surface along the normal, m/s.
+    rate: f64,
     active: bool,
 }
 
 impl Surface {
-    fn new(normal: DVec3, gap: f64) -> Surface {
-        let active = false;
+    fn at_rest(normal: DVec3, gap: f64) -> Surface {
         Surface {
             normal,
             gap,
-            active,
+            rate: 0.0,
+            active: false,
         }
     }
 }
@@ -162,29 +165,28 @@ pub struct Contacts {
 
 impl Contacts {
     /// Initial active set of a sub-step of dt (s): nodes in contact whose forces M v*/dt - (K x* - b) + load press
-    /// them to the surface. `solid_distance` per cell, m; `displacement` in m; `forces` in N.
+    /// them to the surface, or too little to keep up with it. `displacement` in m; `forces` in N.
     pub fn new(
         solids: &Solids,
-        grid: &Grid,
-        solid_distance: &[f64],
+        obstacles: &ContactField,
         displacement: &[[f64; 3]],
         forces: &[[f64; 3]],
         dt: f64,
     ) -> Contacts {
-        let skin = SKIN * grid.dx;
+        let skin = SKIN * obstacles.grid.dx;
         let pressed = |node: usize, _: usize, surface: &Surface, freedom: &Freedom| {
             let force = freedom.projector * DVec3::from(forces[node]);
-            surface.gap <= skin && force.dot(surface.normal) < 0.0
+            let least = surface.rate * solids.mass[node] / dt;
+            surface.gap <= skin && force.dot(surface.normal) < least
         };
-        Contacts::with(solids, grid, solid_distance, displacement, dt, pressed)
+        Contacts::with(solids, obstacles, displacement, dt, pressed)
     }
 
     /// Contacts with an active set. The projectors do not determine it, as an obstacle's face may lie along a
     /// wall.
     pub fn holding(
         solids: &Solids,
-        grid: &Grid,
-        solid_distance: &[f64],
+        obstacles: &ContactField,
         displacement: &[[f64; 3]],
         active: &[ActiveSurfaces],
         dt: f64,
@@ -193,19 +195,19 @@ impl Contacts {
             OBSTACLE => active[node].obstacle,
             axis => active[node].walls[axis],
         };
-        Contacts::with(solids, grid, solid_distance, displacement, dt, active)
+        Contacts::with(solids, obstacles, displacement, dt, active)
     }
 
     /// Contacts with the surfaces for which `active` is true. Its arguments: node, index of the surface, and the
     /// directions that earlier surfaces leave free.
     fn with(
         solids: &Solids,
-        grid: &Grid,
-        solid_distance: &[f64],
+        obstacles: &ContactField,
         displacement: &[[f64; 3]],
         dt: f64,
         active: impl Fn(usize, usize, &Surface, &Freedom) -> bool,
     ) -> Contacts {
+        let ContactField { grid, distance, .. } = obstacles;
         let surfaces = (0..solids.rest.len()).map(|node| {
             let x = solids.rest[node] + DVec3::from(displacement[node]);
             let wall = |axis: usize| {
@@ -216,10 +218,16 @@ impl Contacts {
                     (-1.0, above)
                 };
                 let free = !solids.prescribed[node][axis];
-                free.then(|| Surface::new(sign * DVec3::AXES[axis], gap))
+                free.then(|| Surface::at_rest(sign * DVec3::AXES[axis], gap))
             };
-            let obstacle = normal(grid, solid_distance, x)
-                .map(|normal| Surface::new(normal, grid.sample_cells(solid_distance, x)));
+            let obstacle = normal(grid, distance, x).map(|normal| {
+                let velocity = obstacles.velocity(x).unwrap_or_default();
+                let rate = velocity.dot(normal);
+                Surface {
+                    rate,
+                    ..Surface::at_rest(normal, grid.sample_cells(distance, x) - dt * rate)
+                }
+            });
             let mut surfaces = [wall(0), wall(1), wall(2), obstacle];
             let mut freedom = Freedom::of(solids.prescribed[node]);
             for (which, surface) in surfaces.iter_mut().enumerate() {

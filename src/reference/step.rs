@@ -18,7 +18,7 @@ use super::{
 };
 use crate::Error;
 use crate::elastic::Solids;
-use crate::geometry::Running;
+use crate::geometry::{ContactField, Running};
 use crate::scene::Liquid;
 use crate::state::{
     ContactReport, CouplingReport, Exchange, LiquidReport, SolidReport, SolveReport, State,
@@ -30,6 +30,8 @@ use crate::step::{self as schedule, Backend, Stage};
 pub(super) struct SubStep<'a> {
     model: &'a Model,
     boundary: &'a mut Boundary,
+    /// With solids.
+    obstacles: Option<&'a mut ContactField>,
     before: &'a State,
     observer: &'a mut dyn FnMut(StepSystem),
     time_step: TimeStep,
@@ -125,7 +127,7 @@ impl Backend for SubStep<'_> {
 impl<'a> SubStep<'a> {
     pub(super) fn new(
         model: &'a Model,
-        boundary: &'a mut Boundary,
+        (boundary, obstacles): (&'a mut Boundary, Option<&'a mut ContactField>),
         before: &'a State,
         time_step: TimeStep,
         observer: &'a mut dyn FnMut(StepSystem),
@@ -135,6 +137,7 @@ impl<'a> SubStep<'a> {
         SubStep {
             model,
             boundary,
+            obstacles,
             before,
             observer,
             time_step,

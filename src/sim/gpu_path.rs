@@ -6,7 +6,7 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::{NodeReadback, Solids};
 use crate::fields::Step;
-use crate::geometry::{self, CutCells, Running, SolidClip, SourcesAndSinks};
+use crate::geometry::{self, ContactField, CutCells, Running, SolidClip, SourcesAndSinks};
 use crate::gpu::{AdapterChoice, Gpu, Real};
 use crate::grid::Grid;
 use crate::reference::{self, StepLimits, TimeStep};
@@ -85,7 +85,8 @@ impl GpuPath {
         let mut clip = super::first_clip(scene, solids, &obstacles);
         // Checks the sources and sinks before the liquid is seeded, which may take long.
         let mut taps = SourcesAndSinks::new(scene, &grid, obstacles.static_cut())?;
-        let plan = Plan::with(scene, solids, (&mut clip, &mut taps), Some(gpu.report()))?;
+        let parts = (&mut clip, &mut taps);
+        let plan = Plan::with(scene, solids, Some(&obstacles), parts, Some(gpu.report()))?;
         plan.check(gpu.report())?;
         memory.beside(plan.bytes(), gpu.report()).check()?;
         let mut state = super::first_state(scene, solids, &obstacles.cut, clip.as_ref())?;
@@ -102,9 +103,10 @@ impl GpuPath {
         if let Some(liquid) = &path.liquid {
             liquid.buffers.write_cut_cells(&path.gpu, &cut);
         }
-        if let Some(solids) = &path.solids {
-            solids.write_obstacles(&path.gpu, &cut);
+        if let Some(solids) = &mut path.solids {
+            solids.write_obstacles(&path.gpu, &obstacles);
         }
+        path.limits = StepLimits::new(scene, Some(&obstacles), Some(solids));
         path.cut = cut;
         path.write_state(&state)?;
         Ok(path)
@@ -345,13 +347,15 @@ impl GpuPath {
         let solids = self.solids.iter().map(|solids| solids.max_speed);
         let obstacles = self.clip().map(SolidClip::obstacles);
         let obstacles = obstacles.map(|cut| cut.max_speed(self.head.time, left));
+        let pushing = self.solids.iter();
+        let pushing = pushing.map(|solids| solids.obstacle_speed(self.head.time, left));
         let sources = self.liquid.iter();
         let sources = sources.map(|liquid| liquid.taps.speed(self.head.time, time.cfl));
         // Later keyframes of scripts are included in the velocities of their nodes.
         let scripts = self.solids.iter().filter(|_| self.head.step == 0);
         let scripts = scripts.map(|of| of.solids.max_script_speed(self.head.time, left));
         let max_speed = liquid.chain(solids).chain(obstacles);
-        let max_speed = max_speed.chain(sources).chain(scripts);
+        let max_speed = max_speed.chain(sources).chain(scripts).chain(pushing);
         let max_speed = max_speed.fold(0.0, f64::max);
         let times = [self.head.time, left];
         self.limits.time_step(max_speed, times, self.head.dt_last)
@@ -398,9 +402,11 @@ impl GpuPath {
         self.clip().map_or(&self.cut, SolidClip::cut_cells)
     }
 
-    /// Cut cells of the static obstacles alone.
-    pub fn obstacles(&self) -> &CutCells {
-        &self.cut
+    /// The obstacles as the nodes of solids meet them.
+    pub fn contact_field(&self) -> ContactField {
+        let moving = self.solids.as_ref().and_then(GpuSolids::moving);
+        let at_rest = || ContactField::at_rest(&self.scene.grid(), self.cut.solid_distance.clone());
+        moving.cloned().unwrap_or_else(at_rest)
     }
 
     /// Clipping of solids in liquid and of moving obstacles.

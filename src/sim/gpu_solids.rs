@@ -7,7 +7,7 @@ use crate::fields;
 use crate::fields::{
     ObstacleBuffers, SolidBuffers, SolidPlan, SolidRows, SolidStep, SolidSystemBuffers, variant,
 };
-use crate::geometry::CutCells;
+use crate::geometry::{ContactField, ObstacleCut};
 use crate::gpu::{Buffer, Dispatches, Gpu, Pass, Readback, Real, Recorder, StageTimes};
 use crate::reference::{MAX_SOLVES, MOST_HALVINGS};
 use crate::scene::Scene;
@@ -25,6 +25,8 @@ pub(super) struct GpuSolids {
     bounds: Bounds,
     /// Distance to the obstacles, if any.
     obstacles: Option<ObstacleBuffers>,
+    /// Moving obstacles, if any.
+    moving: Option<ContactField>,
     /// Largest node speed, m/s.
     pub(super) max_speed: f64,
     pub(super) buffers: SolidBuffers,
@@ -122,6 +124,14 @@ fn solid_plan(scene: &Scene, solids: &Solids, f64: bool) -> SolidPlan {
         n_free: solids.free_bodies().count(),
         scripts: effects.scripts,
         obstacles: effects.obstacles,
+        n_moving: match effects.pushing_obstacles {
+            true => scene
+                .obstacles
+                .iter()
+                .filter(|it| it.motion.is_some())
+                .count(),
+            false => 0,
+        },
         real: variant(f64, scene.solver.precision).real,
     }
 }
@@ -170,6 +180,7 @@ impl GpuSolids {
         let needs_velocity = probes.any(|probe| probe.kind.needs_node_velocity());
         Ok(GpuSolids {
             obstacles,
+            moving: None,
             bounds: Bounds::new(&solids),
             max_speed: 0.0,
             buffers,
@@ -183,10 +194,34 @@ impl GpuSolids {
     }
 
     /// Writes the distance to the obstacles.
-    pub(super) fn write_obstacles(&self, gpu: &Gpu, cut: &CutCells) {
-        if let Some(obstacles) = &self.obstacles {
-            obstacles.write(gpu, cut);
+    pub(super) fn write_obstacles(&mut self, gpu: &Gpu, cut: &ObstacleCut) {
+        let Some(obstacles) = &self.obstacles else {
+            return;
+        };
+        obstacles.write(gpu, &cut.static_cut().solid_distance);
+        if self.buffers.plan.n_moving > 0 {
+            self.moving = Some(cut.contact_field(&self.buffers.plan.grid));
         }
+    }
+
+    /// Moves the obstacles to the end of a sub-step of dt (s) that starts at a time (s), and writes them.
+    fn move_obstacles(&mut self, gpu: &Gpu, time: f64, dt: f64) {
+        if let Some((field, obstacles)) = self.moving.as_mut().zip(self.obstacles.as_ref()) {
+            field.move_to(time + dt, dt);
+            obstacles.write(gpu, &field.distance);
+            self.buffers.write_motions(gpu, field);
+        }
+    }
+
+    /// The moving obstacles, if any.
+    pub(super) fn moving(&self) -> Option<&ContactField> {
+        self.moving.as_ref()
+    }
+
+    /// Upper bound of the speed of the obstacles between a time and `span` (both s) later, m/s.
+    pub(super) fn obstacle_speed(&self, time: f64, span: f64) -> f64 {
+        let field = self.moving.as_ref();
+        field.map_or(0.0, |field| field.max_speed(time, span))
     }
 
     /// Allocates the readbacks of a sub-step.
@@ -391,6 +426,7 @@ impl GpuSolids {
     pub(super) fn write_step(&mut self, gpu: &Gpu, scene: &Scene, clock: &State, dt: f64) {
         let step = self.buffers.step_of(scene.domain.gravity, dt);
         gpu.upload(&self.buffers.step, &[step]);
+        self.move_obstacles(gpu, clock.time, dt);
         let Scripted {
             displacement,
             velocity,

@@ -4,7 +4,7 @@ use crate::Error;
 use crate::effects::{Effect, Effects};
 use crate::elastic::{Bounds, Solids};
 use crate::fields::SolidRows;
-use crate::geometry::{self, SolidClip, SourceFlow, SourcesAndSinks};
+use crate::geometry::{self, ObstacleCut, SolidClip, SourceFlow, SourcesAndSinks};
 use crate::gpu::{AdapterReport, BufferPlan, Gpu, Variant};
 use crate::grid::Grid;
 use crate::reference::{StepLimits, TimeStep};
@@ -79,18 +79,20 @@ impl Plan {
         let solids = super::solids_of(scene)?;
         let effects = Effects::of(scene);
         let (mut clip, mut taps) = (None, SourcesAndSinks::default());
+        let mut obstacles = None;
         let grid = scene.grid();
         let mut distance = Vec::new();
         let bodies_meet = effects.solids && !scene.obstacles.is_empty();
         if effects.clips() || effects.sources || effects.sinks || bodies_meet {
             HostMemory::new(scene, &solids, false)?.check()?;
-            let obstacles = geometry::obstacle_cut(scene, &grid)?;
-            clip = super::first_clip(scene, &solids, &obstacles);
-            taps = SourcesAndSinks::new(scene, &grid, obstacles.static_cut())?;
-            distance = obstacles.cut.solid_distance;
+            let cut = obstacles.insert(geometry::obstacle_cut(scene, &grid)?);
+            clip = super::first_clip(scene, &solids, cut);
+            taps = SourcesAndSinks::new(scene, &grid, cut.static_cut())?;
+            distance.clone_from(&cut.cut.solid_distance);
         }
         solids.ensure_clearance(scene, &distance, &solids.initial_state(scene).0)?;
-        let plan = Plan::with(scene, &solids, (&mut clip, &mut taps), adapter)?;
+        let parts = (&mut clip, &mut taps);
+        let plan = Plan::with(scene, &solids, obstacles.as_ref(), parts, adapter)?;
         let regions = scene.liquid.iter().flat_map(|liquid| &liquid.regions);
         if regions.count() > 0 && plan.n_markers == 0 {
             // With a fixed surface there are no markers, and an estimate of zero may be wrong: a run checks all
@@ -102,10 +104,11 @@ impl Plan {
         Ok(plan)
     }
 
-    /// Plans a scene with its solids, sources and sinks. `clip`: initial clipping in liquid. Both are lent to the planning device.
+    /// Plans a scene with its solids, sources and sinks. `obstacles`: required if any moves. `clip`: initial clipping in liquid. Both are lent to the planning device.
     pub(super) fn with(
         scene: &Scene,
         solids: &Solids,
+        obstacles: Option<&ObstacleCut>,
         (clip, taps): (&mut Option<SolidClip>, &mut SourcesAndSinks),
         adapter: Option<&AdapterReport>,
     ) -> Result<Plan, Error> {
@@ -123,18 +126,19 @@ impl Plan {
         let parts = (solids, clip.take(), std::mem::take(taps));
         let path = GpuPath::allocate(gpu.clone(), scene, parts, n_markers)?;
         (*clip, *taps) = path.into_geometry();
-        let (clip, taps) = (clip.as_ref(), &*taps);
+        let taps = &*taps;
+        let first_step = first_step(scene, (solids, obstacles, taps));
         Ok(Plan {
             padded_cells,
             n_markers,
             sources: taps.flows().collect(),
-            first_step: first_step(scene, (solids, clip, taps)),
+            first_step,
             effects: explained(scene, &effects, n_turning),
             stages: stages(&effects, scene, &gpu),
             buffers: buffers(&gpu),
             n_nodes: solids.rest.len(),
             n_elements: solids.elements.len(),
-            solves: solves(scene, (solids, clip, taps), &rows, f64),
+            solves: solves(scene, (solids, first_step.dt), &rows, f64),
             host_turns,
             bytes_per_turn: bytes_per_turn(&effects, padded_cells, solids.rest.len()),
             solver: scene.solver,
@@ -212,7 +216,7 @@ fn bytes_per_turn(effects: &Effects, padded_cells: usize, n_nodes: usize) -> u64
 
 fn first_step(
     scene: &Scene,
-    (solids, clip, taps): (&Solids, Option<&SolidClip>, &SourcesAndSinks),
+    (solids, obstacles, taps): (&Solids, Option<&ObstacleCut>, &SourcesAndSinks),
 ) -> TimeStep {
     let liquid_speed = scene.liquid.as_ref().map_or(0.0, geometry::initial_speed);
     let (_, velocity) = solids.initial_state(scene);
@@ -220,11 +224,11 @@ fn first_step(
     let solid_speed = nodes.fold(0.0, |speed, v| f64::max(speed, v.abs()));
     let source_speed = taps.speed(0.0, scene.time.cfl);
     let frame = 1.0 / scene.time.frames_per_second;
-    let obstacle_speed = clip.map_or(0.0, |clip| clip.obstacles().max_speed(0.0, frame));
+    let obstacle_speed = obstacles.map_or(0.0, |cut| cut.max_speed(0.0, frame));
     let speed = liquid_speed.max(solid_speed);
     let speed = speed.max(obstacle_speed).max(source_speed);
     let speed = speed.max(solids.max_script_speed(0.0, frame));
-    let limits = StepLimits::new(scene, clip.map(SolidClip::obstacles), Some(solids));
+    let limits = StepLimits::new(scene, obstacles, Some(solids));
     limits.time_step(speed, [0.0, frame], 0.0)
 }
 
@@ -291,7 +295,7 @@ fn buffers(gpu: &Gpu) -> Vec<BufferPlan> {
 /// Solver of the pressure, then of the solids.
 fn solves(
     scene: &Scene,
-    (solids, clip, taps): (&Solids, Option<&SolidClip>, &SourcesAndSinks),
+    (solids, first_dt): (&Solids, f64),
     rows: &SolidRows,
     f64: bool,
 ) -> Vec<String> {
@@ -355,8 +359,7 @@ fn solves(
         ));
     }
     if !solids.bodies.is_empty() {
-        let degree = Bounds::new(solids)
-            .chebyshev_degree(solids, first_step(scene, (solids, clip, taps)).dt);
+        let degree = Bounds::new(solids).chebyshev_degree(solids, first_dt);
         solves.push(format!(
             "velocity of the nodes (S v = M v*/dt - K x* + b + loads), conjugate gradients with a Chebyshev polynomial in \
              block-Jacobi (degree {degree} at first), {numbers}, true residual {tolerance:.0e}; {} nodes, {} blocks off the \

@@ -27,12 +27,6 @@ const SOFT: f64 = 2.0;
 pub fn warnings(scene: &Scene) -> Result<Vec<String>, Error> {
     let grid = scene.grid();
     let mut warnings = Vec::new();
-    if !scene.solids.is_empty() && scene.obstacles_move() {
-        warnings.push(
-            "moving obstacles have no contact with solids and pass through them. Use a [[solid.script]] to move nodes of a solid"
-                .to_owned(),
-        );
-    }
     for (key, length) in geometry::large_meshes(scene)? {
         warnings.push(format!(
             "{key} is {} m long, the domain {} m: is it in mm? Then write units = \"mm\" beside its file",

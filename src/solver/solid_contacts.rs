@@ -23,7 +23,7 @@ pub struct ObstacleField<'a> {
 /// The kernels.
 #[derive(Debug)]
 pub(super) struct SolidContacts {
-    /// Contacts of the nodes: with walls, then with obstacles.
+    /// Contacts of the nodes: with walls, then with obstacles, then with moving ones.
     touch: Vec<Bound>,
     hold: Bound,
     pub(super) search: ContactSearch,
@@ -130,6 +130,9 @@ impl SolidContacts {
                 own,
                 &tables,
             )?);
+        }
+        if fields.plan.n_moving > 0 {
+            touch.push(bound(wgsl!("moving_contacts"))?);
         }
         Ok(SolidContacts {
             touch,

@@ -360,6 +360,11 @@ fn effects_that_are_taken_away_leave_nothing() {
             &["solids", "moving_obstacles"],
         ),
         (
+            &[RAFT, NODE, BALL],
+            &["obstacle[0].keyframes=[{ t = 0 }, { t = 1, translate = [0.1, 0, 0] }]"],
+            &["pushing_obstacles"],
+        ),
+        (
             &[POOL, RAFT, "solver.pressure_on_patches=cell"],
             &["solver.pressure_on_patches=hydrostatic"],
             &["patch_correction"],

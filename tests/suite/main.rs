@@ -47,6 +47,7 @@ mod placing;
 mod plan;
 mod plot;
 mod probes;
+mod pushing;
 mod reference;
 mod reference_level;
 mod reference_physics;

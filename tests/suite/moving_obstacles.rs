@@ -346,7 +346,7 @@ fn a_vessel_that_shrinks_is_told() {
     assert_eq!(liquid.solve.status, SolveStatus::Incompatible);
 }
 
-/// Elastic solids and obstacles that move pass through each other (docs/scene.md): nothing is left where one stood at the start.
+/// Nothing is left where an obstacle stood at the start.
 #[test]
 fn a_solid_falls_past_where_an_obstacle_was() {
     let text = "[domain]\nsize = [1, 1, 1]\ncells = [8, 8, 8]\n[time]\nduration = 1\n\

@@ -3,7 +3,7 @@
 
 use cutwater::elastic::{Body, Solids, lame_parameters, rest_shape};
 use cutwater::fields::{SolidBuffers, SolidPlan};
-use cutwater::geometry::TetMesh;
+use cutwater::geometry::{ContactField, RigidVelocity, TetMesh};
 use cutwater::gpu::{Gpu, Real};
 use cutwater::grid::Grid;
 use cutwater::scene::ElasticModel;
@@ -125,6 +125,8 @@ pub(crate) struct SolidCase {
     pub(crate) scripted: Vec<[f64; 3]>,
     /// Distance of cell centres to the obstacles, m; empty without.
     pub(crate) solid_distance: Vec<f64>,
+    /// Motion of the obstacle, if it moves.
+    pub(crate) motion: Option<RigidVelocity>,
     /// s
     pub(crate) dt: f64,
 }
@@ -144,6 +146,7 @@ impl SolidCase {
             velocity: vec![[0.0; 3]; n],
             scripted: Vec::new(),
             solid_distance: Vec::new(),
+            motion: None,
             dt: single(1.0 / 120.0),
         }
     }
@@ -194,13 +197,27 @@ impl SolidCase {
             n_free: self.solids.free_bodies().count(),
             scripts: !self.scripted.is_empty(),
             obstacles: !self.solid_distance.is_empty(),
+            n_moving: self.motion.iter().len(),
             real,
         };
         let buffers = SolidBuffers::new(gpu, plan, &self.solids).unwrap();
         buffers.write_state(gpu, &self.state());
         buffers.write_prescribed(gpu, &self.scripted);
+        buffers.write_motions(gpu, &self.obstacles());
         gpu.upload(&buffers.step, &[buffers.step_of(GRAVITY.into(), self.dt)]);
         buffers
+    }
+
+    /// The obstacles.
+    pub(crate) fn obstacles(&self) -> ContactField {
+        let mut distance = self.solid_distance.clone();
+        distance.resize(self.grid.n_cells(), 3.0 * self.grid.dx);
+        let mut field = ContactField::at_rest(&self.grid, distance);
+        if let Some(motion) = self.motion {
+            field.nearest = vec![1; self.grid.n_cells()];
+            field.motions = vec![motion];
+        }
+        field
     }
 
     /// Largest magnitude of a velocity component, m/s.

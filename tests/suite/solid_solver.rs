@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use cutwater::elastic::{Bounds, Solids};
 use cutwater::fields::{ObstacleBuffers, SolidBuffers, SolidRows, SolidSystemBuffers, variant};
-use cutwater::geometry::CutCells;
+use cutwater::geometry::RigidVelocity;
 use cutwater::gpu::{Gpu, Pass, Real, RealBuffer, Recorder};
 use cutwater::linalg::{LinearOperator, dot, norm};
 use cutwater::reference::{self, BlockPattern, Contacts, Freedom, SolidSystem as Twin};
@@ -77,15 +77,7 @@ impl<'a> Device<'a> {
         let bounds = Bounds::new(solids);
         let degree = bounds.chebyshev_degree(solids, case.dt);
         let obstacles = ObstacleBuffers::new(gpu, &case.grid, fields.plan.obstacles).unwrap();
-        let solid_distance = case.solid_distance.clone();
-        let open = Default::default();
-        obstacles.write(
-            gpu,
-            &CutCells {
-                open,
-                solid_distance,
-            },
-        );
+        obstacles.write(gpu, &case.solid_distance);
         let field = fields.level.as_ref().map(|level| ObstacleField {
             level,
             solid_distance: &obstacles.solid_distance,
@@ -260,6 +252,20 @@ fn systems() -> Vec<SolidCase> {
     all.push(hanging([3, 3, 21], stiffest, 1.0 / 240.0));
     all.extend([in_a_corner(RUBBER), in_a_corner(stiff)]);
     all.extend([on_a_slope(RUBBER, 4), on_a_slope(stiffest, 7)]);
+    // One that rises, turns and pushes, and one that recedes.
+    for (name, velocity) in [
+        ("on a rising slope", DVec3::new(-0.5, 0.25, 1.0)),
+        ("on a receding slope", DVec3::new(0.25, 0.0, -0.5)),
+    ] {
+        let mut case = on_a_slope(RUBBER, 4);
+        case.name = name;
+        case.motion = Some(RigidVelocity {
+            velocity,
+            spin: DVec3::new(0.5, -1.0, 0.25),
+            centre: DVec3::new(0.25, 0.5, 0.0),
+        });
+        all.push(case);
+    }
     all
 }
 
@@ -365,12 +371,9 @@ fn the_velocities_solve_the_system() {
 
 /// What walls and obstacles hold from the start, and at which velocities, is the twin's: gaps, and normals of obstacles, are f32.
 fn assert_contacts(what: &str, case: &SolidCase, twin: &Twin, device: &Device) -> Contacts {
-    let mut distance = case.solid_distance.clone();
-    distance.resize(case.grid.n_cells(), 3.0 * case.grid.dx);
     let contacts = Contacts::new(
         &case.solids,
-        &case.grid,
-        &distance,
+        &case.obstacles(),
         &case.displacement,
         twin.forces(),
         case.dt,

@@ -213,6 +213,7 @@ impl<'a> OnDevice<'a> {
             n_free: joint.solids.free_bodies().count(),
             scripts: false,
             obstacles: false,
+            n_moving: 0,
             real: liquid.buffers.variant.real,
         };
         let fields = SolidBuffers::new(gpu, plan, &joint.solids).unwrap();

@@ -8,7 +8,7 @@ use super::table::{Place, Table};
 use super::{Both, EPS, corners, largest, rounded_to_f32, unit};
 use crate::Error;
 use crate::elastic::{Deformation, Solids, forces};
-use crate::geometry::{Coupling, CutCells};
+use crate::geometry::{ContactField, Coupling};
 use crate::gpu::Real;
 use crate::grid::Grid;
 use crate::linalg::norm;
@@ -39,8 +39,8 @@ const AMBIGUOUS: f64 = 1e-2;
 pub(super) struct SolidComparison<'a> {
     scene: &'a Scene,
     grid: Grid,
-    /// As stored on the device.
-    cut: CutCells,
+    /// The obstacles.
+    obstacles: ContactField,
     /// As stored on the device.
     solids: Solids,
     pattern: Arc<BlockPattern>,
@@ -65,14 +65,15 @@ impl<'a> SolidComparison<'a> {
             dx: f64::from(scene.grid().dx as f32),
         };
         let solids = before.on_device(solids);
-        let cut = path.obstacles();
+        let mut obstacles = path.contact_field();
+        obstacles.grid = grid;
+        if !obstacles.moves() {
+            obstacles.distance = rounded_to_f32(&obstacles.distance);
+        }
         Ok(Some(SolidComparison {
             scene,
             grid,
-            cut: CutCells {
-                open: cut.open.clone(),
-                solid_distance: rounded_to_f32(&cut.solid_distance),
-            },
+            obstacles,
             pattern: Arc::new(BlockPattern::new(&solids)),
             solver: SolidSolver::new(&solids),
             solids,
@@ -87,6 +88,7 @@ impl<'a> SolidComparison<'a> {
     pub(super) fn begin(&mut self, path: &GpuPath, dt: f64) {
         self.table.step = path.clock().step;
         self.dt = f64::from(dt as f32);
+        self.obstacles.move_to(path.clock().time + dt, dt);
         if path.clock().step == 0 {
             let SolidSnapshot {
                 displacement,
@@ -134,7 +136,7 @@ impl<'a> SolidComparison<'a> {
         let wet = wet.unwrap_or_else(|| vec![false; n]);
         let distance = match self.scene.obstacles.is_empty() {
             true => &[][..],
-            false => &self.cut.solid_distance,
+            false => &self.obstacles.distance,
         };
         let falling = (self.scene.domain.gravity.as_vec3().as_dvec3(), self.dt);
         let twin = |off: DVec3| {
@@ -497,14 +499,12 @@ impl<'a> SolidComparison<'a> {
         if !after.settled && both.is_some_and(Both::touch) {
             return;
         }
-        let mut distance = self.cut.solid_distance.clone();
-        distance.resize(self.grid.n_cells(), 3.0 * self.grid.dx);
         let held = match after.settled {
             true => after.held.clone(),
             false => vec![ActiveSurfaces::default(); after.held.len()],
         };
-        let (solids, grid, u) = (&self.solids, &self.grid, &after.displacement);
-        let contacts = Contacts::holding(solids, grid, &distance, u, &held, self.dt);
+        let (solids, u) = (&self.solids, &after.displacement);
+        let contacts = Contacts::holding(solids, &self.obstacles, u, &held, self.dt);
         let penetration = contacts.beyond(&after.velocity);
         let wrong = penetration.max(contacts.pulled(system, &after.velocity));
         // Gaps are f32, of a distance sampled at a position in cells.

@@ -22,8 +22,13 @@ use crate::step::Stage;
 impl SubStep<'_> {
     pub(super) fn move_solid(&mut self) {
         let Some(solids) = self.solids() else { return };
+        let dt = self.time_step.dt;
+        if let (true, Some(obstacles)) = (self.model.effects.pushing_obstacles, &mut self.obstacles)
+        {
+            obstacles.move_to(self.before.time + dt, dt);
+        }
         let ballistic = self.ballistic_bodies(solids);
-        let (dt, after) = (self.time_step.dt, &mut self.after);
+        let after = &mut self.after;
         let (displacement, velocity) = (&mut after.displacement, &mut after.node_velocity);
         if self.before.step == 0 {
             solids.start_scripts(displacement, velocity, dt);
@@ -41,9 +46,9 @@ impl SubStep<'_> {
             (Some(clip), true) => wet_nodes(clip.coupling(), &before.filled(), n),
             _ => vec![false; n],
         };
-        let distance = match self.model.effects.obstacles {
-            true => &*self.boundary.fixed_obstacles().solid_distance,
-            false => &[],
+        let distance = match (self.model.effects.obstacles, &self.obstacles) {
+            (true, Some(obstacles)) => &*obstacles.distance,
+            _ => &[],
         };
         let falling = (self.model.scene.domain.gravity, self.time_step.dt);
         let (u, v) = (&before.displacement, &before.node_velocity);
@@ -231,7 +236,8 @@ impl SubStep<'_> {
 
     fn solid_system(&mut self) -> Option<(SolidSystem, Contacts)> {
         let (solids, matrices) = (self.solids()?, self.results.matrices.as_ref()?);
-        let (grid, dt) = (&self.model.grid, self.time_step.dt);
+        let obstacles = self.obstacles.as_deref()?;
+        let dt = self.time_step.dt;
         let forces = self.patch_forces(solids);
         self.results.coupling.correction = forces.iter().copied().sum::<DVec3>().to_array();
         self.results.node_forces = forces.iter().map(DVec3::to_array).collect();
@@ -239,8 +245,7 @@ impl SubStep<'_> {
         let (displacement, velocity) = (&self.after.displacement, &mut self.after.node_velocity);
         let mut rhs = solid_right_hand_side(solids, matrices, velocity, dt);
         rhs.add(solids, &forces);
-        let distance = &self.boundary.fixed_obstacles().solid_distance;
-        let contacts = Contacts::new(solids, grid, distance, displacement, &rhs.values, dt);
+        let contacts = Contacts::new(solids, obstacles, displacement, &rhs.values, dt);
         let freedom = contacts.hold(velocity);
         let stiffness = matrices.stiffness.clone();
         let system = SolidSystem::new(solids, stiffness, &rhs, velocity, freedom, dt);

@@ -57,8 +57,11 @@ effects! {
     scripts: |scene| change_solids(scene, |solid| solid.pins.retain(|pin| pin.keyframes.is_empty()));
     loads: |scene| change_solids(scene, |solid| solid.loads.clear());
     obstacles: |scene| scene.obstacles.clear();
-    // They rest at their first position. Only liquid responds to their motion; solids respond to obstacles at rest only.
+    // They rest at their first position.
     moving_obstacles: |scene| if scene.liquid.is_some() {
+        scene.obstacles.iter_mut().for_each(|obstacle| obstacle.motion = None);
+    };
+    pushing_obstacles: |scene| if !scene.solids.is_empty() {
         scene.obstacles.iter_mut().for_each(|obstacle| obstacle.motion = None);
     };
     patch_correction: |scene| scene.solver.pressure_on_patches = PatchPressure::Cell;

@@ -1,0 +1,140 @@
+//! Obstacles as the nodes of solids meet them: distance of the cell centres, and rigid motion of the nearest moving
+//! obstacle.
+
+use glam::DVec3;
+
+use super::distance::{BAND, Body};
+use super::obstacles::MovingBody;
+use crate::grid::Grid;
+use crate::scene::{Acceleration, Keyframe};
+
+/// Rigid velocity field v(x) = velocity + spin x (x - centre). Its net flux through a closed surface is zero.
+#[derive(Clone, Copy, Debug)]
+pub struct RigidVelocity {
+    /// m/s
+    pub velocity: DVec3,
+    /// rad/s
+    pub spin: DVec3,
+    /// m
+    pub centre: DVec3,
+}
+
+impl RigidVelocity {
+    /// The velocity of a point (m), m/s.
+    pub fn at(&self, x: DVec3) -> DVec3 {
+        self.velocity + self.spin.cross(x - self.centre)
+    }
+}
+
+/// Distance to the obstacles, and their motions.
+#[derive(Clone, Debug)]
+pub struct ContactField {
+    /// The grid.
+    pub grid: Grid,
+    /// Signed distance of the cell centres to the union of the obstacles, m.
+    pub distance: Vec<f64>,
+    /// Per cell: number of the nearest moving obstacle, from 1; 0 beside obstacles at rest and more than three cells off.
+    /// Empty without moving obstacles.
+    pub nearest: Vec<u32>,
+    /// Motions of the moving obstacles.
+    pub motions: Vec<RigidVelocity>,
+    bodies: Vec<MovingBody>,
+    /// Distance to the obstacles at rest, m.
+    at_rest: Vec<f64>,
+    /// Cells with another distance than to the obstacles at rest, ascending.
+    changed: Vec<usize>,
+}
+
+impl ContactField {
+    /// Obstacles at rest. `distance` of the cell centres, m.
+    pub fn at_rest(grid: &Grid, distance: Vec<f64>) -> ContactField {
+        ContactField {
+            grid: *grid,
+            distance,
+            nearest: Vec::new(),
+            motions: Vec::new(),
+            bodies: Vec::new(),
+            at_rest: Vec::new(),
+            changed: Vec::new(),
+        }
+    }
+
+    /// These obstacles at rest, and moving ones, which must be moved to a time first.
+    pub(super) fn with_moving(self, bodies: Vec<MovingBody>) -> ContactField {
+        ContactField {
+            nearest: vec![0; self.distance.len()],
+            at_rest: self.distance.clone(),
+            bodies,
+            ..self
+        }
+    }
+
+    /// Whether an obstacle moves.
+    pub fn moves(&self) -> bool {
+        !self.nearest.is_empty()
+    }
+
+    /// Upper bound of the speed of all obstacles between a time and `span` (both s) later, m/s.
+    pub fn max_speed(&self, time: f64, span: f64) -> f64 {
+        let bodies = self.bodies.iter();
+        let speeds =
+            bodies.map(|body| Keyframe::max_speed(&body.motion.keyframes, body.radius, time, span));
+        speeds.fold(0.0, f64::max)
+    }
+
+    /// Prescribed accelerations of all obstacles.
+    pub(super) fn accelerations(&self) -> Vec<Acceleration> {
+        let of = |body: &MovingBody| Keyframe::accelerations(&body.motion.keyframes, body.radius);
+        self.bodies.iter().flat_map(of).collect()
+    }
+
+    /// Moves the obstacles to a time (s). Their velocities lead to their poses dt (s) later; with dt = 0 they are
+    /// instantaneous.
+    pub fn move_to(&mut self, time: f64, dt: f64) {
+        self.moved_to(time, dt);
+    }
+
+    /// The same; returns the moved obstacles.
+    pub(super) fn moved_to(&mut self, time: f64, dt: f64) -> Vec<Body> {
+        for cell in self.changed.drain(..) {
+            (self.distance[cell], self.nearest[cell]) = (self.at_rest[cell], 0);
+        }
+        let (grid, bodies) = (self.grid, &self.bodies);
+        let velocities = bodies.iter().map(|body| body.velocity(time, dt));
+        self.motions = velocities.collect();
+        let now: Vec<Body> = bodies
+            .iter()
+            .map(|body| body.at(time).beyond_walls(&grid))
+            .collect();
+        for (number, body) in (1..).zip(&now) {
+            for (cell, distance) in body.near(&grid) {
+                if distance < self.distance[cell] {
+                    self.changed.push(cell);
+                    self.distance[cell] = distance;
+                    self.nearest[cell] = match distance > -BAND * grid.dx {
+                        true => number,
+                        false => 0,
+                    };
+                }
+            }
+        }
+        self.changed.sort_unstable();
+        self.changed.dedup();
+        now
+    }
+
+    /// Cells with another distance than to the obstacles at rest, ascending.
+    pub(super) fn changed(&self) -> &[usize] {
+        &self.changed
+    }
+
+    /// Velocity of the moving obstacle that is nearest to the cell of a point (m), at the point, m/s.
+    pub fn velocity(&self, x: DVec3) -> Option<DVec3> {
+        let cells = self.grid.cells;
+        let at = (x / self.grid.dx).to_array();
+        let cell = std::array::from_fn(|axis| (at[axis].max(0.0) as usize).min(cells[axis] - 1));
+        let number = *self.nearest.get(self.grid.cell(cell))?;
+        let motion = self.motions.get((number as usize).checked_sub(1)?)?;
+        Some(motion.at(x))
+    }
+}
