@@ -6,7 +6,7 @@ use glam::DVec3;
 use super::distance::{BAND, Body};
 use super::obstacles::MovingBody;
 use crate::grid::Grid;
-use crate::scene::{Acceleration, Keyframe};
+use crate::scene::{Acceleration, Keyframe, Scene};
 
 /// Rigid velocity field v(x) = velocity + spin x (x - centre). Its net flux through a closed surface is zero.
 #[derive(Clone, Copy, Debug)]
@@ -69,6 +69,14 @@ impl ContactField {
         }
     }
 
+    /// Copies the keyframes from a scene with the same obstacles.
+    pub fn follow(&mut self, scene: &Scene) {
+        let motions = scene.obstacles.iter().filter_map(|of| of.motion.as_ref());
+        for (body, motion) in self.bodies.iter_mut().zip(motions) {
+            body.motion.keyframes.clone_from(&motion.keyframes);
+        }
+    }
+
     /// Whether an obstacle moves.
     pub fn moves(&self) -> bool {
         !self.nearest.is_empty()
@@ -83,7 +91,7 @@ impl ContactField {
     }
 
     /// Prescribed accelerations of all obstacles.
-    pub(super) fn accelerations(&self) -> Vec<Acceleration> {
+    pub fn accelerations(&self) -> Vec<Acceleration> {
         let of = |body: &MovingBody| Keyframe::accelerations(&body.motion.keyframes, body.radius);
         self.bodies.iter().flat_map(of).collect()
     }

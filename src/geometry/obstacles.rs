@@ -233,10 +233,8 @@ impl ObstacleCut {
     /// Copies the keyframes of the moving obstacles of a scene that has the same obstacles otherwise. Positions change with the next
     /// [`ObstacleCut::move_to`].
     pub fn follow(&mut self, scene: &Scene) {
-        let bodies = self.moving.iter_mut().flat_map(|moving| &mut moving.bodies);
-        let motions = scene.obstacles.iter().filter_map(|of| of.motion.as_ref());
-        for (body, motion) in bodies.zip(motions) {
-            body.motion.keyframes.clone_from(&motion.keyframes);
+        if let Some(moving) = &mut self.moving {
+            moving.field.follow(scene);
         }
     }
 

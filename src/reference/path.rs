@@ -78,7 +78,7 @@ impl Reference {
             ));
         }
         let taps = SourcesAndSinks::new(scene, &grid, obstacles.static_cut())?;
-        let limits = StepLimits::new(scene, Some(&obstacles), Some(&solids));
+        let limits = StepLimits::new(scene, obstacles.accelerations(), Some(&solids));
         let field = effects.solids.then(|| obstacles.contact_field(&grid));
         let boundary = match effects.clips() {
             false => Boundary::Fixed(obstacles.static_cut().clone()),
@@ -149,13 +149,24 @@ impl Reference {
     /// Copies gravity and the keyframes of obstacles and scripts from a scene that is the same otherwise.
     pub fn follow(&mut self, scene: &Scene) {
         let Reference {
-            model, boundary, ..
+            model,
+            boundary,
+            obstacles,
+            ..
         } = self;
         boundary.follow(scene);
+        if let Some(field) = obstacles {
+            field.follow(scene);
+        }
         if let Some(solid) = &mut model.solid {
             solid.solids.follow(scene);
         }
-        model.limits = StepLimits::new(scene, boundary.moving_obstacles(), model.solids());
+        let accelerations = match (obstacles, boundary.moving_obstacles()) {
+            (Some(field), _) => field.accelerations(),
+            (None, Some(cut)) => cut.accelerations(),
+            (None, None) => Vec::new(),
+        };
+        model.limits = StepLimits::new(scene, accelerations, model.solids());
         model.scene = scene.clone();
     }
 

@@ -5,7 +5,6 @@
 //! dimensions. Near it a surface roughens.
 
 use crate::elastic::Solids;
-use crate::geometry::ObstacleCut;
 use crate::scene::{Acceleration, SHORTEST_STEP, Scene, Surface};
 
 /// Largest dt sqrt(a / dx) of a surface in motion.
@@ -66,10 +65,9 @@ pub struct StepLimits {
 }
 
 impl StepLimits {
-    /// Limits of a scene with these obstacles and solids.
-    pub fn new(scene: &Scene, obstacles: Option<&ObstacleCut>, solids: Option<&Solids>) -> Self {
+    /// Limits of a scene with these prescribed accelerations of its obstacles and solids.
+    pub fn new(scene: &Scene, obstacles: Vec<Acceleration>, solids: Option<&Solids>) -> Self {
         let (grid, time) = (scene.grid(), &scene.time);
-        let obstacles = obstacles.into_iter().flat_map(ObstacleCut::accelerations);
         let scripts = solids.into_iter().flat_map(Solids::accelerations);
         let liquid = scene.liquid.as_ref();
         StepLimits {
@@ -79,7 +77,7 @@ impl StepLimits {
             shortest: SHORTEST_STEP * time.duration,
             longest: time.max_step.unwrap_or(f64::INFINITY),
             gravity: scene.domain.gravity.length(),
-            prescribed: obstacles.chain(scripts).collect(),
+            prescribed: obstacles.into_iter().chain(scripts).collect(),
             surface: liquid.is_some_and(|liquid| liquid.surface != Surface::Fixed),
             edge: grid.size().max_element(),
         }

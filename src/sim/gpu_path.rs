@@ -6,7 +6,9 @@ use crate::Error;
 use crate::effects::Effects;
 use crate::elastic::{NodeReadback, Solids};
 use crate::fields::Step;
-use crate::geometry::{self, ContactField, CutCells, Running, SolidClip, SourcesAndSinks};
+use crate::geometry::{
+    self, ContactField, CutCells, ObstacleCut, Running, SolidClip, SourcesAndSinks,
+};
 use crate::gpu::{AdapterChoice, Gpu, Real};
 use crate::grid::Grid;
 use crate::reference::{self, StepLimits, TimeStep};
@@ -106,7 +108,7 @@ impl GpuPath {
         if let Some(solids) = &mut path.solids {
             solids.write_obstacles(&path.gpu, &obstacles);
         }
-        path.limits = StepLimits::new(scene, Some(&obstacles), Some(solids));
+        path.limits = StepLimits::new(scene, obstacles.accelerations(), Some(solids));
         path.cut = cut;
         path.write_state(&state)?;
         Ok(path)
@@ -130,7 +132,9 @@ impl GpuPath {
     ) -> Result<GpuPath, Error> {
         // Stages use handles of their own; all other kernels belong to the solve.
         let gpu = gpu.at(Stage::Solve.name());
-        let limits = StepLimits::new(scene, clip.as_ref().map(SolidClip::obstacles), Some(solids));
+        let obstacles = clip.as_ref().map(SolidClip::obstacles);
+        let obstacles = obstacles.map_or(Vec::new(), ObstacleCut::accelerations);
+        let limits = StepLimits::new(scene, obstacles, Some(solids));
         let mut liquid = GpuLiquid::new(&gpu, scene, taps, n_markers)?;
         let solids = match solids.bodies.is_empty() {
             true => None,
@@ -294,13 +298,18 @@ impl GpuPath {
             clip.follow(scene);
         }
         if let Some(solids) = &mut self.solids {
-            solids.solids.follow(scene);
+            solids.follow(scene);
         }
         // Of `set_tolerance`.
         let solver = self.scene.solver;
         self.scene = scene.clone();
         self.scene.solver = solver;
-        let obstacles = self.clip().map(SolidClip::obstacles);
+        let pushing = self.solids.as_ref().and_then(GpuSolids::moving);
+        let obstacles = match (pushing, self.clip()) {
+            (Some(field), _) => field.accelerations(),
+            (None, Some(clip)) => clip.obstacles().accelerations(),
+            (None, None) => Vec::new(),
+        };
         self.limits = StepLimits::new(scene, obstacles, self.solids());
     }
 

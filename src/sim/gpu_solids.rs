@@ -193,6 +193,14 @@ impl GpuSolids {
         })
     }
 
+    /// Copies the keyframes from a scene that is the same otherwise.
+    pub(super) fn follow(&mut self, scene: &Scene) {
+        self.solids.follow(scene);
+        if let Some(field) = &mut self.moving {
+            field.follow(scene);
+        }
+    }
+
     /// Writes the distance to the obstacles.
     pub(super) fn write_obstacles(&mut self, gpu: &Gpu, cut: &ObstacleCut) {
         let Some(obstacles) = &self.obstacles else {

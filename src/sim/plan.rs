@@ -228,7 +228,8 @@ fn first_step(
     let speed = liquid_speed.max(solid_speed);
     let speed = speed.max(obstacle_speed).max(source_speed);
     let speed = speed.max(solids.max_script_speed(0.0, frame));
-    let limits = StepLimits::new(scene, obstacles, Some(solids));
+    let accelerations = obstacles.map_or(Vec::new(), ObstacleCut::accelerations);
+    let limits = StepLimits::new(scene, accelerations, Some(solids));
     limits.time_step(speed, [0.0, frame], 0.0)
 }
 

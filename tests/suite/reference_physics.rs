@@ -297,8 +297,17 @@ pub(crate) const DAM: &str = "[[liquid.region]]\nbox = { min = [0.0, 0.0, 0.0], 
 fn a_dam_break_runs_past_a_pillar() {
     let mut reference = start(&scene([32, 24, 8], DAM));
     let front = |reference: &Reference| {
+        let front = ProbeKind::Front {
+            axis: 0,
+            lower: false,
+        };
         let grid = reference.scene().grid();
-        probe(&grid, reference.state(), &ProbeKind::Front { axis: 0 })[0]
+        probe(
+            &grid,
+            &reference.cut_cells().open,
+            reference.state(),
+            &front,
+        )[0]
     };
     assert_eq!(
         front(&reference),
@@ -467,6 +476,7 @@ fn free_fall_of_a_ball_is_exact() {
     let time = reference.state().time;
     let probed = probe(
         &reference.scene().grid(),
+        &reference.cut_cells().open,
         reference.state(),
         &ProbeKind::Velocity {
             point: DVec3::new(0.42, 0.63, 0.5),

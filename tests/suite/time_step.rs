@@ -25,7 +25,7 @@ fn scene(rest: &str, overrides: &[&str]) -> Scene {
 fn limits(rest: &str, overrides: &[&str]) -> StepLimits {
     let scene = scene(rest, overrides);
     let cut = obstacle_cut(&scene, &scene.grid()).unwrap();
-    StepLimits::new(&scene, Some(&cut), None)
+    StepLimits::new(&scene, cut.accelerations(), None)
 }
 
 fn close(a: f64, b: f64) -> bool {
