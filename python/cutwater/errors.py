@@ -6,6 +6,7 @@ Every exception says what is wrong, where, and what to do; ``cure`` has the last
 from __future__ import annotations
 
 import os
+import re
 
 __all__ = [
     "AdapterError",
@@ -94,23 +95,20 @@ class InternalError(CutwaterError):
     """A bug of cutwater. The simulation that raised it cannot continue."""
 
 
-# Options of the command line in messages, and what they are called here.
-_OPTIONS = {
-    "--backend cpu": 'backend="cpu"',
-    "--backend gpu": 'backend="gpu"',
-    "--adapter": "adapter=",
-    "--overwrite": "overwrite=True",
-    "--resume": "resume=True",
-    "--keep-going": "keep_going=True",
-    "--frames": "frames=",
-    "--scale": "scale=",
-    "--out": "out=",
-}
+# Options of the command line in messages, and how they are written here.
+_OPTIONS = [
+    (r"--backend (cpu|gpu)", r'backend="\1"'),
+    (r"--(overwrite|resume)", r"\1=True"),
+    (r"--keep-going", "keep_going=True"),
+    (r"--set ([\w.\[\]]+)=(\S+)", r'scene["\1"] = \2'),
+    (r"--(adapter|frames|out|scale) (?=[\w.])", r"\1="),
+    (r"--(adapter|frames|out|scale)", r"\1"),
+]
 
 
 def _in_python(text: str) -> str:
-    for option, name in _OPTIONS.items():
-        text = text.replace(option, name)
+    for option, written in _OPTIONS:
+        text = re.sub(option, written, text)
     return text
 
 

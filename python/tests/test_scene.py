@@ -107,3 +107,9 @@ def test_files_that_are_no_scenes(tmp_path):
     (tmp_path / "broken.toml").write_text("[domain\n")
     with pytest.raises(CutwaterError):
         cutwater.Scene(tmp_path / "broken.toml")
+
+
+def test_cures_are_in_the_words_of_python(scenes):
+    with pytest.raises(InputError, match=r"scale=0\.25: .*\n  cure: use scale=0\.5") as caught:
+        cutwater.Scene(scenes / "standing_wave.toml", scale=0.25)
+    assert "--" not in str(caught.value)

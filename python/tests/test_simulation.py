@@ -119,6 +119,19 @@ def test_reports_and_probes(water):
     assert abs(sim.probes["front"][-1] - front) < sim.scene.dx
 
 
+def test_a_level_has_components(water):
+    water["liquid"]["surface"] = "level"
+    sim = cutwater.Simulation(water, backend="cpu")
+    sim.step()
+    frame = sim.frame
+    assert frame.component.shape == frame.pressure.shape == (5, 10, 20) and frame.component.max() == 1
+    assert (frame.component[frame.active] == 1).all()
+    assert len(frame.markers.spray) == len(frame.markers) == len(frame.markers.velocities) and not frame.markers.spray.any()
+    # The column of 0.5 m x 0.7 m x 0.5 m, its surface between the cells: half of a layer of cells at most.
+    volume = sim.scene.dx**3 * (frame.distance < 0).sum()
+    assert abs(volume - 0.175) < 0.05 * (0.5 + 0.7) * 0.5
+
+
 def test_progress_and_every(water):
     calls = []
     frames = list(cutwater.Simulation(water, backend="cpu").frames(5, every=2, progress=lambda *now: calls.append(now)))
