@@ -1,7 +1,7 @@
 // marker_band, last of four: appends a marker at each site that enters, in the order of the cells, with velocity 0 and no spray: `spray` sets
-// both. One thread per quad of the band.
-// level, step. level_step: seed, sub-step, capacity. band_args, band_list: the band. seeds: per quad of the list, a bit per site, eight per lane.
-// chunks: seeds before each workgroup. report: see report. markers: x, y, z (m), w = 1 alive. marker_velocity: m/s, w = 1 for spray.
+// both. Seeds beyond the capacity have no slot; in a second run those alone go to the slots that were freed since. One thread per quad of the band.
+// level, step. level_step: seed, sub-step, capacity, freed slots. band_args, band_list: the band. seeds: per quad of the list, a bit per site, eight
+// per lane. chunks: seeds before each workgroup. report: see report. markers: x, y, z (m), w = 1 alive. marker_velocity: m/s, w = 1 for spray.
 #import dispatch
 #import layout
 #import step
@@ -38,13 +38,19 @@ fn seed_band(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocat
         slot += sh_counts[before];
     }
     let first = vec3<u32>(quad_cell(level, band_list[index]));
-    while sites != 0u && slot < level_step.capacity {
+    let freed = level_step.freed;
+    while sites != 0u {
         let bit = firstTrailingBit(sites);
         sites &= sites - 1u;
+        let own = slot - freed;
+        let writes = (slot < level_step.capacity) == (freed == 0u);
+        slot++;
+        if !writes {
+            continue;
+        }
         let cell = first + vec3<u32>(bit / SITES, 0u, 0u);
         let at = site(cell, hash_of_cell(cell), bit % SITES);
-        markers[slot] = vec4<f32>(at * step.dx, 1.0);
-        marker_velocity[slot] = vec4<f32>();
-        slot++;
+        markers[own] = vec4<f32>(at * step.dx, 1.0);
+        marker_velocity[own] = vec4<f32>();
     }
 }

@@ -7,4 +7,9 @@ struct LevelStep {
     capacity: u32,
     // Motion in the sub-step: TimeStep::motion in reference/time_step.rs.
     motion: f32,
+    // Slots freed after seeds filled all of them, for the rest of the seeds; else 0.
+    freed: u32,
+    pad_0: u32,
+    pad_1: u32,
+    pad_2: u32,
 }

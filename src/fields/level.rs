@@ -20,6 +20,14 @@ pub struct LevelStep {
     pub capacity: u32,
     /// Motion in the sub-step ([`TimeStep::motion`](crate::reference::TimeStep::motion)).
     pub motion: f32,
+    /// Slots freed after seeds filled all of them, for the rest of the seeds; else 0.
+    pub freed: u32,
+    /// Unused.
+    pub pad_0: u32,
+    /// Unused.
+    pub pad_1: u32,
+    /// Unused.
+    pub pad_2: u32,
 }
 
 /// Words of the numbers of markers (`common/marker_counts.wgsl`).
@@ -116,12 +124,23 @@ impl LevelBuffers {
     }
 
     /// Writes seed, number and motion of a sub-step.
-    pub fn write_step(&self, gpu: &Gpu, [seed, number]: [u32; 2], motion: f64) {
+    pub fn write_step(&self, gpu: &Gpu, numbers: [u32; 2], motion: f64) {
+        self.write(gpu, numbers, motion as f32, 0);
+    }
+
+    /// Writes the slots freed after seeds filled all of them, with seed and number of the sub-step.
+    pub fn write_freed(&self, gpu: &Gpu, numbers: [u32; 2], freed: usize) {
+        self.write(gpu, numbers, 0.0, freed as u32);
+    }
+
+    fn write(&self, gpu: &Gpu, [seed, number]: [u32; 2], motion: f32, freed: u32) {
         let step = LevelStep {
             seed,
             number,
             capacity: self.plan.n_markers as u32,
-            motion: motion as f32,
+            motion,
+            freed,
+            ..LevelStep::default()
         };
         gpu.upload(&self.level_step, &[step]);
     }

@@ -449,20 +449,39 @@ impl GpuLiquid {
         self.n_markers + self.sources.as_ref().map_or(0, Sources::slots)
     }
 
-    /// Returns an error when a level could not seed all markers in the sub-step after the state of number `step`.
-    pub(super) fn check_seeds(&self, report: &Report, step: u64) -> Result<(), Error> {
-        if report.missing == 0 {
+    /// Seeds the markers for which the sub-step after the state of number `step` had no slots, where deleted markers have some. The
+    /// markers and their order are those of a run with more slots.
+    pub(super) fn seed_rest(&mut self, gpu: &Gpu, report: &mut Report, step: u64) -> Result<(), Error> {
+        let Some(level) = self.level.as_ref().filter(|_| report.missing > 0) else {
             return Ok(());
+        };
+        let room = self.room();
+        let alive = self.buffers.compact(gpu, room)?;
+        level.compact(gpu, &alive)?;
+        let kept = alive.into_iter().filter(|alive| *alive).count();
+        let used = kept + report.missing as usize;
+        if used > room {
+            return Err(Error::Stage {
+                stage: Stage::MarkerBand.name(),
+                step,
+                problem: format!(
+                    "{used} markers are needed, and there are slots for {room}, {CROWDED} times the initial liquid: {kept} are in use\n  cure: use --backend cpu, or surface = \"markers\""
+                ),
+            });
         }
-        Err(Error::Stage {
-            stage: Stage::MarkerBand.name(),
-            step,
-            problem: format!(
-                "all {} markers are in use, and {} more are needed: there are slots for {CROWDED} times the initial liquid\n  cure: use --backend cpu, or surface = \"markers\"",
-                self.room(),
-                report.missing
-            ),
-        })
+        level.write_freed(gpu, [self.running.seed, self.running.step], room - kept);
+        let mut recorder = Recorder::new(gpu);
+        stages::seed_rest(gpu, &self.buffers, level)?.record(&mut recorder);
+        recorder.submit();
+        level.write_used(gpu, used);
+        let mut recorder = Recorder::new(gpu);
+        self.stages.record(Stage::Spray, &mut recorder);
+        recorder.submit();
+        // `finish` counts the emitted and the seeded markers.
+        self.n_markers = kept - (report.emitted + report.seeded) as usize;
+        report.seeded += report.missing;
+        report.missing = 0;
+        Ok(())
     }
 
     /// Stores the numbers of the report that the next sub-step needs.

@@ -87,9 +87,9 @@ impl GpuPath {
             observer,
         };
         step::run(&mut sub_step, &effects, true)?;
-        let readback = sub_step.readback;
-        if let Some((liquid, report)) = self.liquid.as_ref().zip(readback.liquid) {
-            liquid.check_seeds(&report, self.head.step)?;
+        let mut readback = sub_step.readback;
+        if let Some((liquid, report)) = self.liquid.as_mut().zip(readback.liquid.as_mut()) {
+            liquid.seed_rest(&self.gpu, report, self.head.step)?;
         }
         let mut report = self.finish(time_step, readback);
         report.seconds_total = clock.elapsed().as_secs_f64();

@@ -5,9 +5,27 @@
 
 use crate::Error;
 use crate::fields::{LevelBuffers, LiquidBuffers};
-use crate::gpu::{Dispatches, Gpu, Kernel, Real, Source};
+use crate::gpu::{Dispatch, Dispatches, Gpu, Kernel, Real, Source};
 use crate::step::Stage;
 use crate::wgsl;
+
+/// The rest of the seeds of the sub-step, in slots that were freed after it ([`LevelBuffers::write_freed`]).
+pub fn seed_rest(
+    gpu: &Gpu,
+    liquid: &LiquidBuffers,
+    level: &LevelBuffers,
+) -> Result<Dispatches, Error> {
+    let gpu = &gpu.at(Stage::MarkerBand.name());
+    let list = [seed_band(gpu, liquid, level)?];
+    Ok(Dispatches::new(Stage::MarkerBand.name(), list))
+}
+
+fn seed_band(gpu: &Gpu, liquid: &LiquidBuffers, level: &LevelBuffers) -> Result<Dispatch, Error> {
+    let chunks = [("chunks", (&liquid.band_scratch).into())];
+    let kernel = Kernel::new(gpu, &wgsl!("seed_band"), Real::F32)?;
+    let bound = kernel.bind(gpu, &chunks, &[liquid, level])?;
+    Ok(bound.indirect(&liquid.band_args, 0))
+}
 
 /// The stage: writes `markers`, `marker_velocity` of seeds, the number of used slots in `marker_args`, and the numbers of
 /// markers of the sub-step in `report`.
@@ -26,7 +44,7 @@ pub fn marker_band(
         delete_markers.indirect(&level.marker_args, 0),
         scanned(wgsl!("count_seeds"))?.indirect(&liquid.band_args, 0),
         scanned(wgsl!("plan_band_seeds"))?.threads(1),
-        scanned(wgsl!("seed_band"))?.indirect(&liquid.band_args, 0),
+        seed_band(gpu, liquid, level)?,
     ];
     Ok(Dispatches::new(Stage::MarkerBand.name(), list))
 }
