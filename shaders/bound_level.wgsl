@@ -1,6 +1,6 @@
-// bound_level, last of four: bounds of the level by the occupancy F (equations in the twin, reference/bound_level.rs).
-// In thick liquid the smoothed occupancy G bounds it. Cells whose own occupancy and those beside exclude a bound that
-// counts do not compute G: they are most of the band. One thread per quad of the band; outside it F = 0.
+// bound_level, last of five: bounds of thick liquid by the smoothed occupancy G (equations in the twin,
+// reference/bound_level.rs). Cells whose own occupancy and those beside exclude a bound that counts do not compute G: they
+// are most of the band. One thread per quad of the band; outside it F = 0.
 // level, step. band_args, band_list, band_flags: the band. valid, occupied: see level_cells. occupancy: F. thin: per
 // quad the lanes in thin liquid. new_level: cells, in place.
 #import dispatch
@@ -22,8 +22,6 @@
 @group(0) @binding(9) var<storage, read_write> new_level: array<f32>;
 
 // The constants of reference/bound_level.rs.
-// Occupancy at the surface of thin liquid.
-const THIN_LEVEL = 0.41;
 // Slope of the distance over the smoothed occupancy, cells.
 const SLOPE = 1.6;
 // Tolerance of the bounds in thick liquid, cells.
@@ -41,12 +39,6 @@ fn tap(cell: u32) -> vec2<f32> {
     }
     let fraction = occupancy[cell];
     return vec2<f32>(clamp(fraction, 0.0, 1.0), f32(fraction != UNKNOWN_OCCUPANCY));
-}
-
-// Distance of a flat surface normal to an axis from a cell of the occupancy, cells.
-fn flat_distance(fraction: f32) -> f32 {
-    let q = clamp(2.0 * (fraction - THIN_LEVEL), -1.0, 1.0);
-    return -sign(q) * (1.0 - sqrt(1.0 - abs(q)));
 }
 
 fn occupancies(quad: u32) -> vec4<f32> {
@@ -83,12 +75,12 @@ fn may_bound(quad: u32, here: vec4<f32>, phi: vec4<f32>) -> vec4<bool> {
     return low | high;
 }
 
-fn bounded(phi: f32, t: f32, tolerance: f32) -> f32 {
-    if t - tolerance > 0.0 {
-        return max(phi, t - tolerance);
+fn bounded(phi: f32, t: f32) -> f32 {
+    if t > TOLERANCE {
+        return max(phi, t - TOLERANCE);
     }
-    if t + tolerance < 0.0 {
-        return min(phi, t + tolerance);
+    if t < -TOLERANCE {
+        return min(phi, t + TOLERANCE);
     }
     return phi;
 }
@@ -103,22 +95,12 @@ fn bound_level(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoc
     let first = 4u * quad;
     let phi = vec4<f32>(new_level[first], new_level[first + 1u], new_level[first + 2u], new_level[first + 3u]);
     let fraction = occupancies(quad);
-    let thin_lanes = bit_lanes(thin[quad]);
     let known = bit_lanes(~occupied[quad]) & (fraction != vec4<f32>(UNKNOWN_OCCUPANCY));
-    var thick = lane_bits(known & !thin_lanes & may_bound(quad, fraction, phi));
-    var result = phi;
-    for (var n = 0u; n < 4u; n++) {
-        if thin_lanes[n] && known[n] {
-            result[n] = bounded(phi[n], flat_distance(fraction[n]), 0.0);
-        }
-    }
+    var thick = lane_bits(known & !bit_lanes(thin[quad]) & may_bound(quad, fraction, phi));
     while thick != 0u {
         let n = firstTrailingBit(thick);
         thick &= thick - 1u;
         let smoothed = smooth_cells(first + n);
-        result[n] = bounded(phi[n], SLOPE * (0.5 - smoothed.x / smoothed.y), TOLERANCE);
-    }
-    for (var n = 0u; n < 4u; n++) {
-        new_level[first + n] = result[n];
+        new_level[first + n] = bounded(phi[n], SLOPE * (0.5 - smoothed.x / smoothed.y));
     }
 }

@@ -5,6 +5,7 @@
 // labels, in place. liquid_volumes: out, volumes of a cell. sums: see component_sums.
 #import dispatch
 #import filled
+#import interpolant_part
 #import layout
 #import liquid_lanes
 #import tally
@@ -52,9 +53,10 @@ fn component_volumes(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local
         label = component[quad] & vec4<u32>(LABEL);
         if any(label != vec4<u32>()) {
             component[quad] = label;
-            let phi = liquid_distance[quad];
-            volume = select(vec4<f32>(), vec4<f32>(liquid_volume(quad, phi)), label != vec4<u32>());
-            let marked = at_surface(quad, quad_cell(level, quad)) & (label != vec4<u32>());
+            let cell = quad_cell(level, quad);
+            let filled = vec4<f32>(open_volume(quad)) * interpolant_parts(cell);
+            volume = select(vec4<f32>(), filled, label != vec4<u32>());
+            let marked = at_surface(quad, cell) & (label != vec4<u32>());
             var last = 0u;
             for (var l = 0u; l < 4u; l++) {
                 if marked[l] && label[l] != last {

@@ -1,5 +1,5 @@
-// excess, first: (F - 1) w and w per cell, w = 1 more than one cell below the surface where F is known, else 0. One thread
-// per quad of the band.
+// excess, first: (F - 1) w and w per cell, w = clamp(d, 0, 1) with d the distance to bodies, cells, more than one cell below
+// the surface where F is known, else 0. One thread per quad of the band.
 // level, step. band_args, band_list: the band. liquid_distance, solid_distance: m. occupancy: F. density_now: out.
 #import dispatch
 #import lanes
@@ -27,11 +27,12 @@ fn excess_density(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_in
     }
     let quad = band_list[index];
     let fraction = occupancy[quad];
-    let outside = solid_distance[min(quad, arrayLength(&solid_distance) - 1u)] >= vec4<f32>();
+    let distance = solid_distance[min(quad, arrayLength(&solid_distance) - 1u)];
+    let weight = clamp(distance / step.dx, vec4<f32>(), vec4<f32>(1.0));
     let deep = liquid_distance[quad] / step.dx < vec4<f32>(-DEPTH);
     let known = fraction != vec4<f32>(UNKNOWN_OCCUPANCY);
-    let counts = deep & known & outside & lanes_inside(quad_cell(level, quad), vec3<i32>(level.cells));
+    let counts = deep & known & lanes_inside(quad_cell(level, quad), vec3<i32>(level.cells));
     for (var l = 0u; l < 4u; l++) {
-        density_now[4u * quad + l] = select(vec2<f32>(), vec2<f32>(fraction[l] - 1.0, 1.0), counts[l]);
+        density_now[4u * quad + l] = select(vec2<f32>(), weight[l] * vec2<f32>(fraction[l] - 1.0, 1.0), counts[l]);
     }
 }

@@ -1,4 +1,4 @@
-// bound_level, first of four: marks cells with a cell of thick liquid, deeper than 1.5 cells, within three along x.
+// bound_level, first of five: marks cells with a cell of thick liquid, deeper than 1.5 cells, within three along x.
 // Also the level to be bounded, air in spare lanes. One thread per quad of the band; there is none outside it.
 // level. band_args, band_list, band_flags: the band. carried_level: cells. thick: per quad the lanes, out. new_level:
 // cells, out.

@@ -1,4 +1,4 @@
-// bound_level, third of four: lanes in thin liquid, without a mark of thick liquid within three along z. One thread per
+// bound_level, third of five: lanes in thin liquid, without a mark of thick liquid within three along z. One thread per
 // quad of the band.
 // level. band_args, band_list, band_flags: the band. thick_in: per quad the lanes. thin: per quad the lanes, out.
 #import dispatch

@@ -1,4 +1,4 @@
-// bound_level, second of four: marks cells with a mark within three along y. One thread per quad of the band.
+// bound_level, second of five: marks cells with a mark within three along y. One thread per quad of the band.
 // level. band_args, band_list, band_flags: the band. thick_in, thick_out: per quad the lanes.
 #import dispatch
 #import layout

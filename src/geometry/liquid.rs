@@ -129,32 +129,27 @@ const VELOCITY_REACH: f64 = 2.0;
 /// Sides on walls and between touching or overlapping regions are no free surface. The distance is clamped to the sum of the
 /// domain's sides, for domains full of liquid. Positive everywhere without a liquid.
 pub fn liquid_distance(scene: &Scene, grid: &Grid) -> Result<Vec<f64>, Error> {
-    let Some(liquid) = &scene.liquid else {
+    let Some(surface) = LiquidSurface::new(scene, grid)? else {
         return Ok(vec![grid.dx; grid.n_cells()]);
-    };
-    let fixed = FixedSurface {
-        regions: Regions::new(liquid, grid.size(), |key| scene.at(key))?.beyond_walls(grid),
-        size: grid.size(),
-        dx: grid.dx,
     };
     let far = grid.size().element_sum();
     Ok((0..grid.n_cells())
         .into_par_iter()
         .map(|cell| {
             let x = grid.cell_centre(grid.cell_at(cell));
-            fixed.distance(x).clamp(-far, far)
+            surface.distance(x).clamp(-far, far)
         })
         .collect())
 }
 
-/// Distance to the free part of the surface of `surface = "fixed"`.
-struct FixedSurface {
+/// The free surface of the initial liquid.
+pub struct LiquidSurface {
     regions: Regions,
     size: DVec3,
     dx: f64,
 }
 
-impl FixedSurface {
+impl LiquidSurface {
     /// Coincidence tolerance of sides, cells: far above the rounding of scene values, far below the resolution of a cell.
     const NEAR: f64 = 1e-6;
     /// Depth of the search for the free surface, cells: theta and the liquid's volume depend on smaller depths only.
@@ -162,11 +157,24 @@ impl FixedSurface {
     /// Number of depths in that search.
     const SHELLS: usize = 8;
 
-    /// Signed distance at a point, m.
+    /// The surface of a scene; `None` without a liquid.
+    pub fn new(scene: &Scene, grid: &Grid) -> Result<Option<LiquidSurface>, Error> {
+        let Some(liquid) = &scene.liquid else {
+            return Ok(None);
+        };
+        let regions = Regions::new(liquid, grid.size(), |key| scene.at(key))?;
+        Ok(Some(LiquidSurface {
+            regions: regions.beyond_walls(grid),
+            size: grid.size(),
+            dx: grid.dx,
+        }))
+    }
+
+    /// Signed distance at a point, m, negative in the liquid.
     ///
     /// The regions' own distance for a single region, or with air behind the nearest point of the surface. Otherwise the
     /// depth below the free surface along [`DIRECTIONS`], exact for axis-aligned surfaces and to about 2 % for others.
-    fn distance(&self, x: DVec3) -> f64 {
+    pub fn distance(&self, x: DVec3) -> f64 {
         let own = self.regions.distance(x);
         let parts = &self.regions.parts;
         let alone = parts.len() == 1 && !matches!(parts[0].solid, Solid::Mesh(_));

@@ -8,7 +8,7 @@
 //! - [`ContactField`]: distance and motion of the obstacles as nodes of solids meet them
 //! - [`TetMesh`], [`solid_meshes`]: tetrahedra of solids, from shapes, files and closed surfaces
 //! - [`SourcesAndSinks`]: sources and sinks as cells and faces of the grid
-//! - [`Regions`], [`liquid_distance`], [`seed_markers`], [`initial_state`]: the initial liquid
+//! - [`Regions`], [`LiquidSurface`], [`liquid_distance`], [`seed_markers`], [`initial_state`]: the initial liquid
 
 mod clip;
 mod contact_field;
@@ -46,7 +46,7 @@ pub use contact_field::{ContactField, RigidVelocity};
 pub use coupling::{CellNode, Coupling};
 pub use inside::inside;
 pub use liquid::{
-    Regions, empty_regions, estimate_markers, initial_speed, initial_state, liquid_distance,
+    LiquidSurface, Regions, empty_regions, estimate_markers, initial_speed, initial_state, liquid_distance,
     seed_markers,
 };
 pub use mesh_file::{parse as parse_mesh, read as read_mesh};

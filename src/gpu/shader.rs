@@ -67,6 +67,7 @@ pub const COMMON: &[Source] = &[
     crate::wgsl!("common/hash"),
     crate::wgsl!("common/inner_f32"),
     crate::wgsl!("common/inner_f64"),
+    crate::wgsl!("common/interpolant_part"),
     crate::wgsl!("common/join"),
     crate::wgsl!("common/label_at"),
     crate::wgsl!("common/lanes"),

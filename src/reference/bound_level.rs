@@ -3,13 +3,15 @@
 //! A level set that is only transported loses thin liquid (Enright et al. 2002). Markers bound it from both sides:
 //!
 //! ```text
-//! t = 1.6 (1/2 - G F),             d = 1/2    in thick liquid, F <= 1
-//! t = - sign(q) (1 - sqrt(1 - |q|)), d = 0    in thin liquid, q = 2 (F - 0.41) within [-1, 1]
+//! t = 1.6 (1/2 - G F),                       d = 1/2    in thick liquid, F <= 1
+//! t = - sign(q) (1 - sqrt(1 - |q|)) - kappa / 6, d = 0    in thin liquid, q = 2 (F - 0.47) within [-1, 1]
 //! phi := max(phi, t - d) where t - d > 0,  phi := min(phi, t + d) where t + d < 0
 //! ```
 //!
-//! The second t is the distance of a flat surface normal to an axis from a cell with that occupancy. Drops of two cells would
-//! shrink by a tenth at 0.45, and sheets of two cells grow by a tenth at 0.39. G is a pass of
+//! The second t is the distance of a flat surface normal to an axis from a cell with that occupancy. A surface of curvature
+//! kappa, the Laplacian of phi within [-1, 1], appears kappa / 12 cells deeper twice: to the markers, since the tent has a
+//! variance of 1/6 along each axis, and to the interpolant of a distance, whose zero level encloses the volume. Without that
+//! drops of two cells lose a fifth. At 1/2 instead of 0.47 all thin liquid loses three hundredths of a cell. G is a pass of
 //! (1/4, 1/2, 1/4) along each axis. Liquid is thin where no cell within three in every direction is deeper than 1.5
 //! cells. In thick liquid the noise of the markers is not seen: only a surface that differs by half a cell moves.
 
@@ -24,7 +26,13 @@ const THICK: f64 = 1.5;
 /// Distance up to which thick liquid counts, cells.
 const THIN_REACH: usize = 3;
 /// Occupancy at the surface of thin liquid.
-const THIN_LEVEL: f64 = 0.41;
+const THIN_LEVEL: f64 = 0.47;
+/// Depth that a surface loses per curvature, cells^2.
+const PER_CURVATURE: f64 = 1.0 / 6.0;
+/// Largest curvature that counts, 1 / cells.
+const LARGEST_CURVATURE: f64 = 1.0;
+/// Level up to which it does, cells.
+const CURVED: f64 = 2.0;
 /// Slope of the distance over the smoothed occupancy, cells.
 const SLOPE: f64 = 1.6;
 /// Tolerance of the bounds in thick liquid, cells.
@@ -58,7 +66,10 @@ pub fn bound_level(cells: LevelCells, occupancy: &[f64], thin: &[bool], level: &
             return phi;
         }
         let (t, d) = match thin[cell] {
-            true => (flat_distance(occupancy[cell]), 0.0),
+            true => {
+                let t = flat_distance(occupancy[cell]);
+                (t - PER_CURVATURE * curvature(cells, level, cell), 0.0)
+            }
             false => (SLOPE * (0.5 - smooth[cell]), TOLERANCE),
         };
         match (t - d > 0.0, t + d < 0.0) {
@@ -74,6 +85,17 @@ pub fn bound_level(cells: LevelCells, occupancy: &[f64], thin: &[bool], level: &
 fn flat_distance(occupancy: f64) -> f64 {
     let q = (2.0 * (occupancy - THIN_LEVEL)).clamp(-1.0, 1.0);
     -q.signum() * (1.0 - (1.0 - q.abs()).sqrt())
+}
+
+/// The Laplacian of the level near the surface, 1 / cells.
+fn curvature(cells: LevelCells, level: &[f64], cell: usize) -> f64 {
+    let phi = level[cell];
+    if phi.abs() >= CURVED {
+        return 0.0;
+    }
+    let around = Axis::ALL.into_iter().flat_map(|axis| cells.across(cell, axis));
+    let sum: f64 = around.map(|other| level[other] - phi).sum();
+    sum.clamp(-LARGEST_CURVATURE, LARGEST_CURVATURE)
 }
 
 /// The smoothed occupancy, at most 1. Cells where it is unknown have no part in it.

@@ -1,11 +1,12 @@
 //! `excess`: density of the markers below the surface less that of liquid, a source of volume.
 //!
 //! ```text
-//! e = G^2 ((F - 1) w) / G^2 w    w = 1 where phi < -1 and F is known, else 0
+//! e = G^2 ((F - 1) w) / G^2 w    w = clamp(d, 0, 1) where phi < -1 and F is known, else 0
 //! ```
 //!
-//! where phi < 0 and the denominator exceeds 0.05, and 0 elsewhere. |e| is reduced by a dead band of 0.06, several
-//! deviations of the noise of jittered markers. The right-hand side has a divergence of clamp(e, +-1) / max(2.5 t_f, 1.5 dt)
+//! where phi < 0 and the denominator exceeds 0.05, and 0 elsewhere. d is the distance to bodies, cells: beside them fewer
+//! markers count, whose noise would drive waves. |e| is reduced by a dead band of 0.06, several deviations of the noise of
+//! jittered markers. The right-hand side has a divergence of clamp(e, +-1) / max(2.5 t_f, 1.5 dt)
 //! for it. Markers that flow together in a splash so expand where they are. Enclosed components have no source, which
 //! their walls would not let out.
 
@@ -30,10 +31,13 @@ pub fn excess(
     occupancy: &[f64],
     level: &[f64],
 ) -> Vec<f64> {
-    let counts =
-        |cell: usize| level[cell] < -DEPTH && occupancy[cell] != UNKNOWN && cells.is_open(cell);
+    let counts = |cell: usize| level[cell] < -DEPTH && occupancy[cell] != UNKNOWN;
     let all = || 0..level.len();
-    let weight: Vec<f64> = all().map(|cell| f64::from(counts(cell))).collect();
+    let weight = all().map(|cell| match counts(cell) {
+        true => (cells.cut.solid_distance[cell] / cells.grid.dx).clamp(0.0, 1.0),
+        false => 0.0,
+    });
+    let weight: Vec<f64> = weight.collect();
     let density = all().map(|cell| weight[cell] * (occupancy[cell] - 1.0));
     let density = cells.smooth(&cells.smooth(&density.collect::<Vec<_>>()));
     let weight = cells.smooth(&cells.smooth(&weight));

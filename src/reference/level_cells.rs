@@ -1,5 +1,7 @@
 //! Cells of the level set: neighbours across open faces, mirrored at walls and bodies.
 
+use glam::DVec3;
+
 use crate::geometry::CutCells;
 use crate::grid::{Axis, Grid};
 
@@ -85,6 +87,37 @@ pub(super) fn in_cells(grid: &Grid, distance: &[f64]) -> Vec<f64> {
 #[inline]
 pub fn filled(phi: f64) -> f64 {
     (0.5 - phi).clamp(0.0, 1.0)
+}
+
+/// Level beyond which the surface does not cut a cell, cells: farther than the samples of its eighths.
+const UNCUT: f64 = 1.0;
+
+/// Part of a cell below the zero level of the interpolant of a level (cells): clamp(1/2 - 2 phi, 0, 1) in the centres of its
+/// eighths. [`filled`] is exact for planes, but has 18 % more for a ball of radius 2 cells than its interpolant.
+pub fn interpolant_part(grid: &Grid, level: &[f64], cell: usize) -> f64 {
+    if level[cell].abs() >= UNCUT {
+        return filled(level[cell]);
+    }
+    let centre = grid.cell_centre(grid.cell_at(cell));
+    let eighths = (0..8).map(|eighth| {
+        let side = |axis: u32| 0.5 * f64::from(eighth >> axis & 1) - 0.25;
+        let x = centre + grid.dx * DVec3::new(side(0), side(1), side(2));
+        filled_in(grid.sample_cells(level, x))
+    });
+    eighths.sum::<f64>() / 8.0
+}
+
+/// Filled part of an eighth of a cell with phi (cells) in its centre.
+fn filled_in(phi: f64) -> f64 {
+    (0.5 - 2.0 * phi).clamp(0.0, 1.0)
+}
+
+/// The distance (m) of which [`filled`] is the filled part of the cells of a liquid distance (m).
+pub fn filled_distance(grid: &Grid, liquid_distance: &[f64]) -> Vec<f64> {
+    use rayon::prelude::*;
+    let level = in_cells(grid, liquid_distance);
+    let distance = |cell: usize| grid.dx * (0.5 - interpolant_part(grid, &level, cell));
+    (0..level.len()).into_par_iter().map(distance).collect()
 }
 
 /// Hash of a list of numbers (rounds of lowbias32, Wellons 2018).

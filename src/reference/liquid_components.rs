@@ -1,7 +1,7 @@
 //! `liquid_components`: connected components of the liquid, and the volume that each of them is to have.
 //!
 //! Cells with phi < 0 belong to one component where open faces join them. Three layers of air beside them have its label
-//! too, the smaller of two. V_k is the sum over its cells of their open volume times clamp(1/2 - phi, 0, 1).
+//! too, the smaller of two. V_k is the sum over its cells of their open volume times their filled part.
 //!
 //! The target volumes V0 of the components before the sub-step go to those after it by the overlap of their cells, which
 //! move with the liquid. With l(c) the old component at the departure point of cell c and w_c the volume in c,
@@ -17,7 +17,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use super::ballistic::Ballistic;
-use super::level_cells::filled;
+use super::level_cells::interpolant_part;
 use super::occupancy::tent;
 use crate::grid::{Axis, Grid};
 
@@ -56,7 +56,7 @@ pub fn liquid_components(
     let mut volume = vec![0.0; enclosed.len()];
     for (cell, &label) in label.iter().enumerate() {
         if label > 0 {
-            volume[label as usize - 1] += open_volumes[cell] * filled(level[cell]);
+            volume[label as usize - 1] += open_volumes[cell] * interpolant_part(grid, level, cell);
         }
     }
     Components {

@@ -103,14 +103,16 @@ pub fn marker_band(
     [deleted, seeded.len()]
 }
 
-/// Markers of the band of an initial level (cells), m.
+/// Markers of the band of an initial level (cells), m. `inside`: whether a point (m) is in the liquid. The level between the
+/// cells would not do: it misses an eighth of a ball of radius 2 cells.
 pub fn first_markers(
     grid: &Grid,
     solid_distance: &[f64],
     level: &[f64],
+    inside: impl Fn(DVec3) -> bool + Sync,
     seed: u32,
 ) -> Vec<[f64; 3]> {
-    let within = |x: DVec3| (-BAND..0.0).contains(&grid.sample_cells(level, x));
+    let within = |x: DVec3| grid.sample_cells(level, x) >= -BAND && inside(x);
     let may = |cell: usize| (-BAND - MARGIN_OF_CELLS..MARGIN_OF_CELLS).contains(&level[cell]);
     sites_where(grid, solid_distance, [seed, u32::MAX], may, within)
 }

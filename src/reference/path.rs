@@ -139,7 +139,7 @@ impl Reference {
         boundary.update(model.solids(), &state.displacement, state.time, 0.0);
         if state.step == 0 {
             let moving = boundary.clip().map(|clip| (clip, model.triangles()));
-            prepare(scene, grid, boundary.cut_cells(), moving, &mut state);
+            prepare(scene, grid, boundary.cut_cells(), moving, &mut state)?;
         }
         self.node_forces = vec![[0.0; 3]; n_nodes];
         self.state = state;

@@ -95,7 +95,7 @@ impl GpuPath {
         let walls = clip.as_ref().map(|clip| (clip, &solids.triangles[..]));
         let cut = obstacles.static_cut().clone();
         let cut_now = clip.as_ref().map_or(&cut, SolidClip::cut_cells);
-        reference::prepare(scene, &grid, cut_now, walls, &mut state);
+        reference::prepare(scene, &grid, cut_now, walls, &mut state)?;
         // A level starts with markers in its band alone; later all liquid may be there.
         let n_markers = match Effects::of(scene).level {
             true => plan.n_markers.max(state.markers.len()),

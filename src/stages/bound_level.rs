@@ -27,6 +27,7 @@ pub fn bound_level(
         over_band(wgsl!("mark_thick"), &[("thick", marks[0].into())])?,
         over_band(wgsl!("spread_thick"), &spread)?,
         over_band(wgsl!("mark_thin"), &[("thick_in", marks[1].into())])?,
+        over_band(wgsl!("bound_thin"), &[])?,
         over_band(wgsl!("bound_level"), &[])?,
     ];
     Ok(Dispatches::new(Stage::BoundLevel.name(), list))

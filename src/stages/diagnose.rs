@@ -9,7 +9,7 @@ use crate::fields::{
     ClipBuffers, CouplingBuffers, CouplingReport, LevelBuffers, LiquidBuffers, SolidBuffers,
     SolverBuffers,
 };
-use crate::gpu::{Dispatches, Gpu, Kernel, RealBuffer, Variant};
+use crate::gpu::{Dispatches, Gpu, Kernel, RealBuffer, Source, Variant};
 use crate::step::Stage;
 use crate::wgsl;
 
@@ -25,12 +25,18 @@ pub fn diagnose(
     let real = liquid.plan.real;
     let open = [("open", liquid.solve_open().into())];
     let with_flux = |real| Variant::from(real).beside_obstacles(liquid.obstacle_flux.is_some());
-    let bound = |source| Kernel::new(gpu, &source, real)?.bind(gpu, &[], &[liquid, &level]);
+    let filled = level.map(|level| ("liquid_distance", (&level.next_level).into()));
+    let bound = |source: Source| {
+        // Volumes are those of the filled parts.
+        let own = filled.filter(|_| source.name.starts_with("measure_"));
+        Kernel::new(gpu, &source, real)?.bind(gpu, own.as_slice(), &[liquid, &level])
+    };
     let summing = |source| Ok::<_, Error>(bound(source)?.threads(liquid.plan.n_summing()));
     let mut list = Vec::new();
     if let Some(level) = level {
         let spray = bound(wgsl!("sum_spray"))?;
         list.push(spray.indirect(&level.marker_args, 0));
+        list.push(bound(wgsl!("filled_distance"))?.indirect(&liquid.band_args, 0));
         list.push(summing(wgsl!("measure_volume"))?);
         list.push(bound(wgsl!("add_spray_volume"))?.threads(1));
         list.push(bound(wgsl!("report_volume"))?.threads(1));

@@ -289,12 +289,13 @@ fn markers_bound_the_level_as_in_the_twin() {
         }
         let twin = reference::bound_level(run.cells(), &fraction, &thin, &level);
         // Sums of 27 values in three nested passes and a quotient: 28 roundings of G, 1.6 times that. In thin liquid q is off by 4
-        // roundings, its root by those over twice the root, and at most by the root of the same.
+        // roundings, its root by those over twice the root, and at most by the root of the same; the curvature, a sixth of which
+        // counts, is a sum of six differences of up to 7 cells, in order: 6 and 6 + .. + 1 roundings of partial sums below 42.
         let bound = |cell: usize| match thin[cell] {
             true => {
-                let q = (2.0 * (fraction[cell] - 0.41)).clamp(-1.0, 1.0);
+                let q = (2.0 * (fraction[cell] - 0.47)).clamp(-1.0, 1.0);
                 let root = (1.0 - q.abs()).sqrt();
-                (4.0 * EPS / root).min((4.0 * EPS).sqrt()) + 6.0 * EPS
+                (4.0 * EPS / root).min((4.0 * EPS).sqrt()) + (6.0 + 12.0 * 42.0 / 6.0) * EPS
             }
             false => 48.0 * EPS,
         };

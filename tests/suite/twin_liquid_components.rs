@@ -3,7 +3,7 @@
 use cutwater::fields::{ExchangeBuffers, LevelBuffers, LiquidBuffers, SolverBuffers, Step};
 use cutwater::gpu::{Dispatches, Gpu, Real, Recorder};
 use cutwater::grid::{Axis, Grid};
-use cutwater::reference::{self, Ballistic, Before, Components, LevelCells, filled};
+use cutwater::reference::{self, Ballistic, Before, Components, LevelCells, interpolant_part};
 use cutwater::stages;
 use cutwater::state::State;
 use glam::DVec3;
@@ -14,9 +14,10 @@ use crate::liquid_case::{ActiveBuffers, Case, EPS, assert_close, single};
 
 /// Volumes of cells in a unit of the sums.
 const UNIT: f64 = 1.0 / (1 << 23) as f64;
-/// Error of the volume of a cell, volumes of a cell: phi / dx, at most 1/2 where it counts, and the distance to bodies over dx
-/// likewise have a division of 5 half units and the rounding of dx; two differences, the product and that of the sum follow.
-const CELL: f64 = 12.0 * EPS;
+/// Error of the volume of a cell, volumes of a cell: the distance to bodies over dx has a division of 5 half units and the rounding
+/// of dx; two differences, the product and that of the sum follow. A filled part is a mean of samples of levels of up to 5 cells over
+/// nine rows: three roundings of a product, nine sums, and five of 2 / dx, twice that.
+const CELL: f64 = (12.0 + 2.0 * 5.0 * 17.0) * EPS;
 /// Error of the area of a cell: phi / dx is at most 1.
 const AREA: f64 = 18.0 * EPS;
 /// Relative error of a sum of two words as an f32.
@@ -210,7 +211,7 @@ fn check_components(run: &Run, phi: &[f64], volume_0: &[f64], origins: &[u32]) -
     // Shares of the old targets.
     let in_cell = |cell: usize| match twin.label[cell] {
         0 => 0.0,
-        _ => open[cell] * filled(level[cell]),
+        _ => open[cell] * interpolant_part(grid, &level, cell),
     };
     let in_cells: Vec<f64> = (0..grid.n_cells()).map(in_cell).collect();
     let shares = reference::shared_volumes(volume_0, origins, &twin, &in_cells);
@@ -331,9 +332,9 @@ fn check_excess(run: &Run, phi: &[f64], fraction: &[f64], twin: &Components) -> 
     let e = reference::excess(cells, twin, fraction, &level);
     let device = run.gpu.download(&run.level.excess).unwrap();
     let device = run.liquid.padded.unpad(grid.cells, &device, f64::from);
-    // Six passes of at most three roundings over values up to 1; the weights are exact. Their quotient, of 0.05 at least, has six
-    // roundings more.
-    let bound = EPS * (18.0 / 0.05 + 8.0);
+    // Six passes of at most three roundings over values up to 1, and over their weights, each after five of its own. Their quotient, of
+    // 0.05 at least, has six roundings more.
+    let bound = EPS * (2.0 * 23.0 / 0.05 + 8.0);
     assert_close(
         case.name,
         (0..grid.n_cells()).map(|cell| (device[cell], e[cell], bound, grid.cell_at(cell))),

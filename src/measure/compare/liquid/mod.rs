@@ -739,7 +739,9 @@ impl<'a> LiquidComparison<'a> {
     /// 1/dx; the flux of solids is a sum of products with areas in f32.
     fn diagnose(&mut self, after: &LiquidSnapshot, clip: Option<&SolidClip>, both: Option<&Both>) {
         let grid = self.grid;
-        let phi = &after.liquid_distance;
+        let level = Effects::of(self.scene).level;
+        let filled = level.then(|| reference::filled_distance(&grid, &after.liquid_distance));
+        let phi = filled.as_ref().unwrap_or(&after.liquid_distance);
         let (density, gravity) = (f64::from(self.step.density), self.gravity());
         let stencil = after.active_cells(&grid).stencil;
         let (mut boundary_flux, mut area_error) = (None, 0.0);
@@ -765,7 +767,10 @@ impl<'a> LiquidComparison<'a> {
         reference::add_spray(&grid, (density, gravity), spray.iter().copied(), &mut twin);
         let gpu = after.report.diagnosis;
         let spray_volume = spray.len() as f64 * grid.cell_volume() / 8.0;
-        let volume = self.sum_error(after.real, phi) * (self.wet_volume(phi) + spray_volume);
+        // A filled part is a mean of eight samples of up to five cells, each of 27 values, doubled.
+        let parts = if level { 160.0 * EPS } else { 0.0 };
+        let off = self.sum_error(after.real, phi) + parts;
+        let volume = off * (self.wet_volume(phi) + spray_volume);
         let spray_speed = largest(spray.iter().flat_map(|(_, v)| v.map(f64::abs)));
         let (mass, speed) = (density * volume, twin.max_speed.max(spray_speed));
         let height = gravity.abs().dot(grid.size());
