@@ -1,9 +1,10 @@
-// spray: markers with no liquid in the eight cells whose centres surround them fly. All that did not fly have the velocity of the grid. A marker
-// that starts to fly leaves the component beside it, one that lands joins it. One thread per used slot, seeded ones included.
+// spray: markers with no liquid in the eight cells whose centres surround them start to fly. All that do not fly have the velocity of the grid. A
+// marker that starts to fly leaves the component beside it. One thread per used slot, seeded ones included.
 // level, step. velocity: faces, m/s. liquid_distance: cell centres, m. labels: see label_at.
 // markers: x, y, z (m), w = 1 alive. marker_velocity: m/s, w = 1 for spray; in place. marker_args: see plan_band_seeds. component_flights: per
-// label, markers that landed less those that started to fly.
+// label, markers that landed less those that started to fly; in place.
 #import dispatch
+#import flies
 #import label_at
 #import layout
 #import step
@@ -19,19 +20,6 @@
 @group(0) @binding(7) var<storage, read> marker_args: array<u32>;
 @group(0) @binding(8) var<storage, read_write> component_flights: array<atomic<i32>>;
 
-// Whether none of the eight cells around a position (cells) contains liquid. Cells beyond a wall are those at the wall.
-fn flies(at: vec3<f32>) -> bool {
-    let low = vec3<i32>(floor(at - 0.5));
-    let top = vec3<i32>(level.cells) - 1;
-    var least = 1.0;
-    for (var corner = 0; corner < 8; corner++) {
-        let up = vec3<i32>(corner) >> vec3<u32>(0u, 1u, 2u) & vec3<i32>(1);
-        let cell = vec3<u32>(clamp(low + up, vec3<i32>(), top));
-        least = min(least, liquid_distance[cell_index(level, cell)]);
-    }
-    return least >= 0.0;
-}
-
 @compute @workgroup_size(WG_SIZE)
 fn spray(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let index = linear_index(workgroup, lane);
@@ -39,24 +27,16 @@ fn spray(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invocation_
         return;
     }
     let marker = markers[index];
-    if marker.w == 0.0 {
+    if marker.w == 0.0 || marker_velocity[index].w == 1.0 {
         return;
     }
     let at = marker.xyz * step.inv_dx;
     let now = flies(at);
-    var own = marker_velocity[index];
-    let before = own.w == 1.0;
-    if before && now {
-        return;
-    }
-    if !before {
-        own = vec4<f32>(sample_velocity(at), 0.0);
-    }
-    marker_velocity[index] = vec4<f32>(own.xyz, f32(now));
-    if now != before {
+    marker_velocity[index] = vec4<f32>(sample_velocity(at), f32(now));
+    if now {
         let label = label_at(at);
         if label > 0u {
-            atomicAdd(&component_flights[label], select(1, -1, now));
+            atomicAdd(&component_flights[label], -1);
         }
     }
 }

@@ -46,6 +46,8 @@ pub enum Stage {
     Excess,
     /// Markers below the surface.
     MarkerBand,
+    /// Spray that lands.
+    Landing,
     /// Unknowns of the pressure.
     ActiveCells,
     /// Components without a free surface.
@@ -122,7 +124,7 @@ fn every_or_once(every_sub_step: bool, present: bool) -> When {
 }
 
 /// The stages in order.
-pub const SCHEDULE: [Row; 28] = [
+pub const SCHEDULE: [Row; 29] = [
     Row {
         stage: Stage::TimeStep,
         name: "time_step",
@@ -249,6 +251,13 @@ pub const SCHEDULE: [Row; 28] = [
         stage: Stage::MarkerBand,
         name: "marker_band",
         sentence: "Deletes markers below the band and seeds them where liquid enters it.",
+        runner: Runner::Both,
+        when: |effects| every(effects.level),
+    },
+    Row {
+        stage: Stage::Landing,
+        name: "landing",
+        sentence: "Adds the momentum of markers that land to the faces around them.",
         runner: Runner::Both,
         when: |effects| every(effects.level),
     },

@@ -31,7 +31,7 @@ pub struct LevelStep {
 }
 
 /// Words of the numbers of markers (`common/marker_counts.wgsl`).
-const MARKER_COUNTS: usize = 5;
+const MARKER_COUNTS: usize = 6;
 /// Words of the sums over spray.
 const SPRAY_SUMS: usize = 12;
 
@@ -87,9 +87,10 @@ arrays! {
             /// Sums over all components: volume, shares of the targets (`common/component_sums.wgsl`).
             pub array component_totals: u32 [4],
             /// Markers that landed less those that took off in this sub-step, at the label of the component beside them. Zero
-            /// outside the stage `spray`.
+            /// but from `landing` to `spray`.
             pub array component_flights: i32 [padded.len()],
-            /// Velocity of the markers, m/s, and 1 for spray. Between `advect_markers` and `spray` that of spray alone.
+            /// Velocity of the markers, m/s, and 1 for spray. Between `advect_markers` and `spray` that of spray alone; 2 for spray that lands during
+            /// `landing`.
             pub array marker_velocity: [f32; 4] [plan.n_markers],
             /// Workgroups x, y, z for the used slots of the markers, and their number. `marker_band` adds those that it seeds; the host knows
             /// them after the sub-step ([`Step::n_markers`](super::Step)), so kernels after that stage compare with this number.
@@ -108,6 +109,10 @@ arrays! {
             shares = density_next while LiquidComponents..=LiquidComponents, free MarkerBand..=VolumeShift,
             // Areas of the surfaces, at the labels.
             areas = density_next while VolumeShift..=VolumeShift, free LiquidComponents..=VolumeShift,
+            // Sums of the weights of markers that land, per face.
+            landing_weight = carried_velocity while Landing..=Landing, free Forces..=AdvectVelocity,
+            // Distances of the filled parts of the cells, m.
+            filled_distances = next_level while Diagnose..=Diagnose, free Excess..=Diagnose,
             // Liquid in each cell with a label, in volumes of a cell.
             liquid_volumes = next_level while LiquidComponents..=LiquidComponents, free LiquidComponents..=Excess,
         }

@@ -225,6 +225,8 @@ arrays! {
             squares = liquid_distance while LiquidDistance..=LiquidDistance, free AdvectVelocity..=LiquidDistance,
             // Distance during its extension into solids, m.
             extended_distance = velocity while LiquidDistance..=LiquidDistance, free Forces..=Solve,
+            // Sums of the momenta of markers that land, per face; with a level.
+            landing_momentum = velocity while Landing..=Landing, free Forces..=Solve,
             // Liquid distance with 0 in separated cells, m.
             masked_distance = velocity while Solve..=Solve, free Forces..=Solve,
             // In `right_hand_side`.

@@ -21,6 +21,7 @@ mod exchange;
 mod extrapolate;
 mod filter_level;
 mod forces;
+mod landing;
 mod level_cells;
 mod level_exchange;
 mod liquid_components;
@@ -78,7 +79,8 @@ pub use extrapolate::{
 };
 pub use filter_level::filter_level;
 pub use forces::forces;
-pub use level_cells::{BAND, LevelCells, REACH, filled};
+pub use landing::{face_mass, land, landing_faces, take_landing};
+pub use level_cells::{BAND, LevelCells, REACH, filled, filled_distance, interpolant_part};
 pub use level_exchange::{
     CellVolume, add_sources, closed_to_markers, empty_level_sinks, fill_sources, limit_targets,
     outflow, remove_volumes, sunk_volumes,

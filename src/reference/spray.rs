@@ -2,7 +2,7 @@
 //!
 //! A marker with no liquid in the eight cells whose centres surround it is spray. It moves as a free body and has no part in
 //! the level, since the pressure does not reach it. All other markers have the velocity of the grid. A marker that starts to
-//! fly takes its volume, an eighth of a cell, from the target of the component beside it; one that lands adds it.
+//! fly takes its volume, an eighth of a cell, from the target of the component beside it. [`super::landing`] ends flights.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -13,20 +13,21 @@ use super::occupancy::{PER_CELL, tent};
 use crate::grid::Grid;
 use crate::state::Diagnosis;
 
-/// Updates velocities and spray. `liquid_distance` in m, `faces` in m/s. Returns the markers that changed.
+/// Whether no cell around a point (m) contains liquid. `liquid_distance` in m.
+pub(super) fn flies(grid: &Grid, liquid_distance: &[f64], x: [f64; 3]) -> bool {
+    let around = tent(grid, x.into()).into_iter();
+    around
+        .map(|(cell, _)| liquid_distance[cell])
+        .all(|phi| phi >= 0.0)
+}
+
+/// Updates velocities and spray. `liquid_distance` in m, `faces` in m/s. Returns the markers that start to fly.
 pub fn spray(
     grid: &Grid,
     liquid_distance: &[f64],
     faces: &[Vec<f64>; 3],
     markers: &mut Markers,
 ) -> Vec<usize> {
-    let flies = |x: &[f64; 3]| {
-        let around = tent(grid, DVec3::from(*x)).into_iter();
-        around
-            .map(|(cell, _)| liquid_distance[cell])
-            .all(|phi| phi >= 0.0)
-    };
-    let now: Vec<bool> = markers.position.par_iter().map(flies).collect();
     let pairs = markers.position.par_iter().zip(&markers.spray);
     let moving = markers.velocity.par_iter_mut().zip(pairs);
     moving
@@ -34,10 +35,12 @@ pub fn spray(
         .for_each(|(velocity, (x, _))| {
             *velocity = grid.velocity_at(faces, DVec3::from(*x)).to_array()
         });
-    let changed = (0..now.len()).filter(|&marker| now[marker] != markers.spray[marker]);
-    let changed = changed.collect();
-    markers.spray = now;
-    changed
+    let starts = |&marker: &usize| {
+        !markers.spray[marker] && flies(grid, liquid_distance, markers.position[marker])
+    };
+    let started: Vec<usize> = (0..markers.spray.len()).into_par_iter().filter(starts).collect();
+    started.iter().for_each(|&marker| markers.spray[marker] = true);
+    started
 }
 
 /// Adds the spray to sums over the cells: an eighth of a cell for each marker. `density` in kg/m^3, `gravity` in m/s^2.

@@ -99,6 +99,7 @@ impl Backend for SubStep<'_> {
             Stage::VolumeShift => self.volume_shift(),
             Stage::Excess => self.excess(),
             Stage::MarkerBand => self.marker_band(),
+            Stage::Landing => self.landing(),
             Stage::ActiveCells => self.active_cells(),
             Stage::SolidMatrices => self.solid_matrices(),
             Stage::RightHandSide => self.right_hand_side(),

@@ -24,6 +24,7 @@ mod exchange;
 mod extrapolate;
 mod filter_level;
 mod forces;
+mod landing;
 mod level_exchange;
 mod liquid_components;
 mod liquid_distance;
@@ -54,10 +55,11 @@ pub use excess::excess;
 pub use extrapolate::extrapolate;
 pub use filter_level::filter_level;
 pub use forces::{forces, node_forces};
+pub use landing::landing;
 pub use level_exchange::exchange_level;
 pub use liquid_components::{liquid_components, settle_flights};
 pub use liquid_distance::{liquid_distance, measure_volume};
-pub use marker_band::marker_band;
+pub use marker_band::{marker_band, seed_rest};
 pub use move_solid::move_solid;
 pub use occupancy::occupancy;
 pub use patch_pressure::{OpenFaces, PatchPressure, PressureSlope};
@@ -120,6 +122,7 @@ fn level_stages(
         volume_shift(gpu, liquid, level)?,
         excess(gpu, liquid, level)?,
         marker_band(gpu, liquid, level)?,
+        landing(gpu, liquid, level)?,
         spray(gpu, liquid, level)?,
     ];
     stages.extend(exchange_level(gpu, liquid, level, taps)?);

@@ -8,8 +8,8 @@ use crate::wgsl;
 
 use super::liquid_components::settle_flights;
 
-/// The stage: writes `marker_velocity`, and moves the volume of markers that land or start to fly to or from the target of the component beside
-/// them. Runs after `extrapolate`; its markers include the seeds of the sub-step.
+/// The stage: writes `marker_velocity`, and moves the volume of markers that landed or start to fly to or from the target of the component
+/// beside them. Runs after `extrapolate`; its markers include the seeds of the sub-step.
 pub fn spray(gpu: &Gpu, liquid: &LiquidBuffers, level: &LevelBuffers) -> Result<Dispatches, Error> {
     let gpu = &gpu.at(Stage::Spray.name());
     let kernel = Kernel::new(gpu, &wgsl!("spray"), Real::F32)?;

@@ -411,7 +411,7 @@ impl<'a> Run<'a> {
         self.case.write(self.gpu, &self.liquid);
         self.gpu.upload(&self.liquid.step, &[self.step()]);
         self.level.write_components(self.gpu, &self.case.state);
-        self.gpu.upload(&self.level.marker_counts, &[0; 5]);
+        self.gpu.upload(&self.level.marker_counts, &[0; 6]);
         let n_markers = self.case.state.markers.len();
         self.sources
             .write_step(self.gpu, SourceStep::new(running, n_markers));

@@ -2,6 +2,7 @@
 
 use cutwater::fields::{LevelBuffers, LiquidBuffers, LiquidPlan, Report, Tiles};
 use cutwater::gpu::{Gpu, Real, Recorder};
+use cutwater::grid::Axis;
 use cutwater::measure::bounds::MarkerError;
 use cutwater::reference::{self, Levels, Lost, Markers, Surface};
 use cutwater::stages;
@@ -533,12 +534,26 @@ fn check_capacity(
         gpu.download(&level.marker_args).unwrap()[3] as usize,
         n + room
     );
+    // Without the dead markers there is room for the rest, in their order.
+    let kept: Vec<_> = markers.into_iter().filter(|marker| marker[3] == 1.0).collect();
+    if kept.len() + seeds.len() - room > n + room {
+        return;
+    }
+    let alive = liquid.compact(gpu, n + room).unwrap();
+    level.compact(gpu, &alive).unwrap();
+    level.write_freed(gpu, NUMBERS, n + room - kept.len());
+    record(gpu, &stages::seed_rest(gpu, &liquid, &level).unwrap());
+    let (markers, _) = markers_of(gpu, &liquid, &level);
+    let all: Vec<_> = kept.iter().chain(&expected[room..]).copied().collect();
+    assert_eq!(bits(&markers[..all.len()]), bits(&all), "{}", case.name);
+    let free = &markers[all.len()..];
+    assert!(free.iter().all(|marker| *marker == [0.0; 4]));
 }
 
 #[test]
 fn spray_flies_and_lands_as_in_the_twin() {
     let Some(gpu) = gpu() else { return };
-    let (mut n_taken_off, mut n_landed, mut n_flights) = (0, 0, 0);
+    let (mut n_taken_off, mut n_landed, mut n_flights, mut n_faces) = (0, 0, 0, 0);
     for case in level_cases() {
         let (grid, n) = (&case.grid, case.state.markers.len());
         let (liquid, level) = upload(gpu, &case, 0);
@@ -561,8 +576,21 @@ fn spray_flies_and_lands_as_in_the_twin() {
         };
         write_dead();
         let before = markers_of(gpu, &liquid, &level);
+        let u_next: [Vec<f64>; 3] = Axis::ALL.map(|axis| {
+            let faces = case.state.velocity[axis.index()].iter();
+            faces.map(|u| single(0.4 - 0.5 * u)).collect()
+        });
+        let landing = stages::landing(gpu, &liquid, &level).unwrap();
         let stage = stages::spray(gpu, &liquid, &level).unwrap();
-        record(gpu, &stage);
+        // `landing` uses the velocity, which the solve then writes.
+        let run = || {
+            gpu.upload(&liquid.velocity_next, &liquid.pad_faces(&u_next));
+            record(gpu, &landing);
+            gpu.upload(&liquid.velocity, &liquid.pad_faces(&case.state.velocity));
+            record(gpu, &stage);
+            gpu.upload(&level.marker_counts, &[0; 6]);
+        };
+        run();
         let (markers, velocity) = markers_of(gpu, &liquid, &level);
         assert_eq!(bits(&markers), bits(&before.0), "{}", case.name);
         let flights = gpu.download(&level.component_flights).unwrap();
@@ -577,15 +605,18 @@ fn spray_flies_and_lands_as_in_the_twin() {
                 .collect(),
             spray: live.iter().map(|&index| state.spray[index]).collect(),
         };
-        let changed = reference::spray(grid, &state.liquid_distance, &state.velocity, &mut twin);
+        let landed = reference::land(grid, &state.liquid_distance, &mut twin);
+        let taken = gpu.download(&liquid.velocity_next).unwrap();
+        n_faces += check_landing(&case, (&liquid, &taken), &u_next, (&twin, &landed));
+        let started = reference::spray(grid, &state.liquid_distance, &state.velocity, &mut twin);
+        n_taken_off += started.len();
+        n_landed += landed.len();
         let mut expected = [0i32; 7];
-        for &marker in &changed {
+        let landed = landed.iter().map(|marker| (marker, 1));
+        for (&marker, flight) in landed.chain(started.iter().map(|marker| (marker, -1))) {
             let near = reference::label_at(grid, &label, twin.position[marker].into());
-            let flies = twin.spray[marker];
-            n_taken_off += usize::from(flies);
-            n_landed += usize::from(!flies);
             if near > 0 {
-                expected[near as usize] += if flies { -1 } else { 1 };
+                expected[near as usize] += flight;
             }
         }
         n_flights += expected.iter().filter(|count| **count != 0).count();
@@ -599,7 +630,7 @@ fn spray_flies_and_lands_as_in_the_twin() {
         for (&index, (v, &spray)) in live.iter().zip(twin.velocity.iter().zip(&twin.spray)) {
             assert_eq!(velocity[index][3] == 1.0, spray, "{}: {index}", case.name);
             let found = xyz(velocity[index]);
-            if state.spray[index] {
+            if state.spray[index] && spray {
                 assert_eq!(found, *v, "{}: spray keeps its velocity", case.name);
             }
             pairs.extend((0..3).map(|a| (found[a], v[a], bound, [index, a, 0])));
@@ -611,13 +642,66 @@ fn spray_flies_and_lands_as_in_the_twin() {
         }
         write(gpu, &case, &liquid, &level);
         write_dead();
-        record(gpu, &stage);
+        run();
         let (_, again) = markers_of(gpu, &liquid, &level);
         assert_eq!(bits(&velocity), bits(&again), "{}: again", case.name);
+        let words = |faces: &[f32]| faces.iter().map(|u| u.to_bits()).collect::<Vec<_>>();
+        let again = gpu.download(&liquid.velocity_next).unwrap();
+        assert!(words(&taken) == words(&again), "{}: again", case.name);
         let twice: Vec<i32> = expected.iter().map(|count| 2 * count).collect();
         assert_eq!(gpu.download(&level.component_flights).unwrap()[..7], twice);
     }
     assert!(n_taken_off > 100 && n_landed > 100 && n_flights > 20);
+    assert!(n_faces > 100, "{n_faces}");
+}
+
+/// Asserts the velocities of the faces after markers land; how many faces took some.
+fn check_landing(
+    case: &Case,
+    (liquid, taken): (&LiquidBuffers, &[f32]),
+    u_next: &[Vec<f64>; 3],
+    (markers, landed): (&Markers, &[usize]),
+) -> usize {
+    let (grid, phi) = (&case.grid, &case.state.liquid_distance);
+    let open_volumes = reference::open_volumes(grid, &case.cut.solid_distance);
+    let level = level_of(case);
+    let volume = |cell: usize| {
+        open_volumes[cell] / grid.cell_volume() * reference::interpolant_part(grid, &level, cell)
+    };
+    let volumes: Vec<f64> = (0..grid.n_cells()).map(volume).collect();
+    let mut twin = u_next.clone();
+    let open = &case.cut.open;
+    reference::take_landing(grid, open, (phi, &volumes), (markers, landed), case.dt, &mut twin);
+    let quad = liquid.padded.len();
+    let speed = grid.dx / case.dt;
+    let mut pairs = Vec::new();
+    let mut n_faces = 0;
+    for axis in Axis::ALL {
+        let a = axis.index();
+        let mut near = vec![[0.0; 2]; grid.n_faces(axis)];
+        for &marker in landed {
+            let x = DVec3::from(markers.position[marker]);
+            for (face, weight) in reference::landing_faces(grid, &open[a], phi, axis, x) {
+                near[face][0] += 1.0;
+                near[face][1] += weight / 8.0;
+            }
+        }
+        let padded = liquid.padded;
+        let device = padded.unpad(grid.faces(axis), &taken[a * quad..][..quad], f64::from);
+        for (face, &[n, weight]) in near.iter().enumerate() {
+            // Both paths round to 2^-16; a weight has three factors with three roundings of a position in cells, over a sum that may be
+            // 1/256. A filled part: as in `twin_liquid_components`.
+            let of_weight = 2.0 * (-16.0_f64).exp2() + 256.0 * 9.0 * 4.0 * EPS * (case.extent() + 1.0);
+            let speeds = 3.0 * case.speed() + 2.0 * 3.0;
+            let mass = reference::face_mass(grid, &volumes, axis, face);
+            let off = n / 8.0 * of_weight * (speeds + speed) + 400.0 * EPS * speeds * n.min(1.0);
+            let bound = off / (mass + weight).max(1e-3);
+            pairs.push((device[face], twin[a][face], bound, [a, face, 0]));
+            n_faces += usize::from(n > 0.0);
+        }
+    }
+    assert_close(case.name, pairs);
+    n_faces
 }
 
 #[test]

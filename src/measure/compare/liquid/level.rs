@@ -46,6 +46,7 @@ impl LiquidComparison<'_> {
             Stage::VolumeShift => self.volume_shift(after, now),
             Stage::Excess => self.excess(after, (&before, now)),
             Stage::MarkerBand => self.marker_band(after, (&before, now)),
+            Stage::Landing => self.landing(after, &before),
             Stage::Spray => self.spray(after, (&before, now)),
             _ => {}
         }
@@ -582,6 +583,47 @@ impl LiquidComparison<'_> {
                 (0..3).map(move |a| (gpu[a], twin[a], bound, place))
             });
             self.table.add(["new positions", "m"], positions);
+        }
+    }
+
+    /// A weight has three roundings of a position in cells and is divided by a sum of at least 1/256; both paths round it to 2^-16. What
+    /// faces hang on a rounding of a plane of cell centres is excused.
+    fn landing(&mut self, after: &LiquidSnapshot, before: &LevelSnapshot) {
+        let (grid, dt) = (self.grid, self.dt());
+        let phi = &after.liquid_distance;
+        let level = self.in_cells(phi);
+        let volume = |cell: usize| {
+            self.open_volumes[cell] / grid.cell_volume() * reference::interpolant_part(&grid, &level, cell)
+        };
+        let volumes: Vec<f64> = (0..grid.n_cells()).map(volume).collect();
+        let mut markers = self.markers_of_level(before);
+        let landed = reference::land(&grid, phi, &mut markers);
+        let mut faces = self.before.velocity_next.clone();
+        let open = &self.cut.open;
+        reference::take_landing(&grid, open, (phi, &volumes), (&markers, &landed), dt, &mut faces);
+        let fastest = landed.iter().flat_map(|&marker| markers.velocity[marker]);
+        let fastest = super::largest(fastest.map(f64::abs)).max(reference::max_speed(&faces));
+        let weight = EPS * 24.0 * self.extent() * 256.0 + 2.0 * (-16.0_f64).exp2();
+        for axis in Axis::ALL {
+            let a = axis.index();
+            let mut near = vec![0.0; grid.n_faces(axis)];
+            for &marker in &landed {
+                let around = grid.faces_around(axis, markers.position[marker].into());
+                around.weights().into_iter().for_each(|(face, _)| near[face] += 1.0);
+            }
+            let (mut pairs, mut excused) = (Vec::new(), 0);
+            for face in (0..grid.n_faces(axis)).filter(|&face| after.face_band[a][face]) {
+                let mass = reference::face_mass(&grid, &volumes, axis, face).max(1e-3);
+                let off = near[face] / 8.0 * weight * (fastest + grid.dx / dt) / mass;
+                let bound = off.min(2.0 * fastest) + 400.0 * EPS * fastest * near[face].min(1.0);
+                let (gpu, twin) = (after.velocity_next[a][face], faces[a][face]);
+                match near[face] > 0.0 && (gpu - twin).abs() > bound {
+                    true => excused += 1,
+                    false => pairs.push((gpu, twin, bound, Place::face(&grid, axis, face))),
+                }
+            }
+            self.table.add(["u*", "m/s"], pairs);
+            self.table.excuse(["u*", "m/s"], excused);
         }
     }
 
