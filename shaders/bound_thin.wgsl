@@ -30,9 +30,9 @@ const LARGEST_CURVATURE = 1.0;
 // Level up to which it does, cells.
 const CURVED = 2.0;
 
-// Distance of a flat surface normal to an axis from a cell of the occupancy, cells.
-fn flat_distance(fraction: f32) -> f32 {
-    let q = clamp(2.0 * (fraction - THIN_LEVEL), -1.0, 1.0);
+// Distance of a flat surface normal to an axis from cells of the occupancy, cells.
+fn flat_distance(fraction: vec4<f32>) -> vec4<f32> {
+    let q = clamp(2.0 * (fraction - THIN_LEVEL), vec4<f32>(-1.0), vec4<f32>(1.0));
     return -sign(q) * (1.0 - sqrt(1.0 - abs(q)));
 }
 
@@ -56,19 +56,28 @@ fn bound_thin(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoca
         return;
     }
     let quad = band_list[index];
-    var wanted = lane_bits(bit_lanes(thin[quad]) & bit_lanes(~occupied[quad]));
+    let lanes = thin[quad] & ~occupied[quad] & 15u;
+    if lanes == 0u {
+        return;
+    }
+    let first = 4u * quad;
+    let fraction = vec4<f32>(occupancy[first], occupancy[first + 1u], occupancy[first + 2u], occupancy[first + 3u]);
+    let phi = vec4<f32>(carried_level[first], carried_level[first + 1u], carried_level[first + 2u], carried_level[first + 3u]);
+    let flat = flat_distance(fraction);
+    // Most cells are far from the surface: no curvature moves them.
+    let least = flat - PER_CURVATURE * LARGEST_CURVATURE;
+    let largest = flat + PER_CURVATURE * LARGEST_CURVATURE;
+    let zero = vec4<f32>();
+    let moves = ((largest > zero) & (phi < largest)) | ((least < zero) & (phi > least));
+    var wanted = lanes & lane_bits(moves & (fraction != vec4<f32>(UNKNOWN_OCCUPANCY)));
     while wanted != 0u {
-        let cell = 4u * quad + firstTrailingBit(wanted);
+        let n = firstTrailingBit(wanted);
         wanted &= wanted - 1u;
-        if occupancy[cell] == UNKNOWN_OCCUPANCY {
-            continue;
-        }
-        let t = flat_distance(occupancy[cell]) - PER_CURVATURE * curvature(cell);
-        let phi = carried_level[cell];
+        let t = flat[n] - PER_CURVATURE * curvature(first + n);
         if t > 0.0 {
-            new_level[cell] = max(phi, t);
+            new_level[first + n] = max(phi[n], t);
         } else if t < 0.0 {
-            new_level[cell] = min(phi, t);
+            new_level[first + n] = min(phi[n], t);
         }
     }
 }

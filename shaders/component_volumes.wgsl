@@ -54,7 +54,7 @@ fn component_volumes(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local
         if any(label != vec4<u32>()) {
             component[quad] = label;
             let cell = quad_cell(level, quad);
-            let filled = vec4<f32>(open_volume(quad)) * interpolant_parts(cell);
+            let filled = vec4<f32>(open_volume(quad)) * interpolant_parts(quad);
             volume = select(vec4<f32>(), filled, label != vec4<u32>());
             let marked = at_surface(quad, cell) & (label != vec4<u32>());
             var last = 0u;

@@ -20,5 +20,5 @@ fn filled_distance(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_i
         return;
     }
     let quad = band_list[index];
-    filled_distances[quad] = step.dx * (0.5 - interpolant_parts(quad_cell(level, quad)));
+    filled_distances[quad] = step.dx * (0.5 - interpolant_parts(quad));
 }

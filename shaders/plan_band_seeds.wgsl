@@ -1,7 +1,8 @@
 // marker_band, third of four, one workgroup: an exclusive scan of the numbers of seeds, in the order of the band. Seeds without a slot are missing:
 // the host stops with an error. They follow the markers that sources emitted. Reports the numbers of this sub-step, and writes the number of used slots with the seeds.
 // step. level_step: capacity. band_args: the band. chunks: seeds per workgroup of count_seeds in, seeds before it out. marker_counts: see
-// marker_counts. marker_args: workgroups x, y, z for the used slots, and their number. report: see report.
+// marker_counts. marker_args: workgroups x, y, z for the used slots, and their number. landing_args: those, and those of the band, if there is spray;
+// else none. report: see report.
 #import dispatch
 #import step
 #import scan
@@ -15,7 +16,8 @@
 @group(0) @binding(3) var<storage, read_write> chunks: array<u32>;
 @group(0) @binding(4) var<storage, read> marker_counts: array<u32>;
 @group(0) @binding(5) var<storage, read_write> marker_args: array<u32>;
-@group(0) @binding(6) var<storage, read_write> report: array<u32>;
+@group(0) @binding(6) var<storage, read_write> landing_args: array<u32>;
+@group(0) @binding(7) var<storage, read_write> report: array<u32>;
 
 @compute @workgroup_size(SCAN_SIZE)
 fn plan_band_seeds(@builtin(local_invocation_index) lane: u32) {
@@ -31,6 +33,11 @@ fn plan_band_seeds(@builtin(local_invocation_index) lane: u32) {
     marker_args[1] = groups.y;
     marker_args[2] = groups.z;
     marker_args[3] = used;
+    let spray = u32(marker_counts[FLYING] > 0u);
+    for (var n = 0u; n < 3u; n++) {
+        landing_args[n] = spray * groups[n];
+        landing_args[4u + n] = spray * band_args[n];
+    }
     report[FLYING_NOW] = marker_counts[FLYING];
     report[LOST_SPRAY_NOW] = marker_counts[LOST_SPRAY];
     report[DELETED_NOW] = marker_counts[DELETED];

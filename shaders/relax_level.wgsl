@@ -1,7 +1,7 @@
 // redistance, last: one relaxation step of the mixed level f (equations in the twin, reference/redistance.rs). Cells in
 // bodies keep their level. One thread per quad of the band; outside it there is air.
-// level, step. band_args, band_list, band_flags: the band. valid, occupied: see level_cells. mixed: f, cells. new_level:
-// cells, in place.
+// level, step. band_args, band_list, band_flags: the band. valid, occupied: see level_cells. solid_distance: m. mixed: f,
+// cells. new_level: cells, in place.
 #import dispatch
 #import layout
 #import lanes
@@ -19,6 +19,7 @@
 @group(0) @binding(6) var<storage, read> occupied: array<u32>;
 @group(0) @binding(7) var<storage, read> mixed: array<vec4<f32>>;
 @group(0) @binding(8) var<storage, read_write> new_level: array<vec4<f32>>;
+@group(0) @binding(9) var<storage, read> solid_distance: array<vec4<f32>>;
 
 // The constants of reference/redistance.rs.
 // Level within which it is relaxed, cells.
@@ -28,6 +29,8 @@ const STEP = 0.4;
 // Gradients of interface cells that stay.
 const LEAST_GRADIENT = 0.7;
 const LARGEST_GRADIENT = 1.4;
+// Slope below which the interface is hidden behind a body.
+const LEAST_SLOPE = 0.5;
 // Steepness of both sides of a kink.
 const KINK = 0.1;
 
@@ -132,7 +135,9 @@ fn relax_level(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invoc
             changed &= ~(1u << (face % 4u));
         }
     }
-    let away = select(phi, phi - STEP * way * (gradient - 1.0), near & !at_interface);
+    let of_bodies = solid_distance[min(quad, arrayLength(&solid_distance) - 1u)];
+    let hidden = (gradient < vec4<f32>(LEAST_SLOPE)) & (of_bodies < vec4<f32>(step.dx));
+    let away = select(phi, phi - STEP * way * (gradient - 1.0), near & !at_interface & !hidden);
     let relaxed = select(away, phi - STEP * (phi - phi / max(m, vec4<f32>(1e-9))), bit_lanes(changed));
     new_level[quad] = select(new_level[quad], relaxed, open_lanes);
 }

@@ -2,10 +2,10 @@
 // level, step. band_args, band_list: the band. marker_counts: see marker_counts. liquid_distance, solid_distance: m. landing_momentum,
 // landing_weight: P and W, see landing. velocity_next: faces, m/s; in place.
 #import dispatch
-#import face_index
 #import filled
 #import interpolant_part
 #import landing
+#import lanes
 #import layout
 #import marker_counts
 #import spray_sums
@@ -22,13 +22,13 @@
 @group(0) @binding(8) var<storage, read> landing_weight: array<vec4<i32>>;
 @group(0) @binding(9) var<storage, read_write> velocity_next: array<vec4<f32>>;
 
-// Liquid in a cell, volumes of a cell; none beyond the domain.
-fn liquid_in(cell: vec3<i32>) -> f32 {
-    if any(cell < vec3<i32>()) || any(cell >= vec3<i32>(level.cells)) {
-        return 0.0;
+// Liquid in the cells of a quad, volumes of a cell; none beyond the domain.
+fn liquid_in(quad: u32) -> vec4<f32> {
+    let exists = lanes_inside(quad_cell(level, quad), vec3<i32>(level.cells));
+    if !any(exists) {
+        return vec4<f32>();
     }
-    let quad = level.stride_z * (u32(cell.z) + 1u) + level.stride_y * u32(cell.y) + u32(cell.x) / 4u;
-    return f32(open_volume(quad)[u32(cell.x) % 4u]) * interpolant_part(cell);
+    return select(vec4<f32>(), vec4<f32>(open_volume(quad)) * interpolant_parts(quad), exists);
 }
 
 @compute @workgroup_size(WG_SIZE)
@@ -38,24 +38,21 @@ fn take_landing(@builtin(workgroup_id) workgroup: vec3<u32>, @builtin(local_invo
         return;
     }
     let quad = band_list[index];
-    let first = quad_cell(level, quad);
     for (var axis = 0u; axis < 3u; axis++) {
         let own = axis * level.quads + quad;
         let weights = landing_weight[own];
         if all(weights == vec4<i32>()) {
             continue;
         }
-        var u = velocity_next[own];
-        for (var l = 0; l < 4; l++) {
-            if weights[l] == 0 {
-                continue;
-            }
-            let cell = first + vec3<i32>(l, 0, 0);
-            let mass = 0.5 * (liquid_in(cell - along(axis)) + liquid_in(cell));
-            let weight = MARKER_VOLUME * f32(weights[l]) / ONE;
-            let momentum = MARKER_VOLUME * f32(landing_momentum[own][l]) / ONE * (step.dx / step.dt);
-            u[l] = (mass * u[l] + momentum) / (mass + weight);
+        let here = liquid_in(quad);
+        var before = liquid_in(quad - vec3<u32>(1u, level.stride_y, level.stride_z)[axis]);
+        if axis == 0u {
+            before = shift_up(before, here);
         }
-        velocity_next[own] = u;
+        let mass = 0.5 * (before + here);
+        let weight = MARKER_VOLUME / ONE * vec4<f32>(weights);
+        let momentum = MARKER_VOLUME / ONE * (step.dx / step.dt) * vec4<f32>(landing_momentum[own]);
+        let u = velocity_next[own];
+        velocity_next[own] = select(u, (mass * u + momentum) / (mass + weight), weights != vec4<i32>());
     }
 }

@@ -95,6 +95,8 @@ arrays! {
             /// Workgroups x, y, z for the used slots of the markers, and their number. `marker_band` adds those that it seeds; the host knows
             /// them after the sub-step ([`Step::n_markers`](super::Step)), so kernels after that stage compare with this number.
             pub array marker_args: u32 [4],
+            /// The workgroups for the used slots and for the band in `landing`: none in a sub-step without spray.
+            pub array landing_args: u32 [8],
             /// Numbers of markers in the sub-step: `common/marker_counts.wgsl`.
             pub array marker_counts: u32 [MARKER_COUNTS],
             /// Sums over the markers that fly (`common/spray_sums.wgsl`).

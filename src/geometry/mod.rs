@@ -46,8 +46,8 @@ pub use contact_field::{ContactField, RigidVelocity};
 pub use coupling::{CellNode, Coupling};
 pub use inside::inside;
 pub use liquid::{
-    LiquidSurface, Regions, empty_regions, estimate_markers, initial_speed, initial_state, liquid_distance,
-    seed_markers,
+    LiquidSurface, Regions, empty_regions, estimate_markers, initial_speed, initial_state,
+    liquid_distance, seed_markers,
 };
 pub use mesh_file::{parse as parse_mesh, read as read_mesh};
 pub use obstacles::{ObstacleCut, ObstacleSurfaces, deepest_obstacle, obstacle_cut};

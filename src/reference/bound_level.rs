@@ -93,7 +93,9 @@ fn curvature(cells: LevelCells, level: &[f64], cell: usize) -> f64 {
     if phi.abs() >= CURVED {
         return 0.0;
     }
-    let around = Axis::ALL.into_iter().flat_map(|axis| cells.across(cell, axis));
+    let around = Axis::ALL
+        .into_iter()
+        .flat_map(|axis| cells.across(cell, axis));
     let sum: f64 = around.map(|other| level[other] - phi).sum();
     sum.clamp(-LARGEST_CURVATURE, LARGEST_CURVATURE)
 }

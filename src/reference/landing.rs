@@ -35,7 +35,9 @@ pub fn land(grid: &Grid, liquid_distance: &[f64], markers: &mut Markers) -> Vec<
         markers.spray[marker] && !flies(grid, liquid_distance, markers.position[marker])
     };
     let landed: Vec<usize> = (0..markers.spray.len()).filter(lands).collect();
-    landed.iter().for_each(|&marker| markers.spray[marker] = false);
+    landed
+        .iter()
+        .for_each(|&marker| markers.spray[marker] = false);
     landed
 }
 
@@ -82,14 +84,20 @@ pub fn landing_faces(
     x: DVec3,
 ) -> Vec<(usize, f64)> {
     let takes = |&(face, _): &(usize, f64)| {
-        let mut sides = grid.face_sides(axis, grid.face_at(axis, face)).into_iter().flatten();
+        let mut sides = grid
+            .face_sides(axis, grid.face_at(axis, face))
+            .into_iter()
+            .flatten();
         open[face] > 0.0 && sides.any(|cell| liquid_distance[cell] < 0.0)
     };
     let around = grid.faces_around(axis, x).weights().into_iter();
     let taking: Vec<(usize, f64)> = around.filter(takes).collect();
     let sum: f64 = taking.iter().map(|(_, weight)| weight).sum();
     match sum >= LEAST_WEIGHT {
-        true => taking.into_iter().map(|(face, weight)| (face, weight / sum)).collect(),
+        true => taking
+            .into_iter()
+            .map(|(face, weight)| (face, weight / sum))
+            .collect(),
         false => Vec::new(),
     }
 }

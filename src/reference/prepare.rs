@@ -7,7 +7,7 @@ use super::active_cells::active_cells;
 use super::ballistic::ballistic_cells;
 use super::diagnose::{liquid_volume, open_volumes};
 use super::extrapolate::{MovingWalls, extrapolate, n_layers};
-use super::level_cells::{LevelCells, REACH, interpolant_part, in_cells};
+use super::level_cells::{LevelCells, REACH, in_cells, interpolant_part};
 use super::liquid_components::{Components, liquid_components};
 use super::liquid_distance::{extend_level, liquid_distance};
 use super::marker_band::{Markers, first_markers};

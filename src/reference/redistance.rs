@@ -5,11 +5,12 @@
 //!
 //! ```text
 //! (a) |D| = |phi| at interface cells; elsewhere |grad D| = 1, first order (Rouy and Tourin 1992), nine Jacobi passes
-//! (b) f = phi where |D| < 2.5 and |phi| < 3.5, else D
+//! (b) f = phi where |D| < 2.5 or a body is within 2.5 cells, and |phi| < 3.5, else D
 //! (c) where |f| < 2.5, not at the interface:  f -= 0.4 sign(f) (|grad f| - 1)    Godunov's gradient, one step
 //! ```
 //!
-//! (c) is the relaxation of Sussman et al. (1994). An interface cell only changes where its gradient m is outside
+//! The level goes on into bodies, where D goes around them: beside bodies (b) keeps it, and so does (c) in cells at a body
+//! where |grad f| < 1/2. (c) is the relaxation of Sussman et al. (1994). An interface cell only changes where its gradient m is outside
 //! [0.7, 1.4] and neither it nor a neighbour across the interface is at a kink: f -= 0.4 (f - phi / m). A kink has
 //! one-sided slopes of opposite sign, both steeper than 0.1: the edge of a sheet or a collision, where m means nothing.
 //!
@@ -31,19 +32,20 @@ const FAR: f64 = 3.5;
 const STEP: f64 = 0.4;
 /// Gradients of interface cells that stay.
 const GRADIENTS: [f64; 2] = [0.7, 1.4];
+/// Slope below which the interface is hidden behind a body.
+const LEAST_SLOPE: f64 = 0.5;
 /// Steepness of both sides of a kink.
 const KINK: f64 = 0.1;
 
 /// The redistanced level, cells.
 pub fn redistance(cells: LevelCells, level: &[f64]) -> Vec<f64> {
     let distance = distance(cells, level);
-    let near = level.iter().zip(&distance);
-    let mixed: Vec<f64> = near
-        .map(|(&phi, &d)| match d.abs() < NEAR && phi.abs() < FAR {
-            true => phi,
-            false => d,
-        })
-        .collect();
+    let mixed = |cell: usize| {
+        let (phi, d) = (level[cell], distance[cell]);
+        let near = d.abs() < NEAR || cells.cut.solid_distance[cell] < NEAR * cells.grid.dx;
+        if near && phi.abs() < FAR { phi } else { d }
+    };
+    let mixed: Vec<f64> = (0..level.len()).map(mixed).collect();
     let relax = |cell: usize| match cells.is_open(cell) {
         true => relaxed(cells, &mixed, cell),
         false => level[cell],
@@ -124,7 +126,12 @@ fn relaxed(cells: LevelCells, f: &[f64], cell: usize) -> f64 {
             let [low, high] = slopes(cells, f, cell, axis).map(|slope| sign * slope);
             low.max(0.0).powi(2).max(high.min(0.0).powi(2))
         });
-        return phi - STEP * sign * (squares.iter().sum::<f64>().sqrt() - 1.0);
+        let gradient = squares.iter().sum::<f64>().sqrt();
+        let hidden = gradient < LEAST_SLOPE && cells.cut.solid_distance[cell] < cells.grid.dx;
+        return match hidden {
+            true => phi,
+            false => phi - STEP * sign * (gradient - 1.0),
+        };
     }
     let mut across = Axis::ALL
         .into_iter()

@@ -38,8 +38,13 @@ pub fn spray(
     let starts = |&marker: &usize| {
         !markers.spray[marker] && flies(grid, liquid_distance, markers.position[marker])
     };
-    let started: Vec<usize> = (0..markers.spray.len()).into_par_iter().filter(starts).collect();
-    started.iter().for_each(|&marker| markers.spray[marker] = true);
+    let started: Vec<usize> = (0..markers.spray.len())
+        .into_par_iter()
+        .filter(starts)
+        .collect();
+    started
+        .iter()
+        .for_each(|&marker| markers.spray[marker] = true);
     started
 }
 

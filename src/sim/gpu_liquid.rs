@@ -451,7 +451,12 @@ impl GpuLiquid {
 
     /// Seeds the markers for which the sub-step after the state of number `step` had no slots, where deleted markers have some. The
     /// markers and their order are those of a run with more slots.
-    pub(super) fn seed_rest(&mut self, gpu: &Gpu, report: &mut Report, step: u64) -> Result<(), Error> {
+    pub(super) fn seed_rest(
+        &mut self,
+        gpu: &Gpu,
+        report: &mut Report,
+        step: u64,
+    ) -> Result<(), Error> {
         let Some(level) = self.level.as_ref().filter(|_| report.missing > 0) else {
             return Ok(());
         };

@@ -1,5 +1,5 @@
 //! `landing`: spray with liquid around it becomes a part of that liquid, with its momentum (equations in the twin,
-//! `reference/landing.rs`). Without any such marker the stage only looks for some.
+//! `reference/landing.rs`). Without spray the stage has no work.
 
 use crate::Error;
 use crate::fields::{LevelBuffers, LiquidBuffers};
@@ -20,10 +20,10 @@ pub fn landing(
     };
     let labels = [("labels", (&level.component).into())];
     let list = [
-        bound(wgsl!("land_markers"), &labels)?.indirect(&level.marker_args, 0),
-        bound(wgsl!("clear_landing"), &[])?.indirect(&liquid.band_args, 0),
-        bound(wgsl!("spread_landing"), &[])?.indirect(&level.marker_args, 0),
-        bound(wgsl!("take_landing"), &[])?.indirect(&liquid.band_args, 0),
+        bound(wgsl!("land_markers"), &labels)?.indirect(&level.landing_args, 0),
+        bound(wgsl!("clear_landing"), &[])?.indirect(&level.landing_args, 1),
+        bound(wgsl!("spread_landing"), &[])?.indirect(&level.landing_args, 0),
+        bound(wgsl!("take_landing"), &[])?.indirect(&level.landing_args, 1),
     ];
     Ok(Dispatches::new(Stage::Landing.name(), list))
 }

@@ -6,7 +6,7 @@ use cutwater::grid::{Axis, Grid, Sides};
 use cutwater::reference::{
     Ballistic, Components, LevelCells, Levels, Markers, Reference, UNKNOWN, advect_level,
     advect_level_markers, advect_velocity_maccormack, balance, bound_level, excess,
-    extrapolate_with_slope, face_mass, interpolant_part, filter_level, first_markers, land,
+    extrapolate_with_slope, face_mass, filter_level, first_markers, interpolant_part, land,
     landing_faces, liquid_components, marker_band, marker_weights, occupancy, open_volumes,
     redistance, spray, take_landing, thin_liquid, volume_shift,
 };
@@ -56,7 +56,13 @@ fn inner(grid: &Grid, margin: usize) -> impl Iterator<Item = usize> + '_ {
 
 /// The first markers of a level (cells), flat between the cells.
 fn band_of(grid: &Grid, distance: &[f64], level: &[f64], seed: u32) -> Vec<[f64; 3]> {
-    first_markers(grid, distance, level, |x| grid.sample_cells(level, x) < 0.0, seed)
+    first_markers(
+        grid,
+        distance,
+        level,
+        |x| grid.sample_cells(level, x) < 0.0,
+        seed,
+    )
 }
 
 #[test]
@@ -457,17 +463,32 @@ fn markers_that_land_keep_their_momentum() {
     assert!(landed.len() > 100 && landed.len() < n, "{}", landed.len());
     let mut after = u.clone();
     let liquid = (&phi[..], &volumes[..]);
-    take_landing(&grid, &cut.open, liquid, (&markers, &landed), dt, &mut after);
+    take_landing(
+        &grid,
+        &cut.open,
+        liquid,
+        (&markers, &landed),
+        dt,
+        &mut after,
+    );
     for axis in Axis::ALL {
         let a = axis.index();
         let mut weights = vec![0.0; grid.n_faces(axis)];
         let (mut brought, mut largest) = (0.0, 0.0_f64);
         for &marker in &landed {
             let v = markers.velocity[marker][a];
-            let taking = landing_faces(&grid, &cut.open[a], &phi, axis, markers.position[marker].into());
+            let taking = landing_faces(
+                &grid,
+                &cut.open[a],
+                &phi,
+                axis,
+                markers.position[marker].into(),
+            );
             let sum: f64 = taking.iter().map(|(_, weight)| weight).sum();
             assert!(taking.is_empty() || (sum - 1.0).abs() < 1e-12);
-            taking.iter().for_each(|&(face, weight)| weights[face] += weight / 8.0);
+            taking
+                .iter()
+                .for_each(|&(face, weight)| weights[face] += weight / 8.0);
             brought += sum * v / 8.0;
             largest = largest.max(v.abs());
         }
@@ -487,7 +508,14 @@ fn markers_that_land_keep_their_momentum() {
     // The order has no effect.
     let reversed: Vec<usize> = landed.iter().rev().copied().collect();
     let mut again = u;
-    take_landing(&grid, &cut.open, liquid, (&markers, &reversed), dt, &mut again);
+    take_landing(
+        &grid,
+        &cut.open,
+        liquid,
+        (&markers, &reversed),
+        dt,
+        &mut again,
+    );
     assert_eq!(after, again);
 }
 
@@ -597,7 +625,10 @@ fn sampled_volume(grid: &Grid, state: &State) -> f64 {
 #[test]
 fn thin_liquid_keeps_the_volume_of_its_shape() {
     let (n, c) = ([14, 28, 14], 1.0 / 14.0);
-    let ball = format!("sphere = {{ centre = [0.51, 1.53, 0.49], radius = {} }}", 2.0 * c);
+    let ball = format!(
+        "sphere = {{ centre = [0.51, 1.53, 0.49], radius = {} }}",
+        2.0 * c
+    );
     let sheet = |thick: f64| {
         let [low, high] = [20.3 * c, (20.3 + thick) * c];
         let text = format!("box = {{ min = [0.2, {low}, 0.2], max = [0.8, {high}, 0.8] }}");
@@ -605,17 +636,47 @@ fn thin_liquid_keeps_the_volume_of_its_shape() {
     };
     let of_ball = 4.0 / 3.0 * std::f64::consts::PI * 8.0;
     for (region, exact, allowed) in [(ball, of_ball, 0.08), sheet(1.5), sheet(2.0)] {
-        let scene = scene(n, &format!("surface = \"level\"\n[[liquid.region]]\n{region}\n"));
+        let scene = scene(
+            n,
+            &format!("surface = \"level\"\n[[liquid.region]]\n{region}\n"),
+        );
         let grid = scene.grid();
         let mut reference = start(&scene);
         let markers = reference.state().markers.len() as f64 / 8.0;
         // As many sites as the surface cuts hang on their jitter; half of them deviate by a third of a marker.
         close(markers / exact, 1.0, 0.05);
-        close(reference.state().volume_0 / grid.cell_volume() / exact, 1.0, 0.01);
+        close(
+            reference.state().volume_0 / grid.cell_volume() / exact,
+            1.0,
+            0.01,
+        );
         while reference.state().time < 0.37 {
             let volume = sampled_volume(&grid, reference.state());
             close(volume / exact, 1.0, allowed);
             reference.step(reference.next_time_step()).unwrap();
+        }
+    }
+}
+
+/// A sphere that sticks out of a pool leaves it at rest: around it the level goes on into it.
+#[test]
+fn a_pool_around_a_sphere_stays_calm() {
+    for centre in [[0.5, 0.5, 0.5], [0.5, 0.37, 0.52]] {
+        let text = format!(
+            "surface = \"level\"\n[[liquid.region]]\nbox = {{ min = [0, 0, 0], max = [1, 0.51, 1] }}\n\
+             [[obstacle]]\nsphere = {{ centre = {centre:?}, radius = 0.25 }}\n"
+        );
+        let scene = scene([24, 24, 24], &text);
+        let mut reference = start(&scene);
+        // The noise of the first markers beside the sphere is gone soon.
+        for allowed in [0.05, 0.02, 0.02, 0.02, 0.02, 0.02] {
+            let time_step = reference.next_time_step();
+            let report = reference.step(time_step).unwrap();
+            let speed = report.liquid.unwrap().diagnosis.max_speed;
+            assert!(
+                speed <= allowed * 9.81 * time_step.dt,
+                "{centre:?}: {speed:e}"
+            );
         }
     }
 }

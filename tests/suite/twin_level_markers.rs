@@ -535,7 +535,10 @@ fn check_capacity(
         n + room
     );
     // Without the dead markers there is room for the rest, in their order.
-    let kept: Vec<_> = markers.into_iter().filter(|marker| marker[3] == 1.0).collect();
+    let kept: Vec<_> = markers
+        .into_iter()
+        .filter(|marker| marker[3] == 1.0)
+        .collect();
     if kept.len() + seeds.len() - room > n + room {
         return;
     }
@@ -582,6 +585,12 @@ fn spray_flies_and_lands_as_in_the_twin() {
         });
         let landing = stages::landing(gpu, &liquid, &level).unwrap();
         let stage = stages::spray(gpu, &liquid, &level).unwrap();
+        // As `marker_band` writes them.
+        let args = [&level.marker_args, &liquid.band_args].map(|args| gpu.download(args).unwrap());
+        gpu.upload(
+            &level.landing_args,
+            &args.map(|args| args[..4].to_vec()).concat(),
+        );
         // `landing` uses the velocity, which the solve then writes.
         let run = || {
             gpu.upload(&liquid.velocity_next, &liquid.pad_faces(&u_next));
@@ -671,7 +680,14 @@ fn check_landing(
     let volumes: Vec<f64> = (0..grid.n_cells()).map(volume).collect();
     let mut twin = u_next.clone();
     let open = &case.cut.open;
-    reference::take_landing(grid, open, (phi, &volumes), (markers, landed), case.dt, &mut twin);
+    reference::take_landing(
+        grid,
+        open,
+        (phi, &volumes),
+        (markers, landed),
+        case.dt,
+        &mut twin,
+    );
     let quad = liquid.padded.len();
     let speed = grid.dx / case.dt;
     let mut pairs = Vec::new();
@@ -691,7 +707,8 @@ fn check_landing(
         for (face, &[n, weight]) in near.iter().enumerate() {
             // Both paths round to 2^-16; a weight has three factors with three roundings of a position in cells, over a sum that may be
             // 1/256. A filled part: as in `twin_liquid_components`.
-            let of_weight = 2.0 * (-16.0_f64).exp2() + 256.0 * 9.0 * 4.0 * EPS * (case.extent() + 1.0);
+            let of_weight =
+                2.0 * (-16.0_f64).exp2() + 256.0 * 9.0 * 4.0 * EPS * (case.extent() + 1.0);
             let speeds = 3.0 * case.speed() + 2.0 * 3.0;
             let mass = reference::face_mass(grid, &volumes, axis, face);
             let off = n / 8.0 * of_weight * (speeds + speed) + 400.0 * EPS * speeds * n.min(1.0);

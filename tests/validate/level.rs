@@ -224,7 +224,12 @@ fn falling(sheet: &mut Sheet) {
         let radius = cells * dx;
         let region = format!("sphere = {{ centre = [0.51, 2.52, 0.49], radius = {radius} }}");
         let volume = 4.0 / 3.0 * std::f64::consts::PI * cells.powi(3);
-        (format!("drop of radius {cells} cells"), region, volume, 0.08)
+        (
+            format!("drop of radius {cells} cells"),
+            region,
+            volume,
+            0.08,
+        )
     };
     for (name, region, exact, allowed) in [
         sheet_of(1.0, 0.2),

@@ -10,9 +10,9 @@ use crate::reference::{
     ActiveCells, Before, CellVolume, Components, LevelCells, Levels, Markers, RightHandSide,
     add_excess, add_sources, advect_level, advect_level_markers, balance, bound_level,
     closed_to_markers, component_origins, empty_level_sinks, excess, extend_level, fill_sources,
-    filled, filter_level, interpolant_part, land, take_landing, limit_targets, liquid_components, marker_band, move_spray_volume,
-    occupancy, open_volumes, outflow, redistance, remove_volumes, seed_markers, shared_volumes,
-    spray, sunk_volumes, thin_liquid, volume_shift,
+    filter_level, interpolant_part, land, limit_targets, liquid_components, marker_band,
+    move_spray_volume, occupancy, open_volumes, outflow, redistance, remove_volumes, seed_markers,
+    shared_volumes, spray, sunk_volumes, take_landing, thin_liquid, volume_shift,
 };
 use crate::state::State;
 
@@ -300,12 +300,21 @@ impl SubStep<'_> {
         if !landed.is_empty() {
             let level = self.level_after();
             let open_volumes = self.open_volumes();
-            let volume = |cell| open_volumes[cell] / grid.cell_volume() * interpolant_part(grid, &level, cell);
+            let volume = |cell| {
+                open_volumes[cell] / grid.cell_volume() * interpolant_part(grid, &level, cell)
+            };
             let volumes: Vec<f64> = (0..grid.n_cells()).map(volume).collect();
             let open = &self.boundary.cut_cells().open;
             let (dt, after) = (self.time_step.dt, &mut self.after);
             let liquid = (&*after.liquid_distance, &*volumes);
-            take_landing(grid, open, liquid, (&markers, &landed), dt, &mut after.velocity);
+            take_landing(
+                grid,
+                open,
+                liquid,
+                (&markers, &landed),
+                dt,
+                &mut after.velocity,
+            );
             let label = &self.results.level.components.label;
             move_spray_volume(grid, label, &markers, &landed, &mut after.component_volume);
         }

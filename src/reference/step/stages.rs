@@ -10,9 +10,9 @@ use crate::reference::{
     Ballistic, Contacts, MovingWalls, Passed, PressureSystem, SolidSystem, Surface, VolumeSource,
     active_cells, add_spray, advect_markers, advect_velocity, advect_velocity_maccormack,
     ballistic_bodies, ballistic_cells, carry_faces, diagnose, diagnose_solid, divergence,
-    empty_sinks, exchanged_volume, extrapolate_one_sided, filled_distance, forces, hold_faces, liquid_distance,
-    liquid_volume, move_solid, n_layers, node_forces, open_volumes, patch_pressure,
-    pressure_gradient, right_hand_side, seed_markers, sink_markers, solid_matrices,
+    empty_sinks, exchanged_volume, extrapolate_one_sided, filled_distance, forces, hold_faces,
+    liquid_distance, liquid_volume, move_solid, n_layers, node_forces, open_volumes,
+    patch_pressure, pressure_gradient, right_hand_side, seed_markers, sink_markers, solid_matrices,
     solid_right_hand_side, surface_distance, volume_rate, wet_nodes, write_back,
 };
 use crate::scene::{CouplingScheme, PatchPressure};
@@ -345,7 +345,11 @@ impl SubStep<'_> {
         let Model { scene, grid, .. } = self.model;
         let (results, after) = (&self.results, &self.after);
         let (density, gravity) = (self.liquid()?.density, scene.domain.gravity);
-        let filled = self.model.effects.level.then(|| filled_distance(grid, &after.liquid_distance));
+        let filled = self
+            .model
+            .effects
+            .level
+            .then(|| filled_distance(grid, &after.liquid_distance));
         let mut diagnosis = diagnose(
             grid,
             self.boundary.cut_cells(),

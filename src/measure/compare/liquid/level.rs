@@ -593,14 +593,22 @@ impl LiquidComparison<'_> {
         let phi = &after.liquid_distance;
         let level = self.in_cells(phi);
         let volume = |cell: usize| {
-            self.open_volumes[cell] / grid.cell_volume() * reference::interpolant_part(&grid, &level, cell)
+            self.open_volumes[cell] / grid.cell_volume()
+                * reference::interpolant_part(&grid, &level, cell)
         };
         let volumes: Vec<f64> = (0..grid.n_cells()).map(volume).collect();
         let mut markers = self.markers_of_level(before);
         let landed = reference::land(&grid, phi, &mut markers);
         let mut faces = self.before.velocity_next.clone();
         let open = &self.cut.open;
-        reference::take_landing(&grid, open, (phi, &volumes), (&markers, &landed), dt, &mut faces);
+        reference::take_landing(
+            &grid,
+            open,
+            (phi, &volumes),
+            (&markers, &landed),
+            dt,
+            &mut faces,
+        );
         let fastest = landed.iter().flat_map(|&marker| markers.velocity[marker]);
         let fastest = super::largest(fastest.map(f64::abs)).max(reference::max_speed(&faces));
         let weight = EPS * 24.0 * self.extent() * 256.0 + 2.0 * (-16.0_f64).exp2();
@@ -609,7 +617,10 @@ impl LiquidComparison<'_> {
             let mut near = vec![0.0; grid.n_faces(axis)];
             for &marker in &landed {
                 let around = grid.faces_around(axis, markers.position[marker].into());
-                around.weights().into_iter().for_each(|(face, _)| near[face] += 1.0);
+                around
+                    .weights()
+                    .into_iter()
+                    .for_each(|(face, _)| near[face] += 1.0);
             }
             let (mut pairs, mut excused) = (Vec::new(), 0);
             for face in (0..grid.n_faces(axis)).filter(|&face| after.face_band[a][face]) {
