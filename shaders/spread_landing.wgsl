@@ -1,7 +1,7 @@
 // landing, third of four: adds the momentum and the weight of markers that land to the open faces around them with liquid on a side, and ends their
 // flight. One thread per used slot.
-// level, step. open: face apertures. liquid_distance: cell centres, m. markers: x, y, z (m). marker_velocity: m/s, w = 2 for spray that lands; 0 afterwards. marker_args: see
-// plan_band_seeds. marker_counts: see marker_counts. landing_momentum, landing_weight: see landing; in place.
+// level, step. open: face apertures. liquid_distance: cell centres, m. markers: x, y, z (m). marker_velocity: m/s, w = 2 for spray that lands, 0
+// afterwards; in place. marker_args: see plan_band_seeds. marker_counts: see marker_counts. landing_momentum, landing_weight: see landing; in place.
 #import corner
 #import dispatch
 #import landing

@@ -354,6 +354,7 @@ fn stages_share_their_nouns() {
         ("closed_components", "components"),
         ("excess", "twin_liquid_components"),
         ("filter_level", "twin_level_shape"),
+        ("landing", "twin_level_markers"),
         ("level_exchange", "level_exchange"),
         ("marker_band", "twin_level_markers"),
         ("occupancy", "twin_level_shape"),
