@@ -118,11 +118,23 @@ need_readers() {
     export CUTWATER_PYTHON=$PWD/target/readers/bin/python
 }
 
-# Builds the wheel of the Python package into target/wheels; sets python, which has what its tests need, and wheel.
-need_wheel() {
+# Python with what the tests of the package need; sets python.
+need_package_python() {
     virtual_environment "$PWD/target/python" python/tests/requirements.txt
     python=$PWD/target/python/bin/python
+    export PATH=$PWD/target/python/bin:$PATH
+}
+
+# The type stubs of the extension, target/stubs/cutwater/_core.pyi.
+need_stubs() {
+    need_package_python
+    timed "$python" -m maturin generate-stubs --profile release --interpreter "$python" --out target/stubs
+}
+
+# Builds the wheel of the Python package into target/wheels; sets python and wheel.
+need_wheel() {
+    need_package_python
     rm -rf target/wheels
-    timed "$python" -m maturin build --release --locked --interpreter "$python" --out target/wheels
+    timed "$python" -m maturin build --release --strip --interpreter "$python" --out target/wheels
     wheel=$(first target/wheels/cutwater-*.whl) || fail "maturin wrote no wheel into target/wheels"
 }

@@ -28,6 +28,9 @@ pub(crate) struct Frame {
     pub(crate) solid_distance: Vec<f64>,
 }
 
+/// Name of a solid, and the first and the next number of its nodes, elements and surface triangles.
+type BodyRanges = (String, [usize; 2], [usize; 2], [usize; 2]);
+
 impl Frame {
     fn grid(&self) -> Grid {
         self.scene.grid()
@@ -148,7 +151,7 @@ impl Frame {
     }
 
     /// Names of the solids with the ranges of their nodes, elements and surface triangles.
-    fn bodies(&self) -> Vec<(String, [usize; 2], [usize; 2], [usize; 2])> {
+    fn bodies(&self) -> Vec<BodyRanges> {
         let bodies = self.solids.bodies.iter();
         bodies
             .map(|body| {

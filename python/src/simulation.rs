@@ -394,7 +394,7 @@ impl Simulation {
         self.with(py, |inner| inner.simulation.set_velocity(faces, nodes))
     }
 
-    /// Writes the system of the next sub-step into a folder; returns meta.json.
+    /// Writes the system of the next sub-step into a folder.
     fn export(&self, py: Python<'_>, out: PathBuf) -> PyResult<()> {
         let (scene, backend, checkpoint) = self.with(py, |inner| {
             let mut scene = scene::Scene::clone(&inner.scene);

@@ -154,7 +154,10 @@ fn ensure_velocities(
             "change a copy of those of the present state",
         ));
     }
-    match values.iter().position(|v| !(v.abs() <= MAX_VELOCITY)) {
+    match values
+        .iter()
+        .position(|v| !v.is_finite() || v.abs() > MAX_VELOCITY)
+    {
         None => Ok(()),
         Some(at) => Err(Error::input(
             name,
@@ -188,7 +191,7 @@ fn ensure_continuous(
     for pair in new.windows(2) {
         let span = pair[1].time - pair[0].time;
         let speed = Keyframe::max_speed(pair, edge, pair[0].time, span);
-        if !(speed <= MAX_VELOCITY) {
+        if speed > MAX_VELOCITY {
             let problem = format!("it moves at {speed:e} m/s after {} s", pair[0].time);
             return refused(problem, "use a longer time or a shorter distance");
         }
