@@ -7,6 +7,7 @@ mod adapters;
 mod bar;
 mod bench;
 mod compare;
+mod converge;
 mod export;
 mod mesh;
 mod plan;
@@ -49,6 +50,8 @@ enum Command {
     Run(run::Run),
     /// Run a scene with every combination of some settings, in a folder each, and summarise the runs
     Sweep(sweep::SweepCommand),
+    /// Run a scene at several scales and estimate the order of convergence and the limit of each probe
+    Converge(converge::Converge),
     /// List the effects, stages, kernels and buffers of a scene, and check the limits of the adapter
     Plan(plan::PlanCommand),
     /// List the GPU adapters
@@ -129,7 +132,7 @@ fn ensure_run(path: &Path, command: &str) -> Result<(), Error> {
     Ok(())
 }
 
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 struct BackendArgs {
     /// gpu, or cpu for the f64 path
     #[arg(long, value_enum, default_value = "gpu")]
@@ -138,7 +141,7 @@ struct BackendArgs {
     adapter: AdapterArgs,
 }
 
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 struct AdapterArgs {
     /// Adapter by index, kind (discrete, integrated, virtual, software) or part of its name; the best by default
     #[arg(long, value_name = "NAME")]
@@ -215,6 +218,7 @@ pub fn main(arguments: impl IntoIterator<Item = OsString>, program: Option<&[OsS
     let done = match &cli.command {
         Command::Run(command) => command.run(),
         Command::Sweep(command) => command.run(program),
+        Command::Converge(command) => command.run(program),
         Command::Plan(command) => command.run(),
         Command::Adapters(command) => command.run(),
         Command::Schema(command) => command.run(),

@@ -11,7 +11,7 @@ use std::thread;
 use std::time::Duration;
 
 use crate::Error;
-use crate::measure::sweep::{Axis, LOG, Options, Row, Shard, Status, Sweep};
+use crate::measure::sweep::{Axis, LOG, Options, Row, Run, Shard, Status, Sweep};
 use crate::scene::MAX_FRAMES;
 use clap::{ArgAction, ValueEnum};
 
@@ -24,30 +24,30 @@ const POLL_INTERVAL: Duration = Duration::from_millis(20);
 #[derive(Debug, clap::Args)]
 pub(super) struct SweepCommand {
     /// Scene file (TOML)
-    scene: PathBuf,
+    pub(super) scene: PathBuf,
     /// A key of the scene and its values, such as solid[0].young=1e5,1e6; may be repeated, for the product of all
     #[arg(long = "set", value_name = "KEY=V1,V2", required = true, action = ArgAction::Append)]
-    settings: Vec<String>,
+    pub(super) settings: Vec<String>,
     /// Multiply domain.cells, rounded
     #[arg(long, default_value_t = 1.0)]
-    scale: f64,
+    pub(super) scale: f64,
     #[command(flatten)]
-    backend: BackendArgs,
+    pub(super) backend: BackendArgs,
     /// Folder of the sweep; out/NAME_sweep by default
     #[arg(long)]
-    out: Option<PathBuf>,
+    pub(super) out: Option<PathBuf>,
     /// Frames of each run instead of the scene's duration, at most 999999
     #[arg(long, value_parser = clap::value_parser!(u64).range(..=MAX_FRAMES))]
-    frames: Option<u64>,
+    pub(super) frames: Option<u64>,
     /// Draw a picture of every frame of each run as soon as it is written, and the animation at its end
     #[arg(long)]
-    preview: bool,
+    pub(super) preview: bool,
     /// Continue runs in which a solid has collapsed, which otherwise count as failed
     #[arg(long)]
-    keep_going: bool,
+    pub(super) keep_going: bool,
     /// Runs at a time
     #[arg(long, default_value = "1", value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
-    jobs: u16,
+    pub(super) jobs: u16,
     /// Run only every N-th combination, from the I-th on, I from 1 to N: for job arrays
     #[arg(
         long,
@@ -55,22 +55,18 @@ pub(super) struct SweepCommand {
         default_value = "1/1",
         hide_default_value = true
     )]
-    shard: Shard,
+    pub(super) shard: Shard,
     /// Replace runs of another scene text, other options or another version, which are refused otherwise
     #[arg(long)]
-    overwrite: bool,
+    pub(super) overwrite: bool,
     /// List the status of each run, update the summary, and run nothing
     #[arg(long)]
-    list: bool,
+    pub(super) list: bool,
 }
 
 impl SweepCommand {
     /// `program`: the command that starts this command line in another process; `None` for the executable of this process.
     pub(super) fn run(&self, program: Option<&[OsString]>) -> Result<(), Error> {
-        let program = match program {
-            Some(program) => program.to_vec(),
-            None => vec![this_program()?],
-        };
         let axes = self.settings.iter().map(|setting| setting.parse::<Axis>());
         let out = self.out.clone().unwrap_or_else(|| {
             let stem = self.scene.file_stem().unwrap_or_default();
@@ -84,6 +80,20 @@ impl SweepCommand {
             out: out.clone(),
         };
         let sweep = Sweep::new(axes.collect::<Result<_, _>>()?, options)?;
+        self.complete(&sweep, &out, program)
+    }
+
+    /// Runs what is missing of a sweep, and summarises it. `program` as for [`SweepCommand::run`].
+    pub(super) fn complete(
+        &self,
+        sweep: &Sweep,
+        out: &Path,
+        program: Option<&[OsString]>,
+    ) -> Result<(), Error> {
+        let program = match program {
+            Some(program) => program.to_vec(),
+            None => vec![this_program()?],
+        };
         let shard = sweep.shard_runs(self.shard);
         if self.list {
             for &number in &shard {
@@ -112,13 +122,13 @@ impl SweepCommand {
         let noted = Arc::clone(&signals);
         super::signals::on_end(move |signal| noted.note(signal))?;
         sweep.write_summary()?;
-        self.run_all(&sweep, &shard, (&program, &signals))?;
-        print_table(&sweep, &shard);
+        self.run_all(sweep, &shard, (&program, &signals))?;
+        print_table(sweep, &shard);
         say!("summary: {}", out.join("summary.csv").display());
         if signals.count() > 0 {
             return Err(Error::Interrupted);
         }
-        ensure_finished(&sweep, &shard)
+        ensure_finished(sweep, &shard)
     }
 
     /// Starts the missing runs of the shard, `jobs` at a time.
@@ -188,7 +198,7 @@ impl SweepCommand {
             .open(&path)
             .map_err(failed)?;
         let start = log.metadata().map_err(failed)?.len();
-        let mut command = self.command(program, replaces, &run.overrides, &run.folder);
+        let mut command = self.command(program, replaces, run);
         writeln!(log, "{command:?}").map_err(failed)?;
         let copy = log.try_clone().map_err(failed)?;
         let (exit_code, mut problem) = match command.stdin(lock).stdout(copy).stderr(log).spawn() {
@@ -206,20 +216,15 @@ impl SweepCommand {
         Ok(())
     }
 
-    fn command(
-        &self,
-        program: &[OsString],
-        replaces: bool,
-        overrides: &[String],
-        folder: &Path,
-    ) -> Command {
+    fn command(&self, program: &[OsString], replaces: bool, run: &Run) -> Command {
         let mut command = Command::new(&program[0]);
         command.args(&program[1..]);
-        command.arg("run").arg(&self.scene).arg("--out").arg(folder);
-        for setting in overrides {
+        command.arg("run").arg(&self.scene);
+        command.arg("--out").arg(&run.folder);
+        for setting in &run.overrides {
             command.arg("--set").arg(setting);
         }
-        command.args(["--scale", &self.scale.to_string()]);
+        command.args(["--scale", &run.scale.to_string()]);
         if let Some(name) = self.backend.backend.to_possible_value() {
             command.args(["--backend", name.get_name()]);
         }

@@ -10,6 +10,7 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+use super::probe_statistics::Statistics;
 use crate::Error;
 use crate::output::manifest::{Manifest, RunStatus};
 use crate::output::write_atomically;
@@ -128,8 +129,66 @@ pub struct Run {
     pub values: Vec<String>,
     /// `KEY=VALUE` of each axis.
     pub overrides: Vec<String>,
-    /// SHA-256 of the scene with these overrides, and its frames; or its error.
-    scene: Result<(String, u64), Error>,
+    /// `--scale`
+    pub scale: f64,
+    /// Properties of the scene with these overrides, or its error.
+    scene: Result<Checked, Error>,
+}
+
+/// Properties of a scene that was read.
+#[derive(Clone, Debug)]
+struct Checked {
+    /// SHA-256.
+    hash: String,
+    frames: u64,
+    /// Columns of its probes and their units.
+    probes: Vec<(String, &'static str)>,
+    /// Size of a cell, m.
+    cell_size: f64,
+}
+
+impl Run {
+    /// Reads the scene; nothing is written.
+    fn new(
+        name: &str,
+        values: Vec<String>,
+        overrides: Vec<String>,
+        scale: f64,
+        options: &Options,
+    ) -> Run {
+        let name = folder_name(name);
+        let scene = Scene::load(&options.scene, &overrides, scale);
+        Run {
+            folder: options.out.join(&name),
+            name,
+            values,
+            overrides,
+            scale,
+            scene: scene.map(|scene| Checked {
+                frames: options.frames.unwrap_or_else(|| scene.n_frames()),
+                probes: scene
+                    .probes
+                    .iter()
+                    .flat_map(|probe| {
+                        let units = probe.units().iter().copied();
+                        probe.columns().into_iter().zip(units).collect::<Vec<_>>()
+                    })
+                    .collect(),
+                cell_size: scene.grid().dx,
+                hash: scene.hash,
+            }),
+        }
+    }
+
+    /// Columns of the probes and their units; none of a refused scene.
+    pub fn probes(&self) -> &[(String, &'static str)] {
+        self.scene.as_ref().map_or(&[], |scene| &scene.probes)
+    }
+
+    /// Size of a cell, m; `None` of a refused scene.
+    pub fn cell_size(&self) -> Option<f64> {
+        self.scene.as_ref().ok().map(|scene| scene.cell_size)
+    }
 }
 
 /// Status of a run, from its folder.
@@ -193,6 +252,8 @@ pub struct Row {
     pub squeezed: Option<u64>,
     /// Error message.
     pub problem: Option<String>,
+    /// Columns of the probes of a finished run with their statistics.
+    pub probes: Vec<(String, Statistics)>,
 }
 
 /// End of a run, as seen by the sweep.
@@ -271,19 +332,35 @@ impl Sweep {
                 .collect();
             let parts = labels.iter().zip(&picks);
             let parts: Vec<&str> = parts.map(|(label, &at)| label[at].as_str()).collect();
-            let name = folder_name(&parts.join("_"));
-            let scene = Scene::load(&options.scene, &overrides, options.scale);
-            runs.push(Run {
-                folder: options.out.join(&name),
-                name,
-                values,
-                overrides,
-                scene: scene.map(|scene| {
-                    let frames = options.frames.unwrap_or_else(|| scene.n_frames());
-                    (scene.hash, frames)
-                }),
-            });
+            let name = parts.join("_");
+            runs.push(Run::new(&name, values, overrides, options.scale, &options));
         }
+        Sweep::of_runs(axes, runs, options)
+    }
+
+    /// A sweep over `--scale`; `settings` are the overrides of each run.
+    ///
+    /// # Errors
+    /// The scene's own error if it is refused with every scale.
+    pub fn of_scales(
+        scales: &[f64],
+        settings: impl Fn(f64) -> Vec<String>,
+        options: Options,
+    ) -> Result<Sweep, Error> {
+        let axis = Axis {
+            key: "scale".to_owned(),
+            values: scales.iter().map(f64::to_string).collect(),
+        };
+        let runs = scales.iter().zip(&axis.values).map(|(&scale, value)| {
+            let values = vec![value.clone()];
+            let name = format!("scale={value}");
+            Run::new(&name, values, settings(scale), scale, &options)
+        });
+        let runs = runs.collect();
+        Sweep::of_runs(vec![axis], runs, options)
+    }
+
+    fn of_runs(axes: Vec<Axis>, mut runs: Vec<Run>, options: Options) -> Result<Sweep, Error> {
         if runs.iter().all(|run| run.scene.is_err())
             && let Err(error) = runs.swap_remove(0).scene
         {
@@ -322,7 +399,7 @@ impl Sweep {
     }
 
     fn read_row(&self, run: &Run) -> Row {
-        let (hash, frames) = match &run.scene {
+        let Checked { hash, frames, .. } = match &run.scene {
             Ok(scene) => scene,
             Err(error) => {
                 return Row {
@@ -363,6 +440,12 @@ impl Sweep {
             },
             (None, None) => Row::default(),
         };
+        if row.status == Status::Finished {
+            match Statistics::read(&run.folder) {
+                Ok(probes) => row.probes = probes,
+                Err(error) => row.problem = Some(one_line(&error.to_string())),
+            }
+        }
         let lock = File::open(run.folder.join(LOCK)).map(|lock| lock.try_lock_shared());
         if matches!(lock, Ok(Err(TryLockError::WouldBlock))) {
             row.status = Status::Running;
@@ -406,7 +489,7 @@ impl Sweep {
         problem: Option<String>,
     ) -> Result<(), Error> {
         let run = &self.runs[number];
-        let Ok((hash, _)) = &run.scene else {
+        let Ok(Checked { hash, .. }) = &run.scene else {
             return Ok(());
         };
         let record = Record {
@@ -434,8 +517,14 @@ impl Sweep {
         let _ = turn.lock();
         let mut table = csv::Writer::from_writer(Vec::new());
         let failed = |problem: csv::Error| Error::output(&path, problem);
-        let keys = self.axes.iter().map(|axis| axis.key.as_str());
-        table.write_record(keys.chain(COLUMNS)).map_err(failed)?;
+        let keys = self.axes.iter().map(|axis| axis.key.clone());
+        let probes = self.probes();
+        let statistics = probes.iter().flat_map(|(probe, _)| {
+            let names = Statistics::NAMES.into_iter();
+            names.map(move |name| format!("{probe}:{name}"))
+        });
+        let heads = keys.chain(COLUMNS.map(str::to_owned)).chain(statistics);
+        table.write_record(heads).map_err(failed)?;
         for (number, run) in self.runs.iter().enumerate() {
             let row = self.row(number);
             let [least, largest] = [0, 1].map(|end| row.volume.map(|range| range[end]));
@@ -451,15 +540,31 @@ impl Sweep {
                 text(row.missed),
                 text(row.squeezed),
                 run.name.clone(),
-                row.problem.unwrap_or_default(),
+                row.problem.clone().unwrap_or_default(),
             ];
-            let fields = run.values.iter().chain(&fields);
+            let statistics = probes.iter().flat_map(|(probe, _)| {
+                let found = row.probes.iter().find(|(name, _)| name == probe);
+                let numbers = found.map(|(_, statistics)| statistics.numbers().map(Some));
+                numbers.unwrap_or_default().map(text)
+            });
+            let fields = run.values.iter().cloned().chain(fields).chain(statistics);
             table.write_record(fields).map_err(failed)?;
         }
         let bytes = table
             .into_inner()
             .map_err(|problem| Error::output(&path, problem))?;
         write_atomically(&path, &bytes)
+    }
+
+    /// Columns of the probes of all runs and their units, in the order of the first run with each.
+    pub fn probes(&self) -> Vec<(String, &'static str)> {
+        let mut probes: Vec<(String, &'static str)> = Vec::new();
+        for (probe, unit) in self.runs.iter().flat_map(Run::probes) {
+            if !probes.iter().any(|(name, _)| name == probe) {
+                probes.push((probe.clone(), *unit));
+            }
+        }
+        probes
     }
 }
 
@@ -506,6 +611,7 @@ fn manifest_row(manifest: &Manifest, record: Option<Record>) -> Row {
         missed: Some(tally.missed),
         squeezed: Some(tally.squeezed),
         problem: problem.or(recorded_problem),
+        probes: Vec::new(),
     }
 }
 

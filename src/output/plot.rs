@@ -75,19 +75,25 @@ const OF_STEPS: [(&str, bool, &[&str]); 12] = [
 ];
 
 /// A table of a run: its columns by their names.
-struct Run {
+pub(crate) struct Run {
     /// In the keys of the charts; empty where there is one run.
-    name: String,
-    times: Vec<f64>,
-    columns: Vec<(String, Vec<Option<f64>>)>,
+    pub(crate) name: String,
+    /// Abscissas, such as times, s.
+    pub(crate) times: Vec<f64>,
+    /// Names and values of the columns.
+    pub(crate) columns: Vec<(String, Vec<Option<f64>>)>,
 }
 
-/// A chart of columns.
-struct Chart {
-    title: String,
-    logarithmic: bool,
-    columns: Vec<String>,
+/// A chart of columns over time.
+pub(crate) struct Chart {
+    pub(crate) title: String,
+    pub(crate) logarithmic: bool,
+    pub(crate) columns: Vec<String>,
+    /// Name of the abscissa with its unit.
+    pub(crate) across: &'static str,
 }
+
+const TIME: &str = "t, s";
 
 /// Draws `steps.svg` and, where the scenes have probes, `probes.svg` of runs into a folder; the files.
 ///
@@ -113,32 +119,123 @@ pub fn plot(runs: &[PathBuf], out: &Path) -> Result<Vec<PathBuf>, Error> {
             title: title.to_owned(),
             logarithmic,
             columns: there.map(|column| (*column).to_owned()).collect(),
+            across: TIME,
         }
     });
     let charts: Vec<Chart> = charts.filter(|chart| !chart.columns.is_empty()).collect();
     pages.push(("steps.svg", steps, charts));
+    let (probes, charts) = probe_charts(runs)?;
+    if !charts.is_empty() {
+        pages.push(("probes.svg", probes, charts));
+    }
+    for (name, runs, charts) in pages {
+        let charts: Vec<(&Chart, &[Run])> = charts.iter().map(|chart| (chart, &*runs)).collect();
+        files.push(write_page(out, name, &charts)?);
+    }
+    Ok(files)
+}
+
+/// Draws `probes.svg` with the chosen probes or columns only; the file.
+///
+/// # Errors
+/// [`Error::Input`] as of [`plot`], and for a name that no run has; [`Error::Output`].
+pub fn plot_probes(runs: &[PathBuf], chosen: &[String], out: &Path) -> Result<PathBuf, Error> {
+    let (probes, mut charts) = probe_charts(runs)?;
+    let probe = |column: &str| {
+        let end = ["_x", "_y", "_z"]
+            .iter()
+            .find_map(|end| column.strip_suffix(end));
+        end.unwrap_or(column).to_owned()
+    };
+    let is = |name: &String, column: &String| *name == *column || *name == probe(column);
+    let columns: Vec<String> = charts
+        .iter()
+        .flat_map(|chart| chart.columns.clone())
+        .collect();
+    if let Some(name) = chosen
+        .iter()
+        .find(|name| !columns.iter().any(|column| is(name, column)))
+    {
+        let problem = format!("no run has a probe \"{name}\"");
+        let cure = match columns.is_empty() {
+            true => "the runs have no probes: add a [[probe]] to the scene".to_owned(),
+            false => format!("choose among {}", columns.join(", ")),
+        };
+        return Err(Error::input("--probes", problem, cure));
+    }
+    for chart in &mut charts {
+        chart
+            .columns
+            .retain(|column| chosen.iter().any(|name| is(name, column)));
+    }
+    charts.retain(|chart| !chart.columns.is_empty());
+    let charts: Vec<(&Chart, &[Run])> = charts.iter().map(|chart| (chart, &*probes)).collect();
+    write_page(out, "probes.svg", &charts)
+}
+
+/// Folders of runs: those of the finished runs in place of the folder of a sweep.
+///
+/// # Errors
+/// [`Error::Input`] for a sweep without a finished run, and for a broken summary.csv.
+pub fn with_sweeps(folders: &[PathBuf]) -> Result<Vec<PathBuf>, Error> {
+    let mut runs = Vec::new();
+    for folder in folders {
+        let summary = folder.join("summary.csv");
+        if folder.join("manifest.json").is_file() || !summary.is_file() {
+            runs.push(folder.clone());
+            continue;
+        }
+        let refused = |problem: String| {
+            let cure = "run `cutwater sweep` again, which writes it";
+            Error::input(summary.display().to_string(), problem, cure)
+        };
+        let mut table = csv::Reader::from_path(&summary).map_err(|p| refused(p.to_string()))?;
+        let heads = table.headers().map_err(|p| refused(p.to_string()))?;
+        let place = |name: &str| heads.iter().position(|head| head == name);
+        let (Some(status), Some(name)) = (place("status"), place("folder")) else {
+            return Err(refused("has no columns `status` and `folder`".to_owned()));
+        };
+        let before = runs.len();
+        for row in table.records() {
+            let row = row.map_err(|problem| refused(problem.to_string()))?;
+            if row.get(status) == Some("finished") {
+                runs.push(folder.join(row.get(name).unwrap_or_default()));
+            }
+        }
+        if runs.len() == before {
+            return Err(refused("has no finished run".to_owned()));
+        }
+    }
+    Ok(runs)
+}
+
+/// The tables of probes, and a chart of each probe.
+fn probe_charts(runs: &[PathBuf]) -> Result<(Vec<Run>, Vec<Chart>), Error> {
     let probes = tables(runs, "probes.csv")?;
     let units = runs.iter().filter_map(|run| Manifest::read(run).ok());
     let units = units.flat_map(|manifest| manifest.probe_units).collect();
     let charts = of_probes(&probes, &units);
-    if !charts.is_empty() {
-        pages.push(("probes.svg", probes, charts));
-    }
+    Ok((probes, charts))
+}
+
+/// Writes charts, each with its runs, into a file of a folder.
+pub(crate) fn write_page(
+    out: &Path,
+    name: &str,
+    charts: &[(&Chart, &[Run])],
+) -> Result<PathBuf, Error> {
     fs::create_dir_all(out).map_err(|problem| Error::unwritten(out, &problem))?;
-    for (name, runs, charts) in pages {
-        let path = out.join(name);
-        let lines = charts.len().div_ceil(ACROSS);
-        let size = (SIZE.0 * ACROSS as u32, SIZE.1 * lines as u32);
-        write_svg(&path, size, |root| {
-            let areas = root.split_evenly((lines, ACROSS));
-            areas
-                .iter()
-                .zip(&charts)
-                .try_for_each(|(area, chart)| draw(area, chart, &runs))
-        })?;
-        files.push(path);
-    }
-    Ok(files)
+    let path = out.join(name);
+    let lines = charts.len().div_ceil(ACROSS);
+    let size = (SIZE.0 * ACROSS as u32, SIZE.1 * lines as u32);
+    write_svg(&path, size, |root| {
+        let areas = root.split_evenly((lines, ACROSS));
+        areas
+            .iter()
+            .zip(charts)
+            .try_for_each(|(area, (chart, runs))| draw(area, chart, runs))
+    })?;
+    Ok(path)
 }
 
 /// A table of each run that has it.
@@ -171,7 +268,8 @@ fn tables(runs: &[PathBuf], file: &str) -> Result<Vec<Run>, Error> {
 }
 
 impl Run {
-    fn read(path: &Path, name: String) -> Result<Run, Error> {
+    /// Reads a table. Cells without a finite number are empty.
+    pub(crate) fn read(path: &Path, name: String) -> Result<Run, Error> {
         let broken = |problem: &dyn std::fmt::Display| {
             let cure = "run the scene again, or move the file elsewhere";
             Error::input(
@@ -239,6 +337,7 @@ fn of_probes(runs: &[Run], units: &BTreeMap<String, String>) -> Vec<Chart> {
                 title: title.to_owned(),
                 logarithmic: false,
                 columns: vec![head.clone()],
+                across: TIME,
             }),
         }
     }
@@ -287,6 +386,7 @@ fn draw(area: &Area, chart: &Chart, runs: &[Run]) -> Result<(), Failure> {
         title,
         logarithmic,
         columns,
+        across,
     } = chart;
     let mut lines = Vec::new();
     for run in runs {
@@ -324,7 +424,7 @@ fn draw(area: &Area, chart: &Chart, runs: &[Run]) -> Result<(), Failure> {
     let power = |y: &f64| format!("{:.digits$e}", 10.0_f64.powf(*y));
     let mut chart = builder.build_cartesian_2d(x, y)?;
     let mut mesh = chart.configure_mesh();
-    mesh.x_desc("t, s")
+    mesh.x_desc(*across)
         .max_light_lines(1)
         .x_label_formatter(&of_times);
     match logarithmic {

@@ -17,6 +17,7 @@ mod common;
 mod compare;
 mod components;
 mod control;
+mod converge;
 mod coupled;
 mod coupled_case;
 mod coupled_gpu;

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use cutwater::output::plot::plot;
+use cutwater::output::plot::{plot, plot_probes, with_sweeps};
 use cutwater::output::report::{Contents, report};
 
 fn run(dir: &Path, factor: f64) {
@@ -104,4 +104,47 @@ fn what_is_no_run_is_refused() {
         !out.exists(),
         "nothing is written for what cannot be plotted"
     );
+}
+
+#[test]
+fn sweeps_stand_for_their_finished_runs_and_probes_can_be_chosen() {
+    let folder = tempfile::tempdir().unwrap();
+    let sweep = folder.path().join("sweep");
+    for name in ["a", "b", "c"] {
+        run(&sweep.join(name), 1.0);
+    }
+    fs::write(
+        sweep.join("summary.csv"),
+        "cfl,status,folder,problem\n1,finished,a,\n2,failed,b,\"x, y\"\n3,finished,c,\n",
+    )
+    .unwrap();
+    let single = folder.path().join("single");
+    run(&single, 1.0);
+    let runs = with_sweeps(&[single.clone(), sweep.clone()]).unwrap();
+    assert_eq!(runs, [single, sweep.join("a"), sweep.join("c")]);
+    let chosen = |names: &[&str]| {
+        let names: Vec<String> = names.iter().map(|&name| name.to_owned()).collect();
+        plot_probes(&runs, &names, &folder.path().join("plots"))
+    };
+    let page = fs::read_to_string(chosen(&["centre", "gauge"]).unwrap()).unwrap();
+    for part in ["a: centre_x", "c: centre_y", "single: gauge"] {
+        assert!(page.contains(part), "{part}");
+    }
+    assert!(!page.contains("front"));
+    let page = fs::read_to_string(chosen(&["centre_y"]).unwrap()).unwrap();
+    assert!(page.contains("centre_y") && !page.contains("centre_x"));
+    let error = chosen(&["tip"]).unwrap_err().to_string();
+    for part in ["--probes", "no run has a probe \"tip\"", "front, centre_x"] {
+        assert!(error.contains(part), "{error}");
+    }
+    for (summary, problem) in [
+        ("status,folder\nfailed,a\n", "no finished run"),
+        ("folder\na\n", "no columns `status` and `folder`"),
+    ] {
+        fs::write(sweep.join("summary.csv"), summary).unwrap();
+        let error = with_sweeps(std::slice::from_ref(&sweep))
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains(problem), "{error}");
+    }
 }

@@ -190,6 +190,27 @@ fn a_sweep_goes_on_past_failures_and_makes_what_is_missing() {
             && (1.0..1.1).contains(&number("volume_largest"))
     );
     assert!(column(&summary, "problem")[2].contains("no cell"));
+    let probes = out.join(names[0]).join("probes.csv");
+    let fronts: Vec<f64> = column(&probes, "front")
+        .iter()
+        .map(|x| x.parse().unwrap())
+        .collect();
+    let (least, largest) = (
+        fronts.iter().copied().fold(f64::MAX, f64::min),
+        fronts.iter().copied().fold(0.0, f64::max),
+    );
+    assert_eq!(
+        [number("front:least"), number("front:largest")],
+        [least, largest]
+    );
+    assert_eq!(number("front:last"), *fronts.last().unwrap());
+    assert!((least..=largest).contains(&number("front:mean")));
+    let at = fronts.iter().position(|front| *front == largest).unwrap();
+    assert_eq!(
+        column(&summary, "front:largest_t")[0],
+        column(&probes, "t")[at]
+    );
+    assert_eq!(column(&summary, "front:mean")[1..], ["", "", ""]);
     assert!(
         said.contains("summary: ") && said.lines().any(|line| line.starts_with("run  ")),
         "{said}"

@@ -1,0 +1,406 @@
+//! Convergence of the probes with the cell size: observed order and Richardson's estimate from runs at three scales.
+//!
+//! With values f1, f2, f3 at cell sizes h1 > h2 > h3 and an error C h^p, the order p solves
+//! (f1 - f2) / (f2 - f3) = (h1^p - h2^p) / (h2^p - h3^p), and the estimate for h = 0 is
+//! f3 + (f3 - f2) h3^p / (h2^p - h3^p) (Roache 1994, Celik et al. 2008).
+
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use super::probe_statistics::Statistics;
+use super::sweep::{Status, Sweep};
+use crate::Error;
+use crate::output::plot::{Chart, Run, write_page};
+use crate::output::write_atomically;
+use crate::scene::{Scene, SolidMesh};
+
+/// Statistics of a probe that are studied, with their places in [`Statistics::numbers`].
+const QUANTITIES: [(&str, usize); 4] = [("least", 0), ("largest", 2), ("mean", 4), ("last", 5)];
+/// Relative difference of values that single precision does not resolve.
+const ROUNDING: f64 = 1e-6;
+/// Orders with an estimate. The method is of first to second order.
+const PLAUSIBLE: std::ops::RangeInclusive<f64> = 0.5..=3.0;
+/// Orders that are searched.
+const SEARCHED: [f64; 2] = [1e-3, 20.0];
+
+/// Behaviour of a quantity on the three finest grids.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// The values differ by rounding only.
+    Constant,
+    /// The differences shrink with an order of 0.5 to 3.
+    Converges,
+    /// The differences have opposite signs: the runs are not in the asymptotic range.
+    Oscillates,
+    /// The differences grow: the runs are not in the asymptotic range.
+    Diverges,
+    /// The order is below 0.5: an extrapolation would be a guess.
+    TooSlow,
+    /// The order is above 3, which the method does not have: the coarsest run is not in the asymptotic range.
+    TooFast,
+}
+
+impl Verdict {
+    /// Name in tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            Verdict::Constant => "constant",
+            Verdict::Converges => "converges",
+            Verdict::Oscillates => "oscillates",
+            Verdict::Diverges => "diverges",
+            Verdict::TooSlow => "too_slow",
+            Verdict::TooFast => "too_fast",
+        }
+    }
+}
+
+/// Order and estimate from three grids.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Convergence {
+    /// Behaviour.
+    pub verdict: Verdict,
+    /// Observed order; `None` if the differences do not shrink.
+    pub order: Option<f64>,
+    /// Richardson's estimate for vanishing cells; of a convergent quantity only.
+    pub estimate: Option<f64>,
+}
+
+impl Convergence {
+    /// From values at decreasing cell sizes.
+    pub fn new(h: [f64; 3], f: [f64; 3]) -> Convergence {
+        let without = |verdict, order| Convergence {
+            verdict,
+            order,
+            estimate: None,
+        };
+        let [coarse, fine] = [f[0] - f[1], f[1] - f[2]];
+        let size = f.iter().fold(0.0, |size: f64, f| size.max(f.abs()));
+        if coarse.abs().max(fine.abs()) <= ROUNDING * size {
+            return without(Verdict::Constant, None);
+        }
+        if coarse * fine <= 0.0 {
+            return without(Verdict::Oscillates, None);
+        }
+        // The quotient of differences of h^p, from logarithms to avoid underflow; it increases with p.
+        let quotient = |p: f64| {
+            let [wide, narrow] = [h[0] / h[1], h[1] / h[2]].map(|ratio| p * ratio.ln());
+            wide.exp_m1() / -(-narrow).exp_m1()
+        };
+        let observed = coarse / fine;
+        let [mut low, mut high] = SEARCHED;
+        if observed <= quotient(low) {
+            return without(Verdict::Diverges, None);
+        }
+        if observed >= quotient(high) {
+            return without(Verdict::TooFast, None);
+        }
+        for _ in 0..100 {
+            let middle = 0.5 * (low + high);
+            match quotient(middle) < observed {
+                true => low = middle,
+                false => high = middle,
+            }
+        }
+        let order = 0.5 * (low + high);
+        if order < *PLAUSIBLE.start() {
+            return without(Verdict::TooSlow, Some(order));
+        }
+        if order > *PLAUSIBLE.end() {
+            return without(Verdict::TooFast, Some(order));
+        }
+        let gain = (order * (h[1] / h[2]).ln()).exp_m1();
+        Convergence {
+            verdict: Verdict::Converges,
+            order: Some(order),
+            estimate: Some(f[2] - fine / gain),
+        }
+    }
+}
+
+/// A quantity of a probe.
+#[derive(Clone, Debug, Serialize)]
+pub struct Quantity {
+    /// Column of probes.csv.
+    pub probe: String,
+    /// Unit of the values.
+    pub unit: &'static str,
+    /// `least`, `largest`, `mean` over time, or `last`.
+    pub quantity: &'static str,
+    /// Values of the runs.
+    pub values: Vec<f64>,
+    /// From the three finest grids.
+    #[serde(flatten)]
+    pub convergence: Convergence,
+    /// Difference of the finest run from the estimate over the estimate.
+    pub error: Option<f64>,
+}
+
+/// A study of all probes.
+#[derive(Clone, Debug, Serialize)]
+pub struct Study {
+    /// `--scale` of the runs, ascending.
+    pub scales: Vec<f64>,
+    /// Cell sizes, m.
+    pub cell_sizes: Vec<f64>,
+    /// Sub-steps of the runs.
+    pub sub_steps: Vec<u64>,
+    /// Wall-clock time of the runs, s.
+    pub seconds: Vec<f64>,
+    /// Quantities of all probes.
+    pub quantities: Vec<Quantity>,
+}
+
+impl Study {
+    /// From a sweep over three or more ascending scales, whose runs are finished.
+    pub fn new(sweep: &Sweep) -> Study {
+        let rows: Vec<_> = (0..sweep.runs.len())
+            .map(|number| sweep.row(number))
+            .collect();
+        debug_assert!(rows.iter().all(|row| row.status == Status::Finished));
+        let runs = sweep.runs.iter();
+        let cell_sizes: Vec<f64> = runs.clone().filter_map(|run| run.cell_size()).collect();
+        let mut quantities = Vec::new();
+        for (probe, unit) in sweep.probes() {
+            let of_run = |row: &super::sweep::Row| {
+                let found = row.probes.iter().find(|(name, _)| *name == probe);
+                found.map(|(_, statistics)| *statistics)
+            };
+            let Some(statistics) = rows.iter().map(of_run).collect::<Option<Vec<Statistics>>>()
+            else {
+                continue;
+            };
+            for (quantity, place) in QUANTITIES {
+                let values: Vec<f64> = statistics.iter().map(|all| all.numbers()[place]).collect();
+                let finest = values.len() - 3;
+                let last = |list: &[f64]| std::array::from_fn(|n| list[finest + n]);
+                let convergence = Convergence::new(last(&cell_sizes), last(&values));
+                let error = convergence
+                    .estimate
+                    .map(|estimate| (values[values.len() - 1] - estimate).abs() / estimate.abs());
+                quantities.push(Quantity {
+                    probe: probe.clone(),
+                    unit,
+                    quantity,
+                    values,
+                    convergence,
+                    error: error.filter(|error| error.is_finite()),
+                });
+            }
+        }
+        Study {
+            scales: runs.map(|run| run.scale).collect(),
+            cell_sizes,
+            sub_steps: rows.iter().filter_map(|row| row.sub_steps).collect(),
+            seconds: rows.iter().filter_map(|row| row.seconds).collect(),
+            quantities,
+        }
+    }
+
+    /// Writes convergence.csv, convergence.json and convergence.svg; the files.
+    ///
+    /// # Errors
+    /// [`Error::Output`].
+    pub fn write(&self, out: &Path) -> Result<Vec<PathBuf>, Error> {
+        let csv_path = out.join("convergence.csv");
+        let failed = |problem: csv::Error| Error::output(&csv_path, problem);
+        let mut table = csv::Writer::from_writer(Vec::new());
+        let scales = self.scales.iter().map(|scale| format!("scale={scale}"));
+        let heads = ["probe", "unit", "quantity"].map(str::to_owned).into_iter();
+        let ends = ["order", "estimate", "error", "verdict"].map(str::to_owned);
+        table
+            .write_record(heads.chain(scales).chain(ends))
+            .map_err(failed)?;
+        let number = |value: Option<f64>| value.map_or(String::new(), |value| format!("{value:?}"));
+        for row in &self.quantities {
+            let heads = [&row.probe, row.unit, row.quantity]
+                .map(str::to_owned)
+                .into_iter();
+            let values = row.values.iter().map(|&value| number(Some(value)));
+            let Convergence {
+                verdict,
+                order,
+                estimate,
+            } = row.convergence;
+            let ends = [
+                number(order),
+                number(estimate),
+                number(row.error),
+                verdict.name().to_owned(),
+            ];
+            table
+                .write_record(heads.chain(values).chain(ends))
+                .map_err(failed)?;
+        }
+        let bytes = table
+            .into_inner()
+            .map_err(|problem| Error::output(&csv_path, problem))?;
+        write_atomically(&csv_path, &bytes)?;
+        let json_path = out.join("convergence.json");
+        let text = serde_json::to_vec_pretty(self)
+            .map_err(|problem| Error::output(&json_path, problem))?;
+        write_atomically(&json_path, &text)?;
+        let mut files = vec![csv_path, json_path];
+        let pages: Vec<(Chart, [Run; 1])> = self.charts().collect();
+        if !pages.is_empty() {
+            let charts: Vec<(&Chart, &[Run])> = pages
+                .iter()
+                .map(|(chart, runs)| (chart, &runs[..]))
+                .collect();
+            files.push(write_page(out, "convergence.svg", &charts)?);
+        }
+        Ok(files)
+    }
+
+    /// A chart of each probe: its quantities over the cell size, with the estimates at 0.
+    fn charts(&self) -> impl Iterator<Item = (Chart, [Run; 1])> + '_ {
+        self.quantities
+            .chunk_by(|a, b| a.probe == b.probe)
+            .map(|rows| {
+                let mut times = self.cell_sizes.clone();
+                times.push(0.0);
+                let columns = rows.iter().map(|row| {
+                    let values = row.values.iter().copied().map(Some);
+                    let values = values.chain([row.convergence.estimate]).collect();
+                    (row.quantity.to_owned(), values)
+                });
+                let run = Run {
+                    name: String::new(),
+                    times,
+                    columns: columns.collect(),
+                };
+                let chart = Chart {
+                    title: format!("{}, {}", rows[0].probe, rows[0].unit),
+                    logarithmic: false,
+                    columns: rows.iter().map(|row| row.quantity.to_owned()).collect(),
+                    across: "cell size, m (0: estimate)",
+                };
+                (chart, [run])
+            })
+    }
+}
+
+/// Which lengths a study divides by the scale, besides the cells of the grid.
+#[derive(Clone, Copy, Debug)]
+pub struct Refined {
+    /// `time.fixed_step` and `time.max_step`.
+    pub steps: bool,
+    /// Elements of the solids.
+    pub elements: bool,
+}
+
+/// Overrides of the scene at a scale, after `settings`.
+///
+/// # Errors
+/// [`Error::Input`] if the scene has nothing to refine, and for solids from files of tetrahedra.
+pub fn refined(
+    scene: &Scene,
+    settings: &[String],
+    refined: Refined,
+) -> Result<impl Fn(f64) -> Vec<String> + use<>, Error> {
+    let Refined { steps, elements } = refined;
+    let time = scene.time.clone();
+    if steps && time.fixed_step.is_none() && time.max_step.is_none() {
+        return Err(Error::input(
+            "--steps",
+            "the scene has neither time.fixed_step nor time.max_step",
+            "add --set time.fixed_step=0.01, the sub-step at scale 1 in s, or leave --steps away: time.cfl is measured in cells",
+        ));
+    }
+    if elements {
+        if scene.solids.is_empty() {
+            return Err(Error::input(
+                "--elements",
+                "the scene has no [[solid]]",
+                "leave it away",
+            ));
+        }
+        let file = |mesh: &SolidMesh| matches!(mesh, SolidMesh::File { .. });
+        if let Some(number) = scene.solids.iter().position(|solid| file(&solid.mesh)) {
+            return Err(Error::input(
+                scene.at(&format!("solid[{number}].mesh")),
+                "the tetrahedra of a file cannot be refined by --elements",
+                "fill its surface: mesh = { surface = { file, cell_size } }, or leave --elements away",
+            ));
+        }
+    }
+    let meshes: Vec<SolidMesh> = scene
+        .solids
+        .iter()
+        .map(|solid| solid.mesh.clone())
+        .collect();
+    let settings = settings.to_vec();
+    Ok(move |scale: f64| {
+        let mut all = settings.clone();
+        if steps {
+            let keys = [("fixed_step", time.fixed_step), ("max_step", time.max_step)];
+            let present = keys
+                .into_iter()
+                .filter_map(|(key, step)| Some((key, step?)));
+            all.extend(present.map(|(key, step)| format!("time.{key}={:?}", step / scale)));
+        }
+        for (number, mesh) in meshes.iter().enumerate().filter(|_| elements) {
+            let key = format!("solid[{number}].mesh");
+            all.push(match mesh {
+                SolidMesh::Box { cells, .. } => {
+                    let [x, y, z] = cells.map(|n| (n as f64 * scale).round().max(1.0));
+                    format!("{key}.box.cells=[{x}, {y}, {z}]")
+                }
+                SolidMesh::Sphere { cell_size, .. } => {
+                    format!("{key}.sphere.cell_size={:?}", cell_size / scale)
+                }
+                SolidMesh::Shell { cell_size, .. } => {
+                    format!("{key}.shell.cell_size={:?}", cell_size / scale)
+                }
+                SolidMesh::Surface { cell_size, .. } => {
+                    format!("{key}.surface.cell_size={:?}", cell_size / scale)
+                }
+                SolidMesh::File { .. } => continue,
+            });
+        }
+        all
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Convergence, Verdict};
+
+    #[test]
+    fn orders_and_estimates_are_those_of_the_error() {
+        for (h, p) in [
+            ([2.0, 1.0, 0.5], 1.0),
+            ([0.04, 0.02, 0.01], 2.0),
+            ([3.0, 2.0, 1.0], 1.5),
+            ([1.0, 0.7, 0.6], 0.7),
+        ] {
+            let f = h.map(|h: f64| 5.0 - 0.3 * h.powf(p));
+            let found = Convergence::new(h, f);
+            assert_eq!(found.verdict, Verdict::Converges, "{h:?}");
+            // The differences cancel up to three digits of 16.
+            assert!((found.order.unwrap() - p).abs() < 1e-9, "{found:?}");
+            assert!((found.estimate.unwrap() - 5.0).abs() < 1e-9, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn runs_outside_the_asymptotic_range_have_no_estimate() {
+        let h = [4.0, 2.0, 1.0];
+        for (f, verdict, has_order) in [
+            ([1.0, 2.0, 1.5], Verdict::Oscillates, false),
+            ([1.0, 1.0, 1.5], Verdict::Oscillates, false),
+            ([1.0, 2.0, 4.0], Verdict::Diverges, false),
+            ([1.0, 2.0, 3.0], Verdict::Diverges, false),
+            ([1.0, 2.0, 2.9], Verdict::TooSlow, true),
+            ([1.0, 2.0, 2.05], Verdict::TooFast, true),
+            ([1.0, 1.0 + 1e-8, 1.0], Verdict::Constant, false),
+            ([0.0, 0.0, 0.0], Verdict::Constant, false),
+        ] {
+            let found = Convergence::new(h, f);
+            assert_eq!(found.verdict, verdict, "{f:?}");
+            assert_eq!(found.order.is_some(), has_order, "{f:?}");
+            assert_eq!(found.estimate, None, "{f:?}");
+        }
+    }
+}
