@@ -3,9 +3,12 @@
 use std::path::Path;
 
 use cutwater::Error;
+use cutwater::gpu::AdapterChoice;
 use cutwater::scene::{Keyframe, Scene};
 use cutwater::sim::{Backend, Simulation};
 use glam::DVec3;
+
+use crate::common::gpu;
 
 const GATE: &str = "
 domain = { size = [1, 0.5, 0.25], cells = [16, 8, 4] }
@@ -16,10 +19,28 @@ obstacle = [{ box = { min = [0.4, 0, 0], max = [0.55, 0.5, 0.25] }, keyframes = 
 
 const LIFTED: &str = "obstacle[0].keyframes=[{ t = 0 }, { t = 0.5, translate = [0, 0.2, 0] }]";
 
-fn simulation(overrides: &[&str]) -> Simulation {
+/// A block on a platform, without liquid.
+const LIFT: &str = "
+domain = { size = [1, 0.5, 0.25], cells = [16, 8, 4] }
+time = { duration = 0.5, fixed_step = 0.010416666666666666 }
+obstacle = [{ box = { min = [0.2, 0, 0], max = [0.8, 0.1, 0.25] }, keyframes = [{ t = 0 }] }]
+[[solid]]
+name = \"block\"
+mesh = { box = { size = [0.2, 0.1, 0.1], cells = [2, 1, 1] } }
+placement = { translate = [0.5, 0.15, 0.125] }
+density = 1000
+young = 1e6
+poisson = 0.3
+";
+
+fn simulation_of(text: &str, overrides: &[&str], backend: &Backend) -> Simulation {
     let overrides: Vec<String> = overrides.iter().map(|&text| text.to_owned()).collect();
-    let scene = Scene::parse(Path::new("gate.toml"), GATE, &overrides, 1.0).unwrap();
-    Simulation::new(&scene, &Backend::Cpu).unwrap()
+    let scene = Scene::parse(Path::new("control.toml"), text, &overrides, 1.0).unwrap();
+    Simulation::new(&scene, backend).unwrap()
+}
+
+fn simulation(overrides: &[&str]) -> Simulation {
+    simulation_of(GATE, overrides, &Backend::Cpu)
 }
 
 fn keyframe(time: f64, y: f64) -> Keyframe {
@@ -34,15 +55,26 @@ fn keyframe(time: f64, y: f64) -> Keyframe {
 /// Keyframes that are set before the first sub-step are those of the scene: the same bits.
 #[test]
 fn a_motion_that_is_set_is_that_of_the_scene() {
-    let mut scripted = simulation(&[LIFTED]);
-    let mut set = simulation(&[]);
-    let keyframes = vec![keyframe(0.0, 0.0), keyframe(0.5, 0.2)];
-    set.set_motion(0, keyframes).unwrap();
-    for _ in 0..6 {
-        scripted.step().unwrap();
-        set.step().unwrap();
+    let mut backends = vec![Backend::Cpu];
+    if gpu().is_some() {
+        backends.push(Backend::Gpu(AdapterChoice::Best));
     }
-    assert_eq!(set.state().unwrap(), scripted.state().unwrap());
+    for backend in &backends {
+        for text in [GATE, LIFT] {
+            let mut scripted = simulation_of(text, &[LIFTED], backend);
+            let mut set = simulation_of(text, &[], backend);
+            let mut at_rest = simulation_of(text, &[], backend);
+            let keyframes = vec![keyframe(0.0, 0.0), keyframe(0.5, 0.2)];
+            set.set_motion(0, keyframes).unwrap();
+            for _ in 0..6 {
+                scripted.step().unwrap();
+                set.step().unwrap();
+                at_rest.step().unwrap();
+            }
+            assert_eq!(set.state().unwrap(), scripted.state().unwrap(), "{text}");
+            assert_ne!(set.state().unwrap(), at_rest.state().unwrap(), "{text}");
+        }
+    }
 }
 
 /// So is gravity.
